@@ -1,0 +1,1 @@
+"""Acquisition and reconstruction for a multi-modality inspector of plastic pipes."""

@@ -1,0 +1,129 @@
+"""The calibration of a ring sensor as a checked value (file format: README, `annulus-calibration/1`)."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+from annulus.geometry.camera import Camera, Model
+from annulus.geometry.cone import Cone
+
+FORMAT = "annulus-calibration/1"
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """Camera, the stripes' colours from the innermost outwards, one cone per slit between them, the pipe's radius."""
+
+    camera: Camera
+    colours: str
+    rings: tuple[Cone, ...]
+    pipe_radius_mm: float
+
+    @classmethod
+    def from_dict(cls, data: object) -> "Calibration":
+        """Check and convert the parsed JSON. Raises ValueError naming the key that is wrong."""
+        top = _mapping(data, "the file")
+        if top.get("format") != FORMAT:
+            raise ValueError(f'"format" is {top.get("format")!r}, expected "{FORMAT}"')
+        camera = camera_from_dict(_need(top, "camera"))
+        colours = _need(_mapping(_need(top, "pattern"), "pattern"), "colours")
+        if not isinstance(colours, str) or not 2 <= len(colours) <= 65 or set(colours) - set("RGB"):
+            raise ValueError(
+                f'"pattern.colours" is {colours!r}, expected letters R, G, B from the innermost outwards'
+            )
+        rings = _need(top, "rings")
+        if not isinstance(rings, Sequence) or isinstance(rings, str) or len(rings) != len(colours) - 1:
+            raise ValueError(
+                f'"rings" must list {len(colours) - 1} slits, one between each two of {len(colours)} stripes'
+            )
+        cones = tuple(_cone(_mapping(ring, f"rings[{i}]"), f"rings[{i}]") for i, ring in enumerate(rings))
+        if any(b.half_angle <= a.half_angle for a, b in zip(cones, cones[1:], strict=False)):
+            raise ValueError('"rings" must be listed from the innermost outwards, "theta_full_deg" rising')
+        radius = _number(_mapping(_need(top, "pipe"), "pipe"), "radius_mm", "pipe", 1.0, 5000.0)
+        return cls(camera, colours, cones, radius)
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "format": FORMAT,
+            "camera": camera_to_dict(self.camera),
+            "pattern": {"colours": self.colours},
+            "rings": [
+                {
+                    "theta_full_deg": math.degrees(2 * c.half_angle),
+                    "axis": list(c.axis),
+                    "vertex_mm": list(c.vertex_mm),
+                }
+                for c in self.rings
+            ],
+            "pipe": {"radius_mm": self.pipe_radius_mm},
+        }
+
+
+def camera_to_dict(camera: Camera) -> dict[str, Any]:
+    return {
+        "model": camera.model, "width": camera.width, "height": camera.height, "fx": camera.fx, "fy": camera.fy,
+        "cx": camera.cx, "cy": camera.cy, "distortion": list(camera.distortion),
+    }  # fmt: skip
+
+
+def camera_from_dict(data: object) -> Camera:
+    """The `camera` section. Raises ValueError naming the key that is wrong."""
+    section = _mapping(data, "camera")
+    model = section.get("model")
+    if model not in ("pinhole", "fisheye"):
+        raise ValueError(f'"camera.model" is {model!r}, expected "pinhole" or "fisheye"')
+    numbers = section.get("distortion", [])
+    if not isinstance(numbers, Sequence) or isinstance(numbers, str):
+        raise ValueError('"camera.distortion" must be a list of numbers')
+    lengths = (0, 4) if model == "fisheye" else (0, 4, 5, 8, 12, 14)
+    if len(numbers) not in lengths:
+        raise ValueError(
+            f'"camera.distortion" has {len(numbers)} numbers, expected one of {lengths} for {model}'
+        )
+    distortion = tuple(_number({"k": value}, "k", "camera.distortion", -1e3, 1e3) for value in numbers)
+    width, height = (_number(section, key, "camera", 16, 16384) for key in ("width", "height"))
+    if width % 1 or height % 1:
+        raise ValueError('"camera.width" and "camera.height" must be whole pixels')
+    fx, fy = (_number(section, key, "camera", 1.0, 1e6) for key in ("fx", "fy"))
+    cx, cy = (_number(section, key, "camera", -1e5, 1e5) for key in ("cx", "cy"))
+    return Camera(cast(Model, model), int(width), int(height), fx, fy, cx, cy, distortion)
+
+
+def _cone(ring: Mapping[str, Any], where: str) -> Cone:
+    theta = _number(ring, "theta_full_deg", where, 1.0, 178.0)
+    axis = _vector(ring, "axis", where)
+    length = math.sqrt(sum(v * v for v in axis))
+    if abs(length - 1.0) > 1e-3 or axis[2] <= 0:
+        raise ValueError(
+            f'"{where}.axis" must be a unit vector pointing down the pipe (z > 0), its length is {length:.4g}'
+        )
+    unit = cast(tuple[float, float, float], tuple(v / length for v in axis))
+    return Cone(math.radians(theta / 2), unit, _vector(ring, "vertex_mm", where))
+
+
+def _vector(section: Mapping[str, Any], key: str, where: str) -> tuple[float, float, float]:
+    value = _need(section, key, where)
+    if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != 3:
+        raise ValueError(f'"{where}.{key}" must be three numbers')
+    x, y, z = (_number({key: v}, key, where, -1e5, 1e5) for v in value)
+    return x, y, z
+
+
+def _number(section: Mapping[str, Any], key: str, where: str, low: float, high: float) -> float:
+    value = _need(section, key, where)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+        raise ValueError(f'"{where}.{key}" is {value!r}, expected a number in {low:g}..{high:g}')
+    return float(value)
+
+
+def _need(section: Mapping[str, Any], key: str, where: str = "") -> Any:
+    if key not in section:
+        raise ValueError(f'"{where + "." if where else ""}{key}" is missing')
+    return section[key]
+
+
+def _mapping(value: object, where: str) -> Mapping[str, Any]:
+    if not isinstance(value, Mapping):
+        raise ValueError(f"{where} must be an object")
+    return value

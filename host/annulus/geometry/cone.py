@@ -1,0 +1,73 @@
+"""Rays against the two surfaces of this instrument: a projected ring's cone and the pipe's cylinder."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from annulus.geometry.pose import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Cone:
+    """One slit's surface. Half-angle in radians, unit axis (nearly +z), vertex in mm, camera frame."""
+
+    half_angle: float
+    axis: tuple[float, float, float]
+    vertex_mm: tuple[float, float, float]
+
+
+def intersect_cone(
+    rays: FloatArray, cone: Cone, origin: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Points where camera rays meet one projected ring's cone.
+
+    Parameters
+    ----------
+    rays : (N, 3) unit vectors. origin : (3,) mm, the rays' common start; the camera centre when not given.
+
+    Returns
+    -------
+    points : (N, 3) mm, NaN where the ray misses or meets only the backward nappe.
+    delta : (N,) square root of the discriminant; near zero the ray is tangent and the point ill-conditioned.
+
+    Notes
+    -----
+    Alzuhiri 2022, App. A.2 (with Eq. .15's misprint mended); of two forward roots the farther, §5.2.
+    """
+    start = np.zeros(3) if origin is None else np.asarray(origin, dtype=float)
+    axis, vertex = np.asarray(cone.axis), np.asarray(cone.vertex_mm)
+    cos2 = np.cos(cone.half_angle) ** 2
+    vc = start - vertex
+    along, wv = rays @ axis, rays @ vc
+    va, vv = vc @ axis, vc @ vc
+    a = along**2 - cos2
+    b = 2.0 * (along * va - wv * cos2)
+    c = va**2 - vv * cos2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        delta = np.sqrt(b * b - 4.0 * a * c)
+        q = -0.5 * (b + np.copysign(delta, b))  # the form that does not cancel
+        roots = np.stack([q / a, c / q])
+        forward = (roots > 0) & (va + roots * along > 0)
+        s = np.where(forward, roots, -np.inf).max(axis=0)
+        s = np.where(np.isfinite(s), s, np.nan)
+    return start + s[:, None] * rays, delta
+
+
+def cone_distance(points: FloatArray, cone: Cone) -> FloatArray:
+    """Signed distance (mm) of (N, 3) points from the cone, Alzuhiri 2022, Eq. 3.14/4.3; positive inside."""
+    v = points - np.asarray(cone.vertex_mm)
+    length = np.linalg.norm(v, axis=1)
+    theta = np.arctan2(np.linalg.norm(np.cross(v, np.asarray(cone.axis)), axis=1), v @ np.asarray(cone.axis))
+    return np.asarray(length * np.sin(cone.half_angle - theta))
+
+
+def intersect_cylinder(
+    rays: FloatArray, through: FloatArray, axis: FloatArray, radius_mm: float
+) -> FloatArray:
+    """(N, 3) points where rays from the origin leave a cylinder, NaN for none. Alzuhiri 2022, App. A.1."""
+    x = np.cross(-np.asarray(through, dtype=float), axis)
+    y = np.cross(rays, axis)
+    a, b, c = np.einsum("ij,ij->i", y, y), 2.0 * y @ x, x @ x - radius_mm**2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        s = (-b + np.sqrt(b * b - 4.0 * a * c)) / (2.0 * a)
+    return np.asarray(np.where(s > 0, s, np.nan)[:, None] * rays)

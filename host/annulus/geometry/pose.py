@@ -1,0 +1,52 @@
+"""Where the pipe is, seen from the camera."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+def rotation_x(angle: float) -> FloatArray:
+    """Right-handed rotation about x by `angle` radians, (3, 3)."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+
+
+def rotation_y(angle: float) -> FloatArray:
+    """Right-handed rotation about y by `angle` radians, (3, 3)."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """The pipe in the camera frame: `camera = R pipe + T`, R = Rx(rx) Ry(ry), T = (tx, ty, 0).
+
+    Angles in radians, lengths in mm. Roll about the pipe axis and a shift along it cannot be seen in a
+    round pipe and are zero here (Alzuhiri 2022, §4.3.2). The pipe frame's z = 0 is the station of the camera.
+    """
+
+    rx: float = 0.0
+    ry: float = 0.0
+    tx: float = 0.0
+    ty: float = 0.0
+
+    @property
+    def rotation(self) -> FloatArray:
+        return rotation_x(self.rx) @ rotation_y(self.ry)
+
+    @property
+    def translation(self) -> FloatArray:
+        return np.array([self.tx, self.ty, 0.0])
+
+    def to_pipe(self, points: FloatArray, z_mm: float = 0.0) -> FloatArray:
+        """(N, 3) mm in the camera frame -> pipe frame, the camera standing at station `z_mm`."""
+        out = (points - self.translation) @ self.rotation
+        out[..., 2] += z_mm
+        return out
+
+    def to_camera(self, points: FloatArray, z_mm: float = 0.0) -> FloatArray:
+        """(N, 3) mm in the pipe frame -> camera frame; inverse of `to_pipe`."""
+        return (points - np.array([0.0, 0.0, z_mm])) @ self.rotation.T + self.translation

@@ -1,0 +1,62 @@
+"""The words every room speaks. Types only; the names follow the glossary in README.md."""
+
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag, StrEnum
+from typing import NewType
+
+EdgeIndex = NewType(
+    "EdgeIndex", int
+)  # counts accepted sync edges since boot; never compare with CameraSequence
+CameraSequence = NewType(
+    "CameraSequence", int
+)  # the driver's frame counter; has holes where the driver dropped
+Slot = NewType("Slot", int)  # 0..R, place in the projector/LED cycle
+Tick = NewType("Tick", int)  # controller time since boot, extended to 64 bits
+
+TICK_S = 1e-8  # one tick is 10 ns: 100 MHz system clock
+TICKS_PER_US = 100
+
+
+class Lamp(IntEnum):
+    """What the controller lit after an edge. DARK: armed but nothing fired (see the edge's flags)."""
+
+    DARK = 0
+    PROJECTOR = 1
+    LED = 2
+
+
+class Label(StrEnum):
+    """What lit a frame. UNKNOWN is a legal answer; a wrong one is not."""
+
+    PROJECTOR = "projector"
+    LED = "led"
+    UNKNOWN = "unknown"
+
+
+class EdgeFlag(IntFlag):
+    """Why an edge may not be trusted for labelling (protocol/messages.toml, EDGE.flags)."""
+
+    LATE_LOAD = 1  # the flash was not loaded in time: dark frame
+    IRREGULAR = 2  # interval to the previous edge outside the tolerance
+    FIRST = 4  # no previous edge to qualify against
+    DISARMED = 8  # lamps not armed: dark frame on purpose
+
+
+@dataclass(frozen=True, slots=True)
+class Flash:
+    """What the controller did at one accepted edge."""
+
+    edge: EdgeIndex
+    tick: Tick  # of the falling edge
+    slot: Slot
+    lamp: Lamp
+    delay_ticks: int
+    width_ticks: int
+    odometer: int  # quadrature counts since boot
+    generation: int  # of the committed configuration
+    boot: int  # boot byte: changes with every reset
+    flags: EdgeFlag
+
+
+class AnnulusError(Exception):
+    """Anything a user can mend. The text is one line: what, where, what was expected."""
