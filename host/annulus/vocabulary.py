@@ -4,12 +4,8 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag, StrEnum
 from typing import NewType
 
-EdgeIndex = NewType(
-    "EdgeIndex", int
-)  # counts accepted sync edges since boot; never compare with CameraSequence
-CameraSequence = NewType(
-    "CameraSequence", int
-)  # the driver's frame counter; has holes where the driver dropped
+EdgeIndex = NewType("EdgeIndex", int)  # counts accepted sync edges since boot; never compare with CameraSequence
+CameraSequence = NewType("CameraSequence", int)  # the driver's frame counter; has holes where the driver dropped
 Slot = NewType("Slot", int)  # 0..R, place in the projector/LED cycle
 Tick = NewType("Tick", int)  # controller time since boot, extended to 64 bits
 

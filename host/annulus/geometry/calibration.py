@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, cast
 
 from annulus.geometry.camera import Camera, Model
@@ -29,16 +30,14 @@ class Calibration:
         camera = camera_from_dict(_need(top, "camera"))
         colours = _need(_mapping(_need(top, "pattern"), "pattern"), "colours")
         if not isinstance(colours, str) or not 2 <= len(colours) <= 65 or set(colours) - set("RGB"):
-            raise ValueError(
-                f'"pattern.colours" is {colours!r}, expected letters R, G, B from the innermost outwards'
-            )
+            raise ValueError(f'"pattern.colours" is {colours!r}, expected letters R, G, B from the innermost outwards')
         rings = _need(top, "rings")
         if not isinstance(rings, Sequence) or isinstance(rings, str) or len(rings) != len(colours) - 1:
             raise ValueError(
                 f'"rings" must list {len(colours) - 1} slits, one between each two of {len(colours)} stripes'
             )
         cones = tuple(_cone(_mapping(ring, f"rings[{i}]"), f"rings[{i}]") for i, ring in enumerate(rings))
-        if any(b.half_angle <= a.half_angle for a, b in zip(cones, cones[1:], strict=False)):
+        if any(b.half_angle <= a.half_angle for a, b in pairwise(cones)):
             raise ValueError('"rings" must be listed from the innermost outwards, "theta_full_deg" rising')
         radius = _number(_mapping(_need(top, "pipe"), "pipe"), "radius_mm", "pipe", 1.0, 5000.0)
         return cls(camera, colours, cones, radius)
@@ -78,9 +77,7 @@ def camera_from_dict(data: object) -> Camera:
         raise ValueError('"camera.distortion" must be a list of numbers')
     lengths = (0, 4) if model == "fisheye" else (0, 4, 5, 8, 12, 14)
     if len(numbers) not in lengths:
-        raise ValueError(
-            f'"camera.distortion" has {len(numbers)} numbers, expected one of {lengths} for {model}'
-        )
+        raise ValueError(f'"camera.distortion" has {len(numbers)} numbers, expected one of {lengths} for {model}')
     distortion = tuple(_number({"k": value}, "k", "camera.distortion", -1e3, 1e3) for value in numbers)
     width, height = (_number(section, key, "camera", 16, 16384) for key in ("width", "height"))
     if width % 1 or height % 1:

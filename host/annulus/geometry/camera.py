@@ -45,8 +45,8 @@ class Camera:
             return np.stack([x * scale, y * scale, np.cos(theta)], axis=1)
         if any(self.distortion):
             criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 60, 1e-12)
-            flat = cv2.undistortPointsIter(
-                pixels.reshape(-1, 1, 2), self.matrix, self._coefficients(), np.eye(3), np.eye(3), criteria
+            flat = np.asarray(
+                cv2.undistortPoints(pixels.reshape(-1, 1, 2), self.matrix, self._coefficients(), criteria=criteria)
             ).reshape(-1, 2)
         else:
             flat = (pixels - [self.cx, self.cy]) / [self.fx, self.fy]
@@ -63,9 +63,7 @@ class Camera:
             t2 = theta * theta
             k1, k2, k3, k4 = self._coefficients()[:4]
             distorted = theta * (1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))))
-            scale = np.where(
-                rho > 1e-12, distorted / np.maximum(rho, 1e-12), 1.0 / np.maximum(np.abs(z), 1e-12)
-            )
+            scale = np.where(rho > 1e-12, distorted / np.maximum(rho, 1e-12), 1.0 / np.maximum(np.abs(z), 1e-12))
             return np.stack([self.fx * x * scale + self.cx, self.fy * y * scale + self.cy], axis=1)
         with np.errstate(divide="ignore", invalid="ignore"):
             flat = np.where(z[:, None] > 1e-9, points[:, :2] / z[:, None], np.nan)
@@ -73,12 +71,10 @@ class Camera:
             ahead = np.isfinite(flat[:, 0])
             out = np.full_like(flat, np.nan)
             if ahead.any():
-                shaped = np.concatenate([flat[ahead], np.ones((int(ahead.sum()), 1))], axis=1).reshape(
-                    -1, 1, 3
-                )
-                out[ahead] = cv2.projectPoints(
-                    shaped, np.zeros(3), np.zeros(3), self.matrix, self._coefficients()
-                )[0].reshape(-1, 2)
+                shaped = np.concatenate([flat[ahead], np.ones((int(ahead.sum()), 1))], axis=1).reshape(-1, 1, 3)
+                out[ahead] = cv2.projectPoints(shaped, np.zeros(3), np.zeros(3), self.matrix, self._coefficients())[
+                    0
+                ].reshape(-1, 2)
             return out
         return np.asarray(flat * [self.fx, self.fy] + [self.cx, self.cy])
 

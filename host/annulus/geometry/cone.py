@@ -16,9 +16,7 @@ class Cone:
     vertex_mm: tuple[float, float, float]
 
 
-def intersect_cone(
-    rays: FloatArray, cone: Cone, origin: FloatArray | None = None
-) -> tuple[FloatArray, FloatArray]:
+def intersect_cone(rays: FloatArray, cone: Cone, origin: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
     """Points where camera rays meet one projected ring's cone.
 
     Parameters
@@ -61,9 +59,7 @@ def cone_distance(points: FloatArray, cone: Cone) -> FloatArray:
     return np.asarray(length * np.sin(cone.half_angle - theta))
 
 
-def intersect_cylinder(
-    rays: FloatArray, through: FloatArray, axis: FloatArray, radius_mm: float
-) -> FloatArray:
+def intersect_cylinder(rays: FloatArray, through: FloatArray, axis: FloatArray, radius_mm: float) -> FloatArray:
     """(N, 3) points where rays from the origin leave a cylinder, NaN for none. Alzuhiri 2022, App. A.1."""
     x = np.cross(-np.asarray(through, dtype=float), axis)
     y = np.cross(rays, axis)

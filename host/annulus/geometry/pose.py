@@ -49,4 +49,4 @@ class Pose:
 
     def to_camera(self, points: FloatArray, z_mm: float = 0.0) -> FloatArray:
         """(N, 3) mm in the pipe frame -> camera frame; inverse of `to_pipe`."""
-        return (points - np.array([0.0, 0.0, z_mm])) @ self.rotation.T + self.translation
+        return np.asarray((points - np.array([0.0, 0.0, z_mm])) @ self.rotation.T + self.translation)
