@@ -1,0 +1,114 @@
+"""What one projector frame says about the wall: the value that travels from workers to recorder, viewer and report."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from annulus.geometry.pose import Pose
+
+POINTS_MAX = 64 * 4096  # more than any pattern times any polar grid; bounds what a stranger can make us hold
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Profile:
+    """All points of one frame, in the pipe frame (x right, y down, z along the pipe, mm).
+
+    `pose` is None when the pipe could not be found; such a profile has no points. `ring` counts from 0, innermost
+    first; `direction` is the index of the polar direction; `colour` is the wall's colour beside the slit, RGB.
+    `residual_mm` is the robust spread of the points about the fitted cylinder; NaN without a pose. `rejected` counts
+    every slit that was seen and not used, by reason; `timing_ms` the stages.
+    """
+
+    frame: int
+    z_mm: float
+    pose: Pose | None
+    points_mm: NDArray[np.float32]  # (N, 3)
+    colour: NDArray[np.uint8]  # (N, 3)
+    ring: NDArray[np.uint8]  # (N,)
+    direction: NDArray[np.uint16]  # (N,)
+    residual_mm: float = math.nan
+    rejected: Mapping[str, int] = field(default_factory=dict)
+    timing_ms: Mapping[str, float] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain types and bytes (little-endian, row by row), as msgpack carries them."""
+        p = self.pose
+        return {
+            "frame": self.frame,
+            "z_mm": self.z_mm,
+            "pose": None if p is None else [p.rx, p.ry, p.tx, p.ty],
+            "points": self.points_mm.astype("<f4").tobytes(),
+            "colour": self.colour.tobytes(),
+            "ring": self.ring.tobytes(),
+            "direction": self.direction.astype("<u2").tobytes(),
+            "residual_mm": self.residual_mm,
+            "rejected": dict(self.rejected),
+            "timing_ms": dict(self.timing_ms),
+        }
+
+    @classmethod
+    def from_dict(cls, data: object) -> "Profile":
+        """Inverse of `to_dict`. Raises ValueError naming what is wrong; never trusts a length or a type."""
+        if not isinstance(data, Mapping):
+            raise ValueError("a profile must be a mapping")
+        ring = _array(data, "ring", "u1", 1)[:, 0]
+        if len(ring) > POINTS_MAX:
+            raise ValueError(f"a profile of {len(ring)} points, expected at most {POINTS_MAX}")
+        points = _array(data, "points", "<f4", 3)
+        colour = _array(data, "colour", "u1", 3)
+        direction = _array(data, "direction", "<u2", 1)[:, 0]
+        if not len(points) == len(colour) == len(direction) == len(ring):
+            raise ValueError("a profile's arrays must be of one length")
+        if not np.isfinite(points).all():
+            raise ValueError("a profile's points must be finite")
+        frame = data.get("frame")
+        if isinstance(frame, bool) or not isinstance(frame, int) or not 0 <= frame < 2**63:
+            raise ValueError(f"a profile's frame is {frame!r}, expected a whole number")
+        pose = _pose(data.get("pose"))
+        if pose is None and len(ring):
+            raise ValueError("a profile without a pose has no points")
+        return cls(
+            frame,
+            _finite(data.get("z_mm"), "z_mm"),
+            pose,
+            points.astype(np.float32),
+            colour,
+            ring,
+            direction.astype(np.uint16),
+            math.nan if pose is None else _finite(data.get("residual_mm"), "residual_mm"),
+            {name: int(value) for name, value in _named(data, "rejected").items()},
+            _named(data, "timing_ms"),
+        )
+
+
+def _array(data: Mapping[Any, Any], key: str, kind: str, columns: int) -> NDArray[Any]:
+    value = data.get(key)
+    dtype = np.dtype(kind)
+    if not isinstance(value, bytes) or len(value) % (dtype.itemsize * columns):
+        raise ValueError(f"a profile's {key} must be bytes, a multiple of {dtype.itemsize * columns} long")
+    return np.frombuffer(value, dtype).reshape(-1, columns)
+
+
+def _finite(value: object, name: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ValueError(f"a profile's {name} is {value!r}, expected a finite number")
+    return float(value)
+
+
+def _pose(value: object) -> Pose | None:
+    if value is None:
+        return None
+    if not isinstance(value, list | tuple) or len(value) != 4:
+        raise ValueError("a profile's pose must be four numbers or null")
+    return Pose(*(_finite(v, "pose") for v in value))
+
+
+def _named(data: Mapping[Any, Any], key: str) -> dict[str, float]:
+    value = data.get(key, {})
+    if not isinstance(value, Mapping) or len(value) > 64 or not all(isinstance(k, str) for k in value):
+        raise ValueError(f"a profile's {key} must map names to numbers")
+    return {k: _finite(v, f"{key}.{k}") for k, v in value.items()}
