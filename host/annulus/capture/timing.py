@@ -1,0 +1,89 @@
+"""When a flash may fire: the window in which every row of a rolling shutter is open at once."""
+
+import math
+from dataclasses import dataclass
+
+from annulus.vocabulary import AnnulusError
+
+
+@dataclass(frozen=True, slots=True)
+class FrameTiming:
+    """One camera mode. Times in microseconds; the window counts from the sync signal's falling edge."""
+
+    fps: float
+    exposure_us: float
+    readout_us: float  # first line to last line
+
+    def __post_init__(self) -> None:
+        for name, value, low, high in (
+            ("--fps", self.fps, 1.0, 500.0),
+            ("--exposure-us", self.exposure_us, 1.0, 1e6),
+            ("--readout-us", self.readout_us, 0.0, 1e6),
+        ):
+            if not (math.isfinite(value) and low <= value <= high):
+                raise AnnulusError(f"{name} {value:g}: expected {low:g}..{high:g}")
+        if self.exposure_us > self.period_us:
+            raise AnnulusError(
+                f"exposure {self.exposure_us:g} us does not fit a frame of {self.period_us:g} us ({self.fps:g} fps)"
+            )
+        if self.readout_us > self.period_us:
+            raise AnnulusError(
+                f"readout {self.readout_us:g} us does not fit a frame of {self.period_us:g} us ({self.fps:g} fps)"
+            )
+
+    @property
+    def period_us(self) -> float:
+        return 1e6 / self.fps
+
+    @property
+    def opens_us(self) -> float:
+        """The last row opens: T = 1/fps - T_ex (Alzuhiri 2022, Eq. 4.1)."""
+        return self.period_us - self.exposure_us
+
+    @property
+    def closes_us(self) -> float:
+        """The first row closes: 1/fps - T_ro."""
+        return self.period_us - self.readout_us
+
+    def __str__(self) -> str:
+        return f"{self.fps:g} fps, exposure {self.exposure_us / 1e3:g} ms, readout {self.readout_us / 1e3:g} ms"
+
+    def check_window(self) -> None:
+        """Raises AnnulusError when no instant exists at which every row exposes."""
+        if self.exposure_us <= self.readout_us:
+            raise AnnulusError(
+                f"no moment at which all rows expose ({self}): the exposure must be longer than the readout"
+            )
+
+    def check_flash(self, delay_us: float, width_us: float, lamp: str = "flash") -> None:
+        """Raises AnnulusError when a flash leaves the window; part of the rows would see less of it."""
+        self.check_window()
+        if not (math.isfinite(delay_us) and math.isfinite(width_us)) or delay_us < 0 or width_us <= 0:
+            raise AnnulusError(
+                f"{lamp}: delay {delay_us:g} us, width {width_us:g} us: expected 0 or more, and more than 0"
+            )
+        slack = 0.005  # half a tick: ticks are what the controller fires
+        if delay_us < self.opens_us - slack or delay_us + width_us > self.closes_us + slack:
+            raise AnnulusError(
+                f"{lamp} {delay_us:g}..{delay_us + width_us:g} us leaves the window "
+                f"{self.opens_us:g}..{self.closes_us:g} us in which all rows expose ({self})"
+            )
+
+    def drawing(self, delay_us: float | None = None, width_us: float | None = None, columns: int = 72) -> str:
+        """The frame between two falling edges as text: first and last row, the window, the flash."""
+        span = self.period_us
+
+        def bar(start: float, stop: float, mark: str) -> str:
+            a, b = round(columns * start / span), round(columns * stop / span)
+            return "".join(mark if a <= i < max(b, a + 1) else "·" for i in range(columns))
+
+        rows = [
+            ("first row", bar(max(self.closes_us - self.exposure_us, 0.0), self.closes_us, "█")),
+            ("last row", bar(self.opens_us, span, "█")),
+        ]
+        if self.exposure_us > self.readout_us:
+            rows.append(("all rows", bar(self.opens_us, self.closes_us, "▒")))
+        if delay_us is not None and width_us is not None:
+            rows.append(("flash", bar(delay_us, delay_us + width_us, "▲")))
+        ruler = "0" + f"{span / 1e3:g} ms".rjust(columns - 1)
+        return "\n".join(f"{name:>9} {line}" for name, line in rows) + f"\n{'':>9} {ruler}"

@@ -1,0 +1,26 @@
+#!/bin/sh
+# Makes sure the Debian packages behind the named needs are there; installs them where it may, says what to do where not.
+set -eu
+
+missing=""
+want() { # package, test that is true when it is there
+	sh -c "$2" >/dev/null 2>&1 || missing="$missing $1"
+}
+
+for need in "$@"; do
+	case "$need" in
+	python3-venv) want python3-venv 'python3 -c "import ensurepip, venv"' ;;
+	clang) want clang 'command -v clang || command -v clang-14' ;;
+	libclang-rt) want libclang-rt-14-dev 'ls /usr/lib/llvm-*/lib/clang/*/lib/linux/libclang_rt.fuzzer-*.a' ;;
+	*) echo "need.sh: unknown need '$need'" >&2; exit 2 ;;
+	esac
+done
+[ -n "$missing" ] || exit 0
+
+if [ "$(id -u)" = 0 ]; then sudo=""; elif command -v sudo >/dev/null && sudo -n true 2>/dev/null; then sudo="sudo"; else
+	echo "annulus: these Debian packages are needed: apt-get install$missing" >&2
+	exit 1
+fi
+echo "installing$missing"
+$sudo apt-get update -qq
+DEBIAN_FRONTEND=noninteractive $sudo apt-get install -y -qq --no-install-recommends $missing >/dev/null
