@@ -1,0 +1,349 @@
+"""What is wrong with the wall: places that stand out of the pipe's own shape, and stretches that are out of round.
+
+A place stands out when it departs from the shape by more than the noise of this scan and more than an inspector cares
+about; both limits are written into every report. Nothing here knows which defects to expect.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from annulus.geometry.pose import FloatArray
+from annulus.rings.stations import shape_ovality
+from annulus.rings.wall import BoolArray, Float32Array, Wall, smooth
+
+LabelArray = NDArray[np.int32]
+CORNERS = np.ones((3, 3), dtype=bool)
+LEVELS = 24  # how finely the surface is sliced when asked whether a place is one defect or several
+
+
+class Kind(StrEnum):
+    LOSS = "loss"  # the wall is farther out than the pipe's shape
+    BUMP = "bump"  # the wall stands into the pipe
+    OVALITY = "ovality"
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """From when on a departure is a defect. Lengths as parts of the mean radius, so that they fit any pipe."""
+
+    seed_noise: float = 6.0  # a defect's core departs by this many standard deviations ..
+    seed_of_radius: float = 0.005  # .. and by this part of the radius (0.5 %, what ASTM-certified profilers promise)
+    rim_noise: float = 3.0  # it reaches as far as the departure exceeds this many standard deviations ..
+    rim_of_seed: float = 0.5  # .. and this part of the core's limit
+    size_of_radius: float = 0.04  # smaller than this both ways is not resolved (3 mm in a 6-inch pipe)
+    join_of_radius: float = 0.05  # places of a kind this close are one (4 mm)
+    shadow_of_radius: float = 0.22  # .. and this close when what lies between was not seen (a rod's shadow)
+    saddle: float = 0.5  # two peaks are two defects when the way between them falls below this part of the lesser
+    ovality_percent: float = 0.75  # F1216; 0.5 % accuracy and twice 0.12 % repeatability of certified profilers
+    ovality_length_of_radius: float = 0.2  # shorter stretches are not listed
+
+
+@dataclass(frozen=True, slots=True)
+class Defect:
+    """One line of the defect list. Positions are the middle of the extent; angles clockwise from 12 o'clock.
+
+    depth_mm is never negative: how far the wall departs outwards (loss) or inwards (bump); for ovality the greater
+    departure of a diameter from the mean diameter. clock_deg of an ovality is its long axis (the other end is opposite).
+    """
+
+    kind: Kind
+    z_mm: float
+    clock_deg: float
+    length_mm: float
+    arc_deg: float
+    depth_mm: float
+    area_mm2: float
+
+    @property
+    def clock(self) -> str:
+        return clock_face(self.clock_deg)
+
+    @property
+    def z_range_mm(self) -> tuple[float, float]:
+        return self.z_mm - self.length_mm / 2, self.z_mm + self.length_mm / 2
+
+    @property
+    def clock_range(self) -> tuple[str, str]:
+        """PACP's from-to, clockwise; the whole circle is 12:00 to 12:00."""
+        if self.arc_deg >= 350:
+            return "12:00", "12:00"
+        return clock_face(self.clock_deg - self.arc_deg / 2), clock_face(self.clock_deg + self.arc_deg / 2)
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """Defects in order of distance, and which cell of the wall's grid belongs to which (0 none, i + 1 defects[i])."""
+
+    defects: tuple[Defect, ...]
+    label: LabelArray
+    limits: Limits
+
+
+def clock_face(angle_deg: float) -> str:
+    """Clock position of an angle, to 5 minutes of the dial (2.5 degrees): 90 -> "3:00", 0 -> "12:00"."""
+    ticks = round(angle_deg % 360.0 / 2.5) % 144
+    return f"{ticks // 12 or 12}:{ticks % 12 * 5:02d}"
+
+
+def find_defects(wall: Wall, *, blind_ratio: float, limits: Limits | None = None) -> Findings:
+    """Losses, bumps and out-of-round stretches of the wall.
+
+    Parameters
+    ----------
+    wall : the grid with its shape and noise.
+    blind_ratio : length hidden behind a step over the step's height, cot of the smallest ring half-angle
+        (Alzuhiri 2022, Eq. 3.24).
+    limits : what counts; the defaults hold for any pipe.
+
+    Notes
+    -----
+    Hysteresis: cores beyond the seed limit grow over the rim limit. What lies unseen between two parts of one kind
+    joins them; what lies unseen just before a loss is hidden by the loss's own near rim and belongs to it, what lies
+    unseen just behind a bump is its shadow, half of which is taken. A thin rim of the opposite sign along a much deeper
+    defect is an edge of that defect.
+    """
+    limits = limits or Limits()
+    residual = smooth(wall.residual_mm()).astype(np.float32)
+    unseen = ~wall.seen
+    radius = wall.mean_radius_mm
+    seed = np.maximum(limits.seed_noise * wall.noise_mm, limits.seed_of_radius * radius)[:, None]
+    rim = np.maximum(limits.rim_noise * wall.noise_mm[:, None], limits.rim_of_seed * seed)
+    cell = (wall.z_step_mm, np.radians(wall.clock_step_deg) * radius)
+    parts: list[tuple[Kind, BoolArray, Float32Array]] = []
+    for kind, height in ((Kind.LOSS, residual), (Kind.BUMP, -residual)):
+        height = np.where(unseen, np.float32(-np.inf), height)
+        places = _places(height, unseen, seed, rim, cell, radius, limits)
+        parts += [(kind, place, height) for place in places]
+    label = np.zeros(residual.shape, dtype=np.int32)
+    found: list[tuple[Defect, BoolArray]] = []
+    for kind, place, height in _without_edges(parts, cell, radius, limits):
+        whole = _with_shadow(kind, place, height, unseen, blind_ratio, wall.z_step_mm)
+        found.append((_measure(kind, place, whole, height, wall, cell), place))
+    found += [(defect, np.zeros(residual.shape, dtype=bool)) for defect in _oval_stretches(wall, limits)]
+    found.sort(key=lambda item: (item[0].z_mm, item[0].clock_deg))
+    for i, (_, place) in enumerate(found):
+        label[place] = i + 1
+    return Findings(tuple(defect for defect, _ in found), label, limits)
+
+
+def label_around(mask: BoolArray) -> tuple[LabelArray, int]:
+    """Connected parts (corners count) of a grid whose columns close around the pipe: labels 1..n, and n."""
+    label, n = ndimage.label(mask, structure=CORNERS)
+    parent = np.arange(n + 1)
+
+    def root(i: int) -> int:
+        while parent[i] != i:
+            i = int(parent[i])
+        return i
+
+    left, right = label[:, 0], label[:, -1]
+    for shift in (-1, 0, 1):
+        a = right[max(0, -shift) : len(right) - max(0, shift)]
+        b = left[max(0, shift) : len(left) - max(0, -shift)]
+        for i, j in zip(a, b, strict=True):
+            if i and j:
+                parent[max(root(i), root(j))] = min(root(i), root(j))
+    roots = np.array([root(i) for i in range(n + 1)])
+    _, compact = np.unique(roots, return_inverse=True)
+    return compact[label].astype(np.int32), int(compact.max())
+
+
+def _places(
+    height: Float32Array, unseen: BoolArray, seed: FloatArray, rim: FloatArray, cell: tuple[float, float],
+    radius: float, limits: Limits,
+) -> list[BoolArray]:  # fmt: skip
+    """Cells of every place of one sign: grown from its core, joined over shadows, split at saddles, large enough."""
+    mask = height > rim
+    core = mask & (height > seed)
+    joined, n = label_around(_grow(mask, unseen, cell, radius, limits))
+    out: list[BoolArray] = []
+    for i in np.unique(joined[core]):
+        if i == 0:
+            continue
+        for part in _split(np.where(joined == i, height, np.float32(-np.inf)), mask, joined == i, rim, limits):
+            place = part & mask
+            if _is_resolved(place & core, cell, radius, limits, 0.5) and _is_resolved(place, cell, radius, limits, 1.0):
+                out.append(place)
+    return out
+
+
+def _grow(mask: BoolArray, unseen: BoolArray, cell: tuple[float, float], radius: float, limits: Limits) -> BoolArray:
+    """The mask with the narrow gaps between its parts closed; gaps nobody saw may be wider."""
+    closed = _close(mask, limits.join_of_radius * radius, cell)
+    reach = limits.shadow_of_radius * radius / 2
+    spread = closed
+    for _ in range(max(1, round(reach / min(cell)))):
+        spread = _dilate(spread, CORNERS) & (unseen | closed)
+    return spread
+
+
+def _close(mask: BoolArray, gap_mm: float, cell: tuple[float, float]) -> BoolArray:
+    half = [max(1, round(gap_mm / 2 / c)) for c in cell]
+    box = np.ones((2 * half[0] + 1, 2 * half[1] + 1), dtype=bool)
+    wide = np.pad(np.pad(mask, ((0, 0), (half[1] * 2, half[1] * 2)), mode="wrap"), ((half[0] * 2, half[0] * 2), (0, 0)))
+    done = ndimage.binary_closing(wide, structure=box)
+    return np.asarray(done[half[0] * 2 : -half[0] * 2, half[1] * 2 : -half[1] * 2]) | mask
+
+
+def _dilate(mask: BoolArray, box: BoolArray) -> BoolArray:
+    wide = np.pad(mask, ((0, 0), (1, 1)), mode="wrap")
+    return np.asarray(ndimage.binary_dilation(wide, structure=box)[:, 1:-1])
+
+
+def _is_resolved(place: BoolArray, cell: tuple[float, float], radius: float, limits: Limits, part: float) -> bool:
+    """Whether a place is larger both ways, and in area, than what the method resolves."""
+    size = part * limits.size_of_radius * radius
+    long = np.count_nonzero(place.any(axis=1)) * cell[0] >= size
+    wide = np.count_nonzero(place.any(axis=0)) * cell[1] >= size
+    return bool(long and wide and np.count_nonzero(place) * cell[0] * cell[1] >= 0.6 * size * size)
+
+
+def _split(height: Float32Array, mask: BoolArray, whole: BoolArray, rim: FloatArray, limits: Limits) -> list[BoolArray]:
+    """One joined place cut into its peaks, where the way between two peaks falls below a part of the lesser one.
+
+    Slices the place from the top; a peak that meets a higher one while still tall for itself is the same defect.
+    Cells the slices never claim (skirts, shadows) go to the nearest peak.
+    """
+    filled = _fill_shadow(height, whole)
+    values = filled[whole & mask]
+    top, bottom = float(np.percentile(values, 99.5)), float(rim.min())
+    if top <= bottom:
+        return [whole]
+    peaks: list[BoolArray] = []
+    heights: list[float] = []
+    smallest = max(6, int(0.02 * np.count_nonzero(whole & mask)))
+    for level in np.linspace(top, bottom, LEVELS):
+        label, n = label_around(whole & (filled >= level))
+        for i in range(1, n + 1):
+            part = label == i
+            if np.count_nonzero(part) < smallest:
+                continue
+            inside = [k for k, peak in enumerate(peaks) if (peak & part).any()]
+            if not inside:
+                peaks.append(part)
+                heights.append(float(level))
+                continue
+            tallest = max(inside, key=lambda k: heights[k])
+            merged = [k for k in inside if k != tallest and level >= limits.saddle * heights[k]]
+            if len(inside) - len(merged) == 1:
+                peaks[tallest] = part  # grows while it is alone
+            for k in sorted(merged, reverse=True):
+                del peaks[k], heights[k]
+    if len(peaks) < 2:
+        return [whole]
+    return _share(whole, peaks)
+
+
+def _fill_shadow(height: Float32Array, whole: BoolArray) -> Float32Array:
+    """Heights with the unseen cells of the place at the height of their nearest seen neighbour."""
+    a = height.shape[1]
+    wide_height = np.pad(height, ((0, 0), (a // 4, a // 4)), mode="wrap")
+    index = ndimage.distance_transform_edt(
+        ~np.isfinite(wide_height), return_distances=False, return_indices=True
+    )  # fmt: skip
+    nearest = wide_height[tuple(index)][:, a // 4 : a // 4 + a]
+    return np.where(whole, np.where(np.isfinite(height), height, nearest), np.float32(-np.inf))
+
+
+def _share(whole: BoolArray, peaks: Sequence[BoolArray]) -> list[BoolArray]:
+    a = whole.shape[1]
+    marked = np.zeros(whole.shape, dtype=np.int32)
+    for k, peak in enumerate(peaks):
+        marked[peak & (marked == 0)] = k + 1
+    wide = np.pad(marked, ((0, 0), (a // 4, a // 4)), mode="wrap")
+    index = ndimage.distance_transform_edt(wide == 0, return_distances=False, return_indices=True)
+    nearest = wide[tuple(index)][:, a // 4 : a // 4 + a]
+    return [whole & (nearest == k + 1) for k in range(len(peaks))]
+
+
+def _without_edges(
+    parts: Sequence[tuple[Kind, BoolArray, Float32Array]], cell: tuple[float, float], radius: float, limits: Limits
+) -> list[tuple[Kind, BoolArray, Float32Array]]:
+    """Drops thin places of the opposite sign that run along a much deeper defect: mixed pixels at its edge."""
+    near = max(1, round(limits.size_of_radius * radius / min(cell)))
+    peak = [float(np.percentile(height[place], 98)) for _, place, height in parts]
+    kept = []
+    for i, (kind, place, height) in enumerate(parts):
+        halo = place
+        for _ in range(near):
+            halo = _dilate(halo, CORNERS)
+        thin = np.count_nonzero(place) * cell[0] * cell[1] < 2.0 * limits.size_of_radius * radius * max(
+            np.count_nonzero(place.any(axis=1)) * cell[0], np.count_nonzero(place.any(axis=0)) * cell[1]
+        )
+        edge = thin and any(
+            other != kind and peak[i] < 0.5 * peak[j] and (mask & halo).any()
+            for j, (other, mask, _) in enumerate(parts)
+        )
+        if not edge:
+            kept.append((kind, place, height))
+    return kept
+
+
+def _with_shadow(
+    kind: Kind, place: BoolArray, height: Float32Array, unseen: BoolArray, blind_ratio: float, z_step: float
+) -> BoolArray:
+    """The place with what it hides from a sensor that looks along +z."""
+    whole = place.copy()
+    for column in np.flatnonzero(place.any(axis=0)):
+        rows = np.flatnonzero(place[:, column])
+        depth = float(height[rows, column].max())
+        reach = int(np.ceil(depth * blind_ratio / z_step)) + 2
+        if kind is Kind.LOSS:
+            before = unseen[max(0, rows[0] - reach) : rows[0], column][::-1]
+            hidden = int(np.argmin(before)) if not before.all() else len(before)
+            # Unseen up to the limit and beyond is no shadow of this rim alone (a rod, the end of the scan).
+            whole[rows[0] - hidden : rows[0], column] = hidden < reach
+        else:
+            behind = unseen[rows[-1] + 1 : rows[-1] + 1 + reach, column]
+            hidden = int(np.argmin(behind)) if len(behind) and not behind.all() else 0
+            whole[rows[-1] + 1 : rows[-1] + 1 + hidden // 2, column] = True
+    return whole
+
+
+def _measure(
+    kind: Kind, place: BoolArray, whole: BoolArray, height: Float32Array, wall: Wall, cell: tuple[float, float]
+) -> Defect:
+    rows = np.flatnonzero(whole.any(axis=1))
+    z0, z1 = wall.z_mm[rows[0]] - wall.z_step_mm / 2, wall.z_mm[rows[-1]] + wall.z_step_mm / 2
+    start, arc = _arc(whole.any(axis=0), wall.clock_step_deg)
+    values = height[place]
+    depth = float(np.percentile(values, 98)) if len(values) >= 50 else float(np.sort(values)[-2:].mean())
+    area = np.count_nonzero(whole) * cell[0] * cell[1]
+    clock = (start + arc / 2) % 360.0 if arc < 350 else 0.0
+    return Defect(kind, float(z0 + z1) / 2, clock, float(z1 - z0), arc, depth, area)
+
+
+def _arc(columns: BoolArray, step_deg: float) -> tuple[float, float]:
+    """Where the smallest arc that holds all marked columns starts (deg), and its length: the circle less its widest gap."""
+    marked = np.flatnonzero(columns)
+    gaps = np.diff(np.append(marked, marked[0] + len(columns)))
+    widest = int(np.argmax(gaps))
+    start = marked[(widest + 1) % len(marked)]
+    return float(start * step_deg), float((len(columns) - gaps[widest] + 1) * step_deg)
+
+
+def _oval_stretches(wall: Wall, limits: Limits) -> list[Defect]:
+    """Stretches whose fitted shape exceeds the limit; they reach as far as 70 % of it, and short ones are passed over."""
+    percent = shape_ovality(wall)
+    label, n = ndimage.label(percent > 0.7 * limits.ovality_percent)
+    out = []
+    for i in range(1, n + 1):
+        rows = np.flatnonzero(label == i)
+        length = len(rows) * wall.z_step_mm
+        if (
+            percent[rows].max() <= limits.ovality_percent
+            or length < limits.ovality_length_of_radius * wall.mean_radius_mm
+        ):
+            continue
+        worst = rows[np.argmax(percent[rows])]
+        mean, _, _, even, odd = wall.shape_mm[worst]
+        long_axis = np.degrees(np.arctan2(odd, even)) / 2 % 180.0
+        depth = 2.0 * float(np.hypot(even, odd))
+        z = float(wall.z_mm[rows].mean())
+        out.append(Defect(Kind.OVALITY, z, float(long_axis), length, 360.0, depth, 2 * np.pi * float(mean) * length))
+    return out

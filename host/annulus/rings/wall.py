@@ -1,0 +1,301 @@
+"""The wall from all profiles: a grid of radii over clock angle and distance, and the pipe's own shape under its defects.
+
+Grid rows are stations along the pipe, columns are clock angles (0 = 12 o'clock, clockwise looking forward). A cell
+nobody saw is NaN, for ever: the only cells filled in lie between two measured ones no farther apart than the sampling.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from annulus.geometry.pose import FloatArray
+from annulus.rings.profile import Profile
+from annulus.vocabulary import AnnulusError
+
+Float32Array = NDArray[np.float32]
+BoolArray = NDArray[np.bool_]
+
+ANGLE_STEP_DEG = 1.0
+Z_STEPS_MM = (0.5, 1.0, 2.0, 2.5, 5.0, 10.0, 20.0, 50.0)
+POINTS_A_CELL = 1.5  # wanted on average: fewer leave holes by chance, more waste resolution
+ROWS_MAX = 40_000  # bounds memory on very long scans: 40 000 x 360 cells
+BRIDGE_OF_RADIUS = 0.08  # longest sampling gap interpolated over, as a part of the radius (6 mm in a 6-inch pipe)
+BRIDGE_STEP_MM = 0.75  # a greater step in radius across a gap is a shadow edge, not a sampling gap
+SHAPE_SPACING_MM = 5.0
+SHAPE_WINDOW_MM = 10.0  # each side: what one fit of the pipe's shape looks at
+
+
+@dataclass(frozen=True, slots=True)
+class Wall:
+    """Measured wall on a grid, rows along the pipe, columns clockwise from 12 o'clock.
+
+    z_mm (Z,), clock_deg (A,): cell centres. radius_mm (Z, A) float32, NaN where not seen. count (Z, A) int32: points
+    in the cell; 0 with a radius means interpolated between measured neighbours. shape_mm (Z, 5): the pipe under its
+    defects, r = s0 + s1 cos t + s2 sin t + s3 cos 2t + s4 sin 2t (t = clock angle): mean radius over about two
+    diameters, left-over centring, ovality. noise_mm (Z,): robust standard deviation of a cell about that shape.
+    """
+
+    z_mm: FloatArray
+    clock_deg: FloatArray
+    radius_mm: Float32Array
+    count: NDArray[np.int32]
+    shape_mm: FloatArray
+    noise_mm: FloatArray
+
+    @property
+    def z_step_mm(self) -> float:
+        return float(self.z_mm[1] - self.z_mm[0]) if len(self.z_mm) > 1 else Z_STEPS_MM[0]
+
+    @property
+    def clock_step_deg(self) -> float:
+        return 360.0 / len(self.clock_deg)
+
+    @property
+    def seen(self) -> BoolArray:
+        return np.isfinite(self.radius_mm)
+
+    @property
+    def mean_radius_mm(self) -> float:
+        return float(np.median(self.shape_mm[:, 0]))
+
+    def residual_mm(self) -> Float32Array:
+        """(Z, A) radius minus the pipe's shape, ovality taken out: what local defects are looked for in."""
+        return np.asarray(self.radius_mm - self.shape_mm @ harmonics(self.clock_deg).T, dtype=np.float32)
+
+    def deviation_mm(self) -> Float32Array:
+        """(Z, A) radius minus the mean circle about the pipe's own centre: what the map shows, ovality included."""
+        basis = harmonics(self.clock_deg)
+        return np.asarray(self.radius_mm - self.shape_mm[:, :3] @ basis[:, :3].T, dtype=np.float32)
+
+    def filled_mm(self) -> Float32Array:
+        """(Z, A) radius with the pipe's shape where nothing was seen; for placing texture, never for measuring."""
+        return np.where(self.seen, self.radius_mm, (self.shape_mm @ harmonics(self.clock_deg).T).astype(np.float32))
+
+
+def harmonics(clock_deg: FloatArray) -> FloatArray:
+    """(A, 5) columns 1, cos t, sin t, cos 2t, sin 2t of the clock angle."""
+    t = np.radians(clock_deg)
+    return np.stack([np.ones_like(t), np.cos(t), np.sin(t), np.cos(2 * t), np.sin(2 * t)], axis=1)
+
+
+def build_wall(profiles: Sequence[Profile], *, z_step_mm: float | None = None) -> Wall:
+    """Grid the points of all profiles and fit the pipe's own shape.
+
+    Parameters
+    ----------
+    profiles : any order; those without a pose or points are passed over.
+    z_step_mm : row length; chosen from the density of points when not given.
+
+    Raises
+    ------
+    AnnulusError when no profile has a point.
+
+    Notes
+    -----
+    A cell's radius is the median of its points after lone outliers went (a point beyond all its neighbour cells by
+    six times the noise). The shape is fitted with redescending weights on windows of 20 mm, so that a defect pulls
+    neither centre nor ovality; its mean radius is a median over two diameters, so that a groove around the whole
+    pipe stands out against its neighbourhood instead of becoming the pipe.
+    """
+    used = [p for p in profiles if p.pose is not None and len(p.points_mm)]
+    if not used:
+        raise AnnulusError("no wall: not one of the frames gave a point. Do calibration and scan belong together?")
+    points = np.concatenate([p.points_mm for p in used]).astype(np.float64)
+    points = points[np.isfinite(points).all(axis=1)]
+    x, y, z = points.T
+    radius = np.hypot(x, y)
+    clock = np.degrees(np.arctan2(x, -y)) % 360.0
+    low, high = np.percentile(z, [0.05, 99.95])  # a stray point far away must not stretch the grid
+    span = float(high - low)
+    step = z_step_mm or _z_step(len(z), span)
+    columns = round(360.0 / ANGLE_STEP_DEG)
+    first = int(np.floor(low / step))
+    rows = int(np.floor(high / step)) - first + 1
+    row = np.floor(z / step).astype(np.int64) - first
+    inside = (row >= 0) & (row < rows)
+    radius, row = radius[inside], row[inside]
+    cell = row * columns + np.minimum((clock[inside] / ANGLE_STEP_DEG).astype(np.int64), columns - 1)
+
+    grid, count = _cell_medians(cell, radius, (rows, columns))
+    keep = _supported(grid, cell, radius)
+    grid, count = _cell_medians(cell[keep], radius[keep], (rows, columns))
+    ends = np.flatnonzero((count > 0).mean(axis=1) >= 0.05)
+    if not len(ends):
+        raise AnnulusError(f"no wall: {len(points)} points are too few to make one station of the pipe")
+    grid, count = grid[ends[0] : ends[-1] + 1], count[ends[0] : ends[-1] + 1]
+    z_rows = (np.arange(first + ends[0], first + ends[-1] + 1) + 0.5) * step
+    clock_columns = (np.arange(columns) + 0.5) * ANGLE_STEP_DEG
+
+    grid = _bridge(grid.T, 2.5, wrap=True).T
+    grid = _bridge(grid, _sampling_gap(used, step, float(np.median(radius))) / step, wrap=False)
+    shape = _fit_shape(grid, z_rows, clock_columns)
+    bare = Wall(z_rows, clock_columns, grid.astype(np.float32), count, shape, np.zeros(len(z_rows)))
+    noise = _noise(bare)
+    return Wall(bare.z_mm, bare.clock_deg, bare.radius_mm, bare.count, bare.shape_mm, noise)
+
+
+def smooth(field: Float32Array) -> Float32Array:
+    """Median over each cell's 3 x 3 seen neighbours (itself included), NaN where the cell itself was not seen."""
+    padded = np.pad(np.pad(field, ((1, 1), (0, 0)), constant_values=np.nan), ((0, 0), (1, 1)), mode="wrap")
+    z, a = field.shape
+    out = np.full_like(field, np.nan)
+    for start in range(0, z, 4096):  # blocks bound the nine-fold copy on long scans
+        stop = min(start + 4096, z)
+        stack = np.stack([padded[start + i : stop + i, j : j + a] for i in range(3) for j in range(3)])
+        stack.sort(axis=0)  # NaN last
+        n = np.isfinite(stack).sum(axis=0)
+        low = np.take_along_axis(stack, (np.maximum(n - 1, 0) // 2)[None], axis=0)[0]
+        high = np.take_along_axis(stack, (n // 2)[None], axis=0)[0]  # the same one when n is odd; NaN when n is 0
+        out[start:stop] = 0.5 * (low + high)
+    return np.where(np.isfinite(field), out, np.float32(np.nan))
+
+
+def _z_step(points: int, span_mm: float) -> float:
+    density = points / max(span_mm, 1.0) / (360.0 / ANGLE_STEP_DEG)
+    enough = [s for s in Z_STEPS_MM if s * density >= POINTS_A_CELL and span_mm / s <= ROWS_MAX]
+    return enough[0] if enough else max(5.0, span_mm / ROWS_MAX)
+
+
+def _sampling_gap(profiles: Sequence[Profile], step: float, radius: float) -> float:
+    """Longest gap (mm) that is sampling and not shadow: one step between frames, a lost or LED frame included."""
+    steps = np.diff(np.unique([p.z_mm for p in profiles]))
+    regular = 1.25 * float(np.percentile(steps, 90)) if len(steps) else 0.0
+    return min(max(regular, 2.5 * step), max(BRIDGE_OF_RADIUS * radius, 2.5 * step))
+
+
+def _cell_medians(
+    cell: NDArray[np.int64], value: FloatArray, shape: tuple[int, int]
+) -> tuple[FloatArray, NDArray[np.int32]]:
+    order = np.lexsort((value, cell))
+    value = value[order]
+    count = np.bincount(cell, minlength=shape[0] * shape[1])
+    start = np.concatenate([[0], np.cumsum(count)[:-1]])
+    full = np.flatnonzero(count)
+    low, high = start[full] + (count[full] - 1) // 2, start[full] + count[full] // 2
+    out = np.full(count.shape, np.nan)
+    out[full] = 0.5 * (value[low] + value[high])
+    return out.reshape(shape), count.astype(np.int32).reshape(shape)
+
+
+def _supported(grid: FloatArray, cell: NDArray[np.int64], radius: FloatArray) -> BoolArray:
+    """Which points lie within the range of their neighbour cells, give or take six times the noise (at least 0.3 mm)."""
+    ring = np.ones((3, 5), dtype=bool)
+    ring[1, 2] = False
+    wide = np.pad(grid, ((0, 0), (2, 2)), mode="wrap")
+    missing = ~np.isfinite(wide)
+    low = ndimage.minimum_filter(np.where(missing, np.inf, wide), footprint=ring, mode="nearest")[:, 2:-2]
+    high = ndimage.maximum_filter(np.where(missing, -np.inf, wide), footprint=ring, mode="nearest")[:, 2:-2]
+    step = np.diff(grid, axis=1)
+    steps = np.abs(step[np.isfinite(step)])
+    slack = max(0.3, 6 * 1.4826 * float(np.median(steps)) / np.sqrt(2)) if len(steps) else 0.3
+    low, high = low.ravel()[cell], high.ravel()[cell]
+    alone = ~np.isfinite(low)  # no neighbour to contradict it: it stays out, nothing vouches for it
+    return np.asarray(~alone & (radius >= low - slack) & (radius <= high + slack))
+
+
+def _bridge(grid: FloatArray, cells: float, *, wrap: bool) -> FloatArray:
+    """Linear interpolation down the columns over gaps of at most `cells` rows with a small step across them."""
+    reach = int(cells) + 1
+    work = np.concatenate([grid[-reach:], grid, grid[:reach]]) if wrap else grid
+    n = len(work)
+    index = np.arange(n)[:, None]
+    ok = np.isfinite(work)
+    before = np.maximum.accumulate(np.where(ok, index, -1), axis=0)
+    after = np.minimum.accumulate(np.where(ok, index, n)[::-1], axis=0)[::-1]
+    gap = after - before
+    near = ~ok & (before >= 0) & (after < n) & (gap <= cells)
+    r0 = np.take_along_axis(work, before.clip(0, n - 1), axis=0)
+    r1 = np.take_along_axis(work, after.clip(0, n - 1), axis=0)
+    near &= np.abs(np.where(near, r1 - r0, np.inf)) <= BRIDGE_STEP_MM
+    weight = (index - before) / np.maximum(gap, 1)
+    out = np.where(near, r0 + weight * (r1 - r0), work)
+    return out[reach:-reach] if wrap else out
+
+
+def _fit_shape(grid: FloatArray, z: FloatArray, clock: FloatArray) -> FloatArray:
+    """(Z, 5) shape of the pipe under its defects; see `Wall.shape_mm`."""
+    centres = np.arange(z[0], z[-1] + SHAPE_SPACING_MM, SHAPE_SPACING_MM)
+    basis = harmonics(clock)
+    lines = np.full((len(centres), len(clock)), np.nan)
+    for i, centre in enumerate(centres):
+        window = grid[np.searchsorted(z, centre - SHAPE_WINDOW_MM) : np.searchsorted(z, centre + SHAPE_WINDOW_MM)]
+        lines[i] = _nanmedian(window)
+    whole = _nanmedian(lines)
+    typical = _robust_harmonics(basis, whole, [])
+    fits = np.array([_robust_harmonics(basis, line, [typical]) for line in lines])
+    good = np.isfinite(fits[:, 0])
+    if not good.any():
+        fits[:] = typical if typical is not None else 0.0
+        good[:] = True
+    far = 2.0 * float(np.median(fits[good, 0]))  # one diameter each side
+    smooth_fits = np.empty_like(fits)
+    for i, centre in enumerate(centres):
+        wide = good & (np.abs(centres - centre) <= far)
+        wide = wide if wide.any() else good
+        smooth_fits[i, 0] = np.median(fits[wide, 0])
+        close = good & (np.abs(centres - centre) <= 1.01 * SHAPE_SPACING_MM)
+        smooth_fits[i, 1:] = np.median(fits[close if close.any() else wide, 1:], axis=0)
+    return np.stack([np.interp(z, centres, column) for column in smooth_fits.T], axis=1)
+
+
+def _nanmedian(rows: FloatArray) -> FloatArray:
+    """Median down the columns, NaN for an empty column, without numpy's warning about it."""
+    ordered = np.sort(rows, axis=0)
+    n = np.isfinite(ordered).sum(axis=0)
+    if not len(rows):
+        return np.full(rows.shape[1], np.nan)
+    low = np.take_along_axis(ordered, (np.maximum(n - 1, 0) // 2)[None], axis=0)[0]
+    high = np.take_along_axis(ordered, np.minimum(n // 2, len(rows) - 1)[None], axis=0)[0]
+    return np.asarray(0.5 * (low + high))
+
+
+def _robust_harmonics(basis: FloatArray, line: FloatArray, starts: Sequence[FloatArray]) -> FloatArray:
+    """(5,) coefficients of one station by Tukey's biweight, the best of several starts; NaN when too little was seen.
+
+    From each start the scale shrinks in steps (graduated non-convexity), so that a smooth oval is followed and a third
+    of the circle standing 2 mm out is not. Fewer than 40 % of the angles cannot carry five unknowns.
+    """
+    seen = np.isfinite(line)
+    if seen.mean() < 0.4:
+        return np.full(5, np.nan)
+    a, r = basis[seen], line[seen]
+    plain = np.linalg.lstsq(a, r, rcond=None)[0]
+    shifted = [s + np.array([np.median(r - a @ s), 0, 0, 0, 0]) for s in starts if np.isfinite(s).all()]
+    found: list[FloatArray] = []
+    for start in (plain, *shifted):
+        fit = start
+        scale = max(1.4826 * float(np.median(np.abs(r - a @ fit))), 0.05)
+        for _ in range(12):
+            u = (r - a @ fit) / (4.685 * scale)
+            w = np.where(np.abs(u) < 1, (1 - u * u) ** 2, 0.0)
+            if (w > 0).mean() < 0.3:
+                break
+            aw = a * w[:, None]
+            fit = np.linalg.solve(aw.T @ a + 1e-9 * np.eye(5), aw.T @ r)
+            scale = max(min(1.4826 * float(np.median(np.abs(r - a @ fit))), 0.8 * scale), 0.05)
+        found.append(fit)
+    common = max(min(1.4826 * float(np.median(np.abs(r - a @ fit))) for fit in found), 0.05)
+    cost = [float(np.minimum(((r - a @ fit) / (4.685 * common)) ** 2, 1.0).sum()) for fit in found]
+    return found[int(np.argmin(cost))]
+
+
+def _noise(wall: Wall) -> FloatArray:
+    """(Z,) robust standard deviation of the smoothed residual, over a diameter of pipe.
+
+    Per row about the row's own median (a groove lifts a whole row and must not count as noise), then the median over
+    the neighbourhood, so that neither a defect nor one bad row sets it.
+    """
+    residual = smooth(wall.residual_mm()).astype(np.float64)
+    centred = residual - _nanmedian(residual.T)[:, None]
+    row = 1.4826 * _nanmedian(np.abs(centred).T)
+    reach = max(int(wall.mean_radius_mm / wall.z_step_mm), 1)
+    out = np.empty_like(row)
+    for i in range(len(row)):
+        near = row[max(0, i - reach) : i + reach + 1]
+        near = near[np.isfinite(near)]
+        out[i] = np.median(near) if len(near) else np.nan
+    fallback = np.nanmedian(out) if np.isfinite(out).any() else 0.05
+    return np.maximum(np.where(np.isfinite(out), out, fallback), 0.02)

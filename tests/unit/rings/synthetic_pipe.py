@@ -1,0 +1,102 @@
+"""Profiles of a pipe given as a radius function of clock angle and distance: rings cast, shadows kept, noise seeded."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from annulus.geometry.calibration import Calibration
+from annulus.geometry.camera import Camera
+from annulus.geometry.cone import Cone
+from annulus.geometry.pose import Pose
+from annulus.rings.profile import Profile
+
+RADIUS_MM = 76.2
+THETA_FULL_DEG = (37.9, 42.4, 47.5, 52.8, 57.7)
+VERTEX_Z_MM = -56.0
+NOISE_MM = (0.12, 0.06, 0.04, 0.03, 0.02)
+
+CALIBRATION = Calibration(
+    Camera("pinhole", 416, 308, 117.5, 117.5, 207.5, 153.5),
+    "RRGBGR",
+    tuple(Cone(float(np.radians(t / 2)), (0.0, 0.0, 1.0), (0.0, 0.0, VERTEX_Z_MM)) for t in THETA_FULL_DEG),
+    RADIUS_MM,
+)
+BLIND_RATIO = 1 / np.tan(np.radians(THETA_FULL_DEG[0] / 2))
+
+RadiusMap = Callable[[np.ndarray, np.ndarray], np.ndarray]  # (clock degrees, z mm) -> mm
+
+
+def turn(a: np.ndarray, b: float) -> np.ndarray:
+    return (a - b + 180) % 360 - 180
+
+
+def round_pipe(clock: np.ndarray, z: np.ndarray) -> np.ndarray:
+    return np.full(np.broadcast(clock, z).shape, RADIUS_MM)
+
+
+def pocket(inner: RadiusMap, clock_deg: float, half_deg: float, z0: float, z1: float, depth: float) -> RadiusMap:
+    def radius(clock: np.ndarray, z: np.ndarray) -> np.ndarray:
+        inside = (np.abs(turn(clock, clock_deg)) < half_deg) & (z > z0) & (z < z1)
+        return inner(clock, z) + depth * inside
+
+    return radius
+
+
+def bump(inner: RadiusMap, clock_deg: float, z_mm: float, foot_mm: float, height: float) -> RadiusMap:
+    def radius(clock: np.ndarray, z: np.ndarray) -> np.ndarray:
+        away = np.hypot(np.radians(turn(clock, clock_deg)) * RADIUS_MM, z - z_mm) / foot_mm
+        return inner(clock, z) - height * np.where(away < 1, np.cos(away * np.pi / 2) ** 2, 0.0)
+
+    return radius
+
+
+def oval(inner: RadiusMap, clock_deg: float, part: float, z0: float = -1e9, z1: float = 1e9) -> RadiusMap:
+    def radius(clock: np.ndarray, z: np.ndarray) -> np.ndarray:
+        fade = np.clip(np.minimum(z - z0, z1 - z) / 20.0, 0.0, 1.0)
+        return inner(clock, z) + part * RADIUS_MM * fade * np.cos(2 * np.radians(clock - clock_deg))
+
+    return radius
+
+
+def scan(
+    radius: RadiusMap, *, z_mm: Sequence[float] | None = None, rods_deg: Sequence[float] = (107.0, 227.0, 347.0),
+    noise: float = 1.0, gross: float = 0.0, directions: int = 720, seed: int = 5,
+) -> list[Profile]:  # fmt: skip
+    """Profiles of a centred sensor at the stations (50 frames 2.4 mm apart, every fifth left to the LED)."""
+    rng = np.random.default_rng(seed)
+    stations = [2.4 * i for i in range(50) if i % 5 != 4] if z_mm is None else list(z_mm)
+    clock = (np.arange(directions) + 0.5) * 360.0 / directions
+    lit = (
+        np.all([np.abs(turn(clock, rod)) > 4.0 for rod in rods_deg], axis=0) if rods_deg else np.ones(len(clock), bool)
+    )
+    rho = np.arange(0.82 * RADIUS_MM, 1.2 * RADIUS_MM, 0.5)[:, None]
+    out = []
+    for frame, z0 in enumerate(stations):
+        points, ring, direction = [], [], []
+        for i, full in enumerate(THETA_FULL_DEG):
+            z = VERTEX_Z_MM + rho / np.tan(np.radians(full / 2))
+            gap = rho - radius(clock[None], z + z0)
+            first = np.argmax(gap >= 0, axis=0)
+            columns = np.arange(len(clock))
+            g0, g1 = gap[first - 1, columns], gap[first, columns]
+            r = rho[first - 1, 0] + 0.5 * g0 / (g0 - g1)
+            z_hit = VERTEX_Z_MM + r / np.tan(np.radians(full / 2))
+            way = np.linspace(0.75, 0.985, 30)[:, None]  # the camera's line of sight, at the origin, must stay inside
+            open_way = (way * r < radius(clock[None], way * z_hit + z0)).all(axis=0)
+            ok = lit & open_way & (g1 >= 0)
+            r = r + noise * rng.normal(0, NOISE_MM[i], len(r))
+            wild = rng.random(len(r)) < gross
+            r = np.where(wild, r + rng.uniform(-15, 15, len(r)), r)
+            t = np.radians(clock)
+            points.append(np.stack([r * np.sin(t), -r * np.cos(t), z_hit + z0], axis=1)[ok])
+            ring.append(np.full(int(ok.sum()), i))
+            direction.append(columns[ok])
+        stacked = np.concatenate(points).astype(np.float32)
+        colour = np.full((len(stacked), 3), 200, dtype=np.uint8)
+        out.append(
+            Profile(
+                frame, z0, Pose(), stacked, colour, np.concatenate(ring).astype(np.uint8),
+                np.concatenate(direction).astype(np.uint16), 0.05,
+            )
+        )  # fmt: skip
+    return out
