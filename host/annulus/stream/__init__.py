@@ -1,0 +1,1 @@
+"""Frames on their way: shared memory, worker processes, viewers. Knows no method."""

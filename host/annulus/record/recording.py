@@ -1,0 +1,251 @@
+"""A recording read back: one scan in one .mcap file, whatever a crash or a full disk left of it.
+
+Topics: `/frame` (foxglove.RawImage, protobuf) and JSON `/label`, `/profile`, `/telemetry`, `/event`. A frame and its
+label share the message sequence number, which is the frame's index, and lie in one uncompressed chunk, the label
+first. Bytes inside JSON are {"base64": ".."}. Attachments: `calibration.json`, `configuration.json`.
+"""
+
+import base64
+import contextlib
+import json
+import math
+import os
+import struct
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any, cast
+
+import cv2
+import numpy as np
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+from google.protobuf.message import DecodeError
+from numpy.typing import NDArray
+
+from annulus.vocabulary import AnnulusError, Label
+
+Image = NDArray[np.uint8]
+
+FRAME_TOPIC = "/frame"
+NOTE_TOPICS = ("/label", "/profile", "/telemetry", "/event")
+CHANNELS = {"bgr8": 3, "bayer_rggb8": 1, "mono8": 1}  # encoding -> bytes a pixel
+_MAGIC = b"\x89MCAP0\r\n"
+_JSON_MAX = 1 << 24
+_RECORD_MAX = 1 << 30
+_RECORD = struct.Struct("<BQ")
+_CHUNK_HEAD = struct.Struct("<QQQI")
+_MESSAGE_HEAD = struct.Struct("<HIQQ")
+_FOOTER, _CHANNEL, _MESSAGE, _CHUNK, _ATTACHMENT = 0x02, 0x04, 0x05, 0x06, 0x09
+
+
+def to_json(value: Any) -> bytes:
+    """Compact JSON; bytes become {"base64": ".."}, what is not a number becomes null."""
+    return json.dumps(_plain(value), separators=(",", ":"), allow_nan=False).encode()
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, bytes):
+        return {"base64": base64.b64encode(value).decode()}
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def from_json(data: bytes) -> Any:
+    """The inverse of `to_json`. ValueError on anything else."""
+
+    def bytes_again(item: dict[str, Any]) -> Any:
+        return base64.b64decode(item["base64"]) if item.keys() == {"base64"} else item
+
+    if len(data) > _JSON_MAX:
+        raise ValueError(f"{len(data)} bytes of JSON")
+    return json.loads(data, object_hook=bytes_again)
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedFrame:
+    """One frame in a recording; `offset`, `length`: its protobuf message in the file."""
+
+    index: int
+    label: Label
+    z_mm: float  # NaN where not known
+    timestamp_ns: int
+    offset: int
+    length: int
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """An opened recording. `torn`: the file ends in the middle; everything whole before that is here."""
+
+    path: Path
+    frames: tuple[RecordedFrame, ...]
+    labels: Mapping[int, Mapping[str, Any]]  # by frame index, as they were written
+    calibration: Mapping[str, Any] | None
+    configuration: Mapping[str, Any] | None
+    torn: bool
+    _notes: Mapping[str, tuple[tuple[int, int], ...]] = field(repr=False)  # topic -> (offset, length)
+
+    def notes(self, topic: str) -> Iterator[Any]:
+        """The records of one JSON topic in order; malformed ones are left out."""
+        with self.path.open("rb") as file:
+            for offset, length in self._notes.get(topic, ()):
+                try:
+                    yield from_json(_slice(file, offset, length))
+                except ValueError:
+                    continue
+
+    def read_raw(self, frame: RecordedFrame) -> tuple[Image, str]:
+        """The image as the camera gave it, and its encoding. Raises AnnulusError when the bytes are damaged."""
+        where = f"{self.path}: frame {frame.index}"
+        with self.path.open("rb") as file:
+            data = _slice(file, frame.offset, frame.length)
+        raw = RawImage()
+        try:
+            raw.ParseFromString(data)
+        except DecodeError:
+            raise AnnulusError(f"{where} is damaged: not a foxglove.RawImage.") from None
+        channels = CHANNELS.get(raw.encoding)
+        if channels is None:
+            raise AnnulusError(f"{where} is encoded as {raw.encoding!r}, expected one of {', '.join(CHANNELS)}.")
+        if not raw.width or not raw.height or len(raw.data) != raw.width * raw.height * channels:
+            raise AnnulusError(
+                f"{where} is damaged: {len(raw.data)} bytes for {raw.width}x{raw.height} pixels of {channels} bytes."
+            )
+        shape = (raw.height, raw.width, channels) if channels > 1 else (raw.height, raw.width)
+        return np.frombuffer(raw.data, np.uint8).reshape(shape), raw.encoding
+
+    def read(self, frame: RecordedFrame) -> Image:
+        """The image as (H, W, 3) BGR, demosaiced where the camera gave a mosaic."""
+        return to_bgr(*self.read_raw(frame))
+
+
+def to_bgr(image: Image, encoding: str) -> Image:
+    """(H, W, 3) BGR from any encoding of CHANNELS. bayer_rggb8 has R at (0, 0)."""
+    if encoding == "bayer_rggb8":
+        return cast(Image, cv2.cvtColor(image, cv2.COLOR_BayerRGGB2BGR))
+    if encoding == "mono8":
+        return cast(Image, cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
+    return image
+
+
+def open_recording(path: Path) -> Recording:
+    """Index a recording by walking its records; needs no footer. Raises AnnulusError when it is none."""
+    walk = _Walk()
+    try:
+        with path.open("rb") as file:
+            if file.read(len(_MAGIC)) != _MAGIC:
+                raise AnnulusError(f"{path}: not an MCAP recording.")
+            with contextlib.suppress(struct.error, EOFError, ValueError):  # damaged from there on, whole before
+                walk.records(file, len(_MAGIC), os.fstat(file.fileno()).st_size)
+    except OSError as error:
+        raise AnnulusError(f"{path}: cannot be read ({error.strerror}). Expected a recording.") from None
+    if walk.compression:
+        raise AnnulusError(
+            f"{path}: its chunks are compressed with {walk.compression}. "
+            "Decompress it first: mcap compress --compression none."
+        )
+    if FRAME_TOPIC not in walk.channels.values():
+        raise AnnulusError(f"{path}: no /frame topic. Expected a recording made by annulus.")
+    return Recording(
+        path, tuple(walk.frames()), walk.labels, walk.attached("calibration.json"), walk.attached("configuration.json"),
+        not walk.ended, {topic: tuple(places) for topic, places in walk.notes.items()},
+    )  # fmt: skip
+
+
+class _Walk:
+    """Goes through a file record by record, remembering where things are. Images are stepped over."""
+
+    def __init__(self) -> None:
+        self.channels: dict[int, str] = {}
+        self.notes: dict[str, list[tuple[int, int]]] = {}
+        self.labels: dict[int, Mapping[str, Any]] = {}
+        self.images: dict[int, tuple[int, int, int]] = {}  # index -> time, offset, length
+        self.attachments: dict[str, bytes] = {}
+        self.compression = ""
+        self.ended = False
+
+    def records(self, file: IO[bytes], start: int, end: int) -> None:
+        at = start
+        while at + _RECORD.size <= end and not self.ended:
+            opcode, length = _RECORD.unpack(_slice(file, at, _RECORD.size))
+            at += _RECORD.size
+            if opcode == _CHUNK:
+                self._chunk(file, at, min(at + length, end))  # of a torn chunk, the messages that are whole
+            elif at + length > end:
+                return
+            elif opcode == _MESSAGE and length >= _MESSAGE_HEAD.size:
+                self._message(file, at, length)
+            elif opcode == _CHANNEL:
+                self._channel(_slice(file, at, length))
+            elif opcode == _ATTACHMENT:
+                self._attachment(_slice(file, at, length))
+            elif opcode == _FOOTER:
+                self.ended = True
+            at += length
+
+    def _chunk(self, file: IO[bytes], at: int, end: int) -> None:
+        (name_length,) = struct.unpack("<I", _slice(file, at + _CHUNK_HEAD.size, 4))
+        compression = _slice(file, at + _CHUNK_HEAD.size + 4, min(name_length, 64)).decode()
+        if compression:
+            self.compression = compression
+            return
+        self.records(file, at + _CHUNK_HEAD.size + 4 + name_length + 8, end)
+
+    def _channel(self, data: bytes) -> None:
+        number, _schema, length = struct.unpack_from("<HHI", data)
+        self.channels[number] = data[8 : 8 + length].decode()
+
+    def _message(self, file: IO[bytes], at: int, length: int) -> None:
+        number, sequence, time_ns, _ = _MESSAGE_HEAD.unpack(_slice(file, at, _MESSAGE_HEAD.size))
+        topic = self.channels.get(number, "")
+        offset, size = at + _MESSAGE_HEAD.size, length - _MESSAGE_HEAD.size
+        if topic == FRAME_TOPIC:
+            self.images[sequence] = time_ns, offset, size
+        elif topic:
+            self.notes.setdefault(topic, []).append((offset, size))
+            if topic == "/label":
+                try:
+                    label = from_json(_slice(file, offset, size))
+                except ValueError:
+                    return
+                if isinstance(label, dict):
+                    self.labels[sequence] = label
+
+    def _attachment(self, data: bytes) -> None:
+        (name_length,) = struct.unpack_from("<I", data, 16)
+        name = data[20 : 20 + name_length].decode()
+        at = 20 + name_length
+        (media_length,) = struct.unpack_from("<I", data, at)
+        at += 4 + media_length
+        (size,) = struct.unpack_from("<Q", data, at)
+        self.attachments[name] = data[at + 8 : at + 8 + size]
+
+    def frames(self) -> Iterator[RecordedFrame]:
+        for index, (time_ns, offset, length) in sorted(self.images.items()):
+            label = self.labels.get(index, {})
+            name, z = label.get("label"), label.get("z_mm")
+            known = Label(name) if name in {one.value for one in Label} else Label.UNKNOWN
+            z_mm = float(z) if isinstance(z, int | float) and not isinstance(z, bool) else math.nan
+            yield RecordedFrame(index, known if math.isfinite(z_mm) else Label.UNKNOWN, z_mm, time_ns, offset, length)
+
+    def attached(self, name: str) -> Mapping[str, Any] | None:
+        try:
+            content = json.loads(self.attachments[name])
+        except (KeyError, ValueError):
+            return None
+        return content if isinstance(content, dict) else None
+
+
+def _slice(file: IO[bytes], offset: int, length: int) -> bytes:
+    if length > _RECORD_MAX:
+        raise ValueError(f"a record of {length} bytes")
+    file.seek(offset)
+    data = file.read(length)
+    if len(data) != length:
+        raise EOFError
+    return data

@@ -1,0 +1,182 @@
+"""A recording written: a kill costs the last moments, a full disk the frames that did not fit, neither the file.
+
+What is in the file: recording.py.
+"""
+
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, cast
+
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+from mcap.data_stream import RecordBuilder
+from mcap.records import DataEnd, Footer
+from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
+from mcap_protobuf.schema import register_schema
+
+from annulus.record.recording import CHANNELS, FRAME_TOPIC, NOTE_TOPICS, Image, to_json
+from annulus.vocabulary import AnnulusError
+
+_NOTES_MAX = 1 << 18  # bytes of small records that may wait for the next frame's chunk
+
+
+class _Whole:
+    """A file that holds whole records only: a write that fails half-way is taken back, remembered, and not raised.
+
+    The MCAP writer must not see the error: it would be left in the middle of a chunk, unable to write the next one.
+    """
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
+        self._end = 0
+        self.failure: OSError | None = None  # nothing is written until `retry`
+
+    def write(self, data: bytes) -> int:
+        if self.failure is None:
+            rest = memoryview(data)
+            try:
+                while rest:
+                    rest = rest[self._file.write(rest) :]
+                self._end += len(data)
+            except OSError as error:
+                self.failure = error
+                self._file.seek(self._end)
+                self._file.truncate()
+        return len(data)
+
+    def retry(self) -> None:
+        self.failure = None
+
+    def tell(self) -> int:
+        return self._end
+
+    def flush(self) -> None:
+        pass
+
+
+class RecordingWriter:
+    """Writes one recording. What the disk does not take is counted in `lost`, by what it was, and never raised."""
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        calibration: Mapping[str, Any] | None,
+        configuration: Mapping[str, Any],
+        now_ns: int,
+        file: IO[bytes] | None = None,
+    ) -> None:
+        """Creates `path`, which must not exist (`file`, an unbuffered binary file, is written instead when given).
+
+        Raises AnnulusError when the file cannot be begun.
+        """
+        self.lost: Counter[str] = Counter()
+        self.written: Counter[str] = Counter()
+        self.problem = ""  # the last reason for a loss
+        self._pending: Counter[str] = Counter()
+        self._pending_bytes = 0
+        try:
+            self._file = path.open("xb", buffering=0) if file is None else file
+        except OSError as error:
+            raise AnnulusError(f"{path}: cannot be written ({error.strerror}). Choose another folder.") from None
+        self._whole = _Whole(self._file)
+        self._writer = Writer(
+            cast(IO[Any], self._whole),
+            chunk_size=1 << 62,  # chunks end where we say
+            compression=CompressionType.NONE,
+        )
+        self._writer.start(profile="annulus")
+        frames = self._writer.register_channel(FRAME_TOPIC, "protobuf", register_schema(self._writer, RawImage))
+        self._channels = {FRAME_TOPIC: frames}
+        for topic in NOTE_TOPICS:
+            schema = self._writer.register_schema(
+                f"annulus{topic.replace('/', '.')}", "jsonschema", b'{"type":"object"}'
+            )
+            self._channels[topic] = self._writer.register_channel(topic, "json", schema)
+        # On disk before anything else: without these records nothing that follows could be read.
+        self.note("/event", {"kind": "recording_started"}, now_ns)
+        self._flush()
+        for name, content in (("calibration.json", calibration), ("configuration.json", configuration)):
+            if content is not None:
+                self._writer.add_attachment(now_ns, now_ns, name, "application/json", to_json(content))
+        if self.lost or self._whole.failure is not None:
+            self._file.close()
+            path.unlink(missing_ok=True)
+            raise AnnulusError(f"{path}: cannot be written ({self.problem or self._whole.failure}). Is the disk full?")
+
+    def frame(self, label: Mapping[str, Any], image: Image, time_ns: int) -> bool:
+        """A frame with its label; False when it was lost.
+
+        `label` must hold index, label, z_mm, encoding, width, height; it is written to /label as it is.
+        `time_ns`: the frame's timestamp, host monotonic.
+        """
+        index = int(label["index"])
+        seconds, nanoseconds = divmod(time_ns, 1_000_000_000)
+        raw = RawImage(
+            frame_id="camera",
+            width=int(label["width"]),
+            height=int(label["height"]),
+            encoding=str(label["encoding"]),
+            step=int(label["width"]) * CHANNELS[str(label["encoding"])],
+            data=image.tobytes(),
+        )
+        raw.timestamp.seconds, raw.timestamp.nanos = seconds, nanoseconds
+        self._add("/label", to_json(label), time_ns, index)
+        self._add(FRAME_TOPIC, raw.SerializeToString(), time_ns, index)
+        return self._flush()
+
+    def note(self, topic: str, body: Mapping[str, Any], time_ns: int, sequence: int = 0) -> None:
+        """A small record on one of NOTE_TOPICS. Goes to disk with the next frame, or with `flush`."""
+        self._add(topic, to_json(body), time_ns, sequence)
+        if self._pending_bytes > _NOTES_MAX:
+            self._flush()
+
+    def flush(self) -> None:
+        """Write what waits."""
+        self._flush()
+
+    def close(self) -> None:
+        """End the file. After a loss it gets no index (the index would name what is not there); readers do without."""
+        if self._file.closed:
+            return
+        self._flush()
+        if self.lost:
+            builder = RecordBuilder()
+            DataEnd(0).write(builder)
+            Footer(0, 0, 0).write(builder)
+            self._whole.retry()
+            self._whole.write(builder.end() + MCAP0_MAGIC)
+        else:
+            self._writer.finish()
+        if self._whole.failure is not None:
+            self.problem = _reason(self._whole.failure)
+        self._file.close()
+
+    def __enter__(self) -> "RecordingWriter":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _add(self, topic: str, data: bytes, time_ns: int, sequence: int) -> None:
+        self._writer.add_message(self._channels[topic], time_ns, data, time_ns, sequence)
+        self._pending[topic] += 1
+        self._pending_bytes += len(data)
+
+    def _flush(self) -> bool:
+        self._whole.retry()  # try again: space may have come back
+        self._writer.flush()
+        failure = self._whole.failure
+        (self.written if failure is None else self.lost).update(self._pending)
+        if failure is not None:
+            self.problem = _reason(failure)
+        self._pending.clear()
+        self._pending_bytes = 0
+        return failure is None
+
+
+def _reason(error: OSError) -> str:
+    return error.strerror or str(error)

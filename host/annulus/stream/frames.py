@@ -1,0 +1,121 @@
+"""What is said about a frame wherever it goes: to a worker, into the recording, to a viewer."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import msgpack
+import numpy as np
+from numpy.typing import NDArray
+
+from annulus.vocabulary import CameraSequence, EdgeIndex, Label, Slot
+
+Image = NDArray[np.uint8]
+
+CHANNELS = {"bgr8": 3, "bayer_rggb8": 1, "mono8": 1}  # encoding -> bytes a pixel, as foxglove.RawImage names them
+SIDE_MAX = 16384  # pixels; a larger image is a damaged header
+HEADER_MAX = 4096  # bytes of one packed header
+
+
+@dataclass(frozen=True, slots=True)
+class FrameHeader:
+    """One camera frame and its label. `edge` is the edge whose flash lit it; what is not known is None."""
+
+    index: int  # counts the frames the daemon took from the camera, from 0
+    sequence: CameraSequence
+    timestamp_ns: int  # the driver's, host monotonic clock
+    label: Label
+    reason: str  # why the label is unknown; empty otherwise
+    edge: EdgeIndex | None
+    slot: Slot | None
+    odometer: int | None  # quadrature counts since boot
+    z_mm: float | None
+    encoding: str
+    width: int
+    height: int
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of the image array: (H, W, 3) for bgr8, (H, W) otherwise."""
+        channels = CHANNELS[self.encoding]
+        return (self.height, self.width, channels) if channels > 1 else (self.height, self.width)
+
+    @property
+    def size(self) -> int:
+        """Bytes of the image."""
+        return self.height * self.width * CHANNELS[self.encoding]
+
+    def to_dict(self) -> dict[str, Any]:
+        return {**asdict(self), "label": self.label.value}
+
+    def pack(self) -> bytes:
+        packed: bytes = msgpack.packb(self.to_dict())
+        return packed
+
+    @classmethod
+    def from_dict(cls, data: object) -> "FrameHeader":
+        """Check and convert. Raises ValueError naming the field that is wrong."""
+        if not isinstance(data, Mapping):
+            raise ValueError("frame header must be a mapping")
+        label, encoding, reason = data.get("label"), data.get("encoding"), data.get("reason")
+        if label not in {known.value for known in Label}:
+            raise ValueError(f"frame header: label is {label!r}, expected one of {[known.value for known in Label]}")
+        if encoding not in CHANNELS:
+            raise ValueError(f"frame header: encoding is {encoding!r}, expected one of {list(CHANNELS)}")
+        if not isinstance(reason, str) or len(reason) > 200:
+            raise ValueError("frame header: reason must be a text of at most 200 characters")
+        edge, slot = _whole(data, "edge", 0, 2**32 - 1, True), _whole(data, "slot", 0, 15, True)
+        return cls(
+            index=_need(data, "index", 0, 2**32 - 1),
+            sequence=CameraSequence(_need(data, "sequence", 0, 2**63)),
+            timestamp_ns=_need(data, "timestamp_ns", 0, 2**63),
+            label=Label(label),
+            reason=reason,
+            edge=None if edge is None else EdgeIndex(edge),
+            slot=None if slot is None else Slot(slot),
+            odometer=_whole(data, "odometer", -(2**31), 2**31 - 1, True),
+            z_mm=_length(data, "z_mm"),
+            encoding=str(encoding),
+            width=_need(data, "width", 1, SIDE_MAX),
+            height=_need(data, "height", 1, SIDE_MAX),
+        )
+
+    @classmethod
+    def unpack(cls, packed: bytes) -> "FrameHeader":
+        """Raises ValueError on anything but one well-formed header."""
+        return cls.from_dict(unpack_bounded(packed, HEADER_MAX))
+
+
+def unpack_bounded(packed: bytes, limit: int) -> Any:
+    """One msgpack value of at most `limit` bytes; ValueError on anything else, whatever msgpack calls it."""
+    if len(packed) > limit:
+        raise ValueError(f"message of {len(packed)} bytes, at most {limit} expected")
+    try:
+        return msgpack.unpackb(packed, max_buffer_size=limit, strict_map_key=True)
+    except (ValueError, TypeError, msgpack.exceptions.UnpackException, RecursionError) as error:
+        raise ValueError(f"not one msgpack value: {error}") from None
+
+
+def _whole(data: Mapping[str, Any], key: str, low: int, high: int, optional: bool) -> int | None:
+    value = data.get(key)
+    if value is None and optional:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+        raise ValueError(f"frame header: {key} is {value!r}, expected a whole number in {low}..{high}")
+    return value
+
+
+def _need(data: Mapping[str, Any], key: str, low: int, high: int) -> int:
+    value = _whole(data, key, low, high, optional=False)
+    assert value is not None
+    return value
+
+
+def _length(data: Mapping[str, Any], key: str) -> float | None:
+    value = data.get(key)
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or abs(value) > 1e9:
+        raise ValueError(f"frame header: {key} is {value!r}, expected millimetres")
+    return float(value)

@@ -1,0 +1,392 @@
+"""Worker processes fed through a FrameRing: a frame handed out comes back as done, failed or lost, whoever is killed.
+
+`Crew` is the owner's side, `serve` the worker's. Each worker has a PUSH socket of its own, so the owner knows which
+frames died with it; all answer into one PULL socket. Nothing here waits: `poll` reads what is there, `offer` says no
+when everybody is busy.
+"""
+
+import contextlib
+import ctypes
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import msgpack
+import zmq
+
+from annulus.stream.frames import FrameHeader, Image, unpack_bounded
+from annulus.stream.ring import FrameRing, Overwritten, Place, RingView
+from annulus.vocabulary import AnnulusError
+
+MESSAGE_MAX = 1 << 26  # bytes; a profile is below 1 MB
+STARTS_MAX = 5  # times in a row a worker may die without having done anything
+HUNG_S = 20.0  # longer on one frame than this and the worker is replaced
+START_S = 180.0  # compiling for the first time included
+_PR_SET_PDEATHSIG = 1
+
+Socket = zmq.Socket[bytes]
+
+
+@dataclass(frozen=True, slots=True)
+class Ready:
+    """A worker has prepared itself and takes frames."""
+
+    worker: int
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    worker: int
+    header: FrameHeader
+    body: Any
+
+
+@dataclass(frozen=True, slots=True)
+class Failed:
+    """The worker says it cannot do this frame; it lives on."""
+
+    worker: int
+    header: FrameHeader
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Lost:
+    """The worker died, or was killed because it hung, with this frame in its hands."""
+
+    worker: int
+    header: FrameHeader
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Died:
+    """A worker ended without being told to. `replaced` is False when its kind dies too often."""
+
+    worker: int
+    why: str
+    replaced: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """A worker's own words: what its job reported, or its last words (`final`)."""
+
+    worker: int
+    body: Any
+    final: bool
+
+
+Happening = Ready | Done | Failed | Lost | Died | Report
+
+
+@dataclass(slots=True)
+class _InHand:
+    header: FrameHeader
+    place: Place
+    since: float
+
+
+@dataclass(slots=True)
+class _Worker:
+    number: int
+    process: subprocess.Popen[bytes]
+    tasks: Socket
+    address: Path
+    started: float
+    ready: bool = False
+    in_hand: dict[int, _InHand] = field(default_factory=dict)
+
+
+class Crew:
+    """N workers of one kind. All methods belong to one thread, and that thread must outlive the workers: the kernel
+    tells them (PR_SET_PDEATHSIG) to end when the thread that started them does.
+    """
+
+    def __init__(
+        self,
+        command: Sequence[str],
+        setup: Any,
+        *,
+        ring: FrameRing,
+        context: zmq.Context[Socket],
+        folder: Path,
+        name: str,
+        count: int,
+        depth: int,
+        clock: Callable[[], float] = time.monotonic,
+        hung_s: float = HUNG_S,
+    ) -> None:
+        """`command` + one JSON argument is run `count` times; each first receives `setup` (plain types and bytes).
+
+        `depth` frames at most wait at one worker; `folder` is private to this process and holds the sockets.
+        """
+        self.counts: Counter[str] = Counter()
+        self._command, self._setup = list(command), setup
+        self._ring, self._context, self._folder, self._name = ring, context, folder, name
+        self._depth, self._clock, self._hung_s = depth, clock, hung_s
+        self._numbers = 0
+        self._barren = 0  # deaths since the last frame that came back
+        self._workers: dict[int, _Worker] = {}
+        self._results_path = folder / f"{name}-results"
+        self.results = context.socket(zmq.PULL)
+        self.results.setsockopt(zmq.RCVHWM, 1000)
+        self.results.setsockopt(zmq.MAXMSGSIZE, MESSAGE_MAX)
+        self.results.bind(f"ipc://{self._results_path}")
+        try:
+            for _ in range(count):
+                self._start()
+        except BaseException:
+            self.stop(0.0)
+            raise
+
+    @property
+    def ready(self) -> int:
+        """Workers that take frames."""
+        return sum(worker.ready for worker in self._workers.values())
+
+    @property
+    def alive(self) -> int:
+        return len(self._workers)
+
+    @property
+    def in_hand(self) -> int:
+        """Frames handed out and not yet back."""
+        return sum(len(worker.in_hand) for worker in self._workers.values())
+
+    @property
+    def pids(self) -> list[int]:
+        return [worker.process.pid for worker in self._workers.values()]
+
+    def offer(self, header: FrameHeader, place: Place, extra: Any = None) -> bool:
+        """Hand a frame to the least busy worker, which then holds its slot. False, and counted, when none has room."""
+        free = [w for w in self._workers.values() if w.ready and len(w.in_hand) < self._depth]
+        if not free:
+            self.counts["refused"] += 1
+            return False
+        worker = min(free, key=lambda w: len(w.in_hand))
+        task = msgpack.packb([header.to_dict(), place.slot, place.stamp, extra])
+        try:
+            worker.tasks.send_multipart([b"frame", task], zmq.NOBLOCK)
+        except zmq.Again:
+            self.counts["refused"] += 1
+            return False
+        self._ring.hold(place)
+        worker.in_hand[header.index] = _InHand(header, place, self._clock())
+        self.counts["offered"] += 1
+        return True
+
+    def tell(self, kind: str, body: Any) -> None:
+        """A note to every worker. Counted under `notes_dropped` when a worker's queue is full."""
+        note = msgpack.packb([kind, body])
+        for worker in self._workers.values():
+            try:
+                worker.tasks.send_multipart([b"note", note], zmq.NOBLOCK)
+            except zmq.Again:
+                self.counts["notes_dropped"] += 1
+
+    def poll(self) -> list[Happening]:
+        """All that happened since the last call. Replaces the dead and the hung; never waits."""
+        happened = self._receive()
+        now = self._clock()
+        for worker in list(self._workers.values()):
+            code = worker.process.poll()
+            oldest = min((task.since for task in worker.in_hand.values()), default=now)
+            if code is None and now - oldest > self._hung_s:
+                why = f"hung for {now - oldest:.0f} s"
+            elif code is None and not worker.ready and now - worker.started > START_S:
+                why = f"not ready after {START_S:.0f} s"
+            elif code is not None:
+                why = f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit status {code}"
+            else:
+                continue
+            happened += self._receive()  # what it sent before it died still counts
+            happened += self._bury(worker, why)
+            self._barren += 1
+            replace = self._barren <= STARTS_MAX
+            self.counts["died"] += 1
+            happened.append(Died(worker.number, why, replace))
+            if replace:
+                self._start()
+        return happened
+
+    def stop(self, patience_s: float) -> list[Happening]:
+        """Ask every worker to finish what it has and leave; after `patience_s` kill. None is left when this returns."""
+        happened: list[Happening] = []
+        for worker in self._workers.values():
+            with contextlib.suppress(zmq.ZMQError):
+                worker.tasks.send_multipart([b"stop", b""], zmq.NOBLOCK)
+        end = time.monotonic() + patience_s  # real time whatever clock the tests use: processes are real
+        while self._workers and time.monotonic() < end:
+            self.results.poll(20)
+            happened += self._receive()
+            for worker in [w for w in self._workers.values() if w.process.poll() is not None]:
+                happened += self._receive()
+                happened += self._bury(worker, "ended")
+        for worker in list(self._workers.values()):
+            self.counts["killed"] += 1
+            happened += self._bury(worker, f"still busy {patience_s:.0f} s after being asked to stop")
+        if not self.results.closed:
+            self.results.close(0)
+        self._results_path.unlink(missing_ok=True)
+        return happened
+
+    def _start(self) -> None:
+        number, self._numbers = self._numbers, self._numbers + 1
+        address = self._folder / f"{self._name}-{number}"
+        tasks = self._context.socket(zmq.PUSH)
+        tasks.setsockopt(zmq.SNDHWM, 1000)
+        tasks.setsockopt(zmq.LINGER, 0)
+        tasks.bind(f"ipc://{address}")
+        tasks_argument = {
+            "worker": number, "parent": os.getpid(), "ring_fd": self._ring.fd, "frame_bytes": self._ring.frame_bytes,
+            "tasks": f"ipc://{address}", "results": f"ipc://{self._results_path}",
+        }  # fmt: skip
+        one_thread = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+        try:
+            process = subprocess.Popen(
+                [*self._command, json.dumps(tasks_argument)],
+                stdin=subprocess.DEVNULL,
+                pass_fds=(self._ring.fd,),
+                process_group=0,  # the terminal's Ctrl-C is for the owner, who ends the workers in order
+                env=os.environ | one_thread,
+            )
+        except OSError as error:
+            tasks.close(0)
+            address.unlink(missing_ok=True)
+            raise AnnulusError(f"cannot start {self._command[0]}: {error.strerror}") from None
+        self._workers[number] = _Worker(number, process, tasks, address, self._clock())
+        tasks.send_multipart([b"setup", msgpack.packb(self._setup)], zmq.NOBLOCK)
+
+    def _receive(self) -> list[Happening]:
+        happened: list[Happening] = []
+        while not self.results.closed and self.results.poll(0):
+            try:
+                number, kind, body = unpack_bounded(self.results.recv(), MESSAGE_MAX)
+            except ValueError:
+                self.counts["malformed"] += 1
+                continue
+            worker = self._workers.get(number)
+            if worker is None:
+                self.counts["late"] += 1  # from one already buried; its frames were reported lost
+            elif kind == "ready":
+                worker.ready = True
+                happened.append(Ready(number))
+            elif kind in ("done", "failed"):
+                task = worker.in_hand.pop(body[0], None)
+                if task is None:
+                    self.counts["late"] += 1
+                    continue
+                self._ring.release(task.place)
+                self.counts[kind] += 1
+                self._barren = 0
+                happened.append(
+                    Done(number, task.header, body[1]) if kind == "done" else Failed(number, task.header, str(body[1]))
+                )
+            elif kind in ("report", "bye"):
+                happened.append(Report(number, body, kind == "bye"))
+            else:
+                self.counts["malformed"] += 1
+        return happened
+
+    def _bury(self, worker: _Worker, why: str) -> list[Happening]:
+        if worker.process.poll() is None:
+            worker.process.kill()
+        worker.process.wait()
+        worker.tasks.close(0)
+        worker.address.unlink(missing_ok=True)
+        del self._workers[worker.number]
+        for task in worker.in_hand.values():
+            self._ring.release(task.place)
+        self.counts["lost"] += len(worker.in_hand)
+        return [Lost(worker.number, task.header, why) for task in worker.in_hand.values()]
+
+
+class Job(Protocol):
+    """What a worker does. Exceptions in `frame` cost that frame only."""
+
+    def frame(self, header: FrameHeader, image: Image, extra: Any) -> Any:
+        """Plain types and bytes, sent back. `image` is shared memory: valid during the call, read-only."""
+
+    def note(self, kind: str, body: Any) -> None:
+        """Something every worker of the kind is told."""
+
+    def idle(self) -> Any:
+        """Called at least every half second. Whatever is not None is sent as a report."""
+
+    def close(self) -> Any:
+        """Last words; sent back."""
+
+
+def serve(argument: str, prepare: Callable[[Any], Job]) -> None:
+    """Run one worker: `argument` is what Crew put on the command line, `prepare` makes the job from the setup."""
+    link: Mapping[str, Any] = json.loads(argument)
+    end_with_parent(link["parent"])
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))  # as an exception, so that the job is closed
+    ring = RingView(link["ring_fd"], link["frame_bytes"])
+    context: zmq.Context[Socket] = zmq.Context()
+    tasks, results = context.socket(zmq.PULL), context.socket(zmq.PUSH)
+    tasks.setsockopt(zmq.RCVHWM, 1)
+    results.setsockopt(zmq.LINGER, 2000)
+    tasks.connect(link["tasks"])
+    results.connect(link["results"])
+
+    def answer(kind: str, body: Any) -> None:
+        results.send(msgpack.packb([link["worker"], kind, body]))
+
+    job: Job | None = None
+    try:
+        while True:
+            if not tasks.poll(500):
+                if job is not None and (report := job.idle()) is not None:
+                    answer("report", report)
+                continue
+            kind, payload = tasks.recv_multipart()
+            if kind == b"stop":
+                break
+            body = msgpack.unpackb(payload)
+            if kind == b"setup":
+                job = prepare(body)
+                answer("ready", None)
+            elif job is not None and kind == b"note":
+                job.note(*body)
+            elif job is not None and kind == b"frame":
+                _one_frame(job, ring, body, answer)
+                if (report := job.idle()) is not None:
+                    answer("report", report)
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        answer("bye", None if job is None else job.close())
+        results.close()
+        context.destroy(linger=2000)
+
+
+def _one_frame(job: Job, ring: RingView, body: Any, answer: Callable[[str, Any], None]) -> None:
+    raw, slot, stamp, extra = body
+    try:
+        header = FrameHeader.from_dict(raw)
+        with ring.frame(header, Place(slot, stamp)) as image:
+            result = job.frame(header, image, extra)
+            del image
+    except Overwritten as error:
+        answer("failed", [raw["index"], str(error)])
+    except Exception as error:  # a frame the method cannot take must not cost the worker
+        answer("failed", [raw["index"], f"{type(error).__name__}: {error}"])
+    else:
+        answer("done", [header.index, result])
+
+
+def end_with_parent(parent: int) -> None:
+    """Have the kernel send SIGTERM when the parent is gone, even by kill -9."""
+    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+    if os.getppid() != parent:  # it died before we asked
+        sys.exit(1)

@@ -1,0 +1,246 @@
+"""Promises of the recording: what was written is read; neither a kill nor a full disk costs what was there before."""
+
+import errno
+import io
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.stream_reader import StreamReader
+
+from annulus.record.recording import from_json, open_recording, to_bgr, to_json
+from annulus.record.writer import RecordingWriter
+from annulus.vocabulary import AnnulusError, Label
+
+H, W = 48, 64
+
+
+def label_of(index: int, label: str = "projector") -> dict:
+    return {
+        "index": index, "label": label, "reason": "", "z_mm": 2.5 * index,
+        "encoding": "bayer_rggb8", "width": W, "height": H,
+    }  # fmt: skip
+
+
+def image_of(index: int) -> np.ndarray:
+    return np.random.default_rng(index).integers(0, 256, (H, W), dtype=np.uint8)
+
+
+def write(path: Path, count: int, **more: object) -> RecordingWriter:
+    writer = RecordingWriter(path, calibration={"format": "x"}, configuration={"fps": 25}, now_ns=5, **more)
+    for index in range(count):
+        writer.frame(label_of(index, "led" if index % 5 == 4 else "projector"), image_of(index), 1000 * index)
+        writer.note("/event", {"kind": "edge", "edge": index}, 1000 * index)
+    return writer
+
+
+def test_what_was_written_is_read_back(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    write(path, 10).close()
+    recording = open_recording(path)
+    assert not recording.torn
+    assert [f.index for f in recording.frames] == list(range(10))
+    assert [f.z_mm for f in recording.frames] == [2.5 * i for i in range(10)]
+    assert [f.label for f in recording.frames].count(Label.LED) == 2
+    for frame in recording.frames:
+        image, encoding = recording.read_raw(frame)
+        assert encoding == "bayer_rggb8"
+        assert np.array_equal(image, image_of(frame.index))
+        assert recording.read(frame).shape == (H, W, 3)
+    assert recording.calibration == {"format": "x"}
+    assert recording.configuration == {"fps": 25}
+    assert [n["edge"] for n in recording.notes("/event") if n["kind"] == "edge"] == list(range(10))
+
+
+def test_other_mcap_readers_read_it(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    write(path, 7).close()
+    with path.open("rb") as file:
+        messages = [(c.topic, m.sequence) for _, c, m in make_reader(file, validate_crcs=True).iter_messages()]
+    assert [s for t, s in messages if t == "/frame"] == list(range(7))
+    assert [s for t, s in messages if t == "/label"] == list(range(7))
+
+
+@pytest.mark.parametrize("encoding, red", [("bayer_rggb8", (0, 0)), ("mono8", None)])
+def test_a_red_world_stays_red(encoding: str, red: tuple[int, int] | None) -> None:
+    mosaic = np.zeros((H, W), np.uint8)
+    if red is None:
+        mosaic[:] = 200
+        assert (to_bgr(mosaic, encoding) == 200).all()
+        return
+    mosaic[red[0] :: 2, red[1] :: 2] = 200
+    blue, green, red_channel = cv2.split(to_bgr(mosaic, encoding)[4:-4, 4:-4])
+    assert red_channel.min() == 200 and green.max() == 0 and blue.max() == 0
+
+
+_CHILD = """
+import os, signal, sys
+sys.path.insert(0, {tests!r})
+from pathlib import Path
+from test_recording import write
+writer = write(Path({path!r}), 40)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_every_frame_written_before_a_kill_is_readable(tmp_path: Path) -> None:
+    path = tmp_path / "killed.mcap"
+    child = subprocess.run([sys.executable, "-c", _CHILD.format(tests=str(Path(__file__).parent), path=str(path))])
+    assert child.returncode == -signal.SIGKILL
+    recording = open_recording(path)
+    assert recording.torn
+    assert [f.index for f in recording.frames] == list(range(40))
+    assert np.array_equal(recording.read_raw(recording.frames[-1])[0], image_of(39))
+    with path.open("rb") as file:  # and an outside reader finds them too, up to where the file ends
+        seen = 0
+        try:
+            for record in StreamReader(file).records:
+                seen += type(record).__name__ == "Message" and record.channel_id == 1
+        except Exception:
+            pass
+    assert seen == 40
+
+
+def test_a_recording_cut_at_any_byte_gives_the_frames_before_the_cut(tmp_path: Path) -> None:
+    path, cut = tmp_path / "a.mcap", tmp_path / "cut.mcap"
+    write(path, 6).close()
+    whole = path.read_bytes()
+    ends = [f.offset + f.length for f in open_recording(path).frames]
+    first = ends[0] - (H * W)  # well after the channels
+    for at in np.random.default_rng(1).integers(first, len(whole), 60):
+        cut.write_bytes(whole[:at])
+        recording = open_recording(cut)
+        assert [f.index for f in recording.frames] == [i for i, end in enumerate(ends) if end <= at]
+        for frame in recording.frames:
+            assert np.array_equal(recording.read_raw(frame)[0], image_of(frame.index))
+
+
+@given(data=st.binary(max_size=300), at=st.integers(0, 20_000), seed=st.integers(0, 5))
+def test_damage_never_raises_anything_but_one_clear_line(data: bytes, at: int, seed: int, tmp_path_factory) -> None:
+    path = tmp_path_factory.getbasetemp() / f"damaged-{seed}.mcap"
+    path.unlink(missing_ok=True)
+    write(path, seed).close()
+    whole = bytearray(path.read_bytes())
+    at = min(at, len(whole))
+    whole[at : at + len(data)] = data
+    path.write_bytes(whole)
+    try:
+        recording = open_recording(path)
+        for frame in recording.frames:
+            recording.read(frame)
+    except AnnulusError as error:
+        assert "\n" not in str(error)
+
+
+class Disk(io.RawIOBase):
+    """A disk of so many bytes; `grow` makes room."""
+
+    def __init__(self, path: Path, size: int) -> None:
+        self.file = path.open("w+b", buffering=0)
+        self.size = size
+
+    def write(self, data) -> int:
+        room = self.size - self.file.tell()
+        if room <= 0:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return self.file.write(memoryview(data)[:room])
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        return self.file.seek(offset, whence)
+
+    def truncate(self, size: int | None = None) -> int:
+        return self.file.truncate(size)
+
+    def close(self) -> None:
+        self.file.close()
+        super().close()
+
+
+def test_a_full_disk_costs_frames_but_neither_the_file_nor_the_scan(tmp_path: Path) -> None:
+    path = tmp_path / "full.mcap"
+    disk = Disk(path, 30_000)
+    writer = write(path, 12, file=disk)
+    written = writer.written["/frame"]
+    assert 0 < written < 12 and writer.lost["/frame"] == 12 - written
+    assert writer.problem == "No space left on device"
+    disk.size = 1 << 20  # somebody tidied up
+    assert writer.frame(label_of(12), image_of(12), 12_000)
+    writer.close()
+    recording = open_recording(path)
+    assert not recording.torn
+    assert [f.index for f in recording.frames] == [*range(written), 12]
+    assert np.array_equal(recording.read_raw(recording.frames[-1])[0], image_of(12))
+
+
+def test_a_disk_full_to_the_end_leaves_a_readable_file(tmp_path: Path) -> None:
+    path = tmp_path / "full.mcap"
+    writer = write(path, 12, file=Disk(path, 30_000))
+    writer.close()
+    recording = open_recording(path)
+    assert len(recording.frames) == writer.written["/frame"] > 0
+
+
+def test_the_kernel_refusing_to_write_is_the_same(tmp_path: Path) -> None:
+    path = tmp_path / "limited.mcap"
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, hard))
+        writer = write(path, 20)
+        writer.close()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert writer.lost["/frame"] > 0 and writer.problem
+    assert len(open_recording(path).frames) == writer.written["/frame"] > 0
+
+
+def test_a_recording_that_cannot_begin_says_why(tmp_path: Path) -> None:
+    with pytest.raises(AnnulusError, match="cannot be written"):
+        write(tmp_path / "no" / "such.mcap", 0)
+    with pytest.raises(AnnulusError, match="disk full"):
+        write(tmp_path / "none.mcap", 0, file=Disk(tmp_path / "none.mcap", 100))
+    (tmp_path / "old.mcap").write_bytes(b"precious")
+    with pytest.raises(AnnulusError, match="File exists"):
+        write(tmp_path / "old.mcap", 0)
+    assert (tmp_path / "old.mcap").read_bytes() == b"precious"
+
+
+def test_what_is_no_recording_says_so(tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    with pytest.raises(AnnulusError, match="cannot be read"):
+        open_recording(path)
+    path.write_bytes(b"hello")
+    with pytest.raises(AnnulusError, match="not an MCAP"):
+        open_recording(path)
+
+
+def test_a_frame_whose_label_was_lost_is_unknown(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with RecordingWriter(path, calibration=None, configuration={}, now_ns=0) as writer:
+        writer.frame({**label_of(0), "z_mm": None}, image_of(0), 0)
+        writer.frame({**label_of(1), "label": "nonsense"}, image_of(1), 0)
+    assert [f.label for f in open_recording(path).frames] == [Label.UNKNOWN, Label.UNKNOWN]
+    assert open_recording(path).calibration is None
+
+
+@given(
+    st.dictionaries(
+        st.text(max_size=5).filter(lambda k: k != "base64"),
+        st.one_of(st.binary(), st.integers(), st.text(), st.lists(st.binary())),
+    )
+)
+def test_json_carries_bytes(value: dict) -> None:
+    assert from_json(to_json(value)) == value
+
+
+def test_json_has_no_nan() -> None:
+    assert json.loads(to_json({"a": float("nan"), "b": (1.5, float("inf"))})) == {"a": None, "b": [1.5, None]}
