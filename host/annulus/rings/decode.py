@@ -1,0 +1,147 @@
+"""Which ring each slit is: colours of both sides, order along the line, and a plausible wall must all agree."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from annulus.geometry.pose import FloatArray
+from annulus.rings.compiled import compiled
+
+UNKNOWN = 255  # a stripe whose colour is not clear: matches any, proves nothing
+NONE = -1  # a slit that is no ring, or could be more than one
+LIKENESS = 0.06  # a colour must be nearer its reference than any other by this much of the cosine
+SKIP = 0.5  # price of leaving a slit out, against 1 for each colour that fits
+RUN = 0.5  # bonus where a slit and the next are a ring and the next: the word grows by one stripe
+MARGIN = 0.1  # a label is given only if every rival reading of the line is worse by this
+
+
+def classify(side: FloatArray, colours: str) -> NDArray[np.uint8]:
+    """(N, 3) BGR light of stripes -> (N,) index into "RGB", or UNKNOWN.
+
+    Each channel the pattern uses is first scaled by its own bright level, which undoes most of what the wall's paint
+    does; then the references move to what this frame's stripes really look like (crosstalk), and a stripe is named
+    after the nearest, if that is clear.
+    """
+    if not len(side):
+        return np.zeros(0, np.uint8)
+    used = ["RGB".index(c) for c in "RGB" if c in colours]
+    light = side[:, ::-1].astype(float)
+    gain = np.percentile(light, 98, axis=0)
+    light = np.where(np.isin(np.arange(3), used), light / np.maximum(gain, 1e-6), 0.0)
+    length = np.linalg.norm(light, axis=1)
+    lit = length > 1e-6
+    unit = light / np.where(lit, length, 1.0)[:, None]
+    reference = np.eye(3)[used]
+    for _ in range(2):
+        name = (unit @ reference.T).argmax(axis=1)
+        for i in range(len(used)):
+            members = lit & (name == i)
+            if np.count_nonzero(members) >= max(8, 0.02 * len(unit)):
+                middle = np.median(unit[members], axis=0)
+                reference[i] = middle / np.linalg.norm(middle)
+    likeness = np.sort(unit @ reference.T, axis=1)
+    name = (unit @ reference.T).argmax(axis=1)
+    clear = lit & ((likeness[:, -1] - likeness[:, -2] > LIKENESS) if len(used) > 1 else lit)
+    return np.where(clear, np.asarray(used)[name], UNKNOWN).astype(np.uint8)
+
+
+def decode(
+    direction: NDArray[np.int64],
+    inside: NDArray[np.uint8],
+    outside: NDArray[np.uint8],
+    deviation: FloatArray,
+    colours: str,
+    tolerance: float,
+) -> NDArray[np.int64]:
+    """Ring of every slit, or NONE.
+
+    Parameters
+    ----------
+    direction : (N,) rising; slits of one direction stand in a run, from the centre outwards.
+    inside, outside : (N,) colour of the stripe on each side, index into "RGB" or UNKNOWN.
+    deviation : (N, K) relative deviation of the wall's radius from the pipe's if slit n were ring k; NaN = cannot be.
+    colours : K + 1 letters from the innermost stripe outwards (a De Bruijn sequence).
+    tolerance : the largest |deviation| of a wall; farther readings are not considered.
+
+    Notes
+    -----
+    Each line is one alignment of its slits with the rings: both in order, any slit may be false and any ring missing.
+    A label is given only where the best alignment beats every alignment that reads that slit as another ring or that
+    ring as another slit; so a tie, such as two slits in one stripe pair, is no label instead of a guess.
+    Alzuhiri 2022, §3.4.2 slides a window of the code's length along the line; this is that, with holes.
+    """
+    pattern = np.array(["RGB".index(c) for c in colours], np.uint8)
+    ring = np.full(len(direction), NONE, np.int64)
+    if len(direction):
+        _align(direction, inside, outside, deviation, pattern, tolerance, ring)
+    return ring
+
+
+@compiled
+def _align(direction, inside, outside, deviation, pattern, tolerance, ring):  # type: ignore[no-untyped-def]
+    rings = len(pattern) - 1
+    most = 0
+    start = 0
+    for n in range(1, len(direction) + 1):
+        if n == len(direction) or direction[n] != direction[start]:
+            most = max(most, n - start)
+            start = n
+    slit = np.empty(most * rings, np.int64)  # the candidates (slit, name) of one line, in order
+    name = np.empty(most * rings, np.int64)
+    own = np.empty(most * rings)
+    ahead = np.empty(most * rings)  # best alignment up to and with this candidate
+    behind = np.empty(most * rings)  # best alignment after it
+    start = 0
+    for n in range(1, len(direction) + 1):
+        if n < len(direction) and direction[n] == direction[start]:
+            continue
+        size = 0
+        for i in range(start, n):
+            for k in range(rings):
+                d = deviation[i, k]
+                if not abs(d) <= tolerance:
+                    continue
+                fit = 0.0
+                if inside[i] == pattern[k]:
+                    fit += 1.0
+                elif inside[i] != UNKNOWN:
+                    continue
+                if outside[i] == pattern[k + 1]:
+                    fit += 1.0
+                elif outside[i] != UNKNOWN:
+                    continue
+                if fit < 0.5:
+                    continue
+                slit[size], name[size] = i, k
+                own[size] = fit + SKIP - (d / tolerance) ** 2
+                size += 1
+        for c in range(size):
+            ahead[c] = 0.0
+            for p in range(c):
+                if slit[p] < slit[c] and name[p] < name[c]:
+                    gain = ahead[p]
+                    if slit[p] + 1 == slit[c] and name[p] + 1 == name[c]:
+                        gain += RUN
+                    ahead[c] = max(ahead[c], gain)
+            ahead[c] += own[c]
+        for c in range(size - 1, -1, -1):
+            behind[c] = 0.0
+            for p in range(c + 1, size):
+                if slit[p] > slit[c] and name[p] > name[c]:
+                    gain = behind[p] + own[p]
+                    if slit[c] + 1 == slit[p] and name[c] + 1 == name[p]:
+                        gain += RUN
+                    behind[c] = max(behind[c], gain)
+        best = 0.0
+        for c in range(size):
+            best = max(best, ahead[c] + behind[c])
+        for c in range(size):
+            total = ahead[c] + behind[c]
+            if total < best - 1e-9 or total <= 0.0:
+                continue
+            alone = True
+            for p in range(size):
+                if p != c and (slit[p] == slit[c] or name[p] == name[c]) and ahead[p] + behind[p] > total - MARGIN:
+                    alone = False
+            if alone:
+                ring[slit[c]] = name[c]
+        start = n

@@ -1,0 +1,101 @@
+"""The image seen along straight lines from the pattern's centre: where each sample lies and which ray it is."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from annulus.geometry.calibration import Calibration
+from annulus.geometry.camera import Camera
+from annulus.geometry.cone import Cone
+from annulus.geometry.pose import FloatArray, Pose
+from annulus.vocabulary import AnnulusError
+
+RAY_STEP_PX = 2  # rays are tabulated this often: linear interpolation between is good to 1e-6 rad
+TILT = math.radians(4.0)  # how far the head may lean and ..
+SHIFT = 0.1  # .. stand off the pipe's axis (of the radius) for its rings to be searched
+DENT, BULGE = 0.75, 1.3  # and how far the wall may be from its radius
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PolarGrid:
+    """Sample (j, i) lies at `centre + (first + i) * (cosine[j], sine[j])`, whole steps of one image pixel.
+
+    Nothing is undistorted: the lens is folded into `rays`, tabulated for every second sample, so that the image is
+    read once, where it is sharp, and a position along a line turns into a ray by interpolation.
+    """
+
+    centre: tuple[float, float]
+    first: float
+    cosine: NDArray[np.float64]  # (J,) direction j runs along (cosine, sine) in image x, y
+    sine: NDArray[np.float64]
+    stop: NDArray[np.int64]  # (J,) samples inside the image and inside what the lens model can invert
+    rays: NDArray[np.float64]  # (J, L / RAY_STEP_PX + 1, 3) unit vectors, camera frame
+    spacing_px: float  # least distance between two neighbouring rings in a clean pipe
+
+
+def polar_grid(calibration: Calibration, directions: int) -> PolarGrid:
+    """Lay the grid where this calibration's rings can appear, for `directions` lines around the pattern's centre."""
+    camera, radius = calibration.camera, calibration.pipe_radius_mm
+    nominal = [ring_pixels(camera, cone, Pose(), radius) for cone in calibration.rings]
+    if not all(np.isfinite(curve).any() for curve in nominal):
+        raise AnnulusError("calibration: a ring of the pattern is nowhere in the image; check pipe.radius_mm and rings")
+    middle = np.array([(np.nanmin(curve, axis=0) + np.nanmax(curve, axis=0)) / 2 for curve in nominal])
+    centre = middle.mean(axis=0)
+    leaning = [
+        Pose(a, b, c, d) for a, b, c, d in np.vstack([np.eye(4), -np.eye(4)]) * [TILT, TILT, *[SHIFT * radius] * 2]
+    ]
+    inner = [ring_pixels(camera, calibration.rings[0], pose, radius) for pose in leaning]
+    inner.append(ring_pixels(camera, calibration.rings[0], Pose(), BULGE * radius))
+    outer = [ring_pixels(camera, calibration.rings[-1], pose, radius) for pose in leaning]
+    outer.append(ring_pixels(camera, calibration.rings[-1], Pose(), DENT * radius))
+    reach = [np.linalg.norm(np.vstack(curves) - centre, axis=1) for curves in (inner, outer)]
+    mean_radii = [float(np.nanmedian(np.linalg.norm(curve - centre, axis=1))) for curve in nominal]
+    spacing = float(np.min(np.diff(mean_radii))) if len(mean_radii) > 1 else mean_radii[0] / 4
+    if spacing < 3.0:
+        raise AnnulusError(f"calibration: rings lie {spacing:.1f} px apart in the image, expected at least 3")
+    first = max(2.0, math.floor(np.nanmin(reach[0]) - spacing))
+    last = math.ceil(np.nanmax(reach[1]) + spacing)
+    phi = np.arange(directions) * (2 * math.pi / directions)
+    cosine, sine = np.cos(phi), np.sin(phi)
+    length = int(np.max(_length_inside(camera, centre, cosine, sine, first, last)))
+    if length < 16:
+        raise AnnulusError("calibration: the pattern's centre lies outside the image; check camera.cx, camera.cy")
+    stop = _length_inside(camera, centre, cosine, sine, first, first + length)
+    nodes = first + np.arange(0, length + 2 * RAY_STEP_PX, RAY_STEP_PX)
+    pixels = centre + nodes[None, :, None] * np.stack([cosine, sine], axis=1)[:, None, :]
+    rays = camera.rays(pixels.reshape(-1, 2)).reshape(directions, len(nodes), 3)
+    bad = ~np.isfinite(rays).all(axis=2)
+    first_bad = np.where(bad.any(axis=1), bad.argmax(axis=1), len(nodes))
+    stop = np.clip(np.minimum(stop, (first_bad - 1) * RAY_STEP_PX), 0, None)
+    return PolarGrid((float(centre[0]), float(centre[1])), first, cosine, sine, stop, np.nan_to_num(rays), spacing)
+
+
+def ring_pixels(camera: Camera, cone: Cone, pose: Pose, radius_mm: float, steps: int = 180) -> FloatArray:
+    """(steps, 2) image positions of one ring on a clean pipe; NaN where the light misses the wall or the camera."""
+    axis = np.asarray(cone.axis)
+    across = np.cross(axis, [0.0, 1.0, 0.0])
+    across /= np.linalg.norm(across)
+    up = np.cross(axis, across)
+    a = np.arange(steps)[:, None] * (2 * math.pi / steps)
+    light = math.cos(cone.half_angle) * axis + math.sin(cone.half_angle) * (np.cos(a) * across + np.sin(a) * up)
+    start, way = pose.to_pipe(np.array([cone.vertex_mm]))[0], light @ pose.rotation
+    qa, qb, qc = (way[:, :2] ** 2).sum(axis=1), way[:, :2] @ start[:2], start[:2] @ start[:2] - radius_mm**2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        s = (-qb + np.sqrt(qb * qb - qa * qc)) / qa
+    pixels = camera.project(pose.to_camera(start + np.where(s > 0, s, np.nan)[:, None] * way))
+    inside = (pixels >= 0).all(axis=1) & (pixels <= [camera.width - 1, camera.height - 1]).all(axis=1)
+    return np.where(inside[:, None], pixels, np.nan)
+
+
+def _length_inside(
+    camera: Camera, centre: FloatArray, cosine: FloatArray, sine: FloatArray, first: float, last: float
+) -> NDArray[np.int64]:
+    """(J,) how many whole steps from `first` stay a pixel inside the image, at most to `last`."""
+    reach = np.full(len(cosine), last)
+    for way, at, size in ((cosine, centre[0], camera.width), (sine, centre[1], camera.height)):
+        with np.errstate(divide="ignore"):
+            edge = np.where(way > 0, size - 2.0 - at, 1.0 - at) / np.where(np.abs(way) > 1e-12, way, np.nan)
+        reach = np.fmin(reach, edge)
+    return np.maximum(np.floor(reach - first), 0).astype(np.int64)

@@ -1,0 +1,136 @@
+"""Where the pipe is, from points on its wall that may be dented, holed or wrong."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from annulus.geometry.pose import FloatArray, Pose
+from annulus.rings.compiled import compiled
+
+CAUCHY = 2.385  # 95 % efficient on clean normal errors
+KEEP = 3.0  # trimmed least squares keeps residuals within this many sigma
+LEAST_POINTS = 40
+LEAST_TURN = 0.4  # of the way round must have points, or a circle is a guess
+WORST_SPREAD = 0.05  # of the radius; beyond it this is no pipe of that radius
+LEAST_KEPT = 0.4  # part of the points that must lie on the cylinder
+
+
+def fit_pose(
+    points_mm: FloatArray, radius_mm: float, sigma_mm: FloatArray, seed: Pose | None = None
+) -> tuple[Pose, float] | None:
+    """Pose of the pipe of known radius, and the robust spread (mm) of the points about it.
+
+    Parameters
+    ----------
+    points_mm : (N, 3) camera frame, finite. sigma_mm : (N,) each point's expected radial error, as weight.
+    seed : first guess, such as the previous frame's pose; aligned with the camera when not given.
+
+    Returns
+    -------
+    None where the points do not make a pipe: too few, not round enough the way, or spread too far.
+
+    Notes
+    -----
+    Minimises (r - R) with R known (Alzuhiri 2022, Eq. 4.8, free in rx, ry, tx, ty), Cauchy loss whose scale shrinks
+    with the residuals, then least squares on what lies within 3 sigma: a quadric (§3.4.3) turns by 90 degrees on a
+    hole, this does not notice it. Should a seed lead nowhere, the fit starts again without.
+    """
+    if len(points_mm) < LEAST_POINTS:
+        return None
+    points = np.ascontiguousarray(points_mm, dtype=float)
+    weight = 1.0 / np.maximum(sigma_mm, 1e-6) ** 2
+    weight /= weight.mean()
+    for first in (seed, Pose()) if seed is not None else (Pose(),):
+        found = _descend(points, weight, radius_mm, first)
+        if found is not None:
+            return found
+    return None
+
+
+def _descend(points: FloatArray, weight: FloatArray, radius: float, first: Pose) -> tuple[Pose, float] | None:
+    x = np.array([first.rx, first.ry, first.tx, first.ty])
+    residual = np.empty(len(points))
+    _radii(points, x, residual)
+    scale = _spread(residual - radius)
+    for _ in range(30):
+        step, cost = _step(points, weight, x, radius, CAUCHY * max(scale, 1e-4 * radius), False)
+        x = x + step
+        _radii(points, x, residual)
+        scale = _spread(residual - radius)
+        if np.abs(step[:2]).max() < 2e-6 and np.abs(step[2:]).max() < 2e-6 * radius:
+            break
+    for _ in range(3):
+        step, cost = _step(points, weight, x, radius, KEEP * max(scale, 1e-4 * radius), True)
+        x = x + step
+    _radii(points, x, residual)
+    error = residual - radius
+    scale = _spread(error)
+    kept = np.abs(error) < KEEP * max(scale, 1e-3 * radius)
+    if not np.isfinite(x).all() or np.abs(x[:2]).max() > 0.8 or np.hypot(x[2], x[3]) > 0.8 * radius:
+        return None
+    pose = Pose(*(float(v) for v in x))
+    wall = pose.to_pipe(points[kept])
+    turn = np.bincount((np.arctan2(wall[:, 1], wall[:, 0]) * (18 / math.pi)).astype(int) % 36, minlength=36)
+    if kept.mean() < LEAST_KEPT or scale > WORST_SPREAD * radius or np.count_nonzero(turn) < LEAST_TURN * 36:
+        return None
+    return pose, scale
+
+
+def _spread(error: FloatArray) -> float:
+    return 1.4826 * float(np.median(np.abs(error)))
+
+
+def _step(
+    points: FloatArray, weight: FloatArray, x: FloatArray, radius: float, scale: float, trimmed: bool
+) -> tuple[NDArray[np.float64], float]:
+    normal, right = np.zeros((4, 4)), np.zeros(4)
+    cost = _normal(points, weight, x, radius, scale, trimmed, normal, right)
+    size = np.array([1.0, 1.0, radius, radius])  # angles and lengths alike
+    normal = normal * size[:, None] * size + 1e-9 * np.trace(normal * size[:, None] * size) * np.eye(4)
+    return -np.linalg.solve(normal, right * size) * size, float(cost)
+
+
+@compiled
+def _radii(points, x, out):  # type: ignore[no-untyped-def]
+    ca, sa, cb, sb = math.cos(x[0]), math.sin(x[0]), math.cos(x[1]), math.sin(x[1])
+    for n in range(len(points)):
+        px, py, pz = points[n, 0] - x[2], points[n, 1] - x[3], points[n, 2]
+        u = cb * px + sb * (sa * py - ca * pz)
+        v = ca * py + sa * pz
+        out[n] = math.sqrt(u * u + v * v)
+
+
+@compiled
+def _normal(points, weight, x, radius, scale, trimmed, normal, right):  # type: ignore[no-untyped-def]
+    """Normal equations of r - R about x, weighted; R = Rx(rx) Ry(ry), q = R^T (p - T), r = |q_xy|."""
+    ca, sa, cb, sb = math.cos(x[0]), math.sin(x[0]), math.cos(x[1]), math.sin(x[1])
+    cost = 0.0
+    grad = np.empty(4)
+    for n in range(len(points)):
+        px, py, pz = points[n, 0] - x[2], points[n, 1] - x[3], points[n, 2]
+        turned = sa * py - ca * pz
+        u = cb * px + sb * turned
+        v = ca * py + sa * pz
+        r = math.sqrt(u * u + v * v)
+        if r < 1e-9:
+            continue
+        e = r - radius
+        if trimmed:
+            if abs(e) > scale:
+                continue
+            w = weight[n]
+            cost += w * e * e
+        else:
+            w = weight[n] / (1.0 + (e / scale) ** 2)
+            cost += weight[n] * math.log1p((e / scale) ** 2)
+        cu, cv = u / r, v / r
+        grad[0] = cu * sb * (ca * py + sa * pz) + cv * (ca * pz - sa * py)
+        grad[1] = cu * (cb * turned - sb * px)
+        grad[2] = -cu * cb
+        grad[3] = -cu * sb * sa - cv * ca
+        for i in range(4):
+            right[i] += w * grad[i] * e
+            for k in range(4):
+                normal[i, k] += w * grad[i] * grad[k]
+    return cost

@@ -1,0 +1,175 @@
+"""From one projector frame to the wall: the method, end to end."""
+
+import math
+import time
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from annulus.geometry.calibration import Calibration
+from annulus.geometry.pose import FloatArray, Pose
+from annulus.rings.compiled import compiled
+from annulus.rings.decode import NONE, UNKNOWN, classify, decode
+from annulus.rings.polar import polar_grid
+from annulus.rings.pose import fit_pose
+from annulus.rings.profile import Profile
+from annulus.rings.slits import find_slits
+from annulus.rings.triangulate import ring_optics, triangulate
+from annulus.vocabulary import AnnulusError
+
+FIRST_TOLERANCE = 0.45  # of the radius: the head's lean and stand-off are still in the deviation
+WALL_TOLERANCE = 0.3  # and now they are not
+NARROW, WIDE = 0.55, 1.7  # of the frame's usual width of that ring: a shadow's edge is no slit
+NEIGHBOURS = 4  # a point needs company among so many directions on each side ..
+COMPANY = 3  # .. of so many points of its ring ..
+STEP_PX = 1.5  # .. within this many pixels' worth of radius and ..
+STEP = 0.01  # .. this part of the pipe's radius
+
+
+class Reconstructor:
+    """Holds what one calibration fixes (grid, rays, optics), so that frames cost only their own pixels.
+
+    >>> reconstructor = Reconstructor(calibration)
+    >>> profile = reconstructor.profile(image_bgr, frame=17, z_mm=40.8, seed=last.pose)
+    """
+
+    def __init__(self, calibration: Calibration, directions: int = 720) -> None:
+        if not 36 <= directions <= 4096:
+            raise AnnulusError(f"{directions} polar directions, expected 36..4096")
+        self.calibration = calibration
+        self.directions = directions
+        self._grid = polar_grid(calibration, directions)
+        self._optics = ring_optics(calibration, self._grid)
+
+    def profile(
+        self,
+        image_bgr: NDArray[np.uint8],
+        *,
+        frame: int,
+        z_mm: float,
+        seed: Pose | None = None,
+        clock: Callable[[], float] = time.perf_counter,
+    ) -> Profile:
+        """The wall's points in one projector frame.
+
+        Parameters
+        ----------
+        image_bgr : (H, W, 3) uint8, of the calibration's size. z_mm : the frame's station, added to the points' z.
+        seed : pose of a frame nearby, saves iterations; a wrong one does no harm.
+
+        Raises
+        ------
+        AnnulusError where the image is not of the calibration's size. A frame without a pipe in it is no error: its
+        profile has no pose and no points, and `rejected` says why.
+        """
+        camera = self.calibration.camera
+        if image_bgr.shape != (camera.height, camera.width, 3) or image_bgr.dtype != np.uint8:
+            raise AnnulusError(
+                f"frame {frame}: image is {_size(image_bgr)} but the calibration's camera is "
+                f"{camera.width}x{camera.height}, 8 bit colour. Calibrate with the camera that took this scan."
+            )
+        pipe, colours = self.calibration.pipe_radius_mm, self.calibration.colours
+        marks = [("", clock())]
+        slits = find_slits(image_bgr, self._grid)
+        marks.append(("slits", clock()))
+        both = classify(np.vstack([slits.inside, slits.outside]), colours)
+        inside, outside = both[: len(slits.position)], both[len(slits.position) :]
+        marks.append(("colours", clock()))
+        points = triangulate(slits, self._grid, self._optics)
+        marks.append(("triangulate", clock()))
+
+        def read(pose: Pose, tolerance: float) -> NDArray[np.int64]:
+            deviation = _radii(points, pose) / pipe - 1.0
+            return decode(slits.direction, inside, outside, deviation, colours, tolerance)
+
+        rejected = {"crowded": slits.crowded}
+        ring = read(seed or Pose(), FIRST_TOLERANCE)
+        marks.append(("decode", clock()))
+        fitted = self._fit(points, ring, seed)
+        marks.append(("pose", clock()))
+        if fitted is None:
+            rejected["no pipe"] = len(ring)
+            empty = np.zeros(0, np.uint8)
+            return Profile(
+                frame, z_mm, None, np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8), empty,
+                empty.astype(np.uint16), math.nan, rejected, _spans(marks),
+            )  # fmt: skip
+        # Read again where the wall now is, and fit what that leaves.
+        ring = read(fitted[0], WALL_TOLERANCE)
+        marks.append(("decode", clock()))
+        rejected["colour"] = int(np.count_nonzero((inside == UNKNOWN) | (outside == UNKNOWN)))
+        rejected["no ring"] = int(np.count_nonzero(ring == NONE))
+        ring, rejected["width"] = _width_gate(ring, slits.width, len(self._optics.cones))
+        ring, rejected["alone"] = self._company_gate(slits.direction, points, ring, fitted[0])
+        marks.append(("gates", clock()))
+        pose, spread = self._fit(points, ring, fitted[0]) or fitted
+        marks.append(("pose", clock()))
+        kept = np.flatnonzero(ring != NONE)
+        wall = pose.to_pipe(points[kept, ring[kept]], z_mm)
+        light = np.clip((slits.inside[kept] + slits.outside[kept])[:, ::-1] / 2, 0, 255)
+        marks.append(("points", clock()))
+        return Profile(
+            frame, z_mm, pose, wall.astype(np.float32), light.astype(np.uint8), ring[kept].astype(np.uint8),
+            slits.direction[kept].astype(np.uint16), spread, rejected, _spans(marks),
+        )  # fmt: skip
+
+    def _fit(self, points: FloatArray, ring: NDArray[np.int64], seed: Pose | None) -> tuple[Pose, float] | None:
+        kept = np.flatnonzero(ring != NONE)
+        sigma = np.hypot(0.1 * self._optics.mm_per_px, 0.0005 * self.calibration.pipe_radius_mm)
+        return fit_pose(points[kept, ring[kept]], self.calibration.pipe_radius_mm, sigma[ring[kept]], seed)
+
+    def _company_gate(
+        self, direction: NDArray[np.int64], points: FloatArray, ring: NDArray[np.int64], pose: Pose
+    ) -> tuple[NDArray[np.int64], int]:
+        kept = np.flatnonzero(ring != NONE)
+        wall = pose.to_pipe(points[kept, ring[kept]])
+        radius = np.full((len(self._optics.cones), self.directions), np.nan)
+        radius[ring[kept], direction[kept]] = np.hypot(wall[:, 0], wall[:, 1])
+        step = STEP * self.calibration.pipe_radius_mm + STEP_PX * self._optics.mm_per_px
+        good = _company(radius, step, NEIGHBOURS, COMPANY)[ring[kept], direction[kept]]
+        out = np.full_like(ring, NONE)
+        out[kept[good]] = ring[kept[good]]
+        return out, int(np.count_nonzero(~good))
+
+
+def _width_gate(ring: NDArray[np.int64], width: FloatArray, rings: int) -> tuple[NDArray[np.int64], int]:
+    out = ring.copy()
+    for k in range(rings):
+        mine = ring == k
+        if mine.any():
+            usual = np.median(width[mine])
+            out[mine & ((width < NARROW * usual) | (width > WIDE * usual))] = NONE
+    return out, int(np.count_nonzero(out != ring))
+
+
+def _radii(points: FloatArray, pose: Pose) -> FloatArray:
+    turned = (points - pose.translation) @ pose.rotation[:, :2]
+    return np.asarray(np.sqrt(turned[..., 0] ** 2 + turned[..., 1] ** 2))
+
+
+def _spans(marks: list[tuple[str, float]]) -> dict[str, float]:
+    spans: dict[str, float] = {}
+    for (_, before), (name, after) in zip(marks, marks[1:], strict=False):
+        spans[name] = spans.get(name, 0.0) + 1e3 * (after - before)
+    spans["total"] = 1e3 * (marks[-1][1] - marks[0][1])
+    return spans
+
+
+def _size(image: NDArray[np.uint8]) -> str:
+    return f"{image.shape[1]}x{image.shape[0]}" if image.ndim >= 2 else f"an array of shape {image.shape}"
+
+
+@compiled
+def _company(radius, step, reach, least):  # type: ignore[no-untyped-def]
+    """(K, J) bool: has at least `least` neighbours of its own ring at nearly its radius."""
+    rings, directions = radius.shape
+    good = np.zeros((rings, directions), np.bool_)
+    for k in range(rings):
+        for j in range(directions):
+            count = 0
+            for d in range(-reach, reach + 1):
+                if d != 0 and abs(radius[k, (j + d) % directions] - radius[k, j]) <= step[k]:
+                    count += 1
+            good[k, j] = count >= least
+    return good

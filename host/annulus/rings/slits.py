@@ -1,0 +1,211 @@
+"""Dark slits along every polar line, to a fraction of a pixel, with the light on both sides of each."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from annulus.rings.compiled import compiled
+from annulus.rings.polar import PolarGrid
+
+PER_LINE = 48  # slits kept of one line; a wall that shows more is not a wall
+FALL = 0.72  # a slit is darker than this part of what lies before it ..
+RISE = 0.35  # .. and the light must come back by this part of the fall
+FAINT = 0.03  # stripes dimmer than this part of the frame's bright level are darkness
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Slits:
+    """What was found, sorted by direction, then outwards. Positions in samples of the grid's lines."""
+
+    direction: NDArray[np.int64]  # (N,)
+    position: NDArray[np.float64]  # (N,) halfway between the two edges
+    width: NDArray[np.float64]  # (N,) between the edges
+    inside: NDArray[np.float64]  # (N, 3) BGR of the stripe on the inner side, the slit's own darkness taken off
+    outside: NDArray[np.float64]  # (N, 3)
+    crowded: int  # slits left out because a line had more than PER_LINE
+
+
+def find_slits(image: NDArray[np.uint8], grid: PolarGrid) -> Slits:
+    """Slits of one BGR frame (H, W, 3).
+
+    Each edge is the steepest place of max(B, G, R) between a slit's bottom and its stripe, so neither the stripes'
+    unequal brightness nor their slope moves it (raw luma does, by up to a millimetre). Thresholds are parts of the
+    light beside the slit and of the frame's own bright level and noise.
+    """
+    # a smoothing that stripes of the densest ring survive
+    sigma = min(1.2, max(0.6, grid.spacing_px / 16.0))
+    taps = np.exp(-0.5 * (np.arange(5) / sigma) ** 2)
+    taps = (taps / (taps[0] + 2 * taps[1:].sum())).astype(np.float32)
+    bright, noise = _level(image, grid)
+    floor = max(FAINT * bright, 4.0 * noise, 2.0)
+    out = np.empty((len(grid.cosine) * PER_LINE, 10), np.float32)
+    n, crowded = _scan(
+        np.ascontiguousarray(image).reshape(-1), image.shape[1] * 3, grid.centre[0], grid.centre[1], grid.first,
+        grid.cosine, grid.sine, grid.stop, taps, np.float32(floor), np.float32(grid.spacing_px), out,
+    )  # fmt: skip
+    found = out[:n].astype(np.float64)
+    return Slits(found[:, 0].astype(np.int64), found[:, 1], found[:, 2], found[:, 3:6], found[:, 6:9], int(crowded))
+
+
+def _level(image: NDArray[np.uint8], grid: PolarGrid) -> tuple[float, float]:
+    """The frame's bright level and noise in grey levels, from every 16th line and every third sample along it."""
+    i = np.arange(0, int(grid.stop.max()), 3)
+    lines = slice(None, None, 16)
+    r = grid.first + i
+    x = (grid.centre[0] + r * grid.cosine[lines, None]).astype(np.int64)
+    y = (grid.centre[1] + r * grid.sine[lines, None]).astype(np.int64)
+    ok = i < grid.stop[lines, None]
+    values = image[y[ok], x[ok]].max(axis=1).astype(np.float32)
+    if values.size == 0:
+        return 0.0, 0.0
+    beside = image[y[ok], x[ok] + 1].max(axis=1).astype(np.float32)
+    dim = values <= np.percentile(values, 50)  # half the samples or more are dark or plain stripe
+    noise = 1.4826 / math.sqrt(2) * float(np.median(np.abs(values - beside)[dim])) if dim.any() else 0.0
+    return float(np.percentile(values, 95)), noise
+
+
+@compiled
+def _scan(image, stride, cx, cy, first, cosine, sine, stop, taps, floor, spacing, out):  # type: ignore[no-untyped-def]
+    longest = 0
+    for j in range(len(stop)):
+        longest = max(longest, stop[j])
+    colour = np.empty((3, longest), np.float32)
+    top = np.empty(longest, np.float32)
+    smooth = np.zeros(longest, np.float32)
+    slope = np.zeros(longest, np.float32)
+    low = np.empty(PER_LINE + 1, np.int64)  # bottoms and the stripes' tops between them: high[k] low[k] high[k + 1]
+    high = np.empty(PER_LINE + 2, np.int64)
+    n = 0
+    crowded = 0
+    for j in range(len(stop)):
+        length = stop[j]
+        if length < 16:
+            continue
+        dx, dy = np.float32(cosine[j]), np.float32(sine[j])
+        x0, y0 = np.float32(cx + first * cosine[j]), np.float32(cy + first * sine[j])
+        for i in range(length):
+            x = x0 + np.float32(i) * dx
+            y = y0 + np.float32(i) * dy
+            ix, iy = np.int32(x), np.int32(y)
+            fx, fy = x - np.float32(ix), y - np.float32(iy)
+            at = np.uint64(iy * stride + 3 * ix)
+            under = at + np.uint64(stride)
+            w11 = fx * fy
+            w10 = fy - w11
+            w01 = fx - w11
+            w00 = np.float32(1.0) - fx - w10
+            b = (
+                w00 * image[at]
+                + w01 * image[at + np.uint64(3)]
+                + w10 * image[under]
+                + w11 * image[under + np.uint64(3)]
+            )
+            g = (
+                w00 * image[at + np.uint64(1)] + w01 * image[at + np.uint64(4)]
+                + w10 * image[under + np.uint64(1)] + w11 * image[under + np.uint64(4)]
+            )  # fmt: skip
+            r = (
+                w00 * image[at + np.uint64(2)] + w01 * image[at + np.uint64(5)]
+                + w10 * image[under + np.uint64(2)] + w11 * image[under + np.uint64(5)]
+            )  # fmt: skip
+            colour[0, i] = b
+            colour[1, i] = g
+            colour[2, i] = r
+            top[i] = max(b, max(g, r))
+        for i in range(4, length - 4):
+            smooth[i] = (
+                taps[0] * top[i] + taps[1] * (top[i - 1] + top[i + 1]) + taps[2] * (top[i - 2] + top[i + 2])
+                + taps[3] * (top[i - 3] + top[i + 3]) + taps[4] * (top[i - 4] + top[i + 4])
+            )  # fmt: skip
+        for i in range(5, length - 5):
+            slope[i] = smooth[i + 1] - smooth[i - 1]
+
+        # Alternate tops and bottoms: one is confirmed when the next has clearly begun.
+        k = 0
+        rising = True
+        high[0] = 5
+        best = 5
+        for i in range(6, length - 5):
+            s = smooth[i]
+            if rising:
+                if s > smooth[best]:
+                    best = i
+                elif smooth[best] > floor and s < FALL * smooth[best] and smooth[best] - s > np.float32(0.5) * floor:
+                    high[k] = best
+                    rising = False
+                    best = i
+            elif s < smooth[best]:
+                best = i
+            elif (
+                s - smooth[best] > RISE * (smooth[high[k]] - smooth[best])
+                and s - smooth[best] > np.float32(0.5) * floor
+                and s > floor
+            ):
+                if k == PER_LINE:
+                    crowded += 1
+                    break
+                low[k] = best
+                k += 1
+                rising = True
+                best = i
+        if rising:
+            high[k] = best
+        else:  # the last fall is the pattern's outer end
+            pass
+
+        for q in range(k):
+            # steepest fall before the bottom, steepest rise after it
+            bottom = low[q]
+            a = bottom
+            for i in range(bottom, high[q] - 1, -1):
+                if slope[i] < slope[a]:
+                    a = i
+            last = high[q + 1] if q + 1 < k or rising else length - 6
+            e = bottom
+            for i in range(bottom, last + 1):
+                if slope[i] > slope[e]:
+                    e = i
+            if a < 6 or e > length - 7 or e <= a:
+                continue
+            left = _extremum(slope[a - 1], slope[a], slope[a + 1]) + a
+            right = _extremum(slope[e - 1], slope[e], slope[e + 1]) + e
+            out[n, 0] = j
+            out[n, 1] = np.float32(0.5) * (left + right)
+            out[n, 2] = right - left
+            # the stripes' light just beyond the edges, but not beyond half way to the next slit
+            blur = np.float32(1.5)
+            reach = max(np.float32(2.0), np.float32(0.12) * spacing)
+            before = low[q - 1] if q > 0 else 0
+            after = low[q + 1] if q + 1 < k else length - 1
+            a1 = np.int64(left - blur)
+            a0 = max(np.int64(left - blur - reach), (a1 + before) // 2)
+            e0 = np.int64(right + blur) + 1
+            e1 = min(np.int64(right + blur + reach) + 1, (e0 + after) // 2)
+            for c in range(3):
+                dark = min(
+                    colour[c, bottom], min(colour[c, max(bottom - 1, 0)], colour[c, min(bottom + 1, length - 1)])
+                )
+                out[n, 3 + c] = max(_mean(colour[c], a0, a1) - dark, np.float32(0.0))
+                out[n, 6 + c] = max(_mean(colour[c], e0, e1) - dark, np.float32(0.0))
+            n += 1
+    return n, crowded
+
+
+@compiled
+def _extremum(before, at, after):  # type: ignore[no-untyped-def]
+    """Offset of the top of the parabola through three samples, within half a sample."""
+    bend = before - 2 * at + after
+    if bend == 0:
+        return np.float32(0.0)
+    return min(max(np.float32(0.5) * (before - after) / bend, np.float32(-0.5)), np.float32(0.5))
+
+
+@compiled
+def _mean(values, start, stop):  # type: ignore[no-untyped-def]
+    start, stop = max(start, 0), min(max(stop, start), len(values) - 1)
+    total = np.float32(0.0)
+    for i in range(start, stop + 1):
+        total += values[i]
+    return total / np.float32(stop + 1 - start)

@@ -1,0 +1,135 @@
+"""From slits to points: each slit's ray meets the cone of every ring it might be."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from annulus.geometry.calibration import Calibration
+from annulus.geometry.cone import intersect_cylinder
+from annulus.geometry.pose import FloatArray, Pose
+from annulus.rings.compiled import compiled
+from annulus.rings.polar import RAY_STEP_PX, PolarGrid, ring_pixels
+from annulus.rings.slits import Slits
+
+GRAZING = 0.02  # sine of the least angle between ray and cone that still makes a point
+PROBE_PX = 4.0  # step of the finite differences along a line
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RingOptics:
+    """What a clean pipe says of each ring in each direction, once per calibration."""
+
+    cones: FloatArray  # (K, 7) vertex, axis, half-angle
+    bend: FloatArray  # (K, J) 1/px, see `ring_optics`
+    mm_per_px: FloatArray  # (K,) how far the wall's radius moves with one pixel along a line
+
+
+def ring_optics(calibration: Calibration, grid: PolarGrid) -> RingOptics:
+    """Tabulate the rings' optics.
+
+    A slit's cone lies at the middle of its two edges' *angles*, which is not the middle of their pixels: on a wall
+    the angle t(p) bends along the line, and the true place is `(p1 + p2)/2 + t''/t' (p2 - p1)^2 / 8`, from
+    expanding t about the middle. `bend` is that t''/t' (0.08 px on the innermost ring of an 8 px slit).
+    """
+    pipe = calibration.pipe_radius_mm
+    directions = len(grid.cosine)
+    lines = np.arange(directions)
+    cones = np.array([[*c.vertex_mm, *c.axis, c.half_angle] for c in calibration.rings])
+    bend = np.zeros((len(cones), directions))
+    slope_mm = np.zeros(len(cones))
+    for k, cone in enumerate(calibration.rings):
+        pixels = ring_pixels(calibration.camera, cone, Pose(), pipe)
+        pixels = pixels[np.isfinite(pixels).all(axis=1)] - grid.centre
+        order = np.argsort(np.arctan2(pixels[:, 1], pixels[:, 0]) % (2 * math.pi))
+        turn = (np.arctan2(pixels[:, 1], pixels[:, 0]) % (2 * math.pi))[order]
+        far = np.linalg.norm(pixels, axis=1)[order]
+        at = np.interp(np.arctan2(grid.sine, grid.cosine), turn, far, period=2 * math.pi) - grid.first
+        angles = []
+        for step in (-PROBE_PX, 0.0, PROBE_PX):
+            wall = intersect_cylinder(_rays(grid, lines, at + step), np.zeros(3), np.array([0.0, 0.0, 1.0]), pipe)
+            v = wall - np.asarray(cone.vertex_mm)
+            angles.append(np.arctan2(np.linalg.norm(np.cross(v, cone.axis), axis=1), v @ np.asarray(cone.axis)))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            second = (angles[2] - 2 * angles[1] + angles[0]) / PROBE_PX**2
+            bend[k] = np.nan_to_num(second / ((angles[2] - angles[0]) / (2 * PROBE_PX)), posinf=0.0, neginf=0.0)
+        ends = np.stack([meet_rings(_rays(grid, lines, at + step), cones[k : k + 1])[:, 0] for step in (-1.0, 1.0)])
+        slope_mm[k] = np.nanmedian(np.abs(np.diff(np.linalg.norm(ends[..., :2], axis=2), axis=0))) / 2
+    return RingOptics(cones, bend, np.nan_to_num(slope_mm, nan=float(np.nanmax(slope_mm))))
+
+
+def triangulate(slits: Slits, grid: PolarGrid, optics: RingOptics) -> NDArray[np.float64]:
+    """(N, K, 3) mm, camera frame: where slit n lies if it is ring k; NaN where ray and cone do not meet."""
+    out = np.empty((len(slits.position), len(optics.cones), 3))
+    if len(slits.position):
+        usual = float(np.median(slits.width))
+        width = np.minimum(slits.width, 1.3 * usual)  # a slit in a shadow's edge must not shift itself
+        _all_rings(slits.direction, slits.position, width, grid.rays, RAY_STEP_PX, optics.cones, optics.bend, out)
+    return out
+
+
+def meet_rings(rays: FloatArray, cones: FloatArray) -> FloatArray:
+    """(N, 3) unit rays from the camera, (K, 7) cones -> (N, K, 3) points; the same roots as geometry.cone."""
+    out = np.empty((len(rays), len(cones), 3))
+    for n in range(len(rays)):
+        for k in range(len(cones)):
+            _meet(rays[n, 0], rays[n, 1], rays[n, 2], cones[k], math.cos(cones[k, 6]) ** 2, out[n, k])
+    return out
+
+
+def _rays(grid: PolarGrid, direction: NDArray[np.int64], position: FloatArray) -> FloatArray:
+    node = np.clip(position / RAY_STEP_PX, 0, grid.rays.shape[1] - 2)
+    i = node.astype(np.int64)
+    part = (node - i)[:, None]
+    rays = (1 - part) * grid.rays[direction, i] + part * grid.rays[direction, i + 1]
+    with np.errstate(invalid="ignore"):
+        return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
+
+
+@compiled
+def _all_rings(direction, position, width, rays, step, cones, bend, out):  # type: ignore[no-untyped-def]
+    squares = np.cos(cones[:, 6]) ** 2
+    for n in range(len(position)):
+        j = direction[n]
+        for k in range(len(cones)):
+            at = (position[n] + bend[k, j] * width[n] * width[n] / 8.0) / step
+            i = min(max(int(at), 0), rays.shape[1] - 2)
+            part = at - i
+            x = rays[j, i, 0] + part * (rays[j, i + 1, 0] - rays[j, i, 0])
+            y = rays[j, i, 1] + part * (rays[j, i + 1, 1] - rays[j, i, 1])
+            z = rays[j, i, 2] + part * (rays[j, i + 1, 2] - rays[j, i, 2])
+            scale = 1.0 / math.sqrt(x * x + y * y + z * z)
+            _meet(x * scale, y * scale, z * scale, cones[k], squares[k], out[n, k])
+
+
+@compiled
+def _meet(x, y, z, cone, cos2, out):  # type: ignore[no-untyped-def]
+    """Ray from the camera's centre and cone: Alzuhiri 2022, App. A.2; of two forward roots the farther, §5.2."""
+    out[0] = out[1] = out[2] = np.nan
+    vx, vy, vz, ax, ay, az = cone[0], cone[1], cone[2], cone[3], cone[4], cone[5]
+    along = x * ax + y * ay + z * az
+    va = -(vx * ax + vy * ay + vz * az)
+    wv = -(x * vx + y * vy + z * vz)
+    vv = vx * vx + vy * vy + vz * vz
+    a = along * along - cos2
+    b = 2.0 * (along * va - wv * cos2)
+    c = va * va - vv * cos2
+    inside = b * b - 4.0 * a * c
+    if inside <= 0.0:
+        return
+    delta = math.sqrt(inside)
+    if delta < GRAZING * math.sqrt(vv):
+        return
+    q = -0.5 * (b + math.copysign(delta, b))
+    best = 0.0
+    if a != 0.0:
+        s = q / a
+        if s > best and va + s * along > 0.0:
+            best = s
+    if q != 0.0:
+        s = c / q
+        if s > best and va + s * along > 0.0:
+            best = s
+    if best > 0.0:
+        out[0], out[1], out[2] = best * x, best * y, best * z
