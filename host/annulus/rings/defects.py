@@ -48,7 +48,7 @@ class Defect:
     """One line of the defect list. Positions are the middle of the extent; angles clockwise from 12 o'clock.
 
     depth_mm is never negative: how far the wall departs outwards (loss) or inwards (bump); for ovality the greater
-    departure of a diameter from the mean diameter. clock_deg of an ovality is its long axis (the other end is opposite).
+    departure of a diameter from the mean diameter. clock_deg of an ovality is its long axis.
     """
 
     kind: Kind
@@ -160,7 +160,7 @@ def _places(
     """Cells of every place of one sign: grown from its core, joined over shadows, split at saddles, large enough."""
     mask = height > rim
     core = mask & (height > seed)
-    joined, n = label_around(_grow(mask, unseen, cell, radius, limits))
+    joined, _ = label_around(_grow(mask, unseen, cell, radius, limits))
     out: list[BoolArray] = []
     for i in np.unique(joined[core]):
         if i == 0:
@@ -310,7 +310,7 @@ def _measure(
 ) -> Defect:
     rows = np.flatnonzero(whole.any(axis=1))
     z0, z1 = wall.z_mm[rows[0]] - wall.z_step_mm / 2, wall.z_mm[rows[-1]] + wall.z_step_mm / 2
-    start, arc = _arc(whole.any(axis=0), wall.clock_step_deg)
+    start, arc = _arc(np.asarray(whole.any(axis=0)), wall.clock_step_deg)
     values = height[place]
     depth = float(np.percentile(values, 98)) if len(values) >= 50 else float(np.sort(values)[-2:].mean())
     area = np.count_nonzero(whole) * cell[0] * cell[1]
@@ -319,7 +319,7 @@ def _measure(
 
 
 def _arc(columns: BoolArray, step_deg: float) -> tuple[float, float]:
-    """Where the smallest arc that holds all marked columns starts (deg), and its length: the circle less its widest gap."""
+    """Start and length (deg) of the smallest arc that holds all marked columns: the circle less its widest gap."""
     marked = np.flatnonzero(columns)
     gaps = np.diff(np.append(marked, marked[0] + len(columns)))
     widest = int(np.argmax(gaps))
@@ -328,7 +328,7 @@ def _arc(columns: BoolArray, step_deg: float) -> tuple[float, float]:
 
 
 def _oval_stretches(wall: Wall, limits: Limits) -> list[Defect]:
-    """Stretches whose fitted shape exceeds the limit; they reach as far as 70 % of it, and short ones are passed over."""
+    """Stretches whose fitted shape exceeds the limit, as far as it exceeds 70 % of it; short ones are passed over."""
     percent = shape_ovality(wall)
     label, n = ndimage.label(percent > 0.7 * limits.ovality_percent)
     out = []

@@ -70,7 +70,7 @@ def measure_stations(wall: Wall, station_mm: float = STATION_MM) -> Stations:
 
 
 def _column_median(rows: Float32Array) -> FloatArray:
-    """(A,) median down the slice and over each column's two neighbours, around the clock; NaN where nothing was seen."""
+    """(A,) median down the slice and over each column's two neighbours, round the clock; NaN where not seen."""
     stack = np.concatenate([np.roll(rows, shift, axis=1) for shift in (-1, 0, 1)]).astype(float)
     stack.sort(axis=0)
     n = np.isfinite(stack).sum(axis=0)

@@ -1,4 +1,4 @@
-"""The wall from all profiles: a grid of radii over clock angle and distance, and the pipe's own shape under its defects.
+"""The wall from all profiles: a grid of radii over clock angle and distance, and the pipe's shape under its defects.
 
 Grid rows are stations along the pipe, columns are clock angles (0 = 12 o'clock, clockwise looking forward). A cell
 nobody saw is NaN, for ever: the only cells filled in lie between two measured ones no farther apart than the sampling.
@@ -126,8 +126,8 @@ def build_wall(profiles: Sequence[Profile], *, z_step_mm: float | None = None) -
     if not len(ends):
         raise AnnulusError(f"no wall: {len(points)} points are too few to make one station of the pipe")
     grid, count = grid[ends[0] : ends[-1] + 1], count[ends[0] : ends[-1] + 1]
-    z_rows = (np.arange(first + ends[0], first + ends[-1] + 1) + 0.5) * step
-    clock_columns = (np.arange(columns) + 0.5) * ANGLE_STEP_DEG
+    z_rows = np.asarray((np.arange(first + ends[0], first + ends[-1] + 1) + 0.5) * step, dtype=np.float64)
+    clock_columns = np.asarray((np.arange(columns) + 0.5) * ANGLE_STEP_DEG, dtype=np.float64)
 
     grid = _bridge(grid.T, 2.5, wrap=True).T
     grid = _bridge(grid, _sampling_gap(used, step, float(np.median(radius))) / step, wrap=False)
@@ -181,7 +181,7 @@ def _cell_medians(
 
 
 def _supported(grid: FloatArray, cell: NDArray[np.int64], radius: FloatArray) -> BoolArray:
-    """Which points lie within the range of their neighbour cells, give or take six times the noise (at least 0.3 mm)."""
+    """Which points lie in the range of their neighbour cells, give or take six times the noise (at least 0.3 mm)."""
     ring = np.ones((3, 5), dtype=bool)
     ring[1, 2] = False
     wide = np.pad(grid, ((0, 0), (2, 2)), mode="wrap")

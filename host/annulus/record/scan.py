@@ -1,0 +1,196 @@
+"""A scan to be reconstructed, whatever camera and program made it: a scan folder or a recording, behind one door.
+
+A scan folder has `frames.csv` (columns index, file, light, z_mm; more are passed over) and the images it names.
+"""
+
+import csv
+import io
+import math
+import zlib
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import cast
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from annulus.geometry.calibration import Calibration
+from annulus.record.recording import Recording, open_recording
+from annulus.vocabulary import AnnulusError, Label
+
+Image = NDArray[np.uint8]
+
+TABLE = "frames.csv"
+COLUMNS = ("index", "file", "light", "z_mm")
+TABLE_MAX = 256 << 20  # bytes; a day at 25 fps has 100 MB
+FRAME_MAX = 256 << 20
+Z_MAX_MM = 1e8
+
+
+@dataclass(frozen=True, slots=True)
+class ScanFrame:
+    """One frame of a scan: what lit it, where the head stood (NaN where not known), and the words that name it."""
+
+    index: int
+    label: Label
+    z_mm: float
+    where: str
+
+
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """A scan opened for reading; plain data, so that worker processes can be handed one."""
+
+    path: Path
+    frames: tuple[ScanFrame, ...]
+    calibration: Calibration | None  # what a recording carries; a folder carries none
+    recording: Recording | None = None
+
+    def read(self, i: int) -> Image:
+        """The image of frames[i], (H, W, 3) uint8 BGR. Raises AnnulusError when missing, truncated or damaged."""
+        if self.recording is not None:
+            return self.recording.read(self.recording.frames[i])
+        return read_image(self.path / self.frames[i].where)
+
+
+def open_scan(path: Path) -> Scan:
+    """A scan folder or an .mcap recording. Raises AnnulusError saying what is wrong, and in which line."""
+    try:
+        if path.is_dir():
+            return Scan(path, _read_table(path), None)
+        if not path.exists():
+            raise AnnulusError(f"{path}: no such scan. Expected a scan folder or an .mcap recording.")
+    except PermissionError:
+        raise AnnulusError(f"{path}: no permission to read it.") from None
+    if path.suffix.lower() != ".mcap":
+        raise AnnulusError(f"{path}: not a scan. Expected a folder with {TABLE} or an .mcap recording.")
+    recording = open_recording(path)
+    if not recording.frames:
+        raise AnnulusError(f"{path}: the recording has no frames.")
+    try:
+        calibration = None if recording.calibration is None else Calibration.from_dict(recording.calibration)
+    except ValueError as error:
+        raise AnnulusError(f"{path}: the calibration in the recording is damaged: {error}.") from None
+    frames = tuple(ScanFrame(f.index, f.label, f.z_mm, f"{path}: frame {f.index}") for f in recording.frames)
+    return Scan(path, frames, calibration, recording)
+
+
+def read_image(path: Path) -> Image:
+    """A JPEG or PNG file as (H, W, 3) uint8 BGR, whole or not at all.
+
+    OpenCV fills the missing part of a truncated file with grey and says nothing, so the file's own structure is
+    checked first. Raises AnnulusError.
+    """
+    try:
+        with path.open("rb") as file:
+            data = file.read(FRAME_MAX + 1)
+    except FileNotFoundError:
+        raise AnnulusError(f"{path}: no such frame file, though {TABLE} lists it.") from None
+    except OSError as error:
+        raise AnnulusError(f"{path}: cannot be read ({error.strerror}).") from None
+    if len(data) > FRAME_MAX:
+        raise AnnulusError(f"{path}: larger than {FRAME_MAX >> 20} MiB. Expected one frame.")
+    if data[:2] == b"\xff\xd8":
+        whole = _jpeg_is_whole(data)
+    elif data[:8] == b"\x89PNG\r\n\x1a\n":
+        whole = _png_is_whole(data)
+    else:
+        raise AnnulusError(f"{path}: {len(data)} bytes that are neither JPEG nor PNG.")
+    image = (
+        cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION) if whole else None
+    )
+    if image is None:
+        raise AnnulusError(f"{path}: truncated or damaged image ({len(data)} bytes). Copy it again from the camera.")
+    return cast(Image, image)
+
+
+def _jpeg_is_whole(data: bytes) -> bool:
+    """Whether the compressed data ends with the end-of-image marker (a thumbnail's, in a header, does not count)."""
+    at = 2
+    while at + 4 <= len(data) and data[at] == 0xFF:
+        marker = data[at + 1]
+        if marker == 0xFF:  # fill byte
+            at += 1
+        elif marker == 0xDA:  # start of scan: in what follows FF D9 can only be the end
+            return data.find(b"\xff\xd9", at) >= 0
+        else:
+            at += 2 + int.from_bytes(data[at + 2 : at + 4], "big")
+    return False
+
+
+def _png_is_whole(data: bytes) -> bool:
+    """Whether every chunk is there with its right checksum, up to the end chunk."""
+    at = 8
+    while at + 12 <= len(data):
+        size = int.from_bytes(data[at : at + 4], "big")
+        end = at + 12 + size
+        if end > len(data) or zlib.crc32(data[at + 4 : end - 4]) != int.from_bytes(data[end - 4 : end], "big"):
+            return False
+        if data[at + 4 : at + 8] == b"IEND":
+            return True
+        at = end
+    return False
+
+
+def _read_table(folder: Path) -> tuple[ScanFrame, ...]:
+    table = folder / TABLE
+    try:
+        with table.open("rb") as file:
+            data = file.read(TABLE_MAX + 1)
+    except FileNotFoundError:
+        try:
+            empty = not any(folder.iterdir())
+        except OSError as error:
+            raise AnnulusError(f"{folder}: cannot be read ({error.strerror}).") from None
+        what = "the folder is empty" if empty else f"not a scan, there is no {TABLE}"
+        raise AnnulusError(f"{folder}: {what}. Expected {TABLE} ({','.join(COLUMNS)}) and the images.") from None
+    except OSError as error:
+        raise AnnulusError(f"{table}: cannot be read ({error.strerror}).") from None
+    if len(data) > TABLE_MAX:
+        raise AnnulusError(f"{table}: larger than {TABLE_MAX >> 20} MiB.")
+    try:
+        rows = csv.DictReader(io.StringIO(data.decode("utf-8-sig"), newline=""), strict=True)
+        columns = [name.strip() for name in rows.fieldnames or ()]
+        missing = [name for name in COLUMNS if name not in columns]
+        if missing:
+            raise AnnulusError(f"{table}: line 1: no column {', '.join(missing)}. Expected {','.join(COLUMNS)}.")
+        rows.fieldnames = columns
+        frames: list[ScanFrame] = []
+        indices: set[int] = set()
+        for row in rows:
+            try:
+                frame = _frame(row, folder)
+                if frame.index in indices:
+                    raise ValueError(f"index {frame.index} was there before")
+            except ValueError as error:
+                raise AnnulusError(f"{table}: line {rows.line_num}: {error}.") from None
+            indices.add(frame.index)
+            frames.append(frame)
+    except UnicodeDecodeError:
+        raise AnnulusError(f"{table}: not a text file. Expected {','.join(COLUMNS)}.") from None
+    except csv.Error as error:
+        raise AnnulusError(f"{table}: line {rows.line_num}: {error}.") from None
+    if not frames:
+        raise AnnulusError(f"{table}: lists no frames. Expected at least one line below {','.join(COLUMNS)}.")
+    return tuple(frames)
+
+
+def _frame(row: dict[str, str | None], folder: Path) -> ScanFrame:
+    index_text, file, light, z_text = ((row[name] or "").strip() for name in COLUMNS)
+    if not (index_text.isascii() and index_text.isdigit()) or len(index_text) > 18:
+        raise ValueError(f'index is "{index_text[:40]}", expected a whole number')
+    if light not in {label.value for label in Label}:
+        raise ValueError(f'light is "{light[:40]}", expected projector, led or unknown')
+    try:
+        z = float(z_text)
+    except ValueError:
+        z = math.nan
+    if not abs(z) <= Z_MAX_MM:
+        raise ValueError(f'z_mm is "{z_text[:40]}", expected a number of mm')
+    place = PurePosixPath(file)
+    if not file or len(file) > 1024 or place.is_absolute() or ".." in place.parts or "\\" in file or "\0" in file:
+        raise ValueError(f'file is "{file[:80]}", expected the path of an image inside the scan folder')
+    if not (folder / file).is_file():
+        raise ValueError(f"{file} is not there")
+    return ScanFrame(int(index_text), Label(light), z, file)
