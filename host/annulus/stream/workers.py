@@ -245,15 +245,15 @@ class Crew:
         tasks = self._context.socket(zmq.PUSH)
         tasks.setsockopt(zmq.SNDHWM, 1000)
         tasks.setsockopt(zmq.LINGER, 0)
-        tasks.bind(f"ipc://{address}")
-        tasks_argument = {
+        tasks.connect(f"ipc://{address}")  # the worker binds: a connecting PUSH queues at once, a bound one does not
+        link = {
             "worker": number, "parent": os.getpid(), "ring_fd": self._ring.fd, "frame_bytes": self._ring.frame_bytes,
             "tasks": f"ipc://{address}", "results": f"ipc://{self._results_path}",
         }  # fmt: skip
         one_thread = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
         try:
             process = subprocess.Popen(
-                [*self._command, json.dumps(tasks_argument)],
+                [*self._command, json.dumps(link)],
                 stdin=subprocess.DEVNULL,
                 pass_fds=(self._ring.fd,),
                 process_group=0,  # the terminal's Ctrl-C is for the owner, who ends the workers in order
@@ -337,7 +337,7 @@ def serve(argument: str, prepare: Callable[[Any], Job]) -> None:
     tasks, results = context.socket(zmq.PULL), context.socket(zmq.PUSH)
     tasks.setsockopt(zmq.RCVHWM, 1)
     results.setsockopt(zmq.LINGER, 2000)
-    tasks.connect(link["tasks"])
+    tasks.bind(link["tasks"])
     results.connect(link["results"])
 
     def answer(kind: str, body: Any) -> None:

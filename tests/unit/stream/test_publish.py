@@ -1,0 +1,102 @@
+"""Promises to viewers, and to those who must stay outside."""
+
+import pytest
+import zmq
+
+from annulus.stream.publish import VIEWER_QUEUE, Keys, Publisher, is_loopback, parse
+from annulus.vocabulary import AnnulusError
+
+
+@pytest.fixture
+def context():
+    with zmq.Context() as context:
+        yield context
+        context.destroy(linger=0)
+
+
+def viewer(context: zmq.Context, address: str) -> zmq.Socket:
+    socket = context.socket(zmq.SUB)
+    socket.subscribe(b"")
+    socket.rcvhwm = 1
+    socket.connect(address)
+    return socket
+
+
+def greet(publisher: Publisher, socket: zmq.Socket, tries: int = 200) -> bool:
+    """Send until the subscription has arrived; False when nothing ever does."""
+    for _ in range(tries):
+        publisher.admit()
+        publisher.send("hello", None)
+        if socket.poll(10):
+            while socket.poll(20):
+                socket.recv_multipart()
+            return True
+    return False
+
+
+def test_a_viewer_gets_topic_number_body_and_bytes(context) -> None:
+    publisher = Publisher(context, "tcp://127.0.0.1:*")
+    socket = viewer(context, publisher.address)
+    assert greet(publisher, socket)
+    publisher.send("frame", {"index": 7, "z_mm": 1.5}, bytes(range(100)))
+    assert socket.poll(2000)
+    assert parse(socket.recv_multipart()) == ("frame", 0, {"index": 7, "z_mm": 1.5}, bytes(range(100)))
+    publisher.close()
+
+
+def test_a_viewer_that_sleeps_never_holds_up_the_scan_and_sees_what_it_missed(context) -> None:
+    publisher = Publisher(context, "tcp://127.0.0.1:*")
+    socket = viewer(context, publisher.address)
+    assert greet(publisher, socket)
+    for _ in range(400):  # far more than the socket buffers take
+        publisher.send("frame", None, bytes(1 << 17))
+    numbers = []
+    while socket.poll(300):
+        numbers.append(parse(socket.recv_multipart())[1])
+    assert numbers == sorted(set(numbers))
+    assert publisher.sent["frame"] == 400 and len(numbers) < 400
+    assert VIEWER_QUEUE == 2
+    publisher.close()
+
+
+def test_outside_needs_keys(context) -> None:
+    for address in ("tcp://0.0.0.0:*", "tcp://*:5555", "tcp://192.0.2.1:5555", "tcp://example.org:1"):
+        assert not is_loopback(address)
+        with pytest.raises(AnnulusError, match="CURVE"):
+            Publisher(context, address)
+    assert is_loopback("tcp://[::1]:5") and is_loopback("tcp://localhost:5") and is_loopback("tcp://127.3.2.1:5")
+
+
+def test_only_a_viewer_whose_key_is_known_is_let_in(context) -> None:
+    public, secret = (key.decode() for key in zmq.curve_keypair())
+    friend, stranger = zmq.curve_keypair(), zmq.curve_keypair()
+    publisher = Publisher(context, "tcp://127.0.0.1:*", Keys(public, secret, frozenset({friend[0].decode()})))
+
+    def knock(keys: tuple[bytes, bytes] | None) -> bool:
+        socket = context.socket(zmq.SUB)
+        socket.subscribe(b"")
+        if keys is not None:
+            socket.curve_publickey, socket.curve_secretkey = keys
+            socket.curve_serverkey = public.encode()
+        socket.connect(publisher.address)
+        return greet(publisher, socket, 40)
+
+    assert knock(friend)
+    assert not knock(stranger)
+    assert not knock(None)
+    publisher.close()
+
+
+def test_a_bad_address_or_key_is_one_clear_line(context) -> None:
+    taken = Publisher(context, "tcp://127.0.0.1:*")
+    with pytest.raises(AnnulusError, match="cannot publish"):
+        Publisher(context, taken.address)
+    with pytest.raises(AnnulusError, match="Z85"):
+        Keys("x", "y", frozenset())
+    taken.close()
+
+
+@pytest.mark.parametrize("parts", [[], [b"a", b"b"], [b"a", b"\xc1", b""], [b"a", b"\x80", b""], [b"a", b"\x01", b""]])
+def test_what_is_not_ours_is_a_value_error(parts: list[bytes]) -> None:
+    with pytest.raises(ValueError):
+        parse(parts)

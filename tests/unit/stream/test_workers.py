@@ -1,0 +1,200 @@
+"""Promises of the crew: every frame handed out comes back once, as done, failed or lost; nobody is left behind."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zmq
+
+from annulus.stream.frames import FrameHeader
+from annulus.stream.ring import FrameRing
+from annulus.stream.workers import Crew, Died, Done, Failed, Happening, Lost, Ready, Report
+from annulus.vocabulary import AnnulusError, Label
+
+WORKER = [sys.executable, str(Path(__file__).with_name("worker_for_tests.py"))]
+
+
+class Yard:
+    """A ring, a crew and the loop around them."""
+
+    def __init__(self, folder: Path, setup: object = "hello", count: int = 2, **more: object) -> None:
+        self.context, self.ring = zmq.Context(), FrameRing(8, 30 * 40)
+        self.folder, self.index = folder, 0
+        self.crew = Crew(
+            WORKER, setup, ring=self.ring, context=self.context, folder=folder, name="w", count=count, depth=2, **more
+        )  # type: ignore[arg-type]
+        self.seen: list[Happening] = []
+
+    def until(self, done) -> None:
+        end = time.monotonic() + 30
+        while not done():
+            assert time.monotonic() < end, self.seen
+            self.crew.results.poll(20)
+            self.seen += self.crew.poll()
+
+    def all_ready(self, count: int = 2) -> "Yard":
+        self.until(lambda: self.crew.ready == count)
+        return self
+
+    def hand_out(self, extra: object = None) -> bool:
+        header = FrameHeader(self.index, 0, 0, Label.PROJECTOR, "", None, None, None, 0.0, "mono8", 40, 30)  # type: ignore[arg-type]
+        place = self.ring.claim()
+        assert place is not None
+        self.ring.write(place, np.full((30, 40), self.index, np.uint8))
+        self.index += 1
+        taken = self.crew.offer(header, place, extra)
+        self.ring.release(place)
+        return taken
+
+    def of(self, kind: type) -> list:
+        return [happening for happening in self.seen if isinstance(happening, kind)]
+
+    def close(self) -> None:
+        pids = self.crew.pids
+        self.seen += self.crew.stop(5.0)
+        self.context.destroy(linger=0)
+        assert not any(Path(f"/proc/{pid}").exists() for pid in pids)
+        assert self.ring.free == len(self.ring), "a slot is still held"
+        assert not list(self.folder.iterdir()), "a socket is left"
+        self.ring.close()
+
+
+@pytest.fixture
+def yard(tmp_path: Path) -> Iterator[Yard]:
+    yard = Yard(tmp_path)
+    yield yard.all_ready()
+    yard.close()
+
+
+def test_every_frame_comes_back_with_its_own_answer(yard: Yard) -> None:
+    while len(yard.of(Done)) < 20:
+        if yard.index < 20 and yard.ring.free:
+            yard.until(lambda: yard.crew.in_hand < 4)
+            assert yard.hand_out(extra=yard.index)
+        yard.crew.results.poll(5)
+        yard.seen += yard.crew.poll()
+    assert sorted(d.header.index for d in yard.of(Done)) == list(range(20))
+    for done in yard.of(Done):
+        assert done.body == [1200 * done.header.index, done.header.index]
+
+
+def test_busy_workers_say_no_and_it_is_counted(yard: Yard) -> None:
+    taken = [yard.hand_out("hang") for _ in range(6)]
+    assert taken == [True] * 4 + [False] * 2
+    assert yard.crew.counts["refused"] == 2
+    for pid in yard.crew.pids:
+        os.kill(pid, signal.SIGKILL)
+    yard.until(lambda: len(yard.of(Lost)) == 4)
+
+
+def test_a_frame_the_method_cannot_take_costs_that_frame_only(yard: Yard) -> None:
+    yard.hand_out("raise")
+    yard.hand_out("fine")
+    yard.until(lambda: yard.of(Failed) and yard.of(Done))
+    assert yard.of(Failed)[0].why == "RuntimeError: asked to"
+    assert yard.crew.counts["died"] == 0
+
+
+def test_a_killed_worker_is_replaced_and_its_frames_are_reported(yard: Yard) -> None:
+    yard.hand_out("die")
+    yard.until(lambda: yard.of(Died))
+    assert [lost.header.index for lost in yard.of(Lost)] == [0]
+    assert yard.of(Lost)[0].why == "killed by SIGKILL"
+    assert yard.of(Died)[0].replaced
+    yard.all_ready()
+    assert len(yard.of(Ready)) == 3
+    for _ in range(4):
+        assert yard.hand_out("after")
+    yard.until(lambda: len(yard.of(Done)) == 4)
+
+
+def test_a_worker_told_to_end_by_a_stranger_is_replaced_too(yard: Yard) -> None:
+    os.kill(yard.crew.pids[0], signal.SIGTERM)
+    yard.until(lambda: yard.of(Died))
+    yard.all_ready()
+
+
+def test_a_hung_worker_is_killed_and_its_frames_are_reported(tmp_path: Path) -> None:
+    now = [0.0]
+    yard = Yard(tmp_path, count=1, clock=lambda: now[0], hung_s=10.0).all_ready(1)
+    yard.hand_out("hang")
+    yard.seen += yard.crew.poll()
+    assert not yard.of(Lost)
+    now[0] = 10.5
+    yard.until(lambda: yard.of(Died))
+    assert [lost.why for lost in yard.of(Lost)] == ["hung for 10 s"]
+    yard.close()
+
+
+def test_notes_reach_every_worker_and_last_words_come_back(tmp_path: Path) -> None:
+    yard = Yard(tmp_path, setup={"a": b"\x00\xff"}).all_ready()
+    yard.crew.tell("pose", [1, 2])
+    yard.until(lambda: len(yard.of(Report)) == 2)
+    assert {(r.worker, str(r.body)) for r in yard.of(Report)} == {(n, str([["pose", [1, 2]]])) for n in (0, 1)}
+    yard.close()
+    assert [r.body for r in yard.of(Report) if r.final] == [{"a": b"\x00\xff"}] * 2
+    assert yard.crew.counts["killed"] == 0
+
+
+def test_a_worker_that_cannot_live_is_given_up_not_started_for_ever(tmp_path: Path) -> None:
+    yard = Yard(tmp_path, setup="stillborn", count=1)
+    yard.until(lambda: yard.crew.alive == 0)
+    assert [died.replaced for died in yard.of(Died)] == [True] * 5 + [False]
+    assert yard.of(Died)[0].why == "exit status 3"
+    yard.close()
+
+
+def test_stopping_a_hung_crew_is_quick_and_says_what_was_lost(tmp_path: Path) -> None:
+    yard = Yard(tmp_path, count=1).all_ready(1)
+    yard.hand_out("hang")
+    lost = [h for h in yard.crew.stop(0.2) if isinstance(h, Lost)]
+    assert [one.header.index for one in lost] == [0]
+    assert yard.crew.counts["killed"] == 1
+    yard.close()
+
+
+def test_a_command_that_is_not_there_is_one_clear_line(tmp_path: Path) -> None:
+    ring = FrameRing(2, 100)
+    with zmq.Context() as context:
+        with pytest.raises(AnnulusError, match="cannot start /no/such"):
+            Crew(["/no/such"], None, ring=ring, context=context, folder=tmp_path, name="w", count=1, depth=1)
+        context.destroy(linger=0)
+    assert not list(tmp_path.iterdir())
+    ring.close()
+
+
+_OWNER = """
+import os, signal, sys
+sys.path.insert(0, {tests!r})
+from pathlib import Path
+from test_workers import Yard
+yard = Yard(Path({folder!r})).all_ready()
+print(*yard.crew.pids, flush=True)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_workers_end_when_their_owner_is_killed(tmp_path: Path) -> None:
+    shm = set(os.listdir("/dev/shm"))
+    code = _OWNER.format(tests=str(Path(__file__).parent), folder=str(tmp_path))
+    owner = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    pids = owner.stdout.split()
+    assert owner.returncode == -signal.SIGKILL and len(pids) == 2
+    end = time.monotonic() + 10
+    while any(alive(pid) for pid in pids):
+        assert time.monotonic() < end
+        time.sleep(0.02)
+    assert set(os.listdir("/dev/shm")) == shm
+
+
+def alive(pid: str) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(") ", 1)[1][0] != "Z"
+    except FileNotFoundError:
+        return False

@@ -1,0 +1,42 @@
+"""A worker that does as the frame's `extra` says."""
+
+import os
+import signal
+import sys
+import time
+from typing import Any
+
+from annulus.stream.workers import serve
+
+
+class Obedient:
+    def __init__(self, setup: Any) -> None:
+        self.setup, self.told, self.reported = setup, [], False
+
+    def frame(self, header, image, extra) -> Any:
+        if extra == "raise":
+            raise RuntimeError("asked to")
+        if extra == "die":
+            os.kill(os.getpid(), signal.SIGKILL)
+        if extra == "hang":
+            time.sleep(1000)
+        return [int(image.sum()), extra]
+
+    def note(self, kind, body) -> None:
+        self.told.append([kind, body])
+
+    def idle(self):
+        report, self.told = self.told or None, []
+        return report
+
+    def close(self):
+        return self.setup
+
+
+def prepare(setup: Any) -> Obedient:
+    if setup == "stillborn":
+        sys.exit(3)
+    return Obedient(setup)
+
+
+serve(sys.argv[-1], prepare)
