@@ -1,0 +1,363 @@
+"""The simulated pipe and the sensor head inside it: everything a frame depends on but the light's timing.
+
+A `World` is plain data and a seed. The wall is a radius map r(clock, z) and an albedo map on one grid, both made from
+a short list of `Feature`s, so that what the renderer shows and what the score calls true are one and the same.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from annulus.geometry.calibration import Calibration
+from annulus.geometry.camera import Camera
+from annulus.geometry.cone import Cone
+from annulus.geometry.pose import FloatArray, Pose
+from annulus.vocabulary import AnnulusError
+
+FeatureKind = Literal["pocket", "bump", "groove", "oval"]
+DefectKind = Literal["loss", "bump", "ovality"]
+_DEFECT_KIND: Mapping[FeatureKind, DefectKind] = {"pocket": "loss", "groove": "loss", "bump": "bump", "oval": "ovality"}
+
+CLOCKS = 1440  # columns of the wall maps: 0.25 degrees, a third of a millimetre on a 6-inch wall
+STEP_Z_MM = 0.4  # rows of the wall maps
+AHEAD_MM = 420.0  # wall modelled beyond the last station; past it the pipe is clean
+WHITE = (0.75, 0.77, 0.78)  # albedo of white PVC, red green blue
+
+
+@dataclass(frozen=True, slots=True)
+class Feature:
+    """One thing wrong with a wall. Centre, extent and size as a defect list gives them.
+
+    pocket: rectangle of material lost, `depth_mm` deep, walls steep over `edge_mm`. groove: the same all round.
+    bump: spherical cap standing `depth_mm` into the pipe, foot `length_mm` across.
+    oval: radius changes by +-`depth_mm` as cos 2(clock - clock_deg) over `length_mm`, faded in and out by cosines.
+    """
+
+    kind: FeatureKind
+    z_mm: float
+    length_mm: float
+    depth_mm: float
+    clock_deg: float = 0.0
+    arc_deg: float = 360.0
+    edge_mm: float = 0.4
+
+    def deviation(self, clock_deg: FloatArray, z_mm: FloatArray, radius_mm: float) -> FloatArray:
+        """Change of the wall's radius in mm (positive = material lost), broadcast over `clock_deg` and `z_mm`."""
+        around = np.radians(_wrap(clock_deg - self.clock_deg)) * radius_mm
+        along = z_mm - self.z_mm
+        if self.kind == "bump":
+            foot, height = self.length_mm / 2, self.depth_mm
+            ball = (foot * foot + height * height) / (2 * height)
+            inside = np.maximum(ball * ball - around * around - along * along, 0.0)
+            return np.asarray(-np.maximum(np.sqrt(inside) - (ball - height), 0.0))
+        if self.kind == "oval":
+            fade = np.clip(2 * np.abs(along) / self.length_mm, 0.0, 1.0)
+            swell = np.cos(2 * np.radians(clock_deg - self.clock_deg))
+            return np.asarray(self.depth_mm * swell * (0.5 + 0.5 * np.cos(np.pi * fade)))
+        within = self.length_mm / 2 - np.abs(along)
+        if self.kind == "pocket":
+            within = np.minimum(within, math.radians(self.arc_deg) / 2 * radius_mm - np.abs(around))
+        return np.asarray(self.depth_mm * np.clip(within / self.edge_mm + 0.5, 0.0, 1.0) + 0.0 * around)
+
+    def edge_distance_mm(self, clock_deg: FloatArray, z_mm: FloatArray, radius_mm: float) -> FloatArray:
+        """Distance along the wall (mm) to where this feature's radius jumps; infinite for one that fades."""
+        around = np.abs(np.radians(_wrap(clock_deg - self.clock_deg))) * radius_mm
+        along = np.abs(z_mm - self.z_mm) + 0.0 * around
+        if self.kind == "oval":
+            return np.full(along.shape, np.inf)
+        if self.kind == "bump":
+            return np.abs(np.hypot(around, along) - self.length_mm / 2)
+        over_z = along - self.length_mm / 2
+        if self.kind == "groove":
+            return np.abs(over_z)
+        over_arc = around - math.radians(self.arc_deg) / 2 * radius_mm
+        outside = np.hypot(np.maximum(over_arc, 0), np.maximum(over_z, 0))
+        return np.where((over_arc < 0) & (over_z < 0), -np.maximum(over_arc, over_z), outside)
+
+    def as_defect(self, radius_mm: float) -> dict[str, Any]:
+        """The row a perfect defect list would hold for this feature (ARCHITECTURE §7)."""
+        return {
+            "kind": _DEFECT_KIND[self.kind],
+            "z_mm": self.z_mm,
+            "clock_deg": self.clock_deg,
+            "clock": clock_text(self.clock_deg),
+            "length_mm": self.length_mm,
+            "arc_deg": math.degrees(self.length_mm / radius_mm) if self.kind == "bump" else self.arc_deg,
+            "depth_mm": self.depth_mm,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Projector:
+    """The slide: cones of the slits (camera frame), their half-widths and the stripes' colours, inside to outside.
+
+    `margin_deg`: how far the innermost and outermost stripe reach beyond the outer slits. `response`[c] is what the
+    red, green and blue pixels see of stripe colour c: filters of slide and sensor overlap.
+    """
+
+    cones: tuple[Cone, ...]
+    slit_half_deg: tuple[float, ...]
+    colours: str = "RRGBGR"
+    margin_deg: tuple[float, float] = (2.25, 2.25)
+    peak: float = 225.0  # grey levels above black on the outermost stripe, lit for its nominal time
+    leak: float = 0.006  # of a stripe's light through a slit
+    response: tuple[tuple[float, float, float], ...] = ((1.0, 0.05, 0.04), (0.045, 1.0, 0.05), (0.03, 0.055, 0.75))
+    nominal_us: float = 5000.0  # on-time that gives `peak`
+
+
+@dataclass(frozen=True, slots=True)
+class Led:
+    """White LEDs round the lens, seen as one point just behind it."""
+
+    behind_mm: float = 4.0
+    peak: float = 150.0  # grey levels above black on a white wall 45 mm ahead
+    colour: tuple[float, float, float] = (0.96, 1.0, 0.97)
+    nominal_us: float = 2500.0
+
+
+@dataclass(frozen=True, slots=True)
+class Optics:
+    """Lens blur (sigma, pixels of the full-size camera) and the sensor's noise, in 8-bit grey levels."""
+
+    blur_px: float = 1.1
+    black: float = 2.0
+    read: float = 1.5
+    shot: float = 0.03  # variance per grey level
+
+
+@dataclass(frozen=True, slots=True)
+class Rod:
+    """A bar that holds the projector behind the camera, parallel to the optical axis; it shadows what lies past it."""
+
+    x_mm: float
+    y_mm: float
+    radius_mm: float = 1.0
+    z0_mm: float = -56.0
+    z1_mm: float = 0.0
+
+
+@dataclass(frozen=True)
+class World:
+    """A pipe, a sensor head, and how the head travels. Immutable; equal seeds give equal worlds."""
+
+    camera: Camera
+    projector: Projector
+    radius_mm: float = 76.2
+    features: tuple[Feature, ...] = ()
+    rods: tuple[Rod, ...] = ()
+    led: Led = field(default_factory=Led)
+    optics: Optics = field(default_factory=Optics)
+    albedo: tuple[float, float, float] = WHITE
+    texture: bool = True  # stains and a printed line
+    wobble_deg: float = 1.2  # amplitude of each of two sinusoids a rotation
+    wobble_mm: float = 1.7  # the same for the two shifts
+    travel_mm: float = 400.0  # stations 0..travel
+    mm_per_count: float = 0.05  # of the cable counter
+    seed: int = 1
+
+    def __post_init__(self) -> None:
+        slits = len(self.projector.cones)
+        if len(self.projector.slit_half_deg) != slits or len(self.projector.colours) != slits + 1:
+            raise AnnulusError(f"world: {slits} cones need {slits} slit widths and {slits + 1} stripe colours")
+        if self.travel_mm <= 0 or self.mm_per_count <= 0:
+            raise AnnulusError("world: travel_mm and mm_per_count must be above zero")
+
+    # ---- the wall ------------------------------------------------------------------------------------------------
+    def deviation(self, clock_deg: FloatArray, z_mm: FloatArray) -> FloatArray:
+        """True r - R in mm at clock angles and stations (broadcast)."""
+        clock, z = np.asarray(clock_deg, dtype=float), np.asarray(z_mm, dtype=float)
+        total = np.zeros(np.broadcast_shapes(clock.shape, z.shape))
+        for feature in self.features:
+            total = total + feature.deviation(clock, z, self.radius_mm)
+        return total
+
+    @cached_property
+    def z_range_mm(self) -> tuple[float, float]:
+        """Stretch of wall the maps cover; outside it the pipe is clean."""
+        return 0.0, self.travel_mm + AHEAD_MM
+
+    @cached_property
+    def radius_map(self) -> NDArray[np.float32]:
+        """(rows, CLOCKS) deviation in mm; row i at z = z_range[0] + i STEP_Z_MM, column j at clock j 360/CLOCKS deg."""
+        low, high = self.z_range_mm
+        rows = round((high - low) / STEP_Z_MM)
+        out = np.zeros((rows, CLOCKS), np.float32)
+        clock = np.arange(CLOCKS) * (360.0 / CLOCKS)
+        for feature in self.features:
+            first = max(0, math.floor((feature.z_mm - feature.length_mm / 2 - 2 - low) / STEP_Z_MM))
+            last = min(rows, math.ceil((feature.z_mm + feature.length_mm / 2 + 2 - low) / STEP_Z_MM))
+            z = low + np.arange(first, last)[:, None] * STEP_Z_MM
+            out[first:last] += feature.deviation(clock[None, :], z, self.radius_mm)
+        return out
+
+    @cached_property
+    def albedo_map(self) -> NDArray[np.uint8]:
+        """(rows, CLOCKS, 3) red green blue, 255 = reflects all; same grid as `radius_map`."""
+        rows = self.radius_map.shape[0]
+        base = np.array(self.albedo, np.float32)
+        out = np.broadcast_to(base * 255.0, (rows, CLOCKS, 3)).astype(np.float32)
+        if self.texture:
+            _stain(out, np.random.default_rng([self.seed, 0x57A1]), self.z_range_mm)
+            _print_line(out, self.z_range_mm)
+        return np.asarray(np.clip(out + 0.5, 0, 255), dtype=np.uint8)
+
+    # ---- the head ------------------------------------------------------------------------------------------------
+    @cached_property
+    def _wobble(self) -> NDArray[np.float64]:
+        """(4, 2, 2): per degree of freedom two (wavelength mm, phase)."""
+        rng = np.random.default_rng([self.seed, 0x90B])
+        wave = np.stack([rng.uniform(55, 85, 4), rng.uniform(24, 38, 4)], axis=1)
+        return np.stack([wave, rng.uniform(0, 2 * np.pi, (4, 2))], axis=2)
+
+    def pose(self, z_mm: float) -> Pose:
+        """The pipe in the camera frame when the head stands at station `z_mm`."""
+        angle = 2 * np.pi * z_mm / self._wobble[:, :, 0] + self._wobble[:, :, 1]
+        rx, ry, tx, ty = np.sin(angle) @ np.array([0.75, 0.45])
+        tilt = math.radians(self.wobble_deg)
+        return Pose(tilt * rx, tilt * ry, self.wobble_mm * tx, self.wobble_mm * ty)
+
+    def calibration(self) -> Calibration:
+        """What a perfect calibration of this head would hold."""
+        return Calibration(self.camera, self.projector.colours, self.projector.cones, self.radius_mm)
+
+    def truth(self) -> dict[str, Any]:
+        """The world as JSON-able data, defects as a perfect defect list; written beside a scan."""
+        return {
+            "format": "annulus-truth/1",
+            "seed": self.seed,
+            "radius_mm": self.radius_mm,
+            "features": [
+                {
+                    "kind": f.kind, "z_mm": f.z_mm, "length_mm": f.length_mm, "depth_mm": f.depth_mm,
+                    "clock_deg": f.clock_deg, "arc_deg": f.arc_deg, "edge_mm": f.edge_mm,
+                }
+                for f in self.features
+            ],
+            "defects": [f.as_defect(self.radius_mm) for f in self.features],
+            "travel_mm": self.travel_mm,
+            "mm_per_count": self.mm_per_count,
+            "calibration": self.calibration().to_dict(),
+        }  # fmt: skip
+
+    def scaled(self, width: int) -> "World":
+        """The same world through a camera `width` pixels wide that sees the same field; blur shrinks with it."""
+        k = width / self.camera.width
+        camera = replace(
+            self.camera,
+            width=width,
+            height=round(self.camera.height * k),
+            fx=self.camera.fx * k,
+            fy=self.camera.fy * k,
+            cx=(self.camera.cx + 0.5) * k - 0.5,
+            cy=(self.camera.cy + 0.5) * k - 0.5,
+        )
+        return replace(self, camera=camera, optics=replace(self.optics, blur_px=self.optics.blur_px * k))
+
+
+def clock_text(clock_deg: float) -> str:
+    """Clock position as written in a report: 90 degrees -> "3:00", rounded to five minutes of the dial."""
+    minutes = round((clock_deg % 360.0) * 2 / 5) * 5 % 720
+    return f"{(minutes // 60) or 12}:{minutes % 60:02d}"
+
+
+# ---- presets -----------------------------------------------------------------------------------------------------
+# Full cone angles, axes and vertices of the source's simulated sensor (Alzuhiri 2022, Table 4.1): refraction in the
+# glass gives every ring its own vertex.
+_RINGS = (
+    (37.893, -0.016, 0.015, 1.106, -1.211, -56.503),
+    (42.382, -0.016, 0.014, 1.283, -0.940, -56.490),
+    (47.473, -0.017, 0.014, 1.436, -1.065, -55.994),
+    (52.829, -0.013, 0.011, 0.785, 0.339, -54.579),
+    (57.745, -0.015, 0.011, 0.986, 0.103, -54.244),
+)
+_SLIT_HALF_DEG = (0.244, 0.217, 0.187, 0.158, 0.132)  # about nine pixels wide on a 6-inch wall, each
+
+
+def demo_projector() -> Projector:
+    """Five slits, R R G B G R, cones as in the source's Table 4.1."""
+    cones = tuple(
+        Cone(math.radians(theta / 2), (ax, ay, math.sqrt(1 - ax * ax - ay * ay)), (vx, vy, vz))
+        for theta, ax, ay, vx, vy, vz in _RINGS
+    )
+    return Projector(cones, _SLIT_HALF_DEG)
+
+
+def demo_rods() -> tuple[Rod, ...]:
+    """Three bars on a circle of 22 mm."""
+    angles = (math.radians(17 + 120 * i) for i in range(3))
+    return tuple(Rod(22.0 * math.cos(a), 22.0 * math.sin(a)) for a in angles)
+
+
+def pinhole_camera() -> Camera:
+    """IMX219 at 1664x1232 behind a wide lens without distortion, the source's simulated camera."""
+    return Camera("pinhole", 1664, 1232, 470.0, 470.0, 831.5, 615.5)
+
+
+def fisheye_camera() -> Camera:
+    """The same sensor behind a 160-degree lens (Kannala-Brandt)."""
+    return Camera("fisheye", 1664, 1232, 545.0, 545.0, 835.0, 612.0, (-0.012, 0.004, -0.0015, 0.0002))
+
+
+def clean_world(seed: int = 1, camera: Camera | None = None, travel_mm: float = 120.0) -> World:
+    """A round, unmarked pipe."""
+    return World(
+        camera or pinhole_camera(), demo_projector(), rods=demo_rods(), texture=False, travel_mm=travel_mm, seed=seed
+    )
+
+
+def demo_world(seed: int = 7, travel_mm: float = 330.0) -> World:
+    """The demo: a 6-inch white PVC pipe with a pocket, a bump, a groove and a short oval stretch.
+
+    All of them lie where every ring passes when the head travels 330 mm or more, whatever the frame rate.
+    """
+    features = (
+        Feature("pocket", z_mm=185.0, length_mm=32.0, depth_mm=4.0, clock_deg=100.0, arc_deg=26.0),
+        Feature("bump", z_mm=225.0, length_mm=26.0, depth_mm=4.0, clock_deg=215.0, arc_deg=20.0),
+        Feature("pocket", z_mm=262.0, length_mm=12.0, depth_mm=2.0, clock_deg=330.0, arc_deg=80.0),
+        Feature("oval", z_mm=335.0, length_mm=90.0, depth_mm=2.5, clock_deg=20.0),
+    )
+    return World(
+        pinhole_camera(), demo_projector(), features=features, rods=demo_rods(), travel_mm=travel_mm, seed=seed
+    )
+
+
+# ---- paint -------------------------------------------------------------------------------------------------------
+def _stain(albedo: NDArray[np.float32], rng: np.random.Generator, z_range: tuple[float, float]) -> None:
+    """Brown water stains with soft rims and a dull invert where silt has lain, painted in place."""
+    rows = albedo.shape[0]
+    silt = np.exp(-((_wrap(np.arange(CLOCKS) * (360.0 / CLOCKS) - 180.0) / 26.0) ** 2)).astype(np.float32)
+    albedo *= 1.0 - silt[None, :, None] * np.array([0.10, 0.15, 0.22], np.float32)
+    for _ in range(round((z_range[1] - z_range[0]) / 28.0)):
+        row, column = int(rng.integers(rows)), int(rng.integers(CLOCKS))
+        size = (int(rng.integers(10, 60)), int(rng.integers(8, 36)))
+        patch = np.zeros((rows, CLOCKS), np.uint8)
+        cv2.ellipse(patch, (CLOCKS // 2, row), size, float(rng.uniform(0, 180)), 0, 360, 255, -1)
+        low, high = max(0, row - 90), min(rows, row + 91)
+        soft = cv2.GaussianBlur(patch[low:high], (0, 0), 7.0).astype(np.float32) / 255.0
+        soft = np.roll(soft, column - CLOCKS // 2, axis=1)
+        strength = np.array([0.14, 0.26, 0.42], np.float32) * float(rng.uniform(0.5, 1.0))
+        albedo[low:high] *= 1.0 - soft[:, :, None] * strength
+
+
+def _print_line(albedo: NDArray[np.float32], z_range: tuple[float, float]) -> None:
+    """The maker's print along the pipe at two o'clock, in place. Text runs along z."""
+    rows = albedo.shape[0]
+    tall = 16  # pixels of 0.25 degrees: letters 5 mm high
+    ink = np.zeros((tall + 12, rows), np.uint8)
+    x = 20
+    while x < rows:
+        cv2.putText(ink, "ANNULUS TWIN PVC-U 160 SDR 17", (x, tall + 4), cv2.FONT_HERSHEY_SIMPLEX, 0.62, 255, 2)
+        x += 560
+    soft = cv2.GaussianBlur(ink, (0, 0), 0.8).astype(np.float32).T / 255.0
+    first = round(60.0 * CLOCKS / 360.0)
+    albedo[:, first : first + soft.shape[1]] *= 1.0 - 0.5 * soft[:, :, None]
+
+
+def _wrap(degrees: FloatArray) -> FloatArray:
+    return np.asarray((degrees + 180.0) % 360.0 - 180.0)
