@@ -1,17 +1,18 @@
 """How this room compiles its per-pixel loops."""
 
 from collections.abc import Callable
-from typing import TypeVar, cast
+from typing import Any, cast
 
 import numba
 
-F = TypeVar("F", bound=Callable[..., object])
+# Sums may be regrouped and contracted; NaN keeps its meaning, the loops mark "nothing here" with it.
+FAST = {"contract", "reassoc", "nsz", "arcp"}
 
 
-def compiled(function: F) -> F:
+def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile on first call, keep the machine code on disk: beside the module, or in the user's cache if that is
     read-only. Where nothing can be written the function still works, compiled anew in each process."""
     try:
-        return cast(F, numba.njit(cache=True, fastmath={"contract", "reassoc", "nsz", "arcp"}, nogil=True)(function))
+        return cast(Callable[..., Any], numba.njit(cache=True, fastmath=FAST, nogil=True)(function))
     except RuntimeError:  # numba: "no locator available"
-        return cast(F, numba.njit(fastmath={"contract", "reassoc", "nsz", "arcp"}, nogil=True)(function))
+        return cast(Callable[..., Any], numba.njit(fastmath=FAST, nogil=True)(function))

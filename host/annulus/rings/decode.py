@@ -10,7 +10,7 @@ UNKNOWN = 255  # a stripe whose colour is not clear: matches any, proves nothing
 NONE = -1  # a slit that is no ring, or could be more than one
 LIKENESS = 0.06  # a colour must be nearer its reference than any other by this much of the cosine
 SKIP = 0.5  # price of leaving a slit out, against 1 for each colour that fits
-RUN = 0.5  # bonus where a slit and the next are a ring and the next: the word grows by one stripe
+RUN = 0.5  # bonus where two slits in turn are two rings in turn: the word grows by one stripe
 MARGIN = 0.1  # a label is given only if every rival reading of the line is worse by this
 
 
@@ -119,7 +119,7 @@ def _align(direction, inside, outside, deviation, pattern, tolerance, ring):  # 
             for p in range(c):
                 if slit[p] < slit[c] and name[p] < name[c]:
                     gain = ahead[p]
-                    if slit[p] + 1 == slit[c] and name[p] + 1 == name[c]:
+                    if name[p] + 1 == name[c]:
                         gain += RUN
                     ahead[c] = max(ahead[c], gain)
             ahead[c] += own[c]
@@ -128,7 +128,7 @@ def _align(direction, inside, outside, deviation, pattern, tolerance, ring):  # 
             for p in range(c + 1, size):
                 if slit[p] > slit[c] and name[p] > name[c]:
                     gain = behind[p] + own[p]
-                    if slit[c] + 1 == slit[p] and name[c] + 1 == name[p]:
+                    if name[c] + 1 == name[p]:
                         gain += RUN
                     behind[c] = max(behind[c], gain)
         best = 0.0

@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from annulus.geometry.pose import FloatArray, Pose
 from annulus.rings.compiled import compiled
@@ -54,15 +53,14 @@ def _descend(points: FloatArray, weight: FloatArray, radius: float, first: Pose)
     _radii(points, x, residual)
     scale = _spread(residual - radius)
     for _ in range(30):
-        step, cost = _step(points, weight, x, radius, CAUCHY * max(scale, 1e-4 * radius), False)
+        step = _step(points, weight, x, radius, CAUCHY * max(scale, 1e-4 * radius), False)
         x = x + step
         _radii(points, x, residual)
         scale = _spread(residual - radius)
         if np.abs(step[:2]).max() < 2e-6 and np.abs(step[2:]).max() < 2e-6 * radius:
             break
     for _ in range(3):
-        step, cost = _step(points, weight, x, radius, KEEP * max(scale, 1e-4 * radius), True)
-        x = x + step
+        x = x + _step(points, weight, x, radius, KEEP * max(scale, 1e-4 * radius), True)
     _radii(points, x, residual)
     error = residual - radius
     scale = _spread(error)
@@ -83,12 +81,12 @@ def _spread(error: FloatArray) -> float:
 
 def _step(
     points: FloatArray, weight: FloatArray, x: FloatArray, radius: float, scale: float, trimmed: bool
-) -> tuple[NDArray[np.float64], float]:
+) -> FloatArray:
     normal, right = np.zeros((4, 4)), np.zeros(4)
-    cost = _normal(points, weight, x, radius, scale, trimmed, normal, right)
+    _normal(points, weight, x, radius, scale, trimmed, normal, right)
     size = np.array([1.0, 1.0, radius, radius])  # angles and lengths alike
     normal = normal * size[:, None] * size + 1e-9 * np.trace(normal * size[:, None] * size) * np.eye(4)
-    return -np.linalg.solve(normal, right * size) * size, float(cost)
+    return np.asarray(-np.linalg.solve(normal, right * size) * size)
 
 
 @compiled
@@ -105,7 +103,6 @@ def _radii(points, x, out):  # type: ignore[no-untyped-def]
 def _normal(points, weight, x, radius, scale, trimmed, normal, right):  # type: ignore[no-untyped-def]
     """Normal equations of r - R about x, weighted; R = Rx(rx) Ry(ry), q = R^T (p - T), r = |q_xy|."""
     ca, sa, cb, sb = math.cos(x[0]), math.sin(x[0]), math.cos(x[1]), math.sin(x[1])
-    cost = 0.0
     grad = np.empty(4)
     for n in range(len(points)):
         px, py, pz = points[n, 0] - x[2], points[n, 1] - x[3], points[n, 2]
@@ -120,10 +117,8 @@ def _normal(points, weight, x, radius, scale, trimmed, normal, right):  # type: 
             if abs(e) > scale:
                 continue
             w = weight[n]
-            cost += w * e * e
         else:
             w = weight[n] / (1.0 + (e / scale) ** 2)
-            cost += weight[n] * math.log1p((e / scale) ** 2)
         cu, cv = u / r, v / r
         grad[0] = cu * sb * (ca * py + sa * pz) + cv * (ca * pz - sa * py)
         grad[1] = cu * (cb * turned - sb * px)
@@ -133,4 +128,3 @@ def _normal(points, weight, x, radius, scale, trimmed, normal, right):  # type: 
             right[i] += w * grad[i] * e
             for k in range(4):
                 normal[i, k] += w * grad[i] * grad[k]
-    return cost

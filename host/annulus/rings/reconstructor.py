@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,7 +84,7 @@ class Reconstructor:
             deviation = _radii(points, pose) / pipe - 1.0
             return decode(slits.direction, inside, outside, deviation, colours, tolerance)
 
-        rejected = {"crowded": slits.crowded}
+        rejected = {"crowded": slits.crowded, "shallow": slits.shallow}
         ring = read(seed or Pose(), FIRST_TOLERANCE)
         marks.append(("decode", clock()))
         fitted = self._fit(points, ring, seed)
@@ -150,7 +151,7 @@ def _radii(points: FloatArray, pose: Pose) -> FloatArray:
 
 def _spans(marks: list[tuple[str, float]]) -> dict[str, float]:
     spans: dict[str, float] = {}
-    for (_, before), (name, after) in zip(marks, marks[1:], strict=False):
+    for (_, before), (name, after) in pairwise(marks):
         spans[name] = spans.get(name, 0.0) + 1e3 * (after - before)
     spans["total"] = 1e3 * (marks[-1][1] - marks[0][1])
     return spans

@@ -12,6 +12,8 @@ from annulus.rings.polar import PolarGrid
 PER_LINE = 48  # slits kept of one line; a wall that shows more is not a wall
 FALL = 0.72  # a slit is darker than this part of what lies before it ..
 RISE = 0.35  # .. and the light must come back by this part of the fall
+SHALLOW = 0.65  # a slit is at least this part as deep as the frame's usual one
+HALFWAY, LEVEL = 0.5, 0.4  # an edge ends where that part of the light is back and the slope is down to that part
 FAINT = 0.03  # stripes dimmer than this part of the frame's bright level are darkness
 
 
@@ -24,6 +26,7 @@ class Slits:
     width: NDArray[np.float64]  # (N,) between the edges
     inside: NDArray[np.float64]  # (N, 3) BGR of the stripe on the inner side, the slit's own darkness taken off
     outside: NDArray[np.float64]  # (N, 3)
+    shallow: int  # dips left out because they were not nearly as dark as this frame's slits are
     crowded: int  # slits left out because a line had more than PER_LINE
 
 
@@ -46,7 +49,12 @@ def find_slits(image: NDArray[np.uint8], grid: PolarGrid) -> Slits:
         grid.cosine, grid.sine, grid.stop, taps, np.float32(floor), np.float32(grid.spacing_px), out,
     )  # fmt: skip
     found = out[:n].astype(np.float64)
-    return Slits(found[:, 0].astype(np.int64), found[:, 1], found[:, 2], found[:, 3:6], found[:, 6:9], int(crowded))
+    dark = found[:, 9] >= SHALLOW * np.median(found[:, 9]) if n else np.zeros(0, bool)
+    kept = found[dark]
+    return Slits(
+        kept[:, 0].astype(np.int64), kept[:, 1], kept[:, 2], kept[:, 3:6], kept[:, 6:9],
+        int(np.count_nonzero(~dark)), int(crowded),
+    )  # fmt: skip
 
 
 def _level(image: NDArray[np.uint8], grid: PolarGrid) -> tuple[float, float]:
@@ -152,21 +160,25 @@ def _scan(image, stride, cx, cy, first, cosine, sine, stop, taps, floor, spacing
                 best = i
         if rising:
             high[k] = best
-        else:  # the last fall is the pattern's outer end
-            pass
 
         for q in range(k):
-            # steepest fall before the bottom, steepest rise after it
+            # The nearest edge on each side: the steepest place up to where the light is back and level again. The
+            # steepest of the whole stripe could be the rim of a pocket farther on.
             bottom = low[q]
+            last = high[q + 1]
+            back = smooth[bottom] + HALFWAY * (min(smooth[high[q]], smooth[last]) - smooth[bottom])
             a = bottom
             for i in range(bottom, high[q] - 1, -1):
                 if slope[i] < slope[a]:
                     a = i
-            last = high[q + 1] if q + 1 < k or rising else length - 6
+                elif smooth[i] > back and slope[i] > LEVEL * slope[a]:
+                    break
             e = bottom
             for i in range(bottom, last + 1):
                 if slope[i] > slope[e]:
                     e = i
+                elif smooth[i] > back and slope[i] < LEVEL * slope[e]:
+                    break
             if a < 6 or e > length - 7 or e <= a:
                 continue
             left = _extremum(slope[a - 1], slope[a], slope[a + 1]) + a
@@ -189,6 +201,8 @@ def _scan(image, stride, cx, cy, first, cosine, sine, stop, taps, floor, spacing
                 )
                 out[n, 3 + c] = max(_mean(colour[c], a0, a1) - dark, np.float32(0.0))
                 out[n, 6 + c] = max(_mean(colour[c], e0, e1) - dark, np.float32(0.0))
+            beside = min(_mean(smooth, a0, a1), _mean(smooth, e0, e1))
+            out[n, 9] = np.float32(1.0) - min(smooth[bottom] / max(beside, np.float32(1.0)), np.float32(1.0))
             n += 1
     return n, crowded
 
