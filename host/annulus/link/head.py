@@ -1,0 +1,378 @@
+"""Brings a controller into service and keeps it there, sans-I/O: identify, stage, commit, arm, keep alive, and again
+after a reset or a fault. The daemon drives it through a port, the soak in virtual time.
+
+    head = HeadControl(configuration)              # a Stage; its generation is chosen here
+    while True:
+        for news in head.receive(port.read(), now):
+            match news:
+                case EdgeSeen(): pairing.edge(news.flash, news.host_ns, news.life)
+                case LampsCut(): pairing.spoil(news.from_ns, news.to_ns)
+        port.write(head.pending(now))              # at least every few ms
+"""
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+from annulus.link.clock import ClockMap
+from annulus.link.messages import (
+    PROTOCOL_VERSION,
+    SCHEMA_HASH,
+    Arm,
+    ArmFlag,
+    Clear,
+    Command,
+    Commit,
+    Edge,
+    Fault,
+    FaultCode,
+    Identify,
+    IdentifyReply,
+    Ping,
+    PingReply,
+    Stage,
+    StateFlag,
+    Status,
+    StatusCode,
+    StatusReply,
+)
+from annulus.link.session import Answer, Happening, Heard, Rebooted, Session, Unanswered, identify
+from annulus.vocabulary import TICKS_PER_US, EdgeFlag, EdgeIndex, Flash, Lamp, Slot, Tick
+
+PING_NS = 97_300_000  # no multiple of a frame period, so samples fall everywhere in the frame; far inside host_timeout
+QUICK_PING_NS = 4_000_000  # until the clock is locked
+STATUS_NS = 1_013_000_000
+RETRY_NS = 150_000_000  # after a refusal or a silence that may pass
+EDGES_WAITING_MAX = 64  # for the clock to lock
+LATCHING = (FaultCode.INTERLOCK, FaultCode.HOST_TIMEOUT, FaultCode.WATCHDOG, FaultCode.LIMIT)
+MENDABLE = (StatusCode.BAD_STATE, StatusCode.UNSAFE)  # may pass by itself: tried again
+
+
+class Phase(StrEnum):
+    """How far the controller is. REFUSED and MISMATCH stay until the configuration or the firmware changes."""
+
+    SEARCHING = "searching"
+    DISARMING = "disarming"
+    STAGING = "staging"
+    COMMITTING = "committing"
+    CLEARING = "clearing"
+    ARMING = "arming"
+    RUNNING = "running"  # armed, as asked
+    IDLE = "idle"  # configured, or nothing to configure; dark, as asked
+    REFUSED = "refused"
+    MISMATCH = "mismatch"
+
+
+@dataclass(frozen=True, slots=True)
+class EdgeSeen:
+    """An edge, placed in host time. `life` counts the controller lives this host has met."""
+
+    flash: Flash
+    host_ns: int
+    error_ns: int
+    life: int
+
+
+@dataclass(frozen=True, slots=True)
+class LampsCut:
+    """Somewhere in this span a lamp may have gone dark before its time, or come on after it should have: a fault, or
+    arming changed. A flash in it is not to be trusted, whatever its edge says.
+    """
+
+    from_ns: int
+    to_ns: int
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseChanged:
+    phase: Phase
+    why: str  # one line for the user, empty when all goes well
+
+
+News = Happening | EdgeSeen | LampsCut | PhaseChanged
+
+
+def flash_from(edge: Edge, tick: Tick, boot: int) -> Flash:
+    """The vocabulary's Flash of an Edge event, its tick extended to 64 bits."""
+    return Flash(
+        EdgeIndex(edge.edge),
+        tick,
+        Slot(edge.slot),
+        Lamp(edge.lamp),
+        edge.delay,
+        edge.width,
+        edge.odometer,
+        edge.generation,
+        boot,
+        edge.flags,
+    )
+
+
+class HeadControl:
+    """Drives one Session. `configuration` None: identify and keep alive only."""
+
+    def __init__(self, configuration: Stage | None = None, *, armed: bool = True) -> None:
+        self.session = Session()
+        self.clock = ClockMap()
+        self.phase = Phase.SEARCHING
+        self.problem = ""  # why the phase is REFUSED or MISMATCH, or what is being waited for
+        self.identity: IdentifyReply | None = None
+        self.status: StatusReply | None = None  # the last one heard
+        self.life = 0
+        self.rearms = 0  # times the lamps were armed again after a reset or fault
+        self._configuration = configuration
+        self._armed = armed
+        self._generation = 0
+        self._waiting: int | None = None  # ticket of the step under way
+        self._next_step_ns = 0
+        self._next_ping_ns = 0
+        self._next_status_ns = 0
+        self._early: deque[tuple[Edge, int, int]] = deque(maxlen=EDGES_WAITING_MAX)  # edge, boot, received
+        self._has_run = False
+        self._committed = False  # our configuration is in force in this life
+        self._cleared = False  # a fault was cleared and the lamps have not been armed since
+        self._step_sent_ns = 0
+        self._news: list[News] = []
+
+    # ---- what is wanted ----
+
+    def configure(self, configuration: Stage | None) -> None:
+        """Another configuration, put in force as soon as the controller lets it (dark in between)."""
+        self._configuration = configuration
+        self._committed = False
+        if self.phase not in (Phase.SEARCHING, Phase.MISMATCH):
+            self._restart_steps(Phase.DISARMING)
+
+    def arm(self) -> None:
+        self._armed = True
+        if self.phase is Phase.IDLE:
+            self._restart_steps(Phase.DISARMING)
+
+    def disarm(self) -> None:
+        """Lamps off, and kept off. Sent with the next `pending`."""
+        self._armed = False
+        if self.phase not in (Phase.SEARCHING, Phase.MISMATCH):
+            self._restart_steps(Phase.DISARMING)
+
+    @property
+    def generation(self) -> int:
+        """Of the configuration last staged; 0 before the first."""
+        return self._generation
+
+    # ---- bytes in, bytes out ----
+
+    def receive(self, data: bytes, now: int) -> list[News]:
+        """What these bytes and the passing of time bring. Session's happenings are among it, for whoever logs them."""
+        happenings = self.session.receive(data, now) + self.session.expire(now)
+        for happening in happenings:
+            self._news_of(happening, now)
+        news, self._news = self._news, []
+        return news
+
+    def pending(self, now: int) -> bytes:
+        """The bytes due now."""
+        if self._waiting is None and now >= self._next_step_ns:
+            step = self._step()
+            if step is not None:
+                self._waiting = self.session.send(step)
+                self._step_sent_ns = now
+        if self.phase is not Phase.SEARCHING and not self.session.backlog:  # a line that is stuck is not fed further
+            if now >= self._next_ping_ns:
+                self._next_ping_ns = now + (PING_NS if self.clock.locked else QUICK_PING_NS)
+                self.session.send(Ping())
+            if now >= self._next_status_ns:
+                self._next_status_ns = now + STATUS_NS
+                self.session.send(Status())
+        return self.session.pending(now)
+
+    # ---- steps ----
+
+    def _step(self) -> Command | None:
+        """The command that the present phase waits for."""
+        match self.phase:
+            case Phase.SEARCHING:
+                return identify()
+            case Phase.DISARMING:
+                return Arm(ArmFlag(0))
+            case Phase.STAGING if self._configuration is not None:
+                return replace(self._configuration, generation=self._generation)
+            case Phase.COMMITTING:
+                return Commit(self._generation)
+            case Phase.CLEARING:
+                return Clear()
+            case Phase.ARMING:
+                return Arm(ArmFlag.LAMPS)
+        return None
+
+    def _enter(self, phase: Phase, why: str = "") -> None:
+        if (phase, why) != (self.phase, self.problem):
+            self.phase, self.problem = phase, why
+            self._news.append(PhaseChanged(phase, why))
+
+    def _restart_steps(self, phase: Phase, why: str = "") -> None:
+        """Go on from `phase`; an answer still to come for an earlier step no longer counts."""
+        self._waiting = None
+        self._next_step_ns = 0
+        self._enter(phase, why)
+
+    def _advance(self, answer: Answer, now: int) -> None:
+        self._waiting = None
+        self._next_step_ns = 0
+        if isinstance(answer.command, Arm):
+            self._news.append(LampsCut(self._step_sent_ns, now, "arming changed"))
+        if answer.reply.status is not StatusCode.OK:
+            self._refused(answer, now)
+            return
+        match answer.command:
+            case Identify():
+                self._identified(answer.reply, now)
+            case Arm(outputs) if ArmFlag.LAMPS in outputs:
+                self.rearms += self._has_run
+                self._has_run = True
+                self._cleared = False
+                self._enter(Phase.RUNNING)
+            case Arm() if self._configuration is None:
+                self._enter(Phase.IDLE)
+            case Arm():
+                self._generation = self._generation % 255 + 1
+                self._enter(Phase.STAGING)
+            case Stage():
+                self._enter(Phase.COMMITTING)
+            case Commit():
+                self._committed = True
+                self._enter(Phase.ARMING if self._armed else Phase.IDLE)
+            case Clear():
+                self._cleared = True
+                self._enter(Phase.ARMING if self._armed and self._committed else Phase.DISARMING)
+
+    def _identified(self, reply: object, now: int) -> None:
+        assert isinstance(reply, IdentifyReply)
+        self.identity = reply
+        self._next_ping_ns = self._next_status_ns = now
+        problem = schema_problem(reply)
+        if problem:
+            self._enter(Phase.MISMATCH, problem)
+        else:
+            self._enter(Phase.DISARMING)
+
+    def _refused(self, answer: Answer, now: int) -> None:
+        status = answer.reply.status
+        if status is StatusCode.UNSAFE and isinstance(answer.command, Arm):
+            self._next_step_ns = now + RETRY_NS if self._cleared else 0  # it has been cleared in vain
+            self._enter(Phase.CLEARING, "a fault is latched")
+        elif status in MENDABLE:
+            self._next_step_ns = now + RETRY_NS
+            self._enter(Phase.CLEARING if isinstance(answer.command, Clear) else Phase.DISARMING, refusal(answer))
+        else:
+            self._enter(Phase.REFUSED, refusal(answer))
+
+    # ---- news ----
+
+    def _news_of(self, happening: Happening, now: int) -> None:
+        if isinstance(happening, Rebooted):
+            self._rebooted(happening)
+        self._news.append(happening)
+        match happening:
+            case Answer() if isinstance(happening.reply, PingReply):
+                self._sampled(happening.reply, happening)
+            case Answer() if happening.ticket == self._waiting:
+                self._advance(happening, now)
+            case Answer() if isinstance(happening.reply, StatusReply):
+                self._check(happening.reply)
+            case Unanswered() if self.phase is not Phase.SEARCHING or happening.ticket == self._waiting:
+                self._restart_steps(Phase.SEARCHING, f"no answer to {type(happening.command).__name__.lower()}")
+            case Heard(event, _, boot, received_ns) if isinstance(event, Edge):
+                self._early.append((event, boot, received_ns))
+                if self.phase is Phase.RUNNING and EdgeFlag.DISARMED in event.flags:
+                    self._next_status_ns = 0  # stale, or a fault we did not hear of
+            case Heard(event) if isinstance(event, Fault) and event.fault in LATCHING:
+                self._faulted(event, now)
+        if self.clock.locked:
+            self._news.extend(self._placed())
+
+    def _sampled(self, reply: PingReply, answer: Answer) -> None:
+        if answer.tries > 1 or reply.status is not StatusCode.OK:
+            return
+        was_locked = self.clock.locked
+        self.clock.sample(reply.tick, answer.sent_ns, answer.received_ns)
+        if was_locked and not self.clock.locked:  # these are another life's ticks: ask who is there
+            self._forget_edges()
+            self._restart_steps(Phase.SEARCHING, "the controller's clock jumped")
+
+    def _check(self, status: StatusReply) -> None:
+        self.status = status
+        if self.phase is Phase.RUNNING and StateFlag.LAMPS_ARMED not in status.state:
+            self._restart_steps(Phase.CLEARING, f"disarmed by the controller: {status.fault.name.lower()}")
+
+    def _placed(self) -> Iterator[EdgeSeen]:
+        while self._early:
+            edge, boot, received_ns = self._early.popleft()
+            tick = self.clock.extend(edge.tick, received_ns)
+            host_ns = self.clock.to_host(tick)
+            if host_ns is not None:
+                error_ns = self.clock.error_ns(host_ns) or 0
+                yield EdgeSeen(flash_from(edge, tick, boot), host_ns, error_ns, self.life)
+
+    def _faulted(self, event: Fault, now: int) -> None:
+        moment = self.clock.to_host(self.clock.extend(event.tick, now))
+        moment = now if moment is None else moment
+        self._news.append(LampsCut(moment, moment, event.fault.name.lower()))
+        if self.phase in (Phase.RUNNING, Phase.ARMING):
+            self._restart_steps(Phase.CLEARING, f"fault: {event.fault.name.lower()}")
+
+    def _rebooted(self, happening: Rebooted) -> None:
+        self.life += 1
+        self._forget_edges()
+        self.clock.restart()
+        self._committed = False
+        if happening.previous is not None:
+            self._restart_steps(Phase.SEARCHING, "the controller restarted")
+
+    def _forget_edges(self) -> None:
+        self._early.clear()
+
+
+def schema_problem(reply: IdentifyReply) -> str:
+    """Empty when host and controller speak the same; else one line that says what to do."""
+    if (reply.protocol, reply.schema) == (PROTOCOL_VERSION, SCHEMA_HASH):
+        return ""
+    return (
+        f"controller speaks protocol {reply.protocol}, schema {reply.schema:08x}, expected {PROTOCOL_VERSION},"
+        f" {SCHEMA_HASH:08x}. Flash the firmware that came with this annulus; until then it cannot be armed."
+    )
+
+
+def refusal(answer: Answer) -> str:
+    """Why the controller would not, in one line."""
+    name = type(answer.command).__name__.lower()
+    status, detail = answer.reply.status, answer.reply.detail
+    match status:
+        case StatusCode.OUT_OF_RANGE:
+            names = answer.command.FIELDS
+            where = names[detail] if detail < len(names) else f"field {detail}"
+            value = getattr(answer.command, where, "?")
+            return f"{name} refused: {where} = {value} is out of range (protocol/REFERENCE.md has the ranges)"
+        case StatusCode.WINDOW if isinstance(answer.command, Stage):
+            return _window_refusal(answer.command, detail)
+        case StatusCode.DUTY:
+            lamp = {1: "projector", 2: "led", 3: "microwave"}.get(detail, str(detail))
+            return f"{name} refused: duty of the {lamp} is over the controller's limit"
+        case StatusCode.SCHEMA:
+            return f"{name} refused: the schema differs. Flash the firmware that came with this annulus."
+        case StatusCode.UNSAFE:
+            return f"{name} refused: interlock open or a fault latched"
+    return f"{name} refused: {status.name.lower()}, detail {detail}"
+
+
+def _window_refusal(stage: Stage, lamp: int) -> str:
+    led = lamp == Lamp.LED
+    delay, width = (stage.led_delay, stage.led_width) if led else (stage.projector_delay, stage.projector_width)
+    us = TICKS_PER_US
+    return (
+        f"{'led' if led else 'projector'} flash {delay / us:g}..{(delay + width) / us:g} us leaves the window"
+        f" {(stage.frame_period - stage.exposure) / us:g}..{(stage.frame_period - stage.readout) / us:g} us in which"
+        f" all rows expose ({1e6 * us / stage.frame_period:g} fps, exposure {stage.exposure / us / 1000:g} ms,"
+        f" readout {stage.readout / us / 1000:g} ms)"
+    )
