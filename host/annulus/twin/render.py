@@ -27,6 +27,16 @@ _PLAIN_MM = 0.002  # a tile deviating less than this is a cylinder
 _STEEP = 0.25  # slope above which a wall can hide itself from a grazing ray
 _BINS = 2048  # of the table from cos(projected angle) to the nearest slit
 _NOISE = 1 << 20
+_PER_Z = np.float32(1.0 / STEP_Z_MM)
+_WALL_PITCH = CLOCKS + 4  # of the padded wall map: one column before twelve o'clock, three after
+_MARCH_MM = 0.8  # along the pipe; no feature is shorter, and bisection follows
+# A row is drawn in stretches of at most _PITCH pixels, their intermediate values in one flat array at these offsets.
+# One base and constant distances are what lets LLVM prove that the loops over it may run as vectors.
+_PITCH = 512
+_WX, _WY, _WZ, _S, _X, _Y, _Z, _NX, _NY, _NZ, _OPEN, _COLUMN, _PAINT, _LIT, _LEVEL, _PLAIN = range(
+    0, 16 * _PITCH, _PITCH
+)
+_SCRATCH = 16 * _PITCH
 
 
 def _compiled(function: Kernel) -> Kernel:
@@ -58,33 +68,27 @@ def _atan2(y: float, x: float) -> float:
 
 @_compiled
 def _step_up(x: float) -> float:
-    """Standard normal distribution function within 3e-4, zero and one past 3.5 sigma."""
-    if x <= np.float32(-3.5):
-        return np.float32(0.0)
-    if x >= np.float32(3.5):
-        return np.float32(1.0)
-    t = x * (np.float32(0.7988) + np.float32(0.03566) * x * x)
-    return np.float32(0.5) + np.float32(0.5) * np.float32(math.tanh(t))
+    """Standard normal distribution function within 3e-4 (Abramowitz & Stegun 7.1.27); branch-free."""
+    t = abs(x) * np.float32(0.70710678)
+    p = np.float32(1.0) + t * (
+        np.float32(0.278393) + t * (np.float32(0.230389) + t * (np.float32(0.000972) + t * np.float32(0.078108)))
+    )
+    p = p * p
+    tail = np.float32(0.5) / (p * p)
+    return tail if x < 0 else np.float32(1.0) - tail
 
 
 @_compiled
 def _wall(deviation: F32, column: float, row: float) -> float:
-    """Bilinear deviation (mm) at fractional map place; clean outside in z, wraps in clock."""
-    rows, columns = deviation.shape
-    i = int(row)
-    if row < np.float32(0.0) or i >= rows - 1:
-        return np.float32(0.0)
-    if column < 0:
-        column += np.float32(columns)
-    j = int(column)
-    fj, fi = column - np.float32(j), row - np.float32(i)
-    if j >= columns:
-        j -= columns
-    k = j + 1
-    if k >= columns:
-        k = 0
-    a = deviation[i, j] + fj * (deviation[i, k] - deviation[i, j])
-    b = deviation[i + 1, j] + fj * (deviation[i + 1, k] - deviation[i + 1, j])
+    """Bilinear deviation (mm) at a fractional map place, column -1..CLOCKS + 1; its first and last row are clean."""
+    top = np.float32(deviation.shape[0] // _WALL_PITCH) - np.float32(1.01)
+    row = min(max(row, np.float32(0.0)), top)
+    i, j = np.int32(row), np.int32(column + np.float32(1.0))
+    fj, fi = column + np.float32(1.0) - np.float32(j), row - np.float32(i)
+    k = i * np.int32(_WALL_PITCH) + j
+    a = deviation[k] + fj * (deviation[k + 1] - deviation[k])
+    k += np.int32(_WALL_PITCH)
+    b = deviation[k] + fj * (deviation[k + 1] - deviation[k])
     return a + fi * (b - a)
 
 
@@ -110,42 +114,83 @@ def _excess(
 ) -> float:
     """r - wall at range s of a ray in the pipe frame; the clock angle hardly changes over a wall's roughness."""
     x, y, z = c[0] + s * wx, c[1] + s * wy, c[2] + s * wz
-    return np.sqrt(x * x + y * y) - radius - _wall(deviation, column, (z - z0) * np.float32(1.0 / STEP_Z_MM))
+    return np.sqrt(x * x + y * y) - radius - _wall(deviation, column, (z - z0) * _PER_Z)
 
 
 @_compiled
-def _meet(
-    deviation: F32, c: F32, wx: float, wy: float, wz: float, z0: float, radius: float,
-    low: float, high: float, steep: bool,
+def _meet_gentle(n: int, scratch: F32, station: F32, z0: float, radius: float, deviation: F32) -> None:
+    """Meet a wall without edges instead of the plain cylinder, for a whole stretch: mends range, place and normal.
+
+    The fixed point r = R + wall(where r is met), by secant: error below 5 um for slopes up to half the ray's.
+    """
+    one, half = np.float32(1.0), np.float32(0.5)
+    sx, sy, sz = station[0], station[1], station[2]
+    for u in range(n):
+        wx, wy, wz, column = scratch[_WX + u], scratch[_WY + u], scratch[_WZ + u], scratch[_COLUMN + u]
+        d0 = _wall(deviation, column, (scratch[_Z + u] - z0) * _PER_Z)
+        s = _cylinder(sx, sy, wx, wy, radius + d0)
+        d1 = _wall(deviation, column, (sz + s * wz - z0) * _PER_Z)
+        gain = (d1 - d0) / (d0 if abs(d0) > np.float32(1e-3) else np.float32(1e-3))
+        lift = one / (one - min(max(gain, -half), half))
+        d2 = d0 + (d1 - d0) * lift
+        s = _cylinder(sx, sy, wx, wy, radius + d2)
+        d3 = _wall(deviation, column, (sz + s * wz - z0) * _PER_Z)
+        s = _cylinder(sx, sy, wx, wy, radius + d2 + (d3 - d2) * lift)
+        x, y, z = sx + s * wx, sy + s * wy, sz + s * wz
+        row = (z - z0) * _PER_Z
+        inverse = one / np.sqrt(x * x + y * y)
+        slope_z = (_wall(deviation, column, row + half) - _wall(deviation, column, row - half)) * _PER_Z
+        slope_c = _wall(deviation, column + half, row) - _wall(deviation, column - half, row)
+        slope_c *= np.float32(CLOCKS / (2 * np.pi)) * inverse
+        ex, ey = x * inverse, y * inverse  # outwards; the clock angle grows along (-ey, ex)
+        scale = one / np.sqrt(one + slope_c * slope_c + slope_z * slope_z)
+        scratch[_S + u], scratch[_X + u], scratch[_Y + u], scratch[_Z + u] = s, x, y, z
+        scratch[_NX + u], scratch[_NY + u] = (ex + slope_c * ey) * scale, (ey - slope_c * ex) * scale
+        scratch[_NZ + u] = -slope_z * scale
+
+
+@_compiled
+def _meet_steep(
+    deviation: F32, tile_low: F32, tile_high: F32, c: F32, wx: float, wy: float, wz: float, z0: float, radius: float,
+    low: float, high: float, column: float,
 ) -> float:  # fmt: skip
-    """Range at which a ray first goes through a wall whose deviation stays within low..high (mm) thereabouts.
+    """Range at which a ray first goes through a wall that stays within low..high (mm) thereabouts.
 
     The clock angle is that of the plain cylinder; over low..high it drifts by less than a map column.
     """
     s0 = _cylinder(c[0], c[1], wx, wy, radius + low - np.float32(0.01))
     s1 = _cylinder(c[0], c[1], wx, wy, radius + high + np.float32(0.01))
-    middle = np.float32(0.5) * (s0 + s1)
-    column = _column(c[0] + middle * wx, c[1] + middle * wy)
+    # the tiles it really passes on its way know tighter bounds: often a flat floor, and no march at all
+    first = int((c[2] + s0 * wz - z0) * _PER_Z) // _TILE_ROWS
+    last = int((c[2] + s1 * wz - z0) * _PER_Z) // _TILE_ROWS
+    at = min(int(column) // _TILE_COLUMNS, tile_low.shape[1] - 1)
+    if first >= 0 and last < tile_low.shape[0]:
+        low, high = tile_low[first, at], tile_high[first, at]
+        for i in range(first + 1, last + 1):
+            low, high = min(low, tile_low[i, at]), max(high, tile_high[i, at])
+        if high - low < np.float32(1e-3):
+            return _cylinder(c[0], c[1], wx, wy, radius + low)
+        s0 = _cylinder(c[0], c[1], wx, wy, radius + low - np.float32(0.01))
+        s1 = _cylinder(c[0], c[1], wx, wy, radius + high + np.float32(0.01))
     a, fa = s0, _excess(deviation, s0, c, wx, wy, wz, column, z0, radius)
-    b, fb = s1, np.float32(0.0)
-    if steep:
-        steps = min(int(abs((s1 - s0) * wz) * np.float32(1.0 / STEP_Z_MM)) + 2, 200)
-        ds = (s1 - s0) / np.float32(steps)
-        for i in range(1, steps + 1):
-            b = s0 + np.float32(i) * ds
-            fb = _excess(deviation, b, c, wx, wy, wz, column, z0, radius)
-            if fb >= 0:
-                break
-            a, fa = b, fb
-    else:
+    if fa >= 0:
+        return s0
+    steps = min(int(abs((s1 - s0) * wz) * np.float32(1.0 / _MARCH_MM)) + 2, 200)
+    ds = (s1 - s0) / np.float32(steps)
+    b, fb = s1, np.float32(-1.0)
+    for i in range(1, steps + 1):
+        b = s0 + np.float32(i) * ds
         fb = _excess(deviation, b, c, wx, wy, wz, column, z0, radius)
-    if fa >= 0 or fb <= 0:
-        return a if fa >= 0 else b
+        if fb >= 0:
+            break
+        a, fa = b, fb
+    if fb <= 0:
+        return b
     side = 0
     for _ in range(8):  # regula falsi, Illinois
         m = (a * fb - b * fa) / (fb - fa)
         fm = _excess(deviation, m, c, wx, wy, wz, column, z0, radius)
-        if abs(fm) < np.float32(5e-4):
+        if abs(fm) < np.float32(1e-3):
             return m
         if fm < 0:
             a, fa = m, fm
@@ -162,32 +207,66 @@ def _meet(
 
 @_compiled
 def _shadowed(
-    deviation: F32, x: float, y: float, z: float, light: F32, z0: float, radius: float, low: float
-) -> bool:
+    deviation: F32, tile_low: F32, x: float, y: float, z: float, light: F32, z0: float, radius: float, low: float,
+    column: float,
+) -> bool:  # fmt: skip
     """Whether the wall stands between a wall point and a light inside the pipe (both pipe frame)."""
     dx, dy, dz = light[0] - x, light[1] - y, light[2] - z
-    step = np.float32(STEP_Z_MM) / (abs(dz) + np.float32(1e-3))
-    column = _column(x, y)
-    # half a step off the surface, so that it does not shadow itself
-    for i in range(160):
-        t = (np.float32(i) + np.float32(0.75)) * step
-        if t >= np.float32(1.0):
-            return False
+    r0 = np.sqrt(x * x + y * y)
+    drop = (dx * x + dy * y) / r0  # how fast r falls on the way
+    clear = min((low - (r0 - radius)) / min(drop, np.float32(-1.0)), np.float32(0.5))  # from here on nothing can hide it
+    if clear <= 0:
+        return False
+    at = min(int(column) // _TILE_COLUMNS, tile_low.shape[1] - 1)
+    last = min(max(int((z - z0) * _PER_Z) // _TILE_ROWS, 0), tile_low.shape[0] - 1)
+    first = min(max(int((z + clear * dz - z0) * _PER_Z) // _TILE_ROWS, 0), last)
+    lowest = tile_low[last, at]
+    for i in range(first, last):
+        lowest = min(lowest, tile_low[i, at])
+    if lowest > r0 - radius - np.float32(0.03):
+        return False  # nothing on the way stands higher than this point
+    turn = (x * dy - y * dx) / (r0 * r0) * np.float32(CLOCKS / (2 * np.pi))  # columns per unit of t
+    step = np.float32(_MARCH_MM) / (abs(dz) + np.float32(1e-3))
+    t = np.float32(0.6) * step  # off the surface, so that it does not shadow itself
+    while t < clear:
         qx, qy, qz = x + t * dx, y + t * dy, z + t * dz
         r = np.sqrt(qx * qx + qy * qy) - radius
-        if r < low:
-            return False
-        if i & 7 == 7:
-            column = _column(qx, qy)
-        if r > _wall(deviation, column, (qz - z0) * np.float32(1.0 / STEP_Z_MM)) + np.float32(0.03):
+        place = min(max(column + t * turn, np.float32(-1.0)), np.float32(CLOCKS + 1))
+        if r > _wall(deviation, place, (qz - z0) * _PER_Z) + np.float32(0.03):
             return True
+        t += step
     return False
+
+
+@_compiled
+def _rough(
+    k: int, ask_shadow: bool, scratch: F32, station: F32, light: F32, z0: float, radius: float,
+    deviation: F32, tile_low: F32, tile_high: F32, near_low: float, near_high: float,
+) -> None:  # fmt: skip
+    """Meet a wall with edges: mends range, place, normal and shadow of pixel k of a stretch."""
+    wx, wy, wz, column = scratch[_WX + k], scratch[_WY + k], scratch[_WZ + k], scratch[_COLUMN + k]
+    s = _meet_steep(deviation, tile_low, tile_high, station, wx, wy, wz, z0, radius, near_low, near_high, column)
+    x, y, z = station[0] + s * wx, station[1] + s * wy, station[2] + s * wz
+    r = np.sqrt(x * x + y * y)
+    row = (z - z0) * _PER_Z
+    half = np.float32(0.4)  # of a map cell, both ways
+    slope_c = _wall(deviation, column + half, row) - _wall(deviation, column - half, row)
+    slope_z = (_wall(deviation, column, row + half) - _wall(deviation, column, row - half)) * (_PER_Z / (half + half))
+    slope_c *= np.float32(CLOCKS / (2 * np.pi)) / (r * (half + half))
+    ex, ey = x / r, y / r
+    scale = np.float32(1.0) / np.sqrt(np.float32(1.0) + slope_c * slope_c + slope_z * slope_z)
+    scratch[_S + k], scratch[_X + k], scratch[_Y + k], scratch[_Z + k] = s, x, y, z
+    scratch[_NX + k], scratch[_NY + k] = (ex + slope_c * ey) * scale, (ey - slope_c * ex) * scale
+    scratch[_NZ + k] = -slope_z * scale
+    low = near_low - np.float32(0.02)
+    if ask_shadow and _shadowed(deviation, tile_low, x, y, z, light, z0, radius, low, column):
+        scratch[_OPEN + k] = np.float32(0.0)
 
 
 @_compiled
 def _reflect(albedo: U8, column: float, row: float, channel: int, base: F32) -> float:
     """Bilinear albedo 0..1 of one channel at a fractional map place."""
-    rows, columns = albedo.shape[0], albedo.shape[1]
+    rows, columns = albedo.shape[1], albedo.shape[2]
     i, j = int(row), int(column)
     if row < 0 or i >= rows - 1:
         return base[channel]
@@ -195,75 +274,33 @@ def _reflect(albedo: U8, column: float, row: float, channel: int, base: F32) -> 
     if j >= columns:
         j -= columns
     k = j + 1 if j + 1 < columns else 0
-    p, q = np.float32(albedo[i, j, channel]), np.float32(albedo[i, k, channel])
-    r, s = np.float32(albedo[i + 1, j, channel]), np.float32(albedo[i + 1, k, channel])
+    p, q = np.float32(albedo[channel, i, j]), np.float32(albedo[channel, i, k])
+    r, s = np.float32(albedo[channel, i + 1, j]), np.float32(albedo[channel, i + 1, k])
     a, b = p + fj * (q - p), r + fj * (s - r)
     return (a + fi * (b - a)) * np.float32(1.0 / 255.0)
 
 
 @_compiled
-def _slide(
-    x: float, y: float, z: float, spread: float, channel: int, nearest: NDArray[np.int8], cos0: float, cos_step: float,
-    centre: F32, slits: F32, colours: F32, leak: float, blur: float,
-) -> float:  # fmt: skip
-    """Share of a lit stripe's light that reaches a camera-frame point, as one channel sees it.
-
-    centre: vertex and axis of the mean cone; finds the nearest slit. slits[i]: vertex, axis, cos, sin of the half-angle,
-    half-width (rad); the first and last "slit" are the pattern's rims. colours[i], [i+1]: stripes inside and outside.
-    spread: what dtheta_camera / dpixel / sin^2(theta_camera) is at this pixel, for the blur in projected angle.
-    """
-    vx, vy, vz = x - centre[0], y - centre[1], z - centre[2]
-    cosine = (vx * centre[3] + vy * centre[4] + vz * centre[5]) / np.sqrt(vx * vx + vy * vy + vz * vz)
-    at = int((cosine - cos0) * cos_step)
-    if at < 0 or at >= nearest.shape[0]:
-        return np.float32(0.0)
-    i = nearest[at]
-    vx, vy, vz = x - slits[i, 0], y - slits[i, 1], z - slits[i, 2]
-    along = vx * slits[i, 3] + vy * slits[i, 4] + vz * slits[i, 5]
-    cosine = along / np.sqrt(vx * vx + vy * vy + vz * vz)
-    sine2 = np.float32(1.0) - cosine * cosine
-    off = np.sqrt(sine2) * slits[i, 6] - cosine * slits[i, 7]  # sin(theta_P - theta), small
-    sigma = blur * sine2 * spread
-    inside = np.float32(1.0) - _step_up((off + slits[i, 8]) / sigma)
-    outside = _step_up((off - slits[i, 8]) / sigma)
-    a, b = colours[i, channel], colours[i + 1, channel]
-    return inside * a + outside * b + leak * (np.float32(1.0) - inside - outside) * (a + b)
-
-
-@_compiled
-def _rods_pass(x: float, y: float, z: float, rods: F32, light: F32, blur_mm: float) -> float:
-    """Share of projector light that the rods let through to a camera-frame point; rods lie along camera z."""
-    out = np.float32(1.0)
-    dx, dy, dz = x - light[0], y - light[1], z - light[2]
-    flat2 = dx * dx + dy * dy
-    for i in range(rods.shape[0]):
-        rx, ry = rods[i, 0] - light[0], rods[i, 1] - light[1]
-        t = (rx * dx + ry * dy) / flat2
-        if t <= 0 or t >= 1:
-            continue
-        wide = abs(rx * dy - ry * dx) / np.sqrt(flat2)
-        if wide > rods[i, 2] * np.float32(3.0):
-            continue
-        over = light[2] + t * dz - rods[i, 4]
-        under = rods[i, 3] - (light[2] + t * dz)
-        past = max(max(over, under), np.float32(0.0)) * np.sqrt(flat2 / (flat2 + dz * dz))
-        distance = np.sqrt(wide * wide + past * past)
-        out *= _step_up((distance - rods[i, 2]) / (blur_mm * t))
-    return out
-
-
-@_compiled
 def _draw(
     out: U8, first: int, last: int, rays: F32, rotation: F32, station: F32, projector_gain: F32, led_gain: F32,
-    lit: F32, radius: float, z0: float, deviation: F32, tile_low: F32, tile_high: F32, tile_kind: U8, albedo: U8,
-    base: F32, nearest: NDArray[np.int8], cos0: float, cos_step: float, centre: F32, slits: F32, colours: F32,
-    leak: float, power: float, rods: F32, led: F32, led_power: F32, blur: float, focal: float, sensor: F32,
-    noise: F32, seed: int,
+    lit: F32, radius: float, z0: float, deviation: F32, tile_low: F32, tile_high: F32, near_low: F32, near_high: F32,
+    tile_kind: U8, albedo: U8, base: F32, nearest: NDArray[np.int8], cos0: float, cos_step: float, centre: F32,
+    slits: F32, colours: F32, leak: float, power: float, rods: F32, led: F32, led_power: F32, blur: float,
+    focal: float, sensor: F32, noise: F32, seed: int,
 ) -> None:  # fmt: skip
-    """Rows first..last of one frame. station: camera in the pipe; lit: the circle (u, v, inner, outer px) that holds
-    all projected light; tile_kind: 0 plain, 1 gentle, 2 steep, +4 marked with paint."""
+    """Rows first..last of one frame, a row at a time in short loops that the compiler turns into vector code.
+
+    rays: (3, H, W), see `_ray_table`. rotation, station: pose, camera in the pipe. lit: the circle (u, v, inner, outer
+    px) that holds all projected light. centre: vertex, axis of the mean cone; finds the nearest slit through `nearest`.
+    slits[i]: vertex, axis, cos, sin of the half-angle, half-width (rad); the first and the last "slit" are the
+    pattern's rims. colours[i], [i + 1]: stripes inside and outside of it. tile_kind: 0 plain, 1 gentle, 3 steep, +4
+    marked with paint; tile_low, tile_high: wall within a tile, near_*: on a ray's way to it.
+    """
     height, width = out.shape
-    row_light = np.zeros(width, np.float32)
+    scratch = np.zeros(_SCRATCH, np.float32)
+    slit_of = np.zeros(_PITCH, np.int32)
+    kinds = np.zeros(_PITCH, np.int32)
+    level = np.zeros(width, np.float32)
     light = np.empty(3, np.float32)  # projector in the pipe frame
     lamp = np.empty(3, np.float32)  # LED in the pipe frame
     for k in range(3):
@@ -272,98 +309,169 @@ def _draw(
         for m in range(3):
             light[k] += rotation[m, k] * centre[m]
             lamp[k] += rotation[m, k] * led[m]
+    r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
+    r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
+    r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
+    sx, sy, sz = station[0], station[1], station[2]
+    one, zero = np.float32(1.0), np.float32(0.0)
     black, read2, shot = sensor[0], sensor[1] * sensor[1], sensor[2]
     tiles_z, tiles_c = tile_kind.shape
     state = np.uint64(seed) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(1)
     for v in range(first, last):
         gp, gl = projector_gain[v], led_gain[v]
-        row_light[:] = np.float32(0.0)
-        u0, u1, h0, h1 = 0, width, 0, 0
-        if gp <= 0 and gl <= 0:
-            u1 = 0
-        elif gl <= 0:
+        level[:] = zero
+        # which stretches of the row can hold light: all, or left and right of the pattern's hole
+        a0, a1, b0, b1 = 0, 0, 0, 0
+        if gl > 0:
+            a1 = width
+        elif gp > 0:
             dv = np.float32(v) - lit[1]
             chord = lit[3] * lit[3] - dv * dv
-            if chord <= 0:
-                u1 = 0
-            else:
+            if chord > 0:
                 half = np.sqrt(chord)
-                u0, u1 = max(0, int(lit[0] - half)), min(width, int(lit[0] + half) + 2)
+                a0 = min(max(int(lit[0] - half), 0), width)
+                a1 = max(min(int(lit[0] + half) + 2, width), a0)
                 hole = lit[2] * lit[2] - dv * dv
                 if hole > 0:
-                    h0, h1 = int(lit[0] - np.sqrt(hole)) + 1, int(lit[0] + np.sqrt(hole))
-        for u in range(u0, u1):
-            if h0 <= u < h1:
-                continue
-            dx, dy, spread = rays[v, u, 0], rays[v, u, 1], rays[v, u, 2]
-            if spread <= 0:
-                continue  # the lens sees nothing here
-            dz = np.sqrt(max(np.float32(1.0) - dx * dx - dy * dy, np.float32(0.0)))
-            wx = rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz
-            wy = rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz
-            wz = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
-            s = _cylinder(station[0], station[1], wx, wy, radius)
-            if s > np.float32(3000.0):
-                continue
-            x, y, z = station[0] + s * wx, station[1] + s * wy, station[2] + s * wz
-            column = _column(x, y)
-            row = (z - z0) * np.float32(1.0 / STEP_Z_MM)
-            kind = 0
-            ti, tj = int(row) // _TILE_ROWS, int(column) // _TILE_COLUMNS
-            inside = row >= 0 and ti < tiles_z
-            if inside:
-                tj = min(tj, tiles_c - 1)
-                kind = tile_kind[ti, tj]
-            nx, ny, nz = x / radius, y / radius, np.float32(0.0)
-            hidden = False
-            if kind & 3:
-                s = _meet(
-                    deviation, station, wx, wy, wz, z0, radius, tile_low[ti, tj], tile_high[ti, tj], (kind & 2) != 0
-                )
-                x, y, z = station[0] + s * wx, station[1] + s * wy, station[2] + s * wz
-                column = _column(x, y)
-                row = (z - z0) * np.float32(1.0 / STEP_Z_MM)
-                r = np.sqrt(x * x + y * y)
-                here = _wall(deviation, column - np.float32(0.4), row), _wall(deviation, column + np.float32(0.4), row)
-                slope_c = (here[1] - here[0]) * np.float32(CLOCKS / (2 * np.pi * 0.8)) / r
-                here = _wall(deviation, column, row - np.float32(0.4)), _wall(deviation, column, row + np.float32(0.4))
-                slope_z = (here[1] - here[0]) * np.float32(1.0 / (0.8 * STEP_Z_MM))
-                ex, ey = x / r, y / r  # outwards; the clock angle grows along (-ey, ex)
-                nx, ny, nz = ex + slope_c * ey, ey - slope_c * ex, -slope_z
-                scale = np.float32(1.0) / np.sqrt(nx * nx + ny * ny + nz * nz)
-                nx, ny, nz = nx * scale, ny * scale, nz * scale
-                if gp > 0 and (kind & 2) != 0:
-                    hidden = _shadowed(deviation, x, y, z, light, z0, radius, tile_low[ti, tj] - np.float32(0.02))
-            channel = (v & 1) + (u & 1)
-            total = np.float32(0.0)
-            if gp > 0 and not hidden:
-                px, py, pz = s * dx, s * dy, s * dz
-                share = _slide(
-                    px, py, pz, spread, channel, nearest, cos0, cos_step, centre, slits, colours, leak, blur
-                )
-                if share > 0:
-                    lx, ly, lz = x - light[0], y - light[1], z - light[2]
-                    facing = lx * nx + ly * ny + lz * nz
-                    if facing > 0:
-                        d2 = lx * lx + ly * ly + lz * lz
-                        through = _rods_pass(px, py, pz, rods, centre, blur * s / focal)
-                        total += gp * power * share * through * facing / (d2 * np.sqrt(d2))
-            if gl > 0:
-                lx, ly, lz = x - lamp[0], y - lamp[1], z - lamp[2]
-                facing = lx * nx + ly * ny + lz * nz
-                if facing > 0:
-                    d2 = lx * lx + ly * ly + lz * lz
-                    total += gl * led_power[channel] * facing / (d2 * np.sqrt(d2))
-            if inside and kind & 4:
-                total *= _reflect(albedo, column, row, channel, base)
+                    b1 = a1
+                    b0 = max(min(int(lit[0] + np.sqrt(hole)), b1), a0)
+                    a1 = max(min(int(lit[0] - np.sqrt(hole)) + 1, b0), a0)
+        chunks_a = (a1 - a0 + _PITCH - 1) // _PITCH
+        chunks = chunks_a + (b1 - b0 + _PITCH - 1) // _PITCH
+        for chunk in range(chunks):
+            if chunk < chunks_a:
+                u0 = a0 + chunk * _PITCH
+                n = min(_PITCH, a1 - u0)
             else:
-                total *= base[channel]
-            row_light[u] = total
+                u0 = b0 + (chunk - chunks_a) * _PITCH
+                n = min(_PITCH, b1 - u0)
+            ray_x, ray_y, spread = rays[0, v, u0 : u0 + n], rays[1, v, u0 : u0 + n], rays[2, v, u0 : u0 + n]
+            odd = u0 & 1
+            for u in range(n):
+                dx, dy = ray_x[u], ray_y[u]
+                dz = np.sqrt(max(one - dx * dx - dy * dy, zero))
+                wx = r00 * dx + r10 * dy + r20 * dz
+                wy = r01 * dx + r11 * dy + r21 * dz
+                wz = r02 * dx + r12 * dy + r22 * dz
+                a = wx * wx + wy * wy + np.float32(1e-7)
+                b = sx * wx + sy * wy
+                c = sx * sx + sy * sy - radius * radius
+                s = (np.sqrt(max(b * b - a * c, zero)) - b) / a
+                x, y = sx + s * wx, sy + s * wy
+                scratch[_WX + u], scratch[_WY + u], scratch[_WZ + u] = wx, wy, wz
+                scratch[_S + u], scratch[_X + u], scratch[_Y + u], scratch[_Z + u] = s, x, y, sz + s * wz
+                scratch[_NX + u], scratch[_NY + u], scratch[_NZ + u] = x / radius, y / radius, zero
+                scratch[_OPEN + u], scratch[_LEVEL + u], scratch[_PLAIN + u] = one, zero, s
+            for u in range(n):
+                scratch[_COLUMN + u] = _column(scratch[_X + u], scratch[_Y + u])
+            gentle, steep = 0, 0
+            for u in range(n):
+                row = (scratch[_Z + u] - z0) * _PER_Z
+                ti, tj = int(row) // _TILE_ROWS, min(int(scratch[_COLUMN + u]) // _TILE_COLUMNS, tiles_c - 1)
+                kind = int(tile_kind[ti, tj]) if row >= 0 and ti < tiles_z else 0
+                kinds[u] = kind
+                scratch[_PAINT + u] = one if kind & 4 else zero
+                gentle += 1 if kind & 3 == 1 else 0
+                steep += kind & 2
+            if gentle:
+                _meet_gentle(n, scratch, station, z0, radius, deviation)
+            if steep:
+                for u in range(n):
+                    if kinds[u] & 2:
+                        wz = (sz + scratch[_WZ + u] * scratch[_PLAIN + u] - z0) * _PER_Z
+                        ti, tj = int(wz) // _TILE_ROWS, min(int(scratch[_COLUMN + u]) // _TILE_COLUMNS, tiles_c - 1)
+                        _rough(
+                            u, gp > 0, scratch, station, light, z0, radius, deviation, tile_low, tile_high,
+                            near_low[ti, tj], near_high[ti, tj],
+                        )  # fmt: skip
+            if gp > 0:
+                vx, vy, vz, ax, ay, az = centre[0], centre[1], centre[2], centre[3], centre[4], centre[5]
+                for u in range(n):
+                    dx, dy, s = ray_x[u], ray_y[u], scratch[_S + u]
+                    dz = np.sqrt(max(one - dx * dx - dy * dy, zero))
+                    px, py, pz = s * dx - vx, s * dy - vy, s * dz - vz
+                    d2 = px * px + py * py + pz * pz
+                    inverse = one / np.sqrt(d2)
+                    x, y, z = scratch[_X + u], scratch[_Y + u], scratch[_Z + u]
+                    facing = (
+                        (x - light[0]) * scratch[_NX + u]
+                        + (y - light[1]) * scratch[_NY + u]
+                        + (z - light[2]) * scratch[_NZ + u]
+                    )
+                    scratch[_LIT + u] = (
+                        gp * power * max(facing, zero) * inverse * inverse * inverse * scratch[_OPEN + u]
+                    )
+                    at = (px * ax + py * ay + pz * az) * inverse
+                    slit_of[u] = np.int32(max(min((at - cos0) * cos_step, np.float32(_BINS - 1)), zero))
+                for i in range(rods.shape[0]):
+                    rx, ry, thick, back, front = (
+                        rods[i, 0] - vx, rods[i, 1] - vy, rods[i, 2], rods[i, 3], rods[i, 4]
+                    )  # fmt: skip
+                    for u in range(n):
+                        dx, dy, s = ray_x[u], ray_y[u], scratch[_S + u]
+                        dz = np.sqrt(max(one - dx * dx - dy * dy, zero))
+                        px, py, pz = s * dx - vx, s * dy - vy, s * dz - vz
+                        flat2 = px * px + py * py
+                        t = (rx * px + ry * py) / flat2  # where on its way the light passes nearest to the rod
+                        wide2 = rx * rx + ry * ry - t * t * flat2
+                        z = vz + t * pz
+                        past = max(max(z - front, back - z), zero)
+                        past2 = past * past * flat2 / (flat2 + pz * pz)
+                        distance = np.sqrt(max(wide2 + past2, zero))
+                        through = _step_up((distance - thick) * focal / (blur * s * max(t, np.float32(0.05))))
+                        scratch[_LIT + u] *= through if t > 0 else one
+                u = 0
+                while u < n:  # runs of pixels that share their nearest slit
+                    i = nearest[slit_of[u]]
+                    end = u + 1
+                    while end < n and nearest[slit_of[end]] == i:
+                        end += 1
+                    vx, vy, vz, ax, ay, az = (
+                        slits[i, 0], slits[i, 1], slits[i, 2], slits[i, 3], slits[i, 4], slits[i, 5]
+                    )  # fmt: skip
+                    cosine0, sine0, wide = slits[i, 6], slits[i, 7], slits[i, 8]
+                    even, other = (v & 1) + odd, (v & 1) + 1 - odd
+                    even_in, odd_in = colours[i, even], colours[i, other]
+                    even_out, odd_out = colours[i + 1, even], colours[i + 1, other]
+                    for k in range(u, end):
+                        dx, dy, s = ray_x[k], ray_y[k], scratch[_S + k]
+                        dz = np.sqrt(max(one - dx * dx - dy * dy, zero))
+                        px, py, pz = s * dx - vx, s * dy - vy, s * dz - vz
+                        cosine = (px * ax + py * ay + pz * az) / np.sqrt(px * px + py * py + pz * pz)
+                        sine2 = max(one - cosine * cosine, zero)
+                        off = np.sqrt(sine2) * cosine0 - cosine * sine0  # sin(theta_P - theta), small
+                        sharp = one / (blur * sine2 * spread[k] + np.float32(1e-9))
+                        inside = one - _step_up((off + wide) * sharp)
+                        outside = _step_up((off - wide) * sharp)
+                        colour_in = odd_in if k & 1 else even_in
+                        colour_out = odd_out if k & 1 else even_out
+                        share = inside * colour_in + outside * colour_out
+                        share += leak * (one - inside - outside) * (colour_in + colour_out)
+                        scratch[_LEVEL + k] = scratch[_LIT + k] * share
+                    u = end
+            if gl > 0:
+                for u in range(n):
+                    lx, ly, lz = scratch[_X + u] - lamp[0], scratch[_Y + u] - lamp[1], scratch[_Z + u] - lamp[2]
+                    d2 = lx * lx + ly * ly + lz * lz
+                    facing = lx * scratch[_NX + u] + ly * scratch[_NY + u] + lz * scratch[_NZ + u]
+                    lit_power = led_power[(v & 1) + 1] if (u & 1) != odd else led_power[v & 1]
+                    scratch[_LEVEL + u] += gl * lit_power * max(facing, zero) / (d2 * np.sqrt(d2))
+            for u in range(n):
+                channel = (v & 1) + ((u & 1) ^ odd)
+                if scratch[_PAINT + u] > 0 and scratch[_LEVEL + u] > 0:
+                    row = (scratch[_Z + u] - z0) * _PER_Z
+                    scratch[_LEVEL + u] *= _reflect(albedo, scratch[_COLUMN + u], row, channel, base)
+                else:
+                    scratch[_LEVEL + u] *= base[channel]
+                if spread[u] <= 0:  # the lens sees nothing here
+                    scratch[_LEVEL + u] = zero
+            for u in range(n):
+                level[u0 + u] = scratch[_LEVEL + u]
         state = state * np.uint64(6364136223846793005) + np.uint64(2 * v + 1442695040888963407)
         at = int((state >> np.uint64(33)) % np.uint64(noise.shape[0] - width))
         for u in range(width):
-            value = row_light[u] + black + np.sqrt(read2 + shot * row_light[u]) * noise[at + u] + np.float32(0.5)
-            out[v, u] = np.uint8(min(max(value, np.float32(0.0)), np.float32(255.0)))
+            value = level[u] + black + np.sqrt(read2 + shot * level[u]) * noise[at + u] + np.float32(0.5)
+            out[v, u] = np.uint8(min(max(value, zero), np.float32(255.0)))
 
 
 class Renderer:
@@ -374,10 +482,10 @@ class Renderer:
         camera, projector, optics = world.camera, world.projector, world.optics
         self.height, self.width = camera.height, camera.width
         self._rays = _ray_table(world)
-        self._deviation = np.ascontiguousarray(world.radius_map)
-        self._albedo = np.ascontiguousarray(world.albedo_map)
+        self._deviation = np.pad(world.radius_map, ((0, 0), (1, _WALL_PITCH - CLOCKS - 1)), mode="wrap").ravel()
+        self._albedo = np.ascontiguousarray(world.albedo_map.transpose(2, 0, 1))
         self._base = np.array(world.albedo, np.float32)
-        self._low, self._high, self._kind = _tiles(world)
+        self._tiles = _tiles(world)
         cones = projector.cones
         vertex = np.mean([c.vertex_mm for c in cones], axis=0)
         axis = np.mean([c.axis for c in cones], axis=0)
@@ -447,7 +555,7 @@ class Renderer:
         _draw(
             frame, first, last, self._rays, pose.rotation.astype(np.float32), station, gains[0], gains[1],
             self._lit_circle(pose), np.float32(self.world.radius_mm), np.float32(self.world.z_range_mm[0]),
-            self._deviation, self._low, self._high, self._kind, self._albedo, self._base, self._nearest, self._cos0,
+            self._deviation, *self._tiles, self._albedo, self._base, self._nearest, self._cos0,
             self._cos_step, self._centre, self._slits, self._colours, np.float32(self.world.projector.leak),
             self._power, self._rods, self._led, self._led_power, self._blur,
             np.float32(self.world.camera.fx), self._sensor, self._noise, seed & 0x7FFFFFFF,
@@ -463,8 +571,8 @@ class Renderer:
         side /= np.linalg.norm(side)
         up = np.cross(axis, side)
         ring = np.cos(around)[:, None] * side + np.sin(around)[:, None] * up
-        deepest = world.radius_mm + float(self._deviation.max(initial=0.0))
-        shallowest = world.radius_mm + float(self._deviation.min(initial=0.0))
+        deepest = world.radius_mm + float(self._deviation.max())
+        shallowest = world.radius_mm + float(self._deviation.min())
         v = pose.to_pipe(vertex[None])[0]
         bounds = []
         for angle, radius in ((self._rims[0] - 0.01, deepest), (self._rims[1] + 0.01, shallowest)):
@@ -480,7 +588,7 @@ class Renderer:
 
 
 def _ray_table(world: World) -> F32:
-    """(H, W, 3): x, y of every pixel's unit ray, and dtheta/dpixel / sin^2 theta (zero where the lens sees nothing)."""
+    """(3, H, W): x, y of every pixel's unit ray, and dtheta/dpixel / sin^2 theta (zero where the lens sees nothing)."""
     camera = world.camera
     grid = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1).astype(float)
     rays = camera.rays(grid.reshape(-1, 2)).reshape(camera.height, camera.width, 3)
@@ -489,11 +597,11 @@ def _ray_table(world: World) -> F32:
     with np.errstate(divide="ignore", invalid="ignore"):
         spread = gradient / np.sin(theta) ** 2
     seen = np.isfinite(spread) & (rays[..., 2] > 0) & (theta > 1e-3)
-    return np.where(seen[..., None], np.stack([rays[..., 0], rays[..., 1], spread], -1), 0.0).astype(np.float32)
+    return np.where(seen, np.stack([rays[..., 0], rays[..., 1], spread]), 0.0).astype(np.float32)
 
 
-def _tiles(world: World) -> tuple[F32, F32, U8]:
-    """Per tile of wall: bounds of the deviation that a ray to it may meet on its way, and how it must be met.
+def _tiles(world: World) -> tuple[F32, F32, F32, F32, U8]:
+    """Per tile of wall: bounds of the deviation in it, bounds of what a ray to it may meet on its way, how it is met.
 
     A ray that grazes at angle a passes height h of roughness over h / tan(a) of pipe, so bounds are spread that far.
     """
@@ -513,10 +621,11 @@ def _tiles(world: World) -> tuple[F32, F32, U8]:
     reach = math.ceil(relief / grazing / (STEP_Z_MM * _TILE_ROWS)) + 2
     size = (2 * reach + 1, 3)
     mode = ("nearest", "wrap")
-    low = ndimage.minimum_filter(low, size=size, mode=mode)
-    high = ndimage.maximum_filter(high, size=size, mode=mode)
+    near_low = ndimage.minimum_filter(low, size=size, mode=mode)
+    near_high = ndimage.maximum_filter(high, size=size, mode=mode)
     steep = ndimage.maximum_filter(steep, size=size, mode=mode)
-    kind = np.where(steep, 2, np.where((high > _PLAIN_MM) | (low < -_PLAIN_MM), 1, 0)).astype(np.uint8)
+    kind = np.where(steep, 3, np.where((near_high > _PLAIN_MM) | (near_low < -_PLAIN_MM), 1, 0)).astype(np.uint8)
     marked = (paint[:rows] != np.round(np.array(world.albedo) * 255.0)).any(axis=2).reshape(shape).any(axis=(1, 3))
     kind |= np.where(ndimage.maximum_filter(marked, size=3, mode=mode), 4, 0).astype(np.uint8)
-    return low.astype(np.float32), high.astype(np.float32), kind
+    wall = (low, high, near_low, near_high)
+    return *(np.ascontiguousarray(bound, dtype=np.float32) for bound in wall), kind
