@@ -1,0 +1,1 @@
+"""Who ties methods to instruments: one head, run until told to stop."""

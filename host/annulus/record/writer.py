@@ -3,6 +3,7 @@
 What is in the file: recording.py.
 """
 
+import time
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -76,6 +77,7 @@ class RecordingWriter:
         self.problem = ""  # the last reason for a loss
         self._pending: Counter[str] = Counter()
         self._pending_bytes = 0
+        self._pending_since = 0.0
         try:
             self._file = path.open("xb", buffering=0) if file is None else file
         except OSError as error:
@@ -132,6 +134,11 @@ class RecordingWriter:
         if self._pending_bytes > _NOTES_MAX:
             self._flush()
 
+    @property
+    def waiting_s(self) -> float:
+        """For how long the oldest record that is not on disk has waited."""
+        return time.monotonic() - self._pending_since if self._pending else 0.0
+
     def flush(self) -> None:
         """Write what waits."""
         self._flush()
@@ -163,6 +170,8 @@ class RecordingWriter:
 
     def _add(self, topic: str, data: bytes, time_ns: int, sequence: int) -> None:
         self._writer.add_message(self._channels[topic], time_ns, data, time_ns, sequence)
+        if not self._pending:
+            self._pending_since = time.monotonic()
         self._pending[topic] += 1
         self._pending_bytes += len(data)
 

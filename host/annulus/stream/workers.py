@@ -27,7 +27,7 @@ from annulus.stream.ring import FrameRing, Overwritten, Place, RingView
 from annulus.vocabulary import AnnulusError
 
 MESSAGE_MAX = 1 << 26  # bytes; a profile is below 1 MB
-STARTS_MAX = 5  # times in a row a worker may die without having done anything
+STARTS_MAX = 3  # times in a row a worker may die without having done anything
 HUNG_S = 20.0  # longer on one frame than this and the worker is replaced
 START_S = 180.0  # compiling for the first time included
 _PR_SET_PDEATHSIG = 1
@@ -69,7 +69,7 @@ class Lost:
 
 @dataclass(frozen=True, slots=True)
 class Died:
-    """A worker ended without being told to. `replaced` is False when its kind dies too often."""
+    """A worker ended unasked. `replaced` is False when it said it cannot work, or when its kind dies too often."""
 
     worker: int
     why: str
@@ -103,6 +103,7 @@ class _Worker:
     address: Path
     started: float
     ready: bool = False
+    broken: str = ""  # what the user can mend
     in_hand: dict[int, _InHand] = field(default_factory=dict)
 
 
@@ -211,9 +212,9 @@ class Crew:
             happened += self._receive()  # what it sent before it died still counts
             happened += self._bury(worker, why)
             self._barren += 1
-            replace = self._barren <= STARTS_MAX
+            replace = not worker.broken and self._barren <= STARTS_MAX
             self.counts["died"] += 1
-            happened.append(Died(worker.number, why, replace))
+            happened.append(Died(worker.number, worker.broken or why, replace))
             if replace:
                 self._start()
         return happened
@@ -291,6 +292,8 @@ class Crew:
                 happened.append(
                     Done(number, task.header, body[1]) if kind == "done" else Failed(number, task.header, str(body[1]))
                 )
+            elif kind == "broken":
+                worker.broken = str(body)
             elif kind in ("report", "bye"):
                 happened.append(Report(number, body, kind == "bye"))
             else:
@@ -355,7 +358,11 @@ def serve(argument: str, prepare: Callable[[Any], Job]) -> None:
                 break
             body = msgpack.unpackb(payload)
             if kind == b"setup":
-                job = prepare(body)
+                try:
+                    job = prepare(body)
+                except AnnulusError as error:
+                    answer("broken", str(error))
+                    break
                 answer("ready", None)
             elif job is not None and kind == b"note":
                 job.note(*body)

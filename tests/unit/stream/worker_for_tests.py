@@ -7,6 +7,7 @@ import time
 from typing import Any
 
 from annulus.stream.workers import serve
+from annulus.vocabulary import AnnulusError
 
 
 class Obedient:
@@ -34,6 +35,8 @@ class Obedient:
 
 
 def prepare(setup: Any) -> Obedient:
+    if setup == "broken":
+        raise AnnulusError("/etc/x: mend it")
     if setup == "stillborn":
         sys.exit(3)
     return Obedient(setup)

@@ -1,0 +1,80 @@
+"""Promises of head.toml: what is wrong is named, in one line, with what was expected."""
+
+import json
+from pathlib import Path
+
+import pytest
+import zmq
+
+from annulus.daemon.config import load_config
+from annulus.vocabulary import AnnulusError
+
+CALIBRATION = {
+    "format": "annulus-calibration/1",
+    "camera": {"model": "pinhole", "width": 640, "height": 480, "fx": 300.0, "fy": 300.0, "cx": 320.0, "cy": 240.0},
+    "pattern": {"colours": "RG"},
+    "rings": [{"theta_full_deg": 40.0, "axis": [0, 0, 1], "vertex_mm": [0, 0, -50]}],
+    "pipe": {"radius_mm": 76.2},
+}
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "head.toml"
+    path.write_text(text)
+    return path
+
+
+def test_the_example_in_the_readme_is_valid(tmp_path: Path) -> None:
+    readme = Path(__file__).parents[3] / "host/annulus/daemon/README.md"
+    example = readme.read_text().split("```toml\n")[1].split("```")[0]
+    secret = zmq.curve_keypair()[1].decode()
+    (tmp_path / "publish.key").write_text(secret + "\n")
+    (tmp_path / "head-7.json").write_text(
+        json.dumps({**CALIBRATION, "camera": {**CALIBRATION["camera"], "width": 1664, "height": 1232}})
+    )
+    config = load_config(write(tmp_path, example))
+    assert config.port == "/dev/ttyACM0" and config.lamps.ratio == 4 and config.timing.fps == 25
+    assert config.record_folder == tmp_path / "scans"
+    assert config.keys is not None and secret not in json.dumps(config.to_dict())
+
+
+def test_an_empty_file_is_a_camera_without_a_controller(tmp_path: Path) -> None:
+    config = load_config(write(tmp_path, ""))
+    assert config.port is None and config.calibration is None and config.record_folder is None
+    json.dumps(config.to_dict())
+
+
+@pytest.mark.parametrize(
+    "text, says",
+    [
+        ("[camera", "not TOML"),
+        ("[camra]", "camra"),
+        ("camera = 3", "section"),
+        ("[camera]\nfsp = 3", "fsp"),
+        ('[camera]\nfps = "fast"', "fps is 'fast'"),
+        ("[camera]\nfps = nan", "fps"),
+        ("[camera]\nfps = 1000", "1..500"),
+        ("[camera]\nwidth = 99.5", "whole"),
+        ('[camera]\nkind = "webcam"', "webcam"),
+        ("[lamps]\nratio = 16", "0..15"),
+        ("[lamps]\nratio = true", "ratio"),
+        ('[controller]\nport = ""', "port"),
+        ('[controller]\nport = "x"\n[lamps]\nprojector_delay_us = 100', "leaves the window"),
+        ('[controller]\nport = "x"\n[camera]\nexposure_us = 20000', "readout"),
+        ('[calibration]\nfile = "none.json"', "none.json"),
+        ('[calibration]\nfile = "c.json"', "640x480"),
+        ('[publish]\nkey_file = "none.key"', "none.key"),
+        ('[publish]\nkey_file = "c.json"', "Z85"),
+        ("[workers]\ncount = 0", "1..64"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_named(tmp_path: Path, text: str, says: str) -> None:
+    (tmp_path / "c.json").write_text(json.dumps(CALIBRATION))
+    with pytest.raises(AnnulusError, match=says) as caught:
+        load_config(write(tmp_path, text))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_is_not_there_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(AnnulusError, match="cannot be read"):
+        load_config(tmp_path / "head.toml")
