@@ -1,0 +1,245 @@
+"""The report's pictures, as PNG bytes."""
+
+import io
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import matplotlib as mpl
+import numpy as np
+from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from numpy.typing import NDArray
+
+from annulus.report.surface import picture
+from annulus.rings.defects import Findings, Kind
+from annulus.rings.stations import OVALITY_NAME, Stations
+from annulus.rings.wall import Wall
+
+Image = NDArray[np.uint8]
+
+DPI = 150
+WIDTH_IN = 11.0
+INK, FAINT, UNSEEN = "#1c2733", "#6b7885", "#c9ced4"
+LOSS_RED, BUMP_BLUE = "#b3261e", "#1d5fa8"
+# Outwards red, sound wall near white, inwards blue; readable in every common colour vision, and grey means not seen.
+DEVIATION = LinearSegmentedColormap.from_list(
+    "deviation", ["#0b3c7d", "#2f79c4", "#a9cdea", "#f7f7f5", "#f6c3a4", "#d9583b", "#86101b"]
+)
+STYLE = {
+    "font.family": "DejaVu Sans", "font.size": 10, "axes.edgecolor": FAINT, "axes.labelcolor": INK, "text.color": INK,
+    "xtick.color": INK, "ytick.color": INK, "axes.linewidth": 0.8, "hatch.linewidth": 0.5,
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Pictures:
+    """PNG files as bytes; `deviation_rgb` is the map's colour of every cell, (Z, A, 3) uint8; `scale_mm` its ends."""
+
+    unwrapped: bytes
+    texture: bytes
+    stations: bytes
+    surface: tuple[tuple[str, bytes], ...]  # caption, picture
+    deviation_rgb: Image
+    scale_mm: float
+
+
+def draw(
+    wall: Wall, findings: Findings, stations: Stations, texture: Image | None, nominal_mm: float
+) -> Pictures:  # fmt: skip
+    """Every picture of one report. texture: (Z, A, 4) uint8 RGBA or None without LED frames; nominal_mm: diameter."""
+    deviation = wall.deviation_mm()
+    scale = _scale(wall, findings, deviation)
+    filled = np.nan_to_num(deviation, nan=0.0)
+    rgb = (DEVIATION(Normalize(-scale, scale)(filled))[..., :3] * 255).astype(np.uint8)
+    with mpl.rc_context(STYLE):
+        return Pictures(
+            _unwrapped(wall, findings, deviation, scale),
+            _texture(wall, findings, texture),
+            _stations(wall, stations, findings, nominal_mm),
+            _surface(wall, findings, rgb),
+            rgb,
+            scale,
+        )
+
+
+def _scale(wall: Wall, findings: Findings, deviation: NDArray[np.float32]) -> float:
+    """Ends of the colour bar, mm: a round number that holds the deepest defect and never shows bare noise as colour."""
+    largest = max((d.depth_mm / (2 if d.kind is Kind.OVALITY else 1) for d in findings.defects), default=0.0)
+    seen = np.abs(deviation[wall.seen])
+    usual = float(np.percentile(seen, 99)) if len(seen) else 0.0
+    wanted = max(largest, usual, 10 * float(np.median(wall.noise_mm)), 0.5)
+    power = 10.0 ** np.floor(np.log10(wanted))
+    return float(next(step * power for step in (1, 1.5, 2, 3, 4, 5, 6, 8, 10) if step * power >= wanted * 0.999))
+
+
+class _Axis:
+    """Distance along the pipe for people: mm on short scans, m on long ones."""
+
+    def __init__(self, wall: Wall) -> None:
+        half = wall.z_step_mm / 2
+        first, last = float(wall.z_mm[0]) - half, float(wall.z_mm[-1]) + half
+        self.per_mm, self.unit = (1e-3, "m") if last - first > 3000 else (1.0, "mm")
+        self.limits = first * self.per_mm, last * self.per_mm
+        self.label = f"distance along the pipe, {self.unit}"
+
+
+def _map_figure(wall: Wall, axis: _Axis) -> tuple[Figure, Any]:
+    ratio = 2 * np.pi * wall.mean_radius_mm / max(float(np.ptp(wall.z_mm)), 1.0)
+    height = float(np.clip(WIDTH_IN * 0.8 * ratio, 3.6, 6.0))  # true to scale where that fits a page
+    figure = Figure(figsize=(WIDTH_IN, height), dpi=DPI, layout="constrained")
+    axes = figure.add_subplot()
+    axes.set_facecolor(UNSEEN)
+    axes.set_xlim(*axis.limits)
+    axes.set_ylim(360, 0)
+    axes.set_yticks(range(0, 361, 30), labels=[f"{h % 12 or 12}:00" if h % 3 == 0 else "" for h in range(13)])
+    axes.set_ylabel("clock position, looking forward")
+    axes.set_xlabel(axis.label)
+    axes.add_patch(
+        Rectangle(
+            (axis.limits[0], 0), axis.limits[1] - axis.limits[0], 360, fill=False, hatch="////", ec="#aab1b9", lw=0
+        )
+    )
+    axes.grid(axis="y", color=INK, alpha=0.10, lw=0.6)
+    return figure, axes
+
+
+def _unwrapped(wall: Wall, findings: Findings, deviation: NDArray[np.float32], scale: float) -> bytes:
+    axis = _Axis(wall)
+    figure, axes = _map_figure(wall, axis)
+    extent = (*axis.limits, 360.0, 0.0)
+    image = axes.imshow(
+        np.ma.masked_invalid(deviation.T), cmap=DEVIATION, vmin=-scale, vmax=scale, extent=extent, aspect="auto",
+        interpolation="nearest", zorder=2,
+    )  # fmt: skip
+    _outline(axes, wall, findings, axis)
+    bar = figure.colorbar(image, ax=axes, pad=0.015, fraction=0.035, aspect=28)
+    bar.set_label("deviation of the radius, mm\n− into the pipe        outwards +")
+    axes.set_title(
+        f"Wall deviation from the mean circle, Ø {2 * wall.mean_radius_mm:.2f} mm   (hatched grey: not seen)",
+        loc="left", fontsize=11, pad=16,
+    )  # fmt: skip
+    return _png(figure)
+
+
+def _texture(wall: Wall, findings: Findings, texture: Image | None) -> bytes:
+    axis = _Axis(wall)
+    figure, axes = _map_figure(wall, axis)
+    if texture is None:
+        axes.text(0.5, 0.5, "no usable LED frames in this scan", transform=axes.transAxes, ha="center", fontsize=13)
+    else:
+        axes.imshow(
+            texture.swapaxes(0, 1), extent=(*axis.limits, 360.0, 0.0), aspect="auto", interpolation="antialiased",
+            zorder=2,
+        )  # fmt: skip
+    _outline(axes, wall, findings, axis)
+    axes.set_title(
+        "Wall in LED light, brightness evened out   (hatched grey: not seen)", loc="left", fontsize=11, pad=16
+    )
+    return _png(figure)
+
+
+def _outline(axes: Any, wall: Wall, findings: Findings, axis: _Axis) -> None:
+    """Draws around every defect and gives it its number in the table."""
+    z = wall.z_mm * axis.per_mm
+    span = axis.limits[1] - axis.limits[0]
+    for number, defect in enumerate(findings.defects, start=1):
+        first, last = (value * axis.per_mm for value in defect.z_range_mm)
+        if defect.kind is Kind.OVALITY:
+            axes.annotate(
+                "", (first, -6), (last, -6), annotation_clip=False,
+                arrowprops={"arrowstyle": "|-|", "lw": 1.2, "color": INK},
+            )  # fmt: skip
+            _badge(axes, (first + last) / 2, -6, number)
+            continue
+        mask = (findings.label == number).astype(float)
+        wide = np.concatenate([mask[:, -1:], mask, mask[:, :1]], axis=1)
+        clock = np.concatenate([[-wall.clock_step_deg / 2], wall.clock_deg, [360 + wall.clock_step_deg / 2]])
+        for width, colour in ((3.2, "white"), (1.3, INK)):
+            axes.contour(z, clock, wide.T, levels=[0.5], colors=colour, linewidths=width, zorder=4)
+        top = defect.clock_deg - min(defect.arc_deg, 350) / 2
+        x = float(np.clip((first + last) / 2, axis.limits[0] + 0.015 * span, axis.limits[1] - 0.015 * span))
+        y = top - 11 if 15 < top < 360 else defect.clock_deg + min(defect.arc_deg, 330) / 2 + 11
+        _badge(axes, x, float(np.clip(y, 11, 349)), number)
+
+
+def _badge(axes: Any, x: float, y: float, number: int) -> None:
+    axes.text(
+        x, y, str(number), ha="center", va="center", fontsize=9.5, fontweight="bold", color="white", zorder=6,
+        clip_on=False,
+        bbox={"boxstyle": "circle,pad=0.28", "fc": INK, "ec": "white", "lw": 1.2},
+    )  # fmt: skip
+
+
+def _stations(wall: Wall, stations: Stations, findings: Findings, nominal_mm: float) -> bytes:
+    axis = _Axis(wall)
+    figure = Figure(figsize=(WIDTH_IN, 5.4), dpi=DPI, layout="constrained")
+    top, middle, low = figure.subplots(3, 1, sharex=True, height_ratios=(3, 2, 1))
+    z = stations.z_mm * axis.per_mm
+    top.fill_between(
+        z,
+        stations.diameter_min_mm,
+        stations.diameter_max_mm,
+        color="#9fb8d1",
+        alpha=0.6,
+        lw=0,
+        label="smallest to largest",
+    )
+    top.plot(z, stations.diameter_min_mm, color=BUMP_BLUE, lw=1.0, label="smallest")
+    top.plot(z, stations.diameter_max_mm, color=LOSS_RED, lw=1.0, label="largest")
+    top.plot(z, stations.diameter_mean_mm, color=INK, lw=1.8, label="mean")
+    top.axhline(nominal_mm, color=FAINT, lw=0.9, ls=(0, (5, 4)), label=f"calibrated pipe {nominal_mm:.1f} mm")
+    top.set_ylabel("diameter, mm")
+    top.ticklabel_format(axis="y", useOffset=False)
+    middle.plot(z, stations.ovality_percent, color=FAINT, lw=1.0, label="as measured, defects included")
+    middle.plot(z, stations.shape_ovality_percent, color=INK, lw=1.8, label="pipe's shape, defects left out")
+    limit = findings.limits.ovality_percent
+    middle.axhline(limit, color=LOSS_RED, lw=0.9, ls=(0, (5, 4)), label=f"listed above {limit:g} %")
+    middle.set_ylabel(f"ovality, %\n({OVALITY_NAME})")
+    middle.set_ylim(bottom=0)
+    low.fill_between(z, 100 * stations.valid_fraction, step="mid", color="#7d94a8", alpha=0.8, lw=0)
+    low.set_ylim(0, 100)
+    low.set_ylabel("seen, %")
+    low.set_xlabel(axis.label)
+    low.set_xlim(*axis.limits)
+    for axes in (top, middle, low):
+        axes.grid(color=INK, alpha=0.10, lw=0.6)
+        axes.spines[["top", "right"]].set_visible(False)
+        for defect in findings.defects:
+            if defect.kind is not Kind.OVALITY:
+                first, last = (value * axis.per_mm for value in defect.z_range_mm)
+                axes.axvspan(first, last, color=LOSS_RED if defect.kind is Kind.LOSS else BUMP_BLUE, alpha=0.08, lw=0)
+    for number, defect in enumerate(findings.defects, start=1):
+        top.text(
+            defect.z_mm * axis.per_mm, 1.0, str(number), transform=top.get_xaxis_transform(), ha="center", va="bottom",
+            fontsize=9, fontweight="bold",
+        )  # fmt: skip
+    for axes in (top, middle):
+        axes.legend(loc="upper left", bbox_to_anchor=(1.005, 1.0), frameon=False, fontsize=8.5)
+    return _png(figure)
+
+
+def _surface(wall: Wall, findings: Findings, rgb: Image) -> tuple[tuple[str, bytes], ...]:
+    """Both halves of the pipe; of a long scan the stretch about the deepest local defect."""
+    local = [defect for defect in findings.defects if defect.kind is not Kind.OVALITY]
+    reach = 6.0 * wall.mean_radius_mm
+    middle = max(local, key=lambda d: d.depth_mm).z_mm if local else float(wall.z_mm.mean())
+    if np.ptp(wall.z_mm) <= 2 * reach:
+        rows = slice(0, len(wall.z_mm))
+    else:
+        middle = float(np.clip(middle, wall.z_mm[0] + reach, wall.z_mm[-1] - reach))
+        rows = slice(*(int(k) for k in np.searchsorted(wall.z_mm, (middle - reach, middle + reach))))
+    first, last = wall.z_mm[rows][0], wall.z_mm[rows][-1]
+    out = []
+    for side, name in ((1, "3 o'clock half"), (-1, "9 o'clock half")):
+        image = picture(wall, rgb, rows, side=side)
+        data = cv2.imencode(".png", image[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 6])[1].tobytes()
+        out.append((f"{name}, {first:.0f} to {last:.0f} mm", data))
+    return tuple(out)
+
+
+def _png(figure: Figure) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=DPI, facecolor="white")
+    return buffer.getvalue()

@@ -1,0 +1,94 @@
+"""report.html: one page that opens anywhere, prints, and says the result first."""
+
+import base64
+import math
+from importlib import resources
+from typing import Any
+
+import jinja2
+
+from annulus.report.figures import Pictures
+from annulus.report.summary import Summary
+from annulus.report.surface import EXAGGERATION
+from annulus.rings.defects import Defect, Findings, Kind, clock_face
+
+TEMPLATE = "page.html.j2"
+NAMES = {Kind.LOSS: "Wall loss", Kind.BUMP: "Bump into the pipe", Kind.OVALITY: "Out of round"}
+
+
+def render_page(summary: Summary, findings: Findings, pictures: Pictures) -> str:
+    """The report as one HTML document: no script, no font and no picture from anywhere else."""
+    text = resources.files("annulus.report").joinpath(TEMPLATE).read_text(encoding="utf-8")
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    return environment.from_string(text).render(
+        s=summary,
+        findings=findings,
+        rows=[_row(number, defect, summary) for number, defect in enumerate(summary.defects, start=1)],
+        verdict=_verdict(summary),
+        unwrapped=_inline(pictures.unwrapped),
+        texture=_inline(pictures.texture),
+        stations=_inline(pictures.stations),
+        surface=[(caption, _inline(data)) for caption, data in pictures.surface],
+        exaggeration=EXAGGERATION,
+        length=_length(summary.scanned_mm["length"]),
+        distance_from=f"{summary.scanned_mm['from'] / 1000:.3f}",
+        distance_to=f"{summary.scanned_mm['to'] / 1000:.3f}",
+    )
+
+
+def _verdict(summary: Summary) -> str:
+    if not summary.defects:
+        return "No defect above the listing limits on the wall that was seen."
+    counts = [
+        (sum(d.kind is kind for d in summary.defects), one, many)
+        for kind, one, many in (
+            (Kind.LOSS, "wall loss", "wall losses"), (Kind.BUMP, "bump", "bumps"),
+            (Kind.OVALITY, "out-of-round stretch", "out-of-round stretches"),
+        )
+    ]  # fmt: skip
+    words = ", ".join(f"{n} {one if n == 1 else many}" for n, one, many in counts if n)
+    local = [d for d in summary.defects if d.kind is not Kind.OVALITY]
+    if not local:
+        return f"{words}."
+    worst = max(local, key=lambda d: d.depth_mm)
+    return (
+        f"{words}. Deepest: {NAMES[worst.kind].lower()} of {worst.depth_mm:.1f} mm "
+        f"at {worst.z_mm / 1000:.3f} m, {worst.clock} o'clock."
+    )
+
+
+def _row(number: int, defect: Defect, summary: Summary) -> dict[str, Any]:
+    first, last = defect.z_range_mm
+    mean = summary.diameter_mm["mean"] or summary.diameter_mm["nominal"] or 1.0
+    begin, end = defect.clock_range
+    if defect.kind is Kind.OVALITY:
+        remark = f"long axis {defect.clock} to {clock_face(defect.clock_deg + 180)}"
+        clock = "all round"
+        width = "all round"
+    else:
+        clock = "all round" if defect.arc_deg >= 350 else f"{begin} to {end}"
+        width = f"{defect.arc_deg * math.pi / 360 * mean:.0f} mm ({defect.arc_deg:.0f}°)"
+        remark = f"centre {defect.clock}" if defect.arc_deg < 350 else ""
+    return {
+        "number": number,
+        "kind": str(defect.kind),
+        "name": NAMES[defect.kind],
+        "at": f"{defect.z_mm / 1000:.3f}",
+        "from_to": f"{first / 1000:.3f} to {last / 1000:.3f}",
+        "clock": clock,
+        "length": f"{defect.length_mm:.0f} mm",
+        "width": width,
+        "depth": f"{defect.depth_mm:.2f} mm",
+        "part": f"{100 * defect.depth_mm / mean:.1f} %",
+        "remark": remark,
+    }
+
+
+def _length(mm: float) -> str:
+    return f"{mm / 1000:.2f} m" if mm >= 1000 else f"{mm:.0f} mm"
+
+
+def _inline(png: bytes) -> str:
+    return "data:image/png;base64," + base64.b64encode(png).decode("ascii")

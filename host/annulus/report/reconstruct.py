@@ -1,0 +1,177 @@
+"""From a scan on disk to its results, the projector frames spread over worker processes."""
+
+import ctypes
+import multiprocessing
+import os
+import signal
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from annulus.geometry.calibration import Calibration
+from annulus.record.calibration_file import load_calibration
+from annulus.record.scan import Image, Scan, open_scan
+from annulus.report.results import Summary, prepare_folder, write_results
+from annulus.rings.profile import Profile
+from annulus.rings.reconstructor import Reconstructor
+from annulus.rings.texture import LedFrame
+from annulus.vocabulary import AnnulusError, Label
+
+Progress = Callable[[str, int, int], None]  # stage, done, total
+
+CHUNK = 8  # consecutive frames one worker does in a row, each seeded by the one before; fixed, so that results
+# do not depend on the number of workers
+
+
+def reconstruct(
+    scan: Path,
+    calibration: Path | None,
+    out: Path,
+    *,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> Summary:
+    """Reconstruct a scan folder or recording and write every result file into `out`.
+
+    Parameters
+    ----------
+    calibration : file; a recording's own is used when None.
+    workers : processes, one a core when None; 1 works in this process.
+    progress : called with (stage, done, total).
+
+    Raises
+    ------
+    AnnulusError, one line, for any input that is missing, damaged or does not belong together.
+    """
+    started = time.perf_counter()
+    opened = open_scan(scan)
+    known = load_calibration(calibration) if calibration is not None else opened.calibration
+    if known is None:
+        raise AnnulusError(f"{scan}: carries no calibration. Give one with --calibration FILE.")
+    prepare_folder(out)
+    report = progress or (lambda stage, done, total: None)
+    projector = [i for i, frame in enumerate(opened.frames) if frame.label is Label.PROJECTOR]
+    if not projector:
+        raise AnnulusError(
+            f"{scan}: none of its {len(opened.frames)} frames is labelled projector, nothing to measure."
+        )
+    read_checked(opened, projector[0], known)  # the usual mistakes, before any process starts
+    profiles = _profiles(opened, known, projector, workers or os.cpu_count() or 1, report)
+    counted = Counter(str(frame.label) for frame in opened.frames)
+    frames = {str(label): counted.get(str(label), 0) for label in Label}
+    drops = {
+        "frames_unknown": frames[str(Label.UNKNOWN)],
+        "profiles_without_pose": sum(profile.pose is None for profile in profiles),
+    }
+    if opened.recording is not None:
+        drops["recording_torn"] = int(opened.recording.torn)
+    led = [i for i, frame in enumerate(opened.frames) if frame.label is Label.LED]
+    timing = stage_medians(profiles)
+    timing["scan_to_profiles"] = (time.perf_counter() - started) * 1e3
+    return write_results(
+        out, known, profiles, led_frames(opened, known, led, report), frames=frames, drops=drops, timing_ms=timing,
+        source=str(scan),
+    )  # fmt: skip
+
+
+def led_frames(scan: Scan, calibration: Calibration, which: Sequence[int], report: Progress) -> Iterator[LedFrame]:
+    """The scan's LED frames, read one at a time."""
+    for done, i in enumerate(which):
+        frame = scan.frames[i]
+        yield LedFrame(frame.index, frame.z_mm, read_checked(scan, i, calibration))
+        report("texture", done + 1, len(which))
+
+
+def read_checked(scan: Scan, i: int, calibration: Calibration) -> Image:
+    """frames[i] as BGR. Raises AnnulusError when it is damaged or of another size than the calibrated camera's."""
+    image = scan.read(i)
+    height, width = image.shape[:2]
+    camera = calibration.camera
+    if (width, height) != (camera.width, camera.height):
+        raise AnnulusError(
+            f"calibration: camera is {camera.width}x{camera.height} but {scan.frames[i].where} is {width}x{height}. "
+            "Calibrate with the camera that took this scan."
+        )
+    return image
+
+
+def stage_medians(profiles: Sequence[Profile]) -> dict[str, float]:
+    """Median ms of every stage over the frames, and `frame`: of their sum."""
+    stages = {name: None for profile in profiles for name in profile.timing_ms}
+    out = {
+        name: float(np.median([p.timing_ms[name] for p in profiles if name in p.timing_ms])) for name in stages
+    }  # fmt: skip
+    if "total" not in out:
+        sums = [sum(p.timing_ms.values()) for p in profiles if p.timing_ms]
+        out["total"] = float(np.median(sums)) if sums else 0.0
+    return out
+
+
+def _profiles(
+    scan: Scan, calibration: Calibration, which: Sequence[int], workers: int, report: Progress
+) -> list[Profile]:
+    chunks = [which[start : start + CHUNK] for start in range(0, len(which), CHUNK)]
+    done: dict[int, list[Profile]] = {}
+    finished = 0
+    report("frames", 0, len(which))
+    if workers == 1 or len(chunks) == 1:
+        reconstructor = Reconstructor(calibration)
+        for number, chunk in enumerate(chunks):
+            done[number] = _reconstruct(scan, calibration, reconstructor, chunk)
+            finished += len(chunk)
+            report("frames", finished, len(which))
+        return [profile for number in range(len(chunks)) for profile in done[number]]
+    pool = ProcessPoolExecutor(
+        min(workers, len(chunks)), multiprocessing.get_context("spawn"), _start_worker, (scan, calibration, os.getpid())
+    )
+    try:
+        futures = {pool.submit(_work, chunk): number for number, chunk in enumerate(chunks)}
+        for future in as_completed(futures):
+            number = futures[future]
+            done[number] = [Profile.from_dict(one) for one in future.result()]
+            finished += len(chunks[number])
+            report("frames", finished, len(which))
+    except BrokenProcessPool:
+        raise AnnulusError("a worker process died while reconstructing. Out of memory? Try --workers 1.") from None
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+    return [profile for number in range(len(chunks)) for profile in done[number]]
+
+
+def _reconstruct(
+    scan: Scan, calibration: Calibration, reconstructor: Reconstructor, which: Sequence[int]
+) -> list[Profile]:
+    out: list[Profile] = []
+    seed = None
+    for i in which:
+        frame = scan.frames[i]
+        image = read_checked(scan, i, calibration)
+        profile = reconstructor.profile(image, frame=frame.index, z_mm=frame.z_mm, seed=seed)
+        seed = profile.pose
+        out.append(profile)
+    return out
+
+
+_worker: tuple[Scan, Calibration, Reconstructor] | None = None  # one a worker process, set when it starts
+
+
+def _start_worker(scan: Scan, calibration: Calibration, parent: int) -> None:
+    global _worker
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
+    ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG: never outlive the command
+    if os.getppid() != parent:
+        os._exit(1)
+    cv2.setNumThreads(1)
+    _worker = scan, calibration, Reconstructor(calibration)
+
+
+def _work(which: Sequence[int]) -> list[Mapping[str, object]]:
+    assert _worker is not None
+    scan, calibration, reconstructor = _worker
+    return [profile.to_dict() for profile in _reconstruct(scan, calibration, reconstructor, which)]

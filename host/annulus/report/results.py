@@ -1,0 +1,178 @@
+"""All result files of one scan: cloud, mesh, maps, stations, summary, report."""
+
+import csv
+import json
+import math
+import shutil
+import tempfile
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from annulus.geometry.calibration import Calibration
+from annulus.report import figures
+from annulus.report.page import render_page
+from annulus.report.ply import write_ply
+from annulus.report.summary import Summary, summarize
+from annulus.report.surface import triangulate
+from annulus.rings.defects import find_defects
+from annulus.rings.profile import Profile
+from annulus.rings.stations import Stations, measure_stations
+from annulus.rings.texture import LedFrame, paint
+from annulus.rings.wall import Wall, build_wall
+from annulus.vocabulary import AnnulusError
+
+__all__ = ["LedFrame", "Summary", "prepare_folder", "write_results"]
+
+FILES = ("cloud.ply", "mesh.ply", "unwrapped.png", "texture.png", "stations.csv", "report.html", "summary.json")
+
+
+def write_results(
+    out: Path,
+    calibration: Calibration,
+    profiles: Sequence[Profile],
+    led_frames: Iterable[LedFrame],
+    *,
+    frames: Mapping[str, int],
+    drops: Mapping[str, int],
+    timing_ms: Mapping[str, float],
+    source: str,
+    truth: Mapping[str, Any] | None = None,
+) -> Summary:
+    """Build the wall from the profiles and write every result file of ARCHITECTURE §7 into `out`.
+
+    Parameters
+    ----------
+    profiles : of the projector frames, any order. led_frames : read once, one at a time.
+    frames : how many by label. drops : everything that was lost, by kind. source : what was scanned, for people.
+    truth : scores on the twin, passed through; never looked at.
+
+    Raises
+    ------
+    AnnulusError when nothing was measured or `out` cannot be written.
+
+    Notes
+    -----
+    Files are made in a folder beside the old ones and moved into place at the end, summary.json last: a crash leaves
+    no half file, and a summary always belongs to the files beside it.
+    """
+    started = time.perf_counter()
+    prepare_folder(out)
+    wall = build_wall(profiles)
+    narrowest = min(cone.half_angle for cone in calibration.rings)
+    findings = find_defects(wall, blind_ratio=1.0 / math.tan(narrowest))
+    stations = measure_stations(wall)
+    texture = paint(wall, calibration, profiles, led_frames)
+    timing = {**timing_ms, "results_wall": (time.perf_counter() - started) * 1e3}
+    try:
+        staging = Path(tempfile.mkdtemp(prefix=".annulus-", dir=out))
+        try:
+            points = _write_cloud(staging / "cloud.ply", profiles)
+            pictures = figures.draw(wall, findings, stations, texture, 2 * calibration.pipe_radius_mm)
+            _write_mesh(staging / "mesh.ply", wall, texture, pictures.deviation_rgb)
+            (staging / "unwrapped.png").write_bytes(pictures.unwrapped)
+            (staging / "texture.png").write_bytes(pictures.texture)
+            _write_stations(staging / "stations.csv", stations)
+            timing["results_total"] = (time.perf_counter() - started) * 1e3
+            summary = summarize(
+                wall,
+                findings,
+                stations,
+                2 * calibration.pipe_radius_mm,
+                profiles,
+                points,
+                frames,
+                drops,
+                timing,
+                source,
+                truth,
+            )
+            (staging / "report.html").write_text(render_page(summary, findings, pictures), encoding="utf-8")
+            text = json.dumps(summary.to_dict(), indent=1, ensure_ascii=False, allow_nan=False)
+            (staging / "summary.json").write_text(text + "\n", encoding="utf-8")
+            (out / "summary.json").unlink(missing_ok=True)
+            for name in FILES:
+                (staging / name).replace(out / name)
+        finally:
+            shutil.rmtree(staging, ignore_errors=True)
+    except OSError as error:
+        raise AnnulusError(f"{out}: results cannot be written ({error.strerror or error}).") from None
+    return summary
+
+
+def prepare_folder(out: Path) -> None:
+    """Make the results' folder. Raises AnnulusError when it is a file or cannot be written to."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=out):
+            pass
+    except (FileExistsError, NotADirectoryError):
+        raise AnnulusError(f"{out}: is a file, or lies below one. Expected a folder for the results.") from None
+    except OSError as error:
+        raise AnnulusError(
+            f"{out}: cannot be written to ({error.strerror}). Expected a folder for the results."
+        ) from None
+
+
+def _write_cloud(path: Path, profiles: Sequence[Profile]) -> int:
+    total = sum(len(profile.points_mm) for profile in profiles)
+    records = np.empty(
+        total,
+        dtype=[
+            ("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1"), ("radius", "<f4"),
+            ("frame", "<i4"), ("ring", "u1"),
+        ],
+    )  # fmt: skip
+    at = 0
+    for profile in sorted(profiles, key=lambda one: one.frame):
+        part = records[at : at + len(profile.points_mm)]
+        for axis, name in enumerate("xyz"):
+            part[name] = profile.points_mm[:, axis]
+        for channel, name in enumerate(("red", "green", "blue")):
+            part[name] = profile.colour[:, channel]
+        part["radius"] = np.hypot(profile.points_mm[:, 0], profile.points_mm[:, 1])
+        part["frame"], part["ring"] = profile.frame, profile.ring
+        at += len(part)
+    write_ply(path, records, note="annulus point cloud, pipe frame, mm: x right, y down, z along the pipe")
+    return total
+
+
+def _write_mesh(path: Path, wall: Wall, texture: NDArray[np.uint8] | None, fallback: NDArray[np.uint8]) -> None:
+    points, triangles, flat = triangulate(wall)
+    colour = fallback
+    if texture is not None:
+        colour = np.where(texture[..., 3:] > 0, texture[..., :3], fallback)
+    records = np.empty(
+        len(points),
+        dtype=[
+            ("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1"),
+            ("quality", "<f4"),
+        ],
+    )  # fmt: skip
+    for axis, name in enumerate("xyz"):
+        records[name] = points[:, axis]
+    for channel, name in enumerate(("red", "green", "blue")):
+        records[name] = colour.reshape(-1, 3)[flat, channel]
+    records["quality"] = wall.deviation_mm().reshape(-1)[flat]
+    write_ply(path, records, triangles, note="annulus wall, pipe frame, mm; quality = deviation of the radius, mm")
+
+
+def _write_stations(path: Path, stations: Stations) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(
+            [
+                "z_mm", "diameter_min_mm", "diameter_max_mm", "diameter_mean_mm", "ovality_f1216_percent",
+                "shape_ovality_f1216_percent", "valid_fraction",
+            ]
+        )  # fmt: skip
+        columns = zip(
+            stations.z_mm, stations.diameter_min_mm, stations.diameter_max_mm, stations.diameter_mean_mm,
+            stations.ovality_percent, stations.shape_ovality_percent, stations.valid_fraction, strict=True,
+        )  # fmt: skip
+        for row in columns:
+            writer.writerow([f"{value:.4f}" if math.isfinite(value) else "" for value in row])
