@@ -1,0 +1,121 @@
+// The only door between core and hardware. The core calls every function here, from its main loop (controller_start,
+// controller_run) and from nowhere else: no function is called from an interrupt, and none calls back into the core.
+//
+// The board does the timing. The core decides one flash ahead and loads it; the board fires it on the edge by itself,
+// stamps the edge, and says which load it fired. A core that comes late therefore costs a dark frame, never a wrong
+// one.
+
+#ifndef ANNULUS_BOARD_H
+#define ANNULUS_BOARD_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#define BOARD_WATCHDOG_MS 100U    // a main loop silent for this long is restarted
+#define BOARD_TRIGGER_TICKS 100U  // length of the digitizer trigger, 1 us
+
+// ---- identity and time ----
+
+// Ticks of 10 ns since reset; wraps after 43 s.
+uint32_t board_tick(void);
+
+// Differs from the one before the reset.
+uint8_t board_boot(void);
+
+// Why the controller started, BOOT_CAUSE_*.
+uint8_t board_cause(void);
+
+// Eight ASCII characters, zero-padded.
+const uint8_t* board_name(void);
+
+// Once a round of the main loop; see BOARD_WATCHDOG_MS.
+void board_watchdog_kick(void);
+
+// Restart with BOOT_CAUSE_HOST_RESET. May return; the core then does nothing more than to return itself.
+void board_reset(void);
+
+// ---- serial line ----
+
+// Up to `size` received bytes; how many.
+size_t board_receive(uint8_t* bytes, size_t size);
+
+// Hand over bytes to send; how many were taken, the rest must be offered again.
+size_t board_transmit(const uint8_t* bytes, size_t size);
+
+// True when every byte handed over has left the line.
+bool board_transmitted(void);
+
+// ---- sync input and lamp gates ----
+
+typedef struct {
+    uint8_t tag;             // 1..255, comes back with the edge that took this flash
+    uint8_t lamp;            // LAMP_*; dark fires nothing but still carries the hold-off
+    uint32_t delay_ticks;    // falling edge -> lamp on
+    uint32_t width_ticks;    // lamp on -> lamp off
+    uint32_t holdoff_ticks;  // after the edge that takes this flash, further edges are refused for so long
+} board_flash_t;
+
+typedef struct {
+    uint32_t tick;     // of the falling edge, stamped by hardware
+    uint8_t tag;       // of the flash this edge took; 0 = none was loaded, so nothing fires
+    int32_t odometer;  // quadrature counts since reset, at this edge
+} board_edge_t;
+
+// Load the flash for the NEXT accepted edge. One edge takes it; a second load before that replaces the first. With
+// nothing loaded an edge is still stamped, nothing fires, and the last hold-off stays in force. False: refused, because
+// the width is over the compiled-in limit or the flash outlasts its own hold-off; then nothing is loaded.
+bool board_flash_load(const board_flash_t* flash);
+
+// The oldest accepted edge not yet reported. The board keeps at least 8; further ones count as refused.
+bool board_edge(board_edge_t* edge);
+
+// Both gates low now: the flash being timed ends, the loaded one is dropped. The hold-off stays in force.
+void board_lamps_cut(void);
+
+// Edges refused since reset: inside the hold-off, or not taken in time by the core.
+uint32_t board_edges_refused(void);
+
+// Quadrature counts since reset, four per cycle, A before B counts up.
+int32_t board_odometer(void);
+
+// ---- microwave ----
+
+typedef struct {
+    uint8_t chips[32];  // chip 0 is bit 0 of byte 0
+    uint16_t length;    // chips
+    uint16_t chip_ticks;
+    uint16_t repeat;
+    uint32_t period_ticks;   // chip 0 -> chip 0
+    int32_t trigger_offset;  // digitizer trigger relative to chip 0
+} board_burst_t;
+
+// Level of the interlock now.
+bool board_interlock_open(void);
+
+// Did the interlock open since the last call, however briefly? Hardware has then already cut the microwave and keeps
+// it cut until board_microwave(true): within one chip and without the core.
+bool board_interlock_tripped(void);
+
+// False: gate low now, a running train ends. True: a train may be started.
+void board_microwave(bool enabled);
+
+// Start a train; `start` becomes the tick of chip 0 of the first burst. False: refused, nothing starts.
+bool board_burst(const board_burst_t* burst, uint32_t* start);
+
+// End the train after the burst now being sent.
+void board_burst_stop(void);
+
+// Is a train running? `done` becomes the number of complete bursts of this train, or of the last one.
+bool board_burst_running(uint16_t* done);
+
+// ---- rotary stage and status light ----
+
+// Step to an absolute position; `hold` keeps the motor powered afterwards.
+void board_stage_move(int32_t position, uint32_t period_ticks, bool hold);
+bool board_stage_moving(void);
+int32_t board_stage_position(void);
+
+void board_status_light(bool on);
+
+#endif

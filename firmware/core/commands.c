@@ -1,0 +1,250 @@
+// What each command does. Every reply carries a status and the values that now hold, whether they were taken or not.
+
+#include "commands.h"
+
+#include <string.h>
+
+#include "../board.h"
+#include "safety.h"
+
+#ifndef ANNULUS_GIT
+#define ANNULUS_GIT "unknown"
+#endif
+
+#define TICKS_PER_US (PROTOCOL_TICK_HZ / 1000000U)
+#define NS_PER_TICK (1000000000U / PROTOCOL_TICK_HZ)
+
+static void identify(controller_t* const self, const uint8_t* const payload, uint8_t* const answer)
+{
+    command_identify_t command;
+    command_identify_unpack(&command, payload);
+    self->schema_ok = (command.protocol == PROTOCOL_VERSION) && (command.schema == SCHEMA_HASH);
+    if (!self->schema_ok) {
+        safety_arm(self, 0U);  // whoever speaks now could not read what happens
+    }
+    link_forget(&self->link);
+    reply_identify_t reply = {.status = self->schema_ok ? STATUS_OK : STATUS_SCHEMA,
+                              .protocol = PROTOCOL_VERSION,
+                              .schema = SCHEMA_HASH,
+                              .boot = board_boot(),
+                              .cause = board_cause(),
+                              .tick_hz = PROTOCOL_TICK_HZ,
+                              .git = {0},
+                              .lamp_width_max = LIMIT_LAMP_WIDTH_MAX_US * TICKS_PER_US,
+                              .lamp_duty_max = LIMIT_LAMP_DUTY_MAX_PERMILLE,
+                              .pulse_min = LIMIT_MICROWAVE_PULSE_MIN_NS / NS_PER_TICK,
+                              .pulse_max = LIMIT_MICROWAVE_PULSE_MAX_NS / NS_PER_TICK};
+    static const char git[] = ANNULUS_GIT;
+    memcpy(reply.git, git, (sizeof git - 1U < sizeof reply.git) ? sizeof git - 1U : sizeof reply.git);
+    memcpy(reply.board, board_name(), sizeof reply.board);
+    reply_identify_pack(&reply, answer);
+}
+
+static void reset(controller_t* const self, const uint8_t* const payload, uint8_t* const answer)
+{
+    command_reset_t command;
+    command_reset_unpack(&command, payload);
+    self->resetting = command.magic == PROTOCOL_RESET_MAGIC;
+    if (self->resetting) {
+        safety_arm(self, 0U);
+    }
+    reply_reset_pack(&(reply_reset_t){.status = self->resetting ? STATUS_OK : STATUS_OUT_OF_RANGE}, answer);
+}
+
+static void ping(uint8_t* const answer)
+{
+    reply_ping_pack(&(reply_ping_t){.status = STATUS_OK, .tick = board_tick()}, answer);
+}
+
+static uint16_t state_flags(const controller_t* const self)
+{
+    uint16_t state = 0;
+    state |= self->sequencer.synced ? STATE_SYNCED : 0U;
+    state |= ((self->armed & ARM_LAMPS) != 0U) ? STATE_LAMPS_ARMED : 0U;
+    state |= ((self->armed & ARM_MICROWAVE) != 0U) ? STATE_MICROWAVE_ARMED : 0U;
+    state |= self->bursts.running ? STATE_BURST_RUNNING : 0U;
+    state |= board_interlock_open() ? STATE_INTERLOCK_OPEN : 0U;
+    state |= self->moving ? STATE_STAGE_MOVING : 0U;
+    state |= self->sequencer.is_staged ? STATE_STAGED : 0U;
+    state |= self->schema_ok ? STATE_SCHEMA_OK : 0U;
+    return state;
+}
+
+static void status(const controller_t* const self, uint8_t* const answer)
+{
+    reply_status_pack(&(reply_status_t){.status = STATUS_OK,
+                                        .state = state_flags(self),
+                                        .fault = self->fault,
+                                        .generation = self->sequencer.config.generation,
+                                        .edges = self->sequencer.edges,
+                                        .rejected = board_edges_refused(),
+                                        .period = self->sequencer.period,
+                                        .odometer = board_odometer(),
+                                        .events = self->events.next,
+                                        .bad_frames = self->link.bad_frames,
+                                        .late = self->sequencer.late,
+                                        .overruns = self->events.overruns,
+                                        .stage = board_stage_position()},
+                      answer);
+}
+
+static void stage(controller_t* const self, const uint8_t* const payload, uint8_t* const answer)
+{
+    command_stage_t command;
+    command_stage_unpack(&command, payload);
+    reply_stage_t reply = {.generation = self->sequencer.config.generation};
+    reply.detail = command_stage_range(&command);
+    if (reply.detail != RANGE_OK) {
+        reply.status = STATUS_OUT_OF_RANGE;
+    } else {
+        reply.detail = 0;
+        reply.status = self->schema_ok ? sequencer_stage(&self->sequencer, &command, &reply) : STATUS_SCHEMA;
+    }
+    reply_stage_pack(&reply, answer);
+}
+
+static void commit(controller_t* const self, const uint8_t* const payload, uint8_t* const answer)
+{
+    command_commit_t command;
+    command_commit_unpack(&command, payload);
+    reply_commit_t reply = {.status = STATUS_SCHEMA, .generation = self->sequencer.config.generation};
+    if (self->schema_ok) {
+        const bool taken = sequencer_commit(&self->sequencer, command.generation);
+        reply.status = taken ? STATUS_OK : STATUS_BAD_STATE;
+        reply.generation = taken ? command.generation : reply.generation;
+    }
+    reply_commit_pack(&reply, answer);
+}
+
+static void arm(controller_t* const self, const uint8_t* const payload, uint8_t* const answer)
+{
+    command_arm_t command;
+    command_arm_unpack(&command, payload);
+    const bool known = (command.outputs & ~(ARM_LAMPS | ARM_MICROWAVE)) == 0U;
+    const uint8_t outcome = known ? safety_arm(self, command.outputs) : STATUS_OUT_OF_RANGE;
+    reply_arm_pack(&(reply_arm_t){.status = outcome, .outputs = self->armed}, answer);
+}
+
+static void clear(controller_t* const self, uint8_t* const answer)
+{
+    const uint8_t outcome = safety_clear(self);
+    reply_clear_pack(&(reply_clear_t){.status = outcome, .fault = self->fault}, answer);
+}
+
+static void reread(controller_t* const self, const uint8_t* const payload, uint8_t* const answer)
+{
+    command_reread_t command;
+    command_reread_unpack(&command, payload);
+    reply_reread_t reply = {.status = STATUS_OUT_OF_RANGE, .detail = command_reread_range(&command)};
+    if (reply.detail == RANGE_OK) {
+        reply.detail = 0;
+        reply.status = events_reread(&self->events, &command, &reply);
+    }
+    reply_reread_pack(&reply, answer);
+}
+
+static void pattern(controller_t* const self, const uint8_t* const payload, uint8_t* const answer)
+{
+    command_pattern_t command;
+    command_pattern_unpack(&command, payload);
+    reply_pattern_t reply = {.status = STATUS_OUT_OF_RANGE, .detail = command_pattern_range(&command)};
+    if (reply.detail == RANGE_OK) {
+        reply.detail = 0;
+        reply.status = self->schema_ok ? bursts_upload(&self->bursts, &command, &reply.detail) : STATUS_SCHEMA;
+    }
+    reply.length = self->bursts.uploaded.length;
+    reply_pattern_pack(&reply, answer);
+}
+
+static void burst(controller_t* const self, const uint8_t* const payload, uint8_t* const answer)
+{
+    command_burst_t command;
+    command_burst_unpack(&command, payload);
+    reply_burst_t reply = {.status = STATUS_OUT_OF_RANGE, .detail = command_burst_range(&command)};
+    if (reply.detail == RANGE_OK) {
+        reply.detail = 0;
+        if ((self->armed & ARM_MICROWAVE) == 0U) {
+            reply.status = (self->fault != FAULT_NONE) ? STATUS_UNSAFE : STATUS_BAD_STATE;
+        } else {
+            bool refused = false;
+            reply.status = bursts_fire(&self->bursts, &command, &reply, &refused);
+            safety_insist(self, !refused);
+        }
+    }
+    reply_burst_pack(&reply, answer);
+}
+
+static void burst_stop(uint8_t* const answer)
+{
+    board_burst_stop();
+    reply_burst_stop_t reply = {.status = STATUS_OK};
+    board_burst_running(&reply.done);
+    reply_burst_stop_pack(&reply, answer);
+}
+
+static void move(controller_t* const self, const uint8_t* const payload, uint8_t* const answer)
+{
+    command_move_t command;
+    command_move_unpack(&command, payload);
+    reply_move_t reply = {.status = STATUS_OUT_OF_RANGE, .detail = command_move_range(&command)};
+    if (reply.detail == RANGE_OK) {
+        reply.detail = 0;
+        if (!self->schema_ok) {
+            reply.status = STATUS_SCHEMA;
+        } else if (self->moving) {
+            reply.status = STATUS_BAD_STATE;
+        } else {
+            reply.status = STATUS_OK;
+            board_stage_move(command.position, command.period, command.hold != 0U);
+            self->moving = true;
+        }
+    }
+    reply.position = board_stage_position();
+    reply_move_pack(&reply, answer);
+}
+
+void commands_execute(controller_t* const self, const command_t* const command, uint8_t reply[const PAYLOAD_MAX])
+{
+    const uint8_t* const payload = command->payload;
+    switch (command->layout->id) {
+    case COMMAND_IDENTIFY:
+        identify(self, payload, reply);
+        break;
+    case COMMAND_RESET:
+        reset(self, payload, reply);
+        break;
+    case COMMAND_PING:
+        ping(reply);
+        break;
+    case COMMAND_STATUS:
+        status(self, reply);
+        break;
+    case COMMAND_STAGE:
+        stage(self, payload, reply);
+        break;
+    case COMMAND_COMMIT:
+        commit(self, payload, reply);
+        break;
+    case COMMAND_ARM:
+        arm(self, payload, reply);
+        break;
+    case COMMAND_CLEAR:
+        clear(self, reply);
+        break;
+    case COMMAND_REREAD:
+        reread(self, payload, reply);
+        break;
+    case COMMAND_PATTERN:
+        pattern(self, payload, reply);
+        break;
+    case COMMAND_BURST:
+        burst(self, payload, reply);
+        break;
+    case COMMAND_BURST_STOP:
+        burst_stop(reply);
+        break;
+    default:  // COMMAND_MOVE: the link lets through no id without a layout
+        move(self, payload, reply);
+        break;
+    }
+}

@@ -1,0 +1,34 @@
+// The controller as a whole: what a main loop starts and runs. Everything it owns is in one structure.
+
+#ifndef ANNULUS_CONTROLLER_H
+#define ANNULUS_CONTROLLER_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "bursts.h"
+#include "events.h"
+#include "link.h"
+#include "messages.h"
+#include "sequencer.h"
+
+typedef struct {
+    link_t link;
+    events_t events;
+    sequencer_t sequencer;
+    bursts_t bursts;
+    uint8_t armed;  // ARM_*
+    uint8_t fault;  // latched, FAULT_*
+    bool schema_ok;
+    bool moving;     // the rotary stage; STAGE_DONE is due
+    bool resetting;  // once the acknowledgement has left
+    uint32_t heard;  // tick of the host's last valid frame, meaningful while armed
+} controller_t;
+
+// After reset: every output is low. Reports BOOTED.
+void controller_start(controller_t* self);
+
+// One round of the main loop; call it again and again, at least every 100 us while edges and bytes come.
+void controller_run(controller_t* self);
+
+#endif

@@ -1,0 +1,96 @@
+// Why something must go dark, and what follows from it: faults latch, and disarm everything until they are cleared.
+
+#include "safety.h"
+
+#include "../board.h"
+
+#define TICKS_PER_MS (PROTOCOL_TICK_HZ / 1000U)
+#define HOST_TIMEOUT_DEFAULT_MS 500U
+
+static void set_microwave(controller_t* const self, const bool on)
+{
+    board_microwave(on);
+    self->armed = (uint8_t)(on ? self->armed | ARM_MICROWAVE : self->armed & ~ARM_MICROWAVE);
+}
+
+static void set_lamps(controller_t* const self, const bool on)
+{
+    if (on) {
+        sequencer_arm(&self->sequencer);
+    } else {
+        sequencer_disarm(&self->sequencer);
+    }
+    self->armed = (uint8_t)(on ? self->armed | ARM_LAMPS : self->armed & ~ARM_LAMPS);
+}
+
+void safety_trip(controller_t* const self, const uint8_t fault, const uint32_t detail)
+{
+    if (self->fault == FAULT_NONE) {
+        self->fault = fault;
+    }
+    bursts_cut(&self->bursts, fault);
+    set_microwave(self, false);
+    if ((self->armed & ARM_LAMPS) != 0U) {
+        set_lamps(self, false);
+    }
+    events_fault(&self->events, board_tick(), fault, detail);
+}
+
+void safety_insist(controller_t* const self, const bool accepted)
+{
+    if (!accepted && (self->fault == FAULT_NONE)) {
+        safety_trip(self, FAULT_LIMIT, 0U);
+    }
+}
+
+static uint32_t host_timeout_ticks(const controller_t* const self)
+{
+    const uint32_t ms = self->sequencer.config.host_timeout;
+    return ((ms == 0U) ? HOST_TIMEOUT_DEFAULT_MS : ms) * TICKS_PER_MS;
+}
+
+void safety_run(controller_t* const self, const uint32_t now)
+{
+    const bool tripped = board_interlock_tripped();  // also forgets a trip while nothing was armed
+    if (self->armed == 0U) {
+        return;
+    }
+    if (tripped) {
+        safety_trip(self, FAULT_INTERLOCK, 0U);
+    } else if (now - self->heard > host_timeout_ticks(self)) {
+        safety_trip(self, FAULT_HOST_TIMEOUT, now - self->heard);
+    }
+}
+
+uint8_t safety_arm(controller_t* const self, const uint8_t outputs)
+{
+    const bool lamps = (outputs & ARM_LAMPS) != 0U;
+    const bool microwave = (outputs & ARM_MICROWAVE) != 0U;
+    if (outputs != 0U) {
+        if (!self->schema_ok) {
+            return STATUS_SCHEMA;
+        }
+        if ((self->fault != FAULT_NONE) || (microwave && board_interlock_open())) {
+            return STATUS_UNSAFE;
+        }
+        if (lamps && (self->sequencer.config.generation == 0U)) {
+            return STATUS_BAD_STATE;
+        }
+    }
+    if (microwave != ((self->armed & ARM_MICROWAVE) != 0U)) {
+        set_microwave(self, microwave);
+    }
+    if (lamps != ((self->armed & ARM_LAMPS) != 0U)) {  // already firing lamps keep their place in the cycle
+        set_lamps(self, lamps);
+    }
+    return STATUS_OK;
+}
+
+uint8_t safety_clear(controller_t* const self)
+{
+    if ((self->fault == FAULT_INTERLOCK) && board_interlock_open()) {
+        return STATUS_UNSAFE;
+    }
+    self->fault = FAULT_NONE;
+    return STATUS_OK;
+}

@@ -1,0 +1,23 @@
+// Why something must go dark, and what follows from it: faults latch, and disarm everything until they are cleared.
+
+#ifndef ANNULUS_SAFETY_H
+#define ANNULUS_SAFETY_H
+
+#include "controller.h"
+
+// Latch a fault, disarm everything, report it. The first fault stays latched; later ones are only reported.
+void safety_trip(controller_t* self, uint8_t fault, uint32_t detail);
+
+// What the board refuses is beyond a compiled-in limit: never try again before the host has seen it.
+void safety_insist(controller_t* self, bool accepted);
+
+// Once a round: interlock and host timeout.
+void safety_run(controller_t* self, uint32_t now);
+
+// Absolute. A status; refused, nothing changes.
+uint8_t safety_arm(controller_t* self, uint8_t outputs);
+
+// A status; unsafe while the cause lasts.
+uint8_t safety_clear(controller_t* self);
+
+#endif

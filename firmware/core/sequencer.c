@@ -1,0 +1,264 @@
+// Decides which lamp the next frame gets, and when; says what every edge really took. Knows nothing of pins: the board
+// fires what it is handed.
+
+#include "sequencer.h"
+
+#include "../board.h"
+
+#define TICKS_PER_US (PROTOCOL_TICK_HZ / 1000000U)
+#define PERIOD_MIN_TICKS (LIMIT_FRAME_PERIOD_MIN_US * TICKS_PER_US)
+#define PERIOD_MAX_TICKS (LIMIT_FRAME_PERIOD_MAX_US * TICKS_PER_US)
+#define WIDTH_MAX_TICKS (LIMIT_LAMP_WIDTH_MAX_US * TICKS_PER_US)
+
+// Places of fields in STAGE, as `detail` names them.
+enum {
+    FIELD_FRAME_PERIOD = 2,
+    FIELD_EXPOSURE = 3,
+    FIELD_READOUT = 4,
+    FIELD_HOST_TIMEOUT = 6,
+    FIELD_PROJECTOR_WIDTH = 8,
+    FIELD_LED_WIDTH = 10,
+};
+
+static uint32_t tolerance_ticks(const command_stage_t* const config)
+{
+    return (uint32_t)(((uint64_t)config->frame_period * config->tolerance) / 1000U);
+}
+
+// An edge earlier than this after the last one is no edge. Without a configuration only chatter can be told.
+static uint32_t holdoff_ticks(const command_stage_t* const config)
+{
+    return (config->generation == 0U) ? PERIOD_MIN_TICKS / 2U : config->frame_period - tolerance_ticks(config);
+}
+
+static bool is_led_slot(const command_stage_t* const config, const uint8_t slot)
+{
+    return slot == config->ratio;
+}
+
+// What the next edge has to take.
+static plan_t plan_next(const sequencer_t* const self)
+{
+    plan_t plan = {.slot = self->slot, .lamp = LAMP_DARK, .generation = self->config.generation, .armed = self->armed};
+    if (self->armed) {
+        const bool led = is_led_slot(&self->config, self->slot);
+        plan.delay_ticks = led ? self->config.led_delay : self->config.projector_delay;
+        plan.width_ticks = led ? self->config.led_width : self->config.projector_width;
+        if (plan.width_ticks > 0U) {
+            plan.lamp = led ? LAMP_LED : LAMP_PROJECTOR;
+        }
+    }
+    return plan;
+}
+
+static void put_in_force(sequencer_t* const self, events_t* const events, const uint32_t now)
+{
+    if (self->config.frame_period != self->staged.frame_period) {
+        self->synced = false;  // to be found again at the new period
+    }
+    self->config = self->staged;
+    self->is_staged = false;
+    self->is_committed = false;
+    event_configured_pack(
+        &(event_configured_t){.tick = now, .edge = self->edges, .generation = self->config.generation},
+        events_emit(events, EVENT_CONFIGURED));
+}
+
+static bool is_regular(const sequencer_t* const self, const uint32_t interval)
+{
+    const uint32_t period = self->config.frame_period;
+    const uint32_t off = (interval > period) ? interval - period : period - interval;
+    return off <= tolerance_ticks(&self->config);
+}
+
+static void report_edge(sequencer_t* const self, const board_edge_t* const edge, events_t* const events)
+{
+    const bool late = edge->tag == 0U;
+    const plan_t dark = {
+        .slot = self->slot, .lamp = LAMP_DARK, .generation = self->config.generation, .armed = self->armed};
+    const plan_t* const plan = late ? &dark : &self->plans[edge->tag - 1U];
+    const bool configured = self->config.generation != 0U;
+    const uint32_t interval = edge->tick - self->last_tick;
+    const bool regular = self->has_last && configured && is_regular(self, interval);
+
+    uint8_t flags = 0;
+    flags |= late ? EDGE_LATE_LOAD : 0U;
+    flags |= (self->has_last && configured && !regular) ? EDGE_IRREGULAR : 0U;
+    flags |= self->has_last ? 0U : EDGE_FIRST;
+    flags |= plan->armed ? 0U : EDGE_DISARMED;
+    event_edge_pack(&(event_edge_t){.edge = self->edges,
+                                    .tick = edge->tick,
+                                    .slot = plan->slot,
+                                    .lamp = plan->lamp,
+                                    .delay = plan->delay_ticks,
+                                    .width = plan->width_ticks,
+                                    .odometer = edge->odometer,
+                                    .generation = plan->generation,
+                                    .flags = flags},
+                    events_emit(events, EVENT_EDGE));
+    if (late) {
+        self->late++;
+        events_fault(events, edge->tick, FAULT_LATE_LOAD, self->edges);
+    }
+    if (regular && !self->synced) {
+        self->synced = true;
+        event_sync_found_pack(&(event_sync_found_t){.tick = edge->tick, .edge = self->edges},
+                              events_emit(events, EVENT_SYNC_FOUND));
+    }
+    if (self->armed && plan->armed) {  // a late edge uses up its slot as well: the cycle keeps step with the frames
+        self->slot = is_led_slot(&self->config, plan->slot) ? 0U : (uint8_t)(plan->slot + 1U);
+    }
+    self->period = self->has_last ? interval : 0U;
+    self->last_tick = edge->tick;
+    self->has_last = true;
+    self->edges++;
+}
+
+// An interval is only meaningful while the tick counter cannot have wrapped and the next edge is not overdue.
+static void check_sync(sequencer_t* const self, events_t* const events, const uint32_t now)
+{
+    const uint32_t period = (self->config.generation == 0U) ? PERIOD_MAX_TICKS : self->config.frame_period;
+    if (!self->has_last || (now - self->last_tick <= period / 2U * 5U)) {
+        return;
+    }
+    self->has_last = false;
+    if (self->synced) {
+        self->synced = false;
+        event_sync_lost_pack(&(event_sync_lost_t){.tick = now, .last_edge = self->edges - 1U},
+                             events_emit(events, EVENT_SYNC_LOST));
+    }
+}
+
+void sequencer_start(sequencer_t* const self)
+{
+    self->reload = true;
+}
+
+void sequencer_edges(sequencer_t* const self, events_t* const events, const uint32_t now)
+{
+    board_edge_t edge;
+    while (board_edge(&edge)) {  // all of them before loading: after a stall, the next edge is not the second
+        report_edge(self, &edge, events);
+        self->reload = true;
+    }
+    check_sync(self, events, now);
+}
+
+// Invariant: between two rounds the board holds exactly one flash, and `plans` knows it and the one before by their
+// tags. So whichever an edge took, it is reported as what it was; an edge that found none is dark and reported as late.
+bool sequencer_load(sequencer_t* const self, events_t* const events, const uint32_t now)
+{
+    if (!self->reload) {
+        return true;
+    }
+    self->reload = false;
+    if (self->is_committed && (self->slot == 0U)) {
+        put_in_force(self, events, now);
+    }
+    self->tag = (uint8_t)((self->tag % PLANS_KEPT) + 1U);
+    plan_t* const plan = &self->plans[self->tag - 1U];
+    *plan = plan_next(self);
+    const board_flash_t flash = {.tag = self->tag,
+                                 .lamp = plan->lamp,
+                                 .delay_ticks = plan->delay_ticks,
+                                 .width_ticks = plan->width_ticks,
+                                 .holdoff_ticks = holdoff_ticks(&self->config)};
+    return board_flash_load(&flash);
+}
+
+static uint8_t check_flash(const command_stage_t* const config, const reply_stage_t* const window, const uint32_t delay,
+                           const uint32_t width)
+{
+    if (width == 0U) {
+        return STATUS_OK;
+    }
+    if ((delay < window->window_open) || ((uint64_t)delay + width > window->window_close)) {
+        return STATUS_WINDOW;
+    }
+    const uint64_t permille = LIMIT_LAMP_DUTY_MAX_PERMILLE;
+    return ((uint64_t)width * 1000U > permille * config->frame_period) ? STATUS_DUTY : STATUS_OK;
+}
+
+static uint8_t check_limits(const command_stage_t* const config)
+{
+    if ((config->frame_period < PERIOD_MIN_TICKS) || (config->frame_period > PERIOD_MAX_TICKS)) {
+        return FIELD_FRAME_PERIOD;
+    }
+    if (config->exposure > config->frame_period) {
+        return FIELD_EXPOSURE;
+    }
+    if (config->readout > config->frame_period) {
+        return FIELD_READOUT;
+    }
+    if ((config->host_timeout != 0U) &&
+        ((config->host_timeout < LIMIT_HOST_TIMEOUT_MIN_MS) || (config->host_timeout > LIMIT_HOST_TIMEOUT_MAX_MS))) {
+        return FIELD_HOST_TIMEOUT;
+    }
+    if (config->projector_width > WIDTH_MAX_TICKS) {
+        return FIELD_PROJECTOR_WIDTH;
+    }
+    if (config->led_width > WIDTH_MAX_TICKS) {
+        return FIELD_LED_WIDTH;
+    }
+    return RANGE_OK;
+}
+
+uint8_t sequencer_stage(sequencer_t* const self, const command_stage_t* const config, reply_stage_t* const reply)
+{
+    reply->generation = self->config.generation;
+    const uint8_t field = check_limits(config);
+    if (field != RANGE_OK) {
+        reply->detail = field;
+        return STATUS_OUT_OF_RANGE;
+    }
+    // The flash must end before the earliest edge the qualification lets through, else it would run into the next one.
+    const uint32_t first_row_closes = config->frame_period - config->readout;
+    const uint32_t next_edge = holdoff_ticks(config);
+    reply->window_open = config->frame_period - config->exposure;
+    reply->window_close = (first_row_closes < next_edge) ? first_row_closes : next_edge;
+    uint8_t status = STATUS_OK;
+    if (config->ratio > 0U) {
+        reply->detail = LAMP_PROJECTOR;
+        status = check_flash(config, reply, config->projector_delay, config->projector_width);
+    }
+    if (status == STATUS_OK) {
+        reply->detail = LAMP_LED;
+        status = check_flash(config, reply, config->led_delay, config->led_width);
+    }
+    if (status != STATUS_OK) {
+        return status;
+    }
+    reply->detail = 0;
+    if (self->is_committed) {
+        return STATUS_BAD_STATE;  // what waits for slot 0 must not change under it
+    }
+    self->staged = *config;
+    self->is_staged = true;
+    reply->generation = config->generation;
+    return STATUS_OK;
+}
+
+bool sequencer_commit(sequencer_t* const self, const uint8_t generation)
+{
+    if (!self->is_staged || (self->staged.generation != generation)) {
+        return false;
+    }
+    self->is_committed = true;
+    self->reload |= !self->armed;  // else it waits for the edge before slot 0
+    return true;
+}
+
+void sequencer_arm(sequencer_t* const self)
+{
+    self->armed = true;
+    self->slot = 0;
+    self->reload = true;
+}
+
+void sequencer_disarm(sequencer_t* const self)
+{
+    board_lamps_cut();
+    self->armed = false;
+    self->slot = 0;
+    self->reload = true;
+}

@@ -1,0 +1,65 @@
+// Decides which lamp the next frame gets, and when; says what every edge really took. Knows nothing of pins: the board
+// fires what it is handed.
+
+#ifndef ANNULUS_SEQUENCER_H
+#define ANNULUS_SEQUENCER_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "events.h"
+#include "messages.h"
+
+#define PLANS_KEPT 2U  // loads an edge may still report: the one that stands and the one it replaced
+
+// A flash as it was loaded, remembered until its edge is reported.
+typedef struct {
+    uint8_t slot;
+    uint8_t lamp;
+    uint32_t delay_ticks;
+    uint32_t width_ticks;
+    uint8_t generation;
+    bool armed;
+} plan_t;
+
+typedef struct {
+    command_stage_t config;  // in force; generation 0 = none
+    command_stage_t staged;
+    bool is_staged;
+    bool is_committed;  // staged waits for slot 0
+    bool armed;
+    bool reload;   // what the board holds is taken or out of date
+    uint8_t slot;  // of the next edge; 0 while not armed
+    uint8_t tag;   // of the last load
+    plan_t plans[PLANS_KEPT];
+    uint32_t edges;
+    uint32_t last_tick;  // of the last accepted edge, meaningful with has_last
+    bool has_last;
+    bool synced;
+    uint32_t period;  // last interval
+    uint16_t late;
+} sequencer_t;
+
+// After reset, all zero.
+void sequencer_start(sequencer_t* self);
+
+// Once a round, first: report all edges so far; notice a lost sync.
+void sequencer_edges(sequencer_t* self, events_t* events, uint32_t now);
+
+// Once a round, after whatever may change the plan: load the flash for the next edge, if that is due. False: the board
+// refused it.
+bool sequencer_load(sequencer_t* self, events_t* events, uint32_t now);
+
+// Validate a configuration as a whole and stage it. A status; on refusal `detail` says which field or lamp.
+uint8_t sequencer_stage(sequencer_t* self, const command_stage_t* config, reply_stage_t* reply);
+
+// Put the staged configuration in force: at the next slot 0, or now when not armed. False: it is not staged.
+bool sequencer_commit(sequencer_t* self, uint8_t generation);
+
+// From slot 0. Needs a configuration in force.
+void sequencer_arm(sequencer_t* self);
+
+// Gates low now; edges are still reported.
+void sequencer_disarm(sequencer_t* self);
+
+#endif

@@ -1,0 +1,141 @@
+"""The controller's own C code on a simulated board, in virtual time: firmware/native through ctypes."""
+
+import ctypes
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from annulus.vocabulary import AnnulusError
+
+PIN_SYNC, PIN_PROJECTOR, PIN_LED, PIN_MICROWAVE, PIN_TRIGGER, PIN_INTERLOCK = 2, 3, 4, 5, 6, 7
+PIN_STEP, PIN_DIRECTION, PIN_ENABLE, PIN_ODOMETER_A, PIN_ODOMETER_B, PIN_STATUS = 8, 9, 10, 14, 15, 25
+
+BYTE_TICKS = 1000  # 1 Mbaud, ten bits a byte
+
+TRANSITION = np.dtype(
+    {"names": ["tick", "pin", "level"], "formats": ["<u8", "u1", "u1"], "offsets": [0, 8, 9], "itemsize": 16}
+)
+"""One change of an output pin, at a world tick of 10 ns."""
+
+_LIBRARY = Path(__file__).resolve().parents[3] / "firmware/build/libannulus_native.so"
+_SIGNATURES: dict[str, tuple[object, tuple[object, ...]]] = {
+    "native_begin": (None, ()),
+    "native_power_on": (None, (ctypes.c_uint8, ctypes.c_uint8)),
+    "native_input": (ctypes.c_bool, (ctypes.c_uint64, ctypes.c_uint8, ctypes.c_uint8)),
+    "native_serial_write": (ctypes.c_size_t, (ctypes.c_char_p, ctypes.c_size_t)),
+    "native_serial_read": (ctypes.c_size_t, (ctypes.c_void_p, ctypes.c_size_t)),
+    "native_run_until": (None, (ctypes.c_uint64,)),
+    "native_tick": (ctypes.c_uint64, ()),
+    "native_boot_tick": (ctypes.c_uint64, ()),
+    "native_pins": (ctypes.c_size_t, (ctypes.c_void_p, ctypes.c_size_t)),
+    "native_pin": (ctypes.c_uint8, (ctypes.c_uint8,)),
+    "native_stall_cpu": (None, (ctypes.c_uint64,)),
+    "native_refuse_next": (None, ()),
+    "native_lost": (None, (ctypes.c_void_p,)),
+}
+
+
+def _load(path: Path) -> ctypes.CDLL:
+    if not path.is_file():
+        raise AnnulusError(f"{path}: the native firmware is not built. `make setup` builds it.")
+    library = ctypes.CDLL(str(path))
+    for name, (result, arguments) in _SIGNATURES.items():
+        function = getattr(library, name)
+        function.restype, function.argtypes = result, arguments
+    return library
+
+
+class NativeBoard:
+    """The one simulated board of this process, in virtual time. A new object begins a new world at tick 0.
+
+    Times are world ticks of 10 ns; the controller counts its own from its last reset (`boot_tick`). Nothing happens but
+    in `run_until`. Making a second board takes the first one's place: its methods then raise AnnulusError.
+
+    Example::
+
+        board = NativeBoard()
+        board.power_on(boot=1)
+        board.input(tick=50_000_000, pin=PIN_SYNC, level=0)
+        board.serial_write(frame)
+        board.run_until(60_000_000)
+        answer, pins = board.serial_read(), board.pins()
+    """
+
+    _current: ClassVar["NativeBoard | None"] = None
+
+    def __init__(self, library: Path = _LIBRARY) -> None:
+        self._c = _load(library)
+        NativeBoard._current = self
+        self._c.native_begin()
+        self._bytes = ctypes.create_string_buffer(65536)
+        self._pins = np.zeros(16384, TRANSITION)
+
+    def _live(self) -> ctypes.CDLL:
+        if NativeBoard._current is not self:
+            raise AnnulusError("native board: another one was made in this process, which holds only one")
+        return self._c
+
+    def power_on(self, boot: int = 1, cause: int = 0) -> None:
+        """Power comes on, or comes back: the controller restarts with this boot byte and BootCause."""
+        self._live().native_power_on(boot & 0xFF, cause)
+
+    def input(self, tick: int, pin: int, level: int) -> None:
+        """Schedule a level on an input pin at a world tick, not before now.
+
+        Raises
+        ------
+        AnnulusError : a tick in the past, no input pin, or more than 65536 waiting.
+        """
+        if not self._live().native_input(tick, pin, level):
+            raise AnnulusError(f"native board: input GP{pin} = {level} at tick {tick} refused, now is {self.tick}")
+
+    def serial_write(self, data: bytes) -> int:
+        """Send bytes to the controller at line speed, from now on; how many were taken."""
+        return int(self._live().native_serial_write(data, len(data)))
+
+    def serial_read(self) -> bytes:
+        """All bytes that have arrived from the controller by now, at most 65536 at a time."""
+        size = self._live().native_serial_read(self._bytes, len(self._bytes))
+        return self._bytes.raw[:size] if size else b""
+
+    def run_until(self, tick: int) -> None:
+        """Let the world go on to this tick; one already past does nothing."""
+        self._live().native_run_until(tick)
+
+    @property
+    def tick(self) -> int:
+        """World tick now."""
+        return int(self._live().native_tick())
+
+    @property
+    def boot_tick(self) -> int:
+        """World tick of the controller's last reset, by whatever cause."""
+        return int(self._live().native_boot_tick())
+
+    def pins(self) -> npt.NDArray[np.void]:
+        """Transitions of output pins since the last call, oldest first: structured array of TRANSITION."""
+        library = self._live()
+        parts = []
+        while size := library.native_pins(self._pins.ctypes.data, len(self._pins)):
+            parts.append(self._pins[:size].copy())
+        return np.concatenate(parts) if parts else np.zeros(0, TRANSITION)
+
+    def level(self, pin: int) -> int:
+        """Level of any pin now."""
+        return int(self._live().native_pin(pin))
+
+    def stall_cpu(self, ticks: int) -> None:
+        """The controller's main loop stands still for so long; hardware goes on, the watchdog bites after 100 ms."""
+        self._live().native_stall_cpu(ticks)
+
+    def refuse_next(self) -> None:
+        """The board refuses the next lit flash or burst, as it does beyond a compiled-in limit."""
+        self._live().native_refuse_next()
+
+    def lost(self) -> dict[str, int]:
+        """What the simulation itself had to drop because nobody drained it; all zero in a sound set-up."""
+        counts = (ctypes.c_uint64 * 4)()
+        self._live().native_lost(counts)
+        return dict(zip(("transitions", "received", "sent", "inputs"), map(int, counts), strict=True))
