@@ -8,7 +8,7 @@ angle, smoothed by what the blur subtends in that angle at that pixel.
 
 import math
 from collections.abc import Callable
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
@@ -20,6 +20,7 @@ from annulus.twin.world import CLOCKS, STEP_Z_MM, World
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
+Real = Any  # float32 inside compiled code
 Kernel = TypeVar("Kernel", bound=Callable[..., object])
 
 _TILE_ROWS, _TILE_COLUMNS = 6, 8  # cells of the wall map to a tile: 2.4 mm by 2 degrees
@@ -44,7 +45,7 @@ def _compiled(function: Kernel) -> Kernel:
 
 
 @_compiled
-def _atan2(y: float, x: float) -> float:
+def _atan2(y: Real, x: Real) -> Real:
     """atan2 within 2e-6 rad, float32."""
     ax, ay = abs(x), abs(y)
     big, small = max(ax, ay), min(ax, ay)
@@ -67,9 +68,9 @@ def _atan2(y: float, x: float) -> float:
 
 
 @_compiled
-def _step_up(x: float) -> float:
+def _step_up(x: Real) -> Real:
     """Standard normal distribution function within 3e-4 (Abramowitz & Stegun 7.1.27); branch-free."""
-    t = abs(x) * np.float32(0.70710678)
+    t = min(abs(x) * np.float32(0.70710678), np.float32(6.0))  # p ** 4 must not overflow
     p = np.float32(1.0) + t * (
         np.float32(0.278393) + t * (np.float32(0.230389) + t * (np.float32(0.000972) + t * np.float32(0.078108)))
     )
@@ -79,7 +80,7 @@ def _step_up(x: float) -> float:
 
 
 @_compiled
-def _wall(deviation: F32, column: float, row: float) -> float:
+def _wall(deviation: F32, column: Real, row: Real) -> Real:
     """Bilinear deviation (mm) at a fractional map place, column -1..CLOCKS + 1; its first and last row are clean."""
     top = np.float32(deviation.shape[0] // _WALL_PITCH) - np.float32(1.01)
     row = min(max(row, np.float32(0.0)), top)
@@ -93,8 +94,8 @@ def _wall(deviation: F32, column: float, row: float) -> float:
 
 
 @_compiled
-def _cylinder(cx: float, cy: float, wx: float, wy: float, radius: float) -> float:
-    """Range along a ray from inside to the cylinder r = radius about the z axis; 1e6 for a ray that never gets there."""
+def _cylinder(cx: Real, cy: Real, wx: Real, wy: Real, radius: Real) -> Real:
+    """Range along a ray from inside to the cylinder r = radius about the z axis; 1e6 if it never gets there."""
     a = wx * wx + wy * wy + np.float32(1e-12)
     b = cx * wx + cy * wy
     c = cx * cx + cy * cy - radius * radius
@@ -102,7 +103,7 @@ def _cylinder(cx: float, cy: float, wx: float, wy: float, radius: float) -> floa
 
 
 @_compiled
-def _column(x: float, y: float) -> float:
+def _column(x: Real, y: Real) -> Real:
     """Fractional map column of a pipe-frame place: clock angle = atan2(x, -y), in [0, CLOCKS)."""
     f = _atan2(x, -y) * np.float32(CLOCKS / (2 * np.pi))
     return f + np.float32(CLOCKS) if f < 0 else f
@@ -110,15 +111,15 @@ def _column(x: float, y: float) -> float:
 
 @_compiled
 def _excess(
-    deviation: F32, s: float, c: F32, wx: float, wy: float, wz: float, column: float, z0: float, radius: float
-) -> float:
+    deviation: F32, s: Real, c: F32, wx: Real, wy: Real, wz: Real, column: Real, z0: Real, radius: Real
+) -> Real:
     """r - wall at range s of a ray in the pipe frame; the clock angle hardly changes over a wall's roughness."""
     x, y, z = c[0] + s * wx, c[1] + s * wy, c[2] + s * wz
     return np.sqrt(x * x + y * y) - radius - _wall(deviation, column, (z - z0) * _PER_Z)
 
 
 @_compiled
-def _meet_gentle(n: int, scratch: F32, station: F32, z0: float, radius: float, deviation: F32) -> None:
+def _meet_gentle(n: int, scratch: F32, station: F32, z0: Real, radius: Real, deviation: F32) -> None:
     """Meet a wall without edges instead of the plain cylinder, for a whole stretch: mends range, place and normal.
 
     The fixed point r = R + wall(where r is met), by secant: error below 5 um for slopes up to half the ray's.
@@ -151,9 +152,9 @@ def _meet_gentle(n: int, scratch: F32, station: F32, z0: float, radius: float, d
 
 @_compiled
 def _meet_steep(
-    deviation: F32, tile_low: F32, tile_high: F32, c: F32, wx: float, wy: float, wz: float, z0: float, radius: float,
-    low: float, high: float, column: float,
-) -> float:  # fmt: skip
+    deviation: F32, tile_low: F32, tile_high: F32, c: F32, wx: Real, wy: Real, wz: Real, z0: Real, radius: Real,
+    low: Real, high: Real, column: Real,
+) -> Real:  # fmt: skip
     """Range at which a ray first goes through a wall that stays within low..high (mm) thereabouts.
 
     The clock angle is that of the plain cylinder; over low..high it drifts by less than a map column.
@@ -207,14 +208,16 @@ def _meet_steep(
 
 @_compiled
 def _shadowed(
-    deviation: F32, tile_low: F32, x: float, y: float, z: float, light: F32, z0: float, radius: float, low: float,
-    column: float,
+    deviation: F32, tile_low: F32, x: Real, y: Real, z: Real, light: F32, z0: Real, radius: Real, low: Real,
+    column: Real,
 ) -> bool:  # fmt: skip
     """Whether the wall stands between a wall point and a light inside the pipe (both pipe frame)."""
     dx, dy, dz = light[0] - x, light[1] - y, light[2] - z
     r0 = np.sqrt(x * x + y * y)
     drop = (dx * x + dy * y) / r0  # how fast r falls on the way
-    clear = min((low - (r0 - radius)) / min(drop, np.float32(-1.0)), np.float32(0.5))  # from here on nothing can hide it
+    clear = min(
+        (low - (r0 - radius)) / min(drop, np.float32(-1.0)), np.float32(0.5)
+    )  # from here on nothing can hide it
     if clear <= 0:
         return False
     at = min(int(column) // _TILE_COLUMNS, tile_low.shape[1] - 1)
@@ -240,8 +243,8 @@ def _shadowed(
 
 @_compiled
 def _rough(
-    k: int, ask_shadow: bool, scratch: F32, station: F32, light: F32, z0: float, radius: float,
-    deviation: F32, tile_low: F32, tile_high: F32, near_low: float, near_high: float,
+    k: int, ask_shadow: bool, scratch: F32, station: F32, light: F32, z0: Real, radius: Real,
+    deviation: F32, tile_low: F32, tile_high: F32, near_low: Real, near_high: Real,
 ) -> None:  # fmt: skip
     """Meet a wall with edges: mends range, place, normal and shadow of pixel k of a stretch."""
     wx, wy, wz, column = scratch[_WX + k], scratch[_WY + k], scratch[_WZ + k], scratch[_COLUMN + k]
@@ -264,7 +267,7 @@ def _rough(
 
 
 @_compiled
-def _reflect(albedo: U8, column: float, row: float, channel: int, base: F32) -> float:
+def _reflect(albedo: U8, column: Real, row: Real, channel: int, base: F32) -> Real:
     """Bilinear albedo 0..1 of one channel at a fractional map place."""
     rows, columns = albedo.shape[1], albedo.shape[2]
     i, j = int(row), int(column)
@@ -283,10 +286,10 @@ def _reflect(albedo: U8, column: float, row: float, channel: int, base: F32) -> 
 @_compiled
 def _draw(
     out: U8, first: int, last: int, rays: F32, rotation: F32, station: F32, projector_gain: F32, led_gain: F32,
-    lit: F32, radius: float, z0: float, deviation: F32, tile_low: F32, tile_high: F32, near_low: F32, near_high: F32,
-    tile_kind: U8, albedo: U8, base: F32, nearest: NDArray[np.int8], cos0: float, cos_step: float, centre: F32,
-    slits: F32, colours: F32, leak: float, power: float, rods: F32, led: F32, led_power: F32, blur: float,
-    focal: float, sensor: F32, noise: F32, seed: int,
+    lit: F32, radius: Real, z0: Real, deviation: F32, tile_low: F32, tile_high: F32, near_low: F32, near_high: F32,
+    tile_kind: U8, albedo: U8, base: F32, nearest: NDArray[np.int8], cos0: Real, cos_step: Real, centre: F32,
+    slits: F32, colours: F32, leak: Real, power: Real, rods: F32, led: F32, led_power: F32, blur: Real,
+    focal: Real, sensor: F32, noise: F32, seed: int,
 ) -> None:  # fmt: skip
     """Rows first..last of one frame, a row at a time in short loops that the compiler turns into vector code.
 
@@ -296,7 +299,7 @@ def _draw(
     pattern's rims. colours[i], [i + 1]: stripes inside and outside of it. tile_kind: 0 plain, 1 gentle, 3 steep, +4
     marked with paint; tile_low, tile_high: wall within a tile, near_*: on a ray's way to it.
     """
-    height, width = out.shape
+    width = out.shape[1]
     scratch = np.zeros(_SCRATCH, np.float32)
     slit_of = np.zeros(_PITCH, np.int32)
     kinds = np.zeros(_PITCH, np.int32)
@@ -627,5 +630,5 @@ def _tiles(world: World) -> tuple[F32, F32, F32, F32, U8]:
     kind = np.where(steep, 3, np.where((near_high > _PLAIN_MM) | (near_low < -_PLAIN_MM), 1, 0)).astype(np.uint8)
     marked = (paint[:rows] != np.round(np.array(world.albedo) * 255.0)).any(axis=2).reshape(shape).any(axis=(1, 3))
     kind |= np.where(ndimage.maximum_filter(marked, size=3, mode=mode), 4, 0).astype(np.uint8)
-    wall = (low, high, near_low, near_high)
-    return *(np.ascontiguousarray(bound, dtype=np.float32) for bound in wall), kind
+    bounds = [np.ascontiguousarray(bound, dtype=np.float32) for bound in (low, high, near_low, near_high)]
+    return bounds[0], bounds[1], bounds[2], bounds[3], kind

@@ -171,7 +171,7 @@ class World:
     # ---- the wall ------------------------------------------------------------------------------------------------
     def deviation(self, clock_deg: FloatArray, z_mm: FloatArray) -> FloatArray:
         """True r - R in mm at clock angles and stations (broadcast)."""
-        clock, z = np.asarray(clock_deg, dtype=float), np.asarray(z_mm, dtype=float)
+        clock, z = np.asarray(clock_deg, dtype=np.float64), np.asarray(z_mm, dtype=np.float64)
         total = np.zeros(np.broadcast_shapes(clock.shape, z.shape))
         for feature in self.features:
             total = total + feature.deviation(clock, z, self.radius_mm)
@@ -188,11 +188,11 @@ class World:
         low, high = self.z_range_mm
         rows = round((high - low) / STEP_Z_MM)
         out = np.zeros((rows, CLOCKS), np.float32)
-        clock = np.arange(CLOCKS) * (360.0 / CLOCKS)
+        clock: FloatArray = np.arange(CLOCKS, dtype=np.float64) * (360.0 / CLOCKS)
         for feature in self.features:
             first = max(0, math.floor((feature.z_mm - feature.length_mm / 2 - 2 - low) / STEP_Z_MM))
             last = min(rows, math.ceil((feature.z_mm + feature.length_mm / 2 + 2 - low) / STEP_Z_MM))
-            z = low + np.arange(first, last)[:, None] * STEP_Z_MM
+            z: FloatArray = low + np.arange(first, last, dtype=np.float64)[:, None] * STEP_Z_MM
             out[first:last] += feature.deviation(clock[None, :], z, self.radius_mm)
         return out
 
@@ -331,7 +331,9 @@ def demo_world(seed: int = 7, travel_mm: float = 330.0) -> World:
 def _stain(albedo: NDArray[np.float32], rng: np.random.Generator, z_range: tuple[float, float]) -> None:
     """Brown water stains with soft rims and a dull invert where silt has lain, painted in place."""
     rows = albedo.shape[0]
-    silt = np.exp(-((_wrap(np.arange(CLOCKS) * (360.0 / CLOCKS) - 180.0) / 26.0) ** 2)).astype(np.float32)
+    silt = np.exp(-((_wrap(np.arange(CLOCKS, dtype=np.float64) * (360.0 / CLOCKS) - 180.0) / 26.0) ** 2)).astype(
+        np.float32
+    )
     albedo *= 1.0 - silt[None, :, None] * np.array([0.10, 0.15, 0.22], np.float32)
     for _ in range(round((z_range[1] - z_range[0]) / 28.0)):
         row, column = int(rng.integers(rows)), int(rng.integers(CLOCKS))
