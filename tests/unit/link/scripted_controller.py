@@ -1,0 +1,166 @@
+"""A controller in thirty lines of rules, for tests of the host's side: what protocol/README.md promises, and no physics."""
+
+import random
+from collections import deque
+
+from annulus.link.codec import TO_CONTROLLER, Corrupt, Decoder, Frame, encode
+from annulus.link.messages import (
+    EVENT_RING,
+    PROTOCOL_VERSION,
+    SCHEMA_HASH,
+    Arm,
+    ArmReply,
+    BootCause,
+    Booted,
+    Clear,
+    ClearReply,
+    Command,
+    Commit,
+    CommitReply,
+    Event,
+    FaultCode,
+    Garbled,
+    Identify,
+    IdentifyReply,
+    Move,
+    MoveReply,
+    Ping,
+    PingReply,
+    Reply,
+    Reread,
+    RereadReply,
+    Stage,
+    StageReply,
+    StateFlag,
+    Status,
+    StatusCode,
+    StatusReply,
+)
+
+REPLIES_KEPT = 8
+
+
+class ScriptedController:
+    """Carries commands out at most once as long as a host keeps to its window."""
+
+    def __init__(self, boot: int = 7, *, schema: int = SCHEMA_HASH) -> None:
+        self.schema = schema
+        self.refuse: dict[type[Command], tuple[StatusCode, int]] = {}
+        self.executed: list[Command] = []  # over all lives
+        self.armed = False
+        self.fault = FaultCode.NONE
+        self._start(boot)
+
+    def _start(self, boot: int) -> None:
+        self.boot = boot
+        self.tick_origin_ns: int | None = None
+        self._decoder = Decoder(TO_CONTROLLER)
+        self._kept: deque[tuple[Command, int, bytes]] = deque(maxlen=REPLIES_KEPT)
+        self._ring: dict[int, Event] = {}
+        self._next = 0
+        self._bad = 0
+        self._out = bytearray()
+        self.armed = False
+
+    def reset(self) -> None:
+        self._start((self.boot + 1) % 256)
+        self.emit(Booted(BootCause.HOST_RESET, 0))
+
+    def emit(self, event: Event, *, reach_the_line: bool = True) -> int:
+        sequence = self._next
+        self._next = (self._next + 1) % 65536
+        self._ring[sequence] = event
+        if len(self._ring) > EVENT_RING:
+            del self._ring[next(iter(self._ring))]
+        if reach_the_line:
+            self._out += encode(Frame(event, sequence, self.boot))
+        return sequence
+
+    def take(self) -> bytes:
+        out = bytes(self._out)
+        self._out.clear()
+        return out
+
+    def receive(self, data: bytes, now: int) -> None:
+        if self.tick_origin_ns is None:
+            self.tick_origin_ns = now
+        for frame in self._decoder.feed(data):
+            if isinstance(frame, Corrupt):
+                self._bad += 1
+                self._out += encode(Frame(Garbled(self._bad % 65536), 0))
+                continue
+            command = frame.message
+            assert isinstance(command, Command)
+            for kept, sequence, wire in self._kept:
+                if not kept.QUERY and (kept, sequence) == (command, frame.sequence):
+                    self._out += wire
+                    break
+            else:
+                self.executed.append(command)
+                reply = self._execute(command, now)
+                wire = encode(Frame(reply, frame.sequence))
+                self._kept.append((command, frame.sequence, wire))
+                self._out += wire
+                if isinstance(command, Reread) and isinstance(reply, RereadReply):
+                    for at in range(reply.count):
+                        again = (reply.first + at) % 65536
+                        self._out += encode(Frame(self._ring[again], again, self.boot))
+
+    def _execute(self, command: Command, now: int) -> Reply:
+        status, detail = self.refuse.get(type(command), (StatusCode.OK, 0))
+        ok = (status, detail)
+        tick = (now - (self.tick_origin_ns or 0)) // 10 % 2**32
+        match command:
+            case Identify():
+                self._kept.clear()
+                return IdentifyReply(
+                    *ok, PROTOCOL_VERSION, self.schema, self.boot, BootCause.POWER_ON, 100_000_000, b"deadbeef",
+                    b"scripted", 2_000_000, 500, 30, 3000,
+                )  # fmt: skip
+            case Ping():
+                return PingReply(*ok, tick)
+            case Status():
+                state = StateFlag.LAMPS_ARMED if self.armed else StateFlag(0)
+                return StatusReply(*ok, state, self.fault, 1, 0, 0, 0, 0, self._next, 0, 0, 0, 0)
+            case Stage(generation):
+                return StageReply(*ok, generation, 0, 0)
+            case Commit(generation):
+                return CommitReply(*ok, generation)
+            case Arm(outputs):
+                self.armed = bool(outputs) and status is StatusCode.OK
+                return ArmReply(*ok, outputs)
+            case Clear():
+                self.fault = FaultCode.NONE
+                return ClearReply(*ok, FaultCode.NONE)
+            case Move(position):
+                return MoveReply(*ok, position)
+            case Reread(first, count):
+                there = [s for s in ((first + i) % 65536 for i in range(count)) if s in self._ring]
+                if not there:
+                    return RereadReply(StatusCode.GONE, 0, first, 0)
+                return RereadReply(StatusCode.OK, 0, there[0], len(there))
+        raise AssertionError(command)
+
+
+class BadLine:
+    """Drops, flips, inserts and doubles bytes, each with the same chance."""
+
+    def __init__(self, seed: int, rate: float) -> None:
+        self._random = random.Random(seed)
+        self.rate = rate
+
+    def carry(self, data: bytes) -> bytes:
+        out = bytearray()
+        for byte in data:
+            match self._random.randrange(4) if self._random.random() < self.rate else None:
+                case None:
+                    out.append(byte)
+                case 0:
+                    pass
+                case 1:
+                    out.append(byte ^ (1 << self._random.randrange(8)))
+                case 2:
+                    out += bytes((byte, self._random.randrange(256)))
+                case _:
+                    out += bytes((byte, byte))
+        return bytes(out)
