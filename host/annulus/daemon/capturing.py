@@ -22,8 +22,7 @@ class Arrived:
 
 
 class Capturing(threading.Thread):
-    """Takes frames from a started camera into a short queue. When the queue is full the new frame is dropped and counted:
-    a daemon that is behind must catch up with the present, not with the past.
+    """Takes frames from a started camera into a short queue; drops and counts the new frame when the queue is full.
 
     `wake` is a descriptor to poll: readable when something came or the thread ended.
     """

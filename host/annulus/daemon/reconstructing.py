@@ -1,5 +1,6 @@
 """The worker process that turns projector frames into profiles. Run as `python -m annulus.daemon.reconstructing`."""
 
+import os
 import sys
 from typing import Any
 
@@ -41,6 +42,7 @@ class Reconstructing:
 
 
 def _prepare(setup: Any) -> Reconstructing:
+    os.nice(5)  # labels and recording come first
     cv2.setNumThreads(1)  # one process a core: threads would only fight over them
     return Reconstructing(Calibration.from_dict(setup["calibration"]))
 

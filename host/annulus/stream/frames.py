@@ -23,7 +23,7 @@ class FrameHeader:
     """One camera frame and its label. `edge` is the edge whose flash lit it; what is not known is None."""
 
     index: int  # counts the frames the daemon took from the camera, from 0
-    sequence: CameraSequence
+    sequence: CameraSequence | None  # None where the driver does not count
     timestamp_ns: int  # the driver's, host monotonic clock
     label: Label
     reason: str  # why the label is unknown; empty otherwise
@@ -66,9 +66,10 @@ class FrameHeader:
         if not isinstance(reason, str) or len(reason) > 200:
             raise ValueError("frame header: reason must be a text of at most 200 characters")
         edge, slot = _whole(data, "edge", 0, 2**32 - 1, True), _whole(data, "slot", 0, 15, True)
+        sequence = _whole(data, "sequence", 0, 2**63, True)
         return cls(
             index=_need(data, "index", 0, 2**32 - 1),
-            sequence=CameraSequence(_need(data, "sequence", 0, 2**63)),
+            sequence=None if sequence is None else CameraSequence(sequence),
             timestamp_ns=_need(data, "timestamp_ns", 0, 2**63),
             label=Label(label),
             reason=reason,

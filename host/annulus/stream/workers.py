@@ -30,6 +30,7 @@ MESSAGE_MAX = 1 << 26  # bytes; a profile is below 1 MB
 STARTS_MAX = 3  # times in a row a worker may die without having done anything
 HUNG_S = 20.0  # longer on one frame than this and the worker is replaced
 START_S = 180.0  # compiling for the first time included
+UNREADY_S = 1.0  # to leave, for one that was not ready yet
 _PR_SET_PDEATHSIG = 1
 
 Socket = zmq.Socket[bytes]
@@ -225,10 +226,12 @@ class Crew:
         for worker in self._workers.values():
             with contextlib.suppress(zmq.ZMQError):
                 worker.tasks.send_multipart([b"stop", b""], zmq.NOBLOCK)
-        end = time.monotonic() + patience_s  # real time whatever clock the tests use: processes are real
-        while self._workers and time.monotonic() < end:
+        begun = time.monotonic()  # real time whatever clock the tests use: processes are real
+        while self._workers and (waited := time.monotonic() - begun) < patience_s:
             self.results.poll(20)
             happened += self._receive()
+            if waited > UNREADY_S and not self.ready:
+                break  # still compiling, and with nothing in hand
             for worker in [w for w in self._workers.values() if w.process.poll() is not None]:
                 happened += self._receive()
                 happened += self._bury(worker, "ended")

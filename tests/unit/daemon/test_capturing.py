@@ -20,7 +20,9 @@ class Film:
         if self.next == self.count:
             raise self.end
         self.next += 1
-        return HeldRequest(np.full((6, 8), self.next, np.uint8), {"SensorTimestamp": self.next, "FrameSequence": self.next})
+        return HeldRequest(
+            np.full((6, 8), self.next, np.uint8), {"SensorTimestamp": self.next, "FrameSequence": self.next}
+        )
 
 
 def run(film: Film) -> Capturing:

@@ -11,7 +11,7 @@ from annulus.vocabulary import Label
 HEADERS = st.builds(
     FrameHeader,
     index=st.integers(0, 2**32 - 1),
-    sequence=st.integers(0, 2**63),
+    sequence=st.none() | st.integers(0, 2**63),
     timestamp_ns=st.integers(0, 2**63),
     label=st.sampled_from(Label),
     reason=st.text(max_size=200),

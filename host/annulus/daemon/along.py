@@ -1,4 +1,4 @@
-"""Where along the pipe: odometer counts to millimetres, across restarts of the controller."""
+"""How far along the pipe: odometer counts to millimetres, across restarts of the controller."""
 
 from collections import deque
 
@@ -7,7 +7,7 @@ from annulus.vocabulary import Flash
 _SPEED_SPAN_NS = 1_000_000_000
 
 
-class Place:
+class Along:
     """Counts begin at zero with every boot of the controller; the pipe does not.
 
     After a restart the head is taken to have moved on at the speed it had. `gaps` counts how often that was assumed.

@@ -1,8 +1,8 @@
-"""Promises about the place along the pipe."""
+"""Promises about how far along the pipe."""
 
 import pytest
 
-from annulus.daemon.place import Place
+from annulus.daemon.along import Along
 from annulus.vocabulary import EdgeFlag, EdgeIndex, Flash, Lamp, Slot, Tick
 
 
@@ -11,13 +11,13 @@ def flash(odometer: int, boot: int = 1) -> Flash:
 
 
 def test_counts_become_millimetres_forwards_and_backwards() -> None:
-    place = Place(-0.05)
+    place = Along(-0.05)
     assert [place.z_mm(flash(-20 * i), i) for i in (0, 1, 2, 1)] == pytest.approx([0.0, 1.0, 2.0, 1.0])
     assert place.gaps == 0
 
 
 def test_a_restart_of_the_controller_does_not_send_the_head_back_to_the_start() -> None:
-    place, speed = Place(0.05), 22.0  # mm/s
+    place, speed = Along(0.05), 22.0  # mm/s
     for i in range(50):
         z = place.z_mm(flash(round(speed * i / 25 / 0.05)), i * 40_000_000)
     lost_s = 0.5  # from the last frame before to the first one after
@@ -28,6 +28,6 @@ def test_a_restart_of_the_controller_does_not_send_the_head_back_to_the_start() 
 
 
 def test_a_restart_after_the_first_frame_stands_still() -> None:
-    place = Place(0.05)
+    place = Along(0.05)
     assert place.z_mm(flash(100), 0) == 5.0
     assert place.z_mm(flash(0, boot=9), 10**9) == 5.0

@@ -1,0 +1,639 @@
+"""One scan: the loop that ties controller, camera, labels, recorder, workers and viewers together.
+
+One thread does everything here but waiting for the camera, and waits for nobody. Frames go
+
+    camera -> capture thread -> a slot of the ring -> label, when both its edges are known -> recorder, worker, viewers
+
+and a slot is free again when the last of those is done with it.
+"""
+
+import os
+import shutil
+import sys
+import tempfile
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import zmq
+
+from annulus.capture.camera import Camera, CapturedFrame
+from annulus.capture.pairing import Labelled, Pairing, Reason, calibrate_offset
+from annulus.capture.photometry import Light, measure
+from annulus.daemon.along import Along
+from annulus.daemon.capturing import Arrived, Capturing
+from annulus.daemon.config import HeadConfig, require_size, ticks
+from annulus.daemon.order import InOrder
+from annulus.link.client import Port
+from annulus.link.head import EdgeSeen, HeadControl, LampsCut, News, Phase, PhaseChanged
+from annulus.link.messages import Fault, Stage, SyncFound, SyncLost
+from annulus.link.session import Heard, Rebooted
+from annulus.link.session import Lost as EventsLost
+from annulus.rings.profile import Profile
+from annulus.stream.frames import CHANNELS, FrameHeader
+from annulus.stream.publish import Publisher
+from annulus.stream.ring import FrameRing, Place
+from annulus.stream.workers import Crew, Died, Done, Failed, Happening, Lost, Report
+from annulus.vocabulary import AnnulusError, CameraSequence, Label
+
+TURN_S = 0.002  # at most between two looks at the line: what comes in is stamped when it is read
+RESERVE = 4  # free slots below which workers get no frame, so that recording goes on
+WORKER_DEPTH = 2
+IDENTIFY_S = 1.0
+START_S = 200.0  # on a fresh machine workers compile first
+ARM_S = 5.0
+CALIBRATE_FRAMES = 15  # frames before the camera's offset is tried
+CALIBRATE_KEPT = 64
+CALIBRATE_GIVE_UP_S = 20.0
+RECALIBRATE_S = 2.0  # a doubtful offset is looked for again this often
+REOPEN_S = 1.0
+TELEMETRY_S = 1.0
+DISARM_S = 0.5
+CAMERA_END_S = 2.5
+DRAIN_S = 8.0
+EVENTS_KEPT = 200
+
+
+@dataclass(frozen=True, slots=True)
+class ScanReport:
+    """What a scan was, in numbers."""
+
+    seconds: float
+    frames: Mapping[str, int]  # by label
+    unknown: Mapping[str, int]  # by reason
+    drops: Mapping[str, int]  # by kind, see README.md
+    profiles: int
+    recordings: tuple[Path, ...]
+    latency_ms: float  # median, frame in hand to profile joined; 0 without profiles
+    telemetry: Mapping[str, Any]  # the last one
+    events: tuple[str, ...]  # the last ones, for people
+
+
+@dataclass(frozen=True, slots=True)
+class Doors:
+    """What a scan tells the program around it, as it happens. All are called from the scan's thread: be quick."""
+
+    profile: Callable[[Profile], None] = lambda _: None
+    event: Callable[[str], None] = lambda _: None
+    telemetry: Callable[[Mapping[str, Any]], None] = lambda _: None
+
+
+@dataclass(frozen=True, slots=True)
+class _Waiting:
+    """A frame in its slot that has no label yet."""
+
+    index: int
+    sequence: CameraSequence | None
+    timestamp_ns: int
+    metadata: Mapping[str, Any]
+    place: Place
+    light: Light
+    at_ns: int
+
+
+class Scan:
+    """One head from power-up to lamps off. `run` once; it gives everything back, however it ends."""
+
+    def __init__(self, config: HeadConfig, camera: Camera, *, doors: Doors | None = None, name: str = "") -> None:
+        """`camera` becomes the scan's: it is closed at the end. `name` of the recording: by default its start, UTC."""
+        if config.calibration is not None:
+            require_size(config.calibration, camera.width, camera.height)
+        self._config, self._camera, self._doors = config, camera, doors or Doors()
+        self._name = name or datetime.now(UTC).strftime("scan-%Y%m%d-%H%M%S")
+        self._period_ns = round(1e9 / config.timing.fps)
+        self._pairing = Pairing(self._period_ns)
+        self._along = Along(config.mm_per_count)
+        self._head: HeadControl | None = None
+        self._port: Port | None = None
+        self._reopen_s = 0.0
+        self._offset_known = config.port is None
+        self._looking_since = 0.0  # for the offset; 0 = not yet
+        self._next_look = 0.0
+        self._seen: deque[tuple[int, Light]] = deque(maxlen=CALIBRATE_KEPT)  # timestamps, and what the pictures show
+        self._waiting: deque[_Waiting] = deque()
+        self._next_index = 0
+        self._last_frame: tuple[CameraSequence | None, int] | None = None
+        self._joined: InOrder[Profile] = InOrder()
+        self._taken_ns: dict[int, int] = {}  # frame index -> when it came, while a worker has it
+        self._latency_ms: deque[float] = deque(maxlen=1000)
+        self._seed: list[float] | None = None
+        self._frames: Counter[str] = Counter()
+        self._unknown: Counter[str] = Counter()
+        self._drops: Counter[str] = Counter()
+        self._profiles = 0
+        self._recorder_says: dict[int, Mapping[str, Any]] = {}  # by worker number, its last report
+        self._recording_problem = ""
+        self._events: deque[str] = deque(maxlen=EVENTS_KEPT)
+        self._started_ns = 0
+        self._next_telemetry = 0.0
+        self._ring: FrameRing
+        self._workers: Crew | None = None
+        self._recorder: Crew | None = None
+        self._publisher: Publisher | None = None
+        self._capturing: Capturing | None = None
+
+    # ---- from beginning to end ----
+
+    def run(self, stop: Callable[[], bool]) -> ScanReport:
+        """Scan until `stop()` is true or the camera has no more frames. `stop` is asked often; make it cheap.
+
+        Raises AnnulusError when the scan cannot begin, or the camera breaks.
+        """
+        with ExitStack() as stack:
+            self._open(stack)
+            try:
+                if self._until(self._crews_ready, stop, START_S, "workers are not ready"):
+                    self._begin(stop)
+                while not (stop() or self._at_end()):
+                    self._turn()
+            finally:
+                self._end()
+            problem = self._capturing.problem if self._capturing is not None else ""
+        if problem:
+            raise AnnulusError(problem)
+        return self.report()
+
+    def report(self) -> ScanReport:
+        """Where the scan stands, or ended."""
+        seconds = (time.monotonic_ns() - self._started_ns) / 1e9 if self._started_ns else 0.0
+        recordings = tuple(Path(str(says["path"])) for _, says in sorted(self._recorder_says.items()))
+        telemetry = self.telemetry()
+        return ScanReport(
+            seconds, dict(self._frames), dict(self._unknown), telemetry["drops"], self._profiles, recordings,
+            median(self._latency_ms) if self._latency_ms else 0.0, telemetry, tuple(self._events),
+        )  # fmt: skip
+
+    def telemetry(self) -> dict[str, Any]:
+        """Every counter there is, as plain types."""
+        head, capturing = self._head, self._capturing
+        drops = Counter(self._drops)
+        if capturing is not None:
+            drops.update({key: capturing.counts[key] for key in ("capture_queue", "camera_silent")})
+        for says in self._recorder_says.values():
+            drops["disk"] += int(says["lost"].get("/frame", 0))
+        if self._recorder is not None:
+            drops["recorder_notes"] += self._recorder.counts["notes_dropped"]
+        return {
+            "frames": {label.value: self._frames[label.value] for label in Label},
+            "unknown": dict(self._unknown),
+            "drops": {kind: count for kind, count in sorted(drops.items()) if count},
+            "profiles": self._profiles,
+            "waiting": len(self._waiting),
+            "slots_free": self._ring.free,
+            "phase": head.phase.value if head is not None else "none",
+            "problem": head.problem if head is not None else "",
+            "link": head.session.counters.as_dict() if head is not None else {},
+            "lives": head.life if head is not None else 0,
+            "rearms": head.rearms if head is not None else 0,
+            "place_gaps": self._along.gaps,
+            "offset_ns": self._pairing.offset_ns,
+            "offset_error_ns": self._pairing.offset_error_ns,
+            "workers": _crew_numbers(self._workers),
+            "recorder": _crew_numbers(self._recorder),
+        }
+
+    def _open(self, stack: ExitStack) -> None:
+        """Acquire everything; `stack` gives it back in reverse order."""
+        config, camera = self._config, self._camera
+        stack.callback(camera.close)
+        if config.port is not None:
+            self._port = Port(config.port)
+            stack.callback(self._close_port)
+            self._head = HeadControl(_stage(config), armed=False)
+            self._identify(config.port)
+        folder = Path(tempfile.mkdtemp(prefix="annulus-"))
+        stack.callback(shutil.rmtree, folder, ignore_errors=True)
+        context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+        stack.callback(context.destroy, linger=0)
+        self._ring = FrameRing(config.slots, camera.width * camera.height * CHANNELS[camera.encoding])
+        stack.callback(self._ring.close)
+        if config.publish is not None:
+            self._publisher = Publisher(context, config.publish, config.keys)
+            stack.callback(self._publisher.close)
+        calibration = None if config.calibration is None else config.calibration.to_dict()
+        if config.record_folder is not None:
+            setup = {
+                "folder": str(config.record_folder.absolute()), "name": self._name, "calibration": calibration,
+                "configuration": config.to_dict(),
+            }  # fmt: skip
+            self._recorder = self._crew("recorder", "recording", setup, folder, context, 1, config.slots)
+            stack.callback(lambda: self._after(self._recorder, 0.0))
+        if calibration is not None:
+            count = config.workers or default_workers()
+            setup = {"calibration": calibration}
+            self._workers = self._crew("worker", "reconstructing", setup, folder, context, count, WORKER_DEPTH)
+            stack.callback(lambda: self._after(self._workers, 0.0))
+
+    def _crew(
+        self, name: str, module: str, setup: Any, folder: Path, context: zmq.Context[Any], count: int, depth: int
+    ) -> Crew:
+        command = [sys.executable, "-m", f"annulus.daemon.{module}"]
+        return Crew(
+            command, setup, ring=self._ring, context=context, folder=folder, name=name, count=count, depth=depth
+        )
+
+    def _identify(self, port: str) -> None:
+        """Raises AnnulusError when nobody, or somebody else, answers."""
+        head = self._head
+        assert head is not None and self._port is not None
+        end = time.monotonic() + IDENTIFY_S
+        while head.identity is None and time.monotonic() < end:
+            self._hear(self._port.pump(head, TURN_S))
+        if head.identity is None:
+            damaged = sum(head.session.counters.corrupt.values())
+            heard = f"{damaged} damaged frames and no answer" if damaged else "no answer"
+            raise AnnulusError(f"{port}: {heard} to identify within {IDENTIFY_S:g} s. Is this the controller?")
+        if head.phase is Phase.MISMATCH:
+            raise AnnulusError(f"{port}: {head.problem}")
+
+    def _crews_ready(self) -> bool:
+        crews = [crew for crew in (self._recorder, self._workers) if crew is not None]
+        return all(crew.ready > 0 and crew.ready == crew.alive for crew in crews)
+
+    def _begin(self, stop: Callable[[], bool]) -> None:
+        """Camera first, then the lamps: the controller needs the camera's sync edges."""
+        self._camera.start()
+        self._capturing = Capturing(self._camera)
+        self._capturing.start()
+        self._started_ns = time.monotonic_ns()
+        head = self._head
+        if head is None:
+            return
+        head.arm()
+        armed = self._until(lambda: head.phase in (Phase.RUNNING, Phase.REFUSED), stop, ARM_S, "")
+        if head.phase is Phase.REFUSED or (not armed and not stop()):
+            why = head.problem or f"still {head.phase.value} after {ARM_S:g} s"
+            raise AnnulusError(f"{self._config.port}: the lamps cannot be armed: {why}")
+
+    def _until(self, done: Callable[[], bool], stop: Callable[[], bool], seconds: float, why: str) -> bool:
+        """Turn until `done`. False when stopped or out of time; `why` not empty: out of time is an AnnulusError."""
+        end = time.monotonic() + seconds
+        while not done():
+            if stop():
+                return False
+            if time.monotonic() > end:
+                if why:
+                    raise AnnulusError(f"{why} after {seconds:g} s")
+                return False
+            self._turn()
+        return True
+
+    def _at_end(self) -> bool:
+        return self._capturing is not None and self._capturing.ended and not self._waiting
+
+    def _end(self) -> None:
+        """Lamps off first. Then everything in hand goes where it belongs, and the recording is closed."""
+        with self._whatever_happens("disarm"):
+            self._disarm()
+        with self._whatever_happens("camera"):
+            if self._capturing is not None:
+                self._camera.stop()
+                self._capturing.end(CAMERA_END_S)
+                if not self._capturing.is_alive():
+                    self._take_frames()
+        with self._whatever_happens("labels"):
+            while self._waiting:
+                self._label_first()
+        with self._whatever_happens("workers"):
+            self._after(self._workers, DRAIN_S)
+            self._join(final=True)
+        with self._whatever_happens("recorder"):
+            self._note("/telemetry", self.telemetry())
+            self._after(self._recorder, DRAIN_S)
+
+    @contextmanager
+    def _whatever_happens(self, step: str) -> Iterator[None]:
+        """A step of the ending that fails does not keep the next ones from being done."""
+        try:
+            yield
+        except Exception as error:
+            self._events.append(f"ending, {step}: {type(error).__name__}: {error}")
+
+    def _disarm(self) -> None:
+        head = self._head
+        if head is None or self._port is None:
+            return
+        head.disarm()
+        end = time.monotonic() + DISARM_S
+        while head.phase not in (Phase.IDLE, Phase.REFUSED, Phase.MISMATCH) and time.monotonic() < end:
+            self._hear(self._port.pump(head, TURN_S))
+        if head.phase is not Phase.IDLE:
+            self._tell("lamps", f"the controller did not confirm that the lamps are off ({head.phase.value})")
+
+    def _after(self, crew: Crew | None, patience_s: float) -> None:
+        """Stop a crew and count what came of it. A second call does nothing."""
+        if crew is not None:
+            self._happened(crew, crew.stop(patience_s))
+
+    # ---- one turn ----
+
+    def _turn(self) -> None:
+        self._listen()
+        self._take_frames()
+        self._find_offset()
+        while self._waiting and self._settled(self._waiting[0]):
+            self._label_first()
+        for crew in (self._workers, self._recorder):
+            if crew is not None:
+                self._happened(crew, crew.poll())
+        self._join()
+        if self._publisher is not None:
+            self._publisher.admit()
+        now = time.monotonic()
+        if now >= self._next_telemetry:
+            self._next_telemetry = now + TELEMETRY_S
+            telemetry = self.telemetry()
+            self._doors.telemetry(telemetry)
+            self._note("/telemetry", telemetry)
+            self._publish("telemetry", telemetry)
+
+    def _listen(self) -> None:
+        """The controller's line. One that breaks is opened again, every second; frames meanwhile are unknown."""
+        if self._head is None:
+            time.sleep(TURN_S)
+            return
+        if self._port is None:
+            time.sleep(TURN_S)
+            if time.monotonic() < self._reopen_s:
+                return
+            self._reopen_s = time.monotonic() + REOPEN_S
+            try:
+                assert self._config.port is not None
+                self._port = Port(self._config.port)
+            except AnnulusError:
+                return
+            self._tell("link", f"{self._config.port}: the line is back")
+        try:
+            news = self._port.pump(self._head, TURN_S)
+        except AnnulusError as error:
+            if self._started_ns == 0:
+                raise
+            self._close_port()
+            self._reopen_s = time.monotonic() + REOPEN_S
+            self._drops["line_broken"] += 1
+            self._tell("link", str(error))
+            return
+        self._hear(news)
+
+    def _close_port(self) -> None:
+        if self._port is not None:
+            self._port.close()
+            self._port = None
+
+    def _hear(self, news: list[News]) -> None:
+        for one in news:
+            match one:
+                case EdgeSeen():
+                    self._pairing.edge(one.flash, one.host_ns, one.life)
+                case LampsCut():
+                    self._pairing.spoil(one.from_ns, one.to_ns)
+                case Rebooted(boot, previous) if previous is not None:
+                    self._tell("reset", f"the controller restarted (boot {previous} -> {boot}); lamps are armed again")
+                case EventsLost(first, count):
+                    self._drops["edge_events"] += count
+                    self._tell("events_lost", f"{count} events of the controller are lost, from number {first}")
+                case PhaseChanged(phase, why) if why or phase in (Phase.RUNNING, Phase.IDLE):
+                    self._tell("head", f"{phase.value}{': ' if why else ''}{why}")
+                case Heard(event) if isinstance(event, Fault):
+                    self._tell("fault", f"fault {event.fault.name.lower()}, detail {event.detail}")
+                case Heard(event) if isinstance(event, SyncLost):
+                    self._tell("sync", f"no frame-sync edge since edge {event.last_edge}")
+                case Heard(event) if isinstance(event, SyncFound):
+                    self._tell("sync", f"frame-sync is regular from edge {event.edge} on")
+
+    def _take_frames(self) -> None:
+        """From the capture thread into the ring."""
+        if self._capturing is None:
+            return
+        for arrived in self._capturing.take():
+            self._count_holes(arrived.frame)
+            index, self._next_index = self._next_index, self._next_index + 1
+            place = self._ring.claim()
+            if place is None:  # the frame has no label and never will
+                self._drops["no_slot"] += 1
+                continue
+            self._ring.write(place, arrived.frame.image)
+            waiting = _waiting(index, arrived, place)
+            self._waiting.append(waiting)
+            self._seen.append((waiting.timestamp_ns, waiting.light))
+
+    def _count_holes(self, frame: CapturedFrame) -> None:
+        """What the driver dropped: holes in its count, or in the timestamps where it does not count."""
+        last, self._last_frame = self._last_frame, (frame.sequence, frame.timestamp_ns)
+        if last is None:
+            return
+        if frame.sequence is not None and last[0] is not None:
+            missing = frame.sequence - last[0] - 1
+        else:
+            missing = round((frame.timestamp_ns - last[1]) / self._period_ns) - 1
+        self._drops["camera"] += max(0, missing)
+
+    # ---- labels ----
+
+    def _find_offset(self) -> None:
+        """The camera's timestamp offset, once at the start and again whenever it has become doubtful."""
+        now = time.monotonic()
+        if self._offset_known and self._pairing.doubtful and now >= self._next_look:
+            self._offset_known = False
+            self._looking_since = now
+            self._seen.clear()
+            self._tell("offset", "the camera's timestamp offset has become doubtful: looking for it again")
+        if self._offset_known or now < self._next_look or len(self._seen) < CALIBRATE_FRAMES:
+            return
+        if self._looking_since == 0.0:
+            self._looking_since = now
+        self._next_look = now + 3 * self._period_ns / 1e9
+        try:
+            offset = calibrate_offset(self._seen, self._pairing.edges, self._period_ns)
+        except AnnulusError as error:
+            if now - self._looking_since > CALIBRATE_GIVE_UP_S:
+                self._looking_since = now
+                self._tell("offset", f"still no timestamp offset, frames stay unknown: {error}")
+            return
+        self._pairing.recalibrate(self._period_ns, offset.offset_ns)
+        self._offset_known = True
+        self._looking_since = 0.0
+        self._next_look = now + RECALIBRATE_S
+        self._tell(
+            "offset",
+            f"camera timestamps are {offset.offset_ns / 1e6:+.2f} ms from the end of readout "
+            f"(+-{offset.jitter_ns / 1e6:.2f} ms, {offset.frames} frames)",
+        )
+
+    def _settled(self, frame: _Waiting) -> bool:
+        """Whether the first waiting frame can be given its label."""
+        if self._head is None:
+            return True
+        if not self._offset_known:  # frames wait for it as long as there is room for new ones
+            return self._ring.free < RESERVE
+        return self._pairing.settled(frame.timestamp_ns, time.monotonic_ns())
+
+    def _label_first(self) -> None:
+        frame = self._waiting.popleft()
+        header = self._header(frame)
+        self._frames[header.label.value] += 1
+        if header.label is Label.UNKNOWN:
+            self._unknown[header.reason] += 1
+        self._hand_out(header, frame)
+        self._ring.release(frame.place)
+
+    def _header(self, frame: _Waiting) -> FrameHeader:
+        camera = self._camera
+        blank = FrameHeader(
+            frame.index, frame.sequence, frame.timestamp_ns, Label.UNKNOWN, "", None, None, None, None, camera.encoding,
+            camera.width, camera.height,
+        )  # fmt: skip
+        if self._head is None:
+            return _brought_along(blank, frame.metadata)
+        if not self._offset_known:
+            return replace(blank, reason="timestamp offset not known yet")
+        said: Labelled = self._pairing.label(frame.timestamp_ns, frame.sequence, frame.light)
+        if said.label is Label.UNKNOWN or said.flash is None:
+            return replace(blank, reason=str(said.reason))
+        flash = said.flash
+        assert said.reason is Reason.AGREED
+        z_mm = self._along.z_mm(flash, frame.timestamp_ns)
+        return replace(
+            blank, label=said.label, edge=flash.edge, slot=flash.slot, odometer=flash.odometer, z_mm=z_mm
+        )  # fmt: skip
+
+    def _hand_out(self, header: FrameHeader, frame: _Waiting) -> None:
+        """Recorder first: what is recorded can be reconstructed later, what is seen cannot be recorded later."""
+        if self._recorder is not None and not self._recorder.offer(header, frame.place):
+            self._drops["recorder_busy"] += 1
+        if header.label is Label.PROJECTOR and self._workers is not None:
+            if self._ring.free >= RESERVE and self._workers.offer(header, frame.place, self._seed):
+                self._taken_ns[header.index] = frame.at_ns
+                self._joined.expect(header.index)
+            else:
+                self._drops["worker_busy"] += 1
+        self._publish("label", header.to_dict())
+        if self._publisher is not None:
+            self._publisher.send("frame", header.to_dict(), self._ring.view(header, frame.place).data)
+
+    # ---- what the crews say ----
+
+    def _happened(self, crew: Crew, happenings: list[Happening]) -> None:
+        recorder = crew is self._recorder
+        for one in happenings:
+            match one:
+                case Done(body=body) if recorder:
+                    pass  # the recorder's reports count what did not get to the disk
+                case Done(header=header, body=body):
+                    self._profile(header, body)
+                case Failed(header=header, why=why):
+                    self._lose(header, recorder, "recorder_failed" if recorder else "worker_failed", why)
+                case Lost(header=header, why=why):
+                    self._lose(header, recorder, "recorder_died" if recorder else "worker_died", why)
+                case Died(why=why, replaced=replaced):
+                    self._died("recorder" if recorder else "worker", why, replaced)
+                case Report(worker, body) if recorder and isinstance(body, Mapping):
+                    self._recorder_says[worker] = body
+                    self._recording_loss(body)
+
+    def _profile(self, header: FrameHeader, body: Any) -> None:
+        try:
+            profile = Profile.from_dict(body)
+        except ValueError as error:
+            self._lose(header, False, "worker_failed", str(error))
+            return
+        if profile.pose is not None:
+            self._seed = [profile.pose.rx, profile.pose.ry, profile.pose.tx, profile.pose.ty]
+        self._joined.came(header.index, profile)
+
+    def _join(self, final: bool = False) -> None:
+        """Profiles that are next in the order of frames go out."""
+        for index, profile in self._joined.ready(final):
+            at_ns = self._taken_ns.pop(index, None)
+            if profile is None:
+                continue
+            self._profiles += 1
+            if at_ns is not None:
+                self._latency_ms.append((time.monotonic_ns() - at_ns) / 1e6)
+            body = profile.to_dict()
+            self._note("/profile", body, index)
+            self._publish("profile", body)
+            self._doors.profile(profile)
+
+    def _lose(self, header: FrameHeader, recorder: bool, kind: str, why: str) -> None:
+        self._drops[kind] += 1
+        if not recorder:
+            self._joined.came(header.index, None)
+        self._tell(kind, f"frame {header.index}: {why}")
+
+    def _died(self, who: str, why: str, replaced: bool) -> None:
+        self._drops[f"{who}s_replaced"] += replaced
+        self._tell(f"{who}_died", f"{who} ended: {why}; {'another takes over' if replaced else 'it is given up'}")
+        if not replaced and self._started_ns == 0:
+            raise AnnulusError(why if ": " in why else f"the {who} process cannot be started: {why}")
+
+    def _recording_loss(self, says: Mapping[str, Any]) -> None:
+        problem = str(says["problem"])
+        if problem and problem != self._recording_problem:
+            self._tell("disk", f"{says['path']}: {problem}; frames are labelled but not recorded")
+        self._recording_problem = problem
+
+    # ---- outwards ----
+
+    def _tell(self, kind: str, text: str) -> None:
+        """Something an operator should know."""
+        self._events.append(text)
+        self._doors.event(text)
+        self._note("/event", {"kind": kind, "text": text})
+        self._publish("event", {"kind": kind, "text": text})
+
+    def _note(self, topic: str, body: Mapping[str, Any], sequence: int = 0) -> None:
+        if self._recorder is not None and self._recorder.alive:
+            self._recorder.tell(topic, [time.monotonic_ns(), dict(body), sequence])
+
+    def _publish(self, topic: str, body: Mapping[str, Any]) -> None:
+        if self._publisher is not None:
+            self._publisher.send(topic, body)
+
+
+def default_workers() -> int:
+    """One a core, but one for everything else."""
+    return max(1, len(os.sched_getaffinity(0)) - 1)
+
+
+def _stage(config: HeadConfig) -> Stage:
+    timing, lamps = config.timing, config.lamps
+    return Stage(
+        generation=1,  # HeadControl numbers them itself
+        ratio=lamps.ratio,
+        frame_period=ticks(timing.period_us),
+        exposure=ticks(timing.exposure_us),
+        readout=ticks(timing.readout_us),
+        tolerance=100,
+        host_timeout=0,
+        projector_delay=ticks(lamps.projector_delay_us),
+        projector_width=ticks(lamps.projector_width_us),
+        led_delay=ticks(lamps.led_delay_us),
+        led_width=ticks(lamps.led_width_us),
+    )
+
+
+def _waiting(index: int, arrived: Arrived, place: Place) -> _Waiting:
+    frame = arrived.frame
+    light = measure(frame.image).light
+    return _Waiting(index, frame.sequence, frame.timestamp_ns, frame.metadata, place, light, arrived.at_ns)
+
+
+def _brought_along(blank: FrameHeader, metadata: Mapping[str, Any]) -> FrameHeader:
+    """Without a controller: the label a scan folder gave its frame, or none."""
+    light, z_mm = metadata.get("Light"), metadata.get("ZMm")
+    if light not in (Label.PROJECTOR.value, Label.LED.value) or not isinstance(z_mm, int | float):
+        return replace(blank, reason="no controller")
+    return replace(blank, label=Label(light), z_mm=float(z_mm))
+
+
+def _crew_numbers(crew: Crew | None) -> dict[str, int]:
+    if crew is None:
+        return {}
+    return {"alive": crew.alive, "ready": crew.ready, "in_hand": crew.in_hand, **crew.counts}
