@@ -4,7 +4,6 @@ import io
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import matplotlib as mpl
 import numpy as np
 from matplotlib.colors import LinearSegmentedColormap, Normalize
@@ -12,8 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from annulus.report.surface import picture
-from annulus.rings.defects import Findings, Kind
+from annulus.report.surface import HALF_DEG, half_view
+from annulus.rings.defects import Findings, Kind, clock_face
 from annulus.rings.stations import OVALITY_NAME, Stations
 from annulus.rings.wall import Wall
 
@@ -70,8 +69,7 @@ def _scale(wall: Wall, findings: Findings, deviation: NDArray[np.float32]) -> fl
     seen = np.abs(deviation[wall.seen])
     usual = float(np.percentile(seen, 99)) if len(seen) else 0.0
     wanted = max(largest, usual, 10 * float(np.median(wall.noise_mm)), 0.5)
-    power = 10.0 ** np.floor(np.log10(wanted))
-    return float(next(step * power for step in (1, 1.5, 2, 3, 4, 5, 6, 8, 10) if step * power >= wanted * 0.999))
+    return _round_up(wanted)
 
 
 class _Axis:
@@ -210,9 +208,17 @@ def _stations(wall: Wall, stations: Stations, findings: Findings, nominal_mm: fl
             if defect.kind is not Kind.OVALITY:
                 first, last = (value * axis.per_mm for value in defect.z_range_mm)
                 axes.axvspan(first, last, color=LOSS_RED if defect.kind is Kind.LOSS else BUMP_BLUE, alpha=0.08, lw=0)
+    near = 0.035 * (axis.limits[1] - axis.limits[0])
+    groups: list[tuple[float, list[int]]] = []
     for number, defect in enumerate(findings.defects, start=1):
+        at = defect.z_mm * axis.per_mm
+        if groups and at - groups[-1][0] < near:
+            groups[-1][1].append(number)
+        else:
+            groups.append((at, [number]))
+    for at, numbers in groups:
         top.text(
-            defect.z_mm * axis.per_mm, 1.0, str(number), transform=top.get_xaxis_transform(), ha="center", va="bottom",
+            at, 1.01, ", ".join(map(str, numbers)), transform=top.get_xaxis_transform(), ha="center", va="bottom",
             fontsize=9, fontweight="bold",
         )  # fmt: skip
     for axes in (top, middle):
@@ -230,13 +236,47 @@ def _surface(wall: Wall, findings: Findings, rgb: Image) -> tuple[tuple[str, byt
     else:
         middle = float(np.clip(middle, wall.z_mm[0] + reach, wall.z_mm[-1] - reach))
         rows = slice(*(int(k) for k in np.searchsorted(wall.z_mm, (middle - reach, middle + reach))))
-    first, last = wall.z_mm[rows][0], wall.z_mm[rows][-1]
-    out = []
-    for side, name in ((1, "3 o'clock half"), (-1, "9 o'clock half")):
-        image = picture(wall, rgb, rows, side=side)
-        data = cv2.imencode(".png", image[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 6])[1].tobytes()
-        out.append((f"{name}, {first:.0f} to {last:.0f} mm", data))
-    return tuple(out)
+    halves = ((180.0, "lower half, 3 o'clock to 9 o'clock"), (0.0, "upper half, 9 o'clock to 3 o'clock"))
+    return tuple((caption, _half(wall, rgb, rows, clock)) for clock, caption in halves)
+
+
+def _half(wall: Wall, rgb: Image, rows: slice, clock_deg: float) -> bytes:
+    """One half with hours at its ends and distances along its rim."""
+    view = half_view(wall, rgb, rows, clock_deg)
+    height, width = view.image.shape[:2]
+    figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI)
+    axes = figure.add_axes((0, 0, 1, 1))
+    axes.imshow(view.image, interpolation="antialiased")
+    axes.set_axis_off()
+    first, last = float(wall.z_mm[rows][0]), float(wall.z_mm[rows][-1])
+
+    def at(clock: float, z: float, out: float) -> tuple[float, float]:
+        t, r = np.radians(clock), wall.mean_radius_mm * out
+        x, y = view.project(np.array([[r * np.sin(t), -r * np.cos(t), z]]))[0]
+        return float(x), float(y)
+
+    for offset in (-90, -45, 0, 45, 90):
+        clock = (clock_deg + offset) % 360
+        for z, shift in ((first, -1), (last, 1)):
+            x, y = at(clock, z, 1.0)
+            axes.text(
+                x + 12 * shift, y, clock_face(clock), ha="right" if shift < 0 else "left", va="center", fontsize=5
+            )
+    step = _round_up((last - first) / 6)
+    rim = clock_deg + HALF_DEG  # the nearer of the two rims
+    for z in np.arange(np.ceil(first / step) * step, last + 1e-6, step):
+        (x0, y0), (x1, y1) = at(rim, z, 1.0), at(rim, z, 1.06)
+        axes.plot([x0, x1], [y0, y1], color=INK, lw=0.5)
+        x, y = at(rim, z, 1.13)
+        axes.text(x, y, f"{z:g} mm", ha="center", va="center", fontsize=8, color=FAINT)
+    axes.set_xlim(0, width)
+    axes.set_ylim(height, 0)
+    return _png(figure)
+
+
+def _round_up(value: float) -> float:
+    power = 10.0 ** np.floor(np.log10(max(value, 1e-6)))
+    return float(next(step * power for step in (1, 1.5, 2, 3, 4, 5, 6, 8, 10) if step * power >= value * 0.999))
 
 
 def _png(figure: Figure) -> bytes:

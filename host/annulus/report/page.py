@@ -10,7 +10,7 @@ import jinja2
 from annulus.report.figures import Pictures
 from annulus.report.summary import Summary
 from annulus.report.surface import EXAGGERATION
-from annulus.rings.defects import Defect, Findings, Kind, clock_face
+from annulus.rings.defects import ALL_ROUND_DEG, Defect, Findings, Kind, clock_face
 
 TEMPLATE = "page.html.j2"
 NAMES = {Kind.LOSS: "Wall loss", Kind.BUMP: "Bump into the pipe", Kind.OVALITY: "Out of round"}
@@ -68,9 +68,9 @@ def _row(number: int, defect: Defect, summary: Summary) -> dict[str, Any]:
         clock = "all round"
         width = "all round"
     else:
-        clock = "all round" if defect.arc_deg >= 350 else f"{begin} to {end}"
+        clock = "all round" if defect.arc_deg >= ALL_ROUND_DEG else f"{begin} to {end}"
         width = f"{defect.arc_deg * math.pi / 360 * mean:.0f} mm ({defect.arc_deg:.0f}°)"
-        remark = f"centre {defect.clock}" if defect.arc_deg < 350 else ""
+        remark = f"centre {defect.clock}" if defect.arc_deg < ALL_ROUND_DEG else ""
     return {
         "number": number,
         "kind": str(defect.kind),

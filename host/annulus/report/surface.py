@@ -1,15 +1,19 @@
 """The wall as triangles and as a shaded picture."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from annulus.geometry.pose import FloatArray
-from annulus.rings.wall import Wall
+from annulus.rings.wall import Wall, smooth
 
 Image = NDArray[np.uint8]
 
+BACKGROUND = (222, 229, 235)
 EXAGGERATION = 3.0  # of the deviation in the picture; the caption says so
-BACKGROUND = (255, 255, 255)
+HALF_DEG = 90.0  # each side of the middle
+VIEW_ROLL_DEG, VIEW_YAW_DEG = -14.0, 27.0  # from where one looks at a half: rolled about the pipe, turned along it
 
 
 def triangulate(wall: Wall) -> tuple[FloatArray, NDArray[np.int32], NDArray[np.int64]]:
@@ -45,64 +49,85 @@ def triangulate(wall: Wall) -> tuple[FloatArray, NDArray[np.int32], NDArray[np.i
     return points, triangles, flat
 
 
-def picture(
-    wall: Wall, colour: Image, rows: slice, *, side: int, width: int = 1500, height: int = 620
-) -> Image:  # fmt: skip
-    """One half of the pipe cut open, seen from outside the other half; (height, width, 3) uint8 RGB.
+@dataclass(frozen=True, slots=True)
+class View:
+    """A shaded picture, (H, W, 3) uint8 RGB, and how pipe-frame points fall into it (orthographic)."""
+
+    image: Image
+    right: FloatArray
+    down: FloatArray
+    origin: FloatArray  # the pipe-frame point in the middle of the picture, mm
+    px_per_mm: float
+
+    def project(self, points: FloatArray) -> FloatArray:
+        """(N, 3) mm in the pipe frame -> (N, 2) pixels."""
+        height, width = self.image.shape[:2]
+        flat = (points - self.origin) @ np.stack([self.right, self.down], axis=1)
+        return np.asarray(flat * self.px_per_mm + [(width - 1) / 2, (height - 1) / 2])
+
+
+def half_view(
+    wall: Wall, colour: Image, rows: slice, clock_deg: float, *, width: int = 1000, height: int = 640
+) -> View:
+    """The half of the pipe around a clock angle, from inside and a little ahead; distance runs to the right.
 
     Parameters
     ----------
     colour : (Z, A, 3) uint8 RGB of every cell; unseen cells are drawn as holes.
-    rows : the stretch to show. side : +1 shows the wall around 3 o'clock, -1 around 9 o'clock.
+    rows : the stretch to show.
 
     Notes
     -----
-    Orthographic. The grid is resampled finer than the picture's pixels and splatted front to back, shaded by the slope
-    of the wall; deviations are drawn `EXAGGERATION` times their size.
+    The grid is resampled finer than the picture and splatted, far first, at twice the size, then averaged down. Shaded
+    by the slope of the wall; deviations are drawn `EXAGGERATION` times their size.
     """
     radius = wall.mean_radius_mm
     z = wall.z_mm[rows]
-    span = float(z[-1] - z[0] + wall.z_step_mm)
-    # Camera: turned about the vertical, so that the far half opens to the viewer and distance runs left to right.
-    yaw, pitch = np.radians(28.0), np.radians(16.0)
-    across = span * np.cos(yaw) + 2 * radius * np.sin(yaw)
-    scale = min(0.94 * width / across, 0.94 * height / (2.3 * radius))
-    n_columns = min(int(2 * np.pi * radius * scale * 1.6), 3600)
-    n_rows = min(int(span * scale * 1.6), 4000)
-    i = np.clip((np.arange(n_rows) + 0.5) / n_rows * len(z) - 0.5, 0, len(z) - 1)
-    j = (np.arange(n_columns) + 0.5) / n_columns * len(wall.clock_deg) - 0.5
-    deviation = wall.deviation_mm()[rows]
-    fine, seen = _resample(deviation, i, j)
-    t = np.radians((j + 0.5) * wall.clock_step_deg)[None]
-    zz = (z[0] + i * wall.z_step_mm)[:, None]
-    r = radius + EXAGGERATION * fine
-    around, along = _slopes(r, float(np.diff(zz[:, 0]).mean()), 2 * np.pi / n_columns)
-    sin, cos = np.sin(t), np.cos(t)
-    keep = seen & (side * sin > -0.16)
-    p = np.stack([r * sin, -r * cos, np.broadcast_to(zz, r.shape) - (z[0] + span / 2)], axis=-1)[keep]
-    # Inward normal of r(t, z).
-    scale_n = 1.0 / np.sqrt(1 + around**2 + along**2)
-    normal = np.stack([(-sin + around * cos) * scale_n, (cos + around * sin) * scale_n, along * scale_n], axis=-1)[keep]
-    right = np.array([-side * np.sin(yaw), 0.0, np.cos(yaw)]) * side
-    forward = np.array([side * np.cos(yaw) * np.cos(pitch), np.sin(pitch), np.sin(yaw) * np.cos(pitch)])
-    right = np.array([-np.sin(yaw) * side, 0.0, np.cos(yaw)])
-    right *= 1.0
+    look = np.radians(clock_deg + VIEW_ROLL_DEG)
+    outward = np.array([np.sin(look), -np.cos(look), 0.0])
+    along = np.array([0.0, 0.0, 1.0])
+    yaw = np.radians(VIEW_YAW_DEG)
+    forward = np.cos(yaw) * outward + np.sin(yaw) * along
+    right = np.cos(yaw) * along - np.sin(yaw) * outward
     down = np.cross(forward, right)
-    down = down if down[1] > 0 else -down
-    u = p @ right * scale + width / 2
-    v = p @ down * scale + height / 2
-    depth = p @ forward
-    facing = -(normal @ forward)
-    light = np.array([-side * 0.35, -0.75, -0.55])
-    shade = 0.42 + 0.5 * np.clip(normal @ (light / np.linalg.norm(light)), -0.3, 1) + 0.12 * np.clip(facing, 0, 1)
-    ii, jj = np.rint(i).astype(int), np.rint(j).astype(int) % colour.shape[1]
-    paint = colour[rows][ii][:, jj][keep].astype(np.float32) * np.clip(shade, 0.25, 1.12)[:, None]
-    pixel_u, pixel_v = np.rint(u).astype(np.int64), np.rint(v).astype(np.int64)
-    ok = (pixel_u >= 0) & (pixel_u < width - 1) & (pixel_v >= 0) & (pixel_v < height - 1)
-    order = np.argsort(-depth[ok], kind="stable")  # far first: the near ones overwrite
-    out = np.full((height, width, 3), BACKGROUND, dtype=np.uint8)
-    out[pixel_v[ok][order], pixel_u[ok][order]] = np.clip(paint[ok][order], 0, 255).astype(np.uint8)
-    return out
+    # What will be in the picture, to fit it: the rims of the half, both ends.
+    rim = np.radians(np.arange(clock_deg - HALF_DEG, clock_deg + HALF_DEG + 1, 5.0))
+    ring = np.stack([radius * np.sin(rim), -radius * np.cos(rim), np.zeros_like(rim)], axis=1)
+    corners = np.concatenate([ring + along * z[0], ring + along * z[-1]]) @ np.stack([right, down, forward], axis=1)
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    margin = np.array([0.84, 0.84])
+    fine = 2
+    size = np.array([width, height]) * fine
+    scale = float((size * margin / (high - low)[:2]).min())
+    origin = (low + high) / 2 @ np.stack([right, down, forward])
+
+    steps = max(int(np.pi * radius * scale * 1.2), 180)
+    j = (clock_deg - HALF_DEG + (np.arange(steps) + 0.5) / steps * 2 * HALF_DEG) / wall.clock_step_deg - 0.5
+    n_rows = int(np.clip((z[-1] - z[0]) * scale * 1.2, 2, 4000))
+    i = np.linspace(0, len(z) - 1, n_rows)
+    deviation, seen = _resample(smooth(wall.deviation_mm()[rows]), i, j)
+    t = np.radians((j + 0.5) * wall.clock_step_deg)[None]
+    r = radius + EXAGGERATION * deviation
+    zz = np.broadcast_to((z[0] + i * wall.z_step_mm)[:, None], r.shape)
+    slope_t = np.clip(np.gradient(r, np.radians(2 * HALF_DEG / steps), axis=1) / r, -3, 3)
+    slope_z = np.clip(np.gradient(r, (z[-1] - z[0]) / (n_rows - 1), axis=0), -3, 3)
+    sin, cos = np.sin(t), np.cos(t)
+    seen &= -sin * forward[0] + cos * forward[1] < 0.0  # what turns its back is the outside of the near rim
+    inward = np.stack([-sin + slope_t * cos, cos + slope_t * sin, slope_z], axis=-1)[seen]
+    inward /= np.linalg.norm(inward, axis=1, keepdims=True)
+    points = np.stack([r * sin, -r * cos, zz], axis=-1)[seen] - origin
+    lamp = -(0.75 * forward - 0.5 * down - 0.45 * right)
+    shade = 0.40 + 0.58 * np.clip(inward @ (lamp / np.linalg.norm(lamp)), 0.0, 1.0)
+    near_row, near_column = np.rint(i).astype(int), np.rint(j).astype(int) % colour.shape[1]
+    paint = np.clip(colour[rows][near_row][:, near_column][seen] * shade[:, None], 0, 255).astype(np.uint8)
+    u = np.rint(points @ right * scale + (size[0] - 1) / 2).astype(np.int64)
+    v = np.rint(points @ down * scale + (size[1] - 1) / 2).astype(np.int64)
+    inside = (u >= 0) & (u < size[0]) & (v >= 0) & (v < size[1])
+    order = np.argsort(-(points @ forward)[inside], kind="stable")  # far first, the near ones overwrite
+    canvas = np.full((size[1], size[0], 3), BACKGROUND, dtype=np.uint8)
+    canvas[v[inside][order], u[inside][order]] = paint[inside][order]
+    image = canvas.reshape(height, fine, width, fine, 3).mean(axis=(1, 3)).astype(np.uint8)
+    return View(image, right, down, origin, scale / fine)
 
 
 def _resample(field: NDArray[np.float32], i: FloatArray, j: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
@@ -120,9 +145,3 @@ def _resample(field: NDArray[np.float32], i: FloatArray, j: FloatArray) -> tuple
             total += np.where(ok, value, 0.0) * wi * wj * ok
             weight += wi * wj * ok
     return total / np.maximum(weight, 1e-9), weight >= 0.5
-
-
-def _slopes(r: FloatArray, dz: float, dt: float) -> tuple[FloatArray, FloatArray]:
-    around = (np.roll(r, -2, axis=1) - np.roll(r, 2, axis=1)) / (4 * dt) / r
-    along = np.gradient(r, dz, axis=0) if len(r) > 1 else np.zeros_like(r)
-    return np.clip(around, -3, 3), np.clip(along, -3, 3)

@@ -18,6 +18,7 @@ from annulus.rings.wall import BoolArray, Float32Array, Wall, smooth
 
 LabelArray = NDArray[np.int32]
 CORNERS = np.ones((3, 3), dtype=bool)
+ALL_ROUND_DEG = 345.0  # an arc longer than this goes all round
 LEVELS = 24  # how finely the surface is sliced when asked whether a place is one defect or several
 
 
@@ -70,14 +71,15 @@ class Defect:
     @property
     def clock_range(self) -> tuple[str, str]:
         """PACP's from-to, clockwise; the whole circle is 12:00 to 12:00."""
-        if self.arc_deg >= 350:
+        if self.arc_deg >= ALL_ROUND_DEG:
             return "12:00", "12:00"
         return clock_face(self.clock_deg - self.arc_deg / 2), clock_face(self.clock_deg + self.arc_deg / 2)
 
 
 @dataclass(frozen=True, slots=True)
 class Findings:
-    """Defects in order of distance, and which cell of the wall's grid belongs to which (0 none, i + 1 defects[i])."""
+    """Defects in order of distance, and which cell of the wall's grid belongs to which (0 none, i + 1 defects[i];
+    what a defect hides is part of it)."""
 
     defects: tuple[Defect, ...]
     label: LabelArray
@@ -121,9 +123,9 @@ def find_defects(wall: Wall, *, blind_ratio: float, limits: Limits | None = None
         parts += [(kind, place, height) for place in places]
     label = np.zeros(residual.shape, dtype=np.int32)
     found: list[tuple[Defect, BoolArray]] = []
-    for kind, place, height in _without_edges(parts, cell, radius, limits):
+    for kind, place, height in _without_edges(parts, wall.seen, cell, radius, limits):
         whole = _with_shadow(kind, place, height, unseen, blind_ratio, wall.z_step_mm)
-        found.append((_measure(kind, place, whole, height, wall, cell), place))
+        found.append((_measure(kind, place, whole, height, wall, cell), whole))
     found += [(defect, np.zeros(residual.shape, dtype=bool)) for defect in _oval_stretches(wall, limits)]
     found.sort(key=lambda item: (item[0].z_mm, item[0].clock_deg))
     for i, (_, place) in enumerate(found):
@@ -166,7 +168,7 @@ def _places(
         if i == 0:
             continue
         for part in _split(np.where(joined == i, height, np.float32(-np.inf)), mask, joined == i, rim, limits):
-            place = part & mask
+            place = _without_holes(part & mask)
             if _is_resolved(place & core, cell, radius, limits, 0.5) and _is_resolved(place, cell, radius, limits, 1.0):
                 out.append(place)
     return out
@@ -188,6 +190,13 @@ def _close(mask: BoolArray, gap_mm: float, cell: tuple[float, float]) -> BoolArr
     wide = np.pad(np.pad(mask, ((0, 0), (half[1] * 2, half[1] * 2)), mode="wrap"), ((half[0] * 2, half[0] * 2), (0, 0)))
     done = ndimage.binary_closing(wide, structure=box)
     return np.asarray(done[half[0] * 2 : -half[0] * 2, half[1] * 2 : -half[1] * 2]) | mask
+
+
+def _without_holes(place: BoolArray) -> BoolArray:
+    """The place with the cells it encloses; a hole that reaches the seam of the grid is still enclosed."""
+    half = place.shape[1] // 2
+    turned = np.roll(ndimage.binary_fill_holes(np.roll(place, half, axis=1)), -half, axis=1)
+    return np.asarray(ndimage.binary_fill_holes(place) | turned)
 
 
 def _dilate(mask: BoolArray, box: BoolArray) -> BoolArray:
@@ -262,24 +271,28 @@ def _share(whole: BoolArray, peaks: Sequence[BoolArray]) -> list[BoolArray]:
 
 
 def _without_edges(
-    parts: Sequence[tuple[Kind, BoolArray, Float32Array]], cell: tuple[float, float], radius: float, limits: Limits
-) -> list[tuple[Kind, BoolArray, Float32Array]]:
-    """Drops thin places of the opposite sign that run along a much deeper defect: mixed pixels at its edge."""
-    near = max(1, round(limits.size_of_radius * radius / min(cell)))
-    peak = [float(np.percentile(height[place], 98)) for _, place, height in parts]
+    parts: Sequence[tuple[Kind, BoolArray, Float32Array]], seen: BoolArray, cell: tuple[float, float], radius: float,
+    limits: Limits,
+) -> list[tuple[Kind, BoolArray, Float32Array]]:  # fmt: skip
+    """Drops places of the opposite sign that only line the rim of a deeper defect or of its shadow.
+
+    There a slit is half lit and its centre is drawn aside. A real place stands in sound wall: at least half of what
+    surrounds it. A rim artefact is hemmed in by the other defect and by what that one hides.
+    """
+    near = max(2, round(limits.size_of_radius * radius / max(cell)))
+    peak = [_depth(height, place) for _, place, height in parts]
     kept = []
     for i, (kind, place, height) in enumerate(parts):
         halo = place
         for _ in range(near):
             halo = _dilate(halo, CORNERS)
-        thin = np.count_nonzero(place) * cell[0] * cell[1] < 2.0 * limits.size_of_radius * radius * max(
-            np.count_nonzero(place.any(axis=1)) * cell[0], np.count_nonzero(place.any(axis=0)) * cell[1]
-        )
-        edge = thin and any(
-            other != kind and peak[i] < 0.5 * peak[j] and (mask & halo).any()
-            for j, (other, mask, _) in enumerate(parts)
-        )
-        if not edge:
+        halo &= ~place
+        deeper = np.zeros_like(place)
+        for j, (other, mask, _) in enumerate(parts):
+            if other != kind and peak[j] > peak[i]:
+                deeper |= mask
+        sound = float((halo & seen & ~deeper).sum()) / max(float(halo.sum()), 1.0)
+        if not ((halo & deeper).any() and sound < 0.5):
             kept.append((kind, place, height))
     return kept
 
@@ -305,16 +318,23 @@ def _with_shadow(
     return whole
 
 
+def _depth(height: Float32Array, place: BoolArray) -> float:
+    """Depth of a place: its 98th percentile, or the mean of its two deepest cells where cells are few."""
+    values = height[place]
+    values = values[np.isfinite(values)]
+    return float(np.percentile(values, 98)) if len(values) >= 50 else float(np.sort(values)[-2:].mean())
+
+
 def _measure(
     kind: Kind, place: BoolArray, whole: BoolArray, height: Float32Array, wall: Wall, cell: tuple[float, float]
 ) -> Defect:
     rows = np.flatnonzero(whole.any(axis=1))
     z0, z1 = wall.z_mm[rows[0]] - wall.z_step_mm / 2, wall.z_mm[rows[-1]] + wall.z_step_mm / 2
     start, arc = _arc(np.asarray(whole.any(axis=0)), wall.clock_step_deg)
-    values = height[place]
-    depth = float(np.percentile(values, 98)) if len(values) >= 50 else float(np.sort(values)[-2:].mean())
+    arc = 360.0 if arc >= ALL_ROUND_DEG else arc  # what is left is a rod's shadow
+    depth = _depth(height, place)
     area = np.count_nonzero(whole) * cell[0] * cell[1]
-    clock = (start + arc / 2) % 360.0 if arc < 350 else 0.0
+    clock = (start + arc / 2) % 360.0 if arc < 360.0 else 0.0
     return Defect(kind, float(z0 + z1) / 2, clock, float(z1 - z0), arc, depth, area)
 
 

@@ -12,7 +12,7 @@ from annulus.geometry.pose import FloatArray, Pose
 from annulus.rings.profile import Profile
 from annulus.rings.wall import Wall
 
-NEAREST_OF_RADIUS, FARTHEST_OF_RADIUS = 0.4, 2.6  # distance ahead, in radii, from which colour is taken
+NEAREST_OF_RADIUS, FARTHEST_OF_RADIUS = 0.4, 2.2  # distance ahead, in radii, from which colour is taken
 LIGHT_FRAMES = 8  # how many frames teach the fall-off of the LED light along the pipe
 BLACK = 4.0  # grey levels of a dark pixel; a cell must be brighter than this to have a colour
 

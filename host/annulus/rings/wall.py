@@ -23,6 +23,7 @@ Z_STEPS_MM = (0.5, 1.0, 2.0, 2.5, 5.0, 10.0, 20.0, 50.0)
 POINTS_A_CELL = 1.5  # wanted on average: fewer leave holes by chance, more waste resolution
 ROWS_MAX = 40_000  # bounds memory on very long scans: 40 000 x 360 cells
 BRIDGE_OF_RADIUS = 0.08  # longest sampling gap interpolated over, as a part of the radius (6 mm in a 6-inch pipe)
+STATION_SEEN = 0.5  # the scan starts and ends where half of the circle was seen: tilted rings leave ragged ends
 BRIDGE_STEP_MM = 0.75  # a greater step in radius across a gap is a shadow edge, not a sampling gap
 SHAPE_SPACING_MM = 5.0
 SHAPE_WINDOW_MM = 10.0  # each side: what one fit of the pipe's shape looks at
@@ -122,15 +123,15 @@ def build_wall(profiles: Sequence[Profile], *, z_step_mm: float | None = None) -
     grid, count = _cell_medians(cell, radius, (rows, columns))
     keep = _supported(grid, cell, radius)
     grid, count = _cell_medians(cell[keep], radius[keep], (rows, columns))
-    ends = np.flatnonzero((count > 0).mean(axis=1) >= 0.05)
-    if not len(ends):
-        raise AnnulusError(f"no wall: {len(points)} points are too few to make one station of the pipe")
-    grid, count = grid[ends[0] : ends[-1] + 1], count[ends[0] : ends[-1] + 1]
-    z_rows = np.asarray((np.arange(first + ends[0], first + ends[-1] + 1) + 0.5) * step, dtype=np.float64)
     clock_columns = np.asarray((np.arange(columns) + 0.5) * ANGLE_STEP_DEG, dtype=np.float64)
 
     grid = _bridge(grid.T, 2.5, wrap=True).T
     grid = _bridge(grid, _sampling_gap(used, step, float(np.median(radius))) / step, wrap=False)
+    ends = np.flatnonzero(np.isfinite(grid).mean(axis=1) >= STATION_SEEN)
+    if not len(ends):
+        raise AnnulusError(f"no wall: {len(points)} points are too few to make one station of the pipe")
+    grid, count = grid[ends[0] : ends[-1] + 1], count[ends[0] : ends[-1] + 1]
+    z_rows = np.asarray((np.arange(first + ends[0], first + ends[-1] + 1) + 0.5) * step, dtype=np.float64)
     shape = _fit_shape(grid, z_rows, clock_columns)
     bare = Wall(z_rows, clock_columns, grid.astype(np.float32), count, shape, np.zeros(len(z_rows)))
     noise = _noise(bare)
