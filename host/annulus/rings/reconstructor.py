@@ -22,6 +22,7 @@ from annulus.vocabulary import AnnulusError
 FIRST_TOLERANCE = 0.45  # of the radius: the head's lean and stand-off are still in the deviation
 WALL_TOLERANCE = 0.3  # and now they are not
 NARROW, WIDE = 0.55, 1.7  # of the frame's usual width of that ring: a shadow's edge is no slit
+UNLIKE = 2.0  # a ring's usual width is within this factor of the frame's
 NEIGHBOURS = 4  # a point needs company among so many directions on each side ..
 COMPANY = 3  # .. of so many points of its ring ..
 STEP_PX = 1.5  # .. within this many pixels' worth of radius and ..
@@ -136,10 +137,12 @@ class Reconstructor:
 
 def _width_gate(ring: NDArray[np.int64], width: FloatArray, rings: int) -> tuple[NDArray[np.int64], int]:
     out = ring.copy()
+    frame = np.median(width[ring != NONE]) if (ring != NONE).any() else 0.0
     for k in range(rings):
         mine = ring == k
         if mine.any():
-            usual = np.median(width[mine])
+            # Two slits with a dark stripe between them look like one wide one, all the way round.
+            usual = np.clip(np.median(width[mine]), frame / UNLIKE, frame * UNLIKE)
             out[mine & ((width < NARROW * usual) | (width > WIDE * usual))] = NONE
     return out, int(np.count_nonzero(out != ring))
 

@@ -38,7 +38,7 @@ def find_slits(image: NDArray[np.uint8], grid: PolarGrid) -> Slits:
     light beside the slit and of the frame's own bright level and noise.
     """
     # a smoothing that stripes of the densest ring survive
-    sigma = min(1.2, max(0.6, grid.spacing_px / 16.0))
+    sigma = min(1.4, max(0.6, grid.spacing_px / 16.0))
     taps = np.exp(-0.5 * (np.arange(5) / sigma) ** 2)
     taps = (taps / (taps[0] + 2 * taps[1:].sum())).astype(np.float32)
     bright, noise = _level(image, grid)
