@@ -66,7 +66,7 @@ def polar_grid(calibration: Calibration, directions: int) -> PolarGrid:
     nodes = first + np.arange(0, length + 2 * RAY_STEP_PX, RAY_STEP_PX)
     pixels = centre + nodes[None, :, None] * np.stack([cosine, sine], axis=1)[:, None, :]
     rays = camera.rays(pixels.reshape(-1, 2)).reshape(directions, len(nodes), 3)
-    good = np.cumprod(np.isfinite(rays).all(axis=-1), axis=1).sum(axis=1)  # nodes before the first bad one
+    good = np.cumprod(np.isfinite(rays.sum(axis=2)), axis=1).sum(axis=1)  # nodes before the first bad one
     stop = np.clip(np.minimum(stop, (good - 1) * RAY_STEP_PX), 0, None)
     return PolarGrid((float(centre[0]), float(centre[1])), first, cosine, sine, stop, np.nan_to_num(rays), spacing)
 

@@ -10,8 +10,7 @@ from annulus.rings.compiled import compiled
 from annulus.rings.polar import PolarGrid
 
 PER_LINE = 48  # slits kept of one line; a wall that shows more is not a wall
-FALL = 0.72  # a slit is darker than this part of what lies before it ..
-RISE = 0.35  # .. and the light must come back by this part of the fall
+FALL = 0.72  # a slit is darker than this part of the light before it and after it
 SHALLOW = 0.65  # a slit is at least this part as deep as the frame's usual one
 HALFWAY, LEVEL = 0.5, 0.4  # an edge ends where that part of the light is back and the slope is down to that part
 FAINT = 0.03  # stripes dimmer than this part of the frame's bright level are darkness
@@ -146,11 +145,7 @@ def _scan(image, stride, cx, cy, first, cosine, sine, stop, taps, floor, spacing
                     best = i
             elif s < smooth[best]:
                 best = i
-            elif (
-                s - smooth[best] > RISE * (smooth[high[k]] - smooth[best])
-                and s - smooth[best] > np.float32(0.5) * floor
-                and s > floor
-            ):
+            elif FALL * s > smooth[best] and s - smooth[best] > floor:
                 if k == PER_LINE:
                     crowded += 1
                     break
