@@ -1,6 +1,5 @@
 """The thread that waits for the camera, so that nobody else has to."""
 
-import os
 import queue
 import threading
 import time
@@ -24,14 +23,13 @@ class Arrived:
 class Capturing(threading.Thread):
     """Takes frames from a started camera into a short queue; drops and counts the new frame when the queue is full.
 
-    `wake` is a descriptor to poll: readable when something came or the thread ended.
+    A file's frames carry timestamps of the future when it is read faster than it was filmed: they wait for their time.
     """
 
     def __init__(self, camera: Camera) -> None:
         super().__init__(name="capture", daemon=True)
         self.counts: Counter[str] = Counter()
         self.problem = ""  # why it ended, empty when told to or at the end of a file
-        self.wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._camera = camera
         self._frames: queue.Queue[Arrived] = queue.Queue(QUEUE_FRAMES)
         self._stopping = threading.Event()
@@ -50,12 +48,11 @@ class Capturing(threading.Thread):
                 except TimeoutError:
                     self.counts["camera_silent"] += 1
                     continue
-                self.counts["grabbed"] += 1
+                self._stopping.wait(min(1.0, (frame.timestamp_ns - time.monotonic_ns()) / 1e9))
                 try:
                     self._frames.put_nowait(Arrived(frame, time.monotonic_ns()))
                 except queue.Full:
                     self.counts["capture_queue"] += 1
-                os.eventfd_write(self.wake, 1)
         except EndOfFrames:
             pass
         except AnnulusError as error:
@@ -64,14 +61,9 @@ class Capturing(threading.Thread):
             self.problem = f"camera: {type(error).__name__}: {error}"
         finally:
             self._ended.set()
-            os.eventfd_write(self.wake, 1)
 
     def take(self) -> list[Arrived]:
         """What came since the last call, oldest first."""
-        try:
-            os.eventfd_read(self.wake)
-        except BlockingIOError:
-            return []
         frames = []
         while True:
             try:
@@ -84,5 +76,3 @@ class Capturing(threading.Thread):
         self._stopping.set()
         if self.is_alive():
             self.join(patience_s)
-        if not self.is_alive():
-            os.close(self.wake)

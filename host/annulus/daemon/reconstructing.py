@@ -2,7 +2,7 @@
 
 import os
 import sys
-from typing import Any
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -14,21 +14,24 @@ from annulus.rings.reconstructor import Reconstructor
 from annulus.stream.frames import FrameHeader, Image
 from annulus.stream.workers import serve
 
+SLIT_HALF = 0.0035  # radians, about the real slide's
+
 
 class Reconstructing:
     """A Reconstructor as a job. A frame's `extra` is the last known pose, four numbers, or None."""
 
     def __init__(self, calibration: Calibration) -> None:
         self._reconstructor = Reconstructor(calibration)
-        camera = calibration.camera
-        blank = np.zeros((camera.height, camera.width, 3), np.uint8)
-        self._reconstructor.profile(blank, frame=0, z_mm=0.0)  # compiles now what the first frame would wait for
+        # Compiles now what the first frame would wait for.
+        self._reconstructor.profile(specimen(calibration), frame=0, z_mm=0.0)
 
     def frame(self, header: FrameHeader, image: Image, extra: Any) -> Any:
         if header.z_mm is None:
             raise ValueError("no place along the pipe is known for this frame")
         seed = None if extra is None else Pose(*extra)
         picture = to_bgr(image, header.encoding)
+        if not picture.flags.writeable:  # to numba a read-only array is another type: everything would compile again
+            picture = picture.copy()
         return self._reconstructor.profile(picture, frame=header.index, z_mm=header.z_mm, seed=seed).to_dict()
 
     def note(self, kind: str, body: Any) -> None:
@@ -39,6 +42,24 @@ class Reconstructing:
 
     def close(self) -> Any:
         return None
+
+
+def specimen(calibration: Calibration) -> Image:
+    """Roughly what the camera sees in a clean pipe, head in the middle: (H, W, 3) BGR. Good for warming up only."""
+    camera, step = calibration.camera, 4
+    v, u = np.mgrid[0 : camera.height : step, 0 : camera.width : step]
+    rays = camera.rays(np.stack([u.ravel(), v.ravel()], axis=1).astype(float))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        wall = rays * (calibration.pipe_radius_mm / np.hypot(rays[:, 0], rays[:, 1]))[:, None]
+        stripe, dark = np.zeros(len(rays), np.intp), ~(rays[:, 2] > 0)
+        for cone in calibration.rings:
+            beam = wall - np.array(cone.vertex_mm)
+            angle = np.arccos(np.clip(beam @ np.array(cone.axis) / np.linalg.norm(beam, axis=1), -1.0, 1.0))
+            stripe += angle > cone.half_angle
+            dark |= np.abs(angle - cone.half_angle) < SLIT_HALF
+    paint = np.array([{"R": (8, 8, 180), "G": (8, 180, 8), "B": (180, 8, 8)}[c] for c in calibration.colours], np.uint8)
+    picture = np.where(dark[:, None], np.uint8(4), paint[stripe]).reshape(*u.shape, 3)
+    return cast(Image, cv2.resize(picture, (camera.width, camera.height), interpolation=cv2.INTER_LINEAR))
 
 
 def _prepare(setup: Any) -> Reconstructing:

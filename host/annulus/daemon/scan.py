@@ -295,8 +295,7 @@ class Scan:
             if self._capturing is not None:
                 self._camera.stop()
                 self._capturing.end(CAMERA_END_S)
-                if not self._capturing.is_alive():
-                    self._take_frames()
+                self._take_frames()
         with self._whatever_happens("labels"):
             while self._waiting:
                 self._label_first()

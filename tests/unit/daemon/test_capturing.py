@@ -1,7 +1,5 @@
 """Promises of the capture thread."""
 
-import select
-
 import numpy as np
 
 from annulus.capture.camera import EndOfFrames, HeldRequest
@@ -35,7 +33,6 @@ def run(film: Film) -> Capturing:
 def test_frames_come_in_order_and_the_end_is_told() -> None:
     capturing = run(Film(3, EndOfFrames()))
     assert not capturing.ended
-    assert select.select([capturing.wake], [], [], 0)[0]
     assert [arrived.frame.timestamp_ns for arrived in capturing.take()] == [1, 2, 3]
     assert capturing.ended and capturing.problem == ""
     capturing.end(1.0)
