@@ -28,8 +28,6 @@ SPANS_KEPT = 64
 WINDOW = 0.25  # of a period: how far a frame may be from its edge
 INTERVAL_TOLERANCE = 0.1  # of a period: between opening and closing edge
 SETTLE_PERIODS = 3.0  # how long a frame waits for an edge that has to be read again
-WITNESS_FRAMES = 32  # over which picture and timing are compared
-WITNESS_MAX = 6  # contradictions among those: the offset is no longer this camera's
 OFFSET_FRAMES = 63
 OFFSETS_TRIED = (-4, -3, -2, -1, 0, 1, 2)  # periods: no driver stamps further from the end of readout
 CALIBRATION_FRAMES_MIN = 12
@@ -98,7 +96,7 @@ class Pairing:
         self._edges: list[PlacedEdge] = []  # by host time
         self._spoilt: deque[tuple[int, int]] = deque(maxlen=SPANS_KEPT)
         self._last: tuple[CameraSequence, int, int] | None = None  # driver sequence, life, closing edge's index
-        self._witness: deque[bool] = deque(maxlen=WITNESS_FRAMES)  # True: the picture contradicted the timing
+        self._proved = False
         self._residuals: deque[int] = deque(maxlen=OFFSET_FRAMES)
 
     @property
@@ -112,8 +110,12 @@ class Pairing:
 
     @property
     def doubtful(self) -> bool:
-        """The offset is no longer to be believed: every label is unknown until it is, or `recalibrate` is called."""
-        return sum(self._witness) >= WITNESS_MAX or abs(self.offset_error_ns) > self._window_ns // 2
+        """The offset is not to be believed (yet, or any more): every label is unknown meanwhile.
+
+        A picture of the other lamp puts the offset in doubt; a picture of the LED (or of the dark) where timing says
+        so proves it again, since under an offset wrong by a frame those never fall together.
+        """
+        return (self._photometry and not self._proved) or abs(self.offset_error_ns) > self._window_ns // 2
 
     @property
     def edges(self) -> Sequence[PlacedEdge]:
@@ -124,11 +126,11 @@ class Pairing:
     def _window_ns(self) -> int:
         return round(WINDOW * self._period_ns)
 
-    def recalibrate(self, period_ns: int, offset_ns: int) -> None:
-        """Another frame rate or offset."""
+    def recalibrate(self, period_ns: int, offset_ns: int, *, proved: bool = False) -> None:
+        """Another frame rate or offset. `proved`: `calibrate_offset` just found it, not a file from another day."""
         self._period_ns, self._offset_ns = period_ns, offset_ns
+        self._proved = proved
         self._last = None
-        self._witness.clear()
         self._residuals.clear()
 
     def edge(self, flash: Flash, host_ns: int, life: int) -> None:
@@ -156,8 +158,10 @@ class Pairing:
         residual = moment - closing.host_ns if closing is not None else None
         if residual is not None:
             self._residuals.append(residual)
-        if reason is Reason.AGREED and flash is not None:
-            reason = self._compare(flash.lamp, light)
+        if self._photometry and light is not None and flash is not None and reason in (Reason.AGREED, Reason.DARK):
+            reason = self._compare(flash.lamp, light, reason)
+        if reason is Reason.AGREED and self.doubtful:
+            reason = Reason.OFFSET
         self.counters[reason] += 1
         label = _LABELS[flash.lamp] if reason is Reason.AGREED and flash is not None else Label.UNKNOWN
         return Labelled(label, flash, reason, residual)
@@ -215,16 +219,16 @@ class Pairing:
             return True
         return sequence - last[0] == closing.index - last[2]
 
-    def _compare(self, lamp: Lamp, light: Light | None) -> Reason:
+    def _compare(self, lamp: Lamp, light: Light, reason: Reason) -> Reason:
         """Timing is sure of `lamp`. What does the picture say?"""
-        if self._photometry and light is not None:
-            # A dark picture speaks of a dead lamp, not of a wrong offset: no word against the other lamp's frames.
-            self._witness.append(light not in (_LIGHTS[lamp], Light.UNCLEAR, Light.DARK))
-            if light is Light.UNCLEAR:
-                return Reason.UNCLEAR
-            if light is not _LIGHTS[lamp]:
-                return Reason.PICTURE
-        return Reason.OFFSET if self.doubtful else Reason.AGREED
+        if light is _LIGHTS[lamp]:
+            self._proved |= lamp is not Lamp.PROJECTOR
+            return reason
+        if light is Light.UNCLEAR:
+            return Reason.UNCLEAR
+        if light in (Light.PROJECTOR, Light.LED):  # darkness would speak of a dead lamp, not of a wrong offset
+            self._proved = False
+        return Reason.PICTURE
 
 
 def calibrate_offset(frames: Iterable[tuple[int, Light]], edges: Sequence[PlacedEdge], period_ns: int) -> Offset:

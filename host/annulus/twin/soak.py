@@ -245,7 +245,8 @@ class _Run:
         offset = calibrate_offset(self.calibration, list[PlacedEdge](self.pairing.edges), self._period_ns)
         self.jitter_ns = offset.jitter_ns
         for pairing in (self.pairing, self.blind):
-            pairing.recalibrate(self._period_ns, offset.offset_ns + self.offset_error_ns)
+            sabotaged = self.offset_error_ns != 0
+            pairing.recalibrate(self._period_ns, offset.offset_ns + self.offset_error_ns, proved=not sabotaged)
         self.calibrated = True
         self.disturbed.clear()  # nothing could be labelled before
 
@@ -277,7 +278,7 @@ class _Run:
             "dropped": self.dropped,
             "overflow": self.overflow,
             "dark": self.dark,
-            "reasons": dict(sorted(self.pairing.counters.items())),
+            "reasons": {str(reason): count for reason, count in sorted(self.pairing.counters.items())},
             "relock_frames_max": max(relocks, default=0),
             "disturbances": {
                 "frames_dropped": self.dropped,
@@ -288,7 +289,7 @@ class _Run:
             "timing_only": {
                 "wrong": self.blind_score.wrong,
                 "unknown": self.blind_score.labels[Label.UNKNOWN],
-                "reasons": dict(sorted(self.blind.counters.items())),
+                "reasons": {str(reason): count for reason, count in sorted(self.blind.counters.items())},
             },
             "link": counters.as_dict(),
             "events_lost_for_good": self.events_lost_for_good,
