@@ -64,7 +64,7 @@ NO_FAULTS = Faults()
 NAMED_FAULTS = {
     "none": NO_FAULTS,
     # the acceptance soak; its two resets are placed by whoever knows the length of the run
-    "soak": Faults(frames_dropped=0.01, events_lost=0.01, timestamp_jitter_us=2000.0),
+    "standard": Faults(frames_dropped=0.01, events_lost=0.01, timestamp_jitter_us=2000.0),
     "rough": Faults(
         frames_dropped=0.03, events_lost=0.02, bytes_flipped=1e-4, timestamp_jitter_us=3000.0, sync_missing=0.003,
         sync_glitches=0.003,
@@ -73,7 +73,7 @@ NAMED_FAULTS = {
 
 
 def load_faults(source: str | Path | None) -> Faults:
-    """Faults by name (`none`, `soak`, `rough`) or from a TOML file whose keys are the fields of `Faults`."""
+    """Faults by name (`none`, `standard`, `rough`) or from a TOML file whose keys are the fields of `Faults`."""
     if source is None:
         return NO_FAULTS
     if str(source) in NAMED_FAULTS:

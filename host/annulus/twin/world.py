@@ -6,9 +6,9 @@ a short list of `Feature`s, so that what the renderer shows and what the score c
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import cv2
 import numpy as np
@@ -245,6 +245,26 @@ class World:
             "calibration": self.calibration().to_dict(),
         }  # fmt: skip
 
+    def to_dict(self) -> dict[str, Any]:
+        """All of the world as JSON-able data; `from_dict` makes an equal one."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> "World":
+        """Raises AnnulusError for data that is not a world's."""
+        try:
+            top = dict(data)
+            projector = dict(top["projector"])
+            projector["cones"] = tuple(_tupled(Cone, cone) for cone in projector["cones"])
+            top["projector"] = _tupled(Projector, projector)
+            top["camera"] = _tupled(Camera, top["camera"])
+            top["features"] = tuple(Feature(**feature) for feature in top["features"])
+            top["rods"] = tuple(Rod(**rod) for rod in top["rods"])
+            top["led"], top["optics"] = _tupled(Led, top["led"]), Optics(**top["optics"])
+            return _tupled(cls, top)
+        except (KeyError, TypeError, ValueError) as error:
+            raise AnnulusError(f"world: not a world's data ({error})") from None
+
     def scaled(self, width: int) -> "World":
         """The same world through a camera `width` pixels wide that sees the same field; blur shrinks with it."""
         k = width / self.camera.width
@@ -325,6 +345,18 @@ def demo_world(seed: int = 7, travel_mm: float = 330.0) -> World:
     return World(
         pinhole_camera(), demo_projector(), features=features, rods=demo_rods(), travel_mm=travel_mm, seed=seed
     )
+
+
+Record = TypeVar("Record")
+
+
+def _tupled(kind: type[Record], data: Mapping[str, Any]) -> Record:
+    """A dataclass from JSON-able data: lists become tuples, however deep."""
+    return kind(**{key: _frozen(value) for key, value in data.items()})
+
+
+def _frozen(value: object) -> object:
+    return tuple(_frozen(v) for v in value) if isinstance(value, list | tuple) else value
 
 
 # ---- paint -------------------------------------------------------------------------------------------------------

@@ -174,7 +174,7 @@ def test_the_lossy_line_loses_whole_events_only() -> None:
 
 def test_faults_load_by_name_and_from_toml_and_say_what_is_wrong(tmp_path: Path) -> None:
     assert load_faults(None) == Faults()
-    assert load_faults("soak").frames_dropped == 0.01
+    assert load_faults("standard").frames_dropped == 0.01
     file = tmp_path / "faults.toml"
     file.write_text("frames_dropped = 0.2\nresets = [10, 20]\n")
     assert load_faults(file) == Faults(frames_dropped=0.2, resets=(10, 20))

@@ -1,0 +1,131 @@
+"""The head in its own process and real time: a real serial client on one side, a camera on the other."""
+
+import os
+import signal
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from annulus.capture.camera import Camera, CapturedFrame, grab, plug
+from annulus.link.client import Client
+from annulus.link.messages import Arm, ArmFlag, Commit, Edge, Stage, StatusCode
+from annulus.link.session import Heard
+from annulus.twin.head import HeadHandle, TwinCamera, head_timing, start_head
+from annulus.twin.native import _LIBRARY
+from annulus.twin.world import demo_world
+from annulus.vocabulary import AnnulusError, Lamp
+
+pytestmark = pytest.mark.skipif(not _LIBRARY.is_file(), reason="native firmware not built")
+FPS = 25.0
+US = 100  # ticks
+
+
+@pytest.fixture
+def head() -> Iterator[HeadHandle]:
+    with start_head(demo_world().scaled(208), FPS, speed_mm_s=0.0, seed=3) as handle:
+        yield handle
+
+
+def armed(head: HeadHandle, **changes: Any) -> Client:
+    client = Client(head.port_url)
+    timing = head.timing
+    settings = {
+        "generation": 1, "ratio": 1, "frame_period": round(timing.period_us * US),
+        "exposure": round(timing.exposure_us * US), "readout": round(timing.readout_us * US), "tolerance": 50,
+        "host_timeout": 2000, "projector_delay": 3000 * US, "projector_width": 5000 * US, "led_delay": 3000 * US,
+        "led_width": 2500 * US,
+    }  # fmt: skip
+    for command in (Stage(**{**settings, **changes}), Commit(1), Arm(ArmFlag.LAMPS)):
+        assert client.request(command).status is StatusCode.OK
+    return client
+
+
+def edges(client: Client) -> list[Edge]:
+    return [h.event for h in client.poll() if isinstance(h, Heard) and isinstance(h.event, Edge)]
+
+
+def shoot(camera: Camera, client: Client, frames: int) -> tuple[list[CapturedFrame], list[Edge]]:
+    taken, seen = [], []
+    for _ in range(frames):
+        taken.append(grab(camera))
+        client.keep_alive()
+        seen += edges(client)
+    return taken, seen
+
+
+def test_lamps_that_fire_show_in_the_frames_and_a_disarmed_head_is_dark(head: HeadHandle) -> None:
+    camera = plug(TwinCamera(head.camera_address))
+    assert (camera.width, camera.height, camera.encoding) == (208, 154, "bayer_rggb8")
+    camera.start()
+    assert max(float(grab(camera).image.mean()) for _ in range(3)) < 4.0  # nothing armed, nothing lit
+    client = armed(head)
+    frames, seen = shoot(camera, client, 24)
+    means = np.array([f.image.mean() for f in frames[6:]])
+    led, projector = means > 60, (means > 6) & (means < 40)
+    assert (led | projector).all()
+    # R = 1: the lamps alternate, wherever the sequence has no hole
+    numbers = [int(f.sequence or 0) for f in frames[6:]]
+    assert len(set(zip(led, (n % 2 for n in numbers), strict=True))) == 2
+    assert {e.lamp for e in seen} >= {Lamp.PROJECTOR, Lamp.LED}
+    client.request(Arm(ArmFlag(0)))
+    shoot(camera, client, 3)
+    assert float(grab(camera).image.mean()) < 4.0
+    assert head.counters()["lamps_on"] == []
+    client.close()
+    camera.close()
+
+
+def test_timestamps_are_the_sync_edges_on_this_machines_clock(head: HeadHandle) -> None:
+    camera = TwinCamera(head.camera_address)
+    camera.start()
+    frames = [grab(camera) for _ in range(12)]
+    stamps = np.array([f.timestamp_ns for f in frames])
+    numbers = np.array([int(f.sequence or 0) for f in frames])
+    period = np.polyfit(numbers, stamps, 1)[0]
+    assert period == pytest.approx(40e6 * (1 - 30e-6), abs=20)  # the head's crystal runs 30 ppm fast
+    assert 0 < time.monotonic_ns() - stamps[-1] < 2e9
+    camera.stop()
+    camera.close()
+    again = TwinCamera(head.camera_address)  # a camera that was closed can be opened again
+    again.start()
+    assert grab(again).timestamp_ns > stamps[-1]
+    again.close()
+
+
+def test_a_slow_host_costs_frames_that_show_as_holes_and_never_old_pictures(head: HeadHandle) -> None:
+    camera = TwinCamera(head.camera_address)
+    camera.start()
+    first = grab(camera)
+    time.sleep(0.6)  # 15 frames; the head has 6 buffers
+    later = [grab(camera) for _ in range(10)]
+    numbers = [int(f.sequence or 0) for f in [first, *later]]
+    assert numbers == sorted(set(numbers)) and max(np.diff(numbers)) > 3
+    assert head.counters()["driver_dropped_no_buffer"] > 0
+    camera.close()
+
+
+def test_the_head_ends_with_its_handle_ignores_ctrl_c_and_leaves_nothing() -> None:
+    before = set(os.listdir("/dev/shm"))
+    head = start_head(demo_world().scaled(64), FPS)
+    os.kill(head.process.pid, signal.SIGINT)
+    assert head.counters()["frames"] >= 0
+    camera = TwinCamera(head.camera_address)
+    camera.start()
+    grab(camera)
+    head.close()
+    head.close()
+    assert head.process.poll() == 0
+    with pytest.raises(AnnulusError, match="went away"):
+        while True:
+            grab(camera)
+    with pytest.raises(AnnulusError, match="no simulated head"):
+        TwinCamera(head.camera_address)
+    assert set(os.listdir("/dev/shm")) == before
+
+
+def test_a_head_at_any_rate_has_a_window_for_the_demo_flashes() -> None:
+    for fps in (5.0, 10.0, 17.5, 25.0):
+        head_timing(fps).check_flash(3000.0, 5000.0)
