@@ -10,9 +10,10 @@ from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from annulus.report.surface import HALF_DEG, half_view
-from annulus.rings.defects import Findings, Kind, clock_face
+from annulus.rings.defects import Defect, Findings, Kind, clock_face
 from annulus.rings.stations import OVALITY_NAME, Stations
 from annulus.rings.wall import Wall
 
@@ -152,6 +153,7 @@ def _outline(axes: Any, wall: Wall, findings: Findings, axis: _Axis) -> None:
             _badge(axes, (first + last) / 2, -6, number)
             continue
         mask = (findings.label == number).astype(float)
+        mask = ndimage.gaussian_filter(mask, 1.0, mode=("nearest", "wrap"))  # for the eye; the table has the figures
         wide = np.concatenate([mask[:, -1:], mask, mask[:, :1]], axis=1)
         clock = np.concatenate([[-wall.clock_step_deg / 2], wall.clock_deg, [360 + wall.clock_step_deg / 2]])
         for width, colour in ((3.2, "white"), (1.3, INK)):
@@ -236,8 +238,27 @@ def _surface(wall: Wall, findings: Findings, rgb: Image) -> tuple[tuple[str, byt
     else:
         middle = float(np.clip(middle, wall.z_mm[0] + reach, wall.z_mm[-1] - reach))
         rows = slice(*(int(k) for k in np.searchsorted(wall.z_mm, (middle - reach, middle + reach))))
-    halves = ((180.0, "lower half, 3 o'clock to 9 o'clock"), (0.0, "upper half, 9 o'clock to 3 o'clock"))
-    return tuple((caption, _half(wall, rgb, rows, clock)) for clock, caption in halves)
+    out = []
+    middle_deg = _best_cut(local)
+    for clock in (middle_deg, middle_deg + 180.0):
+        begin, end = (clock_face(clock + offset) for offset in (-90, 90))
+        out.append((f"the half around {clock_face(clock)}, from {begin} to {end}", _half(wall, rgb, rows, clock % 360)))
+    return tuple(out)
+
+
+def _best_cut(local: list[Defect]) -> float:
+    """Middle of the first half (deg), a whole hour: the pipe is cut far from defects, at 3 and 9 where it may."""
+    hours = [180.0, *(30.0 * hour for hour in range(12))]
+
+    def room(middle: float) -> float:
+        gaps = [
+            abs((defect.clock_deg - cut + 180) % 360 - 180) - defect.arc_deg / 2
+            for defect in local if defect.arc_deg < 180
+            for cut in (middle - 90, middle + 90)
+        ]  # fmt: skip
+        return min(min(gaps, default=20.0), 20.0)
+
+    return max(hours, key=room)
 
 
 def _half(wall: Wall, rgb: Image, rows: slice, clock_deg: float) -> bytes:
@@ -268,7 +289,7 @@ def _half(wall: Wall, rgb: Image, rows: slice, clock_deg: float) -> bytes:
         (x0, y0), (x1, y1) = at(rim, z, 1.0), at(rim, z, 1.06)
         axes.plot([x0, x1], [y0, y1], color=INK, lw=0.5)
         x, y = at(rim, z, 1.13)
-        axes.text(x, y, f"{z:g} mm", ha="center", va="center", fontsize=8, color=FAINT)
+        axes.text(x, y, f"{z:g} mm", ha="center", va="center", fontsize=11, color=FAINT)
     axes.set_xlim(0, width)
     axes.set_ylim(height, 0)
     return _png(figure)

@@ -117,7 +117,7 @@ def half_view(
     inward /= np.linalg.norm(inward, axis=1, keepdims=True)
     points = np.stack([r * sin, -r * cos, zz], axis=-1)[seen] - origin
     lamp = -(0.75 * forward - 0.5 * down - 0.45 * right)
-    shade = 0.40 + 0.58 * np.clip(inward @ (lamp / np.linalg.norm(lamp)), 0.0, 1.0)
+    shade = 0.50 + 0.49 * np.clip(inward @ (lamp / np.linalg.norm(lamp)), 0.0, 1.0)
     near_row, near_column = np.rint(i).astype(int), np.rint(j).astype(int) % colour.shape[1]
     paint = np.clip(colour[rows][near_row][:, near_column][seen] * shade[:, None], 0, 255).astype(np.uint8)
     u = np.rint(points @ right * scale + (size[0] - 1) / 2).astype(np.int64)

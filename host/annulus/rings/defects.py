@@ -335,7 +335,7 @@ def _measure(
     depth = _depth(height, place)
     area = np.count_nonzero(whole) * cell[0] * cell[1]
     clock = (start + arc / 2) % 360.0 if arc < 360.0 else 0.0
-    return Defect(kind, float(z0 + z1) / 2, clock, float(z1 - z0), arc, depth, area)
+    return Defect(kind, float(z0 + z1) / 2, clock, float(z1 - z0), arc, depth, float(area))
 
 
 def _arc(columns: BoolArray, step_deg: float) -> tuple[float, float]:

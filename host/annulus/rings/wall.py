@@ -25,6 +25,8 @@ ROWS_MAX = 40_000  # bounds memory on very long scans: 40 000 x 360 cells
 BRIDGE_OF_RADIUS = 0.08  # longest sampling gap interpolated over, as a part of the radius (6 mm in a 6-inch pipe)
 STATION_SEEN = 0.5  # the scan starts and ends where half of the circle was seen: tilted rings leave ragged ends
 BRIDGE_STEP_MM = 0.75  # a greater step in radius across a gap is a shadow edge, not a sampling gap
+NOISE_FLOOR_MM = 0.02  # no instrument of this kind is better
+USUAL_MM = 0.2  # from the usual shape: this near is the usual shape
 SHAPE_SPACING_MM = 5.0
 SHAPE_WINDOW_MM = 10.0  # each side: what one fit of the pipe's shape looks at
 
@@ -278,25 +280,38 @@ def _robust_harmonics(basis: FloatArray, line: FloatArray, starts: Sequence[Floa
             fit = np.linalg.solve(aw.T @ a + 1e-9 * np.eye(5), aw.T @ r)
             scale = max(min(1.4826 * float(np.median(np.abs(r - a @ fit))), 0.8 * scale), 0.05)
         found.append(fit)
+    if shifted:  # the pipe's shape changes slowly: where half of the angles still show it, the rest is a defect
+        usual = found[-1]
+        if np.mean(np.abs(r - a @ usual) < USUAL_MM) >= 0.5:
+            return usual
     common = max(min(1.4826 * float(np.median(np.abs(r - a @ fit))) for fit in found), 0.05)
     cost = [float(np.minimum(((r - a @ fit) / (4.685 * common)) ** 2, 1.0).sum()) for fit in found]
     return found[int(np.argmin(cost))]
 
 
 def _noise(wall: Wall) -> FloatArray:
-    """(Z,) robust standard deviation of the smoothed residual, over a diameter of pipe.
+    """(Z,) robust standard deviation of the smoothed residual: the larger of what the neighbourhood and the row say.
 
-    Per row about the row's own median (a groove lifts a whole row and must not count as noise), then the median over
-    the neighbourhood, so that neither a defect nor one bad row sets it.
+    The neighbourhood (a diameter of pipe): spread of each row about its own median, for a groove lifts a whole row and
+    must not count as noise; then the median over rows, so that no defect sets it. The row itself: differences between
+    cells three columns apart, which the smoothing does not share and a defect's inside does not touch; this follows
+    where fewer rings look, at the ends of a scan.
     """
     residual = smooth(wall.residual_mm()).astype(np.float64)
-    centred = residual - _nanmedian(residual.T)[:, None]
-    row = 1.4826 * _nanmedian(np.abs(centred).T)
-    reach = max(int(wall.mean_radius_mm / wall.z_step_mm), 1)
-    out = np.empty_like(row)
-    for i in range(len(row)):
-        near = row[max(0, i - reach) : i + reach + 1]
-        near = near[np.isfinite(near)]
-        out[i] = np.median(near) if len(near) else np.nan
-    fallback = np.nanmedian(out) if np.isfinite(out).any() else 0.05
-    return np.maximum(np.where(np.isfinite(out), out, fallback), 0.02)
+    spread = 1.4826 * _nanmedian(np.abs(residual - _nanmedian(residual.T)[:, None]).T)
+    steps = 1.4826 / np.sqrt(2) * _nanmedian(np.abs(residual - np.roll(residual, 3, axis=1)).T)
+    wide = _running_median(spread, max(int(wall.mean_radius_mm / wall.z_step_mm), 1))
+    return np.maximum(np.maximum(wide, _running_median(steps, 4)), NOISE_FLOOR_MM)
+
+
+def _running_median(values: FloatArray, reach: int) -> FloatArray:
+    """Median over `reach` neighbours each side, NaN passed over; the whole line's where a neighbourhood has nothing."""
+    known = values[np.isfinite(values)]
+    fallback = float(np.median(known)) if len(known) else NOISE_FLOOR_MM
+    padded = np.pad(values, reach, constant_values=np.nan)
+    out = np.empty_like(values)
+    for start in range(0, len(values), 1024):  # blocks bound the copy on long scans
+        stop = min(start + 1024, len(values))
+        windows = np.lib.stride_tricks.sliding_window_view(padded[start : stop + 2 * reach], 2 * reach + 1)
+        out[start:stop] = _nanmedian(windows.T)
+    return np.where(np.isfinite(out), out, fallback)

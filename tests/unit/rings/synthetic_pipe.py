@@ -69,7 +69,7 @@ def scan(
     lit = (
         np.all([np.abs(turn(clock, rod)) > 4.0 for rod in rods_deg], axis=0) if rods_deg else np.ones(len(clock), bool)
     )
-    rho = np.arange(0.82 * RADIUS_MM, 1.2 * RADIUS_MM, 0.5)[:, None]
+    rho = np.arange(RADIUS_MM - 9.0, RADIUS_MM + 9.0, 1.0)[:, None]
     out = []
     for frame, z0 in enumerate(stations):
         points, ring, direction = [], [], []
@@ -79,9 +79,9 @@ def scan(
             first = np.argmax(gap >= 0, axis=0)
             columns = np.arange(len(clock))
             g0, g1 = gap[first - 1, columns], gap[first, columns]
-            r = rho[first - 1, 0] + 0.5 * g0 / (g0 - g1)
+            r = rho[first - 1, 0] + 1.0 * g0 / (g0 - g1)
             z_hit = VERTEX_Z_MM + r / np.tan(np.radians(full / 2))
-            way = np.linspace(0.75, 0.985, 30)[:, None]  # the camera's line of sight, at the origin, must stay inside
+            way = np.linspace(0.8, 0.985, 14)[:, None]  # the camera's line of sight, at the origin, must stay inside
             open_way = (way * r < radius(clock[None], way * z_hit + z0)).all(axis=0)
             ok = lit & open_way & (g1 >= 0)
             r = r + noise * rng.normal(0, NOISE_MM[i], len(r))
