@@ -27,6 +27,7 @@ from annulus.capture.camera import Camera, CapturedFrame
 from annulus.capture.pairing import Labelled, Pairing, Reason, calibrate_offset
 from annulus.capture.photometry import Light, measure
 from annulus.daemon.along import Along
+from annulus.daemon.cameras import apply_controls
 from annulus.daemon.capturing import Arrived, Capturing
 from annulus.daemon.config import HeadConfig, require_size, ticks
 from annulus.daemon.order import InOrder
@@ -259,6 +260,7 @@ class Scan:
     def _begin(self, stop: Callable[[], bool]) -> None:
         """Camera first, then the lamps: the controller needs the camera's sync edges."""
         self._camera.start()
+        apply_controls(self._camera, self._config)
         self._capturing = Capturing(self._camera)
         self._capturing.start()
         self._started_ns = time.monotonic_ns()
@@ -438,6 +440,8 @@ class Scan:
     def _find_offset(self) -> None:
         """The camera's timestamp offset, once at the start and again whenever it has become doubtful."""
         now = time.monotonic()
+        if self._head is None:
+            return
         if self._offset_known and self._pairing.doubtful and now >= self._next_look:
             self._offset_known = False
             self._looking_since = now

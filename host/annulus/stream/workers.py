@@ -32,6 +32,7 @@ HUNG_S = 20.0  # longer on one frame than this and the worker is replaced
 START_S = 180.0  # compiling for the first time included
 UNREADY_S = 1.0  # to leave, for one that was not ready yet
 _PR_SET_PDEATHSIG = 1
+_M_TRIM_THRESHOLD, _M_TOP_PAD, _M_MMAP_THRESHOLD = -1, -2, -3
 
 Socket = zmq.Socket[bytes]
 
@@ -336,6 +337,7 @@ def serve(argument: str, prepare: Callable[[Any], Job]) -> None:
     """Run one worker: `argument` is what Crew put on the command line, `prepare` makes the job from the setup."""
     link: Mapping[str, Any] = json.loads(argument)
     end_with_parent(link["parent"])
+    keep_freed_memory()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))  # as an exception, so that the job is closed
     ring = RingView(link["ring_fd"], link["frame_bytes"])
@@ -400,3 +402,14 @@ def end_with_parent(parent: int) -> None:
     ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
     if os.getppid() != parent:  # it died before we asked
         sys.exit(1)
+
+
+def keep_freed_memory() -> None:
+    """Have glibc keep the megabytes of one frame for the next, instead of having the kernel zero new pages each time.
+
+    Writing a 2 MB frame to a recording takes 3.5 ms so, 9.2 ms otherwise. Does nothing under another libc.
+    """
+    libc = ctypes.CDLL(None)
+    if hasattr(libc, "mallopt"):
+        for option, value in ((_M_MMAP_THRESHOLD, 32 << 20), (_M_TRIM_THRESHOLD, 512 << 20), (_M_TOP_PAD, 16 << 20)):
+            libc.mallopt(option, value)
