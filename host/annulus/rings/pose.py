@@ -60,7 +60,7 @@ def _descend(points: FloatArray, weight: FloatArray, radius: float, first: Pose)
         x = x + step
         _errors(points, x, radius, error)
         scale = _spread(error)
-        if np.abs(step[:2]).max() < 2e-6 and np.abs(step[2:]).max() < 2e-6 * radius:
+        if np.abs(step[:2]).max() < 2e-5 and np.abs(step[2:]).max() < 2e-5 * radius:
             break
     for _ in range(3):
         x = x + _step(points, weight, x, radius, KEEP * max(scale, 1e-4 * radius), True)

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from annulus.geometry.calibration import Calibration
 from annulus.geometry.pose import FloatArray, Pose
 from annulus.rings.compiled import compiled
-from annulus.rings.decode import NONE, UNKNOWN, classify, decode
-from annulus.rings.polar import polar_grid
+from annulus.rings.decode import NONE, UNKNOWN, classify, decode, readings
+from annulus.rings.polar import polar_grid, unroll
 from annulus.rings.pose import fit_pose
 from annulus.rings.profile import Profile
 from annulus.rings.slits import find_slits
-from annulus.rings.triangulate import ring_optics, triangulate
+from annulus.rings.triangulate import deviations, ring_optics, triangulate
 from annulus.vocabulary import AnnulusError
 
 FIRST_TOLERANCE = 0.45  # of the radius: the head's lean and stand-off are still in the deviation
@@ -73,22 +73,23 @@ class Reconstructor:
             )
         pipe, colours = self.calibration.pipe_radius_mm, self.calibration.colours
         marks = [("", clock())]
-        slits = find_slits(image_bgr, self._grid)
+        polar = unroll(image_bgr, self._grid)
+        marks.append(("polar", clock()))
+        slits = find_slits(polar, self._grid)
         marks.append(("slits", clock()))
         both = classify(np.vstack([slits.inside, slits.outside]), colours)
         inside, outside = both[: len(slits.position)], both[len(slits.position) :]
         marks.append(("colours", clock()))
-        points = triangulate(slits, self._grid, self._optics)
+        points = triangulate(slits, self._grid, self._optics, readings(inside, outside, colours))
         marks.append(("triangulate", clock()))
 
         def read(pose: Pose, tolerance: float) -> NDArray[np.int64]:
-            deviation = _radii(points, pose) / pipe - 1.0
-            return decode(slits.direction, inside, outside, deviation, colours, tolerance)
+            return decode(slits.direction, inside, outside, deviations(points, pose, pipe), colours, tolerance)
 
         rejected = {"crowded": slits.crowded, "shallow": slits.shallow}
         ring = read(seed or Pose(), FIRST_TOLERANCE)
         marks.append(("decode", clock()))
-        fitted = self._fit(points, ring, seed)
+        fitted = self._fit(points, ring, seed, every=3)
         marks.append(("pose", clock()))
         if fitted is None:
             rejected["no pipe"] = len(ring)
@@ -116,8 +117,10 @@ class Reconstructor:
             slits.direction[kept].astype(np.uint16), spread, rejected, _spans(marks),
         )  # fmt: skip
 
-    def _fit(self, points: FloatArray, ring: NDArray[np.int64], seed: Pose | None) -> tuple[Pose, float] | None:
-        kept = np.flatnonzero(ring != NONE)
+    def _fit(
+        self, points: FloatArray, ring: NDArray[np.int64], seed: Pose | None, every: int = 1
+    ) -> tuple[Pose, float] | None:
+        kept = np.flatnonzero(ring != NONE)[::every]
         sigma = np.hypot(0.1 * self._optics.mm_per_px, 0.0005 * self.calibration.pipe_radius_mm)
         return fit_pose(points[kept, ring[kept]], self.calibration.pipe_radius_mm, sigma[ring[kept]], seed)
 
@@ -145,11 +148,6 @@ def _width_gate(ring: NDArray[np.int64], width: FloatArray, rings: int) -> tuple
             usual = np.clip(np.median(width[mine]), frame / UNLIKE, frame * UNLIKE)
             out[mine & ((width < NARROW * usual) | (width > WIDE * usual))] = NONE
     return out, int(np.count_nonzero(out != ring))
-
-
-def _radii(points: FloatArray, pose: Pose) -> FloatArray:
-    turned = (points - pose.translation) @ pose.rotation[:, :2]
-    return np.asarray(np.sqrt(turned[..., 0] ** 2 + turned[..., 1] ** 2))
 
 
 def _spans(marks: list[tuple[str, float]]) -> dict[str, float]:

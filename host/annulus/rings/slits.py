@@ -29,8 +29,8 @@ class Slits:
     crowded: int  # slits left out because a line had more than PER_LINE
 
 
-def find_slits(image: NDArray[np.uint8], grid: PolarGrid) -> Slits:
-    """Slits of one BGR frame (H, W, 3).
+def find_slits(polar: NDArray[np.uint8], grid: PolarGrid) -> Slits:
+    """Slits of one frame laid out by `polar.unroll`, (J, L, 3) BGR.
 
     Each edge is the steepest place of max(B, G, R) between a slit's bottom and its stripe, so neither the stripes'
     unequal brightness nor their slope moves it (raw luma does, by up to a millimetre). Thresholds are parts of the
@@ -40,13 +40,10 @@ def find_slits(image: NDArray[np.uint8], grid: PolarGrid) -> Slits:
     sigma = min(1.4, max(0.6, grid.spacing_px / 16.0))
     taps = np.exp(-0.5 * (np.arange(5) / sigma) ** 2)
     taps = (taps / (taps[0] + 2 * taps[1:].sum())).astype(np.float32)
-    bright, noise = _level(image, grid)
+    bright, noise = _level(polar, grid)
     floor = max(FAINT * bright, 4.0 * noise, 2.0)
     out = np.empty((len(grid.cosine) * PER_LINE, 10), np.float32)
-    n, crowded = _scan(
-        np.ascontiguousarray(image).reshape(-1), image.shape[1] * 3, grid.centre[0], grid.centre[1], grid.first,
-        grid.cosine, grid.sine, grid.stop, taps, np.float32(floor), np.float32(grid.spacing_px), out,
-    )  # fmt: skip
+    n, crowded = _scan(polar, grid.stop, taps, np.float32(floor), np.float32(grid.spacing_px), out)
     found = out[:n].astype(np.float64)
     dark = found[:, 9] >= SHALLOW * np.median(found[:, 9]) if n else np.zeros(0, bool)
     kept = found[dark]
@@ -56,29 +53,21 @@ def find_slits(image: NDArray[np.uint8], grid: PolarGrid) -> Slits:
     )  # fmt: skip
 
 
-def _level(image: NDArray[np.uint8], grid: PolarGrid) -> tuple[float, float]:
+def _level(polar: NDArray[np.uint8], grid: PolarGrid) -> tuple[float, float]:
     """The frame's bright level and noise in grey levels, from every 16th line and every third sample along it."""
-    i = np.arange(0, int(grid.stop.max()), 3)
-    lines = slice(None, None, 16)
-    r = grid.first + i
-    x = (grid.centre[0] + r * grid.cosine[lines, None]).astype(np.int64)
-    y = (grid.centre[1] + r * grid.sine[lines, None]).astype(np.int64)
-    ok = i < grid.stop[lines, None]
-    values = image[y[ok], x[ok]].max(axis=1).astype(np.float32)
-    if values.size == 0:
+    inside = np.arange(1, polar.shape[1], 3) < grid.stop[::16, None]
+    values = polar[::16, 1::3].max(axis=2)[inside].astype(np.float32)
+    if not values.size:
         return 0.0, 0.0
-    beside = image[y[ok], x[ok] + 1].max(axis=1).astype(np.float32)
+    before = polar[::16, 0:-1:3][:, : inside.shape[1]].max(axis=2)[inside].astype(np.float32)
     dim = values <= np.percentile(values, 50)  # half the samples or more are dark or plain stripe
-    noise = 1.4826 / math.sqrt(2) * float(np.median(np.abs(values - beside)[dim])) if dim.any() else 0.0
+    noise = 1.4826 / math.sqrt(2) * float(np.median(np.abs(values - before)[dim]))
     return float(np.percentile(values, 95)), noise
 
 
 @compiled
-def _scan(image, stride, cx, cy, first, cosine, sine, stop, taps, floor, spacing, out):  # type: ignore[no-untyped-def]
-    longest = 0
-    for j in range(len(stop)):
-        longest = max(longest, stop[j])
-    colour = np.empty((3, longest), np.float32)
+def _scan(polar, stop, taps, floor, spacing, out):  # type: ignore[no-untyped-def]
+    longest = polar.shape[1]
     top = np.empty(longest, np.float32)
     smooth = np.zeros(longest, np.float32)
     slope = np.zeros(longest, np.float32)
@@ -90,37 +79,9 @@ def _scan(image, stride, cx, cy, first, cosine, sine, stop, taps, floor, spacing
         length = stop[j]
         if length < 16:
             continue
-        dx, dy = np.float32(cosine[j]), np.float32(sine[j])
-        x0, y0 = np.float32(cx + first * cosine[j]), np.float32(cy + first * sine[j])
+        line = polar[j]
         for i in range(length):
-            x = x0 + np.float32(i) * dx
-            y = y0 + np.float32(i) * dy
-            ix, iy = np.int32(x), np.int32(y)
-            fx, fy = x - np.float32(ix), y - np.float32(iy)
-            at = np.uint64(iy * stride + 3 * ix)
-            under = at + np.uint64(stride)
-            w11 = fx * fy
-            w10 = fy - w11
-            w01 = fx - w11
-            w00 = np.float32(1.0) - fx - w10
-            b = (
-                w00 * image[at]
-                + w01 * image[at + np.uint64(3)]
-                + w10 * image[under]
-                + w11 * image[under + np.uint64(3)]
-            )
-            g = (
-                w00 * image[at + np.uint64(1)] + w01 * image[at + np.uint64(4)]
-                + w10 * image[under + np.uint64(1)] + w11 * image[under + np.uint64(4)]
-            )  # fmt: skip
-            r = (
-                w00 * image[at + np.uint64(2)] + w01 * image[at + np.uint64(5)]
-                + w10 * image[under + np.uint64(2)] + w11 * image[under + np.uint64(5)]
-            )  # fmt: skip
-            colour[0, i] = b
-            colour[1, i] = g
-            colour[2, i] = r
-            top[i] = max(b, max(g, r))
+            top[i] = np.float32(max(line[i, 0], max(line[i, 1], line[i, 2])))
         for i in range(4, length - 4):
             smooth[i] = (
                 taps[0] * top[i] + taps[1] * (top[i - 1] + top[i + 1]) + taps[2] * (top[i - 2] + top[i + 2])
@@ -191,11 +152,9 @@ def _scan(image, stride, cx, cy, first, cosine, sine, stop, taps, floor, spacing
             e0 = np.int64(right + blur) + 1
             e1 = min(np.int64(right + blur + reach) + 1, (e0 + after) // 2)
             for c in range(3):
-                dark = min(
-                    colour[c, bottom], min(colour[c, max(bottom - 1, 0)], colour[c, min(bottom + 1, length - 1)])
-                )
-                out[n, 3 + c] = max(_mean(colour[c], a0, a1) - dark, np.float32(0.0))
-                out[n, 6 + c] = max(_mean(colour[c], e0, e1) - dark, np.float32(0.0))
+                dark = np.float32(min(line[bottom, c], min(line[bottom - 1, c], line[bottom + 1, c])))
+                out[n, 3 + c] = max(_mean(line[:, c], a0, a1) - dark, np.float32(0.0))
+                out[n, 6 + c] = max(_mean(line[:, c], e0, e1) - dark, np.float32(0.0))
             beside = min(_mean(smooth, a0, a1), _mean(smooth, e0, e1))
             out[n, 9] = np.float32(1.0) - min(smooth[bottom] / max(beside, np.float32(1.0)), np.float32(1.0))
             n += 1
@@ -216,5 +175,5 @@ def _mean(values, start, stop):  # type: ignore[no-untyped-def]
     start, stop = max(start, 0), min(max(stop, start), len(values) - 1)
     total = np.float32(0.0)
     for i in range(start, stop + 1):
-        total += values[i]
+        total += np.float32(values[i])
     return total / np.float32(stop + 1 - start)

@@ -59,13 +59,16 @@ def ring_optics(calibration: Calibration, grid: PolarGrid) -> RingOptics:
     return RingOptics(cones, bend, np.nan_to_num(slope_mm, nan=float(np.nanmax(slope_mm))))
 
 
-def triangulate(slits: Slits, grid: PolarGrid, optics: RingOptics) -> NDArray[np.float64]:
-    """(N, K, 3) mm, camera frame: where slit n lies if it is ring k; NaN where ray and cone do not meet."""
+def triangulate(slits: Slits, grid: PolarGrid, optics: RingOptics, wanted: NDArray[np.bool_]) -> FloatArray:
+    """(N, K, 3) mm, camera frame: where slit n lies if it is ring k; NaN where that is not `wanted` (N, K), or ray and
+    cone do not meet."""
     out = np.empty((len(slits.position), len(optics.cones), 3))
     if len(slits.position):
         usual = float(np.median(slits.width))
         width = np.minimum(slits.width, 1.3 * usual)  # a slit in a shadow's edge must not shift itself
-        _all_rings(slits.direction, slits.position, width, grid.rays, RAY_STEP_PX, optics.cones, optics.bend, out)
+        _all_rings(
+            slits.direction, slits.position, width, grid.rays, RAY_STEP_PX, optics.cones, optics.bend, wanted, out
+        )
     return out
 
 
@@ -87,12 +90,35 @@ def _rays(grid: PolarGrid, direction: NDArray[np.int64], position: FloatArray) -
         return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 
 
+def deviations(points: FloatArray, pose: Pose, radius_mm: float) -> FloatArray:
+    """(N, K, 3) camera frame -> (N, K) distance from the pipe's axis over its radius, less one; NaN stays NaN."""
+    out = np.empty(points.shape[:2])
+    _deviations(points, pose.rotation, pose.translation, radius_mm, out)
+    return out
+
+
 @compiled
-def _all_rings(direction, position, width, rays, step, cones, bend, out):  # type: ignore[no-untyped-def]
+def _deviations(points, rotation, shift, radius, out):  # type: ignore[no-untyped-def]
+    for n in range(points.shape[0]):
+        for k in range(points.shape[1]):
+            x, y, z = points[n, k, 0] - shift[0], points[n, k, 1] - shift[1], points[n, k, 2]
+            if x != x:
+                out[n, k] = np.nan
+                continue
+            u = x * rotation[0, 0] + y * rotation[1, 0] + z * rotation[2, 0]
+            v = x * rotation[0, 1] + y * rotation[1, 1] + z * rotation[2, 1]
+            out[n, k] = math.sqrt(u * u + v * v) / radius - 1.0
+
+
+@compiled
+def _all_rings(direction, position, width, rays, step, cones, bend, wanted, out):  # type: ignore[no-untyped-def]
     squares = np.cos(cones[:, 6]) ** 2
     for n in range(len(position)):
         j = direction[n]
         for k in range(len(cones)):
+            if not wanted[n, k]:
+                out[n, k] = np.nan
+                continue
             at = (position[n] + bend[k, j] * width[n] * width[n] / 8.0) / step
             i = min(max(int(at), 0), rays.shape[1] - 2)
             part = at - i
