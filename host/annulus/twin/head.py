@@ -50,6 +50,10 @@ MM_PER_FRAME = 3.0
 READOUT_MAX_US = 28_000.0  # of the sensor at 1664x1232
 SLACK_US = 2_000.0  # exposure ends this much short of the frame period
 BOOT_WATCHDOG = 1  # messages.BootCause
+COUNTED = (
+    "frames", "rendered", "dropped_on_purpose", "driver_dropped_no_buffer", "driver_dropped_too_slow", "resets",
+    "pulls", "serial_overflow", "camera_closed",
+)  # fmt: skip
 _MESSAGE_MAX = 4096
 _START_S = 90.0  # the first start of a fresh clone compiles the renderer
 _FRAME_WAIT_S = 2.0
@@ -311,7 +315,7 @@ class _Head:
         faults = order["faults"]
         self.faults = Faults(**{**faults, "resets": tuple(faults["resets"])})
         self.timing = FrameTiming(**order["timing"])
-        self.counts: Counter[str] = Counter()
+        self.counts = Counter({name: 0 for name in COUNTED})
         self.renderer = Renderer(self.world)
         self.renderer.render(self.world.pose(0.0), 0.0, 1.0, rows=(0, 8))  # compile before time starts
         self.board = NativeBoard()
