@@ -126,8 +126,8 @@ class Pairing:
     def _window_ns(self) -> int:
         return round(WINDOW * self._period_ns)
 
-    def recalibrate(self, period_ns: int, offset_ns: int, *, proved: bool = False) -> None:
-        """Another frame rate or offset. `proved`: `calibrate_offset` just found it, not a file from another day."""
+    def recalibrate(self, period_ns: int, offset_ns: int, *, proved: bool = True) -> None:
+        """Another frame rate or offset. `proved`: `calibrate_offset` just found it; False: it is from another day."""
         self._period_ns, self._offset_ns = period_ns, offset_ns
         self._proved = proved
         self._last = None

@@ -110,7 +110,7 @@ def soak(
     faults: Faults | str | None = "soak",
     photometry: bool = True,
     offset_error_ns: int = 0,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
 ) -> dict[str, Any]:
     """Run `frames` camera frames of virtual time and score every label.
 
@@ -120,15 +120,17 @@ def soak(
 
     Raises AnnulusError when `frames` is too few to calibrate the camera's offset, or that calibration fails.
     """
-    if frames < 4 * CALIBRATION_FRAMES:
-        raise AnnulusError(f"soak: {frames} frames, expected {4 * CALIBRATION_FRAMES} or more")
+    if frames < 2 * CALIBRATION_FRAMES:
+        raise AnnulusError(f"soak: {frames} frames, expected {2 * CALIBRATION_FRAMES} or more")
     run = _Run(frames, seed, faults if isinstance(faults, Faults) else load_faults(faults), photometry, offset_error_ns)
     began = time.perf_counter()
     for frame in range(frames):
         run.frame(frame)
         if progress is not None and frame % 200 == 0:
-            progress(frame, frames)
+            progress("frames", frame, frames)
     run.finish()
+    if progress is not None:
+        progress("frames", frames, frames)
     return run.report(time.perf_counter() - began)
 
 

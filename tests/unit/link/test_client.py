@@ -1,0 +1,125 @@
+"""Whatever is at the other end of a port, the user gets an answer or one line that says what is wrong."""
+
+import os
+import pty
+import socket
+import threading
+import time
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import pytest
+from scripted_controller import ScriptedController
+
+from annulus.link.client import Client
+from annulus.link.messages import Arm, ArmFlag, Edge, Ping, PingReply, Stage, Status, StatusCode
+from annulus.link.session import Heard
+from annulus.vocabulary import AnnulusError, EdgeFlag, Lamp
+
+
+@contextmanager
+def far_end(serve: Callable[[int, threading.Event], None]) -> Iterator[str]:
+    """A pty whose other end is served by a thread."""
+    master, slave = pty.openpty()
+    tty.setraw(master)
+    tty.setraw(slave)
+    os.set_blocking(master, False)
+    done = threading.Event()
+    thread = threading.Thread(target=serve, args=(master, done))
+    thread.start()
+    try:
+        yield os.ttyname(slave)
+    finally:
+        done.set()
+        thread.join()
+        os.close(master)
+        os.close(slave)
+
+
+def serving(controller: ScriptedController) -> Callable[[int, threading.Event], None]:
+    def serve(master: int, done: threading.Event) -> None:
+        while not done.wait(0.001):
+            try:
+                controller.receive(os.read(master, 4096), time.monotonic_ns())
+            except BlockingIOError:
+                pass
+            os.write(master, controller.take())
+
+    return serve
+
+
+def babbling(master: int, done: threading.Event) -> None:
+    while not done.wait(0.002):
+        os.write(master, b"\x03\x11NMEA $GPGGA,1,2,3\r\n\x00")
+
+
+def one_line(url: str, timeout_s: float = 0.15) -> str:
+    with pytest.raises(AnnulusError) as caught:
+        Client(url, timeout_s=timeout_s)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_a_port_that_is_not_there() -> None:
+    assert one_line("/dev/ttyNowhere").startswith("/dev/ttyNowhere: cannot be opened (No such file or directory)")
+
+
+def test_a_file_that_is_no_port_and_a_url_nobody_speaks() -> None:
+    assert "cannot be opened" in one_line(__file__)
+    assert "cannot be opened" in one_line("carrier-pigeon://loft")
+
+
+def test_a_port_that_answers_garbage() -> None:
+    with far_end(babbling) as url:
+        assert "damaged frames and no answer to identify" in one_line(url)
+
+
+def test_a_port_that_is_silent() -> None:
+    with far_end(lambda master, done: done.wait()) as url:
+        assert one_line(url) == f"{url}: no answer to identify within 0.15 s. Is this the controller?"
+
+
+def test_a_controller_of_another_schema() -> None:
+    with far_end(serving(ScriptedController(schema=0x0BADF00D))) as url:
+        assert "0badf00d" in one_line(url, 2.0)
+        with Client(url, timeout_s=2.0, diagnostics=True) as client:
+            assert client.request(Status()).status is StatusCode.OK
+
+
+def test_requests_are_answered_and_events_wait_for_the_poll() -> None:
+    controller = ScriptedController()
+    with far_end(serving(controller)) as url, Client(url, timeout_s=2.0) as client:
+        assert client.identity.board == b"scripted"
+        controller.emit(Edge(3, 1, 0, Lamp.LED, 1, 1, 0, 1, EdgeFlag(0)))
+        assert isinstance(client.request(Ping()), PingReply)
+        deadline = time.monotonic() + 2.0
+        heard: list[Heard] = []
+        while not heard and time.monotonic() < deadline:
+            heard = [h for h in client.poll(0.1) if isinstance(h, Heard)]
+        assert [h.event for h in heard] == [Edge(3, 1, 0, Lamp.LED, 1, 1, 0, 1, EdgeFlag(0))]
+
+
+def test_a_refusal_names_the_field_and_its_value() -> None:
+    controller = ScriptedController()
+    controller.refuse[Stage] = (StatusCode.OUT_OF_RANGE, 1)
+    controller.refuse[Arm] = (StatusCode.UNSAFE, 0)
+    stage = Stage(1, 99, 4_000_000, 3_800_000, 2_800_000, 50, 0, 1, 1, 1, 1)
+    with far_end(serving(controller)) as url, Client(url, timeout_s=2.0) as client:
+        with pytest.raises(AnnulusError, match="stage refused: ratio = 99 is out of range"):
+            client.request(stage)
+        with pytest.raises(AnnulusError, match="arm refused: interlock open or a fault latched"):
+            client.request(Arm(ArmFlag.LAMPS))
+
+
+def test_a_socket_that_closes_is_said_to_have_gone() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        threading.Thread(target=lambda: server.accept()[0].close()).start()
+        url = f"socket://127.0.0.1:{server.getsockname()[1]}"
+        assert "the line went away" in one_line(url, 2.0)
+
+
+def test_a_socket_nobody_listens_on() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+    assert "cannot be opened" in one_line(f"socket://127.0.0.1:{port}")
