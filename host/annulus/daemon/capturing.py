@@ -46,7 +46,7 @@ class Capturing(threading.Thread):
                 try:
                     frame = grab(self._camera)
                 except TimeoutError:
-                    self.counts["camera_silent"] += 1
+                    self.counts["camera_silent"] += not self._stopping.is_set()
                     continue
                 self._stopping.wait(min(1.0, (frame.timestamp_ns - time.monotonic_ns()) / 1e9))
                 try:

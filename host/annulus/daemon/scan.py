@@ -118,6 +118,7 @@ class Scan:
         self._next_look = 0.0
         self._seen: deque[tuple[int, Light]] = deque(maxlen=CALIBRATE_KEPT)  # timestamps, and what the pictures show
         self._waiting: deque[_Waiting] = deque()
+        self._for_workers: deque[tuple[FrameHeader, _Waiting]] = deque()  # each holds its slot
         self._next_index = 0
         self._last_frame: tuple[CameraSequence | None, int] | None = None
         self._joined: InOrder[Profile] = InOrder()
@@ -295,13 +296,14 @@ class Scan:
             self._disarm()
         with self._whatever_happens("camera"):
             if self._capturing is not None:
+                self._capturing.end(CAMERA_END_S)  # while the camera still runs: its next frame ends the wait
                 self._camera.stop()
-                self._capturing.end(CAMERA_END_S)
                 self._take_frames()
         with self._whatever_happens("labels"):
             while self._waiting:
                 self._label_first()
         with self._whatever_happens("workers"):
+            self._until_workers_are_done(DRAIN_S)
             self._after(self._workers, DRAIN_S)
             self._join(final=True)
         with self._whatever_happens("recorder"):
@@ -315,6 +317,17 @@ class Scan:
             yield
         except Exception as error:
             self._events.append(f"ending, {step}: {type(error).__name__}: {error}")
+
+    def _until_workers_are_done(self, patience_s: float) -> None:
+        """What waits for a worker still gets one, if they are quick."""
+        end = time.monotonic() + patience_s
+        while self._for_workers and self._workers is not None and self._workers.ready and time.monotonic() < end:
+            self._feed_workers()
+            self._workers.results.poll(20)
+            self._happened(self._workers, self._workers.poll())
+            self._join()
+        while self._for_workers:
+            self._drop_for_workers()
 
     def _disarm(self) -> None:
         head = self._head
@@ -343,6 +356,7 @@ class Scan:
         for crew in (self._workers, self._recorder):
             if crew is not None:
                 self._happened(crew, crew.poll())
+        self._feed_workers()
         self._join()
         if self._publisher is not None:
             self._publisher.admit()
@@ -511,14 +525,30 @@ class Scan:
         if self._recorder is not None and not self._recorder.offer(header, frame.place):
             self._drops["recorder_busy"] += 1
         if header.label is Label.PROJECTOR and self._workers is not None:
-            if self._ring.free >= RESERVE and self._workers.offer(header, frame.place, self._seed):
+            self._ring.hold(frame.place)
+            self._for_workers.append((header, frame))
+            self._feed_workers()
+        self._publish("label", header.to_dict())
+        if self._publisher is not None:
+            self._publisher.send("frame", header.to_dict(), self._ring.view(header, frame.place).data)
+
+    def _feed_workers(self) -> None:
+        """Frames wait for a worker in their slots, but never in the way of new ones."""
+        while self._for_workers and self._workers is not None and self._workers.room:
+            header, frame = self._for_workers.popleft()
+            if self._workers.offer(header, frame.place, self._seed):
                 self._taken_ns[header.index] = frame.at_ns
                 self._joined.expect(header.index)
             else:
                 self._drops["worker_busy"] += 1
-        self._publish("label", header.to_dict())
-        if self._publisher is not None:
-            self._publisher.send("frame", header.to_dict(), self._ring.view(header, frame.place).data)
+            self._ring.release(frame.place)
+        while self._for_workers and self._ring.free < RESERVE:
+            self._drop_for_workers()
+
+    def _drop_for_workers(self) -> None:
+        _, frame = self._for_workers.popleft()
+        self._ring.release(frame.place)
+        self._drops["worker_busy"] += 1
 
     # ---- what the crews say ----
 

@@ -166,6 +166,11 @@ class Crew:
         return sum(len(worker.in_hand) for worker in self._workers.values())
 
     @property
+    def room(self) -> bool:
+        """Whether some worker would take a frame now."""
+        return any(w.ready and len(w.in_hand) < self._depth for w in self._workers.values())
+
+    @property
     def pids(self) -> list[int]:
         return [worker.process.pid for worker in self._workers.values()]
 
