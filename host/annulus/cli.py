@@ -167,7 +167,7 @@ def twin_soak(
     from annulus.twin.soak import soak
 
     with _progress() as progress:
-        result = soak(frames, seed, faults=faults, progress=lambda done, total: progress("frames", done, total))
+        result = soak(frames, seed, faults=faults, progress=progress)
     if as_json:
         print(json.dumps(result))
     else:
