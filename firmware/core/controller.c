@@ -18,6 +18,7 @@ void controller_start(controller_t* const self)
         safety_trip(self, FAULT_WATCHDOG, 0U);
     }
     sequencer_start(&self->sequencer);
+    link_start(&self->link);
 }
 
 static void report_stage(controller_t* const self, const uint32_t now)

@@ -65,6 +65,12 @@ uint8_t link_frame(const uint8_t* const body, const size_t length, const uint8_t
     return to;
 }
 
+void link_start(link_t* const self)
+{
+    self->sending[0] = 0U;  // a lone delimiter
+    self->sending_length = 1;
+}
+
 static bool refuse(link_t* const self)
 {
     self->bad_frames++;

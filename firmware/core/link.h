@@ -50,6 +50,9 @@ size_t cobs_decode(uint8_t* bytes, size_t length);
 // `body` (no CRC yet) as a frame, delimiter included; its length.
 uint8_t link_frame(const uint8_t* body, size_t length, uint8_t schema, uint8_t wire[PROTOCOL_MAX_WIRE]);
 
+// After reset, all zero. Ends whatever frame the reset cut short, so that the first one after it can be read.
+void link_start(link_t* self);
+
 // One byte from the line. True when it completed a valid command that has to be carried out: fill in a reply with
 // link_reply. A repeat of a known command is answered from memory and not reported here.
 bool link_receive(link_t* self, uint8_t byte, command_t* command, bool* host_alive);

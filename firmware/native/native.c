@@ -61,8 +61,7 @@ static struct {
     uint64_t kicked;
 
     struct {
-        uint8_t bytes[LINE_IN_MAX];  // on the line to the controller, ring
-        size_t first;
+        size_t first;  // on the line to the controller
         size_t count;
         uint64_t arrival;  // of the first of them
         uint8_t buffer[BUFFER_IN_MAX];
@@ -73,9 +72,8 @@ static struct {
         uint8_t buffer[BUFFER_OUT_MAX];  // ring, in the controller
         size_t buffer_first;
         size_t buffer_count;
-        uint64_t departure;           // of the first of them has left the line
-        uint8_t bytes[LINE_OUT_MAX];  // ring, waiting for the host
-        size_t first;
+        uint64_t departure;  // of the first of them has left the line
+        size_t first;        // waiting for the host
         size_t count;
     } out;
 
@@ -118,6 +116,12 @@ static struct {
     } motor;
 } world;
 
+// Apart from `world`, so that a fresh one costs no megabytes of zeroes.
+static input_t inputs[INPUTS_MAX];                        // binary heap
+static native_transition_t transitions[TRANSITIONS_MAX];  // ring
+static uint8_t line_in[LINE_IN_MAX];                      // ring
+static uint8_t line_out[LINE_OUT_MAX];                    // ring
+
 static controller_t controller;
 
 // ---- pins and inputs ----
@@ -133,7 +137,7 @@ static void drive(const uint8_t pin, const uint8_t level)
         return;
     }
     const size_t at = (world.transition_first + world.transition_count++) % TRANSITIONS_MAX;
-    world.transitions[at] = (native_transition_t){.tick = world.now, .pin = pin, .level = level};
+    transitions[at] = (native_transition_t){.tick = world.now, .pin = pin, .level = level};
 }
 
 static bool is_before(const input_t* const a, const input_t* const b)
@@ -143,19 +147,19 @@ static bool is_before(const input_t* const a, const input_t* const b)
 
 static void swap_inputs(const size_t a, const size_t b)
 {
-    const input_t kept = world.inputs[a];
-    world.inputs[a] = world.inputs[b];
-    world.inputs[b] = kept;
+    const input_t kept = inputs[a];
+    inputs[a] = inputs[b];
+    inputs[b] = kept;
 }
 
 static input_t pop_input(void)
 {
-    const input_t first = world.inputs[0];
-    world.inputs[0] = world.inputs[--world.input_count];
+    const input_t first = inputs[0];
+    inputs[0] = inputs[--world.input_count];
     for (size_t at = 0;;) {
         size_t least = at;
         for (size_t child = 2U * at + 1U; child <= 2U * at + 2U; child++) {
-            if ((child < world.input_count) && is_before(&world.inputs[child], &world.inputs[least])) {
+            if ((child < world.input_count) && is_before(&inputs[child], &inputs[least])) {
                 least = child;
             }
         }
@@ -314,7 +318,7 @@ static uint64_t arrival_time(void)
 
 static void step_arrival(void)
 {
-    const uint8_t byte = world.in.bytes[world.in.first];
+    const uint8_t byte = line_in[world.in.first];
     world.in.first = (world.in.first + 1U) % LINE_IN_MAX;
     world.in.count--;
     world.in.arrival = world.now + NATIVE_BYTE_TICKS;
@@ -343,7 +347,7 @@ static void step_departure(void)
     if (world.out.count == LINE_OUT_MAX) {
         world.lost.sent++;
     } else {
-        world.out.bytes[(world.out.first + world.out.count++) % LINE_OUT_MAX] = byte;
+        line_out[(world.out.first + world.out.count++) % LINE_OUT_MAX] = byte;
     }
     if (world.out.buffer_count < BUFFER_OUT_MAX / 2U) {
         wake_cpu();
@@ -367,7 +371,7 @@ void native_run_until(const uint64_t tick)
     enum { INPUT, LAMP, TRAIN, MOTOR, ARRIVAL, DEPARTURE, ROUND, WATCHDOG, SOURCES };
     for (;;) {
         const uint64_t times[SOURCES] = {
-            [INPUT] = (world.input_count > 0U) ? world.inputs[0].tick : NEVER,
+            [INPUT] = (world.input_count > 0U) ? inputs[0].tick : NEVER,
             [LAMP] = lamp_time(),
             [TRAIN] = train_time(),
             [MOTOR] = motor_time(),
@@ -463,8 +467,8 @@ bool native_input(const uint64_t tick, const uint8_t pin, const uint8_t level)
         return false;
     }
     size_t at = world.input_count++;
-    world.inputs[at] = (input_t){.tick = tick, .order = world.input_order++, .pin = pin, .level = level};
-    while ((at > 0U) && is_before(&world.inputs[at], &world.inputs[(at - 1U) / 2U])) {
+    inputs[at] = (input_t){.tick = tick, .order = world.input_order++, .pin = pin, .level = level};
+    while ((at > 0U) && is_before(&inputs[at], &inputs[(at - 1U) / 2U])) {
         swap_inputs(at, (at - 1U) / 2U);
         at = (at - 1U) / 2U;
     }
@@ -478,7 +482,7 @@ size_t native_serial_write(const uint8_t* const bytes, const size_t size)
     }
     size_t taken = 0;
     while ((taken < size) && (world.in.count < LINE_IN_MAX)) {
-        world.in.bytes[(world.in.first + world.in.count++) % LINE_IN_MAX] = bytes[taken++];
+        line_in[(world.in.first + world.in.count++) % LINE_IN_MAX] = bytes[taken++];
     }
     return taken;
 }
@@ -487,18 +491,18 @@ size_t native_serial_read(uint8_t* const bytes, const size_t size)
 {
     size_t given = 0;
     while ((given < size) && (world.out.count > 0U)) {
-        bytes[given++] = world.out.bytes[world.out.first];
+        bytes[given++] = line_out[world.out.first];
         world.out.first = (world.out.first + 1U) % LINE_OUT_MAX;
         world.out.count--;
     }
     return given;
 }
 
-size_t native_pins(native_transition_t* const transitions, const size_t size)
+size_t native_pins(native_transition_t* const drained, const size_t size)
 {
     size_t given = 0;
     while ((given < size) && (world.transition_count > 0U)) {
-        transitions[given++] = world.transitions[world.transition_first];
+        drained[given++] = transitions[world.transition_first];
         world.transition_first = (world.transition_first + 1U) % TRANSITIONS_MAX;
         world.transition_count--;
     }

@@ -1,0 +1,262 @@
+// What must go dark, how fast, and that it stays dark until somebody clears it.
+
+#include <string.h>
+
+#include "bench.h"
+#include "check.h"
+
+static const uint8_t both = ARM_LAMPS | ARM_MICROWAVE;
+
+static void start_armed(const uint8_t outputs)
+{
+    bench_start();
+    command_stage_t config = bench_config(1, 0);
+    config.host_timeout = 200;
+    bench_configure(&config);
+    bench_arm(outputs);
+    bench_forget();
+}
+
+static uint8_t start_train(const uint16_t repeat)
+{
+    uint8_t payload[COMMAND_BURST_LENGTH];
+    command_burst_pack(&(command_burst_t){.code = BURST_CODE_MPSL25, .chip = 50, .repeat = repeat, .period = 20 * 1000},
+                       payload);
+    return bench_status_of(COMMAND_BURST, payload);
+}
+
+static event_fault_t take_fault(void)
+{
+    event_fault_t fault = {0};
+    const got_t* const got = bench_take(EVENT_FAULT);
+    EXPECT(got != NULL);
+    if (got != NULL) {
+        event_fault_unpack(&fault, got->payload);
+    }
+    return fault;
+}
+
+static void an_opening_interlock_darkens_the_microwave_within_one_chip_without_the_core(void)
+{
+    for (uint64_t phase = 0; phase < 2500; phase += 37) {
+        start_armed(both);
+        EXPECT_EQ(start_train(10000), STATUS_OK);
+        bench_edge(5 * MS);  // the LED shines
+        EXPECT_EQ(native_pin(PIN_LED), 1);
+        native_stall_cpu(10 * MS);  // the core would be far too late
+        const uint64_t opens = native_tick() + phase;
+        native_input(opens, PIN_INTERLOCK, 1);
+        native_run_until(opens + 50);  // one chip
+        EXPECT_EQ(native_pin(PIN_MICROWAVE), 0);
+        EXPECT_EQ(native_pin(PIN_TRIGGER), 0);
+        native_input(opens + 1 * MS, PIN_INTERLOCK, 0);  // closing it again starts nothing
+        bench_pass(PERIOD);
+        EXPECT_EQ(native_pin(PIN_LED), 0);
+        bench_look();
+        native_transition_t late[16];
+        EXPECT_EQ(native_pins(late, 16), 0);
+        EXPECT(bench_fall(PIN_MICROWAVE, bench_rises(PIN_MICROWAVE) - 1U) <= opens + 50);
+        EXPECT_EQ(take_fault().fault, FAULT_INTERLOCK);
+        event_burst_done_t done;
+        event_burst_done_unpack(&done, bench_take(EVENT_BURST_DONE)->payload);
+        EXPECT_EQ(done.fault, FAULT_INTERLOCK);
+        EXPECT(done.done > 0U);
+        EXPECT_EQ(bench_status().fault, FAULT_INTERLOCK);
+        EXPECT_EQ(bench_status().state & (STATE_LAMPS_ARMED | STATE_MICROWAVE_ARMED | STATE_BURST_RUNNING), 0);
+    }
+}
+
+static void an_open_interlock_refuses_the_microwave_but_not_the_lamps(void)
+{
+    bench_start();
+    native_input(native_tick(), PIN_INTERLOCK, 1);
+    const command_stage_t config = bench_config(1, 0);
+    bench_configure(&config);
+    EXPECT_EQ(bench_status_of(COMMAND_ARM, &both), STATUS_UNSAFE);
+    EXPECT_EQ(bench_status_of(COMMAND_ARM, (const uint8_t[]){ARM_MICROWAVE}), STATUS_UNSAFE);
+    EXPECT_EQ(bench_status().state & (STATE_LAMPS_ARMED | STATE_MICROWAVE_ARMED), 0);  // refused as a whole
+    EXPECT(bench_status().state & STATE_INTERLOCK_OPEN);
+    bench_arm(ARM_LAMPS);  // a head without microwave has nothing to close
+    EXPECT(bench_status().state & STATE_LAMPS_ARMED);
+    EXPECT_EQ(bench_count(EVENT_FAULT), 0);
+}
+
+static void an_interlock_fault_is_cleared_only_once_it_is_closed(void)
+{
+    start_armed(both);
+    native_input(native_tick(), PIN_INTERLOCK, 1);
+    bench_pass(1 * MS);
+    EXPECT_EQ(bench_status_of(COMMAND_CLEAR, NULL), STATUS_UNSAFE);
+    EXPECT_EQ(bench_status_of(COMMAND_ARM, (const uint8_t[]){ARM_LAMPS}), STATUS_UNSAFE);
+    EXPECT_EQ(start_train(1), STATUS_UNSAFE);
+    native_input(native_tick(), PIN_INTERLOCK, 0);
+    bench_pass(1 * MS);
+    EXPECT_EQ(bench_status_of(COMMAND_ARM, (const uint8_t[]){ARM_LAMPS}), STATUS_UNSAFE);  // latched
+    EXPECT_EQ(bench_status_of(COMMAND_CLEAR, NULL), STATUS_OK);
+    EXPECT_EQ(bench_status().state & (STATE_LAMPS_ARMED | STATE_MICROWAVE_ARMED), 0);  // nothing is armed by it
+    bench_arm(both);
+    EXPECT_EQ(start_train(1), STATUS_OK);
+}
+
+static void an_interlock_that_opens_while_nothing_is_armed_is_no_fault(void)
+{
+    bench_start();
+    native_input(native_tick(), PIN_INTERLOCK, 1);
+    native_input(native_tick() + 1 * MS, PIN_INTERLOCK, 0);
+    bench_pass(2 * MS);
+    bench_arm(ARM_MICROWAVE);
+    bench_pass(10 * MS);
+    EXPECT_EQ(bench_status().fault, FAULT_NONE);
+}
+
+static void a_silent_host_disarms_and_latches(void)
+{
+    const uint16_t timeouts[] = {200, 0};  // 0 = the default of 500
+    for (size_t i = 0; i < 2U; i++) {
+        bench_start();
+        command_stage_t config = bench_config(1, 0);
+        config.host_timeout = timeouts[i];
+        bench_configure(&config);
+        bench_arm(both);
+        EXPECT_EQ(start_train(65535), STATUS_OK);
+        const uint64_t limit = ((timeouts[i] == 0) ? 500 : timeouts[i]) * MS;
+        const uint64_t from = native_tick();
+        bench_forget();
+        while (native_tick() < from + limit - 2 * MS) {
+            bench_pulse();  // edges are not the host
+            bench_pass(990 * US);
+        }
+        EXPECT_EQ(bench_count(EVENT_FAULT), 0);
+        bench_pass(3 * MS);
+        const event_fault_t fault = take_fault();
+        EXPECT_EQ(fault.fault, FAULT_HOST_TIMEOUT);
+        EXPECT(fault.detail > limit);
+        EXPECT_EQ(native_pin(PIN_LED) + native_pin(PIN_MICROWAVE), 0);
+        bench_forget();
+        bench_edge(PERIOD);
+        bench_edge(PERIOD);
+        EXPECT_EQ(bench_rises(PIN_LED) + bench_rises(PIN_MICROWAVE), 0);
+        EXPECT_EQ(bench_status_of(COMMAND_ARM, (const uint8_t[]){ARM_LAMPS}), STATUS_UNSAFE);
+        EXPECT_EQ(bench_status_of(COMMAND_CLEAR, NULL), STATUS_OK);
+        bench_arm(ARM_LAMPS);
+    }
+}
+
+static void any_valid_frame_keeps_the_host_alive_and_garbage_does_not(void)
+{
+    start_armed(ARM_LAMPS);
+    for (uint8_t i = 0; i < 100; i++) {
+        bench_send(COMMAND_ARM, 3, (const uint8_t[]){ARM_LAMPS});  // a repeat counts as well
+        bench_pass(10 * MS);
+    }
+    EXPECT_EQ(bench_status().fault, FAULT_NONE);
+    for (int i = 0; i < 30; i++) {
+        bench_raw((const uint8_t[]){3, 2, 7, 0}, 4);
+        bench_pass(10 * MS);
+    }
+    EXPECT_EQ(bench_status().fault, FAULT_HOST_TIMEOUT);
+}
+
+static void a_silent_host_is_nothing_to_a_controller_at_rest(void)
+{
+    bench_start();
+    bench_pass(60000 * MS);
+    EXPECT_EQ(bench_status().fault, FAULT_NONE);
+    EXPECT_EQ(bench_count(EVENT_FAULT), 0);
+}
+
+static void the_watchdog_restarts_a_hung_controller_dark_and_latched(void)
+{
+    start_armed(both);
+    EXPECT_EQ(start_train(65535), STATUS_OK);
+    bench_edge(5 * MS);
+    EXPECT_EQ(native_pin(PIN_LED), 1);
+    native_stall_cpu(10000 * MS);
+    bench_pass(120 * MS);
+    EXPECT_EQ(native_pin(PIN_LED) + native_pin(PIN_MICROWAVE), 0);
+    bench_forget();
+    bench_edge(PERIOD);
+    EXPECT_EQ(bench_rises(PIN_LED) + bench_rises(PIN_MICROWAVE), 0);
+    const reply_status_t status = bench_status();
+    EXPECT_EQ(status.fault, FAULT_WATCHDOG);
+    EXPECT_EQ(status.generation, 0);
+    EXPECT_EQ(bench_status_of(COMMAND_CLEAR, NULL), STATUS_OK);
+    EXPECT_EQ(bench_status().fault, FAULT_NONE);
+}
+
+static void a_restart_by_the_watchdog_says_so(void)
+{
+    bench_start();
+    native_stall_cpu(10000 * MS);
+    bench_pass(120 * MS);
+    const got_t* const booted = bench_take(EVENT_BOOTED);
+    EXPECT_EQ(booted->boot, 2);
+    EXPECT_EQ(booted->sequence, 0);
+    EXPECT_EQ(booted->payload[0], BOOT_CAUSE_WATCHDOG);
+    EXPECT_EQ(take_fault().fault, FAULT_WATCHDOG);
+}
+
+static void an_output_the_board_refuses_latches_a_limit_fault(void)
+{
+    start_armed(ARM_LAMPS);
+    native_refuse_next();
+    bench_edge(PERIOD);  // the load after this edge is refused, which also ends the flash being timed
+    EXPECT_EQ(take_fault().fault, FAULT_LIMIT);
+    EXPECT_EQ(bench_status().state & STATE_LAMPS_ARMED, 0);
+    bench_edge(PERIOD);
+    EXPECT_EQ(bench_rises(PIN_LED), 0);
+
+    start_armed(both);
+    native_refuse_next();
+    EXPECT_EQ(start_train(1), STATUS_UNSAFE);
+    bench_pass(1 * MS);
+    EXPECT_EQ(bench_status().fault, FAULT_LIMIT);
+    EXPECT_EQ(bench_status().state & (STATE_LAMPS_ARMED | STATE_MICROWAVE_ARMED), 0);
+}
+
+static void the_first_fault_stays_latched(void)
+{
+    start_armed(both);
+    EXPECT_EQ(start_train(65535), STATUS_OK);
+    native_input(native_tick(), PIN_INTERLOCK, 1);
+    bench_pass(300 * MS);
+    EXPECT_EQ(bench_status().fault, FAULT_INTERLOCK);
+}
+
+static void another_schema_takes_the_outputs_away(void)
+{
+    start_armed(both);
+    uint8_t payload[COMMAND_IDENTIFY_LENGTH];
+    command_identify_pack(&(command_identify_t){.protocol = PROTOCOL_VERSION, .schema = 1}, payload);
+    EXPECT_EQ(bench_status_of(COMMAND_IDENTIFY, payload), STATUS_SCHEMA);
+    EXPECT_EQ(bench_status().state & (STATE_LAMPS_ARMED | STATE_MICROWAVE_ARMED), 0);
+}
+
+static void outputs_are_armed_one_by_one(void)
+{
+    start_armed(both);
+    bench_arm(ARM_MICROWAVE);
+    EXPECT_EQ(bench_status().state & (STATE_LAMPS_ARMED | STATE_MICROWAVE_ARMED), STATE_MICROWAVE_ARMED);
+    bench_arm(ARM_LAMPS);
+    EXPECT_EQ(bench_status().state & (STATE_LAMPS_ARMED | STATE_MICROWAVE_ARMED), STATE_LAMPS_ARMED);
+    EXPECT_EQ(native_pin(PIN_STATUS), 1);
+    bench_arm(0);
+    EXPECT_EQ(native_pin(PIN_STATUS), 0);
+}
+
+void safety_tests(void)
+{
+    RUN(an_opening_interlock_darkens_the_microwave_within_one_chip_without_the_core);
+    RUN(an_open_interlock_refuses_the_microwave_but_not_the_lamps);
+    RUN(an_interlock_fault_is_cleared_only_once_it_is_closed);
+    RUN(an_interlock_that_opens_while_nothing_is_armed_is_no_fault);
+    RUN(a_silent_host_disarms_and_latches);
+    RUN(any_valid_frame_keeps_the_host_alive_and_garbage_does_not);
+    RUN(a_silent_host_is_nothing_to_a_controller_at_rest);
+    RUN(the_watchdog_restarts_a_hung_controller_dark_and_latched);
+    RUN(a_restart_by_the_watchdog_says_so);
+    RUN(an_output_the_board_refuses_latches_a_limit_fault);
+    RUN(the_first_fault_stays_latched);
+    RUN(another_schema_takes_the_outputs_away);
+    RUN(outputs_are_armed_one_by_one);
+}
