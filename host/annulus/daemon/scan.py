@@ -161,13 +161,27 @@ class Scan:
             raise AnnulusError(problem)
         return self.report()
 
+    @property
+    def labelled(self) -> int:
+        """Frames with a label that is not unknown."""
+        return self._frames[Label.PROJECTOR.value] + self._frames[Label.LED.value]
+
+    @property
+    def seconds(self) -> float:
+        """Since the camera was started; 0 before."""
+        return (time.monotonic_ns() - self._started_ns) / 1e9 if self._started_ns else 0.0
+
+    @property
+    def why_unknown(self) -> str:
+        """The commonest reason for unknown labels."""
+        return self._unknown.most_common(1)[0][0] if self._unknown else "no frame has come"
+
     def report(self) -> ScanReport:
         """Where the scan stands, or ended."""
-        seconds = (time.monotonic_ns() - self._started_ns) / 1e9 if self._started_ns else 0.0
         recordings = tuple(Path(str(says["path"])) for _, says in sorted(self._recorder_says.items()))
         telemetry = self.telemetry()
         return ScanReport(
-            seconds, dict(self._frames), dict(self._unknown), telemetry["drops"], self._profiles, recordings,
+            self.seconds, dict(self._frames), dict(self._unknown), telemetry["drops"], self._profiles, recordings,
             median(self._latency_ms) if self._latency_ms else 0.0, telemetry, tuple(self._events),
         )  # fmt: skip
 

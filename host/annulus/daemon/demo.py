@@ -1,0 +1,296 @@
+"""`annulus demo`: the whole main job on the simulated head, from sync edge to report, in real time."""
+
+import json
+import math
+import os
+import time
+import webbrowser
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+
+from annulus.daemon.config import CameraConfig, HeadConfig, LampConfig
+from annulus.daemon.interrupt import Interrupt
+from annulus.daemon.reconstructing import specimen
+from annulus.daemon.run import ending
+from annulus.daemon.scan import Doors, Scan, ScanReport, default_workers
+from annulus.geometry.calibration import Calibration
+from annulus.record.calibration_file import save_calibration
+from annulus.record.scan import Scan as RecordedScan
+from annulus.record.scan import open_scan
+from annulus.report.reconstruct import led_frames, stage_medians
+from annulus.report.results import Summary, prepare_folder, write_results
+from annulus.rings.defects import find_defects
+from annulus.rings.profile import Profile
+from annulus.rings.reconstructor import Reconstructor
+from annulus.rings.wall import build_wall
+from annulus.twin.head import HeadHandle, TwinCamera, start_head, sustainable_fps
+from annulus.twin.score import score
+from annulus.twin.world import World, demo_world
+from annulus.vocabulary import AnnulusError, Label
+
+FPS_MAX = 25.0
+FPS_MIN = 2.0
+SHARE = 0.75  # of the machine the scan may take; the rest is the desktop's, and for frames that take longer
+OVERHEAD_MS = 12.0  # a frame: two copies, its label, the recorder
+TRAVEL_MM = 330.0  # past every defect of the demo's pipe
+MM_PER_FRAME_MAX = 6.0
+START_PATIENCE_S = 60.0  # from lamps armed to the first labelled frame
+FLASH_AFTER_OPENING_US = 500.0
+BAR_S = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """The frame rate this machine holds, and why."""
+
+    fps: float
+    render_fps: float
+    reconstruct_ms: float
+    cores: int
+
+    @property
+    def why(self) -> str:
+        limit = "the head's rate" if self.fps >= FPS_MAX else f"what {self.cores} cores hold"
+        return (
+            f"{self.fps:g} fps, {limit}: here the simulated camera renders {self.render_fps:.0f} frames/s alone, "
+            f"and a frame takes {self.reconstruct_ms:.0f} ms to reconstruct"
+        )
+
+
+def run_demo(seconds: float, out: Path, open_report: bool = True, console: Console | None = None) -> None:
+    """Scan a simulated pipe for `seconds`, write all results into `out`, and score them against the truth.
+
+    Ctrl-C or SIGTERM at any moment: lamps off, recording closed and readable, no process left; KeyboardInterrupt.
+    Raises AnnulusError when something is missing or `out` cannot be written.
+    """
+    console = console or Console(stderr=True)
+    with Interrupt() as interrupt, _bars(console) as bars:
+        try:
+            _demo(seconds, out, interrupt, bars, console)
+        except AnnulusError:
+            if interrupt.requested:  # what failed was cut off
+                raise KeyboardInterrupt from None
+            raise
+    if open_report and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        webbrowser.open((out / "report.html").absolute().as_uri())
+
+
+def _demo(seconds: float, out: Path, interrupt: Interrupt, bars: "_Bars", console: Console) -> None:
+    begun = time.monotonic()
+    prepare_folder(out)
+    with interrupt.allowed():
+        world = demo_world(travel_mm=TRAVEL_MM)
+        with bars.spinning("measuring this machine (the first time it compiles for a minute)"):
+            pace = measure_pace(world)
+        console.print(pace.why)
+    travel = min(TRAVEL_MM, MM_PER_FRAME_MAX * pace.fps * seconds)
+    profiles: list[Profile] = []
+    for old in out.glob("scan*.mcap"):
+        old.unlink()
+    save_calibration(out / "calibration.json", world.calibration())
+    (out / "truth.json").write_text(json.dumps(world.truth(), indent=1) + "\n")
+    with ExitStack() as stack:
+        with bars.spinning("powering the simulated head up"):
+            head = start_head(world, pace.fps, speed_mm_s=0.0)
+        stack.callback(head.close)
+        config = demo_config(head, world, out)
+        scan = Scan(config, TwinCamera(head.camera_address), doors=_doors(profiles, bars), name="scan")
+        report = scan.run(_Course(scan, head, travel, seconds, interrupt, bars))
+    recording = out / "scan.mcap"
+    if interrupt.requested:
+        console.print(f"interrupted: {recording} holds what was scanned, `annulus reconstruct` reads it")
+        raise KeyboardInterrupt
+    with interrupt.allowed():
+        for line in ending(report):
+            console.print(line)
+        recorded = open_scan(recording)
+        live = len(profiles)
+        profiles += _rest(recorded, world.calibration(), profiles, bars)
+        with bars.spinning("building the wall, drawing the report"):
+            summary = _results(out, world, profiles, recorded, report, pace, live)
+    for line in _account(out, summary, time.monotonic() - begun):
+        print(line)
+
+
+def measure_pace(world: World) -> Pace:
+    """How many frames a second this machine renders, labels, records and reconstructs at the same time."""
+    cores = len(os.sched_getaffinity(0))
+    render_fps = sustainable_fps(world)
+    calibration = world.calibration()
+    reconstructor, image = Reconstructor(calibration), specimen(calibration)
+    spent = []
+    for _ in range(6):
+        begun = time.perf_counter()
+        reconstructor.profile(image, frame=0, z_mm=0.0)
+        spent.append((time.perf_counter() - begun) * 1e3)
+    reconstruct_ms = median(spent[1:])  # the first one may compile
+    render_ms = min(2, cores) * 1e3 / render_fps  # of one core
+    together = SHARE * cores * 1e3 / (render_ms + 0.8 * reconstruct_ms + OVERHEAD_MS)
+    workers = SHARE * default_workers() * 1e3 / (0.8 * reconstruct_ms)
+    fps = min(FPS_MAX, SHARE * render_fps, together, workers)
+    return Pace(max(FPS_MIN, math.floor(2 * fps) / 2), render_fps, reconstruct_ms, cores)
+
+
+def demo_config(head: HeadHandle, world: World, out: Path) -> HeadConfig:
+    """A HeadConfig for the twin, flashes at the beginning of the window in which all rows expose."""
+    timing = head.timing
+    delay = math.ceil(timing.opens_us + FLASH_AFTER_OPENING_US)
+    lamps = LampConfig(4, delay, world.projector.nominal_us, delay, world.led.nominal_us)
+    lamps.check(timing)
+    camera = CameraConfig("twin", head.camera_address, world.camera.width, world.camera.height)
+    return HeadConfig(
+        camera, timing, lamps, head.port_url, world.mm_per_count, world.calibration(), out, None, None, None, slots=40
+    )  # fmt: skip
+
+
+class _Course:
+    """The operator: pulls the cable once frames are labelled, stops the scan after so many seconds. A `stop()`."""
+
+    def __init__(
+        self, scan: Scan, head: HeadHandle, travel_mm: float, seconds: float, interrupt: Interrupt, bars: "_Bars"
+    ) -> None:
+        self._scan, self._head, self._interrupt, self._bars = scan, head, interrupt, bars
+        self._travel_mm, self._seconds = travel_mm, seconds
+        self._pulled_at: float | None = None
+        self._next_look = 0.0
+        self._bar = bars.bar("starting recorder and workers", seconds)
+
+    def __call__(self) -> bool:
+        if self._interrupt.requested:
+            return True
+        now = time.monotonic()
+        if now < self._next_look:
+            return False
+        self._next_look = now + BAR_S
+        labelled = self._scan.labelled
+        if self._pulled_at is None:
+            if labelled:
+                self._head.pull(self._travel_mm / self._seconds)
+                self._pulled_at = now
+            elif self._scan.seconds > START_PATIENCE_S:
+                raise AnnulusError(
+                    f"no frame could be labelled within {START_PATIENCE_S:g} s: {self._scan.why_unknown}"
+                )
+            return False
+        passed = now - self._pulled_at
+        self._bars.update(self._bar, f"scanning, {labelled} frames labelled", min(passed, self._seconds))
+        return passed > self._seconds
+
+
+def _doors(profiles: list[Profile], bars: "_Bars") -> Doors:
+    return Doors(profile=profiles.append, event=bars.say)
+
+
+def _rest(recorded: RecordedScan, calibration: Calibration, done: Sequence[Profile], bars: "_Bars") -> list[Profile]:
+    """Profiles of the recorded projector frames that no worker had time for."""
+    have = {profile.frame for profile in done}
+    missing = [
+        i for i, frame in enumerate(recorded.frames) if frame.label is Label.PROJECTOR and frame.index not in have
+    ]
+    if not missing:
+        return []
+    bar = bars.bar("frames the workers had no time for", len(missing))
+    reconstructor, out = Reconstructor(calibration), []
+    for number, i in enumerate(missing):
+        frame = recorded.frames[i]
+        out.append(reconstructor.profile(recorded.read(i), frame=frame.index, z_mm=frame.z_mm))
+        bars.update(bar, None, number + 1)
+    return out
+
+
+def _results(
+    out: Path,
+    world: World,
+    profiles: Sequence[Profile],
+    recorded: RecordedScan,
+    report: ScanReport,
+    pace: Pace,
+    live: int,
+) -> Summary:
+    calibration = world.calibration()
+    profiles = sorted(profiles, key=lambda profile: profile.frame)
+    leds = [i for i, frame in enumerate(recorded.frames) if frame.label is Label.LED]
+    timing = {**stage_medians(profiles), "frame_to_profile": report.latency_ms, "frame_period": 1e3 / pace.fps}
+    return write_results(
+        out, calibration, profiles, led_frames(recorded, calibration, leds, lambda *_: None),
+        frames={label.value: report.frames.get(label.value, 0) for label in Label},
+        drops={**report.drops, "reconstructed_after_the_scan": len(profiles) - live}, timing_ms=timing,
+        source=f"annulus demo, simulated head, {pace.fps:g} fps", truth=_truth(world, profiles, calibration),
+    )  # fmt: skip
+
+
+def _truth(world: World, profiles: Sequence[Profile], calibration: Calibration) -> dict[str, Any]:
+    """The score against the simulated pipe, the numbers for the report first."""
+    findings = find_defects(
+        build_wall(profiles), blind_ratio=1.0 / math.tan(min(cone.half_angle for cone in calibration.rings))
+    )
+    points = np.concatenate([profile.points_mm for profile in profiles])
+    rings = np.concatenate([profile.ring for profile in profiles])
+    scored = score(world, points, rings, [asdict(defect) for defect in findings.defects])
+    cloud, defects = scored["cloud"], scored["defects"]
+    numbers = {
+        "rms_mm": round(cloud["rms_mm"], 4), "gross_percent": round(cloud["gross_over_2mm_percent"], 4),
+        "defects_true": defects["true"], "defects_found": defects["found"], "defects_false": defects["false"],
+    }  # fmt: skip
+    return {**numbers, **scored}
+
+
+def _account(out: Path, summary: Summary, seconds: float) -> list[str]:
+    """The end of the demo, for people: what was found, and where it is."""
+    truth: Mapping[str, Any] = summary.truth or {}
+    lines = [
+        f"wall       {summary.points} points over {summary.scanned_mm['length']:.0f} mm, "
+        f"rms {truth['rms_mm']:.3f} mm against the truth, {truth['gross_percent']:.3f} % off by more than 2 mm",
+        f"defects    {truth['defects_found']} of {truth['defects_true']} found, {truth['defects_false']} false",
+    ]
+    lines += [
+        f"           {d.kind:<8} {d.depth_mm:4.1f} mm  at {d.z_mm:5.0f} mm, {d.clock} o'clock" for d in summary.defects
+    ]
+    names = ("report.html", "summary.json", "cloud.ply", "mesh.ply", "unwrapped.png", "texture.png", "stations.csv")
+    lines += [f"{'results' if i == 0 else '':<10} {out / name}" for i, name in enumerate(names)]
+    lines.append(f"recording  {out / 'scan.mcap'}")
+    lines.append(f"took       {seconds:.0f} s")
+    return lines
+
+
+class _Bars:
+    """Progress on the console; quiet lines between bars where there is no terminal."""
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress = progress
+
+    def say(self, line: str) -> None:
+        self._progress.console.print(f"  {line}", highlight=False, markup=False)
+
+    def bar(self, what: str, total: float) -> TaskID:
+        return self._progress.add_task(what, total=total)
+
+    def update(self, bar: TaskID, what: str | None, done: float) -> None:
+        if what is None:
+            self._progress.update(bar, completed=done)
+        else:
+            self._progress.update(bar, completed=done, description=what)
+
+    @contextmanager
+    def spinning(self, what: str) -> Iterator[None]:
+        """For work whose end is not known."""
+        bar = self._progress.add_task(what, total=None)
+        if not self._progress.console.is_terminal:
+            self.say(what)
+        yield
+        self._progress.update(bar, total=1, completed=1)
+
+
+@contextmanager
+def _bars(console: Console) -> Iterator[_Bars]:
+    columns = (TextColumn("{task.description:<48}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console) as progress:
+        yield _Bars(progress)
