@@ -29,7 +29,7 @@ WINDOW = 0.25  # of a period: how far a frame may be from its edge
 INTERVAL_TOLERANCE = 0.1  # of a period: between opening and closing edge
 SETTLE_PERIODS = 3.0  # how long a frame waits for an edge that has to be read again
 OFFSET_FRAMES = 63
-OFFSETS_TRIED = (-4, -3, -2, -1, 0, 1, 2)  # periods: no driver stamps further from the end of readout
+OFFSETS_TRIED = (-2, -1, 0, 1)  # whole periods, from before the exposure to a late soft stamp; fewer than a 4:1 cycle
 CALIBRATION_FRAMES_MIN = 12
 CALIBRATION_MISMATCH_MAX = 0.05
 
@@ -97,6 +97,7 @@ class Pairing:
         self._spoilt: deque[tuple[int, int]] = deque(maxlen=SPANS_KEPT)
         self._last: tuple[CameraSequence, int, int] | None = None  # driver sequence, life, closing edge's index
         self._proved = False
+        self._wandered = False
         self._residuals: deque[int] = deque(maxlen=OFFSET_FRAMES)
 
     @property
@@ -113,9 +114,10 @@ class Pairing:
         """The offset is not to be believed (yet, or any more): every label is unknown meanwhile.
 
         A picture of the other lamp puts the offset in doubt; a picture of the LED (or of the dark) where timing says
-        so proves it again, since under an offset wrong by a frame those never fall together.
+        so proves it again, since under an offset wrong by a frame those never fall together. Frames that wander away
+        from their edges do so for good: they would come to the next edge in the end. Then, `recalibrate`.
         """
-        return (self._photometry and not self._proved) or abs(self.offset_error_ns) > self._window_ns // 2
+        return self._wandered or (self._photometry and not self._proved)
 
     @property
     def edges(self) -> Sequence[PlacedEdge]:
@@ -129,7 +131,7 @@ class Pairing:
     def recalibrate(self, period_ns: int, offset_ns: int, *, proved: bool = True) -> None:
         """Another frame rate or offset. `proved`: `calibrate_offset` just found it; False: it is from another day."""
         self._period_ns, self._offset_ns = period_ns, offset_ns
-        self._proved = proved
+        self._proved, self._wandered = proved, False
         self._last = None
         self._residuals.clear()
 
@@ -158,6 +160,7 @@ class Pairing:
         residual = moment - closing.host_ns if closing is not None else None
         if residual is not None:
             self._residuals.append(residual)
+            self._wandered |= abs(self.offset_error_ns) > self._window_ns // 2
         if self._photometry and light is not None and flash is not None and reason in (Reason.AGREED, Reason.DARK):
             reason = self._compare(flash.lamp, light, reason)
         if reason is Reason.AGREED and self.doubtful:

@@ -2,7 +2,7 @@
 
 The projector throws pure red, green and blue stripes, so hue differs from place to place; the LED is white, so hue is
 that of the wall everywhere, even on a yellow one. The variance of chromaticity over the picture, weighted with
-brightness, is about 0.4 for the one and below 0.02 for the other, whatever the gain, pose or exposure.
+brightness, is 0.3 to 0.4 for the one, below 0.01 for the other, whatever the gain, pose or exposure.
 """
 
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 THUMBNAIL_SIDE = 96  # samples along the shorter side; stripes must not melt into one another
 NOISE_GREY = 5.0  # a channel below this says nothing of hue
 DARK_GREY = 20.0  # brightest percentile of an unlit frame stays below
-LED_SPREAD_MAX = 0.06
+LED_SPREAD_MAX = 0.015
 PROJECTOR_SPREAD_MIN = 0.18
 LIT_EVERYWHERE = 0.5  # of the samples: stripes alone never light that many
 

@@ -107,7 +107,7 @@ def soak(
     frames: int,
     seed: int = 0,
     *,
-    faults: Faults | str | None = "soak",
+    faults: Faults | str | None = "standard",
     photometry: bool = True,
     offset_error_ns: int = 0,
     progress: Callable[[str, int, int], None] | None = None,

@@ -1,4 +1,4 @@
-"""A controller in thirty lines of rules, for tests of the host's side: what protocol/README.md promises, and no physics."""
+"""A controller without physics, for tests of the host's side: it keeps the rules of protocol/README.md, no more."""
 
 import random
 from collections import deque

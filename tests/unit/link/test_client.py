@@ -7,7 +7,7 @@ import threading
 import time
 import tty
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import pytest
 from scripted_controller import ScriptedController
@@ -40,10 +40,8 @@ def far_end(serve: Callable[[int, threading.Event], None]) -> Iterator[str]:
 def serving(controller: ScriptedController) -> Callable[[int, threading.Event], None]:
     def serve(master: int, done: threading.Event) -> None:
         while not done.wait(0.001):
-            try:
+            with suppress(BlockingIOError):
                 controller.receive(os.read(master, 4096), time.monotonic_ns())
-            except BlockingIOError:
-                pass
             os.write(master, controller.take())
 
     return serve

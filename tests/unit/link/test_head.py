@@ -7,6 +7,7 @@ from annulus.link.messages import Arm, ArmFlag, Commit, Edge, Fault, FaultCode, 
 from annulus.vocabulary import EdgeFlag, Lamp
 
 MS = 1_000_000
+FINE = EdgeFlag(0)
 STAGE = Stage(1, 4, 4_000_000, 3_800_000, 2_800_000, 50, 0, 450_000, 500_000, 575_000, 250_000)
 
 
@@ -29,7 +30,7 @@ class Bench:
     def all(self, kind: type) -> list:
         return [news for news in self.news if isinstance(news, kind)]
 
-    def edge(self, number: int, flags: EdgeFlag = EdgeFlag(0)) -> None:
+    def edge(self, number: int, flags: EdgeFlag = FINE) -> None:
         origin = self.controller.tick_origin_ns
         assert origin is not None
         tick = (self.now - origin) // 10

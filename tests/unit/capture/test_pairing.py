@@ -1,0 +1,220 @@
+"""A label is right or unknown, whatever the camera, the line and the controller do."""
+
+import random
+
+import pytest
+
+from annulus.capture.pairing import Pairing, PlacedEdge, Reason, calibrate_offset
+from annulus.capture.photometry import Light
+from annulus.vocabulary import (
+    AnnulusError,
+    CameraSequence,
+    EdgeFlag,
+    EdgeIndex,
+    Flash,
+    Label,
+    Lamp,
+    Slot,
+    Tick,
+)
+
+MS = 1_000_000
+PERIOD = 40 * MS
+FINE = EdgeFlag(0)
+LIGHT = {Lamp.PROJECTOR: Light.PROJECTOR, Lamp.LED: Light.LED, Lamp.DARK: Light.DARK}
+LABEL = {Lamp.PROJECTOR: Label.PROJECTOR, Lamp.LED: Label.LED}
+
+
+def lamp_of(edge: int) -> Lamp:
+    return Lamp.LED if edge % 5 == 4 else Lamp.PROJECTOR
+
+
+def flash(edge: int, flags: EdgeFlag = FINE, *, boot: int = 1, lamp: Lamp | None = None) -> Flash:
+    lit = lamp_of(edge) if lamp is None else lamp
+    return Flash(EdgeIndex(edge), Tick(edge * 4_000_000), Slot(edge % 5), lit, 3, 5, edge, 1, boot, flags)
+
+
+def at(edge: int) -> int:
+    return 10**12 + edge * PERIOD
+
+
+def pairing_with(edges: range, **options: bool) -> Pairing:
+    pairing = Pairing(PERIOD, **options)
+    pairing.recalibrate(PERIOD, -28 * MS)
+    for edge in edges:
+        pairing.edge(flash(edge), at(edge), 1)
+    return pairing
+
+
+def frame(pairing: Pairing, number: int, *, light: Light | None = None, jitter: int = 0, sequence: int | None = None):
+    """Frame `number` ends at edge `number`; the flash after edge number-1 lit it."""
+    shown = light or LIGHT[lamp_of(number - 1)]
+    count = CameraSequence(number if sequence is None else sequence)
+    return pairing.label(at(number) - 28 * MS + jitter, count, shown)
+
+
+def test_the_flash_after_edge_k_labels_the_frame_that_ends_at_edge_k_plus_1() -> None:
+    pairing = pairing_with(range(20))
+    for number in range(1, 20):
+        labelled = frame(pairing, number)
+        assert labelled.flash is not None and labelled.flash.edge == number - 1
+        assert labelled.label is LABEL[lamp_of(number - 1)]
+    assert pairing.counters == {Reason.AGREED: 19}
+
+
+def test_a_dropped_frame_never_shifts_labels() -> None:
+    pairing = pairing_with(range(60))
+    for number in [n for n in range(1, 60) if n % 7]:
+        assert frame(pairing, number).label is LABEL[lamp_of(number - 1)]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_jitter_and_late_edges_never_make_a_wrong_label(seed: int) -> None:
+    random_ = random.Random(seed)
+    pairing = Pairing(PERIOD, photometry=False)
+    pairing.recalibrate(PERIOD, -28 * MS)
+    late: list[int] = []
+    agreed = 0
+    for number in range(1, 400):
+        if random_.random() < 0.1:
+            late.append(number)
+        else:
+            pairing.edge(flash(number), at(number), 1)
+        if late and random_.random() < 0.5:
+            edge = late.pop(0)
+            pairing.edge(flash(edge), at(edge), 1)
+        labelled = frame(pairing, number, jitter=round(random_.gauss(0, 2 * MS)))
+        assert labelled.label in (Label.UNKNOWN, LABEL[lamp_of(number - 1)])
+        agreed += labelled.label is not Label.UNKNOWN
+    assert agreed > 250
+
+
+def test_a_frame_waits_for_its_edges_but_not_for_ever() -> None:
+    pairing = pairing_with(range(5))
+    stamp = at(5) - 28 * MS
+    assert not pairing.settled(stamp, at(5))
+    pairing.edge(flash(5), at(5), 1)
+    assert pairing.settled(stamp, at(5))
+    assert not pairing.settled(at(6) - 28 * MS, at(7))
+    assert pairing.settled(at(6) - 28 * MS, at(10))
+
+
+@pytest.mark.parametrize(
+    ("flags_opening", "flags_closing", "reason"),
+    [
+        (EdgeFlag.IRREGULAR, EdgeFlag(0), Reason.IRREGULAR),
+        (EdgeFlag(0), EdgeFlag.IRREGULAR, Reason.IRREGULAR),
+        (EdgeFlag.LATE_LOAD, EdgeFlag(0), Reason.LATE),
+        (EdgeFlag.DISARMED, EdgeFlag(0), Reason.DISARMED),
+        (EdgeFlag(0), EdgeFlag.DISARMED, Reason.DISARMED),
+    ],
+)
+def test_an_edge_that_is_not_to_be_trusted_labels_nothing(
+    flags_opening: EdgeFlag, flags_closing: EdgeFlag, reason: Reason
+) -> None:
+    pairing = Pairing(PERIOD, photometry=False)
+    pairing.recalibrate(PERIOD, -28 * MS)
+    pairing.edge(flash(1, flags_opening), at(1), 1)
+    pairing.edge(flash(2, flags_closing), at(2), 1)
+    labelled = frame(pairing, 2)
+    assert (labelled.label, labelled.reason) == (Label.UNKNOWN, reason)
+
+
+def test_a_frame_across_a_reset_is_unknown_though_its_flash_was_announced() -> None:
+    pairing = pairing_with(range(5))
+    pairing.edge(flash(0, boot=2), at(5), 2)  # the controller restarted between edges 4 and 5
+    assert frame(pairing, 5).reason is Reason.OPENING_LOST
+    pairing.edge(flash(5, boot=2), at(6), 2)
+    assert frame(pairing, 6).label is Label.UNKNOWN  # an index that continues by accident is another edge's
+
+
+def test_a_fault_inside_the_frame_makes_it_unknown_and_only_it() -> None:
+    pairing = pairing_with(range(10))
+    pairing.spoil(at(5) + 3 * MS, at(5) + 3 * MS)
+    labels = {number: frame(pairing, number) for number in range(1, 10)}
+    assert [n for n, labelled in labels.items() if labelled.label is Label.UNKNOWN] == [6]
+    assert labels[6].reason is Reason.CUT
+
+
+def test_the_drivers_count_must_agree_with_the_controllers() -> None:
+    pairing = pairing_with(range(12))
+    assert frame(pairing, 3).reason is Reason.AGREED
+    assert frame(pairing, 4, sequence=5).reason is Reason.SEQUENCE  # a frame is missing that has no edge
+    assert frame(pairing, 5, sequence=6).reason is Reason.AGREED
+
+
+def test_two_edges_near_one_frame_label_nothing() -> None:
+    pairing = pairing_with(range(6))
+    pairing.edge(flash(77, boot=2), at(5) + MS, 2)
+    assert frame(pairing, 5).reason is Reason.TWO_EDGES
+
+
+@pytest.mark.parametrize("shown", [Light.DARK, Light.LED, Light.BOTH, Light.UNCLEAR])
+def test_a_picture_of_anything_else_makes_the_frame_unknown(shown: Light) -> None:
+    pairing = pairing_with(range(6))
+    assert frame(pairing, 2, light=shown).label is Label.UNKNOWN
+
+
+@pytest.mark.parametrize("shift", [-2, -1, 1, 2])
+def test_an_offset_wrong_by_whole_frames_never_gives_a_label_while_the_picture_is_looked_at(shift: int) -> None:
+    pairing = pairing_with(range(-10, 120))
+    pairing.recalibrate(PERIOD, -28 * MS + shift * PERIOD, proved=False)
+    assert {frame(pairing, number).label for number in range(1, 100)} == {Label.UNKNOWN}
+    assert pairing.doubtful
+
+
+def test_a_right_offset_from_another_day_is_believed_from_the_first_led_frame_on() -> None:
+    pairing = pairing_with(range(20))
+    pairing.recalibrate(PERIOD, -28 * MS, proved=False)
+    labels = [frame(pairing, number).label for number in range(1, 20)]
+    assert labels[:4] == [Label.UNKNOWN] * 4 and labels[4:] == [LABEL[lamp_of(n - 1)] for n in range(5, 20)]
+
+
+def test_an_offset_that_wanders_is_noticed_before_it_reaches_the_next_frame() -> None:
+    pairing = Pairing(PERIOD, photometry=False)
+    pairing.recalibrate(PERIOD, -28 * MS)
+    labels = []
+    for number in range(1, 500):
+        pairing.edge(flash(number), at(number), 1)
+        if number > 3:
+            labels.append(frame(pairing, number - 2, jitter=round((number - 2) * PERIOD / 300)).label)
+    assert pairing.doubtful and labels[0] is not Label.UNKNOWN and set(labels[100:]) == {Label.UNKNOWN}
+    for number, label in enumerate(labels, start=2):
+        assert label in (Label.UNKNOWN, LABEL[lamp_of(number - 1)])
+
+
+def edges_of(count: int) -> list[PlacedEdge]:
+    return [PlacedEdge(at(n), 1, n, flash(n)) for n in range(count)]
+
+
+@pytest.mark.parametrize("offset_ms", [-66.0, -28.0, -20.5, 0.0, 3.0, 19.0, 31.0])
+def test_the_offset_is_found_wherever_the_driver_stamps(offset_ms: float) -> None:
+    random_ = random.Random(1)
+    frames = [
+        (at(n) + round(offset_ms * MS + random_.gauss(0, 2 * MS)), LIGHT[lamp_of(n - 1)]) for n in range(5, 55) if n % 9
+    ]
+    found = calibrate_offset(frames, edges_of(60), PERIOD)
+    assert abs(found.offset_ns - offset_ms * MS) < 1.2 * MS
+    assert 1.2 * MS < found.jitter_ns < 3 * MS and found.mismatches == 0
+
+
+def test_no_offset_is_made_up_from_frames_that_do_not_tell() -> None:
+    stamps = [at(n) - 28 * MS for n in range(5, 55)]
+    with pytest.raises(AnnulusError, match="fit equally well"):
+        projector_only = [PlacedEdge(at(n), 1, n, flash(n, lamp=Lamp.PROJECTOR)) for n in range(60)]
+        calibrate_offset([(stamp, Light.PROJECTOR) for stamp in stamps], projector_only, PERIOD)
+    with pytest.raises(AnnulusError, match="agree under no offset"):
+        calibrate_offset([(stamp, Light.DARK) for stamp in stamps], edges_of(60), PERIOD)
+    with pytest.raises(AnnulusError, match="0 frames with a clear picture"):
+        calibrate_offset([(stamp, Light.UNCLEAR) for stamp in stamps], edges_of(60), PERIOD)
+    with pytest.raises(AnnulusError, match="same rate"):
+        slow = [(at(5) + n * 47 * MS, LIGHT[lamp_of(n)]) for n in range(40)]
+        calibrate_offset(slow, edges_of(60), PERIOD)
+
+
+def test_history_is_bounded() -> None:
+    pairing = pairing_with(range(5000))
+    assert len(pairing.edges) <= 256
+    for n in range(1000):
+        pairing.spoil(n, n)
+    assert len(pairing._spoilt) <= 64

@@ -1,0 +1,58 @@
+"""The picture alone tells projector from LED from darkness, on white and on yellow walls, in any encoding."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from annulus.capture.photometry import Light, measure
+
+H, W = 308, 416
+WALLS = {"white": (1.0, 1.0, 1.0), "yellow": (0.15, 0.8, 1.0), "brown": (0.45, 0.6, 0.75)}  # blue, green, red
+
+
+def picture(wall: str, projector: float, led: float, *, level: float = 180.0, seed: int = 0) -> NDArray[np.uint8]:
+    """Five stripes R R G B G with crosstalk around a dark middle, white light all over, noise of 3 grey."""
+    y, x = np.mgrid[0:H, 0:W].astype(float)
+    radius = np.hypot(x - W / 2 + 0.5, y - H / 2 + 0.5) / (H / 2)
+    stripe = np.floor((radius - 0.35) / 0.1).astype(int)
+    colours = np.array([(0.05, 0.05, 1.0), (0.05, 0.05, 1.0), (0.06, 1.0, 0.06), (0.8, 0.1, 0.04), (0.06, 1.0, 0.06)])
+    light = np.zeros((H, W, 3))
+    lit = (stripe >= 0) & (stripe < 5) & (np.mod(radius - 0.35, 0.1) > 0.012)
+    light[lit] = colours[stripe[lit]] * projector
+    light += (led * 0.6 * np.clip(radius, 0.15, 1.0))[..., None]
+    grey = light * np.array(WALLS[wall]) * level + 2.0
+    noise = np.random.default_rng(seed).normal(0, 3, grey.shape)
+    return np.clip(grey + noise, 0, 255).astype(np.uint8)
+
+
+def mosaic(bgr: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    raw = bgr[..., 1].copy()
+    raw[0::2, 0::2] = bgr[0::2, 0::2, 2]
+    raw[1::2, 1::2] = bgr[1::2, 1::2, 0]
+    return raw
+
+
+@pytest.mark.parametrize("wall", WALLS)
+@pytest.mark.parametrize("level", [60.0, 180.0, 255.0])
+@pytest.mark.parametrize("raw", [False, True])
+def test_each_light_is_told_from_the_other(wall: str, level: float, raw: bool) -> None:
+    for (projector, led), expected in {(1.0, 0.0): Light.PROJECTOR, (0.0, 1.0): Light.LED}.items():
+        image = picture(wall, projector, led, level=level)
+        found = measure(mosaic(image) if raw else image)
+        assert found.light is expected, found
+
+
+def test_darkness_is_dark_even_with_noise_and_a_pedestal() -> None:
+    assert measure(picture("white", 0.0, 0.0)).light is Light.DARK
+    assert measure(np.zeros((H, W), np.uint8)).light is Light.DARK
+
+
+def test_both_lamps_are_never_taken_for_one() -> None:
+    for wall in WALLS:
+        assert measure(picture(wall, 1.0, 0.8)).light in (Light.BOTH, Light.UNCLEAR)
+
+
+@pytest.mark.parametrize("shape", [(78, 104), (77, 103), (2, 2), (1232, 1664)])
+def test_any_size_is_measured(shape: tuple[int, int]) -> None:
+    assert measure(np.full((*shape, 3), 90, np.uint8)).light is Light.LED
+    assert measure(np.full(shape, 90, np.uint8)).light is Light.LED
