@@ -49,32 +49,35 @@ class Photometry:
 
 
 def measure(image: NDArray[np.uint8]) -> Photometry:
-    """Statistics of a frame, (H, W, 3) BGR or (H, W) raw RGGB mosaic. About 0.3 ms at 1664x1232.
+    """Statistics of a frame, (H, W, 3) BGR or (H, W) raw RGGB mosaic.
 
     Samples single pixels (or 2x2 cells), never averages: an average over a stripe's edge is white.
     """
-    samples = _samples(image)
-    total = samples.sum(axis=-1)
-    brightest = samples.max(axis=-1)
+    channels = _samples(image)
+    brightest = np.maximum(np.maximum(channels[0], channels[1]), channels[2])
     peak = float(np.percentile(brightest, 99))
-    weight = np.where(brightest > NOISE_GREY, total, 0.0)
+    says_hue = brightest > NOISE_GREY
+    total = np.where(says_hue, channels[0] + channels[1] + channels[2], 1.0)
+    weight = np.where(says_hue, total, 0.0)
     weight_sum = float(weight.sum())
     if weight_sum <= 0.0:
         return Photometry(peak, 0.0, 0.0)
-    chroma = samples / np.maximum(total, 1.0)[..., None]
-    mean = (weight[..., None] * chroma).sum(axis=(0, 1)) / weight_sum
-    spread = float((weight[..., None] * (chroma - mean) ** 2).sum() / weight_sum)
+    spread = 0.0
+    for channel in channels:
+        chroma = channel / total
+        mean = float(np.vdot(weight, chroma)) / weight_sum
+        spread += float(np.vdot(weight, (chroma - mean) ** 2)) / weight_sum
     return Photometry(peak, float((brightest > 0.2 * peak).mean()), spread)
 
 
-def _samples(image: NDArray[np.uint8]) -> NDArray[np.float32]:
+def _samples(image: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    """Blue, green, red of every so many pixels."""
     step = max(1, min(image.shape[:2]) // THUMBNAIL_SIDE)
     if image.ndim == 3:
-        return image[step // 2 :: step, step // 2 :: step].astype(np.float32)
-    step += step % 2  # stay on the mosaic's 2x2 cells
-    step = max(2, step)
+        pixels = image[step // 2 :: step, step // 2 :: step].astype(np.float32)
+        return pixels[..., 0].copy(), pixels[..., 1].copy(), pixels[..., 2].copy()
+    step = max(2, step + step % 2)  # stay on the mosaic's 2x2 cells
     rows, columns = (side // 2 * 2 for side in image.shape)
     cells = image[:rows, :columns]
-    red, blue = cells[0::step, 0::step], cells[1::step, 1::step]
-    green = (cells[0::step, 1::step].astype(np.float32) + cells[1::step, 0::step]) / 2
-    return np.stack([blue.astype(np.float32), green, red.astype(np.float32)], axis=-1)
+    green = np.multiply(cells[0::step, 1::step].astype(np.float32) + cells[1::step, 0::step], np.float32(0.5))
+    return cells[1::step, 1::step].astype(np.float32), green, cells[0::step, 0::step].astype(np.float32)

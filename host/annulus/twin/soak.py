@@ -139,7 +139,7 @@ class _Run:
         if faults.resets == () and faults != load_faults("none"):
             faults = replace(faults, resets=(frames // 3, 2 * frames // 3))
         self.frames, self.seed, self.faults = frames, seed, faults
-        self.offset_error_ns = offset_error_ns
+        self.photometry, self.offset_error_ns = photometry, offset_error_ns
         self.timing = FrameTiming(25.0, 38_000.0, 28_000.0)
         self.period = self.timing.period_us * TICKS_PER_US
         self.world = clean_world(seed=seed).scaled(WIDTH)
@@ -226,17 +226,19 @@ class _Run:
             self.disturbed.append(exposure.sequence + 1)
             return
         self.dark += not exposure.lamps
-        image = self.renderer.render(
-            exposure.pose, exposure.z_mm, exposure.projector, exposure.led, seed=exposure.sequence
-        )
-        light = measure(image).light
-        if not self.calibrated:
+        light = self._light(exposure) if self.photometry or not self.calibrated else None
+        if light is not None and not self.calibrated:
             self._calibrate(exposure, light)
             return
         self.waiting.append(_Frame(exposure, light))
         if len(self.waiting) > FRAMES_WAITING_MAX:
             self.waiting.popleft()
             self.overflow += 1
+
+    def _light(self, exposure: Exposure) -> Light:
+        """What the picture shows that this exposure makes."""
+        where = (exposure.pose, exposure.z_mm)
+        return measure(self.renderer.render(*where, exposure.projector, exposure.led, seed=exposure.sequence)).light
 
     def _calibrate(self, exposure: Exposure, light: Light) -> None:
         self.calibrating += 1
