@@ -35,7 +35,7 @@ class _Patch:
 
 def pose_at(profiles: Sequence[Profile], z_mm: float) -> Pose | None:
     """The pose at a station, between those of the profiles before and after it; None without any pose."""
-    known = sorted((p.z_mm, p.pose) for p in profiles if p.pose is not None) if profiles else []
+    known = sorted(((p.z_mm, p.pose) for p in profiles if p.pose is not None), key=lambda known: known[0])
     if not known:
         return None
     z = [item[0] for item in known]
