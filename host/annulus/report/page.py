@@ -80,7 +80,7 @@ def _row(number: int, defect: Defect, summary: Summary) -> dict[str, Any]:
         "clock": clock,
         "length": f"{defect.length_mm:.0f} mm",
         "width": width,
-        "depth": f"{defect.depth_mm:.2f} mm",
+        "depth": f"{'' if defect.floor_seen else '≥ '}{defect.depth_mm:.2f} mm",
         "part": f"{100 * defect.depth_mm / mean:.1f} %",
         "remark": remark,
     }

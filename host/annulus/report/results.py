@@ -21,6 +21,7 @@ from annulus.report.summary import Summary, summarize
 from annulus.report.surface import triangulate
 from annulus.rings.defects import find_defects
 from annulus.rings.profile import Profile
+from annulus.rings.registration import register
 from annulus.rings.stations import Stations, measure_stations
 from annulus.rings.texture import LedFrame, paint
 from annulus.rings.wall import Wall, build_wall
@@ -62,6 +63,7 @@ def write_results(
     """
     started = time.perf_counter()
     prepare_folder(out)
+    profiles = register(profiles)
     wall = build_wall(profiles)
     narrowest = min(cone.half_angle for cone in calibration.rings)
     findings = find_defects(wall, blind_ratio=1.0 / math.tan(narrowest))

@@ -36,6 +36,7 @@ class Limits:
     seed_of_radius: float = 0.005  # .. and by this part of the radius (0.5 %, what ASTM-certified profilers promise)
     rim_noise: float = 3.0  # it reaches as far as the departure exceeds this many standard deviations ..
     rim_of_seed: float = 0.5  # .. and this part of the core's limit
+    extent_of_depth: float = 0.25  # its extent is where it departs by this part of its depth: edges blur outwards
     size_of_radius: float = 0.04  # smaller than this both ways is not resolved (3 mm in a 6-inch pipe)
     join_of_radius: float = 0.05  # places of a kind this close are one (4 mm)
     shadow_of_radius: float = 0.22  # .. and this close when what lies between was not seen (a rod's shadow)
@@ -49,7 +50,8 @@ class Defect:
     """One line of the defect list. Positions are the middle of the extent; angles clockwise from 12 o'clock.
 
     depth_mm is never negative: how far the wall departs outwards (loss) or inwards (bump); for ovality the greater
-    departure of a diameter from the mean diameter. clock_deg of an ovality is its long axis.
+    departure of a diameter from the mean diameter. clock_deg of an ovality is its long axis. Where floor_seen
+    is False the bottom of a loss (or a bump's crest) lies in shadow or is too small, and depth_mm is a lower limit.
     """
 
     kind: Kind
@@ -59,6 +61,7 @@ class Defect:
     arc_deg: float
     depth_mm: float
     area_mm2: float
+    floor_seen: bool = True
 
     @property
     def clock(self) -> str:
@@ -74,6 +77,15 @@ class Defect:
         if self.arc_deg >= ALL_ROUND_DEG:
             return "12:00", "12:00"
         return clock_face(self.clock_deg - self.arc_deg / 2), clock_face(self.clock_deg + self.arc_deg / 2)
+
+
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """Cells that belong together, and how far every cell of the grid departs that way (-inf: not seen)."""
+
+    kind: Kind
+    mask: BoolArray
+    height: Float32Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,8 +118,8 @@ def find_defects(wall: Wall, *, blind_ratio: float, limits: Limits | None = None
     -----
     Hysteresis: cores beyond the seed limit grow over the rim limit. What lies unseen between two parts of one kind
     joins them; what lies unseen just before a loss is hidden by the loss's own near rim and belongs to it, what lies
-    unseen just behind a bump is its shadow, half of which is taken. A thin rim of the opposite sign along a much deeper
-    defect is an edge of that defect.
+    unseen just behind a bump is its shadow, half of which is taken. What only lines the rim of a larger place is no
+    defect of its own.
     """
     limits = limits or Limits()
     residual = smooth(wall.residual_mm()).astype(np.float32)
@@ -116,16 +128,18 @@ def find_defects(wall: Wall, *, blind_ratio: float, limits: Limits | None = None
     seed = np.maximum(limits.seed_noise * wall.noise_mm, limits.seed_of_radius * radius)[:, None]
     rim = np.maximum(limits.rim_noise * wall.noise_mm[:, None], limits.rim_of_seed * seed)
     cell = (wall.z_step_mm, np.radians(wall.clock_step_deg) * radius)
-    parts: list[tuple[Kind, BoolArray, Float32Array]] = []
+    parts: list[_Place] = []
     for kind, height in ((Kind.LOSS, residual), (Kind.BUMP, -residual)):
         height = np.where(unseen, np.float32(-np.inf), height)
         places = _places(height, unseen, seed, rim, cell, radius, limits)
-        parts += [(kind, place, height) for place in places]
+        parts += [_Place(kind, place, height) for place in places]
     label = np.zeros(residual.shape, dtype=np.int32)
     found: list[tuple[Defect, BoolArray]] = []
-    for kind, place, height in _without_edges(parts, wall.seen, cell, radius, limits):
-        whole = _with_shadow(kind, place, height, unseen, blind_ratio, wall.z_step_mm)
-        found.append((_measure(kind, place, whole, height, wall, cell), whole))
+    for one in _without_edges(parts, wall.seen, cell, limits.size_of_radius * radius):
+        depth, floor_seen = _depth(one)
+        core = _without_holes(one.mask & (one.height >= limits.extent_of_depth * depth))
+        whole = _with_shadow(_Place(one.kind, core, one.height), unseen, blind_ratio, wall.z_step_mm)
+        found.append((_measure(one.kind, whole, depth, floor_seen, wall, cell), whole))
     found += [(defect, np.zeros(residual.shape, dtype=bool)) for defect in _oval_stretches(wall, limits)]
     found.sort(key=lambda item: (item[0].z_mm, item[0].clock_deg))
     for i, (_, place) in enumerate(found):
@@ -271,42 +285,45 @@ def _share(whole: BoolArray, peaks: Sequence[BoolArray]) -> list[BoolArray]:
 
 
 def _without_edges(
-    parts: Sequence[tuple[Kind, BoolArray, Float32Array]], seen: BoolArray, cell: tuple[float, float], radius: float,
-    limits: Limits,
-) -> list[tuple[Kind, BoolArray, Float32Array]]:  # fmt: skip
-    """Drops places of the opposite sign that only line the rim of a deeper defect or of its shadow.
+    parts: Sequence[_Place], seen: BoolArray, cell: tuple[float, float], reach_mm: float
+) -> list[_Place]:
+    """Drops or joins places that only line the rim of a larger one or of its shadow.
 
-    There a slit is half lit and its centre is drawn aside. A real place stands in sound wall: at least half of what
-    surrounds it. A rim artefact is hemmed in by the other defect and by what that one hides.
+    There a slit is half lit or bent and its centre is drawn aside. A real place stands in sound wall: at least half of
+    what surrounds it. What is hemmed in by a larger place and by what that one hides is part of it, or, of the opposite
+    sign, an artefact of its edge. The smallest go first.
     """
-    near = max(2, round(limits.size_of_radius * radius / max(cell)))
-    peak = [_depth(height, place) for _, place, height in parts]
-    kept = []
-    for i, (kind, place, height) in enumerate(parts):
-        halo = place
+    near = max(2, round(reach_mm / max(cell)))
+    left = sorted(parts, key=lambda part: np.count_nonzero(part.mask))
+    kept: list[_Place] = []
+    while left:
+        small, left = left[0], left[1:]
+        halo = small.mask
         for _ in range(near):
             halo = _dilate(halo, CORNERS)
-        halo &= ~place
-        deeper = np.zeros_like(place)
-        for j, (other, mask, _) in enumerate(parts):
-            if other != kind and peak[j] > peak[i]:
-                deeper |= mask
-        sound = float((halo & seen & ~deeper).sum()) / max(float(halo.sum()), 1.0)
-        if not ((halo & deeper).any() and sound < 0.5):
-            kept.append((kind, place, height))
+        halo = halo & ~small.mask
+        touching = [k for k, large in enumerate(left) if (large.mask & halo).any()]
+        larger = np.zeros_like(halo)
+        for k in touching:
+            larger |= left[k].mask
+        sound = float((halo & seen & ~larger).sum()) / max(float(halo.sum()), 1.0)
+        if not touching or sound >= 0.5:
+            kept.append(small)
+            continue
+        host = max(touching, key=lambda k: np.count_nonzero(left[k].mask & halo))
+        if left[host].kind is small.kind:
+            left[host] = _Place(small.kind, left[host].mask | small.mask, small.height)
     return kept
 
 
-def _with_shadow(
-    kind: Kind, place: BoolArray, height: Float32Array, unseen: BoolArray, blind_ratio: float, z_step: float
-) -> BoolArray:
+def _with_shadow(place: _Place, unseen: BoolArray, blind_ratio: float, z_step: float) -> BoolArray:
     """The place with what it hides from a sensor that looks along +z."""
-    whole = place.copy()
-    for column in np.flatnonzero(place.any(axis=0)):
-        rows = np.flatnonzero(place[:, column])
-        depth = float(height[rows, column].max())
+    whole = place.mask.copy()
+    for column in np.flatnonzero(place.mask.any(axis=0)):
+        rows = np.flatnonzero(place.mask[:, column])
+        depth = max(float(place.height[rows, column].max()), 0.0)
         reach = int(np.ceil(depth * blind_ratio / z_step)) + 2
-        if kind is Kind.LOSS:
+        if place.kind is Kind.LOSS:
             before = unseen[max(0, rows[0] - reach) : rows[0], column][::-1]
             hidden = int(np.argmin(before)) if not before.all() else len(before)
             # Unseen up to the limit and beyond is no shadow of this rim alone (a rod, the end of the scan).
@@ -318,24 +335,37 @@ def _with_shadow(
     return whole
 
 
-def _depth(height: Float32Array, place: BoolArray) -> float:
-    """Depth of a place: its 98th percentile, or the mean of its two deepest cells where cells are few."""
-    values = height[place]
-    values = values[np.isfinite(values)]
-    return float(np.percentile(values, 98)) if len(values) >= 50 else float(np.sort(values)[-2:].mean())
+def _depth(place: _Place) -> tuple[float, bool]:
+    """Depth of a place (98th percentile), and whether it was measured where the surface is calm.
+
+    Within a slit's width of a step the measured radius overshoots, so only cells count about which (5 x 3 cells) the
+    height changes by less than a third of itself: a floor, a crest. Where a tenth of the place is not calm its floor
+    was not seen; then all cells count.
+    """
+    wide = np.pad(place.height, ((0, 0), (1, 1)), mode="wrap")
+    missing = ~np.isfinite(wide)
+    high = ndimage.maximum_filter(np.where(missing, -np.inf, wide), size=(5, 3), mode="nearest")[:, 1:-1]
+    low = ndimage.minimum_filter(np.where(missing, np.inf, wide), size=(5, 3), mode="nearest")[:, 1:-1]
+    measured = place.mask & np.isfinite(place.height)
+    calm = measured.copy()
+    calm[measured] = high[measured] - low[measured] < place.height[measured] / 3
+    floor_seen = np.count_nonzero(calm) >= max(4, 0.1 * np.count_nonzero(measured))
+    values = place.height[calm if floor_seen else measured]
+    return float(np.percentile(values, 98)) if len(values) >= 50 else float(np.sort(values)[-2:].mean()), bool(
+        floor_seen
+    )
 
 
 def _measure(
-    kind: Kind, place: BoolArray, whole: BoolArray, height: Float32Array, wall: Wall, cell: tuple[float, float]
+    kind: Kind, whole: BoolArray, depth: float, floor_seen: bool, wall: Wall, cell: tuple[float, float]
 ) -> Defect:
     rows = np.flatnonzero(whole.any(axis=1))
     z0, z1 = wall.z_mm[rows[0]] - wall.z_step_mm / 2, wall.z_mm[rows[-1]] + wall.z_step_mm / 2
     start, arc = _arc(np.asarray(whole.any(axis=0)), wall.clock_step_deg)
     arc = 360.0 if arc >= ALL_ROUND_DEG else arc  # what is left is a rod's shadow
-    depth = _depth(height, place)
-    area = np.count_nonzero(whole) * cell[0] * cell[1]
+    area = float(np.count_nonzero(whole) * cell[0] * cell[1])
     clock = (start + arc / 2) % 360.0 if arc < 360.0 else 0.0
-    return Defect(kind, float(z0 + z1) / 2, clock, float(z1 - z0), arc, depth, float(area))
+    return Defect(kind, float(z0 + z1) / 2, clock, float(z1 - z0), arc, depth, area, floor_seen)
 
 
 def _arc(columns: BoolArray, step_deg: float) -> tuple[float, float]:
