@@ -37,7 +37,7 @@ void board_reset(void);
 
 // ---- serial line ----
 
-// Up to `size` received bytes; how many.
+// Up to `size` received bytes; how many. The board keeps at least 256 while the core is busy.
 size_t board_receive(uint8_t* bytes, size_t size);
 
 // Hand over bytes to send; how many were taken, the rest must be offered again.
