@@ -26,7 +26,7 @@ def classify(side: FloatArray, colours: str) -> NDArray[np.uint8]:
     if not len(side):
         return np.zeros(0, np.uint8)
     used = ["RGB".index(c) for c in "RGB" if c in colours]
-    some = np.ascontiguousarray(side[:: max(1, len(side) // 1500), ::-1])  # enough to learn from
+    some = np.ascontiguousarray(side[:: max(1, len(side) // 800), ::-1])  # enough to learn from
     gain = np.zeros(3)
     gain[used] = 1.0 / np.maximum(np.percentile(some, 98, axis=0)[used], 1e-6)
     light = some * gain

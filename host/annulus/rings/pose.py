@@ -8,6 +8,7 @@ from annulus.geometry.pose import FloatArray, Pose
 from annulus.rings.compiled import compiled
 
 CAUCHY = 2.385  # 95 % efficient on clean normal errors
+CLOSE = 2e-4  # the robust fit ends here, radians or parts of the radius; least squares goes the rest of the way
 KEEP = 3.0  # trimmed least squares keeps residuals within this many sigma
 LEAST_POINTS = 40
 LEAST_TURN = 0.4  # of the way round must have points, or a circle is a guess
@@ -60,7 +61,7 @@ def _descend(points: FloatArray, weight: FloatArray, radius: float, first: Pose)
         x = x + step
         _errors(points, x, radius, error)
         scale = _spread(error)
-        if np.abs(step[:2]).max() < 2e-5 and np.abs(step[2:]).max() < 2e-5 * radius:
+        if np.abs(step[:2]).max() < CLOSE and np.abs(step[2:]).max() < CLOSE * radius:
             break
     for _ in range(3):
         x = x + _step(points, weight, x, radius, KEEP * max(scale, 1e-4 * radius), True)
@@ -84,8 +85,10 @@ def _spread(error: FloatArray) -> float:
 def _step(
     points: FloatArray, weight: FloatArray, x: FloatArray, radius: float, scale: float, trimmed: bool
 ) -> FloatArray:
-    normal, right = np.zeros((7, 7)), np.zeros(7)
-    _normal(points, weight, x, radius, scale, trimmed, normal, right)
+    rows = np.empty((len(points), 8))
+    _rows(points, weight, x, radius, scale, trimmed, rows)
+    product = rows.T @ rows
+    normal, right = product[:7, :7], product[:7, 7]
     size = np.array([1.0, 1.0, *[radius] * 5])  # angles and lengths alike
     normal = normal * size[:, None] * size
     # The shape is believed to be within a few percent, lest half a pipe be taken for an oval one.
@@ -108,39 +111,28 @@ def _errors(points, x, radius, out):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _normal(points, weight, x, radius, scale, trimmed, normal, right):  # type: ignore[no-untyped-def]
-    """Normal equations of the errors about x, weighted; R = Rx(rx) Ry(ry), q = R^T (p - T), r = |q_xy|. The turning of
-    the twofold term with the pose is left out: it is small, and costs steps, not accuracy."""
+def _rows(points, weight, x, radius, scale, trimmed, out):  # type: ignore[no-untyped-def]
+    """Each point's gradient and error about x, by the root of its weight; R = Rx(rx) Ry(ry), q = R^T (p - T),
+    r = |q_xy|. How the twofold term turns with the pose is left out: it is small, and costs steps, not accuracy."""
     ca, sa, cb, sb = math.cos(x[0]), math.sin(x[0]), math.cos(x[1]), math.sin(x[1])
-    grad = np.empty(7)
     for n in range(len(points)):
         px, py, pz = points[n, 0] - x[2], points[n, 1] - x[3], points[n, 2]
         turned = sa * py - ca * pz
         u = cb * px + sb * turned
         v = ca * py + sa * pz
-        r = math.sqrt(u * u + v * v)
-        if r < 1e-9:
-            continue
+        r = max(math.sqrt(u * u + v * v), 1e-9)
         cu, cv = u / r, v / r
         twofold, quarter = cu * cu - cv * cv, 2.0 * cu * cv
         e = r - radius - x[4] - x[5] * twofold - x[6] * quarter
         if trimmed:
-            if abs(e) > scale:
-                continue
-            w = weight[n]
+            w = math.sqrt(weight[n]) if abs(e) <= scale else 0.0
         else:
-            w = weight[n] / (1.0 + (e / scale) ** 2)
-        grad[0] = cu * sb * (ca * py + sa * pz) + cv * (ca * pz - sa * py)
-        grad[1] = cu * (cb * turned - sb * px)
-        grad[2] = -cu * cb
-        grad[3] = -cu * sb * sa - cv * ca
-        grad[4] = -1.0
-        grad[5] = -twofold
-        grad[6] = -quarter
-        for i in range(7):
-            right[i] += w * grad[i] * e
-            for k in range(i + 1):
-                normal[i, k] += w * grad[i] * grad[k]
-    for i in range(7):
-        for k in range(i):
-            normal[k, i] = normal[i, k]
+            w = math.sqrt(weight[n] / (1.0 + (e / scale) ** 2))
+        out[n, 0] = w * (cu * sb * v + cv * (ca * pz - sa * py))
+        out[n, 1] = w * (cu * (cb * turned - sb * px))
+        out[n, 2] = -w * cu * cb
+        out[n, 3] = -w * (cu * sb * sa + cv * ca)
+        out[n, 4] = -w
+        out[n, 5] = -w * twofold
+        out[n, 6] = -w * quarter
+        out[n, 7] = w * e

@@ -83,11 +83,9 @@ class Reconstructor:
         points = triangulate(slits, self._grid, self._optics, readings(inside, outside, colours))
         marks.append(("triangulate", clock()))
 
-        def read(pose: Pose, tolerance: float) -> NDArray[np.int64]:
-            return decode(slits.direction, inside, outside, deviations(points, pose, pipe), colours, tolerance)
-
         rejected = {"crowded": slits.crowded, "shallow": slits.shallow}
-        ring = read(seed or Pose(), FIRST_TOLERANCE)
+        deviation = deviations(points, seed or Pose(), pipe)
+        ring = decode(slits.direction, inside, outside, deviation, colours, FIRST_TOLERANCE)
         marks.append(("decode", clock()))
         fitted = self._fit(points, ring, seed, every=3)
         marks.append(("pose", clock()))
@@ -99,12 +97,13 @@ class Reconstructor:
                 empty.astype(np.uint16), math.nan, rejected, _spans(marks),
             )  # fmt: skip
         # Read again where the wall now is, and fit what that leaves.
-        ring = read(fitted[0], WALL_TOLERANCE)
+        deviation = deviations(points, fitted[0], pipe)
+        ring = decode(slits.direction, inside, outside, deviation, colours, WALL_TOLERANCE)
         marks.append(("decode", clock()))
         rejected["colour"] = int(np.count_nonzero((inside == UNKNOWN) | (outside == UNKNOWN)))
         rejected["no ring"] = int(np.count_nonzero(ring == NONE))
         ring, rejected["width"] = _width_gate(ring, slits.width, len(self._optics.cones))
-        ring, rejected["alone"] = self._company_gate(slits.direction, points, ring, fitted[0])
+        ring, rejected["alone"] = self._company_gate(slits.direction, pipe * (1.0 + deviation), ring)
         marks.append(("gates", clock()))
         pose, spread = self._fit(points, ring, fitted[0]) or fitted
         marks.append(("pose", clock()))
@@ -125,14 +124,13 @@ class Reconstructor:
         return fit_pose(points[kept, ring[kept]], self.calibration.pipe_radius_mm, sigma[ring[kept]], seed)
 
     def _company_gate(
-        self, direction: NDArray[np.int64], points: FloatArray, ring: NDArray[np.int64], pose: Pose
+        self, direction: NDArray[np.int64], radius: FloatArray, ring: NDArray[np.int64]
     ) -> tuple[NDArray[np.int64], int]:
         kept = np.flatnonzero(ring != NONE)
-        wall = pose.to_pipe(points[kept, ring[kept]])
-        radius = np.full((len(self._optics.cones), self.directions), np.nan)
-        radius[ring[kept], direction[kept]] = np.hypot(wall[:, 0], wall[:, 1])
+        curve = np.full((len(self._optics.cones), self.directions), np.nan)
+        curve[ring[kept], direction[kept]] = radius[kept, ring[kept]]
         step = STEP * self.calibration.pipe_radius_mm + STEP_PX * self._optics.mm_per_px
-        good = _company(radius, step, NEIGHBOURS, COMPANY)[ring[kept], direction[kept]]
+        good = _company(curve, step, NEIGHBOURS, COMPANY)[ring[kept], direction[kept]]
         out = np.full_like(ring, NONE)
         out[kept[good]] = ring[kept[good]]
         return out, int(np.count_nonzero(~good))
