@@ -65,7 +65,14 @@ class Pace:
         )
 
 
-def run_demo(seconds: float, out: Path, open_report: bool = True, console: Console | None = None) -> None:
+def run_demo(
+    seconds: float,
+    out: Path,
+    open_report: bool = True,
+    console: Console | None = None,
+    *,
+    world: World | None = None,
+) -> None:
     """Scan a simulated pipe for `seconds`, write all results into `out`, and score them against the truth.
 
     Ctrl-C or SIGTERM at any moment: lamps off, recording closed and readable, no process left; KeyboardInterrupt.
@@ -74,7 +81,7 @@ def run_demo(seconds: float, out: Path, open_report: bool = True, console: Conso
     console = console or Console(stderr=True)
     with Interrupt() as interrupt, _bars(console) as bars:
         try:
-            _demo(seconds, out, interrupt, bars, console)
+            _demo(seconds, out, world or demo_world(travel_mm=TRAVEL_MM), interrupt, bars, console)
         except AnnulusError:
             if interrupt.requested:  # what failed was cut off
                 raise KeyboardInterrupt from None
@@ -83,15 +90,14 @@ def run_demo(seconds: float, out: Path, open_report: bool = True, console: Conso
         webbrowser.open((out / "report.html").absolute().as_uri())
 
 
-def _demo(seconds: float, out: Path, interrupt: Interrupt, bars: "_Bars", console: Console) -> None:
+def _demo(seconds: float, out: Path, world: World, interrupt: Interrupt, bars: "_Bars", console: Console) -> None:
     begun = time.monotonic()
     prepare_folder(out)
     with interrupt.allowed():
-        world = demo_world(travel_mm=TRAVEL_MM)
         with bars.spinning("measuring this machine (the first time it compiles for a minute)"):
             pace = measure_pace(world)
         console.print(pace.why)
-    travel = min(TRAVEL_MM, MM_PER_FRAME_MAX * pace.fps * seconds)
+    travel = min(world.travel_mm, MM_PER_FRAME_MAX * pace.fps * seconds)
     profiles: list[Profile] = []
     for old in out.glob("scan*.mcap"):
         old.unlink()
