@@ -31,9 +31,10 @@ _NOISE = 1 << 20
 _PER_Z = np.float32(1.0 / STEP_Z_MM)
 _WALL_PITCH = CLOCKS + 4  # of the padded wall map: one column before twelve o'clock, three after
 _MARCH_MM = 0.8  # along the pipe; no feature is shorter, and bisection follows
-# A row is drawn in stretches of at most _PITCH pixels, their intermediate values in one flat array at these offsets.
+# A row is drawn in stretches of at most _STRETCH pixels, their intermediate values in one flat array at these offsets.
 # One base and constant distances are what lets LLVM prove that the loops over it may run as vectors.
-_PITCH = 512
+_PITCH = 512 + 8  # eight to spare, for loops that write in fours
+_STRETCH = 512
 _WX, _WY, _WZ, _S, _X, _Y, _Z, _NX, _NY, _NZ, _OPEN, _COLUMN, _PAINT, _LIT, _LEVEL, _PLAIN = range(
     0, 16 * _PITCH, _PITCH
 )
@@ -51,14 +52,12 @@ def _atan2(y: Real, x: Real) -> Real:
     big, small = max(ax, ay), min(ax, ay)
     q = small / (big + np.float32(1e-20))
     s = q * q
-    r = np.float32(0.0029745)
-    r = r * s + np.float32(-0.0162866)
-    r = r * s + np.float32(0.0432620)
-    r = r * s + np.float32(-0.0755900)
-    r = r * s + np.float32(0.1066689)
-    r = r * s + np.float32(-0.1421006)
-    r = r * s + np.float32(0.1999402)
-    r = r * s + np.float32(-0.3333312)
+    r = np.float32(0.0078254829)
+    r = r * s + np.float32(-0.0368986292)
+    r = r * s + np.float32(0.0837415565)
+    r = r * s + np.float32(-0.1348040561)
+    r = r * s + np.float32(0.1987987216)
+    r = r * s + np.float32(-0.3332637452)
     r = r * s * q + q
     if ay > ax:
         r = np.float32(1.5707963) - r
@@ -82,15 +81,22 @@ def _step_up(x: Real) -> Real:
 @_compiled
 def _wall(deviation: F32, column: Real, row: Real) -> Real:
     """Bilinear deviation (mm) at a fractional map place, column -1..CLOCKS + 1; its first and last row are clean."""
+    return _wall_and_slopes(deviation, column, row)[0]
+
+
+@_compiled
+def _wall_and_slopes(deviation: F32, column: Real, row: Real) -> Real:
+    """Deviation (mm), its change per column, its change per row. Unsigned indices: no wrap-around to check for."""
     top = np.float32(deviation.shape[0] // _WALL_PITCH) - np.float32(1.01)
     row = min(max(row, np.float32(0.0)), top)
-    i, j = np.int32(row), np.int32(column + np.float32(1.0))
-    fj, fi = column + np.float32(1.0) - np.float32(j), row - np.float32(i)
-    k = i * np.int32(_WALL_PITCH) + j
-    a = deviation[k] + fj * (deviation[k + 1] - deviation[k])
-    k += np.int32(_WALL_PITCH)
-    b = deviation[k] + fj * (deviation[k + 1] - deviation[k])
-    return a + fi * (b - a)
+    column += np.float32(1.0)
+    i, j = np.int32(row), np.int32(column)
+    fj, fi = column - np.float32(j), row - np.float32(i)
+    k = np.uint64(np.uint32(i * np.int32(_WALL_PITCH) + j))
+    a, b = deviation[k], deviation[k + np.uint64(1)]
+    c, d = deviation[k + np.uint64(_WALL_PITCH)], deviation[k + np.uint64(_WALL_PITCH + 1)]
+    left, right = a + fi * (c - a), b + fi * (d - b)
+    return left + fj * (right - left), right - left, (c - a) + fj * ((d - b) - (c - a))
 
 
 @_compiled
@@ -122,11 +128,15 @@ def _excess(
 def _meet_gentle(n: int, scratch: F32, station: F32, z0: Real, radius: Real, deviation: F32) -> None:
     """Meet a wall without edges instead of the plain cylinder, for a whole stretch: mends range, place and normal.
 
-    The fixed point r = R + wall(where r is met), by secant: error below 5 um for slopes up to half the ray's.
+    The fixed point r = R + wall(where r is met), by secant, at every fourth pixel; such a wall is straight enough
+    between them (0.01 mm).
     """
-    one, half = np.float32(1.0), np.float32(0.5)
+    one, half, quarter = np.float32(1.0), np.float32(0.5), np.float32(0.25)
     sx, sy, sz = station[0], station[1], station[2]
-    for u in range(n):
+    c0 = sx * sx + sy * sy
+    was, was_c, was_z = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+    for k in range((n + 6) // 4):
+        u = min(4 * k, n - 1)
         wx, wy, wz, column = scratch[_WX + u], scratch[_WY + u], scratch[_WZ + u], scratch[_COLUMN + u]
         d0 = _wall(deviation, column, (scratch[_Z + u] - z0) * _PER_Z)
         s = _cylinder(sx, sy, wx, wy, radius + d0)
@@ -135,17 +145,29 @@ def _meet_gentle(n: int, scratch: F32, station: F32, z0: Real, radius: Real, dev
         lift = one / (one - min(max(gain, -half), half))
         d2 = d0 + (d1 - d0) * lift
         s = _cylinder(sx, sy, wx, wy, radius + d2)
-        d3 = _wall(deviation, column, (sz + s * wz - z0) * _PER_Z)
-        s = _cylinder(sx, sy, wx, wy, radius + d2 + (d3 - d2) * lift)
-        x, y, z = sx + s * wx, sy + s * wy, sz + s * wz
-        row = (z - z0) * _PER_Z
-        inverse = one / np.sqrt(x * x + y * y)
-        slope_z = (_wall(deviation, column, row + half) - _wall(deviation, column, row - half)) * _PER_Z
-        slope_c = _wall(deviation, column + half, row) - _wall(deviation, column - half, row)
-        slope_c *= np.float32(CLOCKS / (2 * np.pi)) * inverse
+        d3, slope_c, slope_z = _wall_and_slopes(deviation, column, (sz + s * wz - z0) * _PER_Z)
+        d3 = d2 + (d3 - d2) * lift
+        if k > 0:
+            for i in range(4):
+                t = quarter * np.float32(i)
+                at = 4 * k - 4 + i
+                scratch[_LIT + at] = was + t * (d3 - was)
+                scratch[_NX + at] = was_c + t * (slope_c - was_c)
+                scratch[_NZ + at] = was_z + t * (slope_z - was_z)
+        was, was_c, was_z = d3, slope_c, slope_z
+    for u in range(n):
+        wx, wy, wz = scratch[_WX + u], scratch[_WY + u], scratch[_WZ + u]
+        r = radius + scratch[_LIT + u]
+        a = wx * wx + wy * wy + np.float32(1e-7)
+        b = sx * wx + sy * wy
+        s = (np.sqrt(max(b * b - a * (c0 - r * r), np.float32(0.0))) - b) / a
+        x, y = sx + s * wx, sy + s * wy
+        inverse = one / r
+        slope_z = scratch[_NZ + u] * _PER_Z
+        slope_c = scratch[_NX + u] * np.float32(CLOCKS / (2 * np.pi)) * inverse
         ex, ey = x * inverse, y * inverse  # outwards; the clock angle grows along (-ey, ex)
         scale = one / np.sqrt(one + slope_c * slope_c + slope_z * slope_z)
-        scratch[_S + u], scratch[_X + u], scratch[_Y + u], scratch[_Z + u] = s, x, y, z
+        scratch[_S + u], scratch[_X + u], scratch[_Y + u], scratch[_Z + u] = s, x, y, sz + s * wz
         scratch[_NX + u], scratch[_NY + u] = (ex + slope_c * ey) * scale, (ey - slope_c * ex) * scale
         scratch[_NZ + u] = -slope_z * scale
 
@@ -301,8 +323,8 @@ def _draw(
     """
     width = out.shape[1]
     scratch = np.zeros(_SCRATCH, np.float32)
-    slit_of = np.zeros(_PITCH, np.int32)
-    kinds = np.zeros(_PITCH, np.int32)
+    slit_of = np.zeros(_STRETCH, np.int32)
+    kinds = np.zeros(_STRETCH, np.int32)
     level = np.zeros(width, np.float32)
     light = np.empty(3, np.float32)  # projector in the pipe frame
     lamp = np.empty(3, np.float32)  # LED in the pipe frame
@@ -339,15 +361,15 @@ def _draw(
                     b1 = a1
                     b0 = max(min(int(lit[0] + np.sqrt(hole)), b1), a0)
                     a1 = max(min(int(lit[0] - np.sqrt(hole)) + 1, b0), a0)
-        chunks_a = (a1 - a0 + _PITCH - 1) // _PITCH
-        chunks = chunks_a + (b1 - b0 + _PITCH - 1) // _PITCH
+        chunks_a = (a1 - a0 + _STRETCH - 1) // _STRETCH
+        chunks = chunks_a + (b1 - b0 + _STRETCH - 1) // _STRETCH
         for chunk in range(chunks):
             if chunk < chunks_a:
-                u0 = a0 + chunk * _PITCH
-                n = min(_PITCH, a1 - u0)
+                u0 = a0 + chunk * _STRETCH
+                n = min(_STRETCH, a1 - u0)
             else:
-                u0 = b0 + (chunk - chunks_a) * _PITCH
-                n = min(_PITCH, b1 - u0)
+                u0 = b0 + (chunk - chunks_a) * _STRETCH
+                n = min(_STRETCH, b1 - u0)
             ray_x, ray_y, spread = rays[0, v, u0 : u0 + n], rays[1, v, u0 : u0 + n], rays[2, v, u0 : u0 + n]
             odd = u0 & 1
             for u in range(n):
@@ -410,6 +432,14 @@ def _draw(
                     rx, ry, thick, back, front = (
                         rods[i, 0] - vx, rods[i, 1] - vy, rods[i, 2], rods[i, 3], rods[i, 4]
                     )  # fmt: skip
+                    shaded = 0
+                    for u in range(n):
+                        px, py = scratch[_S + u] * ray_x[u] - vx, scratch[_S + u] * ray_y[u] - vy
+                        across = rx * py - ry * px
+                        near = across * across < np.float32(4.0) * thick * thick * (px * px + py * py)
+                        shaded += 1 if near and rx * px + ry * py > zero else 0
+                    if shaded == 0:
+                        continue
                     for u in range(n):
                         dx, dy, s = ray_x[u], ray_y[u], scratch[_S + u]
                         dz = np.sqrt(max(one - dx * dx - dy * dy, zero))
@@ -486,6 +516,7 @@ class Renderer:
         self.height, self.width = camera.height, camera.width
         self._rays = _ray_table(world)
         self._deviation = np.pad(world.radius_map, ((0, 0), (1, _WALL_PITCH - CLOCKS - 1)), mode="wrap").ravel()
+        self._extremes = np.stack([world.radius_map.min(axis=1), world.radius_map.max(axis=1)], axis=1)
         self._albedo = np.ascontiguousarray(world.albedo_map.transpose(2, 0, 1))
         self._base = np.array(world.albedo, np.float32)
         self._tiles = _tiles(world)
@@ -557,7 +588,7 @@ class Renderer:
         station = pose.to_pipe(np.zeros((1, 3)), z_mm)[0].astype(np.float32)
         _draw(
             frame, first, last, self._rays, pose.rotation.astype(np.float32), station, gains[0], gains[1],
-            self._lit_circle(pose), np.float32(self.world.radius_mm), np.float32(self.world.z_range_mm[0]),
+            self._lit_circle(pose, z_mm), np.float32(self.world.radius_mm), np.float32(self.world.z_range_mm[0]),
             self._deviation, *self._tiles, self._albedo, self._base, self._nearest, self._cos0,
             self._cos_step, self._centre, self._slits, self._colours, np.float32(self.world.projector.leak),
             self._power, self._rods, self._led, self._led_power, self._blur,
@@ -565,7 +596,7 @@ class Renderer:
         )  # fmt: skip
         return frame
 
-    def _lit_circle(self, pose: Pose) -> F32:
+    def _lit_circle(self, pose: Pose, z_mm: float) -> F32:
         """(u, v, inner, outer): pixels outside the ring inner..outer get no projector light."""
         world = self.world
         around = np.linspace(0, 2 * np.pi, 48, endpoint=False)
@@ -574,12 +605,15 @@ class Renderer:
         side /= np.linalg.norm(side)
         up = np.cross(axis, side)
         ring = np.cos(around)[:, None] * side + np.sin(around)[:, None] * up
-        deepest = world.radius_mm + float(self._deviation.max())
-        shallowest = world.radius_mm + float(self._deviation.min())
         v = pose.to_pipe(vertex[None])[0]
         bounds = []
-        for angle, radius in ((self._rims[0] - 0.01, deepest), (self._rims[1] + 0.01, shallowest)):
+        for angle, extreme in ((self._rims[0] - 0.01, np.max), (self._rims[1] + 0.01, np.min)):
             rays = (math.cos(angle) * axis + math.sin(angle) * ring) @ pose.rotation
+            # how deep or shallow the wall gets about where this rim meets it
+            rim_mm = z_mm + v[2] + world.radius_mm / math.tan(angle)
+            first, last = (round((rim_mm + d - world.z_range_mm[0]) / STEP_Z_MM) for d in (-30.0, 30.0))
+            near = self._extremes[max(first, 0) : max(last, 0)]
+            radius = world.radius_mm + float(extreme(near)) if near.size else world.radius_mm
             a = rays[:, 0] ** 2 + rays[:, 1] ** 2
             b = v[0] * rays[:, 0] + v[1] * rays[:, 1]
             s = (np.sqrt(b * b - a * (v[0] ** 2 + v[1] ** 2 - radius**2)) - b) / a
@@ -628,7 +662,7 @@ def _tiles(world: World) -> tuple[F32, F32, F32, F32, U8]:
     near_high = ndimage.maximum_filter(high, size=size, mode=mode)
     steep = ndimage.maximum_filter(steep, size=size, mode=mode)
     kind = np.where(steep, 3, np.where((near_high > _PLAIN_MM) | (near_low < -_PLAIN_MM), 1, 0)).astype(np.uint8)
-    marked = (paint[:rows] != np.round(np.array(world.albedo) * 255.0)).any(axis=2).reshape(shape).any(axis=(1, 3))
+    marked = (paint[:rows] != (np.array(world.albedo) * 255.0 + 0.5).astype(np.uint8)).any(axis=2).reshape(shape).any(axis=(1, 3))
     kind |= np.where(ndimage.maximum_filter(marked, size=3, mode=mode), 4, 0).astype(np.uint8)
     bounds = [np.ascontiguousarray(bound, dtype=np.float32) for bound in (low, high, near_low, near_high)]
     return bounds[0], bounds[1], bounds[2], bounds[3], kind

@@ -200,12 +200,13 @@ class World:
     def albedo_map(self) -> NDArray[np.uint8]:
         """(rows, CLOCKS, 3) red green blue, 255 = reflects all; same grid as `radius_map`."""
         rows = self.radius_map.shape[0]
-        base = np.array(self.albedo, np.float32)
-        out = np.broadcast_to(base * 255.0, (rows, CLOCKS, 3)).astype(np.float32)
+        base = np.array(self.albedo, np.float32) * np.float32(255.0)
+        out = np.empty((rows, CLOCKS, 3), np.uint8)
+        out[:] = base + 0.5
         if self.texture:
-            _stain(out, np.random.default_rng([self.seed, 0x57A1]), self.z_range_mm)
-            _print_line(out, self.z_range_mm)
-        return np.asarray(np.clip(out + 0.5, 0, 255), dtype=np.uint8)
+            _stain(out, base, np.random.default_rng([self.seed, 0x57A1]))
+            _print_line(out)
+        return out
 
     # ---- the head ------------------------------------------------------------------------------------------------
     @cached_property
@@ -332,15 +333,15 @@ def clean_world(seed: int = 1, camera: Camera | None = None, travel_mm: float = 
 
 
 def demo_world(seed: int = 7, travel_mm: float = 330.0) -> World:
-    """The demo: a 6-inch white PVC pipe with a pocket, a bump, a groove and a short oval stretch.
+    """The demo: a 6-inch white PVC pipe with two pockets, a bump and a short oval stretch.
 
     All of them lie where every ring passes when the head travels 330 mm or more, whatever the frame rate.
     """
     features = (
-        Feature("pocket", z_mm=185.0, length_mm=32.0, depth_mm=4.0, clock_deg=100.0, arc_deg=26.0),
-        Feature("bump", z_mm=225.0, length_mm=26.0, depth_mm=4.0, clock_deg=215.0, arc_deg=20.0),
-        Feature("pocket", z_mm=262.0, length_mm=12.0, depth_mm=2.0, clock_deg=330.0, arc_deg=80.0),
-        Feature("oval", z_mm=335.0, length_mm=90.0, depth_mm=2.5, clock_deg=20.0),
+        Feature("pocket", z_mm=180.0, length_mm=32.0, depth_mm=4.0, clock_deg=100.0, arc_deg=26.0),
+        Feature("bump", z_mm=214.0, length_mm=26.0, depth_mm=4.0, clock_deg=215.0, arc_deg=20.0),
+        Feature("pocket", z_mm=246.0, length_mm=12.0, depth_mm=2.0, clock_deg=330.0, arc_deg=80.0),
+        Feature("oval", z_mm=332.0, length_mm=84.0, depth_mm=2.5, clock_deg=20.0),
     )
     return World(
         pinhole_camera(), demo_projector(), features=features, rods=demo_rods(), travel_mm=travel_mm, seed=seed
@@ -360,37 +361,37 @@ def _frozen(value: object) -> object:
 
 
 # ---- paint -------------------------------------------------------------------------------------------------------
-def _stain(albedo: NDArray[np.float32], rng: np.random.Generator, z_range: tuple[float, float]) -> None:
-    """Brown water stains with soft rims and a dull invert where silt has lain, painted in place."""
+def _stain(albedo: NDArray[np.uint8], base: NDArray[np.float32], rng: np.random.Generator) -> None:
+    """A dull invert where silt has lain and brown water stains with soft rims, painted in place."""
     rows = albedo.shape[0]
-    silt = np.exp(-((_wrap(np.arange(CLOCKS, dtype=np.float64) * (360.0 / CLOCKS) - 180.0) / 26.0) ** 2)).astype(
-        np.float32
-    )
-    albedo *= 1.0 - silt[None, :, None] * np.array([0.10, 0.15, 0.22], np.float32)
-    for _ in range(round((z_range[1] - z_range[0]) / 28.0)):
+    clock = np.arange(CLOCKS, dtype=np.float64) * (360.0 / CLOCKS)
+    silt = np.exp(-((_wrap(clock - 180.0) / 20.0) ** 2))
+    albedo[:] = base * (1.0 - silt[:, None] * np.array([0.10, 0.15, 0.22])) + 0.5
+    reach = 90  # of a stain and its rim, map cells each way
+    for _ in range(round(rows * STEP_Z_MM / 28.0)):
         row, column = int(rng.integers(rows)), int(rng.integers(CLOCKS))
         size = (int(rng.integers(10, 60)), int(rng.integers(8, 36)))
-        patch = np.zeros((rows, CLOCKS), np.uint8)
-        cv2.ellipse(patch, (CLOCKS // 2, row), size, float(rng.uniform(0, 180)), 0, 360, 255, -1)
-        low, high = max(0, row - 90), min(rows, row + 91)
-        soft = cv2.GaussianBlur(patch[low:high], (0, 0), 7.0).astype(np.float32) / 255.0
-        soft = np.roll(soft, column - CLOCKS // 2, axis=1)
-        strength = np.array([0.14, 0.26, 0.42], np.float32) * float(rng.uniform(0.5, 1.0))
-        albedo[low:high] *= 1.0 - soft[:, :, None] * strength
+        patch = np.zeros((2 * reach + 1, 2 * reach + 1), np.uint8)
+        cv2.ellipse(patch, (reach, reach), size, float(rng.uniform(0, 180)), 0, 360, 255, -1)
+        soft = cv2.GaussianBlur(patch, (0, 0), 7.0).astype(np.float32) / np.float32(255.0)
+        strength = np.array([0.14, 0.26, 0.42], np.float32) * np.float32(rng.uniform(0.5, 1.0))
+        low, high = max(0, row - reach), min(rows, row + reach + 1)
+        around = np.arange(column - reach, column + reach + 1) % CLOCKS
+        shade = soft[low - row + reach : high - row + reach, :, None] * strength
+        albedo[low:high, around] = albedo[low:high, around] * (1.0 - shade) + 0.5
 
 
-def _print_line(albedo: NDArray[np.float32], z_range: tuple[float, float]) -> None:
+def _print_line(albedo: NDArray[np.uint8]) -> None:
     """The maker's print along the pipe at two o'clock, in place. Text runs along z."""
     rows = albedo.shape[0]
-    tall = 16  # pixels of 0.25 degrees: letters 5 mm high
+    tall = 16  # columns of 0.25 degrees: letters 5 mm high
     ink = np.zeros((tall + 12, rows), np.uint8)
-    x = 20
-    while x < rows:
+    for x in range(20, rows, 560):
         cv2.putText(ink, "ANNULUS TWIN PVC-U 160 SDR 17", (x, tall + 4), cv2.FONT_HERSHEY_SIMPLEX, 0.62, 255, 2)
-        x += 560
-    soft = cv2.GaussianBlur(ink, (0, 0), 0.8).astype(np.float32).T / 255.0
+    soft = cv2.GaussianBlur(ink, (0, 0), 0.8).astype(np.float32).T / np.float32(255.0)
     first = round(60.0 * CLOCKS / 360.0)
-    albedo[:, first : first + soft.shape[1]] *= 1.0 - 0.5 * soft[:, :, None]
+    part = albedo[:, first : first + soft.shape[1]]
+    part[:] = part * (1.0 - 0.5 * soft[:, :, None]) + 0.5
 
 
 def _wrap(degrees: FloatArray) -> FloatArray:
