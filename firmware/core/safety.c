@@ -25,9 +25,8 @@ static void set_lamps(controller_t* const self, const bool on)
 
 void safety_trip(controller_t* const self, const uint8_t fault, const uint32_t detail)
 {
-    if (self->fault == FAULT_NONE) {
-        self->fault = fault;
-    }
+    // While a fault is latched nothing is armed, so nothing is left that could trip a second one over it.
+    self->fault = fault;
     bursts_cut(&self->bursts, fault);
     set_microwave(self, false);
     if ((self->armed & ARM_LAMPS) != 0U) {

@@ -5,7 +5,7 @@
 
 #include "controller.h"
 
-// Latch a fault, disarm everything, report it. The first fault stays latched; later ones are only reported.
+// Latch a fault, disarm everything, report it.
 void safety_trip(controller_t* self, uint8_t fault, uint32_t detail);
 
 // What the board refuses is beyond a compiled-in limit: never try again before the host has seen it.

@@ -199,6 +199,7 @@ static void trains_beyond_a_limit_are_refused_with_the_reason(void)
     REFUSED(command.chip = 29, STATUS_PULSE_WIDTH, 0);                                 // 0.29 us
     REFUSED((command.chip = 1001, command.period = 10000000), STATUS_PULSE_WIDTH, 0);  // three ones: 30.03 us
     REFUSED(command.period = 11 * 50 * 20 - 1, STATUS_DUTY, 3);                        // 11 ones of 50 ticks at 5 %
+    REFUSED((command.code = BURST_CODE_SINGLE, command.chip = 29), STATUS_PULSE_WIDTH, 0);  // also the last chip
     command_burst_t exact = good;
     exact.period = 11 * 50 * 20;
     EXPECT_EQ(fire(&exact).status, STATUS_OK);

@@ -280,6 +280,8 @@ static void the_last_64_events_can_be_read_again_unchanged(void)
     EXPECT_EQ(reply.status, STATUS_OK);
     EXPECT_EQ(reply.first, 37);
     EXPECT_EQ(reply.count, 3);
+    reply_reread_unpack(&reply, reread(36, 1));
+    EXPECT_EQ(reply.status, STATUS_GONE);
     reply_reread_unpack(&reply, reread(10, 10));
     EXPECT_EQ(reply.status, STATUS_GONE);
     EXPECT_EQ(reply.count, 0);

@@ -84,6 +84,7 @@ static void an_open_interlock_refuses_the_microwave_but_not_the_lamps(void)
 static void an_interlock_fault_is_cleared_only_once_it_is_closed(void)
 {
     start_armed(both);
+    EXPECT_EQ(start_train(65535), STATUS_OK);
     native_input(native_tick(), PIN_INTERLOCK, 1);
     bench_pass(1 * MS);
     EXPECT_EQ(bench_status_of(COMMAND_CLEAR, NULL), STATUS_UNSAFE);
@@ -95,7 +96,10 @@ static void an_interlock_fault_is_cleared_only_once_it_is_closed(void)
     EXPECT_EQ(bench_status_of(COMMAND_CLEAR, NULL), STATUS_OK);
     EXPECT_EQ(bench_status().state & (STATE_LAMPS_ARMED | STATE_MICROWAVE_ARMED), 0);  // nothing is armed by it
     bench_arm(both);
+    bench_forget();
     EXPECT_EQ(start_train(1), STATUS_OK);
+    bench_pass(1 * MS);
+    EXPECT_EQ(bench_take(EVENT_BURST_DONE)->payload[EVENT_BURST_DONE_LENGTH - 1U], FAULT_NONE);
 }
 
 static void an_interlock_that_opens_while_nothing_is_armed_is_no_fault(void)
