@@ -170,7 +170,7 @@ def _read_table(folder: Path) -> tuple[ScanFrame, ...]:
     except UnicodeDecodeError:
         raise AnnulusError(f"{table}: not a text file. Expected {','.join(COLUMNS)}.") from None
     except csv.Error as error:
-        raise AnnulusError(f"{table}: line {rows.line_num}: {error}.") from None
+        raise AnnulusError(f"{table}: line {rows.reader.line_num}: {error}.") from None
     if not frames:
         raise AnnulusError(f"{table}: lists no frames. Expected at least one line below {','.join(COLUMNS)}.")
     return tuple(frames)

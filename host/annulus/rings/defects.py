@@ -38,6 +38,7 @@ class Limits:
     rim_of_seed: float = 0.5  # .. and this part of the core's limit
     extent_of_depth: float = 0.25  # its extent is where it departs by this part of its depth: edges blur outwards
     size_of_radius: float = 0.04  # smaller than this both ways is not resolved (3 mm in a 6-inch pipe)
+    edge_of_radius: float = 0.065  # along the pipe, what a step's edge is blurred over: a slit's width on the wall
     join_of_radius: float = 0.05  # places of a kind this close are one (4 mm)
     shadow_of_radius: float = 0.22  # .. and this close when what lies between was not seen (a rod's shadow)
     saddle: float = 0.5  # two peaks are two defects when the way between them falls below this part of the lesser
@@ -135,7 +136,7 @@ def find_defects(wall: Wall, *, blind_ratio: float, limits: Limits | None = None
         parts += [_Place(kind, place, height) for place in places]
     label = np.zeros(residual.shape, dtype=np.int32)
     found: list[tuple[Defect, BoolArray]] = []
-    for one in _without_edges(parts, wall.seen, cell, limits.size_of_radius * radius):
+    for one in _without_edges(parts, wall.seen, cell, radius, limits):
         depth, floor_seen = _depth(one)
         core = _without_holes(one.mask & (one.height >= limits.extent_of_depth * depth))
         whole = _with_shadow(_Place(one.kind, core, one.height), unseen, blind_ratio, wall.z_step_mm)
@@ -285,7 +286,7 @@ def _share(whole: BoolArray, peaks: Sequence[BoolArray]) -> list[BoolArray]:
 
 
 def _without_edges(
-    parts: Sequence[_Place], seen: BoolArray, cell: tuple[float, float], reach_mm: float
+    parts: Sequence[_Place], seen: BoolArray, cell: tuple[float, float], radius: float, limits: Limits
 ) -> list[_Place]:
     """Drops or joins places that only line the rim of a larger one or of its shadow.
 
@@ -293,7 +294,7 @@ def _without_edges(
     what surrounds it. What is hemmed in by a larger place and by what that one hides is part of it, or, of the opposite
     sign, an artefact of its edge. The smallest go first.
     """
-    near = max(2, round(reach_mm / max(cell)))
+    near = max(2, round(limits.size_of_radius * radius / max(cell)))
     left = sorted(parts, key=lambda part: np.count_nonzero(part.mask))
     kept: list[_Place] = []
     while left:
@@ -307,13 +308,18 @@ def _without_edges(
         for k in touching:
             larger |= left[k].mask
         sound = float((halo & seen & ~larger).sum()) / max(float(halo.sum()), 1.0)
-        if not touching or sound >= 0.5:
+        host = max(touching, key=lambda k: np.count_nonzero(left[k].mask & halo), default=None)
+        if host is None or (sound >= 0.5 and not _is_ripple(small, left[host], cell, limits.edge_of_radius * radius)):
             kept.append(small)
-            continue
-        host = max(touching, key=lambda k: np.count_nonzero(left[k].mask & halo))
-        if left[host].kind is small.kind:
+        elif left[host].kind is small.kind:
             left[host] = _Place(small.kind, left[host].mask | small.mask, small.height)
     return kept
+
+
+def _is_ripple(small: _Place, large: _Place, cell: tuple[float, float], edge_mm: float) -> bool:
+    """Whether a place is the swing to the other side that a step leaves within a slit's width of its edge."""
+    short = np.count_nonzero(small.mask.any(axis=1)) * cell[0] <= edge_mm
+    return bool(short and small.kind is not large.kind and _depth(small)[0] < 0.6 * _depth(large)[0])
 
 
 def _with_shadow(place: _Place, unseen: BoolArray, blind_ratio: float, z_step: float) -> BoolArray:

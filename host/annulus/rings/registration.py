@@ -64,7 +64,7 @@ def _aligned(profile: Profile, wall: Wall) -> Profile:
 
 def _biweight(design: FloatArray, value: FloatArray) -> FloatArray | None:
     """Tukey's biweight regression; None when fewer than half of the points agree with what it finds."""
-    fit = np.zeros(design.shape[1])
+    fit: FloatArray = np.zeros(design.shape[1])
     for _ in range(8):
         residual = value - design @ fit
         scale = max(1.4826 * float(np.median(np.abs(residual))), 0.02)
@@ -74,5 +74,5 @@ def _biweight(design: FloatArray, value: FloatArray) -> FloatArray | None:
         normal = weighted.T @ design
         if np.linalg.cond(normal) > 1e6:
             return None
-        fit = np.linalg.solve(normal, weighted.T @ value)
+        fit = np.asarray(np.linalg.solve(normal, weighted.T @ value))
     return fit if (weight > 0).mean() >= 0.5 else None
