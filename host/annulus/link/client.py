@@ -16,7 +16,7 @@ from typing import Protocol, Self, TypeVar
 import serial
 
 from annulus.link.codec import Corrupt
-from annulus.link.head import refusal, schema_problem
+from annulus.link.head import PING_NS, refusal, schema_problem
 from annulus.link.messages import Command, IdentifyReply, Ping, Reply, StatusCode
 from annulus.link.session import Answer, Happening, Session, Unanswered, identify
 from annulus.vocabulary import AnnulusError
@@ -96,6 +96,7 @@ class Client:
         """Open and identify. `diagnostics`: a controller with another schema is accepted (it will refuse to arm)."""
         self.session = Session()
         self.dropped = 0  # happenings nobody polled
+        self._next_ping_ns = 0
         self._happenings: deque[Happening] = deque(maxlen=HAPPENINGS_MAX)
         self._port = Port(url)
         try:
@@ -146,8 +147,13 @@ class Client:
                 return happenings
 
     def keep_alive(self) -> None:
-        """A ping whose answer nobody waits for: the controller goes dark when it hears nothing for its host timeout."""
-        if not self.session.backlog:
+        """A ping whose answer nobody waits for, at most every PING_NS; call it as often as you like.
+
+        The controller goes dark when it hears nothing for its host timeout.
+        """
+        now = time.monotonic_ns()
+        if now >= self._next_ping_ns and not self.session.backlog:
+            self._next_ping_ns = now + PING_NS
             self.session.send(Ping())
 
     def close(self) -> None:

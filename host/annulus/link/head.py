@@ -27,7 +27,6 @@ from annulus.link.messages import (
     Edge,
     Fault,
     FaultCode,
-    Identify,
     IdentifyReply,
     Ping,
     PingReply,
@@ -44,13 +43,14 @@ PING_NS = 97_300_000  # no multiple of a frame period, so samples fall everywher
 QUICK_PING_NS = 4_000_000  # until the clock is locked
 STATUS_NS = 1_013_000_000
 RETRY_NS = 150_000_000  # after a refusal or a silence that may pass
+MISMATCH_NS = 1_000_000_000  # between two looks whether the controller has been flashed anew
 EDGES_WAITING_MAX = 64  # for the clock to lock
 LATCHING = (FaultCode.INTERLOCK, FaultCode.HOST_TIMEOUT, FaultCode.WATCHDOG, FaultCode.LIMIT)
 MENDABLE = (StatusCode.BAD_STATE, StatusCode.UNSAFE)  # may pass by itself: tried again
 
 
 class Phase(StrEnum):
-    """How far the controller is. REFUSED and MISMATCH stay until the configuration or the firmware changes."""
+    """How far the controller is. REFUSED and MISMATCH last until the configuration or the firmware changes."""
 
     SEARCHING = "searching"
     DISARMING = "disarming"
@@ -122,6 +122,7 @@ class HeadControl:
         self.status: StatusReply | None = None  # the last one heard
         self.life = 0
         self.rearms = 0  # times the lamps were armed again after a reset or fault
+        self.edges_unplaced = 0  # heard, but there was no clock map to place them with
         self._configuration = configuration
         self._armed = armed
         self._generation = 0
@@ -192,7 +193,7 @@ class HeadControl:
     def _step(self) -> Command | None:
         """The command that the present phase waits for."""
         match self.phase:
-            case Phase.SEARCHING:
+            case Phase.SEARCHING | Phase.MISMATCH:
                 return identify()
             case Phase.DISARMING:
                 return Arm(ArmFlag(0))
@@ -222,12 +223,13 @@ class HeadControl:
         self._next_step_ns = 0
         if isinstance(answer.command, Arm):
             self._news.append(LampsCut(self._step_sent_ns, now, "arming changed"))
+        if isinstance(answer.reply, IdentifyReply):
+            self._identified(answer.reply, now)
+            return
         if answer.reply.status is not StatusCode.OK:
             self._refused(answer, now)
             return
         match answer.command:
-            case Identify():
-                self._identified(answer.reply, now)
             case Arm(outputs) if ArmFlag.LAMPS in outputs:
                 self.rearms += self._has_run
                 self._has_run = True
@@ -247,12 +249,12 @@ class HeadControl:
                 self._cleared = True
                 self._enter(Phase.ARMING if self._armed and self._committed else Phase.DISARMING)
 
-    def _identified(self, reply: object, now: int) -> None:
-        assert isinstance(reply, IdentifyReply)
+    def _identified(self, reply: IdentifyReply, now: int) -> None:
         self.identity = reply
         self._next_ping_ns = self._next_status_ns = now
         problem = schema_problem(reply)
         if problem:
+            self._next_step_ns = now + MISMATCH_NS
             self._enter(Phase.MISMATCH, problem)
         else:
             self._enter(Phase.DISARMING)
@@ -281,9 +283,12 @@ class HeadControl:
                 self._advance(happening, now)
             case Answer() if isinstance(happening.reply, StatusReply):
                 self._check(happening.reply)
+            case Unanswered() if self.phase is Phase.MISMATCH and happening.ticket != self._waiting:
+                pass  # its layout may differ from ours
             case Unanswered() if self.phase is not Phase.SEARCHING or happening.ticket == self._waiting:
                 self._restart_steps(Phase.SEARCHING, f"no answer to {type(happening.command).__name__.lower()}")
             case Heard(event, _, boot, received_ns) if isinstance(event, Edge):
+                self.edges_unplaced += len(self._early) == EDGES_WAITING_MAX  # the oldest gives way
                 self._early.append((event, boot, received_ns))
                 if self.phase is Phase.RUNNING and EdgeFlag.DISARMED in event.flags:
                     self._next_status_ns = 0  # stale, or a fault we did not hear of
@@ -314,6 +319,8 @@ class HeadControl:
             if host_ns is not None:
                 error_ns = self.clock.error_ns(host_ns) or 0
                 yield EdgeSeen(flash_from(edge, tick, boot), host_ns, error_ns, self.life)
+            else:
+                self.edges_unplaced += 1
 
     def _faulted(self, event: Fault, now: int) -> None:
         moment = self.clock.to_host(self.clock.extend(event.tick, now))
@@ -331,6 +338,7 @@ class HeadControl:
             self._restart_steps(Phase.SEARCHING, "the controller restarted")
 
     def _forget_edges(self) -> None:
+        self.edges_unplaced += len(self._early)
         self._early.clear()
 
 

@@ -113,6 +113,8 @@ class ScriptedController:
         match command:
             case Identify():
                 self._kept.clear()
+                if command.schema != self.schema:
+                    ok = (StatusCode.SCHEMA, 0)
                 return IdentifyReply(
                     *ok, PROTOCOL_VERSION, self.schema, self.boot, BootCause.POWER_ON, 100_000_000, b"deadbeef",
                     b"scripted", 2_000_000, 500, 30, 3000,

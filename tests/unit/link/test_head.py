@@ -3,7 +3,19 @@
 from scripted_controller import ScriptedController
 
 from annulus.link.head import EdgeSeen, HeadControl, LampsCut, News, Phase, PhaseChanged
-from annulus.link.messages import Arm, ArmFlag, Commit, Edge, Fault, FaultCode, Identify, Ping, Stage, StatusCode
+from annulus.link.messages import (
+    SCHEMA_HASH,
+    Arm,
+    ArmFlag,
+    Commit,
+    Edge,
+    Fault,
+    FaultCode,
+    Identify,
+    Ping,
+    Stage,
+    StatusCode,
+)
 from annulus.vocabulary import EdgeFlag, Lamp
 
 MS = 1_000_000
@@ -85,7 +97,7 @@ def test_edges_of_a_life_that_ended_before_its_clock_locked_are_never_placed() -
     bench.run(1)
     bench.controller.reset()
     bench.run(50)
-    assert bench.all(EdgeSeen) == []
+    assert bench.all(EdgeSeen) == [] and bench.head.edges_unplaced == 1
 
 
 def test_a_latched_fault_is_cleared_and_the_lamps_armed_again() -> None:
@@ -138,6 +150,9 @@ def test_another_schema_is_never_armed_but_still_asked_for_its_state() -> None:
     assert bench.head.phase is Phase.MISMATCH and "12345678" in bench.head.problem
     assert not any(isinstance(c, Arm | Stage) for c in bench.controller.executed)
     assert bench.head.status is not None
+    bench.controller.schema = SCHEMA_HASH  # it has been flashed
+    bench.run(1100)
+    assert bench.head.phase is Phase.RUNNING
 
 
 def test_disarming_holds_until_asked_otherwise() -> None:
