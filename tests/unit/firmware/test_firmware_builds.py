@@ -1,5 +1,6 @@
 """Builds the core for this machine and runs its C tests, its coverage and its fuzzer. The build folder is the cache."""
 
+import fcntl
 import json
 import shutil
 import subprocess
@@ -12,9 +13,11 @@ GCOVR = shutil.which("gcovr") or str(FIRMWARE.parent / ".venv/bin/gcovr")
 
 
 def make(*arguments: str) -> str:
-    run = subprocess.run(
-        ["make", "-C", str(FIRMWARE), "--no-print-directory", *arguments], capture_output=True, text=True, check=False
-    )
+    command = ["make", "-C", str(FIRMWARE), "--no-print-directory", *arguments]
+    (FIRMWARE / "build").mkdir(exist_ok=True)
+    with (FIRMWARE / "build/.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)  # two test runs in one tree share the cache, coverage counters included
+        run = subprocess.run(command, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stdout + run.stderr
     return run.stdout
 
