@@ -12,7 +12,7 @@ CLOSE = 2e-4  # the robust fit ends here, radians or parts of the radius; least 
 KEEP = 3.0  # trimmed least squares keeps residuals within this many sigma
 LEAST_POINTS = 40
 LEAST_TURN = 0.4  # of the way round must have points, or a circle is a guess
-WORST_SPREAD = 0.05  # of the radius; beyond it this is no pipe of that radius
+WORST_SPREAD = 0.08  # of the radius; beyond it this is no pipe of that radius
 SHAPE_PRIOR = 1e-3  # see _step
 LEAST_KEPT = 0.4  # part of the points that must lie on the cylinder
 

@@ -1,0 +1,149 @@
+"""Frames with known truth through the whole method."""
+
+import json
+import runpy
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from drawn import PIPE_MM, Paint, calibration, draw
+
+from annulus.geometry.calibration import Calibration
+from annulus.geometry.pose import Pose
+from annulus.rings.reconstructor import Reconstructor
+from annulus.vocabulary import AnnulusError
+
+POSE = Pose(np.radians(1.7), np.radians(-1.2), 2.0, -1.5)
+ELEVEN = {"colours": "RRGBRBBGGRGB", "theta_deg": tuple(np.linspace(37.0, 60.0, 11))}
+PIPE_A = Path(__file__).resolve().parents[4] / "shared" / "scenes" / "pipe-a"
+
+
+def oval_with_dent(phi, z):
+    return PIPE_MM + 1.2 * np.cos(2 * phi) - 2.5 * np.exp(-(((z - 105) / 14) ** 2) - ((phi - 1.0) / 0.3) ** 2)
+
+
+def errors(profile, radius=None):
+    x, y, z = profile.points_mm.T.astype(float)
+    truth = radius(np.arctan2(y, x), z) if radius else PIPE_MM
+    return np.hypot(x, y) - truth
+
+
+@pytest.fixture(scope="module")
+def plain():
+    cal = calibration()
+    return cal, draw(cal, POSE, paint=Paint(supersample=2, noise=1.5), slit_px=5.0)
+
+
+def test_a_clean_pipe_is_found_and_measured(plain):
+    cal, image = plain
+    profile = Reconstructor(cal).profile(image, frame=3, z_mm=100.0)
+    assert profile.pose is not None and profile.frame == 3
+    assert np.degrees(abs(profile.pose.rx - POSE.rx)) < 0.05 and np.degrees(abs(profile.pose.ry - POSE.ry)) < 0.05
+    assert abs(profile.pose.tx - POSE.tx) < 0.08 and abs(profile.pose.ty - POSE.ty) < 0.08
+    error = errors(profile)
+    assert len(error) > 0.97 * 5 * 720
+    assert np.sqrt(np.mean(error**2)) < 0.15 and np.abs(error).max() < 1.5  # 1 px is 2 mm on the innermost ring here
+    assert abs(error.mean()) < 0.03
+    # z is the station plus the way ahead, and each ring stands where its cone meets the wall
+    for k, cone in enumerate(cal.rings):
+        z = profile.points_mm[profile.ring == k, 2].mean() - 100.0
+        assert abs(z - (PIPE_MM / np.tan(cone.half_angle) + cone.vertex_mm[2])) < 2.0
+
+
+@pytest.mark.parametrize(
+    ("model", "pattern", "slit_px"),
+    [("fisheye", {}, 5.0), ("barrel", ELEVEN, 3.5)],
+    ids=["fisheye", "distorted, eleven slits"],
+)
+def test_an_oval_dented_pipe_is_measured_through_any_lens(model, pattern, slit_px):
+    cal = calibration(model, scale=0.55, **pattern)
+    image = draw(cal, POSE, oval_with_dent, Paint(supersample=2, noise=2.0, bayer=True), slit_px)
+    profile = Reconstructor(cal).profile(image, frame=0, z_mm=0.0)
+    error = errors(profile, oval_with_dent)
+    assert len(error) > 0.95 * len(cal.rings) * 720
+    assert np.sqrt(np.mean(error**2)) < 0.2
+    assert (np.abs(error) > 2.0).sum() == 0
+
+
+def test_a_yellow_pipe_that_swallows_blue_is_measured():
+    cal = calibration(scale=0.5)
+    yellow = Paint(light=((200, 12, 1), (14, 160, 6), (2, 14, 36)), supersample=2, noise=1.5, bayer=True)
+    error = errors(Reconstructor(cal).profile(draw(cal, POSE, None, yellow, 5.0), frame=0, z_mm=0.0))
+    assert len(error) > 0.9 * 5 * 720
+    assert np.sqrt(np.mean(error**2)) < 0.2 and (np.abs(error) > 2.0).sum() == 0
+
+
+def test_behind_a_rod_there_is_nothing(plain):
+    cal, image = plain
+    grid_x, grid_y = np.meshgrid(np.arange(image.shape[1]), np.arange(image.shape[0]))
+    angle = np.arctan2(grid_y - cal.camera.cy, grid_x - cal.camera.cx)
+    shaded = image.copy()
+    shaded[np.abs(angle - 1.0) < 0.12] = 3
+    profile = Reconstructor(cal).profile(shaded, frame=0, z_mm=0.0)
+    seen = np.arctan2(profile.points_mm[:, 1], profile.points_mm[:, 0])
+    assert not (np.abs(seen - 1.0) < 0.08).any()
+    assert np.abs(errors(profile)).max() < 1.5
+    assert len(profile.ring) > 0.93 * 5 * 720 * (1 - 0.24 / (2 * np.pi))
+
+
+def test_a_wrong_seed_changes_nothing(plain):
+    cal, image = plain
+    reconstructor = Reconstructor(cal)
+    first = reconstructor.profile(image, frame=0, z_mm=0.0)
+    again = reconstructor.profile(image, frame=0, z_mm=0.0, seed=Pose(-0.06, 0.06, -6.0, 6.0))
+    assert again.pose is not None and first.pose is not None
+    assert abs(again.pose.rx - first.pose.rx) < 1e-4 and abs(again.pose.tx - first.pose.tx) < 0.02
+    assert abs(len(again.ring) - len(first.ring)) < 20
+
+
+def test_frames_without_rings_have_no_pose_and_no_points(plain):
+    cal, image = plain
+    rng = np.random.default_rng(8)
+    dark = rng.normal(4, 2, image.shape).clip(0, 255).astype(np.uint8)
+    led = np.clip(120 + rng.normal(0, 4, image.shape), 0, 255).astype(np.uint8)
+    texture = cv2.GaussianBlur(rng.uniform(0, 255, image.shape), (0, 0), 3)
+    texture = np.clip((texture - texture.mean()) * 12 + 120, 0, 255).astype(np.uint8)
+    for frame in (dark, led, texture, np.zeros_like(image), np.full_like(image, 255)):
+        profile = Reconstructor(cal).profile(frame, frame=0, z_mm=0.0)
+        assert profile.pose is None and len(profile.points_mm) == 0 and "no pipe" in profile.rejected
+
+
+def test_an_image_of_another_size_is_refused_in_one_line(plain):
+    cal, _ = plain
+    with pytest.raises(AnnulusError, match="800x600 but the calibration's camera is 832x616"):
+        Reconstructor(cal).profile(np.zeros((600, 800, 3), np.uint8), frame=0, z_mm=0.0)
+    with pytest.raises(AnnulusError, match="directions"):
+        Reconstructor(cal, directions=2)
+
+
+def test_the_same_frame_gives_the_same_profile(plain):
+    cal, image = plain
+    a, b = (Reconstructor(cal).profile(image, frame=0, z_mm=0.0) for _ in range(2))
+    assert (a.points_mm == b.points_mm).all() and a.pose == b.pose
+
+
+@pytest.mark.skipif(not PIPE_A.is_dir(), reason="../shared is not here")
+def test_the_ray_traced_pipe_is_measured_as_promised(tmp_path):
+    score = runpy.run_path(str(PIPE_A.parent / "score.py"))["score"]
+    reconstructor = Reconstructor(Calibration.from_dict(json.loads((PIPE_A / "calibration.json").read_text())))
+    pose, rows = None, []
+    for line in (PIPE_A / "frames.csv").read_text().split()[1:]:
+        index, name, light, z_mm = line.split(",")
+        if light == "projector":
+            image = np.asarray(cv2.imread(str(PIPE_A / name)))
+            profile = reconstructor.profile(image, frame=int(index), z_mm=float(z_mm), seed=pose)
+            pose = profile.pose
+            rows.append(np.column_stack([profile.points_mm, profile.ring]).astype("<f4"))
+    cloud = np.concatenate(rows)
+    header = "".join(f"property float {name}\n" for name in ("x", "y", "z", "ring"))
+    ply = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(cloud)}\n{header}end_header\n"
+    (tmp_path / "cloud.ply").write_bytes(ply.encode() + cloud.tobytes())
+    result = score(str(tmp_path / "cloud.ply"), str(PIPE_A / "truth.json"))
+    assert result["rms_mm"] <= 0.10
+    assert result["gross_over_2mm_percent"] <= 0.01
+    assert result["points_per_slit_direction"] >= 0.94
+    pocket, bump, groove = result["defects"]
+    assert abs(pocket["measured_mm"] - pocket["true_mm"]) < 0.05
+    assert abs(bump["measured_mm"] - bump["true_mm"]) < 0.1
+    assert abs(groove["measured_mm"] - groove["true_mm"]) < 0.05
