@@ -61,6 +61,9 @@ static void send(const uint8_t* const bytes, const size_t size, const bool frame
         for (size_t i = 2; (i < size) && (i < sizeof body); i++) {
             body[i] = bytes[i];
         }
+        if ((layout->id == COMMAND_IDENTIFY) && ((body[1] & 1U) == 0U)) {  // or a new schema would lock the corpus out
+            command_identify_pack(&(command_identify_t){.protocol = PROTOCOL_VERSION, .schema = SCHEMA_HASH}, body + 2);
+        }
         uint8_t wire[PROTOCOL_MAX_WIRE];
         native_serial_write(wire, link_frame(body, 2U + layout->length, layout->schema, wire));
     } else {
