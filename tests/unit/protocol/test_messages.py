@@ -112,3 +112,12 @@ def test_a_value_too_large_for_its_field_is_one_clear_line() -> None:
         messages.Commit(generation=256).pack()
     with pytest.raises(AnnulusError, match="33 bytes where 32 fit"):
         messages.Pattern(length=256, chips=bytes(33)).pack()
+
+
+def test_the_bytes_shown_in_the_readme_are_right() -> None:
+    prose = (PROTOCOL / "README.md").read_text()
+    right = next(line for line in prose.splitlines() if line.strip().startswith("right"))
+    wire = bytes.fromhex(right.split("body")[0].split("right")[1])
+    body = bytes([messages.Commit.ID, 16]) + messages.Commit(generation=1).pack()
+    assert unstuff(wire) == body + crc16(body + bytes([messages.Commit.SCHEMA_BYTE])).to_bytes(2, "little")
+    assert f"schema byte {messages.Commit.SCHEMA_BYTE:#04x}" in prose
