@@ -281,7 +281,7 @@ def _half(wall: Wall, rgb: Image, rows: slice, clock_deg: float) -> bytes:
         for z, shift in ((first, -1), (last, 1)):
             x, y = at(clock, z, 1.0)
             axes.text(
-                x + 12 * shift, y, clock_face(clock), ha="right" if shift < 0 else "left", va="center", fontsize=5
+                x + 12 * shift, y, clock_face(clock), ha="right" if shift < 0 else "left", va="center", fontsize=10
             )
     step = _round_up((last - first) / 6)
     rim = clock_deg + HALF_DEG  # the nearer of the two rims
@@ -289,7 +289,7 @@ def _half(wall: Wall, rgb: Image, rows: slice, clock_deg: float) -> bytes:
         (x0, y0), (x1, y1) = at(rim, z, 1.0), at(rim, z, 1.06)
         axes.plot([x0, x1], [y0, y1], color=INK, lw=0.5)
         x, y = at(rim, z, 1.13)
-        axes.text(x, y, f"{z:g} mm", ha="center", va="center", fontsize=11, color=FAINT)
+        axes.text(x, y, f"{z:g} mm", ha="center", va="center", fontsize=10, color=FAINT)
     axes.set_xlim(0, width)
     axes.set_ylim(height, 0)
     return _png(figure)

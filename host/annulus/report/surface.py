@@ -36,10 +36,10 @@ def triangulate(wall: Wall) -> tuple[FloatArray, NDArray[np.int32], NDArray[np.i
     fourth = (a >= 0) & (b >= 0) & (d >= 0) & (c < 0)
     triangles = np.concatenate(
         [
-            np.stack([a, b, c], axis=-1)[first | whole],
-            np.stack([b, d, c], axis=-1)[second | whole],
-            np.stack([a, d, c], axis=-1)[third],
-            np.stack([a, b, d], axis=-1)[fourth],
+            np.stack([a, c, b], axis=-1)[first | whole],
+            np.stack([b, c, d], axis=-1)[second | whole],
+            np.stack([a, c, d], axis=-1)[third],
+            np.stack([a, d, b], axis=-1)[fourth],
         ]
     ).astype(np.int32)  # fmt: skip
     t = np.radians(wall.clock_deg)
@@ -66,9 +66,7 @@ class View:
         return np.asarray(flat * self.px_per_mm + [(width - 1) / 2, (height - 1) / 2])
 
 
-def half_view(
-    wall: Wall, colour: Image, rows: slice, clock_deg: float, *, width: int = 1000, height: int = 640
-) -> View:
+def half_view(wall: Wall, colour: Image, rows: slice, clock_deg: float, *, width: int = 840, height: int = 540) -> View:
     """The half of the pipe around a clock angle, from inside and a little ahead; distance runs to the right.
 
     Parameters
@@ -106,16 +104,16 @@ def half_view(
     n_rows = int(np.clip((z[-1] - z[0]) * scale * 1.2, 2, 4000))
     i = np.linspace(0, len(z) - 1, n_rows)
     deviation, seen = _resample(smooth(wall.deviation_mm()[rows]), i, j)
-    t = np.radians((j + 0.5) * wall.clock_step_deg)[None]
+    t = np.radians((j + 0.5) * wall.clock_step_deg)[None].astype(np.float32)
     r = radius + EXAGGERATION * deviation
-    zz = np.broadcast_to((z[0] + i * wall.z_step_mm)[:, None], r.shape)
+    zz = np.broadcast_to((z[0] + i * wall.z_step_mm).astype(np.float32)[:, None], r.shape)
     slope_t = np.clip(np.gradient(r, np.radians(2 * HALF_DEG / steps), axis=1) / r, -3, 3)
     slope_z = np.clip(np.gradient(r, (z[-1] - z[0]) / (n_rows - 1), axis=0), -3, 3)
     sin, cos = np.sin(t), np.cos(t)
     seen &= -sin * forward[0] + cos * forward[1] < 0.0  # what turns its back is the outside of the near rim
     inward = np.stack([-sin + slope_t * cos, cos + slope_t * sin, slope_z], axis=-1)[seen]
-    inward /= np.linalg.norm(inward, axis=1, keepdims=True)
-    points = np.stack([r * sin, -r * cos, zz], axis=-1)[seen] - origin
+    inward /= np.sqrt(np.einsum("ij,ij->i", inward, inward))[:, None]
+    points = np.stack([r * sin, -r * cos, zz], axis=-1)[seen] - origin.astype(np.float32)
     lamp = -(0.75 * forward - 0.5 * down - 0.45 * right)
     shade = 0.50 + 0.49 * np.clip(inward @ (lamp / np.linalg.norm(lamp)), 0.0, 1.0)
     near_row, near_column = np.rint(i).astype(int), np.rint(j).astype(int) % colour.shape[1]
@@ -144,4 +142,4 @@ def _resample(field: NDArray[np.float32], i: FloatArray, j: FloatArray) -> tuple
             ok = np.isfinite(value)
             total += np.where(ok, value, 0.0) * wi * wj * ok
             weight += wi * wj * ok
-    return total / np.maximum(weight, 1e-9), weight >= 0.5
+    return (total / np.maximum(weight, 1e-9)).astype(np.float32), weight >= 0.5
