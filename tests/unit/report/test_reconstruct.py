@@ -1,0 +1,79 @@
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from synthetic_pipe import CALIBRATION
+
+from annulus.record.calibration_file import save_calibration
+from annulus.report import reconstruct as module
+from annulus.report.reconstruct import reconstruct
+from annulus.vocabulary import AnnulusError
+
+FRAMES = 20
+
+
+@pytest.fixture
+def scan(tmp_path: Path) -> Path:
+    """A scan of black frames: right in form, nothing to see."""
+    folder = tmp_path / "scan"
+    folder.mkdir()
+    camera = CALIBRATION.camera
+    lines = ["index,file,light,z_mm"]
+    for i in range(FRAMES):
+        cv2.imwrite(str(folder / f"{i}.jpg"), np.zeros((camera.height, camera.width, 3), np.uint8))
+        lines.append(f"{i},{i}.jpg,{'led' if i % 5 == 4 else 'projector'},{2.0 * i}")
+    (folder / "frames.csv").write_text("\n".join(lines) + "\n")
+    save_calibration(tmp_path / "calibration.json", CALIBRATION)
+    return folder
+
+
+def said(scan: Path, calibration: Path | None = None, out: Path | None = None, workers: int = 1) -> str:
+    with pytest.raises(AnnulusError) as error:
+        reconstruct(scan, calibration or scan.parent / "calibration.json", out or scan.parent / "out", workers=workers)
+    text = str(error.value)
+    assert "\n" not in text
+    return text
+
+
+def test_a_scan_of_darkness_is_one_clear_line(scan: Path) -> None:
+    assert "no wall" in said(scan)
+
+
+def test_a_calibration_for_another_camera_is_one_clear_line(scan: Path) -> None:
+    cv2.imwrite(str(scan / "0.jpg"), np.zeros((480, 640, 3), np.uint8))
+    text = said(scan)
+    assert "416x308" in text and "640x480" in text and "0.jpg" in text
+
+
+def test_a_frame_of_another_size_anywhere_is_named(scan: Path) -> None:
+    cv2.imwrite(str(scan / "13.jpg"), np.zeros((480, 640, 3), np.uint8))
+    assert "13.jpg" in said(scan)
+
+
+def test_a_truncated_frame_is_named_even_from_a_worker_process(scan: Path) -> None:
+    data = (scan / "17.jpg").read_bytes()
+    (scan / "17.jpg").write_bytes(data[: len(data) // 2])
+    text = said(scan, workers=2)
+    assert "17.jpg" in text and "truncated" in text
+
+
+def test_nothing_is_computed_when_the_output_is_a_file(scan: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "_profiles", lambda *_: pytest.fail("worked before looking at the output path"))
+    (scan.parent / "out").write_text("mine")
+    assert "is a file" in said(scan)
+
+
+def test_a_folder_without_calibration_asks_for_one(scan: Path) -> None:
+    with pytest.raises(AnnulusError, match="--calibration"):
+        reconstruct(scan, None, scan.parent / "out")
+
+
+def test_a_missing_calibration_is_named(scan: Path) -> None:
+    assert "nowhere.json" in said(scan, calibration=scan.parent / "nowhere.json")
+
+
+def test_a_scan_without_projector_frames_is_one_clear_line(scan: Path) -> None:
+    table = scan / "frames.csv"
+    table.write_text(table.read_text().replace("projector", "unknown"))
+    assert "none of its 20 frames is labelled projector" in said(scan)
