@@ -662,7 +662,12 @@ def _tiles(world: World) -> tuple[F32, F32, F32, F32, U8]:
     near_high = ndimage.maximum_filter(high, size=size, mode=mode)
     steep = ndimage.maximum_filter(steep, size=size, mode=mode)
     kind = np.where(steep, 3, np.where((near_high > _PLAIN_MM) | (near_low < -_PLAIN_MM), 1, 0)).astype(np.uint8)
-    marked = (paint[:rows] != (np.array(world.albedo) * 255.0 + 0.5).astype(np.uint8)).any(axis=2).reshape(shape).any(axis=(1, 3))
+    marked = (
+        (paint[:rows] != (np.array(world.albedo) * 255.0 + 0.5).astype(np.uint8))
+        .any(axis=2)
+        .reshape(shape)
+        .any(axis=(1, 3))
+    )
     kind |= np.where(ndimage.maximum_filter(marked, size=3, mode=mode), 4, 0).astype(np.uint8)
     bounds = [np.ascontiguousarray(bound, dtype=np.float32) for bound in (low, high, near_low, near_high)]
     return bounds[0], bounds[1], bounds[2], bounds[3], kind

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from annulus.geometry.pose import FloatArray
 from annulus.twin.world import Feature, World
 
-NEAR_EDGE_MM = 1.5  # closer to a step than this the truth jumps; scored apart
+NEAR_EDGE_MM = 1.5  # closer to a step or its shadow than this the truth jumps; scored apart
 GROSS_MM = 2.0
 MATCH_Z_MM, MATCH_DEG = 6.0, 8.0
 
@@ -111,7 +111,7 @@ def score_defects(
             row["error"] = {
                 "z_mm": float(best["z_mm"]) - feature.z_mm,
                 "clock_deg": _clock_error(feature, float(best["clock_deg"])),
-                "depth_mm": float(best["depth_mm"]) - feature.depth_mm,
+                "depth_mm": float(best["depth_mm"]) - truth["depth_mm"],
             }
         rows.append(row)
     return {

@@ -66,22 +66,33 @@ class Feature:
         return np.asarray(self.depth_mm * np.clip(within / self.edge_mm + 0.5, 0.0, 1.0) + 0.0 * around)
 
     def edge_distance_mm(self, clock_deg: FloatArray, z_mm: FloatArray, radius_mm: float) -> FloatArray:
-        """Distance along the wall (mm) to where this feature's radius jumps; infinite for one that fades."""
+        """Distance along the wall (mm) to where this feature's radius jumps; infinite for one that fades.
+
+        Zero where light of the projector, which comes along the pipe, does not reach: the floor behind the near wall,
+        the far rim, the lee of a bump. What is seen there is a shadow's edge and not a slit's.
+        """
         around = np.abs(np.radians(_wrap(clock_deg - self.clock_deg))) * radius_mm
-        along = np.abs(z_mm - self.z_mm) + 0.0 * around
+        along = z_mm - self.z_mm + 0.0 * around
+        half = self.length_mm / 2
         if self.kind == "oval":
             return np.full(along.shape, np.inf)
         if self.kind == "bump":
-            return np.abs(np.hypot(around, along) - self.length_mm / 2)
-        over_z = along - self.length_mm / 2
-        if self.kind == "groove":
-            return np.abs(over_z)
-        over_arc = around - math.radians(self.arc_deg) / 2 * radius_mm
-        outside = np.hypot(np.maximum(over_arc, 0), np.maximum(over_z, 0))
-        return np.where((over_arc < 0) & (over_z < 0), -np.maximum(over_arc, over_z), outside)
+            off_foot = np.hypot(around, along) - half
+            return np.where((off_foot < 3.5 * self.depth_mm) & (along > 0), 0.0, np.abs(off_foot))
+        over_z = np.abs(along) - half
+        over_arc = around - math.radians(self.arc_deg) / 2 * radius_mm if self.kind == "pocket" else over_z - 1e9
+        inside = (over_arc < 0) & (over_z < 0)
+        outside_mm = np.hypot(np.maximum(over_arc, 0), np.maximum(over_z, 0))
+        distance = np.where(inside, -np.maximum(over_arc, over_z), outside_mm)
+        lee = np.where(
+            inside, along + half < 3 * self.depth_mm, (along > -half - 1) & (along < half + 3 * self.depth_mm)
+        )
+        return np.where(lee & (over_arc < 2.0), 0.0, distance)
 
     def as_defect(self, radius_mm: float) -> dict[str, Any]:
-        """The row a perfect defect list would hold for this feature (ARCHITECTURE §7)."""
+        """The row a perfect defect list would hold for this feature (ARCHITECTURE §7); of an oval it is the diameter
+        whose departure counts as depth.
+        """
         return {
             "kind": _DEFECT_KIND[self.kind],
             "z_mm": self.z_mm,
@@ -89,7 +100,7 @@ class Feature:
             "clock": clock_text(self.clock_deg),
             "length_mm": self.length_mm,
             "arc_deg": math.degrees(self.length_mm / radius_mm) if self.kind == "bump" else self.arc_deg,
-            "depth_mm": self.depth_mm,
+            "depth_mm": 2 * self.depth_mm if self.kind == "oval" else self.depth_mm,
         }
 
 
@@ -341,7 +352,7 @@ def demo_world(seed: int = 7, travel_mm: float = 330.0) -> World:
         Feature("pocket", z_mm=180.0, length_mm=32.0, depth_mm=4.0, clock_deg=100.0, arc_deg=26.0),
         Feature("bump", z_mm=214.0, length_mm=26.0, depth_mm=4.0, clock_deg=215.0, arc_deg=20.0),
         Feature("pocket", z_mm=246.0, length_mm=12.0, depth_mm=2.0, clock_deg=330.0, arc_deg=80.0),
-        Feature("oval", z_mm=332.0, length_mm=84.0, depth_mm=2.5, clock_deg=20.0),
+        Feature("oval", z_mm=332.0, length_mm=84.0, depth_mm=1.5, clock_deg=20.0),
     )
     return World(
         pinhole_camera(), demo_projector(), features=features, rods=demo_rods(), travel_mm=travel_mm, seed=seed
