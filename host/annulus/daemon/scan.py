@@ -223,7 +223,7 @@ class Scan:
             stack.callback(self._close_port)
             self._head = HeadControl(_stage(config), armed=False)
             self._identify(config.port)
-        folder = Path(tempfile.mkdtemp(prefix="annulus-"))
+        folder = _socket_folder()
         stack.callback(shutil.rmtree, folder, ignore_errors=True)
         context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         stack.callback(context.destroy, linger=0)
@@ -642,6 +642,18 @@ class Scan:
     def _publish(self, topic: str, body: Mapping[str, Any]) -> None:
         if self._publisher is not None:
             self._publisher.send(topic, body)
+
+
+def _socket_folder() -> Path:
+    """A folder only we can enter, for the sockets to the crews. Sweeps those of daemons that were killed."""
+    place = tempfile.gettempdir()
+    if len(place) > 60:  # a socket's path has at most 107 characters
+        place = "/tmp"
+    for old in Path(place).glob("annulus-*-*"):
+        pid = old.name.split("-")[1]
+        if pid.isdigit() and not Path(f"/proc/{pid}").exists():
+            shutil.rmtree(old, ignore_errors=True)
+    return Path(tempfile.mkdtemp(prefix=f"annulus-{os.getpid()}-", dir=place))
 
 
 def default_workers() -> int:
