@@ -19,8 +19,8 @@ from annulus.rings.slits import find_slits
 from annulus.rings.triangulate import deviations, ring_optics, triangulate
 from annulus.vocabulary import AnnulusError
 
-FIRST_TOLERANCE = 0.45  # of the radius: the head's lean and stand-off are still in the deviation
-WALL_TOLERANCE = 0.3  # and now they are not
+FIRST_TOLERANCE = 0.5  # of the radius: the head's lean and stand-off are still in the deviation
+WALL_TOLERANCE = 0.35  # and now they are not
 NARROW, WIDE = 0.55, 1.7  # of the frame's usual width of that ring: a shadow's edge is no slit
 UNLIKE = 2.0  # a ring's usual width is within this factor of the frame's
 NEIGHBOURS = 4  # a point needs company among so many directions on each side ..
