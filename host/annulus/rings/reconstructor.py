@@ -84,11 +84,15 @@ class Reconstructor:
         marks.append(("triangulate", clock()))
 
         rejected = {"crowded": slits.crowded, "shallow": slits.shallow}
-        deviation = deviations(points, seed or Pose(), pipe)
-        ring = decode(slits.direction, inside, outside, deviation, colours, FIRST_TOLERANCE)
-        marks.append(("decode", clock()))
-        fitted = self._fit(points, ring, seed, every=3)
-        marks.append(("pose", clock()))
+        # A seed far off would make every reading implausible: then once more without.
+        for first in (seed, None) if seed is not None else (None,):
+            deviation = deviations(points, first or Pose(), pipe)
+            ring = decode(slits.direction, inside, outside, deviation, colours, FIRST_TOLERANCE)
+            marks.append(("decode", clock()))
+            fitted = self._fit(points, ring, first, every=3)
+            marks.append(("pose", clock()))
+            if fitted is not None:
+                break
         if fitted is None:
             rejected["no pipe"] = len(ring)
             empty = np.zeros(0, np.uint8)
