@@ -90,6 +90,18 @@ def test_edges_are_placed_in_host_time_also_those_heard_before_the_clock_locked(
     assert abs(seen.host_ns - fell) <= 2 * MS and seen.life == 1 and seen.flash.boot == 7
 
 
+def test_after_a_reset_no_edge_is_placed_by_the_old_lifes_clock() -> None:
+    bench = Bench(HeadControl(STAGE))
+    bench.run(500)
+    bench.controller.reset()
+    bench.run(1)
+    bench.edge(0)
+    fell = bench.now
+    bench.run(40)
+    (seen,) = bench.all(EdgeSeen)
+    assert abs(seen.host_ns - fell) <= 2 * MS and seen.life == 2
+
+
 def test_on_a_line_slower_than_the_labels_need_no_edge_is_placed() -> None:
     bench = Bench(HeadControl(STAGE))
     for number in range(40):
