@@ -193,6 +193,20 @@ def test_disarming_holds_until_asked_otherwise() -> None:
     assert len(arms) == 2
 
 
+def test_every_change_of_arming_is_said_so_that_no_flash_in_it_is_trusted() -> None:
+    bench = Bench(HeadControl(STAGE))
+    bench.run(50)
+    bench.news.clear()
+    bench.head.disarm()
+    start = bench.now
+    bench.run(10)
+    bench.head.arm()
+    bench.run(10)
+    cuts = [cut for cut in bench.all(LampsCut) if cut.why == "arming changed"]
+    assert len(cuts) == 3 and cuts[0].from_ns == start + MS  # off; off again before the new configuration; on
+    assert all(cut.from_ns <= cut.to_ns <= bench.now for cut in cuts)
+
+
 def test_a_dead_line_is_searched_again_and_again_without_piling_up() -> None:
     head = HeadControl(STAGE)
     bench = Bench(head)
