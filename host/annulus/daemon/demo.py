@@ -41,7 +41,10 @@ FPS_MIN = 2.0
 SHARE = 0.75  # of the machine the scan may take; the rest is the desktop's, and for frames that take longer
 OVERHEAD_MS = 12.0  # a frame: two copies, its label, the recorder
 TRAVEL_MM = 330.0  # past every defect of the demo's pipe
-MM_PER_FRAME_MAX = 6.0
+SECONDS = 15.0
+SECONDS_MAX = 60.0
+MM_PER_FRAME = 3.0  # aimed at; a slow machine scans longer for it, when nobody says how long ..
+MM_PER_FRAME_MAX = 6.0  # .. and less of the pipe, when somebody does
 START_PATIENCE_S = 60.0  # from lamps armed to the first labelled frame
 FLASH_AFTER_OPENING_US = 500.0
 BAR_S = 0.1
@@ -66,14 +69,16 @@ class Pace:
 
 
 def run_demo(
-    seconds: float,
+    seconds: float | None,
     out: Path,
     open_report: bool = True,
     console: Console | None = None,
     *,
     world: World | None = None,
 ) -> None:
-    """Scan a simulated pipe for `seconds`, write all results into `out`, and score them against the truth.
+    """Scan a simulated pipe, write all results into `out`, and score them against the truth.
+
+    seconds : of scanning; None: 15, or as many as this machine needs for a frame every 3 mm, 60 at most.
 
     Ctrl-C or SIGTERM at any moment: lamps off, recording closed and readable, no process left; KeyboardInterrupt.
     Raises AnnulusError when something is missing or `out` cannot be written.
@@ -90,14 +95,16 @@ def run_demo(
         webbrowser.open((out / "report.html").absolute().as_uri())
 
 
-def _demo(seconds: float, out: Path, world: World, interrupt: Interrupt, bars: "_Bars", console: Console) -> None:
+def _demo(wish_s: float | None, out: Path, world: World, interrupt: Interrupt, bars: "_Bars", console: Console) -> None:
     begun = time.monotonic()
     prepare_folder(out)
     with interrupt.allowed():
         with bars.spinning("measuring this machine (the first time it compiles for a minute)"):
             pace = measure_pace(world)
         console.print(pace.why)
+    seconds = wish_s or min(max(SECONDS, world.travel_mm / (MM_PER_FRAME * pace.fps)), SECONDS_MAX)
     travel = min(world.travel_mm, MM_PER_FRAME_MAX * pace.fps * seconds)
+    console.print(f"scanning {travel:.0f} mm in {seconds:.0f} s, a frame every {travel / seconds / pace.fps:.1f} mm")
     profiles: list[Profile] = []
     for old in out.glob("scan*.mcap"):
         old.unlink()
