@@ -38,7 +38,7 @@ class Limits:
     rim_of_seed: float = 0.5  # .. and this part of the core's limit
     extent_of_depth: float = 0.25  # its extent is where it departs by this part of its depth: edges blur outwards
     size_of_radius: float = 0.04  # smaller than this both ways is not resolved (3 mm in a 6-inch pipe)
-    edge_of_radius: float = 0.065  # along the pipe, what a step's edge is blurred over: a slit's width on the wall
+    edge_of_radius: float = 0.08  # along the pipe, what a step's edge is blurred over: a slit's width on the wall
     join_of_radius: float = 0.05  # places of a kind this close are one (4 mm)
     shadow_of_radius: float = 0.22  # .. and this close when what lies between was not seen (a rod's shadow)
     saddle: float = 0.5  # two peaks are two defects when the way between them falls below this part of the lesser
@@ -294,7 +294,9 @@ def _without_edges(
     what surrounds it. What is hemmed in by a larger place and by what that one hides is part of it, or, of the opposite
     sign, an artefact of its edge. The smallest go first.
     """
+    edge_mm = limits.edge_of_radius * radius
     near = max(2, round(limits.size_of_radius * radius / max(cell)))
+    far = max(near, round(edge_mm / max(cell)))
     left = sorted(parts, key=lambda part: np.count_nonzero(part.mask))
     kept: list[_Place] = []
     while left:
@@ -302,14 +304,17 @@ def _without_edges(
         halo = small.mask
         for _ in range(near):
             halo = _dilate(halo, CORNERS)
+        around = halo
+        for _ in range(far - near):
+            around = _dilate(around, CORNERS)
         halo = halo & ~small.mask
-        touching = [k for k, large in enumerate(left) if (large.mask & halo).any()]
+        touching = [k for k, large in enumerate(left) if (large.mask & around).any()]
         larger = np.zeros_like(halo)
         for k in touching:
             larger |= left[k].mask
         sound = float((halo & seen & ~larger).sum()) / max(float(halo.sum()), 1.0)
-        host = max(touching, key=lambda k: np.count_nonzero(left[k].mask & halo), default=None)
-        if host is None or (sound >= 0.5 and not _is_ripple(small, left[host], cell, limits.edge_of_radius * radius)):
+        host = max(touching, key=lambda k: np.count_nonzero(left[k].mask & around), default=None)
+        if host is None or (sound >= 0.5 and not _is_ripple(small, left[host], cell, edge_mm)):
             kept.append(small)
         elif left[host].kind is small.kind:
             left[host] = _Place(small.kind, left[host].mask | small.mask, small.height)
