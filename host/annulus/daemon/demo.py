@@ -8,6 +8,7 @@ import webbrowser
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -27,10 +28,9 @@ from annulus.record.scan import Scan as RecordedScan
 from annulus.record.scan import open_scan
 from annulus.report.reconstruct import led_frames, stage_medians
 from annulus.report.results import Summary, prepare_folder, write_results
-from annulus.rings.defects import find_defects
+from annulus.rings.defects import Defect
 from annulus.rings.profile import Profile
 from annulus.rings.reconstructor import Reconstructor
-from annulus.rings.wall import build_wall
 from annulus.twin.head import HeadHandle, TwinCamera, start_head, sustainable_fps
 from annulus.twin.score import score
 from annulus.twin.world import World, demo_world
@@ -236,18 +236,15 @@ def _results(
         out, calibration, profiles, led_frames(recorded, calibration, leds, lambda *_: None),
         frames={label.value: report.frames.get(label.value, 0) for label in Label},
         drops={**report.drops, "reconstructed_after_the_scan": len(profiles) - live}, timing_ms=timing,
-        source=f"annulus demo, simulated head, {pace.fps:g} fps", truth=_truth(world, profiles, calibration),
+        source=f"annulus demo, simulated head, {pace.fps:g} fps", truth=partial(_truth, world),
     )  # fmt: skip
 
 
-def _truth(world: World, profiles: Sequence[Profile], calibration: Calibration) -> dict[str, Any]:
+def _truth(world: World, profiles: Sequence[Profile], found: Sequence[Defect]) -> dict[str, Any]:
     """The score against the simulated pipe, the numbers for the report first."""
-    findings = find_defects(
-        build_wall(profiles), blind_ratio=1.0 / math.tan(min(cone.half_angle for cone in calibration.rings))
-    )
     points = np.concatenate([profile.points_mm for profile in profiles])
     rings = np.concatenate([profile.ring for profile in profiles])
-    scored = score(world, points, rings, [asdict(defect) for defect in findings.defects])
+    scored = score(world, points, rings, [asdict(defect) for defect in found])
     cloud, defects = scored["cloud"], scored["defects"]
     numbers = {
         "rms_mm": round(cloud["rms_mm"], 4), "gross_percent": round(cloud["gross_over_2mm_percent"], 4),
