@@ -124,12 +124,15 @@ def _print_summary(summary: Any, out: Path, as_json: bool) -> None:
 
 @app.command(epilog="Example: annulus demo --seconds 12 --out /tmp/demo --no-open")
 def demo(
-    seconds: Annotated[float, typer.Option(min=2.0, max=600.0, help="Length of the scan, s.")] = 15.0,
+    seconds: Annotated[
+        float | None,
+        typer.Option(min=2.0, max=600.0, help="Length of the scan, s. [default: 15, longer on a slow machine]"),
+    ] = None,
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("annulus-demo"),
     open_report: Annotated[bool, typer.Option("--open/--no-open", help="Open the report when done.")] = True,
 ) -> None:
     """The whole main job on a simulated head: scan, label, record, reconstruct, report."""
-    from annulus.daemon.demo import run_demo
+    from annulus.demo import run_demo
 
     run_demo(seconds, out, open_report)
 

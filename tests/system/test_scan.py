@@ -18,8 +18,8 @@ from annulus.capture.camera import HeldRequest
 from annulus.capture.photometry import Light, measure
 from annulus.capture.timing import FrameTiming
 from annulus.daemon.config import CameraConfig, HeadConfig, LampConfig
-from annulus.daemon.demo import demo_config
 from annulus.daemon.scan import Doors, Scan, ScanReport
+from annulus.demo import demo_config
 from annulus.link.client import Client
 from annulus.link.messages import StateFlag, Status
 from annulus.record.recording import Recording, open_recording
