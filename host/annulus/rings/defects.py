@@ -41,7 +41,7 @@ class Limits:
     edge_of_radius: float = 0.08  # along the pipe, what a step's edge is blurred over: a slit's width on the wall
     join_of_radius: float = 0.05  # places of a kind this close are one (4 mm)
     shadow_of_radius: float = 0.22  # .. and this close when what lies between was not seen (a rod's shadow)
-    saddle: float = 0.5  # two peaks are two defects when the way between them falls below this part of the lesser
+    saddle: float = 0.35  # two peaks are two defects when the way between them falls below this part of the lesser
     ovality_percent: float = 0.75  # F1216; 0.5 % accuracy and twice 0.12 % repeatability of certified profilers
     ovality_length_of_radius: float = 0.2  # shorter stretches are not listed
 

@@ -21,7 +21,8 @@ from annulus.vocabulary import AnnulusError
 
 FIRST_TOLERANCE = 0.5  # of the radius: the head's lean and stand-off are still in the deviation
 WALL_TOLERANCE = 0.35  # and now they are not
-NARROW, WIDE = 0.55, 1.7  # of the frame's usual width of that ring: a shadow's edge is no slit
+NARROW, WIDE = 0.7, 1.35  # of the ring's width around there: beyond, a slit is half covered or part of a shadow ..
+WIDTH_NOISE = 4.0  # .. unless widths scatter so much that this many sigma reach farther
 UNLIKE = 2.0  # a ring's usual width is within this factor of the frame's
 NEIGHBOURS = 4  # a point needs company among so many directions on each side ..
 COMPANY = 3  # .. of so many points of its ring ..
@@ -106,7 +107,9 @@ class Reconstructor:
         marks.append(("decode", clock()))
         rejected["colour"] = int(np.count_nonzero((inside == UNKNOWN) | (outside == UNKNOWN)))
         rejected["no ring"] = int(np.count_nonzero(ring == NONE))
-        ring, rejected["width"] = _width_gate(ring, slits.width, len(self._optics.cones))
+        ring, rejected["width"] = _width_gate(
+            ring, slits.direction, slits.width, len(self._optics.cones), self.directions
+        )
         ring, rejected["alone"] = self._company_gate(slits.direction, pipe * (1.0 + deviation), ring)
         marks.append(("gates", clock()))
         pose, spread = self._fit(points, ring, fitted[0]) or fitted
@@ -140,15 +143,34 @@ class Reconstructor:
         return out, int(np.count_nonzero(~good))
 
 
-def _width_gate(ring: NDArray[np.int64], width: FloatArray, rings: int) -> tuple[NDArray[np.int64], int]:
+def _width_gate(
+    ring: NDArray[np.int64], direction: NDArray[np.int64], width: FloatArray, rings: int, directions: int
+) -> tuple[NDArray[np.int64], int]:
+    """Drops slits much narrower or wider than their ring is around there: half covered, or run into a shadow.
+
+    A leaning head sees a ring wider on one side; a mean and a first harmonic over the direction follow that.
+    """
     out = ring.copy()
-    frame = np.median(width[ring != NONE]) if (ring != NONE).any() else 0.0
+    frame = float(np.median(width[ring != NONE])) if (ring != NONE).any() else 0.0
+    turn = direction * (2 * math.pi / directions)
     for k in range(rings):
-        mine = ring == k
-        if mine.any():
-            # Two slits with a dark stripe between them look like one wide one, all the way round.
-            usual = np.clip(np.median(width[mine]), frame / UNLIKE, frame * UNLIKE)
-            out[mine & ((width < NARROW * usual) | (width > WIDE * usual))] = NONE
+        mine = np.flatnonzero(ring == k)
+        if not len(mine):
+            continue
+        # Two slits with a dark stripe between them look like one wide one, all the way round.
+        usual = float(np.clip(np.median(width[mine]), frame / UNLIKE, frame * UNLIKE))
+        basis = np.stack([np.ones(len(mine)), np.cos(turn[mine]), np.sin(turn[mine])], axis=1)
+        ratio = width[mine] / usual
+        expected, spread = np.ones(len(mine)), 0.2
+        for _ in range(3):
+            good = np.abs(ratio - expected) < max(2.5 * spread, 0.05)
+            if good.mean() < 0.5:
+                break
+            expected = basis @ np.linalg.lstsq(basis[good], ratio[good], rcond=None)[0]
+            spread = 1.4826 * float(np.median(np.abs(ratio - expected)))
+        ratio = ratio / np.clip(expected, NARROW, WIDE)
+        slack = min(max(1.0, WIDTH_NOISE * spread / (WIDE - 1.0)), 2.0)
+        out[mine[(ratio < 1.0 - (1.0 - NARROW) * slack) | (ratio > 1.0 + (WIDE - 1.0) * slack)]] = NONE
     return out, int(np.count_nonzero(out != ring))
 
 
