@@ -581,9 +581,8 @@ class Renderer:
         `out` (which a caller with two threads shares between them).
         """
         frame = np.empty((self.height, self.width), np.uint8) if out is None else out
-        gains = [
-            np.ascontiguousarray(np.broadcast_to(np.asarray(g, np.float32), (self.height,))) for g in (projector, led)
-        ]
+        # Copies: a broadcast view is read-only, which numba would compile a second kernel for.
+        gains = [np.array(np.broadcast_to(g, (self.height,)), np.float32) for g in (projector, led)]
         first, last = rows or (0, self.height)
         station = pose.to_pipe(np.zeros((1, 3)), z_mm)[0].astype(np.float32)
         _draw(
