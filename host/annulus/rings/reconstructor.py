@@ -15,7 +15,7 @@ from annulus.rings.decode import NONE, UNKNOWN, classify, decode, readings
 from annulus.rings.polar import polar_grid, unroll
 from annulus.rings.pose import fit_pose
 from annulus.rings.profile import Profile
-from annulus.rings.slits import find_slits
+from annulus.rings.slits import Slits, find_slits
 from annulus.rings.triangulate import deviations, ring_optics, triangulate
 from annulus.vocabulary import AnnulusError
 
@@ -23,6 +23,7 @@ FIRST_TOLERANCE = 0.5  # of the radius: the head's lean and stand-off are still 
 WALL_TOLERANCE = 0.35  # and now they are not
 NARROW, WIDE = 0.7, 1.35  # of the ring's width around there: beyond, a slit is half covered or part of a shadow ..
 WIDTH_NOISE = 4.0  # .. unless widths scatter so much that this many sigma reach farther
+SHADE, SHADE_REACH = 0.5, 2  # a slit has at least this part of its ring's light so many directions to the side
 UNLIKE = 2.0  # a ring's usual width is within this factor of the frame's
 NEIGHBOURS = 4  # a point needs company among so many directions on each side ..
 COMPANY = 3  # .. of so many points of its ring ..
@@ -110,6 +111,7 @@ class Reconstructor:
         ring, rejected["width"] = _width_gate(
             ring, slits.direction, slits.width, len(self._optics.cones), self.directions
         )
+        ring, rejected["shaded"] = _shade_gate(ring, slits, len(self._optics.cones), self.directions)
         ring, rejected["alone"] = self._company_gate(slits.direction, pipe * (1.0 + deviation), ring)
         marks.append(("gates", clock()))
         pose, spread = self._fit(points, ring, fitted[0]) or fitted
@@ -172,6 +174,18 @@ def _width_gate(
         slack = min(max(1.0, WIDTH_NOISE * spread / (WIDE - 1.0)), 2.0)
         out[mine[(ratio < 1.0 - (1.0 - NARROW) * slack) | (ratio > 1.0 + (WIDE - 1.0) * slack)]] = NONE
     return out, int(np.count_nonzero(out != ring))
+
+
+def _shade_gate(ring: NDArray[np.int64], slits: Slits, rings: int, directions: int) -> tuple[NDArray[np.int64], int]:
+    """Drops slits in a shadow's edge: much dimmer than their own ring a step to the side."""
+    kept = np.flatnonzero(ring != NONE)
+    light = np.zeros((rings, directions))
+    light[ring[kept], slits.direction[kept]] = slits.inside[kept].max(axis=1) + slits.outside[kept].max(axis=1)
+    brightest = np.max([np.roll(light, step, axis=1) for step in range(-SHADE_REACH, SHADE_REACH + 1)], axis=0)
+    bad = kept[(light < SHADE * brightest)[ring[kept], slits.direction[kept]]]
+    out = ring.copy()
+    out[bad] = NONE
+    return out, len(bad)
 
 
 def _spans(marks: list[tuple[str, float]]) -> dict[str, float]:
