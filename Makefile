@@ -27,7 +27,8 @@ demo: setup
 # Lint first: it fails fast. Firmware tests need clang's fuzzer and sanitizers, which need.sh installs.
 test: setup lint
 	@tools/need.sh clang libclang-rt
-	$(BIN)/pytest
+	$(BIN)/pytest -n auto --dist loadfile tests/unit
+	$(BIN)/pytest tests/system
 
 lint: setup generated
 	$(BIN)/ruff check .
