@@ -262,7 +262,7 @@ def _account(out: Path, summary: Summary, seconds: float) -> list[str]:
         f"defects    {truth['defects_found']} of {truth['defects_true']} found, {truth['defects_false']} false",
     ]
     lines += [
-        f"           {d.kind:<8} {d.depth_mm:4.1f} mm  at {d.z_mm:5.0f} mm, {d.clock} o'clock" for d in summary.defects
+        f"           {d.kind:<8} {d.depth_mm:4.1f} mm  at {d.z_mm:5.0f} mm, clock {d.clock}" for d in summary.defects
     ]
     names = ("report.html", "summary.json", "cloud.ply", "mesh.ply", "unwrapped.png", "texture.png", "stations.csv")
     lines += [f"{'results' if i == 0 else '':<10} {out / name}" for i, name in enumerate(names)]
