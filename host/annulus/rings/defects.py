@@ -21,7 +21,7 @@ CORNERS = np.ones((3, 3), dtype=bool)
 ALL_ROUND_DEG = 345.0  # an arc longer than this goes all round
 BAND_OVERLAP, BAND_SOUND = 0.6, 0.35  # what makes two places one band: common stations, least sound wall between
 BAND_EDGES, BAND_ASPECT = 3.5, 4.0  # and what a band is: so many edge blurs long at most, so many times as wide
-RIPPLE_EDGES = 1.5  # how long the swing beside a step may be, in edge blurs
+RIPPLE_EDGES = 1.5  # how far from a step, and how long, its swing to the other side may be, in edge blurs
 LEVELS = 24  # how finely the surface is sliced when asked whether a place is one defect or several
 
 
@@ -308,7 +308,7 @@ def _without_edges(
     """
     edge_mm = limits.edge_of_radius * radius
     near = max(2, round(limits.size_of_radius * radius / max(cell)))
-    far = max(near, round(edge_mm / max(cell)))
+    far = max(near, round(RIPPLE_EDGES * edge_mm / max(cell)))
     left = sorted(parts, key=lambda part: np.count_nonzero(part.mask))
     kept: list[_Place] = []
     while left:
