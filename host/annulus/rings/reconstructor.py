@@ -23,6 +23,7 @@ FIRST_TOLERANCE = 0.5  # of the radius: the head's lean and stand-off are still 
 WALL_TOLERANCE = 0.35  # and now they are not
 NARROW, WIDE = 0.7, 1.35  # of the ring's width around there: beyond, a slit is half covered or part of a shadow ..
 WIDTH_NOISE = 4.0  # .. unless widths scatter so much that this many sigma reach farther
+WIDTH_EVERY = 4  # points: what the ring's width is learnt from
 SHADE, SHADE_REACH = 0.5, 2  # a slit has at least this part of its ring's light so many directions to the side
 UNLIKE = 2.0  # a ring's usual width is within this factor of the frame's
 NEIGHBOURS = 4  # a point needs company among so many directions on each side ..
@@ -163,13 +164,17 @@ def _width_gate(
         usual = float(np.clip(np.median(width[mine]), frame / UNLIKE, frame * UNLIKE))
         basis = np.stack([np.ones(len(mine)), np.cos(turn[mine]), np.sin(turn[mine])], axis=1)
         ratio = width[mine] / usual
-        expected, spread = np.ones(len(mine)), 0.2
+        some, values = basis[::WIDTH_EVERY], ratio[::WIDTH_EVERY]  # three numbers do not need every direction
+        fit, spread = np.array([1.0, 0.0, 0.0]), 0.2
         for _ in range(3):
-            good = np.abs(ratio - expected) < max(2.5 * spread, 0.05)
-            if good.mean() < 0.5:
+            off = np.abs(values - some @ fit)
+            good = off < max(2.5 * spread, 0.05)
+            if np.count_nonzero(good) < 0.5 * len(good):
                 break
-            expected = basis @ np.linalg.lstsq(basis[good], ratio[good], rcond=None)[0]
-            spread = 1.4826 * float(np.median(np.abs(ratio - expected)))
+            weighted = some[good]
+            fit = np.linalg.solve(weighted.T @ weighted + 1e-6 * np.eye(3), weighted.T @ values[good])
+            spread = 1.4826 * float(np.median(np.abs(values - some @ fit)))
+        expected = basis @ fit
         ratio = ratio / np.clip(expected, NARROW, WIDE)
         slack = min(max(1.0, WIDTH_NOISE * spread / (WIDE - 1.0)), 2.0)
         out[mine[(ratio < 1.0 - (1.0 - NARROW) * slack) | (ratio > 1.0 + (WIDE - 1.0) * slack)]] = NONE
