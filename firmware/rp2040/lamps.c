@@ -16,7 +16,7 @@
 #define LOOK 5U
 
 // Addresses inside the program.
-enum { HIGH = 0, ARMED = 2, HOLD = 11, LAMP_WIDTH = 29, PROGRAM_LENGTH = 32 };
+enum { HIGH = 0, ARMED = 2, HOLD = 11, LAMP_LOOKS = 22, LAMP_TAKES = 25, LAMP_WIDTH = 29, PROGRAM_LENGTH = 32 };
 
 static const uint16_t program[PROGRAM_LENGTH] = {
     // SYNC: wraps from 1 to 0
@@ -43,10 +43,10 @@ static const uint16_t program[PROGRAM_LENGTH] = {
     MOV_Y_OSR,
     [LAMP_LAST_PULL] = PULL,
     WAIT_FLAG(LOOK),
-    WAIT_PIN_HIGH(PIN_SYNC),
+    [LAMP_LOOKS] = WAIT_PIN_HIGH(PIN_SYNC),
     WAIT_PIN_LOW(PIN_SYNC),
     MOV_ISR_OSR | DELAY(1U),
-    WAIT_FLAG(ACCEPTED),
+    [LAMP_TAKES] = WAIT_FLAG(ACCEPTED),
     PUSH_NO_BLOCK,  // this flash is taken
     [LAMP_DELAY] = JMP_X_DEC(LAMP_DELAY),
     MOV_PINS_OSR,
@@ -207,11 +207,22 @@ static void lamp_execute(const uint32_t instruction)
     REGISTER(PIO_INSTRUCTION(PIO0, LAMP_MACHINE)) = instruction;
 }
 
+// Send the lamp machine back to where it waits for a flash. If it was looking for an edge, it shall look again: SYNC says
+// so only once a hold-off.
+static void lamp_to_idle(const uint32_t at)
+{
+    lamp_execute(JMP(LAMP_IDLE));
+    if ((at >= LAMP_LOOKS) && (at <= LAMP_TAKES)) {
+        lamp_execute(FLAG_SET(LOOK));
+    }
+}
+
 // Whatever the lamp machine does or holds: gone, gates low.
 void board_lamps_cut(void)
 {
     CLEAR_BITS(PIO_CTRL(PIO0)) = PIO_MACHINE(LAMP_MACHINE);
     lamp_execute(MOV_PINS_NULL);
+    const uint32_t at = REGISTER(PIO_ADDRESS(PIO0, LAMP_MACHINE));
     const uint32_t now = board_tick();
     while (board_tick() - now < 50U) {  // until the stamp of an edge just taken is in the ring
     }
@@ -224,7 +235,7 @@ void board_lamps_cut(void)
     }
     lamps.loaded = false;
     SET_BITS(PIO_CTRL(PIO0)) = PIO_RESTART(LAMP_MACHINE);
-    lamp_execute(JMP(LAMP_IDLE));
+    lamp_to_idle(at);
     SET_BITS(PIO_CTRL(PIO0)) = PIO_MACHINE(LAMP_MACHINE);
 }
 
@@ -241,7 +252,7 @@ static void withdraw(void)
         board_lamps_cut();
         return;
     }
-    lamp_execute(JMP(LAMP_IDLE));
+    lamp_to_idle(at);
     while (is_taken()) {
         (void)REGISTER(PIO_RX(PIO0, LAMP_MACHINE));
     }
