@@ -58,7 +58,7 @@ static const uint16_t program[PROGRAM_LENGTH] = {
 // Cycles SYNC spends per accepted edge without counting: 3..10 with a delay, and 13..15 with a delay.
 #define UNCOUNTED_TICKS 12U
 // From the tick read before both machines start to SYNC's first count, less its way from pin to stamp.
-#define STAMP_OFFSET 9U
+#define STAMP_OFFSET 23U
 // Ticks of an accepted edge's dead time that are not in the loop.
 #define HOLDOFF_OVERHEAD 18U
 #define LAMP_WIDTH_MIN_TICKS 2U

@@ -29,7 +29,7 @@ _Static_assert(PROGRAM_LENGTH == ODOMETER_PROGRAM, "the odometer's program lies 
 #define LIST_MAX 256U
 #define LIST_BITS 10U      // of its bytes
 #define LEAD_TICKS 200U    // from the start to the first thing that may happen
-#define START_OFFSET 5U    // from the tick read before the machines start to their first level
+#define START_OFFSET 31U   // from the tick read before the machines start to their first level
 #define PERIOD_MIN_TICKS (BOARD_TRIGGER_TICKS + PIECE_TICKS)
 
 static uint32_t chip_list[LIST_MAX] __attribute__((aligned(1024)));

@@ -103,6 +103,7 @@ export class Machine {
     core.registers[14] = 0;
     core.registers[15] = BOOT2_AT;
     this.heldUntil = this.now + BOOT_ROM_TICKS;
+    this.nextDue = 0;
     this.tickOrigin = undefined;
   }
 
@@ -165,6 +166,7 @@ export class Machine {
 
   readRegister(address) {
     const { chip } = this;
+    if (!this.isTransferring) this.tickClock();
     if (address >>> 12 === 0xe000e) {
       if (address === 0xe000e018) this.tickOrigin ??= this.now; // the controller's tick 0
       return chip.ppb.readUint32(address & 0xfff);
@@ -178,7 +180,7 @@ export class Machine {
       case 0x4000c: return offset === 0 ? this.inReset : offset === 8 ? ~this.inReset & 0x01ffffff : fault('RESETS register');
       case 0x40060: return (this.random = ((this.random ?? 0x2f6e2b1) * 1103515245 + 12345) & 0x7fffffff) >>> 16;
       case 0x40034: return this.uart.readUint32(offset, this.now);
-      case 0x50000: this.sync(); return this.dma.readUint32(offset);
+      case 0x50000: this.sync(); this.nextDue = 0; return this.dma.readUint32(offset);
       case 0x50200: return this.readPio(0, offset);
       case 0x50300: return this.readPio(1, offset);
     }
@@ -187,12 +189,15 @@ export class Machine {
 
   readPio(number, offset) {
     this.sync();
-    this.quietUntil = this.hardwareTick;
+    if (offset >= 0x20 && offset < 0x30) this.quietUntil = this.hardwareTick; // takes a word
+    this.nextDue = 0;
     return this.pios[number].readUint32(offset) >>> 0;
   }
 
   writeRegister(address, value) {
     const { chip } = this;
+    if (!this.isTransferring) this.tickClock();
+    this.nextDue = 0;
     if (address >>> 12 === 0xe000e) return chip.ppb.writeUint32(address & 0xfff, value);
     if (address >>> 16 === 0xd000) return chip.sio.writeUint32(address & 0xffff, value);
     const offset = address & 0xfff;
@@ -302,12 +307,30 @@ export class Machine {
 
   // ---- time ----
 
+  // Let rp2040js' timers catch up; its alarms fire on the way.
+  tickClock() {
+    if (this.clockedAt === this.now) return;
+    const ticks = this.now - this.clockedAt;
+    this.clockedAt = this.now;
+    this.chip.clock.tick(ticks * 10);
+  }
+
+  get alarmTick() {
+    const { clock } = this.chip;
+    return clock.nextAlarm ? this.clockedAt + Math.ceil((clock.nextAlarm.nanos - clock.nanos) / 10) : Infinity;
+  }
+
+  // Up to this tick an instruction may run without anything else happening.
+  findDue() {
+    const quiet = this.quietUntil > this.hardwareTick ? this.quietUntil : this.now;
+    this.nextDue = Math.min(this.inputs.length ? this.inputs[0][0] : Infinity, this.uart.next, this.alarmTick, quiet);
+  }
+
   advance(tick) {
     for (;;) {
       const due = Math.min(this.inputs.length ? this.inputs[0][0] : Infinity, this.uart.next, tick);
       this.now = Math.max(due, this.now);
-      this.chip.clock.tick((this.now - this.clockedAt) * 10);
-      this.clockedAt = this.now;
+      this.tickClock();
       this.runHardware(this.now);
       if (due >= tick && !(this.inputs.length && this.inputs[0][0] <= this.now) && this.uart.next > this.now) break;
       while (this.inputs.length && this.inputs[0][0] <= this.now) {
@@ -334,17 +357,22 @@ export class Machine {
         continue;
       }
       const held = Math.max(this.heldUntil, this.stalledUntil);
-      const { core, clock } = this.chip;
+      const { core } = this.chip;
       if (this.now < held || core.waiting) {
-        const alarm = clock.nextAlarm ? Math.ceil(clock.nextAlarm.nanos / 10) + (this.now - Math.round(clock.nanos / 10)) : Infinity;
+        const alarm = this.alarmTick;
         const wake = this.now < held ? Math.min(held, alarm) : alarm;
         const next = Math.min(wake, until, uart.next, this.inputs.length ? this.inputs[0][0] : Infinity);
         if (next === Infinity) fault('the processor sleeps and nothing will wake it');
         this.advance(Math.max(next, this.now + 1));
+        this.findDue();
       } else {
         const cycles = core.executeInstruction();
         this.usedInstructions++;
-        this.advance(this.now + cycles);
+        if (this.now + cycles < this.nextDue) this.now += cycles;
+        else {
+          this.advance(this.now + cycles);
+          this.findDue();
+        }
       }
     }
   }
