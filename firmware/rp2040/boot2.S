@@ -2,6 +2,7 @@
 // 03h read every serial flash knows, at clk_sys / 4 (25 MHz), then enters the vector table behind it. tools: uf2.py puts
 // the CRC32 into the last word.
 
+    .file "boot2.S"
     .syntax unified
     .cpu cortex-m0plus
     .thumb
