@@ -70,9 +70,9 @@ static const uint16_t program[PROGRAM_LENGTH] = {
 #define QUADRATURE_KEPT 512U
 #define QUADRATURE_RING_BITS 9U
 
-static uint32_t stamps[EDGES_KEPT] __attribute__((aligned(512)));    // SYNC's Y, by DMA
-static uint32_t at_edge[EDGES_KEPT] __attribute__((aligned(512)));   // the odometer channel's count, by DMA
-static uint8_t quadrature[QUADRATURE_KEPT] __attribute__((aligned(512)));
+static volatile uint32_t stamps[EDGES_KEPT] __attribute__((aligned(512)));    // SYNC's Y, by DMA
+static volatile uint32_t at_edge[EDGES_KEPT] __attribute__((aligned(512)));   // the odometer channel's count, by DMA
+static volatile uint8_t quadrature[QUADRATURE_KEPT] __attribute__((aligned(512)));
 static uint8_t tags[EDGES_KEPT];
 
 static struct {

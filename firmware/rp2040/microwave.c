@@ -32,8 +32,8 @@ _Static_assert(PROGRAM_LENGTH == ODOMETER_PROGRAM, "the odometer's program lies 
 #define START_OFFSET 31U   // from the tick read before the machines start to their first level
 #define PERIOD_MIN_TICKS (BOARD_TRIGGER_TICKS + PIECE_TICKS)
 
-static uint32_t chip_list[LIST_MAX] __attribute__((aligned(1024)));
-static uint32_t trigger_list[2] __attribute__((aligned(8)));
+static volatile uint32_t chip_list[LIST_MAX] __attribute__((aligned(1024)));
+static volatile uint32_t trigger_list[2] __attribute__((aligned(8)));
 
 static struct {
     bool enabled;
@@ -185,7 +185,7 @@ static uint32_t write_list(const board_burst_t* const burst, const uint32_t firs
     return (fill == 0U) ? words : 0U;
 }
 
-static void start_channel(const uint32_t channel, const uint32_t machine, const uint32_t* const list,
+static void start_channel(const uint32_t channel, const uint32_t machine, const volatile uint32_t* const list,
                           const uint32_t ring_bits, const uint32_t words)
 {
     REGISTER(DMA_READ(channel)) = (uint32_t)(uintptr_t)list;

@@ -9,7 +9,7 @@
 #define WORDS_PER_STEP 3U
 #define STEP_OVERHEAD 10U
 
-static uint32_t half_period;  // the word, where DMA reads it again and again
+static volatile uint32_t half_period;  // the word, where DMA reads it again and again
 
 static struct {
     int32_t start;

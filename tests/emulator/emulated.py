@@ -92,10 +92,10 @@ class EmulatedBoard:
         self.replies.clear()
         self.send(command)
         end = self.now + within
-        while not self.replies:
+        while not (mine := [reply for reply in self.replies if isinstance(reply, command.REPLY)]):
             assert self.now < end, f"no answer to {command}"
             self.run(self.now + MS // 2)
-        return self.replies[0]
+        return mine[0]
 
     def identify(self) -> IdentifyReply:
         reply = self.request(Identify(protocol=1, schema=SCHEMA_HASH))

@@ -25,6 +25,7 @@ from emulated import (
     configuration,
 )
 
+from annulus.link.codec import Frame, encode
 from annulus.link.messages import (
     Arm,
     ArmFlag,
@@ -263,9 +264,8 @@ def test_no_jitter_under_a_flood_and_a_burst_train(board: EmulatedBoard, edge_co
         some = edges[begin : begin + 250]
         board.input(*[item for edge in some for item in ((edge, SYNC, 0), (edge + 3_000, SYNC, 1))])
         for edge in some[::25]:
-            board.write(rng.randbytes(2_000))  # 20 ms of noise at line speed, and real commands in between
-            board.send(Status())
-            board.send(Ping())
+            for _ in range(50):  # noise at line speed, real commands in between
+                board.write(encode(Frame(Status(), rng.randrange(256))) + rng.randbytes(80) + b"\0")
             board.run(edge + 24 * period)
     board.run(edges[-1] + period)
     rises = sorted(board.rises(PROJECTOR) + board.rises(LED))
@@ -276,7 +276,7 @@ def test_no_jitter_under_a_flood_and_a_burst_train(board: EmulatedBoard, edge_co
     chip0 = board.rises(MICROWAVE)[0]
     assert {(tick - chip0) % 70_000 % 50 for tick in board.rises(MICROWAVE) + board.falls(MICROWAVE)} == {0}
     assert {(tick - chip0) % 70_000 for tick in board.rises(TRIGGER)} == {70_000 - 25}
-    assert len(board.sent) > 0.5 * (board.now - first) / 1_000  # the line out was busy as well
+    assert len(board.sent) > 0.4 * (board.now - first) / 1_000  # the line out was busy as well
     assert board.resets == []
 
 

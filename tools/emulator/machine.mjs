@@ -83,7 +83,10 @@ export class Machine {
     this.watchdog.reason = reason;
     this.watchdog.tickEnable = false;
     this.watchdogFired = false;
-    this.watchdog.onWatchdogTrigger = () => { this.watchdogFired = true; };
+    this.watchdog.onWatchdogTrigger = () => {
+      this.watchdogFired = true;
+      this.watchdog.alarm.enable = false; // rp2040js would fire it again and again in no time
+    };
     chip.clkSys = 100_000_000;
     this.clockedAt = this.now;
     this.hardwareTick = this.now;
@@ -349,6 +352,7 @@ export class Machine {
 
   run(until) {
     const { uart } = this;
+    this.nextDue = 0; // whoever called may have given us inputs
     while (this.now < until) {
       if (this.watchdogFired) {
         this.resets.push(this.now);
