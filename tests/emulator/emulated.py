@@ -36,6 +36,7 @@ class EmulatedBoard:
         self.transitions: list[tuple[int, int, int]] = []
         self.sent: list[tuple[int, int]] = []
         self.events: list[Event] = []
+        self.event_sequences: list[int] = []
         self.replies: list[Reply] = []
         self.resets: list[int] = []
         self.stack = 0  # bytes, the deepest so far
@@ -69,6 +70,7 @@ class EmulatedBoard:
                 self.bad += 1
             elif isinstance(item.message, Event):
                 self.events.append(item.message)
+                self.event_sequences.append(item.sequence)
             else:
                 self.replies.append(item.message)
 

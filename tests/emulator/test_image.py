@@ -523,3 +523,12 @@ def test_a_ping_returns_the_time_its_last_byte_was_taken(board: EmulatedBoard) -
     assert isinstance(reply, PingReply)
     arrived = sent + 1_000 * 7  # bytes of a ping on the line
     assert 0 <= reply.tick + board.origin - arrived <= 20_000
+
+
+def test_event_sequences_have_no_gap(board: EmulatedBoard) -> None:
+    arm(board)
+    for edge in edges_from(board, 6):
+        board.pulse(edge)
+    board.run_alive(board.now + 25_000_000)
+    assert board.event_sequences == list(range(len(board.events)))
+    assert len(board.heard(Edge)) == 6
