@@ -28,10 +28,9 @@ class EmulatorFault(Exception):
 class EmulatedBoard:
     """Ticks of 10 ns since power came on. `rises`, `falls` and `transitions` keep everything the pins ever did."""
 
-    def __init__(self, image: Path = IMAGE) -> None:
-        self._process = subprocess.Popen(
-            ["node", str(EMULATOR), str(image), "--drive"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
+    def __init__(self, image: Path = IMAGE, vcd: Path | None = None) -> None:
+        command = ["node", str(EMULATOR), str(image), "--drive", *(["--vcd", str(vcd)] if vcd else [])]
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         self.now = 0
         self.transitions: list[tuple[int, int, int]] = []
         self.sent: list[tuple[int, int]] = []

@@ -2,7 +2,7 @@
 // Runs the shipped image.
 //
 //   emulate.mjs IMAGE.uf2 --serve PORT [--sync-hz 25] [--vcd FILE]   in real time as far as it can; UART0 as TCP for socket://
-//   emulate.mjs IMAGE.uf2 --drive                                    in virtual time; a JSON object a line on stdin, its answer on stdout
+//   emulate.mjs IMAGE.uf2 --drive [--vcd FILE]                       in virtual time; a JSON object a line on stdin, its answer on stdout
 //
 // Objects: {"op": "run", "until": T} | {"op": "input", "edges": [[tick, pin, level], ..]} | {"op": "write", "hex": ".."}
 //   | {"op": "stall", "ticks": N}. The answer always has now, pins [[tick, pin, level], ..], sent [[tick, byte], ..], resets, stack
@@ -15,7 +15,7 @@ import { Fault, Machine } from './machine.mjs';
 import { VcdWriter } from './vcd.mjs';
 
 function usage(message) {
-  process.stderr.write(`emulate.mjs: ${message}\n  emulate.mjs IMAGE.uf2 --serve PORT [--sync-hz HZ] [--vcd FILE] | --drive\n`);
+  process.stderr.write(`emulate.mjs: ${message}\n  emulate.mjs IMAGE.uf2 --serve PORT [--sync-hz HZ] [--vcd FILE] | --drive [--vcd FILE]\n`);
   process.exit(2);
 }
 
@@ -42,11 +42,12 @@ function answer(machine, op) {
   return { now: machine.now, pins: machine.pins(), sent: machine.read_serial(), resets: machine.resets, stack: machine.stackUsed(), origin: machine.tickOrigin ?? 0 };
 }
 
-function drive(machine) {
-  createInterface({ input: process.stdin }).on('line', (line) => {
+function drive(machine, vcd) {
+  createInterface({ input: process.stdin }).on('close', () => vcd?.end(machine.now)).on('line', (line) => {
     let reply;
     try {
       reply = answer(machine, JSON.parse(line));
+      vcd?.write(reply.pins, reply.sent, reply.now);
     } catch (error) {
       reply = { fault: error instanceof Fault ? error.message : error.stack, now: machine.now, pc: machine.chip.core.PC };
     }
@@ -77,8 +78,8 @@ function serve(machine, port, syncHz, vcd) {
         machine.input(edge + 10_000, 2, 1);
       }
       machine.run(machine.now + STEP);
-      vcd?.write(machine.pins());
       const sent = machine.read_serial();
+      vcd?.write(machine.pins(), sent, machine.now);
       if (client && sent.length) client.write(Buffer.from(sent.map(([, byte]) => byte)));
     }
     if (machine.now < Number(wall)) setImmediate(step);
@@ -99,5 +100,6 @@ try {
   process.exit(1);
 }
 machine.input(0, 7, 0); // interlock closed
-if (given.drive) drive(machine);
-else serve(machine, Number(given.serve), Number(given['sync-hz'] ?? 0), given.vcd && new VcdWriter(createWriteStream(given.vcd)));
+const vcd = given.vcd && new VcdWriter(createWriteStream(given.vcd));
+if (given.drive) drive(machine, vcd);
+else serve(machine, Number(given.serve), Number(given['sync-hz'] ?? 0), vcd);
