@@ -33,8 +33,8 @@ void serial_handler(void);
 
 // Who owns which DMA channel and PIO machine.
 enum { DMA_STAMP = 0, DMA_AT_EDGE = 1, DMA_ODOMETER = 2, DMA_CHIPS = 3, DMA_TRIGGER = 4, DMA_STEPS = 5 };
-enum { SYNC_MACHINE = 0, LAMP_MACHINE = 1, STEP_MACHINE = 2 };                                // PIO0
-enum { CHIP_MACHINE = 0, TRIGGER_MACHINE = 1, ODOMETER_MACHINE = 2, GUARD_MACHINE = 3 };      // PIO1
+enum { SYNC_MACHINE = 0, LAMP_MACHINE = 1, STEP_MACHINE = 2 };                            // PIO0
+enum { CHIP_MACHINE = 0, TRIGGER_MACHINE = 1, ODOMETER_MACHINE = 2, GUARD_MACHINE = 3 };  // PIO1
 
 // Entry points of the programs that more than one file needs: the stage borrows the lamps' pulse.
 enum { LAMP_IDLE = 16, LAMP_LAST_PULL = 20, LAMP_DELAY = 27 };

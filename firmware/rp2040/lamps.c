@@ -1,10 +1,10 @@
 // The sync follower, the lamps and the odometer: two machines of PIO0 and one of PIO1, drained by DMA into rings.
 //
 // SYNC decides which falling edges count. It counts time in Y, one every 20 ns, looks at the pin once in between, and
-// pushes Y at an edge; then it counts the hold-off without looking. LAMP waits for the pin itself, so that a lamp follows
-// its edge by a constant: it starts looking when SYNC says so (flag 5), and fires only when SYNC has accepted the edge
-// (flag 4), which is said early enough never to be waited for. A lamp machine without a flash waits for the FIFO, and the
-// edge passes it by.
+// pushes Y at an edge; then it counts the hold-off without looking. LAMP waits for the pin itself, so that a lamp
+// follows its edge by a constant: it starts looking when SYNC says so (flag 5), and fires only when SYNC has accepted
+// the edge (flag 4), which is said early enough never to be waited for. A lamp machine without a flash waits for the
+// FIFO, and the edge passes it by.
 
 #include "../board.h"
 #include "../core/messages.h"
@@ -70,8 +70,8 @@ static const uint16_t program[PROGRAM_LENGTH] = {
 #define QUADRATURE_KEPT 512U
 #define QUADRATURE_RING_BITS 9U
 
-static volatile uint32_t stamps[EDGES_KEPT] __attribute__((aligned(512)));    // SYNC's Y, by DMA
-static volatile uint32_t at_edge[EDGES_KEPT] __attribute__((aligned(512)));   // the odometer channel's count, by DMA
+static volatile uint32_t stamps[EDGES_KEPT] __attribute__((aligned(512)));   // SYNC's Y, by DMA
+static volatile uint32_t at_edge[EDGES_KEPT] __attribute__((aligned(512)));  // the odometer channel's count, by DMA
 static volatile uint8_t quadrature[QUADRATURE_KEPT] __attribute__((aligned(512)));
 static uint8_t tags[EDGES_KEPT];
 
@@ -120,13 +120,8 @@ int32_t board_odometer(void)
 static void start_odometer(void)
 {
     static const uint16_t counter[] = {
-        MOV_ISR_NULL,
-        IN_PINS(2U),
-        MOV_X_ISR,
-        JMP_X_NOT_Y(ODOMETER_PROGRAM + 4U),
-        MOV_Y_X,
-        PUSH_NO_BLOCK,
-        JMP(ODOMETER_PROGRAM),
+        MOV_ISR_NULL,  IN_PINS(2U),           MOV_X_ISR, JMP_X_NOT_Y(ODOMETER_PROGRAM + 4U), MOV_Y_X,
+        PUSH_NO_BLOCK, JMP(ODOMETER_PROGRAM),
     };
     const uint32_t machine = ODOMETER_MACHINE;
     pin_use(PIN_ODOMETER_A, FUNCTION_SIO, PAD_INPUT | PAD_SCHMITT | PAD_PULL_UP);
@@ -188,8 +183,7 @@ bool board_edge(board_edge_t* const edge)
     }
     const uint32_t index = lamps.reported % EDGES_KEPT;
     decode_until(UINT32_MAX - at_edge[index]);
-    *edge =
-        (board_edge_t){.tick = stamp_tick(lamps.reported), .tag = tags[index], .odometer = odometer.position};
+    *edge = (board_edge_t){.tick = stamp_tick(lamps.reported), .tag = tags[index], .odometer = odometer.position};
     lamps.reported++;
     return true;
 }
@@ -207,8 +201,8 @@ static void lamp_execute(const uint32_t instruction)
     REGISTER(PIO_INSTRUCTION(PIO0, LAMP_MACHINE)) = instruction;
 }
 
-// Send the lamp machine back to where it waits for a flash. If it was looking for an edge, it shall look again: SYNC says
-// so only once a hold-off.
+// Send the lamp machine back to where it waits for a flash. If it was looking for an edge, it shall look again: SYNC
+// says so only once a hold-off.
 static void lamp_to_idle(const uint32_t at)
 {
     lamp_execute(JMP(LAMP_IDLE));

@@ -24,12 +24,12 @@ static const uint16_t program[PROGRAM_LENGTH] = {
 };
 _Static_assert(PROGRAM_LENGTH == ODOMETER_PROGRAM, "the odometer's program lies behind");
 
-#define WORD_TICKS 4U      // the shortest a word can hold
-#define PIECE_TICKS 16U    // words shorter than this are not made when a list is filled up: DMA keeps ahead
+#define WORD_TICKS 4U    // the shortest a word can hold
+#define PIECE_TICKS 16U  // words shorter than this are not made when a list is filled up: DMA keeps ahead
 #define LIST_MAX 256U
-#define LIST_BITS 10U      // of its bytes
-#define LEAD_TICKS 200U    // from the start to the first thing that may happen
-#define START_OFFSET 31U   // from the tick read before the machines start to their first level
+#define LIST_BITS 10U     // of its bytes
+#define LEAD_TICKS 200U   // from the start to the first thing that may happen
+#define START_OFFSET 31U  // from the tick read before the machines start to their first level
 #define PERIOD_MIN_TICKS (BOARD_TRIGGER_TICKS + PIECE_TICKS)
 
 static volatile uint32_t chip_list[LIST_MAX] __attribute__((aligned(1024)));

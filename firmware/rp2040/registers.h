@@ -70,7 +70,7 @@ enum { IRQ_TIMER0 = 0, IRQ_IO_BANK0 = 13, IRQ_UART0 = 20 };
 // ---- pins (2.19, 2.3.1) ----
 #define GPIO_CTRL(pin) (0x40014004U + 8U * (pin))
 enum { FUNCTION_UART = 2, FUNCTION_SIO = 5, FUNCTION_PIO0 = 6, FUNCTION_PIO1 = 7 };
-#define IO_INTR0 0x400140F0U       // four bits a pin, pins 0..7; edges latch until written
+#define IO_INTR0 0x400140F0U  // four bits a pin, pins 0..7; edges latch until written
 #define IO_PROC0_INTE0 0x40014100U
 #define EDGE_LOW(pin) (4U << (4U * (pin)))
 #define EDGE_HIGH(pin) (8U << (4U * (pin)))

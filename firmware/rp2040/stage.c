@@ -47,8 +47,8 @@ void board_stage_move(const int32_t position, const uint32_t period_ticks, const
         REGISTER(DMA_READ(DMA_STEPS)) = (uint32_t)(uintptr_t)&half_period;
         REGISTER(DMA_WRITE(DMA_STEPS)) = PIO_TX(PIO0, STEP_MACHINE);
         REGISTER(DMA_COUNT(DMA_STEPS)) = words;
-        REGISTER(DMA_CTRL_TRIGGER(DMA_STEPS)) = DMA_QUIET | DMA_REQUEST(DREQ_PIO_TX(0U, STEP_MACHINE)) |
-                                                DMA_CHAIN(DMA_STEPS) | DMA_WORDS | DMA_ENABLE;
+        REGISTER(DMA_CTRL_TRIGGER(DMA_STEPS)) =
+            DMA_QUIET | DMA_REQUEST(DREQ_PIO_TX(0U, STEP_MACHINE)) | DMA_CHAIN(DMA_STEPS) | DMA_WORDS | DMA_ENABLE;
     }
 }
 
@@ -65,7 +65,8 @@ int32_t board_stage_position(void)
     if (!motor.moving) {
         return motor.start;
     }
-    const uint32_t waiting = REGISTER(DMA_COUNT(DMA_STEPS)) + ((REGISTER(PIO_FLEVEL(PIO0)) >> (8U * STEP_MACHINE)) & 0xFU);
+    const uint32_t waiting =
+        REGISTER(DMA_COUNT(DMA_STEPS)) + ((REGISTER(PIO_FLEVEL(PIO0)) >> (8U * STEP_MACHINE)) & 0xFU);
     const uint32_t left = (waiting + WORDS_PER_STEP - 1U) / WORDS_PER_STEP;
     return (motor.target > motor.start) ? motor.target - (int32_t)left : motor.target + (int32_t)left;
 }

@@ -74,16 +74,16 @@ static void start_clocks(void)
     REGISTER(CLK_SYS_CTRL) = 0U << 5;         // its second source: the PLL
     REGISTER(CLK_SYS_CTRL) = (0U << 5) | 1U;  // take it
     wait_for(CLK_SYS_SELECTED, 1U << 1);
-    REGISTER(CLK_PERI_CTRL) = 1U << 11;             // clk_sys, on
-    REGISTER(WATCHDOG_TICK) = (1U << 9) | 12U;      // 1 us for watchdog and timer
+    REGISTER(CLK_PERI_CTRL) = 1U << 11;         // clk_sys, on
+    REGISTER(WATCHDOG_TICK) = (1U << 9) | 12U;  // 1 us for watchdog and timer
 }
 
 static void start_peripherals(void)
 {
     // The boot loader may have left anything running; the flash is being read through the two QSPI blocks.
     SET_BITS(RESETS_RESET) = RESET_ALL & ~(RESET_IO_QSPI | RESET_PADS_QSPI | RESET_PLL_SYS | RESET_PLL_USB);
-    const uint32_t wanted = RESET_DMA | RESET_IO_BANK0 | RESET_PADS_BANK0 | RESET_PIO0 | RESET_PIO1 | RESET_TIMER |
-                            RESET_UART0;
+    const uint32_t wanted =
+        RESET_DMA | RESET_IO_BANK0 | RESET_PADS_BANK0 | RESET_PIO0 | RESET_PIO1 | RESET_TIMER | RESET_UART0;
     CLEAR_BITS(RESETS_RESET) = wanted;
     wait_for(RESETS_DONE, wanted);
 }

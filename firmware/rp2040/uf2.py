@@ -1,7 +1,7 @@
 """Makes the UF2 a user flashes from the linked image: `uf2.py image.elf image.uf2`. Standard library only.
 
-Fills in the CRC32 the boot ROM wants behind the second stage (in the ELF too, so that a debugger flashes the same bytes),
-checks the budgets and prints them.
+Fills in the CRC32 the boot ROM wants behind the second stage (in the ELF too, so that a debugger flashes the same
+bytes), checks the budgets and prints them.
 """
 
 import struct
@@ -14,7 +14,7 @@ PT_LOAD = 1
 
 
 def crc32_boot2(data: bytes) -> int:
-    """The boot ROM's: polynomial 0x04C11DB7, most significant bit first, start all ones, nothing reflected or inverted."""
+    """The boot ROM's: polynomial 0x04C11DB7, most significant bit first, from all ones, neither reflected nor inverted."""
     crc = 0xFFFFFFFF
     for byte in data:
         crc ^= byte << 24

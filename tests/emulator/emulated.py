@@ -123,12 +123,28 @@ class EmulatedBoard:
 
 
 def configuration(
-    *, ratio: int = 4, period: int = 4_000_000, delay: int = 300_000, width: int = 200_000, led_width: int | None = None,
-    generation: int = 1, host_timeout: int = 0, tolerance: int = 100, readout: int | None = None,
+    *,
+    ratio: int = 4,
+    period: int = 4_000_000,
+    delay: int = 300_000,
+    width: int = 200_000,
+    led_width: int | None = None,
+    generation: int = 1,
+    host_timeout: int = 0,
+    tolerance: int = 100,
+    readout: int | None = None,
 ) -> Stage:
     """A demo configuration: everything exposes all the time but during the readout, so the window is wide."""
     return Stage(
-        generation=generation, ratio=ratio, frame_period=period, exposure=period,
-        readout=period // 5 if readout is None else readout, tolerance=tolerance, host_timeout=host_timeout,
-        projector_delay=delay, projector_width=width, led_delay=delay, led_width=width if led_width is None else led_width,
+        generation=generation,
+        ratio=ratio,
+        frame_period=period,
+        exposure=period,
+        readout=period // 5 if readout is None else readout,
+        tolerance=tolerance,
+        host_timeout=host_timeout,
+        projector_delay=delay,
+        projector_width=width,
+        led_delay=delay,
+        led_width=width if led_width is None else led_width,
     )

@@ -1,5 +1,6 @@
 """Promises of the image a user flashes, read off its pins in ticks of 10 ns."""
 
+import itertools
 import random
 import subprocess
 from pathlib import Path
@@ -7,8 +8,8 @@ from pathlib import Path
 import pytest
 from emulated import (
     BOOTED,
-    ENABLE,
     DIRECTION,
+    ENABLE,
     INTERLOCK,
     LED,
     MICROWAVE,
@@ -123,7 +124,8 @@ def test_the_same_source_makes_the_same_bytes(tmp_path: Path) -> None:
         build = tmp_path / name
         subprocess.run(
             ["make", "--silent", "-C", str(ROOT / "firmware"), "image", f"BUILD={build}"],
-            check=True, stdout=subprocess.DEVNULL,
+            check=True,
+            stdout=subprocess.DEVNULL,
         )
         made.append([(build / f"annulus.{kind}").read_bytes() for kind in ("uf2", "elf")])
     assert made[0] == made[1]
@@ -344,7 +346,7 @@ def test_the_shortest_and_the_longest_pulse(board: EmulatedBoard, chip: int, wid
     rises, falls = board.rises(MICROWAVE), board.falls(MICROWAVE)
     assert len(rises) == 1000
     assert {fall - rise for fall, rise in zip(falls, rises, strict=True)} == {width}
-    assert {later - earlier for earlier, later in zip(rises, rises[1:], strict=False)} == {100_000}
+    assert {later - earlier for earlier, later in itertools.pairwise(rises)} == {100_000}
     assert [done.done for done in board.heard(BurstDone)] == [1000]
 
 
@@ -359,9 +361,7 @@ def test_uploaded_patterns_are_played_chip_by_chip(board: EmulatedBoard) -> None
         assert board.request(Pattern(length=length, chips=chips)).status == StatusCode.OK
         period = max(20 * 30 * sum(bits), 31 * length) + 100
         board.transitions.clear()
-        reply = board.request(
-            Burst(code=BurstCode.UPLOADED, chip=30, repeat=2, period=period, trigger_offset=7)
-        )
+        reply = board.request(Burst(code=BurstCode.UPLOADED, chip=30, repeat=2, period=period, trigger_offset=7))
         assert isinstance(reply, BurstReply)
         assert reply.status == StatusCode.OK
         board.run(board.now + 2 * period + 2 * MS)
@@ -373,7 +373,9 @@ def test_uploaded_patterns_are_played_chip_by_chip(board: EmulatedBoard) -> None
 
 def test_stopping_lets_the_burst_being_sent_end(board: EmulatedBoard) -> None:
     arm(board, ArmFlag.MICROWAVE)
-    assert board.request(Burst(code=BurstCode.MPSL25, chip=50, repeat=1000, period=50_000, trigger_offset=0)).status == 0
+    assert (
+        board.request(Burst(code=BurstCode.MPSL25, chip=50, repeat=1000, period=50_000, trigger_offset=0)).status == 0
+    )
     board.run(board.now + 3 * MS)
     board.request(BurstStop())
     board.run(board.now + 3 * MS)
@@ -436,17 +438,18 @@ def test_a_stuck_processor_is_reset_by_the_watchdog_with_all_outputs_low(board: 
     arm(board, ArmFlag.LAMPS | ArmFlag.MICROWAVE, ratio=0, width=2_000_000, period=8_000_000)
     before = board.identify().boot
     board.pulse(board.now + MS)
-    assert board.request(Burst(code=BurstCode.SINGLE, chip=100, repeat=60_000, period=10_000, trigger_offset=0)).status == 0
+    assert (
+        board.request(Burst(code=BurstCode.SINGLE, chip=100, repeat=60_000, period=10_000, trigger_offset=0)).status
+        == 0
+    )
     stuck = board.now
     board.stall(200 * MS)
     board.run(stuck + 180 * MS)
     [reset] = board.resets
     assert stuck + 99 * MS <= reset <= stuck + 102 * MS
     assert [item for item in board.transitions if item[0] > reset and item[1] in OUTPUTS and item[2] == 1] == []
-    level = {pin: 0 for pin in OUTPUTS}
-    for _tick, pin, value in board.transitions:
-        level[pin] = value
-    assert {level[pin] for pin in OUTPUTS} == {0}
+    last = {pin: level for _tick, pin, level in board.transitions}
+    assert {last.get(pin, 0) for pin in OUTPUTS} == {0}
     board.run(stuck + 210 * MS)
     who = board.identify()
     assert who.cause == BootCause.WATCHDOG
@@ -505,7 +508,7 @@ def test_the_stage_makes_its_steps_and_lets_go(board: EmulatedBoard) -> None:
     assert [event.position for event in board.heard(StageDone)] == [25]
     rises = board.rises(STEP)
     assert len(rises) == 25
-    assert {abs(later - earlier - 20_000) for earlier, later in zip(rises, rises[1:], strict=False)} <= {0, 1, 2}
+    assert {abs(later - earlier - 20_000) for earlier, later in itertools.pairwise(rises)} <= {0, 1, 2}
     assert board.rises(DIRECTION) != []
     assert board.rises(ENABLE)[-1] > rises[-1]
     assert board.request(Move(position=20, period=10_000, hold=1)).status == StatusCode.OK

@@ -1,5 +1,6 @@
 """An outside reader, Debian's sigrok-cli, finds on the pins what we say is there."""
 
+import itertools
 import re
 import shutil
 import subprocess
@@ -35,7 +36,7 @@ def test_sigrok_finds_the_same_widths_and_the_same_bytes(image: Path, tmp_path: 
     board.run(board.now + 5 * MS)
     board.close()
     ours = sorted(tick for tick, pin, _ in board.transitions if pin == MICROWAVE)
-    gaps = [(later - earlier) * 10e-9 for earlier, later in zip(ours, ours[1:], strict=False)]
+    gaps = [(later - earlier) * 10e-9 for earlier, later in itertools.pairwise(ours)]
     theirs = [seconds(text) for text in decoded(vcd, "timing:data=microwave", "timing=time")]
     assert theirs[-len(gaps) :] == pytest.approx(gaps, rel=1e-3)
     uart = decoded(vcd, "uart:rx=uart_tx:baudrate=1000000", "uart=rx-data")
