@@ -65,7 +65,7 @@ static void stop_channel(const uint32_t channel)
 {
     CLEAR_BITS(DMA_CTRL(channel)) = DMA_ENABLE;
     REGISTER(DMA_ABORT) = 1U << channel;
-    while ((REGISTER(DMA_ABORT) & (1U << channel)) != 0U) {
+    while ((REGISTER(DMA_CTRL(channel)) & DMA_BUSY) != 0U) {
     }
 }
 

@@ -14,7 +14,7 @@ PT_LOAD = 1
 
 
 def crc32_boot2(data: bytes) -> int:
-    """The boot ROM's: polynomial 0x04C11DB7, most significant bit first, from all ones, neither reflected nor inverted."""
+    """The boot ROM's: polynomial 0x04C11DB7, most significant bit first, from all ones, not reflected."""
     crc = 0xFFFFFFFF
     for byte in data:
         crc ^= byte << 24

@@ -88,7 +88,6 @@ export class Dma {
         case 0x0c: case 0x10: return (channel.ctrl | (channel.busy ? 1 << 24 : 0)) >>> 0;
       }
     }
-    if (offset === 0x444) return 0;
     fault(`DMA: read of register ${hex(offset)} is not modelled`);
   }
 
