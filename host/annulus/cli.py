@@ -36,15 +36,20 @@ def _progress() -> Iterator[Callable[[str, int, int], None]]:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn("{task.description:<24}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True)) as bars:
-        tasks: dict[str, Any] = {}
+    bars = Progress(*columns, console=Console(stderr=True))
+    tasks: dict[str, Any] = {}
 
-        def report(what: str, done: int, total: int) -> None:
-            if what not in tasks:
-                tasks[what] = bars.add_task(what, total=total)
-            bars.update(tasks[what], completed=done, total=total)
+    def report(what: str, done: int, total: int) -> None:
+        bars.start()
+        if what not in tasks:
+            tasks[what] = bars.add_task(what, total=total)
+        bars.update(tasks[what], completed=done, total=total)
 
+    try:
         yield report
+    finally:
+        if tasks:
+            bars.stop()
 
 
 @app.command(
@@ -114,7 +119,7 @@ def _print_summary(summary: Any, out: Path, as_json: bool) -> None:
     print(f"points     {data['points']}")
     for d in data["defects"]:
         print(
-            f"{d['kind']:<10} {d['depth_mm']:.2f} mm at {d['z_mm']:.0f} mm, {d['clock']} o'clock, "
+            f"{d['kind']:<10} {d['depth_mm']:.2f} mm at {d['z_mm']:.0f} mm, clock {d['clock']}, "
             f"{d['length_mm']:.0f} mm long, {d['arc_deg']:.0f} deg"
         )
     if not data["defects"]:
@@ -124,12 +129,15 @@ def _print_summary(summary: Any, out: Path, as_json: bool) -> None:
 
 @app.command(epilog="Example: annulus demo --seconds 12 --out /tmp/demo --no-open")
 def demo(
-    seconds: Annotated[float, typer.Option(min=2.0, max=600.0, help="Length of the scan, s.")] = 15.0,
+    seconds: Annotated[
+        float | None,
+        typer.Option(min=2.0, max=600.0, help="Length of the scan, s. [default: 15, longer on a slow machine]"),
+    ] = None,
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("annulus-demo"),
     open_report: Annotated[bool, typer.Option("--open/--no-open", help="Open the report when done.")] = True,
 ) -> None:
     """The whole main job on a simulated head: scan, label, record, reconstruct, report."""
-    from annulus.daemon.demo import run_demo
+    from annulus.demo import run_demo
 
     run_demo(seconds, out, open_report)
 

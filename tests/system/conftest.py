@@ -1,8 +1,11 @@
 """Who is still there: finds every process that a test started, however it was started."""
 
 import os
+import shutil
+import tempfile
 import time
 import uuid
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,8 +18,9 @@ class Traces:
 
     def __init__(self) -> None:
         self.mark = uuid.uuid4().hex
-        self.environment = {**os.environ, MARK: self.mark}
-        self._shm, self._tmp = _shared(), _temporary()
+        self.temporary = Path(tempfile.mkdtemp(prefix="traces-"))
+        self.environment = {**os.environ, MARK: self.mark, "TMPDIR": str(self.temporary)}
+        self._shm = _shared()
 
     def processes(self) -> list[str]:
         """Command lines of processes that carry the mark and are not this one."""
@@ -38,20 +42,18 @@ class Traces:
         left = {
             "processes": processes,
             "shm": _shared() - self._shm,
-            "temporary": _temporary() - self._tmp,
+            "temporary": set(os.listdir(self.temporary)),
         }
         return {what: which for what, which in left.items() if which}
 
 
 def _shared() -> set[str]:
-    """Semaphores of multiprocessing come and go with other programs on the machine; annulus makes none while it scans."""
+    """Semaphores of multiprocessing come and go with other programs on the machine; a scan makes none."""
     return {name for name in os.listdir("/dev/shm") if not name.startswith("sem.mp-")}
 
 
-def _temporary() -> set[str]:
-    return {name for name in os.listdir("/tmp") if name.startswith("annulus-")}
-
-
 @pytest.fixture
-def traces() -> Traces:
-    return Traces()
+def traces() -> Iterator[Traces]:
+    traces = Traces()
+    yield traces
+    shutil.rmtree(traces.temporary)

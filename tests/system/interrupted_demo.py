@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from annulus.daemon.demo import run_demo
+from annulus.demo import run_demo
 from annulus.twin.world import demo_world
 
 if __name__ == "__main__":

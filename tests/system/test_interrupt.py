@@ -1,5 +1,6 @@
 """Promises of the demo when broken off: recording readable, lamps off, no process left, nothing in shared memory."""
 
+import os
 import random
 import signal
 import subprocess
@@ -10,13 +11,17 @@ from pathlib import Path
 
 import pytest
 
+from annulus.record.calibration_file import save_calibration
 from annulus.record.recording import open_recording
+from annulus.twin.head import start_head
+from annulus.twin.world import demo_world
 
 pytestmark = pytest.mark.system
 
 DEMO = [sys.executable, str(Path(__file__).with_name("interrupted_demo.py"))]
 RNG = random.Random(20261121)
-# what the demo says last before the signal, how long after, which signal, how often
+# What the demo says last before the signal, how long after, which signal, how often. SIGINT goes to the whole group,
+# as a terminal sends it.
 MOMENTS = [
     ("measuring", RNG.uniform(0.0, 1.0), signal.SIGINT, 1),
     ("powering", RNG.uniform(0.0, 1.0), signal.SIGINT, 1),
@@ -33,7 +38,7 @@ def test_broken_off_at_any_moment(
     says: str, after_s: float, number: signal.Signals, times: int, traces, tmp_path: Path
 ) -> None:
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
-    demo = subprocess.Popen([*DEMO, str(tmp_path), "3"], env=traces.environment, **quiet)
+    demo = subprocess.Popen([*DEMO, str(tmp_path), "3"], env=traces.environment, start_new_session=True, **quiet)
     lines: list[str] = []
     said = threading.Event()
 
@@ -51,7 +56,10 @@ def test_broken_off_at_any_moment(
         assert said.wait(120)
         time.sleep(after_s)  # a moment in its life, not a wait for something
         for _ in range(times):
-            demo.send_signal(number)
+            if number is signal.SIGINT:
+                os.killpg(demo.pid, number)
+            else:
+                demo.send_signal(number)
             time.sleep(0.05)
         status = demo.wait(60)
     finally:
@@ -92,3 +100,47 @@ def test_a_killed_demo_leaves_a_readable_recording_and_nothing_else(traces, tmp_
     assert len(opened.frames) >= 10
     for frame in opened.frames:
         opened.read(frame)
+
+
+def test_the_daemon_runs_a_head_from_its_file_until_ctrl_c(traces, tmp_path: Path) -> None:
+    world = demo_world(travel_mm=330.0).scaled(416)
+    save_calibration(tmp_path / "head-7.json", world.calibration())
+    with start_head(world, 8.0, seed=9) as head:
+        timing = head.timing
+        (tmp_path / "head.toml").write_text(f"""
+[controller]
+port = "{head.port_url}"
+[camera]
+kind = "twin"
+device = "{head.camera_address}"
+width = {world.camera.width}
+height = {world.camera.height}
+fps = {timing.fps}
+exposure_us = {timing.exposure_us}
+readout_us = {timing.readout_us}
+[calibration]
+file = "head-7.json"
+[record]
+folder = "scans"
+[publish]
+address = "tcp://127.0.0.1:*"
+""")
+        command = [sys.executable, "-c", "from annulus.cli import main; main()", "daemon", "--config"]
+        daemon = subprocess.Popen(
+            [*command, str(tmp_path / "head.toml")], env=traces.environment, stderr=subprocess.PIPE, text=True
+        )
+        assert daemon.stderr is not None
+        heard = []
+        for line in daemon.stderr:
+            heard.append(line)
+            if line.startswith("running: ") and int(line.split()[1]) >= 12:
+                daemon.send_signal(signal.SIGINT)
+                break
+        heard += daemon.stderr.readlines()
+        assert daemon.wait(30) == 0, heard
+        assert head.counters()["lamps_on"] == []
+    assert traces.left() == {}
+    (recording,) = (tmp_path / "scans").glob("*.mcap")
+    assert f"recording {recording}" in heard[-1]
+    opened = open_recording(recording)
+    assert not opened.torn and len(opened.frames) >= 12

@@ -15,7 +15,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from statistics import median
@@ -24,15 +24,14 @@ from typing import Any
 import zmq
 
 from annulus.capture.camera import Camera, CapturedFrame
-from annulus.capture.pairing import Labelled, Pairing, Reason, calibrate_offset
-from annulus.capture.photometry import Light, measure
-from annulus.daemon.along import Along
+from annulus.capture.photometry import measure
 from annulus.daemon.cameras import apply_controls
-from annulus.daemon.capturing import Arrived, Capturing
+from annulus.daemon.capturing import Capturing
 from annulus.daemon.config import HeadConfig, require_size, ticks
+from annulus.daemon.labelling import FrameSeen, Labelling
 from annulus.daemon.order import InOrder
 from annulus.link.client import Port
-from annulus.link.head import EdgeSeen, HeadControl, LampsCut, News, Phase, PhaseChanged
+from annulus.link.head import HeadControl, News, Phase, PhaseChanged
 from annulus.link.messages import Fault, Stage, SyncFound, SyncLost
 from annulus.link.session import Heard, Rebooted
 from annulus.link.session import Lost as EventsLost
@@ -49,10 +48,6 @@ WORKER_DEPTH = 2
 IDENTIFY_S = 1.0
 START_S = 200.0  # on a fresh machine workers compile first
 ARM_S = 5.0
-CALIBRATE_FRAMES = 15  # frames before the camera's offset is tried
-CALIBRATE_KEPT = 64
-CALIBRATE_GIVE_UP_S = 20.0
-RECALIBRATE_S = 2.0  # a doubtful offset is looked for again this often
 REOPEN_S = 1.0
 TELEMETRY_S = 1.0
 DISARM_S = 0.5
@@ -89,12 +84,8 @@ class Doors:
 class _Waiting:
     """A frame in its slot that has no label yet."""
 
-    index: int
-    sequence: CameraSequence | None
-    timestamp_ns: int
-    metadata: Mapping[str, Any]
+    seen: FrameSeen
     place: Place
-    light: Light
     at_ns: int
 
 
@@ -108,15 +99,10 @@ class Scan:
         self._config, self._camera, self._doors = config, camera, doors or Doors()
         self._name = name or datetime.now(UTC).strftime("scan-%Y%m%d-%H%M%S")
         self._period_ns = round(1e9 / config.timing.fps)
-        self._pairing = Pairing(self._period_ns)
-        self._along = Along(config.mm_per_count)
+        self._labelling = Labelling(config, camera.width, camera.height, camera.encoding, self._tell)
         self._head: HeadControl | None = None
         self._port: Port | None = None
         self._reopen_s = 0.0
-        self._offset_known = config.port is None
-        self._looking_since = 0.0  # for the offset; 0 = not yet
-        self._next_look = 0.0
-        self._seen: deque[tuple[int, Light]] = deque(maxlen=CALIBRATE_KEPT)  # timestamps, and what the pictures show
         self._waiting: deque[_Waiting] = deque()
         self._for_workers: deque[tuple[FrameHeader, _Waiting]] = deque()  # each holds its slot
         self._next_index = 0
@@ -207,9 +193,7 @@ class Scan:
             "link": head.session.counters.as_dict() if head is not None else {},
             "lives": head.life if head is not None else 0,
             "rearms": head.rearms if head is not None else 0,
-            "place_gaps": self._along.gaps,
-            "offset_ns": self._pairing.offset_ns,
-            "offset_error_ns": self._pairing.offset_error_ns,
+            **self._labelling.numbers(),
             "workers": _crew_numbers(self._workers),
             "recorder": _crew_numbers(self._recorder),
         }
@@ -223,7 +207,7 @@ class Scan:
             stack.callback(self._close_port)
             self._head = HeadControl(_stage(config), armed=False)
             self._identify(config.port)
-        folder = Path(tempfile.mkdtemp(prefix="annulus-"))
+        folder = _socket_folder()
         stack.callback(shutil.rmtree, folder, ignore_errors=True)
         context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         stack.callback(context.destroy, linger=0)
@@ -330,7 +314,7 @@ class Scan:
         try:
             yield
         except Exception as error:
-            self._events.append(f"ending, {step}: {type(error).__name__}: {error}")
+            self._tell("ending", f"ending, {step}: {type(error).__name__}: {error}")
 
     def _until_workers_are_done(self, patience_s: float) -> None:
         """What waits for a worker still gets one, if they are quick."""
@@ -364,7 +348,7 @@ class Scan:
     def _turn(self) -> None:
         self._listen()
         self._take_frames()
-        self._find_offset()
+        self._labelling.look_for_offset(time.monotonic())
         while self._waiting and self._settled(self._waiting[0]):
             self._label_first()
         for crew in (self._workers, self._recorder):
@@ -417,11 +401,8 @@ class Scan:
 
     def _hear(self, news: list[News]) -> None:
         for one in news:
+            self._labelling.hear(one)
             match one:
-                case EdgeSeen():
-                    self._pairing.edge(one.flash, one.host_ns, one.life)
-                case LampsCut():
-                    self._pairing.spoil(one.from_ns, one.to_ns)
                 case Rebooted(boot, previous) if previous is not None:
                     self._tell("reset", f"the controller restarted (boot {previous} -> {boot}); lamps are armed again")
                 case EventsLost(first, count):
@@ -448,9 +429,9 @@ class Scan:
                 self._drops["no_slot"] += 1
                 continue
             self._ring.write(place, arrived.frame.image)
-            waiting = _waiting(index, arrived, place)
-            self._waiting.append(waiting)
-            self._seen.append((waiting.timestamp_ns, waiting.light))
+            seen = _seen(index, arrived.frame)
+            self._labelling.saw(seen)
+            self._waiting.append(_Waiting(seen, place, arrived.at_ns))
 
     def _count_holes(self, frame: CapturedFrame) -> None:
         """What the driver dropped: holes in its count, or in the timestamps where it does not count."""
@@ -465,74 +446,19 @@ class Scan:
 
     # ---- labels ----
 
-    def _find_offset(self) -> None:
-        """The camera's timestamp offset, once at the start and again whenever it has become doubtful."""
-        now = time.monotonic()
-        if self._head is None:
-            return
-        if self._offset_known and self._pairing.doubtful and now >= self._next_look:
-            self._offset_known = False
-            self._looking_since = now
-            self._seen.clear()
-            self._tell("offset", "the camera's timestamp offset has become doubtful: looking for it again")
-        if self._offset_known or now < self._next_look or len(self._seen) < CALIBRATE_FRAMES:
-            return
-        if self._looking_since == 0.0:
-            self._looking_since = now
-        self._next_look = now + 3 * self._period_ns / 1e9
-        try:
-            offset = calibrate_offset(self._seen, self._pairing.edges, self._period_ns)
-        except AnnulusError as error:
-            if now - self._looking_since > CALIBRATE_GIVE_UP_S:
-                self._looking_since = now
-                self._tell("offset", f"still no timestamp offset, frames stay unknown: {error}")
-            return
-        self._pairing.recalibrate(self._period_ns, offset.offset_ns)
-        self._offset_known = True
-        self._looking_since = 0.0
-        self._next_look = now + RECALIBRATE_S
-        self._tell(
-            "offset",
-            f"camera timestamps are {offset.offset_ns / 1e6:+.2f} ms from the end of readout "
-            f"(+-{offset.jitter_ns / 1e6:.2f} ms, {offset.frames} frames)",
-        )
-
     def _settled(self, frame: _Waiting) -> bool:
-        """Whether the first waiting frame can be given its label."""
-        if self._head is None:
-            return True
-        if not self._offset_known:  # frames wait for it as long as there is room for new ones
-            return self._ring.free < RESERVE
-        return self._pairing.settled(frame.timestamp_ns, time.monotonic_ns())
+        """Whether the first waiting frame is to be labelled now: waiting gains nothing, or there is no room to."""
+        crowded = not self._labelling.offset_known and self._ring.free < RESERVE
+        return crowded or self._labelling.settled(frame.seen, time.monotonic_ns())
 
     def _label_first(self) -> None:
         frame = self._waiting.popleft()
-        header = self._header(frame)
+        header = self._labelling.header(frame.seen)
         self._frames[header.label.value] += 1
         if header.label is Label.UNKNOWN:
             self._unknown[header.reason] += 1
         self._hand_out(header, frame)
         self._ring.release(frame.place)
-
-    def _header(self, frame: _Waiting) -> FrameHeader:
-        camera = self._camera
-        blank = FrameHeader(
-            frame.index, frame.sequence, frame.timestamp_ns, Label.UNKNOWN, "", None, None, None, None, camera.encoding,
-            camera.width, camera.height,
-        )  # fmt: skip
-        if self._head is None:
-            return _brought_along(blank, frame.metadata)
-        if not self._offset_known:
-            return replace(blank, reason="timestamp offset not known yet")
-        said: Labelled = self._pairing.label(frame.timestamp_ns, frame.sequence, frame.light)
-        if said.label is Label.UNKNOWN or said.flash is None:
-            return replace(blank, reason=str(said.reason))
-        flash = said.flash
-        assert said.reason is Reason.AGREED
-        z_mm = self._along.z_mm(flash, frame.timestamp_ns)
-        return replace(
-            blank, label=said.label, edge=flash.edge, slot=flash.slot, odometer=flash.odometer, z_mm=z_mm
-        )  # fmt: skip
 
     def _hand_out(self, header: FrameHeader, frame: _Waiting) -> None:
         """Recorder first: what is recorded can be reconstructed later, what is seen cannot be recorded later."""
@@ -644,6 +570,18 @@ class Scan:
             self._publisher.send(topic, body)
 
 
+def _socket_folder() -> Path:
+    """A folder only we can enter, for the sockets to the crews. Sweeps those of daemons that were killed."""
+    place = tempfile.gettempdir()
+    if len(place) > 60:  # a socket's path has at most 107 characters
+        place = "/tmp"
+    for old in Path(place).glob("annulus-*-*"):
+        pid = old.name.split("-")[1]
+        if pid.isdigit() and not Path(f"/proc/{pid}").exists():
+            shutil.rmtree(old, ignore_errors=True)
+    return Path(tempfile.mkdtemp(prefix=f"annulus-{os.getpid()}-", dir=place))
+
+
 def default_workers() -> int:
     """One a core, but one for everything else."""
     return max(1, len(os.sched_getaffinity(0)) - 1)
@@ -666,18 +604,8 @@ def _stage(config: HeadConfig) -> Stage:
     )
 
 
-def _waiting(index: int, arrived: Arrived, place: Place) -> _Waiting:
-    frame = arrived.frame
-    light = measure(frame.image).light
-    return _Waiting(index, frame.sequence, frame.timestamp_ns, frame.metadata, place, light, arrived.at_ns)
-
-
-def _brought_along(blank: FrameHeader, metadata: Mapping[str, Any]) -> FrameHeader:
-    """Without a controller: the label a scan folder gave its frame, or none."""
-    light, z_mm = metadata.get("Light"), metadata.get("ZMm")
-    if light not in (Label.PROJECTOR.value, Label.LED.value) or not isinstance(z_mm, int | float):
-        return replace(blank, reason="no controller")
-    return replace(blank, label=Label(light), z_mm=float(z_mm))
+def _seen(index: int, frame: CapturedFrame) -> FrameSeen:
+    return FrameSeen(index, frame.sequence, frame.timestamp_ns, measure(frame.image).light, frame.metadata)
 
 
 def _crew_numbers(crew: Crew | None) -> dict[str, int]:

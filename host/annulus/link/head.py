@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-from annulus.link.clock import ClockMap
+from annulus.link.clock import NS_PER_TICK, ClockMap
 from annulus.link.messages import (
     PROTOCOL_VERSION,
     SCHEMA_HASH,
@@ -43,6 +43,7 @@ PING_NS = 97_300_000  # no multiple of a frame period, so samples fall everywher
 QUICK_PING_NS = 4_000_000  # until the clock is locked
 STATUS_NS = 1_013_000_000
 RETRY_NS = 150_000_000  # after a refusal or a silence that may pass
+PERIOD_TICKS = 4_000_000  # while nothing is configured: 25 fps
 MISMATCH_NS = 1_000_000_000  # between two looks whether the controller has been flashed anew
 EDGES_WAITING_MAX = 64  # for the clock to lock
 LATCHING = (FaultCode.INTERLOCK, FaultCode.HOST_TIMEOUT, FaultCode.WATCHDOG, FaultCode.LIMIT)
@@ -122,7 +123,7 @@ class HeadControl:
         self.status: StatusReply | None = None  # the last one heard
         self.life = 0
         self.rearms = 0  # times the lamps were armed again after a reset or fault
-        self.edges_unplaced = 0  # heard, but there was no clock map to place them with
+        self.edges_unplaced = 0  # heard, but there was no clock map, or too coarse a one, to place them with
         self._configuration = configuration
         self._armed = armed
         self._generation = 0
@@ -311,13 +312,19 @@ class HeadControl:
         if self.phase is Phase.RUNNING and StateFlag.LAMPS_ARMED not in status.state:
             self._restart_steps(Phase.CLEARING, f"disarmed by the controller: {status.fault.name.lower()}")
 
+    @property
+    def _error_max_ns(self) -> int:
+        """Half the window in which a frame looks for its edge: on a line slower than that no edge is placed."""
+        period = self._configuration.frame_period if self._configuration is not None else PERIOD_TICKS
+        return period * NS_PER_TICK // 8
+
     def _placed(self) -> Iterator[EdgeSeen]:
         while self._early:
             edge, boot, received_ns = self._early.popleft()
             tick = self.clock.extend(edge.tick, received_ns)
             host_ns = self.clock.to_host(tick)
-            if host_ns is not None:
-                error_ns = self.clock.error_ns(host_ns) or 0
+            error_ns = self.clock.error_ns(host_ns) if host_ns is not None else None
+            if host_ns is not None and error_ns is not None and error_ns <= self._error_max_ns:
                 yield EdgeSeen(flash_from(edge, tick, boot), host_ns, error_ns, self.life)
             else:
                 self.edges_unplaced += 1

@@ -117,7 +117,7 @@ def _unwrapped(wall: Wall, findings: Findings, deviation: NDArray[np.float32], s
     bar.set_label("deviation of the radius, mm\n− into the pipe        outwards +")
     axes.set_title(
         f"Wall deviation from the mean circle, Ø {2 * wall.mean_radius_mm:.2f} mm   (hatched grey: not seen)",
-        loc="left", fontsize=11, pad=16,
+        loc="left", fontsize=11, pad=24,
     )  # fmt: skip
     return _png(figure)
 
@@ -134,7 +134,7 @@ def _texture(wall: Wall, findings: Findings, texture: Image | None) -> bytes:
         )  # fmt: skip
     _outline(axes, wall, findings, axis)
     axes.set_title(
-        "Wall in LED light, brightness evened out   (hatched grey: not seen)", loc="left", fontsize=11, pad=16
+        "Wall in LED light, brightness evened out   (hatched grey: not seen)", loc="left", fontsize=11, pad=24
     )
     return _png(figure)
 

@@ -55,7 +55,7 @@ def _verdict(summary: Summary) -> str:
     worst = max(local, key=lambda d: d.depth_mm)
     return (
         f"{words}. Deepest: {NAMES[worst.kind].lower()} of {worst.depth_mm:.1f} mm "
-        f"at {worst.z_mm / 1000:.3f} m, {worst.clock} o'clock."
+        f"at {worst.z_mm / 1000:.3f} m, clock {worst.clock}."
     )
 
 

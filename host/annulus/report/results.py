@@ -6,7 +6,7 @@ import math
 import shutil
 import tempfile
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,8 @@ from annulus.report.page import render_page
 from annulus.report.ply import write_ply
 from annulus.report.summary import Summary, summarize
 from annulus.report.surface import triangulate
-from annulus.rings.defects import find_defects
+from annulus.rings.consensus import without_contradicted
+from annulus.rings.defects import Defect, find_defects
 from annulus.rings.profile import Profile
 from annulus.rings.registration import register
 from annulus.rings.stations import Stations, measure_stations
@@ -28,6 +29,8 @@ from annulus.rings.wall import Wall, build_wall
 from annulus.vocabulary import AnnulusError
 
 __all__ = ["LedFrame", "Summary", "prepare_folder", "write_results"]
+
+Truth = Mapping[str, Any] | Callable[[Sequence[Profile], Sequence[Defect]], Mapping[str, Any]]
 
 FILES = ("cloud.ply", "mesh.ply", "unwrapped.png", "texture.png", "stations.csv", "report.html", "summary.json")
 
@@ -42,7 +45,7 @@ def write_results(
     drops: Mapping[str, int],
     timing_ms: Mapping[str, float],
     source: str,
-    truth: Mapping[str, Any] | None = None,
+    truth: Truth | None = None,
 ) -> Summary:
     """Build the wall from the profiles and write every result file of ARCHITECTURE §7 into `out`.
 
@@ -50,7 +53,7 @@ def write_results(
     ----------
     profiles : of the projector frames, any order. led_frames : read once, one at a time.
     frames : how many by label. drops : everything that was lost, by kind. source : what was scanned, for people.
-    truth : scores on the twin, passed through; never looked at.
+    truth : scores on the twin, or who gives them for the points and defects found; passed through, never looked at.
 
     Raises
     ------
@@ -63,10 +66,11 @@ def write_results(
     """
     started = time.perf_counter()
     prepare_folder(out)
-    profiles = register(profiles)
+    profiles = without_contradicted(register(profiles))
     wall = build_wall(profiles)
     narrowest = min(cone.half_angle for cone in calibration.rings)
     findings = find_defects(wall, blind_ratio=1.0 / math.tan(narrowest))
+    scores = truth(profiles, findings.defects) if callable(truth) else truth
     stations = measure_stations(wall)
     texture = paint(wall, calibration, profiles, led_frames)
     timing = {**timing_ms, "results_wall": (time.perf_counter() - started) * 1e3}
@@ -91,7 +95,7 @@ def write_results(
                 drops,
                 timing,
                 source,
-                truth,
+                scores,
             )
             (staging / "report.html").write_text(render_page(summary, findings, pictures), encoding="utf-8")
             text = json.dumps(summary.to_dict(), indent=1, ensure_ascii=False, allow_nan=False)

@@ -93,8 +93,9 @@ def half_view(wall: Wall, colour: Image, rows: slice, clock_deg: float, *, width
     ring = np.stack([radius * np.sin(rim), -radius * np.cos(rim), np.zeros_like(rim)], axis=1)
     corners = np.concatenate([ring + along * z[0], ring + along * z[-1]]) @ np.stack([right, down, forward], axis=1)
     low, high = corners.min(axis=0), corners.max(axis=0)
-    margin = np.array([0.84, 0.84])
+    margin = np.array([0.84, 1.0 - 90.0 / height])
     fine = 2
+    height = int(min(height, width * (high - low)[1] / (high - low)[0] + 110))  # no empty paper under a long stretch
     size = np.array([width, height]) * fine
     scale = float((size * margin / (high - low)[:2]).min())
     origin = (low + high) / 2 @ np.stack([right, down, forward])

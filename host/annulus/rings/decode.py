@@ -12,7 +12,7 @@ UNKNOWN = 255  # a stripe whose colour is not clear: matches any, proves nothing
 NONE = -1  # a slit that is no ring, or could be more than one
 LIKENESS = 0.06  # a colour must be nearer its reference than any other by this much of the cosine
 SKIP = 0.5  # price of leaving a slit out, against 1 for each colour that fits
-RUN = 0.5  # bonus where two slits in turn are two rings in turn: the word grows by one stripe
+PLACE = 6.0  # price of a wall that is off by the whole tolerance: more than a slit that fits can pay
 MARGIN = 0.1  # a label is given only if every rival reading of the line is worse by this
 
 
@@ -85,7 +85,7 @@ def decode(
     inside, outside : (N,) colour of the stripe on each side, index into "RGB" or UNKNOWN.
     deviation : (N, K) relative deviation of the wall's radius from the pipe's if slit n were ring k; NaN = cannot be.
     colours : K + 1 letters from the innermost stripe outwards (a De Bruijn sequence).
-    tolerance : the largest |deviation| of a wall; farther readings are not considered.
+    tolerance : the |deviation| of a wall at which no colours make up for it; 0.65 of it is the most a slit can have.
 
     Notes
     -----
@@ -137,25 +137,21 @@ def _align(direction, inside, outside, deviation, pattern, tolerance, ring):  # 
                 if fit < 0.5:
                     continue
                 slit[size], name[size] = i, k
-                own[size] = fit + SKIP - (d / tolerance) ** 2
+                own[size] = fit + SKIP - PLACE * (d / tolerance) ** 2
+                if own[size] <= 0.0:
+                    continue
                 size += 1
         for c in range(size):
             ahead[c] = 0.0
             for p in range(c):
                 if slit[p] < slit[c] and name[p] < name[c]:
-                    gain = ahead[p]
-                    if name[p] + 1 == name[c]:
-                        gain += RUN
-                    ahead[c] = max(ahead[c], gain)
+                    ahead[c] = max(ahead[c], ahead[p])
             ahead[c] += own[c]
         for c in range(size - 1, -1, -1):
             behind[c] = 0.0
             for p in range(c + 1, size):
                 if slit[p] > slit[c] and name[p] > name[c]:
-                    gain = behind[p] + own[p]
-                    if name[c] + 1 == name[p]:
-                        gain += RUN
-                    behind[c] = max(behind[c], gain)
+                    behind[c] = max(behind[c], behind[p] + own[p])
         best = 0.0
         for c in range(size):
             best = max(best, ahead[c] + behind[c])

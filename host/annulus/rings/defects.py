@@ -19,6 +19,9 @@ from annulus.rings.wall import BoolArray, Float32Array, Wall, smooth
 LabelArray = NDArray[np.int32]
 CORNERS = np.ones((3, 3), dtype=bool)
 ALL_ROUND_DEG = 345.0  # an arc longer than this goes all round
+BAND_OVERLAP, BAND_SOUND = 0.6, 0.35  # what makes two places one band: common stations, least sound wall between
+BAND_EDGES, BAND_ASPECT = 3.5, 4.0  # and what a band is: so many edge blurs long at most, so many times as wide
+RIPPLE_EDGES = 1.5  # how far from a step, and how long, its swing to the other side may be, in edge blurs
 LEVELS = 24  # how finely the surface is sliced when asked whether a place is one defect or several
 
 
@@ -38,10 +41,12 @@ class Limits:
     rim_of_seed: float = 0.5  # .. and this part of the core's limit
     extent_of_depth: float = 0.25  # its extent is where it departs by this part of its depth: edges blur outwards
     size_of_radius: float = 0.04  # smaller than this both ways is not resolved (3 mm in a 6-inch pipe)
-    edge_of_radius: float = 0.065  # along the pipe, what a step's edge is blurred over: a slit's width on the wall
+    edge_of_radius: float = 0.08  # along the pipe, what a step's edge is blurred over: a slit's width on the wall
     join_of_radius: float = 0.05  # places of a kind this close are one (4 mm)
     shadow_of_radius: float = 0.22  # .. and this close when what lies between was not seen (a rod's shadow)
-    saddle: float = 0.5  # two peaks are two defects when the way between them falls below this part of the lesser
+    gap_of_radius: float = 0.44  # places side by side in the same stations join over a gap so wide without sound wall
+    hidden_of_radius: float = 0.07  # how deep a loss may be whose floor was not seen, for the length of its shadow
+    saddle: float = 0.35  # two peaks are two defects when the way between them falls below this part of the lesser
     ovality_percent: float = 0.75  # F1216; 0.5 % accuracy and twice 0.12 % repeatability of certified profilers
     ovality_length_of_radius: float = 0.2  # shorter stretches are not listed
 
@@ -118,9 +123,9 @@ def find_defects(wall: Wall, *, blind_ratio: float, limits: Limits | None = None
     Notes
     -----
     Hysteresis: cores beyond the seed limit grow over the rim limit. What lies unseen between two parts of one kind
-    joins them; what lies unseen just before a loss is hidden by the loss's own near rim and belongs to it, what lies
-    unseen just behind a bump is its shadow, half of which is taken. What only lines the rim of a larger place is no
-    defect of its own.
+    joins them; what lies unseen just before a loss is hidden by the loss's own near rim and belongs to it; what lies
+    unseen just behind a bump is its shadow, taken as far as the bump is long before its crest. What only lines the rim
+    of a larger place is no defect of its own, and what no sound wall parts is one band.
     """
     limits = limits or Limits()
     residual = smooth(wall.residual_mm()).astype(np.float32)
@@ -136,10 +141,12 @@ def find_defects(wall: Wall, *, blind_ratio: float, limits: Limits | None = None
         parts += [_Place(kind, place, height) for place in places]
     label = np.zeros(residual.shape, dtype=np.int32)
     found: list[tuple[Defect, BoolArray]] = []
-    for one in _without_edges(parts, wall.seen, cell, radius, limits):
+    whole_parts = _without_edges(parts, wall.seen, cell, radius, limits)
+    for one in _across_gaps(whole_parts, wall.seen & (np.abs(residual) < rim), cell, radius, limits):
         depth, floor_seen = _depth(one)
         core = _without_holes(one.mask & (one.height >= limits.extent_of_depth * depth))
-        whole = _with_shadow(_Place(one.kind, core, one.height), unseen, blind_ratio, wall.z_step_mm)
+        deepest = depth if floor_seen else limits.hidden_of_radius * radius
+        whole = _with_shadow(_Place(one.kind, core, one.height), unseen, blind_ratio, wall.z_step_mm, deepest)
         found.append((_measure(one.kind, whole, depth, floor_seen, wall, cell), whole))
     found += [(defect, np.zeros(residual.shape, dtype=bool)) for defect in _oval_stretches(wall, limits)]
     found.sort(key=lambda item: (item[0].z_mm, item[0].clock_deg))
@@ -182,7 +189,12 @@ def _places(
     for i in np.unique(joined[core]):
         if i == 0:
             continue
-        for part in _split(np.where(joined == i, height, np.float32(-np.inf)), mask, joined == i, rim, limits):
+        whole = joined == i
+        long, wide = (np.count_nonzero((whole & mask).any(axis=1 - axis)) * cell[axis] for axis in (0, 1))
+        # Of a band so short, rims and what they hide leave nothing to tell peaks by.
+        is_band = long <= BAND_EDGES * limits.edge_of_radius * radius and wide >= BAND_ASPECT * long
+        pieces = [whole] if is_band else _split(np.where(whole, height, np.float32(-np.inf)), mask, whole, rim, limits)
+        for part in pieces:
             place = _without_holes(part & mask)
             if _is_resolved(place & core, cell, radius, limits, 0.5) and _is_resolved(place, cell, radius, limits, 1.0):
                 out.append(place)
@@ -294,7 +306,9 @@ def _without_edges(
     what surrounds it. What is hemmed in by a larger place and by what that one hides is part of it, or, of the opposite
     sign, an artefact of its edge. The smallest go first.
     """
+    edge_mm = limits.edge_of_radius * radius
     near = max(2, round(limits.size_of_radius * radius / max(cell)))
+    far = max(near, round(RIPPLE_EDGES * edge_mm / max(cell)))
     left = sorted(parts, key=lambda part: np.count_nonzero(part.mask))
     kept: list[_Place] = []
     while left:
@@ -302,42 +316,97 @@ def _without_edges(
         halo = small.mask
         for _ in range(near):
             halo = _dilate(halo, CORNERS)
+        around = halo
+        for _ in range(far - near):
+            around = _dilate(around, CORNERS)
         halo = halo & ~small.mask
-        touching = [k for k, large in enumerate(left) if (large.mask & halo).any()]
+        touching = [k for k, large in enumerate(left) if (large.mask & around).any()]
         larger = np.zeros_like(halo)
         for k in touching:
             larger |= left[k].mask
         sound = float((halo & seen & ~larger).sum()) / max(float(halo.sum()), 1.0)
-        host = max(touching, key=lambda k: np.count_nonzero(left[k].mask & halo), default=None)
-        if host is None or (sound >= 0.5 and not _is_ripple(small, left[host], cell, limits.edge_of_radius * radius)):
+        host = max(touching, key=lambda k: np.count_nonzero(left[k].mask & around), default=None)
+        if host is None or (sound >= 0.5 and not _is_ripple(small, left[host], cell, edge_mm)):
             kept.append(small)
         elif left[host].kind is small.kind:
             left[host] = _Place(small.kind, left[host].mask | small.mask, small.height)
     return kept
 
 
+def _across_gaps(
+    places: Sequence[_Place], sound: BoolArray, cell: tuple[float, float], radius: float, limits: Limits
+) -> list[_Place]:
+    """Joins places of a kind side by side when what lies between them round the pipe is hardly anywhere sound wall.
+
+    A shallow band that crosses a rod's shadow, or whose floor its own rim hides here and there, is one defect.
+    """
+    widest = round(limits.gap_of_radius * radius / cell[1])
+    left = list(places)
+    joined = True
+    while joined:
+        joined = False
+        for i, one in enumerate(left):
+            for k, other in enumerate(left):
+                if k != i and one.kind is other.kind and _is_one_band(one, other, sound, widest):
+                    left[i] = _Place(one.kind, one.mask | other.mask, np.maximum(one.height, other.height))
+                    del left[k]
+                    joined = True
+                    break
+            if joined:
+                break
+    return left
+
+
+def _is_one_band(one: _Place, other: _Place, sound: BoolArray, widest: int) -> bool:
+    """Whether `other` follows `one` clockwise in much the same stations with no sound wall between."""
+    rows = [np.flatnonzero(place.mask.any(axis=1)) for place in (one, other)]
+    first, last = max(rows[0][0], rows[1][0]), min(rows[0][-1], rows[1][-1])
+    if last - first + 1 < BAND_OVERLAP * max(*(int(row[-1] - row[0]) for row in rows), 1):
+        return False
+    size = sound.shape[1]
+    start, arc = _arc(np.asarray(one.mask.any(axis=0)), 1.0)
+    next_start, next_arc = _arc(np.asarray(other.mask.any(axis=0)), 1.0)
+    gap = int(next_start - start - arc) % size
+    if gap > widest or min(arc, next_arc) < max(gap, 1):
+        return False
+    if gap == 0:
+        return False  # touching: the saddle between their peaks has been looked at
+    columns = (int(start + arc) + np.arange(gap)) % size
+    return bool(sound[first : last + 1, columns].mean() < BAND_SOUND)
+
+
 def _is_ripple(small: _Place, large: _Place, cell: tuple[float, float], edge_mm: float) -> bool:
     """Whether a place is the swing to the other side that a step leaves within a slit's width of its edge."""
-    short = np.count_nonzero(small.mask.any(axis=1)) * cell[0] <= edge_mm
+    short = np.count_nonzero(small.mask.any(axis=1)) * cell[0] <= RIPPLE_EDGES * edge_mm
     return bool(short and small.kind is not large.kind and _depth(small)[0] < 0.6 * _depth(large)[0])
 
 
-def _with_shadow(place: _Place, unseen: BoolArray, blind_ratio: float, z_step: float) -> BoolArray:
-    """The place with what it hides from a sensor that looks along +z."""
+def _with_shadow(place: _Place, unseen: BoolArray, blind_ratio: float, z_step: float, deepest_mm: float) -> BoolArray:
+    """The place with what it hides from a sensor that looks along +z.
+
+    deepest_mm : how deep a loss may be. Its measured height when its floor was seen; more when only its far edge was.
+    """
     whole = place.mask.copy()
-    for column in np.flatnonzero(place.mask.any(axis=0)):
+    columns = np.flatnonzero(place.mask.any(axis=0))
+    before = {int(column): 0 for column in columns}
+    crest = np.flatnonzero((place.mask & (place.height >= 0.9 * place.height[place.mask].max())).any(axis=1)).mean()
+    mirrored = round(2 * crest) - int(np.flatnonzero(place.mask.any(axis=1))[0])
+    for column in columns:
         rows = np.flatnonzero(place.mask[:, column])
         depth = max(float(place.height[rows, column].max()), 0.0)
-        reach = int(np.ceil(depth * blind_ratio / z_step)) + 2
         if place.kind is Kind.LOSS:
-            before = unseen[max(0, rows[0] - reach) : rows[0], column][::-1]
-            hidden = int(np.argmin(before)) if not before.all() else len(before)
+            reach = int(np.ceil(max(depth, deepest_mm) * blind_ratio / z_step)) + 2
+            run = unseen[max(0, rows[0] - reach) : rows[0], column][::-1]
             # Unseen up to the limit and beyond is no shadow of this rim alone (a rod, the end of the scan).
-            whole[rows[0] - hidden : rows[0], column] = hidden < reach
+            before[int(column)] = 0 if run.all() else int(np.argmin(run))
         else:
-            behind = unseen[rows[-1] + 1 : rows[-1] + 1 + reach, column]
-            hidden = int(np.argmin(behind)) if len(behind) and not behind.all() else 0
-            whole[rows[-1] + 1 : rows[-1] + 1 + hidden // 2, column] = True
+            behind = unseen[rows[-1] + 1 : max(mirrored, rows[-1]) + 1, column]
+            hidden = int(np.argmin(behind)) if not behind.all() else len(behind)
+            whole[rows[-1] + 1 : rows[-1] + 1 + hidden, column] = True
+    usual = int(np.median(list(before.values())))  # a rim throws its shadow along its whole width
+    for index, run_length in before.items():
+        first = int(np.flatnonzero(place.mask[:, index])[0])
+        whole[first - min(run_length, usual + 2) : first, index] = True
     return whole
 
 

@@ -13,6 +13,7 @@ from annulus.geometry.cone import Cone
 from annulus.geometry.pose import FloatArray, Pose
 from annulus.vocabulary import AnnulusError
 
+ACROSS = 0.85  # standard deviation, in directions, of the average over neighbouring lines: weights 1, 2, 1
 RAY_STEP_PX = 2  # rays are tabulated this often: linear interpolation between is good to 1e-6 rad
 TILT = math.radians(4.0)  # how far the head may lean and ..
 SHIFT = 0.1  # .. stand off the pipe's axis (of the radius) for its rings to be searched
@@ -80,8 +81,15 @@ def polar_grid(calibration: Calibration, directions: int) -> PolarGrid:
 
 
 def unroll(image: NDArray[np.uint8], grid: PolarGrid) -> NDArray[np.uint8]:
-    """(H, W, 3) frame -> (J, L, 3): one row a direction, one column a pixel's step outwards; black outside."""
-    return np.asarray(cv2.remap(image, grid.map_xy, grid.map_part, cv2.INTER_LINEAR), np.uint8)
+    """(H, W, 3) frame -> (J, L, 3): one row a direction, one column a pixel's step outwards; black outside.
+
+    Each line is averaged with its two neighbours: less noise where stripes are dim, and nothing is lost along the line,
+    where a slit's place is read. Wider averages would carry light into the shadows of rods.
+    """
+    lines = np.asarray(cv2.remap(image, grid.map_xy, grid.map_part, cv2.INTER_LINEAR), np.uint8)
+    closed = np.concatenate([lines[-1:], lines, lines[:1]]).reshape(len(lines) + 2, -1)
+    averaged = cv2.GaussianBlur(closed, (1, 3), sigmaX=1.0, sigmaY=ACROSS)[1:-1]
+    return np.asarray(averaged, np.uint8).reshape(lines.shape)
 
 
 def ring_pixels(camera: Camera, cone: Cone, pose: Pose, radius_mm: float, steps: int = 180) -> FloatArray:

@@ -15,13 +15,16 @@ from annulus.rings.decode import NONE, UNKNOWN, classify, decode, readings
 from annulus.rings.polar import polar_grid, unroll
 from annulus.rings.pose import fit_pose
 from annulus.rings.profile import Profile
-from annulus.rings.slits import find_slits
+from annulus.rings.slits import Slits, find_slits
 from annulus.rings.triangulate import deviations, ring_optics, triangulate
 from annulus.vocabulary import AnnulusError
 
-FIRST_TOLERANCE = 0.45  # of the radius: the head's lean and stand-off are still in the deviation
-WALL_TOLERANCE = 0.3  # and now they are not
-NARROW, WIDE = 0.55, 1.7  # of the frame's usual width of that ring: a shadow's edge is no slit
+FIRST_TOLERANCE = 0.5  # of the radius: the head's lean and stand-off are still in the deviation
+WALL_TOLERANCE = 0.35  # and now they are not
+NARROW, WIDE = 0.7, 1.35  # of the ring's width around there: beyond, a slit is half covered or part of a shadow ..
+WIDTH_NOISE = 4.0  # .. unless widths scatter so much that this many sigma reach farther
+WIDTH_EVERY = 4  # points: what the ring's width is learnt from
+SHADE, SHADE_REACH = 0.5, 2  # a slit has at least this part of its ring's light so many directions to the side
 UNLIKE = 2.0  # a ring's usual width is within this factor of the frame's
 NEIGHBOURS = 4  # a point needs company among so many directions on each side ..
 COMPANY = 3  # .. of so many points of its ring ..
@@ -84,11 +87,15 @@ class Reconstructor:
         marks.append(("triangulate", clock()))
 
         rejected = {"crowded": slits.crowded, "shallow": slits.shallow}
-        deviation = deviations(points, seed or Pose(), pipe)
-        ring = decode(slits.direction, inside, outside, deviation, colours, FIRST_TOLERANCE)
-        marks.append(("decode", clock()))
-        fitted = self._fit(points, ring, seed, every=3)
-        marks.append(("pose", clock()))
+        # A seed far off would make every reading implausible: then once more without.
+        for first in (seed, None) if seed is not None else (None,):
+            deviation = deviations(points, first or Pose(), pipe)
+            ring = decode(slits.direction, inside, outside, deviation, colours, FIRST_TOLERANCE)
+            marks.append(("decode", clock()))
+            fitted = self._fit(points, ring, first, every=3)
+            marks.append(("pose", clock()))
+            if fitted is not None:
+                break
         if fitted is None:
             rejected["no pipe"] = len(ring)
             empty = np.zeros(0, np.uint8)
@@ -102,7 +109,10 @@ class Reconstructor:
         marks.append(("decode", clock()))
         rejected["colour"] = int(np.count_nonzero((inside == UNKNOWN) | (outside == UNKNOWN)))
         rejected["no ring"] = int(np.count_nonzero(ring == NONE))
-        ring, rejected["width"] = _width_gate(ring, slits.width, len(self._optics.cones))
+        ring, rejected["width"] = _width_gate(
+            ring, slits.direction, slits.width, len(self._optics.cones), self.directions
+        )
+        ring, rejected["shaded"] = _shade_gate(ring, slits, len(self._optics.cones), self.directions)
         ring, rejected["alone"] = self._company_gate(slits.direction, pipe * (1.0 + deviation), ring)
         marks.append(("gates", clock()))
         pose, spread = self._fit(points, ring, fitted[0]) or fitted
@@ -136,16 +146,51 @@ class Reconstructor:
         return out, int(np.count_nonzero(~good))
 
 
-def _width_gate(ring: NDArray[np.int64], width: FloatArray, rings: int) -> tuple[NDArray[np.int64], int]:
+def _width_gate(
+    ring: NDArray[np.int64], direction: NDArray[np.int64], width: FloatArray, rings: int, directions: int
+) -> tuple[NDArray[np.int64], int]:
+    """Drops slits much narrower or wider than their ring is around there: half covered, or run into a shadow.
+
+    A leaning head sees a ring wider on one side; a mean and a first harmonic over the direction follow that.
+    """
     out = ring.copy()
-    frame = np.median(width[ring != NONE]) if (ring != NONE).any() else 0.0
+    frame = float(np.median(width[ring != NONE])) if (ring != NONE).any() else 0.0
+    turn = direction * (2 * math.pi / directions)
     for k in range(rings):
-        mine = ring == k
-        if mine.any():
-            # Two slits with a dark stripe between them look like one wide one, all the way round.
-            usual = np.clip(np.median(width[mine]), frame / UNLIKE, frame * UNLIKE)
-            out[mine & ((width < NARROW * usual) | (width > WIDE * usual))] = NONE
+        mine = np.flatnonzero(ring == k)
+        if not len(mine):
+            continue
+        # Two slits with a dark stripe between them look like one wide one, all the way round.
+        usual = float(np.clip(np.median(width[mine]), frame / UNLIKE, frame * UNLIKE))
+        basis = np.stack([np.ones(len(mine)), np.cos(turn[mine]), np.sin(turn[mine])], axis=1)
+        ratio = width[mine] / usual
+        some, values = basis[::WIDTH_EVERY], ratio[::WIDTH_EVERY]  # three numbers do not need every direction
+        fit, spread = np.array([1.0, 0.0, 0.0]), 0.2
+        for _ in range(3):
+            off = np.abs(values - some @ fit)
+            good = off < max(2.5 * spread, 0.05)
+            if np.count_nonzero(good) < 0.5 * len(good):
+                break
+            weighted = some[good]
+            fit = np.linalg.solve(weighted.T @ weighted + 1e-6 * np.eye(3), weighted.T @ values[good])
+            spread = 1.4826 * float(np.median(np.abs(values - some @ fit)))
+        expected = basis @ fit
+        ratio = ratio / np.clip(expected, NARROW, WIDE)
+        slack = min(max(1.0, WIDTH_NOISE * spread / (WIDE - 1.0)), 2.0)
+        out[mine[(ratio < 1.0 - (1.0 - NARROW) * slack) | (ratio > 1.0 + (WIDE - 1.0) * slack)]] = NONE
     return out, int(np.count_nonzero(out != ring))
+
+
+def _shade_gate(ring: NDArray[np.int64], slits: Slits, rings: int, directions: int) -> tuple[NDArray[np.int64], int]:
+    """Drops slits in a shadow's edge: much dimmer than their own ring a step to the side."""
+    kept = np.flatnonzero(ring != NONE)
+    light = np.zeros((rings, directions))
+    light[ring[kept], slits.direction[kept]] = slits.inside[kept].max(axis=1) + slits.outside[kept].max(axis=1)
+    brightest = np.max([np.roll(light, step, axis=1) for step in range(-SHADE_REACH, SHADE_REACH + 1)], axis=0)
+    bad = kept[(light < SHADE * brightest)[ring[kept], slits.direction[kept]]]
+    out = ring.copy()
+    out[bad] = NONE
+    return out, len(bad)
 
 
 def _spans(marks: list[tuple[str, float]]) -> dict[str, float]:

@@ -11,11 +11,12 @@ import numpy as np
 
 from annulus.geometry.pose import FloatArray, Pose
 from annulus.rings.profile import Profile
-from annulus.rings.wall import Wall, build_wall, harmonics
+from annulus.rings.wall import NOISE_FLOOR_MM, Wall, build_wall, harmonics
 
 ROUNDS = 2
 POINTS_NEEDED = 200  # in a frame, for the four numbers of its correction
 ANGLE_MAX = 0.03  # radians; a frame that wants more is wrong in another way and is left alone ..
+WORTH_MM = 0.04  # what a correction must do to most of a frame's points; less is noise of the fit
 SHIFT_OF_RADIUS = 0.05  # .. and so is one that wants a longer shift than this
 
 
@@ -51,7 +52,7 @@ def _aligned(profile: Profile, wall: Wall) -> Profile:
     ahead = (z - profile.z_mm)[:, None] / wall.mean_radius_mm  # in radii: one scale for shifts and tilts
     design = np.concatenate([direction, direction * ahead], axis=1)[covered]
     found = _biweight(design, excess[covered])
-    if found is None:
+    if found is None or np.percentile(np.abs(design @ found), 90) < WORTH_MM:
         return profile
     dx, dy = found[:2]
     gx, gy = found[2:] / wall.mean_radius_mm
@@ -67,7 +68,7 @@ def _biweight(design: FloatArray, value: FloatArray) -> FloatArray | None:
     fit: FloatArray = np.zeros(design.shape[1])
     for _ in range(8):
         residual = value - design @ fit
-        scale = max(1.4826 * float(np.median(np.abs(residual))), 0.02)
+        scale = max(1.4826 * float(np.median(np.abs(residual))), NOISE_FLOOR_MM)
         u = residual / (4.685 * scale)
         weight = np.where(np.abs(u) < 1, (1 - u * u) ** 2, 0.0)
         weighted = design * weight[:, None]

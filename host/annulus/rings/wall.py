@@ -26,6 +26,7 @@ BRIDGE_OF_RADIUS = 0.08  # longest sampling gap interpolated over, as a part of 
 STATION_SEEN = 0.5  # the scan starts and ends where half of the circle was seen: tilted rings leave ragged ends
 BRIDGE_STEP_MM = 0.75  # a greater step in radius across a gap is a shadow edge, not a sampling gap
 NOISE_FLOOR_MM = 0.02  # no instrument of this kind is better
+NOISE_LAG = 8  # columns; noise is alike over a few degrees, for lines are averaged with their neighbours
 USUAL_MM = 0.2  # from the usual shape: this near is the usual shape
 SHAPE_SPACING_MM = 5.0
 SHAPE_WINDOW_MM = 10.0  # each side: what one fit of the pipe's shape looks at
@@ -294,12 +295,12 @@ def _noise(wall: Wall) -> FloatArray:
 
     The neighbourhood (a diameter of pipe): spread of each row about its own median, for a groove lifts a whole row and
     must not count as noise; then the median over rows, so that no defect sets it. The row itself: differences between
-    cells three columns apart, which the smoothing does not share and a defect's inside does not touch; this follows
+    cells some columns apart, which share neither smoothing nor the patches that noise comes in; this follows
     where fewer rings look, at the ends of a scan.
     """
     residual = smooth(wall.residual_mm()).astype(np.float64)
     spread = 1.4826 * _nanmedian(np.abs(residual - _nanmedian(residual.T)[:, None]).T)
-    steps = 1.4826 / np.sqrt(2) * _nanmedian(np.abs(residual - np.roll(residual, 3, axis=1)).T)
+    steps = 1.4826 / np.sqrt(2) * _nanmedian(np.abs(residual - np.roll(residual, NOISE_LAG, axis=1)).T)
     wide = _running_median(spread, max(int(wall.mean_radius_mm / wall.z_step_mm), 1))
     return np.maximum(np.maximum(wide, _running_median(steps, 4)), NOISE_FLOOR_MM)
 

@@ -104,6 +104,7 @@ class _Worker:
     tasks: Socket
     address: Path
     started: float
+    answered: float = 0.0  # when it last gave a frame back
     ready: bool = False
     broken: str = ""  # what the user can mend
     in_hand: dict[int, _InHand] = field(default_factory=dict)
@@ -208,8 +209,9 @@ class Crew:
         for worker in list(self._workers.values()):
             code = worker.process.poll()
             oldest = min((task.since for task in worker.in_hand.values()), default=now)
-            if code is None and now - oldest > self._hung_s:
-                why = f"hung for {now - oldest:.0f} s"
+            since = max(oldest, worker.answered)  # the oldest may have waited behind others that were done
+            if code is None and now - since > self._hung_s:
+                why = f"hung for {now - since:.0f} s"
             elif code is None and not worker.ready and now - worker.started > START_S:
                 why = f"not ready after {START_S:.0f} s"
             elif code is not None:
@@ -298,6 +300,7 @@ class Crew:
                 self._ring.release(task.place)
                 self.counts[kind] += 1
                 self._barren = 0
+                worker.answered = self._clock()
                 happened.append(
                     Done(number, task.header, body[1]) if kind == "done" else Failed(number, task.header, str(body[1]))
                 )

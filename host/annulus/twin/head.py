@@ -381,10 +381,10 @@ class _Head:
                 for question in questions:
                     sys.stdout.write(json.dumps(self._answer(json.loads(question))) + "\n")
                     sys.stdout.flush()
-            if self.listener in readable:
-                self._admit()
             if self.viewer and self.viewer in readable:
                 self._hear()
+            if self.listener in readable:
+                self._admit()
             if self.wake in readable:
                 with contextlib.suppress(BlockingIOError):
                     os.eventfd_read(self.wake)

@@ -581,9 +581,8 @@ class Renderer:
         `out` (which a caller with two threads shares between them).
         """
         frame = np.empty((self.height, self.width), np.uint8) if out is None else out
-        gains = [
-            np.ascontiguousarray(np.broadcast_to(np.asarray(g, np.float32), (self.height,))) for g in (projector, led)
-        ]
+        # Copies: a broadcast view is read-only, which numba would compile a second kernel for.
+        gains = [np.array(np.broadcast_to(g, (self.height,)), np.float32) for g in (projector, led)]
         first, last = rows or (0, self.height)
         station = pose.to_pipe(np.zeros((1, 3)), z_mm)[0].astype(np.float32)
         _draw(
@@ -637,10 +636,18 @@ def _ray_table(world: World) -> F32:
     return np.where(seen, np.stack([rays[..., 0], rays[..., 1], spread]), 0.0).astype(np.float32)
 
 
+def _behind(tiles: NDArray[Any], reach: int, combine: Callable[..., NDArray[Any]]) -> NDArray[Any]:
+    """Each tile combined with the `reach` tiles before it along the pipe."""
+    out = tiles.copy()
+    for k in range(1, reach + 1):
+        out[k:] = combine(out[k:], tiles[:-k])
+    return out
+
+
 def _tiles(world: World) -> tuple[F32, F32, F32, F32, U8]:
     """Per tile of wall: bounds of the deviation in it, bounds of what a ray to it may meet on its way, how it is met.
 
-    A ray that grazes at angle a passes height h of roughness over h / tan(a) of pipe, so bounds are spread that far.
+    A ray that grazes at angle a passes height h of relief over h / tan(a) of pipe, so bounds reach that far.
     """
     deviation, paint = world.radius_map, world.albedo_map
     rows = deviation.shape[0] // _TILE_ROWS * _TILE_ROWS
@@ -656,18 +663,18 @@ def _tiles(world: World) -> tuple[F32, F32, F32, F32, U8]:
     grazing = math.tan(max(cones[0].half_angle - math.radians(world.projector.margin_deg[0]), math.radians(8.0)))
     relief = max(float(np.abs(deviation).max(initial=0.0)), 0.0)
     reach = math.ceil(relief / grazing / (STEP_Z_MM * _TILE_ROWS)) + 2
-    size = (2 * reach + 1, 3)
     mode = ("nearest", "wrap")
-    near_low = ndimage.minimum_filter(low, size=size, mode=mode)
-    near_high = ndimage.maximum_filter(high, size=size, mode=mode)
-    steep = ndimage.maximum_filter(steep, size=size, mode=mode)
-    kind = np.where(steep, 3, np.where((near_high > _PLAIN_MM) | (near_low < -_PLAIN_MM), 1, 0)).astype(np.uint8)
-    marked = (
-        (paint[:rows] != (np.array(world.albedo) * 255.0 + 0.5).astype(np.uint8))
-        .any(axis=2)
-        .reshape(shape)
-        .any(axis=(1, 3))
-    )
+    near_low = _behind(ndimage.minimum_filter(low, size=3, mode=mode), reach, np.minimum)
+    near_high = ndimage.maximum_filter(high, size=(5, 3), mode=mode)
+    # what is carved out of the wall is met through its own opening; what stands out of it hides the wall behind it
+    carved = ndimage.maximum_filter(high, size=3, mode=mode) > _PLAIN_MM
+    steep_near = ndimage.maximum_filter(steep, size=(2 * reach + 1, 3), mode=mode) & carved
+    steep_near |= ndimage.maximum_filter(steep, size=3, mode=mode)
+    stands = ndimage.maximum_filter(steep & (low < -_PLAIN_MM), size=3, mode=mode)
+    steep_near |= _behind(stands, reach, np.maximum)
+    kind = np.where(steep_near, 3, np.where((near_high > _PLAIN_MM) | (near_low < -_PLAIN_MM), 1, 0)).astype(np.uint8)
+    bare = (np.array(world.albedo) * 255.0 + 0.5).astype(np.uint8)
+    marked = (paint[:rows] != bare).any(axis=2).reshape(shape).any(axis=(1, 3))
     kind |= np.where(ndimage.maximum_filter(marked, size=3, mode=mode), 4, 0).astype(np.uint8)
     bounds = [np.ascontiguousarray(bound, dtype=np.float32) for bound in (low, high, near_low, near_high)]
     return bounds[0], bounds[1], bounds[2], bounds[3], kind

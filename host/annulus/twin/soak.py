@@ -30,7 +30,7 @@ STEP_TICKS = MS_TICKS // 2  # between two looks at the line while an answer is a
 IDLE_TICKS = 10 * MS_TICKS
 EVENT_TICKS = MS_TICKS  # after an edge, by then its event is over the line
 CALIBRATION_FRAMES = 50
-FRAMES_WAITING_MAX = 64
+FRAMES_WAITING_MAX = 128  # while the offset is being found they all wait
 EVEN = 0.97  # a row with less light than this share of the brightest: the flash was not all rows'
 START_NS = 4_000_000_000_000  # the host has been up for a while
 SPEED_MM_S = 2.0
@@ -163,7 +163,7 @@ class _Run:
         self.waiting: deque[_Frame] = deque()
         self.disturbed: list[int] = []  # first frame after each disturbance's end
         self.lost_seen = 0
-        self.overflow = self.dropped = self.dark = self.calibrating = 0
+        self.overflow = self.dropped = self.dark = 0
         self.events_lost_for_good = 0
 
     # ---- one frame of virtual time ----
@@ -185,6 +185,11 @@ class _Run:
 
     def finish(self) -> None:
         """What still waits gets its label without the edges that never came."""
+        if not self.calibrated:
+            raise AnnulusError(
+                f"soak: the camera's offset was not found in {self.frames} frames, head {self.head.phase.value},"
+                " expected fewer faults or more frames"
+            )
         self._label(self._now + round(100 * self.timing.period_us * 1000))
 
     @property
@@ -229,7 +234,6 @@ class _Run:
         light = self._light(exposure) if self.photometry or not self.calibrated else None
         if light is not None and not self.calibrated:
             self._calibrate(exposure, light)
-            return
         self.waiting.append(_Frame(exposure, light))
         if len(self.waiting) > FRAMES_WAITING_MAX:
             self.waiting.popleft()
@@ -241,7 +245,6 @@ class _Run:
         return measure(self.renderer.render(*where, exposure.projector, exposure.led, seed=exposure.sequence)).light
 
     def _calibrate(self, exposure: Exposure, light: Light) -> None:
-        self.calibrating += 1
         if self.head.phase is Phase.RUNNING and light is not Light.DARK:
             self.calibration.append((exposure.timestamp_ns, light))
         if len(self.calibration) < CALIBRATION_FRAMES:
@@ -252,14 +255,13 @@ class _Run:
             sabotaged = self.offset_error_ns != 0
             pairing.recalibrate(self._period_ns, offset.offset_ns + self.offset_error_ns, proved=not sabotaged)
         self.calibrated = True
-        self.disturbed.clear()  # nothing could be labelled before
 
     @property
     def _period_ns(self) -> int:
         return round(self.timing.period_us * 1000)
 
     def _label(self, now: int) -> None:
-        while self.waiting and self.pairing.settled(self.waiting[0].exposure.timestamp_ns, now):
+        while self.calibrated and self.waiting and self.pairing.settled(self.waiting[0].exposure.timestamp_ns, now):
             frame = self.waiting.popleft()
             exposure = frame.exposure
             for pairing, score in ((self.pairing, self.score), (self.blind, self.blind_score)):
@@ -278,7 +280,6 @@ class _Run:
             "unknown": self.score.labels[Label.UNKNOWN],
             "projector": self.score.labels[Label.PROJECTOR],
             "led": self.score.labels[Label.LED],
-            "calibrating": self.calibrating,
             "dropped": self.dropped,
             "overflow": self.overflow,
             "dark": self.dark,

@@ -125,7 +125,13 @@ def test_a_frame_across_a_reset_is_unknown_though_its_flash_was_announced() -> N
     pairing.edge(flash(0, boot=2), at(5), 2)  # the controller restarted between edges 4 and 5
     assert frame(pairing, 5).reason is Reason.OPENING_LOST
     pairing.edge(flash(5, boot=2), at(6), 2)
-    assert frame(pairing, 6).label is Label.UNKNOWN  # an index that continues by accident is another edge's
+    assert frame(pairing, 6).label is Label.UNKNOWN
+
+
+def test_an_index_that_continues_by_accident_in_another_life_is_another_edges() -> None:
+    pairing = pairing_with(range(5))
+    pairing.edge(flash(5, boot=2), at(5), 2)
+    assert frame(pairing, 5).reason is Reason.OPENING_LOST
 
 
 def test_a_fault_inside_the_frame_makes_it_unknown_and_only_it() -> None:

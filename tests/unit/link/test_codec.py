@@ -45,7 +45,7 @@ def test_every_message_arrives_whole_however_the_bytes_are_cut(random_: random.R
 
 
 @given(st.randoms(use_true_random=False))
-@settings(max_examples=150, derandomize=True, deadline=None)
+@settings(max_examples=100, derandomize=True, deadline=None)
 def test_damage_never_delivers_a_message_that_was_not_sent(random_: random.Random) -> None:
     sent = [any_frame(random_, list(TO_HOST)) for _ in range(8)]
     wire = bytearray(b"".join(encode(frame) for frame in sent))

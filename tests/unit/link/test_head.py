@@ -90,6 +90,28 @@ def test_edges_are_placed_in_host_time_also_those_heard_before_the_clock_locked(
     assert abs(seen.host_ns - fell) <= 2 * MS and seen.life == 1 and seen.flash.boot == 7
 
 
+def test_after_a_reset_no_edge_is_placed_by_the_old_lifes_clock() -> None:
+    bench = Bench(HeadControl(STAGE))
+    bench.run(500)
+    bench.controller.reset()
+    bench.run(1)
+    bench.edge(0)
+    fell = bench.now
+    bench.run(40)
+    (seen,) = bench.all(EdgeSeen)
+    assert abs(seen.host_ns - fell) <= 2 * MS and seen.life == 2
+
+
+def test_on_a_line_slower_than_the_labels_need_no_edge_is_placed() -> None:
+    bench = Bench(HeadControl(STAGE))
+    for number in range(40):
+        bench.controller.receive(bench.head.pending(bench.now), bench.now)
+        bench.now += 30 * MS  # every answer takes that long
+        bench.edge(number)
+        bench.news += bench.head.receive(bench.controller.take(), bench.now)
+    assert bench.head.clock.locked and bench.all(EdgeSeen) == [] and bench.head.edges_unplaced > 20
+
+
 def test_edges_of_a_life_that_ended_before_its_clock_locked_are_never_placed() -> None:
     bench = Bench(HeadControl(STAGE))
     bench.run(2)
@@ -169,6 +191,20 @@ def test_disarming_holds_until_asked_otherwise() -> None:
     assert bench.controller.armed
     arms = [c for c in bench.controller.executed if isinstance(c, Arm) and ArmFlag.LAMPS in c.outputs]
     assert len(arms) == 2
+
+
+def test_every_change_of_arming_is_said_so_that_no_flash_in_it_is_trusted() -> None:
+    bench = Bench(HeadControl(STAGE))
+    bench.run(50)
+    bench.news.clear()
+    bench.head.disarm()
+    start = bench.now
+    bench.run(10)
+    bench.head.arm()
+    bench.run(10)
+    cuts = [cut for cut in bench.all(LampsCut) if cut.why == "arming changed"]
+    assert len(cuts) == 3 and cuts[0].from_ns == start + MS  # off; off again before the new configuration; on
+    assert all(cut.from_ns <= cut.to_ns <= bench.now for cut in cuts)
 
 
 def test_a_dead_line_is_searched_again_and_again_without_piling_up() -> None:

@@ -120,21 +120,22 @@ def _shade(
         if radius:
             wall_mm = radius(np.arctan2(wall[:, 1], wall[:, 0]), wall[:, 2])
     stripe = np.zeros(len(ok), int)
-    dark = np.zeros(len(ok), bool)
+    dark = ~np.isfinite(wall[:, 2]) | (wall[:, 2] < 5)
     camera_frame = pose.to_camera(wall)
-    angle = np.zeros(len(ok))
+    fringe = np.radians(2.2)
     for k, cone in enumerate(cal.rings):
         v = camera_frame - np.asarray(cone.vertex_mm)
-        angle = np.arctan2(np.linalg.norm(np.cross(v, cone.axis), axis=1), v @ np.asarray(cone.axis))
-        stripe += angle > cone.half_angle
-        dark |= np.abs(angle - cone.half_angle) < half[k]
+        cosine = v @ np.asarray(cone.axis) / np.sqrt(np.einsum("ij,ij->i", v, v))
+        t = cone.half_angle
+        stripe += cosine < np.cos(t)
+        dark |= (cosine < np.cos(t - half[k])) & (cosine > np.cos(t + half[k]))
         if k == 0:
-            dark |= angle < cone.half_angle - np.radians(2.2)
-    dark |= angle > cal.rings[-1].half_angle + np.radians(2.2)
-    dark |= ~np.isfinite(angle) | (wall[:, 2] < 5)
+            dark |= cosine > np.cos(t - fringe)
+        if k == len(cal.rings) - 1:
+            dark |= cosine < np.cos(t + fringe)
     if lit is not None:
         dark |= ~lit(wall)
-    fade = np.clip((110.0 / np.linalg.norm(camera_frame, axis=1)) ** 2, 0.15, 1.0)
+    fade = np.clip(110.0**2 / np.einsum("ij,ij->i", camera_frame, camera_frame), 0.15, 1.0)
     colour = np.asarray(paint.light)[["RGB".index(c) for c in cal.colours]][stripe] * fade[:, None]
     out[ok] = np.where(dark[:, None], 0.0, colour)
     return out

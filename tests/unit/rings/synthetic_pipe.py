@@ -1,6 +1,7 @@
 """Profiles of a pipe given as a radius function of clock angle and distance: rings cast, shadows kept, noise seeded."""
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -63,8 +64,16 @@ def scan(
     noise: float = 1.0, gross: float = 0.0, directions: int = 720, seed: int = 5,
 ) -> list[Profile]:  # fmt: skip
     """Profiles of a centred sensor at the stations (50 frames 2.4 mm apart, every fifth left to the LED)."""
+    stations = [2.4 * i for i in range(50) if i % 5 != 4] if z_mm is None else z_mm
+    return list(_cast(radius, tuple(stations), tuple(rods_deg), noise, gross, directions, seed))
+
+
+@lru_cache(maxsize=16)
+def _cast(
+    radius: RadiusMap, stations: tuple[float, ...], rods_deg: tuple[float, ...], noise: float, gross: float,
+    directions: int, seed: int,
+) -> tuple[Profile, ...]:  # fmt: skip
     rng = np.random.default_rng(seed)
-    stations = [2.4 * i for i in range(50) if i % 5 != 4] if z_mm is None else list(z_mm)
     clock = (np.arange(directions) + 0.5) * 360.0 / directions
     lit = (
         np.all([np.abs(turn(clock, rod)) > 4.0 for rod in rods_deg], axis=0) if rods_deg else np.ones(len(clock), bool)
@@ -99,4 +108,4 @@ def scan(
                 np.concatenate(direction).astype(np.uint16), 0.05,
             )
         )  # fmt: skip
-    return out
+    return tuple(out)

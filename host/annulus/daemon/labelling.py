@@ -1,0 +1,146 @@
+"""From a frame as it came to a frame with its header: label, edge and station. Owns the camera's timestamp offset.
+
+labelling = Labelling(config, width, height, encoding, tell)
+labelling.hear(news)                              # from the controller, as it comes
+labelling.saw(frame)                              # every frame, as it comes
+labelling.look_for_offset(now_s)                  # now and then
+if labelling.settled(frame, now_ns):              # frames in the order of capture
+    header = labelling.header(frame)
+"""
+
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from annulus.capture.pairing import Pairing, calibrate_offset
+from annulus.capture.photometry import Light
+from annulus.daemon.along import Along
+from annulus.daemon.config import HeadConfig
+from annulus.link.head import EdgeSeen, LampsCut, News
+from annulus.stream.frames import FrameHeader
+from annulus.vocabulary import AnnulusError, CameraSequence, Label
+
+OFFSET_FRAMES = 15  # seen before the camera's offset is tried ..
+OFFSET_FRAMES_KEPT = 64  # .. and looked at
+GIVE_UP_S = 20.0  # without an offset the operator is told, each time this has passed
+LOOK_AGAIN_S = 2.0  # after an offset was found, it is not doubted for so long
+TRY_PERIODS = 3.0  # between two attempts
+NOT_KNOWN = "timestamp offset not known yet"
+NO_CONTROLLER = "no controller"
+
+
+@dataclass(frozen=True, slots=True)
+class FrameSeen:
+    """A frame without its picture, but with what the picture shows."""
+
+    index: int
+    sequence: CameraSequence | None
+    timestamp_ns: int
+    light: Light
+    metadata: Mapping[str, Any]
+
+
+class Labelling:
+    """Sans-I/O: the caller says what time it is. `tell(kind, text)` is for the operator."""
+
+    def __init__(
+        self, config: HeadConfig, width: int, height: int, encoding: str, tell: Callable[[str, str], None]
+    ) -> None:
+        self._alone = config.port is None
+        self._period_ns = round(1e9 / config.timing.fps)
+        self._shape = width, height, encoding
+        self._tell = tell
+        self._pairing = Pairing(self._period_ns)
+        self._along = Along(config.mm_per_count)
+        self._seen: deque[tuple[int, Light]] = deque(maxlen=OFFSET_FRAMES_KEPT)
+        self._offset_known = self._alone
+        self._looking_since: float | None = None
+        self._next_look = 0.0
+
+    @property
+    def offset_known(self) -> bool:
+        return self._offset_known
+
+    def numbers(self) -> dict[str, int]:
+        """For the telemetry."""
+        return {
+            "offset_ns": self._pairing.offset_ns,
+            "offset_error_ns": self._pairing.offset_error_ns,
+            "place_gaps": self._along.gaps,
+        }
+
+    def hear(self, news: News) -> None:
+        """What concerns labels among the controller's news."""
+        match news:
+            case EdgeSeen():
+                self._pairing.edge(news.flash, news.host_ns, news.life)
+            case LampsCut():
+                self._pairing.spoil(news.from_ns, news.to_ns)
+
+    def saw(self, frame: FrameSeen) -> None:
+        """A frame has come; it may help to find the offset long before it can be labelled."""
+        self._seen.append((frame.timestamp_ns, frame.light))
+
+    def look_for_offset(self, now_s: float) -> None:
+        """At the start, and again whenever the offset has become doubtful. Until it is found, frames are unknown."""
+        if self._alone or now_s < self._next_look:
+            return
+        if self._offset_known:
+            if not self._pairing.doubtful:
+                return
+            self._offset_known = False
+            self._seen.clear()
+            self._tell("offset", "the camera's timestamp offset has become doubtful: looking for it again")
+        if len(self._seen) < OFFSET_FRAMES:
+            return
+        if self._looking_since is None:
+            self._looking_since = now_s
+        self._next_look = now_s + TRY_PERIODS * self._period_ns / 1e9
+        try:
+            offset = calibrate_offset(self._seen, self._pairing.edges, self._period_ns)
+        except AnnulusError as error:
+            if now_s - self._looking_since > GIVE_UP_S:
+                self._looking_since = now_s
+                self._tell("offset", f"still no timestamp offset, frames stay unknown: {error}")
+            return
+        self._pairing.recalibrate(self._period_ns, offset.offset_ns)
+        self._offset_known = True
+        self._looking_since = None
+        self._next_look = now_s + LOOK_AGAIN_S
+        self._tell(
+            "offset",
+            f"camera timestamps are {offset.offset_ns / 1e6:+.2f} ms from the end of readout "
+            f"(+-{offset.jitter_ns / 1e6:.2f} ms, {offset.frames} frames)",
+        )
+
+    def settled(self, frame: FrameSeen, now_ns: int) -> bool:
+        """Whether this frame's label can get no better by waiting."""
+        return self._alone or (self._offset_known and self._pairing.settled(frame.timestamp_ns, now_ns))
+
+    def header(self, frame: FrameSeen) -> FrameHeader:
+        """The verdict. Ask once for each frame, in the order of capture."""
+        width, height, encoding = self._shape
+        blank = FrameHeader(
+            frame.index, frame.sequence, frame.timestamp_ns, Label.UNKNOWN, "", None, None, None, None, encoding, width,
+            height,
+        )  # fmt: skip
+        if self._alone:
+            return _brought_along(blank, frame.metadata)
+        if not self._offset_known:
+            return replace(blank, reason=NOT_KNOWN)
+        said = self._pairing.label(frame.timestamp_ns, frame.sequence, frame.light)
+        if said.label is Label.UNKNOWN or said.flash is None:
+            return replace(blank, reason=str(said.reason))
+        flash, z_mm = said.flash, self._along.z_mm(said.flash, frame.timestamp_ns)
+        return replace(
+            blank, label=said.label, edge=flash.edge, slot=flash.slot, odometer=flash.odometer, z_mm=z_mm
+        )  # fmt: skip
+
+
+def _brought_along(blank: FrameHeader, metadata: Mapping[str, Any]) -> FrameHeader:
+    """Without a controller: the label a scan folder gave its frame, or none."""
+    light, z_mm = metadata.get("Light"), metadata.get("ZMm")
+    if light not in (Label.PROJECTOR.value, Label.LED.value) or not isinstance(z_mm, int | float):
+        return replace(blank, reason=NO_CONTROLLER)
+    return replace(blank, label=Label(light), z_mm=float(z_mm))

@@ -1,0 +1,275 @@
+"""Promises of a scan, kept across processes: the simulated head in real time, a quarter-size camera, all else real."""
+
+import os
+import pty
+import resource
+import signal
+import threading
+import time
+import tty
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from annulus.capture.camera import HeldRequest
+from annulus.capture.photometry import Light, measure
+from annulus.capture.timing import FrameTiming
+from annulus.daemon.config import CameraConfig, HeadConfig, LampConfig
+from annulus.daemon.scan import Doors, Scan, ScanReport
+from annulus.demo import demo_config
+from annulus.link.client import Client
+from annulus.link.messages import StateFlag, Status
+from annulus.record.recording import Recording, open_recording
+from annulus.rings.profile import Profile
+from annulus.twin.head import HeadHandle, TwinCamera, start_head
+from annulus.twin.sensor import Faults
+from annulus.twin.world import World, demo_world
+from annulus.vocabulary import AnnulusError, Label
+
+pytestmark = pytest.mark.system
+
+FPS = 8.0
+WORLD = demo_world(travel_mm=330.0).scaled(416)
+
+
+class Rig:
+    """A scan on a head, with hands on both."""
+
+    def __init__(self, head: HeadHandle, out: Path, world: World = WORLD, **changes: object) -> None:
+        self.head = head
+        config = replace(demo_config(head, world, out), **changes)
+        self.profiles: list[Profile] = []
+        self.told: list[str] = []
+        doors = Doors(profile=self.profiles.append, event=self.told.append)
+        self.scan = Scan(config, TwinCamera(head.camera_address), doors=doors, name="scan")
+
+    def run(self, until: Callable[["Rig"], bool]) -> ScanReport:
+        """Scan until the condition holds; a minute at most."""
+        end = time.monotonic() + 60.0
+        report = self.scan.run(lambda: until(self) or time.monotonic() > end)
+        assert time.monotonic() < end, self.told
+        return report
+
+    @property
+    def worker_pids(self) -> list[int]:
+        crew = self.scan._workers
+        return crew.pids if crew is not None and crew.ready else []
+
+
+@pytest.fixture
+def head() -> Iterator[HeadHandle]:
+    with start_head(WORLD, FPS, seed=5, speed_mm_s=25.0) as head:
+        yield head
+
+
+def frames_are_what_they_are_called(recording: Recording) -> int:
+    """Pictures of frames with a label show that lamp. Returns how many were checked."""
+    expected = {Label.PROJECTOR: Light.PROJECTOR, Label.LED: Light.LED}
+    known = [frame for frame in recording.frames if frame.label in expected]
+    for frame in known:
+        assert measure(recording.read_raw(frame)[0]).light is expected[frame.label], frame
+    return len(known)
+
+
+def test_a_scan_is_labelled_recorded_and_reconstructed(head: HeadHandle, tmp_path: Path) -> None:
+    rig = Rig(head, tmp_path)
+    report = rig.run(lambda rig: rig.scan.labelled >= 40)
+    recording = open_recording(tmp_path / "scan.mcap")
+    assert not recording.torn and report.recordings == (tmp_path / "scan.mcap",)
+    assert frames_are_what_they_are_called(recording) == report.frames["projector"] + report.frames["led"] >= 40
+    assert len(recording.frames) == sum(report.frames.values())
+    # one LED frame in five, whatever was dropped
+    slots = [recording.labels[f.index]["slot"] for f in recording.frames if f.label is Label.LED]
+    assert slots and set(slots) == {4}
+    # every projector frame became a profile, in order, at its own station
+    stations = {f.index: f.z_mm for f in recording.frames if f.label is Label.PROJECTOR}
+    assert [p.frame for p in rig.profiles] == sorted(p.frame for p in rig.profiles)
+    assert len(rig.profiles) + report.drops.get("worker_busy", 0) == len(stations)
+    assert all(p.z_mm == stations[p.frame] for p in rig.profiles)
+    assert sum(p.pose is not None for p in rig.profiles) > 0.9 * len(rig.profiles)
+    assert [n["frame"] for n in recording.notes("/profile")] == [p.frame for p in rig.profiles]
+    moved = [f.z_mm for f in recording.frames if f.label is not Label.UNKNOWN]
+    assert moved == sorted(moved) and moved[-1] > 20.0
+    assert recording.calibration == WORLD.calibration().to_dict()
+    # and the lamps are off, by the head's own pins and by its word
+    assert head.counters()["lamps_on"] == []
+    with Client(head.port_url) as client:
+        assert StateFlag.LAMPS_ARMED not in client.request(Status()).state  # type: ignore[attr-defined]
+
+
+def test_a_worker_killed_in_mid_scan_costs_its_frames_and_they_are_reported(head: HeadHandle, tmp_path: Path) -> None:
+    rig = Rig(head, tmp_path, workers=1)
+    victim: list[int] = []
+
+    def until(rig: Rig) -> bool:
+        if not victim and len(rig.profiles) >= 5:
+            victim.append(rig.worker_pids[0])
+            os.kill(victim[0], signal.SIGSTOP)  # so that it certainly has frames in its hands
+        crew = rig.scan._workers
+        if victim and crew is not None and crew.in_hand == 2 and victim[0] in crew.pids:
+            os.kill(victim[0], signal.SIGKILL)
+        died = next(
+            (i for i, text in enumerate(rig.told) if "killed by SIGKILL" in text and "takes over" in text), None
+        )
+        return died is not None and rig.profiles[-1].frame > last_lost(rig.told) + 5
+
+    report = rig.run(until)
+    lost = [text for text in rig.told if text.startswith("frame ") and "SIGKILL" in text]
+    assert report.drops["worker_died"] == len(lost) == 2
+    assert report.drops["workers_replaced"] == 1
+    recording = open_recording(tmp_path / "scan.mcap")
+    assert frames_are_what_they_are_called(recording) >= 10
+    have = {p.frame for p in rig.profiles}
+    recorded = {f.index for f in recording.frames if f.label is Label.PROJECTOR}
+    assert {int(text.split()[1].rstrip(":")) for text in lost} <= recorded - have  # they can be had later
+
+
+def last_lost(told: list[str]) -> int:
+    return max((int(t.split()[1].rstrip(":")) for t in told if t.startswith("frame ") and "SIGKILL" in t), default=0)
+
+
+def test_a_recorder_killed_in_mid_scan_is_replaced_and_both_files_are_readable(
+    head: HeadHandle, tmp_path: Path
+) -> None:
+    rig = Rig(head, tmp_path, calibration=None)
+    killed: list[int] = []
+
+    def until(rig: Rig) -> bool:
+        crew = rig.scan._recorder
+        if not killed and rig.scan.labelled >= 18 and crew is not None:
+            killed.append(rig.scan.labelled)
+            os.kill(crew.pids[0], signal.SIGKILL)
+        return bool(killed) and (tmp_path / "scan-2.mcap").exists() and rig.scan.labelled >= killed[0] + 30
+
+    report = rig.run(until)
+    first, second = open_recording(tmp_path / "scan.mcap"), open_recording(tmp_path / "scan-2.mcap")
+    assert first.torn and not second.torn
+    assert len(first.frames) >= 15 and len(second.frames) >= 1
+    gone = report.drops.get("recorder_died", 0) + report.drops.get("recorder_busy", 0)
+    assert len(first.frames) + len(second.frames) + gone >= sum(report.frames.values())
+    assert report.drops["recorders_replaced"] == 1
+
+
+def test_a_controller_that_restarts_is_armed_again_and_no_label_is_wrong(tmp_path: Path) -> None:
+    faults = Faults(events_lost=0.01, frames_dropped=0.02, resets=(100,))
+    with start_head(WORLD, FPS, faults, seed=6, speed_mm_s=25.0) as head:
+        rig = Rig(head, tmp_path, calibration=None)
+        at: list[int] = []
+
+        def until(rig: Rig) -> bool:
+            if not at and any("restarted" in text for text in rig.told):
+                at.append(rig.scan.labelled)
+            return bool(at) and rig.scan.labelled >= at[0] + 15
+
+        report = rig.run(until)
+        recording = open_recording(tmp_path / "scan.mcap")
+        assert frames_are_what_they_are_called(recording) >= 30
+        assert report.telemetry["place_gaps"] == 1 and report.telemetry["rearms"] >= 1
+        moved = np.array([f.z_mm for f in recording.frames if f.label is not Label.UNKNOWN])
+        assert (np.diff(moved) > -0.2).all()  # the head does not jump back to where its counter began
+        assert head.counters()["lamps_on"] == []
+
+
+def test_a_full_disk_costs_the_recording_and_not_the_labels(head: HeadHandle, tmp_path: Path) -> None:
+    frame = WORLD.camera.width * WORLD.camera.height
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    rig = Rig(head, tmp_path, calibration=None, slots=30)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (35 * frame, hard))  # the ring still fits, 50 frames on disk do not
+        report = rig.run(lambda rig: rig.scan.labelled >= 50)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    recording = open_recording(tmp_path / "scan.mcap")
+    assert report.drops["disk"] == sum(report.frames.values()) - len(recording.frames) > 5
+    assert report.frames["projector"] + report.frames["led"] >= 50
+    assert any("frames are labelled but not recorded" in text for text in rig.told)
+    assert frames_are_what_they_are_called(recording) >= 20
+
+
+# ---- without a head ------------------------------------------------------------------------------------------------
+
+
+class Still:
+    """A camera that gives labelled frames of a scan folder's kind, or none at all."""
+
+    def __init__(self, count: int, width: int = 64, height: int = 48) -> None:
+        self.width, self.height, self.encoding = width, height, "mono8"
+        self.count, self.closed = count, False
+
+    def start(self) -> None: ...
+
+    def stop(self) -> None: ...
+
+    def close(self) -> None:
+        self.closed = True
+
+    def set_controls(self, controls: object) -> None: ...
+
+    def capture_request(self) -> HeldRequest:
+        from annulus.capture.camera import EndOfFrames
+
+        if self.count == 0:
+            raise EndOfFrames
+        self.count -= 1
+        now = time.monotonic_ns() + 5_000_000
+        light = {"Light": "projector", "ZMm": 1.5} if self.count % 2 else {}
+        return HeldRequest(np.zeros((self.height, self.width), np.uint8), {"SensorTimestamp": now, **light})
+
+
+def config(port: str | None, out: Path | None) -> HeadConfig:
+    timing = FrameTiming(25.0, 38_000.0, 28_000.0)
+    return HeadConfig(
+        CameraConfig("folder", "x", 64, 48), timing, LampConfig(), port, 0.05, None, out, None, None, None
+    )
+
+
+def test_without_a_controller_frames_bring_their_labels_or_are_unknown(tmp_path: Path) -> None:
+    camera = Still(20)
+    report = Scan(config(None, tmp_path), camera, name="scan").run(lambda: False)  # type: ignore[arg-type]
+    assert report.frames == {"projector": 10, "unknown": 10} and report.unknown == {"no controller": 10}
+    assert camera.closed
+    frames = open_recording(tmp_path / "scan.mcap").frames
+    assert [f.label for f in frames].count(Label.PROJECTOR) == 10
+
+
+def test_a_folder_that_cannot_be_written_is_one_clear_line(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(AnnulusError, match="cannot be made") as caught:
+        Scan(config(None, tmp_path / "file"), Still(3)).run(lambda: False)  # type: ignore[arg-type]
+    assert "\n" not in str(caught.value)
+
+
+def test_a_port_that_is_not_there_or_silent_or_babbling_is_one_clear_line(tmp_path: Path) -> None:
+    with pytest.raises(AnnulusError, match="cannot be opened"):
+        Scan(config("/dev/no-such-port", None), Still(3)).run(lambda: False)  # type: ignore[arg-type]
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    name = os.ttyname(slave)
+    with pytest.raises(AnnulusError, match="no answer to identify"):
+        Scan(config(name, None), Still(3)).run(lambda: False)  # type: ignore[arg-type]
+    done = threading.Event()
+
+    def babble() -> None:
+        rng = np.random.default_rng(1)
+        os.set_blocking(master, False)
+        while not done.wait(0.01):
+            try:
+                os.write(master, rng.bytes(200))
+                os.read(master, 1000)
+            except BlockingIOError:
+                continue
+
+    babbler = threading.Thread(target=babble)
+    babbler.start()
+    try:
+        with pytest.raises(AnnulusError, match="damaged frames and no answer to identify") as caught:
+            Scan(config(name, None), Still(3)).run(lambda: False)  # type: ignore[arg-type]
+    finally:
+        done.set()
+        babbler.join()
+        os.close(master)
+        os.close(slave)
+    assert "\n" not in str(caught.value)
