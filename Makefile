@@ -4,7 +4,7 @@ UV_VERSION := 0.13.8
 UV         := .tools/bin/uv
 BIN        := .venv/bin
 
-.PHONY: setup demo test lint bench native generated clean
+.PHONY: setup demo test lint bench native firmware emulator generated mutants clean
 
 setup: .venv/.synced native
 
@@ -21,14 +21,28 @@ $(UV):
 native:
 	@$(MAKE) --silent -C firmware native
 
+# The image for the Pico: firmware/build/annulus.uf2 and .elf, budgets printed.
+firmware:
+	@tools/need.sh gcc-arm-none-eabi
+	@$(MAKE) --silent -C firmware image
+
+# What runs that image without a board.
+emulator: tools/emulator/node_modules/.package-lock.json
+
+tools/emulator/node_modules/.package-lock.json: tools/emulator/package.json tools/emulator/package-lock.json
+	@tools/need.sh nodejs npm
+	@cd tools/emulator && npm ci --silent --no-audit --no-fund
+	@touch $@
+
 demo: setup
 	$(BIN)/annulus demo
 
 # Lint first: it fails fast. Firmware tests need clang's fuzzer and sanitizers, which need.sh installs.
-test: setup lint
-	@tools/need.sh clang libclang-rt
+test: setup lint firmware emulator
+	@tools/need.sh clang libclang-rt sigrok-cli
 	$(BIN)/pytest -n auto --dist loadfile tests/unit
 	$(BIN)/pytest tests/system
+	$(BIN)/pytest -n auto tests/emulator
 
 lint: setup generated
 	$(BIN)/ruff check .
@@ -43,5 +57,9 @@ generated:
 bench: setup
 	@for b in tools/bench/bench_*.py; do echo "== $$b"; $(BIN)/python $$b || exit 1; done
 
+# Faults put into the firmware on purpose; the emulator's tests must catch every one.
+mutants: setup firmware emulator
+	$(BIN)/python tools/mutants.py
+
 clean:
-	rm -rf .venv .tools firmware/build
+	rm -rf .venv .tools firmware/build tools/emulator/node_modules

@@ -12,6 +12,10 @@ for need in "$@"; do
 	python3-venv) want python3-venv 'python3 -c "import ensurepip, venv"' ;;
 	clang) want clang 'command -v clang || command -v clang-14' ;;
 	libclang-rt) want libclang-rt-14-dev 'ls /usr/lib/llvm-*/lib/clang/*/lib/linux/libclang_rt.fuzzer-*.a' ;;
+	gcc-arm-none-eabi) want gcc-arm-none-eabi 'command -v arm-none-eabi-gcc' ;;
+	nodejs) want nodejs 'command -v node' ;;
+	npm) want npm 'command -v npm' ;;
+	sigrok-cli) want sigrok-cli 'command -v sigrok-cli && ls /usr/share/libsigrokdecode/decoders/uart' ;;
 	*) echo "need.sh: unknown need '$need'" >&2; exit 2 ;;
 	esac
 done

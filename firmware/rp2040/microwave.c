@@ -1,0 +1,284 @@
+// Trains of chips for the microwave gate and its digitizer trigger, played by PIO1 from lists that DMA repeats; and the
+// guard that holds the gate low whatever the others do.
+//
+// A list word is a level and how long it holds. Both machines play the same program from the same cycle on. The list of
+// one period has a power of two of words, so that one DMA channel with a ring reads it `repeat` times and then stops.
+// GUARD waits for the interlock to open and then drives the gate low in every cycle; of several machines that write a
+// pin in one cycle the highest-numbered wins (datasheet 3.5.6.1), so nothing the chips' machine does is seen any more.
+
+#include "../board.h"
+#include "../core/messages.h"
+#include "hardware.h"
+#include "pins.h"
+#include "registers.h"
+
+enum { PLAY = 0, GUARD_WATCH = 4, GUARD_CUT = 5, PROGRAM_LENGTH = 6 };
+
+static const uint16_t program[PROGRAM_LENGTH] = {
+    [PLAY] = PULL,  // wraps from 3 to 0
+    OUT_PINS(1U),
+    OUT_X(31U),
+    JMP_X_DEC(3),
+    [GUARD_WATCH] = WAIT_PIN_HIGH(PIN_INTERLOCK),
+    [GUARD_CUT] = SET_PINS(0U),  // wraps to itself
+};
+_Static_assert(PROGRAM_LENGTH == ODOMETER_PROGRAM, "the odometer's program lies behind");
+
+#define WORD_TICKS 4U    // the shortest a word can hold
+#define PIECE_TICKS 16U  // words shorter than this are not made when a list is filled up: DMA keeps ahead
+#define LIST_MAX 256U
+#define LIST_BITS 10U     // of its bytes
+#define LEAD_TICKS 200U   // from the start to the first thing that may happen
+#define START_OFFSET 31U  // from the tick read before the machines start to their first level
+#define PERIOD_MIN_TICKS (BOARD_TRIGGER_TICKS + PIECE_TICKS)
+
+static volatile uint32_t chip_list[LIST_MAX] __attribute__((aligned(1024)));
+static volatile uint32_t trigger_list[2] __attribute__((aligned(8)));
+
+static struct {
+    bool enabled;
+    bool running;
+    bool stopping;
+    uint16_t done;
+    uint16_t repeat;
+    uint32_t period;
+    uint32_t busy_ticks;  // chip 0, or the trigger if that is later, to the end of a burst
+    uint32_t end;         // tick of the end of the burst being sent
+} train;
+
+static uint32_t word_of(const bool level, const uint32_t ticks)
+{
+    return ((ticks - WORD_TICKS) << 1) | (level ? 1U : 0U);
+}
+
+static void execute(const uint32_t machine, const uint32_t instruction)
+{
+    REGISTER(PIO_INSTRUCTION(PIO1, machine)) = instruction;
+}
+
+static bool is_guard_cutting(void)
+{
+    return REGISTER(PIO_ADDRESS(PIO1, GUARD_MACHINE)) == GUARD_CUT;
+}
+
+static void stop_channel(const uint32_t channel)
+{
+    CLEAR_BITS(DMA_CTRL(channel)) = DMA_ENABLE;
+    REGISTER(DMA_ABORT) = 1U << channel;
+    while ((REGISTER(DMA_CTRL(channel)) & DMA_BUSY) != 0U) {
+    }
+}
+
+static void stop_players(void)
+{
+    CLEAR_BITS(PIO_CTRL(PIO1)) = PIO_MACHINE(CHIP_MACHINE) | PIO_MACHINE(TRIGGER_MACHINE);
+    stop_channel(DMA_CHIPS);
+    stop_channel(DMA_TRIGGER);
+    for (uint32_t machine = CHIP_MACHINE; machine <= TRIGGER_MACHINE; machine++) {
+        execute(machine, MOV_PINS_NULL);
+        for (uint32_t i = 0; i < 4U; i++) {
+            execute(machine, PULL_NO_BLOCK);
+        }
+    }
+    SET_BITS(PIO_CTRL(PIO1)) = PIO_RESTART(CHIP_MACHINE) | PIO_RESTART(TRIGGER_MACHINE);
+    execute(CHIP_MACHINE, JMP(PLAY));
+    execute(TRIGGER_MACHINE, JMP(PLAY));
+    train.running = false;
+}
+
+// Keep step with the train; after the last burst only its gap is being played, so stopping late is harmless.
+static void follow_train(void)
+{
+    const uint32_t now = board_tick();
+    while (train.running && ((int32_t)(now - train.end) >= 0)) {
+        train.done++;
+        const bool was_last = train.done == train.repeat;
+        const bool in_gap = now - train.end < train.period - train.busy_ticks;
+        if (was_last || (train.stopping && in_gap)) {
+            stop_players();
+        }
+        train.end += train.period;
+    }
+    if (train.enabled && is_guard_cutting()) {
+        train.enabled = false;
+        stop_players();
+    }
+}
+
+void board_microwave(const bool enabled)
+{
+    follow_train();
+    train.enabled = enabled && !board_interlock_open();
+    if (train.enabled) {
+        execute(GUARD_MACHINE, JMP(GUARD_WATCH));
+    } else {
+        execute(GUARD_MACHINE, JMP(GUARD_CUT));
+        stop_players();
+    }
+}
+
+static bool chip_at(const board_burst_t* const burst, const uint32_t chip)
+{
+    return (chip < burst->length) && (((burst->chips[chip / 8U] >> (chip % 8U)) & 1U) != 0U);
+}
+
+static uint32_t first_on_chip(const board_burst_t* const burst)
+{
+    uint32_t chip = 0;
+    while ((chip < burst->length) && !chip_at(burst, chip)) {
+        chip++;
+    }
+    return (chip == burst->length) ? 0U : chip;
+}
+
+static uint32_t power_of_two_from(const uint32_t count)
+{
+    uint32_t power = 1;
+    while (power < count) {
+        power *= 2U;
+    }
+    return power;
+}
+
+// One run as one word, or, as long as the list is to be filled up, several of the same level.
+static uint32_t append(uint32_t at, const bool level, uint32_t ticks, uint32_t* const fill)
+{
+    while (!level && (*fill > 0U) && (ticks >= 2U * PIECE_TICKS)) {
+        chip_list[at++] = word_of(false, PIECE_TICKS);
+        ticks -= PIECE_TICKS;
+        (*fill)--;
+    }
+    chip_list[at++] = word_of(level, ticks);
+    return at;
+}
+
+static uint32_t count_runs(const board_burst_t* const burst, const uint32_t first)
+{
+    uint32_t runs = 1;
+    for (uint32_t chip = first + 1U; chip <= burst->length; chip++) {
+        runs += (chip_at(burst, chip) != chip_at(burst, chip - 1U)) ? 1U : 0U;
+    }
+    return runs;
+}
+
+// One period from the first on-chip on, its gap at the end. The words it has, or 0: it cannot be filled up.
+static uint32_t write_list(const board_burst_t* const burst, const uint32_t first)
+{
+    const uint32_t runs = count_runs(burst, first);
+    const uint32_t words = power_of_two_from(runs);
+    uint32_t fill = words - runs;
+    uint32_t at = 0;
+    uint32_t begin = first;
+    for (uint32_t chip = first + 1U; chip < burst->length; chip++) {
+        if (chip_at(burst, chip) != chip_at(burst, chip - 1U)) {
+            at = append(at, chip_at(burst, chip - 1U), (chip - begin) * burst->chip_ticks, &fill);
+            begin = chip;
+        }
+    }
+    uint32_t gap = burst->period_ticks - (begin - first) * burst->chip_ticks;
+    if ((burst->length > 0U) && chip_at(burst, burst->length - 1U)) {
+        const uint32_t ticks = (burst->length - begin) * burst->chip_ticks;
+        at = append(at, true, ticks, &fill);
+        gap -= ticks;
+    }
+    at = append(at, false, gap, &fill);
+    return (fill == 0U) ? words : 0U;
+}
+
+static void start_channel(const uint32_t channel, const uint32_t machine, const volatile uint32_t* const list,
+                          const uint32_t ring_bits, const uint32_t words)
+{
+    REGISTER(DMA_READ(channel)) = (uint32_t)(uintptr_t)list;
+    REGISTER(DMA_WRITE(channel)) = PIO_TX(PIO1, machine);
+    REGISTER(DMA_COUNT(channel)) = words;
+    REGISTER(DMA_CTRL_TRIGGER(channel)) = DMA_QUIET | DMA_REQUEST(DREQ_PIO_TX(1U, machine)) | DMA_CHAIN(channel) |
+                                          DMA_RING(ring_bits) | DMA_INCREMENT_READ | DMA_WORDS | DMA_PRIORITY |
+                                          DMA_ENABLE;
+}
+
+static uint32_t bits_of(uint32_t bytes)
+{
+    uint32_t bits = 0;
+    while (bytes > 1U) {
+        bytes /= 2U;
+        bits++;
+    }
+    return bits;
+}
+
+bool board_burst(const board_burst_t* const burst, uint32_t* const start)
+{
+    follow_train();
+    if (!train.enabled || train.running || (burst->chip_ticks < LIMIT_CHIP_MIN_TICKS) ||
+        (burst->period_ticks < PERIOD_MIN_TICKS)) {
+        return false;
+    }
+    const uint32_t first = first_on_chip(burst);
+    const uint32_t words = write_list(burst, first);
+    if (words == 0U) {
+        return false;
+    }
+    const uint32_t offset = (burst->trigger_offset > 0) ? (uint32_t)burst->trigger_offset : 0U;
+    const uint32_t before = (burst->trigger_offset < 0) ? (uint32_t)-burst->trigger_offset : 0U;
+    trigger_list[0] = word_of(true, BOARD_TRIGGER_TICKS);
+    trigger_list[1] = word_of(false, burst->period_ticks - BOARD_TRIGGER_TICKS);
+
+    REGISTER(PIO_TX(PIO1, CHIP_MACHINE)) = word_of(false, LEAD_TICKS + before + first * burst->chip_ticks);
+    REGISTER(PIO_TX(PIO1, TRIGGER_MACHINE)) = word_of(false, LEAD_TICKS + offset);
+    start_channel(DMA_CHIPS, CHIP_MACHINE, chip_list, bits_of(4U * words), words * burst->repeat);
+    start_channel(DMA_TRIGGER, TRIGGER_MACHINE, trigger_list, 3U, 2U * burst->repeat);
+
+    const uint32_t chips_end = (uint32_t)burst->length * burst->chip_ticks;
+    const int32_t trigger_end = burst->trigger_offset + (int32_t)BOARD_TRIGGER_TICKS;
+    train.busy_ticks = (trigger_end > (int32_t)chips_end) ? (uint32_t)trigger_end : chips_end;
+    train.done = 0;
+    train.repeat = burst->repeat;
+    train.period = burst->period_ticks;
+    train.stopping = false;
+    train.running = true;
+    *start = board_tick();
+    SET_BITS(PIO_CTRL(PIO1)) = PIO_MACHINE(CHIP_MACHINE) | PIO_MACHINE(TRIGGER_MACHINE);
+    *start += START_OFFSET + LEAD_TICKS + before;
+    train.end = *start + train.busy_ticks;
+    train.busy_ticks += before;
+    return true;
+}
+
+// A gap too short for the main loop to meet is waited for: 8 ms at most, at the expense of a late load.
+void board_burst_stop(void)
+{
+    follow_train();
+    train.stopping = true;
+    if (train.running && (train.period - train.busy_ticks < 20000U)) {
+        while (train.running) {
+            follow_train();
+        }
+    }
+}
+
+bool board_burst_running(uint16_t* const done)
+{
+    follow_train();
+    *done = train.done;
+    return train.running;
+}
+
+void microwave_start(void)
+{
+    pio_load(PIO1, 0U, program, PROGRAM_LENGTH);
+    for (uint32_t machine = CHIP_MACHINE; machine <= TRIGGER_MACHINE; machine++) {
+        const uint32_t pin = (machine == CHIP_MACHINE) ? PIN_MICROWAVE : PIN_TRIGGER;
+        REGISTER(PIO_EXECCTRL(PIO1, machine)) = EXEC_WRAP(PLAY, PLAY + 3U);
+        REGISTER(PIO_SHIFTCTRL(PIO1, machine)) = SHIFT_OUT_RIGHT;
+        REGISTER(PIO_PINCTRL(PIO1, machine)) = PINS_OUT(pin, 1U) | PINS_SET(pin, 1U);
+        execute(machine, MOV_PINS_NULL);
+        execute(machine, SET_DIRECTIONS(1U));
+        execute(machine, JMP(PLAY));
+    }
+    REGISTER(PIO_EXECCTRL(PIO1, GUARD_MACHINE)) = EXEC_WRAP(GUARD_CUT, GUARD_CUT);
+    REGISTER(PIO_PINCTRL(PIO1, GUARD_MACHINE)) = PINS_SET(PIN_MICROWAVE, 1U);
+    execute(GUARD_MACHINE, JMP(GUARD_CUT));
+    SET_BITS(PIO_CTRL(PIO1)) = PIO_MACHINE(GUARD_MACHINE);
+    pin_use(PIN_MICROWAVE, FUNCTION_PIO1, PAD_DRIVE_4MA | PAD_PULL_DOWN);
+    pin_use(PIN_TRIGGER, FUNCTION_PIO1, PAD_DRIVE_4MA | PAD_PULL_DOWN);
+}

@@ -1,0 +1,179 @@
+// The RP2040's registers as far as this firmware touches them. Names and numbers: RP2040 datasheet.
+
+#ifndef ANNULUS_REGISTERS_H
+#define ANNULUS_REGISTERS_H
+
+#include <stdint.h>
+
+#define REGISTER(address) (*(volatile uint32_t*)(uintptr_t)(address))
+
+// Aliases of every APB and AHB register that set or clear the written bits in one access (2.1.2).
+#define SET_BITS(address) REGISTER((address) + 0x2000U)
+#define CLEAR_BITS(address) REGISTER((address) + 0x3000U)
+
+// ---- clocks, resets (2.14 to 2.18) ----
+#define RESETS_RESET 0x4000C000U
+#define RESETS_DONE 0x4000C008U
+#define RESET_DMA (1U << 2)
+#define RESET_IO_BANK0 (1U << 5)
+#define RESET_IO_QSPI (1U << 6)
+#define RESET_PADS_BANK0 (1U << 8)
+#define RESET_PADS_QSPI (1U << 9)
+#define RESET_PIO0 (1U << 10)
+#define RESET_PIO1 (1U << 11)
+#define RESET_PLL_SYS (1U << 12)
+#define RESET_PLL_USB (1U << 13)
+#define RESET_TIMER (1U << 21)
+#define RESET_UART0 (1U << 22)
+#define RESET_ALL 0x01FFFFFFU
+
+#define XOSC_CTRL 0x40024000U
+#define XOSC_STATUS 0x40024004U
+#define XOSC_STARTUP 0x4002400CU
+#define ROSC_RANDOMBIT 0x4006001CU
+
+#define CLK_REF_CTRL 0x40008030U
+#define CLK_REF_SELECTED 0x40008038U
+#define CLK_SYS_CTRL 0x4000803CU
+#define CLK_SYS_SELECTED 0x40008044U
+#define CLK_PERI_CTRL 0x40008048U
+
+#define PLL_SYS_CS 0x40028000U
+#define PLL_SYS_PWR 0x40028004U
+#define PLL_SYS_FBDIV 0x40028008U
+#define PLL_SYS_PRIM 0x4002800CU
+
+#define PSM_WDSEL 0x40010008U
+#define PSM_ALL_BUT_OSCILLATORS 0x0001FFFCU
+#define WATCHDOG_CTRL 0x40058000U
+#define WATCHDOG_LOAD 0x40058004U
+#define WATCHDOG_REASON 0x40058008U
+#define WATCHDOG_SCRATCH0 0x4005800CU
+#define WATCHDOG_SCRATCH1 0x40058010U
+#define WATCHDOG_TICK 0x4005802CU
+#define WATCHDOG_ENABLE (1U << 30)
+#define WATCHDOG_TRIGGER (1U << 31)
+
+// ---- time (4.6, and the processor's SysTick) ----
+#define TIMER_ALARM0 0x40054010U
+#define TIMER_RAW_LOW 0x40054028U
+#define TIMER_INTR 0x40054034U
+#define TIMER_INTE 0x40054038U
+#define SYSTICK_CSR 0xE000E010U
+#define SYSTICK_RVR 0xE000E014U
+#define SYSTICK_CVR 0xE000E018U
+#define NVIC_ENABLE 0xE000E100U
+#define NVIC_DISABLE 0xE000E180U
+#define VTOR 0xE000ED08U
+enum { IRQ_TIMER0 = 0, IRQ_IO_BANK0 = 13, IRQ_UART0 = 20 };
+
+// ---- pins (2.19, 2.3.1) ----
+#define GPIO_CTRL(pin) (0x40014004U + 8U * (pin))
+enum { FUNCTION_UART = 2, FUNCTION_SIO = 5, FUNCTION_PIO0 = 6, FUNCTION_PIO1 = 7 };
+#define IO_INTR0 0x400140F0U  // four bits a pin, pins 0..7; edges latch until written
+#define IO_PROC0_INTE0 0x40014100U
+#define EDGE_LOW(pin) (4U << (4U * (pin)))
+#define EDGE_HIGH(pin) (8U << (4U * (pin)))
+#define PAD(pin) (0x4001C004U + 4U * (pin))
+#define PAD_INPUT 0x40U
+#define PAD_DRIVE_4MA 0x10U
+#define PAD_PULL_UP 0x08U
+#define PAD_PULL_DOWN 0x04U
+#define PAD_SCHMITT 0x02U
+#define SIO_GPIO_IN 0xD0000004U
+#define SIO_GPIO_OUT_SET 0xD0000014U
+#define SIO_GPIO_OUT_CLEAR 0xD0000018U
+#define SIO_GPIO_OE_SET 0xD0000024U
+
+// ---- UART (4.2) ----
+#define UART_DR 0x40034000U
+#define UART_FR 0x40034018U
+#define UART_IBRD 0x40034024U
+#define UART_FBRD 0x40034028U
+#define UART_LCR_H 0x4003402CU
+#define UART_CR 0x40034030U
+#define UART_IFLS 0x40034034U
+#define UART_IMSC 0x40034038U
+#define UART_BUSY (1U << 3)
+#define UART_RX_EMPTY (1U << 4)
+#define UART_TX_FULL (1U << 5)
+#define UART_RX_INTERRUPT (1U << 4)
+
+// ---- DMA (2.5) ----
+#define DMA_READ(channel) (0x50000000U + 0x40U * (channel))
+#define DMA_WRITE(channel) (0x50000004U + 0x40U * (channel))
+#define DMA_COUNT(channel) (0x50000008U + 0x40U * (channel))
+#define DMA_CTRL_TRIGGER(channel) (0x5000000CU + 0x40U * (channel))
+#define DMA_CTRL(channel) (0x50000010U + 0x40U * (channel))
+#define DMA_ABORT 0x50000444U
+#define DMA_BUSY (1U << 24)
+#define DMA_QUIET (1U << 21)
+#define DMA_REQUEST(dreq) ((uint32_t)(dreq) << 15)
+#define DMA_CHAIN(channel) ((uint32_t)(channel) << 11)
+#define DMA_RING_WRITE (1U << 10)
+#define DMA_RING(bits) ((uint32_t)(bits) << 6)
+#define DMA_INCREMENT_WRITE (1U << 5)
+#define DMA_INCREMENT_READ (1U << 4)
+#define DMA_WORDS (2U << 2)
+#define DMA_PRIORITY (1U << 1)
+#define DMA_ENABLE (1U << 0)
+#define DREQ_ALWAYS 0x3FU
+#define DREQ_PIO_TX(pio, machine) (8U * (pio) + (machine))
+#define DREQ_PIO_RX(pio, machine) (8U * (pio) + 4U + (machine))
+
+// ---- PIO (3) ----
+#define PIO0 0x50200000U
+#define PIO1 0x50300000U
+#define PIO_CTRL(pio) (pio)
+#define PIO_FSTAT(pio) ((pio) + 0x004U)
+#define PIO_FLEVEL(pio) ((pio) + 0x00CU)
+#define PIO_TX(pio, machine) ((pio) + 0x010U + 4U * (machine))
+#define PIO_RX(pio, machine) ((pio) + 0x020U + 4U * (machine))
+#define PIO_MEMORY(pio, index) ((pio) + 0x048U + 4U * (index))
+#define PIO_EXECCTRL(pio, machine) ((pio) + 0x0CCU + 0x18U * (machine))
+#define PIO_SHIFTCTRL(pio, machine) ((pio) + 0x0D0U + 0x18U * (machine))
+#define PIO_ADDRESS(pio, machine) ((pio) + 0x0D4U + 0x18U * (machine))
+#define PIO_INSTRUCTION(pio, machine) ((pio) + 0x0D8U + 0x18U * (machine))
+#define PIO_PINCTRL(pio, machine) ((pio) + 0x0DCU + 0x18U * (machine))
+#define PIO_MACHINE(machine) (1U << (machine))
+#define PIO_RESTART(machine) (1U << (4U + (machine)))
+#define FSTAT_RX_EMPTY(machine) (1U << (8U + (machine)))
+#define EXEC_WRAP(bottom, top) (((uint32_t)(top) << 12) | ((uint32_t)(bottom) << 7))
+#define EXEC_JUMP_PIN(pin) ((uint32_t)(pin) << 24)
+#define SHIFT_OUT_RIGHT (1U << 19)
+#define PINS_SET(base, count) (((uint32_t)(count) << 26) | ((uint32_t)(base) << 5))
+#define PINS_OUT(base, count) (((uint32_t)(count) << 20) | (uint32_t)(base))
+#define PINS_IN(base) ((uint32_t)(base) << 15)
+
+// Instructions (3.4). No side-set anywhere, so the five bits 12:8 are all delay.
+#define DELAY(cycles) ((cycles) << 8)
+#define JMP(to) (0x0000U | (to))
+#define JMP_X_DEC(to) (0x0040U | (to))
+#define JMP_Y_DEC(to) (0x0080U | (to))
+#define JMP_X_NOT_Y(to) (0x00A0U | (to))
+#define JMP_PIN(to) (0x00C0U | (to))
+#define WAIT_PIN_LOW(pin) (0x2000U | (pin))
+#define WAIT_PIN_HIGH(pin) (0x2080U | (pin))
+#define WAIT_FLAG(flag) (0x20C0U | (flag))  // and clear it
+#define IN_PINS(count) (0x4000U | (count))
+#define OUT_PINS(count) (0x6000U | (count))
+#define OUT_X(count) (0x6020U | (count))
+#define PUSH_NO_BLOCK 0x8000U
+#define PULL_NO_BLOCK 0x8080U
+#define PULL 0x80A0U
+#define MOV_PINS_OSR 0xA007U
+#define MOV_PINS_NULL 0xA003U
+#define MOV_X_OSR 0xA027U
+#define MOV_X_ISR 0xA026U
+#define MOV_Y_OSR 0xA047U
+#define MOV_Y_X 0xA041U
+#define MOV_Y_NOT_NULL 0xA04BU
+#define MOV_ISR_Y 0xA0C2U
+#define MOV_ISR_OSR 0xA0C7U
+#define MOV_ISR_NULL 0xA0C3U
+#define FLAG_SET(flag) (0xC000U | (flag))
+#define FLAG_CLEAR(flag) (0xC040U | (flag))
+#define SET_PINS(value) (0xE000U | (value))
+#define SET_DIRECTIONS(value) (0xE080U | (value))
+
+#endif

@@ -1,0 +1,125 @@
+// From reset to the main loop: vectors, memory, 100 MHz from the 12 MHz crystal.
+
+#include <stdbool.h>
+#include <stdint.h>
+#include <string.h>
+
+#include "../board.h"
+#include "../core/controller.h"
+#include "hardware.h"
+#include "registers.h"
+
+extern uint32_t data_load[], data_start[], data_end[], bss_start[], bss_end[], stack_bottom[], stack_top[];
+
+void reset_handler(void);
+
+// Stands in the image for `annulus firmware info` and for whoever opens the file.
+__attribute__((section(".version"), used)) static const char version[] = "annulus rp2040 " ANNULUS_GIT;
+
+#define STACK_PAINT 0xA5A5A5A5U
+
+static controller_t controller;
+
+// Nothing sensible can be done: outputs off, then wait for the watchdog.
+static void fault_handler(void)
+{
+    SET_BITS(RESETS_RESET) = RESET_PIO0 | RESET_PIO1;
+    for (;;) {
+    }
+}
+
+typedef void (*vector_t)(void);
+
+__attribute__((section(".vectors"), used)) static const vector_t vectors[16 + 26] = {
+    [0] = (vector_t)(uintptr_t)stack_top,
+    [1] = reset_handler,
+    [2] = fault_handler,
+    [3] = fault_handler,
+    [11] = fault_handler,
+    [14] = fault_handler,
+    [15] = fault_handler,
+    [16 + IRQ_TIMER0] = alarm_handler,
+    [16 + IRQ_IO_BANK0] = pins_handler,
+    [16 + IRQ_UART0] = serial_handler,
+};
+
+static void wait_for(const uint32_t address, const uint32_t bits)
+{
+    while ((REGISTER(address) & bits) != bits) {
+    }
+}
+
+// VCO 12 MHz * 100 = 1.2 GHz, divided by 6 and 2.
+static void start_clocks(void)
+{
+    REGISTER(XOSC_CTRL) = 0xAA0U;  // 1..15 MHz
+    REGISTER(XOSC_STARTUP) = 47U;  // 1 ms in units of 256 cycles
+    SET_BITS(XOSC_CTRL) = 0xFABU << 12;
+    wait_for(XOSC_STATUS, 1U << 31);
+    REGISTER(CLK_SYS_CTRL) = 0U;  // from clk_ref while the PLL is set up
+    wait_for(CLK_SYS_SELECTED, 1U << 0);
+    REGISTER(CLK_REF_CTRL) = 2U;  // crystal
+    wait_for(CLK_REF_SELECTED, 1U << 2);
+
+    SET_BITS(RESETS_RESET) = RESET_PLL_SYS;
+    CLEAR_BITS(RESETS_RESET) = RESET_PLL_SYS;
+    wait_for(RESETS_DONE, RESET_PLL_SYS);
+    REGISTER(PLL_SYS_CS) = 1U;
+    REGISTER(PLL_SYS_FBDIV) = 100U;
+    CLEAR_BITS(PLL_SYS_PWR) = (1U << 0) | (1U << 5);  // power and VCO
+    wait_for(PLL_SYS_CS, 1U << 31);                   // locked
+    REGISTER(PLL_SYS_PRIM) = (6U << 16) | (2U << 12);
+    CLEAR_BITS(PLL_SYS_PWR) = 1U << 3;  // dividers
+
+    REGISTER(CLK_SYS_CTRL) = 0U << 5;         // its second source: the PLL
+    REGISTER(CLK_SYS_CTRL) = (0U << 5) | 1U;  // take it
+    wait_for(CLK_SYS_SELECTED, 1U << 1);
+    REGISTER(CLK_PERI_CTRL) = 1U << 11;         // clk_sys, on
+    REGISTER(WATCHDOG_TICK) = (1U << 9) | 12U;  // 1 us for watchdog and timer
+}
+
+static void start_peripherals(void)
+{
+    // The boot loader may have left anything running; the flash is being read through the two QSPI blocks.
+    SET_BITS(RESETS_RESET) = RESET_ALL & ~(RESET_IO_QSPI | RESET_PADS_QSPI | RESET_PLL_SYS | RESET_PLL_USB);
+    const uint32_t wanted =
+        RESET_DMA | RESET_IO_BANK0 | RESET_PADS_BANK0 | RESET_PIO0 | RESET_PIO1 | RESET_TIMER | RESET_UART0;
+    CLEAR_BITS(RESETS_RESET) = wanted;
+    wait_for(RESETS_DONE, wanted);
+}
+
+uint32_t stack_used(void)
+{
+    const uint32_t* word = stack_bottom;
+    while ((word < stack_top) && (*word == STACK_PAINT)) {
+        word++;
+    }
+    return (uint32_t)((const uint8_t*)stack_top - (const uint8_t*)word);
+}
+
+static void paint_stack(void)
+{
+    const uint32_t* here;
+    __asm volatile("mov %0, sp" : "=r"(here));
+    for (uint32_t* word = stack_bottom; word < here; word++) {
+        *word = STACK_PAINT;
+    }
+}
+
+__attribute__((noreturn)) void reset_handler(void)
+{
+    paint_stack();
+    memcpy(data_start, data_load, (size_t)((uint8_t*)data_end - (uint8_t*)data_start));
+    memset(bss_start, 0, (size_t)((uint8_t*)bss_end - (uint8_t*)bss_start));
+    start_clocks();
+    start_peripherals();
+    system_start();
+    lamps_start();
+    microwave_start();
+    stage_start();
+    controller_start(&controller);
+    for (;;) {
+        controller_run(&controller);
+        system_sleep();
+    }
+}

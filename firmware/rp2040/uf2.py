@@ -1,0 +1,69 @@
+"""Makes the UF2 a user flashes from the linked image: `uf2.py image.elf image.uf2`. Standard library only.
+
+Fills in the CRC32 the boot ROM wants behind the second stage (in the ELF too, so that a debugger flashes the same
+bytes), checks the budgets and prints them.
+"""
+
+import struct
+import sys
+from pathlib import Path
+
+FLASH_START, FLASH_BUDGET, RAM_BUDGET = 0x10000000, 32 * 1024, 8 * 1024
+BOOT2_BYTES, PAGE_BYTES, FAMILY_RP2040 = 256, 256, 0xE48BFF56
+PT_LOAD = 1
+
+
+def crc32_boot2(data: bytes) -> int:
+    """The boot ROM's: polynomial 0x04C11DB7, most significant bit first, from all ones, not reflected."""
+    crc = 0xFFFFFFFF
+    for byte in data:
+        crc ^= byte << 24
+        for _ in range(8):
+            crc = ((crc << 1) ^ 0x04C11DB7 if crc & 0x80000000 else crc << 1) & 0xFFFFFFFF
+    return crc
+
+
+def segments(elf: bytes) -> list[tuple[int, int, int, int, int]]:
+    """(file offset, physical address, virtual address, bytes in the file, bytes in memory) of what is loaded."""
+    if elf[:6] != b"\x7fELF\x01\x01":
+        raise SystemExit("uf2.py: not a little-endian 32-bit ELF")
+    offset, size, count = struct.unpack_from("<I", elf, 28)[0], *struct.unpack_from("<HH", elf, 42)
+    headers = [struct.unpack_from("<8I", elf, offset + i * size) for i in range(count)]
+    return [(h[1], h[3], h[2], h[4], h[5]) for h in headers if h[0] == PT_LOAD and h[5] > 0]
+
+
+def uf2(image: bytes) -> bytes:
+    """Blocks of 256 payload bytes in 512."""
+    pages = [image[i : i + PAGE_BYTES].ljust(PAGE_BYTES, b"\0") for i in range(0, len(image), PAGE_BYTES)]
+    blocks = []
+    for number, page in enumerate(pages):
+        address = FLASH_START + number * PAGE_BYTES
+        head = struct.pack(
+            "<8I", 0x0A324655, 0x9E5D5157, 0x2000, address, PAGE_BYTES, number, len(pages), FAMILY_RP2040
+        )
+        blocks.append((head + page).ljust(508, b"\0") + struct.pack("<I", 0x0AB16F30))
+    return b"".join(blocks)
+
+
+def main(elf_path: Path, uf2_path: Path) -> None:
+    elf = bytearray(elf_path.read_bytes())
+    image = bytearray()
+    ram = 0
+    for offset, physical, virtual, in_file, in_memory in sorted(segments(elf), key=lambda s: s[1]):
+        if virtual < FLASH_START + 0x01000000:
+            if virtual == FLASH_START:
+                crc = struct.pack("<I", crc32_boot2(bytes(elf[offset : offset + BOOT2_BYTES - 4])))
+                elf[offset + BOOT2_BYTES - 4 : offset + BOOT2_BYTES] = crc
+        else:
+            ram += in_memory
+        if in_file and physical < FLASH_START + 0x01000000:
+            image = image.ljust(physical - FLASH_START, b"\0") + elf[offset : offset + in_file]
+    if len(image) > FLASH_BUDGET or ram > RAM_BUDGET:
+        raise SystemExit(f"uf2.py: over budget: flash {len(image)} of {FLASH_BUDGET}, RAM {ram} of {RAM_BUDGET} bytes")
+    print(f"flash {len(image)} of {FLASH_BUDGET} bytes, static RAM {ram} of {RAM_BUDGET} bytes")
+    elf_path.write_bytes(elf)
+    uf2_path.write_bytes(uf2(bytes(image)))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), Path(sys.argv[2]))

@@ -1,0 +1,150 @@
+"""The shipped image under test: the emulator as a child process, in virtual time, one command at a time."""
+
+import itertools
+import json
+import subprocess
+from pathlib import Path
+from typing import Any, TypeVar
+
+from annulus.link.codec import Decoder, Frame, encode
+from annulus.link.messages import SCHEMA_HASH, Command, Event, Identify, IdentifyReply, Ping, Reply, Stage
+
+ROOT = Path(__file__).resolve().parents[2]
+IMAGE = ROOT / "firmware/build/annulus.uf2"
+EMULATOR = ROOT / "tools/emulator/emulate.mjs"
+
+SYNC, PROJECTOR, LED, MICROWAVE, TRIGGER, INTERLOCK, STEP, DIRECTION, ENABLE = range(2, 11)
+ODOMETER_A, ODOMETER_B, STATUS = 14, 15, 25
+MS = 100_000
+BOOTED = 3 * MS  # boot ROM, clocks, first event are over
+
+E = TypeVar("E", bound=Event)
+
+
+class EmulatorFault(Exception):
+    """The image did what silicon would not forgive."""
+
+
+class EmulatedBoard:
+    """Ticks of 10 ns since power came on. `rises`, `falls` and `transitions` keep everything the pins ever did."""
+
+    def __init__(self, image: Path = IMAGE, vcd: Path | None = None) -> None:
+        command = ["node", str(EMULATOR), str(image), "--drive", *(["--vcd", str(vcd)] if vcd else [])]
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        self.now = 0
+        self.transitions: list[tuple[int, int, int]] = []
+        self.sent: list[tuple[int, int]] = []
+        self.events: list[Event] = []
+        self.event_sequences: list[int] = []
+        self.replies: list[Reply] = []
+        self.resets: list[int] = []
+        self.stack = 0  # bytes, the deepest so far
+        self.origin = 0  # tick at which the controller began to count its own
+        self.bad = 0
+        self._decoder = Decoder()
+        self._sequence = itertools.count()
+
+    def close(self) -> None:
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        self._process.wait(10)
+
+    def _do(self, **op: Any) -> None:
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write(json.dumps(op) + "\n")
+        self._process.stdin.flush()
+        line = self._process.stdout.readline()
+        if not line:
+            raise EmulatorFault("the emulator ended")
+        answer = json.loads(line)
+        if "fault" in answer:
+            raise EmulatorFault(f"{answer['fault']} (tick {answer['now']})")
+        self.now, self.resets, self.stack = answer["now"], answer["resets"], answer["stack"]
+        self.origin = answer["origin"]
+        self.transitions += [tuple(pin) for pin in answer["pins"]]
+        self.sent += [tuple(byte) for byte in answer["sent"]]
+        for item in self._decoder.feed(bytes(byte for _, byte in answer["sent"])):
+            if not isinstance(item, Frame):
+                self.bad += 1
+            elif isinstance(item.message, Event):
+                self.events.append(item.message)
+                self.event_sequences.append(item.sequence)
+            else:
+                self.replies.append(item.message)
+
+    def run(self, until: int) -> None:
+        self._do(op="run", until=until)
+
+    def input(self, *edges: tuple[int, int, int]) -> None:
+        self._do(op="input", edges=edges)
+
+    def write(self, data: bytes) -> None:
+        self._do(op="write", hex=data.hex())
+
+    def stall(self, ticks: int) -> None:
+        self._do(op="stall", ticks=ticks)
+
+    def send(self, command: Command) -> None:
+        self.write(encode(Frame(command, next(self._sequence) & 0xFF)))
+
+    def request(self, command: Command, within: int = 10 * MS) -> Reply:
+        """Send and wait for the answer, in virtual time."""
+        self.replies.clear()
+        self.send(command)
+        end = self.now + within
+        while not (mine := [reply for reply in self.replies if isinstance(reply, command.REPLY)]):
+            assert self.now < end, f"no answer to {command}"
+            self.run(self.now + MS // 2)
+        return mine[0]
+
+    def identify(self) -> IdentifyReply:
+        reply = self.request(Identify(protocol=1, schema=SCHEMA_HASH))
+        assert isinstance(reply, IdentifyReply)
+        return reply
+
+    def run_alive(self, until: int, every: int = 20 * MS) -> None:
+        """Run, with a ping now and then, as a host would."""
+        while self.now < until:
+            self.send(Ping())
+            self.run(min(until, self.now + every))
+
+    def pulse(self, tick: int, low: int = 10_000) -> None:
+        self.input((tick, SYNC, 0), (tick + low, SYNC, 1))
+
+    def rises(self, pin: int) -> list[int]:
+        return [tick for tick, p, level in self.transitions if p == pin and level == 1]
+
+    def falls(self, pin: int) -> list[int]:
+        return [tick for tick, p, level in self.transitions if p == pin and level == 0]
+
+    def heard(self, kind: type[E]) -> list[E]:
+        return [event for event in self.events if isinstance(event, kind)]
+
+
+def configuration(
+    *,
+    ratio: int = 4,
+    period: int = 4_000_000,
+    delay: int = 300_000,
+    width: int = 200_000,
+    led_width: int | None = None,
+    generation: int = 1,
+    host_timeout: int = 0,
+    tolerance: int = 100,
+    readout: int | None = None,
+) -> Stage:
+    """A demo configuration: everything exposes all the time but during the readout, so the window is wide."""
+    return Stage(
+        generation=generation,
+        ratio=ratio,
+        frame_period=period,
+        exposure=period,
+        readout=period // 5 if readout is None else readout,
+        tolerance=tolerance,
+        host_timeout=host_timeout,
+        projector_delay=delay,
+        projector_width=width,
+        led_delay=delay,
+        led_width=width if led_width is None else led_width,
+    )

@@ -1,0 +1,415 @@
+// The shipped image on an RP2040: processor, timer, clocks and pads by rp2040js; PIO, DMA, UART, resets and the checks
+// that make a forgiven mistake fail are ours. Time is in ticks of 10 ns since power came on.
+
+import { RP2040, GPIOPinState } from 'rp2040js';
+import { Dma } from './dma.mjs';
+import { Fault, fault, hex } from './fault.mjs';
+import { Pio } from './pio.mjs';
+import { Uart } from './uart.mjs';
+
+const INPUTS = [2, 7, 14, 15];
+const OUTPUTS = [3, 4, 5, 6, 8, 9, 10, 25];
+const FLASH = 0x10000000;
+const RAM = 0x20000000;
+const BOOT2_AT = 0x20041f00;
+const BOOT_ROM_TICKS = 100_000; // 1 ms, about what the boot ROM takes; pins are at rest meanwhile
+const RESET_BITS = { dma: 2, io: 5, qspi: 6, pads: 8, padsQspi: 9, pio0: 10, pio1: 11, pllSys: 12, pllUsb: 13, timer: 21, uart0: 22 };
+const RESET_OF = new Map([
+  [0x40014, 'io'], [0x40018, 'qspi'], [0x4001c, 'pads'], [0x40020, 'padsQspi'], [0x40028, 'pllSys'], [0x4002c, 'pllUsb'],
+  [0x40034, 'uart0'], [0x40054, 'timer'], [0x50000, 'dma'], [0x50200, 'pio0'], [0x50300, 'pio1'],
+]);
+const ALWAYS_ON = new Set([0x40008, 0x4000c, 0x40010, 0x40024, 0x40058, 0x40060, 0x18000]);
+
+export function readUf2(file) {
+  const flash = new Uint8Array(2 * 1024 * 1024).fill(0xff);
+  const view = new DataView(file.buffer, file.byteOffset, file.byteLength);
+  if (file.length === 0 || file.length % 512) fault('not a UF2: its length is no multiple of 512');
+  for (let at = 0; at < file.length; at += 512) {
+    const [one, two, flags, address, size, number, count, family] = Array.from({ length: 8 }, (_, i) => view.getUint32(at + 4 * i, true));
+    if (one !== 0x0a324655 || two !== 0x9e5d5157 || view.getUint32(at + 508, true) !== 0x0ab16f30) fault('not a UF2: bad magic');
+    if (!(flags & 0x2000) || family !== 0xe48bff56) fault('this UF2 is for another board');
+    if (number !== at / 512 || count !== file.length / 512 || size !== 256) fault('this UF2 is incomplete');
+    flash.set(file.subarray(at + 32, at + 32 + size), address - FLASH);
+  }
+  let crc = 0xffffffff;
+  for (let i = 0; i < 252; i++) {
+    crc ^= flash[i] << 24;
+    for (let bit = 0; bit < 8; bit++) crc = crc & 0x80000000 ? (crc << 1) ^ 0x04c11db7 : crc << 1;
+  }
+  if ((crc >>> 0) !== new DataView(flash.buffer).getUint32(252, true)) fault('boot ROM: second stage has a wrong CRC32, nothing would start');
+  return flash;
+}
+
+export class Machine {
+  constructor(uf2) {
+    this.flash = readUf2(uf2);
+    this.now = 0;
+    this.levels = new Map([[2, 1], [7, 1], [14, 1], [15, 1]]); // pulled up until somebody drives them
+    this.pinLevels = new Map();
+    this.transitions = [];
+    this.inputs = []; // sorted: [tick, pin, level]
+    this.stalledUntil = 0;
+    this.resets = [];
+    this.scratch = new Uint32Array(8);
+    this.uart = new Uart((level) => this.chip?.setInterrupt(20, level));
+    this.usedInstructions = 0;
+    this.boot(0);
+  }
+
+  // ---- from reset ----
+
+  boot(reason) {
+    this.resetReason = reason;
+    const chip = new RP2040();
+    this.chip = chip;
+    chip.flash.set(this.flash);
+    chip.logger = { debug() {}, info() {}, warn: (name, text) => fault(`${name}: ${text}`), error: (name, text) => fault(`${name}: ${text}`) };
+    chip.onBreak = () => fault(`breakpoint at ${hex(chip.core.PC)}`);
+    this.inReset = 0x01ffffff & ~((1 << RESET_BITS.qspi) | (1 << RESET_BITS.padsQspi));
+    this.pios = [new Pio(0), new Pio(1)];
+    chip.pio = this.pios;
+    this.dma = new Dma(
+      { read: (a, n) => this.read(a, n), write: (a, n, v) => this.write(a, n, v) },
+      (dreq) => {
+        const fifos = this.pios[dreq >> 3]?.state[dreq & 3];
+        if (!fifos) fault(`DMA request ${dreq} is not modelled`);
+        return dreq & 4 ? fifos.rx.length > 0 : fifos.tx.length < 4;
+      });
+    chip.dma = this.dma;
+    this.uart.reset();
+    this.padsSet = new Set();
+    this.watchdog = chip.peripherals[0x40058];
+    this.watchdog.scratchData.set(this.scratch);
+    this.watchdog.reason = reason;
+    this.watchdog.tickEnable = false;
+    this.watchdogFired = false;
+    this.watchdog.onWatchdogTrigger = () => {
+      this.watchdogFired = true;
+      this.watchdog.alarm.enable = false; // rp2040js would fire it again and again in no time
+    };
+    chip.clkSys = 100_000_000;
+    this.clockedAt = this.now;
+    this.hardwareTick = this.now;
+    this.quietUntil = this.now;
+    for (const index of [...INPUTS, ...OUTPUTS]) {
+      const pin = chip.gpio[index];
+      pin.addListener(() => this.note(index));
+      if (OUTPUTS.includes(index)) this.note(index);
+    }
+    for (const [pin, level] of this.levels) chip.gpio[pin].setInputValue(level === 1);
+    for (const pin of chip.gpio) pin.irqStatus = 0;
+    this.bindBus();
+    // The boot ROM: copies 256 bytes, enters them with LR = 0.
+    chip.sram.set(this.flash.subarray(0, 256), BOOT2_AT - RAM);
+    const { core } = chip;
+    core.registers[13] = 0x20041f00;
+    core.registers[14] = 0;
+    core.registers[15] = BOOT2_AT;
+    this.heldUntil = this.now + BOOT_ROM_TICKS;
+    this.nextDue = 0;
+    this.tickOrigin = undefined;
+  }
+
+  note(index) {
+    const pin = this.chip.gpio[index];
+    const value = pin.value;
+    const level = value === GPIOPinState.High || value === GPIOPinState.InputPullUp ? 1 : 0;
+    if (!OUTPUTS.includes(index)) return;
+    if ((this.pinLevels.get(index) ?? 0) !== level) {
+      this.pinLevels.set(index, level);
+      this.transitions.push([this.stamp ?? this.now, index, level]);
+    }
+  }
+
+  // ---- bus ----
+
+  bindBus() {
+    const { chip } = this;
+    chip.readUint32 = (address) => this.read(address >>> 0, 4);
+    chip.readUint16 = (address) => this.read(address >>> 0, 2);
+    chip.readUint8 = (address) => this.read(address >>> 0, 1);
+    chip.writeUint32 = (address, value) => this.write(address >>> 0, 4, value);
+    chip.writeUint16 = (address, value) => this.write(address >>> 0, 2, value);
+    chip.writeUint8 = (address, value) => this.write(address >>> 0, 1, value);
+    this.flashView = chip.flashView;
+    this.ramView = chip.sramView;
+  }
+
+  read(address, bytes) {
+    if (address & (bytes - 1)) fault(`HardFault: unaligned read of ${bytes} bytes at ${hex(address)}`);
+    let view, at;
+    if (address >= FLASH && address < FLASH + this.flash.length) { view = this.flashView; at = address - FLASH; }
+    else if (address >= RAM && address < RAM + 0x42000) { view = this.ramView; at = address - RAM; }
+    if (view) return bytes === 4 ? view.getUint32(at, true) : bytes === 2 ? view.getUint16(at, true) : view.getUint8(at);
+    const word = this.readRegister((address & ~3) >>> 0);
+    return bytes === 4 ? word : (word >>> (8 * (address & 3))) & (bytes === 2 ? 0xffff : 0xff);
+  }
+
+  write(address, bytes, value) {
+    if (address & (bytes - 1)) fault(`HardFault: unaligned write of ${bytes} bytes at ${hex(address)}`);
+    if (address >= RAM && address < RAM + 0x42000) {
+      const at = address - RAM;
+      if (bytes === 4) this.ramView.setUint32(at, value, true);
+      else if (bytes === 2) this.ramView.setUint16(at, value, true);
+      else this.ramView.setUint8(at, value);
+      return;
+    }
+    if (bytes !== 4) fault(`${bytes}-byte write to a register at ${hex(address)}: silicon would write all four bytes`);
+    this.writeRegister(address, value >>> 0);
+  }
+
+  block(address) {
+    const key = (address >>> 14) << 2;
+    const name = RESET_OF.get(key);
+    if (name) {
+      if ((this.inReset >>> RESET_BITS[name]) & 1) fault(`access to ${hex(address)}: ${name} is still in reset`);
+    } else if (!ALWAYS_ON.has(key)) fault(`HardFault: nothing the firmware may use at ${hex(address)}`);
+    return key;
+  }
+
+  readRegister(address) {
+    const { chip } = this;
+    if (!this.isTransferring) this.tickClock();
+    if (address >>> 12 === 0xe000e) {
+      if (address === 0xe000e018) this.tickOrigin ??= this.now; // the controller's tick 0
+      return chip.ppb.readUint32(address & 0xfff);
+    }
+    if (address >>> 16 === 0xd000) {
+      if (address === 0xd0000004) return this.gpioIn();
+      return chip.sio.readUint32(address & 0xffff) >>> 0;
+    }
+    const offset = address & 0xfff;
+    switch (this.block(address)) {
+      case 0x4000c: return offset === 0 ? this.inReset : offset === 8 ? ~this.inReset & 0x01ffffff : fault('RESETS register');
+      case 0x40060: return (this.random = ((this.random ?? 0x2f6e2b1) * 1103515245 + 12345) & 0x7fffffff) >>> 16;
+      case 0x40034: return this.uart.readUint32(offset, this.now);
+      case 0x50000: this.sync(); this.nextDue = 0; return this.dma.readUint32(offset);
+      case 0x50200: return this.readPio(0, offset);
+      case 0x50300: return this.readPio(1, offset);
+    }
+    return chip.findPeripheral(address).readUint32(address & 0x3fff) >>> 0;
+  }
+
+  readPio(number, offset) {
+    this.sync();
+    if (offset >= 0x20 && offset < 0x30) this.quietUntil = this.hardwareTick; // takes a word
+    this.nextDue = 0;
+    return this.pios[number].readUint32(offset) >>> 0;
+  }
+
+  writeRegister(address, value) {
+    const { chip } = this;
+    if (!this.isTransferring) this.tickClock();
+    this.nextDue = 0;
+    if (address >>> 12 === 0xe000e) return chip.ppb.writeUint32(address & 0xfff, value);
+    if (address >>> 16 === 0xd000) return chip.sio.writeUint32(address & 0xffff, value);
+    const offset = address & 0xfff;
+    const kind = (address >>> 12) & 3;
+    const key = this.block(address);
+    const plain = (old) => (kind === 0 ? value : kind === 1 ? old ^ value : kind === 2 ? old | value : old & ~value) >>> 0;
+    switch (key) {
+      case 0x4000c:
+        if (offset !== 0) fault('RESETS register');
+        return this.setResets(plain(this.inReset));
+      case 0x40034: return this.uart.writeUint32(offset, kind ? plain(this.uart.readUint32(offset, this.now)) : value, this.now);
+      case 0x50000:
+        this.sync();
+        this.quietUntil = this.hardwareTick;
+        return this.dma.writeUint32(offset, kind ? plain(this.dma.readUint32(offset)) : value);
+      case 0x50200:
+      case 0x50300: {
+        const pio = this.pios[key === 0x50200 ? 0 : 1];
+        this.sync();
+        this.quietUntil = this.hardwareTick;
+        pio.writeUint32(offset, kind ? plain(pio.readUint32(offset)) : value);
+        if (pio.settlePins()) this.updatePins();
+        return;
+      }
+      case 0x4001c: this.padsSet.add((offset - 4) >> 2); break;
+      case 0x40014:
+        if (offset < 0xf0 && (offset & 4) && (value & 31) !== 31 && !this.padsSet.has(offset >> 3)) {
+          fault(`GPIO${offset >> 3} is used, but its pad is left as it was at reset`);
+        }
+        break;
+      case 0x40054:
+        if (!this.watchdog.tickEnable) fault('the timer stands still: nobody started the watchdog tick');
+        break;
+      case 0x40010: this.wdsel = value; break;
+      case 0x40058: if (offset === 0 && kind !== 3 && value & 0xc0000000 && this.wdsel !== 0x1fffc) {
+        fault('a watchdog reset would not reset everything but the oscillators: PSM_WDSEL');
+      }
+    }
+    chip.findPeripheral(address).writeUint32Atomic(offset, value, kind);
+  }
+
+  setResets(value) {
+    const fell = value & ~this.inReset;
+    this.sync();
+    this.quietUntil = this.hardwareTick;
+    for (const number of [0, 1]) if ((fell >>> (10 + number)) & 1) { this.pios[number].reset(); this.updatePins(); }
+    if ((fell >>> RESET_BITS.dma) & 1) this.dma.reset();
+    if ((fell >>> RESET_BITS.uart0) & 1) this.uart.reset();
+    this.inReset = value;
+  }
+
+  // ---- hardware ----
+
+  rawInputs() {
+    let raw = 0;
+    for (const pin of INPUTS) if (this.chip.gpio[pin].inputValue) raw |= 1 << pin;
+    return raw;
+  }
+
+  gpioIn() {
+    let value = this.rawInputs();
+    for (const pin of OUTPUTS) if (this.chip.gpio[pin].inputEnable && this.pinLevels.get(pin)) value |= 1 << pin;
+    return value >>> 0;
+  }
+
+  updatePins() {
+    for (const pin of OUTPUTS) this.chip.gpio[pin].checkForUpdates();
+  }
+
+  // Bring the hardware to `now`.
+  sync() {
+    if (this.isTransferring) return; // the DMA is part of the hardware being run
+    this.runHardware(this.now);
+    if (this.hardwareTick < this.now) {
+      const cycles = this.now - this.hardwareTick;
+      for (const pio of this.pios) pio.skip(cycles);
+      this.hardwareTick = this.now;
+      this.quietUntil = this.now;
+    }
+  }
+
+  runHardware(until) {
+    while (this.hardwareTick < until) {
+      if (this.quietUntil > this.hardwareTick) {
+        if (this.quietUntil >= until) return; // still quiet; caught up lazily
+        const cycles = this.quietUntil - this.hardwareTick;
+        for (const pio of this.pios) pio.skip(cycles);
+        this.hardwareTick = this.quietUntil;
+      }
+      const raw = this.rawInputs();
+      this.isTransferring = true;
+      this.dma.step();
+      this.isTransferring = false;
+      const changed = this.pios[0].step(raw) | this.pios[1].step(raw);
+      this.hardwareTick++;
+      if (changed) {
+        this.stamp = this.hardwareTick; // registered: seen after the clock edge
+        this.updatePins();
+        this.stamp = undefined;
+      }
+      if (this.dma.quiet() > 0) {
+        const quiet = Math.min(this.pios[0].quiet(raw), this.pios[0].first === raw ? this.pios[1].quiet(raw) : 0);
+        this.quietUntil = this.hardwareTick + quiet;
+      }
+    }
+  }
+
+  // ---- time ----
+
+  // Let rp2040js' timers catch up; its alarms fire on the way.
+  tickClock() {
+    if (this.clockedAt === this.now) return;
+    const ticks = this.now - this.clockedAt;
+    this.clockedAt = this.now;
+    this.chip.clock.tick(ticks * 10);
+  }
+
+  get alarmTick() {
+    const { clock } = this.chip;
+    return clock.nextAlarm ? this.clockedAt + Math.ceil((clock.nextAlarm.nanos - clock.nanos) / 10) : Infinity;
+  }
+
+  // Up to this tick an instruction may run without anything else happening.
+  findDue() {
+    const quiet = this.quietUntil > this.hardwareTick ? this.quietUntil : this.now;
+    this.nextDue = Math.min(this.inputs.length ? this.inputs[0][0] : Infinity, this.uart.next, this.alarmTick, quiet);
+  }
+
+  advance(tick) {
+    for (;;) {
+      const due = Math.min(this.inputs.length ? this.inputs[0][0] : Infinity, this.uart.next, tick);
+      this.now = Math.max(due, this.now);
+      this.tickClock();
+      this.runHardware(this.now);
+      if (due >= tick && !(this.inputs.length && this.inputs[0][0] <= this.now) && this.uart.next > this.now) break;
+      while (this.inputs.length && this.inputs[0][0] <= this.now) {
+        const [, pin, level] = this.inputs.shift();
+        this.sync();
+        this.quietUntil = this.hardwareTick;
+        if (this.levels.get(pin) !== level) {
+          this.levels.set(pin, level);
+          this.chip.gpio[pin].setInputValue(level === 1);
+        }
+      }
+      this.uart.run(this.now);
+      if (due >= tick) break;
+    }
+  }
+
+  run(until) {
+    const { uart } = this;
+    this.nextDue = 0; // whoever called may have given us inputs
+    while (this.now < until) {
+      if (this.watchdogFired) {
+        this.resets.push(this.now);
+        this.scratch.set(this.watchdog.scratchData);
+        this.boot(this.watchdog.reason);
+        continue;
+      }
+      const held = Math.max(this.heldUntil, this.stalledUntil);
+      const { core } = this.chip;
+      if (this.now < held || core.waiting) {
+        const alarm = this.alarmTick;
+        const wake = this.now < held ? Math.min(held, alarm) : alarm;
+        const next = Math.min(wake, until, uart.next, this.inputs.length ? this.inputs[0][0] : Infinity);
+        if (next === Infinity) fault('the processor sleeps and nothing will wake it');
+        this.advance(Math.max(next, this.now + 1));
+        this.findDue();
+      } else {
+        const cycles = core.executeInstruction();
+        this.usedInstructions++;
+        if (this.now + cycles < this.nextDue) this.now += cycles;
+        else {
+          this.advance(this.now + cycles);
+          this.findDue();
+        }
+      }
+    }
+  }
+
+  input(tick, pin, level) {
+    if (!INPUTS.includes(pin) || tick < this.now) fault(`input on GP${pin} at ${tick}: not an input, or in the past (${this.now})`);
+    let at = this.inputs.length;
+    while (at > 0 && this.inputs[at - 1][0] > tick) at--;
+    this.inputs.splice(at, 0, [tick, pin, level]);
+  }
+
+  write_serial(bytes) { this.uart.feed(bytes, this.now); }
+
+  read_serial() {
+    const sent = this.uart.sent;
+    this.uart.sent = [];
+    return sent;
+  }
+
+  pins() {
+    const drained = this.transitions;
+    this.transitions = [];
+    return drained;
+  }
+
+  // Deepest use of the stack, where start-up painted it (rp2040.ld: 4 KiB from 0x20040000).
+  stackUsed() {
+    let at = 0x40000;
+    while (at < 0x41000 && this.ramView.getUint32(at, true) === 0xa5a5a5a5) at += 4;
+    return 0x41000 - at;
+  }
+
+  stall(ticks) { this.stalledUntil = this.now + ticks; }
+}
+
+export { Fault };

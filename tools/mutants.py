@@ -1,0 +1,151 @@
+"""Puts named faults into copies of the firmware, builds each, and expects the emulator's tests to catch every one.
+
+python tools/mutants.py [NAME ..]        needs what `make test` installs; about 10 s a mutant
+"""
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@dataclass(frozen=True, slots=True)
+class Mutant:
+    """One line of the firmware gone wrong. `tests`: the pytest expression that should notice, kept narrow for speed."""
+
+    name: str
+    file: str
+    right: str
+    wrong: str
+    tests: str
+
+
+MUTANTS = (
+    Mutant(
+        "chip-of-49-ticks",
+        "core/bursts.c",
+        ".chip_ticks = command->chip,",
+        ".chip_ticks = (uint16_t)(command->chip - 1U),",
+        "code_is_played and SINGLE or code_is_played and MPSL25",
+    ),
+    Mutant(
+        "missing-un-reset",
+        "rp2040/start.c",
+        "RESET_PIO0 | RESET_PIO1 | RESET_TIMER |",
+        "RESET_PIO0 | RESET_TIMER |",
+        "boots",
+    ),
+    Mutant("pads-left-at-reset", "rp2040/system.c", "    REGISTER(PAD(pin)) = pad;\n", "    (void)pad;\n", "boots"),
+    Mutant(
+        "swapped-lamps",
+        "rp2040/lamps.c",
+        "(flash->lamp == LAMP_LED) ? 1U <<",
+        "(flash->lamp != LAMP_LED) ? 1U <<",
+        "order",
+    ),
+    Mutant(
+        "slot-off-by-one",
+        "core/sequencer.c",
+        "return slot == config->ratio;",
+        "return slot + 1U == config->ratio;",
+        "order",
+    ),
+    Mutant(
+        "width-in-the-wrong-lamp",
+        "core/sequencer.c",
+        "plan.width_ticks = led ? self->config.led_width : self->config.projector_width;",
+        "plan.width_ticks = led ? self->config.projector_width : self->config.led_width;",
+        "order",
+    ),
+    Mutant("crc-without-xorout", "core/link.c", "^ 0xFFFFU", "^ 0x0000U", "boots"),
+    Mutant(
+        "interlock-ignored-in-a-burst",
+        "rp2040/microwave.c",
+        "WAIT_PIN_HIGH(PIN_INTERLOCK),",
+        "WAIT_FLAG(7U),",
+        "interlock",
+    ),
+    Mutant("event-sequence-not-advanced", "core/events.c", "self->next++", "self->next += 0U", "gap"),
+    Mutant(
+        "lamp-one-tick-late",
+        "rp2040/lamps.c",
+        "    MOV_ISR_OSR | DELAY(1U),",
+        "    MOV_ISR_OSR | DELAY(3U),",
+        "one_constant",
+    ),
+    Mutant(
+        "width-one-tick-long",
+        "rp2040/lamps.c",
+        "flash->width_ticks - LAMP_WIDTH_MIN_TICKS : 0U",
+        "flash->width_ticks - LAMP_WIDTH_MIN_TICKS + 1U : 0U",
+        "widths",
+    ),
+    Mutant(
+        "hold-off-ignored",
+        "rp2040/lamps.c",
+        "(ticks > HOLDOFF_OVERHEAD) ? (ticks - HOLDOFF_OVERHEAD) / 2U : 0U",
+        "(ticks > HOLDOFF_OVERHEAD) ? 100U : 0U",
+        "glitches",
+    ),
+    Mutant(
+        "watchdog-never-started",
+        "rp2040/system.c",
+        "    SET_BITS(WATCHDOG_CTRL) = WATCHDOG_ENABLE;\n",
+        "",
+        "stuck",
+    ),
+    Mutant(
+        "trigger-off-by-one",
+        "rp2040/microwave.c",
+        "word_of(false, LEAD_TICKS + offset)",
+        "word_of(false, LEAD_TICKS + offset + 1U)",
+        "code_is_played and SINGLE",
+    ),
+)
+
+
+def judge(mutant: Mutant, scratch: Path) -> str:
+    """'caught', or what went wrong with the experiment or, worst, 'SURVIVED'."""
+    firmware = scratch / mutant.name
+    shutil.copytree(ROOT / "firmware", firmware, ignore=shutil.ignore_patterns("build", "corpus"))
+    source = firmware / mutant.file
+    text = source.read_text()
+    if text.count(mutant.right) == 0:
+        return "STALE: the line it changes is gone"
+    source.write_text(text.replace(mutant.right, mutant.wrong))
+    build = subprocess.run(
+        ["make", "--silent", "-C", str(firmware), "image", "GIT=mutant00", "BUILD=build"],
+        capture_output=True,
+        text=True,
+    )
+    if build.returncode != 0:
+        return "NOT BUILT: " + build.stderr.splitlines()[0]
+    run = subprocess.run(
+        [sys.executable, "-m", "pytest", "-x", "-q", "--timeout", "120", "tests/emulator", "-k", mutant.tests],
+        cwd=ROOT,
+        env=os.environ | {"ANNULUS_IMAGE": str(firmware / "build/annulus.uf2")},
+        capture_output=True,
+        text=True,
+    )
+    return {0: "SURVIVED", 1: "caught"}.get(run.returncode, f"NO TEST RAN: {run.stdout.splitlines()[-1:]}")
+
+
+def main(names: list[str]) -> int:
+    chosen = [mutant for mutant in MUTANTS if not names or mutant.name in names]
+    with tempfile.TemporaryDirectory() as scratch:
+        verdicts = []
+        for mutant in chosen:
+            verdicts.append(judge(mutant, Path(scratch)))
+            print(f"{mutant.name:32} {verdicts[-1]}", flush=True)
+    caught = verdicts.count("caught")
+    print(f"{caught} of {len(chosen)} mutants caught")
+    return 0 if chosen and caught == len(chosen) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
