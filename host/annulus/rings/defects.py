@@ -22,6 +22,7 @@ ALL_ROUND_DEG = 345.0  # an arc longer than this goes all round
 BAND_OVERLAP, BAND_SOUND = 0.6, 0.35  # what makes two places one band: common stations, least sound wall between
 BAND_EDGES, BAND_ASPECT = 3.5, 4.0  # and what a band is: so many edge blurs long at most, so many times as wide
 RIPPLE_EDGES = 1.5  # how far from a step, and how long, its swing to the other side may be, in edge blurs
+LOOK_POINTS = 3  # of one ring in one frame on a place, for it to be a look at it
 LEVELS = 24  # how finely the surface is sliced when asked whether a place is one defect or several
 
 
@@ -37,6 +38,7 @@ class Limits:
 
     seed_noise: float = 6.0  # a defect's core departs by this many standard deviations ..
     seed_of_radius: float = 0.005  # .. and by this part of the radius (0.5 %, what ASTM-certified profilers promise)
+    looks: int = 2  # .. and so many looks, each one ring in one frame, agree on it
     rim_noise: float = 3.0  # it reaches as far as the departure exceeds this many standard deviations ..
     rim_of_seed: float = 0.5  # .. and this part of the core's limit
     extent_of_depth: float = 0.25  # its extent is where it departs by this part of its depth: edges blur outwards
@@ -102,6 +104,7 @@ class Findings:
     defects: tuple[Defect, ...]
     label: LabelArray
     limits: Limits
+    unsupported: int = 0  # places that one ring in one frame alone speaks for: not known, so not listed
 
 
 def clock_face(angle_deg: float) -> str:
@@ -131,14 +134,17 @@ def find_defects(wall: Wall, *, blind_ratio: float, limits: Limits | None = None
     residual = smooth(wall.residual_mm()).astype(np.float32)
     unseen = ~wall.seen
     radius = wall.mean_radius_mm
-    seed = np.maximum(limits.seed_noise * wall.noise_mm, limits.seed_of_radius * radius)[:, None]
-    rim = np.maximum(limits.rim_noise * wall.noise_mm[:, None], limits.rim_of_seed * seed)
+    seed = np.maximum(limits.seed_noise * wall.cell_noise_mm, limits.seed_of_radius * radius)
+    rim = np.maximum(limits.rim_noise * wall.cell_noise_mm, limits.rim_of_seed * seed)
     cell = (wall.z_step_mm, np.radians(wall.clock_step_deg) * radius)
     parts: list[_Place] = []
+    unsupported = 0
     for kind, height in ((Kind.LOSS, residual), (Kind.BUMP, -residual)):
         height = np.where(unseen, np.float32(-np.inf), height)
         places = _places(height, unseen, seed, rim, cell, radius, limits)
-        parts += [_Place(kind, place, height) for place in places]
+        witnessed = [_looks_that_agree(place, kind, wall, rim) >= limits.looks for place in places]
+        parts += [_Place(kind, place, height) for place, good in zip(places, witnessed, strict=True) if good]
+        unsupported += witnessed.count(False)
     label = np.zeros(residual.shape, dtype=np.int32)
     found: list[tuple[Defect, BoolArray]] = []
     whole_parts = _without_edges(parts, wall.seen, cell, radius, limits)
@@ -152,7 +158,7 @@ def find_defects(wall: Wall, *, blind_ratio: float, limits: Limits | None = None
     found.sort(key=lambda item: (item[0].z_mm, item[0].clock_deg))
     for i, (_, place) in enumerate(found):
         label[place] = i + 1
-    return Findings(tuple(defect for defect, _ in found), label, limits)
+    return Findings(tuple(defect for defect, _ in found), label, limits, unsupported)
 
 
 def label_around(mask: BoolArray) -> tuple[LabelArray, int]:
@@ -199,6 +205,17 @@ def _places(
             if _is_resolved(place & core, cell, radius, limits, 0.5) and _is_resolved(place, cell, radius, limits, 1.0):
                 out.append(place)
     return out
+
+
+def _looks_that_agree(place: BoolArray, kind: Kind, wall: Wall, rim: FloatArray) -> int:
+    """How many looks see a place: half of their points there depart its way, beyond the limit of its rim."""
+    here = place.ravel()[wall.looks.cell]
+    cell = wall.looks.cell[here]
+    departure = wall.looks.radius_mm[here] - wall.shape_radius_mm().ravel()[cell]
+    beyond = (departure if kind is Kind.LOSS else -departure) > rim.ravel()[cell]
+    _, look = np.unique(wall.looks.look[here], return_inverse=True)
+    points, agree = np.bincount(look), np.bincount(look, weights=beyond)
+    return int(np.count_nonzero((points >= LOOK_POINTS) & (agree >= 0.5 * points)))
 
 
 def _grow(mask: BoolArray, unseen: BoolArray, cell: tuple[float, float], radius: float, limits: Limits) -> BoolArray:

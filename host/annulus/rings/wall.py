@@ -27,9 +27,22 @@ STATION_SEEN = 0.5  # the scan starts and ends where half of the circle was seen
 BRIDGE_STEP_MM = 0.75  # a greater step in radius across a gap is a shadow edge, not a sampling gap
 NOISE_FLOOR_MM = 0.02  # no instrument of this kind is better
 NOISE_LAG = 8  # columns; noise is alike over a few degrees, for lines are averaged with their neighbours
+LOOK_SMOOTHED = 0.7  # of a ring's noise is left by smoothing over three degrees: neighbour lines share most of theirs
 USUAL_MM = 0.2  # from the usual shape: this near is the usual shape
 SHAPE_SPACING_MM = 5.0
 SHAPE_WINDOW_MM = 10.0  # each side: what one fit of the pipe's shape looks at
+
+
+@dataclass(frozen=True, slots=True)
+class Looks:
+    """Every point of the wall with who measured it: one ring in one frame is one look, wrong or right as a whole.
+
+    cell (N,): index into the flattened grid. look (N,): the same number for the points of one ring in one frame.
+    """
+
+    cell: NDArray[np.int64]
+    look: NDArray[np.int32]
+    radius_mm: Float32Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +53,7 @@ class Wall:
     in the cell; 0 with a radius means interpolated between measured neighbours. shape_mm (Z, 5): the pipe under its
     defects, r = s0 + s1 cos t + s2 sin t + s3 cos 2t + s4 sin 2t (t = clock angle): mean radius over about two
     diameters, left-over centring, ovality. noise_mm (Z,): robust standard deviation of a cell about that shape.
+    cell_noise_mm (Z, A) float32: never less than that, and more where only rings look that are noisier than most.
     """
 
     z_mm: FloatArray
@@ -48,6 +62,8 @@ class Wall:
     count: NDArray[np.int32]
     shape_mm: FloatArray
     noise_mm: FloatArray
+    cell_noise_mm: Float32Array
+    looks: Looks
 
     @property
     def z_step_mm(self) -> float:
@@ -64,6 +80,10 @@ class Wall:
     @property
     def mean_radius_mm(self) -> float:
         return float(np.median(self.shape_mm[:, 0]))
+
+    def shape_radius_mm(self) -> Float32Array:
+        """(Z, A) radius of the pipe's shape."""
+        return np.asarray(self.shape_mm @ harmonics(self.clock_deg).T, dtype=np.float32)
 
     def residual_mm(self) -> Float32Array:
         """(Z, A) radius minus the pipe's shape, ovality taken out: what local defects are looked for in."""
@@ -108,7 +128,8 @@ def build_wall(profiles: Sequence[Profile], *, z_step_mm: float | None = None) -
     if not used:
         raise AnnulusError("no wall: not one of the frames gave a point. Do calibration and scan belong together?")
     points = np.concatenate([p.points_mm for p in used]).astype(np.float64)
-    points = points[np.isfinite(points).all(axis=1)]
+    finite = np.isfinite(points).all(axis=1)
+    points = points[finite]
     x, y, z = points.T
     radius = np.hypot(x, y)
     clock = np.degrees(np.arctan2(x, -y)) % 360.0
@@ -122,6 +143,9 @@ def build_wall(profiles: Sequence[Profile], *, z_step_mm: float | None = None) -
     inside = (row >= 0) & (row < rows)
     radius, row = radius[inside], row[inside]
     cell = row * columns + np.minimum((clock[inside] / ANGLE_STEP_DEG).astype(np.int64), columns - 1)
+    frame = np.repeat(np.arange(len(used)), [len(p.points_mm) for p in used])
+    rings = 1 + max(int(p.ring.max()) for p in used)
+    look = (frame * rings + np.concatenate([p.ring for p in used]))[finite][inside].astype(np.int32)
 
     grid, count = _cell_medians(cell, radius, (rows, columns))
     keep = _supported(grid, cell, radius)
@@ -129,16 +153,23 @@ def build_wall(profiles: Sequence[Profile], *, z_step_mm: float | None = None) -
     clock_columns = np.asarray((np.arange(columns) + 0.5) * ANGLE_STEP_DEG, dtype=np.float64)
 
     grid = _bridge(grid.T, 2.5, wrap=True).T
-    grid = _bridge(grid, _sampling_gap(used, step, float(np.median(radius))) / step, wrap=False)
+    sampling = _sampling_gap(used, step, float(np.median(radius))) / step
+    grid = _bridge(grid, sampling, wrap=False)
     ends = np.flatnonzero(np.isfinite(grid).mean(axis=1) >= STATION_SEEN)
     if not len(ends):
         raise AnnulusError(f"no wall: {len(points)} points are too few to make one station of the pipe")
     grid, count = grid[ends[0] : ends[-1] + 1], count[ends[0] : ends[-1] + 1]
     z_rows = np.asarray((np.arange(first + ends[0], first + ends[-1] + 1) + 0.5) * step, dtype=np.float64)
     shape = _fit_shape(grid, z_rows, clock_columns)
-    bare = Wall(z_rows, clock_columns, grid.astype(np.float32), count, shape, np.zeros(len(z_rows)))
+    cell = cell - ends[0] * columns
+    keep &= (cell >= 0) & (cell < grid.size)
+    looks = Looks(cell[keep], look[keep], radius[keep].astype(np.float32))
+    measured = grid.astype(np.float32)
+    unknown = np.zeros(grid.shape, dtype=np.float32)
+    bare = Wall(z_rows, clock_columns, measured, count, shape, np.zeros(len(z_rows)), unknown, looks)
     noise = _noise(bare)
-    return Wall(bare.z_mm, bare.clock_deg, bare.radius_mm, bare.count, bare.shape_mm, noise)
+    cell_noise = np.maximum(_cell_noise(bare, rings, int(sampling) + 1), noise[:, None]).astype(np.float32)
+    return Wall(z_rows, clock_columns, measured, count, shape, noise, cell_noise, looks)
 
 
 def smooth(field: Float32Array) -> Float32Array:
@@ -303,6 +334,31 @@ def _noise(wall: Wall) -> FloatArray:
     steps = 1.4826 / np.sqrt(2) * _nanmedian(np.abs(residual - np.roll(residual, NOISE_LAG, axis=1)).T)
     wide = _running_median(spread, max(int(wall.mean_radius_mm / wall.z_step_mm), 1))
     return np.maximum(np.maximum(wide, _running_median(steps, 4)), NOISE_FLOOR_MM)
+
+
+def _cell_noise(wall: Wall, rings: int, reach: int) -> FloatArray:
+    """(Z, A) what the errors of the rings that looked leave of a smoothed cell's radius, mm; 0 where nobody looked.
+
+    A look errs alike over a smoothed cell's width, so a cell gains by how many looks it has and not by their points.
+    A cell interpolated along the pipe is as good as the worst measured one within `reach` rows.
+    """
+    cell, look = np.unique(np.stack([wall.looks.cell, wall.looks.look.astype(np.int64)]), axis=1)
+    departure = np.abs(wall.looks.radius_mm - wall.shape_radius_mm().ravel()[wall.looks.cell])
+    ring = wall.looks.look % rings
+    spread = np.array([float(np.median(departure[ring == k])) if (ring == k).any() else 0.0 for k in range(rings)])
+    square = (LOOK_SMOOTHED * 1.4826 * spread[look % rings]) ** 2
+    shape, size = wall.radius_mm.shape, wall.radius_mm.size
+    looks = np.bincount(cell, minlength=size).reshape(shape).astype(np.float64)
+    squares = np.bincount(cell, weights=square, minlength=size).reshape(shape)
+    # Down the column looks add; across it they are the same ones again, so their number is the mean of who has any.
+    columns = np.ones((1, 3))
+    rows = np.ones((3, 1))
+    looks, squares = (ndimage.convolve(field, rows, mode="constant") for field in (looks, squares))
+    across = ndimage.convolve((looks > 0).astype(np.float64), columns, mode="wrap")
+    looks, squares = (ndimage.convolve(field, columns, mode="wrap") for field in (looks, squares))
+    measured = across > 0.5
+    noise = np.where(measured, np.sqrt(squares * across) / np.maximum(looks, 1e-9), 0.0)
+    return np.where(measured, noise, ndimage.maximum_filter1d(noise, 2 * reach + 1, axis=0, mode="constant"))
 
 
 def _running_median(values: FloatArray, reach: int) -> FloatArray:

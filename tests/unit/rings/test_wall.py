@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from synthetic_pipe import BLIND_RATIO, CALIBRATION, RADIUS_MM, bump, oval, pocket, round_pipe, scan
@@ -124,6 +126,34 @@ def test_an_oval_stretch_is_as_long_as_it_is() -> None:
 
 def test_noise_alone_lists_nothing_even_when_it_is_high() -> None:
     assert defects_of(build_wall(scan(round_pipe, noise=4.0))) == ()
+
+
+def lifted(profile: Profile, ring: int, clock_deg: float, half_deg: float, by_mm: float) -> Profile:
+    """The profile with an arc of one ring farther out: one slit drawn aside along its whole length."""
+    x, y, z = profile.points_mm.astype(np.float64).T
+    clock, radius = np.degrees(np.arctan2(x, -y)), np.hypot(x, y)
+    there = (profile.ring == ring) & (np.abs((clock - clock_deg + 180) % 360 - 180) < half_deg)
+    scale = np.where(there, (radius + by_mm) / radius, 1.0)
+    return replace(profile, points_mm=np.stack([x * scale, y * scale, z], axis=1).astype(np.float32))
+
+
+@pytest.mark.parametrize("by_mm", [-0.7, 0.7])
+def test_what_one_ring_says_in_one_frame_alone_is_counted_and_not_listed(by_mm: float) -> None:
+    profiles = scan(round_pipe, z_mm=[4.0 * i for i in range(25)])
+    profiles[-3] = lifted(profiles[-3], 0, 60, 10, by_mm)
+    findings = find_defects(build_wall(profiles), blind_ratio=BLIND_RATIO)
+    assert findings.defects == () and findings.unsupported == 1
+
+
+def test_a_small_pocket_between_far_frames_is_found_by_the_rings_that_meet_it() -> None:
+    found = only(build_wall(scan(pocket(round_pipe, 200, 8, 150, 158, 1.5), z_mm=[6.0 * i for i in range(20)])))
+    assert found.kind is Kind.LOSS and abs(found.z_mm - 154) < 6 and abs(found.clock_deg - 200) < 4
+
+
+def test_a_wall_is_known_less_well_where_only_the_noisiest_ring_looks(sound: Wall) -> None:
+    alone, shared = sound.cell_noise_mm[-30:-10], sound.cell_noise_mm[100:160]
+    assert np.median(alone[sound.seen[-30:-10]]) > 2 * np.median(shared)
+    assert np.median(shared) < 0.04
 
 
 def test_the_grid_does_not_depend_on_the_order_of_profiles() -> None:
