@@ -28,7 +28,7 @@ def classify(side: FloatArray, colours: str) -> NDArray[np.uint8]:
     used = ["RGB".index(c) for c in "RGB" if c in colours]
     some = np.ascontiguousarray(side[:: max(1, len(side) // 800), ::-1])  # enough to learn from
     gain = np.zeros(3)
-    gain[used] = 1.0 / np.maximum(np.percentile(some, 98, axis=0)[used], 1e-6)
+    gain[used] = 1.0 / np.maximum(_quantile(some, 0.98)[used], 1e-6)
     light = some * gain
     length = np.linalg.norm(light, axis=1)
     unit = light[length > 1e-6] / length[length > 1e-6, None]
@@ -38,11 +38,17 @@ def classify(side: FloatArray, colours: str) -> NDArray[np.uint8]:
         for i in range(len(used)):
             members = unit[name == i]
             if len(members) >= max(8, 0.02 * len(unit)):
-                middle = np.median(members, axis=0)
+                middle = _quantile(members, 0.5)
                 reference[i] = middle / np.linalg.norm(middle)
     out = np.empty(len(side), np.uint8)
     _name(side, gain, reference, np.array(used, np.uint8), out)
     return out
+
+
+def _quantile(rows: FloatArray, part: float) -> FloatArray:
+    """Of each column; np.percentile would interpolate between two rows, at five times the cost."""
+    at = int(part * len(rows))
+    return np.asarray(np.partition(rows, at, axis=0)[at])
 
 
 @compiled

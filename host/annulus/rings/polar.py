@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -11,13 +12,25 @@ from annulus.geometry.calibration import Calibration
 from annulus.geometry.camera import Camera
 from annulus.geometry.cone import Cone
 from annulus.geometry.pose import FloatArray, Pose
+from annulus.rings.compiled import compiled
 from annulus.vocabulary import AnnulusError
 
 ACROSS = 0.85  # standard deviation, in directions, of the average over neighbouring lines: weights 1, 2, 1
+SECTORS = 8  # the image's part under one of them fits a core's second cache
+CACHE_LINE = 64  # bytes
 RAY_STEP_PX = 2  # rays are tabulated this often: linear interpolation between is good to 1e-6 rad
 TILT = math.radians(4.0)  # how far the head may lean and ..
 SHIFT = 0.1  # .. stand off the pipe's axis (of the radius) for its rings to be searched
 DENT, BULGE = 0.75, 1.3  # and how far the wall may be from its radius
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sector:
+    """Neighbouring lines, and which bytes of the image they read: one run in each image row they cross."""
+
+    lines: slice  # of the grid's map
+    starts: NDArray[np.int64]
+    stops: NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,8 +47,9 @@ class PolarGrid:
     sine: NDArray[np.float64]
     stop: NDArray[np.int64]  # (J,) samples inside the image and inside what the lens model can invert
     rays: NDArray[np.float64]  # (J, L / RAY_STEP_PX + 1, 3) unit vectors, camera frame
-    map_xy: NDArray[np.int16]  # (J, L, 2) cv2's fixed-point map: SIMD, half the time of a float map, 1/32 px
-    map_part: NDArray[np.uint16]  # (J, L)
+    map_xy: NDArray[np.int16]  # (J + 2, L, 2) cv2's fixed-point map: SIMD, half the time of a float map, 1/32 px;
+    map_part: NDArray[np.uint16]  # (J + 2, L) it begins with the last line and ends with the first, for averages
+    sectors: list[Sector]
     spacing_px: float  # least distance between two neighbouring rings in a clean pipe
 
 
@@ -73,10 +87,14 @@ def polar_grid(calibration: Calibration, directions: int) -> PolarGrid:
     good = np.cumprod(np.isfinite(rays.sum(axis=2)), axis=1).sum(axis=1)  # nodes before the first bad one
     stop = np.clip(np.minimum(stop, (good - 1) * RAY_STEP_PX), 0, None)
     x, y = (centre[axis] + (first + np.arange(length)) * way[:, None] for axis, way in enumerate((cosine, sine)))
-    map_xy, map_part = cv2.convertMaps(x.astype(np.float32), y.astype(np.float32), cv2.CV_16SC2)
+    closed = np.arange(-1, directions + 1) % directions
+    maps = cv2.convertMaps(x[closed].astype(np.float32), y[closed].astype(np.float32), cv2.CV_16SC2)
+    map_xy, map_part = np.asarray(maps[0], np.int16), np.asarray(maps[1], np.uint16)
+    edges = np.linspace(0, directions + 2, SECTORS + 1).astype(int)
+    sectors = [_sector(camera, map_xy, slice(a, b)) for a, b in pairwise(edges)]
     return PolarGrid(
         (float(centre[0]), float(centre[1])), first, cosine, sine, stop, np.nan_to_num(rays),
-        np.asarray(map_xy, np.int16), np.asarray(map_part, np.uint16), spacing,
+        map_xy, map_part, sectors, spacing,
     )  # fmt: skip
 
 
@@ -85,11 +103,18 @@ def unroll(image: NDArray[np.uint8], grid: PolarGrid) -> NDArray[np.uint8]:
 
     Each line is averaged with its two neighbours: less noise where stripes are dim, and nothing is lost along the line,
     where a slit's place is read. Wider averages would carry light into the shadows of rods.
+
+    A fresh frame lies in main memory, and lines that cross its rows would wait for nearly every sample. So each sector
+    first fetches its part of the image in the order of memory, which the processor sees coming.
     """
-    lines = np.asarray(cv2.remap(image, grid.map_xy, grid.map_part, cv2.INTER_LINEAR), np.uint8)
-    closed = np.concatenate([lines[-1:], lines, lines[:1]]).reshape(len(lines) + 2, -1)
-    averaged = cv2.GaussianBlur(closed, (1, 3), sigmaX=1.0, sigmaY=ACROSS)[1:-1]
-    return np.asarray(averaged, np.uint8).reshape(lines.shape)
+    image = np.ascontiguousarray(image)
+    lines = np.empty((*grid.map_part.shape, 3), np.uint8)
+    for sector in grid.sectors:
+        part = sector.lines
+        _fetch(image.reshape(-1), sector.starts, sector.stops)
+        cv2.remap(image, grid.map_xy[part], grid.map_part[part], cv2.INTER_LINEAR, dst=lines[part])
+    averaged = cv2.GaussianBlur(lines.reshape(len(lines), -1), (1, 3), sigmaX=1.0, sigmaY=ACROSS)[1:-1]
+    return np.asarray(averaged, np.uint8).reshape(-1, *lines.shape[1:])
 
 
 def ring_pixels(camera: Camera, cone: Cone, pose: Pose, radius_mm: float, steps: int = 180) -> FloatArray:
@@ -110,6 +135,17 @@ def ring_pixels(camera: Camera, cone: Cone, pose: Pose, radius_mm: float, steps:
     return np.where(inside[:, None], pixels, np.nan)
 
 
+def _sector(camera: Camera, map_xy: NDArray[np.int16], lines: slice) -> Sector:
+    x, y = (map_xy[lines, :, axis].ravel().astype(np.int64) for axis in (0, 1))
+    inside = (x >= 0) & (x < camera.width - 1) & (y >= 0) & (y < camera.height - 1)
+    least, most = np.full(camera.height, camera.width), np.zeros(camera.height, np.int64)
+    for row in (y[inside], y[inside] + 1):  # a sample is interpolated between four pixels
+        np.minimum.at(least, row, x[inside])
+        np.maximum.at(most, row, x[inside] + 2)
+    rows = np.flatnonzero(least < most)
+    return Sector(lines, 3 * (rows * camera.width + least[rows]), 3 * (rows * camera.width + most[rows]))
+
+
 def _length_inside(
     camera: Camera, centre: FloatArray, cosine: FloatArray, sine: FloatArray, first: float, last: float
 ) -> NDArray[np.int64]:
@@ -120,3 +156,13 @@ def _length_inside(
             edge = np.where(way > 0, size - 2.0 - at, 1.0 - at) / np.where(np.abs(way) > 1e-12, way, np.nan)
         reach = np.fmin(reach, edge)
     return np.maximum(np.floor(reach - first), 0).astype(np.int64)
+
+
+@compiled
+def _fetch(memory, starts, stops):  # type: ignore[no-untyped-def]
+    """Reads a byte of every cache line; the sum is returned only lest the compiler see that nobody needs it."""
+    total = 0
+    for n in range(len(starts)):
+        for at in range(starts[n], stops[n], CACHE_LINE):
+            total += memory[at]
+    return total

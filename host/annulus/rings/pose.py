@@ -79,15 +79,16 @@ def _descend(points: FloatArray, weight: FloatArray, radius: float, first: Pose)
 
 
 def _spread(error: FloatArray) -> float:
-    return 1.4826 * float(np.median(np.abs(error)))
+    middle = len(error) // 2
+    return 1.4826 * float(np.partition(np.abs(error), middle)[middle])
 
 
 def _step(
     points: FloatArray, weight: FloatArray, x: FloatArray, radius: float, scale: float, trimmed: bool
 ) -> FloatArray:
-    rows = np.empty((len(points), 8))
+    rows = np.empty((8, len(points)))
     _rows(points, weight, x, radius, scale, trimmed, rows)
-    product = rows.T @ rows
+    product = rows @ rows.T
     normal, right = product[:7, :7], product[:7, 7]
     size = np.array([1.0, 1.0, *[radius] * 5])  # angles and lengths alike
     normal = normal * size[:, None] * size
@@ -128,11 +129,11 @@ def _rows(points, weight, x, radius, scale, trimmed, out):  # type: ignore[no-un
             w = math.sqrt(weight[n]) if abs(e) <= scale else 0.0
         else:
             w = math.sqrt(weight[n] / (1.0 + (e / scale) ** 2))
-        out[n, 0] = w * (cu * sb * v + cv * (ca * pz - sa * py))
-        out[n, 1] = w * (cu * (cb * turned - sb * px))
-        out[n, 2] = -w * cu * cb
-        out[n, 3] = -w * (cu * sb * sa + cv * ca)
-        out[n, 4] = -w
-        out[n, 5] = -w * twofold
-        out[n, 6] = -w * quarter
-        out[n, 7] = w * e
+        out[0, n] = w * (cu * sb * v + cv * (ca * pz - sa * py))
+        out[1, n] = w * (cu * (cb * turned - sb * px))
+        out[2, n] = -w * cu * cb
+        out[3, n] = -w * (cu * sb * sa + cv * ca)
+        out[4, n] = -w
+        out[5, n] = -w * twofold
+        out[6, n] = -w * quarter
+        out[7, n] = w * e
