@@ -32,6 +32,7 @@ class Summary:
     diameter_mm: Mapping[str, float | None]
     ovality: Mapping[str, Any]
     defects: tuple[Defect, ...]
+    unsupported: int  # places that look like a defect, but to one ring in one frame only: not listed
     limits: Mapping[str, float]
     drops: Mapping[str, int]
     rejected: Mapping[str, int]
@@ -45,8 +46,8 @@ class Summary:
             "format": "annulus-summary/1", "source": self.source, "created": self.created, "frames": dict(self.frames),
             "points": self.points, "scanned_mm": dict(self.scanned_mm), "seen_percent": round(self.seen_percent, 2),
             "noise_mm": round(self.noise_mm, 4), "diameter_mm": dict(self.diameter_mm), "ovality": dict(self.ovality),
-            "defects": [_defect(defect) for defect in self.defects], "limits": dict(self.limits),
-            "drops": dict(self.drops), "rejected": dict(self.rejected),
+            "defects": [_defect(defect) for defect in self.defects], "unsupported": self.unsupported,
+            "limits": dict(self.limits), "drops": dict(self.drops), "rejected": dict(self.rejected),
             "timing_ms": {name: round(value, 3) for name, value in self.timing_ms.items()},
             "versions": dict(self.versions),
         }  # fmt: skip
@@ -91,6 +92,7 @@ def summarize(
             "shape_median_percent": _extreme(np.median, stations.shape_ovality_percent),
         },
         defects=findings.defects,
+        unsupported=findings.unsupported,
         limits={
             "depth_mm": round(max(limits.seed_noise * noise, limits.seed_of_radius * radius), 3),
             "size_mm": round(limits.size_of_radius * radius, 2),
