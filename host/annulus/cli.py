@@ -212,7 +212,8 @@ def head_configure(
 ) -> None:
     """Stage, validate and commit the lamp timing. A flash that does not fit the window is refused."""
     from annulus.capture.timing import FrameTiming
-    from annulus.link.bench import configure, stage_from_us
+    from annulus.link.bench import configure
+    from annulus.link.head import stage_from_us
 
     mode = FrameTiming(fps, exposure_us, readout_us)
     for lamp, delay_us, width_us in (

@@ -13,7 +13,7 @@ from annulus.capture.timing import FrameTiming
 from annulus.geometry.calibration import Calibration
 from annulus.record.calibration_file import load_calibration
 from annulus.stream.publish import Keys
-from annulus.vocabulary import TICKS_PER_US, AnnulusError
+from annulus.vocabulary import AnnulusError
 
 CameraKind = Literal["v4l2", "picamera2", "video", "folder", "twin"]
 CAMERA_KINDS = ("v4l2", "picamera2", "video", "folder", "twin")
@@ -73,10 +73,6 @@ class HeadConfig:
             "port": self.port,
             "mm_per_count": self.mm_per_count,
         }
-
-
-def ticks(microseconds: float) -> int:
-    return round(microseconds * TICKS_PER_US)
 
 
 _SECTIONS: Mapping[str, tuple[str, ...]] = {

@@ -27,11 +27,11 @@ from annulus.capture.camera import Camera, CapturedFrame
 from annulus.capture.photometry import measure
 from annulus.daemon.cameras import apply_controls
 from annulus.daemon.capturing import Capturing
-from annulus.daemon.config import HeadConfig, require_size, ticks
+from annulus.daemon.config import HeadConfig, require_size
 from annulus.daemon.labelling import FrameSeen, Labelling
 from annulus.daemon.order import InOrder
 from annulus.link.client import Port
-from annulus.link.head import HeadControl, News, Phase, PhaseChanged
+from annulus.link.head import HeadControl, News, Phase, PhaseChanged, stage_from_us
 from annulus.link.messages import Fault, Stage, SyncFound, SyncLost
 from annulus.link.session import Heard, Rebooted
 from annulus.link.session import Lost as EventsLost
@@ -193,6 +193,8 @@ class Scan:
             "link": head.session.counters.as_dict() if head is not None else {},
             "lives": head.life if head is not None else 0,
             "rearms": head.rearms if head is not None else 0,
+            "edges_unplaced": head.edges_unplaced if head is not None else 0,
+            "clock_samples_rejected": head.clock.rejected if head is not None else 0,
             **self._labelling.numbers(),
             "workers": _crew_numbers(self._workers),
             "recorder": _crew_numbers(self._recorder),
@@ -589,19 +591,11 @@ def default_workers() -> int:
 
 def _stage(config: HeadConfig) -> Stage:
     timing, lamps = config.timing, config.lamps
-    return Stage(
-        generation=1,  # HeadControl numbers them itself
-        ratio=lamps.ratio,
-        frame_period=ticks(timing.period_us),
-        exposure=ticks(timing.exposure_us),
-        readout=ticks(timing.readout_us),
-        tolerance=100,
-        host_timeout=0,
-        projector_delay=ticks(lamps.projector_delay_us),
-        projector_width=ticks(lamps.projector_width_us),
-        led_delay=ticks(lamps.led_delay_us),
-        led_width=ticks(lamps.led_width_us),
-    )
+    return stage_from_us(
+        ratio=lamps.ratio, period_us=timing.period_us, exposure_us=timing.exposure_us, readout_us=timing.readout_us,
+        projector_us=(lamps.projector_delay_us, lamps.projector_width_us),
+        led_us=(lamps.led_delay_us, lamps.led_width_us), tolerance_permille=100,
+    )  # fmt: skip
 
 
 def _seen(index: int, frame: CapturedFrame) -> FrameSeen:

@@ -33,7 +33,6 @@ from annulus.link.session import Heard, Lost, Rebooted
 from annulus.vocabulary import TICKS_PER_US, AnnulusError, Lamp
 
 KEEP_ALIVE_S = 0.1  # well inside the shortest sensible host timeout
-GENERATION = 1
 TRAIN_SLACK_S = 1.0
 U32 = 2**32
 
@@ -63,36 +62,6 @@ def status(port: str) -> dict[str, object]:
             "late_flashes": reply.late,
             "event_overruns": reply.overruns,
         }
-
-
-def stage_from_us(
-    *,
-    ratio: int,
-    period_us: float,
-    exposure_us: float,
-    readout_us: float,
-    projector_us: tuple[float, float],
-    led_us: tuple[float, float],
-    tolerance_permille: int = 50,
-) -> Stage:
-    """A lamp configuration from microseconds; `projector_us` and `led_us` are (delay, width)."""
-
-    def ticks(us: float) -> int:
-        return round(us * TICKS_PER_US)
-
-    return Stage(
-        generation=GENERATION,
-        ratio=ratio,
-        frame_period=ticks(period_us),
-        exposure=ticks(exposure_us),
-        readout=ticks(readout_us),
-        tolerance=tolerance_permille,
-        host_timeout=0,
-        projector_delay=ticks(projector_us[0]),
-        projector_width=ticks(projector_us[1]),
-        led_delay=ticks(led_us[0]),
-        led_width=ticks(led_us[1]),
-    )
 
 
 def configure(port: str, stage: Stage) -> dict[str, object]:

@@ -15,7 +15,7 @@ from typing import Any
 from annulus.capture.pairing import Labelled, Pairing, PlacedEdge, calibrate_offset
 from annulus.capture.photometry import Light, measure
 from annulus.capture.timing import FrameTiming
-from annulus.link.head import EdgeSeen, HeadControl, LampsCut, Phase
+from annulus.link.head import EdgeSeen, HeadControl, LampsCut, Phase, stage_from_us
 from annulus.link.messages import BootCause, Stage
 from annulus.link.session import Lost
 from annulus.twin.native import NativeBoard
@@ -80,27 +80,15 @@ def is_right(exposure: Exposure, labelled: Labelled, period: float, boot_ticks: 
 def soak_configuration(timing: FrameTiming, world: World, *, ratio: int = 4) -> Stage:
     """Flashes of the lamps' nominal on-time, in the middle of the window."""
 
-    def ticks(us: float) -> int:
-        return round(us * TICKS_PER_US)
-
-    delays = []
+    flashes = []
     for lamp, width_us in (("projector", world.projector.nominal_us), ("led", world.led.nominal_us)):
         delay_us = (timing.opens_us + timing.closes_us - width_us) / 2
         timing.check_flash(delay_us, width_us, lamp)
-        delays.append(ticks(delay_us))
-    return Stage(
-        generation=1,
-        ratio=ratio,
-        frame_period=ticks(timing.period_us),
-        exposure=ticks(timing.exposure_us),
-        readout=ticks(timing.readout_us),
-        tolerance=50,
-        host_timeout=0,
-        projector_delay=delays[0],
-        projector_width=ticks(world.projector.nominal_us),
-        led_delay=delays[1],
-        led_width=ticks(world.led.nominal_us),
-    )
+        flashes.append((delay_us, width_us))
+    return stage_from_us(
+        ratio=ratio, period_us=timing.period_us, exposure_us=timing.exposure_us, readout_us=timing.readout_us,
+        projector_us=flashes[0], led_us=flashes[1],
+    )  # fmt: skip
 
 
 def soak(
