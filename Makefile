@@ -4,7 +4,7 @@ UV_VERSION := 0.13.8
 UV         := .tools/bin/uv
 BIN        := .venv/bin
 
-.PHONY: setup demo test lint bench native firmware emulator generated mutants clean
+.PHONY: setup demo test lint bench bench-metrology native firmware emulator generated mutants clean
 
 setup: .venv/.synced native
 
@@ -56,6 +56,10 @@ generated:
 
 bench: setup
 	@for b in tools/bench/bench_*.py; do echo "== $$b"; $(BIN)/python $$b || exit 1; done
+
+# The table of tools/bench/metrology/RESULTS.md and its pictures, anew.
+bench-metrology: setup
+	$(BIN)/python tools/bench/metrology
 
 # Faults put into the firmware on purpose; the emulator's tests must catch every one.
 mutants: setup firmware emulator

@@ -1,0 +1,152 @@
+"""The one command, `annulus`. Parses, calls one door, prints; imports each room only when its command is called."""
+
+import importlib
+import importlib.util
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from annulus.cli import head, twin
+from annulus.cli.show import Json, progress
+from annulus.vocabulary import AnnulusError
+
+app = typer.Typer(
+    help="Acquire and reconstruct scans of plastic pipes.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+app.add_typer(twin.app, name="twin")
+app.add_typer(head.app, name="head")
+for _noun in ("calibrate", "pattern", "firmware", "burst", "tai"):  # while they are being built
+    if importlib.util.find_spec(f"annulus.cli.{_noun}"):
+        app.add_typer(importlib.import_module(f"annulus.cli.{_noun}").app, name=_noun)
+
+
+@app.command(
+    epilog="Example: annulus timing --fps 25 --exposure-us 38000 --readout-us 28000 --delay-us 2500 --width-us 4000"
+)
+def timing(
+    fps: Annotated[float, typer.Option(help="Frames per second.")],
+    exposure_us: Annotated[float, typer.Option(help="Exposure of a row, us.")],
+    readout_us: Annotated[float, typer.Option(help="Readout, first to last line, us.")],
+    delay_us: Annotated[float | None, typer.Option(help="Falling edge to lamp on, us.")] = None,
+    width_us: Annotated[float | None, typer.Option(help="Lamp on to lamp off, us.")] = None,
+    as_json: Json = False,
+) -> None:
+    """When may a flash fire? Draws the window in which all rows expose; refuses a flash outside it."""
+    from annulus.capture.timing import FrameTiming
+
+    if (delay_us is None) != (width_us is None):
+        raise AnnulusError("--delay-us and --width-us describe one flash: give both or neither")
+    mode = FrameTiming(fps, exposure_us, readout_us)
+    if as_json:
+        mode.check_window()
+        if delay_us is not None and width_us is not None:
+            mode.check_flash(delay_us, width_us)
+        answer = {"period_us": mode.period_us, "window_opens_us": mode.opens_us, "window_closes_us": mode.closes_us}
+        print(json.dumps(answer))
+        return
+    print(f"{mode}: after the sync signal falls,")
+    print(f"  the last row opens at  T = 1/fps - T_ex = {mode.opens_us:g} us")
+    print(f"  the first row closes at    1/fps - T_ro = {mode.closes_us:g} us")
+    print(mode.drawing(delay_us, width_us))
+    mode.check_window()
+    if delay_us is not None and width_us is not None:
+        mode.check_flash(delay_us, width_us)
+        print(f"flash {delay_us:g}..{delay_us + width_us:g} us fits: every row sees all of it")
+    else:
+        print(f"longest flash: {mode.closes_us - mode.opens_us:g} us, delay {mode.opens_us:g} us")
+
+
+@app.command(epilog="Example: annulus reconstruct scans/main-street --calibration head-7.json -o results")
+def reconstruct(
+    scan: Annotated[Path, typer.Argument(help="Scan folder (frames.csv and images) or recording (.mcap).")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the results; made if need be.")],
+    calibration: Annotated[
+        Path | None, typer.Option(help="calibration.json of the head. A recording carries its own.")
+    ] = None,
+    workers: Annotated[int | None, typer.Option(min=1, max=64, help="Processes; one a core if not given.")] = None,
+    as_json: Json = False,
+) -> None:
+    """From frames to the pipe wall: cloud, mesh, maps, stations, defects and a report."""
+    from annulus.report.reconstruct import reconstruct as run
+
+    with progress() as bars:
+        summary = run(scan, calibration, out, workers=workers, progress=bars)
+    _print_summary(summary, out, as_json)
+
+
+def _print_summary(summary: Any, out: Path, as_json: bool) -> None:
+    data = json.loads((out / "summary.json").read_text())
+    if as_json:
+        print(json.dumps(data))
+        return
+    diameter = data["diameter_mm"]
+    counts = ", ".join(f"{n} {label}" for label, n in data["frames"].items())
+    print(f"frames     {counts}")
+    if diameter["mean"] is not None:
+        print(f"diameter   {diameter['mean']:.2f} mm mean, {diameter['min']:.2f}..{diameter['max']:.2f} mm")
+    print(f"points     {data['points']}")
+    for d in data["defects"]:
+        print(
+            f"{d['kind']:<10} {d['depth_mm']:.2f} mm at {d['z_mm']:.0f} mm, clock {d['clock']}, "
+            f"{d['length_mm']:.0f} mm long, {d['arc_deg']:.0f} deg"
+        )
+    if not data["defects"]:
+        print("defects    none")
+    print(f"report     {out / 'report.html'}")
+
+
+@app.command(epilog="Example: annulus demo --seconds 12 --out /tmp/demo --no-open")
+def demo(
+    seconds: Annotated[
+        float | None,
+        typer.Option(min=2.0, max=600.0, help="Length of the scan, s. [default: 15, longer on a slow machine]"),
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("annulus-demo"),
+    open_report: Annotated[bool, typer.Option("--open/--no-open", help="Open the report when done.")] = True,
+) -> None:
+    """The whole main job on a simulated head: scan, label, record, reconstruct, report."""
+    from annulus.demo import run_demo
+
+    run_demo(seconds, out, open_report)
+
+
+@app.command(epilog="Example: annulus daemon --config head.toml")
+def daemon(
+    config: Annotated[Path, typer.Option(help="head.toml: port, camera, timing, recording; see host/annulus/daemon.")],
+) -> None:
+    """Run a head: capture, label, record, reconstruct and publish until Ctrl-C."""
+    from annulus.daemon import run_daemon
+
+    run_daemon(config)
+
+
+def main() -> None:
+    """Entry point: one clear line for what a user can mend, exit status 0 only for success."""
+    try:
+        app()
+    except AnnulusError as error:
+        print(f"annulus: {error}", file=sys.stderr)
+        sys.exit(1)
+    except KeyboardInterrupt:
+        print("annulus: interrupted", file=sys.stderr)
+        sys.exit(130)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(141)
+    except Exception as error:
+        if os.environ.get("ANNULUS_DEBUG"):
+            raise
+        print(
+            f"annulus: internal error, {type(error).__name__}: {error} (ANNULUS_DEBUG=1 shows where; please report it)",
+            file=sys.stderr,
+        )
+        sys.exit(70)

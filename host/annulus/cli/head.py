@@ -1,0 +1,104 @@
+"""`annulus head`: one controller on the bench."""
+
+from typing import Annotated
+
+import typer
+
+from annulus.cli.show import Json, Port, group, print_fields
+
+app = group("Talk to one controller: configure, arm, fire a burst.")
+
+
+@app.command("status", epilog="Example: annulus head status --port /dev/ttyACM0 --json")
+def status(port: Port, as_json: Json = False) -> None:
+    """Who is there, and how is it? Changes nothing."""
+    from annulus.link import bench
+
+    print_fields(bench.status(port), as_json)
+
+
+@app.command(
+    "configure",
+    epilog="Example: annulus head configure --port /dev/ttyACM0 --ratio 4 --fps 25 --exposure-us 38000 "
+    "--readout-us 28000 --projector-delay-us 2500 --projector-width-us 4000 --led-delay-us 2500 --led-width-us 2000",
+)
+def configure(
+    port: Port,
+    fps: Annotated[float, typer.Option(help="Frames per second.")],
+    exposure_us: Annotated[float, typer.Option(help="Exposure of a row, us.")],
+    readout_us: Annotated[float, typer.Option(help="Readout, first to last line, us.")],
+    projector_delay_us: Annotated[float, typer.Option(help="Falling edge to projector on, us.")],
+    projector_width_us: Annotated[float, typer.Option(help="Projector on to off, us; 0 keeps it dark.")],
+    led_delay_us: Annotated[float, typer.Option(help="Falling edge to LED on, us.")],
+    led_width_us: Annotated[float, typer.Option(help="LED on to off, us; 0 keeps it dark.")],
+    ratio: Annotated[int, typer.Option(min=0, max=15, help="Projector frames to each LED frame.")] = 4,
+    as_json: Json = False,
+) -> None:
+    """Stage, validate and commit the lamp timing. A flash that does not fit the window is refused."""
+    from annulus.capture.timing import FrameTiming
+    from annulus.link import bench
+    from annulus.link.head import stage_from_us
+
+    mode = FrameTiming(fps, exposure_us, readout_us)
+    for lamp, delay_us, width_us in (
+        ("projector flash", projector_delay_us, projector_width_us),
+        ("LED flash", led_delay_us, led_width_us),
+    ):
+        if width_us != 0:
+            mode.check_flash(delay_us, width_us, lamp)
+    stage = stage_from_us(
+        ratio=ratio, period_us=mode.period_us, exposure_us=exposure_us, readout_us=readout_us,
+        projector_us=(projector_delay_us, projector_width_us), led_us=(led_delay_us, led_width_us),
+    )  # fmt: skip
+    print_fields(bench.configure(port, stage), as_json)
+
+
+@app.command("arm", epilog="Example: annulus head arm --port /dev/ttyACM0 --hold 10")
+def arm(
+    port: Port,
+    hold: Annotated[float, typer.Option(min=0.0, max=86400.0, help="Seconds to stay armed; 0 = until Ctrl-C.")] = 0.0,
+) -> None:
+    """Arm the lamps, keep the controller fed, and disarm at the end. A fault ends it with status 1."""
+    from annulus.link import bench
+
+    bench.hold_armed(port, hold, typer.echo)
+
+
+@app.command("disarm", epilog="Example: annulus head disarm --port /dev/ttyACM0")
+def disarm(port: Port) -> None:
+    """Every output low."""
+    from annulus.link import bench
+
+    bench.disarm(port)
+    print("disarmed")
+
+
+@app.command("clear", epilog="Example: annulus head clear --port /dev/ttyACM0")
+def clear(port: Port) -> None:
+    """Clear the latched fault. Refused while its cause lasts; arms nothing."""
+    from annulus.link import bench
+
+    print(f"cleared: {bench.clear(port)}")
+
+
+@app.command(
+    "burst", epilog="Example: annulus head burst --port /dev/ttyACM0 --code mpsl25-stuffed --chip-us 0.5 --repeat 10"
+)
+def burst(
+    port: Port,
+    code: Annotated[str, typer.Option(help="single, mpsl25, mpsl25-stuffed, barker13, manchester1, manchester2.")],
+    chip_us: Annotated[float, typer.Option(help="Length of a chip, us: 0.1 to 30.")] = 0.5,
+    repeat: Annotated[int, typer.Option(min=1, max=65535, help="Bursts.")] = 1,
+    period_us: Annotated[float, typer.Option(help="Chip 0 to chip 0, us.")] = 1000.0,
+    trigger_offset_us: Annotated[
+        float, typer.Option(help="Digitizer trigger after chip 0, us; may be negative.")
+    ] = 0.0,
+    as_json: Json = False,
+) -> None:
+    """Arm the microwave, fire a train of bursts, wait for its end, disarm. A fault ends it with status 1."""
+    from annulus.link import bench
+
+    print_fields(
+        bench.fire_burst(port, code, chip_us=chip_us, repeat=repeat, period_us=period_us, offset_us=trigger_offset_us),
+        as_json,
+    )

@@ -1,0 +1,44 @@
+"""`annulus twin`: the simulated head."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from annulus.cli.show import Json, group, progress
+
+app = group("The simulated head.")
+
+
+@app.command("run", epilog="Example: annulus twin run --fps 10 --seed 3")
+def run(
+    fps: Annotated[float, typer.Option(min=1.0, max=60.0, help="Frames per second.")] = 10.0,
+    seed: Annotated[int, typer.Option(min=0, help="Of the world.")] = 1,
+    faults: Annotated[Path | None, typer.Option(help="TOML file of faults to inject.")] = None,
+) -> None:
+    """Run a simulated head in real time and print where a daemon finds it. Ends with Ctrl-C."""
+    from annulus.twin.head import run_head
+
+    run_head(fps=fps, seed=seed, faults=faults)
+
+
+@app.command("soak", epilog="Example: annulus twin soak --frames 20000 --seed 1 --json")
+def soak(
+    frames: Annotated[int, typer.Option(min=100, max=10_000_000, help="Camera frames.")] = 20_000,
+    seed: Annotated[int, typer.Option(min=0)] = 1,
+    faults: Annotated[str, typer.Option(help="A TOML file, or a named set: none, standard, rough.")] = "standard",
+    as_json: Json = False,
+) -> None:
+    """Pairing under faults in virtual time: real firmware, real link, real labels, scored against truth."""
+    from annulus.twin.soak import soak
+
+    with progress() as report:
+        result = soak(frames, seed, faults=faults, progress=report)
+    if as_json:
+        print(json.dumps(result))
+    else:
+        for key, value in result.items():
+            print(f"{key:<24} {value}")
+    if result["wrong"]:
+        raise typer.Exit(1)
