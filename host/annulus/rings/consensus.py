@@ -53,7 +53,7 @@ def without_contradicted(profiles: Sequence[Profile]) -> tuple[Profile, ...]:
         out.append(
             replace(
                 profile, points_mm=profile.points_mm[kept], colour=profile.colour[kept], ring=profile.ring[kept],
-                direction=profile.direction[kept], rejected=rejected,
+                direction=profile.direction[kept], sigma_mm=profile.sigma_mm[kept], rejected=rejected,
             )
         )  # fmt: skip
     return tuple(out)

@@ -20,7 +20,8 @@ class Profile:
     `pose` is None when the pipe could not be found; such a profile has no points. `ring` counts from 0, innermost
     first; `direction` is the index of the polar direction; `colour` is the wall's colour beside the slit, RGB.
     `residual_mm` is the robust spread of the points about the fitted cylinder; NaN without a pose. `rejected` counts
-    every slit that was seen and not used, by reason; `timing_ms` the stages.
+    every slit that was seen and not used, by reason; `timing_ms` the stages. `sigma_mm` is the standard deviation of each
+    point's radius from the pipe's axis NaN where nobody said.
     """
 
     frame: int
@@ -33,6 +34,13 @@ class Profile:
     residual_mm: float = math.nan
     rejected: Mapping[str, int] = field(default_factory=dict)
     timing_ms: Mapping[str, float] = field(default_factory=dict)
+    sigma_mm: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, np.float32))  # (N,)
+
+    def __post_init__(self) -> None:
+        if len(self.sigma_mm) != len(self.ring):
+            if len(self.sigma_mm):
+                raise ValueError(f"a profile of {len(self.ring)} points has {len(self.sigma_mm)} sigmas")
+            object.__setattr__(self, "sigma_mm", np.full(len(self.ring), np.nan, np.float32))
 
     def to_dict(self) -> dict[str, Any]:
         """Plain types and bytes (little-endian, row by row), as msgpack carries them."""
@@ -45,6 +53,7 @@ class Profile:
             "colour": self.colour.tobytes(),
             "ring": self.ring.tobytes(),
             "direction": self.direction.astype("<u2").tobytes(),
+            "sigma": self.sigma_mm.astype("<f4").tobytes(),
             "residual_mm": self.residual_mm,
             "rejected": dict(self.rejected),
             "timing_ms": dict(self.timing_ms),
@@ -61,10 +70,14 @@ class Profile:
         points = _array(data, "points", "<f4", 3)
         colour = _array(data, "colour", "u1", 3)
         direction = _array(data, "direction", "<u2", 1)[:, 0]
-        if not len(points) == len(colour) == len(direction) == len(ring):
+        # recordings made before there was a sigma have none
+        sigma = _array(data, "sigma", "<f4", 1)[:, 0] if "sigma" in data else np.full(len(ring), np.nan, np.float32)
+        if not len(sigma) == len(points) == len(colour) == len(direction) == len(ring):
             raise ValueError("a profile's arrays must be of one length")
         if not np.isfinite(points).all():
             raise ValueError("a profile's points must be finite")
+        if (sigma < 0).any() or np.isinf(sigma).any():
+            raise ValueError("a profile's sigma must be a length or NaN")
         frame = data.get("frame")
         if isinstance(frame, bool) or not isinstance(frame, int) or not 0 <= frame < 2**63:
             raise ValueError(f"a profile's frame is {frame!r}, expected a whole number")
@@ -82,6 +95,7 @@ class Profile:
             math.nan if pose is None else _finite(data.get("residual_mm"), "residual_mm"),
             {name: int(value) for name, value in _named(data, "rejected").items()},
             _named(data, "timing_ms"),
+            sigma.astype(np.float32),
         )
 
 

@@ -46,6 +46,8 @@ class Reconstructor:
         self.directions = directions
         self._grid = polar_grid(calibration, directions)
         self._optics = ring_optics(calibration, self._grid)
+        # (K,) mm: what a tenth of a pixel and the calibrated radius itself leave open
+        self._expected = np.hypot(0.1 * self._optics.mm_per_px, 0.0005 * calibration.pipe_radius_mm)
 
     def profile(
         self,
@@ -124,14 +126,14 @@ class Reconstructor:
         return Profile(
             frame, z_mm, pose, wall.astype(np.float32), light.astype(np.uint8), ring[kept].astype(np.uint8),
             slits.direction[kept].astype(np.uint16), spread, rejected, _spans(marks),
+            self._expected[ring[kept]].astype(np.float32),
         )  # fmt: skip
 
     def _fit(
         self, points: FloatArray, ring: NDArray[np.int64], seed: Pose | None, every: int = 1
     ) -> tuple[Pose, float] | None:
         kept = np.flatnonzero(ring != NONE)[::every]
-        sigma = np.hypot(0.1 * self._optics.mm_per_px, 0.0005 * self.calibration.pipe_radius_mm)
-        return fit_pose(points[kept, ring[kept]], self.calibration.pipe_radius_mm, sigma[ring[kept]], seed)
+        return fit_pose(points[kept, ring[kept]], self.calibration.pipe_radius_mm, self._expected[ring[kept]], seed)
 
     def _company_gate(
         self, direction: NDArray[np.int64], radius: FloatArray, ring: NDArray[np.int64]
