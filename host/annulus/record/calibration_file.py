@@ -2,9 +2,12 @@
 
 import json
 import os
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
-from annulus.geometry.calibration import Calibration
+from annulus.geometry.calibration import FORMAT, Calibration, camera_from_dict
+from annulus.geometry.camera import Camera
 from annulus.vocabulary import AnnulusError
 
 SIZE_MAX = 4 << 20  # per-direction fine-tuning of a dozen rings stays far below
@@ -12,6 +15,43 @@ SIZE_MAX = 4 << 20  # per-direction fine-tuning of a dozen rings stays far below
 
 def load_calibration(path: Path) -> Calibration:
     """The calibration in a file of format annulus-calibration/1. Raises AnnulusError naming file and key."""
+    data = _read(path)
+    try:
+        return Calibration.from_dict(data)
+    except (ValueError, RecursionError) as error:
+        raise AnnulusError(f"{path}: {str(error) or 'too deeply nested'}.") from None
+
+
+def load_camera(path: Path) -> Camera:
+    """The `camera` section alone, of a file that may have no rings yet. Raises AnnulusError naming file and key."""
+    data = _read(path)
+    if not isinstance(data, dict) or "camera" not in data:
+        raise AnnulusError(f'{path}: has no "camera". Make one with `annulus calibrate camera`.')
+    try:
+        return camera_from_dict(data["camera"])
+    except ValueError as error:
+        raise AnnulusError(f"{path}: {error}.") from None
+
+
+def update_calibration(path: Path, sections: Mapping[str, Any]) -> None:
+    """Replace these sections of the file and keep its others; a new file gets only these.
+
+    A section given as None is taken out. Raises AnnulusError when the file is there but is no calibration, or cannot
+    be written.
+    """
+    data = _read(path) if path.exists() else {}
+    if not isinstance(data, dict) or data.get("format", FORMAT) != FORMAT:
+        raise AnnulusError(f'{path}: is there but is not "{FORMAT}". Choose another file or move it away.')
+    merged = {"format": FORMAT, **data, **sections}
+    _write(path, {key: value for key, value in merged.items() if value is not None})
+
+
+def save_calibration(path: Path, calibration: Calibration) -> None:
+    """Write the file whole or not at all. Raises AnnulusError when it cannot be written."""
+    _write(path, calibration.to_dict())
+
+
+def _read(path: Path) -> Any:
     try:
         with path.open("rb") as file:
             data = file.read(SIZE_MAX + 1)
@@ -24,22 +64,21 @@ def load_calibration(path: Path) -> Calibration:
     if len(data) > SIZE_MAX:
         raise AnnulusError(f"{path}: larger than {SIZE_MAX >> 20} MiB. Expected a calibration.json.")
     try:
-        return Calibration.from_dict(json.loads(data.decode("utf-8-sig")))
+        return json.loads(data.decode("utf-8-sig"))
     except json.JSONDecodeError as error:
         raise AnnulusError(
             f"{path}: line {error.lineno}: not JSON ({error.msg}). Expected a calibration.json."
         ) from None
     except UnicodeDecodeError:
         raise AnnulusError(f"{path}: not a text file. Expected a calibration.json.") from None
-    except (ValueError, RecursionError) as error:
-        raise AnnulusError(f"{path}: {str(error) or 'too deeply nested'}.") from None
+    except RecursionError:
+        raise AnnulusError(f"{path}: too deeply nested.") from None
 
 
-def save_calibration(path: Path, calibration: Calibration) -> None:
-    """Write the file whole or not at all. Raises AnnulusError when it cannot be written."""
+def _write(path: Path, data: object) -> None:
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        temporary.write_text(json.dumps(calibration.to_dict(), indent=1) + "\n", encoding="utf-8")
+        temporary.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
         temporary.replace(path)
     except OSError as error:
         temporary.unlink(missing_ok=True)
