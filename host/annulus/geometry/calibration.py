@@ -10,16 +10,32 @@ from annulus.geometry.camera import Camera, Model
 from annulus.geometry.cone import Cone
 
 FORMAT = "annulus-calibration/1"
+FINE_MAX = 4096  # directions a ring may be fine-tuned in
+
+
+@dataclass(frozen=True, slots=True)
+class FineRing:
+    """What one slit is off its cone: sample i of n belongs to the azimuth 2 pi i / n about the cone's axis, counted
+    from the part of the camera's x across the axis, towards its y. Between samples linear, and closed."""
+
+    offset_rad: tuple[float, ...]  # added to the half-angle
+    shift_mm: tuple[float, ...] | None = None  # of the vertex along the axis, as many
 
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """Camera, the stripes' colours from the innermost outwards, one cone per slit between them, the pipe's radius."""
+    """Camera, the stripes' colours from the innermost outwards, one cone per slit between them, the pipe's radius.
+
+    `covariance` (6K, 6K) says how well the K rings are known: ring after ring half-angle (rad), axis x, y, vertex x, y,
+    z (mm). `fine` has what each ring is off its cone (Alzuhiri 2022, Alg. 3). Either may be missing.
+    """
 
     camera: Camera
     colours: str
     rings: tuple[Cone, ...]
     pipe_radius_mm: float
+    covariance: tuple[tuple[float, ...], ...] | None = None
+    fine: tuple[FineRing, ...] | None = None
 
     @classmethod
     def from_dict(cls, data: object) -> "Calibration":
@@ -40,10 +56,15 @@ class Calibration:
         if any(b.half_angle <= a.half_angle for a, b in pairwise(cones)):
             raise ValueError('"rings" must be listed from the innermost outwards, "theta_full_deg" rising')
         radius = _number(_mapping(_need(top, "pipe"), "pipe"), "radius_mm", "pipe", 1.0, 5000.0)
-        return cls(camera, colours, cones, radius)
+        covariance = None if "covariance" not in top else _covariance(top["covariance"], 6 * len(cones))
+        tuned = [isinstance(ring, Mapping) and "fine" in ring for ring in rings]
+        if any(tuned) and not all(tuned):
+            raise ValueError(f'"rings[{tuned.index(False)}].fine" is missing, other rings have one')
+        fine = tuple(_fine(ring["fine"], f"rings[{i}].fine") for i, ring in enumerate(rings)) if any(tuned) else None
+        return cls(camera, colours, cones, radius, covariance, fine)
 
     def to_dict(self) -> dict[str, Any]:
-        return {
+        data: dict[str, Any] = {
             "format": FORMAT,
             "camera": camera_to_dict(self.camera),
             "pattern": {"colours": self.colours},
@@ -57,6 +78,13 @@ class Calibration:
             ],
             "pipe": {"radius_mm": self.pipe_radius_mm},
         }
+        for ring, fine in zip(data["rings"], self.fine or (), strict=False):
+            ring["fine"] = {"offset_rad": list(fine.offset_rad)}
+            if fine.shift_mm is not None:
+                ring["fine"]["shift_mm"] = list(fine.shift_mm)
+        if self.covariance is not None:
+            data["covariance"] = [list(row) for row in self.covariance]
+        return data
 
 
 def camera_to_dict(camera: Camera) -> dict[str, Any]:
@@ -97,6 +125,40 @@ def _cone(ring: Mapping[str, Any], where: str) -> Cone:
         )
     unit = cast(tuple[float, float, float], tuple(v / length for v in axis))
     return Cone(math.radians(theta / 2), unit, _vector(ring, "vertex_mm", where))
+
+
+def _fine(data: object, where: str) -> FineRing:
+    section = _mapping(data, where)
+    offset = _numbers(section, "offset_rad", where, 0.5)
+    shift = _numbers(section, "shift_mm", where, 1e3) if "shift_mm" in section else None
+    if shift is not None and len(shift) != len(offset):
+        raise ValueError(f'"{where}.shift_mm" has {len(shift)} numbers, expected {len(offset)} as in "offset_rad"')
+    return FineRing(offset, shift)
+
+
+def _numbers(section: Mapping[str, Any], key: str, where: str, most: float) -> tuple[float, ...]:
+    value = _need(section, key, where)
+    if not isinstance(value, Sequence) or isinstance(value, str) or not 3 <= len(value) <= FINE_MAX:
+        raise ValueError(f'"{where}.{key}" must be a list of 3..{FINE_MAX} numbers')
+    return tuple(_number({key: v}, key, where, -most, most) for v in value)
+
+
+def _covariance(value: object, size: int) -> tuple[tuple[float, ...], ...]:
+    """A symmetric matrix whose every correlation is one; that it is positive too is for its users to mind."""
+    what = f'"covariance" must be {size} rows of {size} numbers, six for each ring'
+    if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != size:
+        raise ValueError(what)
+    rows: list[tuple[float, ...]] = []
+    for row in value:
+        if not isinstance(row, Sequence) or isinstance(row, str) or len(row) != size:
+            raise ValueError(what)
+        rows.append(tuple(_number({"n": v}, "n", "covariance", -1e10, 1e10) for v in row))
+    for i in range(size):
+        for j in range(i + 1):
+            bound = math.sqrt(max(rows[i][i], 0.0) * max(rows[j][j], 0.0))
+            if abs(rows[i][j] - rows[j][i]) > 1e-6 * bound or abs(rows[i][j]) > (1 + 1e-6) * bound or rows[i][i] < 0:
+                raise ValueError(f'"covariance" is none: row {i + 1}, column {j + 1} does not fit')
+    return tuple(rows)
 
 
 def _vector(section: Mapping[str, Any], key: str, where: str) -> tuple[float, float, float]:
