@@ -75,6 +75,13 @@ def polar_grid(calibration: Calibration, directions: int) -> PolarGrid:
         raise AnnulusError(f"calibration: rings lie {spacing:.1f} px apart in the image, expected at least 3")
     first = max(2.0, math.floor(np.nanmin(reach[0]) - spacing))
     last = math.ceil(np.nanmax(reach[1]) + spacing)
+    return lay_grid(camera, centre, first, last, spacing, directions)
+
+
+def lay_grid(
+    camera: Camera, centre: FloatArray, first: float, last: float, spacing: float, directions: int
+) -> PolarGrid:
+    """Lines around `centre` (2,) from `first` to `last` px of it, for rings at least `spacing` px apart."""
     phi = np.arange(directions) * (2 * math.pi / directions)
     cosine, sine = np.cos(phi), np.sin(phi)
     length = int(np.max(_length_inside(camera, centre, cosine, sine, first, last)))

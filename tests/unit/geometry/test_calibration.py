@@ -52,5 +52,5 @@ def test_sections_that_do_not_fit_are_named() -> None:
             Calibration.from_dict(data)
     data = _tuned().to_dict()
     del data["rings"][1]["fine"]
-    with pytest.raises(ValueError, match="rings\\[1\\].fine"):
+    with pytest.raises(ValueError, match=r"rings\[1\]\.fine"):
         Calibration.from_dict(data)
