@@ -6,6 +6,7 @@
 
 #include "../board.h"
 #include "../core/controller.h"
+#include "../core/messages.h"
 #include "hardware.h"
 #include "registers.h"
 
@@ -14,7 +15,10 @@ extern uint32_t data_load[], data_start[], data_end[], bss_start[], bss_end[], s
 void reset_handler(void);
 
 // Stands in the image for `annulus firmware info` and for whoever opens the file.
-__attribute__((section(".version"), used)) static const char version[] = "annulus rp2040 " ANNULUS_GIT;
+#define TEXT_OF(value) #value
+#define TEXT(value) TEXT_OF(value)
+__attribute__((section(".version"), used)) static const char version[] =
+    "annulus rp2040 " ANNULUS_VERSION " " ANNULUS_GIT " protocol " TEXT(PROTOCOL_VERSION) " schema " TEXT(SCHEMA_HASH);
 
 #define STACK_PAINT 0xA5A5A5A5U
 
