@@ -1,6 +1,7 @@
 """Where the pipe is, from points on its wall that may be dented, holed or wrong."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,10 +18,20 @@ SHAPE_PRIOR = 1e-3  # see _step
 LEAST_KEPT = 0.4  # part of the points that must lie on the cylinder
 
 
-def fit_pose(
-    points_mm: FloatArray, radius_mm: float, sigma_mm: FloatArray, seed: Pose | None = None
-) -> tuple[Pose, float] | None:
-    """Pose of the pipe of known radius, and the robust spread (mm) of the points about it, its ovality allowed for.
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """The pose, the robust spread (mm) of the points about the pipe, and how well the pose is known.
+
+    `covariance` (4, 4): of rx, ry (radians), tx, ty (mm), in the pose's own order.
+    """
+
+    pose: Pose
+    spread_mm: float
+    covariance: FloatArray
+
+
+def fit_pose(points_mm: FloatArray, radius_mm: float, sigma_mm: FloatArray, seed: Pose | None = None) -> Fit | None:
+    """Pose of the pipe of known radius, its ovality allowed for.
 
     Parameters
     ----------
@@ -51,20 +62,21 @@ def fit_pose(
     return None
 
 
-def _descend(points: FloatArray, weight: FloatArray, radius: float, first: Pose) -> tuple[Pose, float] | None:
+def _descend(points: FloatArray, weight: FloatArray, radius: float, first: Pose) -> Fit | None:
     x = np.array([first.rx, first.ry, first.tx, first.ty, 0.0, 0.0, 0.0])  # pose; mean, twofold cosine and sine
     error = np.empty(len(points))
     _errors(points, x, radius, error)
     scale = _spread(error)
     for _ in range(30):
-        step = _step(points, weight, x, radius, CAUCHY * max(scale, 1e-4 * radius), False)
+        step, _ = _step(points, weight, x, radius, CAUCHY * max(scale, 1e-4 * radius), False)
         x = x + step
         _errors(points, x, radius, error)
         scale = _spread(error)
         if np.abs(step[:2]).max() < CLOSE and np.abs(step[2:]).max() < CLOSE * radius:
             break
     for _ in range(3):
-        x = x + _step(points, weight, x, radius, KEEP * max(scale, 1e-4 * radius), True)
+        step, normal = _step(points, weight, x, radius, KEEP * max(scale, 1e-4 * radius), True)
+        x = x + step
     _errors(points, x, radius, error)
     scale = _spread(error)
     kept = np.abs(error) < KEEP * max(scale, 1e-3 * radius)
@@ -75,7 +87,7 @@ def _descend(points: FloatArray, weight: FloatArray, radius: float, first: Pose)
     turn = np.bincount((np.arctan2(wall[:, 1], wall[:, 0]) * (18 / math.pi)).astype(int) % 36, minlength=36)
     if kept.mean() < LEAST_KEPT or scale > WORST_SPREAD * radius or np.count_nonzero(turn) < LEAST_TURN * 36:
         return None
-    return pose, scale
+    return Fit(pose, scale, np.asarray(scale**2 * np.linalg.inv(normal)[:4, :4]))
 
 
 def _spread(error: FloatArray) -> float:
@@ -85,7 +97,7 @@ def _spread(error: FloatArray) -> float:
 
 def _step(
     points: FloatArray, weight: FloatArray, x: FloatArray, radius: float, scale: float, trimmed: bool
-) -> FloatArray:
+) -> tuple[FloatArray, FloatArray]:
     rows = np.empty((8, len(points)))
     _rows(points, weight, x, radius, scale, trimmed, rows)
     product = rows @ rows.T
@@ -96,7 +108,7 @@ def _step(
     prior = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0]) * SHAPE_PRIOR * len(points) * scale**2
     right = right * size + prior * x / size
     normal += np.diag(prior + 1e-9 * np.trace(normal))
-    return np.asarray(-np.linalg.solve(normal, right) * size)
+    return np.asarray(-np.linalg.solve(normal, right) * size), normal / size[:, None] / size
 
 
 @compiled

@@ -13,7 +13,7 @@ from annulus.geometry.pose import FloatArray, Pose
 from annulus.rings.compiled import compiled
 from annulus.rings.decode import NONE, UNKNOWN, classify, decode, readings
 from annulus.rings.polar import polar_grid, unroll
-from annulus.rings.pose import fit_pose
+from annulus.rings.pose import Fit, fit_pose
 from annulus.rings.profile import Profile
 from annulus.rings.slits import Slits, find_slits
 from annulus.rings.triangulate import deviations, ring_optics, triangulate
@@ -106,7 +106,7 @@ class Reconstructor:
                 empty.astype(np.uint16), math.nan, rejected, _spans(marks),
             )  # fmt: skip
         # Read again where the wall now is, and fit what that leaves.
-        deviation = deviations(points, fitted[0], pipe)
+        deviation = deviations(points, fitted.pose, pipe)
         ring = decode(slits.direction, inside, outside, deviation, colours, WALL_TOLERANCE)
         marks.append(("decode", clock()))
         rejected["colour"] = int(np.count_nonzero((inside == UNKNOWN) | (outside == UNKNOWN)))
@@ -117,7 +117,8 @@ class Reconstructor:
         ring, rejected["shaded"] = _shade_gate(ring, slits, len(self._optics.cones), self.directions)
         ring, rejected["alone"] = self._company_gate(slits.direction, pipe * (1.0 + deviation), ring)
         marks.append(("gates", clock()))
-        pose, spread = self._fit(points, ring, fitted[0]) or fitted
+        fitted = self._fit(points, ring, fitted.pose) or fitted
+        pose = fitted.pose
         marks.append(("pose", clock()))
         kept = np.flatnonzero(ring != NONE)
         wall = pose.to_pipe(points[kept, ring[kept]], z_mm)
@@ -125,13 +126,11 @@ class Reconstructor:
         marks.append(("points", clock()))
         return Profile(
             frame, z_mm, pose, wall.astype(np.float32), light.astype(np.uint8), ring[kept].astype(np.uint8),
-            slits.direction[kept].astype(np.uint16), spread, rejected, _spans(marks),
+            slits.direction[kept].astype(np.uint16), fitted.spread_mm, rejected, _spans(marks),
             self._expected[ring[kept]].astype(np.float32),
         )  # fmt: skip
 
-    def _fit(
-        self, points: FloatArray, ring: NDArray[np.int64], seed: Pose | None, every: int = 1
-    ) -> tuple[Pose, float] | None:
+    def _fit(self, points: FloatArray, ring: NDArray[np.int64], seed: Pose | None, every: int = 1) -> Fit | None:
         kept = np.flatnonzero(ring != NONE)[::every]
         return fit_pose(points[kept, ring[kept]], self.calibration.pipe_radius_mm, self._expected[ring[kept]], seed)
 

@@ -35,7 +35,7 @@ def test_the_sources_test_is_met():
         points = wall(pose, turn=(0.0, np.radians(315)), noise=0.25 * INCH, seed=seed)
         fitted = fit_pose(points, R, np.ones(len(points)))
         assert fitted is not None
-        errors.append(error(fitted[0], pose))
+        errors.append(error(fitted.pose, pose))
     worst = np.median(errors, axis=0)
     assert worst[0] < 0.2 and worst[1] < 0.01 * INCH * 2
 
@@ -50,16 +50,16 @@ def test_a_hole_and_a_dent_do_not_turn_it():
 
     pose = Pose(0.03, -0.02, 4.0, -3.0)
     points = wall(pose, radius=dented, noise=0.1)
-    found, spread = fit_pose(points, R, np.ones(len(points)))
-    degrees, mm = error(found, pose)
+    fit = fit_pose(points, R, np.ones(len(points)))
+    degrees, mm = error(fit.pose, pose)
     assert degrees < 0.05 and mm < 0.08
-    assert spread < 0.3
+    assert fit.spread_mm < 0.3
 
 
 def test_an_oval_pipe_does_not_make_the_head_lean():
     pose = Pose(0.03, -0.02, 2.0, -1.5)
     points = wall(pose, radius=lambda phi, z: R + 1.5 * np.cos(2 * phi + 0.4), noise=0.1, length=(60, 160))
-    degrees, mm = error(fit_pose(points, R, np.ones(len(points)))[0], pose)
+    degrees, mm = error(fit_pose(points, R, np.ones(len(points))).pose, pose)
     assert degrees < 0.05 and mm < 0.1
 
 
@@ -67,7 +67,7 @@ def test_a_tenth_of_lies_does_no_harm():
     pose = Pose(-0.02, 0.03, -2.0, 3.0)
     points = wall(pose, noise=0.05)
     points[::10] += np.random.default_rng(3).uniform(-30, 30, (len(points[::10]), 3))
-    degrees, mm = error(fit_pose(points, R, np.ones(len(points)))[0], pose)
+    degrees, mm = error(fit_pose(points, R, np.ones(len(points))).pose, pose)
     assert degrees < 0.02 and mm < 0.03
 
 
@@ -75,7 +75,7 @@ def test_a_wrong_seed_is_forgiven():
     pose = Pose(0.02, 0.01, 1.0, 2.0)
     points = wall(pose, noise=0.05)
     for seed in (Pose(0.3, -0.3, 30.0, -30.0), Pose(0.7, 0.7, 60.0, 60.0)):
-        degrees, mm = error(fit_pose(points, R, np.ones(len(points)), seed)[0], pose)
+        degrees, mm = error(fit_pose(points, R, np.ones(len(points)), seed).pose, pose)
         assert degrees < 0.01 and mm < 0.01
 
 
