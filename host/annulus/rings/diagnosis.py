@@ -1,4 +1,4 @@
-"""What is wrong with the frames themselves, said in words a user can act on: light, flips, colours, the pipe's radius."""
+"""What is wrong with the frames themselves, in words a user can act on: light, flips, colours, the pipe's radius."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-EVERY = 4  # pixels: light varies slowly enough
+EVERY = 8  # pixels: light varies slowly enough
 DARK = 14.0  # grey levels; no stripe is so dim, and no sensor's black so bright
 LIT_OF_BRIGHT = 0.25  # a pixel with this part of the frame's bright level is stripe and not slit
 CLIPPED = 250  # grey level: JPEG moves full scale about by a few
@@ -54,7 +54,7 @@ class Exposure:
 
 
 def diagnose(image_bgr: NDArray[np.uint8]) -> Exposure:
-    """Light of one frame, (H, W, 3) uint8, from every fourth pixel of every fourth row; half a millisecond."""
+    """Light of one frame, (H, W, 3) uint8, from every eighth pixel of every eighth row."""
     some = np.ascontiguousarray(image_bgr[EVERY // 2 :: EVERY, EVERY // 2 :: EVERY])
     blue, green, red = cv2.split(some)
     larger, smaller = cv2.max(blue, green), cv2.min(blue, green)
@@ -88,8 +88,8 @@ def exposure_findings(exposures: Sequence[tuple[int, Exposure]]) -> tuple[Findin
         out.append(
             Finding(
                 Trouble.OVER_EXPOSED,
-                f"{len(over)} of {len(exposures)} projector frames over-exposed: up to {clipped:.0f} % of the stripes at "
-                f"full scale, {harm} ({_named(frames)}); shorten the projector's flash or lower the gain",
+                f"{len(over)} of {len(exposures)} projector frames over-exposed: up to {clipped:.0f} % of the stripes "
+                f"at full scale, {harm} ({_named(frames)}); shorten the projector's flash or lower the gain",
                 frames,
             )
         )
