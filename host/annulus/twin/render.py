@@ -311,7 +311,7 @@ def _draw(
     lit: F32, radius: Real, z0: Real, deviation: F32, tile_low: F32, tile_high: F32, near_low: F32, near_high: F32,
     tile_kind: U8, albedo: U8, base: F32, nearest: NDArray[np.int8], cos0: Real, cos_step: Real, centre: F32,
     slits: F32, colours: F32, leak: Real, power: Real, rods: F32, led: F32, led_power: F32, blur: Real,
-    focal: Real, sensor: F32, noise: F32, seed: int,
+    focal: Real, sensor: F32, balance: F32, noise: F32, seed: int,
 ) -> None:  # fmt: skip
     """Rows first..last of one frame, a row at a time in short loops that the compiler turns into vector code.
 
@@ -502,8 +502,10 @@ def _draw(
                 level[u0 + u] = scratch[_LEVEL + u]
         state = state * np.uint64(6364136223846793005) + np.uint64(2 * v + 1442695040888963407)
         at = int((state >> np.uint64(33)) % np.uint64(noise.shape[0] - width))
+        gain_even, gain_odd = balance[v & 1], balance[(v & 1) + 1]
         for u in range(width):
-            value = level[u] + black + np.sqrt(read2 + shot * level[u]) * noise[at + u] + np.float32(0.5)
+            gain = gain_odd if u & 1 else gain_even
+            value = gain * (level[u] + np.sqrt(read2 + shot * level[u]) * noise[at + u]) + black + np.float32(0.5)
             out[v, u] = np.uint8(min(max(value, zero), np.float32(255.0)))
 
 
@@ -560,6 +562,7 @@ class Renderer:
         ).reshape(-1, 5)
         self._blur = np.float32(math.sqrt(optics.blur_px**2 + 1.0 / 12.0))  # the pixel itself is a box
         self._sensor = np.array([optics.black, optics.read, optics.shot], np.float32)
+        self._balance = np.array(optics.balance, np.float32)
         noise = np.random.default_rng([world.seed, 0x4015E]).standard_normal(_NOISE)
         self._noise = noise.astype(np.float32)
 
@@ -591,7 +594,7 @@ class Renderer:
             self._deviation, *self._tiles, self._albedo, self._base, self._nearest, self._cos0,
             self._cos_step, self._centre, self._slits, self._colours, np.float32(self.world.projector.leak),
             self._power, self._rods, self._led, self._led_power, self._blur,
-            np.float32(self.world.camera.fx), self._sensor, self._noise, seed & 0x7FFFFFFF,
+            np.float32(self.world.camera.fx), self._sensor, self._balance, self._noise, seed & 0x7FFFFFFF,
         )  # fmt: skip
         return frame
 

@@ -20,6 +20,7 @@ from annulus.geometry.cone import Cone
 from annulus.geometry.pose import FloatArray, Pose
 from annulus.vocabulary import AnnulusError
 
+Response = tuple[tuple[float, float, float], ...]
 FeatureKind = Literal["pocket", "bump", "groove", "oval"]
 DefectKind = Literal["loss", "bump", "ovality"]
 _DEFECT_KIND: Mapping[FeatureKind, DefectKind] = {"pocket": "loss", "groove": "loss", "bump": "bump", "oval": "ovality"}
@@ -28,6 +29,8 @@ CLOCKS = 1440  # columns of the wall maps: 0.25 degrees, a third of a millimetre
 STEP_Z_MM = 0.4  # rows of the wall maps
 AHEAD_MM = 420.0  # wall modelled beyond the last station; past it the pipe is clean
 WHITE = (0.75, 0.77, 0.78)  # albedo of white PVC, red green blue
+YELLOW = (0.72, 0.47, 0.06)  # of MDPE gas pipe: blue is absorbed almost wholly
+ORANGE = (0.70, 0.22, 0.05)
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +121,7 @@ class Projector:
     margin_deg: tuple[float, float] = (2.25, 2.25)
     peak: float = 225.0  # grey levels above black on the outermost stripe, lit for its nominal time
     leak: float = 0.006  # of a stripe's light through a slit
-    response: tuple[tuple[float, float, float], ...] = ((1.0, 0.05, 0.04), (0.045, 1.0, 0.05), (0.03, 0.055, 0.75))
+    response: Response = ((1.0, 0.05, 0.04), (0.045, 1.0, 0.05), (0.03, 0.055, 0.75))
     nominal_us: float = 5000.0  # on-time that gives `peak`
 
 
@@ -134,12 +137,17 @@ class Led:
 
 @dataclass(frozen=True, slots=True)
 class Optics:
-    """Lens blur (sigma, pixels of the full-size camera) and the sensor's noise, in 8-bit grey levels."""
+    """Lens blur (sigma, pixels of the full-size camera) and the sensor's noise, in 8-bit grey levels.
+
+    `balance`: white-balance gains red, green, blue, applied to light and noise before the black level is added and
+    the pixel is cut off at full scale.
+    """
 
     blur_px: float = 1.1
     black: float = 2.0
     read: float = 1.5
     shot: float = 0.03  # variance per grey level
+    balance: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -272,7 +280,7 @@ class World:
             top["camera"] = _tupled(Camera, top["camera"])
             top["features"] = tuple(Feature(**feature) for feature in top["features"])
             top["rods"] = tuple(Rod(**rod) for rod in top["rods"])
-            top["led"], top["optics"] = _tupled(Led, top["led"]), Optics(**top["optics"])
+            top["led"], top["optics"] = _tupled(Led, top["led"]), _tupled(Optics, top["optics"])
             return _tupled(cls, top)
         except (KeyError, TypeError, ValueError) as error:
             raise AnnulusError(f"world: not a world's data ({error})") from None
@@ -341,6 +349,19 @@ def clean_world(seed: int = 1, camera: Camera | None = None, travel_mm: float = 
     return World(
         camera or pinhole_camera(), demo_projector(), rods=demo_rods(), texture=False, travel_mm=travel_mm, seed=seed
     )
+
+
+# What red, green and blue pixels see of the stripes through cheap filters: the green one lets much blue by.
+CONTAMINATED = ((1.0, 0.12, 0.05), (0.10, 1.0, 0.22), (0.04, 0.15, 0.80))
+
+
+def painted(world: World, albedo: tuple[float, float, float], response: Response | None = None) -> World:
+    """The same world in a pipe of another colour (`WHITE`, `YELLOW`, `ORANGE`), seen through other filters if given.
+
+    The projector is as strong as before and the exposure such that the pipe's brightest channel is.
+    """
+    projector = world.projector if response is None else replace(world.projector, response=response)
+    return replace(world, albedo=albedo, projector=projector)
 
 
 def demo_world(seed: int = 7, travel_mm: float = 330.0) -> World:
