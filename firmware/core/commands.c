@@ -44,11 +44,26 @@ static void reset(controller_t* const self, const uint8_t* const payload, uint8_
 {
     command_reset_t command;
     command_reset_unpack(&command, payload);
-    self->resetting = command.magic == PROTOCOL_RESET_MAGIC;
-    if (self->resetting) {
+    const bool meant = command.magic == PROTOCOL_RESET_MAGIC;
+    if (meant) {
+        self->leaving = LEAVE_TO_START;
         safety_arm(self, 0U);
     }
-    reply_reset_pack(&(reply_reset_t){.status = self->resetting ? STATUS_OK : STATUS_OUT_OF_RANGE}, answer);
+    reply_reset_pack(&(reply_reset_t){.status = meant ? STATUS_OK : STATUS_OUT_OF_RANGE}, answer);
+}
+
+// Unlike a reset it is refused while anything is armed or moves: nobody flashes a head at work by mistake.
+static void bootloader(controller_t* const self, const uint8_t* const payload, uint8_t* const answer)
+{
+    command_bootloader_t command;
+    command_bootloader_unpack(&command, payload);
+    reply_bootloader_t reply = {.status = STATUS_OUT_OF_RANGE};
+    if (command.magic == PROTOCOL_BOOTLOADER_MAGIC) {
+        const bool busy = (self->armed != 0U) || self->moving;
+        reply.status = busy ? STATUS_BAD_STATE : STATUS_OK;
+        self->leaving = busy ? LEAVE_NOT : LEAVE_TO_BOOTLOADER;
+    }
+    reply_bootloader_pack(&reply, answer);
 }
 
 static void ping(uint8_t* const answer)
@@ -243,8 +258,11 @@ void commands_execute(controller_t* const self, const command_t* const command, 
     case COMMAND_BURST_STOP:
         burst_stop(reply);
         break;
-    default:  // COMMAND_MOVE: the link lets through no id without a layout
+    case COMMAND_MOVE:
         move(self, payload, reply);
+        break;
+    default:  // COMMAND_BOOTLOADER: the link lets through no id without a layout
+        bootloader(self, payload, reply);
         break;
     }
 }

@@ -36,7 +36,7 @@ static void receive(controller_t* const self)
     command_t command;
     bool complete = false;
     uint8_t byte;
-    while (!complete && !self->resetting && (board_receive(&byte, 1U) == 1U)) {
+    while (!complete && (self->leaving == LEAVE_NOT) && (board_receive(&byte, 1U) == 1U)) {
         bool heard = false;
         complete = link_receive(&self->link, byte, &command, &heard);
         if (heard) {
@@ -73,8 +73,12 @@ static void transmit(controller_t* const self)
 void controller_run(controller_t* const self)
 {
     board_watchdog_kick();
-    if (self->resetting && link_idle(&self->link) && board_transmitted()) {
-        board_reset();
+    if ((self->leaving != LEAVE_NOT) && link_idle(&self->link) && board_transmitted()) {
+        if (self->leaving == LEAVE_TO_BOOTLOADER) {
+            board_bootloader();
+        } else {
+            board_reset();
+        }
         return;
     }
     const uint32_t now = board_tick();

@@ -12,6 +12,9 @@
 #include "messages.h"
 #include "sequencer.h"
 
+// Where a controller goes that was told to stop.
+enum { LEAVE_NOT, LEAVE_TO_START, LEAVE_TO_BOOTLOADER };
+
 typedef struct {
     link_t link;
     events_t events;
@@ -21,7 +24,7 @@ typedef struct {
     uint8_t fault;  // latched, FAULT_*
     bool schema_ok;
     bool moving;     // the rotary stage; STAGE_DONE is due
-    bool resetting;  // once the acknowledgement has left
+    uint8_t leaving;  // LEAVE_*, once the acknowledgement has left
     uint32_t heard;  // tick of the host's last valid frame, meaningful while armed
 } controller_t;
 

@@ -456,6 +456,28 @@ void reply_move_unpack(reply_move_t* const self, const uint8_t* const payload)
     self->position = (int32_t)get32(payload + 2);
 }
 
+void command_bootloader_pack(const command_bootloader_t* const self, uint8_t* const payload)
+{
+    put32(payload + 0, self->magic);
+}
+
+void command_bootloader_unpack(command_bootloader_t* const self, const uint8_t* const payload)
+{
+    self->magic = get32(payload + 0);
+}
+
+void reply_bootloader_pack(const reply_bootloader_t* const self, uint8_t* const payload)
+{
+    put8(payload + 0, self->status);
+    put8(payload + 1, self->detail);
+}
+
+void reply_bootloader_unpack(reply_bootloader_t* const self, const uint8_t* const payload)
+{
+    self->status = get8(payload + 0);
+    self->detail = get8(payload + 1);
+}
+
 void event_edge_pack(const event_edge_t* const self, uint8_t* const payload)
 {
     put32(payload + 0, self->edge);
@@ -609,6 +631,8 @@ static const layout_t layouts[] = {
     {0x4B, 4, 0x5C, 0},  // reply burst_stop
     {0x0C, 9, 0xFD, 0},  // command move
     {0x4C, 6, 0xA5, 0},  // reply move
+    {0x0D, 4, 0xA5, 0},  // command bootloader
+    {0x4D, 2, 0xA5, 0},  // reply bootloader
     {0x80, 24, 0x15, 0},  // event edge
     {0x81, 8, 0x61, 0},  // event sync_lost
     {0x82, 8, 0x32, 0},  // event sync_found

@@ -5,7 +5,7 @@
 
 #include <stdint.h>
 
-#define SCHEMA_HASH 0x688CD158U
+#define SCHEMA_HASH 0xD51C5875U
 #define PROTOCOL_VERSION 1U
 #define PROTOCOL_MAX_WIRE 64U
 #define PROTOCOL_TICK_HZ 100000000U
@@ -13,6 +13,7 @@
 #define PROTOCOL_SLOTS_MAX 16U
 #define PROTOCOL_CHIPS_MAX 256U
 #define PROTOCOL_RESET_MAGIC 2120121088U
+#define PROTOCOL_BOOTLOADER_MAGIC 2120134663U
 #define LIMIT_LAMP_WIDTH_MAX_US 20000U
 #define LIMIT_LAMP_DUTY_MAX_PERMILLE 500U
 #define LIMIT_MICROWAVE_PULSE_MIN_NS 300U
@@ -116,6 +117,8 @@ enum {
     REPLY_BURST_STOP = 0x4B,
     COMMAND_MOVE = 0x0C,
     REPLY_MOVE = 0x4C,
+    COMMAND_BOOTLOADER = 0x0D,
+    REPLY_BOOTLOADER = 0x4D,
     EVENT_EDGE = 0x80,
     EVENT_SYNC_LOST = 0x81,
     EVENT_SYNC_FOUND = 0x82,
@@ -393,6 +396,23 @@ typedef struct {
 } reply_move_t;
 void reply_move_pack(const reply_move_t* self, uint8_t* payload);
 void reply_move_unpack(reply_move_t* self, const uint8_t* payload);
+
+// Restart into the boot loader, to be flashed anew. Refused while anything is armed or moves. Every output goes low first. Acknowledged, then carried out.
+#define COMMAND_BOOTLOADER_LENGTH 4U
+typedef struct {
+    uint32_t magic;  // 0x7E5EB007, or it is refused
+} command_bootloader_t;
+void command_bootloader_pack(const command_bootloader_t* self, uint8_t* payload);
+void command_bootloader_unpack(command_bootloader_t* self, const uint8_t* payload);
+
+// Answer to bootloader.
+#define REPLY_BOOTLOADER_LENGTH 2U
+typedef struct {
+    uint8_t status;  // ok, or why not
+    uint8_t detail;  // which field or lamp, see status
+} reply_bootloader_t;
+void reply_bootloader_pack(const reply_bootloader_t* self, uint8_t* payload);
+void reply_bootloader_unpack(reply_bootloader_t* self, const uint8_t* payload);
 
 // An accepted falling edge, and what was loaded to fire after it.
 #define EVENT_EDGE_LENGTH 24U

@@ -44,6 +44,7 @@ static struct {
     uint8_t boot;
     uint8_t cause;
     bool reset_wanted;
+    bool in_bootloader;
     uint8_t levels[PIN_COUNT];
     native_lost_t lost;
     bool refuse_next;
@@ -432,7 +433,7 @@ void native_begin(void)
     world.levels[PIN_ENABLE] = 1;
 }
 
-void native_power_on(const uint8_t boot, const uint8_t cause)
+static void outputs_at_rest(void)
 {
     static const uint8_t low_at_reset[] = {PIN_PROJECTOR, PIN_LED,       PIN_MICROWAVE, PIN_TRIGGER,
                                            PIN_STEP,      PIN_DIRECTION, PIN_STATUS};
@@ -443,6 +444,12 @@ void native_power_on(const uint8_t boot, const uint8_t cause)
     memset(&world.lamps, 0, sizeof world.lamps);
     memset(&world.train, 0, sizeof world.train);
     memset(&world.motor, 0, sizeof world.motor);
+}
+
+void native_power_on(const uint8_t boot, const uint8_t cause)
+{
+    outputs_at_rest();
+    world.in_bootloader = false;
     world.in.buffer_count = 0;
     world.out.buffer_count = 0;
     world.odometer = 0;
@@ -509,6 +516,11 @@ size_t native_pins(native_transition_t* const drained, const size_t size)
     return given;
 }
 
+bool native_in_bootloader(void)
+{
+    return world.in_bootloader;
+}
+
 uint64_t native_tick(void)
 {
     return world.now;
@@ -573,6 +585,14 @@ void board_watchdog_kick(void)
 void board_reset(void)
 {
     world.reset_wanted = true;
+}
+
+// The main loop never comes back; only power does.
+void board_bootloader(void)
+{
+    outputs_at_rest();
+    world.powered = false;
+    world.in_bootloader = true;
 }
 
 size_t board_receive(uint8_t* const bytes, const size_t size)

@@ -64,6 +64,9 @@ size_t native_serial_read(uint8_t* bytes, size_t size);
 void native_run_until(uint64_t tick);
 uint64_t native_tick(void);
 
+// The controller left for the boot loader: it answers nothing more until native_power_on.
+bool native_in_bootloader(void);
+
 // World tick of the controller's last reset.
 uint64_t native_boot_tick(void);
 

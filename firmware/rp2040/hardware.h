@@ -12,6 +12,9 @@ void lamps_start(void);   // sync follower, lamps, odometer: PIO0, and the odome
 void microwave_start(void);
 void stage_start(void);
 
+// Every output that can fire: low now, its machines back in reset. There is no way on from here but a restart.
+void outputs_off(void);
+
 // Until something happens, 100 us at most.
 void system_sleep(void);
 

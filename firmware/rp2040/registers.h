@@ -11,6 +11,11 @@
 #define SET_BITS(address) REGISTER((address) + 0x2000U)
 #define CLEAR_BITS(address) REGISTER((address) + 0x3000U)
 
+// ---- boot ROM (2.8.3); rp2040.ld says where ----
+extern const uint16_t rom_functions;  // the table of functions
+extern const uint16_t rom_lookup;     // the function that searches it
+#define ROM_CODE(a, b) ((uint32_t)(a) | ((uint32_t)(b) << 8))
+
 // ---- clocks, resets (2.14 to 2.18) ----
 #define RESETS_RESET 0x4000C000U
 #define RESETS_DONE 0x4000C008U
@@ -48,8 +53,8 @@
 #define WATCHDOG_CTRL 0x40058000U
 #define WATCHDOG_LOAD 0x40058004U
 #define WATCHDOG_REASON 0x40058008U
-#define WATCHDOG_SCRATCH0 0x4005800CU
-#define WATCHDOG_SCRATCH1 0x40058010U
+#define WATCHDOG_SCRATCH2 0x40058014U
+#define WATCHDOG_SCRATCH3 0x40058018U
 #define WATCHDOG_TICK 0x4005802CU
 #define WATCHDOG_ENABLE (1U << 30)
 #define WATCHDOG_TRIGGER (1U << 31)

@@ -27,7 +27,7 @@ static controller_t controller;
 // Nothing sensible can be done: outputs off, then wait for the watchdog.
 static void fault_handler(void)
 {
-    SET_BITS(RESETS_RESET) = RESET_PIO0 | RESET_PIO1;
+    outputs_off();
     for (;;) {
     }
 }

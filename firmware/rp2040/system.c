@@ -9,7 +9,7 @@
 #include "registers.h"
 
 #define ROUND_US 100U
-#define SCRATCH_MAGIC 0x616E6E00U  // SCRATCH0: this firmware ran before, and the low byte says why it ended
+#define SCRATCH_MAGIC 0x616E6E00U  // SCRATCH2: this firmware ran before, and the low byte says why it ended
 #define ENDED_BY_HOST 1U
 #define RECEIVED_MAX 512U  // power of two
 
@@ -49,10 +49,10 @@ static uint8_t random_byte(void)
     return byte;
 }
 
-// The scratch registers outlive every reset but the loss of power.
+// The scratch registers outlive every reset but the loss of power. The boot ROM uses 0, 1 and 4 to 7 for itself.
 static void find_cause(void)
 {
-    const uint32_t scratch = REGISTER(WATCHDOG_SCRATCH0);
+    const uint32_t scratch = REGISTER(WATCHDOG_SCRATCH2);
     const bool ran_before = (scratch & 0xFFFFFF00U) == SCRATCH_MAGIC;
     const bool by_host = (scratch & 0xFFU) == ENDED_BY_HOST;
     if (!ran_before || (REGISTER(WATCHDOG_REASON) == 0U)) {
@@ -60,9 +60,9 @@ static void find_cause(void)
     } else {
         cause = by_host ? BOOT_CAUSE_HOST_RESET : BOOT_CAUSE_WATCHDOG;
     }
-    boot = ran_before ? (uint8_t)(REGISTER(WATCHDOG_SCRATCH1) + 1U) : random_byte();
-    REGISTER(WATCHDOG_SCRATCH0) = SCRATCH_MAGIC;
-    REGISTER(WATCHDOG_SCRATCH1) = boot;
+    boot = ran_before ? (uint8_t)(REGISTER(WATCHDOG_SCRATCH3) + 1U) : random_byte();
+    REGISTER(WATCHDOG_SCRATCH2) = SCRATCH_MAGIC;
+    REGISTER(WATCHDOG_SCRATCH3) = boot;
 }
 
 uint8_t board_boot(void)
@@ -96,12 +96,32 @@ static void start_watchdog(void)
     SET_BITS(WATCHDOG_CTRL) = WATCHDOG_ENABLE;
 }
 
+void outputs_off(void)
+{
+    SET_BITS(RESETS_RESET) = RESET_PIO0 | RESET_PIO1;
+}
+
 void board_reset(void)
 {
-    REGISTER(WATCHDOG_SCRATCH0) = SCRATCH_MAGIC | ENDED_BY_HOST;
+    outputs_off();
+    REGISTER(WATCHDOG_SCRATCH2) = SCRATCH_MAGIC | ENDED_BY_HOST;
     SET_BITS(WATCHDOG_CTRL) = WATCHDOG_TRIGGER;
     for (;;) {
     }
+}
+
+// The ROM resets the chip by the watchdog and comes up as the drive RPI-RP2 and as PICOBOOT, GP25 showing its activity.
+void board_bootloader(void)
+{
+    typedef void* (*lookup_t)(const uint16_t* table, uint32_t code);
+    typedef void (*reset_to_usb_boot_t)(uint32_t activity_pins, uint32_t disabled_interfaces);
+    outputs_off();
+    __asm volatile("cpsid i");
+    REGISTER(WATCHDOG_SCRATCH2) = SCRATCH_MAGIC | ENDED_BY_HOST;
+    const lookup_t lookup = (lookup_t)(uintptr_t)rom_lookup;
+    const uint16_t* const functions = (const uint16_t*)(uintptr_t)rom_functions;
+    const reset_to_usb_boot_t reset_to_usb_boot = (reset_to_usb_boot_t)lookup(functions, ROM_CODE('U', 'B'));
+    reset_to_usb_boot(1U << PIN_STATUS, 0U);
 }
 
 // ---- time ----

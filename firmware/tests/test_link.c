@@ -223,6 +223,35 @@ static void a_reset_needs_its_magic_is_acknowledged_and_changes_the_boot_byte(vo
     EXPECT_EQ(bench_status().generation, 0);
 }
 
+static void the_boot_loader_is_entered_on_its_magic_with_outputs_low_and_never_while_anything_is_armed(void)
+{
+    bench_start();
+    const command_stage_t config = bench_config(1, 0);
+    bench_configure(&config);
+    bench_arm(ARM_LAMPS);
+    uint8_t payload[COMMAND_BOOTLOADER_LENGTH];
+    command_bootloader_pack(&(command_bootloader_t){.magic = PROTOCOL_BOOTLOADER_MAGIC}, payload);
+    EXPECT_EQ(bench_status_of(COMMAND_BOOTLOADER, payload), STATUS_BAD_STATE);
+    EXPECT_EQ(bench_status().state & STATE_LAMPS_ARMED, STATE_LAMPS_ARMED);
+    EXPECT_EQ(bench_status_of(COMMAND_ARM, (const uint8_t[]){0}), STATUS_OK);
+    uint8_t move[COMMAND_MOVE_LENGTH];
+    command_move_pack(&(command_move_t){.position = 30, .period = 100000, .hold = 1}, move);
+    EXPECT_EQ(bench_status_of(COMMAND_MOVE, move), STATUS_OK);
+    EXPECT_EQ(bench_status_of(COMMAND_BOOTLOADER, payload), STATUS_BAD_STATE);
+    bench_pass(40 * MS);
+    EXPECT_EQ(native_pin(PIN_ENABLE), 0);
+    EXPECT_EQ(bench_status_of(COMMAND_BOOTLOADER, (const uint8_t[]){0, 0x7B, 0x5E, 0x7E}), STATUS_OUT_OF_RANGE);
+    EXPECT(!native_in_bootloader());
+    EXPECT_EQ(bench_status_of(COMMAND_BOOTLOADER, payload), STATUS_OK);
+    EXPECT(native_in_bootloader());
+    EXPECT_EQ(native_pin(PIN_ENABLE), 1);
+    bench_forget();
+    EXPECT(bench_command(COMMAND_PING, NULL) == NULL);
+    native_power_on(2, BOOT_CAUSE_HOST_RESET);
+    EXPECT(!native_in_bootloader());
+    EXPECT(bench_command(COMMAND_PING, NULL) != NULL);
+}
+
 static void a_frame_cut_short_by_a_reset_does_not_spoil_the_next_one(void)
 {
     bench_start();
@@ -371,6 +400,7 @@ void link_tests(void)
     RUN(a_host_that_sends_more_than_may_be_outstanding_loses_commands_not_answers);
     RUN(identify_says_who_and_locks_on_a_schema_mismatch);
     RUN(a_reset_needs_its_magic_is_acknowledged_and_changes_the_boot_byte);
+    RUN(the_boot_loader_is_entered_on_its_magic_with_outputs_low_and_never_while_anything_is_armed);
     RUN(a_frame_cut_short_by_a_reset_does_not_spoil_the_next_one);
     RUN(the_last_64_events_can_be_read_again_unchanged);
     RUN(events_survive_65536_of_them);

@@ -40,6 +40,7 @@ class EmulatedBoard:
         self.resets: list[int] = []
         self.stack = 0  # bytes, the deepest so far
         self.origin = 0  # tick at which the controller began to count its own
+        self.bootloader: dict[str, Any] | None = None  # what the image told the boot ROM, once it is there
         self.bad = 0
         self._decoder = Decoder()
         self._sequence = itertools.count()
@@ -61,7 +62,7 @@ class EmulatedBoard:
         if "fault" in answer:
             raise EmulatorFault(f"{answer['fault']} (tick {answer['now']})")
         self.now, self.resets, self.stack = answer["now"], answer["resets"], answer["stack"]
-        self.origin = answer["origin"]
+        self.origin, self.bootloader = answer["origin"], answer["bootloader"]
         self.transitions += [tuple(pin) for pin in answer["pins"]]
         self.sent += [tuple(byte) for byte in answer["sent"]]
         for item in self._decoder.feed(bytes(byte for _, byte in answer["sent"])):
@@ -84,6 +85,10 @@ class EmulatedBoard:
 
     def stall(self, ticks: int) -> None:
         self._do(op="stall", ticks=ticks)
+
+    def leave_bootloader(self) -> None:
+        """As after a UF2 was copied: the boot ROM resets and starts the image."""
+        self._do(op="leave-bootloader")
 
     def send(self, command: Command) -> None:
         self.write(encode(Frame(command, next(self._sequence) & 0xFF)))

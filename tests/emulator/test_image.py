@@ -18,6 +18,7 @@ from emulated import (
     ODOMETER_B,
     PROJECTOR,
     ROOT,
+    STATUS,
     STEP,
     SYNC,
     TRIGGER,
@@ -32,6 +33,7 @@ from annulus.link.messages import (
     ArmFlag,
     BootCause,
     Booted,
+    Bootloader,
     Burst,
     BurstCode,
     BurstDone,
@@ -467,6 +469,33 @@ def test_a_reset_by_the_host_says_so(board: EmulatedBoard) -> None:
     assert who.cause == BootCause.HOST_RESET
     assert who.boot == (before + 1) % 256
     assert [event.cause for event in board.heard(Booted)] == [BootCause.POWER_ON, BootCause.HOST_RESET]
+
+
+def test_the_boot_loader_is_entered_by_its_rom_call_with_every_output_low(board: EmulatedBoard) -> None:
+    arm(board, ArmFlag.LAMPS | ArmFlag.MICROWAVE, ratio=0, width=2_000_000, period=8_000_000)
+    before = board.identify().boot
+    burst = Burst(code=BurstCode.SINGLE, chip=100, repeat=60_000, period=10_000, trigger_offset=0)
+    assert board.request(burst).status == StatusCode.OK
+    assert board.request(Bootloader(magic=0x7E5EB007)).status == StatusCode.BAD_STATE
+    assert board.request(Status()).status == StatusCode.OK
+    assert board.bootloader is None
+    assert board.request(Arm(outputs=ArmFlag(0))).status == StatusCode.OK
+    assert board.request(Bootloader(magic=0x7E5E7B00)).status == StatusCode.OUT_OF_RANGE
+    assert board.request(Bootloader(magic=0x7E5EB007)).status == StatusCode.OK
+    board.run(board.now + 2 * MS)
+    assert board.bootloader is not None
+    assert board.bootloader["high"] == []
+    assert board.bootloader["activity"] == 1 << STATUS
+    assert board.bootloader["disabled"] == 0  # drive and PICOBOOT are both there
+    rises = [tick for pin in OUTPUTS for tick in board.rises(pin)]
+    assert max(rises) < board.bootloader["tick"]
+    board.send(Ping())
+    board.run(board.now + 50 * MS)
+    board.leave_bootloader()
+    board.run(board.now + BOOTED)
+    who = board.identify()
+    assert who.cause == BootCause.HOST_RESET
+    assert who.boot == (before + 1) % 256
 
 
 # ---- odometer, stage, line ----

@@ -37,9 +37,10 @@ function answer(machine, op) {
     case 'input': for (const [tick, pin, level] of op.edges) machine.input(tick, pin, level); break;
     case 'write': machine.write_serial(Buffer.from(op.hex, 'hex')); break;
     case 'stall': machine.stall(op.ticks); break;
+    case 'leave-bootloader': machine.leaveBootloader(); break;
     default: throw new Fault(`no such op: ${op.op}`);
   }
-  return { now: machine.now, pins: machine.pins(), sent: machine.read_serial(), resets: machine.resets, stack: machine.stackUsed(), origin: machine.tickOrigin ?? 0 };
+  return { now: machine.now, pins: machine.pins(), sent: machine.read_serial(), resets: machine.resets, stack: machine.stackUsed(), bootloader: machine.bootloader ?? null, origin: machine.tickOrigin ?? 0 };
 }
 
 function drive(machine, vcd) {

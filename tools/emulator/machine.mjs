@@ -12,6 +12,9 @@ const OUTPUTS = [3, 4, 5, 6, 8, 9, 10, 25];
 const FLASH = 0x10000000;
 const RAM = 0x20000000;
 const BOOT2_AT = 0x20041f00;
+const ROM_TABLE = 0x7a;
+const ROM_LOOKUP = 0x1d0;
+const ROM_TO_USB_BOOT = 0x1e0;
 const BOOT_ROM_TICKS = 100_000; // 1 ms, about what the boot ROM takes; pins are at rest meanwhile
 const RESET_BITS = { dma: 2, io: 5, qspi: 6, pads: 8, padsQspi: 9, pio0: 10, pio1: 11, pllSys: 12, pllUsb: 13, timer: 21, uart0: 22 };
 const RESET_OF = new Map([
@@ -53,6 +56,7 @@ export class Machine {
     this.scratch = new Uint32Array(8);
     this.uart = new Uart((level) => this.chip?.setInterrupt(20, level));
     this.usedInstructions = 0;
+    this.bootloader = undefined; // what the image said to the ROM when it went there
     this.boot(0);
   }
 
@@ -64,7 +68,8 @@ export class Machine {
     this.chip = chip;
     chip.flash.set(this.flash);
     chip.logger = { debug() {}, info() {}, warn: (name, text) => fault(`${name}: ${text}`), error: (name, text) => fault(`${name}: ${text}`) };
-    chip.onBreak = () => fault(`breakpoint at ${hex(chip.core.PC)}`);
+    chip.onBreak = (code) => this.callRom(code);
+    this.loadRom();
     this.inReset = 0x01ffffff & ~((1 << RESET_BITS.qspi) | (1 << RESET_BITS.padsQspi));
     this.pios = [new Pio(0), new Pio(1)];
     chip.pio = this.pios;
@@ -110,6 +115,56 @@ export class Machine {
     this.tickOrigin = undefined;
   }
 
+  // Of the boot ROM only what a program may call: the header's two halfwords, the table of functions, and a breakpoint in
+  // place of each function's code.
+  loadRom() {
+    const rom = new Uint8Array(this.chip.bootrom.buffer, this.chip.bootrom.byteOffset, this.chip.bootrom.length * 4);
+    const view = new DataView(rom.buffer, rom.byteOffset, rom.byteLength);
+    this.romView = view;
+    rom.set([0x4d, 0x75, 0x01, 0x03], 0x10); // 'M', 'u', version, boot ROM of the B2 stepping
+    view.setUint16(0x14, ROM_TABLE, true);
+    view.setUint16(0x18, ROM_LOOKUP | 1, true);
+    [[0x4255 /* UB */, ROM_TO_USB_BOOT | 1], [0, 0]].forEach(([code, at], i) => {
+      view.setUint16(ROM_TABLE + 4 * i, code, true);
+      view.setUint16(ROM_TABLE + 4 * i + 2, at, true);
+    });
+    for (const at of [ROM_LOOKUP, ROM_TO_USB_BOOT]) {
+      view.setUint16(at, 0xbe00, true); // bkpt
+      view.setUint16(at + 2, 0x4770, true); // bx lr
+    }
+  }
+
+  callRom() {
+    const { core } = this.chip;
+    const [r0, r1] = core.registers;
+    switch ((core.PC - 2) & ~1) {
+      case ROM_LOOKUP:
+        for (let at = r0; this.read(at, 2) !== 0; at += 4) if (this.read(at, 2) === (r1 & 0xffff)) { core.registers[0] = this.read(at + 2, 2); return; }
+        core.registers[0] = 0;
+        return;
+      case ROM_TO_USB_BOOT: {
+        // Resets by the watchdog and never comes back to flash; scratch 0 and 1 carry the arguments through the reset.
+        const high = OUTPUTS.filter((pin) => pin !== 10 && this.pinLevels.get(pin));
+        this.bootloader = { tick: this.now, activity: r0 >>> 0, disabled: r1 >>> 0, high };
+        this.watchdog.scratchData[0] = r0;
+        this.watchdog.scratchData[1] = r1;
+        this.watchdog.reason = 2;
+        this.watchdogFired = true;
+        this.heldUntil = this.now + 1;
+        return;
+      }
+    }
+    fault(`breakpoint at ${hex(core.PC - 2)}`);
+  }
+
+  // The boot loader has been told to start the image (a UF2 was copied, or PICOBOOT's reboot).
+  leaveBootloader() {
+    if (!this.bootloader) fault('not in the boot loader');
+    this.bootloader = undefined;
+    this.resets.push(this.now);
+    this.boot(2);
+  }
+
   note(index) {
     const pin = this.chip.gpio[index];
     const value = pin.value;
@@ -140,6 +195,7 @@ export class Machine {
     let view, at;
     if (address >= FLASH && address < FLASH + this.flash.length) { view = this.flashView; at = address - FLASH; }
     else if (address >= RAM && address < RAM + 0x42000) { view = this.ramView; at = address - RAM; }
+    else if (address < 0x4000) { view = this.romView; at = address; }
     if (view) return bytes === 4 ? view.getUint32(at, true) : bytes === 2 ? view.getUint16(at, true) : view.getUint8(at);
     const word = this.readRegister((address & ~3) >>> 0);
     return bytes === 4 ? word : (word >>> (8 * (address & 3))) & (bytes === 2 ? 0xffff : 0xff);
@@ -358,6 +414,7 @@ export class Machine {
         this.resets.push(this.now);
         this.scratch.set(this.watchdog.scratchData);
         this.boot(this.watchdog.reason);
+        if (this.bootloader) this.heldUntil = Infinity; // the ROM's own USB is not modelled: silent, everything at reset
         continue;
       }
       const held = Math.max(this.heldUntil, this.stalledUntil);

@@ -12,7 +12,7 @@ from typing import ClassVar, Self
 
 from annulus.vocabulary import AnnulusError, EdgeFlag, Lamp
 
-SCHEMA_HASH = 0x688CD158
+SCHEMA_HASH = 0xD51C5875
 REPLY_BIT = 0x40
 PROTOCOL_VERSION = 1
 MAX_WIRE = 64
@@ -21,6 +21,7 @@ EVENT_RING = 64
 SLOTS_MAX = 16
 CHIPS_MAX = 256
 RESET_MAGIC = 2120121088
+BOOTLOADER_MAGIC = 2120134663
 LAMP_WIDTH_MAX_US = 20000
 LAMP_DUTY_MAX_PERMILLE = 500
 MICROWAVE_PULSE_MIN_NS = 300
@@ -555,6 +556,25 @@ class MoveReply(Reply):
 
 
 @dataclass(frozen=True, slots=True)
+class BootloaderReply(Reply):
+    """Answer to bootloader."""
+
+    ID: ClassVar[int] = 0x4D
+    SCHEMA_BYTE: ClassVar[int] = 0xA5
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BB")
+    LENGTH: ClassVar[int] = 2
+    FIELDS: ClassVar[tuple[str, ...]] = ("status", "detail")
+
+    def pack(self) -> bytes:
+        return _pack("bootloader", self.LAYOUT, self.status, self.detail)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(StatusCode(v[0]), v[1])
+
+
+@dataclass(frozen=True, slots=True)
 class Identify(Command):
     """Who are you? Sent first, and with the host's schema hash, which unlocks arming when it is the same. Layout frozen
     for ever.
@@ -895,6 +915,31 @@ class Move(Command):
 
 
 @dataclass(frozen=True, slots=True)
+class Bootloader(Command):
+    """Restart into the boot loader, to be flashed anew. Refused while anything is armed or moves. Every output goes low
+    first. Acknowledged, then carried out.
+    """
+
+    ID: ClassVar[int] = 0x0D
+    SCHEMA_BYTE: ClassVar[int] = 0xA5
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<I")
+    LENGTH: ClassVar[int] = 4
+    FIELDS: ClassVar[tuple[str, ...]] = ("magic",)
+    REPLY: ClassVar[type[Reply]] = BootloaderReply
+    QUERY: ClassVar[bool] = False
+
+    magic: int  # 0x7E5EB007, or it is refused
+
+    def pack(self) -> bytes:
+        return _pack("bootloader", self.LAYOUT, self.magic)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(v[0])
+
+
+@dataclass(frozen=True, slots=True)
 class Edge(Event):
     """An accepted falling edge, and what was loaded to fire after it."""
 
@@ -1137,6 +1182,7 @@ COMMANDS: dict[int, type[Command]] = {
     0x0A: Burst,
     0x0B: BurstStop,
     0x0C: Move,
+    0x0D: Bootloader,
 }
 
 REPLIES: dict[int, type[Reply]] = {
@@ -1153,6 +1199,7 @@ REPLIES: dict[int, type[Reply]] = {
     0x4A: BurstReply,
     0x4B: BurstStopReply,
     0x4C: MoveReply,
+    0x4D: BootloaderReply,
 }
 
 EVENTS: dict[int, type[Event]] = {
