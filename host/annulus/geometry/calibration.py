@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, cast
 
-from annulus.geometry.camera import Camera, Model
+from annulus.geometry.camera import Camera, Mirror, Model
 from annulus.geometry.cone import Cone
 
 FORMAT = "annulus-calibration/1"
@@ -88,18 +88,22 @@ class Calibration:
 
 
 def camera_to_dict(camera: Camera) -> dict[str, Any]:
-    return {
+    section: dict[str, Any] = {
         "model": camera.model, "width": camera.width, "height": camera.height, "fx": camera.fx, "fy": camera.fy,
         "cx": camera.cx, "cy": camera.cy, "distortion": list(camera.distortion),
     }  # fmt: skip
+    if camera.mirror is not None:
+        ball = camera.mirror
+        section["mirror"] = {"centre_mm": list(ball.centre_mm), "radius_mm": ball.radius_mm, "looks": ball.looks}
+    return section
 
 
 def camera_from_dict(data: object) -> Camera:
     """The `camera` section. Raises ValueError naming the key that is wrong."""
     section = _mapping(data, "camera")
     model = section.get("model")
-    if model not in ("pinhole", "fisheye"):
-        raise ValueError(f'"camera.model" is {model!r}, expected "pinhole" or "fisheye"')
+    if model not in ("pinhole", "fisheye", "mirror"):
+        raise ValueError(f'"camera.model" is {model!r}, expected "pinhole", "fisheye" or "mirror"')
     numbers = section.get("distortion", [])
     if not isinstance(numbers, Sequence) or isinstance(numbers, str):
         raise ValueError('"camera.distortion" must be a list of numbers')
@@ -112,7 +116,22 @@ def camera_from_dict(data: object) -> Camera:
         raise ValueError('"camera.width" and "camera.height" must be whole pixels')
     fx, fy = (_number(section, key, "camera", 1.0, 1e6) for key in ("fx", "fy"))
     cx, cy = (_number(section, key, "camera", -1e5, 1e5) for key in ("cx", "cy"))
-    return Camera(cast(Model, model), int(width), int(height), fx, fy, cx, cy, distortion)
+    mirror = _mirror(_mapping(_need(section, "mirror", "camera"), "camera.mirror")) if model == "mirror" else None
+    return Camera(cast(Model, model), int(width), int(height), fx, fy, cx, cy, distortion, mirror)
+
+
+def _mirror(section: Mapping[str, Any]) -> Mirror:
+    centre = _vector(section, "centre_mm", "camera.mirror")
+    radius = _number(section, "radius_mm", "camera.mirror", 0.1, 1000.0)
+    if centre[2] <= 0 or math.hypot(*centre) <= radius:
+        raise ValueError(
+            f'"camera.mirror.centre_mm" is {list(centre)}, expected a ball of {radius:g} mm before the camera (z > 0) '
+            "that does not hold it"
+        )
+    looks = section.get("looks", "back")
+    if looks not in ("back", "ahead"):
+        raise ValueError(f'"camera.mirror.looks" is {looks!r}, expected "back" or "ahead"')
+    return Mirror(centre, radius, looks)
 
 
 def _cone(ring: Mapping[str, Any], where: str) -> Cone:
