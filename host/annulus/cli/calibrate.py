@@ -1,6 +1,13 @@
 """`annulus calibrate`: the camera, the rings, the paint; every answer goes into one calibration.json."""
 
-from annulus.cli.show import group
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from annulus.cli.show import Json, group, progress
+from annulus.vocabulary import AnnulusError
 
 app = group("Measure the head: camera, rings, colours. Every answer goes into one calibration.json.")
 
@@ -8,3 +15,74 @@ app = group("Measure the head: camera, rings, colours. Every answer goes into on
 @app.callback()
 def _calibrate() -> None:
     """Commands below share one file: each replaces its own sections and keeps the others."""
+
+
+@app.command("camera", epilog="Example: annulus calibrate camera board/*.jpg --square-mm 25 -o head-7.json")
+def camera(
+    images: Annotated[list[Path], typer.Argument(help="Photographs of a flat board, or folders of them.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="calibration.json; other sections in it are kept.")] = Path(
+        "calibration.json"
+    ),
+    model: Annotated[
+        str | None, typer.Option(help="pinhole or fisheye; if not given, the one that fits clearly better.")
+    ] = None,
+    board: Annotated[
+        str | None,
+        typer.Option(help='Inner corners of a chessboard, "9x6", or squares of a ChArUco board, "charuco 8x6".'),
+    ] = None,
+    square_mm: Annotated[float, typer.Option(min=0.01, max=10000.0, help="Side of a square, mm.")] = 25.0,
+    picture: Annotated[
+        Path | None, typer.Option(help="Where to draw what the lens is worth. [default: FILE.camera.png]")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """The camera from photographs of a chessboard or ChArUco board, from nothing but them.
+
+    The board may be of any size, partly seen, through any lens; bad photographs are left out and named. Ten to twenty
+    photographs, the board filling half the image, tilted 30 to 45 degrees, and in every corner of it.
+    """
+    if model not in (None, "pinhole", "fisheye"):
+        raise AnnulusError(f'--model is "{model}", expected pinhole or fisheye')
+    from annulus.calibrate.camera import calibrate_camera, image_files, save_camera
+    from annulus.calibrate.camera_picture import draw_camera
+
+    with progress() as bars:
+        result = calibrate_camera(
+            image_files(images),
+            model=model,  # type: ignore[arg-type]
+            board=board,
+            square_mm=square_mm,
+            progress=bars,
+        )
+    stale = save_camera(result, out)
+    picture = picture or out.with_suffix(".camera.png")
+    draw_camera(result, picture)
+    told = result.to_dict()
+    if as_json:
+        print(json.dumps({**told, "file": str(out), "picture": str(picture)}))
+        return
+    for one in result.photographs:
+        state = f"{one.rms_px:6.3f} px" if one.rms_px == one.rms_px else "        -"
+        odd = f", {one.left_out} left out" if one.left_out else ""
+        print(
+            f"{one.file:<24} {state}  {one.corners:4d} corners{odd}"
+            + (f"  REJECTED {one.rejected}" * bool(one.rejected))
+        )
+    lens, sigma = result.camera, told["sigma"]
+    print(f"board      {result.board}{'' if result.board_was_given else ' (found out)'}")
+    print(f"camera     {lens.model} {lens.width}x{lens.height}")
+    print(f"focal      {lens.fx:.2f} +- {sigma['fx']:.2f}, {lens.fy:.2f} +- {sigma['fy']:.2f} px")
+    print(f"centre     {lens.cx:.2f} +- {sigma['cx']:.2f}, {lens.cy:.2f} +- {sigma['cy']:.2f} px")
+    print("distortion " + " ".join(f"{value:.5f}" for value in lens.distortion))
+    print(
+        f"rms        {told['rms_px']:.3f} px over {told['kept']} of {told['found']} photographs "
+        f"({told['rms_everything_px']:.3f} px with nothing left out)"
+    )
+    spread = told["ray_sigma_px"]
+    print(f"rays       known to {spread['median']:.2f} px (median), {spread['worst']:.2f} px (worst place)")
+    print(f"coverage   {100 * result.coverage:.0f} % of the image")
+    for warning in result.warnings:
+        print(f"warning    {warning}")
+    if stale:
+        print(f"warning    the rings in {out} were measured with the camera before this one: calibrate them again")
+    print(f"written    {out}, {picture}")

@@ -33,17 +33,23 @@ def load_camera(path: Path) -> Camera:
         raise AnnulusError(f"{path}: {error}.") from None
 
 
-def update_calibration(path: Path, sections: Mapping[str, Any]) -> None:
+def update_calibration(
+    path: Path, sections: Mapping[str, Any], provenance: Mapping[str, Any] | None = None
+) -> tuple[str, ...]:
     """Replace these sections of the file and keep its others; a new file gets only these.
 
-    A section given as None is taken out. Raises AnnulusError when the file is there but is no calibration, or cannot
-    be written.
+    A section given as None is taken out. `provenance`: how each section came about, kept under "provenance" by the
+    section's name. Returns the names of the sections that were kept as they are. Raises AnnulusError when the file is
+    there but is no calibration, or cannot be written.
     """
     data = _read(path) if path.exists() else {}
     if not isinstance(data, dict) or data.get("format", FORMAT) != FORMAT:
         raise AnnulusError(f'{path}: is there but is not "{FORMAT}". Choose another file or move it away.')
-    merged = {"format": FORMAT, **data, **sections}
+    before = data.get("provenance")
+    origins = {**(before if isinstance(before, dict) else {}), **(provenance or {})}
+    merged = {"format": FORMAT, **data, **sections, "provenance": origins or None}
     _write(path, {key: value for key, value in merged.items() if value is not None})
+    return tuple(key for key in data if key not in {*sections, "format", "provenance"})
 
 
 def save_calibration(path: Path, calibration: Calibration) -> None:

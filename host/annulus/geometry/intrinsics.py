@@ -1,0 +1,350 @@
+"""A camera from photographs of a flat board: cold start, all poses and the lens together, and what they are worth."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from annulus.geometry.camera import Camera, Model
+from annulus.geometry.pose import FloatArray
+from annulus.vocabulary import AnnulusError
+
+FOCAL = (0.25, 0.35, 0.5, 0.7, 1.0, 1.5, 2.2, 3.5)  # of the image's longer side: where a cold start looks
+COLD_VIEWS = 12  # as many are enough to choose between them
+NUMBERS = {"pinhole": 9, "fisheye": 8}  # fx fy cx cy and the distortion
+# What is set free in turn: a common focal length; the principal point and the first bends; all.
+STAGES = ((0,), (0, 2, 3, 4, 5), None)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sight:
+    """Corners of one board in one image: (N, 2) mm on the board, (N, 2) pixels."""
+
+    board_mm: FloatArray
+    pixels: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Intrinsics:
+    """A camera fitted to sights.
+
+    `rotations` (V, 3, 3) and `translations` (V, 3) mm: board to camera. `residuals`: (N, 2) pixels of each sight, seen
+    less modelled. `covariance`: of fx, fy, cx, cy and the distortion, scaled by what the residuals say.
+    """
+
+    camera: Camera
+    rotations: FloatArray
+    translations: FloatArray
+    residuals: tuple[FloatArray, ...]
+    covariance: FloatArray
+
+    @property
+    def rms_px(self) -> float:
+        """Root of the mean squared distance between corners seen and modelled, over all corners."""
+        return float(np.sqrt(np.mean(np.concatenate([(r**2).sum(axis=1) for r in self.residuals]))))
+
+    @cached_property
+    def view_rms_px(self) -> FloatArray:
+        return np.array([np.sqrt(np.mean((r**2).sum(axis=1))) for r in self.residuals])
+
+    def ray_sigma_px(self, pixels: FloatArray) -> FloatArray:
+        """(N,) how far, one standard deviation, the fitted lens may send a ray of (N, 2) pixels off, in pixels.
+
+        A turn of the whole camera that calibration cannot tell from a shifted principal point is taken out: whoever
+        uses the camera fits his own pose.
+        """
+        rays = self.camera.rays(pixels)
+        good = np.isfinite(rays).all(axis=1)
+        out = np.full(len(pixels), np.nan)
+        if not good.any():
+            return out
+        _, by_point, by_lens = project_with_slopes(self.camera, rays[good])
+        by_turn = np.einsum("nij,njk->nik", by_point, -_cross_matrix(rays[good]))
+        spread = np.ones(len(by_turn))
+        for _ in range(3):  # the turn is settled where rays are known well
+            heavy = np.repeat(1 / np.sqrt(np.maximum(spread, 1e-12)), 2)[:, None]
+            flat_turn, flat_lens = by_turn.reshape(-1, 3), by_lens.reshape(len(by_turn) * 2, -1)
+            turned = np.linalg.lstsq(heavy * flat_turn, heavy * flat_lens, rcond=None)[0]
+            left = (flat_lens - flat_turn @ turned).reshape(by_lens.shape)
+            spread = np.einsum("nip,pq,niq->n", left, self.covariance, left)
+        out[good] = np.sqrt(np.maximum(spread, 0.0))
+        return out
+
+
+def fit_intrinsics(
+    sights: list[Sight], width: int, height: int, model: Model, start: Camera | None = None, *, robust: bool = False
+) -> Intrinsics:
+    """Fit one camera to sights of flat boards, every sight with its own pose.
+
+    Parameters
+    ----------
+    sights : at least two (a single photograph leaves focal length and distance in each other's hands).
+    start : a camera near the answer; without one, eight focal lengths are tried on some of the sights.
+    robust : corners far off count little in the answer too; to find out which ones they are.
+
+    Notes
+    -----
+    Least squares with Cauchy weights on the way (corners far off must not pull), plain at the end; poses are
+    eliminated sight by sight (Schur), so the cost grows with the number of sights only linearly. Model and distortion
+    are OpenCV's (Alzuhiri 2022, ch. 2). Raises AnnulusError where no focal length leads anywhere.
+    """
+    if len(sights) < 2:
+        raise AnnulusError(
+            f"{len(sights)} usable photograph of the board, expected at least 2, better 10 from all sides"
+        )
+    if start is None:
+        start = _cold_start(sights, width, height, model)
+    camera, rotations, translations = start, *_poses(start, sights)
+    camera, rotations, translations, normal = _adjust(camera, rotations, translations, sights, None, robust=True)
+    if not robust:
+        camera, rotations, translations, normal = _adjust(camera, rotations, translations, sights, None, robust=False)
+    residuals = tuple(
+        s.pixels - camera.project(s.board_mm @ r[:, :2].T + t)
+        for s, r, t in zip(sights, rotations, translations, strict=True)
+    )
+    free = 2 * sum(len(s.pixels) for s in sights) - 6 * len(sights) - NUMBERS[camera.model]
+    variance = sum(float((r**2).sum()) for r in residuals) / max(free, 1)
+    return Intrinsics(
+        camera, rotations, translations, residuals, np.asarray(variance * np.linalg.pinv(normal, hermitian=True))
+    )
+
+
+def board_pose(camera: Camera, sight: Sight) -> tuple[FloatArray, FloatArray, float]:
+    """(3, 3) and (3,) mm: board to camera, and the rms in pixels. Perspective from four or more corners of a plane."""
+    rotations, translations = _poses(camera, [sight])
+    _, rotations, translations, _ = _adjust(camera, rotations, translations, [sight], (), robust=True)
+    _, rotations, translations, _ = _adjust(camera, rotations, translations, [sight], (), robust=False)
+    off = sight.pixels - camera.project(sight.board_mm @ rotations[0][:, :2].T + translations[0])
+    return rotations[0], translations[0], float(np.sqrt(np.mean((off**2).sum(axis=1))))
+
+
+def project_with_slopes(camera: Camera, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(N, 2) pixels of (N, 3) points, (N, 2, 3) slopes by the point, (N, 2, P) slopes by fx fy cx cy and distortion."""
+    x, y, z = points.T
+    focal = np.array([camera.fx, camera.fy])
+    n = len(points)
+    by_lens = np.zeros((n, 2, NUMBERS[camera.model]))
+    if camera.model == "fisheye":
+        k = np.pad(np.array(camera.distortion, float), (0, 4 - len(camera.distortion)))
+        rho = np.maximum(np.hypot(x, y), 1e-12)
+        theta = np.arctan2(rho, z)
+        powers = theta[:, None] ** np.array([3, 5, 7, 9])
+        bent = theta + powers @ k
+        slope = 1 + (theta[:, None] ** np.array([2, 4, 6, 8]) * [3, 5, 7, 9]) @ k
+        way = np.stack([x, y], axis=1) / rho[:, None]
+        flat = bent[:, None] * way
+        square = rho * rho + z * z
+        by_theta = np.stack([way[:, 0] * z / square, way[:, 1] * z / square, -rho / square], axis=1)
+        turn = np.stack([-way[:, 1], way[:, 0]], axis=1)  # what moves the direction in the image
+        by_turn = np.stack([-way[:, 1] / rho, way[:, 0] / rho, 0 * rho], axis=1)
+        by_point = slope[:, None, None] * way[:, :, None] * by_theta[:, None, :]
+        by_point += bent[:, None, None] * turn[:, :, None] * by_turn[:, None, :]
+        by_lens[:, :, 4:] = way[:, :, None] * powers[:, None, :]
+    else:
+        k1, k2, p1, p2, k3 = np.pad(np.array(camera.distortion, float), (0, 5 - len(camera.distortion)))
+        a, b = x / z, y / z
+        r2 = a * a + b * b
+        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        bend = k1 + r2 * (2 * k2 + r2 * 3 * k3)  # of radial by r2
+        flat = np.stack(
+            [a * radial + 2 * p1 * a * b + p2 * (r2 + 2 * a * a), b * radial + p1 * (r2 + 2 * b * b) + 2 * p2 * a * b],
+            axis=1,
+        )
+        cross = 2 * a * b * bend + 2 * p1 * a + 2 * p2 * b
+        by_flat = np.empty((n, 2, 2))
+        by_flat[:, 0, 0] = radial + 2 * a * a * bend + 2 * p1 * b + 6 * p2 * a
+        by_flat[:, 1, 1] = radial + 2 * b * b * bend + 6 * p1 * b + 2 * p2 * a
+        by_flat[:, 0, 1] = by_flat[:, 1, 0] = cross
+        to_flat = np.zeros((n, 2, 3))
+        to_flat[:, 0, 0] = to_flat[:, 1, 1] = 1 / z
+        to_flat[:, 0, 2], to_flat[:, 1, 2] = -a / z, -b / z
+        by_point = by_flat @ to_flat
+        both = np.stack([a, b], axis=1)
+        for column, power in ((4, r2), (5, r2**2), (8, r2**3)):
+            by_lens[:, :, column] = both * power[:, None]
+        by_lens[:, :, 6] = np.stack([2 * a * b, r2 + 2 * b * b], axis=1)
+        by_lens[:, :, 7] = np.stack([r2 + 2 * a * a, 2 * a * b], axis=1)
+    by_lens[:, :, 4:] *= focal[None, :, None]
+    by_lens[:, 0, 0], by_lens[:, 1, 1] = flat[:, 0], flat[:, 1]
+    by_lens[:, 0, 2] = by_lens[:, 1, 3] = 1.0
+    return flat * focal + [camera.cx, camera.cy], by_point * focal[None, :, None], by_lens
+
+
+def _cold_start(sights: list[Sight], width: int, height: int, model: Model) -> Camera:
+    """The best of several focal lengths after a few steps on some of the sights, from a lens without distortion."""
+    some = [sights[i] for i in np.unique(np.linspace(0, len(sights) - 1, COLD_VIEWS).astype(int))]
+    best, least = None, np.inf
+    for part in FOCAL:
+        f = part * max(width, height)
+        camera = Camera(model, width, height, f, f, (width - 1) / 2, (height - 1) / 2, (0.0,) * (NUMBERS[model] - 4))
+        try:
+            rotations, translations = _poses(camera, some)
+            for free in STAGES:
+                camera, rotations, translations, _ = _adjust(
+                    camera, rotations, translations, some, free, robust=True, steps=12
+                )
+            cost = _cost(camera, rotations, translations, some)
+        except (np.linalg.LinAlgError, ValueError):
+            continue
+        if cost < least:
+            best, least = camera, cost
+    if best is None:
+        raise AnnulusError("no camera fits these boards: is every photograph from one camera, and the board flat?")
+    return best
+
+
+def _cost(camera: Camera, rotations: FloatArray, translations: FloatArray, sights: list[Sight]) -> float:
+    """Median distance in pixels; a corner behind the lens counts as very far."""
+    off = []
+    for sight, rotation, translation in zip(sights, rotations, translations, strict=True):
+        seen = camera.project(sight.board_mm @ rotation[:, :2].T + translation)
+        off.append(np.nan_to_num(np.linalg.norm(seen - sight.pixels, axis=1), nan=1e6))
+    return float(np.median(np.concatenate(off)))
+
+
+def _poses(camera: Camera, sights: list[Sight]) -> tuple[FloatArray, FloatArray]:
+    """Board poses from the rays of a camera, by the plane's homography onto directions: good past 90 degrees too."""
+    rotations, translations = np.empty((len(sights), 3, 3)), np.empty((len(sights), 3))
+    for i, sight in enumerate(sights):
+        rays = camera.rays(sight.pixels)
+        good = np.isfinite(rays).all(axis=1)
+        if np.count_nonzero(good) < 4:
+            raise ValueError("the lens cannot have seen this")
+        middle, spread = sight.board_mm[good].mean(axis=0), float(np.std(sight.board_mm[good]))
+        flat = (sight.board_mm[good] - middle) / spread
+        homogeneous = np.concatenate([flat, np.ones((len(flat), 1))], axis=1)
+        rows = np.einsum("nij,nk->nijk", _cross_matrix(rays[good]), homogeneous).reshape(-1, 9)
+        h = np.linalg.svd(rows, full_matrices=False)[2][-1].reshape(3, 3)
+        if np.einsum("ni,ij,nj->n", rays[good], h, homogeneous).sum() < 0:
+            h = -h
+        u, stretch, v = np.linalg.svd(np.stack([h[:, 0], h[:, 1]], axis=1), full_matrices=False)
+        two = u @ v  # the nearest pair of unit vectors at right angles
+        rotations[i] = np.stack([two[:, 0], two[:, 1], np.cross(two[:, 0], two[:, 1])], axis=1)
+        translations[i] = h[:, 2] * spread / stretch.mean() - rotations[i][:, :2] @ middle
+    return rotations, translations
+
+
+def _adjust(
+    camera: Camera,
+    rotations: FloatArray,
+    translations: FloatArray,
+    sights: list[Sight],
+    free: tuple[int, ...] | None,
+    *,
+    robust: bool,
+    steps: int = 60,
+) -> tuple[Camera, FloatArray, FloatArray, FloatArray]:
+    """Levenberg-Marquardt over the lens and all poses; `free`: which of the lens' numbers (None: all; (0,) alone: one
+    focal length for both ways). Also the lens' (P, P) normal matrix with the poses eliminated."""
+    numbers = NUMBERS[camera.model]
+    basis = np.eye(numbers)[:, list(range(numbers) if free is None else free)]
+    if free is not None and 0 in free:
+        basis[1, 0] = 1.0
+    ratio = 1e-3
+    normal, gradient, poses, cost = _normal(camera, rotations, translations, sights, basis, robust, None)
+    scale = poses[-1]
+    for _ in range(steps):
+        trial = None
+        for _ in range(12):
+            step, turns = _solve(normal, gradient, poses[0], ratio)
+            trial = _moved(camera, rotations, translations, basis @ step, turns)
+            after = _normal(*trial, sights, basis, robust, scale)
+            if after[3] <= cost:
+                break
+            ratio *= 6.0
+            trial = None
+        if trial is None:
+            break
+        gained = cost - after[3]
+        camera, rotations, translations = trial
+        normal, gradient, poses, cost = after
+        ratio = max(ratio / 5.0, 1e-12)
+        if gained <= 1e-10 * cost:
+            break
+        if robust:  # the scale follows the fit
+            normal, gradient, poses, cost = _normal(camera, rotations, translations, sights, basis, robust, None)
+            scale = poses[-1]
+    schur, _ = _reduced(normal, gradient, poses[0], 0.0)
+    return camera, rotations, translations, schur
+
+
+Blocks = list[tuple[FloatArray, FloatArray, FloatArray]]  # of each sight: pose by pose, lens by pose, pose gradient
+
+
+def _normal(
+    camera: Camera,
+    rotations: FloatArray,
+    translations: FloatArray,
+    sights: list[Sight],
+    basis: FloatArray,
+    robust: bool,
+    scale: float | None,
+) -> tuple[FloatArray, FloatArray, tuple[Blocks, float], float]:
+    """Normal equations, their blocks for each pose with the scale of the residuals, and the cost."""
+    found = []
+    for sight, rotation, translation in zip(sights, rotations, translations, strict=True):
+        turned = sight.board_mm @ rotation[:, :2].T
+        with np.errstate(all="ignore"):
+            pixels, by_point, by_lens = project_with_slopes(camera, turned + translation)
+        off = sight.pixels - pixels
+        if camera.model == "pinhole":
+            off[(turned + translation)[:, 2] <= 0] = 1e6
+        found.append((off, by_lens @ basis, np.concatenate([by_point @ -_cross_matrix(turned), by_point], axis=2)))
+    if not all(
+        np.isfinite(off).all() and np.isfinite(lens).all() and np.isfinite(pose).all() for off, lens, pose in found
+    ):
+        return np.zeros((0, 0)), np.zeros(0), ([], 1.0), np.inf
+    if scale is None:
+        scale = max(1.4826 * float(np.median(np.abs(np.concatenate([off for off, _, _ in found])))), 0.02)
+    normal, gradient, cost = np.zeros((basis.shape[1],) * 2), np.zeros(basis.shape[1]), 0.0
+    blocks: Blocks = []
+    reach = 3.0 * scale
+    for off, by_lens, by_pose in found:
+        square = (off**2).sum(axis=1) / reach**2
+        weight = 1 / (1 + square) if robust else np.ones(len(off))
+        cost += float((reach**2 * np.log1p(square)).sum() if robust else (off**2).sum())
+        lens, pose, flat = by_lens.reshape(2 * len(off), -1), by_pose.reshape(-1, 6), off.ravel()
+        heavy = np.repeat(weight, 2)[:, None]
+        normal += lens.T @ (heavy * lens)
+        gradient += lens.T @ (heavy[:, 0] * flat)
+        blocks.append((pose.T @ (heavy * pose), lens.T @ (heavy * pose), pose.T @ (heavy[:, 0] * flat)))
+    return normal, gradient, (blocks, scale), cost
+
+
+def _reduced(normal: FloatArray, gradient: FloatArray, blocks: Blocks, ratio: float) -> tuple[FloatArray, FloatArray]:
+    left, right = normal + ratio * np.diag(np.diag(normal)), gradient.copy()
+    for own, across, pull in blocks:
+        inverse = np.linalg.inv(own + (ratio + 1e-14) * np.diag(np.diag(own)))
+        left = left - across @ inverse @ across.T
+        right -= across @ inverse @ pull
+    return left, right
+
+
+def _solve(
+    normal: FloatArray, gradient: FloatArray, blocks: Blocks, ratio: float
+) -> tuple[FloatArray, list[FloatArray]]:
+    left, right = _reduced(normal, gradient, blocks, ratio)
+    step: FloatArray = np.asarray(np.linalg.lstsq(left, right, rcond=1e-15)[0]) if len(right) else right
+    turns: list[FloatArray] = [
+        np.linalg.solve(own + (ratio + 1e-14) * np.diag(np.diag(own)), pull - across.T @ step)
+        for own, across, pull in blocks
+    ]
+    return step, turns
+
+
+def _moved(
+    camera: Camera, rotations: FloatArray, translations: FloatArray, step: FloatArray, turns: list[FloatArray]
+) -> tuple[Camera, FloatArray, FloatArray]:
+    both = np.array(turns)
+    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion]) + step
+    fx, fy, cx, cy = (float(v) for v in lens[:4])
+    moved = replace(camera, fx=fx, fy=fy, cx=cx, cy=cy, distortion=tuple(float(v) for v in lens[4:]))
+    return moved, Rotation.from_rotvec(both[:, :3]).as_matrix() @ rotations, translations + both[:, 3:]
+
+
+def _cross_matrix(v: FloatArray) -> FloatArray:
+    """(N, 3) -> (N, 3, 3): times a vector, the cross product with it."""
+    x, y, z = v.T
+    zero = np.zeros_like(x)
+    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
