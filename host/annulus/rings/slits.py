@@ -1,6 +1,7 @@
 """Dark slits along every polar line, to a fraction of a pixel, with the light on both sides of each."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -15,6 +16,7 @@ FALL = 0.72  # a slit is darker than this part of the light before it and after 
 SHALLOW = 0.65  # a slit is at least this part as deep as the frame's usual one
 HALFWAY, LEVEL = 0.5, 0.4  # an edge ends where that part of the light is back and the slope is down to that part
 FAINT = 0.03  # stripes dimmer than this part of the frame's bright level are darkness
+WEAK, NOISY = 2.5, 0.015  # a channel so many times weaker than the strongest is raised; of that one's light in noise
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,13 +37,14 @@ def find_slits(polar: NDArray[np.uint8], grid: PolarGrid) -> Slits:
 
     Each edge is the steepest place of max(B, G, R) between a slit's bottom and its stripe, so neither the stripes'
     unequal brightness nor their slope moves it (raw luma does, by up to a millimetre). Thresholds are parts of the
-    light beside the slit and of the frame's own bright level and noise.
+    light beside the slit and of the frame's own bright level and noise. A channel that the wall's paint swallows
+    (blue, on a yellow pipe) is raised for this, black taken off, or its stripes would be darkness beside the others.
     """
     # a smoothing that stripes of the densest ring survive
     sigma = min(1.4, max(0.6, grid.spacing_px / 16.0))
     taps = np.exp(-0.5 * (np.arange(5) / sigma) ** 2)
     taps = (taps / (taps[0] + 2 * taps[1:].sum())).astype(np.float32)
-    blue, green, red = cv2.split(polar)
+    blue, green, red = _raised(cv2.split(polar), grid)
     top = np.asarray(cv2.max(cv2.max(blue, green), red), np.uint8)
     bright, noise = _level(top, grid)
     floor = max(FAINT * bright, 4.0 * noise, 2.0)
@@ -54,6 +57,29 @@ def find_slits(polar: NDArray[np.uint8], grid: PolarGrid) -> Slits:
         kept[:, 0].astype(np.int64), kept[:, 1], kept[:, 2], kept[:, 3:6], kept[:, 6:9],
         int(np.count_nonzero(~dark)), int(crowded),
     )  # fmt: skip
+
+
+def _raised(channels: Sequence[cv2.typing.MatLike], grid: PolarGrid) -> list[cv2.typing.MatLike]:
+    """The channels, those that are weak all over the frame brought up towards the strongest, short of their noise."""
+    inside = np.arange(1, channels[0].shape[1], 3) < grid.stop[::24, None]
+    values = [np.asarray(channel[::24, 1::3][inside], np.uint8) for channel in channels]
+    counted = [np.cumsum(np.bincount(value, minlength=256)) for value in values]
+    black, full = (
+        np.array([int(np.searchsorted(count, part * count[-1])) for count in counted]) for part in (0.02, 0.97)
+    )
+    light = np.maximum(full - black, 1)
+    out = list(channels)
+    for c, channel in enumerate(channels):
+        if WEAK * light[c] >= light.max():
+            continue
+        before = np.asarray(channel[::24, 0:-1:3][:, : inside.shape[1]][inside], np.int16)
+        darker = values[c] <= np.percentile(values[c], 50)  # holds few edges
+        noise = float(np.abs(values[c][darker] - before[darker]).mean())
+        gain = min(light.max() / light[c], NOISY * light.max() / max(noise, 1.0))
+        if gain > 1.0:
+            table = np.clip((np.arange(256) - black[c]) * gain, 0, 255)
+            out[c] = cv2.LUT(channel, table.astype(np.uint8))
+    return out
 
 
 def _level(top: NDArray[np.uint8], grid: PolarGrid) -> tuple[float, float]:
