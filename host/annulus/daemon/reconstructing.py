@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from annulus.geometry.calibration import Calibration
+from annulus.geometry.cone import intersect_cylinder
 from annulus.geometry.pose import Pose
 from annulus.record.recording import to_bgr
 from annulus.rings.reconstructor import Reconstructor
@@ -48,10 +49,11 @@ def specimen(calibration: Calibration) -> Image:
     """Roughly what the camera sees in a clean pipe, head in the middle: (H, W, 3) BGR. Good for warming up only."""
     camera, step = calibration.camera, 4
     v, u = np.mgrid[0 : camera.height : step, 0 : camera.width : step]
-    rays = camera.rays(np.stack([u.ravel(), v.ravel()], axis=1).astype(float))
+    starts, rays = camera.lines(np.stack([u.ravel(), v.ravel()], axis=1).astype(float))
     with np.errstate(divide="ignore", invalid="ignore"):
-        wall = rays * (calibration.pipe_radius_mm / np.hypot(rays[:, 0], rays[:, 1]))[:, None]
-        stripe, dark = np.zeros(len(rays), np.intp), ~(rays[:, 2] > 0)
+        axis = np.array([0.0, 0.0, 1.0])
+        wall = intersect_cylinder(rays, np.zeros(3), axis, calibration.pipe_radius_mm, starts)
+        stripe, dark = np.zeros(len(rays), np.intp), ~(rays[:, 2] > 0) & camera.central
         for cone in calibration.rings:
             beam = wall - np.array(cone.vertex_mm)
             angle = np.arccos(np.clip(beam @ np.array(cone.axis) / np.linalg.norm(beam, axis=1), -1.0, 1.0))

@@ -121,6 +121,11 @@ class Camera:
         """Whether all lines meet in the origin."""
         return self.mirror is None
 
+    @property
+    def reversed(self) -> bool:
+        """Whether what lies farther down the pipe is seen farther from the middle of the image."""
+        return self.mirror is not None and self.mirror.looks == "ahead"
+
     def lines(self, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(N, 2) pixels -> (N, 3) mm where their lines start, (N, 3) unit vectors along them, camera frame.
 

@@ -59,11 +59,18 @@ def cone_distance(points: FloatArray, cone: Cone) -> FloatArray:
     return np.asarray(length * np.sin(cone.half_angle - theta))
 
 
-def intersect_cylinder(rays: FloatArray, through: FloatArray, axis: FloatArray, radius_mm: float) -> FloatArray:
-    """(N, 3) points where rays from the origin leave a cylinder, NaN for none. Alzuhiri 2022, App. A.1."""
-    x = np.cross(-np.asarray(through, dtype=float), axis)
+def intersect_cylinder(
+    rays: FloatArray, through: FloatArray, axis: FloatArray, radius_mm: float, origin: FloatArray | None = None
+) -> FloatArray:
+    """(N, 3) points where rays leave a cylinder, NaN for none. Alzuhiri 2022, App. A.1.
+
+    rays : (N, 3) unit vectors. origin : (3,) or (N, 3) mm, where they start; the camera centre when not given.
+    """
+    start = np.zeros((1, 3)) if origin is None else np.atleast_2d(origin)
+    x = np.cross(start - through, axis)
     y = np.cross(rays, axis)
-    a, b, c = np.einsum("ij,ij->i", y, y), 2.0 * y @ x, x @ x - radius_mm**2
+    a, b = np.einsum("ij,ij->i", y, y), 2.0 * (y * x).sum(axis=1)
+    c = (x * x).sum(axis=1) - radius_mm**2
     with np.errstate(divide="ignore", invalid="ignore"):
         s = (-b + np.sqrt(b * b - 4.0 * a * c)) / (2.0 * a)
-    return np.asarray(np.where(s > 0, s, np.nan)[:, None] * rays)
+    return np.asarray(start + np.where(s > 0, s, np.nan)[:, None] * rays)

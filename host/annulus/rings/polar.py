@@ -35,22 +35,31 @@ class Sector:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PolarGrid:
-    """Sample (j, i) lies at `centre + (first + i) * (cosine[j], sine[j])`, whole steps of one image pixel.
+    """Sample (j, i) lies at `centre + (first + step i) * (cosine[j], sine[j])`, whole steps of one image pixel.
 
     Nothing is undistorted: the lens is folded into `rays`, tabulated for every second sample, so that the image is
-    read once, where it is sharp, and a position along a line turns into a ray by interpolation.
+    read once, where it is sharp, and a position along a line turns into a ray by interpolation. Lines run from the
+    innermost ring to the outermost: outwards, but for a mirror that turns their order about (`camera.Mirror`).
     """
 
     centre: tuple[float, float]
     first: float
+    step: int  # 1 or -1
     cosine: NDArray[np.float64]  # (J,) direction j runs along (cosine, sine) in image x, y
     sine: NDArray[np.float64]
     stop: NDArray[np.int64]  # (J,) samples inside the image and inside what the lens model can invert
     rays: NDArray[np.float64]  # (J, L / RAY_STEP_PX + 1, 3) unit vectors, camera frame
+    origins: NDArray[np.float64] | None  # the same shape, mm, where the rays start; None: all in the camera's centre
     map_xy: NDArray[np.int16]  # (J + 2, L, 2) cv2's fixed-point map: SIMD, half the time of a float map, 1/32 px;
     map_part: NDArray[np.uint16]  # (J + 2, L) it begins with the last line and ends with the first, for averages
     sectors: list[Sector]
     spacing_px: float  # least distance between two neighbouring rings in a clean pipe
+
+    def pixels(self, direction: NDArray[np.int64], position: FloatArray) -> FloatArray:
+        """(N,) lines, (N,) samples along them -> (N, 2) places in the image."""
+        away = self.first + self.step * position
+        way = np.stack([self.cosine[direction], self.sine[direction]], axis=1)
+        return np.asarray(self.centre + away[:, None] * way)
 
 
 def polar_grid(calibration: Calibration, directions: int) -> PolarGrid:
@@ -70,9 +79,11 @@ def polar_grid(calibration: Calibration, directions: int) -> PolarGrid:
     outer.append(ring_pixels(camera, calibration.rings[-1], Pose(), DENT * radius))
     reach = [np.linalg.norm(np.vstack(curves) - centre, axis=1) for curves in (inner, outer)]
     mean_radii = [float(np.nanmedian(np.linalg.norm(curve - centre, axis=1))) for curve in nominal]
-    spacing = float(np.min(np.diff(mean_radii))) if len(mean_radii) > 1 else mean_radii[0] / 4
+    spacing = float(np.min(np.abs(np.diff(mean_radii)))) if len(mean_radii) > 1 else mean_radii[0] / 4
     if spacing < 3.0:
         raise AnnulusError(f"calibration: rings lie {spacing:.1f} px apart in the image, expected at least 3")
+    if camera.reversed:
+        reach.reverse()
     first = max(2.0, math.floor(np.nanmin(reach[0]) - spacing))
     last = math.ceil(np.nanmax(reach[1]) + spacing)
     return lay_grid(camera, centre, first, last, spacing, directions)
@@ -81,32 +92,37 @@ def polar_grid(calibration: Calibration, directions: int) -> PolarGrid:
 def lay_grid(
     camera: Camera, centre: FloatArray, first: float, last: float, spacing: float, directions: int
 ) -> PolarGrid:
-    """Lines around `centre` (2,) from `first` to `last` px of it, for rings at least `spacing` px apart."""
+    """Lines around `centre` (2,) between `first` and `last` px of it, for rings at least `spacing` px apart."""
     phi = np.arange(directions) * (2 * math.pi / directions)
     cosine, sine = np.cos(phi), np.sin(phi)
-    length = int(np.max(_length_inside(camera, centre, cosine, sine, first, last)))
+    inside = _length_inside(camera, centre, cosine, sine, first, last)
+    step = -1 if camera.reversed else 1
+    # a line that runs inwards must start inside
+    length = int(np.min(inside) if camera.reversed else np.max(inside))
     if length < 16:
         raise AnnulusError("calibration: the pattern's centre lies outside the image; check camera.cx, camera.cy")
-    stop = _length_inside(camera, centre, cosine, sine, first, first + length)
-    nodes = first + np.arange(0, length + 2 * RAY_STEP_PX, RAY_STEP_PX)
+    stop = np.minimum(inside, length)
+    first = first if step > 0 else first + length
+    nodes = first + step * np.arange(0, length + 2 * RAY_STEP_PX, RAY_STEP_PX)
     pixels = centre + nodes[None, :, None] * np.stack([cosine, sine], axis=1)[:, None, :]
-    rays = camera.rays(pixels.reshape(-1, 2)).reshape(directions, len(nodes), 3)
+    origins, rays = (part.reshape(directions, len(nodes), 3) for part in camera.lines(pixels.reshape(-1, 2)))
     good = np.cumprod(np.isfinite(rays.sum(axis=2)), axis=1).sum(axis=1)  # nodes before the first bad one
     stop = np.clip(np.minimum(stop, (good - 1) * RAY_STEP_PX), 0, None)
-    x, y = (centre[axis] + (first + np.arange(length)) * way[:, None] for axis, way in enumerate((cosine, sine)))
+    away = first + step * np.arange(length)
+    x, y = (centre[axis] + away * way[:, None] for axis, way in enumerate((cosine, sine)))
     closed = np.arange(-1, directions + 1) % directions
     maps = cv2.convertMaps(x[closed].astype(np.float32), y[closed].astype(np.float32), cv2.CV_16SC2)
     map_xy, map_part = np.asarray(maps[0], np.int16), np.asarray(maps[1], np.uint16)
     edges = np.linspace(0, directions + 2, SECTORS + 1).astype(int)
     sectors = [_sector(camera, map_xy, slice(a, b)) for a, b in pairwise(edges)]
     return PolarGrid(
-        (float(centre[0]), float(centre[1])), first, cosine, sine, stop, np.nan_to_num(rays),
-        map_xy, map_part, sectors, spacing,
+        (float(centre[0]), float(centre[1])), first, step, cosine, sine, stop, np.nan_to_num(rays),
+        None if camera.central else np.nan_to_num(origins), map_xy, map_part, sectors, spacing,
     )  # fmt: skip
 
 
 def unroll(image: NDArray[np.uint8], grid: PolarGrid) -> NDArray[np.uint8]:
-    """(H, W, 3) frame -> (J, L, 3): one row a direction, one column a pixel's step outwards; black outside.
+    """(H, W, 3) frame -> (J, L, 3): one row a direction, one column a pixel's step along it; black outside.
 
     Each line is averaged with its two neighbours: less noise where stripes are dim, and nothing is lost along the line,
     where a slit's place is read. Wider averages would carry light into the shadows of rods.

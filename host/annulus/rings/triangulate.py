@@ -45,16 +45,18 @@ def ring_optics(calibration: Calibration, grid: PolarGrid) -> RingOptics:
         order = np.argsort(np.arctan2(pixels[:, 1], pixels[:, 0]) % (2 * math.pi))
         turn = (np.arctan2(pixels[:, 1], pixels[:, 0]) % (2 * math.pi))[order]
         far = np.linalg.norm(pixels, axis=1)[order]
-        at = np.interp(np.arctan2(grid.sine, grid.cosine), turn, far, period=2 * math.pi) - grid.first
+        away = np.interp(np.arctan2(grid.sine, grid.cosine), turn, far, period=2 * math.pi)
+        at = (away - grid.first) * grid.step
         angles = []
         for step in (-PROBE_PX, 0.0, PROBE_PX):
-            wall = intersect_cylinder(_rays(grid, lines, at + step), np.zeros(3), np.array([0.0, 0.0, 1.0]), pipe)
+            start, way = _lines(grid, lines, at + step)
+            wall = intersect_cylinder(way, np.zeros(3), np.array([0.0, 0.0, 1.0]), pipe, start)
             v = wall - np.asarray(cone.vertex_mm)
             angles.append(np.arctan2(np.linalg.norm(np.cross(v, cone.axis), axis=1), v @ np.asarray(cone.axis)))
         with np.errstate(divide="ignore", invalid="ignore"):
             second = (angles[2] - 2 * angles[1] + angles[0]) / PROBE_PX**2
             bend[k] = np.nan_to_num(second / ((angles[2] - angles[0]) / (2 * PROBE_PX)), posinf=0.0, neginf=0.0)
-        ends = np.stack([meet_rings(_rays(grid, lines, at + step), cones[k : k + 1])[:, 0] for step in (-1.0, 1.0)])
+        ends = np.stack([meet_rings(*_lines(grid, lines, at + step), cones[k : k + 1])[:, 0] for step in (-1.0, 1.0)])
         slope_mm[k] = np.nanmedian(np.abs(np.diff(np.linalg.norm(ends[..., :2], axis=2), axis=0))) / 2
     return RingOptics(cones, bend, np.nan_to_num(slope_mm, nan=float(np.nanmax(slope_mm))))
 
@@ -67,27 +69,31 @@ def triangulate(slits: Slits, grid: PolarGrid, optics: RingOptics, wanted: NDArr
         usual = float(np.median(slits.width))
         width = np.minimum(slits.width, 1.3 * usual)  # a slit in a shadow's edge must not shift itself
         _all_rings(
-            slits.direction, slits.position, width, grid.rays, RAY_STEP_PX, optics.cones, optics.bend, wanted, out
-        )
+            slits.direction, slits.position, width, grid.rays, grid.origins, RAY_STEP_PX, optics.cones, optics.bend,
+            wanted, out,
+        )  # fmt: skip
     return out
 
 
-def meet_rings(rays: FloatArray, cones: FloatArray) -> FloatArray:
-    """(N, 3) unit rays from the camera, (K, 7) cones -> (N, K, 3) points; the same roots as geometry.cone."""
+def meet_rings(origins: FloatArray, rays: FloatArray, cones: FloatArray) -> FloatArray:
+    """(N, 3) mm starts of (N, 3) unit rays, (K, 7) cones -> (N, K, 3) points; the same roots as geometry.cone."""
     out = np.empty((len(rays), len(cones), 3))
     for n in range(len(rays)):
         for k in range(len(cones)):
-            _meet(rays[n, 0], rays[n, 1], rays[n, 2], cones[k], math.cos(cones[k, 6]) ** 2, out[n, k])
+            _meet(*origins[n], *rays[n], cones[k], math.cos(cones[k, 6]) ** 2, out[n, k])
     return out
 
 
-def _rays(grid: PolarGrid, direction: NDArray[np.int64], position: FloatArray) -> FloatArray:
+def _lines(grid: PolarGrid, direction: NDArray[np.int64], position: FloatArray) -> tuple[FloatArray, FloatArray]:
     node = np.clip(position / RAY_STEP_PX, 0, grid.rays.shape[1] - 2)
     i = node.astype(np.int64)
     part = (node - i)[:, None]
     rays = (1 - part) * grid.rays[direction, i] + part * grid.rays[direction, i + 1]
+    origins = np.zeros_like(rays)
+    if grid.origins is not None:
+        origins = (1 - part) * grid.origins[direction, i] + part * grid.origins[direction, i + 1]
     with np.errstate(invalid="ignore"):
-        return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
+        return origins, np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 
 
 def deviations(points: FloatArray, pose: Pose, radius_mm: float) -> FloatArray:
@@ -111,8 +117,9 @@ def _deviations(points, rotation, shift, radius, out):  # type: ignore[no-untype
 
 
 @compiled
-def _all_rings(direction, position, width, rays, step, cones, bend, wanted, out):  # type: ignore[no-untyped-def]
+def _all_rings(direction, position, width, rays, origins, step, cones, bend, wanted, out):  # type: ignore[no-untyped-def]
     squares = np.cos(cones[:, 6]) ** 2
+    ox, oy, oz = 0.0, 0.0, 0.0
     for n in range(len(position)):
         j = direction[n]
         for k in range(len(cones)):
@@ -126,14 +133,18 @@ def _all_rings(direction, position, width, rays, step, cones, bend, wanted, out)
             y = rays[j, i, 1] + part * (rays[j, i + 1, 1] - rays[j, i, 1])
             z = rays[j, i, 2] + part * (rays[j, i + 1, 2] - rays[j, i, 2])
             scale = 1.0 / math.sqrt(x * x + y * y + z * z)
-            _meet(x * scale, y * scale, z * scale, cones[k], squares[k], out[n, k])
+            if origins is not None:  # decided when compiled: a camera with one centre does not pay for it
+                ox = origins[j, i, 0] + part * (origins[j, i + 1, 0] - origins[j, i, 0])
+                oy = origins[j, i, 1] + part * (origins[j, i + 1, 1] - origins[j, i, 1])
+                oz = origins[j, i, 2] + part * (origins[j, i + 1, 2] - origins[j, i, 2])
+            _meet(ox, oy, oz, x * scale, y * scale, z * scale, cones[k], squares[k], out[n, k])
 
 
 @compiled
-def _meet(x, y, z, cone, cos2, out):  # type: ignore[no-untyped-def]
-    """Ray from the camera's centre and cone: Alzuhiri 2022, App. A.2; of two forward roots the farther, §5.2."""
+def _meet(ox, oy, oz, x, y, z, cone, cos2, out):  # type: ignore[no-untyped-def]
+    """Ray from o along x, y, z and cone: Alzuhiri 2022, App. A.2; of two forward roots the farther, §5.2."""
     out[0] = out[1] = out[2] = np.nan
-    vx, vy, vz, ax, ay, az = cone[0], cone[1], cone[2], cone[3], cone[4], cone[5]
+    vx, vy, vz, ax, ay, az = cone[0] - ox, cone[1] - oy, cone[2] - oz, cone[3], cone[4], cone[5]
     along = x * ax + y * ay + z * az
     va = -(vx * ax + vy * ay + vz * az)
     wv = -(x * vx + y * vy + z * vz)
@@ -158,4 +169,4 @@ def _meet(x, y, z, cone, cos2, out):  # type: ignore[no-untyped-def]
         if s > best and va + s * along > 0.0:
             best = s
     if best > 0.0:
-        out[0], out[1], out[2] = best * x, best * y, best * z
+        out[0], out[1], out[2] = ox + best * x, oy + best * y, oz + best * z

@@ -69,7 +69,7 @@ def test_the_compiled_cone_is_the_geometrys_cone():
     rays = rng.normal(size=(500, 3)) * [0.5, 0.5, 0.3] + [0, 0, 0.7]
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     cones = np.array([[*c.vertex_mm, *c.axis, c.half_angle] for c in cal.rings])
-    met = meet_rings(rays, cones)
+    met = meet_rings(np.zeros_like(rays), rays, cones)
     for k, cone in enumerate(cal.rings):
         truth, delta = intersect_cone(rays, cone)
         ok = delta > 5.0  # grazing rays are left out on purpose
