@@ -1,0 +1,202 @@
+"""Firmware images as a user flashes them: a UF2 or the linked ELF, read without running them and judged before a board
+is touched.
+
+    image = read_image(Path("annulus.uf2"))     # AnnulusError: not an image, for another board, incomplete, damaged
+    require_ours(image)                         # AnnulusError: sound, but not a controller this host can talk to
+
+Sources: UF2 specification (Microsoft); RP2040 datasheet §2.8.1 (boot sequence: 256 bytes of second stage, CRC32 in the
+last word) and §2.8.4.2 (which UF2 blocks the boot ROM takes).
+"""
+
+import re
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+from annulus.link.messages import PROTOCOL_VERSION, SCHEMA_HASH
+from annulus.vocabulary import AnnulusError
+
+BOARD = "rp2040"
+FLASH_START = 0x10000000
+FLASH_BYTES = 2 * 1024 * 1024  # of a Raspberry Pi Pico
+PAGE_BYTES, SECTOR_BYTES = 256, 4096
+BOOT2_BYTES = 256
+RAM_START, RAM_END = 0x20000000, 0x20042000
+
+_BLOCK_BYTES = 512
+_MAGIC = (0x0A324655, 0x9E5D5157, 0x0AB16F30)
+_NOT_MAIN_FLASH, _HAS_FAMILY = 0x0001, 0x2000
+FAMILY_RP2040 = 0xE48BFF56
+_FAMILIES = {  # of microsoft/uf2's list, those a user may have at hand
+    0xE48BFF57: "RP2350, absolute", 0xE48BFF58: "RP2350, data", 0xE48BFF59: "RP2350", 0xE48BFF5A: "RP2350, RISC-V",
+    0xE48BFF5B: "RP2350, non-secure", 0x68ED2B88: "SAMD21", 0x55114460: "SAMD51", 0xADA52840: "nRF52840",
+    0xBFDD4EEE: "ESP32-S2", 0xC47E5767: "ESP32-S3",
+}  # fmt: skip
+_PT_LOAD, _EM_ARM = 1, 40
+_IDENTITY = re.compile(rb"annulus (\w+) (\S+) (\S+) protocol (\d+)U? schema 0x([0-9A-Fa-f]{8})U?\0")
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """What an annulus image says of itself."""
+
+    board: str
+    version: str
+    git: str
+    protocol: int
+    schema: int
+
+    @property
+    def fits(self) -> bool:
+        """Whether this host speaks its protocol: otherwise it can only be diagnosed and flashed anew."""
+        return (self.protocol, self.schema) == (PROTOCOL_VERSION, SCHEMA_HASH)
+
+
+@dataclass(frozen=True, slots=True)
+class Image:
+    """Flash contents from FLASH_START on, whole pages; gaps are zero, as uf2.py fills them."""
+
+    name: str
+    data: bytes
+    identity: Identity | None  # None: somebody else's program
+
+    @property
+    def sectors(self) -> int:
+        return -(-len(self.data) // SECTOR_BYTES)
+
+
+def read_image(path: Path) -> Image:
+    """The image in a UF2 or ELF file, checked. AnnulusError says what is wrong with it."""
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise AnnulusError(
+            f"{path}: cannot be read ({error.strerror}), expected a UF2 or ELF. See make firmware."
+        ) from None
+    return parse_image(content, str(path))
+
+
+def parse_image(content: bytes, name: str) -> Image:
+    """As `read_image`, from bytes."""
+    if content[:4] == b"\x7fELF":
+        pages = _elf_pages(content, name)
+    elif content[:4] == struct.pack("<I", _MAGIC[0]):
+        pages = _uf2_pages(content, name)
+    else:
+        raise AnnulusError(f"{name}: neither UF2 nor ELF, expected firmware/build/annulus.uf2")
+    data = _flash(pages, name)
+    _require_bootable(data, name)
+    return Image(name, data, _identity(data))
+
+
+def require_ours(image: Image) -> None:
+    """AnnulusError unless it is an annulus controller for this board that this host can talk to."""
+    who = image.identity
+    if who is None:
+        raise AnnulusError(f"{image.name}: runs on an RP2040 but is no annulus firmware. --force flashes it anyway.")
+    if who.board != BOARD:
+        raise AnnulusError(f"{image.name}: annulus for board {who.board}, expected {BOARD}")
+    if not who.fits:
+        raise AnnulusError(
+            f"{image.name}: speaks protocol {who.protocol} schema {who.schema:08x}, this host {PROTOCOL_VERSION}"
+            f" {SCHEMA_HASH:08x}: it could not be armed. Take host and image from one release, or --force."
+        )
+
+
+def crc32_boot2(data: bytes) -> int:
+    """The boot ROM's over the second stage: polynomial 0x04C11DB7, MSB first, from all ones, not reflected."""
+    crc = 0xFFFFFFFF
+    for byte in data:
+        crc ^= byte << 24
+        for _ in range(8):
+            crc = (crc << 1) ^ (0x104C11DB7 if crc & 0x80000000 else 0)
+    return crc
+
+
+def _uf2_pages(content: bytes, name: str) -> dict[int, bytes]:
+    """Payloads by address. The file must be whole: the boot ROM would wait for a missing block for ever."""
+    if len(content) % _BLOCK_BYTES:
+        raise AnnulusError(f"{name}: truncated, {len(content)} bytes, expected a multiple of {_BLOCK_BYTES}")
+    pages: dict[int, bytes] = {}
+    numbers: set[int] = set()
+    blocks = len(content) // _BLOCK_BYTES
+    for at in range(0, len(content), _BLOCK_BYTES):
+        start0, start1, flags, address, size, number, count, family = struct.unpack_from("<8I", content, at)
+        where = f"{name}: block {at // _BLOCK_BYTES}"
+        if (start0, start1, struct.unpack_from("<I", content, at + 508)[0]) != _MAGIC:
+            raise AnnulusError(f"{where} is damaged, expected the marks of UF2")
+        if not flags & _HAS_FAMILY or family != FAMILY_RP2040:
+            board = _FAMILIES.get(family, f"family {family:08x}") if flags & _HAS_FAMILY else "no family"
+            raise AnnulusError(f"{name}: made for another board ({board}), expected RP2040")
+        if flags & _NOT_MAIN_FLASH:
+            raise AnnulusError(f"{where} is not for the main flash, expected nothing else in it")
+        if count != blocks or number >= count:
+            raise AnnulusError(f"{name}: incomplete, {blocks} of {count} blocks")
+        if number in numbers or address in pages:
+            raise AnnulusError(f"{where} comes twice, expected every block once")
+        if size != PAGE_BYTES or address % PAGE_BYTES:
+            raise AnnulusError(f"{where} holds {size} bytes for {address:08x}, expected whole pages of {PAGE_BYTES}")
+        numbers.add(number)
+        pages[address] = content[at + 32 : at + 32 + PAGE_BYTES]
+    return pages
+
+
+def _elf_pages(content: bytes, name: str) -> dict[int, bytes]:
+    """What a debugger would load into flash, cut into pages."""
+    try:
+        if content[4:6] != b"\x01\x01" or struct.unpack_from("<H", content, 18)[0] != _EM_ARM:
+            raise AnnulusError(f"{name}: an ELF for another processor, expected 32-bit ARM")
+        table, size, count = struct.unpack_from("<I", content, 28)[0], *struct.unpack_from("<HH", content, 42)
+        headers = [struct.unpack_from("<8I", content, table + i * size) for i in range(count)]
+    except struct.error:
+        raise AnnulusError(f"{name}: truncated, expected a whole ELF") from None
+    pages: dict[int, bytearray] = {}
+    for kind, offset, _, physical, in_file, _, _, _ in headers:
+        if kind != _PT_LOAD or in_file == 0:
+            continue
+        if offset + in_file > len(content):
+            raise AnnulusError(f"{name}: truncated, expected a whole ELF")
+        if physical < FLASH_START or physical + in_file > FLASH_START + FLASH_BYTES:
+            raise AnnulusError(f"{name}: loads {in_file} bytes to {physical:08x}, expected flash")
+        for i in range(in_file):
+            page = pages.setdefault((physical + i) & ~(PAGE_BYTES - 1), bytearray(PAGE_BYTES))
+            page[(physical + i) % PAGE_BYTES] = content[offset + i]
+    return {address: bytes(page) for address, page in pages.items()}
+
+
+def _flash(pages: dict[int, bytes], name: str) -> bytes:
+    if not pages:
+        raise AnnulusError(f"{name}: holds nothing for the flash")
+    first, last = min(pages), max(pages)
+    if first < FLASH_START or last + PAGE_BYTES > FLASH_START + FLASH_BYTES:
+        raise AnnulusError(
+            f"{name}: made for addresses {first:08x}..{last + PAGE_BYTES:08x}, expected flash from {FLASH_START:08x}"
+            f" to {FLASH_START + FLASH_BYTES:08x}"
+        )
+    if first != FLASH_START:
+        raise AnnulusError(f"{name}: begins at {first:08x}, expected the second stage at {FLASH_START:08x}")
+    empty = bytes(PAGE_BYTES)
+    return b"".join(pages.get(address, empty) for address in range(first, last + PAGE_BYTES, PAGE_BYTES))
+
+
+def _require_bootable(data: bytes, name: str) -> None:
+    """What the boot ROM checks, and whether there is a program behind the second stage."""
+    if len(data) < BOOT2_BYTES + 8:
+        raise AnnulusError(f"{name}: {len(data)} bytes hold no program")
+    found, wanted = struct.unpack_from("<I", data, BOOT2_BYTES - 4)[0], crc32_boot2(data[: BOOT2_BYTES - 4])
+    if found != wanted:
+        raise AnnulusError(
+            f"{name}: CRC of the second stage is {found:08x}, expected {wanted:08x}: it would never start"
+        )
+    stack, entry = struct.unpack_from("<2I", data, BOOT2_BYTES)
+    entry_ok = entry & 1 and FLASH_START <= entry < FLASH_START + len(data)
+    if not (RAM_START < stack <= RAM_END and stack % 4 == 0 and entry_ok):
+        raise AnnulusError(f"{name}: no vector table behind the second stage (stack {stack:08x}, entry {entry:08x})")
+
+
+def _identity(data: bytes) -> Identity | None:
+    match = _IDENTITY.search(data)
+    if match is None:
+        return None
+    board, version, git, protocol, schema = (part.decode("ascii", "replace") for part in match.groups())
+    return Identity(board, version, git, int(protocol), int(schema, 16))
