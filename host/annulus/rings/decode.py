@@ -1,6 +1,7 @@
 """Which ring each slit is: colours of both sides, order along the line, and a plausible wall must all agree."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,16 +17,33 @@ PLACE = 6.0  # price of a wall that is off by the whole tolerance: more than a s
 MARGIN = 0.1  # a label is given only if every rival reading of the line is worse by this
 
 
-def classify(side: FloatArray, colours: str) -> NDArray[np.uint8]:
+@dataclass(frozen=True, slots=True, eq=False)
+class StripeColours:
+    """gain (3,): of red, green, blue light, to make the channels equally strong. reference (C, 3): what each colour of
+    the pattern, in the order of "RGB", then looks like; unit length."""
+
+    gain: FloatArray
+    reference: FloatArray
+
+
+def classify(side: FloatArray, colours: str, seen: StripeColours | None = None) -> NDArray[np.uint8]:
     """(N, 3) BGR light of stripes -> (N,) index into "RGB", or UNKNOWN.
 
     Each channel the pattern uses is first scaled by its own bright level, which undoes most of what the wall's paint
     does; then the references move to what this frame's stripes really look like (crosstalk), and a stripe is named
-    after the nearest, if that is clear.
+    after the nearest, if that is clear. `seen` has both from before; without, this frame's own light tells.
     """
     if not len(side):
         return np.zeros(0, np.uint8)
     used = ["RGB".index(c) for c in "RGB" if c in colours]
+    if seen is None or len(seen.reference) != len(used):
+        seen = _learnt(side, used)
+    out = np.empty(len(side), np.uint8)
+    _name(side, seen.gain, seen.reference, np.array(used, np.uint8), out)
+    return out
+
+
+def _learnt(side: FloatArray, used: list[int]) -> StripeColours:
     some = np.ascontiguousarray(side[:: max(1, len(side) // 800), ::-1])  # enough to learn from
     gain = np.zeros(3)
     gain[used] = 1.0 / np.maximum(_quantile(some, 0.98)[used], 1e-6)
@@ -40,9 +58,7 @@ def classify(side: FloatArray, colours: str) -> NDArray[np.uint8]:
             if len(members) >= max(8, 0.02 * len(unit)):
                 middle = _quantile(members, 0.5)
                 reference[i] = middle / np.linalg.norm(middle)
-    out = np.empty(len(side), np.uint8)
-    _name(side, gain, reference, np.array(used, np.uint8), out)
-    return out
+    return StripeColours(gain, reference)
 
 
 def _quantile(rows: FloatArray, part: float) -> FloatArray:

@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 
 from annulus.geometry.calibration import Calibration
 from annulus.geometry.pose import FloatArray, Pose
+from annulus.rings.colour import ColourProfile
 from annulus.rings.compiled import compiled
 from annulus.rings.decode import NONE, UNKNOWN, classify, decode, readings
+from annulus.rings.order import Placed, by_order
 from annulus.rings.polar import polar_grid, unroll
 from annulus.rings.pose import Fit, fit_pose
 from annulus.rings.profile import Profile
@@ -39,7 +41,7 @@ class Reconstructor:
     >>> profile = reconstructor.profile(image_bgr, frame=17, z_mm=40.8, seed=last.pose)
     """
 
-    def __init__(self, calibration: Calibration, directions: int = 720) -> None:
+    def __init__(self, calibration: Calibration, directions: int = 720, *, colour: ColourProfile | None = None) -> None:
         if not 36 <= directions <= 4096:
             raise AnnulusError(f"{directions} polar directions, expected 36..4096")
         self.calibration = calibration
@@ -48,6 +50,7 @@ class Reconstructor:
         self._optics = ring_optics(calibration, self._grid)
         # (K,) mm: what a tenth of a pixel and the calibrated radius itself leave open
         self._expected = np.hypot(0.1 * self._optics.mm_per_px, 0.0005 * calibration.pipe_radius_mm)
+        self._colour = colour.seen() if colour is not None else None
 
     def profile(
         self,
@@ -82,7 +85,7 @@ class Reconstructor:
         marks.append(("polar", clock()))
         slits = find_slits(polar, self._grid)
         marks.append(("slits", clock()))
-        both = classify(np.vstack([slits.inside, slits.outside]), colours)
+        both = classify(np.vstack([slits.inside, slits.outside]), colours, self._colour)
         inside, outside = both[: len(slits.position)], both[len(slits.position) :]
         marks.append(("colours", clock()))
         points = triangulate(slits, self._grid, self._optics, readings(inside, outside, colours))
@@ -129,6 +132,11 @@ class Reconstructor:
             slits.direction[kept].astype(np.uint16), fitted.spread_mm, rejected, _spans(marks),
             self._expected[ring[kept]].astype(np.float32),
         )  # fmt: skip
+
+    def sightings(self, image_bgr: NDArray[np.uint8]) -> tuple[Slits, Placed | None]:
+        """A frame's slits, and which ring each is by its order alone; colours can be learnt from that."""
+        slits = find_slits(unroll(image_bgr, self._grid), self._grid)
+        return slits, by_order(slits, self._grid, self._optics, self._expected, self.calibration.pipe_radius_mm)
 
     def _fit(self, points: FloatArray, ring: NDArray[np.int64], seed: Pose | None, every: int = 1) -> Fit | None:
         kept = np.flatnonzero(ring != NONE)[::every]
