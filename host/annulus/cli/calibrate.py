@@ -86,3 +86,41 @@ def camera(
     if stale:
         print(f"warning    the rings in {out} were measured with the camera before this one: calibrate them again")
     print(f"written    {out}, {picture}")
+
+
+@app.command("colour", epilog="Example: annulus calibrate colour scans/yellow --calibration head-7.json -o yellow.json")
+def colour(
+    scan: Annotated[Path, typer.Argument(help="Scan folder or recording (.mcap); a few projector frames will do.")],
+    calibration: Annotated[Path, typer.Option(help="calibration.json of the head.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="File of the pipe's colours.")] = Path("colour.json"),
+    red_gain: Annotated[float, typer.Option(min=0.01, max=64.0, help="Red white-balance gain that was set.")] = 1.0,
+    blue_gain: Annotated[float, typer.Option(min=0.01, max=64.0, help="Blue white-balance gain that was set.")] = 1.0,
+    as_json: Json = False,
+) -> None:
+    """What the stripes look like on a pipe of this colour, and the white balance to set for it.
+
+    Give the file to `annulus reconstruct --colour`. Set the gains on the camera (ColourGains of Picamera2), white
+    balance off automatic, take frames again and learn again: then the weak channel is above the camera's noise.
+    """
+    from annulus.calibrate.colour import calibrate_colour
+    from annulus.record.calibration_file import save_part
+
+    with progress() as bars:
+        learnt = calibrate_colour(scan, calibration, camera_gains=(red_gain, blue_gain), progress=bars)
+    profile = learnt.profile
+    save_part(out, profile.to_dict())
+    if as_json:
+        print(json.dumps({**profile.to_dict(), "warnings": list(learnt.warnings), "file": str(out)}))
+        return
+    print(f"frames       {profile.frames} of {learnt.looked_at} showed every ring")
+    print("             stripe  red    green  blue")
+    for name, row, own in zip(("red", "green", "blue"), profile.crosstalk, profile.reflectance, strict=True):
+        print(f"{name:<12} sees    " + "  ".join(f"{value:5.3f}" for value in row) + f"   brings {100 * own:.0f} %")
+    before, after = profile.separation
+    print(f"separation   {before:.0f} degrees as they come, {after:.0f} with this profile (90 is perfect)")
+    before, after = profile.named
+    print(f"named right  {100 * before:.2f} % by their brightest channel, {100 * after:.2f} % with this profile")
+    print(f"set gains    red {profile.gains[0]:.2f}, blue {profile.gains[1]:.2f} (green 1)")
+    for warning in learnt.warnings:
+        print(f"warning      {warning}")
+    print(f"written      {out}")

@@ -2,13 +2,15 @@
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from annulus.geometry.calibration import FORMAT, Calibration, camera_from_dict
 from annulus.geometry.camera import Camera
 from annulus.vocabulary import AnnulusError
+
+Part = TypeVar("Part")
 
 SIZE_MAX = 4 << 20  # per-direction fine-tuning of a dozen rings stays far below
 
@@ -57,26 +59,43 @@ def save_calibration(path: Path, calibration: Calibration) -> None:
     _write(path, calibration.to_dict())
 
 
-def _read(path: Path) -> Any:
+def load_part(path: Path, parse: Callable[[object], Part], made_by: str) -> Part:
+    """A file beside the calibration (a pipe's colours, a reference), parsed by what raises ValueError naming the key.
+
+    made_by: the command that makes such files. Raises AnnulusError naming file and key.
+    """
+    data = _read(path, f"a file made by `{made_by}`")
+    try:
+        return parse(data)
+    except (ValueError, RecursionError) as error:
+        raise AnnulusError(
+            f"{path}: {str(error) or 'too deeply nested'}. Expected a file made by `{made_by}`."
+        ) from None
+
+
+def save_part(path: Path, data: Mapping[str, Any]) -> None:
+    """Write such a file whole or not at all. Raises AnnulusError when it cannot be written."""
+    _write(path, data)
+
+
+def _read(path: Path, expected: str = "the calibration.json of the head that scanned") -> Any:
     try:
         with path.open("rb") as file:
             data = file.read(SIZE_MAX + 1)
     except FileNotFoundError:
-        raise AnnulusError(f"{path}: no such file. Expected the calibration.json of the head that scanned.") from None
+        raise AnnulusError(f"{path}: no such file. Expected {expected}.") from None
     except IsADirectoryError:
-        raise AnnulusError(f"{path}: is a folder. Expected a calibration.json.") from None
+        raise AnnulusError(f"{path}: is a folder. Expected {expected}.") from None
     except OSError as error:
-        raise AnnulusError(f"{path}: cannot be read ({error.strerror}). Expected a calibration.json.") from None
+        raise AnnulusError(f"{path}: cannot be read ({error.strerror}). Expected {expected}.") from None
     if len(data) > SIZE_MAX:
-        raise AnnulusError(f"{path}: larger than {SIZE_MAX >> 20} MiB. Expected a calibration.json.")
+        raise AnnulusError(f"{path}: larger than {SIZE_MAX >> 20} MiB. Expected {expected}.")
     try:
         return json.loads(data.decode("utf-8-sig"))
     except json.JSONDecodeError as error:
-        raise AnnulusError(
-            f"{path}: line {error.lineno}: not JSON ({error.msg}). Expected a calibration.json."
-        ) from None
+        raise AnnulusError(f"{path}: line {error.lineno}: not JSON ({error.msg}). Expected {expected}.") from None
     except UnicodeDecodeError:
-        raise AnnulusError(f"{path}: not a text file. Expected a calibration.json.") from None
+        raise AnnulusError(f"{path}: not a text file. Expected {expected}.") from None
     except RecursionError:
         raise AnnulusError(f"{path}: too deeply nested.") from None
 

@@ -20,6 +20,7 @@ from annulus.rings.slits import Slits
 
 FORMAT = "annulus-colour/1"
 LEAST = 50  # stripe sightings of each colour
+FULL = 235.0  # grey levels above black: the mean beside a slit of a stripe that reaches full scale
 GAIN_MOST = 8.0  # of a channel; beyond it a camera raises hardly anything but noise
 DIFFERS = 1.8  # a channel's share of the light changed by this factor is another paint or another white balance
 
@@ -30,10 +31,12 @@ Triple = tuple[float, float, float]
 @dataclass(frozen=True, slots=True, eq=False)
 class Stripes:
     """Light of stripes beside slits, made comparable: light (N, 3) red green blue, grey levels as on the outermost
-    slit, the slit's own darkness taken off; colour (N,) index into "RGB" of the stripe by its place."""
+    slit, the slit's own darkness taken off; colour (N,) index into "RGB" of the stripe by its place; clipped (N,): a
+    channel was at full scale, its light is a lower limit."""
 
     light: FloatArray
     colour: NDArray[np.int64]
+    clipped: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,8 +115,11 @@ def stripes(slits: Slits, placed: Placed, calibration: Calibration) -> Stripes:
     fall /= fall[-1]
     named = np.flatnonzero(placed.ring != NONE)
     ring = placed.ring[named]
-    light = np.vstack([slits.inside[named], slits.outside[named]])[:, ::-1] / np.tile(fall[ring], 2)[:, None]
-    return Stripes(light, np.concatenate([pattern[ring], pattern[ring + 1]]))
+    light = np.vstack([slits.inside[named], slits.outside[named]])[:, ::-1]
+    return Stripes(
+        light / np.tile(fall[ring], 2)[:, None], np.concatenate([pattern[ring], pattern[ring + 1]]),
+        light.max(axis=1) >= FULL,
+    )  # fmt: skip
 
 
 def learn(seen: Sequence[Stripes], camera_gains: tuple[float, float] = (1.0, 1.0)) -> ColourProfile:
@@ -123,10 +129,13 @@ def learn(seen: Sequence[Stripes], camera_gains: tuple[float, float] = (1.0, 1.0
     """
     light = np.concatenate([one.light for one in seen])
     colour = np.concatenate([one.colour for one in seen])
+    whole = ~np.concatenate([one.clipped for one in seen])
     mixture = np.zeros((3, 3))  # channel, stripe
     used = [s for s in range(3) if (colour == s).any()]
     for s in used:
-        mine = light[colour == s]
+        mine = light[(colour == s) & whole]
+        if len(mine) < LEAST:  # all of it at full scale: its own channel is then known as a lower limit
+            mine = light[colour == s]
         if len(mine) < LEAST:
             raise ValueError(f"{'RGB'[s]} stripes were seen {len(mine)} times, at least {LEAST} are needed")
         mixture[:, s] = np.median(mine, axis=0)
