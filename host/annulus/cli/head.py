@@ -86,7 +86,10 @@ def clear(port: Port) -> None:
 )
 def burst(
     port: Port,
-    code: Annotated[str, typer.Option(help="single, mpsl25, mpsl25-stuffed, barker13, manchester1, manchester2.")],
+    code: Annotated[
+        str,
+        typer.Option(help="single, mpsl25, mpsl25-stuffed, barker13, manchester1, manchester2, or a text of 0 and 1."),
+    ],
     chip_us: Annotated[float, typer.Option(help="Length of a chip, us: 0.1 to 30.")] = 0.5,
     repeat: Annotated[int, typer.Option(min=1, max=65535, help="Bursts.")] = 1,
     period_us: Annotated[float, typer.Option(help="Chip 0 to chip 0, us.")] = 1000.0,

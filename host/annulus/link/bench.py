@@ -8,6 +8,7 @@ from collections.abc import Callable
 from annulus.link.client import Client
 from annulus.link.head import LATCHING
 from annulus.link.messages import (
+    CHIPS_MAX,
     TICK_HZ,
     Arm,
     ArmFlag,
@@ -22,6 +23,7 @@ from annulus.link.messages import (
     Edge,
     Fault,
     FaultCode,
+    Pattern,
     Stage,
     StageReply,
     StateFlag,
@@ -128,11 +130,14 @@ def fire_burst(
 ) -> dict[str, object]:
     """Arm the microwave, fire, wait for the end of the train, disarm.
 
+    code : a built-in one's name, or a text of 0 and 1, which is uploaded.
+
     Raises AnnulusError for a code nobody knows, a refusal (interlock, limits), or a fault that cut the train off.
     """
     names = {c.name.lower().replace("_", "-"): c for c in BurstCode if c is not BurstCode.UPLOADED}
-    if code not in names:
-        raise AnnulusError(f"--code {code!r}: expected one of {', '.join(names)}")
+    own = _pattern(code) if code and not set(code) - {"0", "1"} else None
+    if code not in names and own is None:
+        raise AnnulusError(f"--code {code!r}: expected one of {', '.join(names)}, or a text of 0 and 1")
     for option, us, low, high in (
         ("--chip-us", chip_us, 0.1, 30.0),
         ("--period-us", period_us, 1.0, 4e7),
@@ -141,13 +146,15 @@ def fire_burst(
         if not low <= us <= high:
             raise AnnulusError(f"{option} {us:g}: expected {low:g}..{high:g}")
     burst = Burst(
-        code=names[code],
+        code=names.get(code, BurstCode.UPLOADED),
         chip=round(chip_us * TICKS_PER_US),
         repeat=repeat,
         period=round(period_us * TICKS_PER_US),
         trigger_offset=round(offset_us * TICKS_PER_US),
     )
     with Client(port) as client:
+        if own is not None:
+            client.request(own)
         client.request(Arm(ArmFlag.MICROWAVE))
         try:
             reply = client.request(burst)
@@ -165,6 +172,12 @@ def fire_burst(
             "period_us": burst.period / TICKS_PER_US,
             "train_us": (done.tick - reply.start) % U32 / TICKS_PER_US,
         }
+
+
+def _pattern(bits: str) -> Pattern:
+    if len(bits) > CHIPS_MAX:
+        raise AnnulusError(f"--code: {len(bits)} chips, expected {CHIPS_MAX} at most")
+    return Pattern(len(bits), int(bits[::-1], 2).to_bytes(CHIPS_MAX // 8, "little"))  # chip 0 is bit 0 of byte 0
 
 
 def _wait_for_train(client: Client, port: str, patience_s: float) -> BurstDone:
