@@ -170,8 +170,8 @@ def enter_boot_loader(port: str) -> None:
         answer = client.ask(Bootloader(BOOTLOADER_MAGIC))
         if answer is None:
             raise AnnulusError(
-                f"{port}: this firmware knows no way into the boot loader. Hold BOOTSEL while plugging the board in, and"
-                " flash without --port."
+                f"{port}: this firmware knows no way into the boot loader. Hold BOOTSEL while plugging the board in,"
+                " and flash without --port."
             )
         if answer.reply.status is StatusCode.BAD_STATE:
             raise AnnulusError(
@@ -281,9 +281,7 @@ def copy_to_drive(image: Image, drive: Path, *, progress: Progress | None = None
         if written < len(content) - step:
             raise AnnulusError(f"{target}: broke off after {written} bytes ({error.strerror}). Flash again.") from None
     if not _wait(lambda: not _is_drive(drive), TAKE_S):
-        raise AnnulusError(
-            f"{drive}: still there {TAKE_S:g} s after the copy: the board did not take it, expected a restart. Try again."
-        )
+        raise AnnulusError(f"{drive}: still there {TAKE_S:g} s after the copy: the board did not take it. Try again.")
 
 
 # ---- watching --------------------------------------------------------------------------------------------------------

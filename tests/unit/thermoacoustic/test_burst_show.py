@@ -40,7 +40,7 @@ def test_json_has_the_numbers() -> None:
 
 
 def test_what_the_controller_would_refuse_ends_with_one_line() -> None:
-    with pytest.raises(AnnulusError, match="would refuse this: shortest pulse 0.1 us, expected 0.3..30 us"):
+    with pytest.raises(AnnulusError, match=r"would refuse this: shortest pulse 0\.1 us, expected 0\.3\.\.30 us"):
         show("101", "--chip-us", "0.1")
     with pytest.raises(AnnulusError, match="duty 500 permille, expected 50 permille at most"):
         show("1", "--chip-us", "5", "--period-us", "10")
