@@ -1,0 +1,270 @@
+"""From the pressure on a circle to the source inside it: time reversal, back-projection, the speed of sound."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from annulus.thermoacoustic.field import PML_CELLS, Grid, Medium, Solver, receivers, rim, time_step_s
+from annulus.thermoacoustic.sweep import Sweep, gaps_deg
+from annulus.vocabulary import AnnulusError
+
+GRID_MAX = 1024  # cells a side; beyond, a finer pixel is refused instead of computed for an hour
+CELLS_PER_WAVE = 2.4  # of the highest frequency that matters
+ENERGY = 0.99  # of the sound lies below that frequency
+WORTH = 0.98  # a refinement brings the misfit below this part of the last, or it is not kept
+AGREEMENT = 0.1  # least correlation between opposite halves at the right speed of sound
+TAIL = 1.15  # times the way across: sound in a plane has a tail
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Image:
+    """`values` [y, x] in the unit of the signals; NaN outside the circle of receivers."""
+
+    values: NDArray[np.float32]
+    x_mm: NDArray[np.float64]
+    y_mm: NDArray[np.float64]
+    method: str
+    sound_speed_m_s: float
+    misfit: tuple[float, ...] = ()  # relative, of the data after each refinement
+
+
+def pixel_mm(sweep: Sweep) -> float:
+    """The pixel that the sweep's bandwidth asks for, no smaller than GRID_MAX allows."""
+    spectrum = (np.abs(scipy.fft.rfft(sweep.signals - sweep.signals.mean(axis=1, keepdims=True), axis=1)) ** 2).sum(
+        axis=0
+    )
+    spectrum = np.maximum(spectrum - np.median(spectrum[len(spectrum) // 2 :]), 0.0)  # the noise's part
+    below = np.cumsum(spectrum)
+    highest = float(np.searchsorted(below, ENERGY * below[-1])) if below[-1] > 0 else len(spectrum) / 4
+    frequency = max(highest, 1.0) * sweep.sampling_rate_hz / sweep.signals.shape[1]
+    wanted = 1e3 * sweep.sound_speed_m_s / (CELLS_PER_WAVE * frequency)
+    return float(np.clip(wanted, _least_pixel(sweep), sweep.radius_mm / 40))
+
+
+def time_reversal(
+    sweep: Sweep,
+    *,
+    pixel: float | None = None,
+    refinements: int = 0,
+    nonnegative: bool = False,
+    progress: Progress | None = None,
+) -> Image:
+    """Initial pressure by re-emission from the full circle, missing positions interpolated (Alzuhiri 2022, §8.3).
+
+    Parameters
+    ----------
+    pixel : mm, default `pixel_mm(sweep)`.
+    refinements : Neumann iterations, at most: what the image would have sounded like at the measured positions is
+        compared with what was heard, and the difference reversed in turn. Makes up for holes in the circle; one that
+        does not bring the data nearer is not kept.
+    nonnegative : during refinement; absorbed power cannot be negative. Not for band-limited data.
+
+    Nothing is interpolated across a hole of the circle (`sweep.gaps_deg`): there nothing is emitted.
+    """
+    if len(sweep.signals) < 3:
+        raise AnnulusError(f"{len(sweep.signals)} usable positions, expected at least 3 for an image")
+    dx = pixel_mm(sweep) if pixel is None else pixel
+    if dx < _least_pixel(sweep):
+        raise AnnulusError(
+            f"a pixel of {dx:g} mm makes more than {GRID_MAX} cells across {2 * sweep.radius_mm:g} mm, "
+            f"expected at least {_least_pixel(sweep):.3g} mm"
+        )
+    side = scipy.fft.next_fast_len(math.ceil(2 * sweep.radius_mm / dx) + 2 * PML_CELLS + 8, real=True)
+    grid, medium = Grid((side, side), dx), Medium(sweep.sound_speed_m_s)
+    solver = Solver(grid, medium, time_step_s(grid, medium))
+    steps = math.ceil(TAIL * 2 * sweep.radius_mm * 1e-3 / sweep.sound_speed_m_s / solver.dt_s) + 1
+    heard = _resampled(sweep, solver.dt_s, steps)
+    cells, angles = rim(grid, sweep.radius_mm)
+    order = np.argsort(np.mod(sweep.angles_deg, 360.0), kind="stable")
+    turn = np.mod(sweep.angles_deg, 360.0)[order]
+    spoken = ~_in_hole(np.degrees(angles), gaps_deg(turn))
+    cells, angles = cells[spoken], angles[spoken]
+    ears = receivers(grid, sweep.positions_mm)
+    inside = np.hypot(*np.meshgrid(grid.y_mm, grid.x_mm, indexing="ij")) < sweep.radius_mm - dx
+    total = 2 * refinements + 1
+
+    def stage(n: int) -> Callable[[int, int], None]:
+        return lambda done, of: progress("imaging", n * of + done, total * of) if progress else None
+
+    def emitted(traces: NDArray[np.float64], n: int) -> NDArray[np.floating]:
+        return solver.reverse(_onto_rim(traces[order], turn, np.degrees(angles)), cells, stage(n))
+
+    estimate = np.where(inside, emitted(heard, 0), 0.0)
+    misfit: list[float] = []
+    last = estimate
+    for n in range(refinements):
+        rest = heard - solver.forward(estimate, ears, steps, progress=stage(2 * n + 1))
+        misfit.append(float(np.linalg.norm(rest) / max(float(np.linalg.norm(heard)), 1e-300)))
+        if n and misfit[-1] > WORTH * misfit[-2]:
+            estimate = last  # what is left does not come from inside: more would only draw noise
+            break
+        last = estimate
+        estimate = np.where(inside, estimate + emitted(rest, 2 * n + 2), 0.0)
+        if nonnegative:
+            estimate = np.maximum(estimate, 0.0)
+    if progress:
+        progress("imaging", 1, 1)
+    name = "time reversal" + (f", {len(misfit)} refinements" if misfit else "")
+    return _cropped(np.where(inside, estimate, np.nan), grid, sweep, name, tuple(misfit))
+
+
+def back_projection(sweep: Sweep, *, pixel: float | None = None, reach_mm: float | None = None) -> Image:
+    """A quick look: universal back-projection, b = 2 (p - t dp/dt) (Xu and Wang, Phys. Rev. E 71, 2005).
+
+    Each position counts with the arc that it stands for. reach_mm : half-width of the image, default the whole circle.
+    """
+    dx = pixel_mm(sweep) if pixel is None else pixel
+    reach = sweep.radius_mm if reach_mm is None else reach_mm
+    half = math.floor(reach / dx)
+    axis = np.arange(-half, half + 1).astype(np.float64) * dx
+    y, x = np.meshgrid(axis, axis, indexing="ij")
+    inside = np.hypot(x, y) < sweep.radius_mm
+    times = sweep.times_s
+    slope = np.gradient(sweep.signals, 1.0 / sweep.sampling_rate_hz, axis=1)
+    source = 2.0 * (sweep.signals - times * slope)
+    arcs = _arcs(sweep.angles_deg)
+    total = np.zeros(np.count_nonzero(inside))
+    for (px, py), trace, arc in zip(sweep.positions_mm, source, arcs, strict=True):
+        way = np.hypot(x[inside] - px, y[inside] - py) * 1e-3 / sweep.sound_speed_m_s
+        total += arc * np.interp(way, times, trace, left=0.0, right=0.0)
+    values = np.full(x.shape, np.nan, np.float32)
+    values[inside] = total / arcs.sum()
+    return Image(
+        values,
+        np.asarray(axis, np.float64),
+        np.asarray(axis, np.float64),
+        "universal back-projection",
+        sweep.sound_speed_m_s,
+    )
+
+
+def search_sound_speed(
+    sweep: Sweep, low_m_s: float, high_m_s: float, progress: Progress | None = None
+) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
+    """The speed of sound at which halves of the circle agree best: (speed, speeds tried, their agreement).
+
+    Agreement is the correlation between quick looks from opposite half circles, averaged over four ways to halve it: at
+    a wrong speed the same edge lies at two places. Sound in a plane trails its wavefront by half a derivative, which is
+    put back first, else the speed would read 1.6 % low. A maximum at an end of the range is no maximum and is refused.
+    """
+    if not 100 <= low_m_s < high_m_s <= 10_000:
+        raise AnnulusError(f"a range of {low_m_s:g}..{high_m_s:g} m/s, expected two rising speeds in 100..10000")
+    if len(sweep.signals) < 12 or any(stop - start > 120.0 for start, stop in gaps_deg(sweep.angles_deg)):
+        raise AnnulusError(
+            "the speed of sound cannot be searched: expected at least 12 positions and no hole over 120 deg"
+        )
+    dx = max(pixel_mm(sweep), sweep.radius_mm / 72)
+    samples = 2 * sweep.signals.shape[1]
+    frequency = scipy.fft.rfftfreq(samples, 1 / sweep.sampling_rate_hz)
+    limit = 0.5 * (low_m_s + high_m_s) / (4e-3 * dx)
+    shape = np.sqrt(frequency) * np.exp(0.25j * math.pi - 0.7 * (frequency / limit) ** 2)
+    signals = scipy.fft.irfft(scipy.fft.rfft(sweep.signals, samples, axis=1) * shape, samples, axis=1)
+    sharp = replace(sweep, signals=signals[:, : sweep.signals.shape[1]])
+    halves = [np.cos(np.radians(sweep.angles_deg - way)) > 0 for way in (0, 45, 90, 135)]
+    tried: dict[float, float] = {}
+
+    def agreement(speed: float) -> float:
+        total = 0.0
+        at = replace(sharp, sound_speed_m_s=speed)
+        for half in halves:
+            looks = [
+                back_projection(at.only(part), pixel=dx, reach_mm=0.8 * sweep.radius_mm).values
+                for part in (half, ~half)
+            ]
+            a, b = (np.nan_to_num(look).ravel().astype(float) for look in looks)
+            total += float(a @ b / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-300)) / len(halves)
+        tried[speed] = total
+        if progress:
+            progress("speed of sound", len(tried), len(speeds) + 9)
+        return total
+
+    speeds = np.linspace(low_m_s, high_m_s, 21)
+    found = [agreement(float(speed)) for speed in speeds]
+    best = int(np.argmax(found))
+    if best in (0, len(speeds) - 1):
+        raise AnnulusError(
+            f"halves of the circle agree best at the end of {low_m_s:g}..{high_m_s:g} m/s, at {speeds[best]:.0f} m/s: "
+            "widen the range, or check sampling rate and radius"
+        )
+    if found[best] < AGREEMENT:
+        raise AnnulusError(
+            f"halves of the circle never agree in {low_m_s:g}..{high_m_s:g} m/s (correlation {found[best]:.2f}): "
+            "widen the range, or check sampling rate and radius"
+        )
+    fine = np.linspace(speeds[best - 1], speeds[best + 1], 9)
+    values = [tried.get(float(speed)) or agreement(float(speed)) for speed in fine]
+    bend = np.polynomial.polynomial.polyfit(fine - speeds[best], values, 2)
+    top = speeds[best] - bend[1] / (2 * bend[2]) if bend[2] < 0 else fine[int(np.argmax(values))]
+    order = np.argsort(list(tried))
+    return (
+        float(np.clip(top, fine[0], fine[-1])),
+        np.array(list(tried))[order],
+        np.array(list(tried.values()))[order],
+    )
+
+
+def _least_pixel(sweep: Sweep) -> float:
+    return 2 * sweep.radius_mm / (GRID_MAX - 2 * PML_CELLS - 8)
+
+
+def _resampled(sweep: Sweep, dt_s: float, steps: int) -> NDArray[np.float64]:
+    """Traces on the solver's clock from time 0; zero where nothing was recorded. No wave shorter than two cells."""
+    signals = sweep.signals
+    if dt_s * sweep.sampling_rate_hz > 1.0:  # fewer samples than there are: what lies above must not fold back
+        spectrum = scipy.fft.rfft(signals, axis=1)
+        frequency = scipy.fft.rfftfreq(signals.shape[1], 1 / sweep.sampling_rate_hz)
+        spectrum *= 0.5 - 0.5 * np.cos(math.pi * np.clip((0.5 / dt_s - frequency) / (0.1 / dt_s), 0.0, 1.0))
+        signals = scipy.fft.irfft(spectrum, n=signals.shape[1], axis=1)
+    at = np.arange(steps) * dt_s
+    times = sweep.times_s
+    out = np.zeros((len(signals), steps))
+    held = (at >= times[0]) & (at <= times[-1])
+    if np.count_nonzero(held) < 16:
+        raise AnnulusError(
+            f"the record covers {1e6 * times[0]:.2f}..{1e6 * times[-1]:.2f} us, none of the {1e6 * at[-1]:.1f} us "
+            "in which sound from inside the circle arrives: check t0, sampling rate and radius"
+        )
+    out[:, held] = CubicSpline(times, signals, axis=1)(at[held])
+    return out
+
+
+def _onto_rim(
+    traces: NDArray[np.float64], turn_deg: NDArray[np.float64], rim_deg: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Between positions by a periodic cubic spline over the angle; equal angles are averaged."""
+    angles, first, count = np.unique(turn_deg, return_index=True, return_counts=True)
+    values = np.add.reduceat(traces, first, axis=0) / count[:, None]
+    around = np.append(angles, angles[0] + 360.0)
+    spline = CubicSpline(around, np.vstack([values, values[:1]]), axis=0, bc_type="periodic")
+    return np.asarray(spline(np.mod(rim_deg - angles[0], 360.0) + angles[0]))
+
+
+def _in_hole(angles_deg: NDArray[np.float64], holes: list[tuple[float, float]]) -> NDArray[np.bool_]:
+    inside = np.zeros(len(angles_deg), bool)
+    for start, stop in holes:
+        inside |= (np.mod(angles_deg - start, 360.0) > 0) & (np.mod(angles_deg - start, 360.0) < stop - start)
+    return inside
+
+
+def _arcs(angles_deg: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Half the way to both neighbours, radians; a hole counts as the usual spacing."""
+    turn = np.radians(np.mod(angles_deg, 360.0))
+    order = np.argsort(turn, kind="stable")
+    step = np.diff(np.append(turn[order], turn[order[0]] + 2 * math.pi))
+    step = np.minimum(step, 2.5 * np.median(step)) if len(step) > 2 else step
+    arcs = np.empty(len(turn))
+    arcs[order] = 0.5 * (step + np.roll(step, 1))
+    return arcs
+
+
+def _cropped(values: NDArray[np.float64], grid: Grid, sweep: Sweep, method: str, misfit: tuple[float, ...]) -> Image:
+    kept = [np.flatnonzero(np.abs(axis) <= sweep.radius_mm) for axis in (grid.y_mm, grid.x_mm)]
+    part = values[kept[0][0] : kept[0][-1] + 1, kept[1][0] : kept[1][-1] + 1].astype(np.float32)
+    return Image(part, grid.x_mm[kept[1]], grid.y_mm[kept[0]], method, sweep.sound_speed_m_s, misfit)
