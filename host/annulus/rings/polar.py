@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass
-from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -16,21 +15,13 @@ from annulus.rings.compiled import compiled
 from annulus.vocabulary import AnnulusError
 
 ACROSS = 0.85  # standard deviation, in directions, of the average over neighbouring lines: weights 1, 2, 1
-SECTORS = 8  # the image's part under one of them fits a core's second cache
-CACHE_LINE = 64  # bytes
+PROBE_LINES, PROBE_PX = 16, 4  # how coarse the first look at a frame is
+LIT, LIT_MARGIN = 0.02, 16  # light is more than this part of the bright level; samples kept around it
+WEAK, RAISED_MOST = 2.5, 4.0  # a channel so many times weaker than the strongest is raised, by so much at most
 RAY_STEP_PX = 2  # rays are tabulated this often: linear interpolation between is good to 1e-6 rad
 TILT = math.radians(4.0)  # how far the head may lean and ..
 SHIFT = 0.1  # .. stand off the pipe's axis (of the radius) for its rings to be searched
 DENT, BULGE = 0.75, 1.3  # and how far the wall may be from its radius
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Sector:
-    """Neighbouring lines, and which bytes of the image they read: one run in each image row they cross."""
-
-    lines: slice  # of the grid's map
-    starts: NDArray[np.int64]
-    stops: NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,7 +43,6 @@ class PolarGrid:
     origins: NDArray[np.float64] | None  # the same shape, mm, where the rays start; None: all in the camera's centre
     map_xy: NDArray[np.int16]  # (J + 2, L, 2) cv2's fixed-point map: SIMD, half the time of a float map, 1/32 px;
     map_part: NDArray[np.uint16]  # (J + 2, L) it begins with the last line and ends with the first, for averages
-    sectors: list[Sector]
     spacing_px: float  # least distance between two neighbouring rings in a clean pipe
 
     def pixels(self, direction: NDArray[np.int64], position: FloatArray) -> FloatArray:
@@ -113,31 +103,83 @@ def lay_grid(
     closed = np.arange(-1, directions + 1) % directions
     maps = cv2.convertMaps(x[closed].astype(np.float32), y[closed].astype(np.float32), cv2.CV_16SC2)
     map_xy, map_part = np.asarray(maps[0], np.int16), np.asarray(maps[1], np.uint16)
-    edges = np.linspace(0, directions + 2, SECTORS + 1).astype(int)
-    sectors = [_sector(camera, map_xy, slice(a, b)) for a, b in pairwise(edges)]
     return PolarGrid(
         (float(centre[0]), float(centre[1])), first, step, cosine, sine, stop, np.nan_to_num(rays),
-        None if camera.central else np.nan_to_num(origins), map_xy, map_part, sectors, spacing,
+        None if camera.central else np.nan_to_num(origins), map_xy, map_part, spacing,
     )  # fmt: skip
 
 
-def unroll(image: NDArray[np.uint8], grid: PolarGrid) -> NDArray[np.uint8]:
-    """(H, W, 3) frame -> (J, L, 3): one row a direction, one column a pixel's step along it; black outside.
+@dataclass(frozen=True, slots=True, eq=False)
+class Unrolled:
+    """One frame along the grid's lines: the strongest of its channels, for where slits are; their colours stay in the
+    image and are read only where slits were found."""
+
+    image: NDArray[np.uint8]  # (H, W, 3) BGR, as it came
+    top: NDArray[np.uint8]  # (J, B - A) samples A .. B of every line; outside of them nothing is lit
+    first: int  # A
+    bright: float  # the frame's bright level and ..
+    noise: float  # .. the noise of `top`, grey levels
+
+
+def unroll(image: NDArray[np.uint8], grid: PolarGrid) -> Unrolled:
+    """Lay a frame (H, W, 3) out: one row a direction, one column a pixel's step along it.
+
+    The strongest channel is taken in the image, so that one plane is interpolated and not three. That pass also fetches
+    the frame in the order of memory: a fresh one is in no cache, and lines that cross its rows would wait for nearly
+    every sample. A channel that the wall's paint swallows (blue, on a yellow pipe) is raised for this, black taken off,
+    or its stripes would be darkness beside the others.
 
     Each line is averaged with its two neighbours: less noise where stripes are dim, and nothing is lost along the line,
     where a slit's place is read. Wider averages would carry light into the shadows of rods.
-
-    A fresh frame lies in main memory, and lines that cross its rows would wait for nearly every sample. So each sector
-    first fetches its part of the image in the order of memory, which the processor sees coming.
     """
     image = np.ascontiguousarray(image)
-    lines = np.empty((*grid.map_part.shape, 3), np.uint8)
-    for sector in grid.sectors:
-        part = sector.lines
-        _fetch(image.reshape(-1), sector.starts, sector.stops)
-        cv2.remap(image, grid.map_xy[part], grid.map_part[part], cv2.INTER_LINEAR, dst=lines[part])
-    averaged = cv2.GaussianBlur(lines.reshape(len(lines), -1), (1, 3), sigmaX=1.0, sigmaY=ACROSS)[1:-1]
-    return np.asarray(averaged, np.uint8).reshape(-1, *lines.shape[1:])
+    height, width = image.shape[:2]
+    black, gain, start, stop = _lit(image, grid)
+    plane = np.empty((height, width), np.uint8)
+    ends = grid.first + grid.step * start, grid.first + grid.step * stop
+    _strongest(image.reshape(-1), width, *grid.centre, min(ends) - 3.0, max(ends) + 3.0, black, gain, plane.reshape(-1))
+    part = (slice(None), slice(start, stop))
+    lines = cv2.remap(plane, grid.map_xy[part], grid.map_part[part], cv2.INTER_LINEAR)
+    top = np.asarray(cv2.GaussianBlur(lines, (1, 3), sigmaX=1.0, sigmaY=ACROSS)[1:-1], np.uint8)
+    return Unrolled(image, top, start, *_level(top, grid.stop - start))
+
+
+def _lit(image: NDArray[np.uint8], grid: PolarGrid) -> tuple[NDArray[np.int32], NDArray[np.int32], int, int]:
+    """What a coarse look at the frame says: (3,) black levels, (3,) gains in 1/64, and the samples from where to where
+    there is light. A slit has light on both sides, so there is none outside."""
+    counted = np.zeros((3, 256), np.int64)
+    _probe(image, grid.map_xy, grid.stop, counted)
+    counted = np.cumsum(counted, axis=1)
+    black, full = (np.array([np.searchsorted(c, part * c[-1]) for c in counted]) for part in (0.02, 0.97))
+    light = np.maximum(full - black, 1)
+    gain = light.max() / light
+    gain = np.where(gain > WEAK, np.rint(64 * np.minimum(gain, RAISED_MOST)), 64).astype(np.int32)
+    black = np.where(gain > 64, black, 0).astype(np.int32)
+    start, stop = _light_range(image, grid.map_xy, grid.stop, black, gain, int(64 * max(LIT * light.max(), 2.0)))
+    length = grid.map_xy.shape[1]
+    start = max(min(start - LIT_MARGIN, length - 16), 0)
+    return black, gain, start, max(min(stop + LIT_MARGIN, length), start + 16)
+
+
+def _level(top: NDArray[np.uint8], stop: NDArray[np.int64]) -> tuple[float, float]:
+    """The frame's bright level and noise in grey levels, from every 24th line and every third sample along it."""
+    inside = np.arange(1, top.shape[1], 3) < stop[::24, None]
+    values = top[::24, 1::3][inside]
+    if not values.size:
+        return 0.0, 0.0
+    counted = np.cumsum(np.bincount(values, minlength=256))
+    half, bright = np.searchsorted(counted, (0.5 * counted[-1], 0.95 * counted[-1]))
+    # the darker half of the samples holds few edges
+    step = np.abs(values.astype(np.int16) - top[::24, 0:-1:3][:, : inside.shape[1]][inside])[values <= half]
+    return float(bright), 1.4826 / math.sqrt(2) * _median(step)
+
+
+def _median(steps: NDArray[np.int16]) -> float:
+    """Of whole numbers below 256, as if each were spread evenly over its unit."""
+    counts = np.bincount(steps, minlength=256)
+    counted = np.cumsum(counts)
+    at = int(np.searchsorted(counted, 0.5 * counted[-1]))
+    return float(max(at - 0.5 + (0.5 * counted[-1] - counted[at] + counts[at]) / counts[at], 0.0))
 
 
 def ring_pixels(camera: Camera, cone: Cone, pose: Pose, radius_mm: float, steps: int = 180) -> FloatArray:
@@ -158,17 +200,6 @@ def ring_pixels(camera: Camera, cone: Cone, pose: Pose, radius_mm: float, steps:
     return np.where(inside[:, None], pixels, np.nan)
 
 
-def _sector(camera: Camera, map_xy: NDArray[np.int16], lines: slice) -> Sector:
-    x, y = (map_xy[lines, :, axis].ravel().astype(np.int64) for axis in (0, 1))
-    inside = (x >= 0) & (x < camera.width - 1) & (y >= 0) & (y < camera.height - 1)
-    least, most = np.full(camera.height, camera.width), np.zeros(camera.height, np.int64)
-    for row in (y[inside], y[inside] + 1):  # a sample is interpolated between four pixels
-        np.minimum.at(least, row, x[inside])
-        np.maximum.at(most, row, x[inside] + 2)
-    rows = np.flatnonzero(least < most)
-    return Sector(lines, 3 * (rows * camera.width + least[rows]), 3 * (rows * camera.width + most[rows]))
-
-
 def _length_inside(
     camera: Camera, centre: FloatArray, cosine: FloatArray, sine: FloatArray, first: float, last: float
 ) -> NDArray[np.int64]:
@@ -182,10 +213,56 @@ def _length_inside(
 
 
 @compiled
-def _fetch(memory, starts, stops):  # type: ignore[no-untyped-def]
-    """Reads a byte of every cache line; the sum is returned only lest the compiler see that nobody needs it."""
-    total = 0
-    for n in range(len(starts)):
-        for at in range(starts[n], stops[n], CACHE_LINE):
-            total += memory[at]
-    return total
+def _probe(image, map_xy, stop, counted):  # type: ignore[no-untyped-def]
+    """Counts the grey levels of each channel, (3, 256), at a coarse grid of samples."""
+    for j in range(0, len(stop), PROBE_LINES):
+        for i in range(0, stop[j], PROBE_PX):
+            x, y = map_xy[j + 1, i, 0], map_xy[j + 1, i, 1]
+            for c in range(3):
+                counted[c, image[y, x, c]] += 1
+
+
+@compiled
+def _light_range(image, map_xy, stop, black, gain, limit):  # type: ignore[no-untyped-def]
+    """First and last sample of any line brighter than the limit together with the next: one alone is noise."""
+    start, last = map_xy.shape[1], 0
+    for j in range(0, len(stop), PROBE_LINES):
+        before = False
+        for i in range(0, stop[j], PROBE_PX):
+            x, y = map_xy[j + 1, i, 0], map_xy[j + 1, i, 1]
+            lit = False
+            for c in range(3):
+                lit |= (np.int32(image[y, x, c]) - black[c]) * gain[c] > limit
+            if lit and before:
+                start, last = min(start, i - PROBE_PX), max(last, i)
+            before = lit
+    return start, last
+
+
+@compiled
+def _strongest(image, width, cx, cy, inner, outer, black, gain, out):  # type: ignore[no-untyped-def]
+    """max(B, G, R) of the pixels between two circles, image and plane as runs of bytes."""
+    height = len(out) // width
+    raised = gain[0] != 64 or gain[1] != 64 or gain[2] != 64
+    for y in range(height):
+        far = outer * outer - (y - cy) * (y - cy)
+        if far <= 0:
+            continue
+        half = math.sqrt(far)
+        hole = math.sqrt(max(inner * inner - (y - cy) * (y - cy), 0.0)) if inner > 0 else 0.0
+        for side in range(2):
+            a = max(int(cx - half), 0) if side == 0 else max(int(cx + hole), 0)
+            b = min(int(cx - hole) + 2, width) if side == 0 else min(int(cx + half) + 2, width)
+            if b <= a:
+                continue
+            source = image[3 * (y * width + a) : 3 * (y * width + b)]
+            row = out[y * width + a : y * width + b]
+            if raised:
+                for x in range(b - a):
+                    top = 0
+                    for c in range(3):
+                        top = max(top, (np.int32(source[3 * x + c]) - black[c]) * gain[c])
+                    row[x] = min(top >> 6, 255)
+            else:
+                for x in range(b - a):
+                    row[x] = max(max(source[3 * x], source[3 * x + 1]), source[3 * x + 2])

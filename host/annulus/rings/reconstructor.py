@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from annulus.geometry.calibration import Calibration
 from annulus.geometry.pose import FloatArray, Pose
 from annulus.rings.colour import ColourProfile
-from annulus.rings.compiled import compiled
 from annulus.rings.decode import NONE, UNKNOWN, classify, decode, readings
+from annulus.rings.gates import gate
 from annulus.rings.order import Placed, by_order
 from annulus.rings.polar import polar_grid, unroll
 from annulus.rings.pose import Fit, fit_pose
@@ -23,14 +23,7 @@ from annulus.vocabulary import AnnulusError
 
 FIRST_TOLERANCE = 0.5  # of the radius: the head's lean and stand-off are still in the deviation
 WALL_TOLERANCE = 0.35  # and now they are not
-NARROW, WIDE = 0.7, 1.35  # of the ring's width around there: beyond, a slit is half covered or part of a shadow ..
-WIDTH_NOISE = 4.0  # .. unless widths scatter so much that this many sigma reach farther
-WIDTH_EVERY = 4  # points: what the ring's width is learnt from
-SHADE, SHADE_REACH = 0.5, 2  # a slit has at least this part of its ring's light so many directions to the side
-UNLIKE = 2.0  # a ring's usual width is within this factor of the frame's
-NEIGHBOURS = 4  # a point needs company among so many directions on each side ..
-COMPANY = 3  # .. of so many points of its ring ..
-STEP_PX = 1.5  # .. within this many pixels' worth of radius and ..
+STEP_PX = 1.5  # a point's neighbours lie within this many pixels' worth of radius and ..
 STEP = 0.01  # .. this part of the pipe's radius
 
 
@@ -114,11 +107,8 @@ class Reconstructor:
         marks.append(("decode", clock()))
         rejected["colour"] = int(np.count_nonzero((inside == UNKNOWN) | (outside == UNKNOWN)))
         rejected["no ring"] = int(np.count_nonzero(ring == NONE))
-        ring, rejected["width"] = _width_gate(
-            ring, slits.direction, slits.width, len(self._optics.cones), self.directions
-        )
-        ring, rejected["shaded"] = _shade_gate(ring, slits, len(self._optics.cones), self.directions)
-        ring, rejected["alone"] = self._company_gate(slits.direction, pipe * (1.0 + deviation), ring)
+        step = STEP * pipe + STEP_PX * self._optics.mm_per_px
+        rejected |= gate(ring, slits, pipe * (1.0 + deviation), step, self.directions)
         marks.append(("gates", clock()))
         fitted = self._fit(points, ring, fitted.pose) or fitted
         pose = fitted.pose
@@ -142,65 +132,6 @@ class Reconstructor:
         kept = np.flatnonzero(ring != NONE)[::every]
         return fit_pose(points[kept, ring[kept]], self.calibration.pipe_radius_mm, self._expected[ring[kept]], seed)
 
-    def _company_gate(
-        self, direction: NDArray[np.int64], radius: FloatArray, ring: NDArray[np.int64]
-    ) -> tuple[NDArray[np.int64], int]:
-        kept = np.flatnonzero(ring != NONE)
-        curve = np.full((len(self._optics.cones), self.directions), np.nan)
-        curve[ring[kept], direction[kept]] = radius[kept, ring[kept]]
-        step = STEP * self.calibration.pipe_radius_mm + STEP_PX * self._optics.mm_per_px
-        good = _company(curve, step, NEIGHBOURS, COMPANY)[ring[kept], direction[kept]]
-        out = np.full_like(ring, NONE)
-        out[kept[good]] = ring[kept[good]]
-        return out, int(np.count_nonzero(~good))
-
-
-def _width_gate(
-    ring: NDArray[np.int64], direction: NDArray[np.int64], width: FloatArray, rings: int, directions: int
-) -> tuple[NDArray[np.int64], int]:
-    """Drops slits much narrower or wider than their ring is around there: half covered, or run into a shadow.
-
-    A leaning head sees a ring wider on one side; a mean and a first harmonic over the direction follow that.
-    """
-    out = ring.copy()
-    frame = float(np.median(width[ring != NONE])) if (ring != NONE).any() else 0.0
-    turn = direction * (2 * math.pi / directions)
-    for k in range(rings):
-        mine = np.flatnonzero(ring == k)
-        if not len(mine):
-            continue
-        # Two slits with a dark stripe between them look like one wide one, all the way round.
-        usual = float(np.clip(np.median(width[mine]), frame / UNLIKE, frame * UNLIKE))
-        basis = np.stack([np.ones(len(mine)), np.cos(turn[mine]), np.sin(turn[mine])], axis=1)
-        ratio = width[mine] / usual
-        some, values = basis[::WIDTH_EVERY], ratio[::WIDTH_EVERY]  # three numbers do not need every direction
-        fit, spread = np.array([1.0, 0.0, 0.0]), 0.2
-        for _ in range(3):
-            off = np.abs(values - some @ fit)
-            good = off < max(2.5 * spread, 0.05)
-            if np.count_nonzero(good) < 0.5 * len(good):
-                break
-            weighted = some[good]
-            fit = np.linalg.solve(weighted.T @ weighted + 1e-6 * np.eye(3), weighted.T @ values[good])
-            spread = 1.4826 * float(np.median(np.abs(values - some @ fit)))
-        expected = basis @ fit
-        ratio = ratio / np.clip(expected, NARROW, WIDE)
-        slack = min(max(1.0, WIDTH_NOISE * spread / (WIDE - 1.0)), 2.0)
-        out[mine[(ratio < 1.0 - (1.0 - NARROW) * slack) | (ratio > 1.0 + (WIDE - 1.0) * slack)]] = NONE
-    return out, int(np.count_nonzero(out != ring))
-
-
-def _shade_gate(ring: NDArray[np.int64], slits: Slits, rings: int, directions: int) -> tuple[NDArray[np.int64], int]:
-    """Drops slits in a shadow's edge: much dimmer than their own ring a step to the side."""
-    kept = np.flatnonzero(ring != NONE)
-    light = np.zeros((rings, directions))
-    light[ring[kept], slits.direction[kept]] = slits.inside[kept].max(axis=1) + slits.outside[kept].max(axis=1)
-    brightest = np.max([np.roll(light, step, axis=1) for step in range(-SHADE_REACH, SHADE_REACH + 1)], axis=0)
-    bad = kept[(light < SHADE * brightest)[ring[kept], slits.direction[kept]]]
-    out = ring.copy()
-    out[bad] = NONE
-    return out, len(bad)
-
 
 def _spans(marks: list[tuple[str, float]]) -> dict[str, float]:
     spans: dict[str, float] = {}
@@ -212,18 +143,3 @@ def _spans(marks: list[tuple[str, float]]) -> dict[str, float]:
 
 def _size(image: NDArray[np.uint8]) -> str:
     return f"{image.shape[1]}x{image.shape[0]}" if image.ndim >= 2 else f"an array of shape {image.shape}"
-
-
-@compiled
-def _company(radius, step, reach, least):  # type: ignore[no-untyped-def]
-    """(K, J) bool: has at least `least` neighbours of its own ring at nearly its radius."""
-    rings, directions = radius.shape
-    good = np.zeros((rings, directions), np.bool_)
-    for k in range(rings):
-        for j in range(directions):
-            count = 0
-            for d in range(-reach, reach + 1):
-                if d != 0 and abs(radius[k, (j + d) % directions] - radius[k, j]) <= step[k]:
-                    count += 1
-            good[k, j] = count >= least
-    return good

@@ -1,15 +1,12 @@
 """Dark slits along every polar line, to a fraction of a pixel, with the light on both sides of each."""
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus.rings.compiled import compiled
-from annulus.rings.polar import PolarGrid
+from annulus.rings.compiled import compiled, middle
+from annulus.rings.polar import PolarGrid, Unrolled
 
 PER_LINE = 48  # slits kept of one line; a wall that shows more is not a wall
 FALL = 0.72  # a slit is darker than this part of the light before it and after it
@@ -32,78 +29,40 @@ class Slits:
     crowded: int  # slits left out because a line had more than PER_LINE
 
 
-def find_slits(polar: NDArray[np.uint8], grid: PolarGrid) -> Slits:
-    """Slits of one frame laid out by `polar.unroll`, (J, L, 3) BGR.
+def find_slits(unrolled: Unrolled, grid: PolarGrid) -> Slits:
+    """Slits of one frame laid out by `polar.unroll`.
 
-    Each edge is the steepest place of max(B, G, R) between a slit's bottom and its stripe, so neither the stripes'
-    unequal brightness nor their slope moves it (raw luma does, by up to a millimetre). Thresholds are parts of the
-    light beside the slit and of the frame's own bright level and noise. A channel that the wall's paint swallows
-    (blue, on a yellow pipe) is raised for this, black taken off, or its stripes would be darkness beside the others.
+    Each edge is the steepest place of the strongest channel between a slit's bottom and its stripe, so neither the
+    stripes' unequal brightness nor their slope moves it (raw luma does, by up to a millimetre). Thresholds are parts of
+    the light beside the slit and of the frame's own bright level and noise.
     """
     # a smoothing that stripes of the densest ring survive
     sigma = min(1.4, max(0.6, grid.spacing_px / 16.0))
     taps = np.exp(-0.5 * (np.arange(5) / sigma) ** 2)
     taps = (taps / (taps[0] + 2 * taps[1:].sum())).astype(np.float32)
-    blue, green, red = _raised(cv2.split(polar), grid)
-    top = np.asarray(cv2.max(cv2.max(blue, green), red), np.uint8)
-    bright, noise = _level(top, grid)
-    floor = max(FAINT * bright, 4.0 * noise, 2.0)
-    out = np.empty((len(grid.cosine) * PER_LINE, 10), np.float32)
-    n, crowded = _scan(polar, top, grid.stop, taps, np.float32(floor), np.float32(grid.spacing_px), out)
-    found = out[:n].astype(np.float64)
-    dark = found[:, 9] >= SHALLOW * np.median(found[:, 9]) if n else np.zeros(0, bool)
-    kept = found[dark]
-    return Slits(
-        kept[:, 0].astype(np.int64), kept[:, 1], kept[:, 2], kept[:, 3:6], kept[:, 6:9],
-        int(np.count_nonzero(~dark)), int(crowded),
-    )  # fmt: skip
-
-
-def _raised(channels: Sequence[cv2.typing.MatLike], grid: PolarGrid) -> list[cv2.typing.MatLike]:
-    """The channels, those that are weak all over the frame brought up towards the strongest, short of their noise."""
-    inside = np.arange(1, channels[0].shape[1], 3) < grid.stop[::24, None]
-    values = [np.asarray(channel[::24, 1::3][inside], np.uint8) for channel in channels]
-    counted = [np.cumsum(np.bincount(value, minlength=256)) for value in values]
-    black, full = (
-        np.array([int(np.searchsorted(count, part * count[-1])) for count in counted]) for part in (0.02, 0.97)
-    )
-    light = np.maximum(full - black, 1)
-    out = list(channels)
-    for c, channel in enumerate(channels):
-        if WEAK * light[c] >= light.max():
-            continue
-        before = np.asarray(channel[::24, 0:-1:3][:, : inside.shape[1]][inside], np.int16)
-        darker = values[c] <= np.percentile(values[c], 50)  # holds few edges
-        noise = float(np.abs(values[c][darker] - before[darker]).mean())
-        gain = min(light.max() / light[c], NOISY * light.max() / max(noise, 1.0))
-        if gain > 1.0:
-            table = np.clip((np.arange(256) - black[c]) * gain, 0, 255)
-            out[c] = cv2.LUT(channel, table.astype(np.uint8))
-    return out
-
-
-def _level(top: NDArray[np.uint8], grid: PolarGrid) -> tuple[float, float]:
-    """The frame's bright level and noise in grey levels, from every 24th line and every third sample along it."""
-    inside = np.arange(1, top.shape[1], 3) < grid.stop[::24, None]
-    values = top[::24, 1::3][inside].astype(np.int16)
-    if not values.size:
-        return 0.0, 0.0
-    before = top[::24, 0:-1:3][:, : inside.shape[1]][inside].astype(np.int16)
-    half, bright = np.percentile(values, [50, 95])
-    # the darker half of the samples holds few edges
-    noise = 1.4826 / math.sqrt(2) * float(np.median(np.abs(values - before)[values <= half]))
-    return float(bright), noise
+    floor = max(FAINT * unrolled.bright, 4.0 * unrolled.noise, 2.0)
+    found = np.empty((len(grid.cosine) * PER_LINE, 10), np.float32)
+    stop = np.minimum(grid.stop - unrolled.first, unrolled.top.shape[1])
+    n, crowded = _scan(unrolled.top, stop, taps, np.float32(floor), np.float32(grid.spacing_px), found)
+    kept = _dark_ones(found, n)
+    direction, place, light = np.empty(kept, np.int64), np.empty((2, kept)), np.empty((2, kept, 3))
+    away = (grid.first + grid.step * unrolled.first, grid.step)
+    _sides(unrolled.image, grid.centre, away, grid.cosine, grid.sine, found, direction, place, light)
+    return Slits(direction, unrolled.first + place[0], place[1], light[0], light[1], n - kept, crowded)
 
 
 @compiled
-def _scan(polar, bright, stop, taps, floor, spacing, out):  # type: ignore[no-untyped-def]
-    longest = polar.shape[1]
+def _scan(bright, stop, taps, floor, spacing, out):  # type: ignore[no-untyped-def]
+    """Rows of `out`: direction, position, width, bottom, how dark, and the stripes' samples beside: first and last of
+    the inner side, first and last of the outer; the edges' sharpness (see `uncertainty`)."""
+    longest = bright.shape[1]
     top = np.empty(longest, np.float32)
     smooth = np.zeros(longest, np.float32)
     slope = np.zeros(longest, np.float32)
     low = np.empty(PER_LINE + 1, np.int64)  # bottoms and the stripes' tops between them: high[k] low[k] high[k + 1]
     high = np.empty(PER_LINE + 2, np.int64)
     fall = np.float32(FALL)
+    half = np.float32(0.5)
     t0, t1, t2, t3, t4 = taps[0], taps[1], taps[2], taps[3], taps[4]
     n = 0
     crowded = 0
@@ -111,7 +70,6 @@ def _scan(polar, bright, stop, taps, floor, spacing, out):  # type: ignore[no-un
         length = stop[j]
         if length < 16:
             continue
-        line = polar[j]
         top[:length] = bright[j, :length]
         # Shifted views, not shifted indices: the compiler then knows that nothing wraps and uses vectors (8 times).
         m = length - 8
@@ -125,17 +83,17 @@ def _scan(polar, bright, stop, taps, floor, spacing, out):  # type: ignore[no-un
         for i in range(m - 2):
             into[i] = after[i] - before[i]
 
-        # Alternate tops and bottoms: one is confirmed when the next has clearly begun.
+        # Alternate tops and bottoms: one is confirmed when the next has clearly begun. Every other sample will do: the
+        # line is smooth, and edges are looked for between tops and bottoms sample by sample.
         k = 0
         rising = True
         best, value = 5, smooth[5]
-        inner = smooth[: length - 5]
-        for i in range(6, len(inner)):
-            s = inner[i]
+        for i in range(7, length - 5, 2):
+            s = smooth[i]
             if rising:
                 if s > value:
                     best, value = i, s
-                elif s < fall * value and value > floor and value - s > np.float32(0.5) * floor:
+                elif s < fall * value and value > floor and value - s > half * floor:
                     high[k] = best
                     rising = False
                     best, value = i, s
@@ -157,26 +115,23 @@ def _scan(polar, bright, stop, taps, floor, spacing, out):  # type: ignore[no-un
             # steepest of the whole stripe could be the rim of a pocket farther on.
             bottom = low[q]
             last = high[q + 1]
-            back = smooth[bottom] + HALFWAY * (min(smooth[high[q]], smooth[last]) - smooth[bottom])
+            back = smooth[bottom] + np.float32(HALFWAY) * (min(smooth[high[q]], smooth[last]) - smooth[bottom])
             a = bottom
             for i in range(bottom, high[q] - 1, -1):
                 if slope[i] < slope[a]:
                     a = i
-                elif smooth[i] > back and slope[i] > LEVEL * slope[a]:
+                elif smooth[i] > back and slope[i] > np.float32(LEVEL) * slope[a]:
                     break
             e = bottom
             for i in range(bottom, last + 1):
                 if slope[i] > slope[e]:
                     e = i
-                elif smooth[i] > back and slope[i] < LEVEL * slope[e]:
+                elif smooth[i] > back and slope[i] < np.float32(LEVEL) * slope[e]:
                     break
             if a < 6 or e > length - 7 or e <= a:
                 continue
             left = _extremum(slope[a - 1], slope[a], slope[a + 1]) + a
             right = _extremum(slope[e - 1], slope[e], slope[e + 1]) + e
-            out[n, 0] = j
-            out[n, 1] = np.float32(0.5) * (left + right)
-            out[n, 2] = right - left
             # the stripes' light just beyond the edges, but not beyond half way to the next slit
             blur = np.float32(1.5)
             reach = max(np.float32(2.0), np.float32(0.12) * spacing)
@@ -186,14 +141,64 @@ def _scan(polar, bright, stop, taps, floor, spacing, out):  # type: ignore[no-un
             p0 = max(np.int64(left - blur - reach), (p1 + previous) // 2)
             p2 = np.int64(right + blur) + 1
             p3 = min(np.int64(right + blur + reach) + 1, (p2 + following) // 2)
-            for c in range(3):
-                dark = np.float32(min(line[bottom, c], min(line[bottom - 1, c], line[bottom + 1, c])))
-                out[n, 3 + c] = max(_mean(line[:, c], p0, p1) - dark, np.float32(0.0))
-                out[n, 6 + c] = max(_mean(line[:, c], p2, p3) - dark, np.float32(0.0))
             beside = min(_mean(smooth, p0, p1), _mean(smooth, p2, p3))
-            out[n, 9] = np.float32(1.0) - min(smooth[bottom] / max(beside, np.float32(1.0)), np.float32(1.0))
+            row = out[n]
+            row[0] = j
+            row[1] = half * (left + right)
+            row[2] = right - left
+            row[3] = bottom
+            row[4] = np.float32(1.0) - min(smooth[bottom] / max(beside, np.float32(1.0)), np.float32(1.0))
+            row[5], row[6], row[7], row[8] = p0, p1, p2, p3
+            row[9] = 0.0
             n += 1
     return n, crowded
+
+
+@compiled
+def _dark_ones(found, size):  # type: ignore[no-untyped-def]
+    """Moves the rows that are nearly as dark as the usual one to the front; how many they are."""
+    depth = found[:size, 4].copy()
+    usual = np.float32(SHALLOW) * middle(depth, size)
+    kept = 0
+    for n in range(size):
+        if found[n, 4] >= usual:
+            found[kept] = found[n]
+            kept += 1
+    return kept
+
+
+@compiled
+def _sides(image, centre, away, cosine, sine, found, direction, place, light):  # type: ignore[no-untyped-def]
+    """The light beside each slit, (2, N, 3): BGR of the inner side, of the outer, the slit's own darkness taken off.
+
+    Nearest pixels, every other one of the line itself, the rest of its two neighbours."""
+    right, low, lines = image.shape[1] - 1, image.shape[0] - 1, len(cosine)
+    for n in range(len(direction)):
+        j = int(found[n, 0])
+        direction[n], place[0, n], place[1, n] = j, found[n, 1], found[n, 2]
+        dark = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+        for part in range(3):
+            a = int(found[n, 3]) - 1 if part == 0 else int(found[n, 3 + 2 * part])
+            b = a + 2 if part == 0 else max(a, int(found[n, 4 + 2 * part]))
+            blue, green, red = 0, 0, 0
+            for i in range(a, b + 1):
+                way = j
+                if (i - a) & 1:
+                    way += ((i - a) & 2) - 1
+                    way += lines if way < 0 else -lines if way == lines else 0
+                far = away[0] + away[1] * i
+                x = min(max(int(centre[0] + far * cosine[way] + 0.5), 0), right)
+                y = min(max(int(centre[1] + far * sine[way] + 0.5), 0), low)
+                blue += image[y, x, 0]
+                green += image[y, x, 1]
+                red += image[y, x, 2]
+            scale = np.float32(1.0 / (b + 1 - a))
+            if part == 0:
+                dark = blue * scale, green * scale, red * scale
+                continue
+            light[part - 1, n, 0] = max(blue * scale - dark[0], np.float32(0.0))
+            light[part - 1, n, 1] = max(green * scale - dark[1], np.float32(0.0))
+            light[part - 1, n, 2] = max(red * scale - dark[2], np.float32(0.0))
 
 
 @compiled
