@@ -5,8 +5,9 @@
 //   emulate.mjs IMAGE.uf2 --drive [--vcd FILE]                       in virtual time; a JSON object a line on stdin, its answer on stdout
 //
 // Objects: {"op": "run", "until": T} | {"op": "input", "edges": [[tick, pin, level], ..]} | {"op": "write", "hex": ".."}
-//   | {"op": "stall", "ticks": N}. The answer always has now, pins [[tick, pin, level], ..], sent [[tick, byte], ..], resets, stack
-// (bytes used at most), origin (tick at which the controller's own count began).
+//   | {"op": "stall", "ticks": N} | {"op": "reset"}, as if the watchdog bit now. "run" takes "edges" and "hex" as well, which
+// come first. The answer always has now, pins [[tick, pin, level], ..], sent [[tick, byte], ..], resets, stack (bytes used at
+// most), origin (tick at which the controller's own count began, 0 before it does), overruns (bytes the UART had no room for).
 
 import { readFileSync, createWriteStream } from 'node:fs';
 import { createServer } from 'node:net';
@@ -33,14 +34,20 @@ function options(args) {
 
 function answer(machine, op) {
   switch (op.op) {
-    case 'run': machine.run(op.until); break;
+    case 'run':
+      if (op.hex) machine.write_serial(Buffer.from(op.hex, 'hex'));
+      for (const [tick, pin, level] of op.edges ?? []) machine.input(tick, pin, level);
+      machine.run(op.until);
+      break;
     case 'input': for (const [tick, pin, level] of op.edges) machine.input(tick, pin, level); break;
+    case 'reset': machine.reset(); break;
     case 'write': machine.write_serial(Buffer.from(op.hex, 'hex')); break;
     case 'stall': machine.stall(op.ticks); break;
+    case 'usb': machine.host.do(op, machine.now); break;
     case 'leave-bootloader': machine.leaveBootloader(); break;
     default: throw new Fault(`no such op: ${op.op}`);
   }
-  return { now: machine.now, pins: machine.pins(), sent: machine.read_serial(), resets: machine.resets, stack: machine.stackUsed(), bootloader: machine.bootloader ?? null, origin: machine.tickOrigin ?? 0 };
+  return { now: machine.now, pins: machine.pins(), sent: machine.read_serial(), resets: machine.resets, stack: machine.stackUsed(), bootloader: machine.bootloader ?? null, usb: op.op === 'usb' || machine.host.state !== 'detached' ? machine.host.report() : null, origin: machine.tickOrigin ?? 0, overruns: machine.uart.overruns };
 }
 
 function drive(machine, vcd) {

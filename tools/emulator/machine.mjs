@@ -6,20 +6,23 @@ import { Dma } from './dma.mjs';
 import { Fault, fault, hex } from './fault.mjs';
 import { Pio } from './pio.mjs';
 import { Uart } from './uart.mjs';
+import { Usb } from './usb.mjs';
+import { UsbHost } from './usbhost.mjs';
 
 const INPUTS = [2, 7, 14, 15];
 const OUTPUTS = [3, 4, 5, 6, 8, 9, 10, 25];
 const FLASH = 0x10000000;
 const RAM = 0x20000000;
+const USB_MEMORY = 0x50100000;
 const BOOT2_AT = 0x20041f00;
 const ROM_TABLE = 0x7a;
 const ROM_LOOKUP = 0x1d0;
 const ROM_TO_USB_BOOT = 0x1e0;
 const BOOT_ROM_TICKS = 100_000; // 1 ms, about what the boot ROM takes; pins are at rest meanwhile
-const RESET_BITS = { dma: 2, io: 5, qspi: 6, pads: 8, padsQspi: 9, pio0: 10, pio1: 11, pllSys: 12, pllUsb: 13, timer: 21, uart0: 22 };
+const RESET_BITS = { dma: 2, io: 5, qspi: 6, pads: 8, padsQspi: 9, pio0: 10, pio1: 11, pllSys: 12, pllUsb: 13, timer: 21, uart0: 22, usb: 24 };
 const RESET_OF = new Map([
   [0x40014, 'io'], [0x40018, 'qspi'], [0x4001c, 'pads'], [0x40020, 'padsQspi'], [0x40028, 'pllSys'], [0x4002c, 'pllUsb'],
-  [0x40034, 'uart0'], [0x40054, 'timer'], [0x50000, 'dma'], [0x50200, 'pio0'], [0x50300, 'pio1'],
+  [0x40034, 'uart0'], [0x40054, 'timer'], [0x50000, 'dma'], [0x50100, 'usb'], [0x50110, 'usb'], [0x50200, 'pio0'], [0x50300, 'pio1'],
 ]);
 const ALWAYS_ON = new Set([0x40008, 0x4000c, 0x40010, 0x40024, 0x40058, 0x40060, 0x18000]);
 
@@ -55,6 +58,8 @@ export class Machine {
     this.resets = [];
     this.scratch = new Uint32Array(8);
     this.uart = new Uart((level) => this.chip?.setInterrupt(20, level));
+    this.usb = new Usb((level) => this.chip?.setInterrupt(5, level), () => this.usbMHz());
+    this.host = new UsbHost(this.usb);
     this.usedInstructions = 0;
     this.bootloader = undefined; // what the image said to the ROM when it went there
     this.boot(0);
@@ -82,6 +87,8 @@ export class Machine {
       });
     chip.dma = this.dma;
     this.uart.reset();
+    this.host.now = this.now;
+    this.usb.reset();
     this.padsSet = new Set();
     this.watchdog = chip.peripherals[0x40058];
     this.watchdog.scratchData.set(this.scratch);
@@ -196,6 +203,7 @@ export class Machine {
     if (address >= FLASH && address < FLASH + this.flash.length) { view = this.flashView; at = address - FLASH; }
     else if (address >= RAM && address < RAM + 0x42000) { view = this.ramView; at = address - RAM; }
     else if (address < 0x4000) { view = this.romView; at = address; }
+    else if (address >= USB_MEMORY && address < USB_MEMORY + 0x1000) { this.block(address); return this.usb.readMemory(address - USB_MEMORY, bytes); }
     if (view) return bytes === 4 ? view.getUint32(at, true) : bytes === 2 ? view.getUint16(at, true) : view.getUint8(at);
     const word = this.readRegister((address & ~3) >>> 0);
     return bytes === 4 ? word : (word >>> (8 * (address & 3))) & (bytes === 2 ? 0xffff : 0xff);
@@ -210,6 +218,7 @@ export class Machine {
       else this.ramView.setUint8(at, value);
       return;
     }
+    if (address >= USB_MEMORY && address < USB_MEMORY + 0x1000) { this.block(address); return this.usb.writeMemory(address - USB_MEMORY, bytes, value, this.now); }
     if (bytes !== 4) fault(`${bytes}-byte write to a register at ${hex(address)}: silicon would write all four bytes`);
     this.writeRegister(address, value >>> 0);
   }
@@ -239,6 +248,7 @@ export class Machine {
       case 0x4000c: return offset === 0 ? this.inReset : offset === 8 ? ~this.inReset & 0x01ffffff : fault('RESETS register');
       case 0x40060: return (this.random = ((this.random ?? 0x2f6e2b1) * 1103515245 + 12345) & 0x7fffffff) >>> 16;
       case 0x40034: return this.uart.readUint32(offset, this.now);
+      case 0x50110: return this.usb.readUint32(offset);
       case 0x50000: this.sync(); this.nextDue = 0; return this.dma.readUint32(offset);
       case 0x50200: return this.readPio(0, offset);
       case 0x50300: return this.readPio(1, offset);
@@ -268,6 +278,9 @@ export class Machine {
         if (offset !== 0) fault('RESETS register');
         return this.setResets(plain(this.inReset));
       case 0x40034: return this.uart.writeUint32(offset, kind ? plain(this.uart.readUint32(offset, this.now)) : value, this.now);
+      case 0x50110:
+        this.host.now = this.now;
+        return this.usb.writeUint32(offset, kind ? plain(this.usb.readUint32(offset)) : value, value);
       case 0x50000:
         this.sync();
         this.quietUntil = this.hardwareTick;
@@ -305,7 +318,16 @@ export class Machine {
     for (const number of [0, 1]) if ((fell >>> (10 + number)) & 1) { this.pios[number].reset(); this.updatePins(); }
     if ((fell >>> RESET_BITS.dma) & 1) this.dma.reset();
     if ((fell >>> RESET_BITS.uart0) & 1) this.uart.reset();
+    if ((fell >>> RESET_BITS.usb) & 1) { this.host.now = this.now; this.usb.reset(); }
     this.inReset = value;
+  }
+
+  // Of clk_usb: its PLL runs, within the VCO's range, and the clock is let through.
+  usbMHz() {
+    const pll = this.chip.peripherals[0x4002c];
+    const vco = (12 / (pll.cs & 63)) * pll.fbdivInt;
+    const isOn = this.chip.peripherals[0x40008].readUint32(0x54) & (1 << 11) && !(pll.pwr & 0x29) && vco >= 750 && vco <= 1600;
+    return isOn && !((this.inReset >>> RESET_BITS.pllUsb) & 1) ? pll.frequency / 1e6 : 0;
   }
 
   // ---- hardware ----
@@ -382,16 +404,16 @@ export class Machine {
   // Up to this tick an instruction may run without anything else happening.
   findDue() {
     const quiet = this.quietUntil > this.hardwareTick ? this.quietUntil : this.now;
-    this.nextDue = Math.min(this.inputs.length ? this.inputs[0][0] : Infinity, this.uart.next, this.alarmTick, quiet);
+    this.nextDue = Math.min(this.inputs.length ? this.inputs[0][0] : Infinity, this.uart.next, this.host.next, this.alarmTick, quiet);
   }
 
   advance(tick) {
     for (;;) {
-      const due = Math.min(this.inputs.length ? this.inputs[0][0] : Infinity, this.uart.next, tick);
+      const due = Math.min(this.inputs.length ? this.inputs[0][0] : Infinity, this.uart.next, this.host.next, tick);
       this.now = Math.max(due, this.now);
       this.tickClock();
       this.runHardware(this.now);
-      if (due >= tick && !(this.inputs.length && this.inputs[0][0] <= this.now) && this.uart.next > this.now) break;
+      if (due >= tick && !(this.inputs.length && this.inputs[0][0] <= this.now) && this.uart.next > this.now && this.host.next > this.now) break;
       while (this.inputs.length && this.inputs[0][0] <= this.now) {
         const [, pin, level] = this.inputs.shift();
         this.sync();
@@ -402,12 +424,13 @@ export class Machine {
         }
       }
       this.uart.run(this.now);
+      this.host.run(this.now);
       if (due >= tick) break;
     }
   }
 
   run(until) {
-    const { uart } = this;
+    const { uart, host } = this;
     this.nextDue = 0; // whoever called may have given us inputs
     while (this.now < until) {
       if (this.watchdogFired) {
@@ -422,7 +445,7 @@ export class Machine {
       if (this.now < held || core.waiting) {
         const alarm = this.alarmTick;
         const wake = this.now < held ? Math.min(held, alarm) : alarm;
-        const next = Math.min(wake, until, uart.next, this.inputs.length ? this.inputs[0][0] : Infinity);
+        const next = Math.min(wake, until, uart.next, host.next, this.inputs.length ? this.inputs[0][0] : Infinity);
         if (next === Infinity) fault('the processor sleeps and nothing will wake it');
         this.advance(Math.max(next, this.now + 1));
         this.findDue();
@@ -464,6 +487,11 @@ export class Machine {
     let at = 0x40000;
     while (at < 0x41000 && this.ramView.getUint32(at, true) === 0xa5a5a5a5) at += 4;
     return 0x41000 - at;
+  }
+
+  reset() {
+    this.watchdog.reason = 1; // timer
+    this.watchdogFired = true;
   }
 
   stall(ticks) { this.stalledUntil = this.now + ticks; }

@@ -69,6 +69,7 @@ class NativeBoard:
         self._c = _load(library)
         NativeBoard._current = self
         self._c.native_begin()
+        self._boot = 0
         self._bytes = ctypes.create_string_buffer(65536)
         self._pins = np.zeros(16384, TRANSITION)
 
@@ -79,7 +80,8 @@ class NativeBoard:
 
     def power_on(self, boot: int = 1, cause: int = 0) -> None:
         """Power comes on, or comes back: the controller restarts with this boot byte and BootCause."""
-        self._live().native_power_on(boot & 0xFF, cause)
+        self._boot = boot & 0xFF
+        self._live().native_power_on(self._boot, cause)
 
     def input(self, tick: int, pin: int, level: int) -> None:
         """Schedule a level on an input pin at a world tick, not before now.
@@ -108,6 +110,11 @@ class NativeBoard:
     def tick(self) -> int:
         """World tick now."""
         return int(self._live().native_tick())
+
+    @property
+    def boot(self) -> int:
+        """Boot byte the last `power_on` gave; a restart by itself counts on from it, unseen here."""
+        return self._boot
 
     @property
     def boot_tick(self) -> int:
@@ -139,3 +146,6 @@ class NativeBoard:
         counts = (ctypes.c_uint64 * 4)()
         self._live().native_lost(counts)
         return dict(zip(("transitions", "received", "sent", "inputs"), map(int, counts), strict=True))
+
+    def close(self) -> None:
+        """Nothing to end."""

@@ -18,7 +18,7 @@ from annulus.capture.timing import FrameTiming
 from annulus.link.head import EdgeSeen, HeadControl, LampsCut, Phase, stage_from_us
 from annulus.link.messages import BootCause, Stage
 from annulus.link.session import Lost
-from annulus.twin.native import NativeBoard
+from annulus.twin.emulated import Board, open_board
 from annulus.twin.render import Renderer
 from annulus.twin.sensor import Exposure, Faults, HostClock, LossyLine, Sensor, load_faults
 from annulus.twin.world import World, clean_world
@@ -98,32 +98,41 @@ def soak(
     faults: Faults | str | None = "standard",
     photometry: bool = True,
     offset_error_ns: int = 0,
+    board: str = "native",
     progress: Callable[[str, int, int], None] | None = None,
 ) -> dict[str, Any]:
     """Run `frames` camera frames of virtual time and score every label.
 
     Two controller resets, a third and two thirds of the way, unless `faults` places its own. `photometry` False leaves
     the picture out of the labels. `offset_error_ns` is added to the calibrated offset: sabotage, for showing that a
-    wrong pairing is found out. The same frames are labelled a second time from timing alone ("timing_only").
+    wrong pairing is found out. The same frames are labelled a second time from timing alone ("timing_only"). `board` is
+    native or emulated: the same core on a simulated board, or the very image a user flashes.
 
-    Raises AnnulusError when `frames` is too few to calibrate the camera's offset, or that calibration fails.
+    Raises AnnulusError when `frames` is too few to calibrate the camera's offset, or that calibration fails; with the
+    emulated board also where silicon would have hung.
     """
     if frames < 2 * CALIBRATION_FRAMES:
         raise AnnulusError(f"soak: {frames} frames, expected {2 * CALIBRATION_FRAMES} or more")
-    run = _Run(frames, seed, faults if isinstance(faults, Faults) else load_faults(faults), photometry, offset_error_ns)
+    chosen = faults if isinstance(faults, Faults) else load_faults(faults)
+    run = _Run(frames, seed, chosen, photometry, offset_error_ns, open_board(board))
     began = time.perf_counter()
-    for frame in range(frames):
-        run.frame(frame)
-        if progress is not None and frame % 200 == 0:
-            progress("frames", frame, frames)
-    run.finish()
+    try:
+        for frame in range(frames):
+            run.frame(frame)
+            if progress is not None and frame % 50 == 0:
+                progress("frames", frame, frames)
+        run.finish()
+    finally:
+        run.board.close()
     if progress is not None:
         progress("frames", frames, frames)
     return run.report(time.perf_counter() - began)
 
 
 class _Run:
-    def __init__(self, frames: int, seed: int, faults: Faults, photometry: bool, offset_error_ns: int) -> None:
+    def __init__(
+        self, frames: int, seed: int, faults: Faults, photometry: bool, offset_error_ns: int, board: Board
+    ) -> None:
         if faults.resets == () and faults != load_faults("none"):
             faults = replace(faults, resets=(frames // 3, 2 * frames // 3))
         self.frames, self.seed, self.faults = frames, seed, faults
@@ -137,10 +146,10 @@ class _Run:
             self.world, self.timing, faults, seed=seed, clock=self.clock, start_tick=MS_TICKS, speed_mm_s=SPEED_MM_S
         )
         self.line = LossyLine(faults, seed)
-        self.board = NativeBoard()
-        self.boot = seed % 200
+        self.board = board
+        self.boot = seed % 200  # a native board takes it, an emulated one has its own
         self.board.power_on(self.boot)
-        self.boot_ticks = {self.boot: self.board.boot_tick}
+        self.boot_ticks: dict[int, int] = {}
         self.head = HeadControl(soak_configuration(self.timing, self.world))
         self.pairing = Pairing(round(self.timing.period_us * 1000), photometry=photometry)
         self.blind = Pairing(round(self.timing.period_us * 1000), photometry=False)
@@ -193,6 +202,7 @@ class _Run:
             for tick, pin, level in self.sensor.stimuli(stop):
                 self.board.input(max(tick, self.board.tick), pin, level)
             self.board.run_until(stop)
+            self.boot_ticks[self.board.boot] = self.board.boot_tick
             for news in self.head.receive(self.line.carry(self.board.serial_read()), self._now):
                 match news:
                     case EdgeSeen():
@@ -207,7 +217,6 @@ class _Run:
     def _reset(self) -> None:
         self.boot = (self.boot + 1) % 256
         self.board.power_on(self.boot, BootCause.WATCHDOG)
-        self.boot_ticks[self.boot] = self.board.boot_tick
         for pin, level in self.sensor.levels():
             self.board.input(self.board.tick, pin, level)
 
