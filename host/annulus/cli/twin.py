@@ -6,9 +6,13 @@ from typing import Annotated
 
 import typer
 
-from annulus.cli.show import Json, group, progress
+from annulus.cli.show import Json, group, print_fields, progress
 
 app = group("The simulated head.")
+
+Board = Annotated[
+    str, typer.Option(help="native: the core in this process; emulated: the shipped image on an emulated RP2040.")
+]
 
 
 @app.command("run", epilog="Example: annulus twin run --fps 10 --seed 3")
@@ -16,11 +20,12 @@ def run(
     fps: Annotated[float, typer.Option(min=1.0, max=60.0, help="Frames per second.")] = 10.0,
     seed: Annotated[int, typer.Option(min=0, help="Of the world.")] = 1,
     faults: Annotated[Path | None, typer.Option(help="TOML file of faults to inject.")] = None,
+    board: Board = "native",
 ) -> None:
     """Run a simulated head in real time and print where a daemon finds it. Ends with Ctrl-C."""
     from annulus.twin.head import run_head
 
-    run_head(fps=fps, seed=seed, faults=faults)
+    run_head(fps=fps, seed=seed, faults=faults, board=board)
 
 
 @app.command("soak", epilog="Example: annulus twin soak --frames 20000 --seed 1 --json")
@@ -28,13 +33,14 @@ def soak(
     frames: Annotated[int, typer.Option(min=100, max=10_000_000, help="Camera frames.")] = 20_000,
     seed: Annotated[int, typer.Option(min=0)] = 1,
     faults: Annotated[str, typer.Option(help="A TOML file, or a named set: none, standard, rough.")] = "standard",
+    board: Board = "native",
     as_json: Json = False,
 ) -> None:
     """Pairing under faults in virtual time: real firmware, real link, real labels, scored against truth."""
     from annulus.twin.soak import soak
 
     with progress() as report:
-        result = soak(frames, seed, faults=faults, progress=report)
+        result = soak(frames, seed, faults=faults, board=board, progress=report)
     if as_json:
         print(json.dumps(result))
     else:
@@ -42,3 +48,24 @@ def soak(
             print(f"{key:<24} {value}")
     if result["wrong"]:
         raise typer.Exit(1)
+
+
+@app.command(
+    "scan", epilog="Example: annulus twin scan --world mirror-3inch -o scan && annulus reconstruct scan -o out"
+)
+def scan(
+    out: Annotated[Path, typer.Option("-o", "--out", help="New folder for the scan.")],
+    world: Annotated[str, typer.Option(help="demo, clean, mirror-2inch, mirror-3inch or mirror-4inch.")] = "demo",
+    frames: Annotated[int, typer.Option(min=2, max=100_000, help="Camera frames, every fifth lit by the LED.")] = 100,
+    seed: Annotated[int, typer.Option(min=0, help="Of the world.")] = 1,
+    defects: Annotated[bool, typer.Option(help="Whether the pipe has any.")] = True,
+    as_json: Json = False,
+) -> None:
+    """Write a simulated scan as a scan folder, with its calibration and the truth."""
+    from annulus.twin.scan import world_named, write_scan
+
+    with progress() as report:
+        write_scan(world_named(world, seed, defects), out, frames, report)
+    print_fields(
+        {"scan": str(out), "world": world, "frames": frames, "calibration": str(out / "calibration.json")}, as_json
+    )

@@ -87,7 +87,7 @@ def lay_grid(
     cosine, sine = np.cos(phi), np.sin(phi)
     inside = _length_inside(camera, centre, cosine, sine, first, last)
     step = -1 if camera.reversed else 1
-    # a line that runs inwards must start inside
+    # a line that runs inwards must start inside the image; beside the mirror its rays stay NaN, and make no points
     length = int(np.min(inside) if camera.reversed else np.max(inside))
     if length < 16:
         raise AnnulusError("calibration: the pattern's centre lies outside the image; check camera.cx, camera.cy")
@@ -96,16 +96,18 @@ def lay_grid(
     nodes = first + step * np.arange(0, length + 2 * RAY_STEP_PX, RAY_STEP_PX)
     pixels = centre + nodes[None, :, None] * np.stack([cosine, sine], axis=1)[:, None, :]
     origins, rays = (part.reshape(directions, len(nodes), 3) for part in camera.lines(pixels.reshape(-1, 2)))
-    good = np.cumprod(np.isfinite(rays.sum(axis=2)), axis=1).sum(axis=1)  # nodes before the first bad one
-    stop = np.clip(np.minimum(stop, (good - 1) * RAY_STEP_PX), 0, None)
+    if step > 0:
+        good = np.cumprod(np.isfinite(rays.sum(axis=2)), axis=1).sum(axis=1)  # nodes before the first bad one
+        stop = np.clip(np.minimum(stop, (good - 1) * RAY_STEP_PX), 0, None)
+        origins, rays = np.nan_to_num(origins), np.nan_to_num(rays)
     away = first + step * np.arange(length)
     x, y = (centre[axis] + away * way[:, None] for axis, way in enumerate((cosine, sine)))
     closed = np.arange(-1, directions + 1) % directions
     maps = cv2.convertMaps(x[closed].astype(np.float32), y[closed].astype(np.float32), cv2.CV_16SC2)
     map_xy, map_part = np.asarray(maps[0], np.int16), np.asarray(maps[1], np.uint16)
     return PolarGrid(
-        (float(centre[0]), float(centre[1])), first, step, cosine, sine, stop, np.nan_to_num(rays),
-        None if camera.central else np.nan_to_num(origins), map_xy, map_part, spacing,
+        (float(centre[0]), float(centre[1])), first, step, cosine, sine, stop, rays,
+        None if camera.central else origins, map_xy, map_part, spacing,
     )  # fmt: skip
 
 

@@ -35,10 +35,10 @@ _MARCH_MM = 0.8  # along the pipe; no feature is shorter, and bisection follows
 # One base and constant distances are what lets LLVM prove that the loops over it may run as vectors.
 _PITCH = 512 + 8  # eight to spare, for loops that write in fours
 _STRETCH = 512
-_WX, _WY, _WZ, _S, _X, _Y, _Z, _NX, _NY, _NZ, _OPEN, _COLUMN, _PAINT, _LIT, _LEVEL, _PLAIN = range(
-    0, 16 * _PITCH, _PITCH
+_WX, _WY, _WZ, _S, _X, _Y, _Z, _NX, _NY, _NZ, _OPEN, _COLUMN, _PAINT, _LIT, _LEVEL, _PLAIN, _CX, _CY, _CZ = range(
+    0, 19 * _PITCH, _PITCH
 )
-_SCRATCH = 16 * _PITCH
+_SCRATCH = 19 * _PITCH
 
 
 def _compiled(function: Kernel) -> Kernel:
@@ -184,8 +184,8 @@ def _meet_steep(
     s0 = _cylinder(c[0], c[1], wx, wy, radius + low - np.float32(0.01))
     s1 = _cylinder(c[0], c[1], wx, wy, radius + high + np.float32(0.01))
     # the tiles it really passes on its way know tighter bounds: often a flat floor, and no march at all
-    first = int((c[2] + s0 * wz - z0) * _PER_Z) // _TILE_ROWS
-    last = int((c[2] + s1 * wz - z0) * _PER_Z) // _TILE_ROWS
+    first = int((c[2] + min(s0 * wz, s1 * wz) - z0) * _PER_Z) // _TILE_ROWS
+    last = int((c[2] + max(s0 * wz, s1 * wz) - z0) * _PER_Z) // _TILE_ROWS
     at = min(int(column) // _TILE_COLUMNS, tile_low.shape[1] - 1)
     if first >= 0 and last < tile_low.shape[0]:
         low, high = tile_low[first, at], tile_high[first, at]
@@ -307,32 +307,30 @@ def _reflect(albedo: U8, column: Real, row: Real, channel: int, base: F32) -> Re
 
 @_compiled
 def _draw(
-    out: U8, first: int, last: int, rays: F32, rotation: F32, station: F32, projector_gain: F32, led_gain: F32,
-    lit: F32, radius: Real, z0: Real, deviation: F32, tile_low: F32, tile_high: F32, near_low: F32, near_high: F32,
-    tile_kind: U8, albedo: U8, base: F32, nearest: NDArray[np.int8], cos0: Real, cos_step: Real, centre: F32,
-    slits: F32, colours: F32, leak: Real, power: Real, rods: F32, led: F32, led_power: F32, blur: Real,
+    out: U8, first: int, last: int, rays: F32, starts: F32 | None, rotation: F32, station: F32, projector_gain: F32,
+    led_gain: F32, lit: F32, radius: Real, z0: Real, deviation: F32, tile_low: F32, tile_high: F32, near_low: F32,
+    near_high: F32, tile_kind: U8, albedo: U8, base: F32, nearest: NDArray[np.int8], cos0: Real, cos_step: Real,
+    centre: F32, slits: F32, colours: F32, leak: Real, power: Real, rods: F32, led: F32, led_power: F32, blur: Real,
     focal: Real, sensor: F32, balance: F32, noise: F32, seed: int,
 ) -> None:  # fmt: skip
     """Rows first..last of one frame, a row at a time in short loops that the compiler turns into vector code.
 
-    rays: (3, H, W), see `_ray_table`. rotation, station: pose, camera in the pipe. lit: the circle (u, v, inner, outer
+    rays, starts: see `_ray_table`. rotation, station: pose, camera in the pipe. lit: the circle (u, v, inner, outer
     px) that holds all projected light. centre: vertex, axis of the mean cone; finds the nearest slit through `nearest`.
     slits[i]: vertex, axis, cos, sin of the half-angle, half-width (rad); the first and the last "slit" are the
-    pattern's rims. colours[i], [i + 1]: stripes inside and outside of it. tile_kind: 0 plain, 1 gentle, 3 steep, +4
-    marked with paint; tile_low, tile_high: wall within a tile, near_*: on a ray's way to it.
+    pattern's rims; both in the pipe frame. colours[i], [i + 1]: stripes inside and outside of it. tile_kind: 0 plain,
+    1 gentle, 3 steep, +4 marked with paint; tile_low, tile_high: wall within a tile, near_*: on a ray's way to it.
     """
     width = out.shape[1]
     scratch = np.zeros(_SCRATCH, np.float32)
     slit_of = np.zeros(_STRETCH, np.int32)
     kinds = np.zeros(_STRETCH, np.int32)
     level = np.zeros(width, np.float32)
-    light = np.empty(3, np.float32)  # projector in the pipe frame
-    lamp = np.empty(3, np.float32)  # LED in the pipe frame
+    light = centre[:3]
+    start = station.copy()  # of the ray in hand
+    lamp = station.copy()  # LED in the pipe frame
     for k in range(3):
-        light[k] = station[k]
-        lamp[k] = station[k]
         for m in range(3):
-            light[k] += rotation[m, k] * centre[m]
             lamp[k] += rotation[m, k] * led[m]
     r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
     r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
@@ -375,16 +373,24 @@ def _draw(
             for u in range(n):
                 dx, dy = ray_x[u], ray_y[u]
                 dz = np.sqrt(max(one - dx * dx - dy * dy, zero))
+                cx, cy, cz = sx, sy, sz
+                if starts is not None:  # decided when compiled
+                    ox, oy, oz = starts[0, v, u0 + u], starts[1, v, u0 + u], starts[2, v, u0 + u]
+                    dz *= starts[3, v, u0 + u]
+                    cx += r00 * ox + r10 * oy + r20 * oz
+                    cy += r01 * ox + r11 * oy + r21 * oz
+                    cz += r02 * ox + r12 * oy + r22 * oz
+                    scratch[_CX + u], scratch[_CY + u], scratch[_CZ + u] = cx, cy, cz
                 wx = r00 * dx + r10 * dy + r20 * dz
                 wy = r01 * dx + r11 * dy + r21 * dz
                 wz = r02 * dx + r12 * dy + r22 * dz
                 a = wx * wx + wy * wy + np.float32(1e-7)
-                b = sx * wx + sy * wy
-                c = sx * sx + sy * sy - radius * radius
+                b = cx * wx + cy * wy
+                c = cx * cx + cy * cy - radius * radius
                 s = (np.sqrt(max(b * b - a * c, zero)) - b) / a
-                x, y = sx + s * wx, sy + s * wy
+                x, y = cx + s * wx, cy + s * wy
                 scratch[_WX + u], scratch[_WY + u], scratch[_WZ + u] = wx, wy, wz
-                scratch[_S + u], scratch[_X + u], scratch[_Y + u], scratch[_Z + u] = s, x, y, sz + s * wz
+                scratch[_S + u], scratch[_X + u], scratch[_Y + u], scratch[_Z + u] = s, x, y, cz + s * wz
                 scratch[_NX + u], scratch[_NY + u], scratch[_NZ + u] = x / radius, y / radius, zero
                 scratch[_OPEN + u], scratch[_LEVEL + u], scratch[_PLAIN + u] = one, zero, s
             for u in range(n):
@@ -398,60 +404,59 @@ def _draw(
                 scratch[_PAINT + u] = one if kind & 4 else zero
                 gentle += 1 if kind & 3 == 1 else 0
                 steep += kind & 2
-            if gentle:
+            rough = 2  # kinds met one pixel at a time; of rays that start apart, every wall that is not plain
+            if starts is not None:
+                rough = 3
+                steep += gentle
+            elif gentle:
                 _meet_gentle(n, scratch, station, z0, radius, deviation)
             if steep:
                 for u in range(n):
-                    if kinds[u] & 2:
-                        wz = (sz + scratch[_WZ + u] * scratch[_PLAIN + u] - z0) * _PER_Z
+                    if kinds[u] & rough:
+                        if starts is not None:
+                            start[0], start[1], start[2] = scratch[_CX + u], scratch[_CY + u], scratch[_CZ + u]
+                        wz = (start[2] + scratch[_WZ + u] * scratch[_PLAIN + u] - z0) * _PER_Z
                         ti, tj = int(wz) // _TILE_ROWS, min(int(scratch[_COLUMN + u]) // _TILE_COLUMNS, tiles_c - 1)
                         _rough(
-                            u, gp > 0, scratch, station, light, z0, radius, deviation, tile_low, tile_high,
+                            u, gp > 0, scratch, start, light, z0, radius, deviation, tile_low, tile_high,
                             near_low[ti, tj], near_high[ti, tj],
                         )  # fmt: skip
             if gp > 0:
                 vx, vy, vz, ax, ay, az = centre[0], centre[1], centre[2], centre[3], centre[4], centre[5]
                 for u in range(n):
-                    dx, dy, s = ray_x[u], ray_y[u], scratch[_S + u]
-                    dz = np.sqrt(max(one - dx * dx - dy * dy, zero))
-                    px, py, pz = s * dx - vx, s * dy - vy, s * dz - vz
+                    px, py, pz = scratch[_X + u] - vx, scratch[_Y + u] - vy, scratch[_Z + u] - vz
                     d2 = px * px + py * py + pz * pz
                     inverse = one / np.sqrt(d2)
-                    x, y, z = scratch[_X + u], scratch[_Y + u], scratch[_Z + u]
-                    facing = (
-                        (x - light[0]) * scratch[_NX + u]
-                        + (y - light[1]) * scratch[_NY + u]
-                        + (z - light[2]) * scratch[_NZ + u]
-                    )
+                    facing = px * scratch[_NX + u] + py * scratch[_NY + u] + pz * scratch[_NZ + u]
                     scratch[_LIT + u] = (
                         gp * power * max(facing, zero) * inverse * inverse * inverse * scratch[_OPEN + u]
                     )
                     at = (px * ax + py * ay + pz * az) * inverse
                     slit_of[u] = np.int32(max(min((at - cos0) * cos_step, np.float32(_BINS - 1)), zero))
                 for i in range(rods.shape[0]):
-                    rx, ry, thick, back, front = (
-                        rods[i, 0] - vx, rods[i, 1] - vy, rods[i, 2], rods[i, 3], rods[i, 4]
-                    )  # fmt: skip
+                    rx, ry, thick, back, front = rods[i, 0], rods[i, 1], rods[i, 2], rods[i, 3], rods[i, 4]
                     shaded = 0
                     for u in range(n):
-                        px, py = scratch[_S + u] * ray_x[u] - vx, scratch[_S + u] * ray_y[u] - vy
+                        x, y, z = scratch[_X + u] - vx, scratch[_Y + u] - vy, scratch[_Z + u] - vz
+                        px, py = r00 * x + r01 * y + r02 * z, r10 * x + r11 * y + r12 * z
                         across = rx * py - ry * px
                         near = across * across < np.float32(4.0) * thick * thick * (px * px + py * py)
                         shaded += 1 if near and rx * px + ry * py > zero else 0
                     if shaded == 0:
                         continue
                     for u in range(n):
-                        dx, dy, s = ray_x[u], ray_y[u], scratch[_S + u]
-                        dz = np.sqrt(max(one - dx * dx - dy * dy, zero))
-                        px, py, pz = s * dx - vx, s * dy - vy, s * dz - vz
+                        x, y, z = scratch[_X + u] - vx, scratch[_Y + u] - vy, scratch[_Z + u] - vz
+                        px, py = r00 * x + r01 * y + r02 * z, r10 * x + r11 * y + r12 * z
+                        pz = r20 * x + r21 * y + r22 * z
                         flat2 = px * px + py * py
                         t = (rx * px + ry * py) / flat2  # where on its way the light passes nearest to the rod
                         wide2 = rx * rx + ry * ry - t * t * flat2
-                        z = vz + t * pz
+                        z = t * pz
                         past = max(max(z - front, back - z), zero)
                         past2 = past * past * flat2 / (flat2 + pz * pz)
                         distance = np.sqrt(max(wide2 + past2, zero))
-                        through = _step_up((distance - thick) * focal / (blur * s * max(t, np.float32(0.05))))
+                        far = scratch[_S + u] * max(t, np.float32(0.05))
+                        through = _step_up((distance - thick) * focal / (blur * far))
                         scratch[_LIT + u] *= through if t > 0 else one
                 u = 0
                 while u < n:  # runs of pixels that share their nearest slit
@@ -467,9 +472,7 @@ def _draw(
                     even_in, odd_in = colours[i, even], colours[i, other]
                     even_out, odd_out = colours[i + 1, even], colours[i + 1, other]
                     for k in range(u, end):
-                        dx, dy, s = ray_x[k], ray_y[k], scratch[_S + k]
-                        dz = np.sqrt(max(one - dx * dx - dy * dy, zero))
-                        px, py, pz = s * dx - vx, s * dy - vy, s * dz - vz
+                        px, py, pz = scratch[_X + k] - vx, scratch[_Y + k] - vy, scratch[_Z + k] - vz
                         cosine = (px * ax + py * ay + pz * az) / np.sqrt(px * px + py * py + pz * pz)
                         sine2 = max(one - cosine * cosine, zero)
                         off = np.sqrt(sine2) * cosine0 - cosine * sine0  # sin(theta_P - theta), small
@@ -516,7 +519,11 @@ class Renderer:
         self.world = world
         camera, projector, optics = world.camera, world.projector, world.optics
         self.height, self.width = camera.height, camera.width
-        self._rays = _ray_table(world)
+        self._rays, self._starts = _ray_table(world)
+        # px a radian, for the softness of rods' shadows
+        self._focal = np.float32(camera.fx)
+        if camera.mirror is not None:
+            self._focal *= np.float32(camera.mirror.radius_mm / (2 * np.linalg.norm(camera.mirror.centre_mm)))
         self._deviation = np.pad(world.radius_map, ((0, 0), (1, _WALL_PITCH - CLOCKS - 1)), mode="wrap").ravel()
         self._extremes = np.stack([world.radius_map.min(axis=1), world.radius_map.max(axis=1)], axis=1)
         self._albedo = np.ascontiguousarray(world.albedo_map.transpose(2, 0, 1))
@@ -526,7 +533,7 @@ class Renderer:
         vertex = np.mean([c.vertex_mm for c in cones], axis=0)
         axis = np.mean([c.axis for c in cones], axis=0)
         axis /= np.linalg.norm(axis)
-        self._centre = np.concatenate([vertex, axis]).astype(np.float32)
+        self._centre = np.concatenate([vertex, axis])
         rims = (
             cones[0].half_angle - math.radians(projector.margin_deg[0]),
             cones[-1].half_angle + math.radians(projector.margin_deg[1]),
@@ -536,11 +543,7 @@ class Renderer:
         halves = [0.0, *(math.radians(h) for h in projector.slit_half_deg), 0.0]
         ends = [cones[0], *cones, cones[-1]]
         self._slits = np.array(
-            [
-                [*c.vertex_mm, *c.axis, math.cos(a), math.sin(a), h]
-                for c, a, h in zip(ends, angles, halves, strict=True)
-            ],
-            np.float32,
+            [[*c.vertex_mm, *c.axis, math.cos(a), math.sin(a), h] for c, a, h in zip(ends, angles, halves, strict=True)]
         )
         response = np.array(projector.response)
         stripes = np.array([response["RGB".index(c)] for c in projector.colours])
@@ -558,8 +561,12 @@ class Renderer:
         self._led_power = (led * np.array(world.led.colour)).astype(np.float32)
         self._led = np.array([0.0, 0.0, -world.led.behind_mm], np.float32)
         self._rods = np.array(
-            [[r.x_mm, r.y_mm, r.radius_mm, r.z0_mm, r.z1_mm] for r in world.rods], np.float32
-        ).reshape(-1, 5)
+            [
+                [r.x_mm - vertex[0], r.y_mm - vertex[1], r.radius_mm, r.z0_mm - vertex[2], r.z1_mm - vertex[2]]
+                for r in world.rods
+            ],
+            np.float32,
+        ).reshape(-1, 5)  # from the projector
         self._blur = np.float32(math.sqrt(optics.blur_px**2 + 1.0 / 12.0))  # the pixel itself is a box
         self._sensor = np.array([optics.black, optics.read, optics.shot], np.float32)
         self._balance = np.array(optics.balance, np.float32)
@@ -587,22 +594,31 @@ class Renderer:
         # Copies: a broadcast view is read-only, which numba would compile a second kernel for.
         gains = [np.array(np.broadcast_to(g, (self.height,)), np.float32) for g in (projector, led)]
         first, last = rows or (0, self.height)
+        centre, slits = (self._in_pipe(table, pose, z_mm) for table in (self._centre[None], self._slits))
         station = pose.to_pipe(np.zeros((1, 3)), z_mm)[0].astype(np.float32)
         _draw(
-            frame, first, last, self._rays, pose.rotation.astype(np.float32), station, gains[0], gains[1],
+            frame, first, last, self._rays, self._starts, pose.rotation.astype(np.float32), station, gains[0], gains[1],
             self._lit_circle(pose, z_mm), np.float32(self.world.radius_mm), np.float32(self.world.z_range_mm[0]),
             self._deviation, *self._tiles, self._albedo, self._base, self._nearest, self._cos0,
-            self._cos_step, self._centre, self._slits, self._colours, np.float32(self.world.projector.leak),
+            self._cos_step, centre[0], slits, self._colours, np.float32(self.world.projector.leak),
             self._power, self._rods, self._led, self._led_power, self._blur,
-            np.float32(self.world.camera.fx), self._sensor, self._balance, self._noise, seed & 0x7FFFFFFF,
+            self._focal, self._sensor, self._balance, self._noise, seed & 0x7FFFFFFF,
         )  # fmt: skip
         return frame
+
+    @staticmethod
+    def _in_pipe(table: NDArray[np.float64], pose: Pose, z_mm: float) -> F32:
+        """Rows of vertex, axis and more, from the camera frame to the pipe's."""
+        place, way = pose.to_pipe(table[:, :3], z_mm), table[:, 3:6] @ pose.rotation
+        return np.hstack([place, way, table[:, 6:]]).astype(np.float32)
 
     def _lit_circle(self, pose: Pose, z_mm: float) -> F32:
         """(u, v, inner, outer): pixels outside the ring inner..outer get no projector light."""
         world = self.world
+        if not world.camera.central:  # not worth a search: only the demo's frames must be quick
+            return np.array([0.0, 0.0, 0.0, 1e6], np.float32)
         around = np.linspace(0, 2 * np.pi, 48, endpoint=False)
-        vertex, axis = self._centre[:3].astype(float), self._centre[3:].astype(float)
+        vertex, axis = self._centre[:3], self._centre[3:]
         side = np.cross(axis, [0.0, 1.0, 0.0])
         side /= np.linalg.norm(side)
         up = np.cross(axis, side)
@@ -626,17 +642,41 @@ class Renderer:
         return np.array([*centre, max(inner, 0.0), outer], np.float32)
 
 
-def _ray_table(world: World) -> F32:
-    """(3, H, W): x, y of every pixel's unit ray, and dtheta/dpixel / sin^2 theta (zero where the lens sees nothing)."""
+def _ray_table(world: World) -> tuple[F32, F32 | None]:
+    """Where every pixel looks: the table all cameras have, and what one without a single centre has besides.
+
+    (3, H, W): x, y of every pixel's unit ray, and how its cot(theta) on the wall changes with a pixel: a ring on the
+    wall of a clean pipe, half-angle t, is blurred by sin^2 t times that (zero where the lens sees nothing).
+    (4, H, W): x, y, z (mm) where the ray starts, and the sign of its z.
+    """
     camera = world.camera
     grid = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1).astype(float)
-    rays = camera.rays(grid.reshape(-1, 2)).reshape(camera.height, camera.width, 3)
-    theta = np.arctan2(np.hypot(rays[..., 0], rays[..., 1]), rays[..., 2])
-    gradient = np.hypot(*np.gradient(theta)) if min(theta.shape) > 1 else np.zeros_like(theta)
+    shape = (camera.height, camera.width, 3)
+    start, rays = (part.reshape(shape) for part in camera.lines(grid.reshape(-1, 2)))
+    across = np.hypot(rays[..., 0], rays[..., 1])
     with np.errstate(divide="ignore", invalid="ignore"):
-        spread = gradient / np.sin(theta) ** 2
-    seen = np.isfinite(spread) & (rays[..., 2] > 0) & (theta > 1e-3)
-    return np.where(seen, np.stack([rays[..., 0], rays[..., 1], spread]), 0.0).astype(np.float32)
+        if camera.mirror is None:
+            theta = np.arctan2(across, rays[..., 2])
+            spread = _slope(theta) / np.sin(theta) ** 2
+            seen = (rays[..., 2] > 0) & (theta > 1e-3)
+        else:
+            reach = world.radius_mm - np.hypot(start[..., 0], start[..., 1])
+            spread = _slope(start[..., 2] + reach * rays[..., 2] / across) / world.radius_mm
+            eye = camera.mirror.eye_mm
+            to_eye = eye - start  # the housing of the camera, a disc about its pinhole
+            past = np.cross(to_eye, rays)
+            facing = (rays * eye).sum(axis=-1) > 0
+            seen = ~(facing & (np.linalg.norm(past, axis=-1) < world.housing_mm)) & (across > 1e-3)
+    seen &= np.isfinite(spread)
+    table = np.where(seen, np.stack([rays[..., 0], rays[..., 1], spread]), 0.0).astype(np.float32)
+    if camera.central:
+        return table, None
+    sign = np.where(rays[..., 2] < 0, -1.0, 1.0)[..., None]
+    return table, np.nan_to_num(np.concatenate([start, sign], axis=-1)).transpose(2, 0, 1).astype(np.float32).copy()
+
+
+def _slope(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.hypot(*np.gradient(values)) if min(values.shape) > 1 else np.zeros_like(values)
 
 
 def _behind(tiles: NDArray[Any], reach: int, combine: Callable[..., NDArray[Any]]) -> NDArray[Any]:

@@ -1,0 +1,56 @@
+"""A simulated scan as a scan folder: what a camera would have left behind, and the truth beside it."""
+
+import csv
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from annulus.record.recording import to_bgr
+from annulus.record.scan import COLUMNS, TABLE
+from annulus.twin.render import Renderer
+from annulus.twin.world import WORLDS, World
+from annulus.vocabulary import AnnulusError, Label
+
+LED_EVERY = 5  # four projector frames, one of the LED, as the head fires them
+
+
+def world_named(name: str, seed: int, defects: bool = True) -> World:
+    """One of WORLDS. Raises AnnulusError for a name that is none."""
+    if name not in WORLDS:
+        raise AnnulusError(f"world {name!r}: expected one of {', '.join(WORLDS)}")
+    world = WORLDS[name](seed)
+    return world if defects else replace(world, features=())
+
+
+def write_scan(
+    world: World, folder: Path, frames: int, progress: Callable[[str, int, int], None] | None = None
+) -> None:
+    """Pull the head through the world in `frames` even steps and write the scan into `folder`, which must be empty.
+
+    Writes frames.csv, frames/*.png, calibration.json (that of a perfect calibration) and truth.json. Every fifth frame
+    is the LED's. Raises AnnulusError where the folder cannot be written or holds something.
+    """
+    try:
+        if folder.is_dir() and any(folder.iterdir()):
+            raise AnnulusError(f"{folder}: is not empty, expected a new folder for the scan")
+        (folder / "frames").mkdir(parents=True, exist_ok=True)
+        (folder / "calibration.json").write_text(json.dumps(world.calibration().to_dict(), indent=1) + "\n")
+        (folder / "truth.json").write_text(json.dumps(world.truth(), indent=1) + "\n")
+        renderer = Renderer(world)
+        with (folder / TABLE).open("w", newline="") as file:
+            table = csv.writer(file)
+            table.writerow(COLUMNS)
+            for index, z_mm in enumerate(np.linspace(0.0, world.travel_mm, frames)):
+                led = index % LED_EVERY == LED_EVERY - 1
+                raw = renderer.render(world.pose(z_mm), z_mm, float(not led), float(led), seed=index)
+                name = f"frames/{index:06d}.png"
+                cv2.imwrite(str(folder / name), to_bgr(raw, "bayer_rggb8"), [cv2.IMWRITE_PNG_COMPRESSION, 1])
+                table.writerow([index, name, (Label.LED if led else Label.PROJECTOR).value, f"{z_mm:.4f}"])
+                if progress is not None:
+                    progress("frames", index + 1, frames)
+    except OSError as error:
+        raise AnnulusError(f"{folder}: cannot be written ({error.strerror})") from None
