@@ -38,16 +38,21 @@ void board_reset(void);
 // Stop for good, every output low, and wait to be flashed anew: the boot loader's part. May return, as board_reset.
 void board_bootloader(void);
 
-// ---- serial line ----
+// ---- lines to hosts ----
 
-// Up to `size` received bytes; how many. The board keeps at least 256 while the core is busy.
-size_t board_receive(uint8_t* bytes, size_t size);
+enum { LINE_UART, LINE_USB, LINES };
 
-// Hand over bytes to send; how many were taken, the rest must be offered again.
-size_t board_transmit(const uint8_t* bytes, size_t size);
+// Is a host there? A plain serial line cannot tell and always says yes.
+bool board_connected(uint8_t line);
+
+// Up to `size` received bytes; how many. While the core is busy the board keeps at least 256, or lets the host wait.
+size_t board_receive(uint8_t line, uint8_t* bytes, size_t size);
+
+// Hand over bytes to send; how many were taken, the rest must be offered again. Without a host all are taken and lost.
+size_t board_transmit(uint8_t line, const uint8_t* bytes, size_t size);
 
 // True when every byte handed over has left the line.
-bool board_transmitted(void);
+bool board_transmitted(uint8_t line);
 
 // ---- sync input and lamp gates ----
 

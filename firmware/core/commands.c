@@ -14,16 +14,28 @@
 #define TICKS_PER_US (PROTOCOL_TICK_HZ / 1000000U)
 #define NS_PER_TICK (1000000000U / PROTOCOL_TICK_HZ)
 
-static void identify(controller_t* const self, const uint8_t* const payload, uint8_t* const answer)
+// May this line's host change anything? The one that identified last, and knows what it says.
+static bool has_session(const controller_t* const self, const uint8_t line)
+{
+    return self->schema_ok && (line == self->session);
+}
+
+static void identify(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
 {
     command_identify_t command;
     command_identify_unpack(&command, payload);
-    self->schema_ok = (command.protocol == PROTOCOL_VERSION) && (command.schema == SCHEMA_HASH);
-    if (!self->schema_ok) {
-        safety_arm(self, 0U);  // whoever speaks now could not read what happens
+    const bool understood = (command.protocol == PROTOCOL_VERSION) && (command.schema == SCHEMA_HASH);
+    const bool at_work = (self->armed != 0U) && (line != self->session);  // the other line's host: not to be disturbed
+    if (!at_work) {
+        self->session = line;
+        self->schema_ok = understood;
+        if (!understood) {
+            safety_arm(self, 0U);  // whoever speaks now could not read what happens
+        }
     }
-    link_forget(&self->link);
-    reply_identify_t reply = {.status = self->schema_ok ? STATUS_OK : STATUS_SCHEMA,
+    link_forget(&self->links[line]);
+    const uint8_t taken = at_work ? STATUS_BAD_STATE : STATUS_OK;
+    reply_identify_t reply = {.status = understood ? taken : STATUS_SCHEMA,
                               .protocol = PROTOCOL_VERSION,
                               .schema = SCHEMA_HASH,
                               .boot = board_boot(),
@@ -40,13 +52,19 @@ static void identify(controller_t* const self, const uint8_t* const payload, uin
     reply_identify_pack(&reply, answer);
 }
 
+static void leave(controller_t* const self, const uint8_t where)
+{
+    self->leaving = where;
+    self->leaving_since = board_tick();
+}
+
 static void reset(controller_t* const self, const uint8_t* const payload, uint8_t* const answer)
 {
     command_reset_t command;
     command_reset_unpack(&command, payload);
     const bool meant = command.magic == PROTOCOL_RESET_MAGIC;
     if (meant) {
-        self->leaving = LEAVE_TO_START;
+        leave(self, LEAVE_TO_START);
         safety_arm(self, 0U);
     }
     reply_reset_pack(&(reply_reset_t){.status = meant ? STATUS_OK : STATUS_OUT_OF_RANGE}, answer);
@@ -61,7 +79,9 @@ static void bootloader(controller_t* const self, const uint8_t* const payload, u
     if (command.magic == PROTOCOL_BOOTLOADER_MAGIC) {
         const bool busy = (self->armed != 0U) || self->moving;
         reply.status = busy ? STATUS_BAD_STATE : STATUS_OK;
-        self->leaving = busy ? LEAVE_NOT : LEAVE_TO_BOOTLOADER;
+        if (!busy) {
+            leave(self, LEAVE_TO_BOOTLOADER);
+        }
     }
     reply_bootloader_pack(&reply, answer);
 }
@@ -71,7 +91,7 @@ static void ping(uint8_t* const answer)
     reply_ping_pack(&(reply_ping_t){.status = STATUS_OK, .tick = board_tick()}, answer);
 }
 
-static uint16_t state_flags(const controller_t* const self)
+static uint16_t state_flags(const controller_t* const self, const uint8_t line)
 {
     uint16_t state = 0;
     state |= self->sequencer.synced ? STATE_SYNCED : 0U;
@@ -81,14 +101,14 @@ static uint16_t state_flags(const controller_t* const self)
     state |= board_interlock_open() ? STATE_INTERLOCK_OPEN : 0U;
     state |= self->moving ? STATE_STAGE_MOVING : 0U;
     state |= self->sequencer.is_staged ? STATE_STAGED : 0U;
-    state |= self->schema_ok ? STATE_SCHEMA_OK : 0U;
+    state |= has_session(self, line) ? STATE_SCHEMA_OK : 0U;
     return state;
 }
 
-static void status(const controller_t* const self, uint8_t* const answer)
+static void status(const controller_t* const self, const uint8_t line, uint8_t* const answer)
 {
     reply_status_pack(&(reply_status_t){.status = STATUS_OK,
-                                        .state = state_flags(self),
+                                        .state = state_flags(self, line),
                                         .fault = self->fault,
                                         .generation = self->sequencer.config.generation,
                                         .edges = self->sequencer.edges,
@@ -96,14 +116,14 @@ static void status(const controller_t* const self, uint8_t* const answer)
                                         .period = self->sequencer.period,
                                         .odometer = board_odometer(),
                                         .events = self->events.next,
-                                        .bad_frames = self->link.bad_frames,
+                                        .bad_frames = self->links[line].bad_frames,
                                         .late = self->sequencer.late,
                                         .overruns = self->events.overruns,
                                         .stage = board_stage_position()},
                       answer);
 }
 
-static void stage(controller_t* const self, const uint8_t* const payload, uint8_t* const answer)
+static void stage(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
 {
     command_stage_t command;
     command_stage_unpack(&command, payload);
@@ -113,17 +133,17 @@ static void stage(controller_t* const self, const uint8_t* const payload, uint8_
         reply.status = STATUS_OUT_OF_RANGE;
     } else {
         reply.detail = 0;
-        reply.status = self->schema_ok ? sequencer_stage(&self->sequencer, &command, &reply) : STATUS_SCHEMA;
+        reply.status = has_session(self, line) ? sequencer_stage(&self->sequencer, &command, &reply) : STATUS_SCHEMA;
     }
     reply_stage_pack(&reply, answer);
 }
 
-static void commit(controller_t* const self, const uint8_t* const payload, uint8_t* const answer)
+static void commit(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
 {
     command_commit_t command;
     command_commit_unpack(&command, payload);
     reply_commit_t reply = {.status = STATUS_SCHEMA, .generation = self->sequencer.config.generation};
-    if (self->schema_ok) {
+    if (has_session(self, line)) {
         const bool taken = sequencer_commit(&self->sequencer, command.generation);
         reply.status = taken ? STATUS_OK : STATUS_BAD_STATE;
         reply.generation = taken ? command.generation : reply.generation;
@@ -131,12 +151,13 @@ static void commit(controller_t* const self, const uint8_t* const payload, uint8
     reply_commit_pack(&reply, answer);
 }
 
-static void arm(controller_t* const self, const uint8_t* const payload, uint8_t* const answer)
+static void arm(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
 {
     command_arm_t command;
     command_arm_unpack(&command, payload);
     const bool known = (command.outputs & ~(ARM_LAMPS | ARM_MICROWAVE)) == 0U;
-    const uint8_t outcome = known ? safety_arm(self, command.outputs) : STATUS_OUT_OF_RANGE;
+    const bool allowed = (command.outputs == 0U) || has_session(self, line);
+    const uint8_t outcome = !known ? STATUS_OUT_OF_RANGE : !allowed ? STATUS_SCHEMA : safety_arm(self, command.outputs);
     reply_arm_pack(&(reply_arm_t){.status = outcome, .outputs = self->armed}, answer);
 }
 
@@ -146,32 +167,33 @@ static void clear(controller_t* const self, uint8_t* const answer)
     reply_clear_pack(&(reply_clear_t){.status = outcome, .fault = self->fault}, answer);
 }
 
-static void reread(controller_t* const self, const uint8_t* const payload, uint8_t* const answer)
+static void reread(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
 {
     command_reread_t command;
     command_reread_unpack(&command, payload);
     reply_reread_t reply = {.status = STATUS_OUT_OF_RANGE, .detail = command_reread_range(&command)};
     if (reply.detail == RANGE_OK) {
         reply.detail = 0;
+        self->rereader = line;
         reply.status = events_reread(&self->events, &command, &reply);
     }
     reply_reread_pack(&reply, answer);
 }
 
-static void pattern(controller_t* const self, const uint8_t* const payload, uint8_t* const answer)
+static void pattern(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
 {
     command_pattern_t command;
     command_pattern_unpack(&command, payload);
     reply_pattern_t reply = {.status = STATUS_OUT_OF_RANGE, .detail = command_pattern_range(&command)};
     if (reply.detail == RANGE_OK) {
         reply.detail = 0;
-        reply.status = self->schema_ok ? bursts_upload(&self->bursts, &command, &reply.detail) : STATUS_SCHEMA;
+        reply.status = has_session(self, line) ? bursts_upload(&self->bursts, &command, &reply.detail) : STATUS_SCHEMA;
     }
     reply.length = self->bursts.uploaded.length;
     reply_pattern_pack(&reply, answer);
 }
 
-static void burst(controller_t* const self, const uint8_t* const payload, uint8_t* const answer)
+static void burst(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
 {
     command_burst_t command;
     command_burst_unpack(&command, payload);
@@ -180,6 +202,8 @@ static void burst(controller_t* const self, const uint8_t* const payload, uint8_
         reply.detail = 0;
         if ((self->armed & ARM_MICROWAVE) == 0U) {
             reply.status = (self->fault != FAULT_NONE) ? STATUS_UNSAFE : STATUS_BAD_STATE;
+        } else if (!has_session(self, line)) {
+            reply.status = STATUS_SCHEMA;
         } else {
             bool refused = false;
             reply.status = bursts_fire(&self->bursts, &command, &reply, &refused);
@@ -197,14 +221,14 @@ static void burst_stop(uint8_t* const answer)
     reply_burst_stop_pack(&reply, answer);
 }
 
-static void move(controller_t* const self, const uint8_t* const payload, uint8_t* const answer)
+static void move(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
 {
     command_move_t command;
     command_move_unpack(&command, payload);
     reply_move_t reply = {.status = STATUS_OUT_OF_RANGE, .detail = command_move_range(&command)};
     if (reply.detail == RANGE_OK) {
         reply.detail = 0;
-        if (!self->schema_ok) {
+        if (!has_session(self, line)) {
             reply.status = STATUS_SCHEMA;
         } else if (self->moving) {
             reply.status = STATUS_BAD_STATE;
@@ -218,12 +242,13 @@ static void move(controller_t* const self, const uint8_t* const payload, uint8_t
     reply_move_pack(&reply, answer);
 }
 
-void commands_execute(controller_t* const self, const command_t* const command, uint8_t reply[const PAYLOAD_MAX])
+void commands_execute(controller_t* const self, const uint8_t line, const command_t* const command,
+                      uint8_t reply[const PAYLOAD_MAX])
 {
     const uint8_t* const payload = command->payload;
     switch (command->layout->id) {
     case COMMAND_IDENTIFY:
-        identify(self, payload, reply);
+        identify(self, line, payload, reply);
         break;
     case COMMAND_RESET:
         reset(self, payload, reply);
@@ -232,34 +257,34 @@ void commands_execute(controller_t* const self, const command_t* const command, 
         ping(reply);
         break;
     case COMMAND_STATUS:
-        status(self, reply);
+        status(self, line, reply);
         break;
     case COMMAND_STAGE:
-        stage(self, payload, reply);
+        stage(self, line, payload, reply);
         break;
     case COMMAND_COMMIT:
-        commit(self, payload, reply);
+        commit(self, line, payload, reply);
         break;
     case COMMAND_ARM:
-        arm(self, payload, reply);
+        arm(self, line, payload, reply);
         break;
     case COMMAND_CLEAR:
         clear(self, reply);
         break;
     case COMMAND_REREAD:
-        reread(self, payload, reply);
+        reread(self, line, payload, reply);
         break;
     case COMMAND_PATTERN:
-        pattern(self, payload, reply);
+        pattern(self, line, payload, reply);
         break;
     case COMMAND_BURST:
-        burst(self, payload, reply);
+        burst(self, line, payload, reply);
         break;
     case COMMAND_BURST_STOP:
         burst_stop(reply);
         break;
     case COMMAND_MOVE:
-        move(self, payload, reply);
+        move(self, line, payload, reply);
         break;
     default:  // COMMAND_BOOTLOADER: the link lets through no id without a layout
         bootloader(self, payload, reply);

@@ -8,6 +8,8 @@
 #include "commands.h"
 #include "safety.h"
 
+#define LEAVE_TICKS (PROTOCOL_TICK_HZ / 10U)  // patience with a host that does not fetch the acknowledgement
+
 void controller_start(controller_t* const self)
 {
     memset(self, 0, sizeof *self);
@@ -18,7 +20,6 @@ void controller_start(controller_t* const self)
         safety_trip(self, FAULT_WATCHDOG, 0U);
     }
     sequencer_start(&self->sequencer);
-    link_start(&self->link);
 }
 
 static void report_stage(controller_t* const self, const uint32_t now)
@@ -30,39 +31,56 @@ static void report_stage(controller_t* const self, const uint32_t now)
     }
 }
 
-// One command a round at most, so that no round is long and no more than one flash is loaded in it.
-static void receive(controller_t* const self)
+// A host that is there again begins at a frame's beginning, and finds nothing of what was meant for the one before.
+static void watch_connection(controller_t* const self, const uint8_t line)
 {
+    const bool connected = board_connected(line);
+    if (connected && !self->connected[line]) {
+        link_start(&self->links[line]);
+    }
+    self->connected[line] = connected;
+}
+
+// One command a line and round at most, so that no round is long.
+static void receive(controller_t* const self, const uint8_t line)
+{
+    link_t* const link = &self->links[line];
     command_t command;
     bool complete = false;
     uint8_t byte;
-    while (!complete && (self->leaving == LEAVE_NOT) && (board_receive(&byte, 1U) == 1U)) {
+    while (!complete && (self->leaving == LEAVE_NOT) && (board_receive(line, &byte, 1U) == 1U)) {
         bool heard = false;
-        complete = link_receive(&self->link, byte, &command, &heard);
-        if (heard) {
+        complete = link_receive(link, byte, &command, &heard);
+        if (heard && (line == self->session)) {  // whoever only looks on keeps nothing alight
             self->heard = board_tick();
         }
     }
     if (complete) {
         uint8_t reply[PAYLOAD_MAX];
-        commands_execute(self, &command, reply);
-        link_reply(&self->link, &command, reply);
+        commands_execute(self, line, &command, reply);
+        link_reply(link, &command, reply);
     }
 }
 
-static void transmit(controller_t* const self)
+static const event_t* next_event(controller_t* const self, const uint8_t line, uint16_t* const sequence)
 {
-    link_t* const link = &self->link;
+    const event_t* const again = (line == self->rereader) ? events_again(&self->events, sequence) : NULL;
+    return ((again == NULL) && (line == self->session)) ? events_next(&self->events, sequence) : again;
+}
+
+static void transmit(controller_t* const self, const uint8_t line)
+{
+    link_t* const link = &self->links[line];
     for (;;) {
         if (!link_busy(link) && !link_next(link)) {
             uint16_t sequence;
-            const event_t* const event = events_next(&self->events, &sequence);
+            const event_t* const event = next_event(self, line, &sequence);
             if (event == NULL) {
                 return;
             }
             link_send_event(link, event->id, sequence, board_boot(), event->payload);
         }
-        link->sending_at += (uint8_t)board_transmit(link->sending + link->sending_at,
+        link->sending_at += (uint8_t)board_transmit(line, link->sending + link->sending_at,
                                                     (size_t)(link->sending_length - link->sending_at));
         if (link_busy(link)) {
             return;  // the line is full
@@ -70,10 +88,20 @@ static void transmit(controller_t* const self)
     }
 }
 
+// Told to go, and the acknowledgement has left; or nobody fetches it.
+static bool may_leave(const controller_t* const self)
+{
+    bool quiet = true;
+    for (uint8_t line = 0; line < LINES; line++) {
+        quiet = quiet && link_idle(&self->links[line]) && board_transmitted(line);
+    }
+    return quiet || (board_tick() - self->leaving_since > LEAVE_TICKS);
+}
+
 void controller_run(controller_t* const self)
 {
     board_watchdog_kick();
-    if ((self->leaving != LEAVE_NOT) && link_idle(&self->link) && board_transmitted()) {
+    if ((self->leaving != LEAVE_NOT) && may_leave(self)) {
         if (self->leaving == LEAVE_TO_BOOTLOADER) {
             board_bootloader();
         } else {
@@ -84,11 +112,16 @@ void controller_run(controller_t* const self)
     const uint32_t now = board_tick();
     sequencer_edges(&self->sequencer, &self->events, now);
     safety_run(self, now);
-    receive(self);
+    for (uint8_t line = 0; line < LINES; line++) {
+        watch_connection(self, line);
+        receive(self, line);
+    }
     safety_insist(self, sequencer_load(&self->sequencer, &self->events, now));
     bursts_run(&self->bursts, &self->events, board_tick());
     report_stage(self, now);
     events_run(&self->events, now);
     board_status_light(self->armed != 0U);
-    transmit(self);
+    for (uint8_t line = 0; line < LINES; line++) {
+        transmit(self, line);
+    }
 }

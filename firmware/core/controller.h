@@ -6,6 +6,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "../board.h"
 #include "bursts.h"
 #include "events.h"
 #include "link.h"
@@ -16,16 +17,20 @@
 enum { LEAVE_NOT, LEAVE_TO_START, LEAVE_TO_BOOTLOADER };
 
 typedef struct {
-    link_t link;
+    link_t links[LINES];
+    bool connected[LINES];  // at the last look
+    uint8_t session;        // line whose host identified last: it commands, and gets the events
+    bool schema_ok;         // and speaks our schema
+    uint8_t rereader;       // line that asked for events again
     events_t events;
     sequencer_t sequencer;
     bursts_t bursts;
-    uint8_t armed;  // ARM_*
-    uint8_t fault;  // latched, FAULT_*
-    bool schema_ok;
-    bool moving;     // the rotary stage; STAGE_DONE is due
+    uint8_t armed;    // ARM_*
+    uint8_t fault;    // latched, FAULT_*
+    bool moving;      // the rotary stage; STAGE_DONE is due
     uint8_t leaving;  // LEAVE_*, once the acknowledgement has left
-    uint32_t heard;  // tick of the host's last valid frame, meaningful while armed
+    uint32_t leaving_since;
+    uint32_t heard;  // tick of the session's last valid frame, meaningful while armed
 } controller_t;
 
 // After reset: every output is low. Reports BOOTED.

@@ -52,7 +52,7 @@ uint8_t events_reread(events_t* const self, const command_reread_t* const comman
     return (count > 0U) ? STATUS_OK : STATUS_GONE;
 }
 
-const event_t* events_next(events_t* const self, uint16_t* const sequence)
+const event_t* events_again(events_t* const self, uint16_t* const sequence)
 {
     while (self->again_count > 0U) {
         *sequence = self->again++;
@@ -61,6 +61,11 @@ const event_t* events_next(events_t* const self, uint16_t* const sequence)
             return &self->ring[*sequence % PROTOCOL_EVENT_RING];
         }
     }
+    return NULL;
+}
+
+const event_t* events_next(events_t* const self, uint16_t* const sequence)
+{
     if (self->sent == self->next) {
         return NULL;
     }

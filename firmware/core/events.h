@@ -33,7 +33,10 @@ void events_fault(events_t* self, uint32_t tick, uint8_t fault, uint32_t detail)
 // Send `count` from `first` again. STATUS_OK or STATUS_GONE; the reply says which will follow.
 uint8_t events_reread(events_t* self, const command_reread_t* command, reply_reread_t* reply);
 
-// The event to send now and its sequence, or NULL. Rereads go first: the host waits for those.
+// The event to send again now and its sequence, or NULL. These go first: the host waits for them.
+const event_t* events_again(events_t* self, uint16_t* sequence);
+
+// The event to send for the first time, and its sequence, or NULL.
 const event_t* events_next(events_t* self, uint16_t* sequence);
 
 // Once a round: an overrun that is over is reported.

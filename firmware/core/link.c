@@ -67,6 +67,9 @@ uint8_t link_frame(const uint8_t* const body, const size_t length, const uint8_t
 
 void link_start(link_t* const self)
 {
+    const uint16_t bad_frames = self->bad_frames;
+    memset(self, 0, sizeof *self);
+    self->bad_frames = bad_frames;
     self->sending[0] = 0U;  // a lone delimiter
     self->sending_length = 1;
 }

@@ -50,7 +50,8 @@ size_t cobs_decode(uint8_t* bytes, size_t length);
 // `body` (no CRC yet) as a frame, delimiter included; its length.
 uint8_t link_frame(const uint8_t* body, size_t length, uint8_t schema, uint8_t wire[PROTOCOL_MAX_WIRE]);
 
-// After reset, all zero. Ends whatever frame the reset cut short, so that the first one after it can be read.
+// After a reset, or when a host is there again. Forgets all but the count of bad frames, and ends whatever frame was
+// cut short, so that the first one after it can be read.
 void link_start(link_t* self);
 
 // One byte from the line. True when it completed a valid command that has to be carried out: fill in a reply with

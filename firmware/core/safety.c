@@ -56,7 +56,7 @@ void safety_run(controller_t* const self, const uint32_t now)
     }
     if (tripped) {
         safety_trip(self, FAULT_INTERLOCK, 0U);
-    } else if (now - self->heard > host_timeout_ticks(self)) {
+    } else if (!board_connected(self->session) || (now - self->heard > host_timeout_ticks(self))) {
         safety_trip(self, FAULT_HOST_TIMEOUT, now - self->heard);
     }
 }
@@ -66,9 +66,6 @@ uint8_t safety_arm(controller_t* const self, const uint8_t outputs)
     const bool lamps = (outputs & ARM_LAMPS) != 0U;
     const bool microwave = (outputs & ARM_MICROWAVE) != 0U;
     if (outputs != 0U) {
-        if (!self->schema_ok) {
-            return STATUS_SCHEMA;
-        }
         if ((self->fault != FAULT_NONE) || (microwave && board_interlock_open())) {
             return STATUS_UNSAFE;
         }

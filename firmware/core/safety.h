@@ -11,7 +11,7 @@ void safety_trip(controller_t* self, uint8_t fault, uint32_t detail);
 // What the board refuses is beyond a compiled-in limit: never try again before the host has seen it.
 void safety_insist(controller_t* self, bool accepted);
 
-// Once a round: interlock and host timeout.
+// Once a round: interlock, host timeout, and a host that has gone.
 void safety_run(controller_t* self, uint32_t now);
 
 // Absolute. A status; refused, nothing changes.

@@ -37,6 +37,25 @@ typedef struct {
     uint8_t level;
 } train_step_t;
 
+// A serial line, both ways; the one that stands for USB can be unplugged.
+typedef struct {
+    struct {
+        size_t first;  // on the line to the controller
+        size_t count;
+        uint64_t arrival;  // of the first of them
+        uint8_t buffer[BUFFER_IN_MAX];
+        size_t buffer_count;
+    } in;
+    struct {
+        uint8_t buffer[BUFFER_OUT_MAX];  // ring, in the controller
+        size_t buffer_first;
+        size_t buffer_count;
+        uint64_t departure;  // of the first of them has left the line
+        size_t first;        // waiting for the host
+        size_t count;
+    } out;
+} line_t;
+
 static struct {
     uint64_t now;
     bool powered;
@@ -61,22 +80,9 @@ static struct {
     uint64_t stalled_until;
     uint64_t kicked;
 
-    struct {
-        size_t first;  // on the line to the controller
-        size_t count;
-        uint64_t arrival;  // of the first of them
-        uint8_t buffer[BUFFER_IN_MAX];
-        size_t buffer_count;
-    } in;
-
-    struct {
-        uint8_t buffer[BUFFER_OUT_MAX];  // ring, in the controller
-        size_t buffer_first;
-        size_t buffer_count;
-        uint64_t departure;  // of the first of them has left the line
-        size_t first;        // waiting for the host
-        size_t count;
-    } out;
+    line_t lines[LINES];
+    bool usb_connected;
+    bool usb_held;
 
     struct {
         board_flash_t loaded;
@@ -120,8 +126,8 @@ static struct {
 // Apart from `world`, so that a fresh one costs no megabytes of zeroes.
 static input_t inputs[INPUTS_MAX];                        // binary heap
 static native_transition_t transitions[TRANSITIONS_MAX];  // ring
-static uint8_t line_in[LINE_IN_MAX];                      // ring
-static uint8_t line_out[LINE_OUT_MAX];                    // ring
+static uint8_t line_in[LINES][LINE_IN_MAX];               // rings
+static uint8_t line_out[LINES][LINE_OUT_MAX];             // rings
 
 static controller_t controller;
 
@@ -312,45 +318,48 @@ static void step_motor(void)
     }
 }
 
-static uint64_t arrival_time(void)
+static uint64_t arrival_time(const uint8_t line)
 {
-    return (world.in.count > 0U) ? world.in.arrival : NEVER;
+    return (world.lines[line].in.count > 0U) ? world.lines[line].in.arrival : NEVER;
 }
 
-static void step_arrival(void)
+static void step_arrival(const uint8_t line)
 {
-    const uint8_t byte = line_in[world.in.first];
-    world.in.first = (world.in.first + 1U) % LINE_IN_MAX;
-    world.in.count--;
-    world.in.arrival = world.now + NATIVE_BYTE_TICKS;
+    line_t* const self = &world.lines[line];
+    const uint8_t byte = line_in[line][self->in.first];
+    self->in.first = (self->in.first + 1U) % LINE_IN_MAX;
+    self->in.count--;
+    self->in.arrival = world.now + NATIVE_BYTE_TICKS;
     if (!world.powered) {
         return;
     }
-    if (world.in.buffer_count == BUFFER_IN_MAX) {
+    if (self->in.buffer_count == BUFFER_IN_MAX) {
         world.lost.received++;
         return;
     }
-    world.in.buffer[world.in.buffer_count++] = byte;
+    self->in.buffer[self->in.buffer_count++] = byte;
     wake_cpu();
 }
 
-static uint64_t departure_time(void)
+static uint64_t departure_time(const uint8_t line)
 {
-    return (world.out.buffer_count > 0U) ? world.out.departure : NEVER;
+    const bool waits = (line == LINE_USB) && world.usb_held;
+    return ((world.lines[line].out.buffer_count > 0U) && !waits) ? world.lines[line].out.departure : NEVER;
 }
 
-static void step_departure(void)
+static void step_departure(const uint8_t line)
 {
-    const uint8_t byte = world.out.buffer[world.out.buffer_first];
-    world.out.buffer_first = (world.out.buffer_first + 1U) % BUFFER_OUT_MAX;
-    world.out.buffer_count--;
-    world.out.departure = world.now + NATIVE_BYTE_TICKS;
-    if (world.out.count == LINE_OUT_MAX) {
+    line_t* const self = &world.lines[line];
+    const uint8_t byte = self->out.buffer[self->out.buffer_first];
+    self->out.buffer_first = (self->out.buffer_first + 1U) % BUFFER_OUT_MAX;
+    self->out.buffer_count--;
+    self->out.departure = world.now + NATIVE_BYTE_TICKS;
+    if (self->out.count == LINE_OUT_MAX) {
         world.lost.sent++;
     } else {
-        line_out[(world.out.first + world.out.count++) % LINE_OUT_MAX] = byte;
+        line_out[line][(self->out.first + self->out.count++) % LINE_OUT_MAX] = byte;
     }
-    if (world.out.buffer_count < BUFFER_OUT_MAX / 2U) {
+    if (self->out.buffer_count < BUFFER_OUT_MAX / 2U) {
         wake_cpu();
     }
 }
@@ -362,22 +371,24 @@ static void round_of_cpu(void)
     if (world.reset_wanted) {
         world.reset_wanted = false;
         native_power_on((uint8_t)(world.boot + 1U), BOOT_CAUSE_HOST_RESET);
-    } else if (world.in.buffer_count > 0U) {
+    } else if ((world.lines[LINE_UART].in.buffer_count > 0U) || (world.lines[LINE_USB].in.buffer_count > 0U)) {
         wake_cpu();
     }
 }
 
 void native_run_until(const uint64_t tick)
 {
-    enum { INPUT, LAMP, TRAIN, MOTOR, ARRIVAL, DEPARTURE, ROUND, WATCHDOG, SOURCES };
+    enum { INPUT, LAMP, TRAIN, MOTOR, ARRIVAL, USB_ARRIVAL, DEPARTURE, USB_DEPARTURE, ROUND, WATCHDOG, SOURCES };
     for (;;) {
         const uint64_t times[SOURCES] = {
             [INPUT] = (world.input_count > 0U) ? inputs[0].tick : NEVER,
             [LAMP] = lamp_time(),
             [TRAIN] = train_time(),
             [MOTOR] = motor_time(),
-            [ARRIVAL] = arrival_time(),
-            [DEPARTURE] = departure_time(),
+            [ARRIVAL] = arrival_time(LINE_UART),
+            [USB_ARRIVAL] = arrival_time(LINE_USB),
+            [DEPARTURE] = departure_time(LINE_UART),
+            [USB_DEPARTURE] = departure_time(LINE_USB),
             [ROUND] = world.powered ? world.next_round : NEVER,
             [WATCHDOG] = world.powered ? world.kicked + WATCHDOG_TICKS : NEVER,
         };
@@ -407,10 +418,12 @@ void native_run_until(const uint64_t tick)
             step_motor();
             break;
         case ARRIVAL:
-            step_arrival();
+        case USB_ARRIVAL:
+            step_arrival((first == ARRIVAL) ? LINE_UART : LINE_USB);
             break;
         case DEPARTURE:
-            step_departure();
+        case USB_DEPARTURE:
+            step_departure((first == DEPARTURE) ? LINE_UART : LINE_USB);
             break;
         case ROUND:
             round_of_cpu();
@@ -450,8 +463,10 @@ void native_power_on(const uint8_t boot, const uint8_t cause)
 {
     outputs_at_rest();
     world.in_bootloader = false;
-    world.in.buffer_count = 0;
-    world.out.buffer_count = 0;
+    for (size_t line = 0; line < LINES; line++) {
+        world.lines[line].in.buffer_count = 0;
+        world.lines[line].out.buffer_count = 0;
+    }
     world.odometer = 0;
     world.interlock_tripped = false;
     world.refuse_next = false;
@@ -482,27 +497,61 @@ bool native_input(const uint64_t tick, const uint8_t pin, const uint8_t level)
     return true;
 }
 
-size_t native_serial_write(const uint8_t* const bytes, const size_t size)
+static size_t write_line(const uint8_t line, const uint8_t* const bytes, const size_t size)
 {
-    if ((world.in.count == 0U) && (world.in.arrival < world.now + NATIVE_BYTE_TICKS)) {
-        world.in.arrival = world.now + NATIVE_BYTE_TICKS;
+    line_t* const self = &world.lines[line];
+    if ((self->in.count == 0U) && (self->in.arrival < world.now + NATIVE_BYTE_TICKS)) {
+        self->in.arrival = world.now + NATIVE_BYTE_TICKS;
     }
     size_t taken = 0;
-    while ((taken < size) && (world.in.count < LINE_IN_MAX)) {
-        line_in[(world.in.first + world.in.count++) % LINE_IN_MAX] = bytes[taken++];
+    while ((taken < size) && (self->in.count < LINE_IN_MAX)) {
+        line_in[line][(self->in.first + self->in.count++) % LINE_IN_MAX] = bytes[taken++];
     }
     return taken;
 }
 
-size_t native_serial_read(uint8_t* const bytes, const size_t size)
+static size_t read_line(const uint8_t line, uint8_t* const bytes, const size_t size)
 {
+    line_t* const self = &world.lines[line];
     size_t given = 0;
-    while ((given < size) && (world.out.count > 0U)) {
-        bytes[given++] = line_out[world.out.first];
-        world.out.first = (world.out.first + 1U) % LINE_OUT_MAX;
-        world.out.count--;
+    while ((given < size) && (self->out.count > 0U)) {
+        bytes[given++] = line_out[line][self->out.first];
+        self->out.first = (self->out.first + 1U) % LINE_OUT_MAX;
+        self->out.count--;
     }
     return given;
+}
+
+size_t native_serial_write(const uint8_t* const bytes, const size_t size)
+{
+    return write_line(LINE_UART, bytes, size);
+}
+
+size_t native_serial_read(uint8_t* const bytes, const size_t size)
+{
+    return read_line(LINE_UART, bytes, size);
+}
+
+void native_usb_connect(const bool connected)
+{
+    world.usb_connected = connected;
+    memset(&world.lines[LINE_USB], 0, sizeof world.lines[LINE_USB]);
+    wake_cpu();
+}
+
+void native_usb_hold(const bool held)
+{
+    world.usb_held = held;
+}
+
+size_t native_usb_write(const uint8_t* const bytes, const size_t size)
+{
+    return world.usb_connected ? write_line(LINE_USB, bytes, size) : 0U;
+}
+
+size_t native_usb_read(uint8_t* const bytes, const size_t size)
+{
+    return read_line(LINE_USB, bytes, size);
 }
 
 size_t native_pins(native_transition_t* const drained, const size_t size)
@@ -595,31 +644,41 @@ void board_bootloader(void)
     world.in_bootloader = true;
 }
 
-size_t board_receive(uint8_t* const bytes, const size_t size)
+bool board_connected(const uint8_t line)
 {
-    const size_t given = (size < world.in.buffer_count) ? size : world.in.buffer_count;
-    memcpy(bytes, world.in.buffer, given);
-    world.in.buffer_count -= given;
-    memmove(world.in.buffer, world.in.buffer + given, world.in.buffer_count);
+    return (line == LINE_UART) || world.usb_connected;
+}
+
+size_t board_receive(const uint8_t line, uint8_t* const bytes, const size_t size)
+{
+    line_t* const self = &world.lines[line];
+    const size_t given = (size < self->in.buffer_count) ? size : self->in.buffer_count;
+    memcpy(bytes, self->in.buffer, given);
+    self->in.buffer_count -= given;
+    memmove(self->in.buffer, self->in.buffer + given, self->in.buffer_count);
     return given;
 }
 
-size_t board_transmit(const uint8_t* const bytes, const size_t size)
+size_t board_transmit(const uint8_t line, const uint8_t* const bytes, const size_t size)
 {
-    if (world.out.buffer_count == 0U) {
-        world.out.departure = world.now + NATIVE_BYTE_TICKS;
+    line_t* const self = &world.lines[line];
+    if (!board_connected(line)) {
+        return size;
+    }
+    if (self->out.buffer_count == 0U) {
+        self->out.departure = world.now + NATIVE_BYTE_TICKS;
     }
     size_t taken = 0;
-    while ((taken < size) && (world.out.buffer_count < BUFFER_OUT_MAX)) {
-        const size_t at = (world.out.buffer_first + world.out.buffer_count++) % BUFFER_OUT_MAX;
-        world.out.buffer[at] = bytes[taken++];
+    while ((taken < size) && (self->out.buffer_count < BUFFER_OUT_MAX)) {
+        const size_t at = (self->out.buffer_first + self->out.buffer_count++) % BUFFER_OUT_MAX;
+        self->out.buffer[at] = bytes[taken++];
     }
     return taken;
 }
 
-bool board_transmitted(void)
+bool board_transmitted(const uint8_t line)
 {
-    return world.out.buffer_count == 0U;
+    return world.lines[line].out.buffer_count == 0U;
 }
 
 static bool is_refused(void)

@@ -60,6 +60,15 @@ size_t native_serial_write(const uint8_t* bytes, size_t size);
 // Bytes that have arrived from the controller by now.
 size_t native_serial_read(uint8_t* bytes, size_t size);
 
+// The second line, which stands for USB: nobody is there at first; plugging in or out loses whatever is under way. It
+// runs at the serial line's speed.
+void native_usb_connect(bool connected);
+// The host there fetches nothing, until told otherwise.
+void native_usb_hold(bool held);
+
+size_t native_usb_write(const uint8_t* bytes, size_t size);
+size_t native_usb_read(uint8_t* bytes, size_t size);
+
 // Let the world go on to this tick.
 void native_run_until(uint64_t tick);
 uint64_t native_tick(void);

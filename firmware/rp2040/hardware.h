@@ -4,6 +4,7 @@
 #define ANNULUS_HARDWARE_H
 
 #include <stdbool.h>
+#include <stddef.h>
 #include <stdint.h>
 
 // In the order in which they must be called after reset.
@@ -11,6 +12,7 @@ void system_start(void);  // watchdog, time, serial line, pins at rest
 void lamps_start(void);   // sync follower, lamps, odometer: PIO0, and the odometer's machine of PIO1
 void microwave_start(void);
 void stage_start(void);
+void usb_start(void);
 
 // Every output that can fire: low now, its machines back in reset. There is no way on from here but a restart.
 void outputs_off(void);
@@ -33,6 +35,18 @@ uint32_t stack_used(void);
 void alarm_handler(void);
 void pins_handler(void);
 void serial_handler(void);
+void usb_handler(void);
+
+// USB as one of the lines of ../board.h, and what keeps it going: once a round.
+bool usb_connected(void);
+size_t usb_receive(uint8_t* bytes, size_t size);
+size_t usb_transmit(const uint8_t* bytes, size_t size);
+bool usb_transmitted(void);
+bool usb_has_received(void);
+void usb_run(void);
+
+// Sixteen digits, different on every board.
+const char* system_serial_number(void);
 
 // Who owns which DMA channel and PIO machine.
 enum { DMA_STAMP = 0, DMA_AT_EDGE = 1, DMA_ODOMETER = 2, DMA_CHIPS = 3, DMA_TRIGGER = 4, DMA_STEPS = 5 };

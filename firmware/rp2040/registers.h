@@ -30,6 +30,7 @@ extern const uint16_t rom_lookup;     // the function that searches it
 #define RESET_PLL_USB (1U << 13)
 #define RESET_TIMER (1U << 21)
 #define RESET_UART0 (1U << 22)
+#define RESET_USB (1U << 24)
 #define RESET_ALL 0x01FFFFFFU
 
 #define XOSC_CTRL 0x40024000U
@@ -42,11 +43,14 @@ extern const uint16_t rom_lookup;     // the function that searches it
 #define CLK_SYS_CTRL 0x4000803CU
 #define CLK_SYS_SELECTED 0x40008044U
 #define CLK_PERI_CTRL 0x40008048U
+#define CLK_USB_CTRL 0x40008054U
 
-#define PLL_SYS_CS 0x40028000U
-#define PLL_SYS_PWR 0x40028004U
-#define PLL_SYS_FBDIV 0x40028008U
-#define PLL_SYS_PRIM 0x4002800CU
+#define PLL_SYS 0x40028000U
+#define PLL_USB 0x4002C000U
+#define PLL_CS(pll) (pll)
+#define PLL_PWR(pll) ((pll) + 0x04U)
+#define PLL_FBDIV(pll) ((pll) + 0x08U)
+#define PLL_PRIM(pll) ((pll) + 0x0CU)
 
 #define PSM_WDSEL 0x40010008U
 #define PSM_ALL_BUT_OSCILLATORS 0x0001FFFCU
@@ -70,7 +74,7 @@ extern const uint16_t rom_lookup;     // the function that searches it
 #define NVIC_ENABLE 0xE000E100U
 #define NVIC_DISABLE 0xE000E180U
 #define VTOR 0xE000ED08U
-enum { IRQ_TIMER0 = 0, IRQ_IO_BANK0 = 13, IRQ_UART0 = 20 };
+enum { IRQ_TIMER0 = 0, IRQ_USB = 5, IRQ_IO_BANK0 = 13, IRQ_UART0 = 20 };
 
 // ---- pins (2.19, 2.3.1) ----
 #define GPIO_CTRL(pin) (0x40014004U + 8U * (pin))
@@ -103,6 +107,40 @@ enum { FUNCTION_UART = 2, FUNCTION_SIO = 5, FUNCTION_PIO0 = 6, FUNCTION_PIO1 = 7
 #define UART_RX_EMPTY (1U << 4)
 #define UART_TX_FULL (1U << 5)
 #define UART_RX_INTERRUPT (1U << 4)
+
+// ---- USB (4.1) ----
+#define USB_DPSRAM 0x50100000U                                         // first the setup packet
+#define USB_ENDPOINT_CONTROL(endpoint) (USB_DPSRAM + 4U * (endpoint))  // from endpoint 1 on; in, then out
+#define USB_BUFFER_CONTROL(endpoint) (USB_DPSRAM + 0x80U + 4U * (endpoint))
+#define ENDPOINT_ENABLE (1U << 31)
+#define ENDPOINT_INTERRUPT (1U << 29)  // with every buffer
+#define ENDPOINT_BULK (2U << 26)
+#define ENDPOINT_INTERRUPT_TYPE (3U << 26)
+#define BUFFER_FULL (1U << 15)
+#define BUFFER_DATA1 (1U << 13)
+#define BUFFER_STALL (1U << 11)
+#define BUFFER_AVAILABLE (1U << 10)
+#define BUFFER_LENGTH 0x3FFU
+#define USB_ADDRESS 0x50110000U
+#define USB_MAIN_CTRL 0x50110040U
+#define USB_SIE_CTRL 0x5011004CU
+#define USB_SIE_STATUS 0x50110050U
+#define SIE_SUSPENDED (1U << 4)
+#define SIE_RESUME (1U << 11)
+#define SIE_SETUP (1U << 17)
+#define SIE_BUS_RESET (1U << 19)
+#define USB_BUFF_STATUS 0x50110058U
+#define USB_EP_ABORT 0x50110060U
+#define USB_EP_ABORT_DONE 0x50110064U
+#define USB_EP_STALL_ARM 0x50110068U
+#define USB_MUXING 0x50110074U
+#define USB_POWER 0x50110078U
+#define USB_INTE 0x50110090U
+#define USB_INT_BUFFER (1U << 4)
+#define USB_INT_BUS_RESET (1U << 12)
+#define USB_INT_SUSPEND (1U << 14)
+#define USB_INT_RESUME (1U << 15)
+#define USB_INT_SETUP (1U << 16)
 
 // ---- DMA (2.5) ----
 #define DMA_READ(channel) (0x50000000U + 0x40U * (channel))

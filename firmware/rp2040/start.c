@@ -43,6 +43,7 @@ __attribute__((section(".vectors"), used)) static const vector_t vectors[16 + 26
     [14] = fault_handler,
     [15] = fault_handler,
     [16 + IRQ_TIMER0] = alarm_handler,
+    [16 + IRQ_USB] = usb_handler,
     [16 + IRQ_IO_BANK0] = pins_handler,
     [16 + IRQ_UART0] = serial_handler,
 };
@@ -53,7 +54,20 @@ static void wait_for(const uint32_t address, const uint32_t bits)
     }
 }
 
-// VCO 12 MHz * 100 = 1.2 GHz, divided by 6 and 2.
+// VCO 12 MHz * 100 = 1.2 GHz, divided by both dividers.
+static void start_pll(const uint32_t pll, const uint32_t reset, const uint32_t first, const uint32_t second)
+{
+    SET_BITS(RESETS_RESET) = reset;
+    CLEAR_BITS(RESETS_RESET) = reset;
+    wait_for(RESETS_DONE, reset);
+    REGISTER(PLL_CS(pll)) = 1U;
+    REGISTER(PLL_FBDIV(pll)) = 100U;
+    CLEAR_BITS(PLL_PWR(pll)) = (1U << 0) | (1U << 5);  // power and VCO
+    wait_for(PLL_CS(pll), 1U << 31);                   // locked
+    REGISTER(PLL_PRIM(pll)) = (first << 16) | (second << 12);
+    CLEAR_BITS(PLL_PWR(pll)) = 1U << 3;  // dividers
+}
+
 static void start_clocks(void)
 {
     REGISTER(XOSC_CTRL) = 0xAA0U;  // 1..15 MHz
@@ -65,20 +79,14 @@ static void start_clocks(void)
     REGISTER(CLK_REF_CTRL) = 2U;  // crystal
     wait_for(CLK_REF_SELECTED, 1U << 2);
 
-    SET_BITS(RESETS_RESET) = RESET_PLL_SYS;
-    CLEAR_BITS(RESETS_RESET) = RESET_PLL_SYS;
-    wait_for(RESETS_DONE, RESET_PLL_SYS);
-    REGISTER(PLL_SYS_CS) = 1U;
-    REGISTER(PLL_SYS_FBDIV) = 100U;
-    CLEAR_BITS(PLL_SYS_PWR) = (1U << 0) | (1U << 5);  // power and VCO
-    wait_for(PLL_SYS_CS, 1U << 31);                   // locked
-    REGISTER(PLL_SYS_PRIM) = (6U << 16) | (2U << 12);
-    CLEAR_BITS(PLL_SYS_PWR) = 1U << 3;  // dividers
+    start_pll(PLL_SYS, RESET_PLL_SYS, 6U, 2U);  // 100 MHz
+    start_pll(PLL_USB, RESET_PLL_USB, 5U, 5U);  // 48 MHz
 
     REGISTER(CLK_SYS_CTRL) = 0U << 5;         // its second source: the PLL
     REGISTER(CLK_SYS_CTRL) = (0U << 5) | 1U;  // take it
     wait_for(CLK_SYS_SELECTED, 1U << 1);
     REGISTER(CLK_PERI_CTRL) = 1U << 11;         // clk_sys, on
+    REGISTER(CLK_USB_CTRL) = 1U << 11;          // the USB's PLL, on
     REGISTER(WATCHDOG_TICK) = (1U << 9) | 12U;  // 1 us for watchdog and timer
 }
 
@@ -87,7 +95,7 @@ static void start_peripherals(void)
     // The boot loader may have left anything running; the flash is being read through the two QSPI blocks.
     SET_BITS(RESETS_RESET) = RESET_ALL & ~(RESET_IO_QSPI | RESET_PADS_QSPI | RESET_PLL_SYS | RESET_PLL_USB);
     const uint32_t wanted =
-        RESET_DMA | RESET_IO_BANK0 | RESET_PADS_BANK0 | RESET_PIO0 | RESET_PIO1 | RESET_TIMER | RESET_UART0;
+        RESET_DMA | RESET_IO_BANK0 | RESET_PADS_BANK0 | RESET_PIO0 | RESET_PIO1 | RESET_TIMER | RESET_UART0 | RESET_USB;
     CLEAR_BITS(RESETS_RESET) = wanted;
     wait_for(RESETS_DONE, wanted);
 }
@@ -121,9 +129,11 @@ __attribute__((noreturn)) void reset_handler(void)
     lamps_start();
     microwave_start();
     stage_start();
+    usb_start();
     controller_start(&controller);
     for (;;) {
         controller_run(&controller);
+        usb_run();
         system_sleep();
     }
 }

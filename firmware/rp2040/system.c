@@ -81,6 +81,11 @@ const uint8_t* board_name(void)
     return name;
 }
 
+const char* system_serial_number(void)
+{
+    return "0000000000000000";
+}
+
 // ---- watchdog ----
 
 void board_watchdog_kick(void)
@@ -151,6 +156,9 @@ void alarm_handler(void)
 
 void system_sleep(void)
 {
+    if ((received_in != received_out) || usb_has_received()) {
+        return;  // one command a round: there is more
+    }
     REGISTER(TIMER_ALARM0) = REGISTER(TIMER_RAW_LOW) + ROUND_US;
     __asm volatile("wfi");
 }
@@ -174,7 +182,7 @@ void serial_handler(void)
 }
 
 // The interrupt comes with four bytes; fewer are fetched here.
-size_t board_receive(uint8_t* const bytes, const size_t size)
+static size_t uart_receive(uint8_t* const bytes, const size_t size)
 {
     if (received_in == received_out) {
         REGISTER(NVIC_DISABLE) = 1U << IRQ_UART0;
@@ -189,7 +197,7 @@ size_t board_receive(uint8_t* const bytes, const size_t size)
     return given;
 }
 
-size_t board_transmit(const uint8_t* const bytes, const size_t size)
+static size_t uart_transmit(const uint8_t* const bytes, const size_t size)
 {
     size_t taken = 0;
     while ((taken < size) && ((REGISTER(UART_FR) & UART_TX_FULL) == 0U)) {
@@ -198,9 +206,24 @@ size_t board_transmit(const uint8_t* const bytes, const size_t size)
     return taken;
 }
 
-bool board_transmitted(void)
+bool board_connected(const uint8_t line)
 {
-    return (REGISTER(UART_FR) & UART_BUSY) == 0U;
+    return (line == LINE_UART) || usb_connected();
+}
+
+size_t board_receive(const uint8_t line, uint8_t* const bytes, const size_t size)
+{
+    return (line == LINE_UART) ? uart_receive(bytes, size) : usb_receive(bytes, size);
+}
+
+size_t board_transmit(const uint8_t line, const uint8_t* const bytes, const size_t size)
+{
+    return (line == LINE_UART) ? uart_transmit(bytes, size) : usb_transmit(bytes, size);
+}
+
+bool board_transmitted(const uint8_t line)
+{
+    return (line == LINE_UART) ? ((REGISTER(UART_FR) & UART_BUSY) == 0U) : usb_transmitted();
 }
 
 static void start_serial(void)

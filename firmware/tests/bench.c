@@ -16,6 +16,7 @@ static native_transition_t seen[SEEN_MAX];
 static size_t seen_count;
 static uint8_t partial[256];
 static size_t partial_length;
+static bool over_usb;
 static uint8_t next_sequence;
 
 static void keep(uint8_t* const bytes, const size_t coded)
@@ -41,11 +42,17 @@ static void keep(uint8_t* const bytes, const size_t coded)
     memcpy(entry->payload, bytes + at, layout->length);
 }
 
+void bench_over_usb(const bool usb)
+{
+    over_usb = usb;
+    partial_length = 0;
+}
+
 void bench_pass(const uint64_t ticks)
 {
     native_run_until(native_tick() + ticks);
     uint8_t byte;
-    while (native_serial_read(&byte, 1) == 1U) {
+    while ((over_usb ? native_usb_read : native_serial_read)(&byte, 1) == 1U) {
         if (byte != 0U) {
             partial[partial_length++] = byte;
         } else if (partial_length > 0U) {
@@ -58,6 +65,7 @@ void bench_pass(const uint64_t ticks)
 void bench_power_on(void)
 {
     native_begin();
+    over_usb = false;
     got_count = 0;
     seen_count = 0;
     partial_length = 0;
@@ -104,7 +112,7 @@ void bench_arm(const uint8_t outputs)
 
 void bench_raw(const uint8_t* const bytes, const size_t size)
 {
-    EXPECT_EQ(native_serial_write(bytes, size), size);
+    EXPECT_EQ((over_usb ? native_usb_write : native_serial_write)(bytes, size), size);
 }
 
 void bench_send(const uint8_t id, const uint8_t sequence, const uint8_t* const payload)

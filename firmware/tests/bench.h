@@ -45,6 +45,9 @@ void bench_raw(const uint8_t* bytes, size_t size);
 
 void bench_pass(uint64_t ticks);
 
+// From now on talk and listen on the second line, or on the first again. What comes on the other one waits there.
+void bench_over_usb(bool usb);
+
 // A ping that keeps the host timeout at bay, and a sync pulse, falling now, high again 10 us later; then the rest of
 // `period` goes by. World tick of the edge.
 uint64_t bench_edge(uint64_t period);

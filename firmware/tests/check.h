@@ -13,6 +13,7 @@ void check_run(const char* promise, void (*test)(void));
 #define RUN(test) check_run(#test, test)
 
 void link_tests(void);
+void lines_tests(void);
 void sequencer_tests(void);
 void safety_tests(void);
 void bursts_tests(void);

@@ -37,6 +37,7 @@ int main(void)
 {
     setvbuf(stdout, NULL, _IOLBF, 0);  // what was said survives a sanitizer's abort
     link_tests();
+    lines_tests();
     sequencer_tests();
     safety_tests();
     bursts_tests();

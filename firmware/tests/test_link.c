@@ -381,8 +381,9 @@ static void an_event_overwritten_while_it_waits_to_be_sent_again_is_skipped(void
     EXPECT_EQ(events_reread(&events, &(command_reread_t){.first = 0, .count = 3}, &reply), STATUS_OK);
     events_emit(&events, EVENT_STAGE_DONE);
     events_emit(&events, EVENT_STAGE_DONE);
-    events_next(&events, &sequence);
+    EXPECT(events_again(&events, &sequence) != NULL);
     EXPECT_EQ(sequence, 2);  // 0 and 1 have left the ring
+    EXPECT(events_again(&events, &sequence) == NULL);
     events_next(&events, &sequence);
     EXPECT_EQ(sequence, PROTOCOL_EVENT_RING);
 }

@@ -1,0 +1,583 @@
+// USB as a CDC-ACM device of full speed: one configuration, one interface for control, one for data. The host's data is
+// the second line to the core.
+//
+// Everything is done in usb_run, from the main loop. The interrupt only wakes that: a host waits as long as it has to,
+// because a buffer that was not handed over is answered with NAK. A buffer belongs to the controller from the moment
+// its AVAILABLE bit is set until BUFF_STATUS says it is done, and is not touched in between.
+
+#include <string.h>
+
+#include "../board.h"
+#include "hardware.h"
+#include "registers.h"
+
+#define PACKET 64U
+#define STRING_MAX 24U  // characters of the longest string descriptor
+
+// Endpoints, as bits of BUFF_STATUS and EP_ABORT and as places of the buffer control registers.
+enum { CONTROL_IN = 0, CONTROL_OUT = 1, NOTICE_IN = 2, DATA_IN = 4, DATA_OUT = 5 };
+#define BIT(endpoint) (1U << (endpoint))
+#define NOTICE_ADDRESS 0x81U
+#define DATA_IN_ADDRESS 0x82U
+#define DATA_OUT_ADDRESS 0x02U
+
+enum { STRING_LANGUAGES, STRING_MAKER, STRING_PRODUCT, STRING_SERIAL, STRINGS };
+
+static const uint8_t device_descriptor[18] = {
+    18,
+    1,
+    0x00,
+    0x02,  // USB 2.0
+    0xEF,
+    2,
+    1,   // functions of several interfaces, told by an interface association
+    64,  // packets of endpoint 0
+    0x8A,
+    0x2E,
+    0x0A,
+    0x00,  // Raspberry Pi; serial port of a Pico
+    0x00,
+    0x01,  // device 1.0
+    STRING_MAKER,
+    STRING_PRODUCT,
+    STRING_SERIAL,
+    1,
+};
+
+#define CONFIGURATION_LENGTH 75U
+
+static const uint8_t configuration_descriptor[CONFIGURATION_LENGTH] = {
+    9,    2,      CONFIGURATION_LENGTH,
+    0,    2,      1,
+    0,    0x80,   50,  // two interfaces, bus-powered, 100 mA
+    8,    11,     0,
+    2,    2,      2,
+    0,    0,  // association of both: communications, ACM
+    9,    4,      0,
+    0,    1,      2,
+    2,    0,      0,  // interface 0: communications, ACM, no AT commands
+    5,    0x24,   0x00,
+    0x20, 0x01,  // CDC 1.20
+    5,    0x24,   0x01,
+    0x00, 1,  // no call management; data are interface 1's
+    4,    0x24,   0x02,
+    0x02,  // line coding and control line state
+    5,    0x24,   0x06,
+    0,    1,  // union of 0 and 1
+    7,    5,      NOTICE_ADDRESS,
+    3,    8,      0,
+    16,  // interrupt, 8 bytes, every 16 ms; never used
+    9,    4,      1,
+    0,    2,      10,
+    0,    0,      0,  // interface 1: CDC data
+    7,    5,      DATA_OUT_ADDRESS,
+    2,    PACKET, 0,
+    0,  // bulk
+    7,    5,      DATA_IN_ADDRESS,
+    2,    PACKET, 0,
+    0,  // bulk
+};
+
+// ---- state ----
+
+enum { REST, ANSWERING, ANSWERED, TAKING, TAKEN };  // of a control transfer
+
+static struct {
+    uint8_t stage;
+    const uint8_t* answer;  // what is left of it
+    uint32_t left;
+    bool ends_short;  // the answer is shorter than asked for: an empty packet ends one of whole packets
+    bool data1;       // toggle of the next packet in
+    uint8_t address;  // to be taken when the transfer is over
+    uint8_t made[2U + 2U * STRING_MAX];
+} control;
+
+static struct {
+    bool configured;
+    bool suspended;
+    bool host_ready;  // DTR
+    uint8_t line_coding[7];
+    uint8_t halted;  // BIT(endpoint)
+} device;
+
+static struct {
+    bool data1;
+    bool taken;  // the controller has the buffer
+    bool whole;  // the last packet was a whole one: the host waits for more
+    uint32_t filled;
+} in;
+
+static struct {
+    bool data1;
+    uint32_t length;  // of the packet that is here, 0 = none
+    uint32_t at;
+} out;
+
+// ---- buffers ----
+
+// The controller may look at the register at any moment, at 48 MHz: everything else first, AVAILABLE three of its
+// cycles later (4.1.2.5.1).
+static void hand_over(const uint32_t endpoint, const uint32_t bits)
+{
+    REGISTER(USB_BUFFER_CONTROL(endpoint)) = bits;
+    __asm volatile("nop\nnop\nnop\nnop\nnop\nnop\nnop\nnop\nnop\nnop\nnop\nnop");
+    REGISTER(USB_BUFFER_CONTROL(endpoint)) = bits | BUFFER_AVAILABLE;
+}
+
+// Take buffers back from the controller. The first Picos (RP2040-B0, B1) never say that they are done: erratum E2.
+static void take_back(const uint32_t endpoints)
+{
+    SET_BITS(USB_EP_ABORT) = endpoints;
+    for (uint32_t i = 0; (i < 1000U) && ((REGISTER(USB_EP_ABORT_DONE) & endpoints) != endpoints); i++) {
+    }
+    for (uint32_t endpoint = CONTROL_IN; endpoint <= DATA_OUT; endpoint++) {
+        if ((endpoints & BIT(endpoint)) != 0U) {
+            REGISTER(USB_BUFFER_CONTROL(endpoint)) = 0U;
+        }
+    }
+    REGISTER(USB_EP_ABORT_DONE) = endpoints;
+    CLEAR_BITS(USB_EP_ABORT) = endpoints;
+    REGISTER(USB_BUFF_STATUS) = endpoints;
+}
+
+static volatile uint8_t* packet_of(const uint32_t endpoint)
+{
+    return (volatile uint8_t*)(uintptr_t)(USB_DPSRAM +
+                                          ((endpoint <= CONTROL_OUT) ? 0x100U : 0x180U + PACKET * endpoint));
+}
+
+static void copy_out(const uint32_t endpoint, const uint32_t at, const uint8_t* const bytes, const uint32_t size)
+{
+    volatile uint8_t* const packet = packet_of(endpoint);
+    for (uint32_t i = 0; i < size; i++) {
+        packet[at + i] = bytes[i];
+    }
+}
+
+// ---- data ----
+
+static bool is_halted(const uint32_t endpoint)
+{
+    return (device.halted & BIT(endpoint)) != 0U;
+}
+
+static void send_packet(void)
+{
+    const uint32_t toggle = in.data1 ? BUFFER_DATA1 : 0U;
+    in.data1 = !in.data1;
+    in.taken = true;
+    in.whole = in.filled == PACKET;
+    hand_over(DATA_IN, BUFFER_FULL | toggle | in.filled);
+    in.filled = 0;
+}
+
+static void ask_for_packet(void)
+{
+    const uint32_t toggle = out.data1 ? BUFFER_DATA1 : 0U;
+    out.data1 = !out.data1;
+    out.length = 0;
+    out.at = 0;
+    hand_over(DATA_OUT, toggle | PACKET);
+}
+
+static void restart_in(void)
+{
+    take_back(BIT(DATA_IN));
+    memset(&in, 0, sizeof in);
+    device.halted &= (uint8_t)~BIT(DATA_IN);
+}
+
+static void restart_out(void)
+{
+    take_back(BIT(DATA_OUT));
+    memset(&out, 0, sizeof out);
+    device.halted &= (uint8_t)~BIT(DATA_OUT);
+    ask_for_packet();
+}
+
+bool usb_connected(void)
+{
+    return device.configured && !device.suspended && device.host_ready;
+}
+
+size_t usb_receive(uint8_t* const bytes, const size_t size)
+{
+    size_t given = 0;
+    const volatile uint8_t* const packet = packet_of(DATA_OUT);
+    while ((given < size) && (out.at < out.length)) {
+        bytes[given++] = packet[out.at++];
+    }
+    if ((out.length > 0U) && (out.at == out.length) && !is_halted(DATA_OUT)) {
+        ask_for_packet();
+    }
+    return given;
+}
+
+size_t usb_transmit(const uint8_t* const bytes, const size_t size)
+{
+    if (!usb_connected()) {
+        in.filled = in.taken ? in.filled : 0U;
+        return size;
+    }
+    if (in.taken || is_halted(DATA_IN)) {
+        return 0;
+    }
+    const uint32_t room = PACKET - in.filled;
+    const uint32_t taken = (size < room) ? (uint32_t)size : room;
+    copy_out(DATA_IN, in.filled, bytes, taken);
+    in.filled += taken;
+    if (in.filled == PACKET) {
+        send_packet();
+    }
+    return taken;
+}
+
+bool usb_transmitted(void)
+{
+    return !usb_connected() || (!in.taken && (in.filled == 0U));
+}
+
+bool usb_has_received(void)
+{
+    return out.at < out.length;
+}
+
+// ---- control transfers ----
+
+typedef struct {
+    uint8_t type;
+    uint8_t request;
+    uint16_t value;
+    uint16_t index;
+    uint16_t length;
+} setup_t;
+
+static void refuse(void)
+{
+    control.stage = REST;
+    REGISTER(USB_EP_STALL_ARM) = BIT(CONTROL_IN) | BIT(CONTROL_OUT);
+    REGISTER(USB_BUFFER_CONTROL(CONTROL_IN)) = BUFFER_STALL;
+    REGISTER(USB_BUFFER_CONTROL(CONTROL_OUT)) = BUFFER_STALL;
+}
+
+static void send_control(const uint32_t size)
+{
+    const uint32_t toggle = control.data1 ? BUFFER_DATA1 : 0U;
+    control.data1 = !control.data1;
+    hand_over(CONTROL_IN, BUFFER_FULL | toggle | size);
+}
+
+static void agree(void)
+{
+    control.stage = TAKEN;
+    send_control(0U);
+}
+
+static void answer_further(void)
+{
+    const uint32_t size = (control.left < PACKET) ? control.left : PACKET;
+    copy_out(CONTROL_IN, 0U, control.answer, size);
+    control.answer += size;
+    control.left -= size;
+    control.ends_short = control.ends_short && (size == PACKET);
+    send_control(size);
+}
+
+static void answer(const setup_t* const setup, const uint8_t* const bytes, const uint32_t size)
+{
+    control.stage = ANSWERING;
+    control.answer = bytes;
+    control.left = (size < setup->length) ? size : setup->length;
+    control.ends_short = control.left < setup->length;
+    answer_further();
+}
+
+static void answer_string(const setup_t* const setup, const uint32_t index)
+{
+    static const uint8_t languages[] = {4, 3, 0x09, 0x04};  // English
+    if (index == STRING_LANGUAGES) {
+        answer(setup, languages, sizeof languages);
+        return;
+    }
+    const char* const texts[STRINGS] = {"", "annulus", "annulus controller", system_serial_number()};
+    uint8_t at = 2;
+    for (const char* text = texts[index]; *text != '\0'; text++) {
+        control.made[at++] = (uint8_t)*text;
+        control.made[at++] = 0U;
+    }
+    control.made[0] = at;
+    control.made[1] = 3U;
+    answer(setup, control.made, at);
+}
+
+static void get_descriptor(const setup_t* const setup)
+{
+    const uint32_t index = setup->value & 0xFFU;
+    const uint32_t kind = (uint32_t)setup->value >> 8;
+    if ((kind == 1U) && (index == 0U)) {
+        answer(setup, device_descriptor, sizeof device_descriptor);
+    } else if ((kind == 2U) && (index == 0U)) {
+        answer(setup, configuration_descriptor, sizeof configuration_descriptor);
+    } else if ((kind == 3U) && (index < STRINGS)) {
+        answer_string(setup, index);
+    } else {
+        refuse();  // a device qualifier, too: there is no high speed
+    }
+}
+
+static void answer_small(const setup_t* const setup, const uint8_t value, const uint32_t size)
+{
+    control.made[0] = value;
+    control.made[1] = 0U;
+    answer(setup, control.made, size);
+}
+
+static void close_port(void)
+{
+    device.configured = false;
+    device.suspended = false;
+    device.host_ready = false;
+    device.halted = 0;
+    take_back(BIT(NOTICE_IN) | BIT(DATA_IN) | BIT(DATA_OUT));
+    memset(&in, 0, sizeof in);
+    memset(&out, 0, sizeof out);
+}
+
+static void set_configuration(const setup_t* const setup)
+{
+    if (setup->value > 1U) {
+        refuse();
+        return;
+    }
+    close_port();
+    if (setup->value == 1U) {
+        device.configured = true;
+        ask_for_packet();
+    }
+    agree();
+}
+
+// Endpoint of an address, or CONTROL_IN for none that can be halted.
+static uint32_t endpoint_of(const uint32_t address)
+{
+    switch (address) {
+    case NOTICE_ADDRESS:
+        return NOTICE_IN;
+    case DATA_IN_ADDRESS:
+        return DATA_IN;
+    case DATA_OUT_ADDRESS:
+        return DATA_OUT;
+    default:
+        return CONTROL_IN;
+    }
+}
+
+static void set_halt(const setup_t* const setup, const bool halt)
+{
+    const uint32_t endpoint = endpoint_of(setup->index);
+    if ((endpoint == CONTROL_IN) || (setup->value != 0U) || !device.configured) {
+        refuse();
+        return;
+    }
+    if (endpoint == DATA_IN) {
+        restart_in();
+    } else if (endpoint == DATA_OUT) {
+        restart_out();
+    } else {
+        device.halted &= (uint8_t)~BIT(endpoint);
+        REGISTER(USB_BUFFER_CONTROL(endpoint)) = 0U;
+    }
+    if (halt) {
+        take_back(BIT(endpoint));
+        device.halted |= (uint8_t)BIT(endpoint);
+        REGISTER(USB_BUFFER_CONTROL(endpoint)) = BUFFER_STALL;
+    }
+    agree();
+}
+
+enum { TO_DEVICE = 0x00, FROM_DEVICE = 0x80, TO_INTERFACE = 0x01, FROM_INTERFACE = 0x81 };
+enum { TO_ENDPOINT = 0x02, FROM_ENDPOINT = 0x82, CLASS_TO_INTERFACE = 0x21, CLASS_FROM_INTERFACE = 0xA1 };
+#define REQUEST(type, number) (((uint32_t)(type) << 8) | (number))
+
+static void carry_out(const setup_t* const setup)
+{
+    switch (REQUEST(setup->type, setup->request)) {
+    case REQUEST(FROM_DEVICE, 6):
+        get_descriptor(setup);
+        break;
+    case REQUEST(TO_DEVICE, 5):  // takes force when the host has its acknowledgement
+        control.address = (uint8_t)(setup->value & 0x7FU);
+        agree();
+        break;
+    case REQUEST(TO_DEVICE, 9):
+        set_configuration(setup);
+        break;
+    case REQUEST(FROM_DEVICE, 8):
+        answer_small(setup, device.configured ? 1U : 0U, 1U);
+        break;
+    case REQUEST(FROM_DEVICE, 0):
+    case REQUEST(FROM_INTERFACE, 0):
+        answer_small(setup, 0U, 2U);
+        break;
+    case REQUEST(FROM_ENDPOINT, 0):
+        answer_small(setup, is_halted(endpoint_of(setup->index)) ? 1U : 0U, 2U);
+        break;
+    case REQUEST(TO_ENDPOINT, 1):
+        set_halt(setup, false);
+        break;
+    case REQUEST(TO_ENDPOINT, 3):
+        set_halt(setup, true);
+        break;
+    case REQUEST(FROM_INTERFACE, 10):
+        answer_small(setup, 0U, 1U);
+        break;
+    case REQUEST(CLASS_TO_INTERFACE, 0x20):  // SET_LINE_CODING
+        control.stage = TAKING;
+        hand_over(CONTROL_OUT, BUFFER_DATA1 | PACKET);
+        break;
+    case REQUEST(CLASS_FROM_INTERFACE, 0x21):  // GET_LINE_CODING
+        answer(setup, device.line_coding, sizeof device.line_coding);
+        break;
+    case REQUEST(CLASS_TO_INTERFACE, 0x22):  // SET_CONTROL_LINE_STATE
+        device.host_ready = (setup->value & 1U) != 0U;
+        agree();
+        break;
+    default:
+        refuse();
+        break;
+    }
+}
+
+// What was on its way of an earlier transfer is void.
+static void begin_control(void)
+{
+    const uint32_t first = REGISTER(USB_DPSRAM);
+    const uint32_t second = REGISTER(USB_DPSRAM + 4U);
+    const setup_t setup = {.type = (uint8_t)first,
+                           .request = (uint8_t)(first >> 8),
+                           .value = (uint16_t)(first >> 16),
+                           .index = (uint16_t)second,
+                           .length = (uint16_t)(second >> 16)};
+    take_back(BIT(CONTROL_IN) | BIT(CONTROL_OUT));
+    control.data1 = true;
+    control.address = 0;
+    // Data that nobody announced, or none where there must be: only a request for data may have any length.
+    const bool from_device = (setup.type & 0x80U) != 0U;
+    const uint16_t expected = (REQUEST(setup.type, setup.request) == REQUEST(CLASS_TO_INTERFACE, 0x20)) ? 7U : 0U;
+    if (from_device ? (setup.length == 0U) : (setup.length != expected)) {
+        refuse();
+    } else {
+        carry_out(&setup);
+    }
+}
+
+static void control_sent(void)
+{
+    if ((control.stage == ANSWERING) && ((control.left > 0U) || control.ends_short)) {
+        answer_further();
+    } else if (control.stage == ANSWERING) {
+        control.stage = ANSWERED;
+        hand_over(CONTROL_OUT, BUFFER_DATA1 | PACKET);  // the host's empty packet
+    } else if (control.stage == TAKEN) {
+        control.stage = REST;
+        if (control.address != 0U) {
+            REGISTER(USB_ADDRESS) = control.address;
+        }
+    }
+}
+
+static void control_received(void)
+{
+    const uint32_t size = REGISTER(USB_BUFFER_CONTROL(CONTROL_OUT)) & BUFFER_LENGTH;
+    if ((control.stage == TAKING) && (size == sizeof device.line_coding)) {
+        for (uint32_t i = 0; i < sizeof device.line_coding; i++) {
+            device.line_coding[i] = packet_of(CONTROL_OUT)[i];
+        }
+        agree();
+    } else if (control.stage == TAKING) {
+        refuse();
+    } else {
+        control.stage = REST;
+    }
+}
+
+// ---- the bus ----
+
+static void bus_reset(void)
+{
+    REGISTER(USB_ADDRESS) = 0U;
+    take_back(BIT(CONTROL_IN) | BIT(CONTROL_OUT));
+    control.stage = REST;
+    control.address = 0;
+    close_port();
+}
+
+static void data_received(void)
+{
+    out.length = REGISTER(USB_BUFFER_CONTROL(DATA_OUT)) & BUFFER_LENGTH;
+    if (out.length == 0U) {
+        ask_for_packet();
+    }
+}
+
+// The order matters: a buffer done belongs to the transfer before a setup packet seen earlier in this round.
+void usb_run(void)
+{
+    const uint32_t status = REGISTER(USB_SIE_STATUS) & (SIE_BUS_RESET | SIE_SUSPENDED | SIE_RESUME | SIE_SETUP);
+    const uint32_t done = REGISTER(USB_BUFF_STATUS);
+    REGISTER(USB_SIE_STATUS) = status;
+    REGISTER(USB_BUFF_STATUS) = done;
+    if ((status & SIE_BUS_RESET) != 0U) {
+        bus_reset();
+    } else {
+        if ((done & BIT(CONTROL_IN)) != 0U) {
+            control_sent();
+        }
+        if ((done & BIT(CONTROL_OUT)) != 0U) {
+            control_received();
+        }
+        if ((done & BIT(DATA_IN)) != 0U) {
+            in.taken = false;
+        }
+        if ((done & BIT(DATA_OUT)) != 0U) {
+            data_received();
+        }
+    }
+    if ((status & (SIE_SUSPENDED | SIE_RESUME | SIE_BUS_RESET | SIE_SETUP)) != 0U) {
+        device.suspended = status == SIE_SUSPENDED;
+    }
+    if ((status & SIE_SETUP) != 0U) {
+        begin_control();
+    }
+    if (usb_connected() && !in.taken && !is_halted(DATA_IN) && ((in.filled > 0U) || in.whole)) {
+        send_packet();
+    }
+    REGISTER(NVIC_ENABLE) = 1U << IRQ_USB;
+}
+
+void usb_handler(void)
+{
+    REGISTER(NVIC_DISABLE) = 1U << IRQ_USB;
+}
+
+void usb_start(void)
+{
+    static const uint8_t coding_at_start[7] = {0x40, 0x42, 0x0F, 0x00, 0, 0, 8};  // 1 Mbaud 8N1; it changes nothing
+    memcpy(device.line_coding, coding_at_start, sizeof coding_at_start);
+    for (uint32_t at = 0; at < 0x100U; at += 4U) {
+        REGISTER(USB_DPSRAM + at) = 0U;
+    }
+    REGISTER(USB_MUXING) = (1U << 0) | (1U << 3);  // to the PHY, soft connect
+    REGISTER(USB_POWER) = (1U << 3) | (1U << 2);   // there is always a bus: no pin tells
+    REGISTER(USB_MAIN_CTRL) = 1U;                  // device, on
+    REGISTER(USB_SIE_CTRL) = 1U << 29;             // BUFF_STATUS for endpoint 0 as well
+    const uint32_t on = ENDPOINT_ENABLE | ENDPOINT_INTERRUPT;
+    const uint32_t base = USB_DPSRAM;
+    REGISTER(USB_ENDPOINT_CONTROL(NOTICE_IN)) =
+        on | ENDPOINT_INTERRUPT_TYPE | ((uint32_t)(uintptr_t)packet_of(NOTICE_IN) - base);
+    REGISTER(USB_ENDPOINT_CONTROL(DATA_IN)) = on | ENDPOINT_BULK | ((uint32_t)(uintptr_t)packet_of(DATA_IN) - base);
+    REGISTER(USB_ENDPOINT_CONTROL(DATA_OUT)) = on | ENDPOINT_BULK | ((uint32_t)(uintptr_t)packet_of(DATA_OUT) - base);
+    REGISTER(USB_INTE) = USB_INT_BUFFER | USB_INT_SETUP | USB_INT_BUS_RESET | USB_INT_SUSPEND | USB_INT_RESUME;
+    SET_BITS(USB_SIE_CTRL) = 1U << 16;  // pull up D+: here we are
+    REGISTER(NVIC_ENABLE) = 1U << IRQ_USB;
+}
