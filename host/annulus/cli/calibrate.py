@@ -124,3 +124,46 @@ def colour(
     for warning in learnt.warnings:
         print(f"warning      {warning}")
     print(f"written      {out}")
+
+
+@app.command(
+    "reference", epilog="Example: annulus calibrate reference scans/clean --calibration head-7.json -o ref.json"
+)
+def reference(
+    scan: Annotated[Path, typer.Argument(help="Scan folder or recording (.mcap) in a clean, round pipe.")],
+    calibration: Annotated[Path, typer.Option(help="calibration.json of the head.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="File of the pattern's artefacts.")] = Path("reference.json"),
+    radius: Annotated[
+        float | None, typer.Option(min=1.0, max=5000.0, help="Radius of that pipe, mm. [default: the calibration's]")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """What the projected pattern is off its cones, per ring and direction, from one frame or more in a clean pipe.
+
+    Give the file to `annulus reconstruct --reference`. Take several frames, the head leaning and standing as it will.
+    """
+    from math import degrees, hypot, isnan
+
+    from annulus.calibrate.reference import calibrate_reference
+    from annulus.record.calibration_file import save_part
+
+    with progress() as bars:
+        learnt = calibrate_reference(scan, calibration, radius_mm=radius, progress=bars)
+    told = learnt.reference
+    save_part(out, told.to_dict())
+    figures = {"frames": len(told.poses), "before_mm": told.before_mm, "known_percent": 100 * told.known}
+    if not isnan(told.after_mm):
+        figures["after_mm"] = told.after_mm
+    if as_json:
+        print(json.dumps({**figures, "warnings": list(learnt.warnings), "file": str(out)}))
+        return
+    print(f"frames     {len(told.poses)} of {learnt.looked_at} showed the pipe")
+    lean = max(hypot(p.rx, p.ry) for p in told.poses)
+    shift = max(hypot(p.tx, p.ty) for p in told.poses)
+    print(f"poses      up to {degrees(lean):.2f} degrees and {shift:.1f} mm off the axis")
+    after = "unknown after it" if isnan(told.after_mm) else f"{told.after_mm:.3f} mm after it, on frames kept out"
+    print(f"radius     rms {told.before_mm:.3f} mm before the correction, {after}")
+    print(f"seen       {100 * told.known:.1f} % of all directions of all rings; elsewhere nothing is corrected")
+    for warning in learnt.warnings:
+        print(f"warning    {warning}")
+    print(f"written    {out}")

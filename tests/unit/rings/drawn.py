@@ -52,6 +52,7 @@ class Paint:
     bayer: bool = False
     black: float = 3.0
     supersample: int = 3
+    artefact: Callable[[int, FloatArray], FloatArray] | None = None  # (slit, azimuth about its axis) -> rad off its cone
 
 
 def draw(
@@ -126,7 +127,12 @@ def _shade(
     for k, cone in enumerate(cal.rings):
         v = camera_frame - np.asarray(cone.vertex_mm)
         cosine = v @ np.asarray(cone.axis) / np.sqrt(np.einsum("ij,ij->i", v, v))
-        t = cone.half_angle
+        t: FloatArray | float = cone.half_angle
+        if paint.artefact is not None:
+            axis = np.asarray(cone.axis)
+            x = np.array([1.0, 0.0, 0.0]) - axis[0] * axis
+            x /= np.linalg.norm(x)
+            t = t + paint.artefact(k, np.arctan2(v @ np.cross(axis, x), v @ x))
         stripe += cosine < np.cos(t)
         dark |= (cosine < np.cos(t - half[k])) & (cosine > np.cos(t + half[k]))
         if k == 0:
