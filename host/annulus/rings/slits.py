@@ -36,10 +36,7 @@ def find_slits(unrolled: Unrolled, grid: PolarGrid) -> Slits:
     stripes' unequal brightness nor their slope moves it (raw luma does, by up to a millimetre). Thresholds are parts of
     the light beside the slit and of the frame's own bright level and noise.
     """
-    # a smoothing that stripes of the densest ring survive
-    sigma = min(1.4, max(0.6, grid.spacing_px / 16.0))
-    taps = np.exp(-0.5 * (np.arange(5) / sigma) ** 2)
-    taps = (taps / (taps[0] + 2 * taps[1:].sum())).astype(np.float32)
+    taps = smoothing(grid.spacing_px)
     floor = max(FAINT * unrolled.bright, 4.0 * unrolled.noise, 2.0)
     found = np.empty((len(grid.cosine) * PER_LINE, 10), np.float32)
     stop = np.minimum(grid.stop - unrolled.first, unrolled.top.shape[1])
@@ -49,6 +46,13 @@ def find_slits(unrolled: Unrolled, grid: PolarGrid) -> Slits:
     away = (grid.first + grid.step * unrolled.first, grid.step)
     _sides(unrolled.image, grid.centre, away, grid.cosine, grid.sine, found, direction, place, light)
     return Slits(direction, unrolled.first + place[0], place[1], light[0], light[1], n - kept, crowded)
+
+
+def smoothing(spacing_px: float) -> NDArray[np.float32]:
+    """Middle and one side of the taps that lines are smoothed with: the stripes of the densest ring survive it."""
+    sigma = min(1.4, max(0.6, spacing_px / 16.0))
+    taps = np.exp(-0.5 * (np.arange(5) / sigma) ** 2)
+    return np.asarray(taps / (taps[0] + 2 * taps[1:].sum()), np.float32)
 
 
 @compiled

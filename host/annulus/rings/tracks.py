@@ -1,0 +1,185 @@
+"""Rings followed round an image whose geometry is not known yet: by order and colour, then by their own course."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from annulus.geometry.camera import Camera
+from annulus.geometry.pose import FloatArray
+from annulus.rings.compiled import compiled
+from annulus.rings.decode import NONE, classify, decode, readings
+from annulus.rings.polar import PolarGrid, Unrolled, lay_grid, unroll
+from annulus.rings.slits import Slits, find_slits, smoothing
+
+DIRECTIONS = 720
+GUESS_PX = 24.0  # ring spacing taken for granted in the first look; only the smoothing depends on it
+INNERMOST_PX = 8.0
+AROUND = 8  # directions on each side that a ring's course is the median of
+WANDER = 0.5  # of the way to the next ring: a slit farther from its ring's course is another's
+STRAY, STRAY_PX = 5.0, 2.0  # a slit this many sigma, but at least so many px, off the course is no slit of the ring
+NARROW, WIDE = 0.75, 1.3  # of the ring's usual width around there
+LEAST = 0.15  # of the directions must show a ring for its course to be drawn
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tracks:
+    """The slits of one frame that are known rings. Positions are the slits' middles, as everywhere."""
+
+    ring: NDArray[np.int64]  # (N,)
+    pixels: FloatArray  # (N, 2)
+    width: FloatArray  # (N,) px
+    reach: FloatArray  # (K, 3) px from the centre: least, median and most of each ring; NaN where it is not seen
+    middle: FloatArray  # (2,) px, of the rings
+    blur_px2: float  # variance of all the blur that the slits' edges went through, the detector's own included
+    slits: int  # seen, ring or not
+
+
+def wide_grid(camera: Camera, centre: FloatArray) -> PolarGrid:
+    """Lines from `centre` (2,) px to the corners of the image, for a first look."""
+    size = np.array([camera.width, camera.height])
+    last = float(np.linalg.norm(np.maximum(np.abs(centre), np.abs(size - centre))))
+    return lay_grid(camera, centre, INNERMOST_PX, last, GUESS_PX, DIRECTIONS)
+
+
+def close_grid(camera: Camera, tracks: list[Tracks]) -> PolarGrid:
+    """Lines around the rings that a first look found, as `polar_grid` lays them: the detector then sees what it will
+    see when it measures."""
+    centre = np.median([track.middle for track in tracks], axis=0)
+    reach = np.array([track.reach for track in tracks])
+    usual = np.nanmedian(reach[:, :, 1], axis=0)
+    gaps = np.abs(np.diff(usual[np.isfinite(usual)]))
+    spacing = max(3.0, float(gaps.min())) if len(gaps) else float(np.nanmedian(usual)) / 4
+    off = float(max(np.linalg.norm(track.middle - centre) for track in tracks))
+    first = max(2.0, math.floor(float(np.nanmin(reach)) - spacing - off))
+    last = math.ceil(float(np.nanmax(reach)) + spacing + off)
+    return lay_grid(camera, centre, first, last, spacing, DIRECTIONS)
+
+
+def follow(image_bgr: NDArray[np.uint8], grid: PolarGrid, colours: str) -> Tracks:
+    """The rings of one frame, poses and cones unknown.
+
+    A line is read by the order of its colours alone (`decode` with a wall that deviates nowhere). What that leaves
+    unread or reads wrong, a ring's own course round the image mends: the running median of its slits.
+    """
+    unrolled = unroll(image_bgr, grid)
+    slits = find_slits(unrolled, grid)
+    both = classify(np.vstack([slits.inside, slits.outside]), colours)
+    inside, outside = both[: len(slits.position)], both[len(slits.position) :]
+    allowed = readings(inside, outside, colours)
+    shape = len(colours) - 1, len(grid.cosine)
+    ring = decode(slits.direction, inside, outside, np.where(allowed, 0.0, np.nan), colours, 1.0)
+    for _ in range(2):
+        course = _course(ring, slits.direction, slits.position, shape)
+        stray = (slits.position - course[:, slits.direction]).T
+        gap = _gap(course, grid.spacing_px)[:, slits.direction].T
+        ring = decode(
+            slits.direction, inside, outside, np.where(allowed, stray / gap, np.nan), colours, WANDER / 0.65
+        )  # fmt: skip
+    named = np.flatnonzero(ring != NONE)
+    off = np.abs(stray[named, ring[named]])
+    spread = np.array([np.median(off[ring[named] == k]) if (ring[named] == k).any() else 0.0 for k in range(shape[0])])
+    usual = _course(ring, slits.direction, slits.width, shape)[ring[named], slits.direction[named]]
+    with np.errstate(invalid="ignore"):
+        ratio = slits.width[named] / np.maximum(usual, 0.5)
+        good = (off <= np.maximum(STRAY * 1.4826 * spread[ring[named]], STRAY_PX)) & (ratio > NARROW) & (ratio < WIDE)
+    kept = named[good]
+    return _tracks(grid, slits, ring[kept], kept, shape[0], _edge_px2(unrolled, slits, kept) + _detector_px2(grid))
+
+
+def _course(
+    ring: NDArray[np.int64], direction: NDArray[np.int64], values: FloatArray, shape: tuple[int, int]
+) -> FloatArray:
+    """(K, J) running median of each ring's values round the image, gaps bridged; NaN for a ring hardly seen."""
+    curve = np.full(shape, np.nan)
+    named = np.flatnonzero(ring != NONE)
+    curve[ring[named], direction[named]] = values[named]
+    out = np.full(shape, np.nan)
+    _running_median(curve, AROUND, out)
+    lines = np.arange(shape[1])
+    for k in range(shape[0]):
+        seen = np.flatnonzero(np.isfinite(out[k]))
+        if np.isfinite(curve[k]).sum() < LEAST * shape[1]:
+            out[k] = np.nan
+        elif len(seen) < shape[1]:
+            out[k] = np.interp(lines, seen, out[k, seen], period=shape[1])
+    return out
+
+
+def _gap(course: FloatArray, spacing: float) -> FloatArray:
+    """(K, J) distance from each ring's course to the nearer neighbour's along the same line."""
+    steps = np.abs(np.diff(course, axis=0))
+    padded = np.pad(steps, ((1, 1), (0, 0)), constant_values=np.nan)
+    gap = np.fmin(padded[:-1], padded[1:])
+    return np.where(np.isfinite(gap), np.maximum(gap, 3.0), spacing)
+
+
+def _edge_px2(unrolled: Unrolled, slits: Slits, kept: NDArray[np.int64]) -> float:
+    """Variance (px^2) of the blur of the wider slits' edges as they are in the image: their mean profile against an
+    error function that ends in a slope."""
+    if len(kept) < 50:
+        return 1.0
+    kept = kept[slits.width[kept] >= np.median(slits.width[kept])][:: max(1, len(kept) // 2000)]
+    x = np.arange(-2.5, 5.01, 0.5)
+    profile = np.zeros(len(x))
+    for side in (-1, 1):
+        at = (slits.position[kept] + side * slits.width[kept] / 2)[:, None] + side * x - unrolled.first
+        node = np.clip(at.astype(int), 0, unrolled.top.shape[1] - 2)
+        line = slits.direction[kept][:, None]
+        part = np.clip(at - node, 0.0, 1.0)
+        profile += ((1 - part) * unrolled.top[line, node] + part * unrolled.top[line, node + 1]).mean(axis=0)
+    errors = []
+    sigmas = np.arange(0.5, 4.0, 0.05)
+    for sigma in sigmas:
+        step = ndtr(x / sigma)
+        basis = np.stack([np.ones_like(x), step, x * step], axis=1)
+        errors.append(float(np.sum((profile - basis @ np.linalg.lstsq(basis, profile)[0]) ** 2)))
+    return float(sigmas[int(np.argmin(errors))] ** 2)
+
+
+def _detector_px2(grid: PolarGrid) -> float:
+    """Variance of the smoothing that `find_slits` does along a line, its central difference included."""
+    taps = smoothing(grid.spacing_px)
+    return 2.0 * float(taps @ np.arange(len(taps)) ** 2) + 1.0 / 3.0
+
+
+@compiled
+def _running_median(curve, around, out):  # type: ignore[no-untyped-def]
+    """Of what is there among 2 * around + 1 neighbours on a closed line; NaN where fewer than 3 are."""
+    window = np.empty(2 * around + 1)
+    for k in range(curve.shape[0]):
+        for j in range(curve.shape[1]):
+            n = 0
+            for d in range(-around, around + 1):
+                value = curve[k, (j + d) % curve.shape[1]]
+                if value == value:
+                    i = n
+                    while i > 0 and window[i - 1] > value:
+                        window[i] = window[i - 1]
+                        i -= 1
+                    window[i] = value
+                    n += 1
+            if n >= 3:
+                out[k, j] = 0.5 * (window[(n - 1) // 2] + window[n // 2])
+
+
+def _tracks(
+    grid: PolarGrid, slits: Slits, ring: NDArray[np.int64], kept: NDArray[np.int64], rings: int, blur: float
+) -> Tracks:
+    pixels = grid.pixels(slits.direction[kept], slits.position[kept])
+    away = np.linalg.norm(pixels - np.asarray(grid.centre), axis=1)
+    reach, middles = np.full((rings, 3), np.nan), []
+    for k in range(rings):
+        mine = np.flatnonzero(ring == k)
+        if len(mine) >= LEAST * len(grid.cosine):
+            reach[k] = np.percentile(away[mine], [0.5, 50, 99.5])
+            # of opposite slits, so that a gap on one side does not pull it
+            turn = np.zeros(len(grid.cosine), bool)
+            turn[slits.direction[kept[mine]]] = True
+            both = mine[np.roll(turn, len(turn) // 2)[slits.direction[kept[mine]]]]
+            if len(both):
+                middles.append(pixels[both].mean(axis=0))
+    middle = np.mean(middles, axis=0) if middles else np.asarray(grid.centre)
+    return Tracks(ring, pixels, slits.width[kept], reach, middle, blur, len(slits.position))
