@@ -1,13 +1,13 @@
-"""The simulated head in real time, as its own process: a controller on a pty and a camera on a socket.
+"""The simulated head in real time, as its own process: a controller on a serial line and a camera on a socket.
 
     with start_head(demo_world(), fps=15.0) as head:
         client = Client(head.port_url)                # as for a real controller
         camera = TwinCamera(head.camera_address)      # as for a real camera
 
-The head's process runs the firmware in virtual time slaved to the monotonic clock, renders what its lamps lit, and
-puts the frames into an anonymous memory file that `TwinCamera` receives over its socket: nothing has a name in the
-file system, nothing can be left behind. A frame that cannot be rendered in time is the driver's drop: a hole in the
-sequence.
+The head's process runs the firmware in virtual time slaved to the monotonic clock, natively behind a pty or as the
+shipped image on an emulated board behind TCP. It renders what the lamps lit and puts the frames into an anonymous
+memory file that `TwinCamera` receives over its socket: nothing has a name in the file system, nothing can be left
+behind. A frame that cannot be rendered in time is the driver's drop: a hole in the sequence.
 """
 
 import array
@@ -22,10 +22,8 @@ import signal
 import socket
 import subprocess
 import sys
-import termios
 import threading
 import time
-import tty
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -38,13 +36,15 @@ from numpy.typing import NDArray
 
 from annulus.capture.camera import BAYER_RGGB8, HeldRequest, Image, Request
 from annulus.capture.timing import FrameTiming
-from annulus.twin.native import NativeBoard
+from annulus.twin.emulated import open_board
+from annulus.twin.line import Line, PtyLine, TcpLine
 from annulus.twin.render import Renderer
 from annulus.twin.sensor import LED, PROJECTOR, Exposure, Faults, HostClock, LossyLine, Sensor, load_faults
 from annulus.twin.world import World, demo_world
 from annulus.vocabulary import TICK_S, AnnulusError
 
 SLOTS = 6  # frames between head and camera
+WARM_S = 1.0  # a fresh process is slow
 SETTLE_S = 2.0  # from the camera's start to the cable's, time to calibrate and arm
 MM_PER_FRAME = 3.0
 READOUT_MAX_US = 28_000.0  # of the sensor at 1664x1232
@@ -77,7 +77,10 @@ class HeadHandle:
     _lines: "queue.SimpleQueue[bytes]" = field(repr=False)
 
     def counters(self) -> dict[str, Any]:
-        """What the head counts: frames, rendered, driver drops by reason, events lost on purpose, z_mm, lamps_on."""
+        """What the head counts: frames, rendered, driver drops by reason, events lost on purpose, z_mm, lamps_on,
+        behind_ms: how far the world fell behind the clock at worst; a head that needs more than this machine has is
+        no head to judge a host by.
+        """
         return cast(dict[str, Any], self._ask({"do": "counters"}))
 
     def pull(self, speed_mm_s: float) -> None:
@@ -124,13 +127,14 @@ def start_head(
     speed_mm_s: float | None = None,
     drift_ppm: float = 30.0,
     threads: int | None = None,
+    board: str = "native",
 ) -> HeadHandle:
     """Start a head in its own process and wait until it can be talked to.
 
     fps : of the camera, which runs at once and for ever. timing : exposure and readout, by default `head_timing(fps)`.
     speed_mm_s : of the cable, which starts 2 s after the camera was first started; None: 3 mm a frame, 0: not before
     `pull`. drift_ppm : of the head's crystal against this machine's clock. threads : that render, by default one a
-    core, two at most.
+    core, two at most. board : native or emulated, the shipped image.
 
     Raises AnnulusError when the head does not come up, with the last thing it said.
     """
@@ -143,6 +147,7 @@ def start_head(
         "speed_mm_s": MM_PER_FRAME * fps if speed_mm_s is None else speed_mm_s,
         "drift_ppm": drift_ppm,
         "threads": threads or default_threads(),
+        "board": board,
     }
     process = subprocess.Popen(
         [sys.executable, "-c", "from annulus.twin.head import main; main()"],
@@ -180,9 +185,9 @@ def _collect(stream: IO[bytes], keep: Any) -> None:
     keep(b"")
 
 
-def run_head(fps: float, seed: int, faults: Path | None) -> None:
+def run_head(fps: float, seed: int, faults: Path | None, board: str = "native") -> None:
     """A head on the demo's world until Ctrl-C, for a daemon or `annulus head` in another terminal."""
-    with start_head(demo_world(seed), fps, faults, seed=seed) as head:
+    with start_head(demo_world(seed), fps, faults, seed=seed, board=board) as head:
         print(f'controller  {head.port_url}\ncamera      {head.camera_address}   (camera kind "twin" in head.toml)')
         print(f"timing      {head.timing}\nCtrl-C ends it.")
         try:
@@ -318,16 +323,16 @@ class _Head:
         self.counts = Counter({name: 0 for name in COUNTED})
         self.renderer = Renderer(self.world)
         self.renderer.render(self.world.pose(0.0), 0.0, 1.0, rows=(0, 8))  # compile before time starts
-        self.board = NativeBoard()
+        self.board = open_board(str(order["board"]))
         self.boot = 1 + int(order["seed"]) % 200
         self.board.power_on(self.boot)
         self.line = LossyLine(self.faults, int(order["seed"]))
         self.speed_mm_s = float(order["speed_mm_s"])
         self.pull_at: int | None = None
-        self.master, self.slave = os.openpty()
-        tty.setraw(self.slave, termios.TCSANOW)
-        os.set_blocking(self.master, False)
-        self.port = os.ttyname(self.slave)
+        is_native = order["board"] == "native"
+        self.serial: Line = PtyLine() if is_native else TcpLine()
+        self.patience_s = (2e-4, 1e-3) if is_native else (5e-4, 3e-3)  # a look at the emulator costs 0.2 ms
+        self.behind_ms = 0.0  # at worst, the world against the clock
         self.to_host = bytearray()
         height, width = self.renderer.height, self.renderer.width
         self.memory_fd = os.memfd_create("annulus-twin", os.MFD_CLOEXEC)
@@ -357,21 +362,21 @@ class _Head:
 
     def run(self) -> None:
         """Until stdin ends."""
-        sys.stdout.write(json.dumps({"port": self.port, "camera": "@" + self.address}) + "\n")
+        sys.stdout.write(json.dumps({"port": self.serial.url, "camera": "@" + self.address}) + "\n")
         sys.stdout.flush()
         os.set_blocking(sys.stdin.fileno(), False)
         asked = b""
         busy_until = 0.0
         while True:
             viewer = [self.viewer] if self.viewer else []
-            # while the host talks, answer within a fraction of a millisecond; else a tenth of a frame will do
-            patience = 2e-4 if time.monotonic() < busy_until else 1e-3
+            # while the host talks, answer soon; else a tenth of a frame will do
+            patience = self.patience_s[0 if time.monotonic() < busy_until else 1]
             readable, _, _ = select.select(
-                [self.master, self.listener, sys.stdin, self.wake, *viewer], [], [], patience
+                [*self.serial.waitables(), self.listener, sys.stdin, self.wake, *viewer], [], [], patience
             )
             self._advance()
-            if self.master in readable:
-                self._from_host()
+            if heard := self.serial.read():
+                self.board.serial_write(heard)
                 busy_until = time.monotonic() + 3e-3
             if sys.stdin in readable:
                 more = os.read(sys.stdin.fileno(), _MESSAGE_MAX)
@@ -397,6 +402,8 @@ class _Head:
         if self.viewer:
             self.viewer.close()
         self.listener.close()
+        self.serial.close()
+        self.board.close()
 
     # ---- time ----
     def _advance(self) -> None:
@@ -409,20 +416,21 @@ class _Head:
             self.board.power_on(self.boot, BOOT_WATCHDOG)
             self.counts["resets"] += 1
         self._run_to(now)
+        if now * TICK_S > WARM_S:
+            self.behind_ms = max(self.behind_ms, (self.sensor.clock.tick(time.monotonic_ns()) - now) * 1e3 * TICK_S)
         if self.pull_at is not None and now >= self.pull_at:
             self.sensor.pull(now + 1, self.speed_mm_s)
             self.pull_at = None
         self.to_host += self.line.carry(self.board.serial_read())
         if self.to_host:
-            with contextlib.suppress(BlockingIOError):
-                del self.to_host[: os.write(self.master, self.to_host)]
+            del self.to_host[: self.serial.write(bytes(self.to_host))]
             if len(self.to_host) > 65536:  # nobody reads: a real line would have lost it too
                 self.counts["serial_overflow"] += len(self.to_host)
                 self.to_host.clear()
 
     def _run_to(self, tick: int) -> None:
-        for stimulus in self.sensor.stimuli(tick):
-            self.board.input(*stimulus)
+        for at, pin, level in self.sensor.stimuli(tick):
+            self.board.input(max(at, self.board.tick), pin, level)
         self.board.run_until(tick)
         for exposure in self.sensor.exposures(tick, self.board.pins()):
             self._order(exposure)
@@ -529,12 +537,6 @@ class _Head:
         self.held.clear()
         self.counts["camera_closed"] += 1
 
-    # ---- line ----
-    def _from_host(self) -> None:
-        with contextlib.suppress(BlockingIOError, OSError):
-            while data := os.read(self.master, _MESSAGE_MAX):
-                self.board.serial_write(data)
-
     def _answer(self, question: Mapping[str, Any]) -> dict[str, Any]:
         now = self.sensor.clock.tick(time.monotonic_ns())
         if question.get("do") == "pull":
@@ -549,4 +551,5 @@ class _Head:
             "bytes_flipped": self.line.bytes_flipped,
             "z_mm": self.sensor.z_mm(now),
             "lamps_on": on,
+            "behind_ms": self.behind_ms,
         }
