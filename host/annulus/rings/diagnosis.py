@@ -8,6 +8,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from annulus.geometry.calibration import Calibration
+from annulus.geometry.pose import FloatArray
+from annulus.rings.colour import ColourProfile, differs, stripes
+from annulus.rings.order import Placed
+from annulus.rings.reconstructor import Reconstructor
+from annulus.rings.slits import Slits
+
 EVERY = 8  # pixels: light varies slowly enough
 DARK = 14.0  # grey levels; no stripe is so dim, and no sensor's black so bright
 LIT_OF_BRIGHT = 0.25  # a pixel with this part of the frame's bright level is stripe and not slit
@@ -15,6 +22,17 @@ CLIPPED = 250  # grey level: JPEG moves full scale about by a few
 CLIPPED_MOST = 0.25  # of the stripes may have their own channel at full scale: edges stay where they are ..
 LOST_MOST = 0.05  # .. but where a second one is, the colour is gone
 NAMES_MOST = 4  # frames named in one line
+RADIUS_OFF = 0.01  # of the radius; less is within what pipes of one size differ by
+SUSPECT = 0.0015  # of the radius; points that scatter more about a cylinder are looked at flipped, too
+FLIP_BETTER = 0.5  # a flip is believed when it leaves so little of that scatter
+CLEAR = 0.15  # a stripe's colour is certain when its channel leads by this
+CHANNEL_LEAST = 0.03  # of the strongest; a channel with less light is not used by the pattern
+KEPT, TURNED = slice(None), slice(None, None, -1)
+FLIPS = {  # in words, and of which axes of the image
+    "mirrored left to right": (KEPT, TURNED),
+    "mirrored upside down": (TURNED, KEPT),
+    "turned upside down": (TURNED, TURNED),
+}
 
 
 class Trouble(StrEnum):
@@ -100,3 +118,107 @@ def _named(frames: Sequence[int]) -> str:
     shown = ", ".join(str(frame) for frame in frames[:NAMES_MOST])
     more = len(frames) - NAMES_MOST
     return f"frame{'s' if len(frames) > 1 else ''} {shown}" + (f" and {more} more" if more > 0 else "")
+
+
+def examine(
+    reconstructor: Reconstructor,
+    frames: Sequence[tuple[int, NDArray[np.uint8]]],
+    colour: ColourProfile | None = None,
+) -> tuple[Finding, ...]:
+    """What (frame, image) of a few projector frames say against the calibration, the pipe's radius and its colours.
+
+    Colours are not trusted for it: slits are named by their order. Flips show only where the head is asymmetric enough
+    for them to matter; then the right way round leaves much less scatter than the wrong one. A few tens of milliseconds
+    a frame.
+    """
+    calibration = reconstructor.calibration
+    placed: list[tuple[int, Slits, Placed]] = []
+    for frame, image in frames:
+        slits, place = reconstructor.sightings(image)
+        if place is not None:
+            placed.append((frame, slits, place))
+    if not placed:
+        return ()
+    names = tuple(frame for frame, _, _ in placed)
+    out: list[Finding] = []
+    scatter = float(np.median([place.fit.spread_mm for _, _, place in placed]))
+    flip = _flip(reconstructor, frames, scatter) if scatter > SUSPECT * calibration.pipe_radius_mm else None
+    if flip is not None:
+        out.append(Finding(Trouble.FLIPPED, flip, names))
+    radius = float(np.median([place.radius_mm for _, _, place in placed]))
+    off = radius - calibration.pipe_radius_mm
+    if flip is None and abs(off) > max(RADIUS_OFF * calibration.pipe_radius_mm, 2.0 * scatter):
+        out.append(
+            Finding(
+                Trouble.RADIUS,
+                f"the pipe is not the calibration's: every ring lies {abs(off):.2f} mm {'out' if off > 0 else 'in'}side "
+                f"its radius of {calibration.pipe_radius_mm:.2f} mm, this pipe's is about {radius:.2f} mm",
+                names,
+            )
+        )
+    read = _sequence([(slits, place) for _, slits, place in placed], calibration)
+    if read is not None and read != calibration.colours:
+        swapped = read.translate(str.maketrans("RB", "BR")) == calibration.colours
+        why = "red and blue are exchanged" if swapped else "another slide, or the pattern section is wrong"
+        out.append(
+            Finding(
+                Trouble.COLOURS,
+                f"the stripes read {read} from the innermost outwards, the calibration says {calibration.colours}: "
+                f"{why}",
+                names,
+            )
+        )
+    elif colour is not None:
+        unlike = differs(colour, [stripes(slits, place, calibration) for _, slits, place in placed])
+        if unlike is not None:
+            out.append(
+                Finding(
+                    Trouble.PAINT,
+                    f"the pipe or the white balance is not the colour profile's: {unlike}; its own colours were used",
+                    names,
+                )
+            )
+    return tuple(out)
+
+
+def _flip(reconstructor: Reconstructor, frames: Sequence[tuple[int, NDArray[np.uint8]]], scatter: float) -> str | None:
+    """In words, if the images fit the calibration far better flipped."""
+    best, least = "", scatter
+    for name, (rows, columns) in FLIPS.items():
+        places = [
+            reconstructor.sightings(np.ascontiguousarray(image[rows, columns]))[1] for _, image in frames
+        ]  # fmt: skip
+        spreads = [place.fit.spread_mm for place in places if place is not None]
+        if 2 * len(spreads) > len(frames) and float(np.median(spreads)) < least:
+            best, least = name, float(np.median(spreads))
+    if not best or least > FLIP_BETTER * scatter:
+        return None
+    return (
+        f"the images are {best} against the calibration: points scatter {scatter:.2f} mm about the pipe as they are, "
+        f"{least:.2f} mm flipped back. Set the camera's flip as it was when it was calibrated"
+    )
+
+
+def _sequence(seen: Sequence[tuple[Slits, Placed]], calibration: Calibration) -> str | None:
+    """The stripes' colours as the frames show them, None where one is not clear."""
+    rings = len(calibration.rings)
+    total = np.zeros((rings + 1, 3))
+    values: list[list[FloatArray]] = [[] for _ in range(rings + 1)]
+    for slits, place in seen:
+        for k in range(rings):
+            mine = place.ring == k
+            values[k].append(slits.inside[mine])
+            values[k + 1].append(slits.outside[mine])
+    for k, parts in enumerate(values):
+        stacked = np.concatenate(parts)
+        if not len(stacked):
+            return None
+        total[k] = np.median(stacked, axis=0)[::-1]
+    level = total.max(axis=0)
+    used = level > CHANNEL_LEAST * level.max()
+    scaled = np.where(used, total / np.maximum(level, 1e-9), 0.0)
+    scaled /= np.maximum(np.linalg.norm(scaled, axis=1, keepdims=True), 1e-9)
+    ordered = np.sort(scaled, axis=1)
+    if (ordered[:, 2] - ordered[:, 1] < CLEAR).any():
+        return None
+    return "".join("RGB"[i] for i in scaled.argmax(axis=1))
