@@ -24,6 +24,9 @@ ALONG = np.cos(np.radians(14.0))  # a neighbour lies along the edge, ..
 BACK = np.cos(np.radians(24.0))  # .. whose direction there agrees,
 EDGE = 0.35  # and all along, the edge has at least this part of the corners' contrast
 WINDOW = 0.3  # of the distance to the next corner: what a place is read from; beyond, a slanted square has other edges
+WINDOW_PX, WINDOW_BLURS = 12.0, 5.0  # and at most so many pixels, or standard deviations of the blur
+BESIDE_MARKERS = 0.11  # the same, where markers begin an eighth of a square away
+SPECKLED = 0.2  # of the contrast: standard deviation inside a square that has a marker
 LEAST = 3  # corners each way
 
 
@@ -37,6 +40,7 @@ class BoardView:
     pixels: FloatArray  # (N, 2)
     step_px: float  # median distance between neighbours
     blur_px: float  # standard deviation of the blur of its edges
+    markers: bool  # something is printed in every other square
 
     @property
     def size(self) -> tuple[int, int]:
@@ -56,7 +60,7 @@ def cropped(view: BoardView, columns: int, rows: int) -> BoardView:
                 if np.count_nonzero(inside) > np.count_nonzero(best):
                     best = inside
     cells = view.cells[best]
-    return BoardView(cells - cells.min(axis=0), view.pixels[best], view.step_px, view.blur_px)
+    return BoardView(cells - cells.min(axis=0), view.pixels[best], view.step_px, view.blur_px, view.markers)
 
 
 def find_board(image: NDArray[np.uint8]) -> BoardView | None:
@@ -245,14 +249,20 @@ def _refined(grey: NDArray[np.uint8], grid: dict[tuple[int, int], FloatArray]) -
                 step[i] = min(step[i], length)
                 mean.append(length)
                 ends.append((rough[i], grid[other]))
-    windows = np.clip(np.rint(WINDOW * step), 2, 40).astype(int)
+    markers = _has_markers(grey, grid)
+    blur = _blur(grey, ends)
+    size = np.array([grey.shape[1], grey.shape[0]])
+    # Edges that a lens bends pull a corner to their hollow side by the square of the window; so no more than needed,
+    # and none of what lies outside the image.
+    reach = np.minimum((BESIDE_MARKERS if markers else WINDOW) * step, max(WINDOW_PX, WINDOW_BLURS * blur))
+    reach = np.minimum(reach, np.minimum(rough, size - 1 - rough).min(axis=1) - 2)
+    windows = np.clip(np.rint(reach), 2, 40).astype(int)
     fine = np.empty_like(rough)
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 60, 1e-4)
     for window in np.unique(windows):
         mine = windows == window
         first = rough[mine].astype(np.float32).reshape(-1, 1, 2)
         fine[mine] = cv2.cornerSubPix(grey, first, (int(window),) * 2, (-1, -1), criteria).reshape(-1, 2)
-    size = np.array([grey.shape[1], grey.shape[0]])
     good = (np.linalg.norm(fine - rough, axis=1) < np.maximum(0.3 * step, 2.0)) & np.all(
         (fine > 1) & (fine < size - 2), axis=1
     )
@@ -261,7 +271,22 @@ def _refined(grey: NDArray[np.uint8], grid: dict[tuple[int, int], FloatArray]) -
     cells = cells[good] - cells[good].min(axis=0)
     if np.any(cells.max(axis=0) < LEAST - 1):
         return None
-    return BoardView(cells, fine[good], float(np.median(mean)), _blur(grey, ends))
+    return BoardView(cells, fine[good], float(np.median(mean)), blur, markers)
+
+
+def _has_markers(grey: NDArray[np.uint8], grid: dict[tuple[int, int], FloatArray]) -> bool:
+    part = np.linspace(0.2, 0.8, 9)
+    u, v = (w.ravel()[:, None] for w in np.meshgrid(part, part))
+    inside = [
+        (1 - v) * ((1 - u) * a + u * grid[x + 1, y]) + v * ((1 - u) * grid[x, y + 1] + u * grid[x + 1, y + 1])
+        for (x, y), a in grid.items()
+        if (x + 1, y) in grid and (x, y + 1) in grid and (x + 1, y + 1) in grid
+    ]
+    if not inside:
+        return False
+    light = _sample(grey.astype(np.float32), np.array(inside))
+    contrast = np.percentile(light, 95) - np.percentile(light, 5)
+    return bool(np.mean(light.std(axis=1) > SPECKLED * contrast) > 0.25)
 
 
 def _blur(grey: NDArray[np.uint8], ends: list[tuple[FloatArray, FloatArray]]) -> float:

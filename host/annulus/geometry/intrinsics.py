@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from annulus.geometry.camera import Camera, Model
@@ -13,8 +14,9 @@ from annulus.vocabulary import AnnulusError
 FOCAL = (0.25, 0.35, 0.5, 0.7, 1.0, 1.5, 2.2, 3.5)  # of the image's longer side: where a cold start looks
 COLD_VIEWS = 12  # as many are enough to choose between them
 NUMBERS = {"pinhole": 9, "fisheye": 8}  # fx fy cx cy and the distortion
-# What is set free in turn: a common focal length; the principal point and the first bends; all.
-STAGES = ((0,), (0, 2, 3, 4, 5), None)
+PROMISING = 3  # of them go on to the next stage
+# What is set free in turn, for so many steps: one focal length; the principal point and the first bends; all.
+STAGES: tuple[tuple[tuple[int, ...] | None, int], ...] = (((0,), 6), ((0, 2, 3, 4, 5), 12), (None, 12))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,22 +56,28 @@ class Intrinsics:
         A turn of the whole camera that calibration cannot tell from a shifted principal point is taken out: whoever
         uses the camera fits his own pose.
         """
+        x, y = (np.linspace(0, size - 1, 24) for size in (self.camera.width, self.camera.height))
+        _, over_turn, over_lens = self._slopes(np.stack(np.meshgrid(x, y), axis=2).reshape(-1, 2))
+        spread = np.ones(len(over_turn))
+        for _ in range(3):  # the turn is settled where rays are known well
+            heavy = np.sqrt(1 / np.maximum(spread, 1e-12))[:, None, None]
+            sides = ((heavy * part).reshape(2 * len(spread), -1) for part in (over_turn, over_lens))
+            turned = np.linalg.lstsq(*sides, rcond=None)[0]
+            spread = self._spread(over_lens - over_turn @ turned)
+        good, by_turn, by_lens = self._slopes(pixels)
+        out = np.full(len(pixels), np.nan)
+        out[good] = np.sqrt(np.maximum(self._spread(by_lens - by_turn @ turned), 0.0))
+        return out
+
+    def _slopes(self, pixels: FloatArray) -> tuple[NDArray[np.bool_], FloatArray, FloatArray]:
+        """Which pixels have rays; how those pixels move with a turn of the camera, and with the lens' numbers."""
         rays = self.camera.rays(pixels)
         good = np.isfinite(rays).all(axis=1)
-        out = np.full(len(pixels), np.nan)
-        if not good.any():
-            return out
         _, by_point, by_lens = project_with_slopes(self.camera, rays[good])
-        by_turn = np.einsum("nij,njk->nik", by_point, -_cross_matrix(rays[good]))
-        spread = np.ones(len(by_turn))
-        for _ in range(3):  # the turn is settled where rays are known well
-            heavy = np.repeat(1 / np.sqrt(np.maximum(spread, 1e-12)), 2)[:, None]
-            flat_turn, flat_lens = by_turn.reshape(-1, 3), by_lens.reshape(len(by_turn) * 2, -1)
-            turned = np.linalg.lstsq(heavy * flat_turn, heavy * flat_lens, rcond=None)[0]
-            left = (flat_lens - flat_turn @ turned).reshape(by_lens.shape)
-            spread = np.einsum("nip,pq,niq->n", left, self.covariance, left)
-        out[good] = np.sqrt(np.maximum(spread, 0.0))
-        return out
+        return good, by_point @ -_cross_matrix(rays[good]), by_lens
+
+    def _spread(self, slopes: FloatArray) -> FloatArray:
+        return np.asarray(np.einsum("nip,pq,niq->n", slopes, self.covariance, slopes))
 
 
 def fit_intrinsics(
@@ -174,24 +182,24 @@ def project_with_slopes(camera: Camera, points: FloatArray) -> tuple[FloatArray,
 def _cold_start(sights: list[Sight], width: int, height: int, model: Model) -> Camera:
     """The best of several focal lengths after a few steps on some of the sights, from a lens without distortion."""
     some = [sights[i] for i in np.unique(np.linspace(0, len(sights) - 1, COLD_VIEWS).astype(int))]
-    best, least = None, np.inf
+    tried: list[tuple[float, Camera]] = []
     for part in FOCAL:
         f = part * max(width, height)
-        camera = Camera(model, width, height, f, f, (width - 1) / 2, (height - 1) / 2, (0.0,) * (NUMBERS[model] - 4))
-        try:
-            rotations, translations = _poses(camera, some)
-            for free in STAGES:
-                camera, rotations, translations, _ = _adjust(
-                    camera, rotations, translations, some, free, robust=True, steps=12
-                )
-            cost = _cost(camera, rotations, translations, some)
-        except (np.linalg.LinAlgError, ValueError):
-            continue
-        if cost < least:
-            best, least = camera, cost
-    if best is None:
+        tried.append(
+            (0.0, Camera(model, width, height, f, f, (width - 1) / 2, (height - 1) / 2, (0.0,) * (NUMBERS[model] - 4)))
+        )
+    for free, steps in STAGES:
+        better: list[tuple[float, Camera]] = []
+        for _, camera in tried:
+            try:
+                at = _adjust(camera, *_poses(camera, some), some, free, robust=True, steps=steps)
+                better.append((_cost(*at[:3], some), at[0]))
+            except (np.linalg.LinAlgError, ValueError):
+                continue
+        tried = sorted(better, key=lambda one: one[0])[:PROMISING]
+    if not tried:
         raise AnnulusError("no camera fits these boards: is every photograph from one camera, and the board flat?")
-    return best
+    return tried[0][1]
 
 
 def _cost(camera: Camera, rotations: FloatArray, translations: FloatArray, sights: list[Sight]) -> float:
@@ -327,7 +335,7 @@ def _solve(
     left, right = _reduced(normal, gradient, blocks, ratio)
     step: FloatArray = np.asarray(np.linalg.lstsq(left, right, rcond=1e-15)[0]) if len(right) else right
     turns: list[FloatArray] = [
-        np.linalg.solve(own + (ratio + 1e-14) * np.diag(np.diag(own)), pull - across.T @ step)
+        np.asarray(np.linalg.solve(own + (ratio + 1e-14) * np.diag(np.diag(own)), pull - across.T @ step))
         for own, across, pull in blocks
     ]
     return step, turns
