@@ -21,8 +21,10 @@ COMPANY = 3  # .. of so many points of its ring
 
 def gate(
     ring: NDArray[np.int64], slits: Slits, radius_mm: FloatArray, step_mm: FloatArray, directions: int
-) -> dict[str, int]:
+) -> tuple[dict[str, int], FloatArray]:
     """Set `ring` (N,) to NONE, in place, where a slit is not to be believed, and count why.
+
+    Also says how much wider than its ring around there each slit is, (N,) px; 0 for those that are no ring.
 
     Parameters
     ----------
@@ -35,16 +37,18 @@ def gate(
     ring at nearly its radius.
     """
     counts = np.zeros(3, np.int64)
+    wider = np.zeros(len(ring))
     turn = 2 * math.pi / directions * np.arange(directions)
     _gate(
         ring, slits.direction, slits.width, slits.inside, slits.outside, radius_mm, step_mm, np.cos(turn), np.sin(turn),
-        counts,
+        counts, wider,
     )  # fmt: skip
-    return {"width": int(counts[0]), "shaded": int(counts[1]), "alone": int(counts[2])}
+    found = {"width": int(counts[0]), "shaded": int(counts[1]), "alone": int(counts[2])}
+    return found, wider
 
 
 @compiled
-def _gate(ring, direction, width, inside, outside, radius, step, cosine, sine, counts):  # type: ignore[no-untyped-def]
+def _gate(ring, direction, width, inside, outside, radius, step, cosine, sine, counts, wider):  # type: ignore[no-untyped-def]
     directions = len(cosine)
     mine = np.empty(directions, np.int64)
     slit = np.empty(directions, np.int64)  # of one ring, by direction; -1 where it has none
@@ -75,6 +79,7 @@ def _gate(ring, direction, width, inside, outside, radius, step, cosine, sine, c
             j = direction[n]
             expected = min(max(mean + even * cosine[j] + odd * sine[j], NARROW), WIDE)
             ratio = width[n] / usual / expected
+            wider[n] = width[n] - usual * expected
             if ratio < 1.0 - (1.0 - NARROW) * slack or ratio > 1.0 + (WIDE - 1.0) * slack:
                 ring[n] = NONE
                 counts[0] += 1

@@ -19,10 +19,12 @@ from annulus.rings.pose import Fit, fit_pose
 from annulus.rings.profile import Profile
 from annulus.rings.slits import Slits, find_slits
 from annulus.rings.triangulate import deviations, ring_optics, triangulate
+from annulus.rings.uncertainty import calibrated, point_sigma
 from annulus.vocabulary import AnnulusError
 
 FIRST_TOLERANCE = 0.5  # of the radius: the head's lean and stand-off are still in the deviation
 WALL_TOLERANCE = 0.35  # and now they are not
+ROUGHLY = 400  # points that tell the pose well enough to read the rings again
 STEP_PX = 1.5  # a point's neighbours lie within this many pixels' worth of radius and ..
 STEP = 0.01  # .. this part of the pipe's radius
 
@@ -41,6 +43,7 @@ class Reconstructor:
         self.directions = directions
         self._grid = polar_grid(calibration, directions)
         self._optics = ring_optics(calibration, self._grid)
+        self._calibrated = calibrated(calibration, self._grid, self._optics)
         # (K,) mm: what a tenth of a pixel and the calibrated radius itself leave open
         self._expected = np.hypot(0.1 * self._optics.mm_per_px, 0.0005 * calibration.pipe_radius_mm)
         self._colour = colour.seen() if colour is not None else None
@@ -90,7 +93,7 @@ class Reconstructor:
             deviation = deviations(points, first or Pose(), pipe)
             ring = decode(slits.direction, inside, outside, deviation, colours, FIRST_TOLERANCE)
             marks.append(("decode", clock()))
-            fitted = self._fit(points, ring, first, every=3)
+            fitted = self._fit(points, ring, first, ROUGHLY)
             marks.append(("pose", clock()))
             if fitted is not None:
                 break
@@ -108,19 +111,26 @@ class Reconstructor:
         rejected["colour"] = int(np.count_nonzero((inside == UNKNOWN) | (outside == UNKNOWN)))
         rejected["no ring"] = int(np.count_nonzero(ring == NONE))
         step = STEP * pipe + STEP_PX * self._optics.mm_per_px
-        rejected |= gate(ring, slits, pipe * (1.0 + deviation), step, self.directions)
+        gated, wider = gate(ring, slits, pipe * (1.0 + deviation), step, self.directions)
+        rejected |= gated
         marks.append(("gates", clock()))
         fitted = self._fit(points, ring, fitted.pose) or fitted
         pose = fitted.pose
         marks.append(("pose", clock()))
         kept = np.flatnonzero(ring != NONE)
-        wall = pose.to_pipe(points[kept, ring[kept]], z_mm)
+        seen = points[kept, ring[kept]]
+        wall = pose.to_pipe(seen, z_mm)
         light = np.clip((slits.inside[kept] + slits.outside[kept])[:, ::-1] / 2, 0, 255)
         marks.append(("points", clock()))
+        sigma = point_sigma(
+            ring[kept], slits.direction[kept], seen, slits.softness[kept], wider[kept], self._optics, self._calibrated,
+            fitted,
+        )  # fmt: skip
+        marks.append(("sigma", clock()))
         return Profile(
             frame, z_mm, pose, wall.astype(np.float32), light.astype(np.uint8), ring[kept].astype(np.uint8),
             slits.direction[kept].astype(np.uint16), fitted.spread_mm, rejected, _spans(marks),
-            self._expected[ring[kept]].astype(np.float32),
+            sigma,
         )  # fmt: skip
 
     def sightings(self, image_bgr: NDArray[np.uint8]) -> tuple[Slits, Placed | None]:
@@ -128,8 +138,12 @@ class Reconstructor:
         slits = find_slits(unroll(image_bgr, self._grid), self._grid)
         return slits, by_order(slits, self._grid, self._optics, self._expected, self.calibration.pipe_radius_mm)
 
-    def _fit(self, points: FloatArray, ring: NDArray[np.int64], seed: Pose | None, every: int = 1) -> Fit | None:
-        kept = np.flatnonzero(ring != NONE)[::every]
+    def _fit(
+        self, points: FloatArray, ring: NDArray[np.int64], seed: Pose | None, most: int | None = None
+    ) -> Fit | None:
+        kept = np.flatnonzero(ring != NONE)
+        if most is not None:
+            kept = kept[:: max(1, len(kept) // most)]
         return fit_pose(points[kept, ring[kept]], self.calibration.pipe_radius_mm, self._expected[ring[kept]], seed)
 
 

@@ -1,5 +1,6 @@
 """Dark slits along every polar line, to a fraction of a pixel, with the light on both sides of each."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +26,7 @@ class Slits:
     width: NDArray[np.float64]  # (N,) between the edges
     inside: NDArray[np.float64]  # (N, 3) BGR of the stripe on the inner side, the slit's own darkness taken off
     outside: NDArray[np.float64]  # (N, 3)
+    softness: NDArray[np.float64]  # (N,) of both edges: root of the sum of squares of 1 / curvature of the slope there
     shallow: int  # dips left out because they were not nearly as dark as this frame's slits are
     crowded: int  # slits left out because a line had more than PER_LINE
 
@@ -42,10 +44,10 @@ def find_slits(unrolled: Unrolled, grid: PolarGrid) -> Slits:
     stop = np.minimum(grid.stop - unrolled.first, unrolled.top.shape[1])
     n, crowded = _scan(unrolled.top, stop, taps, np.float32(floor), np.float32(grid.spacing_px), found)
     kept = _dark_ones(found, n)
-    direction, place, light = np.empty(kept, np.int64), np.empty((2, kept)), np.empty((2, kept, 3))
+    direction, place, light = np.empty(kept, np.int64), np.empty((3, kept)), np.empty((2, kept, 3))
     away = (grid.first + grid.step * unrolled.first, grid.step)
     _sides(unrolled.image, grid.centre, away, grid.cosine, grid.sine, found, direction, place, light)
-    return Slits(direction, unrolled.first + place[0], place[1], light[0], light[1], n - kept, crowded)
+    return Slits(direction, unrolled.first + place[0], place[1], light[0], light[1], place[2], n - kept, crowded)
 
 
 def smoothing(spacing_px: float) -> NDArray[np.float32]:
@@ -58,7 +60,7 @@ def smoothing(spacing_px: float) -> NDArray[np.float32]:
 @compiled
 def _scan(bright, stop, taps, floor, spacing, out):  # type: ignore[no-untyped-def]
     """Rows of `out`: direction, position, width, bottom, how dark, and the stripes' samples beside: first and last of
-    the inner side, first and last of the outer; the edges' sharpness (see `uncertainty`)."""
+    the inner side, first and last of the outer; the edges' softness."""
     longest = bright.shape[1]
     top = np.empty(longest, np.float32)
     smooth = np.zeros(longest, np.float32)
@@ -153,7 +155,9 @@ def _scan(bright, stop, taps, floor, spacing, out):  # type: ignore[no-untyped-d
             row[3] = bottom
             row[4] = np.float32(1.0) - min(smooth[bottom] / max(beside, np.float32(1.0)), np.float32(1.0))
             row[5], row[6], row[7], row[8] = p0, p1, p2, p3
-            row[9] = 0.0
+            fall_bend = slope[a - 1] - 2 * slope[a] + slope[a + 1]
+            rise_bend = slope[e - 1] - 2 * slope[e] + slope[e + 1]
+            row[9] = math.sqrt(1 / max(fall_bend * fall_bend, 1e-6) + 1 / max(rise_bend * rise_bend, 1e-6))
             n += 1
     return n, crowded
 
@@ -179,7 +183,7 @@ def _sides(image, centre, away, cosine, sine, found, direction, place, light):  
     right, low, lines = image.shape[1] - 1, image.shape[0] - 1, len(cosine)
     for n in range(len(direction)):
         j = int(found[n, 0])
-        direction[n], place[0, n], place[1, n] = j, found[n, 1], found[n, 2]
+        direction[n], place[0, n], place[1, n], place[2, n] = j, found[n, 1], found[n, 2], found[n, 9]
         dark = np.float32(0.0), np.float32(0.0), np.float32(0.0)
         for part in range(3):
             a = int(found[n, 3]) - 1 if part == 0 else int(found[n, 3 + 2 * part])
