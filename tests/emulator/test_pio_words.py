@@ -30,7 +30,7 @@ armed:
     jmp y-- look_low
 look_low:
     jmp pin armed
-    irq 4                      ; accepted: at once, before the lamp's machine asks
+    irq 4                   ; accepted: at once, before the lamp's machine asks
     mov isr, y
     push noblock            ; the stamp
     pull noblock            ; a new hold-off, or x again
@@ -42,7 +42,7 @@ hold:
 held:
     jmp x-- hold
     mov x, osr
-    irq 5                      ; look again
+    irq 5                   ; look again
     jmp high [1]
 ; LAMP. Words: delay, width - 2, gates.
 idle:
