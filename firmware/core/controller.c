@@ -48,7 +48,7 @@ static void receive(controller_t* const self, const uint8_t line)
     command_t command;
     bool complete = false;
     uint8_t byte;
-    while (!complete && (self->leaving == LEAVE_NOT) && (board_receive(line, &byte, 1U) == 1U)) {
+    while (!complete && (self->leaving == LEAVE_NOT) && link_has_room(link) && (board_receive(line, &byte, 1U) == 1U)) {
         bool heard = false;
         complete = link_receive(link, byte, &command, &heard);
         if (heard && (line == self->session)) {  // whoever only looks on keeps nothing alight

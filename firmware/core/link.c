@@ -9,11 +9,12 @@
 
 static uint16_t crc_byte(const uint16_t before, const uint8_t byte)
 {
-    uint16_t crc = (uint16_t)(before ^ (byte << 8));
-    for (uint8_t bit = 0; bit < 8; bit++) {
-        crc = (uint16_t)((crc << 1) ^ (((crc & 0x8000U) != 0U) ? 0x1021U : 0U));
-    }
-    return crc;
+    static const uint16_t of_nibble[16] = {0x0000, 0x1021, 0x2042, 0x3063, 0x4084, 0x50A5, 0x60C6, 0x70E7,
+                                           0x8108, 0x9129, 0xA14A, 0xB16B, 0xC18C, 0xD1AD, 0xE1CE, 0xF1EF};
+    uint32_t crc = before;
+    crc = (crc << 4) ^ of_nibble[((crc >> 12) ^ (byte >> 4)) & 0xFU];
+    crc = (crc << 4) ^ of_nibble[((crc >> 12) ^ byte) & 0xFU];
+    return (uint16_t)crc;
 }
 
 uint16_t link_crc(const uint8_t* const body, const size_t length, const uint8_t schema)
@@ -119,10 +120,12 @@ static bool end_of_frame(link_t* const self, command_t* const command, bool* con
         reply->pending = true;
         return false;
     }
-    if (self->replies[self->next_reply].pending) {
-        return refuse(self);  // more outstanding than allowed: as good as lost, the host sends it again
-    }
     return true;
+}
+
+bool link_has_room(const link_t* const self)
+{
+    return !self->replies[self->next_reply].pending;
 }
 
 bool link_receive(link_t* const self, const uint8_t byte, command_t* const command, bool* const host_alive)

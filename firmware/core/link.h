@@ -58,6 +58,9 @@ void link_start(link_t* self);
 // link_reply. A repeat of a known command is answered from memory and not reported here.
 bool link_receive(link_t* self, uint8_t byte, command_t* command, bool* host_alive);
 
+// Is there room for one more answer? Before that nothing should be taken from the line.
+bool link_has_room(const link_t* self);
+
 // Queue the answer to the command just received.
 void link_reply(link_t* self, const command_t* command, const uint8_t* payload);
 

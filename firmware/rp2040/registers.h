@@ -16,6 +16,13 @@ extern const uint16_t rom_functions;  // the table of functions
 extern const uint16_t rom_lookup;     // the function that searches it
 #define ROM_CODE(a, b) ((uint32_t)(a) | ((uint32_t)(b) << 8))
 
+// ---- flash (4.10) ----
+#define SSI_CONTROL0 0x18000000U
+#define SSI_ENABLE 0x18000008U
+#define SSI_SELECT 0x18000010U
+#define SSI_RECEIVED 0x18000024U
+#define SSI_DATA 0x18000060U
+
 // ---- clocks, resets (2.14 to 2.18) ----
 #define RESETS_RESET 0x4000C000U
 #define RESETS_DONE 0x4000C008U

@@ -28,8 +28,9 @@ class EmulatorFault(Exception):
 class EmulatedBoard:
     """Ticks of 10 ns since power came on. `rises`, `falls` and `transitions` keep everything the pins ever did."""
 
-    def __init__(self, image: Path = IMAGE, vcd: Path | None = None) -> None:
+    def __init__(self, image: Path = IMAGE, vcd: Path | None = None, flash_id: str | None = None) -> None:
         command = ["node", str(EMULATOR), str(image), "--drive", *(["--vcd", str(vcd)] if vcd else [])]
+        command += ["--flash-id", flash_id] if flash_id else []
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         self.now = 0
         self.transitions: list[tuple[int, int, int]] = []
@@ -42,6 +43,12 @@ class EmulatedBoard:
         self.origin = 0  # tick at which the controller began to count its own
         self.bootloader: dict[str, Any] | None = None  # what the image told the boot ROM, once it is there
         self.bad = 0
+        self.over_usb = False  # talk and listen over USB; what the other line says goes to `aside`
+        self.aside: list[Frame | object] = []
+        self.usb: dict[str, Any] = {}  # the USB host's last report: state, descriptors, what it asked
+        self.usb_controls: list[dict[str, str]] = []
+        self.usb_bytes = 0  # received over USB
+        self._usb_decoder = Decoder()
         self._decoder = Decoder()
         self._sequence = itertools.count()
 
@@ -65,7 +72,16 @@ class EmulatedBoard:
         self.origin, self.bootloader = answer["origin"], answer["bootloader"]
         self.transitions += [tuple(pin) for pin in answer["pins"]]
         self.sent += [tuple(byte) for byte in answer["sent"]]
-        for item in self._decoder.feed(bytes(byte for _, byte in answer["sent"])):
+        heard = self._decoder.feed(bytes(byte for _, byte in answer["sent"]))
+        over_usb: list[Any] = []
+        if answer["usb"] is not None:
+            self.usb = answer["usb"]
+            self.usb_controls += self.usb["controls"]
+            data = bytes.fromhex(self.usb["received"])
+            self.usb_bytes += len(data)
+            over_usb = list(self._usb_decoder.feed(data))
+        self.aside += heard if self.over_usb else over_usb
+        for item in over_usb if self.over_usb else heard:
             if not isinstance(item, Frame):
                 self.bad += 1
             elif isinstance(item.message, Event):
@@ -81,7 +97,31 @@ class EmulatedBoard:
         self._do(op="input", edges=edges)
 
     def write(self, data: bytes) -> None:
-        self._do(op="write", hex=data.hex())
+        if self.over_usb:
+            self.usb_do("write", hex=data.hex())
+        else:
+            self._do(op="write", hex=data.hex())
+
+    def usb_do(self, what: str, **more: str) -> None:
+        """attach, detach, reset, suspend, resume, open, close, write (hex), control (setup, data)."""
+        self._do(op="usb", do=what, **more)
+
+    def plug_in(self, within: int = 400 * MS) -> None:
+        """Attach a USB host and wait until it has the port open; from then on talk over it."""
+        self.usb_do("attach")
+        end = self.now + within
+        while not self.usb.get("open"):
+            assert self.now < end, self.usb
+            self.run(self.now + 5 * MS)
+        self.over_usb = True
+
+    def control(self, setup: bytes, data: bytes = b"") -> tuple[str, bytes]:
+        """One control transfer: ok, stall.., and what came in."""
+        self.usb_controls.clear()
+        self.usb_do("control", setup=setup.hex(), data=data.hex())
+        while not self.usb_controls:
+            self.run(self.now + MS)
+        return self.usb_controls[0]["status"], bytes.fromhex(self.usb_controls[0]["data"])
 
     def stall(self, ticks: int) -> None:
         self._do(op="stall", ticks=ticks)

@@ -2,12 +2,14 @@
 // Runs the shipped image.
 //
 //   emulate.mjs IMAGE.uf2 --serve PORT [--sync-hz 25] [--vcd FILE]   in real time as far as it can; UART0 as TCP for socket://
+//                         --serve-usb PORT                           the USB port likewise, instead or as well
 //   emulate.mjs IMAGE.uf2 --drive [--vcd FILE]                       in virtual time; a JSON object a line on stdin, its answer on stdout
 //
 // Objects: {"op": "run", "until": T} | {"op": "input", "edges": [[tick, pin, level], ..]} | {"op": "write", "hex": ".."}
-//   | {"op": "stall", "ticks": N} | {"op": "reset"}, as if the watchdog bit now. "run" takes "edges" and "hex" as well, which
-// come first. The answer always has now, pins [[tick, pin, level], ..], sent [[tick, byte], ..], resets, stack (bytes used at
-// most), origin (tick at which the controller's own count began, 0 before it does), overruns (bytes the UART had no room for).
+//   | {"op": "stall", "ticks": N} | {"op": "leave-bootloader"} | {"op": "usb", "do": "attach" | "detach" | "reset" | "suspend" | "resume"
+//   | "open" | "close" | "write" (hex) | "control" (setup, data: hex)}. The answer always has now, pins [[tick, pin, level], ..], sent
+// [[tick, byte], ..], resets, stack (bytes used at most), bootloader (what the image told the boot ROM, or null), usb (what its host
+// knows, or null), origin (tick at which the controller's own count began). --flash-id: the flash chip's 64 bits, 16 hex digits.
 
 import { readFileSync, createWriteStream } from 'node:fs';
 import { createServer } from 'node:net';
@@ -16,7 +18,7 @@ import { Fault, Machine } from './machine.mjs';
 import { VcdWriter } from './vcd.mjs';
 
 function usage(message) {
-  process.stderr.write(`emulate.mjs: ${message}\n  emulate.mjs IMAGE.uf2 --serve PORT [--sync-hz HZ] [--vcd FILE] | --drive [--vcd FILE]\n`);
+  process.stderr.write(`emulate.mjs: ${message}\n  emulate.mjs IMAGE.uf2 --serve PORT [--serve-usb PORT] [--sync-hz HZ] [--vcd FILE] [--flash-id HEX] | --drive [--vcd FILE] [--flash-id HEX]\n`);
   process.exit(2);
 }
 
@@ -24,11 +26,11 @@ function options(args) {
   const given = { image: undefined };
   for (let i = 0; i < args.length; i++) {
     if (args[i] === '--drive') given.drive = true;
-    else if (['--serve', '--sync-hz', '--vcd'].includes(args[i])) given[args[i].slice(2)] = args[++i] ?? usage(`${args[i - 1]} needs a value`);
+    else if (['--serve', '--serve-usb', '--sync-hz', '--vcd', '--flash-id'].includes(args[i])) given[args[i].slice(2)] = args[++i] ?? usage(`${args[i - 1]} needs a value`);
     else if (!args[i].startsWith('--') && given.image === undefined) given.image = args[i];
     else usage(`unknown argument ${args[i]}`);
   }
-  if (given.image === undefined || (!given.drive && given.serve === undefined)) usage('say which image, and --serve PORT or --drive');
+  if (given.image === undefined || (!given.drive && given.serve === undefined && given['serve-usb'] === undefined)) usage('say which image, and --serve PORT, --serve-usb PORT or --drive');
   return given;
 }
 
@@ -63,19 +65,35 @@ function drive(machine, vcd) {
   });
 }
 
-// Steps of 2 ms of virtual time, never ahead of the wall clock; behind it when the machine is too slow, which is said.
-function serve(machine, port, syncHz, vcd) {
-  const STEP = 200_000;
+// One client at a time; the newest takes the place of the one before. Gives back what sends bytes to it.
+function listen(port, name, took, came = () => {}, went = () => {}) {
   let client;
-  let edge = 20_000_000;
-  const began = process.hrtime.bigint();
-  let lost = 0n;
   const server = createServer((socket) => {
     client?.destroy();
     client = socket.setNoDelay(true);
-    socket.on('data', (bytes) => machine.write_serial(bytes)).on('error', () => {}).on('close', () => { if (client === socket) client = undefined; });
+    came();
+    socket.on('data', took).on('error', () => {}).on('close', () => { if (client === socket) { client = undefined; went(); } });
   });
-  server.listen(port, '127.0.0.1', () => process.stdout.write(`listening on socket://127.0.0.1:${server.address().port}\n`));
+  server.listen(port, '127.0.0.1', () => process.stdout.write(`${name} on socket://127.0.0.1:${server.address().port}\n`));
+  return (bytes) => { if (client && bytes.length) client.write(bytes); };
+}
+
+// Steps of 2 ms of virtual time, never ahead of the wall clock; behind it when the machine is too slow, which is said.
+function serve(machine, given, vcd) {
+  const STEP = 200_000;
+  const syncHz = Number(given['sync-hz'] ?? 0);
+  let edge = 20_000_000;
+  const began = process.hrtime.bigint();
+  let lost = 0n;
+  const { host } = machine;
+  const tell = (what, more) => host.do({ do: what, ...more }, machine.now);
+  const toUart = given.serve === undefined ? () => {} : listen(Number(given.serve), 'listening', (bytes) => machine.write_serial(bytes));
+  let toUsb = () => {};
+  if (given['serve-usb'] !== undefined) { // plugged in from the start; whoever connects opens the port
+    tell('attach');
+    tell('close');
+    toUsb = listen(Number(given['serve-usb']), 'USB', (bytes) => tell('write', { hex: bytes.toString('hex') }), () => tell('open'), () => tell('close'));
+  }
   const step = () => {
     const wall = (process.hrtime.bigint() - began) / 10n - lost;
     const behind = wall - BigInt(machine.now);
@@ -88,7 +106,8 @@ function serve(machine, port, syncHz, vcd) {
       machine.run(machine.now + STEP);
       const sent = machine.read_serial();
       vcd?.write(machine.pins(), sent, machine.now);
-      if (client && sent.length) client.write(Buffer.from(sent.map(([, byte]) => byte)));
+      toUart(Buffer.from(sent.map(([, byte]) => byte)));
+      toUsb(host.read());
     }
     if (machine.now < Number(wall)) setImmediate(step);
     else setTimeout(step, 1);
@@ -102,7 +121,7 @@ function serve(machine, port, syncHz, vcd) {
 const given = options(process.argv.slice(2));
 let machine;
 try {
-  machine = new Machine(readFileSync(given.image));
+  machine = new Machine(readFileSync(given.image), given['flash-id']);
 } catch (error) {
   process.stderr.write(`emulate.mjs: ${given.image}: ${error.message}\n`);
   process.exit(1);
@@ -110,4 +129,4 @@ try {
 machine.input(0, 7, 0); // interlock closed
 const vcd = given.vcd && new VcdWriter(createWriteStream(given.vcd));
 if (given.drive) drive(machine, vcd);
-else serve(machine, Number(given.serve), Number(given['sync-hz'] ?? 0), vcd);
+else serve(machine, given, vcd);

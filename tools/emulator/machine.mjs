@@ -5,6 +5,7 @@ import { RP2040, GPIOPinState } from 'rp2040js';
 import { Dma } from './dma.mjs';
 import { Fault, fault, hex } from './fault.mjs';
 import { Pio } from './pio.mjs';
+import { Ssi } from './ssi.mjs';
 import { Uart } from './uart.mjs';
 import { Usb } from './usb.mjs';
 import { UsbHost } from './usbhost.mjs';
@@ -47,8 +48,9 @@ export function readUf2(file) {
 }
 
 export class Machine {
-  constructor(uf2) {
+  constructor(uf2, flashId = 'e6616408438a1c2f') {
     this.flash = readUf2(uf2);
+    this.ssi = new Ssi(Buffer.from(flashId, 'hex'));
     this.now = 0;
     this.levels = new Map([[2, 1], [7, 1], [14, 1], [15, 1]]); // pulled up until somebody drives them
     this.pinLevels = new Map();
@@ -87,6 +89,7 @@ export class Machine {
       });
     chip.dma = this.dma;
     this.uart.reset();
+    this.ssi.reset();
     this.host.now = this.now;
     this.usb.reset();
     this.padsSet = new Set();
@@ -200,7 +203,7 @@ export class Machine {
   read(address, bytes) {
     if (address & (bytes - 1)) fault(`HardFault: unaligned read of ${bytes} bytes at ${hex(address)}`);
     let view, at;
-    if (address >= FLASH && address < FLASH + this.flash.length) { view = this.flashView; at = address - FLASH; }
+    if (address >= FLASH && address < FLASH + this.flash.length) { if (!this.ssi.isReadable) fault(`HardFault: flash read at ${hex(address)} while its interface is not set up for that`); view = this.flashView; at = address - FLASH; }
     else if (address >= RAM && address < RAM + 0x42000) { view = this.ramView; at = address - RAM; }
     else if (address < 0x4000) { view = this.romView; at = address; }
     else if (address >= USB_MEMORY && address < USB_MEMORY + 0x1000) { this.block(address); return this.usb.readMemory(address - USB_MEMORY, bytes); }
@@ -248,6 +251,7 @@ export class Machine {
       case 0x4000c: return offset === 0 ? this.inReset : offset === 8 ? ~this.inReset & 0x01ffffff : fault('RESETS register');
       case 0x40060: return (this.random = ((this.random ?? 0x2f6e2b1) * 1103515245 + 12345) & 0x7fffffff) >>> 16;
       case 0x40034: return this.uart.readUint32(offset, this.now);
+      case 0x18000: return this.ssi.readUint32(offset);
       case 0x50110: return this.usb.readUint32(offset);
       case 0x50000: this.sync(); this.nextDue = 0; return this.dma.readUint32(offset);
       case 0x50200: return this.readPio(0, offset);
@@ -278,6 +282,7 @@ export class Machine {
         if (offset !== 0) fault('RESETS register');
         return this.setResets(plain(this.inReset));
       case 0x40034: return this.uart.writeUint32(offset, kind ? plain(this.uart.readUint32(offset, this.now)) : value, this.now);
+      case 0x18000: return this.ssi.writeUint32(offset, value);
       case 0x50110:
         this.host.now = this.now;
         return this.usb.writeUint32(offset, kind ? plain(this.usb.readUint32(offset)) : value, value);
