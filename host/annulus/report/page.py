@@ -27,6 +27,7 @@ def render_page(summary: Summary, findings: Findings, pictures: Pictures) -> str
         findings=findings,
         rows=[_row(number, defect, summary) for number, defect in enumerate(summary.defects, start=1)],
         verdict=_verdict(summary),
+        measured=_measured,
         unwrapped=_inline(pictures.unwrapped),
         texture=_inline(pictures.texture),
         stations=_inline(pictures.stations),
@@ -54,7 +55,7 @@ def _verdict(summary: Summary) -> str:
         return f"{words}."
     worst = max(local, key=lambda d: d.depth_mm)
     return (
-        f"{words}. Deepest: {NAMES[worst.kind].lower()} of {worst.depth_mm:.1f} mm "
+        f"{words}. Deepest: {NAMES[worst.kind].lower()} of {_measured(worst.depth_mm, worst.depth_k2_mm, 1)} "
         f"at {worst.z_mm / 1000:.3f} m, clock {worst.clock}."
     )
 
@@ -80,10 +81,18 @@ def _row(number: int, defect: Defect, summary: Summary) -> dict[str, Any]:
         "clock": clock,
         "length": f"{defect.length_mm:.0f} mm",
         "width": width,
-        "depth": f"{'' if defect.floor_seen else '≥ '}{defect.depth_mm:.2f} mm",
+        "depth": f"{'' if defect.floor_seen else '≥ '}{_measured(defect.depth_mm, defect.depth_k2_mm)}",
         "part": f"{100 * defect.depth_mm / mean:.1f} %",
         "remark": remark,
     }
+
+
+def _measured(mm: float, k2_mm: float | None, digits: int = 2) -> str:
+    """A length with its expanded uncertainty; the value alone where nobody knows how far it may be off."""
+    if k2_mm is None or not math.isfinite(k2_mm):
+        return f"{mm:.{digits}f} mm"
+    least = 10.0**-digits  # never "± 0.0"
+    return f"{mm:.{digits}f} ± {max(math.ceil(k2_mm / least - 1e-9) * least, least):.{digits}f} mm (k=2)"
 
 
 def _length(mm: float) -> str:

@@ -21,10 +21,12 @@ from annulus.report.summary import Summary, summarize
 from annulus.report.surface import triangulate
 from annulus.rings.consensus import without_contradicted
 from annulus.rings.defects import Defect, find_defects
+from annulus.rings.diagnosis import Finding
 from annulus.rings.profile import Profile
 from annulus.rings.registration import register
 from annulus.rings.stations import Stations, measure_stations
 from annulus.rings.texture import LedFrame, paint
+from annulus.rings.vibration import without_vibration
 from annulus.rings.wall import Wall, build_wall
 from annulus.vocabulary import AnnulusError
 
@@ -32,6 +34,7 @@ __all__ = ["LedFrame", "Summary", "prepare_folder", "write_results"]
 
 Truth = Mapping[str, Any] | Callable[[Sequence[Profile], Sequence[Defect]], Mapping[str, Any]]
 
+CLOUD_NOTE = "annulus point cloud, pipe frame, mm: x right, y down, z along the pipe; sigma = of the radius, k = 1"
 FILES = ("cloud.ply", "mesh.ply", "unwrapped.png", "texture.png", "stations.csv", "report.html", "summary.json")
 
 
@@ -46,6 +49,9 @@ def write_results(
     timing_ms: Mapping[str, float],
     source: str,
     truth: Truth | None = None,
+    findings: Sequence[Finding] = (),
+    vibration: bool = False,
+    fps: float | None = None,
 ) -> Summary:
     """Build the wall from the profiles and write every result file of ARCHITECTURE §7 into `out`.
 
@@ -54,6 +60,7 @@ def write_results(
     profiles : of the projector frames, any order. led_frames : read once, one at a time.
     frames : how many by label. drops : everything that was lost, by kind. source : what was scanned, for people.
     truth : scores on the twin, or who gives them for the points and defects found; passed through, never looked at.
+    findings : what is wrong with the frames, for people. vibration : take out what shakes periodically; fps names it.
 
     Raises
     ------
@@ -67,10 +74,13 @@ def write_results(
     started = time.perf_counter()
     prepare_folder(out)
     profiles = without_contradicted(register(profiles))
+    shaken = None
+    if vibration:
+        profiles, shaken = without_vibration(profiles, fps)
     wall = build_wall(profiles)
     narrowest = min(cone.half_angle for cone in calibration.rings)
-    findings = find_defects(wall, blind_ratio=1.0 / math.tan(narrowest))
-    scores = truth(profiles, findings.defects) if callable(truth) else truth
+    places = find_defects(wall, blind_ratio=1.0 / math.tan(narrowest))
+    scores = truth(profiles, places.defects) if callable(truth) else truth
     stations = measure_stations(wall)
     texture = paint(wall, calibration, profiles, led_frames)
     timing = {**timing_ms, "results_wall": (time.perf_counter() - started) * 1e3}
@@ -78,7 +88,7 @@ def write_results(
         staging = Path(tempfile.mkdtemp(prefix=".annulus-", dir=out))
         try:
             points = _write_cloud(staging / "cloud.ply", profiles)
-            pictures = figures.draw(wall, findings, stations, texture, 2 * calibration.pipe_radius_mm)
+            pictures = figures.draw(wall, places, stations, texture, 2 * calibration.pipe_radius_mm)
             _write_mesh(staging / "mesh.ply", wall, texture, pictures.deviation_rgb)
             (staging / "unwrapped.png").write_bytes(pictures.unwrapped)
             (staging / "texture.png").write_bytes(pictures.texture)
@@ -86,7 +96,7 @@ def write_results(
             timing["results_total"] = (time.perf_counter() - started) * 1e3
             summary = summarize(
                 wall,
-                findings,
+                places,
                 stations,
                 2 * calibration.pipe_radius_mm,
                 profiles,
@@ -96,8 +106,10 @@ def write_results(
                 timing,
                 source,
                 scores,
+                tuple(findings),
+                shaken,
             )
-            (staging / "report.html").write_text(render_page(summary, findings, pictures), encoding="utf-8")
+            (staging / "report.html").write_text(render_page(summary, places, pictures), encoding="utf-8")
             text = json.dumps(summary.to_dict(), indent=1, ensure_ascii=False, allow_nan=False)
             (staging / "summary.json").write_text(text + "\n", encoding="utf-8")
             (out / "summary.json").unlink(missing_ok=True)
@@ -130,7 +142,7 @@ def _write_cloud(path: Path, profiles: Sequence[Profile]) -> int:
         total,
         dtype=[
             ("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1"), ("radius", "<f4"),
-            ("frame", "<i4"), ("ring", "u1"),
+            ("frame", "<i4"), ("ring", "u1"), ("sigma", "<f4"),
         ],
     )  # fmt: skip
     at = 0
@@ -141,9 +153,9 @@ def _write_cloud(path: Path, profiles: Sequence[Profile]) -> int:
         for channel, name in enumerate(("red", "green", "blue")):
             part[name] = profile.colour[:, channel]
         part["radius"] = np.hypot(profile.points_mm[:, 0], profile.points_mm[:, 1])
-        part["frame"], part["ring"] = profile.frame, profile.ring
+        part["sigma"], part["frame"], part["ring"] = profile.sigma_mm, profile.frame, profile.ring
         at += len(part)
-    write_ply(path, records, note="annulus point cloud, pipe frame, mm: x right, y down, z along the pipe")
+    write_ply(path, records, note=CLOUD_NOTE)
     return total
 
 
@@ -173,12 +185,13 @@ def _write_stations(path: Path, stations: Stations) -> None:
         writer.writerow(
             [
                 "z_mm", "diameter_min_mm", "diameter_max_mm", "diameter_mean_mm", "ovality_f1216_percent",
-                "shape_ovality_f1216_percent", "valid_fraction",
+                "shape_ovality_f1216_percent", "valid_fraction", "diameter_k2_mm",
             ]
         )  # fmt: skip
         columns = zip(
             stations.z_mm, stations.diameter_min_mm, stations.diameter_max_mm, stations.diameter_mean_mm,
-            stations.ovality_percent, stations.shape_ovality_percent, stations.valid_fraction, strict=True,
+            stations.ovality_percent, stations.shape_ovality_percent, stations.valid_fraction, stations.diameter_k2_mm,
+            strict=True,
         )  # fmt: skip
         for row in columns:
             writer.writerow([f"{value:.4f}" if math.isfinite(value) else "" for value in row])

@@ -13,8 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus.rings.defects import Defect, Findings
+from annulus.rings.diagnosis import Finding
 from annulus.rings.profile import Profile
 from annulus.rings.stations import OVALITY_FORMULA, OVALITY_NAME, Stations
+from annulus.rings.vibration import Vibration
 from annulus.rings.wall import Wall
 
 
@@ -39,6 +41,8 @@ class Summary:
     timing_ms: Mapping[str, float]
     versions: Mapping[str, str]
     truth: Mapping[str, Any] | None
+    warnings: tuple[Finding, ...] = ()
+    vibration: Vibration | None = None  # None: not looked for
 
     def to_dict(self) -> dict[str, Any]:
         """As in summary.json: plain types, None where there is no number."""
@@ -50,7 +54,18 @@ class Summary:
             "limits": dict(self.limits), "drops": dict(self.drops), "rejected": dict(self.rejected),
             "timing_ms": {name: round(value, 3) for name, value in self.timing_ms.items()},
             "versions": dict(self.versions),
+            "warnings": [{"kind": str(w.trouble), "text": w.text, "frames": list(w.frames)} for w in self.warnings],
         }  # fmt: skip
+        if self.vibration is not None:
+            out["vibration"] = {
+                "lines": [
+                    {"cycles_per_m": one.cycles_per_m, "hertz": one.hertz, "amplitude_mm": one.amplitude_mm,
+                     "by_mode_mm": dict(one.mm)}
+                    for one in self.vibration.lines
+                ],
+                "rms_mm": {"before": self.vibration.rms_mm[0], "after": self.vibration.rms_mm[1]},
+                "note": self.vibration.why,
+            }  # fmt: skip
         if self.truth is not None:
             out["truth"] = dict(self.truth)
         plain: dict[str, Any] = _finite(out)
@@ -60,7 +75,7 @@ class Summary:
 def summarize(
     wall: Wall, findings: Findings, stations: Stations, nominal_mm: float, profiles: Sequence[Profile],
     points: int, frames: Mapping[str, int], drops: Mapping[str, int], timing: Mapping[str, float], source: str,
-    truth: Mapping[str, Any] | None,
+    truth: Mapping[str, Any] | None, warnings: tuple[Finding, ...] = (), vibration: Vibration | None = None,
 ) -> Summary:  # fmt: skip
     """Draw the figures of one scan together; arguments as in `results.write_results`, nominal_mm a diameter."""
     start, end = float(wall.z_mm[0] - wall.z_step_mm / 2), float(wall.z_mm[-1] + wall.z_step_mm / 2)
@@ -83,6 +98,7 @@ def summarize(
             "min": _extreme(np.min, stations.diameter_min_mm),
             "max": _extreme(np.max, stations.diameter_max_mm),
             "nominal": nominal_mm,
+            "k2": _extreme(np.median, stations.diameter_k2_mm),
         },
         ovality={
             "definition": OVALITY_NAME,
@@ -103,6 +119,8 @@ def summarize(
         timing_ms=timing,
         versions=_versions(),
         truth=truth,
+        warnings=warnings,
+        vibration=vibration,
     )
 
 
@@ -126,7 +144,8 @@ def _defect(defect: Defect) -> dict[str, Any]:
     return {
         "kind": str(defect.kind), "z_mm": round(defect.z_mm, 2), "clock_deg": round(defect.clock_deg, 2),
         "clock": defect.clock, "length_mm": round(defect.length_mm, 2), "arc_deg": round(defect.arc_deg, 2),
-        "depth_mm": round(defect.depth_mm, 3), "area_mm2": round(defect.area_mm2, 1), "floor_seen": defect.floor_seen,
+        "depth_mm": round(defect.depth_mm, 3), "depth_k2_mm": round(defect.depth_k2_mm, 3),
+        "area_mm2": round(defect.area_mm2, 1), "floor_seen": defect.floor_seen,
         "z_from_mm": round(first, 2), "z_to_mm": round(last, 2), "clock_from_to": list(defect.clock_range),
     }  # fmt: skip
 

@@ -4,6 +4,7 @@ A place stands out when it departs from the shape by more than the noise of this
 about; both limits are written into every report. Nothing here knows which defects to expect.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -23,6 +24,7 @@ BAND_OVERLAP, BAND_SOUND = 0.6, 0.35  # what makes two places one band: common s
 BAND_EDGES, BAND_ASPECT = 3.5, 4.0  # and what a band is: so many edge blurs long at most, so many times as wide
 RIPPLE_EDGES = 1.5  # how far from a step, and how long, its swing to the other side may be, in edge blurs
 LOOK_POINTS = 3  # of one ring in one frame on a place, for it to be a look at it
+DEEP = 0.8  # of its depth: the cells of a place that show how deep it is
 LEVELS = 24  # how finely the surface is sliced when asked whether a place is one defect or several
 
 
@@ -60,6 +62,7 @@ class Defect:
     depth_mm is never negative: how far the wall departs outwards (loss) or inwards (bump); for ovality the greater
     departure of a diameter from the mean diameter. clock_deg of an ovality is its long axis. Where floor_seen
     is False the bottom of a loss (or a bump's crest) lies in shadow or is too small, and depth_mm is a lower limit.
+    depth_k2_mm is its expanded uncertainty, k = 2 (about 95 %); NaN where the points say nothing of theirs.
     """
 
     kind: Kind
@@ -70,6 +73,7 @@ class Defect:
     depth_mm: float
     area_mm2: float
     floor_seen: bool = True
+    depth_k2_mm: float = math.nan
 
     @property
     def clock(self) -> str:
@@ -149,11 +153,12 @@ def find_defects(wall: Wall, *, blind_ratio: float, limits: Limits | None = None
     found: list[tuple[Defect, BoolArray]] = []
     whole_parts = _without_edges(parts, wall.seen, cell, radius, limits)
     for one in _across_gaps(whole_parts, wall.seen & (np.abs(residual) < rim), cell, radius, limits):
-        depth, floor_seen = _depth(one)
+        depth, floor_seen, cells = _depth(one)
         core = _without_holes(one.mask & (one.height >= limits.extent_of_depth * depth))
         deepest = depth if floor_seen else limits.hidden_of_radius * radius
         whole = _with_shadow(_Place(one.kind, core, one.height), unseen, blind_ratio, wall.z_step_mm, deepest)
-        found.append((_measure(one.kind, whole, depth, floor_seen, wall, cell), whole))
+        k2 = _expanded(wall, cells & (one.height >= DEEP * depth))
+        found.append((_measure(one.kind, whole, depth, floor_seen, k2, wall, cell), whole))
     found += [(defect, np.zeros(residual.shape, dtype=bool)) for defect in _oval_stretches(wall, limits)]
     found.sort(key=lambda item: (item[0].z_mm, item[0].clock_deg))
     for i, (_, place) in enumerate(found):
@@ -427,8 +432,8 @@ def _with_shadow(place: _Place, unseen: BoolArray, blind_ratio: float, z_step: f
     return whole
 
 
-def _depth(place: _Place) -> tuple[float, bool]:
-    """Depth of a place (98th percentile), and whether it was measured where the surface is calm.
+def _depth(place: _Place) -> tuple[float, bool, BoolArray]:
+    """Depth of a place (98th percentile), whether it was measured where the surface is calm, and in which cells.
 
     Within a slit's width of a step the measured radius overshoots, so only cells count about which (5 x 3 cells) the
     height changes by less than a third of itself: a floor, a crest. Where a tenth of the place is not calm its floor
@@ -443,13 +448,21 @@ def _depth(place: _Place) -> tuple[float, bool]:
     calm[measured] = high[measured] - low[measured] < place.height[measured] / 3
     floor_seen = np.count_nonzero(calm) >= max(4, 0.1 * np.count_nonzero(measured))
     values = place.height[calm if floor_seen else measured]
-    return float(np.percentile(values, 98)) if len(values) >= 50 else float(np.sort(values)[-2:].mean()), bool(
-        floor_seen
-    )
+    depth = float(np.percentile(values, 98)) if len(values) >= 50 else float(np.sort(values)[-2:].mean())
+    return depth, bool(floor_seen), calm if floor_seen else measured
+
+
+def _expanded(wall: Wall, cells: BoolArray) -> float:
+    """k = 2 uncertainty of a departure from the shape that some cells show: what their points may be off, which does
+    not average away, and the noise of a cell, for the deepest of noisy cells lie deeper than the wall."""
+    stated = cells & np.isfinite(wall.sigma_mm)
+    if not stated.any():
+        return math.nan
+    return 2.0 * math.hypot(float(np.median(wall.sigma_mm[stated])), float(np.median(wall.cell_noise_mm[stated])))
 
 
 def _measure(
-    kind: Kind, whole: BoolArray, depth: float, floor_seen: bool, wall: Wall, cell: tuple[float, float]
+    kind: Kind, whole: BoolArray, depth: float, floor_seen: bool, k2: float, wall: Wall, cell: tuple[float, float]
 ) -> Defect:
     rows = np.flatnonzero(whole.any(axis=1))
     z0, z1 = wall.z_mm[rows[0]] - wall.z_step_mm / 2, wall.z_mm[rows[-1]] + wall.z_step_mm / 2
@@ -457,7 +470,7 @@ def _measure(
     arc = 360.0 if arc >= ALL_ROUND_DEG else arc  # what is left is a rod's shadow
     area = float(np.count_nonzero(whole) * cell[0] * cell[1])
     clock = (start + arc / 2) % 360.0 if arc < 360.0 else 0.0
-    return Defect(kind, float(z0 + z1) / 2, clock, float(z1 - z0), arc, depth, area, floor_seen)
+    return Defect(kind, float(z0 + z1) / 2, clock, float(z1 - z0), arc, depth, area, floor_seen, k2)
 
 
 def _arc(columns: BoolArray, step_deg: float) -> tuple[float, float]:
@@ -487,5 +500,7 @@ def _oval_stretches(wall: Wall, limits: Limits) -> list[Defect]:
         long_axis = np.degrees(np.arctan2(odd, even)) / 2 % 180.0
         depth = 2.0 * float(np.hypot(even, odd))
         z = float(wall.z_mm[rows].mean())
-        out.append(Defect(Kind.OVALITY, z, float(long_axis), length, 360.0, depth, 2 * np.pi * float(mean) * length))
+        area = 2 * np.pi * float(mean) * length
+        k2 = 2.0 * _expanded(wall, (np.arange(len(wall.z_mm)) == worst)[:, None] & wall.seen)  # of a diameter
+        out.append(Defect(Kind.OVALITY, z, float(long_axis), length, 360.0, depth, area, True, k2))
     return out

@@ -19,7 +19,8 @@ class Stations:
 
     z_mm, diameter_min/max/mean_mm (as measured, local defects included), ovality_percent (ASTM F1216 from those three),
     shape_ovality_percent (ASTM F1216 of the pipe's fitted shape, local defects left out), valid_fraction (of the wall
-    seen, 0..1). All (S,) float64.
+    seen, 0..1), diameter_k2_mm (expanded uncertainty, k = 2, of one of those diameters; NaN where points say nothing of
+    theirs). All (S,) float64.
     """
 
     z_mm: FloatArray
@@ -29,6 +30,7 @@ class Stations:
     ovality_percent: FloatArray
     shape_ovality_percent: FloatArray
     valid_fraction: FloatArray
+    diameter_k2_mm: FloatArray
 
 
 def f1216(largest: FloatArray, smallest: FloatArray, mean: FloatArray) -> FloatArray:
@@ -46,7 +48,8 @@ def measure_stations(wall: Wall, station_mm: float = STATION_MM) -> Stations:
     """Cut the wall into slices of about `station_mm` and measure every slice's diameters.
 
     A diameter is the sum of two opposite radii, so a centre that is off by a little does not matter. Radii are medians
-    over the slice and over three neighbouring degrees: extremes of noise are not diameters.
+    over the slice and over three neighbouring degrees: extremes of noise are not diameters. Two opposite radii may err
+    alike, so the uncertainty of one counts twice; noise, which the extremes pick, is added as for independent ones.
     """
     rows = max(1, round(station_mm / wall.z_step_mm))
     columns = len(wall.clock_deg)
@@ -57,16 +60,18 @@ def measure_stations(wall: Wall, station_mm: float = STATION_MM) -> Stations:
         radius = _column_median(wall.radius_mm[part])
         diameter = radius[: columns // 2] + radius[columns // 2 :]
         valid = float(wall.seen[part].mean())
+        stated = wall.sigma_mm[part][np.isfinite(wall.sigma_mm[part])]
+        error = float(np.median(stated)) if len(stated) else np.nan
+        k2 = 2.0 * np.sqrt((2.0 * error) ** 2 + 2.0 * float(wall.noise_mm[part].mean()) ** 2)
         z = float(wall.z_mm[part].mean())
         measured = diameter[np.isfinite(diameter)]
         if len(measured) < PAIRS_NEEDED * len(diameter):
-            out.append((z, np.nan, np.nan, np.nan, float(shape[part].mean()), valid))
+            out.append((z, np.nan, np.nan, np.nan, float(shape[part].mean()), valid, np.nan))
             continue
-        out.append(
-            (z, float(measured.min()), float(measured.max()), float(measured.mean()), float(shape[part].mean()), valid)
-        )
-    z_mm, low, high, mean, fitted, seen = np.array(out, dtype=float).T
-    return Stations(z_mm, low, high, mean, f1216(high, low, mean), fitted, seen)
+        low, high, mean = float(measured.min()), float(measured.max()), float(measured.mean())
+        out.append((z, low, high, mean, float(shape[part].mean()), valid, k2))
+    z_mm, smallest, largest, means, fitted, seen, k2s = np.array(out, dtype=float).T
+    return Stations(z_mm, smallest, largest, means, f1216(largest, smallest, means), fitted, seen, k2s)
 
 
 def _column_median(rows: Float32Array) -> FloatArray:

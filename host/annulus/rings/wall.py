@@ -54,6 +54,8 @@ class Wall:
     defects, r = s0 + s1 cos t + s2 sin t + s3 cos 2t + s4 sin 2t (t = clock angle): mean radius over about two
     diameters, left-over centring, ovality. noise_mm (Z,): robust standard deviation of a cell about that shape.
     cell_noise_mm (Z, A) float32: never less than that, and more where only rings look that are noisier than most.
+    sigma_mm (Z, A) float32: what one of the cell's points may be off (`Profile.sigma_mm`, the median); NaN where nobody
+    said. Averaging does not make it less: a part of it all points of a ring have in common.
     """
 
     z_mm: FloatArray
@@ -64,6 +66,7 @@ class Wall:
     noise_mm: FloatArray
     cell_noise_mm: Float32Array
     looks: Looks
+    sigma_mm: Float32Array
 
     @property
     def z_step_mm(self) -> float:
@@ -150,15 +153,20 @@ def build_wall(profiles: Sequence[Profile], *, z_step_mm: float | None = None) -
     grid, count = _cell_medians(cell, radius, (rows, columns))
     keep = _supported(grid, cell, radius)
     grid, count = _cell_medians(cell[keep], radius[keep], (rows, columns))
+    sigma = np.concatenate([p.sigma_mm for p in used]).astype(np.float64)[finite][inside]
+    stated = keep & np.isfinite(sigma)
+    errors, _ = _cell_medians(cell[stated], sigma[stated], (rows, columns))
     clock_columns = np.asarray((np.arange(columns) + 0.5) * ANGLE_STEP_DEG, dtype=np.float64)
 
     grid = _bridge(grid.T, 2.5, wrap=True).T
     sampling = _sampling_gap(used, step, float(np.median(radius))) / step
     grid = _bridge(grid, sampling, wrap=False)
+    errors = _bridge(_bridge(errors.T, 2.5, wrap=True).T, sampling, wrap=False)
     ends = np.flatnonzero(np.isfinite(grid).mean(axis=1) >= STATION_SEEN)
     if not len(ends):
         raise AnnulusError(f"no wall: {len(points)} points are too few to make one station of the pipe")
     grid, count = grid[ends[0] : ends[-1] + 1], count[ends[0] : ends[-1] + 1]
+    stated_sigma = np.where(np.isfinite(grid), errors[ends[0] : ends[-1] + 1], np.nan).astype(np.float32)
     z_rows = np.asarray((np.arange(first + ends[0], first + ends[-1] + 1) + 0.5) * step, dtype=np.float64)
     shape = _fit_shape(grid, z_rows, clock_columns)
     cell = cell - ends[0] * columns
@@ -166,10 +174,10 @@ def build_wall(profiles: Sequence[Profile], *, z_step_mm: float | None = None) -
     looks = Looks(cell[keep], look[keep], radius[keep].astype(np.float32))
     measured = grid.astype(np.float32)
     unknown = np.zeros(grid.shape, dtype=np.float32)
-    bare = Wall(z_rows, clock_columns, measured, count, shape, np.zeros(len(z_rows)), unknown, looks)
+    bare = Wall(z_rows, clock_columns, measured, count, shape, np.zeros(len(z_rows)), unknown, looks, stated_sigma)
     noise = _noise(bare)
     cell_noise = np.maximum(_cell_noise(bare, rings, int(sampling) + 1), noise[:, None]).astype(np.float32)
-    return Wall(z_rows, clock_columns, measured, count, shape, noise, cell_noise, looks)
+    return Wall(z_rows, clock_columns, measured, count, shape, noise, cell_noise, looks, stated_sigma)
 
 
 def smooth(field: Float32Array) -> Float32Array:

@@ -64,7 +64,7 @@ def test_the_cloud_holds_every_point_that_is_not_contradicted_with_its_ring_and_
 ) -> None:
     out, summary, profiles = written
     cloud = PlyData.read(out / "cloud.ply")["vertex"].data
-    assert cloud.dtype.names == ("x", "y", "z", "red", "green", "blue", "radius", "frame", "ring")
+    assert cloud.dtype.names == ("x", "y", "z", "red", "green", "blue", "radius", "frame", "ring", "sigma")
     measured = sum(len(p.points_mm) for p in profiles)
     assert len(cloud) == summary.points
     assert 0.99 * measured < len(cloud) <= measured
