@@ -41,13 +41,15 @@ def info(
         print_fields(firmware.board_fields(port), as_json)
         return
     fields = firmware.image_fields(read_image(_image_path(file)))
-    waiting = firmware.boot_loader_fields()
+    waiting, running = firmware.boot_loader_fields(), firmware.find_controllers()
     if as_json:
-        print(json.dumps({**fields, "boot_loaders": waiting}))
+        print(json.dumps({**fields, "boot_loaders": waiting, "controllers": [asdict(c) for c in running]}))
         return
     print_fields(fields, as_json)
     for board in waiting:
         print(f"{'boot loader':<22} USB {board['place']} ({board['serial'] or 'serial number not readable'})")
+    for controller in running:
+        print(f"{'controller':<22} {controller.port} ({controller.serial})")
 
 
 @app.command("flash", epilog="Example: annulus firmware flash --port /dev/ttyACM0")
@@ -57,7 +59,7 @@ def flash(
     serial: Annotated[
         str | None,
         typer.Option(
-            help="Which of several boards in their boot loaders: serial number, or place on the bus as 1-2.3."
+            help="Which of several boards in their boot loaders: serial number, or of a boot loader its place, 1-2.3."
         ),
     ] = None,
     drive: Annotated[

@@ -50,6 +50,7 @@ BACK_S = 10.0  # for the new firmware to answer
 LOOK_S = 0.1
 STATUS_S = 1.0  # between two counts of a monitor
 U32, U16 = 2**32, 2**16
+PRODUCT = "annulus controller"  # as the firmware's USB descriptors have it
 
 Progress = Callable[[str, int, int], None]
 Say = Callable[[str], None]
@@ -103,6 +104,21 @@ def board_fields(port: str) -> dict[str, object]:
     }
 
 
+@dataclass(frozen=True, slots=True)
+class Controller:
+    """A board on USB on which annulus runs."""
+
+    port: str
+    serial: str  # of the board's flash: no other has it
+    place: str  # on the bus, as `BootLoader.place`
+
+
+def find_controllers() -> list[Controller]:
+    """Controllers that run on this machine's USB. Those on other serial lines cannot be seen from here."""
+    ports = [p for p in list_ports.comports() if p.product == PRODUCT and p.location]
+    return [Controller(p.device, str(p.serial_number), _bus_place(p.location)) for p in sorted(ports)]
+
+
 def boot_loader_fields(backend: Any = None) -> list[dict[str, object]]:
     """Boards that wait in their boot loaders; empty as well where USB cannot be searched."""
     try:
@@ -125,12 +141,16 @@ def flash(
     """Put an image on the one board meant.
 
     port : where its firmware answers now; it is asked into the boot loader, and asked for its commit afterwards.
-    board : serial number or place on the bus, when several wait. drive : copy there instead of PICOBOOT.
-    backend : of pyusb.
+    board : which one, by the serial number of a running controller (then as with its port) or of a boot loader, or by
+    the boot loader's place on the bus. drive : copy there instead of PICOBOOT. backend : of pyusb.
 
     Raises AnnulusError; where flashing broke off, the board is left in its boot loader.
     """
     place = None
+    if port is None and board is not None:
+        for controller in find_controllers():
+            if controller.serial == board:
+                port, board = controller.port, None
     if port is not None:
         place = usb_place(port)
         known = set() if drive else {b.place for b in find_boot_loaders(backend)}  # no libusb is told before a restart
@@ -143,7 +163,7 @@ def flash(
         how, where = "drive", str(drive)
     else:
         if port is None:
-            loader = choose(find_boot_loaders(backend), board)
+            loader = choose(_or_say_who_runs(find_boot_loaders(backend)), board)
         else:
             loader = _await_boot_loader(known, place, board, backend)
         say(f"USB {loader}: RP2040 boot loader")
@@ -186,8 +206,22 @@ def usb_place(port: str) -> str | None:
     real = os.path.realpath(port)
     for found in list_ports.comports():
         if found.device in (port, real) and found.location:
-            return str(found.location).split(":")[0]
+            return _bus_place(found.location)
     return None
+
+
+def _bus_place(location: str) -> str:
+    """Without the interface: 1-2.3:1.0 is 1-2.3."""
+    return str(location).split(":")[0]
+
+
+def _or_say_who_runs(loaders: list[BootLoader]) -> list[BootLoader]:
+    """AnnulusError when no board waits but some run annulus: they only need to be named."""
+    running = [] if loaders else find_controllers()
+    if running:
+        ports = ", ".join(f"--port {c.port} ({c.serial})" for c in running)
+        raise AnnulusError(f"no board in its boot loader, but annulus runs on one: {ports}")
+    return loaders
 
 
 def _await_boot_loader(known: set[str], place: str | None, board: str | None, backend: Any) -> BootLoader:

@@ -4,15 +4,26 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from boot_rom import Board, Bus
 from scripted_controller import ScriptedController
+from serial.tools import list_ports
 from test_client import far_end, serving
 from test_image import program, uf2
 
 from annulus.link import firmware
-from annulus.link.firmware import board_fields, copy_to_drive, find_drives, flash, monitor
+from annulus.link.firmware import (
+    PRODUCT,
+    Controller,
+    board_fields,
+    copy_to_drive,
+    find_controllers,
+    find_drives,
+    flash,
+    monitor,
+)
 from annulus.link.image import parse_image
 from annulus.link.messages import (
     SCHEMA_HASH,
@@ -117,6 +128,45 @@ def test_without_a_port_the_waiting_board_is_flashed() -> None:
     board = Board()
     done = flash(IMAGE, backend=Bus(board))
     assert board.rebooted and done.running is None
+
+
+class UsbPort(SimpleNamespace):
+    """As pyserial lists it."""
+
+    def __lt__(self, other: SimpleNamespace) -> bool:
+        return bool(self.device < other.device)
+
+
+def on_usb(monkeypatch: pytest.MonkeyPatch, **controllers: str) -> None:
+    """These ports are running controllers': port="serial number@place". And there is somebody else's."""
+    ports = [UsbPort(device="/dev/ttyUSB0", product="GPS", serial_number="1", location="1-7")]
+    for device, serial_at_place in controllers.items():
+        serial, place = serial_at_place.split("@")
+        ports.append(UsbPort(device=device, product=PRODUCT, serial_number=serial, location=f"{place}:1.0"))
+    monkeypatch.setattr(list_ports, "comports", lambda: ports)
+
+
+def test_the_boot_loader_is_looked_for_where_the_port_was(monkeypatch: pytest.MonkeyPatch) -> None:
+    board = Board(ports=(3, 1))
+    bus = Bus()
+    head = Head(bus, board)
+    with far_end(serving(head)) as port:
+        on_usb(monkeypatch, **{port: "E661@1-3.1"})
+        done = flash(IMAGE, board="E661", backend=bus)  # named by the serial number it has while it runs
+        assert (done.where, done.running) == ("1-3.1", "deadbeef")
+        head.board = Board(ports=(2,))  # somebody else's comes up elsewhere
+        bus.boards.clear()
+        with pytest.raises(AnnulusError, match="no boot loader came up"):
+            flash(IMAGE, port=port, backend=bus)
+        assert not head.board.erased
+
+
+def test_a_controller_that_runs_is_named_when_no_board_waits(monkeypatch: pytest.MonkeyPatch) -> None:
+    on_usb(monkeypatch, **{"/dev/ttyACM1": "E662@1-3", "/dev/ttyACM0": "E661@1-2"})
+    with pytest.raises(AnnulusError) as caught:
+        flash(IMAGE, backend=Bus())
+    assert "--port /dev/ttyACM0 (E661), --port /dev/ttyACM1 (E662)" in one_line(caught)
+    assert find_controllers()[0] == Controller("/dev/ttyACM0", "E661", "1-2")
 
 
 # ---- the drive ----
