@@ -1,6 +1,7 @@
 """`annulus calibrate`: the camera, the rings, the paint; every answer goes into one calibration.json."""
 
 import json
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -167,3 +168,129 @@ def reference(
     for warning in learnt.warnings:
         print(f"warning    {warning}")
     print(f"written    {out}")
+
+
+@app.command(
+    "board",
+    epilog="Example: annulus calibrate board scans/boards --camera head.json --square-mm 30 --radius 76.2 -o head.json",
+)
+def board(
+    scan: Annotated[Path, typer.Argument(help="Scan folder or recording of pairs; see below.")],
+    camera: Annotated[Path, typer.Option(help="File with the `camera` section, and `pattern` if it has one.")],
+    square_mm: Annotated[float, typer.Option(min=0.1, max=10000.0, help="Side of a square, mm: it sets the scale.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="calibration.json; other sections in it are kept.")] = Path(
+        "calibration.json"
+    ),
+    colours: Annotated[
+        str | None, typer.Option(help="Stripes from the innermost outwards, like RRGBGR; if the file has no pattern.")
+    ] = None,
+    radius: Annotated[float | None, typer.Option(min=1.0, max=5000.0, help="Radius of the pipe to scan, mm.")] = None,
+    as_json: Json = False,
+) -> None:
+    """The rings from a flat board: angles, axes and vertices.
+
+    The scan has, for each of 15 to 20 places of a chessboard or ChArUco board before the head, two frames taken
+    without touching either: light "led" (the board in white light) and light "projector" (the rings on it). Frames
+    with the same z_mm belong together: number the places there, 0, 1, 2 .. With one z_mm throughout, a projector frame
+    goes with the led frame before it. Hold the board near and far, tilted 20 to 40 degrees every way; only slits on
+    white paper count, so big squares and wide margins help.
+    """
+    from annulus.calibrate.board import calibrate_board, save_board
+    from annulus.geometry.calibration import camera_to_dict
+    from annulus.record.calibration_file import load_camera, load_sections
+
+    lens, given = load_camera(camera), load_sections(camera)
+    pattern = given.get("pattern")
+    stripes = colours or (pattern.get("colours") if isinstance(pattern, dict) else None)
+    if not isinstance(stripes, str) or len(stripes) < 2 or set(stripes) - set("RGB"):
+        raise AnnulusError(f"{camera}: no pattern.colours, or not letters R, G, B. Give --colours, like RRGBGR.")
+    pipe = given.get("pipe")
+    if radius is None and isinstance(pipe, dict) and isinstance(pipe.get("radius_mm"), int | float):
+        radius = float(pipe["radius_mm"])
+    with progress() as bars:
+        result = calibrate_board(scan, lens, stripes, square_mm, bars)
+    save_board(result, camera_to_dict(lens), radius, out)
+    told = result.to_dict()
+    if as_json:
+        print(json.dumps({**told, "file": str(out)}))
+        return
+    for pair in result.pairs:
+        if pair.rejected:
+            print(f"{pair.rings:<24} REJECTED {pair.rejected}")
+        else:
+            print(
+                f"{pair.rings:<24} {pair.rms_mm:6.3f} mm  {pair.points:5d} points  board {pair.pose_px:.2f} px, "
+                f"{pair.distance_mm:.0f} mm away, {pair.tilt_deg:.0f} deg"
+            )
+    print("ring  full angle         axis x, y           vertex mm                                rms mm")
+    rows = zip(result.cones, told["sigma_theta_full_deg"], told["sigma_vertex_mm"], told["ring_rms_mm"], strict=True)
+    for k, (cone, angle, vertex, rms) in enumerate(rows):
+        places = " ".join(f"{v:8.3f}+-{s:.3f}" for v, s in zip(cone.vertex_mm, vertex, strict=True))
+        full = 2 * math.degrees(cone.half_angle)
+        print(f"{k:4d}  {full:8.3f}+-{angle:.3f}  {cone.axis[0]:8.4f} {cone.axis[1]:8.4f}  {places}  {rms:.3f}")
+    print(f"rms        {result.rms_mm:.3f} mm over {told['points']} points ({told['outliers']} outliers left out)")
+    for warning in result.warnings:
+        print(f"warning    {warning}")
+    if radius is None:
+        print("warning    no pipe radius in the file: give --radius before reconstructing")
+    print(f"written    {out}")
+
+
+@app.command(
+    "pipe", epilog="Example: annulus calibrate pipe scans/tube --camera camera.json --radius 76.2 -o head-7.json"
+)
+def pipe(
+    scan: Annotated[Path, typer.Argument(help="Scan folder or recording (.mcap) taken in a clean, round pipe.")],
+    camera: Annotated[Path, typer.Option(help="File with the camera and pattern.colours; a calibration.json will do.")],
+    radius: Annotated[float, typer.Option(help="The pipe's inner radius, mm. It alone sets the scale of the answer.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="calibration.json; other sections in it are kept.")] = Path(
+        "calibration.json"
+    ),
+    picture: Annotated[
+        Path | None, typer.Option(help="Where to draw what is left over. [default: FILE.pipe.png]")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """The projector's rings from a clean pipe of known radius, from nothing but the camera.
+
+    Lean the head about 10 degrees to the left, to the right, up and down, and stand off the axis that way, a frame or
+    two each; eight frames are plenty. No board, no marks. The pipe may be any that is round and clean.
+    """
+    from annulus.calibrate.pipe import calibrate_pipe, save_pipe
+    from annulus.calibrate.pipe_picture import draw_pipe
+
+    with progress() as bars:
+        result = calibrate_pipe(scan, camera, radius, progress=bars)
+    save_pipe(result, out)
+    picture = picture or out.with_suffix(".pipe.png")
+    draw_pipe(result, picture)
+    told = result.to_dict()
+    if as_json:
+        print(json.dumps({**told, "file": str(out), "picture": str(picture)}))
+        return
+    for index, why in result.left_out.items():
+        print(f"frame {index:<6} LEFT OUT: {why}")
+    print(
+        "ring   full angle, deg        axis x    axis y    vertex, mm                        residual         held out"
+    )
+    for k, ring in enumerate(told["rings"]):
+        x, y, z = ring["vertex_mm"]
+        held = ring["held_out_mm"]
+        print(
+            f"{k + 1:<4} {ring['theta_full_deg']:9.4f} +- {ring['theta_full_sigma_deg']:.4f}   "
+            f"{ring['axis'][0]:8.5f}  {ring['axis'][1]:8.5f}  {x:7.3f} {y:7.3f} {z:8.3f} "
+            f"+- {max(ring['vertex_sigma_mm']):.3f}   {ring['residual_px']:.3f} px {ring['residual_mm']:.3f} mm"
+            + ("" if held is None else f"   {held:.3f} mm")
+        )
+    print(f"frames     {len(result.frames)} of {result.found} used")
+    if told["held_out_mm"] is not None:
+        tuned = "kept" if told["fine_tuned"] else "not kept"
+        print(
+            f"radius     {told['held_out_mm']:.3f} mm rms in frames held out, "
+            f"{told['held_out_tuned_mm']:.3f} with fine-tuning ({tuned})"
+        )
+    print(f"distance   {result.distance_mm:.2f} mm from camera to projector, if the radius is {radius:g} mm: check it")
+    print(f"poses      {'good' if not result.advice else 'could be better: ' + '; '.join(result.advice)}")
+    for warning in result.warnings:
+        print(f"warning    {warning}")
+    print(f"written    {out}, {picture}")

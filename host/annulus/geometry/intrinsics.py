@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from annulus.geometry.camera import Camera, Model
@@ -61,8 +62,8 @@ class Intrinsics:
         spread = np.ones(len(over_turn))
         for _ in range(3):  # the turn is settled where rays are known well
             heavy = np.sqrt(1 / np.maximum(spread, 1e-12))[:, None, None]
-            sides = ((heavy * part).reshape(2 * len(spread), -1) for part in (over_turn, over_lens))
-            turned = np.linalg.lstsq(*sides, rcond=None)[0]
+            turn, lens = ((heavy * part).reshape(2 * len(spread), -1) for part in (over_turn, over_lens))
+            turned = np.linalg.lstsq(turn, lens, rcond=None)[0]
             spread = self._spread(over_lens - over_turn @ turned)
         good, by_turn, by_lens = self._slopes(pixels)
         out = np.full(len(pixels), np.nan)
@@ -72,7 +73,7 @@ class Intrinsics:
     def _slopes(self, pixels: FloatArray) -> tuple[NDArray[np.bool_], FloatArray, FloatArray]:
         """Which pixels have rays; how those pixels move with a turn of the camera, and with the lens' numbers."""
         rays = self.camera.rays(pixels)
-        good = np.isfinite(rays).all(axis=1)
+        good = np.asarray(np.isfinite(rays).all(axis=1))
         _, by_point, by_lens = project_with_slopes(self.camera, rays[good])
         return good, by_point @ -_cross_matrix(rays[good]), by_lens
 
@@ -119,12 +120,20 @@ def fit_intrinsics(
 
 
 def board_pose(camera: Camera, sight: Sight) -> tuple[FloatArray, FloatArray, float]:
-    """(3, 3) and (3,) mm: board to camera, and the rms in pixels. Perspective from four or more corners of a plane."""
+    """(3, 3) and (3,) mm: board to camera, and the rms in pixels. From four or more corners of a plane, corners that
+    were mistaken for ones count little. For any camera with one centre."""
     rotations, translations = _poses(camera, [sight])
-    _, rotations, translations, _ = _adjust(camera, rotations, translations, [sight], (), robust=True)
-    _, rotations, translations, _ = _adjust(camera, rotations, translations, [sight], (), robust=False)
-    off = sight.pixels - camera.project(sight.board_mm @ rotations[0][:, :2].T + translations[0])
-    return rotations[0], translations[0], float(np.sqrt(np.mean((off**2).sum(axis=1))))
+
+    def moved(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return Rotation.from_rotvec(x[:3]).as_matrix() @ rotations[0], translations[0] + x[3:]
+
+    def off(x: FloatArray) -> FloatArray:
+        rotation, shift = moved(x)
+        return np.nan_to_num(camera.project(sight.board_mm @ rotation[:, :2].T + shift) - sight.pixels, nan=1e4).ravel()
+
+    size = float(np.linalg.norm(translations[0]))
+    fit = least_squares(off, np.zeros(6), loss="cauchy", f_scale=0.5, x_scale=np.array([0.01] * 3 + [0.01 * size] * 3))
+    return *moved(fit.x), float(np.sqrt(np.mean((off(fit.x).reshape(-1, 2) ** 2).sum(axis=1))))
 
 
 def project_with_slopes(camera: Camera, points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -24,6 +24,14 @@ def load_calibration(path: Path) -> Calibration:
         raise AnnulusError(f"{path}: {str(error) or 'too deeply nested'}.") from None
 
 
+def load_sections(path: Path) -> dict[str, Any]:
+    """All sections of a calibration that may be in the making, unchecked. Raises AnnulusError naming the file."""
+    data = _read(path)
+    if not isinstance(data, dict):
+        raise AnnulusError(f"{path}: not a JSON object. Expected a calibration.json.")
+    return data
+
+
 def load_camera(path: Path) -> Camera:
     """The `camera` section alone, of a file that may have no rings yet. Raises AnnulusError naming file and key."""
     data = _read(path)
