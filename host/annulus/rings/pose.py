@@ -11,22 +11,26 @@ from annulus.rings.compiled import compiled
 
 CAUCHY = 2.385  # 95 % efficient on clean normal errors
 CLOSE = 2e-4  # the robust fit ends here, radians or parts of the radius ..
-NEAR = 5e-6  # .. and the likelihood here
+NEAR = 2e-5  # .. and the likelihood here
 ROUNDS = 20  # at most, of the likelihood
 TILT_PRIOR = 0.1  # radians; how far a head leans before a point has been seen, from alignment with the pipe
 SHAPE_PRIOR = 0.02  # of the radius; how oval or how far from its nominal radius a pipe is
 SHAPE_TOLERANCE = 0.001  # of the radius; what of that may still be there where the points do not show it
-SHAPE_SHOWN = 16.3  # chi-square of the three numbers of the shape beyond which the points do show it, 1 in 1000
-TILT_SHOWN = 0.02  # radians; a lean known no better than this could be an oval, and the other way round
+SHAPE_SHOWN = 30.0  # chi-square of the three numbers of the shape beyond which the points do show it, one in a million
+TILT_SHOWN = 0.008  # radians; a lean known no better than this could be an oval, and the other way round: then ..
+TILT_KEPT = 1e-5  # .. it is left where it was
 NO_POINT = 1e-4  # density of wild points, in points a sigma, that is always reckoned with
 CELL_POINTS = 12  # of a patch of wall judged as a whole ..
 CELL_OFF, CELL_DOUBTED = 4.0, 1.0  # .. bad when its mean is so many sigma off, beside a bad one already from here
-CELL_SOUND = 0.5  # a patch and those beside it vouch for no point when fewer than this part of theirs are likely
+CELL_SOUND, CELL_BESIDE = (
+    0.5,
+    7,
+)  # a patch is bad when, with those beside it, fewer than this part of its points are likely
+BEYOND = 0.03  # of the length of wall seen; points farther off the ends than this are left out
 LEAST_POINTS = 40
 LEAST_TURN = 0.4  # of the way round must have points, or a circle is a guess
 WORST_SPREAD = 0.08  # of the radius; beyond it this is no pipe of that radius
 LEAST_KEPT = 0.4  # part of the points that must lie on the cylinder
-PARAMETERS = 7  # rx, ry, tx, ty; mean, twofold cosine and sine of the radius
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,72 +78,76 @@ def fit_pose(points_mm: FloatArray, radius_mm: float, sigma_mm: FloatArray, seed
     weight = 1.0 / np.maximum(sigma_mm, 1e-6) ** 2
     weight /= weight.mean()
     for first in (seed, Pose()) if seed is not None else (Pose(),):
-        x = _approach(points, weight, radius_mm, first)
-        found = _settle(points, weight, radius_mm, x) if x is not None else None
+        found = _fit(points, weight, radius_mm, first, TILT_PRIOR)
+        if found is not None and max(found.covariance[0, 0], found.covariance[1, 1]) > TILT_SHOWN**2:
+            found = _fit(points, weight, radius_mm, Pose(0.0, 0.0, first.tx, first.ty), TILT_KEPT)
         if found is not None:
             return found
     return None
 
 
-def _approach(points: FloatArray, weight: FloatArray, radius: float, first: Pose) -> FloatArray | None:
-    """(7,) near the answer, whatever part of the points is wrong; None when that led away from any pipe."""
+def _fit(points: FloatArray, weight: FloatArray, radius: float, first: Pose, tilt: float) -> Fit | None:
+    x = _approach(points, weight, radius, first, tilt)
+    return _settle(points, weight, radius, x, tilt) if x is not None else None
+
+
+def _approach(points: FloatArray, weight: FloatArray, radius: float, first: Pose, tilt: float) -> FloatArray | None:
+    """(7,) rx, ry, tx, ty; the radius' mean, twofold cosine and sine beyond the nominal. Near the answer, whatever part
+    of the points is wrong; None when that led away from any pipe.
+    """
     x = np.array([first.rx, first.ry, first.tx, first.ty, 0.0, 0.0, 0.0])
     error = np.empty(len(points))
-    likely = np.empty(len(points))
+    likely, rows = np.empty(len(points)), np.empty((8, len(points)))
     for _ in range(30):
         _errors(points, x, radius, error)
         scale = max(_spread(error), 1e-4 * radius)
         np.divide(weight, 1.0 + (error / (CAUCHY * scale)) ** 2, out=likely)
-        step, _ = _step(points, likely, x, radius, scale, SHAPE_PRIOR)
+        step, _ = _step(points, likely, x, radius, _prior(scale, radius, tilt, SHAPE_PRIOR), rows)
         x = x + step
         if np.abs(step[:2]).max() < CLOSE and np.abs(step[2:]).max() < CLOSE * radius:
             break
     return x if _sane(x, radius) else None
 
 
-def _settle(points: FloatArray, weight: FloatArray, radius: float, x: FloatArray) -> Fit | None:
+def _settle(points: FloatArray, weight: FloatArray, radius: float, x: FloatArray, tilt: float) -> Fit | None:
     """The most likely pose near x, or None where the points about it do not make a pipe."""
-    patches = _Patches(_pose(x).to_pipe(points), radius)
     root = np.sqrt(weight)
-    error = np.empty(len(points))
-    _errors(points, x, radius, error)
-    scale = max(_spread(error * root), 1e-4 * radius)
+    off, likely, used = np.empty(len(points)), np.empty(len(points)), np.empty(len(points))
+    rows = np.empty((8, len(points)))
+    _errors(points, x, radius, off)
+    scale = max(_spread(off * root), 1e-4 * radius)
+    patches = _Patches(points, x, off * root, scale, radius)
     wild = NO_POINT / scale  # wild points, per mm of radius and per point
-    shape, mildly = SHAPE_PRIOR, True
+    shape, mildly = SHAPE_TOLERANCE, True  # a hole as wide as an oval's flank is a hole as long as a circle will do
     for left in range(ROUNDS, 0, -1):
-        off = error * root
-        normal = np.exp(-0.5 * (off / scale) ** 2) * (0.4 / scale)
-        likely = normal / (normal + wild)
-        trust, unrest = patches.judge(off, likely, scale, mildly)
-        likely *= trust
-        sound = trust > 0.5
-        known = float(likely.sum())
+        _weigh(points, root, patches.of, x, radius, scale, wild, off, likely, patches.count, patches.total)
+        trust, unrest = patches.judge(scale, mildly)
+        known, square, sound, beyond = _tally(off, likely, weight, trust, patches.of, scale, used)
         if known < LEAST_KEPT * len(points):
             return None
-        scale = max(math.sqrt(float(likely @ off**2) / known), 1e-4 * radius)
-        away = np.abs(off[sound]) / scale
-        wild = max(np.count_nonzero((away > 4) & (away < 8)) / (8 * len(away)), NO_POINT) / scale
-        step, precision = _step(points, likely * weight, x, radius, scale, shape)
+        scale = max(math.sqrt(square / known), 1e-4 * radius)
+        wild = max(beyond / (8 * sound), NO_POINT) / scale
+        step, seen = _step(points, used, x, radius, _prior(scale, radius, tilt, shape), rows)
         x = x + step
-        _errors(points, x, radius, error)
         moved = max(np.abs(step[:2]).max(), np.abs(step[2:]).max() / radius)
         if mildly:
             mildly = left > ROUNDS / 2 and moved > CLOSE
+            shape = SHAPE_TOLERANCE if mildly else SHAPE_PRIOR
             continue
         if left > 3 and moved > NEAR:
             continue
-        covariance = np.asarray((scale * unrest) ** 2 * np.linalg.inv(precision))
+        covariance = np.asarray(
+            (scale * unrest) ** 2 * np.linalg.inv(seen + np.diag(_prior(scale, radius, TILT_PRIOR, shape)))
+        )
         if shape == SHAPE_TOLERANCE or _shows_shape(x, covariance):
             break
         shape = SHAPE_TOLERANCE
     if not _sane(x, radius) or scale > WORST_SPREAD * radius:
         return None
-    pose = _pose(x)
-    wall = pose.to_pipe(points[likely > 0.5])
-    turn = np.bincount((np.arctan2(wall[:, 1], wall[:, 0]) * (18 / math.pi)).astype(int) % 36, minlength=36)
-    if np.count_nonzero(turn) < LEAST_TURN * 36:
+    if _turn(points, x, used) < LEAST_TURN * 36:
         return None
-    return Fit(pose, _spread(error), covariance[:4, :4])
+    _errors(points, x, radius, off)
+    return Fit(_pose(x), _spread(off), covariance[:4, :4])
 
 
 def _shows_shape(x: FloatArray, covariance: FloatArray) -> bool:
@@ -156,51 +164,112 @@ def _sane(x: FloatArray, radius: float) -> bool:
 
 
 class _Patches:
-    """The wall cut into patches, nearly square, of a dozen points each on average."""
+    """The wall cut into patches, nearly square, of a dozen points each on average; what lies beyond is in none.
 
-    def __init__(self, wall: FloatArray, radius: float) -> None:
-        low, high = np.percentile(wall[:, 2], [1, 99])
-        turn = 2 * math.pi * radius
-        length = max(float(high - low), 0.01 * radius)
-        side = math.sqrt(turn * length * CELL_POINTS / len(wall))
-        columns, rows = max(round(turn / side), 8), max(round(length / side), 1)
-        row = np.clip((wall[:, 2] - low) * (rows / length), 0, rows - 1).astype(np.int64)
-        column = (np.arctan2(wall[:, 1], wall[:, 0]) * (columns / (2 * math.pi))).astype(np.int64) % columns
+    `of` (N,) each point's patch, the last one standing for none; `count` and `total` (P + 1,) room for sums.
+    """
+
+    def __init__(self, points: FloatArray, x: FloatArray, off: FloatArray, scale: float, radius: float) -> None:
+        self.of = np.empty(len(points), np.int32)
+        near = points[np.abs(off) < 3 * scale]  # wild points do not say how long the wall is
+        z = np.sort(_pose(x).to_pipe(near[:: max(1, len(near) // 400)])[:, 2])
+        low, high = float(z[len(z) // 100]), float(z[-1 - len(z) // 100])
+        length = max(high - low, 0.01 * radius)
+        side = math.sqrt(2 * math.pi * radius * length * CELL_POINTS / len(points))
+        columns, rows = max(round(2 * math.pi * radius / side), 8), max(round(length / side), 1)
+        _assign(points, x, low, length, rows, columns, self.of)
         self._shape = rows, columns
-        self._cell = row * columns + column
-        self._points = np.bincount(self._cell, minlength=rows * columns).astype(np.float64)
+        self._points = np.bincount(self.of, minlength=rows * columns + 1)[:-1].astype(np.float64)
+        self.count, self.total = np.empty(rows * columns + 1), np.empty(rows * columns + 1)
 
-    def judge(self, off: FloatArray, likely: FloatArray, scale: float, mildly: bool) -> tuple[FloatArray, float]:
-        """(N,) 0..1, how far to trust a point for its patch's sake; and how many times more the patches' means vary
-        than single points say. `mildly`: a Cauchy weight, as long as the pose still leans on the damage itself.
+    def judge(self, scale: float, mildly: bool) -> tuple[FloatArray, float]:
+        """(P + 1,) 0..1, how far to trust a patch; and how many times more patches' means vary than single points say.
+
+        `mildly`: a Cauchy weight, as long as the pose still leans on the damage itself.
         """
-        size = self._shape[0] * self._shape[1]
-        count = np.bincount(self._cell, likely, size)
-        far = np.bincount(self._cell, likely * off, size) / (scale * np.sqrt(np.maximum(count, 1e-9)))
+        count = self.count[:-1]
         used = count > 1.0
         if np.count_nonzero(used) < 8:
-            return np.ones(len(off)), 1.0
-        far[~used] = 0.0
+            return np.append(np.ones(len(used)), 0.0), 1.0
+        far = np.where(used, self.total[:-1], 0.0) / (scale * np.sqrt(np.maximum(count, 1.0)))
         unrest = max(1.0, _spread(far[used]))
-        far = (far / unrest).reshape(self._shape)
+        far /= unrest
         if mildly:
-            return np.asarray(1.0 / (1.0 + (far / CAUCHY) ** 2)).ravel()[self._cell], unrest
+            return np.append(1.0 / (1.0 + (far / CAUCHY) ** 2), 0.0), unrest
+        far = far.reshape(self._shape)
         bad = np.abs(far) > CELL_OFF
-        around = ndimage.uniform_filter(
-            np.stack([count, self._points]).reshape(2, *self._shape), (0, 1, 7), mode=("nearest", "nearest", "wrap")
-        )
         if bad.any():
             # The rim of the damage: like its neighbour, if less so.
             for sign in (1.0, -1.0):
                 beside = ndimage.maximum_filter(bad & (sign * far > 0), (3, 3), mode=("nearest", "wrap"))
                 bad |= beside & (sign * far > CELL_DOUBTED)
-        bad |= around[0] < CELL_SOUND * around[1]
-        return (~bad).astype(np.float64).ravel()[self._cell], unrest
+        if (count < CELL_SOUND * self._points).any():
+            both = np.stack([count, self._points]).reshape(2, *self._shape)
+            around = ndimage.uniform_filter1d(both, CELL_BESIDE, axis=2, mode="wrap")
+            bad |= around[0] < CELL_SOUND * (around[1] + 0.5)
+        return np.append(np.where(bad, 0.0, 1.0), 0.0), unrest
 
 
 def _spread(error: FloatArray) -> float:
     middle = len(error) // 2
     return 1.4826 * float(np.partition(np.abs(error), middle)[middle])
+
+
+@compiled
+def _assign(points, x, low, length, rows, columns, out):  # type: ignore[no-untyped-def]
+    ca, sa, cb, sb = math.cos(x[0]), math.sin(x[0]), math.cos(x[1]), math.sin(x[1])
+    for n in range(len(points)):
+        px, py, pz = points[n, 0] - x[2], points[n, 1] - x[3], points[n, 2]
+        turn = math.atan2(ca * py + sa * pz, cb * px + sb * (sa * py - ca * pz)) / (2.0 * math.pi)
+        z = sb * px - cb * (sa * py - ca * pz)
+        along = (z - low) / length
+        if not -BEYOND <= along <= 1.0 + BEYOND:
+            out[n] = rows * columns
+            continue
+        row = min(max(int(along * rows), 0), rows - 1)
+        out[n] = row * columns + int((turn + 1.0) * columns) % columns
+
+
+@compiled
+def _weigh(points, root, patch, x, radius, scale, wild, off, likely, count, total):  # type: ignore[no-untyped-def]
+    """Each point's error, scaled to that of a mean sigma; how likely it is no wild one; sums of both for each patch."""
+    _errors(points, x, radius, off)
+    count[:] = 0.0
+    total[:] = 0.0
+    for n in range(len(points)):
+        off[n] *= root[n]
+        normal = math.exp(-0.5 * (off[n] / scale) ** 2) * (0.4 / scale)
+        likely[n] = normal / (normal + wild)
+        count[patch[n]] += likely[n]
+        total[patch[n]] += likely[n] * off[n]
+
+
+@compiled
+def _tally(off, likely, weight, trust, patch, scale, used):  # type: ignore[no-untyped-def]
+    """Weights to fit with, their sum and that of the squares; of trusted patches, points and those 4..8 sigma off."""
+    known, square = 0.0, 0.0
+    sound, beyond = 1, 0
+    for n in range(len(off)):
+        p = likely[n] * trust[patch[n]]
+        used[n] = p * weight[n]
+        known += p
+        square += p * off[n] * off[n]
+        if trust[patch[n]] > 0.5:
+            sound += 1
+            if 4.0 * scale < abs(off[n]) < 8.0 * scale:
+                beyond += 1
+    return known, square, sound, beyond
+
+
+@compiled
+def _turn(points, x, used):  # type: ignore[no-untyped-def]
+    """How many of 36 directions from the pipe's axis have points that count."""
+    seen = np.zeros(36, np.bool_)
+    for n in range(len(points)):
+        if used[n] > 0.0:
+            turn = math.atan2(points[n, 1] - x[3] + x[0] * points[n, 2], points[n, 0] - x[2] - x[1] * points[n, 2])
+            seen[int((turn / (2.0 * math.pi) + 1.0) * 36) % 36] = True
+    return np.count_nonzero(seen)
 
 
 @compiled
@@ -215,25 +284,31 @@ def _errors(points, x, radius, out):  # type: ignore[no-untyped-def]
         out[n] = r - radius - x[4] - x[5] * (u * u - v * v) / square - x[6] * 2.0 * u * v / square
 
 
+def _prior(scale: float, radius: float, tilt: float, shape: float) -> FloatArray:
+    """(7,) what is known beforehand, as precisions times scale^2."""
+    return np.asarray((scale / np.array([tilt, tilt, math.inf, math.inf, *[shape * radius] * 3])) ** 2)
+
+
 def _step(
-    points: FloatArray, weight: FloatArray, x: FloatArray, radius: float, scale: float, shape: float
+    points: FloatArray, weight: FloatArray, x: FloatArray, radius: float, prior: FloatArray, rows: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """(7,) the next step, (7, 7) the matrix whose inverse times scale^2 is the covariance."""
-    rows = np.empty((PARAMETERS + 1, len(points)))
-    _rows(points, weight, x, radius, rows)
-    product = rows @ rows.T
+    """(7,) the next step, (7, 7) what the points know: its inverse times scale^2 is the covariance. rows: (8, N) to
+    work in."""
+    product = np.empty((8, 8))
+    _products(points, weight, x, radius, rows, product)
     size = np.array([1.0, 1.0, *[radius] * 5])  # angles and lengths alike
-    normal = product[:-1, :-1] * size[:, None] * size
-    prior = scale**2 / np.array([TILT_PRIOR, TILT_PRIOR, math.inf, math.inf, shape, shape, shape]) ** 2
-    normal += np.diag(prior + 1e-12 * np.trace(normal))
-    right = product[:-1, -1] * size + prior * x / size
-    return np.asarray(-np.linalg.solve(normal, right) * size), normal / size[:, None] / size
+    normal = (product[:7, :7] + np.diag(prior)) * size[:, None] * size
+    normal += 1e-12 * np.trace(product) * np.eye(7)
+    return np.asarray(-np.linalg.solve(normal, (product[:7, 7] + prior * x) * size) * size), product[:7, :7]
 
 
 @compiled
-def _rows(points, weight, x, radius, out):  # type: ignore[no-untyped-def]
-    """Each point's gradient and error about x, by the root of its weight; R = Rx(rx) Ry(ry), q = R^T (p - T),
-    r = |q_xy|. How the twofold term turns with the pose is left out: it is small, and costs steps, not accuracy."""
+def _products(points, weight, x, radius, rows, out):  # type: ignore[no-untyped-def]
+    """Sums of products of each point's gradient and error about x, those times the root of its weight being `rows`.
+
+    R = Rx(rx) Ry(ry), q = R^T (p - T), r = |q_xy|. How the twofold term turns with the pose is left out: it is small,
+    and costs steps, not accuracy.
+    """
     ca, sa, cb, sb = math.cos(x[0]), math.sin(x[0]), math.cos(x[1]), math.sin(x[1])
     for n in range(len(points)):
         px, py, pz = points[n, 0] - x[2], points[n, 1] - x[3], points[n, 2]
@@ -243,13 +318,19 @@ def _rows(points, weight, x, radius, out):  # type: ignore[no-untyped-def]
         r = max(math.sqrt(u * u + v * v), 1e-9)
         cu, cv = u / r, v / r
         twofold, quarter = cu * cu - cv * cv, 2.0 * cu * cv
-        e = r - radius - x[4] - x[5] * twofold - x[6] * quarter
         w = math.sqrt(weight[n])
-        out[0, n] = w * (cu * sb * v + cv * (ca * pz - sa * py))
-        out[1, n] = w * (cu * (cb * turned - sb * px))
-        out[2, n] = -w * cu * cb
-        out[3, n] = -w * (cu * sb * sa + cv * ca)
-        out[4, n] = -w
-        out[5, n] = -w * twofold
-        out[6, n] = -w * quarter
-        out[7, n] = w * e
+        rows[0, n] = w * (cu * sb * v + cv * (ca * pz - sa * py))
+        rows[1, n] = w * (cu * (cb * turned - sb * px))
+        rows[2, n] = -w * cu * cb
+        rows[3, n] = -w * (cu * sb * sa + cv * ca)
+        rows[4, n] = -w
+        rows[5, n] = -w * twofold
+        rows[6, n] = -w * quarter
+        rows[7, n] = w * (r - radius - x[4] - x[5] * twofold - x[6] * quarter)
+    for i in range(len(rows)):
+        for j in range(i, len(rows)):
+            a, b = rows[i], rows[j]
+            total = 0.0
+            for n in range(len(a)):
+                total += a[n] * b[n]
+            out[i, j] = out[j, i] = total

@@ -46,7 +46,8 @@ class Reconstructor:
         self._calibrated = calibrated(calibration, self._grid, self._optics)
         # (K,) mm: what a tenth of a pixel and the calibrated radius itself leave open
         self._expected = np.hypot(0.1 * self._optics.mm_per_px, 0.0005 * calibration.pipe_radius_mm)
-        self._colour = colour.seen() if colour is not None else None
+        self.colour = colour
+        self._seen = colour.seen() if colour is not None else None
 
     def profile(
         self,
@@ -81,7 +82,7 @@ class Reconstructor:
         marks.append(("polar", clock()))
         slits = find_slits(polar, self._grid)
         marks.append(("slits", clock()))
-        both = classify(np.vstack([slits.inside, slits.outside]), colours, self._colour)
+        both = classify(np.vstack([slits.inside, slits.outside]), colours, self._seen)
         inside, outside = both[: len(slits.position)], both[len(slits.position) :]
         marks.append(("colours", clock()))
         points = triangulate(slits, self._grid, self._optics, readings(inside, outside, colours))
