@@ -157,7 +157,9 @@ def find_defects(wall: Wall, *, blind_ratio: float, limits: Limits | None = None
         core = _without_holes(one.mask & (one.height >= limits.extent_of_depth * depth))
         deepest = depth if floor_seen else limits.hidden_of_radius * radius
         whole = _with_shadow(_Place(one.kind, core, one.height), unseen, blind_ratio, wall.z_step_mm, deepest)
-        k2 = _expanded(wall, cells & (one.height >= DEEP * depth))
+        footprint = [max(1, round(limits.edge_of_radius * radius / size)) for size in cell]
+        form = max(depth - _over_footprint(one, cells, footprint), 0.0)
+        k2 = math.hypot(_expanded(wall, cells & (one.height >= DEEP * depth)), 2.0 * form)
         found.append((_measure(one.kind, whole, depth, floor_seen, k2, wall, cell), whole))
     found += [(defect, np.zeros(residual.shape, dtype=bool)) for defect in _oval_stretches(wall, limits)]
     found.sort(key=lambda item: (item[0].z_mm, item[0].clock_deg))
@@ -450,6 +452,21 @@ def _depth(place: _Place) -> tuple[float, bool, BoolArray]:
     values = place.height[calm if floor_seen else measured]
     depth = float(np.percentile(values, 98)) if len(values) >= 50 else float(np.sort(values)[-2:].mean())
     return depth, bool(floor_seen), calm if floor_seen else measured
+
+
+def _over_footprint(place: _Place, cells: BoolArray, footprint: Sequence[int]) -> float:
+    """The greatest mean departure over what one slit covers, around any of the cells: what is deeper is finer than the
+    method resolves, be it a crest or the swing beside a step."""
+    known = np.isfinite(place.height)
+    across = footprint[1] // 2 + 1
+
+    def mean(field: FloatArray) -> FloatArray:
+        wide = np.pad(field, ((0, 0), (across, across)), mode="wrap")
+        return np.asarray(ndimage.uniform_filter(wide, footprint, mode="constant")[:, across:-across])
+
+    seen = mean(known.astype(np.float64))
+    value = mean(np.where(known, place.height, 0.0).astype(np.float64)) / np.maximum(seen, 1e-9)
+    return float(value[cells & (seen > 0.5)].max(initial=0.0)) if (cells & (seen > 0.5)).any() else 0.0
 
 
 def _expanded(wall: Wall, cells: BoolArray) -> float:
