@@ -13,6 +13,7 @@
 #include <stdint.h>
 
 #define BOARD_WATCHDOG_MS 100U    // a main loop silent for this long is restarted
+#define BOARD_STARVED_MS 4U       // and for this long leaves the microwave dark, until it is armed again
 #define BOARD_TRIGGER_TICKS 100U  // length of the digitizer trigger, 1 us
 
 // ---- identity and time ----
@@ -104,6 +105,11 @@ bool board_interlock_open(void);
 // Did the interlock open since the last call, however briefly? Hardware has then already cut the microwave and keeps
 // it cut until board_microwave(true): within one chip and without the core.
 bool board_interlock_tripped(void);
+
+// Did hardware cut the microwave since the last call because the main loop was late? It is kept cut as after the
+// interlock: a main loop that stands still leaves the gate low after BOARD_STARVED_MS at most, long before the watchdog
+// bites.
+bool board_microwave_starved(void);
 
 // False: gate low now, a running train ends. True: a train may be started.
 void board_microwave(bool enabled);

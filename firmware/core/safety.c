@@ -50,12 +50,15 @@ static uint32_t host_timeout_ticks(const controller_t* const self)
 
 void safety_run(controller_t* const self, const uint32_t now)
 {
+    const bool starved = board_microwave_starved();  // first: an interlock that opens in between is the cause of both
     const bool tripped = board_interlock_tripped();  // also forgets a trip while nothing was armed
     if (self->armed == 0U) {
         return;
     }
     if (tripped) {
         safety_trip(self, FAULT_INTERLOCK, 0U);
+    } else if (starved) {
+        safety_trip(self, FAULT_WATCHDOG, BOARD_STARVED_MS);
     } else if (!board_connected(self->session) || (now - self->heard > host_timeout_ticks(self))) {
         safety_trip(self, FAULT_HOST_TIMEOUT, now - self->heard);
     }

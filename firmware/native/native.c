@@ -22,6 +22,7 @@
 #define TRANSITIONS_MAX (1U << 17)
 #define TRAIN_STEPS_MAX (PROTOCOL_CHIPS_MAX + 8U)
 #define LAMP_WIDTH_MAX_TICKS (LIMIT_LAMP_WIDTH_MAX_US * 100U)
+#define STARVED_TICKS (BOARD_STARVED_MS * 100000ULL)
 #define WATCHDOG_TICKS (BOARD_WATCHDOG_MS * 100000ULL)
 
 typedef struct {
@@ -102,6 +103,7 @@ static struct {
 
     struct {
         bool enabled;
+        bool starved;
         bool running;
         bool stopping;
         train_step_t steps[TRAIN_STEPS_MAX];
@@ -295,6 +297,19 @@ static void step_train(void)
     }
 }
 
+// The main loop's credit for the microwave is used up.
+static uint64_t starving_time(void)
+{
+    return world.train.enabled ? world.kicked + STARVED_TICKS : NEVER;
+}
+
+static void starve(void)
+{
+    world.train.enabled = false;
+    world.train.starved = true;
+    end_train();
+}
+
 static uint64_t motor_time(void)
 {
     return world.motor.moving ? world.motor.next : NEVER;
@@ -378,7 +393,20 @@ static void round_of_cpu(void)
 
 void native_run_until(const uint64_t tick)
 {
-    enum { INPUT, LAMP, TRAIN, MOTOR, ARRIVAL, USB_ARRIVAL, DEPARTURE, USB_DEPARTURE, ROUND, WATCHDOG, SOURCES };
+    enum {
+        INPUT,
+        LAMP,
+        TRAIN,
+        MOTOR,
+        ARRIVAL,
+        USB_ARRIVAL,
+        DEPARTURE,
+        USB_DEPARTURE,
+        STARVING,
+        ROUND,
+        WATCHDOG,
+        SOURCES
+    };
     for (;;) {
         const uint64_t times[SOURCES] = {
             [INPUT] = (world.input_count > 0U) ? inputs[0].tick : NEVER,
@@ -389,6 +417,7 @@ void native_run_until(const uint64_t tick)
             [USB_ARRIVAL] = arrival_time(LINE_USB),
             [DEPARTURE] = departure_time(LINE_UART),
             [USB_DEPARTURE] = departure_time(LINE_USB),
+            [STARVING] = starving_time(),
             [ROUND] = world.powered ? world.next_round : NEVER,
             [WATCHDOG] = world.powered ? world.kicked + WATCHDOG_TICKS : NEVER,
         };
@@ -424,6 +453,9 @@ void native_run_until(const uint64_t tick)
         case DEPARTURE:
         case USB_DEPARTURE:
             step_departure((first == DEPARTURE) ? LINE_UART : LINE_USB);
+            break;
+        case STARVING:
+            starve();
             break;
         case ROUND:
             round_of_cpu();
@@ -740,6 +772,13 @@ bool board_interlock_tripped(void)
     const bool tripped = world.interlock_tripped;
     world.interlock_tripped = false;
     return tripped;
+}
+
+bool board_microwave_starved(void)
+{
+    const bool starved = world.train.starved;
+    world.train.starved = false;
+    return starved;
 }
 
 void board_microwave(const bool enabled)

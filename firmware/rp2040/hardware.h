@@ -17,6 +17,9 @@ void usb_start(void);
 // Every output that can fire: low now, its machines back in reset. There is no way on from here but a restart.
 void outputs_off(void);
 
+// Once a round: without it the microwave goes dark by itself.
+void microwave_feed(void);
+
 // Until something happens, 100 us at most.
 void system_sleep(void);
 
@@ -55,6 +58,6 @@ enum { CHIP_MACHINE = 0, TRIGGER_MACHINE = 1, ODOMETER_MACHINE = 2, GUARD_MACHIN
 
 // Entry points of the programs that more than one file needs: the stage borrows the lamps' pulse.
 enum { LAMP_IDLE = 16, LAMP_LAST_PULL = 20, LAMP_DELAY = 27 };
-#define ODOMETER_PROGRAM 6U  // in PIO1, behind the microwave's
+#define ODOMETER_PROGRAM 12U  // in PIO1, behind the microwave's
 
 #endif

@@ -3,8 +3,10 @@
 //
 // A list word is a level and how long it holds. Both machines play the same program from the same cycle on. The list of
 // one period has a power of two of words, so that one DMA channel with a ring reads it `repeat` times and then stops.
-// GUARD waits for the interlock to open and then drives the gate low in every cycle; of several machines that write a
-// pin in one cycle the highest-numbered wins (datasheet 3.5.6.1), so nothing the chips' machine does is seen any more.
+// GUARD waits for the interlock to open, or for its credit to run out, and then drives gate and trigger low in every
+// cycle; of several machines that write a pin in one cycle the highest-numbered wins (datasheet 3.5.6.1), so nothing
+// the others do is seen any more. A credit is 2 ms of time; the main loop lays out the next one when the last has been
+// taken. So a main loop that stands still leaves both pins low 4 ms later at most, long before the watchdog bites.
 
 #include "../board.h"
 #include "../core/messages.h"
@@ -12,14 +14,20 @@
 #include "pins.h"
 #include "registers.h"
 
-enum { PLAY = 0, GUARD_WATCH = 4, GUARD_CUT = 5, PROGRAM_LENGTH = 6 };
+enum { PLAY = 0, GUARD_TAKE = 4, GUARD_WATCH = 5, GUARD_CUT = 11, PROGRAM_LENGTH = 12 };
 
 static const uint16_t program[PROGRAM_LENGTH] = {
     [PLAY] = PULL,  // wraps from 3 to 0
     OUT_PINS(1U),
     OUT_X(31U),
     JMP_X_DEC(3),
-    [GUARD_WATCH] = WAIT_PIN_HIGH(PIN_INTERLOCK),
+    [GUARD_TAKE] = MOV_X_OSR,
+    [GUARD_WATCH] = JMP_PIN(GUARD_CUT),  // the interlock: looked at every fourth cycle at least
+    JMP_X_DEC(GUARD_WATCH),
+    PULL_NO_BLOCK,  // the next credit, or X again
+    JMP_PIN(GUARD_CUT),
+    MOV_Y_OSR,
+    JMP_X_NOT_Y(GUARD_TAKE),
     [GUARD_CUT] = SET_PINS(0U),  // wraps to itself
 };
 _Static_assert(PROGRAM_LENGTH == ODOMETER_PROGRAM, "the odometer's program lies behind");
@@ -27,9 +35,12 @@ _Static_assert(PROGRAM_LENGTH == ODOMETER_PROGRAM, "the odometer's program lies 
 #define WORD_TICKS 4U    // the shortest a word can hold
 #define PIECE_TICKS 16U  // words shorter than this are not made when a list is filled up: DMA keeps ahead
 #define LIST_MAX 256U
-#define LIST_BITS 10U     // of its bytes
-#define LEAD_TICKS 200U   // from the start to the first thing that may happen
-#define START_OFFSET 31U  // from the tick read before the machines start to their first level
+#define LIST_BITS 10U                           // of its bytes
+#define LEAD_TICKS 200U                         // from the start to the first thing that may happen
+#define START_OFFSET 31U                        // from the tick read before the machines start to their first level
+#define CREDIT 100000U                          // what GUARD counts down, once in two ticks
+#define CREDIT_TICKS (2U * (CREDIT + 1U) + 5U)  // how long one lasts
+#define CREDIT_GONE UINT32_MAX                  // GUARD's count after the last one
 #define PERIOD_MIN_TICKS (BOARD_TRIGGER_TICKS + PIECE_TICKS)
 
 static volatile uint32_t chip_list[LIST_MAX] __attribute__((aligned(1024)));
@@ -37,6 +48,9 @@ static volatile uint32_t trigger_list[2] __attribute__((aligned(8)));
 
 static struct {
     bool enabled;
+    bool starved;      // cut because no credit came
+    uint32_t guarded;  // tick at which GUARD took its first credit
+    uint32_t credits;  // laid out since, the first one not counted
     bool running;
     bool stopping;
     uint16_t done;
@@ -59,6 +73,49 @@ static void execute(const uint32_t machine, const uint32_t instruction)
 static bool is_guard_cutting(void)
 {
     return REGISTER(PIO_ADDRESS(PIO1, GUARD_MACHINE)) == GUARD_CUT;
+}
+
+static uint32_t credits_waiting(void)
+{
+    return (REGISTER(PIO_FLEVEL(PIO1)) >> (8U * GUARD_MACHINE)) & 0xFU;
+}
+
+static void lay_out_credit(void)
+{
+    REGISTER(PIO_TX(PIO1, GUARD_MACHINE)) = CREDIT;
+    train.credits++;
+}
+
+void microwave_feed(void)
+{
+    if (train.enabled && (credits_waiting() == 0U)) {
+        lay_out_credit();
+    }
+}
+
+static void start_guard(void)
+{
+    for (uint32_t i = 0; i < 4U; i++) {
+        execute(GUARD_MACHINE, PULL_NO_BLOCK);  // credits left from before
+    }
+    lay_out_credit();
+    execute(GUARD_MACHINE, PULL_NO_BLOCK);
+    execute(GUARD_MACHINE, MOV_X_OSR);
+    train.credits = 0;
+    lay_out_credit();
+    train.guarded = board_tick();
+    execute(GUARD_MACHINE, JMP(GUARD_WATCH));
+}
+
+// When GUARD cut, by its own count, and why.
+static uint32_t cut_tick(bool* const starved)
+{
+    execute(GUARD_MACHINE, MOV_ISR_X);
+    execute(GUARD_MACHINE, PUSH_NO_BLOCK);
+    const uint32_t left = REGISTER(PIO_RX(PIO1, GUARD_MACHINE));
+    const uint32_t taken = train.credits - credits_waiting();
+    *starved = left == CREDIT_GONE;
+    return train.guarded + taken * CREDIT_TICKS + (*starved ? CREDIT_TICKS : 2U * (CREDIT - left));
 }
 
 static void stop_channel(const uint32_t channel)
@@ -89,7 +146,8 @@ static void stop_players(void)
 // Keep step with the train; after the last burst only its gap is being played, so stopping late is harmless.
 static void follow_train(void)
 {
-    const uint32_t now = board_tick();
+    const bool cut = train.enabled && is_guard_cutting();
+    const uint32_t now = cut ? cut_tick(&train.starved) : board_tick();  // what went on after the cut was dark
     while (train.running && ((int32_t)(now - train.end) >= 0)) {
         train.done++;
         const bool was_last = train.done == train.repeat;
@@ -99,7 +157,7 @@ static void follow_train(void)
         }
         train.end += train.period;
     }
-    if (train.enabled && is_guard_cutting()) {
+    if (cut) {
         train.enabled = false;
         stop_players();
     }
@@ -110,11 +168,19 @@ void board_microwave(const bool enabled)
     follow_train();
     train.enabled = enabled && !board_interlock_open();
     if (train.enabled) {
-        execute(GUARD_MACHINE, JMP(GUARD_WATCH));
+        start_guard();
     } else {
         execute(GUARD_MACHINE, JMP(GUARD_CUT));
         stop_players();
     }
+}
+
+bool board_microwave_starved(void)
+{
+    follow_train();
+    const bool starved = train.starved;
+    train.starved = false;
+    return starved;
 }
 
 static bool chip_at(const board_burst_t* const burst, const uint32_t chip)
@@ -251,6 +317,7 @@ void board_burst_stop(void)
     train.stopping = true;
     if (train.running && (train.period - train.busy_ticks < 20000U)) {
         while (train.running) {
+            microwave_feed();
             follow_train();
         }
     }
@@ -275,8 +342,8 @@ void microwave_start(void)
         execute(machine, SET_DIRECTIONS(1U));
         execute(machine, JMP(PLAY));
     }
-    REGISTER(PIO_EXECCTRL(PIO1, GUARD_MACHINE)) = EXEC_WRAP(GUARD_CUT, GUARD_CUT);
-    REGISTER(PIO_PINCTRL(PIO1, GUARD_MACHINE)) = PINS_SET(PIN_MICROWAVE, 1U);
+    REGISTER(PIO_EXECCTRL(PIO1, GUARD_MACHINE)) = EXEC_JUMP_PIN(PIN_INTERLOCK) | EXEC_WRAP(GUARD_CUT, GUARD_CUT);
+    REGISTER(PIO_PINCTRL(PIO1, GUARD_MACHINE)) = PINS_SET(PIN_MICROWAVE, 2U);  // and the trigger next to it
     execute(GUARD_MACHINE, JMP(GUARD_CUT));
     SET_BITS(PIO_CTRL(PIO1)) = PIO_MACHINE(GUARD_MACHINE);
     pin_use(PIN_MICROWAVE, FUNCTION_PIO1, PAD_DRIVE_4MA | PAD_PULL_DOWN);

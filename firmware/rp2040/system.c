@@ -130,6 +130,7 @@ const char* system_serial_number(void)
 void board_watchdog_kick(void)
 {
     REGISTER(WATCHDOG_LOAD) = BOARD_WATCHDOG_MS * 2000U;  // counts down twice a microsecond: erratum RP2040-E1
+    microwave_feed();
 }
 
 static void start_watchdog(void)
