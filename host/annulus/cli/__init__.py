@@ -72,6 +72,17 @@ def reconstruct(
     calibration: Annotated[
         Path | None, typer.Option(help="calibration.json of the head. A recording carries its own.")
     ] = None,
+    colour: Annotated[
+        Path | None,
+        typer.Option(help="The pipe's colours, from `annulus calibrate colour`; each frame's own if not given."),
+    ] = None,
+    reference: Annotated[
+        Path | None, typer.Option(help="The pattern's artefacts, from `annulus calibrate reference`, to take out.")
+    ] = None,
+    vibration_filter: Annotated[
+        bool, typer.Option("--vibration-filter", help="Take out what shakes periodically along the pipe, and say what.")
+    ] = False,
+    fps: Annotated[float | None, typer.Option(min=0.01, help="Frames a second, to name vibrations in hertz.")] = None,
     workers: Annotated[int | None, typer.Option(min=1, max=64, help="Processes; one a core if not given.")] = None,
     as_json: Json = False,
 ) -> None:
@@ -79,7 +90,10 @@ def reconstruct(
     from annulus.report.reconstruct import reconstruct as run
 
     with progress() as bars:
-        summary = run(scan, calibration, out, workers=workers, progress=bars)
+        summary = run(
+            scan, calibration, out, colour=colour, reference=reference, vibration=vibration_filter, fps=fps,
+            workers=workers, progress=bars,
+        )  # fmt: skip
     _print_summary(summary, out, as_json)
 
 
@@ -101,6 +115,14 @@ def _print_summary(summary: Any, out: Path, as_json: bool) -> None:
         )
     if not data["defects"]:
         print("defects    none")
+    if "vibration" in data:
+        for line in data["vibration"]["lines"]:
+            hertz = "" if line["hertz"] is None else f" ({line['hertz']:.2f} Hz)"
+            print(f"vibration  {line['cycles_per_m']:.1f} cycles/m{hertz}, {line['amplitude_mm']:.3f} mm, taken out")
+        if not data["vibration"]["lines"]:
+            print(f"vibration  {data['vibration']['note'] or 'none found'}")
+    for warning in data["warnings"]:
+        print(f"warning    {warning['text']}")
     print(f"report     {out / 'report.html'}")
 
 

@@ -1,5 +1,6 @@
 """What is wrong with the frames themselves, in words a user can act on: light, flips, colours, the pipe's radius."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -9,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus.geometry.calibration import Calibration
-from annulus.geometry.pose import FloatArray
+from annulus.geometry.pose import FloatArray, Pose
 from annulus.rings.colour import ColourProfile, differs, stripes
 from annulus.rings.order import Placed
 from annulus.rings.reconstructor import Reconstructor
+from annulus.rings.reference import ANGLE_FAR, SHIFT_FAR, Reference
 from annulus.rings.slits import Slits
 
 EVERY = 8  # pixels: light varies slowly enough
@@ -42,6 +44,7 @@ class Trouble(StrEnum):
     RADIUS = "radius"
     COLOURS = "colours"
     PAINT = "paint"
+    REFERENCE = "reference"
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +84,22 @@ def diagnose(image_bgr: NDArray[np.uint8]) -> Exposure:
     bright = int(np.flatnonzero(above > 0.005 * above[0])[-1])
     lit = max(int(above[int(max(LIT_OF_BRIGHT * bright, 1))]), 1)
     return Exposure(float(bright), float(above[CLIPPED]) / lit, float(lost[CLIPPED]) / lit)
+
+
+def reference_findings(reference: Reference, poses: Sequence[Pose]) -> tuple[Finding, ...]:
+    """Whether a reference was learnt near enough to where the head stood to vouch for its correction there."""
+    if not poses:
+        return ()
+    angle, shift = reference.distance(poses)
+    if angle <= ANGLE_FAR and shift <= SHIFT_FAR * reference.radius_mm:
+        return ()
+    return (
+        Finding(
+            Trouble.REFERENCE,
+            f"the head went {math.degrees(angle):.1f} degrees and {shift:.1f} mm from where the reference was taken: "
+            "the correction is weaker there; take reference frames in such poses, too",
+        ),
+    )
 
 
 def exposure_findings(exposures: Sequence[tuple[int, Exposure]]) -> tuple[Finding, ...]:
@@ -151,8 +170,9 @@ def examine(
         out.append(
             Finding(
                 Trouble.RADIUS,
-                f"the pipe is not the calibration's: every ring lies {abs(off):.2f} mm {'out' if off > 0 else 'in'}side "
-                f"its radius of {calibration.pipe_radius_mm:.2f} mm, this pipe's is about {radius:.2f} mm",
+                f"the pipe is not the calibration's: every ring lies {abs(off):.2f} mm "
+                f"{'out' if off > 0 else 'in'}side its radius of {calibration.pipe_radius_mm:.2f} mm, "
+                f"this pipe's is about {radius:.2f} mm",
                 names,
             )
         )
