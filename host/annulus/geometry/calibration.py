@@ -44,9 +44,7 @@ class Calibration:
         if top.get("format") != FORMAT:
             raise ValueError(f'"format" is {top.get("format")!r}, expected "{FORMAT}"')
         camera = camera_from_dict(_need(top, "camera"))
-        colours = _need(_mapping(_need(top, "pattern"), "pattern"), "colours")
-        if not isinstance(colours, str) or not 2 <= len(colours) <= 65 or set(colours) - set("RGB"):
-            raise ValueError(f'"pattern.colours" is {colours!r}, expected letters R, G, B from the innermost outwards')
+        colours = _colours(top)
         rings = _need(top, "rings")
         if not isinstance(rings, Sequence) or isinstance(rings, str) or len(rings) != len(colours) - 1:
             raise ValueError(
@@ -85,6 +83,24 @@ class Calibration:
         if self.covariance is not None:
             data["covariance"] = [list(row) for row in self.covariance]
         return data
+
+
+def head_from_dict(data: object) -> tuple[Camera, str, float | None, Calibration | None]:
+    """Camera and colours of a file that may have no rings yet; the pipe's radius and the whole, where they are there.
+
+    Raises ValueError naming the key that is wrong."""
+    top = _mapping(data, "the file")
+    whole = Calibration.from_dict(data) if "rings" in top else None
+    pipe = top.get("pipe")
+    radius = _number(pipe, "radius_mm", "pipe", 1.0, 5000.0) if isinstance(pipe, Mapping) else None
+    return camera_from_dict(_need(top, "camera")), _colours(top), radius, whole
+
+
+def _colours(top: Mapping[str, Any]) -> str:
+    colours = _need(_mapping(_need(top, "pattern"), "pattern"), "colours", "pattern")
+    if not isinstance(colours, str) or not 2 <= len(colours) <= 65 or set(colours) - set("RGB"):
+        raise ValueError(f'"pattern.colours" is {colours!r}, expected letters R, G, B from the innermost outwards')
+    return colours
 
 
 def camera_to_dict(camera: Camera) -> dict[str, Any]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus.geometry.camera import Camera
-from annulus.geometry.cone import Cone
+from annulus.geometry.cone import Cone, intersect_cylinder
 from annulus.geometry.pose import FloatArray, Pose
 from annulus.rings.compiled import compiled
 from annulus.vocabulary import AnnulusError
@@ -31,6 +31,7 @@ DISTANCES = (
 COARSE = 32  # sightings of each ring in each frame that a start is tried with
 TUKEY = 6.0  # 98 % efficient on normal errors, blind beyond 6 sigma
 STEPS = 60
+SPREADS = 20  # steps that find how large lumps are
 SINGULAR = 1e-11  # least eigenvalue of the normal equations, all unknowns scaled to 1
 SETTLED, NEAR = 1e-6, 1e-3  # of a parameter's size: the descent ends; a start is good enough to be compared
 BLUR_PART = 0.1  # of the blur's variance: how well it is known
@@ -64,6 +65,9 @@ class Solution:
     radius_mm: float
     error_px: FloatArray  # (N,) where each slit was seen less where its ring should be, along its line; NaN = nowhere
     weight: FloatArray  # (N,) 0..1 of the robust loss
+    slope_px: FloatArray  # (N,) px a rad: how a wider half-angle moves the place where a slit should be seen, and ..
+    axial_px: FloatArray  # (N,) .. px a mm: how a vertex farther along its axis does, and ..
+    radius_px: FloatArray  # (N,) .. px a mm: how a wider pipe does
     sigma_px: FloatArray  # (K,) spread of the errors of each ring
     alike: FloatArray  # (K,) so many neighbouring errors are worth one independent one
     covariance: FloatArray  # (6K, 6K) ring after ring: half-angle rad, axis x y, vertex x y z mm
@@ -100,6 +104,7 @@ def calibrate(
     *,
     start: Solution | None = None,
     offsets: FloatArray | None = None,
+    directions: int = 0,
     blur_px2: float = 0.0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Solution:
@@ -108,7 +113,9 @@ def calibrate(
     Parameters
     ----------
     seen : at least two frames. radius_mm : the pipe's; it alone sets the scale of the answer.
-    start : an answer nearby, saves the search. offsets : (K, n) rad, what each ring is off its cone (`rings.fine`).
+    start : an answer nearby, saves the search. offsets : (K, 2, n) rad and mm, what each ring is known to be off its
+    cone, see FineRing. directions : so many sectors round each ring may each be off the cone
+    by their own angle (lumps of the slide); 0 = none is. Only what differs between poses then tells of the cones.
     blur_px2 : variance of all the blur along a line that the slits' edges went through, the detector's own included.
 
     Raises
@@ -124,7 +131,7 @@ def calibrate(
     rings, frames = int(seen.ring.max()) + 1, int(seen.frame.max()) + 1
     if frames < 2:
         raise AnnulusError("one frame cannot tell the projector's place from its angles: lean the head the other way")
-    fine = np.zeros((rings, 0)) if offsets is None else np.ascontiguousarray(offsets)
+    fine = np.zeros((rings, 2, 0)) if offsets is None else np.ascontiguousarray(offsets)
     problem = _Problem(seen, rings, frames, radius_mm, fine, blur_px2)
     rival = math.inf
     report = progress or (lambda done, total: None)
@@ -141,6 +148,8 @@ def calibrate(
         far = 0.05 * radius_mm
         others = [cost for cost, other in found if abs(other[5] - x[5]) > far]
         rival = min(others, default=math.inf) / max(best, 1e-300)
+    if directions:
+        problem.allow_lumps(directions)
     for _ in range(2):  # with the slits' middles of the first round
         _, x = problem.descend(x, robust=False, settled=SETTLED)
     report(len(DISTANCES) + 1, len(DISTANCES) + 1)
@@ -163,6 +172,9 @@ class _Problem:
             [np.tile([1.0, 1.0, 1.0, *[radius] * 3], rings), np.tile([1.0, 1.0, radius, radius], frames)]
         )
         self.members = [np.flatnonzero(seen.ring == k) for k in range(rings)]
+        self.sector: NDArray[np.int64] | None = None  # (N,) of all rings' sectors; None: rings are cones
+        self.lump, self.lump_weight = np.zeros(0), np.zeros(0)  # (K n,) rad, 1/rad^2 of each sector, its prior included
+        self.rest = self.error  # (N,) errors less the lumps'
 
     def first(self, along: float) -> FloatArray:
         """Vertices `along` mm from the camera on its axis, the head in the middle of the pipe."""
@@ -185,11 +197,40 @@ class _Problem:
             turns, self.blur, self.radius, self.fine, self.place, self.growth, self.error, self.rows,
         )  # fmt: skip
 
+    def allow_lumps(self, directions: int) -> None:
+        """From here on each of so many sectors of a ring may be off the cone by its own angle."""
+        self.sector = np.zeros(len(self.seen), np.int64)
+        for k, mine in enumerate(self.members):
+            places = self.seen.rays[mine, 1]  # its azimuth about the camera will do to tell sectors apart
+            self.sector[mine] = k * directions + (_turn(places) * directions).astype(np.int64) % directions
+        self.lump, self.lump_weight = np.zeros(self.rings * directions), np.full(self.rings * directions, np.inf)
+
+    def fit_lumps(self, weight: FloatArray) -> float:
+        """The sectors' angles for these weights, how large they are believed to be found along; returns their loss."""
+        if self.sector is None:
+            self.rest = self.error
+            return 0.0
+        sectors = len(self.lump)
+        slope = self.rows[:, 0]
+        good = weight > 0
+        at, w, a = self.sector[good], weight[good], slope[good]
+        seen = np.bincount(at, w * a * a, sectors).astype(float)
+        pull = np.bincount(at, w * a * self.error[good], sectors).astype(float)
+        loss = 0.0
+        for k in range(self.rings):
+            own = slice(k * sectors // self.rings, (k + 1) * sectors // self.rings)
+            believed = spread_of(seen[own], pull[own])
+            self.lump_weight[own] = seen[own] + 1.0 / believed**2
+            self.lump[own] = pull[own] / self.lump_weight[own]
+            loss += float(np.sum((self.lump[own] / believed) ** 2)) + 2 * (own.stop - own.start) * math.log(believed)
+        self.rest = self.error - slope * self.lump[self.sector]
+        return loss
+
     def spread(self) -> FloatArray:
         """(K,) px."""
         out = np.empty(self.rings)
         for k, mine in enumerate(self.members):
-            size = np.abs(self.error[mine])
+            size = np.abs(self.rest[mine])
             size = np.where(np.isfinite(size), size, REACH_PX)
             out[k] = 1.4826 * np.median(size) if len(mine) else 1.0
         return np.maximum(out, 1e-3)
@@ -197,19 +238,19 @@ class _Problem:
     def weights(self, scale: FloatArray, robust: bool) -> tuple[FloatArray, float]:
         """(N,) weights in 1/px^2 of the step's least squares, and the loss they come from."""
         sigma = scale[self.seen.ring]
-        u = np.where(np.isfinite(self.error), self.error, REACH_PX) / sigma
+        u = np.where(np.isfinite(self.rest), self.rest, REACH_PX) / sigma
         if robust:  # Cauchy: pulls from afar
             weight, loss = 1.0 / (1.0 + (u / 2.385) ** 2), 2.385**2 * np.log1p((u / 2.385) ** 2)
         else:
             inside = np.clip(1.0 - (u / TUKEY) ** 2, 0.0, None)
             weight, loss = inside**2, TUKEY**2 / 3 * (1.0 - inside**3)
-        return np.where(np.isfinite(self.error), weight, 0.0) / sigma**2, float(loss.sum())
+        return np.where(np.isfinite(self.rest), weight, 0.0) / sigma**2, float(loss.sum())
 
     def normal(self, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
         """J^T W J and J^T W e over all unknowns and, last, the blur and the radius."""
         k, f = self.rings, self.frames
         blocks, right = np.zeros((k, f, 12, 12)), np.zeros((k, f, 12))
-        _gather(self.seen.frame, self.seen.ring, weight, self.error, self.rows, blocks, right)
+        _gather(self.seen.frame, self.seen.ring, weight, self.rest, self.rows, blocks, right)
         n = 6 * k + 4 * f
         matrix, vector = np.zeros((n + 2, n + 2)), np.zeros(n + 2)
         for ring in range(k):
@@ -224,8 +265,17 @@ class _Problem:
             matrix[at, n:] = blocks[:, frame, 6:10, 10:].sum(axis=0)
             vector[at] = right[:, frame, 6:10].sum(axis=0)
         matrix[n:, n:], vector[n:] = blocks[:, :, 10:, 10:].sum(axis=(0, 1)), right[:, :, 10:].sum(axis=(0, 1))
-        upper = np.triu(matrix)
-        return upper + np.triu(matrix, 1).T, vector
+        matrix = np.triu(matrix) + np.triu(matrix, 1).T
+        if self.sector is not None:  # what the lumps could take over tells nothing
+            per = len(self.lump) // k
+            shared = np.zeros((len(self.lump), 8 + 4 * f))
+            _gather_sectors(self.seen.frame, self.sector, weight, self.rows, shared)
+            for ring in range(k):
+                own = slice(ring * per, (ring + 1) * per)
+                columns = np.r_[6 * ring : 6 * ring + 6, 6 * k : n + 2]
+                part = shared[own] / np.sqrt(self.lump_weight[own])[:, None]
+                matrix[np.ix_(columns, columns)] -= part.T @ part
+        return matrix, vector
 
     def descend(
         self, x: FloatArray, robust: bool, settled: float, poses_only: bool = False
@@ -237,6 +287,12 @@ class _Problem:
         for _ in range(STEPS):
             scale = self.spread()
             weight, loss = self.weights(scale, robust)
+            if self.sector is not None:
+                self.fit_lumps(weight)
+                scale = self.spread()
+                weight, _ = self.weights(scale, robust)
+                held = self.fit_lumps(weight)
+                loss = self.weights(scale, robust)[1] + held
             matrix, vector = self.normal(weight)
             a, b = matrix[np.ix_(free, free)] * sizes[:, None] * sizes, vector[free] * sizes
             moved = 0.0
@@ -245,7 +301,8 @@ class _Problem:
                 trial = x.copy()
                 trial[free] += step * sizes
                 self.look(trial)
-                if self.weights(scale, robust)[1] <= loss:
+                held = self.fit_lumps(weight)
+                if self.weights(scale, robust)[1] + held <= loss:
                     x, moved, damping = trial, float(np.abs(step).max()), max(damping / 10, 1e-9)
                     break
                 if np.abs(step).max() < settled:
@@ -254,11 +311,14 @@ class _Problem:
             if moved < settled:
                 break
         self.look(x, middles=True)
+        self.fit_lumps(weight)
+        self.last_weight = weight
         size = np.where(np.isfinite(self.error), np.minimum(np.abs(self.error), REACH_PX), REACH_PX)
         return float(np.mean(np.minimum(size, 10 * np.median(size)) ** 2)), x
 
     def solution(self, x: FloatArray, rival: float) -> Solution:
         self.look(x, middles=True)
+        self.fit_lumps(np.ones(len(self.seen)) if self.sector is None else self.last_weight)
         scale = self.spread()
         weight, _ = self.weights(scale, robust=False)
         n, inner = len(x), 6 * self.rings
@@ -279,14 +339,19 @@ class _Problem:
         cones, poses = x[:inner].reshape(-1, 6), x[inner:].reshape(-1, 4)
         return Solution(
             tuple(_cone(c) for c in cones), tuple(Pose(*(float(v) for v in p)) for p in poses), self.radius,
-            self.error.copy(), relative, scale, alike, cover, rival, off, self.blur,
+            self.error.copy(), relative, self.rows[:, 0].copy(), self._axial(cones), self.rows[:, 11].copy(),
+            scale, alike, cover, rival, off, self.blur,
         )  # fmt: skip
+
+    def _axial(self, cones: FloatArray) -> FloatArray:
+        axis = np.column_stack([cones[:, 1:3], np.sqrt(np.maximum(1.0 - (cones[:, 1:3] ** 2).sum(axis=1), 0.0))])
+        return np.asarray((self.rows[:, 3:6] * axis[self.seen.ring]).sum(axis=1))
 
     def _alike(self, weight: FloatArray) -> FloatArray:
         """(K,) sum of the errors' autocorrelation along their rings: neighbours share noise, and what is no cone."""
         out = np.ones(self.rings)
         for k, mine in enumerate(self.members):
-            e = np.where(weight[mine] > 0, self.error[mine], 0.0)
+            e = np.where(weight[mine] > 0, self.rest[mine], 0.0)
             frame = self.seen.frame[mine]
             square = float(e @ e)
             for lag in range(1, min(60, len(e) // 4)):
@@ -315,13 +380,13 @@ def hold_out(
     solution: Solution,
     folds: int,
     *,
-    fit: Callable[[Sightings, Solution], tuple[Solution, FloatArray | None]] | None = None,
+    fit: Callable[[Sightings, Solution], tuple[Solution, FloatArray]] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> HeldOut:
     """Calibrate `folds` times, each time without one part of the frames, and measure the pipe in those.
 
-    The frames held out get their poses as when measuring, from the rings. `fit` finds the rings of a part, starting
-    from a solution, and what they are off their cones, (K, n) rad; `calibrate` and no offsets when not given.
+    The frames held out get their poses as when measuring, from the rings. `fit` goes on from a part's solution and
+    adds what the rings are off their cones, (K, 2, n), as `fine.tune` does.
     """
     rings, frames = len(solution.rings), len(solution.poses)
     off, of_frame, sigma = np.full(len(seen), np.nan), np.full(frames, np.nan), np.full(frames, np.nan)
@@ -334,11 +399,10 @@ def hold_out(
         few = seen.take(inside)
         few = replace(few, frame=renumbered[few.frame])
         start = replace(solution, poses=tuple(solution.poses[j] for j in kept))
-        if fit is None:
-            found, offsets = calibrate(few, solution.radius_mm, start=start, blur_px2=solution.blur_px2), None
-        else:
-            found, offsets = fit(few, start)
-        fine = np.zeros((rings, 0)) if offsets is None else offsets
+        found = calibrate(few, solution.radius_mm, start=start, blur_px2=solution.blur_px2)
+        fine = np.zeros((rings, 2, 0))
+        if fit is not None:
+            found, fine = fit(few, found)
         for j in out:
             mine = np.flatnonzero(seen.frame == j)
             one = replace(seen.take(mine), frame=np.zeros(len(mine), np.int64))
@@ -357,10 +421,22 @@ def hold_out(
     return HeldOut(off, of_frame, sigma)
 
 
+def wall_points(seen: Sightings, solution: Solution) -> FloatArray:
+    """(N, 3) mm, camera frame: where each slit's ray meets the wall of the pipe in its frame's pose."""
+    out = np.empty((len(seen), 3))
+    for j, pose in enumerate(solution.poses):
+        mine = np.flatnonzero(seen.frame == j)
+        axis = pose.rotation[:, 2]
+        out[mine] = intersect_cylinder(
+            seen.rays[mine, 1], pose.translation, axis, solution.radius_mm, seen.origins[mine, 1]
+        )
+    return out
+
+
 def with_frame(solution: Solution, one: Sightings, pose: Pose) -> FloatArray:
     """The covariance that the rings would have if a frame with these sightings, taken in `pose`, were added."""
     rings = len(solution.rings)
-    problem = _Problem(one, rings, 1, solution.radius_mm, np.zeros((rings, 0)), solution.blur_px2)
+    problem = _Problem(one, rings, 1, solution.radius_mm, np.zeros((rings, 2, 0)), solution.blur_px2)
     problem.look(_pack(replace(solution, poses=(pose,))), middles=True)
     weight = np.where(np.isfinite(problem.error), 1.0, 0.0) / (solution.sigma_px**2 * solution.alike)[one.ring]
     matrix, _ = problem.normal(weight)
@@ -392,6 +468,40 @@ def _pack(start: Solution) -> FloatArray:
 def _cone(c: FloatArray) -> Cone:
     x, y = float(c[1]), float(c[2])
     return Cone(float(c[0]), (x, y, math.sqrt(max(1.0 - x * x - y * y, 0.0))), (float(c[3]), float(c[4]), float(c[5])))
+
+
+def spread_of(weight: FloatArray, pull: FloatArray) -> float:
+    """Standard deviation under which values with these weights, pulled so, are the likeliest: expectation-maximisation.
+
+    weight, pull : sums of w a^2 and w a v over each value's observations.
+    """
+    usual = float(np.median(weight[weight > 0])) if (weight > 0).any() else 1.0
+    square = max(float(np.mean((pull / np.maximum(weight, 0.1 * usual)) ** 2)), 1e-3 / usual)
+    for _ in range(SPREADS):
+        left = 1.0 / (weight + 1.0 / square)
+        square = max(float(np.mean((pull * left) ** 2 + left)), 1e-3 / usual)
+    return math.sqrt(square)
+
+
+def _turn(ways: FloatArray) -> FloatArray:
+    return np.asarray(np.arctan2(ways[:, 1], ways[:, 0]) / (2 * math.pi) % 1.0)
+
+
+@compiled
+def _gather_sectors(frame, sector, weight, rows, shared):  # type: ignore[no-untyped-def]
+    """(K n, 6 + 4 F + 2): each sector's angle against its ring, all poses, blur and radius."""
+    last = shared.shape[1] - 2
+    for n in range(len(frame)):
+        w = weight[n] * rows[n, 0]
+        if w == 0.0:
+            continue
+        row = shared[sector[n]]
+        for a in range(6):
+            row[a] += w * rows[n, a]
+        for a in range(4):
+            row[6 + 4 * frame[n] + a] += w * rows[n, 6 + a]
+        row[last] += w * rows[n, 10]
+        row[last + 1] += w * rows[n, 11]
 
 
 @compiled
@@ -518,8 +628,9 @@ def _off(rays, origins, at, cone, pose, turn, radius, fine, more, wanted):  # ty
     if not sine > 1e-9:
         return np.nan, np.nan
     value = math.atan2(sine, cosine) - cone[0]
-    if len(fine) > 0:
-        value -= fine_offset(fine, dx, dy, dz, ax, ay, az)
+    if fine.shape[1] > 0:
+        offset, shift = fine_at(fine, dx, dy, dz, ax, ay, az)
+        value = math.atan2(sine * far, cosine * far - shift) - cone[0] - offset
     # how the angle turns when the wall's point moves
     gx, gy, gz = (cosine * dx - ax) / (far * sine), (cosine * dy - ay) / (far * sine), (cosine * dz - az) / (far * sine)
     along = gx * wx + gy * wy + gz * wz
@@ -545,13 +656,14 @@ def _off(rays, origins, at, cone, pose, turn, radius, fine, more, wanted):  # ty
 
 
 @compiled
-def fine_offset(fine, dx, dy, dz, ax, ay, az):  # type: ignore[no-untyped-def]
-    """One ring's offset (rad) where the unit direction d from its vertex points: geometry.calibration.FineRing."""
-    # e1 = camera x less its part along the axis, e2 = axis x e1; both of length sqrt(1 - ax^2)
+def fine_at(fine, dx, dy, dz, ax, ay, az):  # type: ignore[no-untyped-def]
+    """One ring's offset (rad) and shift (mm), (2, n), where the unit direction d runs from its vertex: see FineRing."""
+    # along e1 = camera x less its part along the axis, and e2 = axis x e1; both of length sqrt(1 - ax^2)
     first = dx - ax * (dx * ax + dy * ay + dz * az)
     second = az * dy - ay * dz
     turn = math.atan2(second, first) / (2.0 * math.pi)
-    at = (turn - math.floor(turn)) * len(fine)
-    i = min(int(at), len(fine) - 1)
+    at = (turn - math.floor(turn)) * fine.shape[1]
+    i = min(int(at), fine.shape[1] - 1)
     part = at - i
-    return fine[i] + part * (fine[(i + 1) % len(fine)] - fine[i])
+    j = (i + 1) % fine.shape[1]
+    return fine[0, i] + part * (fine[0, j] - fine[0, i]), fine[1, i] + part * (fine[1, j] - fine[1, i])

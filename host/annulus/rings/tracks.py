@@ -35,6 +35,7 @@ class Tracks:
     middle: FloatArray  # (2,) px, of the rings
     blur_px2: float  # variance of all the blur that the slits' edges went through, the detector's own included
     slits: int  # seen, ring or not
+    centre: tuple[float, float]  # of the lines they were found on
 
 
 def wide_grid(camera: Camera, centre: FloatArray) -> PolarGrid:
@@ -87,6 +88,25 @@ def follow(image_bgr: NDArray[np.uint8], grid: PolarGrid, colours: str) -> Track
         good = (off <= np.maximum(STRAY * 1.4826 * spread[ring[named]], STRAY_PX)) & (ratio > NARROW) & (ratio < WIDE)
     kept = named[good]
     return _tracks(grid, slits, ring[kept], kept, shape[0], _edge_px2(unrolled, slits, kept) + _detector_px2(grid))
+
+
+def read_colours(image_bgr: NDArray[np.uint8], grid: PolarGrid) -> str:
+    """The stripes of a frame from the innermost outwards as they look, whatever the pattern should be; "?" unclear."""
+    slits = find_slits(unroll(image_bgr, grid), grid)
+    both = classify(np.vstack([slits.inside, slits.outside]), "RGB")
+    inside, outside = both[: len(slits.position)], both[len(slits.position) :]
+    count = np.bincount(slits.direction, minlength=len(grid.cosine))
+    usual = int(np.bincount(count[count > 0]).argmax()) if (count > 0).any() else 0
+    if not usual:
+        return "nothing"
+    lines = np.flatnonzero(count == usual)
+    first = np.searchsorted(slits.direction, lines)
+
+    def most(values: NDArray[np.uint8]) -> str:
+        counted = np.bincount(values[values < 3], minlength=3)
+        return "RGB"[int(counted.argmax())] if counted.max() > 0.6 * len(values) else "?"
+
+    return most(inside[first]) + "".join(most(outside[first + n]) for n in range(usual))
 
 
 def _course(
@@ -182,4 +202,4 @@ def _tracks(
             if len(both):
                 middles.append(pixels[both].mean(axis=0))
     middle = np.mean(middles, axis=0) if middles else np.asarray(grid.centre)
-    return Tracks(ring, pixels, slits.width[kept], reach, middle, blur, len(slits.position))
+    return Tracks(ring, pixels, slits.width[kept], reach, middle, blur, len(slits.position), grid.centre)

@@ -1,0 +1,457 @@
+"""`annulus calibrate pipe`: the projector's rings, from frames of a clean pipe with the head leaning about in it."""
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from annulus.geometry.calibration import Calibration, head_from_dict
+from annulus.geometry.camera import Camera
+from annulus.geometry.pose import FloatArray, Pose
+from annulus.record.calibration_file import load_part, update_calibration
+from annulus.record.scan import Image, open_scan
+from annulus.rings.autocalibration import HeldOut, Sightings, Solution, calibrate, hold_out, sight, with_frame
+from annulus.rings.diagnosis import Exposure, diagnose
+from annulus.rings.fine import fine_rings, tune
+from annulus.rings.polar import ring_pixels
+from annulus.rings.tracks import Tracks, close_grid, follow, read_colours, wide_grid
+from annulus.vocabulary import AnnulusError, Label
+
+Progress = Callable[[str, int, int], None]  # stage, done, total
+
+FRAMES_MOST = 40  # of a longer scan evenly taken; more only average noise that is small already
+FRAMES_ASKED = 4
+SEEN_LEAST = 0.25  # of all rings in all directions: less is no frame to calibrate with
+LEAN_DEG, LEAN_SHIFT = 10.0, 0.1  # what is advised: to lean so far, and stand off by this part of the radius
+GOOD_ANGLE_DEG, GOOD_VERTEX = 0.02, 0.001  # of the full angle; of the radius: known so well, poses were good enough
+USELESS = 0.03  # of the radius: a vertex known no better than this is not known
+ALIKE_DEG, ALIKE_SHIFT = 1.0, 0.02  # leans and stands (of the radius) within so much of each other are one
+FOLDS = 4
+HELD_EVERY = 2  # sightings: as many as the held-out error needs
+TUNING_WINS = 0.97  # fine-tuning is kept if it brings the held-out error down to this part at most
+OTHER_PIPE = 0.004  # of the radius: a frame's pipe this much off is another pipe
+OTHER_DISTANCE = 0.01  # of the distance camera - projector: farther from the last calibration's, it is said
+
+
+@dataclass(frozen=True, slots=True)
+class PipeCalibration:
+    """What was found, how well, and what to do better."""
+
+    calibration: Calibration
+    solution: Solution
+    seen: Sightings
+    held_out: HeldOut | None  # None with fewer than three frames: nothing is left to hold out
+    tuned_held_out: HeldOut | None  # the same after fine-tuning
+    frames: tuple[int, ...]  # scan indices of the frames used
+    left_out: dict[int, str]  # scan index -> why
+    found: int  # projector frames in the scan
+    warnings: tuple[str, ...]
+    advice: tuple[str, ...]
+    timing_s: dict[str, float] = field(default_factory=dict)
+    held_every: int = HELD_EVERY
+
+    @property
+    def distance_mm(self) -> float:
+        """From the camera's centre to the rings' vertices, the mean: what a ruler can check."""
+        return float(np.mean([math.hypot(*ring.vertex_mm) for ring in self.calibration.rings]))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers; degrees and mm."""
+        solution, held = self.solution, self.tuned_held_out if self.calibration.fine else self.held_out
+        sigma = np.sqrt(np.diag(solution.covariance)).reshape(-1, 6)
+        rings = []
+        for k, ring in enumerate(solution.rings):
+            mine = (self.seen.ring == k) & (solution.weight > 0)
+            mm = solution.error_px[mine] / solution.radius_px[mine]
+            rings.append(
+                {
+                    "theta_full_deg": math.degrees(2 * ring.half_angle),
+                    "theta_full_sigma_deg": math.degrees(2 * sigma[k, 0]),
+                    "axis": list(ring.axis),
+                    "axis_sigma": sigma[k, 1:3].tolist(),
+                    "vertex_mm": list(ring.vertex_mm),
+                    "vertex_sigma_mm": sigma[k, 3:].tolist(),
+                    "sightings": int(np.count_nonzero(mine)),
+                    "residual_px": _rms(solution.error_px[mine]),
+                    "residual_mm": _rms(mm),
+                    "held_out_mm": None if held is None else held.rms_mm(self.seen.ring[:: self.held_every] == k),
+                }
+            )
+        return {
+            "frames_found": self.found,
+            "frames_used": list(self.frames),
+            "frames_left_out": {str(index): why for index, why in self.left_out.items()},
+            "poses": [
+                {
+                    "frame": index,
+                    "rx_deg": math.degrees(p.rx),
+                    "ry_deg": math.degrees(p.ry),
+                    "tx_mm": p.tx,
+                    "ty_mm": p.ty,
+                }
+                for index, p in zip(self.frames, solution.poses, strict=True)
+            ],
+            "rings": rings,
+            "residual_px": _rms(solution.error_px[solution.weight > 0]),
+            "held_out_mm": None if self.held_out is None else self.held_out.rms_mm(),
+            "held_out_tuned_mm": None if self.tuned_held_out is None else self.tuned_held_out.rms_mm(),
+            "fine_tuned": self.calibration.fine is not None,
+            "camera_projector_mm": self.distance_mm,
+            "pipe_radius_mm": self.calibration.pipe_radius_mm,
+            "poses_good": not self.advice,
+            "advice": list(self.advice),
+            "warnings": list(self.warnings),
+            "timing_s": {name: round(value, 4) for name, value in self.timing_s.items()},
+        }
+
+
+def calibrate_pipe(scan: Path, camera: Path, radius_mm: float, *, progress: Progress | None = None) -> PipeCalibration:
+    """Calibrate from the projector frames of a scan in a clean round pipe of known radius.
+
+    `camera` is a file with the sections camera and pattern; a whole calibration.json will do, its rings are compared
+    with, never started from. Raises AnnulusError, one line, where nothing can be found.
+    """
+    if not 1.0 <= radius_mm <= 5000.0:
+        raise AnnulusError(f"--radius is {radius_mm:g} mm, expected 1..5000: half of the pipe's inner diameter")
+    known, colours, last_radius, last = load_part(camera, head_from_dict, "annulus calibrate camera")
+    report = progress or (lambda stage, done, total: None)
+    marks = {"start": time.process_time()}
+    frames, images, found = _read(scan, known, report)
+    marks["read"] = time.process_time()
+    exposures = [diagnose(image) for image in images]
+    tracks, kept, left_out = _decode(frames, images, exposures, known, colours, scan, report)
+    marks["decode"] = time.process_time()
+    seen, blur = _sightings(known, [tracks[i] for i in kept])
+    indices = tuple(frames[i] for i in kept)
+    try:
+        solution = calibrate(seen, radius_mm, blur_px2=blur, progress=lambda done, total: report("solve", done, total))
+    except AnnulusError as error:
+        raise AnnulusError(f"{scan}: {error}.") from None
+    _refuse(scan, solution, indices)
+    marks["solve"] = time.process_time()
+    held, tuned_held, tuned, fine = None, None, solution, None
+    if len(kept) > 2:
+        folds, few = min(FOLDS, len(kept)), seen.take(np.arange(0, len(seen), HELD_EVERY))
+        held = hold_out(few, solution, folds, progress=lambda done, total: report("hold out", done, total))
+        tuned_held = hold_out(
+            few, solution, folds, fit=tune, progress=lambda done, total: report("fine-tune", done, total)
+        )
+        if tuned_held.rms_mm() < TUNING_WINS * held.rms_mm():
+            tuned, fine = tune(seen, solution)
+    marks["hold out"] = time.process_time()
+    calibration = Calibration(
+        known, colours, tuned.rings, radius_mm, tuple(tuple(float(v) for v in row) for row in tuned.covariance),
+        None if fine is None else fine_rings(fine),
+    )  # fmt: skip
+    used = [exposures[i] for i in kept]
+    warnings = _warnings(tuned, held, indices, radius_mm, last_radius, last, used)
+    names = list(marks)
+    timing = {name: marks[name] - marks[before] for before, name in pairwise(names)}
+    return PipeCalibration(
+        calibration, tuned, seen, held, tuned_held, indices, left_out, found, warnings,
+        _advice(known, tuned, radius_mm), timing,
+    )  # fmt: skip
+
+
+def save_pipe(result: PipeCalibration, out: Path) -> None:
+    """Write rings, pattern, camera and pipe into `out`; other sections in it stay."""
+    data = result.calibration.to_dict()
+    update_calibration(out, {key: data[key] for key in ("camera", "pattern", "rings", "pipe", "covariance")})
+
+
+def _read(scan: Path, camera: Camera, report: Progress) -> tuple[list[int], list[Image], int]:
+    opened = open_scan(scan)
+    projector = [i for i, frame in enumerate(opened.frames) if frame.label is Label.PROJECTOR]
+    if not projector:
+        raise AnnulusError(f"{scan}: none of its {len(opened.frames)} frames is labelled projector.")
+    chosen = projector
+    if len(projector) > FRAMES_MOST:
+        chosen = [projector[n * (len(projector) - 1) // (FRAMES_MOST - 1)] for n in range(FRAMES_MOST)]
+    images = []
+    for done, i in enumerate(chosen):
+        image = opened.read(i)
+        if image.shape[:2] != (camera.height, camera.width):
+            raise AnnulusError(
+                f"{opened.frames[i].where}: is {image.shape[1]}x{image.shape[0]} but the camera's file says "
+                f"{camera.width}x{camera.height}. Give the file of the camera that took this scan."
+            )
+        images.append(image)
+        report("read", done + 1, len(chosen))
+    return [opened.frames[i].index for i in chosen], images, len(projector)
+
+
+def _decode(
+    frames: Sequence[int],
+    images: Sequence[Image],
+    exposures: Sequence[Exposure],
+    camera: Camera,
+    colours: str,
+    scan: Path,
+    report: Progress,
+) -> tuple[dict[int, Tracks], list[int], dict[int, str]]:
+    """Tracks of the frames that can be used, which those are, and why the others cannot."""
+    left_out = {
+        frames[i]: f"dark, nothing brighter than {exposure.bright:.0f} of 255: lens cap on, or projector off"
+        for i, exposure in enumerate(exposures)
+        if exposure.dark
+    }
+    lit = [i for i, exposure in enumerate(exposures) if not exposure.dark]
+    if not lit:
+        raise AnnulusError(
+            f"{scan}: all {len(frames)} projector frames are dark (nothing brighter than "
+            f"{max(e.bright for e in exposures):.0f} of 255): lens cap on, or projector off."
+        )
+    enough = SEEN_LEAST * (len(colours) - 1)
+
+    def fair(track: Tracks, grid_lines: int) -> bool:
+        return len(track.ring) >= enough * grid_lines
+
+    grid = wide_grid(camera, np.array([camera.cx, camera.cy]))
+    lines = len(grid.cosine)
+    tracks: dict[int, Tracks] = {}
+    for done, i in enumerate(lit):
+        tracks[i] = follow(images[i], grid, colours)
+        if not fair(tracks[i], lines):  # the pattern may lie beside the camera's axis
+            other = follow(images[i], wide_grid(camera, _light_centre(images[i])), colours)
+            tracks[i] = max(tracks[i], other, key=lambda track: len(track.ring))
+        report("find rings", done + 1, 2 * len(lit))
+    kept = [i for i in lit if fair(tracks[i], lines)]
+    if kept:
+        grid = close_grid(camera, [tracks[i] for i in kept])
+        for done, i in enumerate(lit):
+            tracks[i] = follow(images[i], grid, colours)
+            report("find rings", len(lit) + done + 1, 2 * len(lit))
+        kept = [i for i in lit if fair(tracks[i], lines)]
+    for i in lit:
+        if i not in kept:
+            exposure = exposures[i]
+            left_out[frames[i]] = (
+                f"over-exposed, {100 * exposure.clipped:.0f} % of the stripes at full scale"
+                if exposure.over_exposed
+                else f"rings of {colours} not found in it ({tracks[i].slits} slits seen)"
+            )
+    if len(kept) < 2:
+        raise AnnulusError(f"{scan}: {_why_none(frames, images, exposures, tracks, kept, lit, colours, camera)}.")
+    missing = [k + 1 for k in range(len(colours) - 1) if all(np.isnan(tracks[i].reach[k, 1]) for i in kept)]
+    if missing:
+        read = read_colours(images[kept[0]], grid)
+        raise AnnulusError(
+            f"{scan}: ring{'s' if len(missing) > 1 else ''} {', '.join(map(str, missing))} of the pattern {colours} "
+            f"(counted from the innermost) seen in no frame; the stripes read {read}. Check pattern.colours."
+        )
+    return tracks, kept, left_out
+
+
+def _why_none(
+    frames: Sequence[int],
+    images: Sequence[Image],
+    exposures: Sequence[Exposure],
+    tracks: dict[int, Tracks],
+    kept: Sequence[int],
+    lit: Sequence[int],
+    colours: str,
+    camera: Camera,
+) -> str:
+    if len(frames) == 1:
+        return "one projector frame, expected at least two, the head leaning to opposite sides (better four and more)"
+    over = [i for i in lit if i not in kept and exposures[i].over_exposed]
+    if over:
+        worst = max(exposures[i].clipped for i in over)
+        return (
+            f"{len(over)} of {len(frames)} projector frames over-exposed (up to {100 * worst:.0f} % of the stripes at "
+            "full scale), their colours cannot be read: shorten the projector's flash or lower the gain"
+        )
+    i = max(lit, key=lambda i: tracks[i].slits)
+    lines = 720
+    if tracks[i].slits > lines:
+        read = read_colours(images[i], wide_grid(camera, np.array([camera.cx, camera.cy])))
+        return (
+            f"slits are seen but not in the order of pattern.colours {colours}; the stripes read {read} from the "
+            "innermost. Check pattern.colours"
+        )
+    dark = len(frames) - len(lit)
+    return (
+        f"the rings of {colours} are found in {len(kept)} of {len(frames)} projector frames"
+        + (f", {dark} are dark" if dark else "")
+        + "; two and more are needed. Is this a scan of a clean pipe, with the projector on?"
+    )
+
+
+def _light_centre(image: Image) -> FloatArray:
+    top = image[::8, ::8].max(axis=2).astype(float)
+    top = np.where(top > 0.3 * np.percentile(top, 99), 1.0, 0.0)
+    y, x = np.indices(top.shape)
+    return np.array([8 * np.average(x, weights=top), 8 * np.average(y, weights=top)])
+
+
+def _sightings(camera: Camera, tracks: Sequence[Tracks]) -> tuple[Sightings, float]:
+    frame = np.concatenate([np.full(len(track.ring), j) for j, track in enumerate(tracks)])
+    ring = np.concatenate([track.ring for track in tracks])
+    pixels = np.concatenate([track.pixels for track in tracks])
+    width = np.concatenate([track.width for track in tracks])
+    width = np.minimum(width, 1.3 * np.median(width))  # as triangulate does
+    centre = np.asarray(tracks[0].centre)
+    return sight(camera, frame, ring, pixels, centre, width), float(np.median([t.blur_px2 for t in tracks]))
+
+
+def _refuse(scan: Path, solution: Solution, frames: Sequence[int]) -> None:
+    """Raises where the answer is none."""
+    vertex = np.sqrt(np.diag(solution.covariance)).reshape(-1, 6)[:, 3:].max()
+    lean = leans(solution.poses)
+    stands = np.array([[p.tx, p.ty] for p in solution.poses])
+    turn, shift = np.ptp(lean, axis=0).max(), np.ptp(stands, axis=0).max()
+    alike = turn < ALIKE_DEG and shift < ALIKE_SHIFT * solution.radius_mm
+    if alike or vertex > USELESS * solution.radius_mm:
+        what = (
+            f"all {len(frames)} poses are alike (leans within {turn:.1f} deg, places within {shift:.1f} mm)"
+            if alike
+            else f"the {len(frames)} poses tell the projector's place only to {vertex:.1f} mm"
+        )
+        raise AnnulusError(
+            f"{scan}: {what}. Take at least {FRAMES_ASKED} frames, the head leaning about {LEAN_DEG:.0f} deg to the "
+            "left, to the right, up and down."
+        )
+    error = _rms(solution.error_px[solution.weight > 0])
+    lost = float(np.mean(solution.weight == 0))
+    if error > 8.0 or lost > 0.4:
+        raise AnnulusError(
+            f"{scan}: the frames do not show one round pipe: rings lie {error:.1f} px beside where they should, "
+            f"{100 * lost:.0f} % of the slits fit nowhere. Check the camera's file; the pipe must be clean and round."
+        )
+
+
+def leans(poses: Sequence[Pose]) -> FloatArray:
+    """(F, 2) degrees the head leans to the right and down: against the pipe, whose axis it then sees left and up."""
+    axes = np.array([pose.rotation[:, 2] for pose in poses])
+    return np.asarray(-np.degrees(np.arctan2(axes[:, :2], axes[:, 2:])))
+
+
+def _advice(camera: Camera, solution: Solution, radius: float) -> tuple[str, ...]:
+    """What poses to add, if these were not good enough."""
+    sigma = np.sqrt(np.diag(solution.covariance)).reshape(-1, 6)
+    out: list[str] = []
+    vertex, angle = float(sigma[:, 3:].max()), math.degrees(2 * float(sigma[:, 0].max()))
+    weak = vertex > GOOD_VERTEX * radius or angle > GOOD_ANGLE_DEG
+    lean = leans(solution.poses)
+    spread = np.stack([lean.max(axis=0), -lean.min(axis=0)], axis=1)
+    names = (("right", "left"), ("down", "up"))
+    few = len(solution.poses) < FRAMES_ASKED
+    missing = [names[a][b] for a in range(2) for b in range(2) if spread[a, b] < 0.3 * LEAN_DEG]
+    if weak:
+        out.append(f"the projector's place is known to {vertex:.2f} mm and {angle:.3f} deg only")
+    if few:
+        out.append(f"{len(solution.poses)} frames are few, take at least {FRAMES_ASKED}")
+    if weak or few or missing:
+        way, then = _best_lean(camera, solution, radius)
+        out.append(
+            (f"no frame leans {' or '.join(missing)}: " if missing else "")
+            + f"lean the head {LEAN_DEG:.0f} deg {way}; one frame more brings the place to {then:.2f} mm"
+        )
+    return tuple(out)
+
+
+def _best_lean(camera: Camera, solution: Solution, radius: float) -> tuple[str, float]:
+    """The lean, of eight, that would tell most about the vertices, and how well they would then be known, mm."""
+    steps = 90
+    best = ("", math.inf)
+    ways = {
+        "to the right": (1, 0), "to the left": (-1, 0), "down": (0, 1), "up": (0, -1), "down to the right": (0.7, 0.7),
+        "up to the left": (-0.7, -0.7), "up to the right": (0.7, -0.7), "down to the left": (-0.7, 0.7),
+    }  # fmt: skip
+    lean, stand = math.radians(LEAN_DEG), LEAN_SHIFT * radius
+    for name, (right, down) in ways.items():
+        pose = Pose(down * lean, -right * lean, -right * stand, -down * stand)
+        rings, places = [], []
+        for k, cone in enumerate(solution.rings):
+            pixels = ring_pixels(camera, cone, pose, radius, steps)
+            pixels = pixels[np.isfinite(pixels).all(axis=1)]
+            rings.append(np.full(len(pixels), k))
+            places.append(pixels)
+        pixels, ring = np.vstack(places), np.concatenate(rings)
+        if len(pixels) < 20:
+            continue
+        one = sight(camera, np.zeros(len(ring), np.int64), ring, pixels, np.array([camera.cx, camera.cy]))
+        # as many sightings as a frame has, not so many as were drawn here
+        part = steps * len(solution.rings) * len(solution.poses) / max(len(solution.error_px), 1)
+        cover = with_frame(replace(solution, alike=solution.alike * part), one, pose)
+        vertex = float(np.sqrt(np.diag(cover)).reshape(-1, 6)[:, 3:].max())
+        if vertex < best[1]:
+            best = name, vertex
+    return best
+
+
+def _warnings(
+    solution: Solution,
+    held: HeldOut | None,
+    frames: Sequence[int],
+    radius: float,
+    last_radius: float | None,
+    last: Calibration | None,
+    exposures: Sequence[Exposure],
+) -> tuple[str, ...]:
+    out = []
+    distance = float(np.mean([math.hypot(*ring.vertex_mm) for ring in solution.rings]))
+    off, sigma = solution.off_radius_mm
+    if sigma < 0.01 * radius and abs(off) > max(5 * sigma, 0.003 * radius):
+        out.append(
+            f"the frames look like a pipe of radius {radius + off:.2f} mm, not {radius:g}: the mirror's size tells"
+        )
+    if last is not None:
+        before = float(np.mean([math.hypot(*ring.vertex_mm) for ring in last.rings]))
+        if abs(distance / before - 1) > OTHER_DISTANCE:
+            out.append(
+                f"camera and projector come out {distance:.2f} mm apart, {before:.2f} before: the head was changed, or "
+                f"the pipe's radius is {radius * before / distance:.2f} mm and not {radius:g}"
+            )
+        out += _flipped(solution, last)
+    elif last_radius is not None and abs(last_radius / radius - 1) > 0.002:
+        out.append(
+            f"--radius is {radius:g} mm but pipe.radius_mm in the camera's file is {last_radius:g}: lengths grow with "
+            f"it, camera and projector come out {distance:.2f} mm apart, or {distance * last_radius / radius:.2f}"
+        )
+    if held is not None:
+        other = [
+            (index, delta)
+            for index, delta, s in zip(frames, held.off_radius_mm, held.sigma_mm, strict=True)
+            if abs(delta) > max(6 * s, OTHER_PIPE * radius)
+        ]
+        if other:
+            out.append(
+                "not all frames are of one pipe: "
+                + ", ".join(f"frame {index} looks like radius {radius + delta:.2f} mm" for index, delta in other[:4])
+            )
+    if solution.rival < 1.3:
+        out.append("another place of the projector fits nearly as well: take frames that lean more")
+    over = [e for e in exposures if e.over_exposed]
+    if over:
+        out.append(
+            f"{len(over)} frames over-exposed, up to {100 * max(e.clipped for e in over):.0f} % of the stripes at full "
+            "scale: slits move there; shorten the projector's flash"
+        )
+    return tuple(out)
+
+
+def _flipped(solution: Solution, last: Calibration) -> list[str]:
+    """Whether the rings' axes and vertices look like the last calibration's in a mirror, or upside down."""
+    now = np.array([[*ring.axis[:2], *np.array(ring.vertex_mm[:2]) / 50.0] for ring in solution.rings])
+    before = np.array([[*ring.axis[:2], *np.array(ring.vertex_mm[:2]) / 50.0] for ring in last.rings])
+    if now.shape != before.shape:
+        return []
+    ways = {
+        "": (1, 1), "mirrored left to right": (-1, 1), "mirrored top to bottom": (1, -1), "upside down": (-1, -1)
+    }  # fmt: skip
+    off = {name: float(np.abs(now * np.tile(way, 2) - before).mean()) for name, way in ways.items()}
+    nearest = min(off, key=lambda name: off[name])
+    if nearest and off[""] > 0.003 and off[nearest] < 0.4 * off[""]:
+        return [f"the images look {nearest} against the calibration in the camera's file: check the camera's flips"]
+    return []
+
+
+def _rms(values: FloatArray) -> float:
+    values = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(values**2))) if len(values) else math.nan
