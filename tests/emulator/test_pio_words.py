@@ -73,13 +73,21 @@ play:
     out x, 31
 rest:
     jmp x-- rest            ; wraps to play
-; GUARD
-    wait 1 gpio 7
+; GUARD. Counts a credit down in x, a step every two cycles; cuts when the interlock's pin is high or no credit is left.
+take:
+    mov x, osr
+public watch:
+    jmp pin cut
+    jmp x-- watch
+    pull noblock            ; the next credit, or x again: all ones
+    jmp pin cut
+    mov y, osr
+    jmp x!=y take
+cut:
     set pins, 0             ; wraps to itself
 """
 ODOMETER = """
 .program odometer
-.origin 6
 again:
     mov isr, null
     in pins, 2
@@ -94,8 +102,10 @@ changed:
 
 def assembled(source: str, origin: int = 0) -> list[int]:
     """Words where they stand in the memory: jumps are absolute."""
-    words = list(adafruit_pioasm.assemble(source))
-    return [word + origin if word >> 13 == 0 else word for word in words]
+    return [word + origin if word >> 13 == 0 else word for word in adafruit_pioasm.assemble(source)]
+
+
+PROGRAMS = [(LAMPS, 0, 0), (TRAIN, 0, 1), (ODOMETER, len(assembled(TRAIN)), 1)]  # with origin and block
 
 
 def tables(elf: bytes) -> dict[int, list[tuple[str, list[int]]]]:
@@ -158,9 +168,7 @@ def pios(image: Path) -> Iterator[Pios]:
 # ---- words ----
 
 
-@pytest.mark.parametrize(
-    "source, origin, block", [(LAMPS, 0, 0), (TRAIN, 0, 1), (ODOMETER, 6, 1)], ids=["lamps", "train", "odometer"]
-)
+@pytest.mark.parametrize("source, origin, block", PROGRAMS, ids=["lamps", "train", "odometer"])
 def test_the_words_are_those_another_assembler_makes(source: str, origin: int, block: int, pios: Pios) -> None:
     words = assembled(source, origin)
     [(_, linked)] = tables(IMAGE.with_suffix(".elf").read_bytes())[len(words)]
@@ -170,8 +178,11 @@ def test_the_words_are_those_another_assembler_makes(source: str, origin: int, b
 
 def test_every_pio_program_of_the_image_is_among_them(pios: Pios) -> None:
     sizes = {n: len(found) for n, found in tables(IMAGE.with_suffix(".elf").read_bytes()).items()}
-    assert sizes == {len(assembled(s)): 1 for s in (LAMPS, TRAIN, ODOMETER)}
-    assert [sum(word is not None for word in block["memory"]) for block in pios.blocks] == [32, 6 + 7]
+    assert sizes == {len(assembled(source)): 1 for source, _, _ in PROGRAMS}
+    used = [0, 0]
+    for source, _, block in PROGRAMS:
+        used[block] += len(assembled(source))
+    assert [sum(word is not None for word in block["memory"]) for block in pios.blocks] == used
 
 
 # ---- cycles ----
@@ -217,6 +228,7 @@ def compare(
         out_count=out_count,
         set_base=set_base - shift,
         set_count=set_count,
+        jmp_pin=machine["execctrl"] >> 24 & 31,
         wrap_target=wrap_bottom,
         wrap_top=wrap_top,
     )
@@ -258,12 +270,24 @@ def test_trains_are_played_alike(pios: Pios, machine: int, pin: int) -> None:
     assert [size for _, size in runs(trace, pin)[1:-1]] == lengths[:-1]  # one word is one level for so many ticks
 
 
-@pytest.mark.parametrize("opens", [5, 6, 40])
-def test_the_guard_cuts_alike(pios: Pios, opens: int) -> None:
-    inputs = [0] * opens + [1 << 7] * 3 + [0] * 60
-    trace = compare(pios, 1, 3, start=4, cycles=opens + 50, inputs=inputs, pins=1 << 5)
-    assert runs(trace, 5)[0] == (1, opens + 3)  # two flip-flops, the wait, and the cut in the cycle after
-    assert [level for level, _ in runs(trace, 5)] == [1, 0]
+GATE_AND_TRIGGER = 3 << 5
+WATCH = adafruit_pioasm.Program(TRAIN).public_labels["watch"]
+
+
+@pytest.mark.parametrize("opens", [5, 6, 7, 8, 40])
+def test_the_guard_cuts_alike_when_the_interlock_opens(pios: Pios, opens: int) -> None:
+    inputs = [0] * opens + [1 << 7] * 6 + [0] * 60
+    trace = compare(pios, 1, 3, start=WATCH, cycles=opens + 50, tx=[9, 9, 9], inputs=inputs, pins=GATE_AND_TRIGGER)
+    for pin in (5, 6):
+        [(_, on), (_, off)] = runs(trace, pin)
+        assert opens + 3 <= on <= opens + 2 + 5 and off > 40  # two flip-flops, at most four cycles unseen, the cut
+
+
+@pytest.mark.parametrize("credits", [[], [7], [7, 20, 3]])
+def test_the_guard_cuts_alike_when_its_credits_run_out(pios: Pios, credits: list[int]) -> None:
+    trace = compare(pios, 1, 3, start=WATCH, cycles=200, tx=credits, inputs=[0] * 200, pins=GATE_AND_TRIGGER)
+    lasted = 2 + sum(2 * (credit + 1) + 5 for credit in credits) + 4  # what x held, each credit, finding none
+    assert runs(trace, 5) == [(1, lasted), (0, 200 - lasted)]
 
 
 def test_the_odometers_transitions_are_pushed_alike(pios: Pios) -> None:
@@ -273,7 +297,7 @@ def test_the_odometers_transitions_are_pushed_alike(pios: Pios) -> None:
     for _ in range(60):
         levels.append(rng.choice([level for level in range(4) if not levels or level != levels[-1]]))
         inputs += [levels[-1] << 14 | rng.getrandbits(14)] * rng.randrange(12, 40)
-    trace = compare(pios, 1, 2, start=6, cycles=len(inputs), inputs=inputs)
+    trace = compare(pios, 1, 2, start=len(assembled(TRAIN)), cycles=len(inputs), inputs=inputs)
     pushed = [word for row in trace for word in row[7]]
     assert pushed == [now for before, now in itertools.pairwise([0, *levels]) if now != before]
 
