@@ -158,7 +158,7 @@ def _first(middle: FloatArray, rng: np.random.Generator) -> FloatArray:
         if not 0.02 < slope < 10.0:
             continue
         vertex = z[i] - away[i] / slope
-        count = np.count_nonzero(np.abs(away - slope * (z - vertex)) < NEAR_MM)
+        count = int(np.count_nonzero(np.abs(away - slope * (z - vertex)) < NEAR_MM))
         if count > most:
             best, most = (math.atan(slope), float(vertex)), count
     return np.array([best[0], 0.0, 0.0, 0.0, 0.0, best[1]])

@@ -1,0 +1,113 @@
+"""`annulus pattern`: what the projector's slide should be."""
+
+import json
+import re
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from annulus.cli.show import Json, group
+from annulus.vocabulary import AnnulusError
+
+app = group("The projector's pattern.")
+
+
+@app.callback()
+def _pattern() -> None:
+    """Keeps `design` a command of its own."""
+
+
+@app.command(
+    "design",
+    epilog="Example: annulus pattern design --word 2 --camera head-7.json --pipe-mm 152.4 --distance-mm 56 "
+    "--sensor-radius-mm 9 --glass-mm 45 --projector-f-mm 12 -o slide",
+)
+def design(
+    pipe_mm: Annotated[str, typer.Option(help="Inner diameter of the pipe, mm, or a range: 100-160.")],
+    distance_mm: Annotated[float, typer.Option(help="Projector behind camera (d_t), mm.")],
+    sensor_radius_mm: Annotated[float, typer.Option(help="Radius of the sensor's body (R_sen), mm.")],
+    glass_mm: Annotated[float, typer.Option(help="Length of the clear tube (d_g), mm.")],
+    projector_f_mm: Annotated[float, typer.Option(min=0.5, max=500.0, help="Focal length of the slide's lens, mm.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for slide, preview and calibration.json.")],
+    word: Annotated[int, typer.Option(help="Stripes that must be read together to know where one is (n).")] = 2,
+    colours: Annotated[str, typer.Option(help="Colours of the stripes; k letters of R, G, B.")] = "RGB",
+    stripes: Annotated[int | None, typer.Option(help="Coloured stripes; k^n if not given.")] = None,
+    rings: Annotated[int | None, typer.Option(help="Slits between stripes instead: one fewer than stripes.")] = None,
+    camera: Annotated[Path | None, typer.Option(help="File with the `camera` section.")] = None,
+    f: Annotated[float | None, typer.Option(help="Instead of --camera: its focal length, px.")] = None,
+    fisheye: Annotated[bool, typer.Option("--fisheye", help="With --f: r = f theta, not r = f tan theta.")] = False,
+    size: Annotated[str, typer.Option(help="With --f: pixels of the image.")] = "1664x1232",
+    nominal_mm: Annotated[
+        float | None, typer.Option(help="Pipe in which stripes are of one width. [default: the middle of the range]")
+    ] = None,
+    slit_px: Annotated[float, typer.Option(min=2.0, max=100.0, help="Width of a slit in the image, px.")] = 8.0,
+    inner_deg: Annotated[float | None, typer.Option(help="Full angle where the pattern begins; else chosen.")] = None,
+    outer_deg: Annotated[float | None, typer.Option(help="Full angle where the pattern ends; else chosen.")] = None,
+    as_json: Json = False,
+) -> None:
+    """A pattern for this head: colours, angles, limits checked, a slide to print and what the camera will see.
+
+    The slide is to scale in slide.svg and slide.pdf: print at 100 % and measure the bar. Black passes no light.
+    calibration.json has the pattern and the rings as designed, for `annulus calibrate pipe` to begin with.
+    """
+    from annulus.calibrate.slide import write_design
+    from annulus.geometry.camera import Camera
+    from annulus.record.calibration_file import load_camera
+    from annulus.rings.pattern import Head, stripe_colours
+    from annulus.rings.pattern import design as lay_out
+
+    if (camera is None) == (f is None):
+        raise AnnulusError("give either --camera FILE or --f PIXELS (with --fisheye and --size as need be)")
+    if camera is not None:
+        lens = load_camera(camera)
+    else:
+        match = re.fullmatch(r"\s*(\d+)\s*[xX*]\s*(\d+)\s*", size)
+        if match is None:
+            raise AnnulusError(f'--size is "{size}", expected like 1664x1232')
+        width, height = int(match[1]), int(match[2])
+        if f is None or not 1 <= f <= 1e6 or not (16 <= width <= 16384 and 16 <= height <= 16384):
+            raise AnnulusError(
+                f"--f {f} and --size {size}: expected a focal length in px and an image of 16 to 16384 px"
+            )
+        lens = Camera("fisheye" if fisheye else "pinhole", width, height, f, f, (width - 1) / 2, (height - 1) / 2)
+    diameters = re.fullmatch(r"\s*([\d.]+)\s*(?:-|\.\.|to)?\s*([\d.]+)?\s*", pipe_mm)
+    try:
+        least, most = (float(diameters[1]), float(diameters[2] or diameters[1])) if diameters else (0.0, 0.0)
+    except ValueError:
+        least = 0.0
+    if least <= 0:
+        raise AnnulusError(f'--pipe-mm is "{pipe_mm}", expected a diameter in mm, or a range like 100-160')
+    if rings is not None and stripes is not None:
+        raise AnnulusError("--rings and --stripes say the same: give one")
+    count = rings + 1 if rings is not None else stripes
+    head = Head(lens, least, most, nominal_mm or (least + most) / 2, distance_mm, sensor_radius_mm, glass_mm)
+    pattern = lay_out(
+        head,
+        stripe_colours(colours, word, count),
+        word,
+        slit_px=slit_px,
+        inner_full_deg=inner_deg,
+        outer_full_deg=outer_deg,
+    )
+    written = write_design(pattern, projector_f_mm, out)
+    told = pattern.to_dict()
+    if as_json:
+        print(json.dumps({**told, "files": [str(path) for path in written]}))
+        return
+    limits = told["limits"]
+    print(f"colours    {pattern.colours}: {told['stripes']} stripes, {told['slits']} slits, n = {word}")
+    print(f"angles     {told['inner_full_deg']:.2f} to {told['outer_full_deg']:.2f} deg (full)")
+    print(f"inner      above {limits['inner_full_deg_above']:.2f} deg: clear of the body (Eq. 3.3)")
+    print(f"distance   {distance_mm:g} mm, below {limits['distance_mm_below']:.1f} mm: all seen (Eq. 3.2)")
+    for pipe in told["pipes"]:
+        near, far = pipe["ahead_mm"]
+        low, high = pipe["stripe_px"]
+        print(
+            f"pipe       {pipe['diameter_mm']:g} mm: {near:.0f} to {far:.0f} mm ahead, "
+            f"stripes {low:.1f} to {high:.1f} px"
+        )
+    print("stripe  radius on the slide, mm")
+    for colour, a, b in pattern.radii_mm(projector_f_mm):
+        print(f"  {colour}     {a:8.4f} {b:8.4f}")
+    print("written    " + ", ".join(str(path) for path in written))
