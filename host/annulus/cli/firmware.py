@@ -58,9 +58,7 @@ def flash(
     port: _Port = None,
     serial: Annotated[
         str | None,
-        typer.Option(
-            help="Which of several boards in their boot loaders: serial number, or of a boot loader its place, 1-2.3."
-        ),
+        typer.Option(help="Which of several: serial number of a running controller, or place of a boot loader, 1-2.3."),
     ] = None,
     drive: Annotated[
         Path | None, typer.Option(help="Copy to this mounted RPI-RP2 drive instead of talking PICOBOOT.")

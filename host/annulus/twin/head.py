@@ -168,18 +168,26 @@ def start_head(
     assert process.stdin is not None and process.stdout is not None and process.stderr is not None
     lines: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     said: list[bytes] = []
-    for stream, keep in ((process.stdout, lines.put), (process.stderr, said.append)):
-        threading.Thread(target=_collect, args=(stream, keep), daemon=True).start()
+    listeners = [
+        threading.Thread(target=_collect, args=(stream, keep), daemon=True)
+        for stream, keep in ((process.stdout, lines.put), (process.stderr, said.append))
+    ]
+    for listener in listeners:
+        listener.start()
     try:
         process.stdin.write(json.dumps(order).encode() + b"\n")
         process.stdin.flush()
         up = json.loads(lines.get(timeout=_START_S))
         return HeadHandle(up["port"], up["camera"], mode, process, lines)
     except BaseException as error:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(1.0)  # what broke it is still being said
         process.kill()
         process.wait()
         if isinstance(error, queue.Empty | OSError | ValueError | KeyError):
-            last = said[-1].decode(errors="replace").strip() if said else "it said nothing"
+            listeners[1].join(1.0)
+            spoken = [line for line in said if line.strip()]
+            last = spoken[-1].decode(errors="replace").strip() if spoken else "it said nothing"
             raise AnnulusError(f"twin head: did not start ({last})") from None
         raise
 
