@@ -146,12 +146,14 @@ void bursts_cut(bursts_t* const self, const uint8_t fault)
     self->fault = fault;
 }
 
-void bursts_run(bursts_t* const self, events_t* const events, const uint32_t now)
+bool bursts_ended(const bursts_t* const self, uint16_t* const done)
 {
-    uint16_t done;
-    if (self->running && !board_burst_running(&done)) {
-        self->running = false;
-        event_burst_done_pack(&(event_burst_done_t){.tick = now, .done = done, .fault = self->fault},
-                              events_emit(events, EVENT_BURST_DONE));
-    }
+    return self->running && !board_burst_running(done);
+}
+
+void bursts_report(bursts_t* const self, events_t* const events, const uint16_t done, const uint32_t now)
+{
+    self->running = false;
+    event_burst_done_pack(&(event_burst_done_t){.tick = now, .done = done, .fault = self->fault},
+                          events_emit(events, EVENT_BURST_DONE));
 }

@@ -24,7 +24,9 @@ uint8_t bursts_fire(bursts_t* self, const command_burst_t* command, reply_burst_
 // The microwave has been cut because of `fault`: the train, if one ran, ends with it.
 void bursts_cut(bursts_t* self, uint8_t fault);
 
-// Once a round: reports the end of a train.
-void bursts_run(bursts_t* self, events_t* events, uint32_t now);
+// Has a train ended that was not reported yet? `done` becomes its complete bursts.
+bool bursts_ended(const bursts_t* self, uint16_t* done);
+
+void bursts_report(bursts_t* self, events_t* events, uint16_t done, uint32_t now);
 
 #endif

@@ -22,6 +22,16 @@ void controller_start(controller_t* const self)
     sequencer_start(&self->sequencer);
 }
 
+static void report_burst(controller_t* const self)
+{
+    uint16_t done;
+    if (bursts_ended(&self->bursts, &done)) {
+        const uint32_t now = board_tick();
+        safety_run(self, now);  // what cut it may have happened since this round began
+        bursts_report(&self->bursts, &self->events, done, now);
+    }
+}
+
 static void report_stage(controller_t* const self, const uint32_t now)
 {
     if (self->moving && !board_stage_moving()) {
@@ -117,7 +127,7 @@ void controller_run(controller_t* const self)
         receive(self, line);
     }
     safety_insist(self, sequencer_load(&self->sequencer, &self->events, now));
-    bursts_run(&self->bursts, &self->events, board_tick());
+    report_burst(self);
     report_stage(self, now);
     events_run(&self->events, now);
     board_status_light(self->armed != 0U);

@@ -2,6 +2,7 @@
 
 #include <string.h>
 
+#include "../board.h"
 #include "bench.h"
 #include "check.h"
 
@@ -248,8 +249,32 @@ static void outputs_are_armed_one_by_one(void)
     EXPECT_EQ(native_pin(PIN_STATUS), 0);
 }
 
+static void a_main_loop_that_is_late_darkens_the_microwave_long_before_the_watchdog(void)
+{
+    start_armed(both);
+    EXPECT_EQ(start_train(10000), STATUS_OK);
+    bench_pass(5 * MS);
+    bench_look();
+    const size_t before = bench_rises(PIN_MICROWAVE);
+    const uint64_t late = native_tick();
+    native_stall_cpu(10 * MS);
+    bench_pass(15 * MS);
+    bench_look();
+    EXPECT_EQ(native_pin(PIN_MICROWAVE), 0);
+    EXPECT(bench_rises(PIN_MICROWAVE) > before);
+    EXPECT(bench_fall(PIN_MICROWAVE, bench_rises(PIN_MICROWAVE) - 1U) <= late + BOARD_STARVED_MS * MS);
+    EXPECT_EQ(take_fault().fault, FAULT_WATCHDOG);
+    event_burst_done_t done;
+    event_burst_done_unpack(&done, bench_take(EVENT_BURST_DONE)->payload);
+    EXPECT_EQ(done.fault, FAULT_WATCHDOG);
+    EXPECT_EQ(bench_status_of(COMMAND_ARM, &both), STATUS_UNSAFE);
+    EXPECT_EQ(bench_status_of(COMMAND_CLEAR, NULL), STATUS_OK);
+    EXPECT_EQ(bench_status_of(COMMAND_ARM, &both), STATUS_OK);
+}
+
 void safety_tests(void)
 {
+    RUN(a_main_loop_that_is_late_darkens_the_microwave_long_before_the_watchdog);
     RUN(an_opening_interlock_darkens_the_microwave_within_one_chip_without_the_core);
     RUN(an_open_interlock_refuses_the_microwave_but_not_the_lamps);
     RUN(an_interlock_fault_is_cleared_only_once_it_is_closed);

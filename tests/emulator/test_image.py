@@ -215,6 +215,20 @@ def test_glitches_and_double_pulses_are_refused_counted_and_change_nothing(board
     assert status.rejected == refused
 
 
+def test_the_hold_off_ends_where_it_is_said_to(board: EmulatedBoard) -> None:
+    arm(board, ratio=0, period=400_000, tolerance=100, delay=50_000, width=20_000)
+    edge = board.now + 2 * MS
+    accepted = {}
+    for off in (-40, -6, -4, -3, 3, 4, 6, 40):
+        before = len(board.rises(LED))
+        board.pulse(edge, low=1_000)
+        board.pulse(edge + 360_000 + off, low=1_000)
+        board.run_alive(edge + 800_000)
+        accepted[off] = len(board.rises(LED)) - before == 2
+        edge = board.now + 5 * MS
+    assert accepted == {off: off > 0 for off in accepted}
+
+
 def test_disarming_ends_the_flash_being_timed(board: EmulatedBoard) -> None:
     arm(board, ratio=0, width=2_000_000, period=8_000_000)
     edge = board.now + MS
@@ -326,17 +340,28 @@ def test_a_code_is_played_as_it_is_written(board: EmulatedBoard, code: BurstCode
     assert [done.done for done in board.heard(BurstDone)] == [3]
 
 
-def test_mpsl25_against_its_template_has_its_peak_of_eleven(board: EmulatedBoard) -> None:
+LAGS = range(-24, 25)
+
+
+def correlate(sent: list[int], template: list[int]) -> list[int]:
+    return [sum(sent[i] * template[i - lag] for i in range(25) if 0 <= i - lag < 25) for lag in LAGS]
+
+
+def test_mpsl25_against_its_template_has_its_peak_and_the_sidelobes_of_theory(board: EmulatedBoard) -> None:
     arm(board, ArmFlag.MICROWAVE)
     reply = board.request(Burst(code=BurstCode.MPSL25, chip=50, repeat=1, period=100_000, trigger_offset=0))
     assert isinstance(reply, BurstReply)
     board.run(board.now + 3 * MS)
     sent = [int(bit) for bit in played(board, reply.start + board.origin, 50, 25)]
     template = [1 if bit == "1" else -1 for bit in CODES[BurstCode.MPSL25]]
-    lags = range(-24, 25)
-    correlation = {lag: sum(sent[i] * template[i - lag] for i in range(25) if 0 <= i - lag < 25) for lag in lags}
-    assert correlation[0] == 11
-    assert max(abs(value) for lag, value in correlation.items() if lag != 0) < 11
+    correlation = correlate(sent, template)
+    # sent = (template + 1) / 2, so theory says: half of the template's own correlation and of its sum under the overlap
+    own = correlate(template, template)
+    under = correlate([1] * 25, template)
+    assert [2 * value for value in correlation] == [a + b for a, b in zip(own, under, strict=True)]
+    assert max(abs(value) for lag, value in zip(LAGS, own, strict=True) if lag) == 2  # what makes the code an MPSL code
+    assert correlation[24] == 11
+    assert max(abs(value) for lag, value in zip(LAGS, correlation, strict=True) if lag) == 4  # ratio 2.75
 
 
 @pytest.mark.parametrize(("chip", "width"), [(30, 30), (3_000, 3_000)])
@@ -385,6 +410,52 @@ def test_stopping_lets_the_burst_being_sent_end(board: EmulatedBoard) -> None:
     assert 3 <= done.done < 15
     assert len(board.rises(MICROWAVE)) == 7 * done.done
     assert len(board.falls(MICROWAVE)) == 7 * done.done
+
+
+@pytest.mark.parametrize(("period", "offset"), [(11_000, 0), (11_000, -5_000), (50_000, 600), (300_000, -777)])
+def test_a_train_stopped_at_any_moment_sends_whole_bursts_and_says_how_many(
+    board: EmulatedBoard, period: int, offset: int
+) -> None:
+    arm(board, ArmFlag.MICROWAVE)
+    rng = random.Random(period + offset)
+    done = None
+    for wait in (None, 0, *(rng.randrange(12 * period) for _ in range(4)), 13 * period):
+        board.transitions.clear()
+        board.events.clear()
+        if wait is not None:  # first of all with no train at all
+            burst = Burst(code=BurstCode.MPSL25, chip=50, repeat=10, period=period, trigger_offset=offset)
+            assert board.request(burst).status == StatusCode.OK
+            board.run(board.now + wait)
+        first = board.request(BurstStop())
+        again = board.request(BurstStop())
+        assert first.status == again.status == StatusCode.OK
+        board.run(board.now + 12 * period + MS)
+        reported = board.heard(BurstDone)
+        assert len(reported) == (0 if wait is None else 1)
+        done = reported[0].done if reported else 0
+        assert len(board.rises(MICROWAVE)) == len(board.falls(MICROWAVE)) == 7 * done
+        assert len(board.rises(TRIGGER)) == len(board.falls(TRIGGER)) == done
+        assert {fall - rise for rise, fall in zip(board.rises(TRIGGER), board.falls(TRIGGER), strict=True)} <= {100}
+    assert done == 10  # the last one had run out before it was stopped
+
+
+def test_a_train_cut_by_the_interlock_counts_exactly_the_bursts_that_were_sent(board: EmulatedBoard) -> None:
+    arm(board)
+    rng = random.Random(12)
+    for _ in range(100):
+        assert board.request(Arm(outputs=ArmFlag.MICROWAVE)).status == StatusCode.OK
+        board.transitions.clear()
+        board.events.clear()
+        burst = Burst(code=BurstCode.SINGLE, chip=500, repeat=60_000, period=10_000, trigger_offset=0)
+        assert board.request(burst).status == StatusCode.OK
+        opens = board.now + rng.randrange(1_000, 600_000)
+        board.input((opens, INTERLOCK, 1), (opens + 100_000, INTERLOCK, 0))
+        board.run(opens + 200_000)
+        widths = [fall - rise for rise, fall in zip(board.rises(MICROWAVE), board.falls(MICROWAVE), strict=True)]
+        [done] = board.heard(BurstDone)
+        assert done.fault == FaultCode.INTERLOCK
+        assert done.done == sum(width == 500 for width in widths)
+        assert board.request(Clear()).status == StatusCode.OK
 
 
 def test_an_open_interlock_cuts_within_one_chip_until_cleared_a_thousand_times(board: EmulatedBoard) -> None:
@@ -458,6 +529,62 @@ def test_a_stuck_processor_is_reset_by_the_watchdog_with_all_outputs_low(board: 
     assert who.boot != before
     assert [fault.fault for fault in board.heard(Fault)] == [FaultCode.WATCHDOG]
     assert board.request(Arm(outputs=ArmFlag.LAMPS)).status == StatusCode.UNSAFE
+
+
+STARVED = 4 * MS  # from the processor's last round to microwave and trigger low, at most
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_stuck_processor_leaves_outputs_low_in_four_ms_and_through_the_reset(board: EmulatedBoard, seed: int) -> None:
+    rng = random.Random(seed)
+    arm(board, ArmFlag.LAMPS | ArmFlag.MICROWAVE, ratio=0, period=1_000_000, delay=100_000, width=200_000)
+    for edge in (board.now + MS + i * 1_000_000 for i in range(30)):
+        board.pulse(edge)
+    burst = Burst(code=BurstCode.MPSL25, chip=50, repeat=60_000, period=12_000, trigger_offset=100)
+    assert board.request(burst).status == StatusCode.OK
+    board.run(board.now + rng.randrange(1_000_000, 3_000_000))
+    stuck = board.now
+    board.stall(200 * MS)
+    board.run(stuck + 180 * MS)
+    [reset] = board.resets
+    assert stuck < reset <= stuck + 102 * MS
+    changes = {pin: [(tick, level) for tick, p, level in board.transitions if p == pin] for pin in OUTPUTS}
+    for pin in (MICROWAVE, TRIGGER):
+        last, level = changes[pin][-1]
+        assert level == 0
+        assert last <= stuck + STARVED
+    # A flash under way ends by itself, and one more was loaded: it fires on its edge. Nothing after that.
+    flashes = [tick for tick, level in changes[LED] if level == 1 and tick > stuck]
+    assert len(flashes) <= 1
+    assert changes[LED][-1][1] == 0
+    assert changes[LED][-1][0] <= stuck + 1_000_000 + 100_000 + LATENCY + 200_000
+    assert changes[PROJECTOR] == []
+    board.run(stuck + 210 * MS)
+    assert board.identify().cause == BootCause.WATCHDOG
+
+
+def test_a_main_loop_late_by_more_than_its_credit_cuts_the_microwave_and_says_so(board: EmulatedBoard) -> None:
+    rng = random.Random(8)
+    arm(board)
+    for _ in range(8):
+        assert board.request(Arm(outputs=ArmFlag.MICROWAVE)).status == StatusCode.OK
+        board.transitions.clear()
+        board.events.clear()
+        burst = Burst(code=BurstCode.SINGLE, chip=500, repeat=60_000, period=10_000, trigger_offset=0)
+        assert board.request(burst).status == StatusCode.OK
+        board.run(board.now + rng.randrange(100_000, 500_000))
+        late = board.now
+        board.stall(10 * MS)
+        board.run(late + 15 * MS)
+        assert late + STARVED // 2 - 10_000 <= board.falls(MICROWAVE)[-1] <= late + STARVED
+        [done] = board.heard(BurstDone)
+        assert done.fault == FaultCode.WATCHDOG
+        widths = [fall - rise for rise, fall in zip(board.rises(MICROWAVE), board.falls(MICROWAVE), strict=True)]
+        assert done.done == sum(width == 500 for width in widths)
+        assert [fault.fault for fault in board.heard(Fault)] == [FaultCode.WATCHDOG]
+        assert board.request(Arm(outputs=ArmFlag.MICROWAVE)).status == StatusCode.UNSAFE
+        assert board.request(Clear()).status == StatusCode.OK
+    assert board.resets == []
 
 
 def test_a_reset_by_the_host_says_so(board: EmulatedBoard) -> None:
