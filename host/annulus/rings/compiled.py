@@ -24,11 +24,11 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @compiled
-def middle(values, size):  # type: ignore[no-untyped-def]
-    """Median of the first `size` values, the upper one of two; reorders them. 0 of nothing. Hoare's selection."""
+def ranked(values, size, rank):  # type: ignore[no-untyped-def]
+    """The value of that rank, from 0, among the first `size`; reorders them. 0 of nothing. Hoare's selection."""
     if size == 0:
         return 0.0
-    low, high, wanted = 0, size - 1, size // 2
+    low, high = 0, size - 1
     while low < high:
         pivot = values[(low + high) // 2]
         i, k = low, high
@@ -41,10 +41,16 @@ def middle(values, size):  # type: ignore[no-untyped-def]
                 values[i], values[k] = values[k], values[i]
                 i += 1
                 k -= 1
-        if wanted <= k:
+        if rank <= k:
             high = k
-        elif wanted >= i:
+        elif rank >= i:
             low = i
         else:
             break
-    return values[wanted]
+    return values[rank]
+
+
+@compiled
+def middle(values, size):  # type: ignore[no-untyped-def]
+    """Median of the first `size` values, the upper one of two; reorders them. 0 of nothing."""
+    return ranked(values, size, size // 2)

@@ -7,13 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus.geometry.pose import FloatArray
-from annulus.rings.compiled import compiled
+from annulus.rings.compiled import compiled, middle, ranked
 
 UNKNOWN = 255  # a stripe whose colour is not clear: matches any, proves nothing
 NONE = -1  # a slit that is no ring, or could be more than one
 LIKENESS = 0.06  # a colour must be nearer its reference than any other by this much of the cosine
 SKIP = 0.5  # price of leaving a slit out, against 1 for each colour that fits
 PLACE = 6.0  # price of a wall that is off by the whole tolerance: more than a slit that fits can pay
+LEARNT_FROM, BRIGHT = 800, 0.98  # stripes that tell a frame's colours, and the part of them below its bright level
 MARGIN = 0.1  # a label is given only if every rival reading of the line is worse by this
 
 
@@ -44,27 +45,50 @@ def classify(side: FloatArray, colours: str, seen: StripeColours | None = None) 
 
 
 def _learnt(side: FloatArray, used: list[int]) -> StripeColours:
-    some = np.ascontiguousarray(side[:: max(1, len(side) // 800), ::-1])  # enough to learn from
-    gain = np.zeros(3)
-    gain[used] = 1.0 / np.maximum(_quantile(some, 0.98)[used], 1e-6)
-    light = some * gain
-    length = np.linalg.norm(light, axis=1)
-    unit = light[length > 1e-6] / length[length > 1e-6, None]
-    reference = np.eye(3)[used]
-    for _ in range(2):
-        name = (unit @ reference.T).argmax(axis=1)
-        for i in range(len(used)):
-            members = unit[name == i]
-            if len(members) >= max(8, 0.02 * len(unit)):
-                middle = _quantile(members, 0.5)
-                reference[i] = middle / np.linalg.norm(middle)
+    gain, reference = np.zeros(3), np.eye(3)[used]
+    _learn(side, max(1, len(side) // LEARNT_FROM), np.array(used), gain, reference)
     return StripeColours(gain, reference)
 
 
-def _quantile(rows: FloatArray, part: float) -> FloatArray:
-    """Of each column; np.percentile would interpolate between two rows, at five times the cost."""
-    at = int(part * len(rows))
-    return np.asarray(np.partition(rows, at, axis=0)[at])
+@compiled
+def _learn(side, every, used, gain, reference):  # type: ignore[no-untyped-def]
+    some = (len(side) + every - 1) // every
+    work = np.empty(some)
+    for i in range(len(used)):
+        for n in range(some):
+            work[n] = side[every * n, 2 - used[i]]
+        gain[used[i]] = 1.0 / max(ranked(work, some, int(BRIGHT * some)), 1e-6)
+    unit = np.empty((some, 3))
+    name = np.empty(some, np.int64)
+    size = 0
+    for n in range(some):
+        r, g, b = (side[every * n, 2] * gain[0], side[every * n, 1] * gain[1], side[every * n, 0] * gain[2])
+        length = math.sqrt(r * r + g * g + b * b)
+        if length > 1e-6:
+            unit[size, 0], unit[size, 1], unit[size, 2] = r / length, g / length, b / length
+            size += 1
+    for _ in range(2):
+        for n in range(size):
+            best = -1.0
+            for i in range(len(used)):
+                likeness = unit[n, 0] * reference[i, 0] + unit[n, 1] * reference[i, 1] + unit[n, 2] * reference[i, 2]
+                if likeness > best:
+                    best, name[n] = likeness, i
+        for i in range(len(used)):
+            x, y, z = 0.0, 0.0, 0.0
+            members = 0
+            for c in range(3):
+                members = 0
+                for n in range(size):
+                    if name[n] == i:
+                        work[members] = unit[n, c]
+                        members += 1
+                if members < max(8, 0.02 * size):
+                    break
+                x, y, z = y, z, middle(work, members)
+            length = math.sqrt(x * x + y * y + z * z)
+            if members >= max(8, 0.02 * size) and length > 0.0:
+                reference[i, 0], reference[i, 1], reference[i, 2] = x / length, y / length, z / length
 
 
 @compiled
@@ -86,9 +110,17 @@ def _name(side, gain, reference, used, out):  # type: ignore[no-untyped-def]
 def readings(inside: NDArray[np.uint8], outside: NDArray[np.uint8], colours: str) -> NDArray[np.bool_]:
     """(N, K): slit n has the two colours of ring k, as far as they are known, and at least one is."""
     pattern = np.array(["RGB".index(c) for c in colours], np.uint8)
-    left, right = inside[:, None] == pattern[:-1], outside[:, None] == pattern[1:]
-    unsure = (inside == UNKNOWN)[:, None], (outside == UNKNOWN)[:, None]
-    return np.asarray((left | unsure[0]) & (right | unsure[1]) & (left | right))
+    out = np.empty((len(inside), len(pattern) - 1), np.bool_)
+    _read(inside, outside, pattern, out)
+    return out
+
+
+@compiled
+def _read(inside, outside, pattern, out):  # type: ignore[no-untyped-def]
+    for n in range(len(inside)):
+        for k in range(len(pattern) - 1):
+            left, right = inside[n] == pattern[k], outside[n] == pattern[k + 1]
+            out[n, k] = (left and right) or (left and outside[n] == UNKNOWN) or (right and inside[n] == UNKNOWN)
 
 
 def decode(

@@ -52,14 +52,15 @@ def ring_optics(calibration: Calibration, grid: PolarGrid) -> RingOptics:
         at = (away - grid.first) * grid.step
         angles = []
         for step in (-PROBE_PX, 0.0, PROBE_PX):
-            start, way = _lines(grid, lines, at + step)
+            start, way = calibration.camera.lines(grid.pixels(lines, at + step))
             wall = intersect_cylinder(way, np.zeros(3), np.array([0.0, 0.0, 1.0]), pipe, start)
             v = wall - np.asarray(cone.vertex_mm)
             angles.append(np.arctan2(np.linalg.norm(np.cross(v, cone.axis), axis=1), v @ np.asarray(cone.axis)))
         with np.errstate(divide="ignore", invalid="ignore"):
             second = (angles[2] - 2 * angles[1] + angles[0]) / PROBE_PX**2
             bend[k] = np.nan_to_num(second / ((angles[2] - angles[0]) / (2 * PROBE_PX)), posinf=0.0, neginf=0.0)
-        ends = np.stack([meet_rings(*_lines(grid, lines, at + step), cones[k : k + 1])[:, 0] for step in (-1.0, 1.0)])
+        near, far = (grid.pixels(lines, at + step) for step in (-1.0, 1.0))
+        ends = np.stack([meet_rings(*calibration.camera.lines(at), cones[k : k + 1])[:, 0] for at in (near, far)])
         slope_mm[k] = np.nanmedian(np.abs(np.diff(np.linalg.norm(ends[..., :2], axis=2), axis=0))) / 2
     slope_mm = np.nan_to_num(slope_mm, nan=float(np.nanmax(slope_mm)))
     return RingOptics(cones, bend, slope_mm, _fine_table(calibration.fine) if calibration.fine is not None else None)
@@ -97,18 +98,6 @@ def meet_rings(origins: FloatArray, rays: FloatArray, cones: FloatArray) -> Floa
         for k in range(len(cones)):
             _meet(*origins[n], *rays[n], cones[k], math.cos(cones[k, 6]) ** 2, out[n, k])
     return out
-
-
-def _lines(grid: PolarGrid, direction: NDArray[np.int64], position: FloatArray) -> tuple[FloatArray, FloatArray]:
-    node = np.clip(position / RAY_STEP_PX, 0, grid.rays.shape[1] - 2)
-    i = node.astype(np.int64)
-    part = (node - i)[:, None]
-    rays = (1 - part) * grid.rays[direction, i] + part * grid.rays[direction, i + 1]
-    origins = np.zeros_like(rays)
-    if grid.origins is not None:
-        origins = (1 - part) * grid.origins[direction, i] + part * grid.origins[direction, i + 1]
-    with np.errstate(invalid="ignore"):
-        return origins, np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 
 
 def deviations(points: FloatArray, pose: Pose, radius_mm: float) -> FloatArray:
