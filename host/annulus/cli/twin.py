@@ -59,13 +59,16 @@ def scan(
     frames: Annotated[int, typer.Option(min=2, max=100_000, help="Camera frames, every fifth lit by the LED.")] = 100,
     seed: Annotated[int, typer.Option(min=0, help="Of the world.")] = 1,
     defects: Annotated[bool, typer.Option(help="Whether the pipe has any.")] = True,
+    lean: Annotated[
+        float | None, typer.Option(min=0.0, max=15.0, help="Degrees the head leans at most; 8 to calibrate it.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Write a simulated scan as a scan folder, with its calibration and the truth."""
     from annulus.twin.scan import world_named, write_scan
 
     with progress() as report:
-        write_scan(world_named(world, seed, defects), out, frames, report)
+        write_scan(world_named(world, seed, defects, lean), out, frames, report)
     print_fields(
         {"scan": str(out), "world": world, "frames": frames, "calibration": str(out / "calibration.json")}, as_json
     )

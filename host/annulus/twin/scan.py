@@ -2,6 +2,7 @@
 
 import csv
 import json
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,18 +13,25 @@ import numpy as np
 from annulus.record.recording import to_bgr
 from annulus.record.scan import COLUMNS, TABLE
 from annulus.twin.render import Renderer
-from annulus.twin.world import WORLDS, World
+from annulus.twin.world import WAVES, WORLDS, World
 from annulus.vocabulary import AnnulusError, Label
 
 LED_EVERY = 5  # four projector frames, one of the LED, as the head fires them
+LEANS_ABOUT = 1.5  # radii from the camera: a head that leans stands off the axis there
 
 
-def world_named(name: str, seed: int, defects: bool = True) -> World:
-    """One of WORLDS. Raises AnnulusError for a name that is none."""
+def world_named(name: str, seed: int, defects: bool = True, lean_deg: float | None = None) -> World:
+    """One of WORLDS, its head leaning by `lean_deg` at most, if given. Raises AnnulusError for a name that is none."""
     if name not in WORLDS:
         raise AnnulusError(f"world {name!r}: expected one of {', '.join(WORLDS)}")
     world = WORLDS[name](seed)
-    return world if defects else replace(world, features=())
+    if not defects:
+        world = replace(world, features=())
+    if lean_deg is not None:
+        lean = lean_deg / sum(WAVES)
+        aside = LEANS_ABOUT * world.radius_mm * math.tan(math.radians(lean))
+        world = replace(world, wobble_deg=lean, wobble_mm=aside)
+    return world
 
 
 def write_scan(

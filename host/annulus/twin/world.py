@@ -28,6 +28,7 @@ _DEFECT_KIND: Mapping[FeatureKind, DefectKind] = {"pocket": "loss", "groove": "l
 CLOCKS = 1440  # columns of the wall maps: 0.25 degrees, a third of a millimetre on a 6-inch wall
 STEP_Z_MM = 0.4  # rows of the wall maps
 AHEAD_MM = 420.0  # wall modelled beyond the last station; past it the pipe is clean
+WAVES = 0.75, 0.45  # of the wobble: the two sinusoids' shares of its amplitude
 WHITE = (0.75, 0.77, 0.78)  # albedo of white PVC, red green blue
 YELLOW = (0.72, 0.47, 0.06)  # of MDPE gas pipe: blue is absorbed almost wholly
 ORANGE = (0.70, 0.22, 0.05)
@@ -239,7 +240,7 @@ class World:
     def pose(self, z_mm: float) -> Pose:
         """The pipe in the camera frame when the head stands at station `z_mm`."""
         angle = 2 * np.pi * z_mm / self._wobble[:, :, 0] + self._wobble[:, :, 1]
-        rx, ry, tx, ty = np.sin(angle) @ np.array([0.75, 0.45])
+        rx, ry, tx, ty = np.sin(angle) @ np.array(WAVES)
         tilt = math.radians(self.wobble_deg)
         return Pose(tilt * rx, tilt * ry, self.wobble_mm * tx, self.wobble_mm * ty)
 
@@ -414,7 +415,7 @@ def mirror_projector() -> Projector:
         )
         for i, t in enumerate(angles)
     )
-    return Projector(cones, tuple(float(h) for h in np.degrees(halves)), _SMALL_COLOURS)
+    return Projector(cones, tuple(float(h) for h in np.degrees(halves)), _SMALL_COLOURS, peak=180.0)
 
 
 def mirror_world(seed: int = 5, radius_mm: float = 38.1, travel_mm: float = 160.0) -> World:

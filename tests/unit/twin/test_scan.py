@@ -66,13 +66,12 @@ def test_rings_in_reversed_order_are_told_apart() -> None:
 
 
 def test_a_camera_sees_its_own_housing_in_the_mirror_and_nothing_beside_it(small: World) -> None:
-    lit = Renderer(replace(small, optics=replace(small.optics, read=0.0, shot=0.0))).render(
-        small.pose(5), 5.0, 0.0, 1.0
-    )
-    v, u = np.mgrid[0 : small.camera.height, 0 : small.camera.width]
-    middle = small.camera.project(np.array([[0.0, 0.0, 30.0]]))[0]
+    world = replace(small, optics=replace(small.optics, read=0.0, shot=0.0)).scaled(416)
+    lit = Renderer(world).render(world.pose(5), 5.0, 0.0, 1.0)
+    v, u = np.mgrid[0 : world.camera.height, 0 : world.camera.width]
+    middle = world.camera.project(np.array([[0.0, 0.0, 30.0]]))[0]
     away = np.hypot(u - middle[0], v - middle[1])
-    assert lit[away < 25].max() <= 2 and lit[away > 600].max() <= 2 and lit[(away > 300) & (away < 400)].min() > 10
+    assert lit[away < 6].max() <= 2 and lit[away > 150].max() <= 2 and lit[(away > 75) & (away < 100)].min() > 10
 
 
 def test_a_world_with_a_mirror_survives_its_own_dictionary(small: World) -> None:
