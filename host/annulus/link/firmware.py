@@ -90,8 +90,11 @@ def board_fields(port: str) -> dict[str, object]:
     """Who answers on a port. AnnulusError when nobody does."""
     with Client(port, diagnostics=True) as client:
         who = client.identity
+    return {"port": port, **_who(who)}
+
+
+def _who(who: IdentifyReply) -> dict[str, object]:
     return {
-        "port": port,
         "firmware": "annulus",
         "git": _text(who.git),
         "board": _text(who.board),
@@ -231,9 +234,9 @@ def _await_boot_loader(known: set[str], place: str | None, board: str | None, ba
     def look() -> bool:
         nonlocal arrived
         arrived = [b for b in find_boot_loaders(backend) if (b.place == place if place else b.place not in known)]
-        return bool(arrived)
+        return bool(arrived) and None not in {b.serial for b in arrived}  # udev gives the permission a moment later
 
-    if not _wait(look, APPEAR_S):
+    if not _wait(look, APPEAR_S) and not arrived:
         raise AnnulusError(
             f"no boot loader came up on USB within {APPEAR_S:g} s. Is the board's USB socket connected to this machine?"
             " It waits there until its power is switched off."
@@ -327,7 +330,7 @@ def monitor(port: str, seconds: float | None = None) -> Iterator[dict[str, objec
     """
     with Client(port, diagnostics=True) as client:
         begin = time.monotonic()
-        yield {"t_s": 0.0, "what": "identity", **_fields(client.identity)}
+        yield {"t_s": 0.0, "what": "identity", **_who(client.identity)}
         before: tuple[float, StatusReply] | None = None
         due = begin
         while seconds is None or time.monotonic() < begin + seconds:

@@ -36,6 +36,7 @@ _COMMAND = struct.Struct("<IIBBHI16s")
 _STATUS = struct.Struct("<IIBB6x")
 _IF_RESET, _IF_STATUS = 0x41, 0x42
 _VENDOR_OUT, _VENDOR_IN = 0x41, 0xC1  # control requests to the interface
+_STANDARD_IN_ENDPOINT, _GET_STATUS = 0x82, 0
 _IN = 0x80  # of a command id and of an endpoint's address
 _EXCLUSIVE = 1
 _COMMAND_MS, _DATA_MS = 3_000, 10_000
@@ -235,7 +236,9 @@ class PicoBoot:
 
     def _reset(self) -> None:
         for endpoint in (self._in, self._out):
-            self._device.clear_halt(endpoint)
+            # only where it is halted, as Raspberry Pi's tools do: clearing resets the data toggle, on both sides or not
+            if self._device.ctrl_transfer(_STANDARD_IN_ENDPOINT, _GET_STATUS, 0, endpoint, 2, _COMMAND_MS)[0] & 1:
+                self._device.clear_halt(endpoint)
         self._device.ctrl_transfer(_VENDOR_OUT, _IF_RESET, 0, self._interface, None, _COMMAND_MS)
 
     def _mended(self, error: usb.core.USBError, doing: str) -> AnnulusError:

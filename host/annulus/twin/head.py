@@ -207,7 +207,7 @@ def run_head(fps: float, seed: int, faults: Path | None, board: str = "native") 
     """A head on the demo's world until Ctrl-C, for a daemon or `annulus head` in another terminal."""
     with start_head(demo_world(seed), fps, faults, seed=seed, board=board) as head:
         print(f'controller  {head.port_url}\ncamera      {head.camera_address}   (camera kind "twin" in head.toml)')
-        print(f"timing      {head.timing}\nCtrl-C ends it.")
+        print(f"timing      {head.timing}\nCtrl-C ends it.", flush=True)
         try:
             while head.process.poll() is None:
                 time.sleep(0.2)

@@ -259,6 +259,7 @@ class Bus:
 
     def clear_halt(self, board: Board, endpoint: int) -> None:
         self._there(board)
+        assert endpoint in board.halted, "clearing a halt that is none may cost the data toggle"
         board.halted.discard(endpoint)
 
     def ctrl_transfer(
@@ -267,6 +268,8 @@ class Bus:
         self._there(board)
         if (kind, request) == (0x80, 6) and value >> 8 == 3:
             return _answer(data, _string(board, value & 0xFF))
+        if (kind, request) == (0x82, 0) and index in (IN, OUT):
+            return _answer(data, bytes((index in board.halted, 0)))
         if (kind, request, index) == (0xC1, 0x42, PICOBOOT) and len(data) == 16:
             return _answer(data, struct.pack("<IIBB6x", *board.status))
         if (kind, request, index) == (0x41, 0x41, PICOBOOT):

@@ -1,5 +1,6 @@
 """From a running head to a flashed one: by PICOBOOT and by the drive, with the controller and the boot ROM scripted."""
 
+import errno
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -159,6 +160,18 @@ def test_the_boot_loader_is_looked_for_where_the_port_was(monkeypatch: pytest.Mo
         with pytest.raises(AnnulusError, match="no boot loader came up"):
             flash(IMAGE, port=port, backend=bus)
         assert not head.board.erased
+
+
+def test_permission_that_comes_a_moment_after_the_board_is_waited_for() -> None:
+    board = Board(open_error=errno.EACCES)
+    bus = Bus()
+    with far_end(serving(Head(bus, board))) as port:
+        threading.Timer(0.1, lambda: setattr(board, "open_error", None)).start()
+        flash(IMAGE, port=port, backend=bus)
+        assert board.rebooted
+    denied = Board(open_error=errno.EACCES)
+    with far_end(serving(Head(bus := Bus(), denied))) as port, pytest.raises(AnnulusError, match="99-annulus"):
+        flash(IMAGE, port=port, backend=bus)
 
 
 def test_a_controller_that_runs_is_named_when_no_board_waits(monkeypatch: pytest.MonkeyPatch) -> None:
