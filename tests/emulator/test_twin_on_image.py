@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 
 from annulus.capture.photometry import Light, measure
 from annulus.cli import app
+from annulus.link.firmware import enter_boot_loader
 from annulus.record.calibration_file import save_calibration
 from annulus.record.recording import open_recording
 from annulus.twin.emulated import EmulatedBoard
@@ -230,6 +231,9 @@ def test_head_commands_do_to_the_pins_what_they_say(served: Served) -> None:
     served.annulus("head", "disarm")
     state = json.loads(served.annulus("head", "status", "--json"))
     assert "armed" not in state["state"] and state["edges_rejected"] == 0
+    enter_boot_loader(served.port)  # what `annulus firmware flash --port` does first
+    with pytest.raises(AnnulusError, match="no answer to identify"):
+        served.annulus("head", "status")
 
     pins = served.pins()
     projector, led = pulses(pins["projector"]), pulses(pins["led"])
@@ -239,7 +243,7 @@ def test_head_commands_do_to_the_pins_what_they_say(served: Served) -> None:
     assert last[1] <= 400_000
     assert {(rise - SYNC_FROM) % SYNC_EVERY for rise, _ in projector} == {250_000 + LATENCY}
     assert {(rise - SYNC_FROM) % SYNC_EVERY for rise, _ in led} == {300_000 + LATENCY}
-    assert 8 <= len(projector) <= 60 and abs(len(projector) - len(led)) <= 1
+    assert projector and led and abs(len(projector) - len(led)) <= 1
     assert abs(counted["projector"] - len(projector)) <= 1 and abs(counted["led"] - len(led)) <= 1
     gate, trigger = pulses(pins["microwave"]), pulses(pins["trigger"])
     assert [width for _, width in gate] == [250, 100, 50, 50] * 5 + [100, 100]
