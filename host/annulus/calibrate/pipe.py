@@ -16,7 +16,7 @@ from annulus.geometry.pose import FloatArray, Pose
 from annulus.record.calibration_file import load_part, update_calibration
 from annulus.record.scan import Image, open_scan
 from annulus.rings.autocalibration import HeldOut, Sightings, Solution, calibrate, hold_out, sight, with_frame
-from annulus.rings.diagnosis import Exposure, diagnose
+from annulus.rings.diagnosis import LOST_MOST, Exposure, diagnose
 from annulus.rings.fine import fine_rings, tune
 from annulus.rings.polar import ring_pixels
 from annulus.rings.tracks import Tracks, close_grid, follow, read_colours, wide_grid
@@ -427,7 +427,7 @@ def _warnings(
             )
     if solution.rival < 1.3:
         out.append("another place of the projector fits nearly as well: take frames that lean more")
-    over = [e for e in exposures if e.over_exposed]
+    over = [e for e in exposures if e.lost > LOST_MOST]
     if over:
         out.append(
             f"{len(over)} frames over-exposed, up to {100 * max(e.clipped for e in over):.0f} % of the stripes at full "

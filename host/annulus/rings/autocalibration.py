@@ -324,7 +324,11 @@ class _Problem:
         n, inner = len(x), 6 * self.rings
         relative = weight * scale[self.seen.ring] ** 2
         alike = self._alike(relative)
-        matrix, vector = self.normal(weight / alike[self.seen.ring])
+        rest = self.rest.copy()
+        honest = weight / alike[self.seen.ring]
+        self.fit_lumps(honest)  # so that what they may take over is counted with these weights
+        matrix, vector = self.normal(honest)
+        self.rest = rest
         unit = 1.0 / np.sqrt(np.maximum(np.diag(matrix)[:n], 1e-300))
         values, vectors = np.linalg.eigh(matrix[:n, :n] * unit[:, None] * unit)
         if values[0] < SINGULAR:

@@ -5,6 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array, diags_array
+from scipy.sparse.linalg import spsolve
 
 from annulus.geometry.calibration import FineRing
 from annulus.geometry.pose import FloatArray
@@ -64,17 +66,19 @@ def _offsets(seen: Sightings, solution: Solution, directions: int, axial_mm: flo
         if axial_mm > 0:
             rows += [(directions + at, push / slope * a) for at, a in rows]
         size = directions * (2 if axial_mm > 0 else 1)
-        matrix, right = np.zeros((size, size)), np.zeros(size)
         weight = solution.weight[mine] / (solution.sigma_px[k] ** 2 * solution.alike[k])
-        for i, a in rows:
-            np.add.at(right, i, weight * a * solution.error_px[mine])
-            for j, b in rows:
-                np.add.at(matrix, (i, j), weight * a * b)
-        spread = spread_of(matrix[:directions, :directions].sum(axis=1), right[:directions])
+        place = np.tile(np.arange(len(mine)), len(rows))
+        jacobian = csr_array(
+            (np.concatenate([a for _, a in rows]), (place, np.concatenate([at for at, _ in rows]))),
+            shape=(len(mine), size),
+        )
+        weighted = jacobian.T.multiply(weight)
+        matrix, right = (weighted @ jacobian).tocsc(), weighted @ solution.error_px[mine]
+        spread = spread_of(matrix[:directions, :directions].sum(axis=0), right[:directions])
         belief = np.repeat([spread, axial_mm or 1.0], directions)[:size]
-        found = np.linalg.solve(matrix + np.diag(1.0 / belief**2), right)
+        found = spsolve(matrix + diags_array(1.0 / belief**2, format="csc"), right)
         out[k].flat[:size] = found
-        explained[mine] = sum((a * found[i] for i, a in rows), np.zeros(len(mine)))
+        explained[mine] = jacobian @ found
     return out, explained
 
 
