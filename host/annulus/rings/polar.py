@@ -15,8 +15,8 @@ from annulus.rings.compiled import compiled
 from annulus.vocabulary import AnnulusError
 
 ACROSS = 0.85  # standard deviation, in directions, of the average over neighbouring lines: weights 1, 2, 1
-PROBE_LINES, PROBE_PX = 16, 4  # how coarse the first look at a frame is
-LIT, LIT_MARGIN = 0.02, 16  # light is more than this part of the bright level; samples kept around it
+PROBE_LINES, PROBE_PX = 16, 6  # how coarse the first look at a frame is
+LIT, LIT_MARGIN = 0.02, 12  # light is more than this part of the bright level; samples kept around it
 WEAK, RAISED_MOST = 2.5, 4.0  # a channel so many times weaker than the strongest is raised, by so much at most
 RAY_STEP_PX = 4  # rays are tabulated this often: linear interpolation between is good to 5e-6 rad
 TILT = math.radians(4.0)  # how far the head may lean and ..
@@ -165,23 +165,28 @@ def _lit(image: NDArray[np.uint8], grid: PolarGrid) -> tuple[NDArray[np.int32], 
 
 def _level(top: NDArray[np.uint8], stop: NDArray[np.int64]) -> tuple[float, float]:
     """The frame's bright level and noise in grey levels, from every 24th line and every third sample along it."""
-    inside = np.arange(1, top.shape[1], 3) < stop[::24, None]
-    values = top[::24, 1::3][inside]
-    if not values.size:
+    levels, steps = np.zeros(256, np.int64), np.zeros((256, 256), np.int32)
+    _count(top, stop, levels, steps)
+    counted = np.cumsum(levels)
+    if not counted[-1]:
         return 0.0, 0.0
-    counted = np.cumsum(np.bincount(values, minlength=256))
     half, bright = np.searchsorted(counted, (0.5 * counted[-1], 0.95 * counted[-1]))
-    # the darker half of the samples holds few edges
-    step = np.abs(values.astype(np.int16) - top[::24, 0:-1:3][:, : inside.shape[1]][inside])[values <= half]
-    return float(bright), 1.4826 / math.sqrt(2) * _median(step)
-
-
-def _median(steps: NDArray[np.int16]) -> float:
-    """Of whole numbers below 256, as if each were spread evenly over its unit."""
-    counts = np.bincount(steps, minlength=256)
-    counted = np.cumsum(counts)
+    # the darker half of the samples holds few edges; a step of n is anything up to n
+    step = steps[: half + 1].sum(axis=0)
+    counted = np.cumsum(step)
     at = int(np.searchsorted(counted, 0.5 * counted[-1]))
-    return float(max(at - 0.5 + (0.5 * counted[-1] - counted[at] + counts[at]) / counts[at], 0.0))
+    middle = at - 0.5 + (0.5 * counted[-1] - counted[at] + step[at]) / step[at]
+    return float(bright), 1.4826 / math.sqrt(2) * float(max(middle, 0.0))
+
+
+@compiled
+def _count(top, stop, levels, steps):  # type: ignore[no-untyped-def]
+    """Counts of grey levels, (256,), and of steps from the sample before, by level, (256, 256)."""
+    for j in range(0, len(stop), 24):
+        for i in range(1, min(stop[j], top.shape[1]), 3):
+            value = np.int64(top[j, i])
+            levels[value] += 1
+            steps[value, abs(value - np.int64(top[j, i - 1]))] += 1
 
 
 def ring_pixels(camera: Camera, cone: Cone, pose: Pose, radius_mm: float, steps: int = 180) -> FloatArray:

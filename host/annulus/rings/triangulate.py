@@ -82,7 +82,7 @@ def triangulate(slits: Slits, grid: PolarGrid, optics: RingOptics, wanted: NDArr
     cone do not meet."""
     out = np.empty((len(slits.position), len(optics.cones), 3))
     if len(slits.position):
-        usual = float(np.median(slits.width))
+        usual = float(np.partition(slits.width, len(slits.width) // 2)[len(slits.width) // 2])
         width = np.minimum(slits.width, 1.3 * usual)  # a slit in a shadow's edge must not shift itself
         _all_rings(
             slits.direction, slits.position, width, grid.rays, grid.origins, RAY_STEP_PX, optics.cones, optics.bend,
