@@ -6,6 +6,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -30,7 +31,8 @@ pytestmark = pytest.mark.skipif("ANNULUS_IMAGE" in os.environ, reason="another i
 ANNULUS = [sys.executable, "-c", "from annulus.cli import main; main()"]
 LATENCY = 9  # falling edge to lamp, beyond the programmed delay
 SYNC_FROM, SYNC_EVERY = 20_000_000, 4_000_000  # emulate.mjs --serve --sync-hz 25
-BUSY_MS = 400.0
+BUSY_MS = 400.0  # further behind than this the head is no judge of a daemon's progress; of its labels it always is
+PATIENCE_S = 100.0
 
 
 # ---- the board ----
@@ -127,17 +129,18 @@ count = 1
             [*ANNULUS, "daemon", "--config", str(tmp_path / "head.toml")], stderr=subprocess.PIPE, text=True
         )
         assert daemon.stderr is not None
-        heard = []
+        heard, enough, end = [], False, time.monotonic() + PATIENCE_S
         for line in daemon.stderr:
             heard.append(line)
-            if line.startswith("running: ") and int(line.split()[1]) >= 24:
+            enough = line.startswith("running: ") and int(line.split()[1]) >= 24
+            if enough or time.monotonic() > end:
                 daemon.send_signal(signal.SIGINT)
                 break
         heard += daemon.stderr.readlines()
         status, counters = daemon.wait(30), head.counters()
-    if status != 0 and counters["behind_ms"] > BUSY_MS:
+    if not (enough and status == 0) and counters["behind_ms"] > BUSY_MS:
         pytest.skip(f"this machine is too busy: the emulated board fell {counters['behind_ms']:.0f} ms behind")
-    assert status == 0, heard
+    assert enough and status == 0, heard
     assert counters["lamps_on"] == []
     (path,) = (tmp_path / "scans").glob("*.mcap")
     recording = open_recording(path)

@@ -1,6 +1,7 @@
 """From a running head to a flashed one: by PICOBOOT and by the drive, with the controller and the boot ROM scripted."""
 
 import errno
+import json
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,11 +14,15 @@ from scripted_controller import ScriptedController
 from serial.tools import list_ports
 from test_client import far_end, serving
 from test_image import program, uf2
+from typer.testing import CliRunner
 
+from annulus.cli import firmware as cli_firmware
+from annulus.cli.firmware import app
 from annulus.link import firmware
 from annulus.link.firmware import (
     PRODUCT,
     Controller,
+    Flashed,
     board_fields,
     copy_to_drive,
     find_controllers,
@@ -25,7 +30,7 @@ from annulus.link.firmware import (
     flash,
     monitor,
 )
-from annulus.link.image import parse_image
+from annulus.link.image import Image, parse_image
 from annulus.link.messages import (
     SCHEMA_HASH,
     Bootloader,
@@ -285,3 +290,46 @@ def test_a_monitors_rates_are_per_second_and_survive_a_counter_that_wraps() -> N
     line = firmware._counters(counts(30, 70), (100.0, before), 102.0)
     assert (line["edges_per_s"], line["events_per_s"], line["bad_frames_per_s"]) == (25.0, 38.0, 0.0)
     assert (line["state"], line["frame_period_us"]) == (["synced"], 40_000.0)
+
+
+# ---- the command ----
+
+
+def annulus(*arguments: str) -> str:
+    result = CliRunner().invoke(app, list(arguments))
+    if isinstance(result.exception, AnnulusError):
+        raise result.exception
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+def test_an_image_is_described_for_people_and_programs(tmp_path: Path) -> None:
+    path = tmp_path / "annulus.uf2"
+    path.write_bytes(bytes(uf2(program(2048))))
+    said = json.loads(annulus("info", str(path), "--json"))
+    assert (said["git"], said["board"], said["bytes"], said["fits_this_host"]) == ("deadbeef", "rp2040", 2048, True)
+    assert said["controllers"] == []
+    assert "0.1.0" in annulus("info", str(path))
+    with pytest.raises(AnnulusError, match="expected one of them"):
+        annulus("info", str(path), "--port", "/dev/null")
+
+
+def test_a_foreign_image_needs_force_and_no_file_says_how_to_build_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "blink.uf2"
+    path.write_bytes(bytes(uf2(program(said=b"blink\0"))))
+    flashed: list[str] = []
+
+    def instead(image: Image, **_: object) -> Flashed:
+        flashed.append(image.name)
+        return Flashed(image.name, "", 0, "", "", True, None)
+
+    monkeypatch.setattr(firmware, "flash", instead)
+    with pytest.raises(AnnulusError, match="no annulus firmware"):
+        annulus("flash", str(path))
+    annulus("flash", str(path), "--force")
+    assert flashed == [str(path)]
+    monkeypatch.setattr(cli_firmware, "BUILT", tmp_path / "none.uf2")
+    with pytest.raises(AnnulusError, match="make firmware"):
+        annulus("flash")
