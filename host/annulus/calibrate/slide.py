@@ -16,6 +16,7 @@ from annulus.vocabulary import AnnulusError
 INCH_MM = 25.4
 BORDER_MM = 8.0  # of paper around the black, for marks
 MARK_MM = 5.0
+ABOVE_MM, BELOW_MM = 3.0, 4.0  # more of it, for words and the scale
 INK = {"R": "#ff0000", "G": "#00ff00", "B": "#0000ff"}
 
 
@@ -48,11 +49,11 @@ def _slide(pattern: Pattern, focal_mm: float) -> Figure:
     reach = stripes[-1][2]
     half = 1.15 * reach + 1.0  # black around the pattern, or light passes beside it
     size = 2 * (half + BORDER_MM)
-    figure = Figure(figsize=(size / INCH_MM, (size + 4) / INCH_MM))
+    figure = Figure(figsize=(size / INCH_MM, (size + BELOW_MM + ABOVE_MM) / INCH_MM))
     FigureCanvasAgg(figure)
     axes = figure.add_axes((0, 0, 1, 1))
     axes.set_xlim(-size / 2, size / 2)
-    axes.set_ylim(-size / 2 - 4, size / 2)
+    axes.set_ylim(-size / 2 - BELOW_MM, size / 2 + ABOVE_MM)
     axes.set_aspect("equal")
     axes.axis("off")
     axes.add_patch(Rectangle((-half, -half), 2 * half, 2 * half, facecolor="black", linewidth=0))
@@ -70,8 +71,12 @@ def _slide(pattern: Pattern, focal_mm: float) -> Figure:
     for x in range(-int(bar / 2), int(bar / 2) + 1):
         axes.plot([x, x], [low, low + (1.0 if abs(x) == int(bar / 2) else 0.5)], **_hair())
     axes.text(0, low - 0.5, f"{bar:g} mm", ha="center", va="top", fontsize=4)
-    text = f"{pattern.colours}   n = {pattern.word}   f = {focal_mm:g} mm   r = {stripes[0][1]:.3f} .. {reach:.3f} mm"
-    axes.text(0, size / 2 - 0.6, text, ha="center", va="top", fontsize=min(4.0, 0.11 * size))
+    lines = (
+        f"{pattern.colours}   n = {pattern.word}",
+        f"lens f = {focal_mm:g} mm   radii {stripes[0][1]:.3f} to {reach:.3f} mm   print at 100 %",
+    )
+    point = (size - 2) / (0.6 * 0.353 * max(map(len, lines)))  # a letter is some 0.6 of its size wide
+    axes.text(0, size / 2 + ABOVE_MM - 0.6, "\n".join(lines), ha="center", va="top", fontsize=min(4.0, point))
     return figure
 
 

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -105,25 +106,32 @@ class Pattern:
 
 
 def de_bruijn(letters: str, word: int) -> str:
-    """The cyclic sequence of k^n letters in which every word of n letters occurs once: the Lyndon words whose length
-    divides n, in order (Fredricksen, Kessler, Maiorana). Alzuhiri 2022, §3.2.2."""
-    k = len(letters)
-    out: list[int] = []
-    word_now = [0] * (word + 1)
+    """A cyclic sequence of k^n letters in which every word of n letters occurs once (Alzuhiri 2022, §3.2.2).
 
-    def grow(length: int, period: int) -> None:
-        if length > word:
-            if word % period == 0:
-                out.extend(word_now[1 : period + 1])
-            return
-        word_now[length] = word_now[length - period]
-        grow(length + 1, period)
-        for letter in range(word_now[length - period] + 1, k):
-            word_now[length] = letter
-            grow(length + 1, length)
-
-    grow(1, 1)
-    return "".join(letters[i] for i in out)
+    Words are the edges between shorter words, the sequence a closed walk over all of them. With three letters it
+    begins with the sequence for n - 1, so that its first stripes can be told apart by shorter words already.
+    """
+    if word == 1:
+        return letters
+    for first in (de_bruijn(letters, word - 1), ""):
+        start = first[: word - 1] or letters[0] * (word - 1)
+        used = {(first + first)[i : i + word] for i in range(len(first))}
+        walk, node = [], start
+        left = {"".join(w) for w in product(letters, repeat=word)} - used
+        ahead: list[tuple[str, str]] = [(start, "")]
+        while ahead:  # Hierholzer: go on while there is a way, then back, writing down
+            node = ahead[-1][0]
+            way = next((node + c for c in reversed(letters) if node + c in left), None)
+            if way is None:
+                walk.append(ahead.pop()[1])
+            else:
+                left.remove(way)
+                ahead.append((way[1:], way[-1]))
+        if not left:
+            turned = first[word - 1 :] + first[: word - 1]
+            both = turned + "".join(reversed(walk))
+            return both[-(word - 1) :] + both[: -(word - 1)]
+    raise AssertionError("the graph of all words is connected")
 
 
 def stripe_colours(letters: str, word: int, stripes: int | None = None) -> str:
@@ -188,7 +196,7 @@ def design(
         )
     if outer > widest * (1 + 1e-9):
         raise AnnulusError(
-            f"the outermost stripe, {2 * math.degrees(outer):.1f} deg, leaves the image in a {head.least_mm:g} mm pipe: "
+            f"the outermost stripe, {2 * math.degrees(outer):.1f} deg, leaves the image at {head.least_mm:g} mm: "
             f"the camera may be {_distance_limit(head, outer):.1f} mm from the projector, it is {head.distance_mm:g} "
             f"(Eq. 3.2). Bring it nearer, or end the pattern at {2 * math.degrees(widest):.1f} deg."
         )
