@@ -77,9 +77,9 @@ def write_results(
     shaken = None
     if vibration:
         profiles, shaken = without_vibration(profiles, fps)
-    wall = build_wall(profiles)
-    narrowest = min(cone.half_angle for cone in calibration.rings)
-    places = find_defects(wall, blind_ratio=1.0 / math.tan(narrowest))
+    narrowest, widest = calibration.rings[0].half_angle, calibration.rings[-1].half_angle
+    wall = build_wall(profiles, rise=math.tan(widest))
+    places = find_defects(wall, blind_ratio=1.0 / math.tan(narrowest), blind_least=1.0 / math.tan(widest))
     scores = truth(profiles, places.defects) if callable(truth) else truth
     stations = measure_stations(wall)
     texture = paint(wall, calibration, profiles, led_frames)

@@ -6,7 +6,7 @@ about; both limits are written into every report. Nothing here knows which defec
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -25,6 +25,7 @@ BAND_EDGES, BAND_ASPECT = 3.5, 4.0  # and what a band is: so many edge blurs lon
 RIPPLE_EDGES = 1.5  # how far from a step, and how long, its swing to the other side may be, in edge blurs
 LOOK_POINTS = 3  # of one ring in one frame on a place, for it to be a look at it
 DEEP = 0.8  # of its depth: the cells of a place that show how deep it is
+WIDE_ENOUGH = 0.15  # of its widest row: a row of a place that counts for its length
 LEVELS = 24  # how finely the surface is sliced when asked whether a place is one defect or several
 
 
@@ -63,6 +64,7 @@ class Defect:
     departure of a diameter from the mean diameter. clock_deg of an ovality is its long axis. Where floor_seen
     is False the bottom of a loss (or a bump's crest) lies in shadow or is too small, and depth_mm is a lower limit.
     depth_k2_mm is its expanded uncertainty, k = 2 (about 95 %); NaN where the points say nothing of theirs.
+    hidden_mm is how much of length_mm, typically, nobody saw because a rim or a crest keeps the light away (Eq. 3.24).
     """
 
     kind: Kind
@@ -74,6 +76,7 @@ class Defect:
     area_mm2: float
     floor_seen: bool = True
     depth_k2_mm: float = math.nan
+    hidden_mm: float = 0.0
 
     @property
     def clock(self) -> str:
@@ -117,14 +120,16 @@ def clock_face(angle_deg: float) -> str:
     return f"{ticks // 12 or 12}:{ticks % 12 * 5:02d}"
 
 
-def find_defects(wall: Wall, *, blind_ratio: float, limits: Limits | None = None) -> Findings:
+def find_defects(
+    wall: Wall, *, blind_ratio: float, blind_least: float | None = None, limits: Limits | None = None
+) -> Findings:
     """Losses, bumps and out-of-round stretches of the wall.
 
     Parameters
     ----------
     wall : the grid with its shape and noise.
     blind_ratio : length hidden behind a step over the step's height, cot of the smallest ring half-angle
-        (Alzuhiri 2022, Eq. 3.24).
+        (Alzuhiri 2022, Eq. 3.24). blind_least : the same for the largest one; blind_ratio if not given.
     limits : what counts; the defaults hold for any pipe.
 
     Notes
@@ -156,11 +161,14 @@ def find_defects(wall: Wall, *, blind_ratio: float, limits: Limits | None = None
         depth, floor_seen, cells = _depth(one)
         core = _without_holes(one.mask & (one.height >= limits.extent_of_depth * depth))
         deepest = depth if floor_seen else limits.hidden_of_radius * radius
-        whole = _with_shadow(_Place(one.kind, core, one.height), unseen, blind_ratio, wall.z_step_mm, deepest)
+        ratios = (blind_ratio if blind_least is None else blind_least, blind_ratio)
+        whole = _with_shadow(_Place(one.kind, core, one.height), unseen, ratios, wall.z_step_mm, deepest)
+        dark = (whole & unseen).sum(axis=0)[whole.any(axis=0)] * wall.z_step_mm
         footprint = [max(1, round(limits.edge_of_radius * radius / size)) for size in cell]
         form = max(depth - _over_footprint(one, cells, footprint), 0.0)
         k2 = math.hypot(_expanded(wall, cells & (one.height >= DEEP * depth)), 2.0 * form)
-        found.append((_measure(one.kind, whole, depth, floor_seen, k2, wall, cell), whole))
+        defect = _measure(one.kind, whole, depth, floor_seen, k2, wall, cell)
+        found.append((replace(defect, hidden_mm=float(np.median(dark))), whole))
     found += [(defect, np.zeros(residual.shape, dtype=bool)) for defect in _oval_stretches(wall, limits)]
     found.sort(key=lambda item: (item[0].z_mm, item[0].clock_deg))
     for i, (_, place) in enumerate(found):
@@ -405,9 +413,13 @@ def _is_ripple(small: _Place, large: _Place, cell: tuple[float, float], edge_mm:
     return bool(short and small.kind is not large.kind and _depth(small)[0] < 0.6 * _depth(large)[0])
 
 
-def _with_shadow(place: _Place, unseen: BoolArray, blind_ratio: float, z_step: float, deepest_mm: float) -> BoolArray:
+def _with_shadow(
+    place: _Place, unseen: BoolArray, blind_ratios: tuple[float, float], z_step: float, deepest_mm: float
+) -> BoolArray:
     """The place with what it hides from a sensor that looks along +z.
 
+    A loss begins between the last place seen before it and where the light of the widest ring that reaches its floor
+    came over the rim: halfway is taken. A slit has a width, so the wall is not seen right up to the rim.
     deepest_mm : how deep a loss may be. Its measured height when its floor was seen; more when only its far edge was.
     """
     whole = place.mask.copy()
@@ -419,10 +431,12 @@ def _with_shadow(place: _Place, unseen: BoolArray, blind_ratio: float, z_step: f
         rows = np.flatnonzero(place.mask[:, column])
         depth = max(float(place.height[rows, column].max()), 0.0)
         if place.kind is Kind.LOSS:
-            reach = int(np.ceil(max(depth, deepest_mm) * blind_ratio / z_step)) + 2
+            reach = int(np.ceil(max(depth, deepest_mm) * blind_ratios[1] / z_step)) + 2
             run = unseen[max(0, rows[0] - reach) : rows[0], column][::-1]
             # Unseen up to the limit and beyond is no shadow of this rim alone (a rod, the end of the scan).
-            before[int(column)] = 0 if run.all() else int(np.argmin(run))
+            gap = 0 if run.all() else int(np.argmin(run))
+            lit = min(int(depth * blind_ratios[0] / z_step), gap)
+            before[int(column)] = (gap + lit) // 2
         else:
             behind = unseen[rows[-1] + 1 : max(mirrored, rows[-1]) + 1, column]
             hidden = int(np.argmin(behind)) if not behind.all() else len(behind)
@@ -481,7 +495,8 @@ def _expanded(wall: Wall, cells: BoolArray) -> float:
 def _measure(
     kind: Kind, whole: BoolArray, depth: float, floor_seen: bool, k2: float, wall: Wall, cell: tuple[float, float]
 ) -> Defect:
-    rows = np.flatnonzero(whole.any(axis=1))
+    wide = whole.sum(axis=1)
+    rows = np.flatnonzero(wide >= WIDE_ENOUGH * wide.max())
     z0, z1 = wall.z_mm[rows[0]] - wall.z_step_mm / 2, wall.z_mm[rows[-1]] + wall.z_step_mm / 2
     start, arc = _arc(np.asarray(whole.any(axis=0)), wall.clock_step_deg)
     arc = 360.0 if arc >= ALL_ROUND_DEG else arc  # what is left is a rod's shadow

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from annulus.geometry.pose import FloatArray
+from annulus.rings.blind import STEP_MM, between_levels
 from annulus.rings.profile import Profile
 from annulus.vocabulary import AnnulusError
 
@@ -24,7 +25,7 @@ POINTS_A_CELL = 1.5  # wanted on average: fewer leave holes by chance, more wast
 ROWS_MAX = 40_000  # bounds memory on very long scans: 40 000 x 360 cells
 BRIDGE_OF_RADIUS = 0.08  # longest sampling gap interpolated over, as a part of the radius (6 mm in a 6-inch pipe)
 STATION_SEEN = 0.5  # the scan starts and ends where half of the circle was seen: tilted rings leave ragged ends
-BRIDGE_STEP_MM = 0.75  # a greater step in radius across a gap is a shadow edge, not a sampling gap
+BRIDGE_STEP_MM = 0.75  # a greater step in radius across a gap is an edge, not a sampling gap
 NOISE_FLOOR_MM = 0.02  # no instrument of this kind is better
 NOISE_LAG = 8  # columns; noise is alike over a few degrees, for lines are averaged with their neighbours
 LOOK_SMOOTHED = 0.7  # of a ring's noise is left by smoothing over three degrees: neighbour lines share most of theirs
@@ -108,13 +109,14 @@ def harmonics(clock_deg: FloatArray) -> FloatArray:
     return np.stack([np.ones_like(t), np.cos(t), np.sin(t), np.cos(2 * t), np.sin(2 * t)], axis=1)
 
 
-def build_wall(profiles: Sequence[Profile], *, z_step_mm: float | None = None) -> Wall:
+def build_wall(profiles: Sequence[Profile], *, z_step_mm: float | None = None, rise: float | None = None) -> Wall:
     """Grid the points of all profiles and fit the pipe's own shape.
 
     Parameters
     ----------
     profiles : any order; those without a pose or points are passed over.
     z_step_mm : row length; chosen from the density of points when not given.
+    rise : tangent of the widest ring's half-angle, so that what a step hides is told from what lies behind it.
 
     Raises
     ------
@@ -153,6 +155,9 @@ def build_wall(profiles: Sequence[Profile], *, z_step_mm: float | None = None) -
     grid, count = _cell_medians(cell, radius, (rows, columns))
     keep = _supported(grid, cell, radius)
     grid, count = _cell_medians(cell[keep], radius[keep], (rows, columns))
+    if rise is not None:
+        keep &= ~between_levels(grid, step, rise).ravel()[cell]
+        grid, count = _cell_medians(cell[keep], radius[keep], (rows, columns))
     sigma = np.concatenate([p.sigma_mm for p in used]).astype(np.float64)[finite][inside]
     stated = keep & np.isfinite(sigma)
     errors, _ = _cell_medians(cell[stated], sigma[stated], (rows, columns))
@@ -252,7 +257,8 @@ def _bridge(grid: FloatArray, cells: float, *, wrap: bool) -> FloatArray:
     near = ~ok & (before >= 0) & (after < n) & (gap <= cells)
     r0 = np.take_along_axis(work, before.clip(0, n - 1), axis=0)
     r1 = np.take_along_axis(work, after.clip(0, n - 1), axis=0)
-    near &= np.abs(np.where(near, r1 - r0, np.inf)) <= BRIDGE_STEP_MM
+    rise = np.where(near, r1 - r0, np.inf)
+    near &= (rise >= -BRIDGE_STEP_MM) & (rise <= (BRIDGE_STEP_MM if wrap else STEP_MM))  # light comes along the pipe
     weight = (index - before) / np.maximum(gap, 1)
     out = np.where(near, r0 + weight * (r1 - r0), work)
     return out[reach:-reach] if wrap else out
