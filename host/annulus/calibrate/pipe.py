@@ -15,7 +15,7 @@ from annulus.geometry.camera import Camera
 from annulus.geometry.pose import FloatArray, Pose
 from annulus.record.calibration_file import load_part, update_calibration
 from annulus.record.scan import Image, open_scan
-from annulus.rings.autocalibration import HeldOut, Sightings, Solution, calibrate, hold_out, sight, with_frame
+from annulus.rings.autocalibration import Measured, Sightings, Solution, calibrate, hold_out, sight, with_frame
 from annulus.rings.diagnosis import LOST_MOST, Exposure, diagnose
 from annulus.rings.fine import fine_rings, tune
 from annulus.rings.polar import ring_pixels
@@ -32,7 +32,7 @@ GOOD_ANGLE_DEG, GOOD_VERTEX = 0.02, 0.001  # of the full angle; of the radius: k
 USELESS = 0.03  # of the radius: a vertex known no better than this is not known
 ALIKE_DEG, ALIKE_SHIFT = 1.0, 0.02  # leans and stands (of the radius) within so much of each other are one
 FOLDS = 4
-HELD_EVERY = 2  # sightings: as many as the held-out error needs
+HELD_EVERY = 3  # sightings: as many as the held-out error needs
 TUNING_WINS = 0.97  # fine-tuning is kept if it brings the held-out error down to this part at most
 OTHER_PIPE = 0.004  # of the radius: a frame's pipe this much off is another pipe
 OTHER_DISTANCE = 0.01  # of the distance camera - projector: farther from the last calibration's, it is said
@@ -45,8 +45,8 @@ class PipeCalibration:
     calibration: Calibration
     solution: Solution
     seen: Sightings
-    held_out: HeldOut | None  # None with fewer than three frames: nothing is left to hold out
-    tuned_held_out: HeldOut | None  # the same after fine-tuning
+    held_out: Measured | None  # None with fewer than three frames: nothing is left to hold out
+    tuned_held_out: Measured | None  # the same after fine-tuning
     frames: tuple[int, ...]  # scan indices of the frames used
     left_out: dict[int, str]  # scan index -> why
     found: int  # projector frames in the scan
@@ -387,7 +387,7 @@ def _best_lean(camera: Camera, solution: Solution, radius: float) -> tuple[str, 
 
 def _warnings(
     solution: Solution,
-    held: HeldOut | None,
+    held: Measured | None,
     frames: Sequence[int],
     radius: float,
     last_radius: float | None,

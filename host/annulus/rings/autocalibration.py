@@ -6,7 +6,7 @@ cost in angles or in millimetres weighs the far, badly seen wall most and, under
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -368,15 +368,36 @@ class _Problem:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class HeldOut:
-    """How well rings measure the pipe in frames that had no part in finding them."""
+class Measured:
+    """A pipe as rings measure it, frame by frame, the poses as found from the rings."""
 
-    off_mm: FloatArray  # (N,) wall's radius less the pipe's at each sighting; NaN where it has no weight
-    off_radius_mm: FloatArray  # (F,) the same for each frame's pipe as a whole, its pose free, and ..
+    error_px: FloatArray  # (N,) where each slit was seen less where it should be; NaN where it has no weight, and ..
+    off_mm: FloatArray  # (N,) .. the wall's radius less the pipe's there
+    off_radius_mm: FloatArray  # (F,) the same for each frame's pipe as a whole, and ..
     sigma_mm: FloatArray  # (F,) .. its standard deviation
 
     def rms_mm(self, which: NDArray[np.bool_] | slice = slice(None)) -> float:
         return float(np.sqrt(np.nanmean(self.off_mm[which] ** 2)))
+
+
+def measure(seen: Sightings, solution: Solution, poses: Sequence[Pose], offsets: FloatArray | None = None) -> Measured:
+    """Measure frames with a solution's rings, starting from `poses` of them. offsets : (K, 2, n), see `calibrate`."""
+    rings, frames = len(solution.rings), len(poses)
+    fine = np.zeros((rings, 2, 0)) if offsets is None else offsets
+    px, mm, of_frame, sigma = (np.full(n, np.nan) for n in (len(seen), len(seen), frames, frames))
+    for j, pose in enumerate(poses):
+        mine = np.flatnonzero(seen.frame == j)
+        one = replace(seen.take(mine), frame=np.zeros(len(mine), np.int64))
+        problem = _Problem(one, rings, 1, solution.radius_mm, fine, solution.blur_px2)
+        problem.descend(_pack(replace(solution, poses=(pose,))), robust=False, settled=SETTLED, poses_only=True)
+        weight, _ = problem.weights(problem.spread(), robust=False)
+        px[mine] = np.where(weight > 0, problem.error, np.nan)
+        mm[mine] = px[mine] / problem.rows[:, 11]
+        matrix, vector = problem.normal(weight / solution.alike[one.ring])
+        own = [*range(6 * rings, 6 * rings + 4), 6 * rings + 5]
+        cover = np.linalg.inv(matrix[np.ix_(own, own)])
+        of_frame[j], sigma[j] = (cover @ vector[own])[4], math.sqrt(cover[4, 4])
+    return Measured(px, mm, of_frame, sigma)
 
 
 def hold_out(
@@ -386,43 +407,35 @@ def hold_out(
     *,
     fit: Callable[[Sightings, Solution], tuple[Solution, FloatArray]] | None = None,
     progress: Callable[[int, int], None] | None = None,
-) -> HeldOut:
+) -> Measured:
     """Calibrate `folds` times, each time without one part of the frames, and measure the pipe in those.
 
-    The frames held out get their poses as when measuring, from the rings. `fit` goes on from a part's solution and
-    adds what the rings are off their cones, (K, 2, n), as `fine.tune` does.
+    `fit` goes on from a part's solution and adds what the rings are off their cones, (K, 2, n), as `fine.tune` does.
     """
-    rings, frames = len(solution.rings), len(solution.poses)
-    off, of_frame, sigma = np.full(len(seen), np.nan), np.full(frames, np.nan), np.full(frames, np.nan)
+    frames = len(solution.poses)
+    out = Measured(*(np.full(n, np.nan) for n in (len(seen), len(seen), frames, frames)))
     part = np.arange(frames) % folds
     for fold in range(folds):
-        kept, out = np.flatnonzero(part != fold), np.flatnonzero(part == fold)
-        renumbered = np.full(frames, -1)
-        renumbered[kept] = np.arange(len(kept))
-        inside = np.flatnonzero(np.isin(seen.frame, kept))
-        few = seen.take(inside)
-        few = replace(few, frame=renumbered[few.frame])
-        start = replace(solution, poses=tuple(solution.poses[j] for j in kept))
-        found = calibrate(few, solution.radius_mm, start=start, blur_px2=solution.blur_px2)
-        fine = np.zeros((rings, 2, 0))
-        if fit is not None:
-            found, fine = fit(few, found)
-        for j in out:
-            mine = np.flatnonzero(seen.frame == j)
-            one = replace(seen.take(mine), frame=np.zeros(len(mine), np.int64))
-            problem = _Problem(one, rings, 1, solution.radius_mm, fine, solution.blur_px2)
-            x = _pack(replace(found, poses=(solution.poses[j],)))
-            _, x = problem.descend(x, robust=False, settled=SETTLED, poses_only=True)
-            scale = problem.spread()
-            weight, _ = problem.weights(scale, robust=False)
-            off[mine] = np.where(weight > 0, problem.error / problem.rows[:, 11], np.nan)
-            matrix, vector = problem.normal(weight / solution.alike[one.ring])
-            own = [*range(6 * rings, 6 * rings + 4), 6 * rings + 5]
-            cover = np.linalg.inv(matrix[np.ix_(own, own)])
-            of_frame[j], sigma[j] = (cover @ vector[own])[4], math.sqrt(cover[4, 4])
+        found, fine = None, None
+        for chosen in (np.flatnonzero(part != fold), np.flatnonzero(part == fold)):
+            number = np.full(frames, -1)
+            number[chosen] = np.arange(len(chosen))
+            mine = np.flatnonzero(number[seen.frame] >= 0)
+            few = seen.take(mine)
+            few = replace(few, frame=number[few.frame])
+            poses = tuple(solution.poses[j] for j in chosen)
+            if found is None:
+                start = replace(solution, poses=poses)
+                found = calibrate(few, solution.radius_mm, start=start, blur_px2=solution.blur_px2)
+                if fit is not None:
+                    found, fine = fit(few, found)
+            else:
+                one = measure(few, found, poses, fine)
+                out.error_px[mine], out.off_mm[mine] = one.error_px, one.off_mm
+                out.off_radius_mm[chosen], out.sigma_mm[chosen] = one.off_radius_mm, one.sigma_mm
         if progress is not None:
             progress(fold + 1, folds)
-    return HeldOut(off, of_frame, sigma)
+    return out
 
 
 def wall_points(seen: Sightings, solution: Solution) -> FloatArray:
