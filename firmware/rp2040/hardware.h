@@ -26,6 +26,17 @@ void system_sleep(void);
 // Raw falling edges of the sync input so far, as the pins' interrupt counted them; `accepted` corrects it upwards.
 uint32_t system_sync_edges(uint32_t accepted);
 
+// Around what must not be interrupted; never nested.
+static inline void interrupts_off(void)
+{
+    __asm volatile("cpsid i" ::: "memory");
+}
+
+static inline void interrupts_on(void)
+{
+    __asm volatile("cpsie i" ::: "memory");
+}
+
 // Give a pin to a peripheral, with this pad.
 void pin_use(uint32_t pin, uint32_t function, uint32_t pad);
 

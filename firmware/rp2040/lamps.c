@@ -326,7 +326,9 @@ void lamps_start(void)
     REGISTER(PIO_INSTRUCTION(PIO0, SYNC_MACHINE)) = FLAG_SET(LOOK);
     REGISTER(PIO_INSTRUCTION(PIO0, SYNC_MACHINE)) = JMP(HIGH);
     start_rings();
+    interrupts_off();  // one between tick and start would put every stamp wrong
     lamps.start = board_tick();
     SET_BITS(PIO_CTRL(PIO0)) = PIO_MACHINE(SYNC_MACHINE) | PIO_MACHINE(LAMP_MACHINE);
+    interrupts_on();
     lamps.start += STAMP_OFFSET;
 }

@@ -103,8 +103,10 @@ static void start_guard(void)
     execute(GUARD_MACHINE, MOV_X_OSR);
     train.credits = 0;
     lay_out_credit();
+    interrupts_off();
     train.guarded = board_tick();
     execute(GUARD_MACHINE, JMP(GUARD_WATCH));
+    interrupts_on();
 }
 
 // When GUARD cut, by its own count, and why.
@@ -302,8 +304,10 @@ bool board_burst(const board_burst_t* const burst, uint32_t* const start)
     train.period = burst->period_ticks;
     train.stopping = false;
     train.running = true;
+    interrupts_off();  // one between tick and start would make the tick a lie
     *start = board_tick();
     SET_BITS(PIO_CTRL(PIO1)) = PIO_MACHINE(CHIP_MACHINE) | PIO_MACHINE(TRIGGER_MACHINE);
+    interrupts_on();
     *start += START_OFFSET + LEAD_TICKS + before;
     train.end = *start + train.busy_ticks;
     train.busy_ticks += before;

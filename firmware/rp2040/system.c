@@ -161,7 +161,7 @@ void board_bootloader(void)
     typedef void* (*lookup_t)(const uint16_t* table, uint32_t code);
     typedef void (*reset_to_usb_boot_t)(uint32_t activity_pins, uint32_t disabled_interfaces);
     outputs_off();
-    __asm volatile("cpsid i");
+    interrupts_off();
     REGISTER(WATCHDOG_SCRATCH2) = SCRATCH_MAGIC | ENDED_BY_HOST;
     const lookup_t lookup = (lookup_t)(uintptr_t)rom_lookup;
     const uint16_t* const functions = (const uint16_t*)(uintptr_t)rom_functions;

@@ -23,6 +23,7 @@ from annulus.link.messages import (
     ArmFlag,
     Burst,
     BurstCode,
+    BurstReply,
     Clear,
     Commit,
     Edge,
@@ -218,6 +219,33 @@ def test_a_megabyte_from_the_controller_arrives_whole(board: EmulatedBoard) -> N
     assert board.bad == 0
 
 
+def test_what_fills_its_last_packet_is_not_kept_waiting_for_more(board: EmulatedBoard) -> None:
+    """The host's driver waits for a short packet: an empty one has to follow a whole one when nothing else does."""
+    board.plug_in()
+    board.over_usb = True
+    arm(board, period=200_000, delay=30_000, width=20_000)
+    for i in range(60):
+        board.pulse(board.now + MS + 200_000 * i)
+    board.run_alive(board.now + 130 * MS)
+    sizes = [
+        len(encode(Frame(event, sequence, boot=1)))
+        for event, sequence in zip(board.events, board.event_sequences, strict=True)
+    ]
+    answer = 11  # bytes of the reply on the wire
+    whole = [
+        (first, count)
+        for first in range(max(0, len(sizes) - 64), len(sizes))
+        for count in range(1, len(sizes) - first + 1)
+        if (answer + sum(sizes[first : first + count])) % 64 == 0
+    ]
+    assert whole
+    for first, count in whole[:10]:
+        board.events.clear()
+        board.request(Reread(first=board.event_sequences[first], count=count))
+        board.run(board.now + 20 * MS)
+        assert len(board.events) == count
+
+
 def test_no_jitter_while_usb_is_busy_both_ways_and_a_train_runs(board: EmulatedBoard) -> None:
     board.plug_in()
     period, delay, width = 200_000, 30_000, 20_000
@@ -249,6 +277,26 @@ def test_no_jitter_while_usb_is_busy_both_ways_and_a_train_runs(board: EmulatedB
     status = board.request(Status())
     assert isinstance(status, StatusReply)
     assert (status.edges, status.late, status.bad_frames) == (len(edges), 0, 0)
+
+
+def test_a_train_begins_when_its_reply_says_however_busy_the_lines_are(board: EmulatedBoard) -> None:
+    board.identify()
+    board.plug_in()
+    arm(board, ArmFlag.MICROWAVE)
+    rng = random.Random(3)
+    for _ in range(60):
+        board.transitions.clear()
+        board.over_usb = False
+        board.write(rng.randbytes(80))  # bytes that interrupt at every moment
+        board.over_usb = True
+        board.run(board.now + rng.randrange(20_000))
+        board.pulse(board.now + rng.randrange(1, 20_000), low=100)
+        burst = Burst(code=BurstCode.SINGLE, chip=100, repeat=1, period=10_000, trigger_offset=0)
+        reply = board.request(burst)
+        assert isinstance(reply, BurstReply)
+        assert reply.status == StatusCode.OK
+        board.run(board.now + MS)
+        assert [tick - board.origin for tick in board.rises(MICROWAVE)] == [reply.start]
 
 
 # ---- plug, bus, and the other line ----

@@ -122,6 +122,9 @@ export class Machine {
     core.registers[15] = BOOT2_AT;
     this.heldUntil = this.now + BOOT_ROM_TICKS;
     this.nextDue = 0;
+    this.systickOn = false;
+    this.systickReload = 0;
+    this.systickFrom = 0;
     this.tickOrigin = undefined;
   }
 
@@ -239,7 +242,10 @@ export class Machine {
     const { chip } = this;
     if (!this.isTransferring) this.tickClock();
     if (address >>> 12 === 0xe000e) {
-      if (address === 0xe000e018) this.tickOrigin ??= this.now; // the controller's tick 0
+      if (address === 0xe000e018) {
+        this.tickOrigin ??= this.now; // the controller's tick 0
+        return this.systick();
+      }
       return chip.ppb.readUint32(address & 0xfff);
     }
     if (address >>> 16 === 0xd000) {
@@ -271,7 +277,12 @@ export class Machine {
     const { chip } = this;
     if (!this.isTransferring) this.tickClock();
     this.nextDue = 0;
-    if (address >>> 12 === 0xe000e) return chip.ppb.writeUint32(address & 0xfff, value);
+    if (address >>> 12 === 0xe000e) {
+      if (address === 0xe000e010) return this.setSystick(value);
+      if (address === 0xe000e014) return (this.systickReload = value & 0xffffff);
+      if (address === 0xe000e018) return (this.systickFrom = this.now); // any write makes it zero
+      return chip.ppb.writeUint32(address & 0xfff, value);
+    }
     if (address >>> 16 === 0xd000) return chip.sio.writeUint32(address & 0xffff, value);
     const offset = address & 0xfff;
     const kind = (address >>> 12) & 3;
@@ -314,6 +325,19 @@ export class Machine {
       }
     }
     chip.findPeripheral(address).writeUint32Atomic(offset, value, kind);
+  }
+
+  // Counts down from its reload value to 0, reload + 1 cycles a turn; rp2040js drops one of them.
+  systick() {
+    if (!this.systickOn) fault('SysTick read while it stands still');
+    const turn = this.systickReload + 1;
+    return (turn - ((this.now - this.systickFrom) % turn)) % turn;
+  }
+
+  setSystick(value) {
+    if (value & 1 && (value & 7) !== 5) fault('SysTick from another clock than clk_sys, or with its interrupt, is not modelled');
+    if (value & 1 && !this.systickOn) this.systickFrom = this.now;
+    this.systickOn = (value & 1) === 1;
   }
 
   setResets(value) {

@@ -1,0 +1,115 @@
+"""Lamps of the shipped image over 200 000 edges, read off its pins: `python tools/bench/bench_emulator.py [EDGES]`.
+
+Needs `make firmware emulator`. 500 Hz, the fastest there is, R = 4, a burst train beside it, and one line flooded both
+ways: the serial one in four parts, then USB with a tenth of the edges. Two processes at a time; some ten minutes.
+"""
+
+import random
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests/emulator"))
+
+from emulated import (
+    BOOTED,
+    IMAGE,
+    LED,
+    MICROWAVE,
+    MS,
+    PROJECTOR,
+    SYNC,
+    EmulatedBoard,
+    configuration,
+)
+
+from annulus.link.codec import Frame, encode
+from annulus.link.messages import Arm, ArmFlag, Burst, BurstCode, BurstReply, Commit, Status, StatusCode
+
+PERIOD, DELAY, WIDTH = 200_000, 30_000, 20_000  # ticks
+CHIP, TRAIN = 50, 70_000
+AT_ONCE = 250  # edges a step
+
+
+@dataclass
+class Seen:
+    """Smallest and largest of what was measured, in ticks."""
+
+    least: int = 1 << 62
+    most: int = -(1 << 62)
+
+    def add(self, value: int) -> None:
+        self.least, self.most = min(self.least, value), max(self.most, value)
+
+    def __str__(self) -> str:
+        return f"{self.least}..{self.most}"
+
+
+def measure(line: str, part: int, edges: int) -> str:
+    """One row of the table."""
+    board = EmulatedBoard(IMAGE)
+    board.run(BOOTED)
+    if line == "USB":
+        board.plug_in()
+    board.identify()
+    outputs = ArmFlag.LAMPS | ArmFlag.MICROWAVE
+    for command in (configuration(period=PERIOD, delay=DELAY, width=WIDTH), Commit(generation=1), Arm(outputs=outputs)):
+        board.request(command)
+    rng = random.Random(part)
+    latency, width, grid = Seen(), Seen(), Seen()
+    wrong = fired = train = 0
+    begun, busy = time.monotonic(), board.now
+    bytes_out = 0
+    first = board.now + MS
+    for begin in range(0, edges, AT_ONCE):
+        board.transitions.clear()
+        started = board.request(
+            Burst(code=BurstCode.MPSL25, chip=CHIP, repeat=60_000, period=TRAIN, trigger_offset=-25)
+        )
+        if isinstance(started, BurstReply) and started.status == StatusCode.OK:  # else the last one still runs
+            train = started.start + board.origin
+        some = [first + i * PERIOD + rng.randrange(-50, 50) for i in range(begin, min(begin + AT_ONCE, edges))]
+        board.input(*[item for edge in some for item in ((edge, SYNC, 0), (edge + 3_000, SYNC, 1))])
+        for edge in some[::25]:
+            noise = b"" if line == "USB" else rng.randbytes(80) + b"\0"  # USB delivers no noise
+            board.write(b"".join(encode(Frame(Status(), rng.randrange(256))) + noise for _ in range(50)))
+            board.run(edge + 24 * PERIOD)
+        board.run(some[-1] + DELAY + WIDTH + 1_000)
+        rises = sorted((tick, pin) for pin in (PROJECTOR, LED) for tick in board.rises(pin))
+        falls = sorted((tick, pin) for pin in (PROJECTOR, LED) for tick in board.falls(pin))
+        if not len(rises) == len(falls) == len(some):
+            raise SystemExit(f"{line}: {len(rises)} flashes after {len(some)} edges")
+        for i, (edge, (rise, pin), (fall, _)) in enumerate(zip(some, rises, falls, strict=True), begin):
+            latency.add(rise - edge - DELAY)
+            width.add(fall - rise - WIDTH)
+            wrong += pin != (LED if i % 5 == 4 else PROJECTOR)
+        chips = sorted(board.rises(MICROWAVE) + board.falls(MICROWAVE))
+        for tick in chips:
+            off = (tick - train) % (1 << 32) % TRAIN % CHIP
+            grid.add(min(off, CHIP - off))
+        fired += len(chips) // 2
+        bytes_out = board.usb_bytes if line == "USB" else bytes_out + len(board.sent)
+        board.sent.clear()
+        board.events.clear()
+        board.event_sequences.clear()
+        board.replies.clear()
+    seconds = (board.now - busy) * 1e-8
+    board.close()
+    spread = latency.most - latency.least
+    timing = f"{line:<6}{edges:>9}{latency!s:>10}{spread:>8}{width!s:>8}{wrong:>7}{fired:>10}{grid!s:>8}"
+    return f"{timing}{bytes_out / seconds / 1000:>8.0f}{seconds:>9.1f}{time.monotonic() - begun:>8.0f}"
+
+
+def main(edges: int = 200_000) -> None:
+    print("line      edges   latency  jitter   width  wrong    pulses    grid    kB/s  virtual    wall")
+    print("          count  less delay ticks   error  lamps            error     out        s       s", flush=True)
+    parts = [("UART", part, edges // 4) for part in range(4)] + [("USB", 4, edges // 10)]
+    with ProcessPoolExecutor(2) as pool:
+        for row in pool.map(measure, *zip(*parts, strict=True)):
+            print(row, flush=True)
+
+
+if __name__ == "__main__":
+    main(*(int(argument) for argument in sys.argv[1:2]))
