@@ -33,7 +33,9 @@ class Reconstructing:
         picture = to_bgr(image, header.encoding)
         if not picture.flags.writeable:  # to numba a read-only array is another type: everything would compile again
             picture = picture.copy()
-        return self._reconstructor.profile(picture, frame=header.index, z_mm=header.z_mm, seed=seed).to_dict()
+        return self._reconstructor.profile(
+            picture, frame=header.index, z_mm=header.z_mm, seed=seed, roll_deg=header.roll_deg
+        ).to_dict()
 
     def note(self, kind: str, body: Any) -> None:
         pass

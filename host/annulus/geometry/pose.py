@@ -20,22 +20,32 @@ def rotation_y(angle: float) -> FloatArray:
     return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
 
 
+def rotation_z(angle: float) -> FloatArray:
+    """Right-handed rotation about z by `angle` radians, (3, 3); clockwise looking forward, as y points down."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """The pipe in the camera frame: `camera = R pipe + T`, R = Rx(rx) Ry(ry), T = (tx, ty, 0).
+    """The pipe in the camera frame: `camera = R pipe + T`, R = Rx(rx) Ry(ry) Rz(-roll), T = (tx, ty, 0).
 
-    Angles in radians, lengths in mm. Roll about the pipe axis and a shift along it cannot be seen in a
-    round pipe and are zero here (Alzuhiri 2022, §4.3.2). The pipe frame's z = 0 is the station of the camera.
+    Angles in radians, lengths in mm. Roll about the pipe axis and a shift along it cannot be seen in a round pipe
+    (Alzuhiri 2022, §4.3.2). The shift is zero here; the roll comes from another sensor, or is None and taken for zero:
+    it is how far the head is turned clockwise, looking forward, from where image up is 12 o'clock. The pipe frame's
+    z = 0 is the station of the camera.
     """
 
     rx: float = 0.0
     ry: float = 0.0
     tx: float = 0.0
     ty: float = 0.0
+    roll: float | None = None
 
     @property
     def rotation(self) -> FloatArray:
-        return rotation_x(self.rx) @ rotation_y(self.ry)
+        turned = rotation_x(self.rx) @ rotation_y(self.ry)
+        return turned if self.roll is None else turned @ rotation_z(-self.roll)
 
     @property
     def translation(self) -> FloatArray:

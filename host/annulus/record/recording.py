@@ -76,6 +76,7 @@ class RecordedFrame:
     timestamp_ns: int
     offset: int
     length: int
+    roll_deg: float | None = None  # of the head, clockwise looking forward, where its label says so
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,10 +229,15 @@ class _Walk:
     def frames(self) -> Iterator[RecordedFrame]:
         for index, (time_ns, offset, length) in sorted(self.images.items()):
             label = self.labels.get(index, {})
-            name, z = label.get("label"), label.get("z_mm")
+            name, z, roll = label.get("label"), label.get("z_mm"), label.get("roll_deg")
             known = Label(name) if name in {one.value for one in Label} else Label.UNKNOWN
             z_mm = float(z) if isinstance(z, int | float) and not isinstance(z, bool) else math.nan
-            yield RecordedFrame(index, known if math.isfinite(z_mm) else Label.UNKNOWN, z_mm, time_ns, offset, length)
+            if isinstance(roll, bool) or not isinstance(roll, int | float) or not math.isfinite(roll):
+                roll = None
+            yield RecordedFrame(
+                index, known if math.isfinite(z_mm) else Label.UNKNOWN, z_mm, time_ns, offset, length,
+                roll if roll is None else float(roll),
+            )  # fmt: skip
 
     def attached(self, name: str) -> Mapping[str, Any] | None:
         try:

@@ -1,6 +1,8 @@
 """A scan to be reconstructed, whatever camera and program made it: a scan folder or a recording, behind one door.
 
-A scan folder has `frames.csv` (columns index, file, light, z_mm; more are passed over) and the images it names.
+A scan folder has `frames.csv` and the images it names. Its columns are index, file, light, z_mm and, where the head
+has an inertial sensor, roll_deg: how far the head was turned clockwise, looking forward, from image up at 12 o'clock. A
+field of it may be empty; other columns are passed over.
 """
 
 import csv
@@ -23,9 +25,11 @@ Image = NDArray[np.uint8]
 
 TABLE = "frames.csv"
 COLUMNS = ("index", "file", "light", "z_mm")
+ROLL = "roll_deg"
 TABLE_MAX = 256 << 20  # bytes; a day at 25 fps has 100 MB
 FRAME_MAX = 256 << 20
 Z_MAX_MM = 1e8
+ROLL_MAX_DEG = 36e3  # a sensor may count turns
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +40,7 @@ class ScanFrame:
     label: Label
     z_mm: float
     where: str
+    roll_deg: float | None = None  # clockwise, looking forward
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +77,9 @@ def open_scan(path: Path) -> Scan:
         calibration = None if recording.calibration is None else Calibration.from_dict(recording.calibration)
     except ValueError as error:
         raise AnnulusError(f"{path}: the calibration in the recording is damaged: {error}.") from None
-    frames = tuple(ScanFrame(f.index, f.label, f.z_mm, f"{path}: frame {f.index}") for f in recording.frames)
+    frames = tuple(
+        ScanFrame(f.index, f.label, f.z_mm, f"{path}: frame {f.index}", f.roll_deg) for f in recording.frames
+    )
     return Scan(path, frames, calibration, recording)
 
 
@@ -193,4 +200,16 @@ def _frame(row: dict[str, str | None], folder: Path) -> ScanFrame:
         raise ValueError(f'file is "{file[:80]}", expected the path of an image inside the scan folder')
     if not (folder / file).is_file():
         raise ValueError(f"{file} is not there")
-    return ScanFrame(int(index_text), Label(light), z, file)
+    return ScanFrame(int(index_text), Label(light), z, file, _roll(row.get(ROLL)))
+
+
+def _roll(text: str | None) -> float | None:
+    if text is None or not text.strip():
+        return None
+    try:
+        roll = float(text)
+    except ValueError:
+        roll = math.nan
+    if not abs(roll) <= ROLL_MAX_DEG:
+        raise ValueError(f'{ROLL} is "{text[:40]}", expected degrees, or nothing where not known')
+    return roll

@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -60,7 +61,7 @@ def reconstruct(
     AnnulusError, one line, for any input that is missing, damaged or does not belong together.
     """
     started = time.perf_counter()
-    opened = open_scan(scan)
+    opened = roll_filled(open_scan(scan))
     known = load_calibration(calibration) if calibration is not None else opened.calibration
     if known is None:
         raise AnnulusError(f"{scan}: carries no calibration. Give one with --calibration FILE.")
@@ -110,6 +111,17 @@ def _some(scan: Scan, calibration: Calibration, projector: Sequence[int]) -> lis
     """A few frames spread over the scan, for a look at what may be wrong with all of them."""
     chosen = sorted({projector[k * (len(projector) - 1) // max(LOOKED_AT - 1, 1)] for k in range(LOOKED_AT)})
     return [(scan.frames[i].index, read_checked(scan, i, calibration)) for i in chosen]
+
+
+def roll_filled(scan: Scan) -> Scan:
+    """The same scan, frames between two whose roll is known given one between; all of them, or none."""
+    known = [(i, frame.roll_deg) for i, frame in enumerate(scan.frames) if frame.roll_deg is not None]
+    if not known or len(known) == len(scan.frames):
+        return scan
+    turned = np.unwrap([roll for _, roll in known], period=360.0)
+    rolls = np.interp(np.arange(len(scan.frames)), [i for i, _ in known], turned)
+    frames = tuple(replace(frame, roll_deg=float(r)) for frame, r in zip(scan.frames, rolls, strict=True))
+    return replace(scan, frames=frames)
 
 
 def led_frames(scan: Scan, calibration: Calibration, which: Sequence[int], report: Progress) -> Iterator[LedFrame]:
@@ -188,7 +200,7 @@ def _reconstruct(scan: Scan, reconstructor: Reconstructor, which: Sequence[int])
     for i in which:
         frame = scan.frames[i]
         image = read_checked(scan, i, reconstructor.calibration)
-        profile = reconstructor.profile(image, frame=frame.index, z_mm=frame.z_mm, seed=seed)
+        profile = reconstructor.profile(image, frame=frame.index, z_mm=frame.z_mm, seed=seed, roll_deg=frame.roll_deg)
         seed = profile.pose
         out.append((profile, diagnose(image)))
     return out

@@ -44,6 +44,11 @@ class Fit:
     spread_mm: float
     covariance: FloatArray
 
+    @property
+    def lean_sigma_deg(self) -> float:
+        """Standard deviation of the lean, in the direction in which it is known worst (of x and y)."""
+        return math.degrees(math.sqrt(max(self.covariance[0, 0], self.covariance[1, 1])))
+
 
 def fit_pose(points_mm: FloatArray, radius_mm: float, sigma_mm: FloatArray, seed: Pose | None = None) -> Fit | None:
     """Pose of the pipe of known radius, its ovality allowed for.

@@ -35,6 +35,7 @@ class Profile:
     rejected: Mapping[str, int] = field(default_factory=dict)
     timing_ms: Mapping[str, float] = field(default_factory=dict)
     sigma_mm: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, np.float32))  # (N,)
+    lean_sigma_deg: float = math.nan  # how well the pose knows the head's lean; large with one ring
 
     def __post_init__(self) -> None:
         if len(self.sigma_mm) != len(self.ring):
@@ -48,13 +49,14 @@ class Profile:
         return {
             "frame": self.frame,
             "z_mm": self.z_mm,
-            "pose": None if p is None else [p.rx, p.ry, p.tx, p.ty],
+            "pose": None if p is None else [p.rx, p.ry, p.tx, p.ty, *([] if p.roll is None else [p.roll])],
             "points": self.points_mm.astype("<f4").tobytes(),
             "colour": self.colour.tobytes(),
             "ring": self.ring.tobytes(),
             "direction": self.direction.astype("<u2").tobytes(),
             "sigma": self.sigma_mm.astype("<f4").tobytes(),
             "residual_mm": self.residual_mm,
+            "lean_sigma_deg": self.lean_sigma_deg,
             "rejected": dict(self.rejected),
             "timing_ms": dict(self.timing_ms),
         }
@@ -96,6 +98,7 @@ class Profile:
             {name: int(value) for name, value in _named(data, "rejected").items()},
             _named(data, "timing_ms"),
             sigma.astype(np.float32),
+            math.nan if pose is None or "lean_sigma_deg" not in data else _length(data["lean_sigma_deg"]),
         )
 
 
@@ -113,11 +116,19 @@ def _finite(value: object, name: str) -> float:
     return float(value)
 
 
+def _length(value: object) -> float:
+    if isinstance(value, float) and math.isnan(value):  # nobody said
+        return value
+    if _finite(value, "lean_sigma_deg") < 0:
+        raise ValueError(f"a profile's lean_sigma_deg is {value!r}, expected a number not below zero")
+    return _finite(value, "lean_sigma_deg")
+
+
 def _pose(value: object) -> Pose | None:
     if value is None:
         return None
-    if not isinstance(value, list | tuple) or len(value) != 4:
-        raise ValueError("a profile's pose must be four numbers or null")
+    if not isinstance(value, list | tuple) or len(value) not in (4, 5):
+        raise ValueError("a profile's pose must be four numbers, five with the roll, or null")
     return Pose(*(_finite(v, "pose") for v in value))
 
 

@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from annulus.geometry.calibration import Calibration
 from annulus.geometry.pose import FloatArray, Pose
 from annulus.rings.colour import ColourProfile
+from annulus.rings.compiled import compiled
 from annulus.rings.decode import NONE, UNKNOWN, classify, decode, readings
 from annulus.rings.gates import gate
 from annulus.rings.order import Placed, by_order
@@ -56,6 +58,7 @@ class Reconstructor:
         frame: int,
         z_mm: float,
         seed: Pose | None = None,
+        roll_deg: float | None = None,
         clock: Callable[[], float] = time.perf_counter,
     ) -> Profile:
         """The wall's points in one projector frame.
@@ -64,6 +67,8 @@ class Reconstructor:
         ----------
         image_bgr : (H, W, 3) uint8, of the calibration's size. z_mm : the frame's station, added to the points' z.
         seed : pose of a frame nearby, saves iterations; a wrong one does no harm.
+        roll_deg : how far the head was turned clockwise, looking forward; None where no sensor said so, and then clock
+            positions are the head's own.
 
         Raises
         ------
@@ -116,12 +121,13 @@ class Reconstructor:
         rejected |= gated
         marks.append(("gates", clock()))
         fitted = self._fit(points, ring, fitted.pose) or fitted
-        pose = fitted.pose
+        pose = replace(fitted.pose, roll=None if roll_deg is None else math.radians(roll_deg))
         marks.append(("pose", clock()))
         kept = np.flatnonzero(ring != NONE)
         seen = points[kept, ring[kept]]
         wall = pose.to_pipe(seen, z_mm)
-        light = np.clip((slits.inside[kept] + slits.outside[kept])[:, ::-1] / 2, 0, 255)
+        light = np.empty((len(kept), 3), np.uint8)
+        _beside(kept, slits.inside, slits.outside, light)
         marks.append(("points", clock()))
         sigma = point_sigma(
             ring[kept], slits.direction[kept], seen, slits.softness[kept], wider[kept], self._optics, self._calibrated,
@@ -129,9 +135,9 @@ class Reconstructor:
         )  # fmt: skip
         marks.append(("sigma", clock()))
         return Profile(
-            frame, z_mm, pose, wall.astype(np.float32), light.astype(np.uint8), ring[kept].astype(np.uint8),
+            frame, z_mm, pose, wall.astype(np.float32), light, ring[kept].astype(np.uint8),
             slits.direction[kept].astype(np.uint16), fitted.spread_mm, rejected, _spans(marks),
-            sigma,
+            sigma, fitted.lean_sigma_deg,
         )  # fmt: skip
 
     def sightings(self, image_bgr: NDArray[np.uint8]) -> tuple[Slits, Placed | None]:
@@ -158,3 +164,11 @@ def _spans(marks: list[tuple[str, float]]) -> dict[str, float]:
 
 def _size(image: NDArray[np.uint8]) -> str:
     return f"{image.shape[1]}x{image.shape[0]}" if image.ndim >= 2 else f"an array of shape {image.shape}"
+
+
+@compiled
+def _beside(kept, inside, outside, out):  # type: ignore[no-untyped-def]
+    """The wall's colour, RGB, as the mean of what the two stripes (BGR) show of it."""
+    for n in range(len(kept)):
+        for c in range(3):
+            out[n, c] = min(0.5 * (inside[kept[n], 2 - c] + outside[kept[n], 2 - c]), 255.0)

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from annulus.geometry.pose import FloatArray, Pose
+from annulus.geometry.pose import FloatArray, Pose, rotation_z
 from annulus.rings.profile import Profile
 from annulus.rings.wall import NOISE_FLOOR_MM, Wall, build_wall, harmonics
 
@@ -58,7 +58,10 @@ def _aligned(profile: Profile, wall: Wall) -> Profile:
     gx, gy = found[2:] / wall.mean_radius_mm
     if max(abs(gx), abs(gy)) > ANGLE_MAX or np.hypot(dx, dy) > SHIFT_OF_RADIUS * wall.mean_radius_mm:
         return profile
-    better = Pose(pose.rx - gy, pose.ry + gx, pose.tx + dx, pose.ty + dy)
+    # from the pipe's right and down to the head's
+    turn = rotation_z(-(pose.roll or 0.0))[:2, :2]
+    (dx, dy), (gx, gy) = turn @ [dx, dy], turn @ [gx, gy]
+    better = Pose(pose.rx - gy, pose.ry + gx, pose.tx + dx, pose.ty + dy, pose.roll)
     moved = better.to_pipe(pose.to_camera(points, profile.z_mm), profile.z_mm)
     return replace(profile, pose=better, points_mm=moved.astype(np.float32))
 

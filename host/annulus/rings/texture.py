@@ -39,7 +39,10 @@ def pose_at(profiles: Sequence[Profile], z_mm: float) -> Pose | None:
     if not known:
         return None
     z = [item[0] for item in known]
-    values = ([getattr(pose, name) for _, pose in known] for name in ("rx", "ry", "tx", "ty"))
+    values = [[getattr(pose, name) for _, pose in known] for name in ("rx", "ry", "tx", "ty")]
+    rolls = [pose.roll for _, pose in known if pose.roll is not None]
+    if len(rolls) == len(known):
+        values.append(list(np.unwrap(rolls)))
     return Pose(*(float(np.interp(z_mm, z, value)) for value in values))
 
 

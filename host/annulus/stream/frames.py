@@ -34,6 +34,7 @@ class FrameHeader:
     encoding: str
     width: int
     height: int
+    roll_deg: float | None = None  # of the head, clockwise looking forward, where a sensor gives it
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -80,6 +81,7 @@ class FrameHeader:
             encoding=str(encoding),
             width=_need(data, "width", 1, SIDE_MAX),
             height=_need(data, "height", 1, SIDE_MAX),
+            roll_deg=_length(data, "roll_deg"),
         )
 
     @classmethod
@@ -118,5 +120,5 @@ def _length(data: Mapping[str, Any], key: str) -> float | None:
     if value is None:
         return None
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or abs(value) > 1e9:
-        raise ValueError(f"frame header: {key} is {value!r}, expected millimetres")
+        raise ValueError(f"frame header: {key} is {value!r}, expected a number")
     return float(value)

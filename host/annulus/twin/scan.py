@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from annulus.record.recording import to_bgr
-from annulus.record.scan import COLUMNS, TABLE
+from annulus.record.scan import COLUMNS, ROLL, TABLE
 from annulus.twin.render import Renderer
 from annulus.twin.world import WAVES, WORLDS, World
 from annulus.vocabulary import AnnulusError, Label
@@ -51,13 +51,15 @@ def write_scan(
         renderer = Renderer(world)
         with (folder / TABLE).open("w", newline="") as file:
             table = csv.writer(file)
-            table.writerow(COLUMNS)
+            table.writerow([*COLUMNS, ROLL] if world.roll_deg else COLUMNS)
             for index, z_mm in enumerate(np.linspace(0.0, world.travel_mm, frames)):
                 led = index % LED_EVERY == LED_EVERY - 1
-                raw = renderer.render(world.pose(z_mm), z_mm, float(not led), float(led), seed=index)
+                pose = world.pose(z_mm)
+                raw = renderer.render(pose, z_mm, float(not led), float(led), seed=index)
                 name = f"frames/{index:06d}.png"
                 cv2.imwrite(str(folder / name), to_bgr(raw, "bayer_rggb8"), [cv2.IMWRITE_PNG_COMPRESSION, 1])
-                table.writerow([index, name, (Label.LED if led else Label.PROJECTOR).value, f"{z_mm:.4f}"])
+                roll = [] if pose.roll is None else [f"{math.degrees(pose.roll):.3f}"]
+                table.writerow([index, name, (Label.LED if led else Label.PROJECTOR).value, f"{z_mm:.4f}", *roll])
                 if progress is not None:
                     progress("frames", index + 1, frames)
     except OSError as error:

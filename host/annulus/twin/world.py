@@ -28,6 +28,7 @@ _DEFECT_KIND: Mapping[FeatureKind, DefectKind] = {"pocket": "loss", "groove": "l
 CLOCKS = 1440  # columns of the wall maps: 0.25 degrees, a third of a millimetre on a 6-inch wall
 STEP_Z_MM = 0.4  # rows of the wall maps
 AHEAD_MM = 420.0  # wall modelled beyond the last station; past it the pipe is clean
+ROLL_WAVE_MM = 150.0  # of the head's roll along the pipe
 WAVES = 0.75, 0.45  # of the wobble: the two sinusoids' shares of its amplitude
 WHITE = (0.75, 0.77, 0.78)  # albedo of white PVC, red green blue
 YELLOW = (0.72, 0.47, 0.06)  # of MDPE gas pipe: blue is absorbed almost wholly
@@ -181,6 +182,7 @@ class World:
     travel_mm: float = 400.0  # stations 0..travel
     mm_per_count: float = 0.05  # of the cable counter
     seed: int = 1
+    roll_deg: float = 0.0  # amplitude; then the head has a sensor that says so
 
     def __post_init__(self) -> None:
         slits = len(self.projector.cones)
@@ -242,7 +244,8 @@ class World:
         angle = 2 * np.pi * z_mm / self._wobble[:, :, 0] + self._wobble[:, :, 1]
         rx, ry, tx, ty = np.sin(angle) @ np.array(WAVES)
         tilt = math.radians(self.wobble_deg)
-        return Pose(tilt * rx, tilt * ry, self.wobble_mm * tx, self.wobble_mm * ty)
+        roll = math.radians(self.roll_deg) * math.sin(2 * math.pi * z_mm / ROLL_WAVE_MM) if self.roll_deg else None
+        return Pose(tilt * rx, tilt * ry, self.wobble_mm * tx, self.wobble_mm * ty, roll)
 
     def calibration(self) -> Calibration:
         """What a perfect calibration of this head would hold."""
