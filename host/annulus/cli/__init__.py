@@ -112,6 +112,7 @@ def _print_summary(summary: Any, out: Path, as_json: bool) -> None:
         print(
             f"{d['kind']:<10} {d['depth_mm']:.2f} mm at {d['z_mm']:.0f} mm, clock {d['clock']}, "
             f"{d['length_mm']:.0f} mm long, {d['arc_deg']:.0f} deg"
+            + (f", {d['hidden_mm']:.0f} mm of it hidden" if d["hidden_mm"] >= 0.5 else "")
         )
     if not data["defects"]:
         print("defects    none")

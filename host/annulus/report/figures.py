@@ -6,7 +6,7 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.colors import LinearSegmentedColormap, ListedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
@@ -15,13 +15,13 @@ from scipy import ndimage
 from annulus.report.surface import HALF_DEG, half_view
 from annulus.rings.defects import Defect, Findings, Kind, clock_face
 from annulus.rings.stations import OVALITY_NAME, Stations
-from annulus.rings.wall import Wall
+from annulus.rings.wall import BoolArray, Wall
 
 Image = NDArray[np.uint8]
 
 DPI = 150
 WIDTH_IN = 11.0
-INK, FAINT, UNSEEN = "#1c2733", "#6b7885", "#c9ced4"
+INK, FAINT, UNSEEN, HIDDEN = "#1c2733", "#6b7885", "#c9ced4", "#59626c"
 LOSS_RED, BUMP_BLUE = "#b3261e", "#1d5fa8"
 # Outwards red, sound wall near white, inwards blue; readable in every common colour vision, and grey means not seen.
 DEVIATION = LinearSegmentedColormap.from_list(
@@ -46,16 +46,17 @@ class Pictures:
 
 
 def draw(
-    wall: Wall, findings: Findings, stations: Stations, texture: Image | None, nominal_mm: float
+    wall: Wall, dark: BoolArray, findings: Findings, stations: Stations, texture: Image | None, nominal_mm: float
 ) -> Pictures:  # fmt: skip
-    """Every picture of one report. texture: (Z, A, 4) uint8 RGBA or None without LED frames; nominal_mm: diameter."""
+    """Every picture of one report. texture: (Z, A, 4) uint8 RGBA or None without LED frames; nominal_mm: diameter; dark
+    (Z, A): cells that a step hides."""
     deviation = wall.deviation_mm()
     scale = _scale(wall, findings, deviation)
     filled = np.nan_to_num(deviation, nan=0.0)
     rgb = (DEVIATION(Normalize(-scale, scale)(filled))[..., :3] * 255).astype(np.uint8)
     with mpl.rc_context(STYLE):
         return Pictures(
-            _unwrapped(wall, findings, deviation, scale),
+            _unwrapped(wall, dark, findings, deviation, scale),
             _texture(wall, findings, texture),
             _stations(wall, stations, findings, nominal_mm),
             _surface(wall, findings, rgb),
@@ -104,7 +105,7 @@ def _map_figure(wall: Wall, axis: _Axis) -> tuple[Figure, Any]:
     return figure, axes
 
 
-def _unwrapped(wall: Wall, findings: Findings, deviation: NDArray[np.float32], scale: float) -> bytes:
+def _unwrapped(wall: Wall, dark: BoolArray, findings: Findings, deviation: NDArray[np.float32], scale: float) -> bytes:
     axis = _Axis(wall)
     figure, axes = _map_figure(wall, axis)
     extent = (*axis.limits, 360.0, 0.0)
@@ -112,11 +113,16 @@ def _unwrapped(wall: Wall, findings: Findings, deviation: NDArray[np.float32], s
         np.ma.masked_invalid(deviation.T), cmap=DEVIATION, vmin=-scale, vmax=scale, extent=extent, aspect="auto",
         interpolation="nearest", zorder=2,
     )  # fmt: skip
+    axes.imshow(
+        np.ma.masked_equal(dark.T, False), cmap=ListedColormap([HIDDEN]), extent=extent, aspect="auto",
+        interpolation="nearest", zorder=3,
+    )  # fmt: skip
     _outline(axes, wall, findings, axis)
     bar = figure.colorbar(image, ax=axes, pad=0.015, fraction=0.035, aspect=28)
     bar.set_label("deviation of the radius, mm\n− into the pipe        outwards +")
     axes.set_title(
-        f"Wall deviation from the mean circle, Ø {2 * wall.mean_radius_mm:.2f} mm   (hatched grey: not seen)",
+        f"Wall deviation from the mean circle, Ø {2 * wall.mean_radius_mm:.2f} mm   "
+        "(hatched grey: not seen; dark grey: hidden by a step)",
         loc="left", fontsize=11, pad=24,
     )  # fmt: skip
     return _png(figure)

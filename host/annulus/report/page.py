@@ -72,6 +72,9 @@ def _row(number: int, defect: Defect, summary: Summary) -> dict[str, Any]:
         clock = "all round" if defect.arc_deg >= ALL_ROUND_DEG else f"{begin} to {end}"
         width = f"{defect.arc_deg * math.pi / 360 * mean:.0f} mm ({defect.arc_deg:.0f}°)"
         remark = f"centre {defect.clock}" if defect.arc_deg < ALL_ROUND_DEG else ""
+    if defect.hidden_mm >= 0.5:
+        seen = max(defect.length_mm - defect.hidden_mm, 0.0)
+        remark += f"{', ' if remark else ''}{defect.hidden_mm:.0f} mm of the length hidden, {seen:.0f} mm seen"
     return {
         "number": number,
         "kind": str(defect.kind),

@@ -19,6 +19,7 @@ from annulus.report.page import render_page
 from annulus.report.ply import write_ply
 from annulus.report.summary import Summary, summarize
 from annulus.report.surface import triangulate
+from annulus.rings.blind import hidden
 from annulus.rings.consensus import without_contradicted
 from annulus.rings.defects import Defect, find_defects
 from annulus.rings.diagnosis import Finding
@@ -82,13 +83,16 @@ def write_results(
     places = find_defects(wall, blind_ratio=1.0 / math.tan(narrowest), blind_least=1.0 / math.tan(widest))
     scores = truth(profiles, places.defects) if callable(truth) else truth
     stations = measure_stations(wall)
+    dark = hidden(wall.radius_mm.astype(np.float64), wall.z_step_mm, math.tan(narrowest))
     texture = paint(wall, calibration, profiles, led_frames)
+    if texture is not None:
+        texture[dark] = 0  # the radius there is not known, so neither is what was seen of it
     timing = {**timing_ms, "results_wall": (time.perf_counter() - started) * 1e3}
     try:
         staging = Path(tempfile.mkdtemp(prefix=".annulus-", dir=out))
         try:
             points = _write_cloud(staging / "cloud.ply", profiles)
-            pictures = figures.draw(wall, places, stations, texture, 2 * calibration.pipe_radius_mm)
+            pictures = figures.draw(wall, dark, places, stations, texture, 2 * calibration.pipe_radius_mm)
             _write_mesh(staging / "mesh.ply", wall, texture, pictures.deviation_rgb)
             (staging / "unwrapped.png").write_bytes(pictures.unwrapped)
             (staging / "texture.png").write_bytes(pictures.texture)
@@ -96,6 +100,7 @@ def write_results(
             timing["results_total"] = (time.perf_counter() - started) * 1e3
             summary = summarize(
                 wall,
+                dark,
                 places,
                 stations,
                 2 * calibration.pipe_radius_mm,

@@ -5,7 +5,7 @@ import math
 import platform
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
 
@@ -17,7 +17,7 @@ from annulus.rings.diagnosis import Finding
 from annulus.rings.profile import Profile
 from annulus.rings.stations import OVALITY_FORMULA, OVALITY_NAME, Stations
 from annulus.rings.vibration import Vibration
-from annulus.rings.wall import Wall
+from annulus.rings.wall import BoolArray, Wall
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +30,7 @@ class Summary:
     points: int
     scanned_mm: Mapping[str, float]
     seen_percent: float
+    hidden_percent: float  # of the wall: behind steps, so that no ring's light got there; part of what was not seen
     noise_mm: float
     diameter_mm: Mapping[str, float | None]
     ovality: Mapping[str, Any]
@@ -43,17 +44,19 @@ class Summary:
     truth: Mapping[str, Any] | None
     warnings: tuple[Finding, ...] = ()
     vibration: Vibration | None = None  # None: not looked for
+    head_deg: Mapping[str, float | None] = field(default_factory=dict)  # lean_sigma; roll_min, roll_max or None
 
     def to_dict(self) -> dict[str, Any]:
         """As in summary.json: plain types, None where there is no number."""
         out = {
             "format": "annulus-summary/1", "source": self.source, "created": self.created, "frames": dict(self.frames),
             "points": self.points, "scanned_mm": dict(self.scanned_mm), "seen_percent": round(self.seen_percent, 2),
+            "hidden_percent": round(self.hidden_percent, 3),
             "noise_mm": round(self.noise_mm, 4), "diameter_mm": dict(self.diameter_mm), "ovality": dict(self.ovality),
             "defects": [_defect(defect) for defect in self.defects], "unsupported": self.unsupported,
             "limits": dict(self.limits), "drops": dict(self.drops), "rejected": dict(self.rejected),
             "timing_ms": {name: round(value, 3) for name, value in self.timing_ms.items()},
-            "versions": dict(self.versions),
+            "versions": dict(self.versions), "head_deg": dict(self.head_deg),
             "warnings": [{"kind": str(w.trouble), "text": w.text, "frames": list(w.frames)} for w in self.warnings],
         }  # fmt: skip
         if self.vibration is not None:
@@ -73,7 +76,7 @@ class Summary:
 
 
 def summarize(
-    wall: Wall, findings: Findings, stations: Stations, nominal_mm: float, profiles: Sequence[Profile],
+    wall: Wall, dark: BoolArray, findings: Findings, stations: Stations, nominal_mm: float, profiles: Sequence[Profile],
     points: int, frames: Mapping[str, int], drops: Mapping[str, int], timing: Mapping[str, float], source: str,
     truth: Mapping[str, Any] | None, warnings: tuple[Finding, ...] = (), vibration: Vibration | None = None,
 ) -> Summary:  # fmt: skip
@@ -92,6 +95,7 @@ def summarize(
         points=points,
         scanned_mm={"from": round(start, 1), "to": round(end, 1), "length": round(end - start, 1)},
         seen_percent=100.0 * float(wall.seen.mean()),
+        hidden_percent=100.0 * float(dark.mean()),
         noise_mm=noise,
         diameter_mm={
             "mean": _extreme(np.mean, stations.diameter_mean_mm),
@@ -121,7 +125,19 @@ def summarize(
         truth=truth,
         warnings=warnings,
         vibration=vibration,
+        head_deg=_head(profiles),
     )
+
+
+def _head(profiles: Sequence[Profile]) -> dict[str, float | None]:
+    """How well the head's lean was known (median sigma), and its roll where a sensor gave it."""
+    lean = np.array([profile.lean_sigma_deg for profile in profiles], dtype=np.float64)
+    roll = [profile.pose.roll for profile in profiles if profile.pose is not None and profile.pose.roll is not None]
+    return {
+        "lean_sigma": _extreme(np.median, lean),
+        "roll_min": round(math.degrees(min(roll)), 2) if roll else None,
+        "roll_max": round(math.degrees(max(roll)), 2) if roll else None,
+    }
 
 
 def _versions() -> dict[str, str]:
@@ -146,6 +162,7 @@ def _defect(defect: Defect) -> dict[str, Any]:
         "clock": defect.clock, "length_mm": round(defect.length_mm, 2), "arc_deg": round(defect.arc_deg, 2),
         "depth_mm": round(defect.depth_mm, 3), "depth_k2_mm": round(defect.depth_k2_mm, 3),
         "area_mm2": round(defect.area_mm2, 1), "floor_seen": defect.floor_seen,
+        "hidden_mm": round(defect.hidden_mm, 1),
         "z_from_mm": round(first, 2), "z_to_mm": round(last, 2), "clock_from_to": list(defect.clock_range),
     }  # fmt: skip
 
