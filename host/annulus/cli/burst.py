@@ -158,3 +158,44 @@ def _picture(code: str, train: Train, out: Path) -> None:
         figure.savefig(out, dpi=150)
     except OSError as error:
         raise AnnulusError(f"{out}: cannot be written ({error.strerror}), expected a folder that takes it") from None
+
+
+@app.command("design", epilog="Example: annulus burst design --code mpsl25-stuffed --taps 150 -o template.json")
+def design_command(
+    code: Annotated[str, typer.Option(help=f"{', '.join(CODES)}, or any text of 0 and 1.")] = "mpsl25-stuffed",
+    taps: Annotated[int, typer.Option(min=1, max=2000, help="Length of the template, chips.")] = 150,
+    method: Annotated[str, typer.Option(help="minimax, least-squares, matched.")] = "minimax",
+    chip_us: Annotated[float, typer.Option(min=0.1, max=30.0, help="Length of a chip, us.")] = 0.5,
+    transducer: Annotated[
+        Path | None,
+        typer.Option(help="Measured pulse: CSV of time_us,amplitude. The template then fits what it hears."),
+    ] = None,
+    samples_per_chip: Annotated[int, typer.Option(min=2, max=20, help="Taps a chip, behind a transducer.")] = 5,
+    guard_chips: Annotated[float, typer.Option(min=0.0, max=20.0, help="Beside the peak, no sidelobe.")] = 2.0,
+    gain_floor_db: Annotated[float, typer.Option(help="Least gain over one pulse, behind a transducer.")] = 7.6,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="template.json, and a picture beside it.")] = None,
+    as_json: Json = False,
+) -> None:
+    """The decoding filter of a code: sidelobes, noise gain, and what averaging in the same time would give."""
+    from annulus.tai.design import design_template
+
+    if method not in ("minimax", "least-squares", "matched"):
+        raise AnnulusError(f"--method {method!r}: expected minimax, least-squares or matched")
+    answer = design_template(
+        code, taps, method, 1e-6 * chip_us, transducer, samples_per_chip, guard_chips, gain_floor_db, out
+    )
+    if as_json:
+        print(json.dumps(answer))
+        return
+    print(f"code       {answer['pattern']} ({answer['ones']} pulses of {chip_us:g} us)")
+    print(f"template   {len(answer['template'])} taps, {answer['method']}")
+    print(f"sidelobes  1/{answer['psr']:.1f} of the peak" + (f", beyond +-{guard_chips:g} chips" if transducer else ""))
+    print(
+        f"gain       {answer['gain_db']:.2f} dB over one pulse; no filter gains more than {answer['ceiling_db']:.2f} dB"
+    )
+    print(
+        f"averaging  as many shots: 0 dB; as much energy, {answer['ones']} shots: "
+        f"{answer['averaging_same_energy_db']:.2f} dB"
+    )
+    if out is not None:
+        print(f"written    {out}, {out.with_suffix('.png')}")

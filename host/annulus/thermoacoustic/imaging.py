@@ -14,8 +14,10 @@ from annulus.thermoacoustic.sweep import Sweep, gaps_deg
 from annulus.vocabulary import AnnulusError
 
 GRID_MAX = 1024  # cells a side; beyond, a finer pixel is refused instead of computed for an hour
+GRID_USUAL = 400  # cells across the circle if nobody asks for more: a minute
 CELLS_PER_WAVE = 2.4  # of the highest frequency that matters
 ENERGY = 0.99  # of the sound lies below that frequency
+ABOVE_NOISE = 4.0  # times the power per frequency at the upper end of the record
 WORTH = 0.98  # a refinement brings the misfit below this part of the last, or it is not kept
 AGREEMENT = 0.1  # least correlation between opposite halves at the right speed of sound
 TAIL = 1.15  # times the way across: sound in a plane has a tail
@@ -36,16 +38,20 @@ class Image:
 
 
 def pixel_mm(sweep: Sweep) -> float:
-    """The pixel that the sweep's bandwidth asks for, no smaller than GRID_MAX allows."""
-    spectrum = (np.abs(scipy.fft.rfft(sweep.signals - sweep.signals.mean(axis=1, keepdims=True), axis=1)) ** 2).sum(
-        axis=0
-    )
-    spectrum = np.maximum(spectrum - np.median(spectrum[len(spectrum) // 2 :]), 0.0)  # the noise's part
-    below = np.cumsum(spectrum)
-    highest = float(np.searchsorted(below, ENERGY * below[-1])) if below[-1] > 0 else len(spectrum) / 4
-    frequency = max(highest, 1.0) * sweep.sampling_rate_hz / sweep.signals.shape[1]
+    """The pixel that the sweep's band asks for, but no more than GRID_USUAL of them across the circle.
+
+    The band ends where the smoothed spectrum sinks into the noise of the recorder, or holds ENERGY of the sound.
+    """
+    rest = sweep.signals - sweep.signals.mean(axis=1, keepdims=True)
+    spectrum = (np.abs(scipy.fft.rfft(rest, axis=1)) ** 2).mean(axis=0)
+    width = max(len(spectrum) // 64, 1)
+    smooth = np.convolve(spectrum, np.full(width, 1 / width), mode="same")
+    sound = np.where(smooth > ABOVE_NOISE * float(np.median(smooth[3 * len(smooth) // 4 :])), spectrum, 0.0)
+    below = np.cumsum(sound)
+    highest = int(np.searchsorted(below, ENERGY * below[-1])) if below[-1] > 0 else len(spectrum) // 4
+    frequency = max(highest, 1) * sweep.sampling_rate_hz / sweep.signals.shape[1]
     wanted = 1e3 * sweep.sound_speed_m_s / (CELLS_PER_WAVE * frequency)
-    return float(np.clip(wanted, _least_pixel(sweep), sweep.radius_mm / 40))
+    return float(np.clip(wanted, 2 * sweep.radius_mm / GRID_USUAL, sweep.radius_mm / 40))
 
 
 def time_reversal(

@@ -1,0 +1,138 @@
+"""`annulus tai`: the thermoacoustic bench, from coded bursts to an image."""
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from annulus.cli.show import Json, group, progress
+from annulus.vocabulary import AnnulusError
+
+app = group("Thermoacoustic imaging: simulate or acquire a sweep, decode it, make its image.")
+
+Code = Annotated[
+    str, typer.Option(help="single, mpsl25, mpsl25-stuffed, barker13, manchester1, manchester2, or 0s and 1s.")
+]
+
+
+@app.command(
+    "simulate", epilog="Example: annulus tai simulate --phantom wires --code mpsl25-stuffed --noise 0.05 -o raw.hdf5"
+)
+def simulate_command(
+    out: Annotated[Path, typer.Option("--out", "-o", help="File to write: .hdf5 (IPASC) or .npz.")],
+    phantom: Annotated[str, typer.Option(help="inclusions, core, wires, shapes.")] = "inclusions",
+    code: Code = "mpsl25-stuffed",
+    chip_us: Annotated[float, typer.Option(min=0.1, max=30.0, help="Length of a chip, us.")] = 0.5,
+    positions: Annotated[int, typer.Option(min=3, max=1024, help="Angles of the stage.")] = 50,
+    radius_mm: Annotated[float, typer.Option(min=1.0, max=500.0, help="Receiver to the axis of the stage, mm.")] = 25.0,
+    rate_mhz: Annotated[float, typer.Option(min=0.5, max=1000.0, help="Sampling rate, MHz.")] = 25.0,
+    sound_speed: Annotated[float, typer.Option(min=300.0, max=6000.0, help="m/s.")] = 1480.0,
+    noise: Annotated[float, typer.Option(min=0.0, help="Rms of one shot, in pressures of one pulse.")] = 0.02,
+    averages: Annotated[int, typer.Option(min=1, max=1_000_000, help="Shots averaged at each angle.")] = 1,
+    spike: Annotated[float, typer.Option(min=0.0, help="Coupling of the microwave into the receiver.")] = 0.0,
+    band_mhz: Annotated[float, typer.Option(min=0.0, help="Centre of the transducer, MHz; 0 hears everything.")] = 2.25,
+    bandwidth: Annotated[
+        float, typer.Option(min=0.05, max=1.9, help="Its width at -6 dB, as part of the centre.")
+    ] = 0.7,
+    seed: Annotated[int, typer.Option(min=0, help="Of the noise.")] = 1,
+) -> None:
+    """One turn of the stage about a known sample, with real propagation, receiver and noise."""
+    from annulus.record.acoustic import save_acoustic
+    from annulus.tai.simulate import Bench, simulate
+    from annulus.thermoacoustic.phantoms import phantom as named
+
+    bench = Bench(
+        code, 1e-6 * chip_us, radius_mm, positions, 1e6 * rate_mhz, sound_speed, 1.0, noise, averages,
+        (1e6 * band_mhz, bandwidth) if band_mhz else None, 0.0, spike, seed,
+    )  # fmt: skip
+    with progress() as report:
+        record = simulate(named(phantom), bench, report)
+    save_acoustic(out, record)
+    print(f"{len(record.signals)} positions of {record.signals.shape[1]} samples  {out}")
+
+
+@app.command("decode", epilog="Example: annulus tai decode raw.hdf5 -o decoded.hdf5")
+def decode_command(
+    source: Annotated[Path, typer.Argument(help="Raw sweep: .hdf5 (IPASC) or .npz.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="File to write.")],
+    second: Annotated[Path | None, typer.Option(help="The pair's second sweep (manchester2).")] = None,
+    template: Annotated[Path | None, typer.Option(help="From `annulus burst design -o`; default: minimax.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Compress a coded sweep into what one pulse would have been heard as."""
+    from annulus.record.acoustic import load_acoustic, save_acoustic
+    from annulus.tai.decode import code_name, decode_record, decode_records, load_template, sounds_like
+
+    record = load_acoustic(source)
+    if not record.code:
+        raise AnnulusError(f"{source}: does not say what was sent; expected a raw sweep with its code")
+    answer: dict[str, Any] = {"code": code_name(record.code), "sounds_like": sounds_like(record)}
+    if second is not None:
+        decoded = decode_records(record, load_acoustic(second))
+    else:
+        decoded, used = decode_record(record, load_template(template) if template else None)
+        if used is not None:
+            answer |= {"psr": used.psr, "gain_db": used.gain_db, "ceiling_db": used.ceiling_db}
+    save_acoustic(out, decoded)
+    if as_json:
+        print(json.dumps(answer))
+        return
+    if answer["sounds_like"]:
+        print(f"warning    it sounds like {answer['sounds_like']}, not {answer['code']}")
+    if "psr" in answer:
+        print(
+            f"template   {answer['code']}: sidelobes 1/{answer['psr']:.1f}, {answer['gain_db']:.2f} dB over one pulse"
+        )
+    print(f"decoded    {out}")
+
+
+@app.command(
+    "image",
+    epilog="Example: annulus tai image raw.hdf5 -o result --search 1400 1600. Takes IPASC .hdf5, or .npz with signals "
+    "[positions, samples], angles_deg, radius_mm, sampling_rate_hz, and if known t0_s, sound_speed_m_s.",
+)
+def image_command(
+    source: Annotated[Path, typer.Argument(help="Sweep, raw or decoded: .hdf5 (IPASC) or .npz.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for image.npz and image.png; made if need be.")],
+    method: Annotated[str, typer.Option(help="time-reversal, or back-projection for a quick look.")] = "time-reversal",
+    pixel_mm: Annotated[float | None, typer.Option(help="Default: as fine as the sound's band.")] = None,
+    sound_speed: Annotated[float | None, typer.Option(help="m/s. Default: as recorded, else water.")] = None,
+    search: Annotated[
+        tuple[float, float] | None, typer.Option(help="Find the speed of sound between these, m/s.")
+    ] = None,
+    refine: Annotated[int, typer.Option(min=0, max=50, help="Neumann refinements at most.")] = 0,
+    nonnegative: Annotated[
+        bool, typer.Option("--nonnegative", help="While refining; not for band-limited sound.")
+    ] = False,
+    object_radius_mm: Annotated[
+        float | None, typer.Option(help="The sample lies within. Default: 0.85 of the circle.")
+    ] = None,
+    template: Annotated[Path | None, typer.Option(help="For a coded sweep, from `annulus burst design -o`.")] = None,
+    as_json: Json = False,
+) -> None:
+    """The sample's absorbed power from the sound around it."""
+    from annulus.tai.image import make_image
+
+    if method not in ("time-reversal", "back-projection"):
+        raise AnnulusError(f"--method {method!r}: expected time-reversal or back-projection")
+    if search is not None and sound_speed is not None:
+        raise AnnulusError("--search and --sound-speed: give one of them")
+    with progress() as report:
+        result = make_image(
+            source, out, method=method, pixel_mm=pixel_mm, sound_speed_m_s=sound_speed,  # type: ignore[arg-type]
+            search_m_s=search, refinements=refine, nonnegative=nonnegative, object_radius_mm=object_radius_mm,
+            template=template, progress=report,
+        )  # fmt: skip
+    if as_json:
+        print(json.dumps(result.to_dict()))
+        return
+    for finding in result.findings:
+        print(f"note       {finding}")
+    for start, stop in result.holes_deg:
+        print(f"hole       nothing was heard from {start:.1f} to {stop:.1f} deg")
+    print(f"method     {result.method}, {result.positions - len(result.excluded)} of {result.positions} positions")
+    how = "found" if result.sound_speed_searched else "taken"
+    print(f"speed      {result.sound_speed_m_s:.1f} m/s ({how})")
+    print(f"pixel      {result.pixel_mm:.3f} mm, {result.size[0]} x {result.size[1]}")
+    print(f"image      {out / 'image.png'}, {out / 'image.npz'}")

@@ -1,0 +1,109 @@
+"""From a coded shot to an image, and from bad input to one line."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from annulus.cli import app
+from annulus.record.acoustic import load_acoustic, save_acoustic
+from annulus.tai.decode import decode_record, load_template, save_template, sounds_like
+from annulus.tai.image import make_image
+from annulus.tai.simulate import Bench, simulate
+from annulus.thermoacoustic.codes import CODES, pattern
+from annulus.thermoacoustic.phantoms import Disc
+from annulus.thermoacoustic.templates import design
+from annulus.vocabulary import AnnulusError
+
+SAMPLE = (Disc(0.0, 0.0, 5.0, 0.4), Disc(2.0, 1.0, 1.0, 1.0))
+BENCH = Bench(
+    code="mpsl25-stuffed", radius_mm=9.0, positions=32, sampling_rate_hz=10e6, transducer=(0.6e6, 1.2), noise_pa=0.0005
+)
+
+
+@pytest.fixture(scope="module")
+def coded():
+    return simulate(SAMPLE, BENCH)
+
+
+@pytest.fixture(scope="module")
+def single():
+    return simulate(SAMPLE, replace(BENCH, code="single", noise_pa=0.0))
+
+
+def test_a_decoded_code_is_what_one_pulse_would_have_been_heard_as(coded, single):
+    """In time and amplitude, to the sidelobes and the noise."""
+    decoded, template = decode_record(coded)
+    plain, _ = decode_record(single)
+    assert template is not None
+    n = plain.signals.shape[1] - 20
+    late = plain.t0_s * plain.sampling_rate_hz  # the single pulse's record starts at its chip, not at its middle
+    grid = np.arange(20, n - 20)
+    expected = np.stack([np.interp(grid - late, np.arange(len(t)), t) for t in plain.signals.astype(float)])
+    found = decoded.signals[:, grid]
+    assert np.linalg.norm(found - expected) < 0.1 * np.linalg.norm(expected)
+
+
+def test_a_coded_sweep_becomes_an_image(coded, tmp_path):
+    save_acoustic(tmp_path / "raw.hdf5", coded)
+    result = make_image(tmp_path / "raw.hdf5", tmp_path / "out", pixel_mm=0.25)
+    assert result.decoded_from == "mpsl25-stuffed"
+    assert result.excluded == ()
+    assert np.hypot(result.strongest[1] - 2.0, result.strongest[2] - 1.0) < 1.0
+    with np.load(tmp_path / "out" / "image.npz") as saved:
+        assert saved["image"].shape == (len(saved["y_mm"]), len(saved["x_mm"]))
+    assert (tmp_path / "out" / "image.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_bad_traces_and_holes_are_said(coded, tmp_path):
+    signals = coded.signals.copy()
+    signals[4] = np.nan
+    part = replace(coded, signals=signals[:24], angles_deg=coded.angles_deg[:24])
+    save_acoustic(tmp_path / "raw.npz", part)
+    result = make_image(tmp_path / "raw.npz", tmp_path / "out", pixel_mm=0.4)
+    assert result.excluded == (4,)
+    assert any("1 of 24 traces (4)" in finding for finding in result.findings)
+    assert result.holes_deg == ((258.75, 360.0),)
+
+
+def test_another_codes_template_is_refused(coded, tmp_path):
+    save_template(tmp_path / "t.json", design(pattern("barker13"), 39), 0.5e-6)
+    template = load_template(tmp_path / "t.json")
+    with pytest.raises(AnnulusError, match="the template is for barker13, the record was shot with mpsl25-stuffed"):
+        decode_record(coded, template)
+
+
+def test_a_record_that_names_the_wrong_code_is_heard_out(coded):
+    assert sounds_like(coded) is None
+    assert sounds_like(replace(coded, code=CODES["barker13"])) == "mpsl25-stuffed"
+    assert sounds_like(replace(coded, code=CODES["manchester1"])) == "mpsl25-stuffed"
+
+
+def test_nothing_left_to_image_is_one_line(coded, tmp_path):
+    save_acoustic(tmp_path / "raw.npz", replace(coded, signals=np.full_like(coded.signals, np.nan)))
+    with pytest.raises(AnnulusError, match="0 of 32 traces can be used"):
+        make_image(tmp_path / "raw.npz", tmp_path / "out")
+
+
+def test_the_commands_do_it_all(tmp_path):
+    run = CliRunner()
+    raw, folder, template = tmp_path / "raw.hdf5", tmp_path / "out", tmp_path / "t.json"
+    shot = ["--phantom", "shapes", "--radius-mm", "9", "--positions", "24", "--rate-mhz", "8", "--band-mhz", "0.6"]
+    assert run.invoke(app, ["tai", "simulate", *shot, "-o", str(raw)]).exit_code == 0
+    assert run.invoke(app, ["burst", "design", "--method", "least-squares", "-o", str(template)]).exit_code == 0
+    assert (
+        run.invoke(
+            app, ["tai", "decode", str(raw), "--template", str(template), "-o", str(tmp_path / "d.npz")]
+        ).exit_code
+        == 0
+    )
+    assert load_acoustic(tmp_path / "d.npz").extra["decoded_from"] == "mpsl25-stuffed"
+    answer = run.invoke(
+        app, ["tai", "image", str(tmp_path / "d.npz"), "--pixel-mm", "0.4", "--json", "-o", str(folder)]
+    )
+    assert answer.exit_code == 0
+    assert json.loads(answer.stdout)["positions"] == 24
+    bad = run.invoke(app, ["tai", "image", str(raw), "-o", str(folder), "--method", "magic"])
+    assert isinstance(bad.exception, AnnulusError)
