@@ -18,7 +18,8 @@ SHAPE_PRIOR = 0.02  # of the radius; how oval or how far from its nominal radius
 SHAPE_TOLERANCE = 0.001  # of the radius; what of that may still be there where the points do not show it
 SHAPE_SHOWN = 30.0  # chi-square of the three numbers of the shape beyond which the points do show it, one in a million
 TILT_SHOWN = 0.008  # radians; a lean known no better than this could be an oval, and the other way round: then ..
-TILT_KEPT = 1e-5  # .. it is left where it was
+TILT_KEPT = 1e-5  # .. it is left at none, known no better than what the play of a head's runners allows:
+TILT_UNSEEN = 0.04
 NO_POINT = 1e-4  # density of wild points, in points a sigma, that is always reckoned with
 CELL_POINTS = 12  # of a patch of wall judged as a whole ..
 CELL_OFF, CELL_DOUBTED = 4.0, 1.0  # .. bad when its mean is so many sigma off, beside a bad one already from here
@@ -50,13 +51,16 @@ class Fit:
         return math.degrees(math.sqrt(max(self.covariance[0, 0], self.covariance[1, 1])))
 
 
-def fit_pose(points_mm: FloatArray, radius_mm: float, sigma_mm: FloatArray, seed: Pose | None = None) -> Fit | None:
+def fit_pose(
+    points_mm: FloatArray, radius_mm: float, sigma_mm: FloatArray, seed: Pose | None = None, one_ring: bool = False
+) -> Fit | None:
     """Pose of the pipe of known radius, its ovality allowed for.
 
     Parameters
     ----------
     points_mm : (N, 3) camera frame, finite. sigma_mm : (N,) each point's expected radial error, as weight.
     seed : first guess, such as the previous frame's pose; aligned with the camera when not given.
+    one_ring : all points are of one ring, which does not show the lean.
 
     Returns
     -------
@@ -83,8 +87,8 @@ def fit_pose(points_mm: FloatArray, radius_mm: float, sigma_mm: FloatArray, seed
     weight = 1.0 / np.maximum(sigma_mm, 1e-6) ** 2
     weight /= weight.mean()
     for first in (seed, Pose()) if seed is not None else (Pose(),):
-        found = _fit(points, weight, radius_mm, first, TILT_PRIOR)
-        if found is not None and max(found.covariance[0, 0], found.covariance[1, 1]) > TILT_SHOWN**2:
+        found = None if one_ring else _fit(points, weight, radius_mm, first, TILT_PRIOR)
+        if one_ring or (found is not None and max(np.diag(found.covariance)[:2]) > TILT_SHOWN**2):
             found = _fit(points, weight, radius_mm, Pose(0.0, 0.0, first.tx, first.ty), TILT_KEPT)
         if found is not None:
             return found
@@ -141,12 +145,14 @@ def _settle(points: FloatArray, weight: FloatArray, radius: float, x: FloatArray
             continue
         if left > 3 and moved > NEAR:
             continue
-        covariance = np.asarray(
-            (scale * unrest) ** 2 * np.linalg.inv(seen + np.diag(_prior(scale, radius, TILT_PRIOR, shape)))
-        )
+        seen += np.diag(_prior(scale, radius, tilt, shape))
+        covariance = np.asarray((scale * unrest) ** 2 * np.linalg.inv(seen))
         if shape == SHAPE_TOLERANCE or _shows_shape(x, covariance):
             break
         shape = SHAPE_TOLERANCE
+    if tilt == TILT_KEPT:  # the head may lean all the same, with the shift that makes up for it
+        along = np.vstack([np.eye(2), -np.linalg.solve(seen[2:, 2:], seen[2:, :2])])
+        covariance += TILT_UNSEEN**2 * along @ along.T
     if not _sane(x, radius) or scale > WORST_SPREAD * radius:
         return None
     if _turn(points, x, used) < LEAST_TURN * 36:

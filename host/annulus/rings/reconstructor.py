@@ -26,6 +26,7 @@ from annulus.vocabulary import AnnulusError
 
 FIRST_TOLERANCE = 0.5  # of the radius: the head's lean and stand-off are still in the deviation
 WALL_TOLERANCE = 0.35  # and now they are not
+RING_POINTS = 20  # with fewer a ring does not count as seen
 ROUGHLY = 400  # points that tell the pose well enough to read the rings again
 STEP_PX = 1.5  # a point's neighbours lie within this many pixels' worth of radius and ..
 STEP = 0.01  # .. this part of the pipe's radius
@@ -151,7 +152,9 @@ class Reconstructor:
         kept = np.flatnonzero(ring != NONE)
         if most is not None:
             kept = kept[:: max(1, len(kept) // most)]
-        return fit_pose(points[kept, ring[kept]], self.calibration.pipe_radius_mm, self._expected[ring[kept]], seed)
+        mine = ring[kept]
+        one_ring = bool(np.count_nonzero(np.bincount(mine) > RING_POINTS) < 2)
+        return fit_pose(points[kept, mine], self.calibration.pipe_radius_mm, self._expected[mine], seed, one_ring)
 
 
 def _spans(marks: list[tuple[str, float]]) -> dict[str, float]:

@@ -96,7 +96,7 @@ def test_one_ring_does_not_pretend_to_know_the_lean():
     pose = Pose(0.02, -0.015, 1.5, -2.0)
     circle = np.stack([R * np.cos(phi), R * np.sin(phi), np.full(700, 90.0)], axis=1)
     points = pose.to_camera(circle) + rng.normal(0, 0.03, (700, 3))
-    fit = fit_pose(points, R, np.ones(700))
+    fit = fit_pose(points, R, np.ones(700), one_ring=True)
     lean = np.sqrt(np.diag(fit.covariance)[:2])
     assert (lean > 0.03).all()
     wall_points = fit.pose.to_pipe(points)
