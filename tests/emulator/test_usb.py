@@ -220,7 +220,7 @@ def test_a_megabyte_from_the_controller_arrives_whole(board: EmulatedBoard) -> N
 
 
 def test_what_fills_its_last_packet_is_not_kept_waiting_for_more(board: EmulatedBoard) -> None:
-    """The host's driver waits for two packets or a short one: an empty one has to follow a whole one if nothing else."""
+    """The host's driver waits for two packets or a short one: an empty one has to follow a whole one if it is last."""
     board.plug_in()
     board.over_usb = True
     board.identify()
@@ -228,9 +228,9 @@ def test_what_fills_its_last_packet_is_not_kept_waiting_for_more(board: Emulated
     for generation in range(1, 7):
         board.request(configuration(generation=generation))
         board.request(Commit(generation=generation))
-    for i in range(3):
-        board.pulse(board.now + 2 * MS + 400_000 * i)
-    board.run(board.now + 20 * MS)
+    for i in range(8):
+        board.pulse(board.now + 2 * MS + 4_000_000 * i)
+    board.run(board.now + 330 * MS)
     sizes = [
         len(encode(Frame(event, sequence, boot=1)))
         for event, sequence in zip(board.events, board.event_sequences, strict=True)
