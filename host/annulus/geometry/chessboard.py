@@ -22,6 +22,8 @@ SECTORS = 48
 NEIGHBOURS = 64  # a marker's bits have corners too, so the nearest is not always the next one
 ALONG = np.cos(np.radians(14.0))  # a neighbour lies along the edge, ..
 BACK = np.cos(np.radians(24.0))  # .. whose direction there agrees,
+CLEAR = 8.0  # times the noise: a corner's contrast
+ALIKE = 0.4  # both corners are of about one contrast,
 EDGE = 0.35  # and all along, the edge has at least this part of the corners' contrast
 WINDOW = 0.3  # of the distance to the next corner: what a place is read from; beyond, a slanted square has other edges
 WINDOW_PX, WINDOW_BLURS = 12.0, 5.0  # and at most so many pixels, or standard deviations of the blur
@@ -124,7 +126,8 @@ def _corners(grey: NDArray[np.float32]) -> tuple[FloatArray, FloatArray, FloatAr
             at[todo, None] + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1),
         )
         ways[todo], contrast[todo] = _sectors(ring)
-    good = np.isfinite(ways[:, 0])
+    noise = 1.4826 * float(np.median(np.abs(light - cv2.GaussianBlur(light, (0, 0), 1.6))))
+    good = np.isfinite(ways[:, 0]) & (contrast > CLEAR * noise)
     good[good] = contrast[good] > 0.12 * np.percentile(contrast[good], 90) if good.any() else False
     return at[good], ways[good], contrast[good]
 
@@ -159,10 +162,11 @@ def _links(light: NDArray[np.float32], at: FloatArray, ways: FloatArray, contras
     distance, near = cKDTree(at).query(at, count + 1)
     distance, near = distance[:, 1:], near[:, 1:]
     towards = np.arctan2(at[near, 1] - at[:, None, 1], at[near, 0] - at[:, None, 0])
+    alike = np.minimum(contrast[near] / contrast[:, None], contrast[:, None] / contrast[near]) > ALIKE
     link = np.full((len(at), 4), -1)
     came = np.full((len(at), 4), -1)
     for way in range(4):
-        fits = np.cos(towards - ways[:, way, None]) > ALONG
+        fits = (np.cos(towards - ways[:, way, None]) > ALONG) & alike
         # Seen from there, the light lies on the other side: the edge back is of the other kind.
         back = np.cos(towards[..., None] + np.pi - ways[near][:, :, [(way + 1) % 4, (way + 3) % 4]])
         fits &= back.max(axis=2) > BACK

@@ -32,7 +32,8 @@ class DrawnBoard:
         u, v = flat[:, 0] / s, flat[:, 1] / s
         inside = (u >= 0) & (v >= 0) & (u < self.columns) & (v < self.rows)
         margin = (u >= -0.6) & (v >= -0.6) & (u < self.columns + 0.6) & (v < self.rows + 0.6)
-        out = np.where(margin, 1.0, 0.35 + 0.1 * np.sin(flat[:, 0] / 60) * np.sin(flat[:, 1] / 45))
+        away = np.exp(-0.5 * (((flat - self.middle_mm[:2]) / (2 * s * self.columns)) ** 2).sum(axis=1))
+        out = np.where(margin, 1.0, 0.35 + 0.1 * away * np.sin(flat[:, 0] / 60 + flat[:, 1] / 45))
         if self.markers:
             picture = _charuco(self.columns, self.rows, self.markers)
             x, y = (np.clip((w * 160).astype(int), 0, n - 1) for w, n in ((u, picture.shape[1]), (v, picture.shape[0])))

@@ -34,8 +34,8 @@ def pair(
     shift = np.asarray(middle_mm) - rotation @ board.middle_mm
     stripes = np.array([LIGHT[c] for c in colours])
     white, ringed = np.zeros((2, camera.height * camera.width, 3))
-    for i in range(9):
-        rays = _rays(camera, ((i * 3) % 9 + i // 3 + 0.5) / 9 - 0.5, (i + 0.5) / 9 - 0.5).astype(float)
+    for dx, dy in ((-0.375, -0.125), (-0.125, 0.375), (0.125, -0.375), (0.375, 0.125)):
+        rays = _rays(camera, dx, dy).astype(float)
         with np.errstate(divide="ignore", invalid="ignore"):
             s = (rotation[:, 2] @ shift) / (rays @ rotation[:, 2])
         hit = np.flatnonzero((s > 0) & (s < 2000))
@@ -53,8 +53,8 @@ def pair(
             dark |= (theta < cone.half_angle - 0.04) if k == 0 else False
             dark |= (theta > cone.half_angle + 0.04) if k == len(rings) - 1 else False
         fall = np.clip(120.0**2 / np.einsum("ij,ij->i", points, points), 0.1, 1.1)
-        ringed[hit] += stripes[stripe] * (np.where(dark, 0.0, paper * fall) / 9)[:, None]
-        white[hit] += (200.0 * paper * fall / 9)[:, None]
+        ringed[hit] += stripes[stripe] * (np.where(dark, 0.0, paper * fall) / 4)[:, None]
+        white[hit] += (200.0 * paper * fall / 4)[:, None]
     rng = np.random.default_rng(seed)
     out = []
     for image in (white, ringed):
