@@ -34,6 +34,7 @@ ALIKE_DEG, ALIKE_SHIFT = 1.0, 0.02  # leans and stands (of the radius) within so
 FOLDS = 4
 HELD_EVERY = 3  # sightings: as many as the held-out error needs
 TUNING_WINS = 0.97  # fine-tuning is kept if it brings the held-out error down to this part at most
+WAVES = 8.0  # neighbouring errors alike: noise makes 3
 OTHER_PIPE = 0.004  # of the radius: a frame's pipe this much off is another pipe
 OTHER_DISTANCE = 0.01  # of the distance camera - projector: farther from the last calibration's, it is said
 
@@ -231,8 +232,8 @@ def _decode(
         if i not in kept:
             exposure = exposures[i]
             left_out[frames[i]] = (
-                f"over-exposed, {100 * exposure.clipped:.0f} % of the stripes at full scale"
-                if exposure.over_exposed
+                f"over-exposed, {100 * exposure.lost:.0f} % of the stripes have lost their colour"
+                if exposure.lost > LOST_MOST
                 else f"rings of {colours} not found in it ({tracks[i].slits} slits seen)"
             )
     if len(kept) < 2:
@@ -259,20 +260,19 @@ def _why_none(
 ) -> str:
     if len(frames) == 1:
         return "one projector frame, expected at least two, the head leaning to opposite sides (better four and more)"
-    over = [i for i in lit if i not in kept and exposures[i].over_exposed]
+    over = [i for i in lit if i not in kept and exposures[i].lost > LOST_MOST]
     if over:
-        worst = max(exposures[i].clipped for i in over)
+        worst = max(exposures[i].lost for i in over)
         return (
-            f"{len(over)} of {len(frames)} projector frames over-exposed (up to {100 * worst:.0f} % of the stripes at "
-            "full scale), their colours cannot be read: shorten the projector's flash or lower the gain"
+            f"{len(over)} of {len(frames)} projector frames over-exposed (up to {100 * worst:.0f} % of the stripes "
+            "have lost their colour): shorten the projector's flash or lower the gain"
         )
     i = max(lit, key=lambda i: tracks[i].slits)
-    lines = 720
-    if tracks[i].slits > lines:
-        read = read_colours(images[i], wide_grid(camera, np.array([camera.cx, camera.cy])))
+    grid = wide_grid(camera, np.array([camera.cx, camera.cy]))
+    if tracks[i].slits > len(grid.cosine):
         return (
-            f"slits are seen but not in the order of pattern.colours {colours}; the stripes read {read} from the "
-            "innermost. Check pattern.colours"
+            f"slits are seen but not in the order of pattern.colours {colours}; the stripes read "
+            f"{read_colours(images[i], grid)} from the innermost. Check pattern.colours"
         )
     dark = len(frames) - len(lit)
     return (
@@ -427,6 +427,12 @@ def _warnings(
             )
     if solution.rival < 1.3:
         out.append("another place of the projector fits nearly as well: take frames that lean more")
+    waves = float(solution.alike.max())
+    if waves > WAVES:
+        out.append(
+            f"the errors run in long waves along the rings (up to {waves:.0f} neighbours alike): the camera's file is "
+            "not of this camera and lens, or the pipe is not round"
+        )
     over = [e for e in exposures if e.lost > LOST_MOST]
     if over:
         out.append(

@@ -7,7 +7,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from annulus.calibrate.pipe import PipeCalibration, leans
-from annulus.rings.autocalibration import wall_points
+from annulus.rings.autocalibration import azimuths
 from annulus.vocabulary import AnnulusError
 
 SHADES = ("#1f4e79", "#2e86ab", "#3fb6a8", "#8fbf4d", "#e0a030", "#d1495b", "#8d3b72", "#555555")
@@ -22,17 +22,15 @@ def draw_pipe(result: PipeCalibration, path: Path) -> None:
     errors, poses, bars = figure.subplot_mosaic(
         [["errors", "poses"], ["errors", "bars"]], width_ratios=[2.2, 1]
     ).values()
-    points = wall_points(seen, solution)
+    turn = 360.0 * azimuths(seen, solution.rings, solution.poses, solution.radius_mm)
     most = 4.0 * float(np.nanmax(solution.sigma_px)) + 1e-6
-    for k, ring in enumerate(solution.rings):
+    for k in range(rings):
         mine = np.flatnonzero((seen.ring == k) & (solution.weight > 0))
-        away = points[mine] - np.asarray(ring.vertex_mm)
-        turn = np.degrees(np.arctan2(away[:, 1], away[:, 0]))
         shade = SHADES[k % len(SHADES)]
-        errors.plot(turn, solution.error_px[mine] + 2 * most * k, ".", ms=1.2, color=shade, alpha=0.5)
+        errors.plot(turn[mine], solution.error_px[mine] + 2 * most * k, ".", ms=1.2, color=shade, alpha=0.5)
         errors.axhline(2 * most * k, color="k", lw=0.5)
     errors.set_yticks([2 * most * k for k in range(rings)], [f"ring {k + 1}" for k in range(rings)])
-    errors.set_xlim(-180, 180)
+    errors.set_xlim(0, 360)
     errors.set_xlabel("direction about the cone's axis, degrees")
     errors.set_title(f"Where slits are seen less where they should be ({most:.2f} px up to half way to the next ring)")
     lean = leans(solution.poses)

@@ -149,7 +149,7 @@ def calibrate(
         others = [cost for cost, other in found if abs(other[5] - x[5]) > far]
         rival = min(others, default=math.inf) / max(best, 1e-300)
     if directions:
-        problem.allow_lumps(directions)
+        problem.allow_lumps(x, directions)
     for _ in range(2):  # with the slits' middles of the first round
         _, x = problem.descend(x, robust=False, settled=SETTLED)
     report(len(DISTANCES) + 1, len(DISTANCES) + 1)
@@ -197,12 +197,10 @@ class _Problem:
             turns, self.blur, self.radius, self.fine, self.place, self.growth, self.error, self.rows,
         )  # fmt: skip
 
-    def allow_lumps(self, directions: int) -> None:
+    def allow_lumps(self, x: FloatArray, directions: int) -> None:
         """From here on each of so many sectors of a ring may be off the cone by its own angle."""
-        self.sector = np.zeros(len(self.seen), np.int64)
-        for k, mine in enumerate(self.members):
-            places = self.seen.rays[mine, 1]  # its azimuth about the camera will do to tell sectors apart
-            self.sector[mine] = k * directions + (_turn(places) * directions).astype(np.int64) % directions
+        turn = azimuths(self.seen, *self._unpacked(x), self.radius)
+        self.sector = self.seen.ring * directions + np.minimum((turn * directions).astype(np.int64), directions - 1)
         self.lump, self.lump_weight = np.zeros(self.rings * directions), np.full(self.rings * directions, np.inf)
 
     def fit_lumps(self, weight: FloatArray) -> float:
@@ -340,14 +338,19 @@ class _Problem:
         known = matrix[n + 1, n + 1] - of_radius @ of_radius  # 1/mm^2, all other unknowns free
         pulled = vector[n + 1] - of_radius @ ((vectors.T @ (unit * vector[:n])) / np.sqrt(values))
         off = (float(pulled / known), float(known**-0.5)) if known > 1e-9 * matrix[n + 1, n + 1] else (0.0, math.inf)
-        cones, poses = x[:inner].reshape(-1, 6), x[inner:].reshape(-1, 4)
+        rings, poses = self._unpacked(x)
         return Solution(
-            tuple(_cone(c) for c in cones), tuple(Pose(*(float(v) for v in p)) for p in poses), self.radius,
-            self.error.copy(), relative, self.rows[:, 0].copy(), self._axial(cones), self.rows[:, 11].copy(),
+            rings, poses, self.radius,
+            self.error.copy(), relative, self.rows[:, 0].copy(), self._axial(x), self.rows[:, 11].copy(),
             scale, alike, cover, rival, off, self.blur,
         )  # fmt: skip
 
-    def _axial(self, cones: FloatArray) -> FloatArray:
+    def _unpacked(self, x: FloatArray) -> tuple[tuple[Cone, ...], tuple[Pose, ...]]:
+        cones, poses = x[: 6 * self.rings].reshape(-1, 6), x[6 * self.rings :].reshape(-1, 4)
+        return tuple(_cone(c) for c in cones), tuple(Pose(*(float(v) for v in p)) for p in poses)
+
+    def _axial(self, x: FloatArray) -> FloatArray:
+        cones = x[: 6 * self.rings].reshape(-1, 6)
         axis = np.column_stack([cones[:, 1:3], np.sqrt(np.maximum(1.0 - (cones[:, 1:3] ** 2).sum(axis=1), 0.0))])
         return np.asarray((self.rows[:, 3:6] * axis[self.seen.ring]).sum(axis=1))
 
@@ -438,15 +441,23 @@ def hold_out(
     return out
 
 
-def wall_points(seen: Sightings, solution: Solution) -> FloatArray:
+def azimuths(seen: Sightings, rings: Sequence[Cone], poses: Sequence[Pose], radius_mm: float) -> FloatArray:
+    """(N,) 0..1: where round its cone's axis the light of each slit runs, see FineRing."""
+    points = _wall_points(seen, poses, radius_mm)
+    axis = np.array([ring.axis for ring in rings])[seen.ring]
+    away = points - np.array([ring.vertex_mm for ring in rings])[seen.ring]
+    first = away[:, 0] - axis[:, 0] * (away * axis).sum(axis=1)
+    second = axis[:, 2] * away[:, 1] - axis[:, 1] * away[:, 2]
+    return np.asarray(np.nan_to_num(np.arctan2(second, first)) / (2 * math.pi) % 1.0)
+
+
+def _wall_points(seen: Sightings, poses: Sequence[Pose], radius_mm: float) -> FloatArray:
     """(N, 3) mm, camera frame: where each slit's ray meets the wall of the pipe in its frame's pose."""
     out = np.empty((len(seen), 3))
-    for j, pose in enumerate(solution.poses):
+    for j, pose in enumerate(poses):
         mine = np.flatnonzero(seen.frame == j)
         axis = pose.rotation[:, 2]
-        out[mine] = intersect_cylinder(
-            seen.rays[mine, 1], pose.translation, axis, solution.radius_mm, seen.origins[mine, 1]
-        )
+        out[mine] = intersect_cylinder(seen.rays[mine, 1], pose.translation, axis, radius_mm, seen.origins[mine, 1])
     return out
 
 
@@ -498,10 +509,6 @@ def spread_of(weight: FloatArray, pull: FloatArray) -> float:
         left = 1.0 / (weight + 1.0 / square)
         square = max(float(np.mean((pull * left) ** 2 + left)), 1e-3 / usual)
     return math.sqrt(square)
-
-
-def _turn(ways: FloatArray) -> FloatArray:
-    return np.asarray(np.arctan2(ways[:, 1], ways[:, 0]) / (2 * math.pi) % 1.0)
 
 
 @compiled

@@ -1,16 +1,14 @@
 """What each projected ring is off its cone, direction by direction: scratches and lumps of the slide."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array, diags_array
 from scipy.sparse.linalg import spsolve
 
 from annulus.geometry.calibration import FineRing
 from annulus.geometry.pose import FloatArray
-from annulus.rings.autocalibration import Sightings, Solution, calibrate, spread_of, wall_points
+from annulus.rings.autocalibration import Sightings, Solution, azimuths, calibrate, spread_of
 
 DIRECTIONS = 720
 ROUNDS, STRAIGHT_PX = 4, 1.5  # an offset that moves a slit farther is found again from there: lines are not straight
@@ -53,14 +51,14 @@ def tune(
 def _offsets(seen: Sightings, solution: Solution, directions: int, axial_mm: float) -> tuple[FloatArray, FloatArray]:
     """(K, 2, directions) rad, mm, and (N,) px that they explain."""
     rings = len(solution.rings)
-    points = wall_points(seen, solution)
+    turn = azimuths(seen, solution.rings, solution.poses, solution.radius_mm) * directions
     out, explained = np.zeros((rings, 2, directions)), np.zeros(len(seen))
     for k in range(rings):
         mine = np.flatnonzero((seen.ring == k) & np.isfinite(solution.error_px))
         if not len(mine):
             continue
-        cone = solution.rings[k]
-        node, part = _azimuth(points[mine] - np.asarray(cone.vertex_mm), np.asarray(cone.axis), directions)
+        node = np.minimum(turn[mine].astype(np.int64), directions - 1)
+        part = turn[mine] - node
         slope, push = solution.slope_px[mine], solution.axial_px[mine]
         rows = [(node, slope * (1 - part)), ((node + 1) % directions, slope * part)]
         if axial_mm > 0:
@@ -80,14 +78,6 @@ def _offsets(seen: Sightings, solution: Solution, directions: int, axial_mm: flo
         out[k].flat[:size] = found
         explained[mine] = jacobian @ found
     return out, explained
-
-
-def _azimuth(away: FloatArray, axis: FloatArray, directions: int) -> tuple[NDArray[np.int64], FloatArray]:
-    first = away[:, 0] - axis[0] * (away @ axis)
-    second = axis[2] * away[:, 1] - axis[1] * away[:, 2]
-    at = (np.arctan2(second, first) / (2 * math.pi) % 1.0) * directions
-    node = np.minimum(at.astype(np.int64), directions - 1)
-    return node, at - node
 
 
 def fine_rings(fine: FloatArray) -> tuple[FineRing, ...]:

@@ -50,8 +50,9 @@ def close_grid(camera: Camera, tracks: list[Tracks]) -> PolarGrid:
     see when it measures."""
     centre = np.median([track.middle for track in tracks], axis=0)
     reach = np.array([track.reach for track in tracks])
+    reach = reach[:, np.isfinite(reach[:, :, 1]).any(axis=0)]  # rings seen at all
     usual = np.nanmedian(reach[:, :, 1], axis=0)
-    gaps = np.abs(np.diff(usual[np.isfinite(usual)]))
+    gaps = np.abs(np.diff(usual))
     spacing = max(3.0, float(gaps.min())) if len(gaps) else float(np.nanmedian(usual)) / 4
     off = float(max(np.linalg.norm(track.middle - centre) for track in tracks))
     first = max(2.0, math.floor(float(np.nanmin(reach)) - spacing - off))

@@ -166,7 +166,7 @@ def _image_error(solution: Solution | None, truth: tuple[Cone, ...] = RINGS) -> 
     if solution is None:
         return float("nan")
     poses = tuple(Pose(np.radians(a), np.radians(b), 0.0, 0.0) for a in (-8, 0, 8) for b in (-8, 0, 8))
-    seen = simulate(poses, rings=truth)
+    seen = simulate(poses, rings=truth, rounded=False)
     return float(np.sqrt(np.nanmean(measure(seen, solution, poses).error_px ** 2)))
 
 

@@ -76,6 +76,7 @@ def simulate(
     radius_mm: float = RADIUS_MM,
     phase: float = 0.0,
     fresh_noise: np.random.Generator | None = None,
+    rounded: bool = True,
 ) -> Sightings:
     """What the camera sees. pattern : (K, 720) rad added to the half-angles. phase : of the directions, in steps.
     fresh_noise : adds NP1 anew in every frame."""
@@ -95,7 +96,8 @@ def simulate(
             start = pose.to_pipe(np.array([cone.vertex_mm]))[0]
             a, b = (way[:, :2] ** 2).sum(axis=1), way[:, :2] @ start[:2]
             s = (np.sqrt(b * b - a * (start[:2] @ start[:2] - radius_mm**2)) - b) / a
-            pixels = np.rint(camera.project(pose.to_camera(start + s[:, None] * way)))
+            pixels = camera.project(pose.to_camera(start + s[:, None] * way))
+            pixels = np.rint(pixels) if rounded else pixels
             pixels = pixels[((pixels >= 0) & (pixels < [camera.width, camera.height])).all(axis=1)]
             frame.append(np.full(len(pixels), j))
             ring.append(np.full(len(pixels), k))
