@@ -28,6 +28,7 @@ FIRST_TOLERANCE = 0.5  # of the radius: the head's lean and stand-off are still 
 WALL_TOLERANCE = 0.35  # and now they are not
 RING_POINTS = 20  # with fewer a ring does not count as seen
 ROUGHLY = 400  # points that tell the pose well enough to read the rings again
+OVER_EXPOSED = 235.0  # grey levels of light, a slit's own darkness taken off
 STEP_PX = 1.5  # a point's neighbours lie within this many pixels' worth of radius and ..
 STEP = 0.01  # .. this part of the pipe's radius
 
@@ -128,11 +129,12 @@ class Reconstructor:
         seen = points[kept, ring[kept]]
         wall = pose.to_pipe(seen, z_mm)
         light = np.empty((len(kept), 3), np.uint8)
-        _beside(kept, slits.inside, slits.outside, light)
+        clipped = np.empty(len(kept), np.bool_)
+        _beside(kept, slits.inside, slits.outside, light, clipped)
         marks.append(("points", clock()))
         sigma = point_sigma(
-            ring[kept], slits.direction[kept], seen, slits.softness[kept], wider[kept], self._optics, self._calibrated,
-            fitted,
+            ring[kept], slits.direction[kept], seen, slits.softness[kept], wider[kept], clipped, self._optics,
+            self._calibrated, fitted,
         )  # fmt: skip
         marks.append(("sigma", clock()))
         return Profile(
@@ -170,8 +172,11 @@ def _size(image: NDArray[np.uint8]) -> str:
 
 
 @compiled
-def _beside(kept, inside, outside, out):  # type: ignore[no-untyped-def]
-    """The wall's colour, RGB, as the mean of what the two stripes (BGR) show of it."""
+def _beside(kept, inside, outside, out, clipped):  # type: ignore[no-untyped-def]
+    """The wall's colour, RGB, as the mean of what the two stripes (BGR) show of it; whether one is over-exposed."""
     for n in range(len(kept)):
+        clipped[n] = False
         for c in range(3):
-            out[n, c] = min(0.5 * (inside[kept[n], 2 - c] + outside[kept[n], 2 - c]), 255.0)
+            a, b = inside[kept[n], 2 - c], outside[kept[n], 2 - c]
+            out[n, c] = min(0.5 * (a + b), 255.0)
+            clipped[n] = clipped[n] or max(a, b) > OVER_EXPOSED

@@ -13,6 +13,8 @@ PER_LINE = 48  # slits kept of one line; a wall that shows more is not a wall
 FALL = 0.72  # a slit is darker than this part of the light before it and after it
 SHALLOW = 0.65  # a slit is at least this part as deep as the frame's usual one
 HALFWAY, LEVEL = 0.5, 0.4  # an edge ends where that part of the light is back and the slope is down to that part
+CLEAR, BESIDE = 5, 8  # samples from an edge where its blur has ended, and over how many more light's slope is read
+STEEPEST, BLUR_MOST = 4.0, 9.0  # a power of the distance from the centre: light that changes faster is another edge
 FAINT = 0.03  # stripes dimmer than this part of the frame's bright level are darkness
 WEAK, NOISY = 2.5, 0.015  # a channel so many times weaker than the strongest is raised; of that one's light in noise
 
@@ -42,10 +44,10 @@ def find_slits(unrolled: Unrolled, grid: PolarGrid) -> Slits:
     floor = max(FAINT * unrolled.bright, 4.0 * unrolled.noise, 2.0)
     found = np.empty((len(grid.cosine) * PER_LINE, 10), np.float32)
     stop = np.minimum(grid.stop - unrolled.first, unrolled.top.shape[1])
-    n, crowded = _scan(unrolled.top, stop, taps, np.float32(floor), np.float32(grid.spacing_px), found)
+    away = (grid.first + grid.step * unrolled.first, grid.step)
+    n, crowded = _scan(unrolled.top, stop, away, taps, np.float32(floor), np.float32(grid.spacing_px), found)
     kept = _dark_ones(found, n)
     direction, place, light = np.empty(kept, np.int64), np.empty((3, kept)), np.empty((2, kept, 3))
-    away = (grid.first + grid.step * unrolled.first, grid.step)
     _sides(unrolled.image, grid.centre, away, grid.cosine, grid.sine, found, direction, place, light)
     return Slits(direction, unrolled.first + place[0], place[1], light[0], light[1], place[2], n - kept, crowded)
 
@@ -58,7 +60,7 @@ def smoothing(spacing_px: float) -> NDArray[np.float32]:
 
 
 @compiled
-def _scan(bright, stop, taps, floor, spacing, out):  # type: ignore[no-untyped-def]
+def _scan(bright, stop, away, taps, floor, spacing, out):  # type: ignore[no-untyped-def]
     """Rows of `out`: direction, position, width, bottom, how dark, and the stripes' samples beside: first and last of
     the inner side, first and last of the outer; the edges' softness."""
     longest = bright.shape[1]
@@ -136,8 +138,15 @@ def _scan(bright, stop, taps, floor, spacing, out):  # type: ignore[no-untyped-d
                     break
             if a < 6 or e > length - 7 or e <= a:
                 continue
+            fall_bend = slope[a - 1] - 2 * slope[a] + slope[a + 1]
+            rise_bend = slope[e - 1] - 2 * slope[e] + slope[e + 1]
             left = _extremum(slope[a - 1], slope[a], slope[a + 1]) + a
             right = _extremum(slope[e - 1], slope[e], slope[e + 1]) + e
+            most = np.float32(STEEPEST) / abs(away[0] + away[1] * bottom)
+            inner = max((bottom + (low[q - 1] if q > 0 else 0)) // 2, 4)
+            outer = min((bottom + (low[q + 1] if q + 1 < k else length)) // 2, length - 5)
+            left -= _drawn(smooth, a, inner, slope[a], fall_bend, most)
+            right -= _drawn(smooth, e, outer, slope[e], rise_bend, most)
             # the stripes' light just beyond the edges, but not beyond half way to the next slit
             blur = np.float32(1.5)
             reach = max(np.float32(2.0), np.float32(0.12) * spacing)
@@ -155,8 +164,6 @@ def _scan(bright, stop, taps, floor, spacing, out):  # type: ignore[no-untyped-d
             row[3] = bottom
             row[4] = np.float32(1.0) - min(smooth[bottom] / max(beside, np.float32(1.0)), np.float32(1.0))
             row[5], row[6], row[7], row[8] = p0, p1, p2, p3
-            fall_bend = slope[a - 1] - 2 * slope[a] + slope[a + 1]
-            rise_bend = slope[e - 1] - 2 * slope[e] + slope[e + 1]
             row[9] = math.sqrt(1 / max(fall_bend * fall_bend, 1e-6) + 1 / max(rise_bend * rise_bend, 1e-6))
             n += 1
     return n, crowded
@@ -207,6 +214,20 @@ def _sides(image, centre, away, cosine, sine, found, direction, place, light):  
             light[part - 1, n, 0] = max(blue * scale - dark[0], np.float32(0.0))
             light[part - 1, n, 1] = max(green * scale - dark[1], np.float32(0.0))
             light[part - 1, n, 2] = max(red * scale - dark[2], np.float32(0.0))
+
+
+@compiled
+def _drawn(smooth, edge, last, steepest, bend, most):  # type: ignore[no-untyped-def]
+    """How far an edge is drawn towards the light, in samples: a stripe that brightens by a part g of itself a sample
+    moves the steepest place of its edge, blurred by sigma, by g sigma^2; sigma^2 is the slope there over its bend."""
+    way = 1 if last > edge else -1
+    near, far = edge + way * CLEAR, edge + way * min(abs(last - edge), CLEAR + BESIDE)
+    reach = abs(far - near)
+    if abs(last - edge) < CLEAR + 2 or smooth[near] <= 0 or bend == 0:
+        return np.float32(0.0)
+    growth = way * (smooth[far] - smooth[near]) / (reach * np.float32(0.5) * (smooth[near] + smooth[far]))
+    growth = min(max(growth, -most), most)
+    return growth * min(max(-steepest / bend, np.float32(0.0)), np.float32(BLUR_MOST))
 
 
 @compiled

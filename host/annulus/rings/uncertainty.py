@@ -14,7 +14,8 @@ STEPS = 72  # directions the calibration's share is worked out in
 LAG = 4  # directions; neighbouring lines share pixels, these do not
 LEAST = 40  # values a ring's scatter is learnt from; with fewer a tenth of a pixel is taken
 UNKNOWN_PX = 0.1
-BIAS_PX = 0.03  # an edge's place in a demosaiced image is within a twentieth of a pixel, evenly: 0.05 / sqrt 3
+BIAS_PX = 0.015  # an edge's place in a demosaiced image is within a fortieth of a pixel, evenly: 0.025 / sqrt 3 ..
+CLIPPED_PX = 0.04  # .. and within 0.07 where the light beside it is more than the camera can tell: half an edge is cut
 DRAWN_PX = 0.5  # no edge is drawn out of the pixel it lies in: a ring farther off lies on another wall, a groove
 BLUR_LEAST, BLUR_MOST = 0.5, 4.0  # of the ring's usual edge, what an edge counts for
 
@@ -25,6 +26,7 @@ def point_sigma(
     points_mm: FloatArray,
     softness: FloatArray,
     width_off_px: FloatArray,
+    clipped: NDArray[np.bool_],
     optics: RingOptics,
     calibrated_mm: FloatArray,
     fit: Fit,
@@ -35,6 +37,7 @@ def point_sigma(
     ----------
     ring, direction : (N,). points_mm : (N, 3) camera frame. softness : (N,) of the slit's two edges, see `Slits`.
     width_off_px : (N,) by how much the slit's width differs from its ring's around there.
+    clipped : (N,) whether a stripe beside the slit is over-exposed.
     calibrated_mm : (K, J) what the calibration leaves open, from `calibrated`.
 
     Notes
@@ -52,7 +55,7 @@ def point_sigma(
     out = np.empty(len(ring), np.float32)
     _combine(
         ring, direction, points_mm, fit.pose.rotation, fit.pose.translation, fit.covariance, softness,
-        width_off_px, optics.mm_per_px, calibrated_mm, out,
+        width_off_px, clipped, optics.mm_per_px, calibrated_mm, out,
     )  # fmt: skip
     return out
 
@@ -102,7 +105,9 @@ def calibrated(calibration: Calibration, grid: PolarGrid, optics: RingOptics) ->
 
 
 @compiled
-def _combine(ring, direction, points, rotation, shift, covariance, softness, width_off, mm_per_px, calibrated, out):  # type: ignore[no-untyped-def]
+def _combine(  # type: ignore[no-untyped-def]
+    ring, direction, points, rotation, shift, covariance, softness, width_off, clipped, mm_per_px, calibrated, out
+):
     rings, directions = calibrated.shape
     radius = np.zeros((rings, directions))  # 0: no point
     pose = np.empty(len(ring))
@@ -172,6 +177,8 @@ def _combine(ring, direction, points, rotation, shift, covariance, softness, wid
         soft = min(max(softness[n] / usual[k], BLUR_LEAST), BLUR_MOST)
         place = (scatter[k] * soft) ** 2
         drawn = apart[k] if bias < apart[k] < DRAWN_PX else bias
+        if clipped[n]:
+            drawn = max(drawn, CLIPPED_PX)
         # the width scatters by twice what the middle does; only what is more is not noise
         other = max((0.5 * width_off[n] * mm_per_px[k]) ** 2 - 4.0 * place, 0.0)
         out[n] = np.sqrt(place + (drawn * mm_per_px[k]) ** 2 + other + pose[n] + calibrated[k, direction[n]] ** 2)
