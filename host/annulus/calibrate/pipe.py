@@ -127,10 +127,10 @@ def calibrate_pipe(scan: Path, camera: Path, radius_mm: float, *, progress: Prog
     exposures = [diagnose(image) for image in images]
     tracks, kept, left_out = _decode(frames, images, exposures, known, colours, scan, report)
     marks["decode"] = time.process_time()
-    seen, blur = _sightings(known, [tracks[i] for i in kept])
+    seen = _sightings(known, [tracks[i] for i in kept])
     indices = tuple(frames[i] for i in kept)
     try:
-        solution = calibrate(seen, radius_mm, blur_px2=blur, progress=lambda done, total: report("solve", done, total))
+        solution = calibrate(seen, radius_mm, progress=lambda done, total: report("solve", done, total))
     except AnnulusError as error:
         raise AnnulusError(f"{scan}: {error}.") from None
     _refuse(scan, solution, indices)
@@ -289,14 +289,14 @@ def _light_centre(image: Image) -> FloatArray:
     return np.array([8 * np.average(x, weights=top), 8 * np.average(y, weights=top)])
 
 
-def _sightings(camera: Camera, tracks: Sequence[Tracks]) -> tuple[Sightings, float]:
+def _sightings(camera: Camera, tracks: Sequence[Tracks]) -> Sightings:
     frame = np.concatenate([np.full(len(track.ring), j) for j, track in enumerate(tracks)])
     ring = np.concatenate([track.ring for track in tracks])
     pixels = np.concatenate([track.pixels for track in tracks])
     width = np.concatenate([track.width for track in tracks])
     width = np.minimum(width, 1.3 * np.median(width))  # as triangulate does
     centre = np.asarray(tracks[0].centre)
-    return sight(camera, frame, ring, pixels, centre, width), float(np.median([t.blur_px2 for t in tracks]))
+    return sight(camera, frame, ring, pixels, centre, width)
 
 
 def _refuse(scan: Path, solution: Solution, frames: Sequence[int]) -> None:

@@ -34,7 +34,6 @@ STEPS = 60
 SPREADS = 20  # steps that find how large lumps are
 SINGULAR = 1e-11  # least eigenvalue of the normal equations, all unknowns scaled to 1
 SETTLED, NEAR = 1e-6, 1e-3  # of a parameter's size: the descent ends; a start is good enough to be compared
-BLUR_PART = 0.1  # of the blur's variance: how well it is known
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,7 +73,6 @@ class Solution:
     rival: float  # cost of the second best start that led elsewhere, over the cost of this one; inf where none did
     off_radius_mm: tuple[float, float]  # what the sightings say of the radius, less what was given, and its standard
     # deviation: infinite for a camera with one centre, whose images stay the same when everything grows alike
-    blur_px2: float  # as it was given
 
 
 def sight(
@@ -105,7 +103,6 @@ def calibrate(
     start: Solution | None = None,
     offsets: FloatArray | None = None,
     directions: int = 0,
-    blur_px2: float = 0.0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Solution:
     """All rings and all poses together, from a cold start.
@@ -116,7 +113,6 @@ def calibrate(
     start : an answer nearby, saves the search. offsets : (K, 2, n) rad and mm, what each ring is known to be off its
     cone, see FineRing. directions : so many sectors round each ring may each be off the cone
     by their own angle (lumps of the slide); 0 = none is. Only what differs between poses then tells of the cones.
-    blur_px2 : variance of all the blur along a line that the slits' edges went through, the detector's own included.
 
     Raises
     ------
@@ -132,13 +128,13 @@ def calibrate(
     if frames < 2:
         raise AnnulusError("one frame cannot tell the projector's place from its angles: lean the head the other way")
     fine = np.zeros((rings, 2, 0)) if offsets is None else np.ascontiguousarray(offsets)
-    problem = _Problem(seen, rings, frames, radius_mm, fine, blur_px2)
+    problem = _Problem(seen, rings, frames, radius_mm, fine)
     rival = math.inf
     report = progress or (lambda done, total: None)
     if start is not None:
         x = _pack(start)
     else:
-        few = _Problem(seen.take(_thinned(seen, rings, frames)), rings, frames, radius_mm, fine, blur_px2)
+        few = _Problem(seen.take(_thinned(seen, rings, frames)), rings, frames, radius_mm, fine)
         found: list[tuple[float, FloatArray]] = []
         for done, distance in enumerate(DISTANCES):
             report(done, len(DISTANCES) + 1)
@@ -157,17 +153,12 @@ def calibrate(
 
 
 class _Problem:
-    """The sightings and the unknowns: per ring half-angle, axis x y, vertex; per frame rx, ry, tx, ty.
+    """The sightings and the unknowns: per ring half-angle, axis x y, vertex; per frame rx, ry, tx, ty."""
 
-    Where light grows along a line, an edge's steepest place moves into it: by the blur's variance times the growth of
-    the light's logarithm, and that follows from the geometry (inverse square and Lambert's cosine). Left out, it costs
-    0.06 px between a near wall and a far one, and 0.015 degrees. The sightings cannot tell it from the unknowns.
-    """
-
-    def __init__(self, seen: Sightings, rings: int, frames: int, radius: float, fine: FloatArray, blur: float) -> None:
-        self.seen, self.rings, self.frames, self.radius, self.fine, self.blur = seen, rings, frames, radius, fine, blur
-        self.place, self.growth = np.zeros(len(seen)), np.zeros(len(seen))
-        self.error, self.rows = np.empty(len(seen)), np.empty((len(seen), 12))
+    def __init__(self, seen: Sightings, rings: int, frames: int, radius: float, fine: FloatArray) -> None:
+        self.seen, self.rings, self.frames, self.radius, self.fine = seen, rings, frames, radius, fine
+        self.place, self.middle = np.zeros(len(seen)), np.zeros(len(seen))
+        self.error, self.rows = np.empty(len(seen)), np.empty((len(seen), 11))
         self.size = np.concatenate(
             [np.tile([1.0, 1.0, 1.0, *[radius] * 3], rings), np.tile([1.0, 1.0, radius, radius], frames)]
         )
@@ -194,7 +185,7 @@ class _Problem:
         seen = self.seen
         _errors(
             seen.frame, seen.ring, seen.rays, seen.origins, seen.width if middles else seen.width[:0], cones, poses,
-            turns, self.blur, self.radius, self.fine, self.place, self.growth, self.error, self.rows,
+            turns, self.radius, self.fine, self.place, self.middle, self.error, self.rows,
         )  # fmt: skip
 
     def allow_lumps(self, x: FloatArray, directions: int) -> None:
@@ -245,12 +236,12 @@ class _Problem:
         return np.where(np.isfinite(self.rest), weight, 0.0) / sigma**2, float(loss.sum())
 
     def normal(self, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """J^T W J and J^T W e over all unknowns and, last, the blur and the radius."""
+        """J^T W J and J^T W e over all unknowns and, last, the radius."""
         k, f = self.rings, self.frames
-        blocks, right = np.zeros((k, f, 12, 12)), np.zeros((k, f, 12))
+        blocks, right = np.zeros((k, f, 11, 11)), np.zeros((k, f, 11))
         _gather(self.seen.frame, self.seen.ring, weight, self.rest, self.rows, blocks, right)
         n = 6 * k + 4 * f
-        matrix, vector = np.zeros((n + 2, n + 2)), np.zeros(n + 2)
+        matrix, vector = np.zeros((n + 1, n + 1)), np.zeros(n + 1)
         for ring in range(k):
             at = slice(6 * ring, 6 * ring + 6)
             matrix[at, at] = blocks[ring, :, :6, :6].sum(axis=0)
@@ -266,11 +257,11 @@ class _Problem:
         matrix = np.triu(matrix) + np.triu(matrix, 1).T
         if self.sector is not None:  # what the lumps could take over tells nothing
             per = len(self.lump) // k
-            shared = np.zeros((len(self.lump), 8 + 4 * f))
+            shared = np.zeros((len(self.lump), 7 + 4 * f))
             _gather_sectors(self.seen.frame, self.sector, weight, self.rows, shared)
             for ring in range(k):
                 own = slice(ring * per, (ring + 1) * per)
-                columns = np.r_[6 * ring : 6 * ring + 6, 6 * k : n + 2]
+                columns = np.r_[6 * ring : 6 * ring + 6, 6 * k : n + 1]
                 part = shared[own] / np.sqrt(self.lump_weight[own])[:, None]
                 matrix[np.ix_(columns, columns)] -= part.T @ part
         return matrix, vector
@@ -332,17 +323,16 @@ class _Problem:
         if values[0] < SINGULAR:
             raise AnnulusError("the poses are all alike: they leave the projector's place open")
         half = vectors[:inner] * unit[:inner, None] / np.sqrt(values)
-        pull = half @ ((vectors.T @ (unit * matrix[:n, n])) / np.sqrt(values))  # of one px^2 of blur
-        cover = half @ half.T + (BLUR_PART * self.blur) ** 2 * np.outer(pull, pull)
-        of_radius = (vectors.T @ (unit * matrix[:n, n + 1])) / np.sqrt(values)
-        known = matrix[n + 1, n + 1] - of_radius @ of_radius  # 1/mm^2, all other unknowns free
-        pulled = vector[n + 1] - of_radius @ ((vectors.T @ (unit * vector[:n])) / np.sqrt(values))
-        off = (float(pulled / known), float(known**-0.5)) if known > 1e-9 * matrix[n + 1, n + 1] else (0.0, math.inf)
+        cover = half @ half.T
+        of_radius = (vectors.T @ (unit * matrix[:n, n])) / np.sqrt(values)
+        known = matrix[n, n] - of_radius @ of_radius  # 1/mm^2, all other unknowns free
+        pulled = vector[n] - of_radius @ ((vectors.T @ (unit * vector[:n])) / np.sqrt(values))
+        off = (float(pulled / known), float(known**-0.5)) if known > 1e-9 * matrix[n, n] else (0.0, math.inf)
         rings, poses = self._unpacked(x)
         return Solution(
             rings, poses, self.radius,
-            self.error.copy(), relative, self.rows[:, 0].copy(), self._axial(x), self.rows[:, 11].copy(),
-            scale, alike, cover, rival, off, self.blur,
+            self.error.copy(), relative, self.rows[:, 0].copy(), self._axial(x), self.rows[:, 10].copy(),
+            scale, alike, cover, rival, off,
         )  # fmt: skip
 
     def _unpacked(self, x: FloatArray) -> tuple[tuple[Cone, ...], tuple[Pose, ...]]:
@@ -391,13 +381,13 @@ def measure(seen: Sightings, solution: Solution, poses: Sequence[Pose], offsets:
     for j, pose in enumerate(poses):
         mine = np.flatnonzero(seen.frame == j)
         one = replace(seen.take(mine), frame=np.zeros(len(mine), np.int64))
-        problem = _Problem(one, rings, 1, solution.radius_mm, fine, solution.blur_px2)
+        problem = _Problem(one, rings, 1, solution.radius_mm, fine)
         problem.descend(_pack(replace(solution, poses=(pose,))), robust=False, settled=SETTLED, poses_only=True)
         weight, _ = problem.weights(problem.spread(), robust=False)
         px[mine] = np.where(weight > 0, problem.error, np.nan)
-        mm[mine] = px[mine] / problem.rows[:, 11]
+        mm[mine] = px[mine] / problem.rows[:, 10]
         matrix, vector = problem.normal(weight / solution.alike[one.ring])
-        own = [*range(6 * rings, 6 * rings + 4), 6 * rings + 5]
+        own = [*range(6 * rings, 6 * rings + 5)]
         cover = np.linalg.inv(matrix[np.ix_(own, own)])
         of_frame[j], sigma[j] = (cover @ vector[own])[4], math.sqrt(cover[4, 4])
     return Measured(px, mm, of_frame, sigma)
@@ -429,7 +419,7 @@ def hold_out(
             poses = tuple(solution.poses[j] for j in chosen)
             if found is None:
                 start = replace(solution, poses=poses)
-                found = calibrate(few, solution.radius_mm, start=start, blur_px2=solution.blur_px2)
+                found = calibrate(few, solution.radius_mm, start=start)
                 if fit is not None:
                     found, fine = fit(few, found)
             else:
@@ -464,7 +454,7 @@ def _wall_points(seen: Sightings, poses: Sequence[Pose], radius_mm: float) -> Fl
 def with_frame(solution: Solution, one: Sightings, pose: Pose) -> FloatArray:
     """The covariance that the rings would have if a frame with these sightings, taken in `pose`, were added."""
     rings = len(solution.rings)
-    problem = _Problem(one, rings, 1, solution.radius_mm, np.zeros((rings, 2, 0)), solution.blur_px2)
+    problem = _Problem(one, rings, 1, solution.radius_mm, np.zeros((rings, 2, 0)))
     problem.look(_pack(replace(solution, poses=(pose,))), middles=True)
     weight = np.where(np.isfinite(problem.error), 1.0, 0.0) / (solution.sigma_px**2 * solution.alike)[one.ring]
     matrix, _ = problem.normal(weight)
@@ -513,8 +503,8 @@ def spread_of(weight: FloatArray, pull: FloatArray) -> float:
 
 @compiled
 def _gather_sectors(frame, sector, weight, rows, shared):  # type: ignore[no-untyped-def]
-    """(K n, 6 + 4 F + 2): each sector's angle against its ring, all poses, blur and radius."""
-    last = shared.shape[1] - 2
+    """(K n, 6 + 4 F + 1): each sector's angle against its ring, all poses and the radius."""
+    last = shared.shape[1] - 1
     for n in range(len(frame)):
         w = weight[n] * rows[n, 0]
         if w == 0.0:
@@ -525,7 +515,6 @@ def _gather_sectors(frame, sector, weight, rows, shared):  # type: ignore[no-unt
         for a in range(4):
             row[6 + 4 * frame[n] + a] += w * rows[n, 6 + a]
         row[last] += w * rows[n, 10]
-        row[last + 1] += w * rows[n, 11]
 
 
 @compiled
@@ -535,20 +524,20 @@ def _gather(frame, ring, weight, error, rows, blocks, right):  # type: ignore[no
         if w == 0.0:
             continue
         block, vector = blocks[ring[n], frame[n]], right[ring[n], frame[n]]
-        for a in range(12):
+        for a in range(11):
             scaled = w * rows[n, a]
             vector[a] += scaled * error[n]
-            for b in range(a, 12):
+            for b in range(a, 11):
                 block[a, b] += scaled * rows[n, b]
 
 
 @compiled
-def _errors(frame, ring, rays, origins, width, cones, poses, turns, blur, radius, fine, places, shifts, error, rows):  # type: ignore[no-untyped-def]
-    """Seen less expected place along each line (px), NaN where ray, wall and cone do not meet; `rows` (N, 12): how the
-    expected place moves with half-angle, axis x y, vertex x y z, rx, ry, tx, ty, blur, radius. `places` and `shifts`
-    are kept from call to call: where the ring's image crosses the line, and where its slit's middle is seen from there;
-    the latter is found again where `width` is given."""
-    more = np.empty(11)
+def _errors(frame, ring, rays, origins, width, cones, poses, turns, radius, fine, places, middles, error, rows):  # type: ignore[no-untyped-def]
+    """Seen less expected place along each line (px), NaN where ray, wall and cone do not meet; `rows` (N, 11): how the
+    expected place moves with half-angle, axis x y, vertex x y z, rx, ry, tx, ty, radius. `places` and `middles` are
+    kept from call to call: where the ring's image crosses the line, and how far beyond its slit's middle that is; the
+    latter is found again where `width` is given."""
+    more = np.empty(10)
     for n in range(len(frame)):
         cone, pose, turn, own = cones[ring[n]], poses[frame[n]], turns[frame[n]], fine[ring[n]]
         at = places[n]  # px from the slit, outwards positive
@@ -568,38 +557,27 @@ def _errors(frame, ring, rays, origins, width, cones, poses, turns, blur, radius
             continue
         places[n] = at
         if len(width) > 0:
-            shifts[n] = 0.0
-            rows[n, 10] = 0.0
+            middles[n] = 0.0
             if width[n] > 0.0:
                 # the cone lies at the middle of the edges' angles, not of their pixels (see triangulate.ring_optics)
                 before, s0 = _off(rays[n], origins[n], at - PROBE_PX, cone, pose, turn, radius, own, more, False)
-                growth = -_light(more)
                 after, s1 = _off(rays[n], origins[n], at + PROBE_PX, cone, pose, turn, radius, own, more, False)
-                growth = (growth + _light(more)) / (2.0 * PROBE_PX)
-                rows[n, 10] = growth
-                shifts[n] = blur * growth - (s1 - s0) / (after - before) * width[n] * width[n] / 8.0
+                middles[n] = (s1 - s0) / (after - before) * width[n] * width[n] / 8.0
         value, slope = _off(rays[n], origins[n], at, cone, pose, turn, radius, own, more, True)
-        error[n] = -at - shifts[n]
+        error[n] = middles[n] - at
         if not abs(error[n]) < REACH_PX:
             error[n] = np.nan
             continue
         rows[n, 0] = 1.0 / slope
         for a in range(9):
             rows[n, a + 1] = -more[a] / slope
-        rows[n, 11] = -more[9] / slope
-
-
-@compiled
-def _light(more):  # type: ignore[no-untyped-def]
-    """Logarithm of the light on the wall, but for a constant: `more` of `_off` holds cosine and distance."""
-    return math.log(max(more[9], 1e-6)) - 2.0 * math.log(more[10])
+        rows[n, 10] = -more[9] / slope
 
 
 @compiled
 def _off(rays, origins, at, cone, pose, turn, radius, fine, more, wanted):  # type: ignore[no-untyped-def]
     """Angle about the cone's axis of the wall's point seen at `at`, less the cone's half-angle there; its slope along
-    the line. In `more`, if wanted, its gradient: axis x y, vertex x y z, rx, ry, tx, ty, radius; if not, in the last
-    two the light's cosine on the wall and its way."""
+    the line. In `more`, if wanted, its gradient: axis x y, vertex x y z, rx, ry, tx, ty, radius."""
     part = at / RAY_STEP_PX
     wx, wy, wz, ux, uy, uz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     ox, oy, oz, vx, vy, vz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -662,7 +640,6 @@ def _off(rays, origins, at, cone, pose, turn, radius, fine, more, wanted):  # ty
     px, py, pz = vx + s * ux, vy + s * uy, vz + s * uz
     slide = -(nx * px + ny * py + nz * pz) / against
     slope = gx * px + gy * py + gz * pz + along * slide
-    more[9], more[10] = nx * dx + ny * dy + nz * dz, far
     if wanted:
         more[0] = -(dx - dz * ax / az) / sine
         more[1] = -(dy - dz * ay / az) / sine

@@ -10,7 +10,7 @@ from annulus.geometry.calibration import FineRing
 from annulus.geometry.pose import FloatArray
 from annulus.rings.autocalibration import Sightings, Solution, azimuths, calibrate, spread_of
 
-DIRECTIONS = 720
+DIRECTIONS = 1440  # two for each that is looked in, so that what lies between them is not smoothed
 ROUNDS, STRAIGHT_PX = 4, 1.5  # an offset that moves a slit farther is found again from there: lines are not straight
 
 
@@ -38,7 +38,7 @@ def tune(
     fine = np.zeros((len(solution.rings), 2, directions))
     for _ in range(ROUNDS):
         solution = calibrate(
-            seen, solution.radius_mm, start=solution, offsets=fine, directions=directions, blur_px2=solution.blur_px2
+            seen, solution.radius_mm, start=solution, offsets=fine, directions=directions
         )  # fmt: skip
         more, explained = _offsets(seen, solution, directions, axial_mm)
         fine += more

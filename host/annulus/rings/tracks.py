@@ -5,14 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
 from annulus.geometry.camera import Camera
 from annulus.geometry.pose import FloatArray
 from annulus.rings.compiled import compiled
 from annulus.rings.decode import NONE, classify, decode, readings
-from annulus.rings.polar import PolarGrid, Unrolled, lay_grid, unroll
-from annulus.rings.slits import Slits, find_slits, smoothing
+from annulus.rings.polar import PolarGrid, lay_grid, unroll
+from annulus.rings.slits import Slits, find_slits
 
 DIRECTIONS = 720
 GUESS_PX = 24.0  # ring spacing taken for granted in the first look; only the smoothing depends on it
@@ -33,7 +32,6 @@ class Tracks:
     width: FloatArray  # (N,) px
     reach: FloatArray  # (K, 3) px from the centre: least, median and most of each ring; NaN where it is not seen
     middle: FloatArray  # (2,) px, of the rings
-    blur_px2: float  # variance of all the blur that the slits' edges went through, the detector's own included
     slits: int  # seen, ring or not
     centre: tuple[float, float]  # of the lines they were found on
 
@@ -66,8 +64,7 @@ def follow(image_bgr: NDArray[np.uint8], grid: PolarGrid, colours: str) -> Track
     A line is read by the order of its colours alone (`decode` with a wall that deviates nowhere). What that leaves
     unread or reads wrong, a ring's own course round the image mends: the running median of its slits.
     """
-    unrolled = unroll(image_bgr, grid)
-    slits = find_slits(unrolled, grid)
+    slits = find_slits(unroll(image_bgr, grid), grid)
     both = classify(np.vstack([slits.inside, slits.outside]), colours)
     inside, outside = both[: len(slits.position)], both[len(slits.position) :]
     allowed = readings(inside, outside, colours)
@@ -88,7 +85,7 @@ def follow(image_bgr: NDArray[np.uint8], grid: PolarGrid, colours: str) -> Track
         ratio = slits.width[named] / np.maximum(usual, 0.5)
         good = (off <= np.maximum(STRAY * 1.4826 * spread[ring[named]], STRAY_PX)) & (ratio > NARROW) & (ratio < WIDE)
     kept = named[good]
-    return _tracks(grid, slits, ring[kept], kept, shape[0], _edge_px2(unrolled, slits, kept) + _detector_px2(grid))
+    return _tracks(grid, slits, ring[kept], kept, shape[0])
 
 
 def read_colours(image_bgr: NDArray[np.uint8], grid: PolarGrid) -> str:
@@ -137,35 +134,6 @@ def _gap(course: FloatArray, spacing: float) -> FloatArray:
     return np.where(np.isfinite(gap), np.maximum(gap, 3.0), spacing)
 
 
-def _edge_px2(unrolled: Unrolled, slits: Slits, kept: NDArray[np.int64]) -> float:
-    """Variance (px^2) of the blur of the wider slits' edges as they are in the image: their mean profile against an
-    error function that ends in a slope."""
-    if len(kept) < 50:
-        return 1.0
-    kept = kept[slits.width[kept] >= np.median(slits.width[kept])][:: max(1, len(kept) // 2000)]
-    x = np.arange(-2.5, 5.01, 0.5)
-    profile = np.zeros(len(x))
-    for side in (-1, 1):
-        at = (slits.position[kept] + side * slits.width[kept] / 2)[:, None] + side * x - unrolled.first
-        node = np.clip(at.astype(int), 0, unrolled.top.shape[1] - 2)
-        line = slits.direction[kept][:, None]
-        part = np.clip(at - node, 0.0, 1.0)
-        profile += ((1 - part) * unrolled.top[line, node] + part * unrolled.top[line, node + 1]).mean(axis=0)
-    errors = []
-    sigmas = np.arange(0.5, 4.0, 0.05)
-    for sigma in sigmas:
-        step = ndtr(x / sigma)
-        basis = np.stack([np.ones_like(x), step, x * step], axis=1)
-        errors.append(float(np.sum((profile - basis @ np.linalg.lstsq(basis, profile)[0]) ** 2)))
-    return float(sigmas[int(np.argmin(errors))] ** 2)
-
-
-def _detector_px2(grid: PolarGrid) -> float:
-    """Variance of the smoothing that `find_slits` does along a line, its central difference included."""
-    taps = smoothing(grid.spacing_px)
-    return 2.0 * float(taps @ np.arange(len(taps)) ** 2) + 1.0 / 3.0
-
-
 @compiled
 def _running_median(curve, around, out):  # type: ignore[no-untyped-def]
     """Of what is there among 2 * around + 1 neighbours on a closed line; NaN where fewer than 3 are."""
@@ -186,9 +154,7 @@ def _running_median(curve, around, out):  # type: ignore[no-untyped-def]
                 out[k, j] = 0.5 * (window[(n - 1) // 2] + window[n // 2])
 
 
-def _tracks(
-    grid: PolarGrid, slits: Slits, ring: NDArray[np.int64], kept: NDArray[np.int64], rings: int, blur: float
-) -> Tracks:
+def _tracks(grid: PolarGrid, slits: Slits, ring: NDArray[np.int64], kept: NDArray[np.int64], rings: int) -> Tracks:
     pixels = grid.pixels(slits.direction[kept], slits.position[kept])
     away = np.linalg.norm(pixels - np.asarray(grid.centre), axis=1)
     reach, middles = np.full((rings, 3), np.nan), []
@@ -203,4 +169,4 @@ def _tracks(
             if len(both):
                 middles.append(pixels[both].mean(axis=0))
     middle = np.mean(middles, axis=0) if middles else np.asarray(grid.centre)
-    return Tracks(ring, pixels, slits.width[kept], reach, middle, blur, len(slits.position), grid.centre)
+    return Tracks(ring, pixels, slits.width[kept], reach, middle, len(slits.position), grid.centre)
