@@ -14,7 +14,7 @@ STEPS = 72  # directions the calibration's share is worked out in
 LAG = 4  # directions; neighbouring lines share pixels, these do not
 LEAST = 40  # values a ring's scatter is learnt from; with fewer a tenth of a pixel is taken
 UNKNOWN_PX = 0.1
-BIAS_PX = 0.015  # an edge's place in a demosaiced image is within a fortieth of a pixel, evenly: 0.025 / sqrt 3 ..
+BIAS_PX = 0.0115  # an edge's place in a demosaiced image is within a fiftieth of a pixel, evenly: 0.02 / sqrt 3 ..
 CLIPPED_PX = 0.04  # .. and within 0.07 where the light beside it is more than the camera can tell: half an edge is cut
 DRAWN_PX = 0.5  # no edge is drawn out of the pixel it lies in: a ring farther off lies on another wall, a groove
 BLUR_LEAST, BLUR_MOST = 0.5, 4.0  # of the ring's usual edge, what an edge counts for
@@ -49,7 +49,8 @@ def point_sigma(
       noise over the curvature of the slope there.
     - a bias, which no scatter shows. Rings see one wall: how far their median radii lie apart, in pixels, is how far
       edges are drawn in this frame (by glare, demosaicing, saturation), and at least what no camera is free of.
-    - a slit wider or narrower than its ring is there has an edge that is not its own; its middle is off by half that.
+    - a slit wider or narrower than its ring is there has an edge that is not its own: its middle is off by anything
+      from nothing (both edges) to half of that (one), evenly.
     - the pose, by its covariance, and the calibration, by its own.
     """
     out = np.empty(len(ring), np.float32)
@@ -180,5 +181,5 @@ def _combine(  # type: ignore[no-untyped-def]
         if clipped[n]:
             drawn = max(drawn, CLIPPED_PX)
         # the width scatters by twice what the middle does; only what is more is not noise
-        other = max((0.5 * width_off[n] * mm_per_px[k]) ** 2 - 4.0 * place, 0.0)
+        other = max((0.5 * width_off[n] * mm_per_px[k]) ** 2 - 4.0 * place, 0.0) / 3.0
         out[n] = np.sqrt(place + (drawn * mm_per_px[k]) ** 2 + other + pose[n] + calibrated[k, direction[n]] ** 2)
