@@ -51,8 +51,8 @@ def rows() -> list[Row]:
             f"{np.degrees(2 * known[:, 0].max()):.4f} deg, {known[:, 3:].max():.4f} mm", None),
         Row("radius error in frames held out", "1.4 mm (Fig. 4.15)", "-", f"{held:.3f} mm rms", None),
         Row("pipe-a measured with that calibration", "-", "<= 0.12 mm", f"{rms:.4f} mm rms", rms <= 0.12),
-        Row("8 frames: rings found and solved, CPU", "-", "<= 2 s", f"{decode + solve:.2f} s ({decode:.2f} + {solve:.2f})",
-            decode + solve <= 2.0),
+        Row("8 frames: rings found and solved, CPU", "-", "<= 2 s",
+            f"{decode + solve:.2f} s ({decode:.2f} + {solve:.2f})", decode + solve <= 2.0),
         Row("the same with JPEG decoding; and with hold-out and the trial of fine-tuning", "-", "-",
             f"{read + decode + solve:.2f} s; {sum(spent.values()):.2f} s", None),
     ]  # fmt: skip

@@ -1,7 +1,7 @@
 """Fine-tuning per direction: Table 4.5 in the same simulation, scored in poses that had no part in it.
 
-Sixteen poses to learn from, Table 4.2's and as many drawn; eight more to score in, drawn within the same leans. Pixels are
-rounded there too: perfect rings would score what the last row says.
+Sixteen poses to learn from, Table 4.2's and as many drawn; eight more to score in, drawn within the same leans. Pixels
+are rounded there too: perfect rings would score what the last row says.
 """
 
 from dataclasses import replace
@@ -47,7 +47,8 @@ def rows() -> list[Row]:
         Row(f"artefacts NP2, cones alone, held-out poses: radius error rms, median of {DRAWS}", "1.768 mm", "-",
             f"{first[-1]:.3f} mm", None),
         Row("fine-tuned, theta only", "0.479 mm", "<= 0.28 mm",
-            f"{then[-1]:.3f} mm ({min(a[-1] for a in after):.3f}..{max(a[-1] for a in after):.3f})", bool(then[-1] <= 0.28)),
+            f"{then[-1]:.3f} mm ({min(a[-1] for a in after):.3f}..{max(a[-1] for a in after):.3f})",
+            bool(then[-1] <= 0.28)),
     ]  # fmt: skip
     for k, (source, ours, bare, base) in enumerate(zip(SOURCE, then, first, SOURCE_BEFORE, strict=False)):
         out.append(
