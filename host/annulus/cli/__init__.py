@@ -1,7 +1,5 @@
 """The one command, `annulus`. Parses, calls one door, prints; imports each room only when its command is called."""
 
-import importlib
-import importlib.util
 import json
 import os
 import sys
@@ -10,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from annulus.cli import head, twin
+from annulus.cli import burst, calibrate, firmware, head, pattern, tai, twin
 from annulus.cli.show import Json, progress
 from annulus.vocabulary import AnnulusError
 
@@ -22,11 +20,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-app.add_typer(twin.app, name="twin")
-app.add_typer(head.app, name="head")
-for _noun in ("calibrate", "pattern", "firmware", "burst", "tai"):  # while they are being built
-    if importlib.util.find_spec(f"annulus.cli.{_noun}"):
-        app.add_typer(importlib.import_module(f"annulus.cli.{_noun}").app, name=_noun)
+for _noun in (head, burst, calibrate, pattern, tai, firmware, twin):
+    app.add_typer(_noun.app, name=_noun.__name__.rpartition(".")[2])
 
 
 @app.command(
