@@ -30,6 +30,7 @@ VIEW_BROKEN = 0.25  # of a photograph's corners are off like that
 VIEW_OFF, VIEW_OFF_PX = 3.0, 0.1  # times the usual residual and so many pixels more: the board bent, or it moved
 FISHEYE_GAIN = 0.9  # without --model: of the pinhole's residual; two models of one lens are often equally good
 FEW = 8  # photographs
+LARGE_PX = 1.0  # of residual
 
 
 @dataclass(frozen=True, slots=True)
@@ -286,7 +287,7 @@ def _board(
     """As given, or what most photographs that show it whole agree on."""
     sizes = Counter(view.size for view in views if view is not None)
     if wanted is not None:
-        larger = sum(n for (a, b), n in sizes.items() if a > wanted[0] and b > wanted[1])
+        larger = sum(n for (a, b), n in sizes.items() if a > wanted[0] or b > wanted[1])
         if larger > sum(sizes.values()) / 2:
             a, b = sizes.most_common(1)[0][0]
             raise AnnulusError(
@@ -383,6 +384,11 @@ def _warnings(fit: Intrinsics, coverage: float) -> tuple[str, ...]:
     out = []
     if views < FEW:
         out.append(f"{views} photographs: take {FEW} or more")
+    if fit.rms_px > LARGE_PX:
+        other = "--model fisheye" if camera.model == "pinhole" else "--model pinhole"
+        out.append(
+            f"{fit.rms_px:.1f} px is much for corners read to a tenth of one: try {other}, or is the board bent?"
+        )
     tilt = np.degrees(np.arccos(np.clip(np.abs(fit.rotations[:, 2, 2]), 0, 1)))
     if float(np.max(tilt)) < 15.0:
         out.append(
