@@ -11,6 +11,7 @@ from annulus.rings.compiled import compiled
 
 CAUCHY = 2.385  # 95 % efficient on clean normal errors
 CLOSE = 2e-4  # the robust fit ends here, radians or parts of the radius ..
+THERE = 0.01  # of the radius; points that scatter no more about it say that the pose is near enough
 NEAR = 2e-5  # .. and the likelihood here
 ROUNDS = 20  # at most, of the likelihood
 TILT_PRIOR = 0.1  # radians; how far a head leans before a point has been seen, from alignment with the pipe
@@ -110,6 +111,8 @@ def _approach(points: FloatArray, weight: FloatArray, radius: float, first: Pose
     for _ in range(30):
         _errors(points, x, radius, error)
         scale = max(_spread(error), 1e-4 * radius)
+        if scale < THERE * radius:
+            break
         np.divide(weight, 1.0 + (error / (CAUCHY * scale)) ** 2, out=likely)
         step, _ = _step(points, likely, x, radius, _prior(scale, radius, tilt, SHAPE_PRIOR), rows)
         x = x + step

@@ -98,7 +98,7 @@ class Profile:
             {name: int(value) for name, value in _named(data, "rejected").items()},
             _named(data, "timing_ms"),
             sigma.astype(np.float32),
-            math.nan if pose is None or "lean_sigma_deg" not in data else _length(data["lean_sigma_deg"]),
+            math.nan if pose is None or "lean_sigma_deg" not in data else _lean_sigma(data["lean_sigma_deg"]),
         )
 
 
@@ -116,7 +116,7 @@ def _finite(value: object, name: str) -> float:
     return float(value)
 
 
-def _length(value: object) -> float:
+def _lean_sigma(value: object) -> float:
     if isinstance(value, float) and math.isnan(value):  # nobody said
         return value
     if _finite(value, "lean_sigma_deg") < 0:
