@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from table import PICTURES, SCENES, Row
 
-from annulus.record.recording import to_bgr
 from annulus.geometry.calibration import Calibration
+from annulus.record.recording import to_bgr
 from annulus.rings.consensus import without_contradicted
 from annulus.rings.profile import Profile
 from annulus.rings.reconstructor import Reconstructor
