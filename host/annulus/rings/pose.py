@@ -11,8 +11,8 @@ from annulus.rings.compiled import compiled
 
 CAUCHY = 2.385  # 95 % efficient on clean normal errors
 CLOSE = 2e-4  # the robust fit ends here, radians or parts of the radius ..
-THERE = 0.01  # of the radius; points that scatter no more about it say that the pose is near enough
 NEAR = 2e-5  # .. and the likelihood here
+THERE = 0.01  # of the radius; points that scatter no more about it say that the pose is near enough to begin with
 ROUNDS = 20  # at most, of the likelihood
 TILT_PRIOR = 0.1  # radians; how far a head leans before a point has been seen, from alignment with the pipe
 SHAPE_PRIOR = 0.02  # of the radius; how oval or how far from its nominal radius a pipe is
@@ -24,10 +24,10 @@ TILT_UNSEEN = 0.04
 NO_POINT = 1e-4  # density of wild points, in points a sigma, that is always reckoned with
 CELL_POINTS = 12  # of a patch of wall judged as a whole ..
 CELL_OFF, CELL_DOUBTED = 4.0, 1.0  # .. bad when its mean is so many sigma off, beside a bad one already from here
-CELL_SOUND, CELL_BESIDE = (
-    0.5,
-    7,
-)  # a patch is bad when, with those beside it, fewer than this part of its points are likely
+CELL_SOUND = (
+    0.5  # .. or when fewer than this part of its points and those of so many patches around the pipe are likely
+)
+CELL_BESIDE = 7
 BEYOND = 0.03  # of the length of wall seen; points farther off the ends than this are left out
 LEAST_POINTS = 40
 LEAST_TURN = 0.4  # of the way round must have points, or a circle is a guess
