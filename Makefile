@@ -4,7 +4,7 @@ UV_VERSION := 0.13.8
 UV         := .tools/bin/uv
 BIN        := .venv/bin
 
-.PHONY: setup demo test lint bench bench-metrology native firmware emulator generated mutants clean
+.PHONY: setup demo test lint bench bench-metrology bench-thermoacoustic native firmware emulator generated mutants clean
 
 setup: .venv/.synced native
 
@@ -60,6 +60,9 @@ bench: setup
 # The table of tools/bench/metrology/RESULTS.md and its pictures, anew.
 bench-metrology: setup
 	$(BIN)/python tools/bench/metrology
+
+bench-thermoacoustic: setup
+	$(BIN)/python tools/bench/thermoacoustic
 
 # Faults put into the firmware on purpose; the emulator's tests must catch every one.
 mutants: setup firmware emulator
