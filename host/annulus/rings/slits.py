@@ -186,7 +186,7 @@ def _dark_ones(found, size):  # type: ignore[no-untyped-def]
 def _sides(image, centre, away, cosine, sine, found, direction, place, light):  # type: ignore[no-untyped-def]
     """The light beside each slit, (2, N, 3): BGR of the inner side, of the outer, the slit's own darkness taken off.
 
-    Nearest pixels, every other one of the line itself, the rest of its two neighbours."""
+    Nearest pixels at every other sample, half of them the line's own, the rest of its two neighbours."""
     right, low, lines = image.shape[1] - 1, image.shape[0] - 1, len(cosine)
     for n in range(len(direction)):
         j = int(found[n, 0])
@@ -196,10 +196,10 @@ def _sides(image, centre, away, cosine, sine, found, direction, place, light):  
             a = int(found[n, 3]) - 1 if part == 0 else int(found[n, 3 + 2 * part])
             b = a + 2 if part == 0 else max(a, int(found[n, 4 + 2 * part]))
             blue, green, red = 0, 0, 0
-            for i in range(a, b + 1):
+            for i in range(a, b + 1, 2):
                 way = j
-                if (i - a) & 1:
-                    way += ((i - a) & 2) - 1
+                if (i - a) & 2:
+                    way += ((i - a) & 4) // 2 - 1
                     way += lines if way < 0 else -lines if way == lines else 0
                 far = away[0] + away[1] * i
                 x = min(max(int(centre[0] + far * cosine[way] + 0.5), 0), right)
@@ -207,7 +207,7 @@ def _sides(image, centre, away, cosine, sine, found, direction, place, light):  
                 blue += image[y, x, 0]
                 green += image[y, x, 1]
                 red += image[y, x, 2]
-            scale = np.float32(1.0 / (b + 1 - a))
+            scale = np.float32(1.0 / ((b - a) // 2 + 1))
             if part == 0:
                 dark = blue * scale, green * scale, red * scale
                 continue
