@@ -24,10 +24,8 @@ TILT_UNSEEN = 0.04
 NO_POINT = 1e-4  # density of wild points, in points a sigma, that is always reckoned with
 CELL_POINTS = 12  # of a patch of wall judged as a whole ..
 CELL_OFF, CELL_DOUBTED = 4.0, 1.0  # .. bad when its mean is so many sigma off, beside a bad one already from here
-CELL_SOUND = (
-    0.5  # .. or when fewer than this part of its points and those of so many patches around the pipe are likely
-)
-CELL_BESIDE = 7
+CELL_SOUND = 0.5  # .. or when fewer than this part of the points are likely, its own and those ..
+CELL_BESIDE = 7  # .. of so many patches around the pipe
 BEYOND = 0.03  # of the length of wall seen; points farther off the ends than this are left out
 LEAST_POINTS = 40
 LEAST_TURN = 0.4  # of the way round must have points, or a circle is a guess
