@@ -22,6 +22,7 @@ static uint32_t systick;  // at the last look
 static volatile uint8_t received[RECEIVED_MAX];  // written by the interrupt only
 static volatile uint32_t received_in;
 static uint32_t received_out;
+static uint32_t bytes_taken;  // by the core, from either line
 
 static volatile uint32_t sync_edges;
 static volatile bool interlock_opened;
@@ -196,7 +197,10 @@ void alarm_handler(void)
 
 void system_sleep(void)
 {
-    if ((received_in != received_out) || usb_has_received()) {
+    static uint32_t taken_before;
+    const bool busy = bytes_taken != taken_before;  // else there is no room for answers: more rounds would not help
+    taken_before = bytes_taken;
+    if (busy && ((received_in != received_out) || usb_has_received())) {
         return;  // one command a round: there is more
     }
     REGISTER(TIMER_ALARM0) = REGISTER(TIMER_RAW_LOW) + ROUND_US;
@@ -253,7 +257,9 @@ bool board_connected(const uint8_t line)
 
 size_t board_receive(const uint8_t line, uint8_t* const bytes, const size_t size)
 {
-    return (line == LINE_UART) ? uart_receive(bytes, size) : usb_receive(bytes, size);
+    const size_t given = (line == LINE_UART) ? uart_receive(bytes, size) : usb_receive(bytes, size);
+    bytes_taken += given;
+    return given;
 }
 
 size_t board_transmit(const uint8_t line, const uint8_t* const bytes, const size_t size)

@@ -267,6 +267,7 @@ def test_a_stalled_processor_costs_a_dark_frame_and_never_a_wrong_one(board: Emu
     assert 1 <= late <= 3
 
 
+@pytest.mark.timeout(900)  # 40 virtual seconds, both directions busy: a minute and a half of a free core
 @pytest.mark.parametrize("edge_count", [20_000])
 def test_no_jitter_under_a_flood_and_a_burst_train(board: EmulatedBoard, edge_count: int) -> None:
     period, delay, width = 200_000, 30_000, 20_000  # 500 Hz, the fastest
