@@ -1,4 +1,4 @@
-"""How this room compiles its per-pixel loops, and the median they share."""
+"""How this room compiles its per-pixel loops, and the small things they share."""
 
 from collections.abc import Callable
 from typing import Any, cast
@@ -54,3 +54,9 @@ def ranked(values, size, rank):  # type: ignore[no-untyped-def]
 def middle(values, size):  # type: ignore[no-untyped-def]
     """Median of the first `size` values, the upper one of two; reorders them. 0 of nothing."""
     return ranked(values, size, size // 2)
+
+
+@compiled
+def around(place, size):  # type: ignore[no-untyped-def]
+    """A place at most one turn off, on a circle of that size: what % gives, without a division."""
+    return place + size if place < 0 else place - size if place >= size else place

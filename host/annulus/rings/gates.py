@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus.geometry.pose import FloatArray
-from annulus.rings.compiled import compiled, middle
+from annulus.rings.compiled import around, compiled, middle
 from annulus.rings.decode import NONE
 from annulus.rings.slits import Slits
 
@@ -92,7 +92,7 @@ def _gate(ring, direction, width, inside, outside, radius, step, cosine, sine, c
             if slit[j] >= 0:
                 brightest = 0.0
                 for d in range(-SHADE_REACH, SHADE_REACH + 1):
-                    other = (j + d) % directions
+                    other = around(j + d, directions)
                     if slit[other] >= 0:
                         brightest = max(brightest, light[other])
                 if light[j] < SHADE * brightest:
@@ -105,7 +105,7 @@ def _gate(ring, direction, width, inside, outside, radius, step, cosine, sine, c
             if slit[j] >= 0:
                 company = 0
                 for d in range(-NEIGHBOURS, NEIGHBOURS + 1):
-                    other = slit[(j + d) % directions]
+                    other = slit[around(j + d, directions)]
                     if d != 0 and other >= 0 and abs(radius[other, k] - radius[slit[j], k]) <= step[k]:
                         company += 1
                 if company < COMPANY:

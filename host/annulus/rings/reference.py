@@ -23,7 +23,8 @@ from annulus.rings.profile import Profile
 FORMAT = "annulus-reference/1"
 SAMPLES = 720  # round each cone's axis
 GAP = 6  # samples between measured ones that are filled in; a rod's shadow is wider, and hides the scan's points too
-SMOOTH = 0.5  # samples, standard deviation: takes noise away, artefacts are ten wide
+REACH = 2.5  # samples: points farther apart than this have a gap between them
+SMOOTH = 0.3  # samples, standard deviation: takes a little noise away, artefacts may step from one sample to the next
 GROSS = 0.25  # of the radius: a point so far off the wall is no artefact
 ANGLE_FAR = math.radians(2.5)  # a scan's pose this far from any of the reference's ..
 SHIFT_FAR = 0.05  # .. or this part of the radius is farther than the reference can vouch for
@@ -136,15 +137,19 @@ def learn(profiles: Sequence[Profile], calibration: Calibration) -> Reference:
 def _look(profile: Profile, calibration: Calibration) -> FloatArray:
     """(K, n) what one profile says of every ring's half-angle, NaN where it says nothing."""
     azimuth, off, _ = _angles(profile, calibration)
-    rings = len(calibration.rings)
-    cell = (
-        profile.ring.astype(np.int64) * SAMPLES + np.rint(azimuth / (2 * math.pi) * SAMPLES).astype(np.int64) % SAMPLES
-    )
-    good = np.isfinite(off)
-    count = np.bincount(cell[good], minlength=rings * SAMPLES)
-    total = np.bincount(cell[good], weights=off[good], minlength=rings * SAMPLES)
-    with np.errstate(invalid="ignore"):
-        return np.asarray(np.where(count > 0, total / count, np.nan)).reshape(rings, SAMPLES)
+    nodes = np.arange(SAMPLES) * (2 * math.pi / SAMPLES)
+    out = np.full((len(calibration.rings), SAMPLES), np.nan)
+    for k in range(len(out)):
+        mine = np.flatnonzero((profile.ring == k) & np.isfinite(off))
+        if not len(mine):
+            continue
+        mine = mine[np.argsort(azimuth[mine])]
+        at = azimuth[mine]
+        between = np.interp(nodes, at, off[mine], period=2 * math.pi)
+        after = np.searchsorted(at, nodes) % len(at)
+        gap = (at[after] - at[after - 1]) % (2 * math.pi)
+        out[k] = np.where(gap < REACH * 2 * math.pi / SAMPLES, between, np.nan)
+    return out
 
 
 def _angles(profile: Profile, calibration: Calibration) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -184,10 +189,12 @@ def _angles(profile: Profile, calibration: Calibration) -> tuple[FloatArray, Flo
 def _radius_error(profile: Profile, calibration: Calibration, correction: FloatArray | None) -> FloatArray:
     """(N,) mm of every point's radius about the pipe's, after a (K, n) correction; points it does not know left out."""
     azimuth, off, slope = _angles(profile, calibration)
-    error = np.hypot(profile.points_mm[:, 0], profile.points_mm[:, 1]) - calibration.pipe_radius_mm
+    error = np.hypot(*profile.points_mm[:, :2].T.astype(np.float64)) - calibration.pipe_radius_mm
     if correction is not None:
-        index = np.rint(azimuth / (2 * math.pi) * SAMPLES).astype(np.int64) % SAMPLES
-        error = error + slope * correction[profile.ring, index]
+        nodes = np.arange(SAMPLES) * (2 * math.pi / SAMPLES)
+        for k, ring in enumerate(correction):
+            mine = profile.ring == k
+            error[mine] += slope[mine] * np.interp(azimuth[mine], nodes, ring, period=2 * math.pi)
     return np.asarray(error[np.isfinite(error) & np.isfinite(off)], np.float64)
 
 

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from annulus.geometry.calibration import Calibration
 from annulus.geometry.pose import FloatArray, Pose
-from annulus.rings.compiled import compiled, middle
+from annulus.rings.compiled import around, compiled, middle
 from annulus.rings.polar import PolarGrid, ring_pixels
 from annulus.rings.pose import Fit
 from annulus.rings.triangulate import RingOptics, meet_rings
@@ -133,11 +133,8 @@ def _combine(  # type: ignore[no-untyped-def]
         size = 0
         line = radius[k]
         for j in range(directions):
-            r1, r2, r3 = (
-                line[(j + LAG) % directions],
-                line[(j + 2 * LAG) % directions],
-                line[(j + 3 * LAG) % directions],
-            )
+            r1, r2 = line[around(j + LAG, directions)], line[around(j + 2 * LAG, directions)]
+            r3 = line[around(j + 3 * LAG, directions)]
             if line[j] > 0 and r1 > 0 and r2 > 0 and r3 > 0:
                 work[size] = abs(r3 - line[j] - 3.0 * (r2 - r1))
                 size += 1

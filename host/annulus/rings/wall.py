@@ -166,6 +166,10 @@ def build_wall(profiles: Sequence[Profile], *, z_step_mm: float | None = None, r
     grid = _bridge(grid.T, 2.5, wrap=True).T
     sampling = _sampling_gap(used, step, float(np.median(radius))) / step
     grid = _bridge(grid, sampling, wrap=False)
+    if rise is not None:  # once more: with its gaps closed a false floor shows its edges
+        false = between_levels(grid, step, rise)
+        grid[false], count[false] = np.nan, 0
+        keep &= ~false.ravel()[cell]
     errors = _bridge(_bridge(errors.T, 2.5, wrap=True).T, sampling, wrap=False)
     ends = np.flatnonzero(np.isfinite(grid).mean(axis=1) >= STATION_SEEN)
     if not len(ends):
