@@ -113,8 +113,8 @@ def _against_frames() -> list[Row]:
     at = FRAMES.index(4)
     return [
         Row("4 frames: error of the rings' images in 9 other poses, one ring at a time | all together (Fig. 4.9)",
-            "about 2.5 | 0.5 px", "-", f"{curves['single'][at]:.3f} | {curves['multiple'][at]:.3f} px", None),
-        Row("the same with noise", "about 12 | 6 px", "-",
+            "-", "-", f"{curves['single'][at]:.3f} | {curves['multiple'][at]:.3f} px", None),
+        Row("the same with noise", "-", "-",
             f"{curves['single, noise'][at]:.2f} | {curves['multiple, noise'][at]:.2f} px", None),
     ]  # fmt: skip
 
