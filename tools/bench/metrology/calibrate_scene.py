@@ -49,7 +49,7 @@ def rows() -> list[Row]:
         Row("calibration-a: worst vertex component", "-", "<= 0.05 mm", f"{vertex:.4f} mm", vertex <= 0.05),
         Row("stated standard deviation of those, the worst", "-", "-",
             f"{np.degrees(2 * known[:, 0].max()):.4f} deg, {known[:, 3:].max():.4f} mm", None),
-        Row("radius error in frames held out", "0.344..1.12 mm by ring, fine-tuned, real frames", "-", f"{held:.3f} mm rms", None),
+        Row("radius error in frames held out", "0.34..1.12 mm, real frames", "-", f"{held:.3f} mm rms", None),
         Row("pipe-a measured with that calibration", "-", "<= 0.12 mm", f"{rms:.4f} mm rms", rms <= 0.12),
         Row("8 frames: rings found and solved, CPU", "-", "<= 2 s",
             f"{decode + solve:.2f} s ({decode:.2f} + {solve:.2f})", decode + solve <= 2.0),
