@@ -52,7 +52,7 @@ class Paint:
     bayer: bool = False
     black: float = 3.0
     supersample: int = 3
-    artefact: Callable[[int, FloatArray], FloatArray] | None = None  # (slit, azimuth about its axis) -> rad off its cone
+    artefact: Callable[[int, FloatArray], FloatArray] | None = None  # (slit, azimuth) -> rad off its cone
 
 
 def draw(

@@ -1,0 +1,77 @@
+"""What is wrong with frames is said in words."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from drawn import Paint, calibration, draw
+
+from annulus.geometry.pose import Pose
+from annulus.rings.colour import learn, stripes
+from annulus.rings.diagnosis import Trouble, diagnose, examine, exposure_findings
+from annulus.rings.reconstructor import Reconstructor
+
+
+@pytest.fixture(scope="module")
+def frame():
+    cal = calibration(scale=0.4)
+    return cal, draw(cal, Pose(0.02, -0.015, 2.0, -1.5), paint=Paint(supersample=2, noise=1.0), slit_px=4.0)
+
+
+def troubles(cal, image, colour=None):
+    found = examine(Reconstructor(cal), [(7, np.ascontiguousarray(image))], colour)
+    assert all("\n" not in finding.text and finding.frames == (7,) for finding in found)
+    return {finding.trouble: finding.text for finding in found}
+
+
+def test_a_good_frame_has_no_trouble(frame):
+    cal, image = frame
+    assert troubles(cal, image) == {}
+    assert exposure_findings([(0, diagnose(image))]) == ()
+
+
+@pytest.mark.parametrize(("columns", "said"), [(1, "mirrored upside"), (-1, "turned upside")])
+def test_a_flipped_image_is_recognised_by_what_it_does_to_the_residuals(frame, columns, said):
+    cal, image = frame
+    found = troubles(cal, image[::-1, ::columns])
+    assert said in found[Trouble.FLIPPED]
+
+
+def test_a_flip_that_the_head_is_too_symmetric_to_show_is_not_guessed(frame):
+    cal, image = frame
+    assert Trouble.FLIPPED not in troubles(cal, image[:, ::-1])  # this head's vertex and lens centre make up for it
+
+
+@pytest.mark.parametrize("radius", [70.0, 80.0])
+def test_a_pipe_of_another_radius_is_measured_and_said(frame, radius):
+    cal, image = frame
+    found = troubles(replace(cal, pipe_radius_mm=radius), image)
+    assert set(found) == {Trouble.RADIUS}
+    assert "is about 76.1" in found[Trouble.RADIUS] or "is about 76.2" in found[Trouble.RADIUS]
+
+
+def test_wrong_colours_are_read_out(frame):
+    cal, image = frame
+    assert "RRGBGR" in troubles(replace(cal, colours="RGBBGR"), image)[Trouble.COLOURS]
+    assert "red and blue are exchanged" in troubles(cal, image[..., ::-1])[Trouble.COLOURS]
+
+
+def test_another_pipe_than_the_profiles_is_said(frame):
+    cal, image = frame
+    slits, placed = Reconstructor(cal).sightings(image)
+    profile = learn([stripes(slits, placed, cal)])
+    assert troubles(cal, image, profile) == {}
+    yellow = (image * np.array([0.12, 0.7, 1.0])).astype(np.uint8)
+    assert set(troubles(cal, yellow, profile)) == {Trouble.PAINT}
+
+
+def test_dark_and_over_exposed_frames_are_named_with_how_much(frame):
+    _, image = frame
+    cap = np.random.default_rng(1).normal(3, 1.5, image.shape).clip(0, 255).astype(np.uint8)
+    glare = np.clip(image * 8.0, 0, 255).astype(np.uint8)
+    dark, bright = diagnose(cap), diagnose(glare)
+    assert dark.dark and not dark.over_exposed and bright.over_exposed and not bright.dark
+    (said,) = exposure_findings([(3, dark), (4, dark)])
+    assert said.text.startswith("all dark") and said.frames == (3, 4)
+    (said,) = exposure_findings([(3, diagnose(image)), (9, bright)])
+    assert "1 of 2" in said.text and "% of the stripes" in said.text and "frame 9" in said.text
