@@ -1,6 +1,8 @@
 """`annulus tai`: the thermoacoustic bench, from coded bursts to an image."""
 
+import contextlib
 import json
+import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -50,6 +52,95 @@ def simulate_command(
         record = simulate(named(phantom), bench, report)
     save_acoustic(out, record)
     print(f"{len(record.signals)} positions of {record.signals.shape[1]} samples  {out}")
+
+
+@app.command(
+    "acquire",
+    epilog="Example: annulus tai acquire --port /dev/ttyACM0 --scope TCPIP::192.168.1.20::5025::SOCKET "
+    "--averages 64 -o raw.hdf5. Without a bench: annulus tai acquire --twin -o raw.hdf5",
+)
+def acquire_command(
+    out: Annotated[Path, typer.Option("--out", "-o", help="File to write: .hdf5 (IPASC) or .npz.")],
+    port: Annotated[
+        str | None, typer.Option(help="Serial port of the controller: /dev/ttyACM0, a pty, socket://host:port.")
+    ] = None,
+    scope: Annotated[
+        str | None, typer.Option(help="VISA name of the digitizer: TCPIP::host::5025::SOCKET, TCPIP::host::INSTR.")
+    ] = None,
+    twin: Annotated[bool, typer.Option("--twin", help="On a simulated bench, with the controller's own code.")] = False,
+    phantom: Annotated[str, typer.Option(help="Of the twin: inclusions, core, wires, shapes.")] = "inclusions",
+    code: Code = "mpsl25-stuffed",
+    chip_us: Annotated[float, typer.Option(min=0.1, max=30.0, help="Length of a chip, us.")] = 0.5,
+    angles: Annotated[int, typer.Option(min=1, max=1024, help="Over one turn of the stage.")] = 50,
+    averages: Annotated[int, typer.Option(min=1, max=65535, help="Bursts at each angle.")] = 16,
+    period_us: Annotated[float, typer.Option(help="Chip 0 to chip 0, us.")] = 1000.0,
+    trigger_offset_us: Annotated[
+        float, typer.Option(help="Digitizer trigger after chip 0, us; may be negative.")
+    ] = 0.0,
+    radius_mm: Annotated[float, typer.Option(min=1.0, max=500.0, help="Receiver to the axis of the stage, mm.")] = 25.0,
+    sound_speed: Annotated[float, typer.Option(min=300.0, max=6000.0, help="m/s.")] = 1480.0,
+    rate_mhz: Annotated[float, typer.Option(min=0.1, max=5000.0, help="Sampling rate at least, MHz.")] = 10.0,
+    duration_us: Annotated[
+        float | None, typer.Option(min=1.0, max=1e6, help="Of a record, us. Default: the way across and the code.")
+    ] = None,
+    range_v: Annotated[float, typer.Option(help="Full scale of the digitizer, V.")] = 0.08,
+    channel: Annotated[int, typer.Option(min=1, max=4, help="Of the digitizer; the trigger goes to EXT.")] = 1,
+    arm_ms: Annotated[
+        float, typer.Option(min=0.0, max=5000.0, help="The digitizer takes to wait for triggers.")
+    ] = 50.0,
+    steps_per_turn: Annotated[int, typer.Option(min=3, max=1_000_000, help="Of the stage.")] = 400,
+    step_us: Annotated[float, typer.Option(min=100.0, max=1e6, help="Step to step, us.")] = 1000.0,
+    encoder: Annotated[
+        int, typer.Option(min=0, help="Counts a turn of an encoder on the stage; 0: there is none.")
+    ] = 0,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with the file: shoot what it has not yet.")] = False,
+    homed: Annotated[
+        bool, typer.Option("--homed", help="With --resume: the stage was turned back to its first angle by hand.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """One turn of the stage: burst and record at every angle. The microwave is armed for each shot by itself.
+
+    The file is whole after every shot; Ctrl-C, a fault or a lost digitizer ends the sweep with what it has (status not
+    0), --resume goes on. A fault has to be cleared first (`annulus head clear`).
+    """
+    from annulus.sensors.digitizer import ScopeDigitizer
+    from annulus.tai.acquire import Plan, acquire
+
+    if twin == (port is not None or scope is not None) or (port is None) != (scope is None):
+        raise AnnulusError("give --port and --scope, or --twin alone")
+    plan = Plan(
+        code, chip_us, angles, averages, period_us, trigger_offset_us, radius_mm, sound_speed, rate_mhz, duration_us,
+        range_v, steps_per_turn, step_us, encoder,
+    )  # fmt: skip
+    notes: list[str] = []
+    with contextlib.ExitStack() as stack:
+        report = stack.enter_context(progress())
+        if twin:
+            from annulus.twin.acoustic import bench_named, serving
+
+            bench = stack.enter_context(
+                serving(bench_named(phantom, radius_mm, sound_speed, steps_per_turn, progress=report))
+            )
+            port, scope, homed = bench.port_url, bench.scope_name, True
+        assert port is not None and scope is not None
+        digitizer = stack.enter_context(ScopeDigitizer(scope, channel=channel, settle_s=1e-3 * arm_ms))
+        try:
+            done = acquire(port, digitizer, plan, out, resume=resume, homed=homed, say=notes.append, progress=report)
+        finally:
+            stack.close()
+            for note in notes:
+                print(f"note       {note}", file=sys.stderr)
+    if as_json:
+        print(json.dumps(done.to_dict()))
+        return
+    for finding in done.findings:
+        print(f"warning    {finding}")
+    print(
+        f"shot       {done.shot} of {done.positions} angles in {done.seconds:.1f} s, {done.retries} shots again, "
+        f"{done.sampling_rate_hz / 1e6:.4g} MHz"
+    )
+    print(f"sweep      {out}")
 
 
 @app.command("decode", epilog="Example: annulus tai decode raw.hdf5 -o decoded.hdf5")

@@ -1,6 +1,7 @@
 """`annulus twin`: the simulated head."""
 
 import json
+import threading
 from pathlib import Path
 from typing import Annotated
 
@@ -26,6 +27,28 @@ def run(
     from annulus.twin.head import run_head
 
     run_head(fps=fps, seed=seed, faults=faults, board=board)
+
+
+@app.command("bench", epilog="Example: annulus twin bench --phantom wires")
+def bench(
+    phantom: Annotated[str, typer.Option(help="inclusions, core, wires, shapes.")] = "inclusions",
+    radius_mm: Annotated[float, typer.Option(min=1.0, max=500.0, help="Receiver to the axis of the stage, mm.")] = 25.0,
+    sound_speed: Annotated[float, typer.Option(min=300.0, max=6000.0, help="m/s.")] = 1480.0,
+    steps_per_turn: Annotated[int, typer.Option(min=3, max=1_000_000, help="Of the stage.")] = 400,
+    board: Board = "native",
+) -> None:
+    """Run a simulated thermoacoustic bench and print what `annulus tai acquire` wants. Ends with Ctrl-C."""
+    from annulus.twin.acoustic import bench_named
+
+    with progress() as report:
+        running = bench_named(phantom, radius_mm, sound_speed, steps_per_turn, board, report)
+    print(f"annulus tai acquire --port {running.port_url} --scope {running.scope_name} -o raw.hdf5", flush=True)
+    try:
+        running.run(threading.Event())
+    except KeyboardInterrupt:
+        pass
+    finally:
+        running.close()
 
 
 @app.command("soak", epilog="Example: annulus twin soak --frames 20000 --seed 1 --json")

@@ -4,6 +4,7 @@ the outputs as it says, also when interrupted.
 
 import time
 from collections.abc import Callable
+from typing import TypeVar
 
 from annulus.link.client import Client
 from annulus.link.head import LATCHING
@@ -23,8 +24,10 @@ from annulus.link.messages import (
     Edge,
     Fault,
     FaultCode,
+    Move,
     Pattern,
     Stage,
+    StageDone,
     StageReply,
     StateFlag,
     Status,
@@ -36,7 +39,10 @@ from annulus.vocabulary import TICKS_PER_US, AnnulusError, Lamp
 
 KEEP_ALIVE_S = 0.1  # well inside the shortest sensible host timeout
 TRAIN_SLACK_S = 1.0
+STAGE_BUSY_S = 60.0
 U32 = 2**32
+
+Awaited = TypeVar("Awaited", BurstDone, StageDone)
 
 
 def status(port: str) -> dict[str, object]:
@@ -134,6 +140,25 @@ def fire_burst(
 
     Raises AnnulusError for a code nobody knows, a refusal (interlock, limits), or a fault that cut the train off.
     """
+    own, burst = train_from_us(code, chip_us=chip_us, repeat=repeat, period_us=period_us, offset_us=offset_us)
+    with Client(port) as client:
+        if own is not None:
+            client.request(own)
+        reply, done = send_train(client, port, burst)
+    return {
+        "code": code,
+        "chips": reply.length,
+        "chip_us": burst.chip / TICKS_PER_US,
+        "bursts": done.done,
+        "period_us": burst.period / TICKS_PER_US,
+        "train_us": (done.tick - reply.start) % U32 / TICKS_PER_US,
+    }
+
+
+def train_from_us(
+    code: str, *, chip_us: float, repeat: int, period_us: float, offset_us: float
+) -> tuple[Pattern | None, Burst]:
+    """A train from microseconds, and the pattern to upload before it if the code is not built in."""
     names = {c.name.lower().replace("_", "-"): c for c in BurstCode if c is not BurstCode.UPLOADED}
     own = _pattern(code) if code and not set(code) - {"0", "1"} else None
     if code not in names and own is None:
@@ -145,33 +170,52 @@ def fire_burst(
     ):
         if not low <= us <= high:
             raise AnnulusError(f"{option} {us:g}: expected {low:g}..{high:g}")
-    burst = Burst(
+    return own, Burst(
         code=names.get(code, BurstCode.UPLOADED),
         chip=round(chip_us * TICKS_PER_US),
         repeat=repeat,
         period=round(period_us * TICKS_PER_US),
         trigger_offset=round(offset_us * TICKS_PER_US),
     )
-    with Client(port) as client:
-        if own is not None:
-            client.request(own)
-        client.request(Arm(ArmFlag.MICROWAVE))
-        try:
-            reply = client.request(burst)
-            assert isinstance(reply, BurstReply)
-            done = _wait_for_train(client, port, repeat * burst.period / TICK_HZ + TRAIN_SLACK_S)
-        finally:
-            client.ask(Arm(ArmFlag(0)))
-        if done.fault is not FaultCode.NONE or done.done != repeat:
-            raise AnnulusError(f"{port}: {done.done} of {repeat} bursts sent, cut off by {done.fault.name.lower()}")
-        return {
-            "code": code,
-            "chips": reply.length,
-            "chip_us": burst.chip / TICKS_PER_US,
-            "bursts": done.done,
-            "period_us": burst.period / TICKS_PER_US,
-            "train_us": (done.tick - reply.start) % U32 / TICKS_PER_US,
-        }
+
+
+def send_train(client: Client, port: str, burst: Burst) -> tuple[BurstReply, BurstDone]:
+    """Arm the microwave, fire, wait for the end, disarm whatever happens.
+
+    Raises AnnulusError for a refusal, a fault, or a train cut short.
+    """
+    client.request(Arm(ArmFlag.MICROWAVE))
+    try:
+        reply = client.request(burst)
+        assert isinstance(reply, BurstReply)
+        done = _wait_for(BurstDone, client, port, burst.repeat * burst.period / TICK_HZ + TRAIN_SLACK_S)
+    finally:
+        client.ask(Arm(ArmFlag(0)))
+    if done.fault is not FaultCode.NONE or done.done != burst.repeat:
+        raise AnnulusError(f"{port}: {done.done} of {burst.repeat} bursts sent, cut off by {done.fault.name.lower()}")
+    return reply, done
+
+
+def status_of(client: Client) -> StatusReply:
+    reply = client.request(Status())
+    assert isinstance(reply, StatusReply)
+    return reply
+
+
+def move_stage(client: Client, port: str, position: int, step_us: float, *, hold: bool) -> None:
+    """To an absolute position in steps, and wait until it stands. `hold` keeps the motor powered afterwards."""
+    end = time.monotonic() + STAGE_BUSY_S
+    while StateFlag.STAGE_MOVING in (before := status_of(client)).state:  # somebody's earlier move
+        if time.monotonic() > end:
+            raise AnnulusError(f"{port}: the stage still moves after {STAGE_BUSY_S:g} s, expected it to stand")
+        client.poll(KEEP_ALIVE_S)
+    if before.stage == position and hold:
+        return
+    client.request(Move(position, round(step_us * TICKS_PER_US), int(hold)))
+    patience_s = abs(position - before.stage) * step_us * 1e-6 + TRAIN_SLACK_S
+    done = _wait_for(StageDone, client, port, patience_s)
+    if done.position != position:
+        raise AnnulusError(f"{port}: the stage stopped at step {done.position}, expected {position}")
 
 
 def _pattern(bits: str) -> Pattern:
@@ -180,15 +224,15 @@ def _pattern(bits: str) -> Pattern:
     return Pattern(len(bits), int(bits[::-1], 2).to_bytes(CHIPS_MAX // 8, "little"))  # chip 0 is bit 0 of byte 0
 
 
-def _wait_for_train(client: Client, port: str, patience_s: float) -> BurstDone:
+def _wait_for(kind: type[Awaited], client: Client, port: str, patience_s: float) -> Awaited:
     end = time.monotonic() + patience_s
     while (now := time.monotonic()) < end:
         client.keep_alive()
         for happening in client.poll(min(KEEP_ALIVE_S, end - now)):
-            if isinstance(happening, Heard) and isinstance(happening.event, BurstDone):
+            if isinstance(happening, Heard) and isinstance(happening.event, kind):
                 return happening.event
             _raise_on_fault(port, happening)
-    raise AnnulusError(f"{port}: no end of the burst train within {patience_s:.1f} s, expected BURST_DONE")
+    raise AnnulusError(f"{port}: nothing ended within {patience_s:.1f} s, expected {kind.__name__}")
 
 
 def _raise_on_fault(port: str, happening: object) -> None:

@@ -61,6 +61,7 @@ class TcpLine:
         self._server = socket.create_server(("127.0.0.1", 0))
         self._server.setblocking(False)
         self._host: socket.socket | None = None
+        self.arrivals = 0  # hosts that have connected so far
         self.url = f"socket://127.0.0.1:{self._server.getsockname()[1]}"
 
     def waitables(self) -> list[int]:
@@ -69,21 +70,22 @@ class TcpLine:
     def read(self) -> bytes:
         with contextlib.suppress(OSError):  # nobody waits, or nobody any more
             arrived, _ = self._server.accept()
-            self._hang_up()
+            self.hang_up()
             arrived.setblocking(False)
             arrived.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._host = arrived
+            self.arrivals += 1
         data = b""
         try:
             while self._host is not None:
                 more = self._host.recv(_READ_MAX)
                 if not more:
-                    self._hang_up()
+                    self.hang_up()
                 data += more
         except BlockingIOError:
             pass
         except OSError:
-            self._hang_up()
+            self.hang_up()
         return data
 
     def write(self, data: bytes) -> int:
@@ -94,14 +96,14 @@ class TcpLine:
         except BlockingIOError:
             return 0
         except OSError:
-            self._hang_up()
+            self.hang_up()
             return len(data)
 
     def close(self) -> None:
-        self._hang_up()
+        self.hang_up()
         self._server.close()
 
-    def _hang_up(self) -> None:
+    def hang_up(self) -> None:
         if self._host is not None:
             self._host.close()
             self._host = None
