@@ -137,13 +137,16 @@ def calibrate_pipe(scan: Path, camera: Path, radius_mm: float, *, progress: Prog
     marks["solve"] = time.process_time()
     held, tuned_held, tuned, fine = None, None, solution, None
     if len(kept) > 2:
-        folds, few = min(FOLDS, len(kept)), seen.take(np.arange(0, len(seen), HELD_EVERY))
-        held = hold_out(few, solution, folds, progress=lambda done, total: report("hold out", done, total))
-        tuned_held = hold_out(
-            few, solution, folds, fit=tune, progress=lambda done, total: report("fine-tune", done, total)
-        )
-        if tuned_held.rms_mm() < TUNING_WINS * held.rms_mm():
-            tuned, fine = tune(seen, solution)
+        try:
+            folds, few = min(FOLDS, len(kept)), seen.take(np.arange(0, len(seen), HELD_EVERY))
+            held = hold_out(few, solution, folds, progress=lambda done, total: report("hold out", done, total))
+            tuned_held = hold_out(
+                few, solution, folds, fit=tune, progress=lambda done, total: report("fine-tune", done, total)
+            )
+            if tuned_held.rms_mm() < TUNING_WINS * held.rms_mm():
+                tuned, fine = tune(seen, solution)
+        except AnnulusError:  # what a part of the frames leaves open; the advice says so
+            held = tuned_held = None
     marks["hold out"] = time.process_time()
     calibration = Calibration(
         known, colours, tuned.rings, radius_mm, tuple(tuple(float(v) for v in row) for row in tuned.covariance),
