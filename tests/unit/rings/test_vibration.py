@@ -43,7 +43,8 @@ def test_shaking_is_found_named_and_taken_out(pipe):
     pace = (seen[-1].z_mm - seen[0].z_mm) / (seen[-1].frame - seen[0].frame)  # mm a frame
     assert line.hertz == pytest.approx(25 * pace / 31.0, rel=0.03)
     assert line.amplitude_mm == pytest.approx(0.3, rel=0.05) and line.mm[0][0] == "radius"
-    assert rms(calm, pipe) < 0.3 * rms(seen, pipe)
+    still = rms(scan(pipe, z_mm=STATIONS, directions=180), pipe)
+    assert rms(seen, pipe) > 3 * still and rms(calm, pipe) < 1.3 * still
 
 
 def test_a_wall_that_is_really_wavy_stays():
