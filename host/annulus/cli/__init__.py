@@ -101,11 +101,13 @@ def _print_summary(summary: Any, out: Path, as_json: bool) -> None:
     counts = ", ".join(f"{n} {label}" for label, n in data["frames"].items())
     print(f"frames     {counts}")
     if diameter["mean"] is not None:
-        print(f"diameter   {diameter['mean']:.2f} mm mean, {diameter['min']:.2f}..{diameter['max']:.2f} mm")
+        k2 = f" ± {diameter['k2']:.2f}" if diameter.get("k2") is not None else ""
+        print(f"diameter   {diameter['mean']:.2f}{k2} mm mean (k=2), {diameter['min']:.2f}..{diameter['max']:.2f} mm")
     print(f"points     {data['points']}")
     for d in data["defects"]:
+        k2 = f" ± {d['depth_k2_mm']:.2f}" if d.get("depth_k2_mm") is not None else ""
         print(
-            f"{d['kind']:<10} {d['depth_mm']:.2f} mm at {d['z_mm']:.0f} mm, clock {d['clock']}, "
+            f"{d['kind']:<10} {d['depth_mm']:.2f}{k2} mm at {d['z_mm']:.0f} mm, clock {d['clock']}, "
             f"{d['length_mm']:.0f} mm long, {d['arc_deg']:.0f} deg"
             + (f", {d['hidden_mm']:.0f} mm of it hidden" if d["hidden_mm"] >= 0.5 else "")
         )
