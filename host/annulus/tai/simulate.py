@@ -65,8 +65,8 @@ def simulate(
         progress("sound", 1, 1)
     samples = math.floor((steps - 1) * solver.dt_s * bench.sampling_rate_hz)
     signals = _sampled(heard, solver.dt_s, bench.sampling_rate_hz, samples)
-    signals += _spike(bench, chips, samples)
-    signals = _through(signals, bench)
+    signals += coupling(bench, chips, samples)
+    signals = through(signals, bench)
     rng = np.random.default_rng(bench.seed)
     signals += bench.noise_pa / math.sqrt(bench.averages) * rng.standard_normal(signals.shape)
     angles = np.arange(bench.positions, dtype=np.float64) * (360.0 / bench.positions)
@@ -106,7 +106,7 @@ def _sampled(heard: NDArray[np.floating], dt_s: float, rate_hz: float, samples: 
     return np.asarray(CubicSpline(times, heard, axis=1)(np.arange(samples) / rate_hz), np.float64)
 
 
-def _spike(bench: Bench, chips: NDArray[np.uint8], samples: int) -> NDArray[np.float64]:
+def coupling(bench: Bench, chips: NDArray[np.uint8], samples: int) -> NDArray[np.float64]:
     """Follows every chip at once, and leaves the amplifier to recover within a microsecond."""
     times = np.arange(samples) / bench.sampling_rate_hz
     on = np.interp(times, (np.arange(len(chips)) + 0.5) * bench.chip_s, chips, left=0.0, right=0.0)
@@ -115,7 +115,7 @@ def _spike(bench: Bench, chips: NDArray[np.uint8], samples: int) -> NDArray[np.f
     return np.asarray(bench.spike_pa * out)
 
 
-def _through(signals: NDArray[np.float64], bench: Bench) -> NDArray[np.float64]:
+def through(signals: NDArray[np.float64], bench: Bench) -> NDArray[np.float64]:
     """The transducer's band, without delay."""
     if bench.transducer is None:
         return signals

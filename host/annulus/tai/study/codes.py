@@ -7,16 +7,16 @@ import numpy as np
 
 from annulus.tai.study.plate import Plate
 from annulus.thermoacoustic.codes import pattern
-from annulus.thermoacoustic.templates import Template, Transducer, design, pair_correlation
+from annulus.thermoacoustic.templates import Method, Template, Transducer, design, pair_correlation
 
 CHIP_S = 0.5e-6
 TAPS = 150  # chips: three times the code
 
 
 @cache
-def template() -> Template:
-    """The filter for stuffed MPSL25 that everything in the study is decoded with."""
-    return design(pattern("mpsl25-stuffed"), TAPS)
+def template(method: Method = "minimax") -> Template:
+    """The filter for stuffed MPSL25 that the study decodes with."""
+    return design(pattern("mpsl25-stuffed"), TAPS, method)
 
 
 @cache
@@ -31,7 +31,7 @@ def heard_template() -> Template:
 def stuffed_mpsl25() -> Plate:
     """Fig. 8.1: the code, its mismatched filter, and the filter's answer to the code."""
     chips, found = pattern("mpsl25-stuffed"), template()
-    squares = design(chips, TAPS, "least-squares")
+    squares = template("least-squares")
     numbers = {
         "psr": found.psr, "gain_db": found.gain_db, "ceiling_db": found.ceiling_db,
         "psr_least_squares": squares.psr, "gain_least_squares_db": squares.gain_db,
