@@ -174,8 +174,9 @@ class ScopeDigitizer:
         return Trace(volts, 1 / preamble.x_step, preamble.x_origin, int(clipped))
 
     def recover(self) -> None:
-        with contextlib.suppress(Exception):  # whatever state the session is in: it is closed next
-            self._session.clear()
+        if not self.resource.upper().endswith("SOCKET"):  # a socket has no clear; pyvisa-py's never ends on a dead one
+            with contextlib.suppress(Exception):  # whatever state the session is in: it is closed next
+                self._session.clear()
         self.close()
         self._open()
         if self._recording is not None:

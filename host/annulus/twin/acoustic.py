@@ -28,6 +28,8 @@ import numpy.typing as npt
 import scipy.fft
 from numpy.typing import NDArray
 
+from annulus.link.messages import Command, StatusCode
+from annulus.link.session import Answer, Session, identify
 from annulus.thermoacoustic.field import PML_CELLS, Grid, Medium, Solver, receivers
 from annulus.thermoacoustic.phantoms import Part, draw, phantom, reach_mm
 from annulus.twin.emulated import Board, open_board
@@ -45,8 +47,10 @@ from annulus.vocabulary import TICK_S, AnnulusError
 
 SHIFT_MM = (0.0313, 0.0171)  # the sample lies off the cells, so that no image is made on the grid of its own truth
 PULSE_S = 0.5e-6  # the pulse that `pulse_v` speaks of
+FADE = 0.1  # of a response, at its end
 TAIL_S = 20e-6  # of the receiver and its amplifier, generously
 RECOVERY_S = 0.4e-6  # of the amplifier after the coupled radio frequency
+ANSWER_TICKS = 50_000_000
 KEEP_TICKS = 1_000_000  # pulses longer ago than this are heard no more, nor in any record still to come
 SLIP_TICKS = 2_000_000  # a machine that falls further behind than this has its world slowed down
 PATIENCE_S = 5e-4
@@ -104,6 +108,8 @@ class Responses:
         if progress:
             progress("twin's sound", 1, 1)
         self.dt_s, self.length_s = solver.dt_s, steps * solver.dt_s
+        fade = math.ceil(FADE * steps)  # a wave in a plane has a wake without end: it fades out rather than stops
+        heard[:, -fade:] *= 0.5 + 0.5 * np.cos(math.pi * np.arange(1, fade + 1) / fade)
         self._round = scipy.fft.rfft(np.asarray(heard, float), axis=0)
         self._count = count
 
@@ -124,6 +130,32 @@ def pulses_of(pins: npt.NDArray[np.void]) -> list[tuple[int, int]]:
             pulses.append((rise, tick))
             rise = -1
     return pulses
+
+
+def fire(board: Board, *commands: Command, ticks: int = 1_000_000) -> npt.NDArray[np.void]:
+    """What the pins of a powered board do when it is told these, in virtual time: TRANSITIONs until `ticks` after the
+    last answer. AnnulusError for a command that is refused or not answered.
+    """
+    session, seen = Session(), []
+    for command in (identify(), *commands):
+        ticket, end = session.send(command), board.tick + ANSWER_TICKS
+        answer: Answer | None = None
+        while answer is None and board.tick < end:
+            board.serial_write(session.pending(board.tick * 10))
+            board.run_until(board.tick + 10_000)
+            for happening in session.receive(board.serial_read(), board.tick * 10):
+                if isinstance(happening, Answer) and happening.ticket == ticket:
+                    answer = happening
+            seen.append(board.pins())
+        if answer is None or answer.reply.status is not StatusCode.OK:
+            why = "no answer" if answer is None else answer.reply.status.name.lower()
+            raise AnnulusError(f"{type(command).__name__.lower()}: {why}, expected the board to carry it out")
+    for _ in range(max(1, ticks // 10_000)):  # the processor is to be heard now and then, or it darkens
+        board.serial_write(session.pending(board.tick * 10))
+        board.run_until(board.tick + 10_000)
+        session.receive(board.serial_read(), board.tick * 10)
+        seen.append(board.pins())
+    return np.concatenate(seen)
 
 
 class Ear:
