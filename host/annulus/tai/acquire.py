@@ -26,7 +26,7 @@ from annulus.vocabulary import AnnulusError
 RETRIES = 2  # of one shot, after a lost trigger, a digitizer that went away, or a record with holes
 SPARE = 1.15  # times the way across the circle
 SAMPLES_A_CHIP = 4
-UNMOVED = 1.3  # times the noise: neighbours that differ by no more than this may have been heard from one place
+UNMOVED = 1.5  # times the noise: neighbours that differ by no more than this may have been heard from one place
 RUN = 3  # neighbours in a row; one pair may stand to both sides of a sample's axis of symmetry
 AUDIBLE = 100.0  # times the noise is sound that can tell
 ENCODER_S = 0.005  # until the last edge has been counted
@@ -303,12 +303,11 @@ def unmoved(record: AcousticRecord) -> list[str]:
     signals = signals - signals.mean(axis=1, keepdims=True)
     power = np.abs(np.fft.rfft(signals, axis=1)) ** 2
     low = slice(1, max(2, int(0.3 * power.shape[1])))
-    noise = np.median(power[:, int(0.6 * power.shape[1]) :], axis=1) / math.log(2)  # its median is ln 2 of its mean
+    noise = float(np.median(power[:, int(0.6 * power.shape[1]) :])) / math.log(2)  # its median is ln 2 of its mean
     differ = np.abs(np.fft.rfft(np.diff(signals, axis=0), axis=1)) ** 2
-    apart = differ[:, low].mean(axis=1) / np.maximum(noise[1:] + noise[:-1], 1e-300)
-    if np.median(power[:, low].mean(axis=1) / np.maximum(noise, 1e-300)) < AUDIBLE:
+    if np.median(power[:, low].mean(axis=1)) < AUDIBLE * noise:
         return []
-    same = apart < UNMOVED
+    same = differ[:, low].mean(axis=1) <= UNMOVED * 2 * noise
     if same.all():
         return ["every angle sounds the same: the stage does not turn, or the sample is round and stands in its middle"]
     edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(int), [0]])))
