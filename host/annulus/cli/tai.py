@@ -227,3 +227,32 @@ def image_command(
     print(f"speed      {result.sound_speed_m_s:.1f} m/s ({how})")
     print(f"pixel      {result.pixel_mm:.3f} mm, {result.size[0]} x {result.size[1]}")
     print(f"image      {out / 'image.png'}, {out / 'image.npz'}")
+
+
+@app.command(
+    "study", epilog="Example: annulus tai study 8.4 8.11 -o study. Without numbers: all, in about two minutes."
+)
+def study_command(
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the pictures, study.csv and study.json.")],
+    figures: Annotated[
+        list[str] | None, typer.Argument(help="Figures of the source, 7.4 to 8.14; default all.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """The source's figures and tables again, as simulation: a picture and a row of numbers each."""
+    from annulus.tai.study import chosen, study
+
+    wanted = chosen(figures or [])
+    try:
+        with progress() as report:
+            done = study(wanted, out, report)
+    except OSError as error:
+        raise AnnulusError(f"{out}: cannot be written ({error.strerror})") from None
+    if as_json:
+        print(json.dumps({one.name: {"title": one.title, **one.numbers} for one in done}))
+        return
+    for one in done:
+        print(f"fig {one.name:<6} {one.title}  {one.picture}")
+        for name, value in one.numbers.items():
+            print(f"           {name:<28} {value:.4g}")
+    print(f"numbers    {out / 'study.csv'}, {out / 'study.json'}")

@@ -244,7 +244,8 @@ def table_plate(table: str) -> Plate:
     numbers = {
         "psnr_single_db": found.single_db, "psnr_coded_db": found.coded_db, "gain_db": found.gain_db,
         "gain_clean_reference_db": found.gain_clean_db, "gain_expected_db": found.expected_db,
-        "gain_any_filter_db": found.most_db, "gain_least_squares_db": squares.gain_db, "gain_as_in_the_source_db": theirs.gain_db,
+        "gain_any_filter_db": found.most_db, "gain_least_squares_db": squares.gain_db,
+        "gain_as_in_the_source_db": theirs.gain_db,
         "gain_source_db": found.source_gain_db, "shot_noise": found.shot_noise,
     }  # fmt: skip
 
@@ -341,7 +342,7 @@ def single_trace() -> Plate:
 
     def draw(figure: Any) -> None:
         left, *others = figure.subplots(1, 3)
-        _sample(left, "core", "a) cheese with an agar core, receiver on the right")
+        show_sample(left, "core", "a) cheese with an agar core, receiver on the right")
         for axes, record, name in zip(others, records, ("b) 2048 averages", "c) 2 averages"), strict=True):
             _line(axes, record, f"{name}, 3 kW")
         _regions(others[0])
@@ -396,7 +397,8 @@ def pair_trace() -> Plate:
     return Plate(numbers, draw, (17, 3.6))
 
 
-def _sample(axes: Any, name: str, title: str) -> None:
+def show_sample(axes: Any, name: str, title: str) -> None:
+    """What stands in front of the receiver."""
     from annulus.thermoacoustic.field import Grid
     from annulus.thermoacoustic.phantoms import draw
 

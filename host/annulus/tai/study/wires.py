@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from annulus.tai.study.images import resolution
-from annulus.tai.study.noise import BENCH, CODED, FULL_KW, SEEDS, SINGLE, Arm, _sample, arm
+from annulus.tai.study.noise import CODED, FULL_KW, SINGLE, Arm, arm, show_sample
 from annulus.tai.study.plate import FloatArray, Plate, profile, show_map
 from annulus.thermoacoustic.phantoms import Disc, phantom
 
@@ -97,7 +97,7 @@ def reference() -> Plate:
 
     def draw(figure: Any) -> None:
         left, right = figure.subplots(1, 2)
-        _sample(left, "wires", "a) agar with two wires of 0.6 mm")
+        show_sample(left, "wires", "a) agar with two wires of 0.6 mm")
         most = float(np.nanmax(np.abs(single.clean.values)))
         shown = show_map(
             right, values / most, single.clean.x_mm, single.clean.y_mm,
@@ -132,11 +132,14 @@ def pulse_widths() -> Plate:
             show_map(
                 axes, values, one.clean.x_mm, one.clean.y_mm, f"{'abcd'[n]}) {name}, 2 kW", (-most, most), "RdBu_r"
             )
-            line = envelope(profile(values, one.clean.y_mm, 0.0, 0))
-            bottom[0].plot(one.clean.x_mm, line / line.max() + 1.1 * (3 - n), lw=0.8, label=name)
-        bottom[0].set(xlabel="x, mm", ylabel="envelope, of its maximum, apart", yticks=[], xlim=(-12, 12))
-        bottom[0].set_title("e) line through both wires", fontsize=9)
-        bottom[0].legend(fontsize=7, loc="upper right")
+            for below, image in ((bottom[0], values), (bottom[3], one.clean.values)):
+                line = envelope(profile(image, one.clean.y_mm, 0.0, 0))
+                near = np.abs(one.clean.x_mm) < 10
+                below.plot(one.clean.x_mm, line / line[near].max() + 1.3 * (3 - n), lw=0.8)
+                below.annotate(name, (-9.8, 1.3 * (3 - n) + 1.0), fontsize=7)
+        for below, title in ((bottom[0], "e) line through both wires"), (bottom[3], "h) the same without noise")):
+            below.set(xlabel="x, mm", ylabel="envelope, of its maximum", yticks=[], xlim=(-10, 10))
+            below.set_title(title, fontsize=9)
         for name, one in found.items():
             bottom[1].semilogx(TRIES, 100 * one.rate, lw=1, label=name)
         bottom[1].axvline(rms, color="0.5", lw=0.8, ls=":")
@@ -149,9 +152,5 @@ def pulse_widths() -> Plate:
         bottom[2].set(xlabel="pulse, us", ylabel="width of a wire's image, mm", xlim=(0, None), ylim=(0, None))
         bottom[2].set_title("g) resolution", fontsize=9)
         bottom[2].legend(fontsize=7)
-        bottom[3].set_axis_off()
 
     return Plate(numbers, draw, (15, 7.4))
-
-
-__all__ = ["BENCH", "SEEDS", "pulse_widths", "reference", "separation"]
