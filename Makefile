@@ -41,6 +41,7 @@ demo: setup
 test: setup lint firmware emulator
 	@tools/need.sh clang libclang-rt sigrok-cli
 	$(BIN)/pytest -n auto --dist loadfile tests/unit
+	$(BIN)/pytest -n auto --dist loadfile tests/scenes
 	$(BIN)/pytest tests/system
 	$(BIN)/pytest -n auto tests/emulator
 

@@ -1,0 +1,6 @@
+"""Whole methods on drawn, ray-traced and photographed scenes. Lets them draw with what the rings' unit tests draw with."""
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "unit" / "rings"))
