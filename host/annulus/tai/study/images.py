@@ -76,12 +76,12 @@ class Frame:
 
 def drawn(
     parts: tuple[Part, ...], grid: Grid, pixel_mm: float, shift_mm: tuple[float, float] = (0.0, 0.0)
-) -> FloatArray:
+) -> NDArray[np.float64]:
     """The sample on a grid, its edges as smooth as an image of `pixel_mm` can show them."""
     return np.asarray(gaussian_filter(draw(parts, grid, shift_mm), SMOOTH * pixel_mm / grid.dx_mm))
 
 
-def truth_of(parts: tuple[Part, ...], image: Image) -> FloatArray:
+def truth_of(parts: tuple[Part, ...], image: Image) -> NDArray[np.float64]:
     dx = float(image.x_mm[1] - image.x_mm[0])
     return drawn(parts, Grid((len(image.y_mm), len(image.x_mm)), dx), dx)
 
@@ -149,12 +149,12 @@ def fifty(finer: bool = True, pixel_mm: float = PIXEL_MM, radius_mm: float = RAD
     side = scipy.fft.next_fast_len(math.ceil(2 * radius_mm / dx) + 2 * PML_CELLS + 8, real=True)
     grid, medium = Grid((side, side), dx), Medium(SPEED)
     solver = Solver(grid, medium)
-    angles = np.arange(POSITIONS) * (360.0 / POSITIONS)
+    angles = np.arange(POSITIONS, dtype=np.float64) * (360.0 / POSITIONS)
     turn = np.radians(angles)
     points = radius_mm * np.stack([np.cos(turn), np.sin(turn)], axis=1) - np.array(shift)
     steps = math.ceil(TAIL * 2e-3 * radius_mm / SPEED / solver.dt_s) + 1
     traces = solver.forward(drawn(phantom("inclusions"), grid, pixel_mm, shift), receivers(grid, points), steps)
-    return Sweep(traces.astype(float), angles, radius_mm, 1 / solver.dt_s, 0.0, SPEED)
+    return Sweep(traces.astype(np.float64), angles, radius_mm, 1 / solver.dt_s, 0.0, SPEED)
 
 
 def interpolation(pixel_mm: float = PIXEL_MM, radius_mm: float = RADIUS_MM) -> Plate:
@@ -236,7 +236,7 @@ def resolution(
     side = scipy.fft.next_fast_len(math.ceil(2 * radius / dx) + 2 * PML_CELLS + 8, real=True)
     grid = Grid((side, side), dx)
     solver = Solver(grid, Medium(SPEED))
-    angles = np.arange(90) * 4.0
+    angles = np.arange(90, dtype=np.float64) * 4.0
     turn = np.radians(angles)
     points = radius * np.stack([np.cos(turn), np.sin(turn)], axis=1) - np.array(SHIFT_MM)
     steps = math.ceil((TAIL * 2e-3 * radius / SPEED + 1e-6 * max(pulses_us)) / solver.dt_s)
@@ -252,7 +252,7 @@ def resolution(
     return Resolution(pulses_us, tuple(widths), tuple(theory))
 
 
-def switched_on(instant: FloatArray, pulse_s: float, dt_s: float) -> FloatArray:
+def switched_on(instant: FloatArray, pulse_s: float, dt_s: float) -> NDArray[np.float64]:
     """Traces of a source on from time 0 for `pulse_s`, of unit energy, from those of one instant at time 0."""
     total = np.concatenate([np.zeros((len(instant), 1)), np.cumsum(instant, axis=1)], axis=1) * dt_s
     times = (np.arange(instant.shape[1]) + 0.5) * dt_s

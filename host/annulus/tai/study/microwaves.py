@@ -14,6 +14,8 @@ from scipy.ndimage import gaussian_filter
 from annulus.tai.study.images import SHIFT_MM, SMOOTH, Frame, likeness
 from annulus.tai.study.plate import FloatArray, Plate, profile, show_map
 from annulus.thermoacoustic.electromagnetics import (
+    AIR,
+    EPS0,
     FREQUENCY_HZ,
     OIL,
     WR340_MM,
@@ -42,8 +44,8 @@ TISSUE: tuple[Part, ...] = (Box(0.0, 0.0, 7.0, 6.0, 0.4), *INCLUSIONS)  # §7.8.
 # Microwaves
 
 
-def in_front_of_guide(parts: tuple[Part, ...], eps_r: float, step_mm: float) -> tuple[Field, FloatArray]:
-    """(field, conductivity at its nodes) of a sample in oil; `value` of its parts is S/m.
+def in_front_of_guide(parts: tuple[Part, ...], eps_r: float, step_mm: float) -> Field:
+    """Of a sample in oil; `value` of its parts is S/m.
 
     The sample's y points back to the guide: what lies at y < 0 is farther away, beneath the receivers.
     """
@@ -54,9 +56,9 @@ def in_front_of_guide(parts: tuple[Part, ...], eps_r: float, step_mm: float) -> 
     turned = tuple(_mirrored(part) for part in parts)
     sigma = draw(turned, Grid(size, step), (0.0, middle))
     cover = draw(tuple(_valued(part) for part in turned), Grid(size, step), (0.0, middle))
-    lossy = 2 * math.pi * FREQUENCY_HZ * 8.8541878128e-12
+    lossy = 2 * math.pi * FREQUENCY_HZ * EPS0
     eps = OIL.eps_r * (1 - cover) + eps_r * cover - 1j * sigma / lossy
-    return open_waveguide(eps, step, x, y, POWER_W), sigma
+    return open_waveguide(eps, step, x, y, POWER_W)
 
 
 def absorbed_w(field: Field) -> float:
@@ -114,7 +116,7 @@ class Heard:
 
 @cache
 def above(parts: tuple[Part, ...], eps_r: float, pixel_mm: float, em_step_mm: float) -> Heard:
-    field, _ = in_front_of_guide(parts, eps_r, em_step_mm)
+    field = in_front_of_guide(parts, eps_r, em_step_mm)
     frame = Frame(9.0, 5.0, pixel_mm)
     finer = frame.finer
     cover = draw(tuple(_valued(part) for part in parts), finer, SHIFT_MM)
@@ -193,7 +195,7 @@ def conductivity(pixel_mm: float = 0.1, em_step_mm: float = 0.5) -> Plate:
     signals, losses = [], []
     for sigma in TABLE_7_1_S_M:
         part: tuple[Part, ...] = (Disc(0.0, 0.0, 6.0, sigma),)
-        field, _ = in_front_of_guide(part, 14.03, 2 * em_step_mm)
+        field = in_front_of_guide(part, 14.03, 2 * em_step_mm)
         rise = loss_on(field, part, frame.grid, coarse, (0.0, 0.0))
         signals.append(under_gaussian(solver.forward(rise, ear, steps).astype(float), dt, 0.5e-6)[0])
         losses.append(absorbed_w(field))
@@ -358,6 +360,13 @@ def convergence(steps_mm: tuple[float, ...] = (2.0, 1.0, 0.5)) -> dict[float, tu
     """step -> (power absorbed by a disc of 20 mm in oil, W of 1 kW; |S11|)."""
     found = {}
     for step in steps_mm:
-        field, _ = in_front_of_guide((Disc(0.0, 0.0, 10.0, 1.0),), 20.0, step)
+        field = in_front_of_guide((Disc(0.0, 0.0, 10.0, 1.0),), 20.0, step)
         found[step] = (absorbed_w(field), abs(field.reflection))
     return found
+
+
+def reflection_into_air(step_mm: float = 1.0) -> float:
+    """|S11| of the guide with nothing in front of it, in the plane of the solver."""
+    x, y, step = nodes(60.0, 60.0, step_mm)
+    empty = np.full((len(y), len(x)), AIR.permittivity(FREQUENCY_HZ))
+    return abs(open_waveguide(empty, step, x, y, POWER_W).reflection)

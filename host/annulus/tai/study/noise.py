@@ -6,7 +6,7 @@ averages and power.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, Literal
@@ -135,7 +135,9 @@ class Arm:
 
 
 def imaged(record: AcousticRecord) -> Image:
-    return time_reversal(sweep_of(record), pixel=PIXEL_MM * record.radius_mm / BENCH.radius_mm)
+    """Pixels as long as the chip asks for."""
+    assert record.chip_s is not None
+    return time_reversal(sweep_of(record), pixel=PIXEL_MM * record.chip_s / CHIP_S)
 
 
 @cache
@@ -178,6 +180,12 @@ class Comparison:
     most_db: float  # of any linear filter, the reference's noise counted
 
     @property
+    def expected_with_sidelobes_db(self) -> float:
+        """The gain once more, with what the sidelobes leave in the image added to its noise."""
+        noise = 10 ** (-(self.single_db + self.expected_db) / 10)
+        return -10 * math.log10(noise + 10 ** (-self.sidelobes_db / 10)) - self.single_db
+
+    @property
     def source_gain_db(self) -> float:
         return self.setting.coded_db - self.setting.single_db
 
@@ -187,7 +195,7 @@ def psnr_db(image: FloatArray, reference: FloatArray, most: float) -> float:
     return 10 * math.log10(most**2 / float(np.mean((image - reference) ** 2)))
 
 
-def noise_for(psnr: float, differences: list[FloatArray], most: float) -> float:
+def noise_for(psnr: float, differences: Sequence[FloatArray], most: float) -> float:
     """The rms of one shot at which noise `differences` of rms 1 leave that PSNR."""
     square = float(np.mean([np.mean(one**2) for one in differences]))
     return most * 10 ** (-psnr / 20) / math.sqrt(square)
@@ -208,7 +216,7 @@ def compare(table: str, how: How = "minimax", bench: Bench = BENCH, seeds: int =
     shot_noise = noise_for(setting.single_db, differences, most)
     fit = float(truth @ decoded / (decoded @ decoded))  # filters that are not alike have other amplitudes
 
-    def mean_db(errors: list[FloatArray]) -> float:
+    def mean_db(errors: Sequence[FloatArray]) -> float:
         return 10 * math.log10(most**2 / float(np.mean([np.mean(one**2) for one in errors])))
 
     single_db = mean_db([shot_noise * one for one in differences])

@@ -140,8 +140,8 @@ def pulse_widths() -> Plate:
         for below, title in ((bottom[0], "e) line through both wires"), (bottom[3], "h) the same without noise")):
             below.set(xlabel="x, mm", ylabel="envelope, of its maximum", yticks=[], xlim=(-10, 10))
             below.set_title(title, fontsize=9)
-        for name, one in found.items():
-            bottom[1].semilogx(TRIES, 100 * one.rate, lw=1, label=name)
+        for name, rates in found.items():
+            bottom[1].semilogx(TRIES, 100 * rates.rate, lw=1, label=name)
         bottom[1].axvline(rms, color="0.5", lw=0.8, ls=":")
         bottom[1].set(xlabel="noise after averaging, of one pulse's rise", ylabel="separated, %", xlim=(3e-4, 0.1))
         bottom[1].set_title("f) how often both wires are told apart", fontsize=9)
