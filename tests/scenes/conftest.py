@@ -1,4 +1,4 @@
-"""Whole methods on drawn, ray-traced and photographed scenes. Lets them draw with what the rings' unit tests draw with."""
+"""Whole methods on drawn, ray-traced and photographed scenes. Lets them draw what the rings' unit tests draw."""
 
 import sys
 from pathlib import Path
