@@ -203,7 +203,7 @@ class _Sweep:
     def __init__(self, plan: Plan, out: Path, boot: int) -> None:
         self.plan, self.out, self.boot = plan, out, boot
         self.traces: dict[int, NDArray[np.float32]] = {}
-        self._clipped: dict[int, int] = {}
+        self._clipped: dict[int, int] = {}  # how many samples, by position
         self._rate_hz = self._t0_s = math.nan
 
     @property
@@ -236,8 +236,8 @@ class _Sweep:
             if i is None:
                 raise AnnulusError(f"{self.out}: has an angle of {angle:g} deg that is not of this sweep")
             self.traces[i] = signal
-        told = str(extra.get("clipped", ""))
-        self._clipped = {int(i): 1 for i in told.split(",") if i.isdigit()}
+        rows = [int(row) for row in str(extra.get("clipped", "")).split(",") if row.isdigit()]
+        self._clipped = {i: 1 for row, i in enumerate(sorted(self.traces)) if row in rows}
         self._rate_hz, self._t0_s = record.sampling_rate_hz, record.t0_s
 
     def add(self, position: int, trace: Trace) -> None:
@@ -270,7 +270,7 @@ class _Sweep:
         extra: dict[str, str | float] = {f"plan_{key}": value for key, value in plan.settings().items()}
         extra |= {"source": "annulus tai acquire", "unit": "V", "boot": float(self.boot)}
         if self._clipped:
-            extra["clipped"] = ",".join(map(str, self.clipped))
+            extra["clipped"] = ",".join(str(row) for row, i in enumerate(order) if i in self._clipped)
         return AcousticRecord(
             np.stack([self.traces[i] for i in order]), plan.angles_deg[order], plan.radius_mm, self._rate_hz,
             self._t0_s, plan.sound_speed_m_s, text(pattern(plan.code)), 1e-6 * plan.chip_us, plan.averages, extra,

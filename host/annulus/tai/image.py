@@ -68,13 +68,15 @@ def make_image(
     if other is not None:
         findings.append(f"the record says {code_name(record.code)} was sent, but it sounds like {other}")
     coded = code_name(record.code) if record.code.strip("0") not in ("", "1") else ""
+    # a decoder spreads a flat top until nobody sees it: looked for in what was recorded
+    raw = [fault for fault in examine(sweep_of(record, sound_speed_m_s)) if fault.kind == "clipped"] if coded else []
     record, used = decode_record(record, load_template(template) if template else None)
     if used is not None:
         findings.append(
             f"decoded from {coded}: sidelobes 1/{used.psr:.1f} of the peak, {used.gain_db:.1f} dB over one pulse"
         )
     sweep = sweep_of(record, sound_speed_m_s)
-    faults = examine(sweep)
+    faults = raw + examine(sweep)
     findings += [fault.text for fault in faults]
     kept = usable(sweep, faults)
     if np.count_nonzero(kept) < LEAST:

@@ -11,6 +11,7 @@ from annulus.vocabulary import AnnulusError
 
 POSITIONS_MAX, SAMPLES_MAX = 8192, 1 << 22
 CLIPPED = 3  # neighbouring samples at the very same extreme: a converter at its rail
+GENTLE = 0.15  # of the span, over how many are flat: a top that falls off by less is round, and flat for want of bits
 SILENT = 0.2  # of the usual strength: nothing was heard at that position
 ALIKE = 0.98  # correlation of neighbours above which the stage may not have moved ..
 UNLIKE = 0.9  # .. if neighbours elsewhere are less alike than this
@@ -165,8 +166,10 @@ def _longest_at_rail(signals: NDArray[np.float64]) -> NDArray[np.int64]:
             continue
         for rail in (trace.max(), trace.min()):
             at = np.flatnonzero(np.abs(trace - rail) <= 1e-9 * span)
-            runs = np.split(at, np.flatnonzero(np.diff(at) > 1) + 1)
-            longest[i] = max(longest[i], max(len(run) for run in runs))
+            for run in np.split(at, np.flatnonzero(np.diff(at) > 1) + 1):
+                beside = [trace[k] for k in (run[0] - 1, run[-1] + 1) if 0 <= k < len(trace)]
+                if len(beside) < 2 or max(abs(value - rail) for value in beside) > GENTLE * span / len(run):
+                    longest[i] = max(longest[i], len(run))
     return longest
 
 

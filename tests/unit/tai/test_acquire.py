@@ -13,6 +13,7 @@ from annulus.link import bench as link_bench
 from annulus.record.acoustic import AcousticRecord, load_acoustic, save_acoustic
 from annulus.sensors.digitizer import ScopeDigitizer
 from annulus.tai.acquire import Acquired, Plan, acquire, unmoved
+from annulus.tai.image import make_image
 from annulus.thermoacoustic.codes import CODES
 from annulus.thermoacoustic.phantoms import Disc
 from annulus.twin.acoustic import AcousticBench, Ear, Scope, Tank, serving
@@ -171,6 +172,8 @@ def test_clipped_traces_are_named(rig: Rig) -> None:
     done = rig.acquire()
     assert done.clipped == (2,) and "angle 2" in rig.said[0] and "clipped: 2" in done.findings[0]
     assert load_acoustic(rig.out).extra["clipped"] == "2"
+    imaged = make_image(rig.out, rig.out.parent / "image", method="back-projection", pixel_mm=0.5)
+    assert imaged.excluded == (2,) and any("cut off at the digitizer's range" in line for line in imaged.findings)
 
 
 @pytest.mark.parametrize("rig", [{"stuck_after": 20}], indirect=True)
