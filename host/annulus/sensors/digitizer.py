@@ -111,6 +111,7 @@ class ScopeDigitizer:
         self._settle_s, self._answer_s = settle_s, answer_s
         self._recording: Recording | None = None
         self._session: Any = None
+        self._waiting = False  # for triggers: it answers nothing else
         self._open()
 
     def configure(self, recording: Recording) -> None:
@@ -151,6 +152,7 @@ class ScopeDigitizer:
 
     def arm(self) -> None:
         assert self._recording is not None, "configure first"
+        self._waiting = True
         self._write(f":DIGitize CHANnel{self.channel}")
         self._write("*OPC?")  # answered when it has all triggers
         time.sleep(self._settle_s)
@@ -165,6 +167,7 @@ class ScopeDigitizer:
                 f"{self.resource}: waits for a trigger {self._answer_s:g} s after the last of {recording.averages} was "
                 "sent: trigger cable, or bursts too close for it to rearm?"
             ) from None
+        self._waiting = False
         preamble = self._preamble(self._ask(":WAVeform:PREamble?"))
         self._write(":WAVeform:DATA?")
         words = np.frombuffer(self._block(2 * preamble.points), "<u2")
@@ -174,19 +177,20 @@ class ScopeDigitizer:
         return Trace(volts, 1 / preamble.x_step, preamble.x_origin, int(clipped))
 
     def recover(self) -> None:
-        if not self.resource.upper().endswith("SOCKET"):  # a socket has no clear; pyvisa-py's never ends on a dead one
-            with contextlib.suppress(Exception):  # whatever state the session is in: it is closed next
-                self._session.clear()
         self.close()
         self._open()
         if self._recording is not None:
             self.configure(self._recording)
 
     def close(self) -> None:
-        if self._session is not None:
-            with contextlib.suppress(Exception):  # a line that is gone closes with whatever error it likes
-                self._session.close()
-            self._session = None
+        if self._session is None:
+            return
+        with contextlib.suppress(Exception):  # a line that is gone closes with whatever error it likes
+            # A socket cannot be cleared, and pyvisa-py's attempt on a dead one never ends.
+            if self._waiting and not self.resource.upper().endswith("SOCKET"):
+                self._session.clear()
+            self._session.close()
+        self._session, self._waiting = None, False
 
     def __enter__(self) -> Self:
         return self
@@ -213,9 +217,9 @@ class ScopeDigitizer:
         self._session.read_termination = self._session.write_termination = None
         try:
             self.name = self._ask("*IDN?")
-        except DigitizerLostError:
+        except DigitizerLostError as error:
             self.close()
-            raise
+            raise DigitizerLostError(f"{error}; one that still waits for a trigger needs its Stop key") from None
         maker = self.name.upper()
         if not (("KEYSIGHT" in maker or "AGILENT" in maker) and ("SO-X" in maker or "SOX" in maker)):
             self.close()
@@ -284,7 +288,7 @@ class ScopeDigitizer:
         from pyvisa.errors import Error
 
         if self._session is None:
-            raise DigitizerLostError(f"{self.resource}: not connected")
+            raise DigitizerLostError(f"{self.resource}: gone, expected the digitizer")
         try:
             return action()
         except (Error, OSError, ValueError, AttributeError) as error:  # pyvisa-py's broken sockets raise all of these

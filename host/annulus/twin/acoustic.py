@@ -445,6 +445,7 @@ class AcousticBench:
         self._pulses: deque[tuple[int, int]] = deque()
         self._taken: deque[tuple[int, int]] = deque()  # trigger tick, steps: records under way
         self._busy_until = 0
+        self._unplugged = False
         self._wanted: deque[tuple[int, int]] = deque()  # pin, level: the stage's encoder, somebody's hand on the door
         board.power_on(boot)
         board.input(board.tick, PIN_INTERLOCK, 0)
@@ -456,6 +457,10 @@ class AcousticBench:
     def interlock(self, *, closed: bool) -> None:
         """Somebody's hand on the door, from any thread; takes effect with the next advance."""
         self._wanted.append((PIN_INTERLOCK, 0 if closed else 1))
+
+    def unplug_scope(self) -> None:
+        """Somebody's hand on its network cable, from any thread: nobody can connect to it any more."""
+        self._unplugged = True
 
     def advance(self, tick: int) -> None:
         """Let the world go on to this tick of the board."""
@@ -530,7 +535,9 @@ class AcousticBench:
                 self.scope.connect()
             if answer := self.scope.receive(told):
                 self._send(answer)
-            if self.scope.hang_up:
+            if self._unplugged:
+                self._lan.close()
+            elif self.scope.hang_up:
                 self._lan.hang_up()
 
     def _send(self, answer: bytes) -> None:

@@ -13,9 +13,10 @@ from annulus.link import bench as link_bench
 from annulus.record.acoustic import AcousticRecord, load_acoustic, save_acoustic
 from annulus.sensors.digitizer import ScopeDigitizer
 from annulus.tai.acquire import Acquired, Plan, acquire, unmoved
-from annulus.tai.image import make_image
+from annulus.tai.decode import sweep_of
 from annulus.thermoacoustic.codes import CODES
 from annulus.thermoacoustic.phantoms import Disc
+from annulus.thermoacoustic.sweep import examine
 from annulus.twin.acoustic import AcousticBench, Ear, Scope, Tank, serving
 from annulus.twin.native import NativeBoard
 from annulus.vocabulary import AnnulusError
@@ -167,13 +168,29 @@ def test_triggers_that_stay_lost_end_it_with_what_there_is(rig: Rig) -> None:
     assert rig.acquire(resume=True).shot == 4
 
 
+def test_a_scope_that_is_gone_for_good_ends_it_with_what_there_is(rig: Rig) -> None:
+    def pull(_: str, done: int, total: int) -> None:
+        if done == 2:
+            rig.bench.scope.faults = {2: "drop"}
+            rig.bench.unplug_scope()
+
+    with (
+        ScopeDigitizer(rig.bench.scope_name, settle_s=0.003, answer_s=0.15) as scope,
+        pytest.raises(AnnulusError, match=r"gone, expected the digitizer \(3 times at angle 2; 2 of 5 angles are in"),
+    ):
+        acquire(rig.bench.port_url, scope, PLAN, rig.out, progress=pull)
+    assert not rig.armed and len(load_acoustic(rig.out).signals) == 2
+
+
 @pytest.mark.parametrize("rig", [{"faults": {2: "clip"}}], indirect=True)
 def test_clipped_traces_are_named(rig: Rig) -> None:
     done = rig.acquire()
     assert done.clipped == (2,) and "angle 2" in rig.said[0] and "clipped: 2" in done.findings[0]
-    assert load_acoustic(rig.out).extra["clipped"] == "2"
-    imaged = make_image(rig.out, rig.out.parent / "image", method="back-projection", pixel_mm=0.5)
-    assert imaged.excluded == (2,) and any("cut off at the digitizer's range" in line for line in imaged.findings)
+    record = load_acoustic(rig.out)
+    assert record.extra["clipped"] == "2"
+    assert [(fault.kind, fault.positions) for fault in examine(sweep_of(record)) if fault.kind == "clipped"] == [
+        ("clipped", (2,))
+    ]
 
 
 @pytest.mark.parametrize("rig", [{"stuck_after": 20}], indirect=True)
