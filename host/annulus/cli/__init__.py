@@ -1,6 +1,7 @@
 """The one command, `annulus`. Parses, calls one door, prints; imports each room only when its command is called."""
 
 import json
+import math
 import os
 import sys
 from pathlib import Path
@@ -92,6 +93,11 @@ def reconstruct(
     _print_summary(summary, out, as_json)
 
 
+def _up(mm: float) -> str:
+    """An uncertainty is rounded up."""
+    return f"{max(math.ceil(100 * mm - 1e-9), 1) / 100:.2f}"
+
+
 def _print_summary(summary: Any, out: Path, as_json: bool) -> None:
     data = json.loads((out / "summary.json").read_text())
     if as_json:
@@ -101,11 +107,11 @@ def _print_summary(summary: Any, out: Path, as_json: bool) -> None:
     counts = ", ".join(f"{n} {label}" for label, n in data["frames"].items())
     print(f"frames     {counts}")
     if diameter["mean"] is not None:
-        k2 = f" ± {diameter['k2']:.2f}" if diameter.get("k2") is not None else ""
+        k2 = f" ± {_up(diameter['k2'])}" if diameter.get("k2") is not None else ""
         print(f"diameter   {diameter['mean']:.2f}{k2} mm mean (k=2), {diameter['min']:.2f}..{diameter['max']:.2f} mm")
     print(f"points     {data['points']}")
     for d in data["defects"]:
-        k2 = f" ± {d['depth_k2_mm']:.2f}" if d.get("depth_k2_mm") is not None else ""
+        k2 = f" ± {_up(d['depth_k2_mm'])}" if d.get("depth_k2_mm") is not None else ""
         print(
             f"{d['kind']:<10} {d['depth_mm']:.2f}{k2} mm at {d['z_mm']:.0f} mm, clock {d['clock']}, "
             f"{d['length_mm']:.0f} mm long, {d['arc_deg']:.0f} deg"

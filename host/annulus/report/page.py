@@ -55,7 +55,7 @@ def _verdict(summary: Summary) -> str:
         return f"{words}."
     worst = max(local, key=lambda d: d.depth_mm)
     return (
-        f"{words}. Deepest: {NAMES[worst.kind].lower()} of {_measured(worst.depth_mm, worst.depth_k2_mm, 1)} "
+        f"{words}. Deepest: {NAMES[worst.kind].lower()} of {_measured(worst.depth_mm, worst.depth_k2_mm)} (k=2) "
         f"at {worst.z_mm / 1000:.3f} m, clock {worst.clock}."
     )
 
@@ -90,12 +90,11 @@ def _row(number: int, defect: Defect, summary: Summary) -> dict[str, Any]:
     }
 
 
-def _measured(mm: float, k2_mm: float | None, digits: int = 2) -> str:
+def _measured(mm: float, k2_mm: float | None) -> str:
     """A length with its expanded uncertainty; the value alone where nobody knows how far it may be off."""
     if k2_mm is None or not math.isfinite(k2_mm):
-        return f"{mm:.{digits}f} mm"
-    least = 10.0**-digits  # never "± 0.0"
-    return f"{mm:.{digits}f} ± {max(math.ceil(k2_mm / least - 1e-9) * least, least):.{digits}f} mm (k=2)"
+        return f"{mm:.2f} mm"
+    return f"{mm:.2f} ± {max(math.ceil(100 * k2_mm - 1e-9), 1) / 100:.2f} mm"  # rounded up, never 0.00
 
 
 def _length(mm: float) -> str:
