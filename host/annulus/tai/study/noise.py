@@ -146,7 +146,7 @@ def noise_images(code: str, how: How, bench: Bench = BENCH, seeds: int = SEEDS) 
     if code == SINGLE and how == "least-squares":
         return noise_images(code, "minimax", bench, seeds)
     empty = sent(shot("core", bench), pattern(code))
-    offset = 100 * len(code)
+    offset = 100 * len(pattern(code))
     return tuple(imaged(treated(white(empty, offset + seed), how)).values for seed in range(seeds))
 
 
@@ -271,7 +271,7 @@ def table_plate(table: str) -> Plate:
             shown = show_map(
                 one, image / most, single.clean.x_mm, single.clean.y_mm, name, (-1, 1), "RdBu_r"
             )  # fmt: skip
-        figure.colorbar(shown, ax=axes[2], shrink=0.8, label="pressure, of the largest")
+        figure.colorbar(shown, ax=axes[2], shrink=0.8)
         for n, (name, colour) in ((0, ("single", "0.6")), (2, ("reference", "tab:blue")), (1, ("MPSL25", "tab:red"))):
             line = profile(images[n], single.clean.y_mm, 0.0, 0) / most
             axes[3].plot(single.clean.x_mm, line, lw=0.9, color=colour, label=name)
@@ -421,7 +421,7 @@ def _line(axes: Any, record: AcousticRecord, title: str) -> None:
     clean = np.abs(shot("core").signals[0]).max()
     axes.set(ylabel="pressure, of one pulse's rise", xlim=(0, min(times[-1], 60)))
     if record.code.count("1") <= 1:
-        axes.set(xlim=(0, 27), ylim=(-1.6 * clean, 1.6 * clean))
+        axes.set(xlim=(0, 25), ylim=(-1.6 * clean, 1.6 * clean))
 
 
 def _regions(axes: Any) -> None:

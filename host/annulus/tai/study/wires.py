@@ -113,14 +113,15 @@ def pulse_widths() -> Plate:
     rms = noise_between()
     found = {name: separation(name) for name in EXCITATIONS}
     sizes = resolution()
-    numbers = {f"separated {name}": rate_at(one, rms) for name, one in found.items()}
-    numbers |= {f"dip without noise {name}": one.clean_dip for name, one in found.items()}
-    numbers |= {f"bears noise {name}": one.half for name, one in found.items()}
-    numbers["bears more with the code, dB"] = 20 * math.log10(found["0.5 us MPSL25"].half / found["0.5 us"].half)
-    numbers |= {f"width {pulse:g} us, mm": width for pulse, width in zip(sizes.pulses_us, sizes.widths_mm, strict=True)}
-    numbers |= {
-        f"theory {pulse:g} us, mm": width for pulse, width in zip(sizes.pulses_us, sizes.theory_mm, strict=True)
-    }
+    numbers: dict[str, float] = {"noise": rms}
+    for name, one in found.items():
+        key = name.lower().replace(" ", "_")
+        numbers[f"separated_{key}"] = rate_at(one, rms)
+        numbers[f"dip_without_noise_{key}"] = one.clean_dip
+        numbers[f"bears_noise_{key}"] = one.half
+    numbers["code_bears_more_db"] = 20 * math.log10(found["0.5 us MPSL25"].half / found["0.5 us"].half)
+    for pulse, width, theory in zip(sizes.pulses_us, sizes.widths_mm, sizes.theory_mm, strict=True):
+        numbers[f"width_{pulse:g}_us_mm"], numbers[f"theory_{pulse:g}_us_mm"] = width, theory
 
     def draw(figure: Any) -> None:
         top, bottom = figure.subplots(2, 4)
