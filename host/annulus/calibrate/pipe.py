@@ -36,6 +36,7 @@ HELD_EVERY = 3  # sightings: as many as the held-out error needs
 TUNING_WINS = 0.97  # fine-tuning is kept if it brings the held-out error down to this part at most
 WAVES = 8.0  # neighbouring errors alike: noise makes 3
 OTHER_PIPE = 0.004  # of the radius: a frame's pipe this much off is another pipe
+CLIPPED_HERE = 0.75  # of the stripes at full scale: rings then come out hundredths of a degree off
 OTHER_DISTANCE = 0.01  # of the distance camera - projector: farther from the last calibration's, it is said
 
 
@@ -436,7 +437,7 @@ def _warnings(
             f"the errors run in long waves along the rings (up to {waves:.0f} neighbours alike): the camera's file is "
             "not of this camera and lens, or the pipe is not round"
         )
-    over = [e for e in exposures if e.lost > LOST_MOST]
+    over = [e for e in exposures if e.lost > LOST_MOST or e.clipped > CLIPPED_HERE]
     if over:
         out.append(
             f"{len(over)} frames over-exposed, up to {100 * max(e.clipped for e in over):.0f} % of the stripes at full "
