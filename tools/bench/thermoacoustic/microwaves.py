@@ -35,11 +35,11 @@ def rows() -> list[Row]:
             f"{middle:.1f} and {fine:.1f} W, {100 * change:+.2f} % (2 mm: {coarse:.1f} W)", abs(change) <= 0.02,
         ),
         Row(
-            "its reflection |S11|, 1 mm and 0.5 mm", "-", "-", "-",
+            "magnitude of its S11, 1 mm and 0.5 mm", "-", "-", "-",
             f"{found[1.0][1]:.3f} and {found[0.5][1]:.3f}",
         ),
         Row(
-            "the same guide into air: |S11|", "-12 dB (3-D)", "-", "-",
+            "the same guide into air: S11", "-12 dB (3-D)", "-", "-",
             f"{20 * math.log10(microwaves.reflection_into_air()):.1f} dB (2-D)",
         ),
         Row(

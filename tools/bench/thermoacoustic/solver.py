@@ -58,7 +58,7 @@ def convergence() -> Plate:
         per_width = WIDTH_MM / np.array(cells)
         left.loglog(per_width, single, "o-", label="float32")
         left.loglog(per_width, double, "s--", label="float64")
-        left.axhline(5e-6, color="0.5", lw=0.8, ls=":")
+        left.axhline(5e-6, color="0.5", lw=0.8, ls=":", label="asked")
         left.set(xlabel="cells per standard deviation of the Gaussian", ylabel="relative L2 error of a trace")
         left.set_title("how many cells it takes", fontsize=10)
         left.set_xticks([1, 1.5, 2, 3, 4], ["1", "1.5", "2", "3", "4"], minor=False)

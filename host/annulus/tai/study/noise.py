@@ -24,6 +24,7 @@ from annulus.thermoacoustic.codes import Chips, pattern, text
 from annulus.thermoacoustic.imaging import Image, time_reversal
 from annulus.thermoacoustic.phantoms import phantom
 from annulus.thermoacoustic.templates import decode_pair
+from annulus.vocabulary import AnnulusError
 
 BENCH = Bench(chip_s=CHIP_S, radius_mm=17.0, positions=50, sampling_rate_hz=20e6, transducer=(2.25e6, 0.7))
 PIXEL_MM = 0.23
@@ -73,7 +74,7 @@ def sent(single: AcousticRecord, chips: Chips) -> AcousticRecord:
     assert single.chip_s is not None
     step = single.chip_s * single.sampling_rate_hz
     if abs(step - round(step)) > 1e-6:
-        raise ValueError(f"chips of {step} samples cannot be added up")
+        raise AnnulusError(f"chips of {step:g} samples cannot be added up, expected a whole number")
     each = round(step)
     samples = single.signals.shape[1]
     total = np.zeros((len(single.signals), samples + each * (len(chips) - 1)), np.float32)
@@ -88,7 +89,7 @@ def white(record: AcousticRecord, seed: int) -> AcousticRecord:
     return replace(record, signals=noise.astype(np.float32))
 
 
-def band_filtered(record: AcousticRecord, bench: Bench = BENCH) -> AcousticRecord:
+def band_filtered(record: AcousticRecord, bench: Bench) -> AcousticRecord:
     """Through the receiver's own band once more, without delay: the filter of both arms."""
     return replace(record, signals=through(record.signals.astype(float), bench).astype(np.float32))
 
@@ -110,12 +111,12 @@ def compressed(record: AcousticRecord, how: How = "minimax") -> AcousticRecord:
     return replace(record, t0_s=record.t0_s - 0.5 * len(record.code) * record.chip_s, code="")
 
 
-def treated(record: AcousticRecord, how: How) -> AcousticRecord:
+def treated(record: AcousticRecord, how: How, bench: Bench = BENCH) -> AcousticRecord:
     """Decoded and filtered: both arms behind one band filter, or as in the source the coded arm alone, by its template
     of chips as long as they were sent."""
     done = compressed(record, how)
     if how != "as in the source":
-        return band_filtered(done)
+        return band_filtered(done, bench)
     return held(done) if record.code.count("1") > 1 else done
 
 
@@ -147,12 +148,12 @@ def noise_images(code: str, how: How, bench: Bench = BENCH, seeds: int = SEEDS) 
         return noise_images(code, "minimax", bench, seeds)
     empty = sent(shot("core", bench), pattern(code))
     offset = 100 * len(pattern(code))
-    return tuple(imaged(treated(white(empty, offset + seed), how)).values for seed in range(seeds))
+    return tuple(imaged(treated(white(empty, offset + seed), how, bench)).values for seed in range(seeds))
 
 
 @cache
 def arm(sample: str, code: str, how: How = "minimax", bench: Bench = BENCH, seeds: int = SEEDS) -> Arm:
-    clean = imaged(treated(sent(shot(sample, bench), pattern(code)), how))
+    clean = imaged(treated(sent(shot(sample, bench), pattern(code)), how, bench))
     return Arm(clean, noise_images(code, how, bench, seeds))
 
 
@@ -238,7 +239,7 @@ def compare(table: str, how: How = "minimax", bench: Bench = BENCH, seeds: int =
 
 def half_power_db() -> float:
     """PSNR of a perfect image at half the power against a reference at full power, if nobody scales it."""
-    single = arm("core", "single")
+    single = arm("core", SINGLE)
     truth = single.clean.values[within(single.clean, WITHIN * BENCH.radius_mm)]
     return psnr_db(0.5 * truth, truth, float(np.abs(truth).max()))
 
