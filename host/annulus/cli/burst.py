@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from annulus.cli.show import Json, group
+from annulus.cli.show import Json, group, progress
 from annulus.vocabulary import AnnulusError
 
 app = group("On/off patterns of the microwave source, and the filters that decode them.")
@@ -102,3 +102,35 @@ def design_command(
     )
     if out is not None:
         print(f"written    {out}, {out.with_suffix('.png')}")
+
+
+@app.command("search", epilog="Example: annulus burst search --length 31 --restarts 100")
+def search_command(
+    length: Annotated[int, typer.Option(min=2, max=256, help="Chips.")],
+    bipolar: Annotated[
+        bool, typer.Option("--bipolar", help="+1/-1 code of least peak sidelobe, every one looked at: up to 28 chips.")
+    ] = False,
+    restarts: Annotated[int, typer.Option(min=1, max=10_000, help="On/off: random codes to climb from.")] = 40,
+    seed: Annotated[int, typer.Option(min=0)] = 0,
+    as_json: Json = False,
+) -> None:
+    """Codes of other lengths: on/off ones that lose least in their decoding filter, or bipolar ones."""
+    from annulus.thermoacoustic.codes import text
+    from annulus.thermoacoustic.search import best_on_off, least_peak_sidelobe
+
+    if bipolar:
+        code, lobe = least_peak_sidelobe(length)
+        signs = "".join("+" if chip > 0 else "-" for chip in code)
+        answer: dict[str, object] = {"code": signs, "peak_sidelobe": lobe, "peak": length, "proven": True}
+    else:
+        with progress() as report:
+            chips, gain = best_on_off(length, seed, restarts, lambda done, of: report("codes", done, of))
+        answer = {"code": text(chips), "ones": int(chips.sum()), "gain_db": gain, "proven": False}
+    if as_json:
+        print(json.dumps(answer))
+    elif bipolar:
+        print(
+            f"{answer['code']}  peak {length}, highest sidelobe {answer['peak_sidelobe']}: no code of {length} has less"
+        )
+    else:
+        print(f"{answer['code']}  {answer['ones']} on, {answer['gain_db']:.2f} dB over one pulse without any sidelobe")

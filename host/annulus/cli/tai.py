@@ -37,17 +37,22 @@ def simulate_command(
     bandwidth: Annotated[
         float, typer.Option(min=0.05, max=1.9, help="Its width at -6 dB, as part of the centre.")
     ] = 0.7,
+    aperture_mm: Annotated[float, typer.Option(min=0.0, max=100.0, help="Width of the receiver's face, mm.")] = 0.0,
     seed: Annotated[int, typer.Option(min=0, help="Of the noise.")] = 1,
 ) -> None:
     """One turn of the stage about a known sample, with real propagation, receiver and noise."""
     from annulus.record.acoustic import save_acoustic
     from annulus.tai.simulate import Bench, simulate
+    from annulus.thermoacoustic.confinement import confinement
     from annulus.thermoacoustic.phantoms import phantom as named
+    from annulus.thermoacoustic.phantoms import smallest_mm
 
     bench = Bench(
         code, 1e-6 * chip_us, radius_mm, positions, 1e6 * rate_mhz, sound_speed, 1.0, noise, averages,
-        (1e6 * band_mhz, bandwidth) if band_mhz else None, 0.0, spike, seed,
+        (1e6 * band_mhz, bandwidth) if band_mhz else None, aperture_mm, spike, seed,
     )  # fmt: skip
+    for warning in confinement(smallest_mm(named(phantom)), 1e-6 * chip_us, sound_speed).warnings:
+        print(f"warning    {warning}")
     with progress() as report:
         record = simulate(named(phantom), bench, report)
     save_acoustic(out, record)

@@ -76,3 +76,8 @@ def reach_mm(parts: tuple[Part, ...]) -> float:
         + (part.radius_mm if isinstance(part, Disc) else float(np.hypot(part.width_mm, part.height_mm)) / 2)
         for part in parts
     )
+
+
+def smallest_mm(parts: tuple[Part, ...]) -> float:
+    """The narrowest part's width: what stress must not leave during a pulse."""
+    return min(2 * p.radius_mm if isinstance(p, Disc) else min(p.width_mm, p.height_mm) for p in parts)

@@ -24,7 +24,7 @@ from annulus.calibrate.camera import CameraCalibration, calibrate_camera, image_
 from annulus.calibrate.camera_picture import draw_camera
 from annulus.geometry.camera import Camera
 
-sys.path.insert(0, str(ROOT / "tests" / "unit" / "calibrate"))
+sys.path.insert(0, str(ROOT / "tests" / "scenes" / "calibrate"))
 from photographs import DrawnBoard, photograph, poses
 from ringed_boards import COLOURS, cones, write_scan
 
