@@ -36,7 +36,7 @@ def test_a_burst_is_so_many_pulses():
 
 
 def test_chips_that_fall_between_samples_are_not_added():
-    with pytest.raises(AnnulusError, match="chips of 10.4 samples"):
+    with pytest.raises(AnnulusError, match=r"chips of 10\.4 samples"):
         noise.sent(replace(noise.shot("core", SMALL), sampling_rate_hz=2.6e6), pattern("101"))
 
 
