@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from annulus.vocabulary import AnnulusError
 
 POSITIONS_MAX, SAMPLES_MAX = 8192, 1 << 22
+HOLE, HOLE_DEG = 2.5, 12.0  # receivers need not stand evenly
 CLIPPED = 3  # neighbouring samples at the very same extreme: a converter at its rail
 GENTLE = 0.15  # of the span, over how many are flat: a top that falls off by less is round, and flat for want of bits
 SILENT = 0.2  # of the usual strength: nothing was heard at that position
@@ -120,12 +121,13 @@ def usable(sweep: Sweep, faults: Sequence[Fault]) -> NDArray[np.bool_]:
 
 
 def gaps_deg(angles_deg: NDArray[np.float64]) -> list[tuple[float, float]]:
-    """Holes of the circle, (from, to) in degrees rising, wider than 2.5 times the usual spacing."""
+    """Holes of the circle, (from, to) in degrees rising: wider than HOLE times the usual spacing, and than HOLE_DEG."""
     turn = np.unique(np.mod(angles_deg, 360.0))
     if len(turn) < 2:
         return [(float(turn[0]), float(turn[0]) + 360.0)] if len(turn) else [(0.0, 360.0)]
     step = np.diff(np.append(turn, turn[0] + 360.0))
-    return [(float(turn[i]), float(turn[i] + step[i])) for i in np.flatnonzero(step > 2.5 * np.median(step))]
+    widest = max(HOLE * float(np.median(step)), HOLE_DEG)
+    return [(float(turn[i]), float(turn[i] + step[i])) for i in np.flatnonzero(step > widest)]
 
 
 def quiet_spike(sweep: Sweep, object_radius_mm: float) -> Sweep:
@@ -186,9 +188,11 @@ def _stuck(heard: NDArray[np.float64], angles_deg: NDArray[np.float64], good: ND
     a, b = heard[order[:-1]], heard[order[1:]]
     power = np.sqrt((a**2).sum(axis=1) * (b**2).sum(axis=1))
     alike = (a * b).sum(axis=1) / np.maximum(power, 1e-300)
-    moved = np.abs(np.diff(angles_deg[order])) > 1e-6
+    turned = np.abs(np.diff(angles_deg[order]))
+    moved = turned > 1e-6
     same = (np.abs(a - b).max(axis=1) <= 1e-12 * np.abs(a).max(axis=1)) & (power > 0)
-    close = (alike > ALIKE) & (float(np.median(alike)) < UNLIKE)
+    usual = turned > 0.5 * float(np.median(turned))  # two receivers side by side may well hear the same
+    close = usual & (alike > ALIKE) & (float(np.median(alike)) < UNLIKE)
     stuck[order[1:][moved & (same | close)]] = True
     return stuck
 
