@@ -48,7 +48,10 @@ def main(wanted: list[str]) -> int:
     for topic, module in modules.items():
         began = time.monotonic()
         print(f"== {topic}", flush=True)
-        rows = module.rows()
+        try:
+            rows = module.rows()
+        except Exception as error:  # one bench that breaks must not cost the others their minutes
+            rows = [Row(f"{topic} broke: {type(error).__name__}: {error}", "-", "-", "-", False)]
         missed += sum(row.ok is False for row in rows)
         lines = section(TOPICS[topic], rows)
         print("\n".join(lines), f"{time.monotonic() - began:.0f} s", flush=True)

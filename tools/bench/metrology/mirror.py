@@ -86,7 +86,7 @@ def own_calibration(world: World) -> tuple[Calibration, float, tuple[float, floa
         np.array(grid.centre),
         np.concatenate([one.width for one in seen]),
     )
-    found = calibrate(sightings, clean.radius_mm, blur_px2=float(np.median([one.blur_px2 for one in seen])))
+    found = calibrate(sightings, clean.radius_mm)
     worst = max(abs(a.half_angle - b.half_angle) for a, b in zip(found.rings, truth.rings, strict=True))
     covariance = tuple(tuple(float(v) for v in row) for row in found.covariance)
     calibration = Calibration(camera, truth.colours, found.rings, clean.radius_mm, covariance)
