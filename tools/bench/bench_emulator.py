@@ -59,17 +59,19 @@ def measure(line: str, part: int, edges: int) -> str:
         board.request(command)
     rng = random.Random(part)
     latency, width, grid = Seen(), Seen(), Seen()
-    wrong = fired = train = 0
+    wrong = fired = 0
+    trains: list[int] = []  # their first chips, in ticks of the board
     begun, busy = time.monotonic(), board.now
     bytes_out = 0
     first = board.now + MS
     for begin in range(0, edges, AT_ONCE):
         board.transitions.clear()
         started = board.request(
-            Burst(code=BurstCode.MPSL25, chip=CHIP, repeat=60_000, period=TRAIN, trigger_offset=-25)
+            Burst(code=BurstCode.MPSL25, chip=CHIP, repeat=5_000, period=TRAIN, trigger_offset=-25)
         )
         if isinstance(started, BurstReply) and started.status == StatusCode.OK:  # else the last one still runs
-            train = started.start + board.origin
+            behind = (board.now - started.start - board.origin + (1 << 31)) % (1 << 32) - (1 << 31)
+            trains.append(board.now - behind)
         some = [first + i * PERIOD + rng.randrange(-50, 50) for i in range(begin, min(begin + AT_ONCE, edges))]
         board.input(*[item for edge in some for item in ((edge, SYNC, 0), (edge + 3_000, SYNC, 1))])
         for edge in some[::25]:
@@ -87,7 +89,8 @@ def measure(line: str, part: int, edges: int) -> str:
             wrong += pin != (LED if i % 5 == 4 else PROJECTOR)
         chips = sorted(board.rises(MICROWAVE) + board.falls(MICROWAVE))
         for tick in chips:
-            off = (tick - train) % (1 << 32) % TRAIN % CHIP
+            mine = max(start for start in trains if start <= tick)
+            off = (tick - mine) % TRAIN % CHIP
             grid.add(min(off, CHIP - off))
         fired += len(chips) // 2
         bytes_out = board.usb_bytes if line == "USB" else bytes_out + len(board.sent)
