@@ -66,9 +66,7 @@ def measure(line: str, part: int, edges: int) -> str:
     first = board.now + MS
     for begin in range(0, edges, AT_ONCE):
         board.transitions.clear()
-        started = board.request(
-            Burst(code=BurstCode.MPSL25, chip=CHIP, repeat=5_000, period=TRAIN, trigger_offset=-25)
-        )
+        started = board.request(Burst(code=BurstCode.MPSL25, chip=CHIP, repeat=5_000, period=TRAIN, trigger_offset=-25))
         if isinstance(started, BurstReply) and started.status == StatusCode.OK:  # else the last one still runs
             behind = (board.now - started.start - board.origin + (1 << 31)) % (1 << 32) - (1 << 31)
             trains.append(board.now - behind)

@@ -122,14 +122,15 @@ class Solver:
         )
         self._source_filter = np.cos(half)
         layer = [_layer(n, reference * dt / dx, at) for n in (ny, nx) for at in (0.0, 0.5)]
-        self._pml = (layer[0][:, None], layer[2][None, :])  # at the pressure's points
-        self._pml_staggered = (layer[1][:, None], layer[3][None, :])
+        absorbing = (layer[0][:, None], layer[2][None, :])  # at the pressure's points
+        staggered = (layer[1][:, None], layer[3][None, :])
         between_y = 0.5 * (density + np.roll(density, -1, axis=0))
         between_x = 0.5 * (density + np.roll(density, -1, axis=1))
-        self._push = tuple((-dt / between).astype(self._dtype) for between in (between_y, between_x))
-        self._squeeze = (-dt * density * speed**2).astype(self._dtype)
-        self._absorb = tuple(p.astype(self._dtype) for p in self._pml)
-        self._absorb_staggered = tuple(p.astype(self._dtype) for p in self._pml_staggered)
+        kind = self._dtype
+        self._pushed = tuple((-dt / b * p).astype(kind) for b, p in zip((between_y, between_x), staggered, strict=True))
+        self._squeezed = tuple((-dt * density * speed**2 * p).astype(kind) for p in absorbing)
+        self._flow_kept = tuple((p**2).astype(kind) for p in staggered)
+        self._part_kept = tuple((p**2).astype(kind) for p in absorbing)
 
     def forward(
         self,
@@ -223,7 +224,7 @@ class _Run:
         for axis in (0, 1):
             slope = scipy.fft.irfft2(self._solver._gradient[axis] * spectrum, s=pressure.shape)
             # step() will push once; half of that is taken back here
-            self._flow[axis][...] = -0.5 * self._solver._push[axis] * slope / self._solver._absorb_staggered[axis]
+            self._flow[axis][...] = -0.5 * self._solver._pushed[axis] * slope / self._solver._flow_kept[axis]
 
     def add(self, push: FloatArray, amount: float) -> None:
         for part in self._part:
@@ -243,22 +244,19 @@ class _Run:
         np.add(*self._part, out=self.pressure)
 
     def _along(self, axis: int, spectrum: NDArray[np.complexfloating]) -> None:
+        """Half of the absorbing before what is added and half after: once squared and once in what is added."""
         s, flow, part = self._solver, self._flow[axis], self._part[axis]
         shape = flow.shape
         slope = scipy.fft.irfft2(s._gradient[axis] * spectrum, s=shape, overwrite_x=True)
-        absorb = s._absorb_staggered[axis]
-        flow *= absorb
-        slope *= s._push[axis]
+        slope *= s._pushed[axis]
+        flow *= s._flow_kept[axis]
         flow += slope
-        flow *= absorb
         waves = scipy.fft.rfft(flow, axis=axis)
         waves *= s._divergence[axis]
         spread = scipy.fft.irfft(waves, n=shape[axis], axis=axis, overwrite_x=True)
-        absorb = s._absorb[axis]
-        part *= absorb
-        spread *= s._squeeze
+        spread *= s._squeezed[axis]
+        part *= s._part_kept[axis]
         part += spread
-        part *= absorb
 
 
 def receivers(grid: Grid, points_mm: FloatArray) -> scipy.sparse.csr_array:

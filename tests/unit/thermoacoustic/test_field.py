@@ -64,8 +64,11 @@ def test_a_denser_slower_layer_reflects_as_impedances_say():
     x = np.broadcast_to(grid.x_mm, grid.shape)
     medium = Medium(np.where(x > 5.0, 2000.0, C), np.where(x > 5.0, 1200.0, 1000.0))
     solver = Solver(grid, medium, dtype=np.float64)
-    solver._absorb = (np.ones((48, 1)), solver._absorb[1])  # a plane wave has no rim across
-    solver._absorb_staggered = (np.ones((48, 1)), solver._absorb_staggered[1])
+    for kept, added in (("_flow_kept", "_pushed"), ("_part_kept", "_squeezed")):  # a plane wave has no rim across
+        across, along = getattr(solver, kept)
+        whole, other = getattr(solver, added)
+        setattr(solver, kept, (np.ones_like(across), along))
+        setattr(solver, added, (whole / np.sqrt(across), other))
     traces = solver.forward(np.exp(-((x + 10.0) ** 2) / 2.0), receivers(grid, np.array([[0.0, 0.0]])), steps=1100)[0]
     times = np.arange(1100) * solver.dt_s * 1e6
     direct, echo = traces[np.abs(times - 6.667) < 2.5].max(), traces[np.abs(times - 13.33) < 2.5].max()

@@ -179,7 +179,7 @@ def interpolation(pixel_mm: float = PIXEL_MM, radius_mm: float = RADIUS_MM) -> P
 
     def paint(figure: Any) -> None:
         axes = figure.subplots(1, 4)
-        images = (truth, scale * alone, whole.values)
+        images: list[NDArray[np.floating]] = [truth, scale * alone, whole.values]
         names = (
             "a) sample and 50 positions", f"b) from 50 points: {numbers['psnr_points_db']:.1f} dB",
             f"c) interpolated: {psnr:.1f} dB", "d) along the dotted line",
