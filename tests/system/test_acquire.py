@@ -27,6 +27,11 @@ def run(*arguments: str, environment: dict[str, str]) -> subprocess.CompletedPro
     return subprocess.run([*ANNULUS, *arguments], env=environment, capture_output=True, text=True, timeout=120)
 
 
+def listen_to_ctrl_c() -> None:
+    """Where the tests themselves run in the background of a shell, children would inherit that Ctrl-C is ignored."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def positions(out: Path) -> int:
     return len(load_acoustic(out).signals) if out.exists() else 0
 
@@ -34,8 +39,9 @@ def positions(out: Path) -> int:
 def broken_off(out: Path, after: int, number: signal.Signals, *sweep: str, environment: dict[str, str]) -> int:
     """Acquire until so many angles are on the disk, then the signal."""
     shooting = subprocess.Popen(
-        [*ANNULUS, "tai", "acquire", *sweep], env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
-    )
+        [*ANNULUS, "tai", "acquire", *sweep], env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+        preexec_fn=listen_to_ctrl_c,
+    )  # fmt: skip
     try:
         end = time.monotonic() + 90
         while positions(out) < after and shooting.poll() is None and time.monotonic() < end:
@@ -52,7 +58,9 @@ def broken_off(out: Path, after: int, number: signal.Signals, *sweep: str, envir
 
 def test_killed_interrupted_resumed_and_imaged(traces, tmp_path: Path) -> None:
     environment, out = {**traces.environment, "OMP_NUM_THREADS": "1"}, tmp_path / "raw.hdf5"
-    bench = subprocess.Popen([*ANNULUS, *BENCH], env=environment, stdout=subprocess.PIPE, text=True)
+    bench = subprocess.Popen(
+        [*ANNULUS, *BENCH], env=environment, stdout=subprocess.PIPE, text=True, preexec_fn=listen_to_ctrl_c
+    )
     try:
         assert bench.stdout is not None
         words = bench.stdout.readline().split()
