@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.fft
@@ -75,11 +75,6 @@ def simulate(
         bench.sampling_rate_hz, 0.0, bench.sound_speed_m_s, text(chips), bench.chip_s, bench.averages,
         {"source": "annulus tai simulate", "seed": float(bench.seed)},
     )  # fmt: skip
-
-
-def single(bench: Bench) -> Bench:
-    """The same bench with one pulse: the other arm of a comparison."""
-    return replace(bench, code="single")
 
 
 def _faces(bench: Bench) -> NDArray[np.float64]:
