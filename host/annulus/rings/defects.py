@@ -22,6 +22,7 @@ CORNERS = np.ones((3, 3), dtype=bool)
 ALL_ROUND_DEG = 345.0  # an arc longer than this goes all round
 BAND_OVERLAP, BAND_SOUND = 0.6, 0.35  # what makes two places one band: common stations, least sound wall between
 BAND_EDGES, BAND_ASPECT = 3.5, 4.0  # and what a band is: so many edge blurs long at most, so many times as wide
+UNSURE = 0.6  # of a depth: a place whose k = 2 uncertainty is larger is not known to be a defect
 RIPPLE_EDGES = 1.5  # how far from a step, and how long, its swing to the other side may be, in edge blurs
 LOOK_POINTS = 3  # of one ring in one frame on a place, for it to be a look at it
 DEEP = 0.8  # of its depth: the cells of a place that show how deep it is
@@ -111,7 +112,7 @@ class Findings:
     defects: tuple[Defect, ...]
     label: LabelArray
     limits: Limits
-    unsupported: int = 0  # places that one ring in one frame alone speaks for: not known, so not listed
+    unsupported: int = 0  # places that one look alone speaks for, or no look surely: not known, so not listed
 
 
 def clock_face(angle_deg: float) -> str:
@@ -167,6 +168,9 @@ def find_defects(
         footprint = [max(1, round(limits.edge_of_radius * radius / size)) for size in cell]
         form = max(depth - _over_footprint(one, cells, footprint), 0.0)
         k2 = math.hypot(_expanded(wall, cells & (one.height >= DEEP * depth)), 2.0 * form)
+        if k2 > UNSURE * depth:
+            unsupported += 1
+            continue
         defect = _measure(one.kind, whole, depth, floor_seen, k2, wall, cell)
         found.append((replace(defect, hidden_mm=float(np.median(dark))), whole))
     found += [(defect, np.zeros(residual.shape, dtype=bool)) for defect in _oval_stretches(wall, limits)]
