@@ -19,7 +19,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 
 from annulus.daemon.config import CameraConfig, HeadConfig, LampConfig
 from annulus.daemon.interrupt import Interrupt
-from annulus.daemon.reconstructing import specimen
+from annulus.daemon.reconstructing import warmup_frame
 from annulus.daemon.run import ending
 from annulus.daemon.scan import Doors, Scan, ScanReport, default_workers
 from annulus.geometry.calibration import Calibration
@@ -28,13 +28,13 @@ from annulus.record.scan import Scan as RecordedScan
 from annulus.record.scan import open_scan
 from annulus.report.reconstruct import led_frames, stage_medians
 from annulus.report.results import Summary, prepare_folder, write_results
-from annulus.rings.defects import Defect
-from annulus.rings.profile import Profile
 from annulus.rings.reconstructor import Reconstructor
 from annulus.twin.head import HeadHandle, TwinCamera, start_head, sustainable_fps
 from annulus.twin.score import score
 from annulus.twin.world import World, demo_world
 from annulus.vocabulary import AnnulusError, Label
+from annulus.wall.defects import Defect
+from annulus.wall.profile import Profile
 
 FPS_MAX = 25.0
 FPS_MIN = 2.0
@@ -138,7 +138,7 @@ def measure_pace(world: World) -> Pace:
     cores = len(os.sched_getaffinity(0))
     render_fps = sustainable_fps(world)
     calibration = world.calibration()
-    reconstructor, image = Reconstructor(calibration), specimen(calibration)
+    reconstructor, image = Reconstructor(calibration), warmup_frame(calibration)
     spent = []
     for _ in range(6):
         begun = time.perf_counter()

@@ -12,7 +12,7 @@ import pytest
 from annulus.capture.camera import Camera, CapturedFrame, grab, plug
 from annulus.link.client import Client
 from annulus.link.messages import Arm, ArmFlag, Commit, Edge, Stage, StatusCode
-from annulus.link.session import Heard
+from annulus.link.session import EventReceived
 from annulus.twin.head import HeadHandle, TwinCamera, head_timing, start_head
 from annulus.twin.native import _LIBRARY
 from annulus.twin.world import demo_world
@@ -44,7 +44,7 @@ def armed(head: HeadHandle, **changes: Any) -> Client:
 
 
 def edges(client: Client) -> list[Edge]:
-    return [h.event for h in client.poll() if isinstance(h, Heard) and isinstance(h.event, Edge)]
+    return [h.event for h in client.poll() if isinstance(h, EventReceived) and isinstance(h.event, Edge)]
 
 
 def shoot(camera: Camera, client: Client, frames: int) -> tuple[list[CapturedFrame], list[Edge]]:

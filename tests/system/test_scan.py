@@ -23,11 +23,11 @@ from annulus.demo import demo_config
 from annulus.link.client import Client
 from annulus.link.messages import StateFlag, Status
 from annulus.record.recording import Recording, open_recording
-from annulus.rings.profile import Profile
 from annulus.twin.head import HeadHandle, TwinCamera, start_head
 from annulus.twin.sensor import Faults
 from annulus.twin.world import World, demo_world
 from annulus.vocabulary import AnnulusError, Label
+from annulus.wall.profile import Profile
 
 pytestmark = pytest.mark.system
 

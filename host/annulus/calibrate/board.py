@@ -18,11 +18,11 @@ from annulus.geometry.camera import Camera
 from annulus.geometry.chessboard import BoardView, find_board
 from annulus.geometry.cone import Cone
 from annulus.geometry.intrinsics import Sight, board_pose
-from annulus.geometry.pose import FloatArray
+from annulus.numeric.arrays import FloatArray, Image
 from annulus.record.calibration_file import update_calibration
-from annulus.record.scan import Image, Scan, open_scan
-from annulus.rings.board import BoardCones, BoardPoints, fit_cones, on_plane, vertex_order
-from annulus.rings.tracks import Tracks, close_grid, follow, wide_grid
+from annulus.record.scan import Scan, open_scan
+from annulus.rings.calibration.contours import Tracks, close_grid, follow, wide_grid
+from annulus.rings.calibration.target import BoardCones, BoardPoints, fit_cones, on_plane, vertex_order
 from annulus.vocabulary import AnnulusError, Label
 
 Progress = Callable[[str, int, int], None]

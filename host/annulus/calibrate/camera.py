@@ -15,7 +15,7 @@ from annulus.geometry.calibration import camera_to_dict
 from annulus.geometry.camera import Camera, Model
 from annulus.geometry.chessboard import BoardView, cropped, find_board
 from annulus.geometry.intrinsics import Intrinsics, Sight, board_pose, fit_intrinsics
-from annulus.geometry.pose import FloatArray
+from annulus.numeric.arrays import FloatArray
 from annulus.record.calibration_file import update_calibration
 from annulus.record.scan import read_image
 from annulus.vocabulary import AnnulusError

@@ -12,14 +12,23 @@ import numpy as np
 
 from annulus.geometry.calibration import Calibration, head_from_dict
 from annulus.geometry.camera import Camera
-from annulus.geometry.pose import FloatArray, Pose
+from annulus.geometry.pose import Pose
+from annulus.numeric.arrays import FloatArray, Image
 from annulus.record.calibration_file import load_part, update_calibration
-from annulus.record.scan import Image, open_scan
-from annulus.rings.autocalibration import Measured, Sightings, Solution, calibrate, hold_out, sight, with_frame
+from annulus.record.scan import open_scan
+from annulus.rings.calibration.autocalibration import (
+    Measured,
+    Sightings,
+    Solution,
+    calibrate,
+    hold_out,
+    sight,
+    with_frame,
+)
+from annulus.rings.calibration.contours import Tracks, close_grid, follow, read_colours, wide_grid
+from annulus.rings.calibration.residuals import fine_rings, tune
 from annulus.rings.diagnosis import LOST_MOST, Exposure, diagnose
-from annulus.rings.fine import fine_rings, tune
 from annulus.rings.polar import ring_pixels
-from annulus.rings.tracks import Tracks, close_grid, follow, read_colours, wide_grid
 from annulus.vocabulary import AnnulusError, Label
 
 Progress = Callable[[str, int, int], None]  # stage, done, total

@@ -7,7 +7,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from annulus.calibrate.pipe import PipeCalibration, leans
-from annulus.rings.autocalibration import azimuths
+from annulus.rings.calibration.autocalibration import azimuths
 from annulus.vocabulary import AnnulusError
 
 SHADES = ("#1f4e79", "#2e86ab", "#3fb6a8", "#8fbf4d", "#e0a030", "#d1495b", "#8d3b72", "#555555")

@@ -6,11 +6,11 @@ from pathlib import Path
 
 from annulus.calibrate.sample import Progress, sample
 from annulus.record.calibration_file import load_calibration
+from annulus.rings.calibration.reference import Reference, learn
 from annulus.rings.diagnosis import Exposure, Trouble, exposure_findings
-from annulus.rings.profile import Profile
 from annulus.rings.reconstructor import Reconstructor
-from annulus.rings.reference import Reference, learn
 from annulus.vocabulary import AnnulusError
+from annulus.wall.profile import Profile
 
 FRAMES = 24
 CORRECTION_MOST = 3.0  # degrees; no slide is so far off, a defect or another calibration is

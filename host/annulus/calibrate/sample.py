@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from annulus.geometry.calibration import Calibration
-from annulus.record.scan import Image, open_scan
+from annulus.numeric.arrays import Image
+from annulus.record.scan import open_scan
 from annulus.rings.diagnosis import Exposure, diagnose
 from annulus.vocabulary import AnnulusError, Label
 

@@ -20,11 +20,9 @@ from typing import Any, Protocol, cast, runtime_checkable
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from annulus.numeric.arrays import Image
 from annulus.vocabulary import AnnulusError, CameraSequence
-
-Image = NDArray[np.uint8]
 
 BGR8 = "bgr8"  # (H, W, 3), as OpenCV keeps it
 BAYER_RGGB8 = "bayer_rggb8"  # (H, W), red at (0, 0)

@@ -7,7 +7,7 @@ both edges regular, armed, one period apart, no reset, fault or arming in betwee
 picture. Nothing is counted by arrival, so one disturbed frame cannot shift the next: there is nothing to lock again.
 
     pairing = Pairing(period_ns, calibrate_offset(frames, edges, period_ns).offset_ns)
-    pairing.edge(flash, host_ns, life)                  # as they come, in any order
+    pairing.edge(flash, host_ns, boot_epoch)                  # as they come, in any order
     if pairing.settled(frame.timestamp_ns, now):        # the edges it needs are here, or will not come any more
         labelled = pairing.label(frame.timestamp_ns, frame.sequence, measure(frame.image).light)
 """
@@ -70,7 +70,7 @@ class PlacedEdge:
     """An edge in host time, by which it sorts."""
 
     host_ns: int
-    life: int
+    boot_epoch: int
     index: int
     flash: Flash = field(compare=False)
 
@@ -135,13 +135,13 @@ class Pairing:
         self._last = None
         self._residuals.clear()
 
-    def edge(self, flash: Flash, host_ns: int, life: int) -> None:
+    def edge(self, flash: Flash, host_ns: int, boot_epoch: int) -> None:
         """An edge was heard. Order does not matter: edges that had to be read again come late."""
-        insort(self._edges, PlacedEdge(host_ns, life, flash.edge, flash))
+        insort(self._edges, PlacedEdge(host_ns, boot_epoch, flash.edge, flash))
         if len(self._edges) > EDGES_KEPT:
             del self._edges[0]
 
-    def spoil(self, from_ns: int, to_ns: int) -> None:
+    def invalidate(self, from_ns: int, to_ns: int) -> None:
         """A lamp may have been cut, or switched, in this span: no frame that was open in it gets a label."""
         self._spoilt.append((from_ns, to_ns))
 
@@ -205,10 +205,10 @@ class Pairing:
 
     def _opening(self, closing: PlacedEdge) -> PlacedEdge | None:
         """The edge before, by the controller's own count and in the same life."""
-        wanted = (closing.life, closing.index - 1)
+        wanted = (closing.boot_epoch, closing.index - 1)
         before = bisect_left(self._edges, closing.host_ns, key=lambda edge: edge.host_ns)
         for edge in reversed(self._edges[max(0, before - 4) : before]):
-            if (edge.life, edge.index) == wanted:
+            if (edge.boot_epoch, edge.index) == wanted:
                 return edge
         return None
 
@@ -217,8 +217,8 @@ class Pairing:
         last, self._last = self._last, None
         if sequence is None:
             return True
-        self._last = (sequence, closing.life, closing.index)
-        if last is None or last[1] != closing.life:
+        self._last = (sequence, closing.boot_epoch, closing.index)
+        if last is None or last[1] != closing.boot_epoch:
             return True
         return sequence - last[0] == closing.index - last[2]
 
@@ -247,14 +247,14 @@ def calibrate_offset(frames: Iterable[tuple[int, Light]], edges: Sequence[Placed
             f" {CALIBRATION_FRAMES_MIN} frames or more. Do the lamps fire, and is the sync line connected?"
         )
     phase, jitter = _phase([stamp for stamp, _ in seen], edges, period_ns)
-    by_index = {(edge.life, edge.index): edge for edge in edges}
+    by_index = {(edge.boot_epoch, edge.index): edge for edge in edges}
     verdicts = []
     for periods in OFFSETS_TRIED:
         offset = phase + periods * period_ns
         compared = mismatches = 0
         for stamp, light in seen:
             closing = _nearest(edges, stamp - offset)
-            opening = by_index.get((closing.life, closing.index - 1))
+            opening = by_index.get((closing.boot_epoch, closing.index - 1))
             if abs(stamp - offset - closing.host_ns) > WINDOW * period_ns or opening is None:
                 continue
             compared += 1

@@ -15,9 +15,9 @@ from typing import Any
 
 from annulus.capture.pairing import Pairing, calibrate_offset
 from annulus.capture.photometry import Light
-from annulus.daemon.along import Along
 from annulus.daemon.config import HeadConfig
-from annulus.link.head import EdgeSeen, LampsCut, News
+from annulus.daemon.odometer import Odometer
+from annulus.link.head import EdgeSeen, HeadEvent, LampsCut
 from annulus.stream.frames import FrameHeader
 from annulus.vocabulary import AnnulusError, CameraSequence, Label
 
@@ -52,7 +52,7 @@ class Labelling:
         self._shape = width, height, encoding
         self._tell = tell
         self._pairing = Pairing(self._period_ns)
-        self._along = Along(config.mm_per_count)
+        self._along = Odometer(config.mm_per_count)
         self._seen: deque[tuple[int, Light]] = deque(maxlen=OFFSET_FRAMES_KEPT)
         self._offset_known = self._alone
         self._looking_since: float | None = None
@@ -70,13 +70,13 @@ class Labelling:
             "place_gaps": self._along.gaps,
         }
 
-    def hear(self, news: News) -> None:
+    def hear(self, news: HeadEvent) -> None:
         """What concerns labels among the controller's news."""
         match news:
             case EdgeSeen():
-                self._pairing.edge(news.flash, news.host_ns, news.life)
+                self._pairing.edge(news.flash, news.host_ns, news.boot_epoch)
             case LampsCut():
-                self._pairing.spoil(news.from_ns, news.to_ns)
+                self._pairing.invalidate(news.from_ns, news.to_ns)
 
     def saw(self, frame: FrameSeen) -> None:
         """A frame has come; it may help to find the offset long before it can be labelled."""

@@ -10,9 +10,10 @@ import numpy as np
 from annulus.geometry.calibration import Calibration
 from annulus.geometry.cone import intersect_cylinder
 from annulus.geometry.pose import Pose
+from annulus.numeric.arrays import Image
 from annulus.record.recording import to_bgr
 from annulus.rings.reconstructor import Reconstructor
-from annulus.stream.frames import FrameHeader, Image
+from annulus.stream.frames import FrameHeader
 from annulus.stream.workers import serve
 
 SLIT_HALF = 0.0035  # radians, about the real slide's
@@ -24,7 +25,7 @@ class Reconstructing:
     def __init__(self, calibration: Calibration) -> None:
         self._reconstructor = Reconstructor(calibration)
         # Compiles now what the first frame would wait for.
-        self._reconstructor.profile(specimen(calibration), frame=0, z_mm=0.0)
+        self._reconstructor.profile(warmup_frame(calibration), frame=0, z_mm=0.0)
 
     def frame(self, header: FrameHeader, image: Image, extra: Any) -> Any:
         if header.z_mm is None:
@@ -47,7 +48,7 @@ class Reconstructing:
         return None
 
 
-def specimen(calibration: Calibration) -> Image:
+def warmup_frame(calibration: Calibration) -> Image:
     """Roughly what the camera sees in a clean pipe, head in the middle: (H, W, 3) BGR. Good for warming up only."""
     camera, step = calibration.camera, 4
     v, u = np.mgrid[0 : camera.height : step, 0 : camera.width : step]

@@ -8,8 +8,9 @@ import time
 from pathlib import Path
 from typing import Any
 
+from annulus.numeric.arrays import Image
 from annulus.record.writer import RecordingWriter
-from annulus.stream.frames import FrameHeader, Image
+from annulus.stream.frames import FrameHeader
 from annulus.stream.workers import serve
 from annulus.vocabulary import AnnulusError
 

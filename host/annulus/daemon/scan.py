@@ -29,18 +29,17 @@ from annulus.daemon.cameras import apply_controls
 from annulus.daemon.capturing import Capturing
 from annulus.daemon.config import HeadConfig, require_size
 from annulus.daemon.labelling import FrameSeen, Labelling
-from annulus.daemon.order import InOrder
+from annulus.daemon.reorder import ReorderBuffer
 from annulus.link.client import Port
-from annulus.link.head import HeadControl, News, Phase, PhaseChanged, stage_from_us
+from annulus.link.head import HeadControl, HeadEvent, Phase, PhaseChanged, stage_from_us
 from annulus.link.messages import Fault, Stage, SyncFound, SyncLost
-from annulus.link.session import Heard, Rebooted
-from annulus.link.session import Lost as EventsLost
-from annulus.rings.profile import Profile
+from annulus.link.session import EventReceived, EventsLost, Rebooted
 from annulus.stream.frames import CHANNELS, FrameHeader
 from annulus.stream.publish import Publisher
 from annulus.stream.ring import FrameRing, Place
-from annulus.stream.workers import Crew, Died, Done, Failed, Happening, Lost, Report
+from annulus.stream.workers import Died, Done, Failed, FrameLost, PoolEvent, Report, WorkerPool
 from annulus.vocabulary import AnnulusError, CameraSequence, Label
+from annulus.wall.profile import Profile
 
 TURN_S = 0.002  # at most between two looks at the line: what comes in is stamped when it is read
 RESERVE = 4  # free slots below which workers get no frame, so that recording goes on
@@ -107,7 +106,7 @@ class Scan:
         self._for_workers: deque[tuple[FrameHeader, _Waiting]] = deque()  # each holds its slot
         self._next_index = 0
         self._last_frame: tuple[CameraSequence | None, int] | None = None
-        self._joined: InOrder[Profile] = InOrder()
+        self._joined: ReorderBuffer[Profile] = ReorderBuffer()
         self._taken_ns: dict[int, int] = {}  # frame index -> when it came, while a worker has it
         self._latency_ms: deque[float] = deque(maxlen=1000)
         self._seed: list[float] | None = None
@@ -121,8 +120,8 @@ class Scan:
         self._started_ns = 0
         self._next_telemetry = 0.0
         self._ring: FrameRing
-        self._workers: Crew | None = None
-        self._recorder: Crew | None = None
+        self._workers: WorkerPool | None = None
+        self._recorder: WorkerPool | None = None
         self._publisher: Publisher | None = None
         self._capturing: Capturing | None = None
 
@@ -191,7 +190,7 @@ class Scan:
             "phase": head.phase.value if head is not None else "none",
             "problem": head.problem if head is not None else "",
             "link": head.session.counters.as_dict() if head is not None else {},
-            "lives": head.life if head is not None else 0,
+            "boot_epochs": head.boot_epoch if head is not None else 0,
             "rearms": head.rearms if head is not None else 0,
             "edges_unplaced": head.edges_unplaced if head is not None else 0,
             "clock_samples_rejected": head.clock.rejected if head is not None else 0,
@@ -234,9 +233,9 @@ class Scan:
 
     def _crew(
         self, name: str, module: str, setup: Any, folder: Path, context: zmq.Context[Any], count: int, depth: int
-    ) -> Crew:
+    ) -> WorkerPool:
         command = [sys.executable, "-m", f"annulus.daemon.{module}"]
-        return Crew(
+        return WorkerPool(
             command, setup, ring=self._ring, context=context, folder=folder, name=name, count=count, depth=depth
         )
 
@@ -340,7 +339,7 @@ class Scan:
         if head.phase is not Phase.IDLE:
             self._tell("lamps", f"the controller did not confirm that the lamps are off ({head.phase.value})")
 
-    def _after(self, crew: Crew | None, patience_s: float) -> None:
+    def _after(self, crew: WorkerPool | None, patience_s: float) -> None:
         """Stop a crew and count what came of it. A second call does nothing."""
         if crew is not None:
             self._happened(crew, crew.stop(patience_s))
@@ -401,7 +400,7 @@ class Scan:
             self._port.close()
             self._port = None
 
-    def _hear(self, news: list[News]) -> None:
+    def _hear(self, news: list[HeadEvent]) -> None:
         for one in news:
             self._labelling.hear(one)
             match one:
@@ -412,11 +411,11 @@ class Scan:
                     self._tell("events_lost", f"{count} events of the controller are lost, from number {first}")
                 case PhaseChanged(phase, why) if why or phase in (Phase.RUNNING, Phase.IDLE):
                     self._tell("head", f"{phase.value}{': ' if why else ''}{why}")
-                case Heard(event) if isinstance(event, Fault):
+                case EventReceived(event) if isinstance(event, Fault):
                     self._tell("fault", f"fault {event.fault.name.lower()}, detail {event.detail}")
-                case Heard(event) if isinstance(event, SyncLost):
+                case EventReceived(event) if isinstance(event, SyncLost):
                     self._tell("sync", f"no frame-sync edge since edge {event.last_edge}")
-                case Heard(event) if isinstance(event, SyncFound):
+                case EventReceived(event) if isinstance(event, SyncFound):
                     self._tell("sync", f"frame-sync is regular from edge {event.edge} on")
 
     def _take_frames(self) -> None:
@@ -494,7 +493,7 @@ class Scan:
 
     # ---- what the crews say ----
 
-    def _happened(self, crew: Crew, happenings: list[Happening]) -> None:
+    def _happened(self, crew: WorkerPool, happenings: list[PoolEvent]) -> None:
         recorder = crew is self._recorder
         for one in happenings:
             match one:
@@ -504,7 +503,7 @@ class Scan:
                     self._profile(header, body)
                 case Failed(header=header, why=why):
                     self._lose(header, recorder, "recorder_failed" if recorder else "worker_failed", why)
-                case Lost(header=header, why=why):
+                case FrameLost(header=header, why=why):
                     self._lose(header, recorder, "recorder_died" if recorder else "worker_died", why)
                 case Died(why=why, replaced=replaced):
                     self._died("recorder" if recorder else "worker", why, replaced)
@@ -602,7 +601,7 @@ def _seen(index: int, frame: CapturedFrame) -> FrameSeen:
     return FrameSeen(index, frame.sequence, frame.timestamp_ns, measure(frame.image).light, frame.metadata)
 
 
-def _crew_numbers(crew: Crew | None) -> dict[str, int]:
+def _crew_numbers(crew: WorkerPool | None) -> dict[str, int]:
     if crew is None:
         return {}
     return {"alive": crew.alive, "ready": crew.ready, "in_hand": crew.in_hand, **crew.counts}

@@ -26,7 +26,7 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from annulus.geometry.pose import FloatArray
+from annulus.numeric.arrays import FloatArray
 
 Model = Literal["pinhole", "fisheye", "mirror"]
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from annulus.geometry.pose import FloatArray
+from annulus.numeric.arrays import FloatArray
 
 DETECT_PX = 1400  # longer sides are shrunk to this to find corners; they are refined in the photograph itself
 SMOOTH_PX = 1.5

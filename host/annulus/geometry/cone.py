@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from annulus.geometry.pose import FloatArray
+from annulus.numeric.arrays import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

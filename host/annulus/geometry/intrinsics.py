@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from annulus.geometry.camera import Camera, Model
-from annulus.geometry.pose import FloatArray
+from annulus.numeric.arrays import FloatArray
 from annulus.vocabulary import AnnulusError
 
 FOCAL = (0.25, 0.35, 0.5, 0.7, 1.0, 1.5, 2.2, 3.5)  # of the image's longer side: where a cold start looks

@@ -34,7 +34,7 @@ from annulus.link.messages import (
     StatusReply,
     SyncLost,
 )
-from annulus.link.session import Heard, Lost, Rebooted
+from annulus.link.session import EventReceived, EventsLost, Rebooted
 from annulus.vocabulary import TICKS_PER_US, AnnulusError, Lamp
 
 KEEP_ALIVE_S = 0.1  # well inside the shortest sensible host timeout
@@ -116,11 +116,11 @@ def hold_armed(port: str, seconds: float, say: Callable[[str], None]) -> None:
             while (now := time.monotonic()) < end:
                 client.keep_alive()
                 for happening in client.poll(min(KEEP_ALIVE_S, end - now)):
-                    if isinstance(happening, Heard) and isinstance(happening.event, Edge):
+                    if isinstance(happening, EventReceived) and isinstance(happening.event, Edge):
                         lamps[happening.event.lamp] += 1
-                    elif isinstance(happening, Heard) and isinstance(happening.event, SyncLost):
+                    elif isinstance(happening, EventReceived) and isinstance(happening.event, SyncLost):
                         say(f"frame sync lost after edge {happening.event.last_edge}")
-                    elif isinstance(happening, Lost):
+                    elif isinstance(happening, EventsLost):
                         lost += happening.count
                     _raise_on_fault(port, happening)
         except KeyboardInterrupt:
@@ -229,7 +229,7 @@ def _wait_for(kind: type[Awaited], client: Client, port: str, patience_s: float)
     while (now := time.monotonic()) < end:
         client.keep_alive()
         for happening in client.poll(min(KEEP_ALIVE_S, end - now)):
-            if isinstance(happening, Heard) and isinstance(happening.event, kind):
+            if isinstance(happening, EventReceived) and isinstance(happening.event, kind):
                 return happening.event
             _raise_on_fault(port, happening)
     raise AnnulusError(f"{port}: nothing ended within {patience_s:.1f} s, expected {kind.__name__}")
@@ -237,7 +237,11 @@ def _wait_for(kind: type[Awaited], client: Client, port: str, patience_s: float)
 
 def _raise_on_fault(port: str, happening: object) -> None:
     """A fault whose BURST_DONE follows is told by that one; here only what ends everything."""
-    if isinstance(happening, Heard) and isinstance(happening.event, Fault) and happening.event.fault in LATCHING:
+    if (
+        isinstance(happening, EventReceived)
+        and isinstance(happening.event, Fault)
+        and happening.event.fault in LATCHING
+    ):
         raise AnnulusError(f"{port}: fault {happening.event.fault.name.lower()}, everything disarmed")
     if isinstance(happening, Rebooted) and happening.previous is not None:
         raise AnnulusError(f"{port}: the controller restarted, everything disarmed")

@@ -18,7 +18,7 @@ import serial
 from annulus.link.codec import Corrupt
 from annulus.link.head import PING_NS, refusal, schema_problem
 from annulus.link.messages import Command, IdentifyReply, Ping, Reply, StatusCode
-from annulus.link.session import Answer, Happening, Session, Unanswered, identify
+from annulus.link.session import Answer, LinkEvent, Session, Unanswered, identify
 from annulus.vocabulary import AnnulusError
 
 BAUD = 1_000_000
@@ -29,13 +29,13 @@ READ_MAX = 4096
 WRITE_S = 0.5
 HAPPENINGS_MAX = 1024  # kept between two polls; older ones are dropped and counted
 
-News = TypeVar("News")
+Item = TypeVar("Item")
 
 
-class Talker(Protocol[News]):
+class Talker(Protocol[Item]):
     """What a Port can pump: a Session-like thing that turns bytes into news and time into bytes."""
 
-    def receive(self, data: bytes, now: int) -> list[News]: ...
+    def receive(self, data: bytes, now: int) -> list[Item]: ...
 
     def pending(self, now: int) -> bytes: ...
 
@@ -79,7 +79,7 @@ class Port:
         except (serial.SerialException, OSError) as error:
             raise AnnulusError(f"{self.url}: the line went away ({_reason(error)}), expected the controller") from None
 
-    def pump(self, talker: Talker[News], timeout_s: float = TICK_S) -> list[News]:
+    def pump(self, talker: Talker[Item], timeout_s: float = TICK_S) -> list[Item]:
         """Write what is due, read what comes within the time, hand it over. Call it in a loop."""
         self.write(talker.pending(time.monotonic_ns()))
         data = self.read(timeout_s)
@@ -97,7 +97,7 @@ class Client:
         self.session = Session()
         self.dropped = 0  # happenings nobody polled
         self._next_ping_ns = 0
-        self._happenings: deque[Happening] = deque(maxlen=HAPPENINGS_MAX)
+        self._happenings: deque[LinkEvent] = deque(maxlen=HAPPENINGS_MAX)
         self._port = Port(url)
         try:
             self.identity = self._identify(timeout_s)
@@ -135,7 +135,7 @@ class Client:
                 return found
         return None
 
-    def poll(self, timeout_s: float = 0.0) -> list[Happening]:
+    def poll(self, timeout_s: float = 0.0) -> list[LinkEvent]:
         """What happened since the last poll, waiting up to `timeout_s` for the first."""
         deadline = time.monotonic() + timeout_s
         while True:
@@ -180,11 +180,11 @@ class Client:
             f" to identify; expected an annulus controller at {BAUD} baud"
         )
 
-    def _turn(self, timeout_s: float) -> list[Happening]:
+    def _turn(self, timeout_s: float) -> list[LinkEvent]:
         happenings = self._port.pump(self.session, timeout_s)
         return happenings + self.session.expire(time.monotonic_ns())
 
-    def _keep(self, happening: Happening) -> None:
+    def _keep(self, happening: LinkEvent) -> None:
         self.dropped += len(self._happenings) == HAPPENINGS_MAX
         self._happenings.append(happening)
 

@@ -40,7 +40,7 @@ from annulus.link.messages import (
     StatusReply,
 )
 from annulus.link.picoboot import BootLoader, PicoBoot, choose, find_boot_loaders, write_flash
-from annulus.link.session import Answer, Happening, Heard, Lost, Rebooted
+from annulus.link.session import Answer, EventReceived, EventsLost, LinkEvent, Rebooted
 from annulus.vocabulary import AnnulusError
 
 APPEAR_S = 8.0  # from the restart to a boot loader on the bus
@@ -351,11 +351,11 @@ def monitor(port: str, seconds: float | None = None) -> Iterator[dict[str, objec
                 yield {"t_s": t_s, **_described(happening)}
 
 
-def _described(happening: Happening) -> dict[str, object]:
+def _described(happening: LinkEvent) -> dict[str, object]:
     match happening:
-        case Heard(event=event, recovered=recovered):
+        case EventReceived(event=event, recovered=recovered):
             return {"what": _name(event), **_fields(event)} | ({"recovered": True} if recovered else {})
-        case Lost(first=first, count=count):
+        case EventsLost(first=first, count=count):
             return {"what": "lost", "first": first, "count": count}
         case Corrupt(why=why, size=size):
             return {"what": "corrupt", "why": str(why), "bytes": size}

@@ -5,8 +5,8 @@ after a reset or a fault. The daemon drives it through a port, the soak in virtu
     while True:
         for news in head.receive(port.read(), now):
             match news:
-                case EdgeSeen(): pairing.edge(news.flash, news.host_ns, news.life)
-                case LampsCut(): pairing.spoil(news.from_ns, news.to_ns)
+                case EdgeSeen(): pairing.edge(news.flash, news.host_ns, news.boot_epoch)
+                case LampsCut(): pairing.invalidate(news.from_ns, news.to_ns)
         port.write(head.pending(now))              # at least every few ms
 """
 
@@ -36,7 +36,7 @@ from annulus.link.messages import (
     StatusCode,
     StatusReply,
 )
-from annulus.link.session import Answer, Happening, Heard, Rebooted, Session, Unanswered, identify
+from annulus.link.session import Answer, EventReceived, LinkEvent, Rebooted, Session, Unanswered, identify
 from annulus.vocabulary import TICKS_PER_US, EdgeFlag, EdgeIndex, Flash, Lamp, Slot, Tick
 
 PING_NS = 97_300_000  # no multiple of a frame period, so samples fall everywhere in the frame; far inside host_timeout
@@ -67,12 +67,12 @@ class Phase(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class EdgeSeen:
-    """An edge, placed in host time. `life` counts the controller lives this host has met."""
+    """An edge, placed in host time. `boot_epoch` counts the boots of the controller this host has met."""
 
     flash: Flash
     host_ns: int
     error_ns: int
-    life: int
+    boot_epoch: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +92,7 @@ class PhaseChanged:
     why: str  # one line for the user, empty when all goes well
 
 
-News = Happening | EdgeSeen | LampsCut | PhaseChanged
+HeadEvent = LinkEvent | EdgeSeen | LampsCut | PhaseChanged
 
 
 def flash_from(edge: Edge, tick: Tick, boot: int) -> Flash:
@@ -151,7 +151,7 @@ class HeadControl:
         self.problem = ""  # why the phase is REFUSED or MISMATCH, or what is being waited for
         self.identity: IdentifyReply | None = None
         self.status: StatusReply | None = None  # the last one heard
-        self.life = 0
+        self.boot_epoch = 0
         self.rearms = 0  # times the lamps were armed again after a reset or fault
         self.edges_unplaced = 0  # heard, but there was no clock map, or too coarse a one, to place them with
         self._configuration = configuration
@@ -166,7 +166,7 @@ class HeadControl:
         self._committed = False  # our configuration is in force in this life
         self._cleared = False  # a fault was cleared and the lamps have not been armed since
         self._step_sent_ns = 0
-        self._news: list[News] = []
+        self._news: list[HeadEvent] = []
 
     # ---- what is wanted ----
 
@@ -195,7 +195,7 @@ class HeadControl:
 
     # ---- bytes in, bytes out ----
 
-    def receive(self, data: bytes, now: int) -> list[News]:
+    def receive(self, data: bytes, now: int) -> list[HeadEvent]:
         """What these bytes and the passing of time bring. Session's happenings are among it, for whoever logs them."""
         happenings = self.session.receive(data, now) + self.session.expire(now)
         for happening in happenings:
@@ -303,7 +303,7 @@ class HeadControl:
 
     # ---- news ----
 
-    def _news_of(self, happening: Happening, now: int) -> None:
+    def _news_of(self, happening: LinkEvent, now: int) -> None:
         if isinstance(happening, Rebooted):
             self._rebooted(happening)
         self._news.append(happening)
@@ -318,12 +318,12 @@ class HeadControl:
                 pass  # its layout may differ from ours
             case Unanswered() if self.phase is not Phase.SEARCHING or happening.ticket == self._waiting:
                 self._restart_steps(Phase.SEARCHING, f"no answer to {type(happening.command).__name__.lower()}")
-            case Heard(event, _, boot, received_ns) if isinstance(event, Edge):
+            case EventReceived(event, _, boot, received_ns) if isinstance(event, Edge):
                 self.edges_unplaced += len(self._early) == EDGES_WAITING_MAX  # the oldest gives way
                 self._early.append((event, boot, received_ns))
                 if self.phase is Phase.RUNNING and EdgeFlag.DISARMED in event.flags:
                     self._next_status_ns = 0  # stale, or a fault we did not hear of
-            case Heard(event) if isinstance(event, Fault) and event.fault in LATCHING:
+            case EventReceived(event) if isinstance(event, Fault) and event.fault in LATCHING:
                 self._faulted(event, now)
         if self.clock.locked:
             self._news.extend(self._placed())
@@ -355,7 +355,7 @@ class HeadControl:
             host_ns = self.clock.to_host(tick)
             error_ns = self.clock.error_ns(host_ns) if host_ns is not None else None
             if host_ns is not None and error_ns is not None and error_ns <= self._error_max_ns:
-                yield EdgeSeen(flash_from(edge, tick, boot), host_ns, error_ns, self.life)
+                yield EdgeSeen(flash_from(edge, tick, boot), host_ns, error_ns, self.boot_epoch)
             else:
                 self.edges_unplaced += 1
 
@@ -367,7 +367,7 @@ class HeadControl:
             self._restart_steps(Phase.CLEARING, f"fault: {event.fault.name.lower()}")
 
     def _rebooted(self, happening: Rebooted) -> None:
-        self.life += 1
+        self.boot_epoch += 1
         self._forget_edges()
         self.clock.restart()
         self._committed = False

@@ -3,13 +3,13 @@
     session = Session()
     ticket = session.send(Ping())
     while True:
-        for happening in session.receive(port.read(), now):     # Answer, Heard, Lost, Corrupt, Rebooted, ..
-            handle(happening)
+        for event in session.receive(port.read(), now):  # Answer, EventReceived, EventsLost, Corrupt, Rebooted, ..
+            handle(event)
         port.write(session.pending(now))                        # what is due: first sendings, repeats, re-reads
 
 `now` is any monotonic time in ns, from the same clock as the camera's timestamps. What is promised: a command is
 carried out at most once, and is either answered or reported as Unanswered; an event is heard exactly once, or reported
-as Lost. Events come as they arrive: one that had to be read again comes after its followers, marked `recovered`.
+as EventsLost. Events come as they arrive: one that had to be read again comes after its followers, marked `recovered`.
 """
 
 from collections import deque
@@ -66,7 +66,7 @@ class Unanswered:
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
+class EventReceived:
     """An event, exactly once."""
 
     event: Event
@@ -77,7 +77,7 @@ class Heard:
 
 
 @dataclass(frozen=True, slots=True)
-class Lost:
+class EventsLost:
     """Events that will never be heard: they had left the controller's ring, or it restarted."""
 
     first: int
@@ -93,7 +93,7 @@ class Rebooted:
     previous: int | None
 
 
-Happening = Answer | Unanswered | Heard | Lost | Corrupt | Rebooted
+LinkEvent = Answer | Unanswered | EventReceived | EventsLost | Corrupt | Rebooted
 
 
 @dataclass(slots=True)
@@ -171,9 +171,9 @@ class Session:
         """Commands that wait for their turn to be sent."""
         return len(self._queue)
 
-    def receive(self, data: bytes, now: int) -> list[Happening]:
+    def receive(self, data: bytes, now: int) -> list[LinkEvent]:
         """What these bytes, cut anywhere, bring to an end."""
-        happenings: list[Happening] = []
+        happenings: list[LinkEvent] = []
         for frame in self._decoder.feed(data):
             if isinstance(frame, Corrupt):
                 self.counters.corrupt[frame.why] = self.counters.corrupt.get(frame.why, 0) + 1
@@ -188,9 +188,9 @@ class Session:
                     waiting.due_ns = min(waiting.due_ns, max(now, waiting.sent_ns + GARBLED_REPEAT_NS))
         return happenings
 
-    def expire(self, now: int) -> list[Happening]:
+    def expire(self, now: int) -> list[LinkEvent]:
         """Commands and events given up by `now`. Call now and then; `pending` does not report."""
-        happenings: list[Happening] = []
+        happenings: list[LinkEvent] = []
         for waiting in [w for w in self._outstanding.values() if w.due_ns <= now and w.tries >= TRIES_MAX]:
             del self._outstanding[waiting.sequence]
             happenings += self._give_up(waiting.ticket, waiting.command, f"no answer to {waiting.tries} tries")
@@ -250,7 +250,7 @@ class Session:
         self._next_sequence = (sequence + 1) % 256
         return sequence
 
-    def _reply(self, reply: Reply, sequence: int, now: int) -> Iterator[Happening]:
+    def _reply(self, reply: Reply, sequence: int, now: int) -> Iterator[LinkEvent]:
         waiting = self._outstanding.get(sequence)
         if waiting is None or waiting.command.REPLY is not type(reply):
             self.counters.stray_replies += 1
@@ -265,7 +265,7 @@ class Session:
             return
         yield Answer(waiting.ticket, waiting.command, reply, waiting.sent_ns, now, waiting.tries)
 
-    def _give_up(self, ticket: int, command: Command, why: str) -> Iterator[Happening]:
+    def _give_up(self, ticket: int, command: Command, why: str) -> Iterator[LinkEvent]:
         if ticket == self._rereading:
             self._rereading = None
             return
@@ -274,7 +274,7 @@ class Session:
 
     # ---- events ----
 
-    def _event(self, event: Event, frame: Frame, now: int) -> Iterator[Happening]:
+    def _event(self, event: Event, frame: Frame, now: int) -> Iterator[LinkEvent]:
         yield from self._meet(frame.boot)
         expected = self._next_event if self._next_event is not None else frame.sequence
         ahead = (frame.sequence - expected) % _EVENT_MODULUS
@@ -290,15 +290,15 @@ class Session:
             self.counters.events_repeated += 1
             return
         self.counters.events += 1
-        yield Heard(event, frame.sequence, frame.boot, now, recovered)
+        yield EventReceived(event, frame.sequence, frame.boot, now, recovered)
 
-    def _miss(self, first: int, count: int, now: int) -> Iterator[Happening]:
+    def _miss(self, first: int, count: int, now: int) -> Iterator[LinkEvent]:
         """Note a gap. What cannot be in the controller's ring any more is lost at once."""
         self.counters.events_missed += count
         beyond = max(0, count - EVENT_RING)
         if beyond:
             self.counters.events_lost += beyond
-            yield Lost(first, beyond, self._known_boot())
+            yield EventsLost(first, beyond, self._known_boot())
         for ahead in range(beyond, count):
             self._missing[(first + ahead) % _EVENT_MODULUS] = _Missing(now)
         overflow = len(self._missing) - EVENT_RING
@@ -321,7 +321,7 @@ class Session:
         self._rereading = self.send(Reread(first, count))
         self._queue.appendleft(self._queue.pop())  # events are waited for; commands behind it wait a moment
 
-    def _reread_answered(self, asked: Reread, reply: RereadReply, now: int) -> Iterator[Happening]:
+    def _reread_answered(self, asked: Reread, reply: RereadReply, now: int) -> Iterator[LinkEvent]:
         """The controller says which of the events asked for will follow: the others are gone."""
         follow = {(reply.first + i) % _EVENT_MODULUS for i in range(reply.count)}
         asked_for = [(asked.first + i) % _EVENT_MODULUS for i in range(asked.count)]
@@ -330,25 +330,25 @@ class Session:
                 self._missing[sequence].due_ns = now + REREAD_WAIT_NS
         yield from self._lose([s for s in asked_for if s not in follow and s in self._missing])
 
-    def _lose(self, sequences: list[int]) -> Iterator[Happening]:
+    def _lose(self, sequences: list[int]) -> Iterator[LinkEvent]:
         """Give these missing events up, reported as runs."""
         run: list[int] = []
         for sequence in sequences:
             del self._missing[sequence]
             self.counters.events_lost += 1
             if run and sequence != (run[-1] + 1) % _EVENT_MODULUS:
-                yield Lost(run[0], len(run), self._known_boot())
+                yield EventsLost(run[0], len(run), self._known_boot())
                 run = []
             run.append(sequence)
         if run:
-            yield Lost(run[0], len(run), self._known_boot())
+            yield EventsLost(run[0], len(run), self._known_boot())
 
     # ---- lives of the controller ----
 
     def _known_boot(self) -> int:
         return -1 if self.boot is None else self.boot
 
-    def _meet(self, boot: int) -> Iterator[Happening]:
+    def _meet(self, boot: int) -> Iterator[LinkEvent]:
         """Note who is speaking. A new boot byte ends everything that was under way with the former life."""
         if boot == self.boot:
             return

@@ -20,11 +20,9 @@ import cv2
 import numpy as np
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from google.protobuf.message import DecodeError
-from numpy.typing import NDArray
 
+from annulus.numeric.arrays import Image
 from annulus.vocabulary import AnnulusError, Label
-
-Image = NDArray[np.uint8]
 
 FRAME_TOPIC = "/frame"
 NOTE_TOPICS = ("/label", "/profile", "/telemetry", "/event")

@@ -15,13 +15,11 @@ from typing import cast
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from annulus.geometry.calibration import Calibration
+from annulus.numeric.arrays import Image
 from annulus.record.recording import Recording, open_recording
 from annulus.vocabulary import AnnulusError, Label
-
-Image = NDArray[np.uint8]
 
 TABLE = "frames.csv"
 COLUMNS = ("index", "file", "light", "z_mm")

@@ -16,7 +16,8 @@ from mcap.records import DataEnd, Footer
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 from mcap_protobuf.schema import register_schema
 
-from annulus.record.recording import CHANNELS, FRAME_TOPIC, NOTE_TOPICS, Image, to_json
+from annulus.numeric.arrays import Image
+from annulus.record.recording import CHANNELS, FRAME_TOPIC, NOTE_TOPICS, to_json
 from annulus.vocabulary import AnnulusError
 
 _NOTES_MAX = 1 << 18  # bytes of small records that may wait for the next frame's chunk

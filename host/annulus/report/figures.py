@@ -12,12 +12,11 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from annulus.numeric.arrays import BoolArray, Image
 from annulus.report.surface import HALF_DEG, half_view
-from annulus.rings.defects import Defect, Findings, Kind, clock_face
-from annulus.rings.stations import OVALITY_NAME, Stations
-from annulus.rings.wall import BoolArray, Wall
-
-Image = NDArray[np.uint8]
+from annulus.wall.defects import Defect, Findings, Kind, clock_face
+from annulus.wall.grid import Wall
+from annulus.wall.stations import OVALITY_NAME, Stations
 
 DPI = 150
 WIDTH_IN = 11.0

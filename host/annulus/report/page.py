@@ -10,7 +10,7 @@ import jinja2
 from annulus.report.figures import Pictures
 from annulus.report.summary import Summary
 from annulus.report.surface import EXAGGERATION
-from annulus.rings.defects import ALL_ROUND_DEG, Defect, Findings, Kind, clock_face
+from annulus.wall.defects import ALL_ROUND_DEG, Defect, Findings, Kind, clock_face
 
 TEMPLATE = "page.html.j2"
 NAMES = {Kind.LOSS: "Wall loss", Kind.BUMP: "Bump into the pipe", Kind.OVALITY: "Out of round"}

@@ -16,16 +16,17 @@ import cv2
 import numpy as np
 
 from annulus.geometry.calibration import Calibration
+from annulus.numeric.arrays import Image
 from annulus.record.calibration_file import load_calibration, load_part
-from annulus.record.scan import Image, Scan, open_scan
+from annulus.record.scan import Scan, open_scan
 from annulus.report.results import Summary, prepare_folder, write_results
+from annulus.rings.calibration.reference import Reference
 from annulus.rings.colour import ColourProfile
 from annulus.rings.diagnosis import Exposure, Trouble, diagnose, examine, exposure_findings, reference_findings
-from annulus.rings.profile import Profile
 from annulus.rings.reconstructor import Reconstructor
-from annulus.rings.reference import Reference
-from annulus.rings.texture import LedFrame
 from annulus.vocabulary import AnnulusError, Label
+from annulus.wall.profile import Profile
+from annulus.wall.texture import LedFrame
 
 Progress = Callable[[str, int, int], None]  # stage, done, total
 

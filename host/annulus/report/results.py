@@ -19,17 +19,17 @@ from annulus.report.page import render_page
 from annulus.report.ply import write_ply
 from annulus.report.summary import Summary, summarize
 from annulus.report.surface import triangulate
-from annulus.rings.blind import hidden
-from annulus.rings.consensus import without_contradicted
-from annulus.rings.defects import Defect, find_defects
 from annulus.rings.diagnosis import Finding
-from annulus.rings.profile import Profile
-from annulus.rings.registration import register
-from annulus.rings.stations import Stations, measure_stations
-from annulus.rings.texture import LedFrame, paint
-from annulus.rings.vibration import without_vibration
-from annulus.rings.wall import Wall, build_wall
 from annulus.vocabulary import AnnulusError
+from annulus.wall.consistency import without_inconsistent
+from annulus.wall.defects import Defect, find_defects
+from annulus.wall.grid import Wall, build_wall
+from annulus.wall.profile import Profile
+from annulus.wall.registration import register
+from annulus.wall.shadow import hidden
+from annulus.wall.stations import Stations, measure_stations
+from annulus.wall.texture import LedFrame, paint
+from annulus.wall.vibration import without_vibration
 
 __all__ = ["LedFrame", "Summary", "prepare_folder", "write_results"]
 
@@ -74,7 +74,7 @@ def write_results(
     """
     started = time.perf_counter()
     prepare_folder(out)
-    profiles = without_contradicted(register(profiles))
+    profiles = without_inconsistent(register(profiles))
     shaken = None
     if vibration:
         profiles, shaken = without_vibration(profiles, fps)

@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus.rings.defects import Defect, Findings
+from annulus.numeric.arrays import BoolArray
 from annulus.rings.diagnosis import Finding
-from annulus.rings.profile import Profile
-from annulus.rings.stations import OVALITY_FORMULA, OVALITY_NAME, Stations
-from annulus.rings.vibration import Vibration
-from annulus.rings.wall import BoolArray, Wall
+from annulus.wall.defects import Defect, Findings
+from annulus.wall.grid import Wall
+from annulus.wall.profile import Profile
+from annulus.wall.stations import OVALITY_FORMULA, OVALITY_NAME, Stations
+from annulus.wall.vibration import Vibration
 
 
 @dataclass(frozen=True, slots=True)

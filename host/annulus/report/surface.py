@@ -5,10 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus.geometry.pose import FloatArray
-from annulus.rings.wall import Wall, smooth
-
-Image = NDArray[np.uint8]
+from annulus.numeric.arrays import FloatArray, Image
+from annulus.wall.grid import Wall, smooth
 
 BACKGROUND = (222, 229, 235)
 EXAGGERATION = 3.0  # of the deviation in the picture; the caption says so

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus.geometry.calibration import Calibration
-from annulus.geometry.pose import FloatArray
+from annulus.numeric.arrays import FloatArray
 from annulus.rings.decode import NONE, StripeColours, classify
 from annulus.rings.order import Placed
 from annulus.rings.slits import Slits

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus.geometry.pose import FloatArray
-from annulus.rings.compiled import compiled, middle, ranked
+from annulus.numeric.arrays import FloatArray
+from annulus.numeric.jit import jit, middle, ranked
 
 UNKNOWN = 255  # a stripe whose colour is not clear: matches any, proves nothing
 NONE = -1  # a slit that is no ring, or could be more than one
@@ -50,7 +50,7 @@ def _learnt(side: FloatArray, used: list[int]) -> StripeColours:
     return StripeColours(gain, reference)
 
 
-@compiled
+@jit
 def _learn(side, every, used, gain, reference):  # type: ignore[no-untyped-def]
     some = (len(side) + every - 1) // every
     work = np.empty(some)
@@ -91,7 +91,7 @@ def _learn(side, every, used, gain, reference):  # type: ignore[no-untyped-def]
                 reference[i, 0], reference[i, 1], reference[i, 2] = x / length, y / length, z / length
 
 
-@compiled
+@jit
 def _name(side, gain, reference, used, out):  # type: ignore[no-untyped-def]
     for n in range(len(side)):
         r, g, b = side[n, 2] * gain[0], side[n, 1] * gain[1], side[n, 0] * gain[2]
@@ -115,7 +115,7 @@ def readings(inside: NDArray[np.uint8], outside: NDArray[np.uint8], colours: str
     return out
 
 
-@compiled
+@jit
 def _read(inside, outside, pattern, out):  # type: ignore[no-untyped-def]
     for n in range(len(inside)):
         for k in range(len(pattern) - 1):
@@ -155,7 +155,7 @@ def decode(
     return ring
 
 
-@compiled
+@jit
 def _align(direction, inside, outside, deviation, pattern, tolerance, ring):  # type: ignore[no-untyped-def]
     rings = len(pattern) - 1
     most = 0

@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus.geometry.calibration import Calibration
-from annulus.geometry.pose import FloatArray, Pose
+from annulus.geometry.pose import Pose
+from annulus.numeric.arrays import FloatArray
+from annulus.rings.calibration.reference import ANGLE_FAR, SHIFT_FAR, Reference
 from annulus.rings.colour import ColourProfile, differs, stripes
 from annulus.rings.order import Placed
 from annulus.rings.reconstructor import Reconstructor
-from annulus.rings.reference import ANGLE_FAR, SHIFT_FAR, Reference
 from annulus.rings.slits import Slits
 
 EVERY = 8  # pixels: light varies slowly enough

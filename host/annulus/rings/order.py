@@ -9,12 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus.geometry.pose import FloatArray, Pose
+from annulus.geometry.pose import Pose
+from annulus.numeric.arrays import FloatArray
 from annulus.rings.decode import NONE
 from annulus.rings.polar import PolarGrid
-from annulus.rings.pose import Fit, fit_pose
 from annulus.rings.slits import Slits
 from annulus.rings.triangulate import RingOptics, deviations, triangulate
+from annulus.wall.pose import Fit, fit_pose
 
 WHOLE_LINES = 0.1  # of the lines must show every ring and nothing else
 PLACE = 0.4  # of the way to the next ring: how far from its place a slit is still taken for a ring

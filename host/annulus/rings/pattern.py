@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from annulus.geometry.calibration import Calibration
 from annulus.geometry.camera import Camera
 from annulus.geometry.cone import Cone
-from annulus.geometry.pose import FloatArray
+from annulus.numeric.arrays import FloatArray
 from annulus.vocabulary import AnnulusError
 
 STRIPES_MAX = 65  # of a calibration

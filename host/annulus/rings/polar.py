@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from annulus.geometry.calibration import Calibration
 from annulus.geometry.camera import Camera
 from annulus.geometry.cone import Cone
-from annulus.geometry.pose import FloatArray, Pose
-from annulus.rings.compiled import compiled
+from annulus.geometry.pose import Pose
+from annulus.numeric.arrays import FloatArray
+from annulus.numeric.jit import jit
 from annulus.vocabulary import AnnulusError
 
 ACROSS = 0.85  # standard deviation, in directions, of the average over neighbouring lines: weights 1, 2, 1
@@ -179,7 +180,7 @@ def _level(top: NDArray[np.uint8], stop: NDArray[np.int64]) -> tuple[float, floa
     return float(bright), 1.4826 / math.sqrt(2) * float(max(middle, 0.0))
 
 
-@compiled
+@jit
 def _count(top, stop, levels, steps):  # type: ignore[no-untyped-def]
     """Counts of grey levels, (256,), and of steps from the sample before, by level, (256, 256)."""
     for j in range(0, len(stop), 24):
@@ -219,7 +220,7 @@ def _length_inside(
     return np.maximum(np.floor(reach - first), 0).astype(np.int64)
 
 
-@compiled
+@jit
 def _probe(image, map_xy, stop, counted):  # type: ignore[no-untyped-def]
     """Counts the grey levels of each channel, (3, 256), at a coarse grid of samples."""
     for j in range(0, len(stop), PROBE_LINES):
@@ -229,7 +230,7 @@ def _probe(image, map_xy, stop, counted):  # type: ignore[no-untyped-def]
                 counted[c, image[y, x, c]] += 1
 
 
-@compiled
+@jit
 def _light_range(image, map_xy, stop, black, gain, limit):  # type: ignore[no-untyped-def]
     """First and last sample of any line brighter than the limit together with the next: one alone is noise."""
     start, last = map_xy.shape[1], 0
@@ -246,7 +247,7 @@ def _light_range(image, map_xy, stop, black, gain, limit):  # type: ignore[no-un
     return start, last
 
 
-@compiled
+@jit
 def _strongest(image, width, cx, cy, inner, outer, black, gain, out):  # type: ignore[no-untyped-def]
     """max(B, G, R) of the pixels between two circles, image and plane as runs of bytes."""
     height = len(out) // width

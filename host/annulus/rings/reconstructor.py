@@ -10,19 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus.geometry.calibration import Calibration
-from annulus.geometry.pose import FloatArray, Pose
+from annulus.geometry.pose import Pose
+from annulus.numeric.arrays import FloatArray
+from annulus.numeric.jit import jit
 from annulus.rings.colour import ColourProfile
-from annulus.rings.compiled import compiled
 from annulus.rings.decode import NONE, UNKNOWN, classify, decode, readings
-from annulus.rings.gates import gate
 from annulus.rings.order import Placed, by_order
+from annulus.rings.outliers import gate
 from annulus.rings.polar import polar_grid, unroll
-from annulus.rings.pose import Fit, fit_pose
-from annulus.rings.profile import Profile
 from annulus.rings.slits import Slits, find_slits
 from annulus.rings.triangulate import deviations, ring_optics, triangulate
 from annulus.rings.uncertainty import calibrated, point_sigma
 from annulus.vocabulary import AnnulusError
+from annulus.wall.pose import Fit, fit_pose
+from annulus.wall.profile import Profile
 
 FIRST_TOLERANCE = 0.5  # of the radius: the head's lean and stand-off are still in the deviation
 WALL_TOLERANCE = 0.35  # and now they are not
@@ -171,7 +172,7 @@ def _size(image: NDArray[np.uint8]) -> str:
     return f"{image.shape[1]}x{image.shape[0]}" if image.ndim >= 2 else f"an array of shape {image.shape}"
 
 
-@compiled
+@jit
 def _beside(kept, inside, outside, out, clipped):  # type: ignore[no-untyped-def]
     """The wall's colour, RGB, as the mean of what the two stripes (BGR) show of it; whether one is over-exposed."""
     for n in range(len(kept)):

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus.rings.compiled import compiled, middle
+from annulus.numeric.jit import jit, middle
 from annulus.rings.polar import PolarGrid, Unrolled
 
 PER_LINE = 48  # slits kept of one line; a wall that shows more is not a wall
@@ -59,7 +59,7 @@ def smoothing(spacing_px: float) -> NDArray[np.float32]:
     return np.asarray(taps / (taps[0] + 2 * taps[1:].sum()), np.float32)
 
 
-@compiled
+@jit
 def _scan(bright, stop, away, taps, floor, spacing, out):  # type: ignore[no-untyped-def]
     """Rows of `out`: direction, position, width, bottom, how dark, and the stripes' samples beside: first and last of
     the inner side, first and last of the outer; the edges' softness."""
@@ -169,7 +169,7 @@ def _scan(bright, stop, away, taps, floor, spacing, out):  # type: ignore[no-unt
     return n, crowded
 
 
-@compiled
+@jit
 def _dark_ones(found, size):  # type: ignore[no-untyped-def]
     """Moves the rows that are nearly as dark as the usual one to the front; how many they are."""
     depth = found[:size, 4].copy()
@@ -182,7 +182,7 @@ def _dark_ones(found, size):  # type: ignore[no-untyped-def]
     return kept
 
 
-@compiled
+@jit
 def _sides(image, centre, away, cosine, sine, found, direction, place, light):  # type: ignore[no-untyped-def]
     """The light beside each slit, (2, N, 3): BGR of the inner side, of the outer, the slit's own darkness taken off.
 
@@ -216,7 +216,7 @@ def _sides(image, centre, away, cosine, sine, found, direction, place, light):  
             light[part - 1, n, 2] = max(red * scale - dark[2], np.float32(0.0))
 
 
-@compiled
+@jit
 def _drawn(smooth, edge, last, steepest, bend, most):  # type: ignore[no-untyped-def]
     """How far an edge is drawn towards the light, in samples: a stripe that brightens by a part g of itself a sample
     moves the steepest place of its edge, blurred by sigma, by g sigma^2; sigma^2 is the slope there over its bend."""
@@ -230,7 +230,7 @@ def _drawn(smooth, edge, last, steepest, bend, most):  # type: ignore[no-untyped
     return growth * min(max(-steepest / bend, np.float32(0.0)), np.float32(BLUR_MOST))
 
 
-@compiled
+@jit
 def _extremum(before, at, after):  # type: ignore[no-untyped-def]
     """Offset of the top of the parabola through three samples, within half a sample."""
     bend = before - 2 * at + after
@@ -239,7 +239,7 @@ def _extremum(before, at, after):  # type: ignore[no-untyped-def]
     return min(max(np.float32(0.5) * (before - after) / bend, np.float32(-0.5)), np.float32(0.5))
 
 
-@compiled
+@jit
 def _mean(values, start, stop):  # type: ignore[no-untyped-def]
     start, stop = max(start, 0), min(max(stop, start), len(values) - 1)
     total = np.float32(0.0)

@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 
 from annulus.geometry.calibration import Calibration, FineRing
 from annulus.geometry.cone import intersect_cylinder
-from annulus.geometry.pose import FloatArray, Pose
-from annulus.rings.compiled import compiled
+from annulus.geometry.pose import Pose
+from annulus.numeric.arrays import FloatArray
+from annulus.numeric.jit import jit
 from annulus.rings.polar import RAY_STEP_PX, PolarGrid, ring_pixels
 from annulus.rings.slits import Slits
 
@@ -107,7 +108,7 @@ def deviations(points: FloatArray, pose: Pose, radius_mm: float) -> FloatArray:
     return out
 
 
-@compiled
+@jit
 def _deviations(points, rotation, shift, radius, out):  # type: ignore[no-untyped-def]
     for n in range(points.shape[0]):
         for k in range(points.shape[1]):
@@ -120,7 +121,7 @@ def _deviations(points, rotation, shift, radius, out):  # type: ignore[no-untype
             out[n, k] = math.sqrt(u * u + v * v) / radius - 1.0
 
 
-@compiled
+@jit
 def _all_rings(direction, position, width, rays, origins, step, cones, bend, fine, wanted, out):  # type: ignore[no-untyped-def]
     tuned = np.empty(7)
     squares = np.cos(cones[:, 6]) ** 2
@@ -148,7 +149,7 @@ def _all_rings(direction, position, width, rays, origins, step, cones, bend, fin
                 _meet(ox, oy, oz, x * scale, y * scale, z * scale, tuned, math.cos(tuned[6]) ** 2, out[n, k])
 
 
-@compiled
+@jit
 def _tune(point, cone, fine, out):  # type: ignore[no-untyped-def]
     """The ring's cone as it is at the azimuth of a point, between the samples of `fine` (n, 2)."""
     ax, ay, az = cone[3], cone[4], cone[5]
@@ -168,7 +169,7 @@ def _tune(point, cone, fine, out):  # type: ignore[no-untyped-def]
     out[6] = cone[6] + fine[i, 0] + part * (fine[j, 0] - fine[i, 0])
 
 
-@compiled
+@jit
 def _meet(ox, oy, oz, x, y, z, cone, cos2, out):  # type: ignore[no-untyped-def]
     """Ray from o along x, y, z and cone: Alzuhiri 2022, App. A.2; of two forward roots the farther, §5.2."""
     out[0] = out[1] = out[2] = np.nan

@@ -4,11 +4,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus.geometry.calibration import Calibration
-from annulus.geometry.pose import FloatArray, Pose
-from annulus.rings.compiled import around, compiled, middle
+from annulus.geometry.pose import Pose
+from annulus.numeric.arrays import FloatArray
+from annulus.numeric.jit import around, jit, middle
 from annulus.rings.polar import PolarGrid, ring_pixels
-from annulus.rings.pose import Fit
 from annulus.rings.triangulate import RingOptics, meet_rings
+from annulus.wall.pose import Fit
 
 STEPS = 72  # directions the calibration's share is worked out in
 LAG = 4  # directions; neighbouring lines share pixels, these do not
@@ -105,7 +106,7 @@ def calibrated(calibration: Calibration, grid: PolarGrid, optics: RingOptics) ->
     return np.stack([np.interp(turn, coarse, row, period=2 * np.pi) for row in sigma])
 
 
-@compiled
+@jit
 def _combine(  # type: ignore[no-untyped-def]
     ring, direction, points, rotation, shift, covariance, softness, width_off, clipped, mm_per_px, calibrated, out
 ):

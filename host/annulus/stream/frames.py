@@ -6,12 +6,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import msgpack
-import numpy as np
-from numpy.typing import NDArray
 
 from annulus.vocabulary import CameraSequence, EdgeIndex, Label, Slot
-
-Image = NDArray[np.uint8]
 
 CHANNELS = {"bgr8": 3, "bayer_rggb8": 1, "mono8": 1}  # encoding -> bytes a pixel, as foxglove.RawImage names them
 SIDE_MAX = 16384  # pixels; a larger image is a damaged header

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from annulus.stream.frames import FrameHeader, Image
+from annulus.numeric.arrays import Image
+from annulus.stream.frames import FrameHeader
 from annulus.vocabulary import AnnulusError
 
 _STAMP = struct.Struct("<Q")

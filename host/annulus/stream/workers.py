@@ -1,6 +1,6 @@
-"""Worker processes fed through a FrameRing: a frame handed out comes back as done, failed or lost, whoever is killed.
+"""Worker processes fed through a FrameRing. A frame handed out comes back as done, failed or lost, whoever is killed.
 
-`Crew` is the owner's side, `serve` the worker's. Each worker has a PUSH socket of its own, so the owner knows which
+`WorkerPool` is the owner's side, `serve` the worker's. Each worker has its own PUSH socket, so the owner knows which
 frames died with it; all answer into one PULL socket. Nothing here waits: `poll` reads what is there, `offer` says no
 when everybody is busy.
 """
@@ -22,7 +22,8 @@ from typing import Any, Protocol
 import msgpack
 import zmq
 
-from annulus.stream.frames import FrameHeader, Image, unpack_bounded
+from annulus.numeric.arrays import Image
+from annulus.stream.frames import FrameHeader, unpack_bounded
 from annulus.stream.ring import FrameRing, Overwritten, Place, RingView
 from annulus.vocabulary import AnnulusError
 
@@ -61,7 +62,7 @@ class Failed:
 
 
 @dataclass(frozen=True, slots=True)
-class Lost:
+class FrameLost:
     """The worker died, or was killed because it hung, with this frame in its hands."""
 
     worker: int
@@ -87,7 +88,7 @@ class Report:
     final: bool
 
 
-Happening = Ready | Done | Failed | Lost | Died | Report
+PoolEvent = Ready | Done | Failed | FrameLost | Died | Report
 
 
 @dataclass(slots=True)
@@ -110,7 +111,7 @@ class _Worker:
     in_hand: dict[int, _InHand] = field(default_factory=dict)
 
 
-class Crew:
+class WorkerPool:
     """N workers of one kind. All methods belong to one thread, and that thread must outlive the workers: the kernel
     tells them (PR_SET_PDEATHSIG) to end when the thread that started them does.
     """
@@ -202,7 +203,7 @@ class Crew:
             except zmq.Again:
                 self.counts["notes_dropped"] += 1
 
-    def poll(self) -> list[Happening]:
+    def poll(self) -> list[PoolEvent]:
         """All that happened since the last call. Replaces the dead and the hung; never waits."""
         happened = self._receive()
         now = self._clock()
@@ -228,9 +229,9 @@ class Crew:
                 self._start()
         return happened
 
-    def stop(self, patience_s: float) -> list[Happening]:
+    def stop(self, patience_s: float) -> list[PoolEvent]:
         """Ask every worker to finish what it has and leave; after `patience_s` kill. None is left when this returns."""
-        happened: list[Happening] = []
+        happened: list[PoolEvent] = []
         for worker in self._workers.values():
             with contextlib.suppress(zmq.ZMQError):
                 worker.tasks.send_multipart([b"stop", b""], zmq.NOBLOCK)
@@ -278,8 +279,8 @@ class Crew:
         self._workers[number] = _Worker(number, process, tasks, address, self._clock())
         tasks.send_multipart([b"setup", msgpack.packb(self._setup)], zmq.NOBLOCK)
 
-    def _receive(self) -> list[Happening]:
-        happened: list[Happening] = []
+    def _receive(self) -> list[PoolEvent]:
+        happened: list[PoolEvent] = []
         while not self.results.closed and self.results.poll(0):
             try:
                 number, kind, body = unpack_bounded(self.results.recv(), MESSAGE_MAX)
@@ -312,7 +313,7 @@ class Crew:
                 self.counts["malformed"] += 1
         return happened
 
-    def _bury(self, worker: _Worker, why: str) -> list[Happening]:
+    def _bury(self, worker: _Worker, why: str) -> list[PoolEvent]:
         if worker.process.poll() is None:
             worker.process.kill()
         worker.process.wait()
@@ -322,7 +323,7 @@ class Crew:
         for task in worker.in_hand.values():
             self._ring.release(task.place)
         self.counts["lost"] += len(worker.in_hand)
-        return [Lost(worker.number, task.header, why) for task in worker.in_hand.values()]
+        return [FrameLost(worker.number, task.header, why) for task in worker.in_hand.values()]
 
 
 class Job(Protocol):
@@ -342,7 +343,7 @@ class Job(Protocol):
 
 
 def serve(argument: str, prepare: Callable[[Any], Job]) -> None:
-    """Run one worker: `argument` is what Crew put on the command line, `prepare` makes the job from the setup."""
+    """Run one worker: `argument` is what WorkerPool put on the command line, `prepare` makes the job from the setup."""
     link: Mapping[str, Any] = json.loads(argument)
     end_with_parent(link["parent"])
     keep_freed_memory()

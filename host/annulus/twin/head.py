@@ -34,8 +34,9 @@ from typing import IO, Any, Self, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus.capture.camera import BAYER_RGGB8, HeldRequest, Image, Request
+from annulus.capture.camera import BAYER_RGGB8, HeldRequest, Request
 from annulus.capture.timing import FrameTiming
+from annulus.numeric.arrays import Image
 from annulus.twin.emulated import open_board
 from annulus.twin.line import Line, PtyLine, TcpLine
 from annulus.twin.render import Renderer

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus.geometry.pose import FloatArray
+from annulus.numeric.arrays import FloatArray
 from annulus.twin.world import Feature, World
 
 NEAR_EDGE_MM = 1.5  # closer to a step or its shadow than this the truth jumps; scored apart

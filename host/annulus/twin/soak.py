@@ -17,7 +17,7 @@ from annulus.capture.photometry import Light, measure
 from annulus.capture.timing import FrameTiming
 from annulus.link.head import EdgeSeen, HeadControl, LampsCut, Phase, stage_from_us
 from annulus.link.messages import BootCause, Stage
-from annulus.link.session import Lost
+from annulus.link.session import EventsLost
 from annulus.twin.emulated import Board, open_board
 from annulus.twin.render import Renderer
 from annulus.twin.sensor import Exposure, Faults, HostClock, LossyLine, Sensor, load_faults
@@ -207,11 +207,11 @@ class _Run:
                 match news:
                     case EdgeSeen():
                         for pairing in (self.pairing, self.blind):
-                            pairing.edge(news.flash, news.host_ns, news.life)
+                            pairing.edge(news.flash, news.host_ns, news.boot_epoch)
                     case LampsCut():
                         for pairing in (self.pairing, self.blind):
-                            pairing.spoil(news.from_ns, news.to_ns)
-                    case Lost():
+                            pairing.invalidate(news.from_ns, news.to_ns)
+                    case EventsLost():
                         self.events_lost_for_good += news.count
 
     def _reset(self) -> None:

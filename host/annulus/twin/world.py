@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from annulus.geometry.calibration import Calibration
 from annulus.geometry.camera import Camera, Mirror
 from annulus.geometry.cone import Cone
-from annulus.geometry.pose import FloatArray, Pose
+from annulus.geometry.pose import Pose
+from annulus.numeric.arrays import FloatArray
 from annulus.vocabulary import AnnulusError
 
 Response = tuple[tuple[float, float, float], ...]

@@ -10,7 +10,7 @@ from scipy.interpolate import RectBivariateSpline
 from scipy.spatial.transform import Rotation
 
 from annulus.geometry.camera import Camera
-from annulus.geometry.pose import FloatArray
+from annulus.numeric.arrays import FloatArray
 
 
 @dataclass(frozen=True)

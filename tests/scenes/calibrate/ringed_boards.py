@@ -9,7 +9,7 @@ from photographs import DrawnBoard, _rays, poses
 
 from annulus.geometry.camera import Camera
 from annulus.geometry.cone import Cone
-from annulus.geometry.pose import FloatArray
+from annulus.numeric.arrays import FloatArray
 
 COLOURS = "RRGBGR"
 LIGHT = {"R": (4.0, 8.0, 215.0), "G": (22.0, 190.0, 10.0), "B": (170.0, 20.0, 4.0)}  # BGR of each stripe

@@ -14,11 +14,11 @@ from synthetic_pipe import CALIBRATION, RADIUS_MM, bump, oval, pocket, round_pip
 from annulus.report import results
 from annulus.report.results import FILES, LedFrame, Summary, write_results
 from annulus.report.surface import triangulate
-from annulus.rings.consensus import without_contradicted
-from annulus.rings.profile import Profile
-from annulus.rings.registration import register
-from annulus.rings.wall import build_wall
 from annulus.vocabulary import AnnulusError
+from annulus.wall.consistency import without_inconsistent
+from annulus.wall.grid import build_wall
+from annulus.wall.profile import Profile
+from annulus.wall.registration import register
 
 COUNTS = {"projector": 40, "led": 2, "unknown": 1}
 
@@ -85,7 +85,7 @@ def test_the_mesh_has_faces_only_where_the_wall_was_seen(written: tuple[Path, Su
     normal = np.cross(points[corners[:, 1]] - points[corners[:, 0]], points[corners[:, 2]] - points[corners[:, 0]])
     inward = (normal[:, :2] * middle[:, :2]).sum(axis=1) < 0
     assert inward.mean() > 0.99, "normals point into the pipe"
-    wall = build_wall(without_contradicted(register(profiles)))
+    wall = build_wall(without_inconsistent(register(profiles)))
     assert len(vertices) == wall.seen.sum()
 
 

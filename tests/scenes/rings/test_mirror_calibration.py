@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from annulus.geometry.camera import Camera
-from annulus.rings.autocalibration import Sightings, calibrate, sight
+from annulus.rings.calibration.autocalibration import Sightings, calibrate, sight
 from annulus.rings.polar import ring_pixels
 from annulus.twin.world import World, mirror_world
 

@@ -6,7 +6,7 @@ import numpy as np
 from drawn import PIPE_MM, Paint, calibration, draw
 
 from annulus.geometry.pose import Pose
-from annulus.rings.compiled import middle, ranked
+from annulus.numeric.jit import middle, ranked
 from annulus.rings.reconstructor import Reconstructor
 
 POSE = Pose(0.012, -0.01, 1.0, -1.5)

@@ -136,7 +136,7 @@ def test_an_index_that_continues_by_accident_in_another_life_is_another_edges() 
 
 def test_a_fault_inside_the_frame_makes_it_unknown_and_only_it() -> None:
     pairing = pairing_with(range(10))
-    pairing.spoil(at(5) + 3 * MS, at(5) + 3 * MS)
+    pairing.invalidate(at(5) + 3 * MS, at(5) + 3 * MS)
     labels = {number: frame(pairing, number) for number in range(1, 10)}
     assert [n for n, labelled in labels.items() if labelled.label is Label.UNKNOWN] == [6]
     assert labels[6].reason is Reason.CUT
@@ -222,5 +222,5 @@ def test_history_is_bounded() -> None:
     pairing = pairing_with(range(5000))
     assert len(pairing.edges) <= 256
     for n in range(1000):
-        pairing.spoil(n, n)
+        pairing.invalidate(n, n)
     assert len(pairing._spoilt) <= 64

@@ -2,21 +2,21 @@
 
 import math
 
-from annulus.daemon.reconstructing import Reconstructing, specimen
+from annulus.daemon.reconstructing import Reconstructing, warmup_frame
 from annulus.geometry.calibration import Calibration
 from annulus.geometry.camera import Camera
 from annulus.geometry.cone import Cone
-from annulus.rings.profile import Profile
 from annulus.stream.frames import FrameHeader
 from annulus.vocabulary import Label
+from annulus.wall.profile import Profile
 
 
 def test_warming_up_goes_through_the_whole_method() -> None:
-    """A specimen that nobody can decode would leave half of it to be compiled while a scan runs."""
+    """A warmup_frame that nobody can decode would leave half of it to be compiled while a scan runs."""
     rings = tuple(Cone(math.radians(full / 2), (0.0, 0.0, 1.0), (0.0, 0.0, -56.0)) for full in (38, 42, 47, 53, 58))
     calibration = Calibration(Camera("pinhole", 1664, 1232, 470.0, 470.0, 831.5, 615.5), "RRGBGR", rings, 76.2)
     job = Reconstructing(calibration)
     header = FrameHeader(4, None, 0, Label.PROJECTOR, "", None, None, None, 2.0, "bgr8", 1664, 1232)
-    profile = Profile.from_dict(job.frame(header, specimen(calibration), [0.0, 0.0, 0.0, 0.0]))
+    profile = Profile.from_dict(job.frame(header, warmup_frame(calibration), [0.0, 0.0, 0.0, 0.0]))
     assert profile.frame == 4 and profile.pose is not None
     assert len(profile.points_mm) > 0.8 * 5 * 720

@@ -14,7 +14,7 @@ from scripted_controller import ScriptedController
 
 from annulus.link.client import Client
 from annulus.link.messages import Arm, ArmFlag, Edge, Ping, PingReply, Stage, Status, StatusCode
-from annulus.link.session import Heard
+from annulus.link.session import EventReceived
 from annulus.vocabulary import AnnulusError, EdgeFlag, Lamp
 
 
@@ -92,9 +92,9 @@ def test_requests_are_answered_and_events_wait_for_the_poll() -> None:
         controller.emit(Edge(3, 1, 0, Lamp.LED, 1, 1, 0, 1, EdgeFlag(0)))
         assert isinstance(client.request(Ping()), PingReply)
         deadline = time.monotonic() + 2.0
-        heard: list[Heard] = []
+        heard: list[EventReceived] = []
         while not heard and time.monotonic() < deadline:
-            heard = [h for h in client.poll(0.1) if isinstance(h, Heard)]
+            heard = [h for h in client.poll(0.1) if isinstance(h, EventReceived)]
         assert [h.event for h in heard] == [Edge(3, 1, 0, Lamp.LED, 1, 1, 0, 1, EdgeFlag(0))]
 
 

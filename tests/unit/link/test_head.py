@@ -2,7 +2,7 @@
 
 from scripted_controller import ScriptedController
 
-from annulus.link.head import EdgeSeen, HeadControl, LampsCut, News, Phase, PhaseChanged
+from annulus.link.head import EdgeSeen, HeadControl, HeadEvent, LampsCut, Phase, PhaseChanged
 from annulus.link.messages import (
     SCHEMA_HASH,
     Arm,
@@ -28,7 +28,7 @@ class Bench:
         self.head = head
         self.controller = controller or ScriptedController()
         self.now = 10**12
-        self.news: list[News] = []
+        self.news: list[HeadEvent] = []
 
     def run(self, milliseconds: int) -> None:
         for _ in range(milliseconds):
@@ -76,7 +76,7 @@ def test_after_a_reset_the_lamps_are_armed_again_under_a_new_generation() -> Non
     bench.controller.reset()
     bench.run(15)
     assert bench.head.phase is Phase.RUNNING and bench.controller.armed
-    assert bench.head.generation == before + 1 and bench.head.rearms == 1 and bench.head.life == 2
+    assert bench.head.generation == before + 1 and bench.head.rearms == 1 and bench.head.boot_epoch == 2
     assert PhaseChanged(Phase.SEARCHING, "the controller restarted") in bench.news
 
 
@@ -87,7 +87,7 @@ def test_edges_are_placed_in_host_time_also_those_heard_before_the_clock_locked(
     fell = bench.now
     bench.run(40)
     (seen,) = bench.all(EdgeSeen)
-    assert abs(seen.host_ns - fell) <= 2 * MS and seen.life == 1 and seen.flash.boot == 7
+    assert abs(seen.host_ns - fell) <= 2 * MS and seen.boot_epoch == 1 and seen.flash.boot == 7
 
 
 def test_after_a_reset_no_edge_is_placed_by_the_old_lifes_clock() -> None:
@@ -99,7 +99,7 @@ def test_after_a_reset_no_edge_is_placed_by_the_old_lifes_clock() -> None:
     fell = bench.now
     bench.run(40)
     (seen,) = bench.all(EdgeSeen)
-    assert abs(seen.host_ns - fell) <= 2 * MS and seen.life == 2
+    assert abs(seen.host_ns - fell) <= 2 * MS and seen.boot_epoch == 2
 
 
 def test_on_a_line_slower_than_the_labels_need_no_edge_is_placed() -> None:

@@ -8,7 +8,17 @@ from hypothesis import strategies as st
 from scripted_controller import BadLine, ScriptedController
 
 from annulus.link.messages import EVENT_RING, Identify, Move, Ping, StageDone, Status
-from annulus.link.session import WINDOW, Answer, Happening, Heard, Lost, Rebooted, Session, Unanswered, identify
+from annulus.link.session import (
+    WINDOW,
+    Answer,
+    EventReceived,
+    EventsLost,
+    LinkEvent,
+    Rebooted,
+    Session,
+    Unanswered,
+    identify,
+)
 from annulus.vocabulary import AnnulusError
 
 MS = 1_000_000
@@ -23,7 +33,7 @@ class Conversation:
         self.line = BadLine(seed, rate)
         self.random = random.Random(seed)
         self.now = 10**15
-        self.happenings: list[Happening] = []
+        self.happenings: list[LinkEvent] = []
 
     def step(self) -> None:
         self.now += MS
@@ -71,8 +81,8 @@ def test_on_a_bad_line_every_command_runs_at_most_once_and_every_event_is_accoun
     assert set(answered) <= set(executed)
     assert [m.position for m in executed] == sorted(m.position for m in executed)
 
-    heard = [h.event.position for h in talk.all(Heard)]
-    lost = [lost.first + i for lost in talk.all(Lost) for i in range(lost.count)]
+    heard = [h.event.position for h in talk.all(EventReceived)]
+    lost = [lost.first + i for lost in talk.all(EventsLost) for i in range(lost.count)]
     first = min(heard)
     assert sorted(heard + lost) == list(range(first, emitted))
     assert first <= 3 or rate > 0
@@ -89,7 +99,7 @@ def test_a_lost_event_is_read_again_and_says_so() -> None:
         talk.controller.emit(StageDone(0, number), reach_the_line=number not in (4, 5, 8))
         talk.run(1)
     talk.run(10)
-    heard = talk.all(Heard)
+    heard = talk.all(EventReceived)
     assert sorted(h.event.position for h in heard) == list(range(10))
     assert {h.event.position for h in heard if h.recovered} == {4, 5, 8}
     assert talk.session.counters.events_lost == 0
@@ -103,8 +113,8 @@ def test_events_that_left_the_ring_are_reported_lost() -> None:
     for number in range(1, 101):
         talk.controller.emit(StageDone(0, number), reach_the_line=number == 100)
     talk.run(20)
-    lost = [lost.first + i for lost in talk.all(Lost) for i in range(lost.count)]
-    heard = [h.event.position for h in talk.all(Heard)]
+    lost = [lost.first + i for lost in talk.all(EventsLost) for i in range(lost.count)]
+    heard = [h.event.position for h in talk.all(EventReceived)]
     assert sorted(heard + lost) == list(range(101))
     assert len(heard) == 1 + EVENT_RING
 
@@ -133,14 +143,14 @@ def test_a_reset_whose_first_events_were_lost_is_noticed_and_they_are_read_again
     talk.controller.emit(StageDone(0, 1), reach_the_line=False)
     talk.controller.emit(StageDone(0, 2))
     talk.run(10)
-    assert [h.sequence for h in talk.all(Heard) if h.boot == 8] == [2, 0, 1]
+    assert [h.sequence for h in talk.all(EventReceived) if h.boot == 8] == [2, 0, 1]
 
 
 def test_a_silent_line_ends_in_unanswered_not_in_a_storm() -> None:
     session = Session()
     ticket = session.send(identify())
     sent = b""
-    happenings: list[Happening] = []
+    happenings: list[LinkEvent] = []
     for now in range(0, 3_000 * MS, MS):
         sent += session.pending(now)
         happenings += session.expire(now)

@@ -12,7 +12,8 @@ from scipy.interpolate import RectBivariateSpline
 from annulus.geometry.calibration import Calibration
 from annulus.geometry.camera import Camera
 from annulus.geometry.cone import Cone
-from annulus.geometry.pose import FloatArray, Pose
+from annulus.geometry.pose import Pose
+from annulus.numeric.arrays import FloatArray
 
 PIPE_MM = 76.2
 Radius = Callable[[FloatArray, FloatArray], FloatArray]  # (clock-free angle atan2(y, x), z mm) -> wall radius mm

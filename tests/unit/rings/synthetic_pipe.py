@@ -9,7 +9,7 @@ from annulus.geometry.calibration import Calibration
 from annulus.geometry.camera import Camera
 from annulus.geometry.cone import Cone
 from annulus.geometry.pose import Pose
-from annulus.rings.profile import Profile
+from annulus.wall.profile import Profile
 
 RADIUS_MM = 76.2
 THETA_FULL_DEG = (37.9, 42.4, 47.5, 52.8, 57.7)

@@ -8,9 +8,10 @@ import pytest
 
 from annulus.geometry.camera import Camera
 from annulus.geometry.cone import Cone
-from annulus.geometry.pose import FloatArray, Pose
-from annulus.rings.autocalibration import Sightings, calibrate, hold_out, measure, sight
-from annulus.rings.fine import fine_rings, tune
+from annulus.geometry.pose import Pose
+from annulus.numeric.arrays import FloatArray
+from annulus.rings.calibration.autocalibration import Sightings, calibrate, hold_out, measure, sight
+from annulus.rings.calibration.residuals import fine_rings, tune
 from annulus.rings.polar import ring_pixels
 from annulus.vocabulary import AnnulusError
 

@@ -9,8 +9,8 @@ from synthetic_pipe import CALIBRATION, RADIUS_MM
 
 from annulus.geometry.cone import intersect_cone
 from annulus.geometry.pose import Pose
-from annulus.rings.profile import Profile
-from annulus.rings.reference import Reference, learn
+from annulus.rings.calibration.reference import Reference, learn
+from annulus.wall.profile import Profile
 
 
 def artefact(k, azimuth):

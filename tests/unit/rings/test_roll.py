@@ -9,14 +9,14 @@ from annulus.geometry.pose import Pose
 from annulus.record.recording import to_bgr
 from annulus.record.scan import open_scan
 from annulus.report.reconstruct import roll_filled
-from annulus.rings.profile import Profile
 from annulus.rings.reconstructor import Reconstructor
-from annulus.rings.registration import register
-from annulus.rings.texture import pose_at
 from annulus.twin.render import Renderer
 from annulus.twin.score import score_cloud
 from annulus.twin.world import Feature, World, clean_world
 from annulus.vocabulary import AnnulusError
+from annulus.wall.profile import Profile
+from annulus.wall.registration import register
+from annulus.wall.texture import pose_at
 
 
 def test_a_head_turned_clockwise_sees_three_o_clock_where_its_own_up_is():

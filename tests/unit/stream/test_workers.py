@@ -14,7 +14,7 @@ import zmq
 
 from annulus.stream.frames import FrameHeader
 from annulus.stream.ring import FrameRing
-from annulus.stream.workers import Crew, Died, Done, Failed, Happening, Lost, Ready, Report
+from annulus.stream.workers import Died, Done, Failed, FrameLost, PoolEvent, Ready, Report, WorkerPool
 from annulus.vocabulary import AnnulusError, Label
 
 WORKER = [sys.executable, str(Path(__file__).with_name("worker_for_tests.py"))]
@@ -26,10 +26,10 @@ class Yard:
     def __init__(self, folder: Path, setup: object = "hello", count: int = 2, **more: object) -> None:
         self.context, self.ring = zmq.Context(), FrameRing(8, 30 * 40)
         self.folder, self.index = folder, 0
-        self.crew = Crew(
+        self.crew = WorkerPool(
             WORKER, setup, ring=self.ring, context=self.context, folder=folder, name="w", count=count, depth=2, **more
         )  # type: ignore[arg-type]
-        self.seen: list[Happening] = []
+        self.seen: list[PoolEvent] = []
 
     def until(self, done) -> None:
         end = time.monotonic() + 30
@@ -90,7 +90,7 @@ def test_busy_workers_say_no_and_it_is_counted(yard: Yard) -> None:
     assert yard.crew.counts["refused"] == 2
     for pid in yard.crew.pids:
         os.kill(pid, signal.SIGKILL)
-    yard.until(lambda: len(yard.of(Lost)) == 4)
+    yard.until(lambda: len(yard.of(FrameLost)) == 4)
 
 
 def test_a_frame_the_method_cannot_take_costs_that_frame_only(yard: Yard) -> None:
@@ -104,8 +104,8 @@ def test_a_frame_the_method_cannot_take_costs_that_frame_only(yard: Yard) -> Non
 def test_a_killed_worker_is_replaced_and_its_frames_are_reported(yard: Yard) -> None:
     yard.hand_out("die")
     yard.until(lambda: yard.of(Died))
-    assert [lost.header.index for lost in yard.of(Lost)] == [0]
-    assert yard.of(Lost)[0].why == "killed by SIGKILL"
+    assert [lost.header.index for lost in yard.of(FrameLost)] == [0]
+    assert yard.of(FrameLost)[0].why == "killed by SIGKILL"
     assert yard.of(Died)[0].replaced
     yard.all_ready()
     assert len(yard.of(Ready)) == 3
@@ -125,10 +125,10 @@ def test_a_hung_worker_is_killed_and_its_frames_are_reported(tmp_path: Path) -> 
     yard = Yard(tmp_path, count=1, clock=lambda: now[0], hung_s=10.0).all_ready(1)
     yard.hand_out("hang")
     yard.seen += yard.crew.poll()
-    assert not yard.of(Lost)
+    assert not yard.of(FrameLost)
     now[0] = 10.5
     yard.until(lambda: yard.of(Died))
-    assert [lost.why for lost in yard.of(Lost)] == ["hung for 10 s"]
+    assert [lost.why for lost in yard.of(FrameLost)] == ["hung for 10 s"]
     yard.close()
 
 
@@ -153,7 +153,7 @@ def test_a_worker_that_cannot_live_is_given_up_not_started_for_ever(tmp_path: Pa
 def test_stopping_a_hung_crew_is_quick_and_says_what_was_lost(tmp_path: Path) -> None:
     yard = Yard(tmp_path, count=1).all_ready(1)
     yard.hand_out("hang")
-    lost = [h for h in yard.crew.stop(0.2) if isinstance(h, Lost)]
+    lost = [h for h in yard.crew.stop(0.2) if isinstance(h, FrameLost)]
     assert [one.header.index for one in lost] == [0]
     assert yard.crew.counts["killed"] == 1
     yard.close()
@@ -163,7 +163,7 @@ def test_a_command_that_is_not_there_is_one_clear_line(tmp_path: Path) -> None:
     ring = FrameRing(2, 100)
     with zmq.Context() as context:
         with pytest.raises(AnnulusError, match="cannot start /no/such"):
-            Crew(["/no/such"], None, ring=ring, context=context, folder=tmp_path, name="w", count=1, depth=1)
+            WorkerPool(["/no/such"], None, ring=ring, context=context, folder=tmp_path, name="w", count=1, depth=1)
         context.destroy(linger=0)
     assert not list(tmp_path.iterdir())
     ring.close()

@@ -6,7 +6,7 @@ import pytest
 
 from annulus.link.head import EdgeSeen, HeadControl, Phase
 from annulus.link.messages import Identify, Stage, StatusCode
-from annulus.link.session import Answer, Lost, Rebooted
+from annulus.link.session import Answer, EventsLost, Rebooted
 from annulus.twin.native import PIN_INTERLOCK, PIN_LED, PIN_PROJECTOR, PIN_SYNC, NativeBoard
 from annulus.vocabulary import AnnulusError, Lamp
 
@@ -29,7 +29,7 @@ class Rig:
         self.news: list[object] = []
         self.falls: list[int] = []
 
-    def spoil(self, data: bytes) -> bytes:
+    def invalidate(self, data: bytes) -> bytes:
         return bytes(b ^ (1 << self.random.randrange(8)) if self.random.random() < self.rate else b for b in data)
 
     def run(self, milliseconds: int) -> None:
@@ -40,9 +40,9 @@ class Rig:
             if now // MS % 40 == 39:
                 self.board.input(now + 10, PIN_SYNC, 0)
                 self.falls.append(now + 10)
-            self.board.serial_write(self.spoil(self.head.pending(now * 10)))
+            self.board.serial_write(self.invalidate(self.head.pending(now * 10)))
             self.board.run_until(now + MS)
-            self.news += self.head.receive(self.spoil(self.board.serial_read()), self.board.tick * 10)
+            self.news += self.head.receive(self.invalidate(self.board.serial_read()), self.board.tick * 10)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -56,7 +56,7 @@ def test_on_a_bad_line_the_head_runs_and_every_edge_is_placed_where_it_fell(seed
     seen = [news for news in rig.news if isinstance(news, EdgeSeen)]
     assert not [news for news in rig.news if isinstance(news, Rebooted) and news.previous is not None]
     indices = sorted(edge.flash.edge for edge in seen)
-    lost = sum(news.count for news in rig.news if isinstance(news, Lost))
+    lost = sum(news.count for news in rig.news if isinstance(news, EventsLost))
     assert len(indices) == len(set(indices)) >= len(rig.falls) - 6 - lost
     for edge in seen:
         assert abs(edge.host_ns - rig.falls[edge.flash.edge] * 10) <= 1_500_000  # a look at the line takes 1 ms

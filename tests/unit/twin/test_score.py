@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from annulus.geometry.pose import FloatArray
+from annulus.numeric.arrays import FloatArray
 from annulus.twin.score import score, score_cloud, score_defects
 from annulus.twin.world import Feature, clock_text, demo_world
 

@@ -11,17 +11,18 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from table import ROOT, Row
 
-from annulus.geometry.pose import FloatArray, Pose
-from annulus.rings.consensus import without_contradicted
-from annulus.rings.defects import find_defects
-from annulus.rings.profile import Profile
+from annulus.geometry.pose import Pose
+from annulus.numeric.arrays import FloatArray
+from annulus.rings.calibration.reference import learn
 from annulus.rings.reconstructor import Reconstructor
-from annulus.rings.reference import learn
-from annulus.rings.registration import register
-from annulus.rings.vibration import without_vibration
-from annulus.rings.wall import Wall, build_wall
 from annulus.twin.render import Renderer
 from annulus.twin.world import Feature, World, clean_world
+from annulus.wall.consistency import without_inconsistent
+from annulus.wall.defects import find_defects
+from annulus.wall.grid import Wall, build_wall
+from annulus.wall.profile import Profile
+from annulus.wall.registration import register
+from annulus.wall.vibration import without_vibration
 
 sys.path.insert(0, str(ROOT / "tests" / "unit" / "rings"))
 import drawn
@@ -105,7 +106,7 @@ def vibration_rows() -> Iterable[Row]:
     stations = [2.4 * i for i in range(80) if i % 5 != 4]
     for name, wall in (("clean pipe", pipe.round_pipe), ("a wall corrugated by 0.3 mm at 37 mm", corrugated)):
         for period in (20.0, 37.0, 60.0):
-            seen = without_contradicted(
+            seen = without_inconsistent(
                 register(shaken(pipe.scan(wall, z_mm=stations, directions=360), period, 0.3))
             )  # fmt: skip
             calm, found = without_vibration(seen, fps=25.0)
@@ -117,10 +118,10 @@ def vibration_rows() -> Iterable[Row]:
                 f"{before:.3f}, {after:.3f} mm; {told or 'nothing'}",
                 len(found.lines) > 0 and after < 0.06 and abs(found.lines[0].amplitude_mm / 0.3 - 1) < 0.1,
             )  # fmt: skip
-    still = without_contradicted(register(pipe.scan(groove, z_mm=stations, directions=360)))
+    still = without_inconsistent(register(pipe.scan(groove, z_mm=stations, directions=360)))
     quiet, none = without_vibration(still)
     noisy, some = without_vibration(
-        without_contradicted(register(shaken(pipe.scan(groove, z_mm=stations, directions=360), 37.0, 0.3)))
+        without_inconsistent(register(shaken(pipe.scan(groove, z_mm=stations, directions=360), 37.0, 0.3)))
     )
     depth = [deepest(profiles) for profiles in (still, quiet, noisy)]
     yield Row(
@@ -163,7 +164,7 @@ def blind_rows() -> Iterable[Row]:
         )
     cones = world.projector.cones
     narrow, wide = math.tan(cones[0].half_angle), math.tan(cones[-1].half_angle)
-    merged = without_contradicted(register(profiles))
+    merged = without_inconsistent(register(profiles))
     wall = build_wall(merged, rise=wide)
     dark = never_lit(world, wall, wide)
     before = build_wall(merged)

@@ -10,8 +10,8 @@ from table import PICTURES, Row
 
 from annulus.geometry.cone import Cone
 from annulus.geometry.pose import Pose
-from annulus.rings.autocalibration import Sightings, Solution, calibrate, measure
-from annulus.rings.fine import tune
+from annulus.rings.calibration.autocalibration import Sightings, Solution, calibrate, measure
+from annulus.rings.calibration.residuals import tune
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt

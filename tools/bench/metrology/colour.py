@@ -11,10 +11,10 @@ from table import PICTURES, Row
 from annulus.geometry.pose import Pose
 from annulus.rings.colour import ColourProfile, Stripes, learn, stripes
 from annulus.rings.polar import polar_grid, ring_pixels
-from annulus.rings.profile import Profile
 from annulus.rings.reconstructor import Reconstructor
 from annulus.twin.render import Renderer
 from annulus.twin.world import CONTAMINATED, ORANGE, WHITE, YELLOW, World, clean_world, painted
+from annulus.wall.profile import Profile
 
 PAINTS = {"white": WHITE, "yellow (MDPE)": YELLOW, "orange": ORANGE}
 STATIONS = (8.0, 41.0, 103.0)  # what is measured; learnt from others

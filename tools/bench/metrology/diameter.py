@@ -16,16 +16,16 @@ import matplotlib as mpl
 import numpy as np
 from table import PICTURES, Row
 
-from annulus.geometry.pose import FloatArray
+from annulus.numeric.arrays import FloatArray
 from annulus.record.recording import to_bgr
-from annulus.rings.consensus import without_contradicted
 from annulus.rings.reconstructor import Reconstructor
-from annulus.rings.registration import register
-from annulus.rings.stations import STATION_MM, measure_stations
-from annulus.rings.wall import build_wall
 from annulus.twin.render import Renderer
 from annulus.twin.score import score_cloud
 from annulus.twin.world import Feature, World, clean_world, demo_world
+from annulus.wall.consistency import without_inconsistent
+from annulus.wall.grid import build_wall
+from annulus.wall.registration import register
+from annulus.wall.stations import STATION_MM, measure_stations
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -54,7 +54,7 @@ def scan(world: World, seed: int) -> FloatArray:
             reconstructor.profile(np.ascontiguousarray(to_bgr(raw, "bayer_rggb8")), frame=i, z_mm=float(z), seed=last)
         )
         last = profiles[-1].pose
-    found = measure_stations(build_wall(without_contradicted(register(profiles))))
+    found = measure_stations(build_wall(without_inconsistent(register(profiles))))
     known = np.isfinite(found.diameter_mean_mm)
     return np.asarray(np.interp(Z_MM, found.z_mm[known], found.diameter_mean_mm[known], left=np.nan, right=np.nan))
 

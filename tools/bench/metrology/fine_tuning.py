@@ -10,9 +10,9 @@ import numpy as np
 from ring_simulation import POSES, RADIUS_MM, RINGS, artefacts, poses_within, simulate
 from table import Row
 
-from annulus.geometry.pose import FloatArray
-from annulus.rings.autocalibration import calibrate, measure
-from annulus.rings.fine import tune
+from annulus.numeric.arrays import FloatArray
+from annulus.rings.calibration.autocalibration import calibrate, measure
+from annulus.rings.calibration.residuals import tune
 
 DRAWS = 5
 LEAN_DEG, SHIFT_MM = 11.46, 12.7

@@ -16,17 +16,17 @@ from table import PICTURES, Row
 
 from annulus.geometry.calibration import Calibration
 from annulus.record.recording import to_bgr
-from annulus.rings.autocalibration import calibrate, sight
-from annulus.rings.consensus import without_contradicted
-from annulus.rings.defects import find_defects
-from annulus.rings.profile import Profile
+from annulus.rings.calibration.autocalibration import calibrate, sight
+from annulus.rings.calibration.contours import close_grid, follow, wide_grid
 from annulus.rings.reconstructor import Reconstructor
-from annulus.rings.registration import register
-from annulus.rings.tracks import close_grid, follow, wide_grid
-from annulus.rings.wall import Wall, build_wall
 from annulus.twin.render import Renderer
 from annulus.twin.score import CloudScore, score_cloud, score_defects
 from annulus.twin.world import Optics, World, mirror_world
+from annulus.wall.consistency import without_inconsistent
+from annulus.wall.defects import find_defects
+from annulus.wall.grid import Wall, build_wall
+from annulus.wall.profile import Profile
+from annulus.wall.registration import register
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -101,7 +101,7 @@ def rows() -> list[Row]:
     calibration, angle, (off, sd) = own_calibration(small)
     own = scan(small, 16, calibration)
 
-    profiles = without_contradicted(register(three.profiles))
+    profiles = without_inconsistent(register(three.profiles))
     wall = build_wall(profiles)
     narrowest = min(cone.half_angle for cone in calibration.rings)
     found = find_defects(wall, blind_ratio=1.0 / math.tan(narrowest)).defects

@@ -12,8 +12,9 @@ import numpy as np
 
 from annulus.geometry.camera import Camera
 from annulus.geometry.cone import Cone
-from annulus.geometry.pose import FloatArray, Pose
-from annulus.rings.autocalibration import Sightings, Solution, sight
+from annulus.geometry.pose import Pose
+from annulus.numeric.arrays import FloatArray
+from annulus.rings.calibration.autocalibration import Sightings, Solution, sight
 
 RADIUS_MM = 76.2
 DIRECTIONS = 720

@@ -18,8 +18,9 @@ import numpy as np
 from scipy.optimize import least_squares
 from table import PICTURES, Row
 
-from annulus.geometry.pose import FloatArray, Pose
-from annulus.rings.pose import fit_pose
+from annulus.geometry.pose import Pose
+from annulus.numeric.arrays import FloatArray
+from annulus.wall.pose import fit_pose
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt

@@ -20,13 +20,13 @@ from table import PICTURES, SCENES, Row
 
 from annulus.geometry.calibration import Calibration
 from annulus.record.recording import to_bgr
-from annulus.rings.consensus import without_contradicted
-from annulus.rings.profile import Profile
 from annulus.rings.reconstructor import Reconstructor
-from annulus.rings.registration import register
 from annulus.twin.render import Renderer
 from annulus.twin.score import NEAR_EDGE_MM, _edge_distance
 from annulus.twin.world import YELLOW, World, clean_world, demo_world, fisheye_camera, mirror_world, painted
+from annulus.wall.consistency import without_inconsistent
+from annulus.wall.profile import Profile
+from annulus.wall.registration import register
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -55,7 +55,7 @@ def measured(calibration: Calibration, frames: Iterable[tuple[float, NDArray[np.
     for index, (z_mm, image) in enumerate(frames):
         seed = profiles[-1].pose if profiles else None
         profiles.append(reconstructor.profile(image, frame=index, z_mm=z_mm, seed=seed))
-    return without_contradicted(register(profiles))
+    return without_inconsistent(register(profiles))
 
 
 def scored(

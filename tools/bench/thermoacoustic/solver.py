@@ -10,7 +10,7 @@ from scipy.integrate import simpson
 from scipy.special import j0
 from table import Row, keep
 
-from annulus.tai.study.plate import Plate
+from annulus.tai.study.figure import Figure
 from annulus.thermoacoustic.field import Grid, Medium, Solver, receivers, rim
 
 SPEED, WIDTH_MM, AT_MM = 1500.0, 0.4, 3.2
@@ -47,7 +47,7 @@ def timed(run: Callable[[], object]) -> tuple[float, float]:
     return min(best)
 
 
-def convergence() -> Plate:
+def convergence() -> Figure:
     cells = (0.4, 0.32, 0.25, 0.2, 0.16, 0.125, 0.1)
     single, double = ([error(dx, kind) for dx in cells] for kind in (np.float32, np.float64))
     courants = (0.05, 0.1, 0.2, 0.3, 0.4)
@@ -69,7 +69,7 @@ def convergence() -> Plate:
         right.set(xlabel="c dt / dx", ylabel="relative L2 error of a trace", ylim=(1e-7, 1e-4))
         right.set_title("step of time: stability limits it, accuracy does not", fontsize=10)
 
-    return Plate({"float32": single[-1], "float64": double[-1], "coarsest": double[0]}, draw, (10, 3.8))
+    return Figure({"float32": single[-1], "float64": double[-1], "coarsest": double[0]}, draw, (10, 3.8))
 
 
 def rows() -> list[Row]:

@@ -4,7 +4,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from annulus.tai.study.plate import Plate
+from annulus.tai.study.figure import Figure
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[2]
@@ -23,7 +23,7 @@ class Row:
     ok: bool | None = None
 
 
-def keep(name: str, plate: Plate) -> dict[str, float]:
+def keep(name: str, plate: Figure) -> dict[str, float]:
     """Writes the plate's picture into PICTURES; its numbers."""
     PICTURES.mkdir(exist_ok=True)
     plate.save(PICTURES / f"{name}.png")

@@ -14,12 +14,12 @@ from functools import partial
 from pathlib import Path
 
 from annulus.tai.study import codes, images, microwaves, noise, wires
-from annulus.tai.study.plate import Plate
+from annulus.tai.study.figure import Figure
 from annulus.vocabulary import AnnulusError
 
 Progress = Callable[[str, int, int], None]
 
-FIGURES: Mapping[str, tuple[str, Callable[[], Plate]]] = {
+FIGURES: Mapping[str, tuple[str, Callable[[], Figure]]] = {
     "7.4": ("line and L-shaped arrays", images.transducer_orientation),
     "7.5": ("three shapes, microwaves and time reversal", microwaves.three_shapes),
     "7.6": ("conductivity, signal and image", microwaves.conductivity),

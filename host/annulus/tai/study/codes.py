@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from annulus.tai.study.plate import Plate
+from annulus.tai.study.figure import Figure
 from annulus.thermoacoustic.codes import pattern
 from annulus.thermoacoustic.templates import Method, Template, Transducer, design, pair_correlation
 
@@ -28,7 +28,7 @@ def heard_template() -> Template:
     )  # fmt: skip
 
 
-def stuffed_mpsl25() -> Plate:
+def stuffed_mpsl25() -> Figure:
     """Fig. 8.1: the code, its mismatched filter, and the filter's answer to the code."""
     chips, found = pattern("mpsl25-stuffed"), template()
     squares = template("least-squares")
@@ -52,10 +52,10 @@ def stuffed_mpsl25() -> Plate:
             title=f"c) filtered: highest sidelobe 1/{found.psr:.1f}",
         )  # fmt: skip
 
-    return Plate(numbers, draw, (12, 3.6))
+    return Figure(numbers, draw, (12, 3.6))
 
 
-def barker13() -> Plate:
+def barker13() -> Figure:
     """Fig. 8.2: what a bipolar code loses when it can only be switched on and off."""
     on_off = pattern("barker13").astype(float)
     bipolar = 2 * on_off - 1
@@ -75,10 +75,10 @@ def barker13() -> Plate:
                 title=f"{'bd'[n]}) matched filter: 1/{peak_over_rest(line):.1f}",
             )  # fmt: skip
 
-    return Plate(numbers, draw, (14, 3.4))
+    return Figure(numbers, draw, (14, 3.4))
 
 
-def manchester_pair() -> Plate:
+def manchester_pair() -> Figure:
     """Fig. 8.3: two complementary codes whose correlations, added, leave nothing but the neighbours of the peak."""
     codes = [pattern("manchester1"), pattern("manchester2")]
     total = pair_correlation(codes)
@@ -97,7 +97,7 @@ def manchester_pair() -> Plate:
         right.plot((np.arange(len(total)) - middle) * CHIP_S * 1e6, total, lw=0.9)
         right.set(xlabel="time from the peak, us", ylabel="sum of both correlations", title="c) peak 52, two lobes")
 
-    return Plate(numbers, draw, (12, 3.6))
+    return Figure(numbers, draw, (12, 3.6))
 
 
 def peak_over_rest(line: np.ndarray[Any, Any]) -> float:

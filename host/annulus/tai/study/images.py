@@ -15,7 +15,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.special import j1
 
 from annulus.tai.image import quality
-from annulus.tai.study.plate import FloatArray, Plate, profile, show_map
+from annulus.tai.study.figure import Figure, FloatArray, profile, show_map
 from annulus.thermoacoustic.field import PML_CELLS, Grid, Medium, Solver, receivers, rim, time_step_s
 from annulus.thermoacoustic.imaging import TAIL, Image, time_reversal
 from annulus.thermoacoustic.phantoms import Box, Disc, Part, draw, phantom
@@ -93,7 +93,7 @@ def likeness(found: FloatArray, truth: FloatArray) -> float:
 # Fig. 7.4
 
 
-def transducer_orientation(pixel_mm: float = 0.15) -> Plate:
+def transducer_orientation(pixel_mm: float = 0.15) -> Figure:
     """A box and a disc heard from a line above, and from an L above and to the left."""
     parts: tuple[Part, ...] = (Box(-3.0, 0.5, 5.0, 4.0, 1.0), Disc(4.5, 0.5, 2.0, 1.0))
     frame = Frame(9.0, 7.0, pixel_mm)
@@ -136,7 +136,7 @@ def transducer_orientation(pixel_mm: float = 0.15) -> Plate:
         axes[3].set_title(names[3], fontsize=9)
         axes[3].legend(fontsize=8)
 
-    return Plate(numbers, paint, (15, 3.4))
+    return Figure(numbers, paint, (15, 3.4))
 
 
 # Fig. 8.4
@@ -157,7 +157,7 @@ def fifty(finer: bool = True, pixel_mm: float = PIXEL_MM, radius_mm: float = RAD
     return Sweep(traces.astype(np.float64), angles, radius_mm, 1 / solver.dt_s, 0.0, SPEED)
 
 
-def interpolation(pixel_mm: float = PIXEL_MM, radius_mm: float = RADIUS_MM) -> Plate:
+def interpolation(pixel_mm: float = PIXEL_MM, radius_mm: float = RADIUS_MM) -> Figure:
     """The same 50 traces, sent back from 50 cells, and from the whole circle with what lies between interpolated."""
     parts = phantom("inclusions")
     sweep = fifty(True, pixel_mm, radius_mm)
@@ -194,7 +194,7 @@ def interpolation(pixel_mm: float = PIXEL_MM, radius_mm: float = RADIUS_MM) -> P
         axes[3].set_title(names[3], fontsize=9)
         axes[3].legend(fontsize=8)
 
-    return Plate(numbers, paint, (16, 3.8))
+    return Figure(numbers, paint, (16, 3.8))
 
 
 def _from_points(sweep: Sweep, like: Image, pixel_mm: float) -> FloatArray:

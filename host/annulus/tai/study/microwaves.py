@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import gaussian_filter
 
+from annulus.tai.study.figure import Figure, FloatArray, profile, show_map
 from annulus.tai.study.images import SHIFT_MM, SMOOTH, Frame, likeness
-from annulus.tai.study.plate import FloatArray, Plate, profile, show_map
 from annulus.thermoacoustic.electromagnetics import (
     AIR,
     EPS0,
@@ -140,7 +140,7 @@ def under_gaussian(traces: FloatArray, dt_s: float, width_s: float) -> FloatArra
     return np.asarray(scipy.fft.irfft(spectrum, length, axis=1)[:, : traces.shape[1]])
 
 
-def three_shapes(pixel_mm: float = 0.1, em_step_mm: float = 0.5) -> Plate:
+def three_shapes(pixel_mm: float = 0.1, em_step_mm: float = 0.5) -> Figure:
     """Fig. 7.5: disc, square and rectangle of 0.4 S/m in oil, a Gaussian pulse of 40 ns, a line of receivers above."""
     heard = above(_conducting(0.4), 9.0, pixel_mm, em_step_mm)
     image = heard.back(under_gaussian(heard.traces, heard.dt_s, 40e-9))
@@ -173,7 +173,7 @@ def three_shapes(pixel_mm: float = 0.1, em_step_mm: float = 0.5) -> Plate:
         for one in (axes[0], axes[2], axes[3]):
             one.plot([x[0], x[-1]], [y[0], y[0]], color="tab:cyan", lw=3)
 
-    return Plate(numbers, paint, (17, 3.2))
+    return Figure(numbers, paint, (17, 3.2))
 
 
 def _conducting(sigma: float) -> tuple[Part, ...]:
@@ -185,7 +185,7 @@ def _conducting(sigma: float) -> tuple[Part, ...]:
     )
 
 
-def conductivity(pixel_mm: float = 0.1, em_step_mm: float = 0.5) -> Plate:
+def conductivity(pixel_mm: float = 0.1, em_step_mm: float = 0.5) -> Figure:
     """Fig. 7.6: the signal of a disc of 12 mm against its conductivity; two small discs in tissue, and their image."""
     coarse = 2.5 * pixel_mm
     frame = Frame(13.0, 13.0, coarse)
@@ -232,7 +232,7 @@ def conductivity(pixel_mm: float = 0.1, em_step_mm: float = 0.5) -> Plate:
         axes[3].set_title("d) line at x = 0", fontsize=9)
         axes[3].legend(fontsize=7)
 
-    return Plate(numbers, paint, (17, 3.4))
+    return Figure(numbers, paint, (17, 3.4))
 
 
 # Fig. 7.7
@@ -288,7 +288,7 @@ def peak(sigma: FloatArray, loss: FloatArray) -> tuple[float, float]:
     return float(np.exp(-b / (2 * a))), float(c - b * b / (4 * a))
 
 
-def optimal_conductivity(step_mm: float = 0.5, count: int = 41) -> Plate:
+def optimal_conductivity(step_mm: float = 0.5, count: int = 41) -> Figure:
     """Fig. 7.7: which conductivity takes most."""
     numbers: dict[str, float] = {}
     for eps_r in (1.0, 3.0):
@@ -319,13 +319,13 @@ def optimal_conductivity(step_mm: float = 0.5, count: int = 41) -> Plate:
             one.legend(fontsize=7)
         axes[2].set(ylabel="loss on the axis, in 10 mm, W/m2 for 1 kW")
 
-    return Plate(numbers, paint, (14, 3.8))
+    return Figure(numbers, paint, (14, 3.8))
 
 
 # Fig. 7.8
 
 
-def pulse_width(pixel_mm: float = 0.1, em_step_mm: float = 0.5) -> Plate:
+def pulse_width(pixel_mm: float = 0.1, em_step_mm: float = 0.5) -> Figure:
     """Fig. 7.8: longer pulses, longer waves; the three shapes under a pulse of 4 us."""
     heard = above(_conducting(0.4), 9.0, pixel_mm, em_step_mm)
     x, y = heard.axes_mm()
@@ -353,7 +353,7 @@ def pulse_width(pixel_mm: float = 0.1, em_step_mm: float = 0.5) -> Plate:
             seen = np.maximum(image, 0.0)
             show_map(axes, seen / np.percentile(seen[away], 99.5), x, y, title, (0, 1.05))
 
-    return Plate(numbers, paint, (15, 3.4))
+    return Figure(numbers, paint, (15, 3.4))
 
 
 def convergence(steps_mm: tuple[float, ...] = (2.0, 1.0, 0.5)) -> dict[float, tuple[float, float]]:

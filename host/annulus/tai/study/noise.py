@@ -19,7 +19,7 @@ from annulus.record.acoustic import AcousticRecord
 from annulus.tai.decode import decode_record, sweep_of
 from annulus.tai.simulate import Bench, coupling, simulate, through
 from annulus.tai.study.codes import CHIP_S, template
-from annulus.tai.study.plate import FloatArray, Plate, profile, show_map, show_trace
+from annulus.tai.study.figure import Figure, FloatArray, profile, show_map, show_trace
 from annulus.thermoacoustic.codes import Chips, pattern, text
 from annulus.thermoacoustic.imaging import Image, time_reversal
 from annulus.thermoacoustic.phantoms import phantom
@@ -244,7 +244,7 @@ def half_power_db() -> float:
     return psnr_db(0.5 * truth, truth, float(np.abs(truth).max()))
 
 
-def table_plate(table: str) -> Plate:
+def table_plate(table: str) -> Figure:
     """Figures 8.10 (with table 8.1), 8.11 (8.2), 8.12 (8.3): single, coded, and a line through the core."""
     found, theirs = compare(table), compare(table, "as in the source")
     squares = compare(table, "least-squares")
@@ -280,7 +280,7 @@ def table_plate(table: str) -> Plate:
         axes[3].set_title("d) line through the core", fontsize=9)
         axes[3].legend(fontsize=8)
 
-    return Plate(numbers, draw, (17, 3.8))
+    return Figure(numbers, draw, (17, 3.8))
 
 
 # Figures 8.7 to 8.9: one trace
@@ -344,7 +344,7 @@ def _heard(times_s: FloatArray) -> NDArray[np.bool_]:
     )
 
 
-def single_trace() -> Plate:
+def single_trace() -> Figure:
     """Fig. 8.7: sample, and what one position hears at 2048 and at 2 averages."""
     numbers = {"snr_2048_db": snr_db(SINGLE, None, 2048), "snr_2_db": snr_db(SINGLE, None, 2)}
     records = [compressed(one_shot("single", averages, 7)) for averages in (2048, 2)]
@@ -356,10 +356,10 @@ def single_trace() -> Plate:
             _line(axes, record, f"{name}, 3 kW")
         _regions(others[0])
 
-    return Plate(numbers, draw, (15, 3.8))
+    return Figure(numbers, draw, (15, 3.8))
 
 
-def coded_trace() -> Plate:
+def coded_trace() -> Figure:
     """Fig. 8.8: MPSL25 as heard, and behind its filter at 2048 and at 2 averages."""
     plain = snr_db(SINGLE, None, 2)
     numbers = {
@@ -376,10 +376,10 @@ def coded_trace() -> Plate:
         for axes, record, name in zip(figure.subplots(1, 3), records, names, strict=True):
             _line(axes, record, name)
 
-    return Plate(numbers, draw, (15, 3.8))
+    return Figure(numbers, draw, (15, 3.8))
 
 
-def pair_trace() -> Plate:
+def pair_trace() -> Figure:
     """Fig. 8.9: the Manchester pair as heard, and summed behind its matched filters."""
     clean = pair_of(1, 0, noise=False)
     plain = compressed(trace())
@@ -403,7 +403,7 @@ def pair_trace() -> Plate:
         for axes, record, name in zip(figure.subplots(1, 4), records, names, strict=True):
             _line(axes, record, name)
 
-    return Plate(numbers, draw, (17, 3.6))
+    return Figure(numbers, draw, (17, 3.6))
 
 
 def show_sample(axes: Any, name: str, title: str) -> None:

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from annulus.tai.study.figure import Figure, FloatArray, profile, show_map
 from annulus.tai.study.images import resolution
 from annulus.tai.study.noise import CODED, FULL_KW, SINGLE, Arm, arm, show_sample
-from annulus.tai.study.plate import FloatArray, Plate, profile, show_map
 from annulus.thermoacoustic.phantoms import Disc, phantom
 
 POWER_KW = 2.0
@@ -88,7 +88,7 @@ def rate_at(one: Separation, rms: float) -> float:
     return float(np.interp(math.log(rms), np.log(TRIES), one.rate))
 
 
-def reference() -> Plate:
+def reference() -> Figure:
     """Fig. 8.13: the sample, and its image at 3 kW with one pulse of 0.5 us."""
     single = arm("wires", SINGLE)
     rms = separation("0.5 us").half / 3
@@ -105,10 +105,10 @@ def reference() -> Plate:
         )  # fmt: skip
         figure.colorbar(shown, ax=right, shrink=0.8, label="pressure, of the largest")
 
-    return Plate(numbers, draw, (9.5, 4.2))
+    return Figure(numbers, draw, (9.5, 4.2))
 
 
-def pulse_widths() -> Plate:
+def pulse_widths() -> Figure:
     """Fig. 8.14: the same at 2 kW with longer pulses, a short one and a coded one, all in one noise."""
     rms = noise_between()
     found = {name: separation(name) for name in EXCITATIONS}
@@ -154,4 +154,4 @@ def pulse_widths() -> Plate:
         bottom[2].set_title("g) resolution", fontsize=9)
         bottom[2].legend(fontsize=7)
 
-    return Plate(numbers, draw, (15, 7.4))
+    return Figure(numbers, draw, (15, 7.4))

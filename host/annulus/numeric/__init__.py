@@ -1,0 +1,1 @@
+"""Numbers without a subject: array types, compiled loops. Knows nothing of pipes."""

@@ -1,0 +1,62 @@
+"""How this room compiles its per-pixel loops, and the small things they share."""
+
+from collections.abc import Callable
+from typing import Any, cast
+
+import numba
+
+# Sums may be regrouped and contracted; NaN keeps its meaning, the loops mark "nothing here" with it.
+# Dividing by zero is no exception but inf or NaN, as in numpy: checks for it would keep loops from using vectors.
+OPTIONS: dict[str, Any] = {
+    "fastmath": {"contract", "reassoc", "nsz", "arcp"},
+    "error_model": "numpy",
+    "nogil": True,
+}
+
+
+def jit(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile on first call, keep the machine code on disk: beside the module, or in the user's cache if that is
+    read-only. Where nothing can be written the function still works, compiled anew in each process."""
+    try:
+        return cast(Callable[..., Any], numba.njit(cache=True, **OPTIONS)(function))
+    except RuntimeError:  # numba: "no locator available"
+        return cast(Callable[..., Any], numba.njit(**OPTIONS)(function))
+
+
+@jit
+def ranked(values, size, rank):  # type: ignore[no-untyped-def]
+    """The value of that rank, from 0, among the first `size`; reorders them. 0 of nothing. Hoare's selection."""
+    if size == 0:
+        return 0.0
+    low, high = 0, size - 1
+    while low < high:
+        pivot = values[(low + high) // 2]
+        i, k = low, high
+        while i <= k:
+            while values[i] < pivot:
+                i += 1
+            while values[k] > pivot:
+                k -= 1
+            if i <= k:
+                values[i], values[k] = values[k], values[i]
+                i += 1
+                k -= 1
+        if rank <= k:
+            high = k
+        elif rank >= i:
+            low = i
+        else:
+            break
+    return values[rank]
+
+
+@jit
+def middle(values, size):  # type: ignore[no-untyped-def]
+    """Median of the first `size` values, the upper one of two; reorders them. 0 of nothing."""
+    return ranked(values, size, size // 2)
+
+
+@jit
+def around(place, size):  # type: ignore[no-untyped-def]
+    """A place at most one turn off, on a circle of that size: what % gives, without a division."""
+    return place + size if place < 0 else place - size if place >= size else place

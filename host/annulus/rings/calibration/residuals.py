@@ -1,0 +1,91 @@
+"""What each projected ring is off its cone, direction by direction: scratches and lumps of the slide."""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.sparse import csr_array, diags_array
+from scipy.sparse.linalg import spsolve
+
+from annulus.geometry.calibration import FineRing
+from annulus.numeric.arrays import FloatArray
+from annulus.rings.calibration.autocalibration import Sightings, Solution, azimuths, calibrate, spread_of
+
+DIRECTIONS = 1440  # two for each that is looked in, so that what lies between them is not smoothed
+ROUNDS, STRAIGHT_PX = 4, 1.5  # an offset that moves a slit farther is found again from there: lines are not straight
+
+
+def tune(
+    seen: Sightings, solution: Solution, *, directions: int = DIRECTIONS, axial_mm: float = 0.0
+) -> tuple[Solution, FloatArray]:
+    """Each ring's offsets from its cone, and the cones and poses found anew with such offsets allowed.
+
+    Parameters
+    ----------
+    solution : of `calibrate` on the same sightings.
+    axial_mm : standard deviation that a direction's shift along the axis is believed to have; 0 = there is none. A
+    shift looks much like an offset wherever the pipe is: without such a belief the two run away against each other.
+
+    Returns
+    -------
+    The solution, its errors those that remain, and the offsets (K, 2, directions): half-angle rad, shift mm.
+
+    Notes
+    -----
+    Alzuhiri 2022, §4.3.3, Alg. 3, with three differences: the error is in the image, where the noise is; offsets are
+    believed to be of one size, found from the data, so a direction that few frames saw stays near its cone (ridge, in
+    closed form); and the cones are those that fit best with the offsets there, for lumps must not lean a cone.
+    """
+    fine = np.zeros((len(solution.rings), 2, directions))
+    for _ in range(ROUNDS):
+        solution = calibrate(
+            seen, solution.radius_mm, start=solution, offsets=fine, directions=directions
+        )  # fmt: skip
+        more, explained = _offsets(seen, solution, directions, axial_mm)
+        fine += more
+        solution = replace(solution, error_px=solution.error_px - explained)
+        if np.percentile(np.abs(explained), 99) < STRAIGHT_PX:
+            break
+    return solution, fine
+
+
+def _offsets(seen: Sightings, solution: Solution, directions: int, axial_mm: float) -> tuple[FloatArray, FloatArray]:
+    """(K, 2, directions) rad, mm, and (N,) px that they explain."""
+    rings = len(solution.rings)
+    turn = azimuths(seen, solution.rings, solution.poses, solution.radius_mm) * directions
+    out, explained = np.zeros((rings, 2, directions)), np.zeros(len(seen))
+    for k in range(rings):
+        mine = np.flatnonzero((seen.ring == k) & np.isfinite(solution.error_px))
+        if not len(mine):
+            continue
+        node = np.minimum(turn[mine].astype(np.int64), directions - 1)
+        part = turn[mine] - node
+        slope, push = solution.slope_px[mine], solution.axial_px[mine]
+        rows = [(node, slope * (1 - part)), ((node + 1) % directions, slope * part)]
+        if axial_mm > 0:
+            rows += [(directions + at, push / slope * a) for at, a in rows]
+        size = directions * (2 if axial_mm > 0 else 1)
+        weight = solution.weight[mine] / (solution.sigma_px[k] ** 2 * solution.alike[k])
+        place = np.tile(np.arange(len(mine)), len(rows))
+        jacobian = csr_array(
+            (np.concatenate([a for _, a in rows]), (place, np.concatenate([at for at, _ in rows]))),
+            shape=(len(mine), size),
+        )
+        weighted = jacobian.T.multiply(weight)
+        matrix, right = (weighted @ jacobian).tocsc(), weighted @ solution.error_px[mine]
+        spread = spread_of(matrix[:directions, :directions].sum(axis=0), right[:directions])
+        belief = np.repeat([spread, axial_mm or 1.0], directions)[:size]
+        found = spsolve(matrix + diags_array(1.0 / belief**2, format="csc"), right)
+        out[k].flat[:size] = found
+        explained[mine] = jacobian @ found
+    return out, explained
+
+
+def fine_rings(fine: FloatArray) -> tuple[FineRing, ...]:
+    """The same as a calibration keeps it, (K, 2, n), to a millionth of a radian and of a millimetre."""
+    return tuple(
+        FineRing(
+            tuple(round(float(v), 7) for v in ring[0]),
+            tuple(round(float(v), 6) for v in ring[1]) if ring[1].any() else None,
+        )
+        for ring in fine
+    )

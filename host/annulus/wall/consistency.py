@@ -1,0 +1,78 @@
+"""Points that the other frames of a scan contradict.
+
+A shadow's edge inside a stripe can look like a slit all along an arc, and its points then agree with one another. Other
+frames see the same wall through other rings, where the shadow falls elsewhere: they outvote it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from annulus.numeric.jit import jit
+from annulus.wall.profile import Profile
+
+COLUMNS = 180  # cells round the pipe; a point is judged by its own cell and the eight around it
+CELL_OF_RADIUS = 0.026  # a cell's length along the pipe, 2 mm in a 6-inch pipe
+ROWS_MAX = 40_000  # bounds memory on very long scans
+AGREE_OF_RADIUS = 0.01  # two points this near in radius see the same wall ..
+AGREE_LEAST = 0.1  # .. and where fewer than this part of the others do, though ..
+OTHERS_NEEDED = 6  # .. there are so many, the point is contradicted: a step's edge has both sides among its neighbours
+
+
+def without_inconsistent(profiles: Sequence[Profile]) -> tuple[Profile, ...]:
+    """The same profiles less the points that the points of other frames around them contradict.
+
+    How many went is added to each profile's `rejected["contradicted"]`. Where few frames look, nothing is dropped.
+    """
+    points = [profile.points_mm for profile in profiles if len(profile.points_mm)]
+    if not points:
+        return tuple(profiles)
+    x, y, z = np.concatenate(points).astype(np.float64).T
+    radius = np.hypot(x, y)
+    usual = float(np.median(radius))
+    low, high = np.percentile(z, [0.05, 99.95])  # a stray point far away must not stretch the grid
+    size = max(CELL_OF_RADIUS * usual, float(high - low) / ROWS_MAX)
+    rows = int((high - low) / size) + 1
+    row = np.clip((z - low) / size, 0, rows - 1).astype(np.int64)
+    column = (np.arctan2(y, x) * (COLUMNS / (2 * np.pi))).astype(np.int64) % COLUMNS
+    frame = np.repeat(np.arange(len(profiles)), [len(profile.points_mm) for profile in profiles])
+    cell = row * COLUMNS + column
+    order = np.argsort(cell, kind="stable")
+    start = np.searchsorted(cell[order], np.arange(rows * COLUMNS + 1))
+    good = np.empty(len(radius), np.bool_)
+    good[order] = _vote(start, frame[order], radius[order], row[order], column[order], rows, AGREE_OF_RADIUS * usual)
+    out, at = [], 0
+    for profile in profiles:
+        kept = good[at : at + len(profile.points_mm)]
+        at += len(kept)
+        if kept.all():
+            out.append(profile)
+            continue
+        rejected = {**profile.rejected, "contradicted": int(np.count_nonzero(~kept))}
+        out.append(
+            replace(
+                profile, points_mm=profile.points_mm[kept], colour=profile.colour[kept], ring=profile.ring[kept],
+                direction=profile.direction[kept], sigma_mm=profile.sigma_mm[kept], rejected=rejected,
+            )
+        )  # fmt: skip
+    return tuple(out)
+
+
+@jit
+def _vote(start, frame, radius, row, column, rows, slack):  # type: ignore[no-untyped-def]
+    """(N,) bool: not contradicted. Points sorted by cell, start[c] the first of cell c."""
+    good = np.ones(len(radius), np.bool_)
+    for p in range(len(radius)):
+        others = 0
+        agree = 0
+        for r in range(max(row[p] - 1, 0), min(row[p] + 2, rows)):
+            for step in range(-1, 2):
+                cell = r * COLUMNS + (column[p] + step) % COLUMNS
+                for q in range(start[cell], start[cell + 1]):
+                    if frame[q] != frame[p]:
+                        others += 1
+                        if abs(radius[q] - radius[p]) <= slack:
+                            agree += 1
+        good[p] = others < OTHERS_NEEDED or agree >= AGREE_LEAST * others
+    return good

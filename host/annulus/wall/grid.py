@@ -1,0 +1,389 @@
+"""The wall from all profiles: a grid of radii over clock angle and distance, and the pipe's shape under its defects.
+
+Grid rows are stations along the pipe, columns are clock angles (0 = 12 o'clock, clockwise looking forward). A cell
+nobody saw is NaN, for ever: the only cells filled in lie between two measured ones no farther apart than the sampling.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from annulus.numeric.arrays import BoolArray, Float32Array, FloatArray
+from annulus.vocabulary import AnnulusError
+from annulus.wall.profile import Profile
+from annulus.wall.shadow import STEP_MM, between_levels
+
+ANGLE_STEP_DEG = 1.0
+Z_STEPS_MM = (0.5, 1.0, 2.0, 2.5, 5.0, 10.0, 20.0, 50.0)
+POINTS_A_CELL = 1.5  # wanted on average: fewer leave holes by chance, more waste resolution
+ROWS_MAX = 40_000  # bounds memory on very long scans: 40 000 x 360 cells
+BRIDGE_OF_RADIUS = 0.08  # longest sampling gap interpolated over, as a part of the radius (6 mm in a 6-inch pipe)
+STATION_SEEN = 0.5  # the scan starts and ends where half of the circle was seen: tilted rings leave ragged ends
+BRIDGE_STEP_MM = 0.75  # a greater step in radius across a gap is an edge, not a sampling gap
+NOISE_FLOOR_MM = 0.02  # no instrument of this kind is better
+NOISE_LAG = 8  # columns; noise is alike over a few degrees, for lines are averaged with their neighbours
+LOOK_SMOOTHED = 0.7  # of a ring's noise is left by smoothing over three degrees: neighbour lines share most of theirs
+USUAL_MM = 0.2  # from the usual shape: this near is the usual shape
+SHAPE_SPACING_MM = 5.0
+SHAPE_WINDOW_MM = 10.0  # each side: what one fit of the pipe's shape looks at
+
+
+@dataclass(frozen=True, slots=True)
+class Looks:
+    """Every point of the wall with who measured it: one ring in one frame is one look, wrong or right as a whole.
+
+    cell (N,): index into the flattened grid. look (N,): the same number for the points of one ring in one frame.
+    """
+
+    cell: NDArray[np.int64]
+    look: NDArray[np.int32]
+    radius_mm: Float32Array
+
+
+@dataclass(frozen=True, slots=True)
+class Wall:
+    """Measured wall on a grid, rows along the pipe, columns clockwise from 12 o'clock.
+
+    z_mm (Z,), clock_deg (A,): cell centres. radius_mm (Z, A) float32, NaN where not seen. count (Z, A) int32: points
+    in the cell; 0 with a radius means interpolated between measured neighbours. shape_mm (Z, 5): the pipe under its
+    defects, r = s0 + s1 cos t + s2 sin t + s3 cos 2t + s4 sin 2t (t = clock angle): mean radius over about two
+    diameters, left-over centring, ovality. noise_mm (Z,): robust standard deviation of a cell about that shape.
+    cell_noise_mm (Z, A) float32: never less than that, and more where only rings look that are noisier than most.
+    sigma_mm (Z, A) float32: what one of the cell's points may be off (`Profile.sigma_mm`, the median); NaN where nobody
+    said. Averaging does not make it less: a part of it all points of a ring have in common.
+    """
+
+    z_mm: FloatArray
+    clock_deg: FloatArray
+    radius_mm: Float32Array
+    count: NDArray[np.int32]
+    shape_mm: FloatArray
+    noise_mm: FloatArray
+    cell_noise_mm: Float32Array
+    looks: Looks
+    sigma_mm: Float32Array
+
+    @property
+    def z_step_mm(self) -> float:
+        return float(self.z_mm[1] - self.z_mm[0]) if len(self.z_mm) > 1 else Z_STEPS_MM[0]
+
+    @property
+    def clock_step_deg(self) -> float:
+        return 360.0 / len(self.clock_deg)
+
+    @property
+    def seen(self) -> BoolArray:
+        return np.isfinite(self.radius_mm)
+
+    @property
+    def mean_radius_mm(self) -> float:
+        return float(np.median(self.shape_mm[:, 0]))
+
+    def shape_radius_mm(self) -> Float32Array:
+        """(Z, A) radius of the pipe's shape."""
+        return np.asarray(self.shape_mm @ harmonics(self.clock_deg).T, dtype=np.float32)
+
+    def residual_mm(self) -> Float32Array:
+        """(Z, A) radius minus the pipe's shape, ovality taken out: what local defects are looked for in."""
+        return np.asarray(self.radius_mm - self.shape_mm @ harmonics(self.clock_deg).T, dtype=np.float32)
+
+    def deviation_mm(self) -> Float32Array:
+        """(Z, A) radius minus the mean circle about the pipe's own centre: what the map shows, ovality included."""
+        basis = harmonics(self.clock_deg)
+        return np.asarray(self.radius_mm - self.shape_mm[:, :3] @ basis[:, :3].T, dtype=np.float32)
+
+    def filled_mm(self) -> Float32Array:
+        """(Z, A) radius with the pipe's shape where nothing was seen; for placing texture, never for measuring."""
+        return np.where(self.seen, self.radius_mm, (self.shape_mm @ harmonics(self.clock_deg).T).astype(np.float32))
+
+
+def harmonics(clock_deg: FloatArray) -> FloatArray:
+    """(A, 5) columns 1, cos t, sin t, cos 2t, sin 2t of the clock angle."""
+    t = np.radians(clock_deg)
+    return np.stack([np.ones_like(t), np.cos(t), np.sin(t), np.cos(2 * t), np.sin(2 * t)], axis=1)
+
+
+def build_wall(profiles: Sequence[Profile], *, z_step_mm: float | None = None, rise: float | None = None) -> Wall:
+    """Grid the points of all profiles and fit the pipe's own shape.
+
+    Parameters
+    ----------
+    profiles : any order; those without a pose or points are passed over.
+    z_step_mm : row length; chosen from the density of points when not given.
+    rise : tangent of the widest ring's half-angle, so that what a step hides is told from what lies behind it.
+
+    Raises
+    ------
+    AnnulusError when no profile has a point.
+
+    Notes
+    -----
+    A cell's radius is the median of its points after lone outliers went (a point beyond all its neighbour cells by
+    six times the noise). The shape is fitted with redescending weights on windows of 20 mm, so that a defect pulls
+    neither centre nor ovality; its mean radius is a median over two diameters, so that a groove around the whole
+    pipe stands out against its neighbourhood instead of becoming the pipe.
+    """
+    used = [p for p in profiles if p.pose is not None and len(p.points_mm)]
+    if not used:
+        raise AnnulusError("no wall: not one of the frames gave a point. Do calibration and scan belong together?")
+    points = np.concatenate([p.points_mm for p in used]).astype(np.float64)
+    finite = np.isfinite(points).all(axis=1)
+    points = points[finite]
+    x, y, z = points.T
+    radius = np.hypot(x, y)
+    clock = np.degrees(np.arctan2(x, -y)) % 360.0
+    low, high = np.percentile(z, [0.05, 99.95])  # a stray point far away must not stretch the grid
+    span = float(high - low)
+    step = z_step_mm or _z_step(len(z), span)
+    columns = round(360.0 / ANGLE_STEP_DEG)
+    first = int(np.floor(low / step))
+    rows = int(np.floor(high / step)) - first + 1
+    row = np.floor(z / step).astype(np.int64) - first
+    inside = (row >= 0) & (row < rows)
+    radius, row = radius[inside], row[inside]
+    cell = row * columns + np.minimum((clock[inside] / ANGLE_STEP_DEG).astype(np.int64), columns - 1)
+    frame = np.repeat(np.arange(len(used)), [len(p.points_mm) for p in used])
+    rings = 1 + max(int(p.ring.max()) for p in used)
+    look = (frame * rings + np.concatenate([p.ring for p in used]))[finite][inside].astype(np.int32)
+
+    grid, count = _cell_medians(cell, radius, (rows, columns))
+    keep = _supported(grid, cell, radius)
+    grid, count = _cell_medians(cell[keep], radius[keep], (rows, columns))
+    if rise is not None:
+        keep &= ~between_levels(grid, step, rise).ravel()[cell]
+        grid, count = _cell_medians(cell[keep], radius[keep], (rows, columns))
+    sigma = np.concatenate([p.sigma_mm for p in used]).astype(np.float64)[finite][inside]
+    stated = keep & np.isfinite(sigma)
+    errors, _ = _cell_medians(cell[stated], sigma[stated], (rows, columns))
+    clock_columns = np.asarray((np.arange(columns) + 0.5) * ANGLE_STEP_DEG, dtype=np.float64)
+
+    grid = _bridge(grid.T, 2.5, wrap=True).T
+    sampling = _sampling_gap(used, step, float(np.median(radius))) / step
+    grid = _bridge(grid, sampling, wrap=False)
+    if rise is not None:  # once more: with its gaps closed a false floor shows its edges
+        false = between_levels(grid, step, rise)
+        grid[false], count[false] = np.nan, 0
+        keep &= ~false.ravel()[cell]
+    errors = _bridge(_bridge(errors.T, 2.5, wrap=True).T, sampling, wrap=False)
+    ends = np.flatnonzero(np.isfinite(grid).mean(axis=1) >= STATION_SEEN)
+    if not len(ends):
+        raise AnnulusError(f"no wall: {len(points)} points are too few to make one station of the pipe")
+    grid, count = grid[ends[0] : ends[-1] + 1], count[ends[0] : ends[-1] + 1]
+    stated_sigma = np.where(np.isfinite(grid), errors[ends[0] : ends[-1] + 1], np.nan).astype(np.float32)
+    z_rows = np.asarray((np.arange(first + ends[0], first + ends[-1] + 1) + 0.5) * step, dtype=np.float64)
+    shape = _fit_shape(grid, z_rows, clock_columns)
+    cell = cell - ends[0] * columns
+    keep &= (cell >= 0) & (cell < grid.size)
+    looks = Looks(cell[keep], look[keep], radius[keep].astype(np.float32))
+    measured = grid.astype(np.float32)
+    unknown = np.zeros(grid.shape, dtype=np.float32)
+    bare = Wall(z_rows, clock_columns, measured, count, shape, np.zeros(len(z_rows)), unknown, looks, stated_sigma)
+    noise = _noise(bare)
+    cell_noise = np.maximum(_cell_noise(bare, rings, int(sampling) + 1), noise[:, None]).astype(np.float32)
+    return Wall(z_rows, clock_columns, measured, count, shape, noise, cell_noise, looks, stated_sigma)
+
+
+def smooth(field: Float32Array) -> Float32Array:
+    """Median over each cell's 3 x 3 seen neighbours (itself included), NaN where the cell itself was not seen."""
+    padded = np.pad(np.pad(field, ((1, 1), (0, 0)), constant_values=np.nan), ((0, 0), (1, 1)), mode="wrap")
+    z, a = field.shape
+    out = np.full_like(field, np.nan)
+    for start in range(0, z, 4096):  # blocks bound the nine-fold copy on long scans
+        stop = min(start + 4096, z)
+        stack = np.stack([padded[start + i : stop + i, j : j + a] for i in range(3) for j in range(3)])
+        stack.sort(axis=0)  # NaN last
+        n = np.isfinite(stack).sum(axis=0)
+        low = np.take_along_axis(stack, (np.maximum(n - 1, 0) // 2)[None], axis=0)[0]
+        high = np.take_along_axis(stack, (n // 2)[None], axis=0)[0]  # the same one when n is odd; NaN when n is 0
+        out[start:stop] = 0.5 * (low + high)
+    return np.where(np.isfinite(field), out, np.float32(np.nan))
+
+
+def _z_step(points: int, span_mm: float) -> float:
+    density = points / max(span_mm, 1.0) / (360.0 / ANGLE_STEP_DEG)
+    enough = [s for s in Z_STEPS_MM if s * density >= POINTS_A_CELL and span_mm / s <= ROWS_MAX]
+    return enough[0] if enough else max(5.0, span_mm / ROWS_MAX)
+
+
+def _sampling_gap(profiles: Sequence[Profile], step: float, radius: float) -> float:
+    """Longest gap (mm) that is sampling and not shadow: one step between frames, a lost or LED frame included."""
+    steps = np.diff(np.unique([p.z_mm for p in profiles]))
+    regular = 1.25 * float(np.percentile(steps, 90)) if len(steps) else 0.0
+    return min(max(regular, 2.5 * step), max(BRIDGE_OF_RADIUS * radius, 2.5 * step))
+
+
+def _cell_medians(
+    cell: NDArray[np.int64], value: FloatArray, shape: tuple[int, int]
+) -> tuple[FloatArray, NDArray[np.int32]]:
+    order = np.lexsort((value, cell))
+    value = value[order]
+    count = np.bincount(cell, minlength=shape[0] * shape[1])
+    start = np.concatenate([[0], np.cumsum(count)[:-1]])
+    full = np.flatnonzero(count)
+    low, high = start[full] + (count[full] - 1) // 2, start[full] + count[full] // 2
+    out = np.full(count.shape, np.nan)
+    out[full] = 0.5 * (value[low] + value[high])
+    return out.reshape(shape), count.astype(np.int32).reshape(shape)
+
+
+def _supported(grid: FloatArray, cell: NDArray[np.int64], radius: FloatArray) -> BoolArray:
+    """Which points lie in the range of their neighbour cells, give or take six times the noise (at least 0.3 mm)."""
+    ring = np.ones((3, 5), dtype=bool)
+    ring[1, 2] = False
+    wide = np.pad(grid, ((0, 0), (2, 2)), mode="wrap")
+    missing = ~np.isfinite(wide)
+    low = ndimage.minimum_filter(np.where(missing, np.inf, wide), footprint=ring, mode="nearest")[:, 2:-2]
+    high = ndimage.maximum_filter(np.where(missing, -np.inf, wide), footprint=ring, mode="nearest")[:, 2:-2]
+    step = np.diff(grid, axis=1)
+    steps = np.abs(step[np.isfinite(step)])
+    slack = max(0.3, 6 * 1.4826 * float(np.median(steps)) / np.sqrt(2)) if len(steps) else 0.3
+    low, high = low.ravel()[cell], high.ravel()[cell]
+    alone = ~np.isfinite(low)  # no neighbour to contradict it: it stays out, nothing vouches for it
+    return np.asarray(~alone & (radius >= low - slack) & (radius <= high + slack))
+
+
+def _bridge(grid: FloatArray, cells: float, *, wrap: bool) -> FloatArray:
+    """Linear interpolation down the columns over gaps of at most `cells` rows with a small step across them."""
+    reach = int(cells) + 1
+    work = np.concatenate([grid[-reach:], grid, grid[:reach]]) if wrap else grid
+    n = len(work)
+    index = np.arange(n)[:, None]
+    ok = np.isfinite(work)
+    before = np.maximum.accumulate(np.where(ok, index, -1), axis=0)
+    after = np.minimum.accumulate(np.where(ok, index, n)[::-1], axis=0)[::-1]
+    gap = after - before
+    near = ~ok & (before >= 0) & (after < n) & (gap <= cells)
+    r0 = np.take_along_axis(work, before.clip(0, n - 1), axis=0)
+    r1 = np.take_along_axis(work, after.clip(0, n - 1), axis=0)
+    rise = np.where(near, r1 - r0, np.inf)
+    near &= (rise >= -BRIDGE_STEP_MM) & (rise <= (BRIDGE_STEP_MM if wrap else STEP_MM))  # light comes along the pipe
+    weight = (index - before) / np.maximum(gap, 1)
+    out = np.where(near, r0 + weight * (r1 - r0), work)
+    return out[reach:-reach] if wrap else out
+
+
+def _fit_shape(grid: FloatArray, z: FloatArray, clock: FloatArray) -> FloatArray:
+    """(Z, 5) shape of the pipe under its defects; see `Wall.shape_mm`."""
+    centres = np.arange(z[0], z[-1] + SHAPE_SPACING_MM, SHAPE_SPACING_MM)
+    basis = harmonics(clock)
+    lines = np.full((len(centres), len(clock)), np.nan)
+    for i, centre in enumerate(centres):
+        window = grid[np.searchsorted(z, centre - SHAPE_WINDOW_MM) : np.searchsorted(z, centre + SHAPE_WINDOW_MM)]
+        lines[i] = _nanmedian(window)
+    whole = _nanmedian(lines)
+    typical = _robust_harmonics(basis, whole, [])
+    fits = np.array([_robust_harmonics(basis, line, [typical]) for line in lines])
+    good = np.isfinite(fits[:, 0])
+    if not good.any():
+        fits[:] = typical if typical is not None else 0.0
+        good[:] = True
+    far = 2.0 * float(np.median(fits[good, 0]))  # one diameter each side
+    smooth_fits = np.empty_like(fits)
+    for i, centre in enumerate(centres):
+        wide = good & (np.abs(centres - centre) <= far)
+        wide = wide if wide.any() else good
+        smooth_fits[i, 0] = np.median(fits[wide, 0])
+        close = good & (np.abs(centres - centre) <= 1.01 * SHAPE_SPACING_MM)
+        smooth_fits[i, 1:] = np.median(fits[close if close.any() else wide, 1:], axis=0)
+    return np.stack([np.interp(z, centres, column) for column in smooth_fits.T], axis=1)
+
+
+def _nanmedian(rows: FloatArray) -> FloatArray:
+    """Median down the columns, NaN for an empty column, without numpy's warning about it."""
+    ordered = np.sort(rows, axis=0)
+    n = np.isfinite(ordered).sum(axis=0)
+    if not len(rows):
+        return np.full(rows.shape[1], np.nan)
+    low = np.take_along_axis(ordered, (np.maximum(n - 1, 0) // 2)[None], axis=0)[0]
+    high = np.take_along_axis(ordered, np.minimum(n // 2, len(rows) - 1)[None], axis=0)[0]
+    return np.asarray(0.5 * (low + high))
+
+
+def _robust_harmonics(basis: FloatArray, line: FloatArray, starts: Sequence[FloatArray]) -> FloatArray:
+    """(5,) coefficients of one station by Tukey's biweight, the best of several starts; NaN when too little was seen.
+
+    From each start the scale shrinks in steps (graduated non-convexity), so that a smooth oval is followed and a third
+    of the circle standing 2 mm out is not. Fewer than 40 % of the angles cannot carry five unknowns.
+    """
+    seen = np.isfinite(line)
+    if seen.mean() < 0.4:
+        return np.full(5, np.nan)
+    a, r = basis[seen], line[seen]
+    plain = np.linalg.lstsq(a, r, rcond=None)[0]
+    shifted = [s + np.array([np.median(r - a @ s), 0, 0, 0, 0]) for s in starts if np.isfinite(s).all()]
+    found: list[FloatArray] = []
+    for start in (plain, *shifted):
+        fit = start
+        scale = max(1.4826 * float(np.median(np.abs(r - a @ fit))), 0.05)
+        for _ in range(12):
+            u = (r - a @ fit) / (4.685 * scale)
+            w = np.where(np.abs(u) < 1, (1 - u * u) ** 2, 0.0)
+            if (w > 0).mean() < 0.3:
+                break
+            aw = a * w[:, None]
+            fit = np.linalg.solve(aw.T @ a + 1e-9 * np.eye(5), aw.T @ r)
+            scale = max(min(1.4826 * float(np.median(np.abs(r - a @ fit))), 0.8 * scale), 0.05)
+        found.append(fit)
+    if shifted:  # the pipe's shape changes slowly: where half of the angles still show it, the rest is a defect
+        usual = found[-1]
+        if np.mean(np.abs(r - a @ usual) < USUAL_MM) >= 0.5:
+            return usual
+    common = max(min(1.4826 * float(np.median(np.abs(r - a @ fit))) for fit in found), 0.05)
+    cost = [float(np.minimum(((r - a @ fit) / (4.685 * common)) ** 2, 1.0).sum()) for fit in found]
+    return found[int(np.argmin(cost))]
+
+
+def _noise(wall: Wall) -> FloatArray:
+    """(Z,) robust standard deviation of the smoothed residual: the larger of what the neighbourhood and the row say.
+
+    The neighbourhood (a diameter of pipe): spread of each row about its own median, for a groove lifts a whole row and
+    must not count as noise; then the median over rows, so that no defect sets it. The row itself: differences between
+    cells some columns apart, which share neither smoothing nor the patches that noise comes in; this follows
+    where fewer rings look, at the ends of a scan.
+    """
+    residual = smooth(wall.residual_mm()).astype(np.float64)
+    spread = 1.4826 * _nanmedian(np.abs(residual - _nanmedian(residual.T)[:, None]).T)
+    steps = 1.4826 / np.sqrt(2) * _nanmedian(np.abs(residual - np.roll(residual, NOISE_LAG, axis=1)).T)
+    wide = _running_median(spread, max(int(wall.mean_radius_mm / wall.z_step_mm), 1))
+    return np.maximum(np.maximum(wide, _running_median(steps, 4)), NOISE_FLOOR_MM)
+
+
+def _cell_noise(wall: Wall, rings: int, reach: int) -> FloatArray:
+    """(Z, A) what the errors of the rings that looked leave of a smoothed cell's radius, mm; 0 where nobody looked.
+
+    A look errs alike over a smoothed cell's width, so a cell gains by how many looks it has and not by their points.
+    A cell interpolated along the pipe is as good as the worst measured one within `reach` rows.
+    """
+    cell, look = np.unique(np.stack([wall.looks.cell, wall.looks.look.astype(np.int64)]), axis=1)
+    departure = np.abs(wall.looks.radius_mm - wall.shape_radius_mm().ravel()[wall.looks.cell])
+    ring = wall.looks.look % rings
+    spread = np.array([float(np.median(departure[ring == k])) if (ring == k).any() else 0.0 for k in range(rings)])
+    square = (LOOK_SMOOTHED * 1.4826 * spread[look % rings]) ** 2
+    shape, size = wall.radius_mm.shape, wall.radius_mm.size
+    looks = np.bincount(cell, minlength=size).reshape(shape).astype(np.float64)
+    squares = np.bincount(cell, weights=square, minlength=size).reshape(shape)
+    # Down the column looks add; across it they are the same ones again, so their number is the mean of who has any.
+    columns = np.ones((1, 3))
+    rows = np.ones((3, 1))
+    looks, squares = (ndimage.convolve(field, rows, mode="constant") for field in (looks, squares))
+    across = ndimage.convolve((looks > 0).astype(np.float64), columns, mode="wrap")
+    looks, squares = (ndimage.convolve(field, columns, mode="wrap") for field in (looks, squares))
+    measured = across > 0.5
+    noise = np.where(measured, np.sqrt(squares * across) / np.maximum(looks, 1e-9), 0.0)
+    return np.where(measured, noise, ndimage.maximum_filter1d(noise, 2 * reach + 1, axis=0, mode="constant"))
+
+
+def _running_median(values: FloatArray, reach: int) -> FloatArray:
+    """Median over `reach` neighbours each side, NaN passed over; the whole line's where a neighbourhood has nothing."""
+    known = values[np.isfinite(values)]
+    fallback = float(np.median(known)) if len(known) else NOISE_FLOOR_MM
+    padded = np.pad(values, reach, constant_values=np.nan)
+    out = np.empty_like(values)
+    for start in range(0, len(values), 1024):  # blocks bound the copy on long scans
+        stop = min(start + 1024, len(values))
+        windows = np.lib.stride_tricks.sliding_window_view(padded[start : stop + 2 * reach], 2 * reach + 1)
+        out[start:stop] = _nanmedian(windows.T)
+    return np.where(np.isfinite(out), out, fallback)
