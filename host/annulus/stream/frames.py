@@ -1,12 +1,12 @@
 """What is said about a frame wherever it goes: to a worker, into the recording, to a viewer."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import msgpack
 
+from annulus import untrusted
 from annulus.vocabulary import CameraSequence, EdgeIndex, Label, Slot
 
 CHANNELS = {"bgr8": 3, "bayer_rggb8": 1, "mono8": 1}  # encoding -> bytes a pixel, as foxglove.RawImage names them
@@ -62,8 +62,8 @@ class FrameHeader:
             raise ValueError(f"frame header: encoding is {encoding!r}, expected one of {list(CHANNELS)}")
         if not isinstance(reason, str) or len(reason) > 200:
             raise ValueError("frame header: reason must be a text of at most 200 characters")
-        edge, slot = _whole(data, "edge", 0, 2**32 - 1, True), _whole(data, "slot", 0, 15, True)
-        sequence = _whole(data, "sequence", 0, 2**63, True)
+        edge, slot = _whole(data, "edge", 0, 2**32 - 1), _whole(data, "slot", 0, 15)
+        sequence = _whole(data, "sequence", 0, 2**63)
         return cls(
             index=_need(data, "index", 0, 2**32 - 1),
             sequence=None if sequence is None else CameraSequence(sequence),
@@ -72,7 +72,7 @@ class FrameHeader:
             reason=reason,
             edge=None if edge is None else EdgeIndex(edge),
             slot=None if slot is None else Slot(slot),
-            odometer=_whole(data, "odometer", -(2**31), 2**31 - 1, True),
+            odometer=_whole(data, "odometer", -(2**31), 2**31 - 1),
             z_mm=_length(data, "z_mm"),
             encoding=str(encoding),
             width=_need(data, "width", 1, SIDE_MAX),
@@ -83,38 +83,18 @@ class FrameHeader:
     @classmethod
     def unpack(cls, packed: bytes) -> "FrameHeader":
         """Raises ValueError on anything but one well-formed header."""
-        return cls.from_dict(unpack_bounded(packed, HEADER_MAX))
+        return cls.from_dict(untrusted.unpack(packed, HEADER_MAX))
 
 
-def unpack_bounded(packed: bytes, limit: int) -> Any:
-    """One msgpack value of at most `limit` bytes; ValueError on anything else, whatever msgpack calls it."""
-    if len(packed) > limit:
-        raise ValueError(f"message of {len(packed)} bytes, at most {limit} expected")
-    try:
-        return msgpack.unpackb(packed)  # lengths inside are bounded by len(packed)
-    except (ValueError, TypeError, msgpack.exceptions.UnpackException, RecursionError) as error:
-        raise ValueError(f"not one msgpack value: {error}") from None
-
-
-def _whole(data: Mapping[str, Any], key: str, low: int, high: int, optional: bool) -> int | None:
+def _whole(data: Mapping[str, Any], key: str, low: int, high: int) -> int | None:
     value = data.get(key)
-    if value is None and optional:
-        return None
-    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-        raise ValueError(f"frame header: {key} is {value!r}, expected a whole number in {low}..{high}")
-    return value
+    return None if value is None else untrusted.whole(value, f"frame header: {key}", low, high)
 
 
 def _need(data: Mapping[str, Any], key: str, low: int, high: int) -> int:
-    value = _whole(data, key, low, high, optional=False)
-    assert value is not None
-    return value
+    return untrusted.whole(data.get(key), f"frame header: {key}", low, high)
 
 
 def _length(data: Mapping[str, Any], key: str) -> float | None:
     value = data.get(key)
-    if value is None:
-        return None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or abs(value) > 1e9:
-        raise ValueError(f"frame header: {key} is {value!r}, expected a number")
-    return float(value)
+    return None if value is None else untrusted.number(value, f"frame header: {key}", 1e9)

@@ -16,7 +16,7 @@ import msgpack
 import zmq
 from zmq.utils import z85
 
-from annulus.stream.frames import unpack_bounded
+from annulus import untrusted
 from annulus.vocabulary import AnnulusError
 
 VIEWER_QUEUE = 2  # messages per viewer
@@ -110,7 +110,7 @@ def parse(parts: Collection[bytes]) -> tuple[str, int, Any, bytes]:
     if len(parts) != 3:
         raise ValueError(f"{len(parts)} parts, expected topic, header, part")
     topic, header, part = parts
-    data = unpack_bounded(header, BODY_MAX)
+    data = untrusted.unpack(header, BODY_MAX)
     if not isinstance(data, dict) or not isinstance(data.get("n"), int) or "body" not in data:
         raise ValueError('the header must hold "n" and "body"')
     return topic.decode("ascii", "replace"), data["n"], data["body"], part

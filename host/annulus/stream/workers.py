@@ -22,8 +22,9 @@ from typing import Any, Protocol
 import msgpack
 import zmq
 
+from annulus import untrusted
 from annulus.numeric.arrays import Image
-from annulus.stream.frames import FrameHeader, unpack_bounded
+from annulus.stream.frames import FrameHeader
 from annulus.stream.ring import FrameRing, Overwritten, Place, RingView
 from annulus.vocabulary import AnnulusError
 
@@ -283,7 +284,7 @@ class WorkerPool:
         happened: list[PoolEvent] = []
         while not self.results.closed and self.results.poll(0):
             try:
-                number, kind, body = unpack_bounded(self.results.recv(), MESSAGE_MAX)
+                number, kind, body = untrusted.unpack(self.results.recv(), MESSAGE_MAX)
             except ValueError:
                 self.counts["malformed"] += 1
                 continue
