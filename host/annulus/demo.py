@@ -17,6 +17,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
+from annulus.capture.remote import RemoteCamera
 from annulus.daemon.config import CameraConfig, HeadConfig, LampConfig
 from annulus.daemon.interrupt import Interrupt
 from annulus.daemon.reconstructing import warmup_frame
@@ -29,7 +30,7 @@ from annulus.record.scan import open_scan
 from annulus.report.reconstruct import led_frames, stage_medians
 from annulus.report.results import Summary, prepare_folder, write_results
 from annulus.rings.reconstructor import Reconstructor
-from annulus.twin.head import HeadHandle, TwinCamera, start_head, sustainable_fps
+from annulus.twin.head import HeadHandle, start_head, sustainable_fps
 from annulus.twin.score import score
 from annulus.twin.world import World, demo_world
 from annulus.vocabulary import AnnulusError, Label
@@ -115,7 +116,7 @@ def _demo(wish_s: float | None, out: Path, world: World, interrupt: Interrupt, b
             head = start_head(world, pace.fps, speed_mm_s=0.0)
         stack.callback(head.close)
         config = demo_config(head, world, out)
-        scan = Scan(config, TwinCamera(head.camera_address), doors=_doors(profiles, bars), name="scan")
+        scan = Scan(config, RemoteCamera(head.camera_address), doors=_doors(profiles, bars), name="scan")
         report = scan.run(_Course(scan, head, travel, seconds, interrupt, bars))
     recording = out / "scan.mcap"
     if interrupt.requested:

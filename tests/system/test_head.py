@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from annulus.capture.camera import Camera, CapturedFrame, grab, plug
+from annulus.capture.remote import RemoteCamera
 from annulus.link.client import Client
 from annulus.link.messages import Arm, ArmFlag, Commit, Edge, Stage, StatusCode
 from annulus.link.session import EventReceived
-from annulus.twin.head import HeadHandle, TwinCamera, head_timing, start_head
+from annulus.twin.head import HeadHandle, head_timing, start_head
 from annulus.twin.native import _LIBRARY
 from annulus.twin.world import demo_world
 from annulus.vocabulary import AnnulusError, Lamp
@@ -57,7 +58,7 @@ def shoot(camera: Camera, client: Client, frames: int) -> tuple[list[CapturedFra
 
 
 def test_lamps_that_fire_show_in_the_frames_and_a_disarmed_head_is_dark(head: HeadHandle) -> None:
-    camera = plug(TwinCamera(head.camera_address))
+    camera = plug(RemoteCamera(head.camera_address))
     assert (camera.width, camera.height, camera.encoding) == (208, 154, "bayer_rggb8")
     camera.start()
     assert max(float(grab(camera).image.mean()) for _ in range(3)) < 4.0  # nothing armed, nothing lit
@@ -79,7 +80,7 @@ def test_lamps_that_fire_show_in_the_frames_and_a_disarmed_head_is_dark(head: He
 
 
 def test_timestamps_are_the_sync_edges_on_this_machines_clock(head: HeadHandle) -> None:
-    camera = TwinCamera(head.camera_address)
+    camera = RemoteCamera(head.camera_address)
     camera.start()
     frames = [grab(camera) for _ in range(12)]
     stamps = np.array([f.timestamp_ns for f in frames])
@@ -89,14 +90,14 @@ def test_timestamps_are_the_sync_edges_on_this_machines_clock(head: HeadHandle) 
     assert 0 < time.monotonic_ns() - stamps[-1] < 2e9
     camera.stop()
     camera.close()
-    again = TwinCamera(head.camera_address)  # a camera that was closed can be opened again
+    again = RemoteCamera(head.camera_address)  # a camera that was closed can be opened again
     again.start()
     assert grab(again).timestamp_ns > stamps[-1]
     again.close()
 
 
 def test_a_slow_host_costs_frames_that_show_as_holes_and_never_old_pictures(head: HeadHandle) -> None:
-    camera = TwinCamera(head.camera_address)
+    camera = RemoteCamera(head.camera_address)
     camera.start()
     first = grab(camera)
     time.sleep(0.6)  # 15 frames; the head has 6 buffers
@@ -112,7 +113,7 @@ def test_the_head_ends_with_its_handle_ignores_ctrl_c_and_leaves_nothing() -> No
     head = start_head(demo_world().scaled(64), FPS)
     os.kill(head.process.pid, signal.SIGINT)
     assert head.counters()["frames"] >= 0
-    camera = TwinCamera(head.camera_address)
+    camera = RemoteCamera(head.camera_address)
     camera.start()
     grab(camera)
     head.close()
@@ -121,8 +122,8 @@ def test_the_head_ends_with_its_handle_ignores_ctrl_c_and_leaves_nothing() -> No
     with pytest.raises(AnnulusError, match="went away"):
         while True:
             grab(camera)
-    with pytest.raises(AnnulusError, match="no simulated head"):
-        TwinCamera(head.camera_address)
+    with pytest.raises(AnnulusError, match="no camera is served there"):
+        RemoteCamera(head.camera_address)
     assert set(os.listdir("/dev/shm")) == before
 
 

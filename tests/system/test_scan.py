@@ -16,6 +16,7 @@ import pytest
 
 from annulus.capture.camera import HeldRequest
 from annulus.capture.photometry import Light, measure
+from annulus.capture.remote import RemoteCamera
 from annulus.capture.timing import FrameTiming
 from annulus.daemon.config import CameraConfig, HeadConfig, LampConfig
 from annulus.daemon.scan import Doors, Scan, ScanReport
@@ -23,7 +24,7 @@ from annulus.demo import demo_config
 from annulus.link.client import Client
 from annulus.link.messages import StateFlag, Status
 from annulus.record.recording import Recording, open_recording
-from annulus.twin.head import HeadHandle, TwinCamera, start_head
+from annulus.twin.head import HeadHandle, start_head
 from annulus.twin.sensor import Faults
 from annulus.twin.world import World, demo_world
 from annulus.vocabulary import AnnulusError, Label
@@ -44,7 +45,7 @@ class Rig:
         self.profiles: list[Profile] = []
         self.told: list[str] = []
         doors = Doors(profile=self.profiles.append, event=self.told.append)
-        self.scan = Scan(config, TwinCamera(head.camera_address), doors=doors, name="scan")
+        self.scan = Scan(config, RemoteCamera(head.camera_address), doors=doors, name="scan")
 
     def run(self, until: Callable[["Rig"], bool]) -> ScanReport:
         """Scan until the condition holds; a minute at most."""

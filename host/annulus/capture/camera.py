@@ -1,6 +1,6 @@
 """Cameras behind one door, with Picamera2's method names, so that a real Picamera2 object plugs in unchanged.
 
-    camera = plug(Picamera2())        # or V4L2Camera("/dev/video0"), ScanFolderCamera(path), TwinCamera(address)
+    camera = plug(Picamera2())        # or V4L2Camera("/dev/video0"), ScanFolderCamera(path), RemoteCamera(address)
     camera.start()
     while True:
         frame = grab(camera)               # CapturedFrame; TimeoutError when none came, EndOfFrames after the last
@@ -139,7 +139,7 @@ class HeldRequest:
         pass
 
 
-class _OneRequest:
+class OneRequest:
     """`capture_array` and `capture_metadata` of a camera that has `capture_request`."""
 
     def capture_request(self) -> Request:
@@ -255,7 +255,7 @@ class _PicameraRequest:
 # ---- V4L2 --------------------------------------------------------------------------------------------------------
 
 
-class V4L2Camera(_OneRequest):
+class V4L2Camera(OneRequest):
     """A V4L2 device through OpenCV. Every setting is read back: drivers accept what they then do not do.
 
     OpenCV passes the buffer's monotonic timestamp on, but not its sequence number: `FrameSequence` is absent, and a
@@ -366,7 +366,7 @@ def _letters(fourcc: float) -> str:
 # ---- files -------------------------------------------------------------------------------------------------------
 
 
-class VideoFileCamera(_OneRequest):
+class VideoFileCamera(OneRequest):
     """A video file as a camera, as fast as it is asked. Timestamps: the file's, from the moment of `start` on."""
 
     def __init__(self, path: Path) -> None:
@@ -419,7 +419,7 @@ class VideoFileCamera(_OneRequest):
         return capture
 
 
-class ScanFolderCamera(_OneRequest):
+class ScanFolderCamera(OneRequest):
     """The images a scan folder's frames.csv lists, in its order, as a camera. Metadata adds its Light and ZMm."""
 
     def __init__(self, folder: Path, *, fps: float = 25.0) -> None:

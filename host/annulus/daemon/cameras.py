@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from annulus.capture.camera import Camera, ScanFolderCamera, V4L2Camera, VideoFileCamera, plug
+from annulus.capture.remote import RemoteCamera
 from annulus.daemon.config import HeadConfig
 from annulus.vocabulary import AnnulusError
 
@@ -30,9 +31,7 @@ def _open(config: HeadConfig) -> Camera:
         case "folder":
             return ScanFolderCamera(Path(wanted.device), fps=fps)
         case "twin":
-            from annulus.twin.head import TwinCamera
-
-            return TwinCamera(wanted.device)
+            return RemoteCamera(wanted.device)
         case "picamera2":
             return _picamera(config)
 

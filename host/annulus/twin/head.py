@@ -2,11 +2,11 @@
 
     with start_head(demo_world(), fps=15.0) as head:
         client = Client(head.port_url)                # as for a real controller
-        camera = TwinCamera(head.camera_address)      # as for a real camera
+        camera = RemoteCamera(head.camera_address)      # as for a real camera
 
 The head's process runs the firmware in virtual time slaved to the monotonic clock, natively behind a pty or as the
 shipped image on an emulated board behind TCP. It renders what the lamps lit and puts the frames into an anonymous
-memory file that `TwinCamera` receives over its socket: nothing has a name in the file system, nothing can be left
+memory file that `RemoteCamera` receives over its socket: nothing has a name in the file system, nothing can be left
 behind. A frame that cannot be rendered in time is the driver's drop: a hole in the sequence.
 """
 
@@ -34,9 +34,9 @@ from typing import IO, Any, Self, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus.capture.camera import BAYER_RGGB8, HeldRequest, Request
+from annulus.capture.camera import BAYER_RGGB8
+from annulus.capture.remote import MESSAGE_MAX
 from annulus.capture.timing import FrameTiming
-from annulus.numeric.arrays import Image
 from annulus.twin.emulated import open_board
 from annulus.twin.line import Line, PtyLine, TcpLine
 from annulus.twin.render import Renderer
@@ -65,9 +65,7 @@ COUNTED = (
     "frames", "rendered", "dropped_on_purpose", "driver_dropped_no_buffer", "driver_dropped_too_slow", "resets",
     "pulls", "serial_overflow", "camera_closed",
 )  # fmt: skip
-_MESSAGE_MAX = 4096
 _START_S = 90.0  # the first start of a fresh clone compiles the renderer
-_FRAME_WAIT_S = 2.0
 
 
 def head_timing(fps: float) -> FrameTiming:
@@ -240,82 +238,6 @@ def sustainable_fps(world: World, threads: int | None = None, frames: int = 8) -
     return len(stations) / (time.perf_counter() - start)
 
 
-# ---- the camera's side -------------------------------------------------------------------------------------------
-class TwinCamera:
-    """The head's camera, with Picamera2's method names; see capture.camera.Camera."""
-
-    def __init__(self, address: str) -> None:
-        """address: `HeadHandle.camera_address`. Raises AnnulusError when no head listens there."""
-        self.address = address
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        self._socket.settimeout(_FRAME_WAIT_S)
-        self._lock = threading.Lock()  # requests may be released in another thread than waits for the next
-        try:
-            self._socket.connect("\0" + address.removeprefix("@"))
-            hello, rights, _, _ = self._socket.recvmsg(_MESSAGE_MAX, socket.CMSG_SPACE(4))
-            about = json.loads(hello)
-            descriptor = array.array("i", rights[0][2][:4])[0]
-        except (OSError, ValueError, IndexError):
-            self._socket.close()
-            raise AnnulusError(f"{address}: no simulated head listens there. `annulus twin run` starts one.") from None
-        self.width, self.height, self.encoding = int(about["width"]), int(about["height"]), BAYER_RGGB8
-        self.timing = FrameTiming(**about["timing"])
-        self._memory = mmap.mmap(descriptor, 0, prot=mmap.PROT_READ)
-        os.close(descriptor)
-
-    def start(self) -> None:
-        """Begin to stream; frames lit before the call are not delivered."""
-        self._say({"do": "start"})
-
-    def stop(self) -> None:
-        """Stop streaming; frames on their way are dropped by `start`."""
-        self._say({"do": "stop"})
-
-    def close(self) -> None:
-        self._socket.close()
-        with contextlib.suppress(BufferError):
-            self._memory.close()
-
-    def capture_request(self) -> Request:
-        """Wait for the next frame. Raises TimeoutError after 2 s, AnnulusError when the head is gone."""
-        try:
-            told = self._socket.recv(_MESSAGE_MAX)
-        except TimeoutError:
-            raise TimeoutError(f"{self.address}: no frame within {_FRAME_WAIT_S:g} s") from None
-        except OSError:
-            told = b""
-        if not told:
-            raise AnnulusError(f"{self.address}: the simulated head went away")
-        metadata = json.loads(told)
-        slot, size = metadata.pop("slot"), self.width * self.height
-        image = np.frombuffer(self._memory, np.uint8, size, slot * size).reshape(self.height, self.width).copy()
-        self._say({"do": "release", "slot": slot})
-        return HeldRequest(image, metadata)
-
-    def capture_array(self, name: str = "main") -> Image:
-        return self.capture_request().make_array(name)
-
-    def capture_metadata(self) -> dict[str, Any]:
-        return self.capture_request().get_metadata()
-
-    def set_controls(self, controls: Mapping[str, Any]) -> None:
-        """The head's mode is fixed when it starts: other values are refused, as a driver that reads back would show."""
-        period = self.timing.period_us
-        fixed = {"ExposureTime": (self.timing.exposure_us,), "FrameDurationLimits": (period, period)}
-        for name, value in controls.items():
-            wanted = tuple(value) if isinstance(value, tuple | list) else (value,)
-            for have, want in zip(fixed.get(name, ()), wanted, strict=False):
-                if abs(have - float(want)) > 0.01 * have:
-                    raise AnnulusError(f"{self.address}: {name} is {have:g} us, expected {float(want):g}")
-
-    def _say(self, what: Mapping[str, Any]) -> None:
-        try:
-            with self._lock:
-                self._socket.send(json.dumps(what).encode())
-        except OSError:
-            raise AnnulusError(f"{self.address}: the simulated head went away") from None
-
-
 # ---- the head's process ------------------------------------------------------------------------------------------
 def main() -> None:
     """The head's process: an order on stdin, addresses on stdout, questions and answers; the end of stdin ends it."""
@@ -403,7 +325,7 @@ class _Head:
                 self.board.serial_write(heard)
                 busy_until = time.monotonic() + 3e-3
             if sys.stdin in readable:
-                more = os.read(sys.stdin.fileno(), _MESSAGE_MAX)
+                more = os.read(sys.stdin.fileno(), MESSAGE_MAX)
                 if not more:
                     return
                 *questions, asked = (asked + more).split(b"\n")
@@ -525,7 +447,10 @@ class _Head:
                 viewer.close()  # a camera has one user, and it is ours
                 return
             viewer.setblocking(False)
-            hello = {"width": self.renderer.width, "height": self.renderer.height, "timing": asdict(self.timing)}
+            hello = {
+                "width": self.renderer.width, "height": self.renderer.height, "encoding": BAYER_RGGB8,
+                "timing": asdict(self.timing),
+            }  # fmt: skip
             rights = [(socket.SOL_SOCKET, socket.SCM_RIGHTS, array.array("i", [self.memory_fd]))]
             viewer.sendmsg([json.dumps(hello).encode()], rights)
             self.viewer = viewer
@@ -533,7 +458,7 @@ class _Head:
     def _hear(self) -> None:
         assert self.viewer is not None
         try:
-            while told := self.viewer.recv(_MESSAGE_MAX):
+            while told := self.viewer.recv(MESSAGE_MAX):
                 message = json.loads(told)
                 if message["do"] == "release":
                     self.held.remove(message["slot"])
