@@ -73,7 +73,7 @@ class PipeCalibration:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers; degrees and mm."""
-        solution, held = self.solution, self.tuned_held_out if self.calibration.fine else self.held_out
+        solution, held = self.solution, self.tuned_held_out if self.calibration.corrections else self.held_out
         sigma = np.sqrt(np.diag(solution.covariance)).reshape(-1, 6)
         rings = []
         for k, ring in enumerate(solution.rings):
@@ -111,7 +111,7 @@ class PipeCalibration:
             "residual_px": _rms(solution.error_px[solution.weight > 0]),
             "held_out_mm": None if self.held_out is None else self.held_out.rms_mm(),
             "held_out_tuned_mm": None if self.tuned_held_out is None else self.tuned_held_out.rms_mm(),
-            "fine_tuned": self.calibration.fine is not None,
+            "fine_tuned": self.calibration.corrections is not None,
             "camera_projector_mm": self.distance_mm,
             "pipe_radius_mm": self.calibration.pipe_radius_mm,
             "poses_good": not self.advice,

@@ -14,7 +14,7 @@ FINE_MAX = 4096  # directions a ring may be fine-tuned in
 
 
 @dataclass(frozen=True, slots=True)
-class FineRing:
+class RingCorrection:
     """What one slit is off its cone: sample i of n belongs to the azimuth 2 pi i / n about the cone's axis, counted
     from the part of the camera's x across the axis, towards its y. Between samples linear, and closed."""
 
@@ -27,7 +27,7 @@ class Calibration:
     """Camera, the stripes' colours from the innermost outwards, one cone per slit between them, the pipe's radius.
 
     `covariance` (6K, 6K) says how well the K rings are known: ring after ring half-angle (rad), axis x, y, vertex x, y,
-    z (mm). `fine` has what each ring is off its cone (Alzuhiri 2022, Alg. 3). Either may be missing.
+    z (mm). `corrections` say what each ring is off its cone (Alzuhiri 2022, Alg. 3). Either may be missing.
     """
 
     camera: Camera
@@ -35,7 +35,7 @@ class Calibration:
     rings: tuple[Cone, ...]
     pipe_radius_mm: float
     covariance: tuple[tuple[float, ...], ...] | None = None
-    fine: tuple[FineRing, ...] | None = None
+    corrections: tuple[RingCorrection, ...] | None = None
 
     @classmethod
     def from_dict(cls, data: object) -> "Calibration":
@@ -76,7 +76,7 @@ class Calibration:
             ],
             "pipe": {"radius_mm": self.pipe_radius_mm},
         }
-        for ring, fine in zip(data["rings"], self.fine or (), strict=False):
+        for ring, fine in zip(data["rings"], self.corrections or (), strict=False):
             ring["fine"] = {"offset_rad": list(fine.offset_rad)}
             if fine.shift_mm is not None:
                 ring["fine"]["shift_mm"] = list(fine.shift_mm)
@@ -162,13 +162,13 @@ def _cone(ring: Mapping[str, Any], where: str) -> Cone:
     return Cone(math.radians(theta / 2), unit, _vector(ring, "vertex_mm", where))
 
 
-def _fine(data: object, where: str) -> FineRing:
+def _fine(data: object, where: str) -> RingCorrection:
     section = _mapping(data, where)
     offset = _numbers(section, "offset_rad", where, 0.5)
     shift = _numbers(section, "shift_mm", where, 1e3) if "shift_mm" in section else None
     if shift is not None and len(shift) != len(offset):
         raise ValueError(f'"{where}.shift_mm" has {len(shift)} numbers, expected {len(offset)} as in "offset_rad"')
-    return FineRing(offset, shift)
+    return RingCorrection(offset, shift)
 
 
 def _numbers(section: Mapping[str, Any], key: str, where: str, most: float) -> tuple[float, ...]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus.geometry.calibration import Calibration, FineRing
+from annulus.geometry.calibration import Calibration, RingCorrection
 from annulus.geometry.cone import intersect_cylinder
 from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import FloatArray
@@ -27,7 +27,7 @@ class RingOptics:
     mm_per_px: FloatArray  # (K,) how far the wall's radius moves with one pixel along a line
     fine: (
         FloatArray | None
-    )  # (K, n, 2) what each ring is off its cone over the azimuth: half-angle, shift; see FineRing
+    )  # (K, n, 2) what each ring is off its cone over the azimuth: half-angle, shift; see RingCorrection
 
 
 def ring_optics(calibration: Calibration, grid: PolarGrid) -> RingOptics:
@@ -64,10 +64,12 @@ def ring_optics(calibration: Calibration, grid: PolarGrid) -> RingOptics:
         ends = np.stack([meet_rings(*calibration.camera.lines(at), cones[k : k + 1])[:, 0] for at in (near, far)])
         slope_mm[k] = np.nanmedian(np.abs(np.diff(np.linalg.norm(ends[..., :2], axis=2), axis=0))) / 2
     slope_mm = np.nan_to_num(slope_mm, nan=float(np.nanmax(slope_mm)))
-    return RingOptics(cones, bend, slope_mm, _fine_table(calibration.fine) if calibration.fine is not None else None)
+    return RingOptics(
+        cones, bend, slope_mm, _fine_table(calibration.corrections) if calibration.corrections is not None else None
+    )
 
 
-def _fine_table(fine: tuple[FineRing, ...]) -> FloatArray:
+def _fine_table(fine: tuple[RingCorrection, ...]) -> FloatArray:
     """(K, n, 2) half-angle offset (rad) and axial shift (mm) of every ring, all as finely as the finest."""
     n = max(len(ring.offset_rad) for ring in fine)
     out = np.zeros((len(fine), n, 2))

@@ -5,14 +5,14 @@ import math
 
 import pytest
 
-from annulus.geometry.calibration import Calibration, FineRing
+from annulus.geometry.calibration import Calibration, RingCorrection
 from annulus.geometry.camera import Camera
 from annulus.geometry.cone import Cone
 
 CAMERA = Camera("pinhole", 1664, 1232, 470.0, 470.0, 831.5, 615.5)
 RINGS = (Cone(0.33, (0.0, 0.0, 1.0), (0.0, 0.0, -56.0)), Cone(0.41, (0.0, 0.0, 1.0), (0.0, 0.0, -56.0)))
 COVARIANCE = tuple(tuple(1e-4 if i == j else 0.0 for j in range(12)) for i in range(12))
-FINE = (FineRing((0.001, -0.002, 0.0)), FineRing((0.0, 0.0, 0.001, 0.0), (0.1, 0.0, -0.1, 0.0)))
+FINE = (RingCorrection((0.001, -0.002, 0.0)), RingCorrection((0.0, 0.0, 0.001, 0.0), (0.1, 0.0, -0.1, 0.0)))
 
 
 def _tuned() -> Calibration:
@@ -28,7 +28,7 @@ def test_a_file_of_before_has_neither_section() -> None:
     data = Calibration(CAMERA, "RGB", RINGS, 76.2).to_dict()
     assert "covariance" not in data and "fine" not in data["rings"][0]
     read = Calibration.from_dict(data)
-    assert read.covariance is None and read.fine is None
+    assert read.covariance is None and read.corrections is None
 
 
 def test_sections_that_do_not_fit_are_named() -> None:

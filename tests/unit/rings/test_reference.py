@@ -64,9 +64,11 @@ def test_where_no_frame_looked_nothing_is_known():
 def test_a_reference_bends_the_calibration_and_says_how_far_it_reaches():
     reference = learn([profile(Pose())], CALIBRATION)
     bent = reference.applied(CALIBRATION)
-    assert bent.fine is not None and bent.fine[3].offset_rad == pytest.approx(reference.offset_rad[3])
+    assert bent.corrections is not None and bent.corrections[3].offset_rad == pytest.approx(reference.offset_rad[3])
     twice = reference.applied(bent)
-    assert twice.fine is not None and twice.fine[3].offset_rad[5] == pytest.approx(2 * reference.offset_rad[3][5])
+    assert twice.corrections is not None and twice.corrections[3].offset_rad[5] == pytest.approx(
+        2 * reference.offset_rad[3][5]
+    )
     angle, shift = reference.distance([Pose(0.03, 0.0, 3.0, 4.0)])
     assert angle == pytest.approx(0.03) and shift == pytest.approx(5.0)
 

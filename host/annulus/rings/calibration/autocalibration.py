@@ -112,7 +112,7 @@ def calibrate(
     ----------
     seen : at least two frames. radius_mm : the pipe's; it alone sets the scale of the answer.
     start : an answer nearby, saves the search. offsets : (K, 2, n) rad and mm, what each ring is known to be off its
-    cone, see FineRing. directions : so many sectors round each ring may each be off the cone
+    cone, see RingCorrection. directions : so many sectors round each ring may each be off the cone
     by their own angle (lumps of the slide); 0 = none is. Only what differs between poses then tells of the cones.
 
     Raises
@@ -433,7 +433,7 @@ def hold_out(
 
 
 def azimuths(seen: Sightings, rings: Sequence[Cone], poses: Sequence[Pose], radius_mm: float) -> FloatArray:
-    """(N,) 0..1: where round its cone's axis the light of each slit runs, see FineRing."""
+    """(N,) 0..1: where round its cone's axis the light of each slit runs, see RingCorrection."""
     points = _wall_points(seen, poses, radius_mm)
     axis = np.array([ring.axis for ring in rings])[seen.ring]
     away = points - np.array([ring.vertex_mm for ring in rings])[seen.ring]
@@ -659,7 +659,7 @@ def _off(rays, origins, at, cone, pose, turn, radius, fine, more, wanted):  # ty
 
 @jit
 def fine_at(fine, dx, dy, dz, ax, ay, az):  # type: ignore[no-untyped-def]
-    """One ring's offset (rad) and shift (mm), (2, n), where the unit direction d runs from its vertex: see FineRing."""
+    """One ring's offset (rad) and shift (mm), (2, n), where direction d runs from its vertex: see RingCorrection."""
     # along e1 = camera x less its part along the axis, and e2 = axis x e1; both of length sqrt(1 - ax^2)
     first = dx - ax * (dx * ax + dy * ay + dz * az)
     second = az * dy - ay * dz

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from annulus.geometry.calibration import Calibration, FineRing
+from annulus.geometry.calibration import Calibration, RingCorrection
 from annulus.geometry.cone import intersect_cylinder
 from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import FloatArray
@@ -33,7 +33,7 @@ SHIFT_FAR = 0.05  # .. or this part of the radius is farther than the reference 
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """offset_rad[k][i]: to add to ring k's half-angle at the azimuth 2 pi i / n (see `geometry.FineRing`); NaN where no
+    """offset_rad[k][i]: to add to ring k's half-angle at the azimuth 2 pi i / n (see `RingCorrection`); NaN where no
     frame showed it. poses: of the frames. before_mm, after_mm: rms of the radius about the pipe's; `after` on frames
     that were kept out of the learning, NaN where there was only one frame and nothing to check with."""
 
@@ -54,10 +54,12 @@ class Reference:
             raise ValueError(
                 f"the reference has {len(self.offset_rad)} rings, the calibration {len(calibration.rings)}"
             )
-        fine = calibration.fine or tuple(FineRing((0.0,) * SAMPLES) for _ in calibration.rings)
+        fine = calibration.corrections or tuple(RingCorrection((0.0,) * SAMPLES) for _ in calibration.rings)
         return replace(
             calibration,
-            fine=tuple(_added(ring, _closed(np.array(more))) for ring, more in zip(fine, self.offset_rad, strict=True)),
+            corrections=tuple(
+                _added(ring, _closed(np.array(more))) for ring, more in zip(fine, self.offset_rad, strict=True)
+            ),
         )
 
     def distance(self, poses: Sequence[Pose]) -> tuple[float, float]:
@@ -222,14 +224,14 @@ def _closed(ring: FloatArray) -> FloatArray:
     return np.interp(np.arange(len(ring)), seen, ring[seen], period=len(ring))
 
 
-def _added(ring: FineRing, more: FloatArray) -> FineRing:
+def _added(ring: RingCorrection, more: FloatArray) -> RingCorrection:
     n = max(len(ring.offset_rad), len(more))
 
     def at(values: Sequence[float] | NDArray[np.float64]) -> FloatArray:
         return np.interp(np.arange(n) / n, np.arange(len(values)) / len(values), values, period=1.0)
 
     shift = None if ring.shift_mm is None else tuple(float(v) for v in at(ring.shift_mm))
-    return FineRing(tuple(float(v) for v in at(ring.offset_rad) + at(more)), shift)
+    return RingCorrection(tuple(float(v) for v in at(ring.offset_rad) + at(more)), shift)
 
 
 def _rms(values: FloatArray) -> float:

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.sparse import csr_array, diags_array
 from scipy.sparse.linalg import spsolve
 
-from annulus.geometry.calibration import FineRing
+from annulus.geometry.calibration import RingCorrection
 from annulus.numeric.arrays import FloatArray
 from annulus.rings.calibration.autocalibration import Sightings, Solution, azimuths, calibrate, spread_of
 
@@ -80,10 +80,10 @@ def _offsets(seen: Sightings, solution: Solution, directions: int, axial_mm: flo
     return out, explained
 
 
-def fine_rings(fine: FloatArray) -> tuple[FineRing, ...]:
+def fine_rings(fine: FloatArray) -> tuple[RingCorrection, ...]:
     """The same as a calibration keeps it, (K, 2, n), to a millionth of a radian and of a millimetre."""
     return tuple(
-        FineRing(
+        RingCorrection(
             tuple(round(float(v), 7) for v in ring[0]),
             tuple(round(float(v), 6) for v in ring[1]) if ring[1].any() else None,
         )
