@@ -16,6 +16,7 @@ from annulus.geometry.camera import Camera, Model
 from annulus.geometry.chessboard import BoardView, cropped, find_board
 from annulus.geometry.intrinsics import Intrinsics, Sight, board_pose, fit_intrinsics
 from annulus.numeric.arrays import FloatArray
+from annulus.numeric.robust import robust_sigma
 from annulus.record.calibration_file import update_calibration
 from annulus.record.scan import read_image
 from annulus.vocabulary import AnnulusError
@@ -354,7 +355,7 @@ def _choose_model(sights: list[Sight], size: tuple[int, int], model: Model | Non
 def _reject_far(fit: Intrinsics, kept: Sequence[int], good: dict[int, NDArray[np.bool_]], rejected: list[str]) -> bool:
     """Marks corners far off and photographs that have many or are off as a whole; whether anything was marked."""
     pooled = np.concatenate([r.ravel() for r in fit.residuals])
-    sigma = 1.4826 * float(np.median(np.abs(pooled)))
+    sigma = robust_sigma(pooled)
     usual = float(np.median(fit.view_rms_px))
     before = sum(int(np.count_nonzero(g)) for g in good.values()), sum(map(bool, rejected))
     for i, off, rms in zip(kept, fit.residuals, fit.view_rms_px, strict=True):

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from annulus.numeric.arrays import FloatArray
+from annulus.numeric.robust import robust_sigma
 
 DETECT_PX = 1400  # longer sides are shrunk to this to find corners; they are refined in the photograph itself
 SMOOTH_PX = 1.5
@@ -126,7 +127,7 @@ def _corners(grey: NDArray[np.float32]) -> tuple[FloatArray, FloatArray, FloatAr
             at[todo, None] + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1),
         )
         ways[todo], contrast[todo] = _sectors(ring)
-    noise = 1.4826 * float(np.median(np.abs(light - cv2.GaussianBlur(light, (0, 0), 1.6))))
+    noise = robust_sigma(light - cv2.GaussianBlur(light, (0, 0), 1.6))
     good = np.isfinite(ways[:, 0]) & (contrast > CLEAR * noise)
     good[good] = contrast[good] > 0.12 * np.percentile(contrast[good], 90) if good.any() else False
     return at[good], ways[good], contrast[good]

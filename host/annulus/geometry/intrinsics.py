@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from annulus.geometry.camera import Camera, Model
 from annulus.numeric.arrays import FloatArray
+from annulus.numeric.robust import robust_sigma
 from annulus.vocabulary import AnnulusError
 
 FOCAL = (0.25, 0.35, 0.5, 0.7, 1.0, 1.5, 2.2, 3.5)  # of the image's longer side: where a cold start looks
@@ -313,7 +314,7 @@ def _normal(
     ):
         return np.zeros((0, 0)), np.zeros(0), ([], 1.0), np.inf
     if scale is None:
-        scale = max(1.4826 * float(np.median(np.abs(np.concatenate([off for off, _, _ in found])))), 0.02)
+        scale = max(robust_sigma(np.concatenate([off for off, _, _ in found])), 0.02)
     normal, gradient, cost = np.zeros((basis.shape[1],) * 2), np.zeros(basis.shape[1]), 0.0
     blocks: Blocks = []
     reach = 3.0 * scale

@@ -1,1 +1,1 @@
-"""Numbers without a subject: array types, compiled loops. Knows nothing of pipes."""
+"""Numbers without a subject: array types, compiled loops, robust statistics. Knows nothing of pipes."""

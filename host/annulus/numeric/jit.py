@@ -1,4 +1,4 @@
-"""How this room compiles its per-pixel loops, and the small things they share."""
+"""How per-pixel loops are compiled, and the small things they share."""
 
 from collections.abc import Callable
 from typing import Any, cast

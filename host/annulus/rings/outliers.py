@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from annulus.numeric.arrays import FloatArray
 from annulus.numeric.jit import around, jit, middle
+from annulus.numeric.robust import SIGMA_OF_MAD
 from annulus.rings.decode import NONE
 from annulus.rings.slits import Slits
 
@@ -142,5 +143,5 @@ def _usual_width(mine, size, direction, width, usual, cosine, sine, work):  # ty
             j = direction[mine[m]]
             work[at] = abs(width[mine[m]] / usual - mean - even * cosine[j] - odd * sine[j])
             at += 1
-        spread = 1.4826 * middle(work, at)
+        spread = SIGMA_OF_MAD * middle(work, at)
     return mean, even, odd, spread

@@ -13,6 +13,7 @@ from annulus.geometry.cone import Cone
 from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import FloatArray
 from annulus.numeric.jit import jit
+from annulus.numeric.robust import SIGMA_OF_MAD
 from annulus.vocabulary import AnnulusError
 
 ACROSS = 0.85  # standard deviation, in directions, of the average over neighbouring lines: weights 1, 2, 1
@@ -177,7 +178,7 @@ def _level(top: NDArray[np.uint8], stop: NDArray[np.int64]) -> tuple[float, floa
     counted = np.cumsum(step)
     at = int(np.searchsorted(counted, 0.5 * counted[-1]))
     middle = at - 0.5 + (0.5 * counted[-1] - counted[at] + step[at]) / step[at]
-    return float(bright), 1.4826 / math.sqrt(2) * float(max(middle, 0.0))
+    return float(bright), SIGMA_OF_MAD / math.sqrt(2) * float(max(middle, 0.0))
 
 
 @jit

@@ -7,6 +7,7 @@ from annulus.geometry.calibration import Calibration
 from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import FloatArray
 from annulus.numeric.jit import around, jit, middle
+from annulus.numeric.robust import SIGMA_OF_MAD
 from annulus.rings.polar import PolarGrid, ring_pixels
 from annulus.rings.triangulate import RingOptics, meet_rings
 from annulus.wall.pose import Fit
@@ -139,7 +140,7 @@ def _combine(  # type: ignore[no-untyped-def]
             if line[j] > 0 and r1 > 0 and r2 > 0 and r3 > 0:
                 work[size] = abs(r3 - line[j] - 3.0 * (r2 - r1))
                 size += 1
-        scatter[k] = 1.4826 / np.sqrt(20.0) * middle(work, size) if size >= LEAST else UNKNOWN_PX * mm_per_px[k]
+        scatter[k] = SIGMA_OF_MAD / np.sqrt(20.0) * middle(work, size) if size >= LEAST else UNKNOWN_PX * mm_per_px[k]
         size = 0
         for j in range(directions):
             if line[j] > 0:
@@ -168,7 +169,7 @@ def _combine(  # type: ignore[no-untyped-def]
                 apart[k] = abs(median[k] - common) / mm_per_px[k]
                 work[size] = apart[k]
                 size += 1
-        bias = min(max(1.4826 * middle(work, size), BIAS_PX), DRAWN_PX)
+        bias = min(max(SIGMA_OF_MAD * middle(work, size), BIAS_PX), DRAWN_PX)
     else:
         bias = BIAS_PX
     for n in range(len(ring)):

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from annulus.numeric.arrays import BoolArray, Float32Array, FloatArray
+from annulus.numeric.robust import SIGMA_OF_MAD, TUKEY, biweight, robust_sigma
 from annulus.vocabulary import AnnulusError
 from annulus.wall.profile import Profile
 from annulus.wall.shadow import STEP_MM, between_levels
@@ -239,7 +240,7 @@ def _supported(grid: FloatArray, cell: NDArray[np.int64], radius: FloatArray) ->
     high = ndimage.maximum_filter(np.where(missing, -np.inf, wide), footprint=ring, mode="nearest")[:, 2:-2]
     step = np.diff(grid, axis=1)
     steps = np.abs(step[np.isfinite(step)])
-    slack = max(0.3, 6 * 1.4826 * float(np.median(steps)) / np.sqrt(2)) if len(steps) else 0.3
+    slack = max(0.3, 6 * SIGMA_OF_MAD * float(np.median(steps)) / np.sqrt(2)) if len(steps) else 0.3
     low, high = low.ravel()[cell], high.ravel()[cell]
     alone = ~np.isfinite(low)  # no neighbour to contradict it: it stays out, nothing vouches for it
     return np.asarray(~alone & (radius >= low - slack) & (radius <= high + slack))
@@ -317,22 +318,21 @@ def _robust_harmonics(basis: FloatArray, line: FloatArray, starts: Sequence[Floa
     found: list[FloatArray] = []
     for start in (plain, *shifted):
         fit = start
-        scale = max(1.4826 * float(np.median(np.abs(r - a @ fit))), 0.05)
+        scale = max(robust_sigma(r - a @ fit), 0.05)
         for _ in range(12):
-            u = (r - a @ fit) / (4.685 * scale)
-            w = np.where(np.abs(u) < 1, (1 - u * u) ** 2, 0.0)
+            w = biweight((r - a @ fit) / (TUKEY * scale))
             if (w > 0).mean() < 0.3:
                 break
             aw = a * w[:, None]
             fit = np.linalg.solve(aw.T @ a + 1e-9 * np.eye(5), aw.T @ r)
-            scale = max(min(1.4826 * float(np.median(np.abs(r - a @ fit))), 0.8 * scale), 0.05)
+            scale = max(min(robust_sigma(r - a @ fit), 0.8 * scale), 0.05)
         found.append(fit)
     if shifted:  # the pipe's shape changes slowly: where half of the angles still show it, the rest is a defect
         usual = found[-1]
         if np.mean(np.abs(r - a @ usual) < USUAL_MM) >= 0.5:
             return usual
-    common = max(min(1.4826 * float(np.median(np.abs(r - a @ fit))) for fit in found), 0.05)
-    cost = [float(np.minimum(((r - a @ fit) / (4.685 * common)) ** 2, 1.0).sum()) for fit in found]
+    common = max(min(robust_sigma(r - a @ fit) for fit in found), 0.05)
+    cost = [float(np.minimum(((r - a @ fit) / (TUKEY * common)) ** 2, 1.0).sum()) for fit in found]
     return found[int(np.argmin(cost))]
 
 
@@ -345,8 +345,8 @@ def _noise(wall: Wall) -> FloatArray:
     where fewer rings look, at the ends of a scan.
     """
     residual = smooth(wall.residual_mm()).astype(np.float64)
-    spread = 1.4826 * _nanmedian(np.abs(residual - _nanmedian(residual.T)[:, None]).T)
-    steps = 1.4826 / np.sqrt(2) * _nanmedian(np.abs(residual - np.roll(residual, NOISE_LAG, axis=1)).T)
+    spread = SIGMA_OF_MAD * _nanmedian(np.abs(residual - _nanmedian(residual.T)[:, None]).T)
+    steps = SIGMA_OF_MAD / np.sqrt(2) * _nanmedian(np.abs(residual - np.roll(residual, NOISE_LAG, axis=1)).T)
     wide = _running_median(spread, max(int(wall.mean_radius_mm / wall.z_step_mm), 1))
     return np.maximum(np.maximum(wide, _running_median(steps, 4)), NOISE_FLOOR_MM)
 
@@ -361,7 +361,7 @@ def _cell_noise(wall: Wall, rings: int, reach: int) -> FloatArray:
     departure = np.abs(wall.looks.radius_mm - wall.shape_radius_mm().ravel()[wall.looks.cell])
     ring = wall.looks.look % rings
     spread = np.array([float(np.median(departure[ring == k])) if (ring == k).any() else 0.0 for k in range(rings)])
-    square = (LOOK_SMOOTHED * 1.4826 * spread[look % rings]) ** 2
+    square = (LOOK_SMOOTHED * SIGMA_OF_MAD * spread[look % rings]) ** 2
     shape, size = wall.radius_mm.shape, wall.radius_mm.size
     looks = np.bincount(cell, minlength=size).reshape(shape).astype(np.float64)
     squares = np.bincount(cell, weights=square, minlength=size).reshape(shape)

@@ -9,8 +9,8 @@ from scipy import ndimage
 from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import FloatArray
 from annulus.numeric.jit import jit
+from annulus.numeric.robust import CAUCHY, SIGMA_OF_MAD, cauchy
 
-CAUCHY = 2.385  # 95 % efficient on clean normal errors
 CLOSE = 2e-4  # the robust fit ends here, radians or parts of the radius ..
 NEAR = 2e-5  # .. and the likelihood here
 THERE = 0.01  # of the radius; points that scatter no more about it say that the pose is near enough to begin with
@@ -208,7 +208,7 @@ class _Patches:
         unrest = max(1.0, _spread(far[used]))
         far /= unrest
         if mildly:
-            return np.append(1.0 / (1.0 + (far / CAUCHY) ** 2), 0.0), unrest
+            return np.append(cauchy(far / CAUCHY), 0.0), unrest
         far = far.reshape(self._shape)
         bad = np.abs(far) > CELL_OFF
         if bad.any():
@@ -225,7 +225,7 @@ class _Patches:
 
 def _spread(error: FloatArray) -> float:
     middle = len(error) // 2
-    return 1.4826 * float(np.partition(np.abs(error), middle)[middle])
+    return SIGMA_OF_MAD * float(np.partition(np.abs(error), middle)[middle])
 
 
 @jit

@@ -11,6 +11,7 @@ import numpy as np
 
 from annulus.geometry.pose import Pose, rotation_z
 from annulus.numeric.arrays import FloatArray
+from annulus.numeric.robust import TUKEY, biweight, robust_sigma
 from annulus.wall.grid import NOISE_FLOOR_MM, Wall, build_wall, harmonics
 from annulus.wall.profile import Profile
 
@@ -72,9 +73,8 @@ def _biweight(design: FloatArray, value: FloatArray) -> FloatArray | None:
     fit: FloatArray = np.zeros(design.shape[1])
     for _ in range(8):
         residual = value - design @ fit
-        scale = max(1.4826 * float(np.median(np.abs(residual))), NOISE_FLOOR_MM)
-        u = residual / (4.685 * scale)
-        weight = np.where(np.abs(u) < 1, (1 - u * u) ** 2, 0.0)
+        scale = max(robust_sigma(residual), NOISE_FLOOR_MM)
+        weight = biweight(residual / (TUKEY * scale))
         weighted = design * weight[:, None]
         normal = weighted.T @ design
         if np.linalg.cond(normal) > 1e6:

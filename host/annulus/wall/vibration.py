@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus.numeric.arrays import FloatArray
+from annulus.numeric.robust import SIGMA_OF_MAD, biweight, robust_sigma
 from annulus.wall.profile import Profile
 
 MODES = ("radius", "shift", "lean", "oval")  # what shakes: cosine and sine of the clock but for the first
@@ -166,8 +167,8 @@ def _departures(looks: _Looks, frames: int) -> tuple[FloatArray, NDArray[np.bool
         fit: FloatArray = np.zeros(7)
         for _ in range(5):
             left = value - basis @ fit
-            u = left / (WILD * max(1.4826 * float(np.median(np.abs(left))), 0.01))
-            weighted = basis * np.where(np.abs(u) < 1, (1 - u * u) ** 2, 0.0)[:, None]
+            u = left / (WILD * max(robust_sigma(left), 0.01))
+            weighted = basis * biweight(u)[:, None]
             fit = np.asarray(np.linalg.solve(weighted.T @ basis + 1e-6 * len(value) * np.eye(7), weighted.T @ value))
         good[mine] = np.abs(u) < 1
         out[looks.frame[mine[0]]] = fit
@@ -208,7 +209,7 @@ def _line(z: FloatArray, series: FloatArray, grid: FloatArray, known: Sequence[f
     if not len(grid):
         return None
     left = series - np.median(series, axis=0)
-    spread = np.maximum(1.4826 * np.median(np.abs(left), axis=0), 1e-3)
+    spread = np.maximum(SIGMA_OF_MAD * np.median(np.abs(left), axis=0), 1e-3)
     left = np.clip(left, -4 * spread, 4 * spread)  # a frame that went wrong is no line
     width = 1.0 / float(np.ptp(z))
     part = 2 / len(z) * np.stack([((_wave(z, f).T @ left) ** 2).sum(axis=0) for f in grid]) / (left**2).sum(axis=0)

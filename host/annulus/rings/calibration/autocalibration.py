@@ -17,6 +17,7 @@ from annulus.geometry.cone import Cone, intersect_cylinder
 from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import FloatArray
 from annulus.numeric.jit import jit
+from annulus.numeric.robust import CAUCHY, biweight, cauchy, prior_sigma, robust_sigma
 from annulus.vocabulary import AnnulusError
 
 RAY_STEP_PX = 4.0  # rays of a sighting: at its place and so far to both sides along its line; between them a parabola
@@ -30,9 +31,8 @@ DISTANCES = (
     1.0,
 )  # vertex beside the camera, parts of the radius, tried as starts in this order
 COARSE = 32  # sightings of each ring in each frame that a start is tried with
-TUKEY = 6.0  # 98 % efficient on normal errors, blind beyond 6 sigma
+REJECTED = 6.0  # sigma, Tukey's: 98 % efficient on normal errors, blind beyond 6 sigma
 STEPS = 60
-SPREADS = 20  # steps that find how large lumps are
 SINGULAR = 1e-11  # least eigenvalue of the normal equations, all unknowns scaled to 1
 SETTLED, NEAR = 1e-6, 1e-3  # of a parameter's size: the descent ends; a start is good enough to be compared
 
@@ -209,7 +209,7 @@ class _Problem:
         loss = 0.0
         for k in range(self.rings):
             own = slice(k * sectors // self.rings, (k + 1) * sectors // self.rings)
-            believed = spread_of(seen[own], pull[own])
+            believed = prior_sigma(seen[own], pull[own])
             self.lump_weight[own] = seen[own] + 1.0 / believed**2
             self.lump[own] = pull[own] / self.lump_weight[own]
             loss += float(np.sum((self.lump[own] / believed) ** 2)) + 2 * (own.stop - own.start) * math.log(believed)
@@ -220,9 +220,8 @@ class _Problem:
         """(K,) px."""
         out = np.empty(self.rings)
         for k, mine in enumerate(self.members):
-            size = np.abs(self.rest[mine])
-            size = np.where(np.isfinite(size), size, REACH_PX)
-            out[k] = 1.4826 * np.median(size) if len(mine) else 1.0
+            rest = np.where(np.isfinite(self.rest[mine]), self.rest[mine], REACH_PX)
+            out[k] = robust_sigma(rest) if len(mine) else 1.0
         return np.maximum(out, 1e-3)
 
     def weights(self, scale: FloatArray, robust: bool) -> tuple[FloatArray, float]:
@@ -230,10 +229,10 @@ class _Problem:
         sigma = scale[self.seen.ring]
         u = np.where(np.isfinite(self.rest), self.rest, REACH_PX) / sigma
         if robust:  # Cauchy: pulls from afar
-            weight, loss = 1.0 / (1.0 + (u / 2.385) ** 2), 2.385**2 * np.log1p((u / 2.385) ** 2)
+            weight, loss = cauchy(u / CAUCHY), CAUCHY**2 * np.log1p((u / CAUCHY) ** 2)
         else:
-            inside = np.clip(1.0 - (u / TUKEY) ** 2, 0.0, None)
-            weight, loss = inside**2, TUKEY**2 / 3 * (1.0 - inside**3)
+            weight = biweight(u / REJECTED)
+            loss = REJECTED**2 / 3 * (1.0 - np.clip(1.0 - (u / REJECTED) ** 2, 0.0, None) ** 3)
         return np.where(np.isfinite(self.rest), weight, 0.0) / sigma**2, float(loss.sum())
 
     def normal(self, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -487,19 +486,6 @@ def _pack(start: Solution) -> FloatArray:
 def _cone(c: FloatArray) -> Cone:
     x, y = float(c[1]), float(c[2])
     return Cone(float(c[0]), (x, y, math.sqrt(max(1.0 - x * x - y * y, 0.0))), (float(c[3]), float(c[4]), float(c[5])))
-
-
-def spread_of(weight: FloatArray, pull: FloatArray) -> float:
-    """Standard deviation under which values with these weights, pulled so, are the likeliest: expectation-maximisation.
-
-    weight, pull : sums of w a^2 and w a v over each value's observations.
-    """
-    usual = float(np.median(weight[weight > 0])) if (weight > 0).any() else 1.0
-    square = max(float(np.mean((pull / np.maximum(weight, 0.1 * usual)) ** 2)), 1e-3 / usual)
-    for _ in range(SPREADS):
-        left = 1.0 / (weight + 1.0 / square)
-        square = max(float(np.mean((pull * left) ** 2 + left)), 1e-3 / usual)
-    return math.sqrt(square)
 
 
 @jit

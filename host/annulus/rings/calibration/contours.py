@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from annulus.geometry.camera import Camera
 from annulus.numeric.arrays import FloatArray
 from annulus.numeric.jit import jit
+from annulus.numeric.robust import SIGMA_OF_MAD
 from annulus.rings.decode import NONE, classify, decode, readings
 from annulus.rings.polar import PolarGrid, lay_grid, unroll
 from annulus.rings.slits import Slits, find_slits
@@ -83,7 +84,8 @@ def follow(image_bgr: NDArray[np.uint8], grid: PolarGrid, colours: str) -> Track
     usual = _course(ring, slits.direction, slits.width, shape)[ring[named], slits.direction[named]]
     with np.errstate(invalid="ignore"):
         ratio = slits.width[named] / np.maximum(usual, 0.5)
-        good = (off <= np.maximum(STRAY * 1.4826 * spread[ring[named]], STRAY_PX)) & (ratio > NARROW) & (ratio < WIDE)
+        most = np.maximum(STRAY * SIGMA_OF_MAD * spread[ring[named]], STRAY_PX)
+        good = (off <= most) & (ratio > NARROW) & (ratio < WIDE)
     kept = named[good]
     return _tracks(grid, slits, ring[kept], kept, shape[0])
 

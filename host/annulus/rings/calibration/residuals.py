@@ -8,7 +8,8 @@ from scipy.sparse.linalg import spsolve
 
 from annulus.geometry.calibration import RingCorrection
 from annulus.numeric.arrays import FloatArray
-from annulus.rings.calibration.autocalibration import Sightings, Solution, azimuths, calibrate, spread_of
+from annulus.numeric.robust import prior_sigma
+from annulus.rings.calibration.autocalibration import Sightings, Solution, azimuths, calibrate
 
 DIRECTIONS = 1440  # two for each that is looked in, so that what lies between them is not smoothed
 ROUNDS, STRAIGHT_PX = 4, 1.5  # an offset that moves a slit farther is found again from there: lines are not straight
@@ -72,7 +73,7 @@ def _offsets(seen: Sightings, solution: Solution, directions: int, axial_mm: flo
         )
         weighted = jacobian.T.multiply(weight)
         matrix, right = (weighted @ jacobian).tocsc(), weighted @ solution.error_px[mine]
-        spread = spread_of(matrix[:directions, :directions].sum(axis=0), right[:directions])
+        spread = prior_sigma(matrix[:directions, :directions].sum(axis=0), right[:directions])
         belief = np.repeat([spread, axial_mm or 1.0], directions)[:size]
         found = spsolve(matrix + diags_array(1.0 / belief**2, format="csc"), right)
         out[k].flat[:size] = found

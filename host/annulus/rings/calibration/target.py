@@ -10,6 +10,7 @@ from scipy.optimize import least_squares
 from annulus.geometry.camera import Camera
 from annulus.geometry.cone import Cone
 from annulus.numeric.arrays import FloatArray
+from annulus.numeric.robust import robust_sigma
 from annulus.vocabulary import AnnulusError
 
 TRIALS = 300  # pairs of points that a first cone is drawn through
@@ -95,7 +96,7 @@ def fit_cones(points: BoardPoints, rings: int, seed: int = 0) -> BoardCones:
             )
             x = fit.x
             off = _distances(x, inner, outer)
-            scale = max(1.4826 * float(np.median(np.abs(off))), 1e-4)
+            scale = max(robust_sigma(off), 1e-4)
         good = np.abs(off) < OUTLIER * scale
         fit = least_squares(_distances, x, args=(inner[good], outer[good]), x_scale=_SCALE, max_nfev=60)
         cones.append(_cone(fit.x))
