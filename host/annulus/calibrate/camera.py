@@ -1,4 +1,4 @@
-"""`annulus calibrate camera`: photographs of a board in, a camera out, with what it is worth."""
+"""`annulus calibrate camera`: photographs of a target in, a camera out, with what it is worth."""
 
 import re
 from collections import Counter
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from annulus.geometry.calibration import camera_to_dict
 from annulus.geometry.camera import Camera, Model
-from annulus.geometry.chessboard import BoardView, cropped, find_board
-from annulus.geometry.intrinsics import Intrinsics, Sight, board_pose, fit_intrinsics
+from annulus.geometry.chessboard import TargetView, cropped, find_target
+from annulus.geometry.intrinsics import Intrinsics, TargetObservation, fit_intrinsics, target_pose
 from annulus.numeric.arrays import FloatArray
 from annulus.numeric.robust import robust_sigma
 from annulus.record.calibration_file import update_calibration
@@ -28,14 +28,14 @@ BLURRED, BLURRED_PX = 2.5, 1.5  # times as blurred as the usual photograph, and 
 PARTIAL = 12  # corners: fewer say less than their own pose needs
 CORNER_OFF = 6.0  # robust standard deviations: a corner that was mistaken for one
 VIEW_BROKEN = 0.25  # of a photograph's corners are off like that
-VIEW_OFF, VIEW_OFF_PX = 3.0, 0.1  # times the usual residual and so many pixels more: the board bent, or it moved
-FISHEYE_GAIN = 0.9  # without --model: of the pinhole's residual; two models of one lens are often equally good
+VIEW_OFF, VIEW_OFF_PX = 3.0, 0.1  # times the usual residual and so many pixels more: the target bent, or it moved
+FISHEYE_GAIN = 0.9  # of the pinhole's residual, when the model is free; two models of one lens are often equally good
 FEW = 8  # photographs
 LARGE_PX = 1.0  # of residual
 
 
 @dataclass(frozen=True, slots=True)
-class Board:
+class Target:
     """What was photographed: inner corners each way and the squares' side. `markers`: between the squares, ChArUco."""
 
     columns: int
@@ -50,7 +50,7 @@ class Board:
 
 @dataclass(frozen=True, slots=True)
 class Photograph:
-    """One image's part in a calibration. `rejected`: why it has none. `rms_px`: NaN where no board was found."""
+    """One image's part in a calibration. `rejected`: why it has none. `rms_px`: NaN where no target was found."""
 
     file: str
     corners: int
@@ -65,11 +65,11 @@ class CameraCalibration:
     """A measured camera and what it rests on."""
 
     intrinsics: Intrinsics
-    board: Board
-    board_was_given: bool
+    target: Target
+    target_was_given: bool
     photographs: tuple[Photograph, ...]
-    rms_everything_px: float  # of a plain fit to every corner of every board found, nothing rejected
-    coverage: float  # part of the image inside some board's outline
+    rms_everything_px: float  # of a plain fit to every corner of every target found, nothing rejected
+    coverage: float  # part of the image inside some target's outline
     seen: tuple[FloatArray, ...]  # (N, 2) pixels of each photograph kept
     warnings: tuple[str, ...]
 
@@ -91,8 +91,8 @@ class CameraCalibration:
         return {
             "camera": camera_to_dict(camera),
             "sigma": {name: float(s) for name, s in zip(("fx", "fy", "cx", "cy"), sigma[:4], strict=True)},
-            "board": str(self.board),
-            "square_mm": self.board.square_mm,
+            "target": str(self.target),
+            "square_mm": self.target.square_mm,
             "rms_px": self.intrinsics.rms_px,
             "rms_everything_px": self.rms_everything_px,
             "kept": sum(not p.rejected for p in self.photographs),
@@ -111,17 +111,17 @@ class CameraCalibration:
         }  # fmt: skip
 
 
-def parse_board(text: str) -> tuple[int, int, bool]:
+def parse_target(text: str) -> tuple[int, int, bool]:
     """Corners the long way and the short way of "9x6" (inner corners) or "charuco 8x6" (squares), and if the latter."""
     match = re.fullmatch(r"\s*(chessboard|charuco)?[\s:,]*(\d+)\s*[xX*]\s*(\d+)(?:[\s:,]+\w+)?\s*", text)
     if match is None:
         raise AnnulusError(
-            f'--board is "{text[:40]}", expected like 9x6 (inner corners of a chessboard) or "charuco 8x6" (squares)'
+            f'the target is "{text[:40]}", expected like 9x6 (inner corners of a chessboard) or "charuco 8x6" (squares)'
         )
     charuco = match[1] == "charuco"
     a, b = (int(v) - charuco for v in match.group(2, 3))
     if min(a, b) < 3 or max(a, b) > 200:
-        raise AnnulusError(f"--board {text.strip()} has {a}x{b} inner corners, expected at least 3x3")
+        raise AnnulusError(f"the target {text.strip()} has {a}x{b} inner corners, expected at least 3x3")
     return max(a, b), min(a, b), charuco
 
 
@@ -132,12 +132,12 @@ def image_files(given: Sequence[Path]) -> list[Path]:
         if path.is_dir():
             inside = sorted(p for p in path.iterdir() if p.suffix.lower() in IMAGES)
             if not inside:
-                raise AnnulusError(f"{path}: no images in this folder. Expected photographs of a calibration board.")
+                raise AnnulusError(f"{path}: no images in this folder. Expected photographs of a calibration target.")
             files += inside
         elif path.exists():
             files.append(path)
         else:
-            raise AnnulusError(f"{path}: no such file. Expected a photograph of a calibration board.")
+            raise AnnulusError(f"{path}: no such file. Expected a photograph of a calibration target.")
     return list(dict.fromkeys(files))
 
 
@@ -145,19 +145,19 @@ def calibrate_camera(
     files: Sequence[Path],
     *,
     model: Model | None = None,
-    board: str | None = None,
+    target: str | None = None,
     square_mm: float = 25.0,
     progress: Progress | None = None,
 ) -> CameraCalibration:
-    """Find the board in each photograph, choose the lens model if need be, fit, leave out what does not belong.
+    """Find the target in each photograph, choose the lens model if need be, fit, leave out what does not belong.
 
-    The squares' side sets no more than the scale of the boards' distances: the camera comes out the same. Raises
+    The squares' side sets no more than the scale of the targets' distances: the camera comes out the same. Raises
     AnnulusError where the photographs cannot make a camera.
     """
-    wanted = None if board is None else parse_board(board)
+    wanted = None if target is None else parse_target(target)
     if len(files) < 2:
         raise AnnulusError(
-            f"{len(files)} image, expected at least 2, better 10 to 20 with the board near, tilted and in every corner"
+            f"{len(files)} image, expected at least 2, better 10 to 20 with the target near, tilted and in every corner"
         )
     images, views, rejected = _look(files, progress)
     size = _common_size(files, images)
@@ -167,16 +167,16 @@ def calibrate_camera(
             f"no chessboard in any of {len(files)} images. Expected at least 3x3 inner corners, squares of 8 pixels "
             "or more, lit evenly."
         )
-    target, given = _board(views, wanted, square_mm)
+    shown, given = _target(views, wanted, square_mm)
     if (wanted and wanted[2]) or any(len(v.cells) for v in views if v is not None):
         markers = _markers(files, views)
-        target = Board(target.columns, target.rows, square_mm, markers)
-    views = [None if v is None else cropped(v, target.columns, target.rows) for v in views]
+        shown = Target(shown.columns, shown.rows, square_mm, markers)
+    views = [None if v is None else cropped(v, shown.columns, shown.rows) for v in views]
     _reject_poor(views, rejected)
 
-    def sights_of(which: Sequence[int]) -> list[Sight]:
+    def observations_of(which: Sequence[int]) -> list[TargetObservation]:
         return [
-            Sight(np.asarray(square_mm * view.cells, float), view.pixels)
+            TargetObservation(np.asarray(square_mm * view.cells, float), view.pixels)
             for i in which
             if (view := views[i]) is not None
         ]
@@ -187,17 +187,20 @@ def calibrate_camera(
         raise AnnulusError(f"only {len(kept)} of {len(files)} images can be used ({why[:300]}). Expected at least 2.")
     if progress:
         progress("fitting", 0, 3)
-    first = _choose_model(sights_of(kept), size, model)
+    first = _choose_model(observations_of(kept), size, model)
     if progress:
         progress("fitting", 1, 3)
 
-    good = {i: np.ones(len(s.pixels), bool) for i, s in zip(kept, sights_of(kept), strict=True)}
+    good = {i: np.ones(len(s.pixels), bool) for i, s in zip(kept, observations_of(kept), strict=True)}
     for _ in range(3):
         changed = _reject_far(first, kept, good, rejected)
         kept = [i for i in kept if not rejected[i]]
         if len(kept) < 2:
-            raise AnnulusError("the photographs do not agree on one camera: are all from it, unzoomed, board flat?")
-        some = [Sight(s.board_mm[good[i]], s.pixels[good[i]]) for i, s in zip(kept, sights_of(kept), strict=True)]
+            raise AnnulusError("the photographs do not agree on one camera: are all from it, unzoomed, target flat?")
+        some = [
+            TargetObservation(s.target_mm[good[i]], s.pixels[good[i]])
+            for i, s in zip(kept, observations_of(kept), strict=True)
+        ]
         first = fit_intrinsics(some, *size, first.camera.model, first.camera)
         if not changed:
             break
@@ -205,13 +208,13 @@ def calibrate_camera(
         progress("fitting", 2, 3)
     usable = [i for i in found if views[i] is not None]
     plain = len(kept) == len(usable) and all(good[i].all() for i in kept)
-    everything = first if plain else fit_intrinsics(sights_of(usable), *size, first.camera.model, first.camera)
+    everything = first if plain else fit_intrinsics(observations_of(usable), *size, first.camera.model, first.camera)
     rms = dict(zip(kept, first.view_rms_px, strict=True))
     photographs = []
     for i, file in enumerate(files):
         view = views[i]
         if i not in rms and view is not None:
-            rms[i] = board_pose(first.camera, sights_of([i])[0])[2]
+            rms[i] = target_pose(first.camera, observations_of([i])[0])[2]
         photographs.append(
             Photograph(
                 file.name, 0 if view is None else len(view.cells), int(np.count_nonzero(~good[i])) if i in kept else 0,
@@ -223,7 +226,7 @@ def calibrate_camera(
     if progress:
         progress("fitting", 3, 3)
     return CameraCalibration(
-        first, target, given, tuple(photographs), everything.rms_px, coverage, seen, _warnings(first, coverage)
+        first, shown, given, tuple(photographs), everything.rms_px, coverage, seen, _warnings(first, coverage)
     )
 
 
@@ -237,14 +240,14 @@ def save_camera(result: CameraCalibration, path: Path) -> bool:
 
 def _look(
     files: Sequence[Path], progress: Progress | None
-) -> tuple[list[tuple[int, int] | None], list[BoardView | None], list[str]]:
-    """Each file's size, the board in it, and why it cannot be used. One photograph is held at a time."""
+) -> tuple[list[tuple[int, int] | None], list[TargetView | None], list[str]]:
+    """Each file's size, the target in it, and why it cannot be used. One photograph is held at a time."""
     sizes: list[tuple[int, int] | None] = []
-    views: list[BoardView | None] = []
+    views: list[TargetView | None] = []
     rejected = []
     for n, file in enumerate(files):
         if progress:
-            progress("looking for the board", n, len(files))
+            progress("looking for the target", n, len(files))
         try:
             image = _read(file)
         except AnnulusError as error:
@@ -253,10 +256,10 @@ def _look(
             rejected.append("cannot be read: " + str(error).removeprefix(f"{file}: "))
             continue
         sizes.append((image.shape[1], image.shape[0]))
-        views.append(find_board(image))
-        rejected.append("" if views[-1] is not None else "no board found")
+        views.append(find_target(image))
+        rejected.append("" if views[-1] is not None else "no target found")
     if progress:
-        progress("looking for the board", len(files), len(files))
+        progress("looking for the target", len(files), len(files))
     return sizes, views, rejected
 
 
@@ -282,9 +285,9 @@ def _common_size(files: Sequence[Path], sizes: Sequence[tuple[int, int] | None])
     return counts.most_common(1)[0][0]
 
 
-def _board(
-    views: Sequence[BoardView | None], wanted: tuple[int, int, bool] | None, square_mm: float
-) -> tuple[Board, bool]:
+def _target(
+    views: Sequence[TargetView | None], wanted: tuple[int, int, bool] | None, square_mm: float
+) -> tuple[Target, bool]:
     """As given, or what most photographs that show it whole agree on."""
     sizes = Counter(view.size for view in views if view is not None)
     if wanted is not None:
@@ -292,10 +295,10 @@ def _board(
         if larger > sum(sizes.values()) / 2:
             a, b = sizes.most_common(1)[0][0]
             raise AnnulusError(
-                f"--board says {wanted[0]}x{wanted[1]} inner corners, the images show {a}x{b}. Count where black "
-                "squares touch, not squares."
+                f"the target given has {wanted[0]}x{wanted[1]} inner corners, the images show {a}x{b}. Count where "
+                "black squares touch, not squares."
             )
-        return Board(wanted[0], wanted[1], square_mm), True
+        return Target(wanted[0], wanted[1], square_mm), True
     whole = Counter(v.size for v in views if v is not None and len(v.cells) == v.size[0] * v.size[1])
     if whole:
         # seen whole at least twice, or in a tenth: the largest such; parts of it are smaller, clutter is not repeated
@@ -303,11 +306,11 @@ def _board(
         a, b = max(often, key=lambda size: (size[0] * size[1], whole[size]))
     else:
         a, b = (max(size[i] for size in sizes) for i in (0, 1))
-    return Board(a, b, square_mm), False
+    return Target(a, b, square_mm), False
 
 
-def _markers(files: Sequence[Path], views: Sequence[BoardView | None]) -> str:
-    """The dictionary of markers on the board, from the photographs that show most of it; empty for none."""
+def _markers(files: Sequence[Path], views: Sequence[TargetView | None]) -> str:
+    """The dictionary of markers on the target, from the photographs that show most of it; empty for none."""
     best = sorted((i for i, v in enumerate(views) if v is not None), key=lambda i: -len(views[i].pixels))  # type: ignore[union-attr]
     for i in best[:2]:
         image = _read(files[i])
@@ -324,29 +327,29 @@ def _markers(files: Sequence[Path], views: Sequence[BoardView | None]) -> str:
     return ""
 
 
-def _reject_poor(views: list[BoardView | None], rejected: list[str]) -> None:
+def _reject_poor(views: list[TargetView | None], rejected: list[str]) -> None:
     usual = float(np.median([view.blur_px for view in views if view is not None]))
     for i, view in enumerate(views):
         if view is None:
             continue
         if len(view.cells) < PARTIAL:
-            rejected[i] = f"only {len(view.cells)} corners of the board, {PARTIAL} needed"
+            rejected[i] = f"only {len(view.cells)} corners of the target, {PARTIAL} needed"
         elif view.blur_px > max(BLURRED * usual, BLURRED_PX):
             rejected[i] = f"blurred: edges {view.blur_px:.1f} px wide, usual here {usual:.1f}"
 
 
-def _choose_model(sights: list[Sight], size: tuple[int, int], model: Model | None) -> Intrinsics:
+def _choose_model(observations: list[TargetObservation], size: tuple[int, int], model: Model | None) -> Intrinsics:
     if model is not None:
-        return fit_intrinsics(sights, *size, model, robust=True)
+        return fit_intrinsics(observations, *size, model, robust=True)
     fits: dict[Model, tuple[float, Intrinsics]] = {}
     for name in ("pinhole", "fisheye"):
         try:
-            fit = fit_intrinsics(sights, *size, name, robust=True)
+            fit = fit_intrinsics(observations, *size, name, robust=True)
         except AnnulusError:
             continue
         fits[name] = float(np.median(np.abs(np.concatenate(fit.residuals)))), fit
     if not fits:
-        raise AnnulusError("no camera fits these boards: is every photograph from one camera, and the board flat?")
+        raise AnnulusError("no camera fits these targets: is every photograph from one camera, and the target flat?")
     if "pinhole" not in fits or ("fisheye" in fits and fits["fisheye"][0] < FISHEYE_GAIN * fits["pinhole"][0]):
         return fits["fisheye"][1]
     return fits["pinhole"][1]
@@ -386,17 +389,17 @@ def _warnings(fit: Intrinsics, coverage: float) -> tuple[str, ...]:
     if views < FEW:
         out.append(f"{views} photographs: take {FEW} or more")
     if fit.rms_px > LARGE_PX:
-        other = "--model fisheye" if camera.model == "pinhole" else "--model pinhole"
+        other = "fisheye" if camera.model == "pinhole" else "pinhole"
         out.append(
-            f"{fit.rms_px:.1f} px is much for corners read to a tenth of one: try {other}, or is the board bent?"
+            f"{fit.rms_px:.1f} px is much for corners read to a tenth: try the {other} model, or is the target bent?"
         )
     tilt = np.degrees(np.arccos(np.clip(np.abs(fit.rotations[:, 2, 2]), 0, 1)))
     if float(np.max(tilt)) < 15.0:
         out.append(
-            f"no board leans more than {np.max(tilt):.0f} deg: focal length and distance are mixed up. Tilt it 30 to 45"
+            f"no target leans more than {np.max(tilt):.0f} deg, better 30 to 45: focal length and distance are mixed up"
         )
     if coverage < 0.6:
-        out.append(f"boards cover {100 * coverage:.0f} % of the image: where none was, the lens is only extrapolated")
+        out.append(f"targets cover {100 * coverage:.0f} % of the image: where none was, the lens is only extrapolated")
     sigma = float(np.sqrt(fit.covariance[0, 0])) / camera.fx
     if sigma > 0.005:
         out.append(f"the focal length is known to {100 * sigma:.1f} % only: more photographs, nearer, tilted both ways")

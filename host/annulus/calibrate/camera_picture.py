@@ -13,7 +13,7 @@ ARROW = 100.0  # times too long, so that residuals are seen
 
 
 def draw_camera(result: CameraCalibration, path: Path) -> None:
-    """A PNG: how well each pixel's ray is known, where boards were, and what every photograph left over."""
+    """A PNG: how well each pixel's ray is known, where targets were, and what every photograph left over."""
     camera, fit = result.camera, result.intrinsics
     figure = Figure(figsize=(13, 7.2), dpi=100, layout="constrained")
     FigureCanvasAgg(figure)
@@ -41,7 +41,7 @@ def draw_camera(result: CameraCalibration, path: Path) -> None:
     bars.set_ylim(0, 4 * max(float(np.median([p.rms_px for p in shown])), 1e-3))
     bars.set_xticks(range(len(shown)), [p.file for p in shown], rotation=60, ha="right", fontsize=7)
     bars.set_ylabel("rms, px")
-    bars.set_title(f"Photographs (red: left out), {result.board}", fontsize=9)
+    bars.set_title(f"Photographs (red: left out), {result.target}", fontsize=9)
     try:
         figure.savefig(path)
     except OSError as error:

@@ -10,7 +10,7 @@ from annulus.rings.diagnosis import Exposure, Trouble, exposure_findings
 from annulus.rings.reconstructor import Reconstructor
 from annulus.vocabulary import AnnulusError
 
-FRAMES = 12  # are plenty: every one has thousands of stripe sightings
+FRAMES = 12  # are plenty: every one has thousands of stripe observations
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ def calibrate_colour(
     exposures: list[tuple[int, Exposure]] = []
     for frame in sample(scan, known, FRAMES, progress):
         exposures.append((frame.index, frame.exposure))
-        slits, placed = reconstructor.sightings(frame.image)
+        slits, placed = reconstructor.slits_by_order(frame.image)
         if placed is not None:
             seen.append(stripes(slits, placed, known))
     found = exposure_findings(exposures)

@@ -16,17 +16,12 @@ from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import FloatArray, Image
 from annulus.record.calibration_file import load_part, update_calibration
 from annulus.record.scan import open_scan
-from annulus.rings.calibration.autocalibration import (
-    Measured,
-    Sightings,
-    Solution,
-    calibrate,
-    hold_out,
-    sight,
-    with_frame,
-)
-from annulus.rings.calibration.contours import Tracks, close_grid, follow, read_colours, wide_grid
-from annulus.rings.calibration.residuals import fine_rings, tune
+from annulus.rings.calibration.autocalibration import calibrate, with_frame
+from annulus.rings.calibration.bundle import Solution
+from annulus.rings.calibration.contours import Contours, close_grid, follow, read_colours, wide_grid
+from annulus.rings.calibration.corrections import fit_corrections, ring_corrections
+from annulus.rings.calibration.cross_validation import Measured, hold_out
+from annulus.rings.calibration.observations import Observations, observe
 from annulus.rings.diagnosis import LOST_MOST, Exposure, diagnose
 from annulus.rings.polar import ring_pixels
 from annulus.vocabulary import AnnulusError, Label
@@ -41,8 +36,8 @@ GOOD_ANGLE_DEG, GOOD_VERTEX = 0.02, 0.001  # of the full angle; of the radius: k
 USELESS = 0.03  # of the radius: a vertex known no better than this is not known
 ALIKE_DEG, ALIKE_SHIFT = 1.0, 0.02  # leans and stands (of the radius) within so much of each other are one
 FOLDS = 4
-HELD_EVERY = 3  # sightings: as many as the held-out error needs
-TUNING_WINS = 0.97  # fine-tuning is kept if it brings the held-out error down to this part at most
+HELD_EVERY = 3  # observations: as many as the held-out error needs
+CORRECTION_WINS = 0.97  # residual corrections are kept if they bring the held-out error down to this part at most
 WAVES = 8.0  # neighbouring errors alike: noise makes 3
 OTHER_PIPE = 0.004  # of the radius: a frame's pipe this much off is another pipe
 CLIPPED_HERE = 0.75  # of the stripes at full scale: rings then come out hundredths of a degree off
@@ -55,9 +50,9 @@ class PipeCalibration:
 
     calibration: Calibration
     solution: Solution
-    seen: Sightings
+    seen: Observations
     held_out: Measured | None  # None with fewer than three frames: nothing is left to hold out
-    tuned_held_out: Measured | None  # the same after fine-tuning
+    held_out_corrected: Measured | None  # the same with each ring's residual correction
     frames: tuple[int, ...]  # scan indices of the frames used
     left_out: dict[int, str]  # scan index -> why
     found: int  # projector frames in the scan
@@ -73,7 +68,7 @@ class PipeCalibration:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers; degrees and mm."""
-        solution, held = self.solution, self.tuned_held_out if self.calibration.corrections else self.held_out
+        solution, held = self.solution, self.held_out_corrected if self.calibration.corrections else self.held_out
         sigma = np.sqrt(np.diag(solution.covariance)).reshape(-1, 6)
         rings = []
         for k, ring in enumerate(solution.rings):
@@ -87,7 +82,7 @@ class PipeCalibration:
                     "axis_sigma": sigma[k, 1:3].tolist(),
                     "vertex_mm": list(ring.vertex_mm),
                     "vertex_sigma_mm": sigma[k, 3:].tolist(),
-                    "sightings": int(np.count_nonzero(mine)),
+                    "observations": int(np.count_nonzero(mine)),
                     "residual_px": _rms(solution.error_px[mine]),
                     "residual_mm": _rms(mm),
                     "held_out_mm": None if held is None else held.rms_mm(self.seen.ring[:: self.held_every] == k),
@@ -110,8 +105,8 @@ class PipeCalibration:
             "rings": rings,
             "residual_px": _rms(solution.error_px[solution.weight > 0]),
             "held_out_mm": None if self.held_out is None else self.held_out.rms_mm(),
-            "held_out_tuned_mm": None if self.tuned_held_out is None else self.tuned_held_out.rms_mm(),
-            "fine_tuned": self.calibration.corrections is not None,
+            "held_out_corrected_mm": None if self.held_out_corrected is None else self.held_out_corrected.rms_mm(),
+            "corrected": self.calibration.corrections is not None,
             "camera_projector_mm": self.distance_mm,
             "pipe_radius_mm": self.calibration.pipe_radius_mm,
             "poses_good": not self.advice,
@@ -128,16 +123,16 @@ def calibrate_pipe(scan: Path, camera: Path, radius_mm: float, *, progress: Prog
     with, never started from. Raises AnnulusError, one line, where nothing can be found.
     """
     if not 1.0 <= radius_mm <= 5000.0:
-        raise AnnulusError(f"--radius is {radius_mm:g} mm, expected 1..5000: half of the pipe's inner diameter")
+        raise AnnulusError(f"the radius is {radius_mm:g} mm, expected 1..5000: half of the pipe's inner diameter")
     known, colours, last_radius, last = load_part(camera, head_from_dict, "annulus calibrate camera")
     report = progress or (lambda stage, done, total: None)
     marks = {"start": time.process_time()}
     frames, images, found = _read(scan, known, report)
     marks["read"] = time.process_time()
     exposures = [diagnose(image) for image in images]
-    tracks, kept, left_out = _decode(frames, images, exposures, known, colours, scan, report)
+    contours, kept, left_out = _decode(frames, images, exposures, known, colours, scan, report)
     marks["decode"] = time.process_time()
-    seen = _sightings(known, [tracks[i] for i in kept])
+    seen = _observations(known, [contours[i] for i in kept])
     indices = tuple(frames[i] for i in kept)
     try:
         solution = calibrate(seen, radius_mm, progress=lambda done, total: report("solve", done, total))
@@ -145,30 +140,30 @@ def calibrate_pipe(scan: Path, camera: Path, radius_mm: float, *, progress: Prog
         raise AnnulusError(f"{scan}: {error}.") from None
     _refuse(scan, solution, indices)
     marks["solve"] = time.process_time()
-    held, tuned_held, tuned, fine = None, None, solution, None
+    held, held_corrected, best, corrections = None, None, solution, None
     if len(kept) > 2:
         try:
             folds, few = min(FOLDS, len(kept)), seen.take(np.arange(0, len(seen), HELD_EVERY))
             held = hold_out(few, solution, folds, progress=lambda done, total: report("hold out", done, total))
-            tuned_held = hold_out(
-                few, solution, folds, fit=tune, progress=lambda done, total: report("fine-tune", done, total)
+            held_corrected = hold_out(
+                few, solution, folds, fit=fit_corrections, progress=lambda done, total: report("correct", done, total)
             )
-            if tuned_held.rms_mm() < TUNING_WINS * held.rms_mm():
-                tuned, fine = tune(seen, solution)
+            if held_corrected.rms_mm() < CORRECTION_WINS * held.rms_mm():
+                best, corrections = fit_corrections(seen, solution)
         except AnnulusError:  # what a part of the frames leaves open; the advice says so
-            held = tuned_held = None
+            held = held_corrected = None
     marks["hold out"] = time.process_time()
     calibration = Calibration(
-        known, colours, tuned.rings, radius_mm, tuple(tuple(float(v) for v in row) for row in tuned.covariance),
-        None if fine is None else fine_rings(fine),
+        known, colours, best.rings, radius_mm, tuple(tuple(float(v) for v in row) for row in best.covariance),
+        None if corrections is None else ring_corrections(corrections),
     )  # fmt: skip
     used = [exposures[i] for i in kept]
-    warnings = _warnings(tuned, held, indices, radius_mm, last_radius, last, used)
+    warnings = _warnings(best, held, indices, radius_mm, last_radius, last, used)
     names = list(marks)
     timing = {name: marks[name] - marks[before] for before, name in pairwise(names)}
     return PipeCalibration(
-        calibration, tuned, seen, held, tuned_held, indices, left_out, found, warnings,
-        _advice(known, tuned, radius_mm), timing,
+        calibration, best, seen, held, held_corrected, indices, left_out, found, warnings,
+        _advice(known, best, radius_mm), timing,
     )  # fmt: skip
 
 
@@ -207,8 +202,8 @@ def _decode(
     colours: str,
     scan: Path,
     report: Progress,
-) -> tuple[dict[int, Tracks], list[int], dict[int, str]]:
-    """Tracks of the frames that can be used, which those are, and why the others cannot."""
+) -> tuple[dict[int, Contours], list[int], dict[int, str]]:
+    """Contours of the frames that can be used, which those are, and why the others cannot."""
     left_out = {
         frames[i]: f"dark, nothing brighter than {exposure.bright:.0f} of 255: lens cap on, or projector off"
         for i, exposure in enumerate(exposures)
@@ -222,50 +217,50 @@ def _decode(
         )
     enough = SEEN_LEAST * (len(colours) - 1)
 
-    def fair(track: Tracks, grid_lines: int) -> bool:
-        return len(track.ring) >= enough * grid_lines
+    def fair(contour: Contours, grid_lines: int) -> bool:
+        return len(contour.ring) >= enough * grid_lines
 
     grid = wide_grid(camera, np.array([camera.cx, camera.cy]))
     lines = len(grid.cosine)
-    tracks: dict[int, Tracks] = {}
+    contours: dict[int, Contours] = {}
     for done, i in enumerate(lit):
-        tracks[i] = follow(images[i], grid, colours)
-        if not fair(tracks[i], lines):  # the pattern may lie beside the camera's axis
+        contours[i] = follow(images[i], grid, colours)
+        if not fair(contours[i], lines):  # the pattern may lie beside the camera's axis
             other = follow(images[i], wide_grid(camera, _light_centre(images[i])), colours)
-            tracks[i] = max(tracks[i], other, key=lambda track: len(track.ring))
+            contours[i] = max(contours[i], other, key=lambda contour: len(contour.ring))
         report("find rings", done + 1, 2 * len(lit))
-    kept = [i for i in lit if fair(tracks[i], lines)]
+    kept = [i for i in lit if fair(contours[i], lines)]
     if kept:
-        grid = close_grid(camera, [tracks[i] for i in kept])
+        grid = close_grid(camera, [contours[i] for i in kept])
         for done, i in enumerate(lit):
-            tracks[i] = follow(images[i], grid, colours)
+            contours[i] = follow(images[i], grid, colours)
             report("find rings", len(lit) + done + 1, 2 * len(lit))
-        kept = [i for i in lit if fair(tracks[i], lines)]
+        kept = [i for i in lit if fair(contours[i], lines)]
     for i in lit:
         if i not in kept:
             exposure = exposures[i]
             left_out[frames[i]] = (
                 f"over-exposed, {100 * exposure.lost:.0f} % of the stripes have lost their colour"
                 if exposure.lost > LOST_MOST
-                else f"rings of {colours} not found in it ({tracks[i].slits} slits seen)"
+                else f"rings of {colours} not found in it ({contours[i].slits} slits seen)"
             )
     if len(kept) < 2:
-        raise AnnulusError(f"{scan}: {_why_none(frames, images, exposures, tracks, kept, lit, colours, camera)}.")
-    missing = [k + 1 for k in range(len(colours) - 1) if all(np.isnan(tracks[i].reach[k, 1]) for i in kept)]
+        raise AnnulusError(f"{scan}: {_why_none(frames, images, exposures, contours, kept, lit, colours, camera)}.")
+    missing = [k + 1 for k in range(len(colours) - 1) if all(np.isnan(contours[i].reach[k, 1]) for i in kept)]
     if missing:
         read = read_colours(images[kept[0]], grid)
         raise AnnulusError(
             f"{scan}: ring{'s' if len(missing) > 1 else ''} {', '.join(map(str, missing))} of the pattern {colours} "
             f"(counted from the innermost) seen in no frame; the stripes read {read}. Check pattern.colours."
         )
-    return tracks, kept, left_out
+    return contours, kept, left_out
 
 
 def _why_none(
     frames: Sequence[int],
     images: Sequence[Image],
     exposures: Sequence[Exposure],
-    tracks: dict[int, Tracks],
+    contours: dict[int, Contours],
     kept: Sequence[int],
     lit: Sequence[int],
     colours: str,
@@ -280,9 +275,9 @@ def _why_none(
             f"{len(over)} of {len(frames)} projector frames over-exposed (up to {100 * worst:.0f} % of the stripes "
             "have lost their colour): shorten the projector's flash or lower the gain"
         )
-    i = max(lit, key=lambda i: tracks[i].slits)
+    i = max(lit, key=lambda i: contours[i].slits)
     grid = wide_grid(camera, np.array([camera.cx, camera.cy]))
-    if tracks[i].slits > len(grid.cosine):
+    if contours[i].slits > len(grid.cosine):
         return (
             f"slits are seen but not in the order of pattern.colours {colours}; the stripes read "
             f"{read_colours(images[i], grid)} from the innermost. Check pattern.colours"
@@ -302,14 +297,14 @@ def _light_centre(image: Image) -> FloatArray:
     return np.array([8 * np.average(x, weights=top), 8 * np.average(y, weights=top)])
 
 
-def _sightings(camera: Camera, tracks: Sequence[Tracks]) -> Sightings:
-    frame = np.concatenate([np.full(len(track.ring), j) for j, track in enumerate(tracks)])
-    ring = np.concatenate([track.ring for track in tracks])
-    pixels = np.concatenate([track.pixels for track in tracks])
-    width = np.concatenate([track.width for track in tracks])
+def _observations(camera: Camera, contours: Sequence[Contours]) -> Observations:
+    frame = np.concatenate([np.full(len(contour.ring), j) for j, contour in enumerate(contours)])
+    ring = np.concatenate([contour.ring for contour in contours])
+    pixels = np.concatenate([contour.pixels for contour in contours])
+    width = np.concatenate([contour.width for contour in contours])
     width = np.minimum(width, 1.3 * np.median(width))  # as triangulate does
-    centre = np.asarray(tracks[0].centre)
-    return sight(camera, frame, ring, pixels, centre, width)
+    centre = np.asarray(contours[0].centre)
+    return observe(camera, frame, ring, pixels, centre, width)
 
 
 def _refuse(scan: Path, solution: Solution, frames: Sequence[int]) -> None:
@@ -388,10 +383,10 @@ def _best_lean(camera: Camera, solution: Solution, radius: float) -> tuple[str, 
         pixels, ring = np.vstack(places), np.concatenate(rings)
         if len(pixels) < 20:
             continue
-        one = sight(camera, np.zeros(len(ring), np.int64), ring, pixels, np.array([camera.cx, camera.cy]))
-        # as many sightings as a frame has, not so many as were drawn here
+        one = observe(camera, np.zeros(len(ring), np.int64), ring, pixels, np.array([camera.cx, camera.cy]))
+        # as many observations as a frame has, not so many as were drawn here
         part = steps * len(solution.rings) * len(solution.poses) / max(len(solution.error_px), 1)
-        cover = with_frame(replace(solution, alike=solution.alike * part), one, pose)
+        cover = with_frame(replace(solution, correlation_length=solution.correlation_length * part), one, pose)
         vertex = float(np.sqrt(np.diag(cover)).reshape(-1, 6)[:, 3:].max())
         if vertex < best[1]:
             best = name, vertex
@@ -424,8 +419,8 @@ def _warnings(
         out += _flipped(solution, last)
     elif last_radius is not None and abs(last_radius / radius - 1) > 0.002:
         out.append(
-            f"--radius is {radius:g} mm but pipe.radius_mm in the camera's file is {last_radius:g}: lengths grow with "
-            f"it, camera and projector come out {distance:.2f} mm apart, or {distance * last_radius / radius:.2f}"
+            f"the radius is {radius:g} mm but pipe.radius_mm in the camera's file is {last_radius:g}: lengths grow "
+            f"with it, camera and projector come out {distance:.2f} mm apart, or {distance * last_radius / radius:.2f}"
         )
     if held is not None:
         other = [
@@ -438,9 +433,9 @@ def _warnings(
                 "not all frames are of one pipe: "
                 + ", ".join(f"frame {index} looks like radius {radius + delta:.2f} mm" for index, delta in other[:4])
             )
-    if solution.rival < 1.3:
+    if solution.runner_up < 1.3:
         out.append("another place of the projector fits nearly as well: take frames that lean more")
-    waves = float(solution.alike.max())
+    waves = float(solution.correlation_length.max())
     if waves > WAVES:
         out.append(
             f"the errors run in long waves along the rings (up to {waves:.0f} neighbours alike): the camera's file is "

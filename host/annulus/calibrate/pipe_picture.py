@@ -7,7 +7,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from annulus.calibrate.pipe import PipeCalibration, leans
-from annulus.rings.calibration.autocalibration import azimuths
+from annulus.rings.calibration.observations import azimuths
 from annulus.vocabulary import AnnulusError
 
 SHADES = ("#1f4e79", "#2e86ab", "#3fb6a8", "#8fbf4d", "#e0a030", "#d1495b", "#8d3b72", "#555555")
@@ -44,8 +44,8 @@ def draw_pipe(result: PipeCalibration, path: Path) -> None:
     poses.set_ylim(reach, -reach)
     poses.set_aspect("equal")
     poses.set_title("How the head leant, degrees (right, down)")
-    if result.held_out is not None and result.tuned_held_out is not None:
-        for shift, held, name in ((-0.2, result.held_out, "cones"), (0.2, result.tuned_held_out, "fine-tuned")):
+    if result.held_out is not None and result.held_out_corrected is not None:
+        for shift, held, name in ((-0.2, result.held_out, "cones"), (0.2, result.held_out_corrected, "corrected")):
             values = [held.rms_mm(seen.ring[:: result.held_every] == k) for k in range(rings)]
             bars.bar(np.arange(1, rings + 1) + shift, values, 0.4, label=name, color=SHADES[0 if shift < 0 else 4])
         bars.set_xticks(range(1, rings + 1))

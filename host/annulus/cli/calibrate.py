@@ -18,16 +18,16 @@ def _calibrate() -> None:
     """Commands below share one file: each replaces its own sections and keeps the others."""
 
 
-@app.command("camera", epilog="Example: annulus calibrate camera board/*.jpg --square-mm 25 -o head-7.json")
+@app.command("camera", epilog="Example: annulus calibrate camera target/*.jpg --square-mm 25 -o head-7.json")
 def camera(
-    images: Annotated[list[Path], typer.Argument(help="Photographs of a flat board, or folders of them.")],
+    images: Annotated[list[Path], typer.Argument(help="Photographs of a flat target, or folders of them.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="calibration.json; other sections in it are kept.")] = Path(
         "calibration.json"
     ),
     model: Annotated[
         str | None, typer.Option(help="pinhole or fisheye; if not given, the one that fits clearly better.")
     ] = None,
-    board: Annotated[
+    target: Annotated[
         str | None,
         typer.Option(help='Inner corners of a chessboard, "9x6", or squares of a ChArUco board, "charuco 8x6".'),
     ] = None,
@@ -39,8 +39,8 @@ def camera(
 ) -> None:
     """The camera from photographs of a chessboard or ChArUco board, from nothing but them.
 
-    The board may be of any size, partly seen, through any lens; bad photographs are left out and named. Ten to twenty
-    photographs, the board filling half the image, tilted 30 to 45 degrees, and in every corner of it.
+    The target may be of any size, partly seen, through any lens; bad photographs are left out and named. Ten to twenty
+    photographs, the target filling half the image, tilted 30 to 45 degrees, and in every corner of it.
     """
     if model not in (None, "pinhole", "fisheye"):
         raise AnnulusError(f'--model is "{model}", expected pinhole or fisheye')
@@ -51,7 +51,7 @@ def camera(
         result = calibrate_camera(
             image_files(images),
             model=model,  # type: ignore[arg-type]
-            board=board,
+            target=target,
             square_mm=square_mm,
             progress=bars,
         )
@@ -70,7 +70,7 @@ def camera(
             + (f"  REJECTED {one.rejected}" * bool(one.rejected))
         )
     lens, sigma = result.camera, told["sigma"]
-    print(f"board      {result.board}{'' if result.board_was_given else ' (found out)'}")
+    print(f"target     {result.target}{'' if result.target_was_given else ' (found out)'}")
     print(f"camera     {lens.model} {lens.width}x{lens.height}")
     print(f"focal      {lens.fx:.2f} +- {sigma['fx']:.2f}, {lens.fy:.2f} +- {sigma['fy']:.2f} px")
     print(f"centre     {lens.cx:.2f} +- {sigma['cx']:.2f}, {lens.cy:.2f} +- {sigma['cy']:.2f} px")
@@ -171,10 +171,10 @@ def reference(
 
 
 @app.command(
-    "board",
-    epilog="Example: annulus calibrate board scans/boards --camera head.json --square-mm 30 --radius 76.2 -o head.json",
+    "target",
+    epilog="Example: annulus calibrate target scans/t --camera head.json --square-mm 30 --radius 76.2 -o head.json",
 )
-def board(
+def target(
     scan: Annotated[Path, typer.Argument(help="Scan folder or recording of pairs; see below.")],
     camera: Annotated[Path, typer.Option(help="File with the `camera` section, and `pattern` if it has one.")],
     square_mm: Annotated[float, typer.Option(min=0.1, max=10000.0, help="Side of a square, mm: it sets the scale.")],
@@ -187,15 +187,15 @@ def board(
     radius: Annotated[float | None, typer.Option(min=1.0, max=5000.0, help="Radius of the pipe to scan, mm.")] = None,
     as_json: Json = False,
 ) -> None:
-    """The rings from a flat board: angles, axes and vertices.
+    """The rings from a flat target: angles, axes and vertices.
 
     The scan has, for each of 15 to 20 places of a chessboard or ChArUco board before the head, two frames taken
-    without touching either: light "led" (the board in white light) and light "projector" (the rings on it). Frames
+    without touching either: light "led" (the target in white light) and light "projector" (the rings on it). Frames
     with the same z_mm belong together: number the places there, 0, 1, 2 .. With one z_mm throughout, a projector frame
-    goes with the led frame before it. Hold the board near and far, tilted 20 to 40 degrees every way; only slits on
+    goes with the led frame before it. Hold the target near and far, tilted 20 to 40 degrees every way; only slits on
     white paper count, so big squares and wide margins help.
     """
-    from annulus.calibrate.board import calibrate_board, save_board
+    from annulus.calibrate.target import calibrate_target, save_target
     from annulus.geometry.calibration import camera_to_dict
     from annulus.record.calibration_file import load_camera, load_sections
 
@@ -208,8 +208,8 @@ def board(
     if radius is None and isinstance(pipe, dict) and isinstance(pipe.get("radius_mm"), int | float):
         radius = float(pipe["radius_mm"])
     with progress() as bars:
-        result = calibrate_board(scan, lens, stripes, square_mm, bars)
-    save_board(result, camera_to_dict(lens), radius, out)
+        result = calibrate_target(scan, lens, stripes, square_mm, bars)
+    save_target(result, camera_to_dict(lens), radius, out)
     told = result.to_dict()
     if as_json:
         print(json.dumps({**told, "file": str(out)}))
@@ -219,7 +219,7 @@ def board(
             print(f"{pair.rings:<24} REJECTED {pair.rejected}")
         else:
             print(
-                f"{pair.rings:<24} {pair.rms_mm:6.3f} mm  {pair.points:5d} points  board {pair.pose_px:.2f} px, "
+                f"{pair.rings:<24} {pair.rms_mm:6.3f} mm  {pair.points:5d} points  target {pair.pose_px:.2f} px, "
                 f"{pair.distance_mm:.0f} mm away, {pair.tilt_deg:.0f} deg"
             )
     print("ring  full angle         axis x, y           vertex mm                                rms mm")
@@ -254,7 +254,7 @@ def pipe(
     """The projector's rings from a clean pipe of known radius, from nothing but the camera.
 
     Lean the head about 10 degrees to the left, to the right, up and down, and stand off the axis that way, a frame or
-    two each; eight frames are plenty. No board, no marks. The pipe may be any that is round and clean.
+    two each; eight frames are plenty. No target, no marks. The pipe may be any that is round and clean.
     """
     from annulus.calibrate.pipe import calibrate_pipe, save_pipe
     from annulus.calibrate.pipe_picture import draw_pipe
@@ -284,10 +284,10 @@ def pipe(
         )
     print(f"frames     {len(result.frames)} of {result.found} used")
     if told["held_out_mm"] is not None:
-        tuned = "kept" if told["fine_tuned"] else "not kept"
+        kept = "kept" if told["corrected"] else "not kept"
         print(
             f"radius     {told['held_out_mm']:.3f} mm rms in frames held out, "
-            f"{told['held_out_tuned_mm']:.3f} with fine-tuning ({tuned})"
+            f"{told['held_out_corrected_mm']:.3f} with residual corrections ({kept})"
         )
     print(f"distance   {result.distance_mm:.2f} mm from camera to projector, if the radius is {radius:g} mm: check it")
     print(f"poses      {'good' if not result.advice else 'could be better: ' + '; '.join(result.advice)}")

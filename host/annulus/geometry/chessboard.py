@@ -1,7 +1,7 @@
 """Chessboard corners in a photograph: of any size, partly seen, through any lens, with or without ChArUco markers.
 
 Corners are found one by one and linked to their neighbours along the squares' edges, so nothing here needs to know how
-many there are, and a wide lens may bend the rows as it likes. Which corner of the board a corner is, is not found out:
+many there are, and a wide lens may bend the rows as it likes. Which corner of the target a corner is, is not found out:
 a calibration has a free pose for each photograph and needs none of it.
 """
 
@@ -34,8 +34,8 @@ LEAST = 3  # corners each way
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BoardView:
-    """The corners of one board in one photograph."""
+class TargetView:
+    """The corners of one target in one photograph."""
 
     cells: NDArray[
         np.int64
@@ -52,8 +52,8 @@ class BoardView:
         return max(columns, rows), min(columns, rows)
 
 
-def cropped(view: BoardView, columns: int, rows: int) -> BoardView:
-    """The part of a view that a board of columns x rows corners can have: clutter sometimes adds a row."""
+def cropped(view: TargetView, columns: int, rows: int) -> TargetView:
+    """The part of a view that a target of columns x rows corners can have: clutter sometimes adds a row."""
     best: NDArray[np.bool_] = np.zeros(len(view.cells), bool)
     x, y = view.cells.T
     for width, height in ((columns, rows), (rows, columns)):
@@ -63,10 +63,10 @@ def cropped(view: BoardView, columns: int, rows: int) -> BoardView:
                 if np.count_nonzero(inside) > np.count_nonzero(best):
                     best = inside
     cells = view.cells[best]
-    return BoardView(cells - cells.min(axis=0), view.pixels[best], view.step_px, view.blur_px, view.markers)
+    return TargetView(cells - cells.min(axis=0), view.pixels[best], view.step_px, view.blur_px, view.markers)
 
 
-def find_board(image: NDArray[np.uint8]) -> BoardView | None:
+def find_target(image: NDArray[np.uint8]) -> TargetView | None:
     """The largest connected piece of a chessboard in (H, W) or (H, W, 3) uint8, or None where there is none.
 
     Corners are saddles of the brightness with four sectors around them. Two are neighbours if each lies along an edge
@@ -228,7 +228,7 @@ def _walk(seed: int, link: NDArray[np.int64], seen: NDArray[np.bool_]) -> dict[t
 
 
 def _trimmed(grid: dict[tuple[int, int], int]) -> dict[tuple[int, int], int]:
-    """Without corners that hang on by one link: a board has none, the clutter around it has."""
+    """Without corners that hang on by one link: a target has none, the clutter around it has."""
     while True:
         alone = [
             (x, y)
@@ -240,7 +240,7 @@ def _trimmed(grid: dict[tuple[int, int], int]) -> dict[tuple[int, int], int]:
         grid = {cell: i for cell, i in grid.items() if cell not in alone}
 
 
-def _refined(grey: NDArray[np.uint8], grid: dict[tuple[int, int], FloatArray]) -> BoardView | None:
+def _refined(grey: NDArray[np.uint8], grid: dict[tuple[int, int], FloatArray]) -> TargetView | None:
     """Places to a fraction of a pixel: where all brightness gradients around are at right angles to the way there."""
     cells = np.array(list(grid))
     rough = np.array(list(grid.values()))
@@ -276,7 +276,7 @@ def _refined(grey: NDArray[np.uint8], grid: dict[tuple[int, int], FloatArray]) -
     cells = cells[good] - cells[good].min(axis=0)
     if np.any(cells.max(axis=0) < LEAST - 1):
         return None
-    return BoardView(cells, fine[good], float(np.median(mean)), blur, markers)
+    return TargetView(cells, fine[good], float(np.median(mean)), blur, markers)
 
 
 def _has_markers(grey: NDArray[np.uint8], grid: dict[tuple[int, int], FloatArray]) -> bool:

@@ -1,4 +1,4 @@
-"""A camera from photographs of a flat board: cold start, all poses and the lens together, and what they are worth."""
+"""A camera from photographs of a flat target: cold start, all poses and the lens together, and what they are worth."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -22,18 +22,18 @@ STAGES: tuple[tuple[tuple[int, ...] | None, int], ...] = (((0,), 6), ((0, 2, 3, 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sight:
-    """Corners of one board in one image: (N, 2) mm on the board, (N, 2) pixels."""
+class TargetObservation:
+    """Corners of one target in one image: (N, 2) mm on the target, (N, 2) pixels."""
 
-    board_mm: FloatArray
+    target_mm: FloatArray
     pixels: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class Intrinsics:
-    """A camera fitted to sights.
+    """A camera fitted to views.
 
-    `rotations` (V, 3, 3) and `translations` (V, 3) mm: board to camera. `residuals`: (N, 2) pixels of each sight, seen
+    `rotations` (V, 3, 3) and `translations` (V, 3) mm: target to camera. `residuals`: (N, 2) pixels of each view, seen
     less modelled. `covariance`: of fx, fy, cx, cy and the distortion, scaled by what the residuals say.
     """
 
@@ -83,54 +83,60 @@ class Intrinsics:
 
 
 def fit_intrinsics(
-    sights: list[Sight], width: int, height: int, model: Model, start: Camera | None = None, *, robust: bool = False
+    views: list[TargetObservation],
+    width: int,
+    height: int,
+    model: Model,
+    start: Camera | None = None,
+    *,
+    robust: bool = False,
 ) -> Intrinsics:
-    """Fit one camera to sights of flat boards, every sight with its own pose.
+    """Fit one camera to views of flat targets, every view with its own pose.
 
     Parameters
     ----------
-    sights : at least two (a single photograph leaves focal length and distance in each other's hands).
-    start : a camera near the answer; without one, eight focal lengths are tried on some of the sights.
+    views : at least two (a single photograph leaves focal length and distance in each other's hands).
+    start : a camera near the answer; without one, eight focal lengths are tried on some of the views.
     robust : corners far off count little in the answer too; to find out which ones they are.
 
     Notes
     -----
     Least squares with Cauchy weights on the way (corners far off must not pull), plain at the end; poses are
-    eliminated sight by sight (Schur), so the cost grows with the number of sights only linearly. Model and distortion
+    eliminated view by view (Schur), so the cost grows with the number of views only linearly. Model and distortion
     are OpenCV's (Alzuhiri 2022, ch. 2). Raises AnnulusError where no focal length leads anywhere.
     """
-    if len(sights) < 2:
+    if len(views) < 2:
         raise AnnulusError(
-            f"{len(sights)} usable photograph of the board, expected at least 2, better 10 from all sides"
+            f"{len(views)} usable photograph of the target, expected at least 2, better 10 from all sides"
         )
     if start is None:
-        start = _cold_start(sights, width, height, model)
-    camera, rotations, translations = start, *_poses(start, sights)
-    camera, rotations, translations, normal = _adjust(camera, rotations, translations, sights, None, robust=True)
+        start = _cold_start(views, width, height, model)
+    camera, rotations, translations = start, *_poses(start, views)
+    camera, rotations, translations, normal = _adjust(camera, rotations, translations, views, None, robust=True)
     if not robust:
-        camera, rotations, translations, normal = _adjust(camera, rotations, translations, sights, None, robust=False)
+        camera, rotations, translations, normal = _adjust(camera, rotations, translations, views, None, robust=False)
     residuals = tuple(
-        s.pixels - camera.project(s.board_mm @ r[:, :2].T + t)
-        for s, r, t in zip(sights, rotations, translations, strict=True)
+        s.pixels - camera.project(s.target_mm @ r[:, :2].T + t)
+        for s, r, t in zip(views, rotations, translations, strict=True)
     )
-    free = 2 * sum(len(s.pixels) for s in sights) - 6 * len(sights) - NUMBERS[camera.model]
+    free = 2 * sum(len(s.pixels) for s in views) - 6 * len(views) - NUMBERS[camera.model]
     variance = sum(float((r**2).sum()) for r in residuals) / max(free, 1)
     return Intrinsics(
         camera, rotations, translations, residuals, np.asarray(variance * np.linalg.pinv(normal, hermitian=True))
     )
 
 
-def board_pose(camera: Camera, sight: Sight) -> tuple[FloatArray, FloatArray, float]:
-    """(3, 3) and (3,) mm: board to camera, and the rms in pixels. From four or more corners of a plane, corners that
+def target_pose(camera: Camera, view: TargetObservation) -> tuple[FloatArray, FloatArray, float]:
+    """(3, 3) and (3,) mm: target to camera, and the rms in pixels. From four or more corners of a plane, corners that
     were mistaken for ones count little. For any camera with one centre."""
-    rotations, translations = _poses(camera, [sight])
+    rotations, translations = _poses(camera, [view])
 
     def moved(x: FloatArray) -> tuple[FloatArray, FloatArray]:
         return Rotation.from_rotvec(x[:3]).as_matrix() @ rotations[0], translations[0] + x[3:]
 
     def off(x: FloatArray) -> FloatArray:
         rotation, shift = moved(x)
-        return np.nan_to_num(camera.project(sight.board_mm @ rotation[:, :2].T + shift) - sight.pixels, nan=1e4).ravel()
+        return np.nan_to_num(camera.project(view.target_mm @ rotation[:, :2].T + shift) - view.pixels, nan=1e4).ravel()
 
     size = float(np.linalg.norm(translations[0]))
     fit = least_squares(off, np.zeros(6), loss="cauchy", f_scale=0.5, x_scale=np.array([0.01] * 3 + [0.01 * size] * 3))
@@ -189,9 +195,9 @@ def project_with_slopes(camera: Camera, points: FloatArray) -> tuple[FloatArray,
     return flat * focal + [camera.cx, camera.cy], by_point * focal[None, :, None], by_lens
 
 
-def _cold_start(sights: list[Sight], width: int, height: int, model: Model) -> Camera:
-    """The best of several focal lengths after a few steps on some of the sights, from a lens without distortion."""
-    some = [sights[i] for i in np.unique(np.linspace(0, len(sights) - 1, COLD_VIEWS).astype(int))]
+def _cold_start(views: list[TargetObservation], width: int, height: int, model: Model) -> Camera:
+    """The best of several focal lengths after a few steps on some of the views, from a lens without distortion."""
+    some = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, COLD_VIEWS).astype(int))]
     tried: list[tuple[float, Camera]] = []
     for part in FOCAL:
         f = part * max(width, height)
@@ -208,29 +214,29 @@ def _cold_start(sights: list[Sight], width: int, height: int, model: Model) -> C
                 continue
         tried = sorted(better, key=lambda one: one[0])[:PROMISING]
     if not tried:
-        raise AnnulusError("no camera fits these boards: is every photograph from one camera, and the board flat?")
+        raise AnnulusError("no camera fits these targets: is every photograph from one camera, and the target flat?")
     return tried[0][1]
 
 
-def _cost(camera: Camera, rotations: FloatArray, translations: FloatArray, sights: list[Sight]) -> float:
+def _cost(camera: Camera, rotations: FloatArray, translations: FloatArray, views: list[TargetObservation]) -> float:
     """Median distance in pixels; a corner behind the lens counts as very far."""
     off = []
-    for sight, rotation, translation in zip(sights, rotations, translations, strict=True):
-        seen = camera.project(sight.board_mm @ rotation[:, :2].T + translation)
-        off.append(np.nan_to_num(np.linalg.norm(seen - sight.pixels, axis=1), nan=1e6))
+    for view, rotation, translation in zip(views, rotations, translations, strict=True):
+        seen = camera.project(view.target_mm @ rotation[:, :2].T + translation)
+        off.append(np.nan_to_num(np.linalg.norm(seen - view.pixels, axis=1), nan=1e6))
     return float(np.median(np.concatenate(off)))
 
 
-def _poses(camera: Camera, sights: list[Sight]) -> tuple[FloatArray, FloatArray]:
-    """Board poses from the rays of a camera, by the plane's homography onto directions: good past 90 degrees too."""
-    rotations, translations = np.empty((len(sights), 3, 3)), np.empty((len(sights), 3))
-    for i, sight in enumerate(sights):
-        rays = camera.rays(sight.pixels)
+def _poses(camera: Camera, views: list[TargetObservation]) -> tuple[FloatArray, FloatArray]:
+    """Target poses from the rays of a camera, by the plane's homography onto directions: good past 90 degrees too."""
+    rotations, translations = np.empty((len(views), 3, 3)), np.empty((len(views), 3))
+    for i, view in enumerate(views):
+        rays = camera.rays(view.pixels)
         good = np.isfinite(rays).all(axis=1)
         if np.count_nonzero(good) < 4:
             raise ValueError("the lens cannot have seen this")
-        middle, spread = sight.board_mm[good].mean(axis=0), float(np.std(sight.board_mm[good]))
-        flat = (sight.board_mm[good] - middle) / spread
+        middle, spread = view.target_mm[good].mean(axis=0), float(np.std(view.target_mm[good]))
+        flat = (view.target_mm[good] - middle) / spread
         homogeneous = np.concatenate([flat, np.ones((len(flat), 1))], axis=1)
         rows = np.einsum("nij,nk->nijk", _cross_matrix(rays[good]), homogeneous).reshape(-1, 9)
         h = np.linalg.svd(rows, full_matrices=False)[2][-1].reshape(3, 3)
@@ -247,7 +253,7 @@ def _adjust(
     camera: Camera,
     rotations: FloatArray,
     translations: FloatArray,
-    sights: list[Sight],
+    views: list[TargetObservation],
     free: tuple[int, ...] | None,
     *,
     robust: bool,
@@ -260,14 +266,14 @@ def _adjust(
     if free is not None and 0 in free:
         basis[1, 0] = 1.0
     ratio = 1e-3
-    normal, gradient, poses, cost = _normal(camera, rotations, translations, sights, basis, robust, None)
+    normal, gradient, poses, cost = _normal(camera, rotations, translations, views, basis, robust, None)
     scale = poses[-1]
     for _ in range(steps):
         trial = None
         for _ in range(12):
             step, turns = _solve(normal, gradient, poses[0], ratio)
             trial = _moved(camera, rotations, translations, basis @ step, turns)
-            after = _normal(*trial, sights, basis, robust, scale)
+            after = _normal(*trial, views, basis, robust, scale)
             if after[3] <= cost:
                 break
             ratio *= 6.0
@@ -281,31 +287,31 @@ def _adjust(
         if gained <= 1e-10 * cost:
             break
         if robust:  # the scale follows the fit
-            normal, gradient, poses, cost = _normal(camera, rotations, translations, sights, basis, robust, None)
+            normal, gradient, poses, cost = _normal(camera, rotations, translations, views, basis, robust, None)
             scale = poses[-1]
     schur, _ = _reduced(normal, gradient, poses[0], 0.0)
     return camera, rotations, translations, schur
 
 
-Blocks = list[tuple[FloatArray, FloatArray, FloatArray]]  # of each sight: pose by pose, lens by pose, pose gradient
+Blocks = list[tuple[FloatArray, FloatArray, FloatArray]]  # of each view: pose by pose, lens by pose, pose gradient
 
 
 def _normal(
     camera: Camera,
     rotations: FloatArray,
     translations: FloatArray,
-    sights: list[Sight],
+    views: list[TargetObservation],
     basis: FloatArray,
     robust: bool,
     scale: float | None,
 ) -> tuple[FloatArray, FloatArray, tuple[Blocks, float], float]:
     """Normal equations, their blocks for each pose with the scale of the residuals, and the cost."""
     found = []
-    for sight, rotation, translation in zip(sights, rotations, translations, strict=True):
-        turned = sight.board_mm @ rotation[:, :2].T
+    for view, rotation, translation in zip(views, rotations, translations, strict=True):
+        turned = view.target_mm @ rotation[:, :2].T
         with np.errstate(all="ignore"):
             pixels, by_point, by_lens = project_with_slopes(camera, turned + translation)
-        off = sight.pixels - pixels
+        off = view.pixels - pixels
         if camera.model == "pinhole":
             off[(turned + translation)[:, 2] <= 0] = 1e6
         found.append((off, by_lens @ basis, np.concatenate([by_point @ -_cross_matrix(turned), by_point], axis=2)))

@@ -19,7 +19,7 @@ from annulus.rings.order import Placed
 from annulus.rings.slits import Slits
 
 FORMAT = "annulus-colour/1"
-LEAST = 50  # stripe sightings of each colour
+LEAST = 50  # stripe observations of each colour
 FULL = 235.0  # grey levels above black: the mean beside a slit of a stripe that reaches full scale
 GAIN_MOST = 4.0  # of a channel; beyond it a camera raises its noise more than it helps the colours
 DIFFERS = 1.8  # a channel's share of the light changed by this factor is another paint or another white balance

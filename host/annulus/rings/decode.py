@@ -15,7 +15,7 @@ LIKENESS = 0.06  # a colour must be nearer its reference than any other by this 
 SKIP = 0.5  # price of leaving a slit out, against 1 for each colour that fits
 PLACE = 6.0  # price of a wall that is off by the whole tolerance: more than a slit that fits can pay
 LEARNT_FROM, BRIGHT = 500, 0.98  # stripes that tell a frame's colours, and the part of them below its bright level
-MARGIN = 0.1  # a label is given only if every rival reading of the line is worse by this
+MARGIN = 0.1  # a label is given only if every runner-up reading of the line is worse by this
 
 
 @dataclass(frozen=True, slots=True, eq=False)

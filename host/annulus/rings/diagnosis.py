@@ -154,7 +154,7 @@ def examine(
     calibration = reconstructor.calibration
     placed: list[tuple[int, Slits, Placed]] = []
     for frame, image in frames:
-        slits, place = reconstructor.sightings(image)
+        slits, place = reconstructor.slits_by_order(image)
         if place is not None:
             placed.append((frame, slits, place))
     if not placed:
@@ -207,7 +207,7 @@ def _flip(reconstructor: Reconstructor, frames: Sequence[tuple[int, NDArray[np.u
     best, least = "", scatter
     for name, (rows, columns) in FLIPS.items():
         places = [
-            reconstructor.sightings(np.ascontiguousarray(image[rows, columns]))[1] for _, image in frames
+            reconstructor.slits_by_order(np.ascontiguousarray(image[rows, columns]))[1] for _, image in frames
         ]  # fmt: skip
         spreads = [place.fit.spread_mm for place in places if place is not None]
         if 2 * len(spreads) > len(frames) and float(np.median(spreads)) < least:

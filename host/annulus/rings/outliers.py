@@ -20,7 +20,7 @@ NEIGHBOURS = 4  # a point needs company among so many directions on each side ..
 COMPANY = 3  # .. of so many points of its ring
 
 
-def gate(
+def reject_outliers(
     ring: NDArray[np.int64], slits: Slits, radius_mm: FloatArray, step_mm: FloatArray, directions: int
 ) -> tuple[dict[str, int], FloatArray]:
     """Set `ring` (N,) to NONE, in place, where a slit is not to be believed, and count why.
@@ -40,7 +40,7 @@ def gate(
     counts = np.zeros(3, np.int64)
     wider = np.zeros(len(ring))
     turn = 2 * math.pi / directions * np.arange(directions)
-    _gate(
+    _reject(
         ring, slits.direction, slits.width, slits.inside, slits.outside, radius_mm, step_mm, np.cos(turn), np.sin(turn),
         counts, wider,
     )  # fmt: skip
@@ -49,7 +49,7 @@ def gate(
 
 
 @jit
-def _gate(ring, direction, width, inside, outside, radius, step, cosine, sine, counts, wider):  # type: ignore[no-untyped-def]
+def _reject(ring, direction, width, inside, outside, radius, step, cosine, sine, counts, wider):  # type: ignore[no-untyped-def]
     directions = len(cosine)
     mine = np.empty(directions, np.int64)
     slit = np.empty(directions, np.int64)  # of one ring, by direction; -1 where it has none

@@ -16,7 +16,7 @@ from annulus.numeric.jit import jit
 from annulus.rings.colour import ColourProfile
 from annulus.rings.decode import NONE, UNKNOWN, classify, decode, readings
 from annulus.rings.order import Placed, by_order
-from annulus.rings.outliers import gate
+from annulus.rings.outliers import reject_outliers
 from annulus.rings.polar import polar_grid, unroll
 from annulus.rings.slits import Slits, find_slits
 from annulus.rings.triangulate import deviations, ring_optics, triangulate
@@ -120,9 +120,9 @@ class Reconstructor:
         rejected["colour"] = int(np.count_nonzero((inside == UNKNOWN) | (outside == UNKNOWN)))
         rejected["no ring"] = int(np.count_nonzero(ring == NONE))
         step = STEP * pipe + STEP_PX * self._optics.mm_per_px
-        gated, wider = gate(ring, slits, pipe * (1.0 + deviation), step, self.directions)
-        rejected |= gated
-        marks.append(("gates", clock()))
+        outliers, wider = reject_outliers(ring, slits, pipe * (1.0 + deviation), step, self.directions)
+        rejected |= outliers
+        marks.append(("outliers", clock()))
         fitted = self._fit(points, ring, fitted.pose) or fitted
         pose = replace(fitted.pose, roll=None if roll_deg is None else math.radians(roll_deg))
         marks.append(("pose", clock()))
@@ -134,7 +134,7 @@ class Reconstructor:
         _beside(kept, slits.inside, slits.outside, light, clipped)
         marks.append(("points", clock()))
         sigma = point_sigma(
-            ring[kept], slits.direction[kept], seen, slits.softness[kept], wider[kept], clipped, self._optics,
+            ring[kept], slits.direction[kept], seen, slits.edge_blur[kept], wider[kept], clipped, self._optics,
             self._calibrated, fitted,
         )  # fmt: skip
         marks.append(("sigma", clock()))
@@ -144,7 +144,7 @@ class Reconstructor:
             sigma, fitted.lean_sigma_deg,
         )  # fmt: skip
 
-    def sightings(self, image_bgr: NDArray[np.uint8]) -> tuple[Slits, Placed | None]:
+    def slits_by_order(self, image_bgr: NDArray[np.uint8]) -> tuple[Slits, Placed | None]:
         """A frame's slits, and which ring each is by its order alone; colours can be learnt from that."""
         slits = find_slits(unroll(image_bgr, self._grid), self._grid)
         return slits, by_order(slits, self._grid, self._optics, self._expected, self.calibration.pipe_radius_mm)

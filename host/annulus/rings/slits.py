@@ -28,7 +28,7 @@ class Slits:
     width: NDArray[np.float64]  # (N,) between the edges
     inside: NDArray[np.float64]  # (N, 3) BGR of the stripe on the inner side, the slit's own darkness taken off
     outside: NDArray[np.float64]  # (N, 3)
-    softness: NDArray[np.float64]  # (N,) of both edges: root of the sum of squares of 1 / curvature of the slope there
+    edge_blur: NDArray[np.float64]  # (N,) of both edges: root of the sum of squares of 1 / curvature of the slope there
     shallow: int  # dips left out because they were not nearly as dark as this frame's slits are
     crowded: int  # slits left out because a line had more than PER_LINE
 
@@ -62,7 +62,7 @@ def smoothing(spacing_px: float) -> NDArray[np.float32]:
 @jit
 def _scan(bright, stop, away, taps, floor, spacing, out):  # type: ignore[no-untyped-def]
     """Rows of `out`: direction, position, width, bottom, how dark, and the stripes' samples beside: first and last of
-    the inner side, first and last of the outer; the edges' softness."""
+    the inner side, first and last of the outer; the edges' blur."""
     longest = bright.shape[1]
     top = np.empty(longest, np.float32)
     smooth = np.zeros(longest, np.float32)

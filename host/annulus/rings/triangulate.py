@@ -25,9 +25,7 @@ class RingOptics:
     cones: FloatArray  # (K, 7) vertex, axis, half-angle
     bend: FloatArray  # (K, J) 1/px, see `ring_optics`
     mm_per_px: FloatArray  # (K,) how far the wall's radius moves with one pixel along a line
-    fine: (
-        FloatArray | None
-    )  # (K, n, 2) what each ring is off its cone over the azimuth: half-angle, shift; see RingCorrection
+    corrections: FloatArray | None  # (K, n, 2) half-angle and shift over the azimuth; see RingCorrection
 
 
 def ring_optics(calibration: Calibration, grid: PolarGrid) -> RingOptics:
@@ -65,15 +63,18 @@ def ring_optics(calibration: Calibration, grid: PolarGrid) -> RingOptics:
         slope_mm[k] = np.nanmedian(np.abs(np.diff(np.linalg.norm(ends[..., :2], axis=2), axis=0))) / 2
     slope_mm = np.nan_to_num(slope_mm, nan=float(np.nanmax(slope_mm)))
     return RingOptics(
-        cones, bend, slope_mm, _fine_table(calibration.corrections) if calibration.corrections is not None else None
+        cones,
+        bend,
+        slope_mm,
+        _correction_table(calibration.corrections) if calibration.corrections is not None else None,
     )
 
 
-def _fine_table(fine: tuple[RingCorrection, ...]) -> FloatArray:
+def _correction_table(corrections: tuple[RingCorrection, ...]) -> FloatArray:
     """(K, n, 2) half-angle offset (rad) and axial shift (mm) of every ring, all as finely as the finest."""
-    n = max(len(ring.offset_rad) for ring in fine)
-    out = np.zeros((len(fine), n, 2))
-    for k, ring in enumerate(fine):
+    n = max(len(ring.offset_rad) for ring in corrections)
+    out = np.zeros((len(corrections), n, 2))
+    for k, ring in enumerate(corrections):
         for i, values in enumerate((ring.offset_rad, ring.shift_mm)):
             if values is not None:
                 out[k, :, i] = np.interp(np.arange(n) / n, np.arange(len(values)) / len(values), values, period=1.0)
@@ -89,7 +90,7 @@ def triangulate(slits: Slits, grid: PolarGrid, optics: RingOptics, wanted: NDArr
         width = np.minimum(slits.width, 1.3 * usual)  # a slit in a shadow's edge must not shift itself
         _all_rings(
             slits.direction, slits.position, width, grid.rays, grid.origins, RAY_STEP_PX, optics.cones, optics.bend,
-            optics.fine, wanted, out,
+            optics.corrections, wanted, out,
         )  # fmt: skip
     return out
 
@@ -124,8 +125,8 @@ def _deviations(points, rotation, shift, radius, out):  # type: ignore[no-untype
 
 
 @jit
-def _all_rings(direction, position, width, rays, origins, step, cones, bend, fine, wanted, out):  # type: ignore[no-untyped-def]
-    tuned = np.empty(7)
+def _all_rings(direction, position, width, rays, origins, step, cones, bend, corrections, wanted, out):  # type: ignore[no-untyped-def]
+    own = np.empty(7)
     squares = np.cos(cones[:, 6]) ** 2
     ox, oy, oz = 0.0, 0.0, 0.0
     for n in range(len(position)):
@@ -146,29 +147,29 @@ def _all_rings(direction, position, width, rays, origins, step, cones, bend, fin
                 oy = origins[j, i, 1] + part * (origins[j, i + 1, 1] - origins[j, i, 1])
                 oz = origins[j, i, 2] + part * (origins[j, i + 1, 2] - origins[j, i, 2])
             _meet(ox, oy, oz, x * scale, y * scale, z * scale, cones[k], squares[k], out[n, k])
-            if fine is not None:  # once more with the cone that was measured at this azimuth
-                _tune(out[n, k], cones[k], fine[k], tuned)
-                _meet(ox, oy, oz, x * scale, y * scale, z * scale, tuned, math.cos(tuned[6]) ** 2, out[n, k])
+            if corrections is not None:  # once more with the cone that was measured at this azimuth
+                _corrected(out[n, k], cones[k], corrections[k], own)
+                _meet(ox, oy, oz, x * scale, y * scale, z * scale, own, math.cos(own[6]) ** 2, out[n, k])
 
 
 @jit
-def _tune(point, cone, fine, out):  # type: ignore[no-untyped-def]
-    """The ring's cone as it is at the azimuth of a point, between the samples of `fine` (n, 2)."""
+def _corrected(point, cone, correction, out):  # type: ignore[no-untyped-def]
+    """The ring's cone as it is at the azimuth of a point, between the samples of `correction` (n, 2)."""
     ax, ay, az = cone[3], cone[4], cone[5]
     across = math.sqrt(1.0 - ax * ax)
     x, y, z = point[0] - cone[0], point[1] - cone[1], point[2] - cone[2]
     first = x * across - (y * ay + z * az) * ax / across  # along the part of the camera's x across the axis
     second = (y * az - z * ay) / across
-    turn = math.atan2(second, first) / (2.0 * math.pi) * len(fine)
+    turn = math.atan2(second, first) / (2.0 * math.pi) * len(correction)
     turn = 0.0 if turn != turn else turn
     i = math.floor(turn)
     part = turn - i
-    i = int(i) % len(fine)
-    j = (i + 1) % len(fine)
-    shift = fine[i, 1] + part * (fine[j, 1] - fine[i, 1])
+    i = int(i) % len(correction)
+    j = (i + 1) % len(correction)
+    shift = correction[i, 1] + part * (correction[j, 1] - correction[i, 1])
     out[0], out[1], out[2] = cone[0] + shift * ax, cone[1] + shift * ay, cone[2] + shift * az
     out[3], out[4], out[5] = ax, ay, az
-    out[6] = cone[6] + fine[i, 0] + part * (fine[j, 0] - fine[i, 0])
+    out[6] = cone[6] + correction[i, 0] + part * (correction[j, 0] - correction[i, 0])
 
 
 @jit

@@ -26,7 +26,7 @@ def point_sigma(
     ring: NDArray[np.int64],
     direction: NDArray[np.int64],
     points_mm: FloatArray,
-    softness: FloatArray,
+    edge_blur: FloatArray,
     width_off_px: FloatArray,
     clipped: NDArray[np.bool_],
     optics: RingOptics,
@@ -37,7 +37,7 @@ def point_sigma(
 
     Parameters
     ----------
-    ring, direction : (N,). points_mm : (N, 3) camera frame. softness : (N,) of the slit's two edges, see `Slits`.
+    ring, direction : (N,). points_mm : (N, 3) camera frame. edge_blur : (N,) of the slit's two edges, see `Slits`.
     width_off_px : (N,) by how much the slit's width differs from its ring's around there.
     clipped : (N,) whether a stripe beside the slit is over-exposed.
     calibrated_mm : (K, J) what the calibration leaves open, from `calibrated`.
@@ -47,7 +47,7 @@ def point_sigma(
     The sum of squares of, per point:
     - the slit's place. Its scatter is measured in this frame, ring by ring, from third differences of the radius along
       the ring (a slope and a bend of the wall fall out; noise, demosaicing and JPEG stay in), as a median, so that
-      defects do not count. Within a ring it goes as the edges' softness: the place of the steepest slope is off by the
+      defects do not count. Within a ring it goes as the edges' blur: the place of the steepest slope is off by the
       noise over the curvature of the slope there.
     - a bias, which no scatter shows. Rings see one wall: how far their median radii lie apart, in pixels, is how far
       edges are drawn in this frame (by glare, demosaicing, saturation), and at least what no camera is free of.
@@ -57,7 +57,7 @@ def point_sigma(
     """
     out = np.empty(len(ring), np.float32)
     _combine(
-        ring, direction, points_mm, fit.pose.rotation, fit.pose.translation, fit.covariance, softness,
+        ring, direction, points_mm, fit.pose.rotation, fit.pose.translation, fit.covariance, edge_blur,
         width_off_px, clipped, optics.mm_per_px, calibrated_mm, out,
     )  # fmt: skip
     return out
@@ -109,7 +109,7 @@ def calibrated(calibration: Calibration, grid: PolarGrid, optics: RingOptics) ->
 
 @jit
 def _combine(  # type: ignore[no-untyped-def]
-    ring, direction, points, rotation, shift, covariance, softness, width_off, clipped, mm_per_px, calibrated, out
+    ring, direction, points, rotation, shift, covariance, edge_blur, width_off, clipped, mm_per_px, calibrated, out
 ):
     rings, directions = calibrated.shape
     radius = np.zeros((rings, directions))  # 0: no point
@@ -151,7 +151,7 @@ def _combine(  # type: ignore[no-untyped-def]
         size = 0
         for n in range(len(ring)):
             if ring[n] == k:
-                work[size] = softness[n]
+                work[size] = edge_blur[n]
                 size += 1
         usual[k] = max(middle(work, size), 1e-9)
 
@@ -174,7 +174,7 @@ def _combine(  # type: ignore[no-untyped-def]
         bias = BIAS_PX
     for n in range(len(ring)):
         k = ring[n]
-        soft = min(max(softness[n] / usual[k], BLUR_LEAST), BLUR_MOST)
+        soft = min(max(edge_blur[n] / usual[k], BLUR_LEAST), BLUR_MOST)
         place = (scatter[k] * soft) ** 2
         drawn = apart[k] if bias < apart[k] < DRAWN_PX else bias
         if clipped[n]:

@@ -1,4 +1,4 @@
-"""Photographs of boards drawn by the tests themselves: ray, plane, paint, blur, noise; with the truth known."""
+"""Photographs of targets drawn by the tests themselves: ray, plane, paint, blur, noise; with the truth known."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -14,7 +14,7 @@ from annulus.numeric.arrays import FloatArray
 
 
 @dataclass(frozen=True)
-class DrawnBoard:
+class DrawnTarget:
     """Squares each way, their side, and a dictionary for markers in the light ones."""
 
     columns: int
@@ -27,7 +27,7 @@ class DrawnBoard:
         return np.array([self.columns, self.rows, 0.0]) * self.square_mm / 2
 
     def paint(self, flat: FloatArray) -> FloatArray:
-        """(N, 2) mm on the board -> 0 black .. 1 white; a white margin around, grey beyond."""
+        """(N, 2) mm on the target -> 0 black .. 1 white; a white margin around, grey beyond."""
         s = self.square_mm
         u, v = flat[:, 0] / s, flat[:, 1] / s
         inside = (u >= 0) & (v >= 0) & (u < self.columns) & (v < self.rows)
@@ -44,8 +44,8 @@ class DrawnBoard:
 @lru_cache(maxsize=8)
 def _charuco(columns: int, rows: int, markers: str) -> NDArray[np.uint8]:
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{markers}_250"))
-    board = cv2.aruco.CharucoBoard((columns, rows), 1.0, 0.75, dictionary)
-    return np.asarray(board.generateImage((columns * 160, rows * 160), marginSize=0), np.uint8)
+    target = cv2.aruco.CharucoBoard((columns, rows), 1.0, 0.75, dictionary)
+    return np.asarray(target.generateImage((columns * 160, rows * 160), marginSize=0), np.uint8)
 
 
 @lru_cache(maxsize=4)
@@ -64,7 +64,7 @@ def _rays(camera: Camera, dx: float, dy: float) -> FloatArray:
 
 def photograph(
     camera: Camera,
-    board: DrawnBoard,
+    target: DrawnTarget,
     rotation: FloatArray,
     middle_mm: FloatArray,
     *,
@@ -73,8 +73,8 @@ def photograph(
     light: tuple[float, float] = (30.0, 190.0),
     seed: int = 0,
 ) -> NDArray[np.uint8]:
-    """(H, W) image of the board, its middle at `middle_mm` in the camera frame."""
-    shift = np.asarray(middle_mm) - rotation @ board.middle_mm
+    """(H, W) image of the target, its middle at `middle_mm` in the camera frame."""
+    shift = np.asarray(middle_mm) - rotation @ target.middle_mm
     normal = rotation[:, 2]
     picture = np.zeros((camera.height, camera.width))
     for i in range(9):  # nine places a pixel, no two in one row or column
@@ -82,7 +82,7 @@ def photograph(
         with np.errstate(divide="ignore", invalid="ignore"):
             s = (normal @ shift) / (rays @ normal)
         flat = np.where((s > 0)[:, None], (s[:, None] * rays - shift) @ rotation[:, :2], 1e6)
-        picture += board.paint(flat).reshape(picture.shape) / 9
+        picture += target.paint(flat).reshape(picture.shape) / 9
     picture = light[0] + (light[1] - light[0]) * picture
     picture *= 1 - 0.25 * np.linspace(-1, 1, camera.width) ** 2  # vignetting and a lamp to one side
     picture *= np.linspace(0.85, 1.1, camera.height)[:, None]
@@ -92,10 +92,10 @@ def photograph(
 
 
 def poses(
-    camera: Camera, board: DrawnBoard, count: int, *, fill: float = 0.55, off: float = 0.6, tilt_deg: float = 35.0,
+    camera: Camera, target: DrawnTarget, count: int, *, fill: float = 0.55, off: float = 0.6, tilt_deg: float = 35.0,
     seed: int = 0,
 ) -> list[tuple[FloatArray, FloatArray]]:  # fmt: skip
-    """Boards in different parts of the image, tilted. `fill`: of the image's height, `off`: how far out middles go."""
+    """Targets in different parts of the image, tilted. `fill`: of the image's height, `off`: how far out middles go."""
     rng = np.random.default_rng(seed)
     out = []
     centre = np.array([camera.cx, camera.cy])
@@ -105,9 +105,9 @@ def poses(
         turn = 2.4 * i
         place = centre + off * np.sqrt((i + 0.5) / count) * half * [np.cos(turn), np.sin(turn)]
         ray = camera.rays(place[None])[0]
-        distance = board.rows * board.square_mm * focal / (fill * camera.height) * rng.uniform(0.85, 1.2)
+        distance = target.rows * target.square_mm * focal / (fill * camera.height) * rng.uniform(0.85, 1.2)
         ahead = np.array([0.0, 0.0, 1.0])
-        facing = Rotation.align_vectors([ray], [ahead])[0]  # the board looks back along the ray ..
+        facing = Rotation.align_vectors([ray], [ahead])[0]  # the target looks back along the ray ..
         lean = np.radians(rng.uniform(0.4, 1.0) * tilt_deg)
         around = rng.uniform(0, 2 * np.pi)
         tilt = Rotation.from_rotvec(lean * np.array([np.cos(around), np.sin(around), 0]))  # .. and leans

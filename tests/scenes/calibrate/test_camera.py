@@ -5,28 +5,28 @@ from tempfile import TemporaryDirectory
 import cv2
 import numpy as np
 import pytest
-from photographs import DrawnBoard, photograph, poses
+from photographs import DrawnTarget, photograph, poses
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
-from annulus.calibrate.camera import CameraCalibration, calibrate_camera, image_files, parse_board, save_camera
+from annulus.calibrate.camera import CameraCalibration, calibrate_camera, image_files, parse_target, save_camera
 from annulus.cli.calibrate import app
 from annulus.geometry.camera import Camera
-from annulus.geometry.chessboard import find_board
+from annulus.geometry.chessboard import find_target
 from annulus.record.calibration_file import load_camera, update_calibration
 from annulus.vocabulary import AnnulusError
 
 STEREO = Path(__file__).parents[2] / "data" / "opencv-stereo"
 PINHOLE = Camera("pinhole", 480, 360, 400.0, 401.0, 245.0, 176.0, (-0.2, 0.05, 0.001, -0.0005, 0.0))
 FISHEYE = Camera("fisheye", 480, 360, 152.0, 151.0, 242.0, 178.0, (0.02, -0.008, 0.001, 0.0))
-PLAIN = DrawnBoard(8, 6)
+PLAIN = DrawnTarget(8, 6)
 
 
 @lru_cache(maxsize=4)
-def album(camera: Camera, board: DrawnBoard, count: int = 7) -> tuple[np.ndarray, ...]:
+def album(camera: Camera, target: DrawnTarget, count: int = 7) -> tuple[np.ndarray, ...]:
     out = 0.9 if camera.model == "fisheye" else 0.6
-    where = poses(camera, board, count, fill=0.6, off=out, seed=2)
-    return tuple(photograph(camera, board, *pose, seed=i) for i, pose in enumerate(where))
+    where = poses(camera, target, count, fill=0.6, off=out, seed=2)
+    return tuple(photograph(camera, target, *pose, seed=i) for i, pose in enumerate(where))
 
 
 @lru_cache(maxsize=2)
@@ -46,15 +46,15 @@ def test_real_photographs_calibrate_cold_and_none_is_thrown_away_to_look_good() 
     assert len(result.intrinsics.residuals) == 6
     assert result.intrinsics.rms_px < 0.19
     assert result.rms_everything_px == result.intrinsics.rms_px
-    assert (result.board.columns, result.board.rows) == (9, 6)
-    assert not result.board_was_given
+    assert (result.target.columns, result.target.rows) == (9, 6)
+    assert not result.target_was_given
 
 
 @pytest.mark.parametrize("camera", [PINHOLE, FISHEYE], ids=["pinhole", "fisheye"])
 def test_the_lens_is_measured_from_nothing_but_photographs(camera: Camera) -> None:
     result = calibrated(camera)
     fitted = result.camera
-    assert (result.board.columns, result.board.rows) == (7, 5)
+    assert (result.target.columns, result.target.rows) == (7, 5)
     assert result.intrinsics.rms_px < 0.08
     seen = np.concatenate(result.seen)
     # a turn of the whole camera is the poses' affair
@@ -72,13 +72,13 @@ def test_which_lens_it_is_is_found_out(tmp_path: Path) -> None:
 
 
 def test_markers_between_the_corners_do_not_move_them(tmp_path: Path) -> None:
-    board = DrawnBoard(7, 5, markers="5X5")
-    image = photograph(PINHOLE, board, *poses(PINHOLE, board, 3, fill=0.8, off=0.2)[1])
-    view = find_board(image)
+    target = DrawnTarget(7, 5, markers="5X5")
+    image = photograph(PINHOLE, target, *poses(PINHOLE, target, 3, fill=0.8, off=0.2)[1])
+    view = find_target(image)
     assert view is not None and view.markers
-    rotation, middle = poses(PINHOLE, board, 3, fill=0.8, off=0.2)[1]
-    flat = np.stack(np.meshgrid(np.arange(1, 7), np.arange(1, 5)), axis=2).reshape(-1, 2) * board.square_mm
-    truth = PINHOLE.project((np.c_[flat, 0 * flat[:, 0]] - board.middle_mm) @ rotation.T + middle)
+    rotation, middle = poses(PINHOLE, target, 3, fill=0.8, off=0.2)[1]
+    flat = np.stack(np.meshgrid(np.arange(1, 7), np.arange(1, 5)), axis=2).reshape(-1, 2) * target.square_mm
+    truth = PINHOLE.project((np.c_[flat, 0 * flat[:, 0]] - target.middle_mm) @ rotation.T + middle)
     nearest = np.linalg.norm(view.pixels[:, None] - truth, axis=2).min(axis=1)
     assert len(view.pixels) >= 20
     assert np.sqrt(np.mean(nearest**2)) < 0.12
@@ -97,7 +97,7 @@ def test_a_bad_photograph_is_left_out_and_named(tmp_path: Path) -> None:
     why = {p.file: p.rejected for p in result.photographs if p.rejected}
     assert why.keys() == {"01.png", "02.png", "05.png", "07.png"}
     assert "blurred" in why["01.png"]
-    assert "no board" in why["02.png"]
+    assert "no target" in why["02.png"]
     assert "does not fit the others" in why["05.png"]
     assert "truncated" in why["07.png"]
     assert result.intrinsics.rms_px < 0.08 < result.rms_everything_px
@@ -127,7 +127,7 @@ def test_rays_are_known_best_where_boards_were() -> None:
         (lambda a: (*a[:2], a[2][:300]), "different sizes"),
         (lambda a: tuple(np.pad(cv2.resize(i, (28, 21)), ((200, 139), (200, 252))) for i in a[:2]), "no chessboard"),
     ],
-    ids=["one image", "no board", "two sizes", "too small"],
+    ids=["one image", "no target", "two sizes", "too small"],
 )
 def test_bad_input_is_one_clear_line(make, said: str, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     files = write(tmp_path, make(album(PINHOLE, PLAIN)))
@@ -146,15 +146,15 @@ def test_what_is_no_photograph_is_said(tmp_path: Path) -> None:
     with pytest.raises(AnnulusError, match="none of 2 files"):
         calibrate_camera(image_files([tmp_path]))
     with pytest.raises(AnnulusError, match="9x6"):
-        parse_board("nine by six")
+        parse_target("nine by six")
     with pytest.raises(AnnulusError, match="at least 3x3"):
-        parse_board("2x9")
-    assert parse_board("charuco 8x6") == (7, 5, True)
+        parse_target("2x9")
+    assert parse_target("charuco 8x6") == (7, 5, True)
 
 
 def test_a_board_miscounted_by_its_owner_is_pointed_out(tmp_path: Path) -> None:
     with pytest.raises(AnnulusError, match="show 7x5"):
-        calibrate_camera(write(tmp_path, album(PINHOLE, PLAIN)), board="6x4")
+        calibrate_camera(write(tmp_path, album(PINHOLE, PLAIN)), target="6x4")
 
 
 def test_the_command_tells_a_program_all(tmp_path: Path) -> None:

@@ -56,7 +56,7 @@ def test_a_scan_that_cannot_be_used_is_refused_in_one_line(
 
 def test_a_camera_file_without_colours_and_a_radius_of_nothing_are_named(tmp_path: Path) -> None:
     scan, camera = _scan(tmp_path, 2, _noise(5))
-    with pytest.raises(AnnulusError, match="--radius is 0 mm"):
+    with pytest.raises(AnnulusError, match="the radius is 0 mm"):
         calibrate_pipe(scan, camera, 0.0)
     camera.write_text(json.dumps({key: CAMERA[key] for key in ("format", "camera")}))
     with pytest.raises(AnnulusError, match=r'camera\.json: "pattern" is missing'):

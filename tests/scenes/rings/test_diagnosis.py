@@ -58,7 +58,7 @@ def test_wrong_colours_are_read_out(frame):
 
 def test_another_pipe_than_the_profiles_is_said(frame):
     cal, image = frame
-    slits, placed = Reconstructor(cal).sightings(image)
+    slits, placed = Reconstructor(cal).slits_by_order(image)
     profile = learn([stripes(slits, placed, cal)])
     assert troubles(cal, image, profile) == {}
     yellow = (image * np.array([0.12, 0.7, 1.0])).astype(np.uint8)

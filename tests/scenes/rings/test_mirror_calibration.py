@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from annulus.geometry.camera import Camera
-from annulus.rings.calibration.autocalibration import Sightings, calibrate, sight
+from annulus.rings.calibration.autocalibration import calibrate
+from annulus.rings.calibration.observations import Observations, observe
 from annulus.rings.polar import ring_pixels
 from annulus.twin.world import World, mirror_world
 
@@ -19,7 +20,7 @@ def world() -> World:
     return replace(mirror_world(), features=(), wobble_deg=4.0, wobble_mm=4.0)
 
 
-def sightings(world: World, camera: Camera, noise_px: float) -> Sightings:
+def observations(world: World, camera: Camera, noise_px: float) -> Observations:
     frame, ring, pixels = [], [], []
     rng = np.random.default_rng(3)
     for f, z in enumerate(np.linspace(0.0, 150.0, FRAMES)):
@@ -30,11 +31,11 @@ def sightings(world: World, camera: Camera, noise_px: float) -> Sightings:
             ring.append(np.full(len(at), k))
             pixels.append(at + rng.normal(0.0, noise_px, at.shape))
     centre = np.array([camera.cx, camera.cy])
-    return sight(camera, np.concatenate(frame), np.concatenate(ring), np.concatenate(pixels), centre)
+    return observe(camera, np.concatenate(frame), np.concatenate(ring), np.concatenate(pixels), centre)
 
 
 def test_a_head_with_a_mirror_calibrates_itself_in_a_pipe(world: World) -> None:
-    found = calibrate(sightings(world, world.camera, 0.05), world.radius_mm)
+    found = calibrate(observations(world, world.camera, 0.05), world.radius_mm)
     sigma = np.sqrt(np.diag(found.covariance)).reshape(-1, 6)
     for got, true, own in zip(found.rings, world.projector.cones, sigma, strict=True):
         assert abs(math.degrees(2 * (got.half_angle - true.half_angle))) < 0.1
@@ -43,7 +44,7 @@ def test_a_head_with_a_mirror_calibrates_itself_in_a_pipe(world: World) -> None:
 
 
 def test_the_ball_tells_that_the_radius_is_wrong_and_by_how_much(world: World) -> None:
-    exact = sightings(world, world.camera, 0.0)
+    exact = observations(world, world.camera, 0.0)
     right = calibrate(exact, world.radius_mm)
     assert abs(right.off_radius_mm[0]) < 0.01
     told = 1.03 * world.radius_mm
@@ -53,4 +54,4 @@ def test_the_ball_tells_that_the_radius_is_wrong_and_by_how_much(world: World) -
 
 def test_a_lens_with_one_centre_cannot_tell_the_radius(world: World) -> None:
     lens = Camera("fisheye", 1664, 1232, 300.0, 300.0, 831.5, 615.5)
-    assert math.isinf(calibrate(sightings(world, lens, 0.05), world.radius_mm).off_radius_mm[1])
+    assert math.isinf(calibrate(observations(world, lens, 0.05), world.radius_mm).off_radius_mm[1])

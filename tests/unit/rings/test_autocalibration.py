@@ -10,8 +10,10 @@ from annulus.geometry.camera import Camera
 from annulus.geometry.cone import Cone
 from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import FloatArray
-from annulus.rings.calibration.autocalibration import Sightings, calibrate, hold_out, measure, sight
-from annulus.rings.calibration.residuals import fine_rings, tune
+from annulus.rings.calibration.autocalibration import calibrate
+from annulus.rings.calibration.corrections import fit_corrections, ring_corrections
+from annulus.rings.calibration.cross_validation import hold_out, measure
+from annulus.rings.calibration.observations import Observations, observe
 from annulus.rings.polar import ring_pixels
 from annulus.vocabulary import AnnulusError
 
@@ -37,7 +39,7 @@ RINGS = (
 def _seen(
     poses: tuple[Pose, ...] = POSES, rings: tuple[Cone, ...] = RINGS, camera: Camera = CAMERA, radius: float = RADIUS,
     noise_px: float = 0.0, steps: int = 120,
-) -> Sightings:  # fmt: skip
+) -> Observations:  # fmt: skip
     rng = np.random.default_rng(0)
     frame, ring, places = [], [], []
     for j, pose in enumerate(poses):
@@ -48,7 +50,7 @@ def _seen(
             ring += [k] * len(pixels)
             places.append(pixels + rng.normal(0.0, noise_px, pixels.shape))
     centre = np.array([camera.cx, camera.cy])
-    return sight(camera, np.array(frame), np.array(ring), np.vstack(places), centre)
+    return observe(camera, np.array(frame), np.array(ring), np.vstack(places), centre)
 
 
 def _worst(found: tuple[Cone, ...], true: tuple[Cone, ...] = RINGS) -> tuple[float, float]:
@@ -121,15 +123,15 @@ def test_lumps_of_the_slide_are_learnt_and_help_where_they_were_not_learnt() -> 
     learn, score = seen.take(np.flatnonzero(seen.frame < 6)), seen.take(np.flatnonzero(seen.frame >= 6))
     score = replace(score, frame=score.frame - 6)
     cones = calibrate(learn, RADIUS)
-    tuned, offsets = tune(learn, cones, directions=360)
+    tuned, offsets = fit_corrections(learn, cones, directions=360)
     before, after = measure(score, cones, poses[6:]).rms_mm(), measure(score, tuned, poses[6:], offsets).rms_mm()
     assert before > 0.5 and after < 0.05 * before
     assert _worst(tuned.rings)[1] < 0.02  # lumps do not lean the cones
-    kept = fine_rings(offsets)
+    kept = ring_corrections(offsets)
     assert np.allclose([ring.offset_rad for ring in kept], offsets[:, 0], atol=1e-6) and kept[0].shift_mm is None
 
 
-def _lumpy(poses: tuple[Pose, ...], lumps: FloatArray) -> Sightings:
+def _lumpy(poses: tuple[Pose, ...], lumps: FloatArray) -> Observations:
     parts = []
     for j, pose in enumerate(poses):
         for k, cone in enumerate(RINGS):
@@ -147,13 +149,13 @@ def _lumpy(poses: tuple[Pose, ...], lumps: FloatArray) -> Sightings:
             pixels = CAMERA.project(pose.to_camera(start + s[:, None] * way))
             parts.append((np.full(len(pixels), j), np.full(len(pixels), k), pixels))
     frame, ring, pixels = (np.concatenate(part) for part in zip(*parts, strict=True))
-    return sight(CAMERA, frame, ring, pixels, np.array([CAMERA.cx, CAMERA.cy]))
+    return observe(CAMERA, frame, ring, pixels, np.array([CAMERA.cx, CAMERA.cy]))
 
 
 def test_a_frame_of_another_pipe_shows_in_the_frames_held_out() -> None:
     other = _seen(POSES[5:], radius=1.02 * RADIUS, noise_px=0.1)
     seen = _seen(POSES[:5], noise_px=0.1)
-    both = Sightings(
+    both = Observations(
         np.concatenate([seen.frame, other.frame + 5]), np.concatenate([seen.ring, other.ring]),
         np.concatenate([seen.rays, other.rays]), np.concatenate([seen.origins, other.origins]),
         np.concatenate([seen.width, other.width]),

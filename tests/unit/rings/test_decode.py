@@ -57,7 +57,7 @@ def test_missing_and_false_slits_never_give_a_wrong_ring(case):
         if true != NONE:
             assert ring[i] in (true, NONE)
         elif ring[i] != NONE:
-            # A false slit can only pass where its own stripe pair has lost its slit: left to the gates after this.
+            # A false slit can only pass where its own stripe pair has lost its slit: left to the outlier gate.
             assert pattern[ring[i]] == inside and pattern[ring[i] + 1] == outside
             assert not any(s[0] == direction and s[4] == ring[i] for s in slits)
 

@@ -10,8 +10,11 @@ from table import PICTURES, Row
 
 from annulus.geometry.cone import Cone
 from annulus.geometry.pose import Pose
-from annulus.rings.calibration.autocalibration import Sightings, Solution, calibrate, measure
-from annulus.rings.calibration.residuals import tune
+from annulus.rings.calibration.autocalibration import calibrate
+from annulus.rings.calibration.bundle import Solution
+from annulus.rings.calibration.corrections import fit_corrections
+from annulus.rings.calibration.cross_validation import measure
+from annulus.rings.calibration.observations import Observations
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -48,7 +51,7 @@ def _clean() -> list[Row]:
             found.vertex_mm <= 0.02),
         Row(f"the same, directions and lens's axis {DRAWS} times elsewhere within a pixel: median, worst", "-", "-",
             f"{np.median(angle):.4f}, {max(angle):.4f} deg; {np.median(vertex):.4f}, {max(vertex):.4f} mm", None),
-        Row("solve, 8 frames, 28800 sightings, cold, CPU", "-", "<= 2 s", f"{np.median(took):.2f} s",
+        Row("solve, 8 frames, 28800 observations, cold, CPU", "-", "<= 2 s", f"{np.median(took):.2f} s",
             float(np.median(took)) <= 2.0),
     ]  # fmt: skip
 
@@ -61,7 +64,7 @@ def _noisy() -> list[Row]:
         seen = simulate(poses, noise(rng), phase=rng.uniform())
         first = calibrate(seen, RADIUS_MM)
         alone.append(errors(first))
-        fixed.append(errors(tune(seen, first)[0]))
+        fixed.append(errors(fit_corrections(seen, first)[0]))
         found = calibrate(simulate(poses, fresh_noise=rng, phase=rng.uniform()), RADIUS_MM)
         fresh.append(errors(found))
         bound.append(float(np.sqrt(np.diag(found.covariance)).reshape(-1, 6)[:, 3:].max()))
@@ -75,7 +78,7 @@ def _noisy() -> list[Row]:
             f"{np.median(vertex):.4f} mm ({min(vertex):.4f}..{max(vertex):.4f})", float(np.median(vertex)) <= 0.04),
         Row("the same by Alg. 2 alone, no offsets allowed", "0.123 deg, 0.47 mm", "-",
             f"{np.median(angle0):.4f} deg, {np.median(vertex0):.4f} mm", None),
-        Row(f"noise anew in each frame; these sightings can tell {np.median(bound):.2f} mm (one sigma)", "-", "-",
+        Row(f"noise anew in each frame; these observations can tell {np.median(bound):.2f} mm (one sigma)", "-", "-",
             f"{np.median(angle1):.3f} deg, {np.median(vertex1):.3f} mm", None),
     ]  # fmt: skip
 
@@ -120,12 +123,12 @@ def _against_frames() -> list[Row]:
 
 
 def _growth() -> list[Row]:
-    """Time against frames, rings, sightings."""
+    """Time against frames, rings, observations."""
     times: dict[str, tuple[list[float], list[float]]] = {}
     rng = np.random.default_rng(3)
     poses = POSES + poses_within(rng, 24, MORE_DEG, MORE_MM)
 
-    def timed(seen: Sightings) -> float:
+    def timed(seen: Observations) -> float:
         began = time.thread_time()
         calibrate(seen, RADIUS_MM)
         return time.thread_time() - began
@@ -135,7 +138,7 @@ def _growth() -> list[Row]:
     times["frames"] = [4, 8, 16, 32], [timed(simulate(poses[:n])) for n in (4, 8, 16, 32)]
     times["rings"] = [1, 5, 10, 15], [timed(simulate(POSES, rings=many[:n])) for n in (1, 5, 10, 15)]
     parts = (8, 4, 2, 1)
-    times["sightings"] = (
+    times["observations"] = (
         [len(eight) / n for n in parts],
         [timed(eight.take(np.arange(0, len(eight), n))) for n in parts],
     )
@@ -149,10 +152,10 @@ def _growth() -> list[Row]:
     figure.savefig(PICTURES / "autocalibration_time.png", dpi=100)
     plt.close(figure)
     told = ", ".join(f"{n} frames {t:.1f} s" for n, t in zip(*times["frames"], strict=True))
-    return [Row("time against frames, rings, sightings (picture)", "-", "-", told, None)]
+    return [Row("time against frames, rings, observations (picture)", "-", "-", told, None)]
 
 
-def _solved(seen: Sightings) -> Solution | None:
+def _solved(seen: Observations) -> Solution | None:
     try:
         return calibrate(seen, RADIUS_MM)
     except Exception as error:

@@ -103,7 +103,7 @@ def learnt(world: World) -> tuple[ColourProfile, list[Stripes]]:
     renderer, reconstructor = Renderer(world), Reconstructor(world.calibration())
     seen = []
     for z in LEARNT_AT:
-        slits, placed = reconstructor.sightings(picture(world, renderer, z))
+        slits, placed = reconstructor.slits_by_order(picture(world, renderer, z))
         if placed is not None:
             seen.append(stripes(slits, placed, world.calibration()))
     return learn(seen, (world.optics.balance[0], world.optics.balance[2])), seen

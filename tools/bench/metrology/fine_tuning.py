@@ -11,8 +11,9 @@ from ring_simulation import POSES, RADIUS_MM, RINGS, artefacts, poses_within, si
 from table import Row
 
 from annulus.numeric.arrays import FloatArray
-from annulus.rings.calibration.autocalibration import calibrate, measure
-from annulus.rings.calibration.residuals import tune
+from annulus.rings.calibration.autocalibration import calibrate
+from annulus.rings.calibration.corrections import fit_corrections
+from annulus.rings.calibration.cross_validation import measure
 
 DRAWS = 5
 LEAN_DEG, SHIFT_MM = 11.46, 12.7
@@ -30,8 +31,8 @@ def rows() -> list[Row]:
         seen = simulate(learn, pattern, phase=phase)
         held = simulate(score, pattern, phase=phase)
         cones = calibrate(seen, RADIUS_MM)
-        tuned, offsets = tune(seen, cones)
-        both, more = tune(seen, cones, axial_mm=0.1)
+        tuned, offsets = fit_corrections(seen, cones)
+        both, more = fit_corrections(seen, cones, axial_mm=0.1)
         before.append(_by_ring(measure(held, cones, score).off_mm, held.ring))
         after.append(_by_ring(measure(held, tuned, score, offsets).off_mm, held.ring))
         shifted.append(_by_ring(measure(held, both, score, more).off_mm, held.ring))

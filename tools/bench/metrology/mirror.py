@@ -16,8 +16,9 @@ from table import PICTURES, Row
 
 from annulus.geometry.calibration import Calibration
 from annulus.record.recording import to_bgr
-from annulus.rings.calibration.autocalibration import calibrate, sight
+from annulus.rings.calibration.autocalibration import calibrate
 from annulus.rings.calibration.contours import close_grid, follow, wide_grid
+from annulus.rings.calibration.observations import observe
 from annulus.rings.reconstructor import Reconstructor
 from annulus.twin.render import Renderer
 from annulus.twin.score import CloudScore, score_cloud, score_defects
@@ -78,7 +79,7 @@ def own_calibration(world: World) -> tuple[Calibration, float, tuple[float, floa
     first = [follow(image, wide_grid(camera, np.array([camera.cx, camera.cy])), truth.colours) for image in images]
     grid = close_grid(camera, first)
     seen = [follow(image, grid, truth.colours) for image in images]
-    sightings = sight(
+    observations = observe(
         camera,
         np.concatenate([np.full(len(one.ring), i) for i, one in enumerate(seen)]),
         np.concatenate([one.ring for one in seen]),
@@ -86,7 +87,7 @@ def own_calibration(world: World) -> tuple[Calibration, float, tuple[float, floa
         np.array(grid.centre),
         np.concatenate([one.width for one in seen]),
     )
-    found = calibrate(sightings, clean.radius_mm)
+    found = calibrate(observations, clean.radius_mm)
     worst = max(abs(a.half_angle - b.half_angle) for a, b in zip(found.rings, truth.rings, strict=True))
     covariance = tuple(tuple(float(v) for v in row) for row in found.covariance)
     calibration = Calibration(camera, truth.colours, found.rings, clean.radius_mm, covariance)

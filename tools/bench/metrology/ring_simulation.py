@@ -14,7 +14,8 @@ from annulus.geometry.camera import Camera
 from annulus.geometry.cone import Cone
 from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import FloatArray
-from annulus.rings.calibration.autocalibration import Sightings, Solution, sight
+from annulus.rings.calibration.bundle import Solution
+from annulus.rings.calibration.observations import Observations, observe
 
 RADIUS_MM = 76.2
 DIRECTIONS = 720
@@ -78,7 +79,7 @@ def simulate(
     phase: float = 0.0,
     fresh_noise: np.random.Generator | None = None,
     rounded: bool = True,
-) -> Sightings:
+) -> Observations:
     """What the camera sees. pattern : (K, 720) rad added to the half-angles. phase : of the directions, in steps.
     fresh_noise : adds NP1 anew in every frame."""
     frame, ring, places = [], [], []
@@ -104,7 +105,7 @@ def simulate(
             ring.append(np.full(len(pixels), k))
             places.append(pixels)
     centre = np.array([camera.cx, camera.cy])
-    return sight(camera, np.concatenate(frame), np.concatenate(ring), np.vstack(places), centre)
+    return observe(camera, np.concatenate(frame), np.concatenate(ring), np.vstack(places), centre)
 
 
 def errors(solution: Solution, rings: tuple[Cone, ...] = RINGS) -> Errors:

@@ -25,7 +25,7 @@ LEAST = 0.15  # of the directions must show a ring for its course to be drawn
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tracks:
+class Contours:
     """The slits of one frame that are known rings. Positions are the slits' middles, as everywhere."""
 
     ring: NDArray[np.int64]  # (N,)
@@ -44,22 +44,22 @@ def wide_grid(camera: Camera, centre: FloatArray) -> PolarGrid:
     return lay_grid(camera, centre, INNERMOST_PX, last, GUESS_PX, DIRECTIONS)
 
 
-def close_grid(camera: Camera, tracks: list[Tracks]) -> PolarGrid:
+def close_grid(camera: Camera, contours: list[Contours]) -> PolarGrid:
     """Lines around the rings that a first look found, as `polar_grid` lays them: the detector then sees what it will
     see when it measures."""
-    centre = np.median([track.middle for track in tracks], axis=0)
-    reach = np.array([track.reach for track in tracks])
+    centre = np.median([contour.middle for contour in contours], axis=0)
+    reach = np.array([contour.reach for contour in contours])
     reach = reach[:, np.isfinite(reach[:, :, 1]).any(axis=0)]  # rings seen at all
     usual = np.nanmedian(reach[:, :, 1], axis=0)
     gaps = np.abs(np.diff(usual))
     spacing = max(3.0, float(gaps.min())) if len(gaps) else float(np.nanmedian(usual)) / 4
-    off = float(max(np.linalg.norm(track.middle - centre) for track in tracks))
+    off = float(max(np.linalg.norm(contour.middle - centre) for contour in contours))
     first = max(2.0, math.floor(float(np.nanmin(reach)) - spacing - off))
     last = math.ceil(float(np.nanmax(reach)) + spacing + off)
     return lay_grid(camera, centre, first, last, spacing, DIRECTIONS)
 
 
-def follow(image_bgr: NDArray[np.uint8], grid: PolarGrid, colours: str) -> Tracks:
+def follow(image_bgr: NDArray[np.uint8], grid: PolarGrid, colours: str) -> Contours:
     """The rings of one frame, poses and cones unknown.
 
     A line is read by the order of its colours alone (`decode` with a wall that deviates nowhere). What that leaves
@@ -87,7 +87,7 @@ def follow(image_bgr: NDArray[np.uint8], grid: PolarGrid, colours: str) -> Track
         most = np.maximum(STRAY * SIGMA_OF_MAD * spread[ring[named]], STRAY_PX)
         good = (off <= most) & (ratio > NARROW) & (ratio < WIDE)
     kept = named[good]
-    return _tracks(grid, slits, ring[kept], kept, shape[0])
+    return _contours(grid, slits, ring[kept], kept, shape[0])
 
 
 def read_colours(image_bgr: NDArray[np.uint8], grid: PolarGrid) -> str:
@@ -156,7 +156,7 @@ def _running_median(curve, around, out):  # type: ignore[no-untyped-def]
                 out[k, j] = 0.5 * (window[(n - 1) // 2] + window[n // 2])
 
 
-def _tracks(grid: PolarGrid, slits: Slits, ring: NDArray[np.int64], kept: NDArray[np.int64], rings: int) -> Tracks:
+def _contours(grid: PolarGrid, slits: Slits, ring: NDArray[np.int64], kept: NDArray[np.int64], rings: int) -> Contours:
     pixels = grid.pixels(slits.direction[kept], slits.position[kept])
     away = np.linalg.norm(pixels - np.asarray(grid.centre), axis=1)
     reach, middles = np.full((rings, 3), np.nan), []
@@ -171,4 +171,4 @@ def _tracks(grid: PolarGrid, slits: Slits, ring: NDArray[np.int64], kept: NDArra
             if len(both):
                 middles.append(pixels[both].mean(axis=0))
     middle = np.mean(middles, axis=0) if middles else np.asarray(grid.centre)
-    return Tracks(ring, pixels, slits.width[kept], reach, middle, len(slits.position), grid.centre)
+    return Contours(ring, pixels, slits.width[kept], reach, middle, len(slits.position), grid.centre)

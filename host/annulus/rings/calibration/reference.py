@@ -54,11 +54,11 @@ class Reference:
             raise ValueError(
                 f"the reference has {len(self.offset_rad)} rings, the calibration {len(calibration.rings)}"
             )
-        fine = calibration.corrections or tuple(RingCorrection((0.0,) * SAMPLES) for _ in calibration.rings)
+        before = calibration.corrections or tuple(RingCorrection((0.0,) * SAMPLES) for _ in calibration.rings)
         return replace(
             calibration,
             corrections=tuple(
-                _added(ring, _closed(np.array(more))) for ring, more in zip(fine, self.offset_rad, strict=True)
+                _added(ring, _closed(np.array(more))) for ring, more in zip(before, self.offset_rad, strict=True)
             ),
         )
 
@@ -121,23 +121,23 @@ def learn(profiles: Sequence[Profile], calibration: Calibration) -> Reference:
     used = [profile for profile in profiles if profile.pose is not None and len(profile.ring)]
     if not used:
         raise ValueError("not one frame shows the pipe")
-    looks = np.stack([_look(profile, calibration) for profile in used])  # (F, K, n)
+    seen = np.stack([_observed(profile, calibration) for profile in used])  # (F, K, n)
     before = _rms(np.concatenate([_radius_error(p, calibration, None) for p in used]))
     after = math.nan
     if len(used) > 1:
         folds = np.arange(len(used)) % min(len(used), 4)
         errors = [
-            _radius_error(used[f], calibration, _merged(looks[folds != folds[f]])) for f in range(len(used))
+            _radius_error(used[f], calibration, _merged(seen[folds != folds[f]])) for f in range(len(used))
         ]  # fmt: skip
         after = _rms(np.concatenate(errors))
-    merged = _merged(looks)
+    merged = _merged(seen)
     poses = tuple(profile.pose for profile in used if profile.pose is not None)
     return Reference(
         tuple(tuple(float(v) for v in ring) for ring in merged), calibration.pipe_radius_mm, poses, before, after
     )
 
 
-def _look(profile: Profile, calibration: Calibration) -> FloatArray:
+def _observed(profile: Profile, calibration: Calibration) -> FloatArray:
     """(K, n) what one profile says of every ring's half-angle, NaN where it says nothing."""
     azimuth, off, _ = _angles(profile, calibration)
     nodes = np.arange(SAMPLES) * (2 * math.pi / SAMPLES)
@@ -201,9 +201,9 @@ def _radius_error(profile: Profile, calibration: Calibration, correction: FloatA
     return np.asarray(error[np.isfinite(error) & np.isfinite(off)], np.float64)
 
 
-def _merged(looks: FloatArray) -> FloatArray:
-    """(F, K, n) -> (K, n): the median of the frames, smoothed a little, NaN where none of them looked."""
-    ordered = np.sort(looks, axis=0)
+def _merged(frames: FloatArray) -> FloatArray:
+    """(F, K, n) -> (K, n): the median of the frames, smoothed a little, NaN where none of them saw it."""
+    ordered = np.sort(frames, axis=0)
     n = np.isfinite(ordered).sum(axis=0)
     low = np.take_along_axis(ordered, (np.maximum(n - 1, 0) // 2)[None], axis=0)[0]
     high = np.take_along_axis(ordered, np.minimum(n // 2, len(ordered) - 1)[None], axis=0)[0]

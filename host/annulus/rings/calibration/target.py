@@ -1,4 +1,4 @@
-"""The projector's cones from points on flat boards whose place is known: plane by plane, ring by ring."""
+"""The projector's cones from points on flat targets whose place is known: plane by plane, ring by ring."""
 
 import math
 from dataclasses import dataclass, replace
@@ -18,32 +18,32 @@ NEAR_MM = 3.0  # and how far from it a point still counts as its own
 REACH = 3.0  # robust standard deviations, where the loss turns over
 OUTLIER = 5.0  # of them: left out at the end
 LEAST = 60  # points a ring needs, from ..
-LEAST_BOARDS = 3  # .. so many boards
+LEAST_TARGETS = 3  # .. so many targets
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BoardPoints:
-    """Slits on boards: where the rays of a slit's two edges meet the board's plane. One row a slit."""
+class TargetPoints:
+    """Slits on targets: where the rays of a slit's two edges meet the target's plane. One row a slit."""
 
-    board: NDArray[np.int64]  # (N,) which pose of the board
+    target: NDArray[np.int64]  # (N,) which pose of the target
     ring: NDArray[np.int64]  # (N,)
     inner_mm: FloatArray  # (N, 3) camera frame
     outer_mm: FloatArray  # (N, 3)
 
-    def take(self, which: NDArray[np.bool_]) -> "BoardPoints":
+    def take(self, which: NDArray[np.bool_]) -> "TargetPoints":
         return replace(
-            self, board=self.board[which], ring=self.ring[which], inner_mm=self.inner_mm[which],
+            self, target=self.target[which], ring=self.ring[which], inner_mm=self.inner_mm[which],
             outer_mm=self.outer_mm[which],
         )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BoardCones:
-    """Cones fitted to board points.
+class TargetCones:
+    """Cones fitted to target points.
 
     `distance_mm` (N,): signed, of every point given, from its ring's cone (Eq. 4.3). `used` (N,): the fit rests on it.
-    `covariance` (6K, 6K): ring after ring half-angle rad, axis x, y, vertex x, y, z mm; from how much the boards
-    disagree, since a board's pose is wrong for all its points alike.
+    `covariance` (6K, 6K): ring after ring half-angle rad, axis x, y, vertex x, y, z mm; from how much the targets
+    disagree, since a target's pose is wrong for all its points alike.
     """
 
     cones: tuple[Cone, ...]
@@ -56,7 +56,7 @@ def on_plane(
     camera: Camera, pixels: FloatArray, centre: FloatArray, width: FloatArray, rotation: FloatArray, shift: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """(N, 3) mm each, camera frame: where both edges' rays of slits at (N, 2) `pixels`, `width` (N,) px on lines from
-    `centre`, meet the board at `rotation`, `shift` (board to camera, the board's z = 0). Alzuhiri 2022, Eq. 3.6-3.9."""
+    `centre`, meet the target at `rotation`, `shift` (target to camera, its z = 0). Alzuhiri 2022, Eq. 3.6-3.9."""
     way = pixels - centre
     way /= np.linalg.norm(way, axis=1, keepdims=True)
     ends = []
@@ -68,24 +68,24 @@ def on_plane(
     return ends[0], ends[1]
 
 
-def fit_cones(points: BoardPoints, rings: int, seed: int = 0) -> BoardCones:
+def fit_cones(points: TargetPoints, rings: int, seed: int = 0) -> TargetCones:
     """Each ring's cone from its points: a first one that most agree with, then least squares with a robust loss.
 
     A slit's cone lies at the middle of its edges' angles. Minimised is the distance from the surface (Alzuhiri 2022,
-    Eq. 4.4). Raises AnnulusError naming the ring that has too few points or boards.
+    Eq. 4.4). Raises AnnulusError naming the ring that has too few points or targets.
     """
     rng = np.random.default_rng(seed)
     cones, distance, used = [], np.full(len(points.ring), np.nan), np.zeros(len(points.ring), bool)
-    boards = int(points.board.max()) + 1 if len(points.board) else 0
+    targets = int(points.target.max()) + 1 if len(points.target) else 0
     bread = np.zeros((6 * rings, 6 * rings))
-    scores = np.zeros((boards, 6 * rings))
+    scores = np.zeros((targets, 6 * rings))
     for k in range(rings):
         mine = np.flatnonzero(points.ring == k)
-        seen = len(np.unique(points.board[mine]))
-        if len(mine) < LEAST or seen < LEAST_BOARDS:
+        seen = len(np.unique(points.target[mine]))
+        if len(mine) < LEAST or seen < LEAST_TARGETS:
             raise AnnulusError(
-                f"ring {k} was read at {len(mine)} places on {seen} boards, expected {LEAST} on {LEAST_BOARDS}. "
-                "Hold the board where the rings fall on it, near and far, and tilted."
+                f"ring {k} was read at {len(mine)} places on {seen} targets, expected {LEAST} on {LEAST_TARGETS}. "
+                "Hold the target where the rings fall on it, near and far, and tilted."
             )
         inner, outer = points.inner_mm[mine], points.outer_mm[mine]
         x = _first(0.5 * (inner + outer), rng)
@@ -104,12 +104,12 @@ def fit_cones(points: BoardPoints, rings: int, seed: int = 0) -> BoardCones:
         used[mine] = good
         part = slice(6 * k, 6 * k + 6)
         bread[part, part] = np.linalg.pinv(fit.jac.T @ fit.jac)
-        for board in range(boards):
-            own = points.board[mine[good]] == board
-            scores[board, part] = fit.jac[own].T @ fit.fun[own]
+        for target in range(targets):
+            own = points.target[mine[good]] == target
+            scores[target, part] = fit.jac[own].T @ fit.fun[own]
     several = int(np.count_nonzero(scores.any(axis=1)))
     covariance = bread @ (scores.T @ scores) @ bread * several / max(several - 1, 1)
-    return BoardCones(tuple(cones), distance, used, covariance)
+    return TargetCones(tuple(cones), distance, used, covariance)
 
 
 def vertex_order(cones: tuple[Cone, ...], covariance: FloatArray) -> list[int]:

@@ -9,26 +9,28 @@ from scipy.sparse.linalg import spsolve
 from annulus.geometry.calibration import RingCorrection
 from annulus.numeric.arrays import FloatArray
 from annulus.numeric.robust import prior_sigma
-from annulus.rings.calibration.autocalibration import Sightings, Solution, azimuths, calibrate
+from annulus.rings.calibration.autocalibration import calibrate
+from annulus.rings.calibration.bundle import Solution
+from annulus.rings.calibration.observations import Observations, azimuths
 
 DIRECTIONS = 1440  # two for each that is looked in, so that what lies between them is not smoothed
 ROUNDS, STRAIGHT_PX = 4, 1.5  # an offset that moves a slit farther is found again from there: lines are not straight
 
 
-def tune(
-    seen: Sightings, solution: Solution, *, directions: int = DIRECTIONS, axial_mm: float = 0.0
+def fit_corrections(
+    seen: Observations, solution: Solution, *, directions: int = DIRECTIONS, axial_mm: float = 0.0
 ) -> tuple[Solution, FloatArray]:
     """Each ring's offsets from its cone, and the cones and poses found anew with such offsets allowed.
 
     Parameters
     ----------
-    solution : of `calibrate` on the same sightings.
+    solution : of `calibrate` on the same observations.
     axial_mm : standard deviation that a direction's shift along the axis is believed to have; 0 = there is none. A
     shift looks much like an offset wherever the pipe is: without such a belief the two run away against each other.
 
     Returns
     -------
-    The solution, its errors those that remain, and the offsets (K, 2, directions): half-angle rad, shift mm.
+    The solution, its errors those that remain, and the corrections (K, 2, directions): half-angle rad, shift mm.
 
     Notes
     -----
@@ -36,20 +38,20 @@ def tune(
     believed to be of one size, found from the data, so a direction that few frames saw stays near its cone (ridge, in
     closed form); and the cones are those that fit best with the offsets there, for lumps must not lean a cone.
     """
-    fine = np.zeros((len(solution.rings), 2, directions))
+    corrections = np.zeros((len(solution.rings), 2, directions))
     for _ in range(ROUNDS):
         solution = calibrate(
-            seen, solution.radius_mm, start=solution, offsets=fine, directions=directions
+            seen, solution.radius_mm, start=solution, corrections=corrections, directions=directions
         )  # fmt: skip
         more, explained = _offsets(seen, solution, directions, axial_mm)
-        fine += more
+        corrections += more
         solution = replace(solution, error_px=solution.error_px - explained)
         if np.percentile(np.abs(explained), 99) < STRAIGHT_PX:
             break
-    return solution, fine
+    return solution, corrections
 
 
-def _offsets(seen: Sightings, solution: Solution, directions: int, axial_mm: float) -> tuple[FloatArray, FloatArray]:
+def _offsets(seen: Observations, solution: Solution, directions: int, axial_mm: float) -> tuple[FloatArray, FloatArray]:
     """(K, 2, directions) rad, mm, and (N,) px that they explain."""
     rings = len(solution.rings)
     turn = azimuths(seen, solution.rings, solution.poses, solution.radius_mm) * directions
@@ -65,7 +67,7 @@ def _offsets(seen: Sightings, solution: Solution, directions: int, axial_mm: flo
         if axial_mm > 0:
             rows += [(directions + at, push / slope * a) for at, a in rows]
         size = directions * (2 if axial_mm > 0 else 1)
-        weight = solution.weight[mine] / (solution.sigma_px[k] ** 2 * solution.alike[k])
+        weight = solution.weight[mine] / (solution.sigma_px[k] ** 2 * solution.correlation_length[k])
         place = np.tile(np.arange(len(mine)), len(rows))
         jacobian = csr_array(
             (np.concatenate([a for _, a in rows]), (place, np.concatenate([at for at, _ in rows]))),
@@ -73,20 +75,20 @@ def _offsets(seen: Sightings, solution: Solution, directions: int, axial_mm: flo
         )
         weighted = jacobian.T.multiply(weight)
         matrix, right = (weighted @ jacobian).tocsc(), weighted @ solution.error_px[mine]
-        spread = prior_sigma(matrix[:directions, :directions].sum(axis=0), right[:directions])
-        belief = np.repeat([spread, axial_mm or 1.0], directions)[:size]
+        usual = prior_sigma(matrix[:directions, :directions].sum(axis=0), right[:directions])
+        belief = np.repeat([usual, axial_mm or 1.0], directions)[:size]
         found = spsolve(matrix + diags_array(1.0 / belief**2, format="csc"), right)
         out[k].flat[:size] = found
         explained[mine] = jacobian @ found
     return out, explained
 
 
-def fine_rings(fine: FloatArray) -> tuple[RingCorrection, ...]:
+def ring_corrections(corrections: FloatArray) -> tuple[RingCorrection, ...]:
     """The same as a calibration keeps it, (K, 2, n), to a millionth of a radian and of a millimetre."""
     return tuple(
         RingCorrection(
             tuple(round(float(v), 7) for v in ring[0]),
             tuple(round(float(v), 6) for v in ring[1]) if ring[1].any() else None,
         )
-        for ring in fine
+        for ring in corrections
     )

@@ -2,36 +2,36 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from photographs import DrawnBoard
-from ringed_boards import COLOURS, cones, write_scan
+from photographs import DrawnTarget
+from ringed_targets import COLOURS, cones, write_scan
 
-from annulus.calibrate.board import calibrate_board, save_board
+from annulus.calibrate.target import calibrate_target, save_target
 from annulus.geometry.calibration import camera_to_dict
 from annulus.geometry.camera import Camera
 from annulus.record.calibration_file import load_calibration
 from annulus.vocabulary import AnnulusError
 
 CAMERA = Camera("pinhole", 624, 462, 176.0, 176.0, 314.0, 229.0)
-BOARD = DrawnBoard(8, 6, 40.0)
+TARGET = DrawnTarget(8, 6, 40.0)
 THREE = cones((37.9, 47.5, 57.7))
 STRIPES = "RGBR"
 
 
 @pytest.fixture(scope="module")
 def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("boards")
-    write_scan(folder, CAMERA, BOARD, THREE, 6, STRIPES)
+    folder = tmp_path_factory.mktemp("targets")
+    write_scan(folder, CAMERA, TARGET, THREE, 6, STRIPES)
     return folder
 
 
 def test_rings_are_measured_on_boards_and_the_file_reconstructs(scan: Path, tmp_path: Path) -> None:
-    result = calibrate_board(scan, CAMERA, STRIPES, BOARD.square_mm)
+    result = calibrate_target(scan, CAMERA, STRIPES, TARGET.square_mm)
     assert result.rms_mm < 0.05
     for fitted, true in zip(result.cones, THREE, strict=True):
         assert abs(np.degrees(2 * (fitted.half_angle - true.half_angle))) < 0.05
         assert np.linalg.norm(np.subtract(fitted.vertex_mm, true.vertex_mm)) < 0.3
     assert all(not pair.rejected for pair in result.pairs)
-    save_board(result, camera_to_dict(CAMERA), 76.2, tmp_path / "c.json")
+    save_target(result, camera_to_dict(CAMERA), 76.2, tmp_path / "c.json")
     again = load_calibration(tmp_path / "c.json")
     assert again.rings == pytest.approx(result.cones) or len(again.rings) == 3
     assert again.covariance is not None
@@ -42,7 +42,7 @@ def test_a_board_that_moved_between_its_two_frames_is_left_out(scan: Path, tmp_p
     for file in scan.iterdir():
         (tmp_path / file.name).write_bytes(file.read_bytes())
     (tmp_path / "00-led.png").write_bytes((scan / "03-led.png").read_bytes())
-    result = calibrate_board(tmp_path, CAMERA, STRIPES, BOARD.square_mm)
+    result = calibrate_target(tmp_path, CAMERA, STRIPES, TARGET.square_mm)
     assert "moved" in result.pairs[0].rejected
     assert result.rms_mm < 0.05
 
@@ -53,6 +53,6 @@ def test_what_is_missing_is_said(scan: Path, tmp_path: Path) -> None:
         (tmp_path / file.name).write_bytes(file.read_bytes())
     (tmp_path / "frames.csv").write_text("\n".join(line for line in table if "led" not in line))
     with pytest.raises(AnnulusError, match="0 pairs of a led and a projector frame"):
-        calibrate_board(tmp_path, CAMERA, STRIPES, BOARD.square_mm)
+        calibrate_target(tmp_path, CAMERA, STRIPES, TARGET.square_mm)
     with pytest.raises(AnnulusError, match="the camera is 640x480"):
-        calibrate_board(scan, Camera("pinhole", 640, 480, 200.0, 200.0, 320.0, 240.0), COLOURS, BOARD.square_mm)
+        calibrate_target(scan, Camera("pinhole", 640, 480, 200.0, 200.0, 320.0, 240.0), COLOURS, TARGET.square_mm)

@@ -1,11 +1,11 @@
-"""Pairs of frames of a board drawn by the tests themselves: in white light, and with the projector's rings on it."""
+"""Pairs of frames of a target drawn by the tests themselves: in white light, and with the projector's rings on it."""
 
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from photographs import DrawnBoard, _rays, poses
+from photographs import DrawnTarget, _rays, poses
 
 from annulus.geometry.camera import Camera
 from annulus.geometry.cone import Cone
@@ -27,11 +27,11 @@ def cones(theta_deg: tuple[float, ...] = (37.9, 42.4, 47.5, 52.8, 57.7)) -> tupl
 
 
 def pair(
-    camera: Camera, board: DrawnBoard, rings: tuple[Cone, ...], rotation: FloatArray, middle_mm: FloatArray,
+    camera: Camera, target: DrawnTarget, rings: tuple[Cone, ...], rotation: FloatArray, middle_mm: FloatArray,
     colours: str = COLOURS, seed: int = 0, blur_px: float = 0.7, noise: float = 1.5,
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:  # fmt: skip
     """(H, W, 3) BGR: white light, rings."""
-    shift = np.asarray(middle_mm) - rotation @ board.middle_mm
+    shift = np.asarray(middle_mm) - rotation @ target.middle_mm
     stripes = np.array([LIGHT[c] for c in colours])
     white, ringed = np.zeros((2, camera.height * camera.width, 3))
     for dx, dy in ((-0.375, -0.125), (-0.125, 0.375), (0.125, -0.375), (0.375, 0.125)):
@@ -41,8 +41,8 @@ def pair(
         hit = np.flatnonzero((s > 0) & (s < 2000))
         points = s[hit, None] * rays[hit]
         flat = (points - shift) @ rotation[:, :2]
-        paper = BLACK + (1 - BLACK) * board.paint(flat)
-        paper *= np.all((flat > -1.0 * board.square_mm) & (flat < board.middle_mm[:2] * 2 + board.square_mm), axis=1)
+        paper = BLACK + (1 - BLACK) * target.paint(flat)
+        paper *= np.all((flat > -1.0 * target.square_mm) & (flat < target.middle_mm[:2] * 2 + target.square_mm), axis=1)
         stripe = np.zeros(len(hit), int)
         dark = np.zeros(len(hit), bool)
         for k, cone in enumerate(rings):
@@ -64,14 +64,14 @@ def pair(
 
 
 def write_scan(
-    folder: Path, camera: Camera, board: DrawnBoard, rings: tuple[Cone, ...], count: int, colours: str = COLOURS
+    folder: Path, camera: Camera, target: DrawnTarget, rings: tuple[Cone, ...], count: int, colours: str = COLOURS
 ) -> None:
     """A scan folder of `count` pairs, near and far, tilted."""
     lines = ["index,file,light,z_mm"]
-    for i, (rotation, middle) in enumerate(poses(camera, board, count, off=0.12, tilt_deg=40.0, seed=4)):
+    for i, (rotation, middle) in enumerate(poses(camera, target, count, off=0.12, tilt_deg=40.0, seed=4)):
         away = (110.0, 150.0, 200.0)[i % 3] * middle / np.linalg.norm(middle)
         for light, image in zip(
-            ("led", "projector"), pair(camera, board, rings, rotation, away, colours, seed=i), strict=True
+            ("led", "projector"), pair(camera, target, rings, rotation, away, colours, seed=i), strict=True
         ):
             cv2.imwrite(str(folder / f"{i:02d}-{light}.png"), image)
             lines.append(f"{len(lines) - 1},{i:02d}-{light}.png,{light},{i}")

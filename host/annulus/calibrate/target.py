@@ -1,7 +1,7 @@
-"""`annulus calibrate board`: rings on a board whose place its own corners tell.
+"""`annulus calibrate target`: rings on a target whose place its own corners tell.
 
-A scan folder holds pairs: the board in white light (`led`) and, with board and head left as they are, with the rings on
-it (`projector`). Frames with the same z_mm belong together; if all have one z_mm, each projector frame goes with the
+A scan folder holds pairs: the target in white light (`led`) and, with target and head left as they are, with the rings
+on it (`projector`). Frames with the same z_mm belong together; if all have one z_mm, each projector frame goes with the
 led frame last before it.
 """
 
@@ -15,33 +15,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus.geometry.camera import Camera
-from annulus.geometry.chessboard import BoardView, find_board
+from annulus.geometry.chessboard import TargetView, find_target
 from annulus.geometry.cone import Cone
-from annulus.geometry.intrinsics import Sight, board_pose
+from annulus.geometry.intrinsics import TargetObservation, target_pose
 from annulus.numeric.arrays import FloatArray, Image
 from annulus.record.calibration_file import update_calibration
 from annulus.record.scan import Scan, open_scan
-from annulus.rings.calibration.contours import Tracks, close_grid, follow, wide_grid
-from annulus.rings.calibration.target import BoardCones, BoardPoints, fit_cones, on_plane, vertex_order
+from annulus.rings.calibration.contours import Contours, close_grid, follow, wide_grid
+from annulus.rings.calibration.target import TargetCones, TargetPoints, fit_cones, on_plane, vertex_order
 from annulus.vocabulary import AnnulusError, Label
 
 Progress = Callable[[str, int, int], None]
 
-POSE_PX = 1.0  # a board whose corners leave more over is not flat, or not seen by this camera
-BEYOND = 0.8  # squares around the outermost corners that still are board
+POSE_PX = 1.0  # a target whose corners leave more over is not flat, or not seen by this camera
+BEYOND = 0.8  # squares around the outermost corners that still are target
 EVEN = 0.8  # of the lightest: the darkest paper beside a slit, or print has moved its edge
 DARKEST = 0.08  # of white: paper is not raised from below that
 MOVED, MOVED_MM = 4.0, 0.3  # times the usual residual, and so many mm more: moved between its two photographs
-FEW = 6  # boards
+FEW = 6  # targets
 EDGE_BLUR_PX = 3.0  # beside a slit's edges: as far as print shows in them
 
 
 @dataclass(frozen=True, slots=True)
-class BoardPair:
-    """One pose of the board. `pose_px`: what PnP left over. `points`: slits used. `rms_mm`: their distance from the
+class TargetPair:
+    """One pose of the target. `pose_px`: what PnP left over. `points`: slits used. `rms_mm`: their distance from the
     cones. NaN and 0 where rejected before."""
 
-    board: str
+    target: str
     rings: str
     corners: int
     pose_px: float
@@ -53,12 +53,12 @@ class BoardPair:
 
 
 @dataclass(frozen=True, eq=False)
-class BoardCalibration:
-    """Cones measured on boards."""
+class TargetCalibration:
+    """Cones measured on targets."""
 
-    fit: BoardCones
+    fit: TargetCones
     ring: NDArray[np.int64]  # (N,) of fit.distance_mm
-    pairs: tuple[BoardPair, ...]
+    pairs: tuple[TargetPair, ...]
     colours: str
     warnings: tuple[str, ...]
 
@@ -96,7 +96,7 @@ class BoardCalibration:
             "pairs": [
                 {
                     name: (None if value != value else value)
-                    for name in BoardPair.__slots__
+                    for name in TargetPair.__slots__
                     if (value := getattr(p, name)) is not ...
                 }
                 for p in self.pairs
@@ -105,32 +105,32 @@ class BoardCalibration:
         }
 
 
-def calibrate_board(
+def calibrate_target(
     path: Path, camera: Camera, colours: str, square_mm: float, progress: Progress | None = None
-) -> BoardCalibration:
-    """Poses by PnP, slits by the detector that reconstructs, rays to the board's plane, cones through the points.
+) -> TargetCalibration:
+    """Poses by PnP, slits by the detector that reconstructs, rays to the target's plane, cones through the points.
 
-    colours : stripes from the innermost outwards. Raises AnnulusError where pairs, boards or rings are missing.
+    colours : stripes from the innermost outwards. Raises AnnulusError where pairs, targets or rings are missing.
     Alzuhiri 2022, §4.3.1.
     """
     if camera.model == "mirror":
-        raise AnnulusError("calibrate board: the camera looks at a mirror. Use `annulus calibrate pipe` for it.")
+        raise AnnulusError("calibrate target: the camera looks at a mirror. Use `annulus calibrate pipe` for it.")
     scan = open_scan(path)
     pairs = _pairs(scan)
-    first: list[Tracks | None] = []
-    views: list[BoardView | None] = []
+    first: list[Contours | None] = []
+    views: list[TargetView | None] = []
     why = [""] * len(pairs)
     centre = np.array([camera.cx, camera.cy])
     wide = wide_grid(camera, centre)
     for n, (led, projector) in enumerate(pairs):
         if progress:
-            progress("looking at boards", n, len(pairs))
+            progress("looking at targets", n, len(pairs))
         white, rings = _images(scan, led, projector, camera)
-        view = find_board(white)
+        view = find_target(white)
         views.append(view)
         first.append(None)
         if view is None:
-            why[n] = "no board found in the white-light frame"
+            why[n] = "no target found in the white-light frame"
             continue
         try:
             first[n] = follow(_evened(rings, white), wide, colours)
@@ -138,71 +138,73 @@ def calibrate_board(
             why[n] = str(error)
             continue
         if not len(first[n].ring):  # type: ignore[union-attr]
-            why[n] = "no rings read on the board"
+            why[n] = "no rings read on the target"
     if progress:
-        progress("looking at boards", len(pairs), len(pairs))
-    seen = [track for track in first if track is not None and np.isfinite(track.reach).any()]
+        progress("looking at targets", len(pairs), len(pairs))
+    seen = [contour for contour in first if contour is not None and np.isfinite(contour.reach).any()]
     if not seen:
         detail = "; ".join(f"{scan.frames[b].where}: {w}" for (b, _), w in zip(pairs, why, strict=True) if w)
-        raise AnnulusError(f"{path}: rings on a board in none of {len(pairs)} pairs ({detail[:300]}).")
+        raise AnnulusError(f"{path}: rings on a target in none of {len(pairs)} pairs ({detail[:300]}).")
     grid = close_grid(camera, seen)
 
-    parts: list[BoardPoints] = []
-    rows: list[BoardPair] = []
+    parts: list[TargetPoints] = []
+    rows: list[TargetPair] = []
     for n, (led, projector) in enumerate(pairs):
         if progress:
             progress("measuring rings", n, len(pairs))
         view, tilt, distance, rms = views[n], np.nan, np.nan, np.nan
         if view is not None and not why[n]:
-            rotation, shift, rms = board_pose(camera, Sight(square_mm * view.cells.astype(float), view.pixels))
+            rotation, shift, rms = target_pose(
+                camera, TargetObservation(square_mm * view.cells.astype(float), view.pixels)
+            )
             tilt = float(np.degrees(np.arccos(np.clip(abs(rotation[2, 2]), 0, 1))))
             distance = float(np.linalg.norm(shift + rotation @ [*(square_mm * view.cells.mean(axis=0)), 0.0]))
             if rms > POSE_PX:
-                why[n] = f"corners are off by {rms:.1f} px: another camera, or the board is not flat"
+                why[n] = f"corners are off by {rms:.1f} px: another camera, or the target is not flat"
             else:
                 white, rings = _images(scan, led, projector, camera)
-                track = follow(_evened(rings, white), grid, colours)
+                contour = follow(_evened(rings, white), grid, colours)
                 where = np.array([float(v) for v in grid.centre])
-                good = _on_even_paper(white, track, where)
-                inner, outer = on_plane(camera, track.pixels, where, track.width, rotation, shift)
+                good = _on_even_paper(white, contour, where)
+                inner, outer = on_plane(camera, contour.pixels, where, contour.width, rotation, shift)
                 flat = (0.5 * (inner + outer) - shift) @ rotation[:, :2] / square_mm
                 good &= np.all((flat > -BEYOND) & (flat < view.cells.max(axis=0) + BEYOND), axis=1)
                 good &= np.isfinite(inner).all(axis=1) & np.isfinite(outer).all(axis=1)
-                parts.append(BoardPoints(np.full(len(track.ring), n), track.ring, inner, outer).take(good))
+                parts.append(TargetPoints(np.full(len(contour.ring), n), contour.ring, inner, outer).take(good))
                 if not good.any():
                     why[n] = "no slit on even paper"
         rows.append(
-            BoardPair(
+            TargetPair(
                 scan.frames[led].where, scan.frames[projector].where, 0 if view is None else len(view.cells), rms, tilt,
                 distance, 0, np.nan, why[n],
             )
         )  # fmt: skip
     if progress:
         progress("measuring rings", len(pairs), len(pairs))
-    points = BoardPoints(
-        np.concatenate([p.board for p in parts]), np.concatenate([p.ring for p in parts]),
+    points = TargetPoints(
+        np.concatenate([p.target for p in parts]), np.concatenate([p.ring for p in parts]),
         np.concatenate([p.inner_mm for p in parts]), np.concatenate([p.outer_mm for p in parts]),
     )  # fmt: skip
     fit = fit_cones(points, len(colours) - 1)
     for n in _moved(points, fit):
-        why[n] = "its rings do not fit the other boards': moved between the two frames?"
-    if any(why[n] for n in np.unique(points.board)):
-        points = points.take(np.array([not why[n] for n in points.board]))
+        why[n] = "its rings do not fit the other targets': moved between the two frames?"
+    if any(why[n] for n in np.unique(points.target)):
+        points = points.take(np.array([not why[n] for n in points.target]))
         fit = fit_cones(points, len(colours) - 1)
     done = []
     for n, row in enumerate(rows):
-        mine = fit.used & (points.board == n)
+        mine = fit.used & (points.target == n)
         off = fit.distance_mm[mine]
         done.append(
-            BoardPair(
-                row.board, row.rings, row.corners, row.pose_px, row.tilt_deg, row.distance_mm, len(off),
+            TargetPair(
+                row.target, row.rings, row.corners, row.pose_px, row.tilt_deg, row.distance_mm, len(off),
                 float(np.sqrt(np.mean(off**2))) if len(off) else np.nan, why[n],
             )
         )  # fmt: skip
-    return BoardCalibration(fit, points.ring, tuple(done), colours, _warnings(fit, done))
+    return TargetCalibration(fit, points.ring, tuple(done), colours, _warnings(fit, done))
 
 
-def save_board(result: BoardCalibration, camera: Mapping[str, Any], radius_mm: float | None, path: Path) -> None:
+def save_target(result: TargetCalibration, camera: Mapping[str, Any], radius_mm: float | None, path: Path) -> None:
     """Write `camera`, `pattern`, `rings`, `covariance` and, if given, `pipe`."""
     told = result.to_dict()
     sections: dict[str, Any] = {
@@ -213,7 +215,7 @@ def save_board(result: BoardCalibration, camera: Mapping[str, Any], radius_mm: f
     }
     if radius_mm is not None:
         sections["pipe"] = {"radius_mm": radius_mm}
-    update_calibration(path, sections, {"rings": {"by": "annulus calibrate board", **told}})
+    update_calibration(path, sections, {"rings": {"by": "annulus calibrate target", **told}})
 
 
 def _pairs(scan: Scan) -> list[tuple[int, int]]:
@@ -234,7 +236,7 @@ def _pairs(scan: Scan) -> list[tuple[int, int]]:
     if len(out) < 3:
         raise AnnulusError(
             f"{scan.path}: {len(out)} pairs of a led and a projector frame at one z_mm, expected at least 3 poses of "
-            "the board, better 15 to 20."
+            "the target, better 15 to 20."
         )
     return out
 
@@ -255,18 +257,18 @@ def _evened(rings: Image, white: Image) -> Image:
     paper = cv2.GaussianBlur(white.max(axis=2), (0, 0), 1.0).astype(np.float32)
     level = float(np.percentile(paper, 95))
     gain = np.minimum(level / np.maximum(paper, 1.0), 1.0 / DARKEST)
-    # beyond the board nothing is raised: its gain is that of its surroundings
+    # beyond the target nothing is raised: its gain is that of its surroundings
     return np.asarray(np.clip(rings * gain[:, :, None], 0, 255), np.uint8)
 
 
-def _on_even_paper(white: Image, track: Tracks, centre: FloatArray) -> NDArray[np.bool_]:
+def _on_even_paper(white: Image, contour: Contours, centre: FloatArray) -> NDArray[np.bool_]:
     """Slits that have equally light paper under them, from stripe to stripe."""
     paper = cv2.GaussianBlur(white.max(axis=2), (0, 0), 1.0).astype(np.float32)
-    way = track.pixels - centre
+    way = contour.pixels - centre
     way /= np.linalg.norm(way, axis=1, keepdims=True)
-    reach = track.width / 2 + EDGE_BLUR_PX
+    reach = contour.width / 2 + EDGE_BLUR_PX
     part = np.linspace(-1.0, 1.0, 13)
-    at = (track.pixels[:, None] + (reach[:, None] * part)[:, :, None] * way[:, None]).astype(np.float32)
+    at = (contour.pixels[:, None] + (reach[:, None] * part)[:, :, None] * way[:, None]).astype(np.float32)
     if not len(at):
         return np.zeros(0, bool)
     light = np.empty(at.shape[:2], np.float32)
@@ -276,26 +278,26 @@ def _on_even_paper(white: Image, track: Tracks, centre: FloatArray) -> NDArray[n
     return np.asarray((low > EVEN * high) & (high > 0.4 * np.percentile(paper, 95)))
 
 
-def _moved(points: BoardPoints, fit: BoardCones) -> list[int]:
-    boards = [int(n) for n in np.unique(points.board)]
-    off = {n: float(np.median(np.abs(fit.distance_mm[points.board == n]))) for n in boards}
+def _moved(points: TargetPoints, fit: TargetCones) -> list[int]:
+    targets = [int(n) for n in np.unique(points.target)]
+    off = {n: float(np.median(np.abs(fit.distance_mm[points.target == n]))) for n in targets}
     usual = float(np.median(list(off.values())))
-    return [n for n in boards if off[n] > MOVED * usual and off[n] > usual + MOVED_MM]
+    return [n for n in targets if off[n] > MOVED * usual and off[n] > usual + MOVED_MM]
 
 
-def _warnings(fit: BoardCones, pairs: list[BoardPair]) -> tuple[str, ...]:
+def _warnings(fit: TargetCones, pairs: list[TargetPair]) -> tuple[str, ...]:
     kept = [p for p in pairs if not p.rejected]
     out = []
     if len(kept) < FEW:
-        out.append(f"{len(kept)} boards: take 15 to 20")
+        out.append(f"{len(kept)} targets: take 15 to 20")
     near, far = (f(p.distance_mm for p in kept) for f in (min, max))
     if far < 1.4 * near:
         out.append(
-            f"boards between {near:.0f} and {far:.0f} mm only: angle and vertex are mixed up, go nearer and farther"
+            f"targets between {near:.0f} and {far:.0f} mm only: angle and vertex are mixed up, go nearer and farther"
         )
     out += [
         f"the vertex of ring {k} lies farther back than ring {k - 1}'s; glass moves it the other way: a ring "
-        "misread, or a board bent?"
+        "misread, or a target bent?"
         for k in vertex_order(fit.cones, fit.covariance)
     ]
     return tuple(out)

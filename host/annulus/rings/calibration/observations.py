@@ -1,0 +1,75 @@
+"""Slits of known ring in several frames, as rays: what autocalibration starts from."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from annulus.geometry.camera import Camera
+from annulus.geometry.cone import Cone, intersect_cylinder
+from annulus.geometry.pose import Pose
+from annulus.numeric.arrays import FloatArray
+
+RAY_STEP_PX = 4.0  # rays of an observation: at its place and so far to both sides of it; between them a parabola
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observations:
+    """Slits of known ring, seen in several frames. One row a slit."""
+
+    frame: NDArray[np.int64]  # (N,) 0..F-1
+    ring: NDArray[np.int64]  # (N,) 0..K-1, innermost first
+    rays: FloatArray  # (N, 3, 3) unit vectors, camera frame: RAY_STEP_PX nearer, at the slit, RAY_STEP_PX farther out
+    origins: FloatArray  # (N, 3, 3) mm, where those rays start; zeros for a camera with one centre
+    width: FloatArray  # (N,) px between the slit's edges; 0 where the place is that of the cone itself
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    def take(self, which: NDArray[np.int64]) -> "Observations":
+        return Observations(
+            self.frame[which], self.ring[which], self.rays[which], self.origins[which], self.width[which]
+        )  # fmt: skip
+
+
+def observe(
+    camera: Camera,
+    frame: NDArray[np.int64],
+    ring: NDArray[np.int64],
+    pixels: FloatArray,
+    centre: FloatArray,
+    width: FloatArray | None = None,
+) -> Observations:
+    """Slits at (N, 2) pixels on lines through `centre` (2,) px, without those that the lens model cannot invert."""
+    way = pixels - centre
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    places = np.stack([pixels - RAY_STEP_PX * way, pixels, pixels + RAY_STEP_PX * way], axis=1)
+    origins, rays = camera.lines(places.reshape(-1, 2))
+    seen = Observations(
+        np.asarray(frame, np.int64), np.asarray(ring, np.int64), rays.reshape(-1, 3, 3), origins.reshape(-1, 3, 3),
+        np.zeros(len(pixels)) if width is None else np.asarray(width, float),
+    )  # fmt: skip
+    good = np.isfinite(seen.rays).all(axis=(1, 2)) & np.isfinite(seen.origins).all(axis=(1, 2))
+    return seen.take(np.flatnonzero(good))
+
+
+def azimuths(seen: Observations, rings: Sequence[Cone], poses: Sequence[Pose], radius_mm: float) -> FloatArray:
+    """(N,) 0..1: where round its cone's axis the light of each slit runs, see RingCorrection."""
+    points = _wall_points(seen, poses, radius_mm)
+    axis = np.array([ring.axis for ring in rings])[seen.ring]
+    away = points - np.array([ring.vertex_mm for ring in rings])[seen.ring]
+    first = away[:, 0] - axis[:, 0] * (away * axis).sum(axis=1)
+    second = axis[:, 2] * away[:, 1] - axis[:, 1] * away[:, 2]
+    return np.asarray(np.nan_to_num(np.arctan2(second, first)) / (2 * math.pi) % 1.0)
+
+
+def _wall_points(seen: Observations, poses: Sequence[Pose], radius_mm: float) -> FloatArray:
+    """(N, 3) mm, camera frame: where each slit's ray meets the wall of the pipe in its frame's pose."""
+    out = np.empty((len(seen), 3))
+    for j, pose in enumerate(poses):
+        mine = np.flatnonzero(seen.frame == j)
+        axis = pose.rotation[:, 2]
+        out[mine] = intersect_cylinder(seen.rays[mine, 1], pose.translation, axis, radius_mm, seen.origins[mine, 1])
+    return out
