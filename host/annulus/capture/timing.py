@@ -15,13 +15,13 @@ class FrameTiming:
     readout_us: float  # first line to last line
 
     def __post_init__(self) -> None:
-        for name, value, low, high in (
-            ("--fps", self.fps, 1.0, 500.0),
-            ("--exposure-us", self.exposure_us, 1.0, 1e6),
-            ("--readout-us", self.readout_us, 0.0, 1e6),
+        for name, value, unit, low, high in (
+            ("frame rate", self.fps, "fps", 1.0, 500.0),
+            ("exposure", self.exposure_us, "us", 1.0, 1e6),
+            ("readout", self.readout_us, "us", 0.0, 1e6),
         ):
             if not (math.isfinite(value) and low <= value <= high):
-                raise AnnulusError(f"{name} {value:g}: expected {low:g}..{high:g}")
+                raise AnnulusError(f"{name} {value:g} {unit}: expected {low:g}..{high:g}")
         if self.exposure_us > self.period_us:
             raise AnnulusError(
                 f"exposure {self.exposure_us:g} us does not fit a frame of {self.period_us:g} us ({self.fps:g} fps)"
