@@ -1,21 +1,19 @@
 """Raw acoustic data on disk: HDF5 in the IPASC photoacoustic format, or NumPy's .npz (forms: README.md beside this)."""
 
-import contextlib
 import math
-import os
 import re
-import tempfile
 import uuid
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from annulus.record.whole import written_whole
 from annulus.vocabulary import AnnulusError
 
 POSITIONS_MAX, SAMPLES_MAX, VALUES_MAX = 8192, 1 << 22, 1 << 29
@@ -45,14 +43,15 @@ class AcousticRecord:
 
 def save_acoustic(path: Path, record: AcousticRecord) -> None:
     """Writes .npz, or IPASC for .h5 and .hdf5. The file appears whole or not at all."""
-    if path.suffix == ".npz":
-        with _appearing(path) as file:
-            np.savez(file, **_named(record))
-    elif path.suffix in (".h5", ".hdf5"):
-        with _appearing(path) as file, h5py.File(file, "w") as root:
-            _write_ipasc(root, record)
-    else:
+    if path.suffix not in (".npz", ".h5", ".hdf5"):
         raise AnnulusError(f"{path}: expected a name ending in .hdf5, .h5 (IPASC) or .npz")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with written_whole(path) as file:
+        if path.suffix == ".npz":
+            np.savez(file, **_named(record))
+        else:
+            with h5py.File(file, "w") as root:
+                _write_ipasc(root, record)
 
 
 def load_acoustic(path: Path) -> AcousticRecord:
@@ -269,17 +268,3 @@ def _text(value: Any) -> str:
 def _plain(value: Any) -> str | float:
     array = np.asarray(value)
     return float(array.reshape(-1)[0]) if array.dtype.kind in "fiub" and array.size == 1 else _text(value)
-
-
-@contextlib.contextmanager
-def _appearing(path: Path) -> Iterator[BinaryIO]:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "w+b") as file:
-            yield file
-        os.replace(name, path)
-    except BaseException:
-        with contextlib.suppress(FileNotFoundError):
-            os.unlink(name)
-        raise
