@@ -83,7 +83,7 @@ def test_a_scan_is_labelled_recorded_and_reconstructed(head: HeadHandle, tmp_pat
     assert frames_are_what_they_are_called(recording) == report.frames["projector"] + report.frames["led"] >= 40
     assert len(recording.frames) == sum(report.frames.values())
     # one LED frame in five, whatever was dropped
-    slots = [recording.labels[f.index]["slot"] for f in recording.frames if f.label is Label.LED]
+    slots = [recording.label(f)["slot"] for f in recording.frames if f.label is Label.LED]
     assert slots and set(slots) == {4}
     # every projector frame became a profile, in order, at its own station
     stations = {f.index: f.z_mm for f in recording.frames if f.label is Label.PROJECTOR}

@@ -1,6 +1,6 @@
 """Cameras behind one door, with Picamera2's method names, so that a real Picamera2 object plugs in unchanged.
 
-    camera = plug(Picamera2())        # or V4L2Camera("/dev/video0"), ScanFolderCamera(path), RemoteCamera(address)
+    camera = plug(Picamera2())        # or V4L2Camera("/dev/video0"), RemoteCamera(address), ScanFolderCamera(path)
     camera.start()
     while True:
         frame = grab(camera)               # CapturedFrame; TimeoutError when none came, EndOfFrames after the last
@@ -10,7 +10,6 @@ No camera here has a thread or a queue of its own: what waits, waits in the driv
 shows as a hole in `FrameSequence` or in the timestamps.
 """
 
-import csv
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -361,117 +360,3 @@ def _v4l2_control(name: str, value: Any) -> list[tuple[str, int, float]]:
 
 def _letters(fourcc: float) -> str:
     return int(fourcc).to_bytes(4, "little").decode("ascii", "replace")
-
-
-# ---- files -------------------------------------------------------------------------------------------------------
-
-
-class VideoFileCamera(OneRequest):
-    """A video file as a camera, as fast as it is asked. Timestamps: the file's, from the moment of `start` on."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._capture: Any = None
-        self._start_ns = 0
-        self._next = 0
-        probe = self._open()
-        self.width = int(probe.get(cv2.CAP_PROP_FRAME_WIDTH))
-        self.height = int(probe.get(cv2.CAP_PROP_FRAME_HEIGHT))
-        fps = float(probe.get(cv2.CAP_PROP_FPS))
-        self._period_ns = round(1e9 / fps) if 0.1 <= fps <= 10_000 else 40_000_000
-        self.encoding = BGR8
-        probe.release()
-        if not (0 < self.width <= SIDE_MAX and 0 < self.height <= SIDE_MAX):
-            raise AnnulusError(f"{path}: frames of {self.width}x{self.height}, expected a video file")
-
-    def start(self) -> None:
-        if self._capture is None:
-            self._capture = self._open()
-            self._start_ns = time.monotonic_ns()
-            self._next = 0
-
-    def stop(self) -> None:
-        self.close()
-
-    def close(self) -> None:
-        if self._capture is not None:
-            self._capture.release()
-            self._capture = None
-
-    def capture_request(self) -> Request:
-        if self._capture is None:
-            raise AnnulusError(f"{self._path}: not started")
-        good, image = self._capture.read()
-        if not good:
-            raise EndOfFrames
-        index, self._next = self._next, self._next + 1
-        return HeldRequest(image, {"SensorTimestamp": self._start_ns + index * self._period_ns, "FrameSequence": index})
-
-    def set_controls(self, controls: Mapping[str, Any]) -> None:
-        pass  # a file has been exposed already
-
-    def _open(self) -> Any:
-        if not self._path.is_file():
-            raise AnnulusError(f"{self._path}: no such video file")
-        capture = cv2.VideoCapture(str(self._path))
-        if not capture.isOpened():
-            raise AnnulusError(f"{self._path}: cannot be read as a video")
-        return capture
-
-
-class ScanFolderCamera(OneRequest):
-    """The images a scan folder's frames.csv lists, in its order, as a camera. Metadata adds its Light and ZMm."""
-
-    def __init__(self, folder: Path, *, fps: float = 25.0) -> None:
-        self._folder = folder
-        self._rows = _scan_rows(folder / "frames.csv")
-        self._period_ns = round(1e9 / fps)
-        self._start_ns = 0
-        self._next = 0
-        first = self._read(self._rows[0][0])
-        self.height, self.width = first.shape[:2]
-        self.encoding = BGR8
-
-    def start(self) -> None:
-        self._start_ns = time.monotonic_ns()
-        self._next = 0
-
-    def stop(self) -> None:
-        pass
-
-    def close(self) -> None:
-        pass
-
-    def capture_request(self) -> Request:
-        if self._next >= len(self._rows):
-            raise EndOfFrames
-        index, self._next = self._next, self._next + 1
-        name, light, z_mm = self._rows[index]
-        stamp = self._start_ns + index * self._period_ns
-        metadata = {"SensorTimestamp": stamp, "FrameSequence": index, "Light": light, "ZMm": z_mm}
-        return HeldRequest(self._read(name), metadata)
-
-    def set_controls(self, controls: Mapping[str, Any]) -> None:
-        pass
-
-    def _read(self, name: str) -> Image:
-        path = self._folder / name
-        image = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.is_file() else None
-        if image is None:
-            raise AnnulusError(f"{path}: not a readable image, though frames.csv lists it")
-        return cast(Image, image)
-
-
-def _scan_rows(path: Path) -> list[tuple[str, str, float]]:
-    if not path.is_file():
-        raise AnnulusError(f"{path}: not there, expected a scan folder with index,file,light,z_mm")
-    rows = []
-    with path.open(newline="", encoding="utf-8") as file:
-        for number, row in enumerate(csv.DictReader(file), start=2):
-            try:
-                rows.append((str(row["file"]), str(row["light"]), float(row["z_mm"])))
-            except (KeyError, TypeError, ValueError):
-                raise AnnulusError(f"{path}:{number}: expected index,file,light,z_mm, got {dict(row)}") from None
-    if not rows:
-        raise AnnulusError(f"{path}: lists no frame")
-    return rows

@@ -2,9 +2,10 @@
 
 from pathlib import Path
 
-from annulus.capture.camera import Camera, ScanFolderCamera, V4L2Camera, VideoFileCamera, plug
+from annulus.capture.camera import Camera, V4L2Camera, plug
 from annulus.capture.remote import RemoteCamera
 from annulus.daemon.config import HeadConfig
+from annulus.record.replay import ScanFolderCamera, VideoFileCamera
 from annulus.vocabulary import AnnulusError
 
 

@@ -140,7 +140,7 @@ class Labelling:
 
 def _brought_along(blank: FrameHeader, metadata: Mapping[str, Any]) -> FrameHeader:
     """Without a controller: the label a scan folder gave its frame, or none."""
-    light, z_mm = metadata.get("Light"), metadata.get("ZMm")
+    light, z_mm, roll_deg = (metadata.get(key) for key in ("Light", "ZMm", "RollDeg"))
     if light not in (Label.PROJECTOR.value, Label.LED.value) or not isinstance(z_mm, int | float):
         return replace(blank, reason=NO_CONTROLLER)
-    return replace(blank, label=Label(light), z_mm=float(z_mm))
+    return replace(blank, label=Label(light), z_mm=float(z_mm), roll_deg=roll_deg)

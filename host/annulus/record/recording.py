@@ -1,8 +1,10 @@
 """A recording read back: one scan in one .mcap file, whatever a crash or a full disk left of it.
 
-Topics: `/frame` (foxglove.RawImage, protobuf) and JSON `/label`, `/profile`, `/telemetry`, `/event`. A frame and its
-label share the message sequence number, which is the frame's index, and lie in one uncompressed chunk, the label
-first. Bytes inside JSON are {"base64": ".."}. Attachments: `calibration.json`, `configuration.json`.
+Topics: `/frame/<camera>` (foxglove.RawImage, protobuf) and JSON `/label`, `/profile`, `/telemetry`, `/event`,
+`/sensor/<name>` and whatever else is noted. A frame and its label share the message sequence number, which is the
+frame's index; the label says which camera it is of, and lies before its frame in one uncompressed chunk. Frames of one
+index belong to one flash. Bytes inside JSON are {"base64": ".."}. Attachments: `calibration.json`,
+`configuration.json`. Recordings of before there was more than one camera have `/frame`: camera 0.
 """
 
 import base64
@@ -21,11 +23,13 @@ import numpy as np
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from google.protobuf.message import DecodeError
 
+from annulus import untrusted
 from annulus.numeric.arrays import Image
 from annulus.vocabulary import AnnulusError, Label
 
-FRAME_TOPIC = "/frame"
-NOTE_TOPICS = ("/label", "/profile", "/telemetry", "/event")
+FRAME_TOPIC = "/frame"  # .. of camera 0 in old recordings; now followed by the camera's id
+LABEL_TOPIC = "/label"
+CAMERA_ID_MAX = 255
 CHANNELS = {"bgr8": 3, "bayer_rggb8": 1, "mono8": 1}  # encoding -> bytes a pixel
 _MAGIC = b"\x89MCAP0\r\n"
 _JSON_MAX = 1 << 24
@@ -75,6 +79,7 @@ class RecordedFrame:
     offset: int
     length: int
     roll_deg: float | None = None  # of the head, clockwise looking forward, where its label says so
+    camera: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,15 +87,24 @@ class Recording:
     """An opened recording. `torn`: the file ends in the middle; everything whole before that is here."""
 
     path: Path
-    frames: tuple[RecordedFrame, ...]
-    labels: Mapping[int, Mapping[str, Any]]  # by frame index, as they were written
+    frames: tuple[RecordedFrame, ...]  # by index, then camera
     calibration: Mapping[str, Any] | None
     configuration: Mapping[str, Any] | None
     torn: bool
+    _labels: Mapping[tuple[int, int], Mapping[str, Any]] = field(repr=False)  # (index, camera) -> as it was written
     _notes: Mapping[str, tuple[tuple[int, int], ...]] = field(repr=False)  # topic -> (offset, length)
 
+    @property
+    def cameras(self) -> tuple[int, ...]:
+        """Ids of the cameras that have a frame here, rising."""
+        return tuple(sorted({frame.camera for frame in self.frames}))
+
+    def label(self, frame: RecordedFrame) -> Mapping[str, Any]:
+        """What was written of a frame with its label; empty where the label was lost."""
+        return self._labels.get((frame.index, frame.camera), {})
+
     def notes(self, topic: str) -> Iterator[Any]:
-        """The records of one JSON topic in order; malformed ones are left out."""
+        """The records of one JSON topic, like "/event" or "/sensor/imu", in order; malformed ones are left out."""
         with self.path.open("rb") as file:
             for offset, length in self._notes.get(topic, ()):
                 try:
@@ -100,7 +114,7 @@ class Recording:
 
     def read_raw(self, frame: RecordedFrame) -> tuple[Image, str]:
         """The image as the camera gave it, and its encoding. Raises AnnulusError when the bytes are damaged."""
-        where = f"{self.path}: frame {frame.index}"
+        where = f"{self.path}: {frame_name(frame.index, frame.camera)}"
         with self.path.open("rb") as file:
             data = _slice(file, frame.offset, frame.length)
         raw = RawImage()
@@ -121,6 +135,11 @@ class Recording:
     def read(self, frame: RecordedFrame) -> Image:
         """The image as (H, W, 3) BGR, demosaiced where the camera gave a mosaic."""
         return to_bgr(*self.read_raw(frame))
+
+
+def frame_name(index: int, camera: int) -> str:
+    """As messages name a frame."""
+    return f"frame {index} of camera {camera}" if camera else f"frame {index}"
 
 
 def to_bgr(image: Image, encoding: str) -> Image:
@@ -148,12 +167,26 @@ def open_recording(path: Path) -> Recording:
             f"{path}: its chunks are compressed with {walk.compression}. "
             "Decompress it first: mcap compress --compression none."
         )
-    if FRAME_TOPIC not in walk.channels.values():
-        raise AnnulusError(f"{path}: no /frame topic. Expected a recording made by annulus.")
+    if not any(topic == LABEL_TOPIC or _camera_of(topic) is not None for topic in walk.channels.values()):
+        raise AnnulusError(f"{path}: no {FRAME_TOPIC}/<camera> topic. Expected a recording made by annulus.")
     return Recording(
-        path, tuple(walk.frames()), walk.labels, walk.attached("calibration.json"), walk.attached("configuration.json"),
-        not walk.ended, {topic: tuple(places) for topic, places in walk.notes.items()},
+        path, tuple(walk.frames()), walk.attached("calibration.json"), walk.attached("configuration.json"),
+        not walk.ended, walk.labels, {topic: tuple(places) for topic, places in walk.notes.items()},
     )  # fmt: skip
+
+
+def _camera_of(topic: str) -> int | None:
+    """Whose frames come on a topic; None for one of something else."""
+    if topic == FRAME_TOPIC:
+        return 0
+    name = topic.removeprefix(f"{FRAME_TOPIC}/")
+    known = name != topic and name.isascii() and name.isdigit() and len(name) < 4 and int(name) <= CAMERA_ID_MAX
+    return int(name) if known else None
+
+
+def camera_of_label(label: object) -> int:
+    """Which camera's frame a label is of; 0 where none is named. Raises ValueError for what is no label."""
+    return untrusted.whole(untrusted.mapping(label, "label").get("camera", 0), "label: camera", 0, CAMERA_ID_MAX)
 
 
 class _Walk:
@@ -162,8 +195,8 @@ class _Walk:
     def __init__(self) -> None:
         self.channels: dict[int, str] = {}
         self.notes: dict[str, list[tuple[int, int]]] = {}
-        self.labels: dict[int, Mapping[str, Any]] = {}
-        self.images: dict[int, tuple[int, int, int]] = {}  # index -> time, offset, length
+        self.labels: dict[tuple[int, int], Mapping[str, Any]] = {}  # by index and camera
+        self.images: dict[tuple[int, int], tuple[int, int, int]] = {}  # the same -> time, offset, length
         self.attachments: dict[str, bytes] = {}
         self.compression = ""
         self.ended = False
@@ -203,17 +236,17 @@ class _Walk:
         number, sequence, time_ns, _ = _MESSAGE_HEAD.unpack(_slice(file, at, _MESSAGE_HEAD.size))
         topic = self.channels.get(number, "")
         offset, size = at + _MESSAGE_HEAD.size, length - _MESSAGE_HEAD.size
-        if topic == FRAME_TOPIC:
-            self.images[sequence] = time_ns, offset, size
+        camera = _camera_of(topic)
+        if camera is not None:
+            self.images[sequence, camera] = time_ns, offset, size
         elif topic:
             self.notes.setdefault(topic, []).append((offset, size))
-            if topic == "/label":
+            if topic == LABEL_TOPIC:
                 try:
                     label = from_json(_slice(file, offset, size))
+                    self.labels[sequence, camera_of_label(label)] = label
                 except ValueError:
                     return
-                if isinstance(label, dict):
-                    self.labels[sequence] = label
 
     def _attachment(self, data: bytes) -> None:
         (name_length,) = struct.unpack_from("<I", data, 16)
@@ -225,8 +258,8 @@ class _Walk:
         self.attachments[name] = data[at + 8 : at + 8 + size]
 
     def frames(self) -> Iterator[RecordedFrame]:
-        for index, (time_ns, offset, length) in sorted(self.images.items()):
-            label = self.labels.get(index, {})
+        for (index, camera), (time_ns, offset, length) in sorted(self.images.items()):
+            label = self.labels.get((index, camera), {})
             name, z, roll = label.get("label"), label.get("z_mm"), label.get("roll_deg")
             known = Label(name) if name in {one.value for one in Label} else Label.UNKNOWN
             z_mm = float(z) if isinstance(z, int | float) and not isinstance(z, bool) else math.nan
@@ -234,7 +267,7 @@ class _Walk:
                 roll = None
             yield RecordedFrame(
                 index, known if math.isfinite(z_mm) else Label.UNKNOWN, z_mm, time_ns, offset, length,
-                roll if roll is None else float(roll),
+                roll if roll is None else float(roll), camera,
             )  # fmt: skip
 
     def attached(self, name: str) -> Mapping[str, Any] | None:

@@ -1,8 +1,9 @@
 """A scan to be reconstructed, whatever camera and program made it: a scan folder or a recording, behind one door.
 
 A scan folder has `frames.csv` and the images it names. Its columns are index, file, light, z_mm and, where the head
-has an inertial sensor, roll_deg: how far the head was turned clockwise, looking forward, from image up at 12 o'clock. A
-field of it may be empty; other columns are passed over.
+has several cameras, camera (its id; rows of one index belong to one flash) and, where it has an inertial sensor,
+roll_deg: how far the head was turned clockwise, looking forward, from image up at 12 o'clock. A field of these two may
+be empty; other columns are passed over.
 """
 
 import csv
@@ -18,12 +19,12 @@ import numpy as np
 
 from annulus.geometry.calibration import Calibration
 from annulus.numeric.arrays import Image
-from annulus.record.recording import Recording, open_recording
+from annulus.record.recording import CAMERA_ID_MAX, Recording, frame_name, open_recording
 from annulus.vocabulary import AnnulusError, Label
 
 TABLE = "frames.csv"
 COLUMNS = ("index", "file", "light", "z_mm")
-ROLL = "roll_deg"
+ROLL, CAMERA = "roll_deg", "camera"  # may be missing
 TABLE_MAX = 256 << 20  # bytes; a day at 25 fps has 100 MB
 FRAME_MAX = 256 << 20
 Z_MAX_MM = 1e8
@@ -39,6 +40,7 @@ class ScanFrame:
     z_mm: float
     where: str
     roll_deg: float | None = None  # clockwise, looking forward
+    camera: int = 0  # id; frames of one index belong to one flash
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +51,20 @@ class Scan:
     frames: tuple[ScanFrame, ...]
     calibration: Calibration | None  # what a recording carries; a folder carries none
     recording: Recording | None = None
+
+    @property
+    def cameras(self) -> tuple[int, ...]:
+        """Ids of the cameras that have a frame here, rising."""
+        return tuple(sorted({frame.camera for frame in self.frames}))
+
+    def only(self) -> "Scan":
+        """Itself, for a method that knows one camera. Raises AnnulusError, one line, where there are more."""
+        if len(self.cameras) > 1:
+            raise AnnulusError(
+                f"{self.path}: has frames of cameras {', '.join(map(str, self.cameras))}, expected one camera: this "
+                "method does not join views."
+            )
+        return self
 
     def read(self, i: int) -> Image:
         """The image of frames[i], (H, W, 3) uint8 BGR. Raises AnnulusError when missing, truncated or damaged."""
@@ -61,7 +77,7 @@ def open_scan(path: Path) -> Scan:
     """A scan folder or an .mcap recording. Raises AnnulusError saying what is wrong, and in which line."""
     try:
         if path.is_dir():
-            return Scan(path, _read_table(path), None)
+            return Scan(path, read_table(path), None)
         if not path.exists():
             raise AnnulusError(f"{path}: no such scan. Expected a scan folder or an .mcap recording.")
     except PermissionError:
@@ -76,7 +92,8 @@ def open_scan(path: Path) -> Scan:
     except ValueError as error:
         raise AnnulusError(f"{path}: the calibration in the recording is damaged: {error}.") from None
     frames = tuple(
-        ScanFrame(f.index, f.label, f.z_mm, f"{path}: frame {f.index}", f.roll_deg) for f in recording.frames
+        ScanFrame(f.index, f.label, f.z_mm, f"{path}: {frame_name(f.index, f.camera)}", f.roll_deg, f.camera)
+        for f in recording.frames
     )
     return Scan(path, frames, calibration, recording)
 
@@ -138,7 +155,8 @@ def _png_is_whole(data: bytes) -> bool:
     return False
 
 
-def _read_table(folder: Path) -> tuple[ScanFrame, ...]:
+def read_table(folder: Path) -> tuple[ScanFrame, ...]:
+    """What the frames.csv of a scan folder lists, in its order. Raises AnnulusError naming the line."""
     table = folder / TABLE
     try:
         with table.open("rb") as file:
@@ -162,15 +180,16 @@ def _read_table(folder: Path) -> tuple[ScanFrame, ...]:
             raise AnnulusError(f"{table}: line 1: no column {', '.join(missing)}. Expected {','.join(COLUMNS)}.")
         rows.fieldnames = columns
         frames: list[ScanFrame] = []
-        indices: set[int] = set()
+        known: set[tuple[int, int]] = set()
         for row in rows:
             try:
                 frame = _frame(row, folder)
-                if frame.index in indices:
-                    raise ValueError(f"index {frame.index} was there before")
+                if (frame.index, frame.camera) in known:
+                    of = f" of camera {frame.camera}" if frame.camera else ""
+                    raise ValueError(f"index {frame.index}{of} was there before")
             except ValueError as error:
                 raise AnnulusError(f"{table}: line {rows.line_num}: {error}.") from None
-            indices.add(frame.index)
+            known.add((frame.index, frame.camera))
             frames.append(frame)
     except UnicodeDecodeError:
         raise AnnulusError(f"{table}: not a text file. Expected {','.join(COLUMNS)}.") from None
@@ -182,9 +201,7 @@ def _read_table(folder: Path) -> tuple[ScanFrame, ...]:
 
 
 def _frame(row: dict[str, str | None], folder: Path) -> ScanFrame:
-    index_text, file, light, z_text = ((row[name] or "").strip() for name in COLUMNS)
-    if not (index_text.isascii() and index_text.isdigit()) or len(index_text) > 18:
-        raise ValueError(f'index is "{index_text[:40]}", expected a whole number')
+    index, file, light, z_text = ((row[name] or "").strip() for name in COLUMNS)
     if light not in {label.value for label in Label}:
         raise ValueError(f'light is "{light[:40]}", expected projector, led or unknown')
     try:
@@ -198,7 +215,16 @@ def _frame(row: dict[str, str | None], folder: Path) -> ScanFrame:
         raise ValueError(f'file is "{file[:80]}", expected the path of an image inside the scan folder')
     if not (folder / file).is_file():
         raise ValueError(f"{file} is not there")
-    return ScanFrame(int(index_text), Label(light), z, file, _roll(row.get(ROLL)))
+    camera = _whole((row.get(CAMERA) or "").strip() or "0", CAMERA)
+    if camera > CAMERA_ID_MAX:
+        raise ValueError(f"{CAMERA} is {camera}, expected an id in 0..{CAMERA_ID_MAX}")
+    return ScanFrame(_whole(index, "index"), Label(light), z, file, _roll(row.get(ROLL)), camera)
+
+
+def _whole(text: str, column: str) -> int:
+    if not (text.isascii() and text.isdigit()) or len(text) > 18:
+        raise ValueError(f'{column} is "{text[:40]}", expected a whole number')
+    return int(text)
 
 
 def _roll(text: str | None) -> float | None:

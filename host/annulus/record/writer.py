@@ -17,7 +17,7 @@ from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 from mcap_protobuf.schema import register_schema
 
 from annulus.numeric.arrays import Image
-from annulus.record.recording import CHANNELS, FRAME_TOPIC, NOTE_TOPICS, to_json
+from annulus.record.recording import CHANNELS, FRAME_TOPIC, LABEL_TOPIC, camera_of_label, to_json
 from annulus.vocabulary import AnnulusError
 
 _NOTES_MAX = 1 << 18  # bytes of small records that may wait for the next frame's chunk
@@ -73,7 +73,7 @@ class RecordingWriter:
 
         Raises AnnulusError when the file cannot be begun.
         """
-        self.lost: Counter[str] = Counter()
+        self.lost: Counter[str] = Counter()  # by topic, frames of all cameras as "/frame"
         self.written: Counter[str] = Counter()
         self.problem = ""  # the last reason for a loss
         self._pending: Counter[str] = Counter()
@@ -90,14 +90,12 @@ class RecordingWriter:
             compression=CompressionType.NONE,
         )
         self._writer.start(profile="annulus")
-        frames = self._writer.register_channel(FRAME_TOPIC, "protobuf", register_schema(self._writer, RawImage))
-        self._channels = {FRAME_TOPIC: frames}
-        for topic in NOTE_TOPICS:
-            schema = self._writer.register_schema(
-                f"annulus{topic.replace('/', '.')}", "jsonschema", b'{"type":"object"}'
-            )
-            self._channels[topic] = self._writer.register_channel(topic, "json", schema)
+        self._channels: dict[str, int] = {}  # by topic, those that are on disk or about to be
+        self._new: list[str] = []  # of them, those that are not on disk yet
         # On disk before anything else: without these records nothing that follows could be read.
+        self._image = register_schema(self._writer, RawImage)
+        self._record = self._writer.register_schema("annulus.record", "jsonschema", b'{"type":"object"}')
+        self._channel(LABEL_TOPIC)
         self.note("/event", {"kind": "recording_started"}, now_ns)
         self._flush()
         for name, content in (("calibration.json", calibration), ("configuration.json", configuration)):
@@ -111,13 +109,14 @@ class RecordingWriter:
     def frame(self, label: Mapping[str, Any], image: Image, time_ns: int) -> bool:
         """A frame with its label; False when it was lost.
 
-        `label` must hold index, label, z_mm, encoding, width, height; it is written to /label as it is.
-        `time_ns`: the frame's timestamp, host monotonic.
+        `label` must hold index, label, z_mm, encoding, width, height, and camera unless it is 0; it is written to
+        /label as it is. `time_ns`: the frame's timestamp, host monotonic.
         """
         index = int(label["index"])
         seconds, nanoseconds = divmod(time_ns, 1_000_000_000)
+        camera = camera_of_label(label)
         raw = RawImage(
-            frame_id="camera",
+            frame_id=f"camera/{camera}" if camera else "camera",
             width=int(label["width"]),
             height=int(label["height"]),
             encoding=str(label["encoding"]),
@@ -125,12 +124,12 @@ class RecordingWriter:
             data=image.tobytes(),
         )
         raw.timestamp.seconds, raw.timestamp.nanos = seconds, nanoseconds
-        self._add("/label", to_json(label), time_ns, index)
-        self._add(FRAME_TOPIC, raw.SerializeToString(), time_ns, index)
+        self._add(LABEL_TOPIC, to_json(label), time_ns, index)
+        self._add(f"{FRAME_TOPIC}/{camera}", raw.SerializeToString(), time_ns, index, FRAME_TOPIC)
         return self._flush()
 
     def note(self, topic: str, body: Mapping[str, Any], time_ns: int, sequence: int = 0) -> None:
-        """A small record on one of NOTE_TOPICS. Goes to disk with the next frame, or with `flush`."""
+        """A small record on any topic that is not a frame's. Goes to disk with the next frame, or with `flush`."""
         self._add(topic, to_json(body), time_ns, sequence)
         if self._pending_bytes > _NOTES_MAX:
             self._flush()
@@ -169,11 +168,19 @@ class RecordingWriter:
     ) -> None:
         self.close()
 
-    def _add(self, topic: str, data: bytes, time_ns: int, sequence: int) -> None:
-        self._writer.add_message(self._channels[topic], time_ns, data, time_ns, sequence)
+    def _channel(self, topic: str, image: bool = False) -> int:
+        if topic not in self._channels:
+            kind = ("protobuf", self._image) if image else ("json", self._record)
+            self._channels[topic] = self._writer.register_channel(topic, *kind)
+            self._new.append(topic)
+        return self._channels[topic]
+
+    def _add(self, topic: str, data: bytes, time_ns: int, sequence: int, kind: str = "") -> None:
+        channel = self._channel(topic, image=kind == FRAME_TOPIC)
+        self._writer.add_message(channel, time_ns, data, time_ns, sequence)
         if not self._pending:
             self._pending_since = time.monotonic()
-        self._pending[topic] += 1
+        self._pending[kind or topic] += 1
         self._pending_bytes += len(data)
 
     def _flush(self) -> bool:
@@ -183,6 +190,9 @@ class RecordingWriter:
         (self.written if failure is None else self.lost).update(self._pending)
         if failure is not None:
             self.problem = _reason(failure)
+            for topic in self._new:  # what says whose messages they are was lost with them: to be said again
+                del self._channels[topic]
+        self._new.clear()
         self._pending.clear()
         self._pending_bytes = 0
         return failure is None

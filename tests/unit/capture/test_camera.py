@@ -1,22 +1,18 @@
 """Every camera comes through one door, and what it says is checked."""
 
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 
 from annulus.capture.camera import (
     BGR8,
     Camera,
-    EndOfFrames,
     HeldRequest,
+    OneRequest,
     PicameraAdapter,
-    ScanFolderCamera,
     V4L2Camera,
-    VideoFileCamera,
     grab,
     plug,
 )
@@ -83,7 +79,7 @@ def test_what_cannot_be_used_is_refused_in_one_line() -> None:
         V4L2Camera("/dev/video99")
 
 
-class Lying(ScanFolderCamera):
+class Lying(OneRequest):
     metadata: dict[str, Any]
     image: Any
 
@@ -102,53 +98,3 @@ def test_a_frame_of_another_size_or_without_a_timestamp_is_not_let_in() -> None:
     camera.image, camera.metadata = np.zeros((4, 6, 3), np.uint8), {}
     with pytest.raises(AnnulusError, match="SensorTimestamp None"):
         grab(camera)
-
-
-def scan_folder(path: Path, rows: list[str]) -> Path:
-    (path / "frames").mkdir()
-    for i in range(3):
-        cv2.imwrite(str(path / "frames" / f"{i}.png"), np.full((8, 12, 3), 60 * i, np.uint8))
-    (path / "frames.csv").write_text("\n".join(["index,file,light,z_mm", *rows]) + "\n")
-    return path
-
-
-def test_a_scan_folder_is_a_camera(tmp_path: Path) -> None:
-    rows = [f"{i},frames/{i}.png,projector,{2.5 * i}" for i in range(3)]
-    camera = plug(ScanFolderCamera(scan_folder(tmp_path, rows)))
-    camera.start()
-    frames = [grab(camera) for _ in range(3)]
-    assert [int(f.image[0, 0, 0]) for f in frames] == [0, 60, 120]
-    assert [f.metadata["ZMm"] for f in frames] == [0.0, 2.5, 5.0]
-    assert np.diff([f.timestamp_ns for f in frames]).tolist() == [40_000_000] * 2
-    with pytest.raises(EndOfFrames):
-        grab(camera)
-
-
-@pytest.mark.parametrize(
-    ("rows", "words"),
-    [
-        ([], "lists no frame"),
-        (["0,frames/0.png,led,far"], "frames.csv:2: expected index,file,light,z_mm"),
-        (["0,frames/9.png,led,1.0"], "not a readable image"),
-    ],
-)
-def test_a_bad_scan_folder_is_said_to_be_bad(tmp_path: Path, rows: list[str], words: str) -> None:
-    with pytest.raises(AnnulusError, match=words):
-        ScanFolderCamera(scan_folder(tmp_path, rows))
-
-
-def test_a_video_file_is_a_camera(tmp_path: Path) -> None:
-    path = tmp_path / "pipe.avi"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 20.0, (64, 48))
-    for i in range(4):
-        writer.write(np.full((48, 64, 3), 60 * i, np.uint8))
-    writer.release()
-    camera = plug(VideoFileCamera(path))
-    camera.start()
-    frames = [grab(camera) for _ in range(4)]
-    assert [f.sequence for f in frames] == [0, 1, 2, 3]
-    assert np.diff([f.timestamp_ns for f in frames]).tolist() == [50_000_000] * 3
-    with pytest.raises(EndOfFrames):
-        camera.capture_array()
-    with pytest.raises(AnnulusError, match="no such video file"):
-        VideoFileCamera(tmp_path / "missing.avi")

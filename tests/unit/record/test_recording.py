@@ -16,9 +16,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
+from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 
 from annulus.record.recording import from_json, open_recording, to_bgr, to_json
+from annulus.record.scan import open_scan
 from annulus.record.writer import RecordingWriter
 from annulus.vocabulary import AnnulusError, Label
 
@@ -62,12 +64,45 @@ def test_what_was_written_is_read_back(tmp_path: Path) -> None:
     assert [n["edge"] for n in recording.notes("/event") if n["kind"] == "edge"] == list(range(10))
 
 
+def test_cameras_of_one_flash_do_not_collide(tmp_path: Path) -> None:
+    path = tmp_path / "two.mcap"
+    with RecordingWriter(path, calibration=None, configuration={}, now_ns=0) as writer:
+        for index in range(3):
+            for camera in (5, 2):
+                label = {**label_of(index, "led" if index else "projector"), "camera": camera, "slot": camera}
+                writer.frame(label, image_of(10 * camera + index), 1000 * index)
+        assert writer.written["/frame"] == 6  # all cameras' together
+    recording = open_recording(path)
+    assert recording.cameras == (2, 5)
+    assert [(f.index, f.camera) for f in recording.frames] == [(i, camera) for i in range(3) for camera in (2, 5)]
+    for frame in recording.frames:
+        assert recording.label(frame)["slot"] == frame.camera
+        assert np.array_equal(recording.read_raw(frame)[0], image_of(10 * frame.camera + frame.index))
+    scan = open_scan(path)
+    assert scan.frames[1].where.endswith("frame 0 of camera 5") and scan.frames[1].camera == 5
+    with pytest.raises(AnnulusError, match=r"two\.mcap: has frames of cameras 2, 5, expected one"):
+        scan.only()
+
+
+def test_any_topic_is_a_note(tmp_path: Path) -> None:
+    path = tmp_path / "notes.mcap"
+    with RecordingWriter(path, calibration=None, configuration={}, now_ns=0) as writer:
+        writer.note("/sensor/imu", {"values": {"roll": 1.5}}, 5)
+        writer.frame(label_of(0), image_of(0), 6)
+        writer.note("/mark", {"text": "joint"}, 7)
+        writer.note("/sensor/imu", {"values": {"roll": 2.5}}, 8)
+    recording = open_recording(path)
+    assert [note["values"]["roll"] for note in recording.notes("/sensor/imu")] == [1.5, 2.5]
+    assert list(recording.notes("/mark")) == [{"text": "joint"}] and list(recording.notes("/state")) == []
+    assert recording.cameras == (0,)
+
+
 def test_other_mcap_readers_read_it(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     write(path, 7).close()
     with path.open("rb") as file:
         messages = [(c.topic, m.sequence) for _, c, m in make_reader(file, validate_crcs=True).iter_messages()]
-    assert [s for t, s in messages if t == "/frame"] == list(range(7))
+    assert [s for t, s in messages if t == "/frame/0"] == list(range(7))
     assert [s for t, s in messages if t == "/label"] == list(range(7))
 
 
@@ -102,10 +137,12 @@ def test_every_frame_written_before_a_kill_is_readable(tmp_path: Path) -> None:
     assert [f.index for f in recording.frames] == list(range(40))
     assert np.array_equal(recording.read_raw(recording.frames[-1])[0], image_of(39))
     with path.open("rb") as file:  # and an outside reader finds them too, up to where the file ends
-        seen = 0
+        seen, topics = 0, {}
         try:
             for record in StreamReader(file).records:
-                seen += type(record).__name__ == "Message" and record.channel_id == 1
+                if isinstance(record, Channel):
+                    topics[record.id] = record.topic
+                seen += isinstance(record, Message) and topics[record.channel_id] == "/frame/0"
         except Exception:
             pass
     assert seen == 40
@@ -180,6 +217,25 @@ def test_a_full_disk_costs_frames_but_neither_the_file_nor_the_scan(tmp_path: Pa
     assert not recording.torn
     assert [f.index for f in recording.frames] == [*range(written), 12]
     assert np.array_equal(recording.read_raw(recording.frames[-1])[0], image_of(12))
+
+
+def test_a_topic_that_began_on_a_full_disk_is_readable_later(tmp_path: Path) -> None:
+    path = tmp_path / "full.mcap"
+    disk = Disk(path, 1 << 20)
+    writer = write(path, 1, file=disk)
+    disk.size = 0
+    second = {**label_of(1), "camera": 1}
+    assert not writer.frame(second, image_of(1), 1000)
+    writer.note("/mark", {"text": "lost"}, 1500)
+    writer.flush()
+    disk.size = 1 << 20
+    writer.note("/mark", {"text": "kept"}, 1800)
+    assert writer.frame({**second, "index": 2}, image_of(2), 2000)
+    writer.close()
+    recording = open_recording(path)
+    assert [(f.index, f.camera) for f in recording.frames] == [(0, 0), (2, 1)]
+    assert np.array_equal(recording.read_raw(recording.frames[1])[0], image_of(2))
+    assert list(recording.notes("/mark")) == [{"text": "kept"}]
 
 
 def test_a_disk_full_to_the_end_leaves_a_readable_file(tmp_path: Path) -> None:

@@ -44,6 +44,32 @@ def test_more_columns_and_a_byte_order_mark_do_no_harm(folder: Path) -> None:
     assert len(open_scan(folder).frames) == 3
 
 
+def test_frames_of_one_flash_share_an_index(folder: Path) -> None:
+    (folder / "frames.csv").write_text(
+        "index,camera,file,light,z_mm\n0,0,frames/0.jpg,led,0\n0,7,frames/1.png,led,0\n1,,frames/2.jpg,led,1\n"
+    )
+    scan = open_scan(folder)
+    assert [(frame.index, frame.camera) for frame in scan.frames] == [(0, 0), (0, 7), (1, 0)]
+    assert scan.cameras == (0, 7)
+    with pytest.raises(AnnulusError, match="has frames of cameras 0, 7, expected one"):
+        scan.only()
+
+
+@pytest.mark.parametrize(
+    ("row", "says"),
+    [
+        ("0,7,frames/0.jpg,led,0", "line 3: index 0 of camera 7 was there before"),
+        ("1,left,frames/0.jpg,led,0", 'line 3: camera is "left", expected a whole number'),
+        ("1,256,frames/0.jpg,led,0", "line 3: camera is 256, expected an id in 0..255"),
+    ],
+)
+def test_a_camera_that_is_none_is_named(folder: Path, row: str, says: str) -> None:
+    (folder / "frames.csv").write_text(f"index,camera,file,light,z_mm\n0,7,frames/1.png,led,0\n{row}\n")
+    with pytest.raises(AnnulusError) as error:
+        open_scan(folder)
+    assert says in str(error.value)
+
+
 @pytest.mark.parametrize(
     ("row", "says"),
     [
