@@ -4,7 +4,7 @@ Every check raises ValueError with one line that names the field, what it is and
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import msgpack
@@ -41,8 +41,26 @@ def number(value: object, what: str, most: float = math.inf) -> float:
     return float(value)
 
 
+def within(value: object, what: str, low: float, high: float) -> float:
+    """A number in low..high."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+        raise ValueError(f"{what} is {value!r}, expected a number in {low:g}..{high:g}")
+    return float(value)
+
+
+def numbers(value: object, what: str, counts: Collection[int], most: float) -> tuple[float, ...]:
+    """A list of finite numbers, not larger than `most` either way; `counts`: how many there may be."""
+    if not isinstance(value, Sequence) or isinstance(value, str | bytes) or len(value) not in counts:
+        raise ValueError(f"{what} must be a list of {_told(counts)} numbers")
+    return tuple(within(item, f"{what}, number {i + 1},", -most, most) for i, item in enumerate(value))
+
+
 def text(value: object, what: str, longest: int) -> str:
     """A text of at most `longest` characters."""
     if not isinstance(value, str) or len(value) > longest:
         raise ValueError(f"{what} must be a text of at most {longest} characters")
     return value
+
+
+def _told(counts: Collection[int]) -> str:
+    return f"{counts[0]}..{counts[-1]}" if isinstance(counts, range) else " or ".join(map(str, counts))

@@ -169,8 +169,10 @@ def calibrate_pipe(scan: Path, camera: Path, radius_mm: float, *, progress: Prog
 
 def save_pipe(result: PipeCalibration, out: Path) -> None:
     """Write rings, pattern, camera and pipe into `out`; other sections in it stay."""
-    data = result.calibration.to_dict()
-    update_calibration(out, {key: data[key] for key in ("camera", "pattern", "rings", "pipe", "covariance")})
+    data, told = result.calibration.to_dict(), result.to_dict()
+    made = {key: told[key] for key in ("frames_used", "residual_px", "held_out_mm", "held_out_tuned_mm", "fine_tuned")}
+    sections = {key: data[key] for key in ("camera", "pattern", "rings", "pipe", "covariance")}
+    update_calibration(out, sections, {"rings": {"by": "annulus calibrate pipe", **made}})
 
 
 def _read(scan: Path, camera: Camera, report: Progress) -> tuple[list[int], list[Image], int]:

@@ -1,16 +1,32 @@
-"""The calibration of a ring sensor as a checked value (file format: README, `annulus-calibration/1`)."""
+"""The calibration of a ring sensor as a checked value.
+
+Two file formats, both read for ever. `annulus-calibration/1`: one camera, a pattern of slits. `annulus-calibration/2`:
+any number of cameras, and other patterns; written only where /1 cannot say it. Examples of each: calibration-1.json and
+calibration-2.json in tests/data. Keys that are not known here are passed over.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any, cast
+from typing import Any, Literal, cast, get_args
 
+from annulus import untrusted
 from annulus.geometry.camera import Camera, Mirror, Model
 from annulus.geometry.cone import Cone
+from annulus.vocabulary import AnnulusError
 
-FORMAT = "annulus-calibration/1"
-FINE_MAX = 4096  # directions a ring may be fine-tuned in
+ONE_CAMERA, CAMERAS = "annulus-calibration/1", "annulus-calibration/2"
+CORRECTION = {ONE_CAMERA: "fine", CAMERAS: "correction"}  # what a ring's residual correction is called in the file
+CORRECTION_MAX = 4096  # directions a ring may be corrected in
+CAMERAS_MAX, CAMERA_ID_MAX = 16, 255
+ROTATION_OFF = 1e-5  # of a unit vector: 2 um at a wall 200 mm away (test_a_rotation_is_one)
+
+Kind = Literal["slits", "lines", "fringe"]
+Vector = tuple[float, float, float]
+Matrix = tuple[Vector, Vector, Vector]
+
+STILL: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,8 +39,22 @@ class RingCorrection:
 
 
 @dataclass(frozen=True, slots=True)
+class HeadCamera:
+    """One camera of a head. A point X of the first camera's frame lies at rotation X + translation_mm in this one's."""
+
+    id: int
+    camera: Camera
+    rotation: Matrix = STILL
+    translation_mm: Vector = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
 class Calibration:
     """Camera, the stripes' colours from the innermost outwards, one cone per slit between them, the pipe's radius.
+
+    `camera` is the first one and `camera_id` its name in scans and recordings; rings are in its frame. `others` are the
+    further cameras of a head that has several. `pattern` is None where slits are projected; else it is the section as
+    it stands in the file, with "kind", to be understood by the method for that kind, and there may be no rings.
 
     `covariance` (6K, 6K) says how well the K rings are known: ring after ring half-angle (rad), axis x, y, vertex x, y,
     z (mm). `corrections` say what each ring is off its cone (Alzuhiri 2022, Alg. 3). Either may be missing.
@@ -36,36 +66,58 @@ class Calibration:
     pipe_radius_mm: float
     covariance: tuple[tuple[float, ...], ...] | None = None
     corrections: tuple[RingCorrection, ...] | None = None
+    others: tuple[HeadCamera, ...] = ()
+    camera_id: int = 0
+    pattern: Mapping[str, Any] | None = field(default=None, hash=False)
+
+    @property
+    def cameras(self) -> tuple[HeadCamera, ...]:
+        """All cameras of the head; the first stands where it stands."""
+        return (HeadCamera(self.camera_id, self.camera), *self.others)
+
+    @property
+    def kind(self) -> Kind:
+        """What is projected."""
+        return "slits" if self.pattern is None else cast(Kind, self.pattern["kind"])
+
+    def only(self) -> "Calibration":
+        """Itself, for a method that knows one camera and slits. Raises AnnulusError, one line, where there is more."""
+        if self.others:
+            raise AnnulusError(f"calibration: {_more_than_one(self.cameras)}")
+        if self.pattern is not None:
+            raise AnnulusError(f"calibration: the head projects {self.kind}, expected slits for this method")
+        return self
 
     @classmethod
     def from_dict(cls, data: object) -> "Calibration":
         """Check and convert the parsed JSON. Raises ValueError naming the key that is wrong."""
-        top = _mapping(data, "the file")
-        if top.get("format") != FORMAT:
-            raise ValueError(f'"format" is {top.get("format")!r}, expected "{FORMAT}"')
-        camera = camera_from_dict(_need(top, "camera"))
-        colours = _colours(top)
-        rings = _need(top, "rings")
-        if not isinstance(rings, Sequence) or isinstance(rings, str) or len(rings) != len(colours) - 1:
-            raise ValueError(
-                f'"rings" must list {len(colours) - 1} slits, one between each two of {len(colours)} stripes'
-            )
-        cones = tuple(_cone(_mapping(ring, f"rings[{i}]"), f"rings[{i}]") for i, ring in enumerate(rings))
-        if any(b.half_angle <= a.half_angle for a, b in pairwise(cones)):
-            raise ValueError('"rings" must be listed from the innermost outwards, "theta_full_deg" rising')
-        radius = _number(_mapping(_need(top, "pipe"), "pipe"), "radius_mm", "pipe", 1.0, 5000.0)
-        covariance = None if "covariance" not in top else _covariance(top["covariance"], 6 * len(cones))
-        tuned = [isinstance(ring, Mapping) and "fine" in ring for ring in rings]
-        if any(tuned) and not all(tuned):
-            raise ValueError(f'"rings[{tuned.index(False)}].fine" is missing, other rings have one')
-        fine = tuple(_fine(ring["fine"], f"rings[{i}].fine") for i, ring in enumerate(rings)) if any(tuned) else None
-        return cls(camera, colours, cones, radius, covariance, fine)
+        top = _section(data, "the file")
+        if top.get("format") not in CORRECTION:
+            raise ValueError(f'"format" is {top.get("format")!r}, expected "{ONE_CAMERA}" or "{CAMERAS}"')
+        cameras = _cameras(top)
+        pattern = _section(_need(top, "pattern"), "pattern")
+        kind = pattern.get("kind", "slits")
+        if kind not in get_args(Kind):
+            raise ValueError(f'"pattern.kind" is {kind!r}, expected one of {", ".join(get_args(Kind))}')
+        colours = _colours(top) if kind == "slits" else ""
+        rings = _rings(_need(top, "rings") if colours else top.get("rings", ()), len(colours) - 1 if colours else None)
+        radius = _radius(_need(top, "pipe"))
+        covariance = None if "covariance" not in top else _covariance(top["covariance"], 6 * len(rings))
+        first, *others = cameras
+        return cls(
+            first.camera, colours, tuple(cone for cone, _ in rings), radius, covariance, _corrections(rings),
+            tuple(others), first.id, None if kind == "slits" else dict(pattern),
+        )  # fmt: skip
 
     def to_dict(self) -> dict[str, Any]:
+        """As JSON has it: `annulus-calibration/1` where that can say everything."""
+        single = not self.others and self.pattern is None and self.camera_id == 0
+        head = {"camera": camera_to_dict(self.camera)} if single else {"cameras": _cameras_to_list(self.cameras)}
+        pattern = {"colours": self.colours} if single else self.pattern or {"kind": "slits", "colours": self.colours}
         data: dict[str, Any] = {
-            "format": FORMAT,
-            "camera": camera_to_dict(self.camera),
-            "pattern": {"colours": self.colours},
+            "format": ONE_CAMERA if single else CAMERAS,
+            **head,
+            "pattern": dict(pattern),
             "rings": [
                 {
                     "theta_full_deg": math.degrees(2 * c.half_angle),
@@ -76,10 +128,10 @@ class Calibration:
             ],
             "pipe": {"radius_mm": self.pipe_radius_mm},
         }
-        for ring, fine in zip(data["rings"], self.corrections or (), strict=False):
-            ring["fine"] = {"offset_rad": list(fine.offset_rad)}
-            if fine.shift_mm is not None:
-                ring["fine"]["shift_mm"] = list(fine.shift_mm)
+        for ring, correction in zip(data["rings"], self.corrections or (), strict=False):
+            written = ring[CORRECTION[data["format"]]] = {"offset_rad": list(correction.offset_rad)}
+            if correction.shift_mm is not None:
+                written["shift_mm"] = list(correction.shift_mm)
         if self.covariance is not None:
             data["covariance"] = [list(row) for row in self.covariance]
         return data
@@ -88,19 +140,117 @@ class Calibration:
 def head_from_dict(data: object) -> tuple[Camera, str, float | None, Calibration | None]:
     """Camera and colours of a file that may have no rings yet; the pipe's radius and the whole, where they are there.
 
-    Raises ValueError naming the key that is wrong."""
-    top = _mapping(data, "the file")
-    whole = Calibration.from_dict(data) if "rings" in top else None
-    pipe = top.get("pipe")
-    radius = _number(pipe, "radius_mm", "pipe", 1.0, 5000.0) if isinstance(pipe, Mapping) else None
-    return camera_from_dict(_need(top, "camera")), _colours(top), radius, whole
+    Raises ValueError naming the key that is wrong, also for a head with more than one camera."""
+    camera = camera_alone(data)
+    top = _section(data, "the file")
+    radius = _radius(top["pipe"]) if isinstance(top.get("pipe"), Mapping) else None
+    return camera, _colours(top), radius, Calibration.from_dict(data) if "rings" in top else None
+
+
+def camera_alone(data: object) -> Camera:
+    """The camera of a file that may have nothing else yet.
+
+    Raises ValueError naming the key that is wrong, also for a head with more than one camera."""
+    cameras = _cameras(_section(data, "the file"))
+    if len(cameras) > 1:
+        raise ValueError(_more_than_one(cameras))
+    return cameras[0].camera
+
+
+def _more_than_one(cameras: Sequence[HeadCamera]) -> str:
+    return f"the head has {len(cameras)} cameras, expected one: this method does not join views"
+
+
+def _cameras(top: Mapping[str, Any]) -> list[HeadCamera]:
+    """At least one; the first stands still."""
+    if top.get("format") != CAMERAS:
+        return [HeadCamera(0, camera_from_dict(_need(top, "camera")))]
+    sections = _need(top, "cameras")
+    if not isinstance(sections, Sequence) or isinstance(sections, str) or not 1 <= len(sections) <= CAMERAS_MAX:
+        raise ValueError(f'"cameras" must be a list of 1..{CAMERAS_MAX} cameras')
+    cameras: list[HeadCamera] = []
+    for i, section in enumerate(sections):
+        one = _head_camera(_section(section, f"cameras[{i}]"), f"cameras[{i}]", first=i == 0)
+        if one.id in {camera.id for camera in cameras}:
+            raise ValueError(f'"cameras[{i}].id" is {one.id}, and so is another\'s')
+        cameras.append(one)
+    return cameras
+
+
+def _head_camera(section: Mapping[str, Any], where: str, *, first: bool) -> HeadCamera:
+    number = untrusted.whole(_need(section, "id", where), f'"{where}.id"', 0, CAMERA_ID_MAX)
+    camera = camera_from_dict(section, where)
+    if first and "rotation" not in section and "translation_mm" not in section:
+        return HeadCamera(number, camera)
+    rotation = _rotation(_need(section, "rotation", where), f"{where}.rotation")
+    moved = _vector(section, "translation_mm", where)
+    if first and (rotation != STILL or any(moved)):
+        raise ValueError(
+            f'"{where}" is the first camera, the others stand relative to it: expected the unit matrix for its '
+            '"rotation" and zeros for its "translation_mm"'
+        )
+    return HeadCamera(number, camera, rotation, moved)
+
+
+def _rotation(value: object, where: str) -> Matrix:
+    if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != 3:
+        raise ValueError(f'"{where}" must be three rows of three numbers')
+    x, y, z = (cast(Vector, untrusted.numbers(row, f'"{where}[{i}]"', (3,), 1.001)) for i, row in enumerate(value))
+    # two rows of length one across each other, and the third is the first crossed with the second: right is not left
+    third = (x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0])
+    across = sum(a * b for a, b in zip(x, y, strict=True))
+    lengths = (math.hypot(*x) - 1, math.hypot(*y) - 1)
+    off = max(abs(v) for v in (*lengths, across, *(a - b for a, b in zip(third, z, strict=True))))
+    if off > ROTATION_OFF:
+        raise ValueError(f'"{where}" is no rotation: it is off by {off:.2g}, expected at most {ROTATION_OFF:g}')
+    return x, y, z
+
+
+def _cameras_to_list(cameras: Sequence[HeadCamera]) -> list[dict[str, Any]]:
+    return [
+        {
+            "id": one.id, **camera_to_dict(one.camera), "rotation": [list(row) for row in one.rotation],
+            "translation_mm": list(one.translation_mm),
+        }
+        for one in cameras
+    ]  # fmt: skip
 
 
 def _colours(top: Mapping[str, Any]) -> str:
-    colours = _need(_mapping(_need(top, "pattern"), "pattern"), "colours", "pattern")
+    colours = _need(_section(_need(top, "pattern"), "pattern"), "colours", "pattern")
     if not isinstance(colours, str) or not 2 <= len(colours) <= 65 or set(colours) - set("RGB"):
         raise ValueError(f'"pattern.colours" is {colours!r}, expected letters R, G, B from the innermost outwards')
     return colours
+
+
+def _radius(pipe: object) -> float:
+    return _number(_section(pipe, "pipe"), "radius_mm", "pipe", 1.0, 5000.0)
+
+
+def _rings(rings: object, slits: int | None) -> list[tuple[Cone, RingCorrection | None]]:
+    """`slits`: how many there must be, where the stripes' colours tell."""
+    if not isinstance(rings, Sequence) or isinstance(rings, str) or slits not in (None, len(rings)):
+        many = "" if slits is None else f" {slits} slits, one between each two of {slits + 1} stripes"
+        raise ValueError(f'"rings" must list{many or " slits"}')
+    out = []
+    for i, ring in enumerate(rings):
+        where = f"rings[{i}]"
+        section = _section(ring, where)
+        key = next((key for key in CORRECTION.values() if key in section), None)
+        out.append((_cone(section, where), None if key is None else _correction(section[key], f"{where}.{key}")))
+    if any(b.half_angle <= a.half_angle for (a, _), (b, _) in pairwise(out)):
+        raise ValueError('"rings" must be listed from the innermost outwards, "theta_full_deg" rising')
+    return out
+
+
+def _corrections(rings: Sequence[tuple[Cone, RingCorrection | None]]) -> tuple[RingCorrection, ...] | None:
+    known = [correction for _, correction in rings if correction is not None]
+    if known and len(known) < len(rings):
+        bare = next(i for i, (_, correction) in enumerate(rings) if correction is None)
+        raise ValueError(
+            f'"rings[{bare}]" has no correction ({" or ".join(CORRECTION.values())}), other rings have one'
+        )
+    return tuple(known) or None
 
 
 def camera_to_dict(camera: Camera) -> dict[str, Any]:
@@ -114,39 +264,35 @@ def camera_to_dict(camera: Camera) -> dict[str, Any]:
     return section
 
 
-def camera_from_dict(data: object) -> Camera:
-    """The `camera` section. Raises ValueError naming the key that is wrong."""
-    section = _mapping(data, "camera")
+def camera_from_dict(data: object, where: str = "camera") -> Camera:
+    """The `camera` section, or what stands at `where`. Raises ValueError naming the key that is wrong."""
+    section = _section(data, where)
     model = section.get("model")
-    if model not in ("pinhole", "fisheye", "mirror"):
-        raise ValueError(f'"camera.model" is {model!r}, expected "pinhole", "fisheye" or "mirror"')
-    numbers = section.get("distortion", [])
-    if not isinstance(numbers, Sequence) or isinstance(numbers, str):
-        raise ValueError('"camera.distortion" must be a list of numbers')
+    if model not in get_args(Model):
+        raise ValueError(f'"{where}.model" is {model!r}, expected one of {", ".join(get_args(Model))}')
     lengths = (0, 4) if model == "fisheye" else (0, 4, 5, 8, 12, 14)
-    if len(numbers) not in lengths:
-        raise ValueError(f'"camera.distortion" has {len(numbers)} numbers, expected one of {lengths} for {model}')
-    distortion = tuple(_number({"k": value}, "k", "camera.distortion", -1e3, 1e3) for value in numbers)
-    width, height = (_number(section, key, "camera", 16, 16384) for key in ("width", "height"))
+    distortion = untrusted.numbers(section.get("distortion", []), f'"{where}.distortion" ({model})', lengths, 1e3)
+    width, height = (_number(section, key, where, 16, 16384) for key in ("width", "height"))
     if width % 1 or height % 1:
-        raise ValueError('"camera.width" and "camera.height" must be whole pixels')
-    fx, fy = (_number(section, key, "camera", 1.0, 1e6) for key in ("fx", "fy"))
-    cx, cy = (_number(section, key, "camera", -1e5, 1e5) for key in ("cx", "cy"))
-    mirror = _mirror(_mapping(_need(section, "mirror", "camera"), "camera.mirror")) if model == "mirror" else None
+        raise ValueError(f'"{where}.width" and "{where}.height" must be whole pixels')
+    fx, fy = (_number(section, key, where, 1.0, 1e6) for key in ("fx", "fy"))
+    cx, cy = (_number(section, key, where, -1e5, 1e5) for key in ("cx", "cy"))
+    mirror = _mirror(_need(section, "mirror", where), f"{where}.mirror") if model == "mirror" else None
     return Camera(cast(Model, model), int(width), int(height), fx, fy, cx, cy, distortion, mirror)
 
 
-def _mirror(section: Mapping[str, Any]) -> Mirror:
-    centre = _vector(section, "centre_mm", "camera.mirror")
-    radius = _number(section, "radius_mm", "camera.mirror", 0.1, 1000.0)
+def _mirror(data: object, where: str) -> Mirror:
+    section = _section(data, where)
+    centre = _vector(section, "centre_mm", where)
+    radius = _number(section, "radius_mm", where, 0.1, 1000.0)
     if centre[2] <= 0 or math.hypot(*centre) <= radius:
         raise ValueError(
-            f'"camera.mirror.centre_mm" is {list(centre)}, expected a ball of {radius:g} mm before the camera (z > 0) '
+            f'"{where}.centre_mm" is {list(centre)}, expected a ball of {radius:g} mm before the camera (z > 0) '
             "that does not hold it"
         )
     looks = section.get("looks", "back")
     if looks not in ("back", "ahead"):
-        raise ValueError(f'"camera.mirror.looks" is {looks!r}, expected "back" or "ahead"')
+        raise ValueError(f'"{where}.looks" is {looks!r}, expected "back" or "ahead"')
     return Mirror(centre, radius, looks)
 
 
@@ -162,32 +308,22 @@ def _cone(ring: Mapping[str, Any], where: str) -> Cone:
     return Cone(math.radians(theta / 2), unit, _vector(ring, "vertex_mm", where))
 
 
-def _fine(data: object, where: str) -> RingCorrection:
-    section = _mapping(data, where)
-    offset = _numbers(section, "offset_rad", where, 0.5)
-    shift = _numbers(section, "shift_mm", where, 1e3) if "shift_mm" in section else None
-    if shift is not None and len(shift) != len(offset):
-        raise ValueError(f'"{where}.shift_mm" has {len(shift)} numbers, expected {len(offset)} as in "offset_rad"')
-    return RingCorrection(offset, shift)
-
-
-def _numbers(section: Mapping[str, Any], key: str, where: str, most: float) -> tuple[float, ...]:
-    value = _need(section, key, where)
-    if not isinstance(value, Sequence) or isinstance(value, str) or not 3 <= len(value) <= FINE_MAX:
-        raise ValueError(f'"{where}.{key}" must be a list of 3..{FINE_MAX} numbers')
-    return tuple(_number({key: v}, key, where, -most, most) for v in value)
+def _correction(data: object, where: str) -> RingCorrection:
+    section = _section(data, where)
+    counts = range(3, CORRECTION_MAX + 1)
+    offset = untrusted.numbers(_need(section, "offset_rad", where), f'"{where}.offset_rad"', counts, 0.5)
+    if "shift_mm" not in section:
+        return RingCorrection(offset)
+    return RingCorrection(
+        offset, untrusted.numbers(section["shift_mm"], f'"{where}.shift_mm" (as "offset_rad")', (len(offset),), 1e3)
+    )
 
 
 def _covariance(value: object, size: int) -> tuple[tuple[float, ...], ...]:
     """A symmetric matrix whose every correlation is one; that it is positive too is for its users to mind."""
-    what = f'"covariance" must be {size} rows of {size} numbers, six for each ring'
     if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != size:
-        raise ValueError(what)
-    rows: list[tuple[float, ...]] = []
-    for row in value:
-        if not isinstance(row, Sequence) or isinstance(row, str) or len(row) != size:
-            raise ValueError(what)
-        rows.append(tuple(_number({"n": v}, "n", "covariance", -1e10, 1e10) for v in row))
+        raise ValueError(f'"covariance" must be {size} rows of {size} numbers, six for each ring')
+    rows = [untrusted.numbers(row, f'"covariance[{i}]"', (size,), 1e10) for i, row in enumerate(value)]
     for i in range(size):
         for j in range(i + 1):
             bound = math.sqrt(max(rows[i][i], 0.0) * max(rows[j][j], 0.0))
@@ -196,19 +332,12 @@ def _covariance(value: object, size: int) -> tuple[tuple[float, ...], ...]:
     return tuple(rows)
 
 
-def _vector(section: Mapping[str, Any], key: str, where: str) -> tuple[float, float, float]:
-    value = _need(section, key, where)
-    if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != 3:
-        raise ValueError(f'"{where}.{key}" must be three numbers')
-    x, y, z = (_number({key: v}, key, where, -1e5, 1e5) for v in value)
-    return x, y, z
+def _vector(section: Mapping[str, Any], key: str, where: str) -> Vector:
+    return cast(Vector, untrusted.numbers(_need(section, key, where), f'"{where}.{key}"', (3,), 1e5))
 
 
 def _number(section: Mapping[str, Any], key: str, where: str, low: float, high: float) -> float:
-    value = _need(section, key, where)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-        raise ValueError(f'"{where}.{key}" is {value!r}, expected a number in {low:g}..{high:g}')
-    return float(value)
+    return untrusted.within(_need(section, key, where), f'"{where}.{key}"', low, high)
 
 
 def _need(section: Mapping[str, Any], key: str, where: str = "") -> Any:
@@ -217,7 +346,7 @@ def _need(section: Mapping[str, Any], key: str, where: str = "") -> Any:
     return section[key]
 
 
-def _mapping(value: object, where: str) -> Mapping[str, Any]:
+def _section(value: object, where: str) -> Mapping[str, Any]:
     if not isinstance(value, Mapping):
         raise ValueError(f"{where} must be an object")
     return value

@@ -1,13 +1,13 @@
 """calibration.json on disk."""
 
 import json
-import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-from annulus.geometry.calibration import FORMAT, Calibration, camera_from_dict
+from annulus.geometry.calibration import CAMERAS, ONE_CAMERA, Calibration, camera_alone
 from annulus.geometry.camera import Camera
+from annulus.record.whole import written_whole
 from annulus.vocabulary import AnnulusError
 
 Part = TypeVar("Part")
@@ -16,7 +16,7 @@ SIZE_MAX = 4 << 20  # per-direction fine-tuning of a dozen rings stays far below
 
 
 def load_calibration(path: Path) -> Calibration:
-    """The calibration in a file of format annulus-calibration/1. Raises AnnulusError naming file and key."""
+    """The calibration in a file of format annulus-calibration/1 or /2. Raises AnnulusError naming file and key."""
     data = _read(path)
     try:
         return Calibration.from_dict(data)
@@ -33,12 +33,12 @@ def load_sections(path: Path) -> dict[str, Any]:
 
 
 def load_camera(path: Path) -> Camera:
-    """The `camera` section alone, of a file that may have no rings yet. Raises AnnulusError naming file and key."""
+    """The one camera of a file that may have no rings yet. Raises AnnulusError naming file and key."""
     data = _read(path)
-    if not isinstance(data, dict) or "camera" not in data:
+    if not isinstance(data, dict) or not {"camera", "cameras"} & data.keys():
         raise AnnulusError(f'{path}: has no "camera". Make one with `annulus calibrate camera`.')
     try:
-        return camera_from_dict(data["camera"])
+        return camera_alone(data)
     except ValueError as error:
         raise AnnulusError(f"{path}: {error}.") from None
 
@@ -49,15 +49,20 @@ def update_calibration(
     """Replace these sections of the file and keep its others; a new file gets only these.
 
     A section given as None is taken out. `provenance`: how each section came about, kept under "provenance" by the
-    section's name. Returns the names of the sections that were kept as they are. Raises AnnulusError when the file is
-    there but is no calibration, or cannot be written.
+    section's name; what was said of a section that is replaced by another goes. Returns the names of the sections that
+    were kept as they are. Raises AnnulusError when the file is there but is no calibration of one camera, or cannot be
+    written.
     """
     data = _read(path) if path.exists() else {}
-    if not isinstance(data, dict) or data.get("format", FORMAT) != FORMAT:
-        raise AnnulusError(f'{path}: is there but is not "{FORMAT}". Choose another file or move it away.')
+    if isinstance(data, dict) and data.get("format") == CAMERAS:
+        raise AnnulusError(f'{path}: is of a head with several cameras ("{CAMERAS}"). Choose another file.')
+    if not isinstance(data, dict) or data.get("format", ONE_CAMERA) != ONE_CAMERA:
+        raise AnnulusError(f'{path}: is there but is not "{ONE_CAMERA}". Choose another file or move it away.')
     before = data.get("provenance")
-    origins = {**(before if isinstance(before, dict) else {}), **(provenance or {})}
-    merged = {"format": FORMAT, **data, **sections, "provenance": origins or None}
+    replaced = {key for key, section in sections.items() if data.get(key) != section}
+    still = {key: made for key, made in (before if isinstance(before, dict) else {}).items() if key not in replaced}
+    origins = {**still, **(provenance or {})}
+    merged = {"format": ONE_CAMERA, **data, **sections, "provenance": origins or None}
     _write(path, {key: value for key, value in merged.items() if value is not None})
     return tuple(key for key in data if key not in {*sections, "format", "provenance"})
 
@@ -109,10 +114,8 @@ def _read(path: Path, expected: str = "the calibration.json of the head that sca
 
 
 def _write(path: Path, data: object) -> None:
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        temporary.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
-        temporary.replace(path)
+        with written_whole(path) as file:
+            file.write(f"{json.dumps(data, indent=1)}\n".encode())
     except OSError as error:
-        temporary.unlink(missing_ok=True)
         raise AnnulusError(f"{path}: cannot be written ({error.strerror}).") from None
