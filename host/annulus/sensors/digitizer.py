@@ -1,7 +1,7 @@
 """Records sound after a trigger: what a digitizer must do, and a Keysight InfiniiVision oscilloscope that does it.
 
     with ScopeDigitizer("TCPIP::192.168.1.20::5025::SOCKET") as scope:
-        scope.configure(Recording(rate_hz=10e6, duration_s=64e-6, range_v=0.08, averages=64))
+        scope.configure(Acquisition(rate_hz=10e6, duration_s=64e-6, range_v=0.08, averages=64))
         scope.arm()
         ...                                  # 64 triggers
         trace = scope.read()
@@ -41,7 +41,7 @@ class DigitizerLostError(AnnulusError):
 
 
 @dataclass(frozen=True, slots=True)
-class Recording:
+class Acquisition:
     """What is wanted. `delay_s`: from the trigger's edge to the first sample. `range_v`: full scale, about 0 V."""
 
     rate_hz: float  # at least, if the digitizer can
@@ -59,7 +59,7 @@ class Recording:
             ("delay_s", self.delay_s, -0.1, 0.5),
         ):
             if not (math.isfinite(value) and low <= value <= high):
-                raise AnnulusError(f"recording: {name} is {value:g}, expected {low:g}..{high:g}")
+                raise AnnulusError(f"acquisition: {name} is {value:g}, expected {low:g}..{high:g}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,7 +77,7 @@ class Digitizer(Protocol):
 
     name: str
 
-    def configure(self, recording: Recording) -> None: ...
+    def configure(self, acquisition: Acquisition) -> None: ...
 
     def arm(self) -> None:
         """Wait for `averages` triggers from now on. Returns when it does."""
@@ -109,35 +109,35 @@ class ScopeDigitizer:
         self.resource, self.channel, self.trigger = resource, channel, trigger
         self.name = ""
         self._settle_s, self._answer_s = settle_s, answer_s
-        self._recording: Recording | None = None
+        self._acquisition: Acquisition | None = None
         self._session: Any = None
         self._waiting = False  # for triggers: it answers nothing else
         self._open()
 
-    def configure(self, recording: Recording) -> None:
+    def configure(self, acquisition: Acquisition) -> None:
         """Raises AnnulusError where the scope refuses a setting, in its own words."""
-        self._recording = recording
-        averaged = recording.averages > 1
+        self._acquisition = acquisition
+        averaged = acquisition.averages > 1
         allowed = [n for n in POINTS if not averaged or n <= POINTS_AVERAGED]
-        enough = [n for n in allowed if n >= recording.rate_hz * recording.duration_s * (1 - 1e-9)]
+        enough = [n for n in allowed if n >= acquisition.rate_hz * acquisition.duration_s * (1 - 1e-9)]
         source = f"CHANnel{self.channel}"
         for command in (
             "*CLS",
             ":STOP",
             ":TIMebase:MODE MAIN",
             ":TIMebase:REFerence CENTer",
-            f":TIMebase:RANGe {recording.duration_s:.9E}",
-            f":TIMebase:POSition {recording.delay_s + recording.duration_s / 2:.9E}",
+            f":TIMebase:RANGe {acquisition.duration_s:.9E}",
+            f":TIMebase:POSition {acquisition.delay_s + acquisition.duration_s / 2:.9E}",
             f":{source}:DISPlay ON",
             f":{source}:OFFSet 0",
-            f":{source}:RANGe {recording.range_v:.6E}",
+            f":{source}:RANGe {acquisition.range_v:.6E}",
             ":TRIGger:MODE EDGE",
             f":TRIGger:EDGE:SOURce {self.trigger}",
             ":TRIGger:EDGE:SLOPe POSitive",
             f":TRIGger:EDGE:LEVel {TRIGGER_LEVEL_V}",
             ":TRIGger:SWEep NORMal",
             f":ACQuire:TYPE {'AVERage' if averaged else 'NORMal'}",
-            *([f":ACQuire:COUNt {recording.averages}", ":ACQuire:COMPlete 100"] if averaged else []),
+            *([f":ACQuire:COUNt {acquisition.averages}", ":ACQuire:COMPlete 100"] if averaged else []),
             f":WAVeform:SOURce {source}",
             ":WAVeform:FORMat WORD",
             ":WAVeform:BYTeorder LSBFirst",
@@ -148,24 +148,24 @@ class ScopeDigitizer:
             self._write(command)
         complaint = self._ask(":SYSTem:ERRor?")
         if not complaint.lstrip("+").startswith("0"):
-            raise AnnulusError(f"{self.resource}: refuses the recording: {complaint[:200]}")
+            raise AnnulusError(f"{self.resource}: refuses the acquisition: {complaint[:200]}")
 
     def arm(self) -> None:
-        assert self._recording is not None, "configure first"
+        assert self._acquisition is not None, "configure first"
         self._waiting = True
         self._write(f":DIGitize CHANnel{self.channel}")
         self._write("*OPC?")  # answered when it has all triggers
         time.sleep(self._settle_s)
 
     def read(self) -> Trace:
-        recording = self._recording
-        assert recording is not None, "configure first"
+        acquisition = self._acquisition
+        assert acquisition is not None, "configure first"
         try:
             self._line()
         except DigitizerLostError:
             raise TriggerLostError(
-                f"{self.resource}: waits for a trigger {self._answer_s:g} s after the last of {recording.averages} was "
-                "sent: trigger cable, or bursts too close for it to rearm?"
+                f"{self.resource}: waits for a trigger {self._answer_s:g} s after the last of {acquisition.averages} "
+                "was sent: trigger cable, or bursts too close for it to rearm?"
             ) from None
         self._waiting = False
         preamble = self._preamble(self._ask(":WAVeform:PREamble?"))
@@ -179,8 +179,8 @@ class ScopeDigitizer:
     def recover(self) -> None:
         self.close()
         self._open()
-        if self._recording is not None:
-            self.configure(self._recording)
+        if self._acquisition is not None:
+            self.configure(self._acquisition)
 
     def close(self) -> None:
         if self._session is None:
@@ -264,7 +264,7 @@ class ScopeDigitizer:
         return data
 
     def _preamble(self, text: str) -> "_Preamble":
-        assert self._recording is not None
+        assert self._acquisition is not None
         try:
             numbers = [float(field) for field in text.split(",")]
         except ValueError:
@@ -278,9 +278,9 @@ class ScopeDigitizer:
         ):  # fmt: skip
             raise DigitizerLostError(f"{self.resource}: preamble {text[:120]!r} makes no sense, expected 16-bit data")
         span = points * x_step
-        if not 0.5 * self._recording.duration_s <= span <= 4 * self._recording.duration_s:
+        if not 0.5 * self._acquisition.duration_s <= span <= 4 * self._acquisition.duration_s:
             raise DigitizerLostError(
-                f"{self.resource}: {1e6 * span:g} us were recorded, expected {1e6 * self._recording.duration_s:g} us"
+                f"{self.resource}: {1e6 * span:g} us were recorded, expected {1e6 * self._acquisition.duration_s:g} us"
             )
         return _Preamble(int(points), x_step, x_origin, y_step, y_origin, y_reference)
 

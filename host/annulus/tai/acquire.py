@@ -18,7 +18,7 @@ from annulus.link.bench import move_stage, send_train, status_of, train_from_us
 from annulus.link.client import Client
 from annulus.link.messages import FaultCode
 from annulus.record.acoustic import AcousticRecord, load_acoustic, save_acoustic
-from annulus.sensors.digitizer import Digitizer, DigitizerLostError, Recording, Trace, TriggerLostError
+from annulus.sensors.digitizer import Acquisition, Digitizer, DigitizerLostError, Trace, TriggerLostError
 from annulus.tai.decode import sounds_like
 from annulus.thermoacoustic.codes import pattern, text
 from annulus.vocabulary import AnnulusError
@@ -72,11 +72,11 @@ class Plan:
         return np.asarray(self.steps * (360.0 / self.steps_per_turn), np.float64)
 
     @property
-    def recording(self) -> Recording:
+    def acquisition(self) -> Acquisition:
         sent_us = len(pattern(self.code)) * self.chip_us
         across_us = 2e3 * self.radius_mm / self.sound_speed_m_s
         lasting = SPARE * across_us + sent_us if self.duration_us is None else self.duration_us
-        return Recording(
+        return Acquisition(
             1e6 * self.rate_mhz, 1e-6 * lasting, self.range_v, self.averages, -1e-6 * self.trigger_offset_us
         )
 
@@ -143,7 +143,7 @@ def acquire(
             sweep.go_on(homed)
         if own is not None:
             client.request(own)
-        digitizer.configure(plan.recording)
+        digitizer.configure(plan.acquisition)
         missing = [i for i in range(plan.positions) if i not in sweep.traces]
         retries = 0
         for done, position in enumerate(missing):

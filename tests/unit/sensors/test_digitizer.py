@@ -9,13 +9,13 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from annulus.sensors.digitizer import DigitizerLostError, Recording, ScopeDigitizer, TriggerLostError
+from annulus.sensors.digitizer import Acquisition, DigitizerLostError, ScopeDigitizer, TriggerLostError
 from annulus.twin import acoustic as twin
 from annulus.twin.acoustic import Scope
 from annulus.twin.line import TcpLine
 from annulus.vocabulary import AnnulusError
 
-WANTED = Recording(rate_hz=10e6, duration_s=64e-6, range_v=0.4, averages=4, delay_s=2e-6)
+WANTED = Acquisition(rate_hz=10e6, duration_s=64e-6, range_v=0.4, averages=4, delay_s=2e-6)
 
 
 @contextlib.contextmanager
@@ -69,7 +69,7 @@ def test_volts_rate_and_time_are_those_of_the_signal() -> None:
 
 def test_a_single_shot_may_be_longer() -> None:
     with served(Scope()) as resource, opened(resource) as scope:
-        scope.configure(Recording(rate_hz=50e6, duration_s=64e-6, range_v=0.4))
+        scope.configure(Acquisition(rate_hz=50e6, duration_s=64e-6, range_v=0.4))
         scope.arm()
         assert len(scope.read().volts) == 5000
 
@@ -145,7 +145,7 @@ def test_a_preamble_is_not_believed(preamble: str, monkeypatch: pytest.MonkeyPat
 
 def test_a_refused_setting_is_said_in_the_scopes_words(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(twin._LIMITS, ":CHANNEL1:RANGE", (8e-3, 0.1))
-    with served(Scope()) as resource, opened(resource) as scope, pytest.raises(AnnulusError, match="recording: -222"):
+    with served(Scope()) as resource, opened(resource) as scope, pytest.raises(AnnulusError, match="acquisition: -222"):
         scope.configure(WANTED)
 
 
@@ -162,7 +162,7 @@ def test_somebody_else_or_nobody_there_is_one_line() -> None:
 
 
 @pytest.mark.parametrize("change", [{"rate_hz": 0.0}, {"duration_s": float("nan")}, {"averages": 0}, {"range_v": 1e3}])
-def test_a_recording_that_makes_no_sense_is_refused(change: dict[str, float]) -> None:
+def test_an_acquisition_that_makes_no_sense_is_refused(change: dict[str, float]) -> None:
     wanted = {"rate_hz": 1e7, "duration_s": 1e-4, "range_v": 1.0} | change
     with pytest.raises(AnnulusError, match=next(iter(change))):
-        Recording(**wanted)
+        Acquisition(**wanted)
