@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from annulus.calibrate.sample import Progress
 from annulus.geometry.calibration import camera_to_dict
 from annulus.geometry.camera import Camera, Model
 from annulus.geometry.chessboard import TargetView, cropped, find_target
@@ -20,8 +21,6 @@ from annulus.numeric.robust import robust_sigma
 from annulus.record.calibration_file import update_calibration
 from annulus.record.scan import read_image
 from annulus.vocabulary import AnnulusError
-
-Progress = Callable[[str, int, int], None]
 
 IMAGES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
 BLURRED, BLURRED_PX = 2.5, 1.5  # times as blurred as the usual photograph, and so many pixels

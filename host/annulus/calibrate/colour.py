@@ -5,6 +5,7 @@ from pathlib import Path
 
 from annulus.calibrate.sample import Progress, sample
 from annulus.record.calibration_file import load_calibration
+from annulus.record.scan import open_scan
 from annulus.rings.colour import ColourProfile, Stripes, learn, stripes
 from annulus.rings.diagnosis import Exposure, Trouble, exposure_findings
 from annulus.rings.reconstructor import Reconstructor
@@ -38,7 +39,7 @@ def calibrate_colour(
     reconstructor = Reconstructor(known)
     seen: list[Stripes] = []
     exposures: list[tuple[int, Exposure]] = []
-    for frame in sample(scan, known, FRAMES, progress):
+    for frame in sample(open_scan(scan), known.camera, FRAMES, progress):
         exposures.append((frame.index, frame.exposure))
         slits, placed = reconstructor.slits_by_order(frame.image)
         if placed is not None:

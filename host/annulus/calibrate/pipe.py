@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from annulus.calibrate.sample import Progress, Sampled, projector_frames, sample
 from annulus.geometry.calibration import Calibration, head_from_dict
 from annulus.geometry.camera import Camera
 from annulus.geometry.pose import Pose
@@ -22,11 +23,9 @@ from annulus.rings.calibration.contours import Contours, close_grid, follow, rea
 from annulus.rings.calibration.corrections import fit_corrections, ring_corrections
 from annulus.rings.calibration.cross_validation import Measured, hold_out
 from annulus.rings.calibration.observations import Observations, observe
-from annulus.rings.diagnosis import LOST_MOST, Exposure, diagnose
+from annulus.rings.diagnosis import LOST_MOST, Exposure
 from annulus.rings.polar import ring_pixels
-from annulus.vocabulary import AnnulusError, Label
-
-Progress = Callable[[str, int, int], None]  # stage, done, total
+from annulus.vocabulary import AnnulusError
 
 FRAMES_MOST = 40  # of a longer scan evenly taken; more only average noise that is small already
 FRAMES_ASKED = 4
@@ -127,13 +126,13 @@ def calibrate_pipe(scan: Path, camera: Path, radius_mm: float, *, progress: Prog
     known, colours, last_radius, last = load_part(camera, head_from_dict, "annulus calibrate camera")
     report = progress or (lambda stage, done, total: None)
     marks = {"start": time.process_time()}
-    frames, images, found = _read(scan, known, report)
+    opened = open_scan(scan)
+    frames = list(sample(opened, known, FRAMES_MOST, report))
     marks["read"] = time.process_time()
-    exposures = [diagnose(image) for image in images]
-    contours, kept, left_out = _decode(frames, images, exposures, known, colours, scan, report)
+    contours, kept, left_out = _decode(frames, known, colours, scan, report)
     marks["decode"] = time.process_time()
     seen = _observations(known, [contours[i] for i in kept])
-    indices = tuple(frames[i] for i in kept)
+    indices = tuple(frames[i].index for i in kept)
     try:
         solution = calibrate(seen, radius_mm, progress=lambda done, total: report("solve", done, total))
     except AnnulusError as error:
@@ -157,12 +156,12 @@ def calibrate_pipe(scan: Path, camera: Path, radius_mm: float, *, progress: Prog
         known, colours, best.rings, radius_mm, tuple(tuple(float(v) for v in row) for row in best.covariance),
         None if corrections is None else ring_corrections(corrections),
     )  # fmt: skip
-    used = [exposures[i] for i in kept]
+    used = [frames[i].exposure for i in kept]
     warnings = _warnings(best, held, indices, radius_mm, last_radius, last, used)
     names = list(marks)
     timing = {name: marks[name] - marks[before] for before, name in pairwise(names)}
     return PipeCalibration(
-        calibration, best, seen, held, held_corrected, indices, left_out, found, warnings,
+        calibration, best, seen, held, held_corrected, indices, left_out, len(projector_frames(opened)), warnings,
         _advice(known, best, radius_mm), timing,
     )  # fmt: skip
 
@@ -175,47 +174,20 @@ def save_pipe(result: PipeCalibration, out: Path) -> None:
     update_calibration(out, sections, {"rings": {"by": "annulus calibrate pipe", **made}})
 
 
-def _read(scan: Path, camera: Camera, report: Progress) -> tuple[list[int], list[Image], int]:
-    opened = open_scan(scan)
-    projector = [i for i, frame in enumerate(opened.frames) if frame.label is Label.PROJECTOR]
-    if not projector:
-        raise AnnulusError(f"{scan}: none of its {len(opened.frames)} frames is labelled projector.")
-    chosen = projector
-    if len(projector) > FRAMES_MOST:
-        chosen = [projector[n * (len(projector) - 1) // (FRAMES_MOST - 1)] for n in range(FRAMES_MOST)]
-    images = []
-    for done, i in enumerate(chosen):
-        image = opened.read(i)
-        if image.shape[:2] != (camera.height, camera.width):
-            raise AnnulusError(
-                f"{opened.frames[i].where}: is {image.shape[1]}x{image.shape[0]} but the camera's file says "
-                f"{camera.width}x{camera.height}. Give the file of the camera that took this scan."
-            )
-        images.append(image)
-        report("read", done + 1, len(chosen))
-    return [opened.frames[i].index for i in chosen], images, len(projector)
-
-
 def _decode(
-    frames: Sequence[int],
-    images: Sequence[Image],
-    exposures: Sequence[Exposure],
-    camera: Camera,
-    colours: str,
-    scan: Path,
-    report: Progress,
+    frames: Sequence[Sampled], camera: Camera, colours: str, scan: Path, report: Progress
 ) -> tuple[dict[int, Contours], list[int], dict[int, str]]:
     """Contours of the frames that can be used, which those are, and why the others cannot."""
     left_out = {
-        frames[i]: f"dark, nothing brighter than {exposure.bright:.0f} of 255: lens cap on, or projector off"
-        for i, exposure in enumerate(exposures)
-        if exposure.dark
+        frame.index: f"dark, nothing brighter than {frame.exposure.bright:.0f} of 255: lens cap on, or projector off"
+        for frame in frames
+        if frame.exposure.dark
     }
-    lit = [i for i, exposure in enumerate(exposures) if not exposure.dark]
+    lit = [i for i, frame in enumerate(frames) if not frame.exposure.dark]
     if not lit:
         raise AnnulusError(
             f"{scan}: all {len(frames)} projector frames are dark (nothing brighter than "
-            f"{max(e.bright for e in exposures):.0f} of 255): lens cap on, or projector off."
+            f"{max(frame.exposure.bright for frame in frames):.0f} of 255): lens cap on, or projector off."
         )
     enough = SEEN_LEAST * (len(colours) - 1)
 
@@ -226,31 +198,31 @@ def _decode(
     lines = len(grid.cosine)
     contours: dict[int, Contours] = {}
     for done, i in enumerate(lit):
-        contours[i] = follow(images[i], grid, colours)
+        contours[i] = follow(frames[i].image, grid, colours)
         if not fair(contours[i], lines):  # the pattern may lie beside the camera's axis
-            other = follow(images[i], wide_grid(camera, _light_centre(images[i])), colours)
+            other = follow(frames[i].image, wide_grid(camera, _light_centre(frames[i].image)), colours)
             contours[i] = max(contours[i], other, key=lambda contour: len(contour.ring))
         report("find rings", done + 1, 2 * len(lit))
     kept = [i for i in lit if fair(contours[i], lines)]
     if kept:
         grid = close_grid(camera, [contours[i] for i in kept])
         for done, i in enumerate(lit):
-            contours[i] = follow(images[i], grid, colours)
+            contours[i] = follow(frames[i].image, grid, colours)
             report("find rings", len(lit) + done + 1, 2 * len(lit))
         kept = [i for i in lit if fair(contours[i], lines)]
     for i in lit:
         if i not in kept:
-            exposure = exposures[i]
-            left_out[frames[i]] = (
+            exposure = frames[i].exposure
+            left_out[frames[i].index] = (
                 f"over-exposed, {100 * exposure.lost:.0f} % of the stripes have lost their colour"
                 if exposure.lost > LOST_MOST
                 else f"rings of {colours} not found in it ({contours[i].slits} slits seen)"
             )
     if len(kept) < 2:
-        raise AnnulusError(f"{scan}: {_why_none(frames, images, exposures, contours, kept, lit, colours, camera)}.")
+        raise AnnulusError(f"{scan}: {_why_none(frames, contours, kept, lit, colours, camera)}.")
     missing = [k + 1 for k in range(len(colours) - 1) if all(np.isnan(contours[i].reach[k, 1]) for i in kept)]
     if missing:
-        read = read_colours(images[kept[0]], grid)
+        read = read_colours(frames[kept[0]].image, grid)
         raise AnnulusError(
             f"{scan}: ring{'s' if len(missing) > 1 else ''} {', '.join(map(str, missing))} of the pattern {colours} "
             f"(counted from the innermost) seen in no frame; the stripes read {read}. Check pattern.colours."
@@ -259,9 +231,7 @@ def _decode(
 
 
 def _why_none(
-    frames: Sequence[int],
-    images: Sequence[Image],
-    exposures: Sequence[Exposure],
+    frames: Sequence[Sampled],
     contours: dict[int, Contours],
     kept: Sequence[int],
     lit: Sequence[int],
@@ -270,9 +240,9 @@ def _why_none(
 ) -> str:
     if len(frames) == 1:
         return "one projector frame, expected at least two, the head leaning to opposite sides (better four and more)"
-    over = [i for i in lit if i not in kept and exposures[i].lost > LOST_MOST]
+    over = [i for i in lit if i not in kept and frames[i].exposure.lost > LOST_MOST]
     if over:
-        worst = max(exposures[i].lost for i in over)
+        worst = max(frames[i].exposure.lost for i in over)
         return (
             f"{len(over)} of {len(frames)} projector frames over-exposed (up to {100 * worst:.0f} % of the stripes "
             "have lost their colour): shorten the projector's flash or lower the gain"
@@ -282,7 +252,7 @@ def _why_none(
     if contours[i].slits > len(grid.cosine):
         return (
             f"slits are seen but not in the order of pattern.colours {colours}; the stripes read "
-            f"{read_colours(images[i], grid)} from the innermost. Check pattern.colours"
+            f"{read_colours(frames[i].image, grid)} from the innermost. Check pattern.colours"
         )
     dark = len(frames) - len(lit)
     return (

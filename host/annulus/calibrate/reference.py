@@ -6,6 +6,7 @@ from pathlib import Path
 
 from annulus.calibrate.sample import Progress, sample
 from annulus.record.calibration_file import load_calibration
+from annulus.record.scan import open_scan
 from annulus.rings.calibration.reference import Reference, learn
 from annulus.rings.diagnosis import Exposure, Trouble, exposure_findings
 from annulus.rings.reconstructor import Reconstructor
@@ -38,7 +39,7 @@ def calibrate_reference(
     reconstructor = Reconstructor(known)
     profiles: list[Profile] = []
     exposures: list[tuple[int, Exposure]] = []
-    for frame in sample(scan, known, FRAMES, progress):
+    for frame in sample(open_scan(scan), known.camera, FRAMES, progress):
         exposures.append((frame.index, frame.exposure))
         seed = profiles[-1].pose if profiles else None
         place = 0.0 if math.isnan(frame.z_mm) else frame.z_mm

@@ -1,12 +1,11 @@
-"""A few projector frames of a scan, read and checked."""
+"""Frames of a scan for a calibration, read and checked."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
-from annulus.geometry.calibration import Calibration
+from annulus.geometry.camera import Camera
 from annulus.numeric.arrays import Image
-from annulus.record.scan import open_scan
+from annulus.record.scan import Scan
 from annulus.rings.diagnosis import Exposure, diagnose
 from annulus.vocabulary import AnnulusError, Label
 
@@ -23,23 +22,34 @@ class Sampled:
     image: Image
 
 
-def sample(scan: Path, calibration: Calibration, most: int, progress: Progress | None = None) -> Iterator[Sampled]:
+def projector_frames(scan: Scan) -> list[int]:
+    """Which of the scan's frames the projector lit. Raises AnnulusError where none is."""
+    out = [i for i, frame in enumerate(scan.frames) if frame.label is Label.PROJECTOR]
+    if not out:
+        raise AnnulusError(f"{scan.path}: none of its {len(scan.frames)} frames is labelled projector.")
+    return out
+
+
+def sample(scan: Scan, camera: Camera, most: int, progress: Progress | None = None) -> Iterator[Sampled]:
     """At most so many projector frames, evenly over the scan.
 
-    Raises AnnulusError where there are none, one is damaged, or they are not of the calibrated camera's size.
+    Raises AnnulusError where there are none, one is damaged, or they are not of the camera's size.
     """
-    opened = open_scan(scan)
-    projector = [i for i, frame in enumerate(opened.frames) if frame.label is Label.PROJECTOR]
-    if not projector:
-        raise AnnulusError(f"{scan}: none of its {len(opened.frames)} frames is labelled projector, nothing to learn.")
+    projector = projector_frames(scan)
     chosen = sorted({projector[k * (len(projector) - 1) // max(most - 1, 1)] for k in range(most)})
     for done, i in enumerate(chosen):
-        frame, image, camera = opened.frames[i], opened.read(i), calibration.camera
-        if image.shape[:2] != (camera.height, camera.width):
-            raise AnnulusError(
-                f"calibration: camera is {camera.width}x{camera.height} but {frame.where} is "
-                f"{image.shape[1]}x{image.shape[0]}. Calibrate with the camera that took this scan."
-            )
-        yield Sampled(frame.index, frame.z_mm, diagnose(image), image)
+        image = read_frame(scan, i, camera)
+        yield Sampled(scan.frames[i].index, scan.frames[i].z_mm, diagnose(image), image)
         if progress is not None:
-            progress("frames", done + 1, len(chosen))
+            progress("read", done + 1, len(chosen))
+
+
+def read_frame(scan: Scan, i: int, camera: Camera) -> Image:
+    """The image of one frame. Raises AnnulusError where it is damaged or not of the camera's size."""
+    image = scan.read(i)
+    if image.shape[:2] != (camera.height, camera.width):
+        raise AnnulusError(
+            f"{scan.frames[i].where}: is {image.shape[1]}x{image.shape[0]} but the camera's file says "
+            f"{camera.width}x{camera.height}. Give the file of the camera that took this scan."
+        )
+    return image

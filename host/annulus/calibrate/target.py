@@ -5,7 +5,7 @@ on it (`projector`). Frames with the same z_mm belong together; if all have one 
 led frame last before it.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from annulus.calibrate.sample import Progress, read_frame
 from annulus.geometry.camera import Camera
 from annulus.geometry.chessboard import TargetView, find_target
 from annulus.geometry.cone import Cone
@@ -24,8 +25,6 @@ from annulus.record.scan import Scan, open_scan
 from annulus.rings.calibration.contours import Contours, close_grid, follow, wide_grid
 from annulus.rings.calibration.target import TargetCones, TargetPoints, fit_cones, on_plane, vertex_order
 from annulus.vocabulary import AnnulusError, Label
-
-Progress = Callable[[str, int, int], None]
 
 POSE_PX = 1.0  # a target whose corners leave more over is not flat, or not seen by this camera
 BEYOND = 0.8  # squares around the outermost corners that still are target
@@ -125,7 +124,7 @@ def calibrate_target(
     for n, (led, projector) in enumerate(pairs):
         if progress:
             progress("looking at targets", n, len(pairs))
-        white, rings = _images(scan, led, projector, camera)
+        white, rings = (read_frame(scan, i, camera) for i in (led, projector))
         view = find_target(white)
         views.append(view)
         first.append(None)
@@ -162,7 +161,7 @@ def calibrate_target(
             if rms > POSE_PX:
                 why[n] = f"corners are off by {rms:.1f} px: another camera, or the target is not flat"
             else:
-                white, rings = _images(scan, led, projector, camera)
+                white, rings = (read_frame(scan, i, camera) for i in (led, projector))
                 contour = follow(_evened(rings, white), grid, colours)
                 where = np.array([float(v) for v in grid.centre])
                 good = _on_even_paper(white, contour, where)
@@ -239,17 +238,6 @@ def _pairs(scan: Scan) -> list[tuple[int, int]]:
             "the target, better 15 to 20."
         )
     return out
-
-
-def _images(scan: Scan, led: int, projector: int, camera: Camera) -> tuple[Image, Image]:
-    both = scan.read(led), scan.read(projector)
-    for i, image in zip((led, projector), both, strict=True):
-        if image.shape[:2] != (camera.height, camera.width):
-            raise AnnulusError(
-                f"{scan.frames[i].where} is {image.shape[1]}x{image.shape[0]} but the camera is "
-                f"{camera.width}x{camera.height}. Calibrate with the camera that took these frames."
-            )
-    return both
 
 
 def _evened(rings: Image, white: Image) -> Image:

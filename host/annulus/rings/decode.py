@@ -1,4 +1,15 @@
-"""Which ring each slit is: colours of both sides, order along the line, and a plausible wall must all agree."""
+"""Which ring each slit is: colours of both sides, order along the line, and a plausible wall must all agree.
+
+Assumed: the slide's colours are a De Bruijn sequence, so a slit's two stripes and its neighbours' name it; the
+pattern's colours are as the calibration says, whatever the paint does to their strengths.
+
+What carries it: along a line rings keep their order, so a reading is an alignment of slits with rings, and a slit gets
+a name only where the best alignment beats every one that reads it otherwise. A wrong name is the one sin here: it moves
+a point by centimetres, a missing one costs a point.
+
+When it breaks: stripes too pale or too alike are UNKNOWN and prove nothing, ties are NONE; a pattern that is not the
+calibration's leaves no names and no pose, and `diagnosis` reads what it is.
+"""
 
 import math
 from dataclasses import dataclass

@@ -1,4 +1,9 @@
-"""Slits that got a ring's name and are still not believed: half covered, in a shadow's edge, or alone."""
+"""Slits that got a ring's name and are still not believed: half covered, in a shadow's edge, or alone.
+
+Assumed: a ring's width changes slowly round the image, and a wall has no points of its own. A defect's flank may be
+steep but is seen by several neighbours; a slit that a rod's shadow cuts is narrow, dim, or by itself. Where most of a
+ring is covered its usual width is wrong: then it is held near the frame's.
+"""
 
 import math
 

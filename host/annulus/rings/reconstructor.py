@@ -1,4 +1,15 @@
-"""From one projector frame to the wall: the method, end to end."""
+"""From one projector frame to the wall: the method, end to end.
+
+Assumed: one camera, one projector, both calibrated; a pipe that is round but for what is to be found; a head that leans
+and stands off its axis no farther than `polar` looks (some 4 degrees, a tenth of the radius).
+
+What carries it: three separate witnesses (a slit's colours, its order on the line, the wall it would make) must agree
+on its ring, and are asked twice: with the pose unknown, then with the pose that the first answer gave. Points depend on
+slits and calibration alone; the pose only turns them into the pipe's frame.
+
+When it breaks: nothing is guessed. A frame without enough agreeing slits has no pose and no points and counts why in
+`Profile.rejected`; a seed far off is tried, then forgotten.
+"""
 
 import math
 import time

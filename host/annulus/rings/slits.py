@@ -1,4 +1,14 @@
-"""Dark slits along every polar line, to a fraction of a pixel, with the light on both sides of each."""
+"""Dark slits along every polar line, to a fraction of a pixel, with the light on both sides of each.
+
+Assumed: a slit is dark between two lit stripes, wider than its blur; light along a stripe changes slowly.
+
+What carries it: an edge is where the strongest channel's slope is steepest, which neither the stripes' unequal
+brightness nor their slope moves; a slit is halfway between its two edges, so blur moves it only as far as it blurs the
+two unlike. All thresholds are parts of the light beside the slit or of the frame's own bright level and noise.
+
+When it breaks: noise scatters places, which `uncertainty` measures in the frame itself; light at full scale
+cuts half an edge away, which `uncertainty` counts; what is merely dim (a shadow, a groove) is `shallow`.
+"""
 
 import math
 from dataclasses import dataclass

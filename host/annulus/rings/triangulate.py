@@ -1,4 +1,9 @@
-"""From slits to points: each slit's ray meets the cone of every ring it might be."""
+"""From slits to points: each slit's ray meets the cone of every ring it might be.
+
+Assumed: light of a slit is a cone (or a cone with a residual correction of its half-angle and vertex at every azimuth).
+What carries it: a pixel is one ray, a ring one surface, so a point needs no neighbour and no wall. When it breaks: a
+ray nearly along its cone has no safe point and gets none (GRAZING).
+"""
 
 import math
 from dataclasses import dataclass

@@ -24,7 +24,7 @@ def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_rings_are_measured_on_boards_and_the_file_reconstructs(scan: Path, tmp_path: Path) -> None:
+def test_rings_are_measured_on_targets_and_the_file_reconstructs(scan: Path, tmp_path: Path) -> None:
     result = calibrate_target(scan, CAMERA, STRIPES, TARGET.square_mm)
     assert result.rms_mm < 0.05
     for fitted, true in zip(result.cones, THREE, strict=True):
@@ -38,7 +38,7 @@ def test_rings_are_measured_on_boards_and_the_file_reconstructs(scan: Path, tmp_
     assert np.linalg.eigvalsh(np.array(again.covariance)).min() > -1e-12
 
 
-def test_a_board_that_moved_between_its_two_frames_is_left_out(scan: Path, tmp_path: Path) -> None:
+def test_a_target_that_moved_between_its_two_frames_is_left_out(scan: Path, tmp_path: Path) -> None:
     for file in scan.iterdir():
         (tmp_path / file.name).write_bytes(file.read_bytes())
     (tmp_path / "00-led.png").write_bytes((scan / "03-led.png").read_bytes())
@@ -54,5 +54,5 @@ def test_what_is_missing_is_said(scan: Path, tmp_path: Path) -> None:
     (tmp_path / "frames.csv").write_text("\n".join(line for line in table if "led" not in line))
     with pytest.raises(AnnulusError, match="0 pairs of a led and a projector frame"):
         calibrate_target(tmp_path, CAMERA, STRIPES, TARGET.square_mm)
-    with pytest.raises(AnnulusError, match="the camera is 640x480"):
+    with pytest.raises(AnnulusError, match="the camera's file says 640x480"):
         calibrate_target(scan, Camera("pinhole", 640, 480, 200.0, 200.0, 320.0, 240.0), COLOURS, TARGET.square_mm)
