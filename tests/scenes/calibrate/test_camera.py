@@ -113,7 +113,7 @@ def test_the_camera_joins_what_the_file_already_has(tmp_path: Path) -> None:
     assert '"rms_px"' in path.read_text()
 
 
-def test_rays_are_known_best_where_boards_were() -> None:
+def test_rays_are_known_best_where_targets_were() -> None:
     result = calibrated(PINHOLE)
     middle, corner = result.intrinsics.ray_sigma_px(np.array([[240.0, 180.0], [0.0, 0.0]]))
     assert middle < 0.1 < corner
@@ -152,7 +152,7 @@ def test_what_is_no_photograph_is_said(tmp_path: Path) -> None:
     assert parse_target("charuco 8x6") == (7, 5, True)
 
 
-def test_a_board_miscounted_by_its_owner_is_pointed_out(tmp_path: Path) -> None:
+def test_a_target_miscounted_by_its_owner_is_pointed_out(tmp_path: Path) -> None:
     with pytest.raises(AnnulusError, match="show 7x5"):
         calibrate_camera(write(tmp_path, album(PINHOLE, PLAIN)), target="6x4")
 
