@@ -169,7 +169,9 @@ def calibrate_pipe(scan: Path, camera: Path, radius_mm: float, *, progress: Prog
 def save_pipe(result: PipeCalibration, out: Path) -> None:
     """Write rings, pattern, camera and pipe into `out`; other sections in it stay."""
     data, told = result.calibration.to_dict(), result.to_dict()
-    made = {key: told[key] for key in ("frames_used", "residual_px", "held_out_mm", "held_out_tuned_mm", "fine_tuned")}
+    made = {
+        key: told[key] for key in ("frames_used", "residual_px", "held_out_mm", "held_out_corrected_mm", "corrected")
+    }
     sections = {key: data[key] for key in ("camera", "pattern", "rings", "pipe", "covariance")}
     update_calibration(out, sections, {"rings": {"by": "annulus calibrate pipe", **made}})
 
