@@ -23,8 +23,8 @@ class Sampled:
 
 
 def projector_frames(scan: Scan) -> list[int]:
-    """Which of the scan's frames the projector lit. Raises AnnulusError where none is."""
-    out = [i for i, frame in enumerate(scan.frames) if frame.label is Label.PROJECTOR]
+    """Which of the scan's frames the projector lit. Raises AnnulusError where none is, or several cameras took them."""
+    out = [i for i, frame in enumerate(scan.only().frames) if frame.label is Label.PROJECTOR]
     if not out:
         raise AnnulusError(f"{scan.path}: none of its {len(scan.frames)} frames is labelled projector.")
     return out

@@ -114,7 +114,7 @@ def calibrate_target(
     """
     if camera.model == "mirror":
         raise AnnulusError("calibrate target: the camera looks at a mirror. Use `annulus calibrate pipe` for it.")
-    scan = open_scan(path)
+    scan = open_scan(path).only()
     pairs = _pairs(scan)
     first: list[Contours | None] = []
     views: list[TargetView | None] = []

@@ -151,13 +151,16 @@ def camera_alone(data: object) -> Camera:
     """The camera of a file that may have nothing else yet.
 
     Raises ValueError naming the key that is wrong, also for a head with more than one camera."""
-    cameras = _cameras(_section(data, "the file"))
-    if len(cameras) > 1:
-        raise ValueError(_more_than_one(cameras))
-    return cameras[0].camera
+    top = _section(data, "the file")
+    if top.get("format") != CAMERAS:
+        return camera_from_dict(_need(top, "camera"))
+    sections = _camera_sections(top)
+    if len(sections) > 1:
+        raise ValueError(_more_than_one(sections))
+    return _head_camera(sections[0], "cameras[0]", first=True).camera
 
 
-def _more_than_one(cameras: Sequence[HeadCamera]) -> str:
+def _more_than_one(cameras: Sequence[object]) -> str:
     return f"the head has {len(cameras)} cameras, expected one: this method does not join views"
 
 
@@ -165,19 +168,24 @@ def _cameras(top: Mapping[str, Any]) -> list[HeadCamera]:
     """At least one; the first stands still."""
     if top.get("format") != CAMERAS:
         return [HeadCamera(0, camera_from_dict(_need(top, "camera")))]
-    sections = _need(top, "cameras")
-    if not isinstance(sections, Sequence) or isinstance(sections, str) or not 1 <= len(sections) <= CAMERAS_MAX:
-        raise ValueError(f'"cameras" must be a list of 1..{CAMERAS_MAX} cameras')
     cameras: list[HeadCamera] = []
-    for i, section in enumerate(sections):
-        one = _head_camera(_section(section, f"cameras[{i}]"), f"cameras[{i}]", first=i == 0)
+    for i, section in enumerate(_camera_sections(top)):
+        one = _head_camera(section, f"cameras[{i}]", first=i == 0)
         if one.id in {camera.id for camera in cameras}:
             raise ValueError(f'"cameras[{i}].id" is {one.id}, and so is another\'s')
         cameras.append(one)
     return cameras
 
 
-def _head_camera(section: Mapping[str, Any], where: str, *, first: bool) -> HeadCamera:
+def _camera_sections(top: Mapping[str, Any]) -> Sequence[object]:
+    sections = _need(top, "cameras")
+    if not isinstance(sections, Sequence) or isinstance(sections, str) or not 1 <= len(sections) <= CAMERAS_MAX:
+        raise ValueError(f'"cameras" must be a list of 1..{CAMERAS_MAX} cameras')
+    return sections
+
+
+def _head_camera(data: object, where: str, *, first: bool) -> HeadCamera:
+    section = _section(data, where)
     number = untrusted.whole(_need(section, "id", where), f'"{where}.id"', 0, CAMERA_ID_MAX)
     camera = camera_from_dict(section, where)
     if first and "rotation" not in section and "translation_mm" not in section:

@@ -62,7 +62,7 @@ def reconstruct(
     AnnulusError, one line, for any input that is missing, damaged or does not belong together.
     """
     started = time.perf_counter()
-    opened = roll_filled(open_scan(scan))
+    opened = roll_filled(open_scan(scan).only())
     known = load_calibration(calibration) if calibration is not None else opened.calibration
     if known is None:
         raise AnnulusError(f"{scan}: carries no calibration. Give one with --calibration FILE.")

@@ -70,9 +70,14 @@ def test_the_ray_traced_scene_is_calibrated_as_well_as_it_says(tmp_path: Path) -
     (tmp_path / "frames.csv").write_text("\n".join(table[:5]) + "\n")  # four frames: half the time
     result = calibrate_pipe(tmp_path, SCENE / "camera.json", 76.2)
     out = tmp_path / "calibration.json"
-    out.write_text(json.dumps({"format": "annulus-calibration/1", "note": "kept"}))
+    designed = {"by": "annulus pattern design", "nominal": True}
+    before = {"note": "kept", "rings": [], "provenance": {"rings": designed, "camera": {"by": "a board"}}}
+    out.write_text(json.dumps({"format": "annulus-calibration/1", **before}))
     save_pipe(result, out)
-    assert json.loads(out.read_text())["note"] == "kept"
+    written = json.loads(out.read_text())
+    assert written["note"] == "kept"
+    assert written["provenance"].keys() == {"rings"}  # neither the design's rings nor the board's camera are in it now
+    assert written["provenance"]["rings"]["by"] == "annulus calibrate pipe"
     truth = json.loads((SCENE / "truth.json").read_text())["scene"]["projector"]
     for ring, full in zip(load_calibration(out).rings, truth["theta_full_deg"], strict=True):
         assert abs(np.degrees(2 * ring.half_angle) - full) < 0.01

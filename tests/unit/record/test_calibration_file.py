@@ -54,6 +54,12 @@ def test_the_camera_of_a_file_is_its_only_one(tmp_path: Path) -> None:
     assert load_camera(path) == CALIBRATION.camera
     with pytest.raises(AnnulusError, match=r"calibration-2\.json: the head has 2 cameras, expected one"):
         load_camera(DATA / "calibration-2.json")
+    two = TWO.to_dict()
+    for camera in two["cameras"]:
+        del camera["rotation"]  # a file in the making is refused for the right reason too
+    path.write_text(json.dumps(two))
+    with pytest.raises(AnnulusError, match="the head has 2 cameras"):
+        load_camera(path)
 
 
 def test_two_cameras_survive_the_disk(tmp_path: Path) -> None:
