@@ -25,12 +25,12 @@ from google.protobuf.message import DecodeError
 
 from annulus import untrusted
 from annulus.numeric.arrays import Image
+from annulus.stream.frames import CHANNELS
 from annulus.vocabulary import AnnulusError, Label
 
 FRAME_TOPIC = "/frame"  # .. of camera 0 in old recordings; now followed by the camera's id
 LABEL_TOPIC = "/label"
 CAMERA_ID_MAX = 255
-CHANNELS = {"bgr8": 3, "bayer_rggb8": 1, "mono8": 1}  # encoding -> bytes a pixel
 _MAGIC = b"\x89MCAP0\r\n"
 _JSON_MAX = 1 << 24
 _RECORD_MAX = 1 << 30

@@ -17,7 +17,8 @@ from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 from mcap_protobuf.schema import register_schema
 
 from annulus.numeric.arrays import Image
-from annulus.record.recording import CHANNELS, FRAME_TOPIC, LABEL_TOPIC, camera_of_label, to_json
+from annulus.record.recording import FRAME_TOPIC, LABEL_TOPIC, camera_of_label, to_json
+from annulus.stream.frames import CHANNELS
 from annulus.vocabulary import AnnulusError
 
 _NOTES_MAX = 1 << 18  # bytes of small records that may wait for the next frame's chunk

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from annulus import untrusted
 from annulus.geometry.pose import Pose
 
 POINTS_MAX = 64 * 4096  # more than any pattern times any polar grid; bounds what a stranger can make us hold
@@ -80,9 +81,7 @@ class Profile:
             raise ValueError("a profile's points must be finite")
         if (sigma < 0).any() or np.isinf(sigma).any():
             raise ValueError("a profile's sigma must be a length or NaN")
-        frame = data.get("frame")
-        if isinstance(frame, bool) or not isinstance(frame, int) or not 0 <= frame < 2**63:
-            raise ValueError(f"a profile's frame is {frame!r}, expected a whole number")
+        frame = untrusted.whole(data.get("frame"), "a profile's frame", 0, 2**63 - 1)
         pose = _pose(data.get("pose"))
         if pose is None and len(ring):
             raise ValueError("a profile without a pose has no points")
@@ -111,9 +110,7 @@ def _array(data: Mapping[Any, Any], key: str, kind: str, columns: int) -> NDArra
 
 
 def _finite(value: object, name: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise ValueError(f"a profile's {name} is {value!r}, expected a finite number")
-    return float(value)
+    return untrusted.number(value, f"a profile's {name}")
 
 
 def _lean_sigma(value: object) -> float:
