@@ -12,9 +12,8 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#define BOARD_WATCHDOG_MS 100U    // a main loop silent for this long is restarted
-#define BOARD_STARVED_MS 4U       // and for this long leaves the microwave dark, until it is armed again
-#define BOARD_TRIGGER_TICKS 100U  // length of the digitizer trigger, 1 us
+#define BOARD_WATCHDOG_MS 100U  // a main loop silent for this long is restarted
+#define BOARD_STARVED_MS 4U     // and for this long leaves the microwave dark, until it is armed again
 
 // ---- identity and time ----
 
@@ -99,6 +98,12 @@ typedef struct {
     int32_t trigger_offset;  // digitizer trigger relative to chip 0
 } board_burst_t;
 
+// Is this chip on? Those past the end are not.
+static inline bool board_chip(const board_burst_t* const burst, const uint32_t chip)
+{
+    return (chip < burst->length) && (((burst->chips[chip / 8U] >> (chip % 8U)) & 1U) != 0U);
+}
+
 // Level of the interlock now.
 bool board_interlock_open(void);
 
@@ -114,6 +119,9 @@ bool board_microwave_starved(void);
 // False: gate low now, a running train ends. True: a train may be started.
 void board_microwave(bool enabled);
 
+// Once a round of the main loop: the credit on which the microwave lives for the next BOARD_STARVED_MS.
+void board_microwave_feed(void);
+
 // Start a train; `start` becomes the tick of chip 0 of the first burst. False: refused, nothing starts.
 bool board_burst(const board_burst_t* burst, uint32_t* start);
 
@@ -123,12 +131,12 @@ void board_burst_stop(void);
 // Is a train running? `done` becomes the number of complete bursts of this train, or of the last one.
 bool board_burst_running(uint16_t* done);
 
-// ---- rotary stage and status light ----
+// ---- turntable and status light ----
 
 // Step to an absolute position; `hold` keeps the motor powered afterwards.
-void board_stage_move(int32_t position, uint32_t period_ticks, bool hold);
-bool board_stage_moving(void);
-int32_t board_stage_position(void);
+void board_turntable_move(int32_t position, uint32_t period_ticks, bool hold);
+bool board_turntable_moving(void);
+int32_t board_turntable_position(void);
 
 void board_status_light(bool on);
 

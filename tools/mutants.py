@@ -40,7 +40,7 @@ MUTANTS = (
         "RESET_PIO0 | RESET_TIMER |",
         "boots",
     ),
-    Mutant("pads-left-at-reset", "rp2040/system.c", "    REGISTER(PAD(pin)) = pad;\n", "    (void)pad;\n", "boots"),
+    Mutant("pads-left-at-reset", "rp2040/pinuse.c", "    REGISTER(PAD(pin)) = pad;\n", "    (void)pad;\n", "boots"),
     Mutant(
         "swapped-lamps",
         "rp2040/lamps.c",
@@ -94,7 +94,7 @@ MUTANTS = (
     ),
     Mutant(
         "watchdog-never-started",
-        "rp2040/system.c",
+        "rp2040/reset.c",
         "    SET_BITS(WATCHDOG_CTRL) = WATCHDOG_ENABLE;\n",
         "",
         "stuck",
@@ -106,9 +106,11 @@ MUTANTS = (
         "word_of(false, LEAD_TICKS + offset + 1U)",
         "code_is_played and SINGLE",
     ),
-    Mutant("usb-toggle-wrong", "rp2040/usb.c", "    in.data1 = !in.data1;\n", "", "both_lines"),
-    Mutant("usb-handed-over-too-soon", "rp2040/usb.c", "nop\\n", "", "enumerates"),
-    Mutant("usb-no-empty-packet", "rp2040/usb.c", "((in.filled > 0U) || in.whole)", "(in.filled > 0U)", "last_packet"),
+    Mutant("usb-toggle-wrong", "rp2040/usbdata.c", "    in.data1 = !in.data1;\n", "", "both_lines"),
+    Mutant("usb-handed-over-too-soon", "rp2040/usbdata.c", "nop\\n", "", "enumerates"),
+    Mutant(
+        "usb-no-empty-packet", "rp2040/usbdata.c", "((in.filled > 0U) || in.whole)", "(in.filled > 0U)", "last_packet"
+    ),
     Mutant(
         "usb-address-too-early",
         "rp2040/usb.c",
@@ -139,7 +141,7 @@ MUTANTS = (
     ),
     Mutant(
         "outputs-not-off-before-the-boot-loader",
-        "rp2040/system.c",
+        "rp2040/reset.c",
         "SET_BITS(RESETS_RESET) = RESET_PIO0 | RESET_PIO1;",
         "REGISTER(SIO_GPIO_OUT_SET) = 1U << PIN_STATUS;",
         "boot_loader",

@@ -6,10 +6,6 @@
 
 #include "../board.h"
 
-#define NS_PER_TICK (1000000000U / PROTOCOL_TICK_HZ)
-#define PULSE_MIN_TICKS (LIMIT_MICROWAVE_PULSE_MIN_NS / NS_PER_TICK)
-#define PULSE_MAX_TICKS (LIMIT_MICROWAVE_PULSE_MAX_NS / NS_PER_TICK)
-
 // Places of fields in BURST and PATTERN, as `detail` names them.
 enum {
     FIELD_CHIP = 1,
@@ -19,18 +15,6 @@ enum {
 };
 
 #define DUTY_OF_MICROWAVE 3U  // in `detail`, beside the lamps
-
-// Chip 0 first. Stuffed: a 0 after every chip, so that all pulses have one width. Manchester: the complementary pair
-// SC1, SC2 with 0 sent as 01 and 1 as 10.
-static const char* const codes[] = {
-    [BURST_CODE_UPLOADED] = "",
-    [BURST_CODE_SINGLE] = "1",
-    [BURST_CODE_MPSL25] = "1001001010100000011100111",
-    [BURST_CODE_MPSL25_STUFFED] = "10000010000010001000100000000000001010100000101010",
-    [BURST_CODE_BARKER13] = "1111100110101",
-    [BURST_CODE_MANCHESTER1] = "0101011010010101100110100110011001101001011001010101",
-    [BURST_CODE_MANCHESTER2] = "0101010110010110100110010101010110011010100101101010",
-};
 
 static bool chip_at(const uint8_t* const chips, const uint16_t index)
 {
@@ -42,7 +26,7 @@ uint8_t bursts_upload(bursts_t* const self, const command_pattern_t* const patte
     if (self->running) {
         return STATUS_BAD_STATE;
     }
-    for (uint16_t i = pattern->length; i < PROTOCOL_CHIPS_MAX; i++) {
+    for (uint16_t i = pattern->length; i < CHIPS_MAX; i++) {
         if (chip_at(pattern->chips, i)) {
             *detail = FIELD_CHIPS;
             return STATUS_OUT_OF_RANGE;
@@ -60,7 +44,7 @@ static void fetch_code(const bursts_t* const self, const uint8_t code, board_bur
         burst->length = self->uploaded.length;
         return;
     }
-    for (const char* chip = codes[code]; *chip != '\0'; chip++, burst->length++) {
+    for (const char* chip = burst_codes[code]; *chip != '\0'; chip++, burst->length++) {
         if (*chip == '1') {
             burst->chips[burst->length / 8U] |= (uint8_t)(1U << (burst->length % 8U));
         }
@@ -74,11 +58,12 @@ static bool is_pulse_forbidden(const board_burst_t* const burst, uint16_t* const
     bool forbidden = false;
     *on_chips = 0;
     for (uint16_t i = 0; i <= burst->length; i++) {
-        if ((i < burst->length) && chip_at(burst->chips, i)) {
+        if (board_chip(burst, i)) {
             (*on_chips)++;
             run_ticks += burst->chip_ticks;
         } else {
-            forbidden |= (run_ticks > 0U) && ((run_ticks < PULSE_MIN_TICKS) || (run_ticks > PULSE_MAX_TICKS));
+            forbidden |= (run_ticks > 0U) &&
+                         ((run_ticks < MICROWAVE_PULSE_MIN_TICKS) || (run_ticks > MICROWAVE_PULSE_MAX_TICKS));
             run_ticks = 0;
         }
     }
@@ -88,19 +73,19 @@ static bool is_pulse_forbidden(const board_burst_t* const burst, uint16_t* const
 // A status; on OUT_OF_RANGE `detail` names the field.
 static uint8_t check_train(const board_burst_t* const burst, uint8_t* const detail)
 {
-    if ((burst->chip_ticks < LIMIT_CHIP_MIN_TICKS) || (burst->chip_ticks > LIMIT_CHIP_MAX_TICKS)) {
+    if ((burst->chip_ticks < CHIP_MIN_TICKS) || (burst->chip_ticks > CHIP_MAX_TICKS)) {
         *detail = FIELD_CHIP;
         return STATUS_OUT_OF_RANGE;
     }
     // One dark chip at least between bursts, so that pulses of neighbours never join.
     const uint32_t burst_ticks = (uint32_t)burst->length * burst->chip_ticks;
-    if ((burst->period_ticks < burst_ticks + burst->chip_ticks) || (burst->period_ticks > PROTOCOL_TICK_HZ)) {
+    if ((burst->period_ticks < burst_ticks + burst->chip_ticks) || (burst->period_ticks > BURST_PERIOD_MAX_TICKS)) {
         *detail = FIELD_PERIOD;
         return STATUS_OUT_OF_RANGE;
     }
     // A trigger belongs to one burst: after the chips of the one before, over before the chips of the next.
     if ((burst->trigger_offset < -(int32_t)(burst->period_ticks - burst_ticks)) ||
-        (burst->trigger_offset > (int32_t)burst->period_ticks - (int32_t)BOARD_TRIGGER_TICKS)) {
+        (burst->trigger_offset > (int32_t)burst->period_ticks - (int32_t)TRIGGER_TICKS)) {
         *detail = FIELD_TRIGGER_OFFSET;
         return STATUS_OUT_OF_RANGE;
     }
@@ -109,7 +94,7 @@ static uint8_t check_train(const board_burst_t* const burst, uint8_t* const deta
         return STATUS_PULSE_WIDTH;
     }
     const uint64_t on_ticks = (uint64_t)on_chips * burst->chip_ticks;
-    if (on_ticks * 1000U > (uint64_t)LIMIT_MICROWAVE_DUTY_MAX_PERMILLE * burst->period_ticks) {
+    if (on_ticks * 1000U > (uint64_t)MICROWAVE_DUTY_MAX_PERMILLE * burst->period_ticks) {
         *detail = DUTY_OF_MICROWAVE;
         return STATUS_DUTY;
     }

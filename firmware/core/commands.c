@@ -11,9 +11,6 @@
 #define ANNULUS_GIT "unknown"
 #endif
 
-#define TICKS_PER_US (PROTOCOL_TICK_HZ / 1000000U)
-#define NS_PER_TICK (1000000000U / PROTOCOL_TICK_HZ)
-
 // May this line's host change anything? The one that identified last, and knows what it says.
 static bool has_session(const controller_t* const self, const uint8_t line)
 {
@@ -40,12 +37,12 @@ static void identify(controller_t* const self, const uint8_t line, const uint8_t
                               .schema = SCHEMA_HASH,
                               .boot = board_boot(),
                               .cause = board_cause(),
-                              .tick_hz = PROTOCOL_TICK_HZ,
+                              .tick_hz = TICK_HZ,
                               .git = {0},
-                              .lamp_width_max = LIMIT_LAMP_WIDTH_MAX_US * TICKS_PER_US,
-                              .lamp_duty_max = LIMIT_LAMP_DUTY_MAX_PERMILLE,
-                              .pulse_min = LIMIT_MICROWAVE_PULSE_MIN_NS / NS_PER_TICK,
-                              .pulse_max = LIMIT_MICROWAVE_PULSE_MAX_NS / NS_PER_TICK};
+                              .lamp_width_max = LAMP_WIDTH_MAX_TICKS,
+                              .lamp_duty_max = LAMP_DUTY_MAX_PERMILLE,
+                              .pulse_min = MICROWAVE_PULSE_MIN_TICKS,
+                              .pulse_max = MICROWAVE_PULSE_MAX_TICKS};
     static const char git[] = ANNULUS_GIT;
     memcpy(reply.git, git, (sizeof git - 1U < sizeof reply.git) ? sizeof git - 1U : sizeof reply.git);
     memcpy(reply.board, board_name(), sizeof reply.board);
@@ -58,11 +55,12 @@ static void leave(controller_t* const self, const uint8_t where)
     self->leaving_since = board_tick();
 }
 
-static void reset(controller_t* const self, const uint8_t* const payload, uint8_t* const answer)
+static void reset(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
 {
+    (void)line;
     command_reset_t command;
     command_reset_unpack(&command, payload);
-    const bool meant = command.magic == PROTOCOL_RESET_MAGIC;
+    const bool meant = command.magic == RESET_MAGIC;
     if (meant) {
         leave(self, LEAVE_TO_START);
         safety_arm(self, 0U);
@@ -71,12 +69,14 @@ static void reset(controller_t* const self, const uint8_t* const payload, uint8_
 }
 
 // Unlike a reset it is refused while anything is armed or moves: nobody flashes a head at work by mistake.
-static void bootloader(controller_t* const self, const uint8_t* const payload, uint8_t* const answer)
+static void bootloader(controller_t* const self, const uint8_t line, const uint8_t* const payload,
+                       uint8_t* const answer)
 {
+    (void)line;
     command_bootloader_t command;
     command_bootloader_unpack(&command, payload);
     reply_bootloader_t reply = {.status = STATUS_OUT_OF_RANGE};
-    if (command.magic == PROTOCOL_BOOTLOADER_MAGIC) {
+    if (command.magic == BOOTLOADER_MAGIC) {
         const bool busy = (self->armed != 0U) || self->moving;
         reply.status = busy ? STATUS_BAD_STATE : STATUS_OK;
         if (!busy) {
@@ -86,8 +86,11 @@ static void bootloader(controller_t* const self, const uint8_t* const payload, u
     reply_bootloader_pack(&reply, answer);
 }
 
-static void ping(uint8_t* const answer)
+static void ping(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
 {
+    (void)self;
+    (void)line;
+    (void)payload;
     reply_ping_pack(&(reply_ping_t){.status = STATUS_OK, .tick = board_tick()}, answer);
 }
 
@@ -99,14 +102,15 @@ static uint16_t state_flags(const controller_t* const self, const uint8_t line)
     state |= ((self->armed & ARM_MICROWAVE) != 0U) ? STATE_MICROWAVE_ARMED : 0U;
     state |= self->bursts.running ? STATE_BURST_RUNNING : 0U;
     state |= board_interlock_open() ? STATE_INTERLOCK_OPEN : 0U;
-    state |= self->moving ? STATE_STAGE_MOVING : 0U;
+    state |= self->moving ? STATE_TURNTABLE_MOVING : 0U;
     state |= self->sequencer.is_staged ? STATE_STAGED : 0U;
     state |= has_session(self, line) ? STATE_SCHEMA_OK : 0U;
     return state;
 }
 
-static void status(const controller_t* const self, const uint8_t line, uint8_t* const answer)
+static void status(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
 {
+    (void)payload;
     reply_status_pack(&(reply_status_t){.status = STATUS_OK,
                                         .state = state_flags(self, line),
                                         .fault = self->fault,
@@ -119,7 +123,7 @@ static void status(const controller_t* const self, const uint8_t line, uint8_t* 
                                         .bad_frames = self->links[line].bad_frames,
                                         .late = self->sequencer.late,
                                         .overruns = self->events.overruns,
-                                        .stage = board_stage_position()},
+                                        .turntable = board_turntable_position()},
                       answer);
 }
 
@@ -161,8 +165,10 @@ static void arm(controller_t* const self, const uint8_t line, const uint8_t* con
     reply_arm_pack(&(reply_arm_t){.status = outcome, .outputs = self->armed}, answer);
 }
 
-static void clear(controller_t* const self, uint8_t* const answer)
+static void clear(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
 {
+    (void)line;
+    (void)payload;
     const uint8_t outcome = safety_clear(self);
     reply_clear_pack(&(reply_clear_t){.status = outcome, .fault = self->fault}, answer);
 }
@@ -213,8 +219,12 @@ static void burst(controller_t* const self, const uint8_t line, const uint8_t* c
     reply_burst_pack(&reply, answer);
 }
 
-static void burst_stop(uint8_t* const answer)
+static void burst_stop(controller_t* const self, const uint8_t line, const uint8_t* const payload,
+                       uint8_t* const answer)
 {
+    (void)self;
+    (void)line;
+    (void)payload;
     board_burst_stop();
     reply_burst_stop_t reply = {.status = STATUS_OK};
     board_burst_running(&reply.done);
@@ -234,60 +244,25 @@ static void move(controller_t* const self, const uint8_t line, const uint8_t* co
             reply.status = STATUS_BAD_STATE;
         } else {
             reply.status = STATUS_OK;
-            board_stage_move(command.position, command.period, command.hold != 0U);
+            board_turntable_move(command.position, command.period, command.hold != 0U);
             self->moving = true;
         }
     }
-    reply.position = board_stage_position();
+    reply.position = board_turntable_position();
     reply_move_pack(&reply, answer);
 }
+
+// The link lets through no id without a layout, and every command has one here.
+static void (*const handlers[])(controller_t* self, uint8_t line, const uint8_t* payload, uint8_t* answer) = {
+    [COMMAND_IDENTIFY] = identify, [COMMAND_RESET] = reset,           [COMMAND_PING] = ping,
+    [COMMAND_STATUS] = status,     [COMMAND_STAGE] = stage,           [COMMAND_COMMIT] = commit,
+    [COMMAND_ARM] = arm,           [COMMAND_CLEAR] = clear,           [COMMAND_REREAD] = reread,
+    [COMMAND_PATTERN] = pattern,   [COMMAND_BURST] = burst,           [COMMAND_BURST_STOP] = burst_stop,
+    [COMMAND_MOVE] = move,         [COMMAND_BOOTLOADER] = bootloader,
+};
 
 void commands_execute(controller_t* const self, const uint8_t line, const command_t* const command,
                       uint8_t reply[const PAYLOAD_MAX])
 {
-    const uint8_t* const payload = command->payload;
-    switch (command->layout->id) {
-    case COMMAND_IDENTIFY:
-        identify(self, line, payload, reply);
-        break;
-    case COMMAND_RESET:
-        reset(self, payload, reply);
-        break;
-    case COMMAND_PING:
-        ping(reply);
-        break;
-    case COMMAND_STATUS:
-        status(self, line, reply);
-        break;
-    case COMMAND_STAGE:
-        stage(self, line, payload, reply);
-        break;
-    case COMMAND_COMMIT:
-        commit(self, line, payload, reply);
-        break;
-    case COMMAND_ARM:
-        arm(self, line, payload, reply);
-        break;
-    case COMMAND_CLEAR:
-        clear(self, reply);
-        break;
-    case COMMAND_REREAD:
-        reread(self, line, payload, reply);
-        break;
-    case COMMAND_PATTERN:
-        pattern(self, line, payload, reply);
-        break;
-    case COMMAND_BURST:
-        burst(self, line, payload, reply);
-        break;
-    case COMMAND_BURST_STOP:
-        burst_stop(reply);
-        break;
-    case COMMAND_MOVE:
-        move(self, line, payload, reply);
-        break;
-    default:  // COMMAND_BOOTLOADER: the link lets through no id without a layout
-        bootloader(self, payload, reply);
-        break;
-    }
+    handlers[command->layout->id](self, line, command->payload, reply);
 }

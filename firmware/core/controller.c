@@ -8,7 +8,7 @@
 #include "commands.h"
 #include "safety.h"
 
-#define LEAVE_TICKS (PROTOCOL_TICK_HZ / 10U)  // patience with a host that does not fetch the acknowledgement
+#define LEAVE_TICKS (TICK_HZ / 10U)  // patience with a host that does not fetch the acknowledgement
 
 void controller_start(controller_t* const self)
 {
@@ -32,12 +32,12 @@ static void report_burst(controller_t* const self)
     }
 }
 
-static void report_stage(controller_t* const self, const uint32_t now)
+static void report_turntable(controller_t* const self, const uint32_t now)
 {
-    if (self->moving && !board_stage_moving()) {
+    if (self->moving && !board_turntable_moving()) {
         self->moving = false;
-        event_stage_done_pack(&(event_stage_done_t){.tick = now, .position = board_stage_position()},
-                              events_emit(&self->events, EVENT_STAGE_DONE));
+        event_turntable_done_pack(&(event_turntable_done_t){.tick = now, .position = board_turntable_position()},
+                                  events_emit(&self->events, EVENT_TURNTABLE_DONE));
     }
 }
 
@@ -111,6 +111,7 @@ static bool may_leave(const controller_t* const self)
 void controller_run(controller_t* const self)
 {
     board_watchdog_kick();
+    board_microwave_feed();
     if ((self->leaving != LEAVE_NOT) && may_leave(self)) {
         if (self->leaving == LEAVE_TO_BOOTLOADER) {
             board_bootloader();
@@ -128,7 +129,7 @@ void controller_run(controller_t* const self)
     }
     safety_insist(self, sequencer_load(&self->sequencer, &self->events, now));
     report_burst(self);
-    report_stage(self, now);
+    report_turntable(self, now);
     events_run(&self->events, now);
     board_status_light(self->armed != 0U);
     for (uint8_t line = 0; line < LINES; line++) {

@@ -27,7 +27,7 @@ typedef struct {
     bursts_t bursts;
     uint8_t armed;    // ARM_*
     uint8_t fault;    // latched, FAULT_*
-    bool moving;      // the rotary stage; STAGE_DONE is due
+    bool moving;      // the turntable; TURNTABLE_DONE is due
     uint8_t leaving;  // LEAVE_*, once the acknowledgement has left
     uint32_t leaving_since;
     uint32_t heard;  // tick of the session's last valid frame, meaningful while armed

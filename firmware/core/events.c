@@ -12,15 +12,15 @@ static uint16_t age(const events_t* const self, const uint16_t sequence)
 
 uint8_t* events_emit(events_t* const self, const uint8_t id)
 {
-    if (age(self, self->sent) == PROTOCOL_EVENT_RING) {  // about to overwrite one that was never sent
+    if (age(self, self->sent) == EVENT_RING) {  // about to overwrite one that was never sent
         self->sent++;
         self->overruns++;
         self->overrun = true;
     }
-    event_t* const event = &self->ring[self->next % PROTOCOL_EVENT_RING];
+    event_t* const event = &self->ring[self->next % EVENT_RING];
     event->id = id;
     self->next++;
-    if (self->held < PROTOCOL_EVENT_RING) {
+    if (self->held < EVENT_RING) {
         self->held++;
     }
     return event->payload;
@@ -58,7 +58,7 @@ const event_t* events_again(events_t* const self, uint16_t* const sequence)
         *sequence = self->again++;
         self->again_count--;
         if (age(self, *sequence) <= self->held) {  // may have left the ring since it was asked for
-            return &self->ring[*sequence % PROTOCOL_EVENT_RING];
+            return &self->ring[*sequence % EVENT_RING];
         }
     }
     return NULL;
@@ -70,13 +70,13 @@ const event_t* events_next(events_t* const self, uint16_t* const sequence)
         return NULL;
     }
     *sequence = self->sent++;
-    return &self->ring[*sequence % PROTOCOL_EVENT_RING];
+    return &self->ring[*sequence % EVENT_RING];
 }
 
 void events_run(events_t* const self, const uint32_t tick)
 {
     // Only once there is room again: a report of an overrun must not cause the next.
-    if (self->overrun && (age(self, self->sent) < PROTOCOL_EVENT_RING / 2U)) {
+    if (self->overrun && (age(self, self->sent) < EVENT_RING / 2U)) {
         self->overrun = false;
         events_fault(self, tick, FAULT_EVENT_OVERRUN, self->overruns);
     }

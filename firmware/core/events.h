@@ -14,7 +14,7 @@ typedef struct {
 } event_t;
 
 typedef struct {
-    event_t ring[PROTOCOL_EVENT_RING];
+    event_t ring[EVENT_RING];
     uint16_t next;        // sequence the next event will carry
     uint16_t sent;        // sequence to be sent next
     uint8_t held;         // how many the ring holds

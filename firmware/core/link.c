@@ -46,8 +46,7 @@ size_t cobs_decode(uint8_t* const bytes, const size_t length)
     return to;
 }
 
-uint8_t link_frame(const uint8_t* const body, const size_t length, const uint8_t schema,
-                   uint8_t wire[const PROTOCOL_MAX_WIRE])
+uint8_t link_frame(const uint8_t* const body, const size_t length, const uint8_t schema, uint8_t wire[const MAX_WIRE])
 {
     const uint32_t crc = link_crc(body, length, schema);
     uint8_t code_at = 0;

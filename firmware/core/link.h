@@ -25,18 +25,18 @@ typedef struct {
     uint8_t sequence;
     uint16_t crc;
     uint8_t length;
-    uint8_t wire[PROTOCOL_MAX_WIRE];
+    uint8_t wire[MAX_WIRE];
 } kept_reply_t;
 
 typedef struct {
-    uint8_t received[PROTOCOL_MAX_WIRE];
+    uint8_t received[MAX_WIRE];
     uint8_t received_length;
     bool overflow;
     bool garbled;  // a notice is due
     uint16_t bad_frames;
     kept_reply_t replies[REPLIES_KEPT];
     uint8_t next_reply;
-    uint8_t sending[PROTOCOL_MAX_WIRE];
+    uint8_t sending[MAX_WIRE];
     uint8_t sending_length;
     uint8_t sending_at;
 } link_t;
@@ -48,7 +48,7 @@ uint16_t link_crc(const uint8_t* body, size_t length, uint8_t schema);
 size_t cobs_decode(uint8_t* bytes, size_t length);
 
 // `body` (no CRC yet) as a frame, delimiter included; its length.
-uint8_t link_frame(const uint8_t* body, size_t length, uint8_t schema, uint8_t wire[PROTOCOL_MAX_WIRE]);
+uint8_t link_frame(const uint8_t* body, size_t length, uint8_t schema, uint8_t wire[MAX_WIRE]);
 
 // After a reset, or when a host is there again. Forgets all but the count of bad frames, and ends whatever frame was
 // cut short, so that the first one after it can be read.

@@ -134,7 +134,7 @@ void reply_status_pack(const reply_status_t* const self, uint8_t* const payload)
     put16(payload + 24, self->bad_frames);
     put16(payload + 26, self->late);
     put16(payload + 28, self->overruns);
-    put32(payload + 30, (uint32_t)self->stage);
+    put32(payload + 30, (uint32_t)self->turntable);
 }
 
 void reply_status_unpack(reply_status_t* const self, const uint8_t* const payload)
@@ -152,7 +152,7 @@ void reply_status_unpack(reply_status_t* const self, const uint8_t* const payloa
     self->bad_frames = get16(payload + 24);
     self->late = get16(payload + 26);
     self->overruns = get16(payload + 28);
-    self->stage = (int32_t)get32(payload + 30);
+    self->turntable = (int32_t)get32(payload + 30);
 }
 
 void command_stage_pack(const command_stage_t* const self, uint8_t* const payload)
@@ -570,13 +570,13 @@ void event_burst_done_unpack(event_burst_done_t* const self, const uint8_t* cons
     self->fault = get8(payload + 6);
 }
 
-void event_stage_done_pack(const event_stage_done_t* const self, uint8_t* const payload)
+void event_turntable_done_pack(const event_turntable_done_t* const self, uint8_t* const payload)
 {
     put32(payload + 0, self->tick);
     put32(payload + 4, (uint32_t)self->position);
 }
 
-void event_stage_done_unpack(event_stage_done_t* const self, const uint8_t* const payload)
+void event_turntable_done_unpack(event_turntable_done_t* const self, const uint8_t* const payload)
 {
     self->tick = get32(payload + 0);
     self->position = (int32_t)get32(payload + 4);
@@ -612,7 +612,7 @@ static const layout_t layouts[] = {
     {0x02, 0, 0x10, 1},  // command ping
     {0x42, 6, 0x41, 0},  // reply ping
     {0x03, 0, 0xAA, 1},  // command status
-    {0x43, 34, 0x1F, 0},  // reply status
+    {0x43, 34, 0x26, 0},  // reply status
     {0x04, 34, 0x09, 0},  // command stage
     {0x44, 11, 0x38, 0},  // reply stage
     {0x05, 1, 0x51, 0},  // command commit
@@ -625,7 +625,7 @@ static const layout_t layouts[] = {
     {0x48, 5, 0xC9, 0},  // reply reread
     {0x09, 34, 0x2A, 0},  // command pattern
     {0x49, 4, 0x93, 0},  // reply pattern
-    {0x0A, 13, 0xE8, 0},  // command burst
+    {0x0A, 13, 0x54, 0},  // command burst
     {0x4A, 8, 0x0A, 0},  // reply burst
     {0x0B, 0, 0x9F, 0},  // command burst_stop
     {0x4B, 4, 0x5C, 0},  // reply burst_stop
@@ -639,9 +639,19 @@ static const layout_t layouts[] = {
     {0x83, 9, 0x6C, 0},  // event fault
     {0x84, 9, 0x30, 0},  // event configured
     {0x85, 7, 0xBA, 0},  // event burst_done
-    {0x86, 8, 0x01, 0},  // event stage_done
+    {0x86, 8, 0x09, 0},  // event turntable_done
     {0x87, 5, 0x91, 0},  // event booted
     {0xF0, 2, 0xA5, 0},  // notice garbled
+};
+
+const char* const burst_codes[7] = {
+    [BURST_CODE_UPLOADED] = "",
+    [BURST_CODE_SINGLE] = "1",
+    [BURST_CODE_MPSL25] = "1001001010100000011100111",
+    [BURST_CODE_MPSL25_STUFFED] = "10000010000010001000100000000000001010100000101010",
+    [BURST_CODE_BARKER13] = "1111100110101",
+    [BURST_CODE_MANCHESTER1] = "0101011010010101100110100110011001101001011001010101",
+    [BURST_CODE_MANCHESTER2] = "0101010110010110100110010101010110011010100101101010",
 };
 
 const layout_t* layout_of(const uint8_t id)

@@ -5,26 +5,33 @@
 
 #include <stdint.h>
 
-#define SCHEMA_HASH 0xD51C5875U
-#define PROTOCOL_VERSION 1U
-#define PROTOCOL_MAX_WIRE 64U
-#define PROTOCOL_TICK_HZ 100000000U
-#define PROTOCOL_EVENT_RING 64U
-#define PROTOCOL_SLOTS_MAX 16U
-#define PROTOCOL_CHIPS_MAX 256U
-#define PROTOCOL_RESET_MAGIC 2120121088U
-#define PROTOCOL_BOOTLOADER_MAGIC 2120134663U
-#define LIMIT_LAMP_WIDTH_MAX_US 20000U
-#define LIMIT_LAMP_DUTY_MAX_PERMILLE 500U
-#define LIMIT_MICROWAVE_PULSE_MIN_NS 300U
-#define LIMIT_MICROWAVE_PULSE_MAX_NS 30000U
-#define LIMIT_MICROWAVE_DUTY_MAX_PERMILLE 50U
-#define LIMIT_CHIP_MIN_TICKS 10U
-#define LIMIT_CHIP_MAX_TICKS 3000U
-#define LIMIT_HOST_TIMEOUT_MIN_MS 50U
-#define LIMIT_HOST_TIMEOUT_MAX_MS 5000U
-#define LIMIT_FRAME_PERIOD_MIN_US 2000U
-#define LIMIT_FRAME_PERIOD_MAX_US 1000000U
+#define SCHEMA_HASH 0xD49BD1EBU
+#define PROTOCOL_VERSION 1U  // of the framing and of what is frozen
+#define MAX_WIRE 64U  // bytes of a frame, COBS code bytes and the 0x00 delimiter included
+#define EVENT_RING 64U  // events that can be read again
+#define RESET_MAGIC 2120121088U  // payload of `reset`, so that no garbled frame restarts a controller
+#define BOOTLOADER_MAGIC 2120134663U  // payload of `bootloader`
+#define TICK_HZ 100000000U  // one tick is 10 ns
+#define SLOTS_MAX 16U  // R + 1
+#define CHIPS_MAX 256U  // of a burst
+#define TRIGGER_TICKS 100U  // length of the digitizer trigger
+#define HOST_TIMEOUT_DEFAULT_MS 500U  // of a configuration that says 0
+#define LAMP_WIDTH_MAX_TICKS 2000000U  // longest flash
+#define LAMP_DUTY_MAX_PERMILLE 500U  // width over frame period, either lamp
+#define FRAME_PERIOD_MIN_TICKS 200000U  // fastest frame rate
+#define FRAME_PERIOD_MAX_TICKS 100000000U  // slowest
+#define HOST_TIMEOUT_MIN_MS 50U  // shortest host timeout
+#define HOST_TIMEOUT_MAX_MS 5000U  // longest
+#define MICROWAVE_PULSE_MIN_TICKS 30U  // shortest run of on-chips
+#define MICROWAVE_PULSE_MAX_TICKS 3000U  // longest
+#define MICROWAVE_DUTY_MAX_PERMILLE 50U  // on-chips times chip over burst period
+#define CHIP_MIN_TICKS 10U  // shortest chip
+#define CHIP_MAX_TICKS 3000U  // longest
+#define BURST_PERIOD_MAX_TICKS 100000000U  // longest burst period; the shortest is the chips and one more
+#define BURST_REPEAT_MAX 65535U  // bursts of a train
+#define TURNTABLE_PERIOD_MIN_TICKS 10000U  // fastest step to step
+#define TICKS_PER_US 100U
+#define TICKS_PER_MS 100000U
 #define REPLY_BIT 0x40U
 #define PAYLOAD_MAX 39U
 #define EVENT_PAYLOAD_MAX 24U
@@ -83,7 +90,7 @@ enum {
 #define STATE_MICROWAVE_ARMED 4U
 #define STATE_BURST_RUNNING 8U
 #define STATE_INTERLOCK_OPEN 16U
-#define STATE_STAGE_MOVING 32U
+#define STATE_TURNTABLE_MOVING 32U
 #define STATE_STAGED 64U
 #define STATE_SCHEMA_OK 128U
 
@@ -125,7 +132,7 @@ enum {
     EVENT_FAULT = 0x83,
     EVENT_CONFIGURED = 0x84,
     EVENT_BURST_DONE = 0x85,
-    EVENT_STAGE_DONE = 0x86,
+    EVENT_TURNTABLE_DONE = 0x86,
     EVENT_BOOTED = 0x87,
     NOTICE_GARBLED = 0xF0,
 };
@@ -208,7 +215,7 @@ typedef struct {
     uint16_t bad_frames;  // received frames refused: COBS, length, CRC
     uint16_t late;  // flashes not loaded in time
     uint16_t overruns;  // events that left the ring before they were sent
-    int32_t stage;  // steps, position since boot
+    int32_t turntable;  // steps, position since boot
 } reply_status_t;
 void reply_status_pack(const reply_status_t* self, uint8_t* payload);
 void reply_status_unpack(reply_status_t* self, const uint8_t* payload);
@@ -222,7 +229,7 @@ typedef struct {
     uint32_t exposure;  // ticks
     uint32_t readout;  // ticks, first to last line
     uint16_t tolerance;  // permille, of an interval against the frame period; edges earlier than that are refused
-    uint16_t host_timeout;  // ms, 0 = the default of 500
+    uint16_t host_timeout;  // ms, 0 = the default
     uint32_t projector_delay;  // ticks, falling edge to lamp on
     uint32_t projector_width;  // ticks, lamp on to lamp off; 0 = stay dark
     uint32_t led_delay;  // ticks
@@ -375,7 +382,7 @@ typedef struct {
 void reply_burst_stop_pack(const reply_burst_stop_t* self, uint8_t* payload);
 void reply_burst_stop_unpack(reply_burst_stop_t* self, const uint8_t* payload);
 
-// Move the rotary stage to an absolute position. Ends with STAGE_DONE.
+// Move the turntable to an absolute position. Ends with TURNTABLE_DONE.
 #define COMMAND_MOVE_LENGTH 9U
 typedef struct {
     int32_t position;  // steps
@@ -478,14 +485,14 @@ typedef struct {
 void event_burst_done_pack(const event_burst_done_t* self, uint8_t* payload);
 void event_burst_done_unpack(event_burst_done_t* self, const uint8_t* payload);
 
-// The stage stands still.
-#define EVENT_STAGE_DONE_LENGTH 8U
+// The turntable stands still.
+#define EVENT_TURNTABLE_DONE_LENGTH 8U
 typedef struct {
     uint32_t tick;  // ticks
     int32_t position;  // steps
-} event_stage_done_t;
-void event_stage_done_pack(const event_stage_done_t* self, uint8_t* payload);
-void event_stage_done_unpack(event_stage_done_t* self, const uint8_t* payload);
+} event_turntable_done_t;
+void event_turntable_done_pack(const event_turntable_done_t* self, uint8_t* payload);
+void event_turntable_done_unpack(event_turntable_done_t* self, const uint8_t* payload);
 
 // First event after a reset.
 #define EVENT_BOOTED_LENGTH 5U
@@ -512,6 +519,9 @@ typedef struct {
     uint8_t schema;  // taken into the CRC
     uint8_t query;   // 1: a repeat is carried out anew
 } layout_t;
+
+// Chips of every burst code, chip 0 first, as 0 and 1; none of the uploaded one.
+extern const char* const burst_codes[7];
 
 // Layout of a message, or NULL for an id nobody has.
 const layout_t* layout_of(uint8_t id);

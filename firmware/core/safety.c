@@ -4,9 +4,6 @@
 
 #include "../board.h"
 
-#define TICKS_PER_MS (PROTOCOL_TICK_HZ / 1000U)
-#define HOST_TIMEOUT_DEFAULT_MS 500U
-
 static void set_microwave(controller_t* const self, const bool on)
 {
     board_microwave(on);

@@ -5,11 +5,6 @@
 
 #include "../board.h"
 
-#define TICKS_PER_US (PROTOCOL_TICK_HZ / 1000000U)
-#define PERIOD_MIN_TICKS (LIMIT_FRAME_PERIOD_MIN_US * TICKS_PER_US)
-#define PERIOD_MAX_TICKS (LIMIT_FRAME_PERIOD_MAX_US * TICKS_PER_US)
-#define WIDTH_MAX_TICKS (LIMIT_LAMP_WIDTH_MAX_US * TICKS_PER_US)
-
 // Places of fields in STAGE, as `detail` names them.
 enum {
     FIELD_FRAME_PERIOD = 2,
@@ -28,7 +23,7 @@ static uint32_t tolerance_ticks(const command_stage_t* const config)
 // An edge earlier than this after the last one is no edge. Without a configuration only chatter can be told.
 static uint32_t holdoff_ticks(const command_stage_t* const config)
 {
-    return (config->generation == 0U) ? PERIOD_MIN_TICKS / 2U : config->frame_period - tolerance_ticks(config);
+    return (config->generation == 0U) ? FRAME_PERIOD_MIN_TICKS / 2U : config->frame_period - tolerance_ticks(config);
 }
 
 static bool is_led_slot(const command_stage_t* const config, const uint8_t slot)
@@ -117,7 +112,7 @@ static void report_edge(sequencer_t* const self, const board_edge_t* const edge,
 // An interval is only meaningful while the tick counter cannot have wrapped and the next edge is not overdue.
 static void check_sync(sequencer_t* const self, events_t* const events, const uint32_t now)
 {
-    const uint32_t period = (self->config.generation == 0U) ? PERIOD_MAX_TICKS : self->config.frame_period;
+    const uint32_t period = (self->config.generation == 0U) ? FRAME_PERIOD_MAX_TICKS : self->config.frame_period;
     if (!self->has_last || (now - self->last_tick <= period / 2U * 5U)) {
         return;
     }
@@ -175,13 +170,13 @@ static uint8_t check_flash(const command_stage_t* const config, const reply_stag
     if ((delay < window->window_open) || ((uint64_t)delay + width > window->window_close)) {
         return STATUS_WINDOW;
     }
-    const uint64_t permille = LIMIT_LAMP_DUTY_MAX_PERMILLE;
+    const uint64_t permille = LAMP_DUTY_MAX_PERMILLE;
     return ((uint64_t)width * 1000U > permille * config->frame_period) ? STATUS_DUTY : STATUS_OK;
 }
 
 static uint8_t check_limits(const command_stage_t* const config)
 {
-    if ((config->frame_period < PERIOD_MIN_TICKS) || (config->frame_period > PERIOD_MAX_TICKS)) {
+    if ((config->frame_period < FRAME_PERIOD_MIN_TICKS) || (config->frame_period > FRAME_PERIOD_MAX_TICKS)) {
         return FIELD_FRAME_PERIOD;
     }
     if (config->exposure > config->frame_period) {
@@ -191,13 +186,13 @@ static uint8_t check_limits(const command_stage_t* const config)
         return FIELD_READOUT;
     }
     if ((config->host_timeout != 0U) &&
-        ((config->host_timeout < LIMIT_HOST_TIMEOUT_MIN_MS) || (config->host_timeout > LIMIT_HOST_TIMEOUT_MAX_MS))) {
+        ((config->host_timeout < HOST_TIMEOUT_MIN_MS) || (config->host_timeout > HOST_TIMEOUT_MAX_MS))) {
         return FIELD_HOST_TIMEOUT;
     }
-    if (config->projector_width > WIDTH_MAX_TICKS) {
+    if (config->projector_width > LAMP_WIDTH_MAX_TICKS) {
         return FIELD_PROJECTOR_WIDTH;
     }
-    if (config->led_width > WIDTH_MAX_TICKS) {
+    if (config->led_width > LAMP_WIDTH_MAX_TICKS) {
         return FIELD_LED_WIDTH;
     }
     return RANGE_OK;

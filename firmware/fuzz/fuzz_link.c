@@ -24,7 +24,7 @@ static bool is_good(uint8_t* const bytes, const size_t coded)
     return link_crc(bytes, decoded - 2U, layout->schema) == crc;
 }
 
-static uint8_t frame[PROTOCOL_MAX_WIRE];
+static uint8_t frame[MAX_WIRE];
 static size_t length;
 static uint64_t boot_tick;
 
@@ -64,7 +64,7 @@ static void send(const uint8_t* const bytes, const size_t size, const bool frame
         if ((layout->id == COMMAND_IDENTIFY) && ((body[1] & 1U) == 0U)) {  // or a new schema would lock the corpus out
             command_identify_pack(&(command_identify_t){.protocol = PROTOCOL_VERSION, .schema = SCHEMA_HASH}, body + 2);
         }
-        uint8_t wire[PROTOCOL_MAX_WIRE];
+        uint8_t wire[MAX_WIRE];
         native_serial_write(wire, link_frame(body, 2U + layout->length, layout->schema, wire));
     } else {
         native_serial_write(bytes, size);
@@ -88,8 +88,8 @@ int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size)
         send(data, chunk, (what & 1U) != 0U);
         data += chunk;
         size -= chunk;
-        native_input(native_tick() + 1000U, 2, (what >> 1) & 1U);
-        native_input(native_tick() + 2000U, 7, (what >> 2) & 1U);
+        native_input(native_tick() + 1000U, PIN_SYNC, (what >> 1) & 1U);
+        native_input(native_tick() + 2000U, PIN_INTERLOCK, (what >> 2) & 1U);
         if ((what & 8U) != 0U) {
             native_stall_cpu(what * 10000ULL);
         }
@@ -99,9 +99,9 @@ int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size)
         }
         check_output();
         // Open interlock: no microwave, ever.
-        require((native_pin(7) == 0U) || (native_pin(5) == 0U));
+        require((native_pin(PIN_INTERLOCK) == 0U) || (native_pin(PIN_MICROWAVE) == 0U));
         // At most one lamp at a time.
-        require((native_pin(3) & native_pin(4)) == 0U);
+        require((native_pin(PIN_PROJECTOR) & native_pin(PIN_LED)) == 0U);
     }
     return 0;
 }

@@ -10,21 +10,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-enum {
-    PIN_SYNC = 2,         // in
-    PIN_PROJECTOR = 3,    // out
-    PIN_LED = 4,          // out
-    PIN_MICROWAVE = 5,    // out
-    PIN_TRIGGER = 6,      // out
-    PIN_INTERLOCK = 7,    // in, pulled up: open until somebody closes it
-    PIN_STEP = 8,         // out
-    PIN_DIRECTION = 9,    // out
-    PIN_ENABLE = 10,      // out, low = on; the pull-up keeps it high through a reset
-    PIN_ODOMETER_A = 14,  // in
-    PIN_ODOMETER_B = 15,  // in
-    PIN_STATUS = 25,      // out
-    PIN_COUNT = 32,
-};
+#include "../pins.h"
 
 #define NATIVE_BYTE_TICKS 1000U    // 1 Mbaud, ten bits a byte
 #define NATIVE_ROUND_TICKS 10000U  // idle main loop: a round at least every 100 us

@@ -8,23 +8,32 @@
 #include <stdint.h>
 
 // In the order in which they must be called after reset.
-void system_start(void);  // watchdog, time, serial line, pins at rest
-void lamps_start(void);   // sync follower, lamps, odometer: PIO0, and the odometer's machine of PIO1
+void identity_start(void);
+void reset_start(void);   // the watchdog
+void pinuse_start(void);  // pins at rest
+void lines_start(void);   // the UART
+void time_start(void);
+void lamps_start(void);  // sync follower, lamps, odometer: PIO0, and the odometer's machine of PIO1
 void microwave_start(void);
-void stage_start(void);
+void turntable_start(void);
 void usb_start(void);
 
 // Every output that can fire: low now, its machines back in reset. There is no way on from here but a restart.
 void outputs_off(void);
 
-// Once a round: without it the microwave goes dark by itself.
-void microwave_feed(void);
-
 // Until something happens, 100 us at most.
-void system_sleep(void);
+void time_sleep(void);
+
+// Bytes wait, and the core has just fetched others: its next round is due at once.
+bool lines_waiting(void);
+
+// Outlives every reset but the loss of power, in WATCHDOG_SCRATCH2: this firmware ran before. The low byte: how it
+// ended.
+#define SCRATCH_MAGIC 0x616E6E00U
+#define SCRATCH_BY_HOST 1U
 
 // Raw falling edges of the sync input so far, as the pins' interrupt counted them; `accepted` corrects it upwards.
-uint32_t system_sync_edges(uint32_t accepted);
+uint32_t pinuse_sync_edges(uint32_t accepted);
 
 // Around what must not be interrupted; never nested.
 static inline void interrupts_off(void)
@@ -43,9 +52,6 @@ void pin_use(uint32_t pin, uint32_t function, uint32_t pad);
 // Load a PIO program at `first`.
 void pio_load(uint32_t pio, uint32_t first, const uint16_t* program, uint32_t length);
 
-// Deepest use of the stack so far, bytes.
-uint32_t stack_used(void);
-
 void alarm_handler(void);
 void pins_handler(void);
 void serial_handler(void);
@@ -60,14 +66,14 @@ bool usb_has_received(void);
 void usb_run(void);
 
 // Sixteen digits, different on every board.
-const char* system_serial_number(void);
+const char* identity_serial_number(void);
 
 // Who owns which DMA channel and PIO machine.
 enum { DMA_STAMP = 0, DMA_AT_EDGE = 1, DMA_ODOMETER = 2, DMA_CHIPS = 3, DMA_TRIGGER = 4, DMA_STEPS = 5 };
 enum { SYNC_MACHINE = 0, LAMP_MACHINE = 1, STEP_MACHINE = 2 };                            // PIO0
 enum { CHIP_MACHINE = 0, TRIGGER_MACHINE = 1, ODOMETER_MACHINE = 2, GUARD_MACHINE = 3 };  // PIO1
 
-// Entry points of the programs that more than one file needs: the stage borrows the lamps' pulse.
+// Entry points of the programs that more than one file needs: the turntable borrows the lamps' pulse.
 enum { LAMP_IDLE = 16, LAMP_LAST_PULL = 20, LAMP_DELAY = 27 };
 #define ODOMETER_PROGRAM 12U  // in PIO1, behind the microwave's
 

@@ -9,7 +9,7 @@
 #include "../board.h"
 #include "../core/messages.h"
 #include "hardware.h"
-#include "pins.h"
+#include "../pins.h"
 #include "registers.h"
 
 #define ACCEPTED 4U  // flags between the two machines
@@ -52,7 +52,7 @@ static const uint16_t program[PROGRAM_LENGTH] = {
     MOV_PINS_OSR,
     [LAMP_WIDTH] = JMP_Y_DEC(LAMP_WIDTH),
     MOV_PINS_NULL,
-    JMP(LAMP_IDLE),  // only the stage's machine comes here
+    JMP(LAMP_IDLE),  // only the turntable's machine comes here
 };
 
 // Cycles SYNC spends per accepted edge without counting: 3..10 with a delay, and 13..15 with a delay.
@@ -62,7 +62,6 @@ static const uint16_t program[PROGRAM_LENGTH] = {
 // Ticks of an accepted edge's dead time that are not in the loop.
 #define HOLDOFF_OVERHEAD 18U
 #define LAMP_WIDTH_MIN_TICKS 2U
-#define LAMP_WIDTH_MAX_TICKS (LIMIT_LAMP_WIDTH_MAX_US * 100U)
 #define HOLDOFF_AT_RESET_TICKS 100000U
 
 #define EDGES_KEPT 128U  // a stall of 100 ms at the shortest hold-off; then the watchdog bites
@@ -191,7 +190,7 @@ bool board_edge(board_edge_t* const edge)
 uint32_t board_edges_refused(void)
 {
     settle();
-    return system_sync_edges(lamps.settled) - lamps.settled;
+    return pinuse_sync_edges(lamps.settled) - lamps.settled;
 }
 
 // ---- flashes ----

@@ -11,7 +11,7 @@
 #include "../board.h"
 #include "../core/messages.h"
 #include "hardware.h"
-#include "pins.h"
+#include "../pins.h"
 #include "registers.h"
 
 enum { PLAY = 0, GUARD_TAKE = 4, GUARD_WATCH = 5, GUARD_CUT = 11, PROGRAM_LENGTH = 12 };
@@ -41,7 +41,7 @@ _Static_assert(PROGRAM_LENGTH == ODOMETER_PROGRAM, "the odometer's program lies 
 #define CREDIT 100000U                          // what GUARD counts down, once in two ticks
 #define CREDIT_TICKS (2U * (CREDIT + 1U) + 5U)  // how long one lasts
 #define CREDIT_GONE UINT32_MAX                  // GUARD's count after the last one
-#define PERIOD_MIN_TICKS (BOARD_TRIGGER_TICKS + PIECE_TICKS)
+#define PERIOD_MIN_TICKS (TRIGGER_TICKS + PIECE_TICKS)
 
 static volatile uint32_t chip_list[LIST_MAX] __attribute__((aligned(1024)));
 static volatile uint32_t trigger_list[2] __attribute__((aligned(8)));
@@ -86,7 +86,7 @@ static void lay_out_credit(void)
     train.credits++;
 }
 
-void microwave_feed(void)
+void board_microwave_feed(void)
 {
     if (train.enabled && (credits_waiting() == 0U)) {
         lay_out_credit();
@@ -185,15 +185,10 @@ bool board_microwave_starved(void)
     return starved;
 }
 
-static bool chip_at(const board_burst_t* const burst, const uint32_t chip)
-{
-    return (chip < burst->length) && (((burst->chips[chip / 8U] >> (chip % 8U)) & 1U) != 0U);
-}
-
 static uint32_t first_on_chip(const board_burst_t* const burst)
 {
     uint32_t chip = 0;
-    while ((chip < burst->length) && !chip_at(burst, chip)) {
+    while ((chip < burst->length) && !board_chip(burst, chip)) {
         chip++;
     }
     return (chip == burst->length) ? 0U : chip;
@@ -224,7 +219,7 @@ static uint32_t count_runs(const board_burst_t* const burst, const uint32_t firs
 {
     uint32_t runs = 1;
     for (uint32_t chip = first + 1U; chip <= burst->length; chip++) {
-        runs += (chip_at(burst, chip) != chip_at(burst, chip - 1U)) ? 1U : 0U;
+        runs += (board_chip(burst, chip) != board_chip(burst, chip - 1U)) ? 1U : 0U;
     }
     return runs;
 }
@@ -238,13 +233,13 @@ static uint32_t write_list(const board_burst_t* const burst, const uint32_t firs
     uint32_t at = 0;
     uint32_t begin = first;
     for (uint32_t chip = first + 1U; chip < burst->length; chip++) {
-        if (chip_at(burst, chip) != chip_at(burst, chip - 1U)) {
-            at = append(at, chip_at(burst, chip - 1U), (chip - begin) * burst->chip_ticks, &fill);
+        if (board_chip(burst, chip) != board_chip(burst, chip - 1U)) {
+            at = append(at, board_chip(burst, chip - 1U), (chip - begin) * burst->chip_ticks, &fill);
             begin = chip;
         }
     }
     uint32_t gap = burst->period_ticks - (begin - first) * burst->chip_ticks;
-    if ((burst->length > 0U) && chip_at(burst, burst->length - 1U)) {
+    if ((burst->length > 0U) && board_chip(burst, burst->length - 1U)) {
         const uint32_t ticks = (burst->length - begin) * burst->chip_ticks;
         at = append(at, true, ticks, &fill);
         gap -= ticks;
@@ -277,7 +272,7 @@ static uint32_t bits_of(uint32_t bytes)
 bool board_burst(const board_burst_t* const burst, uint32_t* const start)
 {
     follow_train();
-    if (!train.enabled || train.running || (burst->chip_ticks < LIMIT_CHIP_MIN_TICKS) ||
+    if (!train.enabled || train.running || (burst->chip_ticks < CHIP_MIN_TICKS) ||
         (burst->period_ticks < PERIOD_MIN_TICKS)) {
         return false;
     }
@@ -288,8 +283,8 @@ bool board_burst(const board_burst_t* const burst, uint32_t* const start)
     }
     const uint32_t offset = (burst->trigger_offset > 0) ? (uint32_t)burst->trigger_offset : 0U;
     const uint32_t before = (burst->trigger_offset < 0) ? (uint32_t)-burst->trigger_offset : 0U;
-    trigger_list[0] = word_of(true, BOARD_TRIGGER_TICKS);
-    trigger_list[1] = word_of(false, burst->period_ticks - BOARD_TRIGGER_TICKS);
+    trigger_list[0] = word_of(true, TRIGGER_TICKS);
+    trigger_list[1] = word_of(false, burst->period_ticks - TRIGGER_TICKS);
 
     REGISTER(PIO_TX(PIO1, CHIP_MACHINE)) = word_of(false, LEAD_TICKS + before + first * burst->chip_ticks);
     REGISTER(PIO_TX(PIO1, TRIGGER_MACHINE)) = word_of(false, LEAD_TICKS + offset);
@@ -297,7 +292,7 @@ bool board_burst(const board_burst_t* const burst, uint32_t* const start)
     start_channel(DMA_TRIGGER, TRIGGER_MACHINE, trigger_list, 3U, 2U * burst->repeat);
 
     const uint32_t chips_end = (uint32_t)burst->length * burst->chip_ticks;
-    const int32_t trigger_end = burst->trigger_offset + (int32_t)BOARD_TRIGGER_TICKS;
+    const int32_t trigger_end = burst->trigger_offset + (int32_t)TRIGGER_TICKS;
     train.busy_ticks = (trigger_end > (int32_t)chips_end) ? (uint32_t)trigger_end : chips_end;
     train.done = 0;
     train.repeat = burst->repeat;
@@ -321,7 +316,7 @@ void board_burst_stop(void)
     train.stopping = true;
     if (train.running && (train.period - train.busy_ticks < 20000U)) {
         while (train.running) {
-            microwave_feed();
+            board_microwave_feed();
             follow_train();
         }
     }

@@ -80,7 +80,6 @@ extern const uint16_t rom_lookup;     // the function that searches it
 #define SYSTICK_CVR 0xE000E018U
 #define NVIC_ENABLE 0xE000E100U
 #define NVIC_DISABLE 0xE000E180U
-#define VTOR 0xE000ED08U
 enum { IRQ_TIMER0 = 0, IRQ_USB = 5, IRQ_IO_BANK0 = 13, IRQ_UART0 = 20 };
 
 // ---- pins (2.19, 2.3.1) ----

@@ -100,15 +100,7 @@ static void start_peripherals(void)
     wait_for(RESETS_DONE, wanted);
 }
 
-uint32_t stack_used(void)
-{
-    const uint32_t* word = stack_bottom;
-    while ((word < stack_top) && (*word == STACK_PAINT)) {
-        word++;
-    }
-    return (uint32_t)((const uint8_t*)stack_top - (const uint8_t*)word);
-}
-
+// What is no longer painted was used: the emulator reads how deep the stack went.
 static void paint_stack(void)
 {
     const uint32_t* here;
@@ -125,15 +117,21 @@ __attribute__((noreturn)) void reset_handler(void)
     memset(bss_start, 0, (size_t)((uint8_t*)bss_end - (uint8_t*)bss_start));
     start_clocks();
     start_peripherals();
-    system_start();
+    identity_start();
+    reset_start();
+    pinuse_start();
+    lines_start();
+    time_start();
     lamps_start();
     microwave_start();
-    stage_start();
+    turntable_start();
     usb_start();
     controller_start(&controller);
     for (;;) {
         controller_run(&controller);
         usb_run();
-        system_sleep();
+        if (!lines_waiting()) {
+            time_sleep();
+        }
     }
 }

@@ -1,89 +1,64 @@
-// USB as a CDC-ACM device of full speed: one configuration, one interface for control, one for data. The host's data is
-// the second line to the core.
+// USB as a CDC-ACM device of full speed: the bus, and endpoint 0, where the device says what it is and the host asks
+// things of it. One configuration, one interface for control, one for data.
 //
-// Everything is done in usb_run, from the main loop. The interrupt only wakes that: a host waits as long as it has to,
-// because a buffer that was not handed over is answered with NAK. A buffer belongs to the controller from the moment
-// its AVAILABLE bit is set until BUFF_STATUS says it is done, and is not touched in between.
+// Everything is done in usb_run, from the main loop. The interrupt only wakes that.
 
-#include <string.h>
-
-#include "../board.h"
 #include "hardware.h"
 #include "registers.h"
+#include "usb.h"
 
-#define PACKET 64U
 #define STRING_MAX 24U  // characters of the longest string descriptor
 
-// Endpoints, as bits of BUFF_STATUS and EP_ABORT and as places of the buffer control registers.
-enum { CONTROL_IN = 0, CONTROL_OUT = 1, NOTICE_IN = 2, DATA_IN = 4, DATA_OUT = 5 };
-#define BIT(endpoint) (1U << (endpoint))
 #define NOTICE_ADDRESS 0x81U
 #define DATA_IN_ADDRESS 0x82U
 #define DATA_OUT_ADDRESS 0x02U
 
 enum { STRING_LANGUAGES, STRING_MAKER, STRING_PRODUCT, STRING_SERIAL, STRINGS };
 
-static const uint8_t device_descriptor[18] = {
-    18,
-    1,
-    0x00,
-    0x02,  // USB 2.0
-    0xEF,
-    2,
-    1,   // functions of several interfaces, told by an interface association
-    64,  // packets of endpoint 0
-    0x8A,
-    0x2E,
-    0x0A,
-    0x00,  // Raspberry Pi; serial port of a Pico
-    0x00,
-    0x01,  // device 1.0
-    STRING_MAKER,
-    STRING_PRODUCT,
-    STRING_SERIAL,
-    1,
-};
+// USB 2.0; functions of several interfaces, told by an interface association; packets of endpoint 0; Raspberry Pi,
+// serial port of a Pico; device 1.0.
+static const uint8_t device_descriptor[18] = {18,   1,          0x00,         0x02,           0xEF,          2,
+                                              1,    USB_PACKET, 0x8A,         0x2E,           0x0A,          0x00,
+                                              0x00, 0x01,       STRING_MAKER, STRING_PRODUCT, STRING_SERIAL, 1};
 
 #define CONFIGURATION_LENGTH 75U
 
 static const uint8_t configuration_descriptor[CONFIGURATION_LENGTH] = {
-    9,    2,      CONFIGURATION_LENGTH,
-    0,    2,      1,
-    0,    0x80,   50,  // two interfaces, bus-powered, 100 mA
-    8,    11,     0,
-    2,    2,      2,
+    9,    2,          CONFIGURATION_LENGTH,
+    0,    2,          1,
+    0,    0x80,       50,  // two interfaces, bus-powered, 100 mA
+    8,    11,         0,
+    2,    2,          2,
     0,    0,  // association of both: communications, ACM
-    9,    4,      0,
-    0,    1,      2,
-    2,    0,      0,  // interface 0: communications, ACM, no AT commands
-    5,    0x24,   0x00,
+    9,    4,          0,
+    0,    1,          2,
+    2,    0,          0,  // interface 0: communications, ACM, no AT commands
+    5,    0x24,       0x00,
     0x20, 0x01,  // CDC 1.20
-    5,    0x24,   0x01,
+    5,    0x24,       0x01,
     0x00, 1,  // no call management; data are interface 1's
-    4,    0x24,   0x02,
+    4,    0x24,       0x02,
     0x02,  // line coding and control line state
-    5,    0x24,   0x06,
+    5,    0x24,       0x06,
     0,    1,  // union of 0 and 1
-    7,    5,      NOTICE_ADDRESS,
-    3,    8,      0,
+    7,    5,          NOTICE_ADDRESS,
+    3,    8,          0,
     16,  // interrupt, 8 bytes, every 16 ms; never used
-    9,    4,      1,
-    0,    2,      10,
-    0,    0,      0,  // interface 1: CDC data
-    7,    5,      DATA_OUT_ADDRESS,
-    2,    PACKET, 0,
+    9,    4,          1,
+    0,    2,          10,
+    0,    0,          0,  // interface 1: CDC data
+    7,    5,          DATA_OUT_ADDRESS,
+    2,    USB_PACKET, 0,
     0,  // bulk
-    7,    5,      DATA_IN_ADDRESS,
-    2,    PACKET, 0,
+    7,    5,          DATA_IN_ADDRESS,
+    2,    USB_PACKET, 0,
     0,  // bulk
 };
-
-// ---- state ----
 
 enum { REST, ANSWERING, ANSWERED, TAKING, TAKEN };  // of a control transfer
 
 static struct {
-    uint8_t stage;
+    uint8_t phase;
     const uint8_t* answer;  // what is left of it
     uint32_t left;
     bool ends_short;  // the answer is shorter than asked for: an empty packet ends one of whole packets
@@ -92,157 +67,7 @@ static struct {
     uint8_t made[2U + 2U * STRING_MAX];
 } control;
 
-static struct {
-    bool configured;
-    bool suspended;
-    bool host_ready;  // DTR
-    uint8_t line_coding[7];
-    uint8_t halted;  // BIT(endpoint)
-} device;
-
-static struct {
-    bool data1;
-    bool taken;  // the controller has the buffer
-    bool whole;  // the last packet was a whole one: the host waits for more
-    uint32_t filled;
-} in;
-
-static struct {
-    bool data1;
-    uint32_t length;  // of the packet that is here, 0 = none
-    uint32_t at;
-} out;
-
-// ---- buffers ----
-
-// The controller may look at the register at any moment, at 48 MHz: everything else first, AVAILABLE three of its
-// cycles later (4.1.2.5.1).
-static void hand_over(const uint32_t endpoint, const uint32_t bits)
-{
-    REGISTER(USB_BUFFER_CONTROL(endpoint)) = bits;
-    __asm volatile("nop\nnop\nnop\nnop\nnop\nnop\nnop\nnop\nnop\nnop\nnop\nnop");
-    REGISTER(USB_BUFFER_CONTROL(endpoint)) = bits | BUFFER_AVAILABLE;
-}
-
-// Take buffers back from the controller. The first Picos (RP2040-B0, B1) never say that they are done: erratum E2.
-static void take_back(const uint32_t endpoints)
-{
-    SET_BITS(USB_EP_ABORT) = endpoints;
-    for (uint32_t i = 0; (i < 1000U) && ((REGISTER(USB_EP_ABORT_DONE) & endpoints) != endpoints); i++) {
-    }
-    for (uint32_t endpoint = CONTROL_IN; endpoint <= DATA_OUT; endpoint++) {
-        if ((endpoints & BIT(endpoint)) != 0U) {
-            REGISTER(USB_BUFFER_CONTROL(endpoint)) = 0U;
-        }
-    }
-    REGISTER(USB_EP_ABORT_DONE) = endpoints;
-    CLEAR_BITS(USB_EP_ABORT) = endpoints;
-    REGISTER(USB_BUFF_STATUS) = endpoints;
-}
-
-static volatile uint8_t* packet_of(const uint32_t endpoint)
-{
-    return (volatile uint8_t*)(uintptr_t)(USB_DPSRAM +
-                                          ((endpoint <= CONTROL_OUT) ? 0x100U : 0x180U + PACKET * endpoint));
-}
-
-static void copy_out(const uint32_t endpoint, const uint32_t at, const uint8_t* const bytes, const uint32_t size)
-{
-    volatile uint8_t* const packet = packet_of(endpoint);
-    for (uint32_t i = 0; i < size; i++) {
-        packet[at + i] = bytes[i];
-    }
-}
-
-// ---- data ----
-
-static bool is_halted(const uint32_t endpoint)
-{
-    return (device.halted & BIT(endpoint)) != 0U;
-}
-
-static void send_packet(void)
-{
-    const uint32_t toggle = in.data1 ? BUFFER_DATA1 : 0U;
-    in.data1 = !in.data1;
-    in.taken = true;
-    in.whole = in.filled == PACKET;
-    hand_over(DATA_IN, BUFFER_FULL | toggle | in.filled);
-    in.filled = 0;
-}
-
-static void ask_for_packet(void)
-{
-    const uint32_t toggle = out.data1 ? BUFFER_DATA1 : 0U;
-    out.data1 = !out.data1;
-    out.length = 0;
-    out.at = 0;
-    hand_over(DATA_OUT, toggle | PACKET);
-}
-
-static void restart_in(void)
-{
-    take_back(BIT(DATA_IN));
-    memset(&in, 0, sizeof in);
-    device.halted &= (uint8_t)~BIT(DATA_IN);
-}
-
-static void restart_out(void)
-{
-    take_back(BIT(DATA_OUT));
-    memset(&out, 0, sizeof out);
-    device.halted &= (uint8_t)~BIT(DATA_OUT);
-    ask_for_packet();
-}
-
-bool usb_connected(void)
-{
-    return device.configured && !device.suspended && device.host_ready;
-}
-
-size_t usb_receive(uint8_t* const bytes, const size_t size)
-{
-    size_t given = 0;
-    const volatile uint8_t* const packet = packet_of(DATA_OUT);
-    while ((given < size) && (out.at < out.length)) {
-        bytes[given++] = packet[out.at++];
-    }
-    if ((out.length > 0U) && (out.at == out.length) && !is_halted(DATA_OUT)) {
-        ask_for_packet();
-    }
-    return given;
-}
-
-size_t usb_transmit(const uint8_t* const bytes, const size_t size)
-{
-    if (!usb_connected()) {
-        in.filled = in.taken ? in.filled : 0U;
-        return size;
-    }
-    if (in.taken || is_halted(DATA_IN)) {
-        return 0;
-    }
-    const uint32_t room = PACKET - in.filled;
-    const uint32_t taken = (size < room) ? (uint32_t)size : room;
-    copy_out(DATA_IN, in.filled, bytes, taken);
-    in.filled += taken;
-    if (in.filled == PACKET) {
-        send_packet();
-    }
-    return taken;
-}
-
-bool usb_transmitted(void)
-{
-    return !usb_connected() || (!in.taken && (in.filled == 0U));
-}
-
-bool usb_has_received(void)
-{
-    return out.at < out.length;
-}
-
-// ---- control transfers ----
+static uint8_t line_coding[7] = {0x40, 0x42, 0x0F, 0x00, 0, 0, 8};  // 1 Mbaud 8N1; it changes nothing
 
 typedef struct {
     uint8_t type;
@@ -254,7 +79,7 @@ typedef struct {
 
 static void refuse(void)
 {
-    control.stage = REST;
+    control.phase = REST;
     REGISTER(USB_EP_STALL_ARM) = BIT(CONTROL_IN) | BIT(CONTROL_OUT);
     REGISTER(USB_BUFFER_CONTROL(CONTROL_IN)) = BUFFER_STALL;
     REGISTER(USB_BUFFER_CONTROL(CONTROL_OUT)) = BUFFER_STALL;
@@ -264,28 +89,28 @@ static void send_control(const uint32_t size)
 {
     const uint32_t toggle = control.data1 ? BUFFER_DATA1 : 0U;
     control.data1 = !control.data1;
-    hand_over(CONTROL_IN, BUFFER_FULL | toggle | size);
+    usb_hand_over(CONTROL_IN, BUFFER_FULL | toggle | size);
 }
 
 static void agree(void)
 {
-    control.stage = TAKEN;
+    control.phase = TAKEN;
     send_control(0U);
 }
 
 static void answer_further(void)
 {
-    const uint32_t size = (control.left < PACKET) ? control.left : PACKET;
-    copy_out(CONTROL_IN, 0U, control.answer, size);
+    const uint32_t size = (control.left < USB_PACKET) ? control.left : USB_PACKET;
+    usb_copy_out(CONTROL_IN, 0U, control.answer, size);
     control.answer += size;
     control.left -= size;
-    control.ends_short = control.ends_short && (size == PACKET);
+    control.ends_short = control.ends_short && (size == USB_PACKET);
     send_control(size);
 }
 
 static void answer(const setup_t* const setup, const uint8_t* const bytes, const uint32_t size)
 {
-    control.stage = ANSWERING;
+    control.phase = ANSWERING;
     control.answer = bytes;
     control.left = (size < setup->length) ? size : setup->length;
     control.ends_short = control.left < setup->length;
@@ -299,7 +124,7 @@ static void answer_string(const setup_t* const setup, const uint32_t index)
         answer(setup, languages, sizeof languages);
         return;
     }
-    const char* const texts[STRINGS] = {"", "annulus", "annulus controller", system_serial_number()};
+    const char* const texts[STRINGS] = {"", "annulus", "annulus controller", identity_serial_number()};
     uint8_t at = 2;
     for (const char* text = texts[index]; *text != '\0'; text++) {
         control.made[at++] = (uint8_t)*text;
@@ -332,27 +157,15 @@ static void answer_small(const setup_t* const setup, const uint8_t value, const 
     answer(setup, control.made, size);
 }
 
-static void close_port(void)
-{
-    device.configured = false;
-    device.suspended = false;
-    device.host_ready = false;
-    device.halted = 0;
-    take_back(BIT(NOTICE_IN) | BIT(DATA_IN) | BIT(DATA_OUT));
-    memset(&in, 0, sizeof in);
-    memset(&out, 0, sizeof out);
-}
-
 static void set_configuration(const setup_t* const setup)
 {
     if (setup->value > 1U) {
         refuse();
         return;
     }
-    close_port();
+    usb_port_close();
     if (setup->value == 1U) {
-        device.configured = true;
-        ask_for_packet();
+        usb_port_open();
     }
     agree();
 }
@@ -375,23 +188,11 @@ static uint32_t endpoint_of(const uint32_t address)
 static void set_halt(const setup_t* const setup, const bool halt)
 {
     const uint32_t endpoint = endpoint_of(setup->index);
-    if ((endpoint == CONTROL_IN) || (setup->value != 0U) || !device.configured) {
+    if ((endpoint == CONTROL_IN) || (setup->value != 0U) || !usb_port.configured) {
         refuse();
         return;
     }
-    if (endpoint == DATA_IN) {
-        restart_in();
-    } else if (endpoint == DATA_OUT) {
-        restart_out();
-    } else {
-        device.halted &= (uint8_t)~BIT(endpoint);
-        REGISTER(USB_BUFFER_CONTROL(endpoint)) = 0U;
-    }
-    if (halt) {
-        take_back(BIT(endpoint));
-        device.halted |= (uint8_t)BIT(endpoint);
-        REGISTER(USB_BUFFER_CONTROL(endpoint)) = BUFFER_STALL;
-    }
+    usb_port_halt(endpoint, halt);
     agree();
 }
 
@@ -413,14 +214,14 @@ static void carry_out(const setup_t* const setup)
         set_configuration(setup);
         break;
     case REQUEST(FROM_DEVICE, 8):
-        answer_small(setup, device.configured ? 1U : 0U, 1U);
+        answer_small(setup, usb_port.configured ? 1U : 0U, 1U);
         break;
     case REQUEST(FROM_DEVICE, 0):
     case REQUEST(FROM_INTERFACE, 0):
         answer_small(setup, 0U, 2U);
         break;
     case REQUEST(FROM_ENDPOINT, 0):
-        answer_small(setup, is_halted(endpoint_of(setup->index)) ? 1U : 0U, 2U);
+        answer_small(setup, usb_port_halted(endpoint_of(setup->index)) ? 1U : 0U, 2U);
         break;
     case REQUEST(TO_ENDPOINT, 1):
         set_halt(setup, false);
@@ -432,14 +233,14 @@ static void carry_out(const setup_t* const setup)
         answer_small(setup, 0U, 1U);
         break;
     case REQUEST(CLASS_TO_INTERFACE, 0x20):  // SET_LINE_CODING
-        control.stage = TAKING;
-        hand_over(CONTROL_OUT, BUFFER_DATA1 | PACKET);
+        control.phase = TAKING;
+        usb_hand_over(CONTROL_OUT, BUFFER_DATA1 | USB_PACKET);
         break;
     case REQUEST(CLASS_FROM_INTERFACE, 0x21):  // GET_LINE_CODING
-        answer(setup, device.line_coding, sizeof device.line_coding);
+        answer(setup, line_coding, sizeof line_coding);
         break;
     case REQUEST(CLASS_TO_INTERFACE, 0x22):  // SET_CONTROL_LINE_STATE
-        device.host_ready = (setup->value & 1U) != 0U;
+        usb_port.host_ready = (setup->value & 1U) != 0U;
         agree();
         break;
     default:
@@ -458,7 +259,7 @@ static void begin_control(void)
                            .value = (uint16_t)(first >> 16),
                            .index = (uint16_t)second,
                            .length = (uint16_t)(second >> 16)};
-    take_back(BIT(CONTROL_IN) | BIT(CONTROL_OUT));
+    usb_take_back(BIT(CONTROL_IN) | BIT(CONTROL_OUT));
     control.data1 = true;
     control.address = 0;
     // Data that nobody announced, or none where there must be: only a request for data may have any length.
@@ -473,13 +274,13 @@ static void begin_control(void)
 
 static void control_sent(void)
 {
-    if ((control.stage == ANSWERING) && ((control.left > 0U) || control.ends_short)) {
+    if ((control.phase == ANSWERING) && ((control.left > 0U) || control.ends_short)) {
         answer_further();
-    } else if (control.stage == ANSWERING) {
-        control.stage = ANSWERED;
-        hand_over(CONTROL_OUT, BUFFER_DATA1 | PACKET);  // the host's empty packet
-    } else if (control.stage == TAKEN) {
-        control.stage = REST;
+    } else if (control.phase == ANSWERING) {
+        control.phase = ANSWERED;
+        usb_hand_over(CONTROL_OUT, BUFFER_DATA1 | USB_PACKET);  // the host's empty packet
+    } else if (control.phase == TAKEN) {
+        control.phase = REST;
         if (control.address != 0U) {
             REGISTER(USB_ADDRESS) = control.address;
         }
@@ -489,15 +290,15 @@ static void control_sent(void)
 static void control_received(void)
 {
     const uint32_t size = REGISTER(USB_BUFFER_CONTROL(CONTROL_OUT)) & BUFFER_LENGTH;
-    if ((control.stage == TAKING) && (size == sizeof device.line_coding)) {
-        for (uint32_t i = 0; i < sizeof device.line_coding; i++) {
-            device.line_coding[i] = packet_of(CONTROL_OUT)[i];
+    if ((control.phase == TAKING) && (size == sizeof line_coding)) {
+        for (uint32_t i = 0; i < sizeof line_coding; i++) {
+            line_coding[i] = usb_packet_of(CONTROL_OUT)[i];
         }
         agree();
-    } else if (control.stage == TAKING) {
+    } else if (control.phase == TAKING) {
         refuse();
     } else {
-        control.stage = REST;
+        control.phase = REST;
     }
 }
 
@@ -506,18 +307,10 @@ static void control_received(void)
 static void bus_reset(void)
 {
     REGISTER(USB_ADDRESS) = 0U;
-    take_back(BIT(CONTROL_IN) | BIT(CONTROL_OUT));
-    control.stage = REST;
+    usb_take_back(BIT(CONTROL_IN) | BIT(CONTROL_OUT));
+    control.phase = REST;
     control.address = 0;
-    close_port();
-}
-
-static void data_received(void)
-{
-    out.length = REGISTER(USB_BUFFER_CONTROL(DATA_OUT)) & BUFFER_LENGTH;
-    if (out.length == 0U) {
-        ask_for_packet();
-    }
+    usb_port_close();
 }
 
 // The order matters: a buffer done belongs to the transfer before a setup packet seen earlier in this round.
@@ -536,22 +329,15 @@ void usb_run(void)
         if ((done & BIT(CONTROL_OUT)) != 0U) {
             control_received();
         }
-        if ((done & BIT(DATA_IN)) != 0U) {
-            in.taken = false;
-        }
-        if ((done & BIT(DATA_OUT)) != 0U) {
-            data_received();
-        }
+        usb_port_done(done);
     }
     if ((status & (SIE_SUSPENDED | SIE_RESUME | SIE_BUS_RESET | SIE_SETUP)) != 0U) {
-        device.suspended = status == SIE_SUSPENDED;
+        usb_port.suspended = status == SIE_SUSPENDED;
     }
     if ((status & SIE_SETUP) != 0U) {
         begin_control();
     }
-    if (usb_connected() && !in.taken && !is_halted(DATA_IN) && ((in.filled > 0U) || in.whole)) {
-        send_packet();
-    }
+    usb_port_flush();
     REGISTER(NVIC_ENABLE) = 1U << IRQ_USB;
 }
 
@@ -562,8 +348,6 @@ void usb_handler(void)
 
 void usb_start(void)
 {
-    static const uint8_t coding_at_start[7] = {0x40, 0x42, 0x0F, 0x00, 0, 0, 8};  // 1 Mbaud 8N1; it changes nothing
-    memcpy(device.line_coding, coding_at_start, sizeof coding_at_start);
     for (uint32_t at = 0; at < 0x100U; at += 4U) {
         REGISTER(USB_DPSRAM + at) = 0U;
     }
@@ -574,9 +358,10 @@ void usb_start(void)
     const uint32_t on = ENDPOINT_ENABLE | ENDPOINT_INTERRUPT;
     const uint32_t base = USB_DPSRAM;
     REGISTER(USB_ENDPOINT_CONTROL(NOTICE_IN)) =
-        on | ENDPOINT_INTERRUPT_TYPE | ((uint32_t)(uintptr_t)packet_of(NOTICE_IN) - base);
-    REGISTER(USB_ENDPOINT_CONTROL(DATA_IN)) = on | ENDPOINT_BULK | ((uint32_t)(uintptr_t)packet_of(DATA_IN) - base);
-    REGISTER(USB_ENDPOINT_CONTROL(DATA_OUT)) = on | ENDPOINT_BULK | ((uint32_t)(uintptr_t)packet_of(DATA_OUT) - base);
+        on | ENDPOINT_INTERRUPT_TYPE | ((uint32_t)(uintptr_t)usb_packet_of(NOTICE_IN) - base);
+    REGISTER(USB_ENDPOINT_CONTROL(DATA_IN)) = on | ENDPOINT_BULK | ((uint32_t)(uintptr_t)usb_packet_of(DATA_IN) - base);
+    REGISTER(USB_ENDPOINT_CONTROL(DATA_OUT)) =
+        on | ENDPOINT_BULK | ((uint32_t)(uintptr_t)usb_packet_of(DATA_OUT) - base);
     REGISTER(USB_INTE) = USB_INT_BUFFER | USB_INT_SETUP | USB_INT_BUS_RESET | USB_INT_SUSPEND | USB_INT_RESUME;
     SET_BITS(USB_SIE_CTRL) = 1U << 16;  // pull up D+: here we are
     REGISTER(NVIC_ENABLE) = 1U << IRQ_USB;

@@ -14,10 +14,11 @@ void check_run(const char* promise, void (*test)(void));
 
 void link_tests(void);
 void lines_tests(void);
+void configuration_tests(void);
 void sequencer_tests(void);
 void safety_tests(void);
 void bursts_tests(void);
-void stage_tests(void);
+void turntable_tests(void);
 void board_tests(void);
 
 #endif

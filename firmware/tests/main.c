@@ -38,10 +38,11 @@ int main(void)
     setvbuf(stdout, NULL, _IOLBF, 0);  // what was said survives a sanitizer's abort
     link_tests();
     lines_tests();
+    configuration_tests();
     sequencer_tests();
     safety_tests();
     bursts_tests();
-    stage_tests();
+    turntable_tests();
     board_tests();
     printf("%d tests, %d failures\n", tests, failures);
     return (failures == 0) ? 0 : 1;

@@ -3,7 +3,7 @@
 #include <string.h>
 
 #include "../board.h"
-#include "bench.h"
+#include "rig.h"
 #include "check.h"
 
 static void nothing_is_driven_before_power_comes(void)
@@ -30,7 +30,7 @@ static void a_byte_takes_ten_microseconds_each_way(void)
     EXPECT_EQ(native_serial_read(bytes, sizeof bytes), 3);  // of BOOTED
     native_run_until(1 * MS);
     native_serial_read(bytes, sizeof bytes);
-    bench_send(COMMAND_PING, 1, NULL);  // 6 bytes out, 12 bytes back
+    rig_send(COMMAND_PING, 1, NULL);  // 6 bytes out, 12 bytes back
     native_run_until(1 * MS + 5 * NATIVE_BYTE_TICKS);
     EXPECT_EQ(native_serial_read(bytes, sizeof bytes), 0);
     native_run_until(1 * MS + 18 * NATIVE_BYTE_TICKS + NATIVE_LATENCY_TICKS);
@@ -39,19 +39,19 @@ static void a_byte_takes_ten_microseconds_each_way(void)
 
 static void inputs_may_be_scheduled_in_any_order(void)
 {
-    bench_start();
+    rig_start();
     const uint64_t from = native_tick();
     for (int i = 50; i > 0; i--) {
         native_input(from + (uint64_t)i * PERIOD, PIN_SYNC, 0);
         native_input(from + (uint64_t)i * PERIOD + 1, PIN_SYNC, 1);
     }
-    bench_pass(51 * PERIOD);
-    EXPECT_EQ(bench_status().edges, 50);
+    rig_pass(51 * PERIOD);
+    EXPECT_EQ(rig_status().edges, 50);
 }
 
 static void impossible_inputs_are_refused_and_counted(void)
 {
-    bench_start();
+    rig_start();
     EXPECT(!native_input(native_tick() - 1, PIN_SYNC, 0));
     EXPECT(!native_input(native_tick(), PIN_LED, 0));
     EXPECT(!native_input(native_tick(), PIN_SYNC, 2));
@@ -62,35 +62,35 @@ static void impossible_inputs_are_refused_and_counted(void)
 
 static void the_world_clock_goes_on_over_a_reset_and_the_controllers_does_not(void)
 {
-    bench_start();
-    bench_pass(500 * MS);
+    rig_start();
+    rig_pass(500 * MS);
     const uint64_t now = native_tick();
     native_power_on(9, BOOT_CAUSE_POWER_ON);
     EXPECT_EQ(native_tick(), now);
     EXPECT_EQ(native_boot_tick(), now);
-    bench_pass(1 * MS);
+    rig_pass(1 * MS);
     reply_ping_t ping;
-    reply_ping_unpack(&ping, bench_command(COMMAND_PING, NULL));
+    reply_ping_unpack(&ping, rig_command(COMMAND_PING, NULL));
     EXPECT(ping.tick < 2 * MS);
-    EXPECT_EQ(bench_take(EVENT_BOOTED)->boot, 9);
+    EXPECT_EQ(rig_take(EVENT_BOOTED)->boot, 9);
 }
 
 static void more_edges_than_the_board_keeps_are_counted_as_refused(void)
 {
-    bench_start();
+    rig_start();
     native_stall_cpu(50 * MS);
     for (int i = 0; i < 20; i++) {
-        bench_edge(2 * MS);
+        rig_edge(2 * MS);
     }
-    bench_pass(20 * MS);
-    const reply_status_t status = bench_status();
+    rig_pass(20 * MS);
+    const reply_status_t status = rig_status();
     EXPECT_EQ(status.edges, 8);
     EXPECT_EQ(status.rejected, 12);
 }
 
 static void the_board_refuses_what_the_core_should_have_refused(void)
 {
-    bench_start();
+    rig_start();
     board_flash_t flash = {
         .tag = 1, .lamp = LAMP_LED, .delay_ticks = 10, .width_ticks = 20 * MS + 1, .holdoff_ticks = PERIOD};
     EXPECT(!board_flash_load(&flash));

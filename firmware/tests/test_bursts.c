@@ -2,14 +2,14 @@
 
 #include <string.h>
 
-#include "bench.h"
+#include "rig.h"
 #include "check.h"
 
 static void start_armed(void)
 {
-    bench_start();
-    bench_arm(ARM_MICROWAVE);
-    bench_forget();
+    rig_start();
+    rig_arm(ARM_MICROWAVE);
+    rig_forget();
 }
 
 static command_burst_t train(const uint8_t code)
@@ -22,7 +22,7 @@ static reply_burst_t fire(const command_burst_t* const command)
     uint8_t payload[COMMAND_BURST_LENGTH];
     command_burst_pack(command, payload);
     reply_burst_t reply;
-    reply_burst_unpack(&reply, bench_command(COMMAND_BURST, payload));
+    reply_burst_unpack(&reply, rig_command(COMMAND_BURST, payload));
     return reply;
 }
 
@@ -34,23 +34,23 @@ static uint8_t upload(const char* const chips, const uint16_t length)
     }
     uint8_t payload[COMMAND_PATTERN_LENGTH];
     command_pattern_pack(&pattern, payload);
-    return bench_status_of(COMMAND_PATTERN, payload);
+    return rig_status_of(COMMAND_PATTERN, payload);
 }
 
 // The gate during the chips of a burst, sampled amid each of them from the transitions.
 static void expect_chips(const uint64_t start, const char* const chips, const uint64_t chip_ticks)
 {
-    size_t rises = bench_rises(PIN_MICROWAVE);
+    size_t rises = rig_rises(PIN_MICROWAVE);
     size_t pulse = 0;
     const size_t length = strlen(chips);
     for (size_t i = 0; i < length; i++) {
         const bool begins = (chips[i] == '1') && ((i == 0U) || (chips[i - 1U] == '0'));
         const bool ends = (chips[i] == '1') && ((i + 1U == length) || (chips[i + 1U] == '0'));
         if (begins) {
-            EXPECT_EQ(bench_rise(PIN_MICROWAVE, pulse), start + i * chip_ticks);
+            EXPECT_EQ(rig_rise(PIN_MICROWAVE, pulse), start + i * chip_ticks);
         }
         if (ends) {
-            EXPECT_EQ(bench_fall(PIN_MICROWAVE, pulse), start + (i + 1U) * chip_ticks);
+            EXPECT_EQ(rig_fall(PIN_MICROWAVE, pulse), start + (i + 1U) * chip_ticks);
             pulse++;
         }
     }
@@ -77,9 +77,9 @@ static void built_in_codes_are_sent_chip_by_chip_to_the_tick(void)
         EXPECT_EQ(reply.status, STATUS_OK);
         EXPECT_EQ(reply.length, strlen(codes[i].chips));
         expect_chips(native_boot_tick() + reply.start, codes[i].chips, 50);
-        EXPECT_EQ(bench_rise(PIN_TRIGGER, 0), native_boot_tick() + reply.start);
+        EXPECT_EQ(rig_rise(PIN_TRIGGER, 0), native_boot_tick() + reply.start);
         event_burst_done_t done;
-        event_burst_done_unpack(&done, bench_take(EVENT_BURST_DONE)->payload);
+        event_burst_done_unpack(&done, rig_take(EVENT_BURST_DONE)->payload);
         EXPECT_EQ(done.done, 1);
         EXPECT_EQ(done.fault, FAULT_NONE);
     }
@@ -106,8 +106,8 @@ static void an_all_dark_pattern_still_triggers(void)
     EXPECT_EQ(upload("00000", 5), STATUS_OK);
     const command_burst_t command = train(BURST_CODE_UPLOADED);
     EXPECT_EQ(fire(&command).status, STATUS_OK);
-    EXPECT_EQ(bench_rises(PIN_MICROWAVE), 0);
-    EXPECT_EQ(bench_rises(PIN_TRIGGER), 1);
+    EXPECT_EQ(rig_rises(PIN_MICROWAVE), 0);
+    EXPECT_EQ(rig_rises(PIN_TRIGGER), 1);
 }
 
 static void trains_keep_their_period_and_trigger_offset_to_the_tick(void)
@@ -120,20 +120,20 @@ static void trains_keep_their_period_and_trigger_offset_to_the_tick(void)
         command.trigger_offset = offsets[i];
         const reply_burst_t reply = fire(&command);
         EXPECT_EQ(reply.status, STATUS_OK);
-        EXPECT(bench_status().state & STATE_BURST_RUNNING);
-        bench_pass(20 * MS);
-        EXPECT_EQ(bench_rises(PIN_TRIGGER), 10);
-        EXPECT_EQ(bench_rises(PIN_MICROWAVE), 70);  // MPSL25 has 7 runs of ones
+        EXPECT(rig_status().state & STATE_BURST_RUNNING);
+        rig_pass(20 * MS);
+        EXPECT_EQ(rig_rises(PIN_TRIGGER), 10);
+        EXPECT_EQ(rig_rises(PIN_MICROWAVE), 70);  // MPSL25 has 7 runs of ones
         for (size_t shot = 0; shot < 10; shot++) {
             const uint64_t chip0 = reply.start + shot * 100000;
-            EXPECT_EQ(bench_rise(PIN_MICROWAVE, shot * 7), chip0);
-            EXPECT_EQ((int64_t)(bench_rise(PIN_TRIGGER, shot) - chip0), offsets[i]);
-            EXPECT_EQ(bench_fall(PIN_TRIGGER, shot) - bench_rise(PIN_TRIGGER, shot), 100);
+            EXPECT_EQ(rig_rise(PIN_MICROWAVE, shot * 7), chip0);
+            EXPECT_EQ((int64_t)(rig_rise(PIN_TRIGGER, shot) - chip0), offsets[i]);
+            EXPECT_EQ(rig_fall(PIN_TRIGGER, shot) - rig_rise(PIN_TRIGGER, shot), 100);
         }
         event_burst_done_t done;
-        event_burst_done_unpack(&done, bench_take(EVENT_BURST_DONE)->payload);
+        event_burst_done_unpack(&done, rig_take(EVENT_BURST_DONE)->payload);
         EXPECT_EQ(done.done, 10);
-        EXPECT_EQ(bench_status().state & STATE_BURST_RUNNING, 0);
+        EXPECT_EQ(rig_status().state & STATE_BURST_RUNNING, 0);
     }
 }
 
@@ -145,16 +145,16 @@ static void a_stopped_train_ends_after_a_whole_burst(void)
     EXPECT_EQ(fire(&command).status, STATUS_OK);
     EXPECT_EQ(fire(&command).status, STATUS_BAD_STATE);
     EXPECT_EQ(upload("1", 1), STATUS_BAD_STATE);
-    bench_pass(10 * MS);
-    EXPECT_EQ(bench_status_of(COMMAND_BURST_STOP, NULL), STATUS_OK);
-    bench_pass(5 * MS);
+    rig_pass(10 * MS);
+    EXPECT_EQ(rig_status_of(COMMAND_BURST_STOP, NULL), STATUS_OK);
+    rig_pass(5 * MS);
     event_burst_done_t done;
-    event_burst_done_unpack(&done, bench_take(EVENT_BURST_DONE)->payload);
+    event_burst_done_unpack(&done, rig_take(EVENT_BURST_DONE)->payload);
     EXPECT(done.done > 10U && done.done < 20U);
-    EXPECT_EQ(bench_rises(PIN_MICROWAVE), done.done * 7U);
-    EXPECT_EQ(bench_rises(PIN_TRIGGER), done.done);
+    EXPECT_EQ(rig_rises(PIN_MICROWAVE), done.done * 7U);
+    EXPECT_EQ(rig_rises(PIN_TRIGGER), done.done);
     reply_burst_stop_t stop;
-    reply_burst_stop_unpack(&stop, bench_command(COMMAND_BURST_STOP, NULL));  // nothing runs: harmless
+    reply_burst_stop_unpack(&stop, rig_command(COMMAND_BURST_STOP, NULL));  // nothing runs: harmless
     EXPECT_EQ(stop.done, done.done);
     command.repeat = 1;
     EXPECT_EQ(fire(&command).status, STATUS_OK);
@@ -166,11 +166,11 @@ static void disarming_cuts_the_train_at_once(void)
     command_burst_t command = train(BURST_CODE_MPSL25);
     command.repeat = 1000;
     EXPECT_EQ(fire(&command).status, STATUS_OK);
-    bench_pass(3 * MS);
-    bench_arm(0);
-    bench_forget();
-    bench_pass(10 * MS);
-    EXPECT_EQ(bench_rises(PIN_MICROWAVE) + bench_rises(PIN_TRIGGER), 0);
+    rig_pass(3 * MS);
+    rig_arm(0);
+    rig_forget();
+    rig_pass(10 * MS);
+    EXPECT_EQ(rig_rises(PIN_MICROWAVE) + rig_rises(PIN_TRIGGER), 0);
     EXPECT_EQ(fire(&command).status, STATUS_BAD_STATE);
 }
 
@@ -185,7 +185,7 @@ static void trains_beyond_a_limit_are_refused_with_the_reason(void)
         const reply_burst_t reply = fire(&command);                                                                    \
         EXPECT_EQ(reply.status, why);                                                                                  \
         EXPECT_EQ(reply.detail, which);                                                                                \
-        EXPECT_EQ(bench_status().state& STATE_BURST_RUNNING, 0);                                                       \
+        EXPECT_EQ(rig_status().state& STATE_BURST_RUNNING, 0);                                                         \
     } while (0)
     REFUSED(command.code = BURST_CODE_UPLOADED, STATUS_BAD_STATE, 0);  // nothing uploaded yet
     REFUSED(command.code = 7, STATUS_OUT_OF_RANGE, 0);

@@ -3,7 +3,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "bench.h"
+#include "rig.h"
 #include "check.h"
 #include "events.h"
 #include "link.h"
@@ -15,7 +15,7 @@ static void every_golden_vector_is_reproduced(void)
         const vector_t* const vector = &vectors[i];
         const layout_t* const layout = layout_of(vector->id);
         const bool is_event = (vector->id >= 0x80U) && (vector->id != NOTICE_GARBLED);
-        uint8_t body[PROTOCOL_MAX_WIRE] = {vector->id};
+        uint8_t body[MAX_WIRE] = {vector->id};
         size_t length = 1;
         if (vector->id != NOTICE_GARBLED) {
             body[length++] = (uint8_t)vector->sequence;
@@ -30,7 +30,7 @@ static void every_golden_vector_is_reproduced(void)
         length += layout->length;
         EXPECT_EQ(length, vector->body_length);
         EXPECT(memcmp(body, vector->body, length) == 0);
-        uint8_t wire[PROTOCOL_MAX_WIRE];
+        uint8_t wire[MAX_WIRE];
         const uint8_t wire_length = link_frame(body, length, layout->schema, wire);
         EXPECT_EQ(wire_length, vector->wire_length);
         EXPECT(memcmp(wire, vector->wire, wire_length) == 0);
@@ -64,28 +64,28 @@ static void every_command_vector_is_received(void)
 static void every_bad_frame_is_refused_counted_and_notified(void)
 {
     for (size_t i = 0; i < bad_vector_count; i++) {
-        bench_power_on();
-        bench_pass(5 * MS);
-        bench_raw(bad_vectors[i].wire, bad_vectors[i].wire_length);
-        bench_pass(5 * MS);
-        const got_t* const notice = bench_take(NOTICE_GARBLED);
+        rig_power_on();
+        rig_pass(5 * MS);
+        rig_raw(bad_vectors[i].wire, bad_vectors[i].wire_length);
+        rig_pass(5 * MS);
+        const got_t* const notice = rig_take(NOTICE_GARBLED);
         EXPECT(notice != NULL);
         if (notice != NULL) {
             EXPECT(notice->payload[0] >= 1U);
         } else {
             printf("not refused: %s\n", bad_vectors[i].name);
         }
-        EXPECT(bench_status().bad_frames >= 1U);  // and the next frame is read again
+        EXPECT(rig_status().bad_frames >= 1U);  // and the next frame is read again
     }
 }
 
 static void empty_frames_are_no_fault(void)
 {
-    bench_power_on();
-    bench_raw((const uint8_t[]){0, 0, 0}, 3);
-    bench_pass(5 * MS);
-    EXPECT_EQ(bench_count(NOTICE_GARBLED), 0);
-    EXPECT_EQ(bench_status().bad_frames, 0);
+    rig_power_on();
+    rig_raw((const uint8_t[]){0, 0, 0}, 3);
+    rig_pass(5 * MS);
+    EXPECT_EQ(rig_count(NOTICE_GARBLED), 0);
+    EXPECT_EQ(rig_status().bad_frames, 0);
 }
 
 static void a_zero_code_byte_is_not_cobs(void)
@@ -96,165 +96,165 @@ static void a_zero_code_byte_is_not_cobs(void)
 
 static void a_repeated_command_is_acknowledged_again_but_not_executed_again(void)
 {
-    bench_start();
-    const command_stage_t config = bench_config(1, 4);
+    rig_start();
+    const command_stage_t config = rig_config(1, 4);
     uint8_t payload[COMMAND_STAGE_LENGTH];
     command_stage_pack(&config, payload);
-    bench_send(COMMAND_STAGE, 100, payload);
-    bench_send(COMMAND_COMMIT, 101, (const uint8_t[]){1});
-    bench_pass(3 * MS);
-    EXPECT_EQ(bench_count(COMMAND_COMMIT + REPLY_BIT), 1);
-    EXPECT_EQ(bench_count(EVENT_CONFIGURED), 1);
+    rig_send(COMMAND_STAGE, 100, payload);
+    rig_send(COMMAND_COMMIT, 101, (const uint8_t[]){1});
+    rig_pass(3 * MS);
+    EXPECT_EQ(rig_count(COMMAND_COMMIT + REPLY_BIT), 1);
+    EXPECT_EQ(rig_count(EVENT_CONFIGURED), 1);
     for (int i = 0; i < 3; i++) {
-        bench_send(COMMAND_COMMIT, 101, (const uint8_t[]){1});
+        rig_send(COMMAND_COMMIT, 101, (const uint8_t[]){1});
     }
-    bench_pass(5 * MS);
-    EXPECT_EQ(bench_count(COMMAND_COMMIT + REPLY_BIT), 4);
-    EXPECT_EQ(bench_count(EVENT_CONFIGURED), 1);
+    rig_pass(5 * MS);
+    EXPECT_EQ(rig_count(COMMAND_COMMIT + REPLY_BIT), 4);
+    EXPECT_EQ(rig_count(EVENT_CONFIGURED), 1);
     for (int i = 0; i < 4; i++) {
-        EXPECT_EQ(bench_take(REPLY_COMMIT)->payload[0], STATUS_OK);
+        EXPECT_EQ(rig_take(REPLY_COMMIT)->payload[0], STATUS_OK);
     }
     // Same sequence, another body: a new command, and nothing is staged any more.
-    bench_send(COMMAND_COMMIT, 101, (const uint8_t[]){2});
+    rig_send(COMMAND_COMMIT, 101, (const uint8_t[]){2});
     // Same body, another sequence.
-    bench_send(COMMAND_COMMIT, 102, (const uint8_t[]){1});
-    bench_pass(5 * MS);
-    EXPECT_EQ(bench_take(REPLY_COMMIT)->payload[0], STATUS_BAD_STATE);
-    EXPECT_EQ(bench_take(REPLY_COMMIT)->payload[0], STATUS_BAD_STATE);
+    rig_send(COMMAND_COMMIT, 102, (const uint8_t[]){1});
+    rig_pass(5 * MS);
+    EXPECT_EQ(rig_take(REPLY_COMMIT)->payload[0], STATUS_BAD_STATE);
+    EXPECT_EQ(rig_take(REPLY_COMMIT)->payload[0], STATUS_BAD_STATE);
 }
 
 static void queries_are_always_fresh(void)
 {
-    bench_start();
-    bench_send(COMMAND_PING, 9, NULL);
-    bench_pass(5 * MS);
-    bench_send(COMMAND_PING, 9, NULL);
-    bench_pass(5 * MS);
+    rig_start();
+    rig_send(COMMAND_PING, 9, NULL);
+    rig_pass(5 * MS);
+    rig_send(COMMAND_PING, 9, NULL);
+    rig_pass(5 * MS);
     reply_ping_t first;
     reply_ping_t second;
-    reply_ping_unpack(&first, bench_take(REPLY_PING)->payload);
-    reply_ping_unpack(&second, bench_take(REPLY_PING)->payload);
+    reply_ping_unpack(&first, rig_take(REPLY_PING)->payload);
+    reply_ping_unpack(&second, rig_take(REPLY_PING)->payload);
     EXPECT_EQ(second.tick - first.tick, 5 * MS);
 }
 
 static void a_new_session_never_gets_an_old_answer(void)
 {
-    bench_start();
-    bench_send(COMMAND_ARM, 0, (const uint8_t[]){ARM_MICROWAVE});
-    bench_pass(2 * MS);
-    EXPECT_EQ(bench_take(REPLY_ARM)->payload[2], ARM_MICROWAVE);
-    bench_send(COMMAND_ARM, 1, (const uint8_t[]){0});
+    rig_start();
+    rig_send(COMMAND_ARM, 0, (const uint8_t[]){ARM_MICROWAVE});
+    rig_pass(2 * MS);
+    EXPECT_EQ(rig_take(REPLY_ARM)->payload[2], ARM_MICROWAVE);
+    rig_send(COMMAND_ARM, 1, (const uint8_t[]){0});
     uint8_t identify[COMMAND_IDENTIFY_LENGTH];
     command_identify_pack(&(command_identify_t){.protocol = PROTOCOL_VERSION, .schema = SCHEMA_HASH}, identify);
-    bench_send(COMMAND_IDENTIFY, 2, identify);
-    bench_send(COMMAND_ARM, 0, (const uint8_t[]){ARM_MICROWAVE});  // the restarted host counts from zero again
-    bench_pass(3 * MS);
-    EXPECT((bench_status().state & STATE_MICROWAVE_ARMED) != 0U);
+    rig_send(COMMAND_IDENTIFY, 2, identify);
+    rig_send(COMMAND_ARM, 0, (const uint8_t[]){ARM_MICROWAVE});  // the restarted host counts from zero again
+    rig_pass(3 * MS);
+    EXPECT((rig_status().state & STATE_MICROWAVE_ARMED) != 0U);
 }
 
 static void a_host_that_sends_more_than_there_is_room_for_answers_waits_and_loses_nothing(void)
 {
-    bench_start();
+    rig_start();
     // The line back is kept busy with 64 events while short commands pour in.
     native_stall_cpu(2 * MS);
     for (uint8_t i = 0; i < 26; i++) {
-        bench_send(COMMAND_CLEAR, i, NULL);  // 7 bytes out, 9 bytes back
+        rig_send(COMMAND_CLEAR, i, NULL);  // 7 bytes out, 9 bytes back
     }
-    bench_pass(10 * MS);
-    EXPECT_EQ(bench_count(REPLY_CLEAR), 26);
-    EXPECT_EQ(bench_status().bad_frames, 0);
+    rig_pass(10 * MS);
+    EXPECT_EQ(rig_count(REPLY_CLEAR), 26);
+    EXPECT_EQ(rig_status().bad_frames, 0);
 }
 
 static void identify_says_who_and_locks_on_a_schema_mismatch(void)
 {
-    bench_power_on();
-    bench_pass(1 * MS);
-    EXPECT_EQ(bench_take(EVENT_BOOTED)->sequence, 0);
+    rig_power_on();
+    rig_pass(1 * MS);
+    EXPECT_EQ(rig_take(EVENT_BOOTED)->sequence, 0);
     uint8_t payload[COMMAND_IDENTIFY_LENGTH];
     reply_identify_t reply;
     const uint32_t wrong[][2] = {{PROTOCOL_VERSION, SCHEMA_HASH ^ 1U}, {PROTOCOL_VERSION + 1U, SCHEMA_HASH}};
     for (size_t i = 0; i < 2U; i++) {
         command_identify_pack(&(command_identify_t){.protocol = (uint8_t)wrong[i][0], .schema = wrong[i][1]}, payload);
-        reply_identify_unpack(&reply, bench_command(COMMAND_IDENTIFY, payload));
+        reply_identify_unpack(&reply, rig_command(COMMAND_IDENTIFY, payload));
         EXPECT_EQ(reply.status, STATUS_SCHEMA);
         EXPECT_EQ(reply.schema, SCHEMA_HASH);
         EXPECT_EQ(reply.boot, 1);
         EXPECT_EQ(reply.tick_hz, 100000000);
         EXPECT_EQ(memcmp(reply.board, "native\0", 8), 0);
-        EXPECT_EQ(bench_status_of(COMMAND_ARM, (const uint8_t[]){ARM_LAMPS}), STATUS_SCHEMA);
-        const command_stage_t config = bench_config(1, 4);
+        EXPECT_EQ(rig_status_of(COMMAND_ARM, (const uint8_t[]){ARM_LAMPS}), STATUS_SCHEMA);
+        const command_stage_t config = rig_config(1, 4);
         uint8_t stage[COMMAND_STAGE_LENGTH];
         command_stage_pack(&config, stage);
-        EXPECT_EQ(bench_status_of(COMMAND_STAGE, stage), STATUS_SCHEMA);
-        EXPECT_EQ(bench_status_of(COMMAND_COMMIT, (const uint8_t[]){1}), STATUS_SCHEMA);
+        EXPECT_EQ(rig_status_of(COMMAND_STAGE, stage), STATUS_SCHEMA);
+        EXPECT_EQ(rig_status_of(COMMAND_COMMIT, (const uint8_t[]){1}), STATUS_SCHEMA);
         uint8_t pattern[COMMAND_PATTERN_LENGTH] = {1, 0, 1};
-        EXPECT_EQ(bench_status_of(COMMAND_PATTERN, pattern), STATUS_SCHEMA);
+        EXPECT_EQ(rig_status_of(COMMAND_PATTERN, pattern), STATUS_SCHEMA);
         uint8_t move[COMMAND_MOVE_LENGTH];
         command_move_pack(&(command_move_t){.position = 3, .period = 10000}, move);
-        EXPECT_EQ(bench_status_of(COMMAND_MOVE, move), STATUS_SCHEMA);
-        EXPECT_EQ(bench_status_of(COMMAND_ARM, (const uint8_t[]){0}), STATUS_OK);  // disarming is always allowed
-        EXPECT_EQ(bench_status().state & STATE_SCHEMA_OK, 0);                      // diagnostics go on
+        EXPECT_EQ(rig_status_of(COMMAND_MOVE, move), STATUS_SCHEMA);
+        EXPECT_EQ(rig_status_of(COMMAND_ARM, (const uint8_t[]){0}), STATUS_OK);  // disarming is always allowed
+        EXPECT_EQ(rig_status().state & STATE_SCHEMA_OK, 0);                      // diagnostics go on
     }
 }
 
 static void a_reset_needs_its_magic_is_acknowledged_and_changes_the_boot_byte(void)
 {
-    bench_start();
-    const command_stage_t config = bench_config(1, 0);
-    bench_configure(&config);
-    bench_arm(ARM_LAMPS);
-    bench_edge(6 * MS);  // LED on from 4 to 9 ms
+    rig_start();
+    const command_stage_t config = rig_config(1, 0);
+    rig_configure(&config);
+    rig_arm(ARM_LAMPS);
+    rig_edge(6 * MS);  // LED on from 4 to 9 ms
     EXPECT_EQ(native_pin(PIN_LED), 1);
     uint8_t payload[COMMAND_RESET_LENGTH] = {1, 2, 3, 4};
-    EXPECT_EQ(bench_status_of(COMMAND_RESET, payload), STATUS_OUT_OF_RANGE);
+    EXPECT_EQ(rig_status_of(COMMAND_RESET, payload), STATUS_OUT_OF_RANGE);
     EXPECT_EQ(native_pin(PIN_LED), 1);
-    command_reset_pack(&(command_reset_t){.magic = PROTOCOL_RESET_MAGIC}, payload);
-    bench_forget();
-    bench_send(COMMAND_RESET, 77, payload);
-    bench_send(COMMAND_PING, 78, NULL);  // too late: nothing is carried out after a reset
-    bench_pass(5 * MS);
-    EXPECT_EQ(bench_take(REPLY_RESET)->payload[0], STATUS_OK);
+    command_reset_pack(&(command_reset_t){.magic = RESET_MAGIC}, payload);
+    rig_forget();
+    rig_send(COMMAND_RESET, 77, payload);
+    rig_send(COMMAND_PING, 78, NULL);  // too late: nothing is carried out after a reset
+    rig_pass(5 * MS);
+    EXPECT_EQ(rig_take(REPLY_RESET)->payload[0], STATUS_OK);
     EXPECT_EQ(native_pin(PIN_LED), 0);
-    const got_t* const booted = bench_take(EVENT_BOOTED);
+    const got_t* const booted = rig_take(EVENT_BOOTED);
     EXPECT_EQ(booted->boot, 2);
     EXPECT_EQ(booted->payload[0], BOOT_CAUSE_HOST_RESET);
-    EXPECT_EQ(bench_status().generation, 0);
+    EXPECT_EQ(rig_status().generation, 0);
 }
 
 static void the_boot_loader_is_entered_on_its_magic_with_outputs_low_and_never_while_anything_is_armed(void)
 {
-    bench_start();
-    const command_stage_t config = bench_config(1, 0);
-    bench_configure(&config);
-    bench_arm(ARM_LAMPS);
+    rig_start();
+    const command_stage_t config = rig_config(1, 0);
+    rig_configure(&config);
+    rig_arm(ARM_LAMPS);
     uint8_t payload[COMMAND_BOOTLOADER_LENGTH];
-    command_bootloader_pack(&(command_bootloader_t){.magic = PROTOCOL_BOOTLOADER_MAGIC}, payload);
-    EXPECT_EQ(bench_status_of(COMMAND_BOOTLOADER, payload), STATUS_BAD_STATE);
-    EXPECT_EQ(bench_status().state & STATE_LAMPS_ARMED, STATE_LAMPS_ARMED);
-    EXPECT_EQ(bench_status_of(COMMAND_ARM, (const uint8_t[]){0}), STATUS_OK);
+    command_bootloader_pack(&(command_bootloader_t){.magic = BOOTLOADER_MAGIC}, payload);
+    EXPECT_EQ(rig_status_of(COMMAND_BOOTLOADER, payload), STATUS_BAD_STATE);
+    EXPECT_EQ(rig_status().state & STATE_LAMPS_ARMED, STATE_LAMPS_ARMED);
+    EXPECT_EQ(rig_status_of(COMMAND_ARM, (const uint8_t[]){0}), STATUS_OK);
     uint8_t move[COMMAND_MOVE_LENGTH];
     command_move_pack(&(command_move_t){.position = 30, .period = 100000, .hold = 1}, move);
-    EXPECT_EQ(bench_status_of(COMMAND_MOVE, move), STATUS_OK);
-    EXPECT_EQ(bench_status_of(COMMAND_BOOTLOADER, payload), STATUS_BAD_STATE);
-    bench_pass(40 * MS);
+    EXPECT_EQ(rig_status_of(COMMAND_MOVE, move), STATUS_OK);
+    EXPECT_EQ(rig_status_of(COMMAND_BOOTLOADER, payload), STATUS_BAD_STATE);
+    rig_pass(40 * MS);
     EXPECT_EQ(native_pin(PIN_ENABLE), 0);
-    EXPECT_EQ(bench_status_of(COMMAND_BOOTLOADER, (const uint8_t[]){0, 0x7B, 0x5E, 0x7E}), STATUS_OUT_OF_RANGE);
+    EXPECT_EQ(rig_status_of(COMMAND_BOOTLOADER, (const uint8_t[]){0, 0x7B, 0x5E, 0x7E}), STATUS_OUT_OF_RANGE);
     EXPECT(!native_in_bootloader());
-    EXPECT_EQ(bench_status_of(COMMAND_BOOTLOADER, payload), STATUS_OK);
+    EXPECT_EQ(rig_status_of(COMMAND_BOOTLOADER, payload), STATUS_OK);
     EXPECT(native_in_bootloader());
     EXPECT_EQ(native_pin(PIN_ENABLE), 1);
-    bench_forget();
-    EXPECT(bench_command(COMMAND_PING, NULL) == NULL);
+    rig_forget();
+    EXPECT(rig_command(COMMAND_PING, NULL) == NULL);
     native_power_on(2, BOOT_CAUSE_HOST_RESET);
     EXPECT(!native_in_bootloader());
-    EXPECT(bench_command(COMMAND_PING, NULL) != NULL);
+    EXPECT(rig_command(COMMAND_PING, NULL) != NULL);
 }
 
 static void a_frame_cut_short_by_a_reset_does_not_spoil_the_next_one(void)
 {
-    bench_start();
-    bench_send(COMMAND_STATUS, 1, NULL);
-    bench_pass(20 * NATIVE_BYTE_TICKS);
+    rig_start();
+    rig_send(COMMAND_STATUS, 1, NULL);
+    rig_pass(20 * NATIVE_BYTE_TICKS);
     native_power_on(2, BOOT_CAUSE_POWER_ON);  // amid the reply
     uint8_t bytes[64];
     native_run_until(native_tick() + 1 * MS);
@@ -274,34 +274,34 @@ static const uint8_t* reread(const uint16_t first, const uint8_t count)
 {
     uint8_t payload[COMMAND_REREAD_LENGTH];
     command_reread_pack(&(command_reread_t){.first = first, .count = count}, payload);
-    return bench_command(COMMAND_REREAD, payload);
+    return rig_command(COMMAND_REREAD, payload);
 }
 
 static void the_last_64_events_can_be_read_again_unchanged(void)
 {
-    bench_start();
+    rig_start();
     for (int i = 0; i < 100; i++) {
-        bench_edge(3 * MS);
+        rig_edge(3 * MS);
     }
     static got_t before[100];
     for (uint32_t i = 0; i < 100; i++) {
-        before[i] = *bench_take(EVENT_EDGE);
+        before[i] = *rig_take(EVENT_EDGE);
         EXPECT_EQ(before[i].sequence, edge_sequence(i));
     }
     reply_reread_t reply;
-    bench_forget();
+    rig_forget();
     reply_reread_unpack(&reply, reread(edge_sequence(60), 20));
     EXPECT_EQ(reply.status, STATUS_OK);
     EXPECT_EQ(reply.first, edge_sequence(60));
     EXPECT_EQ(reply.count, 20);
-    bench_pass(20 * MS);
+    rig_pass(20 * MS);
     for (uint32_t i = 60; i < 80; i++) {
-        const got_t* const again = bench_take(EVENT_EDGE);
+        const got_t* const again = rig_take(EVENT_EDGE);
         EXPECT_EQ(again->sequence, before[i].sequence);
         EXPECT_EQ(again->boot, before[i].boot);
         EXPECT(memcmp(again->payload, before[i].payload, EVENT_EDGE_LENGTH) == 0);
     }
-    EXPECT_EQ(bench_count(EVENT_EDGE), 0);
+    EXPECT_EQ(rig_count(EVENT_EDGE), 0);
     // 101 events were made, 37..100 are left: partly gone, wholly gone, not yet there, partly not yet there.
     reply_reread_unpack(&reply, reread(30, 10));
     EXPECT_EQ(reply.status, STATUS_OK);
@@ -328,11 +328,11 @@ static void the_last_64_events_can_be_read_again_unchanged(void)
 
 static void events_survive_65536_of_them(void)
 {
-    bench_start();
+    rig_start();
     static events_t events;
     memset(&events, 0, sizeof events);
     for (uint32_t i = 0; i < 70000U; i++) {
-        events_emit(&events, EVENT_STAGE_DONE)[0] = (uint8_t)i;
+        events_emit(&events, EVENT_TURNTABLE_DONE)[0] = (uint8_t)i;
         uint16_t sequence;
         const event_t* const event = events_next(&events, &sequence);
         EXPECT_EQ(sequence, (uint16_t)i);
@@ -348,8 +348,8 @@ static void an_overrun_is_counted_and_reported_once_there_is_room(void)
 {
     static events_t events;
     memset(&events, 0, sizeof events);
-    for (uint32_t i = 0; i < PROTOCOL_EVENT_RING + 10U; i++) {
-        events_emit(&events, EVENT_STAGE_DONE);
+    for (uint32_t i = 0; i < EVENT_RING + 10U; i++) {
+        events_emit(&events, EVENT_TURNTABLE_DONE);
         events_run(&events, i);
     }
     EXPECT_EQ(events.overruns, 10);
@@ -371,19 +371,19 @@ static void an_event_overwritten_while_it_waits_to_be_sent_again_is_skipped(void
     static events_t events;
     memset(&events, 0, sizeof events);
     uint16_t sequence;
-    for (uint32_t i = 0; i < PROTOCOL_EVENT_RING; i++) {
-        events_emit(&events, EVENT_STAGE_DONE);
+    for (uint32_t i = 0; i < EVENT_RING; i++) {
+        events_emit(&events, EVENT_TURNTABLE_DONE);
         events_next(&events, &sequence);
     }
     reply_reread_t reply;
     EXPECT_EQ(events_reread(&events, &(command_reread_t){.first = 0, .count = 3}, &reply), STATUS_OK);
-    events_emit(&events, EVENT_STAGE_DONE);
-    events_emit(&events, EVENT_STAGE_DONE);
+    events_emit(&events, EVENT_TURNTABLE_DONE);
+    events_emit(&events, EVENT_TURNTABLE_DONE);
     EXPECT(events_again(&events, &sequence) != NULL);
     EXPECT_EQ(sequence, 2);  // 0 and 1 have left the ring
     EXPECT(events_again(&events, &sequence) == NULL);
     events_next(&events, &sequence);
-    EXPECT_EQ(sequence, PROTOCOL_EVENT_RING);
+    EXPECT_EQ(sequence, EVENT_RING);
 }
 
 void link_tests(void)

@@ -3,19 +3,19 @@
 #include <string.h>
 
 #include "../board.h"
-#include "bench.h"
+#include "rig.h"
 #include "check.h"
 
 static const uint8_t both = ARM_LAMPS | ARM_MICROWAVE;
 
 static void start_armed(const uint8_t outputs)
 {
-    bench_start();
-    command_stage_t config = bench_config(1, 0);
+    rig_start();
+    command_stage_t config = rig_config(1, 0);
     config.host_timeout = 200;
-    bench_configure(&config);
-    bench_arm(outputs);
-    bench_forget();
+    rig_configure(&config);
+    rig_arm(outputs);
+    rig_forget();
 }
 
 static uint8_t start_train(const uint16_t repeat)
@@ -23,13 +23,13 @@ static uint8_t start_train(const uint16_t repeat)
     uint8_t payload[COMMAND_BURST_LENGTH];
     command_burst_pack(&(command_burst_t){.code = BURST_CODE_MPSL25, .chip = 50, .repeat = repeat, .period = 20 * 1000},
                        payload);
-    return bench_status_of(COMMAND_BURST, payload);
+    return rig_status_of(COMMAND_BURST, payload);
 }
 
 static event_fault_t take_fault(void)
 {
     event_fault_t fault = {0};
-    const got_t* const got = bench_take(EVENT_FAULT);
+    const got_t* const got = rig_take(EVENT_FAULT);
     EXPECT(got != NULL);
     if (got != NULL) {
         event_fault_unpack(&fault, got->payload);
@@ -42,7 +42,7 @@ static void an_opening_interlock_darkens_the_microwave_within_one_chip_without_t
     for (uint64_t phase = 0; phase < 2500; phase += 37) {
         start_armed(both);
         EXPECT_EQ(start_train(10000), STATUS_OK);
-        bench_edge(5 * MS);  // the LED shines
+        rig_edge(5 * MS);  // the LED shines
         EXPECT_EQ(native_pin(PIN_LED), 1);
         native_stall_cpu(10 * MS);  // the core would be far too late
         const uint64_t opens = native_tick() + phase;
@@ -51,35 +51,35 @@ static void an_opening_interlock_darkens_the_microwave_within_one_chip_without_t
         EXPECT_EQ(native_pin(PIN_MICROWAVE), 0);
         EXPECT_EQ(native_pin(PIN_TRIGGER), 0);
         native_input(opens + 1 * MS, PIN_INTERLOCK, 0);  // closing it again starts nothing
-        bench_pass(PERIOD);
+        rig_pass(PERIOD);
         EXPECT_EQ(native_pin(PIN_LED), 0);
-        bench_look();
+        rig_look();
         native_transition_t late[16];
         EXPECT_EQ(native_pins(late, 16), 0);
-        EXPECT(bench_fall(PIN_MICROWAVE, bench_rises(PIN_MICROWAVE) - 1U) <= opens + 50);
+        EXPECT(rig_fall(PIN_MICROWAVE, rig_rises(PIN_MICROWAVE) - 1U) <= opens + 50);
         EXPECT_EQ(take_fault().fault, FAULT_INTERLOCK);
         event_burst_done_t done;
-        event_burst_done_unpack(&done, bench_take(EVENT_BURST_DONE)->payload);
+        event_burst_done_unpack(&done, rig_take(EVENT_BURST_DONE)->payload);
         EXPECT_EQ(done.fault, FAULT_INTERLOCK);
         EXPECT(done.done > 0U);
-        EXPECT_EQ(bench_status().fault, FAULT_INTERLOCK);
-        EXPECT_EQ(bench_status().state & (STATE_LAMPS_ARMED | STATE_MICROWAVE_ARMED | STATE_BURST_RUNNING), 0);
+        EXPECT_EQ(rig_status().fault, FAULT_INTERLOCK);
+        EXPECT_EQ(rig_status().state & (STATE_LAMPS_ARMED | STATE_MICROWAVE_ARMED | STATE_BURST_RUNNING), 0);
     }
 }
 
 static void an_open_interlock_refuses_the_microwave_but_not_the_lamps(void)
 {
-    bench_start();
+    rig_start();
     native_input(native_tick(), PIN_INTERLOCK, 1);
-    const command_stage_t config = bench_config(1, 0);
-    bench_configure(&config);
-    EXPECT_EQ(bench_status_of(COMMAND_ARM, &both), STATUS_UNSAFE);
-    EXPECT_EQ(bench_status_of(COMMAND_ARM, (const uint8_t[]){ARM_MICROWAVE}), STATUS_UNSAFE);
-    EXPECT_EQ(bench_status().state & (STATE_LAMPS_ARMED | STATE_MICROWAVE_ARMED), 0);  // refused as a whole
-    EXPECT(bench_status().state & STATE_INTERLOCK_OPEN);
-    bench_arm(ARM_LAMPS);  // a head without microwave has nothing to close
-    EXPECT(bench_status().state & STATE_LAMPS_ARMED);
-    EXPECT_EQ(bench_count(EVENT_FAULT), 0);
+    const command_stage_t config = rig_config(1, 0);
+    rig_configure(&config);
+    EXPECT_EQ(rig_status_of(COMMAND_ARM, &both), STATUS_UNSAFE);
+    EXPECT_EQ(rig_status_of(COMMAND_ARM, (const uint8_t[]){ARM_MICROWAVE}), STATUS_UNSAFE);
+    EXPECT_EQ(rig_status().state & (STATE_LAMPS_ARMED | STATE_MICROWAVE_ARMED), 0);  // refused as a whole
+    EXPECT(rig_status().state & STATE_INTERLOCK_OPEN);
+    rig_arm(ARM_LAMPS);  // a head without microwave has nothing to close
+    EXPECT(rig_status().state & STATE_LAMPS_ARMED);
+    EXPECT_EQ(rig_count(EVENT_FAULT), 0);
 }
 
 static void an_interlock_fault_is_cleared_only_once_it_is_closed(void)
@@ -87,63 +87,63 @@ static void an_interlock_fault_is_cleared_only_once_it_is_closed(void)
     start_armed(both);
     EXPECT_EQ(start_train(65535), STATUS_OK);
     native_input(native_tick(), PIN_INTERLOCK, 1);
-    bench_pass(1 * MS);
-    EXPECT_EQ(bench_status_of(COMMAND_CLEAR, NULL), STATUS_UNSAFE);
-    EXPECT_EQ(bench_status_of(COMMAND_ARM, (const uint8_t[]){ARM_LAMPS}), STATUS_UNSAFE);
+    rig_pass(1 * MS);
+    EXPECT_EQ(rig_status_of(COMMAND_CLEAR, NULL), STATUS_UNSAFE);
+    EXPECT_EQ(rig_status_of(COMMAND_ARM, (const uint8_t[]){ARM_LAMPS}), STATUS_UNSAFE);
     EXPECT_EQ(start_train(1), STATUS_UNSAFE);
     native_input(native_tick(), PIN_INTERLOCK, 0);
-    bench_pass(1 * MS);
-    EXPECT_EQ(bench_status_of(COMMAND_ARM, (const uint8_t[]){ARM_LAMPS}), STATUS_UNSAFE);  // latched
-    EXPECT_EQ(bench_status_of(COMMAND_CLEAR, NULL), STATUS_OK);
-    EXPECT_EQ(bench_status().state & (STATE_LAMPS_ARMED | STATE_MICROWAVE_ARMED), 0);  // nothing is armed by it
-    bench_arm(both);
-    bench_forget();
+    rig_pass(1 * MS);
+    EXPECT_EQ(rig_status_of(COMMAND_ARM, (const uint8_t[]){ARM_LAMPS}), STATUS_UNSAFE);  // latched
+    EXPECT_EQ(rig_status_of(COMMAND_CLEAR, NULL), STATUS_OK);
+    EXPECT_EQ(rig_status().state & (STATE_LAMPS_ARMED | STATE_MICROWAVE_ARMED), 0);  // nothing is armed by it
+    rig_arm(both);
+    rig_forget();
     EXPECT_EQ(start_train(1), STATUS_OK);
-    bench_pass(1 * MS);
-    EXPECT_EQ(bench_take(EVENT_BURST_DONE)->payload[EVENT_BURST_DONE_LENGTH - 1U], FAULT_NONE);
+    rig_pass(1 * MS);
+    EXPECT_EQ(rig_take(EVENT_BURST_DONE)->payload[EVENT_BURST_DONE_LENGTH - 1U], FAULT_NONE);
 }
 
 static void an_interlock_that_opens_while_nothing_is_armed_is_no_fault(void)
 {
-    bench_start();
+    rig_start();
     native_input(native_tick(), PIN_INTERLOCK, 1);
     native_input(native_tick() + 1 * MS, PIN_INTERLOCK, 0);
-    bench_pass(2 * MS);
-    bench_arm(ARM_MICROWAVE);
-    bench_pass(10 * MS);
-    EXPECT_EQ(bench_status().fault, FAULT_NONE);
+    rig_pass(2 * MS);
+    rig_arm(ARM_MICROWAVE);
+    rig_pass(10 * MS);
+    EXPECT_EQ(rig_status().fault, FAULT_NONE);
 }
 
 static void a_silent_host_disarms_and_latches(void)
 {
     const uint16_t timeouts[] = {200, 0};  // 0 = the default of 500
     for (size_t i = 0; i < 2U; i++) {
-        bench_start();
-        command_stage_t config = bench_config(1, 0);
+        rig_start();
+        command_stage_t config = rig_config(1, 0);
         config.host_timeout = timeouts[i];
-        bench_configure(&config);
-        bench_arm(both);
+        rig_configure(&config);
+        rig_arm(both);
         EXPECT_EQ(start_train(65535), STATUS_OK);
         const uint64_t limit = ((timeouts[i] == 0) ? 500 : timeouts[i]) * MS;
         const uint64_t from = native_tick();
-        bench_forget();
+        rig_forget();
         while (native_tick() < from + limit - 2 * MS) {
-            bench_pulse();  // edges are not the host
-            bench_pass(990 * US);
+            rig_pulse();  // edges are not the host
+            rig_pass(990 * US);
         }
-        EXPECT_EQ(bench_count(EVENT_FAULT), 0);
-        bench_pass(3 * MS);
+        EXPECT_EQ(rig_count(EVENT_FAULT), 0);
+        rig_pass(3 * MS);
         const event_fault_t fault = take_fault();
         EXPECT_EQ(fault.fault, FAULT_HOST_TIMEOUT);
         EXPECT(fault.detail > limit);
         EXPECT_EQ(native_pin(PIN_LED) + native_pin(PIN_MICROWAVE), 0);
-        bench_forget();
-        bench_edge(PERIOD);
-        bench_edge(PERIOD);
-        EXPECT_EQ(bench_rises(PIN_LED) + bench_rises(PIN_MICROWAVE), 0);
-        EXPECT_EQ(bench_status_of(COMMAND_ARM, (const uint8_t[]){ARM_LAMPS}), STATUS_UNSAFE);
-        EXPECT_EQ(bench_status_of(COMMAND_CLEAR, NULL), STATUS_OK);
-        bench_arm(ARM_LAMPS);
+        rig_forget();
+        rig_edge(PERIOD);
+        rig_edge(PERIOD);
+        EXPECT_EQ(rig_rises(PIN_LED) + rig_rises(PIN_MICROWAVE), 0);
+        EXPECT_EQ(rig_status_of(COMMAND_ARM, (const uint8_t[]){ARM_LAMPS}), STATUS_UNSAFE);
+        EXPECT_EQ(rig_status_of(COMMAND_CLEAR, NULL), STATUS_OK);
+        rig_arm(ARM_LAMPS);
     }
 }
 
@@ -151,50 +151,50 @@ static void any_valid_frame_keeps_the_host_alive_and_garbage_does_not(void)
 {
     start_armed(ARM_LAMPS);
     for (uint8_t i = 0; i < 100; i++) {
-        bench_send(COMMAND_ARM, 3, (const uint8_t[]){ARM_LAMPS});  // a repeat counts as well
-        bench_pass(10 * MS);
+        rig_send(COMMAND_ARM, 3, (const uint8_t[]){ARM_LAMPS});  // a repeat counts as well
+        rig_pass(10 * MS);
     }
-    EXPECT_EQ(bench_status().fault, FAULT_NONE);
+    EXPECT_EQ(rig_status().fault, FAULT_NONE);
     for (int i = 0; i < 30; i++) {
-        bench_raw((const uint8_t[]){3, 2, 7, 0}, 4);
-        bench_pass(10 * MS);
+        rig_raw((const uint8_t[]){3, 2, 7, 0}, 4);
+        rig_pass(10 * MS);
     }
-    EXPECT_EQ(bench_status().fault, FAULT_HOST_TIMEOUT);
+    EXPECT_EQ(rig_status().fault, FAULT_HOST_TIMEOUT);
 }
 
 static void a_silent_host_is_nothing_to_a_controller_at_rest(void)
 {
-    bench_start();
-    bench_pass(60000 * MS);
-    EXPECT_EQ(bench_status().fault, FAULT_NONE);
-    EXPECT_EQ(bench_count(EVENT_FAULT), 0);
+    rig_start();
+    rig_pass(60000 * MS);
+    EXPECT_EQ(rig_status().fault, FAULT_NONE);
+    EXPECT_EQ(rig_count(EVENT_FAULT), 0);
 }
 
 static void the_watchdog_restarts_a_hung_controller_dark_and_latched(void)
 {
     start_armed(both);
     EXPECT_EQ(start_train(65535), STATUS_OK);
-    bench_edge(5 * MS);
+    rig_edge(5 * MS);
     EXPECT_EQ(native_pin(PIN_LED), 1);
     native_stall_cpu(10000 * MS);
-    bench_pass(120 * MS);
+    rig_pass(120 * MS);
     EXPECT_EQ(native_pin(PIN_LED) + native_pin(PIN_MICROWAVE), 0);
-    bench_forget();
-    bench_edge(PERIOD);
-    EXPECT_EQ(bench_rises(PIN_LED) + bench_rises(PIN_MICROWAVE), 0);
-    const reply_status_t status = bench_status();
+    rig_forget();
+    rig_edge(PERIOD);
+    EXPECT_EQ(rig_rises(PIN_LED) + rig_rises(PIN_MICROWAVE), 0);
+    const reply_status_t status = rig_status();
     EXPECT_EQ(status.fault, FAULT_WATCHDOG);
     EXPECT_EQ(status.generation, 0);
-    EXPECT_EQ(bench_status_of(COMMAND_CLEAR, NULL), STATUS_OK);
-    EXPECT_EQ(bench_status().fault, FAULT_NONE);
+    EXPECT_EQ(rig_status_of(COMMAND_CLEAR, NULL), STATUS_OK);
+    EXPECT_EQ(rig_status().fault, FAULT_NONE);
 }
 
 static void a_restart_by_the_watchdog_says_so(void)
 {
-    bench_start();
+    rig_start();
     native_stall_cpu(10000 * MS);
-    bench_pass(120 * MS);
-    const got_t* const booted = bench_take(EVENT_BOOTED);
+    rig_pass(120 * MS);
+    const got_t* const booted = rig_take(EVENT_BOOTED);
     EXPECT_EQ(booted->boot, 2);
     EXPECT_EQ(booted->sequence, 0);
     EXPECT_EQ(booted->payload[0], BOOT_CAUSE_WATCHDOG);
@@ -205,18 +205,18 @@ static void an_output_the_board_refuses_latches_a_limit_fault(void)
 {
     start_armed(ARM_LAMPS);
     native_refuse_next();
-    bench_edge(PERIOD);  // the load after this edge is refused, which also ends the flash being timed
+    rig_edge(PERIOD);  // the load after this edge is refused, which also ends the flash being timed
     EXPECT_EQ(take_fault().fault, FAULT_LIMIT);
-    EXPECT_EQ(bench_status().state & STATE_LAMPS_ARMED, 0);
-    bench_edge(PERIOD);
-    EXPECT_EQ(bench_rises(PIN_LED), 0);
+    EXPECT_EQ(rig_status().state & STATE_LAMPS_ARMED, 0);
+    rig_edge(PERIOD);
+    EXPECT_EQ(rig_rises(PIN_LED), 0);
 
     start_armed(both);
     native_refuse_next();
     EXPECT_EQ(start_train(1), STATUS_UNSAFE);
-    bench_pass(1 * MS);
-    EXPECT_EQ(bench_status().fault, FAULT_LIMIT);
-    EXPECT_EQ(bench_status().state & (STATE_LAMPS_ARMED | STATE_MICROWAVE_ARMED), 0);
+    rig_pass(1 * MS);
+    EXPECT_EQ(rig_status().fault, FAULT_LIMIT);
+    EXPECT_EQ(rig_status().state & (STATE_LAMPS_ARMED | STATE_MICROWAVE_ARMED), 0);
 }
 
 static void the_first_fault_stays_latched(void)
@@ -224,8 +224,8 @@ static void the_first_fault_stays_latched(void)
     start_armed(both);
     EXPECT_EQ(start_train(65535), STATUS_OK);
     native_input(native_tick(), PIN_INTERLOCK, 1);
-    bench_pass(300 * MS);
-    EXPECT_EQ(bench_status().fault, FAULT_INTERLOCK);
+    rig_pass(300 * MS);
+    EXPECT_EQ(rig_status().fault, FAULT_INTERLOCK);
 }
 
 static void another_schema_takes_the_outputs_away(void)
@@ -233,19 +233,19 @@ static void another_schema_takes_the_outputs_away(void)
     start_armed(both);
     uint8_t payload[COMMAND_IDENTIFY_LENGTH];
     command_identify_pack(&(command_identify_t){.protocol = PROTOCOL_VERSION, .schema = 1}, payload);
-    EXPECT_EQ(bench_status_of(COMMAND_IDENTIFY, payload), STATUS_SCHEMA);
-    EXPECT_EQ(bench_status().state & (STATE_LAMPS_ARMED | STATE_MICROWAVE_ARMED), 0);
+    EXPECT_EQ(rig_status_of(COMMAND_IDENTIFY, payload), STATUS_SCHEMA);
+    EXPECT_EQ(rig_status().state & (STATE_LAMPS_ARMED | STATE_MICROWAVE_ARMED), 0);
 }
 
 static void outputs_are_armed_one_by_one(void)
 {
     start_armed(both);
-    bench_arm(ARM_MICROWAVE);
-    EXPECT_EQ(bench_status().state & (STATE_LAMPS_ARMED | STATE_MICROWAVE_ARMED), STATE_MICROWAVE_ARMED);
-    bench_arm(ARM_LAMPS);
-    EXPECT_EQ(bench_status().state & (STATE_LAMPS_ARMED | STATE_MICROWAVE_ARMED), STATE_LAMPS_ARMED);
+    rig_arm(ARM_MICROWAVE);
+    EXPECT_EQ(rig_status().state & (STATE_LAMPS_ARMED | STATE_MICROWAVE_ARMED), STATE_MICROWAVE_ARMED);
+    rig_arm(ARM_LAMPS);
+    EXPECT_EQ(rig_status().state & (STATE_LAMPS_ARMED | STATE_MICROWAVE_ARMED), STATE_LAMPS_ARMED);
     EXPECT_EQ(native_pin(PIN_STATUS), 1);
-    bench_arm(0);
+    rig_arm(0);
     EXPECT_EQ(native_pin(PIN_STATUS), 0);
 }
 
@@ -253,23 +253,23 @@ static void a_main_loop_that_is_late_darkens_the_microwave_long_before_the_watch
 {
     start_armed(both);
     EXPECT_EQ(start_train(10000), STATUS_OK);
-    bench_pass(5 * MS);
-    bench_look();
-    const size_t before = bench_rises(PIN_MICROWAVE);
+    rig_pass(5 * MS);
+    rig_look();
+    const size_t before = rig_rises(PIN_MICROWAVE);
     const uint64_t late = native_tick();
     native_stall_cpu(10 * MS);
-    bench_pass(15 * MS);
-    bench_look();
+    rig_pass(15 * MS);
+    rig_look();
     EXPECT_EQ(native_pin(PIN_MICROWAVE), 0);
-    EXPECT(bench_rises(PIN_MICROWAVE) > before);
-    EXPECT(bench_fall(PIN_MICROWAVE, bench_rises(PIN_MICROWAVE) - 1U) <= late + BOARD_STARVED_MS * MS);
+    EXPECT(rig_rises(PIN_MICROWAVE) > before);
+    EXPECT(rig_fall(PIN_MICROWAVE, rig_rises(PIN_MICROWAVE) - 1U) <= late + BOARD_STARVED_MS * MS);
     EXPECT_EQ(take_fault().fault, FAULT_WATCHDOG);
     event_burst_done_t done;
-    event_burst_done_unpack(&done, bench_take(EVENT_BURST_DONE)->payload);
+    event_burst_done_unpack(&done, rig_take(EVENT_BURST_DONE)->payload);
     EXPECT_EQ(done.fault, FAULT_WATCHDOG);
-    EXPECT_EQ(bench_status_of(COMMAND_ARM, &both), STATUS_UNSAFE);
-    EXPECT_EQ(bench_status_of(COMMAND_CLEAR, NULL), STATUS_OK);
-    EXPECT_EQ(bench_status_of(COMMAND_ARM, &both), STATUS_OK);
+    EXPECT_EQ(rig_status_of(COMMAND_ARM, &both), STATUS_UNSAFE);
+    EXPECT_EQ(rig_status_of(COMMAND_CLEAR, NULL), STATUS_OK);
+    EXPECT_EQ(rig_status_of(COMMAND_ARM, &both), STATUS_OK);
 }
 
 void safety_tests(void)

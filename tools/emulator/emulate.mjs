@@ -14,6 +14,7 @@
 import { readFileSync, createWriteStream } from 'node:fs';
 import { createServer } from 'node:net';
 import { createInterface } from 'node:readline';
+import { PIN, TICK_HZ } from './controller.mjs';
 import { Fault, Machine } from './machine.mjs';
 import { VcdWriter } from './vcd.mjs';
 
@@ -81,6 +82,7 @@ function listen(port, name, took, came = () => {}, went = () => {}) {
 // Steps of 2 ms of virtual time, never ahead of the wall clock; behind it when the machine is too slow, which is said.
 function serve(machine, given, vcd) {
   const STEP = 200_000;
+  const TICK_NS = BigInt(1e9 / TICK_HZ);
   const syncHz = Number(given['sync-hz'] ?? 0);
   let edge = 20_000_000;
   const began = process.hrtime.bigint();
@@ -95,13 +97,13 @@ function serve(machine, given, vcd) {
     toUsb = listen(Number(given['serve-usb']), 'USB', (bytes) => tell('write', { hex: bytes.toString('hex') }), () => tell('open'), () => tell('close'));
   }
   const step = () => {
-    const wall = (process.hrtime.bigint() - began) / 10n - lost;
+    const wall = (process.hrtime.bigint() - began) / TICK_NS - lost;
     const behind = wall - BigInt(machine.now);
     if (behind > 50_000_000n) lost += behind;
     for (let i = 0; i < 10 && machine.now < Number(wall); i++) {
-      for (; syncHz && edge < machine.now + 2 * STEP; edge += Math.round(1e8 / syncHz)) {
-        machine.input(edge, 2, 0);
-        machine.input(edge + 10_000, 2, 1);
+      for (; syncHz && edge < machine.now + 2 * STEP; edge += Math.round(TICK_HZ / syncHz)) {
+        machine.input(edge, PIN.SYNC, 0);
+        machine.input(edge + 10_000, PIN.SYNC, 1);
       }
       machine.run(machine.now + STEP);
       const sent = machine.read_serial();
@@ -126,7 +128,7 @@ try {
   process.stderr.write(`emulate.mjs: ${given.image}: ${error.message}\n`);
   process.exit(1);
 }
-machine.input(0, 7, 0); // interlock closed
+machine.input(0, PIN.INTERLOCK, 0); // closed
 const vcd = given.vcd && new VcdWriter(createWriteStream(given.vcd));
 if (given.drive) drive(machine, vcd);
 else serve(machine, given, vcd);

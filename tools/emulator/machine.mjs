@@ -2,6 +2,8 @@
 // that make a forgiven mistake fail are ours. Time is in ticks of 10 ns since power came on.
 
 import { RP2040, GPIOPinState } from 'rp2040js';
+import { FLASH, ROM_LOOKUP, ROM_TO_USB_BOOT, loadRom, readUf2 } from './bootrom.mjs';
+import { INPUT_PINS, OUTPUT_PINS, OUTPUTS_HIGH_AT_RESET, TICK_HZ } from './controller.mjs';
 import { Dma } from './dma.mjs';
 import { Fault, fault, hex } from './fault.mjs';
 import { Pio } from './pio.mjs';
@@ -10,15 +12,9 @@ import { Uart } from './uart.mjs';
 import { Usb } from './usb.mjs';
 import { UsbHost } from './usbhost.mjs';
 
-const INPUTS = [2, 7, 14, 15];
-const OUTPUTS = [3, 4, 5, 6, 8, 9, 10, 25];
-const FLASH = 0x10000000;
 const RAM = 0x20000000;
 const USB_MEMORY = 0x50100000;
 const BOOT2_AT = 0x20041f00;
-const ROM_TABLE = 0x7a;
-const ROM_LOOKUP = 0x1d0;
-const ROM_TO_USB_BOOT = 0x1e0;
 const BOOT_ROM_TICKS = 100_000; // 1 ms, about what the boot ROM takes; pins are at rest meanwhile
 const RESET_BITS = { dma: 2, io: 5, qspi: 6, pads: 8, padsQspi: 9, pio0: 10, pio1: 11, pllSys: 12, pllUsb: 13, timer: 21, uart0: 22, usb: 24 };
 const RESET_OF = new Map([
@@ -27,32 +23,12 @@ const RESET_OF = new Map([
 ]);
 const ALWAYS_ON = new Set([0x40008, 0x4000c, 0x40010, 0x40024, 0x40058, 0x40060, 0x18000]);
 
-export function readUf2(file) {
-  const flash = new Uint8Array(2 * 1024 * 1024).fill(0xff);
-  const view = new DataView(file.buffer, file.byteOffset, file.byteLength);
-  if (file.length === 0 || file.length % 512) fault('not a UF2: its length is no multiple of 512');
-  for (let at = 0; at < file.length; at += 512) {
-    const [one, two, flags, address, size, number, count, family] = Array.from({ length: 8 }, (_, i) => view.getUint32(at + 4 * i, true));
-    if (one !== 0x0a324655 || two !== 0x9e5d5157 || view.getUint32(at + 508, true) !== 0x0ab16f30) fault('not a UF2: bad magic');
-    if (!(flags & 0x2000) || family !== 0xe48bff56) fault('this UF2 is for another board');
-    if (number !== at / 512 || count !== file.length / 512 || size !== 256) fault('this UF2 is incomplete');
-    flash.set(file.subarray(at + 32, at + 32 + size), address - FLASH);
-  }
-  let crc = 0xffffffff;
-  for (let i = 0; i < 252; i++) {
-    crc ^= flash[i] << 24;
-    for (let bit = 0; bit < 8; bit++) crc = crc & 0x80000000 ? (crc << 1) ^ 0x04c11db7 : crc << 1;
-  }
-  if ((crc >>> 0) !== new DataView(flash.buffer).getUint32(252, true)) fault('boot ROM: second stage has a wrong CRC32, nothing would start');
-  return flash;
-}
-
 export class Machine {
   constructor(uf2, flashId = 'e6616408438a1c2f') {
     this.flash = readUf2(uf2);
     this.ssi = new Ssi(Buffer.from(flashId, 'hex'));
     this.now = 0;
-    this.levels = new Map([[2, 1], [7, 1], [14, 1], [15, 1]]); // pulled up until somebody drives them
+    this.levels = new Map(INPUT_PINS.map((pin) => [pin, 1])); // pulled up until somebody drives them
     this.pinLevels = new Map();
     this.transitions = [];
     this.inputs = []; // sorted: [tick, pin, level]
@@ -76,7 +52,7 @@ export class Machine {
     chip.flash.set(this.flash);
     chip.logger = { debug() {}, info() {}, warn: (name, text) => fault(`${name}: ${text}`), error: (name, text) => fault(`${name}: ${text}`) };
     chip.onBreak = (code) => this.callRom(code);
-    this.loadRom();
+    this.romView = loadRom(this.chip.bootrom);
     this.inReset = 0x01ffffff & ~((1 << RESET_BITS.qspi) | (1 << RESET_BITS.padsQspi));
     this.pios = [new Pio(0), new Pio(1)];
     chip.pio = this.pios;
@@ -102,14 +78,14 @@ export class Machine {
       this.watchdogFired = true;
       this.watchdog.alarm.enable = false; // rp2040js would fire it again and again in no time
     };
-    chip.clkSys = 100_000_000;
+    chip.clkSys = TICK_HZ;
     this.clockedAt = this.now;
     this.hardwareTick = this.now;
     this.quietUntil = this.now;
-    for (const index of [...INPUTS, ...OUTPUTS]) {
+    for (const index of [...INPUT_PINS, ...OUTPUT_PINS]) {
       const pin = chip.gpio[index];
       pin.addListener(() => this.note(index));
-      if (OUTPUTS.includes(index)) this.note(index);
+      if (OUTPUT_PINS.includes(index)) this.note(index);
     }
     for (const [pin, level] of this.levels) chip.gpio[pin].setInputValue(level === 1);
     for (const pin of chip.gpio) pin.irqStatus = 0;
@@ -128,25 +104,6 @@ export class Machine {
     this.tickOrigin = undefined;
   }
 
-  // Of the boot ROM only what a program may call: the header's two halfwords, the table of functions, and a breakpoint in
-  // place of each function's code.
-  loadRom() {
-    const rom = new Uint8Array(this.chip.bootrom.buffer, this.chip.bootrom.byteOffset, this.chip.bootrom.length * 4);
-    const view = new DataView(rom.buffer, rom.byteOffset, rom.byteLength);
-    this.romView = view;
-    rom.set([0x4d, 0x75, 0x01, 0x03], 0x10); // 'M', 'u', version, boot ROM of the B2 stepping
-    view.setUint16(0x14, ROM_TABLE, true);
-    view.setUint16(0x18, ROM_LOOKUP | 1, true);
-    [[0x4255 /* UB */, ROM_TO_USB_BOOT | 1], [0, 0]].forEach(([code, at], i) => {
-      view.setUint16(ROM_TABLE + 4 * i, code, true);
-      view.setUint16(ROM_TABLE + 4 * i + 2, at, true);
-    });
-    for (const at of [ROM_LOOKUP, ROM_TO_USB_BOOT]) {
-      view.setUint16(at, 0xbe00, true); // bkpt
-      view.setUint16(at + 2, 0x4770, true); // bx lr
-    }
-  }
-
   callRom() {
     const { core } = this.chip;
     const [r0, r1] = core.registers;
@@ -157,7 +114,7 @@ export class Machine {
         return;
       case ROM_TO_USB_BOOT: {
         // Resets by the watchdog and never comes back to flash; scratch 0 and 1 carry the arguments through the reset.
-        const high = OUTPUTS.filter((pin) => pin !== 10 && this.pinLevels.get(pin));
+        const high = OUTPUT_PINS.filter((pin) => !OUTPUTS_HIGH_AT_RESET.includes(pin) && this.pinLevels.get(pin));
         this.bootloader = { tick: this.now, activity: r0 >>> 0, disabled: r1 >>> 0, high };
         this.watchdog.scratchData[0] = r0;
         this.watchdog.scratchData[1] = r1;
@@ -182,7 +139,7 @@ export class Machine {
     const pin = this.chip.gpio[index];
     const value = pin.value;
     const level = value === GPIOPinState.High || value === GPIOPinState.InputPullUp ? 1 : 0;
-    if (!OUTPUTS.includes(index)) return;
+    if (!OUTPUT_PINS.includes(index)) return;
     if ((this.pinLevels.get(index) ?? 0) !== level) {
       this.pinLevels.set(index, level);
       this.transitions.push([this.stamp ?? this.now, index, level]);
@@ -363,18 +320,18 @@ export class Machine {
 
   rawInputs() {
     let raw = 0;
-    for (const pin of INPUTS) if (this.chip.gpio[pin].inputValue) raw |= 1 << pin;
+    for (const pin of INPUT_PINS) if (this.chip.gpio[pin].inputValue) raw |= 1 << pin;
     return raw;
   }
 
   gpioIn() {
     let value = this.rawInputs();
-    for (const pin of OUTPUTS) if (this.chip.gpio[pin].inputEnable && this.pinLevels.get(pin)) value |= 1 << pin;
+    for (const pin of OUTPUT_PINS) if (this.chip.gpio[pin].inputEnable && this.pinLevels.get(pin)) value |= 1 << pin;
     return value >>> 0;
   }
 
   updatePins() {
-    for (const pin of OUTPUTS) this.chip.gpio[pin].checkForUpdates();
+    for (const pin of OUTPUT_PINS) this.chip.gpio[pin].checkForUpdates();
   }
 
   // Bring the hardware to `now`.
@@ -491,7 +448,7 @@ export class Machine {
   }
 
   input(tick, pin, level) {
-    if (!INPUTS.includes(pin) || tick < this.now) fault(`input on GP${pin} at ${tick}: not an input, or in the past (${this.now})`);
+    if (!INPUT_PINS.includes(pin) || tick < this.now) fault(`input on GP${pin} at ${tick}: not an input, or in the past (${this.now})`);
     let at = this.inputs.length;
     while (at > 0 && this.inputs[at - 1][0] > tick) at--;
     this.inputs.splice(at, 0, [tick, pin, level]);

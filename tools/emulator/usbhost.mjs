@@ -1,11 +1,12 @@
 // A host on the other end of the USB cable: enumerates as Linux does, then is its cdc-acm driver. Full speed: a byte takes
 // two thirds of a microsecond, one transaction is on the wire at a time, what gets NAK is asked again.
 
+import { TICK_HZ } from './controller.mjs';
 import { fault } from './fault.mjs';
 
 const BYTE = 67; // ticks
-const US = 100;
-const MS = 100_000;
+const US = TICK_HZ / 1e6;
+const MS = 1000 * US;
 const DEBOUNCE = 100 * MS; // as Linux' hub driver
 const RESET = 50 * MS;
 const RECOVERY = 10 * MS;

@@ -1,16 +1,17 @@
 // Pin transitions as a value change dump, 10 ns a step; `sigrok-cli -I vcd` and GTKWave read it. The serial line out is
 // drawn from the bytes the UART sent and when: its bits are not emulated one by one.
 
-export const NAMES = {
-  0: 'uart_tx', 3: 'projector', 4: 'led', 5: 'microwave', 6: 'trigger', 8: 'step', 9: 'direction', 10: 'enable', 25: 'status',
-};
-const BYTE_TICKS = 1000;
+import { OUTPUT_PINS, PIN, TICK_HZ } from './controller.mjs';
 
-// [end of the stop bit, byte] as transitions of GP0, idle high; equal bits make none.
+const NAMES = Object.fromEntries(Object.entries(PIN).filter(([, pin]) => pin === PIN.UART_TX || OUTPUT_PINS.includes(pin)).map(([name, pin]) => [pin, name.toLowerCase()]));
+const BIT_TICKS = TICK_HZ / 1e6; // 1 Mbaud
+const BYTE_TICKS = 10 * BIT_TICKS;
+
+// [end of the stop bit, byte] as transitions of the line, idle high; equal bits make none.
 function bitsOf(end, byte) {
   const start = end - BYTE_TICKS;
   const levels = [0, ...Array.from({ length: 8 }, (_, i) => (byte >> i) & 1), 1];
-  return levels.flatMap((level, i) => (level === (i ? levels[i - 1] : 1) ? [] : [[start + 100 * i, 0, level]]));
+  return levels.flatMap((level, i) => (level === (i ? levels[i - 1] : 1) ? [] : [[start + BIT_TICKS * i, PIN.UART_TX, level]]));
 }
 
 export class VcdWriter {
@@ -21,7 +22,7 @@ export class VcdWriter {
     stream.write('$timescale 10 ns $end\n$scope module annulus $end\n');
     for (const [pin, id] of this.ids) stream.write(`$var wire 1 ${id} ${NAMES[pin]} $end\n`);
     stream.write('$upscope $end\n$enddefinitions $end\n#0\n');
-    for (const [pin, id] of this.ids) stream.write(`${pin === 0 ? 1 : 0}${id}\n`);
+    for (const [pin, id] of this.ids) stream.write(`${pin === PIN.UART_TX ? 1 : 0}${id}\n`);
     this.last = 0;
   }
 

@@ -12,27 +12,13 @@ from typing import ClassVar, Self
 
 from annulus.vocabulary import AnnulusError, EdgeFlag, Lamp
 
-SCHEMA_HASH = 0xD51C5875
+SCHEMA_HASH = 0xD49BD1EB
 REPLY_BIT = 0x40
 PROTOCOL_VERSION = 1
 MAX_WIRE = 64
-TICK_HZ = 100000000
 EVENT_RING = 64
-SLOTS_MAX = 16
-CHIPS_MAX = 256
 RESET_MAGIC = 2120121088
 BOOTLOADER_MAGIC = 2120134663
-LAMP_WIDTH_MAX_US = 20000
-LAMP_DUTY_MAX_PERMILLE = 500
-MICROWAVE_PULSE_MIN_NS = 300
-MICROWAVE_PULSE_MAX_NS = 30000
-MICROWAVE_DUTY_MAX_PERMILLE = 50
-CHIP_MIN_TICKS = 10
-CHIP_MAX_TICKS = 3000
-HOST_TIMEOUT_MIN_MS = 50
-HOST_TIMEOUT_MAX_MS = 5000
-FRAME_PERIOD_MIN_US = 2000
-FRAME_PERIOD_MAX_US = 1000000
 
 
 class StatusCode(IntEnum):
@@ -79,7 +65,7 @@ class StateFlag(IntFlag):
     MICROWAVE_ARMED = 4
     BURST_RUNNING = 8
     INTERLOCK_OPEN = 16
-    STAGE_MOVING = 32
+    TURNTABLE_MOVING = 32
     STAGED = 64
     SCHEMA_OK = 128
 
@@ -274,7 +260,7 @@ class StatusReply(Reply):
     """Answer to status."""
 
     ID: ClassVar[int] = 0x43
-    SCHEMA_BYTE: ClassVar[int] = 0x1F
+    SCHEMA_BYTE: ClassVar[int] = 0x26
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBHBBIIIiHHHHi")
     LENGTH: ClassVar[int] = 34
     FIELDS: ClassVar[tuple[str, ...]] = (
@@ -291,7 +277,7 @@ class StatusReply(Reply):
         "bad_frames",
         "late",
         "overruns",
-        "stage",
+        "turntable",
     )
 
     state: StateFlag
@@ -305,7 +291,7 @@ class StatusReply(Reply):
     bad_frames: int  # received frames refused: COBS, length, CRC
     late: int  # flashes not loaded in time
     overruns: int  # events that left the ring before they were sent
-    stage: int  # steps; position since boot
+    turntable: int  # steps; position since boot
 
     def pack(self) -> bytes:
         return _pack(
@@ -324,7 +310,7 @@ class StatusReply(Reply):
             self.bad_frames,
             self.late,
             self.overruns,
-            self.stage,
+            self.turntable,
         )
 
     @classmethod
@@ -695,7 +681,7 @@ class Stage(Command):
     exposure: int  # ticks
     readout: int  # ticks; first to last line
     tolerance: int  # permille; of an interval against the frame period; edges earlier than that are refused
-    host_timeout: int  # ms; 0 = the default of 500
+    host_timeout: int  # ms; 0 = the default
     projector_delay: int  # ticks; falling edge to lamp on
     projector_width: int  # ticks; lamp on to lamp off; 0 = stay dark
     led_delay: int  # ticks
@@ -846,7 +832,7 @@ class Burst(Command):
     """Fire a train of bursts. Needs the microwave armed. Ends with BURST_DONE."""
 
     ID: ClassVar[int] = 0x0A
-    SCHEMA_BYTE: ClassVar[int] = 0xE8
+    SCHEMA_BYTE: ClassVar[int] = 0x54
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BHHIi")
     LENGTH: ClassVar[int] = 13
     FIELDS: ClassVar[tuple[str, ...]] = ("code", "chip", "repeat", "period", "trigger_offset")
@@ -891,7 +877,7 @@ class BurstStop(Command):
 
 @dataclass(frozen=True, slots=True)
 class Move(Command):
-    """Move the rotary stage to an absolute position. Ends with STAGE_DONE."""
+    """Move the turntable to an absolute position. Ends with TURNTABLE_DONE."""
 
     ID: ClassVar[int] = 0x0C
     SCHEMA_BYTE: ClassVar[int] = 0xFD
@@ -1104,11 +1090,11 @@ class BurstDone(Event):
 
 
 @dataclass(frozen=True, slots=True)
-class StageDone(Event):
-    """The stage stands still."""
+class TurntableDone(Event):
+    """The turntable stands still."""
 
     ID: ClassVar[int] = 0x86
-    SCHEMA_BYTE: ClassVar[int] = 0x01
+    SCHEMA_BYTE: ClassVar[int] = 0x09
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<Ii")
     LENGTH: ClassVar[int] = 8
     FIELDS: ClassVar[tuple[str, ...]] = ("tick", "position")
@@ -1117,7 +1103,7 @@ class StageDone(Event):
     position: int  # steps
 
     def pack(self) -> bytes:
-        return _pack("stage_done", self.LAYOUT, self.tick, self.position)
+        return _pack("turntable_done", self.LAYOUT, self.tick, self.position)
 
     @classmethod
     def unpack(cls, payload: bytes) -> Self:
@@ -1209,7 +1195,7 @@ EVENTS: dict[int, type[Event]] = {
     0x83: Fault,
     0x84: Configured,
     0x85: BurstDone,
-    0x86: StageDone,
+    0x86: TurntableDone,
     0x87: Booted,
 }
 

@@ -1,6 +1,7 @@
 """Builds the core for this machine and runs its C tests, its coverage and its fuzzer. The build folder is the cache."""
 
 import fcntl
+import graphlib
 import json
 import shutil
 import subprocess
@@ -53,3 +54,28 @@ def test_the_core_includes_nothing_of_a_board_but_board_h() -> None:
             if line.startswith("#include"):
                 assert line.split()[1].strip('<">') in allowed | own, f"{path.name}: {line}"
             assert "malloc" not in line
+
+
+@pytest.mark.parametrize(("board", "prefix"), [("native", ""), ("rp2040", "arm-none-eabi-")])
+def test_no_file_needs_one_that_needs_it(board: str, prefix: str, tmp_path: Path) -> None:
+    """By what the linker sees, so no header hides it: core on either board is a graph without circles."""
+    if shutil.which(f"{prefix}gcc") is None:
+        pytest.skip(f"{prefix}gcc is not installed")
+    cpu = ["-mcpu=cortex-m0plus", "-mthumb", "-ffreestanding", "-Irp2040/libc"] if prefix else []
+    defines: dict[str, str] = {}
+    needs: dict[str, set[str]] = {}
+    for source in sorted([*FIRMWARE.glob("core/*.c"), *FIRMWARE.glob(f"{board}/*.c")]):
+        name = f"{source.parent.name}/{source.name}"
+        made = tmp_path / f"{source.stem}.o"
+        command = [f"{prefix}gcc", "-std=c11", *cpu, "-Icore", '-DANNULUS_VERSION=""', '-DANNULUS_GIT=""', "-c"]
+        subprocess.run([*command, name, "-o", str(made)], cwd=FIRMWARE, check=True)
+        nm = subprocess.run([f"{prefix}nm", made], capture_output=True, text=True, check=True)
+        words = [line.split()[-2:] for line in nm.stdout.splitlines()]
+        defines |= {symbol: name for kind, symbol in words if kind in "TDBRC"}
+        needs[name] = {symbol for kind, symbol in words if kind == "U"}
+    graph = {name: {defines[s] for s in symbols & defines.keys()} - {name} for name, symbols in needs.items()}
+    assert sum(map(len, graph.values())) > 40  # it was found at all
+    try:
+        graphlib.TopologicalSorter(graph).prepare()
+    except graphlib.CycleError as error:
+        pytest.fail(" -> ".join(error.args[1]))

@@ -1,6 +1,6 @@
 // A host and a camera for tests: sends commands over the simulated line, makes sync edges, keeps what came back.
 
-#include "bench.h"
+#include "rig.h"
 
 #include <string.h>
 
@@ -42,13 +42,13 @@ static void keep(uint8_t* const bytes, const size_t coded)
     memcpy(entry->payload, bytes + at, layout->length);
 }
 
-void bench_over_usb(const bool usb)
+void rig_over_usb(const bool usb)
 {
     over_usb = usb;
     partial_length = 0;
 }
 
-void bench_pass(const uint64_t ticks)
+void rig_pass(const uint64_t ticks)
 {
     native_run_until(native_tick() + ticks);
     uint8_t byte;
@@ -62,7 +62,7 @@ void bench_pass(const uint64_t ticks)
     }
 }
 
-void bench_power_on(void)
+void rig_power_on(void)
 {
     native_begin();
     over_usb = false;
@@ -73,17 +73,17 @@ void bench_power_on(void)
     native_power_on(1, BOOT_CAUSE_POWER_ON);
 }
 
-void bench_start(void)
+void rig_start(void)
 {
-    bench_power_on();
+    rig_power_on();
     native_input(0, PIN_INTERLOCK, 0);
     uint8_t payload[COMMAND_IDENTIFY_LENGTH];
     command_identify_pack(&(command_identify_t){.protocol = PROTOCOL_VERSION, .schema = SCHEMA_HASH}, payload);
-    EXPECT_EQ(bench_status_of(COMMAND_IDENTIFY, payload), STATUS_OK);
-    bench_forget();
+    EXPECT_EQ(rig_status_of(COMMAND_IDENTIFY, payload), STATUS_OK);
+    rig_forget();
 }
 
-command_stage_t bench_config(const uint8_t generation, const uint8_t ratio)
+command_stage_t rig_config(const uint8_t generation, const uint8_t ratio)
 {
     return (command_stage_t){.generation = generation,
                              .ratio = ratio,
@@ -97,41 +97,41 @@ command_stage_t bench_config(const uint8_t generation, const uint8_t ratio)
                              .led_width = 5 * MS};
 }
 
-void bench_configure(const command_stage_t* const config)
+void rig_configure(const command_stage_t* const config)
 {
     uint8_t payload[COMMAND_STAGE_LENGTH];
     command_stage_pack(config, payload);
-    EXPECT_EQ(bench_status_of(COMMAND_STAGE, payload), STATUS_OK);
-    EXPECT_EQ(bench_status_of(COMMAND_COMMIT, &config->generation), STATUS_OK);
+    EXPECT_EQ(rig_status_of(COMMAND_STAGE, payload), STATUS_OK);
+    EXPECT_EQ(rig_status_of(COMMAND_COMMIT, &config->generation), STATUS_OK);
 }
 
-void bench_arm(const uint8_t outputs)
+void rig_arm(const uint8_t outputs)
 {
-    EXPECT_EQ(bench_status_of(COMMAND_ARM, &outputs), STATUS_OK);
+    EXPECT_EQ(rig_status_of(COMMAND_ARM, &outputs), STATUS_OK);
 }
 
-void bench_raw(const uint8_t* const bytes, const size_t size)
+void rig_raw(const uint8_t* const bytes, const size_t size)
 {
     EXPECT_EQ((over_usb ? native_usb_write : native_serial_write)(bytes, size), size);
 }
 
-void bench_send(const uint8_t id, const uint8_t sequence, const uint8_t* const payload)
+void rig_send(const uint8_t id, const uint8_t sequence, const uint8_t* const payload)
 {
     const layout_t* const layout = layout_of(id);
     uint8_t body[2 + PAYLOAD_MAX] = {id, sequence};
     if (layout->length > 0U) {
         memcpy(body + 2, payload, layout->length);
     }
-    uint8_t wire[PROTOCOL_MAX_WIRE];
-    bench_raw(wire, link_frame(body, 2U + layout->length, layout->schema, wire));
+    uint8_t wire[MAX_WIRE];
+    rig_raw(wire, link_frame(body, 2U + layout->length, layout->schema, wire));
 }
 
-const uint8_t* bench_command(const uint8_t id, const uint8_t* const payload)
+const uint8_t* rig_command(const uint8_t id, const uint8_t* const payload)
 {
     const uint8_t sequence = next_sequence++;
     const size_t before = got_count;
-    bench_send(id, sequence, payload);
-    bench_pass(2 * MS);
+    rig_send(id, sequence, payload);
+    rig_pass(2 * MS);
     for (size_t i = before; i < got_count; i++) {
         if ((got[i % GOT_MAX].id == id + REPLY_BIT) && (got[i % GOT_MAX].sequence == sequence)) {
             return got[i % GOT_MAX].payload;
@@ -140,17 +140,17 @@ const uint8_t* bench_command(const uint8_t id, const uint8_t* const payload)
     return NULL;
 }
 
-uint8_t bench_status_of(const uint8_t id, const uint8_t* const payload)
+uint8_t rig_status_of(const uint8_t id, const uint8_t* const payload)
 {
-    const uint8_t* const reply = bench_command(id, payload);
+    const uint8_t* const reply = rig_command(id, payload);
     EXPECT(reply != NULL);
     return (reply == NULL) ? 0xFFU : reply[0];
 }
 
-reply_status_t bench_status(void)
+reply_status_t rig_status(void)
 {
     reply_status_t status = {0};
-    const uint8_t* const reply = bench_command(COMMAND_STATUS, NULL);
+    const uint8_t* const reply = rig_command(COMMAND_STATUS, NULL);
     EXPECT(reply != NULL);
     if (reply != NULL) {
         reply_status_unpack(&status, reply);
@@ -158,24 +158,24 @@ reply_status_t bench_status(void)
     return status;
 }
 
-uint64_t bench_pulse(void)
+uint64_t rig_pulse(void)
 {
     const uint64_t edge = native_tick();
     native_input(edge, PIN_SYNC, 0);
     native_input(edge + 10 * US, PIN_SYNC, 1);
-    bench_pass(10 * US);
+    rig_pass(10 * US);
     return edge;
 }
 
-uint64_t bench_edge(const uint64_t period)
+uint64_t rig_edge(const uint64_t period)
 {
-    bench_send(COMMAND_PING, 0xFF, NULL);
-    const uint64_t edge = bench_pulse();
-    bench_pass(period - 10 * US);
+    rig_send(COMMAND_PING, 0xFF, NULL);
+    const uint64_t edge = rig_pulse();
+    rig_pass(period - 10 * US);
     return edge;
 }
 
-const got_t* bench_take(const uint8_t id)
+const got_t* rig_take(const uint8_t id)
 {
     for (size_t i = 0; i < got_count; i++) {
         if (got[i].id == id) {
@@ -186,7 +186,7 @@ const got_t* bench_take(const uint8_t id)
     return NULL;
 }
 
-size_t bench_count(const uint8_t id)
+size_t rig_count(const uint8_t id)
 {
     size_t count = 0;
     for (size_t i = 0; i < got_count; i++) {
@@ -195,21 +195,21 @@ size_t bench_count(const uint8_t id)
     return count;
 }
 
-void bench_forget(void)
+void rig_forget(void)
 {
-    bench_look();
+    rig_look();
     seen_count = 0;
     got_count = 0;
 }
 
-void bench_look(void)
+void rig_look(void)
 {
     seen_count += native_pins(seen + seen_count, SEEN_MAX - seen_count);
 }
 
 static uint64_t nth(const uint8_t pin, const uint8_t level, size_t index)
 {
-    bench_look();
+    rig_look();
     for (size_t i = 0; i < seen_count; i++) {
         if ((seen[i].pin == pin) && (seen[i].level == level) && (index-- == 0U)) {
             return seen[i].tick;
@@ -218,22 +218,42 @@ static uint64_t nth(const uint8_t pin, const uint8_t level, size_t index)
     return 0;
 }
 
-uint64_t bench_rise(const uint8_t pin, const size_t index)
+uint64_t rig_rise(const uint8_t pin, const size_t index)
 {
     return nth(pin, 1, index);
 }
 
-uint64_t bench_fall(const uint8_t pin, const size_t index)
+uint64_t rig_fall(const uint8_t pin, const size_t index)
 {
     return nth(pin, 0, index);
 }
 
-size_t bench_rises(const uint8_t pin)
+size_t rig_rises(const uint8_t pin)
 {
-    bench_look();
+    rig_look();
     size_t count = 0;
     for (size_t i = 0; i < seen_count; i++) {
         count += ((seen[i].pin == pin) && (seen[i].level == 1U)) ? 1U : 0U;
     }
     return count;
+}
+
+event_edge_t rig_take_edge(void)
+{
+    event_edge_t edge = {.flags = 0xFF};
+    const got_t* const taken = rig_take(EVENT_EDGE);
+    EXPECT(taken != NULL);
+    if (taken != NULL) {
+        event_edge_unpack(&edge, taken->payload);
+    }
+    return edge;
+}
+
+void rig_scan(const uint8_t ratio)
+{
+    rig_start();
+    const command_stage_t config = rig_config(1, ratio);
+    rig_configure(&config);
+    rig_arm(ARM_LAMPS);
+    rig_forget();
 }

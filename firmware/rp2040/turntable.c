@@ -1,8 +1,8 @@
-// Steps for the rotary stage: a machine of PIO0 that borrows the lamps' pulse, fed by DMA with one and the same word.
+// Steps for the turntable: a machine of PIO0 that borrows the lamps' pulse, fed by DMA with one and the same word.
 
 #include "../board.h"
 #include "hardware.h"
-#include "pins.h"
+#include "../pins.h"
 #include "registers.h"
 
 // A step is the words delay, width, level; they may be one word as long as it is odd: level 1.
@@ -34,7 +34,7 @@ static void finish_when_done(void)
     }
 }
 
-void board_stage_move(const int32_t position, const uint32_t period_ticks, const bool hold)
+void board_turntable_move(const int32_t position, const uint32_t period_ticks, const bool hold)
 {
     motor.target = position;
     motor.hold = hold;
@@ -52,14 +52,14 @@ void board_stage_move(const int32_t position, const uint32_t period_ticks, const
     }
 }
 
-bool board_stage_moving(void)
+bool board_turntable_moving(void)
 {
     finish_when_done();
     return motor.moving;
 }
 
 // While it moves: steps begun, one more or less.
-int32_t board_stage_position(void)
+int32_t board_turntable_position(void)
 {
     finish_when_done();
     if (!motor.moving) {
@@ -71,7 +71,7 @@ int32_t board_stage_position(void)
     return (motor.target > motor.start) ? motor.target - (int32_t)left : motor.target + (int32_t)left;
 }
 
-void stage_start(void)
+void turntable_start(void)
 {
     REGISTER(PIO_EXECCTRL(PIO0, STEP_MACHINE)) = EXEC_WRAP(LAMP_DELAY, LAMP_LAST_PULL);
     REGISTER(PIO_PINCTRL(PIO0, STEP_MACHINE)) = PINS_OUT(PIN_STEP, 1U) | PINS_SET(PIN_STEP, 1U);

@@ -1,0 +1,76 @@
+// What the files of this folder know of each other; they bear the names of ../rp2040's. Each keeps its own state, and
+// tells by `_time` when it will next do something by itself, which `_step` then does.
+
+#ifndef ANNULUS_NATIVE_HARDWARE_H
+#define ANNULUS_NATIVE_HARDWARE_H
+
+#include "../board.h"
+#include "../core/messages.h"
+#include "native.h"
+
+#define NEVER UINT64_MAX
+
+// What all share.
+extern struct world {
+    uint64_t now;
+    uint64_t boot_tick;
+    bool powered;
+    bool in_bootloader;
+    bool refuse_next;
+    native_lost_t lost;
+} world;
+
+typedef struct {
+    uint64_t tick;
+    uint64_t order;  // of scheduling, breaks ties
+    uint8_t pin;
+    uint8_t level;
+} input_t;
+
+// Levels somebody scheduled, in order.
+void world_begin(void);
+uint64_t world_input_time(void);
+input_t world_input(void);
+bool world_refuses(void);  // the next lit flash or burst, once
+
+// The main loop: when its next round is, and what brings it forward.
+void time_start(void);
+void time_wake(void);
+void time_begin_round(void);
+uint64_t time_of_round(void);
+
+void pinuse_begin(void);
+void pinuse_start(void);
+void pinuse_drive(uint8_t pin, uint8_t level);
+bool pinuse_input(uint8_t pin, uint8_t level);  // did it change?
+
+void identity_start(uint8_t boot, uint8_t cause);
+
+void reset_start(void);
+bool reset_wanted(void);
+uint64_t reset_time(void);  // the watchdog bites
+
+void lines_begin(void);
+void lines_start(void);
+bool lines_waiting(void);
+uint64_t lines_time(void);
+void lines_step(void);
+
+void lamps_start(void);
+void lamps_edge(void);
+void lamps_odometer(void);
+uint64_t lamps_time(void);
+void lamps_step(void);
+
+void microwave_start(void);
+void microwave_cut(void);
+uint64_t microwave_time(void);
+void microwave_step(void);
+uint64_t microwave_starving_time(void);
+void microwave_starve(void);
+
+void turntable_start(void);
+uint64_t turntable_time(void);
+void turntable_step(void);
+
+#endif

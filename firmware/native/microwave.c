@@ -1,0 +1,159 @@
+// Trains of chips for the microwave gate and its digitizer trigger.
+
+#include <stdlib.h>
+#include <string.h>
+
+#include "hardware.h"
+
+#define TRAIN_STEPS_MAX (CHIPS_MAX + 8U)
+#define STARVED_TICKS (BOARD_STARVED_MS * (uint64_t)TICKS_PER_MS)
+
+typedef struct {
+    int64_t offset;  // from chip 0
+    uint8_t pin;     // 0 = end of the burst
+    uint8_t level;
+} train_step_t;
+
+static struct {
+    bool enabled;
+    bool starved;
+    bool running;
+    bool stopping;
+    train_step_t steps[TRAIN_STEPS_MAX];
+    size_t step_count;
+    size_t step;
+    uint64_t chip0;  // of the current burst
+    uint32_t period;
+    uint16_t repeat;
+    uint16_t done;
+} train;
+
+static uint64_t fed;
+
+void microwave_start(void)
+{
+    memset(&train, 0, sizeof train);
+}
+
+void board_microwave_feed(void)
+{
+    fed = world.now;
+}
+
+static void end_train(void)
+{
+    train.running = false;
+    pinuse_drive(PIN_MICROWAVE, 0);
+    pinuse_drive(PIN_TRIGGER, 0);
+    time_wake();
+}
+
+// The interlock opened.
+void microwave_cut(void)
+{
+    train.enabled = false;
+    end_train();
+}
+
+uint64_t microwave_time(void)
+{
+    return train.running ? train.chip0 + (uint64_t)train.steps[train.step].offset : NEVER;
+}
+
+void microwave_step(void)
+{
+    const train_step_t* const step = &train.steps[train.step++];
+    if (step->pin != 0U) {
+        pinuse_drive(step->pin, step->level);
+        return;
+    }
+    train.done++;
+    train.step = 0;
+    train.chip0 += train.period;
+    if (train.stopping || (train.done == train.repeat)) {
+        end_train();
+    }
+}
+
+// The main loop's credit for the microwave is used up.
+uint64_t microwave_starving_time(void)
+{
+    return train.enabled ? fed + STARVED_TICKS : NEVER;
+}
+
+void microwave_starve(void)
+{
+    train.enabled = false;
+    train.starved = true;
+    end_train();
+}
+
+bool board_microwave_starved(void)
+{
+    const bool starved = train.starved;
+    train.starved = false;
+    return starved;
+}
+
+void board_microwave(const bool enabled)
+{
+    train.enabled = enabled && !board_interlock_open();
+    if (!enabled) {
+        end_train();
+    }
+}
+
+static int compare_steps(const void* const a, const void* const b)
+{
+    const int64_t first = ((const train_step_t*)a)->offset;
+    const int64_t second = ((const train_step_t*)b)->offset;
+    return (first > second) - (first < second);
+}
+
+static void add_step(const int64_t offset, const uint8_t pin, const uint8_t level)
+{
+    train.steps[train.step_count++] = (train_step_t){.offset = offset, .pin = pin, .level = level};
+}
+
+bool board_burst(const board_burst_t* const burst, uint32_t* const start)
+{
+    if (!train.enabled || world_refuses()) {
+        return false;
+    }
+    train.step_count = 0;
+    uint8_t level = 0;
+    for (uint16_t chip = 0; chip <= burst->length; chip++) {
+        const bool on = board_chip(burst, chip);
+        if (level != (on ? 1U : 0U)) {
+            level = on ? 1U : 0U;
+            add_step((int64_t)chip * burst->chip_ticks, PIN_MICROWAVE, level);
+        }
+    }
+    const int64_t trigger = burst->trigger_offset;
+    add_step(trigger, PIN_TRIGGER, 1);
+    add_step(trigger + TRIGGER_TICKS, PIN_TRIGGER, 0);
+    const int64_t chips_end = (int64_t)burst->length * burst->chip_ticks;
+    const int64_t trigger_end = trigger + TRIGGER_TICKS;
+    qsort(train.steps, train.step_count, sizeof train.steps[0], compare_steps);
+    add_step((chips_end > trigger_end) ? chips_end : trigger_end, 0, 0);
+    train.step = 0;
+    train.done = 0;
+    train.repeat = burst->repeat;
+    train.period = burst->period_ticks;
+    train.running = true;
+    train.stopping = false;
+    train.chip0 = world.now + NATIVE_ROUND_TICKS + (uint64_t)((trigger < 0) ? -trigger : 0);
+    *start = (uint32_t)(train.chip0 - world.boot_tick);
+    return true;
+}
+
+void board_burst_stop(void)
+{
+    train.stopping = true;
+}
+
+bool board_burst_running(uint16_t* const done)
+{
+    *done = train.done;
+    return train.running;
+}

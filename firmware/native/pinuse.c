@@ -1,0 +1,86 @@
+// Levels of the pins, what became of them, and the inputs and the light that are no peripheral's.
+
+#include "hardware.h"
+
+#define TRANSITIONS_MAX (1U << 17)
+
+static uint8_t levels[PIN_COUNT];
+static native_transition_t transitions[TRANSITIONS_MAX];  // ring
+static size_t transition_first;
+static size_t transition_count;
+static bool interlock_tripped;
+
+void pinuse_begin(void)
+{
+    for (uint8_t pin = 0; pin < PIN_COUNT; pin++) {
+        levels[pin] = (HIGH_AT_RESET_PINS >> pin) & 1U;
+    }
+    transition_count = 0;
+}
+
+void pinuse_drive(const uint8_t pin, const uint8_t level)
+{
+    if (levels[pin] == level) {
+        return;
+    }
+    levels[pin] = level;
+    if (transition_count == TRANSITIONS_MAX) {
+        world.lost.transitions++;
+        return;
+    }
+    const size_t at = (transition_first + transition_count++) % TRANSITIONS_MAX;
+    transitions[at] = (native_transition_t){.tick = world.now, .pin = pin, .level = level};
+}
+
+void pinuse_start(void)
+{
+    for (uint8_t pin = 0; pin < PIN_COUNT; pin++) {
+        if ((OUTPUT_PINS >> pin) & 1U) {
+            pinuse_drive(pin, (HIGH_AT_RESET_PINS >> pin) & 1U);
+        }
+    }
+    interlock_tripped = false;
+}
+
+bool pinuse_input(const uint8_t pin, const uint8_t level)
+{
+    const bool changed = levels[pin] != level;
+    levels[pin] = level;
+    if (world.powered && changed && (pin == PIN_INTERLOCK) && (level == 1U)) {
+        interlock_tripped = true;
+    }
+    return changed;
+}
+
+bool board_interlock_open(void)
+{
+    return levels[PIN_INTERLOCK] == 1U;
+}
+
+bool board_interlock_tripped(void)
+{
+    const bool tripped = interlock_tripped;
+    interlock_tripped = false;
+    return tripped;
+}
+
+void board_status_light(const bool on)
+{
+    pinuse_drive(PIN_STATUS, on ? 1 : 0);
+}
+
+size_t native_pins(native_transition_t* const drained, const size_t size)
+{
+    size_t given = 0;
+    while ((given < size) && (transition_count > 0U)) {
+        drained[given++] = transitions[transition_first];
+        transition_first = (transition_first + 1U) % TRANSITIONS_MAX;
+        transition_count--;
+    }
+    return given;
+}
+
+uint8_t native_pin(const uint8_t pin)
+{
+    return (pin < PIN_COUNT) ? levels[pin] : 0U;
+}

@@ -1,0 +1,47 @@
+// Ways to stop: the watchdog, a restart, the boot loader. Every output goes low first.
+
+#include "../board.h"
+#include "hardware.h"
+#include "../pins.h"
+#include "registers.h"
+
+void board_watchdog_kick(void)
+{
+    REGISTER(WATCHDOG_LOAD) = BOARD_WATCHDOG_MS * 2000U;  // counts down twice a microsecond: erratum RP2040-E1
+}
+
+void outputs_off(void)
+{
+    SET_BITS(RESETS_RESET) = RESET_PIO0 | RESET_PIO1;
+}
+
+void board_reset(void)
+{
+    outputs_off();
+    REGISTER(WATCHDOG_SCRATCH2) = SCRATCH_MAGIC | SCRATCH_BY_HOST;
+    SET_BITS(WATCHDOG_CTRL) = WATCHDOG_TRIGGER;
+    for (;;) {
+    }
+}
+
+// The ROM resets the chip by the watchdog and comes up as the drive RPI-RP2 and as PICOBOOT, GP25 showing its activity.
+void board_bootloader(void)
+{
+    typedef void* (*lookup_t)(const uint16_t* table, uint32_t code);
+    typedef void (*reset_to_usb_boot_t)(uint32_t activity_pins, uint32_t disabled_interfaces);
+    outputs_off();
+    interrupts_off();
+    REGISTER(WATCHDOG_SCRATCH2) = SCRATCH_MAGIC | SCRATCH_BY_HOST;
+    const lookup_t lookup = (lookup_t)(uintptr_t)rom_lookup;
+    const uint16_t* const functions = (const uint16_t*)(uintptr_t)rom_functions;
+    const reset_to_usb_boot_t reset_to_usb_boot = (reset_to_usb_boot_t)lookup(functions, ROM_CODE('U', 'B'));
+    reset_to_usb_boot(1U << PIN_STATUS, 0U);
+}
+
+void reset_start(void)
+{
+    CLEAR_BITS(WATCHDOG_CTRL) = WATCHDOG_ENABLE;
+    REGISTER(PSM_WDSEL) = PSM_ALL_BUT_OSCILLATORS;
+    board_watchdog_kick();
+    SET_BITS(WATCHDOG_CTRL) = WATCHDOG_ENABLE;
+}

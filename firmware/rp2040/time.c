@@ -1,0 +1,42 @@
+// The controller's clock, and the sleep between two rounds of the main loop.
+
+#include "../board.h"
+#include "hardware.h"
+#include "registers.h"
+
+#define ROUND_US 100U
+
+static uint32_t ticks;
+static uint32_t systick;  // at the last look
+
+// SysTick counts down at clk_sys and wraps every 168 ms, later than the watchdog bites: somebody always looks in time.
+uint32_t board_tick(void)
+{
+    const uint32_t now = REGISTER(SYSTICK_CVR);
+    ticks += (systick - now) & 0xFFFFFFU;
+    systick = now;
+    return ticks;
+}
+
+void time_start(void)
+{
+    REGISTER(SYSTICK_RVR) = 0xFFFFFFU;
+    REGISTER(SYSTICK_CVR) = 0U;
+    REGISTER(SYSTICK_CSR) = 5U;  // clk_sys, no interrupt
+    systick = REGISTER(SYSTICK_CVR);
+    ticks = 0;
+    REGISTER(TIMER_INTR) = 1U;
+    REGISTER(TIMER_INTE) = 1U;
+    REGISTER(NVIC_ENABLE) = 1U << IRQ_TIMER0;
+}
+
+void alarm_handler(void)
+{
+    REGISTER(TIMER_INTR) = 1U;
+}
+
+void time_sleep(void)
+{
+    REGISTER(TIMER_ALARM0) = REGISTER(TIMER_RAW_LOW) + ROUND_US;
+    __asm volatile("wfi");
+}

@@ -1,0 +1,35 @@
+// What the two files of the USB device know of each other: usb.c the bus and endpoint 0, usbdata.c the rest.
+
+#ifndef ANNULUS_USB_H
+#define ANNULUS_USB_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#define USB_PACKET 64U
+
+// Endpoints, as bits of BUFF_STATUS and EP_ABORT and as places of the buffer control registers.
+enum { CONTROL_IN = 0, CONTROL_OUT = 1, NOTICE_IN = 2, DATA_IN = 4, DATA_OUT = 5 };
+#define BIT(endpoint) (1U << (endpoint))
+
+// Buffers. One belongs to the controller from usb_hand_over until BUFF_STATUS says it is done.
+void usb_hand_over(uint32_t endpoint, uint32_t bits);
+void usb_take_back(uint32_t endpoints);
+volatile uint8_t* usb_packet_of(uint32_t endpoint);
+void usb_copy_out(uint32_t endpoint, uint32_t at, const uint8_t* bytes, uint32_t size);
+
+// The port, as control requests and the bus see it.
+extern struct usb_port {
+    bool configured;
+    bool suspended;
+    bool host_ready;  // DTR
+    uint8_t halted;   // BIT(endpoint)
+} usb_port;
+void usb_port_open(void);
+void usb_port_close(void);
+bool usb_port_halted(uint32_t endpoint);
+void usb_port_halt(uint32_t endpoint, bool halt);
+void usb_port_done(uint32_t endpoints);  // buffers the controller has given back
+void usb_port_flush(void);               // what is filled goes, at the end of a round
+
+#endif

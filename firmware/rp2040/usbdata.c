@@ -1,0 +1,208 @@
+// USB's buffers and the port's data, both ways: the second line to the core.
+//
+// A buffer belongs to the controller from the moment its AVAILABLE bit is set until BUFF_STATUS says it is done, and is
+// not touched in between. A host waits as long as it has to: a buffer that was not handed over is answered with NAK.
+
+#include <string.h>
+
+#include "../board.h"
+#include "hardware.h"
+#include "registers.h"
+#include "usb.h"
+
+struct usb_port usb_port;
+
+static struct {
+    bool data1;
+    bool taken;  // the controller has the buffer
+    bool whole;  // the last packet was a whole one: the host waits for more
+    uint32_t filled;
+} in;
+
+static struct {
+    bool data1;
+    uint32_t length;  // of the packet that is here, 0 = none
+    uint32_t at;
+} out;
+
+// ---- buffers ----
+
+// The controller may look at the register at any moment, at 48 MHz: everything else first, AVAILABLE three of its
+// cycles later (4.1.2.5.1).
+void usb_hand_over(const uint32_t endpoint, const uint32_t bits)
+{
+    REGISTER(USB_BUFFER_CONTROL(endpoint)) = bits;
+    __asm volatile("nop\nnop\nnop\nnop\nnop\nnop\nnop\nnop\nnop\nnop\nnop\nnop");
+    REGISTER(USB_BUFFER_CONTROL(endpoint)) = bits | BUFFER_AVAILABLE;
+}
+
+// Take buffers back from the controller. The first Picos (RP2040-B0, B1) never say that they are done: erratum E2.
+void usb_take_back(const uint32_t endpoints)
+{
+    SET_BITS(USB_EP_ABORT) = endpoints;
+    for (uint32_t i = 0; (i < 1000U) && ((REGISTER(USB_EP_ABORT_DONE) & endpoints) != endpoints); i++) {
+    }
+    for (uint32_t endpoint = CONTROL_IN; endpoint <= DATA_OUT; endpoint++) {
+        if ((endpoints & BIT(endpoint)) != 0U) {
+            REGISTER(USB_BUFFER_CONTROL(endpoint)) = 0U;
+        }
+    }
+    REGISTER(USB_EP_ABORT_DONE) = endpoints;
+    CLEAR_BITS(USB_EP_ABORT) = endpoints;
+    REGISTER(USB_BUFF_STATUS) = endpoints;
+}
+
+volatile uint8_t* usb_packet_of(const uint32_t endpoint)
+{
+    return (volatile uint8_t*)(uintptr_t)(USB_DPSRAM +
+                                          ((endpoint <= CONTROL_OUT) ? 0x100U : 0x180U + USB_PACKET * endpoint));
+}
+
+void usb_copy_out(const uint32_t endpoint, const uint32_t at, const uint8_t* const bytes, const uint32_t size)
+{
+    volatile uint8_t* const packet = usb_packet_of(endpoint);
+    for (uint32_t i = 0; i < size; i++) {
+        packet[at + i] = bytes[i];
+    }
+}
+
+// ---- data ----
+
+bool usb_port_halted(const uint32_t endpoint)
+{
+    return (usb_port.halted & BIT(endpoint)) != 0U;
+}
+
+static void send_packet(void)
+{
+    const uint32_t toggle = in.data1 ? BUFFER_DATA1 : 0U;
+    in.data1 = !in.data1;
+    in.taken = true;
+    in.whole = in.filled == USB_PACKET;
+    usb_hand_over(DATA_IN, BUFFER_FULL | toggle | in.filled);
+    in.filled = 0;
+}
+
+static void ask_for_packet(void)
+{
+    const uint32_t toggle = out.data1 ? BUFFER_DATA1 : 0U;
+    out.data1 = !out.data1;
+    out.length = 0;
+    out.at = 0;
+    usb_hand_over(DATA_OUT, toggle | USB_PACKET);
+}
+
+static void restart_in(void)
+{
+    usb_take_back(BIT(DATA_IN));
+    memset(&in, 0, sizeof in);
+    usb_port.halted &= (uint8_t)~BIT(DATA_IN);
+}
+
+static void restart_out(void)
+{
+    usb_take_back(BIT(DATA_OUT));
+    memset(&out, 0, sizeof out);
+    usb_port.halted &= (uint8_t)~BIT(DATA_OUT);
+    ask_for_packet();
+}
+
+bool usb_connected(void)
+{
+    return usb_port.configured && !usb_port.suspended && usb_port.host_ready;
+}
+
+size_t usb_receive(uint8_t* const bytes, const size_t size)
+{
+    size_t given = 0;
+    const volatile uint8_t* const packet = usb_packet_of(DATA_OUT);
+    while ((given < size) && (out.at < out.length)) {
+        bytes[given++] = packet[out.at++];
+    }
+    if ((out.length > 0U) && (out.at == out.length) && !usb_port_halted(DATA_OUT)) {
+        ask_for_packet();
+    }
+    return given;
+}
+
+size_t usb_transmit(const uint8_t* const bytes, const size_t size)
+{
+    if (!usb_connected()) {
+        in.filled = in.taken ? in.filled : 0U;
+        return size;
+    }
+    if (in.taken || usb_port_halted(DATA_IN)) {
+        return 0;
+    }
+    const uint32_t room = USB_PACKET - in.filled;
+    const uint32_t taken = (size < room) ? (uint32_t)size : room;
+    usb_copy_out(DATA_IN, in.filled, bytes, taken);
+    in.filled += taken;
+    if (in.filled == USB_PACKET) {
+        send_packet();
+    }
+    return taken;
+}
+
+bool usb_transmitted(void)
+{
+    return !usb_connected() || (!in.taken && (in.filled == 0U));
+}
+
+bool usb_has_received(void)
+{
+    return out.at < out.length;
+}
+
+// ---- the port ----
+
+void usb_port_open(void)
+{
+    usb_port.configured = true;
+    ask_for_packet();
+}
+
+void usb_port_close(void)
+{
+    memset(&usb_port, 0, sizeof usb_port);
+    usb_take_back(BIT(NOTICE_IN) | BIT(DATA_IN) | BIT(DATA_OUT));
+    memset(&in, 0, sizeof in);
+    memset(&out, 0, sizeof out);
+}
+
+void usb_port_halt(const uint32_t endpoint, const bool halt)
+{
+    if (endpoint == DATA_IN) {
+        restart_in();
+    } else if (endpoint == DATA_OUT) {
+        restart_out();
+    } else {
+        usb_port.halted &= (uint8_t)~BIT(endpoint);
+        REGISTER(USB_BUFFER_CONTROL(endpoint)) = 0U;
+    }
+    if (halt) {
+        usb_take_back(BIT(endpoint));
+        usb_port.halted |= (uint8_t)BIT(endpoint);
+        REGISTER(USB_BUFFER_CONTROL(endpoint)) = BUFFER_STALL;
+    }
+}
+
+void usb_port_done(const uint32_t endpoints)
+{
+    if ((endpoints & BIT(DATA_IN)) != 0U) {
+        in.taken = false;
+    }
+    if ((endpoints & BIT(DATA_OUT)) != 0U) {
+        out.length = REGISTER(USB_BUFFER_CONTROL(DATA_OUT)) & BUFFER_LENGTH;
+        if (out.length == 0U) {
+            ask_for_packet();
+        }
+    }
+}
+
+void usb_port_flush(void)
+{
+    if (usb_connected() && !in.taken && !usb_port_halted(DATA_IN) && ((in.filled > 0U) || in.whole)) {
+        send_packet();
+    }
+}

@@ -1,0 +1,47 @@
+// What the boot ROM does before an image runs, and what of it an image may call.
+
+import { fault } from './fault.mjs';
+
+export const FLASH = 0x10000000;
+const ROM_TABLE = 0x7a;
+export const ROM_LOOKUP = 0x1d0;
+export const ROM_TO_USB_BOOT = 0x1e0;
+
+export function readUf2(file) {
+  const flash = new Uint8Array(2 * 1024 * 1024).fill(0xff);
+  const view = new DataView(file.buffer, file.byteOffset, file.byteLength);
+  if (file.length === 0 || file.length % 512) fault('not a UF2: its length is no multiple of 512');
+  for (let at = 0; at < file.length; at += 512) {
+    const [one, two, flags, address, size, number, count, family] = Array.from({ length: 8 }, (_, i) => view.getUint32(at + 4 * i, true));
+    if (one !== 0x0a324655 || two !== 0x9e5d5157 || view.getUint32(at + 508, true) !== 0x0ab16f30) fault('not a UF2: bad magic');
+    if (!(flags & 0x2000) || family !== 0xe48bff56) fault('this UF2 is for another board');
+    if (number !== at / 512 || count !== file.length / 512 || size !== 256) fault('this UF2 is incomplete');
+    flash.set(file.subarray(at + 32, at + 32 + size), address - FLASH);
+  }
+  let crc = 0xffffffff;
+  for (let i = 0; i < 252; i++) {
+    crc ^= flash[i] << 24;
+    for (let bit = 0; bit < 8; bit++) crc = crc & 0x80000000 ? (crc << 1) ^ 0x04c11db7 : crc << 1;
+  }
+  if ((crc >>> 0) !== new DataView(flash.buffer).getUint32(252, true)) fault('boot ROM: second stage has a wrong CRC32, nothing would start');
+  return flash;
+}
+
+// Of the ROM itself only what a program may call: the header's two halfwords, the table of functions, and a breakpoint in
+// place of each function's code.
+export function loadRom(memory) {
+  const rom = new Uint8Array(memory.buffer, memory.byteOffset, memory.length * 4);
+  const view = new DataView(rom.buffer, rom.byteOffset, rom.byteLength);
+  rom.set([0x4d, 0x75, 0x01, 0x03], 0x10); // 'M', 'u', version, boot ROM of the B2 stepping
+  view.setUint16(0x14, ROM_TABLE, true);
+  view.setUint16(0x18, ROM_LOOKUP | 1, true);
+  [[0x4255 /* UB */, ROM_TO_USB_BOOT | 1], [0, 0]].forEach(([code, at], i) => {
+    view.setUint16(ROM_TABLE + 4 * i, code, true);
+    view.setUint16(ROM_TABLE + 4 * i + 2, at, true);
+  });
+  for (const at of [ROM_LOOKUP, ROM_TO_USB_BOOT]) {
+    view.setUint16(at, 0xbe00, true); // bkpt
+    view.setUint16(at + 2, 0x4770, true); // bx lr
+  }
+  return view;
+}
