@@ -6,17 +6,32 @@ import subprocess
 from pathlib import Path
 from typing import Any, TypeVar
 
+from annulus.controller import PIN_LED, PIN_MICROWAVE, PIN_PROJECTOR, PIN_SYNC, PIN_TRIGGER, TICKS_PER_US
 from annulus.link.codec import Decoder, Frame, encode
-from annulus.link.messages import SCHEMA_HASH, Command, Event, Identify, IdentifyReply, Ping, Reply, Stage
+from annulus.link.messages import (
+    SCHEMA_HASH,
+    Arm,
+    ArmFlag,
+    Command,
+    Commit,
+    Event,
+    Identify,
+    IdentifyReply,
+    Ping,
+    Reply,
+    Stage,
+    StatusCode,
+)
 
 ROOT = Path(__file__).resolve().parents[2]
 IMAGE = ROOT / "firmware/build/annulus.uf2"
 EMULATOR = ROOT / "tools/emulator/emulate.mjs"
 
-SYNC, PROJECTOR, LED, MICROWAVE, TRIGGER, INTERLOCK, STEP, DIRECTION, ENABLE = range(2, 11)
-ODOMETER_A, ODOMETER_B, STATUS = 14, 15, 25
-MS = 100_000
+MS = 1000 * TICKS_PER_US
 BOOTED = 3 * MS  # boot ROM, clocks, first event are over
+LATENCY = 9  # from the pin's edge to the lamp's, beyond the programmed delay: the constant of the README
+PERIOD = 4_000_000
+OUTPUTS = (PIN_PROJECTOR, PIN_LED, PIN_MICROWAVE, PIN_TRIGGER)
 
 E = TypeVar("E", bound=Event)
 
@@ -155,13 +170,17 @@ class EmulatedBoard:
             self.run(min(until, self.now + every))
 
     def pulse(self, tick: int, low: int = 10_000) -> None:
-        self.input((tick, SYNC, 0), (tick + low, SYNC, 1))
+        self.input((tick, PIN_SYNC, 0), (tick + low, PIN_SYNC, 1))
 
     def rises(self, pin: int) -> list[int]:
         return [tick for tick, p, level in self.transitions if p == pin and level == 1]
 
     def falls(self, pin: int) -> list[int]:
         return [tick for tick, p, level in self.transitions if p == pin and level == 0]
+
+    def widths(self, pin: int) -> list[int]:
+        """Of every pulse."""
+        return [fall - rise for rise, fall in zip(self.rises(pin), self.falls(pin), strict=True)]
 
     def heard(self, kind: type[E]) -> list[E]:
         return [event for event in self.events if isinstance(event, kind)]
@@ -193,3 +212,22 @@ def configuration(
         led_delay=delay,
         led_width=width if led_width is None else led_width,
     )
+
+
+def arm(board: EmulatedBoard, outputs: ArmFlag = ArmFlag.LAMPS, **changes: int) -> None:
+    board.identify()
+    for command in (configuration(**changes), Commit(generation=changes.get("generation", 1)), Arm(outputs=outputs)):
+        assert board.request(command).status == StatusCode.OK
+
+
+def edges_from(board: EmulatedBoard, count: int, period: int = PERIOD, jitter: int = 13) -> list[int]:
+    """Edges one period apart but for a few ticks, so that every phase of the state machines meets one."""
+    first = board.now + MS
+    return [first + i * period + (i * 7) % jitter for i in range(count)]
+
+
+def lamps_after(board: EmulatedBoard, edges: list[int]) -> list[int]:
+    """Which lamp rose after each edge, and nothing else may have."""
+    rises = sorted((tick, pin) for pin in (PIN_PROJECTOR, PIN_LED) for tick in board.rises(pin))
+    assert len(rises) == len(edges)
+    return [pin for _, pin in rises]

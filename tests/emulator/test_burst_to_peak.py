@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annulus.link.bench import train_from_us
+from annulus.controller import CODES, PIN_INTERLOCK, PIN_TRIGGER
 from annulus.link.messages import Arm, ArmFlag
-from annulus.thermoacoustic.codes import CODES, pattern
+from annulus.link.operate import train_messages
+from annulus.thermoacoustic.codes import Train, pattern
 from annulus.thermoacoustic.phantoms import Disc
 from annulus.thermoacoustic.templates import decode, design
 from annulus.twin.acoustic import Ear, Tank, fire, pulses_of
 from annulus.twin.emulated import EmulatedBoard
-from annulus.twin.native import PIN_INTERLOCK, PIN_TRIGGER
 
 pytestmark = pytest.mark.skipif("ANNULUS_IMAGE" in os.environ, reason="another image is being judged, on its pins")
 
@@ -31,7 +31,7 @@ def board(image: Path) -> Iterator[EmulatedBoard]:
 def test_the_burst_is_the_designed_pattern_and_its_peak_stands_at_the_time_of_flight(
     board: EmulatedBoard, code: str
 ) -> None:
-    _, burst = train_from_us(code, chip_us=0.5, repeat=1, period_us=1000.0, offset_us=-2.0)
+    _, burst = train_messages(code, Train(pattern(code), 50, trigger_offset_ticks=-200))
     pins = fire(board, Arm(ArmFlag.MICROWAVE), burst, ticks=200_000)
     (trigger,) = [int(t) for t, pin, level in pins.tolist() if pin == PIN_TRIGGER and level]
     chip0 = trigger + 200

@@ -63,7 +63,7 @@ delay:
 width:
     jmp y-- width
     mov pins, null          ; wraps to idle
-    jmp idle                ; the stage's machine, whose wrap is elsewhere
+    jmp idle                ; the turntable's machine, whose wrap is elsewhere
 """
 TRAIN = """
 .program train
@@ -302,7 +302,7 @@ def test_the_odometers_transitions_are_pushed_alike(pios: Pios) -> None:
     assert pushed == [now for before, now in itertools.pairwise([0, *levels]) if now != before]
 
 
-def test_the_stages_steps_are_alike(pios: Pios) -> None:
+def test_the_turntables_steps_are_alike(pios: Pios) -> None:
     tx = [word for half in (5, 21, 33) for word in (half, half, half)]  # delay, width, level: one odd word
     trace = compare(pios, 0, 2, start=16, cycles=300, tx=tx)
     assert [size for level, size in runs(trace, 8) if level == 1] == [half + 2 for half in (5, 21, 33)]

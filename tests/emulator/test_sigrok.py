@@ -7,8 +7,9 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from emulated import BOOTED, MICROWAVE, MS, EmulatedBoard, configuration
+from emulated import BOOTED, MS, EmulatedBoard, configuration
 
+from annulus.controller import PIN_MICROWAVE
 from annulus.link.messages import Arm, ArmFlag, Burst, BurstCode, Commit
 
 
@@ -35,7 +36,7 @@ def test_sigrok_finds_the_same_widths_and_the_same_bytes(image: Path, tmp_path: 
     board.request(Burst(code=BurstCode.BARKER13, chip=50, repeat=3, period=100_000, trigger_offset=0))
     board.run(board.now + 5 * MS)
     board.close()
-    ours = sorted(tick for tick, pin, _ in board.transitions if pin == MICROWAVE)
+    ours = sorted(tick for tick, pin, _ in board.transitions if pin == PIN_MICROWAVE)
     gaps = [(later - earlier) * 10e-9 for earlier, later in itertools.pairwise(ours)]
     theirs = [seconds(text) for text in decoded(vcd, "timing:data=microwave", "timing=time")]
     assert theirs[-len(gaps) :] == pytest.approx(gaps, rel=1e-3)

@@ -16,12 +16,12 @@ from typer.testing import CliRunner
 
 from annulus.capture.photometry import Light, measure
 from annulus.cli import app
+from annulus.controller import PIN_ENABLE, PIN_INTERLOCK, PIN_ODOMETER_A, PIN_SYNC
 from annulus.link.firmware import enter_boot_loader
 from annulus.record.calibration_file import save_calibration
 from annulus.record.recording import open_recording
 from annulus.twin.emulated import EmulatedBoard
 from annulus.twin.head import start_head
-from annulus.twin.native import PIN_INTERLOCK, PIN_ODOMETER_A, PIN_SYNC
 from annulus.twin.soak import soak
 from annulus.twin.world import demo_world
 from annulus.vocabulary import AnnulusError, Label
@@ -51,8 +51,8 @@ def test_the_board_has_the_verbs_of_the_native_one(board: EmulatedBoard) -> None
     board.run_until(board.tick + 2 * MS)
     heard = board.serial_read()
     assert heard and board.serial_read() == b""
-    assert {int(pin) for pin in board.pins()["pin"]} == {10}  # the stage's enable is high at rest
-    assert board.level(10) == 1 and len(board.pins()) == 0
+    assert {int(pin) for pin in board.pins()["pin"]} == {PIN_ENABLE}  # the turntable's is high at rest
+    assert board.level(PIN_ENABLE) == 1 and len(board.pins()) == 0
     at = board.tick
     board.power_on()
     board.run_until(at + 3 * MS)

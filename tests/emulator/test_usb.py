@@ -7,15 +7,12 @@ from pathlib import Path
 import pytest
 from emulated import (
     BOOTED,
-    LED,
-    MICROWAVE,
     MS,
-    PROJECTOR,
-    SYNC,
     EmulatedBoard,
     configuration,
 )
 
+from annulus.controller import PIN_LED, PIN_MICROWAVE, PIN_PROJECTOR, PIN_SYNC, TICK_S
 from annulus.link.codec import Frame, encode
 from annulus.link.messages import (
     SCHEMA_HASH,
@@ -42,7 +39,7 @@ from annulus.link.messages import (
 )
 
 LATENCY = 9
-OUTPUTS = (PROJECTOR, LED, MICROWAVE)
+OUTPUTS = (PIN_PROJECTOR, PIN_LED, PIN_MICROWAVE)
 
 
 def arm(board: EmulatedBoard, outputs: ArmFlag = ArmFlag.LAMPS, **changes: int) -> None:
@@ -262,18 +259,18 @@ def test_no_jitter_while_usb_is_busy_both_ways_and_a_train_runs(board: EmulatedB
     begun = board.usb_bytes
     for begin in range(0, len(edges), 50):
         some = edges[begin : begin + 50]
-        board.input(*[item for edge in some for item in ((edge, SYNC, 0), (edge + 3_000, SYNC, 1))])
+        board.input(*[item for edge in some for item in ((edge, PIN_SYNC, 0), (edge + 3_000, PIN_SYNC, 1))])
         for edge in some[::10]:
             board.write(b"".join(encode(Frame(Status(), rng.randrange(256))) for _ in range(150)))
             board.run(edge + 9 * period)
     board.run(edges[-1] + period)
-    rises = sorted(board.rises(PROJECTOR) + board.rises(LED))
+    rises = sorted(board.rises(PIN_PROJECTOR) + board.rises(PIN_LED))
     assert {rise - edge for rise, edge in zip(rises, edges, strict=True)} == {delay + LATENCY}
-    falls = sorted(board.falls(PROJECTOR) + board.falls(LED))
+    falls = sorted(board.falls(PIN_PROJECTOR) + board.falls(PIN_LED))
     assert {fall - rise for fall, rise in zip(falls, rises, strict=True)} == {width}
-    chip0 = board.rises(MICROWAVE)[0]
-    assert {(tick - chip0) % 70_000 % 50 for tick in board.rises(MICROWAVE) + board.falls(MICROWAVE)} == {0}
-    seconds = (edges[-1] - first) * 1e-8
+    chip0 = board.rises(PIN_MICROWAVE)[0]
+    assert {(tick - chip0) % 70_000 % 50 for tick in board.rises(PIN_MICROWAVE) + board.falls(PIN_MICROWAVE)} == {0}
+    seconds = (edges[-1] - first) * TICK_S
     print(f"{(board.usb_bytes - begun) / seconds / 1000:.0f} kB/s from the controller meanwhile")
     assert board.usb_bytes - begun > 100_000 * seconds
     assert board.resets == []
@@ -300,7 +297,7 @@ def test_a_train_begins_when_its_reply_says_however_busy_the_lines_are(board: Em
         assert isinstance(reply, BurstReply)
         assert reply.status == StatusCode.OK
         board.run(board.now + MS)
-        assert [tick - board.origin for tick in board.rises(MICROWAVE)] == [reply.start]
+        assert [tick - board.origin for tick in board.rises(PIN_MICROWAVE)] == [reply.start]
 
 
 # ---- plug, bus, and the other line ----
@@ -333,7 +330,7 @@ def test_unplugged_while_armed_it_goes_dark_and_is_back_in_under_a_second(board:
     assert board.request(Clear()).status == StatusCode.OK
     assert board.request(Arm(outputs=ArmFlag.LAMPS)).status == StatusCode.OK
     board.run_alive(board.now + 30 * MS)
-    again = min(tick for tick in board.rises(LED) if tick > replugged)
+    again = min(tick for tick in board.rises(PIN_LED) if tick > replugged)
     print(f"lamp {(again - replugged) / MS:.0f} ms after the plug went in")
     assert again < replugged + 1000 * MS
     assert board.bad == 0

@@ -16,15 +16,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests/emulator"))
 from emulated import (
     BOOTED,
     IMAGE,
-    LED,
-    MICROWAVE,
     MS,
-    PROJECTOR,
-    SYNC,
     EmulatedBoard,
     configuration,
 )
 
+from annulus.controller import PIN_LED, PIN_MICROWAVE, PIN_PROJECTOR, PIN_SYNC, TICK_S
 from annulus.link.codec import Frame, encode
 from annulus.link.messages import Arm, ArmFlag, Burst, BurstCode, BurstReply, Commit, Status, StatusCode
 
@@ -71,21 +68,21 @@ def measure(line: str, part: int, edges: int) -> str:
             behind = (board.now - started.start - board.origin + (1 << 31)) % (1 << 32) - (1 << 31)
             trains.append(board.now - behind)
         some = [first + i * PERIOD + rng.randrange(-50, 50) for i in range(begin, min(begin + AT_ONCE, edges))]
-        board.input(*[item for edge in some for item in ((edge, SYNC, 0), (edge + 3_000, SYNC, 1))])
+        board.input(*[item for edge in some for item in ((edge, PIN_SYNC, 0), (edge + 3_000, PIN_SYNC, 1))])
         for edge in some[::25]:
             noise = b"" if line == "USB" else rng.randbytes(80) + b"\0"  # USB delivers no noise
             board.write(b"".join(encode(Frame(Status(), rng.randrange(256))) + noise for _ in range(50)))
             board.run(edge + 24 * PERIOD)
         board.run(some[-1] + DELAY + WIDTH + 1_000)
-        rises = sorted((tick, pin) for pin in (PROJECTOR, LED) for tick in board.rises(pin))
-        falls = sorted((tick, pin) for pin in (PROJECTOR, LED) for tick in board.falls(pin))
+        rises = sorted((tick, pin) for pin in (PIN_PROJECTOR, PIN_LED) for tick in board.rises(pin))
+        falls = sorted((tick, pin) for pin in (PIN_PROJECTOR, PIN_LED) for tick in board.falls(pin))
         if not len(rises) == len(falls) == len(some):
             raise SystemExit(f"{line}: {len(rises)} flashes after {len(some)} edges")
         for i, (edge, (rise, pin), (fall, _)) in enumerate(zip(some, rises, falls, strict=True), begin):
             latency.add(rise - edge - DELAY)
             width.add(fall - rise - WIDTH)
-            wrong += pin != (LED if i % 5 == 4 else PROJECTOR)
-        chips = sorted(board.rises(MICROWAVE) + board.falls(MICROWAVE))
+            wrong += pin != (PIN_LED if i % 5 == 4 else PIN_PROJECTOR)
+        chips = sorted(board.rises(PIN_MICROWAVE) + board.falls(PIN_MICROWAVE))
         for tick in chips:
             mine = max(start for start in trains if start <= tick)
             off = (tick - mine) % TRAIN % CHIP
@@ -96,7 +93,7 @@ def measure(line: str, part: int, edges: int) -> str:
         board.events.clear()
         board.event_sequences.clear()
         board.replies.clear()
-    seconds = (board.now - busy) * 1e-8
+    seconds = (board.now - busy) * TICK_S
     board.close()
     spread = latency.most - latency.least
     timing = f"{line:<6}{edges:>9}{latency!s:>10}{spread:>8}{width!s:>8}{wrong:>7}{fired:>10}{grid!s:>8}"

@@ -1,0 +1,222 @@
+"""Bursts of the image a user flashes: chips, trigger, trains and what cuts them, read off its pins."""
+
+import itertools
+import random
+
+import pytest
+from emulated import (
+    MS,
+    EmulatedBoard,
+    arm,
+)
+
+from annulus.controller import (
+    PIN_INTERLOCK,
+    PIN_MICROWAVE,
+    PIN_TRIGGER,
+)
+from annulus.link.messages import (
+    Arm,
+    ArmFlag,
+    Burst,
+    BurstCode,
+    BurstDone,
+    BurstReply,
+    BurstStop,
+    Clear,
+    Fault,
+    FaultCode,
+    Pattern,
+    StatusCode,
+)
+
+CODES = {
+    BurstCode.SINGLE: "1",
+    BurstCode.MPSL25: "1001001010100000011100111",
+    BurstCode.MPSL25_STUFFED: "10000010000010001000100000000000001010100000101010",
+    BurstCode.BARKER13: "1111100110101",
+    BurstCode.MANCHESTER1: "0101011010010101100110100110011001101001011001010101",
+    BurstCode.MANCHESTER2: "0101010110010110100110010101010110011010100101101010",
+}
+
+
+def played(board: EmulatedBoard, chip0: int, chip: int, length: int) -> str:
+    """What stands on the pin in the middle of each chip; the edges are checked to be on the grid."""
+    changes = [(tick, level) for tick, pin, level in board.transitions if pin == PIN_MICROWAVE]
+    assert {(tick - chip0) % chip for tick, _ in changes if chip0 <= tick <= chip0 + chip * length} <= {0}
+    level, bits, at = 0, [], 0
+    for index in range(length):
+        while at < len(changes) and changes[at][0] <= chip0 + chip * index + chip // 2:
+            level = changes[at][1]
+            at += 1
+        bits.append(str(level))
+    return "".join(bits)
+
+
+@pytest.mark.parametrize("code", list(CODES), ids=lambda code: code.name)
+@pytest.mark.parametrize("offset", [0, 1, -1, 123, -777])
+def test_a_code_is_played_as_it_is_written(board: EmulatedBoard, code: BurstCode, offset: int) -> None:
+    arm(board, ArmFlag.MICROWAVE)
+    command = Burst(code=code, chip=50, repeat=3, period=100_000, trigger_offset=offset)
+    reply = board.request(command)
+    assert isinstance(reply, BurstReply)
+    assert reply.status == StatusCode.OK
+    board.run(board.now + 5 * MS)
+    chip0 = reply.start + board.origin
+    for burst in range(3):
+        assert played(board, chip0 + 100_000 * burst, 50, len(CODES[code])) == CODES[code]
+    assert board.rises(PIN_TRIGGER) == [chip0 + offset + 100_000 * burst for burst in range(3)]
+    assert set(board.widths(PIN_TRIGGER)) == {100}
+    assert [done.done for done in board.heard(BurstDone)] == [3]
+
+
+LAGS = range(-24, 25)
+
+
+def correlate(sent: list[int], template: list[int]) -> list[int]:
+    return [sum(sent[i] * template[i - lag] for i in range(25) if 0 <= i - lag < 25) for lag in LAGS]
+
+
+def test_mpsl25_against_its_template_has_its_peak_and_the_sidelobes_of_theory(board: EmulatedBoard) -> None:
+    arm(board, ArmFlag.MICROWAVE)
+    reply = board.request(Burst(code=BurstCode.MPSL25, chip=50, repeat=1, period=100_000, trigger_offset=0))
+    assert isinstance(reply, BurstReply)
+    board.run(board.now + 3 * MS)
+    sent = [int(bit) for bit in played(board, reply.start + board.origin, 50, 25)]
+    template = [1 if bit == "1" else -1 for bit in CODES[BurstCode.MPSL25]]
+    correlation = correlate(sent, template)
+    # sent = (template + 1) / 2, so theory says: half of the template's own correlation and of its sum under the overlap
+    own = correlate(template, template)
+    under = correlate([1] * 25, template)
+    assert [2 * value for value in correlation] == [a + b for a, b in zip(own, under, strict=True)]
+    assert max(abs(value) for lag, value in zip(LAGS, own, strict=True) if lag) == 2  # what makes the code an MPSL code
+    assert correlation[24] == 11
+    assert max(abs(value) for lag, value in zip(LAGS, correlation, strict=True) if lag) == 4  # ratio 2.75
+
+
+@pytest.mark.parametrize(("chip", "width"), [(30, 30), (3_000, 3_000)])
+def test_the_shortest_and_the_longest_pulse(board: EmulatedBoard, chip: int, width: int) -> None:
+    arm(board, ArmFlag.MICROWAVE)
+    reply = board.request(Burst(code=BurstCode.SINGLE, chip=chip, repeat=1000, period=100_000, trigger_offset=0))
+    assert reply.status == StatusCode.OK
+    board.run_alive(board.now + 1010 * MS, every=100 * MS)
+    rises, falls = board.rises(PIN_MICROWAVE), board.falls(PIN_MICROWAVE)
+    assert len(rises) == 1000
+    assert {fall - rise for fall, rise in zip(falls, rises, strict=True)} == {width}
+    assert {later - earlier for earlier, later in itertools.pairwise(rises)} == {100_000}
+    assert [done.done for done in board.heard(BurstDone)] == [1000]
+
+
+def test_uploaded_patterns_are_played_chip_by_chip(board: EmulatedBoard) -> None:
+    arm(board, ArmFlag.MICROWAVE)
+    rng = random.Random(11)
+    for length, density in ((1, 1.0), (8, 0.5), (129, 0.5), (255, 0.5), (256, 0.1), (256, 0.9)):
+        bits = [1 if rng.random() < density else 0 for _ in range(length)]
+        if length == 255:
+            bits = [(i + 1) % 2 for i in range(length)]  # the most runs there can be
+        chips = sum(bit << i for i, bit in enumerate(bits)).to_bytes(32, "little")
+        assert board.request(Pattern(length=length, chips=chips)).status == StatusCode.OK
+        period = max(20 * 30 * sum(bits), 31 * length) + 100
+        board.transitions.clear()
+        reply = board.request(Burst(code=BurstCode.UPLOADED, chip=30, repeat=2, period=period, trigger_offset=7))
+        assert isinstance(reply, BurstReply)
+        assert reply.status == StatusCode.OK
+        board.run(board.now + 2 * period + 2 * MS)
+        chip0 = reply.start + board.origin
+        for burst in range(2):
+            assert played(board, chip0 + burst * period, 30, length) == "".join(map(str, bits))
+        assert board.rises(PIN_TRIGGER) == [chip0 + 7, chip0 + 7 + period]
+
+
+def test_stopping_lets_the_burst_being_sent_end(board: EmulatedBoard) -> None:
+    arm(board, ArmFlag.MICROWAVE)
+    assert (
+        board.request(Burst(code=BurstCode.MPSL25, chip=50, repeat=1000, period=50_000, trigger_offset=0)).status == 0
+    )
+    board.run(board.now + 3 * MS)
+    board.request(BurstStop())
+    board.run(board.now + 3 * MS)
+    [done] = board.heard(BurstDone)
+    assert 3 <= done.done < 15
+    assert len(board.rises(PIN_MICROWAVE)) == 7 * done.done
+    assert len(board.falls(PIN_MICROWAVE)) == 7 * done.done
+
+
+@pytest.mark.parametrize(("period", "offset"), [(11_000, 0), (11_000, -5_000), (50_000, 600), (300_000, -777)])
+def test_a_train_stopped_at_any_moment_sends_whole_bursts_and_says_how_many(
+    board: EmulatedBoard, period: int, offset: int
+) -> None:
+    arm(board, ArmFlag.MICROWAVE)
+    rng = random.Random(period + offset)
+    done = None
+    for wait in (None, 0, *(rng.randrange(12 * period) for _ in range(4)), 13 * period):
+        board.transitions.clear()
+        board.events.clear()
+        if wait is not None:  # first of all with no train at all
+            burst = Burst(code=BurstCode.MPSL25, chip=50, repeat=10, period=period, trigger_offset=offset)
+            assert board.request(burst).status == StatusCode.OK
+            board.run(board.now + wait)
+        first = board.request(BurstStop())
+        again = board.request(BurstStop())
+        assert first.status == again.status == StatusCode.OK
+        board.run(board.now + 12 * period + MS)
+        reported = board.heard(BurstDone)
+        assert len(reported) == (0 if wait is None else 1)
+        done = reported[0].done if reported else 0
+        assert len(board.rises(PIN_MICROWAVE)) == len(board.falls(PIN_MICROWAVE)) == 7 * done
+        assert len(board.rises(PIN_TRIGGER)) == len(board.falls(PIN_TRIGGER)) == done
+        assert set(board.widths(PIN_TRIGGER)) <= {100}
+    assert done == 10  # the last one had run out before it was stopped
+
+
+def test_a_train_cut_by_the_interlock_counts_exactly_the_bursts_that_were_sent(board: EmulatedBoard) -> None:
+    arm(board)
+    rng = random.Random(12)
+    for _ in range(100):
+        assert board.request(Arm(outputs=ArmFlag.MICROWAVE)).status == StatusCode.OK
+        board.transitions.clear()
+        board.events.clear()
+        burst = Burst(code=BurstCode.SINGLE, chip=500, repeat=60_000, period=10_000, trigger_offset=0)
+        assert board.request(burst).status == StatusCode.OK
+        opens = board.now + rng.randrange(1_000, 600_000)
+        board.input((opens, PIN_INTERLOCK, 1), (opens + 100_000, PIN_INTERLOCK, 0))
+        board.run(opens + 200_000)
+        widths = board.widths(PIN_MICROWAVE)
+        [done] = board.heard(BurstDone)
+        assert done.fault == FaultCode.INTERLOCK
+        assert done.done == sum(width == 500 for width in widths)
+        assert board.request(Clear()).status == StatusCode.OK
+
+
+def test_an_open_interlock_cuts_within_one_chip_until_cleared_a_thousand_times(board: EmulatedBoard) -> None:
+    arm(board)
+    rng = random.Random(5)
+    chip = 30
+    worst = 0
+    for _ in range(1000):
+        assert board.request(Arm(outputs=ArmFlag.MICROWAVE)).status == StatusCode.OK
+        burst = Burst(code=BurstCode.SINGLE, chip=3_000, repeat=2000, period=60_000, trigger_offset=0)
+        assert board.request(burst).status == StatusCode.OK
+        board.transitions.clear()
+        opens = board.now + rng.randrange(1_000, 100_000)
+        board.input((opens, PIN_INTERLOCK, 1), (opens + rng.choice((5, 100, 30_000)), PIN_INTERLOCK, 0))
+        board.run(opens + 250_000)
+        changes = [(tick, level) for tick, pin, level in board.transitions if pin == PIN_MICROWAVE]
+        after = [(tick, level) for tick, level in changes if tick > opens]
+        if after:
+            assert [level for _, level in after] in ([0], [1, 0])
+            worst = max(worst, after[-1][0] - opens)
+        assert board.request(Arm(outputs=ArmFlag.MICROWAVE)).status == StatusCode.UNSAFE
+        assert board.request(Clear()).status == StatusCode.OK
+    print(f"interlock to dark: {worst} ticks at most")
+    assert worst <= chip
+    assert {fault.fault for fault in board.heard(Fault)} == {FaultCode.INTERLOCK}
+
+
+def test_microwave_cannot_be_armed_with_the_interlock_open(board: EmulatedBoard) -> None:
+    arm(board)
+    board.input((board.now + 10, PIN_INTERLOCK, 1))
+    board.run(board.now + MS)
+    board.request(Arm(outputs=ArmFlag(0)))
+    board.request(Clear())
+    assert board.request(Arm(outputs=ArmFlag.MICROWAVE)).status == StatusCode.UNSAFE
