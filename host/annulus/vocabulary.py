@@ -9,9 +9,6 @@ CameraSequence = NewType("CameraSequence", int)  # the driver's frame counter; h
 Slot = NewType("Slot", int)  # 0..R, place in the projector/LED cycle
 Tick = NewType("Tick", int)  # controller time since boot, extended to 64 bits
 
-TICK_S = 1e-8  # one tick is 10 ns: 100 MHz system clock
-TICKS_PER_US = 100
-
 
 class Lamp(IntEnum):
     """What the controller lit after an edge. DARK: armed but nothing fired (see the edge's flags)."""

@@ -1,10 +1,11 @@
-"""`annulus head`: one controller on the bench."""
+"""`annulus head`: one controller on the operate."""
 
 from typing import Annotated
 
 import typer
 
 from annulus.cli.show import Json, Port, group, print_fields
+from annulus.controller import CODES
 
 app = group("Talk to one controller: configure, arm, fire a burst.")
 
@@ -12,9 +13,9 @@ app = group("Talk to one controller: configure, arm, fire a burst.")
 @app.command("status", epilog="Example: annulus head status --port /dev/ttyACM0 --json")
 def status(port: Port, as_json: Json = False) -> None:
     """Who is there, and how is it? Changes nothing."""
-    from annulus.link import bench
+    from annulus.link import operate
 
-    print_fields(bench.status(port), as_json)
+    print_fields(operate.status(port), as_json)
 
 
 @app.command(
@@ -36,7 +37,7 @@ def configure(
 ) -> None:
     """Stage, validate and commit the lamp timing. A flash that does not fit the window is refused."""
     from annulus.capture.timing import FrameTiming
-    from annulus.link import bench
+    from annulus.link import operate
     from annulus.link.head import stage_from_us
 
     mode = FrameTiming(fps, exposure_us, readout_us)
@@ -50,7 +51,7 @@ def configure(
         ratio=ratio, period_us=mode.period_us, exposure_us=exposure_us, readout_us=readout_us,
         projector_us=(projector_delay_us, projector_width_us), led_us=(led_delay_us, led_width_us),
     )  # fmt: skip
-    print_fields(bench.configure(port, stage), as_json)
+    print_fields(operate.configure(port, stage), as_json)
 
 
 @app.command("arm", epilog="Example: annulus head arm --port /dev/ttyACM0 --hold 10")
@@ -59,26 +60,26 @@ def arm(
     hold: Annotated[float, typer.Option(min=0.0, max=86400.0, help="Seconds to stay armed; 0 = until Ctrl-C.")] = 0.0,
 ) -> None:
     """Arm the lamps, keep the controller fed, and disarm at the end. A fault ends it with status 1."""
-    from annulus.link import bench
+    from annulus.link import operate
 
-    bench.hold_armed(port, hold, typer.echo)
+    operate.hold_armed(port, hold, typer.echo)
 
 
 @app.command("disarm", epilog="Example: annulus head disarm --port /dev/ttyACM0")
 def disarm(port: Port) -> None:
     """Every output low."""
-    from annulus.link import bench
+    from annulus.link import operate
 
-    bench.disarm(port)
+    operate.disarm(port)
     print("disarmed")
 
 
 @app.command("clear", epilog="Example: annulus head clear --port /dev/ttyACM0")
 def clear(port: Port) -> None:
     """Clear the latched fault. Refused while its cause lasts; arms nothing."""
-    from annulus.link import bench
+    from annulus.link import operate
 
-    print(f"cleared: {bench.clear(port)}")
+    print(f"cleared: {operate.clear(port)}")
 
 
 @app.command(
@@ -88,10 +89,10 @@ def burst(
     port: Port,
     code: Annotated[
         str,
-        typer.Option(help="single, mpsl25, mpsl25-stuffed, barker13, manchester1, manchester2, or a text of 0 and 1."),
+        typer.Option(help=f"{', '.join(CODES)}, or a text of 0 and 1."),
     ],
-    chip_us: Annotated[float, typer.Option(help="Length of a chip, us: 0.1 to 30.")] = 0.5,
-    repeat: Annotated[int, typer.Option(min=1, max=65535, help="Bursts.")] = 1,
+    chip_us: Annotated[float, typer.Option(help="Length of a chip, us.")] = 0.5,
+    repeat: Annotated[int, typer.Option(help="Bursts.")] = 1,
     period_us: Annotated[float, typer.Option(help="Chip 0 to chip 0, us.")] = 1000.0,
     trigger_offset_us: Annotated[
         float, typer.Option(help="Digitizer trigger after chip 0, us; may be negative.")
@@ -99,9 +100,11 @@ def burst(
     as_json: Json = False,
 ) -> None:
     """Arm the microwave, fire a train of bursts, wait for its end, disarm. A fault ends it with status 1."""
-    from annulus.link import bench
+    from annulus.link import operate
+    from annulus.thermoacoustic.codes import train_from_us
 
-    print_fields(
-        bench.fire_burst(port, code, chip_us=chip_us, repeat=repeat, period_us=period_us, offset_us=trigger_offset_us),
-        as_json,
+    train = train_from_us(
+        code, chip_us=chip_us, repeat=repeat, period_us=period_us, trigger_offset_us=trigger_offset_us
     )
+    train.check()
+    print_fields({"code": code} | operate.fire_burst(port, *operate.train_messages(code, train)), as_json)

@@ -7,7 +7,13 @@ from typing import Annotated, Any
 
 import typer
 
+from annulus.controller import CHIP_MAX_TICKS, CHIP_MIN_TICKS, TICKS_PER_US
+
 Port = Annotated[str, typer.Option(help="Serial port of the controller: /dev/ttyACM0, a pty, socket://host:port.")]
+ChipUs = Annotated[
+    float,
+    typer.Option(min=CHIP_MIN_TICKS / TICKS_PER_US, max=CHIP_MAX_TICKS / TICKS_PER_US, help="Length of a chip, us."),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print the answer as JSON.")]
 
 

@@ -8,7 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
-from annulus.cli.show import Json, group, progress
+from annulus.cli.show import ChipUs, Json, group, progress
+from annulus.controller import BURST_REPEAT_MAX
 from annulus.vocabulary import AnnulusError
 
 app = group("Thermoacoustic imaging: simulate or acquire a sweep, decode it, make its image.")
@@ -25,7 +26,7 @@ def simulate_command(
     out: Annotated[Path, typer.Option("--out", "-o", help="File to write: .hdf5 (IPASC) or .npz.")],
     phantom: Annotated[str, typer.Option(help="inclusions, core, wires, shapes.")] = "inclusions",
     code: Code = "mpsl25-stuffed",
-    chip_us: Annotated[float, typer.Option(min=0.1, max=30.0, help="Length of a chip, us.")] = 0.5,
+    chip_us: ChipUs = 0.5,
     positions: Annotated[int, typer.Option(min=3, max=1024, help="Angles of the stage.")] = 50,
     radius_mm: Annotated[float, typer.Option(min=1.0, max=500.0, help="Receiver to the axis of the stage, mm.")] = 25.0,
     rate_mhz: Annotated[float, typer.Option(min=0.5, max=1000.0, help="Sampling rate, MHz.")] = 25.0,
@@ -75,9 +76,9 @@ def acquire_command(
     twin: Annotated[bool, typer.Option("--twin", help="On a simulated bench, with the controller's own code.")] = False,
     phantom: Annotated[str, typer.Option(help="Of the twin: inclusions, core, wires, shapes.")] = "inclusions",
     code: Code = "mpsl25-stuffed",
-    chip_us: Annotated[float, typer.Option(min=0.1, max=30.0, help="Length of a chip, us.")] = 0.5,
+    chip_us: ChipUs = 0.5,
     angles: Annotated[int, typer.Option(min=1, max=1024, help="Over one turn of the stage.")] = 50,
-    averages: Annotated[int, typer.Option(min=1, max=65535, help="Bursts at each angle.")] = 16,
+    averages: Annotated[int, typer.Option(min=1, max=BURST_REPEAT_MAX, help="Bursts at each angle.")] = 16,
     period_us: Annotated[float, typer.Option(help="Chip 0 to chip 0, us.")] = 1000.0,
     trigger_offset_us: Annotated[
         float, typer.Option(help="Digitizer trigger after chip 0, us; may be negative.")

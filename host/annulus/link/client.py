@@ -24,7 +24,7 @@ from annulus.vocabulary import AnnulusError
 BAUD = 1_000_000
 IDENTIFY_S = 1.0
 REQUEST_S = 2.0
-TICK_S = 0.002  # at most this long in one read, so that repeats are sent in time
+READ_S = 0.002  # at most this long in one read, so that repeats are sent in time
 READ_MAX = 4096
 WRITE_S = 0.5
 HAPPENINGS_MAX = 1024  # kept between two polls; older ones are dropped and counted
@@ -47,7 +47,7 @@ class Port:
         self.url = url
         self.bytes_read = 0
         try:
-            self._serial = serial.serial_for_url(url, baudrate=BAUD, timeout=TICK_S, write_timeout=WRITE_S)
+            self._serial = serial.serial_for_url(url, baudrate=BAUD, timeout=READ_S, write_timeout=WRITE_S)
         except (serial.SerialException, OSError, ValueError) as error:
             raise AnnulusError(
                 f"{url}: cannot be opened ({_reason(error)}), expected a serial port or socket://host:port."
@@ -79,7 +79,7 @@ class Port:
         except (serial.SerialException, OSError) as error:
             raise AnnulusError(f"{self.url}: the line went away ({_reason(error)}), expected the controller") from None
 
-    def pump(self, talker: Talker[Item], timeout_s: float = TICK_S) -> list[Item]:
+    def pump(self, talker: Talker[Item], timeout_s: float = READ_S) -> list[Item]:
         """Write what is due, read what comes within the time, hand it over. Call it in a loop."""
         self.write(talker.pending(time.monotonic_ns()))
         data = self.read(timeout_s)
@@ -124,7 +124,7 @@ class Client:
         deadline = time.monotonic() + timeout_s
         while time.monotonic() < deadline:
             found: Answer | None = None
-            for happening in self._turn(TICK_S):
+            for happening in self._turn(READ_S):
                 if isinstance(happening, Answer) and happening.ticket == ticket:
                     found = happening
                 elif isinstance(happening, Unanswered) and happening.ticket == ticket:
@@ -139,7 +139,7 @@ class Client:
         """What happened since the last poll, waiting up to `timeout_s` for the first."""
         deadline = time.monotonic() + timeout_s
         while True:
-            for happening in self._turn(min(TICK_S, max(0.0, deadline - time.monotonic()))):
+            for happening in self._turn(min(READ_S, max(0.0, deadline - time.monotonic()))):
                 self._keep(happening)
             if self._happenings or time.monotonic() >= deadline:
                 happenings = list(self._happenings)

@@ -1,6 +1,6 @@
 """Host time and controller ticks, mapped onto each other. Sans-I/O: the caller says what time it is.
 
-A map is good for one life of the controller: ticks start again at zero with every reset, and nothing is ever carried
+A map is good for one boot of the controller: ticks start again at zero with every reset, and nothing is ever carried
 across one. The map is a line fitted to round trips: a command left at `sent_ns`, the controller
 stamped it with `tick`, the answer was here at `received_ns`, so the tick happened in between. Short round trips say
 most, so a sample weighs with the inverse square of its duration and fades with age. The slope is held near nominal by
@@ -10,9 +10,9 @@ the tolerance of a crystal until the samples know better, which makes three quic
 from collections import deque
 from dataclasses import dataclass
 
-from annulus.vocabulary import TICK_S, Tick
+from annulus.controller import TICK_NS
+from annulus.vocabulary import Tick
 
-NS_PER_TICK = round(TICK_S * 1e9)
 SAMPLES_MAX = 128
 SAMPLES_TO_LOCK = 3
 HALF_LIFE_NS = 10_000_000_000
@@ -32,9 +32,9 @@ class _Sample:
 
 
 class ClockMap:
-    """The map of the controller's present life.
+    """The map of the controller's present boot.
 
-    The high half of a 64-bit tick counts wraps since the host first heard of this life, not since the reset itself:
+    The high half of a 64-bit tick counts wraps since the host first heard of this boot, not since the reset itself:
     the controller says 32 bits, and how long it had been up before is not known. Differences are what matters.
     """
 
@@ -68,7 +68,7 @@ class ClockMap:
     def sample(self, tick: int, sent_ns: int, received_ns: int) -> bool:
         """One round trip; `tick` is the 32-bit stamp. False when it contradicts the map: rejected and counted.
 
-        Several contradictions in a row mean that this is not the controller life the map was made for: the map is
+        Several contradictions in a row mean that this is not the boot the map was made for: the map is
         then dropped (`locked` turns False), and the caller should ask who is there.
         """
         middle = (sent_ns + received_ns) // 2
@@ -91,7 +91,7 @@ class ClockMap:
         if self._anchor is None:
             self._anchor = (now_ns, tick)
         host_ns, anchor_tick = self._anchor
-        expected = anchor_tick + (now_ns - host_ns) // NS_PER_TICK
+        expected = anchor_tick + (now_ns - host_ns) // TICK_NS
         distance = (tick - expected) % _WRAP
         if distance >= _WRAP // 2:
             distance -= _WRAP
@@ -101,7 +101,7 @@ class ClockMap:
         """Host ns of a tick; None while not locked, or too far from any sample to be trusted."""
         if not self.locked:
             return None
-        controller_ns = (tick - self._ref_tick) * NS_PER_TICK - self._offset_ns
+        controller_ns = (tick - self._ref_tick) * TICK_NS - self._offset_ns
         host_ns = self._ref_ns + round(controller_ns / (1.0 + self.drift))
         return host_ns if self._covers(host_ns) else None
 
@@ -110,7 +110,7 @@ class ClockMap:
         if not self.locked or not self._covers(host_ns):
             return None
         dt = host_ns - self._ref_ns
-        return Tick(self._ref_tick + round((dt + self.drift * dt + self._offset_ns) / NS_PER_TICK))
+        return Tick(self._ref_tick + round((dt + self.drift * dt + self._offset_ns) / TICK_NS))
 
     def error_ns(self, host_ns: int) -> int | None:
         """Bound on the map's error near `host_ns`: half the best round trip, and drift beyond the samples."""
@@ -123,11 +123,11 @@ class ClockMap:
         return self._samples[0].host_ns - HOLD_NS <= host_ns <= self._samples[-1].host_ns + HOLD_NS
 
     def _agrees(self, tick: int, middle: int, half: int) -> bool:
-        """Whether a sample can be of the same life as those before it."""
+        """Whether a sample can be of the same boot as those before it."""
         if not self._samples:
             return True
         last = self._samples[-1]
-        off = (tick - last.tick) * NS_PER_TICK - (middle - last.host_ns)
+        off = (tick - last.tick) * TICK_NS - (middle - last.host_ns)
         slack = OUTLIER_SLACK_NS + round(2 * DRIFT_PRIOR * abs(middle - last.host_ns))
         return abs(off) <= half + last.half_ns + slack
 
@@ -139,7 +139,7 @@ class ClockMap:
         sw = swx = swxx = swy = swxy = 0.0
         for sample in self._samples:
             x = float(sample.host_ns - self._ref_ns)
-            y = (sample.tick - self._ref_tick) * NS_PER_TICK - x
+            y = (sample.tick - self._ref_tick) * TICK_NS - x
             w = 2.0 ** (x / HALF_LIFE_NS) / max(sample.half_ns, FLOOR_NS) ** 2
             sw, swx, swxx, swy, swxy = sw + w, swx + w * x, swxx + w * x * x, swy + w * y, swxy + w * x * y
         swxx += (1.0 / DRIFT_PRIOR) ** 2

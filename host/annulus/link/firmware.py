@@ -194,7 +194,7 @@ def enter_boot_loader(port: str) -> None:
         if answer is None:
             raise AnnulusError(
                 f"{port}: this firmware knows no way into the boot loader. Hold BOOTSEL while plugging the board in,"
-                " and flash without --port."
+                " and flash without naming a port."
             )
         if answer.reply.status is StatusCode.BAD_STATE:
             raise AnnulusError(
@@ -222,7 +222,7 @@ def _or_say_who_runs(loaders: list[BootLoader]) -> list[BootLoader]:
     """AnnulusError when no board waits but some run annulus: they only need to be named."""
     running = [] if loaders else find_controllers()
     if running:
-        ports = ", ".join(f"--port {c.port} ({c.serial})" for c in running)
+        ports = ", ".join(f"{c.port} ({c.serial})" for c in running)
         raise AnnulusError(f"no board in its boot loader, but annulus runs on one: {ports}")
     return loaders
 
@@ -378,7 +378,7 @@ def _counters(now: StatusReply, before: tuple[float, StatusReply] | None, now_s:
         "edges": now.edges,
         "frame_period_us": now.period / 100,
         "odometer": now.odometer,
-        "stage": now.stage,
+        "turntable": now.turntable,
         **rates,
     }
 

@@ -15,7 +15,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-from annulus.link.clock import NS_PER_TICK, ClockMap
+from annulus.controller import TICK_NS, TICKS_PER_US
+from annulus.link.clock import ClockMap
 from annulus.link.messages import (
     PROTOCOL_VERSION,
     SCHEMA_HASH,
@@ -37,7 +38,7 @@ from annulus.link.messages import (
     StatusReply,
 )
 from annulus.link.session import Answer, EventReceived, LinkEvent, Rebooted, Session, Unanswered, identify
-from annulus.vocabulary import TICKS_PER_US, EdgeFlag, EdgeIndex, Flash, Lamp, Slot, Tick
+from annulus.vocabulary import EdgeFlag, EdgeIndex, Flash, Lamp, Slot, Tick
 
 PING_NS = 97_300_000  # no multiple of a frame period, so samples fall everywhere in the frame; far inside host_timeout
 QUICK_PING_NS = 4_000_000  # until the clock is locked
@@ -163,7 +164,7 @@ class HeadControl:
         self._next_status_ns = 0
         self._early: deque[tuple[Edge, int, int]] = deque(maxlen=EDGES_WAITING_MAX)  # edge, boot, received
         self._has_run = False
-        self._committed = False  # our configuration is in force in this life
+        self._committed = False  # our configuration is in force in this boot
         self._cleared = False  # a fault was cleared and the lamps have not been armed since
         self._step_sent_ns = 0
         self._news: list[HeadEvent] = []
@@ -333,7 +334,7 @@ class HeadControl:
             return
         was_locked = self.clock.locked
         self.clock.sample(reply.tick, answer.sent_ns, answer.received_ns)
-        if was_locked and not self.clock.locked:  # these are another life's ticks: ask who is there
+        if was_locked and not self.clock.locked:  # these are another boot's ticks: ask who is there
             self._forget_edges()
             self._restart_steps(Phase.SEARCHING, "the controller's clock jumped")
 
@@ -346,7 +347,7 @@ class HeadControl:
     def _error_max_ns(self) -> int:
         """Half the window in which a frame looks for its edge: on a line slower than that no edge is placed."""
         period = self._configuration.frame_period if self._configuration is not None else PERIOD_TICKS
-        return period * NS_PER_TICK // 8
+        return period * TICK_NS // 8
 
     def _placed(self) -> Iterator[EdgeSeen]:
         while self._early:

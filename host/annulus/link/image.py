@@ -93,13 +93,13 @@ def require_ours(image: Image) -> None:
     """AnnulusError unless it is an annulus controller for this board that this host can talk to."""
     who = image.identity
     if who is None:
-        raise AnnulusError(f"{image.name}: runs on an RP2040 but is no annulus firmware. --force flashes it anyway.")
+        raise AnnulusError(f"{image.name}: runs on an RP2040 but is no annulus firmware. It is flashed only by force.")
     if who.board != BOARD:
         raise AnnulusError(f"{image.name}: annulus for board {who.board}, expected {BOARD}")
     if not who.fits:
         raise AnnulusError(
             f"{image.name}: speaks protocol {who.protocol} schema {who.schema:08x}, this host {PROTOCOL_VERSION}"
-            f" {SCHEMA_HASH:08x}: it could not be armed. Take host and image from one release, or --force."
+            f" {SCHEMA_HASH:08x}: it could not be armed. Take host and image from one release, or flash it by force."
         )
 
 

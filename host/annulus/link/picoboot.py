@@ -29,7 +29,7 @@ from annulus.vocabulary import AnnulusError
 VENDOR, PRODUCT, PRODUCT_RP2350 = 0x2E8A, 0x0003, 0x000F
 UDEV_RULE = "tools/udev/99-annulus.rules"
 INSTALL_RULE = f"sudo cp {UDEV_RULE} /etc/udev/rules.d/ && sudo udevadm control --reload && sudo udevadm trigger"
-HOW_TO_BOOT = "Hold BOOTSEL while plugging the board in, or give --port of a running one."
+HOW_TO_BOOT = "Hold BOOTSEL while plugging the board in, or name the port of a running one."
 
 MAGIC = 0x431FD10B
 _COMMAND = struct.Struct("<IIBBHI16s")
@@ -112,7 +112,7 @@ def find_boot_loaders(backend: Any = None) -> list[BootLoader]:
         devices = list(usb.core.find(find_all=True, backend=backend, idVendor=VENDOR))
     except usb.core.NoBackendError:
         raise AnnulusError(
-            "no libusb on this machine, expected Debian's libusb-1.0-0. Or copy the image to the board's drive: --drive"
+            "no libusb on this machine, expected Debian's libusb-1.0-0. Or copy the image to the board's drive."
         ) from None
     except usb.core.USBError as error:
         raise AnnulusError(f"USB cannot be searched ({error.strerror}), expected a USB host") from None
@@ -133,7 +133,7 @@ def choose(loaders: Iterable[BootLoader], wanted: str | None = None) -> BootLoad
     if not matching:
         raise AnnulusError(f"no board {wanted} in its boot loader, there is {listed}")
     if len(matching) > 1:
-        raise AnnulusError(f"{len(matching)} boards in their boot loaders, say which with --serial: {listed}")
+        raise AnnulusError(f"{len(matching)} boards in their boot loaders, name one by place or serial: {listed}")
     return matching[0]
 
 
@@ -212,7 +212,7 @@ class PicoBoot:
             addresses = sorted(endpoint.bEndpointAddress for endpoint in interface)
             if interface.bInterfaceClass == 0xFF and [address & _IN for address in addresses] == [0, _IN]:
                 return interface.bInterfaceNumber, addresses[0], addresses[1]
-        raise AnnulusError(f"USB {self.place}: no PICOBOOT interface, expected the RP2040's boot ROM; or use --drive")
+        raise AnnulusError(f"USB {self.place}: no PICOBOOT interface, expected the RP2040's boot ROM; or use its drive")
 
     def _run(self, identity: CommandId, arguments: bytes = b"", data: bytes | int = b"") -> bytes:
         """One command; `data` to send, or how many bytes to fetch."""
@@ -256,7 +256,7 @@ class PicoBoot:
             status = parse_status(bytes(answer))
             why = status.text if status.code else why
             self._reset()
-        return AnnulusError(f"{here}: the boot loader refused {doing} ({why}). Flash again; if it persists, --drive.")
+        return AnnulusError(f"{here}: the boot loader refused {doing} ({why}). Flash again, or by its drive.")
 
 
 class _Gone(AnnulusError):

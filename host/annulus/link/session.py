@@ -87,7 +87,7 @@ class EventsLost:
 
 @dataclass(frozen=True, slots=True)
 class Rebooted:
-    """Another life of the controller: sequences, ticks, configuration begin anew. `previous` None: the first met."""
+    """Another boot of the controller: sequences, ticks, configuration begin anew. `previous` None: the first met."""
 
     boot: int
     previous: int | None
@@ -343,21 +343,21 @@ class Session:
         if run:
             yield EventsLost(run[0], len(run), self._known_boot())
 
-    # ---- lives of the controller ----
+    # ---- boots of the controller ----
 
     def _known_boot(self) -> int:
         return -1 if self.boot is None else self.boot
 
     def _meet(self, boot: int) -> Iterator[LinkEvent]:
-        """Note who is speaking. A new boot byte ends everything that was under way with the former life."""
+        """Note who is speaking. A new boot byte ends everything that was under way with the former boot."""
         if boot == self.boot:
             return
         previous = self.boot
         if previous is not None:
             self.counters.reboots += 1
             yield from self._lose(list(self._missing))
-            self._next_event = 0  # a life's first event is number 0
-            # Sent now or again, these would be carried out by a life they were not meant for.
+            self._next_event = 0  # a boot's first event is number 0
+            # Sent now or again, these would be carried out by a boot they were not meant for.
             gone = [(w.ticket, w.command) for w in self._outstanding.values()] + list(self._queue)
             self._outstanding.clear()
             self._queue.clear()

@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus.link.bench import move_stage, send_train, status_of, train_from_us
 from annulus.link.client import Client
 from annulus.link.messages import FaultCode
+from annulus.link.operate import move_turntable, send_train, status_of, train_messages
 from annulus.record.acoustic import AcousticRecord, load_acoustic, save_acoustic
 from annulus.sensors.digitizer import Acquisition, Digitizer, DigitizerLostError, Trace, TriggerLostError
 from annulus.tai.decode import sounds_like
-from annulus.thermoacoustic.codes import pattern, text
+from annulus.thermoacoustic.codes import pattern, text, train_from_us
 from annulus.vocabulary import AnnulusError
 
 RETRIES = 2  # of one shot, after a lost trigger, a digitizer that went away, or a record with holes
@@ -120,13 +120,15 @@ def acquire(
     or triggers that stay lost after RETRIES. What was shot until then is in `out`.
     """
     begun = time.monotonic()
-    own, burst = train_from_us(
+    train = train_from_us(
         plan.code,
         chip_us=plan.chip_us,
         repeat=plan.averages,
         period_us=plan.period_us,
-        offset_us=plan.trigger_offset_us,
+        trigger_offset_us=plan.trigger_offset_us,
     )
+    train.check()
+    own, burst = train_messages(plan.code, train)
     if out.suffix not in (".h5", ".hdf5", ".npz"):
         raise AnnulusError(f"{out}: expected a name ending in .hdf5, .h5 (IPASC) or .npz")
     if out.exists() and not resume:
@@ -171,7 +173,7 @@ def acquire(
             sweep.add(position, trace)
             if trace.clipped:
                 say(f"angle {position}: {trace.clipped} samples clipped, a larger --range-v takes them in")
-        move_stage(client, port, 0, plan.step_us, hold=False)
+        move_turntable(client, port, 0, plan.step_us, hold=False)
     if progress:
         progress("shots", plan.positions, plan.positions)
     record = sweep.record()
@@ -184,16 +186,16 @@ def acquire(
 def _turn(client: Client, port: str, plan: Plan, step: int) -> None:
     """The stage to a step, believed only as far as an encoder confirms it. AnnulusError where one does not."""
     before = status_of(client)
-    move_stage(client, port, step, plan.step_us, hold=True)
-    if not plan.encoder_per_turn or before.stage == step:
+    move_turntable(client, port, step, plan.step_us, hold=True)
+    if not plan.encoder_per_turn or before.turntable == step:
         return
     time.sleep(ENCODER_S)
     counted = status_of(client).odometer - before.odometer
-    expected = (step - before.stage) * plan.encoder_per_turn / plan.steps_per_turn
+    expected = (step - before.turntable) * plan.encoder_per_turn / plan.steps_per_turn
     if abs(counted - expected) > max(2.0, 0.1 * abs(expected)):
         raise AnnulusError(
             f"{port}: the stage did not move as told: its encoder counted {counted}, expected {expected:.0f} for "
-            f"{step - before.stage} steps"
+            f"{step - before.turntable} steps"
         )
 
 

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from annulus.controller import CODES
 from annulus.record.acoustic import AcousticRecord
-from annulus.thermoacoustic.codes import CODES, pattern, text
+from annulus.thermoacoustic.codes import pattern, text
 from annulus.thermoacoustic.sweep import Sweep
 from annulus.thermoacoustic.templates import TAPS_MAX, Template, decode, decode_pair, design
 from annulus.vocabulary import AnnulusError

@@ -3,23 +3,11 @@
 from pathlib import Path
 from typing import Any
 
-from annulus.thermoacoustic.codes import TRIGGER_TICKS, Finding, Limits, Train, text
-from annulus.vocabulary import TICK_S, TICKS_PER_US, AnnulusError
+from annulus.controller import TICKS_PER_US, TRIGGER_TICKS
+from annulus.thermoacoustic.codes import Finding, Train, text
+from annulus.vocabulary import AnnulusError
 
 CHIPS_A_ROW = 64
-
-
-def compiled_limits() -> Limits:
-    """What the controller enforces, from the same file it was generated from."""
-    from annulus.link import messages as m
-
-    ns = round(TICK_S * 1e9)
-    return Limits(
-        (m.CHIP_MIN_TICKS, m.CHIP_MAX_TICKS),
-        (m.MICROWAVE_PULSE_MIN_NS // ns, m.MICROWAVE_PULSE_MAX_NS // ns),
-        m.MICROWAVE_DUTY_MAX_PERMILLE,
-        m.TICK_HZ,
-    )
 
 
 def fields(code: str, train: Train, findings: list[Finding]) -> dict[str, Any]:
@@ -44,11 +32,6 @@ def fields(code: str, train: Train, findings: list[Finding]) -> dict[str, Any]:
     }
 
 
-def allowed(finding: Finding) -> str:
-    low, high = finding.allowed
-    return f"{high:g} {finding.unit} at most" if low == 0 else f"{low:g}..{high:g} {finding.unit}"
-
-
 def drawing(code: str, train: Train, findings: list[Finding]) -> list[str]:
     """Rows of chips with the time at which each row begins, then the numbers."""
     lines = []
@@ -66,7 +49,7 @@ def drawing(code: str, train: Train, findings: list[Finding]) -> list[str]:
         f"train            {train.repeat} bursts in {train.train_s:g} s",
     ]
     for f in findings:
-        lines.append(f"{f.name:<16} {f.value:g} {f.unit} ({allowed(f)}){'' if f.ok else '  REFUSED'}")
+        lines.append(f"{f.name:<16} {f.value:g} {f.unit} ({f.expected}){'' if f.ok else '  REFUSED'}")
     return lines
 
 

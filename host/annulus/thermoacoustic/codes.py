@@ -1,49 +1,37 @@
 """On/off patterns of the microwave source, chip by chip, and the train they are sent in.
 
-    train = Train(pattern("mpsl25-stuffed"), chip_ticks=50, repeat=10, period_ticks=100_000)
-    [finding.name for finding in train.findings(limits) if not finding.ok]     # why a controller would refuse it
+    train = train_from_us("mpsl25-stuffed", chip_us=0.5, repeat=10, period_us=1000.0, trigger_offset_us=0.0)
+    [finding.name for finding in train.findings() if not finding.ok]     # why a controller would refuse it
 
-The controller has the built-in codes compiled in (firmware/core/bursts.c); these are the same, and tests read its pins
-to keep them so. Codes: coded excitation in the source's chapter 8. Its complementary pair is sent by Manchester, 0 as
-01 and 1 as 10, which makes an on/off code of a bipolar one.
+The built-in codes and the limits are the controller's own (protocol/messages.toml). Codes: coded excitation in the
+source's chapter 8. Its complementary pair is sent by Manchester, 0 as 01 and 1 as 10, which makes an on/off code of a
+bipolar one.
 """
 
-from collections.abc import Mapping
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus.vocabulary import TICK_S, TICKS_PER_US, AnnulusError
+from annulus.controller import (
+    BURST_PERIOD_MAX_TICKS,
+    BURST_REPEAT_MAX,
+    CHIP_MAX_TICKS,
+    CHIP_MIN_TICKS,
+    CHIPS_MAX,
+    CODES,
+    MICROWAVE_DUTY_MAX_PERMILLE,
+    MICROWAVE_PULSE_MAX_TICKS,
+    MICROWAVE_PULSE_MIN_TICKS,
+    TICK_S,
+    TICKS_PER_US,
+    TRIGGER_TICKS,
+)
+from annulus.vocabulary import AnnulusError
 
 Chips = NDArray[np.uint8]  # 0 or 1, chip 0 first
-
-CHIPS_MAX = 256  # a controller holds
-TRIGGER_TICKS = 100  # length of the digitizer trigger
-
-_MPSL25 = "1001001010100000011100111"
-_SC1, _SC2 = "00011000101101010110010000", "00001001101000001011100111"
-
-
-def stuffed(bits: str) -> str:
-    """A 0 after every chip, so that all pulses have one width."""
-    return "".join(bit + "0" for bit in bits)
-
-
-def manchester(bits: str) -> str:
-    """0 sent as 01, 1 as 10."""
-    return "".join("10" if bit == "1" else "01" for bit in bits)
-
-
-CODES: Mapping[str, str] = {
-    "single": "1",
-    "mpsl25": _MPSL25,
-    "mpsl25-stuffed": stuffed(_MPSL25),
-    "barker13": "1111100110101",
-    "manchester1": manchester(_SC1),
-    "manchester2": manchester(_SC2),
-}
 
 
 def pattern(code: str) -> Chips:
@@ -61,16 +49,6 @@ def text(chips: Chips) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
-    """What a controller lets through, in ticks; compiled into it."""
-
-    chip_ticks: tuple[int, int]
-    pulse_ticks: tuple[int, int]
-    duty_permille: int
-    period_ticks_max: int
-
-
-@dataclass(frozen=True, slots=True)
 class Finding:
     """One limit against this train."""
 
@@ -82,6 +60,11 @@ class Finding:
     @property
     def ok(self) -> bool:
         return self.allowed[0] <= self.value <= self.allowed[1]
+
+    @property
+    def expected(self) -> str:
+        low, high = self.allowed
+        return f"{high:g} {self.unit} at most" if low == 0 else f"{low:g}..{high:g} {self.unit}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +99,7 @@ class Train:
         rises, falls = np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)
         return np.stack((rises, falls - rises), axis=1) * self.chip_ticks
 
-    def findings(self, limits: Limits) -> list[Finding]:
+    def findings(self) -> list[Finding]:
         """Every limit and how this train stands against it, in the order in which the controller looks."""
 
         def us(name: str, ticks: int, low: int, high: int) -> Finding:
@@ -124,8 +107,9 @@ class Train:
 
         lengths = self.pulses_ticks[:, 1]
         found = [
-            us("chip", self.chip_ticks, *limits.chip_ticks),
-            us("period", self.period_ticks, self.burst_ticks + self.chip_ticks, limits.period_ticks_max),
+            Finding("repeat", self.repeat, (1, BURST_REPEAT_MAX), "bursts"),
+            us("chip", self.chip_ticks, CHIP_MIN_TICKS, CHIP_MAX_TICKS),
+            us("period", self.period_ticks, self.burst_ticks + self.chip_ticks, BURST_PERIOD_MAX_TICKS),
             us(
                 "trigger offset",
                 self.trigger_offset_ticks,
@@ -134,10 +118,30 @@ class Train:
             ),
         ]
         if len(lengths):
-            found.append(us("shortest pulse", int(lengths.min()), *limits.pulse_ticks))
-            found.append(us("longest pulse", int(lengths.max()), *limits.pulse_ticks))
-        return [*found, Finding("duty", 1000 * self.duty, (0, limits.duty_permille), "permille")]
+            for name, ticks in (("shortest pulse", lengths.min()), ("longest pulse", lengths.max())):
+                found.append(us(name, int(ticks), MICROWAVE_PULSE_MIN_TICKS, MICROWAVE_PULSE_MAX_TICKS))
+        return [*found, Finding("duty", 1000 * self.duty, (0, MICROWAVE_DUTY_MAX_PERMILLE), "permille")]
+
+    def check(self) -> None:
+        """AnnulusError with every limit a controller would refuse this train for."""
+        refused = [finding for finding in self.findings() if not finding.ok]
+        if refused:
+            raise AnnulusError(
+                "the controller would refuse this: "
+                + "; ".join(f"{f.name} {f.value:g} {f.unit}, expected {f.expected}" for f in refused)
+            )
 
     def edges_ticks(self) -> list[tuple[int, int]]:
         """(tick from chip 0, level) of one burst on the microwave gate."""
         return [(int(at), level) for start, size in self.pulses_ticks for at, level in ((start, 1), (start + size, 0))]
+
+
+def train_from_us(code: str, *, chip_us: float, repeat: int, period_us: float, trigger_offset_us: float) -> Train:
+    """A train from microseconds, not yet checked against the limits. AnnulusError for no code, or no number."""
+    for name, us in (("chip", chip_us), ("period", period_us), ("trigger offset", trigger_offset_us)):
+        if not math.isfinite(us):
+            raise AnnulusError(f"{name} {us:g} us: expected a number")
+    chip, period, offset = (round(us * TICKS_PER_US) for us in (chip_us, period_us, trigger_offset_us))
+    if chip <= 0 or period <= 0:
+        raise AnnulusError(f"chip {chip_us:g} us, period {period_us:g} us: expected both to last")
+    return Train(pattern(code), chip, repeat, period, offset)

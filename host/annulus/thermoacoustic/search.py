@@ -7,7 +7,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus.thermoacoustic.codes import CHIPS_MAX, Chips
+from annulus.controller import CHIPS_MAX
+from annulus.thermoacoustic.codes import Chips
 from annulus.vocabulary import AnnulusError
 
 EXHAUSTIVE_MAX = 28  # chips; twice the time for each more

@@ -28,13 +28,7 @@ import numpy.typing as npt
 import scipy.fft
 from numpy.typing import NDArray
 
-from annulus.link.messages import Command, StatusCode
-from annulus.link.session import Answer, Session, identify
-from annulus.thermoacoustic.field import PML_CELLS, Grid, Medium, Solver, receivers
-from annulus.thermoacoustic.phantoms import Part, draw, phantom, reach_mm
-from annulus.twin.emulated import Board, open_board
-from annulus.twin.line import Line, PtyLine, TcpLine
-from annulus.twin.native import (
+from annulus.controller import (
     PIN_DIRECTION,
     PIN_INTERLOCK,
     PIN_MICROWAVE,
@@ -42,8 +36,15 @@ from annulus.twin.native import (
     PIN_ODOMETER_B,
     PIN_STEP,
     PIN_TRIGGER,
+    TICK_S,
 )
-from annulus.vocabulary import TICK_S, AnnulusError
+from annulus.link.messages import Command, StatusCode
+from annulus.link.session import Answer, Session, identify
+from annulus.thermoacoustic.field import PML_CELLS, Grid, Medium, Solver, receivers
+from annulus.thermoacoustic.phantoms import Part, draw, phantom, reach_mm
+from annulus.twin.emulated import Board, open_board
+from annulus.twin.line import Line, PtyLine, TcpLine
+from annulus.vocabulary import AnnulusError
 
 SHIFT_MM = (0.0313, 0.0171)  # the sample lies off the cells, so that no image is made on the grid of its own truth
 PULSE_S = 0.5e-6  # the pulse that `pulse_v` speaks of

@@ -21,6 +21,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 import numpy.typing as npt
 
+from annulus.controller import INPUT_PINS
 from annulus.link.codec import Decoder, Frame
 from annulus.link.messages import Event
 from annulus.twin.native import TRANSITION, NativeBoard
@@ -31,7 +32,6 @@ BOARDS = ("native", "emulated")
 _ROOT = Path(__file__).resolve().parents[3]
 IMAGE = _ROOT / "firmware/build/annulus.uf2"
 _EMULATOR = _ROOT / "tools/emulator/emulate.mjs"
-_INPUTS = (2, 7, 14, 15)
 _BOOT_TICKS = 300_000  # boot ROM, clocks, first event
 
 
@@ -93,7 +93,7 @@ class EmulatedBoard:
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True, text=True
         )
         self._tick = self._now = 0  # asked for, and where the last instruction ended
-        self._levels = dict.fromkeys(_INPUTS, 1)
+        self._levels = dict.fromkeys(INPUT_PINS, 1)
         self._waiting: list[tuple[int, int, int]] = []
         self._to_board = bytearray()
         self._from_board = bytearray()
@@ -114,7 +114,7 @@ class EmulatedBoard:
 
     def input(self, tick: int, pin: int, level: int) -> None:
         """Schedule a level on an input pin at a world tick, not before now. AnnulusError for a tick in the past."""
-        if tick < self._tick or pin not in _INPUTS or level not in (0, 1):
+        if tick < self._tick or pin not in INPUT_PINS or level not in (0, 1):
             raise AnnulusError(f"emulated board: input GP{pin} = {level} at tick {tick} refused, now is {self._tick}")
         self._waiting.append((max(tick, self._now), pin, level))
 

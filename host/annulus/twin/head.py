@@ -37,22 +37,13 @@ from numpy.typing import NDArray
 from annulus.capture.camera import BAYER_RGGB8
 from annulus.capture.remote import MESSAGE_MAX
 from annulus.capture.timing import FrameTiming
+from annulus.controller import PIN_LED, PIN_PROJECTOR, TICK_NS, TICK_S
 from annulus.twin.emulated import open_board
 from annulus.twin.line import Line, PtyLine, TcpLine
 from annulus.twin.render import Renderer
-from annulus.twin.sensor import (
-    LED,
-    PROJECTOR,
-    TICK_NS,
-    Exposure,
-    Faults,
-    HostClock,
-    LossyLine,
-    Sensor,
-    load_faults,
-)
+from annulus.twin.sensor import Exposure, Faults, HostClock, LossyLine, Sensor, load_faults
 from annulus.twin.world import World, demo_world
-from annulus.vocabulary import TICK_S, AnnulusError
+from annulus.vocabulary import AnnulusError
 
 SLOTS = 6  # frames between head and camera
 EMULATOR_WARM_TICKS = 50_000_000  # node compiles what runs often
@@ -492,7 +483,7 @@ class _Head:
             self.pull_at = now if math.isfinite(self.speed_mm_s) else None
             self.counts["pulls"] += 1
             return {}
-        on = [name for name, pin in (("projector", PROJECTOR), ("led", LED)) if self.board.level(pin)]
+        on = [name for name, pin in (("projector", PIN_PROJECTOR), ("led", PIN_LED)) if self.board.level(pin)]
         return {
             **self.counts,
             "events_lost": self.line.events_lost,

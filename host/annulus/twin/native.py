@@ -9,9 +9,6 @@ import numpy.typing as npt
 
 from annulus.vocabulary import AnnulusError
 
-PIN_SYNC, PIN_PROJECTOR, PIN_LED, PIN_MICROWAVE, PIN_TRIGGER, PIN_INTERLOCK = 2, 3, 4, 5, 6, 7
-PIN_STEP, PIN_DIRECTION, PIN_ENABLE, PIN_ODOMETER_A, PIN_ODOMETER_B, PIN_STATUS = 8, 9, 10, 14, 15, 25
-
 BYTE_TICKS = 1000  # 1 Mbaud, ten bits a byte
 
 TRANSITION = np.dtype(

@@ -25,12 +25,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus.capture.timing import FrameTiming
+from annulus.controller import (
+    PIN_INTERLOCK,
+    PIN_LED,
+    PIN_ODOMETER_A,
+    PIN_ODOMETER_B,
+    PIN_PROJECTOR,
+    PIN_SYNC,
+    TICK_NS,
+    TICK_S,
+    TICKS_PER_US,
+)
 from annulus.geometry.pose import Pose
 from annulus.twin.world import World
-from annulus.vocabulary import TICK_S, TICKS_PER_US, AnnulusError, CameraSequence, Lamp
-
-SYNC, PROJECTOR, LED, INTERLOCK, ODOMETER_A, ODOMETER_B = 2, 3, 4, 7, 14, 15  # pins, ARCHITECTURE §4
-TICK_NS = 10
+from annulus.vocabulary import AnnulusError, CameraSequence, Lamp
 
 Stimulus = tuple[int, int, int]  # world tick, pin, level
 _QUADRATURE = ((0, 0), (1, 0), (1, 1), (0, 1))  # A, B as the count rises: A leads
@@ -165,7 +173,7 @@ class Sensor:
         self._announced = 0  # frames whose sync pulses were handed out
         self._told = start_tick - 1  # stimuli up to here were handed out
         self._pending: list[Stimulus] = []
-        self._gates = {PROJECTOR: _Gate(), LED: _Gate()}
+        self._gates = {PIN_PROJECTOR: _Gate(), PIN_LED: _Gate()}
         self._pulls = [_Pull(start_tick, 0.0, speed_mm_s, world.travel_mm)]
         self._count = 0
         rows = np.arange(world.camera.height) / max(world.camera.height - 1, 1)
@@ -194,7 +202,7 @@ class Sensor:
     def levels(self) -> list[tuple[int, int]]:
         """(pin, level) of every input as it is now: for a board that has just been powered on again."""
         a, b = _QUADRATURE[self._count % 4]
-        return [(INTERLOCK, 0), (SYNC, 0), (ODOMETER_A, a), (ODOMETER_B, b)]
+        return [(PIN_INTERLOCK, 0), (PIN_SYNC, 0), (PIN_ODOMETER_A, a), (PIN_ODOMETER_B, b)]
 
     def stimuli(self, until: int) -> list[Stimulus]:
         """Input pins' transitions after those already told, up to and including tick `until`, in order."""
@@ -230,8 +238,8 @@ class Sensor:
     def _expose(self, frame: int) -> Exposure:
         edge = self.edge(frame)
         close = edge + self._row_close
-        projector, at_projector = self._gates[PROJECTOR].collect(close - self._exposure, close)
-        led, at_led = self._gates[LED].collect(close - self._exposure, close)
+        projector, at_projector = self._gates[PIN_PROJECTOR].collect(close - self._exposure, close)
+        led, at_led = self._gates[PIN_LED].collect(close - self._exposure, close)
         weight = [float(projector.sum()), float(led.sum())]
         dark_at = edge - self._readout // 2 - self._exposure // 2
         at = np.average([at_projector, at_led], weights=weight) if sum(weight) > 0 else dark_at
@@ -256,10 +264,10 @@ class Sensor:
         rng = np.random.default_rng([self._seed, 2, frame])
         missing, glitch = rng.random(2) < (self.faults.sync_missing, self.faults.sync_glitches)
         edge = self.edge(frame)
-        out: list[Stimulus] = [] if missing else [(edge - max(self._readout, 100), SYNC, 1), (edge, SYNC, 0)]
+        out: list[Stimulus] = [] if missing else [(edge - max(self._readout, 100), PIN_SYNC, 1), (edge, PIN_SYNC, 0)]
         if glitch:
             spike = edge + round(self._period) // 8
-            out += [(spike, SYNC, 1), (spike + 20 * TICKS_PER_US, SYNC, 0)]
+            out += [(spike, PIN_SYNC, 1), (spike + 20 * TICKS_PER_US, PIN_SYNC, 0)]
         return out
 
     def _odometer(self, after: int, until: int) -> list[Stimulus]:
@@ -278,7 +286,7 @@ class Sensor:
                 old, new = _QUADRATURE[(self._count - (1 if up else -1)) % 4], _QUADRATURE[self._count % 4]
                 pin = 0 if old[0] != new[0] else 1
                 tick = min(max(crossing, after + 1), last)
-                out.append((tick, (ODOMETER_A, ODOMETER_B)[pin], new[pin]))
+                out.append((tick, (PIN_ODOMETER_A, PIN_ODOMETER_B)[pin], new[pin]))
         self._pulls = [p for p, end in zip(self._pulls, ends, strict=True) if end > after - self._history] or [
             self._pulls[-1]
         ]

@@ -15,6 +15,7 @@ from typing import Any
 from annulus.capture.pairing import Labelled, Pairing, PlacedEdge, calibrate_offset
 from annulus.capture.photometry import Light, measure
 from annulus.capture.timing import FrameTiming
+from annulus.controller import TICKS_PER_US
 from annulus.link.head import EdgeSeen, HeadControl, LampsCut, Phase, stage_from_us
 from annulus.link.messages import BootCause, Stage
 from annulus.link.session import EventsLost
@@ -22,7 +23,7 @@ from annulus.twin.emulated import Board, open_board
 from annulus.twin.render import Renderer
 from annulus.twin.sensor import Exposure, Faults, HostClock, LossyLine, Sensor, load_faults
 from annulus.twin.world import World, clean_world
-from annulus.vocabulary import TICKS_PER_US, AnnulusError, Label, Lamp
+from annulus.vocabulary import AnnulusError, Label, Lamp
 
 WIDTH = 104  # pixels: stripes stay apart, and a frame takes a fraction of a millisecond
 MS_TICKS = 1000 * TICKS_PER_US

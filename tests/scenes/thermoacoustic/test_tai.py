@@ -8,11 +8,12 @@ import pytest
 from typer.testing import CliRunner
 
 from annulus.cli import app
+from annulus.controller import CODES
 from annulus.record.acoustic import load_acoustic, save_acoustic
 from annulus.tai.decode import decode_record, load_template, save_template, sounds_like
 from annulus.tai.image import make_image
 from annulus.tai.simulate import Bench, simulate
-from annulus.thermoacoustic.codes import CODES, pattern
+from annulus.thermoacoustic.codes import pattern
 from annulus.thermoacoustic.phantoms import Disc
 from annulus.thermoacoustic.templates import design
 from annulus.vocabulary import AnnulusError

@@ -5,16 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from annulus.twin.native import (
-    BYTE_TICKS,
-    PIN_ENABLE,
-    PIN_INTERLOCK,
-    PIN_LED,
-    PIN_PROJECTOR,
-    PIN_SYNC,
-    TRANSITION,
-    NativeBoard,
-)
+from annulus.controller import PIN_ENABLE, PIN_INTERLOCK, PIN_LED, PIN_PROJECTOR, PIN_SYNC
+from annulus.twin.native import BYTE_TICKS, TRANSITION, NativeBoard
 from annulus.vocabulary import AnnulusError
 
 MS = 100_000

@@ -3,6 +3,7 @@
 import random
 from collections import deque
 
+from annulus.controller import TICK_HZ
 from annulus.link.codec import TO_CONTROLLER, Corrupt, Decoder, Frame, encode
 from annulus.link.messages import (
     EVENT_RING,
@@ -116,7 +117,7 @@ class ScriptedController:
                 if command.schema != self.schema:
                     ok = (StatusCode.SCHEMA, 0)
                 return IdentifyReply(
-                    *ok, PROTOCOL_VERSION, self.schema, self.boot, BootCause.POWER_ON, 100_000_000, b"deadbeef",
+                    *ok, PROTOCOL_VERSION, self.schema, self.boot, BootCause.POWER_ON, TICK_HZ, b"deadbeef",
                     b"scripted", 2_000_000, 500, 30, 3000,
                 )  # fmt: skip
             case Ping():

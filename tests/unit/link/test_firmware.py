@@ -183,7 +183,7 @@ def test_a_controller_that_runs_is_named_when_no_board_waits(monkeypatch: pytest
     on_usb(monkeypatch, **{"/dev/ttyACM1": "E662@1-3", "/dev/ttyACM0": "E661@1-2"})
     with pytest.raises(AnnulusError) as caught:
         flash(IMAGE, backend=Bus())
-    assert "--port /dev/ttyACM0 (E661), --port /dev/ttyACM1 (E662)" in one_line(caught)
+    assert "/dev/ttyACM0 (E661), /dev/ttyACM1 (E662)" in one_line(caught)
     assert find_controllers()[0] == Controller("/dev/ttyACM0", "E661", "1-2")
 
 

@@ -129,7 +129,7 @@ def test_what_is_wrong_is_said() -> None:
 
 
 def test_somebody_elses_program_needs_force() -> None:
-    assert "no annulus firmware. --force" in refused(uf2(program(said=b"blink\0")))
+    assert "no annulus firmware. It is flashed only by force" in refused(uf2(program(said=b"blink\0")))
     other = b"annulus rp2350 0.1.0 deadbeef protocol 1U schema 0x%08XU\0" % SCHEMA_HASH
     assert "for board rp2350" in refused(uf2(program(said=other)))
     old = b"annulus rp2040 0.0.9 deadbeef protocol 1U schema 0x00000001U\0"

@@ -208,7 +208,9 @@ def test_two_boards_are_listed_and_one_is_chosen_by_serial_or_place() -> None:
     found = find_boot_loaders(Bus(*boards))
     assert [b.place for b in found] == ["1-1.3", "1-2", "1-4"]
     text = one_line(lambda: choose(found))
-    assert "3 boards in their boot loaders, say which with --serial: 1-1.3 (E0C9125B0D9B), 1-2 (E0C912952D54)" in text
+    assert (
+        "3 boards in their boot loaders, name one by place or serial: 1-1.3 (E0C9125B0D9B), 1-2 (E0C912952D54)" in text
+    )
     assert choose(found, "E0C912952D54").place == "1-2"
     assert choose(found, "1-4").place == "1-4"
     assert "2 boards" in one_line(lambda: choose(found, "E0C9125B0D9B"))

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scripted_controller import BadLine, ScriptedController
 
-from annulus.link.messages import EVENT_RING, Identify, Move, Ping, StageDone, Status
+from annulus.link.messages import EVENT_RING, Identify, Move, Ping, Status, TurntableDone
 from annulus.link.session import (
     WINDOW,
     Answer,
@@ -62,14 +62,14 @@ def test_on_a_bad_line_every_command_runs_at_most_once_and_every_event_is_accoun
     emitted = 0
     for _ in range(60):
         for _ in range(talk.random.randrange(3)):
-            talk.controller.emit(StageDone(0, emitted))
+            talk.controller.emit(TurntableDone(0, emitted))
             emitted += 1
         if talk.random.random() < 0.5 and talk.session.backlog < 30:
             talk.session.send(Ping())
         talk.run(talk.random.randrange(30))
     talk.line.rate = 0.0
     for _ in range(3):  # clean, so that a gap at the very end shows
-        talk.controller.emit(StageDone(0, emitted))
+        talk.controller.emit(TurntableDone(0, emitted))
         emitted += 1
         talk.run(2500)
 
@@ -96,7 +96,7 @@ def test_a_lost_event_is_read_again_and_says_so() -> None:
     talk.session.send(identify())
     talk.run(3)
     for number in range(10):
-        talk.controller.emit(StageDone(0, number), reach_the_line=number not in (4, 5, 8))
+        talk.controller.emit(TurntableDone(0, number), reach_the_line=number not in (4, 5, 8))
         talk.run(1)
     talk.run(10)
     heard = talk.all(EventReceived)
@@ -108,10 +108,10 @@ def test_a_lost_event_is_read_again_and_says_so() -> None:
 def test_events_that_left_the_ring_are_reported_lost() -> None:
     talk = Conversation()
     talk.session.send(identify())
-    talk.controller.emit(StageDone(0, 0))
+    talk.controller.emit(TurntableDone(0, 0))
     talk.run(3)
     for number in range(1, 101):
-        talk.controller.emit(StageDone(0, number), reach_the_line=number == 100)
+        talk.controller.emit(TurntableDone(0, number), reach_the_line=number == 100)
     talk.run(20)
     lost = [lost.first + i for lost in talk.all(EventsLost) for i in range(lost.count)]
     heard = [h.event.position for h in talk.all(EventReceived)]
@@ -136,12 +136,12 @@ def test_a_reset_ends_what_was_under_way_and_is_never_carried_over() -> None:
 def test_a_reset_whose_first_events_were_lost_is_noticed_and_they_are_read_again() -> None:
     talk = Conversation()
     talk.session.send(identify())
-    talk.controller.emit(StageDone(0, 0))
+    talk.controller.emit(TurntableDone(0, 0))
     talk.run(3)
     talk.controller.reset()
     talk.controller.take()
-    talk.controller.emit(StageDone(0, 1), reach_the_line=False)
-    talk.controller.emit(StageDone(0, 2))
+    talk.controller.emit(TurntableDone(0, 1), reach_the_line=False)
+    talk.controller.emit(TurntableDone(0, 2))
     talk.run(10)
     assert [h.sequence for h in talk.all(EventReceived) if h.boot == 8] == [2, 0, 1]
 

@@ -9,12 +9,13 @@ import pytest
 from typer.testing import CliRunner
 
 from annulus.cli import app
-from annulus.link import bench as link_bench
+from annulus.controller import CODES
+from annulus.link import operate
 from annulus.record.acoustic import AcousticRecord, load_acoustic, save_acoustic
 from annulus.sensors.digitizer import ScopeDigitizer
 from annulus.tai.acquire import Acquired, Plan, acquire, unmoved
 from annulus.tai.decode import sweep_of
-from annulus.thermoacoustic.codes import CODES
+from annulus.thermoacoustic.codes import Train
 from annulus.thermoacoustic.phantoms import Disc
 from annulus.thermoacoustic.sweep import examine
 from annulus.twin.acoustic import AcousticBench, Ear, Scope, Tank, serving
@@ -55,7 +56,7 @@ class Rig:
 
     @property
     def armed(self) -> bool:
-        return "armed" in str(link_bench.status(self.bench.port_url)["state"])
+        return "armed" in str(operate.status(self.bench.port_url)["state"])
 
 
 @pytest.fixture
@@ -145,7 +146,7 @@ def test_an_open_interlock_ends_it_and_nothing_fires_until_it_is_cleared(rig: Ri
         rig.acquire(resume=True)
     rig.bench.interlock(closed=True)
     assert rig.bench.bursts == bursts
-    link_bench.clear(rig.bench.port_url)
+    operate.clear(rig.bench.port_url)
     assert rig.acquire(resume=True).shot == 3 and rig.bench.bursts >= bursts + 6
 
 
@@ -224,10 +225,10 @@ def test_a_stage_that_moves_is_not_accused() -> None:
 def test_another_code_than_was_asked_for_is_heard(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     """A controller that sends what it was not told: the pins decide what is heard."""
 
-    def wrong(code: str, **how):
-        return link_bench.train_from_us("barker13", **how)
+    def wrong(code: str, train: Train):
+        return operate.train_messages("barker13", train)
 
-    monkeypatch.setattr("annulus.tai.acquire.train_from_us", wrong)
+    monkeypatch.setattr("annulus.tai.acquire.train_messages", wrong)
     done = rig.acquire(replace(PLAN, positions=3, averages=8))
     assert done.findings == ("mpsl25-stuffed was asked for, but it sounds like barker13",)
 

@@ -7,7 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 from annulus.cli.burst import app
-from annulus.thermoacoustic.codes import CODES
+from annulus.controller import CODES
 from annulus.vocabulary import AnnulusError
 
 

@@ -4,20 +4,30 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from typer.testing import CliRunner
 
+from annulus.cli import app
+from annulus.controller import (
+    BURST_PERIOD_MAX_TICKS,
+    BURST_REPEAT_MAX,
+    CHIP_MAX_TICKS,
+    CHIP_MIN_TICKS,
+    CODES,
+    MICROWAVE_DUTY_MAX_PERMILLE,
+    MICROWAVE_PULSE_MAX_TICKS,
+    MICROWAVE_PULSE_MIN_TICKS,
+    PIN_INTERLOCK,
+    PIN_MICROWAVE,
+    PIN_TRIGGER,
+    TRIGGER_TICKS,
+)
 from annulus.link import messages
 from annulus.link.codec import Decoder, Frame, encode
 from annulus.link.messages import Arm, ArmFlag, Burst, BurstCode, BurstReply, Identify, Pattern, StatusCode
-from annulus.thermoacoustic.codes import CODES, Limits, Train, manchester, pattern, stuffed, text
-from annulus.twin.native import _LIBRARY, PIN_INTERLOCK, PIN_MICROWAVE, PIN_TRIGGER, NativeBoard
+from annulus.thermoacoustic.codes import Train, pattern, text
+from annulus.twin.native import _LIBRARY, NativeBoard
 from annulus.vocabulary import AnnulusError
 
-LIMITS = Limits(
-    (messages.CHIP_MIN_TICKS, messages.CHIP_MAX_TICKS),
-    (messages.MICROWAVE_PULSE_MIN_NS // 10, messages.MICROWAVE_PULSE_MAX_NS // 10),
-    messages.MICROWAVE_DUTY_MAX_PERMILLE,
-    messages.TICK_HZ,
-)
 NAMES = {c.name.lower().replace("_", "-"): c for c in BurstCode if c is not BurstCode.UPLOADED}
 native = pytest.mark.skipif(not _LIBRARY.is_file(), reason="native firmware not built")
 
@@ -112,9 +122,12 @@ def test_the_complementary_pair_adds_up_to_one_peak() -> None:
     assert np.abs(np.delete(total, [50, 51, 52])).max() <= 1
 
 
-def test_stuffing_makes_every_pulse_one_chip_and_manchester_keeps_half_of_them_on() -> None:
+def test_stuffing_makes_every_pulse_one_chip_and_the_pair_is_sent_by_manchester() -> None:
+    assert CODES["mpsl25-stuffed"] == "".join(chip + "0" for chip in CODES["mpsl25"])
     assert set(Train(pattern("mpsl25-stuffed"), 50).pulses_ticks[:, 1]) == {50}
-    assert manchester("01") == "0110" and stuffed("10") == "1000"
+    pair = ("00011000101101010110010000", "00001001101000001011100111")  # SC1, SC2
+    for code, bits in zip(("manchester1", "manchester2"), pair, strict=True):
+        assert CODES[code] == "".join("10" if bit == "1" else "01" for bit in bits)
 
 
 @given(st.text("01", min_size=1, max_size=256))
@@ -137,10 +150,10 @@ def test_anything_else_is_refused(code: str) -> None:
 
 def expected(train: Train) -> StatusCode:
     """What the findings say the controller answers: it looks at them in order."""
-    bad = [f.name for f in train.findings(LIMITS) if not f.ok]
+    bad = [f.name for f in train.findings() if not f.ok]
     if not bad:
         return StatusCode.OK
-    if bad[0] in ("chip", "period", "trigger offset"):
+    if bad[0] in ("repeat", "chip", "period", "trigger offset"):
         return StatusCode.OUT_OF_RANGE
     return StatusCode.PULSE_WIDTH if "pulse" in bad[0] else StatusCode.DUTY
 
@@ -177,3 +190,47 @@ def test_the_controller_refuses_what_the_findings_refuse_and_nothing_else() -> N
 
     check()
     assert seen == {StatusCode.OK, StatusCode.OUT_OF_RANGE, StatusCode.PULSE_WIDTH, StatusCode.DUTY}
+
+
+LONG = "1" + 254 * "0"  # a pulse of one chip and a duty that no period breaks
+PULSE, LONGEST = MICROWAVE_PULSE_MIN_TICKS, MICROWAVE_PULSE_MAX_TICKS
+DUTIFUL = 50_000 // MICROWAVE_DUTY_MAX_PERMILLE  # the shortest period of one chip of 50 ticks
+LIMITS = [  # what is refused first, the chips; chip, repeat, period, offset just allowed; and one step further
+    ("chip", "1111", (CHIP_MIN_TICKS, 1, 100_000, 0), (CHIP_MIN_TICKS - 1, 1, 100_000, 0)),
+    ("chip", "1", (CHIP_MAX_TICKS, 1, 100_000, 0), (CHIP_MAX_TICKS + 1, 1, 100_000, 0)),
+    ("shortest pulse", "1", (PULSE, 1, 100_000, 0), (PULSE - 1, 1, 100_000, 0)),
+    ("longest pulse", "1101", (LONGEST // 2, 1, 100_000, 0), (LONGEST // 2 + 1, 1, 100_000, 0)),
+    ("period", LONG, (30, 1, 256 * 30, 0), (30, 1, 256 * 30 - 1, 0)),
+    ("period", "1", (50, 1, BURST_PERIOD_MAX_TICKS, 0), (50, 1, BURST_PERIOD_MAX_TICKS + 1, 0)),
+    ("trigger offset", "1", (50, 1, 10_000, 10_000 - TRIGGER_TICKS), (50, 1, 10_000, 10_001 - TRIGGER_TICKS)),
+    ("trigger offset", "1", (50, 1, 10_000, -9_950), (50, 1, 10_000, -9_951)),
+    ("duty", "1", (50, 1, DUTIFUL, 0), (50, 1, DUTIFUL - 1, 0)),
+    ("repeat", "1", (50, 1, 10_000, 0), (50, 0, 10_000, 0)),
+    ("repeat", "1", (50, BURST_REPEAT_MAX, 10_000, 0), (50, BURST_REPEAT_MAX + 1, 10_000, 0)),
+]
+
+
+@native
+@pytest.mark.parametrize(("what", "bits", "allowed", "beyond"), LIMITS)
+def test_command_line_host_and_controller_have_one_limit(
+    what: str, bits: str, allowed: tuple[int, ...], beyond: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At every limit, and one step past it: `annulus head burst`, the findings and the real core say the same."""
+    controller = Controller()
+    controller.upload(pattern(bits))
+    sent: list[Burst] = []
+    monkeypatch.setattr("annulus.link.operate.fire_burst", lambda port, own, burst: sent.append(burst) or {})
+    for (chip, repeat, period, offset), ok in ((allowed, True), (beyond, False)):
+        train = Train(pattern(bits), chip, repeat, period, offset)
+        assert [f.name for f in train.findings() if not f.ok][:1] == ([] if ok else [what])
+        options = {"chip": chip, "period": period, "trigger-offset": offset}
+        line = [f"--{name}-us={ticks / 100!r}" for name, ticks in options.items()]
+        said = CliRunner().invoke(app, ["head", "burst", "--port", "x", "--code", bits, f"--repeat={repeat}", *line])
+        assert isinstance(said.exception, AnnulusError) is not ok and len(sent) == 1
+        if repeat > BURST_REPEAT_MAX:
+            with pytest.raises(AnnulusError, match="burst"):
+                controller.fire(BurstCode.UPLOADED, train)
+        else:
+            assert (controller.fire(BurstCode.UPLOADED, train).status is StatusCode.OK) is ok
+        controller.arm()
+    assert sent == [Burst(BurstCode.UPLOADED, *allowed)]

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annulus.thermoacoustic.codes import CODES, pattern
+from annulus.controller import CODES
+from annulus.thermoacoustic.codes import pattern
 from annulus.thermoacoustic.search import best_on_off, least_peak_sidelobe, on_off_gain_db
 from annulus.thermoacoustic.templates import Transducer, decode, decode_pair, design, pair_correlation
 from annulus.vocabulary import AnnulusError

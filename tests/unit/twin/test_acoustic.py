@@ -5,15 +5,16 @@ import functools
 import numpy as np
 import pytest
 
-from annulus.link.bench import train_from_us
+from annulus.controller import CODES, PIN_INTERLOCK, PIN_TRIGGER, TICK_S
 from annulus.link.messages import Arm, ArmFlag, Move
+from annulus.link.operate import train_messages
 from annulus.tai.simulate import Bench, simulate
-from annulus.thermoacoustic.codes import CODES, pattern
+from annulus.thermoacoustic.codes import Train, pattern, train_from_us
 from annulus.thermoacoustic.phantoms import Disc
 from annulus.thermoacoustic.templates import decode, design
 from annulus.twin.acoustic import AcousticBench, Ear, Scope, Tank, fire, pulses_of
-from annulus.twin.native import PIN_INTERLOCK, PIN_TRIGGER, NativeBoard
-from annulus.vocabulary import TICK_S, AnnulusError
+from annulus.twin.native import NativeBoard
+from annulus.vocabulary import AnnulusError
 
 SAMPLE = (Disc(0.0, 0.0, 5.0, 0.4), Disc(2.0, 1.0, 1.0, 1.0))
 BAND = (0.6e6, 0.7)
@@ -38,7 +39,8 @@ def board() -> NativeBoard:
 
 
 def emitted(board: NativeBoard, code: str, chip_us: float, offset_us: float = 0.0, repeat: int = 1):
-    own, burst = train_from_us(code, chip_us=chip_us, repeat=repeat, period_us=1000.0, offset_us=offset_us)
+    train = train_from_us(code, chip_us=chip_us, repeat=repeat, period_us=1000.0, trigger_offset_us=offset_us)
+    own, burst = train_messages(code, train)
     pins = fire(board, *([own] if own else []), Arm(ArmFlag.MICROWAVE), burst, ticks=100_000 * repeat + 50_000)
     triggers = [int(t) for t, pin, level in pins.tolist() if pin == PIN_TRIGGER and level]
     return pulses_of(pins), triggers
@@ -107,7 +109,7 @@ def test_the_stage_the_trigger_and_the_scope_meet_in_the_boards_time(board: Nati
             b":TIM:RANG 4E-5;:TIMebase:POSition 2E-5\n:chan1:rang 4;:TRIG:EDGE:SOUR EXT;:TRIG:EDGE:LEV 1.5\n"
             b":ACQ:TYPE AVER;:ACQ:COUN 2;:WAV:FORM WORD;:WAV:BYT LSBF;:WAV:POIN 500;:DIG CHAN1;*OPC?\n"
         )
-        _, burst = train_from_us("single", chip_us=0.5, repeat=2, period_us=500.0, offset_us=0.0)
+        _, burst = train_messages("single", Train(pattern("single"), 50, repeat=2, period_ticks=50_000))
         session = _Wire(bench)
         session.tell(Move(37, 10_000, 1), wait=40 * 10_000)
         assert bench.steps == 37

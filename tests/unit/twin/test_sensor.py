@@ -8,21 +8,10 @@ import numpy as np
 import pytest
 
 from annulus.capture.timing import FrameTiming
-from annulus.twin.sensor import (
-    LED,
-    ODOMETER_A,
-    ODOMETER_B,
-    PROJECTOR,
-    SYNC,
-    Exposure,
-    Faults,
-    HostClock,
-    LossyLine,
-    Sensor,
-    load_faults,
-)
+from annulus.controller import PIN_LED, PIN_ODOMETER_A, PIN_ODOMETER_B, PIN_PROJECTOR, PIN_SYNC, TICKS_PER_US
+from annulus.twin.sensor import Exposure, Faults, HostClock, LossyLine, Sensor, load_faults
 from annulus.twin.world import World, clean_world
-from annulus.vocabulary import TICKS_PER_US, AnnulusError, Lamp
+from annulus.vocabulary import AnnulusError, Lamp
 
 TIMING = FrameTiming(25.0, 38_000.0, 28_000.0)  # window 2..12 ms after the edge
 WORLD = clean_world(travel_mm=50.0).scaled(104)
@@ -39,7 +28,7 @@ def expose(sensor: Sensor, pins: list[tuple[int, int, int]], frames: int) -> lis
 
 def test_a_flash_after_edge_k_lights_every_row_of_frame_k_plus_1_and_no_other() -> None:
     sensor = Sensor(WORLD, TIMING)
-    pins = flashes(sensor, 2, PROJECTOR, 3000, 5000) + flashes(sensor, 4, LED, 2500, 2500)
+    pins = flashes(sensor, 2, PIN_PROJECTOR, 3000, 5000) + flashes(sensor, 4, PIN_LED, 2500, 2500)
     lit = [exposure.lamps for exposure in expose(sensor, pins, 7)]
     assert lit == [frozenset({Lamp.PROJECTOR}) if n == 3 else frozenset({Lamp.LED}) if n == 5 else frozenset()
                    for n in range(7)]  # fmt: skip
@@ -50,18 +39,18 @@ def test_a_flash_after_edge_k_lights_every_row_of_frame_k_plus_1_and_no_other() 
 
 def test_a_flash_too_early_leaves_the_last_rows_dark_and_one_too_late_cuts_the_first() -> None:
     sensor = Sensor(WORLD, TIMING)
-    early = expose(sensor, flashes(sensor, 0, PROJECTOR, 0, 2000), 2)
+    early = expose(sensor, flashes(sensor, 0, PIN_PROJECTOR, 0, 2000), 2)
     # the last row opens 2 ms after the edge, the first 28 ms before it: of 0..2 ms row r sees what it is open for
     rows = np.linspace(0, 1, WORLD.camera.height)
     opens_ms = np.maximum(-26.0 + 28.0 * rows, 0.0)
     np.testing.assert_allclose(early[1].projector, (2.0 - opens_ms) / 5.0, atol=1e-4)
     sensor = Sensor(WORLD, TIMING)
-    late = expose(sensor, flashes(sensor, 0, PROJECTOR, 11_000, 3000), 3)
+    late = expose(sensor, flashes(sensor, 0, PIN_PROJECTOR, 11_000, 3000), 3)
     assert late[1].projector[0] == pytest.approx(1.0 / 5.0)
     assert late[1].projector[-1] == pytest.approx(3.0 / 5.0)
     assert not late[2].projector.any()  # its first row opens 14 ms after the edge, when the flash is over
     sensor = Sensor(WORLD, TIMING)
-    later = expose(sensor, flashes(sensor, 0, PROJECTOR, 15_000, 5000), 3)
+    later = expose(sensor, flashes(sensor, 0, PIN_PROJECTOR, 15_000, 5000), 3)
     assert later[1].projector[0] == 0 and later[1].projector[-1] == pytest.approx(1.0)
     assert (
         later[2].projector[0] == pytest.approx(1.0) and later[2].projector[-1] == 0
@@ -70,13 +59,13 @@ def test_a_flash_too_early_leaves_the_last_rows_dark_and_one_too_late_cuts_the_f
 
 def test_a_lamp_that_never_goes_off_lights_every_row_for_its_whole_exposure() -> None:
     sensor = Sensor(WORLD, TIMING)
-    frames = expose(sensor, [(10, LED, 1)], 4)
+    frames = expose(sensor, [(10, PIN_LED, 1)], 4)
     np.testing.assert_allclose(frames[3].led, 38_000 / WORLD.led.nominal_us)
 
 
 def test_sync_rises_at_the_first_line_and_falls_at_the_end_of_the_last() -> None:
     sensor = Sensor(WORLD, TIMING)
-    sync = [(tick, level) for tick, pin, level in sensor.stimuli(sensor.edge(2)) if pin == SYNC]
+    sync = [(tick, level) for tick, pin, level in sensor.stimuli(sensor.edge(2)) if pin == PIN_SYNC]
     assert sync == [(0, 0)] + [
         pulse for n in range(3) for pulse in ((sensor.edge(n) - 2_800_000, 1), (sensor.edge(n), 0))
     ]
@@ -95,10 +84,10 @@ def counts(stimuli: Iterator[tuple[int, int, int]] | list[tuple[int, int, int]])
     """A quadrature decoder: four counts a cycle, A before B counts up."""
     a = b = count = 0
     for _, pin, level in stimuli:
-        if pin == ODOMETER_A and level != a:
+        if pin == PIN_ODOMETER_A and level != a:
             count += 1 if (level != b) else -1
             a = level
-        elif pin == ODOMETER_B and level != b:
+        elif pin == PIN_ODOMETER_B and level != b:
             count += 1 if (level == a) else -1
             b = level
     return count
@@ -126,7 +115,7 @@ def test_the_head_waits_moves_back_and_forth_and_stops_at_the_end() -> None:
 
 def test_a_frame_knows_where_the_head_was_when_its_light_came() -> None:
     sensor = Sensor(WORLD, TIMING, speed_mm_s=50.0)
-    frame = expose(sensor, flashes(sensor, 4, LED, 3000, 2000), 6)[5]
+    frame = expose(sensor, flashes(sensor, 4, PIN_LED, 3000, 2000), 6)[5]
     assert frame.z_mm == pytest.approx(50.0 * (5 * 0.040 + 0.004), abs=1e-6)
     assert frame.pose == WORLD.pose(frame.z_mm)
 
@@ -153,7 +142,7 @@ def test_dropped_frames_leave_holes_in_the_sequence_at_the_rate_asked_for() -> N
 
 def test_missing_and_doubled_edges_come_at_the_rate_asked_for() -> None:
     sensor = Sensor(WORLD, TIMING, Faults(sync_missing=0.1, sync_glitches=0.1), seed=2)
-    falls = [s for s in sensor.stimuli(sensor.edge(999)) if s[1:] == (SYNC, 0)]
+    falls = [s for s in sensor.stimuli(sensor.edge(999)) if s[1:] == (PIN_SYNC, 0)]
     regular = {sensor.edge(n) for n in range(1000)}
     assert 70 < len(regular - {tick for tick, _, _ in falls}) < 130
     assert 70 < len([tick for tick, _, _ in falls if tick not in regular]) < 130

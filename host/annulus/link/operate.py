@@ -1,16 +1,15 @@
-"""What a bench engineer does with one controller at a time: `annulus head`. Each verb opens the port, acts and leaves
+"""What an engineer does with one controller at a time: `annulus head`. Each verb opens the port, acts and leaves
 the outputs as it says, also when interrupted.
 """
 
 import time
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
+from annulus.controller import CHIPS_MAX, CODES, TICK_HZ, TICKS_PER_US
 from annulus.link.client import Client
 from annulus.link.head import LATCHING
 from annulus.link.messages import (
-    CHIPS_MAX,
-    TICK_HZ,
     Arm,
     ArmFlag,
     BootCause,
@@ -27,22 +26,22 @@ from annulus.link.messages import (
     Move,
     Pattern,
     Stage,
-    StageDone,
     StageReply,
     StateFlag,
     Status,
     StatusReply,
     SyncLost,
+    TurntableDone,
 )
 from annulus.link.session import EventReceived, EventsLost, Rebooted
-from annulus.vocabulary import TICKS_PER_US, AnnulusError, Lamp
+from annulus.vocabulary import AnnulusError, Lamp
 
 KEEP_ALIVE_S = 0.1  # well inside the shortest sensible host timeout
 TRAIN_SLACK_S = 1.0
-STAGE_BUSY_S = 60.0
+TURNTABLE_BUSY_S = 60.0
 U32 = 2**32
 
-Awaited = TypeVar("Awaited", BurstDone, StageDone)
+Awaited = TypeVar("Awaited", BurstDone, TurntableDone)
 
 
 def status(port: str) -> dict[str, object]:
@@ -65,7 +64,7 @@ def status(port: str) -> dict[str, object]:
             "edges_rejected": reply.rejected,
             "frame_period_us": reply.period / TICKS_PER_US,
             "odometer_counts": reply.odometer,
-            "stage_steps": reply.stage,
+            "turntable_steps": reply.turntable,
             "bad_frames": reply.bad_frames,
             "late_flashes": reply.late,
             "event_overruns": reply.overruns,
@@ -131,22 +130,16 @@ def hold_armed(port: str, seconds: float, say: Callable[[str], None]) -> None:
         say(f"disarmed; edges: {flashes}; events lost: {lost}")
 
 
-def fire_burst(
-    port: str, code: str, *, chip_us: float, repeat: int, period_us: float, offset_us: float
-) -> dict[str, object]:
-    """Arm the microwave, fire, wait for the end of the train, disarm.
+def fire_burst(port: str, pattern: Pattern | None, burst: Burst) -> dict[str, object]:
+    """Upload `pattern` if there is one, arm the microwave, fire, wait for the end of the train, disarm.
 
-    code : a built-in one's name, or a text of 0 and 1, which is uploaded.
-
-    Raises AnnulusError for a code nobody knows, a refusal (interlock, limits), or a fault that cut the train off.
+    Raises AnnulusError for a refusal (interlock, limits), or a fault that cut the train off.
     """
-    own, burst = train_from_us(code, chip_us=chip_us, repeat=repeat, period_us=period_us, offset_us=offset_us)
     with Client(port) as client:
-        if own is not None:
-            client.request(own)
+        if pattern is not None:
+            client.request(pattern)
         reply, done = send_train(client, port, burst)
     return {
-        "code": code,
         "chips": reply.length,
         "chip_us": burst.chip / TICKS_PER_US,
         "bursts": done.done,
@@ -155,28 +148,27 @@ def fire_burst(
     }
 
 
-def train_from_us(
-    code: str, *, chip_us: float, repeat: int, period_us: float, offset_us: float
-) -> tuple[Pattern | None, Burst]:
-    """A train from microseconds, and the pattern to upload before it if the code is not built in."""
-    names = {c.name.lower().replace("_", "-"): c for c in BurstCode if c is not BurstCode.UPLOADED}
-    own = _pattern(code) if code and not set(code) - {"0", "1"} else None
-    if code not in names and own is None:
-        raise AnnulusError(f"--code {code!r}: expected one of {', '.join(names)}, or a text of 0 and 1")
-    for option, us, low, high in (
-        ("--chip-us", chip_us, 0.1, 30.0),
-        ("--period-us", period_us, 1.0, 4e7),
-        ("--trigger-offset-us", offset_us, -1e6, 1e6),
-    ):
-        if not low <= us <= high:
-            raise AnnulusError(f"{option} {us:g}: expected {low:g}..{high:g}")
-    return own, Burst(
-        code=names.get(code, BurstCode.UPLOADED),
-        chip=round(chip_us * TICKS_PER_US),
-        repeat=repeat,
-        period=round(period_us * TICKS_PER_US),
-        trigger_offset=round(offset_us * TICKS_PER_US),
-    )
+class Train(Protocol):
+    """Bursts as they are to be sent, in ticks; thermoacoustic.codes has one that knows the limits."""
+
+    @property
+    def chip_ticks(self) -> int: ...
+
+    @property
+    def repeat(self) -> int: ...
+
+    @property
+    def period_ticks(self) -> int: ...
+
+    @property
+    def trigger_offset_ticks(self) -> int: ...
+
+
+def train_messages(code: str, train: Train) -> tuple[Pattern | None, Burst]:
+    """A train on the wire, and the pattern to upload before it if the code is a text of 0 and 1, none built in."""
+    pattern = None if code in CODES else _pattern(code)
+    number = BurstCode.UPLOADED if pattern else BurstCode[code.upper().replace("-", "_")]
+    return pattern, Burst(number, train.chip_ticks, train.repeat, train.period_ticks, train.trigger_offset_ticks)
 
 
 def send_train(client: Client, port: str, burst: Burst) -> tuple[BurstReply, BurstDone]:
@@ -202,25 +194,25 @@ def status_of(client: Client) -> StatusReply:
     return reply
 
 
-def move_stage(client: Client, port: str, position: int, step_us: float, *, hold: bool) -> None:
+def move_turntable(client: Client, port: str, position: int, step_us: float, *, hold: bool) -> None:
     """To an absolute position in steps, and wait until it stands. `hold` keeps the motor powered afterwards."""
-    end = time.monotonic() + STAGE_BUSY_S
-    while StateFlag.STAGE_MOVING in (before := status_of(client)).state:  # somebody's earlier move
+    end = time.monotonic() + TURNTABLE_BUSY_S
+    while StateFlag.TURNTABLE_MOVING in (before := status_of(client)).state:  # somebody's earlier move
         if time.monotonic() > end:
-            raise AnnulusError(f"{port}: the stage still moves after {STAGE_BUSY_S:g} s, expected it to stand")
+            raise AnnulusError(f"{port}: the turntable still moves after {TURNTABLE_BUSY_S:g} s, expected it to stand")
         client.poll(KEEP_ALIVE_S)
-    if before.stage == position and hold:
+    if before.turntable == position and hold:
         return
     client.request(Move(position, round(step_us * TICKS_PER_US), int(hold)))
-    patience_s = abs(position - before.stage) * step_us * 1e-6 + TRAIN_SLACK_S
-    done = _wait_for(StageDone, client, port, patience_s)
+    patience_s = abs(position - before.turntable) * step_us * 1e-6 + TRAIN_SLACK_S
+    done = _wait_for(TurntableDone, client, port, patience_s)
     if done.position != position:
-        raise AnnulusError(f"{port}: the stage stopped at step {done.position}, expected {position}")
+        raise AnnulusError(f"{port}: the turntable stopped at step {done.position}, expected {position}")
 
 
 def _pattern(bits: str) -> Pattern:
-    if len(bits) > CHIPS_MAX:
-        raise AnnulusError(f"--code: {len(bits)} chips, expected {CHIPS_MAX} at most")
+    if not bits or set(bits) - {"0", "1"} or len(bits) > CHIPS_MAX:
+        raise AnnulusError(f"code {bits!r}: expected one of {', '.join(CODES)}, or up to {CHIPS_MAX} times 0 and 1")
     return Pattern(len(bits), int(bits[::-1], 2).to_bytes(CHIPS_MAX // 8, "little"))  # chip 0 is bit 0 of byte 0
 
 
