@@ -27,14 +27,16 @@ from annulus.rings.diagnosis import LOST_MOST, Exposure
 from annulus.rings.polar import ring_pixels
 from annulus.vocabulary import AnnulusError
 
+# What is refused and what is found: test_pipe and topic calibrate_scene. What is only said (GOOD_*, WAVES, OTHER_*,
+# CLIPPED_HERE) was chosen on calibration-a, spoilt one way at a time: unguarded.
 FRAMES_MOST = 40  # of a longer scan evenly taken; more only average noise that is small already
-FRAMES_ASKED = 4
+FRAMES_ASKED = 4  # fewer are used, and said to be few
 SEEN_LEAST = 0.25  # of all rings in all directions: less is no frame to calibrate with
 LEAN_DEG, LEAN_SHIFT = 10.0, 0.1  # what is advised: to lean so far, and stand off by this part of the radius
 GOOD_ANGLE_DEG, GOOD_VERTEX = 0.02, 0.001  # of the full angle; of the radius: known so well, poses were good enough
 USELESS = 0.03  # of the radius: a vertex known no better than this is not known
 ALIKE_DEG, ALIKE_SHIFT = 1.0, 0.02  # leans and stands (of the radius) within so much of each other are one
-FOLDS = 4
+FOLDS = 4  # parts that are held out in turn
 HELD_EVERY = 3  # observations: as many as the held-out error needs
 CORRECTION_WINS = 0.97  # residual corrections are kept if they bring the held-out error down to this part at most
 WAVES = 8.0  # neighbouring errors alike: noise makes 3

@@ -13,8 +13,8 @@ from annulus.rings.reconstructor import Reconstructor
 from annulus.vocabulary import AnnulusError
 from annulus.wall.profile import Profile
 
-FRAMES = 24
-CORRECTION_MOST = 3.0  # degrees; no slide is so far off, a defect or another calibration is
+FRAMES = 24  # of a longer scan, evenly taken
+CORRECTION_MOST = 3.0  # degrees; no slide is so far off, a defect or another calibration is; unguarded
 
 
 @dataclass(frozen=True, slots=True)

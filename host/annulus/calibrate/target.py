@@ -26,6 +26,7 @@ from annulus.rings.calibration.contours import Contours, close_grid, follow, wid
 from annulus.rings.calibration.target import TargetCones, TargetPoints, fit_cones, on_plane, vertex_order
 from annulus.vocabulary import AnnulusError, Label
 
+# By topic intrinsics (rings on drawn targets: angle, vertex) and test_target (a pair that moved); FEW only warns.
 POSE_PX = 1.0  # a target whose corners leave more over is not flat, or not seen by this camera
 BEYOND = 0.8  # squares around the outermost corners that still are target
 EVEN = 0.8  # of the lightest: the darkest paper beside a slit, or print has moved its edge

@@ -30,7 +30,7 @@ from annulus.numeric.arrays import FloatArray
 
 Model = Literal["pinhole", "fisheye", "mirror"]
 
-BISECTIONS, EXACT = 60, 1e-13  # of the angle at which a ball reflects, radians
+BISECTIONS, EXACT = 60, 1e-13  # of the angle at which a ball reflects, radians; test_mirror
 
 
 @dataclass(frozen=True, slots=True)

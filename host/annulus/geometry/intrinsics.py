@@ -13,6 +13,7 @@ from annulus.numeric.arrays import FloatArray
 from annulus.numeric.robust import robust_sigma
 from annulus.vocabulary import AnnulusError
 
+# By topic intrinsics, every row of it a cold start.
 FOCAL = (0.25, 0.35, 0.5, 0.7, 1.0, 1.5, 2.2, 3.5)  # of the image's longer side: where a cold start looks
 COLD_VIEWS = 12  # as many are enough to choose between them
 NUMBERS = {"pinhole": 9, "fisheye": 8}  # fx fy cx cy and the distortion

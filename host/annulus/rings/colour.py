@@ -19,6 +19,7 @@ from annulus.rings.order import Placed
 from annulus.rings.slits import Slits
 
 FORMAT = "annulus-colour/1"
+# GAIN_MOST and FULL: topic colour, gains set. DIFFERS: test_limits. LEAST: unguarded.
 LEAST = 50  # stripe observations of each colour
 FULL = 235.0  # grey levels above black: the mean beside a slit of a stripe that reaches full scale
 GAIN_MOST = 4.0  # of a channel; beyond it a camera raises its noise more than it helps the colours

@@ -22,6 +22,8 @@ from annulus.numeric.jit import jit, middle, ranked
 
 UNKNOWN = 255  # a stripe whose colour is not clear: matches any, proves nothing
 NONE = -1  # a slit that is no ring, or could be more than one
+# Prices and cosines, no unit. Measured by topic colour (points read, wrong rings) and few_rings; a wrong name for any
+# missing or false slit fails test_decode.
 LIKENESS = 0.06  # a colour must be nearer its reference than any other by this much of the cosine
 SKIP = 0.5  # price of leaving a slit out, against 1 for each colour that fits
 PLACE = 6.0  # price of a wall that is off by the whole tolerance: more than a slit that fits can pay

@@ -18,6 +18,8 @@ from annulus.rings.order import Placed
 from annulus.rings.reconstructor import Reconstructor
 from annulus.rings.slits import Slits
 
+# Those of `Exposure` and RADIUS_OFF are tested from both sides (test_limits, test_diagnosis), SUSPECT and FLIP_BETTER
+# by test_diagnosis; CLEAR and CHANNEL_LEAST are a choice: unguarded within a factor of two.
 EVERY = 8  # pixels: light varies slowly enough
 DARK = 14.0  # grey levels; no stripe is so dim, and no sensor's black so bright
 LIT_OF_BRIGHT = 0.25  # a pixel with this part of the frame's bright level is stripe and not slit

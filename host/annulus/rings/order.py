@@ -17,6 +17,8 @@ from annulus.rings.slits import Slits
 from annulus.rings.triangulate import RingOptics, deviations, triangulate
 from annulus.wall.pose import Fit, fit_pose
 
+# By topic colour (what is learnt from) and test_diagnosis (pipes of other radii, flips); a factor of two either way
+# moves neither.
 WHOLE_LINES = 0.1  # of the lines must show every ring and nothing else
 PLACE = 0.4  # of the way to the next ring: how far from its place a slit is still taken for a ring
 SIZES = 3  # the pipe's own radius is taken for the nominal one so often, and slits ..

@@ -16,6 +16,8 @@ from annulus.numeric.robust import SIGMA_OF_MAD
 from annulus.rings.decode import NONE
 from annulus.rings.slits import Slits
 
+# Measured by topic uncertainty: true radii inside k = 2, which a slit believed wrongly leaves; and by the wrong and
+# read points of topic colour, whose frames have rods' shadows.
 NARROW, WIDE = 0.7, 1.35  # of the ring's width around there: beyond, a slit is half covered or part of a shadow ..
 WIDTH_NOISE = 4.0  # .. unless widths scatter so much that this many sigma reach farther
 WIDTH_EVERY = 4  # points: what the ring's width is learnt from

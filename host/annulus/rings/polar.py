@@ -16,8 +16,10 @@ from annulus.numeric.jit import jit
 from annulus.numeric.robust import SIGMA_OF_MAD
 from annulus.vocabulary import AnnulusError
 
+# What a line keeps (ACROSS, WEAK, RAISED_MOST) is measured by topics uncertainty and colour; what is left out unseen
+# (PROBE, LIT) by the points that colour counts; RAY_STEP_PX by test_slits; the search by test_slits, few_rings, mirror.
 ACROSS = 0.85  # standard deviation, in directions, of the average over neighbouring lines: weights 1, 2, 1
-PROBE_LINES, PROBE_PX = 24, 6  # how coarse the first look at a frame is
+PROBE_LINES, PROBE_PX = 24, 6  # lines, samples: how coarse the first look at a frame is
 LIT, LIT_MARGIN = 0.02, 12  # light is more than this part of the bright level; samples kept around it
 WEAK, RAISED_MOST = 2.5, 4.0  # a channel so many times weaker than the strongest is raised, by so much at most
 RAY_STEP_PX = 4  # rays are tabulated this often: linear interpolation between is good to 5e-6 rad

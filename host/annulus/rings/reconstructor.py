@@ -36,6 +36,7 @@ from annulus.vocabulary import AnnulusError
 from annulus.wall.pose import Fit, fit_pose
 from annulus.wall.profile import Profile
 
+# Measured by topics colour (points read, wrong rings), few_rings and diameter; OVER_EXPOSED by uncertainty.
 FIRST_TOLERANCE = 0.5  # of the radius: the head's lean and stand-off are still in the deviation
 WALL_TOLERANCE = 0.35  # and now they are not
 RING_POINTS = 20  # with fewer a ring does not count as seen

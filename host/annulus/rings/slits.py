@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 from annulus.numeric.jit import jit, middle
 from annulus.rings.polar import PolarGrid, Unrolled
 
+# Parts of light unless named. What is found at all is measured by topic colour (share of visible points read) and
+# test_slits; where an edge lies by topics uncertainty and diameter. PER_LINE: unguarded.
 PER_LINE = 48  # slits kept of one line; a wall that shows more is not a wall
 FALL = 0.72  # a slit is darker than this part of the light before it and after it
 SHALLOW = 0.65  # a slit is at least this part as deep as the frame's usual one

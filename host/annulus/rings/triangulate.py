@@ -19,8 +19,8 @@ from annulus.numeric.jit import jit
 from annulus.rings.polar import RAY_STEP_PX, PolarGrid, ring_pixels
 from annulus.rings.slits import Slits
 
-GRAZING = 0.02  # sine of the least angle between ray and cone that still makes a point
-PROBE_PX = 4.0  # step of the finite differences along a line
+GRAZING = 0.02  # sine of the least angle between ray and cone that still makes a point; unguarded at this size
+PROBE_PX = 4.0  # step of the finite differences along a line; test_slits, the bend
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -42,12 +42,18 @@ def test_a_flip_that_the_head_is_too_symmetric_to_show_is_not_guessed(frame):
     assert Trouble.FLIPPED not in troubles(cal, image[:, ::-1])  # this head's vertex and lens centre make up for it
 
 
-@pytest.mark.parametrize("radius", [70.0, 80.0])
+@pytest.mark.parametrize("radius", [70.0, 75.3, 77.1, 80.0])
 def test_a_pipe_of_another_radius_is_measured_and_said(frame, radius):
     cal, image = frame
     found = troubles(replace(cal, pipe_radius_mm=radius), image)
     assert set(found) == {Trouble.RADIUS}
     assert "is about 76.1" in found[Trouble.RADIUS] or "is about 76.2" in found[Trouble.RADIUS]
+
+
+@pytest.mark.parametrize("radius", [75.6, 76.8])
+def test_a_radius_within_what_pipes_of_one_size_differ_by_is_not_said(frame, radius):
+    cal, image = frame
+    assert troubles(replace(cal, pipe_radius_mm=radius), image) == {}
 
 
 def test_wrong_colours_are_read_out(frame):

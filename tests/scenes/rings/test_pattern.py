@@ -47,6 +47,14 @@ def test_a_head_built_as_designed_reads_every_ring() -> None:
     assert np.sqrt(np.mean(off**2)) < 0.1
 
 
+def test_stripes_are_refused_where_their_slits_blur_takes_their_colour() -> None:
+    nine = stripe_colours("RGB", 2)
+    room = design(HEAD, nine, 2, slit_px=4.0).stripe_px * 9 + 4.0 * 8
+    assert design(HEAD, nine, 2, slit_px=(room - 9 * 5.1) / 8).stripe_px == pytest.approx(5.1)
+    with pytest.raises(AnnulusError, match="expected at least 5"):
+        design(HEAD, nine, 2, slit_px=(room - 9 * 4.9) / 8)
+
+
 def test_limits_are_checked_and_the_remedy_is_said() -> None:
     nine = stripe_colours("RGB", 2)
     pattern = design(HEAD, nine, 2, slit_px=4.0)

@@ -25,7 +25,8 @@ from annulus.rings.calibration.bundle import SETTLED, Bundle, Solution, packed
 from annulus.rings.calibration.observations import Observations
 from annulus.vocabulary import AnnulusError
 
-# Of the radius: vertex beside the camera, tried as starts in this order. Guarded by test_autocalibration (cold starts).
+# Of the radius: vertex beside the camera, tried as starts in this order.
+# By topic autocalibration (cold starts, with and without noise) and, for a mirror, test_mirror_calibration.
 DISTANCES = (-0.7, -0.25, 0.3, -1.8, 1.0)
 COARSE = 32  # observations of each ring in each frame that a start is tried with
 NEAR = 1e-3  # of a parameter's size: a start is good enough to be compared

@@ -14,8 +14,9 @@ from annulus.rings.calibration.kernels import REACH_PX, errors, gather, gather_s
 from annulus.rings.calibration.observations import Observations, azimuths
 from annulus.vocabulary import AnnulusError
 
+# By topic autocalibration (errors, time); a factor of two either way moves no test.
 REJECTED = 6.0  # sigma, Tukey's: 98 % efficient on normal errors, nothing beyond counts
-STEPS = 60
+STEPS = 60  # of the descent
 SINGULAR = 1e-11  # least eigenvalue of the normal equations, all unknowns scaled to 1
 SETTLED = 1e-6  # of a parameter's size: the descent ends
 

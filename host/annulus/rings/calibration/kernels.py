@@ -11,8 +11,8 @@ import numpy as np
 from annulus.numeric.jit import jit
 from annulus.rings.calibration.observations import RAY_STEP_PX
 
-PROBE_PX = 4.0  # step of the finite differences for a slit's middle, as in triangulate
-REACH_PX = 60.0  # a ring farther from a slit than this pulls no harder
+PROBE_PX = 4.0  # topic calibrate_scene: step of the finite differences for a slit's middle, as in triangulate
+REACH_PX = 60.0  # a ring farther from a slit than this pulls no harder; topic autocalibration, cold starts
 
 
 @jit

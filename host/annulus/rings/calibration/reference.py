@@ -22,6 +22,7 @@ from annulus.numeric.arrays import FloatArray
 from annulus.wall.profile import Profile
 
 FORMAT = "annulus-reference/1"
+# By topic artefacts (radius rms of a distorted slide, on frames kept out); ANGLE_FAR and SHIFT_FAR by test_limits.
 SAMPLES = 720  # round each cone's axis
 GAP = 6  # samples between measured ones that are filled in; a rod's shadow is wider, and hides the scan's points too
 REACH = 2.5  # samples: points farther apart than this have a gap between them

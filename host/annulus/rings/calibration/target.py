@@ -13,6 +13,7 @@ from annulus.numeric.arrays import FloatArray
 from annulus.numeric.robust import robust_sigma
 from annulus.vocabulary import AnnulusError
 
+# By topic intrinsics (rings on drawn targets) and test_target.
 TRIALS = 300  # pairs of points that a first cone is drawn through
 NEAR_MM = 3.0  # and how far from it a point still counts as its own
 REACH = 3.0  # robust standard deviations, where the loss turns over
