@@ -14,7 +14,7 @@ from scipy import ndimage
 
 from annulus.numeric.arrays import BoolArray, Image
 from annulus.report.surface import HALF_DEG, half_view
-from annulus.wall.defects import Defect, Findings, Kind, clock_face
+from annulus.wall.defects import Defect, Detection, Kind, clock_face
 from annulus.wall.grid import Wall
 from annulus.wall.stations import OVALITY_NAME, Stations
 
@@ -45,7 +45,7 @@ class Pictures:
 
 
 def draw(
-    wall: Wall, dark: BoolArray, findings: Findings, stations: Stations, texture: Image | None, nominal_mm: float
+    wall: Wall, dark: BoolArray, findings: Detection, stations: Stations, texture: Image | None, nominal_mm: float
 ) -> Pictures:  # fmt: skip
     """Every picture of one report. texture: (Z, A, 4) uint8 RGBA or None without LED frames; nominal_mm: diameter; dark
     (Z, A): cells that a step hides."""
@@ -64,7 +64,7 @@ def draw(
         )
 
 
-def _scale(wall: Wall, findings: Findings, deviation: NDArray[np.float32]) -> float:
+def _scale(wall: Wall, findings: Detection, deviation: NDArray[np.float32]) -> float:
     """Ends of the colour bar, mm: a round number that holds the deepest defect and never shows bare noise as colour."""
     largest = max((d.depth_mm / (2 if d.kind is Kind.OVALITY else 1) for d in findings.defects), default=0.0)
     seen = np.abs(deviation[wall.seen])
@@ -104,7 +104,7 @@ def _map_figure(wall: Wall, axis: _Axis) -> tuple[Figure, Any]:
     return figure, axes
 
 
-def _unwrapped(wall: Wall, dark: BoolArray, findings: Findings, deviation: NDArray[np.float32], scale: float) -> bytes:
+def _unwrapped(wall: Wall, dark: BoolArray, findings: Detection, deviation: NDArray[np.float32], scale: float) -> bytes:
     axis = _Axis(wall)
     figure, axes = _map_figure(wall, axis)
     extent = (*axis.limits, 360.0, 0.0)
@@ -127,7 +127,7 @@ def _unwrapped(wall: Wall, dark: BoolArray, findings: Findings, deviation: NDArr
     return _png(figure)
 
 
-def _texture(wall: Wall, findings: Findings, texture: Image | None) -> bytes:
+def _texture(wall: Wall, findings: Detection, texture: Image | None) -> bytes:
     axis = _Axis(wall)
     figure, axes = _map_figure(wall, axis)
     if texture is None:
@@ -144,7 +144,7 @@ def _texture(wall: Wall, findings: Findings, texture: Image | None) -> bytes:
     return _png(figure)
 
 
-def _outline(axes: Any, wall: Wall, findings: Findings, axis: _Axis) -> None:
+def _outline(axes: Any, wall: Wall, findings: Detection, axis: _Axis) -> None:
     """Draws around every defect and gives it its number in the table."""
     z = wall.z_mm * axis.per_mm
     span = axis.limits[1] - axis.limits[0]
@@ -177,7 +177,7 @@ def _badge(axes: Any, x: float, y: float, number: int) -> None:
     )  # fmt: skip
 
 
-def _stations(wall: Wall, stations: Stations, findings: Findings, nominal_mm: float) -> bytes:
+def _stations(wall: Wall, stations: Stations, findings: Detection, nominal_mm: float) -> bytes:
     axis = _Axis(wall)
     figure = Figure(figsize=(WIDTH_IN, 5.4), dpi=DPI, layout="constrained")
     top, middle, low = figure.subplots(3, 1, sharex=True, height_ratios=(3, 2, 1))
@@ -233,7 +233,7 @@ def _stations(wall: Wall, stations: Stations, findings: Findings, nominal_mm: fl
     return _png(figure)
 
 
-def _surface(wall: Wall, findings: Findings, rgb: Image) -> tuple[tuple[str, bytes], ...]:
+def _surface(wall: Wall, findings: Detection, rgb: Image) -> tuple[tuple[str, bytes], ...]:
     """Both halves of the pipe; of a long scan the stretch about the deepest local defect."""
     local = [defect for defect in findings.defects if defect.kind is not Kind.OVALITY]
     reach = 6.0 * wall.mean_radius_mm

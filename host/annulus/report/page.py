@@ -10,13 +10,13 @@ import jinja2
 from annulus.report.figures import Pictures
 from annulus.report.summary import Summary
 from annulus.report.surface import EXAGGERATION
-from annulus.wall.defects import ALL_ROUND_DEG, Defect, Findings, Kind, clock_face
+from annulus.wall.defects import ALL_ROUND_DEG, Defect, Detection, Kind, clock_face
 
 TEMPLATE = "page.html.j2"
 NAMES = {Kind.LOSS: "Wall loss", Kind.BUMP: "Bump into the pipe", Kind.OVALITY: "Out of round"}
 
 
-def render_page(summary: Summary, findings: Findings, pictures: Pictures) -> str:
+def render_page(summary: Summary, findings: Detection, pictures: Pictures) -> str:
     """The report as one HTML document: no script, no font and no picture from anywhere else."""
     text = resources.files("annulus.report").joinpath(TEMPLATE).read_text(encoding="utf-8")
     environment = jinja2.Environment(
@@ -72,9 +72,9 @@ def _row(number: int, defect: Defect, summary: Summary) -> dict[str, Any]:
         clock = "all round" if defect.arc_deg >= ALL_ROUND_DEG else f"{begin} to {end}"
         width = f"{defect.arc_deg * math.pi / 360 * mean:.0f} mm ({defect.arc_deg:.0f}°)"
         remark = f"centre {defect.clock}" if defect.arc_deg < ALL_ROUND_DEG else ""
-    if defect.hidden_mm >= 0.5:
-        seen = max(defect.length_mm - defect.hidden_mm, 0.0)
-        remark += f"{', ' if remark else ''}{defect.hidden_mm:.0f} mm of the length hidden, {seen:.0f} mm seen"
+    if defect.shadowed_mm >= 0.5:
+        seen = max(defect.length_mm - defect.shadowed_mm, 0.0)
+        remark += f"{', ' if remark else ''}{defect.shadowed_mm:.0f} mm of the length hidden, {seen:.0f} mm seen"
     return {
         "number": number,
         "kind": str(defect.kind),

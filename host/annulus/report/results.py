@@ -26,7 +26,7 @@ from annulus.wall.defects import Defect, find_defects
 from annulus.wall.grid import Wall, build_wall
 from annulus.wall.profile import Profile
 from annulus.wall.registration import register
-from annulus.wall.shadow import hidden
+from annulus.wall.shadow import shadowed
 from annulus.wall.stations import Stations, measure_stations
 from annulus.wall.texture import LedFrame, paint
 from annulus.wall.vibration import without_vibration
@@ -80,10 +80,10 @@ def write_results(
         profiles, shaken = without_vibration(profiles, fps)
     narrowest, widest = calibration.rings[0].half_angle, calibration.rings[-1].half_angle
     wall = build_wall(profiles, rise=math.tan(widest))
-    places = find_defects(wall, blind_ratio=1.0 / math.tan(narrowest), blind_least=1.0 / math.tan(widest))
+    places = find_defects(wall, shadow_ratio=1.0 / math.tan(narrowest), least_shadow_ratio=1.0 / math.tan(widest))
     scores = truth(profiles, places.defects) if callable(truth) else truth
     stations = measure_stations(wall)
-    dark = hidden(wall.radius_mm.astype(np.float64), wall.z_step_mm, math.tan(narrowest))
+    dark = shadowed(wall.radius_mm.astype(np.float64), wall.z_step_mm, math.tan(narrowest))
     texture = paint(wall, calibration, profiles, led_frames)
     if texture is not None:
         texture[dark] = 0  # the radius there is not known, so neither is what was seen of it

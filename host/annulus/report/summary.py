@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from annulus.numeric.arrays import BoolArray
 from annulus.rings.diagnosis import Finding
-from annulus.wall.defects import Defect, Findings
+from annulus.wall.defects import Defect, Detection
 from annulus.wall.grid import Wall
 from annulus.wall.profile import Profile
 from annulus.wall.stations import OVALITY_FORMULA, OVALITY_NAME, Stations
@@ -77,7 +77,7 @@ class Summary:
 
 
 def summarize(
-    wall: Wall, dark: BoolArray, findings: Findings, stations: Stations, nominal_mm: float, profiles: Sequence[Profile],
+    wall: Wall, dark: BoolArray, findings: Detection, stations: Stations, nominal_mm: float, profiles: Sequence[Profile],
     points: int, frames: Mapping[str, int], drops: Mapping[str, int], timing: Mapping[str, float], source: str,
     truth: Mapping[str, Any] | None, warnings: tuple[Finding, ...] = (), vibration: Vibration | None = None,
 ) -> Summary:  # fmt: skip
@@ -113,7 +113,7 @@ def summarize(
             "shape_median_percent": _extreme(np.median, stations.shape_ovality_percent),
         },
         defects=findings.defects,
-        unsupported=findings.unsupported,
+        unsupported=findings.unconfirmed,
         limits={
             "depth_mm": round(max(limits.seed_noise * noise, limits.seed_of_radius * radius), 3),
             "size_mm": round(limits.size_of_radius * radius, 2),
@@ -163,7 +163,7 @@ def _defect(defect: Defect) -> dict[str, Any]:
         "clock": defect.clock, "length_mm": round(defect.length_mm, 2), "arc_deg": round(defect.arc_deg, 2),
         "depth_mm": round(defect.depth_mm, 3), "depth_k2_mm": round(defect.depth_k2_mm, 3),
         "area_mm2": round(defect.area_mm2, 1), "floor_seen": defect.floor_seen,
-        "hidden_mm": round(defect.hidden_mm, 1),
+        "hidden_mm": round(defect.shadowed_mm, 1),
         "z_from_mm": round(first, 2), "z_to_mm": round(last, 2), "clock_from_to": list(defect.clock_range),
     }  # fmt: skip
 

@@ -163,7 +163,7 @@ def examine(
         return ()
     names = tuple(frame for frame, _, _ in placed)
     out: list[Finding] = []
-    scatter = float(np.median([place.fit.spread_mm for _, _, place in placed]))
+    scatter = float(np.median([place.fit.robust_sigma_mm for _, _, place in placed]))
     flip = _flip(reconstructor, frames, scatter) if scatter > SUSPECT * calibration.pipe_radius_mm else None
     if flip is not None:
         out.append(Finding(Trouble.FLIPPED, flip, names))
@@ -211,7 +211,7 @@ def _flip(reconstructor: Reconstructor, frames: Sequence[tuple[int, NDArray[np.u
         places = [
             reconstructor.slits_by_order(np.ascontiguousarray(image[rows, columns]))[1] for _, image in frames
         ]  # fmt: skip
-        spreads = [place.fit.spread_mm for place in places if place is not None]
+        spreads = [place.fit.robust_sigma_mm for place in places if place is not None]
         if 2 * len(spreads) > len(frames) and float(np.median(spreads)) < least:
             best, least = name, float(np.median(spreads))
     if not best or least > FLIP_BETTER * scatter:

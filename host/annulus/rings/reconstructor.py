@@ -152,7 +152,7 @@ class Reconstructor:
         marks.append(("sigma", clock()))
         return Profile(
             frame, z_mm, pose, wall.astype(np.float32), light, ring[kept].astype(np.uint8),
-            slits.direction[kept].astype(np.uint16), fitted.spread_mm, rejected, _spans(marks),
+            slits.direction[kept].astype(np.uint16), fitted.robust_sigma_mm, rejected, _spans(marks),
             sigma, fitted.lean_sigma_deg,
         )  # fmt: skip
 

@@ -1,60 +1,34 @@
-"""What is wrong with the wall: places that stand out of the pipe's own shape, and stretches that are out of round.
-
-A place stands out when it departs from the shape by more than the noise of this scan and more than an inspector cares
-about; both limits are written into every report. Nothing here knows which defects to expect.
-"""
+"""The defect list: every indication measured, with its uncertainty, and stretches that are out of round."""
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from enum import StrEnum
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
-from annulus.numeric.arrays import BoolArray, Float32Array, FloatArray
-from annulus.wall.grid import Wall, smooth
+from annulus.numeric.arrays import BoolArray, FloatArray
+from annulus.wall.grid import Wall
+from annulus.wall.indications import (
+    Indication,
+    Kind,
+    LabelArray,
+    Limits,
+    Scale,
+    arc_of,
+    depth_of,
+    find_indications,
+    with_shadow,
+    without_holes,
+)
 from annulus.wall.stations import shape_ovality
 
-LabelArray = NDArray[np.int32]
-CORNERS = np.ones((3, 3), dtype=bool)
+__all__ = ["Defect", "Detection", "Kind", "Limits", "clock_face", "find_defects"]
+
 ALL_ROUND_DEG = 345.0  # an arc longer than this goes all round
-BAND_OVERLAP, BAND_SOUND = 0.6, 0.35  # what makes two places one band: common stations, least sound wall between
-BAND_EDGES, BAND_ASPECT = 3.5, 4.0  # and what a band is: so many edge blurs long at most, so many times as wide
 UNSURE = 0.6  # of a depth: a place whose k = 2 uncertainty is larger is not known to be a defect
-RIPPLE_EDGES = 1.5  # how far from a step, and how long, its swing to the other side may be, in edge blurs
-LOOK_POINTS = 3  # of one ring in one frame on a place, for it to be a look at it
 DEEP = 0.8  # of its depth: the cells of a place that show how deep it is
 WIDE_ENOUGH = 0.15  # of its widest row: a row of a place that counts for its length
-LEVELS = 24  # how finely the surface is sliced when asked whether a place is one defect or several
-
-
-class Kind(StrEnum):
-    LOSS = "loss"  # the wall is farther out than the pipe's shape
-    BUMP = "bump"  # the wall stands into the pipe
-    OVALITY = "ovality"
-
-
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """From when on a departure is a defect. Lengths as parts of the mean radius, so that they fit any pipe."""
-
-    seed_noise: float = 6.0  # a defect's core departs by this many standard deviations ..
-    seed_of_radius: float = 0.005  # .. and by this part of the radius (0.5 %, what ASTM-certified profilers promise)
-    looks: int = 2  # .. and so many looks, each one ring in one frame, agree on it
-    rim_noise: float = 3.0  # it reaches as far as the departure exceeds this many standard deviations ..
-    rim_of_seed: float = 0.5  # .. and this part of the core's limit
-    extent_of_depth: float = 0.25  # its extent is where it departs by this part of its depth: edges blur outwards
-    size_of_radius: float = 0.04  # smaller than this both ways is not resolved (3 mm in a 6-inch pipe)
-    edge_of_radius: float = 0.08  # along the pipe, what a step's edge is blurred over: a slit's width on the wall
-    join_of_radius: float = 0.05  # places of a kind this close are one (4 mm)
-    shadow_of_radius: float = 0.22  # .. and this close when what lies between was not seen (a rod's shadow)
-    gap_of_radius: float = 0.44  # places side by side in the same stations join over a gap so wide without sound wall
-    hidden_of_radius: float = 0.07  # how deep a loss may be whose floor was not seen, for the length of its shadow
-    saddle: float = 0.35  # two peaks are two defects when the way between them falls below this part of the lesser
-    ovality_percent: float = 0.75  # F1216; 0.5 % accuracy and twice 0.12 % repeatability of certified profilers
-    ovality_length_of_radius: float = 0.2  # shorter stretches are not listed
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +39,7 @@ class Defect:
     departure of a diameter from the mean diameter. clock_deg of an ovality is its long axis. Where floor_seen
     is False the bottom of a loss (or a bump's crest) lies in shadow or is too small, and depth_mm is a lower limit.
     depth_k2_mm is its expanded uncertainty, k = 2 (about 95 %); NaN where the points say nothing of theirs.
-    hidden_mm is how much of length_mm, typically, nobody saw because a rim or a crest keeps the light away (Eq. 3.24).
+    shadowed_mm is how much of length_mm, typically, nobody saw: a rim or a crest keeps the light away (Eq. 3.24).
     """
 
     kind: Kind
@@ -77,7 +51,7 @@ class Defect:
     area_mm2: float
     floor_seen: bool = True
     depth_k2_mm: float = math.nan
-    hidden_mm: float = 0.0
+    shadowed_mm: float = 0.0
 
     @property
     def clock(self) -> str:
@@ -96,23 +70,14 @@ class Defect:
 
 
 @dataclass(frozen=True, slots=True)
-class _Place:
-    """Cells that belong together, and how far every cell of the grid departs that way (-inf: not seen)."""
-
-    kind: Kind
-    mask: BoolArray
-    height: Float32Array
-
-
-@dataclass(frozen=True, slots=True)
-class Findings:
+class Detection:
     """Defects in order of distance, and which cell of the wall's grid belongs to which (0 none, i + 1 defects[i];
     what a defect hides is part of it)."""
 
     defects: tuple[Defect, ...]
     label: LabelArray
     limits: Limits
-    unsupported: int = 0  # places that one look alone speaks for, or no look surely: not known, so not listed
+    unconfirmed: int = 0  # places that one observation alone speaks for, or none surely: not known, so not listed
 
 
 def clock_face(angle_deg: float) -> str:
@@ -122,357 +87,53 @@ def clock_face(angle_deg: float) -> str:
 
 
 def find_defects(
-    wall: Wall, *, blind_ratio: float, blind_least: float | None = None, limits: Limits | None = None
-) -> Findings:
+    wall: Wall, *, shadow_ratio: float, least_shadow_ratio: float | None = None, limits: Limits | None = None
+) -> Detection:
     """Losses, bumps and out-of-round stretches of the wall.
 
     Parameters
     ----------
     wall : the grid with its shape and noise.
-    blind_ratio : length hidden behind a step over the step's height, cot of the smallest ring half-angle
-        (Alzuhiri 2022, Eq. 3.24). blind_least : the same for the largest one; blind_ratio if not given.
+    shadow_ratio : length hidden behind a step over the step's height, cot of the smallest ring half-angle
+        (Alzuhiri 2022, Eq. 3.24). least_shadow_ratio : the same for the largest one; shadow_ratio if not given.
     limits : what counts; the defaults hold for any pipe.
 
     Notes
     -----
-    Hysteresis: cores beyond the seed limit grow over the rim limit. What lies unseen between two parts of one kind
-    joins them; what lies unseen just before a loss is hidden by the loss's own near rim and belongs to it; what lies
-    unseen just behind a bump is its shadow, taken as far as the bump is long before its crest. What only lines the rim
-    of a larger place is no defect of its own, and what no sound wall parts is one band.
+    What lies unseen between two parts of one kind joins them; what lies unseen just before a loss is in the shadow of
+    the loss's own near rim and belongs to it; what lies unseen just behind a bump is its shadow, taken as far as the
+    bump is long before its crest.
     """
-    limits = limits or Limits()
-    residual = smooth(wall.residual_mm()).astype(np.float32)
+    scale = Scale.of(wall, limits or Limits())
+    limits = scale.limits
     unseen = ~wall.seen
-    radius = wall.mean_radius_mm
-    seed = np.maximum(limits.seed_noise * wall.cell_noise_mm, limits.seed_of_radius * radius)
-    rim = np.maximum(limits.rim_noise * wall.cell_noise_mm, limits.rim_of_seed * seed)
-    cell = (wall.z_step_mm, np.radians(wall.clock_step_deg) * radius)
-    parts: list[_Place] = []
-    unsupported = 0
-    for kind, height in ((Kind.LOSS, residual), (Kind.BUMP, -residual)):
-        height = np.where(unseen, np.float32(-np.inf), height)
-        places = _places(height, unseen, seed, rim, cell, radius, limits)
-        witnessed = [_looks_that_agree(place, kind, wall, rim) >= limits.looks for place in places]
-        parts += [_Place(kind, place, height) for place, good in zip(places, witnessed, strict=True) if good]
-        unsupported += witnessed.count(False)
-    label = np.zeros(residual.shape, dtype=np.int32)
     found: list[tuple[Defect, BoolArray]] = []
-    whole_parts = _without_edges(parts, wall.seen, cell, radius, limits)
-    for one in _across_gaps(whole_parts, wall.seen & (np.abs(residual) < rim), cell, radius, limits):
-        depth, floor_seen, cells = _depth(one)
-        core = _without_holes(one.mask & (one.height >= limits.extent_of_depth * depth))
-        deepest = depth if floor_seen else limits.hidden_of_radius * radius
-        ratios = (blind_ratio if blind_least is None else blind_least, blind_ratio)
-        whole = _with_shadow(_Place(one.kind, core, one.height), unseen, ratios, wall.z_step_mm, deepest)
+    indications, unconfirmed = find_indications(wall, scale)
+    for one in indications:
+        depth, floor_seen, cells = depth_of(one)
+        core = without_holes(one.mask & (one.height >= limits.extent_of_depth * depth))
+        deepest = depth if floor_seen else scale.mm(limits.unseen_depth_of_radius)
+        ratios = (shadow_ratio if least_shadow_ratio is None else least_shadow_ratio, shadow_ratio)
+        whole = with_shadow(Indication(one.kind, core, one.height), unseen, ratios, wall.z_step_mm, deepest)
         dark = (whole & unseen).sum(axis=0)[whole.any(axis=0)] * wall.z_step_mm
-        footprint = [max(1, round(limits.edge_of_radius * radius / size)) for size in cell]
+        footprint = [max(1, round(scale.mm(limits.edge_of_radius) / size)) for size in scale.cell_mm]
         form = max(depth - _over_footprint(one, cells, footprint), 0.0)
         k2 = math.hypot(_expanded(wall, cells & (one.height >= DEEP * depth)), 2.0 * form)
         if k2 > UNSURE * depth:
-            unsupported += 1
+            unconfirmed += 1
             continue
-        defect = _measure(one.kind, whole, depth, floor_seen, k2, wall, cell)
-        found.append((replace(defect, hidden_mm=float(np.median(dark))), whole))
-    found += [(defect, np.zeros(residual.shape, dtype=bool)) for defect in _oval_stretches(wall, limits)]
+        position = _extent(whole, wall)
+        area = float(np.count_nonzero(whole) * scale.cell_mm[0] * scale.cell_mm[1])
+        found.append((Defect(one.kind, *position, depth, area, floor_seen, k2, float(np.median(dark))), whole))
+    found += [(defect, np.zeros(unseen.shape, dtype=bool)) for defect in _oval_stretches(wall, limits)]
     found.sort(key=lambda item: (item[0].z_mm, item[0].clock_deg))
+    label = np.zeros(unseen.shape, dtype=np.int32)
     for i, (_, place) in enumerate(found):
         label[place] = i + 1
-    return Findings(tuple(defect for defect, _ in found), label, limits, unsupported)
+    return Detection(tuple(defect for defect, _ in found), label, limits, unconfirmed)
 
 
-def label_around(mask: BoolArray) -> tuple[LabelArray, int]:
-    """Connected parts (corners count) of a grid whose columns close around the pipe: labels 1..n, and n."""
-    label, n = ndimage.label(mask, structure=CORNERS)
-    parent = np.arange(n + 1)
-
-    def root(i: int) -> int:
-        while parent[i] != i:
-            i = int(parent[i])
-        return i
-
-    left, right = label[:, 0], label[:, -1]
-    for shift in (-1, 0, 1):
-        a = right[max(0, -shift) : len(right) - max(0, shift)]
-        b = left[max(0, shift) : len(left) - max(0, -shift)]
-        for i, j in zip(a, b, strict=True):
-            if i and j:
-                parent[max(root(i), root(j))] = min(root(i), root(j))
-    roots = np.array([root(i) for i in range(n + 1)])
-    _, compact = np.unique(roots, return_inverse=True)
-    return compact[label].astype(np.int32), int(compact.max())
-
-
-def _places(
-    height: Float32Array, unseen: BoolArray, seed: FloatArray, rim: FloatArray, cell: tuple[float, float],
-    radius: float, limits: Limits,
-) -> list[BoolArray]:  # fmt: skip
-    """Cells of every place of one sign: grown from its core, joined over shadows, split at saddles, large enough."""
-    mask = height > rim
-    core = mask & (height > seed)
-    joined, _ = label_around(_grow(mask, unseen, cell, radius, limits))
-    out: list[BoolArray] = []
-    for i in np.unique(joined[core]):
-        if i == 0:
-            continue
-        whole = joined == i
-        long, wide = (np.count_nonzero((whole & mask).any(axis=1 - axis)) * cell[axis] for axis in (0, 1))
-        # Of a band so short, rims and what they hide leave nothing to tell peaks by.
-        is_band = long <= BAND_EDGES * limits.edge_of_radius * radius and wide >= BAND_ASPECT * long
-        pieces = [whole] if is_band else _split(np.where(whole, height, np.float32(-np.inf)), mask, whole, rim, limits)
-        for part in pieces:
-            place = _without_holes(part & mask)
-            if _is_resolved(place & core, cell, radius, limits, 0.5) and _is_resolved(place, cell, radius, limits, 1.0):
-                out.append(place)
-    return out
-
-
-def _looks_that_agree(place: BoolArray, kind: Kind, wall: Wall, rim: FloatArray) -> int:
-    """How many looks see a place: half of their points there depart its way, beyond the limit of its rim."""
-    here = place.ravel()[wall.looks.cell]
-    cell = wall.looks.cell[here]
-    departure = wall.looks.radius_mm[here] - wall.shape_radius_mm().ravel()[cell]
-    beyond = (departure if kind is Kind.LOSS else -departure) > rim.ravel()[cell]
-    _, look = np.unique(wall.looks.look[here], return_inverse=True)
-    points, agree = np.bincount(look), np.bincount(look, weights=beyond)
-    return int(np.count_nonzero((points >= LOOK_POINTS) & (agree >= 0.5 * points)))
-
-
-def _grow(mask: BoolArray, unseen: BoolArray, cell: tuple[float, float], radius: float, limits: Limits) -> BoolArray:
-    """The mask with the narrow gaps between its parts closed; gaps nobody saw may be wider."""
-    closed = _close(mask, limits.join_of_radius * radius, cell)
-    reach = limits.shadow_of_radius * radius / 2
-    spread = closed
-    for _ in range(max(1, round(reach / min(cell)))):
-        spread = _dilate(spread, CORNERS) & (unseen | closed)
-    return spread
-
-
-def _close(mask: BoolArray, gap_mm: float, cell: tuple[float, float]) -> BoolArray:
-    half = [max(1, round(gap_mm / 2 / c)) for c in cell]
-    box = np.ones((2 * half[0] + 1, 2 * half[1] + 1), dtype=bool)
-    wide = np.pad(np.pad(mask, ((0, 0), (half[1] * 2, half[1] * 2)), mode="wrap"), ((half[0] * 2, half[0] * 2), (0, 0)))
-    done = ndimage.binary_closing(wide, structure=box)
-    return np.asarray(done[half[0] * 2 : -half[0] * 2, half[1] * 2 : -half[1] * 2]) | mask
-
-
-def _without_holes(place: BoolArray) -> BoolArray:
-    """The place with the cells it encloses; a hole that reaches the seam of the grid is still enclosed."""
-    half = place.shape[1] // 2
-    turned = np.roll(ndimage.binary_fill_holes(np.roll(place, half, axis=1)), -half, axis=1)
-    return np.asarray(ndimage.binary_fill_holes(place) | turned)
-
-
-def _dilate(mask: BoolArray, box: BoolArray) -> BoolArray:
-    wide = np.pad(mask, ((0, 0), (1, 1)), mode="wrap")
-    return np.asarray(ndimage.binary_dilation(wide, structure=box)[:, 1:-1])
-
-
-def _is_resolved(place: BoolArray, cell: tuple[float, float], radius: float, limits: Limits, part: float) -> bool:
-    """Whether a place is larger both ways, and in area, than what the method resolves."""
-    size = part * limits.size_of_radius * radius
-    long = np.count_nonzero(place.any(axis=1)) * cell[0] >= size
-    wide = np.count_nonzero(place.any(axis=0)) * cell[1] >= size
-    return bool(long and wide and np.count_nonzero(place) * cell[0] * cell[1] >= 0.6 * size * size)
-
-
-def _split(height: Float32Array, mask: BoolArray, whole: BoolArray, rim: FloatArray, limits: Limits) -> list[BoolArray]:
-    """One joined place cut into its peaks, where the way between two peaks falls below a part of the lesser one.
-
-    Slices the place from the top; a peak that meets a higher one while still tall for itself is the same defect.
-    Cells the slices never claim (skirts, shadows) go to the nearest peak.
-    """
-    filled = _fill_shadow(height, whole)
-    values = filled[whole & mask]
-    top, bottom = float(np.percentile(values, 99.5)), float(rim.min())
-    if top <= bottom:
-        return [whole]
-    peaks: list[BoolArray] = []
-    heights: list[float] = []
-    smallest = max(6, int(0.02 * np.count_nonzero(whole & mask)))
-    for level in np.linspace(top, bottom, LEVELS):
-        label, n = label_around(whole & (filled >= level))
-        for i in range(1, n + 1):
-            part = label == i
-            if np.count_nonzero(part) < smallest:
-                continue
-            inside = [k for k, peak in enumerate(peaks) if (peak & part).any()]
-            if not inside:
-                peaks.append(part)
-                heights.append(float(level))
-                continue
-            tallest = max(inside, key=lambda k: heights[k])
-            merged = [k for k in inside if k != tallest and level >= limits.saddle * heights[k]]
-            if len(inside) - len(merged) == 1:
-                peaks[tallest] = part  # grows while it is alone
-            for k in sorted(merged, reverse=True):
-                del peaks[k], heights[k]
-    if len(peaks) < 2:
-        return [whole]
-    return _share(whole, peaks)
-
-
-def _fill_shadow(height: Float32Array, whole: BoolArray) -> Float32Array:
-    """Heights with the unseen cells of the place at the height of their nearest seen neighbour."""
-    a = height.shape[1]
-    wide_height = np.pad(height, ((0, 0), (a // 4, a // 4)), mode="wrap")
-    index = ndimage.distance_transform_edt(
-        ~np.isfinite(wide_height), return_distances=False, return_indices=True
-    )  # fmt: skip
-    nearest = wide_height[tuple(index)][:, a // 4 : a // 4 + a]
-    return np.where(whole, np.where(np.isfinite(height), height, nearest), np.float32(-np.inf))
-
-
-def _share(whole: BoolArray, peaks: Sequence[BoolArray]) -> list[BoolArray]:
-    a = whole.shape[1]
-    marked = np.zeros(whole.shape, dtype=np.int32)
-    for k, peak in enumerate(peaks):
-        marked[peak & (marked == 0)] = k + 1
-    wide = np.pad(marked, ((0, 0), (a // 4, a // 4)), mode="wrap")
-    index = ndimage.distance_transform_edt(wide == 0, return_distances=False, return_indices=True)
-    nearest = wide[tuple(index)][:, a // 4 : a // 4 + a]
-    return [whole & (nearest == k + 1) for k in range(len(peaks))]
-
-
-def _without_edges(
-    parts: Sequence[_Place], seen: BoolArray, cell: tuple[float, float], radius: float, limits: Limits
-) -> list[_Place]:
-    """Drops or joins places that only line the rim of a larger one or of its shadow.
-
-    There a slit is half lit or bent and its centre is drawn aside. A real place stands in sound wall: at least half of
-    what surrounds it. What is hemmed in by a larger place and by what that one hides is part of it, or, of the opposite
-    sign, an artefact of its edge. The smallest go first.
-    """
-    edge_mm = limits.edge_of_radius * radius
-    near = max(2, round(limits.size_of_radius * radius / max(cell)))
-    far = max(near, round(RIPPLE_EDGES * edge_mm / max(cell)))
-    left = sorted(parts, key=lambda part: np.count_nonzero(part.mask))
-    kept: list[_Place] = []
-    while left:
-        small, left = left[0], left[1:]
-        halo = small.mask
-        for _ in range(near):
-            halo = _dilate(halo, CORNERS)
-        around = halo
-        for _ in range(far - near):
-            around = _dilate(around, CORNERS)
-        halo = halo & ~small.mask
-        touching = [k for k, large in enumerate(left) if (large.mask & around).any()]
-        larger = np.zeros_like(halo)
-        for k in touching:
-            larger |= left[k].mask
-        sound = float((halo & seen & ~larger).sum()) / max(float(halo.sum()), 1.0)
-        host = max(touching, key=lambda k: np.count_nonzero(left[k].mask & around), default=None)
-        if host is None or (sound >= 0.5 and not _is_ripple(small, left[host], cell, edge_mm)):
-            kept.append(small)
-        elif left[host].kind is small.kind:
-            left[host] = _Place(small.kind, left[host].mask | small.mask, small.height)
-    return kept
-
-
-def _across_gaps(
-    places: Sequence[_Place], sound: BoolArray, cell: tuple[float, float], radius: float, limits: Limits
-) -> list[_Place]:
-    """Joins places of a kind side by side when what lies between them round the pipe is hardly anywhere sound wall.
-
-    A shallow band that crosses a rod's shadow, or whose floor its own rim hides here and there, is one defect.
-    """
-    widest = round(limits.gap_of_radius * radius / cell[1])
-    left = list(places)
-    joined = True
-    while joined:
-        joined = False
-        for i, one in enumerate(left):
-            for k, other in enumerate(left):
-                if k != i and one.kind is other.kind and _is_one_band(one, other, sound, widest):
-                    left[i] = _Place(one.kind, one.mask | other.mask, np.maximum(one.height, other.height))
-                    del left[k]
-                    joined = True
-                    break
-            if joined:
-                break
-    return left
-
-
-def _is_one_band(one: _Place, other: _Place, sound: BoolArray, widest: int) -> bool:
-    """Whether `other` follows `one` clockwise in much the same stations with no sound wall between."""
-    rows = [np.flatnonzero(place.mask.any(axis=1)) for place in (one, other)]
-    first, last = max(rows[0][0], rows[1][0]), min(rows[0][-1], rows[1][-1])
-    if last - first + 1 < BAND_OVERLAP * max(*(int(row[-1] - row[0]) for row in rows), 1):
-        return False
-    size = sound.shape[1]
-    start, arc = _arc(np.asarray(one.mask.any(axis=0)), 1.0)
-    next_start, next_arc = _arc(np.asarray(other.mask.any(axis=0)), 1.0)
-    gap = int(next_start - start - arc) % size
-    if gap > widest or min(arc, next_arc) < max(gap, 1):
-        return False
-    if gap == 0:
-        return False  # touching: the saddle between their peaks has been looked at
-    columns = (int(start + arc) + np.arange(gap)) % size
-    return bool(sound[first : last + 1, columns].mean() < BAND_SOUND)
-
-
-def _is_ripple(small: _Place, large: _Place, cell: tuple[float, float], edge_mm: float) -> bool:
-    """Whether a place is the swing to the other side that a step leaves within a slit's width of its edge."""
-    short = np.count_nonzero(small.mask.any(axis=1)) * cell[0] <= RIPPLE_EDGES * edge_mm
-    return bool(short and small.kind is not large.kind and _depth(small)[0] < 0.6 * _depth(large)[0])
-
-
-def _with_shadow(
-    place: _Place, unseen: BoolArray, blind_ratios: tuple[float, float], z_step: float, deepest_mm: float
-) -> BoolArray:
-    """The place with what it hides from a sensor that looks along +z.
-
-    A loss begins between the last place seen before it and where the light of the widest ring that reaches its floor
-    came over the rim: halfway is taken. A slit has a width, so the wall is not seen right up to the rim.
-    deepest_mm : how deep a loss may be. Its measured height when its floor was seen; more when only its far edge was.
-    """
-    whole = place.mask.copy()
-    columns = np.flatnonzero(place.mask.any(axis=0))
-    before = {int(column): 0 for column in columns}
-    crest = np.flatnonzero((place.mask & (place.height >= 0.9 * place.height[place.mask].max())).any(axis=1)).mean()
-    mirrored = round(2 * crest) - int(np.flatnonzero(place.mask.any(axis=1))[0])
-    for column in columns:
-        rows = np.flatnonzero(place.mask[:, column])
-        depth = max(float(place.height[rows, column].max()), 0.0)
-        if place.kind is Kind.LOSS:
-            reach = int(np.ceil(max(depth, deepest_mm) * blind_ratios[1] / z_step)) + 2
-            run = unseen[max(0, rows[0] - reach) : rows[0], column][::-1]
-            # Unseen up to the limit and beyond is no shadow of this rim alone (a rod, the end of the scan).
-            gap = 0 if run.all() else int(np.argmin(run))
-            lit = min(int(depth * blind_ratios[0] / z_step), gap)
-            before[int(column)] = (gap + lit) // 2
-        else:
-            behind = unseen[rows[-1] + 1 : max(mirrored, rows[-1]) + 1, column]
-            hidden = int(np.argmin(behind)) if not behind.all() else len(behind)
-            whole[rows[-1] + 1 : rows[-1] + 1 + hidden, column] = True
-    usual = int(np.median(list(before.values())))  # a rim throws its shadow along its whole width
-    for index, run_length in before.items():
-        first = int(np.flatnonzero(place.mask[:, index])[0])
-        whole[first - min(run_length, usual + 2) : first, index] = True
-    return whole
-
-
-def _depth(place: _Place) -> tuple[float, bool, BoolArray]:
-    """Depth of a place (98th percentile), whether it was measured where the surface is calm, and in which cells.
-
-    Within a slit's width of a step the measured radius overshoots, so only cells count about which (5 x 3 cells) the
-    height changes by less than a third of itself: a floor, a crest. Where a tenth of the place is not calm its floor
-    was not seen; then all cells count.
-    """
-    wide = np.pad(place.height, ((0, 0), (1, 1)), mode="wrap")
-    missing = ~np.isfinite(wide)
-    high = ndimage.maximum_filter(np.where(missing, -np.inf, wide), size=(5, 3), mode="nearest")[:, 1:-1]
-    low = ndimage.minimum_filter(np.where(missing, np.inf, wide), size=(5, 3), mode="nearest")[:, 1:-1]
-    measured = place.mask & np.isfinite(place.height)
-    calm = measured.copy()
-    calm[measured] = high[measured] - low[measured] < place.height[measured] / 3
-    floor_seen = np.count_nonzero(calm) >= max(4, 0.1 * np.count_nonzero(measured))
-    values = place.height[calm if floor_seen else measured]
-    depth = float(np.percentile(values, 98)) if len(values) >= 50 else float(np.sort(values)[-2:].mean())
-    return depth, bool(floor_seen), calm if floor_seen else measured
-
-
-def _over_footprint(place: _Place, cells: BoolArray, footprint: Sequence[int]) -> float:
+def _over_footprint(place: Indication, cells: BoolArray, footprint: Sequence[int]) -> float:
     """The greatest mean departure over what one slit covers, around any of the cells: what is deeper is finer than the
     method resolves, be it a crest or the swing beside a step."""
     known = np.isfinite(place.height)
@@ -496,26 +157,15 @@ def _expanded(wall: Wall, cells: BoolArray) -> float:
     return 2.0 * math.hypot(float(np.median(wall.sigma_mm[stated])), float(np.median(wall.cell_noise_mm[stated])))
 
 
-def _measure(
-    kind: Kind, whole: BoolArray, depth: float, floor_seen: bool, k2: float, wall: Wall, cell: tuple[float, float]
-) -> Defect:
+def _extent(whole: BoolArray, wall: Wall) -> tuple[float, float, float, float]:
+    """z_mm, clock_deg, length_mm and arc_deg of the cells of a defect."""
     wide = whole.sum(axis=1)
     rows = np.flatnonzero(wide >= WIDE_ENOUGH * wide.max())
     z0, z1 = wall.z_mm[rows[0]] - wall.z_step_mm / 2, wall.z_mm[rows[-1]] + wall.z_step_mm / 2
-    start, arc = _arc(np.asarray(whole.any(axis=0)), wall.clock_step_deg)
+    start, arc = arc_of(np.asarray(whole.any(axis=0)), wall.clock_step_deg)
     arc = 360.0 if arc >= ALL_ROUND_DEG else arc  # what is left is a rod's shadow
-    area = float(np.count_nonzero(whole) * cell[0] * cell[1])
     clock = (start + arc / 2) % 360.0 if arc < 360.0 else 0.0
-    return Defect(kind, float(z0 + z1) / 2, clock, float(z1 - z0), arc, depth, area, floor_seen, k2)
-
-
-def _arc(columns: BoolArray, step_deg: float) -> tuple[float, float]:
-    """Start and length (deg) of the smallest arc that holds all marked columns: the circle less its widest gap."""
-    marked = np.flatnonzero(columns)
-    gaps = np.diff(np.append(marked, marked[0] + len(columns)))
-    widest = int(np.argmax(gaps))
-    start = marked[(widest + 1) % len(marked)]
-    return float(start * step_deg), float((len(columns) - gaps[widest] + 1) * step_deg)
+    return float(z0 + z1) / 2, clock, float(z1 - z0), arc
 
 
 def _oval_stretches(wall: Wall, limits: Limits) -> list[Defect]:

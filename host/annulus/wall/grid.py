@@ -26,21 +26,25 @@ STATION_SEEN = 0.5  # the scan starts and ends where half of the circle was seen
 BRIDGE_STEP_MM = 0.75  # a greater step in radius across a gap is an edge, not a sampling gap
 NOISE_FLOOR_MM = 0.02  # no instrument of this kind is better
 NOISE_LAG = 8  # columns; noise is alike over a few degrees, for lines are averaged with their neighbours
-LOOK_SMOOTHED = 0.7  # of a ring's noise is left by smoothing over three degrees: neighbour lines share most of theirs
+OBSERVATION_SMOOTHED = (
+    0.7  # of a ring's noise is left by smoothing over three degrees: neighbour lines share most of theirs
+)
 USUAL_MM = 0.2  # from the usual shape: this near is the usual shape
 SHAPE_SPACING_MM = 5.0
 SHAPE_WINDOW_MM = 10.0  # each side: what one fit of the pipe's shape looks at
 
 
 @dataclass(frozen=True, slots=True)
-class Looks:
-    """Every point of the wall with who measured it: one ring in one frame is one look, wrong or right as a whole.
+class Observations:
+    """Every point of the wall with who measured it: one ring in one frame is one observation, wrong
+    or right as a whole.
 
-    cell (N,): index into the flattened grid. look (N,): the same number for the points of one ring in one frame.
+    cell (N,): index into the flattened grid. number (N,): the same for all points of one
+    observation.
     """
 
     cell: NDArray[np.int64]
-    look: NDArray[np.int32]
+    number: NDArray[np.int32]
     radius_mm: Float32Array
 
 
@@ -64,7 +68,7 @@ class Wall:
     shape_mm: FloatArray
     noise_mm: FloatArray
     cell_noise_mm: Float32Array
-    looks: Looks
+    observations: Observations
     sigma_mm: Float32Array
 
     @property
@@ -148,7 +152,7 @@ def build_wall(profiles: Sequence[Profile], *, z_step_mm: float | None = None, r
     cell = row * columns + np.minimum((clock[inside] / ANGLE_STEP_DEG).astype(np.int64), columns - 1)
     frame = np.repeat(np.arange(len(used)), [len(p.points_mm) for p in used])
     rings = 1 + max(int(p.ring.max()) for p in used)
-    look = (frame * rings + np.concatenate([p.ring for p in used]))[finite][inside].astype(np.int32)
+    number = (frame * rings + np.concatenate([p.ring for p in used]))[finite][inside].astype(np.int32)
 
     grid, count = _cell_medians(cell, radius, (rows, columns))
     keep = _supported(grid, cell, radius)
@@ -178,13 +182,15 @@ def build_wall(profiles: Sequence[Profile], *, z_step_mm: float | None = None, r
     shape = _fit_shape(grid, z_rows, clock_columns)
     cell = cell - ends[0] * columns
     keep &= (cell >= 0) & (cell < grid.size)
-    looks = Looks(cell[keep], look[keep], radius[keep].astype(np.float32))
+    observations = Observations(cell[keep], number[keep], radius[keep].astype(np.float32))
     measured = grid.astype(np.float32)
     unknown = np.zeros(grid.shape, dtype=np.float32)
-    bare = Wall(z_rows, clock_columns, measured, count, shape, np.zeros(len(z_rows)), unknown, looks, stated_sigma)
+    bare = Wall(
+        z_rows, clock_columns, measured, count, shape, np.zeros(len(z_rows)), unknown, observations, stated_sigma
+    )
     noise = _noise(bare)
     cell_noise = np.maximum(_cell_noise(bare, rings, int(sampling) + 1), noise[:, None]).astype(np.float32)
-    return Wall(z_rows, clock_columns, measured, count, shape, noise, cell_noise, looks, stated_sigma)
+    return Wall(z_rows, clock_columns, measured, count, shape, noise, cell_noise, observations, stated_sigma)
 
 
 def smooth(field: Float32Array) -> Float32Array:
@@ -354,25 +360,27 @@ def _noise(wall: Wall) -> FloatArray:
 def _cell_noise(wall: Wall, rings: int, reach: int) -> FloatArray:
     """(Z, A) what the errors of the rings that looked leave of a smoothed cell's radius, mm; 0 where nobody looked.
 
-    A look errs alike over a smoothed cell's width, so a cell gains by how many looks it has and not by their points.
+    An observation errs alike over a smoothed cell's width, so a cell gains by how many it has and not by their
+    points.
     A cell interpolated along the pipe is as good as the worst measured one within `reach` rows.
     """
-    cell, look = np.unique(np.stack([wall.looks.cell, wall.looks.look.astype(np.int64)]), axis=1)
-    departure = np.abs(wall.looks.radius_mm - wall.shape_radius_mm().ravel()[wall.looks.cell])
-    ring = wall.looks.look % rings
+    seen = wall.observations
+    cell, number = np.unique(np.stack([seen.cell, seen.number.astype(np.int64)]), axis=1)
+    departure = np.abs(seen.radius_mm - wall.shape_radius_mm().ravel()[seen.cell])
+    ring = seen.number % rings
     spread = np.array([float(np.median(departure[ring == k])) if (ring == k).any() else 0.0 for k in range(rings)])
-    square = (LOOK_SMOOTHED * SIGMA_OF_MAD * spread[look % rings]) ** 2
+    square = (OBSERVATION_SMOOTHED * SIGMA_OF_MAD * spread[number % rings]) ** 2
     shape, size = wall.radius_mm.shape, wall.radius_mm.size
-    looks = np.bincount(cell, minlength=size).reshape(shape).astype(np.float64)
+    times = np.bincount(cell, minlength=size).reshape(shape).astype(np.float64)
     squares = np.bincount(cell, weights=square, minlength=size).reshape(shape)
-    # Down the column looks add; across it they are the same ones again, so their number is the mean of who has any.
+    # Down the column observations add; across it they are the same again: their number is the mean of who has any.
     columns = np.ones((1, 3))
     rows = np.ones((3, 1))
-    looks, squares = (ndimage.convolve(field, rows, mode="constant") for field in (looks, squares))
-    across = ndimage.convolve((looks > 0).astype(np.float64), columns, mode="wrap")
-    looks, squares = (ndimage.convolve(field, columns, mode="wrap") for field in (looks, squares))
+    times, squares = (ndimage.convolve(field, rows, mode="constant") for field in (times, squares))
+    across = ndimage.convolve((times > 0).astype(np.float64), columns, mode="wrap")
+    times, squares = (ndimage.convolve(field, columns, mode="wrap") for field in (times, squares))
     measured = across > 0.5
-    noise = np.where(measured, np.sqrt(squares * across) / np.maximum(looks, 1e-9), 0.0)
+    noise = np.where(measured, np.sqrt(squares * across) / np.maximum(times, 1e-9), 0.0)
     return np.where(measured, noise, ndimage.maximum_filter1d(noise, 2 * reach + 1, axis=0, mode="constant"))
 
 

@@ -30,19 +30,19 @@ CELL_BESIDE = 7  # .. of so many patches around the pipe
 BEYOND = 0.03  # of the length of wall seen; points farther off the ends than this are left out
 LEAST_POINTS = 40
 LEAST_TURN = 0.4  # of the way round must have points, or a circle is a guess
-WORST_SPREAD = 0.08  # of the radius; beyond it this is no pipe of that radius
+WORST_SIGMA = 0.08  # of the radius; beyond it this is no pipe of that radius
 LEAST_KEPT = 0.4  # part of the points that must lie on the cylinder
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """The pose, the robust spread (mm) of the points about the pipe, and how well the pose is known.
+    """The pose, the robust sigma of the points about the pipe, and how well the pose is known.
 
     `covariance` (4, 4): of rx, ry (radians), tx, ty (mm), in the pose's own order.
     """
 
     pose: Pose
-    spread_mm: float
+    robust_sigma_mm: float
     covariance: FloatArray
 
     @property
@@ -64,7 +64,7 @@ def fit_pose(
 
     Returns
     -------
-    None where the points do not make a pipe: too few, not round enough the way, or spread too far.
+    None where the points do not make a pipe: too few, not round enough the way, or scattered too far.
 
     Notes
     -----
@@ -109,7 +109,7 @@ def _approach(points: FloatArray, weight: FloatArray, radius: float, first: Pose
     likely, rows = np.empty(len(points)), np.empty((8, len(points)))
     for _ in range(30):
         _errors(points, x, radius, error)
-        scale = max(_spread(error), 1e-4 * radius)
+        scale = max(_robust_sigma(error), 1e-4 * radius)
         if scale < THERE * radius:
             break
         np.divide(weight, 1.0 + (error / (CAUCHY * scale)) ** 2, out=likely)
@@ -126,7 +126,7 @@ def _settle(points: FloatArray, weight: FloatArray, radius: float, x: FloatArray
     off, likely, used = np.empty(len(points)), np.empty(len(points)), np.empty(len(points))
     rows = np.empty((8, len(points)))
     _errors(points, x, radius, off)
-    scale = max(_spread(off * root), 1e-4 * radius)
+    scale = max(_robust_sigma(off * root), 1e-4 * radius)
     patches = _Patches(points, x, off * root, scale, radius)
     wild = NO_POINT / scale  # wild points, per mm of radius and per point
     shape, mildly = SHAPE_TOLERANCE, True  # a hole as wide as an oval's flank is a hole as long as a circle will do
@@ -155,12 +155,12 @@ def _settle(points: FloatArray, weight: FloatArray, radius: float, x: FloatArray
     if tilt == TILT_KEPT:  # the head may lean all the same, with the shift that makes up for it
         along = np.vstack([np.eye(2), -np.linalg.solve(seen[2:, 2:], seen[2:, :2])])
         covariance += TILT_UNSEEN**2 * along @ along.T
-    if not _sane(x, radius) or scale > WORST_SPREAD * radius:
+    if not _sane(x, radius) or scale > WORST_SIGMA * radius:
         return None
     if _turn(points, x, used) < LEAST_TURN * 36:
         return None
     _errors(points, x, radius, off)
-    return Fit(_pose(x), _spread(off), covariance[:4, :4])
+    return Fit(_pose(x), _robust_sigma(off), covariance[:4, :4])
 
 
 def _shows_shape(x: FloatArray, covariance: FloatArray) -> bool:
@@ -205,7 +205,7 @@ class _Patches:
         if np.count_nonzero(used) < 8:
             return np.append(np.ones(len(used)), 0.0), 1.0
         far = np.where(used, self.total[:-1], 0.0) / (scale * np.sqrt(np.maximum(count, 1.0)))
-        unrest = max(1.0, _spread(far[used]))
+        unrest = max(1.0, _robust_sigma(far[used]))
         far /= unrest
         if mildly:
             return np.append(cauchy(far / CAUCHY), 0.0), unrest
@@ -223,7 +223,7 @@ class _Patches:
         return np.append(np.where(bad, 0.0, 1.0), 0.0), unrest
 
 
-def _spread(error: FloatArray) -> float:
+def _robust_sigma(error: FloatArray) -> float:
     middle = len(error) // 2
     return SIGMA_OF_MAD * float(np.partition(np.abs(error), middle)[middle])
 

@@ -20,7 +20,7 @@ class Profile:
 
     `pose` is None when the pipe could not be found; such a profile has no points. `ring` counts from 0, innermost
     first; `direction` is the index of the polar direction; `colour` is the wall's colour beside the slit, RGB.
-    `residual_mm` is the robust spread of the points about the fitted cylinder; NaN without a pose. `rejected` counts
+    `residual_mm` is the robust sigma of the points about the fitted cylinder; NaN without a pose. `rejected` counts
     every slit that was seen and not used, by reason; `timing_ms` the stages. `sigma_mm` is the standard deviation of
     each point's radius from the pipe's axis; NaN where nobody said.
     """

@@ -1,4 +1,4 @@
-"""What lies hidden behind steps of the wall, and what only seems to be seen there.
+"""What lies in the shadow of steps of the wall, and what only seems to be seen there.
 
 The projector's light comes along the pipe at each ring's own angle, so behind a step of height W (the near rim of a
 loss, the back of a bump) a length W cot(theta / 2) of wall gets no light (Alzuhiri 2022, Eq. 3.24), least of the widest
@@ -59,7 +59,7 @@ def _between(radius_mm: FloatArray, low: FloatArray, high: FloatArray) -> BoolAr
         return np.asarray((radius_mm > low + margin) & (radius_mm < high - margin))
 
 
-def hidden(radius_mm: FloatArray, z_step_mm: float, rise: float) -> BoolArray:
+def shadowed(radius_mm: FloatArray, z_step_mm: float, rise: float) -> BoolArray:
     """(Z, A) bool: cells nobody saw because a step before them keeps the light of every ring, or of most, away.
 
     rise: tangent of the narrowest ring's half-angle; what it cannot reach others may, but hardly ever do everywhere.

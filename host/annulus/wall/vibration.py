@@ -18,7 +18,7 @@ from annulus.numeric.robust import SIGMA_OF_MAD, biweight, robust_sigma
 from annulus.wall.profile import Profile
 
 MODES = ("radius", "shift", "lean", "oval")  # what shakes: cosine and sine of the clock but for the first
-MEMBERS = ((0,), (1, 2), (3, 4), (5, 6))  # columns of `_Looks.basis`
+MEMBERS = ((0,), (1, 2), (3, 4), (5, 6))  # columns of `_Observations.basis`
 FRAMES_LEAST = 24
 CYCLES_LEAST = 3.0  # over the section; what is slower is the pipe's course
 OVERSAMPLED = 5.0  # steps of frequency in the width of a line
@@ -27,10 +27,10 @@ FALSE_ALARM = 1e-4  # that noise alone makes a line anywhere in the spectrum
 AMPLITUDE_MM = 0.02  # of no interest below
 MINOR = 0.2  # a mode with less than this part of the strongest one's amplitude is left in
 THIRDS = 0.4  # a line has this part of its amplitude in each third of the section, in step
-PATCHES = 36  # round the pipe: a ring of a frame is one look at each
+PATCHES = 36  # round the pipe: a ring of a frame is one observation of each
 PATCH_OF_RADIUS = 0.02  # length of a patch along the pipe, at least; else the way between two frames
-POINTS_LEAST = 4  # in a look
-WILD = 5.0  # robust standard deviations: a look so far off its frame's others sees an edge of the wall
+POINTS_LEAST = 4  # in an observation
+WILD = 5.0  # robust standard deviations: an observation so far off its frame's others sees an edge of the wall
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,24 +73,24 @@ def without_vibration(profiles: Sequence[Profile], fps: float | None = None) -> 
         return tuple(current), Vibration((), (math.nan, math.nan), why)
     step = float(np.median(np.diff(np.unique(z))))
     grid = np.arange(CYCLES_LEAST / length, 0.5 / step, 1.0 / (OVERSAMPLED * length))  # cycles a mm
-    looks = _looks([current[i] for i in used], step)
+    seen = _observations([current[i] for i in used], step)
     frames = np.array([current[i].frame for i in used], float)
     pace = length / float(np.ptp(frames)) if np.ptp(frames) > 0 else math.nan  # mm a frame
     found: list[tuple[float, FloatArray]] = []
     before = after = math.nan
     while True:
-        series, good = _departures(looks, len(used))
+        series, good = _departures(seen, len(used))
         after = float(np.sqrt(np.mean((series - np.median(series, axis=0)) ** 2)))
         before = after if not found else before
         f = _line(z, series, grid, [f for f, _ in found]) if len(found) < LINES_MOST else None
         if f is None:
             break
-        weights = _fit(looks, good, z, f)
+        weights = _fit(seen, good, z, f)
         found.append((f, weights))
-        looks = replace(looks, radius=looks.radius - _shaken(looks, z, f, weights))
+        seen = replace(seen, radius=seen.radius - _shaken(seen, z, f, weights))
     for f, weights in found:
         for i in used:
-            current[i] = _less(current[i], _wave(current[i].z_mm, f) @ weights, looks.reach_mm)
+            current[i] = _less(current[i], _wave(current[i].z_mm, f) @ weights, seen.reach_mm)
     lines = [
         Line(1e3 * f, None if fps is None or math.isnan(pace) else f * pace * fps, _amplitudes(weights))
         for f, weights in found
@@ -100,7 +100,7 @@ def without_vibration(profiles: Sequence[Profile], fps: float | None = None) -> 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Looks:
+class _Observations:
     """One ring of one frame at one patch of the wall: which patch, which frame (in order of z), the radius there, and
     what a mm of each mode does to it."""
 
@@ -119,7 +119,7 @@ def _basis(points: FloatArray, ahead: FloatArray) -> tuple[FloatArray, FloatArra
     return np.stack([np.ones_like(c), c, s, ahead * c, ahead * s, c * c - s * s, 2 * c * s], axis=1), radius
 
 
-def _looks(profiles: Sequence[Profile], step_mm: float) -> _Looks:
+def _observations(profiles: Sequence[Profile], step_mm: float) -> _Observations:
     points = np.concatenate([p.points_mm for p in profiles]).astype(np.float64)
     frame = np.repeat(np.arange(len(profiles)), [len(p.ring) for p in profiles])
     ring = np.concatenate([p.ring for p in profiles]).astype(np.int64)
@@ -130,40 +130,40 @@ def _looks(profiles: Sequence[Profile], step_mm: float) -> _Looks:
     clock = np.floor(np.arctan2(points[:, 1], points[:, 0]) * (PATCHES / (2 * math.pi))).astype(np.int64) % PATCHES
     row = np.floor((points[:, 2] - points[:, 2].min()) / size).astype(np.int64)
     rings = int(ring.max()) + 1
-    # A tilted ring may cross two rows of a column: those are two looks.
-    _, look, count = np.unique(
+    # A tilted ring may cross two rows of a column: those are two.
+    _, own, count = np.unique(
         ((row * PATCHES + clock) * len(profiles) + frame) * rings + ring, return_inverse=True, return_counts=True
     )
 
     def mean(values: FloatArray) -> FloatArray:
-        return np.asarray(np.bincount(look, weights=values) / count)
+        return np.asarray(np.bincount(own, weights=values) / count)
 
     enough = count >= POINTS_LEAST
-    return _Looks(
+    return _Observations(
         mean((row * PATCHES + clock).astype(float))[enough].astype(np.int64),
         mean(frame.astype(float))[enough].astype(np.int64),
         mean(radius)[enough], np.stack([mean(column) for column in basis.T], axis=1)[enough], reach,
     )  # fmt: skip
 
 
-def _departures(looks: _Looks, frames: int) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """(F, 7) mm: what each frame has of each mode, against what the other frames saw; and which looks are no edge's."""
-    _, patch = np.unique(looks.patch, return_inverse=True)
-    _, mine = np.unique(patch * frames + looks.frame, return_inverse=True)
-    own, own_count = np.bincount(mine, weights=looks.radius)[mine], np.bincount(mine)[mine]
+def _departures(seen: _Observations, frames: int) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """(F, 7) mm: what each frame has of each mode, against what the others saw; and which are no edge's."""
+    _, patch = np.unique(seen.patch, return_inverse=True)
+    _, mine = np.unique(patch * frames + seen.frame, return_inverse=True)
+    own, own_count = np.bincount(mine, weights=seen.radius)[mine], np.bincount(mine)[mine]
     others = np.bincount(patch)[patch] - own_count
     with np.errstate(invalid="ignore", divide="ignore"):
-        off = looks.radius - (np.bincount(patch, weights=looks.radius)[patch] - own) / others
+        off = seen.radius - (np.bincount(patch, weights=seen.radius)[patch] - own) / others
     shared = others > 0
     good = shared.copy()
     out = np.zeros((frames, 7))
-    order = np.argsort(looks.frame, kind="stable")
-    for members in np.split(order, np.searchsorted(looks.frame[order], np.arange(1, frames))):
+    order = np.argsort(seen.frame, kind="stable")
+    for members in np.split(order, np.searchsorted(seen.frame[order], np.arange(1, frames))):
         mine = members[shared[members]]
         if len(mine) < 3 * PATCHES // 2:
             good[mine] = False
             continue
-        basis, value = looks.basis[mine], off[mine]
+        basis, value = seen.basis[mine], off[mine]
         fit: FloatArray = np.zeros(7)
         for _ in range(5):
             left = value - basis @ fit
@@ -171,7 +171,7 @@ def _departures(looks: _Looks, frames: int) -> tuple[FloatArray, NDArray[np.bool
             weighted = basis * biweight(u)[:, None]
             fit = np.asarray(np.linalg.solve(weighted.T @ basis + 1e-6 * len(value) * np.eye(7), weighted.T @ value))
         good[mine] = np.abs(u) < 1
-        out[looks.frame[mine[0]]] = fit
+        out[seen.frame[mine[0]]] = fit
     return out, good
 
 
@@ -180,19 +180,19 @@ def _wave(z: FloatArray | float, f: float) -> FloatArray:
     return np.stack([np.cos(2 * math.pi * f * np.asarray(z)), np.sin(2 * math.pi * f * np.asarray(z))], axis=-1)
 
 
-def _shaken(looks: _Looks, z: FloatArray, f: float, weights: FloatArray) -> FloatArray:
-    return np.asarray((looks.basis * (_wave(z, f) @ weights)[looks.frame]).sum(axis=1))
+def _shaken(seen: _Observations, z: FloatArray, f: float, weights: FloatArray) -> FloatArray:
+    return np.asarray((seen.basis * (_wave(z, f) @ weights)[seen.frame]).sum(axis=1))
 
 
-def _fit(looks: _Looks, good: NDArray[np.bool_], z: FloatArray, f: float) -> FloatArray:
+def _fit(seen: _Observations, good: NDArray[np.bool_], z: FloatArray, f: float) -> FloatArray:
     """(2, 7) mm of cosine and sine of every mode, the wall's own radius in every patch free."""
-    _, patch = np.unique(looks.patch[good], return_inverse=True)
+    _, patch = np.unique(seen.patch[good], return_inverse=True)
     count = np.bincount(patch)
-    wave = _wave(z, f)[looks.frame[good]]
-    columns = [wave[:, i] * looks.basis[good, j] for i in range(2) for j in range(7)]
+    wave = _wave(z, f)[seen.frame[good]]
+    columns = [wave[:, i] * seen.basis[good, j] for i in range(2) for j in range(7)]
     design, value = (
         np.stack([c - (np.bincount(patch, weights=c) / count)[patch] for c in some], axis=1)
-        for some in (columns, [looks.radius[good]])
+        for some in (columns, [seen.radius[good]])
     )
     # A little ridge: what shifts the whole wall alike, whichever frame looks, cannot be told from it.
     normal = design.T @ design + 1e-3 * len(design) * np.eye(14)

@@ -22,7 +22,7 @@ CALIBRATION = Calibration(
     tuple(Cone(float(np.radians(t / 2)), (0.0, 0.0, 1.0), (0.0, 0.0, VERTEX_Z_MM)) for t in THETA_FULL_DEG),
     RADIUS_MM,
 )
-BLIND_RATIO = 1 / np.tan(np.radians(THETA_FULL_DEG[0] / 2))
+SHADOW_RATIO = 1 / np.tan(np.radians(THETA_FULL_DEG[0] / 2))
 
 RadiusMap = Callable[[np.ndarray, np.ndarray], np.ndarray]  # (clock degrees, z mm) -> mm
 

@@ -2,11 +2,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic_pipe import BLIND_RATIO, CALIBRATION, RADIUS_MM, bump, oval, pocket, round_pipe, scan
+from synthetic_pipe import CALIBRATION, RADIUS_MM, SHADOW_RATIO, bump, oval, pocket, round_pipe, scan
 
 from annulus.geometry.pose import Pose
 from annulus.vocabulary import AnnulusError
-from annulus.wall.defects import Defect, Findings, Kind, clock_face, find_defects
+from annulus.wall.defects import Defect, Detection, Kind, clock_face, find_defects
 from annulus.wall.grid import Wall, build_wall
 from annulus.wall.profile import Profile
 from annulus.wall.stations import f1216, measure_stations
@@ -14,7 +14,7 @@ from annulus.wall.texture import LedFrame, paint, pose_at
 
 
 def defects_of(wall: Wall) -> tuple[Defect, ...]:
-    return find_defects(wall, blind_ratio=BLIND_RATIO).defects
+    return find_defects(wall, shadow_ratio=SHADOW_RATIO).defects
 
 
 def only(wall: Wall) -> Defect:
@@ -141,8 +141,8 @@ def lifted(profile: Profile, ring: int, clock_deg: float, half_deg: float, by_mm
 def test_what_one_ring_says_in_one_frame_alone_is_counted_and_not_listed(by_mm: float) -> None:
     profiles = scan(round_pipe, z_mm=[4.0 * i for i in range(25)])
     profiles[-3] = lifted(profiles[-3], 0, 60, 10, by_mm)
-    findings = find_defects(build_wall(profiles), blind_ratio=BLIND_RATIO)
-    assert findings.defects == () and findings.unsupported == 1
+    findings = find_defects(build_wall(profiles), shadow_ratio=SHADOW_RATIO)
+    assert findings.defects == () and findings.unconfirmed == 1
 
 
 def test_a_small_pocket_between_far_frames_is_found_by_the_rings_that_meet_it() -> None:
@@ -172,7 +172,7 @@ def test_no_points_is_one_clear_line() -> None:
 
 def test_one_frame_alone_is_still_a_wall() -> None:
     wall = build_wall(scan(round_pipe, z_mm=[100.0]))
-    find_defects(wall, blind_ratio=BLIND_RATIO)
+    find_defects(wall, shadow_ratio=SHADOW_RATIO)
     measure_stations(wall)
 
 
@@ -186,7 +186,7 @@ def test_clock_positions_read_like_a_clock(angle: float, face: str) -> None:
 
 def test_labels_point_at_the_defects_they_number() -> None:
     wall = build_wall(scan(pocket(pocket(round_pipe, 60, 10, 110, 130, 2.0), 200, 10, 180, 200, 2.0)))
-    findings: Findings = find_defects(wall, blind_ratio=BLIND_RATIO)
+    findings: Detection = find_defects(wall, shadow_ratio=SHADOW_RATIO)
     assert len(findings.defects) == 2
     for number, defect in enumerate(findings.defects, start=1):
         rows, columns = np.nonzero(findings.label == number)

@@ -121,7 +121,7 @@ def test_a_hole_and_a_dent_do_not_turn_it():
     fit = fit_pose(points, R, np.ones(len(points)))
     degrees, mm = error(fit.pose, pose)
     assert degrees < 0.05 and mm < 0.08
-    assert fit.spread_mm < 0.3
+    assert fit.robust_sigma_mm < 0.3
 
 
 def test_an_oval_pipe_does_not_make_the_head_lean():

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from annulus.wall.shadow import between_levels, hidden
+from annulus.wall.shadow import between_levels, shadowed
 
 STEP_MM = 1.0
 WIDE, NARROW = 0.55, 0.34  # tangents of the widest and the narrowest ring's half-angle
@@ -37,7 +37,7 @@ def test_noise_and_falling_edges_hide_nothing():
     radius[30:] -= 3.0  # the far rim of a loss, the front of a bump
     assert not between_levels(radius, STEP_MM, WIDE).any()
     radius[29:31] = np.nan
-    assert not hidden(radius, STEP_MM, NARROW).any()
+    assert not shadowed(radius, STEP_MM, NARROW).any()
 
 
 def test_what_a_step_hides_is_told_from_what_a_rod_hides():
@@ -45,5 +45,5 @@ def test_what_a_step_hides_is_told_from_what_a_rod_hides():
     radius[20:40, 10:30] += 2.0
     radius[19:24, 10:30] = np.nan
     radius[5:50, 60:63] = np.nan
-    dark = hidden(radius, STEP_MM, NARROW)
+    dark = shadowed(radius, STEP_MM, NARROW)
     assert dark[19:24, 10:30].all() and dark.sum() == 5 * 20

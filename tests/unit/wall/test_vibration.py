@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic_pipe import BLIND_RATIO, round_pipe, scan
+from synthetic_pipe import SHADOW_RATIO, round_pipe, scan
 
 from annulus.wall.defects import find_defects
 from annulus.wall.grid import build_wall
@@ -59,7 +59,7 @@ def test_a_groove_keeps_its_depth():
         return round_pipe(clock, z) + 2.0 * ((z > 150) & (z < 170))
 
     def depth(profiles):
-        return max(d.depth_mm for d in find_defects(build_wall(profiles), blind_ratio=BLIND_RATIO).defects)
+        return max(d.depth_mm for d in find_defects(build_wall(profiles), shadow_ratio=SHADOW_RATIO).defects)
 
     profiles = scan(groove, z_mm=STATIONS, directions=180)
     alone = depth(profiles)

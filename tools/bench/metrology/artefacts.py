@@ -140,7 +140,7 @@ def inner(wall: Wall, true: pipe.RadiusMap) -> FloatArray:
 
 
 def deepest(profiles: Sequence[Profile]) -> float:
-    return max(d.depth_mm for d in find_defects(build_wall(profiles), blind_ratio=pipe.BLIND_RATIO).defects)
+    return max(d.depth_mm for d in find_defects(build_wall(profiles), shadow_ratio=pipe.SHADOW_RATIO).defects)
 
 
 FEATURES = (
@@ -172,7 +172,7 @@ def blind_rows() -> Iterable[Row]:
         "cells behind steps that no ring can light (3.24) and that carry a radius, without and with the rule", "-",
         "-", f"{int((before.seen & dark).sum())}, {int((wall.seen & dark).sum())} of {int(dark.sum())}", None,
     )  # fmt: skip
-    found = find_defects(wall, blind_ratio=1 / narrow, blind_least=1 / wide).defects
+    found = find_defects(wall, shadow_ratio=1 / narrow, least_shadow_ratio=1 / wide).defects
     for feature in FEATURES:
         near = [d for d in found if abs((d.clock_deg - feature.clock_deg + 180) % 360 - 180) < 10]
         for d in near[:1]:
@@ -181,7 +181,7 @@ def blind_rows() -> Iterable[Row]:
                 f"{feature.kind} {feature.length_mm:.0f} mm long, {feature.depth_mm:.0f} mm high or deep: length, "
                 "of it hidden (3.24: widest to narrowest ring)",
                 "reads long by the blind spot (§3.5.1.2)", "-",
-                f"{d.length_mm:.0f} mm, {d.hidden_mm:.1f} mm hidden ({least:.1f} to {most:.1f})", None,
+                f"{d.length_mm:.0f} mm, {d.shadowed_mm:.1f} mm hidden ({least:.1f} to {most:.1f})", None,
             )  # fmt: skip
 
 

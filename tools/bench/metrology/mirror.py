@@ -105,7 +105,7 @@ def rows() -> list[Row]:
     profiles = without_inconsistent(register(three.profiles))
     wall = build_wall(profiles)
     narrowest = min(cone.half_angle for cone in calibration.rings)
-    found = find_defects(wall, blind_ratio=1.0 / math.tan(narrowest)).defects
+    found = find_defects(wall, shadow_ratio=1.0 / math.tan(narrowest)).defects
     defects = score_defects(small, [asdict(d) for d in found])
     draw(small, wall, [others[0], three, others[1]])
 
