@@ -80,6 +80,12 @@ class Wall:
         return 360.0 / len(self.clock_deg)
 
     @property
+    def extent(self) -> tuple[float, float, float, float]:
+        """Where the grid's edges lie, z (mm) and clock (deg): `imshow(wall.deviation_mm().T, extent=wall.extent)`."""
+        half = self.z_step_mm / 2
+        return float(self.z_mm[0]) - half, float(self.z_mm[-1]) + half, 360.0, 0.0
+
+    @property
     def seen(self) -> BoolArray:
         return np.isfinite(self.radius_mm)
 

@@ -1,0 +1,207 @@
+"""What a scan says of a pipe: the whole pipeline from profiles to wall, defects, diameters and colour, in one call."""
+
+import math
+import time
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from annulus.geometry.calibration import Calibration
+from annulus.numeric.arrays import BoolArray, FloatArray, Image
+from annulus.wall.consistency import without_inconsistent
+from annulus.wall.defects import Defect, Detection, Kind, find_defects
+from annulus.wall.grid import Wall, build_wall
+from annulus.wall.profile import Profile
+from annulus.wall.registration import register
+from annulus.wall.shadow import shadowed
+from annulus.wall.stations import Stations, measure_stations
+from annulus.wall.surface import Mesh, triangulate
+from annulus.wall.texture import LedFrame, paint
+from annulus.wall.vibration import Vibration, without_vibration
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Survey:
+    """The pipe as one scan shows it. Lengths in mm, pipe frame; NaN where nothing could be measured.
+
+    Attributes
+    ----------
+    profiles : aligned with each other, without what other frames contradict; every point of the cloud.
+    wall : the grid (Z, A) of radii, and the pipe's shape under its defects.
+    shadowed : (Z, A) bool, cells that a step keeps the rings' light from; a part of what was not seen.
+    detection : the defects, which cells each has, the limits of listing, how many places are not surely known.
+    stations : diameters and ovality along the pipe.
+    texture : (Z, A, 4) uint8 RGBA in LED light, alpha 0 where not known; None without a usable LED frame.
+    vibration : what shook periodically and was taken out; None where nobody asked.
+    nominal_diameter_mm : of the calibration.
+    timing_ms : of every step.
+    """
+
+    profiles: tuple[Profile, ...]
+    wall: Wall
+    shadowed: BoolArray
+    detection: Detection
+    stations: Stations
+    texture: Image | None
+    vibration: Vibration | None
+    nominal_diameter_mm: float
+    timing_ms: Mapping[str, float]
+
+    @property
+    def defects(self) -> tuple[Defect, ...]:
+        """In order of distance."""
+        return self.detection.defects
+
+    @property
+    def worst(self) -> Defect | None:
+        """The deepest loss or bump, an out-of-round stretch only where there is neither; None for a sound wall."""
+        return max(self.defects, key=lambda d: (d.kind is not Kind.OVALITY, d.depth_mm), default=None)
+
+    @property
+    def points(self) -> int:
+        return sum(len(profile.points_mm) for profile in self.profiles)
+
+    @property
+    def scanned_mm(self) -> tuple[float, float]:
+        """First and last end of the wall, along the pipe."""
+        return self.wall.extent[:2]
+
+    @property
+    def seen_fraction(self) -> float:
+        """Of the wall's area, 0..1."""
+        return float(self.wall.seen.mean())
+
+    @property
+    def shadowed_fraction(self) -> float:
+        """Of the wall's area, 0..1."""
+        return float(self.shadowed.mean())
+
+    @property
+    def noise_mm(self) -> float:
+        """Standard deviation of one cell of the grid about the pipe's shape, the median over the stations."""
+        return float(np.median(self.wall.noise_mm))
+
+    @property
+    def diameter_mean_mm(self) -> float:
+        return _over(np.mean, self.stations.diameter_mean_mm)
+
+    @property
+    def diameter_min_mm(self) -> float:
+        return _over(np.min, self.stations.diameter_min_mm)
+
+    @property
+    def diameter_max_mm(self) -> float:
+        return _over(np.max, self.stations.diameter_max_mm)
+
+    @property
+    def diameter_k2_mm(self) -> float:
+        """Expanded uncertainty (k = 2) of a station's diameter, the median over the stations."""
+        return _over(np.median, self.stations.diameter_k2_mm)
+
+    @property
+    def ovality_max_percent(self) -> float:
+        """ASTM F1216, as measured, local defects included; the worst station's."""
+        return _over(np.max, self.stations.ovality_percent)
+
+    @property
+    def shape_ovality_max_percent(self) -> float:
+        """ASTM F1216 of the pipe's fitted shape, local defects left out; the worst station's."""
+        return _over(np.max, self.stations.shape_ovality_percent)
+
+    @property
+    def shape_ovality_median_percent(self) -> float:
+        return _over(np.median, self.stations.shape_ovality_percent)
+
+    @property
+    def depth_limit_mm(self) -> float:
+        """Smallest depth listed."""
+        limits = self.detection.limits
+        return max(limits.seed_noise * self.noise_mm, limits.seed_of_radius * self.wall.mean_radius_mm)
+
+    @property
+    def size_limit_mm(self) -> float:
+        """Smallest size listed, both ways."""
+        return self.detection.limits.size_of_radius * self.wall.mean_radius_mm
+
+    @property
+    def rejected(self) -> Mapping[str, int]:
+        """Slits that were seen and not used, by reason, over all frames."""
+        total: Counter[str] = Counter()
+        for profile in self.profiles:
+            total.update(profile.rejected)
+        return dict(sorted(total.items()))
+
+    @property
+    def lean_sigma_deg(self) -> float:
+        """How well the head's lean was known: standard deviation, the median over the frames."""
+        return _over(np.median, np.array([profile.lean_sigma_deg for profile in self.profiles], dtype=np.float64))
+
+    @property
+    def roll_range_deg(self) -> tuple[float, float] | None:
+        """Least and greatest roll of the head, clockwise looking forward; None where no sensor gave it."""
+        rolls = [p.pose.roll for p in self.profiles if p.pose is not None and p.pose.roll is not None]
+        return (math.degrees(min(rolls)), math.degrees(max(rolls))) if rolls else None
+
+    def mesh(self) -> Mesh:
+        """The seen wall as triangles."""
+        return triangulate(self.wall)
+
+
+def survey(
+    profiles: Sequence[Profile],
+    calibration: Calibration,
+    led_frames: Iterable[LedFrame] = (),
+    *,
+    vibration: bool = False,
+    fps: float | None = None,
+) -> Survey:
+    """Everything a scan's profiles say of the pipe. Opens no file and changes none of its arguments.
+
+    Parameters
+    ----------
+    profiles : of the projector frames, any order. led_frames : for the colour; read once, one at a time.
+    vibration : take out what shakes periodically along the pipe; fps : frames a second, only to name it in hertz.
+
+    Raises
+    ------
+    AnnulusError, one line, where the profiles have too few points to make one station of the pipe.
+
+    >>> pipe = survey(profiles, calibration)
+    >>> pipe.worst.depth_mm, pipe.worst.depth_k2_mm, pipe.worst.clock
+    """
+    marks = [("", time.perf_counter())]
+
+    def done(step: str) -> None:
+        marks.append((step, time.perf_counter()))
+
+    narrowest, widest = (math.tan(calibration.rings[k].half_angle) for k in (0, -1))
+    measured = without_inconsistent(register(profiles))
+    done("alignment")
+    shaken = None
+    if vibration:
+        measured, shaken = without_vibration(measured, fps)
+        done("vibration")
+    wall = build_wall(measured, rise=widest)
+    done("wall")
+    detection = find_defects(wall, shadow_ratio=1.0 / narrowest, least_shadow_ratio=1.0 / widest)
+    done("defects")
+    stations = measure_stations(wall)
+    dark = shadowed(wall.radius_mm.astype(np.float64), wall.z_step_mm, narrowest)
+    done("stations")
+    texture = paint(wall, calibration, measured, led_frames)
+    if texture is not None:
+        texture[dark] = 0  # the radius there is not known, so neither is what was seen of it
+    done("texture")
+    timing = {name: 1e3 * (after - before) for (_, before), (name, after) in pairwise(marks)}
+    nominal = 2 * calibration.pipe_radius_mm
+    return Survey(measured, wall, dark, detection, stations, texture, shaken, nominal, timing)
+
+
+def _over(of: Any, values: FloatArray) -> float:
+    """mean, min .. of the known values; NaN where none is."""
+    known = values[np.isfinite(values)]
+    return float(of(known)) if len(known) else math.nan
