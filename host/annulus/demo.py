@@ -8,7 +8,6 @@ import webbrowser
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
-from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -20,22 +19,16 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 from annulus.capture.remote import RemoteCamera
 from annulus.daemon.config import CameraConfig, HeadConfig, LampConfig
 from annulus.daemon.interrupt import Interrupt
-from annulus.daemon.reconstructing import warmup_frame
 from annulus.daemon.run import ending
 from annulus.daemon.scan import Doors, Scan, ScanReport, default_workers
-from annulus.geometry.calibration import Calibration
 from annulus.record.calibration_file import save_calibration
-from annulus.record.scan import Scan as RecordedScan
-from annulus.record.scan import open_scan
-from annulus.report.reconstruct import led_frames, stage_medians
-from annulus.report.results import Summary, prepare_folder, write_results
-from annulus.rings.reconstructor import Reconstructor
+from annulus.report import Account, prepare_folder, write
+from annulus.reprocess import Job, Processes, led_frames, measure, method_for, open_job, stage_medians, warm_up
 from annulus.twin.head import HeadHandle, start_head, sustainable_fps
 from annulus.twin.score import score
 from annulus.twin.world import World, demo_world
 from annulus.vocabulary import AnnulusError, Label
-from annulus.wall.defects import Defect
-from annulus.wall.profile import Profile
+from annulus.wall import Profile, Survey, survey
 
 FPS_MAX = 25.0
 FPS_MIN = 2.0
@@ -49,6 +42,9 @@ MM_PER_FRAME_MAX = 6.0  # .. and less of the pipe, when somebody does
 START_PATIENCE_S = 60.0  # from lamps armed to the first labelled frame
 FLASH_AFTER_OPENING_US = 500.0
 BAR_S = 0.1
+RESULTS = (
+    "report.html", "summary.json", "cloud.ply", "mesh.ply", "unwrapped.png", "texture.png", "stations.csv"
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,12 +121,13 @@ def _demo(wish_s: float | None, out: Path, world: World, interrupt: Interrupt, b
     with interrupt.allowed():
         for line in ending(report):
             console.print(line)
-        recorded = open_scan(recording)
-        live = len(profiles)
-        profiles += _rest(recorded, world.calibration(), profiles, bars)
+        job = open_job(recording)
+        profiles += (late := _late(job, profiles, bars))
         with bars.spinning("building the wall, drawing the report"):
-            summary = _results(out, world, profiles, recorded, report, pace, live)
-    for line in _account(out, summary, time.monotonic() - begun):
+            pipe = survey(sorted(profiles, key=lambda one: one.frame), job.calibration, led_frames(job))
+            truth = _truth(world, pipe)
+            write(pipe, _account(pipe, report, pace, late, truth), out)
+    for line in _said(out, pipe, truth, time.monotonic() - begun):
         print(line)
 
 
@@ -139,12 +136,8 @@ def measure_pace(world: World) -> Pace:
     cores = len(os.sched_getaffinity(0))
     render_fps = sustainable_fps(world)
     calibration = world.calibration()
-    reconstructor, image = Reconstructor(calibration), warmup_frame(calibration)
-    spent = []
-    for _ in range(6):
-        begun = time.perf_counter()
-        reconstructor.profile(image, frame=0, z_mm=0.0)
-        spent.append((time.perf_counter() - begun) * 1e3)
+    method = method_for(calibration)
+    spent = [warm_up(method, calibration).timing_ms["total"] for _ in range(6)]
     reconstruct_ms = median(spent[1:])  # the first one may compile
     render_ms = min(2, cores) * 1e3 / render_fps  # of one core
     together = SHARE * cores * 1e3 / (render_ms + 0.8 * reconstruct_ms + OVERHEAD_MS)
@@ -203,49 +196,32 @@ def _doors(profiles: list[Profile], bars: "_Bars") -> Doors:
     return Doors(profile=profiles.append, event=bars.say)
 
 
-def _rest(recorded: RecordedScan, calibration: Calibration, done: Sequence[Profile], bars: "_Bars") -> list[Profile]:
+def _late(job: Job, done: Sequence[Profile], bars: "_Bars") -> list[Profile]:
     """Profiles of the recorded projector frames that no worker had time for."""
     have = {profile.frame for profile in done}
-    missing = [
-        i for i, frame in enumerate(recorded.frames) if frame.label is Label.PROJECTOR and frame.index not in have
-    ]
+    missing = [i for i in job.which(Label.PROJECTOR) if job.scan.frames[i].index not in have]
     if not missing:
         return []
     bar = bars.bar("frames the workers had no time for", len(missing))
-    reconstructor, out = Reconstructor(calibration), []
-    for number, i in enumerate(missing):
-        frame = recorded.frames[i]
-        out.append(reconstructor.profile(recorded.read(i), frame=frame.index, z_mm=frame.z_mm))
-        bars.update(bar, None, number + 1)
-    return out
+    return [one for one, _ in measure(job, missing, Processes(), lambda _, n, total: bars.update(bar, None, n))]
 
 
-def _results(
-    out: Path,
-    world: World,
-    profiles: Sequence[Profile],
-    recorded: RecordedScan,
-    report: ScanReport,
-    pace: Pace,
-    live: int,
-) -> Summary:
-    calibration = world.calibration()
-    profiles = sorted(profiles, key=lambda profile: profile.frame)
-    leds = [i for i, frame in enumerate(recorded.frames) if frame.label is Label.LED]
-    timing = {**stage_medians(profiles), "frame_to_profile": report.latency_ms, "frame_period": 1e3 / pace.fps}
-    return write_results(
-        out, calibration, profiles, led_frames(recorded, calibration, leds, lambda *_: None),
-        frames={label.value: report.frames.get(label.value, 0) for label in Label},
-        drops={**report.drops, "reconstructed_after_the_scan": len(profiles) - live}, timing_ms=timing,
-        source=f"annulus demo, simulated head, {pace.fps:g} fps", truth=partial(_truth, world),
-    )  # fmt: skip
+def _account(
+    pipe: Survey, report: ScanReport, pace: Pace, late: Sequence[Profile], truth: Mapping[str, Any]
+) -> Account:  # fmt: skip
+    frames = {label.value: report.frames.get(label.value, 0) for label in Label}
+    drops = {**report.drops, "reconstructed_after_the_scan": len(late)}
+    timing = {
+        **stage_medians(pipe.profiles), "frame_to_profile": report.latency_ms, "frame_period": 1e3 / pace.fps
+    }  # fmt: skip
+    return Account(f"annulus demo, simulated head, {pace.fps:g} fps", frames, drops, timing, truth=truth)
 
 
-def _truth(world: World, profiles: Sequence[Profile], found: Sequence[Defect]) -> dict[str, Any]:
+def _truth(world: World, pipe: Survey) -> dict[str, Any]:
     """The score against the simulated pipe, the numbers for the report first."""
-    points = np.concatenate([profile.points_mm for profile in profiles])
-    rings = np.concatenate([profile.ring for profile in profiles])
-    scored = score(world, points, rings, [asdict(defect) for defect in found])
+    points = np.concatenate([profile.points_mm for profile in pipe.profiles])
+    rings = np.concatenate([profile.ring for profile in pipe.profiles])
+    scored = score(world, points, rings, [asdict(defect) for defect in pipe.defects])
     cloud, defects = scored["cloud"], scored["defects"]
     numbers = {
         "rms_mm": round(cloud["rms_mm"], 4), "gross_percent": round(cloud["gross_over_2mm_percent"], 4),
@@ -254,19 +230,18 @@ def _truth(world: World, profiles: Sequence[Profile], found: Sequence[Defect]) -
     return {**numbers, **scored}
 
 
-def _account(out: Path, summary: Summary, seconds: float) -> list[str]:
+def _said(out: Path, pipe: Survey, truth: Mapping[str, Any], seconds: float) -> list[str]:
     """The end of the demo, for people: what was found, and where it is."""
-    truth: Mapping[str, Any] = summary.truth or {}
+    first, last = pipe.scanned_mm
     lines = [
-        f"wall       {summary.points} points over {summary.scanned_mm['length']:.0f} mm, "
+        f"wall       {pipe.points} points over {last - first:.0f} mm, "
         f"rms {truth['rms_mm']:.3f} mm against the truth, {truth['gross_percent']:.3f} % off by more than 2 mm",
         f"defects    {truth['defects_found']} of {truth['defects_true']} found, {truth['defects_false']} false",
     ]
     lines += [
-        f"           {d.kind:<8} {d.depth_mm:4.1f} mm  at {d.z_mm:5.0f} mm, clock {d.clock}" for d in summary.defects
+        f"           {d.kind:<8} {d.depth_mm:4.1f} mm  at {d.z_mm:5.0f} mm, clock {d.clock}" for d in pipe.defects
     ]
-    names = ("report.html", "summary.json", "cloud.ply", "mesh.ply", "unwrapped.png", "texture.png", "stations.csv")
-    lines += [f"{'results' if i == 0 else '':<10} {out / name}" for i, name in enumerate(names)]
+    lines += [f"{'results' if i == 0 else '':<10} {out / name}" for i, name in enumerate(RESULTS)]
     lines.append(f"recording  {out / 'scan.mcap'}")
     lines.append(f"took       {seconds:.0f} s")
     return lines

@@ -51,5 +51,14 @@ class Flash:
     flags: EdgeFlag
 
 
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that is wrong with a scan's frames: its kind for programs, one line for people, the frames it is in."""
+
+    kind: str
+    text: str
+    frames: tuple[int, ...] = ()
+
+
 class AnnulusError(Exception):
     """Anything a user can mend. The text is one line: what, where, what was expected."""

@@ -46,7 +46,7 @@ def calibrate_colour(
             seen.append(stripes(slits, placed, known))
     found = exposure_findings(exposures)
     if not seen:
-        dark = [finding.text for finding in found if finding.trouble is Trouble.DARK]
+        dark = [finding.text for finding in found if finding.kind is Trouble.DARK]
         raise AnnulusError(f"{scan}: {dark[0] if dark else 'no frame shows the rings of this calibration'}.")
     try:
         profile = learn(seen, camera_gains)

@@ -48,7 +48,7 @@ def calibrate_reference(
     try:
         reference = learn(profiles, known)
     except ValueError as error:
-        dark = [finding.text for finding in found if finding.trouble is Trouble.DARK]
+        dark = [finding.text for finding in found if finding.kind is Trouble.DARK]
         raise AnnulusError(f"{scan}: {dark[0] if dark else error}.") from None
     warnings = [finding.text for finding in found]
     if len(reference.poses) == 1:

@@ -4,6 +4,7 @@ import json
 import math
 import os
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -83,14 +84,19 @@ def reconstruct(
     as_json: Json = False,
 ) -> None:
     """From frames to the pipe wall: cloud, mesh, maps, stations, defects and a report."""
-    from annulus.report.reconstruct import reconstruct as run
+    from annulus.report import Account, prepare_folder, write
+    from annulus.reprocess import Processes, open_job, reprocess
 
+    job = open_job(scan, calibration, colour=colour, reference=reference)
+    prepare_folder(out)
     with progress() as bars:
-        summary = run(
-            scan, calibration, out, colour=colour, reference=reference, vibration=vibration_filter, fps=fps,
-            workers=workers, progress=bars,
-        )  # fmt: skip
-    _print_summary(summary, out, as_json)
+        done = reprocess(job, Processes(workers), bars)
+        survey = done.survey(vibration=vibration_filter, fps=fps, progress=bars)
+    summary = write(survey, Account(str(scan), done.frames, done.drops, done.timing_ms, done.findings), out)
+    if as_json:
+        print(json.dumps(summary))
+    else:
+        _print_summary(summary, out)
 
 
 def _up(mm: float) -> str:
@@ -98,11 +104,7 @@ def _up(mm: float) -> str:
     return f"{max(math.ceil(100 * mm - 1e-9), 1) / 100:.2f}"
 
 
-def _print_summary(summary: Any, out: Path, as_json: bool) -> None:
-    data = json.loads((out / "summary.json").read_text())
-    if as_json:
-        print(json.dumps(data))
-        return
+def _print_summary(data: Mapping[str, Any], out: Path) -> None:
     diameter = data["diameter_mm"]
     counts = ", ".join(f"{n} {label}" for label, n in data["frames"].items())
     print(f"frames     {counts}")

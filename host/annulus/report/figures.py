@@ -12,11 +12,12 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from annulus.numeric.arrays import BoolArray, Image
-from annulus.report.surface import HALF_DEG, half_view
-from annulus.wall.defects import Defect, Detection, Kind, clock_face
+from annulus.numeric.arrays import Image
+from annulus.report.half_view import HALF_DEG, half_view
+from annulus.wall.defects import Defect, Kind, clock_face
 from annulus.wall.grid import Wall
-from annulus.wall.stations import OVALITY_NAME, Stations
+from annulus.wall.stations import OVALITY_NAME
+from annulus.wall.survey import Survey
 
 DPI = 150
 WIDTH_IN = 11.0
@@ -44,32 +45,24 @@ class Pictures:
     scale_mm: float
 
 
-def draw(
-    wall: Wall, dark: BoolArray, findings: Detection, stations: Stations, texture: Image | None, nominal_mm: float
-) -> Pictures:  # fmt: skip
-    """Every picture of one report. texture: (Z, A, 4) uint8 RGBA or None without LED frames; nominal_mm: diameter; dark
-    (Z, A): cells that a step hides."""
-    deviation = wall.deviation_mm()
-    scale = _scale(wall, findings, deviation)
+def draw(survey: Survey) -> Pictures:
+    """Every picture of one report."""
+    deviation = survey.wall.deviation_mm()
+    scale = _scale(survey, deviation)
     filled = np.nan_to_num(deviation, nan=0.0)
     rgb = (DEVIATION(Normalize(-scale, scale)(filled))[..., :3] * 255).astype(np.uint8)
     with mpl.rc_context(STYLE):
         return Pictures(
-            _unwrapped(wall, dark, findings, deviation, scale),
-            _texture(wall, findings, texture),
-            _stations(wall, stations, findings, nominal_mm),
-            _surface(wall, findings, rgb),
-            rgb,
-            scale,
-        )
+            _unwrapped(survey, deviation, scale), _texture(survey), _stations(survey), _surface(survey, rgb), rgb, scale
+        )  # fmt: skip
 
 
-def _scale(wall: Wall, findings: Detection, deviation: NDArray[np.float32]) -> float:
+def _scale(survey: Survey, deviation: NDArray[np.float32]) -> float:
     """Ends of the colour bar, mm: a round number that holds the deepest defect and never shows bare noise as colour."""
-    largest = max((d.depth_mm / (2 if d.kind is Kind.OVALITY else 1) for d in findings.defects), default=0.0)
-    seen = np.abs(deviation[wall.seen])
+    largest = max((d.depth_mm / (2 if d.kind is Kind.OVALITY else 1) for d in survey.defects), default=0.0)
+    seen = np.abs(deviation[survey.wall.seen])
     usual = float(np.percentile(seen, 99)) if len(seen) else 0.0
-    wanted = max(largest, usual, 10 * float(np.median(wall.noise_mm)), 0.5)
+    wanted = max(largest, usual, 10 * survey.noise_mm, 0.5)
     return _round_up(wanted)
 
 
@@ -77,8 +70,7 @@ class _Axis:
     """Distance along the pipe for people: mm on short scans, m on long ones."""
 
     def __init__(self, wall: Wall) -> None:
-        half = wall.z_step_mm / 2
-        first, last = float(wall.z_mm[0]) - half, float(wall.z_mm[-1]) + half
+        first, last = wall.extent[:2]
         self.per_mm, self.unit = (1e-3, "m") if last - first > 3000 else (1.0, "mm")
         self.limits = first * self.per_mm, last * self.per_mm
         self.label = f"distance along the pipe, {self.unit}"
@@ -104,7 +96,8 @@ def _map_figure(wall: Wall, axis: _Axis) -> tuple[Figure, Any]:
     return figure, axes
 
 
-def _unwrapped(wall: Wall, dark: BoolArray, findings: Detection, deviation: NDArray[np.float32], scale: float) -> bytes:
+def _unwrapped(survey: Survey, deviation: NDArray[np.float32], scale: float) -> bytes:
+    wall = survey.wall
     axis = _Axis(wall)
     figure, axes = _map_figure(wall, axis)
     extent = (*axis.limits, 360.0, 0.0)
@@ -113,10 +106,10 @@ def _unwrapped(wall: Wall, dark: BoolArray, findings: Detection, deviation: NDAr
         interpolation="nearest", zorder=2,
     )  # fmt: skip
     axes.imshow(
-        np.ma.masked_equal(dark.T, False), cmap=ListedColormap([HIDDEN]), extent=extent, aspect="auto",
+        np.ma.masked_equal(survey.shadowed.T, False), cmap=ListedColormap([HIDDEN]), extent=extent, aspect="auto",
         interpolation="nearest", zorder=3,
     )  # fmt: skip
-    _outline(axes, wall, findings, axis)
+    _outline(axes, survey, axis)
     bar = figure.colorbar(image, ax=axes, pad=0.015, fraction=0.035, aspect=28)
     bar.set_label("deviation of the radius, mm\n− into the pipe        outwards +")
     axes.set_title(
@@ -127,28 +120,29 @@ def _unwrapped(wall: Wall, dark: BoolArray, findings: Detection, deviation: NDAr
     return _png(figure)
 
 
-def _texture(wall: Wall, findings: Detection, texture: Image | None) -> bytes:
-    axis = _Axis(wall)
-    figure, axes = _map_figure(wall, axis)
-    if texture is None:
+def _texture(survey: Survey) -> bytes:
+    axis = _Axis(survey.wall)
+    figure, axes = _map_figure(survey.wall, axis)
+    if survey.texture is None:
         axes.text(0.5, 0.5, "no usable LED frames in this scan", transform=axes.transAxes, ha="center", fontsize=13)
     else:
         axes.imshow(
-            texture.swapaxes(0, 1), extent=(*axis.limits, 360.0, 0.0), aspect="auto", interpolation="antialiased",
-            zorder=2,
+            survey.texture.swapaxes(0, 1), extent=(*axis.limits, 360.0, 0.0), aspect="auto",
+            interpolation="antialiased", zorder=2,
         )  # fmt: skip
-    _outline(axes, wall, findings, axis)
+    _outline(axes, survey, axis)
     axes.set_title(
         "Wall in LED light, brightness evened out   (hatched grey: not seen)", loc="left", fontsize=11, pad=24
     )
     return _png(figure)
 
 
-def _outline(axes: Any, wall: Wall, findings: Detection, axis: _Axis) -> None:
+def _outline(axes: Any, survey: Survey, axis: _Axis) -> None:
     """Draws around every defect and gives it its number in the table."""
+    wall = survey.wall
     z = wall.z_mm * axis.per_mm
     span = axis.limits[1] - axis.limits[0]
-    for number, defect in enumerate(findings.defects, start=1):
+    for number, defect in enumerate(survey.defects, start=1):
         first, last = (value * axis.per_mm for value in defect.z_range_mm)
         if defect.kind is Kind.OVALITY:
             axes.annotate(
@@ -157,7 +151,7 @@ def _outline(axes: Any, wall: Wall, findings: Detection, axis: _Axis) -> None:
             )  # fmt: skip
             _badge(axes, (first + last) / 2, -6, number)
             continue
-        mask = (findings.label == number).astype(float)
+        mask = (survey.detection.label == number).astype(float)
         mask = ndimage.gaussian_filter(mask, 1.0, mode=("nearest", "wrap"))  # for the eye; the table has the figures
         wide = np.concatenate([mask[:, -1:], mask, mask[:, :1]], axis=1)
         clock = np.concatenate([[-wall.clock_step_deg / 2], wall.clock_deg, [360 + wall.clock_step_deg / 2]])
@@ -177,8 +171,9 @@ def _badge(axes: Any, x: float, y: float, number: int) -> None:
     )  # fmt: skip
 
 
-def _stations(wall: Wall, stations: Stations, findings: Detection, nominal_mm: float) -> bytes:
-    axis = _Axis(wall)
+def _stations(survey: Survey) -> bytes:
+    stations, nominal_mm = survey.stations, survey.nominal_diameter_mm
+    axis = _Axis(survey.wall)
     figure = Figure(figsize=(WIDTH_IN, 5.4), dpi=DPI, layout="constrained")
     top, middle, low = figure.subplots(3, 1, sharex=True, height_ratios=(3, 2, 1))
     z = stations.z_mm * axis.per_mm
@@ -199,7 +194,7 @@ def _stations(wall: Wall, stations: Stations, findings: Detection, nominal_mm: f
     top.ticklabel_format(axis="y", useOffset=False)
     middle.plot(z, stations.ovality_percent, color=FAINT, lw=1.0, label="as measured, defects included")
     middle.plot(z, stations.shape_ovality_percent, color=INK, lw=1.8, label="pipe's shape, defects left out")
-    limit = findings.limits.ovality_percent
+    limit = survey.detection.limits.ovality_percent
     middle.axhline(limit, color=LOSS_RED, lw=0.9, ls=(0, (5, 4)), label=f"listed above {limit:g} %")
     middle.set_ylabel(f"ovality, %\n({OVALITY_NAME})")
     middle.set_ylim(bottom=0)
@@ -211,13 +206,13 @@ def _stations(wall: Wall, stations: Stations, findings: Detection, nominal_mm: f
     for axes in (top, middle, low):
         axes.grid(color=INK, alpha=0.10, lw=0.6)
         axes.spines[["top", "right"]].set_visible(False)
-        for defect in findings.defects:
+        for defect in survey.defects:
             if defect.kind is not Kind.OVALITY:
                 first, last = (value * axis.per_mm for value in defect.z_range_mm)
                 axes.axvspan(first, last, color=LOSS_RED if defect.kind is Kind.LOSS else BUMP_BLUE, alpha=0.08, lw=0)
     near = 0.035 * (axis.limits[1] - axis.limits[0])
     groups: list[tuple[float, list[int]]] = []
-    for number, defect in enumerate(findings.defects, start=1):
+    for number, defect in enumerate(survey.defects, start=1):
         at = defect.z_mm * axis.per_mm
         if groups and at - groups[-1][0] < near:
             groups[-1][1].append(number)
@@ -233,9 +228,10 @@ def _stations(wall: Wall, stations: Stations, findings: Detection, nominal_mm: f
     return _png(figure)
 
 
-def _surface(wall: Wall, findings: Detection, rgb: Image) -> tuple[tuple[str, bytes], ...]:
+def _surface(survey: Survey, rgb: Image) -> tuple[tuple[str, bytes], ...]:
     """Both halves of the pipe; of a long scan the stretch about the deepest local defect."""
-    local = [defect for defect in findings.defects if defect.kind is not Kind.OVALITY]
+    wall = survey.wall
+    local = [defect for defect in survey.defects if defect.kind is not Kind.OVALITY]
     reach = 6.0 * wall.mean_radius_mm
     middle = max(local, key=lambda d: d.depth_mm).z_mm if local else float(wall.z_mm.mean())
     if np.ptp(wall.z_mm) <= 2 * reach:

@@ -1,4 +1,4 @@
-"""The wall as triangles and as a shaded picture."""
+"""Half of the pipe as a shaded picture."""
 
 from dataclasses import dataclass
 
@@ -12,39 +12,6 @@ BACKGROUND = (222, 229, 235)
 EXAGGERATION = 3.0  # of the deviation in the picture; the caption says so
 HALF_DEG = 90.0  # each side of the middle
 VIEW_ROLL_DEG, VIEW_YAW_DEG = -14.0, 27.0  # from where one looks at a half: rolled about the pipe, turned along it
-
-
-def triangulate(wall: Wall) -> tuple[FloatArray, NDArray[np.int32], NDArray[np.int64]]:
-    """Vertices (N, 3) mm of the seen cells, triangles (M, 3), and each vertex's flat index into the grid.
-
-    A face joins cells only where all its corners were seen; around the clock the grid closes. Triangles are wound so
-    that their normals point into the pipe.
-    """
-    seen = wall.seen
-    rows, columns = seen.shape
-    index = np.full((rows, columns), -1, dtype=np.int32)
-    flat = np.flatnonzero(seen)
-    index.flat[flat] = np.arange(len(flat), dtype=np.int32)
-    a, b = index[:-1], np.roll(index, -1, axis=1)[:-1]
-    c, d = index[1:], np.roll(index, -1, axis=1)[1:]
-    whole = (a >= 0) & (b >= 0) & (c >= 0) & (d >= 0)
-    first = (a >= 0) & (b >= 0) & (c >= 0)
-    second = (b >= 0) & (d >= 0) & (c >= 0)
-    third = (a >= 0) & (d >= 0) & (c >= 0) & (b < 0)  # the diagonal the other way when one corner is missing
-    fourth = (a >= 0) & (b >= 0) & (d >= 0) & (c < 0)
-    triangles = np.concatenate(
-        [
-            np.stack([a, c, b], axis=-1)[first | whole],
-            np.stack([b, c, d], axis=-1)[second | whole],
-            np.stack([a, c, d], axis=-1)[third],
-            np.stack([a, d, b], axis=-1)[fourth],
-        ]
-    ).astype(np.int32)  # fmt: skip
-    t = np.radians(wall.clock_deg)
-    radius = wall.radius_mm.astype(np.float64)
-    z = np.broadcast_to(wall.z_mm[:, None], radius.shape)
-    points = np.stack([radius * np.sin(t), -radius * np.cos(t), z], axis=-1).reshape(-1, 3)[flat]
-    return points, triangles, flat
 
 
 @dataclass(frozen=True, slots=True)

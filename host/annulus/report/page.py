@@ -2,21 +2,22 @@
 
 import base64
 import math
+from collections.abc import Mapping
 from importlib import resources
 from typing import Any
 
 import jinja2
 
 from annulus.report.figures import Pictures
-from annulus.report.summary import Summary
-from annulus.report.surface import EXAGGERATION
-from annulus.wall.defects import ALL_ROUND_DEG, Defect, Detection, Kind, clock_face
+from annulus.report.half_view import EXAGGERATION
+from annulus.wall.defects import ALL_ROUND_DEG, Defect, Kind, clock_face
+from annulus.wall.survey import Survey
 
 TEMPLATE = "page.html.j2"
 NAMES = {Kind.LOSS: "Wall loss", Kind.BUMP: "Bump into the pipe", Kind.OVALITY: "Out of round"}
 
 
-def render_page(summary: Summary, findings: Detection, pictures: Pictures) -> str:
+def render_page(survey: Survey, summary: Mapping[str, Any], pictures: Pictures) -> str:
     """The report as one HTML document: no script, no font and no picture from anywhere else."""
     text = resources.files("annulus.report").joinpath(TEMPLATE).read_text(encoding="utf-8")
     environment = jinja2.Environment(
@@ -24,45 +25,43 @@ def render_page(summary: Summary, findings: Detection, pictures: Pictures) -> st
     )
     return environment.from_string(text).render(
         s=summary,
-        findings=findings,
-        rows=[_row(number, defect, summary) for number, defect in enumerate(summary.defects, start=1)],
-        verdict=_verdict(summary),
-        measured=_measured,
+        survey=survey,
+        rows=[_row(number, defect, survey) for number, defect in enumerate(survey.defects, start=1)],
+        verdict=_verdict(survey),
         unwrapped=_inline(pictures.unwrapped),
         texture=_inline(pictures.texture),
         stations=_inline(pictures.stations),
         surface=[(caption, _inline(data)) for caption, data in pictures.surface],
         exaggeration=EXAGGERATION,
-        length=_length(summary.scanned_mm["length"]),
-        distance_from=f"{summary.scanned_mm['from'] / 1000:.3f}",
-        distance_to=f"{summary.scanned_mm['to'] / 1000:.3f}",
+        length=_length(summary["scanned_mm"]["length"]),
+        distance_from=f"{summary['scanned_mm']['from'] / 1000:.3f}",
+        distance_to=f"{summary['scanned_mm']['to'] / 1000:.3f}",
     )
 
 
-def _verdict(summary: Summary) -> str:
-    if not summary.defects:
+def _verdict(survey: Survey) -> str:
+    worst = survey.worst
+    if worst is None:
         return "No defect above the listing limits on the wall that was seen."
     counts = [
-        (sum(d.kind is kind for d in summary.defects), one, many)
+        (sum(d.kind is kind for d in survey.defects), one, many)
         for kind, one, many in (
             (Kind.LOSS, "wall loss", "wall losses"), (Kind.BUMP, "bump", "bumps"),
             (Kind.OVALITY, "out-of-round stretch", "out-of-round stretches"),
         )
     ]  # fmt: skip
     words = ", ".join(f"{n} {one if n == 1 else many}" for n, one, many in counts if n)
-    local = [d for d in summary.defects if d.kind is not Kind.OVALITY]
-    if not local:
+    if worst.kind is Kind.OVALITY:
         return f"{words}."
-    worst = max(local, key=lambda d: d.depth_mm)
     return (
         f"{words}. Deepest: {NAMES[worst.kind].lower()} of {_measured(worst.depth_mm, worst.depth_k2_mm)} (k=2) "
         f"at {worst.z_mm / 1000:.3f} m, clock {worst.clock}."
     )
 
 
-def _row(number: int, defect: Defect, summary: Summary) -> dict[str, Any]:
+def _row(number: int, defect: Defect, survey: Survey) -> dict[str, Any]:
     first, last = defect.z_range_mm
-    mean = summary.diameter_mm["mean"] or summary.diameter_mm["nominal"] or 1.0
+    mean = survey.nominal_diameter_mm if math.isnan(survey.diameter_mean_mm) else survey.diameter_mean_mm
     begin, end = defect.clock_range
     if defect.kind is Kind.OVALITY:
         remark = f"long axis {defect.clock} to {clock_face(defect.clock_deg + 180)}"
@@ -90,9 +89,9 @@ def _row(number: int, defect: Defect, summary: Summary) -> dict[str, Any]:
     }
 
 
-def _measured(mm: float, k2_mm: float | None) -> str:
+def _measured(mm: float, k2_mm: float) -> str:
     """A length with its expanded uncertainty; the value alone where nobody knows how far it may be off."""
-    if k2_mm is None or not math.isfinite(k2_mm):
+    if not math.isfinite(k2_mm):
         return f"{mm:.2f} mm"
     return f"{mm:.2f} ± {max(math.ceil(100 * k2_mm - 1e-9), 1) / 100:.2f} mm"  # rounded up, never 0.00
 

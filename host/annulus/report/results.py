@@ -6,66 +6,31 @@ import math
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus.geometry.calibration import Calibration
 from annulus.report import figures
+from annulus.report.account import Account
 from annulus.report.page import render_page
 from annulus.report.ply import write_ply
-from annulus.report.summary import Summary, summarize
-from annulus.report.surface import triangulate
-from annulus.rings.diagnosis import Finding
+from annulus.report.summary import summarize
 from annulus.vocabulary import AnnulusError
-from annulus.wall.consistency import without_inconsistent
-from annulus.wall.defects import Defect, find_defects
-from annulus.wall.grid import Wall, build_wall
-from annulus.wall.profile import Profile
-from annulus.wall.registration import register
-from annulus.wall.shadow import shadowed
-from annulus.wall.stations import Stations, measure_stations
-from annulus.wall.texture import LedFrame, paint
-from annulus.wall.vibration import without_vibration
-
-__all__ = ["LedFrame", "Summary", "prepare_folder", "write_results"]
-
-Truth = Mapping[str, Any] | Callable[[Sequence[Profile], Sequence[Defect]], Mapping[str, Any]]
+from annulus.wall.stations import Stations
+from annulus.wall.survey import Survey
 
 CLOUD_NOTE = "annulus point cloud, pipe frame, mm: x right, y down, z along the pipe; sigma = of the radius, k = 1"
 FILES = ("cloud.ply", "mesh.ply", "unwrapped.png", "texture.png", "stations.csv", "report.html", "summary.json")
 
 
-def write_results(
-    out: Path,
-    calibration: Calibration,
-    profiles: Sequence[Profile],
-    led_frames: Iterable[LedFrame],
-    *,
-    frames: Mapping[str, int],
-    drops: Mapping[str, int],
-    timing_ms: Mapping[str, float],
-    source: str,
-    truth: Truth | None = None,
-    findings: Sequence[Finding] = (),
-    vibration: bool = False,
-    fps: float | None = None,
-) -> Summary:
-    """Build the wall from the profiles and write every result file of ARCHITECTURE §7 into `out`.
-
-    Parameters
-    ----------
-    profiles : of the projector frames, any order. led_frames : read once, one at a time.
-    frames : how many by label. drops : everything that was lost, by kind. source : what was scanned, for people.
-    truth : scores on the twin, or who gives them for the points and defects found; passed through, never looked at.
-    findings : what is wrong with the frames, for people. vibration : take out what shakes periodically; fps names it.
+def write(survey: Survey, account: Account, out: Path) -> dict[str, Any]:
+    """Write every result file of a survey into the folder `out`. Returns what summary.json says.
 
     Raises
     ------
-    AnnulusError when nothing was measured or `out` cannot be written.
+    AnnulusError when `out` cannot be written.
 
     Notes
     -----
@@ -74,48 +39,18 @@ def write_results(
     """
     started = time.perf_counter()
     prepare_folder(out)
-    profiles = without_inconsistent(register(profiles))
-    shaken = None
-    if vibration:
-        profiles, shaken = without_vibration(profiles, fps)
-    narrowest, widest = calibration.rings[0].half_angle, calibration.rings[-1].half_angle
-    wall = build_wall(profiles, rise=math.tan(widest))
-    places = find_defects(wall, shadow_ratio=1.0 / math.tan(narrowest), least_shadow_ratio=1.0 / math.tan(widest))
-    scores = truth(profiles, places.defects) if callable(truth) else truth
-    stations = measure_stations(wall)
-    dark = shadowed(wall.radius_mm.astype(np.float64), wall.z_step_mm, math.tan(narrowest))
-    texture = paint(wall, calibration, profiles, led_frames)
-    if texture is not None:
-        texture[dark] = 0  # the radius there is not known, so neither is what was seen of it
-    timing = {**timing_ms, "results_wall": (time.perf_counter() - started) * 1e3}
     try:
         staging = Path(tempfile.mkdtemp(prefix=".annulus-", dir=out))
         try:
-            points = _write_cloud(staging / "cloud.ply", profiles)
-            pictures = figures.draw(wall, dark, places, stations, texture, 2 * calibration.pipe_radius_mm)
-            _write_mesh(staging / "mesh.ply", wall, texture, pictures.deviation_rgb)
+            _write_cloud(staging / "cloud.ply", survey)
+            pictures = figures.draw(survey)
+            _write_mesh(staging / "mesh.ply", survey, pictures.deviation_rgb)
             (staging / "unwrapped.png").write_bytes(pictures.unwrapped)
             (staging / "texture.png").write_bytes(pictures.texture)
-            _write_stations(staging / "stations.csv", stations)
-            timing["results_total"] = (time.perf_counter() - started) * 1e3
-            summary = summarize(
-                wall,
-                dark,
-                places,
-                stations,
-                2 * calibration.pipe_radius_mm,
-                profiles,
-                points,
-                frames,
-                drops,
-                timing,
-                source,
-                scores,
-                tuple(findings),
-                shaken,
-            )
-            (staging / "report.html").write_text(render_page(summary, places, pictures), encoding="utf-8")
-            text = json.dumps(summary.to_dict(), indent=1, ensure_ascii=False, allow_nan=False)
+            _write_stations(staging / "stations.csv", survey.stations)
+            summary = summarize(survey, account, 1e3 * (time.perf_counter() - started))
+            (staging / "report.html").write_text(render_page(survey, summary, pictures), encoding="utf-8")
+            text = json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False)
             (staging / "summary.json").write_text(text + "\n", encoding="utf-8")
             (out / "summary.json").unlink(missing_ok=True)
             for name in FILES:
@@ -141,17 +76,16 @@ def prepare_folder(out: Path) -> None:
         ) from None
 
 
-def _write_cloud(path: Path, profiles: Sequence[Profile]) -> int:
-    total = sum(len(profile.points_mm) for profile in profiles)
+def _write_cloud(path: Path, survey: Survey) -> None:
     records = np.empty(
-        total,
+        survey.points,
         dtype=[
             ("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1"), ("radius", "<f4"),
             ("frame", "<i4"), ("ring", "u1"), ("sigma", "<f4"),
         ],
     )  # fmt: skip
     at = 0
-    for profile in sorted(profiles, key=lambda one: one.frame):
+    for profile in sorted(survey.profiles, key=lambda one: one.frame):
         part = records[at : at + len(profile.points_mm)]
         for axis, name in enumerate("xyz"):
             part[name] = profile.points_mm[:, axis]
@@ -161,27 +95,26 @@ def _write_cloud(path: Path, profiles: Sequence[Profile]) -> int:
         part["sigma"], part["frame"], part["ring"] = profile.sigma_mm, profile.frame, profile.ring
         at += len(part)
     write_ply(path, records, note=CLOUD_NOTE)
-    return total
 
 
-def _write_mesh(path: Path, wall: Wall, texture: NDArray[np.uint8] | None, fallback: NDArray[np.uint8]) -> None:
-    points, triangles, flat = triangulate(wall)
+def _write_mesh(path: Path, survey: Survey, fallback: NDArray[np.uint8]) -> None:
+    mesh, texture = survey.mesh(), survey.texture
     colour = fallback
     if texture is not None:
         colour = np.where(texture[..., 3:] > 0, texture[..., :3], fallback)
     records = np.empty(
-        len(points),
+        len(mesh.points_mm),
         dtype=[
             ("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1"),
             ("quality", "<f4"),
         ],
     )  # fmt: skip
     for axis, name in enumerate("xyz"):
-        records[name] = points[:, axis]
+        records[name] = mesh.points_mm[:, axis]
     for channel, name in enumerate(("red", "green", "blue")):
-        records[name] = colour.reshape(-1, 3)[flat, channel]
-    records["quality"] = wall.deviation_mm().reshape(-1)[flat]
-    write_ply(path, records, triangles, note="annulus wall, pipe frame, mm; quality = deviation of the radius, mm")
+        records[name] = colour.reshape(-1, 3)[mesh.cell, channel]
+    records["quality"] = survey.wall.deviation_mm().reshape(-1)[mesh.cell]
+    write_ply(path, records, mesh.triangles, note="annulus wall, pipe frame, mm; quality = deviation of the radius, mm")
 
 
 def _write_stations(path: Path, stations: Stations) -> None:

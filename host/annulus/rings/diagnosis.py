@@ -17,6 +17,7 @@ from annulus.rings.colour import ColourProfile, differs, stripes
 from annulus.rings.order import Placed
 from annulus.rings.reconstructor import Reconstructor
 from annulus.rings.slits import Slits
+from annulus.vocabulary import Finding
 
 # Those of `Exposure` and RADIUS_OFF are tested from both sides (test_limits, test_diagnosis), SUSPECT and FLIP_BETTER
 # by test_diagnosis; CLEAR and CHANNEL_LEAST are a choice: unguarded within a factor of two.
@@ -48,15 +49,6 @@ class Trouble(StrEnum):
     COLOURS = "colours"
     PAINT = "paint"
     REFERENCE = "reference"
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """One thing that is wrong: its kind for programs, one line for people, and the frames it was seen in."""
-
-    trouble: Trouble
-    text: str
-    frames: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

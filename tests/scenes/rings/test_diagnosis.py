@@ -21,7 +21,7 @@ def frame():
 def troubles(cal, image, colour=None):
     found = examine(Reconstructor(cal), [(7, np.ascontiguousarray(image))], colour)
     assert all("\n" not in finding.text and finding.frames == (7,) for finding in found)
-    return {finding.trouble: finding.text for finding in found}
+    return {finding.kind: finding.text for finding in found}
 
 
 def test_a_good_frame_has_no_trouble(frame):

@@ -2,10 +2,11 @@
 
 import math
 
-from annulus.daemon.reconstructing import Reconstructing, warmup_frame
+from annulus.daemon.reconstructing import Reconstructing
 from annulus.geometry.calibration import Calibration
 from annulus.geometry.camera import Camera
 from annulus.geometry.cone import Cone
+from annulus.reprocess.warmup import warmup_frame
 from annulus.stream.frames import FrameHeader
 from annulus.vocabulary import Label
 from annulus.wall.profile import Profile

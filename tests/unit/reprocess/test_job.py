@@ -1,3 +1,5 @@
+"""Promises of the engine on input that is wrong: one clear line, whatever the executor."""
+
 from pathlib import Path
 
 import cv2
@@ -5,9 +7,9 @@ import numpy as np
 import pytest
 from synthetic_pipe import CALIBRATION
 
+from annulus.cli import main
 from annulus.record.calibration_file import save_calibration
-from annulus.report import reconstruct as module
-from annulus.report.reconstruct import reconstruct
+from annulus.reprocess import Processes, Reprocessed, in_process, open_job, reprocess
 from annulus.vocabulary import AnnulusError
 
 FRAMES = 20
@@ -28,9 +30,13 @@ def scan(tmp_path: Path) -> Path:
     return folder
 
 
-def said(scan: Path, calibration: Path | None = None, out: Path | None = None, workers: int = 1) -> str:
+def run(scan: Path, calibration: Path | None = None, executor=in_process) -> Reprocessed:
+    return reprocess(open_job(scan, calibration or scan.parent / "calibration.json"), executor)
+
+
+def said(scan: Path, calibration: Path | None = None, executor=in_process) -> str:
     with pytest.raises(AnnulusError) as error:
-        reconstruct(scan, calibration or scan.parent / "calibration.json", out or scan.parent / "out", workers=workers)
+        run(scan, calibration, executor)
     text = str(error.value)
     assert "\n" not in text
     return text
@@ -55,19 +61,27 @@ def test_a_frame_of_another_size_anywhere_is_named(scan: Path) -> None:
 def test_a_truncated_frame_is_named_even_from_a_worker_process(scan: Path) -> None:
     data = (scan / "17.jpg").read_bytes()
     (scan / "17.jpg").write_bytes(data[: len(data) // 2])
-    text = said(scan, workers=2)
+    text = said(scan, executor=Processes(2))
     assert "17.jpg" in text and "truncated" in text
 
 
-def test_nothing_is_computed_when_the_output_is_a_file(scan: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "_profiles", lambda *_: pytest.fail("worked before looking at the output path"))
-    (scan.parent / "out").write_text("mine")
-    assert "is a file" in said(scan)
-
-
 def test_a_folder_without_calibration_asks_for_one(scan: Path) -> None:
-    with pytest.raises(AnnulusError, match="--calibration"):
-        reconstruct(scan, None, scan.parent / "out")
+    with pytest.raises(AnnulusError, match="carries no calibration"):
+        open_job(scan)
+
+
+def test_nothing_is_computed_when_the_output_is_a_file(
+    scan: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, calibration = scan.parent / "out", scan.parent / "calibration.json"
+    out.write_text("mine")
+    monkeypatch.setattr("annulus.reprocess.reprocess", lambda *_: pytest.fail("worked before looking at the output"))
+    monkeypatch.setattr(
+        "sys.argv", ["annulus", "reconstruct", str(scan), "--calibration", str(calibration), "-o", str(out)]
+    )
+    with pytest.raises(SystemExit):
+        main()
+    assert "is a file" in capsys.readouterr().err and out.read_text() == "mine"
 
 
 def test_a_missing_calibration_is_named(scan: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 from annulus.geometry.pose import Pose
 from annulus.record.recording import to_bgr
 from annulus.record.scan import open_scan
-from annulus.report.reconstruct import roll_filled
+from annulus.reprocess.job import roll_filled
 from annulus.rings.reconstructor import Reconstructor
 from annulus.twin.render import Renderer
 from annulus.twin.score import score_cloud

@@ -12,7 +12,8 @@ from table import PICTURES, SCENES, Row
 
 from annulus.calibrate.pipe import calibrate_pipe, save_pipe
 from annulus.calibrate.pipe_picture import draw_pipe
-from annulus.report.reconstruct import reconstruct
+from annulus.report import Account, write
+from annulus.reprocess import open_job, reprocess
 
 RADIUS_MM = 76.2
 
@@ -34,7 +35,8 @@ def rows() -> list[Row]:
         file, out = Path(folder) / "calibration.json", Path(folder) / "out"
         save_pipe(result, file)
         began = time.monotonic()
-        reconstruct(SCENES / "pipe-a", file, out, workers=1)
+        done = reprocess(open_job(SCENES / "pipe-a", file))
+        write(done.survey(), Account("pipe-a", done.frames, done.drops, done.timing_ms), out)
         print(f"   pipe-a in {time.monotonic() - began:.0f} s", flush=True)
         told = subprocess.run(
             [sys.executable, SCENES / "score.py", out / "cloud.ply", SCENES / "pipe-a" / "truth.json", "--json"],

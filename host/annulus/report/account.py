@@ -1,0 +1,24 @@
+"""What a reader is told of a scan besides the wall."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from annulus.vocabulary import Finding
+
+
+@dataclass(frozen=True, slots=True)
+class Account:
+    """Where a scan came from, what was counted, what was lost and what is wrong with it.
+
+    source : what was scanned, for people. frames : how many by label. drops : everything that was lost, by kind.
+    timing_ms : by step. findings : what is wrong with the frames, for people. truth : scores on the twin; passed
+    through, never looked at.
+    """
+
+    source: str
+    frames: Mapping[str, int]
+    drops: Mapping[str, int]
+    timing_ms: Mapping[str, float]
+    findings: tuple[Finding, ...] = ()
+    truth: Mapping[str, Any] | None = None

@@ -1,0 +1,126 @@
+"""From a job to its profiles, what is wrong with its frames, and what a survey says of them."""
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from annulus.reprocess.executors import Executor, in_process
+from annulus.reprocess.job import Job, Measured, open_job
+from annulus.reprocess.method import examined
+from annulus.rings.diagnosis import exposure_findings, reference_findings
+from annulus.vocabulary import AnnulusError, Finding, Label
+from annulus.wall import survey
+from annulus.wall.profile import Profile
+from annulus.wall.survey import Survey
+from annulus.wall.texture import LedFrame
+
+Progress = Callable[[str, int, int], None]  # stage, done, total
+
+LOOKED_AT = 4  # frames examined for what may be wrong with all of them
+CHUNK = 8  # consecutive frames one worker does in a row, each seeded by the one before; fixed, so that results
+# do not depend on the number of workers
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reprocessed:
+    """A scan's profiles in the order of its frames, and their account.
+
+    job : as it was done, a colour profile that is not this pipe's left out. findings : what is wrong with the frames.
+    frames : how many by label. drops : what was lost, by kind. timing_ms : medians over the frames, by stage.
+    """
+
+    job: Job
+    profiles: tuple[Profile, ...]
+    findings: tuple[Finding, ...]
+    frames: Mapping[str, int]
+    drops: Mapping[str, int]
+    timing_ms: Mapping[str, float]
+
+    def survey(self, *, vibration: bool = False, fps: float | None = None, progress: Progress | None = None) -> Survey:
+        """What the profiles and LED frames say of the pipe; see `wall.survey`."""
+        leds = led_frames(self.job, progress)
+        return survey(self.profiles, self.job.calibration, leds, vibration=vibration, fps=fps)
+
+
+def survey_of(scan: str | Path, calibration: str | Path | None = None) -> Survey:
+    """The survey of a scan folder or a recording; the calibration in a recording is used where no file is given.
+
+    Raises AnnulusError, one line, for any input that is missing, damaged or does not belong together.
+    """
+    return reprocess(open_job(Path(scan), None if calibration is None else Path(calibration))).survey()
+
+
+def reprocess(job: Job, executor: Executor = in_process, progress: Progress | None = None) -> Reprocessed:
+    """Profiles of all projector frames.
+
+    progress : called with (stage, done, total). Raises AnnulusError, one line, where nothing can be measured.
+    """
+    started = time.perf_counter()
+    which = job.which(Label.PROJECTOR)
+    path = job.scan.path
+    if not which:
+        raise AnnulusError(
+            f"{path}: none of its {len(job.scan.frames)} frames is labelled projector, nothing to measure."
+        )
+    job.read(which[0])  # the usual mistakes, before anything is compiled
+    spread = sorted({which[k * (len(which) - 1) // (LOOKED_AT - 1)] for k in range(LOOKED_AT)})
+    colour, decided = examined(job.calibration, job.colour, [(job.scan.frames[i].index, job.read(i)) for i in spread])
+    job = replace(job, colour=colour)
+    measured = measure(job, which, executor, progress)
+    profiles = tuple(profile for profile, _ in measured)
+    findings = [*exposure_findings([(profile.frame, exposure) for profile, exposure in measured]), *decided]
+    if findings and all(profile.pose is None for profile in profiles):
+        raise AnnulusError(f"{path}: {findings[0].text}.")
+    if job.reference is not None:
+        poses = [profile.pose for profile in profiles if profile.pose is not None]
+        findings += reference_findings(job.reference, poses)
+    counted = Counter(frame.label for frame in job.scan.frames)
+    drops = {
+        "frames_unknown": counted[Label.UNKNOWN],
+        "profiles_without_pose": sum(profile.pose is None for profile in profiles),
+    }
+    if job.scan.recording is not None:
+        drops["recording_torn"] = int(job.scan.recording.torn)
+    timing = {**stage_medians(profiles), "scan_to_profiles": (time.perf_counter() - started) * 1e3}
+    frames = {label.value: counted[label] for label in Label}
+    return Reprocessed(job, profiles, tuple(findings), frames, drops, timing)
+
+
+def measure(
+    job: Job, which: Sequence[int], executor: Executor = in_process, progress: Progress | None = None
+) -> list[Measured]:
+    """Profile and light of some of the scan's frames (numbers into `scan.frames`), in the order asked for."""
+    chunks = [which[start : start + CHUNK] for start in range(0, len(which), CHUNK)]
+    report = progress or (lambda stage, done, total: None)
+    report("frames", 0, len(which))
+    done: dict[int, list[Measured]] = {}
+    for number, measured in executor(job, chunks):
+        done[number] = measured
+        report("frames", sum(map(len, done.values())), len(which))
+    return [one for number in sorted(done) for one in done[number]]
+
+
+def led_frames(job: Job, progress: Progress | None = None) -> Iterator[LedFrame]:
+    """The scan's LED frames, read one at a time."""
+    which = job.which(Label.LED)
+    for done, i in enumerate(which):
+        frame = job.scan.frames[i]
+        yield LedFrame(frame.index, frame.z_mm, job.read(i))
+        if progress is not None:
+            progress("texture", done + 1, len(which))
+
+
+def stage_medians(profiles: Sequence[Profile]) -> dict[str, float]:
+    """Median ms of every stage over the frames, and `total`: of their sum."""
+    stages = {name: None for profile in profiles for name in profile.timing_ms}
+    out = {
+        name: float(np.median([p.timing_ms[name] for p in profiles if name in p.timing_ms])) for name in stages
+    }  # fmt: skip
+    if "total" not in out:
+        sums = [sum(p.timing_ms.values()) for p in profiles if p.timing_ms]
+        out["total"] = float(np.median(sums)) if sums else 0.0
+    return out

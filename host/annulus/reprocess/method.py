@@ -1,0 +1,66 @@
+"""Which method a head's frames need, and the one function from a frame to its profile."""
+
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from annulus.geometry.calibration import Calibration
+from annulus.geometry.pose import Pose
+from annulus.numeric.arrays import Image
+from annulus.record.scan import ScanFrame
+from annulus.reprocess.warmup import warmup_frame
+from annulus.rings.colour import ColourProfile
+from annulus.rings.diagnosis import Trouble, examine
+from annulus.rings.reconstructor import Reconstructor
+from annulus.vocabulary import Finding, Label
+from annulus.wall.profile import Profile
+
+
+class Frame(Protocol):
+    """What a method must know of a frame besides its image; a live frame's header says it as a scan's table does."""
+
+    @property
+    def index(self) -> int: ...
+    @property
+    def z_mm(self) -> float | None: ...
+    @property
+    def roll_deg(self) -> float | None: ...
+
+
+# (frame, image (H, W, 3) uint8 BGR, pose of a frame nearby or None) -> profile. Raises AnnulusError for an image of
+# another size than the calibration's camera, ValueError for a frame whose place along the pipe is not known.
+Method = Callable[[Frame, Image, Pose | None], Profile]
+
+
+def method_for(calibration: Calibration, colour: ColourProfile | None = None) -> Method:
+    """The method of a head, ready for its frames; holds all that the calibration fixes, so make it once.
+
+    The only place that chooses: a head with other light gets its line here.
+    """
+    return _slits(calibration, colour)
+
+
+def _slits(calibration: Calibration, colour: ColourProfile | None) -> Method:
+    reconstructor = Reconstructor(calibration, colour=colour)
+
+    def profile(frame: Frame, image: Image, seed: Pose | None) -> Profile:
+        if frame.z_mm is None:
+            raise ValueError("no place along the pipe is known for this frame")
+        # to numba a read-only array is another type: everything would compile again
+        writeable = image if image.flags.writeable else image.copy()
+        return reconstructor.profile(writeable, frame=frame.index, z_mm=frame.z_mm, seed=seed, roll_deg=frame.roll_deg)
+
+    return profile
+
+
+def examined(
+    calibration: Calibration, colour: ColourProfile | None, some: Sequence[tuple[int, Image]]
+) -> tuple[ColourProfile | None, tuple[Finding, ...]]:
+    """What (frame, image) of a few frames spread over a scan decide for all of them: the colour profile to use, None
+    where the one given is not this pipe's, and what is wrong with every frame."""
+    findings = examine(Reconstructor(calibration, colour=colour), some, colour)
+    return None if any(finding.kind == Trouble.PAINT for finding in findings) else colour, findings
+
+
+def warm_up(method: Method, calibration: Calibration) -> Profile:
+    """Take a drawn frame through the whole method, so that no real one has to wait for compilers."""
+    return method(ScanFrame(0, Label.PROJECTOR, 0.0, "warm-up frame"), warmup_frame(calibration), None)
