@@ -70,7 +70,7 @@ def open_job(
     calibration : a recording's own is used when None. colour, reference : files of `annulus calibrate colour` and
     `reference`. Raises AnnulusError, one line, for what is missing, damaged or does not belong together.
     """
-    opened = roll_filled(open_scan(scan))
+    opened = roll_filled(open_scan(scan).only())  # no method joins views yet
     known = load_calibration(calibration) if calibration is not None else opened.calibration
     if known is None:
         raise AnnulusError(f"{scan}: carries no calibration. Give the calibration file of its head.")

@@ -11,7 +11,7 @@ from annulus.reprocess.warmup import warmup_frame
 from annulus.rings.colour import ColourProfile
 from annulus.rings.diagnosis import Trouble, examine
 from annulus.rings.reconstructor import Reconstructor
-from annulus.vocabulary import Finding, Label
+from annulus.vocabulary import AnnulusError, Finding, Label
 from annulus.wall.profile import Profile
 
 
@@ -34,9 +34,12 @@ Method = Callable[[Frame, Image, Pose | None], Profile]
 def method_for(calibration: Calibration, colour: ColourProfile | None = None) -> Method:
     """The method of a head, ready for its frames; holds all that the calibration fixes, so make it once.
 
-    The only place that chooses: a head with other light gets its line here.
+    Raises AnnulusError for a head that no method here knows. The only place that chooses: the next kind is a line here.
     """
-    return _slits(calibration, colour)
+    match calibration.kind:
+        case "slits":
+            return _slits(calibration.only(), colour)
+    raise AnnulusError(f"calibration: the head projects {calibration.kind}, for which there is no method yet")
 
 
 def _slits(calibration: Calibration, colour: ColourProfile | None) -> Method:
@@ -57,7 +60,7 @@ def examined(
 ) -> tuple[ColourProfile | None, tuple[Finding, ...]]:
     """What (frame, image) of a few frames spread over a scan decide for all of them: the colour profile to use, None
     where the one given is not this pipe's, and what is wrong with every frame."""
-    findings = examine(Reconstructor(calibration, colour=colour), some, colour)
+    findings = examine(Reconstructor(calibration.only(), colour=colour), some, colour)
     return None if any(finding.kind == Trouble.PAINT for finding in findings) else colour, findings
 
 

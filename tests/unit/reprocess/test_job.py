@@ -1,5 +1,6 @@
 """Promises of the engine on input that is wrong: one clear line, whatever the executor."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -9,7 +10,7 @@ from synthetic_pipe import CALIBRATION
 
 from annulus.cli import main
 from annulus.record.calibration_file import save_calibration
-from annulus.reprocess import Processes, Reprocessed, in_process, open_job, reprocess
+from annulus.reprocess import Processes, Reprocessed, in_process, method_for, open_job, reprocess
 from annulus.vocabulary import AnnulusError
 
 FRAMES = 20
@@ -92,3 +93,9 @@ def test_a_scan_without_projector_frames_is_one_clear_line(scan: Path) -> None:
     table = scan / "frames.csv"
     table.write_text(table.read_text().replace("projector", "unknown"))
     assert "none of its 20 frames is labelled projector" in said(scan)
+
+
+@pytest.mark.parametrize("kind", ["lines", "fringe"])
+def test_a_head_that_no_method_knows_is_one_clear_line(kind: str) -> None:
+    with pytest.raises(AnnulusError, match=f"the head projects {kind}"):
+        method_for(replace(CALIBRATION, pattern={"kind": kind}))
