@@ -12,12 +12,13 @@ import numpy as np
 from annulus.numeric.jit import jit
 from annulus.wall.profile import Profile
 
+# Guarded by test_consistency.py; what they cost a scan shows in the benchmark topics uncertainty and diameter.
 COLUMNS = 180  # cells round the pipe; a point is judged by its own cell and the eight around it
-CELL_OF_RADIUS = 0.026  # a cell's length along the pipe, 2 mm in a 6-inch pipe
-ROWS_MAX = 40_000  # bounds memory on very long scans
-AGREE_OF_RADIUS = 0.01  # two points this near in radius see the same wall ..
-AGREE_LEAST = 0.1  # .. and where fewer than this part of the others do, though ..
-OTHERS_NEEDED = 6  # .. there are so many, the point is contradicted: a step's edge has both sides among its neighbours
+CELL_OF_RADIUS = 0.026  # of the radius: a cell's length along the pipe, 2 mm in a 6-inch pipe
+ROWS_MAX = 40_000  # cells along the pipe; bounds memory on very long scans
+AGREE_OF_RADIUS = 0.01  # of the radius: two points this near in radius see the same wall ..
+AGREE_LEAST = 0.1  # .. and where fewer than this part of the other frames' points do, though ..
+OTHERS_NEEDED = 6  # .. there are so many, the point is contradicted: a step's edge has both sides about it
 
 
 def without_inconsistent(profiles: Sequence[Profile]) -> tuple[Profile, ...]:

@@ -25,10 +25,11 @@ from annulus.wall.stations import shape_ovality
 
 __all__ = ["Defect", "Detection", "Kind", "Limits", "clock_face", "find_defects"]
 
+# Guarded by test_grid.py.
 ALL_ROUND_DEG = 345.0  # an arc longer than this goes all round
-UNSURE = 0.6  # of a depth: a place whose k = 2 uncertainty is larger is not known to be a defect
-DEEP = 0.8  # of its depth: the cells of a place that show how deep it is
-WIDE_ENOUGH = 0.15  # of its widest row: a row of a place that counts for its length
+UNSURE = 0.6  # part of a depth: a place whose k = 2 uncertainty is larger is not known to be a defect
+DEEP = 0.8  # part of its depth: the cells of a place that show how deep it is
+WIDE_ENOUGH = 0.15  # part of its widest row: a row of a place that counts for its length
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,20 +17,19 @@ from annulus.vocabulary import AnnulusError
 from annulus.wall.profile import Profile
 from annulus.wall.shadow import STEP_MM, between_levels
 
-ANGLE_STEP_DEG = 1.0
-Z_STEPS_MM = (0.5, 1.0, 2.0, 2.5, 5.0, 10.0, 20.0, 50.0)
-POINTS_A_CELL = 1.5  # wanted on average: fewer leave holes by chance, more waste resolution
-ROWS_MAX = 40_000  # bounds memory on very long scans: 40 000 x 360 cells
-BRIDGE_OF_RADIUS = 0.08  # longest sampling gap interpolated over, as a part of the radius (6 mm in a 6-inch pipe)
-STATION_SEEN = 0.5  # the scan starts and ends where half of the circle was seen: tilted rings leave ragged ends
+# Guarded by test_grid.py; the benchmark topics diameter, artefacts and mirror measure whole walls.
+ANGLE_STEP_DEG = 1.0  # a column
+Z_STEPS_MM = (0.5, 1.0, 2.0, 2.5, 5.0, 10.0, 20.0, 50.0)  # what a row may be, the first that is dense enough
+POINTS_A_CELL = 1.5  # points wanted on average: fewer leave holes by chance, more waste resolution
+ROWS_MAX = 40_000  # rows; bounds memory on very long scans: 40 000 x 360 cells
+BRIDGE_OF_RADIUS = 0.08  # of the radius: longest sampling gap interpolated over (6 mm in a 6-inch pipe)
+STATION_SEEN = 0.5  # part of the circle seen where the scan starts and ends: tilted rings leave ragged ends
 BRIDGE_STEP_MM = 0.75  # a greater step in radius across a gap is an edge, not a sampling gap
-NOISE_FLOOR_MM = 0.02  # no instrument of this kind is better
+NOISE_FLOOR_MM = 0.02  # standard deviation of a cell; no instrument of this kind is better
 NOISE_LAG = 8  # columns; noise is alike over a few degrees, for lines are averaged with their neighbours
-OBSERVATION_SMOOTHED = (
-    0.7  # of a ring's noise is left by smoothing over three degrees: neighbour lines share most of theirs
-)
+OBSERVATION_SMOOTHED = 0.7  # part of a ring's noise that smoothing over three degrees leaves: neighbours share theirs
 USUAL_MM = 0.2  # from the usual shape: this near is the usual shape
-SHAPE_SPACING_MM = 5.0
+SHAPE_SPACING_MM = 5.0  # between two fits of the pipe's shape along it
 SHAPE_WINDOW_MM = 10.0  # each side: what one fit of the pipe's shape looks at
 
 

@@ -17,11 +17,12 @@ from annulus.wall.grid import Wall, smooth
 
 LabelArray = NDArray[np.int32]
 CORNERS = np.ones((3, 3), dtype=bool)
-BAND_OVERLAP, BAND_SOUND = 0.6, 0.35  # what makes two places one band: common stations, least sound wall between
+# These and the limits below are guarded by test_grid.py: known defects are found and measured, sound pipes have none.
+BAND_OVERLAP, BAND_SOUND = 0.6, 0.35  # parts: what makes two places one band: common stations, least sound wall between
 BAND_EDGES, BAND_ASPECT = 3.5, 4.0  # and what a band is: so many edge blurs long at most, so many times as wide
 RIPPLE_EDGES = 1.5  # how far from a step, and how long, its swing to the other side may be, in edge blurs
-OBSERVATION_POINTS = 3  # of one ring in one frame on a place, for it to be an observation of it
-LEVELS = 24  # how finely the surface is sliced when asked whether a place is one defect or several
+OBSERVATION_POINTS = 3  # points of one ring in one frame on a place, for it to be an observation of it
+LEVELS = 24  # slices: how finely the surface is sliced when asked whether a place is one defect or several
 
 
 class Kind(StrEnum):
@@ -32,7 +33,8 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """From when on a departure is a defect. Lengths as parts of the mean radius, so that they fit any pipe."""
+    """From when on a departure is a defect. `.._of_radius` are parts of the mean radius, so that they fit any pipe;
+    `.._noise` are standard deviations of a cell."""
 
     seed_noise: float = 6.0  # a defect's core departs by this many standard deviations ..
     seed_of_radius: float = 0.005  # .. and by this part of the radius (0.5 %, what ASTM-certified profilers promise)
@@ -45,9 +47,7 @@ class Limits:
     join_of_radius: float = 0.05  # places of a kind this close are one (4 mm)
     shadow_of_radius: float = 0.22  # .. and this close when what lies between was not seen (a rod's shadow)
     gap_of_radius: float = 0.44  # places side by side in the same stations join over a gap so wide without sound wall
-    unseen_depth_of_radius: float = (
-        0.07  # how deep a loss may be whose floor was not seen, for the length of its shadow
-    )
+    unseen_depth_of_radius: float = 0.07  # how deep a loss may be of which no floor was seen, for its shadow's length
     saddle: float = 0.35  # two peaks are two defects when the way between them falls below this part of the lesser
     ovality_percent: float = 0.75  # F1216; 0.5 % accuracy and twice 0.12 % repeatability of certified profilers
     ovality_length_of_radius: float = 0.2  # shorter stretches are not listed
