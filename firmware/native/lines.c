@@ -90,7 +90,7 @@ static uint64_t departure_time(const uint8_t line)
 
 static void step_arrival(const uint8_t line)
 {
-    uint8_t byte;
+    uint8_t byte = 0;
     take(&lines[line].rings[ON_ITS_WAY], &byte, 1U);
     lines[line].arrival = world.now + NATIVE_BYTE_TICKS;
     if (world.powered && (put(&lines[line].rings[RECEIVED], &byte, 1U) == 1U)) {
@@ -102,7 +102,7 @@ static void step_arrival(const uint8_t line)
 
 static void step_departure(const uint8_t line)
 {
-    uint8_t byte;
+    uint8_t byte = 0;
     take(&lines[line].rings[TO_SEND], &byte, 1U);
     lines[line].departure = world.now + NATIVE_BYTE_TICKS;
     world.lost.sent += 1U - put(&lines[line].rings[SENT], &byte, 1U);
