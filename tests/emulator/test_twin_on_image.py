@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from annulus.capture.photometry import Light, measure
 from annulus.cli import app
 from annulus.controller import PIN_ENABLE, PIN_INTERLOCK, PIN_ODOMETER_A, PIN_SYNC
-from annulus.link.firmware import enter_boot_loader
+from annulus.flash.update import enter_boot_loader
 from annulus.record.calibration_file import save_calibration
 from annulus.record.recording import open_recording
 from annulus.twin.emulated import EmulatedBoard

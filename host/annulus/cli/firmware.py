@@ -32,16 +32,16 @@ def info(
     as_json: Json = False,
 ) -> None:
     """Version, board, size and protocol of an image, or who answers on a port."""
-    from annulus.link import firmware
-    from annulus.link.image import read_image
+    from annulus.flash import update
+    from annulus.flash.image import read_image
 
     if file is not None and port is not None:
         raise AnnulusError("FILE and --port: expected one of them")
     if port is not None:
-        print_fields(firmware.board_fields(port), as_json)
+        print_fields(update.board_fields(port), as_json)
         return
-    fields = firmware.image_fields(read_image(_image_path(file)))
-    waiting, running = firmware.boot_loader_fields(), firmware.find_controllers()
+    fields = update.image_fields(read_image(_image_path(file)))
+    waiting, running = update.boot_loader_fields(), update.find_controllers()
     if as_json:
         print(json.dumps({**fields, "boot_loaders": waiting, "controllers": [asdict(c) for c in running]}))
         return
@@ -72,14 +72,14 @@ def flash(
 
     The board must wait in its boot loader (hold BOOTSEL while plugging it in), or run annulus on --port.
     """
-    from annulus.link import firmware
-    from annulus.link.image import read_image, require_ours
+    from annulus.flash import update
+    from annulus.flash.image import read_image, require_ours
 
     image = read_image(_image_path(file))
     if not force:
         require_ours(image)
     with progress() as bars:
-        done = firmware.flash(
+        done = update.flash(
             image,
             port=port,
             board=serial,
@@ -97,10 +97,10 @@ def monitor(
     as_json: Json = False,
 ) -> None:
     """Every event and fault as it comes, and the counters every second. Keeps nothing armed."""
-    from annulus.link import firmware
+    from annulus.flash import update
 
     try:
-        for line in firmware.monitor(port, seconds or None):
+        for line in update.monitor(port, seconds or None):
             if as_json:
                 print(json.dumps(line), flush=True)
             else:

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_image import program
 
-from annulus.link.picoboot import (
+from annulus.flash.picoboot import (
     CommandId,
     PicoBoot,
     StatusCode,

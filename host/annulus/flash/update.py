@@ -18,10 +18,7 @@ from typing import Any
 
 from serial.tools import list_ports
 
-from annulus.link.client import Client
-from annulus.link.codec import Corrupt
-from annulus.link.head import refusal, schema_problem
-from annulus.link.image import (
+from annulus.flash.image import (
     BOARD,
     FAMILY_RP2040,
     FLASH_START,
@@ -29,6 +26,10 @@ from annulus.link.image import (
     Image,
     parse_image,
 )
+from annulus.flash.picoboot import BootLoader, PicoBoot, choose, find_boot_loaders, write_flash
+from annulus.link.client import Client
+from annulus.link.codec import Corrupt
+from annulus.link.head import refusal, schema_problem
 from annulus.link.messages import (
     BOOTLOADER_MAGIC,
     BootCause,
@@ -39,7 +40,6 @@ from annulus.link.messages import (
     StatusCode,
     StatusReply,
 )
-from annulus.link.picoboot import BootLoader, PicoBoot, choose, find_boot_loaders, write_flash
 from annulus.link.session import Answer, EventReceived, EventsLost, LinkEvent, Rebooted
 from annulus.vocabulary import AnnulusError
 

@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annulus.link.firmware import image_fields, to_uf2
-from annulus.link.image import (
+from annulus.flash.image import (
     FAMILY_RP2040,
     FLASH_START,
     Image,
@@ -19,6 +18,7 @@ from annulus.link.image import (
     read_image,
     require_ours,
 )
+from annulus.flash.update import image_fields, to_uf2
 from annulus.link.messages import SCHEMA_HASH
 from annulus.vocabulary import AnnulusError
 

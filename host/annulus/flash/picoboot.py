@@ -23,7 +23,7 @@ from typing import Any, Protocol, Self
 import usb.core
 import usb.util
 
-from annulus.link.image import FLASH_START, PAGE_BYTES, SECTOR_BYTES
+from annulus.flash.image import FLASH_START, PAGE_BYTES, SECTOR_BYTES
 from annulus.vocabulary import AnnulusError
 
 VENDOR, PRODUCT, PRODUCT_RP2350 = 0x2E8A, 0x0003, 0x000F

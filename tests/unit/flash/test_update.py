@@ -18,8 +18,9 @@ from typer.testing import CliRunner
 
 from annulus.cli import firmware as cli_firmware
 from annulus.cli.firmware import app
-from annulus.link import firmware
-from annulus.link.firmware import (
+from annulus.flash import update
+from annulus.flash.image import Image, parse_image
+from annulus.flash.update import (
     PRODUCT,
     Controller,
     Flashed,
@@ -30,7 +31,6 @@ from annulus.link.firmware import (
     flash,
     monitor,
 )
-from annulus.link.image import Image, parse_image
 from annulus.link.messages import (
     SCHEMA_HASH,
     Bootloader,
@@ -71,7 +71,7 @@ class Head(ScriptedController):
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, seconds in {"APPEAR_S": 0.3, "MOUNT_S": 0.5, "TAKE_S": 0.4, "BACK_S": 0.4, "LOOK_S": 0.01}.items():
-        monkeypatch.setattr(firmware, name, seconds)
+        monkeypatch.setattr(update, name, seconds)
 
 
 def one_line(caught: pytest.ExceptionInfo[AnnulusError]) -> str:
@@ -286,8 +286,8 @@ def test_a_monitors_rates_are_per_second_and_survive_a_counter_that_wraps() -> N
         )
 
     before = counts(2**32 - 20, 65_530)
-    assert "edges_per_s" not in firmware._counters(before, None, 100.0)
-    line = firmware._counters(counts(30, 70), (100.0, before), 102.0)
+    assert "edges_per_s" not in update._counters(before, None, 100.0)
+    line = update._counters(counts(30, 70), (100.0, before), 102.0)
     assert (line["edges_per_s"], line["events_per_s"], line["bad_frames_per_s"]) == (25.0, 38.0, 0.0)
     assert (line["state"], line["frame_period_us"]) == (["synced"], 40_000.0)
 
@@ -325,7 +325,7 @@ def test_a_foreign_image_needs_force_and_no_file_says_how_to_build_one(
         flashed.append(image.name)
         return Flashed(image.name, "", 0, "", "", True, None)
 
-    monkeypatch.setattr(firmware, "flash", instead)
+    monkeypatch.setattr(update, "flash", instead)
     with pytest.raises(AnnulusError, match="no annulus firmware"):
         annulus("flash", str(path))
     annulus("flash", str(path), "--force")
