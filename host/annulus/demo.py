@@ -26,7 +26,7 @@ from annulus.report import Account, prepare_folder, write
 from annulus.reprocess import Job, Processes, led_frames, measure, method_for, open_job, stage_medians, warm_up
 from annulus.twin.head import HeadHandle, start_head, sustainable_fps
 from annulus.twin.score import score
-from annulus.twin.world import World, demo_world
+from annulus.twin.worlds import World, demo_world
 from annulus.vocabulary import AnnulusError, Label
 from annulus.wall import Profile, Survey, survey
 

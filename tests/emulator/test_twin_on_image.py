@@ -23,7 +23,7 @@ from annulus.record.recording import open_recording
 from annulus.twin.emulated import EmulatedBoard
 from annulus.twin.head import start_head
 from annulus.twin.soak import soak
-from annulus.twin.world import demo_world
+from annulus.twin.worlds import demo_world
 from annulus.vocabulary import AnnulusError, Label
 
 pytestmark = pytest.mark.skipif("ANNULUS_IMAGE" in os.environ, reason="another image is being judged, on its pins")

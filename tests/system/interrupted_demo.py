@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 from annulus.demo import run_demo
-from annulus.twin.world import demo_world
+from annulus.twin.worlds import demo_world
 
 if __name__ == "__main__":
     try:

@@ -16,7 +16,7 @@ from annulus.link.messages import Arm, ArmFlag, Commit, Edge, Stage, StatusCode
 from annulus.link.session import EventReceived
 from annulus.twin.head import HeadHandle, head_timing, start_head
 from annulus.twin.native import _LIBRARY
-from annulus.twin.world import demo_world
+from annulus.twin.worlds import demo_world
 from annulus.vocabulary import AnnulusError, Lamp
 
 pytestmark = pytest.mark.skipif(not _LIBRARY.is_file(), reason="native firmware not built")

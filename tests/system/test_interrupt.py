@@ -14,7 +14,7 @@ import pytest
 from annulus.record.calibration_file import save_calibration
 from annulus.record.recording import open_recording
 from annulus.twin.head import start_head
-from annulus.twin.world import demo_world
+from annulus.twin.worlds import demo_world
 
 pytestmark = pytest.mark.system
 

@@ -26,7 +26,7 @@ from annulus.link.messages import StateFlag, Status
 from annulus.record.recording import Recording, open_recording
 from annulus.twin.head import HeadHandle, start_head
 from annulus.twin.sensor import Faults
-from annulus.twin.world import World, demo_world
+from annulus.twin.worlds import World, demo_world
 from annulus.vocabulary import AnnulusError, Label
 from annulus.wall.profile import Profile
 

@@ -6,7 +6,7 @@ from statistics import median
 
 from annulus.twin.head import sustainable_fps
 from annulus.twin.render import Renderer
-from annulus.twin.world import World, clean_world, demo_world
+from annulus.twin.worlds import World, clean_world, demo_world
 
 FRAMES = 9
 

@@ -42,7 +42,7 @@ from annulus.twin.emulated import open_board
 from annulus.twin.line import Line, PtyLine, TcpLine
 from annulus.twin.render import Renderer
 from annulus.twin.sensor import Exposure, Faults, HostClock, LossyLine, Sensor, load_faults
-from annulus.twin.world import World, demo_world
+from annulus.twin.worlds import World, demo_world
 from annulus.vocabulary import AnnulusError
 
 SLOTS = 6  # frames between head and camera

@@ -13,7 +13,8 @@ import numpy as np
 from annulus.record.recording import to_bgr
 from annulus.record.scan import COLUMNS, ROLL, TABLE
 from annulus.twin.render import Renderer
-from annulus.twin.world import WAVES, WORLDS, World
+from annulus.twin.worlds import WORLDS, World
+from annulus.twin.worlds.world import WAVES
 from annulus.vocabulary import AnnulusError, Label
 
 LED_EVERY = 5  # four projector frames, one of the LED, as the head fires them

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus.numeric.arrays import FloatArray
-from annulus.twin.world import Feature, World
+from annulus.twin.worlds import Feature, World
 
 NEAR_EDGE_MM = 1.5  # closer to a step or its shadow than this the truth jumps; scored apart
 GROSS_MM = 2.0

@@ -37,7 +37,7 @@ from annulus.controller import (
     TICKS_PER_US,
 )
 from annulus.geometry.pose import Pose
-from annulus.twin.world import World
+from annulus.twin.worlds import World
 from annulus.vocabulary import AnnulusError, CameraSequence, Lamp
 
 Stimulus = tuple[int, int, int]  # world tick, pin, level

@@ -22,7 +22,7 @@ from annulus.link.session import EventsLost
 from annulus.twin.emulated import Board, open_board
 from annulus.twin.render import Renderer
 from annulus.twin.sensor import Exposure, Faults, HostClock, LossyLine, Sensor, load_faults
-from annulus.twin.world import World, clean_world
+from annulus.twin.worlds import World, clean_world
 from annulus.vocabulary import AnnulusError, Label, Lamp
 
 WIDTH = 104  # pixels: stripes stay apart, and a frame takes a fraction of a millisecond

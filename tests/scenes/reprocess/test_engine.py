@@ -18,7 +18,7 @@ from annulus.reprocess.engine import CHUNK
 from annulus.reprocess.job import Measured
 from annulus.stream.frames import FrameHeader
 from annulus.twin.render import Renderer
-from annulus.twin.world import Feature, World, clean_world
+from annulus.twin.worlds import Feature, World, clean_world
 from annulus.vocabulary import Label
 from annulus.wall import Profile
 

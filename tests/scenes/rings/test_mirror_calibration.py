@@ -10,7 +10,7 @@ from annulus.geometry.camera import Camera
 from annulus.rings.calibration.autocalibration import calibrate
 from annulus.rings.calibration.observations import Observations, observe
 from annulus.rings.polar import ring_pixels
-from annulus.twin.world import World, mirror_world
+from annulus.twin.worlds import World, mirror_world
 
 FRAMES, DIRECTIONS = 8, 90
 

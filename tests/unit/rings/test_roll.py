@@ -12,7 +12,7 @@ from annulus.reprocess.job import roll_filled
 from annulus.rings.reconstructor import Reconstructor
 from annulus.twin.render import Renderer
 from annulus.twin.score import score_cloud
-from annulus.twin.world import Feature, World, clean_world
+from annulus.twin.worlds import Feature, World, clean_world
 from annulus.vocabulary import AnnulusError
 from annulus.wall.profile import Profile
 from annulus.wall.registration import register

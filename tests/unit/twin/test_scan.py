@@ -14,7 +14,7 @@ from annulus.rings.reconstructor import Reconstructor
 from annulus.twin.render import Renderer
 from annulus.twin.scan import world_named, write_scan
 from annulus.twin.score import score_cloud
-from annulus.twin.world import World, mirror_world
+from annulus.twin.worlds import World, mirror_world
 from annulus.vocabulary import AnnulusError, Label
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from annulus.numeric.arrays import FloatArray
 from annulus.twin.score import score, score_cloud, score_defects
-from annulus.twin.world import Feature, clock_text, demo_world
+from annulus.twin.worlds import Feature, clock_text, demo_world
 
 WORLD = demo_world()
 

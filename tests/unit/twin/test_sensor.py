@@ -10,7 +10,7 @@ import pytest
 from annulus.capture.timing import FrameTiming
 from annulus.controller import PIN_LED, PIN_ODOMETER_A, PIN_ODOMETER_B, PIN_PROJECTOR, PIN_SYNC, TICKS_PER_US
 from annulus.twin.sensor import Exposure, Faults, HostClock, LossyLine, Sensor, load_faults
-from annulus.twin.world import World, clean_world
+from annulus.twin.worlds import World, clean_world
 from annulus.vocabulary import AnnulusError, Lamp
 
 TIMING = FrameTiming(25.0, 38_000.0, 28_000.0)  # window 2..12 ms after the edge

@@ -16,7 +16,7 @@ from annulus.numeric.arrays import FloatArray
 from annulus.rings.calibration.reference import learn
 from annulus.rings.reconstructor import Reconstructor
 from annulus.twin.render import Renderer
-from annulus.twin.world import Feature, World, clean_world
+from annulus.twin.worlds import Feature, World, clean_world
 from annulus.wall.consistency import without_inconsistent
 from annulus.wall.defects import find_defects
 from annulus.wall.grid import Wall, build_wall

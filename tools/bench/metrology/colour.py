@@ -13,7 +13,7 @@ from annulus.rings.colour import ColourProfile, Stripes, learn, stripes
 from annulus.rings.polar import polar_grid, ring_pixels
 from annulus.rings.reconstructor import Reconstructor
 from annulus.twin.render import Renderer
-from annulus.twin.world import CONTAMINATED, ORANGE, WHITE, YELLOW, World, clean_world, painted
+from annulus.twin.worlds import CONTAMINATED, ORANGE, WHITE, YELLOW, World, clean_world, painted
 from annulus.wall.profile import Profile
 
 PAINTS = {"white": WHITE, "yellow (MDPE)": YELLOW, "orange": ORANGE}

@@ -21,7 +21,7 @@ from annulus.record.recording import to_bgr
 from annulus.rings.reconstructor import Reconstructor
 from annulus.twin.render import Renderer
 from annulus.twin.score import score_cloud
-from annulus.twin.world import Feature, World, clean_world, demo_world
+from annulus.twin.worlds import Feature, World, clean_world, demo_world
 from annulus.wall.consistency import without_inconsistent
 from annulus.wall.grid import build_wall
 from annulus.wall.registration import register

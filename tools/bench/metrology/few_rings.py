@@ -16,7 +16,7 @@ from annulus.record.recording import to_bgr
 from annulus.rings.reconstructor import Reconstructor
 from annulus.twin.render import Renderer
 from annulus.twin.score import score_cloud
-from annulus.twin.world import World, clean_world
+from annulus.twin.worlds import World, clean_world
 
 FRAMES = 12
 

@@ -22,7 +22,7 @@ from annulus.rings.calibration.observations import observe
 from annulus.rings.reconstructor import Reconstructor
 from annulus.twin.render import Renderer
 from annulus.twin.score import CloudScore, score_cloud, score_defects
-from annulus.twin.world import Optics, World, mirror_world
+from annulus.twin.worlds import Optics, World, mirror_world
 from annulus.wall.consistency import without_inconsistent
 from annulus.wall.defects import find_defects
 from annulus.wall.grid import Wall, build_wall

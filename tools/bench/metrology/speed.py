@@ -24,7 +24,7 @@ from annulus.geometry.calibration import Calibration
 from annulus.record.recording import to_bgr
 from annulus.rings.reconstructor import Reconstructor
 from annulus.twin.render import Renderer
-from annulus.twin.world import World, clean_world
+from annulus.twin.worlds import World, clean_world
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt

@@ -23,7 +23,7 @@ from annulus.record.recording import to_bgr
 from annulus.rings.reconstructor import Reconstructor
 from annulus.twin.render import Renderer
 from annulus.twin.score import NEAR_EDGE_MM, _edge_distance
-from annulus.twin.world import YELLOW, World, clean_world, demo_world, fisheye_camera, mirror_world, painted
+from annulus.twin.worlds import YELLOW, World, clean_world, demo_world, fisheye_camera, mirror_world, painted
 from annulus.wall.consistency import without_inconsistent
 from annulus.wall.profile import Profile
 from annulus.wall.registration import register

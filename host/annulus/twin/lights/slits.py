@@ -1,0 +1,103 @@
+"""A slide with circular slits: coloured stripes with black rings between them.
+
+Lens blur is not a filter over the image: a slit's edge is a step in projected angle, smoothed by what the blur subtends
+in that angle at that pixel.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from annulus.geometry.pose import Pose
+from annulus.twin.lights.projector import Beam, in_pipe
+from annulus.twin.stretch import AT, F32, LEVEL, LIT, Stretch, X, Y, Z, compiled, step_up
+from annulus.twin.worlds.sensor_head import Projector
+
+_BINS = 2048  # of the table from cos(projected angle) to the nearest slit
+
+
+class SlitTable(NamedTuple):
+    """The slide in one frame. The first and the last "slit" are the pattern's rims."""
+
+    slits: F32  # (slits + 2, 9) vertex, axis (pipe frame), cos, sin of the half-angle, half-width (rad)
+    colours: F32  # (slits + 3, 3) [i], [i + 1]: stripes inside and outside of slit i, as red, green, blue pixels see it
+    nearest: NDArray[np.int8]  # (BINS,) slit by cosine of the angle to the beam's axis
+    cos0: np.float32  # of the first bin
+    cos_step: np.float32  # bins a unit
+    leak: np.float32
+
+
+@compiled
+def through_slits(part: Stretch, beam: Beam, table: SlitTable) -> None:
+    """Slits by runs of pixels that share their nearest one."""
+    scratch, slit_of, spread, n, v, odd = part.scratch, part.marks, part.spread, part.n, part.v, part.odd
+    slits, colours, nearest, leak, blur = table.slits, table.colours, table.nearest, table.leak, beam.blur
+    cos0, cos_step = table.cos0, table.cos_step
+    one, zero = np.float32(1.0), np.float32(0.0)
+    for u in range(n):
+        slit_of[u] = np.int32(max(min((scratch[AT + u] - cos0) * cos_step, np.float32(_BINS - 1)), zero))
+    u = 0
+    while u < n:
+        i = nearest[slit_of[u]]
+        end = u + 1
+        while end < n and nearest[slit_of[end]] == i:
+            end += 1
+        vx, vy, vz, ax, ay, az = slits[i, 0], slits[i, 1], slits[i, 2], slits[i, 3], slits[i, 4], slits[i, 5]
+        cosine0, sine0, wide = slits[i, 6], slits[i, 7], slits[i, 8]
+        even, other = (v & 1) + odd, (v & 1) + 1 - odd
+        even_in, odd_in = colours[i, even], colours[i, other]
+        even_out, odd_out = colours[i + 1, even], colours[i + 1, other]
+        for k in range(u, end):
+            px, py, pz = scratch[X + k] - vx, scratch[Y + k] - vy, scratch[Z + k] - vz
+            cosine = (px * ax + py * ay + pz * az) / np.sqrt(px * px + py * py + pz * pz)
+            sine2 = max(one - cosine * cosine, zero)
+            off = np.sqrt(sine2) * cosine0 - cosine * sine0  # sin(theta_P - theta), small
+            sharp = one / (blur * sine2 * spread[k] + np.float32(1e-9))
+            inside = one - step_up((off + wide) * sharp)
+            outside = step_up((off - wide) * sharp)
+            colour_in = odd_in if k & 1 else even_in
+            colour_out = odd_out if k & 1 else even_out
+            share = inside * colour_in + outside * colour_out
+            share += leak * (one - inside - outside) * (colour_in + colour_out)
+            scratch[LEVEL + k] = scratch[LIT + k] * share
+        u = end
+
+
+class Slits:
+    """The light of a world's `Projector`. `axis` is that of the mean cone, `rims` end the pattern (rad)."""
+
+    Table = SlitTable
+    kernel = staticmethod(through_slits)
+
+    def __init__(self, projector: Projector) -> None:
+        cones = projector.cones
+        vertex = np.mean([c.vertex_mm for c in cones], axis=0)
+        axis = np.mean([c.axis for c in cones], axis=0)
+        self.axis = np.concatenate([vertex, axis / np.linalg.norm(axis)])
+        self.rims = (
+            cones[0].half_angle - math.radians(projector.margin_deg[0]),
+            cones[-1].half_angle + math.radians(projector.margin_deg[1]),
+        )
+        self.outermost = cones[-1].half_angle
+        angles = [self.rims[0], *(c.half_angle for c in cones), self.rims[1]]
+        halves = [0.0, *(math.radians(h) for h in projector.slit_half_deg), 0.0]
+        ends = [cones[0], *cones, cones[-1]]
+        self._slits = np.array(
+            [[*c.vertex_mm, *c.axis, math.cos(a), math.sin(a), h] for c, a, h in zip(ends, angles, halves, strict=True)]
+        )
+        response = np.array(projector.response)
+        stripes = np.array([response["RGB".index(c)] for c in projector.colours])
+        self._colours = np.concatenate([np.zeros((1, 3)), stripes, np.zeros((1, 3))]).astype(np.float32)
+        # nearest slit by projected angle, uniform in its cosine so that no pixel needs an arc cosine
+        cos0, cos1 = math.cos(self.rims[1] + 0.02), math.cos(max(self.rims[0] - 0.02, 0.0))
+        middle = np.arccos(cos0 + (np.arange(_BINS) + 0.5) * (cos1 - cos0) / _BINS)
+        bounds = (np.array(angles[1:]) + np.array(angles[:-1])) / 2
+        self._nearest = np.searchsorted(bounds, middle).astype(np.int8)
+        self._cos0, self._cos_step = np.float32(cos0), np.float32(_BINS / (cos1 - cos0))
+        self._leak = np.float32(projector.leak)
+
+    def table(self, pose: Pose, z_mm: float) -> SlitTable:
+        slits = in_pipe(self._slits, pose, z_mm)
+        return SlitTable(slits, self._colours, self._nearest, self._cos0, self._cos_step, self._leak)

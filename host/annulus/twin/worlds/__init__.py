@@ -1,0 +1,39 @@
+"""Pipes and the sensor heads inside them, as plain data and a seed: what the twin draws and what a score calls true.
+
+A new kind of fault in a wall goes into `features`, a new head or pipe is a function that returns a `World`, in a file
+of its own, with a line in WORLDS if it shall have a name on the command line.
+"""
+
+from collections.abc import Callable, Mapping
+
+from annulus.twin.worlds.features import Feature, clock_text
+from annulus.twin.worlds.mirror import mirror_world
+from annulus.twin.worlds.paint import ORANGE, WHITE, YELLOW
+from annulus.twin.worlds.pipes import CONTAMINATED, clean_world, demo_world, fisheye_camera, painted
+from annulus.twin.worlds.sensor_head import Optics
+from annulus.twin.worlds.world import World
+
+__all__ = [
+    "CONTAMINATED",
+    "ORANGE",
+    "WHITE",
+    "WORLDS",
+    "YELLOW",
+    "Feature",
+    "Optics",
+    "World",
+    "clean_world",
+    "clock_text",
+    "demo_world",
+    "fisheye_camera",
+    "mirror_world",
+    "painted",
+]
+
+WORLDS: Mapping[str, Callable[[int], World]] = {
+    "demo": demo_world,
+    "clean": clean_world,
+    "mirror-2inch": lambda seed: mirror_world(seed, 25.4),
+    "mirror-3inch": mirror_world,
+    "mirror-4inch": lambda seed: mirror_world(seed, 50.8),
+}

@@ -1,0 +1,61 @@
+"""What the sensor head is made of, besides its camera: slide projector, LEDs, optics, rods."""
+
+from dataclasses import dataclass
+
+from annulus.geometry.cone import Cone
+
+Response = tuple[tuple[float, float, float], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Projector:
+    """The slide: cones of the slits (camera frame), their half-widths and the stripes' colours, inside to outside.
+
+    `margin_deg`: how far the innermost and outermost stripe reach beyond the outer slits. `response`[c] is what the
+    red, green and blue pixels see of stripe colour c: filters of slide and sensor overlap.
+    """
+
+    cones: tuple[Cone, ...]
+    slit_half_deg: tuple[float, ...]
+    colours: str = "RRGBGR"
+    margin_deg: tuple[float, float] = (2.25, 2.25)
+    peak: float = 225.0  # grey levels above black on the outermost stripe, lit for its nominal time
+    leak: float = 0.006  # of a stripe's light through a slit
+    response: Response = ((1.0, 0.05, 0.04), (0.045, 1.0, 0.05), (0.03, 0.055, 0.75))
+    nominal_us: float = 5000.0  # on-time that gives `peak`
+
+
+@dataclass(frozen=True, slots=True)
+class Led:
+    """White LEDs round the lens, seen as one point just behind it."""
+
+    behind_mm: float = 4.0
+    peak: float = 150.0  # grey levels above black on a white wall 45 mm ahead
+    colour: tuple[float, float, float] = (0.96, 1.0, 0.97)
+    nominal_us: float = 2500.0
+
+
+@dataclass(frozen=True, slots=True)
+class Optics:
+    """Lens blur (sigma, pixels of the full-size camera) and the sensor's noise, in 8-bit grey levels.
+
+    `balance`: white-balance gains red, green, blue, applied to light and noise before the black level is added and
+    the pixel is cut off at full scale.
+    """
+
+    blur_px: float = 1.1
+    black: float = 2.0
+    read: float = 1.5
+    shot: float = 0.03  # variance per grey level
+    balance: tuple[float, float, float] = (1.0, 1.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Rod:
+    """A bar that holds the projector behind the camera, parallel to the optical axis; it shadows what lies past it."""
+
+    x_mm: float
+    y_mm: float
+    radius_mm: float = 1.0
+    z0_mm: float = -56.0
+    z1_mm: float = 0.0
