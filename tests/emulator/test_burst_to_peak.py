@@ -13,7 +13,9 @@ from annulus.link.operate import train_messages
 from annulus.thermoacoustic.codes import Train, pattern
 from annulus.thermoacoustic.phantoms import Disc
 from annulus.thermoacoustic.templates import decode, design
-from annulus.twin.acoustic import Ear, Tank, fire, pulses_of
+from annulus.twin.acoustic.phantom import RigSetup
+from annulus.twin.acoustic.pins import fire, pulses_of
+from annulus.twin.acoustic.receiver import Receiver
 from annulus.twin.emulated import EmulatedBoard
 
 pytestmark = pytest.mark.skipif("ANNULUS_IMAGE" in os.environ, reason="another image is being judged, on its pins")
@@ -41,10 +43,10 @@ def test_the_burst_is_the_designed_pattern_and_its_peak_stands_at_the_time_of_fl
         on[(rise - chip0) // 50 : (fall - chip0) // 50] = 1
     assert on.tolist() == chips.tolist()
 
-    ear = Ear(Tank((Disc(0.0, 0.0, 0.3, 1.0),), 9.0, 1480.0, (0.6e6, 0.7), pulse_v=1.0))
+    receiver = Receiver(RigSetup((Disc(0.0, 0.0, 0.3, 1.0),), 9.0, 1480.0, (0.6e6, 0.7), pulse_v=1.0))
     relative = tuple((a - trigger, b - trigger) for a, b in pulses_of(pins))
-    volts = ear.hear(relative, 0, 2e-6, 10e6, 512)
-    one = ear.hear(((-25, 25),), 0, 0.0, 10e6, 512)  # a single pulse about time 0
+    volts = receiver.hear(relative, 0, 2e-6, 10e6, 512)
+    one = receiver.hear(((-25, 25),), 0, 0.0, 10e6, 512)  # a single pulse about time 0
     if code == "single":
         found = np.interp(np.arange(512) + 2.5, np.arange(512), volts)  # from chip 0 to the pulse's middle
     elif code.startswith("manchester"):

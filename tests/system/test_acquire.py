@@ -16,7 +16,7 @@ pytestmark = pytest.mark.system
 
 ANNULUS = [sys.executable, "-c", "from annulus.cli import main; main()"]
 RADIUS_MM, STEPS = 9.0, 40
-BENCH = ["twin", "bench", "--phantom", "shapes", "--radius-mm", str(RADIUS_MM), "--steps-per-turn", str(STEPS)]
+RIG = ["twin", "rig", "--phantom", "shapes", "--radius-mm", str(RADIUS_MM), "--steps-per-turn", str(STEPS)]
 SWEEP = [
     "--radius-mm", str(RADIUS_MM), "--angles", "40", "--steps-per-turn", str(STEPS), "--averages", "64",
     "--step-us", "2000", "--period-us", "500", "--range-v", "0.04",
@@ -59,7 +59,7 @@ def broken_off(out: Path, after: int, number: signal.Signals, *sweep: str, envir
 def test_killed_interrupted_resumed_and_imaged(traces, tmp_path: Path) -> None:
     environment, out = {**traces.environment, "OMP_NUM_THREADS": "1"}, tmp_path / "raw.hdf5"
     bench = subprocess.Popen(
-        [*ANNULUS, *BENCH], env=environment, stdout=subprocess.PIPE, text=True, preexec_fn=listen_to_ctrl_c
+        [*ANNULUS, *RIG], env=environment, stdout=subprocess.PIPE, text=True, preexec_fn=listen_to_ctrl_c
     )
     try:
         assert bench.stdout is not None

@@ -123,12 +123,12 @@ def acquire_command(
     with contextlib.ExitStack() as stack:
         report = stack.enter_context(progress())
         if twin:
-            from annulus.twin.acoustic import bench_named, serving
+            from annulus.twin.acoustic.rig import rig_named, serving
 
-            bench = stack.enter_context(
-                serving(bench_named(phantom, radius_mm, sound_speed, steps_per_turn, progress=report))
+            rig = stack.enter_context(
+                serving(rig_named(phantom, radius_mm, sound_speed, steps_per_turn, progress=report))
             )
-            port, scope, homed = bench.port_url, bench.scope_name, True
+            port, scope, homed = rig.port_url, rig.scope_name, True
         assert port is not None and scope is not None
         digitizer = stack.enter_context(ScopeDigitizer(scope, channel=channel, settle_s=1e-3 * arm_ms))
         try:

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from annulus.sensors.digitizer import Acquisition, DigitizerLostError, ScopeDigitizer, TriggerLostError
-from annulus.twin import acoustic as twin
-from annulus.twin.acoustic import Scope
+from annulus.twin.acoustic import scope as twin
+from annulus.twin.acoustic.scope import Scope
 from annulus.twin.line import TcpLine
 from annulus.vocabulary import AnnulusError
 

@@ -18,7 +18,10 @@ from annulus.tai.decode import sweep_of
 from annulus.thermoacoustic.codes import Train
 from annulus.thermoacoustic.phantoms import Disc
 from annulus.thermoacoustic.sweep import examine
-from annulus.twin.acoustic import AcousticBench, Ear, Scope, Tank, serving
+from annulus.twin.acoustic.phantom import RigSetup
+from annulus.twin.acoustic.receiver import Receiver
+from annulus.twin.acoustic.rig import AcousticRig, serving
+from annulus.twin.acoustic.scope import Scope
 from annulus.twin.native import NativeBoard
 from annulus.vocabulary import AnnulusError
 
@@ -27,8 +30,8 @@ PLAN = Plan(positions=5, averages=2, radius_mm=9.0, range_v=0.08, steps_per_turn
 
 
 @functools.cache
-def ear() -> Ear:
-    return Ear(Tank(SAMPLE, 9.0, transducer=(0.6e6, 1.2), pulse_v=0.05, noise_v=2e-4, steps_per_turn=40))
+def receiver() -> Receiver:
+    return Receiver(RigSetup(SAMPLE, 9.0, transducer=(0.6e6, 1.2), pulse_v=0.05, noise_v=2e-4, steps_per_turn=40))
 
 
 @pytest.fixture
@@ -42,7 +45,7 @@ def board() -> NativeBoard:
 class Rig:
     """The bench in real time, and acquisitions on it."""
 
-    def __init__(self, bench: AcousticBench, out: Path) -> None:
+    def __init__(self, bench: AcousticRig, out: Path) -> None:
         self.bench, self.out = bench, out
         self.said: list[str] = []
 
@@ -62,12 +65,12 @@ class Rig:
 @pytest.fixture
 def rig(board: NativeBoard, tmp_path: Path, request: pytest.FixtureRequest):
     how = getattr(request, "param", {})
-    heard = ear()
+    heard = receiver()
     if "stuck_after" in how:
-        heard = Ear.__new__(Ear)
-        heard.__dict__.update(ear().__dict__)
-        heard.tank = replace(ear().tank, stuck_after=how["stuck_after"])
-    bench = AcousticBench(board, heard, Scope(how.get("faults", {})))
+        heard = Receiver.__new__(Receiver)
+        heard.__dict__.update(receiver().__dict__)
+        heard.setup = replace(receiver().setup, stuck_after=how["stuck_after"])
+    bench = AcousticRig(board, heard, Scope(how.get("faults", {})))
     with serving(bench):
         yield Rig(bench, tmp_path / "raw.hdf5")
 
@@ -83,7 +86,7 @@ def test_a_sweep_is_what_the_receiver_heard_at_each_angle(rig: Rig) -> None:
     chips = np.flatnonzero([int(c) for c in record.code]).tolist()
     pulses = tuple((50 * i, 50 * i + 50) for i in chips)
     rate, samples = record.sampling_rate_hz, record.signals.shape[1]
-    expected = np.stack([ear().hear(pulses, 8 * i, record.t0_s, rate, samples) for i in range(5)])
+    expected = np.stack([receiver().hear(pulses, 8 * i, record.t0_s, rate, samples) for i in range(5)])
     assert (record.signals - expected).std() < 1.3 * np.hypot(2e-4, 0.08 / 256 / 12**0.5) / 2**0.5
 
 
@@ -209,7 +212,7 @@ def test_without_one_the_sound_tells(rig: Rig) -> None:
 
 def test_a_stage_that_moves_is_not_accused() -> None:
     rng = np.random.default_rng(5)
-    clean = np.stack([ear().hear(((0, 50),), i, 0.0, 10e6, 400) for i in range(40)])
+    clean = np.stack([receiver().hear(((0, 50),), i, 0.0, 10e6, 400) for i in range(40)])
 
     def record(signals: np.ndarray) -> AcousticRecord:
         noisy = signals + 1e-5 * rng.standard_normal(signals.shape)

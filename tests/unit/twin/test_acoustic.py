@@ -12,7 +12,11 @@ from annulus.tai.simulate import Bench, simulate
 from annulus.thermoacoustic.codes import Train, pattern, train_from_us
 from annulus.thermoacoustic.phantoms import Disc
 from annulus.thermoacoustic.templates import decode, design
-from annulus.twin.acoustic import AcousticBench, Ear, Scope, Tank, fire, pulses_of
+from annulus.twin.acoustic.phantom import RigSetup
+from annulus.twin.acoustic.pins import fire, pulses_of
+from annulus.twin.acoustic.receiver import Receiver
+from annulus.twin.acoustic.rig import AcousticRig
+from annulus.twin.acoustic.scope import Scope
 from annulus.twin.native import NativeBoard
 from annulus.vocabulary import AnnulusError
 
@@ -23,8 +27,8 @@ RATE = 10e6
 
 
 @functools.cache
-def ear(sample: tuple[Disc, ...] = SAMPLE) -> Ear:
-    return Ear(Tank(sample, RADIUS_MM, SPEED, BAND, pulse_v=1.0, noise_v=0.0))
+def receiver(sample: tuple[Disc, ...] = SAMPLE) -> Receiver:
+    return Receiver(RigSetup(sample, RADIUS_MM, SPEED, BAND, pulse_v=1.0, noise_v=0.0))
 
 
 @pytest.fixture
@@ -61,7 +65,7 @@ def test_the_burst_on_the_pin_is_the_designed_pattern_chip_for_chip(board: Nativ
 @pytest.mark.parametrize("offset_us", [0.0, -4.37, 2.2])
 def test_from_pin_to_peak(board: NativeBoard, offset_us: float) -> None:
     """GP5 as the firmware drives it, a small source in the middle, the decoder's own template: the time of flight."""
-    small = ear((Disc(0.0, 0.0, 0.3, 1.0),))
+    small = receiver((Disc(0.0, 0.0, 0.3, 1.0),))
     pulses, (trigger,) = emitted(board, "mpsl25-stuffed", 0.5, offset_us)
     relative = tuple((a - trigger, b - trigger) for a, b in pulses)
     volts = small.hear(relative, 0, -1e-6 * offset_us, RATE, 512)
@@ -87,23 +91,23 @@ def test_it_hears_what_the_simulation_computes_by_another_way() -> None:
     pulses = tuple((50 * i, 50 * i + 50) for i in np.flatnonzero(chips).tolist())
     bench = Bench("mpsl25-stuffed", 0.5e-6, RADIUS_MM, 8, RATE, SPEED, 1.0, transducer=BAND)
     theirs = simulate(SAMPLE, bench).signals.astype(float)
-    ours = np.stack([ear().hear(pulses, 50 * i, 0.0, RATE, theirs.shape[1]) for i in range(8)])
+    ours = np.stack([receiver().hear(pulses, 50 * i, 0.0, RATE, theirs.shape[1]) for i in range(8)])
     kept = slice(None, -30)  # theirs is filtered after it was cut off
     assert np.linalg.norm((ours - theirs)[:, kept]) < 0.055 * np.linalg.norm(theirs[:, kept])
 
 
 def test_angles_between_the_receivers_are_as_exact_as_those_on_them() -> None:
     """A part that absorbs nothing, far out, has the same sound taken at almost twice as many receivers."""
-    finer = ear((*SAMPLE, Disc(8.0, 0.0, 0.3, 0.0)))
-    assert len(finer.responses.at(0.0)) == len(ear().responses.at(0.0))
+    finer = receiver((*SAMPLE, Disc(8.0, 0.0, 0.3, 0.0)))
+    assert len(finer.responses.at(0.0)) == len(receiver().responses.at(0.0))
     for steps in (1, 31, 50, 213):
-        here, there = (e.hear(((0, 50),), steps, 0.0, RATE, 200) for e in (ear(), finer))
+        here, there = (e.hear(((0, 50),), steps, 0.0, RATE, 200) for e in (receiver(), finer))
         assert np.linalg.norm(here - there) < 1e-3 * np.linalg.norm(here)
 
 
 def test_the_stage_the_trigger_and_the_scope_meet_in_the_boards_time(board: NativeBoard) -> None:
     """Told by SCPI and by the wire alone: two bursts averaged at step 37, at the trigger's edge."""
-    bench = AcousticBench(board, ear(), Scope(), boot=3)
+    bench = AcousticRig(board, receiver(), Scope(), boot=3)
     try:
         bench.scope.receive(
             b":TIM:RANG 4E-5;:TIMebase:POSition 2E-5\n:chan1:rang 4;:TRIG:EDGE:SOUR EXT;:TRIG:EDGE:LEV 1.5\n"
@@ -122,7 +126,7 @@ def test_the_stage_the_trigger_and_the_scope_meet_in_the_boards_time(board: Nati
         data = bench.scope.receive(b":WAV:DATA?\n")
         assert data[:10] == b"#800001000" and len(data) == 1011
         volts = (np.frombuffer(data[10:-1], "<u2").astype(float) - float(fields[9])) * float(fields[7])
-        expected = ear().hear(((0, 50),), 37, 0.0, 500 / 4e-5, 500)
+        expected = receiver().hear(((0, 50),), 37, 0.0, 500 / 4e-5, 500)
         assert np.abs(volts - expected).max() <= 0.51 * 4 / 256  # half a step of eight bits
     finally:
         bench.close()
@@ -131,7 +135,7 @@ def test_the_stage_the_trigger_and_the_scope_meet_in_the_boards_time(board: Nati
 class _Wire:
     """A host that only tells, and goes on when time has passed."""
 
-    def __init__(self, bench: AcousticBench) -> None:
+    def __init__(self, bench: AcousticRig) -> None:
         from annulus.link.session import Session, identify
 
         self.bench, self.session = bench, Session()
@@ -166,7 +170,7 @@ def test_the_scope_says_what_it_does_not_understand() -> None:
 
 def test_envelope_edges_count_in_single_ticks() -> None:
     """A pulse of 51 ticks carries 2 percent more than one of 50, and ends 10 ns later."""
-    e = ear()
+    e = receiver()
     a, b, rest = (e.hear(p, 5, 0.0, RATE, 256) for p in (((0, 50),), ((0, 51),), ((50, 51),)))
     assert np.allclose(b - a, rest, atol=1e-9 * np.abs(b).max())
     assert np.abs(rest).max() > 1e-3 * np.abs(b).max() and TICK_S == 1e-8
