@@ -3,18 +3,24 @@
 import os
 import signal
 import time
+import tomllib
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import zmq
 
+from annulus import untrusted
 from annulus.capture.camera import Camera, CapturedFrame, grab, plug
 from annulus.capture.remote import RemoteCamera
+from annulus.capture.timing import FrameTiming
 from annulus.link.client import Client
 from annulus.link.messages import Arm, ArmFlag, Commit, Edge, Stage, StatusCode
 from annulus.link.session import EventReceived
-from annulus.twin.head import HeadHandle, head_timing, start_head
+from annulus.sensors.sample import Sample
+from annulus.twin.head import HeadHandle, head_timing, head_toml, start_head
 from annulus.twin.native import _LIBRARY
 from annulus.twin.worlds import demo_world
 from annulus.vocabulary import AnnulusError, Lamp
@@ -106,6 +112,49 @@ def test_a_slow_host_costs_frames_that_show_as_holes_and_never_old_pictures(head
     assert numbers == sorted(set(numbers)) and max(np.diff(numbers)) > 3
     assert head.counters()["driver_dropped_no_buffer"] > 0
     camera.close()
+
+
+def test_its_sensors_are_heard_fall_silent_and_come_back(head: HeadHandle) -> None:
+    context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+    socket = context.socket(zmq.SUB)
+    socket.subscribe(b"")
+    socket.setsockopt(zmq.RCVTIMEO, 5000)
+    socket.connect(head.sensor_address)
+
+    def heard() -> Sample:
+        name, body = socket.recv_multipart()
+        sample = Sample.from_dict(untrusted.unpack(body, 16384))
+        assert name == sample.sensor.encode()
+        assert abs(time.monotonic_ns() - sample.host_ns) < 2e9
+        return sample
+
+    first = [heard() for _ in range(40)]
+    assert {s.sensor for s in first} == {"imu", "supply"}
+    dark = next(s for s in first if s.sensor == "supply")
+    client = armed(head)
+    while (lit := heard()).sensor != "supply" or lit.values["current_a"] < dark.values["current_a"] + 0.05:
+        client.keep_alive()
+    client.close()
+    head.silence("imu", 1.0)
+    asked_ns = time.monotonic_ns()
+    while (sample := heard()).sensor != "imu" or sample.host_ns < asked_ns:
+        pass
+    assert sample.host_ns > asked_ns + 0.9e9
+    with pytest.raises(AnnulusError, match="expected one of imu, supply"):
+        head.silence("sonar", 1.0)
+    context.destroy(linger=0)
+
+
+def test_the_head_toml_it_prints_names_all_its_addresses(head: HeadHandle) -> None:
+    said = tomllib.loads(head_toml(head, demo_world().scaled(208), Path("a b.json")))
+    assert said["controller"]["port"] == head.port_url
+    assert said["sensor"] == [{"kind": "remote", "device": head.sensor_address}]
+    assert (said["camera"]["kind"], said["camera"]["device"]) == ("remote", head.camera_address)
+    timing = FrameTiming(*(said["camera"][name] for name in ("fps", "exposure_us", "readout_us")))
+    lamps = said["lamps"]
+    timing.check_flash(lamps["projector_delay_us"], lamps["projector_width_us"])
+    timing.check_flash(lamps["led_delay_us"], lamps["led_width_us"])
+    assert said["calibration"]["file"] == "a b.json"
 
 
 def test_the_head_ends_with_its_handle_ignores_ctrl_c_and_leaves_nothing() -> None:

@@ -24,8 +24,8 @@ from annulus.demo import demo_config
 from annulus.link.client import Client
 from annulus.link.messages import StateFlag, Status
 from annulus.record.recording import Recording, open_recording
+from annulus.twin.faults import Faults
 from annulus.twin.head import HeadHandle, start_head
-from annulus.twin.sensor import Faults
 from annulus.twin.worlds import World, demo_world
 from annulus.vocabulary import AnnulusError, Label
 from annulus.wall.profile import Profile

@@ -16,17 +16,21 @@ Board = Annotated[
 ]
 
 
-@app.command("run", epilog="Example: annulus twin run --fps 10 --seed 3")
+@app.command("run", epilog="Example: annulus twin run --fps 10 -o head, then annulus daemon --config head/head.toml")
 def run(
     fps: Annotated[float, typer.Option(min=1.0, max=60.0, help="Frames per second.")] = 10.0,
     seed: Annotated[int, typer.Option(min=0, help="Of the world.")] = 1,
     faults: Annotated[Path | None, typer.Option(help="TOML file of faults to inject.")] = None,
+    roll_deg: Annotated[float, typer.Option(min=0.0, max=30.0, help="The head rolls so far either way.")] = 6.0,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="Folder for head.toml, calibration and truth.")
+    ] = None,
     board: Board = "native",
 ) -> None:
-    """Run a simulated head in real time and print where a daemon finds it. Ends with Ctrl-C."""
+    """Run a simulated head in real time and print the head.toml for it, or write it. Ends with Ctrl-C."""
     from annulus.twin.head import run_head
 
-    run_head(fps=fps, seed=seed, faults=faults, board=board)
+    run_head(fps=fps, seed=seed, faults=faults, board=board, roll_deg=roll_deg, out=out)
 
 
 @app.command("rig", epilog="Example: annulus twin rig --phantom wires")

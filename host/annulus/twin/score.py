@@ -120,11 +120,6 @@ def score_defects(
     }  # fmt: skip
 
 
-def _within(feature: Feature, seen_mm: tuple[float, float]) -> bool:
-    half = feature.length_mm / 2
-    return seen_mm[0] <= feature.z_mm - half and feature.z_mm + half <= seen_mm[1]
-
-
 def _matches(feature: Feature, truth: Mapping[str, Any], row: Mapping[str, Any]) -> bool:
     reach = max(MATCH_Z_MM, feature.length_mm / 6) if feature.kind == "oval" else MATCH_Z_MM
     return (

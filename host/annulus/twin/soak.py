@@ -20,8 +20,9 @@ from annulus.link.head import EdgeSeen, HeadControl, LampsCut, Phase, stage_from
 from annulus.link.messages import BootCause, Stage
 from annulus.link.session import EventsLost
 from annulus.twin.emulated import Board, open_board
+from annulus.twin.faults import Faults, LossyLine, load_faults
+from annulus.twin.image_sensor import Exposure, HostClock, ImageSensor
 from annulus.twin.render import Renderer
-from annulus.twin.sensor import Exposure, Faults, HostClock, LossyLine, Sensor, load_faults
 from annulus.twin.worlds import World, clean_world
 from annulus.vocabulary import AnnulusError, Label, Lamp
 
@@ -143,7 +144,7 @@ class _Run:
         self.world = clean_world(seed=seed).scaled(WIDTH)
         self.renderer = Renderer(self.world)
         self.clock = HostClock(START_NS, drift_ppm=35.0)
-        self.sensor = Sensor(
+        self.sensor = ImageSensor(
             self.world, self.timing, faults, seed=seed, clock=self.clock, start_tick=MS_TICKS, speed_mm_s=SPEED_MM_S
         )
         self.line = LossyLine(faults, seed)

@@ -9,7 +9,8 @@ import pytest
 
 from annulus.capture.timing import FrameTiming
 from annulus.controller import PIN_LED, PIN_ODOMETER_A, PIN_ODOMETER_B, PIN_PROJECTOR, PIN_SYNC, TICKS_PER_US
-from annulus.twin.sensor import Exposure, Faults, HostClock, LossyLine, Sensor, load_faults
+from annulus.twin.faults import Faults, LossyLine, load_faults
+from annulus.twin.image_sensor import Exposure, HostClock, ImageSensor
 from annulus.twin.worlds import World, clean_world
 from annulus.vocabulary import AnnulusError, Lamp
 
@@ -17,39 +18,39 @@ TIMING = FrameTiming(25.0, 38_000.0, 28_000.0)  # window 2..12 ms after the edge
 WORLD = clean_world(travel_mm=50.0).scaled(104)
 
 
-def flashes(sensor: Sensor, frame: int, pin: int, delay_us: float, width_us: float) -> list[tuple[int, int, int]]:
+def flashes(sensor: ImageSensor, frame: int, pin: int, delay_us: float, width_us: float) -> list[tuple[int, int, int]]:
     on = sensor.edge(frame) + round(delay_us * TICKS_PER_US)
     return [(on, pin, 1), (on + round(width_us * TICKS_PER_US), pin, 0)]
 
 
-def expose(sensor: Sensor, pins: list[tuple[int, int, int]], frames: int) -> list[Exposure]:
+def expose(sensor: ImageSensor, pins: list[tuple[int, int, int]], frames: int) -> list[Exposure]:
     return sensor.exposures(sensor.edge(frames - 1), pins)
 
 
 def test_a_flash_after_edge_k_lights_every_row_of_frame_k_plus_1_and_no_other() -> None:
-    sensor = Sensor(WORLD, TIMING)
+    sensor = ImageSensor(WORLD, TIMING)
     pins = flashes(sensor, 2, PIN_PROJECTOR, 3000, 5000) + flashes(sensor, 4, PIN_LED, 2500, 2500)
     lit = [exposure.lamps for exposure in expose(sensor, pins, 7)]
     assert lit == [frozenset({Lamp.PROJECTOR}) if n == 3 else frozenset({Lamp.LED}) if n == 5 else frozenset()
                    for n in range(7)]  # fmt: skip
-    frame = expose(Sensor(WORLD, TIMING), pins, 7)[3]
+    frame = expose(ImageSensor(WORLD, TIMING), pins, 7)[3]
     np.testing.assert_allclose(frame.projector, 1.0)
     assert not frame.led.any()
 
 
 def test_a_flash_too_early_leaves_the_last_rows_dark_and_one_too_late_cuts_the_first() -> None:
-    sensor = Sensor(WORLD, TIMING)
+    sensor = ImageSensor(WORLD, TIMING)
     early = expose(sensor, flashes(sensor, 0, PIN_PROJECTOR, 0, 2000), 2)
     # the last row opens 2 ms after the edge, the first 28 ms before it: of 0..2 ms row r sees what it is open for
     rows = np.linspace(0, 1, WORLD.camera.height)
     opens_ms = np.maximum(-26.0 + 28.0 * rows, 0.0)
     np.testing.assert_allclose(early[1].projector, (2.0 - opens_ms) / 5.0, atol=1e-4)
-    sensor = Sensor(WORLD, TIMING)
+    sensor = ImageSensor(WORLD, TIMING)
     late = expose(sensor, flashes(sensor, 0, PIN_PROJECTOR, 11_000, 3000), 3)
     assert late[1].projector[0] == pytest.approx(1.0 / 5.0)
     assert late[1].projector[-1] == pytest.approx(3.0 / 5.0)
     assert not late[2].projector.any()  # its first row opens 14 ms after the edge, when the flash is over
-    sensor = Sensor(WORLD, TIMING)
+    sensor = ImageSensor(WORLD, TIMING)
     later = expose(sensor, flashes(sensor, 0, PIN_PROJECTOR, 15_000, 5000), 3)
     assert later[1].projector[0] == 0 and later[1].projector[-1] == pytest.approx(1.0)
     assert (
@@ -58,13 +59,13 @@ def test_a_flash_too_early_leaves_the_last_rows_dark_and_one_too_late_cuts_the_f
 
 
 def test_a_lamp_that_never_goes_off_lights_every_row_for_its_whole_exposure() -> None:
-    sensor = Sensor(WORLD, TIMING)
+    sensor = ImageSensor(WORLD, TIMING)
     frames = expose(sensor, [(10, PIN_LED, 1)], 4)
     np.testing.assert_allclose(frames[3].led, 38_000 / WORLD.led.nominal_us)
 
 
 def test_sync_rises_at_the_first_line_and_falls_at_the_end_of_the_last() -> None:
-    sensor = Sensor(WORLD, TIMING)
+    sensor = ImageSensor(WORLD, TIMING)
     sync = [(tick, level) for tick, pin, level in sensor.stimuli(sensor.edge(2)) if pin == PIN_SYNC]
     assert sync == [(0, 0)] + [
         pulse for n in range(3) for pulse in ((sensor.edge(n) - 2_800_000, 1), (sensor.edge(n), 0))
@@ -72,8 +73,8 @@ def test_sync_rises_at_the_first_line_and_falls_at_the_end_of_the_last() -> None
 
 
 def test_stimuli_are_the_same_however_finely_they_are_asked_for() -> None:
-    whole = Sensor(WORLD, TIMING, speed_mm_s=60.0, seed=4)
-    fine = Sensor(WORLD, TIMING, speed_mm_s=60.0, seed=4)
+    whole = ImageSensor(WORLD, TIMING, speed_mm_s=60.0, seed=4)
+    fine = ImageSensor(WORLD, TIMING, speed_mm_s=60.0, seed=4)
     end = whole.edge(9)
     in_one = whole.stimuli(end)
     in_bits = [s for until in [*range(0, end, 77_777), end] for s in fine.stimuli(until)]
@@ -95,13 +96,15 @@ def counts(stimuli: Iterator[tuple[int, int, int]] | list[tuple[int, int, int]])
 
 @pytest.mark.parametrize("speed", [12.5, 60.0])
 def test_the_cable_counter_says_where_the_head_is(speed: float) -> None:
-    sensor = Sensor(WORLD, TIMING, speed_mm_s=speed)
+    sensor = ImageSensor(WORLD, TIMING, speed_mm_s=speed)
     told = sensor.stimuli(sensor.edge(19))
-    assert counts(told) * WORLD.mm_per_count == pytest.approx(sensor.z_mm(sensor.edge(19)), abs=WORLD.mm_per_count)
+    assert counts(told) * WORLD.mm_per_count == pytest.approx(
+        sensor.cable.z_mm(sensor.edge(19)), abs=WORLD.mm_per_count
+    )
 
 
 def test_the_head_waits_moves_back_and_forth_and_stops_at_the_end() -> None:
-    sensor = Sensor(WORLD, TIMING)
+    sensor = ImageSensor(WORLD, TIMING)
     told = sensor.stimuli(sensor.edge(4))
     assert counts(told) == 0
     for frame, speed in ((5, 100.0), (15, -40.0), (20, 100.0)):
@@ -114,7 +117,7 @@ def test_the_head_waits_moves_back_and_forth_and_stops_at_the_end() -> None:
 
 
 def test_a_frame_knows_where_the_head_was_when_its_light_came() -> None:
-    sensor = Sensor(WORLD, TIMING, speed_mm_s=50.0)
+    sensor = ImageSensor(WORLD, TIMING, speed_mm_s=50.0)
     frame = expose(sensor, flashes(sensor, 4, PIN_LED, 3000, 2000), 6)[5]
     assert frame.z_mm == pytest.approx(50.0 * (5 * 0.040 + 0.004), abs=1e-6)
     assert frame.pose == WORLD.pose(frame.z_mm)
@@ -122,26 +125,26 @@ def test_a_frame_knows_where_the_head_was_when_its_light_came() -> None:
 
 def test_timestamps_follow_the_edge_with_offset_drift_and_seeded_jitter() -> None:
     clock = HostClock(start_ns=1_000_000_000, drift_ppm=40.0)
-    quiet = expose(Sensor(WORLD, TIMING, clock=clock), [], 2000)
+    quiet = expose(ImageSensor(WORLD, TIMING, clock=clock), [], 2000)
     assert quiet[0].timestamp_ns == clock.ns(quiet[0].edge_tick - 2_800_000)
     assert abs(clock.tick(clock.ns(123_456_789_000)) - 123_456_789_000) <= 1
     assert clock.ns(100_000_000) == 1_000_000_000 + round(1e9 / (1 + 40e-6))
     faults = Faults(timestamp_jitter_us=2000.0)
-    shaky = expose(Sensor(WORLD, TIMING, faults, clock=clock, seed=3), [], 2000)
+    shaky = expose(ImageSensor(WORLD, TIMING, faults, clock=clock, seed=3), [], 2000)
     late_us = np.array([b.timestamp_ns - a.timestamp_ns for a, b in zip(quiet, shaky, strict=True)]) / 1e3
     assert 1850 < late_us.std() < 2150 and abs(late_us.mean()) < 200
-    again = expose(Sensor(WORLD, TIMING, faults, clock=clock, seed=3), [], 2000)
+    again = expose(ImageSensor(WORLD, TIMING, faults, clock=clock, seed=3), [], 2000)
     assert [e.timestamp_ns for e in again] == [e.timestamp_ns for e in shaky]
 
 
 def test_dropped_frames_leave_holes_in_the_sequence_at_the_rate_asked_for() -> None:
-    frames = expose(Sensor(WORLD, TIMING, Faults(frames_dropped=0.05), seed=8), [], 2000)
+    frames = expose(ImageSensor(WORLD, TIMING, Faults(frames_dropped=0.05), seed=8), [], 2000)
     assert [f.sequence for f in frames] == list(range(2000))
     assert 70 < sum(f.dropped for f in frames) < 130
 
 
 def test_missing_and_doubled_edges_come_at_the_rate_asked_for() -> None:
-    sensor = Sensor(WORLD, TIMING, Faults(sync_missing=0.1, sync_glitches=0.1), seed=2)
+    sensor = ImageSensor(WORLD, TIMING, Faults(sync_missing=0.1, sync_glitches=0.1), seed=2)
     falls = [s for s in sensor.stimuli(sensor.edge(999)) if s[1:] == (PIN_SYNC, 0)]
     regular = {sensor.edge(n) for n in range(1000)}
     assert 70 < len(regular - {tick for tick, _, _ in falls}) < 130

@@ -1,6 +1,6 @@
 """When the twin's camera looks, and how much light each row then gets. No clock, no thread: ticks in, frames out.
 
-    sensor = Sensor(world, timing, faults, seed=1)
+    sensor = ImageSensor(world, timing, faults, seed=1)
     while True:
         until = sensor.next_edge
         for tick, pin, level in sensor.stimuli(until):      # sync line, cable counter, interlock
@@ -14,94 +14,20 @@ The lamps of a frame are nothing but the gate pins the firmware moved: each row 
 its own closing, so a wrong delay makes a dark or banded frame, as on the bench. World ticks are 10 ns of true time.
 """
 
-import math
-import tomllib
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, fields
-from pathlib import Path
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from annulus.capture.timing import FrameTiming
-from annulus.controller import (
-    PIN_INTERLOCK,
-    PIN_LED,
-    PIN_ODOMETER_A,
-    PIN_ODOMETER_B,
-    PIN_PROJECTOR,
-    PIN_SYNC,
-    TICK_NS,
-    TICK_S,
-    TICKS_PER_US,
-)
+from annulus.controller import PIN_INTERLOCK, PIN_LED, PIN_PROJECTOR, PIN_SYNC, TICK_NS, TICKS_PER_US
 from annulus.geometry.pose import Pose
-from annulus.twin.worlds import World
-from annulus.vocabulary import AnnulusError, CameraSequence, Lamp
-
-Stimulus = tuple[int, int, int]  # world tick, pin, level
-_QUADRATURE = ((0, 0), (1, 0), (1, 1), (0, 1))  # A, B as the count rises: A leads
-
-
-@dataclass(frozen=True, slots=True)
-class Faults:
-    """What goes wrong, as rates a frame or an event, all from one seed."""
-
-    frames_dropped: float = 0.0  # by the camera's driver: a hole in its sequence
-    events_lost: float = 0.0  # whole events lost between controller and host
-    bytes_flipped: float = 0.0  # of all bytes from the controller
-    timestamp_jitter_us: float = 0.0  # standard deviation, normal
-    sync_missing: float = 0.0  # edges that never come
-    sync_glitches: float = 0.0  # edges doubled by a 20 us spike in the middle of a frame
-    resets: tuple[int, ...] = ()  # the controller restarts in the middle of these frames
-
-    def __post_init__(self) -> None:
-        for name in ("frames_dropped", "events_lost", "bytes_flipped", "sync_missing", "sync_glitches"):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= 1.0:
-                raise AnnulusError(f"faults: {name} is {value!r}, expected a share from 0 to 1")
-        jitter = self.timestamp_jitter_us
-        if isinstance(jitter, bool) or not isinstance(jitter, int | float) or not 0.0 <= jitter <= 1e6:
-            raise AnnulusError(f"faults: timestamp_jitter_us is {jitter!r}, expected 0 to 1000000")
-        if not all(isinstance(frame, int) and not isinstance(frame, bool) and frame >= 0 for frame in self.resets):
-            raise AnnulusError(f"faults: resets is {self.resets!r}, expected frame numbers")
-
-
-NO_FAULTS = Faults()
-NAMED_FAULTS = {
-    "none": NO_FAULTS,
-    # the acceptance soak; its two resets are placed by whoever knows the length of the run
-    "standard": Faults(frames_dropped=0.01, events_lost=0.01, timestamp_jitter_us=2000.0),
-    "rough": Faults(
-        frames_dropped=0.03, events_lost=0.02, bytes_flipped=1e-4, timestamp_jitter_us=3000.0, sync_missing=0.003,
-        sync_glitches=0.003,
-    ),
-}  # fmt: skip
-
-
-def load_faults(source: str | Path | None) -> Faults:
-    """Faults by name (`none`, `standard`, `rough`) or from a TOML file whose keys are the fields of `Faults`."""
-    if source is None:
-        return NO_FAULTS
-    if str(source) in NAMED_FAULTS:
-        return NAMED_FAULTS[str(source)]
-    path = Path(source)
-    try:
-        data: dict[str, Any] = tomllib.loads(path.read_text("utf-8"))
-    except FileNotFoundError:
-        raise AnnulusError(f"{source}: no such fault file, and not one of {', '.join(NAMED_FAULTS)}") from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise AnnulusError(f"{path}: cannot be read as TOML: {error}") from None
-    unknown = set(data) - {f.name for f in fields(Faults)}
-    if unknown:
-        raise AnnulusError(f"{path}: does not know {sorted(unknown)}, expected {[f.name for f in fields(Faults)]}")
-    if isinstance(data.get("resets"), list):
-        data["resets"] = tuple(data["resets"])
-    try:
-        return Faults(**data)
-    except (AnnulusError, TypeError) as error:
-        raise AnnulusError(f"{path}: {error}") from None
+from annulus.twin.cable import Cable, Stimulus
+from annulus.twin.faults import NO_FAULTS, Faults
+from annulus.twin.worlds.world import World
+from annulus.vocabulary import CameraSequence, Lamp
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +66,7 @@ class Exposure:
         return frozenset(lamp for lamp, rows in lit if float(rows.max()) > 1e-4)
 
 
-class Sensor:
+class ImageSensor:
     """The rolling-shutter camera, its sync line and the cable counter of one head. Call in rising ticks."""
 
     def __init__(
@@ -174,8 +100,7 @@ class Sensor:
         self._told = start_tick - 1  # stimuli up to here were handed out
         self._pending: list[Stimulus] = []
         self._gates = {PIN_PROJECTOR: _Gate(), PIN_LED: _Gate()}
-        self._pulls = [_Pull(start_tick, 0.0, speed_mm_s, world.travel_mm)]
-        self._count = 0
+        self.cable = Cable(world.travel_mm, world.mm_per_count, start_tick, speed_mm_s)
         rows = np.arange(world.camera.height) / max(world.camera.height - 1, 1)
         self._row_close = -np.round(self._readout * (1.0 - rows)).astype(np.int64)  # after the edge
 
@@ -188,21 +113,15 @@ class Sensor:
         """World tick at which the readout of frame `frame` (from 0) ends."""
         return self._start + round((frame + 1) * self._period)
 
-    def z_mm(self, tick: float) -> float:
-        """Station of the head."""
-        pull = next((p for p in reversed(self._pulls) if p.tick <= tick), self._pulls[0])
-        return pull.z_mm(tick)
-
     def pull(self, tick: int, speed_mm_s: float) -> None:
         """From `tick` on the cable moves at this speed, until the end of the world's travel; 0 stops it."""
         if tick <= self._told:
             raise ValueError(f"the cable's way up to tick {self._told} is already told, {tick} is too late")
-        self._pulls.append(_Pull(tick, self.z_mm(tick), speed_mm_s, self.world.travel_mm))
+        self.cable.pull(tick, speed_mm_s)
 
     def levels(self) -> list[tuple[int, int]]:
         """(pin, level) of every input as it is now: for a board that has just been powered on again."""
-        a, b = _QUADRATURE[self._count % 4]
-        return [(PIN_INTERLOCK, 0), (PIN_SYNC, 0), (PIN_ODOMETER_A, a), (PIN_ODOMETER_B, b)]
+        return [(PIN_INTERLOCK, 0), (PIN_SYNC, 0), *self.cable.levels()]
 
     def stimuli(self, until: int) -> list[Stimulus]:
         """Input pins' transitions after those already told, up to and including tick `until`, in order."""
@@ -211,7 +130,7 @@ class Sensor:
         while self.edge(self._announced) - self._readout <= until:
             self._pending += self._sync_of(self._announced)
             self._announced += 1
-        self._pending += self._odometer(self._told, until)
+        self._pending += self.cable.stimuli(self._told, until, self._history)
         self._pending.sort(key=lambda stimulus: stimulus[0])
         now = [s for s in self._pending if s[0] <= until]
         self._pending = self._pending[len(now) :]
@@ -243,7 +162,7 @@ class Sensor:
         weight = [float(projector.sum()), float(led.sum())]
         dark_at = edge - self._readout // 2 - self._exposure // 2
         at = np.average([at_projector, at_led], weights=weight) if sum(weight) > 0 else dark_at
-        z = self.z_mm(float(at))
+        z = self.cable.z_mm(float(at))
         rng = np.random.default_rng([self._seed, 1, frame])
         dropped = bool(rng.random() < self.faults.frames_dropped)
         late = self.offset_us + self.faults.timestamp_jitter_us * float(rng.standard_normal())
@@ -270,46 +189,10 @@ class Sensor:
             out += [(spike, PIN_SYNC, 1), (spike + 20 * TICKS_PER_US, PIN_SYNC, 0)]
         return out
 
-    def _odometer(self, after: int, until: int) -> list[Stimulus]:
-        out: list[Stimulus] = []
-        step = self.world.mm_per_count
-        ends = [p.tick for p in self._pulls[1:]] + [until + 1]
-        for pull, end in zip(self._pulls, ends, strict=True):
-            last = min(end - 1, until)
-            if last <= after or pull.tick > until or pull.speed_mm_s == 0.0:
-                continue
-            target = math.floor(pull.z_mm(last) / step + 1e-9)
-            while self._count != target:
-                up = target > self._count
-                crossing = pull.tick_at((self._count + (1 if up else 0)) * step)
-                self._count += 1 if up else -1
-                old, new = _QUADRATURE[(self._count - (1 if up else -1)) % 4], _QUADRATURE[self._count % 4]
-                pin = 0 if old[0] != new[0] else 1
-                tick = min(max(crossing, after + 1), last)
-                out.append((tick, (PIN_ODOMETER_A, PIN_ODOMETER_B)[pin], new[pin]))
-        self._pulls = [p for p, end in zip(self._pulls, ends, strict=True) if end > after - self._history] or [
-            self._pulls[-1]
-        ]
-        return out
-
     @property
     def _history(self) -> int:
         """Ticks that a frame still to be handed out may look back."""
         return self._readout + self._exposure + 3 * round(self._period)
-
-
-@dataclass(frozen=True, slots=True)
-class _Pull:
-    tick: int
-    from_mm: float
-    speed_mm_s: float
-    end_mm: float
-
-    def z_mm(self, tick: float) -> float:
-        return min(max(self.from_mm + self.speed_mm_s * (tick - self.tick) * TICK_S, 0.0), self.end_mm)
-
-    def tick_at(self, z_mm: float) -> int:
-        return self.tick + math.ceil((z_mm - self.from_mm) / self.speed_mm_s / TICK_S)
 
 
 @dataclass(slots=True)
@@ -341,41 +224,3 @@ class _Gate:
             moment += float((light * ((start + end) / 2.0 - on)).sum()) + float(light.sum()) * on
         weight = float(total.sum())
         return total, moment / weight if weight > 0 else 0.0
-
-
-class LossyLine:
-    """The serial line from controller to host: loses whole events, flips bytes. Bytes may come in any pieces."""
-
-    def __init__(self, faults: Faults, seed: int = 0) -> None:
-        self._faults = faults
-        self._rng = np.random.default_rng([seed, 3])
-        self._frame = bytearray()
-        self.events_lost = 0
-        self.bytes_flipped = 0
-
-    def carry(self, data: bytes) -> bytes:
-        """What arrives of `data`. With event loss an unfinished frame waits here for its delimiter."""
-        if self._faults.events_lost > 0:
-            data = self._lose_events(data)
-        if self._faults.bytes_flipped > 0 and data:
-            hit = np.flatnonzero(self._rng.random(len(data)) < self._faults.bytes_flipped)
-            flipped = bytearray(data)
-            for i in hit:
-                flipped[i] ^= 1 << int(self._rng.integers(8))
-            self.bytes_flipped += len(hit)
-            data = bytes(flipped)
-        return data
-
-    def _lose_events(self, data: bytes) -> bytes:
-        out = bytearray()
-        for byte in data:
-            self._frame.append(byte)
-            if byte == 0:
-                # an event's id is 0x80 or above, never zero, so it stands behind the first COBS code byte
-                is_event = len(self._frame) > 2 and 0x80 <= self._frame[1] < 0xF0
-                if is_event and self._rng.random() < self._faults.events_lost:
-                    self.events_lost += 1
-                else:
-                    out += self._frame
-                self._frame.clear()
-        return bytes(out)

@@ -1,0 +1,229 @@
+"""The head's process: board, camera, sensors and serial line on one loop, slaved to the monotonic clock."""
+
+import json
+import math
+import os
+import select
+import signal
+import sys
+import time
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+import msgpack
+import zmq
+
+from annulus.capture.camera import BAYER_RGGB8
+from annulus.capture.remote import MESSAGE_MAX
+from annulus.capture.timing import FrameTiming
+from annulus.controller import PIN_LED, PIN_PROJECTOR, TICK_NS, TICK_S
+from annulus.sensors.sample import Sample
+from annulus.twin.camera_server import CameraServer
+from annulus.twin.drawing import Drawing, Job
+from annulus.twin.emulated import open_board
+from annulus.twin.faults import Faults, LossyLine
+from annulus.twin.image_sensor import Exposure, HostClock, ImageSensor
+from annulus.twin.line import Line, PtyLine, TcpLine
+from annulus.twin.render import Renderer
+from annulus.twin.sensors import HeadSensors
+from annulus.twin.worlds.world import World
+from annulus.vocabulary import AnnulusError
+
+EMULATOR_WARM_TICKS = 50_000_000  # node compiles what runs often
+SETTLE_S = 2.0  # from the camera's start to the cable's, time to calibrate and arm
+BOOT_WATCHDOG = 1  # messages.BootCause
+SAMPLES_WAITING_MAX = 1000  # at a subscriber that does not read
+COUNTED = (
+    "frames", "rendered", "dropped_on_purpose", "driver_dropped_no_buffer", "driver_dropped_too_slow", "resets",
+    "pulls", "serial_overflow", "camera_closed", "samples",
+)  # fmt: skip
+
+
+def main() -> None:
+    """An order on stdin, addresses on stdout, questions and answers; the end of stdin ends it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the daemon's, which disarms the lamps through this head
+    try:
+        order = json.loads(sys.stdin.buffer.readline())
+        head = _Head(order)
+    except AnnulusError as error:
+        sys.exit(str(error))
+    try:
+        head.run()
+    finally:
+        head.close()
+
+
+class _SamplePublisher:
+    """Two parts a sample, its sensor's name and msgpack of `Sample.to_dict()`. A slow subscriber loses samples."""
+
+    def __init__(self) -> None:
+        self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+        self._socket = self._context.socket(zmq.PUB)
+        self._socket.setsockopt(zmq.SNDHWM, SAMPLES_WAITING_MAX)
+        self._socket.setsockopt(zmq.LINGER, 0)
+        self.address = f"ipc://@annulus-twin-sensors-{os.getpid()}"
+        self._socket.bind(self.address)
+
+    def send(self, sample: Sample) -> None:
+        self._socket.send_multipart([sample.sensor.encode(), msgpack.packb(sample.to_dict())])
+
+    def close(self) -> None:
+        self._context.destroy(linger=0)
+
+
+class _Head:
+    def __init__(self, order: Mapping[str, Any]) -> None:
+        self.world = World.from_dict(order["world"])
+        self.faults = Faults.from_dict(order["faults"])
+        self.timing = FrameTiming(**order["timing"])
+        seed = int(order["seed"])
+        self.counts = Counter({name: 0 for name in COUNTED})
+        renderer = Renderer(self.world)
+        renderer.render(self.world.pose(0.0), 0.0, 1.0, rows=(0, 8))  # compile before time starts
+        self.board = open_board(str(order["board"]))
+        self.boot = 1 + seed % 200
+        self.board.power_on(self.boot)
+        self.line = LossyLine(self.faults, seed)
+        self.speed_mm_s = float(order["speed_mm_s"])
+        self.pull_at: int | None = None
+        is_native = order["board"] == "native"
+        self.serial: Line = PtyLine() if is_native else TcpLine()
+        self.patience_s = (2e-4, 1e-3) if is_native else (5e-4, 3e-3)  # a look at the emulator costs 0.2 ms
+        self.behind_ms = 0.0  # at worst, the world against the clock
+        self.to_host = bytearray()
+        hello = {
+            "width": renderer.width, "height": renderer.height, "encoding": BAYER_RGGB8, "timing": asdict(self.timing)
+        }  # fmt: skip
+        self.camera = CameraServer(hello, self.counts)
+        self.drawing = Drawing(renderer, self.camera.slots, int(order["threads"]))
+        self.publisher = _SamplePublisher()
+        if not is_native:
+            self.board.run_until(self.board.tick + EMULATOR_WARM_TICKS)
+        start = self.board.tick
+        clock = self.clock = HostClock(time.monotonic_ns() - start * TICK_NS, float(order["drift_ppm"]))
+        self.sensor = ImageSensor(self.world, self.timing, self.faults, seed=seed, clock=clock, start_tick=start)
+        self.sensors = HeadSensors(self.world, self.sensor.cable, clock, self.faults, start_tick=start, seed=seed)
+        period = self.timing.period_us * 100
+        self.resets = [self.sensor.edge(frame) + round(period * 0.4) for frame in sorted(self.faults.resets)]
+
+    def run(self) -> None:
+        """Until stdin ends."""
+        addresses = {"port": self.serial.url, "camera": self.camera.address, "sensors": self.publisher.address}
+        sys.stdout.write(json.dumps(addresses) + "\n")
+        sys.stdout.flush()
+        os.set_blocking(sys.stdin.fileno(), False)
+        asked = b""
+        busy_until = 0.0
+        while True:
+            # while the host talks, answer soon; else a tenth of a frame will do
+            patience = self.patience_s[0 if time.monotonic() < busy_until else 1]
+            waitables = [*self.serial.waitables(), *self.camera.waitables(), sys.stdin, self.drawing.wake]
+            readable, _, _ = select.select(waitables, [], [], patience)
+            self._advance()
+            if heard := self.serial.read():
+                self.board.serial_write(heard)
+                busy_until = time.monotonic() + 3e-3
+            if sys.stdin in readable:
+                more = os.read(sys.stdin.fileno(), MESSAGE_MAX)
+                if not more:
+                    return
+                *questions, asked = (asked + more).split(b"\n")
+                for question in questions:
+                    sys.stdout.write(json.dumps(self._answer(json.loads(question))) + "\n")
+                    sys.stdout.flush()
+            self.camera.serve(readable)
+            if self.camera.streaming and self.speed_mm_s and not self.counts["pulls"]:
+                self.counts["pulls"] += 1
+                self.pull_at = self.clock.tick(time.monotonic_ns()) + round(SETTLE_S / TICK_S)
+            for job in self.drawing.finished():
+                self._deliver(job)
+
+    def close(self) -> None:
+        self.drawing.close()
+        self.camera.close()
+        self.publisher.close()
+        self.serial.close()
+        self.board.close()
+
+    # ---- time ----
+    def _advance(self) -> None:
+        """Bring the firmware's world to now."""
+        now = self.clock.tick(time.monotonic_ns())
+        while self.resets and self.resets[0] <= now:
+            self._run_to(self.resets[0])
+            self.resets.pop(0)
+            self.boot = self.boot % 255 + 1
+            self.board.power_on(self.boot, BOOT_WATCHDOG)
+            self.counts["resets"] += 1
+        self._run_to(now)
+        self.behind_ms = max(self.behind_ms, (self.clock.tick(time.monotonic_ns()) - now) * 1e3 * TICK_S)
+        if self.pull_at is not None and now >= self.pull_at:
+            self.sensor.pull(now + 1, self.speed_mm_s)
+            self.pull_at = None
+        self.to_host += self.line.carry(self.board.serial_read())
+        if self.to_host:
+            del self.to_host[: self.serial.write(bytes(self.to_host))]
+            if len(self.to_host) > 65536:  # nobody reads: a real line would have lost it too
+                self.counts["serial_overflow"] += len(self.to_host)
+                self.to_host.clear()
+
+    def _run_to(self, tick: int) -> None:
+        for at, pin, level in self.sensor.stimuli(tick):
+            self.board.input(max(at, self.board.tick), pin, level)
+        self.board.run_until(tick)
+        pins = self.board.pins()
+        for sample in self.sensors.samples(tick, pins):
+            self.counts["samples"] += 1
+            self.publisher.send(sample)
+        for exposure in self.sensor.exposures(tick, pins):
+            self._order(exposure)
+
+    # ---- frames ----
+    def _order(self, exposure: Exposure) -> None:
+        """Have a frame drawn, or drop it as a driver without a free buffer does."""
+        self.counts["frames"] += 1
+        if not self.camera.streaming:
+            return
+        if exposure.dropped:
+            self.counts["dropped_on_purpose"] += 1
+        elif (slot := self.camera.take()) is None:
+            self.counts["driver_dropped_no_buffer"] += 1
+        elif not self.drawing.order(Job(slot, self.camera.generation, exposure)):
+            self.camera.give_back(slot)
+            self.counts["driver_dropped_too_slow"] += 1
+
+    def _deliver(self, job: Job) -> None:
+        self.counts["rendered"] += 1
+        metadata = {
+            "SensorTimestamp": job.exposure.timestamp_ns,
+            "FrameSequence": job.exposure.sequence,
+            "ExposureTime": round(self.timing.exposure_us),
+            "FrameDuration": round(self.timing.period_us),
+        }
+        self.camera.deliver(job.slot, job.generation, metadata)
+
+    def _answer(self, question: Mapping[str, Any]) -> dict[str, Any]:
+        now = self.clock.tick(time.monotonic_ns())
+        match question.get("do"):
+            case "pull":
+                self.speed_mm_s = float(question["speed_mm_s"])
+                self.pull_at = now if math.isfinite(self.speed_mm_s) else None
+                self.counts["pulls"] += 1
+                return {}
+            case "silence":
+                try:
+                    self.sensors.silence(question["sensor"], time.monotonic_ns(), float(question["seconds"]))
+                except AnnulusError as error:
+                    return {"refused": str(error)}
+                return {}
+        on = [name for name, pin in (("projector", PIN_PROJECTOR), ("led", PIN_LED)) if self.board.level(pin)]
+        return {
+            **self.counts,
+            "events_lost": self.line.events_lost,
+            "bytes_flipped": self.line.bytes_flipped,
+            "z_mm": self.sensor.cable.z_mm(now),
+            "lamps_on": on,
+            "behind_ms": self.behind_ms,
+        }
