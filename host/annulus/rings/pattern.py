@@ -14,8 +14,8 @@ from annulus.geometry.cone import Cone
 from annulus.numeric.arrays import FloatArray
 from annulus.vocabulary import AnnulusError
 
-# STRIPE_PX by test_pattern from both sides. The others are room left on purpose: half or twice as much reads no
-# worse: unguarded.
+# STRIPE_PX by test_pattern from both sides. The others are room left on purpose: twice as much fails no
+# test: unguarded.
 STRIPES_MAX = 65  # of a calibration
 STRIPE_PX = 5.0  # narrower, a stripe's colour is lost in its slits' blur
 MARGIN_PX = 10.0  # that the outermost stripe keeps from the image's edge
