@@ -38,7 +38,7 @@ def method_for(calibration: Calibration, colour: ColourProfile | None = None) ->
     """
     match calibration.kind:
         case "slits":
-            return _slits(calibration.only(), colour)
+            return _slits(calibration, colour)
     raise AnnulusError(f"calibration: the head projects {calibration.kind}, for which there is no method yet")
 
 
@@ -60,7 +60,7 @@ def examined(
 ) -> tuple[ColourProfile | None, tuple[Finding, ...]]:
     """What (frame, image) of a few frames spread over a scan decide for all of them: the colour profile to use, None
     where the one given is not this pipe's, and what is wrong with every frame."""
-    findings = examine(Reconstructor(calibration.only(), colour=colour), some, colour)
+    findings = examine(Reconstructor(calibration, colour=colour), some, colour)
     return None if any(finding.kind == Trouble.PAINT for finding in findings) else colour, findings
 
 

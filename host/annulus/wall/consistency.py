@@ -12,7 +12,8 @@ import numpy as np
 from annulus.numeric.jit import jit
 from annulus.wall.profile import Profile
 
-# Guarded by test_consistency.py; what they cost a scan shows in the benchmark topics uncertainty and diameter.
+# CELL_OF_RADIUS and AGREE_OF_RADIUS are guarded both ways by test_consistency.py; what all of it costs a scan shows in
+# the benchmark topics uncertainty and diameter.
 COLUMNS = 180  # cells round the pipe; a point is judged by its own cell and the eight around it
 CELL_OF_RADIUS = 0.026  # of the radius: a cell's length along the pipe, 2 mm in a 6-inch pipe
 ROWS_MAX = 40_000  # cells along the pipe; bounds memory on very long scans

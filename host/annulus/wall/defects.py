@@ -25,7 +25,7 @@ from annulus.wall.stations import shape_ovality
 
 __all__ = ["Defect", "Detection", "Kind", "Limits", "clock_face", "find_defects"]
 
-# Guarded by test_grid.py.
+# Held as a whole by test_grid.py and the benchmark topic mirror; not tried one by one.
 ALL_ROUND_DEG = 345.0  # an arc longer than this goes all round
 UNSURE = 0.6  # part of a depth: a place whose k = 2 uncertainty is larger is not known to be a defect
 DEEP = 0.8  # part of its depth: the cells of a place that show how deep it is

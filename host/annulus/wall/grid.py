@@ -17,7 +17,8 @@ from annulus.vocabulary import AnnulusError
 from annulus.wall.profile import Profile
 from annulus.wall.shadow import STEP_MM, between_levels
 
-# Guarded by test_grid.py; the benchmark topics diameter, artefacts and mirror measure whole walls.
+# ANGLE_STEP_DEG is guarded by test_grid.py; all together by the benchmark topics diameter, artefacts and mirror, which
+# measure whole walls.
 ANGLE_STEP_DEG = 1.0  # a column
 Z_STEPS_MM = (0.5, 1.0, 2.0, 2.5, 5.0, 10.0, 20.0, 50.0)  # what a row may be, the first that is dense enough
 POINTS_A_CELL = 1.5  # points wanted on average: fewer leave holes by chance, more waste resolution

@@ -11,8 +11,8 @@ from annulus.numeric.arrays import FloatArray
 from annulus.numeric.jit import jit
 from annulus.numeric.robust import CAUCHY, SIGMA_OF_MAD, cauchy
 
-# Guarded by test_pose.py and by the benchmark topics stabilisation (200 seeds, beside least squares told the clean
-# points) and few_rings (one ring, damaged rings).
+# Held as a whole by test_pose.py and by the benchmark topics stabilisation (200 seeds, beside least squares told the
+# clean points) and few_rings (one ring, damaged rings); not tried one by one.
 CLOSE = 2e-4  # radians or parts of the radius: the robust fit ends with a step this small ..
 NEAR = 2e-5  # .. and the likelihood with this
 THERE = 0.01  # of the radius; points that scatter no more about it say that the pose is near enough to begin with

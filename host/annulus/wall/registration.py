@@ -15,7 +15,8 @@ from annulus.numeric.robust import TUKEY, biweight, robust_sigma
 from annulus.wall.grid import NOISE_FLOOR_MM, Wall, build_wall, harmonics
 from annulus.wall.profile import Profile
 
-# Guarded by test_registration.py; what they gain shows in the benchmark topic diameter (clouds before, after).
+# POINTS_NEEDED, ANGLE_MAX and WORTH_MM are guarded by test_registration.py one way each. ROUNDS and SHIFT_OF_RADIUS:
+# unguarded; what all of it gains shows in the benchmark topic diameter (clouds before and after).
 ROUNDS = 2
 POINTS_NEEDED = 200  # points in a frame, for the four numbers of its correction
 ANGLE_MAX = 0.03  # radians; a frame that wants more is wrong in another way and is left alone ..

@@ -10,7 +10,8 @@ import numpy as np
 
 from annulus.numeric.arrays import BoolArray, FloatArray
 
-# Guarded by test_shadow.py; the benchmark topic artefacts counts the false floors left on a rendered scan.
+# STEP_MM, LEVEL_OF_STEP, RIM_OF_RADIUS and RIM_PART are guarded by test_shadow.py one way each. FLOOR_OF_RADIUS,
+# SIDEWAYS_DEG, SLIT_OF_RADIUS and FLOOR_PART: unguarded; the benchmark topic artefacts counts the false floors left.
 STEP_MM = 0.3  # a rise less than this is noise or the pipe's course
 LEVEL_OF_STEP = 0.2  # of the step: this near to the rim's or the floor's level is that
 RIM_OF_RADIUS, FLOOR_OF_RADIUS = 0.08, 0.12  # of the radius: wall before and after a step that gives its two levels

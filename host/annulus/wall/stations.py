@@ -9,7 +9,7 @@ from annulus.wall.grid import Wall
 
 OVALITY_NAME = "ASTM F1216"
 OVALITY_FORMULA = "100 · max(Dmax − Dmean, Dmean − Dmin) / Dmean"
-# Guarded by test_grid.py; the benchmark topic diameter scores every station over twenty scans.
+# PAIRS_NEEDED is guarded upwards by test_grid.py; the benchmark topic diameter scores stations of STATION_MM.
 STATION_MM = 5.0  # length of a station
 PAIRS_NEEDED = 0.5  # part of the diameters round the clock; with fewer a station has no figures
 

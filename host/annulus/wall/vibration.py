@@ -19,7 +19,8 @@ from annulus.wall.profile import Profile
 
 MODES = ("radius", "shift", "lean", "oval")  # what shakes: cosine and sine of the clock but for the first
 MEMBERS = ((0,), (1, 2), (3, 4), (5, 6))  # columns of `_Observations.basis`
-# Guarded by test_vibration.py and by the benchmark topic artefacts (0.3 mm of shaking at three periods, and a groove).
+# FRAMES_LEAST and CYCLES_LEAST (upwards) are guarded by test_vibration.py; OVERSAMPLED and LINES_MOST: unguarded. The
+# benchmark topic artefacts holds all together (0.3 mm of shaking at three periods, and a groove).
 FRAMES_LEAST = 24  # frames along the pipe
 CYCLES_LEAST = 3.0  # cycles over the section; what is slower is the pipe's course
 OVERSAMPLED = 5.0  # steps of frequency in the width of a line
