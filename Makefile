@@ -4,7 +4,7 @@ UV_VERSION := 0.13.8
 UV         := .tools/bin/uv
 BIN        := .venv/bin
 
-.PHONY: setup demo test lint bench bench-metrology bench-thermoacoustic native firmware emulator generated mutants clean
+.PHONY: setup demo test lint bench bench-metrology bench-thermoacoustic study native firmware emulator generated mutants clean
 
 setup: .venv/.synced native
 
@@ -55,15 +55,19 @@ lint: setup generated
 generated:
 	python3 protocol/generate.py --check
 
-bench: setup
-	@for b in tools/bench/bench_*.py; do echo "== $$b"; $(BIN)/python $$b || exit 1; done
+bench: setup firmware emulator
+	$(BIN)/python -m tools.bench speed
 
 # The table of tools/bench/metrology/RESULTS.md and its pictures, anew.
 bench-metrology: setup
-	$(BIN)/python tools/bench/metrology
+	$(BIN)/python -m tools.bench metrology
 
 bench-thermoacoustic: setup
-	$(BIN)/python tools/bench/thermoacoustic
+	$(BIN)/python -m tools.bench thermoacoustic
+
+# The source's figures and tables, simulated: pictures and numbers in build/study.
+study: setup
+	$(BIN)/python -m tools.study --out build/study
 
 # Faults put into the firmware on purpose; the emulator's tests must catch every one.
 mutants: setup firmware emulator

@@ -5,11 +5,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from photographs import DrawnTarget, _rays, poses
 
 from annulus.geometry.camera import Camera
 from annulus.geometry.cone import Cone
 from annulus.numeric.arrays import FloatArray
+from tests.scenes.calibrate.photographs import DrawnTarget, _rays, poses
 
 COLOURS = "RRGBGR"
 LIGHT = {"R": (4.0, 8.0, 215.0), "G": (22.0, 190.0, 10.0), "B": (170.0, 20.0, 4.0)}  # BGR of each stripe

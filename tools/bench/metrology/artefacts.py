@@ -1,7 +1,6 @@
 """A distorted slide corrected by a reference frame, shaking taken out, and what steps hide, each against the truth."""
 
 import math
-import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
@@ -9,7 +8,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
-from table import ROOT, Row
 
 from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import FloatArray
@@ -23,10 +21,9 @@ from annulus.wall.grid import Wall, build_wall
 from annulus.wall.profile import Profile
 from annulus.wall.registration import register
 from annulus.wall.vibration import without_vibration
-
-sys.path.insert(0, str(ROOT / "tests" / "unit" / "rings"))
-import drawn
-import synthetic_pipe as pipe
+from tests.unit.rings import drawn
+from tests.unit.rings import synthetic_pipe as pipe
+from tools.bench.table import Row
 
 LEANS = [Pose(), Pose(0.014, -0.010, 1.0, 1.0), Pose(-0.017, 0.009, -1.0, 0.5), Pose(0.004, 0.017, 0.0, -1.5)]
 TRIED = {  # how far the head stands from the first reference frame
@@ -206,8 +203,3 @@ def rows() -> list[Row]:
             out.append(row)
             print(row.what, "|", row.measured, "|", row.ok, flush=True)
     return out
-
-
-if __name__ == "__main__":
-    cv2.setNumThreads(1)
-    rows()

@@ -5,8 +5,6 @@ from dataclasses import replace
 
 import matplotlib as mpl
 import numpy as np
-from ring_simulation import CAMERA, POSES, RADIUS_MM, RINGS, Errors, errors, noise, poses_within, simulate
-from table import PICTURES, Row
 
 from annulus.geometry.cone import Cone
 from annulus.geometry.pose import Pose
@@ -15,6 +13,19 @@ from annulus.rings.calibration.bundle import Solution
 from annulus.rings.calibration.corrections import fit_corrections
 from annulus.rings.calibration.cross_validation import measure
 from annulus.rings.calibration.observations import Observations
+from tools.bench.metrology import TABLE
+from tools.bench.metrology.ring_simulation import (
+    CAMERA,
+    POSES,
+    RADIUS_MM,
+    RINGS,
+    Errors,
+    errors,
+    noise,
+    poses_within,
+    simulate,
+)
+from tools.bench.table import Row
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -111,7 +122,7 @@ def _against_frames() -> list[Row]:
         ax.set_title(title)
         ax.legend()
         ax.grid(alpha=0.3)
-    figure.savefig(PICTURES / "autocalibration.png", dpi=100)
+    figure.savefig(TABLE.pictures / "autocalibration.png", dpi=100)
     plt.close(figure)
     at = FRAMES.index(4)
     return [
@@ -149,7 +160,7 @@ def _growth() -> list[Row]:
         ax.set_ylim(0)
         ax.set_ylabel("CPU seconds, cold start")
         ax.grid(alpha=0.3)
-    figure.savefig(PICTURES / "autocalibration_time.png", dpi=100)
+    figure.savefig(TABLE.pictures / "autocalibration_time.png", dpi=100)
     plt.close(figure)
     told = ", ".join(f"{n} frames {t:.1f} s" for n, t in zip(*times["frames"], strict=True))
     return [Row("time against frames, rings, observations (picture)", "-", "-", told, None)]
@@ -175,8 +186,3 @@ def _image_error(solution: Solution | None, truth: tuple[Cone, ...] = RINGS) -> 
 
 def _columns(found: list[Errors]) -> tuple[list[float], list[float]]:
     return [e.angle_deg for e in found], [e.vertex_mm for e in found]
-
-
-if __name__ == "__main__":
-    for row in rows():
-        print(row)

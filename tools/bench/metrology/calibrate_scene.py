@@ -8,12 +8,13 @@ import time
 from pathlib import Path
 
 import numpy as np
-from table import PICTURES, SCENES, Row
 
 from annulus.calibrate.pipe import calibrate_pipe, save_pipe
 from annulus.calibrate.pipe_picture import draw_pipe
 from annulus.report import Account, write
 from annulus.reprocess import open_job, reprocess
+from tools.bench.metrology import TABLE
+from tools.bench.table import SCENES, Row
 
 RADIUS_MM = 76.2
 
@@ -29,7 +30,7 @@ def rows() -> list[Row]:
     angle = max(abs(np.degrees(2 * r.half_angle) - t) for r, t in zip(rings, truth["theta_full_deg"], strict=True))
     vertex = max(float(np.abs(np.subtract(r.vertex_mm, truth["vertex"])).max()) for r in rings)
     known = np.sqrt(np.diag(result.solution.covariance)).reshape(-1, 6)
-    draw_pipe(result, PICTURES / "calibrate_pipe.png")
+    draw_pipe(result, TABLE.pictures / "calibrate_pipe.png")
     print(f"   angle {angle:.4f} deg, vertex {vertex:.4f} mm, {again.timing_s}", flush=True)
     with tempfile.TemporaryDirectory() as folder:
         file, out = Path(folder) / "calibration.json", Path(folder) / "out"
@@ -58,8 +59,3 @@ def rows() -> list[Row]:
         Row("the same with JPEG decoding; and with hold-out and the trial of fine-tuning", "-", "-",
             f"{read + decode + solve:.2f} s; {sum(spent.values()):.2f} s", None),
     ]  # fmt: skip
-
-
-if __name__ == "__main__":
-    for row in rows():
-        print(row)

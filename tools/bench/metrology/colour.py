@@ -6,7 +6,6 @@ import cv2
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from table import PICTURES, Row
 
 from annulus.geometry.pose import Pose
 from annulus.rings.colour import ColourProfile, Stripes, learn, stripes
@@ -15,6 +14,8 @@ from annulus.rings.reconstructor import Reconstructor
 from annulus.twin.render import Renderer
 from annulus.twin.worlds import CONTAMINATED, ORANGE, WHITE, YELLOW, World, clean_world, painted
 from annulus.wall.profile import Profile
+from tools.bench.metrology import TABLE
+from tools.bench.table import Row
 
 PAINTS = {"white": WHITE, "yellow (MDPE)": YELLOW, "orange": ORANGE}
 STATIONS = (8.0, 41.0, 103.0)  # what is measured; learnt from others
@@ -169,11 +170,4 @@ def draw(drawn: list[tuple[str, Stripes, Stripes]]) -> None:
             axes.set(xlabel="red", ylabel="green", zlabel="blue", xlim=(0, 255), ylim=(0, 255), zlim=(0, 255))
             axes.view_init(elev=22, azim=-52)
             axes.set_title(f"{name}, {how}", fontsize=10)
-    PICTURES.mkdir(exist_ok=True)
-    figure.savefig(PICTURES / "colour.png")
-
-
-if __name__ == "__main__":
-    cv2.setNumThreads(1)
-    for one in rows():
-        print(one.what, "|", one.measured, "|", one.ok)
+    figure.savefig(TABLE.pictures / "colour.png")

@@ -14,7 +14,6 @@ from dataclasses import replace
 
 import matplotlib as mpl
 import numpy as np
-from table import PICTURES, Row
 
 from annulus.numeric.arrays import FloatArray
 from annulus.record.recording import to_bgr
@@ -26,6 +25,8 @@ from annulus.wall.consistency import without_inconsistent
 from annulus.wall.grid import build_wall
 from annulus.wall.registration import register
 from annulus.wall.stations import STATION_MM, measure_stations
+from tools.bench.metrology import TABLE
+from tools.bench.table import Row
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -114,9 +115,5 @@ def _draw(drawn: list[tuple[float, FloatArray, FloatArray]]) -> None:
         axes.axhspan(-0.1, 0.1, color="C2", alpha=0.12)
         axes.set(title=f"pipe {100 * part:+.1f} % off nominal", xlabel="along the pipe, mm")
     both[0].set_ylabel("diameter, % off the true one")
-    figure.savefig(PICTURES / "diameter.png", dpi=110)
+    figure.savefig(TABLE.pictures / "diameter.png", dpi=110)
     plt.close(figure)
-
-
-if __name__ == "__main__":
-    rows()

@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from table import Row
 
 from annulus.record.recording import to_bgr
 from annulus.rings.reconstructor import Reconstructor
 from annulus.twin.render import Renderer
 from annulus.twin.score import score_cloud
 from annulus.twin.worlds import World, clean_world
+from tools.bench.table import Row
 
 FRAMES = 12
 
@@ -93,7 +93,3 @@ def rows() -> list[Row]:
         )  # fmt: skip
         print(out[-1].what, "|", out[-1].target, "|", out[-1].measured, flush=True)
     return out
-
-
-if __name__ == "__main__":
-    rows()

@@ -7,13 +7,13 @@ are rounded there too: perfect rings would score what the last row says.
 from dataclasses import replace
 
 import numpy as np
-from ring_simulation import POSES, RADIUS_MM, RINGS, artefacts, poses_within, simulate
-from table import Row
 
 from annulus.numeric.arrays import FloatArray
 from annulus.rings.calibration.autocalibration import calibrate
 from annulus.rings.calibration.corrections import fit_corrections
 from annulus.rings.calibration.cross_validation import measure
+from tools.bench.metrology.ring_simulation import POSES, RADIUS_MM, RINGS, artefacts, poses_within, simulate
+from tools.bench.table import Row
 
 DRAWS = 5
 LEAN_DEG, SHIFT_MM = 11.46, 12.7
@@ -67,8 +67,3 @@ def _by_ring(off: FloatArray, ring: FloatArray) -> list[float]:
     return [float(np.sqrt(np.nanmean(off[ring == k] ** 2))) for k in range(len(RINGS))] + [
         float(np.sqrt(np.nanmean(off**2)))
     ]
-
-
-if __name__ == "__main__":
-    for row in rows():
-        print(row)

@@ -10,23 +10,21 @@ with three spoilt ones among each dozen.
 """
 
 import math
-import sys
 import tempfile
 from pathlib import Path
 
 import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
-from table import PICTURES, ROOT, Row
 
 from annulus.calibrate.camera import CameraCalibration, calibrate_camera, image_files
 from annulus.calibrate.camera_picture import draw_camera
 from annulus.calibrate.target import calibrate_target
 from annulus.geometry.camera import Camera
-
-sys.path.insert(0, str(ROOT / "tests" / "scenes" / "calibrate"))
-from photographs import DrawnTarget, photograph, poses
-from ringed_targets import COLOURS, cones, write_scan
+from tests.scenes.calibrate.photographs import DrawnTarget, photograph, poses
+from tests.scenes.calibrate.ringed_targets import COLOURS, cones, write_scan
+from tools.bench.metrology import TABLE
+from tools.bench.table import ROOT, Row
 
 STEREO = ROOT / "tests" / "data" / "opencv-stereo"
 TARGET_PX = 0.22
@@ -47,7 +45,7 @@ def rows() -> list[Row]:
     out = []
     for side in ("left", "right"):
         result = calibrate_camera(sorted(STEREO.glob(f"{side}*.jpg")))
-        draw_camera(result, PICTURES / f"intrinsics-{side}.png")
+        draw_camera(result, TABLE.pictures / f"intrinsics-{side}.png")
         told = result.to_dict()
         print(f"  {side}: {told['rms_px']:.4f} px, {told['kept']} of {told['found']}", flush=True)
         out.append(
@@ -119,8 +117,3 @@ def _ray_error_px(result: CameraCalibration, truth: Camera) -> float:
     rays, wanted = result.camera.rays(seen), truth.rays(seen)
     rays = Rotation.align_vectors(wanted, rays)[0].apply(rays)
     return float(np.sqrt(np.mean(((truth.project(rays) - truth.project(wanted)) ** 2).sum(axis=1))))
-
-
-if __name__ == "__main__":
-    for row in rows():
-        print(row)

@@ -12,7 +12,6 @@ from dataclasses import asdict, dataclass, replace
 import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
-from table import PICTURES, Row
 
 from annulus.geometry.calibration import Calibration
 from annulus.record.recording import to_bgr
@@ -28,6 +27,8 @@ from annulus.wall.defects import find_defects
 from annulus.wall.grid import Wall, build_wall
 from annulus.wall.profile import Profile
 from annulus.wall.registration import register
+from tools.bench.metrology import TABLE
+from tools.bench.table import Row
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -148,11 +149,5 @@ def draw(world: World, wall: Wall, scans: Sequence[Scan]) -> None:
     )  # fmt: skip
     right.set(xlabel="distance, mm", ylabel="clock", title="the 3-inch wall: deviation, mm")
     figure.colorbar(shown)
-    PICTURES.mkdir(exist_ok=True)
-    figure.savefig(PICTURES / "mirror.png", dpi=90)
+    figure.savefig(TABLE.pictures / "mirror.png", dpi=90)
     plt.close(figure)
-
-
-if __name__ == "__main__":
-    for row in rows():
-        print(row)

@@ -4,13 +4,11 @@ A frame is drawn from first principles for the head as designed, leaning a littl
 reconstruction with the calibration.json that the design wrote.
 """
 
-import sys
 import tempfile
 from pathlib import Path
 
 import cv2
 import numpy as np
-from table import PICTURES, ROOT, Row
 
 from annulus.calibrate.slide import write_design
 from annulus.geometry.camera import Camera
@@ -18,9 +16,9 @@ from annulus.geometry.pose import Pose
 from annulus.record.calibration_file import load_calibration
 from annulus.rings.pattern import Head, design, stripe_colours
 from annulus.rings.reconstructor import Reconstructor
-
-sys.path.insert(0, str(ROOT / "tests" / "unit" / "rings"))
-from drawn import draw
+from tests.unit.rings.drawn import draw
+from tools.bench.metrology import TABLE
+from tools.bench.table import Row
 
 CAMERA = Camera("pinhole", 1664, 1232, 470.0, 470.0, 831.5, 615.5)
 HEAD = Head(CAMERA, 152.4, 152.4, 152.4, 56.0, 9.0, 45.0)  # §3.2.3, §4.3.2: 18 mm sensor in a 6 inch pipe
@@ -41,11 +39,11 @@ def _one(name: str, word: int, stripes: int) -> Row:
         write_design(pattern, 12.0, Path(folder))
         calibration = load_calibration(Path(folder) / "calibration.json")
         for file in ("slide", "preview"):
-            (PICTURES / f"pattern-{len(colours) - 1}-{file}.png").write_bytes(
+            (TABLE.pictures / f"pattern-{len(colours) - 1}-{file}.png").write_bytes(
                 (Path(folder) / f"{file}.png").read_bytes()
             )
     image = draw(calibration, POSE, slit_px=SLIT_PX)
-    cv2.imwrite(str(PICTURES / f"pattern-{len(colours) - 1}-frame.jpg"), image, [cv2.IMWRITE_JPEG_QUALITY, 85])
+    cv2.imwrite(str(TABLE.pictures / f"pattern-{len(colours) - 1}-frame.jpg"), image, [cv2.IMWRITE_JPEG_QUALITY, 85])
     profile = Reconstructor(calibration).profile(image, frame=0, z_mm=0.0)
     seen = np.bincount(profile.ring, minlength=stripes - 1) / 720
     off = np.hypot(profile.points_mm[:, 0], profile.points_mm[:, 1]) - calibration.pipe_radius_mm
@@ -60,8 +58,3 @@ def _one(name: str, word: int, stripes: int) -> Row:
         f"{wrong:.0%} off by more than 1 mm",
         len(set(words)) == len(words) and unequal < 1e-6 and seen.min() >= 0.95 and rms <= 0.1,
     )
-
-
-if __name__ == "__main__":
-    for row in rows():
-        print(row)

@@ -18,13 +18,14 @@ import cv2
 import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
-from table import PICTURES, SCENES, Row
 
 from annulus.geometry.calibration import Calibration
 from annulus.record.recording import to_bgr
 from annulus.rings.reconstructor import Reconstructor
 from annulus.twin.render import Renderer
 from annulus.twin.worlds import World, clean_world
+from tools.bench.metrology import TABLE
+from tools.bench.table import SCENES, Row
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -99,7 +100,7 @@ def draw(growth: dict[str, tuple[list[float], list[dict[str, float]]]]) -> None:
         axis.axhline(TARGET_MS, color="0.6", ls=":", lw=1)
         axis.set(xlabel=name, ylabel="ms a frame, one core", ylim=(0, None), xlim=(0, None))
         axis.legend(fontsize=8)
-    figure.savefig(PICTURES / "speed.png", dpi=110)
+    figure.savefig(TABLE.pictures / "speed.png", dpi=110)
     plt.close(figure)
 
 
@@ -123,7 +124,6 @@ def rows() -> list[Row]:
     growth["frames"] = ([float(n) for n in counts], [timed(calibration, images[:n], 1) for n in counts])
     for name, (x, values) in growth.items():
         print(f"  {name}: " + ", ".join(f"{a:g}: {v['without pose']:.2f} ms" for a, v in zip(x, values, strict=True)))
-    PICTURES.mkdir(exist_ok=True)
     draw(growth)
     pixels, each = growth["megapixels"]
     per_mpx = np.polyfit(pixels, [value["without pose"] for value in each], 1)
@@ -140,8 +140,3 @@ def rows() -> list[Row]:
         Row("growth with frames", "-", "linear", ", ".join(
             f"{n:g}: {value['scan'] / 1e3:.2f} s" for n, value in zip(*growth["frames"], strict=True)), None),
     ]  # fmt: skip
-
-
-if __name__ == "__main__":
-    for row in rows():
-        print(row)

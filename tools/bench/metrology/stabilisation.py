@@ -16,11 +16,12 @@ from dataclasses import dataclass
 import matplotlib as mpl
 import numpy as np
 from scipy.optimize import least_squares
-from table import PICTURES, Row
 
 from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import FloatArray
 from annulus.wall.pose import fit_pose
+from tools.bench.metrology import TABLE
+from tools.bench.table import Row
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -157,9 +158,5 @@ def _draw(drawn: list[tuple[str, float, float, float]]) -> None:
     axes.set_xticks(at, [row[0].replace(", ", ",\n").replace(" and ", "\nand ") for row in drawn], fontsize=7)
     axes.set_ylabel("RMS of the angles, degrees")
     axes.legend(fontsize=8)
-    figure.savefig(PICTURES / "stabilisation.png", dpi=110)
+    figure.savefig(TABLE.pictures / "stabilisation.png", dpi=110)
     plt.close(figure)
-
-
-if __name__ == "__main__":
-    rows()

@@ -7,7 +7,6 @@ registration, consensus. A normal error would be inside 95.4 times of 100.
 
 import importlib.util
 import json
-import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,7 +15,6 @@ import cv2
 import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
-from table import PICTURES, SCENES, Row
 
 from annulus.geometry.calibration import Calibration
 from annulus.record.recording import to_bgr
@@ -27,6 +25,8 @@ from annulus.twin.worlds import YELLOW, World, clean_world, demo_world, fisheye_
 from annulus.wall.consistency import without_inconsistent
 from annulus.wall.profile import Profile
 from annulus.wall.registration import register
+from tools.bench.metrology import TABLE
+from tools.bench.table import SCENES, Row
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -138,7 +138,7 @@ def draw(results: Sequence[Scored]) -> None:
     span = np.array([0.004, 0.6])
     right.plot(span, span, "k--", lw=1)
     right.set(xlabel="stated sigma of a ring (median), mm", ylabel="true: 68 % of its errors are less, mm")
-    figure.savefig(PICTURES / "uncertainty.png", dpi=110)
+    figure.savefig(TABLE.pictures / "uncertainty.png", dpi=110)
     plt.close(figure)
 
 
@@ -150,7 +150,6 @@ def rows() -> list[Row]:
     for name, world, asked in worlds():
         results.append(on_twin(name, world, asked))
         print(f"  {name} {results[-1].inside():.2f} %", flush=True)
-    PICTURES.mkdir(exist_ok=True)
     draw(results)
     out = []
     for one in results:
@@ -161,9 +160,3 @@ def rows() -> list[Row]:
         asked = f"{LOW:.0f} .. {HIGH:.0f} %" if one.asked else "-"
         out.append(Row(f"true radii within k=2: {one.name}", "-", asked, f"{share:.1f} % ({spread})", ok))
     return out
-
-
-if __name__ == "__main__":
-    for row in rows():
-        print(row)
-    sys.exit(0)

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 from scipy.integrate import simpson
 from scipy.special import j0
-from table import Row, keep
 
-from annulus.tai.study.figure import Figure
 from annulus.thermoacoustic.field import Grid, Medium, Solver, receivers, rim
+from tools.bench.table import Row
+from tools.bench.thermoacoustic import keep
+from tools.study.figure import Figure
 
 SPEED, WIDTH_MM, AT_MM = 1500.0, 0.4, 3.2
 
@@ -91,16 +92,16 @@ def rows() -> list[Row]:
     def clock(what: str, asked: float, taken: tuple[float, float], known: str) -> Row:
         judged = taken[0] if free else taken[1]
         return Row(
-            what, known, "-", f"<= {asked:g} s on 2 cores",
+            what, known, f"<= {asked:g} s on 2 cores",
             f"{taken[0]:.1f} s, {taken[1]:.1f} s CPU of the busier thread{note}", judged <= asked,
         )  # fmt: skip
 
     return [
         Row(
-            "a Gaussian's sound, float32: relative L2 error", "-", "0", "<= 5e-6", f"{exact['float32']:.1e}",
-            exact["float32"] <= 5e-6,
+            "a Gaussian's sound, float32: relative L2 error", "-", "<= 5e-6", f"{exact['float32']:.1e}",
+            exact["float32"] <= 5e-6, theory="0",
         ),
-        Row("the same in float64", "-", "0", "<= 5e-6", f"{exact['float64']:.1e}", exact["float64"] <= 5e-6),
+        Row("the same in float64", "-", "<= 5e-6", f"{exact['float64']:.1e}", exact["float64"] <= 5e-6, theory="0"),
         clock("300 x 300 cells, 859 steps, forward", 3.0, forward, "-"),
         clock("300 x 300 cells, 859 steps, time reversal", 2.0, reverse, "-"),
         beside_kwave(forward[0]),
@@ -119,7 +120,7 @@ def beside_kwave(own_s: float) -> Row:
         from kwave.options.simulation_execution_options import SimulationExecutionOptions
         from kwave.options.simulation_options import SimulationOptions
     except Exception as reason:  # whatever an import that talks to the network may end in
-        return Row(what, "-", "-", "3 times slower", f"not installed here ({type(reason).__name__}): not compared")
+        return Row(what, "-", "3 times slower", f"not installed here ({type(reason).__name__}): not compared")
     grid = kWaveGrid([260, 260], [1e-4, 1e-4])
     grid.setTime(859, 0.3e-4 / SPEED)
     source, sensor = kSource(), kSensor()
@@ -132,9 +133,4 @@ def beside_kwave(own_s: float) -> Row:
         execution_options=SimulationExecutionOptions(is_gpu_simulation=False),
     )  # fmt: skip
     taken = time.perf_counter() - began
-    return Row(what, "-", "-", "3 times slower", f"{taken:.1f} s, {taken / own_s:.1f} times", taken >= 3 * own_s)
-
-
-if __name__ == "__main__":
-    for row in rows():
-        print(row)
+    return Row(what, "-", "3 times slower", f"{taken:.1f} s, {taken / own_s:.1f} times", taken >= 3 * own_s)

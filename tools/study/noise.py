@@ -1,4 +1,4 @@
-"""Figures 8.7 to 8.14 and tables 8.1 to 8.3: what a code is worth in noise, both arms treated alike.
+"""Figures 8.7 to 8.14 and tables 8.1 to 8.3: what a code is worth in noise, both conditions treated alike.
 
 One forward run a sample. A burst is so many single pulses, so its traces are the single pulse's, shifted and added;
 an image is linear in its traces, so clean traces and noise are imaged once and put together for every noise, number of
@@ -17,16 +17,16 @@ from numpy.typing import NDArray
 
 from annulus.record.acoustic import AcousticRecord
 from annulus.tai.decode import decode_record, sweep_of
-from annulus.tai.simulate import Bench, coupling, simulate, through
-from annulus.tai.study.codes import CHIP_S, template
-from annulus.tai.study.figure import Figure, FloatArray, profile, show_map, show_trace
+from annulus.tai.simulate import Setup, coupling, simulate, through
 from annulus.thermoacoustic.codes import Chips, pattern, text
 from annulus.thermoacoustic.imaging import Image, time_reversal
 from annulus.thermoacoustic.phantoms import phantom
 from annulus.thermoacoustic.templates import decode_pair
 from annulus.vocabulary import AnnulusError
+from tools.study.codes import CHIP_S, template
+from tools.study.figure import Figure, FloatArray, profile, show_map, show_trace
 
-BENCH = Bench(chip_s=CHIP_S, radius_mm=17.0, positions=50, sampling_rate_hz=20e6, transducer=(2.25e6, 0.7))
+SETUP = Setup(chip_s=CHIP_S, radius_mm=17.0, positions=50, sampling_rate_hz=20e6, transducer=(2.25e6, 0.7))
 PIXEL_MM = 0.23
 WITHIN = 0.95  # of the circle's radius: what the comparison looks at
 SEEDS = 4
@@ -35,7 +35,7 @@ FULL_KW = 3.0
 SPIKE_PA = 1.0  # coupling of one chip, in pressures of one pulse
 SINGLE, CODED = "single", "mpsl25-stuffed"
 
-How = Literal["minimax", "least-squares", "as in the source"]  # the first two: one band filter behind both arms
+How = Literal["minimax", "least-squares", "as in the source"]  # the first two: one band filter behind both conditions
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,9 +64,9 @@ TABLES: Mapping[str, Setting] = {
 
 
 @cache
-def shot(sample: str, bench: Bench = BENCH) -> AcousticRecord:
+def shot(sample: str, setup: Setup = SETUP) -> AcousticRecord:
     """A sample under one pulse of one chip, without noise."""
-    return simulate(phantom(sample), bench)
+    return simulate(phantom(sample), setup)
 
 
 def sent(single: AcousticRecord, chips: Chips) -> AcousticRecord:
@@ -89,9 +89,9 @@ def white(record: AcousticRecord, seed: int) -> AcousticRecord:
     return replace(record, signals=noise.astype(np.float32))
 
 
-def band_filtered(record: AcousticRecord, bench: Bench) -> AcousticRecord:
-    """Through the receiver's own band once more, without delay: the filter of both arms."""
-    return replace(record, signals=through(record.signals.astype(float), bench).astype(np.float32))
+def band_filtered(record: AcousticRecord, setup: Setup) -> AcousticRecord:
+    """Through the receiver's own band once more, without delay: the filter of both conditions."""
+    return replace(record, signals=through(record.signals.astype(float), setup).astype(np.float32))
 
 
 def held(record: AcousticRecord) -> AcousticRecord:
@@ -111,12 +111,12 @@ def compressed(record: AcousticRecord, how: How = "minimax") -> AcousticRecord:
     return replace(record, t0_s=record.t0_s - 0.5 * len(record.code) * record.chip_s, code="")
 
 
-def treated(record: AcousticRecord, how: How, bench: Bench = BENCH) -> AcousticRecord:
-    """Decoded and filtered: both arms behind one band filter, or as in the source the coded arm alone, by its template
-    of chips as long as they were sent."""
+def treated(record: AcousticRecord, how: How, setup: Setup = SETUP) -> AcousticRecord:
+    """Decoded and filtered: both conditions behind one band filter, or as in the source the coded condition alone,
+    by its template of chips as long as they were sent."""
     done = compressed(record, how)
     if how != "as in the source":
-        return band_filtered(done, bench)
+        return band_filtered(done, setup)
     return held(done) if record.code.count("1") > 1 else done
 
 
@@ -124,7 +124,7 @@ def treated(record: AcousticRecord, how: How, bench: Bench = BENCH) -> AcousticR
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Arm:
+class Condition:
     """One way to shoot and to filter: the image without noise, and images of one shot's noise of rms 1."""
 
     clean: Image
@@ -142,19 +142,19 @@ def imaged(record: AcousticRecord) -> Image:
 
 
 @cache
-def noise_images(code: str, how: How, bench: Bench = BENCH, seeds: int = SEEDS) -> tuple[FloatArray, ...]:
+def noise_images(code: str, how: How, setup: Setup = SETUP, seeds: int = SEEDS) -> tuple[FloatArray, ...]:
     """Images of noise of rms 1, recorded for as long as that code takes, treated like its sound."""
     if code == SINGLE and how == "least-squares":
-        return noise_images(code, "minimax", bench, seeds)
-    empty = sent(shot("core", bench), pattern(code))
+        return noise_images(code, "minimax", setup, seeds)
+    empty = sent(shot("core", setup), pattern(code))
     offset = 100 * len(pattern(code))
-    return tuple(imaged(treated(white(empty, offset + seed), how, bench)).values for seed in range(seeds))
+    return tuple(imaged(treated(white(empty, offset + seed), how, setup)).values for seed in range(seeds))
 
 
 @cache
-def arm(sample: str, code: str, how: How = "minimax", bench: Bench = BENCH, seeds: int = SEEDS) -> Arm:
-    clean = imaged(treated(sent(shot(sample, bench), pattern(code)), how, bench))
-    return Arm(clean, noise_images(code, how, bench, seeds))
+def condition(sample: str, code: str, how: How = "minimax", setup: Setup = SETUP, seeds: int = SEEDS) -> Condition:
+    clean = imaged(treated(sent(shot(sample, setup), pattern(code)), how, setup))
+    return Condition(clean, noise_images(code, how, setup, seeds))
 
 
 def within(image: Image, radius_mm: float) -> NDArray[np.bool_]:
@@ -203,11 +203,11 @@ def noise_for(psnr: float, differences: Sequence[FloatArray], most: float) -> fl
 
 
 @cache
-def compare(table: str, how: How = "minimax", bench: Bench = BENCH, seeds: int = SEEDS) -> Comparison:
+def compare(table: str, how: How = "minimax", setup: Setup = SETUP, seeds: int = SEEDS) -> Comparison:
     """A table of the source with the noise that gives its single pulse its PSNR."""
     setting = TABLES[table]
-    single, coded = (arm("core", code, how, bench, seeds) for code in (SINGLE, CODED))
-    inside = within(single.clean, WITHIN * bench.radius_mm)
+    single, coded = (condition("core", code, how, setup, seeds) for code in (SINGLE, CODED))
+    inside = within(single.clean, WITHIN * setup.radius_mm)
     truth, decoded = (np.asarray(one.clean.values[inside], float) for one in (single, coded))
     noises = [[np.asarray(one[inside], float) for one in both.noise] for both in (single, coded)]
     most = float(np.abs(truth).max())
@@ -239,16 +239,16 @@ def compare(table: str, how: How = "minimax", bench: Bench = BENCH, seeds: int =
 
 def half_power_db() -> float:
     """PSNR of a perfect image at half the power against a reference at full power, if nobody scales it."""
-    single = arm("core", SINGLE)
-    truth = single.clean.values[within(single.clean, WITHIN * BENCH.radius_mm)]
+    single = condition("core", SINGLE)
+    truth = single.clean.values[within(single.clean, WITHIN * SETUP.radius_mm)]
     return psnr_db(0.5 * truth, truth, float(np.abs(truth).max()))
 
 
-def table_plate(table: str) -> Figure:
+def table_figure(table: str) -> Figure:
     """Figures 8.10 (with table 8.1), 8.11 (8.2), 8.12 (8.3): single, coded, and a line through the core."""
     found, theirs = compare(table), compare(table, "as in the source")
     squares = compare(table, "least-squares")
-    single, coded = (arm("core", code) for code in (SINGLE, CODED))
+    single, coded = (condition("core", code) for code in (SINGLE, CODED))
     noise = found.shot_noise * found.setting.noise
     numbers = {
         "psnr_single_db": found.single_db, "psnr_coded_db": found.coded_db, "gain_db": found.gain_db,
@@ -291,7 +291,7 @@ def trace() -> AcousticRecord:
     """What one position hears of the core, with the coupling of the pulse into the receiver."""
     whole = shot("core")
     samples = whole.signals.shape[1]
-    spike = through(coupling(replace(BENCH, spike_pa=SPIKE_PA), pattern("single"), samples)[None], BENCH)
+    spike = through(coupling(replace(SETUP, spike_pa=SPIKE_PA), pattern("single"), samples)[None], SETUP)
     return replace(whole, signals=(whole.signals[:1] + spike).astype(np.float32), angles_deg=whole.angles_deg[:1])
 
 
@@ -307,7 +307,7 @@ def pair_of(averages: int, seed: int, noise: bool = True) -> AcousticRecord:
     shots = [
         one_shot(text(chips), averages, seed + n) if noise else sent(trace(), chips) for n, chips in enumerate(codes)
     ]
-    decoded = decode_pair([one.signals for one in shots], BENCH.sampling_rate_hz, codes, CHIP_S)
+    decoded = decode_pair([one.signals for one in shots], SETUP.sampling_rate_hz, codes, CHIP_S)
     return replace(shots[0], signals=decoded.astype(np.float32), code="", t0_s=0.0)
 
 
@@ -338,9 +338,9 @@ def snr_db(code: str, how: How | None, averages: int) -> float:
 def _heard(times_s: FloatArray) -> NDArray[np.bool_]:
     """While sound from the sample can arrive."""
     reach = 14e-3
-    radius = 1e-3 * BENCH.radius_mm
+    radius = 1e-3 * SETUP.radius_mm
     return np.asarray(
-        (times_s > (radius - reach) / BENCH.sound_speed_m_s) & (times_s < (radius + reach) / BENCH.sound_speed_m_s)
+        (times_s > (radius - reach) / SETUP.sound_speed_m_s) & (times_s < (radius + reach) / SETUP.sound_speed_m_s)
     )
 
 
@@ -411,9 +411,9 @@ def show_sample(axes: Any, name: str, title: str) -> None:
     from annulus.thermoacoustic.field import Grid
     from annulus.thermoacoustic.phantoms import draw
 
-    grid = Grid((300, 300), 2 * BENCH.radius_mm / 280)
+    grid = Grid((300, 300), 2 * SETUP.radius_mm / 280)
     show_map(axes, draw(phantom(name), grid), grid.x_mm, grid.y_mm, title, (0, 1.05))
-    axes.plot(BENCH.radius_mm, 0, "<", color="tab:orange")
+    axes.plot(SETUP.radius_mm, 0, "<", color="tab:orange")
 
 
 def _line(axes: Any, record: AcousticRecord, title: str) -> None:

@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from annulus.tai.study.figure import Figure
 from annulus.thermoacoustic.codes import pattern
 from annulus.thermoacoustic.templates import Method, Template, Transducer, design, pair_correlation
+from tools.study.figure import Figure
 
 CHIP_S = 0.5e-6
 TAPS = 150  # chips: three times the code
@@ -20,7 +20,7 @@ def template(method: Method = "minimax") -> Template:
 
 
 @cache
-def heard_template() -> Template:
+def transducer_template() -> Template:
     """The same behind a transducer of 2.25 MHz and 70 %: five taps a chip, two chips of guard, a floor of 7.6 dB."""
     return design(
         pattern("mpsl25-stuffed"), TAPS, transducer=Transducer.band(2.25e6, 0.7, 50e6), samples_per_chip=5,

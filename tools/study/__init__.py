@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from annulus.tai.study import codes, images, microwaves, noise, wires
-from annulus.tai.study.figure import Figure
 from annulus.vocabulary import AnnulusError
+from tools.study import codes, images, microwaves, noise, wires
+from tools.study.figure import Figure
 
 Progress = Callable[[str, int, int], None]
 
@@ -32,16 +32,16 @@ FIGURES: Mapping[str, tuple[str, Callable[[], Figure]]] = {
     "8.7": ("one trace, single pulse", noise.single_trace),
     "8.8": ("one trace, MPSL25", noise.coded_trace),
     "8.9": ("one trace, Manchester pair", noise.pair_trace),
-    "8.10": ("image of the core, with table 8.1", partial(noise.table_plate, "8.1")),
-    "8.11": ("fewer averages, with table 8.2", partial(noise.table_plate, "8.2")),
-    "8.12": ("half the power, with table 8.3", partial(noise.table_plate, "8.3")),
+    "8.10": ("image of the core, with table 8.1", partial(noise.table_figure, "8.1")),
+    "8.11": ("fewer averages, with table 8.2", partial(noise.table_figure, "8.2")),
+    "8.12": ("half the power, with table 8.3", partial(noise.table_figure, "8.3")),
     "8.13": ("two wires in agar", wires.reference),
     "8.14": ("two wires: long, short and coded pulses", wires.pulse_widths),
 }
 
 
 @dataclass(frozen=True, slots=True)
-class Done:
+class SavedFigure:
     name: str
     title: str
     numbers: Mapping[str, float]
@@ -57,7 +57,7 @@ def chosen(names: Sequence[str]) -> list[str]:
     return [name for name in FIGURES if not wanted or name in wanted]
 
 
-def study(names: Sequence[str], out: Path, progress: Progress | None = None) -> list[Done]:
+def study(names: Sequence[str], out: Path, progress: Progress | None = None) -> list[SavedFigure]:
     """Draws the figures named (all if none is) into `out`, and writes study.csv and study.json of their numbers."""
     wanted = chosen(names)
     out.mkdir(parents=True, exist_ok=True)
@@ -66,17 +66,17 @@ def study(names: Sequence[str], out: Path, progress: Progress | None = None) -> 
         if progress:
             progress("figures", n, len(wanted))
         title, make = FIGURES[name]
-        plate = make()
+        figure = make()
         picture = out / f"fig{name}.png"
-        plate.save(picture)
-        done.append(Done(name, title, dict(plate.numbers), picture))
+        figure.save(picture)
+        done.append(SavedFigure(name, title, dict(figure.numbers), picture))
         _write(done, out)  # what is done stays, whatever happens to the rest
     if progress:
         progress("figures", len(wanted), len(wanted))
     return done
 
 
-def _write(done: Sequence[Done], out: Path) -> None:
+def _write(done: Sequence[SavedFigure], out: Path) -> None:
     with (out / "study.csv").open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(["figure", "title", "number", "value"])
@@ -85,7 +85,7 @@ def _write(done: Sequence[Done], out: Path) -> None:
     (out / "study.json").write_text(json.dumps(table, indent=1) + "\n")
 
 
-def _rows(done: Sequence[Done]) -> Iterator[tuple[str, str, str, str]]:
+def _rows(done: Sequence[SavedFigure]) -> Iterator[tuple[str, str, str, str]]:
     for one in done:
         for name, value in one.numbers.items():
             yield one.name, one.title, name, f"{value:.6g}"

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from annulus.tai.study.figure import Figure, FloatArray, profile, show_map
-from annulus.tai.study.images import resolution
-from annulus.tai.study.noise import CODED, FULL_KW, SINGLE, Arm, arm, show_sample
 from annulus.thermoacoustic.phantoms import Disc, phantom
+from tools.study.figure import Figure, FloatArray, profile, show_map
+from tools.study.images import resolution
+from tools.study.noise import CODED, FULL_KW, SINGLE, Condition, condition, show_sample
 
 POWER_KW = 2.0
 RAYLEIGH = 0.265  # dip between two peaks that counts as two
@@ -40,7 +40,7 @@ def envelope(line: FloatArray) -> FloatArray:
     return np.asarray(np.abs(hilbert(np.nan_to_num(line))))
 
 
-def noise_lines(one: Arm) -> list[FloatArray]:
+def noise_lines(one: Condition) -> list[FloatArray]:
     """Lines of noise through the middle of an image: it is as noisy from all sides, so each one gives many."""
     rows = []
     for image in one.noise:
@@ -59,7 +59,7 @@ class Separation:
     half: float  # the noise at which it is one time in two
 
     @classmethod
-    def of(cls, one: Arm, power: float) -> "Separation":
+    def of(cls, one: Condition, power: float) -> "Separation":
         x = one.clean.x_mm
         line = power * profile(one.clean.values, one.clean.y_mm, 0.0, 0).astype(float)
         rows = noise_lines(one)
@@ -75,7 +75,7 @@ class Separation:
 
 @cache
 def separation(name: str, power_kw: float = POWER_KW) -> Separation:
-    return Separation.of(arm("wires", EXCITATIONS[name]), power_kw / FULL_KW)
+    return Separation.of(condition("wires", EXCITATIONS[name]), power_kw / FULL_KW)
 
 
 @cache
@@ -90,7 +90,7 @@ def rate_at(one: Separation, rms: float) -> float:
 
 def reference() -> Figure:
     """Fig. 8.13: the sample, and its image at 3 kW with one pulse of 0.5 us."""
-    single = arm("wires", SINGLE)
+    single = condition("wires", SINGLE)
     rms = separation("0.5 us").half / 3
     values = single.at(rms)
     numbers = {"dip": dip(single.clean.x_mm, envelope(profile(values, single.clean.y_mm, 0.0, 0))), "noise": rms}
@@ -127,7 +127,7 @@ def pulse_widths() -> Figure:
         top, bottom = figure.subplots(2, 4)
         power = POWER_KW / FULL_KW
         for n, (axes, (name, code)) in enumerate(zip(top, EXCITATIONS.items(), strict=True)):
-            one = arm("wires", code)
+            one = condition("wires", code)
             values = power * one.clean.values + rms * one.noise[0]
             most = float(np.nanpercentile(np.abs(power * one.clean.values), 99.9))
             show_map(

@@ -6,30 +6,29 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from annulus.cli import app
 from annulus.tai.decode import decode_record
-from annulus.tai.simulate import Bench, simulate
-from annulus.tai.study import FIGURES, chosen, noise
-from annulus.tai.study.images import full_width, switched_on
-from annulus.tai.study.microwaves import peak, under_gaussian
-from annulus.tai.study.wires import RAYLEIGH, dip, places_mm
+from annulus.tai.simulate import Setup, simulate
 from annulus.thermoacoustic.codes import pattern
 from annulus.thermoacoustic.phantoms import Disc
 from annulus.vocabulary import AnnulusError
+from tools.study import FIGURES, chosen, noise
+from tools.study.__main__ import main
+from tools.study.images import full_width, switched_on
+from tools.study.microwaves import peak, under_gaussian
+from tools.study.wires import RAYLEIGH, dip, places_mm
 
 # everything eight times as long as in the study, so that an image is small
-SMALL = Bench(chip_s=4e-6, radius_mm=17.0, positions=32, sampling_rate_hz=2.5e6, transducer=(0.28125e6, 0.7))
+SMALL = Setup(chip_s=4e-6, radius_mm=17.0, positions=32, sampling_rate_hz=2.5e6, transducer=(0.28125e6, 0.7))
 
 
 def test_a_burst_is_so_many_pulses():
     """Shifted and added traces of one pulse are what the solver makes of the whole burst."""
     sample = (Disc(1.0, 0.5, 3.0, 1.0),)
-    bench = replace(SMALL, chip_s=1e-6, positions=4, sampling_rate_hz=4e6, transducer=(0.6e6, 0.7))
-    single = simulate(sample, bench)
+    setup = replace(SMALL, chip_s=1e-6, positions=4, sampling_rate_hz=4e6, transducer=(0.6e6, 0.7))
+    single = simulate(sample, setup)
     added = noise.sent(single, pattern("1001011"))
-    whole = simulate(sample, replace(bench, code="1001011"))
+    whole = simulate(sample, replace(setup, code="1001011"))
     n = single.signals.shape[1] - 12  # there its record ends
     assert added.code == whole.code
     assert np.abs(added.signals[:, :n] - whole.signals[:, :n]).max() < 0.01 * np.ptp(whole.signals)
@@ -42,7 +41,7 @@ def test_chips_that_fall_between_samples_are_not_added():
 
 def test_both_arms_alike_gain_what_the_filter_gains():
     """Noise is set so that the single pulse has the source's PSNR; the code's is then a matter of theory."""
-    found = noise.compare("8.2", bench=SMALL, seeds=3)
+    found = noise.compare("8.2", setup=SMALL, seeds=3)
     assert found.single_db == pytest.approx(12.5797, abs=1e-6)
     assert found.noise_gain_db == pytest.approx(7.84, abs=0.8)
     assert found.gain_db == pytest.approx(found.expected_with_sidelobes_db, abs=0.8)
@@ -51,7 +50,7 @@ def test_both_arms_alike_gain_what_the_filter_gains():
 
 
 def test_the_references_own_noise_hides_part_of_a_gain():
-    many, few = (noise.compare(table, bench=SMALL, seeds=3) for table in ("8.1", "8.2"))
+    many, few = (noise.compare(table, setup=SMALL, seeds=3) for table in ("8.1", "8.2"))
     assert many.expected_db < few.expected_db < 7.84
     perfect = 10 * math.log10((1 / 256 + 1 / 2048) * 2048)  # not even an image without noise could show more
     assert many.most_db < perfect
@@ -59,7 +58,7 @@ def test_the_references_own_noise_hides_part_of_a_gain():
 
 def test_an_image_with_noise_is_the_image_of_noisy_traces():
     """An image is linear in its traces: the shortcut that the tables take."""
-    one = noise.arm("core", "single", bench=SMALL, seeds=1)
+    one = noise.condition("core", "single", setup=SMALL, seeds=1)
     clean = noise.shot("core", SMALL)
     rms = 0.01
     noisy = replace(
@@ -72,7 +71,7 @@ def test_an_image_with_noise_is_the_image_of_noisy_traces():
 
 def test_filtering_one_arm_alone_looks_like_a_gain():
     """The template of held chips takes noise out that has nothing to do with the code."""
-    alike = noise.compare("8.2", bench=SMALL, seeds=3)
+    alike = noise.compare("8.2", setup=SMALL, seeds=3)
     unlike = noise.compare("8.2", "as in the source", SMALL, 3)
     assert unlike.noise_gain_db > alike.noise_gain_db + 1
 
@@ -124,11 +123,12 @@ def test_every_figure_of_the_source_is_there():
     assert {f"7.{n}" for n in range(4, 9)} | {f"8.{n}" for n in (1, 2, 3, 4, *range(7, 15))} == set(FIGURES)
     with pytest.raises(AnnulusError, match=r"figure '9.1': expected one of 7\.4"):
         chosen(["9.1"])
+    assert main(["9.1"]) == 1
 
 
-def test_a_figure_is_a_picture_and_a_row_of_numbers(tmp_path):
-    result = CliRunner().invoke(app, ["tai", "study", "fig8.3", "-o", str(tmp_path), "--json"])
-    assert json.loads(result.stdout)["8.3"]["peak"] == 52
+def test_a_figure_is_a_picture_and_a_row_of_numbers(tmp_path, capsys):
+    assert main(["fig8.3", "--out", str(tmp_path), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["8.3"]["peak"] == 52
     assert (tmp_path / "fig8.3.png").read_bytes().startswith(b"\x89PNG")
     table = json.loads((tmp_path / "study.json").read_text())
     assert (table["8.3"]["before"], table["8.3"]["after"], table["8.3"]["elsewhere"]) == (-25, -26, 1)

@@ -1,7 +1,8 @@
-"""Lamps of the shipped image over 200 000 edges, read off its pins: `python tools/bench/bench_emulator.py [EDGES]`.
+"""Lamps of the shipped image over 200 000 edges, read off its pins.
 
 Needs `make firmware emulator`. 500 Hz, the fastest there is, R = 4, a burst train beside it, and one line flooded both
 ways: the serial one in four parts, then USB with a tenth of the edges. Two processes at a time; some ten minutes.
+Fewer edges: `python -m tools.bench.speed.emulator EDGES`.
 """
 
 import random
@@ -9,21 +10,12 @@ import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests/emulator"))
-
-from emulated import (
-    BOOTED,
-    IMAGE,
-    MS,
-    EmulatedBoard,
-    configuration,
-)
 
 from annulus.controller import PIN_LED, PIN_MICROWAVE, PIN_PROJECTOR, PIN_SYNC, TICK_S
 from annulus.link.codec import Frame, encode
 from annulus.link.messages import Arm, ArmFlag, Burst, BurstCode, BurstReply, Commit, Status, StatusCode
+from tests.emulator.emulated import BOOTED, IMAGE, MS, EmulatedBoard, configuration
+from tools.bench.table import Row
 
 PERIOD, DELAY, WIDTH = 200_000, 30_000, 20_000  # ticks
 CHIP, TRAIN = 50, 70_000
@@ -44,8 +36,8 @@ class Seen:
         return f"{self.least}..{self.most}"
 
 
-def measure(line: str, part: int, edges: int) -> str:
-    """One row of the table."""
+def measure(line: str, part: int, edges: int) -> Row:
+    """One line, flooded, beside lamps and bursts."""
     board = EmulatedBoard(IMAGE)
     board.run(BOOTED)
     if line == "USB":
@@ -95,19 +87,21 @@ def measure(line: str, part: int, edges: int) -> str:
         board.replies.clear()
     seconds = (board.now - busy) * TICK_S
     board.close()
-    spread = latency.most - latency.least
-    timing = f"{line:<6}{edges:>9}{latency!s:>10}{spread:>8}{width!s:>8}{wrong:>7}{fired:>10}{grid!s:>8}"
-    return f"{timing}{bytes_out / seconds / 1000:>8.0f}{seconds:>9.1f}{time.monotonic() - begun:>8.0f}"
+    return Row(
+        f"{line}, {edges} edges: latency less delay; width error; pulses off the grid; wrong lamps", "-",
+        "one constant; 0; 0; 0",
+        f"{latency}; {width}; {grid} ticks ({fired} pulses); {wrong}. {bytes_out / seconds / 1000:.0f} kB/s out, "
+        f"{seconds:.1f} s in {time.monotonic() - begun:.0f} s",
+        latency.least == latency.most and (width.least, width.most, grid.most, wrong) == (0, 0, 0, 0),
+    )  # fmt: skip
 
 
-def main(edges: int = 200_000) -> None:
-    print("line      edges   latency  jitter   width  wrong    pulses    grid    kB/s  virtual    wall")
-    print("          count  less delay ticks   error  lamps            error     out        s       s", flush=True)
+def rows(edges: int = 200_000) -> list[Row]:
     parts = [("UART", part, edges // 4) for part in range(4)] + [("USB", 4, edges // 10)]
     with ProcessPoolExecutor(2) as pool:
-        for row in pool.map(measure, *zip(*parts, strict=True)):
-            print(row, flush=True)
+        return list(pool.map(measure, *zip(*parts, strict=True)))
 
 
 if __name__ == "__main__":
-    main(*(int(argument) for argument in sys.argv[1:2]))
+    for row in rows(int(sys.argv[1])):
+        print(row.what, "|", row.measured, "|", row.ok)

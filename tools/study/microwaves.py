@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import gaussian_filter
 
-from annulus.tai.study.figure import Figure, FloatArray, profile, show_map
-from annulus.tai.study.images import SHIFT_MM, SMOOTH, Frame, likeness
 from annulus.thermoacoustic.electromagnetics import (
     AIR,
     EPS0,
@@ -29,6 +27,8 @@ from annulus.thermoacoustic.electromagnetics import (
 )
 from annulus.thermoacoustic.field import Grid, Medium, Solver, receivers, time_step_s
 from annulus.thermoacoustic.phantoms import Box, Disc, Part, draw, phantom
+from tools.study.figure import Figure, FloatArray, profile, show_map
+from tools.study.images import SHIFT_MM, SMOOTH, Frame, likeness
 
 OIL_SPEED, SAMPLE_SPEED = 1450.0, 1537.0  # m/s, safflower oil; the samples of §7.8.1
 AHEAD_MM = 20.0  # the sample's middle in front of the guide's mouth
@@ -95,7 +95,7 @@ def _valued(part: Part) -> Part:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Heard:
+class ArrayTraces:
     """Traces of an instant of heating, and what is needed to send them back."""
 
     frame: Frame
@@ -115,7 +115,7 @@ class Heard:
 
 
 @cache
-def above(parts: tuple[Part, ...], eps_r: float, pixel_mm: float, em_step_mm: float) -> Heard:
+def above(parts: tuple[Part, ...], eps_r: float, pixel_mm: float, em_step_mm: float) -> ArrayTraces:
     field = in_front_of_guide(parts, eps_r, em_step_mm)
     frame = Frame(9.0, 5.0, pixel_mm)
     finer = frame.finer
@@ -128,7 +128,7 @@ def above(parts: tuple[Part, ...], eps_r: float, pixel_mm: float, em_step_mm: fl
     ears = receivers(finer, frame.points_mm(cells) - np.array(SHIFT_MM))
     traces = Solver(finer, medium, dt).forward(rise, ears, steps).astype(float)
     loss = loss_on(field, parts, frame.grid, pixel_mm, (0.0, 0.0))[frame.inside()]
-    return Heard(frame, cells, traces, dt, loss)
+    return ArrayTraces(frame, cells, traces, dt, loss)
 
 
 def under_gaussian(traces: FloatArray, dt_s: float, width_s: float) -> FloatArray:

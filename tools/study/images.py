@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.special import j1
 
-from annulus.tai.image import quality
-from annulus.tai.study.figure import Figure, FloatArray, profile, show_map
 from annulus.thermoacoustic.field import PML_CELLS, Grid, Medium, Solver, receivers, rim, time_step_s
 from annulus.thermoacoustic.imaging import TAIL, Image, time_reversal
 from annulus.thermoacoustic.phantoms import Box, Disc, Part, draw, phantom
 from annulus.thermoacoustic.sweep import Sweep
+from tools.study.figure import Figure, FloatArray, profile, show_map
 
 SPEED = 1500.0
 FINER, SHIFT_MM = 0.8, (0.031, 0.017)
@@ -84,6 +83,16 @@ def drawn(
 def truth_of(parts: tuple[Part, ...], image: Image) -> NDArray[np.float64]:
     dx = float(image.x_mm[1] - image.x_mm[0])
     return drawn(parts, Grid((len(image.y_mm), len(image.x_mm)), dx), dx)
+
+
+def quality(found: Image, truth: NDArray[np.float64], within_mm: float) -> tuple[float, float]:
+    """(PSNR in dB with the truth's maximum as M, Eq. 8.21; correlation) inside a circle."""
+    y, x = np.meshgrid(found.y_mm, found.x_mm, indexing="ij")
+    inside = (np.hypot(x, y) < within_mm) & np.isfinite(found.values)
+    a, b = found.values[inside].astype(float), truth[inside]
+    error = float(np.mean((a - b) ** 2))
+    psnr = 10 * math.log10(float(b.max()) ** 2 / error) if error > 0 else math.inf
+    return psnr, float(np.corrcoef(a, b)[0, 1])
 
 
 def likeness(found: FloatArray, truth: FloatArray) -> float:

@@ -1,0 +1,29 @@
+"""Runs a table of benchmarks: `python -m tools.bench TABLE [TOPIC ..]`, TABLE metrology, thermoacoustic or speed.
+
+A whole table writes its RESULTS.md and pictures; topics named are run alone, and only printed. Ends with status 1 if a
+row misses its target or a topic breaks, with 2 for a name that there is not.
+"""
+
+import importlib
+import sys
+
+from tools.bench.table import Table
+
+TABLES = ("metrology", "thermoacoustic", "speed")
+
+
+def main(arguments: list[str]) -> int:
+    name, *topics = arguments or [""]
+    if name not in TABLES:
+        print(f"table {name!r}: expected one of {', '.join(TABLES)}, and then its topics, if not all", file=sys.stderr)
+        return 2
+    table: Table = importlib.import_module(f"tools.bench.{name}").TABLE
+    unknown = set(topics) - set(table.topics)
+    if unknown:
+        print(f"no such topic: {', '.join(sorted(unknown))}; there are {', '.join(table.topics)}", file=sys.stderr)
+        return 2
+    return table.run(topics)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,27 @@
+"""Ring metrology: calibration, pose, uncertainty, defects, speed, in the source's own simulations where it has them."""
+
+from pathlib import Path
+
+from tools.bench.table import Table
+
+TABLE = Table(
+    __name__,
+    "Ring metrology: the source's numbers and ours, in the same simulation",
+    {
+        "autocalibration": "Calibration in the pipe, simulated (§4.3.2)",
+        "fine_tuning": "Fine-tuning per direction (Alg. 3)",
+        "calibrate_scene": "Calibration in the pipe, ray-traced",
+        "intrinsics": "Camera calibration from photographs",
+        "stabilisation": "Pose of the head (§3.4.3)",
+        "few_rings": "Two rings, one ring, damaged rings",
+        "uncertainty": "Uncertainty of a point",
+        "diameter": "Diameter over repeated scans",
+        "colour": "Pipes of other colours",
+        "artefacts": "Artefacts, vibration, blind zones",
+        "mirror": "Mirror sensor for small pipes (§3.6)",
+        "pattern": "Pattern design",
+        "speed": "Speed, one core",
+    },
+    Path(__file__).parent,
+    "make bench-metrology",
+)

@@ -1,0 +1,16 @@
+"""How fast the frame's way is, how fast the twin draws, and what the shipped image's pins do under load."""
+
+from pathlib import Path
+
+from tools.bench.table import Table
+
+TABLE = Table(
+    __name__,
+    "Speed",
+    {
+        "rings": "One projector frame, one core",
+        "twin": "The twin's renderer, one thread",
+        "emulator": "The shipped image over 200 000 edges, on its pins",
+    },
+    Path(__file__).parent,
+)
