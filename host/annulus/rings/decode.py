@@ -140,7 +140,7 @@ def decode(
     direction: NDArray[np.int64],
     inside: NDArray[np.uint8],
     outside: NDArray[np.uint8],
-    deviation: FloatArray,
+    deviation: FloatArray | None,
     colours: str,
     tolerance: float,
 ) -> NDArray[np.int64]:
@@ -151,6 +151,7 @@ def decode(
     direction : (N,) rising; slits of one direction stand in a run, from the centre outwards.
     inside, outside : (N,) colour of the stripe on each side, index into "RGB" or UNKNOWN.
     deviation : (N, K) relative deviation of the wall's radius from the pipe's if slit n were ring k; NaN = cannot be.
+        None where no wall is known to deviate from, as with straight stripes: then colours and order alone decide.
     colours : K + 1 letters from the innermost stripe outwards (a De Bruijn sequence).
     tolerance : the |deviation| of a wall at which no colours make up for it; 0.65 of it is the most a slit can have.
 
@@ -162,6 +163,8 @@ def decode(
     Alzuhiri 2022, §3.4.2 slides a window of the code's length along the line; this is that, with holes.
     """
     pattern = np.array(["RGB".index(c) for c in colours], np.uint8)
+    if deviation is None:
+        deviation = np.zeros((len(direction), len(colours) - 1))
     ring = np.full(len(direction), NONE, np.int64)
     if len(direction):
         _align(direction, inside, outside, deviation, pattern, tolerance, ring)

@@ -72,6 +72,19 @@ def test_every_slit_of_an_unbroken_line_is_named(pattern, dents, data):
     assert list(read(pattern, slits[:lost] + slits[lost + 1 :])) == [k for k in range(rings) if k != lost]
 
 
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(st.sampled_from(PATTERNS), st.sets(st.integers(0, 10), max_size=3))
+def test_stripes_without_a_wall_are_read_by_colours_and_order(pattern, lost):
+    """What is left of a line gets its own names or none, and an unbroken line all of them."""
+    code = {"R": 0, "G": 1, "B": 2}
+    true = [k for k in range(len(pattern) - 1) if k not in lost]
+    inside, outside = (np.array([code[pattern[k + side]] for k in true], np.uint8) for side in (0, 1))
+    ring = decode(np.zeros(len(true), np.int64), inside, outside, None, pattern, 0.35)
+    assert all(found in (k, NONE) for found, k in zip(ring, true, strict=True))
+    if not lost & set(range(len(pattern) - 1)):
+        assert list(ring) == true
+
+
 def test_two_slits_that_could_both_be_a_ring_are_neither():
     slits = [(0, 199.0, "R", "R"), (0, 201.0, "R", "R"), (0, 240.0, "R", "G")]
     assert list(read("RRGBGR", slits)) == [NONE, NONE, 1]
