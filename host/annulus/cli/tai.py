@@ -1,4 +1,4 @@
-"""`annulus tai`: the thermoacoustic bench, from coded bursts to an image."""
+"""`annulus tai`: thermoacoustics, from coded bursts to an image."""
 
 import contextlib
 import json
@@ -27,8 +27,10 @@ def simulate_command(
     phantom: Annotated[str, typer.Option(help="inclusions, core, wires, shapes.")] = "inclusions",
     code: Code = "mpsl25-stuffed",
     chip_us: ChipUs = 0.5,
-    positions: Annotated[int, typer.Option(min=3, max=1024, help="Angles of the stage.")] = 50,
-    radius_mm: Annotated[float, typer.Option(min=1.0, max=500.0, help="Receiver to the axis of the stage, mm.")] = 25.0,
+    positions: Annotated[int, typer.Option(min=3, max=1024, help="Angles of the turntable.")] = 50,
+    radius_mm: Annotated[
+        float, typer.Option(min=1.0, max=500.0, help="Receiver to the axis of the turntable, mm.")
+    ] = 25.0,
     rate_mhz: Annotated[float, typer.Option(min=0.5, max=1000.0, help="Sampling rate, MHz.")] = 25.0,
     sound_speed: Annotated[float, typer.Option(min=300.0, max=6000.0, help="m/s.")] = 1480.0,
     noise: Annotated[float, typer.Option(min=0.0, help="Rms of one shot, in pressures of one pulse.")] = 0.02,
@@ -41,21 +43,21 @@ def simulate_command(
     aperture_mm: Annotated[float, typer.Option(min=0.0, max=100.0, help="Width of the receiver's face, mm.")] = 0.0,
     seed: Annotated[int, typer.Option(min=0, help="Of the noise.")] = 1,
 ) -> None:
-    """One turn of the stage about a known sample, with real propagation, receiver and noise."""
+    """One turn of the turntable about a known sample, with real propagation, receiver and noise."""
     from annulus.record.acoustic import save_acoustic
-    from annulus.tai.simulate import Bench, simulate
+    from annulus.tai.simulate import Setup, simulate
     from annulus.thermoacoustic.confinement import confinement
     from annulus.thermoacoustic.phantoms import phantom as named
     from annulus.thermoacoustic.phantoms import smallest_mm
 
-    bench = Bench(
+    setup = Setup(
         code, 1e-6 * chip_us, radius_mm, positions, 1e6 * rate_mhz, sound_speed, 1.0, noise, averages,
         (1e6 * band_mhz, bandwidth) if band_mhz else None, aperture_mm, spike, seed,
     )  # fmt: skip
     for warning in confinement(smallest_mm(named(phantom)), 1e-6 * chip_us, sound_speed).warnings:
         print(f"warning    {warning}")
     with progress() as report:
-        record = simulate(named(phantom), bench, report)
+        record = simulate(named(phantom), setup, report)
     save_acoustic(out, record)
     print(f"{len(record.signals)} positions of {record.signals.shape[1]} samples  {out}")
 
@@ -63,7 +65,7 @@ def simulate_command(
 @app.command(
     "acquire",
     epilog="Example: annulus tai acquire --port /dev/ttyACM0 --scope TCPIP::192.168.1.20::5025::SOCKET "
-    "--averages 64 -o raw.hdf5. Without a bench: annulus tai acquire --twin -o raw.hdf5",
+    "--averages 64 -o raw.hdf5. Without hardware: annulus tai acquire --twin -o raw.hdf5",
 )
 def acquire_command(
     out: Annotated[Path, typer.Option("--out", "-o", help="File to write: .hdf5 (IPASC) or .npz.")],
@@ -73,17 +75,19 @@ def acquire_command(
     scope: Annotated[
         str | None, typer.Option(help="VISA name of the digitizer: TCPIP::host::5025::SOCKET, TCPIP::host::INSTR.")
     ] = None,
-    twin: Annotated[bool, typer.Option("--twin", help="On a simulated bench, with the controller's own code.")] = False,
+    twin: Annotated[bool, typer.Option("--twin", help="On the twin's rig, with the controller's own code.")] = False,
     phantom: Annotated[str, typer.Option(help="Of the twin: inclusions, core, wires, shapes.")] = "inclusions",
     code: Code = "mpsl25-stuffed",
     chip_us: ChipUs = 0.5,
-    angles: Annotated[int, typer.Option(min=1, max=1024, help="Over one turn of the stage.")] = 50,
+    angles: Annotated[int, typer.Option(min=1, max=1024, help="Over one turn of the turntable.")] = 50,
     averages: Annotated[int, typer.Option(min=1, max=BURST_REPEAT_MAX, help="Bursts at each angle.")] = 16,
     period_us: Annotated[float, typer.Option(help="Chip 0 to chip 0, us.")] = 1000.0,
     trigger_offset_us: Annotated[
         float, typer.Option(help="Digitizer trigger after chip 0, us; may be negative.")
     ] = 0.0,
-    radius_mm: Annotated[float, typer.Option(min=1.0, max=500.0, help="Receiver to the axis of the stage, mm.")] = 25.0,
+    radius_mm: Annotated[
+        float, typer.Option(min=1.0, max=500.0, help="Receiver to the axis of the turntable, mm.")
+    ] = 25.0,
     sound_speed: Annotated[float, typer.Option(min=300.0, max=6000.0, help="m/s.")] = 1480.0,
     rate_mhz: Annotated[float, typer.Option(min=0.1, max=5000.0, help="Sampling rate at least, MHz.")] = 10.0,
     duration_us: Annotated[
@@ -94,18 +98,18 @@ def acquire_command(
     arm_ms: Annotated[
         float, typer.Option(min=0.0, max=5000.0, help="The digitizer takes to wait for triggers.")
     ] = 50.0,
-    steps_per_turn: Annotated[int, typer.Option(min=3, max=1_000_000, help="Of the stage.")] = 400,
+    steps_per_turn: Annotated[int, typer.Option(min=3, max=1_000_000, help="Of the turntable.")] = 400,
     step_us: Annotated[float, typer.Option(min=100.0, max=1e6, help="Step to step, us.")] = 1000.0,
     encoder: Annotated[
-        int, typer.Option(min=0, help="Counts a turn of an encoder on the stage; 0: there is none.")
+        int, typer.Option(min=0, help="Counts a turn of an encoder on the turntable; 0: there is none.")
     ] = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with the file: shoot what it has not yet.")] = False,
     homed: Annotated[
-        bool, typer.Option("--homed", help="With --resume: the stage was turned back to its first angle by hand.")
+        bool, typer.Option("--homed", help="With --resume: the turntable was put back to its first angle by hand.")
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """One turn of the stage: burst and record at every angle. The microwave is armed for each shot by itself.
+    """One turn of the turntable: burst and record at every angle. The microwave is armed for each shot by itself.
 
     The file is whole after every shot; Ctrl-C, a fault or a lost digitizer ends the sweep with what it has (status not
     0), --resume goes on. A fault has to be cleared first (`annulus head clear`).
@@ -159,12 +163,12 @@ def decode_command(
 ) -> None:
     """Compress a coded sweep into what one pulse would have been heard as."""
     from annulus.record.acoustic import load_acoustic, save_acoustic
-    from annulus.tai.decode import code_name, decode_record, decode_records, load_template, sounds_like
+    from annulus.tai.decode import code_name, decode_record, decode_records, detected_code, load_template
 
     record = load_acoustic(source)
     if not record.code:
         raise AnnulusError(f"{source}: does not say what was sent; expected a raw sweep with its code")
-    answer: dict[str, Any] = {"code": code_name(record.code), "sounds_like": sounds_like(record)}
+    answer: dict[str, Any] = {"code": code_name(record.code), "detected_code": detected_code(record)}
     if second is not None:
         decoded = decode_records(record, load_acoustic(second))
     else:
@@ -175,8 +179,8 @@ def decode_command(
     if as_json:
         print(json.dumps(answer))
         return
-    if answer["sounds_like"]:
-        print(f"warning    it sounds like {answer['sounds_like']}, not {answer['code']}")
+    if answer["detected_code"]:
+        print(f"warning    it sounds like {answer['detected_code']}, not {answer['code']}")
     if "psr" in answer:
         print(
             f"template   {answer['code']}: sidelobes 1/{answer['psr']:.1f}, {answer['gain_db']:.2f} dB over one pulse"
@@ -186,7 +190,8 @@ def decode_command(
 
 @app.command(
     "image",
-    epilog="Example: annulus tai image raw.hdf5 -o result --search 1400 1600. Takes IPASC .hdf5, or .npz with signals "
+    epilog="Example: annulus tai image raw.hdf5 -o result --search 1400 1600 --band 0.3 3 --region -8 8 -8 8. "
+    "Takes IPASC .hdf5, or .npz with signals "
     "[positions, samples], angles_deg, radius_mm, sampling_rate_hz, and if known t0_s, sound_speed_m_s.",
 )
 def image_command(
@@ -206,21 +211,49 @@ def image_command(
         float | None, typer.Option(help="The sample lies within. Default: 0.85 of the circle.")
     ] = None,
     template: Annotated[Path | None, typer.Option(help="For a coded sweep, from `annulus burst design -o`.")] = None,
+    sound: Annotated[
+        str | None,
+        typer.Option(
+            help="space (of small parts, as real sound is) or plane (of long ones, and the twin's). Default: as "
+            "recorded, else as receivers agree better."
+        ),
+    ] = None,
+    band: Annotated[
+        tuple[float, float] | None,
+        typer.Option(help="Use only the sound between these, MHz. Example: --band 0.3 3 takes hum and hiss away."),
+    ] = None,
+    region: Annotated[
+        tuple[float, float, float, float] | None,
+        typer.Option(
+            metavar="X0 X1 Y0 Y1",
+            help="Show only this part, mm, and search the speed in it. Example: --region -8 8 -5 5.",
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
-    """The sample's absorbed power from the sound around it."""
-    from annulus.tai.image import make_image
+    """The sample's absorbed power from the sound around it.
+
+    --search finds the speed of sound at which receivers agree, and says what it would be were the sound of the other
+    kind (--sound). A receiver that agrees with no other is named and left out.
+    """
+    from annulus.tai.image import ImageSettings, make_image
+    from annulus.thermoacoustic.imaging import Region
 
     if method not in ("time-reversal", "back-projection"):
         raise AnnulusError(f"--method {method!r}: expected time-reversal or back-projection")
+    if sound not in (None, "space", "plane"):
+        raise AnnulusError(f"--sound {sound!r}: expected space or plane")
     if search is not None and sound_speed is not None:
         raise AnnulusError("--search and --sound-speed: give one of them")
+    settings = ImageSettings(
+        method, pixel_mm, sound_speed, search,  # type: ignore[arg-type]
+        (1e6 * band[0], 1e6 * band[1]) if band else None,
+        sound,  # type: ignore[arg-type]
+        Region(*region) if region else None,
+        object_radius_mm, refine, nonnegative,
+    )  # fmt: skip
     with progress() as report:
-        result = make_image(
-            source, out, method=method, pixel_mm=pixel_mm, sound_speed_m_s=sound_speed,  # type: ignore[arg-type]
-            search_m_s=search, refinements=refine, nonnegative=nonnegative, object_radius_mm=object_radius_mm,
-            template=template, progress=report,
-        )  # fmt: skip
+        result = make_image(source, out, settings, template, report)
     if as_json:
         print(json.dumps(result.to_dict()))
         return
@@ -233,32 +266,3 @@ def image_command(
     print(f"speed      {result.sound_speed_m_s:.1f} m/s ({how})")
     print(f"pixel      {result.pixel_mm:.3f} mm, {result.size[0]} x {result.size[1]}")
     print(f"image      {out / 'image.png'}, {out / 'image.npz'}")
-
-
-@app.command(
-    "study", epilog="Example: annulus tai study 8.4 8.11 -o study. Without numbers: all, in about two minutes."
-)
-def study_command(
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the pictures, study.csv and study.json.")],
-    figures: Annotated[
-        list[str] | None, typer.Argument(help="Figures of the source, 7.4 to 8.14; default all.")
-    ] = None,
-    as_json: Json = False,
-) -> None:
-    """The source's figures and tables again, as simulation: a picture and a row of numbers each."""
-    from annulus.tai.study import chosen, study
-
-    wanted = chosen(figures or [])
-    try:
-        with progress() as report:
-            done = study(wanted, out, report)
-    except OSError as error:
-        raise AnnulusError(f"{out}: cannot be written ({error.strerror})") from None
-    if as_json:
-        print(json.dumps({one.name: {"title": one.title, **one.numbers} for one in done}))
-        return
-    for one in done:
-        print(f"fig {one.name:<6} {one.title}  {one.picture}")
-        for name, value in one.numbers.items():
-            print(f"           {name:<28} {value:.4g}")
-    print(f"numbers    {out / 'study.csv'}, {out / 'study.json'}")

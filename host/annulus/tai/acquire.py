@@ -1,4 +1,4 @@
-"""A sweep on the bench: burst and record at every angle of a turn of the stage, shot by shot onto the disk.
+"""A sweep: burst and record at every angle of a turn of the turntable, shot by shot onto the disk.
 
 The file is a whole sweep of the angles shot so far from the first shot on, replaced after each one: whatever ends the
 run, what was shot is there, `annulus tai image` shows it, and `resume` goes on with the angles that are missing.
@@ -19,17 +19,18 @@ from annulus.link.messages import FaultCode
 from annulus.link.operate import move_turntable, send_train, status_of, train_messages
 from annulus.record.acoustic import AcousticRecord, load_acoustic, save_acoustic
 from annulus.sensors.digitizer import Acquisition, Digitizer, DigitizerLostError, Trace, TriggerLostError
-from annulus.tai.decode import sounds_like
+from annulus.tai.decode import detected_code
 from annulus.thermoacoustic.codes import pattern, text, train_from_us
+from annulus.thermoacoustic.imaging import TAIL
 from annulus.vocabulary import AnnulusError
 
+# Guards: tests/unit/tai/test_acquire.py, by the tests named.
 RETRIES = 2  # of one shot, after a lost trigger, a digitizer that went away, or a record with holes
-SPARE = 1.15  # times the way across the circle
-SAMPLES_A_CHIP = 4
-UNMOVED = 1.5  # times the noise: neighbours that differ by no more than this may have been heard from one place
-RUN = 3  # neighbours in a row; one pair may stand to both sides of a sample's axis of symmetry
-AUDIBLE = 100.0  # times the noise is sound that can tell
-ENCODER_S = 0.005  # until the last edge has been counted
+SAMPLES_A_CHIP = 4  # test_the_command_wants_one_bench_and_sane_settings
+STALLED = 1.5  # times the noise's power: neighbours that differ by less may have been heard from one place
+RUN = 3  # neighbours in a row; a pair may stand to both sides of an axis of symmetry. test_a_stage_that_moves ..
+AUDIBLE = 100.0  # times the noise's power is sound that can tell. test_without_one_the_sound_tells
+ENCODER_S = 0.005  # until the last edge has been counted. test_an_encoder_tells_of_a_stage_that_did_not_move
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,22 +50,20 @@ class Plan:
     range_v: float = 0.08
     steps_per_turn: int = 400
     step_us: float = 1000.0
-    encoder_per_turn: int = 0  # counts of an encoder on the stage, at the controller's odometer; 0: there is none
+    encoder_per_turn: int = 0  # counts of an encoder on the turntable, at the controller's odometer; 0: there is none
 
     def __post_init__(self) -> None:
         if not 1 <= self.positions <= self.steps_per_turn:
-            raise AnnulusError(
-                f"--angles {self.positions}: expected 1..{self.steps_per_turn}, the steps of a turn (--steps-per-turn)"
-            )
+            raise AnnulusError(f"{self.positions} angles: expected 1..{self.steps_per_turn}, the steps of a turn")
         if self.rate_mhz * self.chip_us < SAMPLES_A_CHIP:
             raise AnnulusError(
-                f"--rate-mhz {self.rate_mhz:g}: expected {SAMPLES_A_CHIP / self.chip_us:g} or more, "
+                f"a sampling rate of {self.rate_mhz:g} MHz: expected {SAMPLES_A_CHIP / self.chip_us:g} or more, "
                 f"{SAMPLES_A_CHIP} samples a chip"
             )
 
     @property
     def steps(self) -> NDArray[np.int64]:
-        """(positions,) where the stage stands."""
+        """(positions,) where the turntable stands."""
         return np.round(np.arange(self.positions) * (self.steps_per_turn / self.positions)).astype(np.int64)
 
     @property
@@ -75,7 +74,7 @@ class Plan:
     def acquisition(self) -> Acquisition:
         sent_us = len(pattern(self.code)) * self.chip_us
         across_us = 2e3 * self.radius_mm / self.sound_speed_m_s
-        lasting = SPARE * across_us + sent_us if self.duration_us is None else self.duration_us
+        lasting = TAIL * across_us + sent_us if self.duration_us is None else self.duration_us
         return Acquisition(
             1e6 * self.rate_mhz, 1e-6 * lasting, self.range_v, self.averages, -1e-6 * self.trigger_offset_us
         )
@@ -86,7 +85,7 @@ class Plan:
 
 @dataclass(frozen=True, slots=True)
 class Acquired:
-    """What happened, for the screen and --json."""
+    """What happened, for a person or a program."""
 
     positions: int
     shot: int  # in this run
@@ -113,8 +112,8 @@ def acquire(
 ) -> Acquired:
     """Shoots the angles that `out` does not have yet. Every shot is armed by itself, and disarmed whatever happens.
 
-    resume : go on with `out` where it exists. homed : the stage was put back to its first angle by hand since; needed
-    if the controller restarted in between, for it counts its steps from there.
+    resume : go on with `out` where it exists. homed : the turntable was put back to its first angle by hand since;
+    needed if the controller restarted in between, for it counts its steps from there.
 
     Raises AnnulusError for whatever ends the sweep early: a fault or an open interlock, a refused setting, a digitizer
     or triggers that stay lost after RETRIES. What was shot until then is in `out`.
@@ -132,7 +131,7 @@ def acquire(
     if out.suffix not in (".h5", ".hdf5", ".npz"):
         raise AnnulusError(f"{out}: expected a name ending in .hdf5, .h5 (IPASC) or .npz")
     if out.exists() and not resume:
-        raise AnnulusError(f"{out}: is there already, expected a new name, or --resume to go on with it")
+        raise AnnulusError(f"{out}: is there already, expected a new name, or to be told to resume it")
     with Client(port) as client:
         status = status_of(client)
         if status.fault is not FaultCode.NONE:
@@ -165,14 +164,14 @@ def acquire(
                     if attempt == RETRIES:
                         raise AnnulusError(
                             f"{error} ({RETRIES + 1} times at angle {position}; {len(sweep.traces)} of "
-                            f"{plan.positions} angles are in {out}, --resume goes on)"
+                            f"{plan.positions} angles are in {out}, which can be resumed)"
                         ) from None
                     say(f"angle {position}: {error}; shot again")
                     _keep_trying(digitizer)
                 retries += 1
             sweep.add(position, trace)
             if trace.clipped:
-                say(f"angle {position}: {trace.clipped} samples clipped, a larger --range-v takes them in")
+                say(f"angle {position}: {trace.clipped} samples clipped, a larger range of the digitizer takes them in")
         move_turntable(client, port, 0, plan.step_us, hold=False)
     if progress:
         progress("shots", plan.positions, plan.positions)
@@ -184,7 +183,7 @@ def acquire(
 
 
 def _turn(client: Client, port: str, plan: Plan, step: int) -> None:
-    """The stage to a step, believed only as far as an encoder confirms it. AnnulusError where one does not."""
+    """The turntable to a step, believed only as far as an encoder confirms it. AnnulusError where one does not."""
     before = status_of(client)
     move_turntable(client, port, step, plan.step_us, hold=True)
     if not plan.encoder_per_turn or before.turntable == step:
@@ -194,7 +193,7 @@ def _turn(client: Client, port: str, plan: Plan, step: int) -> None:
     expected = (step - before.turntable) * plan.encoder_per_turn / plan.steps_per_turn
     if abs(counted - expected) > max(2.0, 0.1 * abs(expected)):
         raise AnnulusError(
-            f"{port}: the stage did not move as told: its encoder counted {counted}, expected {expected:.0f} for "
+            f"{port}: the turntable did not move as told: its encoder counted {counted}, expected {expected:.0f} for "
             f"{step - before.turntable} steps"
         )
 
@@ -229,8 +228,8 @@ class _Sweep:
                 )
         if int(extra["boot"]) != self.boot and not homed:
             raise AnnulusError(
-                f"{self.out}: the controller restarted since and counts its steps anew: turn the stage back to its "
-                "first angle and say --homed"
+                f"{self.out}: the controller restarted since and counts its steps anew: turn the turntable back "
+                "to its first angle and say that it is homed"
             )
         index = {round(float(angle), 6): i for i, angle in enumerate(self.plan.angles_deg)}
         for angle, signal in zip(record.angles_deg, record.signals, strict=True):
@@ -258,7 +257,7 @@ class _Sweep:
         elif trace.rate_hz * self.plan.chip_us * 1e-6 < 0.99 * SAMPLES_A_CHIP:
             raise AnnulusError(
                 f"the digitizer samples at {trace.rate_hz / 1e6:.3g} MHz, expected {SAMPLES_A_CHIP} samples a chip: "
-                "--duration-us shortens the record, --averages 1 takes off the scope's limit of 1000 points"
+                "a shorter record, or a single burst an angle, takes off the scope's limit of 1000 points"
             )
         else:
             self._rate_hz, self._t0_s = trace.rate_hz, t0_s
@@ -287,14 +286,14 @@ class _Sweep:
             found.append(f"{np.count_nonzero(bad)} traces have holes: {_named(self.traces, bad)}")
         if self._clipped:
             found.append(f"{len(self._clipped)} traces are clipped: {', '.join(map(str, self.clipped[:8]))}")
-        other = sounds_like(record)
+        other = detected_code(record)
         if other is not None:
             found.append(f"{self.plan.code} was asked for, but it sounds like {other}")
-        return found + unmoved(record)
+        return found + stalled(record)
 
 
-def unmoved(record: AcousticRecord) -> list[str]:
-    """Neighbours that differ by no more than noise: the stage did not turn, or nothing about the sample turns with it.
+def stalled(record: AcousticRecord) -> list[str]:
+    """Neighbours that differ by no more than noise: the turntable did not turn, or nothing of the sample turns with it.
 
     The noise is what a trace holds in the upper two fifths of its band, where a transducer leaves nothing of sound.
     """
@@ -309,12 +308,16 @@ def unmoved(record: AcousticRecord) -> list[str]:
     differ = np.abs(np.fft.rfft(np.diff(signals, axis=0), axis=1)) ** 2
     if np.median(power[:, low].mean(axis=1)) < AUDIBLE * noise:
         return []
-    same = differ[:, low].mean(axis=1) <= UNMOVED * 2 * noise
+    same = differ[:, low].mean(axis=1) <= STALLED * 2 * noise
     if same.all():
-        return ["every angle sounds the same: the stage does not turn, or the sample is round and stands in its middle"]
+        return [
+            "every angle sounds the same: the turntable does not turn, or the sample is round and stands in its middle"
+        ]
     edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(int), [0]])))
     runs = [(a, b) for a, b in edges.reshape(-1, 2) if b - a >= RUN]
-    return [f"angles {kept[a]} to {kept[b]} sound the same to the noise: the stage may not have moved" for a, b in runs]
+    return [
+        f"angles {kept[a]} to {kept[b]} sound the same to the noise: the turntable may not have moved" for a, b in runs
+    ]
 
 
 def _keep_trying(digitizer: Digitizer) -> None:

@@ -17,7 +17,9 @@ from annulus.thermoacoustic.templates import TAPS_MAX, Template, decode, decode_
 from annulus.vocabulary import AnnulusError
 
 FORMAT = "annulus-template/1"
-SHARPER = 1.5  # times: another code that makes so much sharper peaks is what was really sent
+# times: another code that makes so much sharper peaks is what was really sent. Guards:
+# test_a_record_that_names_the_wrong_code_is_heard_out, test_another_code_than_was_asked_for_is_heard
+SHARPER = 1.5
 
 
 def save_template(path: Path, template: Template, chip_s: float) -> None:
@@ -75,7 +77,7 @@ def decode_record(record: AcousticRecord, template: Template | None = None) -> t
     if record.chip_s is None or not record.code:
         if template is None:
             return record, None
-        raise AnnulusError("the record does not say what was sent: give --code and --chip-us, or decode nothing")
+        raise AnnulusError("the record does not say what was sent, so nothing can be decoded")
     if "1" not in record.code.strip("0") or record.code.strip("0") == "1":
         if template is not None and template.code != record.code:
             raise AnnulusError("the record is of a single pulse, the template is for a code")
@@ -109,7 +111,7 @@ def decode_records(first: AcousticRecord, second: AcousticRecord) -> AcousticRec
     return replace(first, signals=signals.astype(np.float32), code="", extra=_from(first))
 
 
-def sounds_like(record: AcousticRecord) -> str | None:
+def detected_code(record: AcousticRecord) -> str | None:
     """The built-in code that was sent by the sound of it, where that is clearly not the one the record names."""
     if record.chip_s is None or not record.code:
         return None

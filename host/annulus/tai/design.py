@@ -12,7 +12,7 @@ from annulus.thermoacoustic.codes import pattern
 from annulus.thermoacoustic.templates import Method, Template, Transducer, design
 from annulus.vocabulary import AnnulusError
 
-ROWS_MAX = 1_000_000
+ROWS_MAX = 1_000_000  # of a transducer's file. Unguarded: only keeps a wrong file from filling the memory
 
 
 def design_template(

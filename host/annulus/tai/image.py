@@ -1,28 +1,46 @@
 """From a file of raw or decoded sound to image.npz, image.png and what should be known about them."""
 
-import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from annulus.record.acoustic import load_acoustic
-from annulus.tai.decode import code_name, decode_record, load_template, sounds_like, sweep_of
-from annulus.thermoacoustic.imaging import Image, back_projection, search_sound_speed, time_reversal
-from annulus.thermoacoustic.sweep import examine, gaps_deg, quiet_spike, usable
+from annulus.record.acoustic import AcousticRecord, load_acoustic
+from annulus.tai.decode import code_name, decode_record, detected_code, load_template, sweep_of
+from annulus.thermoacoustic.agreement import LAG_RAD, Arrival, disagreeing, likelier_arrival, search_sound_speed
+from annulus.thermoacoustic.imaging import Image, Region, back_projection, time_reversal
+from annulus.thermoacoustic.sweep import Sweep, band_passed, examine, gaps_deg, usable, without_coupling
 from annulus.vocabulary import AnnulusError
 
 Method = Literal["time-reversal", "back-projection"]
-OBJECT = 0.85  # of the receivers' radius: what the sample is taken to fill, if nobody says
-LEAST = 3  # usable positions
+OBJECT = 0.85  # of the receivers' radius: what the sample is taken to fill, if nobody says. Unguarded: a convention
+LEAST = 3  # usable positions. Guard: test_nothing_left_to_image_is_one_line
+
+
+@dataclass(frozen=True, slots=True)
+class ImageSettings:
+    """How an image is made. Lengths mm, speeds m/s, frequencies Hz; None: as recorded, or as the sound asks for."""
+
+    method: Method = "time-reversal"
+    pixel_mm: float | None = None
+    sound_speed_m_s: float | None = None
+    search_m_s: tuple[float, float] | None = None  # find the speed of sound in this range
+    band_hz: tuple[float, float] | None = None  # what of the sound is used
+    arrival: Arrival | None = None  # how sound arrives; None: as recorded, or by which receivers agree better
+    region: Region | None = None  # what is shown, and asked for the speed of sound; None: the whole circle
+    object_radius_mm: float | None = None  # nothing comes from farther out
+    refinements: int = 0
+    nonnegative: bool = False
+
+
+DEFAULT = ImageSettings()
 
 
 @dataclass(frozen=True, slots=True)
 class ImageResult:
-    """What was done and found, for the screen and --json."""
+    """What was done and found, for a person or a program."""
 
     positions: int
     excluded: tuple[int, ...]
@@ -32,6 +50,8 @@ class ImageResult:
     method: str
     sound_speed_m_s: float
     sound_speed_searched: bool
+    sound_speed_agreement: float | None  # correlation of opposite halves, where it was searched
+    arrival: str  # "space" or "plane": how sound was taken to arrive
     pixel_mm: float
     size: tuple[int, int]
     misfit: tuple[float, ...]
@@ -44,90 +64,109 @@ class ImageResult:
 def make_image(
     source: Path,
     out: Path,
-    *,
-    method: Method = "time-reversal",
-    pixel_mm: float | None = None,
-    sound_speed_m_s: float | None = None,
-    search_m_s: tuple[float, float] | None = None,
-    refinements: int = 0,
-    nonnegative: bool = False,
-    object_radius_mm: float | None = None,
+    settings: ImageSettings = DEFAULT,
     template: Path | None = None,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> ImageResult:
     """Writes image.npz (image, x_mm, y_mm) and image.png into `out`.
 
-    Traces with faults are named and left out; holes of the circle stay holes. A coded record is decoded first. Nothing
-    that comes before sound from `object_radius_mm` could arrive is looked at.
+    Traces with faults are named and left out, and so are receivers that agree with no other; holes of the circle stay
+    holes. A coded record is decoded first. Nothing that comes before sound from the object could arrive is looked at.
 
     Raises AnnulusError for a file that makes no sense, and where too little is left for an image.
     """
     record = load_acoustic(source)
     findings = []
-    other = sounds_like(record)
+    other = detected_code(record)
     if other is not None:
         findings.append(f"the record says {code_name(record.code)} was sent, but it sounds like {other}")
     coded = code_name(record.code) if record.code.strip("0") not in ("", "1") else ""
     # a decoder spreads a flat top until nobody sees it: looked for in what was recorded
-    raw = [fault for fault in examine(sweep_of(record, sound_speed_m_s)) if fault.kind == "clipped"] if coded else []
+    raw = examine(sweep_of(record, settings.sound_speed_m_s)) if coded else []
     record, used = decode_record(record, load_template(template) if template else None)
     if used is not None:
         findings.append(
             f"decoded from {coded}: sidelobes 1/{used.psr:.1f} of the peak, {used.gain_db:.1f} dB over one pulse"
         )
-    sweep = sweep_of(record, sound_speed_m_s)
-    faults = raw + examine(sweep)
+    sweep = sweep_of(record, settings.sound_speed_m_s)
+    faults = [fault for fault in raw if fault.kind == "clipped"] + examine(sweep)
     findings += [fault.text for fault in faults]
-    kept = usable(sweep, faults)
-    if np.count_nonzero(kept) < LEAST:
+    kept = np.flatnonzero(usable(sweep, faults))
+    if len(kept) < LEAST:
         reasons = "; ".join(fault.text for fault in faults if fault.excluded)
         raise AnnulusError(
-            f"{source}: {np.count_nonzero(kept)} of {len(kept)} traces can be used, expected {LEAST} or more: {reasons}"
+            f"{source}: {len(kept)} of {len(sweep.signals)} traces can be used, expected {LEAST} or more: {reasons}"
         )
-    sweep = sweep.only(kept)
-    sample = OBJECT * sweep.radius_mm if object_radius_mm is None else object_radius_mm
-    if not 0 < sample <= sweep.radius_mm:
-        raise AnnulusError(
-            f"an object of {sample:g} mm radius, expected more than 0 and at most the receivers' {sweep.radius_mm:g} mm"
-        )
-    sweep = quiet_spike(sweep, sample)
-    if search_m_s is not None:
-        speed, _, _ = search_sound_speed(sweep, *search_m_s, progress)
-        sweep = replace(sweep, sound_speed_m_s=speed)
-    elif sound_speed_m_s is None and record.sound_speed_m_s is None:
-        findings.append(
-            f"no speed of sound given or recorded: {sweep.sound_speed_m_s:g} m/s taken (water); --search finds it"
-        )
-    holes = tuple(gaps_deg(sweep.angles_deg))
-    if method == "back-projection":
-        image = back_projection(sweep, pixel=pixel_mm)
+    sweep = _prepared(sweep.only(kept.tolist()), settings)
+    arrival = settings.arrival or known_arrival(record)
+    if settings.search_m_s is None:
+        fit, arrival = None, arrival or likelier_arrival(sweep, settings.region)
+        if settings.sound_speed_m_s is None and record.sound_speed_m_s is None:
+            findings.append(
+                f"no speed of sound given or recorded: {sweep.sound_speed_m_s:g} m/s taken (water); a search finds it"
+            )
     else:
-        image = time_reversal(
-            sweep, pixel=pixel_mm, refinements=refinements, nonnegative=nonnegative, progress=progress
+        fit, rival = search_sound_speed(sweep, *settings.search_m_s, arrival, settings.region, progress)
+        sweep, arrival = replace(sweep, sound_speed_m_s=fit.sound_speed_m_s), fit.arrival
+        findings.append(
+            f"halves of the circle agree by {fit.agreement:.2f} at {fit.sound_speed_m_s:.1f} m/s, as sound in "
+            f"{fit.arrival_text}; as sound in {rival.arrival_text}, by {rival.agreement:.2f} at "
+            f"{rival.sound_speed_m_s:.1f} m/s"
         )
+    bad = disagreeing(sweep, arrival, settings.region)
+    findings += [
+        f"the receiver at position {kept[i]} agrees with the others by {own:.2f}, "
+        f"its neighbours by {beside:.2f}; left out"
+        for i, own, beside in bad
+    ]
+    left = [i for i in range(len(kept)) if i not in {one[0] for one in bad}]
+    sweep, kept = sweep.only(left), kept[left]
+    image = _imaged(sweep, settings, progress)
+    holes = tuple(gaps_deg(sweep.angles_deg))
     out.mkdir(parents=True, exist_ok=True)
     np.savez(
         out / "image.npz", image=image.values, x_mm=image.x_mm, y_mm=image.y_mm,
         sound_speed_m_s=image.sound_speed_m_s, angles_deg=sweep.angles_deg, radius_mm=sweep.radius_mm,
     )  # fmt: skip
-    picture(image, sweep.angles_deg, sweep.radius_mm, holes, out / "image.png", source.name)
+    picture(image, sweep, out / "image.png", source.name)
     at = np.unravel_index(int(np.nanargmax(image.values)), image.values.shape)
     return ImageResult(
-        len(kept), tuple(int(i) for i in np.flatnonzero(~kept)), tuple(findings), holes, coded, image.method,
-        image.sound_speed_m_s, search_m_s is not None, float(image.x_mm[1] - image.x_mm[0]),
-        (image.values.shape[1], image.values.shape[0]), image.misfit,
+        len(record.signals), tuple(sorted(set(range(len(record.signals))) - {int(i) for i in kept})), tuple(findings),
+        holes, coded, image.method, image.sound_speed_m_s, fit is not None, fit.agreement if fit else None, arrival,
+        float(image.x_mm[1] - image.x_mm[0]), (image.values.shape[1], image.values.shape[0]), image.misfit,
         (float(image.values[at]), float(image.x_mm[at[1]]), float(image.y_mm[at[0]])),
     )  # fmt: skip
 
 
-def picture(
-    image: Image,
-    angles_deg: NDArray[np.float64],
-    radius_mm: float,
-    holes_deg: tuple[tuple[float, float], ...],
-    path: Path,
-    title: str,
-) -> None:
+def known_arrival(record: AcousticRecord) -> Arrival | None:
+    """How sound arrived, where the record says so: simulated sound does, in a plane."""
+    return next((arrival for arrival in LAG_RAD if record.extra.get("sound") == arrival), None)
+
+
+def _prepared(sweep: Sweep, settings: ImageSettings) -> Sweep:
+    """Without what cannot be sound of the object, and in the band that was asked for."""
+    sample = OBJECT * sweep.radius_mm if settings.object_radius_mm is None else settings.object_radius_mm
+    if not 0 < sample <= sweep.radius_mm:
+        raise AnnulusError(
+            f"an object of {sample:g} mm radius, expected more than 0 and at most the receivers' {sweep.radius_mm:g} mm"
+        )
+    if settings.band_hz is not None:
+        # the pulse that couples in would ring through the filter: cut off before, its rest faded out after
+        silent_s = (sweep.radius_mm - sample) * 1e-3 / sweep.sound_speed_m_s
+        sweep = band_passed(sweep.since(0.5 * silent_s), *settings.band_hz)
+    return without_coupling(sweep, sample)
+
+
+def _imaged(sweep: Sweep, settings: ImageSettings, progress: Callable[[str, int, int], None] | None) -> Image:
+    if settings.method == "back-projection":
+        return back_projection(sweep, pixel=settings.pixel_mm, region=settings.region)
+    return time_reversal(
+        sweep, pixel=settings.pixel_mm, region=settings.region, refinements=settings.refinements,
+        nonnegative=settings.nonnegative, progress=progress,
+    )  # fmt: skip
+
+
+def picture(image: Image, sweep: Sweep, path: Path, title: str) -> None:
     """The image with axes in mm, y upwards, the receivers on their circle and its holes shaded."""
     import matplotlib
 
@@ -135,6 +174,7 @@ def picture(
     import matplotlib.pyplot as plt
     from matplotlib.patches import Wedge
 
+    radius_mm, holes_deg = sweep.radius_mm, gaps_deg(sweep.angles_deg)
     figure, axes = plt.subplots(figsize=(7.2, 6.2), layout="constrained")
     half = 0.5 * float(image.x_mm[1] - image.x_mm[0])
     extent = (image.x_mm[0] - half, image.x_mm[-1] + half, image.y_mm[0] - half, image.y_mm[-1] + half)
@@ -148,27 +188,17 @@ def picture(
         axes.add_patch(
             Wedge((0, 0), 1.06 * radius_mm, start, stop, width=0.06 * radius_mm, color="0.8", hatch="//", lw=0)
         )
-    turn = np.radians(angles_deg)
+    turn = np.radians(sweep.angles_deg)
     axes.plot(1.03 * radius_mm * np.cos(turn), 1.03 * radius_mm * np.sin(turn), ".", color="tab:orange", ms=4)
+    whole = (-1.1 * radius_mm, 1.1 * radius_mm)
+    cut_out = max(extent[1] - extent[0], extent[3] - extent[2]) < 1.5 * radius_mm
     axes.set(
         xlabel="x, mm", ylabel="y, mm", aspect="equal",
-        xlim=(-1.1 * radius_mm, 1.1 * radius_mm), ylim=(-1.1 * radius_mm, 1.1 * radius_mm),
+        xlim=extent[:2] if cut_out else whole, ylim=extent[2:] if cut_out else whole,
     )  # fmt: skip
     missing = sum(stop - start for start, stop in holes_deg)
     note = f", {missing:.0f} deg of the circle not heard" if holes_deg else ""
-    axes.set_title(
-        f"{title}: {image.method}, {image.sound_speed_m_s:.0f} m/s, {len(angles_deg)} positions{note}", fontsize=9
-    )
+    axes.set_title(f"{title}: {image.method}, {image.sound_speed_m_s:.0f} m/s, {len(turn)} positions{note}", fontsize=9)
     figure.colorbar(shown, ax=axes, label="initial pressure, unit of the signals", shrink=0.85)
     figure.savefig(path, dpi=130)
     plt.close(figure)
-
-
-def quality(found: Image, truth: NDArray[np.float64], within_mm: float) -> tuple[float, float]:
-    """(PSNR in dB with the truth's maximum as M, Eq. 8.21; correlation) inside a circle."""
-    y, x = np.meshgrid(found.y_mm, found.x_mm, indexing="ij")
-    inside = (np.hypot(x, y) < within_mm) & np.isfinite(found.values)
-    a, b = found.values[inside].astype(float), truth[inside]
-    error = float(np.mean((a - b) ** 2))
-    psnr = 10 * math.log10(float(b.max()) ** 2 / error) if error > 0 else math.inf
-    return psnr, float(np.corrcoef(a, b)[0, 1])

@@ -20,9 +20,9 @@ MU0 = 4e-7 * math.pi  # H/m
 LIGHT_M_S = 1 / math.sqrt(EPS0 * MU0)
 FREQUENCY_HZ = 2.45e9
 WR340_MM = (86.36, 43.18)  # inside, broad and narrow
-PML_MM = 14.0
+PML_MM = 14.0  # Guard, with PML_DEPTH: topic microwaves (closed forms within 1 %), test_electromagnetics.py
 PML_DEPTH = 9.0  # nepers of a wave that crosses the layer and comes back
-UNKNOWNS_MAX = 2_000_000
+UNKNOWNS_MAX = 2_000_000  # nodes. Unguarded: a matter of memory (about 4 GB)
 
 
 @dataclass(frozen=True, slots=True)

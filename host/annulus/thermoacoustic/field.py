@@ -21,11 +21,13 @@ from annulus.vocabulary import AnnulusError
 
 FloatArray = NDArray[np.floating]
 
-PML_CELLS = 20
+PML_CELLS = 20  # Guard of the layer: test_what_leaves_does_not_come_back
 PML_STRENGTH = 2.0  # nepers per cell at the rim
 PML_POWER = 4
-COURANT = 0.3
-TAPS, TAPER = 20, 12.0  # cells each way that speak for a point between cells, and how their weight falls (Kaiser)
+COURANT = 0.3  # c dt / dx: accuracy does not limit it. Guard: topic solver
+# Cells each way that speak for a point between cells, and how their weight falls (Kaiser).
+# Guard: test_a_gaussian_sounds_as_theory_says.
+TAPS, TAPER = 20, 12.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""From the pressure on a circle to the source inside it: time reversal, back-projection, the speed of sound."""
+"""From the pressure on a circle to the source inside it: time reversal and back-projection."""
 
 import math
 from collections.abc import Callable
@@ -13,14 +13,21 @@ from annulus.thermoacoustic.field import PML_CELLS, Grid, Medium, Solver, receiv
 from annulus.thermoacoustic.sweep import Sweep, gaps_deg
 from annulus.vocabulary import AnnulusError
 
-GRID_MAX = 1024  # cells a side; beyond, a finer pixel is refused instead of computed for an hour
-GRID_USUAL = 400  # cells across the circle if nobody asks for more: a minute
-CELLS_PER_WAVE = 2.4  # of the highest frequency that matters
+# Guards: topic imaging, and of tests/scenes/thermoacoustic/test_imaging.py what is named.
+GRID_MAX = (
+    1024  # cells a side; beyond, a finer pixel is refused instead of computed for an hour; test_bad_input_is_one_line
+)
+GRID_USUAL = 400  # cells across the circle if nobody asks for more: a minute. Unguarded: patience
+CELLS_PER_WAVE = (
+    2.4  # of the highest frequency that matters; with both below, the pixel of a sweep. Guarded loosely, by
+)
+# test_bad_input_is_one_line (0.1 to 0.6 mm)
 ENERGY = 0.99  # of the sound lies below that frequency
 ABOVE_NOISE = 4.0  # times the power per frequency at the upper end of the record
-WORTH = 0.98  # a refinement brings the misfit below this part of the last, or it is not kept
-AGREEMENT = 0.1  # least correlation between opposite halves at the right speed of sound
-TAIL = 1.15  # times the way across: sound in a plane has a tail
+WORTH = 0.98  # a refinement brings the misfit below this part of the last, or it is not kept;
+# test_refinement_that_does_not_help_is_not_kept
+OUTSIDE = "the region lies outside the circle of receivers, or is narrower than two pixels"
+TAIL = 1.15  # times the way across: sound in a plane has a tail. Topic imaging
 
 Progress = Callable[[str, int, int], None]
 
@@ -35,6 +42,39 @@ class Image:
     method: str
     sound_speed_m_s: float
     misfit: tuple[float, ...] = ()  # relative, of the data after each refinement
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """What of the plane is looked at: x0..x1, y0..y1, mm."""
+
+    x0_mm: float
+    x1_mm: float
+    y0_mm: float
+    y1_mm: float
+
+    def __post_init__(self) -> None:
+        if not (-1e4 < self.x0_mm < self.x1_mm < 1e4 and -1e4 < self.y0_mm < self.y1_mm < 1e4):
+            raise AnnulusError(
+                f"a region of x {self.x0_mm:g}..{self.x1_mm:g}, y {self.y0_mm:g}..{self.y1_mm:g} mm: expected to rise"
+            )
+
+    @classmethod
+    def about_axis(cls, half_mm: float) -> "Region":
+        return cls(-half_mm, half_mm, -half_mm, half_mm)
+
+    def axes_mm(self, dx_mm: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(x, y) of its pixels, which stand at whole numbers of dx from the axis."""
+        x, y = (
+            np.arange(math.ceil(low / dx_mm - 1e-9), math.floor(high / dx_mm + 1e-9) + 1) * dx_mm
+            for low, high in ((self.x0_mm, self.x1_mm), (self.y0_mm, self.y1_mm))
+        )
+        return np.asarray(x, np.float64), np.asarray(y, np.float64)
+
+    def grid_mm(self, dx_mm: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(ny, nx) x and y of every pixel."""
+        x, y = self.axes_mm(dx_mm)
+        return np.broadcast_to(x, (len(y), len(x))), np.broadcast_to(y[:, None], (len(y), len(x)))
 
 
 def pixel_mm(sweep: Sweep) -> float:
@@ -58,6 +98,7 @@ def time_reversal(
     sweep: Sweep,
     *,
     pixel: float | None = None,
+    region: Region | None = None,
     refinements: int = 0,
     nonnegative: bool = False,
     progress: Progress | None = None,
@@ -67,6 +108,7 @@ def time_reversal(
     Parameters
     ----------
     pixel : mm, default `pixel_mm(sweep)`.
+    region : what is kept of the image; it is the same image, cut out. Default the whole circle.
     refinements : Neumann iterations, at most: what the image would have sounded like at the measured positions is
         compared with what was heard, and the difference reversed in turn. Makes up for holes in the circle; one that
         does not bring the data nearer is not kept.
@@ -96,17 +138,17 @@ def time_reversal(
     inside = np.hypot(*np.meshgrid(grid.y_mm, grid.x_mm, indexing="ij")) < sweep.radius_mm - dx
     total = 2 * refinements + 1
 
-    def stage(n: int) -> Callable[[int, int], None]:
+    def counted(n: int) -> Callable[[int, int], None]:
         return lambda done, of: progress("imaging", n * of + done, total * of) if progress else None
 
     def emitted(traces: NDArray[np.float64], n: int) -> NDArray[np.floating]:
-        return solver.reverse(_onto_rim(traces[order], turn, np.degrees(angles)), cells, stage(n))
+        return solver.reverse(_onto_rim(traces[order], turn, np.degrees(angles)), cells, counted(n))
 
     estimate = np.where(inside, emitted(heard, 0), 0.0)
     misfit: list[float] = []
     last = estimate
     for n in range(refinements):
-        rest = heard - solver.forward(estimate, ears, steps, progress=stage(2 * n + 1))
+        rest = heard - solver.forward(estimate, ears, steps, progress=counted(2 * n + 1))
         misfit.append(float(np.linalg.norm(rest) / max(float(np.linalg.norm(heard)), 1e-300)))
         if n and misfit[-1] > WORTH * misfit[-2]:
             estimate = last  # what is left does not come from inside: more would only draw noise
@@ -118,102 +160,36 @@ def time_reversal(
     if progress:
         progress("imaging", 1, 1)
     name = "time reversal" + (f", {len(misfit)} refinements" if misfit else "")
-    return _cropped(np.where(inside, estimate, np.nan), grid, sweep, name, tuple(misfit))
+    part = Region.about_axis(sweep.radius_mm) if region is None else region
+    return _cropped(Image(np.where(inside, estimate, np.nan), grid.x_mm, grid.y_mm, name, sweep.sound_speed_m_s,
+                          tuple(misfit)), part)  # fmt: skip
 
 
-def back_projection(sweep: Sweep, *, pixel: float | None = None, reach_mm: float | None = None) -> Image:
+def back_projection(sweep: Sweep, *, pixel: float | None = None, region: Region | None = None) -> Image:
     """A quick look: universal back-projection, b = 2 (p - t dp/dt) (Xu and Wang, Phys. Rev. E 71, 2005).
 
-    Each position counts with the arc that it stands for. reach_mm : half-width of the image, default the whole circle.
+    Each position counts with the arc that it stands for. Only `region` is worked out; default the whole circle.
     """
     dx = pixel_mm(sweep) if pixel is None else pixel
-    reach = sweep.radius_mm if reach_mm is None else reach_mm
-    half = math.floor(reach / dx)
-    axis = np.arange(-half, half + 1).astype(np.float64) * dx
-    y, x = np.meshgrid(axis, axis, indexing="ij")
+    part = Region.about_axis(sweep.radius_mm) if region is None else region
+    x, y = part.grid_mm(dx)
     inside = np.hypot(x, y) < sweep.radius_mm
-    times = sweep.times_s
-    slope = np.gradient(sweep.signals, 1.0 / sweep.sampling_rate_hz, axis=1)
-    source = 2.0 * (sweep.signals - times * slope)
-    arcs = _arcs(sweep.angles_deg)
+    if not inside.any():
+        raise AnnulusError(OUTSIDE)
+    times, weights = sweep.times_s, arcs(sweep.angles_deg)
     total = np.zeros(np.count_nonzero(inside))
-    for (px, py), trace, arc in zip(sweep.positions_mm, source, arcs, strict=True):
+    for (px, py), trace, arc in zip(sweep.positions_mm, source_term(sweep), weights, strict=True):
         way = np.hypot(x[inside] - px, y[inside] - py) * 1e-3 / sweep.sound_speed_m_s
         total += arc * np.interp(way, times, trace, left=0.0, right=0.0)
     values = np.full(x.shape, np.nan, np.float32)
-    values[inside] = total / arcs.sum()
-    return Image(
-        values,
-        np.asarray(axis, np.float64),
-        np.asarray(axis, np.float64),
-        "universal back-projection",
-        sweep.sound_speed_m_s,
-    )
+    values[inside] = total / weights.sum()
+    return Image(values, *part.axes_mm(dx), "universal back-projection", sweep.sound_speed_m_s)
 
 
-def search_sound_speed(
-    sweep: Sweep, low_m_s: float, high_m_s: float, progress: Progress | None = None
-) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
-    """The speed of sound at which halves of the circle agree best: (speed, speeds tried, their agreement).
-
-    Agreement is the correlation between quick looks from opposite half circles, averaged over four ways to halve it: at
-    a wrong speed the same edge lies at two places. Sound in a plane trails its wavefront by half a derivative, which is
-    put back first, else the speed would read 1.6 % low. A maximum at an end of the range is no maximum and is refused.
-    """
-    if not 100 <= low_m_s < high_m_s <= 10_000:
-        raise AnnulusError(f"a range of {low_m_s:g}..{high_m_s:g} m/s, expected two rising speeds in 100..10000")
-    if len(sweep.signals) < 12 or any(stop - start > 120.0 for start, stop in gaps_deg(sweep.angles_deg)):
-        raise AnnulusError(
-            "the speed of sound cannot be searched: expected at least 12 positions and no hole over 120 deg"
-        )
-    dx = max(pixel_mm(sweep), sweep.radius_mm / 72)
-    samples = 2 * sweep.signals.shape[1]
-    frequency = scipy.fft.rfftfreq(samples, 1 / sweep.sampling_rate_hz)
-    limit = 0.5 * (low_m_s + high_m_s) / (4e-3 * dx)
-    shape = np.sqrt(frequency) * np.exp(0.25j * math.pi - 0.7 * (frequency / limit) ** 2)
-    signals = scipy.fft.irfft(scipy.fft.rfft(sweep.signals, samples, axis=1) * shape, samples, axis=1)
-    sharp = replace(sweep, signals=signals[:, : sweep.signals.shape[1]])
-    halves = [np.cos(np.radians(sweep.angles_deg - way)) > 0 for way in (0, 45, 90, 135)]
-    tried: dict[float, float] = {}
-
-    def agreement(speed: float) -> float:
-        total = 0.0
-        at = replace(sharp, sound_speed_m_s=speed)
-        for half in halves:
-            looks = [
-                back_projection(at.only(part), pixel=dx, reach_mm=0.8 * sweep.radius_mm).values
-                for part in (half, ~half)
-            ]
-            a, b = (np.nan_to_num(look).ravel().astype(float) for look in looks)
-            total += float(a @ b / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-300)) / len(halves)
-        tried[speed] = total
-        if progress:
-            progress("speed of sound", len(tried), len(speeds) + 9)
-        return total
-
-    speeds = np.linspace(low_m_s, high_m_s, 21)
-    found = [agreement(float(speed)) for speed in speeds]
-    best = int(np.argmax(found))
-    if best in (0, len(speeds) - 1):
-        raise AnnulusError(
-            f"halves of the circle agree best at the end of {low_m_s:g}..{high_m_s:g} m/s, at {speeds[best]:.0f} m/s: "
-            "widen the range, or check sampling rate and radius"
-        )
-    if found[best] < AGREEMENT:
-        raise AnnulusError(
-            f"halves of the circle never agree in {low_m_s:g}..{high_m_s:g} m/s (correlation {found[best]:.2f}): "
-            "widen the range, or check sampling rate and radius"
-        )
-    fine = np.linspace(speeds[best - 1], speeds[best + 1], 9)
-    values = [tried.get(float(speed)) or agreement(float(speed)) for speed in fine]
-    bend = np.polynomial.polynomial.polyfit(fine - speeds[best], values, 2)
-    top = speeds[best] - bend[1] / (2 * bend[2]) if bend[2] < 0 else fine[int(np.argmax(values))]
-    order = np.argsort(list(tried))
-    return (
-        float(np.clip(top, fine[0], fine[-1])),
-        np.array(list(tried))[order],
-        np.array(list(tried.values()))[order],
-    )
+def source_term(sweep: Sweep) -> NDArray[np.float64]:
+    """(positions, samples) what back-projection lays onto the arcs: 2 (p - t dp/dt)."""
+    slope = np.gradient(sweep.signals, 1.0 / sweep.sampling_rate_hz, axis=1)
+    return np.asarray(2.0 * (sweep.signals - sweep.times_s * slope))
 
 
 def _least_pixel(sweep: Sweep) -> float:
@@ -259,7 +235,7 @@ def _in_hole(angles_deg: NDArray[np.float64], holes: list[tuple[float, float]]) 
     return inside
 
 
-def _arcs(angles_deg: NDArray[np.float64]) -> NDArray[np.float64]:
+def arcs(angles_deg: NDArray[np.float64]) -> NDArray[np.float64]:
     """Half the way to both neighbours, radians; a hole counts as the usual spacing."""
     turn = np.radians(np.mod(angles_deg, 360.0))
     order = np.argsort(turn, kind="stable")
@@ -270,7 +246,10 @@ def _arcs(angles_deg: NDArray[np.float64]) -> NDArray[np.float64]:
     return arcs
 
 
-def _cropped(values: NDArray[np.float64], grid: Grid, sweep: Sweep, method: str, misfit: tuple[float, ...]) -> Image:
-    kept = [np.flatnonzero(np.abs(axis) <= sweep.radius_mm) for axis in (grid.y_mm, grid.x_mm)]
-    part = values[kept[0][0] : kept[0][-1] + 1, kept[1][0] : kept[1][-1] + 1].astype(np.float32)
-    return Image(part, grid.x_mm[kept[1]], grid.y_mm[kept[0]], method, sweep.sound_speed_m_s, misfit)
+def _cropped(image: Image, part: Region) -> Image:
+    columns = np.flatnonzero((image.x_mm >= part.x0_mm) & (image.x_mm <= part.x1_mm))
+    rows = np.flatnonzero((image.y_mm >= part.y0_mm) & (image.y_mm <= part.y1_mm))
+    values = image.values[np.ix_(rows, columns)].astype(np.float32)
+    if len(rows) < 2 or len(columns) < 2 or not np.isfinite(values).any():
+        raise AnnulusError(OUTSIDE)
+    return replace(image, values=values, x_mm=image.x_mm[columns], y_mm=image.y_mm[rows])

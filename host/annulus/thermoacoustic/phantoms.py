@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from annulus.thermoacoustic.field import Grid
 from annulus.vocabulary import AnnulusError
 
-FINE = 4  # sub-cells each way where an edge crosses
+FINE = 4  # sub-cells each way where an edge crosses. Unguarded by itself; topic imaging draws its truth with it
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from annulus.controller import CHIPS_MAX
 from annulus.thermoacoustic.codes import Chips
 from annulus.vocabulary import AnnulusError
 
-EXHAUSTIVE_MAX = 28  # chips; twice the time for each more
+EXHAUSTIVE_MAX = 28  # chips; twice the time for each more. Guard: test_bad_input_is_one_line (templates)
 
 
 def least_peak_sidelobe(length: int) -> tuple[NDArray[np.int8], int]:

@@ -1,21 +1,25 @@
-"""What one turn of the stage recorded, and what is wrong with it before anybody makes an image of it."""
+"""What one turn of the turntable recorded, and what is wrong with it before anybody makes an image of it."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.fft
 from numpy.typing import NDArray
 
 from annulus.vocabulary import AnnulusError
 
-POSITIONS_MAX, SAMPLES_MAX = 8192, 1 << 22
-HOLE, HOLE_DEG = 2.5, 12.0  # receivers need not stand evenly
+POSITIONS_MAX, SAMPLES_MAX = 8192, 1 << 22  # Unguarded: a wrong file must not fill the memory
+# Guards, all in tests/scenes/thermoacoustic/test_imaging.py: test_receivers_at_odd_angles_are_neither_stuck_nor_holes
+# for HOLE; for the others test_bad_traces_are_named_and_left_out, test_a_round_object_is_not_a_stage_that_stands_still.
+HOLE, HOLE_DEG = 2.5, 12.0  # times the usual spacing, degrees: receivers need not stand evenly
 CLIPPED = 3  # neighbouring samples at the very same extreme: a converter at its rail
 GENTLE = 0.15  # of the span, over how many are flat: a top that falls off by less is round, and flat for want of bits
 SILENT = 0.2  # of the usual strength: nothing was heard at that position
-ALIKE = 0.98  # correlation of neighbours above which the stage may not have moved ..
-UNLIKE = 0.9  # .. if neighbours elsewhere are less alike than this
+REPEATED = 0.98  # correlation of neighbours above which the turntable may not have moved ..
+USUAL = 0.9  # .. if that of neighbours elsewhere is less than this
+BAND_ORDER = 8  # a Butterworth filter of order 4 run both ways. Guard: test_a_band_keeps_its_sound_and_nothing_else
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,6 +66,11 @@ class Sweep:
         turn = np.radians(self.angles_deg)
         return self.radius_mm * np.stack([np.cos(turn), np.sin(turn)], axis=1)
 
+    def since(self, time_s: float) -> "Sweep":
+        """Without the samples before that time; 16 stay at least."""
+        first = int(np.clip(np.searchsorted(self.times_s, time_s), 0, max(self.signals.shape[1] - 16, 0)))
+        return replace(self, signals=self.signals[:, first:], t0_s=float(self.times_s[first]))
+
     def only(self, kept: NDArray[np.bool_] | Sequence[int]) -> "Sweep":
         return replace(self, signals=self.signals[kept], angles_deg=self.angles_deg[kept])
 
@@ -103,7 +112,7 @@ def examine(sweep: Sweep) -> list[Fault]:
     good &= ~silent
     stuck = _stuck(heard, sweep.angles_deg, good)
     if stuck.any():
-        text = "repeat the position before: the stage did not move; left out"
+        text = "repeat the position before: the turntable did not move; left out"
         faults.append(_fault("same place", stuck, text, True))
     shifted = _shifted(sweep, good & ~stuck)
     if shifted is not None:
@@ -130,7 +139,7 @@ def gaps_deg(angles_deg: NDArray[np.float64]) -> list[tuple[float, float]]:
     return [(float(turn[i]), float(turn[i] + step[i])) for i in np.flatnonzero(step > widest)]
 
 
-def quiet_spike(sweep: Sweep, object_radius_mm: float) -> Sweep:
+def without_coupling(sweep: Sweep, object_radius_mm: float) -> Sweep:
     """Takes out what cannot be sound: the coupling of the radio-frequency pulse into the receiver.
 
     Nothing from inside `object_radius_mm` can arrive before (radius - object radius) / c: faded out up to there. What
@@ -152,6 +161,21 @@ def quiet_spike(sweep: Sweep, object_radius_mm: float) -> Sweep:
             if rate < 0 and np.linalg.norm(common - fitted) < 0.2 * np.linalg.norm(common):
                 signals = signals - sign * np.exp(np.minimum(level + rate * times, 700.0))
     return replace(sweep, signals=signals * window)
+
+
+def band_passed(sweep: Sweep, low_hz: float, high_hz: float) -> Sweep:
+    """Only the sound between two frequencies: half the amplitude at both, 1/100 less than an octave out, no delay."""
+    if not 0 <= low_hz < high_hz <= sweep.sampling_rate_hz / 2:
+        raise AnnulusError(
+            f"a band of {low_hz / 1e6:g}..{high_hz / 1e6:g} MHz, expected rising and at most half the sampling rate, "
+            f"{sweep.sampling_rate_hz / 2e6:g} MHz"
+        )
+    ends = sweep.signals.shape[1] - 1  # turned over beyond both ends, so that hum has no step there
+    signals = np.pad(sweep.signals, ((0, 0), (ends, ends)), mode="reflect", reflect_type="odd")
+    frequency = np.maximum(scipy.fft.rfftfreq(signals.shape[1], 1 / sweep.sampling_rate_hz), 1e-9)
+    gain = 1 / ((1 + (low_hz / frequency) ** BAND_ORDER) * (1 + (frequency / high_hz) ** BAND_ORDER))
+    passed = scipy.fft.irfft(scipy.fft.rfft(signals, axis=1) * gain, signals.shape[1], axis=1)
+    return replace(sweep, signals=passed[:, ends : 2 * ends + 1])
 
 
 def _after_the_spike(sweep: Sweep) -> NDArray[np.bool_]:
@@ -176,7 +200,7 @@ def _longest_at_rail(signals: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 def _stuck(heard: NDArray[np.float64], angles_deg: NDArray[np.float64], good: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Positions whose trace is the one before again while the angles say that the stage turned.
+    """Positions whose trace is the one before again while the angles say that the turntable turned.
 
     A round object sounds the same from everywhere; so this asks whether neighbours elsewhere differ more, and at last
     whether two traces differ by nothing at all.
@@ -187,12 +211,12 @@ def _stuck(heard: NDArray[np.float64], angles_deg: NDArray[np.float64], good: ND
         return stuck
     a, b = heard[order[:-1]], heard[order[1:]]
     power = np.sqrt((a**2).sum(axis=1) * (b**2).sum(axis=1))
-    alike = (a * b).sum(axis=1) / np.maximum(power, 1e-300)
+    likeness = (a * b).sum(axis=1) / np.maximum(power, 1e-300)
     turned = np.abs(np.diff(angles_deg[order]))
     moved = turned > 1e-6
     same = (np.abs(a - b).max(axis=1) <= 1e-12 * np.abs(a).max(axis=1)) & (power > 0)
     usual = turned > 0.5 * float(np.median(turned))  # two receivers side by side may well hear the same
-    close = usual & (alike > ALIKE) & (float(np.median(alike)) < UNLIKE)
+    close = usual & (likeness > REPEATED) & (float(np.median(likeness)) < USUAL)
     stuck[order[1:][moved & (same | close)]] = True
     return stuck
 

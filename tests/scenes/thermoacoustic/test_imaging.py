@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
+from annulus.thermoacoustic.agreement import disagreeing, search_sound_speed
 from annulus.thermoacoustic.field import Grid, Medium, Solver, receivers
-from annulus.thermoacoustic.imaging import back_projection, pixel_mm, search_sound_speed, time_reversal
-from annulus.thermoacoustic.sweep import Sweep, examine, gaps_deg, quiet_spike, usable
+from annulus.thermoacoustic.imaging import Region, back_projection, pixel_mm, time_reversal
+from annulus.thermoacoustic.sweep import Sweep, examine, gaps_deg, usable, without_coupling
 from annulus.vocabulary import AnnulusError
 
 C, RADIUS = 1500.0, 12.0
@@ -73,11 +74,24 @@ def test_the_quick_look_shows_the_same_things(sweep):
 
 def test_the_speed_of_sound_is_found_in_noise(sweep):
     noise = np.random.default_rng(3).standard_normal(sweep.signals.shape) * 0.2 * sweep.signals.std()
-    speed, tried, agreement = search_sound_speed(replace(sweep, signals=sweep.signals + noise), 1380.0, 1620.0)
-    assert abs(speed / C - 1) < 0.005
-    assert len(tried) == len(agreement) >= 21
+    noisy = replace(sweep, signals=sweep.signals + noise)
+    best, other = search_sound_speed(noisy, 1380.0, 1620.0)
+    assert best.arrival == "plane"
+    assert abs(best.sound_speed_m_s / C - 1) < 0.002
+    assert other.sound_speed_m_s / C - 1 < -0.005  # what taking it for sound in space would have cost
+    assert disagreeing(noisy, "plane") == []
+    noisy.signals[21] = -noisy.signals[21]
+    assert [one[0] for one in disagreeing(noisy, "plane")] == [21]
     with pytest.raises(AnnulusError, match="widen the range"):
         search_sound_speed(sweep, 1515.0, 1600.0)
+
+
+def test_a_region_of_the_image_is_the_image_there(sweep):
+    whole = time_reversal(sweep, pixel=0.4)
+    part = time_reversal(sweep, pixel=0.4, region=Region(-5.0, 0.5, -4.0, 3.0))
+    rows, columns = (np.isin(a, b) for a, b in ((whole.y_mm, part.y_mm), (whole.x_mm, part.x_mm)))
+    assert np.array_equal(part.values, whole.values[np.ix_(rows, columns)])
+    assert (part.x_mm >= -5.0).all() and (part.x_mm <= 0.5).all() and len(part.x_mm) == 14
 
 
 def test_a_late_start_and_a_high_rate_change_nothing(sweep):
@@ -125,7 +139,7 @@ def test_the_pulse_that_couples_in_is_not_sound(sweep):
     spike = 40 * np.abs(sweep.signals).max() * np.exp(-sweep.times_s / 6e-7)
     loud = replace(sweep, signals=sweep.signals + spike)
     clean = quality(time_reversal(sweep, pixel=0.3))[0]
-    assert quality(time_reversal(quiet_spike(loud, 9.0), pixel=0.3))[0] > clean - 2
+    assert quality(time_reversal(without_coupling(loud, 9.0), pixel=0.3))[0] > clean - 2
     assert quality(time_reversal(loud, pixel=0.3))[0] < 15
 
 

@@ -10,28 +10,29 @@ from typer.testing import CliRunner
 from annulus.cli import app
 from annulus.controller import CODES
 from annulus.record.acoustic import load_acoustic, save_acoustic
-from annulus.tai.decode import decode_record, load_template, save_template, sounds_like
-from annulus.tai.image import make_image
-from annulus.tai.simulate import Bench, simulate
+from annulus.tai.decode import decode_record, detected_code, load_template, save_template
+from annulus.tai.image import ImageSettings, make_image
+from annulus.tai.simulate import Setup, simulate
 from annulus.thermoacoustic.codes import pattern
+from annulus.thermoacoustic.imaging import Region
 from annulus.thermoacoustic.phantoms import Disc
 from annulus.thermoacoustic.templates import design
 from annulus.vocabulary import AnnulusError
 
 SAMPLE = (Disc(0.0, 0.0, 5.0, 0.4), Disc(2.0, 1.0, 1.0, 1.0))
-BENCH = Bench(
+SETUP = Setup(
     code="mpsl25-stuffed", radius_mm=9.0, positions=32, sampling_rate_hz=10e6, transducer=(0.6e6, 1.2), noise_pa=0.0005
 )
 
 
 @pytest.fixture(scope="module")
 def coded():
-    return simulate(SAMPLE, BENCH)
+    return simulate(SAMPLE, SETUP)
 
 
 @pytest.fixture(scope="module")
 def single():
-    return simulate(SAMPLE, replace(BENCH, code="single", noise_pa=0.0))
+    return simulate(SAMPLE, replace(SETUP, code="single", noise_pa=0.0))
 
 
 def test_a_decoded_code_is_what_one_pulse_would_have_been_heard_as(coded, single):
@@ -49,7 +50,7 @@ def test_a_decoded_code_is_what_one_pulse_would_have_been_heard_as(coded, single
 
 def test_a_coded_sweep_becomes_an_image(coded, tmp_path):
     save_acoustic(tmp_path / "raw.hdf5", coded)
-    result = make_image(tmp_path / "raw.hdf5", tmp_path / "out", pixel_mm=0.25)
+    result = make_image(tmp_path / "raw.hdf5", tmp_path / "out", ImageSettings(pixel_mm=0.25))
     assert result.decoded_from == "mpsl25-stuffed"
     assert result.excluded == ()
     assert np.hypot(result.strongest[1] - 2.0, result.strongest[2] - 1.0) < 1.0
@@ -63,7 +64,7 @@ def test_bad_traces_and_holes_are_said(coded, tmp_path):
     signals[4] = np.nan
     part = replace(coded, signals=signals[:24], angles_deg=coded.angles_deg[:24])
     save_acoustic(tmp_path / "raw.npz", part)
-    result = make_image(tmp_path / "raw.npz", tmp_path / "out", pixel_mm=0.4)
+    result = make_image(tmp_path / "raw.npz", tmp_path / "out", ImageSettings(pixel_mm=0.4))
     assert result.excluded == (4,)
     assert any("1 of 24 traces (4)" in finding for finding in result.findings)
     assert result.holes_deg == ((258.75, 360.0),)
@@ -74,9 +75,29 @@ def test_a_clipped_shot_is_found_before_its_decoder_hides_it(coded, tmp_path):
     rail = 0.4 * np.abs(signals[6]).max()
     signals[6] = np.clip(signals[6], -rail, rail)
     save_acoustic(tmp_path / "raw.npz", replace(coded, signals=signals))
-    result = make_image(tmp_path / "raw.npz", tmp_path / "out", method="back-projection", pixel_mm=0.5)
+    result = make_image(tmp_path / "raw.npz", tmp_path / "out", ImageSettings("back-projection", 0.5))
     assert result.excluded == (6,)
     assert any("(6) are cut off at the digitizer's range" in finding for finding in result.findings)
+
+
+def test_a_bad_receiver_hum_and_a_wrong_speed_are_put_right(single, tmp_path):
+    """One receiver turned round, hum of 20 kHz ten times the sound, a speed of sound 3 % off."""
+    times = np.arange(single.signals.shape[1]) / single.sampling_rate_hz
+    peak = np.abs(single.signals).max()
+    signals = single.signals + np.float32(10 * peak) * np.sin(2 * np.pi * 2e4 * times + 1.0).astype(np.float32)
+    signals[9] = 2 * (signals[9] - single.signals[9]) - signals[9]
+    save_acoustic(tmp_path / "raw.npz", replace(single, signals=signals, sound_speed_m_s=1436.0))
+    settings = ImageSettings(
+        pixel_mm=0.25, search_m_s=(1400.0, 1560.0), band_hz=(0.15e6, 2e6), region=Region(-6.0, 6.0, -5.5, 6.0)
+    )
+    result = make_image(tmp_path / "raw.npz", tmp_path / "out", settings)
+    assert result.excluded == (9,)
+    assert any("receiver at position 9 agrees with the others by -" in finding for finding in result.findings)
+    # the circle is only seven waves of the transducer across
+    assert result.arrival == "plane" and abs(result.sound_speed_m_s / 1480.0 - 1) < 0.006
+    assert np.hypot(result.strongest[1] - 2.0, result.strongest[2] - 1.0) < 0.6
+    with np.load(tmp_path / "out" / "image.npz") as saved:
+        assert saved["x_mm"].min() >= -6.0 and saved["x_mm"].max() <= 6.0 and saved["y_mm"].min() >= -5.5
 
 
 def test_another_codes_template_is_refused(coded, tmp_path):
@@ -87,9 +108,9 @@ def test_another_codes_template_is_refused(coded, tmp_path):
 
 
 def test_a_record_that_names_the_wrong_code_is_heard_out(coded):
-    assert sounds_like(coded) is None
-    assert sounds_like(replace(coded, code=CODES["barker13"])) == "mpsl25-stuffed"
-    assert sounds_like(replace(coded, code=CODES["manchester1"])) == "mpsl25-stuffed"
+    assert detected_code(coded) is None
+    assert detected_code(replace(coded, code=CODES["barker13"])) == "mpsl25-stuffed"
+    assert detected_code(replace(coded, code=CODES["manchester1"])) == "mpsl25-stuffed"
 
 
 def test_nothing_left_to_image_is_one_line(coded, tmp_path):
@@ -112,9 +133,28 @@ def test_the_commands_do_it_all(tmp_path):
     )
     assert load_acoustic(tmp_path / "d.npz").extra["decoded_from"] == "mpsl25-stuffed"
     answer = run.invoke(
-        app, ["tai", "image", str(tmp_path / "d.npz"), "--pixel-mm", "0.4", "--json", "-o", str(folder)]
+        app,
+        [
+            "tai",
+            "image",
+            str(tmp_path / "d.npz"),
+            "--pixel-mm",
+            "0.4",
+            "--band",
+            "0.1",
+            "2",
+            "--region",
+            "-6",
+            "6",
+            "-3",
+            "3",
+            "--json",
+            "-o",
+            str(folder),
+        ],
     )
     assert answer.exit_code == 0
-    assert json.loads(answer.stdout)["positions"] == 24
+    said = json.loads(answer.stdout)
+    assert (said["positions"], said["size"]) == (24, [30, 16])
     bad = run.invoke(app, ["tai", "image", str(raw), "-o", str(folder), "--method", "magic"])
     assert isinstance(bad.exception, AnnulusError)

@@ -13,7 +13,7 @@ from annulus.controller import CODES
 from annulus.link import operate
 from annulus.record.acoustic import AcousticRecord, load_acoustic, save_acoustic
 from annulus.sensors.digitizer import ScopeDigitizer
-from annulus.tai.acquire import Acquired, Plan, acquire, unmoved
+from annulus.tai.acquire import Acquired, Plan, acquire, stalled
 from annulus.tai.decode import sweep_of
 from annulus.thermoacoustic.codes import Train
 from annulus.thermoacoustic.phantoms import Disc
@@ -124,7 +124,7 @@ def test_a_controller_that_restarted_has_lost_its_stage(rig: Rig) -> None:
         rig.acquire(stop_before=2)
     record = load_acoustic(rig.out)
     save_acoustic(rig.out, replace(record, extra={**record.extra, "boot": 200.0}))
-    with pytest.raises(AnnulusError, match=r"restarted since .* --homed"):
+    with pytest.raises(AnnulusError, match=r"restarted since .* that it is homed"):
         rig.acquire(resume=True)
     assert rig.acquire(resume=True, homed=True).shot == 3
 
@@ -218,11 +218,11 @@ def test_a_stage_that_moves_is_not_accused() -> None:
         noisy = signals + 1e-5 * rng.standard_normal(signals.shape)
         return AcousticRecord(noisy.astype("f4"), 9.0 * np.arange(len(signals)), 9.0, 10e6)
 
-    assert unmoved(record(clean)) == []
-    assert "every angle" in unmoved(record(np.repeat(clean[:1], 40, axis=0)))[0]
+    assert stalled(record(clean)) == []
+    assert "every angle" in stalled(record(np.repeat(clean[:1], 40, axis=0)))[0]
     stuck = clean.copy()
     stuck[10:15] = clean[10]
-    assert "angles 10 to 14" in unmoved(record(stuck))[0]
+    assert "angles 10 to 14" in stalled(record(stuck))[0]
 
 
 def test_another_code_than_was_asked_for_is_heard(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -242,8 +242,8 @@ def test_the_command_wants_one_bench_and_sane_settings(tmp_path: Path) -> None:
         ([], "--port and --scope"),
         (["--twin", "--port", "x"], "--twin alone"),
         (["--port", "x"], "--port and --scope"),
-        (["--twin", "--angles", "50", "--steps-per-turn", "40"], "--angles 50"),
-        (["--twin", "--rate-mhz", "1"], "--rate-mhz 1: expected 8 or more"),
+        (["--twin", "--angles", "50", "--steps-per-turn", "40"], "50 angles: expected 1..40"),
+        (["--twin", "--rate-mhz", "1"], "a sampling rate of 1 MHz: expected 8 or more"),
         (["--port", "/dev/null/x", "--scope", "no scope"], "no scope"),
     ):
         answer = run.invoke(app, ["tai", "acquire", *bad, "-o", raw])
