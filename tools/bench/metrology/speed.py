@@ -2,7 +2,7 @@
 
 CPU time of the one thread used, median over frames that follow each other as in a scan (every frame a fresh image, so
 it comes from main memory). Frames are the ray-traced scene's where that is at hand, else the twin's; what grows is the
-twin's. The comparison with what one would write by hand is in tools/bench/bench_rings.py.
+twin's. The comparison with what one would write by hand is topic rings of table speed.
 """
 
 import json
