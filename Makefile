@@ -40,7 +40,7 @@ demo: setup
 # Lint first: it fails fast. Firmware tests need clang's fuzzer and sanitizers, which need.sh installs.
 test: setup lint firmware emulator
 	@tools/need.sh clang libclang-rt sigrok-cli
-	$(BIN)/pytest -n auto --dist loadfile tests/unit
+	$(BIN)/pytest -n auto --dist loadfile tests/unit tests/regression
 	$(BIN)/pytest -n auto --dist loadfile tests/scenes
 	$(BIN)/pytest tests/system
 	$(BIN)/pytest -n auto tests/emulator

@@ -155,15 +155,3 @@ def test_bad_input_is_one_line(sweep):
     with pytest.raises(AnnulusError, match="none of the"):
         time_reversal(replace(sweep, t0_s=0.5), pixel=0.5)
     assert 0.1 < pixel_mm(sweep) < 0.6
-
-
-def test_receivers_at_odd_angles_are_neither_stuck_nor_holes(sweep):
-    """Another lab's arc: 60 receivers at random over 270 degrees, some side by side."""
-    angles = np.sort(np.random.default_rng(5).uniform(0, 270, 60))
-    around = np.append(sweep.angles_deg, 360.0)
-    signals = np.array([[np.interp(a, around, np.append(t, t[0])) for t in sweep.signals.T] for a in angles])
-    arc = replace(sweep, signals=signals, angles_deg=angles)
-    assert not [fault for fault in examine(arc) if fault.kind == "same place"]
-    holes = gaps_deg(angles)
-    assert max(stop - start for start, stop in holes) > 80
-    assert all(stop - start > 12 for start, stop in holes)

@@ -70,16 +70,6 @@ def test_bad_traces_and_holes_are_said(coded, tmp_path):
     assert result.holes_deg == ((258.75, 360.0),)
 
 
-def test_a_clipped_shot_is_found_before_its_decoder_hides_it(coded, tmp_path):
-    signals = coded.signals.copy()
-    rail = 0.4 * np.abs(signals[6]).max()
-    signals[6] = np.clip(signals[6], -rail, rail)
-    save_acoustic(tmp_path / "raw.npz", replace(coded, signals=signals))
-    result = make_image(tmp_path / "raw.npz", tmp_path / "out", ImageSettings("back-projection", 0.5))
-    assert result.excluded == (6,)
-    assert any("(6) are cut off at the digitizer's range" in finding for finding in result.findings)
-
-
 def test_a_bad_receiver_hum_and_a_wrong_speed_are_put_right(single, tmp_path):
     """One receiver turned round, hum of 20 kHz ten times the sound, a speed of sound 3 % off."""
     times = np.arange(single.signals.shape[1]) / single.sampling_rate_hz

@@ -161,32 +161,11 @@ def test_a_picture_of_anything_else_makes_the_frame_unknown(shown: Light) -> Non
     assert frame(pairing, 2, light=shown).label is Label.UNKNOWN
 
 
-@pytest.mark.parametrize("shift", [-2, -1, 1, 2])
-def test_an_offset_wrong_by_whole_frames_never_gives_a_label_while_the_picture_is_looked_at(shift: int) -> None:
-    pairing = pairing_with(range(-10, 120))
-    pairing.recalibrate(PERIOD, -28 * MS + shift * PERIOD, proved=False)
-    assert {frame(pairing, number).label for number in range(1, 100)} == {Label.UNKNOWN}
-    assert pairing.doubtful
-
-
 def test_a_right_offset_from_another_day_is_believed_from_the_first_led_frame_on() -> None:
     pairing = pairing_with(range(20))
     pairing.recalibrate(PERIOD, -28 * MS, proved=False)
     labels = [frame(pairing, number).label for number in range(1, 20)]
     assert labels[:4] == [Label.UNKNOWN] * 4 and labels[4:] == [LABEL[lamp_of(n - 1)] for n in range(5, 20)]
-
-
-def test_an_offset_that_wanders_is_noticed_before_it_reaches_the_next_frame() -> None:
-    pairing = Pairing(PERIOD, photometry=False)
-    pairing.recalibrate(PERIOD, -28 * MS)
-    labels = []
-    for number in range(1, 500):
-        pairing.edge(flash(number), at(number), 1)
-        if number > 3:
-            labels.append(frame(pairing, number - 2, jitter=round((number - 2) * PERIOD / 300)).label)
-    assert pairing.doubtful and labels[0] is not Label.UNKNOWN and set(labels[100:]) == {Label.UNKNOWN}
-    for number, label in enumerate(labels, start=2):
-        assert label in (Label.UNKNOWN, LABEL[lamp_of(number - 1)])
 
 
 def edges_of(count: int) -> list[PlacedEdge]:

@@ -32,16 +32,6 @@ def test_a_scan_folder_is_a_camera(tmp_path: Path) -> None:
         grab(camera)
 
 
-def test_frames_keep_their_index_their_time_and_their_roll(tmp_path: Path) -> None:
-    rows = ["12,frames/2.png,led,9.0,-4.5", "7,frames/0.png,projector,4.0,", "8,frames/1.png,projector,5.0,3"]
-    camera = ScanFolderCamera(scan_folder(tmp_path, rows, "index,file,light,z_mm,roll_deg"), fps=10.0)
-    camera.start()
-    frames = [grab(camera) for _ in range(3)]
-    assert [f.sequence for f in frames] == [7, 8, 12]
-    assert np.diff([f.timestamp_ns for f in frames]).tolist() == [100_000_000, 400_000_000]  # a hole stays one
-    assert [f.metadata.get("RollDeg") for f in frames] == [None, 3.0, -4.5]
-
-
 def test_one_camera_of_several_in_step_with_the_others(tmp_path: Path) -> None:
     rows = ["0,0,frames/0.png,led,0", "0,3,frames/1.png,led,0", "1,3,frames/2.png,projector,1"]
     folder = scan_folder(tmp_path, rows, "index,camera,file,light,z_mm")
@@ -68,17 +58,6 @@ def test_one_camera_of_several_in_step_with_the_others(tmp_path: Path) -> None:
 def test_a_bad_scan_folder_is_said_to_be_bad(tmp_path: Path, rows: list[str], words: str) -> None:
     with pytest.raises(AnnulusError, match=words):
         ScanFolderCamera(scan_folder(tmp_path, rows))
-
-
-def test_a_truncated_image_is_not_played(tmp_path: Path) -> None:
-    folder = scan_folder(tmp_path, [f"{i},frames/{i}.png,projector,{i}" for i in range(2)])
-    second = folder / "frames/1.png"
-    second.write_bytes(second.read_bytes()[:-20])
-    camera = ScanFolderCamera(folder)
-    camera.start()
-    grab(camera)
-    with pytest.raises(AnnulusError, match="truncated"):
-        grab(camera)
 
 
 def test_a_video_file_is_a_camera(tmp_path: Path) -> None:

@@ -47,12 +47,6 @@ def test_unequal_stripes_do_not_pull_a_slit(grid, levels, centre):
     assert np.abs(found.width - 7.0).max() < 0.25
 
 
-def test_a_dim_stripe_beside_a_bright_one_is_a_stripe(grid):
-    found = find_slits(seen(grid, [(50.0, 6.0), (74.0, 6.0)], [(0, 200, 0), (22, 4, 0), (0, 0, 200)], noise=1.5), grid)
-    assert len(found.position) == 2 * len(grid.stop)
-    assert np.abs(found.position.reshape(-1, 2) - [50.0, 74.0]).max() < 0.8
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_darkness_with_noise_has_next_to_no_slits(grid, seed):
     assert len(find_slits(seen(grid, [], [(4, 4, 4)], noise=2.0, seed=seed), grid).position) < 15  # of 72 lines

@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from synthetic_pipe import CALIBRATION, RADIUS_MM, SHADOW_RATIO, bump, oval, pocket, round_pipe, scan
@@ -126,23 +124,6 @@ def test_an_oval_stretch_is_as_long_as_it_is() -> None:
 
 def test_noise_alone_lists_nothing_even_when_it_is_high() -> None:
     assert defects_of(build_wall(scan(round_pipe, noise=4.0))) == ()
-
-
-def lifted(profile: Profile, ring: int, clock_deg: float, half_deg: float, by_mm: float) -> Profile:
-    """The profile with an arc of one ring farther out: one slit drawn aside along its whole length."""
-    x, y, z = profile.points_mm.astype(np.float64).T
-    clock, radius = np.degrees(np.arctan2(x, -y)), np.hypot(x, y)
-    there = (profile.ring == ring) & (np.abs((clock - clock_deg + 180) % 360 - 180) < half_deg)
-    scale = np.where(there, (radius + by_mm) / radius, 1.0)
-    return replace(profile, points_mm=np.stack([x * scale, y * scale, z], axis=1).astype(np.float32))
-
-
-@pytest.mark.parametrize("by_mm", [-0.7, 0.7])
-def test_what_one_ring_says_in_one_frame_alone_is_counted_and_not_listed(by_mm: float) -> None:
-    profiles = scan(round_pipe, z_mm=[4.0 * i for i in range(25)])
-    profiles[-3] = lifted(profiles[-3], 0, 60, 10, by_mm)
-    findings = find_defects(build_wall(profiles), shadow_ratio=SHADOW_RATIO)
-    assert findings.defects == () and findings.unconfirmed == 1
 
 
 def test_a_small_pocket_between_far_frames_is_found_by_the_rings_that_meet_it() -> None:
