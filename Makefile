@@ -37,7 +37,8 @@ tools/emulator/node_modules/.package-lock.json: tools/emulator/package.json tool
 demo: setup
 	$(BIN)/annulus demo
 
-# Lint first: it fails fast. Firmware tests need clang's fuzzer and sanitizers, which need.sh installs.
+# Lint first: it fails fast. Firmware tests need clang's fuzzer and sanitizers, which need.sh installs. No skips: tests/conftest.py.
+test: export ANNULUS_NO_SKIPS := 1
 test: setup lint firmware emulator
 	@tools/need.sh clang libclang-rt sigrok-cli
 	$(BIN)/pytest -n auto --dist loadfile tests/unit tests/regression
