@@ -29,7 +29,7 @@ def test_the_slide_is_to_scale_and_the_calibration_loads(tmp_path: Path) -> None
         if path.count("C") == 8
     ]
     widest = max(max(xs) - min(xs) for xs in circles if xs)
-    assert widest / 72 * 25.4 / 2 == pytest.approx(stated, abs=0.01)
+    assert widest / 72 * 25.4 / 2 == pytest.approx(stated, abs=5e-5)
     assert (tmp_path / "slide.pdf").read_bytes()[:5] == b"%PDF-"
     assert len(load_calibration(tmp_path / "calibration.json").rings) == 8
 

@@ -33,7 +33,7 @@ def test_the_sources_designs_come_out() -> None:
     assert len(set(pairs)) == 9  # all there are: no stretch needs its third stripe less
     for colours, word in ((nine, 2), (eleven, 3), (stripe_colours("RGB", 3, 11), 3)):
         pattern = design(HEAD, colours, word, slit_px=4.0)
-        assert np.ptp(pattern.widths_px(HEAD.nominal_mm)) < 1e-6
+        assert np.ptp(pattern.widths_px(HEAD.nominal_mm)) < 1e-11
         assert Calibration.from_dict(pattern.calibration().to_dict()).colours == colours
 
 
@@ -78,7 +78,7 @@ def test_limits_are_checked_and_the_remedy_is_said() -> None:
 def test_a_fisheye_may_look_wider_than_its_rings_fall() -> None:
     wide = Camera("fisheye", 832, 616, 180.0, 180.0, 415.5, 307.5, (0.02, -0.005, 0.0, 0.0))
     pattern = design(dataclasses.replace(HEAD, camera=wide, least_mm=100.0, nominal_mm=125.0), "RGBRR", 2, slit_px=4.0)
-    assert np.ptp(pattern.widths_px(125.0)) < 1e-6
+    assert np.ptp(pattern.widths_px(125.0)) < 1e-11
     assert pattern.to_dict()["outer_full_deg"] < 180
 
 

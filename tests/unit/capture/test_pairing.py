@@ -179,7 +179,7 @@ def test_the_offset_is_found_wherever_the_driver_stamps(offset_ms: float) -> Non
         (at(n) + round(offset_ms * MS + random_.gauss(0, 2 * MS)), LIGHT[lamp_of(n - 1)]) for n in range(5, 55) if n % 9
     ]
     found = calibrate_offset(frames, edges_of(60), PERIOD)
-    assert abs(found.offset_ns - offset_ms * MS) < 1.2 * MS
+    assert abs(found.offset_ns - offset_ms * MS) < 0.9 * MS
     assert 1.2 * MS < found.jitter_ns < 3 * MS and found.mismatches == 0
 
 

@@ -66,23 +66,23 @@ def _worst(found: tuple[Cone, ...], true: tuple[Cone, ...] = RINGS) -> tuple[flo
 def test_rings_and_poses_are_found_from_nothing_but_the_camera_and_the_radius(camera: Camera) -> None:
     solution = calibrate(_seen(camera=camera), RADIUS)
     angle, vertex = _worst(solution.rings)
-    assert angle < 1e-4 and vertex < 1e-3
+    assert angle < 5e-7 and vertex < 2e-6  # what the solver stops at
     for found, true in zip(solution.poses, POSES, strict=True):
-        assert np.allclose([found.rx, found.ry], [true.rx, true.ry], atol=1e-5)
-        assert np.allclose([found.tx, found.ty], [true.tx, true.ty], atol=1e-3)
+        assert np.allclose([found.rx, found.ry], [true.rx, true.ry], rtol=0, atol=5e-9)
+        assert np.allclose([found.tx, found.ty], [true.tx, true.ty], rtol=0, atol=5e-7)
 
 
 def test_a_single_ring_is_enough() -> None:
     solution = calibrate(_seen(rings=RINGS[1:2]), RADIUS)
     angle, vertex = _worst(solution.rings, RINGS[1:2])
-    assert angle < 1e-3 and vertex < 5e-3
+    assert angle < 5e-7 and vertex < 2e-6
 
 
 def test_two_opposed_poses_are_enough_and_two_alike_are_not() -> None:
     angle, vertex = _worst(calibrate(_seen(POSES[:2]), RADIUS).rings)
-    assert angle < 1e-3 and vertex < 5e-3
+    assert angle < 5e-7 and vertex < 2e-6
     alike = calibrate(_seen((Pose(), Pose(0.002, 0.0, 0.1, 0.0)), noise_px=0.05), RADIUS)
-    assert np.sqrt(np.diag(alike.covariance).reshape(-1, 6)[:, 3:].max()) > 0.02 * RADIUS  # and it says so
+    assert np.sqrt(np.diag(alike.covariance).reshape(-1, 6)[:, 3:].max()) > 0.05 * RADIUS  # and it says so
     with pytest.raises(AnnulusError, match="one frame"):
         calibrate(_seen(POSES[:1]), RADIUS)
 
@@ -94,7 +94,7 @@ def test_a_tenth_of_false_slits_moves_nothing() -> None:
     rays = seen.rays.copy()
     rays[wrong] = rays[rng.permutation(np.flatnonzero(wrong))]  # each at some other slit's place
     angle, vertex = _worst(calibrate(replace(seen, rays=rays), RADIUS).rings)
-    assert angle < 1e-3 and vertex < 1e-2
+    assert angle < 5e-7 and vertex < 2e-6
 
 
 def test_errors_are_as_large_as_the_covariance_says() -> None:
@@ -105,13 +105,13 @@ def test_errors_are_as_large_as_the_covariance_says() -> None:
          for a, b in zip(solution.rings, RINGS, strict=True)]
     )  # fmt: skip
     square = float(off @ np.linalg.solve(cover, off)) / len(off)  # 1 on average over 18 numbers, sd 0.33
-    assert 0.3 < square < 2.5
+    assert 0.5 < square < 2.5
     assert np.allclose(solution.sigma_px, 0.3, rtol=0.15)
 
 
 def test_a_wrong_radius_scales_everything_and_no_image_can_tell() -> None:
     solution = calibrate(_seen(), 2 * RADIUS)
-    assert np.allclose(solution.rings[0].vertex_mm, 2 * np.array(RINGS[0].vertex_mm), atol=1e-2)
+    assert np.allclose(solution.rings[0].vertex_mm, 2 * np.array(RINGS[0].vertex_mm), rtol=0, atol=1e-7)
     assert math.isinf(solution.off_radius_mm[1])
 
 
@@ -125,10 +125,11 @@ def test_lumps_of_the_slide_are_learnt_and_help_where_they_were_not_learnt() -> 
     cones = calibrate(learn, RADIUS)
     tuned, offsets = fit_corrections(learn, cones, directions=360)
     before, after = measure(score, cones, poses[6:]).rms_mm(), measure(score, tuned, poses[6:], offsets).rms_mm()
-    assert before > 0.5 and after < 0.05 * before
-    assert _worst(tuned.rings)[1] < 0.02  # lumps do not lean the cones
+    assert before > 0.6 and after < 0.0015 * before
+    assert _worst(tuned.rings)[1] < 5e-6  # lumps do not lean the cones
     kept = ring_corrections(offsets)
-    assert np.allclose([ring.offset_rad for ring in kept], offsets[:, 0], atol=1e-6) and kept[0].shift_mm is None
+    assert np.allclose([ring.offset_rad for ring in kept], offsets[:, 0], rtol=0, atol=1.5e-7)
+    assert kept[0].shift_mm is None
 
 
 def _lumpy(poses: tuple[Pose, ...], lumps: FloatArray) -> Observations:
@@ -161,4 +162,4 @@ def test_a_frame_of_another_pipe_shows_in_the_frames_held_out() -> None:
         np.concatenate([seen.width, other.width]),
     )  # fmt: skip
     held = hold_out(both, calibrate(both, RADIUS), 6)
-    assert held.off_radius_mm[5] == pytest.approx(0.02 * RADIUS, abs=0.3)
+    assert held.off_radius_mm[5] == pytest.approx(0.02 * RADIUS, abs=0.12)

@@ -37,14 +37,14 @@ def test_one_ring_measures_the_radius_and_owns_up_to_the_lean(one, hidden):
     # The pipe's axis is known where the ring is, and only there.
     ahead = float(np.median(profile.points_mm[:, 2]))
     axis = POSE.to_pipe(profile.pose.to_camera(np.array([[0.0, 0.0, ahead]])))[0]
-    assert np.hypot(axis[0], axis[1]) < 0.4
+    assert np.hypot(axis[0], axis[1]) < 0.3
 
 
 def test_two_rings_are_enough_for_the_pose():
     cal = calibration(**TWO)
     profile = Reconstructor(cal).profile(draw(cal, POSE, paint=PAINT, slit_px=5.0), frame=0, z_mm=0.0)
-    assert np.degrees(max(abs(profile.pose.rx - POSE.rx), abs(profile.pose.ry - POSE.ry))) < 0.08
-    assert profile.lean_sigma_deg < 0.1
+    assert np.degrees(max(abs(profile.pose.rx - POSE.rx), abs(profile.pose.ry - POSE.ry))) < 0.035
+    assert profile.lean_sigma_deg < 0.02
     assert np.sqrt(np.mean((np.hypot(*profile.points_mm[:, :2].T) - PIPE_MM) ** 2)) < 0.15
 
 

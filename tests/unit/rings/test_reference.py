@@ -46,7 +46,7 @@ def test_the_slides_own_angles_come_out_whatever_the_pose():
     truth = np.array([artefact(k, np.arange(720) * (2 * math.pi / 720)) for k in range(5)])
     for pose in POSES:
         found = np.array(learn([profile(pose)], CALIBRATION).offset_rad)
-        assert np.abs(found - truth).max() < math.radians(0.01)
+        assert np.abs(found - truth).max() < math.radians(0.0006)
 
 
 def test_frames_kept_out_are_corrected_as_well_and_one_frame_checks_nothing():

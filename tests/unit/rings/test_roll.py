@@ -66,7 +66,7 @@ def test_registration_moves_a_rolled_head_the_right_way(profiles):
     points = wrong.to_pipe(p.pose.to_camera(p.points_mm.astype(float), p.z_mm), p.z_mm)
     leaning = replace(p, pose=wrong, points_mm=points.astype(np.float32))
     mended = register([*profiles[:3], leaning, profiles[4]])[3].pose
-    assert abs(mended.rx - p.pose.rx) < 0.3 * lean and abs(mended.tx - p.pose.tx) < 0.3 * shift
+    assert abs(mended.rx - p.pose.rx) < 0.25 * lean and abs(mended.tx - p.pose.tx) < 0.12 * shift
     assert mended.roll == p.pose.roll
 
 

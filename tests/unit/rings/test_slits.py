@@ -44,7 +44,7 @@ def test_unequal_stripes_do_not_pull_a_slit(grid, levels, centre):
     found = find_slits(seen(grid, [(centre, 7.0)], levels), grid)
     assert len(found.position) == len(grid.stop)
     assert np.abs(found.position - centre).max() < 0.06
-    assert np.abs(found.width - 7.0).max() < 0.25
+    assert np.abs(found.width - 7.0).max() < 0.14
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -68,7 +68,7 @@ def test_the_compiled_cone_is_the_geometrys_cone():
     for k, cone in enumerate(cal.rings):
         truth, delta = intersect_cone(rays, cone)
         ok = delta > 5.0  # grazing rays are left out on purpose
-        assert np.allclose(met[ok, k], truth[ok], rtol=1e-9, atol=1e-6, equal_nan=True)
+        assert np.allclose(met[ok, k], truth[ok], rtol=1e-12, atol=1e-9, equal_nan=True)
 
 
 @pytest.mark.parametrize("model", ["pinhole", "barrel", "fisheye"])
@@ -78,7 +78,7 @@ def test_a_pixel_on_the_grid_is_the_cameras_own_ray(model):
     for j, i in ((0, 12), (7, 44), (20, 100), (35, 64)):
         r = grid.first + i
         pixel = [[grid.centre[0] + r * grid.cosine[j], grid.centre[1] + r * grid.sine[j]]]
-        assert np.allclose(cal.camera.rays(np.array(pixel))[0], grid.rays[j, i // RAY_STEP_PX], atol=1e-7)
+        assert np.allclose(cal.camera.rays(np.array(pixel))[0], grid.rays[j, i // RAY_STEP_PX], rtol=0, atol=1e-7)
 
 
 def test_unrolling_reads_the_pixel_it_names():
@@ -116,4 +116,4 @@ def test_the_bend_is_that_of_the_cone_half_way_between_two_edges():
         )
         middle, width = (low + high) / 2, high - low
         mended = middle + np.median(optics.bend[k]) * width**2 / 8
-        assert abs(mended - mid) < 0.25 * abs(middle - mid) + 1e-3
+        assert abs(mended - mid) < 0.02 * abs(middle - mid) + 1e-4

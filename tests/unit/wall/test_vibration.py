@@ -63,8 +63,8 @@ def test_a_groove_keeps_its_depth():
 
     profiles = scan(groove, z_mm=STATIONS, directions=180)
     alone = depth(profiles)
-    assert depth(without_vibration(profiles)[0]) == pytest.approx(alone, rel=0.01)
-    assert depth(without_vibration(shaken(profiles))[0]) == pytest.approx(alone, rel=0.03)
+    assert depth(without_vibration(profiles)[0]) == pytest.approx(alone)
+    assert depth(without_vibration(shaken(profiles))[0]) == pytest.approx(alone, rel=0.006)
 
 
 def test_too_short_a_section_comes_back_whole_and_says_why():
