@@ -85,16 +85,39 @@ class Offset:
     mismatches: int
 
 
-class Pairing:
-    """Labels frames from timestamps, edges and pictures. Holds bounded history, no thread, no clock."""
+class EdgeHistory:
+    """The controller's edges of the last seconds, and the spans in which no flash is to be trusted. Cameras on one
+    sync line share one.
+    """
 
-    def __init__(self, period_ns: int, offset_ns: int = 0, *, photometry: bool = True) -> None:
+    def __init__(self) -> None:
+        self.edges: list[PlacedEdge] = []  # by host time
+        self.invalid: deque[tuple[int, int]] = deque(maxlen=SPANS_KEPT)
+
+    def edge(self, flash: Flash, host_ns: int, boot_epoch: int) -> None:
+        """An edge was heard. Order does not matter: edges that had to be read again come late."""
+        insort(self.edges, PlacedEdge(host_ns, boot_epoch, flash.edge, flash))
+        if len(self.edges) > EDGES_KEPT:
+            del self.edges[0]
+
+    def invalidate(self, from_ns: int, to_ns: int) -> None:
+        """A lamp may have been cut, or switched, in this span: no frame that was open in it gets a label."""
+        self.invalid.append((from_ns, to_ns))
+
+
+class Pairing:
+    """Labels one camera's frames from timestamps, edges and pictures. Holds bounded history, no thread, no clock."""
+
+    def __init__(
+        self, period_ns: int, offset_ns: int = 0, *, photometry: bool = True, history: EdgeHistory | None = None
+    ) -> None:
+        """`history` is fed by whoever made it; without one, feed `edge` and `invalidate` here."""
         self.counters: Counter[str] = Counter()  # frames by reason
+        self._history = history or EdgeHistory()
+        self.edge, self.invalidate = self._history.edge, self._history.invalidate
         self._period_ns = period_ns
         self._offset_ns = offset_ns
         self._photometry = photometry
-        self._edges: list[PlacedEdge] = []  # by host time
-        self._spoilt: deque[tuple[int, int]] = deque(maxlen=SPANS_KEPT)
         self._last: tuple[CameraSequence, int, int] | None = None  # driver sequence, life, closing edge's index
         self._proved = False
         self._wandered = False
@@ -122,7 +145,7 @@ class Pairing:
     @property
     def edges(self) -> Sequence[PlacedEdge]:
         """The edges now held, by time."""
-        return self._edges
+        return self._history.edges
 
     @property
     def _window_ns(self) -> int:
@@ -134,16 +157,6 @@ class Pairing:
         self._proved, self._wandered = proved, False
         self._last = None
         self._residuals.clear()
-
-    def edge(self, flash: Flash, host_ns: int, boot_epoch: int) -> None:
-        """An edge was heard. Order does not matter: edges that had to be read again come late."""
-        insort(self._edges, PlacedEdge(host_ns, boot_epoch, flash.edge, flash))
-        if len(self._edges) > EDGES_KEPT:
-            del self._edges[0]
-
-    def invalidate(self, from_ns: int, to_ns: int) -> None:
-        """A lamp may have been cut, or switched, in this span: no frame that was open in it gets a label."""
-        self._spoilt.append((from_ns, to_ns))
 
     def settled(self, timestamp_ns: int, now_ns: int) -> bool:
         """Whether waiting longer can still help. True once both edges are held, or after SETTLE_PERIODS."""
@@ -192,22 +205,22 @@ class Pairing:
             return closing, flash, Reason.DISARMED
         if flash.lamp not in _LABELS or flash.width_ticks == 0:
             return closing, flash, Reason.DARK
-        if any(start <= closing.host_ns and end >= opening.host_ns for start, end in self._spoilt):
+        if any(start <= closing.host_ns and end >= opening.host_ns for start, end in self._history.invalid):
             return closing, flash, Reason.CUT
         return closing, flash, Reason.AGREED if counted else Reason.SEQUENCE
 
     def _near(self, moment: int) -> list[PlacedEdge]:
         """Edges inside the window around a moment. Neighbours a half period off are outside, so one is the rule."""
         window = self._window_ns
-        first = bisect_left(self._edges, moment - window, key=lambda edge: edge.host_ns)
-        last = bisect_left(self._edges, moment + window + 1, key=lambda edge: edge.host_ns)
-        return self._edges[first:last]
+        first = bisect_left(self.edges, moment - window, key=lambda edge: edge.host_ns)
+        last = bisect_left(self.edges, moment + window + 1, key=lambda edge: edge.host_ns)
+        return list(self.edges[first:last])
 
     def _opening(self, closing: PlacedEdge) -> PlacedEdge | None:
         """The edge before, by the controller's own count and in the same life."""
         wanted = (closing.boot_epoch, closing.index - 1)
-        before = bisect_left(self._edges, closing.host_ns, key=lambda edge: edge.host_ns)
-        for edge in reversed(self._edges[max(0, before - 4) : before]):
+        before = bisect_left(self.edges, closing.host_ns, key=lambda edge: edge.host_ns)
+        for edge in reversed(self.edges[max(0, before - 4) : before]):
             if (edge.boot_epoch, edge.index) == wanted:
                 return edge
         return None

@@ -11,6 +11,7 @@ from annulus.vocabulary import CameraSequence, EdgeIndex, Label, Slot
 
 CHANNELS = {"bgr8": 3, "bayer_rggb8": 1, "mono8": 1}  # encoding -> bytes a pixel, as foxglove.RawImage names them
 SIDE_MAX = 16384  # pixels; a larger image is a damaged header
+CAMERAS_MAX = 8
 HEADER_MAX = 4096  # bytes of one packed header
 
 
@@ -18,7 +19,7 @@ HEADER_MAX = 4096  # bytes of one packed header
 class FrameHeader:
     """One camera frame and its label. `edge` is the edge whose flash lit it; what is not known is None."""
 
-    index: int  # counts the frames the daemon took from the camera, from 0
+    index: int  # counts the frames the daemon took, from all its cameras, from 0; no two frames share one
     sequence: CameraSequence | None  # None where the driver does not count
     timestamp_ns: int  # the driver's, host monotonic clock
     label: Label
@@ -31,6 +32,7 @@ class FrameHeader:
     width: int
     height: int
     roll_deg: float | None = None  # of the head, clockwise looking forward, where a sensor gives it
+    camera: int = 0  # which of the head's, in the order of head.toml
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -78,6 +80,7 @@ class FrameHeader:
             width=_need(data, "width", 1, SIDE_MAX),
             height=_need(data, "height", 1, SIDE_MAX),
             roll_deg=_length(data, "roll_deg"),
+            camera=_whole(data, "camera", 0, CAMERAS_MAX - 1) or 0,  # headers from before there were several have none
         )
 
     @classmethod

@@ -89,6 +89,27 @@ class Report:
     final: bool
 
 
+@dataclass(frozen=True, slots=True)
+class WorkerKind:
+    """What the workers of a pool are: `command` + one JSON argument is run `count` times."""
+
+    name: str
+    command: Sequence[str]
+    setup: Any  # plain types and bytes; each worker receives it first
+    count: int
+    depth: int  # frames at most that wait at one worker
+    hung_s: float = HUNG_S
+
+
+@dataclass(frozen=True, slots=True)
+class Shared:
+    """What the pools of one owner share. `folder` is private to this process and holds the sockets."""
+
+    ring: FrameRing
+    context: zmq.Context[Socket]
+    folder: Path
+
+
 PoolEvent = Ready | Done | Failed | FrameLost | Died | Report
 
 
@@ -117,38 +138,21 @@ class WorkerPool:
     tells them (PR_SET_PDEATHSIG) to end when the thread that started them does.
     """
 
-    def __init__(
-        self,
-        command: Sequence[str],
-        setup: Any,
-        *,
-        ring: FrameRing,
-        context: zmq.Context[Socket],
-        folder: Path,
-        name: str,
-        count: int,
-        depth: int,
-        clock: Callable[[], float] = time.monotonic,
-        hung_s: float = HUNG_S,
-    ) -> None:
-        """`command` + one JSON argument is run `count` times; each first receives `setup` (plain types and bytes).
-
-        `depth` frames at most wait at one worker; `folder` is private to this process and holds the sockets.
-        """
+    def __init__(self, kind: WorkerKind, shared: Shared, clock: Callable[[], float] = time.monotonic) -> None:
+        """Starts the workers; `poll` says when they are ready. Raises AnnulusError when the command cannot be run."""
         self.counts: Counter[str] = Counter()
-        self._command, self._setup = list(command), setup
-        self._ring, self._context, self._folder, self._name = ring, context, folder, name
-        self._depth, self._clock, self._hung_s = depth, clock, hung_s
+        self._kind, self._ring, self._context, self._folder = kind, shared.ring, shared.context, shared.folder
+        self._clock = clock
         self._numbers = 0
         self._barren = 0  # deaths since the last frame that came back
         self._workers: dict[int, _Worker] = {}
-        self._results_path = folder / f"{name}-results"
-        self.results = context.socket(zmq.PULL)
+        self._results_path = shared.folder / f"{kind.name}-results"
+        self.results = shared.context.socket(zmq.PULL)
         self.results.setsockopt(zmq.RCVHWM, 1000)
         self.results.setsockopt(zmq.MAXMSGSIZE, MESSAGE_MAX)
         self.results.bind(f"ipc://{self._results_path}")
         try:
-            for _ in range(count):
+            for _ in range(kind.count):
                 self._start()
         except BaseException:
             self.stop(0.0)
@@ -171,7 +175,7 @@ class WorkerPool:
     @property
     def room(self) -> bool:
         """Whether some worker would take a frame now."""
-        return any(w.ready and len(w.in_hand) < self._depth for w in self._workers.values())
+        return any(w.ready and len(w.in_hand) < self._kind.depth for w in self._workers.values())
 
     @property
     def pids(self) -> list[int]:
@@ -179,7 +183,7 @@ class WorkerPool:
 
     def offer(self, header: FrameHeader, place: Place, extra: Any = None) -> bool:
         """Hand a frame to the least busy worker, which then holds its slot. False, and counted, when none has room."""
-        free = [w for w in self._workers.values() if w.ready and len(w.in_hand) < self._depth]
+        free = [w for w in self._workers.values() if w.ready and len(w.in_hand) < self._kind.depth]
         if not free:
             self.counts["refused"] += 1
             return False
@@ -212,7 +216,7 @@ class WorkerPool:
             code = worker.process.poll()
             oldest = min((task.since for task in worker.in_hand.values()), default=now)
             since = max(oldest, worker.answered)  # the oldest may have waited behind others that were done
-            if code is None and now - since > self._hung_s:
+            if code is None and now - since > self._kind.hung_s:
                 why = f"hung for {now - since:.0f} s"
             elif code is None and not worker.ready and now - worker.started > START_S:
                 why = f"not ready after {START_S:.0f} s"
@@ -255,7 +259,7 @@ class WorkerPool:
 
     def _start(self) -> None:
         number, self._numbers = self._numbers, self._numbers + 1
-        address = self._folder / f"{self._name}-{number}"
+        address = self._folder / f"{self._kind.name}-{number}"
         tasks = self._context.socket(zmq.PUSH)
         tasks.setsockopt(zmq.SNDHWM, 1000)
         tasks.setsockopt(zmq.LINGER, 0)
@@ -267,7 +271,7 @@ class WorkerPool:
         one_thread = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
         try:
             process = subprocess.Popen(
-                [*self._command, json.dumps(link)],
+                [*self._kind.command, json.dumps(link)],
                 stdin=subprocess.DEVNULL,
                 pass_fds=(self._ring.fd,),
                 process_group=0,  # the terminal's Ctrl-C is for the owner, who ends the workers in order
@@ -276,9 +280,9 @@ class WorkerPool:
         except OSError as error:
             tasks.close(0)
             address.unlink(missing_ok=True)
-            raise AnnulusError(f"cannot start {self._command[0]}: {error.strerror}") from None
+            raise AnnulusError(f"cannot start {self._kind.command[0]}: {error.strerror}") from None
         self._workers[number] = _Worker(number, process, tasks, address, self._clock())
-        tasks.send_multipart([b"setup", msgpack.packb(self._setup)], zmq.NOBLOCK)
+        tasks.send_multipart([b"setup", msgpack.packb(self._kind.setup)], zmq.NOBLOCK)
 
     def _receive(self) -> list[PoolEvent]:
         happened: list[PoolEvent] = []

@@ -37,6 +37,7 @@ class Profile:
     timing_ms: Mapping[str, float] = field(default_factory=dict)
     sigma_mm: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, np.float32))  # (N,)
     lean_sigma_deg: float = math.nan  # how well the pose knows the head's lean; large with one ring
+    camera: int = 0  # the frame's, see FrameHeader
 
     def __post_init__(self) -> None:
         if len(self.sigma_mm) != len(self.ring):
@@ -49,6 +50,7 @@ class Profile:
         p = self.pose
         return {
             "frame": self.frame,
+            "camera": self.camera,
             "z_mm": self.z_mm,
             "pose": None if p is None else [p.rx, p.ry, p.tx, p.ty, *([] if p.roll is None else [p.roll])],
             "points": self.points_mm.astype("<f4").tobytes(),
@@ -98,6 +100,7 @@ class Profile:
             _named(data, "timing_ms"),
             sigma.astype(np.float32),
             math.nan if pose is None or "lean_sigma_deg" not in data else _lean_sigma(data["lean_sigma_deg"]),
+            untrusted.whole(data.get("camera", 0), "a profile's camera", 0, 255),
         )
 
 

@@ -1,10 +1,11 @@
 """A label is right or unknown, whatever the camera, the line and the controller do."""
 
 import random
+from typing import Any
 
 import pytest
 
-from annulus.capture.pairing import Pairing, PlacedEdge, Reason, calibrate_offset
+from annulus.capture.pairing import EdgeHistory, Pairing, PlacedEdge, Reason, calibrate_offset
 from annulus.capture.photometry import Light
 from annulus.vocabulary import (
     AnnulusError,
@@ -38,7 +39,7 @@ def at(edge: int) -> int:
     return 10**12 + edge * PERIOD
 
 
-def pairing_with(edges: range, **options: bool) -> Pairing:
+def pairing_with(edges: range, **options: Any) -> Pairing:
     pairing = Pairing(PERIOD, **options)
     pairing.recalibrate(PERIOD, -28 * MS)
     for edge in edges:
@@ -198,8 +199,9 @@ def test_no_offset_is_made_up_from_frames_that_do_not_tell() -> None:
 
 
 def test_history_is_bounded() -> None:
-    pairing = pairing_with(range(5000))
+    history = EdgeHistory()
+    pairing = pairing_with(range(5000), history=history)
     assert len(pairing.edges) <= 256
     for n in range(1000):
         pairing.invalidate(n, n)
-    assert len(pairing._spoilt) <= 64
+    assert len(history.invalid) <= 64

@@ -3,7 +3,8 @@
 import pytest
 import zmq
 
-from annulus.stream.publish import VIEWER_QUEUE, Keys, Publisher, is_loopback, parse
+from annulus.stream.access import Doorkeeper, Keys, is_loopback
+from annulus.stream.publish import VIEWER_QUEUE, Publisher, parse
 from annulus.vocabulary import AnnulusError
 
 
@@ -14,6 +15,13 @@ def context():
         context.destroy(linger=0)
 
 
+@pytest.fixture
+def door(context):
+    door = Doorkeeper(context)
+    yield door
+    door.close()
+
+
 def viewer(context: zmq.Context, address: str) -> zmq.Socket:
     socket = context.socket(zmq.SUB)
     socket.subscribe(b"")
@@ -22,10 +30,10 @@ def viewer(context: zmq.Context, address: str) -> zmq.Socket:
     return socket
 
 
-def greet(publisher: Publisher, socket: zmq.Socket, tries: int = 200) -> bool:
+def greet(door: Doorkeeper, publisher: Publisher, socket: zmq.Socket, tries: int = 200) -> bool:
     """Send until the subscription has arrived; False when nothing ever does."""
     for _ in range(tries):
-        publisher.admit()
+        door.admit()
         publisher.send("hello", None)
         if socket.poll(10):
             while socket.poll(20):
@@ -34,20 +42,20 @@ def greet(publisher: Publisher, socket: zmq.Socket, tries: int = 200) -> bool:
     return False
 
 
-def test_a_viewer_gets_topic_number_body_and_bytes(context) -> None:
-    publisher = Publisher(context, "tcp://127.0.0.1:*")
+def test_a_viewer_gets_topic_number_body_and_bytes(context, door) -> None:
+    publisher = Publisher(door, "tcp://127.0.0.1:*")
     socket = viewer(context, publisher.address)
-    assert greet(publisher, socket)
+    assert greet(door, publisher, socket)
     publisher.send("frame", {"index": 7, "z_mm": 1.5}, bytes(range(100)))
     assert socket.poll(2000)
     assert parse(socket.recv_multipart()) == ("frame", 0, {"index": 7, "z_mm": 1.5}, bytes(range(100)))
     publisher.close()
 
 
-def test_a_viewer_that_sleeps_never_holds_up_the_scan_and_sees_what_it_missed(context) -> None:
-    publisher = Publisher(context, "tcp://127.0.0.1:*")
+def test_a_viewer_that_sleeps_never_holds_up_the_scan_and_sees_what_it_missed(context, door) -> None:
+    publisher = Publisher(door, "tcp://127.0.0.1:*")
     socket = viewer(context, publisher.address)
-    assert greet(publisher, socket)
+    assert greet(door, publisher, socket)
     for _ in range(400):  # far more than the socket buffers take
         publisher.send("frame", None, bytes(1 << 17))
     numbers = []
@@ -59,18 +67,18 @@ def test_a_viewer_that_sleeps_never_holds_up_the_scan_and_sees_what_it_missed(co
     publisher.close()
 
 
-def test_outside_needs_keys(context) -> None:
+def test_outside_needs_keys(context, door) -> None:
     for address in ("tcp://0.0.0.0:*", "tcp://*:5555", "tcp://192.0.2.1:5555", "tcp://example.org:1"):
         assert not is_loopback(address)
         with pytest.raises(AnnulusError, match="CURVE"):
-            Publisher(context, address)
+            Publisher(door, address)
     assert is_loopback("tcp://[::1]:5") and is_loopback("tcp://localhost:5") and is_loopback("tcp://127.3.2.1:5")
 
 
-def test_only_a_viewer_whose_key_is_known_is_let_in(context) -> None:
+def test_only_a_viewer_whose_key_is_known_is_let_in(context, door) -> None:
     public, secret = (key.decode() for key in zmq.curve_keypair())
     friend, stranger = zmq.curve_keypair(), zmq.curve_keypair()
-    publisher = Publisher(context, "tcp://127.0.0.1:*", Keys(public, secret, frozenset({friend[0].decode()})))
+    publisher = Publisher(door, "tcp://127.0.0.1:*", Keys(public, secret, frozenset({friend[0].decode()})))
 
     def knock(keys: tuple[bytes, bytes] | None) -> bool:
         socket = context.socket(zmq.SUB)
@@ -79,7 +87,7 @@ def test_only_a_viewer_whose_key_is_known_is_let_in(context) -> None:
             socket.curve_publickey, socket.curve_secretkey = keys
             socket.curve_serverkey = public.encode()
         socket.connect(publisher.address)
-        return greet(publisher, socket, 40)
+        return greet(door, publisher, socket, 40)
 
     assert knock(friend)
     assert not knock(stranger)
@@ -87,10 +95,10 @@ def test_only_a_viewer_whose_key_is_known_is_let_in(context) -> None:
     publisher.close()
 
 
-def test_a_bad_address_or_key_is_one_clear_line(context) -> None:
-    taken = Publisher(context, "tcp://127.0.0.1:*")
+def test_a_bad_address_or_key_is_one_clear_line(context, door) -> None:
+    taken = Publisher(door, "tcp://127.0.0.1:*")
     with pytest.raises(AnnulusError, match="cannot publish"):
-        Publisher(context, taken.address)
+        Publisher(door, taken.address)
     with pytest.raises(AnnulusError, match="Z85"):
         Keys("x", "y", frozenset())
     taken.close()
@@ -100,3 +108,23 @@ def test_a_bad_address_or_key_is_one_clear_line(context) -> None:
 def test_what_is_not_ours_is_a_value_error(parts: list[bytes]) -> None:
     with pytest.raises(ValueError):
         parse(parts)
+
+
+def test_two_sockets_behind_one_door_have_each_their_own_list(context, door) -> None:
+    pair, friend, other = zmq.curve_keypair(), zmq.curve_keypair(), zmq.curve_keypair()
+    public, secret = pair[0].decode(), pair[1].decode()
+    publisher = Publisher(door, "tcp://127.0.0.1:*", Keys(public, secret, frozenset({friend[0].decode()})))
+    second = context.socket(zmq.PUB)
+    door.bind(second, "tcp://127.0.0.1:*", Keys(public, secret, frozenset({other[0].decode()})), "control")
+
+    def knock(keys: tuple[bytes, bytes]) -> bool:
+        socket = context.socket(zmq.SUB)
+        socket.subscribe(b"")
+        socket.curve_publickey, socket.curve_secretkey = keys
+        socket.curve_serverkey = public.encode()
+        socket.connect(publisher.address)
+        return greet(door, publisher, socket, 40)
+
+    assert knock(friend)
+    assert not knock(other)
+    publisher.close()

@@ -1,4 +1,4 @@
-"""Promises of the crew: every frame handed out comes back once, as done, failed or lost; nobody is left behind."""
+"""Promises of the worker pool: every frame handed out comes back once, done, failed or lost; nobody is left behind."""
 
 import os
 import signal
@@ -14,32 +14,45 @@ import zmq
 
 from annulus.stream.frames import FrameHeader
 from annulus.stream.ring import FrameRing
-from annulus.stream.workers import Died, Done, Failed, FrameLost, PoolEvent, Ready, Report, WorkerPool
+from annulus.stream.workers import (
+    HUNG_S,
+    Died,
+    Done,
+    Failed,
+    FrameLost,
+    PoolEvent,
+    Ready,
+    Report,
+    Shared,
+    WorkerKind,
+    WorkerPool,
+)
 from annulus.vocabulary import AnnulusError, Label
 
 WORKER = [sys.executable, str(Path(__file__).with_name("worker_for_tests.py"))]
 
 
 class Yard:
-    """A ring, a crew and the loop around them."""
+    """A ring, a pool of workers and the loop around them."""
 
-    def __init__(self, folder: Path, setup: object = "hello", count: int = 2, **more: object) -> None:
+    def __init__(
+        self, folder: Path, setup: object = "hello", count: int = 2, *, clock=time.monotonic, hung_s: float = HUNG_S
+    ) -> None:
         self.context, self.ring = zmq.Context(), FrameRing(8, 30 * 40)
         self.folder, self.index = folder, 0
-        self.crew = WorkerPool(
-            WORKER, setup, ring=self.ring, context=self.context, folder=folder, name="w", count=count, depth=2, **more
-        )  # type: ignore[arg-type]
+        kind = WorkerKind("w", WORKER, setup, count, 2, hung_s)
+        self.pool = WorkerPool(kind, Shared(self.ring, self.context, folder), clock)
         self.seen: list[PoolEvent] = []
 
     def until(self, done) -> None:
         end = time.monotonic() + 30
         while not done():
             assert time.monotonic() < end, self.seen
-            self.crew.results.poll(20)
-            self.seen += self.crew.poll()
+            self.pool.results.poll(20)
+            self.seen += self.pool.poll()
 
     def all_ready(self, count: int = 2) -> "Yard":
-        self.until(lambda: self.crew.ready == count)
+        self.until(lambda: self.pool.ready == count)
         return self
 
     def hand_out(self, extra: object = None) -> bool:
@@ -48,7 +61,7 @@ class Yard:
         assert place is not None
         self.ring.write(place, np.full((30, 40), self.index, np.uint8))
         self.index += 1
-        taken = self.crew.offer(header, place, extra)
+        taken = self.pool.offer(header, place, extra)
         self.ring.release(place)
         return taken
 
@@ -56,8 +69,8 @@ class Yard:
         return [happening for happening in self.seen if isinstance(happening, kind)]
 
     def close(self) -> None:
-        pids = self.crew.pids
-        self.seen += self.crew.stop(5.0)
+        pids = self.pool.pids
+        self.seen += self.pool.stop(5.0)
         self.context.destroy(linger=0)
         assert not any(Path(f"/proc/{pid}").exists() for pid in pids)
         assert self.ring.free == len(self.ring), "a slot is still held"
@@ -75,10 +88,10 @@ def yard(tmp_path: Path) -> Iterator[Yard]:
 def test_every_frame_comes_back_with_its_own_answer(yard: Yard) -> None:
     while len(yard.of(Done)) < 20:
         if yard.index < 20 and yard.ring.free:
-            yard.until(lambda: yard.crew.in_hand < 4)
+            yard.until(lambda: yard.pool.in_hand < 4)
             assert yard.hand_out(extra=yard.index)
-        yard.crew.results.poll(5)
-        yard.seen += yard.crew.poll()
+        yard.pool.results.poll(5)
+        yard.seen += yard.pool.poll()
     assert sorted(d.header.index for d in yard.of(Done)) == list(range(20))
     for done in yard.of(Done):
         assert done.body == [1200 * done.header.index, done.header.index]
@@ -87,8 +100,8 @@ def test_every_frame_comes_back_with_its_own_answer(yard: Yard) -> None:
 def test_busy_workers_say_no_and_it_is_counted(yard: Yard) -> None:
     taken = [yard.hand_out("hang") for _ in range(6)]
     assert taken == [True] * 4 + [False] * 2
-    assert yard.crew.counts["refused"] == 2
-    for pid in yard.crew.pids:
+    assert yard.pool.counts["refused"] == 2
+    for pid in yard.pool.pids:
         os.kill(pid, signal.SIGKILL)
     yard.until(lambda: len(yard.of(FrameLost)) == 4)
 
@@ -98,7 +111,7 @@ def test_a_frame_the_method_cannot_take_costs_that_frame_only(yard: Yard) -> Non
     yard.hand_out("fine")
     yard.until(lambda: yard.of(Failed) and yard.of(Done))
     assert yard.of(Failed)[0].why == "RuntimeError: asked to"
-    assert yard.crew.counts["died"] == 0
+    assert yard.pool.counts["died"] == 0
 
 
 def test_a_killed_worker_is_replaced_and_its_frames_are_reported(yard: Yard) -> None:
@@ -115,7 +128,7 @@ def test_a_killed_worker_is_replaced_and_its_frames_are_reported(yard: Yard) -> 
 
 
 def test_a_worker_told_to_end_by_a_stranger_is_replaced_too(yard: Yard) -> None:
-    os.kill(yard.crew.pids[0], signal.SIGTERM)
+    os.kill(yard.pool.pids[0], signal.SIGTERM)
     yard.until(lambda: yard.of(Died))
     yard.all_ready()
 
@@ -124,7 +137,7 @@ def test_a_hung_worker_is_killed_and_its_frames_are_reported(tmp_path: Path) -> 
     now = [0.0]
     yard = Yard(tmp_path, count=1, clock=lambda: now[0], hung_s=10.0).all_ready(1)
     yard.hand_out("hang")
-    yard.seen += yard.crew.poll()
+    yard.seen += yard.pool.poll()
     assert not yard.of(FrameLost)
     now[0] = 10.5
     yard.until(lambda: yard.of(Died))
@@ -134,28 +147,28 @@ def test_a_hung_worker_is_killed_and_its_frames_are_reported(tmp_path: Path) -> 
 
 def test_notes_reach_every_worker_and_last_words_come_back(tmp_path: Path) -> None:
     yard = Yard(tmp_path, setup={"a": b"\x00\xff"}).all_ready()
-    yard.crew.tell("pose", [1, 2])
+    yard.pool.tell("pose", [1, 2])
     yard.until(lambda: len(yard.of(Report)) == 2)
     assert {(r.worker, str(r.body)) for r in yard.of(Report)} == {(n, str([["pose", [1, 2]]])) for n in (0, 1)}
     yard.close()
     assert [r.body for r in yard.of(Report) if r.final] == [{"a": b"\x00\xff"}] * 2
-    assert yard.crew.counts["killed"] == 0
+    assert yard.pool.counts["killed"] == 0
 
 
 def test_a_worker_that_cannot_live_is_given_up_not_started_for_ever(tmp_path: Path) -> None:
     yard = Yard(tmp_path, setup="stillborn", count=1)
-    yard.until(lambda: yard.crew.alive == 0)
+    yard.until(lambda: yard.pool.alive == 0)
     assert [died.replaced for died in yard.of(Died)] == [True] * 3 + [False]
     assert yard.of(Died)[0].why == "exit status 3"
     yard.close()
 
 
-def test_stopping_a_hung_crew_is_quick_and_says_what_was_lost(tmp_path: Path) -> None:
+def test_stopping_a_hung_pool_is_quick_and_says_what_was_lost(tmp_path: Path) -> None:
     yard = Yard(tmp_path, count=1).all_ready(1)
     yard.hand_out("hang")
-    lost = [h for h in yard.crew.stop(0.2) if isinstance(h, FrameLost)]
+    lost = [h for h in yard.pool.stop(0.2) if isinstance(h, FrameLost)]
     assert [one.header.index for one in lost] == [0]
-    assert yard.crew.counts["killed"] == 1
+    assert yard.pool.counts["killed"] == 1
     yard.close()
 
 
@@ -163,7 +176,7 @@ def test_a_command_that_is_not_there_is_one_clear_line(tmp_path: Path) -> None:
     ring = FrameRing(2, 100)
     with zmq.Context() as context:
         with pytest.raises(AnnulusError, match="cannot start /no/such"):
-            WorkerPool(["/no/such"], None, ring=ring, context=context, folder=tmp_path, name="w", count=1, depth=1)
+            WorkerPool(WorkerKind("w", ["/no/such"], None, 1, 1), Shared(ring, context, tmp_path))
         context.destroy(linger=0)
     assert not list(tmp_path.iterdir())
     ring.close()
@@ -175,7 +188,7 @@ sys.path.insert(0, {tests!r})
 from pathlib import Path
 from test_workers import Yard
 yard = Yard(Path({folder!r})).all_ready()
-print(*yard.crew.pids, flush=True)
+print(*yard.pool.pids, flush=True)
 os.kill(os.getpid(), signal.SIGKILL)
 """
 
@@ -202,6 +215,6 @@ def alive(pid: str) -> bool:
 
 def test_what_a_user_can_mend_is_said_and_not_tried_again(tmp_path: Path) -> None:
     yard = Yard(tmp_path, setup="broken", count=1)
-    yard.until(lambda: yard.crew.alive == 0)
+    yard.until(lambda: yard.pool.alive == 0)
     assert yard.of(Died) == [Died(0, "/etc/x: mend it", False)]
     yard.close()
