@@ -17,10 +17,13 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from annulus.capture.remote import RemoteCamera
+from annulus.daemon.account import ScanReport
 from annulus.daemon.config import CameraConfig, HeadConfig, LampConfig
 from annulus.daemon.interrupt import Interrupt
+from annulus.daemon.observer import Observer
+from annulus.daemon.pools import default_workers
 from annulus.daemon.run import ending
-from annulus.daemon.scan import Doors, Scan, ScanReport, default_workers
+from annulus.daemon.session import Session
 from annulus.record.calibration_file import save_calibration
 from annulus.report import Account, prepare_folder, write
 from annulus.reprocess import Job, Processes, led_frames, measure, method_for, open_job, stage_medians, warm_up
@@ -112,8 +115,8 @@ def _demo(wish_s: float | None, out: Path, world: World, interrupt: Interrupt, b
             head = start_head(world, pace.fps, speed_mm_s=0.0)
         stack.callback(head.close)
         config = demo_config(head, world, out)
-        scan = Scan(config, RemoteCamera(head.camera_address), doors=_doors(profiles, bars), name="scan")
-        report = scan.run(_Course(scan, head, travel, seconds, interrupt, bars))
+        session = Session(config, [RemoteCamera(head.camera_address)], _Watcher(profiles, bars), name="scan")
+        report = session.run(_Course(session, head, travel, seconds, interrupt, bars))
     recording = out / "scan.mcap"
     if interrupt.requested:
         console.print(f"interrupted: {recording} holds what was scanned, `annulus reconstruct` reads it")
@@ -152,9 +155,9 @@ def demo_config(head: HeadHandle, world: World, out: Path) -> HeadConfig:
     delay = math.ceil(timing.opens_us + FLASH_AFTER_OPENING_US)
     lamps = LampConfig(4, delay, world.projector.nominal_us, delay, world.led.nominal_us)
     lamps.check(timing)
-    camera = CameraConfig("twin", head.camera_address, world.camera.width, world.camera.height)
+    camera = CameraConfig("remote", head.camera_address, world.camera.width, world.camera.height, timing=timing)
     return HeadConfig(
-        camera, timing, lamps, head.port_url, world.mm_per_count, world.calibration(), out, None, None, None, slots=40
+        (camera,), lamps, head.port_url, world.mm_per_count, world.calibration(), record_folder=out, slots=40
     )  # fmt: skip
 
 
@@ -162,9 +165,9 @@ class _Course:
     """The operator: pulls the cable once frames are labelled, stops the scan after so many seconds. A `stop()`."""
 
     def __init__(
-        self, scan: Scan, head: HeadHandle, travel_mm: float, seconds: float, interrupt: Interrupt, bars: "_Bars"
+        self, session: Session, head: HeadHandle, travel_mm: float, seconds: float, interrupt: Interrupt, bars: "_Bars"
     ) -> None:
-        self._scan, self._head, self._interrupt, self._bars = scan, head, interrupt, bars
+        self._session, self._head, self._interrupt, self._bars = session, head, interrupt, bars
         self._travel_mm, self._seconds = travel_mm, seconds
         self._pulled_at: float | None = None
         self._next_look = 0.0
@@ -177,14 +180,14 @@ class _Course:
         if now < self._next_look:
             return False
         self._next_look = now + BAR_S
-        labelled = self._scan.labelled
+        labelled = self._session.labelled
         if self._pulled_at is None:
             if labelled:
                 self._head.pull(self._travel_mm / self._seconds)
                 self._pulled_at = now
-            elif self._scan.seconds > START_PATIENCE_S:
+            elif self._session.seconds > START_PATIENCE_S:
                 raise AnnulusError(
-                    f"no frame could be labelled within {START_PATIENCE_S:g} s: {self._scan.why_unknown}"
+                    f"no frame could be labelled within {START_PATIENCE_S:g} s: {self._session.why_unknown}"
                 )
             return False
         passed = now - self._pulled_at
@@ -192,8 +195,17 @@ class _Course:
         return passed > self._seconds
 
 
-def _doors(profiles: list[Profile], bars: "_Bars") -> Doors:
-    return Doors(profile=profiles.append, event=bars.say)
+class _Watcher(Observer):
+    """Keeps the profiles, shows the events."""
+
+    def __init__(self, profiles: list[Profile], bars: "_Bars") -> None:
+        self._profiles, self._bars = profiles, bars
+
+    def profile(self, profile: Profile) -> None:
+        self._profiles.append(profile)
+
+    def event(self, kind: str, text: str) -> None:
+        self._bars.say(text)
 
 
 def _late(job: Job, done: Sequence[Profile], bars: "_Bars") -> list[Profile]:

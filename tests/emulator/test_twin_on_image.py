@@ -111,7 +111,7 @@ def test_the_daemon_scans_with_the_image_over_tcp(image: Path, tmp_path: Path) -
 [controller]
 port = "{head.port_url}"
 [camera]
-kind = "twin"
+kind = "remote"
 device = "{head.camera_address}"
 width = {world.camera.width}
 height = {world.camera.height}

@@ -111,7 +111,7 @@ def test_the_daemon_runs_a_head_from_its_file_until_ctrl_c(traces, tmp_path: Pat
 [controller]
 port = "{head.port_url}"
 [camera]
-kind = "twin"
+kind = "remote"
 device = "{head.camera_address}"
 width = {world.camera.width}
 height = {world.camera.height}
@@ -133,7 +133,7 @@ address = "tcp://127.0.0.1:*"
         heard = []
         for line in daemon.stderr:
             heard.append(line)
-            if line.startswith("running: ") and int(line.split()[1]) >= 12:
+            if line.startswith("scanning: ") and int(line.split()[1]) >= 12:
                 daemon.send_signal(signal.SIGINT)
                 break
         heard += daemon.stderr.readlines()

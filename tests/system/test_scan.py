@@ -18,8 +18,11 @@ from annulus.capture.camera import HeldRequest
 from annulus.capture.photometry import Light, measure
 from annulus.capture.remote import RemoteCamera
 from annulus.capture.timing import FrameTiming
-from annulus.daemon.config import CameraConfig, HeadConfig, LampConfig
-from annulus.daemon.scan import Doors, Scan, ScanReport
+from annulus.daemon.account import ScanReport
+from annulus.daemon.config import CameraConfig, HeadConfig
+from annulus.daemon.observer import Observer
+from annulus.daemon.session import Session
+from annulus.daemon.state import State
 from annulus.demo import demo_config
 from annulus.link.client import Client
 from annulus.link.messages import StateFlag, Status
@@ -36,7 +39,7 @@ FPS = 8.0
 WORLD = demo_world(travel_mm=330.0).scaled(416)
 
 
-class Rig:
+class Rig(Observer):
     """A scan on a head, with hands on both."""
 
     def __init__(self, head: HeadHandle, out: Path, world: World = WORLD, **changes: object) -> None:
@@ -44,20 +47,29 @@ class Rig:
         config = replace(demo_config(head, world, out), **changes)
         self.profiles: list[Profile] = []
         self.told: list[str] = []
-        doors = Doors(profile=self.profiles.append, event=self.told.append)
-        self.scan = Scan(config, RemoteCamera(head.camera_address), doors=doors, name="scan")
+        self.states: list[State] = []
+        self.session = Session(config, [RemoteCamera(head.camera_address)], self, name="scan")
+
+    def profile(self, profile: Profile) -> None:
+        self.profiles.append(profile)
+
+    def event(self, kind: str, text: str) -> None:
+        self.told.append(text)
+
+    def state(self, state: State, why: str) -> None:
+        self.states.append(state)
 
     def run(self, until: Callable[["Rig"], bool]) -> ScanReport:
         """Scan until the condition holds; a minute at most."""
         end = time.monotonic() + 60.0
-        report = self.scan.run(lambda: until(self) or time.monotonic() > end)
+        report = self.session.run(lambda: until(self) or time.monotonic() > end)
         assert time.monotonic() < end, self.told
         return report
 
     @property
     def worker_pids(self) -> list[int]:
-        crew = self.scan._workers
-        return crew.pids if crew is not None and crew.ready else []
+        pool = self.session.reconstruction
+        return pool.pids if pool is not None and pool.ready else []
 
 
 @pytest.fixture
@@ -77,7 +89,7 @@ def frames_are_what_they_are_called(recording: Recording) -> int:
 
 def test_a_scan_is_labelled_recorded_and_reconstructed(head: HeadHandle, tmp_path: Path) -> None:
     rig = Rig(head, tmp_path)
-    report = rig.run(lambda rig: rig.scan.labelled >= 40)
+    report = rig.run(lambda rig: rig.session.labelled >= 40)
     recording = open_recording(tmp_path / "scan.mcap")
     assert not recording.torn and report.recordings == (tmp_path / "scan.mcap",)
     assert frames_are_what_they_are_called(recording) == report.frames["projector"] + report.frames["led"] >= 40
@@ -95,6 +107,10 @@ def test_a_scan_is_labelled_recorded_and_reconstructed(head: HeadHandle, tmp_pat
     moved = [f.z_mm for f in recording.frames if f.label is not Label.UNKNOWN]
     assert moved == sorted(moved) and moved[-1] > 20.0
     assert recording.calibration == WORLD.calibration().to_dict()
+    assert rig.states == [
+        State.POWERING, State.IDLE, State.ARMED, State.SCANNING, State.ENDING, State.OFF
+    ]  # fmt: skip
+    assert not any(report.telemetry["in_hand"].values()), "every frame is accounted for"
     # and the lamps are off, by the head's own pins and by its word
     assert head.counters()["lamps_on"] == []
     with Client(head.port_url) as client:
@@ -109,8 +125,8 @@ def test_a_worker_killed_in_mid_scan_costs_its_frames_and_they_are_reported(head
         if not victim and len(rig.profiles) >= 5:
             victim.append(rig.worker_pids[0])
             os.kill(victim[0], signal.SIGSTOP)  # so that it certainly has frames in its hands
-        crew = rig.scan._workers
-        if victim and crew is not None and crew.in_hand == 2 and victim[0] in crew.pids:
+        pool = rig.session.reconstruction
+        if victim and pool is not None and pool.in_hand == 2 and victim[0] in pool.pids:
             os.kill(victim[0], signal.SIGKILL)
         died = next(
             (i for i, text in enumerate(rig.told) if "killed by SIGKILL" in text and "takes over" in text), None
@@ -139,11 +155,11 @@ def test_a_recorder_killed_in_mid_scan_is_replaced_and_both_files_are_readable(
     killed: list[int] = []
 
     def until(rig: Rig) -> bool:
-        crew = rig.scan._recorder
-        if not killed and rig.scan.labelled >= 18 and crew is not None:
-            killed.append(rig.scan.labelled)
-            os.kill(crew.pids[0], signal.SIGKILL)
-        return bool(killed) and (tmp_path / "scan-2.mcap").exists() and rig.scan.labelled >= killed[0] + 30
+        pool = rig.session.recorder
+        if not killed and rig.session.labelled >= 18 and pool is not None:
+            killed.append(rig.session.labelled)
+            os.kill(pool.pids[0], signal.SIGKILL)
+        return bool(killed) and (tmp_path / "scan-2.mcap").exists() and rig.session.labelled >= killed[0] + 30
 
     report = rig.run(until)
     first, second = open_recording(tmp_path / "scan.mcap"), open_recording(tmp_path / "scan-2.mcap")
@@ -162,8 +178,8 @@ def test_a_controller_that_restarts_is_armed_again_and_no_label_is_wrong(tmp_pat
 
         def until(rig: Rig) -> bool:
             if not at and any("restarted" in text for text in rig.told):
-                at.append(rig.scan.labelled)
-            return bool(at) and rig.scan.labelled >= at[0] + 15
+                at.append(rig.session.labelled)
+            return bool(at) and rig.session.labelled >= at[0] + 15
 
         report = rig.run(until)
         recording = open_recording(tmp_path / "scan.mcap")
@@ -180,7 +196,7 @@ def test_a_full_disk_costs_the_recording_and_not_the_labels(head: HeadHandle, tm
     rig = Rig(head, tmp_path, calibration=None, slots=30)
     try:
         resource.setrlimit(resource.RLIMIT_FSIZE, (35 * frame, hard))  # the ring still fits, 50 frames on disk do not
-        report = rig.run(lambda rig: rig.scan.labelled >= 50)
+        report = rig.run(lambda rig: rig.session.labelled >= 50)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     recording = open_recording(tmp_path / "scan.mcap")
@@ -222,14 +238,12 @@ class Still:
 
 def config(port: str | None, out: Path | None) -> HeadConfig:
     timing = FrameTiming(25.0, 38_000.0, 28_000.0)
-    return HeadConfig(
-        CameraConfig("folder", "x", 64, 48), timing, LampConfig(), port, 0.05, None, out, None, None, None
-    )
+    return HeadConfig((CameraConfig("folder", "x", 64, 48, timing=timing),), port=port, record_folder=out)
 
 
 def test_without_a_controller_frames_bring_their_labels_or_are_unknown(tmp_path: Path) -> None:
     camera = Still(20)
-    report = Scan(config(None, tmp_path), camera, name="scan").run(lambda: False)  # type: ignore[arg-type]
+    report = Session(config(None, tmp_path), [camera], name="scan").run(lambda: False)  # type: ignore[list-item]
     assert report.frames == {"projector": 10, "unknown": 10} and report.unknown == {"no controller": 10}
     assert camera.closed
     frames = open_recording(tmp_path / "scan.mcap").frames
@@ -239,18 +253,18 @@ def test_without_a_controller_frames_bring_their_labels_or_are_unknown(tmp_path:
 def test_a_folder_that_cannot_be_written_is_one_clear_line(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(AnnulusError, match="cannot be made") as caught:
-        Scan(config(None, tmp_path / "file"), Still(3)).run(lambda: False)  # type: ignore[arg-type]
+        Session(config(None, tmp_path / "file"), [Still(3)]).run(lambda: False)  # type: ignore[list-item]
     assert "\n" not in str(caught.value)
 
 
 def test_a_port_that_is_not_there_or_silent_or_babbling_is_one_clear_line(tmp_path: Path) -> None:
     with pytest.raises(AnnulusError, match="cannot be opened"):
-        Scan(config("/dev/no-such-port", None), Still(3)).run(lambda: False)  # type: ignore[arg-type]
+        Session(config("/dev/no-such-port", None), [Still(3)]).run(lambda: False)  # type: ignore[list-item]
     master, slave = pty.openpty()
     tty.setraw(slave)
     name = os.ttyname(slave)
     with pytest.raises(AnnulusError, match="no answer to identify"):
-        Scan(config(name, None), Still(3)).run(lambda: False)  # type: ignore[arg-type]
+        Session(config(name, None), [Still(3)]).run(lambda: False)  # type: ignore[list-item]
     done = threading.Event()
 
     def babble() -> None:
@@ -267,7 +281,7 @@ def test_a_port_that_is_not_there_or_silent_or_babbling_is_one_clear_line(tmp_pa
     babbler.start()
     try:
         with pytest.raises(AnnulusError, match="damaged frames and no answer to identify") as caught:
-            Scan(config(name, None), Still(3)).run(lambda: False)  # type: ignore[arg-type]
+            Session(config(name, None), [Still(3)]).run(lambda: False)  # type: ignore[list-item]
     finally:
         done.set()
         babbler.join()

@@ -31,6 +31,11 @@ ENCODINGS = (BGR8, BAYER_RGGB8, MONO8)
 SIDE_MAX = 16384  # pixels; a larger side is a broken header, not a camera
 
 
+FOURCC = "YU12"  # what a V4L2 camera is asked for
+BUFFERS = 4  # in a V4L2 driver
+TIMEOUT_MS = 2000  # without a frame
+
+
 class EndOfFrames(Exception):
     """The file or folder has no frame left. A live camera never raises it."""
 
@@ -268,21 +273,16 @@ class V4L2Camera(OneRequest):
         width: int = 1664,
         height: int = 1232,
         fps: float = 25.0,
-        fourcc: str = "YU12",
-        timeout_s: float = 2.0,
-        buffers: int = 4,
     ) -> None:
         if not (isinstance(device, int) or Path(device).exists()):
             raise AnnulusError(f"{device}: no such camera. `ls /dev/video*` lists the devices.")
         self._device = device
         self._settings: tuple[tuple[str, int, float], ...] = (
-            ("format", cv2.CAP_PROP_FOURCC, float(cv2.VideoWriter.fourcc(*fourcc))),
+            ("format", cv2.CAP_PROP_FOURCC, float(cv2.VideoWriter.fourcc(*FOURCC))),
             ("width", cv2.CAP_PROP_FRAME_WIDTH, float(width)),
             ("height", cv2.CAP_PROP_FRAME_HEIGHT, float(height)),
             ("frame rate", cv2.CAP_PROP_FPS, fps),
         )
-        self._timeout_ms = round(timeout_s * 1000)
-        self._buffers = buffers
         self._capture: Any = None
         self._oldest_ns = 0
         self.width, self.height, self.encoding = width, height, BGR8
@@ -301,12 +301,12 @@ class V4L2Camera(OneRequest):
             self._capture = None
 
     def capture_request(self) -> Request:
-        for _ in range(self._buffers + 1):
+        for _ in range(BUFFERS + 1):
             if self._capture is None:
                 raise AnnulusError(f"{self._device}: not started")
             good, image = self._capture.read()
             if not good or image is None:
-                raise TimeoutError(f"{self._device}: no frame within {self._timeout_ms} ms")
+                raise TimeoutError(f"{self._device}: no frame within {TIMEOUT_MS} ms")
             timestamp = round(self._capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
             if timestamp >= self._oldest_ns:
                 return HeldRequest(image, {"SensorTimestamp": timestamp})
@@ -318,12 +318,12 @@ class V4L2Camera(OneRequest):
                 self._set(what, prop, wanted)
 
     def _open(self) -> Any:
-        parameters = [cv2.CAP_PROP_READ_TIMEOUT_MSEC, self._timeout_ms]
+        parameters = [cv2.CAP_PROP_READ_TIMEOUT_MSEC, TIMEOUT_MS]
         self._capture = cv2.VideoCapture(self._device, cv2.CAP_V4L2, parameters)
         if not self._capture.isOpened():
             self.close()
             raise AnnulusError(f"{self._device}: cannot be opened as a V4L2 camera. In use, or no permission?")
-        self._capture.set(cv2.CAP_PROP_BUFFERSIZE, self._buffers)
+        self._capture.set(cv2.CAP_PROP_BUFFERSIZE, BUFFERS)
         try:
             for what, prop, wanted in self._settings:
                 self._set(what, prop, wanted)

@@ -1,43 +1,56 @@
-"""The camera that head.toml asks for."""
+"""The cameras and sensors that head.toml asks for."""
 
 from pathlib import Path
 
 from annulus.capture.camera import Camera, V4L2Camera, plug
 from annulus.capture.remote import RemoteCamera
-from annulus.daemon.config import HeadConfig
+from annulus.daemon.config import CameraConfig, HeadConfig
 from annulus.record.replay import ScanFolderCamera, VideoFileCamera
+from annulus.sensors.remote import RemoteSensors
+from annulus.sensors.sample import Sensor
 from annulus.vocabulary import AnnulusError
 
 
-def open_camera(config: HeadConfig) -> Camera:
-    """Not started yet. Raises AnnulusError when it is not there or is of another size than configured."""
-    camera = _open(config)
-    wanted = config.camera
-    if (camera.width, camera.height) != (wanted.width, wanted.height):
-        camera.close()
-        raise AnnulusError(
-            f"{wanted.device}: frames are {camera.width}x{camera.height}, but head.toml says "
-            f"{wanted.width}x{wanted.height}."
-        )
-    return camera
+def open_cameras(config: HeadConfig) -> list[Camera]:
+    """Not started yet. Raises AnnulusError when one is not there or is of another size than configured."""
+    cameras: list[Camera] = []
+    try:
+        for number, wanted in enumerate(config.cameras):
+            camera = _open(wanted, number)
+            cameras.append(camera)
+            if (camera.width, camera.height) != (wanted.width, wanted.height):
+                raise AnnulusError(
+                    f"{wanted.device}: frames are {camera.width}x{camera.height}, but head.toml says "
+                    f"{wanted.width}x{wanted.height}."
+                )
+    except BaseException:
+        for camera in cameras:
+            camera.close()
+        raise
+    return cameras
 
 
-def _open(config: HeadConfig) -> Camera:
-    wanted, fps = config.camera, config.timing.fps
+def open_sensors(config: HeadConfig) -> list[Sensor]:
+    """Raises AnnulusError when an address is none; whether anybody speaks there is seen later."""
+    return [RemoteSensors(sensor.device) for sensor in config.sensors]
+
+
+def _open(wanted: CameraConfig, number: int) -> Camera:
+    fps = wanted.timing.fps
     match wanted.kind:
         case "v4l2":
             return V4L2Camera(wanted.device, width=wanted.width, height=wanted.height, fps=fps)
         case "video":
             return VideoFileCamera(Path(wanted.device))
         case "folder":
-            return ScanFolderCamera(Path(wanted.device), fps=fps)
-        case "twin":
+            return ScanFolderCamera(Path(wanted.device), fps=fps, camera=number)
+        case "remote":
             return RemoteCamera(wanted.device)
         case "picamera2":
-            return _picamera(config)
+            return _picamera(wanted)
 
 
-def _picamera(config: HeadConfig) -> Camera:
+def _picamera(wanted: CameraConfig) -> Camera:
     try:
         from picamera2 import Picamera2
     except ImportError:
@@ -45,17 +58,15 @@ def _picamera(config: HeadConfig) -> Camera:
             "camera: picamera2 is not installed for this Python. On a Raspberry Pi: apt install python3-picamera2, "
             "and make the environment with --system-site-packages."
         ) from None
-    camera = Picamera2()
-    size = (config.camera.width, config.camera.height)
+    camera = Picamera2(int(wanted.device)) if wanted.device.isdigit() else Picamera2()
+    size = (wanted.width, wanted.height)
     camera.configure(camera.create_video_configuration(main={"size": size, "format": "RGB888"}, buffer_count=6))
     return plug(camera)
 
 
-def apply_controls(camera: Camera, config: HeadConfig) -> None:
-    """Fixed exposure and rate on a sensor; call when it is started. Files and the twin have none."""
-    if config.camera.kind in ("v4l2", "picamera2"):
+def apply_controls(camera: Camera, config: CameraConfig) -> None:
+    """Fixed exposure and rate on a sensor; call when it is started. Files and other programs' cameras have none."""
+    if config.kind in ("v4l2", "picamera2"):
         period_us = round(config.timing.period_us)
         camera.set_controls({"AeEnable": False, "FrameDurationLimits": (period_us, period_us)})
-        camera.set_controls(
-            {"ExposureTime": round(config.timing.exposure_us), "AnalogueGain": config.camera.gain}
-        )  # fmt: skip
+        camera.set_controls({"ExposureTime": round(config.timing.exposure_us), "AnalogueGain": config.gain})

@@ -2,7 +2,7 @@
 
 import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, Literal, cast
@@ -12,20 +12,38 @@ import zmq
 from annulus.capture.timing import FrameTiming
 from annulus.geometry.calibration import Calibration
 from annulus.record.calibration_file import load_calibration
-from annulus.stream.publish import Keys
+from annulus.stream.access import Keys
+from annulus.stream.frames import CAMERAS_MAX
 from annulus.vocabulary import AnnulusError
 
-CameraKind = Literal["v4l2", "picamera2", "video", "folder", "twin"]
-CAMERA_KINDS = ("v4l2", "picamera2", "video", "folder", "twin")
+CameraKind = Literal["v4l2", "picamera2", "video", "folder", "remote"]
+CAMERA_KINDS = ("v4l2", "picamera2", "video", "folder", "remote")
+SENSOR_KINDS = ("remote",)
+USUAL_TIMING = FrameTiming(25.0, 38_000.0, 28_000.0)
 
 
 @dataclass(frozen=True, slots=True)
 class CameraConfig:
     kind: CameraKind = "v4l2"
-    device: str = "/dev/video0"  # or the file, folder or twin address
+    device: str = "/dev/video0"  # or the file, folder or address
     width: int = 1664
     height: int = 1232
     gain: float = 1.0
+    timing: FrameTiming = USUAL_TIMING
+
+
+@dataclass(frozen=True, slots=True)
+class SensorConfig:
+    kind: str
+    device: str  # the address
+
+
+@dataclass(frozen=True, slots=True)
+class SocketConfig:
+    """Where others may connect, and who."""
+
+    address: str
+    keys: Keys | None = None  # None: this machine only
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,39 +68,52 @@ class LampConfig:
 
 @dataclass(frozen=True, slots=True)
 class HeadConfig:
-    """One head, checked. `port` None: no controller, labels come with the frames (scan folder) or are unknown."""
+    """One head, checked. What is None is not there."""
 
-    camera: CameraConfig
-    timing: FrameTiming
-    lamps: LampConfig
-    port: str | None
-    mm_per_count: float
-    calibration: Calibration | None  # None: no live reconstruction
-    record_folder: Path | None  # None: nothing is recorded
-    publish: str | None  # None: nothing is published
-    keys: Keys | None
-    workers: int | None  # None: one a core but one
+    cameras: tuple[CameraConfig, ...] = (CameraConfig(),)  # on one sync line; a frame's `camera` counts in this order
+    lamps: LampConfig = LampConfig()
+    port: str | None = None  # None: labels come with the frames (scan folder) or are unknown
+    mm_per_count: float = 0.05
+    calibration: Calibration | None = None  # None: no live reconstruction
+    record_folder: Path | None = None
+    publish: SocketConfig | None = None
+    control: SocketConfig | None = None
+    autostart: bool = True  # False: idle until the control socket says start
+    sensors: tuple[SensorConfig, ...] = ()
+    workers: int | None = None  # None: one a core but one
     slots: int = 24
+
+    @property
+    def timing(self) -> FrameTiming:
+        """All cameras' together: what a flash must fit so that every row of every camera sees all of it."""
+        modes = [camera.timing for camera in self.cameras]
+        return FrameTiming(
+            modes[0].fps, min(mode.exposure_us for mode in modes), max(mode.readout_us for mode in modes)
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """What is attached to a recording: all of it but keys."""
         return {
-            "camera": asdict(self.camera),
+            "cameras": [asdict(camera) for camera in self.cameras],
             "timing": asdict(self.timing),
             "lamps": asdict(self.lamps),
             "port": self.port,
             "mm_per_count": self.mm_per_count,
+            "sensors": [asdict(sensor) for sensor in self.sensors],
         }
 
 
+_LISTS = ("camera", "sensor")  # sections that may come several times, as [[camera]]
 _SECTIONS: Mapping[str, tuple[str, ...]] = {
     "controller": ("port",),
-    "camera": (*(field.name for field in fields(CameraConfig)), "fps", "exposure_us", "readout_us"),
+    "camera": ("kind", "device", "width", "height", "gain", "fps", "exposure_us", "readout_us"),
     "lamps": tuple(field.name for field in fields(LampConfig)),
     "odometer": ("mm_per_count",),
     "calibration": ("file",),
     "record": ("folder",),
     "publish": ("address", "key_file", "viewers"),
+    "control": ("address", "key_file", "viewers", "autostart"),
+    "sensor": ("kind", "device"),
     "workers": ("count", "slots"),
 }
 
@@ -103,76 +134,116 @@ def load_config(path: Path) -> HeadConfig:
 
 def _checked(data: Mapping[str, Any], folder: Path) -> HeadConfig:
     for section, content in data.items():
-        if section not in _SECTIONS:
-            raise ValueError(f"section [{section}] is not known, expected one of {', '.join(_SECTIONS)}")
-        if not isinstance(content, dict):
+        _check_names(section, content)
+    cameras = tuple(_camera(content) for content in _several(data, "camera")) or (CameraConfig(),)
+    if len(cameras) > CAMERAS_MAX:
+        raise ValueError(f"{len(cameras)} [[camera]] sections, expected at most {CAMERAS_MAX}")
+    if len({camera.timing.fps for camera in cameras}) > 1:
+        raise ValueError("[camera] fps differs from camera to camera, but they share one frame-sync")
+    calibration_file, record = _optional(data, "calibration", "file"), _optional(data, "record", "folder")
+    workers, control = data.get("workers", {}), data.get("control", {})
+    config = HeadConfig(
+        cameras=cameras,
+        lamps=_lamps(data.get("lamps", {})),
+        port=_optional(data, "controller", "port"),
+        mm_per_count=_number(data.get("odometer", {}), "odometer", "mm_per_count", 0.05, -1e3, 1e3),
+        calibration=None if calibration_file is None else load_calibration(folder / calibration_file),
+        record_folder=None if record is None else folder / record,
+        publish=_socket(data, "publish", folder),
+        control=_socket(data, "control", folder),
+        autostart=_flag(control, "control", "autostart", True),
+        sensors=tuple(_sensor(content) for content in _several(data, "sensor")),
+        workers=_whole(workers, "workers", "count", 1, 1, 64) if "count" in workers else None,
+        slots=_whole(workers, "workers", "slots", 24, 4, 1024),
+    )
+    if config.port is not None:
+        config.lamps.check(config.timing)
+    if config.calibration is not None:
+        require_size(config.calibration, [(camera.width, camera.height) for camera in cameras])
+    if config.control is None and not config.autostart:
+        raise ValueError("[control] autostart is false, but without an address nobody could start a scan")
+    return config
+
+
+def _check_names(section: str, content: object) -> None:
+    if section not in _SECTIONS:
+        raise ValueError(f"section [{section}] is not known, expected one of {', '.join(_SECTIONS)}")
+    several = content if section in _LISTS and isinstance(content, list) else [content]
+    for one in several:
+        if not isinstance(one, dict):
             raise ValueError(f'"{section}" must be a section, written [{section}]')
-        for key in content:
+        for key in one:
             if key not in _SECTIONS[section]:
                 raise ValueError(f"[{section}] {key} is not known, expected one of {', '.join(_SECTIONS[section])}")
-    camera, lamps = data.get("camera", {}), data.get("lamps", {})
-    kind = _text(camera, "camera", "kind", "v4l2")
+
+
+def _several(data: Mapping[str, Any], section: str) -> list[Mapping[str, Any]]:
+    content = data.get(section, [])
+    return content if isinstance(content, list) else [content]
+
+
+def _camera(content: Mapping[str, Any]) -> CameraConfig:
+    usual = CameraConfig()
+    kind = _text(content, "camera", "kind", usual.kind)
     if kind not in CAMERA_KINDS:
         raise ValueError(f"[camera] kind is {kind!r}, expected one of {', '.join(CAMERA_KINDS)}")
-    timing = FrameTiming(
-        _number(camera, "camera", "fps", 25.0, 1.0, 500.0),
-        _number(camera, "camera", "exposure_us", 38_000.0, 1.0, 1e6),
-        _number(camera, "camera", "readout_us", 28_000.0, 0.0, 1e6),
+    return CameraConfig(
+        cast(CameraKind, kind),
+        _text(content, "camera", "device", usual.device),
+        _whole(content, "camera", "width", usual.width, 16, 16384),
+        _whole(content, "camera", "height", usual.height, 16, 16384),
+        _number(content, "camera", "gain", usual.gain, 0.0, 1e3),
+        FrameTiming(
+            _number(content, "camera", "fps", usual.timing.fps, 1.0, 500.0),
+            _number(content, "camera", "exposure_us", usual.timing.exposure_us, 1.0, 1e6),
+            _number(content, "camera", "readout_us", usual.timing.readout_us, 0.0, 1e6),
+        ),
     )
-    default = LampConfig()
-    lamp = LampConfig(
-        _whole(lamps, "lamps", "ratio", default.ratio, 0, 15),
+
+
+def _lamps(content: Mapping[str, Any]) -> LampConfig:
+    usual = LampConfig()
+    return LampConfig(
+        _whole(content, "lamps", "ratio", usual.ratio, 0, 15),
         *(
-            _number(lamps, "lamps", field.name, getattr(default, field.name), 0.0, 1e6)
+            _number(content, "lamps", field.name, getattr(usual, field.name), 0.0, 1e6)
             for field in fields(LampConfig)
             if field.name != "ratio"
         ),
     )
-    port = _optional(data, "controller", "port")
-    if port is not None:
-        lamp.check(timing)
-    calibration_file = _optional(data, "calibration", "file")
-    calibration = None if calibration_file is None else load_calibration(folder / calibration_file)
-    usual = CameraConfig()
-    config = CameraConfig(
-        cast(CameraKind, kind),
-        _text(camera, "camera", "device", usual.device),
-        _whole(camera, "camera", "width", usual.width, 16, 16384),
-        _whole(camera, "camera", "height", usual.height, 16, 16384),
-        _number(camera, "camera", "gain", usual.gain, 0.0, 1e3),
-    )
-    if calibration is not None:
-        require_size(calibration, config.width, config.height)
-    record = _optional(data, "record", "folder")
-    workers = data.get("workers", {})
-    return HeadConfig(
-        camera=config,
-        timing=timing,
-        lamps=lamp,
-        port=port,
-        mm_per_count=_number(data.get("odometer", {}), "odometer", "mm_per_count", 0.05, -1e3, 1e3),
-        calibration=calibration,
-        record_folder=None if record is None else folder / record,
-        publish=_optional(data, "publish", "address"),
-        keys=_keys(data.get("publish", {}), folder),
-        workers=_whole(workers, "workers", "count", 1, 1, 64) if "count" in workers else None,
-        slots=_whole(workers, "workers", "slots", 24, 4, 1024),
-    )
 
 
-def require_size(calibration: Calibration, width: int, height: int) -> None:
-    """Raises AnnulusError when the calibration is of a camera of another size."""
-    camera = calibration.camera
-    if (camera.width, camera.height) != (width, height):
-        raise AnnulusError(
-            f"calibration is for {camera.width}x{camera.height} but the camera gives {width}x{height}. "
-            "Calibrate with the camera in use."
-        )
+def _sensor(content: Mapping[str, Any]) -> SensorConfig:
+    kind = _text(content, "sensor", "kind", "remote")
+    if kind not in SENSOR_KINDS:
+        raise ValueError(f"[sensor] kind is {kind!r}, expected one of {', '.join(SENSOR_KINDS)}")
+    if "device" not in content:
+        raise ValueError("[sensor] device is missing, expected the address of the sensor")
+    return SensorConfig(kind, _text(content, "sensor", "device", ""))
 
 
-def _keys(section: Mapping[str, Any], folder: Path) -> Keys | None:
+def _socket(data: Mapping[str, Any], section: str, folder: Path) -> SocketConfig | None:
+    address = _optional(data, section, "address")
+    keys = _keys(data.get(section, {}), section, folder)
+    return None if address is None else SocketConfig(address, keys)
+
+
+def require_size(calibration: Calibration, sizes: Sequence[tuple[int, int]]) -> None:
+    """Raises AnnulusError when the calibration is of cameras of other sizes, or of more than the head has."""
+    for one in calibration.cameras:
+        if one.id >= len(sizes):
+            raise AnnulusError(f"calibration knows a camera {one.id}, but the head has {len(sizes)}, from 0")
+        (width, height), camera = sizes[one.id], one.camera
+        if (camera.width, camera.height) != (width, height):
+            raise AnnulusError(
+                f"calibration is for {camera.width}x{camera.height} but the camera gives {width}x{height}. "
+                "Calibrate with the camera in use."
+            )
+
+
+def _keys(content: Mapping[str, Any], section: str, folder: Path) -> Keys | None:
     """The key file holds the server's secret key, 40 characters of Z85, and nothing else."""
-    name = section.get("key_file")
+    name = content.get("key_file")
     if name is None:
         return None
     path = folder / str(name)
@@ -180,12 +251,12 @@ def _keys(section: Mapping[str, Any], folder: Path) -> Keys | None:
         secret = path.read_text(encoding="ascii").strip()
         public = zmq.curve_public(secret.encode()).decode()
     except OSError as error:
-        raise AnnulusError(f"{path}: cannot be read ({error.strerror}). Expected the publisher's secret key.") from None
+        raise AnnulusError(f"{path}: cannot be read ({error.strerror}). Expected the daemon's secret key.") from None
     except (ValueError, zmq.ZMQError):
         raise AnnulusError(f"{path}: not a CURVE secret key. Expected 40 characters of Z85.") from None
-    viewers = section.get("viewers", [])
+    viewers = content.get("viewers", [])
     if not isinstance(viewers, list) or not all(isinstance(key, str) for key in viewers):
-        raise ValueError("[publish] viewers must be a list of public keys")
+        raise ValueError(f"[{section}] viewers must be a list of public keys")
     return Keys(public, secret, frozenset(viewers))
 
 
@@ -198,6 +269,13 @@ def _text(content: Mapping[str, Any], section: str, key: str, default: str) -> s
     value = content.get(key, default)
     if not isinstance(value, str) or (key in content and not value):
         raise ValueError(f"[{section}] {key} is {value!r}, expected a text")
+    return value
+
+
+def _flag(content: Mapping[str, Any], section: str, key: str, default: bool) -> bool:
+    value = content.get(key, default)
+    if not isinstance(value, bool):
+        raise ValueError(f"[{section}] {key} is {value!r}, expected true or false")
     return value
 
 

@@ -1,7 +1,7 @@
-"""From a frame as it came to a frame with its header: label, edge and station. Owns the camera's timestamp offset.
+"""From a frame as it came to a frame with its header: label, edge, station, roll. Owns one camera's timestamp offset.
 
-labelling = Labelling(config, width, height, encoding, tell)
-labelling.hear(news)                              # from the controller, as it comes
+navigation.heard(event)                           # from the controller, as it comes
+labelling = Labelling(mode, navigation, tell)     # one a camera; navigation None: no controller
 labelling.saw(frame)                              # every frame, as it comes
 labelling.look_for_offset(now_s)                  # now and then
 if labelling.settled(frame, now_ns):              # frames in the order of capture
@@ -15,11 +15,10 @@ from typing import Any
 
 from annulus.capture.pairing import Pairing, calibrate_offset
 from annulus.capture.photometry import Light
-from annulus.daemon.config import HeadConfig
-from annulus.daemon.odometer import Odometer
-from annulus.link.head import EdgeSeen, HeadEvent, LampsCut
+from annulus.controller import TICK_NS
+from annulus.daemon.navigation import Navigation
 from annulus.stream.frames import FrameHeader
-from annulus.vocabulary import AnnulusError, CameraSequence, Label
+from annulus.vocabulary import AnnulusError, CameraSequence, Flash, Label
 
 OFFSET_FRAMES = 15  # seen before the camera's offset is tried ..
 OFFSET_FRAMES_KEPT = 64  # .. and looked at
@@ -31,10 +30,20 @@ NO_CONTROLLER = "no controller"
 
 
 @dataclass(frozen=True, slots=True)
+class CameraMode:
+    """What all frames of one camera have in common."""
+
+    camera: int  # which of the head's
+    width: int
+    height: int
+    encoding: str
+    period_ns: int
+
+
+@dataclass(frozen=True, slots=True)
 class FrameSeen:
     """A frame without its picture, but with what the picture shows."""
 
-    index: int
     sequence: CameraSequence | None
     timestamp_ns: int
     light: Light
@@ -44,15 +53,11 @@ class FrameSeen:
 class Labelling:
     """Sans-I/O: the caller says what time it is. `tell(kind, text)` is for the operator."""
 
-    def __init__(
-        self, config: HeadConfig, width: int, height: int, encoding: str, tell: Callable[[str, str], None]
-    ) -> None:
-        self._alone = config.port is None
-        self._period_ns = round(1e9 / config.timing.fps)
-        self._shape = width, height, encoding
+    def __init__(self, mode: CameraMode, navigation: Navigation, tell: Callable[[str, str], None], alone: bool) -> None:
+        """`alone`: there is no controller; labels are those the frames bring, or unknown."""
+        self._mode, self._navigation, self._alone = mode, navigation, alone
         self._tell = tell
-        self._pairing = Pairing(self._period_ns)
-        self._along = Odometer(config.mm_per_count)
+        self._pairing = Pairing(mode.period_ns, history=navigation.edges)
         self._seen: deque[tuple[int, Light]] = deque(maxlen=OFFSET_FRAMES_KEPT)
         self._offset_known = self._alone
         self._looking_since: float | None = None
@@ -67,16 +72,7 @@ class Labelling:
         return {
             "offset_ns": self._pairing.offset_ns,
             "offset_error_ns": self._pairing.offset_error_ns,
-            "place_gaps": self._along.gaps,
         }
-
-    def hear(self, news: HeadEvent) -> None:
-        """What concerns labels among the controller's news."""
-        match news:
-            case EdgeSeen():
-                self._pairing.edge(news.flash, news.host_ns, news.boot_epoch)
-            case LampsCut():
-                self._pairing.invalidate(news.from_ns, news.to_ns)
 
     def saw(self, frame: FrameSeen) -> None:
         """A frame has come; it may help to find the offset long before it can be labelled."""
@@ -96,15 +92,15 @@ class Labelling:
             return
         if self._looking_since is None:
             self._looking_since = now_s
-        self._next_look = now_s + TRY_PERIODS * self._period_ns / 1e9
+        self._next_look = now_s + TRY_PERIODS * self._mode.period_ns / 1e9
         try:
-            offset = calibrate_offset(self._seen, self._pairing.edges, self._period_ns)
+            offset = calibrate_offset(self._seen, self._pairing.edges, self._mode.period_ns)
         except AnnulusError as error:
             if now_s - self._looking_since > GIVE_UP_S:
                 self._looking_since = now_s
                 self._tell("offset", f"still no timestamp offset, frames stay unknown: {error}")
             return
-        self._pairing.recalibrate(self._period_ns, offset.offset_ns)
+        self._pairing.recalibrate(self._mode.period_ns, offset.offset_ns)
         self._offset_known = True
         self._looking_since = None
         self._next_look = now_s + LOOK_AGAIN_S
@@ -120,22 +116,34 @@ class Labelling:
 
     def header(self, frame: FrameSeen) -> FrameHeader:
         """The verdict. Ask once for each frame, in the order of capture."""
-        width, height, encoding = self._shape
+        mode = self._mode
         blank = FrameHeader(
-            frame.index, frame.sequence, frame.timestamp_ns, Label.UNKNOWN, "", None, None, None, None, encoding, width,
-            height,
+            0, frame.sequence, frame.timestamp_ns, Label.UNKNOWN, "", None, None, None, None, mode.encoding,
+            mode.width, mode.height, camera=mode.camera,
         )  # fmt: skip
         if self._alone:
-            return _brought_along(blank, frame.metadata)
+            return self._numbered(_brought_along(blank, frame.metadata), frame.sequence)
         if not self._offset_known:
-            return replace(blank, reason=NOT_KNOWN)
+            return self._numbered(replace(blank, reason=NOT_KNOWN))
         said = self._pairing.label(frame.timestamp_ns, frame.sequence, frame.light)
         if said.label is Label.UNKNOWN or said.flash is None:
-            return replace(blank, reason=str(said.reason))
-        flash, z_mm = said.flash, self._along.z_mm(said.flash, frame.timestamp_ns)
-        return replace(
-            blank, label=said.label, edge=flash.edge, slot=flash.slot, odometer=flash.odometer, z_mm=z_mm
+            return self._numbered(replace(blank, reason=str(said.reason)))
+        flash = said.flash
+        known = replace(
+            blank, label=said.label, edge=flash.edge, slot=flash.slot, odometer=flash.odometer,
+            z_mm=self._navigation.odometer.z_mm(flash),
+            roll_deg=self._navigation.roll.at(self._lit_ns(frame.timestamp_ns, flash)),
         )  # fmt: skip
+        return self._numbered(known, (flash.boot, flash.edge))
+
+    def _numbered(self, header: FrameHeader, flash: object = None) -> FrameHeader:
+        """Frames that one flash lit share an index, whichever camera they are of."""
+        return replace(header, index=self._navigation.index(header.camera, flash))
+
+    def _lit_ns(self, timestamp_ns: int, flash: Flash) -> int:
+        """The middle of the flash, host time: the flash came so long after the edge one period before readout ended."""
+        opening_ns = timestamp_ns - self._pairing.offset_ns - self._mode.period_ns
+        return opening_ns + (2 * flash.delay_ticks + flash.width_ticks) * TICK_NS // 2
 
 
 def _brought_along(blank: FrameHeader, metadata: Mapping[str, Any]) -> FrameHeader:

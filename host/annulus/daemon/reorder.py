@@ -24,6 +24,11 @@ class ReorderBuffer(Generic[T]):
         """The answer to `number`; None: there will be none."""
         self._answers[number] = answer
 
+    @property
+    def missing(self) -> int:
+        """How many are expected and have no answer."""
+        return sum(number not in self._answers for number in self._expected)
+
     def ready(self, final: bool = False) -> Iterator[tuple[int, T | None]]:
         """What is next in order. `final`: nothing more will come, so what is missing is None."""
         while self._expected and (final or self._expected[0] in self._answers):

@@ -5,27 +5,46 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from annulus.daemon.cameras import open_camera
+from annulus.daemon.account import ScanReport
+from annulus.daemon.cameras import open_cameras, open_sensors
 from annulus.daemon.config import load_config
 from annulus.daemon.interrupt import Interrupt
-from annulus.daemon.scan import Doors, Scan, ScanReport
+from annulus.daemon.observer import Observer
+from annulus.daemon.session import Session
+from annulus.daemon.state import State
+
+
+class Console(Observer):
+    """What happens, line by line on stderr."""
+
+    def state(self, state: State, why: str) -> None:
+        if state is not State.OFF:  # it is the end of the process too
+            _say(f"head {state}: {why}" if why else f"head {state}")
+
+    def event(self, kind: str, text: str) -> None:
+        _say(text)
+
+    def telemetry(self, numbers: Mapping[str, Any]) -> None:
+        _say(one_line(numbers))
+
+    def ended(self, report: ScanReport) -> None:
+        for line in ending(report):
+            _say(line)
 
 
 def run_daemon(config_path: Path) -> None:
-    """Scan until Ctrl-C or SIGTERM, then say what was made. Raises AnnulusError when the scan cannot begin."""
+    """Until Ctrl-C or SIGTERM; every scan ends with what was made. Raises AnnulusError when it cannot begin."""
     with Interrupt() as interrupt:
         config = load_config(config_path)
-        doors = Doors(event=_say, telemetry=lambda telemetry: _say(one_line(telemetry)))
-        report = Scan(config, open_camera(config), doors=doors).run(lambda: interrupt.requested)
-    for line in ending(report):
-        _say(line)
+        sensors = open_sensors(config)
+        Session(config, open_cameras(config), Console(), sensors=sensors).run(lambda: interrupt.requested)
 
 
 def one_line(telemetry: Mapping[str, Any]) -> str:
     """The state of a scan for people."""
     frames = ", ".join(f"{count} {label}" for label, count in telemetry["frames"].items())
     drops = ", ".join(f"{count} {kind}" for kind, count in telemetry["drops"].items())
-    return f"{telemetry['phase']}: {frames}; {telemetry['profiles']} profiles" + (f"; lost: {drops}" if drops else "")
+    return f"{telemetry['state']}: {frames}; {telemetry['profiles']} profiles" + (f"; lost: {drops}" if drops else "")
 
 
 def ending(report: ScanReport) -> list[str]:

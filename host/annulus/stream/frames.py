@@ -19,7 +19,7 @@ HEADER_MAX = 4096  # bytes of one packed header
 class FrameHeader:
     """One camera frame and its label. `edge` is the edge whose flash lit it; what is not known is None."""
 
-    index: int  # counts the frames the daemon took, from all its cameras, from 0; no two frames share one
+    index: int  # counts flashes the daemon has frames of, from 0: one camera's frames all differ, several's may share
     sequence: CameraSequence | None  # None where the driver does not count
     timestamp_ns: int  # the driver's, host monotonic clock
     label: Label

@@ -130,7 +130,7 @@ class _Worker:
     answered: float = 0.0  # when it last gave a frame back
     ready: bool = False
     broken: str = ""  # what the user can mend
-    in_hand: dict[int, _InHand] = field(default_factory=dict)
+    in_hand: dict[int, _InHand] = field(default_factory=dict)  # by the stamp of its place: no two frames share one
 
 
 class WorkerPool:
@@ -195,7 +195,7 @@ class WorkerPool:
             self.counts["refused"] += 1
             return False
         self._ring.hold(place)
-        worker.in_hand[header.index] = _InHand(header, place, self._clock())
+        worker.in_hand[place.stamp] = _InHand(header, place, self._clock())
         self.counts["offered"] += 1
         return True
 
@@ -404,11 +404,11 @@ def _one_frame(job: Job, ring: RingView, body: Any, answer: Callable[[str, Any],
             result = job.frame(header, image, extra)
             del image
     except Overwritten as error:
-        answer("failed", [raw["index"], str(error)])
+        answer("failed", [stamp, str(error)])
     except Exception as error:  # a frame the method cannot take must not cost the worker
-        answer("failed", [raw["index"], f"{type(error).__name__}: {error}"])
+        answer("failed", [stamp, f"{type(error).__name__}: {error}"])
     else:
-        answer("done", [header.index, result])
+        answer("done", [stamp, result])
 
 
 def end_with_parent(parent: int) -> None:

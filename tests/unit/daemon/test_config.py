@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import zmq
 
-from annulus.daemon.config import load_config
+from annulus.daemon.config import CameraConfig, SensorConfig, SocketConfig, load_config
 from annulus.vocabulary import AnnulusError
 
 CALIBRATION = {
@@ -15,6 +15,21 @@ CALIBRATION = {
     "pattern": {"colours": "RG"},
     "rings": [{"theta_full_deg": 40.0, "axis": [0, 0, 1], "vertex_mm": [0, 0, -50]}],
     "pipe": {"radius_mm": 76.2},
+}
+
+TWO_CAMERAS = {
+    **{key: CALIBRATION[key] for key in ("rings", "pipe")},
+    "format": "annulus-calibration/2",
+    "pattern": {"kind": "slits", "colours": "RG"},
+    "cameras": [
+        {
+            **CALIBRATION["camera"],
+            "id": number,
+            "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+            "translation_mm": [0, 0, 0],
+        }
+        for number in (0, 1)
+    ],
 }
 
 
@@ -35,7 +50,11 @@ def test_the_example_in_the_readme_is_valid(tmp_path: Path) -> None:
     config = load_config(write(tmp_path, example))
     assert config.port == "/dev/ttyACM0" and config.lamps.ratio == 4 and config.timing.fps == 25
     assert config.record_folder == tmp_path / "scans"
-    assert config.keys is not None and secret not in json.dumps(config.to_dict())
+    assert config.publish is not None and config.publish.keys is not None
+    assert secret not in json.dumps(config.to_dict())
+    assert config.control == SocketConfig("tcp://127.0.0.1:5602") and config.autostart
+    assert config.sensors == (SensorConfig("remote", "ipc:///run/head/sensors"),)
+    assert config.cameras == (CameraConfig(),)
 
 
 def test_an_empty_file_is_a_camera_without_a_controller(tmp_path: Path) -> None:
@@ -66,10 +85,22 @@ def test_an_empty_file_is_a_camera_without_a_controller(tmp_path: Path) -> None:
         ('[publish]\nkey_file = "none.key"', "none.key"),
         ('[publish]\nkey_file = "c.json"', "Z85"),
         ("[workers]\ncount = 0", "1..64"),
+        ("[[camera]]\nfps = 25\n[[camera]]\nfps = 10", "one frame-sync"),
+        ("[[camera]]\n" * 9, "at most 8"),
+        ("[[camera]]\n[[camera]]\ncolour = 1", "colour"),
+        ("camera = [3]", "section"),
+        ("[[controller]]\n", "section"),
+        ('[controller]\nport = "x"\n[[camera]]\n[[camera]]\nreadout_us = 36000', "leaves the window"),
+        ('[[sensor]]\nkind = "thermometer"', "thermometer"),
+        ("[[sensor]]", "device is missing"),
+        ("[control]\nautostart = false", "nobody could start"),
+        ("[control]\nautostart = 1", "true or false"),
+        ('[calibration]\nfile = "two.json"\n[camera]\nwidth = 640\nheight = 480', "a camera 1"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_named(tmp_path: Path, text: str, says: str) -> None:
     (tmp_path / "c.json").write_text(json.dumps(CALIBRATION))
+    (tmp_path / "two.json").write_text(json.dumps(TWO_CAMERAS))
     with pytest.raises(AnnulusError, match=says) as caught:
         load_config(write(tmp_path, text))
     assert "\n" not in str(caught.value)
@@ -78,3 +109,23 @@ def test_what_is_wrong_is_named(tmp_path: Path, text: str, says: str) -> None:
 def test_a_file_that_is_not_there_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(AnnulusError, match="cannot be read"):
         load_config(tmp_path / "head.toml")
+
+
+def test_two_cameras_of_two_sizes_share_the_window_in_which_all_their_rows_expose(tmp_path: Path) -> None:
+    text = """
+[[camera]]
+device = "/dev/video0"
+[[camera]]
+kind = "remote"
+device = "@other"
+width = 640
+height = 480
+exposure_us = 36000
+readout_us = 20000
+"""
+    config = load_config(write(tmp_path, text))
+    assert [(camera.kind, camera.device, camera.width) for camera in config.cameras] == [
+        ("v4l2", "/dev/video0", 1664),
+        ("remote", "@other", 640),
+    ]
+    assert (config.timing.fps, config.timing.exposure_us, config.timing.readout_us) == (25.0, 36_000.0, 28_000.0)

@@ -5,34 +5,43 @@ from dataclasses import replace
 import pytest
 
 from annulus.capture.photometry import Light
-from annulus.capture.timing import FrameTiming
-from annulus.daemon.config import CameraConfig, HeadConfig, LampConfig
-from annulus.daemon.labelling import GIVE_UP_S, NO_CONTROLLER, NOT_KNOWN, OFFSET_FRAMES, FrameSeen, Labelling
+from annulus.daemon.labelling import (
+    GIVE_UP_S,
+    NO_CONTROLLER,
+    NOT_KNOWN,
+    OFFSET_FRAMES,
+    CameraMode,
+    FrameSeen,
+    Labelling,
+)
+from annulus.daemon.navigation import Navigation
 from annulus.link.head import EdgeSeen
+from annulus.sensors.roll import NEAR_NS
+from annulus.sensors.sample import Sample
+from annulus.stream.frames import FrameHeader
 from annulus.vocabulary import CameraSequence, EdgeFlag, EdgeIndex, Flash, Label, Lamp, Slot, Tick
 
 PERIOD = 40_000_000
-CONFIG = HeadConfig(
-    CameraConfig(), FrameTiming(25.0, 38_000.0, 28_000.0), LampConfig(), "port", 0.05, None, None, None, None, None
-)
+MODE = CameraMode(0, 64, 48, "mono8", PERIOD)
 
 
 class Clockwork:
     """Edge k falls at k periods; frame k ends there and was lit by the flash after edge k-1."""
 
-    def __init__(self, offset_ns: int, config: HeadConfig = CONFIG) -> None:
+    def __init__(self, offset_ns: int) -> None:
         self.offset_ns, self.told = offset_ns, []
-        self.labelling = Labelling(config, 64, 48, "mono8", lambda kind, text: self.told.append((kind, text)))
+        self.navigation = Navigation(0.05)
+        self.labelling = Labelling(MODE, self.navigation, lambda kind, text: self.told.append((kind, text)), False)
 
     def lamp(self, edge: int) -> Lamp:
         return Lamp.LED if edge % 5 == 4 else Lamp.PROJECTOR
 
-    def frame(self, k: int) -> FrameSeen:
+    def frame(self, k: int, delay: int = 1, width: int = 1) -> FrameSeen:
         """Let edge k and its frame happen."""
-        flash = Flash(EdgeIndex(k), Tick(0), Slot(k % 5), self.lamp(k), 1, 1, 20 * k, 1, 7, EdgeFlag(0))
-        self.labelling.hear(EdgeSeen(flash, k * PERIOD, 1000, 1))
+        flash = Flash(EdgeIndex(k), Tick(0), Slot(k % 5), self.lamp(k), delay, width, 20 * k, 1, 7, EdgeFlag(0))
+        self.navigation.heard(EdgeSeen(flash, k * PERIOD, 1000, 1))
         light = Light.LED if self.lamp(k - 1) is Lamp.LED else Light.PROJECTOR
-        seen = FrameSeen(k, CameraSequence(k), k * PERIOD + self.offset_ns, light, {})
+        seen = FrameSeen(CameraSequence(k), k * PERIOD + self.offset_ns, light, {})
         self.labelling.saw(seen)
         self.labelling.look_for_offset(k * PERIOD / 1e9)
         return seen
@@ -45,11 +54,11 @@ def test_the_offset_is_found_whichever_end_of_the_exposure_the_driver_stamps(off
     assert clock.labelling.numbers()["offset_ns"] == pytest.approx(offset_ms * 1e6, abs=1e5)
     headers = [clock.labelling.header(frame) for frame in frames]
     right = {Lamp.LED: Label.LED, Lamp.PROJECTOR: Label.PROJECTOR}
-    assert all(header.label in (Label.UNKNOWN, right[clock.lamp(header.index - 1)]) for header in headers)
+    assert all(header.label in (Label.UNKNOWN, right[clock.lamp((header.sequence or 0) - 1)]) for header in headers)
     known = [header for header in headers if header.label is not Label.UNKNOWN]
     assert len(known) >= 55
-    assert all(h.edge == h.index - 1 and h.slot == (h.index - 1) % 5 for h in known)
-    assert [h.z_mm for h in known] == pytest.approx([h.index - 1.0 for h in known])
+    assert all(h.edge == h.sequence - 1 and h.slot == (h.sequence - 1) % 5 for h in known)
+    assert [h.z_mm for h in known] == pytest.approx([h.sequence - 1.0 for h in known])
 
 
 def test_before_the_offset_is_known_frames_are_not_settled_and_unknown() -> None:
@@ -83,17 +92,75 @@ def test_a_camera_that_changes_its_mind_is_unknown_until_its_new_offset_is_found
         waiting.append(clock.frame(k))
         while waiting and clock.labelling.settled(waiting[0], k * PERIOD):
             header = clock.labelling.header(waiting.pop(0))
-            assert header.label in (Label.UNKNOWN, right[clock.lamp(header.index - 1)]), header
+            assert header.label in (Label.UNKNOWN, right[clock.lamp((header.sequence or 0) - 1)]), header
             last.append(header.label)
     assert any("doubtful" in text for _, text in clock.told)
     assert Label.UNKNOWN not in last[-100:]
 
 
 def test_without_a_controller_labels_are_those_the_frames_bring() -> None:
-    labelling = Labelling(replace(CONFIG, port=None), 64, 48, "mono8", lambda *_: None)
-    led = FrameSeen(0, None, 5, Light.DARK, {"Light": "led", "ZMm": 3})
+    labelling = Labelling(MODE, Navigation(0.05), lambda *_: None, True)
+    led = FrameSeen(None, 5, Light.DARK, {"Light": "led", "ZMm": 3})
     assert labelling.settled(led, 0)
     assert (labelling.header(led).label, labelling.header(led).z_mm) == (Label.LED, 3.0)
     for metadata in ({}, {"Light": "led"}, {"Light": "both", "ZMm": 1.0}, {"Light": "led", "ZMm": "far"}):
         header = labelling.header(replace(led, metadata=metadata))
         assert (header.label, header.reason) == (Label.UNKNOWN, NO_CONTROLLER)
+
+
+def roll_truth(at_ns: int) -> float:
+    """A head that turns over once in 4 s: through 359 -> 1 every time."""
+    return 90.0 * at_ns / 1e9
+
+
+def test_a_frame_has_the_roll_of_the_middle_of_its_flash_while_the_sensor_speaks() -> None:
+    """The sensor is silent from 4 s to 6 s of 10, samples come 12 ms late and 100 times a second, 0..360 degrees."""
+    clock, late_ns, delay, width = Clockwork(-28_000_000), 12_000_000, 300_000, 500_000  # ticks of 10 ns
+    samples = [t for t in range(0, 10_200_000_000, 10_000_000) if not 4_000_000_000 <= t < 6_000_000_000]
+    waiting, rolls = [], {}
+    for k in range(1, 250):
+        now = k * PERIOD
+        while samples and samples[0] + late_ns <= now:
+            at = samples.pop(0)
+            sample = Sample("imu", at, {"roll_deg": roll_truth(at) % 360.0}, {"roll_deg": "deg"})
+            clock.navigation.sampled(sample)
+        waiting.append(clock.frame(k, delay, width))
+        while waiting and clock.labelling.settled(waiting[0], now):
+            header = clock.labelling.header(waiting.pop(0))
+            if header.label is not Label.UNKNOWN:
+                rolls[(header.sequence or 0) - 1] = header.roll_deg  # by the edge whose flash lit it
+    assert len(rolls) > 230
+    for edge, roll in rolls.items():
+        lit_ns = edge * PERIOD + (delay + width // 2) * 10
+        if 4_000_000_000 + NEAR_NS < lit_ns < 6_000_000_000 - NEAR_NS:
+            assert roll is None, "nothing is made up"
+        elif not 3_980_000_000 < lit_ns < 6_000_000_000:
+            assert roll is not None
+            assert abs((roll - roll_truth(lit_ns) + 180.0) % 360.0 - 180.0) < 0.01
+
+
+def test_two_cameras_label_from_the_same_edges_each_with_its_own_offset_and_size() -> None:
+    """The second stamps the other end of the exposure and misses every seventh frame."""
+    clock = Clockwork(-28_000_000)
+    mode = CameraMode(1, 32, 20, "bgr8", PERIOD)
+    other = Labelling(mode, clock.navigation, lambda *_: None, False)
+    headers: list[FrameHeader] = []
+    for k in range(1, 120):
+        first = clock.frame(k)
+        second = replace(first, timestamp_ns=k * PERIOD + 3_000_000, sequence=CameraSequence(1000 + k))
+        if k % 7:
+            other.saw(second)
+        other.look_for_offset(k * PERIOD / 1e9)
+        if k > 40:
+            headers.append(clock.labelling.header(first))
+            if k % 7:
+                headers.append(other.header(second))
+    assert {(h.camera, h.width, h.height, h.encoding) for h in headers} == {(0, 64, 48, "mono8"), (1, 32, 20, "bgr8")}
+    right = {Lamp.LED: Label.LED, Lamp.PROJECTOR: Label.PROJECTOR}
+    assert all(h.label is right[clock.lamp(h.edge)] for h in headers if h.edge is not None)
+    assert sum(h.label is Label.UNKNOWN for h in headers) == 0
+    by_edge: dict[int | None, set[int]] = {}
+    for h in headers:
+        by_edge.setdefault(h.edge, set()).add(h.index)
+    assert all(len(indices) == 1 for indices in by_edge.values()), "frames of one flash share an index"
+    assert len({(h.camera, h.index) for h in headers}) == len(headers)

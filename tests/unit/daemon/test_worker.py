@@ -2,7 +2,7 @@
 
 import math
 
-from annulus.daemon.reconstructing import Reconstructing
+from annulus.daemon.worker import ReconstructionJob
 from annulus.geometry.calibration import Calibration
 from annulus.geometry.camera import Camera
 from annulus.geometry.cone import Cone
@@ -16,7 +16,7 @@ def test_warming_up_goes_through_the_whole_method() -> None:
     """A warmup_frame that nobody can decode would leave half of it to be compiled while a scan runs."""
     rings = tuple(Cone(math.radians(full / 2), (0.0, 0.0, 1.0), (0.0, 0.0, -56.0)) for full in (38, 42, 47, 53, 58))
     calibration = Calibration(Camera("pinhole", 1664, 1232, 470.0, 470.0, 831.5, 615.5), "RRGBGR", rings, 76.2)
-    job = Reconstructing(calibration)
+    job = ReconstructionJob(calibration)
     header = FrameHeader(4, None, 0, Label.PROJECTOR, "", None, None, None, 2.0, "bgr8", 1664, 1232)
     profile = Profile.from_dict(job.frame(header, warmup_frame(calibration), [0.0, 0.0, 0.0, 0.0]))
     assert profile.frame == 4 and profile.pose is not None

@@ -1,4 +1,4 @@
-"""The worker process that turns projector frames into profiles. Run as `python -m annulus.daemon.reconstructing`."""
+"""The worker process that turns projector frames into profiles. Run as `python -m annulus.daemon.worker`."""
 
 import os
 import sys
@@ -15,7 +15,7 @@ from annulus.stream.frames import FrameHeader
 from annulus.stream.workers import serve
 
 
-class Reconstructing:
+class ReconstructionJob:
     """A head's method as a job. A frame's `extra` is the last known pose, four numbers, or None."""
 
     def __init__(self, calibration: Calibration) -> None:
@@ -24,7 +24,8 @@ class Reconstructing:
 
     def frame(self, header: FrameHeader, image: Image, extra: Any) -> Any:
         seed = None if extra is None else Pose(*extra)
-        return self._method(header, to_bgr(image, header.encoding), seed).to_dict()
+        profile = self._method(header, to_bgr(image, header.encoding), seed)
+        return {**profile.to_dict(), "camera": header.camera}
 
     def note(self, kind: str, body: Any) -> None:
         pass
@@ -36,10 +37,10 @@ class Reconstructing:
         return None
 
 
-def _prepare(setup: Any) -> Reconstructing:
+def _prepare(setup: Any) -> ReconstructionJob:
     os.nice(5)  # labels and recording come first
     cv2.setNumThreads(1)  # one process a core: threads would only fight over them
-    return Reconstructing(Calibration.from_dict(setup["calibration"]))
+    return ReconstructionJob(Calibration.from_dict(setup["calibration"]))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The recorder process. Run as `python -m annulus.daemon.recording`.
+"""The recorder process. Run as `python -m annulus.daemon.recorder`.
 
 A process of its own, so that a slow disk stalls nothing but the recording, and nothing but itself can break it.
 """
@@ -15,7 +15,7 @@ from annulus.stream.workers import serve
 from annulus.vocabulary import AnnulusError
 
 
-class Recording:
+class RecorderJob:
     """A RecordingWriter as a job. Answers each frame with whether it is on disk; reports whenever losses grow."""
 
     def __init__(self, folder: Path, name: str, calibration: Any, configuration: Any) -> None:
@@ -66,8 +66,8 @@ def _begin(folder: Path, name: str, calibration: Any, configuration: Any) -> tup
     raise AnnulusError(f"{folder}: holds {name}.mcap to {name}-999.mcap already. Choose another folder.")
 
 
-def _prepare(setup: Any) -> Recording:
-    return Recording(Path(setup["folder"]), setup["name"], setup["calibration"], setup["configuration"])
+def _prepare(setup: Any) -> RecorderJob:
+    return RecorderJob(Path(setup["folder"]), setup["name"], setup["calibration"], setup["configuration"])
 
 
 if __name__ == "__main__":

@@ -1,0 +1,152 @@
+"""The one place that counts what a scan took and what it lost. The law: a frame that was taken is accounted for.
+
+    taken         = frames with a label + `no_slot`                                     + waiting for their label
+    to record     = recorded + `recorder_busy` + `disk` + `recorder_failed`, `_died`    + in the recorder's hands
+    to profile    = profiles + `worker_busy`, `_failed`, `_died`, `_late`               + in the workers' hands
+
+`in_hand` is the last column; it is zero once a scan is over.
+"""
+
+import time
+from collections import Counter, deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from annulus.stream.frames import FrameHeader
+from annulus.vocabulary import Label
+
+EVENTS_KEPT = 200
+LATENCIES_KEPT = 1000
+LOSSES: Mapping[str, str] = {
+    "camera": "holes in the driver's frame counter",
+    "capture_queue": "the daemon did not take frames from the camera fast enough",
+    "no_slot": "shared memory full: recorder and workers hold every slot",
+    "recorder_busy": "labelled, but the recorder had no room",
+    "disk": "labelled, but the disk did not take it",
+    "recorder_failed": "the recorder refused it",
+    "recorder_died": "in the hands of a recorder that died (another takes over, in a file of its own)",
+    "recorder_notes": "small records (profiles, telemetry, events, samples) the recorder had no room for",
+    "worker_busy": "recorded, but not reconstructed live: all workers had their hands full",
+    "worker_failed": "recorded, but the worker refused it",
+    "worker_died": "recorded, but the worker died with it",
+    "worker_late": "recorded, but the worker was not done when the scan ended",
+    "workers_replaced": "workers that died or hung, and were started again",
+    "recorders_replaced": "recorders that died or hung, and were started again",
+    "edge_events": "events of the controller that could not be read again; their frames are unknown",
+    "line_broken": "times the serial line went away",
+    "camera_silent": "waits for a frame that took over 2 s",
+    "sensor_silent": "times a sensor fell silent for over 2 s, or broke",
+    "sensor_malformed": "what came from a sensor's address and was no sample",
+    "control_malformed": "what came to the control socket and was no request",
+}
+_RECORDING = ("recorder_busy", "disk", "recorder_failed", "recorder_died")
+_RECONSTRUCTION = ("worker_busy", "worker_failed", "worker_died", "worker_late")
+
+
+@dataclass(frozen=True, slots=True)
+class ScanReport:
+    """What a scan was, in numbers."""
+
+    seconds: float
+    frames: Mapping[str, int]  # by label
+    unknown: Mapping[str, int]  # by reason
+    drops: Mapping[str, int]  # by kind, see LOSSES
+    profiles: int
+    recordings: tuple[Path, ...]
+    latency_ms: float  # median, frame in hand to profile joined; 0 without profiles
+    telemetry: Mapping[str, Any]  # the last one
+    events: tuple[str, ...]  # the last ones, for people
+
+
+class Account:
+    """Of one scan, `restart`ed for the next. Everybody in a session writes into the same one."""
+
+    def __init__(self) -> None:
+        self.events: deque[str] = deque(maxlen=EVENTS_KEPT)  # the last ones, of earlier scans too
+        self.restart()
+
+    def restart(self) -> None:
+        """Everything at zero."""
+        self.taken = 0  # frames from the cameras
+        self.frames: Counter[str] = Counter()  # by label
+        self.unknown: Counter[str] = Counter()  # by reason
+        self.to_record = 0
+        self.recorded = 0
+        self.to_profile = 0
+        self.profiles = 0
+        self.samples: Counter[str] = Counter()  # by sensor
+        self.recordings: dict[int, Path] = {}  # by recorder number
+        self._lost: Counter[str] = Counter()
+        self._latency_ms: deque[float] = deque(maxlen=LATENCIES_KEPT)
+        self._began_ns = self._ended_ns = 0
+
+    def begin(self) -> None:
+        """The camera was started."""
+        self._began_ns = time.monotonic_ns()
+
+    def end(self) -> None:
+        """It was stopped."""
+        self._ended_ns = time.monotonic_ns()
+
+    @property
+    def seconds(self) -> float:
+        """Since the camera was started; 0 before."""
+        return ((self._ended_ns or time.monotonic_ns()) - self._began_ns) / 1e9 if self._began_ns else 0.0
+
+    @property
+    def labelled(self) -> int:
+        """Frames with a label that is not unknown."""
+        return self.frames[Label.PROJECTOR.value] + self.frames[Label.LED.value]
+
+    def label(self, header: FrameHeader) -> None:
+        self.frames[header.label.value] += 1
+        if header.label is Label.UNKNOWN:
+            self.unknown[header.reason] += 1
+
+    def profile(self, latency_ms: float) -> None:
+        """A profile is out, so long after its frame was in hand."""
+        self.profiles += 1
+        self._latency_ms.append(latency_ms)
+
+    def lose(self, kind: str, count: int = 1) -> None:
+        """`kind` is one of LOSSES."""
+        if kind not in LOSSES:
+            raise ValueError(f"a loss of kind {kind!r}, expected one of {', '.join(LOSSES)}")
+        self._lost[kind] += count
+
+    @property
+    def drops(self) -> dict[str, int]:
+        """What was lost, by kind."""
+        return {kind: count for kind, count in sorted(self._lost.items()) if count}
+
+    @property
+    def in_hand(self) -> dict[str, int]:
+        """Frames on their way, by where they are."""
+        return {
+            "label": self.taken - self._lost["no_slot"] - self.frames.total(),
+            "recorder": self.to_record - self.recorded - sum(self._lost[kind] for kind in _RECORDING),
+            "workers": self.to_profile - self.profiles - sum(self._lost[kind] for kind in _RECONSTRUCTION),
+        }
+
+    def numbers(self) -> dict[str, Any]:
+        """For the telemetry."""
+        return {
+            "frames": {label.value: self.frames[label.value] for label in Label},
+            "unknown": dict(self.unknown),
+            "drops": self.drops,
+            "recorded": self.recorded,
+            "profiles": self.profiles,
+            "in_hand": self.in_hand,
+            "samples": dict(self.samples),
+        }
+
+    def report(self, telemetry: Mapping[str, Any]) -> ScanReport:
+        """Where the scan stands, or ended."""
+        return ScanReport(
+            self.seconds, dict(self.frames), dict(self.unknown), self.drops, self.profiles,
+            tuple(path for _, path in sorted(self.recordings.items())),
+            median(self._latency_ms) if self._latency_ms else 0.0, telemetry, tuple(self.events),
+        )  # fmt: skip

@@ -1,0 +1,151 @@
+"""The controller and its line, in service: identified, opened again when it breaks, and what it says told to people."""
+
+import time
+
+from annulus.daemon.account import Account
+from annulus.daemon.config import HeadConfig
+from annulus.daemon.observer import Observer
+from annulus.link.client import Port
+from annulus.link.head import HeadControl, HeadEvent, Phase, PhaseChanged, stage_from_us
+from annulus.link.messages import Fault, Stage, SyncFound, SyncLost
+from annulus.link.session import EventReceived, EventsLost, Rebooted
+from annulus.vocabulary import AnnulusError
+
+TURN_S = 0.002  # at most between two looks at the line: what comes in is stamped when it is read
+IDENTIFY_S = 1.0
+REOPEN_S = 1.0
+DISARM_S = 0.5
+DARK = (Phase.IDLE, Phase.REFUSED, Phase.MISMATCH)
+TROUBLED = (Phase.SEARCHING, Phase.CLEARING, Phase.REFUSED, Phase.MISMATCH)
+
+
+class ControllerLine:
+    """One controller behind one port. Nothing here waits longer than TURN_S but `identify` and `disarm`."""
+
+    def __init__(self, url: str, stage: Stage, account: Account, observer: Observer) -> None:
+        """Raises AnnulusError when the port cannot be opened."""
+        self.url, self._account, self._observer = url, account, observer
+        self.head = HeadControl(stage, armed=False)
+        self._port: Port | None = Port(url)
+        self._reopen_s = 0.0
+        self._armed = False
+
+    def identify(self) -> list[HeadEvent]:
+        """What was heard meanwhile. Raises AnnulusError when nobody, or somebody else, answers."""
+        assert self._port is not None
+        heard: list[HeadEvent] = []
+        end = time.monotonic() + IDENTIFY_S
+        while self.head.identity is None and time.monotonic() < end:
+            heard += self._said(self._port.pump(self.head, TURN_S))
+        if self.head.identity is None:
+            damaged = sum(self.head.session.counters.corrupt.values())
+            answer = f"{damaged} damaged frames and no answer" if damaged else "no answer"
+            raise AnnulusError(f"{self.url}: {answer} to identify within {IDENTIFY_S:g} s. Is this the controller?")
+        if self.head.phase is Phase.MISMATCH:
+            raise AnnulusError(f"{self.url}: {self.head.problem}")
+        return heard
+
+    def pump(self) -> list[HeadEvent]:
+        """One turn. A line that breaks is opened again, every second; frames meanwhile are unknown."""
+        if self._port is None:
+            time.sleep(TURN_S)
+            if time.monotonic() < self._reopen_s:
+                return []
+            self._reopen_s = time.monotonic() + REOPEN_S
+            try:
+                self._port = Port(self.url)
+            except AnnulusError:
+                return []
+            self._observer.event("link", f"{self.url}: the line is back")
+        try:
+            return self._said(self._port.pump(self.head, TURN_S))
+        except AnnulusError as error:
+            self.close()
+            self._reopen_s = time.monotonic() + REOPEN_S
+            self._account.lose("line_broken")
+            self._observer.event("link", str(error))
+            return []
+
+    def arm(self) -> None:
+        """Lamps on, and kept on across restarts and faults. `pump` sees to it."""
+        self._armed = True
+        self.head.arm()
+
+    def disarm(self) -> list[HeadEvent]:
+        """Lamps off, and kept off; what was heard until the controller said so. Tells when it does not."""
+        self._armed = False
+        if self.head.identity is None:
+            return []
+        self.head.disarm()
+        heard: list[HeadEvent] = []
+        end = time.monotonic() + DISARM_S
+        while self._port is not None and self.head.phase not in DARK and time.monotonic() < end:
+            heard += self.pump()
+        if self.head.phase is not Phase.IDLE:
+            why = self.head.phase.value if self._port is not None else "the line is broken"
+            self._observer.event("lamps", f"the controller did not confirm that the lamps are off ({why})")
+        return heard
+
+    @property
+    def trouble(self) -> str:
+        """Why it is not as it should be, one line; empty when it is, or is on its way there."""
+        if self._port is None:
+            return f"{self.url}: the line is broken"
+        if self.head.phase in TROUBLED:
+            return f"{self.url}: {self.head.problem or self.head.phase.value}"
+        return ""
+
+    @property
+    def settled(self) -> bool:
+        """Whether it is as wanted: lamps armed, or dark."""
+        return self._port is not None and self.head.phase is (Phase.RUNNING if self._armed else Phase.IDLE)
+
+    def close(self) -> None:
+        if self._port is not None:
+            self._port.close()
+            self._port = None
+
+    def _said(self, heard: list[HeadEvent]) -> list[HeadEvent]:
+        """Tell people what concerns them."""
+        tell = self._observer.event
+        for one in heard:
+            match one:
+                case Rebooted(boot, previous) if previous is not None:
+                    armed = "; lamps are armed again" if self._armed else ""
+                    tell("reset", f"the controller restarted (boot {previous} -> {boot}){armed}")
+                case EventsLost(first, count):
+                    self._account.lose("edge_events", count)
+                    tell("events_lost", f"{count} events of the controller are lost, from number {first}")
+                case PhaseChanged(phase, why) if why or phase in (Phase.RUNNING, Phase.IDLE):
+                    tell("head", f"{phase.value}{': ' if why else ''}{why}")
+                case EventReceived(event) if isinstance(event, Fault):
+                    tell("fault", f"fault {event.fault.name.lower()}, detail {event.detail}")
+                case EventReceived(event) if isinstance(event, SyncLost):
+                    tell("sync", f"no frame-sync edge since edge {event.last_edge}")
+                case EventReceived(event) if isinstance(event, SyncFound):
+                    tell("sync", f"frame-sync is regular from edge {event.edge} on")
+        return heard
+
+
+def stage_of(config: HeadConfig) -> Stage:
+    """The lamp configuration that head.toml asks for."""
+    timing, lamps = config.timing, config.lamps
+    return stage_from_us(
+        ratio=lamps.ratio, period_us=timing.period_us, exposure_us=timing.exposure_us, readout_us=timing.readout_us,
+        projector_us=(lamps.projector_delay_us, lamps.projector_width_us),
+        led_us=(lamps.led_delay_us, lamps.led_width_us), tolerance_permille=100,
+    )  # fmt: skip
+
+
+def line_numbers(line: ControllerLine | None) -> dict[str, object]:
+    """For the telemetry; also of a head without a controller."""
+    head = line.head if line is not None else None
+    return {
+        "phase": head.phase.value if head is not None else "none",
+        "problem": head.problem if head is not None else "",
+        "link": head.session.counters.as_dict() if head is not None else {},
+        "boot_epochs": head.boot_epoch if head is not None else 0,
+        "rearms": head.rearms if head is not None else 0,
+        "edges_unplaced": head.edges_unplaced if head is not None else 0,
+        "clock_samples_rejected": head.clock.rejected if head is not None else 0,
+    }

@@ -1,0 +1,48 @@
+"""What a head knows of time and place, shared by all its cameras: edges in host time, odometer, roll, frame numbers."""
+
+from annulus.capture.pairing import EdgeHistory
+from annulus.link.head import EdgeSeen, HeadEvent, LampsCut
+from annulus.sensors.odometer import Odometer
+from annulus.sensors.roll import Roll
+from annulus.sensors.sample import Sample
+
+ROLL = "roll_deg"  # a sensor that gives this value is the head's attitude sensor
+INDICES_KEPT = 256  # flashes; cameras are no further apart than that
+
+
+class Navigation:
+    """Sans-I/O: fed with the controller's events and the sensors' samples, asked by the cameras' labels."""
+
+    def __init__(self, mm_per_count: float) -> None:
+        self.edges = EdgeHistory()
+        self.odometer = Odometer(mm_per_count)
+        self.roll = Roll()
+        self._next_index = 0  # never begins again: what is late is not taken for another scan's
+        self._indices: dict[object, tuple[int, set[int]]] = {}  # key -> index, cameras that have it
+
+    def heard(self, event: HeadEvent) -> None:
+        """What concerns us among what the controller says."""
+        match event:
+            case EdgeSeen():
+                self.edges.edge(event.flash, event.host_ns, event.boot_epoch)
+                self.odometer.edge(event.flash, event.host_ns)
+            case LampsCut():
+                self.edges.invalidate(event.from_ns, event.to_ns)
+
+    def index(self, camera: int, key: object) -> int:
+        """Of a camera's frame: that of other cameras' frames with the same key, else the next one."""
+        index, cameras = self._indices.get(key, (-1, set()))
+        if index < 0 or camera in cameras:
+            index, cameras = self._next_index, set()
+            self._next_index += 1
+        cameras.add(camera)
+        if key is not None:
+            self._indices[key] = index, cameras
+            if len(self._indices) > INDICES_KEPT:
+                del self._indices[next(iter(self._indices))]
+        return index
+
+    def sampled(self, sample: Sample) -> None:
+        roll_deg = sample.values.get(ROLL)
+        if roll_deg is not None and roll_deg == roll_deg and sample.units[ROLL] == "deg":
+            self.roll.add(sample.host_ns, roll_deg)

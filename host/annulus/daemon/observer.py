@@ -1,0 +1,94 @@
+"""What a session tells the program around it, as it happens: recorder, publisher, console, demo and tests all listen
+through this one protocol.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from annulus.daemon.account import ScanReport
+from annulus.daemon.state import State
+from annulus.numeric.arrays import Image
+from annulus.sensors.sample import Sample
+from annulus.stream.frames import FrameHeader
+from annulus.wall.profile import Profile
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """What the operator wants to find again."""
+
+    host_ns: int
+    z_mm: float | None  # of the head; None before an edge was heard
+    text: str
+    clock_deg: float | None  # around the pipe, 0 = 12 o'clock, clockwise looking forward; None: all around
+
+    def to_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+class Observer:
+    """Override what is of interest. All is called from the session's thread: be quick, and do not raise."""
+
+    def state(self, state: State, why: str) -> None:
+        """The head is now in this state."""
+
+    def event(self, kind: str, text: str) -> None:
+        """Something an operator should know."""
+
+    def frame(self, header: FrameHeader, image: Image) -> None:
+        """A frame got its label. `image` is shared memory, valid during the call."""
+
+    def profile(self, profile: Profile) -> None:
+        """A frame was reconstructed; in the order of frames."""
+
+    def sample(self, sample: Sample) -> None:
+        """A sensor was read."""
+
+    def mark(self, mark: Mark) -> None:
+        """The operator marked a place."""
+
+    def telemetry(self, numbers: Mapping[str, Any]) -> None:
+        """Once a second: every counter there is, as plain types."""
+
+    def ended(self, report: ScanReport) -> None:
+        """A scan is over and its recording closed."""
+
+
+class Observers(Observer):
+    """Tells several, in their order."""
+
+    def __init__(self, observers: Sequence[Observer]) -> None:
+        self.all = list(observers)
+
+    def state(self, state: State, why: str) -> None:
+        for one in self.all:
+            one.state(state, why)
+
+    def event(self, kind: str, text: str) -> None:
+        for one in self.all:
+            one.event(kind, text)
+
+    def frame(self, header: FrameHeader, image: Image) -> None:
+        for one in self.all:
+            one.frame(header, image)
+
+    def profile(self, profile: Profile) -> None:
+        for one in self.all:
+            one.profile(profile)
+
+    def sample(self, sample: Sample) -> None:
+        for one in self.all:
+            one.sample(sample)
+
+    def mark(self, mark: Mark) -> None:
+        for one in self.all:
+            one.mark(mark)
+
+    def telemetry(self, numbers: Mapping[str, Any]) -> None:
+        for one in self.all:
+            one.telemetry(numbers)
+
+    def ended(self, report: ScanReport) -> None:
+        for one in self.all:
+            one.ended(report)

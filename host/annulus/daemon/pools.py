@@ -1,0 +1,267 @@
+"""The two pools of worker processes: the recorder, and the workers that reconstruct. Both are fed from the ring and
+never waited for.
+"""
+
+import os
+import shutil
+import sys
+import tempfile
+import time
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from annulus.daemon.account import Account
+from annulus.daemon.intake import RESERVE, InSlot
+from annulus.daemon.observer import Mark, Observer
+from annulus.daemon.reorder import ReorderBuffer
+from annulus.daemon.state import State
+from annulus.geometry.calibration import Calibration
+from annulus.sensors.sample import Sample
+from annulus.stream.frames import FrameHeader
+from annulus.stream.ring import Place
+from annulus.stream.workers import Died, Done, Failed, FrameLost, PoolEvent, Report, Shared, WorkerKind, WorkerPool
+from annulus.wall.profile import Profile
+
+WORKER_DEPTH = 2
+
+
+def default_workers() -> int:
+    """One a core, but one for everything else."""
+    return max(1, len(os.sched_getaffinity(0)) - 1)
+
+
+def socket_folder() -> Path:
+    """A folder only we can enter, for the sockets to the workers. Sweeps those of daemons that were killed."""
+    place = tempfile.gettempdir()
+    if len(place) > 60:  # a socket's path has at most 107 characters
+        place = "/tmp"
+    for old in Path(place).glob("annulus-*-*"):
+        pid = old.name.split("-")[1]
+        if pid.isdigit() and not Path(f"/proc/{pid}").exists():
+            shutil.rmtree(old, ignore_errors=True)
+    return Path(tempfile.mkdtemp(prefix=f"annulus-{os.getpid()}-", dir=place))
+
+
+class _Pool:
+    """Workers of one kind whose losses are counted and told."""
+
+    def __init__(self, kind: WorkerKind, shared: Shared, account: Account, observer: Observer) -> None:
+        self._account = account
+        self.broken = ""  # why there are no workers any more, one line
+        self._who, self._ring, self._observer = kind.name, shared.ring, observer
+        self._pool = WorkerPool(kind, shared)
+
+    @property
+    def ready(self) -> bool:
+        """Whether all are up and take frames."""
+        return 0 < self._pool.ready == self._pool.alive
+
+    @property
+    def pids(self) -> list[int]:
+        return self._pool.pids
+
+    @property
+    def in_hand(self) -> int:
+        """Frames at the workers."""
+        return self._pool.in_hand
+
+    def poll(self) -> None:
+        """Hear what happened since the last call. Never waits."""
+        self._happened(self._pool.poll())
+
+    def stop(self, patience_s: float) -> None:
+        """Let them finish, then end them. A second call does nothing."""
+        self._happened(self._pool.stop(patience_s))
+
+    def numbers(self) -> dict[str, int]:
+        """For the telemetry."""
+        pool = self._pool
+        return {"alive": pool.alive, "ready": pool.ready, "in_hand": pool.in_hand, **pool.counts}
+
+    def _happened(self, events: list[PoolEvent]) -> None:
+        for one in events:
+            match one:
+                case Done(header=header, body=body):
+                    self._done(header, body)
+                case Failed(header=header, why=why):
+                    self._lost(header, "failed", why)
+                case FrameLost(header=header, why=why):
+                    self._lost(header, "died", why)
+                case Died(why=why, replaced=replaced):
+                    self._died(why, replaced)
+                case Report(worker, body) if isinstance(body, Mapping):
+                    self._reported(worker, body)
+
+    def _lost(self, header: FrameHeader, how: str, why: str) -> None:
+        kind = f"{self._who}_{how}"
+        self._account.lose(kind)
+        self._observer.event(kind, f"frame {header.index}: {why}")
+
+    def _died(self, why: str, replaced: bool) -> None:
+        self._account.lose(f"{self._who}s_replaced", replaced)
+        after = "another takes over" if replaced else "it is given up"
+        self._observer.event(f"{self._who}_died", f"{self._who} ended: {why}; {after}")
+        if not replaced and not self._pool.alive:
+            self.broken = why if ": " in why else f"the {self._who} process cannot be started: {why}"
+
+    def _done(self, header: FrameHeader, body: Any) -> None:
+        raise NotImplementedError
+
+    def _reported(self, worker: int, body: Mapping[str, Any]) -> None:
+        pass
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingSetup:
+    """What a recording is begun with."""
+
+    folder: Path
+    name: str
+    calibration: Mapping[str, Any] | None
+    configuration: Mapping[str, Any]
+
+
+class Recorder(_Pool, Observer):
+    """The process that writes one recording; what is observed goes into it. One that dies is replaced, file and all."""
+
+    def __init__(self, setup: RecordingSetup, shared: Shared, account: Account, observer: Observer) -> None:
+        command = [sys.executable, "-m", "annulus.daemon.recorder"]
+        plain = {
+            "folder": str(setup.folder.absolute()), "name": setup.name, "calibration": setup.calibration,
+            "configuration": setup.configuration,
+        }  # fmt: skip
+        super().__init__(WorkerKind("recorder", command, plain, 1, len(shared.ring)), shared, account, observer)
+        self._problem = ""
+        self._notes_dropped = 0
+
+    def offer(self, header: FrameHeader, place: Place) -> None:
+        """A labelled frame; lost, and counted, when there is no room."""
+        self._account.to_record += 1
+        if not self._pool.offer(header, place):
+            self._account.lose("recorder_busy")
+
+    def note(self, topic: str, body: Mapping[str, Any], sequence: int = 0) -> None:
+        """A small record."""
+        if not self._pool.alive:
+            return
+        self._pool.tell(topic, [time.monotonic_ns(), dict(body), sequence])
+        dropped = self._pool.counts["notes_dropped"]
+        self._account.lose("recorder_notes", dropped - self._notes_dropped)
+        self._notes_dropped = dropped
+
+    def state(self, state: State, why: str) -> None:
+        self.note("/state", {"state": state.value, "why": why})
+
+    def event(self, kind: str, text: str) -> None:
+        self.note("/event", {"kind": kind, "text": text})
+
+    def profile(self, profile: Profile) -> None:
+        self.note("/profile", profile.to_dict(), profile.frame)
+
+    def sample(self, sample: Sample) -> None:
+        self.note(f"/sensor/{sample.sensor}", sample.to_dict())
+
+    def mark(self, mark: Mark) -> None:
+        self.note("/mark", mark.to_dict())
+
+    def telemetry(self, numbers: Mapping[str, Any]) -> None:
+        self.note("/telemetry", numbers)
+
+    def _done(self, header: FrameHeader, body: Any) -> None:
+        if body:
+            self._account.recorded += 1
+        else:
+            self._account.lose("disk")
+
+    def _reported(self, worker: int, body: Mapping[str, Any]) -> None:
+        self._account.recordings[worker] = Path(str(body["path"]))
+        problem = str(body["problem"])
+        if problem and problem != self._problem:
+            self._observer.event("disk", f"{body['path']}: {problem}; frames are labelled but not recorded")
+        self._problem = problem
+
+
+class Reconstruction(_Pool):
+    """The workers that turn projector frames into profiles, which come out in the order of frames."""
+
+    def __init__(
+        self, calibration: Calibration, count: int, shared: Shared, account: Account, observer: Observer
+    ) -> None:
+        command = [sys.executable, "-m", "annulus.daemon.worker"]
+        kind = WorkerKind("worker", command, {"calibration": calibration.to_dict()}, count, WORKER_DEPTH)
+        super().__init__(kind, shared, account, observer)
+        self.camera = calibration.camera_id  # whose frames it takes
+        self._queue: deque[tuple[FrameHeader, InSlot]] = deque()  # each holds its slot
+        self._joined: ReorderBuffer[Profile] = ReorderBuffer()
+        self._taken_ns: dict[int, int] = {}  # frame index -> when it came, while a worker has it
+        self._seed: list[float] | None = None
+
+    def take(self, header: FrameHeader, frame: InSlot) -> None:
+        """A labelled projector frame. It waits for a worker in its slot, but never in the way of new ones."""
+        self._account.to_profile += 1
+        self._ring.hold(frame.place)
+        self._queue.append((header, frame))
+        self.feed()
+
+    def feed(self) -> None:
+        while self._queue and self._pool.room:
+            header, frame = self._queue.popleft()
+            if self._pool.offer(header, frame.place, self._seed):
+                self._taken_ns[header.index] = frame.at_ns
+                self._joined.expect(header.index)
+            else:
+                self._account.lose("worker_busy")
+            self._ring.release(frame.place)
+        while self._queue and self._ring.free < RESERVE:
+            self._drop()
+
+    def turn(self) -> None:
+        """Hear, feed, and let out what is next."""
+        self.poll()
+        self.feed()
+        self._join()
+
+    @property
+    def busy(self) -> bool:
+        """Whether frames wait for workers that will come to them, or are at one."""
+        return bool((self._queue or self._taken_ns) and self._pool.ready)
+
+    def end_scan(self) -> None:
+        """What is not done by now is not done; the workers stay, for the next scan."""
+        while self._queue:
+            self._drop()
+        self._account.lose("worker_late", self._joined.missing)
+        self._join(final=True)
+        self._seed = None
+
+    def _drop(self) -> None:
+        _, frame = self._queue.popleft()
+        self._ring.release(frame.place)
+        self._account.lose("worker_busy")
+
+    def _done(self, header: FrameHeader, body: Any) -> None:
+        if header.index not in self._taken_ns:
+            return  # of a scan that has ended: counted there as late
+        try:
+            profile = Profile.from_dict(body)
+        except ValueError as error:
+            self._lost(header, "failed", str(error))
+            return
+        if profile.pose is not None:
+            self._seed = [profile.pose.rx, profile.pose.ry, profile.pose.tx, profile.pose.ty]
+        self._joined.came(header.index, profile)
+
+    def _lost(self, header: FrameHeader, how: str, why: str) -> None:
+        if header.index in self._taken_ns:
+            super()._lost(header, how, why)
+            self._joined.came(header.index, None)
+
+    def _join(self, final: bool = False) -> None:
+        for index, profile in self._joined.ready(final):
+            at_ns = self._taken_ns.pop(index)
+            if profile is not None:
+                self._account.profile((time.monotonic_ns() - at_ns) / 1e6)
+                self._observer.profile(profile)

@@ -1,0 +1,84 @@
+"""All sensors of a head, read without waiting: samples to whoever observes, silence noticed and said."""
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from annulus.daemon.account import Account
+from annulus.daemon.navigation import Navigation
+from annulus.daemon.observer import Observer
+from annulus.sensors.sample import Sample, Sensor
+from annulus.vocabulary import AnnulusError
+
+SILENT_NS = 2_000_000_000
+RETRY_NS = 1_000_000_000  # between two looks at a sensor that broke
+
+
+class Samples:
+    """A sensor that breaks or falls silent costs its samples, nothing else."""
+
+    def __init__(self, sensors: Sequence[Sensor], navigation: Navigation, account: Account, observer: Observer) -> None:
+        self._sensors, self._navigation, self._account, self._observer = sensors, navigation, account, observer
+        self._last: dict[str, Sample] = {}  # by sensor
+        self._heard_ns: dict[str, int] = {}  # the same, by our clock
+        self._spoken: set[str] = set()  # sensors that have given a sample
+        self._silent: set[str] = set()
+        self._broken: dict[str, int] = {}  # name -> when it is looked at again
+        self._malformed = 0
+
+    def poll(self, now_ns: int | None = None) -> None:
+        """One look at every sensor."""
+        now = time.monotonic_ns() if now_ns is None else now_ns
+        for sensor in self._sensors:
+            if now < self._broken.get(sensor.name, 0):
+                continue
+            try:
+                samples = sensor.poll()
+            except Exception as error:  # whatever it is, the scan goes on
+                if sensor.name not in self._broken:
+                    self._account.lose("sensor_silent")
+                    why = str(error) if isinstance(error, AnnulusError) else f"{type(error).__name__}: {error}"
+                    self._observer.event("sensor", f"sensor {sensor.name} broke: {why}")
+                self._broken[sensor.name] = now + RETRY_NS
+                continue
+            if self._broken.pop(sensor.name, None) is not None:
+                self._observer.event("sensor", f"sensor {sensor.name} can be read again")
+            if sensor.name not in self._spoken:
+                self._heard_ns.setdefault(sensor.name, now)  # until it has spoken, its silence is that of its address
+            for sample in samples:
+                if sensor.name not in self._spoken:
+                    self._spoken.add(sensor.name)
+                    del self._heard_ns[sensor.name]
+                    self._is_back(sensor.name)
+                self._one(sample)
+                self._heard_ns[sample.sensor] = now
+                self._is_back(sample.sensor)
+        for sample in self._navigation.odometer.poll():  # silent whenever the camera's sync is
+            self._one(sample)
+        for name, heard in self._heard_ns.items():
+            if now - heard > SILENT_NS and name not in self._silent and name not in self._broken:
+                self._silent.add(name)
+                self._account.lose("sensor_silent")
+                self._observer.event("sensor", f"sensor {name} is silent")
+        malformed = sum(getattr(sensor, "malformed", 0) for sensor in self._sensors)
+        self._account.lose("sensor_malformed", malformed - self._malformed)
+        self._malformed = malformed
+
+    def numbers(self) -> Mapping[str, Any]:
+        """For the telemetry: the last values, by sensor; what is no number is None."""
+        return {
+            name: {key: value if math.isfinite(value) else None for key, value in sample.values.items()}
+            for name, sample in self._last.items()
+        }
+
+    def _is_back(self, name: str) -> None:
+        if name in self._silent:
+            self._silent.discard(name)
+            self._observer.event("sensor", f"sensor {name} is back")
+
+    def _one(self, sample: Sample) -> None:
+        self._last[sample.sensor] = sample
+        self._account.samples[sample.sensor] += 1
+        self._navigation.sampled(sample)
+        self._observer.sample(sample)
