@@ -110,6 +110,7 @@ class Intake:
         self._thread = CaptureThread(camera)
         self._waiting: deque[InSlot] = deque()  # for their labels
         self._last: tuple[CameraSequence | None, int] | None = None  # driver sequence, timestamp
+        self._known_holes = 0  # frames lost on the way from the capture thread, and not met in the driver's count yet
         self._counted: Counter[str] = Counter()  # of the thread's counts, those in the account
 
     def start(self, config: CameraConfig) -> None:
@@ -139,12 +140,18 @@ class Intake:
 
     def take(self, account: Account) -> None:
         """From the capture thread into the ring."""
-        for kind, count in self._thread.counts.items():
-            account.lose(kind, count - self._counted[kind])
-            self._counted[kind] = count
-        for one in self._thread.take():
+        arrived = self._thread.take()  # before its counts: then these have all that was lost before the last of them
+        for kind in ("capture_queue", "camera_silent"):
+            new = self._thread.counts[kind] - self._counted[kind]
+            account.lose(kind, new)
+            self._counted[kind] += new
+            self._known_holes += new if kind == "capture_queue" else 0
+        for one in arrived:
             account.taken += 1
-            account.lose("camera", self._holes(one.frame))
+            holes = self._holes(one.frame)
+            known = min(holes, self._known_holes)  # in the driver's count they look like what it dropped itself
+            self._known_holes -= known
+            account.lose("camera", holes - known)
             place = self._ring.claim()
             if place is None:  # the frame has no label and never will
                 account.lose("no_slot")

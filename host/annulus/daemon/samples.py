@@ -43,6 +43,7 @@ class Samples:
                 self._broken[sensor.name] = now + RETRY_NS
                 continue
             if self._broken.pop(sensor.name, None) is not None:
+                self._heard_ns.pop(sensor.name, None)
                 self._observer.event("sensor", f"sensor {sensor.name} can be read again")
             if sensor.name not in self._spoken:
                 self._heard_ns.setdefault(sensor.name, now)  # until it has spoken, its silence is that of its address

@@ -148,3 +148,19 @@ def test_a_camera_without_a_frame_when_one_is_due_is_in_trouble_until_it_has_one
     intake.take(account)
     assert account.drops["camera_silent"] == 1
     intake.stop()
+
+
+def test_what_the_daemon_was_too_slow_for_is_not_counted_as_the_drivers_too() -> None:
+    film = Live(list(range(30)))
+    ring, account = FrameRing(40, 48), Account()
+    mode = CameraMode(0, 8, 6, "mono8", PERIOD)
+    intake = Intake(film, mode, Labelling(mode, Navigation(0.05), lambda *_: None, True), ring)  # type: ignore[arg-type]
+    intake.start(CameraConfig("folder"))
+    end = time.monotonic() + 20
+    while intake._thread.counts["capture_queue"] < 3 and time.monotonic() < end:
+        time.sleep(0.001)
+    while not intake._thread.ended and time.monotonic() < end:
+        intake.take(account)
+        time.sleep(0.001)
+    lost = account.drops["capture_queue"]
+    assert account.drops == {"capture_queue": lost} and account.taken + lost == 30 and lost >= 3
