@@ -3,4 +3,4 @@
 import sys
 from pathlib import Path
 
-sys.path += [str(Path(__file__).parents[1] / "unit" / room) for room in ("rings", "link")]
+sys.path += [str(Path(__file__).parents[1] / "unit" / room) for room in ("rings", "link", "flash")]

@@ -15,7 +15,7 @@ from annulus.daemon.session import Session
 from annulus.demo import demo_config
 from annulus.record.recording import open_recording
 from annulus.twin.head import start_head
-from annulus.twin.world import demo_world
+from annulus.twin.worlds import demo_world
 from annulus.vocabulary import Label
 
 pytestmark = pytest.mark.system

@@ -20,7 +20,7 @@ from annulus.demo import demo_config
 from annulus.record.recording import Recording, open_recording
 from annulus.sensors.sample import Sample
 from annulus.twin.head import HeadHandle, start_head
-from annulus.twin.world import demo_world
+from annulus.twin.worlds import demo_world
 from annulus.vocabulary import AnnulusError, Label
 
 pytestmark = pytest.mark.system

@@ -8,7 +8,7 @@ import pytest
 from annulus.controller import CODES, PIN_INTERLOCK, PIN_TRIGGER, TICK_S
 from annulus.link.messages import Arm, ArmFlag, Move
 from annulus.link.operate import train_messages
-from annulus.tai.simulate import Bench, simulate
+from annulus.tai.simulate import Setup, simulate
 from annulus.thermoacoustic.codes import Train, pattern, train_from_us
 from annulus.thermoacoustic.phantoms import Disc
 from annulus.thermoacoustic.templates import decode, design
@@ -89,7 +89,7 @@ def test_it_hears_what_the_simulation_computes_by_another_way() -> None:
     """Impulse responses and exact edges here; the solver driven by the envelope there."""
     chips = pattern("mpsl25-stuffed")
     pulses = tuple((50 * i, 50 * i + 50) for i in np.flatnonzero(chips).tolist())
-    bench = Bench("mpsl25-stuffed", 0.5e-6, RADIUS_MM, 8, RATE, SPEED, 1.0, transducer=BAND)
+    bench = Setup("mpsl25-stuffed", 0.5e-6, RADIUS_MM, 8, RATE, SPEED, 1.0, transducer=BAND)
     theirs = simulate(SAMPLE, bench).signals.astype(float)
     ours = np.stack([receiver().hear(pulses, 50 * i, 0.0, RATE, theirs.shape[1]) for i in range(8)])
     kept = slice(None, -30)  # theirs is filtered after it was cut off
