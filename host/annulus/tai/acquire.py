@@ -137,7 +137,7 @@ def acquire(
         if status.fault is not FaultCode.NONE:
             raise AnnulusError(
                 f"{port}: fault {status.fault.name.lower()} is latched; once its cause is gone, "
-                f"`annulus head clear --port {port}` clears it"
+                f"`annulus head clear` with this port clears it"
             )
         sweep = _Sweep(plan, out, client.identity.boot)
         if out.exists():

@@ -85,7 +85,7 @@ def decode_record(record: AcousticRecord, template: Template | None = None) -> t
     if template is not None and template.code != record.code:
         raise AnnulusError(
             f"the template is for {code_name(template.code)}, the record was shot with {code_name(record.code)}: "
-            f"design one with `annulus burst design --code {code_name(record.code)}`"
+            f"design one for {code_name(record.code)} with `annulus burst design`"
         )
     used = design(pattern(record.code), 3 * len(record.code)) if template is None else template
     bad = np.asarray(~np.isfinite(record.signals).all(axis=1), np.bool_)

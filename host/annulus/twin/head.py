@@ -236,7 +236,7 @@ def run_head(fps: float, seed: int, faults: Path | None, board: str, roll_deg: f
                 (out / "head.toml").write_text(head_toml(head, world, Path("calibration.json")))
             except OSError as error:
                 raise AnnulusError(f"{out}: cannot be written ({error.strerror})") from None
-            print(f"annulus daemon --config {out / 'head.toml'}", flush=True)
+            print(f"{out / 'head.toml'} is what `annulus daemon` wants", flush=True)
         print(f"# {head.timing}; Ctrl-C ends the head", file=sys.stderr, flush=True)
         try:
             while head.process.poll() is None:
