@@ -92,7 +92,7 @@ def test_timestamps_are_the_sync_edges_on_this_machines_clock(head: HeadHandle) 
     stamps = np.array([f.timestamp_ns for f in frames])
     numbers = np.array([int(f.sequence or 0) for f in frames])
     period = np.polyfit(numbers, stamps, 1)[0]
-    assert period == pytest.approx(40e6 * (1 - 30e-6), abs=20)  # the head's crystal runs 30 ppm fast
+    assert period == pytest.approx(40e6 * (1 - 30e-6), abs=1)  # the head's crystal runs 30 ppm fast
     assert 0 < time.monotonic_ns() - stamps[-1] < 2e9
     camera.stop()
     camera.close()
@@ -161,7 +161,7 @@ def test_the_head_ends_with_its_handle_ignores_ctrl_c_and_leaves_nothing() -> No
     before = set(os.listdir("/dev/shm"))
     head = start_head(demo_world().scaled(64), FPS)
     os.kill(head.process.pid, signal.SIGINT)
-    assert head.counters()["frames"] >= 0
+    head.counters()  # it still answers
     camera = RemoteCamera(head.camera_address)
     camera.start()
     grab(camera)

@@ -51,7 +51,7 @@ class Clockwork:
 def test_the_offset_is_found_whichever_end_of_the_exposure_the_driver_stamps(offset_ms: int) -> None:
     clock = Clockwork(offset_ms * 1_000_000)
     frames = [clock.frame(k) for k in range(1, 60)]
-    assert clock.labelling.numbers()["offset_ns"] == pytest.approx(offset_ms * 1e6, abs=1e5)
+    assert clock.labelling.numbers()["offset_ns"] == pytest.approx(offset_ms * 1e6, abs=1e3)
     headers = [clock.labelling.header(frame) for frame in frames]
     right = {Lamp.LED: Label.LED, Lamp.PROJECTOR: Label.PROJECTOR}
     assert all(header.label in (Label.UNKNOWN, right[clock.lamp((header.sequence or 0) - 1)]) for header in headers)

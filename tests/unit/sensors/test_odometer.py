@@ -32,7 +32,7 @@ def test_a_restart_of_the_controller_does_not_send_the_head_back_to_the_start() 
         z = hear(place, flash(round(speed * i / 25 / 0.05), edge=i), i * PERIOD)
     lost_s = 0.5  # from the last edge before to the first one after
     after = hear(place, flash(3, boot=2), round((49 / 25 + lost_s) * 1e9))
-    assert after == pytest.approx(z + speed * lost_s, abs=0.1)
+    assert after == pytest.approx(z + speed * lost_s)
     assert hear(place, flash(23, boot=2, edge=1), round((50 / 25 + lost_s) * 1e9)) == pytest.approx(after + 1.0)
     assert place.gaps == 1
     assert place.z_mm(flash(round(speed * 49 / 25 / 0.05), edge=49)) == z  # a frame of before that waited

@@ -66,7 +66,7 @@ def test_an_image_with_noise_is_the_image_of_noisy_traces():
     )  # seed 0 of one chip
     image = noise.imaged(noise.treated(noisy, "minimax", SMALL))
     inside = np.isfinite(image.values)
-    assert np.abs(image.values - one.at(rms))[inside].max() < 1e-4 * np.nanmax(np.abs(image.values))
+    assert np.abs(image.values - one.at(rms))[inside].max() < 3e-6 * np.nanmax(np.abs(image.values))
 
 
 def test_filtering_one_arm_alone_looks_like_a_gain():
@@ -90,7 +90,7 @@ def test_two_peaks_are_two_when_the_line_sinks_between_them():
     def line(width: float, rest: float) -> np.ndarray:
         return np.exp(-(((x - left) / width) ** 2)) + 0.7 * np.exp(-(((x - right) / width) ** 2)) + rest
 
-    assert dip(x, line(1.0, 0.0)) > 0.9
+    assert dip(x, line(1.0, 0.0)) > 0.97
     assert dip(x, line(1.0, 0.0)) > RAYLEIGH > dip(x, line(1.0, 5.0))
     assert dip(x, line(9.0, 0.0)) < RAYLEIGH
     assert dip(x, -line(1.0, 0.0)) == -math.inf
@@ -98,9 +98,9 @@ def test_two_peaks_are_two_when_the_line_sinks_between_them():
 
 def test_widths_and_maxima_are_measured_between_samples():
     x = np.linspace(-5, 5, 201)
-    assert full_width(x, np.exp(-((x - 0.3) ** 2) / 2), 0.3) == pytest.approx(2.3548, abs=2e-3)
+    assert full_width(x, np.exp(-((x - 0.3) ** 2) / 2), 0.3) == pytest.approx(2.3548, abs=6e-4)
     ring = np.exp(-(((np.abs(x) - 1.5) / 0.2) ** 2))
-    assert full_width(x, ring, 0.0) == pytest.approx(3.0 + 2 * 0.2 * math.sqrt(math.log(2)), abs=0.02)
+    assert full_width(x, ring, 0.0) == pytest.approx(3.0 + 2 * 0.2 * math.sqrt(math.log(2)), abs=0.004)
     sigma = np.geomspace(0.1, 10, 31)
     at, most = peak(sigma, 3.0 - np.log(sigma / 0.77) ** 2)
     assert (at, most) == (pytest.approx(0.77, rel=1e-6), pytest.approx(3.0, rel=1e-6))
@@ -112,10 +112,10 @@ def test_pulses_keep_their_energy():
     instant[0, 100] = 1.0
     on = switched_on(instant, 3e-6, dt)
     assert on.sum() == pytest.approx(1.0)
-    assert np.flatnonzero(on[0] > 1e-9)[[0, -1]] == pytest.approx([100, 130], abs=1)
+    assert np.flatnonzero(on[0] > 1e-9)[[0, -1]].tolist() == [100, 130]
     smooth = under_gaussian(instant, dt, 2e-6)
     assert smooth.sum() == pytest.approx(1.0)
-    assert full_width(np.arange(400.0), smooth[0], 100.0, 60.0) == pytest.approx(20.0, abs=0.1)
+    assert full_width(np.arange(400.0), smooth[0], 100.0, 60.0) == pytest.approx(20.0)
 
 
 def test_every_figure_of_the_source_is_there():

@@ -74,7 +74,7 @@ def test_from_pin_to_peak(board: NativeBoard, offset_us: float) -> None:
     one = small.hear(((-25, 25),), 0, 0.0, RATE, 512)  # a single pulse about time 0, for the receiver's own shape
     assert np.abs(found - one).max() < 0.05 * np.abs(one).max()  # sidelobes of 1/59, both signs
     peak = np.argmax(np.abs(_envelope(found))) / RATE
-    assert abs(peak - RADIUS_MM * 1e-3 / SPEED) < 0.25e-6  # half a chip
+    assert abs(peak - RADIUS_MM * 1e-3 / SPEED) < 0.05e-6  # half a chip
     wrong = decode(volts, RATE, design(pattern("barker13"), 39), 0.5e-6)
     assert np.linalg.norm(wrong - one) > np.linalg.norm(one)
 
@@ -172,5 +172,5 @@ def test_envelope_edges_count_in_single_ticks() -> None:
     """A pulse of 51 ticks carries 2 percent more than one of 50, and ends 10 ns later."""
     e = receiver()
     a, b, rest = (e.hear(p, 5, 0.0, RATE, 256) for p in (((0, 50),), ((0, 51),), ((50, 51),)))
-    assert np.allclose(b - a, rest, atol=1e-9 * np.abs(b).max())
-    assert np.abs(rest).max() > 1e-3 * np.abs(b).max() and TICK_S == 1e-8
+    assert np.allclose(b - a, rest, rtol=0, atol=1e-9 * np.abs(b).max())
+    assert np.abs(rest).max() > 0.01 * np.abs(b).max() and TICK_S == 1e-8

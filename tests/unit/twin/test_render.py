@@ -43,7 +43,7 @@ def test_light_is_in_proportion_to_each_rows_gain() -> None:
     gain = np.linspace(0.0, 1.0, renderer.height).astype(np.float32)
     banded = renderer.render(Pose(), 0.0, 0.0, gain).astype(float) - 2.0
     np.testing.assert_allclose(banded, full * gain[:, None], atol=1.01)
-    assert full[gain < 0.5].mean() > 20 and banded[0].max() == 0
+    assert full[gain < 0.5].mean() > 45 and banded[0].max() == 0
 
 
 def test_red_is_at_the_first_pixel_of_the_mosaic(clean: Renderer) -> None:
@@ -58,8 +58,8 @@ def test_red_is_at_the_first_pixel_of_the_mosaic(clean: Renderer) -> None:
     )
     off = np.hypot(rays[:, 0], rays[:, 1]) / rays[:, 2]
     red, green = colour[np.abs(off - tan_outer) < 0.01], colour[np.abs(off - tan_green) < 0.005]
-    assert np.median(red[:, 2]) > 100 > 40 > np.median(red[:, :2])
-    assert np.median(green[:, 1]) > 80 > 40 > np.median(green[:, ::2])
+    assert np.median(red[:, 2]) > 100 > 30 > np.median(red[:, :2])
+    assert np.median(green[:, 1]) > 80 > 28 > np.median(green[:, ::2])
 
 
 @pytest.mark.parametrize("camera", ["pinhole", "fisheye"])
@@ -96,7 +96,7 @@ def test_projector_light_falls_with_the_cube_of_distance_on_a_grazed_wall() -> N
     tangent = (np.arange(led.width) - CLEAN.camera.cx) / CLEAN.camera.fx
     near, far = int(np.argmin(np.abs(tangent - 1.4))) | 1, int(np.argmin(np.abs(tangent - 0.7))) | 1
     ratio = (math.sin(math.atan(tangent[near])) / math.sin(math.atan(tangent[far]))) ** 3
-    assert frame[v, near] / frame[v, far] == pytest.approx(ratio, rel=0.03)
+    assert frame[v, near] / frame[v, far] == pytest.approx(ratio, rel=0.012)
 
 
 def radius_seen(world: World, direction: float) -> float:
@@ -117,11 +117,11 @@ def radius_seen(world: World, direction: float) -> float:
 def test_a_pocket_and_an_oval_move_the_rings_by_their_depth() -> None:
     base = replace(clean_world(), rods=(), radius_mm=76.2)
     pocket = Feature("pocket", z_mm=100.0, length_mm=70.0, depth_mm=3.0, clock_deg=90.0, arc_deg=40.0)
-    assert radius_seen(replace(base, features=(pocket,)), 0.0) == pytest.approx(79.2, abs=0.4)
+    assert radius_seen(replace(base, features=(pocket,)), 0.0) == pytest.approx(79.2, abs=0.2)
     oval = Feature("oval", z_mm=100.0, length_mm=120.0, depth_mm=2.0, clock_deg=0.0)
-    assert radius_seen(replace(base, features=(oval,)), math.pi / 2) == pytest.approx(78.0, abs=0.5)
+    assert radius_seen(replace(base, features=(oval,)), math.pi / 2) == pytest.approx(78.0, abs=0.35)
     assert radius_seen(replace(base, features=(oval,)), 0.0) == pytest.approx(74.4, abs=0.5)
-    assert radius_seen(base, 0.0) == pytest.approx(76.2, abs=0.4)
+    assert radius_seen(base, 0.0) == pytest.approx(76.2, abs=0.05)
 
 
 def test_a_bump_throws_its_shadow_down_the_pipe_and_a_lamp_at_the_lens_none() -> None:
@@ -167,4 +167,4 @@ def test_the_wall_map_is_the_wall() -> None:
     rng = np.random.default_rng(0)
     row, column = rng.integers(world.radius_map.shape[0], size=500), rng.integers(1440, size=500)
     truth = world.deviation(column * 0.25, row * 0.4)
-    np.testing.assert_allclose(world.radius_map[row, column], truth, atol=1e-5)
+    np.testing.assert_allclose(world.radius_map[row, column], truth, atol=2e-7)

@@ -47,8 +47,8 @@ def test_the_wall_of_a_3_inch_pipe_is_measured_in_the_mirror(small: World, folde
         profile = reconstructor.profile(scan.read(i), frame=i, z_mm=scan.frames[i].z_mm)
         score = score_cloud(small, profile.points_mm, profile.ring)
         assert score.points > 4500 and set(profile.ring) == set(range(7))
-        assert score.rms_mm < 0.05 and score.gross_percent < 0.1
-        assert profile.pose is not None and abs(profile.pose.tx - small.pose(profile.z_mm).tx) < 0.01
+        assert score.rms_mm < 0.03 and score.gross_percent == 0
+        assert profile.pose is not None and abs(profile.pose.tx - small.pose(profile.z_mm).tx) < 0.005
 
 
 def test_rings_in_reversed_order_are_told_apart() -> None:
@@ -62,7 +62,7 @@ def test_rings_in_reversed_order_are_told_apart() -> None:
     image = to_bgr(Renderer(world).render(world.pose(0.0), 0.0, 1.0), "bayer_rggb8")
     profile = Reconstructor(world.calibration()).profile(image, frame=0, z_mm=0.0)
     score = score_cloud(world, profile.points_mm, profile.ring)
-    assert score.points > 3400 and score.rms_mm < 0.05 and score.gross_percent < 0.1
+    assert score.points > 3400 and score.rms_mm < 0.03 and score.gross_percent == 0
 
 
 def test_a_camera_sees_its_own_housing_in_the_mirror_and_nothing_beside_it(small: World) -> None:

@@ -19,7 +19,7 @@ def wall(error_mm: float, seed: int = 0, count: int = 40_000) -> FloatArray:
 
 
 def test_a_perfect_cloud_scores_zero_and_a_shifted_one_its_shift() -> None:
-    assert score_cloud(WORLD, wall(0.0)).rms_mm < 1e-9
+    assert score_cloud(WORLD, wall(0.0)).rms_mm < 1e-13
     shifted = score_cloud(WORLD, wall(0.125), np.arange(40_000) % 5)
     assert shifted.median_mm == pytest.approx(0.125)
     assert shifted.rms_by_ring_mm == pytest.approx((0.125,) * 5)
@@ -29,7 +29,7 @@ def test_a_perfect_cloud_scores_zero_and_a_shifted_one_its_shift() -> None:
 def test_gross_errors_are_counted_as_a_share() -> None:
     points = wall(0.0)
     points[::100, :2] *= 1.05
-    assert score_cloud(WORLD, points).gross_percent == pytest.approx(1.0, abs=0.15)
+    assert score_cloud(WORLD, points).gross_percent == pytest.approx(1.0, abs=0.025)
 
 
 def test_a_perfect_list_finds_all_and_nothing_false() -> None:

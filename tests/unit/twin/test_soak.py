@@ -2,8 +2,6 @@
 
 import pytest
 
-pytest.importorskip("annulus.twin.render")
-
 from annulus.twin.faults import Faults
 from annulus.twin.soak import _relocks, soak
 from annulus.vocabulary import AnnulusError
