@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from annulus.record.acoustic import AcousticRecord, save_acoustic
-from annulus.tai.image import make_image
+from annulus.tai.image import ImageSettings, make_image
 from annulus.thermoacoustic.codes import CODES
 
 RATE_HZ, CHIP_S, RADIUS_MM = 10e6, 0.5e-6, 9.0
@@ -28,6 +28,6 @@ def test_a_clipped_shot_is_found_before_its_decoder_hides_it(tmp_path: Path) -> 
     code = CODES["mpsl25-stuffed"]
     record = AcousticRecord(signals.astype(np.float32), angles, RADIUS_MM, RATE_HZ, 0.0, 1500.0, code, CHIP_S)
     save_acoustic(tmp_path / "raw.npz", record)
-    result = make_image(tmp_path / "raw.npz", tmp_path / "out", method="back-projection", pixel_mm=0.5)
+    result = make_image(tmp_path / "raw.npz", tmp_path / "out", ImageSettings("back-projection", pixel_mm=0.5))
     assert result.excluded == (6,)
     assert any("(6) are cut off at the digitizer's range" in finding for finding in result.findings)

@@ -9,7 +9,7 @@ import zmq
 
 from annulus.stream.frames import FrameHeader
 from annulus.stream.ring import FrameRing
-from annulus.stream.workers import Died, Done, PoolEvent, WorkerPool
+from annulus.stream.workers import Died, Done, PoolEvent, Shared, WorkerKind, WorkerPool
 from annulus.vocabulary import Label
 
 SLEEPER = """
@@ -26,10 +26,8 @@ serve(sys.argv[-1], lambda setup: Sleeper())
 
 def test_a_frame_that_waited_behind_another_is_not_a_hang(tmp_path: Path) -> None:
     now, context, ring = [0.0], zmq.Context(), FrameRing(4, 1200)
-    workers = WorkerPool(
-        [sys.executable, "-c", SLEEPER], None, ring=ring, context=context, folder=tmp_path, name="w", count=1, depth=2,
-        clock=lambda: now[0], hung_s=10.0,
-    )  # fmt: skip
+    kind = WorkerKind("w", [sys.executable, "-c", SLEEPER], None, count=1, depth=2, hung_s=10.0)
+    workers = WorkerPool(kind, Shared(ring, context, tmp_path), clock=lambda: now[0])
     seen: list[PoolEvent] = []
 
     def wait_for(what: type) -> None:
