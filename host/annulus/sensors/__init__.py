@@ -1,1 +1,1 @@
-"""What measures beside the camera: samples of a head's sensors, the digitizer of the acoustic rig. Nothing here waits."""
+"""What measures beside the camera: samples of a head's sensors, the acoustic rig's digitizer. Nothing here waits."""
