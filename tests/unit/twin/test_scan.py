@@ -62,7 +62,7 @@ def test_rings_in_reversed_order_are_told_apart() -> None:
     image = to_bgr(Renderer(world).render(world.pose(0.0), 0.0, 1.0), "bayer_rggb8")
     profile = Reconstructor(world.calibration()).profile(image, frame=0, z_mm=0.0)
     score = score_cloud(world, profile.points_mm, profile.ring)
-    assert score.points > 3400 and score.rms_mm < 0.03 and score.gross_percent == 0
+    assert score.points > 3400 and score.rms_mm < 0.05 and score.gross_percent == 0
 
 
 def test_a_camera_sees_its_own_housing_in_the_mirror_and_nothing_beside_it(small: World) -> None:
