@@ -141,6 +141,8 @@ class Intake:
     def take(self, account: Account) -> None:
         """From the capture thread into the ring."""
         arrived = self._thread.take()  # before its counts: then these have all that was lost before the last of them
+        if not arrived and not self._thread.silent:
+            return
         for kind in ("capture_queue", "camera_silent"):
             new = self._thread.counts[kind] - self._counted[kind]
             account.lose(kind, new)

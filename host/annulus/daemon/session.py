@@ -43,6 +43,7 @@ from annulus.vocabulary import AnnulusError, Label
 START_S = 200.0  # on a fresh machine workers compile first
 ARM_S = 5.0
 TELEMETRY_S = 1.0
+CHORES_S = 0.01  # between two looks at sensors, states and sockets
 DRAIN_S = 8.0
 
 
@@ -76,7 +77,7 @@ class Session:
         self._doorkeeper: Doorkeeper | None = None
         self._control: ControlSocket | None = None
         self._reconstruction: Reconstruction | None = None
-        self._next_telemetry = 0.0
+        self._next_telemetry = self._next_chores = 0.0
         # Of the scan under way:
         self._recorder: Recorder | None = None
         self._intakes: list[Intake] = []  # none before the cameras run
@@ -361,13 +362,19 @@ class Session:
             self._recorder.poll()
         if self._reconstruction is not None:
             self._reconstruction.turn()
+        now = time.monotonic()
+        if now >= self._next_chores:
+            self._next_chores = now + CHORES_S
+            self._do_chores(now)
+
+    def _do_chores(self, now: float) -> None:
+        """What can wait for some turns."""
         self._samples.poll(time.monotonic_ns())
         self._watch()
         if self._doorkeeper is not None:
             self._doorkeeper.admit()
         if self._control is not None:
             self._account.lose("control_malformed", self._control.poll(self._obey, lambda: self._state))
-        now = time.monotonic()
         if now >= self._next_telemetry:
             self._next_telemetry = now + TELEMETRY_S
             self._observers.telemetry(self.telemetry())
