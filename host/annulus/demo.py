@@ -16,9 +16,9 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
-from annulus.capture.remote import RemoteCamera
 from annulus.daemon.account import ScanReport
-from annulus.daemon.config import CameraConfig, HeadConfig, LampConfig
+from annulus.daemon.cameras import open_cameras, open_sensors
+from annulus.daemon.config import HeadConfig, load_config
 from annulus.daemon.interrupt import Interrupt
 from annulus.daemon.observer import Observer
 from annulus.daemon.pools import default_workers
@@ -27,7 +27,7 @@ from annulus.daemon.session import Session
 from annulus.record.calibration_file import save_calibration
 from annulus.report import Account, prepare_folder, write
 from annulus.reprocess import Job, Processes, led_frames, measure, method_for, open_job, stage_medians, warm_up
-from annulus.twin.head import HeadHandle, start_head, sustainable_fps
+from annulus.twin.head import HeadHandle, head_toml, start_head, sustainable_fps
 from annulus.twin.score import score
 from annulus.twin.worlds import World, demo_world
 from annulus.vocabulary import AnnulusError, Label
@@ -43,7 +43,6 @@ SECONDS_MAX = 60.0
 MM_PER_FRAME = 3.0  # aimed at; a slow machine scans longer for it, when nobody says how long ..
 MM_PER_FRAME_MAX = 6.0  # .. and less of the pipe, when somebody does
 START_PATIENCE_S = 60.0  # from lamps armed to the first labelled frame
-FLASH_AFTER_OPENING_US = 500.0
 BAR_S = 0.1
 RESULTS = (
     "report.html", "summary.json", "cloud.ply", "mesh.ply", "unwrapped.png", "texture.png", "stations.csv"
@@ -108,14 +107,14 @@ def _demo(wish_s: float | None, out: Path, world: World, interrupt: Interrupt, b
     profiles: list[Profile] = []
     for old in out.glob("scan*.mcap"):
         old.unlink()
-    save_calibration(out / "calibration.json", world.calibration())
     (out / "truth.json").write_text(json.dumps(world.truth(), indent=1) + "\n")
     with ExitStack() as stack:
         with bars.spinning("powering the simulated head up"):
             head = start_head(world, pace.fps, speed_mm_s=0.0)
         stack.callback(head.close)
         config = demo_config(head, world, out)
-        session = Session(config, [RemoteCamera(head.camera_address)], _Watcher(profiles, bars), name="scan")
+        watcher, sensors = _Watcher(profiles, bars), open_sensors(config)
+        session = Session(config, open_cameras(config), watcher, sensors=sensors, name="scan")
         report = session.run(_Course(session, head, travel, seconds, interrupt, bars))
     recording = out / "scan.mcap"
     if interrupt.requested:
@@ -150,15 +149,11 @@ def measure_pace(world: World) -> Pace:
 
 
 def demo_config(head: HeadHandle, world: World, out: Path) -> HeadConfig:
-    """A HeadConfig for the twin, flashes at the beginning of the window in which all rows expose."""
-    timing = head.timing
-    delay = math.ceil(timing.opens_us + FLASH_AFTER_OPENING_US)
-    lamps = LampConfig(4, delay, world.projector.nominal_us, delay, world.led.nominal_us)
-    lamps.check(timing)
-    camera = CameraConfig("remote", head.camera_address, world.camera.width, world.camera.height, timing=timing)
-    return HeadConfig(
-        (camera,), lamps, head.port_url, world.mm_per_count, world.calibration(), record_folder=out, slots=40
-    )  # fmt: skip
+    """For the simulated head, by way of the files a real one has: head.toml and calibration.json, left in `out`."""
+    save_calibration(out / "calibration.json", world.calibration())
+    here = '\n[record]\nfolder = "."\n\n[workers]\nslots = 40\n'
+    (out / "head.toml").write_text(head_toml(head, world, Path("calibration.json")) + here, encoding="utf-8")
+    return load_config(out / "head.toml")
 
 
 class _Course:

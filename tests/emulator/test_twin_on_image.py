@@ -21,7 +21,7 @@ from annulus.flash.update import enter_boot_loader
 from annulus.record.calibration_file import save_calibration
 from annulus.record.recording import open_recording
 from annulus.twin.emulated import EmulatedBoard
-from annulus.twin.head import start_head
+from annulus.twin.head import head_toml, start_head
 from annulus.twin.soak import soak
 from annulus.twin.worlds import demo_world
 from annulus.vocabulary import AnnulusError, Label
@@ -106,25 +106,8 @@ def test_the_daemon_scans_with_the_image_over_tcp(image: Path, tmp_path: Path) -
     save_calibration(tmp_path / "head-7.json", world.calibration())
     with start_head(world, 6.0, seed=9, board="emulated") as head:
         assert re.fullmatch(r"socket://127\.0\.0\.1:\d+", head.port_url)
-        timing = head.timing
-        (tmp_path / "head.toml").write_text(f"""
-[controller]
-port = "{head.port_url}"
-[camera]
-kind = "remote"
-device = "{head.camera_address}"
-width = {world.camera.width}
-height = {world.camera.height}
-fps = {timing.fps}
-exposure_us = {timing.exposure_us}
-readout_us = {timing.readout_us}
-[calibration]
-file = "head-7.json"
-[record]
-folder = "scans"
-[workers]
-count = 1
-""")
+        more = '[record]\nfolder = "scans"\n[workers]\ncount = 1\n'
+        (tmp_path / "head.toml").write_text(head_toml(head, world, Path("head-7.json")) + "\n" + more)
         daemon = subprocess.Popen(
             [*ANNULUS, "daemon", "--config", str(tmp_path / "head.toml")], stderr=subprocess.PIPE, text=True
         )

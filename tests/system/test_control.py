@@ -172,7 +172,7 @@ def test_started_marked_zeroed_stopped_and_started_again(head: HeadHandle, tmp_p
 def test_a_scan_that_cannot_begin_is_told_and_the_daemon_stays(head: HeadHandle, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     config = replace(
-        demo_config(head, WORLD, tmp_path / "file"), calibration=None, autostart=False,
+        demo_config(head, WORLD, tmp_path), record_folder=tmp_path / "file", calibration=None, autostart=False,
         control=SocketConfig(f"ipc://{tmp_path}/control"),
     )  # fmt: skip
     seen, done, failed = Bystander(), threading.Event(), []

@@ -13,7 +13,7 @@ import pytest
 
 from annulus.record.calibration_file import save_calibration
 from annulus.record.recording import open_recording
-from annulus.twin.head import start_head
+from annulus.twin.head import head_toml, start_head
 from annulus.twin.worlds import demo_world
 
 pytestmark = pytest.mark.system
@@ -106,25 +106,8 @@ def test_the_daemon_runs_a_head_from_its_file_until_ctrl_c(traces, tmp_path: Pat
     world = demo_world(travel_mm=330.0).scaled(416)
     save_calibration(tmp_path / "head-7.json", world.calibration())
     with start_head(world, 8.0, seed=9) as head:
-        timing = head.timing
-        (tmp_path / "head.toml").write_text(f"""
-[controller]
-port = "{head.port_url}"
-[camera]
-kind = "remote"
-device = "{head.camera_address}"
-width = {world.camera.width}
-height = {world.camera.height}
-fps = {timing.fps}
-exposure_us = {timing.exposure_us}
-readout_us = {timing.readout_us}
-[calibration]
-file = "head-7.json"
-[record]
-folder = "scans"
-[publish]
-address = "tcp://127.0.0.1:*"
-""")
+        more = '[record]\nfolder = "scans"\n[publish]\naddress = "tcp://127.0.0.1:*"\n'
+        (tmp_path / "head.toml").write_text(head_toml(head, world, Path("head-7.json")) + "\n" + more)
         command = [sys.executable, "-c", "from annulus.cli import main; main()", "daemon", "--config"]
         daemon = subprocess.Popen(
             [*command, str(tmp_path / "head.toml")], env=traces.environment, stderr=subprocess.PIPE, text=True
