@@ -26,6 +26,7 @@ from annulus.daemon.state import State
 from annulus.demo import demo_config
 from annulus.link.client import Client
 from annulus.link.messages import StateFlag, Status
+from annulus.record.calibration_file import load_calibration
 from annulus.record.recording import Recording, open_recording
 from annulus.twin.faults import Faults
 from annulus.twin.head import HeadHandle, start_head
@@ -106,7 +107,7 @@ def test_a_scan_is_labelled_recorded_and_reconstructed(head: HeadHandle, tmp_pat
     assert [n["frame"] for n in recording.notes("/profile")] == [p.frame for p in rig.profiles]
     moved = [f.z_mm for f in recording.frames if f.label is not Label.UNKNOWN]
     assert moved == sorted(moved) and moved[-1] > 20.0
-    assert recording.calibration == WORLD.calibration().to_dict()
+    assert recording.calibration == load_calibration(tmp_path / "calibration.json").to_dict()
     assert rig.states == [
         State.POWERING, State.IDLE, State.ARMED, State.SCANNING, State.ENDING, State.OFF
     ]  # fmt: skip
