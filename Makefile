@@ -6,7 +6,7 @@ BIN        := .venv/bin
 
 .PHONY: setup demo test lint bench bench-metrology bench-thermoacoustic study native firmware emulator generated mutants clean
 
-setup: .venv/.synced native
+setup: .venv/.synced .venv/.kernels native
 
 # uv in a private venv, so that nothing of the system's Python is touched.
 $(UV):
@@ -16,6 +16,11 @@ $(UV):
 
 .venv/.synced: pyproject.toml uv.lock | $(UV)
 	$(UV) sync --frozen --quiet
+	@touch $@
+
+# numba's cache knows a kernel's own file, not those of the kernels it calls: after a pull, none of the old ones is left.
+.venv/.kernels: $(shell grep -rlE '@(numba\.)?(n?jit|compiled)\b' host --include=*.py) | .venv/.synced
+	@find host \( -name '*.nbi' -o -name '*.nbc' \) -delete
 	@touch $@
 
 native:
