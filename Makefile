@@ -19,7 +19,7 @@ $(UV):
 	@touch $@
 
 # numba's cache knows a kernel's own file, not those of the kernels it calls: after a pull, none of the old ones is left.
-.venv/.kernels: $(shell grep -rlE '@(numba\.)?(n?jit|compiled)\b' host --include=*.py) | .venv/.synced
+.venv/.kernels: $(shell grep -rlE '@jit' host --include=*.py) | .venv/.synced
 	@find host \( -name '*.nbi' -o -name '*.nbc' \) -delete
 	@touch $@
 

@@ -1,26 +1,36 @@
 """How per-pixel loops are compiled, and the small things they share."""
 
 from collections.abc import Callable
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import numba
 
+Kernel = TypeVar("Kernel", bound=Callable[..., Any])
+Options = dict[str, Any]
+
 # Sums may be regrouped and contracted; NaN keeps its meaning, the loops mark "nothing here" with it.
 # Dividing by zero is no exception but inf or NaN, as in numpy: checks for it would keep loops from using vectors.
-OPTIONS: dict[str, Any] = {
-    "fastmath": {"contract", "reassoc", "nsz", "arcp"},
-    "error_model": "numpy",
-    "nogil": True,
-}
+OPTIONS: Options = {"fastmath": {"contract", "reassoc", "nsz", "arcp"}, "error_model": "numpy", "nogil": True}
 
 
-def jit(function: Callable[..., Any]) -> Callable[..., Any]:
+def jit_with(options: Options) -> Callable[[Kernel], Kernel]:
     """Compile on first call, keep the machine code on disk: beside the module, or in the user's cache if that is
-    read-only. Where nothing can be written the function still works, compiled anew in each process."""
-    try:
-        return cast(Callable[..., Any], numba.njit(cache=True, **OPTIONS)(function))
-    except RuntimeError:  # numba: "no locator available"
-        return cast(Callable[..., Any], numba.njit(**OPTIONS)(function))
+    read-only. Where nothing can be written the function still works, compiled anew in each process.
+
+    The code on disk is renewed with its own file only: after a change in a kernel that others call from another file,
+    `make setup` clears it.
+    """
+
+    def compiled(function: Kernel) -> Kernel:
+        try:
+            return cast(Kernel, numba.njit(cache=True, **options)(function))
+        except RuntimeError:  # numba: "no locator available"
+            return cast(Kernel, numba.njit(**options)(function))
+
+    return compiled
+
+
+jit = cast(Callable[[Callable[..., Any]], Callable[..., Any]], jit_with(OPTIONS))  # kernels without types of their own
 
 
 @jit

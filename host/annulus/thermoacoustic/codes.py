@@ -64,7 +64,7 @@ class Finding:
     @property
     def expected(self) -> str:
         low, high = self.allowed
-        return f"{high:g} {self.unit} at most" if low == 0 else f"{low:g}..{high:g} {self.unit}"
+        return f"{high:.10g} {self.unit} at most" if low == 0 else f"{low:.10g}..{high:.10g} {self.unit}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,10 +125,11 @@ class Train:
     def check(self) -> None:
         """AnnulusError with every limit a controller would refuse this train for."""
         refused = [finding for finding in self.findings() if not finding.ok]
+        refused = [f for f in refused if f.allowed[0] <= f.allowed[1]] or refused  # no range is another limit's doing
         if refused:
             raise AnnulusError(
                 "the controller would refuse this: "
-                + "; ".join(f"{f.name} {f.value:g} {f.unit}, expected {f.expected}" for f in refused)
+                + "; ".join(f"{f.name} {f.value:.10g} {f.unit}, expected {f.expected}" for f in refused)
             )
 
     def edges_ticks(self) -> list[tuple[int, int]]:

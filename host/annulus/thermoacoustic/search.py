@@ -3,11 +3,11 @@
 import math
 from collections.abc import Callable
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from annulus.controller import CHIPS_MAX
+from annulus.numeric.jit import jit
 from annulus.thermoacoustic.codes import Chips
 from annulus.vocabulary import AnnulusError
 
@@ -92,7 +92,7 @@ def _gains(spectra: NDArray[np.complex128], weight: NDArray[np.float64]) -> NDAr
     return np.asarray(-10 * np.log10((weight / power).sum(axis=-1) / weight.sum()))
 
 
-@numba.njit(cache=True)
+@jit
 def _search(code, bound):  # type: ignore[no-untyped-def]
     """Fills `code` with the first one whose sidelobes are at most `bound`; False where there is none.
 

@@ -26,7 +26,7 @@ from annulus.twin.stretch import (
     X,
     Y,
     Z,
-    compiled,
+    jit,
 )  # fmt: skip
 from annulus.twin.worlds.world import World
 
@@ -43,7 +43,7 @@ def eye_at(rays: F32, pose: Pose, z_mm: float) -> Eye:
     return Eye(rays, pose.rotation.astype(np.float32), pose.to_pipe(np.zeros((1, 3)), z_mm)[0].astype(np.float32))
 
 
-@compiled
+@jit
 def meet_cylinder(part: Stretch, u0: int, eye: Eye, starts: F32 | None, radius: Real) -> None:
     """Every pixel's ray in the pipe frame, and where it meets r = radius. starts: see `ray_table`."""
     scratch, v, n = part.scratch, part.v, part.n

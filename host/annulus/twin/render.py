@@ -24,7 +24,7 @@ from annulus.twin.stretch import (
     Real,
     Stretch,
     Z,
-    compiled,
+    jit,
 )  # fmt: skip
 from annulus.twin.walls import PER_Z, Wall, meet_wall, wall_of
 from annulus.twin.worlds.world import World
@@ -48,7 +48,7 @@ class Pixel(NamedTuple):
     seed: int  # of this frame's
 
 
-@compiled
+@jit
 def _reflect(albedo: U8, column: Real, row: Real, channel: int, base: F32) -> Real:
     """Bilinear albedo 0..1 of one channel at a fractional map place."""
     rows, columns = albedo.shape[1], albedo.shape[2]
@@ -65,7 +65,7 @@ def _reflect(albedo: U8, column: Real, row: Real, channel: int, base: F32) -> Re
     return (a + fi * (b - a)) * np.float32(1.0 / 255.0)
 
 
-@compiled
+@jit
 def _lit_part(v: int, width: int, beam: Beam, led: LedTable) -> Real:
     """Which pixels of a row can hold light: all, or left and right of the pattern's hole; two ranges."""
     a0, a1, b0, b1 = 0, 0, 0, 0
@@ -87,7 +87,7 @@ def _lit_part(v: int, width: int, beam: Beam, led: LedTable) -> Real:
     return a0, a1, b0, b1
 
 
-@compiled
+@jit
 def _paint(part: Stretch, wall: Wall, paint: Paint) -> None:
     """Light that arrives to light that comes back."""
     scratch, spread, albedo, base, z0 = part.scratch, part.spread, paint.albedo, paint.base, wall.relief.z0
@@ -103,7 +103,7 @@ def _paint(part: Stretch, wall: Wall, paint: Paint) -> None:
             scratch[LEVEL + u] = zero
 
 
-@compiled
+@jit
 def _draw(
     out: U8, rows: tuple[int, int], eye: Eye, starts: F32 | None, wall: Wall, paint: Paint, beam: Beam,
     slide: NamedTuple, led: LedTable, pixel: Pixel,

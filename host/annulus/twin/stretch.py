@@ -3,23 +3,23 @@
 One base and constant distances between the values are what lets LLVM prove that the loops over a stretch may run as
 vectors; a kernel reads `scratch[WX + u]` for pixel u. Rays, walls and lights are kernels over a `Stretch`.
 
-Numba keeps a kernel's machine code on disk by the date of the file it stands in, not of those it calls: after a change
-here, in `rays`, `walls` or `lights`, touch `render.py`, whose `_draw` holds them all.
+After a change here, in `rays`, `walls` or `lights`, `make setup` clears the compiled code of those that call (see
+numeric.jit).
 """
 
-from collections.abc import Callable
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from annulus.numeric.jit import Options, jit_with
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
 Real = Any  # float32 inside compiled code
-Kernel = TypeVar("Kernel", bound=Callable[..., object])
 
-OPTIONS: dict[str, Any] = {"nogil": True, "fastmath": True, "error_model": "numpy"}
+OPTIONS: Options = {"nogil": True, "fastmath": True, "error_model": "numpy"}
+jit = jit_with(OPTIONS)
 PIXELS = 512  # of a stretch at most
 _PITCH = PIXELS + 8  # eight to spare, for loops that write in fours
 # Ray in the pipe frame (unit), range, place and normal where it meets the wall, range to the plain cylinder, start of a
@@ -42,11 +42,7 @@ class Stretch(NamedTuple):
     odd: int  # u0 & 1, which of the mosaic's columns comes first
 
 
-def compiled(function: Kernel) -> Kernel:
-    return cast(Kernel, numba.njit(cache=True, **OPTIONS)(function))
-
-
-@compiled
+@jit
 def atan2(y: Real, x: Real) -> Real:
     """atan2 within 2e-6 rad, float32."""
     ax, ay = abs(x), abs(y)
@@ -67,7 +63,7 @@ def atan2(y: Real, x: Real) -> Real:
     return -r if y < 0 else r
 
 
-@compiled
+@jit
 def step_up(x: Real) -> Real:
     """Standard normal distribution function within 3e-4 (Abramowitz & Stegun 7.1.27); branch-free."""
     t = min(abs(x) * np.float32(0.70710678), np.float32(6.0))  # p ** 4 must not overflow

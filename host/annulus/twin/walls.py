@@ -36,7 +36,7 @@ from annulus.twin.stretch import (
     Y,
     Z,
     atan2,
-    compiled,
+    jit,
 )  # fmt: skip
 from annulus.twin.worlds.world import CLOCKS, STEP_Z_MM, World
 
@@ -71,13 +71,13 @@ class Wall(NamedTuple):
     kind: U8
 
 
-@compiled
+@jit
 def _wall(deviation: F32, column: Real, row: Real) -> Real:
     """Bilinear deviation (mm) at a fractional map place, column -1..CLOCKS + 1; its first and last row are clean."""
     return _wall_and_slopes(deviation, column, row)[0]
 
 
-@compiled
+@jit
 def _wall_and_slopes(deviation: F32, column: Real, row: Real) -> Real:
     """Deviation (mm), its change per column, its change per row. Unsigned indices: no wrap-around to check for."""
     top = np.float32(deviation.shape[0] // _WALL_PITCH) - np.float32(1.01)
@@ -92,7 +92,7 @@ def _wall_and_slopes(deviation: F32, column: Real, row: Real) -> Real:
     return left + fj * (right - left), right - left, (c - a) + fj * ((d - b) - (c - a))
 
 
-@compiled
+@jit
 def _cylinder(cx: Real, cy: Real, wx: Real, wy: Real, radius: Real) -> Real:
     """Range along a ray from inside to the cylinder r = radius about the z axis; 1e6 if it never gets there."""
     a = wx * wx + wy * wy + np.float32(1e-12)
@@ -101,14 +101,14 @@ def _cylinder(cx: Real, cy: Real, wx: Real, wy: Real, radius: Real) -> Real:
     return min((np.sqrt(max(b * b - a * c, np.float32(0.0))) - b) / a, np.float32(1e6))
 
 
-@compiled
+@jit
 def _column(x: Real, y: Real) -> Real:
     """Fractional map column of a pipe-frame place: clock angle = atan2(x, -y), in [0, CLOCKS)."""
     f = atan2(x, -y) * np.float32(CLOCKS / (2 * np.pi))
     return f + np.float32(CLOCKS) if f < 0 else f
 
 
-@compiled
+@jit
 def _excess(relief: Relief, s: Real, c: F32, way: Ray, column: Real) -> Real:
     """r - wall at range s of a ray in the pipe frame; the clock angle hardly changes over a wall's roughness."""
     wx, wy, wz = way
@@ -116,7 +116,7 @@ def _excess(relief: Relief, s: Real, c: F32, way: Ray, column: Real) -> Real:
     return np.sqrt(x * x + y * y) - relief.radius - _wall(relief.deviation, column, (z - relief.z0) * PER_Z)
 
 
-@compiled
+@jit
 def _meet_gentle(part: Stretch, station: F32, relief: Relief) -> None:
     """Meet a wall without edges instead of the plain cylinder, for a whole stretch: mends range, place and normal.
 
@@ -165,7 +165,7 @@ def _meet_gentle(part: Stretch, station: F32, relief: Relief) -> None:
         scratch[NZ + u] = -slope_z * scale
 
 
-@compiled
+@jit
 def _meet_steep(relief: Relief, c: F32, way: Ray, low: Real, high: Real, column: Real) -> Real:
     """Range at which a ray first goes through a wall that stays within low..high (mm) thereabouts.
 
@@ -220,7 +220,7 @@ def _meet_steep(relief: Relief, c: F32, way: Ray, low: Real, high: Real, column:
     return (a * fb - b * fa) / (fb - fa)
 
 
-@compiled
+@jit
 def _shadowed(relief: Relief, place: Ray, light: F32, low: Real, column: Real) -> bool:
     """Whether the wall stands between a wall point and a light inside the pipe (both pipe frame)."""
     radius, z0, tile_low, deviation = relief.radius, relief.z0, relief.tile_low, relief.deviation
@@ -254,7 +254,7 @@ def _shadowed(relief: Relief, place: Ray, light: F32, low: Real, column: Real) -
     return False
 
 
-@compiled
+@jit
 def _meet_rough(
     part: Stretch, rough: int, station: F32, starts: F32 | None, wall: Wall, light: F32, ask_shadow: bool
 ) -> None:
@@ -291,7 +291,7 @@ def _meet_rough(
             scratch[OPEN + k] = np.float32(0.0)
 
 
-@compiled
+@jit
 def meet_wall(part: Stretch, station: F32, starts: F32 | None, wall: Wall, light: F32, ask_shadow: bool) -> None:
     """Mend what `meet_cylinder` found where the wall is not plain; ask_shadow: whether `light` gets there."""
     scratch, n, kinds, tile_kind = part.scratch, part.n, part.marks, wall.kind

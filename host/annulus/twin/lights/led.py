@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from annulus.twin.rays import Eye
-from annulus.twin.stretch import F32, LEVEL, NX, NY, NZ, Stretch, X, Y, Z, compiled
+from annulus.twin.stretch import F32, LEVEL, NX, NY, NZ, Stretch, X, Y, Z, jit
 from annulus.twin.worlds.world import World
 
 
@@ -18,7 +18,7 @@ class LedTable(NamedTuple):
     power: F32  # (3,) as red, green, blue pixels see it
 
 
-@compiled
+@jit
 def shine(part: Stretch, led: LedTable) -> None:
     scratch, v, odd, led_power, lamp = part.scratch, part.v, part.odd, led.power, led.place
     gain = led.gain[v]

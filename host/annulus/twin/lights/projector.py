@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import FloatArray
-from annulus.twin.stretch import AT, F32, LIT, NX, NY, NZ, OPEN, S, Stretch, X, Y, Z, compiled, step_up
+from annulus.twin.stretch import AT, F32, LIT, NX, NY, NZ, OPEN, S, Stretch, X, Y, Z, jit, step_up
 from annulus.twin.worlds.world import STEP_Z_MM, World
 
 
@@ -89,7 +89,7 @@ def in_pipe(table: NDArray[np.float64], pose: Pose, z_mm: float) -> F32:
     return np.hstack([place, way, table[:, 6:]]).astype(np.float32)
 
 
-@compiled
+@jit
 def fall(part: Stretch, beam: Beam) -> None:
     """What the beam would give each pixel's place without a slide, and at which angle to its axis that place lies."""
     scratch, centre, gain, power = part.scratch, beam.centre, beam.gain[part.v], beam.power
@@ -104,7 +104,7 @@ def fall(part: Stretch, beam: Beam) -> None:
         scratch[AT + u] = (px * ax + py * ay + pz * az) * inverse
 
 
-@compiled
+@jit
 def shade(part: Stretch, beam: Beam, rotation: F32) -> None:
     """Rods on the way of the light."""
     scratch, n, rods, centre = part.scratch, part.n, beam.rods, beam.centre

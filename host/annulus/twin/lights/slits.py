@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from annulus.geometry.pose import Pose
 from annulus.twin.lights.projector import Beam, in_pipe
-from annulus.twin.stretch import AT, F32, LEVEL, LIT, Stretch, X, Y, Z, compiled, step_up
+from annulus.twin.stretch import AT, F32, LEVEL, LIT, Stretch, X, Y, Z, jit, step_up
 from annulus.twin.worlds.sensor_head import Projector
 
 _BINS = 2048  # of the table from cos(projected angle) to the nearest slit
@@ -29,7 +29,7 @@ class SlitTable(NamedTuple):
     leak: np.float32
 
 
-@compiled
+@jit
 def through_slits(part: Stretch, beam: Beam, table: SlitTable) -> None:
     """Slits by runs of pixels that share their nearest one."""
     scratch, slit_of, spread, n, v, odd = part.scratch, part.marks, part.spread, part.n, part.v, part.odd
