@@ -115,7 +115,7 @@ def test_the_daemon_scans_with_the_image_over_tcp(image: Path, tmp_path: Path) -
         heard, enough, end = [], False, time.monotonic() + PATIENCE_S
         for line in daemon.stderr:
             heard.append(line)
-            enough = line.startswith("running: ") and int(line.split()[1]) >= 24
+            enough = line.startswith("scanning: ") and int(line.split()[1]) >= 24
             if enough or time.monotonic() > end:
                 daemon.send_signal(signal.SIGINT)
                 break
