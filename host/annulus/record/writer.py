@@ -97,7 +97,7 @@ class RecordingWriter:
         self._image = register_schema(self._writer, RawImage)
         self._record = self._writer.register_schema("annulus.record", "jsonschema", b'{"type":"object"}')
         self._channel(LABEL_TOPIC)
-        self.note("/event", {"kind": "recording_started"}, now_ns)
+        self.note("/event", {"kind": "recording_started", "text": "recording started"}, now_ns)
         self._flush()
         for name, content in (("calibration.json", calibration), ("configuration.json", configuration)):
             if content is not None:
