@@ -3,14 +3,10 @@
 import os
 import shutil
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
-
 from emulated import BOOTED, EMULATOR, IMAGE, ROOT, EmulatedBoard
 
 
