@@ -14,8 +14,6 @@ enum {
     FIELD_CHIPS = 1,
 };
 
-#define DUTY_OF_MICROWAVE 3U  // in `detail`, beside the lamps
-
 static bool chip_at(const uint8_t* const chips, const uint16_t index)
 {
     return (chips[index / 8U] >> (index % 8U)) & 1U;
@@ -95,7 +93,7 @@ static uint8_t check_train(const board_burst_t* const burst, uint8_t* const deta
     }
     const uint64_t on_ticks = (uint64_t)on_chips * burst->chip_ticks;
     if (on_ticks * 1000U > (uint64_t)MICROWAVE_DUTY_MAX_PERMILLE * burst->period_ticks) {
-        *detail = DUTY_OF_MICROWAVE;
+        *detail = OUTPUT_MICROWAVE;
         return STATUS_DUTY;
     }
     return STATUS_OK;

@@ -9,6 +9,8 @@
 #include "events.h"
 #include "messages.h"
 
+#define OUTPUT_MICROWAVE 3U  // in the `detail` of a status or a fault, beside the lamps
+
 typedef struct {
     command_pattern_t uploaded;  // burst code 0; length 0 = none
     bool running;

@@ -213,7 +213,7 @@ static void burst(controller_t* const self, const uint8_t line, const uint8_t* c
         } else {
             bool refused = false;
             reply.status = bursts_fire(&self->bursts, &command, &reply, &refused);
-            safety_insist(self, !refused);
+            safety_insist(self, !refused, OUTPUT_MICROWAVE);
         }
     }
     reply_burst_pack(&reply, answer);

@@ -127,7 +127,8 @@ void controller_run(controller_t* const self)
         watch_connection(self, line);
         receive(self, line);
     }
-    safety_insist(self, sequencer_load(&self->sequencer, &self->events, now));
+    const bool accepted = sequencer_load(&self->sequencer, &self->events, now);
+    safety_insist(self, accepted, sequencer_lamp(&self->sequencer));
     report_burst(self);
     report_turntable(self, now);
     events_run(&self->events, now);

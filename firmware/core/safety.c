@@ -32,10 +32,10 @@ void safety_trip(controller_t* const self, const uint8_t fault, const uint32_t d
     events_fault(&self->events, board_tick(), fault, detail);
 }
 
-void safety_insist(controller_t* const self, const bool accepted)
+void safety_insist(controller_t* const self, const bool accepted, const uint32_t output)
 {
     if (!accepted && (self->fault == FAULT_NONE)) {
-        safety_trip(self, FAULT_LIMIT, 0U);
+        safety_trip(self, FAULT_LIMIT, output);
     }
 }
 

@@ -8,8 +8,9 @@
 // Latch a fault, disarm everything, report it.
 void safety_trip(controller_t* self, uint8_t fault, uint32_t detail);
 
-// What the board refuses is beyond a compiled-in limit: never try again before the host has seen it.
-void safety_insist(controller_t* self, bool accepted);
+// What the board refuses is beyond a compiled-in limit: never try again before the host has seen it. `output` goes into
+// the fault: LAMP_*, or OUTPUT_MICROWAVE.
+void safety_insist(controller_t* self, bool accepted, uint32_t output);
 
 // Once a round: interlock, host timeout, and a host that has gone.
 void safety_run(controller_t* self, uint32_t now);

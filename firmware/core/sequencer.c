@@ -161,6 +161,11 @@ bool sequencer_load(sequencer_t* const self, events_t* const events, const uint3
     return board_flash_load(&flash);
 }
 
+uint8_t sequencer_lamp(const sequencer_t* const self)
+{
+    return (self->tag == 0U) ? LAMP_DARK : self->plans[self->tag - 1U].lamp;
+}
+
 static uint8_t check_flash(const command_stage_t* const config, const reply_stage_t* const window, const uint32_t delay,
                            const uint32_t width)
 {

@@ -50,6 +50,9 @@ void sequencer_edges(sequencer_t* self, events_t* events, uint32_t now);
 // refused it.
 bool sequencer_load(sequencer_t* self, events_t* events, uint32_t now);
 
+// Of the flash loaded last, LAMP_*.
+uint8_t sequencer_lamp(const sequencer_t* self);
+
 // Validate a configuration as a whole and stage it. A status; on refusal `detail` says which field or lamp.
 uint8_t sequencer_stage(sequencer_t* self, const command_stage_t* config, reply_stage_t* reply);
 

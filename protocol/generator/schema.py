@@ -53,6 +53,7 @@ class Message:
     fields: tuple[Field, ...]
     frozen: bool = False
     query: bool = False
+    since: int = 1
 
     @property
     def length(self) -> int:
@@ -84,6 +85,7 @@ class Number:
 
     value: int
     what: str
+    since: int = 1
 
 
 @dataclass(frozen=True)
@@ -109,6 +111,7 @@ class Protocol:
     enums: dict[str, dict[str, int]]
     flags: dict[str, dict[str, int]]
     messages: tuple[Message, ...]
+    added: frozenset[tuple[str, str]]  # (enumeration or flags, member) since a level above 1
 
     @property
     def tick_hz(self) -> int:
@@ -116,11 +119,24 @@ class Protocol:
 
     @property
     def schema_hash(self) -> int:
-        """Of what the two ends must agree on; which pin is which is the controller's own affair."""
-        tables = ({name: n.value for name, n in t.items()} for t in (self.wire, self.controller, self.limits))
-        text = json.dumps([*tables, self.codes, self.enums, self.flags], sort_keys=True)
-        text += "\n".join(message.layout for message in self.messages)
+        """Of what two ends must agree on to work together at all: everything of level 1. What was added since is told
+        by the level, and by a schema byte for every message. Which pin is which is the controller's own affair."""
+        tables = (
+            {name: n.value for name, n in table.items() if n.since == 1}
+            for table in (self.wire, self.controller, self.limits)
+        )
+        enums, flags = self.at_level_1(self.enums), self.at_level_1(self.flags)
+        text = json.dumps([*tables, self.codes, enums, flags], sort_keys=True)
+        text += "\n".join(message.layout for message in self.messages if message.since == 1)
         return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big")
+
+    def at_level_1(self, tables: dict[str, dict[str, int]]) -> dict[str, dict[str, int]]:
+        """Enumerations or flags without what was added."""
+        kept = {
+            table: {member: value for member, value in members.items() if (table, member) not in self.added}
+            for table, members in tables.items()
+        }
+        return {table: members for table, members in kept.items() if members}
 
     def of(self, kind: str) -> list[Message]:
         return [message for message in self.messages if message.kind == kind]
@@ -140,12 +156,27 @@ def load(path: Path) -> Protocol:
         **numbers,
         pins={name: Pin(**{"pico": None, **entry}) for name, entry in raw["pins"].items()},
         codes=raw["codes"],
-        enums=raw["enums"],
-        flags=raw["flags"],
+        enums=values_of(raw["enums"]),
+        flags=values_of(raw["flags"]),
         messages=tuple(messages_of(raw)),
+        added=frozenset(
+            (table, member)
+            for kind in ("enums", "flags")
+            for table, members in raw[kind].items()
+            for member, value in members.items()
+            if isinstance(value, dict) and value["since"] > 1
+        ),
     )
     check(protocol)
     return protocol
+
+
+def values_of(tables: dict[str, dict[str, Any]]) -> dict[str, dict[str, int]]:
+    """A member is a number, or {value, since} when it was added."""
+    return {
+        table: {member: value["value"] if isinstance(value, dict) else value for member, value in members.items()}
+        for table, members in tables.items()
+    }
 
 
 def messages_of(raw: dict[str, Any]) -> list[Message]:
@@ -161,12 +192,13 @@ def messages_of(raw: dict[str, Any]) -> list[Message]:
     for kind in ("command", "event", "notice"):
         for entry in raw[kind]:
             fields = tuple(field(**given) for given in entry["fields"])
-            frozen, query = entry.get("frozen", False), entry.get("query", False)
-            messages.append(Message(kind, entry["name"], entry["id"], entry["doc"], fields, frozen, query))
+            frozen, query, since = entry.get("frozen", False), entry.get("query", False), entry.get("since", 1)
+            messages.append(Message(kind, entry["name"], entry["id"], entry["doc"], fields, frozen, query, since))
             if kind == "command":
                 reply = (status, detail, *(field(**given) for given in entry["reply"]))
                 doc = f"Answer to {entry['name']}."
-                messages.append(Message("reply", entry["name"], entry["id"] + REPLY_BIT, doc, reply, frozen))
+                reply_id = entry["id"] + REPLY_BIT
+                messages.append(Message("reply", entry["name"], reply_id, doc, reply, frozen, since=since))
     return messages
 
 

@@ -121,3 +121,8 @@ def test_the_bytes_shown_in_the_readme_are_right() -> None:
     body = bytes([messages.Commit.ID, 16]) + messages.Commit(generation=1).pack()
     assert unstuff(wire) == body + crc16(body + bytes([messages.Commit.SCHEMA_BYTE])).to_bytes(2, "little")
     assert f"schema byte {messages.Commit.SCHEMA_BYTE:#04x}" in prose
+
+
+def test_what_was_added_is_no_part_of_the_hash() -> None:
+    """Hosts and controllers of level 1 go on working together: this hash never changes again."""
+    assert messages.SCHEMA_HASH == 0xD49BD1EB
