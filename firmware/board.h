@@ -35,6 +35,9 @@ void board_watchdog_kick(void);
 // Restart with BOOT_CAUSE_HOST_RESET. May return; the core then does nothing more than to return itself.
 void board_reset(void);
 
+// Is a host there on the line the boot loader speaks, whichever line asks? Without one nothing could end its silence.
+bool board_bootloader_reachable(void);
+
 // Stop for good, every output low, and wait to be flashed anew: the boot loader's part. May return, as board_reset.
 void board_bootloader(void);
 

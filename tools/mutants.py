@@ -155,6 +155,20 @@ MUTANTS = (
         "",
         "train_begins",
     ),
+    Mutant(
+        "boot-loader-without-usb",
+        "core/commands.c",
+        "const bool stranded = !board_bootloader_reachable();",
+        "const bool stranded = false;",
+        "only_with_a_usb_host",
+    ),
+    Mutant(
+        "boot-loader-on-a-silent-bus",
+        "rp2040/usbdata.c",
+        "return usb_port.configured && !usb_port.suspended;",
+        "return usb_port.configured;",
+        "only_with_a_usb_host",
+    ),
 )
 
 

@@ -68,7 +68,8 @@ static void reset(controller_t* const self, const uint8_t line, const uint8_t* c
     reply_reset_pack(&(reply_reset_t){.status = meant ? STATUS_OK : STATUS_OUT_OF_RANGE}, answer);
 }
 
-// Unlike a reset it is refused while anything is armed or moves: nobody flashes a head at work by mistake.
+// Unlike a reset it is refused while anything is armed or moves: nobody flashes a head at work by mistake. And without
+// a USB host, since the boot loader speaks nothing else: a head on the UART alone would be silent for good.
 static void bootloader(controller_t* const self, const uint8_t line, const uint8_t* const payload,
                        uint8_t* const answer)
 {
@@ -78,8 +79,10 @@ static void bootloader(controller_t* const self, const uint8_t line, const uint8
     reply_bootloader_t reply = {.status = STATUS_OUT_OF_RANGE};
     if (command.magic == BOOTLOADER_MAGIC) {
         const bool busy = (self->armed != 0U) || self->moving;
-        reply.status = busy ? STATUS_BAD_STATE : STATUS_OK;
-        if (!busy) {
+        const bool stranded = !board_bootloader_reachable();
+        reply.status = (busy || stranded) ? STATUS_BAD_STATE : STATUS_OK;
+        reply.detail = (!busy && stranded) ? BOOTLOADER_NEEDS_USB : 0U;
+        if (reply.status == STATUS_OK) {
             leave(self, LEAVE_TO_BOOTLOADER);
         }
     }

@@ -11,6 +11,7 @@
 #define EVENT_RING 64U  // events that can be read again
 #define RESET_MAGIC 2120121088U  // payload of `reset`, so that no garbled frame restarts a controller
 #define BOOTLOADER_MAGIC 2120134663U  // payload of `bootloader`
+#define BOOTLOADER_NEEDS_USB 1U  // `detail` of a `bootloader` refused with bad_state: no USB host is there, which is all the boot loader speaks to
 #define TICK_HZ 100000000U  // one tick is 10 ns
 #define SLOTS_MAX 16U  // R + 1
 #define CHIPS_MAX 256U  // of a burst
@@ -404,7 +405,7 @@ typedef struct {
 void reply_move_pack(const reply_move_t* self, uint8_t* payload);
 void reply_move_unpack(reply_move_t* self, const uint8_t* payload);
 
-// Restart into the boot loader, to be flashed anew. Refused while anything is armed or moves. Every output goes low first. Acknowledged, then carried out.
+// Restart into the boot loader, to be flashed anew over USB. Refused while anything is armed or moves, or without a USB host. Every output goes low first. Acknowledged, then carried out.
 #define COMMAND_BOOTLOADER_LENGTH 4U
 typedef struct {
     uint32_t magic;  // 0x7E5EB007, or it is refused

@@ -43,6 +43,11 @@ void reset_start(void)
     kicked = world.now;
 }
 
+bool board_bootloader_reachable(void)
+{
+    return board_connected(LINE_USB);
+}
+
 // The main loop never comes back; only power does.
 void board_bootloader(void)
 {

@@ -59,6 +59,7 @@ void usb_handler(void);
 
 // USB as one of the lines of ../board.h, and what keeps it going: once a round.
 bool usb_connected(void);
+bool usb_hosted(void);  // configured by a host that keeps the bus busy, whether or not anybody has the port open
 size_t usb_receive(uint8_t* bytes, size_t size);
 size_t usb_transmit(const uint8_t* bytes, size_t size);
 bool usb_transmitted(void);

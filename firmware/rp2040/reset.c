@@ -24,6 +24,11 @@ void board_reset(void)
     }
 }
 
+bool board_bootloader_reachable(void)
+{
+    return usb_hosted();
+}
+
 // The ROM resets the chip by the watchdog and comes up as the drive RPI-RP2 and as PICOBOOT, GP25 showing its activity.
 void board_bootloader(void)
 {

@@ -107,9 +107,15 @@ static void restart_out(void)
     ask_for_packet();
 }
 
+// A charger configures nothing, and a bus without its host falls silent, which counts as suspended.
+bool usb_hosted(void)
+{
+    return usb_port.configured && !usb_port.suspended;
+}
+
 bool usb_connected(void)
 {
-    return usb_port.configured && !usb_port.suspended && usb_port.host_ready;
+    return usb_hosted() && usb_port.host_ready;
 }
 
 size_t usb_receive(uint8_t* const bytes, const size_t size)

@@ -240,6 +240,12 @@ static void the_boot_loader_is_entered_on_its_magic_with_outputs_low_and_never_w
     EXPECT_EQ(native_pin(PIN_ENABLE), 0);
     EXPECT_EQ(rig_status_of(COMMAND_BOOTLOADER, (const uint8_t[]){0, 0x7B, 0x5E, 0x7E}), STATUS_OUT_OF_RANGE);
     EXPECT(!native_in_bootloader());
+    const uint8_t* const refused = rig_command(COMMAND_BOOTLOADER, payload);  // over the UART, and no USB host is there
+    EXPECT_EQ(refused[0], STATUS_BAD_STATE);
+    EXPECT_EQ(refused[1], BOOTLOADER_NEEDS_USB);
+    EXPECT(!native_in_bootloader());
+    native_usb_connect(true);
+    rig_pass(MS);
     EXPECT_EQ(rig_status_of(COMMAND_BOOTLOADER, payload), STATUS_OK);
     EXPECT(native_in_bootloader());
     EXPECT_EQ(native_pin(PIN_ENABLE), 1);

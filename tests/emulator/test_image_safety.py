@@ -13,6 +13,7 @@ from annulus.controller import (
     PIN_TRIGGER,
 )
 from annulus.link.messages import (
+    BOOTLOADER_NEEDS_USB,
     Arm,
     ArmFlag,
     BootCause,
@@ -134,6 +135,33 @@ def test_a_reset_by_the_host_says_so(board: EmulatedBoard) -> None:
     assert [event.cause for event in board.heard(Booted)] == [BootCause.POWER_ON, BootCause.HOST_RESET]
 
 
+def attach_usb(board: EmulatedBoard) -> None:
+    """A host enumerates the board, and nobody opens its port."""
+    board.usb_do("attach")
+    board.usb_do("close")
+    board.run(board.now + 300 * MS)
+
+
+def test_the_boot_loader_is_entered_only_with_a_usb_host_whichever_line_asks(board: EmulatedBoard) -> None:
+    """The boot ROM speaks USB only: over the UART alone `bootloader` was acknowledged, and the head silent for good."""
+    board.identify()
+    for change in ("", "suspend", "detach"):
+        if change:
+            attach_usb(board)
+            board.usb_do(change)
+            board.run(board.now + 10 * MS)
+        reply = board.request(Bootloader(magic=0x7E5EB007))
+        assert (reply.status, reply.detail) == (StatusCode.BAD_STATE, BOOTLOADER_NEEDS_USB), change
+        board.run(board.now + 200 * MS)
+        assert board.bootloader is None
+        assert board.request(Status()).status == StatusCode.OK
+        board.usb_do("detach")
+    attach_usb(board)
+    assert board.request(Bootloader(magic=0x7E5EB007)).status == StatusCode.OK
+    board.run(board.now + 2 * MS)
+    assert board.bootloader is not None
+
+
 def test_the_boot_loader_is_entered_by_its_rom_call_with_every_output_low(board: EmulatedBoard) -> None:
     arm(board, ArmFlag.LAMPS | ArmFlag.MICROWAVE, ratio=0, width=2_000_000, period=8_000_000)
     before = board.identify().boot
@@ -143,6 +171,7 @@ def test_the_boot_loader_is_entered_by_its_rom_call_with_every_output_low(board:
     assert board.request(Status()).status == StatusCode.OK
     assert board.bootloader is None
     assert board.request(Arm(outputs=ArmFlag(0))).status == StatusCode.OK
+    attach_usb(board)
     assert board.request(Bootloader(magic=0x7E5E7B00)).status == StatusCode.OUT_OF_RANGE
     assert board.request(Bootloader(magic=0x7E5EB007)).status == StatusCode.OK
     board.run(board.now + 2 * MS)

@@ -32,6 +32,7 @@ from annulus.link.codec import Corrupt
 from annulus.link.head import refusal, schema_problem
 from annulus.link.messages import (
     BOOTLOADER_MAGIC,
+    BOOTLOADER_NEEDS_USB,
     BootCause,
     Bootloader,
     IdentifyReply,
@@ -195,6 +196,11 @@ def enter_boot_loader(port: str) -> None:
             raise AnnulusError(
                 f"{port}: this firmware knows no way into the boot loader. Hold BOOTSEL while plugging the board in,"
                 " and flash without naming a port."
+            )
+        if answer.reply.status is StatusCode.BAD_STATE and answer.reply.detail == BOOTLOADER_NEEDS_USB:
+            raise AnnulusError(
+                f"{port}: the boot loader speaks USB only, and no host is at the board's USB socket."
+                " Plug it into this machine."
             )
         if answer.reply.status is StatusCode.BAD_STATE:
             raise AnnulusError(

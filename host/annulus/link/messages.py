@@ -19,6 +19,7 @@ MAX_WIRE = 64
 EVENT_RING = 64
 RESET_MAGIC = 2120121088
 BOOTLOADER_MAGIC = 2120134663
+BOOTLOADER_NEEDS_USB = 1
 
 
 class StatusCode(IntEnum):
@@ -902,8 +903,8 @@ class Move(Command):
 
 @dataclass(frozen=True, slots=True)
 class Bootloader(Command):
-    """Restart into the boot loader, to be flashed anew. Refused while anything is armed or moves. Every output goes low
-    first. Acknowledged, then carried out.
+    """Restart into the boot loader, to be flashed anew over USB. Refused while anything is armed or moves, or without a
+    USB host. Every output goes low first. Acknowledged, then carried out.
     """
 
     ID: ClassVar[int] = 0x0D

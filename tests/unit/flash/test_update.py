@@ -32,6 +32,7 @@ from annulus.flash.update import (
     monitor,
 )
 from annulus.link.messages import (
+    BOOTLOADER_NEEDS_USB,
     SCHEMA_HASH,
     Bootloader,
     BootloaderReply,
@@ -111,6 +112,15 @@ def test_a_head_that_is_armed_is_left_alone() -> None:
     with far_end(serving(head)) as port, pytest.raises(AnnulusError) as caught:
         flash(IMAGE, port=port, backend=bus)
     assert "annulus head disarm" in one_line(caught)
+
+
+def test_a_head_without_usb_is_not_sent_into_silence() -> None:
+    bus = Bus()
+    head = Head(bus, Board())
+    head.refuse[Bootloader] = (StatusCode.BAD_STATE, BOOTLOADER_NEEDS_USB)
+    with far_end(serving(head)) as port, pytest.raises(AnnulusError) as caught:
+        flash(IMAGE, port=port, backend=bus)
+    assert "speaks USB only" in one_line(caught)
 
 
 def test_a_boot_loader_that_does_not_come_up_is_told() -> None:
