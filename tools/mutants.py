@@ -149,6 +149,20 @@ MUTANTS = (
     Mutant("credit-not-enforced", "rp2040/microwave.c", "JMP_X_NOT_Y(GUARD_TAKE),", "JMP(GUARD_TAKE),", "stuck"),
     Mutant("credit-twice-as-long", "rp2040/microwave.c", "#define CREDIT 100000U", "#define CREDIT 200000U", "stuck"),
     Mutant(
+        "duty-of-the-configured-period",
+        "core/sequencer.c",
+        "const uint32_t next_edge = holdoff_ticks(config);",
+        "const uint32_t next_edge = config->frame_period;",
+        "shortest_interval",
+    ),
+    Mutant(
+        "ticks-compared-without-sign",
+        "core/sequencer.c",
+        "(ticks_since(now, self->last_tick) <= (int32_t)(period / 2U * 5U))",
+        "(now - self->last_tick <= period / 2U * 5U)",
+        "no_lost_sync",
+    ),
+    Mutant(
         "start-interrupted",
         "rp2040/microwave.c",
         "    interrupts_off();  // one between tick and start would make the tick a lie\n",

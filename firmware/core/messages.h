@@ -18,7 +18,7 @@
 #define TRIGGER_TICKS 100U  // length of the digitizer trigger
 #define HOST_TIMEOUT_DEFAULT_MS 500U  // of a configuration that says 0
 #define LAMP_WIDTH_MAX_TICKS 2000000U  // longest flash
-#define LAMP_DUTY_MAX_PERMILLE 500U  // width over frame period, either lamp
+#define LAMP_DUTY_MAX_PERMILLE 500U  // width over the shortest interval that the tolerance accepts
 #define FRAME_PERIOD_MIN_TICKS 200000U  // fastest frame rate
 #define FRAME_PERIOD_MAX_TICKS 100000000U  // slowest
 #define HOST_TIMEOUT_MIN_MS 50U  // shortest host timeout

@@ -166,7 +166,8 @@ uint8_t sequencer_lamp(const sequencer_t* const self)
     return (self->tag == 0U) ? LAMP_DARK : self->plans[self->tag - 1U].lamp;
 }
 
-static uint8_t check_flash(const command_stage_t* const config, const reply_stage_t* const window, const uint32_t delay,
+// `shortest`: from an edge to the earliest next one that would be accepted; what a flash may take of it is the duty.
+static uint8_t check_flash(const reply_stage_t* const window, const uint32_t shortest, const uint32_t delay,
                            const uint32_t width)
 {
     if (width == 0U) {
@@ -176,7 +177,7 @@ static uint8_t check_flash(const command_stage_t* const config, const reply_stag
         return STATUS_WINDOW;
     }
     const uint64_t permille = LAMP_DUTY_MAX_PERMILLE;
-    return ((uint64_t)width * 1000U > permille * config->frame_period) ? STATUS_DUTY : STATUS_OK;
+    return ((uint64_t)width * 1000U > permille * shortest) ? STATUS_DUTY : STATUS_OK;
 }
 
 static uint8_t check_limits(const command_stage_t* const config)
@@ -219,11 +220,11 @@ uint8_t sequencer_stage(sequencer_t* const self, const command_stage_t* const co
     uint8_t status = STATUS_OK;
     if (config->ratio > 0U) {
         reply->detail = LAMP_PROJECTOR;
-        status = check_flash(config, reply, config->projector_delay, config->projector_width);
+        status = check_flash(reply, next_edge, config->projector_delay, config->projector_width);
     }
     if (status == STATUS_OK) {
         reply->detail = LAMP_LED;
-        status = check_flash(config, reply, config->led_delay, config->led_width);
+        status = check_flash(reply, next_edge, config->led_delay, config->led_width);
     }
     if (status != STATUS_OK) {
         return status;

@@ -52,6 +52,10 @@ static void a_configuration_is_refused_as_a_whole_with_the_reason(void)
     REFUSED((config.frame_period = 39 * MS, config.exposure = 39 * MS, config.readout = 0, config.projector_delay = 0,
              config.projector_width = 20 * MS),
             STATUS_DUTY, LAMP_PROJECTOR);
+    // It is a share of the shortest interval the tolerance lets through, for edges may come that early every time.
+    REFUSED((config.tolerance = 500, config.exposure = PERIOD, config.readout = 0, config.led_delay = 0,
+             config.led_width = 10 * MS + 1),
+            STATUS_DUTY, LAMP_LED);
     // The flash has to be over before the earliest edge that would be accepted: 2 % early is 39.2 ms.
     REFUSED((config.exposure = PERIOD, config.readout = 0, config.led_delay = 34 * MS + 200 * US + 1), STATUS_WINDOW,
             LAMP_LED);

@@ -16,7 +16,7 @@ HOST_TIMEOUT_DEFAULT_MS = 500  # of a configuration that says 0
 
 # Limits, compiled into the controller and enforced there.
 LAMP_WIDTH_MAX_TICKS = 2000000  # longest flash
-LAMP_DUTY_MAX_PERMILLE = 500  # width over frame period, either lamp
+LAMP_DUTY_MAX_PERMILLE = 500  # width over the shortest interval that the tolerance accepts
 FRAME_PERIOD_MIN_TICKS = 200000  # fastest frame rate
 FRAME_PERIOD_MAX_TICKS = 100000000  # slowest
 HOST_TIMEOUT_MIN_MS = 50  # shortest host timeout

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-from annulus.controller import TICK_NS, TICKS_PER_US
+from annulus.controller import LAMP_DUTY_MAX_PERMILLE, TICK_NS, TICKS_PER_US
 from annulus.link.clock import ClockMap
 from annulus.link.messages import (
     PROTOCOL_VERSION,
@@ -402,6 +402,8 @@ def refusal(answer: Answer) -> str:
             return f"{name} refused: {where} = {value} is out of range (protocol/REFERENCE.md has the ranges)"
         case StatusCode.WINDOW if isinstance(answer.command, Stage):
             return _window_refusal(answer.command, detail)
+        case StatusCode.DUTY if isinstance(answer.command, Stage):
+            return _duty_refusal(answer.command, detail)
         case StatusCode.DUTY:
             lamp = {1: "projector", 2: "led", 3: "microwave"}.get(detail, str(detail))
             return f"{name} refused: duty of the {lamp} is over the controller's limit"
@@ -410,6 +412,19 @@ def refusal(answer: Answer) -> str:
         case StatusCode.UNSAFE:
             return f"{name} refused: interlock open or a fault latched"
     return f"{name} refused: {status.name.lower()}, detail {detail}"
+
+
+def _duty_refusal(stage: Stage, lamp: int) -> str:
+    led = lamp == Lamp.LED
+    width = stage.led_width if led else stage.projector_width
+    us = TICKS_PER_US
+    shortest = stage.frame_period - stage.frame_period * stage.tolerance // 1000
+    return (
+        f"{'led' if led else 'projector'} flash of {width / us:g} us is too long, expected"
+        f" {shortest * LAMP_DUTY_MAX_PERMILLE / 1000 / us:g} us at most: {LAMP_DUTY_MAX_PERMILLE / 10:g} % of"
+        f" {shortest / us:g} us, the shortest interval between edges ({1e6 * us / stage.frame_period:g} fps,"
+        f" tolerance {stage.tolerance / 10:g} %)"
+    )
 
 
 def _window_refusal(stage: Stage, lamp: int) -> str:

@@ -156,6 +156,16 @@ def test_a_flash_outside_the_window_is_refused_in_the_users_words() -> None:
     assert bench.head.phase is Phase.RUNNING
 
 
+def test_a_flash_over_the_duty_limit_is_refused_with_the_limit() -> None:
+    bench = Bench(HeadControl(STAGE))
+    bench.controller.refuse[Stage] = (StatusCode.DUTY, int(Lamp.LED))
+    bench.run(50)
+    assert bench.head.problem == (
+        "led flash of 2500 us is too long, expected 19000 us at most: 50 % of 38000 us, the shortest interval between"
+        " edges (25 fps, tolerance 5 %)"
+    )
+
+
 def test_another_schema_is_never_armed_but_still_asked_for_its_state() -> None:
     bench = Bench(HeadControl(STAGE), ScriptedController(schema=0x12345678))
     bench.run(2000)
