@@ -5,10 +5,11 @@
 #include <string.h>
 
 #include "../board.h"
+#include "../ticks.h"
 #include "commands.h"
 #include "safety.h"
 
-#define LEAVE_TICKS (TICK_HZ / 10U)  // patience with a host that does not fetch the acknowledgement
+#define LEAVE_TICKS ((int32_t)TICK_HZ / 10)  // patience with a host that does not fetch the acknowledgement
 
 void controller_start(controller_t* const self)
 {
@@ -105,7 +106,7 @@ static bool may_leave(const controller_t* const self)
     for (uint8_t line = 0; line < LINES; line++) {
         quiet = quiet && link_idle(&self->links[line]) && board_transmitted(line);
     }
-    return quiet || (board_tick() - self->leaving_since > LEAVE_TICKS);
+    return quiet || (ticks_since(board_tick(), self->leaving_since) > LEAVE_TICKS);
 }
 
 void controller_run(controller_t* const self)

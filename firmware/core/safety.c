@@ -3,6 +3,7 @@
 #include "safety.h"
 
 #include "../board.h"
+#include "../ticks.h"
 
 static void set_microwave(controller_t* const self, const bool on)
 {
@@ -39,10 +40,10 @@ void safety_insist(controller_t* const self, const bool accepted, const uint32_t
     }
 }
 
-static uint32_t host_timeout_ticks(const controller_t* const self)
+static int32_t host_timeout_ticks(const controller_t* const self)
 {
     const uint32_t ms = self->sequencer.config.host_timeout;
-    return ((ms == 0U) ? HOST_TIMEOUT_DEFAULT_MS : ms) * TICKS_PER_MS;
+    return (int32_t)(((ms == 0U) ? HOST_TIMEOUT_DEFAULT_MS : ms) * TICKS_PER_MS);
 }
 
 void safety_run(controller_t* const self, const uint32_t now)
@@ -56,7 +57,7 @@ void safety_run(controller_t* const self, const uint32_t now)
         safety_trip(self, FAULT_INTERLOCK, 0U);
     } else if (starved) {
         safety_trip(self, FAULT_WATCHDOG, BOARD_STARVED_MS);
-    } else if (!board_connected(self->session) || (now - self->heard > host_timeout_ticks(self))) {
+    } else if (!board_connected(self->session) || (ticks_since(now, self->heard) > host_timeout_ticks(self))) {
         safety_trip(self, FAULT_HOST_TIMEOUT, now - self->heard);
     }
 }

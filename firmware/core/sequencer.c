@@ -4,6 +4,7 @@
 #include "sequencer.h"
 
 #include "../board.h"
+#include "../ticks.h"
 
 // Places of fields in STAGE, as `detail` names them.
 enum {
@@ -109,11 +110,12 @@ static void report_edge(sequencer_t* const self, const board_edge_t* const edge,
     self->edges++;
 }
 
-// An interval is only meaningful while the tick counter cannot have wrapped and the next edge is not overdue.
+// An interval is only meaningful while the tick counter cannot have wrapped and the next edge is not overdue. The last
+// edge may be younger than `now`, which was read before the edges were.
 static void check_sync(sequencer_t* const self, events_t* const events, const uint32_t now)
 {
     const uint32_t period = (self->config.generation == 0U) ? FRAME_PERIOD_MAX_TICKS : self->config.frame_period;
-    if (!self->has_last || (now - self->last_tick <= period / 2U * 5U)) {
+    if (!self->has_last || (ticks_since(now, self->last_tick) <= (int32_t)(period / 2U * 5U))) {
         return;
     }
     self->has_last = false;
