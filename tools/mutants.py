@@ -70,6 +70,13 @@ MUTANTS = (
         "MOV_ISR_NULL,",
         "interlock",
     ),
+    Mutant(
+        "a-second-reread-takes-the-place-of-the-first",
+        "core/events.c",
+        "(uint8_t)((rereads->oldest + rereads->waiting) % REREADS_MAX)",
+        "rereads->oldest",
+        "every_event_promised",
+    ),
     Mutant("event-sequence-not-advanced", "core/events.c", "self->next++", "self->next += 0U", "gap"),
     Mutant(
         "lamp-one-tick-late",

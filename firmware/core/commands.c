@@ -183,8 +183,7 @@ static void reread(controller_t* const self, const uint8_t line, const uint8_t* 
     reply_reread_t reply = {.status = STATUS_OUT_OF_RANGE, .detail = command_reread_range(&command)};
     if (reply.detail == RANGE_OK) {
         reply.detail = 0;
-        self->rereader = line;
-        reply.status = events_reread(&self->events, &command, &reply);
+        reply.status = events_reread(&self->events, &self->rereads[line], &command, &reply);
     }
     reply_reread_pack(&reply, answer);
 }

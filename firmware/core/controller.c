@@ -48,6 +48,7 @@ static void watch_connection(controller_t* const self, const uint8_t line)
     const bool connected = board_connected(line);
     if (connected && !self->connected[line]) {
         link_start(&self->links[line]);
+        memset(&self->rereads[line], 0, sizeof self->rereads[line]);
     }
     self->connected[line] = connected;
 }
@@ -75,7 +76,7 @@ static void receive(controller_t* const self, const uint8_t line)
 
 static const event_t* next_event(controller_t* const self, const uint8_t line, uint16_t* const sequence)
 {
-    const event_t* const again = (line == self->rereader) ? events_again(&self->events, sequence) : NULL;
+    const event_t* const again = events_again(&self->events, &self->rereads[line], sequence);
     return ((again == NULL) && (line == self->session)) ? events_next(&self->events, sequence) : again;
 }
 

@@ -31,7 +31,8 @@ void events_fault(events_t* const self, const uint32_t tick, const uint8_t fault
     event_fault_pack(&(event_fault_t){.tick = tick, .fault = fault, .detail = detail}, events_emit(self, EVENT_FAULT));
 }
 
-uint8_t events_reread(events_t* const self, const command_reread_t* const command, reply_reread_t* const reply)
+uint8_t events_reread(const events_t* const self, rereads_t* const rereads, const command_reread_t* const command,
+                      reply_reread_t* const reply)
 {
     uint16_t first = command->first;
     uint16_t count = command->count;
@@ -46,18 +47,29 @@ uint8_t events_reread(events_t* const self, const command_reread_t* const comman
         count = age(self, first);
     }
     reply->first = first;
+    if (count == 0U) {
+        return STATUS_GONE;
+    }
+    if (rereads->waiting == REREADS_MAX) {  // nothing is promised that would push out an older promise
+        return STATUS_BAD_STATE;
+    }
+    const uint8_t last = (uint8_t)((rereads->oldest + rereads->waiting) % REREADS_MAX);
+    rereads->runs[last].first = first;
+    rereads->runs[last].count = (uint8_t)count;
+    rereads->waiting++;
     reply->count = (uint8_t)count;
-    self->again = first;
-    self->again_count = (uint8_t)count;
-    return (count > 0U) ? STATUS_OK : STATUS_GONE;
+    return STATUS_OK;
 }
 
-const event_t* events_again(events_t* const self, uint16_t* const sequence)
+const event_t* events_again(const events_t* const self, rereads_t* const rereads, uint16_t* const sequence)
 {
-    while (self->again_count > 0U) {
-        *sequence = self->again++;
-        self->again_count--;
-        if (age(self, *sequence) <= self->held) {  // may have left the ring since it was asked for
+    while (rereads->waiting > 0U) {
+        *sequence = rereads->runs[rereads->oldest].first++;
+        if (--rereads->runs[rereads->oldest].count == 0U) {
+            rereads->oldest = (uint8_t)((rereads->oldest + 1U) % REREADS_MAX);
+            rereads->waiting--;
+        }
+        if (age(self, *sequence) <= self->held) {
             return &self->ring[*sequence % EVENT_RING];
         }
     }

@@ -52,6 +52,31 @@ static void replies_go_where_the_command_came_from_and_events_to_who_identified_
     EXPECT_EQ(rig_count(EVENT_EDGE), 1);  // the second; the third went where the last identify came from
 }
 
+// Red while one line's reread took the other's place: neither of the UART's five came.
+static void events_asked_for_on_one_line_come_there_whatever_the_other_asks(void)
+{
+    start_on_usb();
+    for (int i = 0; i < 12; i++) {
+        rig_edge(3 * MS);
+    }
+    rig_forget();
+    native_stall_cpu(1 * MS);
+    uint8_t payload[COMMAND_REREAD_LENGTH];
+    command_reread_pack(&(command_reread_t){.first = 6, .count = 7}, payload);
+    rig_send(COMMAND_REREAD, 50, payload);
+    rig_over_usb(false);
+    command_reread_pack(&(command_reread_t){.first = 1, .count = 5}, payload);
+    rig_send(COMMAND_REREAD, 51, payload);
+    rig_pass(10 * MS);
+    EXPECT_EQ(rig_count(EVENT_EDGE), 5);
+    EXPECT_EQ(rig_take(EVENT_EDGE)->sequence, 1);
+    rig_forget();
+    rig_over_usb(true);
+    rig_pass(10 * MS);
+    EXPECT_EQ(rig_count(EVENT_EDGE), 7);
+    EXPECT_EQ(rig_take(EVENT_EDGE)->sequence, 6);
+}
+
 static void only_the_line_that_identified_last_changes_anything(void)
 {
     start_on_usb();
@@ -154,6 +179,7 @@ static void a_reset_waits_for_its_acknowledgement_but_not_for_ever(void)
 void lines_tests(void)
 {
     RUN(replies_go_where_the_command_came_from_and_events_to_who_identified_last);
+    RUN(events_asked_for_on_one_line_come_there_whatever_the_other_asks);
     RUN(only_the_line_that_identified_last_changes_anything);
     RUN(a_host_that_looks_on_keeps_nothing_alight);
     RUN(a_host_unplugged_while_armed_darkens_everything_at_once_and_is_back_in_under_a_second);

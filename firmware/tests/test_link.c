@@ -345,7 +345,8 @@ static void events_survive_65536_of_them(void)
         EXPECT_EQ(event->payload[0], (uint8_t)i);
     }
     reply_reread_t reply = {0};
-    EXPECT_EQ(events_reread(&events, &(command_reread_t){.first = 4390, .count = 64}, &reply), STATUS_OK);
+    static rereads_t rereads;
+    EXPECT_EQ(events_reread(&events, &rereads, &(command_reread_t){.first = 4390, .count = 64}, &reply), STATUS_OK);
     EXPECT_EQ(reply.first, 70000 - 65536 - 64);
     EXPECT_EQ(reply.count, 54);
 }
@@ -382,14 +383,69 @@ static void an_event_overwritten_while_it_waits_to_be_sent_again_is_skipped(void
         events_next(&events, &sequence);
     }
     reply_reread_t reply;
-    EXPECT_EQ(events_reread(&events, &(command_reread_t){.first = 0, .count = 3}, &reply), STATUS_OK);
+    static rereads_t rereads;
+    EXPECT_EQ(events_reread(&events, &rereads, &(command_reread_t){.first = 0, .count = 3}, &reply), STATUS_OK);
     events_emit(&events, EVENT_TURNTABLE_DONE);
     events_emit(&events, EVENT_TURNTABLE_DONE);
-    EXPECT(events_again(&events, &sequence) != NULL);
+    EXPECT(events_again(&events, &rereads, &sequence) != NULL);
     EXPECT_EQ(sequence, 2);  // 0 and 1 have left the ring
-    EXPECT(events_again(&events, &sequence) == NULL);
+    EXPECT(events_again(&events, &rereads, &sequence) == NULL);
     events_next(&events, &sequence);
     EXPECT_EQ(sequence, EVENT_RING);
+}
+
+// Red while a second promise overwrote the first: 15 + 10 were promised and 10 came.
+static void every_event_promised_comes_however_many_rereads_are_outstanding(void)
+{
+    rig_start();
+    for (int i = 0; i < 60; i++) {
+        rig_edge(3 * MS);
+    }
+    rig_forget();
+    native_stall_cpu(2 * MS);
+    for (uint8_t i = 0; i < REREADS_MAX; i++) {
+        uint8_t payload[COMMAND_REREAD_LENGTH];
+        command_reread_pack(&(command_reread_t){.first = edge_sequence(5U * i), .count = (uint8_t)(i + 1U)}, payload);
+        rig_send(COMMAND_REREAD, i, payload);
+    }
+    rig_pass(60 * MS);
+    uint32_t promised = 0;
+    for (uint8_t i = 0; i < REREADS_MAX; i++) {
+        reply_reread_t reply;
+        reply_reread_unpack(&reply, rig_take(REPLY_REREAD)->payload);
+        EXPECT_EQ(reply.status, STATUS_OK);
+        promised += reply.count;
+        for (uint32_t k = 0; k <= i; k++) {
+            EXPECT_EQ(rig_take(EVENT_EDGE)->sequence, edge_sequence(5U * i + k));
+        }
+    }
+    EXPECT_EQ(promised, 36);
+    EXPECT_EQ(rig_count(EVENT_EDGE), 0);
+}
+
+static void a_promise_that_cannot_be_kept_is_not_made(void)
+{
+    static events_t events;
+    static rereads_t rereads;
+    memset(&events, 0, sizeof events);
+    memset(&rereads, 0, sizeof rereads);
+    for (uint32_t i = 0; i < 20U; i++) {
+        events_emit(&events, EVENT_TURNTABLE_DONE);
+    }
+    const command_reread_t two = {.first = 3, .count = 2};
+    for (uint32_t i = 0; i < REREADS_MAX; i++) {
+        reply_reread_t reply = {0};
+        EXPECT_EQ(events_reread(&events, &rereads, &two, &reply), STATUS_OK);
+    }
+    reply_reread_t refused = {0};
+    EXPECT_EQ(events_reread(&events, &rereads, &two, &refused), STATUS_BAD_STATE);
+    EXPECT_EQ(refused.count, 0);
+    uint16_t sequence;
+    uint32_t sent = 0;
+    while (events_again(&events, &rereads, &sequence) != NULL) {
+        sent++;
+    }
+    EXPECT_EQ(sent, 2U * REREADS_MAX);
 }
 
 void link_tests(void)
@@ -411,4 +467,6 @@ void link_tests(void)
     RUN(events_survive_65536_of_them);
     RUN(an_overrun_is_counted_and_reported_once_there_is_room);
     RUN(an_event_overwritten_while_it_waits_to_be_sent_again_is_skipped);
+    RUN(every_event_promised_comes_however_many_rereads_are_outstanding);
+    RUN(a_promise_that_cannot_be_kept_is_not_made);
 }

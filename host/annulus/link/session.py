@@ -29,6 +29,7 @@ from annulus.link.messages import (
     Reply,
     Reread,
     RereadReply,
+    StatusCode,
 )
 from annulus.vocabulary import AnnulusError
 
@@ -328,6 +329,8 @@ class Session:
         for sequence in asked_for:
             if sequence in self._missing:
                 self._missing[sequence].due_ns = now + REREAD_WAIT_NS
+        if reply.status is StatusCode.BAD_STATE:  # it has as much to send again as it can keep in mind: asked later
+            return
         yield from self._lose([s for s in asked_for if s not in follow and s in self._missing])
 
     def _lose(self, sequences: list[int]) -> Iterator[LinkEvent]:

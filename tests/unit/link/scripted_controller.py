@@ -137,11 +137,13 @@ class ScriptedController:
                 return ClearReply(*ok, FaultCode.NONE)
             case Move(position):
                 return MoveReply(*ok, position)
-            case Reread(first, count):
+            case Reread(first, count) if status is StatusCode.OK:
                 there = [s for s in ((first + i) % 65536 for i in range(count)) if s in self._ring]
                 if not there:
                     return RereadReply(StatusCode.GONE, 0, first, 0)
                 return RereadReply(StatusCode.OK, 0, there[0], len(there))
+            case Reread(first):
+                return RereadReply(*ok, first, 0)
         raise AssertionError(command)
 
 

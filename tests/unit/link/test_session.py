@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scripted_controller import BadLine, ScriptedController
 
-from annulus.link.messages import EVENT_RING, Identify, Move, Ping, Status, TurntableDone
+from annulus.link.messages import EVENT_RING, Identify, Move, Ping, Reread, Status, StatusCode, TurntableDone
 from annulus.link.session import (
     WINDOW,
     Answer,
@@ -208,3 +208,19 @@ def test_identify_goes_alone_since_the_controller_then_forgets_repeats() -> None
     session.pending(0)
     assert [type(w.command) for w in session._outstanding.values()] == [Move]
     assert Identify in {type(command) for _, command in session._queue}
+
+
+def test_a_reread_put_off_is_asked_again_and_loses_nothing() -> None:
+    """A controller that has as many promises open as it can keep says bad_state: the events are still there."""
+    talk = Conversation()
+    talk.session.send(identify())
+    talk.controller.emit(TurntableDone(0, 0))
+    talk.run(10)
+    talk.controller.refuse[Reread] = (StatusCode.BAD_STATE, 0)
+    talk.controller.emit(TurntableDone(0, 1), reach_the_line=False)
+    talk.controller.emit(TurntableDone(0, 2))
+    talk.run(40)
+    del talk.controller.refuse[Reread]
+    talk.run(200)
+    assert [happening.event.position for happening in talk.all(EventReceived)] == [0, 2, 1]
+    assert not talk.all(EventsLost)
