@@ -41,7 +41,11 @@ class Talker(Protocol[Item]):
 
 
 class Port:
-    """A pyserial port whose failures are AnnulusErrors. `now` everywhere is time.monotonic_ns()."""
+    """A pyserial port whose failures are AnnulusErrors. `now` everywhere is time.monotonic_ns().
+
+    It begins with one 0x00. Until a fresh ttyACM is in raw mode the kernel echoes to the controller what the controller
+    said; the delimiter ends that, so that the first command does not go on where the echo stopped.
+    """
 
     def __init__(self, url: str) -> None:
         self.url = url
@@ -53,6 +57,11 @@ class Port:
                 f"{url}: cannot be opened ({_reason(error)}), expected a serial port or socket://host:port."
                 " Is the head plugged in?"
             ) from None
+        try:
+            self.write(b"\0")
+        except AnnulusError:
+            self.close()
+            raise
 
     def read(self, timeout_s: float) -> bytes:
         """What is there, or what comes first within the time; empty when nothing does."""

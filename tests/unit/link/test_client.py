@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 import pytest
 from scripted_controller import ScriptedController
 
-from annulus.link.client import Client
+from annulus.link.client import Client, Port
 from annulus.link.messages import Arm, ArmFlag, Edge, Ping, PingReply, Stage, Status, StatusCode
 from annulus.link.session import EventReceived
 from annulus.vocabulary import AnnulusError, EdgeFlag, Lamp
@@ -121,3 +121,24 @@ def test_a_socket_nobody_listens_on() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
     assert "cannot be opened" in one_line(f"socket://127.0.0.1:{port}")
+
+
+def test_a_port_ends_what_the_kernel_echoed_before_it_was_raw() -> None:
+    """A fresh tty echoes a frame of the controller: that stood before the first command. Every opening ends it."""
+    master, slave = pty.openpty()
+    os.set_blocking(master, False)
+    try:
+        for _ in range(2):
+            os.write(master, b"\x05\x87\x11")  # while the tty is as the kernel makes it: cooked and echoing
+            port = Port(os.ttyname(slave))
+            echoed = b""
+            end = time.monotonic() + 2.0
+            while not echoed.endswith(b"\0") and time.monotonic() < end:
+                with suppress(BlockingIOError):
+                    echoed += os.read(master, 100)
+            port.close()
+            assert echoed.endswith(b"\0")
+            assert echoed.count(b"\0") == 1
+    finally:
+        os.close(master)
+        os.close(slave)
