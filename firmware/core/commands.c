@@ -2,51 +2,12 @@
 
 #include "commands.h"
 
-#include <string.h>
-
 #include "../board.h"
 #include "safety.h"
 
-#ifndef ANNULUS_GIT
-#define ANNULUS_GIT "unknown"
-#endif
-
-// May this line's host change anything? The one that identified last, and knows what it says.
-static bool has_session(const controller_t* const self, const uint8_t line)
+bool commands_allowed(const controller_t* const self, const uint8_t line)
 {
     return self->schema_ok && (line == self->session);
-}
-
-static void identify(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
-{
-    command_identify_t command;
-    command_identify_unpack(&command, payload);
-    const bool understood = (command.protocol == PROTOCOL_VERSION) && (command.schema == SCHEMA_HASH);
-    const bool at_work = (self->armed != 0U) && (line != self->session);  // the other line's host: not to be disturbed
-    if (!at_work) {
-        self->session = line;
-        self->schema_ok = understood;
-        if (!understood) {
-            safety_arm(self, 0U);  // whoever speaks now could not read what happens
-        }
-    }
-    link_forget(&self->links[line]);
-    const uint8_t taken = at_work ? STATUS_BAD_STATE : STATUS_OK;
-    reply_identify_t reply = {.status = understood ? taken : STATUS_SCHEMA,
-                              .protocol = PROTOCOL_VERSION,
-                              .schema = SCHEMA_HASH,
-                              .boot = board_boot(),
-                              .cause = board_cause(),
-                              .tick_hz = TICK_HZ,
-                              .git = {0},
-                              .lamp_width_max = LAMP_WIDTH_MAX_TICKS,
-                              .lamp_duty_max = LAMP_DUTY_MAX_PERMILLE,
-                              .pulse_min = MICROWAVE_PULSE_MIN_TICKS,
-                              .pulse_max = MICROWAVE_PULSE_MAX_TICKS};
-    static const char git[] = ANNULUS_GIT;
-    memcpy(reply.git, git, (sizeof git - 1U < sizeof reply.git) ? sizeof git - 1U : sizeof reply.git);
-    memcpy(reply.board, board_name(), sizeof reply.board);
-    reply_identify_pack(&reply, answer);
 }
 
 static void leave(controller_t* const self, const uint8_t where)
@@ -89,47 +50,6 @@ static void bootloader(controller_t* const self, const uint8_t line, const uint8
     reply_bootloader_pack(&reply, answer);
 }
 
-static void ping(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
-{
-    (void)self;
-    (void)line;
-    (void)payload;
-    reply_ping_pack(&(reply_ping_t){.status = STATUS_OK, .tick = board_tick()}, answer);
-}
-
-static uint16_t state_flags(const controller_t* const self, const uint8_t line)
-{
-    uint16_t state = 0;
-    state |= self->sequencer.synced ? STATE_SYNCED : 0U;
-    state |= ((self->armed & ARM_LAMPS) != 0U) ? STATE_LAMPS_ARMED : 0U;
-    state |= ((self->armed & ARM_MICROWAVE) != 0U) ? STATE_MICROWAVE_ARMED : 0U;
-    state |= self->bursts.running ? STATE_BURST_RUNNING : 0U;
-    state |= board_interlock_open() ? STATE_INTERLOCK_OPEN : 0U;
-    state |= self->moving ? STATE_TURNTABLE_MOVING : 0U;
-    state |= self->sequencer.is_staged ? STATE_STAGED : 0U;
-    state |= has_session(self, line) ? STATE_SCHEMA_OK : 0U;
-    return state;
-}
-
-static void status(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
-{
-    (void)payload;
-    reply_status_pack(&(reply_status_t){.status = STATUS_OK,
-                                        .state = state_flags(self, line),
-                                        .fault = self->fault,
-                                        .generation = self->sequencer.config.generation,
-                                        .edges = self->sequencer.edges,
-                                        .rejected = board_edges_refused(),
-                                        .period = self->sequencer.period,
-                                        .odometer = board_odometer(),
-                                        .events = self->events.next,
-                                        .bad_frames = self->links[line].bad_frames,
-                                        .late = self->sequencer.late,
-                                        .overruns = self->events.overruns,
-                                        .turntable = board_turntable_position()},
-                      answer);
-}
-
 static void stage(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
 {
     command_stage_t command;
@@ -140,7 +60,8 @@ static void stage(controller_t* const self, const uint8_t line, const uint8_t* c
         reply.status = STATUS_OUT_OF_RANGE;
     } else {
         reply.detail = 0;
-        reply.status = has_session(self, line) ? sequencer_stage(&self->sequencer, &command, &reply) : STATUS_SCHEMA;
+        reply.status =
+            commands_allowed(self, line) ? sequencer_stage(&self->sequencer, &command, &reply) : STATUS_SCHEMA;
     }
     reply_stage_pack(&reply, answer);
 }
@@ -150,7 +71,7 @@ static void commit(controller_t* const self, const uint8_t line, const uint8_t* 
     command_commit_t command;
     command_commit_unpack(&command, payload);
     reply_commit_t reply = {.status = STATUS_SCHEMA, .generation = self->sequencer.config.generation};
-    if (has_session(self, line)) {
+    if (commands_allowed(self, line)) {
         const bool taken = sequencer_commit(&self->sequencer, command.generation);
         reply.status = taken ? STATUS_OK : STATUS_BAD_STATE;
         reply.generation = taken ? command.generation : reply.generation;
@@ -163,7 +84,7 @@ static void arm(controller_t* const self, const uint8_t line, const uint8_t* con
     command_arm_t command;
     command_arm_unpack(&command, payload);
     const bool known = (command.outputs & ~(ARM_LAMPS | ARM_MICROWAVE)) == 0U;
-    const bool allowed = (command.outputs == 0U) || has_session(self, line);
+    const bool allowed = (command.outputs == 0U) || commands_allowed(self, line);
     const uint8_t outcome = !known ? STATUS_OUT_OF_RANGE : !allowed ? STATUS_SCHEMA : safety_arm(self, command.outputs);
     reply_arm_pack(&(reply_arm_t){.status = outcome, .outputs = self->armed}, answer);
 }
@@ -176,18 +97,6 @@ static void clear(controller_t* const self, const uint8_t line, const uint8_t* c
     reply_clear_pack(&(reply_clear_t){.status = outcome, .fault = self->fault}, answer);
 }
 
-static void reread(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
-{
-    command_reread_t command;
-    command_reread_unpack(&command, payload);
-    reply_reread_t reply = {.status = STATUS_OUT_OF_RANGE, .detail = command_reread_range(&command)};
-    if (reply.detail == RANGE_OK) {
-        reply.detail = 0;
-        reply.status = events_reread(&self->events, &self->rereads[line], &command, &reply);
-    }
-    reply_reread_pack(&reply, answer);
-}
-
 static void pattern(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
 {
     command_pattern_t command;
@@ -195,7 +104,8 @@ static void pattern(controller_t* const self, const uint8_t line, const uint8_t*
     reply_pattern_t reply = {.status = STATUS_OUT_OF_RANGE, .detail = command_pattern_range(&command)};
     if (reply.detail == RANGE_OK) {
         reply.detail = 0;
-        reply.status = has_session(self, line) ? bursts_upload(&self->bursts, &command, &reply.detail) : STATUS_SCHEMA;
+        reply.status =
+            commands_allowed(self, line) ? bursts_upload(&self->bursts, &command, &reply.detail) : STATUS_SCHEMA;
     }
     reply.length = self->bursts.uploaded.length;
     reply_pattern_pack(&reply, answer);
@@ -210,7 +120,7 @@ static void burst(controller_t* const self, const uint8_t line, const uint8_t* c
         reply.detail = 0;
         if ((self->armed & ARM_MICROWAVE) == 0U) {
             reply.status = (self->fault != FAULT_NONE) ? STATUS_UNSAFE : STATUS_BAD_STATE;
-        } else if (!has_session(self, line)) {
+        } else if (!commands_allowed(self, line)) {
             reply.status = STATUS_SCHEMA;
         } else {
             bool refused = false;
@@ -240,7 +150,7 @@ static void move(controller_t* const self, const uint8_t line, const uint8_t* co
     reply_move_t reply = {.status = STATUS_OUT_OF_RANGE, .detail = command_move_range(&command)};
     if (reply.detail == RANGE_OK) {
         reply.detail = 0;
-        if (!has_session(self, line)) {
+        if (!commands_allowed(self, line)) {
             reply.status = STATUS_SCHEMA;
         } else if (self->moving) {
             reply.status = STATUS_BAD_STATE;
@@ -256,11 +166,20 @@ static void move(controller_t* const self, const uint8_t line, const uint8_t* co
 
 // The link lets through no id without a layout, and every command has one here.
 static void (*const handlers[])(controller_t* self, uint8_t line, const uint8_t* payload, uint8_t* answer) = {
-    [COMMAND_IDENTIFY] = identify, [COMMAND_RESET] = reset,           [COMMAND_PING] = ping,
-    [COMMAND_STATUS] = status,     [COMMAND_STAGE] = stage,           [COMMAND_COMMIT] = commit,
-    [COMMAND_ARM] = arm,           [COMMAND_CLEAR] = clear,           [COMMAND_REREAD] = reread,
-    [COMMAND_PATTERN] = pattern,   [COMMAND_BURST] = burst,           [COMMAND_BURST_STOP] = burst_stop,
-    [COMMAND_MOVE] = move,         [COMMAND_BOOTLOADER] = bootloader,
+    [COMMAND_IDENTIFY] = query_identify,
+    [COMMAND_RESET] = reset,
+    [COMMAND_PING] = query_ping,
+    [COMMAND_STATUS] = query_status,
+    [COMMAND_STAGE] = stage,
+    [COMMAND_COMMIT] = commit,
+    [COMMAND_ARM] = arm,
+    [COMMAND_CLEAR] = clear,
+    [COMMAND_REREAD] = query_reread,
+    [COMMAND_PATTERN] = pattern,
+    [COMMAND_BURST] = burst,
+    [COMMAND_BURST_STOP] = burst_stop,
+    [COMMAND_MOVE] = move,
+    [COMMAND_BOOTLOADER] = bootloader,
 };
 
 void commands_execute(controller_t* const self, const uint8_t line, const command_t* const command,

@@ -1,4 +1,4 @@
-// What each command does.
+// What each command does. queries.c has those that change nothing, commands.c all others.
 
 #ifndef ANNULUS_COMMANDS_H
 #define ANNULUS_COMMANDS_H
@@ -7,5 +7,14 @@
 
 // Carry out a command that came over this line; its reply's payload.
 void commands_execute(controller_t* self, uint8_t line, const command_t* command, uint8_t reply[PAYLOAD_MAX]);
+
+// May this line's host change anything? The one that identified last, and knows what it says.
+bool commands_allowed(const controller_t* self, uint8_t line);
+
+// A command each: its payload, and the reply's to be filled in.
+void query_identify(controller_t* self, uint8_t line, const uint8_t* payload, uint8_t* answer);
+void query_ping(controller_t* self, uint8_t line, const uint8_t* payload, uint8_t* answer);
+void query_status(controller_t* self, uint8_t line, const uint8_t* payload, uint8_t* answer);
+void query_reread(controller_t* self, uint8_t line, const uint8_t* payload, uint8_t* answer);
 
 #endif
