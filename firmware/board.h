@@ -101,10 +101,33 @@ typedef struct {
     int32_t trigger_offset;  // digitizer trigger relative to chip 0
 } board_burst_t;
 
+// The most that one burst can owe: after a reset nobody knows what the last one before it was.
+#define BOARD_BURST_OWES_MAX (CHIPS_MAX / 2U * CHIP_MAX_TICKS * (1000U / MICROWAVE_DUTY_MAX_PERMILLE))
+
 // Is this chip on? Those past the end are not.
 static inline bool board_chip(const board_burst_t* const burst, const uint32_t chip)
 {
     return (chip < burst->length) && (((burst->chips[chip / 8U] >> (chip % 8U)) & 1U) != 0U);
+}
+
+// How long the gate is high in one burst.
+static inline uint32_t board_on_ticks(const board_burst_t* const burst)
+{
+    uint32_t on_chips = 0;
+    for (uint32_t chip = 0; chip < burst->length; chip++) {
+        on_chips += board_chip(burst, chip) ? 1U : 0U;
+    }
+    return on_chips * burst->chip_ticks;
+}
+
+// Chips before the first one that is on; 0 when none is.
+static inline uint32_t board_first_on_chip(const board_burst_t* const burst)
+{
+    uint32_t chip = 0;
+    while ((chip < burst->length) && !board_chip(burst, chip)) {
+        chip++;
+    }
+    return (chip == burst->length) ? 0U : chip;
 }
 
 // Level of the interlock now.
@@ -125,8 +148,15 @@ void board_microwave(bool enabled);
 // Once a round of the main loop: the credit on which the microwave lives for the next BOARD_STARVED_MS.
 void board_microwave_feed(void);
 
-// Start a train; `start` becomes the tick of chip 0 of the first burst. False: refused, nothing starts.
-bool board_burst(const board_burst_t* burst, uint32_t* start);
+// Start a train; `start` becomes the tick of chip 0 of the first burst. The duty limit is kept here over time, across
+// trains, stops, arming and resets: every burst begun owes the dark that goes with its on-chips (duty.h), and a train
+// whose first pulse would come before all is paid is over the limit. Whatever is not started leaves the gate low.
+typedef enum {
+    BOARD_BURST_STARTED,
+    BOARD_BURST_CUT,         // hardware holds the gate low: interlock or starvation, which the next round finds
+    BOARD_BURST_OVER_LIMIT,  // it would break the duty limit
+} board_burst_started_t;
+board_burst_started_t board_burst(const board_burst_t* burst, uint32_t* start);
 
 // End the train after the burst now being sent.
 void board_burst_stop(void);

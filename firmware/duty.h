@@ -26,6 +26,12 @@ static inline void duty_charge(duty_t* const self, const uint32_t start, const u
     }
 }
 
+// Is so much of a period over the limit already by itself?
+static inline bool duty_exceeds(const uint32_t on_ticks, const uint32_t period_ticks, const uint32_t permille)
+{
+    return (uint64_t)on_ticks * 1000U > (uint64_t)permille * period_ticks;
+}
+
 // May it go on again at this tick?
 static inline bool duty_allows(const duty_t* const self, const uint32_t at)
 {

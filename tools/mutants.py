@@ -170,6 +170,20 @@ MUTANTS = (
         "no_lost_sync",
     ),
     Mutant(
+        "duty-not-charged",
+        "rp2040/microwave.c",
+        "        duty_charge(&owed, train.rise, train.on_ticks, MICROWAVE_DUTY_MAX_PERMILLE);\n",
+        "",
+        "duty_limit_whatever",
+    ),
+    Mutant(
+        "nothing-owed-after-a-reset",
+        "rp2040/microwave.c",
+        ".owing = board_cause() != BOOT_CAUSE_POWER_ON",
+        ".owing = false",
+        "owes_is_paid",
+    ),
+    Mutant(
         "start-interrupted",
         "rp2040/microwave.c",
         "    interrupts_off();  // one between tick and start would make the tick a lie\n",

@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "../board.h"
+#include "../duty.h"
 
 // Places of fields in BURST and PATTERN, as `detail` names them.
 enum {
@@ -49,15 +50,13 @@ static void fetch_code(const bursts_t* const self, const uint8_t code, board_bur
     }
 }
 
-// Does any run of on-chips make a pulse the source must not send? Counts the on-chips on the way.
-static bool is_pulse_forbidden(const board_burst_t* const burst, uint16_t* const on_chips)
+// Does any run of on-chips make a pulse the source must not send?
+static bool is_pulse_forbidden(const board_burst_t* const burst)
 {
     uint32_t run_ticks = 0;
     bool forbidden = false;
-    *on_chips = 0;
     for (uint16_t i = 0; i <= burst->length; i++) {
         if (board_chip(burst, i)) {
-            (*on_chips)++;
             run_ticks += burst->chip_ticks;
         } else {
             forbidden |= (run_ticks > 0U) &&
@@ -87,12 +86,10 @@ static uint8_t check_train(const board_burst_t* const burst, uint8_t* const deta
         *detail = FIELD_TRIGGER_OFFSET;
         return STATUS_OUT_OF_RANGE;
     }
-    uint16_t on_chips;
-    if (is_pulse_forbidden(burst, &on_chips)) {
+    if (is_pulse_forbidden(burst)) {
         return STATUS_PULSE_WIDTH;
     }
-    const uint64_t on_ticks = (uint64_t)on_chips * burst->chip_ticks;
-    if (on_ticks * 1000U > (uint64_t)MICROWAVE_DUTY_MAX_PERMILLE * burst->period_ticks) {
+    if (duty_exceeds(board_on_ticks(burst), burst->period_ticks, MICROWAVE_DUTY_MAX_PERMILLE)) {
         *detail = OUTPUT_MICROWAVE;
         return STATUS_DUTY;
     }
@@ -115,9 +112,11 @@ uint8_t bursts_fire(bursts_t* const self, const command_burst_t* const command, 
     if (status != STATUS_OK) {
         return status;
     }
-    if (!board_burst(&burst, &reply->start)) {
-        *refused = true;
-        return STATUS_UNSAFE;
+    const board_burst_started_t started = board_burst(&burst, &reply->start);
+    if (started != BOARD_BURST_STARTED) {
+        *refused = started == BOARD_BURST_OVER_LIMIT;
+        reply->detail = *refused ? OUTPUT_MICROWAVE : 0U;
+        return *refused ? STATUS_DUTY : STATUS_UNSAFE;
     }
     self->running = true;
     self->fault = FAULT_NONE;

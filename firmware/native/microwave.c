@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "hardware.h"
+#include "../duty.h"
 
 #define TRAIN_STEPS_MAX (CHIPS_MAX + 8U)
 #define STARVED_TICKS (BOARD_STARVED_MS * (uint64_t)TICKS_PER_MS)
@@ -26,18 +27,24 @@ static struct {
     uint32_t period;
     uint16_t repeat;
     uint16_t done;
+    uint32_t on_ticks;  // of one burst
+    bool charged;       // the current one
 } train;
+
+static duty_t owed;
 
 static uint64_t fed;
 
 void microwave_start(void)
 {
     memset(&train, 0, sizeof train);
+    owed = (duty_t){.owing = board_cause() != BOOT_CAUSE_POWER_ON, .paid_at = BOARD_BURST_OWES_MAX};
 }
 
 void board_microwave_feed(void)
 {
     fed = world.now;
+    duty_run(&owed, board_tick());
 }
 
 static void end_train(void)
@@ -63,12 +70,17 @@ uint64_t microwave_time(void)
 void microwave_step(void)
 {
     const train_step_t* const step = &train.steps[train.step++];
+    if ((step->pin == PIN_MICROWAVE) && !train.charged) {
+        train.charged = true;
+        duty_charge(&owed, board_tick(), train.on_ticks, MICROWAVE_DUTY_MAX_PERMILLE);
+    }
     if (step->pin != 0U) {
         pinuse_drive(step->pin, step->level);
         return;
     }
     train.done++;
     train.step = 0;
+    train.charged = false;
     train.chip0 += train.period;
     if (train.stopping || (train.done == train.repeat)) {
         end_train();
@@ -115,10 +127,18 @@ static void add_step(const int64_t offset, const uint8_t pin, const uint8_t leve
     train.steps[train.step_count++] = (train_step_t){.offset = offset, .pin = pin, .level = level};
 }
 
-bool board_burst(const board_burst_t* const burst, uint32_t* const start)
+board_burst_started_t board_burst(const board_burst_t* const burst, uint32_t* const start)
 {
-    if (!train.enabled || world_refuses()) {
-        return false;
+    if (!train.enabled) {
+        return BOARD_BURST_CUT;
+    }
+    const int64_t trigger = burst->trigger_offset;
+    const uint64_t chip0 = world.now + NATIVE_ROUND_TICKS + (uint64_t)((trigger < 0) ? -trigger : 0);
+    const uint32_t first_rise = (uint32_t)(chip0 - world.boot_tick) + board_first_on_chip(burst) * burst->chip_ticks;
+    const uint32_t on_ticks = board_on_ticks(burst);
+    if (world_refuses() || duty_exceeds(on_ticks, burst->period_ticks, MICROWAVE_DUTY_MAX_PERMILLE) ||
+        ((on_ticks > 0U) && !duty_allows(&owed, first_rise))) {
+        return BOARD_BURST_OVER_LIMIT;
     }
     train.step_count = 0;
     uint8_t level = 0;
@@ -129,7 +149,6 @@ bool board_burst(const board_burst_t* const burst, uint32_t* const start)
             add_step((int64_t)chip * burst->chip_ticks, PIN_MICROWAVE, level);
         }
     }
-    const int64_t trigger = burst->trigger_offset;
     add_step(trigger, PIN_TRIGGER, 1);
     add_step(trigger + TRIGGER_TICKS, PIN_TRIGGER, 0);
     const int64_t chips_end = (int64_t)burst->length * burst->chip_ticks;
@@ -142,9 +161,11 @@ bool board_burst(const board_burst_t* const burst, uint32_t* const start)
     train.period = burst->period_ticks;
     train.running = true;
     train.stopping = false;
-    train.chip0 = world.now + NATIVE_ROUND_TICKS + (uint64_t)((trigger < 0) ? -trigger : 0);
-    *start = (uint32_t)(train.chip0 - world.boot_tick);
-    return true;
+    train.on_ticks = on_ticks;
+    train.charged = false;
+    train.chip0 = chip0;
+    *start = (uint32_t)(chip0 - world.boot_tick);
+    return BOARD_BURST_STARTED;
 }
 
 void board_burst_stop(void)

@@ -10,6 +10,7 @@
 
 #include "../board.h"
 #include "../core/messages.h"
+#include "../duty.h"
 #include "hardware.h"
 #include "../pins.h"
 #include "registers.h"
@@ -58,7 +59,12 @@ static struct {
     uint32_t period;
     uint32_t busy_ticks;  // chip 0, or the trigger if that is later, to the end of a burst
     uint32_t end;         // tick of the end of the burst being sent
+    uint32_t on_ticks;    // of one burst
+    uint32_t rise;        // tick of the first pulse of the burst to be charged next
+    uint16_t charged;     // bursts
 } train;
+
+static duty_t owed;
 
 static uint32_t word_of(const bool level, const uint32_t ticks)
 {
@@ -91,6 +97,7 @@ void board_microwave_feed(void)
     if (train.enabled && (credits_waiting() == 0U)) {
         lay_out_credit();
     }
+    duty_run(&owed, board_tick());
 }
 
 static void start_guard(void)
@@ -145,12 +152,25 @@ static void stop_players(void)
     train.running = false;
 }
 
+// A burst is charged in full once its first pulse may have begun, whatever cuts it.
+static void charge_until(const uint32_t now)
+{
+    while ((train.charged < train.repeat) && tick_is_past(now, train.rise)) {
+        duty_charge(&owed, train.rise, train.on_ticks, MICROWAVE_DUTY_MAX_PERMILLE);
+        train.charged++;
+        train.rise += train.period;
+    }
+}
+
 // Keep step with the train; after the last burst only its gap is being played, so stopping late is harmless.
 static void follow_train(void)
 {
     const bool cut = train.enabled && is_guard_cutting();
     const uint32_t now = cut ? cut_tick(&train.starved) : board_tick();  // what went on after the cut was dark
-    while (train.running && ((int32_t)(now - train.end) >= 0)) {
+    if (train.running) {
+        charge_until(now);
+    }
+    while (train.running && tick_is_past(now, train.end)) {
         train.done++;
         const bool was_last = train.done == train.repeat;
         const bool in_gap = now - train.end < train.period - train.busy_ticks;
@@ -183,15 +203,6 @@ bool board_microwave_starved(void)
     const bool starved = train.starved;
     train.starved = false;
     return starved;
-}
-
-static uint32_t first_on_chip(const board_burst_t* const burst)
-{
-    uint32_t chip = 0;
-    while ((chip < burst->length) && !board_chip(burst, chip)) {
-        chip++;
-    }
-    return (chip == burst->length) ? 0U : chip;
 }
 
 static uint32_t power_of_two_from(const uint32_t count)
@@ -269,20 +280,28 @@ static uint32_t bits_of(uint32_t bytes)
     return bits;
 }
 
-bool board_burst(const board_burst_t* const burst, uint32_t* const start)
+board_burst_started_t board_burst(const board_burst_t* const burst, uint32_t* const start)
 {
     follow_train();
-    if (!train.enabled || train.running || (burst->chip_ticks < CHIP_MIN_TICKS) ||
-        (burst->period_ticks < PERIOD_MIN_TICKS)) {
-        return false;
+    if (!train.enabled) {
+        return BOARD_BURST_CUT;
     }
-    const uint32_t first = first_on_chip(burst);
+    const uint32_t on_ticks = board_on_ticks(burst);
+    if (train.running || (burst->chip_ticks < CHIP_MIN_TICKS) || (burst->period_ticks < PERIOD_MIN_TICKS) ||
+        duty_exceeds(on_ticks, burst->period_ticks, MICROWAVE_DUTY_MAX_PERMILLE)) {
+        return BOARD_BURST_OVER_LIMIT;
+    }
+    const uint32_t first = board_first_on_chip(burst);
     const uint32_t words = write_list(burst, first);
     if (words == 0U) {
-        return false;
+        return BOARD_BURST_OVER_LIMIT;
     }
     const uint32_t offset = (burst->trigger_offset > 0) ? (uint32_t)burst->trigger_offset : 0U;
     const uint32_t before = (burst->trigger_offset < 0) ? (uint32_t)-burst->trigger_offset : 0U;
+    const uint32_t until_rise = START_OFFSET + LEAD_TICKS + before + first * burst->chip_ticks;
+    if ((on_ticks > 0U) && !duty_allows(&owed, board_tick() + until_rise)) {
+        return BOARD_BURST_OVER_LIMIT;
+    }
     trigger_list[0] = word_of(true, TRIGGER_TICKS);
     trigger_list[1] = word_of(false, burst->period_ticks - TRIGGER_TICKS);
 
@@ -303,10 +322,13 @@ bool board_burst(const board_burst_t* const burst, uint32_t* const start)
     *start = board_tick();
     SET_BITS(PIO_CTRL(PIO1)) = PIO_MACHINE(CHIP_MACHINE) | PIO_MACHINE(TRIGGER_MACHINE);
     interrupts_on();
+    train.rise = *start + until_rise;
     *start += START_OFFSET + LEAD_TICKS + before;
     train.end = *start + train.busy_ticks;
     train.busy_ticks += before;
-    return true;
+    train.on_ticks = on_ticks;
+    train.charged = 0;
+    return BOARD_BURST_STARTED;
 }
 
 // A gap too short for the main loop to meet is waited for: 8 ms at most, at the expense of a late load.
@@ -331,6 +353,7 @@ bool board_burst_running(uint16_t* const done)
 
 void microwave_start(void)
 {
+    owed = (duty_t){.owing = board_cause() != BOOT_CAUSE_POWER_ON, .paid_at = BOARD_BURST_OWES_MAX};
     pio_load(PIO1, 0U, program, PROGRAM_LENGTH);
     for (uint32_t machine = CHIP_MACHINE; machine <= TRIGGER_MACHINE; machine++) {
         const uint32_t pin = (machine == CHIP_MACHINE) ? PIN_MICROWAVE : PIN_TRIGGER;

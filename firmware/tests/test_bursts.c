@@ -217,6 +217,104 @@ static void an_upload_is_checked(void)
     EXPECT_EQ(fire(&command).length, 7);
 }
 
+static uint64_t on_between(const uint64_t from, const uint64_t to)
+{
+    uint64_t on = 0;
+    for (size_t pulse = 0; pulse < rig_rises(PIN_MICROWAVE); pulse++) {
+        const uint64_t rise = rig_rise(PIN_MICROWAVE, pulse);
+        if ((rise >= from) && (rise < to)) {
+            on += rig_fall(PIN_MICROWAVE, pulse) - rise;
+        }
+    }
+    return on;
+}
+
+// What one train may not, a row of them may not either: 30 us every 600 us are the limit, and were sent 12 times as
+// densely by asking again and again.
+static void the_duty_limit_holds_over_trains_and_arming(void)
+{
+    static const uint8_t none = 0;
+    static const uint8_t microwave = ARM_MICROWAVE;
+    const command_burst_t single = {.code = BURST_CODE_SINGLE, .chip = 3000, .repeat = 1, .period = 60000};
+    uint8_t payload[COMMAND_BURST_LENGTH];
+    command_burst_pack(&single, payload);
+    rig_start();
+    rig_arm(ARM_MICROWAVE);
+    rig_forget();
+    uint32_t refused = 0;
+    for (uint8_t i = 0; i < 200U; i++) {
+        rig_send(COMMAND_BURST, i, payload);
+        if ((i % 5U) == 4U) {
+            rig_send(COMMAND_ARM, i, &none);
+        }
+        rig_send(COMMAND_CLEAR, i, NULL);
+        rig_send(COMMAND_ARM, (uint8_t)(i + 100U), &microwave);
+        rig_pass((100U + 37U * (i % 20U)) * US);
+    }
+    for (const got_t* got = rig_take(EVENT_FAULT); got != NULL; got = rig_take(EVENT_FAULT)) {
+        event_fault_t fault;
+        event_fault_unpack(&fault, got->payload);
+        EXPECT_EQ(fault.fault, FAULT_LIMIT);
+        EXPECT_EQ(fault.detail, 3);
+        refused++;
+    }
+    const size_t pulses = rig_rises(PIN_MICROWAVE);
+    EXPECT(refused > 20U);
+    EXPECT(pulses > 20U);
+    for (size_t first = 0; first < pulses; first++) {
+        for (size_t last = first + 1U; last < pulses; last++) {
+            const uint64_t from = rig_rise(PIN_MICROWAVE, first);
+            const uint64_t to = rig_rise(PIN_MICROWAVE, last);
+            EXPECT(20U * on_between(from, to) <= to - from);
+        }
+    }
+}
+
+// 64 pulses of 30 us owe 38.4 ms of dark, whatever happens in between; and so does a controller that was reset.
+static void a_train_that_comes_too_soon_stays_dark_and_says_why(void)
+{
+    start_armed();
+    char chips[129] = {0};
+    for (size_t i = 0; i < 128U; i++) {
+        chips[i] = ((i % 2U) == 0U) ? '1' : '0';
+    }
+    EXPECT_EQ(upload(chips, 128), STATUS_OK);
+    const command_burst_t command = {
+        .code = BURST_CODE_UPLOADED, .chip = 3000, .repeat = 1, .period = 3840 * 1000, .trigger_offset = 0};
+    const reply_burst_t first = fire(&command);
+    EXPECT_EQ(first.status, STATUS_OK);
+    rig_pass(10 * MS);
+    rig_arm(0);
+    rig_arm(ARM_MICROWAVE);
+    rig_forget();
+    reply_burst_t reply = fire(&command);
+    EXPECT_EQ(reply.status, STATUS_DUTY);
+    EXPECT_EQ(reply.detail, 3);
+    event_fault_t fault;
+    event_fault_unpack(&fault, rig_take(EVENT_FAULT)->payload);
+    EXPECT_EQ(fault.fault, FAULT_LIMIT);
+    EXPECT_EQ(fault.detail, 3);
+    EXPECT_EQ(rig_status_of(COMMAND_CLEAR, NULL), STATUS_OK);
+    rig_arm(ARM_MICROWAVE);
+    native_run_until(native_boot_tick() + first.start + command.period - 10 * US);
+    EXPECT_EQ(rig_rises(PIN_MICROWAVE) + rig_rises(PIN_TRIGGER), 0);
+    EXPECT_EQ(fire(&command).status, STATUS_OK);
+    native_run_until(native_tick() + 21000 * MS);  // half a turn of the tick later nothing is owed
+    EXPECT_EQ(rig_status_of(COMMAND_CLEAR, NULL), STATUS_OK);
+    rig_arm(ARM_MICROWAVE);
+    EXPECT_EQ(fire(&command).status, STATUS_OK);
+    uint8_t magic[COMMAND_RESET_LENGTH];
+    command_reset_pack(&(command_reset_t){.magic = RESET_MAGIC}, magic);
+    EXPECT_EQ(rig_status_of(COMMAND_RESET, magic), STATUS_OK);
+    rig_pass(2 * MS);
+    uint8_t payload[COMMAND_IDENTIFY_LENGTH];
+    command_identify_pack(&(command_identify_t){.protocol = PROTOCOL_VERSION, .schema = SCHEMA_HASH}, payload);
+    EXPECT_EQ(rig_status_of(COMMAND_IDENTIFY, payload), STATUS_OK);
+    rig_arm(ARM_MICROWAVE);
+    EXPECT_EQ(upload(chips, 128), STATUS_OK);
+    EXPECT_EQ(fire(&command).status, STATUS_DUTY);
+}
+
 void bursts_tests(void)
 {
     RUN(built_in_codes_are_sent_chip_by_chip_to_the_tick);
@@ -227,4 +325,6 @@ void bursts_tests(void)
     RUN(disarming_cuts_the_train_at_once);
     RUN(trains_beyond_a_limit_are_refused_with_the_reason);
     RUN(an_upload_is_checked);
+    RUN(the_duty_limit_holds_over_trains_and_arming);
+    RUN(a_train_that_comes_too_soon_stays_dark_and_says_why);
 }

@@ -213,7 +213,7 @@ static void an_output_the_board_refuses_latches_a_limit_fault(void)
 
     start_armed(both);
     native_refuse_next();
-    EXPECT_EQ(start_train(1), STATUS_UNSAFE);
+    EXPECT_EQ(start_train(1), STATUS_DUTY);
     rig_pass(1 * MS);
     EXPECT_EQ(rig_status().fault, FAULT_LIMIT);
     EXPECT_EQ(rig_status().state & (STATE_LAMPS_ARMED | STATE_MICROWAVE_ARMED), 0);

@@ -406,7 +406,8 @@ def refusal(answer: Answer) -> str:
             return _duty_refusal(answer.command, detail)
         case StatusCode.DUTY:
             lamp = {1: "projector", 2: "led", 3: "microwave"}.get(detail, str(detail))
-            return f"{name} refused: duty of the {lamp} is over the controller's limit"
+            since = ", or it comes too soon after the last train" if name == "burst" else ""
+            return f"{name} refused: duty of the {lamp} is over the controller's limit{since}"
         case StatusCode.SCHEMA:
             return f"{name} refused: the schema differs. Flash the firmware that came with this annulus."
         case StatusCode.UNSAFE:

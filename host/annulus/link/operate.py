@@ -172,7 +172,7 @@ def train_messages(code: str, train: Train) -> tuple[Pattern | None, Burst]:
 
 
 def send_train(client: Client, port: str, burst: Burst) -> tuple[BurstReply, BurstDone]:
-    """Arm the microwave, fire, wait for the end, disarm whatever happens.
+    """Arm the microwave, fire, wait for the end, disarm whatever happens; and return once the next may begin.
 
     Raises AnnulusError for a refusal, a fault, or a train cut short.
     """
@@ -185,6 +185,8 @@ def send_train(client: Client, port: str, burst: Burst) -> tuple[BurstReply, Bur
         client.ask(Arm(ArmFlag(0)))
     if done.fault is not FaultCode.NONE or done.done != burst.repeat:
         raise AnnulusError(f"{port}: {done.done} of {burst.repeat} bursts sent, cut off by {done.fault.name.lower()}")
+    paid = reply.start + burst.repeat * burst.period + reply.length * burst.chip  # protocol/README.md, Microwave
+    time.sleep(max(0, ticks_between(done.tick, paid)) / TICK_HZ)
     return reply, done
 
 
@@ -208,6 +210,11 @@ def move_turntable(client: Client, port: str, position: int, step_us: float, *, 
     done = _wait_for(TurntableDone, client, port, patience_s)
     if done.position != position:
         raise AnnulusError(f"{port}: the turntable stopped at step {done.position}, expected {position}")
+
+
+def ticks_between(tick: int, later: int) -> int:
+    """Of two ticks less than 21 s apart, as they wrap; negative when `later` has gone by."""
+    return (later - tick + U32 // 2) % U32 - U32 // 2
 
 
 def _pattern(bits: str) -> Pattern:

@@ -1,6 +1,7 @@
 """Promises of a sweep: shot by shot onto the disk, resumable, armed anew each time, whatever goes wrong."""
 
 import functools
+import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +12,8 @@ from typer.testing import CliRunner
 from annulus.cli import app
 from annulus.controller import CODES
 from annulus.link import operate
+from annulus.link.client import Client
+from annulus.link.messages import FaultCode
 from annulus.record.acoustic import AcousticRecord, load_acoustic, save_acoustic
 from annulus.sensors.digitizer import ScopeDigitizer
 from annulus.tai.acquire import Acquired, Plan, acquire, stalled
@@ -249,3 +252,21 @@ def test_the_command_wants_one_bench_and_sane_settings(tmp_path: Path) -> None:
         answer = run.invoke(app, ["tai", "acquire", *bad, "-o", raw])
         assert isinstance(answer.exception, AnnulusError) and says in str(answer.exception), bad
     assert not Path(raw).exists()
+
+
+def test_trains_at_the_limit_of_duty_one_after_the_other_never_meet_a_refusal(rig: Rig) -> None:
+    """The second one came when the first one's chips were over: refused, and a fault latched."""
+    code = "10" * 64
+    train = Train(np.array([int(chip) for chip in code]), 3_000, 1, 3_840_000, 0)
+    pattern, burst = operate.train_messages(code, train)
+    assert pattern is not None
+    with Client(rig.bench.port_url) as client:
+        client.request(pattern)
+        starts = [operate.send_train(client, "bench", burst)[0].start for _ in range(4)]
+        assert operate.status_of(client).fault is FaultCode.NONE
+    assert min(operate.ticks_between(a, b) for a, b in itertools.pairwise(starts)) >= burst.period
+
+
+def test_ticks_are_compared_across_their_wrap() -> None:
+    assert operate.ticks_between(2**32 - 5, 5) == 10
+    assert operate.ticks_between(5, 2**32 - 5) == -10
