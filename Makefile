@@ -45,11 +45,12 @@ demo: setup
 # Lint first: it fails fast. Firmware tests need clang's fuzzer and sanitizers, which need.sh installs. No skips: tests/conftest.py.
 test: export ANNULUS_NO_SKIPS := 1
 test: setup lint firmware emulator
-	@tools/need.sh clang libclang-rt sigrok-cli
+	@tools/need.sh clang libclang-rt sigrok-cli qemu-system-x86 linux-image-amd64 busybox-static kmod
 	$(BIN)/pytest -n auto --dist loadfile tests/unit tests/regression
 	$(BIN)/pytest -n auto --dist loadfile tests/scenes
 	$(BIN)/pytest tests/system
 	$(BIN)/pytest -n auto tests/emulator
+	$(BIN)/pytest tests/guest
 
 lint: setup generated
 	$(BIN)/ruff check .

@@ -16,6 +16,11 @@ for need in "$@"; do
 	nodejs) want nodejs 'command -v node' ;;
 	npm) want npm 'command -v npm' ;;
 	sigrok-cli) want sigrok-cli 'command -v sigrok-cli && ls /usr/share/libsigrokdecode/decoders/uart' ;;
+	qemu-system-x86) want qemu-system-x86 'command -v qemu-system-x86_64' ;;
+	busybox-static) want busybox-static 'command -v busybox && ! ldd "$(command -v busybox)"' ;;
+	kmod) want kmod 'PATH=$PATH:/usr/sbin:/sbin command -v modprobe' ;;
+	linux-image-amd64) want linux-image-amd64 'ls /boot/vmlinuz-*-amd64 | sed s,/boot/vmlinuz-,, | while read -r release; do
+		find "/lib/modules/$release" -name "vivid.ko*" | grep . && break; done | grep .' ;; # the cloud kernel has no drivers
 	*) echo "need.sh: unknown need '$need'" >&2; exit 2 ;;
 	esac
 done
