@@ -119,6 +119,29 @@ MUTANTS = (
         "usb-no-empty-packet", "rp2040/usbdata.c", "((in.filled > 0U) || in.whole)", "(in.filled > 0U)", "last_packet"
     ),
     Mutant(
+        "usb-late-in-a-frame",
+        "rp2040/usbframe.c",
+        "- frame.began_us < EARLY_US",
+        "- frame.began_us < 980U",
+        "handed_over",
+    ),
+    Mutant(
+        "usb-frame-taken-for-young",
+        "rp2040/usbframe.c",
+        "frame.began_us = frame.looked_us;",
+        "frame.began_us = now_us;",
+        "late_round",
+    ),
+    Mutant("usb-hang-not-seen", "rp2040/usb.c", "&& usb_frame_overdue()", "&& false", "usb_block_hangs and quiet"),
+    Mutant(
+        "usb-hang-without-a-reset",
+        "rp2040/usb.c",
+        "    SET_BITS(RESETS_RESET) = RESET_USB;\n",
+        "",
+        "usb_block_hangs and quiet",
+    ),
+    Mutant("usb-impatient-with-a-host", "rp2040/usbframe.c", "WAKE_US 100000U", "WAKE_US 20000U", "awakening"),
+    Mutant(
         "usb-address-too-early",
         "rp2040/usb.c",
         "        control.address = (uint8_t)(setup->value & 0x7FU);\n",

@@ -65,6 +65,7 @@ size_t usb_transmit(const uint8_t* bytes, size_t size);
 bool usb_transmitted(void);
 bool usb_has_received(void);
 void usb_run(void);
+uint16_t usb_recoveries(void);  // so often the device controller hung and was reset
 
 // Sixteen digits, different on every board.
 const char* identity_serial_number(void);

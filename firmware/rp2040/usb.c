@@ -3,6 +3,7 @@
 //
 // Everything is done in usb_run, from the main loop. The interrupt only wakes that.
 
+#include "../ticks.h"
 #include "hardware.h"
 #include "registers.h"
 #include "usb.h"
@@ -313,9 +314,50 @@ static void bus_reset(void)
     usb_port_close();
 }
 
+// A hanging controller is put into reset, which lets go of D+: the host sees the plug pulled. It stays there for as
+// long as a hub may take to believe that, and then it is a device newly plugged in.
+#define AWAY_US 10000U
+
+static struct {
+    bool away;
+    uint16_t times;
+    uint32_t until_us;
+} recovery;
+
+static void leave(void)
+{
+    usb_port_forget();  // to the core its host is gone: what was armed is dark in the next round
+    control.phase = REST;
+    SET_BITS(RESETS_RESET) = RESET_USB;
+    recovery.away = true;
+    recovery.until_us = REGISTER(TIMER_RAW_LOW) + AWAY_US;
+    recovery.times++;
+}
+
+static void come_back(void)
+{
+    if (!tick_is_past(REGISTER(TIMER_RAW_LOW), recovery.until_us)) {
+        return;
+    }
+    CLEAR_BITS(RESETS_RESET) = RESET_USB;
+    if ((REGISTER(RESETS_DONE) & RESET_USB) != 0U) {
+        recovery.away = false;
+        usb_start();
+    }
+}
+
+uint16_t usb_recoveries(void)
+{
+    return recovery.times;
+}
+
 // The order matters: a buffer done belongs to the transfer before a setup packet seen earlier in this round.
 void usb_run(void)
 {
+    if (recovery.away) {
+        come_back();
+        return;
+    }
     const uint32_t status = REGISTER(USB_SIE_STATUS) & (SIE_BUS_RESET | SIE_SUSPENDED | SIE_RESUME | SIE_SETUP);
     const uint32_t done = REGISTER(USB_BUFF_STATUS);
     REGISTER(USB_SIE_STATUS) = status;
@@ -333,9 +375,14 @@ void usb_run(void)
     }
     if ((status & (SIE_SUSPENDED | SIE_RESUME | SIE_BUS_RESET | SIE_SETUP)) != 0U) {
         usb_port.suspended = status == SIE_SUSPENDED;
+        usb_frame_wake();
     }
     if ((status & SIE_SETUP) != 0U) {
         begin_control();
+    }
+    if (usb_port.configured && !usb_port.suspended && usb_frame_overdue()) {
+        leave();
+        return;
     }
     usb_port_flush();
     REGISTER(NVIC_ENABLE) = 1U << IRQ_USB;

@@ -1,4 +1,5 @@
-// What the two files of the USB device know of each other: usb.c the bus and endpoint 0, usbdata.c the rest.
+// What the files of the USB device know of each other: usb.c the bus and endpoint 0, usbdata.c the rest, usbframe.c
+// when.
 
 #ifndef ANNULUS_USB_H
 #define ANNULUS_USB_H
@@ -27,9 +28,15 @@ extern struct usb_port {
 } usb_port;
 void usb_port_open(void);
 void usb_port_close(void);
+void usb_port_forget(void);  // as closed, with a controller that nothing can be taken back from
 bool usb_port_halted(uint32_t endpoint);
 void usb_port_halt(uint32_t endpoint, bool halt);
 void usb_port_done(uint32_t endpoints);  // buffers the controller has given back
 void usb_port_flush(void);               // what is filled goes, at the end of a round
+
+// Frames, while the bus is awake; usb_frame_wake when it begins to be.
+void usb_frame_wake(void);
+bool usb_frame_early(void);    // there is time in this one for a packet of bulk in to be handed over and fetched
+bool usb_frame_overdue(void);  // the next one should have begun long ago: the controller hangs
 
 #endif

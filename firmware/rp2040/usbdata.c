@@ -73,8 +73,12 @@ bool usb_port_halted(const uint32_t endpoint)
     return (usb_port.halted & BIT(endpoint)) != 0U;
 }
 
+// Not now if the frame is late; usb_port_flush comes back to it.
 static void send_packet(void)
 {
+    if (!usb_frame_early()) {
+        return;
+    }
     const uint32_t toggle = in.data1 ? BUFFER_DATA1 : 0U;
     in.data1 = !in.data1;
     in.taken = true;
@@ -165,15 +169,21 @@ bool usb_has_received(void)
 void usb_port_open(void)
 {
     usb_port.configured = true;
+    usb_frame_wake();
     ask_for_packet();
+}
+
+void usb_port_forget(void)
+{
+    memset(&usb_port, 0, sizeof usb_port);
+    memset(&in, 0, sizeof in);
+    memset(&out, 0, sizeof out);
 }
 
 void usb_port_close(void)
 {
-    memset(&usb_port, 0, sizeof usb_port);
     usb_take_back(BIT(NOTICE_IN) | BIT(DATA_IN) | BIT(DATA_OUT));
-    memset(&in, 0, sizeof in);
-    memset(&out, 0, sizeof out);
+    usb_port_forget();
 }
 
 void usb_port_halt(const uint32_t endpoint, const bool halt)

@@ -40,6 +40,7 @@ from annulus.link.messages import (
 
 LATENCY = 9
 OUTPUTS = (PIN_PROJECTOR, PIN_LED, PIN_MICROWAVE)
+RATE_TO, RATE_FROM = 130_000, 150_000  # bytes a second; 159 000 and 176 000 are measured
 
 
 def arm(board: EmulatedBoard, outputs: ArmFlag = ArmFlag.LAMPS, **changes: int) -> None:
@@ -174,6 +175,7 @@ def test_a_megabyte_to_the_controller_arrives_whole(board: EmulatedBoard) -> Non
     board.identify()
     rng = random.Random(1)
     board.replies.clear()
+    begun = board.now
     written = sent = 0
     while written < 1_000_000:
         frames = []
@@ -185,6 +187,9 @@ def test_a_megabyte_to_the_controller_arrives_whole(board: EmulatedBoard) -> Non
         written += sum(map(len, frames))
         while board.usb["waiting"]:
             board.run(board.now + 10 * MS)
+    rate = written / ((board.now - begun) * TICK_S)
+    print(f"{rate / 1000:.0f} kB/s to the controller")
+    assert rate > RATE_TO
     board.run(board.now + 5 * MS)
     answers = [reply for reply in board.replies if isinstance(reply, PatternReply)]
     assert len(answers) == len(board.replies) == sent  # one answer to each, and nothing was garbled
@@ -204,13 +209,16 @@ def test_a_megabyte_from_the_controller_arrives_whole(board: EmulatedBoard) -> N
     first = board.event_sequences[-64]
     board.events.clear()
     board.event_sequences.clear()
-    begun = board.usb_bytes
+    begun, began = board.usb_bytes, board.now
     rounds = 0
     while board.usb_bytes - begun < 1_000_000:
         board.send(Reread(first=first, count=64))
         rounds += 1
         while len(board.events) < 64 * rounds:
             board.run(board.now + MS)
+    rate = (board.usb_bytes - begun) / ((board.now - began) * TICK_S)
+    print(f"{rate / 1000:.0f} kB/s from the controller")
+    assert rate > RATE_FROM
     assert board.events == last * rounds
     assert board.event_sequences == [first + i for i in range(64)] * rounds
     assert board.bad == 0

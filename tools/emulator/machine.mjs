@@ -215,7 +215,7 @@ export class Machine {
       case 0x40060: return (this.random = ((this.random ?? 0x2f6e2b1) * 1103515245 + 12345) & 0x7fffffff) >>> 16;
       case 0x40034: return this.uart.readUint32(offset, this.now);
       case 0x18000: return this.ssi.readUint32(offset);
-      case 0x50110: return this.usb.readUint32(offset);
+      case 0x50110: return this.usb.readUint32(offset, this.now);
       case 0x50000: this.sync(); this.nextDue = 0; return this.dma.readUint32(offset);
       case 0x50200: return this.readPio(0, offset);
       case 0x50300: return this.readPio(1, offset);
@@ -253,7 +253,7 @@ export class Machine {
       case 0x18000: return this.ssi.writeUint32(offset, value);
       case 0x50110:
         this.host.now = this.now;
-        return this.usb.writeUint32(offset, kind ? plain(this.usb.readUint32(offset)) : value, value);
+        return this.usb.writeUint32(offset, kind ? plain(this.usb.readUint32(offset, this.now)) : value, value);
       case 0x50000:
         this.sync();
         this.quietUntil = this.hardwareTick;

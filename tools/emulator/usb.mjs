@@ -16,6 +16,8 @@ export class Usb {
     this.interrupt = interrupt; // (level)
     this.clockMHz = clockMHz;   // () => of clk_usb, 0 = off
     this.onPull = () => {};     // D+ pulled up, or no longer
+    this.frameAt = () => undefined; // (now) => {number, age} of the bus's frame, undefined while none are sent
+    this.lateFrom = Infinity;   // age from which on a buffer for bulk in may not be handed over
     this.reset();
   }
 
@@ -25,6 +27,8 @@ export class Usb {
     this.changed = new Float64Array(2 * ENDPOINTS).fill(-Infinity); // tick at which a buffer control last changed
     Object.assign(this, { address: 0, main: 0, sie: 0, status: 0, done: 0, abort: 0, abortDone: 0, stallArm: 0, muxing: 0, power: 0, inte: 0 });
     this.busy = 0; // endpoints of transactions under way
+    this.hung = false; // erratum E15 has struck: deaf and mute until the block is reset
+    this.frame = 0; // number of the last frame heard
     if (wasUp) this.onPull();
   }
 
@@ -36,7 +40,16 @@ export class Usb {
     this.interrupt((raised & this.inte) !== 0);
   }
 
-  raise(bits) { this.status |= bits; this.update(); }
+  raise(bits) { if (!this.hung) this.status |= bits; this.update(); }
+
+  // Brings the number of the last frame heard up to date; whoever stops the frames calls it before.
+  hearFrames(now) {
+    if (this.pulledUp && !this.hung) this.frame = this.frameAt(now)?.number ?? this.frame;
+    return this.frame;
+  }
+
+  // As after a garbled acknowledgement late in a frame: no packet is answered, no frame counted, nothing on the bus seen.
+  hang(now) { this.hearFrames(now); this.hung = true; }
 
   // ---- the firmware's side: DPSRAM ----
 
@@ -50,6 +63,8 @@ export class Usb {
     const control = this.memory.getUint32(4 * endpoint, true);
     return control >>> 31 ? control & 0xffc0 : undefined;
   }
+
+  isBulkIn(endpoint) { return endpoint >= 2 && !(endpoint & 1) && ((this.memory.getUint32(4 * endpoint, true) >>> 26) & 3) === 2; }
 
   checkOwner(at, what) {
     for (let endpoint = 0; endpoint < 6; endpoint++) {
@@ -95,6 +110,8 @@ export class Usb {
       if (this.bufferAt(endpoint) === undefined) fault(`USB: buffer for ${name}, which is off`);
       if ((value & LENGTH) > 64) fault(`USB: packet of ${value & LENGTH} bytes for ${name}`);
       if (Boolean(value & FULL) === Boolean(endpoint & 1)) fault(`USB: FULL is wrong for ${name}`);
+      const late = this.frameAt(now)?.age;
+      if (this.isBulkIn(endpoint) && late >= this.lateFrom) fault(`USB: ${name} handed over ${late} ticks into a frame: erratum E15`);
     }
     if (value !== old) this.changed[endpoint] = now;
     this.setControl(endpoint, value);
@@ -102,11 +119,12 @@ export class Usb {
 
   // ---- the firmware's side: registers ----
 
-  readUint32(offset) {
+  readUint32(offset, now) {
     if (Math.abs(this.clockMHz() - 48) > 0.1) fault('USB: its clock is not 48 MHz');
     switch (offset) {
       case 0x00: return this.address;
       case 0x40: return this.main;
+      case 0x48: return this.hearFrames(now);
       case 0x4c: return this.sie >>> 0;
       case 0x50: return this.status >>> 0;
       case 0x58: return this.done >>> 0;
@@ -130,7 +148,7 @@ export class Usb {
       case 0x4c: if (value & ~((1 << 29) | (1 << 16))) fault(`USB: SIE_CTRL ${hex(value)} is not modelled`); this.sie = value; break;
       case 0x50: this.status &= ~(written & STATUS_BITS); break;
       case 0x58: this.done &= ~written; break;
-      case 0x60: this.abort = value; this.abortDone |= value & ~this.busy; break;
+      case 0x60: this.abort = value; if (!this.hung) this.abortDone |= value & ~this.busy; break;
       case 0x64: this.abortDone &= ~written; break;
       case 0x68: this.stallArm = value & 3; break;
       case 0x74: this.muxing = value; break;
@@ -144,9 +162,11 @@ export class Usb {
 
   // ---- the host's side ----
 
+  hears(address) { return this.pulledUp && !this.hung && address === this.address; }
+
   // A transaction begins: 'timeout' (nobody there), 'nak', 'stall', or the packet it would send / undefined for one it takes.
   begin(address, endpoint) {
-    if (!this.pulledUp || address !== this.address || this.bufferAt(endpoint) === undefined) return { answer: 'timeout' };
+    if (!this.hears(address) || this.bufferAt(endpoint) === undefined) return { answer: 'timeout' };
     if ((this.abort >>> endpoint) & 1) return { answer: 'nak' };
     const control = this.control(endpoint);
     if (control & STALL && (endpoint >= 2 || (this.stallArm >>> endpoint) & 1)) return { answer: 'stall' };
@@ -159,6 +179,7 @@ export class Usb {
 
   // It has ended well; `data` is what an out transaction carried.
   end(endpoint, data, toggle) {
+    if (this.hung) return;
     const control = this.control(endpoint);
     if (data) {
       if (Boolean(control & DATA1) !== Boolean(toggle)) fault(`USB: DATA${toggle} came where the device waits for the other: it would be taken for a repeat and dropped`);
@@ -177,7 +198,7 @@ export class Usb {
 
   // A setup packet is always taken.
   setup(address, packet) {
-    if (!this.pulledUp || address !== this.address) return 'timeout';
+    if (!this.hears(address)) return 'timeout';
     new Uint8Array(this.memory.buffer).set(packet, 0);
     this.stallArm = 0;
     this.raise(SETUP);

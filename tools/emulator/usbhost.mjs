@@ -11,6 +11,10 @@ const DEBOUNCE = 100 * MS; // as Linux' hub driver
 const RESET = 50 * MS;
 const RECOVERY = 10 * MS;
 const SUSPEND_AFTER = 3 * MS; // an idle bus
+const RESUMING = 40 * MS; // the signal that ends it, with no frames yet
+const FRAME = 100_030; // a millisecond by the host's own clock, 300 ppm slow: its frames drift through the device's rounds
+const FRAME_BEGINS = 3 * US, FRAME_ENDS = 10 * US; // the packet that starts it; no transaction reaches into the end
+const LATE = 0.8; // of a frame: what is handed over for bulk in from here on is fatal with some hosts, erratum E15
 const PATIENCE = 500 * MS;    // with a control transfer
 const URB = 128;              // what cdc-acm asks for at a time: two packets, or up to a short one
 const SETUP_OUT = (type, request, value, index, length) => [type, request, value & 255, value >> 8, index & 255, index >> 8, length & 255, length >> 8];
@@ -19,7 +23,11 @@ export class UsbHost {
   constructor(usb) {
     this.usb = usb;
     usb.onPull = () => this.pulled();
+    usb.frameAt = (now) => this.frameAt(now);
+    usb.lateFrom = LATE * FRAME;
     this.now = 0;
+    this.framesFrom = Infinity; // when the port was enabled, or the bus woke
+    this.enumerated = 0; // so often
     this.cable = false;
     this.wantOpen = true; // the port is opened as soon as there is one
     this.clear();
@@ -34,6 +42,7 @@ export class UsbHost {
   clear() {
     if (this.current) this.usb.cancel(this.current.endpoint);
     this.current = undefined;
+    this.stopFrames();
     this.tasks = [];
     this.address = 0;
     this.toggles = { in: 0, out: 0 };
@@ -86,6 +95,26 @@ export class UsbHost {
     }
   }
 
+  // ---- frames ----
+
+  frameAt(now) {
+    const age = now % FRAME;
+    return now - age >= this.framesFrom ? { number: Math.floor(now / FRAME) & 0x7ff, age } : undefined;
+  }
+
+  startFrames() { this.framesFrom = this.now; }
+
+  stopFrames() { this.usb.hearFrames(this.now); this.framesFrom = Infinity; }
+
+  // Until a transaction of so many bytes fits into the frame.
+  *room(bytes) {
+    for (;;) {
+      const age = this.frameAt(this.now)?.age;
+      if (age === undefined || (age >= FRAME_BEGINS && age + bytes * BYTE <= FRAME - FRAME_ENDS)) return;
+      yield { wait: age < FRAME_BEGINS ? FRAME_BEGINS - age : FRAME - age + FRAME_BEGINS };
+    }
+  }
+
   // ---- transactions, to be yielded ----
 
   sendSetup(packet) { return { ticks: 16 * BYTE, finish: () => ({ answer: this.usb.setup(this.address, packet) }) }; }
@@ -106,6 +135,7 @@ export class UsbHost {
   *insist(endpoint, data, toggle, patience) {
     const until = this.now + patience;
     for (let naks = 0; ; naks++) {
+      yield* this.room(12 + (data?.length ?? 64));
       const result = yield this.transact(endpoint, data, toggle);
       if (result.answer !== 'nak') return result;
       if (this.now > until) return { answer: 'nak for too long' };
@@ -118,6 +148,7 @@ export class UsbHost {
     const fromDevice = (setup[0] & 0x80) !== 0;
     const length = setup[6] | (setup[7] << 8);
     const data = [];
+    yield* this.room(16);
     if ((yield this.sendSetup(setup)).answer !== 'ack') return { status: 'timeout', data };
     let toggle = 1;
     for (;;) {
@@ -169,6 +200,7 @@ export class UsbHost {
     this.toggles = { in: 0, out: 0 };
     if (!(yield* this.must('line coding', SETUP_OUT(0x21, 0x20, 0, 0, 7), [0x00, 0xc2, 0x01, 0x00, 0, 0, 8]))) return;
     this.state = 'configured';
+    this.enumerated++;
     if (this.wantOpen) yield* this.open();
   }
 
@@ -176,6 +208,7 @@ export class UsbHost {
     this.address = 0;
     this.usb.busReset();
     yield { wait: RESET };
+    this.startFrames();
     yield { wait: RECOVERY };
   }
 
@@ -225,6 +258,14 @@ export class UsbHost {
 
   *idle() { yield { wait: SUSPEND_AFTER }; this.usb.suspend(); }
 
+  *wake() {
+    this.usb.resume();
+    yield { wait: RESUMING };
+    this.startFrames();
+    yield { wait: RECOVERY };
+    this.asleep = false;
+  }
+
   do(what, now) {
     this.now = Math.max(this.now, now);
     const task = (generator) => this.start(generator, true);
@@ -232,8 +273,9 @@ export class UsbHost {
       case 'attach': this.cable = true; this.pulled(); break;
       case 'detach': this.cable = false; this.pulled(); this.start(this.idle(), true, true); break;
       case 'reset': this.clear(); this.state = 'attached'; task(this.enumerate()); break;
-      case 'suspend': this.asleep = true; this.start(this.idle(), true, true); break;
-      case 'resume': this.asleep = false; this.usb.resume(); break;
+      case 'suspend': this.asleep = true; this.stopFrames(); this.start(this.idle(), true, true); break;
+      case 'resume': this.start(this.wake(), true, true); break;
+      case 'hang': this.usb.hang(this.now); break;
       case 'open': this.wantOpen = true; if (this.state === 'configured' && !this.isOpen) task(this.open()); break;
       case 'close': this.wantOpen = false; if (this.isOpen) task(this.close()); break;
       case 'write': for (const byte of Buffer.from(what.hex, 'hex')) this.outgoing.push(byte); break;
@@ -251,7 +293,7 @@ export class UsbHost {
   read() { return Buffer.from(this.received.splice(0)); }
 
   report() {
-    return { state: this.state, open: this.isOpen, found: this.found, received: this.read().toString('hex'), waiting: this.outgoing.length,
+    return { state: this.state, open: this.isOpen, enumerated: this.enumerated, found: this.found, received: this.read().toString('hex'), waiting: this.outgoing.length,
              controls: this.controls.splice(0), packets: this.packets };
   }
 }

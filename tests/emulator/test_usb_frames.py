@@ -1,0 +1,152 @@
+"""What the image does about erratum RP2040-E15: bulk in early in a frame only, and back again when the USB block hangs.
+
+The emulator stops on a packet that is handed over for bulk in during the last fifth of a frame.
+"""
+
+import random
+
+import pytest
+from emulated import BOOTED, MS, OUTPUTS, EmulatedBoard, arm
+
+from annulus.controller import PIN_LED
+from annulus.link.codec import Frame, encode
+from annulus.link.messages import (
+    Arm,
+    ArmFlag,
+    Burst,
+    BurstCode,
+    Clear,
+    FaultCode,
+    Ping,
+    Status,
+    StatusCode,
+    StatusReply,
+)
+
+GONE = 25 * MS  # twenty frames in a row are missing, and then some rounds
+BACK = 400 * MS  # 10 ms unplugged, the hub's debounce, enumeration
+
+
+def enumerated(board: EmulatedBoard) -> int:
+    board.run(board.now + MS)
+    count = board.usb["enumerated"]
+    assert isinstance(count, int)
+    return count
+
+
+def hang(board: EmulatedBoard) -> int:
+    board.usb_do("hang")
+    return board.now
+
+
+def come_back(board: EmulatedBoard) -> None:
+    before = board.usb["enumerated"]
+    end = board.now + BACK
+    while not (board.usb["open"] and board.usb["enumerated"] > before):
+        assert board.now < end, board.usb
+        board.run(board.now + 5 * MS)
+
+
+def test_bulk_in_is_never_handed_over_late_in_a_frame(board: EmulatedBoard) -> None:
+    """Answers due at every age of a frame. The old image handed over at any: the emulator stopped it at the first."""
+    board.plug_in()
+    board.identify()
+    rng = random.Random(15)
+    for _ in range(400):
+        board.run(board.now + rng.randrange(2 * MS))
+        asked = board.now
+        board.request(Ping(), within=2 * MS)
+        assert board.now <= asked + 2 * MS
+    board.write(b"".join(encode(Frame(Status(), i & 0xFF)) for i in range(1000)))
+    while board.usb["waiting"]:
+        board.run(board.now + MS)
+    assert enumerated(board) == 1
+
+
+def test_a_late_round_does_not_take_a_frame_for_a_young_one(board: EmulatedBoard) -> None:
+    """The frame number is new after a pause of the processor, but nobody saw when it became so."""
+    board.plug_in()
+    board.identify()
+    rng = random.Random(16)
+    for _ in range(200):
+        board.send(Ping())
+        board.run(board.now + rng.randrange(MS))
+        board.stall(rng.randrange(4 * MS))
+        board.run(board.now + 6 * MS)
+    assert board.identify().status == StatusCode.OK
+
+
+@pytest.mark.parametrize("busy", [False, True], ids=["quiet", "flooded"])
+def test_when_the_usb_block_hangs_all_goes_dark_and_the_port_comes_back(board: EmulatedBoard, busy: bool) -> None:
+    """The old image stayed deaf until its power was taken away, and armed until the host's timeout."""
+    board.plug_in()
+    rng = random.Random(17)
+    for turn in range(3):
+        arm(board, ArmFlag.LAMPS | ArmFlag.MICROWAVE, ratio=0, period=1_000_000, delay=100_000, width=400_000,
+            readout=0, host_timeout=5000)  # fmt: skip
+        train = Burst(code=BurstCode.SINGLE, chip=100, repeat=60_000, period=10_000, trigger_offset=0)
+        assert board.request(train).status == StatusCode.OK
+        for i in range(20):
+            board.pulse(board.now + MS + i * 1_000_000)
+        board.run(board.now + 25 * MS + rng.randrange(10 * MS))
+        if busy:
+            board.write(b"".join(encode(Frame(Status(), i & 0xFF)) for i in range(300)))
+            board.run(board.now + rng.randrange(5 * MS))
+        hung = hang(board)
+        come_back(board)
+        dark = max(tick for tick, pin, _ in board.transitions if pin in OUTPUTS)
+        print(f"dark {(dark - hung) / MS:.1f} ms after the hang, port open {(board.now - hung) / MS:.0f} ms after it")
+        assert hung < dark < hung + GONE
+        board.identify()
+        status = board.request(Status())
+        assert isinstance(status, StatusReply)
+        assert status.fault == FaultCode.HOST_TIMEOUT
+        assert board.request(Clear()).status == StatusCode.OK
+        assert enumerated(board) == 2 + turn
+    assert board.resets == []  # the controller itself ran on
+
+
+def test_a_hang_leaves_what_the_other_line_commands_alone(board: EmulatedBoard) -> None:
+    board.plug_in()
+    board.over_usb = False
+    arm(board, ratio=0, period=1_000_000, delay=100_000, width=100_000)
+    hang(board)
+    edges = [board.now + MS + i * 1_000_000 for i in range(30)]
+    for edge in edges:
+        board.pulse(edge)
+    board.run_alive(edges[-1] + 10 * MS)
+    assert len(board.rises(PIN_LED)) == len(edges)
+    assert enumerated(board) == 2
+    status = board.request(Status())
+    assert isinstance(status, StatusReply)
+    assert (status.fault, status.armed) == (FaultCode.NONE, ArmFlag.LAMPS)
+
+
+@pytest.mark.parametrize("asleep", [10, 21, 35, 500], ids=lambda ms: f"{ms}ms")
+def test_a_suspended_bus_and_its_slow_awakening_are_no_hang(board: EmulatedBoard, asleep: int) -> None:
+    """No frames come while the bus sleeps, nor for the 40 ms in which a host wakes it."""
+    board.plug_in()
+    board.identify()
+    board.usb_do("suspend")
+    board.run(board.now + asleep * MS)
+    board.usb_do("resume")
+    board.run(board.now + 200 * MS)
+    assert board.identify().status == StatusCode.OK
+    assert enumerated(board) == 1
+
+
+def test_neither_a_missing_host_nor_a_bus_reset_is_a_hang(board: EmulatedBoard) -> None:
+    board.run(BOOTED + 300 * MS)  # plugged into nothing
+    board.plug_in()
+    for turn in range(3):
+        board.usb_do("reset")
+        come_back(board)
+        board.identify()
+        assert board.request(Arm(outputs=ArmFlag(0))).status == StatusCode.OK
+        assert enumerated(board) == 2 + turn
+        board.run(board.now + 200 * MS)
+    board.usb_do("detach")
+    board.run(board.now + 500 * MS)
+    board.plug_in()
+    assert board.identify().status == StatusCode.OK
+    assert enumerated(board) == 5
