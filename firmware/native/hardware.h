@@ -13,6 +13,7 @@
 // What all share.
 extern struct world {
     uint64_t now;
+    uint64_t until;  // end of native_run_until, nothing happens after it
     uint64_t boot_tick;
     bool powered;
     bool in_bootloader;
@@ -33,11 +34,17 @@ uint64_t world_input_time(void);
 input_t world_input(void);
 bool world_refuses(void);  // the next lit flash or burst, once
 
-// The main loop: when its next round is, and what brings it forward.
+// The main loop: when its next round is or the one under way goes on, and what brings it forward.
 void time_start(void);
 void time_wake(void);
-void time_begin_round(void);
 uint64_t time_of_round(void);
+void time_step(void);
+void time_pass(void);     // first in every function of board.h: the time it takes
+void time_look(void);     // the same, cheaper, in one that only looks: after it the world acts no sooner than before
+uint32_t time_now(void);  // the controller's tick, for this folder: takes nothing
+
+void start_round(void);          // one round of the core
+uint64_t world_next_time(void);  // of everything but the main loop
 
 void pinuse_begin(void);
 void pinuse_start(void);
@@ -47,8 +54,8 @@ bool pinuse_input(uint8_t pin, uint8_t level);  // did it change?
 void identity_start(uint8_t boot, uint8_t cause);
 
 void reset_start(void);
-bool reset_wanted(void);
-uint64_t reset_time(void);  // the watchdog bites
+uint64_t reset_time(void);  // the core wants it, or the watchdog bites
+void reset_step(void);
 
 void lines_begin(void);
 void lines_start(void);

@@ -43,7 +43,7 @@ void lamps_edge(void)
     }
     const board_flash_t* const flash = &lamps.loaded;
     board_edge_t* const edge = &lamps.edges[lamps.edge_count++];
-    *edge = (board_edge_t){.tick = board_tick(), .tag = 0, .odometer = odometer};
+    *edge = (board_edge_t){.tick = time_now(), .tag = 0, .odometer = odometer};
     if (lamps.pin != 0U) {  // ends with this very tick; board_flash_load let no longer one through
         pinuse_drive(lamps.pin, 0);
         lamps.pin = 0;
@@ -96,6 +96,7 @@ void lamps_step(void)
 
 bool board_flash_load(const board_flash_t* const flash)
 {
+    time_pass();
     lamps.is_loaded = false;
     const bool lit = flash->lamp != LAMP_DARK;
     const bool outlasts = (uint64_t)flash->delay_ticks + flash->width_ticks > flash->holdoff_ticks;
@@ -109,6 +110,7 @@ bool board_flash_load(const board_flash_t* const flash)
 
 bool board_edge(board_edge_t* const edge)
 {
+    time_look();
     if (lamps.edge_count == 0U) {
         return false;
     }
@@ -120,6 +122,7 @@ bool board_edge(board_edge_t* const edge)
 
 void board_lamps_cut(void)
 {
+    time_pass();
     lamps.is_loaded = false;
     lamps.pin = 0;
     pinuse_drive(PIN_PROJECTOR, 0);
@@ -128,10 +131,12 @@ void board_lamps_cut(void)
 
 uint32_t board_edges_refused(void)
 {
+    time_look();
     return lamps.refused;
 }
 
 int32_t board_odometer(void)
 {
+    time_look();
     return odometer;
 }

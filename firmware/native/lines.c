@@ -178,16 +178,19 @@ size_t native_usb_read(uint8_t* const bytes, const size_t size)
 
 bool board_connected(const uint8_t line)
 {
+    time_look();
     return (line == LINE_UART) || usb_connected;
 }
 
 size_t board_receive(const uint8_t line, uint8_t* const bytes, const size_t size)
 {
+    time_look();
     return take(&lines[line].rings[RECEIVED], bytes, size);
 }
 
 size_t board_transmit(const uint8_t line, const uint8_t* const bytes, const size_t size)
 {
+    time_pass();
     if (!board_connected(line)) {
         return size;
     }
@@ -199,5 +202,6 @@ size_t board_transmit(const uint8_t line, const uint8_t* const bytes, const size
 
 bool board_transmitted(const uint8_t line)
 {
+    time_look();
     return lines[line].rings[TO_SEND].count == 0U;
 }

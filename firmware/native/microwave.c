@@ -43,8 +43,9 @@ void microwave_start(void)
 
 void board_microwave_feed(void)
 {
+    time_look();
     fed = world.now;
-    duty_run(&owed, board_tick());
+    duty_run(&owed, time_now());
 }
 
 static void end_train(void)
@@ -102,6 +103,7 @@ void microwave_starve(void)
 
 bool board_microwave_starved(void)
 {
+    time_look();
     const bool starved = train.starved;
     train.starved = false;
     return starved;
@@ -109,6 +111,7 @@ bool board_microwave_starved(void)
 
 void board_microwave(const bool enabled)
 {
+    time_pass();
     train.enabled = enabled && !board_interlock_open();
     if (!enabled) {
         end_train();
@@ -129,6 +132,7 @@ static void add_step(const int64_t offset, const uint8_t pin, const uint8_t leve
 
 board_burst_started_t board_burst(const board_burst_t* const burst, uint32_t* const start)
 {
+    time_pass();
     if (!train.enabled) {
         return BOARD_BURST_CUT;
     }
@@ -170,11 +174,13 @@ board_burst_started_t board_burst(const board_burst_t* const burst, uint32_t* co
 
 void board_burst_stop(void)
 {
+    time_pass();
     train.stopping = true;
 }
 
 bool board_burst_running(uint16_t* const done)
 {
+    time_look();
     *done = train.done;
     return train.running;
 }

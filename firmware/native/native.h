@@ -55,6 +55,10 @@ void native_usb_hold(bool held);
 size_t native_usb_write(const uint8_t* bytes, size_t size);
 size_t native_usb_read(uint8_t* bytes, size_t size);
 
+// How long each of the core's calls of the board takes is drawn from this; native_begin sets 0. Same seed, same pins,
+// whatever pieces of time native_run_until is given.
+void native_seed(uint32_t seed);
+
 // Let the world go on to this tick.
 void native_run_until(uint64_t tick);
 uint64_t native_tick(void);

@@ -54,11 +54,13 @@ bool pinuse_input(const uint8_t pin, const uint8_t level)
 
 bool board_interlock_open(void)
 {
+    time_look();
     return levels[PIN_INTERLOCK] == 1U;
 }
 
 bool board_interlock_tripped(void)
 {
+    time_look();
     const bool tripped = interlock_tripped;
     interlock_tripped = false;
     return tripped;
@@ -66,6 +68,7 @@ bool board_interlock_tripped(void)
 
 void board_status_light(const bool on)
 {
+    time_look();
     pinuse_drive(PIN_STATUS, on ? 1 : 0);
 }
 

@@ -9,22 +9,25 @@ static bool wanted;
 
 void board_watchdog_kick(void)
 {
+    time_look();
     kicked = world.now;
-}
-
-uint64_t reset_time(void)
-{
-    return world.powered ? kicked + WATCHDOG_TICKS : NEVER;
 }
 
 void board_reset(void)
 {
+    time_pass();
     wanted = true;
 }
 
-bool reset_wanted(void)
+uint64_t reset_time(void)
 {
-    return wanted;
+    const uint64_t bites = wanted ? world.now : kicked + WATCHDOG_TICKS;
+    return world.powered ? bites : NEVER;
+}
+
+void reset_step(void)
+{
+    native_power_on((uint8_t)(board_boot() + 1U), wanted ? BOOT_CAUSE_HOST_RESET : BOOT_CAUSE_WATCHDOG);
 }
 
 // Everything at rest: what a reset does to the hardware, and what the boot loader is left with.

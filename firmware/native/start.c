@@ -12,6 +12,7 @@ static controller_t controller;
 void native_begin(void)
 {
     world_begin();
+    native_seed(0);
     pinuse_begin();
     lines_begin();
 }
@@ -46,49 +47,64 @@ static void apply_input(void)
     }
 }
 
-static void round_of_cpu(void)
+void start_round(void)
 {
-    time_begin_round();
     controller_run(&controller);
-    if (reset_wanted()) {
-        native_power_on((uint8_t)(board_boot() + 1U), BOOT_CAUSE_HOST_RESET);
-    } else if (lines_waiting()) {
+    if (lines_waiting()) {
         time_wake();
     }
 }
 
-static void watchdog_bites(void)
-{
-    native_power_on((uint8_t)(board_boot() + 1U), BOOT_CAUSE_WATCHDOG);
-}
-
-// What happens when. At one tick: hardware before the main loop.
+// What happens by itself. At one tick: all of it before the main loop.
 static const struct {
     uint64_t (*time)(void);
     void (*step)(void);
 } sources[] = {
-    {world_input_time, apply_input},  {lamps_time, lamps_step},     {microwave_time, microwave_step},
-    {turntable_time, turntable_step}, {lines_time, lines_step},     {microwave_starving_time, microwave_starve},
-    {time_of_round, round_of_cpu},    {reset_time, watchdog_bites},
+    {world_input_time, apply_input},  {lamps_time, lamps_step}, {microwave_time, microwave_step},
+    {turntable_time, turntable_step}, {lines_time, lines_step}, {microwave_starving_time, microwave_starve},
+    {reset_time, reset_step},
 };
+
+#define SOURCES (sizeof sources / sizeof sources[0])
+
+static size_t next_source(uint64_t* const time)
+{
+    size_t first = 0;
+    *time = NEVER;
+    for (size_t source = 0; source < SOURCES; source++) {
+        const uint64_t its = sources[source].time();
+        if (its < *time) {
+            first = source;
+            *time = its;
+        }
+    }
+    return first;
+}
+
+uint64_t world_next_time(void)
+{
+    uint64_t time;
+    next_source(&time);
+    return time;
+}
 
 void native_run_until(const uint64_t tick)
 {
+    world.until = tick;
     for (;;) {
-        size_t first = 0;
-        uint64_t next = NEVER;
-        for (size_t source = 0; source < sizeof sources / sizeof sources[0]; source++) {
-            const uint64_t time = sources[source].time();
-            if (time < next) {
-                first = source;
-                next = time;
-            }
-        }
-        if (next > tick) {
+        uint64_t next;
+        const size_t source = next_source(&next);
+        const uint64_t round = time_of_round();
+        const uint64_t first = (round < next) ? round : next;
+        if (first > tick) {
             break;
         }
-        world.now = (next > world.now) ? next : world.now;
-        sources[first].step();
+        world.now = (first > world.now) ? first : world.now;
+        if (round < next) {
+            time_step();
+        } else {
+            sources[source].step();
+        }
     }
     world.now = (tick > world.now) ? tick : world.now;
 }

@@ -43,6 +43,7 @@ void turntable_step(void)
 
 void board_turntable_move(const int32_t position, const uint32_t period_ticks, const bool hold)
 {
+    time_pass();
     motor.target = position;
     motor.period = period_ticks;
     motor.hold = hold;
@@ -54,10 +55,12 @@ void board_turntable_move(const int32_t position, const uint32_t period_ticks, c
 
 bool board_turntable_moving(void)
 {
+    time_look();
     return motor.moving;
 }
 
 int32_t board_turntable_position(void)
 {
+    time_look();
     return motor.position;
 }

@@ -13,6 +13,7 @@
 #define US ((uint64_t)TICKS_PER_US)
 #define MS ((uint64_t)TICKS_PER_MS)
 #define PERIOD (40ULL * MS)
+#define ROUND (MS / 20U)  // what a byte or an edge may wait until a round has dealt with it
 
 typedef struct {
     uint8_t id;

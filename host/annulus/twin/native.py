@@ -23,6 +23,7 @@ _SIGNATURES: dict[str, tuple[object, tuple[object, ...]]] = {
     "native_input": (ctypes.c_bool, (ctypes.c_uint64, ctypes.c_uint8, ctypes.c_uint8)),
     "native_serial_write": (ctypes.c_size_t, (ctypes.c_char_p, ctypes.c_size_t)),
     "native_serial_read": (ctypes.c_size_t, (ctypes.c_void_p, ctypes.c_size_t)),
+    "native_seed": (None, (ctypes.c_uint32,)),
     "native_run_until": (None, (ctypes.c_uint64,)),
     "native_tick": (ctypes.c_uint64, ()),
     "native_boot_tick": (ctypes.c_uint64, ()),
@@ -98,6 +99,10 @@ class NativeBoard:
         """All bytes that have arrived from the controller by now, at most 65536 at a time."""
         size = self._live().native_serial_read(self._bytes, len(self._bytes))
         return self._bytes.raw[:size] if size else b""
+
+    def seed(self, seed: int) -> None:
+        """From now on the main loop's calls take times drawn from this; a new board's from 0."""
+        self._live().native_seed(seed)
 
     def run_until(self, tick: int) -> None:
         """Let the world go on to this tick; one already past does nothing."""
