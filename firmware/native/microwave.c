@@ -73,7 +73,7 @@ void microwave_step(void)
     const train_step_t* const step = &train.steps[train.step++];
     if ((step->pin == PIN_MICROWAVE) && !train.charged) {
         train.charged = true;
-        duty_charge(&owed, board_tick(), train.on_ticks, MICROWAVE_DUTY_MAX_PERMILLE);
+        duty_charge(&owed, time_now(), train.on_ticks, MICROWAVE_DUTY_MAX_PERMILLE);
     }
     if (step->pin != 0U) {
         pinuse_drive(step->pin, step->level);
