@@ -193,8 +193,6 @@ MUTANTS = (
         "no_lost_sync",
     ),
     Mutant(
-    ),
-    Mutant(
         "duty-not-charged",
         "rp2040/microwave.c",
         "        duty_charge(&owed, train.rise, train.on_ticks, MICROWAVE_DUTY_MAX_PERMILLE);\n",
