@@ -18,6 +18,7 @@ const LATE = 0.8; // of a frame: what is handed over for bulk in from here on is
 const PATIENCE = 500 * MS;    // with a control transfer
 const URB = 128;              // what cdc-acm asks for at a time: two packets, or up to a short one
 const SETUP_OUT = (type, request, value, index, length) => [type, request, value & 255, value >> 8, index & 255, index >> 8, length & 255, length >> 8];
+const descriptor = (kind, index, length, language = 0) => SETUP_OUT(0x80, 6, (kind << 8) | index, language, length);
 
 export class UsbHost {
   constructor(usb) {
@@ -27,7 +28,7 @@ export class UsbHost {
     usb.lateFrom = LATE * FRAME;
     this.now = 0;
     this.framesFrom = Infinity; // when the port was enabled, or the bus woke
-    this.enumerated = 0; // so often
+    this.attached = 0; // so often a device was plugged in
     this.cable = false;
     this.wantOpen = true; // the port is opened as soon as there is one
     this.clear();
@@ -177,19 +178,28 @@ export class UsbHost {
 
   // ---- enumeration and the driver ----
 
-  *enumerate() {
-    yield { wait: DEBOUNCE };
+  // Reset, address, and what the device says it is; false when it does not.
+  *meet() {
     yield* this.resetBus();
     this.state = 'enumerating';
-    const descriptor = (kind, index, length, language = 0) => SETUP_OUT(0x80, 6, (kind << 8) | index, language, length);
-    if (!(yield* this.must('first 8 bytes', descriptor(1, 0, 8)))) return;
-    if (!(yield* this.must('address', SETUP_OUT(0, 5, 5, 0, 0)))) return;
+    if (!(yield* this.must('first 8 bytes', descriptor(1, 0, 8)))) return false;
+    if (!(yield* this.must('address', SETUP_OUT(0, 5, 5, 0, 0)))) return false;
     this.address = 5;
     yield { wait: RECOVERY };
-    if (!(this.found.device = yield* this.must('device', descriptor(1, 0, 18)))) return;
+    if (!(this.found.device = yield* this.must('device', descriptor(1, 0, 18)))) return false;
     const head = yield* this.must('configuration header', descriptor(2, 0, 9));
-    if (!head) return;
-    if (!(this.found.configuration = yield* this.must('configuration', descriptor(2, 0, head[2] | (head[3] << 8))))) return;
+    if (!head) return false;
+    this.found.configuration = yield* this.must('configuration', descriptor(2, 0, head[2] | (head[3] << 8)));
+    return this.found.configuration !== undefined;
+  }
+
+  *plugged() {
+    yield { wait: DEBOUNCE };
+    yield* this.enumerate();
+  }
+
+  *enumerate() {
+    if (!(yield* this.meet())) return;
     this.found.strings = [];
     for (let index = 0; index < 4; index++) {
       const string = yield* this.must(`string ${index}`, descriptor(3, index, 255, index ? 0x409 : 0));
@@ -200,7 +210,6 @@ export class UsbHost {
     this.toggles = { in: 0, out: 0 };
     if (!(yield* this.must('line coding', SETUP_OUT(0x21, 0x20, 0, 0, 7), [0x00, 0xc2, 0x01, 0x00, 0, 0, 8]))) return;
     this.state = 'configured';
-    this.enumerated++;
     if (this.wantOpen) yield* this.open();
   }
 
@@ -253,7 +262,7 @@ export class UsbHost {
   pulled() {
     this.clear();
     this.state = 'detached';
-    if (this.cable && this.usb.pulledUp) { this.state = 'attached'; this.start(this.enumerate(), true); }
+    if (this.cable && this.usb.pulledUp) { this.state = 'attached'; this.attached++; this.start(this.plugged(), true); }
   }
 
   *idle() { yield { wait: SUSPEND_AFTER }; this.usb.suspend(); }
@@ -293,7 +302,7 @@ export class UsbHost {
   read() { return Buffer.from(this.received.splice(0)); }
 
   report() {
-    return { state: this.state, open: this.isOpen, enumerated: this.enumerated, found: this.found, received: this.read().toString('hex'), waiting: this.outgoing.length,
+    return { state: this.state, open: this.isOpen, attached: this.attached, found: this.found, received: this.read().toString('hex'), waiting: this.outgoing.length,
              controls: this.controls.splice(0), packets: this.packets };
   }
 }
