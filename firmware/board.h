@@ -164,6 +164,29 @@ void board_burst_stop(void);
 // Is a train running? `done` becomes the number of complete bursts of this train, or of the last one.
 bool board_burst_running(uint16_t* done);
 
+// ---- the board's own pins, measured ----
+
+#define BOARD_LOOK_WORDS 64U    // of a look; a word is eight ticks of four pins, the first tick in the highest bits
+#define BOARD_SAMPLE_BYTES 32U  // fetched at once
+
+typedef struct {
+    uint16_t looks;        // 0 ends the measurement
+    uint8_t pin;           // whose edge begins a look
+    uint8_t level;         // after that edge
+    uint8_t first;         // the lowest of the four pins
+    uint32_t delay_ticks;  // edge -> first sample, and 2 more
+} board_look_t;
+
+// Begin anew, or end. While measuring the odometer stands still.
+void board_measure(const board_look_t* look);
+bool board_measuring(void);
+
+// Once a round of the main loop: the next look.
+void board_measure_run(void);
+
+// Looks taken so far. `bits`: eight words from `word` on, of the first look or the latest; they differ: no more follow.
+uint16_t board_measured(bool latest, uint8_t word, uint8_t bits[BOARD_SAMPLE_BYTES], bool* differs);
+
 // ---- turntable and status light ----
 
 // Step to an absolute position; `hold` keeps the motor powered afterwards.

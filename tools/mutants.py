@@ -207,6 +207,21 @@ MUTANTS = (
         "owes_is_paid",
     ),
     Mutant(
+        "look-one-tick-late",
+        "rp2040/measure.c",
+        "        JMP_X_DEC(MEASURE_PROGRAM + 3U),",
+        "        JMP_X_DEC(MEASURE_PROGRAM + 3U) | DELAY(1U),",
+        "a_look_is",
+    ),
+    Mutant("measures-on-a-head-at-work", "core/commands.c", "&& !board_measuring()", "&& false", "begins_to_measure"),
+    Mutant(
+        "odometer-not-given-back",
+        "core/queries.c",
+        "        board_measure(&(board_look_t){.looks = 0});",
+        "",
+        "odometer_counts_on",
+    ),
+    Mutant(
         "start-interrupted",
         "rp2040/microwave.c",
         "    interrupts_off();  // one between tick and start would make the tick a lie\n",

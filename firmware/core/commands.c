@@ -164,6 +164,30 @@ static void move(controller_t* const self, const uint8_t line, const uint8_t* co
     reply_move_pack(&reply, answer);
 }
 
+// The odometer pays for it: so nobody begins one on a head at work.
+static void measure(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
+{
+    command_measure_t command;
+    command_measure_unpack(&command, payload);
+    reply_measure_t reply = {.status = STATUS_OUT_OF_RANGE, .detail = command_measure_range(&command)};
+    if (reply.detail == RANGE_OK) {
+        reply.detail = 0;
+        if (!commands_allowed(self, line)) {
+            reply.status = STATUS_SCHEMA;
+        } else if ((command.looks > 0U) && (self->armed != 0U) && !board_measuring()) {
+            reply.status = STATUS_BAD_STATE;
+        } else {
+            reply.status = STATUS_OK;
+            board_measure(&(board_look_t){.looks = command.looks,
+                                          .pin = command.pin,
+                                          .level = command.level,
+                                          .first = command.first,
+                                          .delay_ticks = command.delay});
+        }
+    }
+    reply_measure_pack(&reply, answer);
+}
+
 // The link lets through no id without a layout, and every command has one here.
 static void (*const handlers[])(controller_t* self, uint8_t line, const uint8_t* payload, uint8_t* answer) = {
     [COMMAND_IDENTIFY] = query_identify,
@@ -180,6 +204,8 @@ static void (*const handlers[])(controller_t* self, uint8_t line, const uint8_t*
     [COMMAND_BURST_STOP] = burst_stop,
     [COMMAND_MOVE] = move,
     [COMMAND_BOOTLOADER] = bootloader,
+    [COMMAND_MEASURE] = measure,
+    [COMMAND_SAMPLES] = query_samples,
 };
 
 void commands_execute(controller_t* const self, const uint8_t line, const command_t* const command,

@@ -16,5 +16,6 @@ void query_identify(controller_t* self, uint8_t line, const uint8_t* payload, ui
 void query_ping(controller_t* self, uint8_t line, const uint8_t* payload, uint8_t* answer);
 void query_status(controller_t* self, uint8_t line, const uint8_t* payload, uint8_t* answer);
 void query_reread(controller_t* self, uint8_t line, const uint8_t* payload, uint8_t* answer);
+void query_samples(controller_t* self, uint8_t line, const uint8_t* payload, uint8_t* answer);
 
 #endif

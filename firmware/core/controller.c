@@ -133,6 +133,7 @@ void controller_run(controller_t* const self)
     safety_insist(self, accepted, sequencer_lamp(&self->sequencer));
     report_burst(self);
     report_turntable(self, now);
+    board_measure_run();
     events_run(&self->events, now);
     board_status_light(self->armed != 0U);
     for (uint8_t line = 0; line < LINES; line++) {

@@ -478,6 +478,91 @@ void reply_bootloader_unpack(reply_bootloader_t* const self, const uint8_t* cons
     self->detail = get8(payload + 1);
 }
 
+void command_measure_pack(const command_measure_t* const self, uint8_t* const payload)
+{
+    put16(payload + 0, self->looks);
+    put8(payload + 2, self->pin);
+    put8(payload + 3, self->level);
+    put8(payload + 4, self->first);
+    put32(payload + 5, self->delay);
+}
+
+void command_measure_unpack(command_measure_t* const self, const uint8_t* const payload)
+{
+    self->looks = get16(payload + 0);
+    self->pin = get8(payload + 2);
+    self->level = get8(payload + 3);
+    self->first = get8(payload + 4);
+    self->delay = get32(payload + 5);
+}
+
+uint8_t command_measure_range(const command_measure_t* const self)
+{
+    if (self->pin > 29U) {
+        return 1U;
+    }
+    if (self->level > 1U) {
+        return 2U;
+    }
+    if (self->first > 26U) {
+        return 3U;
+    }
+    return RANGE_OK;
+}
+
+void reply_measure_pack(const reply_measure_t* const self, uint8_t* const payload)
+{
+    put8(payload + 0, self->status);
+    put8(payload + 1, self->detail);
+}
+
+void reply_measure_unpack(reply_measure_t* const self, const uint8_t* const payload)
+{
+    self->status = get8(payload + 0);
+    self->detail = get8(payload + 1);
+}
+
+void command_samples_pack(const command_samples_t* const self, uint8_t* const payload)
+{
+    put8(payload + 0, self->latest);
+    put8(payload + 1, self->word);
+}
+
+void command_samples_unpack(command_samples_t* const self, const uint8_t* const payload)
+{
+    self->latest = get8(payload + 0);
+    self->word = get8(payload + 1);
+}
+
+uint8_t command_samples_range(const command_samples_t* const self)
+{
+    if (self->latest > 1U) {
+        return 0U;
+    }
+    if (self->word > 56U) {
+        return 1U;
+    }
+    return RANGE_OK;
+}
+
+void reply_samples_pack(const reply_samples_t* const self, uint8_t* const payload)
+{
+    put8(payload + 0, self->status);
+    put8(payload + 1, self->detail);
+    put16(payload + 2, self->looks);
+    put8(payload + 4, self->differs);
+    memcpy(payload + 5, self->bits, 32);
+}
+
+void reply_samples_unpack(reply_samples_t* const self, const uint8_t* const payload)
+{
+    self->status = get8(payload + 0);
+    self->detail = get8(payload + 1);
+    self->looks = get16(payload + 2);
+    self->differs = get8(payload + 4);
+    memcpy(self->bits, payload + 5, 32);
+}
+
 void event_edge_pack(const event_edge_t* const self, uint8_t* const payload)
 {
     put32(payload + 0, self->edge);
@@ -633,6 +718,10 @@ static const layout_t layouts[] = {
     {0x4C, 6, 0xA5, 0},  // reply move
     {0x0D, 4, 0xA5, 0},  // command bootloader
     {0x4D, 2, 0xA5, 0},  // reply bootloader
+    {0x17, 9, 0x07, 0},  // command measure
+    {0x57, 2, 0xCC, 0},  // reply measure
+    {0x18, 2, 0x93, 1},  // command samples
+    {0x58, 37, 0x89, 0},  // reply samples
     {0x80, 24, 0x15, 0},  // event edge
     {0x81, 8, 0x61, 0},  // event sync_lost
     {0x82, 8, 0x32, 0},  // event sync_found

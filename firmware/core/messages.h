@@ -127,6 +127,10 @@ enum {
     REPLY_MOVE = 0x4C,
     COMMAND_BOOTLOADER = 0x0D,
     REPLY_BOOTLOADER = 0x4D,
+    COMMAND_MEASURE = 0x17,
+    REPLY_MEASURE = 0x57,
+    COMMAND_SAMPLES = 0x18,
+    REPLY_SAMPLES = 0x58,
     EVENT_EDGE = 0x80,
     EVENT_SYNC_LOST = 0x81,
     EVENT_SYNC_FOUND = 0x82,
@@ -421,6 +425,52 @@ typedef struct {
 } reply_bootloader_t;
 void reply_bootloader_pack(const reply_bootloader_t* self, uint8_t* payload);
 void reply_bootloader_unpack(reply_bootloader_t* self, const uint8_t* payload);
+
+// The controller times its own pins. After every edge of `pin` to `level`, and `delay` ticks later, it keeps the levels of four neighbouring pins tick by tick, 512 times: a look. The odometer stands still meanwhile. The first `measure` is refused while anything is armed; `looks` 0 ends it.
+#define COMMAND_MEASURE_LENGTH 9U
+typedef struct {
+    uint16_t looks;  // how many; 0 ends the measurement, and the odometer counts on
+    uint8_t pin;  // GPIO whose edge begins a look
+    uint8_t level;  // 1 = rises, 0 = falls
+    uint8_t first;  // GPIO of the lowest of the four pins
+    uint32_t delay;  // ticks
+} command_measure_t;
+void command_measure_pack(const command_measure_t* self, uint8_t* payload);
+void command_measure_unpack(command_measure_t* self, const uint8_t* payload);
+// Index of the first field outside its range, or RANGE_OK.
+uint8_t command_measure_range(const command_measure_t* self);
+
+// Answer to measure.
+#define REPLY_MEASURE_LENGTH 2U
+typedef struct {
+    uint8_t status;  // ok, or why not
+    uint8_t detail;  // which field or lamp, see status
+} reply_measure_t;
+void reply_measure_pack(const reply_measure_t* self, uint8_t* payload);
+void reply_measure_unpack(reply_measure_t* self, const uint8_t* payload);
+
+// What was seen. Every look is compared with the first one; the first that differs ends the measurement and is kept beside it.
+#define COMMAND_SAMPLES_LENGTH 2U
+typedef struct {
+    uint8_t latest;  // 0 = of the first look, 1 = of the latest one
+    uint8_t word;  // first of the eight words wanted
+} command_samples_t;
+void command_samples_pack(const command_samples_t* self, uint8_t* payload);
+void command_samples_unpack(command_samples_t* self, const uint8_t* payload);
+// Index of the first field outside its range, or RANGE_OK.
+uint8_t command_samples_range(const command_samples_t* self);
+
+// Answer to samples.
+#define REPLY_SAMPLES_LENGTH 37U
+typedef struct {
+    uint8_t status;  // ok, or why not
+    uint8_t detail;  // which field or lamp, see status
+    uint16_t looks;  // taken so far
+    uint8_t differs;  // 1 = the latest differs from the first
+    uint8_t bits[32];  // eight words; a word is eight samples of four bits, the first in the highest, the lowest pin in its bit 0
+} reply_samples_t;
+void reply_samples_pack(const reply_samples_t* self, uint8_t* payload);
+void reply_samples_unpack(reply_samples_t* self, const uint8_t* payload);
 
 // An accepted falling edge, and what was loaded to fire after it.
 #define EVENT_EDGE_LENGTH 24U

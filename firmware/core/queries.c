@@ -18,6 +18,7 @@ void query_identify(controller_t* const self, const uint8_t line, const uint8_t*
     const bool understood = (command.protocol == PROTOCOL_VERSION) && (command.schema == SCHEMA_HASH);
     const bool at_work = (self->armed != 0U) && (line != self->session);  // the other line's host: not to be disturbed
     if (!at_work) {
+        board_measure(&(board_look_t){.looks = 0});  // nobody is left who asked for it
         self->session = line;
         self->schema_ok = understood;
         if (!understood) {
@@ -94,4 +95,20 @@ void query_reread(controller_t* const self, const uint8_t line, const uint8_t* c
         reply.status = events_reread(&self->events, &self->rereads[line], &command, &reply);
     }
     reply_reread_pack(&reply, answer);
+}
+
+void query_samples(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
+{
+    (void)self;
+    (void)line;
+    command_samples_t command;
+    command_samples_unpack(&command, payload);
+    reply_samples_t reply = {.status = STATUS_OUT_OF_RANGE, .detail = command_samples_range(&command)};
+    if (reply.detail == RANGE_OK) {
+        reply = (reply_samples_t){.status = STATUS_OK};
+        bool differs = false;
+        reply.looks = board_measured(command.latest != 0U, command.word, reply.bits, &differs);
+        reply.differs = differs ? 1U : 0U;
+    }
+    reply_samples_pack(&reply, answer);
 }

@@ -76,6 +76,10 @@ void microwave_step(void);
 uint64_t microwave_starving_time(void);
 void microwave_starve(void);
 
+void measure_start(void);
+void measure_before(void);                       // any pin changes its level
+void measure_after(uint8_t pin, uint8_t level);  // this one did
+
 void turntable_start(void);
 uint64_t turntable_time(void);
 void turntable_step(void);

@@ -40,6 +40,9 @@ void native_power_on(uint8_t boot, uint8_t cause);
 // Schedule a level on an input pin, not before the current tick. False: refused.
 bool native_input(uint64_t tick, uint8_t pin, uint8_t level);
 
+// A jumper: from now on this output drives that input, a tick later; 0 takes it away.
+void native_wire(uint8_t from, uint8_t to);
+
 // Send bytes to the controller from now on, one after another at line speed; how many were taken.
 size_t native_serial_write(const uint8_t* bytes, size_t size);
 

@@ -1,5 +1,7 @@
 // Levels of the pins, what became of them, and the inputs and the light that are no peripheral's.
 
+#include <string.h>
+
 #include "hardware.h"
 
 #define TRANSITIONS_MAX (1U << 17)
@@ -9,6 +11,17 @@ static native_transition_t transitions[TRANSITIONS_MAX];  // ring
 static size_t transition_first;
 static size_t transition_count;
 static bool interlock_tripped;
+static uint8_t wires[PIN_COUNT];  // the input an output drives, a tick later; 0 = none
+
+void native_wire(const uint8_t from, const uint8_t to)
+{
+    if (from < PIN_COUNT) {
+        wires[from] = to;
+        if (to != 0U) {
+            native_input(world.now, to, levels[from]);
+        }
+    }
+}
 
 void pinuse_begin(void)
 {
@@ -16,6 +29,7 @@ void pinuse_begin(void)
         levels[pin] = (HIGH_AT_RESET_PINS >> pin) & 1U;
     }
     transition_count = 0;
+    memset(wires, 0, sizeof wires);
 }
 
 void pinuse_drive(const uint8_t pin, const uint8_t level)
@@ -23,7 +37,12 @@ void pinuse_drive(const uint8_t pin, const uint8_t level)
     if (levels[pin] == level) {
         return;
     }
+    measure_before();
     levels[pin] = level;
+    measure_after(pin, level);
+    if (wires[pin] != 0U) {
+        native_input(world.now + 1U, wires[pin], level);
+    }
     if (transition_count == TRANSITIONS_MAX) {
         world.lost.transitions++;
         return;
@@ -44,8 +63,12 @@ void pinuse_start(void)
 
 bool pinuse_input(const uint8_t pin, const uint8_t level)
 {
+    measure_before();
     const bool changed = levels[pin] != level;
     levels[pin] = level;
+    if (changed) {
+        measure_after(pin, level);
+    }
     if (world.powered && changed && (pin == PIN_INTERLOCK) && (level == 1U)) {
         interlock_tripped = true;
     }

@@ -49,6 +49,9 @@ static inline void interrupts_on(void)
 // Give a pin to a peripheral, with this pad.
 void pin_use(uint32_t pin, uint32_t function, uint32_t pad);
 
+// End what a channel does, without another word.
+void dma_stop(uint32_t channel);
+
 // Load a PIO program at `first`.
 void pio_load(uint32_t pio, uint32_t first, const uint16_t* program, uint32_t length);
 
@@ -69,6 +72,11 @@ uint16_t usb_recoveries(void);  // so often the device controller hung and was r
 
 // Sixteen digits, different on every board.
 const char* identity_serial_number(void);
+
+// The odometer hands its machine, DMA channel and ring to whoever measures, standing still until it is started again.
+#define ODOMETER_RING_BYTES 512U
+volatile uint32_t* odometer_lend(void);
+void odometer_start(void);
 
 // Who owns which DMA channel and PIO machine.
 enum { DMA_STAMP = 0, DMA_AT_EDGE = 1, DMA_ODOMETER = 2, DMA_CHIPS = 3, DMA_TRIGGER = 4, DMA_STEPS = 5 };

@@ -58,7 +58,7 @@ static const uint16_t program[PROGRAM_LENGTH] = {
 // Cycles SYNC spends per accepted edge without counting: 3..10 with a delay, and 13..15 with a delay.
 #define UNCOUNTED_TICKS 12U
 // From the tick read before both machines start to SYNC's first count, less its way from pin to stamp.
-#define STAMP_OFFSET 23U
+#define STAMP_OFFSET 26U
 // Ticks of an accepted edge's dead time that are not in the loop.
 #define HOLDOFF_OVERHEAD 18U
 #define LAMP_WIDTH_MIN_TICKS 2U
@@ -71,6 +71,7 @@ static const uint16_t program[PROGRAM_LENGTH] = {
 
 static volatile uint32_t stamps[EDGES_KEPT] __attribute__((aligned(512)));   // SYNC's Y, by DMA
 static volatile uint32_t at_edge[EDGES_KEPT] __attribute__((aligned(512)));  // the odometer channel's count, by DMA
+_Static_assert(QUADRATURE_KEPT == ODOMETER_RING_BYTES, "as it says to others");
 static volatile uint8_t quadrature[QUADRATURE_KEPT] __attribute__((aligned(512)));
 static uint8_t tags[EDGES_KEPT];
 
@@ -116,7 +117,14 @@ int32_t board_odometer(void)
     return odometer.position;
 }
 
-static void start_odometer(void)
+// While it is lent, what is read of its channel lies before all that was decoded, so nothing is.
+volatile uint32_t* odometer_lend(void)
+{
+    (void)board_odometer();
+    return (volatile uint32_t*)(uintptr_t)quadrature;
+}
+
+void odometer_start(void)
 {
     static const uint16_t counter[] = {
         MOV_ISR_NULL,  IN_PINS(2U),           MOV_X_ISR, JMP_X_NOT_Y(ODOMETER_PROGRAM + 4U), MOV_Y_X,
@@ -135,6 +143,7 @@ static void start_odometer(void)
     REGISTER(DMA_CTRL_TRIGGER(DMA_ODOMETER)) =
         DMA_QUIET | DMA_REQUEST(DREQ_PIO_RX(1U, machine)) | DMA_CHAIN(DMA_ODOMETER) | DMA_RING_WRITE |
         DMA_RING(QUADRATURE_RING_BITS) | DMA_INCREMENT_WRITE | DMA_PRIORITY | DMA_ENABLE;
+    odometer.decoded = 0;
     odometer.state = (uint8_t)((REGISTER(SIO_GPIO_IN) >> PIN_ODOMETER_A) & 3U);
     REGISTER(PIO_TX(PIO1, machine)) = odometer.state;
     REGISTER(PIO_INSTRUCTION(PIO1, machine)) = PULL_NO_BLOCK;
@@ -304,9 +313,19 @@ static void start_rings(void)
                                             DMA_INCREMENT_WRITE | DMA_WORDS | DMA_PRIORITY | DMA_ENABLE;
 }
 
+// A function of its own, so that what else changes around it leaves STAMP_OFFSET as it was measured.
+__attribute__((noinline)) static void start_machines(void)
+{
+    interrupts_off();  // one between tick and start would put every stamp wrong
+    lamps.start = board_tick();
+    SET_BITS(PIO_CTRL(PIO0)) = PIO_MACHINE(SYNC_MACHINE) | PIO_MACHINE(LAMP_MACHINE);
+    interrupts_on();
+    lamps.start += STAMP_OFFSET;
+}
+
 void lamps_start(void)
 {
-    start_odometer();
+    odometer_start();
     pio_load(PIO0, 0U, program, PROGRAM_LENGTH);
     REGISTER(PIO_EXECCTRL(PIO0, SYNC_MACHINE)) = EXEC_JUMP_PIN(PIN_SYNC) | EXEC_WRAP(HIGH, HIGH + 1U);
     REGISTER(PIO_EXECCTRL(PIO0, LAMP_MACHINE)) = EXEC_WRAP(LAMP_IDLE, PROGRAM_LENGTH - 2U);
@@ -325,9 +344,5 @@ void lamps_start(void)
     REGISTER(PIO_INSTRUCTION(PIO0, SYNC_MACHINE)) = FLAG_SET(LOOK);
     REGISTER(PIO_INSTRUCTION(PIO0, SYNC_MACHINE)) = JMP(HIGH);
     start_rings();
-    interrupts_off();  // one between tick and start would put every stamp wrong
-    lamps.start = board_tick();
-    SET_BITS(PIO_CTRL(PIO0)) = PIO_MACHINE(SYNC_MACHINE) | PIO_MACHINE(LAMP_MACHINE);
-    interrupts_on();
-    lamps.start += STAMP_OFFSET;
+    start_machines();
 }

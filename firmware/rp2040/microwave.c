@@ -127,7 +127,7 @@ static uint32_t cut_tick(bool* const starved)
     return train.guarded + taken * CREDIT_TICKS + (*starved ? CREDIT_TICKS : 2U * (CREDIT - left));
 }
 
-static void stop_channel(const uint32_t channel)
+void dma_stop(const uint32_t channel)
 {
     CLEAR_BITS(DMA_CTRL(channel)) = DMA_ENABLE;
     REGISTER(DMA_ABORT) = 1U << channel;
@@ -138,8 +138,8 @@ static void stop_channel(const uint32_t channel)
 static void stop_players(void)
 {
     CLEAR_BITS(PIO_CTRL(PIO1)) = PIO_MACHINE(CHIP_MACHINE) | PIO_MACHINE(TRIGGER_MACHINE);
-    stop_channel(DMA_CHIPS);
-    stop_channel(DMA_TRIGGER);
+    dma_stop(DMA_CHIPS);
+    dma_stop(DMA_TRIGGER);
     for (uint32_t machine = CHIP_MACHINE; machine <= TRIGGER_MACHINE; machine++) {
         execute(machine, MOV_PINS_NULL);
         for (uint32_t i = 0; i < 4U; i++) {

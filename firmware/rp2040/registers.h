@@ -191,6 +191,7 @@ enum { FUNCTION_UART = 2, FUNCTION_SIO = 5, FUNCTION_PIO0 = 6, FUNCTION_PIO1 = 7
 #define EXEC_WRAP(bottom, top) (((uint32_t)(top) << 12) | ((uint32_t)(bottom) << 7))
 #define EXEC_JUMP_PIN(pin) ((uint32_t)(pin) << 24)
 #define SHIFT_OUT_RIGHT (1U << 19)
+#define SHIFT_AUTOPUSH (1U << 16)
 #define PINS_SET(base, count) (((uint32_t)(count) << 26) | ((uint32_t)(base) << 5))
 #define PINS_OUT(base, count) (((uint32_t)(count) << 20) | (uint32_t)(base))
 #define PINS_IN(base) ((uint32_t)(base) << 15)

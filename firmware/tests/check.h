@@ -19,6 +19,7 @@ void sequencer_tests(void);
 void safety_tests(void);
 void bursts_tests(void);
 void turntable_tests(void);
+void measure_tests(void);
 void board_tests(void);
 
 #endif

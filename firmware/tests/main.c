@@ -43,6 +43,7 @@ int main(void)
     safety_tests();
     bursts_tests();
     turntable_tests();
+    measure_tests();
     board_tests();
     printf("%d tests, %d failures\n", tests, failures);
     return (failures == 0) ? 0 : 1;

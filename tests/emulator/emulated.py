@@ -111,6 +111,10 @@ class EmulatedBoard:
     def input(self, *edges: tuple[int, int, int]) -> None:
         self._do(op="input", edges=edges)
 
+    def wire(self, *wires: tuple[int, int]) -> None:
+        """Jumpers from an output to an input each, in place of those before."""
+        self._do(op="wires", wires=wires)
+
     def write(self, data: bytes) -> None:
         if self.over_usb:
             self.usb_do("write", hex=data.hex())

@@ -3,10 +3,11 @@
 //
 //   emulate.mjs IMAGE.uf2 --serve PORT [--sync-hz 25] [--vcd FILE]   in real time as far as it can; UART0 as TCP for socket://
 //                         --serve-usb PORT                           the USB port likewise, instead or as well
+//                         --wires 8-2,5-7                            jumpers, from an output pin to an input
 //   emulate.mjs IMAGE.uf2 --drive [--vcd FILE]                       in virtual time; a JSON object a line on stdin, its answer on stdout
 //
 // Objects: {"op": "run", "until": T} | {"op": "input", "edges": [[tick, pin, level], ..]} | {"op": "write", "hex": ".."}
-//   | {"op": "stall", "ticks": N} | {"op": "leave-bootloader"} | {"op": "usb", "do": "attach" | "detach" | "reset" | "suspend" | "resume"
+//   | {"op": "stall", "ticks": N} | {"op": "wires", "wires": [[from, to], ..]} | {"op": "leave-bootloader"} | {"op": "usb", "do": "attach" | "detach" | "reset" | "suspend" | "resume"
 //   | "open" | "close" | "write" (hex) | "control" (setup, data: hex)}. The answer always has now, pins [[tick, pin, level], ..], sent
 // [[tick, byte], ..], resets, stack (bytes used at most), bootloader (what the image told the boot ROM, or null), usb (what its host
 // knows, or null), origin (tick at which the controller's own count began). --flash-id: the flash chip's 64 bits, 16 hex digits.
@@ -19,7 +20,7 @@ import { Fault, Machine } from './machine.mjs';
 import { VcdWriter } from './vcd.mjs';
 
 function usage(message) {
-  process.stderr.write(`emulate.mjs: ${message}\n  emulate.mjs IMAGE.uf2 --serve PORT [--serve-usb PORT] [--sync-hz HZ] [--vcd FILE] [--flash-id HEX] | --drive [--vcd FILE] [--flash-id HEX]\n`);
+  process.stderr.write(`emulate.mjs: ${message}\n  emulate.mjs IMAGE.uf2 --serve PORT [--serve-usb PORT] [--sync-hz HZ] [--wires FROM-TO,..] [--vcd FILE] [--flash-id HEX] | --drive [--vcd FILE] [--flash-id HEX]\n`);
   process.exit(2);
 }
 
@@ -27,7 +28,7 @@ function options(args) {
   const given = { image: undefined };
   for (let i = 0; i < args.length; i++) {
     if (args[i] === '--drive') given.drive = true;
-    else if (['--serve', '--serve-usb', '--sync-hz', '--vcd', '--flash-id'].includes(args[i])) given[args[i].slice(2)] = args[++i] ?? usage(`${args[i - 1]} needs a value`);
+    else if (['--serve', '--serve-usb', '--sync-hz', '--wires', '--vcd', '--flash-id'].includes(args[i])) given[args[i].slice(2)] = args[++i] ?? usage(`${args[i - 1]} needs a value`);
     else if (!args[i].startsWith('--') && given.image === undefined) given.image = args[i];
     else usage(`unknown argument ${args[i]}`);
   }
@@ -45,6 +46,7 @@ function answer(machine, op) {
     case 'input': for (const [tick, pin, level] of op.edges) machine.input(tick, pin, level); break;
     case 'reset': machine.reset(); break;
     case 'write': machine.write_serial(Buffer.from(op.hex, 'hex')); break;
+    case 'wires': machine.setWires(op.wires); break;
     case 'stall': machine.stall(op.ticks); break;
     case 'usb': machine.host.do(op, machine.now); break;
     case 'leave-bootloader': machine.leaveBootloader(); break;
@@ -129,6 +131,7 @@ try {
   process.exit(1);
 }
 machine.input(0, PIN.INTERLOCK, 0); // closed
+if (given.wires) machine.setWires(given.wires.split(',').map((wire) => wire.split('-').map(Number)));
 const vcd = given.vcd && new VcdWriter(createWriteStream(given.vcd));
 if (given.drive) drive(machine, vcd);
 else serve(machine, given, vcd);

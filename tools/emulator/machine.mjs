@@ -32,6 +32,7 @@ export class Machine {
     this.pinLevels = new Map();
     this.transitions = [];
     this.inputs = []; // sorted: [tick, pin, level]
+    this.wires = new Map(); // output pin => the input it drives
     this.stalledUntil = 0;
     this.resets = [];
     this.scratch = new Uint32Array(8);
@@ -143,6 +144,8 @@ export class Machine {
     if ((this.pinLevels.get(index) ?? 0) !== level) {
       this.pinLevels.set(index, level);
       this.transitions.push([this.stamp ?? this.now, index, level]);
+      if (this.wires.has(index)) this.drive(this.wires.get(index), level);
+      else if (pin.inputEnable) this.quietUntil = this.hardwareTick; // somebody looks at it
     }
   }
 
@@ -321,14 +324,11 @@ export class Machine {
   rawInputs() {
     let raw = 0;
     for (const pin of INPUT_PINS) if (this.chip.gpio[pin].inputValue) raw |= 1 << pin;
+    for (const pin of OUTPUT_PINS) if (this.chip.gpio[pin].inputEnable && this.pinLevels.get(pin)) raw |= 1 << pin;
     return raw;
   }
 
-  gpioIn() {
-    let value = this.rawInputs();
-    for (const pin of OUTPUT_PINS) if (this.chip.gpio[pin].inputEnable && this.pinLevels.get(pin)) value |= 1 << pin;
-    return value >>> 0;
-  }
+  gpioIn() { return this.rawInputs() >>> 0; }
 
   updatePins() {
     for (const pin of OUTPUT_PINS) this.chip.gpio[pin].checkForUpdates();
@@ -365,7 +365,7 @@ export class Machine {
         this.updatePins();
         this.stamp = undefined;
       }
-      if (this.dma.quiet() > 0) {
+      if (!changed && this.dma.quiet() > 0) { // after a change, inputs may have followed by a wire
         const quiet = Math.min(this.pios[0].quiet(raw), this.pios[0].first === raw ? this.pios[1].quiet(raw) : 0);
         this.quietUntil = this.hardwareTick + quiet;
       }
@@ -403,11 +403,7 @@ export class Machine {
       while (this.inputs.length && this.inputs[0][0] <= this.now) {
         const [, pin, level] = this.inputs.shift();
         this.sync();
-        this.quietUntil = this.hardwareTick;
-        if (this.levels.get(pin) !== level) {
-          this.levels.set(pin, level);
-          this.chip.gpio[pin].setInputValue(level === 1);
-        }
+        this.drive(pin, level);
       }
       this.uart.run(this.now);
       this.host.run(this.now);
@@ -452,6 +448,22 @@ export class Machine {
     let at = this.inputs.length;
     while (at > 0 && this.inputs[at - 1][0] > tick) at--;
     this.inputs.splice(at, 0, [tick, pin, level]);
+  }
+
+  drive(pin, level) {
+    this.quietUntil = this.hardwareTick;
+    if (this.levels.get(pin) === level) return;
+    this.levels.set(pin, level);
+    this.chip.gpio[pin].setInputValue(level === 1);
+  }
+
+  // Jumpers, [output, input] each, in place of those before. An input let go is pulled up again.
+  setWires(wires) {
+    for (const [from, to] of wires) if (!OUTPUT_PINS.includes(from) || !INPUT_PINS.includes(to)) fault(`a wire from GP${from} to GP${to}: expected from an output to an input`);
+    this.sync();
+    for (const to of this.wires.values()) this.drive(to, 1);
+    this.wires = new Map(wires);
+    for (const [from, to] of wires) this.drive(to, this.pinLevels.get(from) ?? 0);
   }
 
   write_serial(bytes) { this.uart.feed(bytes, this.now); }

@@ -1,6 +1,6 @@
 // One PIO block, cycle by cycle: delays, enables, stalls, flags that are seen one cycle later, inputs through two
 // flip-flops, the highest-numbered machine's write winning. What the firmware does not use is refused, not guessed:
-// clock dividers, side-set, FIFO join, autopush and autopull, OUT EXEC and the like.
+// clock dividers, side-set, FIFO join, autopull, OUT EXEC and the like.
 //
 // `quiet` tells for how many cycles nothing can happen that anybody outside sees, as long as nobody outside does
 // anything; `skip` then goes through them at once.
@@ -22,6 +22,7 @@ class Machine {
     this.x = 0;
     this.y = 0;
     this.isr = 0;
+    this.isrCount = 0;
     this.osr = 0;
     this.osrCount = 32;
     this.pc = 0;
@@ -32,6 +33,9 @@ class Machine {
 
   get wrapTop() { return (this.execctrl >>> 12) & 31; }
   get wrapBottom() { return (this.execctrl >>> 7) & 31; }
+  get autopush() { return ((this.shiftctrl >>> 16) & 1) === 1; } // every 32 bits
+
+  wouldPush(count) { return this.autopush && this.isrCount + count >= 32; }
 
   writePins(kind, value, base, count) {
     const pio = this.pio;
@@ -101,9 +105,17 @@ class Machine {
       case 2: {
         const count = arg || 32;
         const mask = count === 32 ? 0xffffffff : (1 << count) - 1;
+        if (this.wouldPush(count) && this.rx.length === FIFO_DEPTH) return false;
         const value = (this.source((word >>> 5) & 7) & mask) >>> 0;
         if ((this.shiftctrl >>> 18) & 1) fault('IN to the right is not modelled');
         this.isr = count === 32 ? value : ((this.isr << count) | value) >>> 0;
+        this.isrCount = Math.min(32, this.isrCount + count);
+        if (this.autopush && this.isrCount === 32) {
+          this.rx.push(this.isr);
+          this.isr = 0;
+          this.isrCount = 0;
+          pio.touched = true;
+        }
         return true;
       }
       case 3: {
@@ -137,6 +149,7 @@ class Machine {
             pio.dropped[this.index]++;
           } else this.rx.push(this.isr);
           this.isr = 0;
+          this.isrCount = 0;
           pio.touched = true;
         }
         return true;
@@ -150,7 +163,7 @@ class Machine {
           case 0: this.outPins(value); return true;
           case 1: this.x = value; return true;
           case 2: this.y = value; return true;
-          case 6: this.isr = value; return true;
+          case 6: this.isr = value; this.isrCount = 0; return true;
           case 7: this.osr = value; this.osrCount = 0; return true;
         }
         fault('this MOV is not modelled');
@@ -204,6 +217,10 @@ class Machine {
       const word = pio.memory[this.pc];
       const kind = word >>> 13;
       if (kind === 3 || kind === 6) break;
+      if (kind === 2 && this.autopush) {
+        if (i === 0 && this.wouldPush((word & 31) || 32) && this.rx.length === FIFO_DEPTH) result = Infinity;
+        break;
+      }
       if (kind === 1 || kind === 4) {
         if (kind === 1 ? this.wouldWait(word) : this.wouldBlock(word)) result = i === 0 ? Infinity : 0;
         break;
@@ -366,7 +383,7 @@ export class Pio {
           machine.execctrl = value;
           return;
         case 0x08:
-          if (value & 0xc0030000) fault('FIFO join and autopush are not modelled');
+          if (value & 0xc1f20000) fault('FIFO join, autopull and autopush before 32 bits are not modelled');
           machine.shiftctrl = value;
           return;
         case 0x10: machine.force(value); return this.settleFlags();
@@ -381,7 +398,7 @@ export class Pio {
       case 0x00:
         this.state.forEach((m, i) => {
           m.enabled = ((value >>> i) & 1) === 1;
-          if ((value >>> (4 + i)) & 1) { m.delay = 0; m.isr = 0; m.osrCount = 32; }
+          if ((value >>> (4 + i)) & 1) { m.delay = 0; m.isr = 0; m.isrCount = 0; m.osrCount = 32; }
         });
         return;
       case 0x10: case 0x14: case 0x18: case 0x1c: {

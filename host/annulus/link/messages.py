@@ -562,6 +562,56 @@ class BootloaderReply(Reply):
 
 
 @dataclass(frozen=True, slots=True)
+class MeasureReply(Reply):
+    """Answer to measure."""
+
+    ID: ClassVar[int] = 0x57
+    SCHEMA_BYTE: ClassVar[int] = 0xCC
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BB")
+    LENGTH: ClassVar[int] = 2
+    FIELDS: ClassVar[tuple[str, ...]] = ("status", "detail")
+
+    def pack(self) -> bytes:
+        return _pack("measure", self.LAYOUT, self.status, self.detail)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(StatusCode(v[0]), v[1])
+
+
+@dataclass(frozen=True, slots=True)
+class SamplesReply(Reply):
+    """Answer to samples."""
+
+    ID: ClassVar[int] = 0x58
+    SCHEMA_BYTE: ClassVar[int] = 0x89
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBHB32s")
+    LENGTH: ClassVar[int] = 37
+    FIELDS: ClassVar[tuple[str, ...]] = ("status", "detail", "looks", "differs", "bits")
+
+    looks: int  # taken so far
+    differs: int  # 1 = the latest differs from the first
+    bits: bytes  # eight words; a word is eight samples of four bits, the first in the highest, the lowest pin in its bit 0
+
+    def pack(self) -> bytes:
+        return _pack(
+            "samples",
+            self.LAYOUT,
+            self.status,
+            self.detail,
+            self.looks,
+            self.differs,
+            _fits("samples.bits", self.bits, 32),
+        )
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(StatusCode(v[0]), v[1], v[2], v[3], bytes(v[4]))
+
+
+@dataclass(frozen=True, slots=True)
 class Identify(Command):
     """Who are you? Sent first, and with the host's schema hash, which unlocks arming when it is the same. Layout frozen
     for ever.
@@ -927,6 +977,62 @@ class Bootloader(Command):
 
 
 @dataclass(frozen=True, slots=True)
+class Measure(Command):
+    """The controller times its own pins. After every edge of `pin` to `level`, and `delay` ticks later, it keeps the
+    levels of four neighbouring pins tick by tick, 512 times: a look. The odometer stands still meanwhile. The first
+    `measure` is refused while anything is armed; `looks` 0 ends it.
+    """
+
+    ID: ClassVar[int] = 0x17
+    SCHEMA_BYTE: ClassVar[int] = 0x07
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<HBBBI")
+    LENGTH: ClassVar[int] = 9
+    FIELDS: ClassVar[tuple[str, ...]] = ("looks", "pin", "level", "first", "delay")
+    REPLY: ClassVar[type[Reply]] = MeasureReply
+    QUERY: ClassVar[bool] = False
+
+    looks: int  # how many; 0 ends the measurement, and the odometer counts on
+    pin: int  # GPIO whose edge begins a look
+    level: int  # 1 = rises, 0 = falls
+    first: int  # GPIO of the lowest of the four pins
+    delay: int  # ticks
+
+    def pack(self) -> bytes:
+        return _pack("measure", self.LAYOUT, self.looks, self.pin, self.level, self.first, self.delay)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(v[0], v[1], v[2], v[3], v[4])
+
+
+@dataclass(frozen=True, slots=True)
+class Samples(Command):
+    """What was seen. Every look is compared with the first one; the first that differs ends the measurement and is kept
+    beside it.
+    """
+
+    ID: ClassVar[int] = 0x18
+    SCHEMA_BYTE: ClassVar[int] = 0x93
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BB")
+    LENGTH: ClassVar[int] = 2
+    FIELDS: ClassVar[tuple[str, ...]] = ("latest", "word")
+    REPLY: ClassVar[type[Reply]] = SamplesReply
+    QUERY: ClassVar[bool] = True
+
+    latest: int  # 0 = of the first look, 1 = of the latest one
+    word: int  # first of the eight words wanted
+
+    def pack(self) -> bytes:
+        return _pack("samples", self.LAYOUT, self.latest, self.word)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(v[0], v[1])
+
+
+@dataclass(frozen=True, slots=True)
 class Edge(Event):
     """An accepted falling edge, and what was loaded to fire after it."""
 
@@ -1170,6 +1276,8 @@ COMMANDS: dict[int, type[Command]] = {
     0x0B: BurstStop,
     0x0C: Move,
     0x0D: Bootloader,
+    0x17: Measure,
+    0x18: Samples,
 }
 
 REPLIES: dict[int, type[Reply]] = {
@@ -1187,6 +1295,8 @@ REPLIES: dict[int, type[Reply]] = {
     0x4B: BurstStopReply,
     0x4C: MoveReply,
     0x4D: BootloaderReply,
+    0x57: MeasureReply,
+    0x58: SamplesReply,
 }
 
 EVENTS: dict[int, type[Event]] = {
