@@ -2,6 +2,8 @@
 
 import itertools
 import json
+import os
+import shutil
 import subprocess
 from pathlib import Path
 from typing import Any, TypeVar
@@ -36,6 +38,23 @@ OUTPUTS = (PIN_PROJECTOR, PIN_LED, PIN_MICROWAVE, PIN_TRIGGER)
 E = TypeVar("E", bound=Event)
 
 
+def made_image() -> Path:
+    """The image under test and what runs it. ANNULUS_IMAGE when another one is to be judged, as tools/mutants.py does.
+
+    Raises AssertionError naming the Debian package that is missing.
+    """
+    given = os.environ.get("ANNULUS_IMAGE")
+    for tool, package in (("node", "nodejs"), ("arm-none-eabi-gcc", "gcc-arm-none-eabi")):
+        if shutil.which(tool) is None and not (given and tool != "node"):
+            raise AssertionError(f"{tool} is missing: Debian's {package}, which `make test` installs")
+    if not (EMULATOR.parent / "node_modules/rp2040js").is_dir():
+        subprocess.run(["npm", "ci", "--silent", "--no-audit", "--no-fund"], cwd=EMULATOR.parent, check=True)
+    if given:
+        return Path(given)
+    subprocess.run(["make", "--silent", "-C", str(ROOT / "firmware"), "image"], check=True, stdout=subprocess.DEVNULL)
+    return IMAGE
+
+
 class EmulatorFault(Exception):
     """The image did what silicon would not forgive."""
 
@@ -63,6 +82,7 @@ class EmulatedBoard:
         self.usb: dict[str, Any] = {}  # the USB host's last report: state, descriptors, what it asked
         self.usb_controls: list[dict[str, str]] = []
         self.usb_bytes = 0  # received over USB
+        self.usb_requests: list[tuple[int, bytes]] = []  # when, and the setup packet: what a kernel asked over USB/IP
         self._usb_decoder = Decoder()
         self._decoder = Decoder()
         self._sequence = itertools.count()
@@ -92,6 +112,9 @@ class EmulatedBoard:
         if answer["usb"] is not None:
             self.usb = answer["usb"]
             self.usb_controls += self.usb["controls"]
+            self.usb_requests += [
+                (asked["tick"], bytes.fromhex(asked["setup"])) for asked in self.usb.get("requests", ())
+            ]
             data = bytes.fromhex(self.usb["received"])
             self.usb_bytes += len(data)
             over_usb = list(self._usb_decoder.feed(data))
@@ -122,7 +145,7 @@ class EmulatedBoard:
             self._do(op="write", hex=data.hex())
 
     def usb_do(self, what: str, **more: str) -> None:
-        """attach, detach, reset, suspend, resume, open, close, write (hex), control (setup, data)."""
+        """attach, detach, reset, suspend, resume, hang, open, close, write (hex), control (setup, data)."""
         self._do(op="usb", do=what, **more)
 
     def plug_in(self, within: int = 400 * MS) -> None:
@@ -133,6 +156,16 @@ class EmulatedBoard:
             assert self.now < end, self.usb
             self.run(self.now + 5 * MS)
         self.over_usb = True
+
+    def serve_usbip(self) -> int:
+        """Plug it into a host that offers it over USB/IP, on this port of localhost. Its kernel commands it."""
+        self._do(op="usbip", port=0)
+        self.usb_do("attach")
+        while self.usb["state"] != "offered":
+            self.run(self.now + 5 * MS)
+        port = self.usb["port"]
+        assert isinstance(port, int)
+        return port
 
     def control(self, setup: bytes, data: bytes = b"") -> tuple[str, bytes]:
         """One control transfer: ok, stall.., and what came in."""

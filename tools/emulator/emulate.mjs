@@ -3,12 +3,14 @@
 //
 //   emulate.mjs IMAGE.uf2 --serve PORT [--sync-hz 25] [--vcd FILE]   in real time as far as it can; UART0 as TCP for socket://
 //                         --serve-usb PORT                           the USB port likewise, instead or as well
+//                         --serve-usbip PORT                         the USB device itself, for another kernel's vhci-hcd
 //                         --wires 8-2,5-7                            jumpers, from an output pin to an input
 //   emulate.mjs IMAGE.uf2 --drive [--vcd FILE]                       in virtual time; a JSON object a line on stdin, its answer on stdout
 //
 // Objects: {"op": "run", "until": T} | {"op": "input", "edges": [[tick, pin, level], ..]} | {"op": "write", "hex": ".."}
-//   | {"op": "stall", "ticks": N} | {"op": "wires", "wires": [[from, to], ..]} | {"op": "leave-bootloader"} | {"op": "usb", "do": "attach" | "detach" | "reset" | "suspend" | "resume"
-//   | "open" | "close" | "write" (hex) | "control" (setup, data: hex)}. The answer always has now, pins [[tick, pin, level], ..], sent
+//   | {"op": "stall", "ticks": N} | {"op": "wires", "wires": [[from, to], ..]} | {"op": "leave-bootloader"}
+//   | {"op": "usb", "do": "attach" | "detach" | "reset" | "suspend" | "resume" | "hang" | "open" | "close" | "write" (hex)
+//   | "control" (setup, data: hex)} | {"op": "usbip", "port": N} (0: any; usb then tells it). The answer always has now, pins [[tick, pin, level], ..], sent
 // [[tick, byte], ..], resets, stack (bytes used at most), bootloader (what the image told the boot ROM, or null), usb (what its host
 // knows, or null), origin (tick at which the controller's own count began). --flash-id: the flash chip's 64 bits, 16 hex digits.
 
@@ -17,10 +19,11 @@ import { createServer } from 'node:net';
 import { createInterface } from 'node:readline';
 import { PIN, TICK_HZ } from './controller.mjs';
 import { Fault, Machine } from './machine.mjs';
+import { UsbIp } from './usbip.mjs';
 import { VcdWriter } from './vcd.mjs';
 
 function usage(message) {
-  process.stderr.write(`emulate.mjs: ${message}\n  emulate.mjs IMAGE.uf2 --serve PORT [--serve-usb PORT] [--sync-hz HZ] [--wires FROM-TO,..] [--vcd FILE] [--flash-id HEX] | --drive [--vcd FILE] [--flash-id HEX]\n`);
+  process.stderr.write(`emulate.mjs: ${message}\n  emulate.mjs IMAGE.uf2 --serve PORT [--serve-usb PORT | --serve-usbip PORT] [--sync-hz HZ] [--wires FROM-TO,..] [--vcd FILE] [--flash-id HEX] | --drive [--vcd FILE] [--flash-id HEX]\n`);
   process.exit(2);
 }
 
@@ -28,11 +31,12 @@ function options(args) {
   const given = { image: undefined };
   for (let i = 0; i < args.length; i++) {
     if (args[i] === '--drive') given.drive = true;
-    else if (['--serve', '--serve-usb', '--sync-hz', '--wires', '--vcd', '--flash-id'].includes(args[i])) given[args[i].slice(2)] = args[++i] ?? usage(`${args[i - 1]} needs a value`);
+    else if (['--serve', '--serve-usb', '--serve-usbip', '--sync-hz', '--wires', '--vcd', '--flash-id'].includes(args[i])) given[args[i].slice(2)] = args[++i] ?? usage(`${args[i - 1]} needs a value`);
     else if (!args[i].startsWith('--') && given.image === undefined) given.image = args[i];
     else usage(`unknown argument ${args[i]}`);
   }
-  if (given.image === undefined || (!given.drive && given.serve === undefined && given['serve-usb'] === undefined)) usage('say which image, and --serve PORT, --serve-usb PORT or --drive');
+  if (given.image === undefined || (!given.drive && given.serve === undefined && given['serve-usb'] === undefined && given['serve-usbip'] === undefined)) usage('say which image, and --serve PORT, --serve-usb PORT, --serve-usbip PORT or --drive');
+  if (given['serve-usb'] !== undefined && given['serve-usbip'] !== undefined) usage('there is one USB port: --serve-usb or --serve-usbip');
   return given;
 }
 
@@ -49,6 +53,7 @@ function answer(machine, op) {
     case 'wires': machine.setWires(op.wires); break;
     case 'stall': machine.stall(op.ticks); break;
     case 'usb': machine.host.do(op, machine.now); break;
+    case 'usbip': machine.host = new UsbIp(machine.usb, op.port, () => machine.now); break;
     case 'leave-bootloader': machine.leaveBootloader(); break;
     default: throw new Fault(`no such op: ${op.op}`);
   }
@@ -56,7 +61,7 @@ function answer(machine, op) {
 }
 
 function drive(machine, vcd) {
-  createInterface({ input: process.stdin }).on('close', () => vcd?.end(machine.now)).on('line', (line) => {
+  createInterface({ input: process.stdin }).on('close', () => { vcd?.end(machine.now); machine.host.close?.(); }).on('line', (line) => {
     let reply;
     try {
       reply = answer(machine, JSON.parse(line));
@@ -89,6 +94,7 @@ function serve(machine, given, vcd) {
   let edge = 20_000_000;
   const began = process.hrtime.bigint();
   let lost = 0n;
+  if (given['serve-usbip'] !== undefined) machine.host = new UsbIp(machine.usb, Number(given['serve-usbip']), () => machine.now);
   const { host } = machine;
   const tell = (what, more) => host.do({ do: what, ...more }, machine.now);
   const toUart = given.serve === undefined ? () => {} : listen(Number(given.serve), 'listening', (bytes) => machine.write_serial(bytes));
@@ -97,6 +103,10 @@ function serve(machine, given, vcd) {
     tell('attach');
     tell('close');
     toUsb = listen(Number(given['serve-usb']), 'USB', (bytes) => tell('write', { hex: bytes.toString('hex') }), () => tell('open'), () => tell('close'));
+  }
+  if (given['serve-usbip'] !== undefined) {
+    tell('attach');
+    host.server.on('listening', () => process.stdout.write(`USB/IP on 127.0.0.1:${host.server.address().port}\n`));
   }
   const step = () => {
     const wall = (process.hrtime.bigint() - began) / TICK_NS - lost;
