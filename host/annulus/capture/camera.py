@@ -10,10 +10,8 @@ No camera here has a thread or a queue of its own: what waits, waits in the driv
 shows as a hole in `FrameSequence` or in the timestamps.
 """
 
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Protocol, cast, runtime_checkable
 
@@ -29,11 +27,6 @@ MONO8 = "mono8"  # (H, W)
 ENCODINGS = (BGR8, BAYER_RGGB8, MONO8)
 
 SIDE_MAX = 16384  # pixels; a larger side is a broken header, not a camera
-
-
-FOURCC = "YU12"  # what a V4L2 camera is asked for
-BUFFERS = 4  # in a V4L2 driver
-TIMEOUT_MS = 2000  # without a frame
 
 
 class EndOfFrames(Exception):
@@ -254,109 +247,3 @@ class _PicameraRequest:
             return int(buffer.metadata.sequence)
         except (AttributeError, StopIteration, TypeError, ValueError):
             return None
-
-
-# ---- V4L2 --------------------------------------------------------------------------------------------------------
-
-
-class V4L2Camera(OneRequest):
-    """A V4L2 device through OpenCV. Every setting is read back: drivers accept what they then do not do.
-
-    OpenCV passes the buffer's monotonic timestamp on, but not its sequence number: `FrameSequence` is absent, and a
-    dropped frame shows in the timestamps only.
-    """
-
-    def __init__(
-        self,
-        device: str | int,
-        *,
-        width: int = 1664,
-        height: int = 1232,
-        fps: float = 25.0,
-    ) -> None:
-        if not (isinstance(device, int) or Path(device).exists()):
-            raise AnnulusError(f"{device}: no such camera. `ls /dev/video*` lists the devices.")
-        self._device = device
-        self._settings: tuple[tuple[str, int, float], ...] = (
-            ("format", cv2.CAP_PROP_FOURCC, float(cv2.VideoWriter.fourcc(*FOURCC))),
-            ("width", cv2.CAP_PROP_FRAME_WIDTH, float(width)),
-            ("height", cv2.CAP_PROP_FRAME_HEIGHT, float(height)),
-            ("frame rate", cv2.CAP_PROP_FPS, fps),
-        )
-        self._capture: Any = None
-        self._oldest_ns = 0
-        self.width, self.height, self.encoding = width, height, BGR8
-
-    def start(self) -> None:
-        if self._capture is None:
-            self._capture = self._open()
-        self._oldest_ns = time.monotonic_ns()  # after a pause the driver hands out the frames it had kept: skip those
-
-    def stop(self) -> None:
-        self.close()  # cv2 streams from open to release
-
-    def close(self) -> None:
-        if self._capture is not None:
-            self._capture.release()
-            self._capture = None
-
-    def capture_request(self) -> Request:
-        for _ in range(BUFFERS + 1):
-            if self._capture is None:
-                raise AnnulusError(f"{self._device}: not started")
-            good, image = self._capture.read()
-            if not good or image is None:
-                raise TimeoutError(f"{self._device}: no frame within {TIMEOUT_MS} ms")
-            timestamp = round(self._capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
-            if timestamp >= self._oldest_ns:
-                return HeldRequest(image, {"SensorTimestamp": timestamp})
-        raise AnnulusError(f"{self._device}: frames carry timestamps from before the start, expected CLOCK_MONOTONIC")
-
-    def set_controls(self, controls: Mapping[str, Any]) -> None:
-        for name, value in controls.items():
-            for what, prop, wanted in _v4l2_control(name, value):
-                self._set(what, prop, wanted)
-
-    def _open(self) -> Any:
-        parameters = [cv2.CAP_PROP_READ_TIMEOUT_MSEC, TIMEOUT_MS]
-        self._capture = cv2.VideoCapture(self._device, cv2.CAP_V4L2, parameters)
-        if not self._capture.isOpened():
-            self.close()
-            raise AnnulusError(f"{self._device}: cannot be opened as a V4L2 camera. In use, or no permission?")
-        self._capture.set(cv2.CAP_PROP_BUFFERSIZE, BUFFERS)
-        try:
-            for what, prop, wanted in self._settings:
-                self._set(what, prop, wanted)
-        except AnnulusError:
-            self.close()
-            raise
-        return self._capture
-
-    def _set(self, what: str, prop: int, wanted: float) -> None:
-        if self._capture is None:
-            raise AnnulusError(f"{self._device}: start the camera before its {what} is set")
-        self._capture.set(prop, wanted)
-        got = float(self._capture.get(prop))
-        if abs(got - wanted) > 0.01 * abs(wanted):
-            if prop == cv2.CAP_PROP_FOURCC:
-                raise AnnulusError(f"{self._device}: format is {_letters(got)}, expected {_letters(wanted)}")
-            raise AnnulusError(f"{self._device}: {what} is {got:g}, expected {wanted:g}")
-
-
-def _v4l2_control(name: str, value: Any) -> list[tuple[str, int, float]]:
-    match name:
-        case "ExposureTime":  # V4L2 counts in 100 us
-            return [("exposure (100 us)", cv2.CAP_PROP_EXPOSURE, float(round(value / 100)))]
-        case "AnalogueGain":
-            return [("gain", cv2.CAP_PROP_GAIN, float(value))]
-        case "AeEnable":  # V4L2_EXPOSURE_APERTURE_PRIORITY = 3, _MANUAL = 1
-            return [("automatic exposure", cv2.CAP_PROP_AUTO_EXPOSURE, 3.0 if value else 1.0)]
-        case "FrameDurationLimits":
-            return [("frame rate", cv2.CAP_PROP_FPS, 1e6 / float(value[1]))]
-    raise AnnulusError(
-        f"camera: control {name} is not known, expected ExposureTime, AnalogueGain, AeEnable or FrameDurationLimits"
-    )
-
-
-def _letters(fourcc: float) -> str:
-    return int(fourcc).to_bytes(4, "little").decode("ascii", "replace")

@@ -2,8 +2,9 @@
 
 from pathlib import Path
 
-from annulus.capture.camera import Camera, V4L2Camera, plug
+from annulus.capture.camera import Camera, plug
 from annulus.capture.remote import RemoteCamera
+from annulus.capture.v4l2 import NoSuchControl, V4L2Camera
 from annulus.daemon.config import CameraConfig, HeadConfig
 from annulus.record.replay import ScanFolderCamera, VideoFileCamera
 from annulus.sensors.remote import RemoteSensors
@@ -39,7 +40,7 @@ def _open(wanted: CameraConfig, number: int) -> Camera:
     fps = wanted.timing.fps
     match wanted.kind:
         case "v4l2":
-            return V4L2Camera(wanted.device, width=wanted.width, height=wanted.height, fps=fps)
+            return V4L2Camera(wanted.device, fourcc=wanted.format, width=wanted.width, height=wanted.height, fps=fps)
         case "video":
             return VideoFileCamera(Path(wanted.device))
         case "folder":
@@ -64,9 +65,21 @@ def _picamera(wanted: CameraConfig) -> Camera:
     return plug(camera)
 
 
-def apply_controls(camera: Camera, config: CameraConfig) -> None:
-    """Fixed exposure and rate on a sensor; call when it is started. Files and other programs' cameras have none."""
+def apply_controls(camera: Camera, config: CameraConfig) -> list[str]:
+    """Fixed exposure and rate on a sensor; call when it is started. Files and other programs' cameras have none.
+
+    Returns what the camera cannot be told, for the operator. Raises AnnulusError when it does not do what it was told.
+    """
+    remarks = []
     if config.kind in ("v4l2", "picamera2"):
         period_us = round(config.timing.period_us)
-        camera.set_controls({"AeEnable": False, "FrameDurationLimits": (period_us, period_us)})
-        camera.set_controls({"ExposureTime": round(config.timing.exposure_us), "AnalogueGain": config.gain})
+        for controls in (
+            {"AeEnable": False, "FrameDurationLimits": (period_us, period_us)},
+            {"ExposureTime": round(config.timing.exposure_us)},
+            {"AnalogueGain": config.gain},
+        ):
+            try:
+                camera.set_controls(controls)
+            except NoSuchControl as error:
+                remarks.append(str(error))
+    return remarks

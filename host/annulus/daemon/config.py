@@ -28,6 +28,7 @@ class CameraConfig:
     device: str = "/dev/video0"  # or the file, folder or address
     width: int = 1664
     height: int = 1232
+    format: str = "YU12"  # the fourcc that a V4L2 device is asked for
     gain: float = 1.0
     timing: FrameTiming = USUAL_TIMING
 
@@ -106,7 +107,7 @@ class HeadConfig:
 _LISTS = ("camera", "sensor")  # sections that may come several times, as [[camera]]
 _SECTIONS: Mapping[str, tuple[str, ...]] = {
     "controller": ("port",),
-    "camera": ("kind", "device", "width", "height", "gain", "fps", "exposure_us", "readout_us"),
+    "camera": ("kind", "device", "width", "height", "format", "gain", "fps", "exposure_us", "readout_us"),
     "lamps": tuple(field.name for field in fields(LampConfig)),
     "odometer": ("mm_per_count",),
     "calibration": ("file",),
@@ -192,6 +193,7 @@ def _camera(content: Mapping[str, Any]) -> CameraConfig:
         _text(content, "camera", "device", usual.device),
         _whole(content, "camera", "width", usual.width, 16, 16384),
         _whole(content, "camera", "height", usual.height, 16, 16384),
+        _text(content, "camera", "format", usual.format),
         _number(content, "camera", "gain", usual.gain, 0.0, 1e3),
         FrameTiming(
             _number(content, "camera", "fps", usual.timing.fps, 1.0, 500.0),

@@ -113,11 +113,14 @@ class Intake:
         self._known_holes = 0  # frames lost on the way from the capture thread, and not met in the driver's count yet
         self._counted: Counter[str] = Counter()  # of the thread's counts, those in the account
 
-    def start(self, config: CameraConfig) -> None:
-        """Start the camera and begin to take its frames. Raises AnnulusError when it cannot be."""
+    def start(self, config: CameraConfig) -> list[str]:
+        """Start the camera and begin to take its frames. Returns what the operator should know; raises AnnulusError
+        when it cannot be.
+        """
         self.camera.start()
-        apply_controls(self.camera, config)
+        remarks = apply_controls(self.camera, config)
         self._thread.start()
+        return remarks
 
     def stop(self) -> None:
         """Take no more; what was taken can still be labelled."""

@@ -276,7 +276,8 @@ class Session:
             mode = CameraMode(number, camera.width, camera.height, camera.encoding, round(1e9 / config.timing.fps))
             labelling = Labelling(mode, self._navigation, self._observers.event, alone=self._line is None)
             self._intakes.append(Intake(camera, mode, labelling, self._shared.ring))
-            self._intakes[-1].start(config)
+            for remark in self._intakes[-1].start(config):
+                self._observers.event("camera", remark)
         self._account.begin()
         if self._line is not None:
             self._line.arm()

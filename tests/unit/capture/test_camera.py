@@ -12,7 +12,6 @@ from annulus.capture.camera import (
     HeldRequest,
     OneRequest,
     PicameraAdapter,
-    V4L2Camera,
     grab,
     plug,
 )
@@ -75,8 +74,6 @@ def test_what_cannot_be_used_is_refused_in_one_line() -> None:
         plug(StubPicamera2("SBGGR10"))
     with pytest.raises(AnnulusError, match="has not Picamera2's methods"):
         plug(object())
-    with pytest.raises(AnnulusError, match="/dev/video99: no such camera"):
-        V4L2Camera("/dev/video99")
 
 
 class Lying(OneRequest):
