@@ -28,6 +28,7 @@ export class Machine {
     this.flash = readUf2(uf2);
     this.ssi = new Ssi(Buffer.from(flashId, 'hex'));
     this.now = 0;
+    this.noise = 0x51a7; // what the RAM holds when power comes on
     this.levels = new Map(INPUT_PINS.map((pin) => [pin, 1])); // pulled up until somebody drives them
     this.pinLevels = new Map();
     this.transitions = [];
@@ -49,6 +50,8 @@ export class Machine {
   boot(reason) {
     this.resetReason = reason;
     const chip = new RP2040();
+    if (reason && this.chip) chip.sram.set(this.chip.sram); // a reset leaves the RAM as it is
+    else for (let i = 0; i < chip.sram.length; i++) chip.sram[i] = (this.noise = (this.noise * 1103515245 + 12345) & 0x7fffffff) >>> 16;
     this.chip = chip;
     chip.flash.set(this.flash);
     chip.logger = { debug() {}, info() {}, warn: (name, text) => fault(`${name}: ${text}`), error: (name, text) => fault(`${name}: ${text}`) };
@@ -215,7 +218,7 @@ export class Machine {
     const offset = address & 0xfff;
     switch (this.block(address)) {
       case 0x4000c: return offset === 0 ? this.inReset : offset === 8 ? ~this.inReset & 0x01ffffff : fault('RESETS register');
-      case 0x40060: return (this.random = ((this.random ?? 0x2f6e2b1) * 1103515245 + 12345) & 0x7fffffff) >>> 16;
+      case 0x40060: return this.ringOscillator();
       case 0x40034: return this.uart.readUint32(offset, this.now);
       case 0x18000: return this.ssi.readUint32(offset);
       case 0x50110: return this.usb.readUint32(offset, this.now);
@@ -224,6 +227,13 @@ export class Machine {
       case 0x50300: return this.readPio(1, offset);
     }
     return chip.findPeripheral(address).readUint32(address & 0x3fff) >>> 0;
+  }
+
+  // As bad as they may be: three of four are ones, and within 0.5 us of a look the next shows the same bit.
+  ringOscillator() {
+    if (!(this.now - this.randomAt < 50)) this.random = ((this.random ?? 0x2f6e2b1) * 1103515245 + 12345) & 0x7fffffff;
+    this.randomAt = this.now;
+    return (this.random >>> 16) & 3 ? 1 : 0;
   }
 
   readPio(number, offset) {
@@ -417,6 +427,7 @@ export class Machine {
     while (this.now < until) {
       if (this.watchdogFired) {
         this.resets.push(this.now);
+        this.trap = undefined;
         this.scratch.set(this.watchdog.scratchData);
         this.boot(this.watchdog.reason);
         if (this.bootloader) this.heldUntil = Infinity; // the ROM's own USB is not modelled: silent, everything at reset
@@ -432,7 +443,7 @@ export class Machine {
         this.advance(Math.max(next, this.now + 1));
         this.findDue();
       } else {
-        const cycles = core.executeInstruction();
+        const cycles = this.trap === undefined ? core.executeInstruction() : this.executeTrapped();
         this.usedInstructions++;
         if (this.now + cycles < this.nextDue) this.now += cycles;
         else {
@@ -493,6 +504,27 @@ export class Machine {
   }
 
   stall(ticks) { this.stalledUntil = this.now + ticks; }
+
+  // Once the program comes to `at`: `fault` takes a hard fault there, `hang` goes on no further (interrupts are served).
+  setTrap(at, what) { this.trap = { at, what }; }
+
+  executeTrapped() {
+    const { core } = this.chip;
+    if (core.interruptsUpdated && core.checkForInterrupts()) core.waiting = false;
+    if ((core.PC & ~1) !== this.trap.at) return core.executeInstruction();
+    if (this.trap.what === 'hang') return 2; // a branch to itself
+    this.trap = undefined;
+    core.exceptionEntry(3);
+    return 15;
+  }
+
+  // Power off and on again; only what was wired to it stays as it was.
+  powerCycle() {
+    this.scratch.fill(0);
+    this.trap = undefined;
+    this.stalledUntil = 0;
+    this.boot(0);
+  }
 }
 
 export { Fault };
