@@ -20,14 +20,20 @@
 // Ticks of 10 ns since reset; wraps after 43 s.
 uint32_t board_tick(void);
 
-// Differs from the one before the reset.
+// Differs from the one before the reset; after a loss of power, from the one before in 255 of 256 cases.
 uint8_t board_boot(void);
+
+// A number of this boot. That two have the same one is a matter of 1 in 2^32.
+uint32_t board_nonce(void);
 
 // Why the controller started, BOOT_CAUSE_*.
 uint8_t board_cause(void);
 
 // Eight ASCII characters, zero-padded.
 const uint8_t* board_name(void);
+
+// Sixteen ASCII digits and a zero, different on every board.
+const uint8_t* board_serial_number(void);
 
 // Once a round of the main loop; see BOARD_WATCHDOG_MS.
 void board_watchdog_kick(void);
@@ -40,6 +46,35 @@ bool board_bootloader_reachable(void);
 
 // Stop for good, every output low, and wait to be flashed anew: the boot loader's part. May return, as board_reset.
 void board_bootloader(void);
+
+// ---- what a crash leaves behind ----
+
+// Where the main loop is. The core writes it as it goes, `longest` excepted; the board keeps it through a reset.
+typedef struct {
+    uint8_t part;     // PART_*
+    uint8_t command;  // last one carried out, or BOARD_NO_COMMAND
+    uint32_t rounds;
+    uint32_t tick;     // at which this round began
+    uint32_t longest;  // round of this boot, ticks, sleep not counted; the board's to measure
+} board_trail_t;
+
+#define BOARD_NO_COMMAND 0xFFU
+
+board_trail_t* board_trail(void);
+
+// Kept until the power goes.
+typedef struct {
+    uint16_t boots;    // since power came on, this one included
+    uint16_t crashes;  // and those of them that ended unasked; what follows is of the last one
+    uint16_t boot;     // which it ended
+    uint8_t kind;      // CRASH_*
+    uint32_t pc;       // 0: not known
+    uint32_t lr;
+    uint32_t psr;
+    board_trail_t trail;
+} board_crash_t;
+
+const board_crash_t* board_crash(void);
 
 // ---- lines to hosts ----
 

@@ -157,7 +157,7 @@ MUTANTS = (
     ),
     Mutant(
         "any-line-commands",
-        "core/commands.c",
+        "core/commands.h",
         "return self->schema_ok && (line == self->session);",
         "return self->schema_ok || (line == self->session);",
         "both_lines",

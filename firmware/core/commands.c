@@ -5,11 +5,6 @@
 #include "../board.h"
 #include "safety.h"
 
-bool commands_allowed(const controller_t* const self, const uint8_t line)
-{
-    return self->schema_ok && (line == self->session);
-}
-
 static void leave(controller_t* const self, const uint8_t where)
 {
     self->leaving = where;
@@ -91,10 +86,10 @@ static void arm(controller_t* const self, const uint8_t line, const uint8_t* con
 
 static void clear(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
 {
-    (void)line;
     (void)payload;
     const uint8_t outcome = safety_clear(self);
-    reply_clear_pack(&(reply_clear_t){.status = outcome, .fault = self->fault}, answer);
+    const uint8_t fault = events_fault_at_level(self->fault, self->level[line]);
+    reply_clear_pack(&(reply_clear_t){.status = outcome, .fault = fault}, answer);
 }
 
 static void pattern(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
@@ -206,6 +201,9 @@ static void (*const handlers[])(controller_t* self, uint8_t line, const uint8_t*
     [COMMAND_BOOTLOADER] = bootloader,
     [COMMAND_MEASURE] = measure,
     [COMMAND_SAMPLES] = query_samples,
+    [COMMAND_INFO] = query_info,
+    [COMMAND_CONFIGURATION] = query_configuration,
+    [COMMAND_CRASH] = query_crash,
 };
 
 void commands_execute(controller_t* const self, const uint8_t line, const command_t* const command,

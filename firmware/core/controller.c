@@ -14,6 +14,7 @@
 void controller_start(controller_t* const self)
 {
     memset(self, 0, sizeof *self);
+    memset(self->level, 1, sizeof self->level);
     const uint8_t cause = board_cause();
     const uint32_t now = board_tick();
     event_booted_pack(&(event_booted_t){.cause = cause, .tick = now}, events_emit(&self->events, EVENT_BOOTED));
@@ -49,6 +50,7 @@ static void watch_connection(controller_t* const self, const uint8_t line)
     if (connected && !self->connected[line]) {
         link_start(&self->links[line]);
         memset(&self->rereads[line], 0, sizeof self->rereads[line]);
+        self->level[line] = 1;
     }
     self->connected[line] = connected;
 }
@@ -69,6 +71,8 @@ static void receive(controller_t* const self, const uint8_t line)
     }
     if (complete) {
         uint8_t reply[PAYLOAD_MAX];
+        board_trail()->part = PART_COMMAND;
+        board_trail()->command = command.layout->id;
         commands_execute(self, line, &command, reply);
         link_reply(link, &command, reply);
     }
@@ -90,7 +94,8 @@ static void transmit(controller_t* const self, const uint8_t line)
             if (event == NULL) {
                 return;
             }
-            link_send_event(link, event->id, sequence, board_boot(), event->payload);
+            const event_t said = events_at_level(event, self->level[line]);
+            link_send_event(link, said.id, sequence, board_boot(), said.payload);
         }
         link->sending_at += (uint8_t)board_transmit(line, link->sending + link->sending_at,
                                                     (size_t)(link->sending_length - link->sending_at));
@@ -114,6 +119,8 @@ void controller_run(controller_t* const self)
 {
     board_watchdog_kick();
     board_microwave_feed();
+    board_trail_t* const trail = board_trail();
+    trail->rounds++;
     if ((self->leaving != LEAVE_NOT) && may_leave(self)) {
         if (self->leaving == LEAVE_TO_BOOTLOADER) {
             board_bootloader();
@@ -123,19 +130,26 @@ void controller_run(controller_t* const self)
         return;
     }
     const uint32_t now = board_tick();
+    trail->tick = now;
+    trail->part = PART_EDGES;
     sequencer_edges(&self->sequencer, &self->events, now);
+    trail->part = PART_SAFETY;
     safety_run(self, now);
     for (uint8_t line = 0; line < LINES; line++) {
+        trail->part = PART_RECEIVE;
         watch_connection(self, line);
         receive(self, line);
     }
+    trail->part = PART_LOAD;
     const bool accepted = sequencer_load(&self->sequencer, &self->events, now);
     safety_insist(self, accepted, sequencer_lamp(&self->sequencer));
+    trail->part = PART_REPORTS;
     report_burst(self);
     report_turntable(self, now);
     board_measure_run();
     events_run(&self->events, now);
     board_status_light(self->armed != 0U);
+    trail->part = PART_TRANSMIT;
     for (uint8_t line = 0; line < LINES; line++) {
         transmit(self, line);
     }

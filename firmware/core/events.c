@@ -85,6 +85,44 @@ const event_t* events_next(events_t* const self, uint16_t* const sequence)
     return &self->ring[*sequence % EVENT_RING];
 }
 
+// Those that do not are only reported.
+static bool latches(const uint8_t fault)
+{
+    return (fault != FAULT_NONE) && (fault != FAULT_LATE_LOAD) && (fault != FAULT_EVENT_OVERRUN);
+}
+
+uint8_t events_fault_at_level(const uint8_t fault, const uint8_t level)
+{
+    return (fault_since(fault) > level) ? FAULT_LIMIT : fault;
+}
+
+event_t events_at_level(const event_t* const event, const uint8_t level)
+{
+    event_t said = *event;
+    if (layout_of(event->id)->since > level) {
+        event_fault_t stands_in;
+        event_fault_unpack(&stands_in, event->payload);  // what is added begins with its tick
+        stands_in.fault = FAULT_NONE;
+        stands_in.detail = event->id;
+        said.id = EVENT_FAULT;
+        event_fault_pack(&stands_in, said.payload);
+    } else if (event->id == EVENT_FAULT) {
+        event_fault_t fault;
+        event_fault_unpack(&fault, event->payload);
+        if (fault_since(fault.fault) > level) {
+            fault.detail = fault.fault;
+            fault.fault = latches(fault.fault) ? FAULT_LIMIT : FAULT_NONE;
+            event_fault_pack(&fault, said.payload);
+        }
+    } else if (event->id == EVENT_BURST_DONE) {
+        event_burst_done_t done;
+        event_burst_done_unpack(&done, event->payload);
+        done.fault = events_fault_at_level(done.fault, level);
+        event_burst_done_pack(&done, said.payload);
+    }
+    return said;
+}
+
 void events_run(events_t* const self, const uint32_t tick)
 {
     // Only once there is room again: a report of an overrun must not cause the next.

@@ -51,6 +51,13 @@ const event_t* events_again(const events_t* self, rereads_t* rereads, uint16_t* 
 // The event to send for the first time, and its sequence, or NULL.
 const event_t* events_next(events_t* self, uint16_t* sequence);
 
+// An event as a host of this level can read it. What it does not know becomes a `fault`, so that its sequence number is
+// not missed: with code `limit` if something latched, else `none`; detail: the id or the code it stands for.
+event_t events_at_level(const event_t* event, uint8_t level);
+
+// A latched fault's code as a host of this level can read it.
+uint8_t events_fault_at_level(uint8_t fault, uint8_t level);
+
 // Once a round: an overrun that is over is reported.
 void events_run(events_t* self, uint32_t tick);
 

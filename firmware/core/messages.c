@@ -478,6 +478,130 @@ void reply_bootloader_unpack(reply_bootloader_t* const self, const uint8_t* cons
     self->detail = get8(payload + 1);
 }
 
+void command_info_pack(const command_info_t* const self, uint8_t* const payload)
+{
+    put8(payload + 0, self->level);
+}
+
+void command_info_unpack(command_info_t* const self, const uint8_t* const payload)
+{
+    self->level = get8(payload + 0);
+}
+
+uint8_t command_info_range(const command_info_t* const self)
+{
+    if (self->level < 1U) {
+        return 0U;
+    }
+    return RANGE_OK;
+}
+
+void reply_info_pack(const reply_info_t* const self, uint8_t* const payload)
+{
+    put8(payload + 0, self->status);
+    put8(payload + 1, self->detail);
+    put8(payload + 2, self->level);
+    put8(payload + 3, self->major);
+    put8(payload + 4, self->minor);
+    put8(payload + 5, self->patch);
+    memcpy(payload + 6, self->serial, 16);
+    memcpy(payload + 22, self->commands, 8);
+    put32(payload + 30, self->events);
+    put32(payload + 34, self->nonce);
+    put16(payload + 38, self->configuration);
+    put16(payload + 40, self->crashes);
+    put32(payload + 42, self->round_longest);
+}
+
+void reply_info_unpack(reply_info_t* const self, const uint8_t* const payload)
+{
+    self->status = get8(payload + 0);
+    self->detail = get8(payload + 1);
+    self->level = get8(payload + 2);
+    self->major = get8(payload + 3);
+    self->minor = get8(payload + 4);
+    self->patch = get8(payload + 5);
+    memcpy(self->serial, payload + 6, 16);
+    memcpy(self->commands, payload + 22, 8);
+    self->events = get32(payload + 30);
+    self->nonce = get32(payload + 34);
+    self->configuration = get16(payload + 38);
+    self->crashes = get16(payload + 40);
+    self->round_longest = get32(payload + 42);
+}
+
+void reply_configuration_pack(const reply_configuration_t* const self, uint8_t* const payload)
+{
+    put8(payload + 0, self->status);
+    put8(payload + 1, self->detail);
+    put8(payload + 2, self->generation);
+    put8(payload + 3, self->ratio);
+    put32(payload + 4, self->frame_period);
+    put32(payload + 8, self->exposure);
+    put32(payload + 12, self->readout);
+    put16(payload + 16, self->tolerance);
+    put16(payload + 18, self->host_timeout);
+    put32(payload + 20, self->projector_delay);
+    put32(payload + 24, self->projector_width);
+    put32(payload + 28, self->led_delay);
+    put32(payload + 32, self->led_width);
+    put16(payload + 36, self->crc);
+}
+
+void reply_configuration_unpack(reply_configuration_t* const self, const uint8_t* const payload)
+{
+    self->status = get8(payload + 0);
+    self->detail = get8(payload + 1);
+    self->generation = get8(payload + 2);
+    self->ratio = get8(payload + 3);
+    self->frame_period = get32(payload + 4);
+    self->exposure = get32(payload + 8);
+    self->readout = get32(payload + 12);
+    self->tolerance = get16(payload + 16);
+    self->host_timeout = get16(payload + 18);
+    self->projector_delay = get32(payload + 20);
+    self->projector_width = get32(payload + 24);
+    self->led_delay = get32(payload + 28);
+    self->led_width = get32(payload + 32);
+    self->crc = get16(payload + 36);
+}
+
+void reply_crash_pack(const reply_crash_t* const self, uint8_t* const payload)
+{
+    put8(payload + 0, self->status);
+    put8(payload + 1, self->detail);
+    put16(payload + 2, self->crashes);
+    put16(payload + 4, self->boots);
+    put8(payload + 6, self->kind);
+    put16(payload + 7, self->boot);
+    put32(payload + 9, self->pc);
+    put32(payload + 13, self->lr);
+    put32(payload + 17, self->psr);
+    put8(payload + 21, self->part);
+    put8(payload + 22, self->command);
+    put32(payload + 23, self->rounds);
+    put32(payload + 27, self->tick);
+    put32(payload + 31, self->round_longest);
+}
+
+void reply_crash_unpack(reply_crash_t* const self, const uint8_t* const payload)
+{
+    self->status = get8(payload + 0);
+    self->detail = get8(payload + 1);
+    self->crashes = get16(payload + 2);
+    self->boots = get16(payload + 4);
+    self->kind = get8(payload + 6);
+    self->boot = get16(payload + 7);
+    self->pc = get32(payload + 9);
+    self->lr = get32(payload + 13);
+    self->psr = get32(payload + 17);
+    self->part = get8(payload + 21);
+    self->command = get8(payload + 22);
+    self->rounds = get32(payload + 23);
+    self->tick = get32(payload + 27);
+    self->round_longest = get32(payload + 31);
+}
+
 void command_measure_pack(const command_measure_t* const self, uint8_t* const payload)
 {
     put16(payload + 0, self->looks);
@@ -690,47 +814,53 @@ void notice_garbled_unpack(notice_garbled_t* const self, const uint8_t* const pa
 }
 
 static const layout_t layouts[] = {
-    {0x00, 5, 0xA5, 1},  // command identify
-    {0x40, 39, 0xA5, 0},  // reply identify
-    {0x01, 4, 0xA5, 0},  // command reset
-    {0x41, 2, 0xA5, 0},  // reply reset
-    {0x02, 0, 0x10, 1},  // command ping
-    {0x42, 6, 0x41, 0},  // reply ping
-    {0x03, 0, 0xAA, 1},  // command status
-    {0x43, 34, 0x26, 0},  // reply status
-    {0x04, 34, 0x09, 0},  // command stage
-    {0x44, 11, 0x38, 0},  // reply stage
-    {0x05, 1, 0x51, 0},  // command commit
-    {0x45, 3, 0xF2, 0},  // reply commit
-    {0x06, 1, 0x16, 0},  // command arm
-    {0x46, 3, 0x5A, 0},  // reply arm
-    {0x07, 0, 0xCB, 0},  // command clear
-    {0x47, 3, 0x89, 0},  // reply clear
-    {0x08, 3, 0xCC, 1},  // command reread
-    {0x48, 5, 0xC9, 0},  // reply reread
-    {0x09, 34, 0x2A, 0},  // command pattern
-    {0x49, 4, 0x93, 0},  // reply pattern
-    {0x0A, 13, 0x54, 0},  // command burst
-    {0x4A, 8, 0x0A, 0},  // reply burst
-    {0x0B, 0, 0x9F, 0},  // command burst_stop
-    {0x4B, 4, 0x5C, 0},  // reply burst_stop
-    {0x0C, 9, 0xFD, 0},  // command move
-    {0x4C, 6, 0xA5, 0},  // reply move
-    {0x0D, 4, 0xA5, 0},  // command bootloader
-    {0x4D, 2, 0xA5, 0},  // reply bootloader
-    {0x17, 9, 0x07, 0},  // command measure
-    {0x57, 2, 0xCC, 0},  // reply measure
-    {0x18, 2, 0x93, 1},  // command samples
-    {0x58, 37, 0x89, 0},  // reply samples
-    {0x80, 24, 0x15, 0},  // event edge
-    {0x81, 8, 0x61, 0},  // event sync_lost
-    {0x82, 8, 0x32, 0},  // event sync_found
-    {0x83, 9, 0x6C, 0},  // event fault
-    {0x84, 9, 0x30, 0},  // event configured
-    {0x85, 7, 0xBA, 0},  // event burst_done
-    {0x86, 8, 0x09, 0},  // event turntable_done
-    {0x87, 5, 0x91, 0},  // event booted
-    {0xF0, 2, 0xA5, 0},  // notice garbled
+    {0x00, 5, 0xA5, 1, 1},  // command identify
+    {0x40, 39, 0xA5, 0, 1},  // reply identify
+    {0x01, 4, 0xA5, 0, 1},  // command reset
+    {0x41, 2, 0xA5, 0, 1},  // reply reset
+    {0x02, 0, 0x10, 1, 1},  // command ping
+    {0x42, 6, 0x41, 0, 1},  // reply ping
+    {0x03, 0, 0xAA, 1, 1},  // command status
+    {0x43, 34, 0x26, 0, 1},  // reply status
+    {0x04, 34, 0x09, 0, 1},  // command stage
+    {0x44, 11, 0x38, 0, 1},  // reply stage
+    {0x05, 1, 0x51, 0, 1},  // command commit
+    {0x45, 3, 0xF2, 0, 1},  // reply commit
+    {0x06, 1, 0x16, 0, 1},  // command arm
+    {0x46, 3, 0x5A, 0, 1},  // reply arm
+    {0x07, 0, 0xCB, 0, 1},  // command clear
+    {0x47, 3, 0x89, 0, 1},  // reply clear
+    {0x08, 3, 0xCC, 1, 1},  // command reread
+    {0x48, 5, 0xC9, 0, 1},  // reply reread
+    {0x09, 34, 0x2A, 0, 1},  // command pattern
+    {0x49, 4, 0x93, 0, 1},  // reply pattern
+    {0x0A, 13, 0x54, 0, 1},  // command burst
+    {0x4A, 8, 0x0A, 0, 1},  // reply burst
+    {0x0B, 0, 0x9F, 0, 1},  // command burst_stop
+    {0x4B, 4, 0x5C, 0, 1},  // reply burst_stop
+    {0x0C, 9, 0xFD, 0, 1},  // command move
+    {0x4C, 6, 0xA5, 0, 1},  // reply move
+    {0x0D, 4, 0xA5, 0, 1},  // command bootloader
+    {0x4D, 2, 0xA5, 0, 1},  // reply bootloader
+    {0x0E, 1, 0x79, 1, 2},  // command info
+    {0x4E, 46, 0x25, 0, 2},  // reply info
+    {0x0F, 0, 0xCA, 1, 2},  // command configuration
+    {0x4F, 38, 0xEF, 0, 2},  // reply configuration
+    {0x10, 0, 0x54, 1, 2},  // command crash
+    {0x50, 35, 0x20, 0, 2},  // reply crash
+    {0x17, 9, 0x07, 0, 2},  // command measure
+    {0x57, 2, 0xCC, 0, 2},  // reply measure
+    {0x18, 2, 0x93, 1, 2},  // command samples
+    {0x58, 37, 0x89, 0, 2},  // reply samples
+    {0x80, 24, 0x15, 0, 1},  // event edge
+    {0x81, 8, 0x61, 0, 1},  // event sync_lost
+    {0x82, 8, 0x32, 0, 1},  // event sync_found
+    {0x83, 9, 0x6C, 0, 1},  // event fault
+    {0x84, 9, 0x30, 0, 1},  // event configured
+    {0x85, 7, 0xBA, 0, 1},  // event burst_done
+    {0x86, 8, 0x09, 0, 1},  // event turntable_done
+    {0x87, 5, 0x91, 0, 1},  // event booted
+    {0xF0, 2, 0xA5, 0, 1},  // notice garbled
 };
 
 const char* const burst_codes[7] = {
@@ -752,3 +882,11 @@ const layout_t* layout_of(const uint8_t id)
     }
     return NULL;
 }
+
+uint8_t fault_since(const uint8_t fault)
+{
+    (void)fault;
+    return 1U;
+}
+
+const uint8_t known_commands[8] = {0xFF, 0xFF, 0x81, 0x01, 0x00, 0x00, 0x00, 0x00};

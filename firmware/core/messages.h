@@ -8,6 +8,7 @@
 #define SCHEMA_HASH 0xD49BD1EBU
 #define PROTOCOL_VERSION 1U  // of the framing and of what is frozen
 #define MAX_WIRE 64U  // bytes of a frame, COBS code bytes and the 0x00 delimiter included
+#define LEVEL 2U  // of what was added; a side that never says its level is of level 1
 #define EVENT_RING 64U  // events that can be read again
 #define RESET_MAGIC 2120121088U  // payload of `reset`, so that no garbled frame restarts a controller
 #define BOOTLOADER_MAGIC 2120134663U  // payload of `bootloader`
@@ -34,7 +35,7 @@
 #define TICKS_PER_US 100U
 #define TICKS_PER_MS 100000U
 #define REPLY_BIT 0x40U
-#define PAYLOAD_MAX 39U
+#define PAYLOAD_MAX 46U
 #define EVENT_PAYLOAD_MAX 24U
 
 enum {
@@ -79,6 +80,25 @@ enum {
     BURST_CODE_BARKER13 = 4,
     BURST_CODE_MANCHESTER1 = 5,
     BURST_CODE_MANCHESTER2 = 6,
+};
+
+enum {
+    CRASH_NONE = 0,
+    CRASH_HARD_FAULT = 1,
+    CRASH_STUCK = 2,
+};
+
+enum {
+    PART_START = 0,
+    PART_EDGES = 1,
+    PART_SAFETY = 2,
+    PART_RECEIVE = 3,
+    PART_COMMAND = 4,
+    PART_LOAD = 5,
+    PART_REPORTS = 6,
+    PART_TRANSMIT = 7,
+    PART_USB = 8,
+    PART_SLEEP = 9,
 };
 
 #define EDGE_LATE_LOAD 1U
@@ -127,6 +147,12 @@ enum {
     REPLY_MOVE = 0x4C,
     COMMAND_BOOTLOADER = 0x0D,
     REPLY_BOOTLOADER = 0x4D,
+    COMMAND_INFO = 0x0E,
+    REPLY_INFO = 0x4E,
+    COMMAND_CONFIGURATION = 0x0F,
+    REPLY_CONFIGURATION = 0x4F,
+    COMMAND_CRASH = 0x10,
+    REPLY_CRASH = 0x50,
     COMMAND_MEASURE = 0x17,
     REPLY_MEASURE = 0x57,
     COMMAND_SAMPLES = 0x18,
@@ -426,6 +452,84 @@ typedef struct {
 void reply_bootloader_pack(const reply_bootloader_t* self, uint8_t* payload);
 void reply_bootloader_unpack(reply_bootloader_t* self, const uint8_t* payload);
 
+// What can you do? Carries the host's level: from here to the next `identify` this line is spoken to at that level, or at the controller's if that is lower.
+#define COMMAND_INFO_LENGTH 1U
+typedef struct {
+    uint8_t level;  // of the host
+} command_info_t;
+void command_info_pack(const command_info_t* self, uint8_t* payload);
+void command_info_unpack(command_info_t* self, const uint8_t* payload);
+// Index of the first field outside its range, or RANGE_OK.
+uint8_t command_info_range(const command_info_t* self);
+
+// Answer to info.
+#define REPLY_INFO_LENGTH 46U
+typedef struct {
+    uint8_t status;  // ok, or why not
+    uint8_t detail;  // which field or lamp, see status
+    uint8_t level;  // of the controller
+    uint8_t major;  // of the firmware's version
+    uint8_t minor;
+    uint8_t patch;
+    uint8_t serial[16];  // ASCII digits, different on every board
+    uint8_t commands[8];  // ids it answers; id 0 is bit 0 of byte 0
+    uint32_t events;  // ids it sends; id 0x80 is bit 0
+    uint32_t nonce;  // of this boot: two boots differ in it where their boot bytes happen to be the same
+    uint16_t configuration;  // CRC of the configuration in force, as `configuration` has it
+    uint16_t crashes;  // since power came on; `crash` has the last one
+    uint32_t round_longest;  // ticks, of the main loop in this boot
+} reply_info_t;
+void reply_info_pack(const reply_info_t* self, uint8_t* payload);
+void reply_info_unpack(reply_info_t* self, const uint8_t* payload);
+
+// The configuration in force, field by field as it was staged. Generation 0: there is none, and all is zero.
+#define COMMAND_CONFIGURATION_LENGTH 0U
+
+// Answer to configuration.
+#define REPLY_CONFIGURATION_LENGTH 38U
+typedef struct {
+    uint8_t status;  // ok, or why not
+    uint8_t detail;  // which field or lamp, see status
+    uint8_t generation;
+    uint8_t ratio;
+    uint32_t frame_period;  // ticks
+    uint32_t exposure;  // ticks
+    uint32_t readout;  // ticks
+    uint16_t tolerance;  // permille
+    uint16_t host_timeout;  // ms
+    uint32_t projector_delay;  // ticks
+    uint32_t projector_width;  // ticks
+    uint32_t led_delay;  // ticks
+    uint32_t led_width;  // ticks
+    uint16_t crc;  // of `stage`'s payload and its schema byte, as in a frame; 0 when there is none
+} reply_configuration_t;
+void reply_configuration_pack(const reply_configuration_t* self, uint8_t* payload);
+void reply_configuration_unpack(reply_configuration_t* self, const uint8_t* payload);
+
+// The last end that nobody asked for. Kept through resets, lost with the power.
+#define COMMAND_CRASH_LENGTH 0U
+
+// Answer to crash.
+#define REPLY_CRASH_LENGTH 35U
+typedef struct {
+    uint8_t status;  // ok, or why not
+    uint8_t detail;  // which field or lamp, see status
+    uint16_t crashes;  // since power came on
+    uint16_t boots;  // since power came on, this one included
+    uint8_t kind;  // of the last crash
+    uint16_t boot;  // which boot it ended, counted as `boots`
+    uint32_t pc;  // where the processor was; 0: not known
+    uint32_t lr;
+    uint32_t psr;
+    uint8_t part;  // of the round
+    uint8_t command;  // last one carried out; 255: none
+    uint32_t rounds;  // begun in that boot
+    uint32_t tick;  // ticks, at which the last of them began
+    uint32_t round_longest;  // ticks, before that one
+} reply_crash_t;
+void reply_crash_pack(const reply_crash_t* self, uint8_t* payload);
+void reply_crash_unpack(reply_crash_t* self, const uint8_t* payload);
+
 // The controller times its own pins. After every edge of `pin` to `level`, and `delay` ticks later, it keeps the levels of four neighbouring pins tick by tick, 512 times: a look. The odometer stands still meanwhile. The first `measure` is refused while anything is armed; `looks` 0 ends it.
 #define COMMAND_MEASURE_LENGTH 9U
 typedef struct {
@@ -569,6 +673,7 @@ typedef struct {
     uint8_t length;  // of the payload, bytes
     uint8_t schema;  // taken into the CRC
     uint8_t query;   // 1: a repeat is carried out anew
+    uint8_t since;   // level from which on it is known
 } layout_t;
 
 // Chips of every burst code, chip 0 first, as 0 and 1; none of the uploaded one.
@@ -576,5 +681,12 @@ extern const char* const burst_codes[7];
 
 // Layout of a message, or NULL for an id nobody has.
 const layout_t* layout_of(uint8_t id);
+
+// Level from which on a fault's code is known.
+uint8_t fault_since(uint8_t fault);
+
+// Ids of commands, id 0 in bit 0 of byte 0; and of events, id 0x80 in bit 0.
+extern const uint8_t known_commands[8];
+#define KNOWN_EVENTS 0x000000FFU
 
 #endif

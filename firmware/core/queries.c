@@ -10,6 +10,9 @@
 #ifndef ANNULUS_GIT
 #define ANNULUS_GIT "unknown"
 #endif
+#ifndef ANNULUS_VERSION
+#define ANNULUS_VERSION "0.0.0"
+#endif
 
 void query_identify(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
 {
@@ -25,6 +28,7 @@ void query_identify(controller_t* const self, const uint8_t line, const uint8_t*
             safety_arm(self, 0U);  // whoever speaks now could not read what happens
         }
     }
+    self->level[line] = 1;
     link_forget(&self->links[line]);
     const uint8_t taken = at_work ? STATUS_BAD_STATE : STATUS_OK;
     reply_identify_t reply = {.status = understood ? taken : STATUS_SCHEMA,
@@ -42,6 +46,90 @@ void query_identify(controller_t* const self, const uint8_t line, const uint8_t*
     memcpy(reply.git, git, (sizeof git - 1U < sizeof reply.git) ? sizeof git - 1U : sizeof reply.git);
     memcpy(reply.board, board_name(), sizeof reply.board);
     reply_identify_pack(&reply, answer);
+}
+
+// The number that stands `index` dots behind the beginning.
+static uint8_t part_of_version(const char* text, uint8_t index)
+{
+    while ((index > 0U) && (*text != 0)) {
+        index -= (*text++ == '.') ? 1U : 0U;
+    }
+    uint32_t number = 0;
+    for (; (*text >= '0') && (*text <= '9'); text++) {
+        number = 10U * number + (uint32_t)(*text - '0');
+    }
+    return (uint8_t)number;
+}
+
+// As it was staged, byte by byte; `payload` has room for `stage`'s. The CRC is that of a frame.
+static uint16_t configuration_of(const controller_t* const self, uint8_t* const payload)
+{
+    const command_stage_t* const config = &self->sequencer.config;
+    command_stage_pack(config, payload);
+    const uint8_t schema = layout_of(COMMAND_STAGE)->schema;
+    return (config->generation == 0U) ? 0U : link_crc(payload, COMMAND_STAGE_LENGTH, schema);
+}
+
+void query_info(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
+{
+    command_info_t command;
+    command_info_unpack(&command, payload);
+    reply_info_t reply = {.status = STATUS_OUT_OF_RANGE, .detail = command_info_range(&command)};
+    if (reply.detail == RANGE_OK) {
+        reply.status = STATUS_OK;
+        reply.detail = 0;
+        self->level[line] = (command.level < LEVEL) ? command.level : LEVEL;
+    }
+    uint8_t configuration[COMMAND_STAGE_LENGTH];
+    reply.level = LEVEL;
+    reply.major = part_of_version(ANNULUS_VERSION, 0U);
+    reply.minor = part_of_version(ANNULUS_VERSION, 1U);
+    reply.patch = part_of_version(ANNULUS_VERSION, 2U);
+    memcpy(reply.serial, board_serial_number(), sizeof reply.serial);
+    memcpy(reply.commands, known_commands, sizeof reply.commands);
+    reply.events = KNOWN_EVENTS;
+    reply.nonce = board_nonce();
+    reply.configuration = configuration_of(self, configuration);
+    reply.crashes = board_crash()->crashes;
+    reply.round_longest = board_trail()->longest;
+    reply_info_pack(&reply, answer);
+}
+
+// The reply has the fields of `stage` between its status and the CRC.
+_Static_assert(REPLY_CONFIGURATION_LENGTH == 2U + COMMAND_STAGE_LENGTH + 2U, "configuration is stage's payload");
+
+void query_configuration(controller_t* const self, const uint8_t line, const uint8_t* const payload,
+                         uint8_t* const answer)
+{
+    (void)line;
+    (void)payload;
+    answer[0] = STATUS_OK;
+    answer[1] = 0;
+    const uint16_t crc = configuration_of(self, answer + 2U);
+    answer[2U + COMMAND_STAGE_LENGTH] = (uint8_t)crc;
+    answer[3U + COMMAND_STAGE_LENGTH] = (uint8_t)(crc >> 8);
+}
+
+void query_crash(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
+{
+    (void)self;
+    (void)line;
+    (void)payload;
+    const board_crash_t* const last = board_crash();
+    reply_crash_pack(&(reply_crash_t){.status = STATUS_OK,
+                                      .crashes = last->crashes,
+                                      .boots = last->boots,
+                                      .kind = last->kind,
+                                      .boot = last->boot,
+                                      .pc = last->pc,
+                                      .lr = last->lr,
+                                      .psr = last->psr,
+                                      .part = last->trail.part,
+                                      .command = last->trail.command,
+                                      .rounds = last->trail.rounds,
+                                      .tick = last->trail.tick,
+                                      .round_longest = last->trail.longest},
+                     answer);
 }
 
 void query_ping(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
@@ -71,7 +159,7 @@ void query_status(controller_t* const self, const uint8_t line, const uint8_t* c
     (void)payload;
     reply_status_pack(&(reply_status_t){.status = STATUS_OK,
                                         .state = state_flags(self, line),
-                                        .fault = self->fault,
+                                        .fault = events_fault_at_level(self->fault, self->level[line]),
                                         .generation = self->sequencer.config.generation,
                                         .edges = self->sequencer.edges,
                                         .rejected = board_edges_refused(),

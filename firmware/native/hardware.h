@@ -53,6 +53,9 @@ bool pinuse_input(uint8_t pin, uint8_t level);  // did it change?
 
 void identity_start(uint8_t boot, uint8_t cause);
 
+void crash_start(void);
+void crash_measure(uint64_t since);  // the round that began then is over
+
 void reset_start(void);
 uint64_t reset_time(void);  // the core wants it, or the watchdog bites
 void reset_step(void);

@@ -23,6 +23,7 @@ void native_power_on(const uint8_t boot, const uint8_t cause)
     world.refuse_next = false;
     world.powered = true;
     identity_start(boot, cause);
+    crash_start();
     reset_start();
     lines_start();
     time_start();

@@ -14,6 +14,7 @@
 #define STACK_BYTES 262144U
 
 static uint64_t next_round;
+static uint64_t stalled_from;
 static uint64_t stalled_until;
 
 static struct {
@@ -63,7 +64,10 @@ static void rounds(void)
     for (;;) {
         loop.inside = true;
         next_round = world.now + NATIVE_ROUND_TICKS;
+        const uint64_t began = (stalled_from != NEVER) ? stalled_from : world.now;
         start_round();
+        crash_measure(began);
+        stalled_from = NEVER;
         loop.inside = false;
         go_on_at(next_round);
         loop.acted = false;
@@ -75,6 +79,7 @@ void time_start(void)
 {
     world.boot_tick = world.now;
     next_round = world.now;
+    stalled_from = NEVER;
     stalled_until = 0;
     loop.inside = false;
     getcontext(&loop.context);
@@ -128,6 +133,7 @@ uint64_t time_of_round(void)
 
 void native_stall_cpu(const uint64_t ticks)
 {
+    stalled_from = world.now;
     stalled_until = world.now + ticks;
     if (next_round < stalled_until) {
         next_round = stalled_until;

@@ -55,6 +55,15 @@ void dma_stop(uint32_t channel);
 // Load a PIO program at `first`.
 void pio_load(uint32_t pio, uint32_t first, const uint16_t* program, uint32_t length);
 
+// Boot byte of the start before this one, if the memory still knows it; until crash_start.
+bool crash_knows_boot(uint8_t* boot);
+void crash_start(uint8_t cause, uint8_t boot);
+
+// The round of the main loop is over, but for its sleep.
+void crash_measure(void);
+
+void fault_handler(void);
+void stuck_handler(void);
 void alarm_handler(void);
 void pins_handler(void);
 void serial_handler(void);
@@ -69,9 +78,6 @@ bool usb_transmitted(void);
 bool usb_has_received(void);
 void usb_run(void);
 uint16_t usb_recoveries(void);  // so often the device controller hung and was reset
-
-// Sixteen digits, different on every board.
-const char* identity_serial_number(void);
 
 // The odometer hands its machine, DMA channel and ring to whoever measures, standing still until it is started again.
 #define ODOMETER_RING_BYTES 512U

@@ -1,24 +1,32 @@
 // Who this board is: its boot byte, why it started, its name and its serial number.
 
 #include "../board.h"
+#include "../core/link.h"
 #include "../core/messages.h"
 #include "hardware.h"
 #include "registers.h"
 
 static uint8_t boot;
 static uint8_t cause;
-static char serial_number[17];
+static uint32_t nonce;
+static uint8_t serial_number[17];
 
-static uint8_t random_byte(void)
+// Bits of the ring oscillator are neither fair nor independent. One is taken every microsecond, some six of its turns
+// after the last, and 256 of them are folded into 16.
+static uint16_t random_16(void)
 {
-    uint8_t byte = 0;
-    for (uint32_t i = 0; i < 8U; i++) {
-        byte = (uint8_t)((byte << 1) | (REGISTER(ROSC_RANDOMBIT) & 1U));
+    uint8_t bits[32] = {0};
+    for (uint32_t i = 0; i < 8U * sizeof bits; i++) {
+        const uint32_t began = REGISTER(TIMER_RAW_LOW);
+        while (REGISTER(TIMER_RAW_LOW) == began) {
+        }
+        bits[i / 8U] = (uint8_t)((bits[i / 8U] << 1) | (REGISTER(ROSC_RANDOMBIT) & 1U));
     }
-    return byte;
+    return link_crc(bits, sizeof bits, 0U);
 }
 
-// The boot ROM uses scratch registers 0, 1 and 4 to 7 for itself.
+// Another byte than the one before, if anything remembers that: the scratch register through every reset, the memory
+// even through a loss of power that was short. The boot ROM uses scratch registers 0, 1 and 4 to 7 for itself.
 static void find_cause(void)
 {
     const uint32_t scratch = REGISTER(WATCHDOG_SCRATCH2);
@@ -29,7 +37,8 @@ static void find_cause(void)
     } else {
         cause = by_host ? BOOT_CAUSE_HOST_RESET : BOOT_CAUSE_WATCHDOG;
     }
-    boot = ran_before ? (uint8_t)(REGISTER(WATCHDOG_SCRATCH3) + 1U) : random_byte();
+    uint8_t last = (uint8_t)REGISTER(WATCHDOG_SCRATCH3);
+    boot = (ran_before || crash_knows_boot(&last)) ? (uint8_t)(last + 1U) : (uint8_t)nonce;
     REGISTER(WATCHDOG_SCRATCH2) = SCRATCH_MAGIC;
     REGISTER(WATCHDOG_SCRATCH3) = boot;
 }
@@ -37,6 +46,11 @@ static void find_cause(void)
 uint8_t board_boot(void)
 {
     return boot;
+}
+
+uint32_t board_nonce(void)
+{
+    return nonce;
 }
 
 uint8_t board_cause(void)
@@ -79,7 +93,7 @@ __attribute__((noinline, long_call, section(".in_ram"))) static void read_flash_
 
 static void find_serial_number(void)
 {
-    static const char digits[16] = "0123456789ABCDEF";
+    static const uint8_t digits[] = "0123456789ABCDEF";
     volatile uint8_t id[8];
     read_flash_id(id);
     for (uint32_t i = 0; i < 8U; i++) {
@@ -88,13 +102,15 @@ static void find_serial_number(void)
     }
 }
 
-const char* identity_serial_number(void)
+const uint8_t* board_serial_number(void)
 {
     return serial_number;
 }
 
 void identity_start(void)
 {
+    nonce = random_16();
+    nonce = (nonce << 16) | random_16();
     find_cause();
     find_serial_number();
 }

@@ -72,6 +72,7 @@ extern const uint16_t rom_lookup;     // the function that searches it
 
 // ---- time (4.6, and the processor's SysTick) ----
 #define TIMER_ALARM0 0x40054010U
+#define TIMER_ALARM1 0x40054014U
 #define TIMER_RAW_LOW 0x40054028U
 #define TIMER_INTR 0x40054034U
 #define TIMER_INTE 0x40054038U
@@ -80,7 +81,8 @@ extern const uint16_t rom_lookup;     // the function that searches it
 #define SYSTICK_CVR 0xE000E018U
 #define NVIC_ENABLE 0xE000E100U
 #define NVIC_DISABLE 0xE000E180U
-enum { IRQ_TIMER0 = 0, IRQ_USB = 5, IRQ_IO_BANK0 = 13, IRQ_UART0 = 20 };
+#define NVIC_PRIORITY(word) (0xE000E400U + 4U * (word))  // of four interrupts; 00h goes before 40h
+enum { IRQ_TIMER0 = 0, IRQ_TIMER1 = 1, IRQ_USB = 5, IRQ_IO_BANK0 = 13, IRQ_UART0 = 20 };
 
 // ---- pins (2.19, 2.3.1) ----
 #define GPIO_CTRL(pin) (0x40014004U + 8U * (pin))

@@ -5,9 +5,12 @@
 #include "../pins.h"
 #include "registers.h"
 
+#define STUCK_US (BOARD_WATCHDOG_MS * 800U)  // without a kick: where the main loop is, is written down before it bites
+
 void board_watchdog_kick(void)
 {
     REGISTER(WATCHDOG_LOAD) = BOARD_WATCHDOG_MS * 2000U;  // counts down twice a microsecond: erratum RP2040-E1
+    REGISTER(TIMER_ALARM1) = REGISTER(TIMER_RAW_LOW) + STUCK_US;
 }
 
 void outputs_off(void)

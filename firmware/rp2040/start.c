@@ -24,14 +24,6 @@ __attribute__((section(".version"), used)) static const char version[] =
 
 static controller_t controller;
 
-// Nothing sensible can be done: outputs off, then wait for the watchdog.
-static void fault_handler(void)
-{
-    outputs_off();
-    for (;;) {
-    }
-}
-
 typedef void (*vector_t)(void);
 
 __attribute__((section(".vectors"), used)) static const vector_t vectors[16 + 26] = {
@@ -43,6 +35,7 @@ __attribute__((section(".vectors"), used)) static const vector_t vectors[16 + 26
     [14] = fault_handler,
     [15] = fault_handler,
     [16 + IRQ_TIMER0] = alarm_handler,
+    [16 + IRQ_TIMER1] = stuck_handler,
     [16 + IRQ_USB] = usb_handler,
     [16 + IRQ_IO_BANK0] = pins_handler,
     [16 + IRQ_UART0] = serial_handler,
@@ -122,6 +115,7 @@ __attribute__((noreturn)) void reset_handler(void)
     pinuse_start();
     lines_start();
     time_start();
+    crash_start(board_cause(), board_boot());
     lamps_start();
     microwave_start();
     turntable_start();
@@ -129,7 +123,9 @@ __attribute__((noreturn)) void reset_handler(void)
     controller_start(&controller);
     for (;;) {
         controller_run(&controller);
+        board_trail()->part = PART_USB;
         usb_run();
+        crash_measure();
         if (!lines_waiting()) {
             time_sleep();
         }

@@ -26,7 +26,7 @@ void time_start(void)
     systick = REGISTER(SYSTICK_CVR);
     ticks = 0;
     REGISTER(TIMER_INTR) = 1U;
-    REGISTER(TIMER_INTE) = 1U;
+    SET_BITS(TIMER_INTE) = 1U;
     REGISTER(NVIC_ENABLE) = 1U << IRQ_TIMER0;
 }
 

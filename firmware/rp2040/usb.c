@@ -3,6 +3,7 @@
 //
 // Everything is done in usb_run, from the main loop. The interrupt only wakes that.
 
+#include "../board.h"
 #include "../ticks.h"
 #include "hardware.h"
 #include "registers.h"
@@ -125,7 +126,7 @@ static void answer_string(const setup_t* const setup, const uint32_t index)
         answer(setup, languages, sizeof languages);
         return;
     }
-    const char* const texts[STRINGS] = {"", "annulus", "annulus controller", identity_serial_number()};
+    const char* const texts[STRINGS] = {"", "annulus", "annulus controller", (const char*)board_serial_number()};
     uint8_t at = 2;
     for (const char* text = texts[index]; *text != '\0'; text++) {
         control.made[at++] = (uint8_t)*text;

@@ -14,6 +14,7 @@ void check_run(const char* promise, void (*test)(void));
 
 void link_tests(void);
 void lines_tests(void);
+void queries_tests(void);
 void configuration_tests(void);
 void sequencer_tests(void);
 void safety_tests(void);

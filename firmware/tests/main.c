@@ -38,6 +38,7 @@ int main(void)
     setvbuf(stdout, NULL, _IOLBF, 0);  // what was said survives a sanitizer's abort
     link_tests();
     lines_tests();
+    queries_tests();
     configuration_tests();
     sequencer_tests();
     safety_tests();

@@ -80,6 +80,7 @@ void rig_start(void)
     uint8_t payload[COMMAND_IDENTIFY_LENGTH];
     command_identify_pack(&(command_identify_t){.protocol = PROTOCOL_VERSION, .schema = SCHEMA_HASH}, payload);
     EXPECT_EQ(rig_status_of(COMMAND_IDENTIFY, payload), STATUS_OK);
+    EXPECT_EQ(rig_status_of(COMMAND_INFO, (const uint8_t[]){LEVEL}), STATUS_OK);
     rig_forget();
 }
 

@@ -25,7 +25,7 @@ typedef struct {
 // A fresh world with the controller just started and nothing said to it.
 void rig_power_on(void);
 
-// The same, identified with the right schema and the interlock closed.
+// The same, identified with the right schema, spoken to at our level, and the interlock closed.
 void rig_start(void);
 
 // Timing at 25 fps: exposure 38 ms, readout 28 ms, so that all rows expose 2..12 ms after an edge.

@@ -49,13 +49,21 @@ def c_header(protocol: Protocol) -> str:
         "    uint8_t length;  // of the payload, bytes",
         "    uint8_t schema;  // taken into the CRC",
     ]
-    out += ["    uint8_t query;   // 1: a repeat is carried out anew", "} layout_t;", ""]
+    out += ["    uint8_t query;   // 1: a repeat is carried out anew"]
+    out += ["    uint8_t since;   // level from which on it is known", "} layout_t;", ""]
     out += [
         "// Chips of every burst code, chip 0 first, as 0 and 1; none of the uploaded one.",
         f"extern const char* const burst_codes[{len(protocol.enums['burst_code'])}];",
         "",
         "// Layout of a message, or NULL for an id nobody has.",
         "const layout_t* layout_of(uint8_t id);",
+        "",
+        "// Level from which on a fault's code is known.",
+        "uint8_t fault_since(uint8_t fault);",
+        "",
+        "// Ids of commands, id 0 in bit 0 of byte 0; and of events, id 0x80 in bit 0.",
+        "extern const uint8_t known_commands[8];",
+        f"#define KNOWN_EVENTS 0x{sum(1 << (m.id - 0x80) for m in protocol.of('event')):08X}U",
         "",
         "#endif",
         "",
@@ -116,7 +124,7 @@ def c_source(protocol: Protocol) -> str:
             out += ["    return RANGE_OK;", "}"]
     out += ["", "static const layout_t layouts[] = {"]
     out += [
-        f"    {{0x{m.id:02X}, {m.length}, 0x{m.schema:02X}, {int(m.query)}}},  // {m.kind} {m.name}"
+        f"    {{0x{m.id:02X}, {m.length}, 0x{m.schema:02X}, {int(m.query)}, {m.since}}},  // {m.kind} {m.name}"
         for m in protocol.messages
     ]
     out += ["};", "", f"const char* const burst_codes[{len(protocol.enums['burst_code'])}] = {{"]
@@ -124,6 +132,15 @@ def c_source(protocol: Protocol) -> str:
         out.append(f'    [BURST_CODE_{name.upper()}] = "{protocol.codes.get(name, "")}",')
     out += ["};", ""]
     out += [*C_LAYOUT_OF.strip("\n").splitlines(), ""]
+    out += ["uint8_t fault_since(const uint8_t fault)", "{"]
+    for name, since in ((name, protocol.added.get(("fault", name), 1)) for name in protocol.enums["fault"]):
+        if since > 1:
+            out += [f"    if (fault == FAULT_{name.upper()}) {{", f"        return {since}U;", "    }"]
+    if not any(table == "fault" for table, _ in protocol.added):
+        out.append("    (void)fault;")
+    out += ["    return 1U;", "}", ""]
+    known = sum(1 << m.id for m in protocol.of("command")).to_bytes(8, "little")
+    out += [f"const uint8_t known_commands[8] = {{{', '.join(f'0x{byte:02X}' for byte in known)}}};", ""]
     return "\n".join(out)
 
 

@@ -9,6 +9,8 @@ ENUM_NAMES = {
     "fault": "FaultCode",
     "boot_cause": "BootCause",
     "burst_code": "BurstCode",
+    "crash": "CrashKind",
+    "part": "RoundPart",
 }
 FLAG_NAMES = {"edge": "EdgeFlag", "state": "StateFlag", "arm": "ArmFlag"}
 FROM_VOCABULARY = ("EdgeFlag", "Lamp")
@@ -35,9 +37,10 @@ PYTHON_BASE = '''
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """What every message has. ID and SCHEMA_BYTE enter the frame; LENGTH is the payload's, in bytes."""
+    """What every message has. ID and SCHEMA_BYTE enter the frame; LENGTH is the payload's, bytes; SINCE the level."""
 
     ID: ClassVar[int]
+    SINCE: ClassVar[int] = 1
     SCHEMA_BYTE: ClassVar[int]
     LAYOUT: ClassVar[struct.Struct]
     LENGTH: ClassVar[int]
@@ -145,6 +148,7 @@ def python_class(message: Message) -> list[str]:
         f"    ID: ClassVar[int] = 0x{message.id:02X}",
         f"    SCHEMA_BYTE: ClassVar[int] = 0x{message.schema:02X}",
     ]
+    out += [f"    SINCE: ClassVar[int] = {message.since}"] if message.since > 1 else []
     out += [
         f'    LAYOUT: ClassVar[struct.Struct] = struct.Struct("{code}")',
         f"    LENGTH: ClassVar[int] = {message.length}",

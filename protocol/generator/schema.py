@@ -111,7 +111,7 @@ class Protocol:
     enums: dict[str, dict[str, int]]
     flags: dict[str, dict[str, int]]
     messages: tuple[Message, ...]
-    added: frozenset[tuple[str, str]]  # (enumeration or flags, member) since a level above 1
+    added: dict[tuple[str, str], int]  # (enumeration or flags, member): the level it came with, above 1
 
     @property
     def tick_hz(self) -> int:
@@ -159,13 +159,13 @@ def load(path: Path) -> Protocol:
         enums=values_of(raw["enums"]),
         flags=values_of(raw["flags"]),
         messages=tuple(messages_of(raw)),
-        added=frozenset(
-            (table, member)
+        added={
+            (table, member): value["since"]
             for kind in ("enums", "flags")
             for table, members in raw[kind].items()
             for member, value in members.items()
             if isinstance(value, dict) and value["since"] > 1
-        ),
+        },
     )
     check(protocol)
     return protocol
@@ -206,6 +206,8 @@ def check(protocol: Protocol) -> None:
     for message in protocol.messages:
         for field in message.fields:
             assert all(end is None or isinstance(end, int) for end in (field.min, field.max)), f"{field.name}: bounds"
+    sinces = [message.since for message in protocol.messages] + list(protocol.added.values())
+    assert max(sinces) == protocol.wire["level"].value, "the level is that of what was added last"
     ids = [message.id for message in protocol.messages]
     assert len(set(ids)) == len(ids), "an id is used twice"
     for message in protocol.messages:

@@ -11,14 +11,18 @@ from typing import Any, TypeVar
 from annulus.controller import PIN_LED, PIN_MICROWAVE, PIN_PROJECTOR, PIN_SYNC, PIN_TRIGGER, TICKS_PER_US
 from annulus.link.codec import Decoder, Frame, encode
 from annulus.link.messages import (
+    LEVEL,
     SCHEMA_HASH,
     Arm,
     ArmFlag,
     Command,
     Commit,
     Event,
+    Garbled,
     Identify,
     IdentifyReply,
+    Info,
+    InfoReply,
     Ping,
     Reply,
     Stage,
@@ -27,6 +31,7 @@ from annulus.link.messages import (
 
 ROOT = Path(__file__).resolve().parents[2]
 IMAGE = ROOT / "firmware/build/annulus.uf2"
+ELF = Path(os.environ.get("ANNULUS_IMAGE", IMAGE)).with_suffix(".elf")
 EMULATOR = ROOT / "tools/emulator/emulate.mjs"
 
 MS = 1000 * TICKS_PER_US
@@ -178,6 +183,17 @@ class EmulatedBoard:
     def stall(self, ticks: int) -> None:
         self._do(op="stall", ticks=ticks)
 
+    def trap(self, function: str, what: str) -> int:
+        """Once the image enters this function: "hang" there for ever, or take a hard "fault". Its address."""
+        listed = subprocess.run(["arm-none-eabi-nm", str(ELF)], capture_output=True, text=True, check=True).stdout
+        (at,) = [int(line.split()[0], 16) for line in listed.splitlines() if line.split()[-1] == function]
+        self._do(op="trap", at=at, what=what)
+        return at
+
+    def power_cycle(self) -> None:
+        """Power off and on at once: nothing is remembered, inputs stay as they are."""
+        self._do(op="power-cycle")
+
     def leave_bootloader(self) -> None:
         """As after a UF2 was copied: the boot ROM resets and starts the image."""
         self._do(op="leave-bootloader")
@@ -198,6 +214,11 @@ class EmulatedBoard:
     def identify(self) -> IdentifyReply:
         reply = self.request(Identify(protocol=1, schema=SCHEMA_HASH))
         assert isinstance(reply, IdentifyReply)
+        self.replies.clear()
+        self.send(Info(level=LEVEL))  # from here on nothing is held back; an older image says garbled
+        end = self.now + 10 * MS
+        while not any(isinstance(answer, InfoReply | Garbled) for answer in self.replies) and self.now < end:
+            self.run(self.now + MS // 4)
         return reply
 
     def run_alive(self, until: int, every: int = 20 * MS) -> None:

@@ -16,6 +16,7 @@ SCHEMA_HASH = 0xD49BD1EB
 REPLY_BIT = 0x40
 PROTOCOL_VERSION = 1
 MAX_WIRE = 64
+LEVEL = 2
 EVENT_RING = 64
 RESET_MAGIC = 2120121088
 BOOTLOADER_MAGIC = 2120134663
@@ -60,6 +61,25 @@ class BurstCode(IntEnum):
     MANCHESTER2 = 6
 
 
+class CrashKind(IntEnum):
+    NONE = 0
+    HARD_FAULT = 1
+    STUCK = 2
+
+
+class RoundPart(IntEnum):
+    START = 0
+    EDGES = 1
+    SAFETY = 2
+    RECEIVE = 3
+    COMMAND = 4
+    LOAD = 5
+    REPORTS = 6
+    TRANSMIT = 7
+    USB = 8
+    SLEEP = 9
+
+
 class StateFlag(IntFlag):
     SYNCED = 1
     LAMPS_ARMED = 2
@@ -78,9 +98,10 @@ class ArmFlag(IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """What every message has. ID and SCHEMA_BYTE enter the frame; LENGTH is the payload's, in bytes."""
+    """What every message has. ID and SCHEMA_BYTE enter the frame; LENGTH is the payload's, bytes; SINCE the level."""
 
     ID: ClassVar[int]
+    SINCE: ClassVar[int] = 1
     SCHEMA_BYTE: ClassVar[int]
     LAYOUT: ClassVar[struct.Struct]
     LENGTH: ClassVar[int]
@@ -562,11 +583,233 @@ class BootloaderReply(Reply):
 
 
 @dataclass(frozen=True, slots=True)
+class InfoReply(Reply):
+    """Answer to info."""
+
+    ID: ClassVar[int] = 0x4E
+    SCHEMA_BYTE: ClassVar[int] = 0x25
+    SINCE: ClassVar[int] = 2
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBBBBB16s8sIIHHI")
+    LENGTH: ClassVar[int] = 46
+    FIELDS: ClassVar[tuple[str, ...]] = (
+        "status",
+        "detail",
+        "level",
+        "major",
+        "minor",
+        "patch",
+        "serial",
+        "commands",
+        "events",
+        "nonce",
+        "configuration",
+        "crashes",
+        "round_longest",
+    )
+
+    level: int  # of the controller
+    major: int  # of the firmware's version
+    minor: int
+    patch: int
+    serial: bytes  # ASCII digits, different on every board
+    commands: bytes  # ids it answers; id 0 is bit 0 of byte 0
+    events: int  # ids it sends; id 0x80 is bit 0
+    nonce: int  # of this boot: two boots differ in it where their boot bytes happen to be the same
+    configuration: int  # CRC of the configuration in force, as `configuration` has it
+    crashes: int  # since power came on; `crash` has the last one
+    round_longest: int  # ticks; of the main loop in this boot
+
+    def pack(self) -> bytes:
+        return _pack(
+            "info",
+            self.LAYOUT,
+            self.status,
+            self.detail,
+            self.level,
+            self.major,
+            self.minor,
+            self.patch,
+            _fits("info.serial", self.serial, 16),
+            _fits("info.commands", self.commands, 8),
+            self.events,
+            self.nonce,
+            self.configuration,
+            self.crashes,
+            self.round_longest,
+        )
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(
+            StatusCode(v[0]),
+            v[1],
+            v[2],
+            v[3],
+            v[4],
+            v[5],
+            bytes(v[6]),
+            bytes(v[7]),
+            v[8],
+            v[9],
+            v[10],
+            v[11],
+            v[12],
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class ConfigurationReply(Reply):
+    """Answer to configuration."""
+
+    ID: ClassVar[int] = 0x4F
+    SCHEMA_BYTE: ClassVar[int] = 0xEF
+    SINCE: ClassVar[int] = 2
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBBBIIIHHIIIIH")
+    LENGTH: ClassVar[int] = 38
+    FIELDS: ClassVar[tuple[str, ...]] = (
+        "status",
+        "detail",
+        "generation",
+        "ratio",
+        "frame_period",
+        "exposure",
+        "readout",
+        "tolerance",
+        "host_timeout",
+        "projector_delay",
+        "projector_width",
+        "led_delay",
+        "led_width",
+        "crc",
+    )
+
+    generation: int
+    ratio: int
+    frame_period: int  # ticks
+    exposure: int  # ticks
+    readout: int  # ticks
+    tolerance: int  # permille
+    host_timeout: int  # ms
+    projector_delay: int  # ticks
+    projector_width: int  # ticks
+    led_delay: int  # ticks
+    led_width: int  # ticks
+    crc: int  # of `stage`'s payload and its schema byte, as in a frame; 0 when there is none
+
+    def pack(self) -> bytes:
+        return _pack(
+            "configuration",
+            self.LAYOUT,
+            self.status,
+            self.detail,
+            self.generation,
+            self.ratio,
+            self.frame_period,
+            self.exposure,
+            self.readout,
+            self.tolerance,
+            self.host_timeout,
+            self.projector_delay,
+            self.projector_width,
+            self.led_delay,
+            self.led_width,
+            self.crc,
+        )
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(StatusCode(v[0]), v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8], v[9], v[10], v[11], v[12], v[13])
+
+
+@dataclass(frozen=True, slots=True)
+class CrashReply(Reply):
+    """Answer to crash."""
+
+    ID: ClassVar[int] = 0x50
+    SCHEMA_BYTE: ClassVar[int] = 0x20
+    SINCE: ClassVar[int] = 2
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBHHBHIIIBBIII")
+    LENGTH: ClassVar[int] = 35
+    FIELDS: ClassVar[tuple[str, ...]] = (
+        "status",
+        "detail",
+        "crashes",
+        "boots",
+        "kind",
+        "boot",
+        "pc",
+        "lr",
+        "psr",
+        "part",
+        "command",
+        "rounds",
+        "tick",
+        "round_longest",
+    )
+
+    crashes: int  # since power came on
+    boots: int  # since power came on, this one included
+    kind: CrashKind  # of the last crash
+    boot: int  # which boot it ended, counted as `boots`
+    pc: int  # where the processor was; 0: not known
+    lr: int
+    psr: int
+    part: RoundPart  # of the round
+    command: int  # last one carried out; 255: none
+    rounds: int  # begun in that boot
+    tick: int  # ticks; at which the last of them began
+    round_longest: int  # ticks; before that one
+
+    def pack(self) -> bytes:
+        return _pack(
+            "crash",
+            self.LAYOUT,
+            self.status,
+            self.detail,
+            self.crashes,
+            self.boots,
+            self.kind,
+            self.boot,
+            self.pc,
+            self.lr,
+            self.psr,
+            self.part,
+            self.command,
+            self.rounds,
+            self.tick,
+            self.round_longest,
+        )
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(
+            StatusCode(v[0]),
+            v[1],
+            v[2],
+            v[3],
+            CrashKind(v[4]),
+            v[5],
+            v[6],
+            v[7],
+            v[8],
+            RoundPart(v[9]),
+            v[10],
+            v[11],
+            v[12],
+            v[13],
+        )
+
+
+@dataclass(frozen=True, slots=True)
 class MeasureReply(Reply):
     """Answer to measure."""
 
     ID: ClassVar[int] = 0x57
     SCHEMA_BYTE: ClassVar[int] = 0xCC
+    SINCE: ClassVar[int] = 2
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BB")
     LENGTH: ClassVar[int] = 2
     FIELDS: ClassVar[tuple[str, ...]] = ("status", "detail")
@@ -586,6 +829,7 @@ class SamplesReply(Reply):
 
     ID: ClassVar[int] = 0x58
     SCHEMA_BYTE: ClassVar[int] = 0x89
+    SINCE: ClassVar[int] = 2
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBHB32s")
     LENGTH: ClassVar[int] = 37
     FIELDS: ClassVar[tuple[str, ...]] = ("status", "detail", "looks", "differs", "bits")
@@ -977,6 +1221,76 @@ class Bootloader(Command):
 
 
 @dataclass(frozen=True, slots=True)
+class Info(Command):
+    """What can you do? Carries the host's level: from here to the next `identify` this line is spoken to at that level, or
+    at the controller's if that is lower.
+    """
+
+    ID: ClassVar[int] = 0x0E
+    SCHEMA_BYTE: ClassVar[int] = 0x79
+    SINCE: ClassVar[int] = 2
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<B")
+    LENGTH: ClassVar[int] = 1
+    FIELDS: ClassVar[tuple[str, ...]] = ("level",)
+    REPLY: ClassVar[type[Reply]] = InfoReply
+    QUERY: ClassVar[bool] = True
+
+    level: int  # of the host
+
+    def pack(self) -> bytes:
+        return _pack("info", self.LAYOUT, self.level)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(v[0])
+
+
+@dataclass(frozen=True, slots=True)
+class Configuration(Command):
+    """The configuration in force, field by field as it was staged. Generation 0: there is none, and all is zero."""
+
+    ID: ClassVar[int] = 0x0F
+    SCHEMA_BYTE: ClassVar[int] = 0xCA
+    SINCE: ClassVar[int] = 2
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<")
+    LENGTH: ClassVar[int] = 0
+    FIELDS: ClassVar[tuple[str, ...]] = ()
+    REPLY: ClassVar[type[Reply]] = ConfigurationReply
+    QUERY: ClassVar[bool] = True
+
+    def pack(self) -> bytes:
+        return _pack("configuration", self.LAYOUT)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        _values(cls.LAYOUT, payload)
+        return cls()
+
+
+@dataclass(frozen=True, slots=True)
+class Crash(Command):
+    """The last end that nobody asked for. Kept through resets, lost with the power."""
+
+    ID: ClassVar[int] = 0x10
+    SCHEMA_BYTE: ClassVar[int] = 0x54
+    SINCE: ClassVar[int] = 2
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<")
+    LENGTH: ClassVar[int] = 0
+    FIELDS: ClassVar[tuple[str, ...]] = ()
+    REPLY: ClassVar[type[Reply]] = CrashReply
+    QUERY: ClassVar[bool] = True
+
+    def pack(self) -> bytes:
+        return _pack("crash", self.LAYOUT)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        _values(cls.LAYOUT, payload)
+        return cls()
+
+
+@dataclass(frozen=True, slots=True)
 class Measure(Command):
     """The controller times its own pins. After every edge of `pin` to `level`, and `delay` ticks later, it keeps the
     levels of four neighbouring pins tick by tick, 512 times: a look. The odometer stands still meanwhile. The first
@@ -985,6 +1299,7 @@ class Measure(Command):
 
     ID: ClassVar[int] = 0x17
     SCHEMA_BYTE: ClassVar[int] = 0x07
+    SINCE: ClassVar[int] = 2
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<HBBBI")
     LENGTH: ClassVar[int] = 9
     FIELDS: ClassVar[tuple[str, ...]] = ("looks", "pin", "level", "first", "delay")
@@ -1014,6 +1329,7 @@ class Samples(Command):
 
     ID: ClassVar[int] = 0x18
     SCHEMA_BYTE: ClassVar[int] = 0x93
+    SINCE: ClassVar[int] = 2
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BB")
     LENGTH: ClassVar[int] = 2
     FIELDS: ClassVar[tuple[str, ...]] = ("latest", "word")
@@ -1276,6 +1592,9 @@ COMMANDS: dict[int, type[Command]] = {
     0x0B: BurstStop,
     0x0C: Move,
     0x0D: Bootloader,
+    0x0E: Info,
+    0x0F: Configuration,
+    0x10: Crash,
     0x17: Measure,
     0x18: Samples,
 }
@@ -1295,6 +1614,9 @@ REPLIES: dict[int, type[Reply]] = {
     0x4B: BurstStopReply,
     0x4C: MoveReply,
     0x4D: BootloaderReply,
+    0x4E: InfoReply,
+    0x4F: ConfigurationReply,
+    0x50: CrashReply,
     0x57: MeasureReply,
     0x58: SamplesReply,
 }
