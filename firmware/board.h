@@ -165,6 +165,16 @@ static inline uint32_t board_first_on_chip(const board_burst_t* const burst)
     return (chip == burst->length) ? 0U : chip;
 }
 
+// Chips up to and with the last one that is on; 0 when none is.
+static inline uint32_t board_on_end(const board_burst_t* const burst)
+{
+    uint32_t chips = burst->length;
+    while ((chips > 0U) && !board_chip(burst, chips - 1U)) {
+        chips--;
+    }
+    return chips;
+}
+
 // Level of the interlock now.
 bool board_interlock_open(void);
 

@@ -76,7 +76,8 @@ static uint8_t check_train(const board_burst_t* const burst, uint8_t* const deta
     }
     // One dark chip at least between bursts, so that pulses of neighbours never join.
     const uint32_t burst_ticks = (uint32_t)burst->length * burst->chip_ticks;
-    if ((burst->period_ticks < burst_ticks + burst->chip_ticks) || (burst->period_ticks > BURST_PERIOD_MAX_TICKS)) {
+    if ((burst->period_ticks < burst_ticks + burst->chip_ticks) || (burst->period_ticks < BURST_PERIOD_MIN_TICKS) ||
+        (burst->period_ticks > BURST_PERIOD_MAX_TICKS)) {
         *detail = FIELD_PERIOD;
         return STATUS_OUT_OF_RANGE;
     }

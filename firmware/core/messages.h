@@ -30,6 +30,7 @@
 #define CHIP_MIN_TICKS 10U  // shortest chip
 #define CHIP_MAX_TICKS 3000U  // longest
 #define BURST_PERIOD_MAX_TICKS 100000000U  // longest burst period; the shortest is the chips and one more
+#define BURST_PERIOD_MIN_TICKS 600U  // and never shorter than this: a burst that is all dark has no duty to say so
 #define BURST_REPEAT_MAX 65535U  // bursts of a train
 #define TURNTABLE_PERIOD_MIN_TICKS 10000U  // fastest step to step
 #define TICKS_PER_US 100U

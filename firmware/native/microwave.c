@@ -175,7 +175,11 @@ board_burst_started_t board_burst(const board_burst_t* const burst, uint32_t* co
 void board_burst_stop(void)
 {
     time_pass();
+    const bool in_gap = train.running && (train.done > 0U) && (train.step == 0U);
     train.stopping = true;
+    if (in_gap) {
+        end_train();
+    }
 }
 
 bool board_burst_running(uint16_t* const done)

@@ -24,8 +24,14 @@ void outputs_off(void);
 // Until something happens, 100 us at most.
 void time_sleep(void);
 
+// Write a register, and the tick a constant few before: no interrupt and no wait for the flash comes between.
+uint32_t time_of_write(uint32_t address, uint32_t value);
+
 // Bytes wait, and the core has just fetched others: its next round is due at once.
 bool lines_waiting(void);
+
+// A train is to end, and every round tries to find the moment for it.
+bool microwave_hurries(void);
 
 // Outlives every reset but the loss of power, in WATCHDOG_SCRATCH2: this firmware ran before. The low byte: how it
 // ended.

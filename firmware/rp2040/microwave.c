@@ -3,6 +3,14 @@
 //
 // A list word is a level and how long it holds. Both machines play the same program from the same cycle on. The list of
 // one period has a power of two of words, so that one DMA channel with a ring reads it `repeat` times and then stops.
+//
+// Ending a train early cuts no burst in half and waits for nothing: the first word of both lists becomes a low one that
+// lasts for 21 s, and the burst that would begin with it never does. DMA reads a first word when the fourth word before
+// it begins to be played, so both lists of a burst begin at about the same time and end with short words: between two
+// such readings it is known which burst is the last, and the two words are written then. Where the pin's levels leave
+// no room for that at the end of a list (a trigger right before the next burst; over 126 pulses a burst) the list
+// begins with the end of its last pulse instead; with over 126 pulses that is one burst earlier, so one more is sent.
+//
 // GUARD waits for the interlock to open, or for its credit to run out, and then drives gate and trigger low in every
 // cycle; of several machines that write a pin in one cycle the highest-numbered wins (datasheet 3.5.6.1), so nothing
 // the others do is seen any more. A credit is 2 ms of time; the main loop lays out the next one when the last has been
@@ -34,18 +42,22 @@ static const uint16_t program[PROGRAM_LENGTH] = {
 _Static_assert(PROGRAM_LENGTH == ODOMETER_PROGRAM, "the odometer's program lies behind");
 
 #define WORD_TICKS 4U    // the shortest a word can hold
-#define PIECE_TICKS 16U  // words shorter than this are not made when a list is filled up: DMA keeps ahead
+#define PIECE_TICKS 16U  // words shorter than this are not made when a run is split: DMA keeps ahead
+#define FIFO_WORDS 4U    // read ahead of the one being played
+#define LIST_MIN 8U      // words: more than are read ahead
 #define LIST_MAX 256U
-#define LIST_BITS 10U                           // of its bytes
+#define LOW_FOR_EVER 0xFFFFFFFEU                             // for 21 s
+#define TAIL_TICKS (FIFO_WORDS * PIECE_TICKS + PIECE_TICKS)  // low at a list's end, to be cut into short words
+#define COMMIT_TICKS                                                                                                   \
+    48  // from the tick read before the first words are written until they are; and what DMA may be late
 #define LEAD_TICKS 200U                         // from the start to the first thing that may happen
-#define START_OFFSET 31U                        // from the tick read before the machines start to their first level
+#define START_OFFSET 24U                        // from the tick read before the machines start to their first level
 #define CREDIT 100000U                          // what GUARD counts down, once in two ticks
 #define CREDIT_TICKS (2U * (CREDIT + 1U) + 5U)  // how long one lasts
 #define CREDIT_GONE UINT32_MAX                  // GUARD's count after the last one
-#define PERIOD_MIN_TICKS (TRIGGER_TICKS + PIECE_TICKS)
 
 static volatile uint32_t chip_list[LIST_MAX] __attribute__((aligned(1024)));
-static volatile uint32_t trigger_list[2] __attribute__((aligned(8)));
+static volatile uint32_t trigger_list[LIST_MIN] __attribute__((aligned(4U * LIST_MIN)));
 
 static struct {
     bool enabled;
@@ -57,11 +69,13 @@ static struct {
     uint16_t done;
     uint16_t repeat;
     uint32_t period;
-    uint32_t busy_ticks;  // chip 0, or the trigger if that is later, to the end of a burst
-    uint32_t end;         // tick of the end of the burst being sent
-    uint32_t on_ticks;    // of one burst
-    uint32_t rise;        // tick of the first pulse of the burst to be charged next
-    uint16_t charged;     // bursts
+    uint32_t end;           // tick of the end of the burst being sent
+    uint16_t begun;         // bursts that nothing but a cut keeps from being sent
+    uint32_t commit;        // tick from which on that is so of the next one
+    uint32_t commit_ticks;  // how long after that its first words have been read
+    uint32_t on_ticks;      // of one burst
+    uint32_t rise;          // tick of the first pulse of the burst to be charged next
+    uint16_t charged;       // bursts
 } train;
 
 static duty_t owed;
@@ -110,10 +124,7 @@ static void start_guard(void)
     execute(GUARD_MACHINE, MOV_X_OSR);
     train.credits = 0;
     lay_out_credit();
-    interrupts_off();
-    train.guarded = board_tick();
-    execute(GUARD_MACHINE, JMP(GUARD_WATCH));
-    interrupts_on();
+    train.guarded = time_of_write(PIO_INSTRUCTION(PIO1, GUARD_MACHINE), JMP(GUARD_WATCH));
 }
 
 // When GUARD cut, by its own count, and why.
@@ -162,6 +173,38 @@ static void charge_until(const uint32_t now)
     }
 }
 
+// Both lists begin with silence from now on if it is this early and this late; false: it is not. From RAM, where no
+// instruction is waited for.
+__attribute__((noinline, long_call, section(".in_ram"))) static bool silence_lists(const uint32_t from,
+                                                                                   const uint32_t until)
+{
+    interrupts_off();
+    const uint32_t now = board_tick();
+    const bool is_time = tick_is_past(now, from) && !tick_is_past(now, until);
+    if (is_time) {
+        chip_list[0] = LOW_FOR_EVER;
+        trigger_list[0] = LOW_FOR_EVER;
+    }
+    interrupts_on();
+    return is_time;
+}
+
+static void begin_until(const uint32_t now)
+{
+    while ((train.begun < train.repeat) && tick_is_past(now, train.commit)) {
+        train.begun++;
+        train.commit += train.period;
+    }
+}
+
+// With the burst last begun, unless right now that could be this one or the next.
+static void try_to_end(void)
+{
+    if ((train.begun < train.repeat) && silence_lists(train.commit - train.period + train.commit_ticks, train.commit)) {
+        train.repeat = train.begun;
+    }
+}
+
 // Keep step with the train; after the last burst only its gap is being played, so stopping late is harmless.
 static void follow_train(void)
 {
@@ -169,20 +212,20 @@ static void follow_train(void)
     const uint32_t now = cut ? cut_tick(&train.starved) : board_tick();  // what went on after the cut was dark
     if (train.running) {
         charge_until(now);
-    }
-    while (train.running && tick_is_past(now, train.end)) {
-        train.done++;
-        const bool was_last = train.done == train.repeat;
-        const bool in_gap = now - train.end < train.period - train.busy_ticks;
-        if (was_last || (train.stopping && in_gap)) {
+        begin_until(now);
+        if (train.stopping && !cut) {
+            begin_until(board_tick());  // again: what came before may have taken longer than a burst
+            try_to_end();
+        }
+        while ((train.done < train.repeat) && tick_is_past(now, train.end)) {
+            train.done++;
+            train.end += train.period;
+        }
+        if (cut || (train.done == train.repeat)) {
             stop_players();
         }
-        train.end += train.period;
     }
-    if (cut) {
-        train.enabled = false;
-        stop_players();
-    }
+    train.enabled = train.enabled && !cut;
 }
 
 void board_microwave(const bool enabled)
@@ -205,79 +248,123 @@ bool board_microwave_starved(void)
     return starved;
 }
 
-static uint32_t power_of_two_from(const uint32_t count)
+// One period of a pin, in ticks from chip 0. It is written from its end on, and what is missing to a power of two of
+// words is made by cutting pieces off the ends of its last runs. There is always enough to cut: a period has 20 times
+// the ticks of its pulses, and 600 at least.
+typedef struct {
+    volatile uint32_t* words;
+    uint32_t size;       // words
+    uint32_t at;         // the one written last
+    uint32_t fill;       // pieces still to be cut
+    int32_t begin;       // of word 0
+    int32_t first_rise;  // equal to last_fall: no pulse
+    int32_t last_fall;
+    int32_t read_ahead;  // how long before `begin` DMA reads word 0 of the next burst
+} list_t;
+
+static void prepend_word(list_t* const list, const bool level, const uint32_t ticks)
 {
-    uint32_t power = 1;
-    while (power < count) {
-        power *= 2U;
-    }
-    return power;
+    list->at--;
+    list->words[list->at] = word_of(level, ticks);
+    list->read_ahead += (list->at + FIFO_WORDS >= list->size) ? (int32_t)ticks : 0;
 }
 
-// One run as one word, or, as long as the list is to be filled up, several of the same level.
-static uint32_t append(uint32_t at, const bool level, uint32_t ticks, uint32_t* const fill)
+static void prepend(list_t* const list, const bool level, uint32_t ticks)
 {
-    while (!level && (*fill > 0U) && (ticks >= 2U * PIECE_TICKS)) {
-        chip_list[at++] = word_of(false, PIECE_TICKS);
+    for (; (list->fill > 0U) && (ticks >= 2U * PIECE_TICKS); list->fill--) {
+        prepend_word(list, level, PIECE_TICKS);
         ticks -= PIECE_TICKS;
-        (*fill)--;
     }
-    chip_list[at++] = word_of(level, ticks);
-    return at;
+    if (ticks > 0U) {
+        prepend_word(list, level, ticks);
+    }
 }
 
-static uint32_t count_runs(const board_burst_t* const burst, const uint32_t first)
+// A list of so many pulses that begins at `begin` with all of them in its period; or, where low ticks at its end are
+// too few, with the end of the last pulse before.
+static void open_list(list_t* const list, const uint32_t pulses, const int32_t begin, const uint32_t period)
 {
-    uint32_t runs = 1;
-    for (uint32_t chip = first + 1U; chip <= burst->length; chip++) {
-        runs += (board_chip(burst, chip) != board_chip(burst, chip - 1U)) ? 1U : 0U;
+    const bool has_tail = (begin + (int32_t)period - list->last_fall >= (int32_t)TAIL_TICKS) &&
+                          (2U * pulses + 1U + FIFO_WORDS <= LIST_MAX);
+    const uint32_t runs = ((pulses > 0U) ? 2U * pulses : 1U) + (has_tail ? 1U : 0U);
+    list->begin = has_tail ? begin : list->last_fall - (int32_t)period;
+    list->size = LIST_MIN;
+    while ((list->size < runs + FIFO_WORDS) && (list->size < LIST_MAX)) {
+        list->size *= 2U;
     }
-    return runs;
+    list->at = list->size;
+    list->fill = list->size - runs;
+    list->read_ahead = 0;
+    prepend(list, false, (uint32_t)(list->begin + (int32_t)period - list->last_fall));
 }
 
-// One period from the first on-chip on, its gap at the end. The words it has, or 0: it cannot be filled up.
-static uint32_t write_list(const board_burst_t* const burst, const uint32_t first)
+static void close_list(list_t* const list)
 {
-    const uint32_t runs = count_runs(burst, first);
-    const uint32_t words = power_of_two_from(runs);
-    uint32_t fill = words - runs;
-    uint32_t at = 0;
-    uint32_t begin = first;
-    for (uint32_t chip = first + 1U; chip < burst->length; chip++) {
-        if (board_chip(burst, chip) != board_chip(burst, chip - 1U)) {
-            at = append(at, board_chip(burst, chip - 1U), (chip - begin) * burst->chip_ticks, &fill);
-            begin = chip;
+    prepend(list, false, (uint32_t)(list->first_rise - list->begin));
+}
+
+static uint32_t count_pulses(const board_burst_t* const burst)
+{
+    uint32_t pulses = 0;
+    for (uint32_t chip = 0; chip < burst->length; chip++) {
+        pulses += (board_chip(burst, chip) && !board_chip(burst, chip + 1U)) ? 1U : 0U;
+    }
+    return pulses;
+}
+
+static void write_chips(list_t* const list, const board_burst_t* const burst, const int32_t begin)
+{
+    open_list(list, count_pulses(burst), begin, burst->period_ticks);
+    const uint32_t first = (uint32_t)list->first_rise / burst->chip_ticks;
+    uint32_t end = (uint32_t)list->last_fall / burst->chip_ticks;
+    for (uint32_t chip = end; chip > first; chip--) {
+        const bool level = board_chip(burst, chip - 1U);
+        if ((chip - 1U == first) || (board_chip(burst, chip - 2U) != level)) {
+            prepend(list, level, (end - chip + 1U) * burst->chip_ticks);
+            end = chip - 1U;
         }
     }
-    uint32_t gap = burst->period_ticks - (begin - first) * burst->chip_ticks;
-    if ((burst->length > 0U) && board_chip(burst, burst->length - 1U)) {
-        const uint32_t ticks = (burst->length - begin) * burst->chip_ticks;
-        at = append(at, true, ticks, &fill);
-        gap -= ticks;
-    }
-    at = append(at, false, gap, &fill);
-    return (fill == 0U) ? words : 0U;
+    close_list(list);
 }
 
-static void start_channel(const uint32_t channel, const uint32_t machine, const volatile uint32_t* const list,
-                          const uint32_t ring_bits, const uint32_t words)
+static void write_trigger(list_t* const list, const board_burst_t* const burst, const int32_t begin)
 {
-    REGISTER(DMA_READ(channel)) = (uint32_t)(uintptr_t)list;
+    open_list(list, 1U, begin, burst->period_ticks);
+    prepend(list, true, TRIGGER_TICKS);
+    close_list(list);
+}
+
+// Where the first word ends: the first burst does without it.
+static int32_t first_end(const list_t* const list)
+{
+    return list->begin + (int32_t)((list->words[0] >> 1) + WORD_TICKS);
+}
+
+// Word 0 in another length, and then the list from word 1 on.
+static void start_list(const list_t* const list, const uint32_t channel, const uint32_t machine,
+                       const uint32_t first_ticks, const uint32_t repeat)
+{
+    uint32_t ring_bits = 2;
+    while ((1U << ring_bits) < 4U * list->size) {
+        ring_bits++;
+    }
+    REGISTER(PIO_TX(PIO1, machine)) = word_of(false, first_ticks);
+    REGISTER(DMA_READ(channel)) = (uint32_t)(uintptr_t)&list->words[1];
     REGISTER(DMA_WRITE(channel)) = PIO_TX(PIO1, machine);
-    REGISTER(DMA_COUNT(channel)) = words;
+    REGISTER(DMA_COUNT(channel)) = list->size * repeat - 1U;
     REGISTER(DMA_CTRL_TRIGGER(channel)) = DMA_QUIET | DMA_REQUEST(DREQ_PIO_TX(1U, machine)) | DMA_CHAIN(channel) |
                                           DMA_RING(ring_bits) | DMA_INCREMENT_READ | DMA_WORDS | DMA_PRIORITY |
                                           DMA_ENABLE;
 }
 
-static uint32_t bits_of(uint32_t bytes)
+static int32_t least(const int32_t a, const int32_t b)
 {
-    uint32_t bits = 0;
-    while (bytes > 1U) {
-        bytes /= 2U;
-        bits++;
-    }
-    return bits;
+    return (a < b) ? a : b;
+}
+
+static int32_t greatest(const int32_t a, const int32_t b)
+{
+    return (a > b) ? a : b;
 }
 
 board_burst_started_t board_burst(const board_burst_t* const burst, uint32_t* const start)
@@ -287,61 +374,59 @@ board_burst_started_t board_burst(const board_burst_t* const burst, uint32_t* co
         return BOARD_BURST_CUT;
     }
     const uint32_t on_ticks = board_on_ticks(burst);
-    if (train.running || (burst->chip_ticks < CHIP_MIN_TICKS) || (burst->period_ticks < PERIOD_MIN_TICKS) ||
+    if (train.running || (burst->chip_ticks < CHIP_MIN_TICKS) || (burst->period_ticks < BURST_PERIOD_MIN_TICKS) ||
         duty_exceeds(on_ticks, burst->period_ticks, MICROWAVE_DUTY_MAX_PERMILLE)) {
         return BOARD_BURST_OVER_LIMIT;
     }
-    const uint32_t first = board_first_on_chip(burst);
-    const uint32_t words = write_list(burst, first);
-    if (words == 0U) {
-        return BOARD_BURST_OVER_LIMIT;
+    list_t trigger = {.words = trigger_list, .first_rise = burst->trigger_offset};
+    trigger.last_fall = trigger.first_rise + (int32_t)TRIGGER_TICKS;
+    list_t chips = {.words = chip_list, .first_rise = trigger.first_rise, .last_fall = trigger.first_rise};
+    if (on_ticks > 0U) {
+        chips.first_rise = (int32_t)(board_first_on_chip(burst) * burst->chip_ticks);
+        chips.last_fall = (int32_t)(board_on_end(burst) * burst->chip_ticks);
     }
-    const uint32_t offset = (burst->trigger_offset > 0) ? (uint32_t)burst->trigger_offset : 0U;
-    const uint32_t before = (burst->trigger_offset < 0) ? (uint32_t)-burst->trigger_offset : 0U;
-    const uint32_t until_rise = START_OFFSET + LEAD_TICKS + before + first * burst->chip_ticks;
+    const int32_t begin = least(chips.first_rise, trigger.first_rise);
+    write_chips(&chips, burst, begin - (int32_t)PIECE_TICKS);
+    write_trigger(&trigger, burst, begin - (int32_t)PIECE_TICKS);
+
+    const int32_t lead = least(first_end(&chips), first_end(&trigger)) - (int32_t)LEAD_TICKS;  // ticks from chip 0
+    const uint32_t until_chip0 = START_OFFSET - (uint32_t)lead;
+    const uint32_t until_rise = until_chip0 + (uint32_t)chips.first_rise;
     if ((on_ticks > 0U) && !duty_allows(&owed, board_tick() + until_rise)) {
         return BOARD_BURST_OVER_LIMIT;
     }
-    trigger_list[0] = word_of(true, TRIGGER_TICKS);
-    trigger_list[1] = word_of(false, burst->period_ticks - TRIGGER_TICKS);
+    start_list(&chips, DMA_CHIPS, CHIP_MACHINE, (uint32_t)(first_end(&chips) - lead), burst->repeat);
+    start_list(&trigger, DMA_TRIGGER, TRIGGER_MACHINE, (uint32_t)(first_end(&trigger) - lead), burst->repeat);
 
-    REGISTER(PIO_TX(PIO1, CHIP_MACHINE)) = word_of(false, LEAD_TICKS + before + first * burst->chip_ticks);
-    REGISTER(PIO_TX(PIO1, TRIGGER_MACHINE)) = word_of(false, LEAD_TICKS + offset);
-    start_channel(DMA_CHIPS, CHIP_MACHINE, chip_list, bits_of(4U * words), words * burst->repeat);
-    start_channel(DMA_TRIGGER, TRIGGER_MACHINE, trigger_list, 3U, 2U * burst->repeat);
-
-    const uint32_t chips_end = (uint32_t)burst->length * burst->chip_ticks;
-    const int32_t trigger_end = burst->trigger_offset + (int32_t)TRIGGER_TICKS;
-    train.busy_ticks = (trigger_end > (int32_t)chips_end) ? (uint32_t)trigger_end : chips_end;
+    const int32_t chips_read = chips.begin - chips.read_ahead;
+    const int32_t trigger_read = trigger.begin - trigger.read_ahead;
+    const int32_t commit = least(chips_read, trigger_read) - COMMIT_TICKS;
+    train.commit_ticks = (uint32_t)(greatest(chips_read, trigger_read) + COMMIT_TICKS - commit);
     train.done = 0;
+    train.begun = 1;
     train.repeat = burst->repeat;
     train.period = burst->period_ticks;
-    train.stopping = false;
-    train.running = true;
-    interrupts_off();  // one between tick and start would make the tick a lie
-    *start = board_tick();
-    SET_BITS(PIO_CTRL(PIO1)) = PIO_MACHINE(CHIP_MACHINE) | PIO_MACHINE(TRIGGER_MACHINE);
-    interrupts_on();
-    train.rise = *start + until_rise;
-    *start += START_OFFSET + LEAD_TICKS + before;
-    train.end = *start + train.busy_ticks;
-    train.busy_ticks += before;
     train.on_ticks = on_ticks;
     train.charged = 0;
+    train.stopping = false;
+    train.running = true;
+    const uint32_t machines = PIO_MACHINE(CHIP_MACHINE) | PIO_MACHINE(TRIGGER_MACHINE);
+    *start = time_of_write(SET_ADDRESS(PIO_CTRL(PIO1)), machines) + until_chip0;
+    train.rise = *start + (uint32_t)chips.first_rise;
+    train.end = *start + (uint32_t)greatest((int32_t)burst->length * burst->chip_ticks, trigger.last_fall);
+    train.commit = *start + train.period + (uint32_t)commit;
     return BOARD_BURST_STARTED;
 }
 
-// A gap too short for the main loop to meet is waited for: 8 ms at most, at the expense of a late load.
 void board_burst_stop(void)
 {
-    follow_train();
     train.stopping = true;
-    if (train.running && (train.period - train.busy_ticks < 20000U)) {
-        while (train.running) {
-            board_microwave_feed();
-            follow_train();
-        }
-    }
+    follow_train();
+}
+
+bool microwave_hurries(void)
+{
+    return train.running && train.stopping;
 }
 
 bool board_burst_running(uint16_t* const done)

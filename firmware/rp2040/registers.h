@@ -8,7 +8,8 @@
 #define REGISTER(address) (*(volatile uint32_t*)(uintptr_t)(address))
 
 // Aliases of every APB and AHB register that set or clear the written bits in one access (2.1.2).
-#define SET_BITS(address) REGISTER((address) + 0x2000U)
+#define SET_ADDRESS(address) ((address) + 0x2000U)
+#define SET_BITS(address) REGISTER(SET_ADDRESS(address))
 #define CLEAR_BITS(address) REGISTER((address) + 0x3000U)
 
 // ---- boot ROM (2.8.3); rp2040.ld says where ----

@@ -126,7 +126,7 @@ __attribute__((noreturn)) void reset_handler(void)
         board_trail()->part = PART_USB;
         usb_run();
         crash_measure();
-        if (!lines_waiting()) {
+        if (!lines_waiting() && !microwave_hurries()) {
             time_sleep();
         }
     }

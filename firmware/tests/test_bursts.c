@@ -160,6 +160,34 @@ static void a_stopped_train_ends_after_a_whole_burst(void)
     EXPECT_EQ(fire(&command).status, STATUS_OK);
 }
 
+// In the gap no further burst is sent, however long it is, and before the first burst that one is.
+static void a_train_stopped_between_bursts_ends_at_once(void)
+{
+    start_armed();
+    command_burst_t command = train(BURST_CODE_MPSL25);
+    command.repeat = 1000;
+    command.period = 100 * MS;
+    command.trigger_offset = 2000;
+    EXPECT_EQ(fire(&command).status, STATUS_OK);
+    EXPECT_EQ(rig_status_of(COMMAND_BURST_STOP, NULL), STATUS_OK);
+    event_burst_done_t done;
+    event_burst_done_unpack(&done, rig_take(EVENT_BURST_DONE)->payload);
+    EXPECT_EQ(done.done, 1);
+    rig_pass(200 * MS);
+    EXPECT_EQ(rig_rises(PIN_MICROWAVE), 7);
+    EXPECT_EQ(rig_rises(PIN_TRIGGER), 1);
+    rig_forget();
+    command.trigger_offset = -90 * (int32_t)MS;
+    EXPECT_EQ(fire(&command).status, STATUS_OK);
+    EXPECT_EQ(rig_status_of(COMMAND_BURST_STOP, NULL), STATUS_OK);
+    EXPECT_EQ(rig_rises(PIN_TRIGGER), 1);
+    rig_send(COMMAND_PING, 0, NULL);
+    rig_pass(300 * MS);
+    EXPECT_EQ(rig_count(EVENT_BURST_DONE), 1);
+    EXPECT_EQ(rig_rises(PIN_MICROWAVE), 7);
+    EXPECT_EQ(rig_rises(PIN_TRIGGER), 1);
+}
+
 static void disarming_cuts_the_train_at_once(void)
 {
     start_armed();
@@ -194,6 +222,8 @@ static void trains_beyond_a_limit_are_refused_with_the_reason(void)
     REFUSED(command.repeat = 0, STATUS_OUT_OF_RANGE, 2);
     REFUSED(command.period = 25 * 50 + 49, STATUS_OUT_OF_RANGE, 3);
     REFUSED(command.period = 100000001, STATUS_OUT_OF_RANGE, 3);
+    EXPECT_EQ(upload("0", 1), STATUS_OK);
+    REFUSED((command.code = BURST_CODE_UPLOADED, command.period = 599), STATUS_OUT_OF_RANGE, 3);
     REFUSED(command.trigger_offset = -(100000 - 1250) - 1, STATUS_OUT_OF_RANGE, 4);
     REFUSED(command.trigger_offset = 100000 - 99, STATUS_OUT_OF_RANGE, 4);
     REFUSED(command.chip = 29, STATUS_PULSE_WIDTH, 0);                                 // 0.29 us
@@ -322,6 +352,7 @@ void bursts_tests(void)
     RUN(an_all_dark_pattern_still_triggers);
     RUN(trains_keep_their_period_and_trigger_offset_to_the_tick);
     RUN(a_stopped_train_ends_after_a_whole_burst);
+    RUN(a_train_stopped_between_bursts_ends_at_once);
     RUN(disarming_cuts_the_train_at_once);
     RUN(trains_beyond_a_limit_are_refused_with_the_reason);
     RUN(an_upload_is_checked);

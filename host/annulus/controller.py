@@ -27,6 +27,7 @@ MICROWAVE_DUTY_MAX_PERMILLE = 50  # on-chips times chip over burst period
 CHIP_MIN_TICKS = 10  # shortest chip
 CHIP_MAX_TICKS = 3000  # longest
 BURST_PERIOD_MAX_TICKS = 100000000  # longest burst period; the shortest is the chips and one more
+BURST_PERIOD_MIN_TICKS = 600  # and never shorter than this: a burst that is all dark has no duty to say so
 BURST_REPEAT_MAX = 65535  # bursts of a train
 TURNTABLE_PERIOD_MIN_TICKS = 10000  # fastest step to step
 

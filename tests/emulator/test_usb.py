@@ -299,7 +299,8 @@ def test_a_train_begins_when_its_reply_says_however_busy_the_lines_are(board: Em
         board.write(rng.randbytes(80))  # bytes that interrupt at every moment
         board.over_usb = True
         board.run(board.now + rng.randrange(20_000))
-        board.pulse(board.now + rng.randrange(1, 20_000), low=100)
+        for edge in range(board.now + rng.randrange(1, 200), board.now + 60_000, 211):  # and edges, while it begins
+            board.pulse(edge, low=100)
         burst = Burst(code=BurstCode.SINGLE, chip=100, repeat=1, period=10_000, trigger_offset=0)
         reply = board.request(burst)
         assert isinstance(reply, BurstReply)

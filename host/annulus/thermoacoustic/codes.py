@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from annulus.controller import (
     BURST_PERIOD_MAX_TICKS,
+    BURST_PERIOD_MIN_TICKS,
     BURST_REPEAT_MAX,
     CHIP_MAX_TICKS,
     CHIP_MIN_TICKS,
@@ -109,7 +110,12 @@ class Train:
         found = [
             Finding("repeat", self.repeat, (1, BURST_REPEAT_MAX), "bursts"),
             us("chip", self.chip_ticks, CHIP_MIN_TICKS, CHIP_MAX_TICKS),
-            us("period", self.period_ticks, self.burst_ticks + self.chip_ticks, BURST_PERIOD_MAX_TICKS),
+            us(
+                "period",
+                self.period_ticks,
+                max(self.burst_ticks + self.chip_ticks, BURST_PERIOD_MIN_TICKS),
+                BURST_PERIOD_MAX_TICKS,
+            ),
             us(
                 "trigger offset",
                 self.trigger_offset_ticks,

@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 from annulus.cli import app
 from annulus.controller import (
     BURST_PERIOD_MAX_TICKS,
+    BURST_PERIOD_MIN_TICKS,
     BURST_REPEAT_MAX,
     CHIP_MAX_TICKS,
     CHIP_MIN_TICKS,
@@ -202,6 +203,7 @@ LIMITS = [  # what is refused first, the chips; chip, repeat, period, offset jus
     ("longest pulse", "1101", (LONGEST // 2, 1, 100_000, 0), (LONGEST // 2 + 1, 1, 100_000, 0)),
     ("period", LONG, (30, 1, 256 * 30, 0), (30, 1, 256 * 30 - 1, 0)),
     ("period", "1", (50, 1, BURST_PERIOD_MAX_TICKS, 0), (50, 1, BURST_PERIOD_MAX_TICKS + 1, 0)),
+    ("period", "0", (50, 1, BURST_PERIOD_MIN_TICKS, 0), (50, 1, BURST_PERIOD_MIN_TICKS - 1, 0)),
     ("trigger offset", "1", (50, 1, 10_000, 10_000 - TRIGGER_TICKS), (50, 1, 10_000, 10_001 - TRIGGER_TICKS)),
     ("trigger offset", "1", (50, 1, 10_000, -9_950), (50, 1, 10_000, -9_951)),
     ("duty", "1", (50, 1, DUTIFUL, 0), (50, 1, DUTIFUL - 1, 0)),
