@@ -10,6 +10,7 @@ The daemon, which keeps a head in service, drives a HeadControl over the same Po
 import os
 import time
 from collections import deque
+from collections.abc import Callable
 from types import TracebackType
 from typing import Protocol, Self, TypeVar
 
@@ -41,7 +42,8 @@ class Talker(Protocol[Item]):
 
 
 class Port:
-    """A pyserial port whose failures are AnnulusErrors. `now` everywhere is time.monotonic_ns().
+    """A pyserial port whose failures are AnnulusErrors. `now` everywhere is its clock's: time.monotonic_ns(), or
+    that of the world in which a simulated port lives.
 
     It begins with one 0x00. Until a fresh ttyACM is in raw mode the kernel echoes to the controller what the controller
     said; the delimiter ends that, so that the first command does not go on where the echo stopped.
@@ -57,6 +59,7 @@ class Port:
                 f"{url}: cannot be opened ({_reason(error)}), expected a serial port or socket://host:port."
                 " Is the head plugged in?"
             ) from None
+        self.now_ns: Callable[[], int] = getattr(self._serial, "now_ns", time.monotonic_ns)
         try:
             self.write(b"\0")
         except AnnulusError:
@@ -90,9 +93,9 @@ class Port:
 
     def pump(self, talker: Talker[Item], timeout_s: float = READ_S) -> list[Item]:
         """Write what is due, read what comes within the time, hand it over. Call it in a loop."""
-        self.write(talker.pending(time.monotonic_ns()))
+        self.write(talker.pending(self.now_ns()))
         data = self.read(timeout_s)
-        return talker.receive(data, time.monotonic_ns())
+        return talker.receive(data, self.now_ns())
 
     def close(self) -> None:
         self._serial.close()
@@ -130,8 +133,8 @@ class Client:
     def ask(self, command: Command, timeout_s: float = REQUEST_S) -> Answer | None:
         """The answer, whatever its status; None when none came. Other happenings wait for `poll`."""
         ticket = self.session.send(command)
-        deadline = time.monotonic() + timeout_s
-        while time.monotonic() < deadline:
+        deadline = self.now_s() + timeout_s
+        while self.now_s() < deadline:
             found: Answer | None = None
             for happening in self._turn(READ_S):
                 if isinstance(happening, Answer) and happening.ticket == ticket:
@@ -146,11 +149,11 @@ class Client:
 
     def poll(self, timeout_s: float = 0.0) -> list[LinkEvent]:
         """What happened since the last poll, waiting up to `timeout_s` for the first."""
-        deadline = time.monotonic() + timeout_s
+        deadline = self.now_s() + timeout_s
         while True:
-            for happening in self._turn(min(READ_S, max(0.0, deadline - time.monotonic()))):
+            for happening in self._turn(min(READ_S, max(0.0, deadline - self.now_s()))):
                 self._keep(happening)
-            if self._happenings or time.monotonic() >= deadline:
+            if self._happenings or self.now_s() >= deadline:
                 happenings = list(self._happenings)
                 self._happenings.clear()
                 return happenings
@@ -160,10 +163,14 @@ class Client:
 
         The controller goes dark when it hears nothing for its host timeout.
         """
-        now = time.monotonic_ns()
+        now = self._port.now_ns()
         if now >= self._next_ping_ns and not self.session.backlog:
             self._next_ping_ns = now + PING_NS
             self.session.send(Ping())
+
+    def now_s(self) -> float:
+        """Of the port's clock."""
+        return self._port.now_ns() * 1e-9
 
     def close(self) -> None:
         self._port.close()
@@ -191,7 +198,7 @@ class Client:
 
     def _turn(self, timeout_s: float) -> list[LinkEvent]:
         happenings = self._port.pump(self.session, timeout_s)
-        return happenings + self.session.expire(time.monotonic_ns())
+        return happenings + self.session.expire(self._port.now_ns())
 
     def _keep(self, happening: LinkEvent) -> None:
         self.dropped += len(self._happenings) == HAPPENINGS_MAX

@@ -42,6 +42,8 @@ class Board(Protocol):
 
     def input(self, tick: int, pin: int, level: int) -> None: ...
 
+    def wire(self, *wires: tuple[int, int]) -> None: ...
+
     def serial_write(self, data: bytes) -> int: ...
 
     def serial_read(self) -> bytes: ...
@@ -117,6 +119,10 @@ class EmulatedBoard:
         if tick < self._tick or pin not in INPUT_PINS or level not in (0, 1):
             raise AnnulusError(f"emulated board: input GP{pin} = {level} at tick {tick} refused, now is {self._tick}")
         self._waiting.append((max(tick, self._now), pin, level))
+
+    def wire(self, *wires: tuple[int, int]) -> None:
+        """Jumpers from an output pin to an input each, in place of those before. What is let go is pulled up."""
+        self._do({"op": "wires", "wires": wires})
 
     def serial_write(self, data: bytes) -> int:
         """Send bytes to the controller's UART at line speed, from now on; all are taken."""

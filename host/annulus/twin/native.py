@@ -21,6 +21,7 @@ _SIGNATURES: dict[str, tuple[object, tuple[object, ...]]] = {
     "native_begin": (None, ()),
     "native_power_on": (None, (ctypes.c_uint8, ctypes.c_uint8)),
     "native_input": (ctypes.c_bool, (ctypes.c_uint64, ctypes.c_uint8, ctypes.c_uint8)),
+    "native_wire": (None, (ctypes.c_uint8, ctypes.c_uint8)),
     "native_serial_write": (ctypes.c_size_t, (ctypes.c_char_p, ctypes.c_size_t)),
     "native_serial_read": (ctypes.c_size_t, (ctypes.c_void_p, ctypes.c_size_t)),
     "native_seed": (None, (ctypes.c_uint32,)),
@@ -68,6 +69,7 @@ class NativeBoard:
         NativeBoard._current = self
         self._c.native_begin()
         self._boot = 0
+        self._wires: tuple[tuple[int, int], ...] = ()
         self._bytes = ctypes.create_string_buffer(65536)
         self._pins = np.zeros(16384, TRANSITION)
 
@@ -90,6 +92,16 @@ class NativeBoard:
         """
         if not self._live().native_input(tick, pin, level):
             raise AnnulusError(f"native board: input GP{pin} = {level} at tick {tick} refused, now is {self.tick}")
+
+    def wire(self, *wires: tuple[int, int]) -> None:
+        """Jumpers from an output pin to an input each, in place of those before. What is let go is pulled up."""
+        for output, _ in self._wires:
+            self._live().native_wire(output, 0)
+        for _, pin in self._wires:
+            self.input(self.tick, pin, 1)
+        self._wires = wires
+        for output, pin in wires:
+            self._live().native_wire(output, pin)
 
     def serial_write(self, data: bytes) -> int:
         """Send bytes to the controller at line speed, from now on; how many were taken."""

@@ -1,7 +1,7 @@
 """On a line whose answers took 30 ms edges were placed in time by a clock coarser than the labels' window (e45d243).
 Fails without the bound on the clock's error in HeadControl's placing of edges."""
 
-from scripted_controller import ScriptedController
+from annulus.testing.scripted import ScriptedController
 
 from annulus.link.head import EdgeSeen, HeadControl
 from annulus.link.messages import Edge, Stage

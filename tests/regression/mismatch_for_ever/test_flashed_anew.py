@@ -1,7 +1,7 @@
 """A head that had met a controller of another schema never asked again, though it was flashed meanwhile (05b16e0).
 Fails without identify being sent in phase MISMATCH."""
 
-from scripted_controller import ScriptedController
+from annulus.testing.scripted import ScriptedController
 
 from annulus.link.head import HeadControl, Phase
 from annulus.link.messages import SCHEMA_HASH, Stage

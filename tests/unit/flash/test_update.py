@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 import pytest
 from boot_rom import Board, Bus
-from scripted_controller import ScriptedController
+from annulus.testing.scripted import ScriptedController
 from serial.tools import list_ports
 from test_client import far_end, serving
 from test_image import program, uf2

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
 import pytest
-from scripted_controller import ScriptedController
+from annulus.testing.scripted import ScriptedController
 
 from annulus.link.client import Client, Port
 from annulus.link.messages import Arm, ArmFlag, Edge, Ping, PingReply, Stage, Status, StatusCode

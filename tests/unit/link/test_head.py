@@ -1,6 +1,6 @@
 """A head is brought into service, kept alive, and brought back by itself after resets and faults."""
 
-from scripted_controller import ScriptedController
+from annulus.testing.scripted import ScriptedController
 
 from annulus.link.head import EdgeSeen, HeadControl, HeadEvent, LampsCut, Phase, PhaseChanged
 from annulus.link.messages import (

@@ -5,7 +5,7 @@ import random
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scripted_controller import BadLine, ScriptedController
+from annulus.testing.scripted import BadLine, ScriptedController
 
 from annulus.link.messages import EVENT_RING, Identify, Move, Ping, Reread, Status, StatusCode, TurntableDone
 from annulus.link.session import (

@@ -1,4 +1,6 @@
-"""A controller without physics, for tests of the host's side: it keeps the rules of protocol/README.md, no more."""
+"""A controller without physics, for tests of the host's side: it keeps the rules of protocol/README.md, no more.
+And a bad line to it.
+"""
 
 import random
 from collections import deque
