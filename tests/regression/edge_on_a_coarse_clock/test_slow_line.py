@@ -1,10 +1,9 @@
 """On a line whose answers took 30 ms edges were placed in time by a clock coarser than the labels' window (e45d243).
 Fails without the bound on the clock's error in HeadControl's placing of edges."""
 
-from annulus.testing.scripted import ScriptedController
-
 from annulus.link.head import EdgeSeen, HeadControl
 from annulus.link.messages import Edge, Stage
+from annulus.testing.scripted import ScriptedController
 from annulus.vocabulary import EdgeFlag, Lamp
 
 MS = 1_000_000

@@ -1,10 +1,9 @@
 """A head that had met a controller of another schema never asked again, though it was flashed meanwhile (05b16e0).
 Fails without identify being sent in phase MISMATCH."""
 
-from annulus.testing.scripted import ScriptedController
-
 from annulus.link.head import HeadControl, Phase
 from annulus.link.messages import SCHEMA_HASH, Stage
+from annulus.testing.scripted import ScriptedController
 
 MS = 1_000_000
 STAGE = Stage(1, 4, 4_000_000, 3_800_000, 2_800_000, 50, 0, 450_000, 500_000, 575_000, 250_000)

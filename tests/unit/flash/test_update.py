@@ -10,7 +10,6 @@ from types import SimpleNamespace
 
 import pytest
 from boot_rom import Board, Bus
-from annulus.testing.scripted import ScriptedController
 from serial.tools import list_ports
 from test_client import far_end, serving
 from test_image import program, uf2
@@ -45,6 +44,7 @@ from annulus.link.messages import (
     StatusCode,
     StatusReply,
 )
+from annulus.testing.scripted import ScriptedController
 from annulus.vocabulary import AnnulusError, EdgeFlag, Lamp
 
 IMAGE = parse_image(bytes(uf2(program(2048))), "annulus.uf2")  # says it is commit deadbeef, as the scripted controller

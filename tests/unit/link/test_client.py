@@ -10,11 +10,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
 import pytest
-from annulus.testing.scripted import ScriptedController
 
 from annulus.link.client import Client, Port
 from annulus.link.messages import Arm, ArmFlag, Edge, Ping, PingReply, Stage, Status, StatusCode
 from annulus.link.session import EventReceived
+from annulus.testing.scripted import ScriptedController
 from annulus.vocabulary import AnnulusError, EdgeFlag, Lamp
 
 

@@ -1,7 +1,5 @@
 """A head is brought into service, kept alive, and brought back by itself after resets and faults."""
 
-from annulus.testing.scripted import ScriptedController
-
 from annulus.link.head import EdgeSeen, HeadControl, HeadEvent, LampsCut, Phase, PhaseChanged
 from annulus.link.messages import (
     SCHEMA_HASH,
@@ -16,6 +14,7 @@ from annulus.link.messages import (
     Stage,
     StatusCode,
 )
+from annulus.testing.scripted import ScriptedController
 from annulus.vocabulary import EdgeFlag, Lamp
 
 MS = 1_000_000

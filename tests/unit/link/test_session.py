@@ -5,7 +5,6 @@ import random
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from annulus.testing.scripted import BadLine, ScriptedController
 
 from annulus.link.messages import EVENT_RING, Identify, Move, Ping, Reread, Status, StatusCode, TurntableDone
 from annulus.link.session import (
@@ -19,6 +18,7 @@ from annulus.link.session import (
     Unanswered,
     identify,
 )
+from annulus.testing.scripted import BadLine, ScriptedController
 from annulus.vocabulary import AnnulusError
 
 MS = 1_000_000
