@@ -15,6 +15,7 @@ extern struct world {
     uint64_t now;
     uint64_t until;  // end of native_run_until, nothing happens after it
     uint64_t boot_tick;
+    uint8_t levels[PIN_COUNT];  // of the pins; only pinuse.c changes them
     bool powered;
     bool in_bootloader;
     bool refuse_next;
@@ -35,16 +36,13 @@ input_t world_input(void);
 bool world_refuses(void);  // the next lit flash or burst, once
 
 // The main loop: when its next round is or the one under way goes on, and what brings it forward.
-void time_start(void);
+void time_start(void (*round)(void), uint64_t (*next_time)(void));  // one round of the core; when the world acts next
 void time_wake(void);
 uint64_t time_of_round(void);
 void time_step(void);
 void time_pass(void);     // first in every function of board.h: the time it takes
 void time_look(void);     // the same, cheaper, in one that only looks: after it the world acts no sooner than before
 uint32_t time_now(void);  // the controller's tick, for this folder: takes nothing
-
-void start_round(void);          // one round of the core
-uint64_t world_next_time(void);  // of everything but the main loop
 
 void pinuse_begin(void);
 void pinuse_start(void);
@@ -58,7 +56,7 @@ void crash_measure(uint64_t since);  // the round that began then is over
 
 void reset_start(void);
 uint64_t reset_time(void);  // the core wants it, or the watchdog bites
-void reset_step(void);
+bool reset_wanted(void);
 
 void lines_begin(void);
 void lines_start(void);

@@ -28,7 +28,8 @@ static uint32_t levels_now(void)
 {
     uint32_t levels = 0;
     for (uint32_t i = 0; i < 4U; i++) {
-        levels |= (uint32_t)native_pin((uint8_t)(measure.look.first + i)) << i;
+        const uint32_t pin = measure.look.first + i;
+        levels |= (pin < PIN_COUNT) ? (uint32_t)world.levels[pin] << i : 0U;
     }
     return levels;
 }

@@ -6,7 +6,6 @@
 
 #define TRANSITIONS_MAX (1U << 17)
 
-static uint8_t levels[PIN_COUNT];
 static native_transition_t transitions[TRANSITIONS_MAX];  // ring
 static size_t transition_first;
 static size_t transition_count;
@@ -18,7 +17,7 @@ void native_wire(const uint8_t from, const uint8_t to)
     if (from < PIN_COUNT) {
         wires[from] = to;
         if (to != 0U) {
-            native_input(world.now, to, levels[from]);
+            native_input(world.now, to, world.levels[from]);
         }
     }
 }
@@ -26,7 +25,7 @@ void native_wire(const uint8_t from, const uint8_t to)
 void pinuse_begin(void)
 {
     for (uint8_t pin = 0; pin < PIN_COUNT; pin++) {
-        levels[pin] = (HIGH_AT_RESET_PINS >> pin) & 1U;
+        world.levels[pin] = (HIGH_AT_RESET_PINS >> pin) & 1U;
     }
     transition_count = 0;
     memset(wires, 0, sizeof wires);
@@ -34,11 +33,11 @@ void pinuse_begin(void)
 
 void pinuse_drive(const uint8_t pin, const uint8_t level)
 {
-    if (levels[pin] == level) {
+    if (world.levels[pin] == level) {
         return;
     }
     measure_before();
-    levels[pin] = level;
+    world.levels[pin] = level;
     measure_after(pin, level);
     if (wires[pin] != 0U) {
         native_input(world.now + 1U, wires[pin], level);
@@ -64,8 +63,8 @@ void pinuse_start(void)
 bool pinuse_input(const uint8_t pin, const uint8_t level)
 {
     measure_before();
-    const bool changed = levels[pin] != level;
-    levels[pin] = level;
+    const bool changed = world.levels[pin] != level;
+    world.levels[pin] = level;
     if (changed) {
         measure_after(pin, level);
     }
@@ -78,7 +77,7 @@ bool pinuse_input(const uint8_t pin, const uint8_t level)
 bool board_interlock_open(void)
 {
     time_look();
-    return levels[PIN_INTERLOCK] == 1U;
+    return world.levels[PIN_INTERLOCK] == 1U;
 }
 
 bool board_interlock_tripped(void)
@@ -108,5 +107,5 @@ size_t native_pins(native_transition_t* const drained, const size_t size)
 
 uint8_t native_pin(const uint8_t pin)
 {
-    return (pin < PIN_COUNT) ? levels[pin] : 0U;
+    return (pin < PIN_COUNT) ? world.levels[pin] : 0U;
 }

@@ -25,9 +25,9 @@ uint64_t reset_time(void)
     return world.powered ? bites : NEVER;
 }
 
-void reset_step(void)
+bool reset_wanted(void)
 {
-    native_power_on((uint8_t)(board_boot() + 1U), wanted ? BOOT_CAUSE_HOST_RESET : BOOT_CAUSE_WATCHDOG);
+    return wanted;
 }
 
 // Everything at rest: what a reset does to the hardware, and what the boot loader is left with.

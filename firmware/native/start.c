@@ -9,6 +9,9 @@
 
 static controller_t controller;
 
+static void run_round(void);
+static uint64_t next_time(void);
+
 void native_begin(void)
 {
     world_begin();
@@ -26,7 +29,7 @@ void native_power_on(const uint8_t boot, const uint8_t cause)
     crash_start();
     reset_start();
     lines_start();
-    time_start();
+    time_start(run_round, next_time);
     controller_start(&controller);
 }
 
@@ -48,7 +51,7 @@ static void apply_input(void)
     }
 }
 
-void start_round(void)
+static void run_round(void)
 {
     controller_run(&controller);
     if (lines_waiting()) {
@@ -56,14 +59,23 @@ void start_round(void)
     }
 }
 
+static void restart(void)
+{
+    native_power_on((uint8_t)(board_boot() + 1U), reset_wanted() ? BOOT_CAUSE_HOST_RESET : BOOT_CAUSE_WATCHDOG);
+}
+
 // What happens by itself. At one tick: all of it before the main loop.
 static const struct {
     uint64_t (*time)(void);
     void (*step)(void);
 } sources[] = {
-    {world_input_time, apply_input},  {lamps_time, lamps_step}, {microwave_time, microwave_step},
-    {turntable_time, turntable_step}, {lines_time, lines_step}, {microwave_starving_time, microwave_starve},
-    {reset_time, reset_step},
+    {world_input_time, apply_input},
+    {lamps_time, lamps_step},
+    {microwave_time, microwave_step},
+    {turntable_time, turntable_step},
+    {lines_time, lines_step},
+    {microwave_starving_time, microwave_starve},
+    {reset_time, restart},
 };
 
 #define SOURCES (sizeof sources / sizeof sources[0])
@@ -82,7 +94,7 @@ static size_t next_source(uint64_t* const time)
     return first;
 }
 
-uint64_t world_next_time(void)
+static uint64_t next_time(void)
 {
     uint64_t time;
     next_source(&time);

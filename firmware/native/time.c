@@ -18,6 +18,8 @@ static uint64_t stalled_from;
 static uint64_t stalled_until;
 
 static struct {
+    void (*round)(void);
+    uint64_t (*next_time)(void);
     ucontext_t world;
     ucontext_t context;
     uint8_t stack[STACK_BYTES];
@@ -50,7 +52,7 @@ static void go_on_at(const uint64_t tick)
 {
     loop.resume = tick;
     if (loop.acted || (tick >= loop.due)) {
-        loop.due = world_next_time();
+        loop.due = loop.next_time();
     }
     if ((tick < loop.due) && (tick <= world.until) && world.powered) {
         world.now = (tick > world.now) ? tick : world.now;
@@ -65,7 +67,7 @@ static void rounds(void)
         loop.inside = true;
         next_round = world.now + NATIVE_ROUND_TICKS;
         const uint64_t began = (stalled_from != NEVER) ? stalled_from : world.now;
-        start_round();
+        loop.round();
         crash_measure(began);
         stalled_from = NEVER;
         loop.inside = false;
@@ -75,8 +77,10 @@ static void rounds(void)
 }
 
 // A round under way is never ended: its stack is begun anew.
-void time_start(void)
+void time_start(void (*const round)(void), uint64_t (*const next_time)(void))
 {
+    loop.round = round;
+    loop.next_time = next_time;
     world.boot_tick = world.now;
     next_round = world.now;
     stalled_from = NEVER;

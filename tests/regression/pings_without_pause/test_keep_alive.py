@@ -1,5 +1,8 @@
 """Whoever called keep_alive in a loop filled the line with pings (05b16e0). Fails without its own pace."""
 
+import time
+from types import SimpleNamespace
+
 from annulus.link.client import Client
 from annulus.link.messages import Ping
 
@@ -17,7 +20,8 @@ class Line:
 
 
 def test_signs_of_life_are_paced_however_often_they_are_asked_for() -> None:
-    client = Client.__new__(Client)  # no port: only the pace is looked at
+    client = Client.__new__(Client)  # a port that has only a clock: only the pace is looked at
+    client._port = SimpleNamespace(now_ns=time.monotonic_ns)  # type: ignore[assignment]
     client.session, client._next_ping_ns = Line(), 0  # type: ignore[assignment]
     for _ in range(1000):
         client.keep_alive()
