@@ -1,11 +1,12 @@
 // What the boot ROM does before an image runs, and what of it an image may call.
 
-import { fault } from './fault.mjs';
+import { OUTPUT_PINS, OUTPUTS_HIGH_AT_RESET } from './controller.mjs';
+import { fault, hex } from './fault.mjs';
 
 export const FLASH = 0x10000000;
 const ROM_TABLE = 0x7a;
-export const ROM_LOOKUP = 0x1d0;
-export const ROM_TO_USB_BOOT = 0x1e0;
+const ROM_LOOKUP = 0x1d0;
+const ROM_TO_USB_BOOT = 0x1e0;
 
 export function readUf2(file) {
   const flash = new Uint8Array(2 * 1024 * 1024).fill(0xff);
@@ -44,4 +45,28 @@ export function loadRom(memory) {
     view.setUint16(at + 2, 0x4770, true); // bx lr
   }
   return view;
+}
+
+// A function of the ROM's that the program called.
+export function callRom(machine) {
+  const { core } = machine.chip;
+  const [r0, r1] = core.registers;
+  switch ((core.PC - 2) & ~1) {
+    case ROM_LOOKUP:
+      for (let at = r0; machine.read(at, 2) !== 0; at += 4) if (machine.read(at, 2) === (r1 & 0xffff)) { core.registers[0] = machine.read(at + 2, 2); return; }
+      core.registers[0] = 0;
+      return;
+    case ROM_TO_USB_BOOT: {
+      // Resets by the watchdog and never comes back to flash; scratch 0 and 1 carry the arguments through the reset.
+      const high = OUTPUT_PINS.filter((pin) => !OUTPUTS_HIGH_AT_RESET.includes(pin) && machine.pinLevels.get(pin));
+      machine.bootloader = { tick: machine.now, activity: r0 >>> 0, disabled: r1 >>> 0, high };
+      machine.watchdog.scratchData[0] = r0;
+      machine.watchdog.scratchData[1] = r1;
+      machine.watchdog.reason = 2;
+      machine.watchdogFired = true;
+      machine.heldUntil = machine.now + 1;
+      return;
+    }
+  }
+  fault(`breakpoint at ${hex(core.PC - 2)}`);
 }

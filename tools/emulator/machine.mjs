@@ -2,8 +2,8 @@
 // that make a forgiven mistake fail are ours. Time is in ticks of 10 ns since power came on.
 
 import { RP2040, GPIOPinState } from 'rp2040js';
-import { FLASH, ROM_LOOKUP, ROM_TO_USB_BOOT, loadRom, readUf2 } from './bootrom.mjs';
-import { INPUT_PINS, OUTPUT_PINS, OUTPUTS_HIGH_AT_RESET, TICK_HZ } from './controller.mjs';
+import { FLASH, callRom, loadRom, readUf2 } from './bootrom.mjs';
+import { INPUT_PINS, OUTPUT_PINS, TICK_HZ } from './controller.mjs';
 import { Dma } from './dma.mjs';
 import { Fault, fault, hex } from './fault.mjs';
 import { Pio } from './pio.mjs';
@@ -55,7 +55,7 @@ export class Machine {
     this.chip = chip;
     chip.flash.set(this.flash);
     chip.logger = { debug() {}, info() {}, warn: (name, text) => fault(`${name}: ${text}`), error: (name, text) => fault(`${name}: ${text}`) };
-    chip.onBreak = (code) => this.callRom(code);
+    chip.onBreak = () => callRom(this);
     this.romView = loadRom(this.chip.bootrom);
     this.inReset = 0x01ffffff & ~((1 << RESET_BITS.qspi) | (1 << RESET_BITS.padsQspi));
     this.pios = [new Pio(0), new Pio(1)];
@@ -106,29 +106,6 @@ export class Machine {
     this.systickReload = 0;
     this.systickFrom = 0;
     this.tickOrigin = undefined;
-  }
-
-  callRom() {
-    const { core } = this.chip;
-    const [r0, r1] = core.registers;
-    switch ((core.PC - 2) & ~1) {
-      case ROM_LOOKUP:
-        for (let at = r0; this.read(at, 2) !== 0; at += 4) if (this.read(at, 2) === (r1 & 0xffff)) { core.registers[0] = this.read(at + 2, 2); return; }
-        core.registers[0] = 0;
-        return;
-      case ROM_TO_USB_BOOT: {
-        // Resets by the watchdog and never comes back to flash; scratch 0 and 1 carry the arguments through the reset.
-        const high = OUTPUT_PINS.filter((pin) => !OUTPUTS_HIGH_AT_RESET.includes(pin) && this.pinLevels.get(pin));
-        this.bootloader = { tick: this.now, activity: r0 >>> 0, disabled: r1 >>> 0, high };
-        this.watchdog.scratchData[0] = r0;
-        this.watchdog.scratchData[1] = r1;
-        this.watchdog.reason = 2;
-        this.watchdogFired = true;
-        this.heldUntil = this.now + 1;
-        return;
-      }
-    }
-    fault(`breakpoint at ${hex(core.PC - 2)}`);
   }
 
   // The boot loader has been told to start the image (a UF2 was copied, or PICOBOOT's reboot).
