@@ -56,6 +56,7 @@ class ControllerLine:
                 self._port = Port(self.url)
             except AnnulusError:
                 return []
+            self.head.reopened()
             self._observer.event("link", f"{self.url}: the line is back")
         try:
             return self._said(self._port.pump(self.head, TURN_S))
@@ -110,9 +111,10 @@ class ControllerLine:
         tell = self._observer.event
         for one in heard:
             match one:
-                case Rebooted(boot, previous) if previous is not None:
+                case Rebooted(boot, previous, why) if previous is not None:
                     armed = "; lamps are armed again" if self._armed else ""
-                    tell("reset", f"the controller restarted (boot {previous} -> {boot}){armed}")
+                    told = f"boot {previous} -> {boot}" if boot != previous else f"boot {boot} again, told by: {why}"
+                    tell("reset", f"the controller restarted ({told}){armed}")
                 case EventsLost(first, count):
                     self._account.lose("edge_events", count)
                     tell("events_lost", f"{count} events of the controller are lost, from number {first}")

@@ -19,6 +19,7 @@ import serial
 from annulus.link.codec import Corrupt
 from annulus.link.head import PING_NS, refusal, schema_problem
 from annulus.link.messages import Command, IdentifyReply, Ping, Reply, StatusCode
+from annulus.link.problems import too_old
 from annulus.link.session import Answer, LinkEvent, Session, Unanswered, identify
 from annulus.vocabulary import AnnulusError
 
@@ -121,7 +122,9 @@ class Client:
             raise
 
     def request(self, command: Command, timeout_s: float = REQUEST_S) -> Reply:
-        """The reply to a command that was carried out. AnnulusError when refused (why) or not answered."""
+        """The reply to a command that was carried out. AnnulusError when refused (why), not answered or not known."""
+        if not self.session.knows(type(command)):
+            raise AnnulusError(f"{self._port.url}: {too_old(type(command))}")
         answer = self.ask(command, timeout_s)
         if answer is None:
             name = type(command).__name__.lower()
@@ -186,6 +189,10 @@ class Client:
     def _identify(self, timeout_s: float) -> IdentifyReply:
         answer = self.ask(identify(), timeout_s)
         if answer is not None and isinstance(answer.reply, IdentifyReply):
+            deadline = time.monotonic() + timeout_s
+            while not self.session.informed and time.monotonic() < deadline:
+                for happening in self._turn(READ_S):
+                    self._keep(happening)
             return answer.reply
         url = self._port.url
         if not self._port.bytes_read:

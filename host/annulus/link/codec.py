@@ -9,11 +9,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
-from annulus.link.messages import COMMANDS, EVENTS, MAX_WIRE, NOTICES, REPLIES, Event, Message, Notice
+from annulus.link.messages import COMMANDS, EVENTS, MAX_WIRE, NOTICES, REPLIES, REPLY_BIT, Event, Message, Notice
 
 TO_CONTROLLER: Mapping[int, type[Message]] = COMMANDS
 TO_HOST: Mapping[int, type[Message]] = {**REPLIES, **EVENTS, **NOTICES}
 _CRC_BYTES = 2
+EVENTS_FROM, _NOTICES_FROM = 0x80, 0xF0  # ids
 _HEADER = {"command": 2, "reply": 2, "event": 4, "notice": 1}  # id and what follows it before the payload
 
 
@@ -45,6 +46,15 @@ class Corrupt:
     size: int  # bytes without the delimiter
 
 
+@dataclass(frozen=True, slots=True)
+class Unknown:
+    """A message of a newer controller: whole, by its CRC, but of an id or with a value this host does not know."""
+
+    identity: int
+    sequence: int | None  # of an event or a reply
+    boot: int  # of an event
+
+
 def crc16(body: bytes, schema_byte: int) -> int:
     """CRC-16, polynomial 0x1021, init 0xFFFF, xorout 0xFFFF, over the body and one schema byte.
 
@@ -66,18 +76,19 @@ def encode(frame: Frame) -> bytes:
     return _stuff(body + crc16(body, message.SCHEMA_BYTE).to_bytes(2, "little")) + b"\0"
 
 
-def decode(stuffed: bytes, accepted: Mapping[int, type[Message]] = TO_HOST) -> Frame | Corrupt:
-    """One frame without its delimiter. Never raises: whatever comes, it is a Frame or Corrupt."""
+def decode(stuffed: bytes, accepted: Mapping[int, type[Message]] = TO_HOST) -> Frame | Corrupt | Unknown:
+    """One frame without its delimiter. Never raises: whatever comes, it is a Frame, Unknown or Corrupt."""
     if len(stuffed) >= MAX_WIRE:
         return Corrupt(Why.TOO_LONG, len(stuffed))
     body = _unstuff(stuffed)
     if body is None:
         return Corrupt(Why.COBS, len(stuffed))
-    if len(body) < 1 + _CRC_BYTES:
+    if len(body) < 2 + _CRC_BYTES:
         return Corrupt(Why.LENGTH, len(stuffed))
     kind = accepted.get(body[0])
     if kind is None:
-        return Corrupt(Why.ID, len(stuffed))
+        newer = body[0] >= REPLY_BIT and accepted is TO_HOST and _is_whole(body)
+        return _unknown(body) if newer else Corrupt(Why.ID, len(stuffed))
     header = _HEADER[_kind(body[0])]
     if len(body) != header + kind.LENGTH + _CRC_BYTES:
         return Corrupt(Why.LENGTH, len(stuffed))
@@ -87,7 +98,7 @@ def decode(stuffed: bytes, accepted: Mapping[int, type[Message]] = TO_HOST) -> F
     try:
         message = kind.unpack(content[header:])
     except ValueError:
-        return Corrupt(Why.VALUE, len(stuffed))
+        return _unknown(body) if accepted is TO_HOST else Corrupt(Why.VALUE, len(stuffed))
     sequence = int.from_bytes(content[1:3], "little") if header == 4 else content[1] if header == 2 else 0
     return Frame(message, sequence, content[3] if header == 4 else 0)
 
@@ -100,9 +111,9 @@ class Decoder:
         self._held = bytearray()
         self._dropped = 0  # bytes thrown away of a frame that is too long
 
-    def feed(self, data: bytes) -> list[Frame | Corrupt]:
+    def feed(self, data: bytes) -> list[Frame | Corrupt | Unknown]:
         """Everything that `data` completes, in order. Two zeros in a row are no frame and no error."""
-        found: list[Frame | Corrupt] = []
+        found: list[Frame | Corrupt | Unknown] = []
         *complete, rest = data.split(b"\0")
         for part in complete:
             self._hold(part)
@@ -119,6 +130,19 @@ class Decoder:
         room = MAX_WIRE - len(self._held)
         self._held += part[:room]
         self._dropped += len(part) - min(room, len(part))
+
+
+def _is_whole(body: bytes) -> bool:
+    """Whether some schema byte makes the CRC right: of damaged frames one in 256 has one."""
+    content, crc = body[:-_CRC_BYTES], int.from_bytes(body[-_CRC_BYTES:], "little")
+    return any(crc16(content, schema_byte) == crc for schema_byte in range(256))
+
+
+def _unknown(body: bytes) -> Unknown:
+    if body[0] >= EVENTS_FROM:
+        has_sequence = len(body) >= _HEADER["event"] + _CRC_BYTES and body[0] < _NOTICES_FROM
+        return Unknown(body[0], int.from_bytes(body[1:3], "little") if has_sequence else None, body[3])
+    return Unknown(body[0], body[1], 0)
 
 
 def _kind(identity: int) -> str:

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from annulus.controller import LAMP_DUTY_MAX_PERMILLE, TICK_NS, TICKS_PER_US
+from annulus.link.boots import BootWatch
 from annulus.link.clock import ClockMap
 from annulus.link.messages import (
     PROTOCOL_VERSION,
@@ -25,6 +26,8 @@ from annulus.link.messages import (
     Clear,
     Command,
     Commit,
+    Configuration,
+    ConfigurationReply,
     Edge,
     Fault,
     FaultCode,
@@ -37,6 +40,7 @@ from annulus.link.messages import (
     StatusCode,
     StatusReply,
 )
+from annulus.link.problems import configuration_problem
 from annulus.link.session import Answer, EventReceived, LinkEvent, Rebooted, Session, Unanswered, identify
 from annulus.vocabulary import EdgeFlag, EdgeIndex, Flash, Lamp, Slot, Tick
 
@@ -58,6 +62,7 @@ class Phase(StrEnum):
     DISARMING = "disarming"
     STAGING = "staging"
     COMMITTING = "committing"
+    VERIFYING = "verifying"  # reads back what is in force
     CLEARING = "clearing"
     ARMING = "arming"
     RUNNING = "running"  # armed, as asked
@@ -162,6 +167,7 @@ class HeadControl:
         self._next_step_ns = 0
         self._next_ping_ns = 0
         self._next_status_ns = 0
+        self._boots = BootWatch()
         self._early: deque[tuple[Edge, int, int]] = deque(maxlen=EDGES_WAITING_MAX)  # edge, boot, received
         self._has_run = False
         self._committed = False  # our configuration is in force in this boot
@@ -189,6 +195,11 @@ class HeadControl:
         if self.phase not in (Phase.SEARCHING, Phase.MISMATCH):
             self._restart_steps(Phase.DISARMING)
 
+    def reopened(self) -> None:
+        """The port was opened again: who is there now is asked before anything else."""
+        self.session.reopened()
+        self._restart_steps(Phase.SEARCHING, "the line was opened again")
+
     @property
     def generation(self) -> int:
         """Of the configuration last staged; 0 before the first."""
@@ -208,7 +219,7 @@ class HeadControl:
         """The bytes due now."""
         if self._waiting is None and now >= self._next_step_ns:
             step = self._step()
-            if step is not None:
+            if step is not None and self._may_be_asked(step):
                 self._waiting = self.session.send(step)
                 self._step_sent_ns = now
         if self.phase is not Phase.SEARCHING and not self.session.backlog:  # a line that is stuck is not fed further
@@ -233,11 +244,21 @@ class HeadControl:
                 return replace(self._configuration, generation=self._generation)
             case Phase.COMMITTING:
                 return Commit(self._generation)
+            case Phase.VERIFYING:
+                return Configuration()
             case Phase.CLEARING:
                 return Clear()
             case Phase.ARMING:
                 return Arm(ArmFlag.LAMPS)
         return None
+
+    def _may_be_asked(self, step: Command) -> bool:
+        """What is in force is read back where the controller can tell; that one is known once `info` is settled."""
+        if not isinstance(step, Configuration) or self.session.knows(Configuration):
+            return True
+        if self.session.informed:
+            self._enter(Phase.ARMING if self._armed else Phase.IDLE)
+        return False
 
     def _enter(self, phase: Phase, why: str = "") -> None:
         if (phase, why) != (self.phase, self.problem):
@@ -276,7 +297,9 @@ class HeadControl:
                 self._enter(Phase.COMMITTING)
             case Commit():
                 self._committed = True
-                self._enter(Phase.ARMING if self._armed else Phase.IDLE)
+                self._enter(Phase.VERIFYING)
+            case Configuration() if isinstance(answer.reply, ConfigurationReply):
+                self._verified(answer.reply)
             case Clear():
                 self._cleared = True
                 self._enter(Phase.ARMING if self._armed and self._committed else Phase.DISARMING)
@@ -290,6 +313,15 @@ class HeadControl:
             self._enter(Phase.MISMATCH, problem)
         else:
             self._enter(Phase.DISARMING)
+
+    def _verified(self, reply: ConfigurationReply) -> None:
+        asked = replace(self._configuration, generation=self._generation) if self._configuration is not None else None
+        problem = configuration_problem(reply, asked) if asked is not None else ""
+        if problem:
+            self._committed = False
+            self._enter(Phase.REFUSED, problem)
+        else:
+            self._enter(Phase.ARMING if self._armed else Phase.IDLE)
 
     def _refused(self, answer: Answer, now: int) -> None:
         status = answer.reply.status
@@ -310,16 +342,18 @@ class HeadControl:
         self._news.append(happening)
         match happening:
             case Answer() if isinstance(happening.reply, PingReply):
-                self._sampled(happening.reply, happening)
+                self._sampled(happening.reply, happening, now)
             case Answer() if happening.ticket == self._waiting:
                 self._advance(happening, now)
             case Answer() if isinstance(happening.reply, StatusReply):
-                self._check(happening.reply)
+                self._check(happening.reply, now)
             case Unanswered() if self.phase is Phase.MISMATCH and happening.ticket != self._waiting:
                 pass  # its layout may differ from ours
             case Unanswered() if self.phase is not Phase.SEARCHING or happening.ticket == self._waiting:
                 self._restart_steps(Phase.SEARCHING, f"no answer to {type(happening.command).__name__.lower()}")
-            case EventReceived(event, _, boot, received_ns) if isinstance(event, Edge):
+            case EventReceived(event, _, boot, received_ns, recovered) if isinstance(event, Edge):
+                self._suspect(self._boots.edge(event.edge, recovered), now)
+                self._suspect(self._boots.moment(self.clock, event.tick, received_ns), now)
                 self.edges_unplaced += len(self._early) == EDGES_WAITING_MAX  # the oldest gives way
                 self._early.append((event, boot, received_ns))
                 if self.phase is Phase.RUNNING and EdgeFlag.DISARMED in event.flags:
@@ -329,8 +363,10 @@ class HeadControl:
         if self.clock.locked:
             self._news.extend(self._placed())
 
-    def _sampled(self, reply: PingReply, answer: Answer) -> None:
+    def _sampled(self, reply: PingReply, answer: Answer, now: int) -> None:
         if answer.tries > 1 or reply.status is not StatusCode.OK:
+            return
+        if self._suspect(self._boots.ping(self.clock, reply.tick, answer.sent_ns, answer.received_ns), now):
             return
         was_locked = self.clock.locked
         self.clock.sample(reply.tick, answer.sent_ns, answer.received_ns)
@@ -338,8 +374,16 @@ class HeadControl:
             self._forget_edges()
             self._restart_steps(Phase.SEARCHING, "the controller's clock jumped")
 
-    def _check(self, status: StatusReply) -> None:
+    def _suspect(self, why: str, now: int) -> bool:
+        """Taken for another boot, whatever its byte says: its events are never placed by the old one's clock."""
+        for happening in self.session.suspect(why) if why else ():
+            self._news_of(happening, now)
+        return bool(why)
+
+    def _check(self, status: StatusReply, now: int) -> None:
         self.status = status
+        if self._suspect(self._boots.status(status.edges), now):
+            return
         if self.phase is Phase.RUNNING and StateFlag.LAMPS_ARMED not in status.state:
             self._restart_steps(Phase.CLEARING, f"disarmed by the controller: {status.fault.name.lower()}")
 
@@ -369,11 +413,13 @@ class HeadControl:
 
     def _rebooted(self, happening: Rebooted) -> None:
         self.boot_epoch += 1
+        self._boots.restart()
         self._forget_edges()
         self.clock.restart()
         self._committed = False
         if happening.previous is not None:
-            self._restart_steps(Phase.SEARCHING, "the controller restarted")
+            same = "" if happening.boot != happening.previous else f": {happening.why}"
+            self._restart_steps(Phase.SEARCHING, f"the controller restarted{same}")
 
     def _forget_edges(self) -> None:
         self.edges_unplaced += len(self._early)

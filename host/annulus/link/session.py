@@ -16,16 +16,20 @@ from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields
 
-from annulus.link.codec import Corrupt, Decoder, Frame, encode
+from annulus.link.codec import EVENTS_FROM, Corrupt, Decoder, Frame, Unknown, encode
 from annulus.link.messages import (
     EVENT_RING,
+    LEVEL,
     PROTOCOL_VERSION,
     SCHEMA_HASH,
+    Booted,
     Command,
     Event,
     Garbled,
     Identify,
     IdentifyReply,
+    Info,
+    InfoReply,
     Reply,
     Reread,
     RereadReply,
@@ -37,11 +41,13 @@ WINDOW = 4  # commands on the line at once; the controller holds 8 replies
 QUEUE_MAX = 64  # commands waiting for their turn
 OTHERS_MAX = 6  # sendings while a non-query is unanswered: the controller knows a repeat only for 8 further commands
 TRIES_MAX = 6
+INFO_TRIES = 4  # a controller of level 1 says garbled to each
 FIRST_REPEAT_NS = 50_000_000
 LAST_REPEAT_NS = 400_000_000  # back-off doubles up to here: a stalled host must not meet a storm of its own making
 GARBLED_REPEAT_NS = 5_000_000  # a frame older than this when the controller complains is the one it means
 REREAD_WAIT_NS = 30_000_000
 REREAD_TRIES = 5
+ASKED_MAX = 8 * EVENT_RING  # sequences of rereads remembered: their events may come more than once
 _EVENT_MODULUS = 1 << 16
 
 
@@ -88,10 +94,13 @@ class EventsLost:
 
 @dataclass(frozen=True, slots=True)
 class Rebooted:
-    """Another boot of the controller: sequences, ticks, configuration begin anew. `previous` None: the first met."""
+    """Another boot of the controller: sequences, ticks, configuration begin anew. `previous` None: the first met. The
+    same byte as before: told by something else, `why`.
+    """
 
     boot: int
     previous: int | None
+    why: str = "another boot byte"
 
 
 LinkEvent = Answer | Unanswered | EventReceived | EventsLost | Corrupt | Rebooted
@@ -112,6 +121,8 @@ class Counters:
     events_repeated: int = 0  # heard already
     rereads: int = 0
     reboots: int = 0
+    reboots_unfounded: int = 0  # taken for one, but the nonce is the same
+    unknown: int = 0  # messages of a newer controller, passed over
     garbled: int = 0  # our frames, as the controller complains
     corrupt: dict[str, int] = field(default_factory=dict)  # by reason
 
@@ -152,6 +163,30 @@ class Session:
         self._missing: dict[int, _Missing] = {}  # by event sequence, oldest first; never more than EVENT_RING
         self._rereading: int | None = None  # ticket: the controller keeps one re-read at a time
         self._fresh = True
+        self.informed = False  # the controller has said what it can do, or been found to know no such question
+        self.info: InfoReply | None = None  # None: of level 1
+        self._asking: int | None = None  # ticket of our own question
+        self._nonce: int | None = None  # of the boot under way
+        self._suspected = False
+        self._asked: deque[int] = deque(maxlen=ASKED_MAX)
+
+    def knows(self, command: type[Command]) -> bool:
+        """Whether the controller at the other end has this command."""
+        if command.SINCE == 1:
+            return True
+        return self.info is not None and bool(self.info.commands[command.ID // 8] >> command.ID % 8 & 1)
+
+    def reopened(self) -> None:
+        """The line was closed and opened again: what came in half will not be completed. Identify next."""
+        self._decoder = Decoder()
+        self._fresh = True
+
+    def suspect(self, why: str) -> list[LinkEvent]:
+        """Something was heard that the boot we know cannot have said: take it for another one. Identify next."""
+        if self.boot is None:
+            return []
+        self._suspected = True
+        return list(self._begin_anew(self.boot, None, why))
 
     def send(self, command: Command) -> int:
         """Queue a command; the ticket comes back in its Answer or Unanswered. AnnulusError when the queue is full."""
@@ -179,10 +214,12 @@ class Session:
             if isinstance(frame, Corrupt):
                 self.counters.corrupt[frame.why] = self.counters.corrupt.get(frame.why, 0) + 1
                 happenings.append(frame)
+            elif isinstance(frame, Unknown):
+                happenings += self._unknown(frame, now)
             elif isinstance(frame.message, Reply):
                 happenings += self._reply(frame.message, frame.sequence, now)
             elif isinstance(frame.message, Event):
-                happenings += self._event(frame.message, frame, now)
+                happenings += self._event(frame.message, frame.sequence, frame.boot, now)
             elif isinstance(frame.message, Garbled):
                 self.counters.garbled += 1
                 for waiting in self._outstanding.values():
@@ -192,7 +229,7 @@ class Session:
     def expire(self, now: int) -> list[LinkEvent]:
         """Commands and events given up by `now`. Call now and then; `pending` does not report."""
         happenings: list[LinkEvent] = []
-        for waiting in [w for w in self._outstanding.values() if w.due_ns <= now and w.tries >= TRIES_MAX]:
+        for waiting in [w for w in self._outstanding.values() if w.due_ns <= now and w.tries >= _tries(w.command)]:
             del self._outstanding[waiting.sequence]
             happenings += self._give_up(waiting.ticket, waiting.command, f"no answer to {waiting.tries} tries")
         given_up = [s for s, m in self._missing.items() if m.due_ns <= now and m.tries >= REREAD_TRIES]
@@ -207,7 +244,7 @@ class Session:
             out.append(0)  # ends whatever half a frame the line holds from before
             self._fresh = False
         for waiting in self._outstanding.values():
-            if waiting.due_ns <= now and waiting.tries < TRIES_MAX and self._may_send(waiting):
+            if waiting.due_ns <= now and waiting.tries < _tries(waiting.command) and self._may_send(waiting):
                 waiting.tries += 1
                 waiting.due_ns = now + _patience(waiting.tries)
                 waiting.sent_ns = now
@@ -259,6 +296,12 @@ class Session:
         del self._outstanding[sequence]
         if isinstance(reply, IdentifyReply):
             yield from self._meet(reply.boot)
+            self._ask_info(reply)
+        if waiting.ticket == self._asking:
+            self._asking = None
+            if isinstance(reply, InfoReply):
+                yield from self._informed(reply)
+            return
         if waiting.ticket == self._rereading:
             self._rereading = None
             if isinstance(reply, RereadReply) and isinstance(waiting.command, Reread):
@@ -270,28 +313,76 @@ class Session:
         if ticket == self._rereading:
             self._rereading = None
             return
+        if ticket == self._asking:
+            self._asking = None
+            self.informed = True
+            return
         self.counters.unanswered += 1
         yield Unanswered(ticket, command, why)
 
+    def _ask_info(self, who: IdentifyReply) -> None:
+        """Behind every identify: it made the controller speak at level 1 again."""
+        self.informed, self.info, self._asking = True, None, None
+        if (who.protocol, who.schema) == (PROTOCOL_VERSION, SCHEMA_HASH) and len(self._queue) < QUEUE_MAX:
+            self.informed = False
+            self._asking = self.send(Info(LEVEL))
+            self._queue.appendleft(self._queue.pop())
+
+    def _informed(self, reply: InfoReply) -> Iterator[LinkEvent]:
+        self.informed, self.info = True, reply
+        before, self._nonce = self._nonce, reply.nonce
+        if self._suspected:
+            self._suspected = False
+            self.counters.reboots_unfounded += before == reply.nonce
+        elif before is not None and before != reply.nonce and self.boot is not None:
+            yield from self._begin_anew(self.boot, None, "another nonce")
+
+    def _unknown(self, unknown: Unknown, now: int) -> Iterator[LinkEvent]:
+        """What a newer controller says: its place in the sequence counts, and whoever waits need not wait longer."""
+        self.counters.unknown += 1
+        if unknown.identity >= EVENTS_FROM:
+            if unknown.sequence is not None:
+                yield from self._event(None, unknown.sequence, unknown.boot, now)
+            return
+        waiting = self._outstanding.get(unknown.sequence or 0)
+        if waiting is not None and unknown.identity == waiting.command.REPLY.ID:
+            del self._outstanding[waiting.sequence]
+            yield from self._give_up(waiting.ticket, waiting.command, "an answer that this host cannot read")
+
     # ---- events ----
 
-    def _event(self, event: Event, frame: Frame, now: int) -> Iterator[LinkEvent]:
-        yield from self._meet(frame.boot)
-        expected = self._next_event if self._next_event is not None else frame.sequence
-        ahead = (frame.sequence - expected) % _EVENT_MODULUS
+    def _event(self, event: Event | None, sequence: int, boot: int, now: int) -> Iterator[LinkEvent]:
+        """None: one this host does not know."""
+        yield from self._meet(boot)
+        yield from self._same_boot(event, sequence)
+        expected = self._next_event if self._next_event is not None else sequence
+        ahead = (sequence - expected) % _EVENT_MODULUS
         recovered = False
         if ahead < _EVENT_MODULUS // 2:
-            self._next_event = (frame.sequence + 1) % _EVENT_MODULUS
+            self._next_event = (sequence + 1) % _EVENT_MODULUS
             yield from self._miss(expected, ahead, now)
-        elif frame.sequence in self._missing:
-            del self._missing[frame.sequence]
+        elif sequence in self._missing:
+            del self._missing[sequence]
             self.counters.events_recovered += 1
             recovered = True
         else:
             self.counters.events_repeated += 1
             return
+        if event is None:
+            return
         self.counters.events += 1
-        yield EventReceived(event, frame.sequence, frame.boot, now, recovered)
+        yield EventReceived(event, sequence, boot, now, recovered)
+
+    def _same_boot(self, event: Event | None, sequence: int) -> Iterator[LinkEvent]:
+        """One loss of power in 256 leaves the boot byte as it was. Nobody hears an old event without asking for it, nor
+        ever `booted` in the middle: then the sequence has begun anew.
+        """
+        if self._next_event is None or self.boot is None or sequence in self._missing or sequence in self._asked:
+            return
+        behind = (self._next_event - sequence) % _EVENT_MODULUS
+        if 0 < behind <= _EVENT_MODULUS // 2 or (isinstance(event, Booted) and behind):
+            self._suspected = True
+            yield from self._begin_anew(self.boot, 0, "its events begin anew")
 
     def _miss(self, first: int, count: int, now: int) -> Iterator[LinkEvent]:
         """Note a gap. What cannot be in the controller's ring any more is lost at once."""
@@ -320,6 +411,7 @@ class Session:
             count += 1
         self.counters.rereads += 1
         self._rereading = self.send(Reread(first, count))
+        self._asked.extend((first + ahead) % _EVENT_MODULUS for ahead in range(count))
         self._queue.appendleft(self._queue.pop())  # events are waited for; commands behind it wait a moment
 
     def _reread_answered(self, asked: Reread, reply: RereadReply, now: int) -> Iterator[LinkEvent]:
@@ -355,19 +447,28 @@ class Session:
         """Note who is speaking. A new boot byte ends everything that was under way with the former boot."""
         if boot == self.boot:
             return
-        previous = self.boot
-        if previous is not None:
-            self.counters.reboots += 1
-            yield from self._lose(list(self._missing))
-            self._next_event = 0  # a boot's first event is number 0
-            # Sent now or again, these would be carried out by a boot they were not meant for.
-            gone = [(w.ticket, w.command) for w in self._outstanding.values()] + list(self._queue)
-            self._outstanding.clear()
-            self._queue.clear()
-            for ticket, command in gone:
-                yield from self._give_up(ticket, command, "the controller restarted")
-        self.boot = boot
-        yield Rebooted(boot, previous)
+        if self.boot is None:
+            self.boot = boot
+            yield Rebooted(boot, None)
+        else:
+            yield from self._begin_anew(boot, 0, "another boot byte")
+
+    def _begin_anew(self, boot: int, next_event: int | None, why: str) -> Iterator[LinkEvent]:
+        """Of the boot that ended nothing is carried over. `next_event`: a boot's first is number 0; None: the next."""
+        self.counters.reboots += 1
+        yield from self._lose(list(self._missing))
+        self._nonce = self._nonce if self._suspected else None
+        self._next_event = next_event
+        self._asked.clear()
+        # Sent now or again, these would be carried out by a boot they were not meant for.
+        gone = [(w.ticket, w.command) for w in self._outstanding.values()] + list(self._queue)
+        self._outstanding.clear()
+        self._queue.clear()
+        for ticket, command in gone:
+            yield from self._give_up(ticket, command, "the controller restarted")
+        previous, self.boot = self.boot, boot
+        self.informed, self.info, self._asking = False, None, None
+        yield Rebooted(boot, previous, why)
 
 
 def identify() -> Identify:
@@ -378,6 +479,10 @@ def identify() -> Identify:
 def _ordered(command: Command) -> bool:
     """Carried out in the order sent, one at a time. Identify too: after it the controller knows no repeats."""
     return not command.QUERY or isinstance(command, Identify)
+
+
+def _tries(command: Command) -> int:
+    return INFO_TRIES if isinstance(command, Info) else TRIES_MAX
 
 
 def _patience(tries: int) -> int:

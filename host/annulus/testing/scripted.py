@@ -6,9 +6,11 @@ import random
 from collections import deque
 
 from annulus.controller import TICK_HZ
-from annulus.link.codec import TO_CONTROLLER, Corrupt, Decoder, Frame, encode
+from annulus.link.codec import TO_CONTROLLER, Corrupt, Decoder, Frame, crc16, encode
 from annulus.link.messages import (
+    COMMANDS,
     EVENT_RING,
+    LEVEL,
     PROTOCOL_VERSION,
     SCHEMA_HASH,
     Arm,
@@ -20,11 +22,16 @@ from annulus.link.messages import (
     Command,
     Commit,
     CommitReply,
+    Configuration,
+    ConfigurationReply,
+    Edge,
     Event,
     FaultCode,
     Garbled,
     Identify,
     IdentifyReply,
+    Info,
+    InfoReply,
     Move,
     MoveReply,
     Ping,
@@ -46,8 +53,11 @@ REPLIES_KEPT = 8
 class ScriptedController:
     """Carries commands out at most once as long as a host keeps to its window."""
 
-    def __init__(self, boot: int = 7, *, schema: int = SCHEMA_HASH) -> None:
+    def __init__(self, boot: int = 7, *, schema: int = SCHEMA_HASH, level: int = LEVEL) -> None:
         self.schema = schema
+        self.level = level
+        self.nonce = 0x1000
+        self.in_force: Stage | None = None
         self.refuse: dict[type[Command], tuple[StatusCode, int]] = {}
         self.executed: list[Command] = []  # over all lives
         self.armed = False
@@ -57,7 +67,11 @@ class ScriptedController:
     def _start(self, boot: int) -> None:
         self.boot = boot
         self.tick_origin_ns: int | None = None
-        self._decoder = Decoder(TO_CONTROLLER)
+        self._decoder = Decoder({id_: kind for id_, kind in TO_CONTROLLER.items() if self.level >= kind.SINCE})
+        self.nonce += 1
+        self.edges = 0
+        self._staged: Stage | None = None
+        self.in_force = None
         self._kept: deque[tuple[Command, int, bytes]] = deque(maxlen=REPLIES_KEPT)
         self._ring: dict[int, Event] = {}
         self._next = 0
@@ -65,11 +79,18 @@ class ScriptedController:
         self._out = bytearray()
         self.armed = False
 
+    def power_cycle(self) -> None:
+        """Begins anew with the same boot byte, and nobody hears it."""
+        self._start(self.boot)
+        self.emit(Booted(BootCause.POWER_ON, 0), reach_the_line=False)
+
     def reset(self) -> None:
         self._start((self.boot + 1) % 256)
         self.emit(Booted(BootCause.HOST_RESET, 0))
 
     def emit(self, event: Event, *, reach_the_line: bool = True) -> int:
+        if isinstance(event, Edge):
+            self.edges = event.edge + 1
         sequence = self._next
         self._next = (self._next + 1) % 65536
         self._ring[sequence] = event
@@ -126,10 +147,19 @@ class ScriptedController:
                 return PingReply(*ok, tick)
             case Status():
                 state = StateFlag.LAMPS_ARMED if self.armed else StateFlag(0)
-                return StatusReply(*ok, state, self.fault, 1, 0, 0, 0, 0, self._next, 0, 0, 0, 0)
+                return StatusReply(*ok, state, self.fault, 1, self.edges, 0, 0, 0, self._next, 0, 0, 0, 0)
+            case Info():
+                known = sum(1 << id_ for id_ in COMMANDS).to_bytes(8, "little")
+                return InfoReply(*ok, self.level, 0, 1, 0, b"0" * 16, known, 0xFF, self.nonce, 0, 0, 1000)
+            case Configuration():
+                held = self.in_force or Stage(0, *[0] * 10)
+                crc = crc16(held.pack(), Stage.SCHEMA_BYTE) if self.in_force else 0
+                return ConfigurationReply(*ok, *(getattr(held, name) for name in Stage.FIELDS), crc)
             case Stage(generation):
+                self._staged = command
                 return StageReply(*ok, generation, 0, 0)
             case Commit(generation):
+                self.in_force = self._staged
                 return CommitReply(*ok, generation)
             case Arm(outputs):
                 self.armed = bool(outputs) and status is StatusCode.OK
