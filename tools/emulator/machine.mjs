@@ -8,6 +8,7 @@ import { Dma } from './dma.mjs';
 import { Fault, fault, hex } from './fault.mjs';
 import { Pio } from './pio.mjs';
 import { Ssi } from './ssi.mjs';
+import { Trap } from './trap.mjs';
 import { Uart } from './uart.mjs';
 import { Usb } from './usb.mjs';
 import { UsbHost } from './usbhost.mjs';
@@ -420,7 +421,7 @@ export class Machine {
         this.advance(Math.max(next, this.now + 1));
         this.findDue();
       } else {
-        const cycles = this.trap === undefined ? core.executeInstruction() : this.executeTrapped();
+        const cycles = this.trap ? this.trap.step(core) : core.executeInstruction();
         this.usedInstructions++;
         if (this.now + cycles < this.nextDue) this.now += cycles;
         else {
@@ -482,18 +483,7 @@ export class Machine {
 
   stall(ticks) { this.stalledUntil = this.now + ticks; }
 
-  // Once the program comes to `at`: `fault` takes a hard fault there, `hang` goes on no further (interrupts are served).
-  setTrap(at, what) { this.trap = { at, what }; }
-
-  executeTrapped() {
-    const { core } = this.chip;
-    if (core.interruptsUpdated && core.checkForInterrupts()) core.waiting = false;
-    if ((core.PC & ~1) !== this.trap.at) return core.executeInstruction();
-    if (this.trap.what === 'hang') return 2; // a branch to itself
-    this.trap = undefined;
-    core.exceptionEntry(3);
-    return 15;
-  }
+  setTrap(at, what) { this.trap = new Trap(at, what); }
 
   // Power off and on again; only what was wired to it stays as it was.
   powerCycle() {
