@@ -189,8 +189,8 @@ class Client:
     def _identify(self, timeout_s: float) -> IdentifyReply:
         answer = self.ask(identify(), timeout_s)
         if answer is not None and isinstance(answer.reply, IdentifyReply):
-            deadline = time.monotonic() + timeout_s
-            while not self.session.informed and time.monotonic() < deadline:
+            deadline = self.now_s() + timeout_s
+            while not self.session.informed and self.now_s() < deadline:
                 for happening in self._turn(READ_S):
                     self._keep(happening)
             return answer.reply

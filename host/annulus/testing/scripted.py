@@ -6,7 +6,7 @@ import random
 from collections import deque
 
 from annulus.controller import TICK_HZ
-from annulus.link.codec import TO_CONTROLLER, Corrupt, Decoder, Frame, crc16, encode
+from annulus.link.codec import TO_CONTROLLER, Decoder, Frame, crc16, encode
 from annulus.link.messages import (
     COMMANDS,
     EVENT_RING,
@@ -109,7 +109,7 @@ class ScriptedController:
         if self.tick_origin_ns is None:
             self.tick_origin_ns = now
         for frame in self._decoder.feed(data):
-            if isinstance(frame, Corrupt):
+            if not isinstance(frame, Frame):
                 self._bad += 1
                 self._out += encode(Frame(Garbled(self._bad % 65536), 0))
                 continue
@@ -154,7 +154,7 @@ class ScriptedController:
             case Configuration():
                 held = self.in_force or Stage(0, *[0] * 10)
                 crc = crc16(held.pack(), Stage.SCHEMA_BYTE) if self.in_force else 0
-                return ConfigurationReply(*ok, *(getattr(held, name) for name in Stage.FIELDS), crc)
+                return ConfigurationReply.unpack(bytes(ok) + held.pack() + crc.to_bytes(2, "little"))
             case Stage(generation):
                 self._staged = command
                 return StageReply(*ok, generation, 0, 0)

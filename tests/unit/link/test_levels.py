@@ -9,7 +9,6 @@ from contextlib import suppress
 from dataclasses import replace
 
 import pytest
-from scripted_controller import ScriptedController
 
 from annulus.link.client import Client
 from annulus.link.codec import Corrupt, Decoder, Unknown, crc16
@@ -28,6 +27,7 @@ from annulus.link.messages import (
     TurntableDone,
 )
 from annulus.link.session import Answer, EventReceived, EventsLost, Rebooted, Session, identify
+from annulus.testing.scripted import ScriptedController
 from annulus.vocabulary import AnnulusError, EdgeFlag, Lamp
 
 MS = 1_000_000

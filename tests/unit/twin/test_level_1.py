@@ -10,7 +10,7 @@ from annulus.twin.native import NativeBoard
 
 BEFORE = Path(__file__).parents[2] / "data/before/level-1.json"
 MS = 100_000
-READ_WHEN_ASKED = {"tick", "start", "git"}  # ticks of the round that looked; the commit
+READ_WHEN_ASKED = {"tick", "start", "done", "git"}  # of the round that looked, or stopped the train; the commit
 
 
 def played(log: list[dict[str, Any]]) -> tuple[list[Frame], list[Frame], int]:
