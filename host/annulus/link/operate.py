@@ -6,10 +6,11 @@ import time
 from collections.abc import Callable
 from typing import Protocol, TypeVar
 
-from annulus.controller import CHIPS_MAX, CODES, TICK_HZ, TICKS_PER_US
+from annulus.controller import CHIPS_MAX, CODES, HOST_TIMEOUT_DEFAULT_MS, TICK_HZ, TICKS_PER_US
 from annulus.link.client import Client
 from annulus.link.head import LATCHING
 from annulus.link.messages import (
+    COMMANDS,
     Arm,
     ArmFlag,
     BootCause,
@@ -20,6 +21,11 @@ from annulus.link.messages import (
     Clear,
     ClearReply,
     Commit,
+    Configuration,
+    ConfigurationReply,
+    Crash,
+    CrashKind,
+    CrashReply,
     Edge,
     Fault,
     FaultCode,
@@ -33,11 +39,13 @@ from annulus.link.messages import (
     SyncLost,
     TurntableDone,
 )
+from annulus.link.problems import configuration_problem
 from annulus.link.session import EventReceived, EventsLost, Rebooted
 from annulus.vocabulary import AnnulusError, Lamp
 
 KEEP_ALIVE_S = 0.1  # well inside the shortest sensible host timeout
 TRAIN_SLACK_S = 1.0
+FORCE_SLACK_S = 0.5  # beyond the frames of a cycle, for a commit to take force
 TURNTABLE_BUSY_S = 60.0
 U32 = 2**32
 
@@ -45,14 +53,18 @@ Awaited = TypeVar("Awaited", BurstDone, TurntableDone)
 
 
 def status(port: str) -> dict[str, object]:
-    """Identity, state and counters, with units in the names."""
+    """Identity, state, counters, configuration and the last crash, with units in the names; null: firmware too old."""
     with Client(port, diagnostics=True) as client:
         who = client.identity
         reply = client.request(Status())
         assert isinstance(reply, StatusReply)
+        info = client.session.info
         return {
             "board": _text(who.board),
+            "serial_number": _text(info.serial) if info else None,
             "firmware": _text(who.git),
+            "version": f"{info.major}.{info.minor}.{info.patch}" if info else None,
+            "level": info.level if info else 1,
             "protocol": who.protocol,
             "schema": f"{who.schema:08x}",
             "boot": who.boot,
@@ -68,7 +80,54 @@ def status(port: str) -> dict[str, object]:
             "bad_frames": reply.bad_frames,
             "late_flashes": reply.late,
             "event_overruns": reply.overruns,
+            "longest_round_us": info.round_longest / TICKS_PER_US if info else None,
+            **_configuration_fields(client),
+            **_crash_fields(client),
         }
+
+
+def _configuration_fields(client: Client) -> dict[str, object]:
+    """What is in force; null without one."""
+    found = client.request(Configuration()) if client.session.knows(Configuration) else None
+    if not isinstance(found, ConfigurationReply) or found.generation == 0:
+        return {"configuration": None}
+    us = TICKS_PER_US
+    return {
+        "configuration": f"{found.crc:04x}",
+        "ratio": found.ratio,
+        "configured_period_us": found.frame_period / us,
+        "exposure_us": found.exposure / us,
+        "readout_us": found.readout / us,
+        "tolerance_permille": found.tolerance,
+        "host_timeout_ms": found.host_timeout or HOST_TIMEOUT_DEFAULT_MS,
+        "projector_delay_us": found.projector_delay / us,
+        "projector_width_us": found.projector_width / us,
+        "led_delay_us": found.led_delay / us,
+        "led_width_us": found.led_width / us,
+    }
+
+
+def _crash_fields(client: Client) -> dict[str, object]:
+    """The last end that nobody asked for, in one line, and what to do with it."""
+    last = client.request(Crash()) if client.session.knows(Crash) else None
+    if not isinstance(last, CrashReply):
+        return {"boots_since_power_on": None, "crashes_since_power_on": None, "crash": None, "crash_pc": None}
+    return {
+        "boots_since_power_on": last.boots,
+        "crashes_since_power_on": last.crashes,
+        "crash": _crash_line(last) if last.kind is not CrashKind.NONE else None,
+        "crash_pc": f"{last.pc:#010x}" if last.pc else None,
+    }
+
+
+def _crash_line(last: CrashReply) -> str:
+    doing = f", last command {COMMANDS[last.command].__name__.lower()}" if last.command in COMMANDS else ""
+    todo = f"; addr2line -fe firmware/build/annulus.elf {last.pc:#x} {last.lr & ~1:#x}" if last.pc else ""
+    return (
+        f"{last.kind.name.lower().replace('_', ' ')} in boot {last.boot} of {last.boots},"
+        f" {last.tick / TICK_HZ:.3f} s (modulo 42.9 s) after it began, part {last.part.name.lower()} of round"
+        f" {last.rounds}{doing}{todo}"
+    )
 
 
 def configure(port: str, stage: Stage) -> dict[str, object]:
@@ -77,11 +136,32 @@ def configure(port: str, stage: Stage) -> dict[str, object]:
         reply = client.request(stage)
         assert isinstance(reply, StageReply)
         client.request(Commit(stage.generation))
+        verified = _verify(client, port, stage)
         return {
             "generation": reply.generation,
             "window_opens_us": reply.window_open / TICKS_PER_US,
             "window_closes_us": reply.window_close / TICKS_PER_US,
+            "read_back": verified,
         }
+
+
+def _verify(client: Client, port: str, stage: Stage) -> bool:
+    """What is in force is what was asked for, or AnnulusError. False: the firmware is too old to be asked.
+
+    While the lamps are armed it takes force at the next slot 0 only, after as many frames as a cycle has.
+    """
+    if not client.session.knows(Configuration):
+        return False
+    end = client.now_s() + FORCE_SLACK_S + (stage.ratio + 1) * stage.frame_period / TICK_HZ
+    while True:
+        found = client.request(Configuration())
+        assert isinstance(found, ConfigurationReply)
+        problem = configuration_problem(found, stage)
+        if not problem:
+            return True
+        if client.now_s() > end or found.generation == stage.generation:
+            raise AnnulusError(f"{port}: {problem}")
+        client.poll(KEEP_ALIVE_S)
 
 
 def disarm(port: str) -> None:
