@@ -179,6 +179,37 @@ MUTANTS = (
     Mutant("credit-not-enforced", "rp2040/microwave.c", "JMP_X_NOT_Y(GUARD_TAKE),", "JMP(GUARD_TAKE),", "stuck"),
     Mutant("credit-twice-as-long", "rp2040/microwave.c", "#define CREDIT 100000U", "#define CREDIT 200000U", "stuck"),
     Mutant(
+        "crash-forgotten-at-start",
+        "rp2040/crash.c",
+        "if ((cause == BOOT_CAUSE_POWER_ON) ||",
+        "if ((cause != BOOT_CAUSE_HOST_RESET) ||",
+        "hung",
+    ),
+    Mutant(
+        "alarm-after-the-watchdog", "rp2040/reset.c", "BOARD_WATCHDOG_MS * 800U", "BOARD_WATCHDOG_MS * 1200U", "hung"
+    ),
+    Mutant(
+        "hard-fault-waits-for-the-watchdog",
+        "rp2040/crash.c",
+        "    SET_BITS(WATCHDOG_CTRL) = WATCHDOG_TRIGGER;\n",
+        "",
+        "hard_fault",
+    ),
+    Mutant(
+        "crash-outlives-the-power",
+        "rp2040/crash.c",
+        "if ((cause == BOOT_CAUSE_POWER_ON) ||",
+        "if (",
+        "short_loss_of_power",
+    ),
+    Mutant(
+        "boot-without-chance",
+        "rp2040/identity.c",
+        "nonce = (nonce << 16) | random_16();",
+        "nonce = 0x00070007U;",
+        "ring_oscillator or nonce_of_another",
+    ),
+    Mutant(
         "duty-of-the-configured-period",
         "core/sequencer.c",
         "const uint32_t next_edge = holdoff_ticks(config);",

@@ -148,15 +148,27 @@ static void a_stalled_loop_leaves_a_record_that_outlives_resets_but_not_the_powe
     EXPECT_EQ(crash().boots, 1);
 }
 
-// What the one host reads must never depend on what the other one knows.
+// Of level 0 is nothing, so to a host of level 0 everything is new.
+static void what_a_host_cannot_read_comes_as_a_fault_and_keeps_its_place(void)
+{
+    static const event_t edge = {.id = EVENT_EDGE, .payload = {1, 2, 3, 4, 5, 6, 7, 8, 9}};
+    event_t said = events_at_level(&edge, 1);
+    EXPECT_EQ(memcmp(&said, &edge, sizeof said), 0);
+    said = events_at_level(&edge, 0);
+    event_fault_t fault;
+    event_fault_unpack(&fault, said.payload);
+    EXPECT_EQ(said.id, EVENT_FAULT);
+    EXPECT_EQ(fault.tick, 0x04030201);
+    EXPECT_EQ(fault.fault, FAULT_NONE);
+    EXPECT_EQ(fault.detail, EVENT_EDGE);
+    for (uint8_t code = FAULT_NONE; code <= FAULT_LIMIT; code++) {
+        EXPECT_EQ(events_fault_at_level(code, 1), code);
+    }
+    EXPECT_EQ(events_fault_at_level(FAULT_HOST_TIMEOUT, 0), FAULT_LIMIT);
+}
+
 static void a_level_lasts_until_the_next_identify_of_its_line(void)
 {
-    static const event_t added = {.id = EVENT_FAULT, .payload = {1, 2, 3, 4, 0x63}};
-    event_t said = events_at_level(&added, 1);
-    EXPECT_EQ(said.payload[4], added.payload[4]);  // no code that anybody added
-    static const event_t done = {.id = EVENT_BURST_DONE, .payload = {0, 0, 0, 0, 3, 0, FAULT_INTERLOCK}};
-    said = events_at_level(&done, 1);
-    EXPECT_EQ(memcmp(&said, &done, sizeof said), 0);
     rig_start();
     EXPECT_EQ(info(200).level, LEVEL);
     EXPECT_EQ(identify(), STATUS_OK);
@@ -169,5 +181,6 @@ void queries_tests(void)
     RUN(the_nonce_changes_with_every_boot_though_the_boot_byte_does_not);
     RUN(the_configuration_in_force_is_read_back_whole);
     RUN(a_stalled_loop_leaves_a_record_that_outlives_resets_but_not_the_power);
+    RUN(what_a_host_cannot_read_comes_as_a_fault_and_keeps_its_place);
     RUN(a_level_lasts_until_the_next_identify_of_its_line);
 }

@@ -190,9 +190,9 @@ class EmulatedBoard:
         self._do(op="trap", at=at, what=what)
         return at
 
-    def power_cycle(self) -> None:
-        """Power off and on at once: nothing is remembered, inputs stay as they are."""
-        self._do(op="power-cycle")
+    def power_cycle(self, *, short: bool = False) -> None:
+        """Power off and on: nothing is remembered, or, if it was `short`, the RAM; inputs stay as they are."""
+        self._do(op="power-cycle", short=short)
 
     def leave_bootloader(self) -> None:
         """As after a UF2 was copied: the boot ROM resets and starts the image."""

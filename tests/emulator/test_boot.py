@@ -115,6 +115,20 @@ def test_boot_bytes_of_power_ups_are_spread_though_the_ring_oscillator_is_not_fa
     assert len(boots) > 18
 
 
+def test_after_a_short_loss_of_power_the_ram_still_tells_the_boot_byte_apart(board: EmulatedBoard) -> None:
+    board.identify()
+    board.trap("query_ping", "hang")
+    board.send(Ping())
+    board.run(board.now + 110 * MS)
+    for _ in range(4):
+        before = board.identify().boot
+        board.power_cycle(short=True)
+        board.run(board.now + BOOTED)
+        assert board.identify().boot == (before + 1) % 256
+        gone = crash_of(board)
+        assert (gone.kind, gone.crashes, gone.boots) == (CrashKind.NONE, 0, 1)
+
+
 def test_no_boot_has_the_nonce_of_another(board: EmulatedBoard) -> None:
     nonces = set()
     for _ in range(24):

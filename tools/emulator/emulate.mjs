@@ -9,7 +9,7 @@
 //
 // Objects: {"op": "run", "until": T} | {"op": "input", "edges": [[tick, pin, level], ..]} | {"op": "write", "hex": ".."}
 //   | {"op": "stall", "ticks": N} | {"op": "wires", "wires": [[from, to], ..]} | {"op": "leave-bootloader"}
-//   | {"op": "trap", "at": ADDRESS, "what": "hang" | "fault"} | {"op": "power-cycle"}
+//   | {"op": "trap", "at": ADDRESS, "what": "hang" | "fault"} | {"op": "power-cycle", "short": true | false}
 //   | {"op": "usb", "do": "attach" | "detach" | "reset" | "suspend" | "resume" | "hang" | "open" | "close" | "write" (hex)
 //   | "control" (setup, data: hex)} | {"op": "usbip", "port": N} (0: any; usb then tells it). The answer always has now, pins [[tick, pin, level], ..], sent
 // [[tick, byte], ..], resets, stack (bytes used at most), bootloader (what the image told the boot ROM, or null), usb (what its host
@@ -54,7 +54,7 @@ function answer(machine, op) {
     case 'wires': machine.setWires(op.wires); break;
     case 'stall': machine.stall(op.ticks); break;
     case 'trap': machine.setTrap(op.at, op.what); break;
-    case 'power-cycle': machine.powerCycle(); break;
+    case 'power-cycle': machine.powerCycle(op.short); break;
     case 'usb': machine.host.do(op, machine.now); break;
     case 'usbip': machine.host = new UsbIp(machine.usb, op.port, () => machine.now); break;
     case 'leave-bootloader': machine.leaveBootloader(); break;

@@ -51,7 +51,7 @@ export class Machine {
   boot(reason) {
     this.resetReason = reason;
     const chip = new RP2040();
-    if (reason && this.chip) chip.sram.set(this.chip.sram); // a reset leaves the RAM as it is
+    if ((reason || this.keepsRam) && this.chip) chip.sram.set(this.chip.sram); // a reset leaves the RAM as it is
     else for (let i = 0; i < chip.sram.length; i++) chip.sram[i] = (this.noise = (this.noise * 1103515245 + 12345) & 0x7fffffff) >>> 16;
     this.chip = chip;
     chip.flash.set(this.flash);
@@ -485,8 +485,9 @@ export class Machine {
 
   setTrap(at, what) { this.trap = new Trap(at, what); }
 
-  // Power off and on again; only what was wired to it stays as it was.
-  powerCycle() {
+  // Power off and on again; only what was wired to it stays as it was, and the RAM if it was for an instant.
+  powerCycle(isShort) {
+    this.keepsRam = isShort;
     this.scratch.fill(0);
     this.trap = undefined;
     this.stalledUntil = 0;
