@@ -37,6 +37,8 @@ class Served:
         self._ends = True
         self._thread.join()
         self._board.close()
+        if self._error:
+            raise self._error
 
     @property
     def now(self) -> int:
