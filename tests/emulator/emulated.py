@@ -68,6 +68,8 @@ class EmulatedBoard:
     """Ticks of 10 ns since power came on. `rises`, `falls` and `transitions` keep everything the pins ever did."""
 
     def __init__(self, image: Path = IMAGE, vcd: Path | None = None, flash_id: str | None = None) -> None:
+        self._image = image
+        self._functions: dict[str, int] = {}
         command = ["node", str(EMULATOR), str(image), "--drive", *(["--vcd", str(vcd)] if vcd else [])]
         command += ["--flash-id", flash_id] if flash_id else []
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
@@ -135,6 +137,20 @@ class EmulatedBoard:
 
     def run(self, until: int) -> None:
         self._do(op="run", until=until)
+
+    def run_to(self, function: str, within: int = 100 * MS) -> None:
+        """Stop before the first instruction of a function of the image; at once called again, before the next call."""
+        if not self._functions:
+            elf = self._image.with_suffix(".elf")
+            listed = subprocess.run(["arm-none-eabi-nm", elf], capture_output=True, text=True, check=True).stdout
+            self._functions = {name: int(at, 16) & ~1 for at, _, name in map(str.split, listed.splitlines())}
+        end = self.now + within
+        self._do(op="run", until=end, at=self._functions[function])
+        assert self.now < end, f"{function} was not called"
+
+    def poke_dma_count(self, channel: int, count: int) -> None:
+        """Transfers this channel has still to do, as if it had run for long."""
+        self._do(op="dma-count", channel=channel, count=count)
 
     def input(self, *edges: tuple[int, int, int]) -> None:
         self._do(op="input", edges=edges)

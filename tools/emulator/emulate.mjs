@@ -7,9 +7,10 @@
 //                         --wires 8-2,5-7                            jumpers, from an output pin to an input
 //   emulate.mjs IMAGE.uf2 --drive [--vcd FILE]                       in virtual time; a JSON object a line on stdin, its answer on stdout
 //
-// Objects: {"op": "run", "until": T} | {"op": "input", "edges": [[tick, pin, level], ..]} | {"op": "write", "hex": ".."}
-//   | {"op": "stall", "ticks": N} | {"op": "wires", "wires": [[from, to], ..]} | {"op": "leave-bootloader"}
-//   | {"op": "trap", "at": ADDRESS, "what": "hang" | "fault"} | {"op": "power-cycle", "short": true | false}
+// Objects: {"op": "run", "until": T, "at": PC or nothing} (stops before that instruction) | {"op": "input", "edges": [[tick, pin, level], ..]}
+//   | {"op": "write", "hex": ".."} | {"op": "stall", "ticks": N} | {"op": "dma-count", "channel": C, "count": N} (transfers still to do)
+//   | {"op": "wires", "wires": [[from, to], ..]} | {"op": "leave-bootloader"} | {"op": "trap", "at": ADDRESS, "what": "hang" | "fault"}
+//   | {"op": "power-cycle", "short": true | false}
 //   | {"op": "usb", "do": "attach" | "detach" | "reset" | "suspend" | "resume" | "hang" | "open" | "close" | "write" (hex)
 //   | "control" (setup, data: hex)} | {"op": "usbip", "port": N} (0: any; usb then tells it). The answer always has now, pins [[tick, pin, level], ..], sent
 // [[tick, byte], ..], resets, stack (bytes used at most), bootloader (what the image told the boot ROM, or null), usb (what its host
@@ -46,7 +47,7 @@ function answer(machine, op) {
     case 'run':
       if (op.hex) machine.write_serial(Buffer.from(op.hex, 'hex'));
       for (const [tick, pin, level] of op.edges ?? []) machine.input(tick, pin, level);
-      machine.run(op.until);
+      machine.run(op.until, op.at);
       break;
     case 'input': for (const [tick, pin, level] of op.edges) machine.input(tick, pin, level); break;
     case 'reset': machine.reset(); break;
@@ -55,6 +56,7 @@ function answer(machine, op) {
     case 'stall': machine.stall(op.ticks); break;
     case 'trap': machine.setTrap(op.at, op.what); break;
     case 'power-cycle': machine.powerCycle(op.short); break;
+    case 'dma-count': machine.dma.channels[op.channel].count = op.count; break;
     case 'usb': machine.host.do(op, machine.now); break;
     case 'usbip': machine.host = new UsbIp(machine.usb, op.port, () => machine.now); break;
     case 'leave-bootloader': machine.leaveBootloader(); break;

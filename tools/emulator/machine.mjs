@@ -399,7 +399,7 @@ export class Machine {
     }
   }
 
-  run(until) {
+  run(until, at) {
     const { uart, host } = this;
     this.nextDue = 0; // whoever called may have given us inputs
     while (this.now < until) {
@@ -420,8 +420,10 @@ export class Machine {
         if (next === Infinity) fault('the processor sleeps and nothing will wake it');
         this.advance(Math.max(next, this.now + 1));
         this.findDue();
-      } else {
+      } else if (core.PC === at && this.stoppedAt !== at) return void (this.stoppedAt = at); // the next run goes on from here
+      else {
         const cycles = this.trap ? this.trap.step(core) : core.executeInstruction();
+        if (core.PC === this.stoppedAt + 2) this.stoppedAt = undefined; // an interrupt may have come first
         this.usedInstructions++;
         if (this.now + cycles < this.nextDue) this.now += cycles;
         else {
