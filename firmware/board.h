@@ -110,10 +110,16 @@ typedef struct {
 
 // Load the flash for the NEXT accepted edge. One edge takes it; a second load before that replaces the first. With
 // nothing loaded an edge is still stamped, nothing fires, and the last hold-off stays in force. False: refused, because
-// the width is over the compiled-in limit or the flash outlasts its own hold-off; then nothing is loaded.
+// the width is over the compiled-in limit, the flash outlasts its own hold-off or takes more than the duty's share of
+// it, or the lamp still owes dark time; then nothing is loaded. A board that cannot be sure of the hold-off loads
+// nothing lit either, and says true: the edge then finds none, once.
 bool board_flash_load(const board_flash_t* flash);
 
-// The oldest accepted edge not yet reported. The board keeps at least 8; further ones count as refused.
+// Once a round, before the edges: find out what they took, and follow the odometer.
+void board_lamps_run(void);
+
+// The oldest accepted edge found by board_lamps_run and not yet reported. The board keeps at least 8; further ones
+// count as refused.
 bool board_edge(board_edge_t* edge);
 
 // Both gates low now: the flash being timed ends, the loaded one is dropped. The hold-off stays in force.
@@ -122,8 +128,17 @@ void board_lamps_cut(void);
 // Edges refused since reset: inside the hold-off, or not taken in time by the core.
 uint32_t board_edges_refused(void);
 
-// Quadrature counts since reset, four per cycle, A before B counts up.
+// Quadrature counts since reset, four per cycle, A before B counts up; as of this round.
 int32_t board_odometer(void);
+
+// What went wrong at the board since reset.
+typedef struct {
+    uint32_t odometer_lost;        // transitions overwritten before they were decoded
+    uint32_t odometer_impossible;  // both lines changed at once
+    uint32_t edges_dropped;        // accepted, but there was no room to keep them
+} board_health_t;
+
+void board_health(board_health_t* health);
 
 // ---- microwave ----
 

@@ -134,6 +134,7 @@ void sequencer_start(sequencer_t* const self)
 void sequencer_edges(sequencer_t* const self, events_t* const events, const uint32_t now)
 {
     board_edge_t edge;
+    board_lamps_run();
     while (board_edge(&edge)) {  // all of them before loading: after a stall, the next edge is not the second
         report_edge(self, &edge, events);
         self->reload = true;

@@ -6,6 +6,7 @@
 
 #include "../board.h"
 #include "../core/messages.h"
+#include "../quadrature.h"
 #include "native.h"
 
 #define NEVER UINT64_MAX
@@ -66,9 +67,15 @@ void lines_step(void);
 
 void lamps_start(void);
 void lamps_edge(void);
-void lamps_odometer(void);
 uint64_t lamps_time(void);
 void lamps_step(void);
+
+// Transitions so far, and where the odometer stands after so many.
+void odometer_start(void);
+void odometer_input(void);
+uint32_t odometer_now(void);
+int32_t odometer_decode(uint32_t until);
+const quadrature_t* odometer_state(void);
 
 void microwave_start(void);
 void microwave_cut(void);

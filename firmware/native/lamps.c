@@ -1,7 +1,8 @@
-// The sync follower, the lamps and the odometer.
+// The sync follower and the lamps.
 
 #include <string.h>
 
+#include "../duty.h"
 #include "hardware.h"
 
 #define EDGES_KEPT 8U
@@ -12,26 +13,26 @@ static struct {
     uint64_t refuse_until;
     uint32_t holdoff;
     uint32_t refused;
+    uint32_t dropped;
     board_edge_t edges[EDGES_KEPT];
+    uint32_t transitions[EDGES_KEPT];  // of the odometer, at each edge
     size_t edge_count;
-    uint8_t pin;  // of the flash being timed, 0 = none
+    size_t decoded;  // edges whose odometer is known
+    duty_t duty[2];  // of the projector and the LED
+    uint8_t pin;     // of the flash being timed, 0 = none
     uint64_t on;
     uint64_t off;
 } lamps;
 
-static uint8_t quadrature;
-static int32_t odometer;
-
-static uint8_t quadrature_now(void)
+static duty_t* duty_of(const uint8_t lamp)
 {
-    return (uint8_t)(native_pin(PIN_ODOMETER_A) * 2U + native_pin(PIN_ODOMETER_B));
+    return &lamps.duty[(lamp == LAMP_LED) ? 1 : 0];
 }
 
 void lamps_start(void)
 {
     memset(&lamps, 0, sizeof lamps);
-    quadrature = quadrature_now();
-    odometer = 0;
+    odometer_start();
 }
 
 void lamps_edge(void)
@@ -39,11 +40,13 @@ void lamps_edge(void)
     const bool is_full = lamps.edge_count == EDGES_KEPT;
     if ((world.now < lamps.refuse_until) || is_full) {
         lamps.refused++;
+        lamps.dropped += is_full ? 1U : 0U;
         return;
     }
     const board_flash_t* const flash = &lamps.loaded;
-    board_edge_t* const edge = &lamps.edges[lamps.edge_count++];
-    *edge = (board_edge_t){.tick = time_now(), .tag = 0, .odometer = odometer};
+    board_edge_t* const edge = &lamps.edges[lamps.edge_count];
+    *edge = (board_edge_t){.tick = time_now(), .tag = 0};
+    lamps.transitions[lamps.edge_count++] = odometer_now();
     if (lamps.pin != 0U) {  // ends with this very tick; board_flash_load let no longer one through
         pinuse_drive(lamps.pin, 0);
         lamps.pin = 0;
@@ -56,23 +59,10 @@ void lamps_edge(void)
             lamps.pin = (flash->lamp == LAMP_LED) ? PIN_LED : PIN_PROJECTOR;
             lamps.on = world.now + flash->delay_ticks;
             lamps.off = lamps.on + flash->width_ticks;
+            duty_charge(duty_of(flash->lamp), edge->tick, flash->width_ticks, LAMP_DUTY_MAX_PERMILLE);
         }
     }
     lamps.refuse_until = world.now + lamps.holdoff;
-}
-
-// Steps of A, B as a Gray code: +1 when A leads. A jump of two says nothing and counts nothing.
-static int32_t quadrature_step(const uint8_t before, const uint8_t after)
-{
-    static const int8_t steps[16] = {0, -1, 1, 0, 1, 0, 0, -1, -1, 0, 0, 1, 0, 1, -1, 0};
-    return steps[before * 4U + after];
-}
-
-void lamps_odometer(void)
-{
-    const uint8_t before = quadrature;
-    quadrature = quadrature_now();
-    odometer += quadrature_step(before, quadrature);
 }
 
 uint64_t lamps_time(void)
@@ -94,13 +84,21 @@ void lamps_step(void)
     }
 }
 
+// As on the RP2040; here the hold-off always comes with its flash.
+static bool is_allowed(const board_flash_t* const flash)
+{
+    const uint64_t width = flash->width_ticks;
+    const uint64_t first_edge = (world.now < lamps.refuse_until) ? lamps.refuse_until : world.now;
+    return (width <= LAMP_WIDTH_MAX_TICKS) && (flash->delay_ticks + width <= flash->holdoff_ticks) &&
+           (width * 1000U <= (uint64_t)LAMP_DUTY_MAX_PERMILLE * flash->holdoff_ticks) &&
+           duty_allows(duty_of(flash->lamp), (uint32_t)(first_edge - world.boot_tick)) && !world_refuses();
+}
+
 bool board_flash_load(const board_flash_t* const flash)
 {
     time_pass();
     lamps.is_loaded = false;
-    const bool lit = flash->lamp != LAMP_DARK;
-    const bool outlasts = (uint64_t)flash->delay_ticks + flash->width_ticks > flash->holdoff_ticks;
-    if (lit && ((flash->width_ticks > LAMP_WIDTH_MAX_TICKS) || outlasts || world_refuses())) {
+    if ((flash->lamp != LAMP_DARK) && !is_allowed(flash)) {
         return false;
     }
     lamps.loaded = *flash;
@@ -108,15 +106,28 @@ bool board_flash_load(const board_flash_t* const flash)
     return true;
 }
 
+void board_lamps_run(void)
+{
+    time_look();
+    for (; lamps.decoded < lamps.edge_count; lamps.decoded++) {
+        lamps.edges[lamps.decoded].odometer = odometer_decode(lamps.transitions[lamps.decoded]);
+    }
+    odometer_decode(odometer_now());
+    duty_run(duty_of(LAMP_PROJECTOR), time_now());
+    duty_run(duty_of(LAMP_LED), time_now());
+}
+
 bool board_edge(board_edge_t* const edge)
 {
     time_look();
-    if (lamps.edge_count == 0U) {
+    if (lamps.decoded == 0U) {
         return false;
     }
     *edge = lamps.edges[0];
     lamps.edge_count--;
-    memmove(lamps.edges, lamps.edges + 1, lamps.edge_count * sizeof *edge);
+    lamps.decoded--;
+    memmove(lamps.edges, lamps.edges + 1, lamps.edge_count * sizeof lamps.edges[0]);
+    memmove(lamps.transitions, lamps.transitions + 1, lamps.edge_count * sizeof lamps.transitions[0]);
     return true;
 }
 
@@ -137,6 +148,12 @@ uint32_t board_edges_refused(void)
 
 int32_t board_odometer(void)
 {
-    time_look();
-    return odometer;
+    return odometer_state()->position;
+}
+
+void board_health(board_health_t* const health)
+{
+    *health = (board_health_t){.odometer_lost = odometer_state()->lost,
+                               .odometer_impossible = odometer_state()->impossible,
+                               .edges_dropped = lamps.dropped};
 }

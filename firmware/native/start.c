@@ -40,7 +40,7 @@ static void apply_input(void)
         return;
     }
     if ((input.pin == PIN_ODOMETER_A) || (input.pin == PIN_ODOMETER_B)) {
-        lamps_odometer();
+        odometer_input();
     }
     if ((input.pin == PIN_SYNC) && (input.level == 0U)) {
         lamps_edge();

@@ -7,13 +7,15 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "../quadrature.h"
+
 // In the order in which they must be called after reset.
 void identity_start(void);
 void reset_start(void);   // the watchdog
 void pinuse_start(void);  // pins at rest
 void lines_start(void);   // the UART
 void time_start(void);
-void lamps_start(void);  // sync follower, lamps, odometer: PIO0, and the odometer's machine of PIO1
+void lamps_start(void);  // sync follower and lamps: PIO0; and the odometer, which is read at every edge
 void microwave_start(void);
 void turntable_start(void);
 void usb_start(void);
@@ -40,6 +42,16 @@ bool microwave_hurries(void);
 
 // Raw falling edges of the sync input so far, as the pins' interrupt counted them; `accepted` corrects it upwards.
 uint32_t pinuse_sync_edges(uint32_t accepted);
+
+// The odometer: its machine of PIO1, and transitions as its DMA counts them. `odometer_decode`: the place there.
+// It hands all that and its ring to whoever measures, standing still until it is started again.
+#define ODOMETER_RING_BYTES QUADRATURE_KEPT
+void odometer_start(void);
+uint32_t odometer_transitions(uint32_t count);
+uint32_t odometer_now(void);
+int32_t odometer_decode(uint32_t until);
+const quadrature_t* odometer_state(void);
+volatile uint32_t* odometer_lend(void);
 
 // Around what must not be interrupted; never nested.
 static inline void interrupts_off(void)
@@ -85,13 +97,16 @@ bool usb_has_received(void);
 void usb_run(void);
 uint16_t usb_recoveries(void);  // so often the device controller hung and was reset
 
-// The odometer hands its machine, DMA channel and ring to whoever measures, standing still until it is started again.
-#define ODOMETER_RING_BYTES 512U
-volatile uint32_t* odometer_lend(void);
-void odometer_start(void);
-
 // Who owns which DMA channel and PIO machine.
-enum { DMA_STAMP = 0, DMA_AT_EDGE = 1, DMA_ODOMETER = 2, DMA_CHIPS = 3, DMA_TRIGGER = 4, DMA_STEPS = 5 };
+enum {
+    DMA_STAMP = 0,
+    DMA_AT_EDGE = 1,
+    DMA_ODOMETER = 2,
+    DMA_CHIPS = 3,
+    DMA_TRIGGER = 4,
+    DMA_STEPS = 5,
+    DMA_ODOMETER_AGAIN = 6
+};
 enum { SYNC_MACHINE = 0, LAMP_MACHINE = 1, STEP_MACHINE = 2 };                            // PIO0
 enum { CHIP_MACHINE = 0, TRIGGER_MACHINE = 1, ODOMETER_MACHINE = 2, GUARD_MACHINE = 3 };  // PIO1
 

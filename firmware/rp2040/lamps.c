@@ -1,4 +1,4 @@
-// The sync follower, the lamps and the odometer: two machines of PIO0 and one of PIO1, drained by DMA into rings.
+// The sync follower and the lamps: two machines of PIO0, drained by DMA into rings.
 //
 // SYNC decides which falling edges count. It counts time in Y, one every 20 ns, looks at the pin once in between, and
 // pushes Y at an edge; then it counts the hold-off without looking. LAMP waits for the pin itself, so that a lamp
@@ -8,6 +8,7 @@
 
 #include "../board.h"
 #include "../core/messages.h"
+#include "../duty.h"
 #include "hardware.h"
 #include "../pins.h"
 #include "registers.h"
@@ -16,7 +17,16 @@
 #define LOOK 5U
 
 // Addresses inside the program.
-enum { HIGH = 0, ARMED = 2, HOLD = 11, LAMP_LOOKS = 22, LAMP_TAKES = 25, LAMP_WIDTH = 29, PROGRAM_LENGTH = 32 };
+enum {
+    HIGH = 0,
+    ARMED = 2,
+    STOPS_LOOKING = 4,
+    HOLD = 11,
+    LOOKS_AGAIN = 14,
+    TAKEN = 26,
+    LAMP_WIDTH = 29,
+    PROGRAM_LENGTH = 32
+};
 
 static const uint16_t program[PROGRAM_LENGTH] = {
     // SYNC: wraps from 1 to 0
@@ -24,7 +34,7 @@ static const uint16_t program[PROGRAM_LENGTH] = {
     JMP_PIN(ARMED),
     [ARMED] = JMP_Y_DEC(3),
     JMP_PIN(ARMED),
-    FLAG_SET(ACCEPTED),  // at the latest two cycles after the cycle in which LAMP saw the edge
+    [STOPS_LOOKING] = FLAG_SET(ACCEPTED),  // at the latest two cycles after the cycle in which LAMP saw the edge
     MOV_ISR_Y,
     PUSH_NO_BLOCK,
     PULL_NO_BLOCK,  // a new hold-off, or X: the last one
@@ -34,7 +44,7 @@ static const uint16_t program[PROGRAM_LENGTH] = {
     [HOLD] = JMP_Y_DEC(12),
     JMP_X_DEC(HOLD),
     MOV_X_OSR,
-    FLAG_SET(LOOK),
+    [LOOKS_AGAIN] = FLAG_SET(LOOK),
     JMP(HIGH) | DELAY(1U),
     // LAMP: wraps from 30 to 16. Words: delay, width - 2, lamp bits and tag.
     [LAMP_IDLE] = PULL,
@@ -43,11 +53,11 @@ static const uint16_t program[PROGRAM_LENGTH] = {
     MOV_Y_OSR,
     [LAMP_LAST_PULL] = PULL,
     WAIT_FLAG(LOOK),
-    [LAMP_LOOKS] = WAIT_PIN_HIGH(PIN_SYNC),
+    WAIT_PIN_HIGH(PIN_SYNC),
     WAIT_PIN_LOW(PIN_SYNC),
     MOV_ISR_OSR | DELAY(1U),
-    [LAMP_TAKES] = WAIT_FLAG(ACCEPTED),
-    PUSH_NO_BLOCK,  // this flash is taken
+    WAIT_FLAG(ACCEPTED),
+    [TAKEN] = PUSH_NO_BLOCK,  // this flash is taken
     [LAMP_DELAY] = JMP_X_DEC(LAMP_DELAY),
     MOV_PINS_OSR,
     [LAMP_WIDTH] = JMP_Y_DEC(LAMP_WIDTH),
@@ -57,8 +67,8 @@ static const uint16_t program[PROGRAM_LENGTH] = {
 
 // Cycles SYNC spends per accepted edge without counting: 3..10 with a delay, and 13..15 with a delay.
 #define UNCOUNTED_TICKS 12U
-// From the tick read before both machines start to SYNC's first count, less its way from pin to stamp.
-#define STAMP_OFFSET 26U
+// From the tick read as both machines start to SYNC's first count, less its way from pin to stamp.
+#define STAMP_OFFSET 19U
 // Ticks of an accepted edge's dead time that are not in the loop.
 #define HOLDOFF_OVERHEAD 18U
 #define LAMP_WIDTH_MIN_TICKS 2U
@@ -66,13 +76,10 @@ static const uint16_t program[PROGRAM_LENGTH] = {
 
 #define EDGES_KEPT 128U  // a stall of 100 ms at the shortest hold-off; then the watchdog bites
 #define EDGE_RING_BITS 9U
-#define QUADRATURE_KEPT 512U
-#define QUADRATURE_RING_BITS 9U
 
-static volatile uint32_t stamps[EDGES_KEPT] __attribute__((aligned(512)));   // SYNC's Y, by DMA
-static volatile uint32_t at_edge[EDGES_KEPT] __attribute__((aligned(512)));  // the odometer channel's count, by DMA
-_Static_assert(QUADRATURE_KEPT == ODOMETER_RING_BYTES, "as it says to others");
-static volatile uint8_t quadrature[QUADRATURE_KEPT] __attribute__((aligned(512)));
+static volatile uint32_t stamps[EDGES_KEPT] __attribute__((aligned(512)));  // SYNC's Y, by DMA
+static volatile uint32_t at_edge[EDGES_KEPT]
+    __attribute__((aligned(512)));  // odometer: its count, by DMA; then its place
 static uint8_t tags[EDGES_KEPT];
 
 static struct {
@@ -81,78 +88,19 @@ static struct {
     uint32_t reported;  // edges the core has got
     bool loaded;        // the lamp machine holds a flash no edge has taken yet
     uint8_t tag;        // of that
-    uint32_t load_tick;
-    uint32_t holdoff;  // SYNC has it, or will take it with the next edge
+    uint8_t lamp;
+    uint32_t width;
+    uint32_t holdoff;       // SYNC has it, or will take it with the next edge
+    uint32_t refuse_until;  // no edge is accepted before; meaningful while a lamp owes
+    duty_t duty[2];         // of the projector and the LED
 } lamps;
 
-static struct {
-    uint32_t decoded;  // transitions so far
-    uint8_t state;
-    int32_t position;
-} odometer;
-
-// ---- odometer ----
-
-static void decode_until(const uint32_t transitions)
-{
-    static const int8_t steps[16] = {0, 1, -1, 0, -1, 0, 0, 1, 1, 0, 0, -1, 0, -1, 1, 0};  // B A before, B A after
-    for (; (int32_t)(transitions - odometer.decoded) > 0; odometer.decoded++) {
-        const uint8_t after = quadrature[odometer.decoded % QUADRATURE_KEPT] & 3U;
-        odometer.position += steps[odometer.state * 4U + after];
-        odometer.state = after;
-    }
-}
-
-static uint32_t transitions_now(void)
-{
-    return UINT32_MAX - REGISTER(DMA_COUNT(DMA_ODOMETER));
-}
-
-// What lies before an edge not yet reported must not be decoded past it.
-int32_t board_odometer(void)
-{
-    if (lamps.reported == lamps.settled) {
-        decode_until(transitions_now());
-    }
-    return odometer.position;
-}
-
-// While it is lent, what is read of its channel lies before all that was decoded, so nothing is.
-volatile uint32_t* odometer_lend(void)
-{
-    (void)board_odometer();
-    return (volatile uint32_t*)(uintptr_t)quadrature;
-}
-
-void odometer_start(void)
-{
-    static const uint16_t counter[] = {
-        MOV_ISR_NULL,  IN_PINS(2U),           MOV_X_ISR, JMP_X_NOT_Y(ODOMETER_PROGRAM + 4U), MOV_Y_X,
-        PUSH_NO_BLOCK, JMP(ODOMETER_PROGRAM),
-    };
-    const uint32_t machine = ODOMETER_MACHINE;
-    pin_use(PIN_ODOMETER_A, FUNCTION_SIO, PAD_INPUT | PAD_SCHMITT | PAD_PULL_UP);
-    pin_use(PIN_ODOMETER_B, FUNCTION_SIO, PAD_INPUT | PAD_SCHMITT | PAD_PULL_UP);
-    pio_load(PIO1, ODOMETER_PROGRAM, counter, sizeof counter / sizeof counter[0]);
-    REGISTER(PIO_EXECCTRL(PIO1, machine)) = EXEC_WRAP(ODOMETER_PROGRAM, ODOMETER_PROGRAM + 3U);
-    REGISTER(PIO_SHIFTCTRL(PIO1, machine)) = 0U;  // in from the right
-    REGISTER(PIO_PINCTRL(PIO1, machine)) = PINS_IN(PIN_ODOMETER_A);
-    REGISTER(DMA_READ(DMA_ODOMETER)) = PIO_RX(PIO1, machine);
-    REGISTER(DMA_WRITE(DMA_ODOMETER)) = (uint32_t)(uintptr_t)quadrature;
-    REGISTER(DMA_COUNT(DMA_ODOMETER)) = UINT32_MAX;
-    REGISTER(DMA_CTRL_TRIGGER(DMA_ODOMETER)) =
-        DMA_QUIET | DMA_REQUEST(DREQ_PIO_RX(1U, machine)) | DMA_CHAIN(DMA_ODOMETER) | DMA_RING_WRITE |
-        DMA_RING(QUADRATURE_RING_BITS) | DMA_INCREMENT_WRITE | DMA_PRIORITY | DMA_ENABLE;
-    odometer.decoded = 0;
-    odometer.state = (uint8_t)((REGISTER(SIO_GPIO_IN) >> PIN_ODOMETER_A) & 3U);
-    REGISTER(PIO_TX(PIO1, machine)) = odometer.state;
-    REGISTER(PIO_INSTRUCTION(PIO1, machine)) = PULL_NO_BLOCK;
-    REGISTER(PIO_INSTRUCTION(PIO1, machine)) = MOV_Y_OSR;
-    REGISTER(PIO_INSTRUCTION(PIO1, machine)) = JMP(ODOMETER_PROGRAM);
-    SET_BITS(PIO_CTRL(PIO1)) = PIO_MACHINE(machine);
-}
-
 // ---- edges ----
+
+static duty_t* duty_of(const uint8_t lamp)
+{
+    return &lamps.duty[(lamp == LAMP_LED) ? 1 : 0];
+}
 
 static uint32_t stamp_tick(const uint32_t edge)
 {
@@ -165,33 +113,59 @@ static bool is_taken(void)
     return (REGISTER(PIO_FSTAT(PIO0)) & FSTAT_RX_EMPTY(LAMP_MACHINE)) == 0U;
 }
 
-// Find out of every edge so far which flash it took. The lamp machine reports within a few cycles of the edge, long
-// before its stamp can be read here; and there is never more than one flash to be taken.
+// Find out of every edge so far which flash it took, and where the odometer stood. The lamp machine reports within a
+// few cycles of the edge, long before its stamp can be read here. Invariant: when a flash is loaded, every earlier edge
+// is settled. So the first edge after it is the one that took it, however long both have been waiting.
 static void settle(void)
 {
     const uint32_t written = (REGISTER(DMA_WRITE(DMA_AT_EDGE)) - (uint32_t)(uintptr_t)at_edge) / 4U;
     while (lamps.settled % EDGES_KEPT != written % EDGES_KEPT) {
+        const uint32_t index = lamps.settled % EDGES_KEPT;
+        const uint32_t tick = stamp_tick(lamps.settled);
         uint8_t tag = 0;
-        const bool after_load = (int32_t)(stamp_tick(lamps.settled) - lamps.load_tick) >= 0;
-        if (lamps.loaded && after_load && is_taken()) {
+        if (lamps.loaded && is_taken()) {
             (void)REGISTER(PIO_RX(PIO0, LAMP_MACHINE));
             tag = lamps.tag;
             lamps.loaded = false;
+            if (lamps.lamp != LAMP_DARK) {
+                duty_charge(duty_of(lamps.lamp), tick, lamps.width, LAMP_DUTY_MAX_PERMILLE);
+            }
         }
-        tags[lamps.settled % EDGES_KEPT] = tag;
+        lamps.refuse_until = tick + lamps.holdoff;
+        tags[index] = tag;
+        at_edge[index] = (uint32_t)odometer_decode(odometer_transitions(at_edge[index]));
         lamps.settled++;
     }
 }
 
+// Whatever edge was accepted until now is settled: its stamp is in the ring after 50 ticks at the latest.
+static void settle_all(void)
+{
+    const uint32_t now = board_tick();
+    while (board_tick() - now < 50U) {
+    }
+    settle();
+}
+
+// The odometer is read before the edges: one that is not yet among them then came later, and nothing beyond its place
+// was decoded.
+void board_lamps_run(void)
+{
+    const uint32_t transitions = odometer_now();
+    settle();
+    odometer_decode(transitions);
+    const uint32_t now = board_tick();
+    duty_run(duty_of(LAMP_PROJECTOR), now);
+    duty_run(duty_of(LAMP_LED), now);
+}
+
 bool board_edge(board_edge_t* const edge)
 {
-    settle();
     if (lamps.reported == lamps.settled) {
         return false;
     }
     const uint32_t index = lamps.reported % EDGES_KEPT;
-    decode_until(UINT32_MAX - at_edge[index]);
-    *edge = (board_edge_t){.tick = stamp_tick(lamps.reported), .tag = tags[index], .odometer = odometer.position};
+    *edge = (board_edge_t){.tick = stamp_tick(lamps.reported), .tag = tags[index], .odometer = (int32_t)at_edge[index]};
     lamps.reported++;
     return true;
 }
@@ -202,6 +176,18 @@ uint32_t board_edges_refused(void)
     return pinuse_sync_edges(lamps.settled) - lamps.settled;
 }
 
+int32_t board_odometer(void)
+{
+    return odometer_state()->position;
+}
+
+void board_health(board_health_t* const health)
+{
+    *health = (board_health_t){.odometer_lost = odometer_state()->lost,
+                               .odometer_impossible = odometer_state()->impossible,
+                               .edges_dropped = 0};  // the ring holds more than the watchdog lets come
+}
+
 // ---- flashes ----
 
 static void lamp_execute(const uint32_t instruction)
@@ -209,26 +195,39 @@ static void lamp_execute(const uint32_t instruction)
     REGISTER(PIO_INSTRUCTION(PIO0, LAMP_MACHINE)) = instruction;
 }
 
-// Send the lamp machine back to where it waits for a flash. If it was looking for an edge, it shall look again: SYNC
-// says so only once a hold-off.
-static void lamp_to_idle(const uint32_t at)
+// Is SYNC looking for an edge? Else one was accepted less than a hold-off ago.
+static bool sync_looks(void)
 {
-    lamp_execute(JMP(LAMP_IDLE));
-    if ((at >= LAMP_LOOKS) && (at <= LAMP_TAKES)) {
-        lamp_execute(FLAG_SET(LOOK));
-    }
+    const uint32_t at = REGISTER(PIO_ADDRESS(PIO0, SYNC_MACHINE));
+    return (at < STOPS_LOOKING) || (at >= LOOKS_AGAIN);
 }
 
-// Whatever the lamp machine does or holds: gone, gates low.
+// Words of a flash that the lamp machine has not yet fetched: it is timing another.
+static bool is_behind(void)
+{
+    return ((REGISTER(PIO_FLEVEL(PIO0)) >> (8U * LAMP_MACHINE)) & 0xFU) != 0U;
+}
+
+// Send the lamp machine, which holds nothing any more, back to where it waits for a flash. It may have been looking, or
+// about to: SYNC says so only once a hold-off. So the flag is put as SYNC itself would have it now, and again if that
+// changed meanwhile; it changes twice a hold-off at most.
+static void lamp_to_idle(void)
+{
+    lamp_execute(JMP(LAMP_IDLE));
+    bool looks;
+    do {
+        looks = sync_looks();
+        lamp_execute(looks ? FLAG_SET(LOOK) : FLAG_CLEAR(LOOK));
+    } while (sync_looks() != looks);
+}
+
+// Whatever the lamp machine does or holds: gone, gates low. An edge it took before is settled as taken; one accepted
+// since finds nothing.
 void board_lamps_cut(void)
 {
     CLEAR_BITS(PIO_CTRL(PIO0)) = PIO_MACHINE(LAMP_MACHINE);
     lamp_execute(MOV_PINS_NULL);
-    const uint32_t at = REGISTER(PIO_ADDRESS(PIO0, LAMP_MACHINE));
-    const uint32_t now = board_tick();
-    while (board_tick() - now < 50U) {  // until the stamp of an edge just taken is in the ring
-    }
-    settle();
+    settle_all();
     for (uint32_t i = 0; i < 4U; i++) {
         lamp_execute(PULL_NO_BLOCK);
     }
@@ -237,28 +236,28 @@ void board_lamps_cut(void)
     }
     lamps.loaded = false;
     SET_BITS(PIO_CTRL(PIO0)) = PIO_RESTART(LAMP_MACHINE);
-    lamp_to_idle(at);
+    lamp_to_idle();
     SET_BITS(PIO_CTRL(PIO0)) = PIO_MACHINE(LAMP_MACHINE);
 }
 
-// Take back a flash no edge has taken. Its words have left the FIFO when no other flash is being timed, and then one
-// jump does it; an edge within that moment finds nothing loaded and stays dark.
+// Take back a flash no edge has taken. One instruction of the lamp machine decides whether it is: while that one sends
+// it back instead, no edge can take it, and what it had reported before is the whole truth. An edge within that moment
+// finds nothing and stays dark.
 static void withdraw(void)
 {
-    settle();
     if (!lamps.loaded) {
         return;
     }
-    const uint32_t at = REGISTER(PIO_ADDRESS(PIO0, LAMP_MACHINE));
-    if ((at <= LAMP_LAST_PULL) || (at >= LAMP_DELAY)) {
+    REGISTER(PIO_MEMORY(PIO0, TAKEN)) = JMP(LAMP_IDLE);
+    if (is_taken()) {
+        settle_all();
+    } else if (is_behind()) {
         board_lamps_cut();
-        return;
-    }
-    lamp_to_idle(at);
-    while (is_taken()) {
-        (void)REGISTER(PIO_RX(PIO0, LAMP_MACHINE));
+    } else {
+        lamp_to_idle();
     }
     lamps.loaded = false;
+    REGISTER(PIO_MEMORY(PIO0, TAKEN)) = program[TAKEN];
 }
 
 static uint32_t holdoff_count(const uint32_t ticks)
@@ -266,7 +265,7 @@ static uint32_t holdoff_count(const uint32_t ticks)
     return (ticks > HOLDOFF_OVERHEAD) ? (ticks - HOLDOFF_OVERHEAD) / 2U : 0U;
 }
 
-// SYNC takes it with the next edge. Two changes without an edge in between: the first one holds for one edge.
+// SYNC takes it with the next edge. A second change before that edge has no room: the first one holds for that edge.
 static void set_holdoff(const uint32_t ticks)
 {
     const uint32_t level = (REGISTER(PIO_FLEVEL(PIO0)) >> (8U * SYNC_MACHINE)) & 0xFU;
@@ -276,24 +275,45 @@ static void set_holdoff(const uint32_t ticks)
     }
 }
 
+// Limits at the pin. No flash outlasts its hold-off, none takes more than the duty's share of it, and whatever the
+// hold-off did, a lamp that owes dark time stays dark. From a flash on and over any span a lamp is therefore on for the
+// duty's share and one flash more at most: charges count from the edges, so of the flash that begins the span only its
+// delay is not counted, and that is shorter than its hold-off by its width at least.
+static bool is_allowed(const board_flash_t* const flash)
+{
+    const uint64_t width = flash->width_ticks;
+    const uint32_t now = board_tick();
+    const uint32_t first_edge = tick_is_past(now, lamps.refuse_until) ? now : lamps.refuse_until;
+    return (width >= LAMP_WIDTH_MIN_TICKS) && (width <= LAMP_WIDTH_MAX_TICKS) &&
+           (flash->delay_ticks + width <= flash->holdoff_ticks) &&
+           (width * 1000U <= (uint64_t)LAMP_DUTY_MAX_PERMILLE * flash->holdoff_ticks) &&
+           duty_allows(duty_of(flash->lamp), first_edge);
+}
+
 bool board_flash_load(const board_flash_t* const flash)
 {
-    withdraw();
+    settle();
     const bool lit = flash->lamp != LAMP_DARK;
-    const bool outlasts = (uint64_t)flash->delay_ticks + flash->width_ticks > flash->holdoff_ticks;
-    const bool short_or_long =
-        (flash->width_ticks < LAMP_WIDTH_MIN_TICKS) || (flash->width_ticks > LAMP_WIDTH_MAX_TICKS);
-    if (lit && (short_or_long || outlasts)) {
+    const bool allowed = !lit || is_allowed(flash);  // before: nothing is loaded for as short as can be
+    withdraw();
+    if (!allowed) {
         return false;
     }
     set_holdoff(flash->holdoff_ticks);
+    if (lit && (lamps.holdoff < flash->holdoff_ticks)) {
+        return true;  // the next edge's hold-off may be too short for it: let that edge pass
+    }
     const uint32_t gates = (flash->lamp == LAMP_LED) ? 1U << (PIN_LED - PIN_PROJECTOR) : (lit ? 1U : 0U);
     lamps.tag = flash->tag;
-    lamps.load_tick = board_tick();
+    lamps.lamp = flash->lamp;
+    lamps.width = flash->width_ticks;
     lamps.loaded = true;
     REGISTER(PIO_TX(PIO0, LAMP_MACHINE)) = lit ? flash->delay_ticks : 0U;
     REGISTER(PIO_TX(PIO0, LAMP_MACHINE)) = lit ? flash->width_ticks - LAMP_WIDTH_MIN_TICKS : 0U;
     REGISTER(PIO_TX(PIO0, LAMP_MACHINE)) = gates;  // the machine is loaded with this word, not before
+    if (!sync_looks()) {
+        settle_all();  // an edge that came while these words were written; for the next one a hold-off has to end
+    }
     return true;
 }
 
@@ -311,16 +331,6 @@ static void start_rings(void)
     REGISTER(DMA_CTRL_TRIGGER(DMA_STAMP)) = DMA_QUIET | DMA_REQUEST(DREQ_PIO_RX(0U, SYNC_MACHINE)) |
                                             DMA_CHAIN(DMA_AT_EDGE) | DMA_RING_WRITE | DMA_RING(EDGE_RING_BITS) |
                                             DMA_INCREMENT_WRITE | DMA_WORDS | DMA_PRIORITY | DMA_ENABLE;
-}
-
-// A function of its own, so that what else changes around it leaves STAMP_OFFSET as it was measured.
-__attribute__((noinline)) static void start_machines(void)
-{
-    interrupts_off();  // one between tick and start would put every stamp wrong
-    lamps.start = board_tick();
-    SET_BITS(PIO_CTRL(PIO0)) = PIO_MACHINE(SYNC_MACHINE) | PIO_MACHINE(LAMP_MACHINE);
-    interrupts_on();
-    lamps.start += STAMP_OFFSET;
 }
 
 void lamps_start(void)
@@ -344,5 +354,6 @@ void lamps_start(void)
     REGISTER(PIO_INSTRUCTION(PIO0, SYNC_MACHINE)) = FLAG_SET(LOOK);
     REGISTER(PIO_INSTRUCTION(PIO0, SYNC_MACHINE)) = JMP(HIGH);
     start_rings();
-    start_machines();
+    lamps.start = STAMP_OFFSET +
+                  time_of_write(SET_ADDRESS(PIO_CTRL(PIO0)), PIO_MACHINE(SYNC_MACHINE) | PIO_MACHINE(LAMP_MACHINE));
 }

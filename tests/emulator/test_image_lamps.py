@@ -2,10 +2,22 @@
 
 import random
 
-from emulated import MS, EmulatedBoard, arm, configuration
+import pytest
+from emulated import LATENCY, MS, EmulatedBoard, arm, configuration
 
 from annulus.controller import PIN_LED, PIN_SYNC
-from annulus.link.messages import Edge, Lamp, StageReply, StatusCode, SyncFound, SyncLost
+from annulus.link.messages import (
+    Arm,
+    ArmFlag,
+    Edge,
+    EdgeFlag,
+    Lamp,
+    Ping,
+    StageReply,
+    StatusCode,
+    SyncFound,
+    SyncLost,
+)
 
 # ---- how long a lamp may be on ----
 
@@ -40,3 +52,72 @@ def test_an_edge_in_the_middle_of_a_round_is_no_lost_sync(board: EmulatedBoard) 
     assert len(board.heard(Edge)) == 1_500
     assert len(board.heard(SyncFound)) == 1
     assert board.heard(SyncLost) == []
+
+
+# ---- an edge at the very moment at which the processor changes its mind ----
+
+FRAME = 2 * MS
+
+
+def flashes_told(board: EmulatedBoard, edges: list[int], delay: int) -> list[tuple[int, int, Edge]]:
+    """(edge, ticks the LED was on after it, what was said of it): every flash begins where its edge says."""
+    board.run(board.now + 5 * MS)
+    rises, falls = board.rises(PIN_LED), board.falls(PIN_LED)
+    on = {rise: fall - rise for rise, fall in zip(rises, falls, strict=True)}
+    told = [
+        (edge, on.pop(edge + delay + LATENCY, 0), event) for edge, event in zip(edges, board.heard(Edge), strict=True)
+    ]
+    assert on == {}
+    return told
+
+
+@pytest.mark.parametrize(("delay", "width", "every"), [(0, 1_000, 2), (0, 2, 5), (30, 20, 5)])
+def test_an_edge_while_a_flash_is_taken_back_takes_it_whole_or_not_at_all(
+    board: EmulatedBoard, delay: int, width: int, every: int
+) -> None:
+    """An edge within twelve cycles after the lamp's machine was looked at was jumped away from: the LED stayed on."""
+    arm(board, ratio=0, period=FRAME, tolerance=500, delay=delay, width=width, readout=0)
+    edges = []
+    for offset in range(0, 500, every):
+        begin = board.now + MS
+        edges += [begin, begin + FRAME, begin + 2 * FRAME + offset]
+        for edge in edges[-3:]:
+            board.pulse(edge, low=1_000)
+        board.run(begin + 50)
+        board.run_to("board_flash_load")
+        board.stall(begin + FRAME + 2_000 - board.now)  # the second edge finds nothing ..
+        board.run(begin + FRAME + 1_000)
+        board.run_to("board_flash_load")  # .. which is why what was loaded after it is taken back ..
+        board.stall(begin + 2 * FRAME - board.now)  # .. while the third one comes
+        board.run(begin + 3 * FRAME)
+        board.send(Ping())
+    told = flashes_told(board, edges, delay)
+    for _, on, event in told:
+        assert (on, event.width) in ((width, width), (0, 0))
+        assert (event.lamp == Lamp.LED) == (on > 0) == (not event.flags & EdgeFlag.LATE_LOAD)
+    swept = [on > 0 for _, on, _ in told[2::3]]
+    assert swept[0] and swept[-1] and not all(swept)  # before it, after it, and within it
+
+
+def test_an_edge_while_the_lamps_are_armed_or_disarmed_is_told_as_it_was(board: EmulatedBoard) -> None:
+    delay, width = 0, 700
+    arm(board, ratio=0, period=FRAME, tolerance=500, delay=delay, width=width, readout=0)
+    edges = []
+    for offset in range(0, 320, 2):
+        for function, outputs in (("board_lamps_cut", ArmFlag(0)), ("board_flash_load", ArmFlag.LAMPS)):
+            board.run(board.now + FRAME)
+            board.send(Arm(outputs=outputs))
+            board.run_to(function)
+            edges.append(board.now + offset)
+            board.pulse(edges[-1], low=1_000)
+        board.run(board.now + FRAME)
+        edges.append(board.now)
+        board.pulse(edges[-1])  # armed and undisturbed
+    for i, (_, on, event) in enumerate(flashes_told(board, edges, delay)):
+        assert on <= width
+        if i % 3 != 0:  # nobody cuts it
+            assert (on, event.width) in ((width, width), (0, 0))
+        if event.lamp == Lamp.DARK:
+            assert on == 0
+        if i % 3 == 2:
+            assert (on, event.flags) == (width, 0)

@@ -1,0 +1,53 @@
+// From transitions of the odometer's two lines to a place, for both boards. Hardware writes every transition into a
+// ring; the main loop decodes what has come once a round. What came faster than that was overwritten: it is counted,
+// never guessed.
+
+#ifndef ANNULUS_QUADRATURE_H
+#define ANNULUS_QUADRATURE_H
+
+#include <stdint.h>
+
+#define QUADRATURE_KEPT 512U        // in the ring
+#define QUADRATURE_HELD 448U        // of these, decoded; the rest is room for what comes meanwhile
+#define QUADRATURE_WRAP (1U << 31)  // transitions are counted modulo this, a multiple of the ring
+
+typedef struct {
+    uint32_t decoded;  // transitions so far, lost ones included
+    int32_t position;
+    uint32_t lost;        // overwritten before they were decoded
+    uint32_t impossible;  // both lines at once, or neither: one at least went unseen
+    uint8_t state;        // B A after the last one
+} quadrature_t;
+
+// From one count of transitions to another that is not older; a negative number of them is a large one.
+static inline uint32_t quadrature_between(const uint32_t earlier, const uint32_t later)
+{
+    return (later - earlier) & (QUADRATURE_WRAP - 1U);
+}
+
+// Decode up to a count of transitions, `written` being in the ring by now. The place there.
+static inline int32_t quadrature_decode(quadrature_t* const self, const volatile uint8_t* const ring,
+                                        const uint32_t until, const uint32_t written)
+{
+    static const int8_t steps[16] = {0, 1, -1, 0, -1, 0, 0, 1, 1, 0, 0, -1, 0, -1, 1, 0};  // B A before, B A after
+    const uint32_t behind = quadrature_between(self->decoded, written);
+    if (behind > QUADRATURE_HELD) {
+        self->lost += behind - QUADRATURE_HELD;
+        self->decoded += behind - QUADRATURE_HELD;
+        self->state = ring[(self->decoded - 1U) % QUADRATURE_KEPT] & 3U;
+    }
+    const uint32_t ready = quadrature_between(self->decoded, written);
+    uint32_t left = quadrature_between(self->decoded, until);
+    left = (left < QUADRATURE_WRAP / 2U) ? left : 0U;  // what was lost went past it
+    left = (left < ready) ? left : ready;              // an edge from before the ring was begun anew
+    for (; left > 0U; left--, self->decoded++) {
+        const uint8_t after = ring[self->decoded % QUADRATURE_KEPT] & 3U;
+        const int32_t step = steps[self->state * 4U + after];
+        self->position += step;
+        self->impossible += (step == 0) ? 1U : 0U;
+        self->state = after;
+    }
+    return self->position;
+}
+
+#endif
