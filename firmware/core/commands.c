@@ -194,6 +194,7 @@ static void (*const handlers[])(controller_t* self, uint8_t line, const uint8_t*
     [COMMAND_ARM] = arm,
     [COMMAND_CLEAR] = clear,
     [COMMAND_REREAD] = query_reread,
+    [COMMAND_HEALTH] = query_health,
     [COMMAND_PATTERN] = pattern,
     [COMMAND_BURST] = burst,
     [COMMAND_BURST_STOP] = burst_stop,

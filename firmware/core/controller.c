@@ -9,6 +9,7 @@
 #include "commands.h"
 #include "safety.h"
 
+#define HUSH_TICKS (TICK_HZ / 10U)           // an encoder gone bad must not fill the line with its reports
 #define LEAVE_TICKS ((int32_t)TICK_HZ / 10)  // patience with a host that does not fetch the acknowledgement
 
 void controller_start(controller_t* const self)
@@ -40,6 +41,21 @@ static void report_turntable(controller_t* const self, const uint32_t now)
         self->moving = false;
         event_turntable_done_pack(&(event_turntable_done_t){.tick = now, .position = board_turntable_position()},
                                   events_emit(&self->events, EVENT_TURNTABLE_DONE));
+    }
+}
+
+// An odometer that is off says so, once for all that was missed since it last did.
+static void report_odometer(controller_t* const self, const uint32_t now)
+{
+    board_health_t health;
+    board_health(&health);
+    const uint32_t missed = health.odometer_lost + health.odometer_impossible;
+    self->odometer_hushed = self->odometer_hushed && !tick_is_past(now, self->odometer_hushed_until);
+    if ((missed != self->odometer_missed) && !self->odometer_hushed) {
+        self->odometer_missed = missed;
+        self->odometer_hushed = true;
+        self->odometer_hushed_until = now + HUSH_TICKS;
+        events_fault(&self->events, now, FAULT_ODOMETER, missed);
     }
 }
 
@@ -147,6 +163,7 @@ void controller_run(controller_t* const self)
     report_burst(self);
     report_turntable(self, now);
     board_measure_run();
+    report_odometer(self, now);
     events_run(&self->events, now);
     board_status_light(self->armed != 0U);
     trail->part = PART_TRANSMIT;

@@ -31,7 +31,10 @@ typedef struct {
     bool moving;      // the turntable; TURNTABLE_DONE is due
     uint8_t leaving;  // LEAVE_*, once the acknowledgement has left
     uint32_t leaving_since;
-    uint32_t heard;  // tick of the session's last valid frame, meaningful while armed
+    uint32_t heard;            // tick of the session's last valid frame, meaningful while armed
+    uint32_t odometer_missed;  // transitions lost or impossible, as last reported
+    bool odometer_hushed;      // reported a moment ago
+    uint32_t odometer_hushed_until;
 } controller_t;
 
 // After reset: every output is low. Reports BOOTED.

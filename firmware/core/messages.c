@@ -478,6 +478,24 @@ void reply_bootloader_unpack(reply_bootloader_t* const self, const uint8_t* cons
     self->detail = get8(payload + 1);
 }
 
+void reply_health_pack(const reply_health_t* const self, uint8_t* const payload)
+{
+    put8(payload + 0, self->status);
+    put8(payload + 1, self->detail);
+    put32(payload + 2, self->odometer_lost);
+    put32(payload + 6, self->odometer_impossible);
+    put32(payload + 10, self->edges_dropped);
+}
+
+void reply_health_unpack(reply_health_t* const self, const uint8_t* const payload)
+{
+    self->status = get8(payload + 0);
+    self->detail = get8(payload + 1);
+    self->odometer_lost = get32(payload + 2);
+    self->odometer_impossible = get32(payload + 6);
+    self->edges_dropped = get32(payload + 10);
+}
+
 void command_info_pack(const command_info_t* const self, uint8_t* const payload)
 {
     put8(payload + 0, self->level);
@@ -842,6 +860,8 @@ static const layout_t layouts[] = {
     {0x4C, 6, 0xA5, 0, 1},  // reply move
     {0x0D, 4, 0xA5, 0, 1},  // command bootloader
     {0x4D, 2, 0xA5, 0, 1},  // reply bootloader
+    {0x11, 0, 0x1B, 1, 2},  // command health
+    {0x51, 14, 0x74, 0, 2},  // reply health
     {0x0E, 1, 0x79, 1, 2},  // command info
     {0x4E, 46, 0x25, 0, 2},  // reply info
     {0x0F, 0, 0xCA, 1, 2},  // command configuration
@@ -885,8 +905,10 @@ const layout_t* layout_of(const uint8_t id)
 
 uint8_t fault_since(const uint8_t fault)
 {
-    (void)fault;
+    if (fault == FAULT_ODOMETER) {
+        return 2U;
+    }
     return 1U;
 }
 
-const uint8_t known_commands[8] = {0xFF, 0xFF, 0x81, 0x01, 0x00, 0x00, 0x00, 0x00};
+const uint8_t known_commands[8] = {0xFF, 0xFF, 0x83, 0x01, 0x00, 0x00, 0x00, 0x00};

@@ -65,6 +65,7 @@ enum {
     FAULT_LATE_LOAD = 4,
     FAULT_EVENT_OVERRUN = 5,
     FAULT_LIMIT = 6,
+    FAULT_ODOMETER = 7,
 };
 
 enum {
@@ -148,6 +149,8 @@ enum {
     REPLY_MOVE = 0x4C,
     COMMAND_BOOTLOADER = 0x0D,
     REPLY_BOOTLOADER = 0x4D,
+    COMMAND_HEALTH = 0x11,
+    REPLY_HEALTH = 0x51,
     COMMAND_INFO = 0x0E,
     REPLY_INFO = 0x4E,
     COMMAND_CONFIGURATION = 0x0F,
@@ -452,6 +455,21 @@ typedef struct {
 } reply_bootloader_t;
 void reply_bootloader_pack(const reply_bootloader_t* self, uint8_t* payload);
 void reply_bootloader_unpack(reply_bootloader_t* self, const uint8_t* payload);
+
+// What went wrong at the board since its reset, counted; changes nothing.
+#define COMMAND_HEALTH_LENGTH 0U
+
+// Answer to health.
+#define REPLY_HEALTH_LENGTH 14U
+typedef struct {
+    uint8_t status;  // ok, or why not
+    uint8_t detail;  // which field or lamp, see status
+    uint32_t odometer_lost;  // counts, came faster than they were followed, so that the odometer is off by up to as many
+    uint32_t odometer_impossible;  // counts, both lines at once: a wire, a supply, or an encoder faster than the controller looks
+    uint32_t edges_dropped;  // of `rejected`: good ones that came while the main loop stood still
+} reply_health_t;
+void reply_health_pack(const reply_health_t* self, uint8_t* payload);
+void reply_health_unpack(reply_health_t* self, const uint8_t* payload);
 
 // What can you do? Carries the host's level: from here to the next `identify` this line is spoken to at that level, or at the controller's if that is lower.
 #define COMMAND_INFO_LENGTH 1U

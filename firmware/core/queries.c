@@ -173,6 +173,19 @@ void query_status(controller_t* const self, const uint8_t line, const uint8_t* c
                       answer);
 }
 
+void query_health(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
+{
+    (void)line;
+    (void)payload;
+    board_health_t health;
+    board_health(&health);
+    reply_health_pack(&(reply_health_t){.status = STATUS_OK,
+                                        .odometer_lost = health.odometer_lost,
+                                        .odometer_impossible = health.odometer_impossible,
+                                        .edges_dropped = health.edges_dropped},
+                      answer);
+}
+
 void query_reread(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
 {
     command_reread_t command;

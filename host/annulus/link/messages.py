@@ -43,6 +43,7 @@ class FaultCode(IntEnum):
     LATE_LOAD = 4
     EVENT_OVERRUN = 5
     LIMIT = 6
+    ODOMETER = 7
 
 
 class BootCause(IntEnum):
@@ -804,6 +805,44 @@ class CrashReply(Reply):
 
 
 @dataclass(frozen=True, slots=True)
+class HealthReply(Reply):
+    """Answer to health."""
+
+    ID: ClassVar[int] = 0x51
+    SCHEMA_BYTE: ClassVar[int] = 0x74
+    SINCE: ClassVar[int] = 2
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBIII")
+    LENGTH: ClassVar[int] = 14
+    FIELDS: ClassVar[tuple[str, ...]] = (
+        "status",
+        "detail",
+        "odometer_lost",
+        "odometer_impossible",
+        "edges_dropped",
+    )
+
+    odometer_lost: int  # counts; came faster than they were followed, so that the odometer is off by up to as many
+    odometer_impossible: int  # counts; both lines at once: a wire, a supply, or an encoder faster than the controller looks
+    edges_dropped: int  # of `rejected`: good ones that came while the main loop stood still
+
+    def pack(self) -> bytes:
+        return _pack(
+            "health",
+            self.LAYOUT,
+            self.status,
+            self.detail,
+            self.odometer_lost,
+            self.odometer_impossible,
+            self.edges_dropped,
+        )
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(StatusCode(v[0]), v[1], v[2], v[3], v[4])
+
+
+@dataclass(frozen=True, slots=True)
 class MeasureReply(Reply):
     """Answer to measure."""
 
@@ -1291,6 +1330,28 @@ class Crash(Command):
 
 
 @dataclass(frozen=True, slots=True)
+class Health(Command):
+    """What went wrong at the board since its reset, counted; changes nothing."""
+
+    ID: ClassVar[int] = 0x11
+    SCHEMA_BYTE: ClassVar[int] = 0x1B
+    SINCE: ClassVar[int] = 2
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<")
+    LENGTH: ClassVar[int] = 0
+    FIELDS: ClassVar[tuple[str, ...]] = ()
+    REPLY: ClassVar[type[Reply]] = HealthReply
+    QUERY: ClassVar[bool] = True
+
+    def pack(self) -> bytes:
+        return _pack("health", self.LAYOUT)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        _values(cls.LAYOUT, payload)
+        return cls()
+
+
+@dataclass(frozen=True, slots=True)
 class Measure(Command):
     """The controller times its own pins. After every edge of `pin` to `level`, and `delay` ticks later, it keeps the
     levels of four neighbouring pins tick by tick, 512 times: a look. The odometer stands still meanwhile. The first
@@ -1592,6 +1653,7 @@ COMMANDS: dict[int, type[Command]] = {
     0x0B: BurstStop,
     0x0C: Move,
     0x0D: Bootloader,
+    0x11: Health,
     0x0E: Info,
     0x0F: Configuration,
     0x10: Crash,
@@ -1614,6 +1676,7 @@ REPLIES: dict[int, type[Reply]] = {
     0x4B: BurstStopReply,
     0x4C: MoveReply,
     0x4D: BootloaderReply,
+    0x51: HealthReply,
     0x4E: InfoReply,
     0x4F: ConfigurationReply,
     0x50: CrashReply,

@@ -29,6 +29,8 @@ from annulus.link.messages import (
     Edge,
     Fault,
     FaultCode,
+    Health,
+    HealthReply,
     Move,
     Pattern,
     Stage,
@@ -83,6 +85,7 @@ def status(port: str) -> dict[str, object]:
             "longest_round_us": info.round_longest / TICKS_PER_US if info else None,
             **_configuration_fields(client),
             **_crash_fields(client),
+            **_health(client),
         }
 
 
@@ -128,6 +131,18 @@ def _crash_line(last: CrashReply) -> str:
         f" {last.tick / TICK_HZ:.3f} s (modulo 42.9 s) after it began, part {last.part.name.lower()} of round"
         f" {last.rounds}{doing}{todo}"
     )
+
+
+def _health(client: Client) -> dict[str, object]:
+    """What went wrong at the board."""
+    found = client.request(Health()) if client.session.knows(Health) else None
+    if not isinstance(found, HealthReply):
+        return {"odometer_lost_counts": None, "odometer_impossible_counts": None, "edges_dropped": None}
+    return {
+        "odometer_lost_counts": found.odometer_lost,
+        "odometer_impossible_counts": found.odometer_impossible,
+        "edges_dropped": found.edges_dropped,
+    }
 
 
 def configure(port: str, stage: Stage) -> dict[str, object]:
