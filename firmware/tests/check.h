@@ -22,5 +22,6 @@ void bursts_tests(void);
 void turntable_tests(void);
 void measure_tests(void);
 void board_tests(void);
+void odometer_tests(void);
 
 #endif

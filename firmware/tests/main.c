@@ -46,6 +46,7 @@ int main(void)
     turntable_tests();
     measure_tests();
     board_tests();
+    odometer_tests();
     printf("%d tests, %d failures\n", tests, failures);
     return (failures == 0) ? 0 : 1;
 }

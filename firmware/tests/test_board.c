@@ -98,6 +98,9 @@ static void the_board_refuses_what_the_core_should_have_refused(void)
     EXPECT(board_flash_load(&flash));
     flash.delay_ticks = 20 * MS + 1;
     EXPECT(!board_flash_load(&flash));
+    flash.delay_ticks = 0;
+    flash.holdoff_ticks = PERIOD - 1;  // more than its half
+    EXPECT(!board_flash_load(&flash));
     uint32_t start;
     EXPECT_EQ(board_burst(&(board_burst_t){.length = 1, .repeat = 1, .period_ticks = 1000}, &start),
               BOARD_BURST_CUT);  // not enabled

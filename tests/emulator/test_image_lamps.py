@@ -1,20 +1,29 @@
 """Promises about the lamps when edges come at the wrong moment, or too often, or not at all: read off the pins."""
 
 import random
+import shutil
+import subprocess
+from pathlib import Path
 
 import pytest
-from emulated import LATENCY, MS, EmulatedBoard, arm, configuration
+from emulated import BOOTED, LATENCY, MS, EmulatedBoard, arm, configuration
 
 from annulus.controller import PIN_LED, PIN_SYNC
 from annulus.link.messages import (
     Arm,
     ArmFlag,
+    Commit,
     Edge,
     EdgeFlag,
+    Fault,
+    FaultCode,
     Lamp,
     Ping,
     StageReply,
+    StateFlag,
+    Status,
     StatusCode,
+    StatusReply,
     SyncFound,
     SyncLost,
 )
@@ -35,6 +44,99 @@ def test_a_flash_may_take_half_of_the_shortest_interval_and_not_of_the_period(bo
         board.pulse(edge)
     board.run_alive(edges[-1] + 20 * MS)
     assert board.widths(PIN_LED) == [10 * MS] * 30
+
+
+def image_with(image: Path, scratch: Path, file: str, right: str, wrong: str) -> Path:
+    """The image under test with one line gone wrong: what one guard let through is the next one's to stop."""
+    firmware = scratch / "firmware"
+    shutil.copytree(image.parents[1], firmware, ignore=shutil.ignore_patterns("build", "corpus"))
+    source = firmware / file
+    assert right in source.read_text()
+    source.write_text(source.read_text().replace(right, wrong))
+    build = ["make", "--silent", "-C", str(firmware), "image", "GIT=broken00", "BUILD=build"]
+    subprocess.run(build, check=True, stdout=subprocess.DEVNULL)
+    return firmware / "build/annulus.uf2"
+
+
+def limit_faults(board: EmulatedBoard) -> list[int]:
+    """Of which lamps."""
+    return [fault.detail for fault in board.heard(Fault) if fault.fault == FaultCode.LIMIT]
+
+
+def test_a_core_that_checks_nothing_gets_no_flash_over_the_duty_limit(image: Path, tmp_path: Path) -> None:
+    line = "const uint32_t next_edge = holdoff_ticks(config);"
+    careless = image_with(image, tmp_path, "core/sequencer.c", line, "const uint32_t next_edge = config->frame_period;")
+    board = EmulatedBoard(careless)
+    board.run(BOOTED)
+    arm(board, ratio=0, period=40 * MS, tolerance=500, delay=0, readout=0, width=10 * MS + 1)
+    for i in range(5):
+        board.pulse(board.now + (20 * i + 1) * MS)
+    board.run_alive(board.now + 110 * MS)
+    assert board.rises(PIN_LED) == []
+    assert limit_faults(board) == [Lamp.LED]
+    status = board.request(Status())
+    assert isinstance(status, StatusReply)
+    assert status.fault == FaultCode.LIMIT
+    assert not status.state & StateFlag.LAMPS_ARMED
+    board.close()
+
+
+def test_a_hold_off_that_holds_nothing_off_gets_no_lamp_over_its_duty(image: Path, tmp_path: Path) -> None:
+    line = "(ticks > HOLDOFF_OVERHEAD) ? (ticks - HOLDOFF_OVERHEAD) / 2U : 0U"
+    leaky = image_with(image, tmp_path, "rp2040/lamps.c", line, "(ticks > HOLDOFF_OVERHEAD) ? 100U : 0U")
+    board = EmulatedBoard(leaky)
+    board.run(BOOTED)
+    width = 10 * MS
+    arm(board, ratio=0, period=40 * MS, tolerance=500, delay=0, readout=0, width=width)
+    for i in range(200):
+        board.pulse(board.now + (i + 1) * MS, low=1_000)
+    board.run_alive(board.now + 210 * MS)
+    assert limit_faults(board) == [Lamp.LED]
+    rises, falls = board.rises(PIN_LED), board.falls(PIN_LED)
+    assert len(rises) == 2
+    for begin in rises:
+        for end in falls:
+            on = sum(max(0, min(fall, end) - max(rise, begin)) for rise, fall in zip(rises, falls, strict=True))
+            assert on <= (end - begin) // 2 + width
+    board.close()
+
+
+def test_no_edge_is_accepted_while_a_lamp_is_on_whatever_was_configured_before(board: EmulatedBoard) -> None:
+    """A second change of the hold-off before any edge had no room: its flash outlasted the first one's."""
+    board.identify()
+    for period, tolerance, width, generation in ((2 * MS, 400, 1_000, 1), (40 * MS, 100, 15 * MS, 2)):
+        changes = {"ratio": 0, "period": period, "tolerance": tolerance, "width": width, "generation": generation}
+        for command in (configuration(**changes, delay=0, readout=0), Commit(generation=generation)):
+            assert board.request(command).status == StatusCode.OK
+        board.run(board.now + MS)
+    assert board.request(Arm(outputs=ArmFlag.LAMPS)).status == StatusCode.OK
+    for i in range(120):
+        board.pulse(board.now + (i + 1) * MS + 100, low=1_000)
+    board.run_alive(board.now + 140 * MS)
+    on = list(zip(board.rises(PIN_LED), board.falls(PIN_LED), strict=True))
+    edges = board.heard(Edge)
+    accepted = [event.tick + board.origin for event in edges]
+    assert [(a, rise) for a in accepted for rise, fall in on if rise <= a < fall] == []
+    assert [event.flags for event in edges[:2]] == [EdgeFlag.LATE_LOAD | EdgeFlag.FIRST, EdgeFlag.IRREGULAR]
+    assert {fall - rise for rise, fall in on} == {15 * MS}
+    assert len(on) == len(edges) - 1 == 4
+    assert limit_faults(board) == []
+
+
+@pytest.mark.timeout(300)  # half of the tick counter's turn is waited for: 20 s of a free core
+def test_the_first_flash_after_a_pause_of_22_seconds_is_whole(board: EmulatedBoard) -> None:
+    """The tick of the load was compared across half of the counter's turn: it was cut and called late."""
+    delay = 0
+    arm(board, ratio=0, period=2 * MS, delay=delay, width=20_000, host_timeout=5_000)
+    edges = [board.now + MS]
+    board.pulse(edges[0])
+    board.run_alive(board.now + 22_000 * MS, every=4_000 * MS)
+    edges.append(board.now + MS)
+    board.pulse(edges[1])
+    board.run(board.now + 5 * MS)
+    assert [rise - edge for rise, edge in zip(board.rises(PIN_LED), edges, strict=True)] == [delay + LATENCY] * 2
+    assert board.widths(PIN_LED) == [20_000] * 2
+    assert [(event.lamp, event.flags) for event in board.heard(Edge)] == [(Lamp.LED, EdgeFlag.FIRST)] * 2
 
 
 # ---- what is said of the edges ----
