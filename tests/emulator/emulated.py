@@ -81,6 +81,7 @@ class EmulatedBoard:
         self.replies: list[Reply] = []
         self.resets: list[int] = []
         self.stack = 0  # bytes, the deepest so far
+        self.rounds = (0, 0)  # ticks the main loop's longest took, and when it began; set it to begin anew
         self.origin = 0  # tick at which the controller began to count its own
         self.bootloader: dict[str, Any] | None = None  # what the image told the boot ROM, once it is there
         self.bad = 0
@@ -112,6 +113,7 @@ class EmulatedBoard:
             raise EmulatorFault(f"{answer['fault']} (tick {answer['now']})")
         self.now, self.resets, self.stack = answer["now"], answer["resets"], answer["stack"]
         self.origin, self.bootloader = answer["origin"], answer["bootloader"]
+        self.rounds = max(self.rounds, tuple(answer["round"]))
         self.transitions += [tuple(pin) for pin in answer["pins"]]
         self.sent += [tuple(byte) for byte in answer["sent"]]
         heard = self._decoder.feed(bytes(byte for _, byte in answer["sent"]))

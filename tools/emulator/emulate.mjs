@@ -14,18 +14,20 @@
 //   | {"op": "usb", "do": "attach" | "detach" | "reset" | "suspend" | "resume" | "hang" | "open" | "close" | "write" (hex)
 //   | "control" (setup, data: hex)} | {"op": "usbip", "port": N} (0: any; usb then tells it). The answer always has now, pins [[tick, pin, level], ..], sent
 // [[tick, byte], ..], resets, stack (bytes used at most), bootloader (what the image told the boot ROM, or null), usb (what its host
-// knows, or null), origin (tick at which the controller's own count began). --flash-id: the flash chip's 64 bits, 16 hex digits.
+// knows, or null), origin (tick at which the controller's own count began), round ([ticks, when it began] of the main loop's longest that ended since the last answer). --flash-id: the flash chip's 64 bits, 16 hex digits.
+// --flash-waits: a line that is not in the flash's cache costs what it costs on a Pico.
 
 import { readFileSync, createWriteStream } from 'node:fs';
 import { createServer } from 'node:net';
 import { createInterface } from 'node:readline';
+import { MISS_TICKS } from './cache.mjs';
 import { PIN, TICK_HZ } from './controller.mjs';
 import { Fault, Machine } from './machine.mjs';
 import { UsbIp } from './usbip.mjs';
 import { VcdWriter } from './vcd.mjs';
 
 function usage(message) {
-  process.stderr.write(`emulate.mjs: ${message}\n  emulate.mjs IMAGE.uf2 --serve PORT [--serve-usb PORT | --serve-usbip PORT] [--sync-hz HZ] [--wires FROM-TO,..] [--vcd FILE] [--flash-id HEX] | --drive [--vcd FILE] [--flash-id HEX]\n`);
+  process.stderr.write(`emulate.mjs: ${message}\n  emulate.mjs IMAGE.uf2 --serve PORT [--serve-usb PORT | --serve-usbip PORT] [--sync-hz HZ] [--wires FROM-TO,..] [--vcd FILE] [--flash-id HEX] [--flash-waits] | --drive [--vcd FILE] [--flash-id HEX] [--flash-waits]\n`);
   process.exit(2);
 }
 
@@ -33,6 +35,7 @@ function options(args) {
   const given = { image: undefined };
   for (let i = 0; i < args.length; i++) {
     if (args[i] === '--drive') given.drive = true;
+    else if (args[i] === '--flash-waits') given.waits = true;
     else if (['--serve', '--serve-usb', '--serve-usbip', '--sync-hz', '--wires', '--vcd', '--flash-id'].includes(args[i])) given[args[i].slice(2)] = args[++i] ?? usage(`${args[i - 1]} needs a value`);
     else if (!args[i].startsWith('--') && given.image === undefined) given.image = args[i];
     else usage(`unknown argument ${args[i]}`);
@@ -62,7 +65,7 @@ function answer(machine, op) {
     case 'leave-bootloader': machine.leaveBootloader(); break;
     default: throw new Fault(`no such op: ${op.op}`);
   }
-  return { now: machine.now, pins: machine.pins(), sent: machine.read_serial(), resets: machine.resets, stack: machine.stackUsed(), bootloader: machine.bootloader ?? null, usb: op.op === 'usb' || machine.host.state !== 'detached' ? machine.host.report() : null, origin: machine.tickOrigin ?? 0, overruns: machine.uart.overruns };
+  return { now: machine.now, pins: machine.pins(), sent: machine.read_serial(), resets: machine.resets, stack: machine.stackUsed(), bootloader: machine.bootloader ?? null, usb: op.op === 'usb' || machine.host.state !== 'detached' ? machine.host.report() : null, origin: machine.tickOrigin ?? 0, round: machine.loop.take(), overruns: machine.uart.overruns };
 }
 
 function drive(machine, vcd) {
@@ -140,7 +143,7 @@ function serve(machine, given, vcd) {
 const given = options(process.argv.slice(2));
 let machine;
 try {
-  machine = new Machine(readFileSync(given.image), given['flash-id']);
+  machine = new Machine(readFileSync(given.image), given['flash-id'], given.waits ? MISS_TICKS : 0);
 } catch (error) {
   process.stderr.write(`emulate.mjs: ${given.image}: ${error.message}\n`);
   process.exit(1);

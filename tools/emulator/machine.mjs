@@ -2,10 +2,12 @@
 // that make a forgiven mistake fail are ours. Time is in ticks of 10 ns since power came on.
 
 import { RP2040, GPIOPinState } from 'rp2040js';
+import { Cache } from './cache.mjs';
 import { FLASH, callRom, loadRom, readUf2 } from './bootrom.mjs';
 import { INPUT_PINS, OUTPUT_PINS, TICK_HZ } from './controller.mjs';
 import { Dma } from './dma.mjs';
 import { Fault, fault, hex } from './fault.mjs';
+import { Loop, SysTick } from './loop.mjs';
 import { Pio } from './pio.mjs';
 import { Ssi } from './ssi.mjs';
 import { Trap } from './trap.mjs';
@@ -25,7 +27,7 @@ const RESET_OF = new Map([
 const ALWAYS_ON = new Set([0x40008, 0x4000c, 0x40010, 0x40024, 0x40058, 0x40060, 0x18000]);
 
 export class Machine {
-  constructor(uf2, flashId = 'e6616408438a1c2f') {
+  constructor(uf2, flashId = 'e6616408438a1c2f', missTicks = 0) {
     this.flash = readUf2(uf2);
     this.ssi = new Ssi(Buffer.from(flashId, 'hex'));
     this.now = 0;
@@ -41,6 +43,9 @@ export class Machine {
     this.uart = new Uart((level) => this.chip?.setInterrupt(20, level));
     this.usb = new Usb((level) => this.chip?.setInterrupt(5, level), () => this.usbMHz());
     this.host = new UsbHost(this.usb);
+    this.cache = new Cache(missTicks);
+    this.loop = new Loop();
+    this.waits = 0; // of the instruction being run, for data in flash
     this.usedInstructions = 0;
     this.bootloader = undefined; // what the image said to the ROM when it went there
     this.boot(0);
@@ -71,6 +76,7 @@ export class Machine {
     chip.dma = this.dma;
     this.uart.reset();
     this.ssi.reset();
+    this.cache.reset();
     this.host.now = this.now;
     this.usb.reset();
     this.padsSet = new Set();
@@ -103,9 +109,8 @@ export class Machine {
     core.registers[15] = BOOT2_AT;
     this.heldUntil = this.now + BOOT_ROM_TICKS;
     this.nextDue = 0;
-    this.systickOn = false;
-    this.systickReload = 0;
-    this.systickFrom = 0;
+    this.systick = new SysTick();
+    this.loop.stalled();
     this.tickOrigin = undefined;
   }
 
@@ -147,7 +152,7 @@ export class Machine {
   read(address, bytes) {
     if (address & (bytes - 1)) fault(`HardFault: unaligned read of ${bytes} bytes at ${hex(address)}`);
     let view, at;
-    if (address >= FLASH && address < FLASH + this.flash.length) { if (!this.ssi.isReadable) fault(`HardFault: flash read at ${hex(address)} while its interface is not set up for that`); view = this.flashView; at = address - FLASH; }
+    if (address >= FLASH && address < FLASH + this.flash.length) { if (!this.ssi.isReadable) fault(`HardFault: flash read at ${hex(address)} while its interface is not set up for that`); view = this.flashView; at = address - FLASH; this.waits += this.cache.wait(address); }
     else if (address >= RAM && address < RAM + 0x42000) { view = this.ramView; at = address - RAM; }
     else if (address < 0x4000) { view = this.romView; at = address; }
     else if (address >= USB_MEMORY && address < USB_MEMORY + 0x1000) { this.block(address); return this.usb.readMemory(address - USB_MEMORY, bytes); }
@@ -185,7 +190,7 @@ export class Machine {
     if (address >>> 12 === 0xe000e) {
       if (address === 0xe000e018) {
         this.tickOrigin ??= this.now; // the controller's tick 0
-        return this.systick();
+        return this.systick.read(this.now);
       }
       return chip.ppb.readUint32(address & 0xfff);
     }
@@ -226,9 +231,9 @@ export class Machine {
     if (!this.isTransferring) this.tickClock();
     this.nextDue = 0;
     if (address >>> 12 === 0xe000e) {
-      if (address === 0xe000e010) return this.setSystick(value);
-      if (address === 0xe000e014) return (this.systickReload = value & 0xffffff);
-      if (address === 0xe000e018) return (this.systickFrom = this.now); // any write makes it zero
+      if (address === 0xe000e010) return this.systick.control(value, this.now);
+      if (address === 0xe000e014) return (this.systick.reload = value & 0xffffff);
+      if (address === 0xe000e018) return (this.systick.from = this.now); // any write makes it zero
       return chip.ppb.writeUint32(address & 0xfff, value);
     }
     if (address >>> 16 === 0xd000) return chip.sio.writeUint32(address & 0xffff, value);
@@ -268,24 +273,11 @@ export class Machine {
         if (!this.watchdog.tickEnable) fault('the timer stands still: nobody started the watchdog tick');
         break;
       case 0x40010: this.wdsel = value; break;
-      case 0x40058: if (offset === 0 && kind !== 3 && value & 0xc0000000 && this.wdsel !== 0x1fffc) {
+      case 0x40058: if (offset === 4) this.loop.kicked(this.now); if (offset === 0 && kind !== 3 && value & 0xc0000000 && this.wdsel !== 0x1fffc) {
         fault('a watchdog reset would not reset everything but the oscillators: PSM_WDSEL');
       }
     }
     chip.findPeripheral(address).writeUint32Atomic(offset, value, kind);
-  }
-
-  // Counts down from its reload value to 0, reload + 1 cycles a turn; rp2040js drops one of them.
-  systick() {
-    if (!this.systickOn) fault('SysTick read while it stands still');
-    const turn = this.systickReload + 1;
-    return (turn - ((this.now - this.systickFrom) % turn)) % turn;
-  }
-
-  setSystick(value) {
-    if (value & 1 && (value & 7) !== 5) fault('SysTick from another clock than clk_sys, or with its interrupt, is not modelled');
-    if (value & 1 && !this.systickOn) this.systickFrom = this.now;
-    this.systickOn = (value & 1) === 1;
   }
 
   setResets(value) {
@@ -414,6 +406,7 @@ export class Machine {
       const held = Math.max(this.heldUntil, this.stalledUntil);
       const { core } = this.chip;
       if (this.now < held || core.waiting) {
+        if (core.waiting) this.loop.slept ??= this.now;
         const alarm = this.alarmTick;
         const wake = this.now < held ? Math.min(held, alarm) : alarm;
         const next = Math.min(wake, until, uart.next, host.next, this.inputs.length ? this.inputs[0][0] : Infinity);
@@ -422,7 +415,15 @@ export class Machine {
         this.findDue();
       } else if (core.PC === at && this.stoppedAt !== at) return void (this.stoppedAt = at); // the next run goes on from here
       else {
-        const cycles = this.trap ? this.trap.step(core) : core.executeInstruction();
+        const pc = core.registers[15];
+        const wait = pc >= FLASH && pc < RAM ? this.cache.wait(pc) : 0;
+        if (wait > 0) { // fetched first: what it does is done when it is there
+          this.advance(this.now + wait);
+          this.findDue();
+          continue;
+        }
+        const cycles = (this.trap ? this.trap.step(core) : core.executeInstruction()) + this.waits;
+        this.waits = 0;
         if (core.PC === this.stoppedAt + 2) this.stoppedAt = undefined; // an interrupt may have come first
         this.usedInstructions++;
         if (this.now + cycles < this.nextDue) this.now += cycles;
@@ -483,7 +484,10 @@ export class Machine {
     this.watchdogFired = true;
   }
 
-  stall(ticks) { this.stalledUntil = this.now + ticks; }
+  stall(ticks) {
+    this.stalledUntil = this.now + ticks;
+    this.loop.stalled();
+  }
 
   setTrap(at, what) { this.trap = new Trap(at, what); }
 
