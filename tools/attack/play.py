@@ -1,0 +1,289 @@
+"""Plays scenes on a board as a host would, and keeps what was said and heard for tools.attack.truth to judge."""
+
+import itertools
+from collections import deque
+from dataclasses import dataclass, field, replace
+
+from annulus.controller import PIN_INTERLOCK, PIN_SYNC
+from annulus.link.codec import Decoder, Frame, encode
+from annulus.link.messages import (
+    SCHEMA_HASH,
+    Arm,
+    ArmFlag,
+    Booted,
+    BurstReply,
+    BurstStop,
+    Clear,
+    Command,
+    Commit,
+    Event,
+    Identify,
+    Pattern,
+    Reply,
+    Reread,
+    Stage,
+    Status,
+    StatusCode,
+    StatusReply,
+)
+from tools.attack.boards import MS, UART, USB, Board, BrokenPromiseError, Heard
+from tools.attack.scenes import Scene
+
+BYTE_TICKS = 1000
+PATIENCE = 30 * MS  # for an answer, a full line of events before it
+
+
+@dataclass(slots=True)
+class Asked:
+    """One command, when it was on its way, and what came back."""
+
+    command: Command
+    line: int
+    sequence: int
+    sent: int
+    through: int  # its last byte has arrived, if nothing holds it up
+    reply: Reply | None = None
+    answered: int = 1 << 62  # the look at which its answer was there
+    start: int = 0  # of a train
+
+
+@dataclass(slots=True)
+class Told:
+    """One event, at its tick of the world."""
+
+    index: int  # since boot
+    event: Event
+    tick: int
+
+
+@dataclass(slots=True)
+class Kept:
+    """Of one scene, in ticks of the world."""
+
+    began: int = 0
+    asked: list[Asked] = field(default_factory=list)
+    told: dict[int, Told] = field(default_factory=dict)
+    times_told: dict[int, list[int]] = field(default_factory=dict)  # index of an event: when it came
+    pulses: dict[int, list[tuple[int, int]]] = field(default_factory=dict)
+    stalls: list[tuple[int, int]] = field(default_factory=list)
+    opened: list[int] = field(default_factory=list)
+    unplugged: list[int] = field(default_factory=list)
+    noise: list[int] = field(default_factory=list)
+    falls: list[int] = field(default_factory=list)
+    boots: int = 0  # the controller began anew
+    first: StatusReply | None = None
+    last: StatusReply | None = None
+
+
+class Player:
+    """One board, from power on."""
+
+    def __init__(self, board: Board) -> None:
+        self.board = board
+        self.done: deque[str] = deque(maxlen=30)
+        self.kept = Kept()
+        self.high: dict[int, int] = {}  # pins that are high, since when
+        self.high_since_boot = 0
+        self._sequence = [itertools.count(), itertools.count()]
+        self._decoders = (Decoder(), Decoder())
+        self._line_free = [0, 0]
+        self._boot: int | None = None
+        self.next_index = 0  # of the newest event, one more
+        self.edges = 0  # falling edges played so far
+        self.line = UART
+        self._look(board.run(board.now + MS))
+
+    # ---- to the controller ----
+
+    def send(self, line: int, command: Command) -> Asked:
+        sequence = next(self._sequence[line]) & 0xFF
+        data = encode(Frame(command, sequence))
+        begin = max(self.board.now, self._line_free[line])
+        self._line_free[line] = begin + BYTE_TICKS * len(data)
+        asked = Asked(command, line, sequence, self.board.now, self._line_free[line])
+        self.kept.asked.append(asked)
+        self.board.write(line, data)
+        self.note(f"line {line}: {command}")
+        return asked
+
+    def request(self, command: Command, line: int | None = None) -> Reply | None:
+        """None when nothing came: the controller has gone, or the line has."""
+        asked = self.send(self.line if line is None else line, command)
+        end = asked.through + PATIENCE
+        while asked.reply is None and self.board.now < end:
+            self.run(self.board.now + MS // 5)
+        return asked.reply
+
+    def note(self, what: str) -> None:
+        self.done.append(f"{self.board.now:>12} {what}")
+
+    def run(self, until: int) -> None:
+        while until > self.board.now:  # in pieces, in which no tick wraps
+            self._look(self.board.run(min(until, self.board.now + 10_000 * MS)))
+
+    # ---- from the controller ----
+
+    def _look(self, heard: Heard) -> None:
+        for tick, pin, level in heard.transitions:
+            if level:
+                self.high[pin] = tick
+            else:
+                self.kept.pulses.setdefault(pin, []).append((self.high.pop(pin, 0), tick))
+        for line, data in enumerate(heard.lines):
+            for item in self._decoders[line].feed(data) if data else ():
+                if not isinstance(item, Frame):
+                    continue  # cut short by a reset or a plug
+                if isinstance(item.message, Event):
+                    self._event(item.message, item)
+                elif isinstance(item.message, Reply):
+                    self._reply(line, item.message, item.sequence)
+
+    def world(self, tick: int) -> int:
+        """Of a tick the controller counted in the last 40 s, or will in the next 3."""
+        behind = (self.board.now - self.board.origin - tick) & 0xFFFFFFFF
+        return self.board.now - (behind if behind < 4_000_000_000 else behind - (1 << 32))
+
+    def _event(self, event: Event, frame: Frame) -> None:
+        if frame.boot != self._boot:
+            self.kept.boots += self._boot is not None
+            self._boot, self.next_index = frame.boot, 0
+            self.kept.told.clear()
+            self.kept.times_told.clear()
+        ahead = ((frame.sequence - self.next_index + 0x8000) & 0xFFFF) - 0x8000
+        index = self.next_index + ahead
+        self.next_index = max(self.next_index, index + 1)
+        if isinstance(event, Booted):
+            self.high_since_boot = self.board.now
+        if index not in self.kept.told:
+            self.kept.told[index] = Told(index, event, self.world(event.tick))  # type: ignore[attr-defined]
+        self.kept.times_told.setdefault(index, []).append(self.board.now)
+
+    def _reply(self, line: int, reply: Reply, sequence: int) -> None:
+        for asked in reversed(self.kept.asked[-300:]):
+            if asked.line == line and asked.sequence == sequence and isinstance(reply, asked.command.REPLY):
+                if asked.reply is None:
+                    asked.reply, asked.answered = reply, self.board.now
+                    if isinstance(reply, BurstReply):
+                        asked.start = self.world(reply.start)
+                return
+
+    # ---- a scene ----
+
+    def play(self, scene: Scene) -> bool:
+        """False: the board could not be brought to the beginning, which only an unplugged line may do."""
+        self._prepare(scene)
+        begin = self.board.now + MS
+        self.kept.began = begin
+        self.kept.falls = [begin + tick for tick in scene.falls]
+        self.edges += len(scene.falls)
+        self.kept.opened = [begin + tick for tick, pin, level in scene.inputs if (pin, level) == (PIN_INTERLOCK, 1)]
+        self.note(f"scene begins: {scene.config}, sync from {begin + scene.falls[0]}, {len(scene.falls)} edges")
+        self.board.input([(begin + tick, pin, level) for tick, pin, level in scene.inputs])
+        for tick, what, line, value in scene.actions:
+            self.run(begin + tick)
+            self._act(what, line, value)
+        last = max([scene.end, *(tick for tick, _, _ in scene.inputs)])
+        self.run(begin + last)
+        self.run(max(end for _, end in [*self.kept.stalls, (0, 0)]) + MS)
+        self._finish(scene)
+        return True
+
+    def _act(self, what: str, line: int, value: object) -> None:
+        if what == "send" and isinstance(value, Command):
+            waiting = [asked for asked in self.kept.asked[-20:] if asked.line == line and asked.reply is None]
+            if (line == UART or self.board.connected()) and len(waiting) < 6:
+                self.send(line, value)
+        elif what == "stall" and isinstance(value, int):
+            self.note(f"main loop stands still for {value} ticks")
+            self.kept.stalls.append((self.board.now, self.board.now + value))
+            self.board.stall(value)
+        elif what == "noise" and isinstance(value, bytes):
+            self.note(f"line {line}: noise {value.hex()}")
+            self.kept.noise.append(line)
+            if line == UART:
+                self.board.write(line, value)
+        elif what == "plug":
+            self.note(f"USB {'plugged' if value else 'unplugged'}")
+            if not value:
+                self.kept.unplugged.append(self.board.now)
+            self.board.plug(bool(value))
+
+    def _prepare(self, scene: Scene) -> None:
+        board = self.board
+        self.kept = Kept(began=board.now)
+        board.input([(board.now, PIN_INTERLOCK, 0), (board.now, PIN_SYNC, 1)])
+        self.line = scene.line
+        if scene.line == USB and not board.connected():
+            board.plug(True)
+            end = board.now + 500 * MS
+            while not board.connected() and board.now < end:
+                self.run(board.now + 5 * MS)
+        elif scene.line == UART and board.connected():
+            board.plug(False)
+        self.run(board.now + 5 * MS)
+        self.kept = Kept(began=board.now)
+        self._must(Arm(outputs=ArmFlag(0)))
+        self._must(Identify(protocol=1, schema=SCHEMA_HASH))
+        self._must(Clear())
+        reply = self.request(scene.config)
+        if reply and reply.status == StatusCode.DUTY:  # too bright for the earliest edge it lets through
+            scene.config = dimmed(scene.config)
+            self._must(scene.config)
+        config = scene.config
+        chips = sum(1 << i for i, chip in enumerate(scene.chips) if chip == "1")
+        self._must(Commit(generation=config.generation))
+        self._must(Pattern(length=len(scene.chips), chips=chips.to_bytes(32, "little")))
+        self.kept.told.clear()
+        self.kept.first = self._status()
+        if scene.outputs:
+            self._must(Arm(outputs=scene.outputs))
+
+    def _must(self, command: Command) -> Reply:
+        reply = self.request(command)
+        if reply is None:
+            raise BrokenPromiseError(f"no answer to {command}")
+        if reply.status != StatusCode.OK:
+            raise BrokenPromiseError(f"a legal order refused: {reply} to {command}")
+        return reply
+
+    def _status(self) -> StatusReply:
+        reply = self._must(Status())
+        assert isinstance(reply, StatusReply)
+        return reply
+
+    def _finish(self, scene: Scene) -> None:
+        """Dark, quiet, and every event that can be had."""
+        if scene.line == USB and not self.board.connected():
+            self.line = UART
+            self.run(self.board.now + 5 * MS)
+            self.request(Arm(outputs=ArmFlag(0)))
+            self._must(Identify(protocol=1, schema=SCHEMA_HASH))
+        if self.request(BurstStop()) is None and not self.kept.stalls:
+            raise BrokenPromiseError("no answer to BurstStop")
+        end = self.board.now + 150 * MS
+        while self.board.now < end and self._status().state & 8:
+            self.run(self.board.now + 2 * MS)
+        self._must(Arm(outputs=ArmFlag(0)))
+        self.run(self.board.now + 6 * MS)
+        self.kept.last = self._status()
+        first = self.kept.first.events if self.kept.first and not self.kept.boots else 0
+        for _ in range(6):
+            # Only those of this scene; numbered by the controller modulo 65536.
+            newest = self.next_index + ((self.kept.last.events - self.next_index + 0x8000) & 0xFFFF) - 0x8000
+            oldest = newest - ((newest - first) & 0xFFFF)
+            missing = [i for i in range(max(oldest, newest - 64), newest) if i not in self.kept.told]
+            if not missing:
+                break
+            span = min(64, missing[-1] - missing[0] + 1)
+            self.request(Reread(first=missing[0] & 0xFFFF, count=span))
+            self.run(self.board.now + span * 50 * BYTE_TICKS + MS)
+        self.kept.last = self._status()
+
+
+def dimmed(config: Stage) -> Stage:
+    most = (config.frame_period - config.frame_period * config.tolerance // 1000) // 2
+    return replace(
+        config,
+        projector_width=min(most, config.projector_width),
+        led_width=min(most, config.led_width),
+    )

@@ -1,0 +1,481 @@
+"""What must hold, whatever was done: protocol/README.md and firmware/README.md, judged by pins, events and answers.
+
+Knows nothing of how the firmware does it. Every check raises BrokenPromiseError with the tick it is about.
+"""
+
+import itertools
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from annulus.controller import (
+    LAMP_DUTY_MAX_PERMILLE,
+    LAMP_WIDTH_MAX_TICKS,
+    MICROWAVE_DUTY_MAX_PERMILLE,
+    MICROWAVE_PULSE_MAX_TICKS,
+    PIN_LED,
+    PIN_MICROWAVE,
+    PIN_PROJECTOR,
+    PIN_TRIGGER,
+)
+from annulus.link.messages import (
+    EVENT_RING,
+    Arm,
+    ArmFlag,
+    Booted,
+    Burst,
+    Commit,
+    Configured,
+    Edge,
+    Event,
+    Fault,
+    FaultCode,
+    Reread,
+    RereadReply,
+    Stage,
+    StatusCode,
+    SyncLost,
+)
+from annulus.vocabulary import EdgeFlag, Lamp
+from tools.attack.boards import MS, Board, BrokenPromiseError, insist
+from tools.attack.play import Asked, Kept, Player, Told
+from tools.attack.scenes import Scene
+from tools.attack.trains import chips_of, trains
+
+US = MS // 1000
+LATCHING = {FaultCode.INTERLOCK, FaultCode.HOST_TIMEOUT, FaultCode.WATCHDOG, FaultCode.LIMIT}
+LAMP_PINS = {Lamp.PROJECTOR: PIN_PROJECTOR, Lamp.LED: PIN_LED}
+WATCHDOG = 100 * MS
+CUT = 10  # ticks from an interlock that opens to its gate low; a chip is at least as long
+DUTY_SLACK = 200  # ticks: a board counts from the tick it reads, not from the pin
+
+
+@dataclass(slots=True)
+class Duty:
+    """On-time owed, in ticks: filled by light, drained at the limit's rate."""
+
+    permille: int
+    owed: float = 0.0
+    at: int = 0
+
+    def rise(self, tick: int) -> float:
+        self.owed = max(0.0, self.owed - (tick - self.at) * self.permille / 1000)
+        self.at = max(self.at, tick)
+        return self.owed
+
+    def fall(self, rise: int, tick: int) -> None:
+        """The drain of the on-time itself counts: whoever is on for w owes w less what drained."""
+        self.owed = max(0.0, self.owed + (tick - rise) - (tick - rise) * self.permille / 1000)
+        self.at = tick
+
+
+class Truth:
+    """Judges one player's scenes one after another; limits over time go on across them."""
+
+    def __init__(self, player: Player) -> None:
+        self.player = player
+        self.board: Board = player.board
+        self.duty = {
+            PIN_PROJECTOR: Duty(LAMP_DUTY_MAX_PERMILLE),
+            PIN_LED: Duty(LAMP_DUTY_MAX_PERMILLE),
+            PIN_MICROWAVE: Duty(MICROWAVE_DUTY_MAX_PERMILLE),
+        }
+        self.burst_on = 0  # on-time of the longest burst yet
+        self.longest = 0  # ticks a round took
+        self.before: Stage | None = None  # in force when the scene began
+
+    def judge(self, scene: Scene) -> list[str]:
+        """What was broken, each check's first."""
+        kept = self.player.kept
+        checks: list[Callable[[], None]] = [
+            lambda: self._limits(kept),
+            lambda: self._interlock(kept),
+            lambda: self._boots(kept),
+            lambda: self._answers(kept),
+            self._round,
+        ]
+        if kept.boots == 0:
+            told = [kept.told[index] for index in sorted(kept.told) if index >= self._first(kept)]
+            whole = self._is_whole(kept)
+            checks += [
+                lambda: self._sequence(kept),
+                lambda: self._armed(kept, told),
+                lambda: self._host_timeout(kept, scene),
+                lambda: self._faults(kept, told),
+                lambda: self._edges(kept, told, scene, whole),
+                lambda: self._sync(told, kept),
+                lambda: trains(kept, told, self.board.now) if whole else None,
+                lambda: self._counters(kept, told, whole),
+                lambda: self._odometer(kept, told, scene),
+                lambda: self._rereads(kept),
+            ]
+        broken = []
+        for check in checks:
+            try:
+                check()
+            except BrokenPromiseError as error:
+                broken.append(str(error))
+        return broken
+
+    def _round(self) -> None:
+        longest, self.board.longest = self.board.longest, 0
+        self.longest = max(self.longest, longest)
+        most = self.board.round_max
+        insist(longest <= most, f"a round of the main loop took {longest / US:.0f} us, budget {most / US:.0f}")
+
+    # ---- at the pins alone ----
+
+    def _limits(self, kept: Kept) -> None:
+        for asked in kept.asked:
+            if isinstance(asked.command, Burst) and asked.reply and asked.reply.status == StatusCode.OK:
+                on = chips_of(kept, asked).count("1") * asked.command.chip
+                self.burst_on = max(self.burst_on, on)
+        for pin, duty in self.duty.items():
+            slack = self.burst_on if pin == PIN_MICROWAVE else 0
+            for rise, fall in kept.pulses.get(pin, ()):
+                owed = duty.rise(rise)
+                share = 100 * (1 + owed / max(1, fall - rise)) * duty.permille / 1000
+                insist(
+                    owed <= slack + DUTY_SLACK,
+                    f"GP{pin} over its duty: {owed:.0f} ticks owed, some {share:.0f} %",
+                    rise,
+                )
+                duty.fall(rise, fall)
+        for pin in (PIN_PROJECTOR, PIN_LED):
+            for rise, fall in kept.pulses.get(pin, ()):
+                insist(fall - rise <= LAMP_WIDTH_MAX_TICKS, f"GP{pin} on for {fall - rise} ticks", rise)
+            insist(pin not in self.player.high, f"GP{pin} still on", self.player.high.get(pin, 0))
+        both = sorted((r, f, p) for p in (PIN_PROJECTOR, PIN_LED) for r, f in kept.pulses.get(p, ()))
+        for (_, fall, _), (rise, _, _) in itertools.pairwise(both):
+            insist(rise >= fall, "both lamps on", rise)
+        for rise, fall in kept.pulses.get(PIN_MICROWAVE, ()):
+            insist(fall - rise <= MICROWAVE_PULSE_MAX_TICKS, f"microwave pulse of {fall - rise} ticks", rise)
+
+    def _interlock(self, kept: Kept) -> None:
+        for pin in (PIN_MICROWAVE, PIN_TRIGGER):
+            for rise, fall in kept.pulses.get(pin, ()):
+                at = bisect_right(kept.opened, rise)
+                if at < len(kept.opened) and fall > kept.opened[at] + CUT:
+                    insist(False, f"GP{pin} high {fall - kept.opened[at]} ticks after the interlock opened", rise)
+
+    # ---- what was answered ----
+
+    def _boots(self, kept: Kept) -> None:
+        stalled = any(end - begin > WATCHDOG - 5 * MS for begin, end in kept.stalls)
+        insist(kept.boots == 0 or stalled, "the controller began anew, and nobody held its main loop for 100 ms")
+
+    def _answers(self, kept: Kept) -> None:
+        for asked in kept.asked:
+            excused = kept.boots or kept.unplugged or asked.line in kept.noise
+            held = any(end + 50 * MS > asked.sent for _, end in kept.stalls)  # the line's buffer ran over
+            insist(
+                bool(asked.reply) or bool(excused) or held,
+                f"no answer to {asked.command} sent at {asked.sent}",
+            )
+
+    def _first(self, kept: Kept) -> int:
+        """Index of the scene's first event."""
+        assert kept.first
+        newest = self.player.next_index
+        return newest - ((newest - kept.first.events) & 0xFFFF)
+
+    def _count(self, kept: Kept) -> tuple[int, int]:
+        """Events made in the scene, and those of them that are here."""
+        assert kept.first
+        assert kept.last
+        made = (kept.last.events - kept.first.events) & 0xFFFF
+        return made, sum(index >= self._first(kept) for index in kept.told)
+
+    def _is_whole(self, kept: Kept) -> bool:
+        made, here = self._count(kept)
+        return here >= made
+
+    def _sequence(self, kept: Kept) -> None:
+        """Those that are not here must be counted, or a line was pulled."""
+        assert kept.first
+        assert kept.last
+        made, here = self._count(kept)
+        lost = (kept.last.overruns - kept.first.overruns) & 0xFFFF
+        excused = lost + (made if kept.unplugged else 0)
+        insist(here >= made - excused - 1, f"{made} events were made, {here} told, {lost} counted as overrun")
+
+    # ---- when something may be lit ----
+
+    def _armed(self, kept: Kept, told: list[Told]) -> None:
+        arms = [(asked, asked.command.outputs) for asked in kept.asked if isinstance(asked.command, Arm)]
+        ends = [(item.tick, item.tick) for item in told if is_latching(item.event)]
+
+        def permitted(tick: int, output: ArmFlag) -> bool:
+            for order, (asked, outputs) in enumerate(arms):
+                if not outputs & output or asked.sent > tick:
+                    continue
+                if asked.reply and asked.reply.status != StatusCode.OK:
+                    continue
+                darkened = any(
+                    later.answered < tick and not what & output
+                    for later, what in arms[order + 1 :]
+                    if later.reply and later.reply.status == StatusCode.OK
+                )
+                latched = any(asked.answered <= low and high < tick - US for low, high in ends)
+                if not darkened and not latched:
+                    return True
+            return False
+
+        for pin, output in ((3, ArmFlag.LAMPS), (4, ArmFlag.LAMPS), (5, ArmFlag.MICROWAVE), (6, ArmFlag.MICROWAVE)):
+            for rise, _ in kept.pulses.get(pin, ()):
+                insist(permitted(rise, output), f"GP{pin} rose, but nobody had it armed", rise)
+
+    def _host_timeout(self, kept: Kept, scene: Scene) -> None:
+        heard = sorted(asked.through for asked in kept.asked if asked.line == scene.line)
+        timeouts = [c.host_timeout or 500 for c in self._configs(kept)] or [500]
+        longest = max(timeouts) * MS + 5 * MS + sum(end - begin for begin, end in kept.stalls)
+        for pin in self.duty:
+            for rise, _ in kept.pulses.get(pin, ()):
+                at = bisect_right(heard, rise)
+                last = heard[at - 1] if at else kept.began
+                insist(
+                    rise - last <= longest, f"GP{pin} rose {(rise - last) / MS:.0f} ms after the host's last word", rise
+                )
+
+    def _faults(self, kept: Kept, told: list[Told]) -> None:
+        slow = sum(end - begin for begin, end in kept.stalls)
+        for item in told:
+            if not isinstance(item.event, Fault):
+                continue
+            match item.event.fault:
+                case FaultCode.INTERLOCK:
+                    insist(
+                        any(tick <= item.tick for tick in kept.opened),
+                        "fault interlock, which nobody opened",
+                        item.tick,
+                    )
+                case FaultCode.WATCHDOG:
+                    insist(slow > MS, "fault watchdog, and nobody held the main loop", item.tick)
+        latched = [*kept.unplugged, *(item.tick for item in told if is_latching(item.event))]
+        for tick in kept.opened:
+            if not self._surely_armed(kept, tick, latched):
+                continue
+            insist(
+                any(tick - US <= when <= tick + slow + 10 * MS for when in latched),
+                "the interlock opened on an armed controller, which latched nothing",
+                tick,
+            )
+
+    def _surely_armed(self, kept: Kept, tick: int, latched: list[int]) -> bool:
+        before = [a for a in kept.asked if isinstance(a.command, Arm) and a.sent < tick]
+        if not before or not before[-1].reply or before[-1].answered >= tick:
+            return False
+        last = before[-1].reply
+        if any(isinstance(a.command, Arm) and a.sent < tick <= a.answered for a in kept.asked):
+            return False
+        return bool(getattr(last, "outputs", 0)) and not any(before[-1].sent <= when <= tick for when in latched)
+
+    # ---- edges ----
+
+    def _configs(self, kept: Kept) -> list[Stage]:
+        """What may have been in force during the scene."""
+        staged = [a.command for a in kept.asked if isinstance(a.command, Stage)]
+        return [*([self.before] if self.before else []), *staged]
+
+    def _edges(self, kept: Kept, told: list[Told], scene: Scene, whole: bool) -> None:
+        edges = [(item, item.event) for item in told if isinstance(item.event, Edge)]
+        by_generation: dict[int, Stage] = {c.generation: c for c in [scene.config]}
+        ambiguous: set[int] = set()
+        for asked in kept.asked:
+            if isinstance(asked.command, Stage) and asked.command is not scene.config:
+                if asked.command.generation in by_generation:
+                    ambiguous.add(asked.command.generation)
+                by_generation[asked.command.generation] = asked.command
+        falls = kept.falls
+        taken: list[int] = []
+        cuts = self._cuts(kept, told)
+        lit: dict[int, list[tuple[int, int]]] = {PIN_PROJECTOR: [], PIN_LED: []}
+        previous: Edge | None = None
+        slot_free = True
+        for item, edge in edges:
+            at = bisect_right(falls, item.tick) - 1
+            insist(at >= 0 and item.tick - falls[at] <= self.board.stamp, f"{edge}: no edge fell then", item.tick)
+            insist(not taken or falls[at] > taken[-1], f"{edge}: told twice", item.tick)
+            tick = falls[at]
+            if previous:
+                insist(not whole or edge.edge == previous.edge + 1, f"{edge} after {previous}", tick)
+                slot_free |= any(is_order(a) and taken[-1] - US <= a.answered and a.sent <= tick for a in kept.asked)
+            slot_free |= any(taken and taken[-1] <= when <= tick for when, _ in cuts)
+            self._slot(edge, previous, slot_free, by_generation, ambiguous, whole)
+            slot_free = False
+            if edge.flags & EdgeFlag.LATE_LOAD:
+                self._late(kept, told, tick, taken[-1] if taken else 0)
+            elif edge.lamp in LAMP_PINS:
+                rise = tick + edge.delay + self.board.latency
+                lit[LAMP_PINS[edge.lamp]].append((rise, rise + edge.width))
+                self._flash(kept, edge, rise, tick, cuts)
+            taken.append(tick)
+            previous = edge
+        for pin, wanted in lit.items():
+            starts = {rise for rise, _ in wanted}
+            for rise, fall in kept.pulses.get(pin, ()):
+                insist(
+                    rise in starts or not whole, f"GP{pin} lit for {fall - rise} ticks, of which no event tells", rise
+                )
+        if whole:
+            self._accepted(kept, taken, scene)
+        self.before = by_generation.get(kept.last.generation) if kept.last else None
+
+    def _slot(self, edge: Edge, previous: Edge | None, free: bool, known: dict[int, Stage], ambiguous: set[int],
+              whole: bool) -> None:  # fmt: skip
+        config = known.get(edge.generation)
+        if edge.flags & EdgeFlag.DISARMED:
+            insist(edge.lamp == Lamp.DARK, f"{edge}: disarmed and not dark")
+            return
+        if config is None or edge.generation in ambiguous:
+            return
+        led = edge.slot == config.ratio
+        insist(edge.slot <= config.ratio, f"{edge}: no such slot with ratio {config.ratio}")
+        if not edge.flags & EdgeFlag.LATE_LOAD and edge.lamp != Lamp.DARK:
+            expected = (config.led_delay, config.led_width) if led else (config.projector_delay, config.projector_width)
+            insist((edge.delay, edge.width) == expected, f"{edge}: configured were {expected}")
+            insist(edge.lamp == (Lamp.LED if led else Lamp.PROJECTOR), f"{edge}: the other lamp's slot")
+        if previous and whole and not free and not previous.flags & EdgeFlag.DISARMED:
+            before = known.get(previous.generation)
+            if before and previous.generation not in ambiguous:
+                follows = 0 if previous.slot == before.ratio else previous.slot + 1
+                insist(edge.slot == follows, f"{edge}: slot {follows} was due")
+
+    def _cuts(self, kept: Kept, told: list[Told]) -> list[tuple[int, int]]:
+        """What may end a flash: from when to when it may have acted."""
+        orders = [(a.sent, a.answered) for a in kept.asked if isinstance(a.command, Arm)
+                  and not a.command.outputs & ArmFlag.LAMPS]  # fmt: skip
+        pulled = [(tick, tick + 5 * MS) for tick in kept.unplugged]
+        return [*orders, *pulled, *((item.tick - MS, item.tick + US) for item in told if is_latching(item.event))]
+
+    def _flash(self, kept: Kept, edge: Edge, rise: int, tick: int, cuts: list[tuple[int, int]]) -> None:
+        pin = LAMP_PINS[edge.lamp]
+        pulses = kept.pulses.get(pin, [])
+        at = bisect_left(pulses, (rise, 0))
+        found = pulses[at] if at < len(pulses) and pulses[at][0] == rise else None
+        if found is None:
+            insist(any(low <= rise and high >= tick for low, high in cuts), f"{edge}: GP{pin} stayed dark", tick)
+        elif found[1] - found[0] != edge.width:
+            short = found[1] - found[0] < edge.width and any(low <= found[1] <= high for low, high in cuts)
+            insist(short, f"{edge}: GP{pin} was lit for {found[1] - found[0]} ticks, and nothing cut it", tick)
+
+    def _late(self, kept: Kept, told: list[Told], tick: int, previous: int) -> None:
+        """Allowed after a main loop held up, an edge just before, or an order that changes what is loaded."""
+        patience = self.board.round_max
+        reasons = (
+            tick - previous < patience,
+            any(begin - patience <= tick and end + patience >= previous for begin, end in kept.stalls),
+            any(a.sent <= tick and a.answered >= tick - patience for a in kept.asked if is_order(a)),
+            any(abs(item.tick - tick) < patience for item in told if reloads(item.event)),
+        )
+        insist(any(reasons), "late_load, and nothing held the main loop up", tick)
+
+    def _accepted(self, kept: Kept, taken: list[int], scene: Scene) -> None:
+        """Every edge outside the hold-off counts, none within it."""
+        configs = self._configs(kept)
+        holdoffs = [c.frame_period - c.frame_period * c.tolerance // 1000 for c in configs]
+        least, most = min(holdoffs), max(holdoffs)
+        accepted = set(taken)
+        last: int | None = None
+        stalled = bool(kept.stalls)
+        for fall in kept.falls:
+            if fall in accepted:
+                insist(
+                    last is None or fall - last >= least - 20,
+                    f"an edge {fall - (last or 0)} ticks after the last counted",
+                    fall,
+                )
+                last = fall
+            elif last is not None and not stalled:
+                insist(fall - last <= most + 20, f"an edge {fall - last} ticks after the last was refused", fall)
+
+    def _sync(self, told: list[Told], kept: Kept) -> None:
+        at_edge = {item.event.edge: item.tick for item in told if isinstance(item.event, Edge)}
+        periods = [c.frame_period for c in self._configs(kept)]
+        slow = sum(end - begin for begin, end in kept.stalls)
+        for item in told:
+            if isinstance(item.event, SyncLost) and item.event.last_edge in at_edge:
+                silent = item.tick - at_edge[item.event.last_edge]
+                insist(silent >= 2.5 * min(periods) - US, f"sync_lost {silent / US:.1f} us after an edge", item.tick)
+                insist(
+                    silent <= 3 * max(periods) + slow, f"sync_lost only {silent / MS:.1f} ms after an edge", item.tick
+                )
+
+    # ---- counters ----
+
+    def _counters(self, kept: Kept, told: list[Told], whole: bool) -> None:
+        first, last = kept.first, kept.last
+        assert first
+        assert last
+        accepted, refused = last.edges - first.edges, last.rejected - first.rejected
+        counts = self.board.name == "native" or not kept.stalls  # the emulator's stall holds interrupts up as well
+        insist(
+            accepted + refused == len(kept.falls) or not counts,
+            f"{len(kept.falls)} edges fell, {accepted} counted and {refused} refused",
+        )
+        if whole:
+            edges = [item.event for item in told if isinstance(item.event, Edge)]
+            insist(len(edges) == accepted, f"{accepted} edges counted, {len(edges)} told")
+            late = sum(bool(edge.flags & EdgeFlag.LATE_LOAD) for edge in edges)
+            insist(late == last.late - first.late, f"{late} late flashes told, {last.late - first.late} counted")
+        if not kept.noise and not kept.unplugged and not kept.stalls:
+            insist(
+                last.bad_frames == first.bad_frames, f"{last.bad_frames - first.bad_frames} bad frames, none was sent"
+            )
+
+    def _odometer(self, kept: Kept, told: list[Told], scene: Scene) -> None:
+        assert kept.first
+        assert kept.last
+        if any(isinstance(item.event, Fault) and item.event.fault == 7 for item in told):
+            return  # it says itself that it lost count
+        base = kept.first.odometer
+        ticks = [kept.began + tick for tick, _ in scene.steps]
+        counts = [0]
+        for _, way in scene.steps:
+            counts.append(counts[-1] + way)
+        for item in told:
+            if isinstance(item.event, Edge):
+                low, high = bisect_left(ticks, item.tick - 40), bisect_right(ticks, item.tick + 40)
+                true = [base + count for count in counts[low : high + 1]]
+                insist(item.event.odometer in true, f"{item.event}: the odometer stands at {true}", item.tick)
+        insist(
+            kept.last.odometer == base + counts[-1],
+            f"odometer says {kept.last.odometer - base}, it moved by {counts[-1]} in {len(ticks)} steps",
+        )
+
+    def _rereads(self, kept: Kept) -> None:
+        """As many as promised came, each after it was promised."""
+        if kept.unplugged:
+            return
+        promised: dict[int, list[int]] = {}
+        newest = self.player.next_index
+        for asked in kept.asked:
+            if (
+                isinstance(asked.command, Reread)
+                and isinstance(asked.reply, RereadReply)
+                and asked.line == self.player.line
+            ):
+                for i in range(asked.reply.count if asked.reply.status == StatusCode.OK else 0):
+                    index = newest - ((newest - asked.reply.first - i) & 0xFFFF)
+                    promised.setdefault(index, []).append(asked.sent)
+        for index, when in promised.items():
+            if newest - index > EVENT_RING:
+                continue  # may have left the ring since it was promised
+            came = [tick for tick in kept.times_told.get(index, ()) if tick >= when[0]]
+            insist(
+                len(came) >= len(when),
+                f"event {index} was promised {len(when)} times by reread and came {len(came)} times",
+            )
+
+
+def is_latching(event: Event) -> bool:
+    return isinstance(event, Booted) or (isinstance(event, Fault) and (event.fault in LATCHING or event.fault == 8))
+
+
+def is_order(asked: Asked) -> bool:
+    """Does it change what is loaded?"""
+    return isinstance(asked.command, (Arm, Commit))
+
+
+def reloads(event: Event) -> bool:
+    return isinstance(event, Configured) or (isinstance(event, Fault) and event.fault != FaultCode.LATE_LOAD)
