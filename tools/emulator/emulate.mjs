@@ -21,6 +21,7 @@ import { readFileSync, createWriteStream } from 'node:fs';
 import { createServer } from 'node:net';
 import { createInterface } from 'node:readline';
 import { MISS_TICKS } from './cache.mjs';
+import { stackUsed } from './loop.mjs';
 import { PIN, TICK_HZ } from './controller.mjs';
 import { Fault, Machine } from './machine.mjs';
 import { UsbIp } from './usbip.mjs';
@@ -65,7 +66,7 @@ function answer(machine, op) {
     case 'leave-bootloader': machine.leaveBootloader(); break;
     default: throw new Fault(`no such op: ${op.op}`);
   }
-  return { now: machine.now, pins: machine.pins(), sent: machine.read_serial(), resets: machine.resets, stack: machine.stackUsed(), bootloader: machine.bootloader ?? null, usb: op.op === 'usb' || machine.host.state !== 'detached' ? machine.host.report() : null, origin: machine.tickOrigin ?? 0, round: machine.loop.take(), overruns: machine.uart.overruns };
+  return { now: machine.now, pins: machine.pins(), sent: machine.read_serial(), resets: machine.resets, stack: stackUsed(machine.ramView), bootloader: machine.bootloader ?? null, usb: op.op === 'usb' || machine.host.state !== 'detached' ? machine.host.report() : null, origin: machine.tickOrigin ?? 0, round: machine.loop.take(), overruns: machine.uart.overruns };
 }
 
 function drive(machine, vcd) {

@@ -46,3 +46,10 @@ export class SysTick {
     this.on = (value & 1) === 1;
   }
 }
+
+// Deepest use of the stack, where start-up painted it (rp2040.ld: 4 KiB from 0x20040000).
+export function stackUsed(ramView) {
+  let at = 0x40000;
+  while (at < 0x41000 && ramView.getUint32(at, true) === 0xa5a5a5a5) at += 4;
+  return 0x41000 - at;
+}

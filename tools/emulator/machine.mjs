@@ -472,13 +472,6 @@ export class Machine {
     return drained;
   }
 
-  // Deepest use of the stack, where start-up painted it (rp2040.ld: 4 KiB from 0x20040000).
-  stackUsed() {
-    let at = 0x40000;
-    while (at < 0x41000 && this.ramView.getUint32(at, true) === 0xa5a5a5a5) at += 4;
-    return 0x41000 - at;
-  }
-
   reset() {
     this.watchdog.reason = 1; // timer
     this.watchdogFired = true;
