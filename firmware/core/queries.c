@@ -175,6 +175,7 @@ void query_status(controller_t* const self, const uint8_t line, const uint8_t* c
 
 void query_health(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
 {
+    (void)self;
     (void)line;
     (void)payload;
     board_health_t health;
