@@ -1,5 +1,8 @@
 """`annulus head`: one controller on the operate."""
 
+import json
+import sys
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -72,6 +75,40 @@ def disarm(port: Port) -> None:
 
     operate.disarm(port)
     print("disarmed")
+
+
+@app.command("selftest", epilog="Example: annulus head selftest --port /dev/ttyACM0 -o selftest")
+def selftest(
+    port: Annotated[
+        str,
+        typer.Option(
+            help="Serial port of the controller, socket://host:port, or native:// and emulated:// for a simulated one."
+        ),
+    ],
+    out: Annotated[Path | None, typer.Option("-o", "--out", help="Folder for selftest.html and selftest.json.")] = None,
+    edges: Annotated[int, typer.Option(min=20, max=20_000, help="Edges for latency and jitter, at 500 Hz.")] = 1000,
+    yes: Annotated[bool, typer.Option("--yes", help="Everything is unplugged: do not ask, move no wire.")] = False,
+    as_json: Json = False,
+) -> None:
+    """The controller times its own outputs: what is promised, and what this board keeps. Status 1: a promise is broken.
+
+    Lamps, source and turntable unplugged, two jumpers: STEP (GP8) to sync (GP2), interlock (GP7) to ground.
+    """
+    from annulus.cli.bench import at_the_bench
+    from annulus.selftest.page import render_table, verdict_line, write
+    from annulus.selftest.run import run_selftest
+
+    with at_the_bench(port, yes) as (url, move_wire):
+        test = run_selftest(url, name=port, edges=edges, move_wire=move_wire)
+    if as_json:
+        print(json.dumps(test.to_dict()))
+    else:
+        print(f"{test.board} {test.serial_number} {test.firmware} {test.date}\n\n{render_table(test.rows)}\n")
+        print(verdict_line(test))
+    if out is not None:
+        print(write(test, out), file=sys.stderr)
+    if test.broken:
+        raise typer.Exit(1)
 
 
 @app.command("clear", epilog="Example: annulus head clear --port /dev/ttyACM0")

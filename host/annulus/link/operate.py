@@ -62,9 +62,9 @@ def status(port: str) -> dict[str, object]:
         assert isinstance(reply, StatusReply)
         info = client.session.info
         return {
-            "board": _text(who.board),
-            "serial_number": _text(info.serial) if info else None,
-            "firmware": _text(who.git),
+            "board": text_of(who.board),
+            "serial_number": text_of(info.serial) if info else None,
+            "firmware": text_of(who.git),
             "version": f"{info.major}.{info.minor}.{info.patch}" if info else None,
             "level": info.level if info else 1,
             "protocol": who.protocol,
@@ -341,7 +341,7 @@ def _raise_on_fault(port: str, happening: object) -> None:
         raise AnnulusError(f"{port}: the controller restarted, everything disarmed")
 
 
-def _text(raw: bytes) -> str:
+def text_of(raw: bytes) -> str:
     return "".join(c for c in raw.rstrip(b"\0").decode("ascii", "replace") if c.isprintable())
 
 

@@ -13,6 +13,7 @@ import contextlib
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from types import TracebackType
 from typing import Self
 
@@ -25,7 +26,7 @@ from annulus.controller import (
 )
 from annulus.testing.protocol_simulated import publish, withdraw
 from annulus.testing.scripted import BadLine, ScriptedController
-from annulus.twin.emulated import open_board
+from annulus.twin.emulated import IMAGE, Board, EmulatedBoard, open_board
 from annulus.twin.faults import Faults, LossyLine, load_faults
 from annulus.twin.line import TcpLine
 
@@ -35,7 +36,8 @@ LIVE_STEP_S = 0.001
 
 
 class SimulatedHead:
-    """The real firmware: on the native board, or `board="emulated"`, the shipped image on an emulated RP2040.
+    """The real firmware: on the native board, or `board="emulated"`, the shipped image on an emulated RP2040; `image`:
+    another one than the one built here, `vcd`: a file for all that its pins do.
 
     Interlock closed, no camera unless `camera_fps`. Of the native board there is one a process: a new head takes the
     place of the one before. `faults` and `seed`: of the line, as twin.faults knows them: events lost, bytes flipped.
@@ -45,13 +47,15 @@ class SimulatedHead:
         self,
         board: str = "native",
         *,
+        image: Path | None = None,
+        vcd: Path | None = None,
         camera_fps: float = 0.0,
         faults: Faults | str | None = None,
         seed: int = 0,
         wires: tuple[tuple[int, int], ...] = (),
     ) -> None:
         chosen = faults if isinstance(faults, Faults) else load_faults(faults)
-        self.board = open_board(board)
+        self.board: Board = EmulatedBoard(image or IMAGE, vcd=vcd) if image or vcd else open_board(board)
         self._to_host = LossyLine(chosen, seed)
         self._to_head = BadLine(seed, chosen.bytes_flipped)
         self._waiting = bytearray()
