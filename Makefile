@@ -50,6 +50,7 @@ test: setup lint firmware emulator
 	$(BIN)/pytest -n auto --dist loadfile tests/scenes
 	$(BIN)/pytest tests/system
 	$(BIN)/pytest -n auto tests/emulator
+	$(BIN)/pytest -n auto tests/hil
 	$(BIN)/pytest tests/guest
 
 lint: setup generated

@@ -8,6 +8,7 @@ from annulus.link.client import Client
 from annulus.link.messages import (
     Arm,
     ArmFlag,
+    Burst,
     Clear,
     Measure,
     Move,
@@ -15,6 +16,7 @@ from annulus.link.messages import (
     SamplesReply,
     StateFlag,
     Status,
+    StatusCode,
     StatusReply,
 )
 from annulus.link.session import LinkEvent
@@ -26,6 +28,7 @@ WORDS_A_REPLY = 8
 TICKS_A_WORD = 8
 PATIENCE_S = 1.0
 POLL_S = 0.01
+OWED_S = 0.1  # after a reset, as if the longest burst had just ended: 77 ms
 SETTLE_S = 0.005
 
 
@@ -117,6 +120,13 @@ class Scope:
                 break
             looks -= taken
         return seen
+
+    def fire(self, burst: Burst) -> StatusCode:
+        """Start a train. Whoever does it too soon after another finds a fault latched: the limit holds over time."""
+        answer = self.client.ask(burst)
+        if answer is None:
+            raise AnnulusError(f"{self.port}: no answer to burst, expected one")
+        return answer.reply.status
 
     def steps(self, count: int, period: int) -> None:
         """Let STEP make so many pulses, from now on, one every `period` ticks."""
