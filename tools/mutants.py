@@ -119,6 +119,13 @@ MUTANTS = (
         "usb-no-empty-packet", "rp2040/usbdata.c", "((in.filled > 0U) || in.whole)", "(in.filled > 0U)", "last_packet"
     ),
     Mutant(
+        "usb-one-buffer-for-two-packets",
+        "rp2040/usbdata.c",
+        "    in.buffer = (in.buffer == DATA_IN) ? DATA_IN_SECOND : DATA_IN;\n",
+        "",
+        "handed_over",
+    ),
+    Mutant(
         "usb-late-in-a-frame",
         "rp2040/usbframe.c",
         "- frame.began_us < EARLY_US",

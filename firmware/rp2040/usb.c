@@ -403,13 +403,9 @@ void usb_start(void)
     REGISTER(USB_POWER) = (1U << 3) | (1U << 2);   // there is always a bus: no pin tells
     REGISTER(USB_MAIN_CTRL) = 1U;                  // device, on
     REGISTER(USB_SIE_CTRL) = 1U << 29;             // BUFF_STATUS for endpoint 0 as well
-    const uint32_t on = ENDPOINT_ENABLE | ENDPOINT_INTERRUPT;
-    const uint32_t base = USB_DPSRAM;
-    REGISTER(USB_ENDPOINT_CONTROL(NOTICE_IN)) =
-        on | ENDPOINT_INTERRUPT_TYPE | ((uint32_t)(uintptr_t)usb_packet_of(NOTICE_IN) - base);
-    REGISTER(USB_ENDPOINT_CONTROL(DATA_IN)) = on | ENDPOINT_BULK | ((uint32_t)(uintptr_t)usb_packet_of(DATA_IN) - base);
-    REGISTER(USB_ENDPOINT_CONTROL(DATA_OUT)) =
-        on | ENDPOINT_BULK | ((uint32_t)(uintptr_t)usb_packet_of(DATA_OUT) - base);
+    usb_place_packets(NOTICE_IN, NOTICE_IN);
+    usb_place_packets(DATA_IN, DATA_IN);
+    usb_place_packets(DATA_OUT, DATA_OUT);
     REGISTER(USB_INTE) = USB_INT_BUFFER | USB_INT_SETUP | USB_INT_BUS_RESET | USB_INT_SUSPEND | USB_INT_RESUME;
     SET_BITS(USB_SIE_CTRL) = 1U << 16;  // pull up D+: here we are
     REGISTER(NVIC_ENABLE) = 1U << IRQ_USB;

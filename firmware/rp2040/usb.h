@@ -11,13 +11,15 @@
 
 // Endpoints, as bits of BUFF_STATUS and EP_ABORT and as places of the buffer control registers.
 enum { CONTROL_IN = 0, CONTROL_OUT = 1, NOTICE_IN = 2, DATA_IN = 4, DATA_OUT = 5 };
+enum { DATA_IN_SECOND = 6 };  // no endpoint: another buffer of DATA_IN's
 #define BIT(endpoint) (1U << (endpoint))
 
 // Buffers. One belongs to the controller from usb_hand_over until BUFF_STATUS says it is done.
 void usb_hand_over(uint32_t endpoint, uint32_t bits);
 void usb_take_back(uint32_t endpoints);
-volatile uint8_t* usb_packet_of(uint32_t endpoint);
-void usb_copy_out(uint32_t endpoint, uint32_t at, const uint8_t* bytes, uint32_t size);
+void usb_place_packets(uint32_t endpoint, uint32_t buffer);  // the endpoint on, its next packet in this buffer
+volatile uint8_t* usb_packet_of(uint32_t buffer);            // an endpoint's own, or DATA_IN_SECOND
+void usb_copy_out(uint32_t buffer, uint32_t at, const uint8_t* bytes, uint32_t size);
 
 // The port, as control requests and the bus see it.
 extern struct usb_port {

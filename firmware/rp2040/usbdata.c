@@ -12,10 +12,12 @@
 
 struct usb_port usb_port;
 
+// Two buffers in turn: one is filled while the controller has the other. It takes one packet at a time.
 static struct {
     bool data1;
-    bool taken;  // the controller has the buffer
-    bool whole;  // the last packet was a whole one: the host waits for more
+    bool taken;       // the controller has a buffer: not the one that is filled
+    bool whole;       // the last packet was a whole one: the host waits for more
+    uint32_t buffer;  // that is filled
     uint32_t filled;
 } in;
 
@@ -52,15 +54,22 @@ void usb_take_back(const uint32_t endpoints)
     REGISTER(USB_BUFF_STATUS) = endpoints;
 }
 
-volatile uint8_t* usb_packet_of(const uint32_t endpoint)
+void usb_place_packets(const uint32_t endpoint, const uint32_t buffer)
 {
-    return (volatile uint8_t*)(uintptr_t)(USB_DPSRAM +
-                                          ((endpoint <= CONTROL_OUT) ? 0x100U : 0x180U + USB_PACKET * endpoint));
+    const uint32_t kind = (endpoint == NOTICE_IN) ? ENDPOINT_INTERRUPT_TYPE : ENDPOINT_BULK;
+    REGISTER(USB_ENDPOINT_CONTROL(endpoint)) =
+        ENDPOINT_ENABLE | ENDPOINT_INTERRUPT | kind | ((uint32_t)(uintptr_t)usb_packet_of(buffer) - USB_DPSRAM);
 }
 
-void usb_copy_out(const uint32_t endpoint, const uint32_t at, const uint8_t* const bytes, const uint32_t size)
+volatile uint8_t* usb_packet_of(const uint32_t buffer)
 {
-    volatile uint8_t* const packet = usb_packet_of(endpoint);
+    return (volatile uint8_t*)(uintptr_t)(USB_DPSRAM +
+                                          ((buffer <= CONTROL_OUT) ? 0x100U : 0x180U + USB_PACKET * buffer));
+}
+
+void usb_copy_out(const uint32_t buffer, const uint32_t at, const uint8_t* const bytes, const uint32_t size)
+{
+    volatile uint8_t* const packet = usb_packet_of(buffer);
     for (uint32_t i = 0; i < size; i++) {
         packet[at + i] = bytes[i];
     }
@@ -73,17 +82,19 @@ bool usb_port_halted(const uint32_t endpoint)
     return (usb_port.halted & BIT(endpoint)) != 0U;
 }
 
-// Not now if the frame is late; usb_port_flush comes back to it.
+// Not now if the packet before is still there, or the frame late; usb_port_flush comes back to it.
 static void send_packet(void)
 {
-    if (!usb_frame_early()) {
+    if (in.taken || !usb_frame_early()) {
         return;
     }
     const uint32_t toggle = in.data1 ? BUFFER_DATA1 : 0U;
     in.data1 = !in.data1;
     in.taken = true;
     in.whole = in.filled == USB_PACKET;
+    usb_place_packets(DATA_IN, in.buffer);
     usb_hand_over(DATA_IN, BUFFER_FULL | toggle | in.filled);
+    in.buffer = (in.buffer == DATA_IN) ? DATA_IN_SECOND : DATA_IN;
     in.filled = 0;
 }
 
@@ -96,10 +107,16 @@ static void ask_for_packet(void)
     usb_hand_over(DATA_OUT, toggle | USB_PACKET);
 }
 
+static void forget_in(void)
+{
+    memset(&in, 0, sizeof in);
+    in.buffer = DATA_IN;
+}
+
 static void restart_in(void)
 {
     usb_take_back(BIT(DATA_IN));
-    memset(&in, 0, sizeof in);
+    forget_in();
     usb_port.halted &= (uint8_t)~BIT(DATA_IN);
 }
 
@@ -138,15 +155,15 @@ size_t usb_receive(uint8_t* const bytes, const size_t size)
 size_t usb_transmit(const uint8_t* const bytes, const size_t size)
 {
     if (!usb_connected()) {
-        in.filled = in.taken ? in.filled : 0U;
+        in.filled = 0;
         return size;
     }
-    if (in.taken || usb_port_halted(DATA_IN)) {
+    if (usb_port_halted(DATA_IN)) {
         return 0;
     }
     const uint32_t room = USB_PACKET - in.filled;
     const uint32_t taken = (size < room) ? (uint32_t)size : room;
-    usb_copy_out(DATA_IN, in.filled, bytes, taken);
+    usb_copy_out(in.buffer, in.filled, bytes, taken);
     in.filled += taken;
     if (in.filled == USB_PACKET) {
         send_packet();
@@ -176,7 +193,7 @@ void usb_port_open(void)
 void usb_port_forget(void)
 {
     memset(&usb_port, 0, sizeof usb_port);
-    memset(&in, 0, sizeof in);
+    forget_in();
     memset(&out, 0, sizeof out);
 }
 
@@ -218,7 +235,7 @@ void usb_port_done(const uint32_t endpoints)
 
 void usb_port_flush(void)
 {
-    if (usb_connected() && !in.taken && !usb_port_halted(DATA_IN) && ((in.filled > 0U) || in.whole)) {
+    if (usb_connected() && !usb_port_halted(DATA_IN) && ((in.filled > 0U) || in.whole)) {
         send_packet();
     }
 }
