@@ -136,6 +136,7 @@ typedef struct {
     uint32_t odometer_lost;        // transitions overwritten before they were decoded
     uint32_t odometer_impossible;  // both lines changed at once
     uint32_t edges_dropped;        // accepted, but there was no room to keep them
+    uint32_t usb_hangs;            // of the USB block, after which it was reset
 } board_health_t;
 
 void board_health(board_health_t* health);

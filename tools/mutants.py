@@ -147,6 +147,7 @@ MUTANTS = (
         "",
         "usb_block_hangs and quiet",
     ),
+    Mutant("usb-hang-not-counted", "rp2040/usb.c", "    recovery.times++;\n", "", "usb_block_hangs and quiet"),
     Mutant("usb-impatient-with-a-host", "rp2040/usbframe.c", "WAKE_US 100000U", "WAKE_US 20000U", "awakening"),
     Mutant(
         "usb-address-too-early",

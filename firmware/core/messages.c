@@ -485,6 +485,7 @@ void reply_health_pack(const reply_health_t* const self, uint8_t* const payload)
     put32(payload + 2, self->odometer_lost);
     put32(payload + 6, self->odometer_impossible);
     put32(payload + 10, self->edges_dropped);
+    put32(payload + 14, self->usb_hangs);
 }
 
 void reply_health_unpack(reply_health_t* const self, const uint8_t* const payload)
@@ -494,6 +495,7 @@ void reply_health_unpack(reply_health_t* const self, const uint8_t* const payloa
     self->odometer_lost = get32(payload + 2);
     self->odometer_impossible = get32(payload + 6);
     self->edges_dropped = get32(payload + 10);
+    self->usb_hangs = get32(payload + 14);
 }
 
 void command_info_pack(const command_info_t* const self, uint8_t* const payload)
@@ -861,7 +863,7 @@ static const layout_t layouts[] = {
     {0x0D, 4, 0xA5, 0, 1},  // command bootloader
     {0x4D, 2, 0xA5, 0, 1},  // reply bootloader
     {0x11, 0, 0x1B, 1, 2},  // command health
-    {0x51, 14, 0x74, 0, 2},  // reply health
+    {0x51, 18, 0x84, 0, 2},  // reply health
     {0x0E, 1, 0x79, 1, 2},  // command info
     {0x4E, 46, 0x25, 0, 2},  // reply info
     {0x0F, 0, 0xCA, 1, 2},  // command configuration

@@ -460,13 +460,14 @@ void reply_bootloader_unpack(reply_bootloader_t* self, const uint8_t* payload);
 #define COMMAND_HEALTH_LENGTH 0U
 
 // Answer to health.
-#define REPLY_HEALTH_LENGTH 14U
+#define REPLY_HEALTH_LENGTH 18U
 typedef struct {
     uint8_t status;  // ok, or why not
     uint8_t detail;  // which field or lamp, see status
     uint32_t odometer_lost;  // counts, came faster than they were followed, so that the odometer is off by up to as many
     uint32_t odometer_impossible;  // counts, both lines at once: a wire, a supply, or an encoder faster than the controller looks
     uint32_t edges_dropped;  // of `rejected`: good ones that came while the main loop stood still
+    uint32_t usb_hangs;  // times that the USB block hung and was reset: erratum RP2040-E15
 } reply_health_t;
 void reply_health_pack(const reply_health_t* self, uint8_t* payload);
 void reply_health_unpack(reply_health_t* self, const uint8_t* payload);

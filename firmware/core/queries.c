@@ -183,7 +183,8 @@ void query_health(controller_t* const self, const uint8_t line, const uint8_t* c
     reply_health_pack(&(reply_health_t){.status = STATUS_OK,
                                         .odometer_lost = health.odometer_lost,
                                         .odometer_impossible = health.odometer_impossible,
-                                        .edges_dropped = health.edges_dropped},
+                                        .edges_dropped = health.edges_dropped,
+                                        .usb_hangs = health.usb_hangs},
                       answer);
 }
 

@@ -155,5 +155,6 @@ void board_health(board_health_t* const health)
 {
     *health = (board_health_t){.odometer_lost = odometer_state()->lost,
                                .odometer_impossible = odometer_state()->impossible,
-                               .edges_dropped = lamps.dropped};
+                               .edges_dropped = lamps.dropped,
+                               .usb_hangs = 0};
 }

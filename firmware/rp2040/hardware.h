@@ -95,7 +95,7 @@ size_t usb_transmit(const uint8_t* bytes, size_t size);
 bool usb_transmitted(void);
 bool usb_has_received(void);
 void usb_run(void);
-uint16_t usb_recoveries(void);  // so often the device controller hung and was reset
+uint32_t usb_hangs(void);  // so often the device controller hung and was reset
 
 // Who owns which DMA channel and PIO machine.
 enum {

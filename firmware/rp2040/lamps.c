@@ -185,7 +185,8 @@ void board_health(board_health_t* const health)
 {
     *health = (board_health_t){.odometer_lost = odometer_state()->lost,
                                .odometer_impossible = odometer_state()->impossible,
-                               .edges_dropped = 0};  // the ring holds more than the watchdog lets come
+                               .edges_dropped = 0,  // the ring holds more than the watchdog lets come
+                               .usb_hangs = usb_hangs()};
 }
 
 // ---- flashes ----

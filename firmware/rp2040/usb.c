@@ -321,8 +321,8 @@ static void bus_reset(void)
 
 static struct {
     bool away;
-    uint16_t times;
     uint32_t until_us;
+    uint32_t times;
 } recovery;
 
 static void leave(void)
@@ -347,7 +347,7 @@ static void come_back(void)
     }
 }
 
-uint16_t usb_recoveries(void)
+uint32_t usb_hangs(void)
 {
     return recovery.times;
 }

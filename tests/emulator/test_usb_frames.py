@@ -16,6 +16,8 @@ from annulus.link.messages import (
     BurstCode,
     Clear,
     FaultCode,
+    Health,
+    HealthReply,
     Ping,
     Status,
     StatusCode,
@@ -32,6 +34,13 @@ def attached(board: EmulatedBoard) -> int:
     count = board.usb["attached"]
     assert isinstance(count, int)
     return count
+
+
+def hangs(board: EmulatedBoard) -> int:
+    """As the controller counts them."""
+    health = board.request(Health())
+    assert isinstance(health, HealthReply)
+    return health.usb_hangs
 
 
 def hang(board: EmulatedBoard) -> int:
@@ -105,6 +114,7 @@ def test_when_the_usb_block_hangs_all_goes_dark_and_the_port_comes_back(board: E
         assert status.fault == FaultCode.HOST_TIMEOUT
         assert board.request(Clear()).status == StatusCode.OK
         assert attached(board) == 2 + turn
+        assert hangs(board) == 1 + turn
     assert board.resets == []  # the controller itself ran on
 
 
@@ -150,4 +160,4 @@ def test_neither_a_missing_host_nor_a_bus_reset_is_a_hang(board: EmulatedBoard) 
     board.run(board.now + 500 * MS)
     board.plug_in()
     assert board.identify().status == StatusCode.OK
-    assert attached(board) == 2
+    assert (attached(board), hangs(board)) == (2, 0)

@@ -809,21 +809,23 @@ class HealthReply(Reply):
     """Answer to health."""
 
     ID: ClassVar[int] = 0x51
-    SCHEMA_BYTE: ClassVar[int] = 0x74
+    SCHEMA_BYTE: ClassVar[int] = 0x84
     SINCE: ClassVar[int] = 2
-    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBIII")
-    LENGTH: ClassVar[int] = 14
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBIIII")
+    LENGTH: ClassVar[int] = 18
     FIELDS: ClassVar[tuple[str, ...]] = (
         "status",
         "detail",
         "odometer_lost",
         "odometer_impossible",
         "edges_dropped",
+        "usb_hangs",
     )
 
     odometer_lost: int  # counts; came faster than they were followed, so that the odometer is off by up to as many
     odometer_impossible: int  # counts; both lines at once: a wire, a supply, or an encoder faster than the controller looks
     edges_dropped: int  # of `rejected`: good ones that came while the main loop stood still
+    usb_hangs: int  # times that the USB block hung and was reset: erratum RP2040-E15
 
     def pack(self) -> bytes:
         return _pack(
@@ -834,12 +836,13 @@ class HealthReply(Reply):
             self.odometer_lost,
             self.odometer_impossible,
             self.edges_dropped,
+            self.usb_hangs,
         )
 
     @classmethod
     def unpack(cls, payload: bytes) -> Self:
         v = _values(cls.LAYOUT, payload)
-        return cls(StatusCode(v[0]), v[1], v[2], v[3], v[4])
+        return cls(StatusCode(v[0]), v[1], v[2], v[3], v[4], v[5])
 
 
 @dataclass(frozen=True, slots=True)

@@ -137,11 +137,12 @@ def _health(client: Client) -> dict[str, object]:
     """What went wrong at the board."""
     found = client.request(Health()) if client.session.knows(Health) else None
     if not isinstance(found, HealthReply):
-        return {"odometer_lost_counts": None, "odometer_impossible_counts": None, "edges_dropped": None}
+        return dict.fromkeys(("odometer_lost_counts", "odometer_impossible_counts", "edges_dropped", "usb_hangs"))
     return {
         "odometer_lost_counts": found.odometer_lost,
         "odometer_impossible_counts": found.odometer_impossible,
         "edges_dropped": found.edges_dropped,
+        "usb_hangs": found.usb_hangs,
     }
 
 
