@@ -63,4 +63,4 @@ try:
     main()
 finally:
     sys.stdout.flush()
-    subprocess.run(["/busybox", "poweroff", "-f"])
+    subprocess.run(["/run/busybox", "poweroff", "-f"])

@@ -5,10 +5,9 @@
         done = guest.python("import annulus; print(annulus.__file__)", seconds=20)
         assert done.status == 0, done
 
-The guest's root is the host's, over 9p, under a layer in the guest's memory that takes what is written: the same
-.venv, the same checkout at the same path, and nothing done in the guest reaches the host. The host's localhost is
-10.0.2.2 there. QEMU translates every instruction (TCG), so that any machine will do; the guest is some ten times slower
-than the host.
+The guest's root is the host's, over 9p and read-only: the same .venv, the same checkout at the same path. /tmp, /run
+and /dev/shm are its own memory, and nothing done in the guest reaches the host. The host's localhost is 10.0.2.2 there.
+QEMU translates every instruction (TCG), so that any machine will do; the guest is some ten times slower than the host.
 """
 
 import gzip
@@ -28,36 +27,41 @@ from types import TracebackType
 
 ROOT = Path(__file__).resolve().parents[2]
 PYTHON = ROOT / ".venv/bin/python"
+COMPILED = ROOT / ".venv/.guest"  # bytecode: compiling what a daemon imports takes the guest a minute
+IMPORTED = "annulus.daemon.run, annulus.daemon.recorder, annulus.daemon.control, annulus.record.recording, smbus2"
 HOST = "10.0.2.2"  # as the guest sees it
 BOOT_S = 200.0  # 9 s on an idle machine
 SLACK_S = 30.0  # for an answer to come back after its command's time was up
 NEEDED = ("vhci-hcd", "cdc-acm", "vivid", "i2c-stub", "9p")  # what the cloud kernel has not
-FIRST = ("virtio_pci", "virtio_console", "virtio_net", "9pnet_virtio", "9p", "overlay")  # to reach the host at all
+FIRST = ("virtio_pci", "virtio_console", "virtio_net", "9pnet_virtio", "9p")  # to reach the host at all
 
 INIT = """\
 #!/busybox sh
-/busybox mkdir -p /proc /sys /dev /host /memory /root
+/busybox mkdir -p /proc /sys /dev /host
 /busybox mount -t devtmpfs dev /dev
 for module in $(/busybox cat /modules/order); do /busybox insmod /modules/$module; done
 /busybox mount -t 9p -o ro,trans=virtio,version=9p2000.L,cache=loose,msize=524288 host /host || /busybox poweroff -f
-/busybox mount -t tmpfs -o mode=755 memory /memory
-/busybox mkdir /memory/upper /memory/work
-/busybox mount -t overlay -o lowerdir=/host,upperdir=/memory/upper,workdir=/memory/work root /root
-for folder in proc sys dev run tmp busybox; do /busybox rm -rf /memory/upper/$folder; done
-/busybox mount -t proc proc /root/proc
-/busybox mount -t sysfs sys /root/sys
-/busybox mount --move /dev /root/dev
-/busybox mkdir -p /root/dev/shm /root/dev/pts
-/busybox mount -t tmpfs -o mode=1777 shm /root/dev/shm
-/busybox mount -t devpts pts /root/dev/pts
-/busybox mount -t tmpfs -o mode=755 run /root/run
-/busybox cp /busybox /root/busybox
+/busybox mount -t proc proc /host/proc
+/busybox mount -t sysfs sys /host/sys
+/busybox mount -t tmpfs -o mode=755 run /host/run
+/busybox cp /busybox /host/run/busybox
+/busybox mkdir /host/run/checkout
+/busybox mount -o bind /host{root} /host/run/checkout
+/busybox mount -t tmpfs -o mode=1777 tmp /host/tmp
+if [ ! -d /host{root}/tests ]; then
+    /busybox mkdir -p /host{root}
+    /busybox mount -o bind /host/run/checkout /host{root}
+fi
+/busybox mount --move /dev /host/dev
+/busybox mkdir -p /host/dev/shm /host/dev/pts
+/busybox mount -t tmpfs -o mode=1777 shm /host/dev/shm
+/busybox mount -t devpts pts /host/dev/pts
 /busybox ip link set lo up
 /busybox ip addr add 10.0.2.15/24 dev eth0
 /busybox ip link set eth0 up
 /busybox ip route add default via 10.0.2.2
-export HOME=/root LANG=C.UTF-8 PATH=/usr/sbin:/usr/bin:/sbin:/bin
-exec /busybox chroot /root {python} -SE {agent}
+export PYTHONPYCACHEPREFIX={compiled} HOME=/tmp LANG=C.UTF-8 PATH=/usr/sbin:/usr/bin:/sbin:/bin
+exec /busybox chroot /host {python} -S {agent}
 """
 
 
@@ -99,6 +103,10 @@ class Guest:
         self._ids = 0
         self._answers: dict[int, Done] = {}
         self._unread = b""
+        subprocess.run(
+            [str(PYTHON), "-c", f"import {IMPORTED}"],
+            env={**os.environ, "PYTHONPYCACHEPREFIX": str(COMPILED), "PYTHONDONTWRITEBYTECODE": ""}, check=True,
+        )  # fmt: skip
         (self._folder / "initramfs").write_bytes(_initramfs(release))
         self._socket, theirs = socket.socketpair()
         with theirs:
@@ -233,7 +241,12 @@ def _initramfs(release: str) -> bytes:
     python, agent = shlex.quote(os.path.realpath(PYTHON)), shlex.quote(str(Path(__file__).with_name("agent.py")))
     files: dict[str, tuple[int, bytes]] = {
         "busybox": (0o755, Path(busybox).read_bytes()),
-        "init": (0o755, INIT.format(python=python, agent=agent).encode()),
+        "init": (
+            0o755,
+            INIT.format(
+                python=python, agent=agent, compiled=shlex.quote(str(COMPILED)), root=shlex.quote(str(ROOT))
+            ).encode(),
+        ),
         "modules": (stat.S_IFDIR | 0o755, b""),
         "modules/order": (0o644, "\n".join(Path(file).name for file in order).encode()),
     }

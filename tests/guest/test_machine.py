@@ -27,6 +27,9 @@ def test_what_it_writes_stays_in_it(guest: Guest) -> None:
     done = guest.python("import sys; open(sys.argv[1], 'w').write('in'); print(open(sys.argv[1]).read())", str(name))
     assert done.stdout == "in\n", done
     assert not name.exists()
+    name = ROOT / f"annulus-{uuid.uuid4()}"
+    assert "Read-only file system" in guest.run(["touch", str(name)]).stderr
+    assert not name.exists()
 
 
 def test_it_reaches_a_server_on_the_host(guest: Guest) -> None:
