@@ -33,6 +33,7 @@ _FAMILIES = {  # of microsoft/uf2's list, those a user may have at hand
     0xBFDD4EEE: "ESP32-S2", 0xC47E5767: "ESP32-S3",
 }  # fmt: skip
 _PT_LOAD, _EM_ARM = 1, 40
+_LEVEL = re.compile(rb"annulus level (\d+)U?\0")
 _IDENTITY = re.compile(rb"annulus (\w+) (\S+) (\S+) protocol (\d+)U? schema 0x([0-9A-Fa-f]{8})U?\0")
 
 
@@ -45,10 +46,11 @@ class Identity:
     git: str
     protocol: int
     schema: int
+    level: int = 1
 
     @property
     def fits(self) -> bool:
-        """Whether this host speaks its protocol: otherwise it can only be diagnosed and flashed anew."""
+        """Whether this host speaks its protocol: else it can only be diagnosed and flashed anew. Levels may differ."""
         return (self.protocol, self.schema) == (PROTOCOL_VERSION, SCHEMA_HASH)
 
 
@@ -199,4 +201,5 @@ def _identity(data: bytes) -> Identity | None:
     if match is None:
         return None
     board, version, git, protocol, schema = (part.decode("ascii", "replace") for part in match.groups())
-    return Identity(board, version, git, int(protocol), int(schema, 16))
+    level = _LEVEL.search(data)
+    return Identity(board, version, git, int(protocol), int(schema, 16), int(level[1]) if level else 1)

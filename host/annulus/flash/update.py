@@ -83,6 +83,7 @@ def image_fields(image: Image) -> dict[str, object]:
         "bytes": len(image.data),
         "protocol": who.protocol if who else None,
         "schema": f"{who.schema:08x}" if who else None,
+        "level": who.level if who else None,
         "fits_this_host": who is not None and who.fits,
     }
 

@@ -137,8 +137,16 @@ def test_somebody_elses_program_needs_force() -> None:
     image = parse_image(bytes(uf2(program(said=old))), "x.uf2")  # but it can be looked at
     assert image_fields(image) == {
         "image": "x.uf2", "firmware": "annulus", "version": "0.0.9", "git": "deadbeef", "board": "rp2040",
-        "bytes": 1024, "protocol": 1, "schema": "00000001", "fits_this_host": False,
+        "bytes": 1024, "protocol": 1, "schema": "00000001", "level": 1, "fits_this_host": False,
     }  # fmt: skip
+
+
+def test_an_image_of_any_level_fits_and_says_which() -> None:
+    ours = b"annulus rp2040 0.1.0 deadbeef protocol 1U schema 0x%08XU\0" % SCHEMA_HASH
+    for said, level in ((ours, 1), (ours + b"annulus level 2U\0", 2), (ours + b"annulus level 9U\0", 9)):
+        image = parse_image(bytes(uf2(program(said=said))), "x.uf2")
+        require_ours(image)
+        assert image.identity is not None and image.identity.level == level
 
 
 def test_an_elf_for_another_processor_or_place_is_refused() -> None:
