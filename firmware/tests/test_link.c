@@ -424,6 +424,24 @@ static void every_event_promised_comes_however_many_rereads_are_outstanding(void
     EXPECT_EQ(rig_count(EVENT_EDGE), 0);
 }
 
+// An old event that a session did not ask for is what tells it of another boot.
+static void a_new_session_gets_no_event_that_the_one_before_asked_for(void)
+{
+    rig_start();
+    for (int i = 0; i < 60; i++) {
+        rig_edge(3 * MS);
+    }
+    rig_forget();
+    native_stall_cpu(1 * MS);
+    rig_send(COMMAND_REREAD, 1, (const uint8_t[]){1, 0, 60});
+    uint8_t payload[COMMAND_IDENTIFY_LENGTH];
+    command_identify_pack(&(command_identify_t){.protocol = PROTOCOL_VERSION, .schema = SCHEMA_HASH}, payload);
+    rig_send(COMMAND_IDENTIFY, 2, payload);
+    rig_pass(60 * MS);
+    EXPECT_EQ(rig_count(REPLY_REREAD), 1);
+    EXPECT(rig_count(EVENT_EDGE) <= 3U);  // those that were on their way
+}
+
 static void a_promise_that_cannot_be_kept_is_not_made(void)
 {
     static events_t events;
@@ -469,5 +487,6 @@ void link_tests(void)
     RUN(an_overrun_is_counted_and_reported_once_there_is_room);
     RUN(an_event_overwritten_while_it_waits_to_be_sent_again_is_skipped);
     RUN(every_event_promised_comes_however_many_rereads_are_outstanding);
+    RUN(a_new_session_gets_no_event_that_the_one_before_asked_for);
     RUN(a_promise_that_cannot_be_kept_is_not_made);
 }
