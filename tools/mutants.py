@@ -187,6 +187,13 @@ MUTANTS = (
     Mutant("credit-not-enforced", "rp2040/microwave.c", "JMP_X_NOT_Y(GUARD_TAKE),", "JMP(GUARD_TAKE),", "stuck"),
     Mutant("credit-twice-as-long", "rp2040/microwave.c", "#define CREDIT 100000U", "#define CREDIT 200000U", "stuck"),
     Mutant(
+        "an-old-host-hears-what-is-new",
+        "core/events.c",
+        "if (fault_since(fault.fault) > level) {",
+        "if (fault_since(fault.fault) > level + 1U) {",
+        "host_of_level_1",
+    ),
+    Mutant(
         "crash-forgotten-at-start",
         "rp2040/crash.c",
         "if ((cause == BOOT_CAUSE_POWER_ON) ||",

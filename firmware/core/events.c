@@ -88,7 +88,8 @@ const event_t* events_next(events_t* const self, uint16_t* const sequence)
 // Those that do not are only reported.
 static bool latches(const uint8_t fault)
 {
-    return (fault != FAULT_NONE) && (fault != FAULT_LATE_LOAD) && (fault != FAULT_EVENT_OVERRUN);
+    return (fault != FAULT_NONE) && (fault != FAULT_LATE_LOAD) && (fault != FAULT_EVENT_OVERRUN) &&
+           (fault != FAULT_ODOMETER);
 }
 
 uint8_t events_fault_at_level(const uint8_t fault, const uint8_t level)

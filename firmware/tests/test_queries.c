@@ -165,6 +165,13 @@ static void what_a_host_cannot_read_comes_as_a_fault_and_keeps_its_place(void)
         EXPECT_EQ(events_fault_at_level(code, 1), code);
     }
     EXPECT_EQ(events_fault_at_level(FAULT_HOST_TIMEOUT, 0), FAULT_LIMIT);
+    static const event_t odometer = {.id = EVENT_FAULT, .payload = {1, 0, 0, 0, FAULT_ODOMETER, 9}};
+    said = events_at_level(&odometer, 1);
+    event_fault_unpack(&fault, said.payload);
+    EXPECT_EQ(fault.fault, FAULT_NONE);  // `limit` would have an old host disarm and clear
+    EXPECT_EQ(fault.detail, FAULT_ODOMETER);
+    said = events_at_level(&odometer, 2);
+    EXPECT_EQ(memcmp(&said, &odometer, sizeof said), 0);
 }
 
 static void a_level_lasts_until_the_next_identify_of_its_line(void)
