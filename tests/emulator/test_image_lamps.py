@@ -201,6 +201,30 @@ def test_an_edge_while_a_flash_is_taken_back_takes_it_whole_or_not_at_all(
     assert swept[0] and swept[-1] and not all(swept)  # before it, after it, and within it
 
 
+def test_an_edge_while_a_flash_is_loaded_is_not_given_the_next_ones(board: EmulatedBoard) -> None:
+    delay, width = 0, 700
+    arm(board, ratio=0, period=FRAME, tolerance=500, delay=delay, width=width, readout=0)
+    edges = []
+    for offset in range(0, 600, 4):
+        begin = board.now + MS
+        board.pulse(begin, low=1_000)
+        board.run(begin + 50)
+        board.run_to("board_flash_load")
+        board.stall(begin + FRAME - board.now)
+        edges += [begin, begin + FRAME + offset, begin + 2 * FRAME]
+        for edge in edges[-2:]:
+            board.pulse(edge, low=1_000)
+        board.run(begin + FRAME)
+        board.run_to("board_status_light")  # the end of this round: the next one sees both edges at once
+        board.stall(begin + 2 * FRAME + 2_000 - board.now)
+        board.run(begin + 3 * FRAME)
+        board.send(Ping())
+    told = flashes_told(board, edges, delay)
+    for _, on, event in told:
+        assert (on, event.width) in ((width, width), (0, 0))
+    assert {on for _, on, _ in told[1::3]} == {0, width}
+
+
 def test_an_edge_while_the_lamps_are_armed_or_disarmed_is_told_as_it_was(board: EmulatedBoard) -> None:
     delay, width = 0, 700
     arm(board, ratio=0, period=FRAME, tolerance=500, delay=delay, width=width, readout=0)

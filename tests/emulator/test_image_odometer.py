@@ -119,7 +119,7 @@ def test_what_a_stalled_processor_could_not_follow_is_counted_and_said(board: Em
     assert [edge.lamp for edge in board.heard(Edge)] == [Lamp.LED]  # and nothing is disarmed by it
 
 
-def test_both_lines_at_once_are_counted_and_said_but_not_in_a_flood(board: EmulatedBoard) -> None:
+def test_lines_that_change_together_are_counted_and_said_but_not_in_a_flood(board: EmulatedBoard) -> None:
     board.identify()
     cable = Cable()
     for _ in range(30):
