@@ -252,8 +252,26 @@ uint16_t board_measured(bool latest, uint8_t word, uint8_t bits[BOARD_SAMPLE_BYT
 
 // Step to an absolute position; `hold` keeps the motor powered afterwards.
 void board_turntable_move(int32_t position, uint32_t period_ticks, bool hold);
+
+// Another period, from at most three steps on.
+void board_turntable_pace(uint32_t period_ticks);
+
+// Steps of this move that nothing has begun to make; at most three more are under way.
+uint32_t board_turntable_left(void);
+
+// Leave at most so many of these; how many are left.
+uint32_t board_turntable_shorten(uint32_t steps);
+
+// No further step, and the motor's power away, also when it stood. A step whose STEP had risen counts as made.
+void board_turntable_cut(void);
+
 bool board_turntable_moving(void);
 int32_t board_turntable_position(void);
+
+// Which end switches are there, TURNTABLE_END_*; and which of these are reached, or were since the last call, however
+// briefly.
+void board_turntable_watch(uint8_t switches);
+uint8_t board_turntable_reached(void);
 
 void board_status_light(bool on);
 

@@ -15,6 +15,8 @@ enum {
     PIN_STEP = 8,  // turntable STEP
     PIN_DIRECTION = 9,  // turntable DIR
     PIN_ENABLE = 10,  // turntable ENABLE, low = on
+    PIN_END_LOW = 11,  // turntable's lower end switch: closed = low, reached or broken = high
+    PIN_END_HIGH = 12,  // turntable's upper end switch
     PIN_ODOMETER_A = 14,  // quadrature A, four counts a cycle, A first counts up
     PIN_ODOMETER_B = 15,  // quadrature B
     PIN_STATUS = 25,  // status light: something is armed
@@ -22,9 +24,9 @@ enum {
 };
 
 // One bit a pin.
-#define INPUT_PINS 0x0000C084U
+#define INPUT_PINS 0x0000D884U
 #define OUTPUT_PINS 0x02000778U
-#define HIGH_AT_RESET_PINS 0x0000C487U
+#define HIGH_AT_RESET_PINS 0x0000DC87U
 _Static_assert(PIN_LED == PIN_PROJECTOR + 1, "LED next to PROJECTOR: one state machine has both");
 _Static_assert(PIN_TRIGGER == PIN_MICROWAVE + 1, "TRIGGER next to MICROWAVE: one state machine has both");
 _Static_assert(PIN_ODOMETER_B == PIN_ODOMETER_A + 1, "ODOMETER_B next to ODOMETER_A: one state machine has both");

@@ -34,7 +34,7 @@ static void bootloader(controller_t* const self, const uint8_t line, const uint8
     command_bootloader_unpack(&command, payload);
     reply_bootloader_t reply = {.status = STATUS_OUT_OF_RANGE};
     if (command.magic == BOOTLOADER_MAGIC) {
-        const bool busy = (self->armed != 0U) || self->moving;
+        const bool busy = (self->armed != 0U) || self->turntable.moving;
         const bool stranded = !board_bootloader_reachable();
         reply.status = (busy || stranded) ? STATUS_BAD_STATE : STATUS_OK;
         reply.detail = (!busy && stranded) ? BOOTLOADER_NEEDS_USB : 0U;
@@ -147,16 +147,43 @@ static void move(controller_t* const self, const uint8_t line, const uint8_t* co
         reply.detail = 0;
         if (!commands_allowed(self, line)) {
             reply.status = STATUS_SCHEMA;
-        } else if (self->moving) {
-            reply.status = STATUS_BAD_STATE;
+        } else if ((self->fault != FAULT_NONE) || board_interlock_open()) {
+            reply.status = STATUS_UNSAFE;
         } else {
-            reply.status = STATUS_OK;
-            board_turntable_move(command.position, command.period, command.hold != 0U);
-            self->moving = true;
+            reply.status = turntable_move(&self->turntable, &command, &reply.detail);
         }
     }
     reply.position = board_turntable_position();
     reply_move_pack(&reply, answer);
+}
+
+static void turntable(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
+{
+    command_turntable_t command;
+    command_turntable_unpack(&command, payload);
+    reply_turntable_t reply = {.status = STATUS_OUT_OF_RANGE, .detail = command_turntable_range(&command)};
+    if (reply.detail == RANGE_OK) {
+        reply.detail = 0;
+        reply.status = commands_allowed(self, line) ? turntable_configure(&self->turntable, &command, &reply.detail)
+                                                    : STATUS_SCHEMA;
+    }
+    const command_turntable_t* const config = &self->turntable.config;
+    reply.lowest = config->lowest;
+    reply.highest = config->highest;
+    reply.acceleration = config->acceleration;
+    reply.start_period = config->start_period;
+    reply.switches = config->switches;
+    reply_turntable_pack(&reply, answer);
+}
+
+static void stop_turntable(controller_t* const self, const uint8_t line, const uint8_t* const payload,
+                           uint8_t* const answer)
+{
+    (void)line;
+    (void)payload;
+    turntable_stop(&self->turntable, STOP_CAUSE_STOPPED);
+    reply_turntable_stop_pack(&(reply_turntable_stop_t){.status = STATUS_OK, .position = board_turntable_position()},
+                              answer);
 }
 
 // The odometer pays for it: so nobody begins one on a head at work.
@@ -200,6 +227,8 @@ static void (*const handlers[])(controller_t* self, uint8_t line, const uint8_t*
     [COMMAND_BURST_STOP] = burst_stop,
     [COMMAND_MOVE] = move,
     [COMMAND_BOOTLOADER] = bootloader,
+    [COMMAND_TURNTABLE] = turntable,
+    [COMMAND_TURNTABLE_STOP] = stop_turntable,
     [COMMAND_MEASURE] = measure,
     [COMMAND_SAMPLES] = query_samples,
     [COMMAND_INFO] = query_info,

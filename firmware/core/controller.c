@@ -16,6 +16,7 @@ void controller_start(controller_t* const self)
 {
     memset(self, 0, sizeof *self);
     memset(self->level, 1, sizeof self->level);
+    turntable_reset(&self->turntable);
     const uint8_t cause = board_cause();
     const uint32_t now = board_tick();
     event_booted_pack(&(event_booted_t){.cause = cause, .tick = now}, events_emit(&self->events, EVENT_BOOTED));
@@ -32,15 +33,6 @@ static void report_burst(controller_t* const self)
         const uint32_t now = board_tick();
         safety_run(self, now);  // what cut it may have happened since this round began
         bursts_report(&self->bursts, &self->events, done, now);
-    }
-}
-
-static void report_turntable(controller_t* const self, const uint32_t now)
-{
-    if (self->moving && !board_turntable_moving()) {
-        self->moving = false;
-        event_turntable_done_pack(&(event_turntable_done_t){.tick = now, .position = board_turntable_position()},
-                                  events_emit(&self->events, EVENT_TURNTABLE_DONE));
     }
 }
 
@@ -161,7 +153,7 @@ void controller_run(controller_t* const self)
     safety_insist(self, accepted, sequencer_lamp(&self->sequencer));
     trail->part = PART_REPORTS;
     report_burst(self);
-    report_turntable(self, now);
+    turntable_run(&self->turntable, &self->events, now);
     board_measure_run();
     report_odometer(self, now);
     events_run(&self->events, now);

@@ -12,6 +12,7 @@
 #include "link.h"
 #include "messages.h"
 #include "sequencer.h"
+#include "turntable.h"
 
 // Where a controller goes that was told to stop.
 enum { LEAVE_NOT, LEAVE_TO_START, LEAVE_TO_BOOTLOADER };
@@ -26,12 +27,12 @@ typedef struct {
     events_t events;
     sequencer_t sequencer;
     bursts_t bursts;
-    uint8_t armed;    // ARM_*
-    uint8_t fault;    // latched, FAULT_*
-    bool moving;      // the turntable; TURNTABLE_DONE is due
+    uint8_t armed;  // ARM_*
+    uint8_t fault;  // latched, FAULT_*
+    turntable_t turntable;
     uint8_t leaving;  // LEAVE_*, once the acknowledgement has left
     uint32_t leaving_since;
-    uint32_t heard;            // tick of the session's last valid frame, meaningful while armed
+    uint32_t heard;            // tick of the session's last valid frame, meaningful while something is live
     uint32_t odometer_missed;  // transitions lost or impossible, as last reported
     bool odometer_hushed;      // reported a moment ago
     uint32_t odometer_hushed_until;

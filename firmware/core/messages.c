@@ -707,6 +707,74 @@ void reply_samples_unpack(reply_samples_t* const self, const uint8_t* const payl
     memcpy(self->bits, payload + 5, 32);
 }
 
+void command_turntable_pack(const command_turntable_t* const self, uint8_t* const payload)
+{
+    put32(payload + 0, (uint32_t)self->lowest);
+    put32(payload + 4, (uint32_t)self->highest);
+    put32(payload + 8, self->acceleration);
+    put32(payload + 12, self->start_period);
+    put8(payload + 16, self->switches);
+}
+
+void command_turntable_unpack(command_turntable_t* const self, const uint8_t* const payload)
+{
+    self->lowest = (int32_t)get32(payload + 0);
+    self->highest = (int32_t)get32(payload + 4);
+    self->acceleration = get32(payload + 8);
+    self->start_period = get32(payload + 12);
+    self->switches = get8(payload + 16);
+}
+
+uint8_t command_turntable_range(const command_turntable_t* const self)
+{
+    if (self->acceleration > 10000000U) {
+        return 2U;
+    }
+    if (self->start_period > 100000000U) {
+        return 3U;
+    }
+    if (self->switches > 7U) {
+        return 4U;
+    }
+    return RANGE_OK;
+}
+
+void reply_turntable_pack(const reply_turntable_t* const self, uint8_t* const payload)
+{
+    put8(payload + 0, self->status);
+    put8(payload + 1, self->detail);
+    put32(payload + 2, (uint32_t)self->lowest);
+    put32(payload + 6, (uint32_t)self->highest);
+    put32(payload + 10, self->acceleration);
+    put32(payload + 14, self->start_period);
+    put8(payload + 18, self->switches);
+}
+
+void reply_turntable_unpack(reply_turntable_t* const self, const uint8_t* const payload)
+{
+    self->status = get8(payload + 0);
+    self->detail = get8(payload + 1);
+    self->lowest = (int32_t)get32(payload + 2);
+    self->highest = (int32_t)get32(payload + 6);
+    self->acceleration = get32(payload + 10);
+    self->start_period = get32(payload + 14);
+    self->switches = get8(payload + 18);
+}
+
+void reply_turntable_stop_pack(const reply_turntable_stop_t* const self, uint8_t* const payload)
+{
+    put8(payload + 0, self->status);
+    put8(payload + 1, self->detail);
+    put32(payload + 2, (uint32_t)self->position);
+}
+
+void reply_turntable_stop_unpack(reply_turntable_stop_t* const self, const uint8_t* const payload)
+{
+    self->status = get8(payload + 0);
+    self->detail = get8(payload + 1);
+    self->position = (int32_t)get32(payload + 2);
+}
+
 void event_edge_pack(const event_edge_t* const self, uint8_t* const payload)
 {
     put32(payload + 0, self->edge);
@@ -811,6 +879,22 @@ void event_turntable_done_unpack(event_turntable_done_t* const self, const uint8
     self->position = (int32_t)get32(payload + 4);
 }
 
+void event_turntable_stopped_pack(const event_turntable_stopped_t* const self, uint8_t* const payload)
+{
+    put32(payload + 0, self->tick);
+    put32(payload + 4, (uint32_t)self->position);
+    put8(payload + 8, self->cause);
+    put8(payload + 9, self->lost);
+}
+
+void event_turntable_stopped_unpack(event_turntable_stopped_t* const self, const uint8_t* const payload)
+{
+    self->tick = get32(payload + 0);
+    self->position = (int32_t)get32(payload + 4);
+    self->cause = get8(payload + 8);
+    self->lost = get8(payload + 9);
+}
+
 void event_booted_pack(const event_booted_t* const self, uint8_t* const payload)
 {
     put8(payload + 0, self->cause);
@@ -874,6 +958,10 @@ static const layout_t layouts[] = {
     {0x57, 2, 0xCC, 0, 2},  // reply measure
     {0x18, 2, 0x93, 1, 2},  // command samples
     {0x58, 37, 0x89, 0, 2},  // reply samples
+    {0x12, 17, 0x00, 0, 2},  // command turntable
+    {0x52, 19, 0xBF, 0, 2},  // reply turntable
+    {0x13, 0, 0x6C, 0, 2},  // command turntable_stop
+    {0x53, 6, 0x5F, 0, 2},  // reply turntable_stop
     {0x80, 24, 0x15, 0, 1},  // event edge
     {0x81, 8, 0x61, 0, 1},  // event sync_lost
     {0x82, 8, 0x32, 0, 1},  // event sync_found
@@ -881,6 +969,7 @@ static const layout_t layouts[] = {
     {0x84, 9, 0x30, 0, 1},  // event configured
     {0x85, 7, 0xBA, 0, 1},  // event burst_done
     {0x86, 8, 0x09, 0, 1},  // event turntable_done
+    {0x88, 10, 0xF2, 0, 2},  // event turntable_stopped
     {0x87, 5, 0x91, 0, 1},  // event booted
     {0xF0, 2, 0xA5, 0, 1},  // notice garbled
 };
@@ -913,4 +1002,4 @@ uint8_t fault_since(const uint8_t fault)
     return 1U;
 }
 
-const uint8_t known_commands[8] = {0xFF, 0xFF, 0x83, 0x01, 0x00, 0x00, 0x00, 0x00};
+const uint8_t known_commands[8] = {0xFF, 0xFF, 0x8F, 0x01, 0x00, 0x00, 0x00, 0x00};

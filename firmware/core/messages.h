@@ -33,6 +33,9 @@
 #define BURST_PERIOD_MIN_TICKS 600U  // and never shorter than this: a burst that is all dark has no duty to say so
 #define BURST_REPEAT_MAX 65535U  // bursts of a train
 #define TURNTABLE_PERIOD_MIN_TICKS 10000U  // fastest step to step
+#define TURNTABLE_POSITION_MAX_STEPS 500000000U  // farthest from where it stood at reset, either way
+#define TURNTABLE_ACCELERATION_MAX 10000000U  // steps per second, a second
+#define TURNTABLE_START_PERIOD_MAX_TICKS 100000000U  // slowest start of a ramp, step to step
 #define TICKS_PER_US 100U
 #define TICKS_PER_MS 100000U
 #define REPLY_BIT 0x40U
@@ -66,6 +69,13 @@ enum {
     FAULT_EVENT_OVERRUN = 5,
     FAULT_LIMIT = 6,
     FAULT_ODOMETER = 7,
+};
+
+enum {
+    STOP_CAUSE_STOPPED = 1,
+    STOP_CAUSE_END_LOW = 2,
+    STOP_CAUSE_END_HIGH = 3,
+    STOP_CAUSE_FAULT = 4,
 };
 
 enum {
@@ -116,6 +126,11 @@ enum {
 #define STATE_TURNTABLE_MOVING 32U
 #define STATE_STAGED 64U
 #define STATE_SCHEMA_OK 128U
+#define STATE_TURNTABLE_LOST 256U
+
+#define TURNTABLE_END_LOW 1U
+#define TURNTABLE_END_HIGH 2U
+#define TURNTABLE_END_HARD 4U
 
 #define ARM_LAMPS 1U
 #define ARM_MICROWAVE 2U
@@ -161,6 +176,10 @@ enum {
     REPLY_MEASURE = 0x57,
     COMMAND_SAMPLES = 0x18,
     REPLY_SAMPLES = 0x58,
+    COMMAND_TURNTABLE = 0x12,
+    REPLY_TURNTABLE = 0x52,
+    COMMAND_TURNTABLE_STOP = 0x13,
+    REPLY_TURNTABLE_STOP = 0x53,
     EVENT_EDGE = 0x80,
     EVENT_SYNC_LOST = 0x81,
     EVENT_SYNC_FOUND = 0x82,
@@ -168,6 +187,7 @@ enum {
     EVENT_CONFIGURED = 0x84,
     EVENT_BURST_DONE = 0x85,
     EVENT_TURNTABLE_DONE = 0x86,
+    EVENT_TURNTABLE_STOPPED = 0x88,
     EVENT_BOOTED = 0x87,
     NOTICE_GARBLED = 0xF0,
 };
@@ -596,6 +616,47 @@ typedef struct {
 void reply_samples_pack(const reply_samples_t* self, uint8_t* payload);
 void reply_samples_unpack(reply_samples_t* self, const uint8_t* payload);
 
+// How the turntable moves, and how far; whoever sends it knows where it stands. Refused while it moves. After a reset: the widest limits, no ramp, no switches.
+#define COMMAND_TURNTABLE_LENGTH 17U
+typedef struct {
+    int32_t lowest;  // steps, soft limits: targets beyond are refused
+    int32_t highest;  // steps
+    uint32_t acceleration;  // steps/s^2; 0 = none, at once to the period asked for
+    uint32_t start_period;  // ticks, step to step where a ramp begins and ends
+    uint8_t switches;
+} command_turntable_t;
+void command_turntable_pack(const command_turntable_t* self, uint8_t* payload);
+void command_turntable_unpack(command_turntable_t* self, const uint8_t* payload);
+// Index of the first field outside its range, or RANGE_OK.
+uint8_t command_turntable_range(const command_turntable_t* self);
+
+// Answer to turntable.
+#define REPLY_TURNTABLE_LENGTH 19U
+typedef struct {
+    uint8_t status;  // ok, or why not
+    uint8_t detail;  // which field or lamp, see status
+    int32_t lowest;  // steps
+    int32_t highest;  // steps
+    uint32_t acceleration;
+    uint32_t start_period;  // ticks
+    uint8_t switches;
+} reply_turntable_t;
+void reply_turntable_pack(const reply_turntable_t* self, uint8_t* payload);
+void reply_turntable_unpack(reply_turntable_t* self, const uint8_t* payload);
+
+// Stop the turntable along its ramp. Ends with TURNTABLE_STOPPED and TURNTABLE_DONE.
+#define COMMAND_TURNTABLE_STOP_LENGTH 0U
+
+// Answer to turntable_stop.
+#define REPLY_TURNTABLE_STOP_LENGTH 6U
+typedef struct {
+    uint8_t status;  // ok, or why not
+    uint8_t detail;  // which field or lamp, see status
+    int32_t position;  // steps, where it is now
+} reply_turntable_stop_t;
+void reply_turntable_stop_pack(const reply_turntable_stop_t* self, uint8_t* payload);
+void reply_turntable_stop_unpack(reply_turntable_stop_t* self, const uint8_t* payload);
+
 // An accepted falling edge, and what was loaded to fire after it.
 #define EVENT_EDGE_LENGTH 24U
 typedef struct {
@@ -669,6 +730,17 @@ typedef struct {
 void event_turntable_done_pack(const event_turntable_done_t* self, uint8_t* payload);
 void event_turntable_done_unpack(event_turntable_done_t* self, const uint8_t* payload);
 
+// The turntable did not arrive. Right before its TURNTABLE_DONE.
+#define EVENT_TURNTABLE_STOPPED_LENGTH 10U
+typedef struct {
+    uint32_t tick;  // ticks
+    int32_t position;  // steps, steps really made
+    uint8_t cause;
+    uint8_t lost;  // 1: it was above its start speed and ended at once, so it may stand elsewhere
+} event_turntable_stopped_t;
+void event_turntable_stopped_pack(const event_turntable_stopped_t* self, uint8_t* payload);
+void event_turntable_stopped_unpack(event_turntable_stopped_t* self, const uint8_t* payload);
+
 // First event after a reset.
 #define EVENT_BOOTED_LENGTH 5U
 typedef struct {
@@ -707,6 +779,6 @@ uint8_t fault_since(uint8_t fault);
 
 // Ids of commands, id 0 in bit 0 of byte 0; and of events, id 0x80 in bit 0.
 extern const uint8_t known_commands[8];
-#define KNOWN_EVENTS 0x000000FFU
+#define KNOWN_EVENTS 0x000001FFU
 
 #endif

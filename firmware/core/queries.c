@@ -149,7 +149,8 @@ static uint16_t state_flags(const controller_t* const self, const uint8_t line)
     state |= ((self->armed & ARM_MICROWAVE) != 0U) ? STATE_MICROWAVE_ARMED : 0U;
     state |= self->bursts.running ? STATE_BURST_RUNNING : 0U;
     state |= board_interlock_open() ? STATE_INTERLOCK_OPEN : 0U;
-    state |= self->moving ? STATE_TURNTABLE_MOVING : 0U;
+    state |= self->turntable.moving ? STATE_TURNTABLE_MOVING : 0U;
+    state |= self->turntable.lost ? STATE_TURNTABLE_LOST : 0U;
     state |= self->sequencer.is_staged ? STATE_STAGED : 0U;
     state |= commands_allowed(self, line) ? STATE_SCHEMA_OK : 0U;
     return state;

@@ -27,6 +27,7 @@ void safety_trip(controller_t* const self, const uint8_t fault, const uint32_t d
     self->fault = fault;
     bursts_cut(&self->bursts, fault);
     set_microwave(self, false);
+    turntable_cut(&self->turntable);
     if ((self->armed & ARM_LAMPS) != 0U) {
         set_lamps(self, false);
     }
@@ -49,8 +50,8 @@ static int32_t host_timeout_ticks(const controller_t* const self)
 void safety_run(controller_t* const self, const uint32_t now)
 {
     const bool starved = board_microwave_starved();  // first: an interlock that opens in between is the cause of both
-    const bool tripped = board_interlock_tripped();  // also forgets a trip while nothing was armed
-    if (self->armed == 0U) {
+    const bool tripped = board_interlock_tripped();  // also forgets a trip while nothing was live
+    if ((self->armed == 0U) && !self->turntable.moving) {
         return;
     }
     if (tripped) {
@@ -73,6 +74,9 @@ uint8_t safety_arm(controller_t* const self, const uint8_t outputs)
         if (lamps && (self->sequencer.config.generation == 0U)) {
             return STATUS_BAD_STATE;
         }
+    }
+    if (outputs == 0U) {
+        turntable_stop(&self->turntable, STOP_CAUSE_STOPPED);
     }
     if (microwave != ((self->armed & ARM_MICROWAVE) != 0U)) {
         set_microwave(self, microwave);

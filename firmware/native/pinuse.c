@@ -10,6 +10,8 @@ static native_transition_t transitions[TRANSITIONS_MAX];  // ring
 static size_t transition_first;
 static size_t transition_count;
 static bool interlock_tripped;
+static uint8_t ends_watched;
+static uint8_t ends_touched;
 static uint8_t wires[PIN_COUNT];  // the input an output drives, a tick later; 0 = none
 
 void native_wire(const uint8_t from, const uint8_t to)
@@ -58,6 +60,8 @@ void pinuse_start(void)
         }
     }
     interlock_tripped = false;
+    ends_watched = 0;
+    ends_touched = 0;
 }
 
 bool pinuse_input(const uint8_t pin, const uint8_t level)
@@ -71,7 +75,27 @@ bool pinuse_input(const uint8_t pin, const uint8_t level)
     if (world.powered && changed && (pin == PIN_INTERLOCK) && (level == 1U)) {
         interlock_tripped = true;
     }
+    if (world.powered && changed && (level == 1U)) {
+        ends_touched |= (pin == PIN_END_LOW) ? TURNTABLE_END_LOW : (pin == PIN_END_HIGH) ? TURNTABLE_END_HIGH : 0U;
+    }
     return changed;
+}
+
+void board_turntable_watch(const uint8_t switches)
+{
+    time_pass();
+    ends_watched = switches;
+    ends_touched = 0;
+}
+
+uint8_t board_turntable_reached(void)
+{
+    time_look();
+    const uint8_t touched = ends_touched;
+    ends_touched = 0;
+    const uint8_t now =
+        (uint8_t)((world.levels[PIN_END_LOW] * TURNTABLE_END_LOW) | (world.levels[PIN_END_HIGH] * TURNTABLE_END_HIGH));
+    return ends_watched & (touched | now);
 }
 
 bool board_interlock_open(void)

@@ -48,6 +48,10 @@ static void apply_input(void)
     }
     if ((input.pin == PIN_INTERLOCK) && (input.level == 1U)) {
         microwave_cut();
+        time_wake();
+    }
+    if ((input.pin == PIN_END_LOW) || (input.pin == PIN_END_HIGH)) {
+        time_wake();
     }
 }
 

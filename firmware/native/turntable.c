@@ -23,6 +23,11 @@ uint64_t turntable_time(void)
     return motor.moving ? motor.next : NEVER;
 }
 
+static int32_t direction(void)
+{
+    return (native_pin(PIN_DIRECTION) == 1U) ? 1 : -1;
+}
+
 void turntable_step(void)
 {
     if (motor.position == motor.target) {
@@ -36,7 +41,7 @@ void turntable_step(void)
         motor.next += motor.period / 2U;
     } else {
         pinuse_drive(PIN_STEP, 0);
-        motor.position += (native_pin(PIN_DIRECTION) == 1U) ? 1 : -1;
+        motor.position += direction();
         motor.next += motor.period - motor.period / 2U;
     }
 }
@@ -51,6 +56,45 @@ void board_turntable_move(const int32_t position, const uint32_t period_ticks, c
     motor.next = world.now + period_ticks;  // the driver wants direction and power some time before the first step
     pinuse_drive(PIN_DIRECTION, (position >= motor.position) ? 1 : 0);
     pinuse_drive(PIN_ENABLE, 0);
+}
+
+void board_turntable_pace(const uint32_t period_ticks)
+{
+    time_pass();
+    motor.period = period_ticks;
+}
+
+static uint32_t steps_left(void)
+{
+    const int32_t under_way = (native_pin(PIN_STEP) == 1U) ? 1 : 0;
+    return motor.moving ? (uint32_t)((motor.target - motor.position) * direction() - under_way) : 0U;
+}
+
+uint32_t board_turntable_left(void)
+{
+    time_look();
+    return steps_left();
+}
+
+uint32_t board_turntable_shorten(const uint32_t steps)
+{
+    time_pass();
+    const uint32_t left = steps_left();
+    if (left > steps) {
+        motor.target -= (int32_t)(left - steps) * direction();
+    }
+    return (left > steps) ? steps : left;
+}
+
+void board_turntable_cut(void)
+{
+    time_pass();
+    if (native_pin(PIN_STEP) == 1U) {
+        motor.position += direction();
+    }
+    motor.moving = false;
+    pinuse_drive(PIN_STEP, 0);
+    pinuse_drive(PIN_ENABLE, 1);
 }
 
 bool board_turntable_moving(void)

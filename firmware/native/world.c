@@ -57,8 +57,7 @@ uint64_t world_input_time(void)
 
 bool native_input(const uint64_t tick, const uint8_t pin, const uint8_t level)
 {
-    const bool is_input =
-        (pin == PIN_SYNC) || (pin == PIN_INTERLOCK) || (pin == PIN_ODOMETER_A) || (pin == PIN_ODOMETER_B);
+    const bool is_input = (pin < PIN_COUNT) && (((INPUT_PINS >> pin) & 1U) != 0U);
     if (!is_input || (level > 1U) || (tick < world.now) || (input_count == INPUTS_MAX)) {
         world.lost.inputs++;
         return false;

@@ -1,12 +1,17 @@
 // Who has which pin, the pins at rest, and the inputs and the light that are no peripheral's.
 
 #include "../board.h"
+#include "../core/messages.h"
 #include "hardware.h"
 #include "../pins.h"
 #include "registers.h"
 
 static volatile uint32_t sync_edges;
 static volatile bool interlock_opened;
+static volatile uint32_t ends_touched;
+
+#define END_LOW EDGE_HIGH(PIN_END_LOW - 8U)  // as pins 8..15 tell their edges
+#define END_HIGH EDGE_HIGH(PIN_END_HIGH - 8U)
 
 void pin_use(const uint32_t pin, const uint32_t function, const uint32_t pad)
 {
@@ -32,6 +37,9 @@ void pins_handler(void)
     if ((edges & EDGE_HIGH(PIN_INTERLOCK)) != 0U) {
         interlock_opened = true;
     }
+    const uint32_t ends = REGISTER(IO_INTR1) & (END_LOW | END_HIGH);
+    REGISTER(IO_INTR1) = ends;
+    ends_touched = ends_touched | ends;
 }
 
 uint32_t pinuse_sync_edges(const uint32_t accepted)
@@ -57,6 +65,30 @@ bool board_interlock_tripped(void)
     interlock_opened = false;
     REGISTER(NVIC_ENABLE) = 1U << IRQ_IO_BANK0;
     return tripped;
+}
+
+// Edges of switches that are not there never interrupt.
+void board_turntable_watch(const uint8_t switches)
+{
+    const uint32_t edges = (((switches & TURNTABLE_END_LOW) != 0U) ? END_LOW : 0U) |
+                           (((switches & TURNTABLE_END_HIGH) != 0U) ? END_HIGH : 0U);
+    REGISTER(IO_PROC0_INTE1) = edges;
+    REGISTER(IO_INTR1) = END_LOW | END_HIGH;
+    ends_touched = 0;
+}
+
+uint8_t board_turntable_reached(void)
+{
+    REGISTER(NVIC_DISABLE) = 1U << IRQ_IO_BANK0;
+    const uint32_t touched = ends_touched;
+    ends_touched = 0;
+    REGISTER(NVIC_ENABLE) = 1U << IRQ_IO_BANK0;
+    const uint32_t levels = REGISTER(SIO_GPIO_IN);
+    const uint32_t watched = REGISTER(IO_PROC0_INTE1);
+    const bool low = ((touched & END_LOW) != 0U) || (((levels >> PIN_END_LOW) & 1U) != 0U);
+    const bool high = ((touched & END_HIGH) != 0U) || (((levels >> PIN_END_HIGH) & 1U) != 0U);
+    return (uint8_t)(((low && ((watched & END_LOW) != 0U)) ? TURNTABLE_END_LOW : 0U) |
+                     ((high && ((watched & END_HIGH) != 0U)) ? TURNTABLE_END_HIGH : 0U));
 }
 
 void board_status_light(const bool on)

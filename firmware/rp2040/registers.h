@@ -90,6 +90,8 @@ enum { IRQ_TIMER0 = 0, IRQ_TIMER1 = 1, IRQ_USB = 5, IRQ_IO_BANK0 = 13, IRQ_UART0
 enum { FUNCTION_UART = 2, FUNCTION_SIO = 5, FUNCTION_PIO0 = 6, FUNCTION_PIO1 = 7 };
 #define IO_INTR0 0x400140F0U  // four bits a pin, pins 0..7; edges latch until written
 #define IO_PROC0_INTE0 0x40014100U
+#define IO_INTR1 0x400140F4U  // the same of pins 8..15
+#define IO_PROC0_INTE1 0x40014104U
 #define EDGE_LOW(pin) (4U << (4U * (pin)))
 #define EDGE_HIGH(pin) (8U << (4U * (pin)))
 #define PAD(pin) (0x4001C004U + 4U * (pin))

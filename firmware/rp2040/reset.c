@@ -15,6 +15,7 @@ void board_watchdog_kick(void)
 
 void outputs_off(void)
 {
+    REGISTER(SIO_GPIO_OUT_SET) = 1U << PIN_ENABLE;
     SET_BITS(RESETS_RESET) = RESET_PIO0 | RESET_PIO1;
 }
 

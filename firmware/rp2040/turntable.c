@@ -1,4 +1,5 @@
 // Steps for the turntable: a machine of PIO0 that borrows the lamps' pulse, fed by DMA with one and the same word.
+// Another value in that word is another speed, from the next step that DMA reads on.
 
 #include "../board.h"
 #include "hardware.h"
@@ -12,37 +13,45 @@
 static volatile uint32_t half_period;  // the word, where DMA reads it again and again
 
 static struct {
-    int32_t start;
-    int32_t target;
+    int32_t start;   // where it stood, or stands
+    uint32_t steps;  // of this move
+    bool up;
     bool hold;
     bool moving;
 } motor;
 
-static uint32_t steps_of(const int32_t from, const int32_t to)
+static uint32_t half_of(const uint32_t period_ticks)
 {
-    return (to > from) ? (uint32_t)to - (uint32_t)from : (uint32_t)from - (uint32_t)to;
+    return ((period_ticks - STEP_OVERHEAD) / 2U) | 1U;
+}
+
+static int32_t place_after(const uint32_t steps)
+{
+    return motor.up ? motor.start + (int32_t)steps : motor.start - (int32_t)steps;
+}
+
+static void stand_at(const uint32_t steps)
+{
+    motor.start = place_after(steps);
+    motor.moving = false;
+}
+
+static uint32_t fifo_words(void)
+{
+    return (REGISTER(PIO_FLEVEL(PIO0)) >> (8U * STEP_MACHINE)) & 0xFU;
 }
 
 static void finish_when_done(void)
 {
     const bool fed = (REGISTER(DMA_CTRL(DMA_STEPS)) & DMA_BUSY) == 0U;
-    const bool empty = ((REGISTER(PIO_FLEVEL(PIO0)) >> (8U * STEP_MACHINE)) & 0xFU) == 0U;
-    if (motor.moving && fed && empty && (REGISTER(PIO_ADDRESS(PIO0, STEP_MACHINE)) == LAMP_IDLE)) {
-        motor.moving = false;
-        motor.start = motor.target;
+    if (motor.moving && fed && (fifo_words() == 0U) && (REGISTER(PIO_ADDRESS(PIO0, STEP_MACHINE)) == LAMP_IDLE)) {
+        stand_at(motor.steps);
         REGISTER(motor.hold ? SIO_GPIO_OUT_CLEAR : SIO_GPIO_OUT_SET) = 1U << PIN_ENABLE;
     }
 }
 
-void board_turntable_move(const int32_t position, const uint32_t period_ticks, const bool hold)
+static void start_words(const uint32_t words)
 {
-    motor.target = position;
-    motor.hold = hold;
-    motor.moving = true;
-    REGISTER((position >= motor.start) ? SIO_GPIO_OUT_SET : SIO_GPIO_OUT_CLEAR) = 1U << PIN_DIRECTION;
-    REGISTER(SIO_GPIO_OUT_CLEAR) = 1U << PIN_ENABLE;
-    half_period = ((period_ticks - STEP_OVERHEAD) / 2U) | 1U;
-    const uint32_t words = WORDS_PER_STEP * steps_of(motor.start, position);
     if (words > 0U) {
         REGISTER(DMA_READ(DMA_STEPS)) = (uint32_t)(uintptr_t)&half_period;
         REGISTER(DMA_WRITE(DMA_STEPS)) = PIO_TX(PIO0, STEP_MACHINE);
@@ -50,6 +59,76 @@ void board_turntable_move(const int32_t position, const uint32_t period_ticks, c
         REGISTER(DMA_CTRL_TRIGGER(DMA_STEPS)) =
             DMA_QUIET | DMA_REQUEST(DREQ_PIO_TX(0U, STEP_MACHINE)) | DMA_CHAIN(DMA_STEPS) | DMA_WORDS | DMA_ENABLE;
     }
+}
+
+void board_turntable_move(const int32_t position, const uint32_t period_ticks, const bool hold)
+{
+    motor.up = position >= motor.start;
+    motor.steps = motor.up ? (uint32_t)position - (uint32_t)motor.start : (uint32_t)motor.start - (uint32_t)position;
+    motor.hold = hold;
+    motor.moving = true;
+    REGISTER(motor.up ? SIO_GPIO_OUT_SET : SIO_GPIO_OUT_CLEAR) = 1U << PIN_DIRECTION;
+    REGISTER(SIO_GPIO_OUT_CLEAR) = 1U << PIN_ENABLE;
+    half_period = half_of(period_ticks);
+    start_words(WORDS_PER_STEP * motor.steps);
+}
+
+void board_turntable_pace(const uint32_t period_ticks)
+{
+    half_period = half_of(period_ticks);
+}
+
+uint32_t board_turntable_left(void)
+{
+    return motor.moving ? REGISTER(DMA_COUNT(DMA_STEPS)) / WORDS_PER_STEP : 0U;
+}
+
+// What DMA will still move; none is under way any more.
+static uint32_t pause_words(void)
+{
+    CLEAR_BITS(DMA_CTRL(DMA_STEPS)) = DMA_ENABLE;
+    for (uint32_t i = 0; i < 4U; i++) {
+        (void)REGISTER(DMA_CTRL(DMA_STEPS));
+    }
+    return REGISTER(DMA_COUNT(DMA_STEPS));
+}
+
+uint32_t board_turntable_shorten(const uint32_t steps)
+{
+    const uint32_t words = pause_words();
+    const uint32_t left = words / WORDS_PER_STEP;
+    dma_stop(DMA_STEPS);
+    const uint32_t kept = (left > steps) ? steps : left;
+    start_words(words - WORDS_PER_STEP * (left - kept));  // and what belongs to a step begun
+    motor.steps -= left - kept;
+    return kept;
+}
+
+// Words that the machine has taken tell the steps; with all three of one taken, its place tells whether STEP has risen.
+static uint32_t steps_made(const uint32_t waiting)
+{
+    const uint32_t taken = WORDS_PER_STEP * motor.steps - waiting - fifo_words();
+    const uint32_t at = REGISTER(PIO_ADDRESS(PIO0, STEP_MACHINE));
+    const bool before_rise = (at == LAMP_DELAY) || (at == LAMP_DELAY + 1U);
+    return taken / WORDS_PER_STEP - (before_rise ? 1U : 0U);
+}
+
+void board_turntable_cut(void)
+{
+    REGISTER(SIO_GPIO_OUT_SET) = 1U << PIN_ENABLE;
+    CLEAR_BITS(PIO_CTRL(PIO0)) = PIO_MACHINE(STEP_MACHINE);
+    if (motor.moving) {
+        const uint32_t words = pause_words();
+        dma_stop(DMA_STEPS);
+        stand_at(steps_made(words));
+    }
+    for (uint32_t i = 0; i < 4U; i++) {
+        REGISTER(PIO_INSTRUCTION(PIO0, STEP_MACHINE)) = PULL_NO_BLOCK;
+    }
+    REGISTER(PIO_INSTRUCTION(PIO0, STEP_MACHINE)) = MOV_PINS_NULL;
+    SET_BITS(PIO_CTRL(PIO0)) = PIO_RESTART(STEP_MACHINE);
+    REGISTER(PIO_INSTRUCTION(PIO0, STEP_MACHINE)) = JMP(LAMP_IDLE);
+    SET_BITS(PIO_CTRL(PIO0)) = PIO_MACHINE(STEP_MACHINE);
 }
 
 bool board_turntable_moving(void)
@@ -65,10 +144,8 @@ int32_t board_turntable_position(void)
     if (!motor.moving) {
         return motor.start;
     }
-    const uint32_t waiting =
-        REGISTER(DMA_COUNT(DMA_STEPS)) + ((REGISTER(PIO_FLEVEL(PIO0)) >> (8U * STEP_MACHINE)) & 0xFU);
-    const uint32_t left = (waiting + WORDS_PER_STEP - 1U) / WORDS_PER_STEP;
-    return (motor.target > motor.start) ? motor.target - (int32_t)left : motor.target + (int32_t)left;
+    const uint32_t waiting = REGISTER(DMA_COUNT(DMA_STEPS)) + fifo_words();
+    return place_after(motor.steps - (waiting + WORDS_PER_STEP - 1U) / WORDS_PER_STEP);
 }
 
 void turntable_start(void)
@@ -79,5 +156,7 @@ void turntable_start(void)
     REGISTER(PIO_INSTRUCTION(PIO0, STEP_MACHINE)) = SET_DIRECTIONS(1U);
     REGISTER(PIO_INSTRUCTION(PIO0, STEP_MACHINE)) = JMP(LAMP_IDLE);
     SET_BITS(PIO_CTRL(PIO0)) = PIO_MACHINE(STEP_MACHINE);
+    pin_use(PIN_END_LOW, FUNCTION_SIO, PAD_INPUT | PAD_SCHMITT | PAD_PULL_UP);
+    pin_use(PIN_END_HIGH, FUNCTION_SIO, PAD_INPUT | PAD_SCHMITT | PAD_PULL_UP);
     pin_use(PIN_STEP, FUNCTION_PIO0, PAD_DRIVE_4MA | PAD_PULL_DOWN);
 }

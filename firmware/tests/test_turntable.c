@@ -48,8 +48,127 @@ static void a_move_out_of_range_is_refused(void)
     EXPECT_EQ(rig_rises(PIN_STEP), 0);
 }
 
+static void configure(const uint8_t switches)
+{
+    uint8_t payload[COMMAND_TURNTABLE_LENGTH];
+    command_turntable_pack(
+        &(command_turntable_t){
+            .lowest = -20000, .highest = 20000, .acceleration = 40000, .start_period = 200000, .switches = switches},
+        payload);
+    EXPECT_EQ(rig_status_of(COMMAND_TURNTABLE, payload), STATUS_OK);
+    rig_forget();
+}
+
+static event_turntable_stopped_t take_stopped(void)
+{
+    event_turntable_stopped_t stopped = {.cause = 0};
+    const got_t* const got = rig_take(EVENT_TURNTABLE_STOPPED);
+    EXPECT(got != NULL);
+    if (got != NULL) {
+        event_turntable_stopped_unpack(&stopped, got->payload);
+    }
+    return stopped;
+}
+
+static void pass_alive(const uint64_t ticks)
+{
+    for (uint64_t passed = 0; passed < ticks; passed += 20 * MS) {
+        rig_send(COMMAND_PING, (uint8_t)(passed / MS), NULL);
+        rig_pass(20 * MS);
+    }
+}
+
+static void a_ramp_is_monotone_and_never_faster_than_asked(void)
+{
+    rig_start();
+    configure(0);
+    EXPECT_EQ(move(3000, 12000, 0).status, STATUS_OK);
+    pass_alive(800 * MS);
+    EXPECT_EQ(rig_rises(PIN_STEP), 3000);
+    EXPECT_EQ(rig_count(EVENT_TURNTABLE_DONE), 1);
+    EXPECT_EQ(rig_count(EVENT_TURNTABLE_STOPPED), 0);
+    uint64_t before = 200000;
+    uint64_t at = rig_rise(PIN_STEP, 0);
+    for (size_t step = 1; step < 3000U; step++) {
+        const uint64_t next = rig_rise(PIN_STEP, step);
+        const uint64_t gap = next - at;
+        EXPECT(gap >= 12000U);
+        EXPECT((step < 1400U) ? gap <= before : (step > 1600U) ? gap >= before : gap == 12000U);
+        before = gap;
+        at = next;
+    }
+}
+
+// Nothing stopped it: not disarming, not the interlock, not a fault.
+static void it_brakes_when_told_and_ends_at_once_when_it_must(void)
+{
+    rig_start();
+    configure(TURNTABLE_END_LOW);
+    native_input(native_tick(), PIN_END_LOW, 0);
+    EXPECT_EQ(move(15000, 12000, 0).status, STATUS_OK);
+    pass_alive(200 * MS);
+    const size_t before = rig_rises(PIN_STEP);
+    EXPECT_EQ(rig_status_of(COMMAND_TURNTABLE_STOP, NULL), STATUS_OK);
+    pass_alive(400 * MS);
+    event_turntable_stopped_t stopped = take_stopped();
+    EXPECT_EQ(stopped.position, rig_rises(PIN_STEP));
+    EXPECT(rig_rises(PIN_STEP) - before > 700U);  // 8333^2 / 80000
+    EXPECT(rig_rises(PIN_STEP) - before < 900U);
+    EXPECT_EQ(stopped.cause, STOP_CAUSE_STOPPED);
+    EXPECT_EQ(stopped.lost, 0);
+
+    const int32_t stood = stopped.position;
+    EXPECT_EQ(move(-15000, 12000, 0).status, STATUS_OK);
+    pass_alive(40 * MS);
+    native_input(native_tick() + 77, PIN_END_LOW, 1);
+    native_input(native_tick() + 99, PIN_END_LOW, 0);
+    pass_alive(400 * MS);
+    stopped = take_stopped();
+    EXPECT_EQ(stopped.cause, STOP_CAUSE_END_LOW);
+    EXPECT_EQ(stopped.position, 2 * stood - (int32_t)rig_rises(PIN_STEP));
+
+    rig_forget();
+    EXPECT_EQ(move(-15000, 12000, 1).status, STATUS_OK);
+    pass_alive(100 * MS);
+    const uint64_t opens = native_tick() + 4321;
+    native_input(opens, PIN_INTERLOCK, 1);
+    rig_pass(20 * MS);
+    EXPECT(rig_rise(PIN_STEP, rig_rises(PIN_STEP) - 1U) < opens + 200 * US);
+    EXPECT_EQ(native_pin(PIN_ENABLE), 1);
+    const int32_t left_at = stopped.position;
+    stopped = take_stopped();
+    EXPECT_EQ(stopped.cause, STOP_CAUSE_FAULT);
+    EXPECT_EQ(stopped.lost, 1);
+    EXPECT_EQ(stopped.position, left_at - (int32_t)rig_rises(PIN_STEP));
+    EXPECT(rig_status().state & STATE_TURNTABLE_LOST);
+    EXPECT_EQ(rig_status().fault, FAULT_INTERLOCK);
+    EXPECT_EQ(move(0, 12000, 0).status, STATUS_UNSAFE);
+}
+
+static void limits_hold_from_wherever_it_stands(void)
+{
+    rig_start();
+    const int32_t far = (int32_t)TURNTABLE_POSITION_MAX_STEPS;
+    EXPECT_EQ(move(1431655766, 10000, 0).status, STATUS_OUT_OF_RANGE);
+    EXPECT_EQ(move(-far - 1, 10000, 0).status, STATUS_OUT_OF_RANGE);
+    EXPECT_EQ(move(far, 10000, 0).status, STATUS_OK);
+    uint8_t payload[COMMAND_TURNTABLE_LENGTH];
+    command_turntable_pack(&(command_turntable_t){.highest = 60}, payload);
+    EXPECT_EQ(rig_status_of(COMMAND_TURNTABLE, payload), STATUS_BAD_STATE);
+    rig_arm(0);
+    rig_pass(2 * MS);
+    EXPECT_EQ(take_stopped().cause, STOP_CAUSE_STOPPED);
+    EXPECT_EQ(rig_status_of(COMMAND_TURNTABLE, payload), STATUS_OK);
+    EXPECT_EQ(move(61, 10000, 0).status, STATUS_OUT_OF_RANGE);
+    EXPECT_EQ(move(-1, 10000, 0).status, STATUS_OUT_OF_RANGE);
+    EXPECT_EQ(move(60, 10000, 0).status, STATUS_OK);
+}
+
 void turntable_tests(void)
 {
     RUN(the_turntable_goes_to_absolute_positions_both_ways);
     RUN(a_move_out_of_range_is_refused);
+    RUN(a_ramp_is_monotone_and_never_faster_than_asked);
+    RUN(it_brakes_when_told_and_ends_at_once_when_it_must);
+    RUN(limits_hold_from_wherever_it_stands);
 }

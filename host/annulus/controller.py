@@ -30,6 +30,9 @@ BURST_PERIOD_MAX_TICKS = 100000000  # longest burst period; the shortest is the 
 BURST_PERIOD_MIN_TICKS = 600  # and never shorter than this: a burst that is all dark has no duty to say so
 BURST_REPEAT_MAX = 65535  # bursts of a train
 TURNTABLE_PERIOD_MIN_TICKS = 10000  # fastest step to step
+TURNTABLE_POSITION_MAX_STEPS = 500000000  # farthest from where it stood at reset, either way
+TURNTABLE_ACCELERATION_MAX = 10000000  # steps per second, a second
+TURNTABLE_START_PERIOD_MAX_TICKS = 100000000  # slowest start of a ramp, step to step
 
 # Pins, by GPIO.
 PIN_UART_TX = 0  # UART0 TX, 1 Mbaud 8N1
@@ -43,10 +46,12 @@ PIN_INTERLOCK = 7  # closed = low, open = unsafe
 PIN_STEP = 8  # turntable STEP
 PIN_DIRECTION = 9  # turntable DIR
 PIN_ENABLE = 10  # turntable ENABLE, low = on
+PIN_END_LOW = 11  # turntable's lower end switch: closed = low, reached or broken = high
+PIN_END_HIGH = 12  # turntable's upper end switch
 PIN_ODOMETER_A = 14  # quadrature A, four counts a cycle, A first counts up
 PIN_ODOMETER_B = 15  # quadrature B
 PIN_STATUS = 25  # status light: something is armed
-INPUT_PINS = (PIN_SYNC, PIN_INTERLOCK, PIN_ODOMETER_A, PIN_ODOMETER_B)
+INPUT_PINS = (PIN_SYNC, PIN_INTERLOCK, PIN_END_LOW, PIN_END_HIGH, PIN_ODOMETER_A, PIN_ODOMETER_B)
 OUTPUT_PINS = (PIN_PROJECTOR, PIN_LED, PIN_MICROWAVE, PIN_TRIGGER, PIN_STEP, PIN_DIRECTION, PIN_ENABLE, PIN_STATUS)
 
 CODES: Mapping[str, str] = {  # burst codes built in; chips, chip 0 first

@@ -8,11 +8,12 @@ ENUM_NAMES = {
     "lamp": "Lamp",
     "fault": "FaultCode",
     "boot_cause": "BootCause",
+    "stop_cause": "StopCause",
     "burst_code": "BurstCode",
     "crash": "CrashKind",
     "part": "RoundPart",
 }
-FLAG_NAMES = {"edge": "EdgeFlag", "state": "StateFlag", "arm": "ArmFlag"}
+FLAG_NAMES = {"edge": "EdgeFlag", "state": "StateFlag", "turntable": "TurntableFlag", "arm": "ArmFlag"}
 FROM_VOCABULARY = ("EdgeFlag", "Lamp")
 
 PYTHON_HEAD = '''"""Every message of the wire, as it crosses it. {generated}

@@ -7,10 +7,12 @@ from typing import Annotated
 
 import typer
 
+from annulus.cli import turntable
 from annulus.cli.show import Json, Port, group, print_fields
 from annulus.controller import CODES
 
-app = group("Talk to one controller: configure, arm, fire a burst.")
+app = group("Talk to one controller: configure, arm, fire a burst, turn the turntable.")
+app.add_typer(turntable.app, name="turntable")
 
 
 @app.command("status", epilog="Example: annulus head status --port /dev/ttyACM0 --json")

@@ -7,7 +7,8 @@ from annulus.daemon.config import HeadConfig
 from annulus.daemon.observer import Observer
 from annulus.link.client import Port
 from annulus.link.head import HeadControl, HeadEvent, Phase, PhaseChanged, stage_from_us
-from annulus.link.messages import Fault, Stage, SyncFound, SyncLost
+from annulus.link.messages import Fault, Stage, SyncFound, SyncLost, TurntableStopped
+from annulus.link.operate import why_it_stopped
 from annulus.link.session import EventReceived, EventsLost, Rebooted
 from annulus.vocabulary import AnnulusError
 
@@ -126,6 +127,8 @@ class ControllerLine:
                     tell("sync", f"no frame-sync edge since edge {event.last_edge}")
                 case EventReceived(event) if isinstance(event, SyncFound):
                     tell("sync", f"frame-sync is regular from edge {event.edge} on")
+                case EventReceived(event) if isinstance(event, TurntableStopped):
+                    tell("turntable", why_it_stopped(event))
         return heard
 
 

@@ -39,6 +39,7 @@ from annulus.link.messages import (
     Status,
     StatusCode,
     StatusReply,
+    StopCause,
 )
 from annulus.link.problems import configuration_problem
 from annulus.link.session import Answer, EventReceived, LinkEvent, Rebooted, Session, Unanswered, identify
@@ -456,6 +457,9 @@ def refusal(answer: Answer) -> str:
             return f"{name} refused: duty of the {lamp} is over the controller's limit{since}"
         case StatusCode.SCHEMA:
             return f"{name} refused: the schema differs. Flash the firmware that came with this annulus."
+        case StatusCode.UNSAFE if name == "move" and detail in (StopCause.END_LOW, StopCause.END_HIGH):
+            end = "lower" if detail == StopCause.END_LOW else "upper"
+            return f"{name} refused: the {end} end switch is reached, or its wire is broken"
         case StatusCode.UNSAFE:
             return f"{name} refused: interlock open or a fault latched"
     return f"{name} refused: {status.name.lower()}, detail {detail}"

@@ -46,6 +46,13 @@ class FaultCode(IntEnum):
     ODOMETER = 7
 
 
+class StopCause(IntEnum):
+    STOPPED = 1
+    END_LOW = 2
+    END_HIGH = 3
+    FAULT = 4
+
+
 class BootCause(IntEnum):
     POWER_ON = 0
     WATCHDOG = 1
@@ -90,6 +97,13 @@ class StateFlag(IntFlag):
     TURNTABLE_MOVING = 32
     STAGED = 64
     SCHEMA_OK = 128
+    TURNTABLE_LOST = 256
+
+
+class TurntableFlag(IntFlag):
+    END_LOW = 1
+    END_HIGH = 2
+    END_HARD = 4
 
 
 class ArmFlag(IntFlag):
@@ -846,6 +860,72 @@ class HealthReply(Reply):
 
 
 @dataclass(frozen=True, slots=True)
+class TurntableReply(Reply):
+    """Answer to turntable."""
+
+    ID: ClassVar[int] = 0x52
+    SCHEMA_BYTE: ClassVar[int] = 0xBF
+    SINCE: ClassVar[int] = 2
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBiiIIB")
+    LENGTH: ClassVar[int] = 19
+    FIELDS: ClassVar[tuple[str, ...]] = (
+        "status",
+        "detail",
+        "lowest",
+        "highest",
+        "acceleration",
+        "start_period",
+        "switches",
+    )
+
+    lowest: int  # steps
+    highest: int  # steps
+    acceleration: int
+    start_period: int  # ticks
+    switches: TurntableFlag
+
+    def pack(self) -> bytes:
+        return _pack(
+            "turntable",
+            self.LAYOUT,
+            self.status,
+            self.detail,
+            self.lowest,
+            self.highest,
+            self.acceleration,
+            self.start_period,
+            self.switches,
+        )
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(StatusCode(v[0]), v[1], v[2], v[3], v[4], v[5], TurntableFlag(v[6]))
+
+
+@dataclass(frozen=True, slots=True)
+class TurntableStopReply(Reply):
+    """Answer to turntable_stop."""
+
+    ID: ClassVar[int] = 0x53
+    SCHEMA_BYTE: ClassVar[int] = 0x5F
+    SINCE: ClassVar[int] = 2
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBi")
+    LENGTH: ClassVar[int] = 6
+    FIELDS: ClassVar[tuple[str, ...]] = ("status", "detail", "position")
+
+    position: int  # steps; where it is now
+
+    def pack(self) -> bytes:
+        return _pack("turntable_stop", self.LAYOUT, self.status, self.detail, self.position)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(StatusCode(v[0]), v[1], v[2])
+
+
+@dataclass(frozen=True, slots=True)
 class MeasureReply(Reply):
     """Answer to measure."""
 
@@ -1355,6 +1435,72 @@ class Health(Command):
 
 
 @dataclass(frozen=True, slots=True)
+class Turntable(Command):
+    """How the turntable moves, and how far; whoever sends it knows where it stands. Refused while it moves. After a reset:
+    the widest limits, no ramp, no switches.
+    """
+
+    ID: ClassVar[int] = 0x12
+    SCHEMA_BYTE: ClassVar[int] = 0x00
+    SINCE: ClassVar[int] = 2
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<iiIIB")
+    LENGTH: ClassVar[int] = 17
+    FIELDS: ClassVar[tuple[str, ...]] = (
+        "lowest",
+        "highest",
+        "acceleration",
+        "start_period",
+        "switches",
+    )
+    REPLY: ClassVar[type[Reply]] = TurntableReply
+    QUERY: ClassVar[bool] = False
+
+    lowest: int  # steps; soft limits: targets beyond are refused
+    highest: int  # steps
+    acceleration: int  # steps/s^2; 0 = none, at once to the period asked for
+    start_period: int  # ticks; step to step where a ramp begins and ends
+    switches: TurntableFlag
+
+    def pack(self) -> bytes:
+        return _pack(
+            "turntable",
+            self.LAYOUT,
+            self.lowest,
+            self.highest,
+            self.acceleration,
+            self.start_period,
+            self.switches,
+        )
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(v[0], v[1], v[2], v[3], TurntableFlag(v[4]))
+
+
+@dataclass(frozen=True, slots=True)
+class TurntableStop(Command):
+    """Stop the turntable along its ramp. Ends with TURNTABLE_STOPPED and TURNTABLE_DONE."""
+
+    ID: ClassVar[int] = 0x13
+    SCHEMA_BYTE: ClassVar[int] = 0x6C
+    SINCE: ClassVar[int] = 2
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<")
+    LENGTH: ClassVar[int] = 0
+    FIELDS: ClassVar[tuple[str, ...]] = ()
+    REPLY: ClassVar[type[Reply]] = TurntableStopReply
+    QUERY: ClassVar[bool] = False
+
+    def pack(self) -> bytes:
+        return _pack("turntable_stop", self.LAYOUT)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        _values(cls.LAYOUT, payload)
+        return cls()
+
+
+@dataclass(frozen=True, slots=True)
 class Measure(Command):
     """The controller times its own pins. After every edge of `pin` to `level`, and `delay` ticks later, it keeps the
     levels of four neighbouring pins tick by tick, 512 times: a look. The odometer stands still meanwhile. The first
@@ -1621,6 +1767,31 @@ class Booted(Event):
 
 
 @dataclass(frozen=True, slots=True)
+class TurntableStopped(Event):
+    """The turntable did not arrive. Right before its TURNTABLE_DONE."""
+
+    ID: ClassVar[int] = 0x88
+    SCHEMA_BYTE: ClassVar[int] = 0xF2
+    SINCE: ClassVar[int] = 2
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<IiBB")
+    LENGTH: ClassVar[int] = 10
+    FIELDS: ClassVar[tuple[str, ...]] = ("tick", "position", "cause", "lost")
+
+    tick: int  # ticks
+    position: int  # steps; steps really made
+    cause: StopCause
+    lost: int  # 1: it was above its start speed and ended at once, so it may stand elsewhere
+
+    def pack(self) -> bytes:
+        return _pack("turntable_stopped", self.LAYOUT, self.tick, self.position, self.cause, self.lost)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(v[0], v[1], StopCause(v[2]), v[3])
+
+
+@dataclass(frozen=True, slots=True)
 class Garbled(Notice):
     """A frame came in damaged. Carries no sequence; the host sends again what is unanswered."""
 
@@ -1662,6 +1833,8 @@ COMMANDS: dict[int, type[Command]] = {
     0x10: Crash,
     0x17: Measure,
     0x18: Samples,
+    0x12: Turntable,
+    0x13: TurntableStop,
 }
 
 REPLIES: dict[int, type[Reply]] = {
@@ -1685,6 +1858,8 @@ REPLIES: dict[int, type[Reply]] = {
     0x50: CrashReply,
     0x57: MeasureReply,
     0x58: SamplesReply,
+    0x52: TurntableReply,
+    0x53: TurntableStopReply,
 }
 
 EVENTS: dict[int, type[Event]] = {
@@ -1695,6 +1870,7 @@ EVENTS: dict[int, type[Event]] = {
     0x84: Configured,
     0x85: BurstDone,
     0x86: TurntableDone,
+    0x88: TurntableStopped,
     0x87: Booted,
 }
 

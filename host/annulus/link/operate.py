@@ -38,14 +38,22 @@ from annulus.link.messages import (
     StateFlag,
     Status,
     StatusReply,
+    StopCause,
     SyncLost,
+    Turntable,
     TurntableDone,
+    TurntableFlag,
+    TurntableReply,
+    TurntableStop,
+    TurntableStopped,
+    TurntableStopReply,
 )
 from annulus.link.problems import configuration_problem
 from annulus.link.session import EventReceived, EventsLost, Rebooted
 from annulus.vocabulary import AnnulusError, Lamp
 
 KEEP_ALIVE_S = 0.1  # well inside the shortest sensible host timeout
+READ_AGAIN_S = 0.01
 TRAIN_SLACK_S = 1.0
 FORCE_SLACK_S = 0.5  # beyond the frames of a cycle, for a commit to take force
 TURNTABLE_BUSY_S = 60.0
@@ -303,9 +311,65 @@ def move_turntable(client: Client, port: str, position: int, step_us: float, *, 
         return
     client.request(Move(position, round(step_us * TICKS_PER_US), int(hold)))
     patience_s = abs(position - before.turntable) * step_us * 1e-6 + TRAIN_SLACK_S
-    done = _wait_for(TurntableDone, client, port, patience_s)
+    done = _wait_for(TurntableDone, client, port, patience_s, lambda: is_moving(client))
     if done.position != position:
         raise AnnulusError(f"{port}: the turntable stopped at step {done.position}, expected {position}")
+
+
+def is_moving(client: Client) -> bool:
+    return StateFlag.TURNTABLE_MOVING in status_of(client).state
+
+
+def why_it_stopped(event: TurntableStopped) -> str:
+    """One line on a turntable that did not arrive."""
+    cause = {
+        StopCause.STOPPED: "it was told to",
+        StopCause.END_LOW: "the lower end switch was reached",
+        StopCause.END_HIGH: "the upper end switch was reached",
+        StopCause.FAULT: "a fault took its power away",
+    }[event.cause]
+    lost = ", above its start speed, so it may stand elsewhere: home and configure it" if event.lost else ""
+    return f"the turntable stopped at step {event.position} because {cause}{lost}"
+
+
+def turn(port: str, position: int, step_us: float, *, hold: bool) -> dict[str, object]:
+    """Move the turntable and wait until it stands; a Ctrl-C brakes it. AnnulusError when it does not arrive."""
+    with Client(port) as client:
+        try:
+            move_turntable(client, port, position, step_us, hold=hold)
+        except KeyboardInterrupt:
+            client.ask(TurntableStop())
+            while is_moving(client):
+                client.poll(KEEP_ALIVE_S)
+        return {"turntable_steps": status_of(client).turntable}
+
+
+def configure_turntable(
+    port: str, *, lowest: int, highest: int, acceleration: int, start_us: float, switches: TurntableFlag
+) -> dict[str, object]:
+    """Soft limits, ramp and end switches; in force until the next reset. AnnulusError when refused."""
+    with Client(port) as client:
+        command = Turntable(lowest, highest, acceleration, round(start_us * TICKS_PER_US), switches)
+        reply = client.request(command)
+        assert isinstance(reply, TurntableReply)
+        return {
+            "lowest_steps": reply.lowest,
+            "highest_steps": reply.highest,
+            "acceleration_steps_s2": reply.acceleration,
+            "start_us": reply.start_period / TICKS_PER_US,
+            "switches": ", ".join(f.name.lower() for f in TurntableFlag if f in reply.switches and f.name) or "-",
+        }
+
+
+def stop_turntable(port: str) -> dict[str, object]:
+    """Brake along the ramp, and wait until it stands."""
+    with Client(port, diagnostics=True) as client:
+        reply = client.request(TurntableStop())
+        assert isinstance(reply, TurntableStopReply)
+        while is_moving(client):
+            client.keep_alive()
+            client.poll(KEEP_ALIVE_S)
+        return {"told_at_steps": reply.position, "turntable_steps": status_of(client).turntable}
 
 
 def ticks_between(tick: int, later: int) -> int:
@@ -319,11 +383,16 @@ def _pattern(bits: str) -> Pattern:
     return Pattern(len(bits), int(bits[::-1], 2).to_bytes(CHIPS_MAX // 8, "little"))  # chip 0 is bit 0 of byte 0
 
 
-def _wait_for(kind: type[Awaited], client: Client, port: str, patience_s: float) -> Awaited:
+def _wait_for(
+    kind: type[Awaited], client: Client, port: str, patience_s: float, still: Callable[[], bool] = lambda: False
+) -> Awaited:
     end = time.monotonic() + patience_s
-    while (now := time.monotonic()) < end:
+    over = False
+    while not over:
+        left_s = end - time.monotonic()
+        over = left_s <= 0.0 and not still()  # what has ended by now has been told: looked at once more
         client.keep_alive()
-        for happening in client.poll(min(KEEP_ALIVE_S, end - now)):
+        for happening in client.poll(min(KEEP_ALIVE_S, left_s) if left_s > 0.0 else READ_AGAIN_S):
             if isinstance(happening, EventReceived) and isinstance(happening.event, kind):
                 return happening.event
             _raise_on_fault(port, happening)
@@ -338,6 +407,8 @@ def _raise_on_fault(port: str, happening: object) -> None:
         and happening.event.fault in LATCHING
     ):
         raise AnnulusError(f"{port}: fault {happening.event.fault.name.lower()}, everything disarmed")
+    if isinstance(happening, EventReceived) and isinstance(happening.event, TurntableStopped):
+        raise AnnulusError(f"{port}: {why_it_stopped(happening.event)}")
     if isinstance(happening, Rebooted) and happening.previous is not None:
         raise AnnulusError(f"{port}: the controller restarted, everything disarmed")
 

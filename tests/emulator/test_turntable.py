@@ -1,0 +1,289 @@
+"""The turntable of the image a user flashes, step by step at its pins: ramps, and everything that stops it."""
+
+import itertools
+import math
+import random
+
+import pytest
+from emulated import MS, EmulatedBoard
+
+from annulus.controller import (
+    PIN_DIRECTION,
+    PIN_ENABLE,
+    PIN_END_HIGH,
+    PIN_END_LOW,
+    PIN_INTERLOCK,
+    PIN_STEP,
+    TICK_HZ,
+    TICKS_PER_US,
+    TURNTABLE_POSITION_MAX_STEPS,
+)
+from annulus.link.messages import (
+    Arm,
+    ArmFlag,
+    Clear,
+    Fault,
+    FaultCode,
+    Move,
+    Reply,
+    StateFlag,
+    Status,
+    StatusCode,
+    StatusReply,
+    StopCause,
+    Turntable,
+    TurntableDone,
+    TurntableFlag,
+    TurntableStop,
+    TurntableStopped,
+)
+
+US = TICKS_PER_US
+ROUND = 250 * US  # of the main loop, at most, and its sleep
+UNDER_WAY = 3  # steps that are made after it was decided that none shall begin
+MET = 2  # ticks by which a period may differ
+BOTH = TurntableFlag.END_LOW | TurntableFlag.END_HIGH
+FAST, START, STEEP = 12_000, 200_000, 40_000  # 8333 steps/s from 500 steps/s at 40000 steps/s^2: 866 steps of ramp
+
+
+def configuration(
+    *, lowest: int = -100_000, highest: int = 100_000, acceleration: int = STEEP, start: int = START, switches: int = 0
+) -> Turntable:
+    return Turntable(lowest, highest, acceleration, start, TurntableFlag(switches))
+
+
+def ready(board: EmulatedBoard, *, ends: bool = True, **changes: int) -> None:
+    """Interlock closed, both end switches closed, configured."""
+    if ends:
+        board.input((board.now, PIN_END_LOW, 0), (board.now, PIN_END_HIGH, 0))
+    board.identify()
+    assert board.request(configuration(**changes)).status == StatusCode.OK
+
+
+def start(board: EmulatedBoard, position: int, period: int = FAST, hold: int = 0) -> Reply:
+    return board.request(Move(position=position, period=period, hold=hold))
+
+
+def until_it_stands(board: EmulatedBoard, within: int = 2000 * MS) -> int:
+    """The position it tells."""
+    end = board.now + within
+    while not board.heard(TurntableDone):
+        assert board.now < end
+        board.run_alive(board.now + 10 * MS)
+    [done] = board.heard(TurntableDone)
+    return done.position
+
+
+def intervals(board: EmulatedBoard) -> list[int]:
+    return [b - a for a, b in itertools.pairwise(board.rises(PIN_STEP))]
+
+
+def forget(board: EmulatedBoard) -> None:
+    board.transitions.clear()
+    board.events.clear()
+
+
+@pytest.mark.parametrize("target", [3_000, -3_000, 700, 5, 1, 0])
+def test_a_move_speeds_up_and_slows_down_step_by_step_and_is_never_faster_than_asked(
+    board: EmulatedBoard, target: int
+) -> None:
+    ready(board)
+    assert start(board, target).status == StatusCode.OK
+    assert until_it_stands(board) == target
+    gaps = intervals(board)
+    assert len(board.rises(PIN_STEP)) == len(board.falls(PIN_STEP)) == abs(target)
+    assert all(gap >= FAST - MET for gap in gaps)
+    fastest = gaps.index(min(gaps)) if gaps else 0
+    assert all(later <= earlier + MET for earlier, later in itertools.pairwise(gaps[: fastest + 1]))
+    assert all(later >= earlier - MET for earlier, later in itertools.pairwise(gaps[fastest:]))
+    assert all(gap <= START + MET for gap in gaps)
+    for gap in (gaps[:1] + gaps[-1:]) if len(gaps) > 10 else []:
+        assert gap >= 0.6 * START
+    # nowhere faster than the ramp from either end allows, but for the steps that were under way
+    for at, gap in enumerate(gaps):
+        steps = min(at, len(gaps) - 1 - at) + 2 * UNDER_WAY
+        assert gap >= 0.98 * TICK_HZ / math.sqrt((TICK_HZ / START) ** 2 + 2 * STEEP * steps)
+    if abs(target) >= 3_000:
+        assert min(gaps) <= FAST + MET
+    assert board.heard(TurntableStopped) == []
+
+
+def test_without_a_ramp_the_period_is_what_was_asked_at_once(board: EmulatedBoard) -> None:
+    ready(board, acceleration=0, start=0)
+    assert start(board, 300).status == StatusCode.OK
+    assert until_it_stands(board) == 300
+    assert set(intervals(board)) <= set(range(FAST - MET, FAST + MET + 1))
+
+
+@pytest.mark.parametrize("how", ["turntable_stop", "disarm"])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_stop_brakes_along_the_ramp_and_tells_where_it_stands(board: EmulatedBoard, how: str, seed: int) -> None:
+    """A stage that had begun to move could not be stopped by anything."""
+    rng = random.Random(seed)
+    ready(board)
+    stood = 0
+    for sign in (1, -1, 1):
+        forget(board)
+        assert start(board, stood + sign * 50_000).status == StatusCode.OK
+        board.run_alive(board.now + rng.randrange(MS, 300 * MS))
+        told = board.now
+        before = len(board.rises(PIN_STEP))
+        board.request(TurntableStop() if how == "turntable_stop" else Arm(outputs=ArmFlag(0)))
+        position = until_it_stands(board)
+        made = len(board.rises(PIN_STEP))
+        assert position == stood + sign * made
+        gaps = intervals(board)
+        speed = TICK_HZ / min(gaps)
+        braking = (speed**2 - (TICK_HZ / START) ** 2) / (2 * STEEP)
+        answered = 12 * speed * MS / TICK_HZ / 10  # steps until the command has come
+        assert made - before <= braking + answered + 2 * UNDER_WAY
+        after = [b - a for a, b in itertools.pairwise(t for t in board.rises(PIN_STEP) if t > told + MS)]
+        assert all(later >= earlier - MET for earlier, later in itertools.pairwise(after))
+        [event] = board.heard(TurntableStopped)
+        assert (event.position, event.cause, event.lost) == (position, StopCause.STOPPED, 0)
+        stood = position
+    assert board.heard(Fault) == []
+
+
+@pytest.mark.parametrize(("sign", "pin", "cause"), [
+    (1, PIN_END_HIGH, StopCause.END_HIGH), (-1, PIN_END_LOW, StopCause.END_LOW),
+])  # fmt: skip
+@pytest.mark.parametrize("hard", [False, True])
+def test_an_end_switch_stops_motion_towards_it_however_short_the_touch(
+    board: EmulatedBoard, sign: int, pin: int, cause: StopCause, hard: bool
+) -> None:
+    rng = random.Random(pin + hard)
+    other = PIN_END_LOW + PIN_END_HIGH - pin
+    switches = BOTH | (TurntableFlag.END_HARD if hard else TurntableFlag(0))
+    stood = 0
+    ready(board)
+    for _ in range(4):
+        forget(board)
+        assert board.request(configuration(switches=switches)).status == StatusCode.OK
+        assert start(board, sign * 40_000).status == StatusCode.OK
+        board.input((board.now + MS, other, 1), (board.now + 2 * MS, other, 0))  # the one behind it
+        board.run_alive(board.now + rng.randrange(20 * MS, 220 * MS))
+        touched = board.now + rng.randrange(1, 30_000)
+        board.input((touched, pin, 1), (touched + rng.choice((50, 5_000, 500_000)), pin, 0))
+        position = until_it_stands(board)
+        made = len(board.rises(PIN_STEP))
+        assert position == stood + sign * made
+        after = sum(tick > touched + ROUND for tick in board.rises(PIN_STEP))
+        speed = TICK_HZ / min(intervals(board))
+        assert after <= (UNDER_WAY if hard else (speed**2 - (TICK_HZ / START) ** 2) / (2 * STEEP) + 2 * UNDER_WAY)
+        [event] = board.heard(TurntableStopped)
+        assert (event.position, event.cause, event.lost) == (position, cause, int(hard))
+        assert bool(StateFlag.TURNTABLE_LOST & state(board)) is hard
+        stood = position
+    board.input((board.now, pin, 1))
+    board.run(board.now + MS)
+    refused = start(board, stood + sign)
+    assert (refused.status, refused.detail) == (StatusCode.UNSAFE, cause)
+    forget(board)
+    assert start(board, stood - sign * 20).status == StatusCode.OK  # away from it
+    assert until_it_stands(board) == stood - sign * 20
+
+
+def state(board: EmulatedBoard) -> StateFlag:
+    reply = board.request(Status())
+    assert isinstance(reply, StatusReply)
+    return reply.state
+
+
+def test_switches_that_are_not_there_are_not_looked_at(board: EmulatedBoard) -> None:
+    ready(board, ends=False)
+    assert start(board, 500).status == StatusCode.OK
+    assert until_it_stands(board) == 500
+    assert board.heard(TurntableStopped) == []
+
+
+@pytest.mark.parametrize("ramp", [False, True])
+@pytest.mark.parametrize("seed", range(3))
+def test_an_opened_interlock_ends_it_at_once_and_takes_its_power_away(
+    board: EmulatedBoard, seed: int, ramp: bool
+) -> None:
+    """It went on to its target, hours away, with the interlock open and a fault latched."""
+    rng = random.Random(10 * seed + ramp)
+    board.identify()
+    if ramp:
+        ready(board)
+    stood = 0
+    for sign in (1, -1, 1, -1):
+        forget(board)
+        assert start(board, stood + sign * 30_000, hold=1).status == StatusCode.OK
+        board.run_alive(board.now + rng.randrange(MS, 150 * MS))
+        opens = board.now + rng.randrange(1, 30_000)
+        board.input((opens, PIN_INTERLOCK, 1), (opens + rng.choice((100, 100_000)), PIN_INTERLOCK, 0))
+        board.run(opens + 20 * MS)
+        assert max(board.rises(PIN_STEP), default=0) <= opens + ROUND
+        enabled = [(tick, level) for tick, pin, level in board.transitions if pin == PIN_ENABLE]
+        assert enabled[-1][1] == 1
+        assert opens < enabled[-1][0] <= opens + ROUND
+        assert [pin for tick, pin, level in board.transitions if tick > opens + ROUND and level == 1] == []
+        [done] = board.heard(TurntableDone)
+        assert done.position == stood + sign * len(board.rises(PIN_STEP))
+        assert [fault.fault for fault in board.heard(Fault)] == [FaultCode.INTERLOCK]
+        [event] = board.heard(TurntableStopped)
+        fast = len(board.rises(PIN_STEP)) > 10
+        assert (event.cause, event.position) == (StopCause.FAULT, done.position)
+        assert event.lost == 0 if not ramp else event.lost == 1 or not fast
+        assert start(board, 0).status == StatusCode.UNSAFE
+        assert board.request(Clear()).status == StatusCode.OK
+        stood = done.position
+    board.input((board.now, PIN_INTERLOCK, 1))
+    board.run(board.now + MS)
+    assert start(board, 0).status == StatusCode.UNSAFE
+
+
+def test_a_host_that_falls_silent_while_it_moves_ends_it(board: EmulatedBoard) -> None:
+    ready(board)
+    assert start(board, 100_000).status == StatusCode.OK
+    told = board.now
+    board.run(told + 520 * MS)
+    assert told + 400 * MS < max(board.rises(PIN_STEP)) <= told + 500 * MS + ROUND
+    assert [fault.fault for fault in board.heard(Fault)] == [FaultCode.HOST_TIMEOUT]
+    assert until_it_stands(board) == len(board.rises(PIN_STEP))
+
+
+def test_a_processor_that_stands_still_leaves_it_without_power(board: EmulatedBoard) -> None:
+    ready(board)
+    assert start(board, 100_000).status == StatusCode.OK
+    board.run(board.now + 50 * MS)
+    stuck = board.now
+    board.stall(200 * MS)
+    board.run(stuck + 180 * MS)
+    [reset] = board.resets
+    assert reset <= stuck + 102 * MS
+    board.run(stuck + 210 * MS)  # until then its own pull-up holds ENABLE
+    assert max(board.rises(PIN_STEP)) <= reset
+    assert [level for _, pin, level in board.transitions if pin == PIN_ENABLE][-1] == 1
+
+
+def test_positions_beyond_the_limits_are_refused_from_wherever_it_stands(board: EmulatedBoard) -> None:
+    """A move to 1 431 655 766 wrapped three words a step round 2^32 and never ended."""
+    board.identify()
+    far = TURNTABLE_POSITION_MAX_STEPS
+    for position in (1_431_655_766, -1_431_655_766, far + 1, -far - 1, 2**31 - 1, -(2**31)):
+        reply = start(board, position, 10_000)
+        assert (reply.status, reply.detail) == (StatusCode.OUT_OF_RANGE, 0)
+    ready(board, lowest=-40, highest=60)
+    for position, ok in ((61, False), (60, True), (-41, False), (-40, True)):
+        forget(board)
+        assert start(board, position).status == (StatusCode.OK if ok else StatusCode.OUT_OF_RANGE)
+        if ok:
+            assert board.request(configuration()).status == StatusCode.BAD_STATE
+            assert until_it_stands(board) == position
+    for detail, changes in enumerate(
+        ({"lowest": -far - 1}, {"lowest": 3, "highest": 2}, {"acceleration": 10_000_001}, {"start": 9_999})
+    ):
+        reply = board.request(configuration(**changes))
+        assert (reply.status, reply.detail) == (StatusCode.OUT_OF_RANGE, detail)
+    board.transitions.clear()
+    assert start(board, far, 10_000).status == StatusCode.OUT_OF_RANGE
+    board.request(configuration(lowest=-far, highest=far))
+    assert start(board, far, 10_000).status == StatusCode.OK
+    board.run_alive(board.now + 20 * MS)
+    board.request(TurntableStop())
+    forget(board)
+    until_it_stands(board)
+    assert board.transitions == [] or PIN_DIRECTION not in {pin for _, pin, _ in board.transitions}
