@@ -173,8 +173,8 @@ MUTANTS = (
     Mutant(
         "boot-loader-while-armed",
         "core/commands.c",
-        "const bool busy = (self->armed != 0U) || self->moving;",
-        "const bool busy = self->moving;",
+        "const bool busy = (self->armed != 0U) || self->turntable.moving;",
+        "const bool busy = self->turntable.moving;",
         "boot_loader",
     ),
     Mutant(
