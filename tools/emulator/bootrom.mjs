@@ -2,14 +2,22 @@
 
 import { OUTPUT_PINS, OUTPUTS_HIGH_AT_RESET } from './controller.mjs';
 import { fault, hex } from './fault.mjs';
+import { FLASH_BYTES } from './flash.mjs';
+import { callFlash } from './power.mjs';
 
 export const FLASH = 0x10000000;
 const ROM_TABLE = 0x7a;
 const ROM_LOOKUP = 0x1d0;
 const ROM_TO_USB_BOOT = 0x1e0;
+export const ROM_FLASH = { connect: 0x1f0, exit: 0x1f8, erase: 0x200, program: 0x208, flush: 0x210 };
+const FUNCTIONS = { UB: ROM_TO_USB_BOOT, IF: ROM_FLASH.connect, EX: ROM_FLASH.exit, RE: ROM_FLASH.erase, RP: ROM_FLASH.program, FC: ROM_FLASH.flush };
 
 export function readUf2(file) {
-  const flash = new Uint8Array(2 * 1024 * 1024).fill(0xff);
+  return writeUf2(file, new Uint8Array(FLASH_BYTES).fill(0xff));
+}
+
+// As the boot ROM's drive does: only the sectors a block lies in are erased.
+export function writeUf2(file, flash) {
   const view = new DataView(file.buffer, file.byteOffset, file.byteLength);
   if (file.length === 0 || file.length % 512) fault('not a UF2: its length is no multiple of 512');
   for (let at = 0; at < file.length; at += 512) {
@@ -17,6 +25,7 @@ export function readUf2(file) {
     if (one !== 0x0a324655 || two !== 0x9e5d5157 || view.getUint32(at + 508, true) !== 0x0ab16f30) fault('not a UF2: bad magic');
     if (!(flags & 0x2000) || family !== 0xe48bff56) fault('this UF2 is for another board');
     if (number !== at / 512 || count !== file.length / 512 || size !== 256) fault('this UF2 is incomplete');
+    if (number === 0 || (address & 4095) === 0) flash.fill(0xff, (address & ~4095) - FLASH, (address & ~4095) - FLASH + 4096);
     flash.set(file.subarray(at + 32, at + 32 + size), address - FLASH);
   }
   let crc = 0xffffffff;
@@ -36,11 +45,12 @@ export function loadRom(memory) {
   rom.set([0x4d, 0x75, 0x01, 0x03], 0x10); // 'M', 'u', version, boot ROM of the B2 stepping
   view.setUint16(0x14, ROM_TABLE, true);
   view.setUint16(0x18, ROM_LOOKUP | 1, true);
-  [[0x4255 /* UB */, ROM_TO_USB_BOOT | 1], [0, 0]].forEach(([code, at], i) => {
-    view.setUint16(ROM_TABLE + 4 * i, code, true);
-    view.setUint16(ROM_TABLE + 4 * i + 2, at, true);
+  Object.entries(FUNCTIONS).forEach(([name, at], i) => {
+    view.setUint16(ROM_TABLE + 4 * i, name.charCodeAt(0) | (name.charCodeAt(1) << 8), true);
+    view.setUint16(ROM_TABLE + 4 * i + 2, at | 1, true);
   });
-  for (const at of [ROM_LOOKUP, ROM_TO_USB_BOOT]) {
+  view.setUint32(ROM_TABLE + 4 * Object.keys(FUNCTIONS).length, 0, true);
+  for (const at of [ROM_LOOKUP, ...Object.values(FUNCTIONS)]) {
     view.setUint16(at, 0xbe00, true); // bkpt
     view.setUint16(at + 2, 0x4770, true); // bx lr
   }
@@ -68,5 +78,5 @@ export function callRom(machine) {
       return;
     }
   }
-  fault(`breakpoint at ${hex(core.PC - 2)}`);
+  if (!callFlash(machine, (core.PC - 2) & ~1)) fault(`breakpoint at ${hex(core.PC - 2)}`);
 }

@@ -10,7 +10,8 @@
 // Objects: {"op": "run", "until": T, "at": PC or nothing} (stops before that instruction) | {"op": "input", "edges": [[tick, pin, level], ..]}
 //   | {"op": "write", "hex": ".."} | {"op": "stall", "ticks": N} | {"op": "dma-count", "channel": C, "count": N} (transfers still to do)
 //   | {"op": "wires", "wires": [[from, to], ..]} | {"op": "leave-bootloader"} | {"op": "trap", "at": ADDRESS, "what": "hang" | "fault"}
-//   | {"op": "power-cycle", "short": true | false}
+//   | {"op": "power-cycle", "short": true | false} | {"op": "bootsel"} (the same, and that button held) | {"op": "copy-uf2", "file": PATH}
+//   | {"op": "flash", "erase_ticks": N} (of a sector) | {"op": "flash", "at": N, "hex": ".."} (bits that rot)
 //   | {"op": "usb", "do": "attach" | "detach" | "reset" | "suspend" | "resume" | "hang" | "open" | "close" | "write" (hex)
 //   | "control" (setup, data: hex)} | {"op": "usbip", "port": N} (0: any; usb then tells it). The answer always has now, pins [[tick, pin, level], ..], sent
 // [[tick, byte], ..], resets, stack (bytes used at most), bootloader (what the image told the boot ROM, or null), usb (what its host
@@ -24,6 +25,7 @@ import { MISS_TICKS } from './cache.mjs';
 import { stackUsed } from './loop.mjs';
 import { PIN, TICK_HZ } from './controller.mjs';
 import { Fault, Machine } from './machine.mjs';
+import { copyUf2, holdBootsel, leaveBootloader, powerCycle, spoilFlash } from './power.mjs';
 import { UsbIp } from './usbip.mjs';
 import { VcdWriter } from './vcd.mjs';
 
@@ -59,14 +61,20 @@ function answer(machine, op) {
     case 'wires': machine.setWires(op.wires); break;
     case 'stall': machine.stall(op.ticks); break;
     case 'trap': machine.setTrap(op.at, op.what); break;
-    case 'power-cycle': machine.powerCycle(op.short); break;
+    case 'power-cycle': powerCycle(machine, op.short); break;
     case 'dma-count': machine.dma.channels[op.channel].count = op.count; break;
     case 'usb': machine.host.do(op, machine.now); break;
     case 'usbip': machine.host = new UsbIp(machine.usb, op.port, () => machine.now); break;
-    case 'leave-bootloader': machine.leaveBootloader(); break;
+    case 'leave-bootloader': leaveBootloader(machine); break;
+    case 'bootsel': holdBootsel(machine); break;
+    case 'copy-uf2': copyUf2(machine, readFileSync(op.file)); break;
+    case 'flash':
+      if (op.erase_ticks !== undefined) machine.flashChip.eraseTicks = op.erase_ticks;
+      if (op.hex !== undefined) spoilFlash(machine, op.at, Buffer.from(op.hex, 'hex'));
+      break;
     default: throw new Fault(`no such op: ${op.op}`);
   }
-  return { now: machine.now, pins: machine.pins(), sent: machine.read_serial(), resets: machine.resets, stack: stackUsed(machine.ramView), bootloader: machine.bootloader ?? null, usb: op.op === 'usb' || machine.host.state !== 'detached' ? machine.host.report() : null, origin: machine.tickOrigin ?? 0, round: machine.loop.take(), overruns: machine.uart.overruns };
+  return { now: machine.now, pins: machine.pins(), sent: machine.read_serial(), resets: machine.resets, stack: stackUsed(machine.ramView), bootloader: machine.bootloader ?? null, usb: op.op === 'usb' || machine.host.state !== 'detached' ? machine.host.report() : null, origin: machine.tickOrigin ?? 0, round: machine.loop.take(), overruns: machine.uart.overruns, flash: { erased: machine.flashChip.erased, programmed: machine.flashChip.programmed } };
 }
 
 function drive(machine, vcd) {

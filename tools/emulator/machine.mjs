@@ -7,6 +7,7 @@ import { FLASH, callRom, loadRom, readUf2 } from './bootrom.mjs';
 import { INPUT_PINS, OUTPUT_PINS, TICK_HZ } from './controller.mjs';
 import { Dma } from './dma.mjs';
 import { Fault, fault, hex } from './fault.mjs';
+import { Flash } from './flash.mjs';
 import { Loop, SysTick } from './loop.mjs';
 import { Pio } from './pio.mjs';
 import { Ssi } from './ssi.mjs';
@@ -29,6 +30,7 @@ const ALWAYS_ON = new Set([0x40008, 0x4000c, 0x40010, 0x40024, 0x40058, 0x40060,
 export class Machine {
   constructor(uf2, flashId = 'e6616408438a1c2f', missTicks = 0) {
     this.flash = readUf2(uf2);
+    this.flashChip = new Flash(this.flash);
     this.ssi = new Ssi(Buffer.from(flashId, 'hex'));
     this.now = 0;
     this.noise = 0x51a7; // what the RAM holds when power comes on
@@ -77,6 +79,7 @@ export class Machine {
     this.uart.reset();
     this.ssi.reset();
     this.cache.reset();
+    this.flashChip.reset();
     this.host.now = this.now;
     this.usb.reset();
     this.padsSet = new Set();
@@ -112,14 +115,6 @@ export class Machine {
     this.systick = new SysTick();
     this.loop.stalled();
     this.tickOrigin = undefined;
-  }
-
-  // The boot loader has been told to start the image (a UF2 was copied, or PICOBOOT's reboot).
-  leaveBootloader() {
-    if (!this.bootloader) fault('not in the boot loader');
-    this.bootloader = undefined;
-    this.resets.push(this.now);
-    this.boot(2);
   }
 
   note(index) {
@@ -483,15 +478,6 @@ export class Machine {
   }
 
   setTrap(at, what) { this.trap = new Trap(at, what); }
-
-  // Power off and on again; only what was wired to it stays as it was, and the RAM if it was for an instant.
-  powerCycle(isShort) {
-    this.keepsRam = isShort;
-    this.scratch.fill(0);
-    this.trap = undefined;
-    this.stalledUntil = 0;
-    this.boot(0);
-  }
 }
 
 export { Fault };

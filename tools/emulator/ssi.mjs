@@ -13,6 +13,9 @@ export class Ssi {
 
   reset() { Object.assign(this, { enabled: true, control0: 0, control1: 0, xipControl: 0, baud: 0, selected: true, tx: [], rx: [], isReadable: false }); }
 
+  // As the boot ROM's flash functions leave it: bytes by hand, out of reading in place.
+  takeByRom() { Object.assign(this, { enabled: true, control0: 7 << 16, baud: 6, selected: true, tx: [], rx: [] }); this.update(); }
+
   update() {
     this.isReadable = this.enabled && this.control0 === 0x001f0300 && this.xipControl === 0x03000218 && this.control1 === 0 && this.baud >= 2 && this.selected;
     if (!this.enabled || !this.selected || this.control0 !== 7 << 16 || !this.tx.length) return;
