@@ -76,6 +76,22 @@ typedef struct {
 
 const board_crash_t* board_crash(void);
 
+// ---- a new application (application.h) ----
+
+// Keep UPDATE_CHUNK_BYTES of it; chunks come in order. Flash is slow: the first chunk of every 4 KiB may hold up the
+// main loop for the 400 ms a sector takes to erase at worst, any other for 3 ms. Nothing is armed and nothing moves
+// meanwhile.
+void board_update_write(uint32_t offset, const uint8_t* chunk);
+
+// What was kept so far, to be read.
+const uint8_t* board_update_staged(void);
+
+// Does this entry point lie in the room an application has when it runs?
+bool board_update_starts_at(uint32_t entry);
+
+// What is staged is whole: it takes the place of the running one at the next reset.
+void board_update_commit(void);
+
 // ---- lines to hosts ----
 
 enum { LINE_UART, LINE_USB, LINES };

@@ -80,7 +80,9 @@ static void arm(controller_t* const self, const uint8_t line, const uint8_t* con
     command_arm_unpack(&command, payload);
     const bool known = (command.outputs & ~(ARM_LAMPS | ARM_MICROWAVE)) == 0U;
     const bool allowed = (command.outputs == 0U) || commands_allowed(self, line);
-    const uint8_t outcome = !known ? STATUS_OUT_OF_RANGE : !allowed ? STATUS_SCHEMA : safety_arm(self, command.outputs);
+    const bool busy = self->update.under_way && (command.outputs != 0U);  // writing flash holds up the main loop
+    const uint8_t refused = !known ? STATUS_OUT_OF_RANGE : !allowed ? STATUS_SCHEMA : STATUS_BAD_STATE;
+    const uint8_t outcome = (known && allowed && !busy) ? safety_arm(self, command.outputs) : refused;
     reply_arm_pack(&(reply_arm_t){.status = outcome, .outputs = self->armed}, answer);
 }
 
@@ -149,6 +151,8 @@ static void move(controller_t* const self, const uint8_t line, const uint8_t* co
             reply.status = STATUS_SCHEMA;
         } else if ((self->fault != FAULT_NONE) || board_interlock_open()) {
             reply.status = STATUS_UNSAFE;
+        } else if (self->update.under_way) {
+            reply.status = STATUS_BAD_STATE;
         } else {
             reply.status = turntable_move(&self->turntable, &command, &reply.detail);
         }
@@ -210,6 +214,61 @@ static void measure(controller_t* const self, const uint8_t line, const uint8_t*
     reply_measure_pack(&reply, answer);
 }
 
+// Unlike what drives outputs, an update needs no common schema: it must be open to whoever cannot do anything else.
+static void update_begins(controller_t* const self, const uint8_t line, const uint8_t* const payload,
+                          uint8_t* const answer)
+{
+    command_update_begin_t command;
+    command_update_begin_unpack(&command, payload);
+    reply_update_begin_t reply = {.status = STATUS_OUT_OF_RANGE, .detail = command_update_begin_range(&command)};
+    for (size_t i = 0; (i < sizeof command.board) && (reply.detail == RANGE_OK); i++) {
+        reply.detail = (command.board[i] == board_name()[i]) ? RANGE_OK : 2U;  // the field `board`
+    }
+    if (reply.detail == RANGE_OK) {
+        reply.detail = 0;
+        if (line != self->session) {
+            reply.status = STATUS_SCHEMA;
+        } else if ((self->armed != 0U) || self->turntable.moving) {
+            reply.status = STATUS_BAD_STATE;
+        } else {
+            reply.status = STATUS_OK;
+            update_begin(&self->update, command.size, command.crc, board_tick());
+        }
+    }
+    reply.next = self->update.next;
+    reply_update_begin_pack(&reply, answer);
+}
+
+static void update_data(controller_t* const self, const uint8_t line, const uint8_t* const payload,
+                        uint8_t* const answer)
+{
+    command_update_data_t command;
+    command_update_data_unpack(&command, payload);
+    reply_update_data_t reply = {.status = STATUS_SCHEMA};
+    if (line == self->session) {
+        const bool taken = update_take(&self->update, command.offset, command.chunk, board_tick(), &reply.detail);
+        reply.status = taken ? STATUS_OK : STATUS_BAD_STATE;
+    }
+    reply.next = self->update.next;
+    reply_update_data_pack(&reply, answer);
+}
+
+static void update_end(controller_t* const self, const uint8_t line, const uint8_t* const payload,
+                       uint8_t* const answer)
+{
+    (void)payload;
+    reply_update_end_t reply = {.status = STATUS_SCHEMA};
+    if (line == self->session) {
+        const bool taken = update_finish(&self->update, &reply.detail);
+        reply.status = taken ? STATUS_OK : STATUS_BAD_STATE;
+        if (taken) {
+            leave(self, LEAVE_TO_START);
+        }
+    }
+    reply.next = self->update.next;
+    reply_update_end_pack(&reply, answer);
+}
+
 // The link lets through no id without a layout, and every command has one here.
 static void (*const handlers[])(controller_t* self, uint8_t line, const uint8_t* payload, uint8_t* answer) = {
     [COMMAND_IDENTIFY] = query_identify,
@@ -234,6 +293,9 @@ static void (*const handlers[])(controller_t* self, uint8_t line, const uint8_t*
     [COMMAND_INFO] = query_info,
     [COMMAND_CONFIGURATION] = query_configuration,
     [COMMAND_CRASH] = query_crash,
+    [COMMAND_UPDATE_BEGIN] = update_begins,
+    [COMMAND_UPDATE_DATA] = update_data,
+    [COMMAND_UPDATE_END] = update_end,
 };
 
 void commands_execute(controller_t* const self, const uint8_t line, const command_t* const command,

@@ -156,6 +156,7 @@ void controller_run(controller_t* const self)
     turntable_run(&self->turntable, &self->events, now);
     board_measure_run();
     report_odometer(self, now);
+    update_run(&self->update, now);
     events_run(&self->events, now);
     board_status_light(self->armed != 0U);
     trail->part = PART_TRANSMIT;

@@ -13,6 +13,7 @@
 #include "messages.h"
 #include "sequencer.h"
 #include "turntable.h"
+#include "update.h"
 
 // Where a controller goes that was told to stop.
 enum { LEAVE_NOT, LEAVE_TO_START, LEAVE_TO_BOOTLOADER };
@@ -27,6 +28,7 @@ typedef struct {
     events_t events;
     sequencer_t sequencer;
     bursts_t bursts;
+    update_t update;
     uint8_t armed;  // ARM_*
     uint8_t fault;  // latched, FAULT_*
     turntable_t turntable;

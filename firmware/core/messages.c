@@ -622,6 +622,85 @@ void reply_crash_unpack(reply_crash_t* const self, const uint8_t* const payload)
     self->round_longest = get32(payload + 31);
 }
 
+void command_update_begin_pack(const command_update_begin_t* const self, uint8_t* const payload)
+{
+    put32(payload + 0, self->size);
+    put32(payload + 4, self->crc);
+    memcpy(payload + 8, self->board, 8);
+}
+
+void command_update_begin_unpack(command_update_begin_t* const self, const uint8_t* const payload)
+{
+    self->size = get32(payload + 0);
+    self->crc = get32(payload + 4);
+    memcpy(self->board, payload + 8, 8);
+}
+
+uint8_t command_update_begin_range(const command_update_begin_t* const self)
+{
+    if (self->size < 256U) {
+        return 0U;
+    }
+    if (self->size > 28672U) {
+        return 0U;
+    }
+    return RANGE_OK;
+}
+
+void reply_update_begin_pack(const reply_update_begin_t* const self, uint8_t* const payload)
+{
+    put8(payload + 0, self->status);
+    put8(payload + 1, self->detail);
+    put32(payload + 2, self->next);
+}
+
+void reply_update_begin_unpack(reply_update_begin_t* const self, const uint8_t* const payload)
+{
+    self->status = get8(payload + 0);
+    self->detail = get8(payload + 1);
+    self->next = get32(payload + 2);
+}
+
+void command_update_data_pack(const command_update_data_t* const self, uint8_t* const payload)
+{
+    put32(payload + 0, self->offset);
+    memcpy(payload + 4, self->chunk, 32);
+}
+
+void command_update_data_unpack(command_update_data_t* const self, const uint8_t* const payload)
+{
+    self->offset = get32(payload + 0);
+    memcpy(self->chunk, payload + 4, 32);
+}
+
+void reply_update_data_pack(const reply_update_data_t* const self, uint8_t* const payload)
+{
+    put8(payload + 0, self->status);
+    put8(payload + 1, self->detail);
+    put32(payload + 2, self->next);
+}
+
+void reply_update_data_unpack(reply_update_data_t* const self, const uint8_t* const payload)
+{
+    self->status = get8(payload + 0);
+    self->detail = get8(payload + 1);
+    self->next = get32(payload + 2);
+}
+
+void reply_update_end_pack(const reply_update_end_t* const self, uint8_t* const payload)
+{
+    put8(payload + 0, self->status);
+    put8(payload + 1, self->detail);
+    put32(payload + 2, self->next);
+}
+
+void reply_update_end_unpack(reply_update_end_t* const self, const uint8_t* const payload)
+{
+    self->status = get8(payload + 0);
+    self->detail = get8(payload + 1);
+    self->next = get32(payload + 2);
+}
+
 void command_measure_pack(const command_measure_t* const self, uint8_t* const payload)
 {
     put16(payload + 0, self->looks);
@@ -954,6 +1033,12 @@ static const layout_t layouts[] = {
     {0x4F, 38, 0xEF, 0, 2},  // reply configuration
     {0x10, 0, 0x54, 1, 2},  // command crash
     {0x50, 35, 0x20, 0, 2},  // reply crash
+    {0x14, 16, 0xB4, 0, 2},  // command update_begin
+    {0x54, 6, 0x62, 0, 2},  // reply update_begin
+    {0x15, 36, 0xEA, 0, 2},  // command update_data
+    {0x55, 6, 0xA6, 0, 2},  // reply update_data
+    {0x16, 0, 0x0F, 0, 2},  // command update_end
+    {0x56, 6, 0xD6, 0, 2},  // reply update_end
     {0x17, 9, 0x07, 0, 2},  // command measure
     {0x57, 2, 0xCC, 0, 2},  // reply measure
     {0x18, 2, 0x93, 1, 2},  // command samples
@@ -1002,4 +1087,4 @@ uint8_t fault_since(const uint8_t fault)
     return 1U;
 }
 
-const uint8_t known_commands[8] = {0xFF, 0xFF, 0x8F, 0x01, 0x00, 0x00, 0x00, 0x00};
+const uint8_t known_commands[8] = {0xFF, 0xFF, 0xFF, 0x01, 0x00, 0x00, 0x00, 0x00};

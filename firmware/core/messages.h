@@ -18,6 +18,9 @@
 #define CHIPS_MAX 256U  // of a burst
 #define TRIGGER_TICKS 100U  // length of the digitizer trigger
 #define HOST_TIMEOUT_DEFAULT_MS 500U  // of a configuration that says 0
+#define UPDATE_CHUNK_BYTES 32U  // of an application, in one `update_data`
+#define UPDATE_MAX_BYTES 28672U  // largest application: the 32 KiB of the whole image without its loader
+#define UPDATE_SILENCE_MS 5000U  // an update is given up when its host says nothing for so long
 #define LAMP_WIDTH_MAX_TICKS 2000000U  // longest flash
 #define LAMP_DUTY_MAX_PERMILLE 500U  // width over the shortest interval that the tolerance accepts
 #define FRAME_PERIOD_MIN_TICKS 200000U  // fastest frame rate
@@ -113,6 +116,13 @@ enum {
     PART_SLEEP = 9,
 };
 
+enum {
+    UPDATE_REFUSAL_NOT_NOW = 0,
+    UPDATE_REFUSAL_INCOMPLETE = 1,
+    UPDATE_REFUSAL_DAMAGED = 2,
+    UPDATE_REFUSAL_FOREIGN = 3,
+};
+
 #define EDGE_LATE_LOAD 1U
 #define EDGE_IRREGULAR 2U
 #define EDGE_FIRST 4U
@@ -172,6 +182,12 @@ enum {
     REPLY_CONFIGURATION = 0x4F,
     COMMAND_CRASH = 0x10,
     REPLY_CRASH = 0x50,
+    COMMAND_UPDATE_BEGIN = 0x14,
+    REPLY_UPDATE_BEGIN = 0x54,
+    COMMAND_UPDATE_DATA = 0x15,
+    REPLY_UPDATE_DATA = 0x55,
+    COMMAND_UPDATE_END = 0x16,
+    REPLY_UPDATE_END = 0x56,
     COMMAND_MEASURE = 0x17,
     REPLY_MEASURE = 0x57,
     COMMAND_SAMPLES = 0x18,
@@ -569,6 +585,60 @@ typedef struct {
 } reply_crash_t;
 void reply_crash_pack(const reply_crash_t* self, uint8_t* payload);
 void reply_crash_unpack(reply_crash_t* self, const uint8_t* payload);
+
+// A new application is to come over this line; it is kept beside the running one until it is whole. Refused while anything is armed or moves. The same one again goes on where it broke off.
+#define COMMAND_UPDATE_BEGIN_LENGTH 16U
+typedef struct {
+    uint32_t size;  // bytes, of the application, whole words
+    uint32_t crc;  // CRC-32 of the application without its last word, which holds the same
+    uint8_t board[8];  // for which it was made, as identify tells it
+} command_update_begin_t;
+void command_update_begin_pack(const command_update_begin_t* self, uint8_t* payload);
+void command_update_begin_unpack(command_update_begin_t* self, const uint8_t* payload);
+// Index of the first field outside its range, or RANGE_OK.
+uint8_t command_update_begin_range(const command_update_begin_t* self);
+
+// Answer to update_begin.
+#define REPLY_UPDATE_BEGIN_LENGTH 6U
+typedef struct {
+    uint8_t status;  // ok, or why not
+    uint8_t detail;  // which field or lamp, see status
+    uint32_t next;  // bytes, offset of the chunk that is due
+} reply_update_begin_t;
+void reply_update_begin_pack(const reply_update_begin_t* self, uint8_t* payload);
+void reply_update_begin_unpack(reply_update_begin_t* self, const uint8_t* payload);
+
+// One chunk of it. Chunks come in order; one that is there already changes nothing. The first of every 4 KiB takes as long as the flash needs to erase.
+#define COMMAND_UPDATE_DATA_LENGTH 36U
+typedef struct {
+    uint32_t offset;  // bytes
+    uint8_t chunk[32];  // past the end: 0xFF
+} command_update_data_t;
+void command_update_data_pack(const command_update_data_t* self, uint8_t* payload);
+void command_update_data_unpack(command_update_data_t* self, const uint8_t* payload);
+
+// Answer to update_data.
+#define REPLY_UPDATE_DATA_LENGTH 6U
+typedef struct {
+    uint8_t status;  // ok, or why not
+    uint8_t detail;  // which field or lamp, see status
+    uint32_t next;  // bytes, offset of the chunk that is due
+} reply_update_data_t;
+void reply_update_data_pack(const reply_update_data_t* self, uint8_t* payload);
+void reply_update_data_unpack(reply_update_data_t* self, const uint8_t* payload);
+
+// Check what was staged and restart into it. Acknowledged, then carried out.
+#define COMMAND_UPDATE_END_LENGTH 0U
+
+// Answer to update_end.
+#define REPLY_UPDATE_END_LENGTH 6U
+typedef struct {
+    uint8_t status;  // ok, or why not
+    uint8_t detail;  // which field or lamp, see status
+    uint32_t next;  // bytes, offset of the chunk that is due
+} reply_update_end_t;
+void reply_update_end_pack(const reply_update_end_t* self, uint8_t* payload);
+void reply_update_end_unpack(reply_update_end_t* self, const uint8_t* payload);
 
 // The controller times its own pins. After every edge of `pin` to `level`, and `delay` ticks later, it keeps the levels of four neighbouring pins tick by tick, 512 times: a look. The odometer stands still meanwhile. The first `measure` is refused while anything is armed; `looks` 0 ends it.
 #define COMMAND_MEASURE_LENGTH 9U

@@ -30,6 +30,7 @@ void query_identify(controller_t* const self, const uint8_t line, const uint8_t*
     }
     self->level[line] = 1;
     memset(&self->rereads[line], 0, sizeof self->rereads[line]);
+    update_stop(&self->update);
     link_forget(&self->links[line]);
     const uint8_t taken = at_work ? STATUS_BAD_STATE : STATUS_OK;
     reply_identify_t reply = {.status = understood ? taken : STATUS_SCHEMA,

@@ -29,6 +29,10 @@ void time_sleep(void);
 // Write a register, and the tick a constant few before: no interrupt and no wait for the flash comes between.
 uint32_t time_of_write(uint32_t address, uint32_t value);
 
+// Around what keeps the processor from looking at the tick for so long that it may wrap; up to 40 s.
+uint32_t time_before_blindness(void);
+void time_after_blindness(uint32_t since);
+
 // Bytes wait, and the core has just fetched others: its next round is due at once.
 bool lines_waiting(void);
 

@@ -80,6 +80,7 @@ extern const uint16_t rom_lookup;     // the function that searches it
 #define SYSTICK_CSR 0xE000E010U
 #define SYSTICK_RVR 0xE000E014U
 #define SYSTICK_CVR 0xE000E018U
+#define VECTORS 0xE000ED08U  // VTOR
 #define NVIC_ENABLE 0xE000E100U
 #define NVIC_DISABLE 0xE000E180U
 #define NVIC_PRIORITY(word) (0xE000E400U + 4U * (word))  // of four interrupts; 00h goes before 40h

@@ -4,6 +4,7 @@
 #include <stdint.h>
 #include <string.h>
 
+#include "../application.h"
 #include "../board.h"
 #include "../core/controller.h"
 #include "../core/messages.h"
@@ -28,7 +29,7 @@ static controller_t controller;
 
 typedef void (*vector_t)(void);
 
-__attribute__((section(".vectors"), used)) static const vector_t vectors[16 + 26] = {
+__attribute__((section(".vectors"), used)) static const vector_t vectors[APPLICATION_SIZE_AT / 4U] = {
     [0] = (vector_t)(uintptr_t)stack_top,
     [1] = reset_handler,
     [2] = fault_handler,

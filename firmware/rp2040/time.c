@@ -1,6 +1,7 @@
 // The controller's clock, and the sleep between two rounds of the main loop.
 
 #include "../board.h"
+#include "../core/messages.h"
 #include "hardware.h"
 #include "registers.h"
 
@@ -26,6 +27,20 @@ __attribute__((noinline, section(".in_ram"))) uint32_t time_of_write(const uint3
     REGISTER(address) = value;
     interrupts_on();
     return tick;
+}
+
+uint32_t time_before_blindness(void)
+{
+    (void)board_tick();
+    return REGISTER(TIMER_RAW_LOW);
+}
+
+// The timer counts microseconds of the same crystal: it says how many whole turns nobody saw.
+void time_after_blindness(const uint32_t since)
+{
+    const uint32_t elapsed = (REGISTER(TIMER_RAW_LOW) - since) * TICKS_PER_US;
+    const uint32_t seen = (systick - REGISTER(SYSTICK_CVR)) & 0xFFFFFFU;  // of these the next look will know
+    ticks += (elapsed - seen + 0x800000U) & ~0xFFFFFFU;
 }
 
 void time_start(void)

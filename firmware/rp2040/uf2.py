@@ -1,15 +1,18 @@
 """Makes the UF2 a user flashes from the linked image: `uf2.py image.elf image.uf2`. Standard library only.
 
-Fills in the CRC32 the boot ROM wants behind the second stage (in the ELF too, so that a debugger flashes the same
-bytes), checks the budgets and prints them.
+Fills in the CRC32 the boot ROM wants behind the second stage, and the application's size and CRC-32 of application.h
+(in the ELF too, so that a debugger flashes the same bytes), checks the budgets and prints them.
 """
 
 import struct
 import sys
+import zlib
 from pathlib import Path
 
 FLASH_START, FLASH_BUDGET, RAM_BUDGET = 0x10000000, 32 * 1024, 8 * 1024
 BOOT2_BYTES, PAGE_BYTES, FAMILY_RP2040 = 256, 256, 0xE48BFF56
+APPLICATION, SIZE_AT = 0x1000, 192  # rp2040.ld, application.h
+RAM_START, LOADER_RAM_START = 0x20000000, 0x20030000
 PT_LOAD = 1
 
 
@@ -45,19 +48,27 @@ def uf2(image: bytes) -> bytes:
     return b"".join(blocks)
 
 
+def put(elf: bytearray, image: bytearray, at: int, word: int) -> None:
+    """A word into the image and into the segment of the ELF that is loaded there."""
+    image[at : at + 4] = struct.pack("<I", word)
+    for offset, physical, _, in_file, _ in segments(elf):
+        if physical <= FLASH_START + at < physical + in_file:
+            place = offset + FLASH_START + at - physical
+            elf[place : place + 4] = struct.pack("<I", word)
+
+
 def main(elf_path: Path, uf2_path: Path) -> None:
     elf = bytearray(elf_path.read_bytes())
     image = bytearray()
     ram = 0
     for offset, physical, virtual, in_file, in_memory in sorted(segments(elf), key=lambda s: s[1]):
-        if virtual < FLASH_START + 0x01000000:
-            if virtual == FLASH_START:
-                crc = struct.pack("<I", crc32_boot2(bytes(elf[offset : offset + BOOT2_BYTES - 4])))
-                elf[offset + BOOT2_BYTES - 4 : offset + BOOT2_BYTES] = crc
-        else:
+        if RAM_START <= virtual < LOADER_RAM_START:
             ram += in_memory
         if in_file and physical < FLASH_START + 0x01000000:
             image = image.ljust(physical - FLASH_START, b"\0") + elf[offset : offset + in_file]
+    put(elf, image, BOOT2_BYTES - 4, crc32_boot2(bytes(image[: BOOT2_BYTES - 4])))
+    put(elf, image, APPLICATION + SIZE_AT, len(image) - APPLICATION)
+    put(elf, image, len(image) - 4, zlib.crc32(image[APPLICATION:-4]))
     if len(image) > FLASH_BUDGET or ram > RAM_BUDGET:
         raise SystemExit(f"uf2.py: over budget: flash {len(image)} of {FLASH_BUDGET}, RAM {ram} of {RAM_BUDGET} bytes")
     print(f"flash {len(image)} of {FLASH_BUDGET} bytes, static RAM {ram} of {RAM_BUDGET} bytes")

@@ -23,5 +23,6 @@ void turntable_tests(void);
 void measure_tests(void);
 void board_tests(void);
 void odometer_tests(void);
+void update_tests(void);
 
 #endif

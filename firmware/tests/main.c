@@ -47,6 +47,7 @@ int main(void)
     measure_tests();
     board_tests();
     odometer_tests();
+    update_tests();
     printf("%d tests, %d failures\n", tests, failures);
     return (failures == 0) ? 0 : 1;
 }

@@ -4,6 +4,7 @@ from generator.schema import GENERATED, REPLY_BIT, Field, Message, Protocol
 
 # Python names of enumerations: the message classes own the short ones, vocabulary.py owns two of these outright.
 ENUM_NAMES = {
+    "update_refusal": "UpdateRefusal",
     "status": "StatusCode",
     "lamp": "Lamp",
     "fault": "FaultCode",

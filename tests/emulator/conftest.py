@@ -4,12 +4,22 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from emulated import BOOTED, EmulatedBoard, made_image
+from emulated import BOOTED, EmulatedBoard, made_image, made_image_of
 
 
 @pytest.fixture(scope="session")
 def image() -> Path:
     return made_image()
+
+
+@pytest.fixture(scope="session")
+def other(image: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return made_image_of(tmp_path_factory.mktemp("other"), "0therone")
+
+
+@pytest.fixture(scope="session")
+def third(image: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return made_image_of(tmp_path_factory.mktemp("third"), "athird00")
 
 
 @pytest.fixture

@@ -60,6 +60,16 @@ def made_image() -> Path:
     return IMAGE
 
 
+def made_image_of(folder: Path, git: str) -> Path:
+    """As if built at another commit."""
+    subprocess.run(
+        ["make", "--silent", "-C", str(ROOT / "firmware"), "image", f"BUILD={folder}", f"GIT={git}"],
+        check=True,
+        stdout=subprocess.DEVNULL,
+    )
+    return folder / "annulus.uf2"
+
+
 class EmulatorFault(Exception):
     """The image did what silicon would not forgive."""
 
@@ -84,6 +94,7 @@ class EmulatedBoard:
         self.rounds = (0, 0)  # ticks the main loop's longest took, and when it began; set it to begin anew
         self.origin = 0  # tick at which the controller began to count its own
         self.bootloader: dict[str, Any] | None = None  # what the image told the boot ROM, once it is there
+        self.flash = {"erased": 0, "programmed": 0}  # sectors and pages since the beginning
         self.bad = 0
         self.over_usb = False  # talk and listen over USB; what the other line says goes to `aside`
         self.aside: list[Frame | object] = []
@@ -114,6 +125,7 @@ class EmulatedBoard:
         self.now, self.resets, self.stack = answer["now"], answer["resets"], answer["stack"]
         self.origin, self.bootloader = answer["origin"], answer["bootloader"]
         self.rounds = max(self.rounds, tuple(answer["round"]))
+        self.flash = answer["flash"]
         self.transitions += [tuple(pin) for pin in answer["pins"]]
         self.sent += [tuple(byte) for byte in answer["sent"]]
         heard = self._decoder.feed(bytes(byte for _, byte in answer["sent"]))
@@ -208,13 +220,26 @@ class EmulatedBoard:
         self._do(op="trap", at=at, what=what)
         return at
 
-    def power_cycle(self, *, short: bool = False) -> None:
-        """Power off and on: nothing is remembered, or, if it was `short`, the RAM; inputs stay as they are."""
-        self._do(op="power-cycle", short=short)
+    def power_cycle(self, *, short: bool = False, bootsel: bool = False) -> None:
+        """Power off and on: the flash remembers, and, if it was `short`, the RAM; inputs stay, what the line had under
+        way is lost. BOOTSEL may be held."""
+        self._do(op="bootsel" if bootsel else "power-cycle", short=short)
+        self._decoder = Decoder()
 
     def leave_bootloader(self) -> None:
         """As after a UF2 was copied: the boot ROM resets and starts the image."""
         self._do(op="leave-bootloader")
+
+    def copy_uf2(self, image: Path) -> None:
+        """In the boot loader: onto its drive, which starts it."""
+        self._do(op="copy-uf2", file=str(image))
+
+    def spoil_flash(self, at: int, data: bytes) -> None:
+        self._do(op="flash", at=at, hex=data.hex())
+
+    def erase_takes(self, ticks: int) -> None:
+        """A sector of flash, from now on."""
+        self._do(op="flash", erase_ticks=ticks)
 
     def send(self, command: Command) -> None:
         self.write(encode(Frame(command, next(self._sequence) & 0xFF)))

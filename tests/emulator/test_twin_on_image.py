@@ -217,9 +217,9 @@ def test_head_commands_do_to_the_pins_what_they_say(served: Served) -> None:
     served.annulus("head", "disarm")
     state = json.loads(served.annulus("head", "status", "--json"))
     assert "armed" not in state["state"] and state["edges_rejected"] == 0
-    enter_boot_loader(served.port)  # what `annulus firmware flash --port` does first
-    with pytest.raises(AnnulusError, match="no answer to identify"):
-        served.annulus("head", "status")
+    with pytest.raises(AnnulusError, match="speaks USB only"):
+        enter_boot_loader(served.port)
+    served.annulus("head", "status")
 
     pins = served.pins()
     projector, led = pulses(pins["projector"]), pulses(pins["led"])
@@ -238,3 +238,12 @@ def test_head_commands_do_to_the_pins_what_they_say(served: Served) -> None:
     assert [rise - trigger[i][0] for i, rise in enumerate(starts)] == [0] * 5
     assert gate[-2][0] - trigger[-1][0] == 200 and gate[-1][0] - gate[-2][0] == 300
     assert {width for _, width in trigger} == {100}
+
+
+def test_the_command_updates_a_head_through_its_uart(served: Served, other: Path) -> None:
+    before = json.loads(served.annulus("firmware", "info", "--json"))
+    done = json.loads(served.annulus("firmware", "flash", str(other), "--json"))
+    assert (done["how"], done["where"], done["running"]) == ("line", served.port, "0therone")
+    after = json.loads(served.annulus("firmware", "info", "--json"))
+    assert (after["git"], after["boot_cause"]) == ("0therone", "host_reset")
+    assert before["git"] != after["git"]

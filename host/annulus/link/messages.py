@@ -88,6 +88,13 @@ class RoundPart(IntEnum):
     SLEEP = 9
 
 
+class UpdateRefusal(IntEnum):
+    NOT_NOW = 0
+    INCOMPLETE = 1
+    DAMAGED = 2
+    FOREIGN = 3
+
+
 class StateFlag(IntFlag):
     SYNCED = 1
     LAMPS_ARMED = 2
@@ -926,6 +933,72 @@ class TurntableStopReply(Reply):
 
 
 @dataclass(frozen=True, slots=True)
+class UpdateBeginReply(Reply):
+    """Answer to update_begin."""
+
+    ID: ClassVar[int] = 0x54
+    SCHEMA_BYTE: ClassVar[int] = 0x62
+    SINCE: ClassVar[int] = 2
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBI")
+    LENGTH: ClassVar[int] = 6
+    FIELDS: ClassVar[tuple[str, ...]] = ("status", "detail", "next")
+
+    next: int  # bytes; offset of the chunk that is due
+
+    def pack(self) -> bytes:
+        return _pack("update_begin", self.LAYOUT, self.status, self.detail, self.next)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(StatusCode(v[0]), v[1], v[2])
+
+
+@dataclass(frozen=True, slots=True)
+class UpdateDataReply(Reply):
+    """Answer to update_data."""
+
+    ID: ClassVar[int] = 0x55
+    SCHEMA_BYTE: ClassVar[int] = 0xA6
+    SINCE: ClassVar[int] = 2
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBI")
+    LENGTH: ClassVar[int] = 6
+    FIELDS: ClassVar[tuple[str, ...]] = ("status", "detail", "next")
+
+    next: int  # bytes; offset of the chunk that is due
+
+    def pack(self) -> bytes:
+        return _pack("update_data", self.LAYOUT, self.status, self.detail, self.next)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(StatusCode(v[0]), v[1], v[2])
+
+
+@dataclass(frozen=True, slots=True)
+class UpdateEndReply(Reply):
+    """Answer to update_end."""
+
+    ID: ClassVar[int] = 0x56
+    SCHEMA_BYTE: ClassVar[int] = 0xD6
+    SINCE: ClassVar[int] = 2
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBI")
+    LENGTH: ClassVar[int] = 6
+    FIELDS: ClassVar[tuple[str, ...]] = ("status", "detail", "next")
+
+    next: int  # bytes; offset of the chunk that is due
+
+    def pack(self) -> bytes:
+        return _pack("update_end", self.LAYOUT, self.status, self.detail, self.next)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(StatusCode(v[0]), v[1], v[2])
+
+
+@dataclass(frozen=True, slots=True)
 class MeasureReply(Reply):
     """Answer to measure."""
 
@@ -1501,6 +1574,83 @@ class TurntableStop(Command):
 
 
 @dataclass(frozen=True, slots=True)
+class UpdateBegin(Command):
+    """A new application is to come over this line; it is kept beside the running one until it is whole. Refused while
+    anything is armed or moves. The same one again goes on where it broke off.
+    """
+
+    ID: ClassVar[int] = 0x14
+    SCHEMA_BYTE: ClassVar[int] = 0xB4
+    SINCE: ClassVar[int] = 2
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<II8s")
+    LENGTH: ClassVar[int] = 16
+    FIELDS: ClassVar[tuple[str, ...]] = ("size", "crc", "board")
+    REPLY: ClassVar[type[Reply]] = UpdateBeginReply
+    QUERY: ClassVar[bool] = False
+
+    size: int  # bytes; of the application, whole words
+    crc: int  # CRC-32 of the application without its last word, which holds the same
+    board: bytes  # for which it was made, as identify tells it
+
+    def pack(self) -> bytes:
+        return _pack("update_begin", self.LAYOUT, self.size, self.crc, _fits("update_begin.board", self.board, 8))
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(v[0], v[1], bytes(v[2]))
+
+
+@dataclass(frozen=True, slots=True)
+class UpdateData(Command):
+    """One chunk of it. Chunks come in order; one that is there already changes nothing. The first of every 4 KiB takes as
+    long as the flash needs to erase.
+    """
+
+    ID: ClassVar[int] = 0x15
+    SCHEMA_BYTE: ClassVar[int] = 0xEA
+    SINCE: ClassVar[int] = 2
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<I32s")
+    LENGTH: ClassVar[int] = 36
+    FIELDS: ClassVar[tuple[str, ...]] = ("offset", "chunk")
+    REPLY: ClassVar[type[Reply]] = UpdateDataReply
+    QUERY: ClassVar[bool] = False
+
+    offset: int  # bytes
+    chunk: bytes  # past the end: 0xFF
+
+    def pack(self) -> bytes:
+        return _pack("update_data", self.LAYOUT, self.offset, _fits("update_data.chunk", self.chunk, 32))
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(v[0], bytes(v[1]))
+
+
+@dataclass(frozen=True, slots=True)
+class UpdateEnd(Command):
+    """Check what was staged and restart into it. Acknowledged, then carried out."""
+
+    ID: ClassVar[int] = 0x16
+    SCHEMA_BYTE: ClassVar[int] = 0x0F
+    SINCE: ClassVar[int] = 2
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<")
+    LENGTH: ClassVar[int] = 0
+    FIELDS: ClassVar[tuple[str, ...]] = ()
+    REPLY: ClassVar[type[Reply]] = UpdateEndReply
+    QUERY: ClassVar[bool] = False
+
+    def pack(self) -> bytes:
+        return _pack("update_end", self.LAYOUT)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        _values(cls.LAYOUT, payload)
+        return cls()
+
+
+@dataclass(frozen=True, slots=True)
 class Measure(Command):
     """The controller times its own pins. After every edge of `pin` to `level`, and `delay` ticks later, it keeps the
     levels of four neighbouring pins tick by tick, 512 times: a look. The odometer stands still meanwhile. The first
@@ -1831,6 +1981,9 @@ COMMANDS: dict[int, type[Command]] = {
     0x0E: Info,
     0x0F: Configuration,
     0x10: Crash,
+    0x14: UpdateBegin,
+    0x15: UpdateData,
+    0x16: UpdateEnd,
     0x17: Measure,
     0x18: Samples,
     0x12: Turntable,
@@ -1856,6 +2009,9 @@ REPLIES: dict[int, type[Reply]] = {
     0x4E: InfoReply,
     0x4F: ConfigurationReply,
     0x50: CrashReply,
+    0x54: UpdateBeginReply,
+    0x55: UpdateDataReply,
+    0x56: UpdateEndReply,
     0x57: MeasureReply,
     0x58: SamplesReply,
     0x52: TurntableReply,
