@@ -70,7 +70,8 @@ def flash(
 ) -> None:
     """Put an image on a board and read it back.
 
-    The board must wait in its boot loader (hold BOOTSEL while plugging it in), or run annulus on --port.
+    The board must wait in its boot loader (hold BOOTSEL while plugging it in), or run annulus on --port. A port that is
+    not USB carries the image itself; breaking off is harmless, and the next time goes on from there.
     """
     from annulus.flash import update
     from annulus.flash.image import read_image, require_ours

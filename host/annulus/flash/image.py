@@ -10,9 +10,11 @@ last word) and §2.8.4.2 (which UF2 blocks the boot ROM takes).
 
 import re
 import struct
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
+from annulus.controller import UPDATE_MAX_BYTES
 from annulus.link.messages import PROTOCOL_VERSION, SCHEMA_HASH
 from annulus.vocabulary import AnnulusError
 
@@ -21,6 +23,8 @@ FLASH_START = 0x10000000
 FLASH_BYTES = 2 * 1024 * 1024  # of a Raspberry Pi Pico
 PAGE_BYTES, SECTOR_BYTES = 256, 4096
 BOOT2_BYTES = 256
+APPLICATION_AT, APPLICATION_SIZE_AT = 0x1000, 192  # in flash; in the application
+RECORD_AT = 0xF000  # in flash: of an application that waits to be copied
 RAM_START, RAM_END = 0x20000000, 0x20042000
 
 _BLOCK_BYTES = 512
@@ -67,6 +71,15 @@ class Image:
         return -(-len(self.data) // SECTOR_BYTES)
 
 
+@dataclass(frozen=True, slots=True)
+class Application:
+    """What the loader starts; firmware/application.h says how it is laid out."""
+
+    data: bytes
+    crc: int  # of all but the last word, which holds it
+    board: str
+
+
 def read_image(path: Path) -> Image:
     """The image in a UF2 or ELF file, checked. AnnulusError says what is wrong with it."""
     try:
@@ -103,6 +116,32 @@ def require_ours(image: Image) -> None:
             f"{image.name}: speaks protocol {who.protocol} schema {who.schema:08x}, this host {PROTOCOL_VERSION}"
             f" {SCHEMA_HASH:08x}: it could not be armed. Take host and image from one release, or flash it by force."
         )
+
+
+def has_application(image: Image) -> bool:
+    """Whether it is made of a loader and an application; images from before that are not."""
+    return image.identity is not None and bool(_IDENTITY.match(image.data, APPLICATION_AT + APPLICATION_SIZE_AT + 4))
+
+
+def application(image: Image) -> Application:
+    """What of an image a controller takes over its line: all but the loader in the first sector.
+
+    AnnulusError for an image that has none, as those before the loader, or whose CRC says that it is damaged.
+    """
+    if image.identity is None or not has_application(image):
+        raise AnnulusError(
+            f"{image.name}: holds no application that a controller takes over its line. Flash it over USB."
+        )
+    data = image.data[APPLICATION_AT:]
+    (size,) = struct.unpack_from("<I", data, APPLICATION_SIZE_AT)
+    if not APPLICATION_SIZE_AT + 8 <= size <= min(len(data), UPDATE_MAX_BYTES):
+        raise AnnulusError(f"{image.name}: damaged, an application of {size} bytes")
+    (crc,) = struct.unpack_from("<I", data, size - 4)
+    if crc != zlib.crc32(data[: size - 4]):
+        raise AnnulusError(
+            f"{image.name}: damaged, the application's CRC is {zlib.crc32(data[: size - 4]):08x}, not {crc:08x}"
+        )
+    return Application(data[:size], crc, image.identity.board)
 
 
 def crc32_boot2(data: bytes) -> int:

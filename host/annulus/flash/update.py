@@ -3,8 +3,8 @@
     image = read_image(path); require_ours(image)
     flash(image, port="/dev/ttyACM0", say=print)        # asks the running firmware into its boot loader first
 
-A board is reached by PICOBOOT, which reads everything back, or by copying the UF2 to its drive, which nothing but the
-board itself can check.
+A board is reached by PICOBOOT, which reads everything back; by copying the UF2 to its drive, which nothing but the
+board itself can check; or through the line it answers on, where that is not USB: it then checks a CRC.
 """
 
 import os
@@ -23,9 +23,14 @@ from annulus.flash.image import (
     FAMILY_RP2040,
     FLASH_START,
     PAGE_BYTES,
+    RECORD_AT,
+    SECTOR_BYTES,
     Image,
+    application,
+    has_application,
     parse_image,
 )
+from annulus.flash.over_line import write_over_line
 from annulus.flash.picoboot import BootLoader, PicoBoot, choose, find_boot_loaders, write_flash
 from annulus.link.client import Client
 from annulus.link.codec import Corrupt
@@ -64,9 +69,9 @@ class Flashed:
     image: str
     version: str
     size: int  # bytes
-    how: str  # "picoboot" or "drive"
-    where: str  # place on the bus, or the drive
-    read_back: bool  # every byte was compared
+    how: str  # "picoboot", "drive" or "line"
+    where: str  # place on the bus, the drive, or the port
+    read_back: bool  # every byte was compared, or their CRC by the board itself
     running: str | None  # the commit the board answers with; None: nobody asked it
 
 
@@ -145,7 +150,8 @@ def flash(
 ) -> Flashed:
     """Put an image on the one board meant.
 
-    port : where its firmware answers now; it is asked into the boot loader, and asked for its commit afterwards.
+    port : where its firmware answers now; it is asked into the boot loader if that is on USB, takes the image over the
+    line if not, and is asked for its commit afterwards.
     board : which one, by the serial number of a running controller (then as with its port) or of a boot loader, or by
     the boot loader's place on the bus. drive : copy there instead of PICOBOOT. backend : of pyusb.
 
@@ -158,6 +164,16 @@ def flash(
                 port, board = controller.port, None
     if port is not None:
         place = usb_place(port)
+        if place is None and drive is None and has_application(image):
+            say(f"{port}: sending the image over this line")
+            if write_over_line(port, application(image), progress):
+                say(f"{port}: restarting into it")
+                return _flashed(image, "line", port, await_firmware(port, image))
+            say(f"{port}: its firmware is older than updates over a line")
+        if place is None and not find_controllers():
+            raise AnnulusError(
+                f"{port}: the boot loader speaks USB only, and no controller is on this machine's USB. Plug it in."
+            )
         known = set() if drive else {b.place for b in find_boot_loaders(backend)}  # no libusb is told before a restart
         enter_boot_loader(port)
         say(f"{port}: restarting into the boot loader")
@@ -174,19 +190,17 @@ def flash(
         say(f"USB {loader}: RP2040 boot loader")
         with PicoBoot(loader) as boot:
             write_flash(boot, image.data, progress)
+            if has_application(image):  # an update that waits to be copied is older than this one
+                boot.erase(FLASH_START + RECORD_AT, SECTOR_BYTES)
             boot.reboot()
         how, where = "picoboot", loader.place
-    running = None if port is None else await_firmware(port, image)
+    return _flashed(image, how, where, None if port is None else await_firmware(port, image))
+
+
+def _flashed(image: Image, how: str, where: str, running: str | None) -> Flashed:
     who = image.identity
-    return Flashed(
-        image.name,
-        f"{who.version} {who.git}" if who else "not annulus",
-        len(image.data),
-        how,
-        where,
-        how == "picoboot",
-        running,
-    )
+    version = f"{who.version} {who.git}" if who else "not annulus"
+    return Flashed(image.name, version, len(image.data), how, where, how != "drive", running)
 
 
 def enter_boot_loader(port: str) -> None:

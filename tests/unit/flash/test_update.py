@@ -75,6 +75,12 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(update, name, seconds)
 
 
+@pytest.fixture
+def usb_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The head that answers on the line is on this machine's USB as well."""
+    monkeypatch.setattr(update, "find_controllers", lambda: [Controller("/dev/ttyACM0", "E6616408438A1C2F", "1-2")])
+
+
 def one_line(caught: pytest.ExceptionInfo[AnnulusError]) -> str:
     assert "\n" not in str(caught.value)
     return str(caught.value)
@@ -83,6 +89,7 @@ def one_line(caught: pytest.ExceptionInfo[AnnulusError]) -> str:
 # ---- PICOBOOT ----
 
 
+@pytest.mark.usefixtures("usb_here")
 def test_a_running_head_is_asked_into_its_boot_loader_flashed_and_asked_for_its_commit() -> None:
     bystander, board = Board(ports=(1,)), Board(ports=(2,))
     bus = Bus(bystander)
@@ -97,6 +104,7 @@ def test_a_running_head_is_asked_into_its_boot_loader_flashed_and_asked_for_its_
     assert said == [f"{port}: restarting into the boot loader", "USB 1-2 (E0C9125B0D9B): RP2040 boot loader"]
 
 
+@pytest.mark.usefixtures("usb_here")
 def test_a_head_of_another_schema_can_be_flashed() -> None:
     board = Board()
     bus = Bus()
@@ -105,6 +113,7 @@ def test_a_head_of_another_schema_can_be_flashed() -> None:
     assert board.rebooted
 
 
+@pytest.mark.usefixtures("usb_here")
 def test_a_head_that_is_armed_is_left_alone() -> None:
     bus = Bus()
     head = Head(bus, Board())
@@ -114,6 +123,7 @@ def test_a_head_that_is_armed_is_left_alone() -> None:
     assert "annulus head disarm" in one_line(caught)
 
 
+@pytest.mark.usefixtures("usb_here")
 def test_a_head_without_usb_is_not_sent_into_silence() -> None:
     bus = Bus()
     head = Head(bus, Board())
@@ -123,6 +133,7 @@ def test_a_head_without_usb_is_not_sent_into_silence() -> None:
     assert "speaks USB only" in one_line(caught)
 
 
+@pytest.mark.usefixtures("usb_here")
 def test_a_boot_loader_that_does_not_come_up_is_told() -> None:
     bus = Bus(Board(ports=(1,)))
     with far_end(serving(Head(bus))) as port, pytest.raises(AnnulusError) as caught:
@@ -131,6 +142,7 @@ def test_a_boot_loader_that_does_not_come_up_is_told() -> None:
     assert not bus.boards[0].rebooted
 
 
+@pytest.mark.usefixtures("usb_here")
 def test_other_firmware_afterwards_is_told() -> None:
     said = b"annulus rp2040 0.1.0 0123abcd protocol 1U schema 0x%08XU\0" % SCHEMA_HASH
     image = parse_image(bytes(uf2(program(said=said))), "new.uf2")
@@ -177,6 +189,7 @@ def test_the_boot_loader_is_looked_for_where_the_port_was(monkeypatch: pytest.Mo
         assert not head.board.erased
 
 
+@pytest.mark.usefixtures("usb_here")
 def test_permission_that_comes_a_moment_after_the_board_is_waited_for() -> None:
     board = Board(open_error=errno.EACCES)
     bus = Bus()
