@@ -121,7 +121,7 @@ class Emulated:
         self.now = self._origin = self.longest = 0
         self._open = False
         self._held = Heard()
-        self.run(3 * MS)
+        self._do(op="run", until=3 * MS)  # boot ROM, clocks, first event; what was heard waits for the first look
 
     def _do(self, **op: object) -> None:
         assert self._process.stdin

@@ -11,6 +11,7 @@ from annulus.link.messages import (
     BurstCode,
     BurstDone,
     BurstReply,
+    BurstStop,
     FaultCode,
     Pattern,
     StatusCode,
@@ -23,13 +24,17 @@ Pulse = tuple[int, int]
 
 def trains(kept: Kept, told: list[Told], now: int) -> None:
     started = [a for a in kept.asked if isinstance(a.reply, BurstReply) and a.reply.status == StatusCode.OK]
-    ended = [item.event for item in told if isinstance(item.event, BurstDone)]
+    ended = [(item.event, item.tick) for item in told if isinstance(item.event, BurstDone)]
+    stops = [a.sent for a in kept.asked if isinstance(a.command, BurstStop)]
     insist(len(started) == len(ended), f"{len(started)} trains began, {len(ended)} ended")
     chips, triggers = [*kept.pulses.get(PIN_MICROWAVE, ())], [*kept.pulses.get(PIN_TRIGGER, ())]
-    for number, (asked, end) in enumerate(zip(started, ended, strict=True)):
+    for number, (asked, (end, tick)) in enumerate(zip(started, ended, strict=True)):
         burst = asked.command
         assert isinstance(burst, Burst)
+        is_stopped = any(asked.sent <= stop <= tick for stop in stops)
         cut = end.fault != FaultCode.NONE or disarmed_after(kept, asked)
+        insist(end.done <= burst.repeat, f"{burst}: {end.done} bursts", tick)
+        insist(end.done == burst.repeat or cut or is_stopped, f"{burst}: ended after {end.done}", tick)
         until = now
         if number + 1 < len(started):
             following = started[number + 1]

@@ -81,6 +81,7 @@ class Truth:
             PIN_MICROWAVE: Duty(MICROWAVE_DUTY_MAX_PERMILLE),
         }
         self.burst_on = 0  # on-time of the longest burst yet
+        self.flash_on = 0  # and of the longest flash
         self.longest = 0  # ticks a round took
         self.before: Stage | None = None  # in force when the scene began
 
@@ -131,8 +132,10 @@ class Truth:
                 on = chips_of(kept, asked).count("1") * asked.command.chip
                 self.burst_on = max(self.burst_on, on)
         for pin, duty in self.duty.items():
-            slack = self.burst_on if pin == PIN_MICROWAVE else 0
             for rise, fall in kept.pulses.get(pin, ()):
+                if pin != PIN_MICROWAVE:
+                    self.flash_on = max(self.flash_on, fall - rise)
+                slack = self.burst_on if pin == PIN_MICROWAVE else self.flash_on  # the share, and one on-time more
                 owed = duty.rise(rise)
                 share = 100 * (1 + owed / max(1, fall - rise)) * duty.permille / 1000
                 insist(
@@ -363,7 +366,8 @@ class Truth:
         """Allowed after a main loop held up, an edge just before, or an order that changes what is loaded."""
         patience = self.board.round_max
         reasons = (
-            tick - previous < patience,
+            previous == 0 or tick - previous < patience,
+            sum(isinstance(i.event, Configured) and previous <= i.tick <= tick for i in told) > 1,  # two hold-offs
             any(begin - patience <= tick and end + patience >= previous for begin, end in kept.stalls),
             any(a.sent <= tick and a.answered >= tick - patience for a in kept.asked if is_order(a)),
             any(abs(item.tick - tick) < patience for item in told if reloads(item.event)),

@@ -1,0 +1,43 @@
+"""The native board under attack: legal commands and waveforms from a seed, judged by what the documents promise.
+
+A million edges: `python -m tools.attack --edges 1000000 --jobs 2`.
+"""
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from tools.attack.__main__ import attack
+
+ROOT = Path(__file__).resolve().parents[3]
+MUTANTS = {
+    "the other lamp's delay": ("core/sequencer.c", "led ? self->config.led_delay", "!led ? self->config.led_delay"),
+    "a forgotten interlock": ("core/safety.c", "    if (tripped) {", "    if (tripped && (self->armed == 0U)) {"),
+    "an edge from the future": (
+        "core/sequencer.c",
+        "(ticks_since(now, self->last_tick) <= (int32_t)",
+        "(now - self->last_tick <= ",
+    ),
+    "a burst too many": ("core/bursts.c", ".repeat = command->repeat,", ".repeat = (uint16_t)(command->repeat + 1U),"),
+}
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_no_promise_breaks_in_five_thousand_edges(seed: int) -> None:
+    outcome = attack("native", seed, 5_000)
+    assert outcome.broken == []
+    assert outcome.edges >= 5_000
+
+
+@pytest.mark.parametrize("name", MUTANTS)
+def test_a_fault_put_into_the_core_is_found(name: str, tmp_path: Path) -> None:
+    file, right, wrong = MUTANTS[name]
+    firmware = tmp_path / "firmware"
+    shutil.copytree(ROOT / "firmware", firmware, ignore=shutil.ignore_patterns("build", "corpus"))
+    text = (firmware / file).read_text()
+    assert right in text
+    (firmware / file).write_text(text.replace(right, wrong))
+    subprocess.run(["make", "--silent", "-C", str(firmware), "native"], check=True)
+    assert attack("native", 2, 20_000, firmware / "build/libannulus_native.so").broken
