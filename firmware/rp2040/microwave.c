@@ -351,7 +351,8 @@ static void start_list(const list_t* const list, const uint32_t channel, const u
     REGISTER(PIO_TX(PIO1, machine)) = word_of(false, first_ticks);
     REGISTER(DMA_READ(channel)) = (uint32_t)(uintptr_t)&list->words[1];
     REGISTER(DMA_WRITE(channel)) = PIO_TX(PIO1, machine);
-    REGISTER(DMA_COUNT(channel)) = list->size * repeat - 1U;
+    // And word 0 once more at the end: a list without low ticks at its end leaves its pin high, and word 0 is low.
+    REGISTER(DMA_COUNT(channel)) = list->size * repeat;
     REGISTER(DMA_CTRL_TRIGGER(channel)) = DMA_QUIET | DMA_REQUEST(DREQ_PIO_TX(1U, machine)) | DMA_CHAIN(channel) |
                                           DMA_RING(ring_bits) | DMA_INCREMENT_READ | DMA_WORDS | DMA_PRIORITY |
                                           DMA_ENABLE;

@@ -220,3 +220,13 @@ def test_microwave_cannot_be_armed_with_the_interlock_open(board: EmulatedBoard)
     board.request(Arm(outputs=ArmFlag(0)))
     board.request(Clear())
     assert board.request(Arm(outputs=ArmFlag.MICROWAVE)).status == StatusCode.UNSAFE
+
+
+def test_the_last_pulse_of_a_train_that_fills_its_period_ends_by_itself(board: EmulatedBoard) -> None:
+    """Seen to stay high for 81 us, until the main loop stopped the train: the list ended with the pulse."""
+    arm(board, ArmFlag.MICROWAVE)
+    burst = Burst(code=BurstCode.MPSL25, chip=50, repeat=4, period=18_428, trigger_offset=-17_178)
+    assert board.request(burst).status == StatusCode.OK
+    board.run_alive(board.now + 5 * MS)
+    assert max(board.widths(PIN_MICROWAVE)) == 150
+    assert board.widths(PIN_TRIGGER) == [100] * 4
