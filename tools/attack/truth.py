@@ -432,6 +432,8 @@ class Truth:
         assert kept.last
         if any(isinstance(item.event, Fault) and item.event.fault == 7 for item in told):
             return  # it says itself that it lost count
+        if kept.stalls and len(scene.steps) > 500:
+            return  # .. and may say so only after the scene: at most once in 100 ms
         base = kept.first.odometer
         ticks = [kept.began + tick for tick, _ in scene.steps]
         counts = [0]
