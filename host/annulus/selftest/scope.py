@@ -68,7 +68,6 @@ class Scope:
         self.client = client
         self.port = port
         self.heard: list[LinkEvent] = []
-        self._position = self.status().turntable
 
     def status(self) -> StatusReply:
         reply = self.client.request(Status())
@@ -130,8 +129,7 @@ class Scope:
 
     def steps(self, count: int, period: int) -> None:
         """Let STEP make so many pulses, from now on, one every `period` ticks."""
-        self._position += count
-        self.client.request(Move(self._position, period, 0))
+        self.client.request(Move(self.status().turntable + count, period, 0))
 
     def stand(self, patience_s: float) -> None:
         """Until the steps are over."""
