@@ -160,6 +160,10 @@ class Emulated:
         else:
             self._do(op="usb", do="write", hex=data.hex())
 
+    def power_cycle(self) -> None:
+        """Off and on again; what was wired to it stays as it is."""
+        self._do(op="power-cycle")
+
     def plug(self, plugged: bool) -> None:
         self._do(op="usb", do="attach" if plugged else "detach")
 
