@@ -241,6 +241,7 @@ BOOTED = 3 * MS
 def alike_after_power_ups(place: Place) -> Measured:
     """With a ring oscillator that is not fair: three ones in four, and the same bit again within 0.5 us."""
     player = started(place)
+    assert isinstance(player.board, Emulated)
     boots: list[tuple[int, int]] = []
     for _ in range(POWER_UPS):
         boot = getattr(player.request(Identify(protocol=1, schema=SCHEMA_HASH)), "boot", -1)

@@ -170,11 +170,18 @@ class Truth:
     def _answers(self, kept: Kept) -> None:
         for asked in kept.asked:
             excused = kept.boots or kept.unplugged or asked.line in kept.noise
-            held = any(end + 50 * MS > asked.sent for _, end in kept.stalls)  # the line's buffer ran over
+            held = any(self._may_be_cut(kept, asked, end) for _, end in kept.stalls)
             insist(
                 bool(asked.reply) or bool(excused) or held,
                 f"no answer to {asked.command} sent at {asked.sent}",
             )
+
+    @staticmethod
+    def _may_be_cut(kept: Kept, asked: Asked, end: int) -> bool:
+        """The line's buffer ran over while the main loop stood still: what came then is lost, and with it, where that
+        was the end of a frame, the one that follows it on the line."""
+        later = [other.sent for other in kept.asked if other.line == asked.line and other.sent > end]
+        return asked.sent < end + 50 * MS or (bool(later) and asked.sent == min(later))
 
     def _first(self, kept: Kept) -> int:
         """Index of the scene's first event."""
