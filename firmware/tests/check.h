@@ -16,6 +16,7 @@ void link_tests(void);
 void lines_tests(void);
 void queries_tests(void);
 void configuration_tests(void);
+void ranges_tests(void);
 void sequencer_tests(void);
 void safety_tests(void);
 void bursts_tests(void);
