@@ -164,6 +164,174 @@ static void limits_hold_from_wherever_it_stands(void)
     EXPECT_EQ(move(60, 10000, 0).status, STATUS_OK);
 }
 
+static void stop_now(void)
+{
+    rig_send(COMMAND_TURNTABLE_STOP, 0x77, NULL);
+}
+
+static void a_switch_that_is_reached_lets_it_only_back(void)
+{
+    rig_start();
+    configure(TURNTABLE_END_LOW | TURNTABLE_END_HIGH);
+    native_input(native_tick(), PIN_END_LOW, 0);
+    reply_move_t refused = move(10, 300000, 0);
+    EXPECT_EQ(refused.status, STATUS_UNSAFE);
+    EXPECT_EQ(refused.detail, STOP_CAUSE_END_HIGH);
+    native_input(native_tick(), PIN_END_LOW, 1);
+    native_input(native_tick(), PIN_END_HIGH, 0);
+    refused = move(-10, 300000, 0);
+    EXPECT_EQ(refused.status, STATUS_UNSAFE);
+    EXPECT_EQ(refused.detail, STOP_CAUSE_END_LOW);
+    rig_pass(10 * MS);
+    EXPECT_EQ(rig_rises(PIN_STEP), 0);
+    EXPECT_EQ(native_pin(PIN_ENABLE), 1);
+    EXPECT_EQ(move(10, 300000, 0).status, STATUS_OK);
+    pass_alive(60 * MS);
+    EXPECT_EQ(rig_rises(PIN_STEP), 10);
+}
+
+static void slower_than_the_ramps_start_there_is_no_ramp(void)
+{
+    rig_start();
+    configure(0);
+    EXPECT_EQ(move(20, 300000, 0).status, STATUS_OK);
+    pass_alive(80 * MS);
+    EXPECT_EQ(rig_rises(PIN_STEP), 20);
+    for (size_t step = 1; step < 20U; step++) {
+        EXPECT_EQ(rig_rise(PIN_STEP, step) - rig_rise(PIN_STEP, step - 1U), 300000);
+    }
+}
+
+static void told_to_stop_before_its_first_step_it_makes_none(void)
+{
+    rig_start();
+    configure(0);
+    uint8_t payload[COMMAND_MOVE_LENGTH];
+    command_move_pack(&(command_move_t){.position = 1000, .period = 12000}, payload);
+    rig_send(COMMAND_MOVE, 0x76, payload);
+    stop_now();
+    pass_alive(20 * MS);
+    EXPECT_EQ(rig_rises(PIN_STEP), 0);
+    const event_turntable_stopped_t stopped = take_stopped();
+    EXPECT_EQ(stopped.position, 0);
+    EXPECT_EQ(stopped.cause, STOP_CAUSE_STOPPED);
+    EXPECT_EQ(rig_status().state & STATE_TURNTABLE_MOVING, 0);
+}
+
+// A second reason neither takes the place of the first nor lets it brake any longer.
+static void the_first_reason_is_told_and_the_nearer_end_counts(void)
+{
+    for (int again = 0; again < 3; again++) {
+        rig_start();
+        native_input(native_tick(), PIN_END_HIGH, 0);
+        rig_pass(MS);
+        configure(TURNTABLE_END_HIGH | ((again == 2) ? TURNTABLE_END_HARD : 0U));
+        EXPECT_EQ(move(15000, 12000, 0).status, STATUS_OK);
+        pass_alive(200 * MS);
+        const size_t before = rig_rises(PIN_STEP);
+        stop_now();
+        pass_alive(60 * MS);
+        if (again == 0) {
+            stop_now();
+        } else {
+            native_input(native_tick(), PIN_END_HIGH, 1);
+        }
+        const size_t then = rig_rises(PIN_STEP);
+        pass_alive(400 * MS);
+        const event_turntable_stopped_t stopped = take_stopped();
+        EXPECT_EQ(stopped.cause, STOP_CAUSE_STOPPED);
+        EXPECT_EQ(stopped.position, rig_rises(PIN_STEP));
+        EXPECT_EQ(stopped.lost, (again == 2) ? 1 : 0);
+        if (again == 2) {
+            EXPECT(rig_rises(PIN_STEP) - then <= 3U);
+        } else {
+            EXPECT(rig_rises(PIN_STEP) - before > 700U);
+            EXPECT(rig_rises(PIN_STEP) - before < 900U);
+        }
+    }
+}
+
+static void a_hard_switch_ends_it_within_a_few_steps_either_way(void)
+{
+    for (int way = 0; way < 2; way++) {
+        const uint8_t pin = (way == 0) ? PIN_END_LOW : PIN_END_HIGH;
+        rig_start();
+        native_input(native_tick(), PIN_END_LOW, 0);
+        native_input(native_tick(), PIN_END_HIGH, 0);
+        rig_pass(MS);
+        configure(TURNTABLE_END_LOW | TURNTABLE_END_HIGH | TURNTABLE_END_HARD);
+        EXPECT_EQ(move((way == 0) ? -15000 : 15000, 12000, 0).status, STATUS_OK);
+        pass_alive(200 * MS);
+        const size_t before = rig_rises(PIN_STEP);
+        native_input(native_tick(), pin, 1);
+        pass_alive(40 * MS);
+        EXPECT(rig_rises(PIN_STEP) - before <= 3U);
+        const event_turntable_stopped_t stopped = take_stopped();
+        EXPECT_EQ(stopped.cause, (way == 0) ? STOP_CAUSE_END_LOW : STOP_CAUSE_END_HIGH);
+        EXPECT_EQ(stopped.lost, 1);
+    }
+}
+
+// Steps are lost by ending faster than the motor can start, and stay lost until somebody says where it stands.
+static void steps_count_as_lost_only_after_an_end_at_speed(void)
+{
+    rig_start();
+    configure(0);
+    const uint64_t apart[] = {300000, 12000, 300000};
+    for (size_t i = 0; i < sizeof apart / sizeof apart[0]; i++) {
+        EXPECT_EQ(move((i == 1U) ? 15000 : -15000, (uint32_t)apart[i], 0).status, STATUS_OK);
+        pass_alive(100 * MS);
+        native_input(native_tick(), PIN_INTERLOCK, 1);
+        pass_alive(20 * MS);
+        const event_turntable_stopped_t stopped = take_stopped();
+        EXPECT_EQ(stopped.cause, STOP_CAUSE_FAULT);
+        EXPECT_EQ(stopped.lost, (i == 0U) ? 0 : 1);
+        native_input(native_tick(), PIN_INTERLOCK, 0);
+        rig_pass(MS);
+        EXPECT_EQ(rig_status_of(COMMAND_CLEAR, NULL), STATUS_OK);
+    }
+    configure(0);
+    EXPECT_EQ(rig_status().state & STATE_TURNTABLE_LOST, 0);
+}
+
+// The loop stood still, wherever it was, while the last steps were made: what came meanwhile finds the move over.
+static void what_comes_after_the_last_step_changes_nothing(void)
+{
+    for (uint64_t after = 0; after < 100 * US; after += 9 * US) {
+        for (int opens = 0; opens < 2; opens++) {
+            rig_start();
+            configure(0);
+            EXPECT_EQ(move(5, 300000, 0).status, STATUS_OK);
+            rig_pass(after);
+            native_stall_cpu(40 * MS);
+            rig_pass(20 * MS);
+            if (opens == 0) {
+                stop_now();
+            } else {
+                native_input(native_tick(), PIN_INTERLOCK, 1);
+            }
+            pass_alive(40 * MS);
+            EXPECT_EQ(rig_rises(PIN_STEP), 5);
+            EXPECT_EQ(rig_count(EVENT_TURNTABLE_STOPPED), 0);
+            event_turntable_done_t done;
+            event_turntable_done_unpack(&done, rig_take(EVENT_TURNTABLE_DONE)->payload);
+            EXPECT_EQ(done.position, 5);
+            EXPECT_EQ(rig_status().state & STATE_TURNTABLE_LOST, 0);
+        }
+    }
+}
+
+static void an_open_interlock_refuses_a_move_though_nothing_has_tripped(void)
+{
+    rig_start();
+    native_input(native_tick(), PIN_INTERLOCK, 1);
+    EXPECT_EQ(move(10, 10000, 0).status, STATUS_UNSAFE);
+    EXPECT_EQ(rig_status().fault, FAULT_NONE);
+    EXPECT_EQ(rig_rises(PIN_STEP), 0);
+    native_input(native_tick(), PIN_INTERLOCK, 0);
+    EXPECT_EQ(move(10, 10000, 0).status, STATUS_OK);
+}
+
 void turntable_tests(void)
 {
     RUN(the_turntable_goes_to_absolute_positions_both_ways);
@@ -171,4 +339,12 @@ void turntable_tests(void)
     RUN(a_ramp_is_monotone_and_never_faster_than_asked);
     RUN(it_brakes_when_told_and_ends_at_once_when_it_must);
     RUN(limits_hold_from_wherever_it_stands);
+    RUN(a_switch_that_is_reached_lets_it_only_back);
+    RUN(slower_than_the_ramps_start_there_is_no_ramp);
+    RUN(told_to_stop_before_its_first_step_it_makes_none);
+    RUN(the_first_reason_is_told_and_the_nearer_end_counts);
+    RUN(a_hard_switch_ends_it_within_a_few_steps_either_way);
+    RUN(steps_count_as_lost_only_after_an_end_at_speed);
+    RUN(what_comes_after_the_last_step_changes_nothing);
+    RUN(an_open_interlock_refuses_a_move_though_nothing_has_tripped);
 }
