@@ -93,6 +93,8 @@ static void only_the_line_that_identified_last_changes_anything(void)
     uint8_t move[COMMAND_MOVE_LENGTH];
     command_move_pack(&(command_move_t){.position = 3, .period = 10000}, move);
     EXPECT_EQ(rig_status_of(COMMAND_MOVE, move), STATUS_SCHEMA);
+    EXPECT_EQ(rig_status_of(COMMAND_TURNTABLE, (const uint8_t[COMMAND_TURNTABLE_LENGTH]){0}), STATUS_SCHEMA);
+    EXPECT_EQ(rig_status_of(COMMAND_MEASURE, (const uint8_t[COMMAND_MEASURE_LENGTH]){1}), STATUS_SCHEMA);
     EXPECT_EQ(rig_status().state & STATE_SCHEMA_OK, 0);
 
     rig_over_usb(true);

@@ -219,6 +219,29 @@ static void an_output_the_board_refuses_latches_a_limit_fault(void)
     EXPECT_EQ(rig_status().state & (STATE_LAMPS_ARMED | STATE_MICROWAVE_ARMED), 0);
 }
 
+// At any moment of the round that takes the command, too: it is refused, or it begins and is cut.
+static void an_interlock_that_opens_while_a_train_is_asked_for_leaves_the_microwave_dark(void)
+{
+    size_t refused = 0;
+    size_t begun = 0;
+    for (uint64_t after = 150 * US; after < 350 * US; after += US / 2U) {
+        start_armed(ARM_MICROWAVE);
+        const uint64_t opens = native_tick() + after;
+        native_input(opens, PIN_INTERLOCK, 1);
+        const uint8_t status = start_train(65535);
+        EXPECT((status == STATUS_OK) || (status == STATUS_UNSAFE));
+        begun += (status == STATUS_OK) ? 1U : 0U;
+        refused += (status == STATUS_UNSAFE) ? 1U : 0U;
+        EXPECT_EQ(rig_status().fault, FAULT_INTERLOCK);
+        EXPECT_EQ(rig_status().state & (STATE_MICROWAVE_ARMED | STATE_BURST_RUNNING), 0);
+        EXPECT_EQ(native_pin(PIN_MICROWAVE), 0);
+        const size_t rises = rig_rises(PIN_MICROWAVE);
+        EXPECT((rises == 0U) || ((status == STATUS_OK) && (rig_rise(PIN_MICROWAVE, rises - 1U) < opens)));
+    }
+    EXPECT(refused > 10U);
+    EXPECT(begun > 10U);
+}
+
 static void the_first_fault_stays_latched(void)
 {
     start_armed(both);
@@ -285,6 +308,7 @@ void safety_tests(void)
     RUN(the_watchdog_restarts_a_hung_controller_dark_and_latched);
     RUN(a_restart_by_the_watchdog_says_so);
     RUN(an_output_the_board_refuses_latches_a_limit_fault);
+    RUN(an_interlock_that_opens_while_a_train_is_asked_for_leaves_the_microwave_dark);
     RUN(the_first_fault_stays_latched);
     RUN(another_schema_takes_the_outputs_away);
     RUN(outputs_are_armed_one_by_one);

@@ -142,6 +142,11 @@ static void what_is_damaged_or_foreign_is_refused(void)
     begin_ours();
     send(0, SIZE);
     end_is(STATUS_BAD_STATE, UPDATE_REFUSAL_FOREIGN);
+    rig_start();
+    make();
+    begin(SIZE, application_crc(made) ^ 1U, "native");  // whole, but another than was announced
+    send(0, SIZE);
+    end_is(STATUS_BAD_STATE, UPDATE_REFUSAL_DAMAGED);
 }
 
 static void an_update_is_refused_out_of_range_or_while_anything_is_armed_or_moves(void)
