@@ -4,9 +4,18 @@ import itertools
 from collections import deque
 from dataclasses import dataclass, field, replace
 
-from annulus.controller import PIN_INTERLOCK, PIN_SYNC
+from annulus.controller import (
+    PIN_DIRECTION,
+    PIN_ENABLE,
+    PIN_END_HIGH,
+    PIN_END_LOW,
+    PIN_INTERLOCK,
+    PIN_STEP,
+    PIN_SYNC,
+)
 from annulus.link.codec import Decoder, Frame, encode
 from annulus.link.messages import (
+    LEVEL,
     SCHEMA_HASH,
     Arm,
     ArmFlag,
@@ -18,19 +27,24 @@ from annulus.link.messages import (
     Commit,
     Event,
     Identify,
+    Info,
+    InfoReply,
     Pattern,
     Reply,
     Reread,
     Stage,
+    StateFlag,
     Status,
     StatusCode,
     StatusReply,
 )
-from tools.attack.boards import MS, UART, USB, Board, BrokenPromiseError, Heard
+from tools.attack.boards import MS, UART, USB, Board, BrokenPromiseError, Edge, Heard
 from tools.attack.scenes import Scene
 
 BYTE_TICKS = 1000
 PATIENCE = 30 * MS  # for an answer, a full line of events before it
+STANDS_WITHIN = 400 * MS  # the turntable, along the slowest ramp of a scene
+MOTOR = (PIN_STEP, PIN_DIRECTION, PIN_ENABLE)
 
 
 @dataclass(slots=True)
@@ -84,6 +98,7 @@ class Player:
         self.kept = Kept()
         self.high: dict[int, int] = {}  # pins that are high, since when
         self.high_since_boot = 0
+        self.motor: list[Edge] = []  # transitions of the turntable's pins, until somebody takes them
         self._sequence = [itertools.count(), itertools.count()]
         self._decoders = (Decoder(), Decoder())
         self._line_free = [0, 0]
@@ -91,6 +106,7 @@ class Player:
         self.next_index = 0  # of the newest event, one more
         self.edges = 0  # falling edges played so far
         self.line = UART
+        self.level = LEVEL  # the controller's, if that is lower
         self._look(board.run(board.now + MS))
 
     # ---- to the controller ----
@@ -125,6 +141,10 @@ class Player:
 
     def _look(self, heard: Heard) -> None:
         for tick, pin, level in heard.transitions:
+            if pin in MOTOR:
+                self.motor.append((tick, pin, level))
+            if pin in (PIN_DIRECTION, PIN_ENABLE):
+                continue
             if level:
                 self.high[pin] = tick
             else:
@@ -190,6 +210,8 @@ class Player:
 
     def _act(self, what: str, line: int, value: object) -> None:
         if what == "send" and isinstance(value, Command):
+            if self.level < value.SINCE:
+                return
             waiting = [asked for asked in self.kept.asked[-20:] if asked.line == line and asked.reply is None]
             if (line == UART or self.board.connected()) and len(waiting) < 6:
                 self.send(line, value)
@@ -211,7 +233,8 @@ class Player:
     def _prepare(self, scene: Scene) -> None:
         board = self.board
         self.kept = Kept(began=board.now)
-        board.input([(board.now, PIN_INTERLOCK, 0), (board.now, PIN_SYNC, 1)])
+        board.input([(board.now, pin, 0) for pin in (PIN_INTERLOCK, PIN_END_LOW, PIN_END_HIGH)])
+        board.input([(board.now, PIN_SYNC, 1)])
         self.line = scene.line
         if scene.line == USB and not board.connected():
             board.plug(True)
@@ -223,7 +246,7 @@ class Player:
         self.run(board.now + 5 * MS)
         self.kept = Kept(began=board.now)
         self._must(Arm(outputs=ArmFlag(0)))
-        self._must(Identify(protocol=1, schema=SCHEMA_HASH))
+        self._identify()
         self._must(Clear())
         reply = self.request(scene.config)
         if reply and reply.status == StatusCode.DUTY:  # too bright for the earliest edge it lets through
@@ -233,6 +256,8 @@ class Player:
         chips = sum(1 << i for i, chip in enumerate(scene.chips) if chip == "1")
         self._must(Commit(generation=config.generation))
         self._must(Pattern(length=len(scene.chips), chips=chips.to_bytes(32, "little")))
+        if scene.turntable and self.level == LEVEL:
+            self._must(scene.turntable)
         self.kept.told.clear()
         self.kept.first = self._status()
         if scene.outputs:
@@ -246,6 +271,12 @@ class Player:
             raise BrokenPromiseError(f"a legal order refused: {reply} to {command}")
         return reply
 
+    def _identify(self) -> None:
+        self._must(Identify(protocol=1, schema=SCHEMA_HASH))
+        if self.level == LEVEL:
+            reply = self.request(Info(level=LEVEL))
+            self.level = reply.level if isinstance(reply, InfoReply) else 1
+
     def _status(self) -> StatusReply:
         reply = self._must(Status())
         assert isinstance(reply, StatusReply)
@@ -257,13 +288,18 @@ class Player:
             self.line = UART
             self.run(self.board.now + 5 * MS)
             self.request(Arm(outputs=ArmFlag(0)))
-            self._must(Identify(protocol=1, schema=SCHEMA_HASH))
+            self._identify()
         if self.request(BurstStop()) is None and not self.kept.stalls:
             raise BrokenPromiseError("no answer to BurstStop")
         end = self.board.now + 150 * MS
         while self.board.now < end and self._status().state & 8:
             self.run(self.board.now + 2 * MS)
         self._must(Arm(outputs=ArmFlag(0)))
+        end = self.board.now + STANDS_WITHIN
+        while self._status().state & StateFlag.TURNTABLE_MOVING:
+            if self.board.now > end:
+                raise BrokenPromiseError("the turntable still moves, though everything was disarmed")
+            self.run(self.board.now + 5 * MS)
         self.run(self.board.now + 6 * MS)
         self.kept.last = self._status()
         first = self.kept.first.events if self.kept.first and not self.kept.boots else 0

@@ -4,7 +4,7 @@ A scene begins and ends disarmed, with the interlock closed, so that it can also
 """
 
 import random
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from annulus.controller import (
     CHIPS_MAX,
@@ -31,7 +31,9 @@ from annulus.link.messages import (
     Reread,
     Stage,
     Status,
+    Turntable,
 )
+from tools.attack import themes
 from tools.attack.boards import MS, UART, USB, Edge
 
 US = TICKS_PER_US
@@ -53,6 +55,7 @@ class Scene:
     end: int
     chips: str = ""  # of the uploaded pattern
     steps: list[tuple[int, int]] = field(default_factory=list)  # odometer: tick, +1 or -1
+    turntable: Turntable | None = None  # what it is told to begin with
 
 
 def legal_config(rng: random.Random, generation: int, period: int) -> Stage:
@@ -163,6 +166,8 @@ def draw(seed: int, number: int, board: str) -> Scene:
     longest = 100 * MS if native and rng.random() < 0.1 else 12 * MS
     period = rng.randrange(2 * MS, longest)
     config = legal_config(rng, rng.randrange(1, 256), period)
+    if rng.random() < 0.2:
+        config = replace(config, host_timeout=rng.choice((50, 50, 80)))  # short enough for a silence in one scene
     outputs = rng.choice((LAMPS, LAMPS, LAMPS | MICROWAVE, LAMPS | MICROWAVE, MICROWAVE, ArmFlag(0)))
     falls = sync_falls(rng, config, rng.randrange(5, 120 if native else 60), native and line == UART)
     end = falls[-1] + rng.randrange(4 * period)
@@ -171,6 +176,7 @@ def draw(seed: int, number: int, board: str) -> Scene:
     scene = Scene(line, config, outputs, falls, waveform(rng, falls, steps), [], end, chips, steps)
     add_commands(rng, scene)
     add_mishaps(rng, scene, native)
+    add_themes(rng, scene)
     scene.actions.sort(key=lambda action: action[0])
     scene.inputs.sort(key=lambda edge: edge[0])
     return scene
@@ -200,11 +206,9 @@ def waveform(rng: random.Random, falls: list[int], steps: list[tuple[int, int]])
 def add_commands(rng: random.Random, scene: Scene) -> None:
     config, end = scene.config, scene.end
     timeout = (config.host_timeout or 500) * MS
-    silent = rng.random() < 0.05
     tick = 0
     while tick < end:
-        if not silent or tick < end // 2:
-            scene.actions.append((tick, "send", scene.line, Ping()))
+        scene.actions.append((tick, "send", scene.line, Ping()))
         tick += max(timeout // 4, min(timeout // 2, 25 * MS))
     generation = config.generation
     near = [*scene.falls, *(rng.randrange(end) for _ in scene.falls)]
@@ -253,6 +257,20 @@ def add_commands(rng: random.Random, scene: Scene) -> None:
                 )
             ]
         scene.actions += [(tick + i, "send", scene.line, command) for i, command in enumerate(commands)]
+
+
+def add_themes(rng: random.Random, scene: Scene) -> None:
+    if rng.random() < 0.15:
+        scene.turntable = themes.turntable(rng)
+        if rng.random() < 0.4:  # nothing but the turntable is live
+            scene.outputs = ArmFlag(0)
+            scene.actions = [action for action in scene.actions if not isinstance(action[3], Arm)]
+        scene.actions += themes.moves(rng, scene.line, min(scene.end, 600 * MS), scene.outputs, scene.inputs)
+    if scene.outputs & MICROWAVE and rng.random() < 0.15:
+        scene.actions += themes.bursts(rng, scene.line, scene.end)
+    timeout = (scene.config.host_timeout or 500) * MS
+    if timeout < scene.end and rng.random() < 0.4:
+        scene.actions = themes.silence(rng, scene.actions, timeout, scene.end)
 
 
 def add_mishaps(rng: random.Random, scene: Scene, native: bool) -> None:

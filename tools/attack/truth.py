@@ -38,8 +38,10 @@ from annulus.link.messages import (
 )
 from annulus.vocabulary import EdgeFlag, Lamp
 from tools.attack.boards import MS, Board, BrokenPromiseError, insist
+from tools.attack.motor import Motor
 from tools.attack.play import Asked, Kept, Player, Told
 from tools.attack.scenes import Scene
+from tools.attack.silence import silence
 from tools.attack.trains import chips_of, trains
 
 US = MS // 1000
@@ -82,6 +84,7 @@ class Truth:
         }
         self.burst_on = 0  # on-time of the longest burst yet
         self.flash_on = 0  # and of the longest flash
+        self.motor = Motor(player)
         self.longest = 0  # ticks a round took
         self.before: Stage | None = None  # in force when the scene began
 
@@ -101,7 +104,8 @@ class Truth:
             checks += [
                 lambda: self._sequence(kept),
                 lambda: self._armed(kept, told),
-                lambda: self._host_timeout(kept, scene),
+                lambda: silence(kept, told, scene.line, self._configs(kept), self._latched(kept, told), self.board),
+                lambda: self.motor.judge(kept, told, scene, [i.tick for i in told if is_latching(i.event)], whole),
                 lambda: self._faults(kept, told),
                 lambda: self._edges(kept, told, scene, whole),
                 lambda: self._sync(told, kept),
@@ -110,6 +114,8 @@ class Truth:
                 lambda: self._odometer(kept, told, scene),
                 lambda: self._rereads(kept),
             ]
+        else:
+            checks.append(lambda: self.motor.judge(kept, [], scene, [], whole=False))
         broken = []
         for check in checks:
             try:
@@ -235,18 +241,6 @@ class Truth:
             for rise, _ in kept.pulses.get(pin, ()):
                 insist(permitted(rise, output), f"GP{pin} rose, but nobody had it armed", rise)
 
-    def _host_timeout(self, kept: Kept, scene: Scene) -> None:
-        heard = sorted(asked.through for asked in kept.asked if asked.line == scene.line)
-        timeouts = [c.host_timeout or 500 for c in self._configs(kept)] or [500]
-        longest = max(timeouts) * MS + 5 * MS + sum(end - begin for begin, end in kept.stalls)
-        for pin in self.duty:
-            for rise, _ in kept.pulses.get(pin, ()):
-                at = bisect_right(heard, rise)
-                last = heard[at - 1] if at else kept.began
-                insist(
-                    rise - last <= longest, f"GP{pin} rose {(rise - last) / MS:.0f} ms after the host's last word", rise
-                )
-
     def _faults(self, kept: Kept, told: list[Told]) -> None:
         slow = sum(end - begin for begin, end in kept.stalls)
         for item in told:
@@ -261,7 +255,7 @@ class Truth:
                     )
                 case FaultCode.WATCHDOG:
                     insist(slow > MS, "fault watchdog, and nobody held the main loop", item.tick)
-        latched = [*kept.unplugged, *(item.tick for item in told if is_latching(item.event))]
+        latched = self._latched(kept, told)
         for tick in kept.opened:
             if not self._surely_armed(kept, tick, latched):
                 continue
@@ -270,6 +264,9 @@ class Truth:
                 "the interlock opened on an armed controller, which latched nothing",
                 tick,
             )
+
+    def _latched(self, kept: Kept, told: list[Told]) -> list[int]:
+        return [*kept.unplugged, *(item.tick for item in told if is_latching(item.event))]
 
     def _surely_armed(self, kept: Kept, tick: int, latched: list[int]) -> bool:
         before = [a for a in kept.asked if isinstance(a.command, Arm) and a.sent < tick]
