@@ -21,6 +21,28 @@ MUTANTS = {
         "(now - self->last_tick <= ",
     ),
     "a burst too many": ("core/bursts.c", ".repeat = command->repeat,", ".repeat = (uint16_t)(command->repeat + 1U),"),
+    "a host timeout that never comes": (
+        "core/safety.c",
+        "!board_connected(self->session) ||",
+        "!board_connected(self->session) &&",
+    ),
+    "a turntable that no silence ends": (
+        "core/safety.c",
+        "(self->armed == 0U) && !self->turntable.moving",
+        "self->armed == 0U",
+    ),
+    "a turntable past its switch": (
+        "core/turntable.c",
+        "(reached & self->towards) == 0U",
+        "(reached & self->towards & TURNTABLE_END_LOW) == 0U",
+    ),
+    "a turntable past its limits": (
+        "core/turntable.c",
+        "(command->position > self->config.highest)",
+        "(command->position > self->config.highest + 250)",
+    ),
+    "a ramp twice as steep": ("core/turntable.c", "#define SQUARE_A_STEP 32U", "#define SQUARE_A_STEP 64U"),
+    "a power that stays on": ("native/turntable.c", "pinuse_drive(PIN_ENABLE, 1);", ""),
 }
 
 
@@ -40,4 +62,4 @@ def test_a_fault_put_into_the_core_is_found(name: str, tmp_path: Path) -> None:
     assert right in text
     (firmware / file).write_text(text.replace(right, wrong))
     subprocess.run(["make", "--silent", "-C", str(firmware), "native"], check=True)
-    assert attack("native", 2, 20_000, firmware / "build/libannulus_native.so").broken
+    assert attack("native", 2, 5_000, firmware / "build/libannulus_native.so").broken
