@@ -501,7 +501,7 @@ typedef struct {
     uint8_t status;  // ok, or why not
     uint8_t detail;  // which field or lamp, see status
     uint32_t odometer_lost;  // counts, came faster than they were followed, so that the odometer is off by up to as many
-    uint32_t odometer_impossible;  // counts, both lines at once: a wire, a supply, or an encoder faster than the controller looks
+    uint32_t odometer_impossible;  // counts, both lines at once: a wire, a supply, or an encoder faster than the controller looks; the odometer is off by up to two for each
     uint32_t edges_dropped;  // of `rejected`: good ones that came while the main loop stood still
     uint32_t usb_hangs;  // times that the USB block hung and was reset: erratum RP2040-E15
 } reply_health_t;

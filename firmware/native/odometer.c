@@ -38,7 +38,7 @@ uint32_t odometer_now(void)
 
 int32_t odometer_decode(const uint32_t until)
 {
-    return quadrature_decode(&odometer, ring, until, odometer_now());
+    return quadrature_decode(&odometer, ring, until, odometer_now);
 }
 
 const quadrature_t* odometer_state(void)

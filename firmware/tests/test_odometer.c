@@ -1,5 +1,8 @@
 // The odometer between edges, and when the main loop cannot follow it.
 
+#include <string.h>
+
+#include "../quadrature.h"
 #include "check.h"
 #include "rig.h"
 
@@ -90,9 +93,71 @@ static void both_lines_at_once_are_counted_and_said_but_not_in_a_flood(void)
     EXPECT_EQ(rig_status().odometer, 0);
 }
 
+// An encoder, or noise, that writes faster than the main loop reads: up, then down, some transitions at every look.
+static struct {
+    volatile uint8_t ring[QUADRATURE_KEPT];
+    uint32_t written;
+    int32_t place;
+    uint32_t turns_at;
+    uint32_t ends_at;
+    uint32_t at_every_look;
+} fast;
+
+static void write_on(const uint32_t count)
+{
+    static const uint8_t states[4] = {3, 2, 0, 1};  // B A
+    for (uint32_t i = 0; (i < count) && (fast.written < fast.ends_at); i++) {
+        fast.place += (fast.written < fast.turns_at) ? 1 : -1;
+        fast.ring[fast.written++ % QUADRATURE_KEPT] = states[(uint32_t)fast.place % 4U];
+    }
+}
+
+static uint32_t look_at_the_fast(void)
+{
+    const uint32_t written = fast.written;
+    write_on(fast.at_every_look);
+    return written;
+}
+
+static void what_is_overwritten_while_it_is_read_is_counted(void)
+{
+    for (uint32_t at_every_look = 0; at_every_look < 700; at_every_look += 7) {
+        for (uint32_t turns_at = 300; turns_at < 2000; turns_at += 100) {
+            memset(&fast, 0, sizeof fast);
+            fast.turns_at = turns_at;
+            fast.ends_at = 2U * turns_at;
+            fast.at_every_look = at_every_look;
+            quadrature_t counted = {.state = 3};
+            write_on(440);
+            while (counted.decoded != fast.ends_at) {
+                const uint32_t before = fast.written;
+                quadrature_decode(&counted, fast.ring, fast.written, look_at_the_fast);
+                write_on((fast.written == before) ? 1 : 0);
+            }
+            const uint32_t off = (uint32_t)((counted.position > 0) ? counted.position : -counted.position);
+            EXPECT(off <= counted.lost);
+            EXPECT_EQ(counted.impossible, 0);
+        }
+    }
+}
+
+static void an_impossible_transition_is_off_by_two(void)
+{
+    rig_start();
+    phase = 0;
+    turn(1, 1);
+    turn(1, 1);  // within the same tick: two up, seen as one that goes nowhere
+    rig_pass(1 * MS);
+    EXPECT_EQ(health().odometer_impossible, 1);
+    EXPECT_EQ(rig_status().odometer, 0);
+    EXPECT_EQ(told(), 1);
+}
+
 void odometer_tests(void)
 {
     RUN(there_and_back_without_a_camera_reads_zero);
     RUN(what_a_stalled_loop_could_not_follow_is_counted_and_said);
     RUN(both_lines_at_once_are_counted_and_said_but_not_in_a_flood);
+    RUN(what_is_overwritten_while_it_is_read_is_counted);
+    RUN(an_impossible_transition_is_off_by_two);
 }

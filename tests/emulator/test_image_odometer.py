@@ -2,6 +2,7 @@
 
 import random
 
+import pytest
 from emulated import MS, EmulatedBoard, arm
 
 from annulus.controller import PIN_ODOMETER_A, PIN_ODOMETER_B, PIN_SYNC
@@ -117,6 +118,21 @@ def test_what_a_stalled_processor_could_not_follow_is_counted_and_said(board: Em
     board.run(cable.move(board, -200, 2_000))
     assert status(board).odometer == 840 - counted.odometer_lost  # from there on it follows again
     assert [edge.lamp for edge in board.heard(Edge)] == [Lamp.LED]  # and nothing is disarmed by it
+
+
+@pytest.mark.parametrize("late", [8_000, 10_000, 12_000, 16_000])
+def test_what_is_overwritten_while_it_is_read_is_counted(board: EmulatedBoard, late: int) -> None:
+    """440 up wait to be decoded; while they are, 500 down come at 12.5 MHz: 755 off and 53 counted."""
+    board.identify()
+    cable = Cable()
+    begin = board.now
+    board.stall(2 * MS)
+    cable.move(board, 440, 400, begin + 1_000)
+    board.run_alive(cable.move(board, -500, 8, begin + 2 * MS + late) + 5 * MS)
+    counted = health(board)
+    assert abs(status(board).odometer - cable.place) <= counted.odometer_lost
+    assert counted.odometer_impossible == 0
+    assert odometer_faults(board)[0] > 0
 
 
 def test_lines_that_change_together_are_counted_and_said_but_not_in_a_flood(board: EmulatedBoard) -> None:

@@ -844,7 +844,7 @@ class HealthReply(Reply):
     )
 
     odometer_lost: int  # counts; came faster than they were followed, so that the odometer is off by up to as many
-    odometer_impossible: int  # counts; both lines at once: a wire, a supply, or an encoder faster than the controller looks
+    odometer_impossible: int  # counts; both lines at once: a wire, a supply, or an encoder faster than the controller looks; the odometer is off by up to two for each
     edges_dropped: int  # of `rejected`: good ones that came while the main loop stood still
     usb_hangs: int  # times that the USB block hung and was reset: erratum RP2040-E15
 
