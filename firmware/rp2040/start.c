@@ -20,8 +20,8 @@ void reset_handler(void);
 #define TEXT(value) TEXT_OF(value)
 __attribute__((section(".version"), used)) static const char version[] =
     "annulus rp2040 " ANNULUS_VERSION " " ANNULUS_GIT " protocol " TEXT(PROTOCOL_VERSION) " schema " TEXT(SCHEMA_HASH);
-// Apart from the above, which older hosts read as it stands.
-__attribute__((section(".version"), used)) static const char level[] = "annulus level " TEXT(LEVEL);
+// Apart from the above, which older hosts read as it stands, and behind it: the loader knows the place of the other.
+__attribute__((section(".level"), used)) static const char level[] = "annulus level " TEXT(LEVEL);
 
 #define STACK_PAINT 0xA5A5A5A5U
 

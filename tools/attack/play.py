@@ -26,6 +26,8 @@ from annulus.link.messages import (
     Command,
     Commit,
     Event,
+    Health,
+    HealthReply,
     Identify,
     Info,
     InfoReply,
@@ -87,6 +89,8 @@ class Kept:
     boots: int = 0  # the controller began anew
     first: StatusReply | None = None
     last: StatusReply | None = None
+    missed_before: int = 0  # transitions of the odometer, since boot
+    missed: int = 0
 
 
 class Player:
@@ -246,7 +250,7 @@ class Player:
         self.run(board.now + 5 * MS)
         self.kept = Kept(began=board.now)
         self._must(Arm(outputs=ArmFlag(0)))
-        self._identify()
+        self._identify(scene.level)
         self._must(Clear())
         reply = self.request(scene.config)
         if reply and reply.status == StatusCode.DUTY:  # too bright for the earliest edge it lets through
@@ -260,6 +264,7 @@ class Player:
             self._must(scene.turntable)
         self.kept.told.clear()
         self.kept.first = self._status()
+        self.kept.missed_before = self._missed()
         if scene.outputs:
             self._must(Arm(outputs=scene.outputs))
 
@@ -271,9 +276,9 @@ class Player:
             raise BrokenPromiseError(f"a legal order refused: {reply} to {command}")
         return reply
 
-    def _identify(self) -> None:
+    def _identify(self, level: int) -> None:
         self._must(Identify(protocol=1, schema=SCHEMA_HASH))
-        if self.level == LEVEL:
+        if self.level == LEVEL and level > 1:
             reply = self.request(Info(level=LEVEL))
             self.level = reply.level if isinstance(reply, InfoReply) else 1
 
@@ -282,13 +287,18 @@ class Player:
         assert isinstance(reply, StatusReply)
         return reply
 
+    def _missed(self) -> int:
+        """Transitions the controller counted as lost or impossible; none, if it cannot tell."""
+        reply = self.request(Health())
+        return reply.odometer_lost + reply.odometer_impossible if isinstance(reply, HealthReply) else 0
+
     def _finish(self, scene: Scene) -> None:
         """Dark, quiet, and every event that can be had."""
         if scene.line == USB and not self.board.connected():
             self.line = UART
             self.run(self.board.now + 5 * MS)
             self.request(Arm(outputs=ArmFlag(0)))
-            self._identify()
+            self._identify(scene.level)
         if self.request(BurstStop()) is None and not self.kept.stalls:
             raise BrokenPromiseError("no answer to BurstStop")
         end = self.board.now + 150 * MS
@@ -301,6 +311,9 @@ class Player:
                 raise BrokenPromiseError("the turntable still moves, though everything was disarmed")
             self.run(self.board.now + 5 * MS)
         self.run(self.board.now + 6 * MS)
+        self.kept.missed = self._missed()
+        if self.kept.missed != self.kept.missed_before:
+            self.run(self.board.now + 101 * MS)  # it is said at most once in 100 ms
         self.kept.last = self._status()
         first = self.kept.first.events if self.kept.first and not self.kept.boots else 0
         for _ in range(6):

@@ -56,6 +56,7 @@ class Scene:
     chips: str = ""  # of the uploaded pattern
     steps: list[tuple[int, int]] = field(default_factory=list)  # odometer: tick, +1 or -1
     turntable: Turntable | None = None  # what it is told to begin with
+    level: int = 1  # of the host
 
 
 def legal_config(rng: random.Random, generation: int, period: int) -> Stage:
@@ -179,6 +180,8 @@ def draw(seed: int, number: int, board: str) -> Scene:
     add_themes(rng, scene)
     scene.actions.sort(key=lambda action: action[0])
     scene.inputs.sort(key=lambda edge: edge[0])
+    turns = any(isinstance(action[-1], Move | Turntable) for action in scene.actions)
+    scene.level = 2 if turns or scene.turntable else rng.choice((1, 2))  # only then is a stop told
     return scene
 
 

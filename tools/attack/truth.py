@@ -39,6 +39,7 @@ from annulus.link.messages import (
 from annulus.vocabulary import EdgeFlag, Lamp
 from tools.attack.boards import MS, Board, BrokenPromiseError, insist
 from tools.attack.motor import Motor
+from tools.attack.odometer import odometer
 from tools.attack.play import Asked, Kept, Player, Told
 from tools.attack.scenes import Scene
 from tools.attack.silence import silence
@@ -111,7 +112,7 @@ class Truth:
                 lambda: self._sync(told, kept),
                 lambda: trains(kept, told, self.board.now) if whole else None,
                 lambda: self._counters(kept, told, whole),
-                lambda: self._odometer(kept, told, scene),
+                lambda: odometer(kept, told, scene, whole),
                 lambda: self._rereads(kept),
             ]
         else:
@@ -430,28 +431,6 @@ class Truth:
             insist(
                 last.bad_frames == first.bad_frames, f"{last.bad_frames - first.bad_frames} bad frames, none was sent"
             )
-
-    def _odometer(self, kept: Kept, told: list[Told], scene: Scene) -> None:
-        assert kept.first
-        assert kept.last
-        if any(isinstance(item.event, Fault) and item.event.fault == 7 for item in told):
-            return  # it says itself that it lost count
-        if kept.stalls and len(scene.steps) > 500:
-            return  # .. and may say so only after the scene: at most once in 100 ms
-        base = kept.first.odometer
-        ticks = [kept.began + tick for tick, _ in scene.steps]
-        counts = [0]
-        for _, way in scene.steps:
-            counts.append(counts[-1] + way)
-        for item in told:
-            if isinstance(item.event, Edge):
-                low, high = bisect_left(ticks, item.tick - 40), bisect_right(ticks, item.tick + 40)
-                true = [base + count for count in counts[low : high + 1]]
-                insist(item.event.odometer in true, f"{item.event}: the odometer stands at {true}", item.tick)
-        insist(
-            kept.last.odometer == base + counts[-1],
-            f"odometer says {kept.last.odometer - base}, it moved by {counts[-1]} in {len(ticks)} steps",
-        )
 
     def _rereads(self, kept: Kept) -> None:
         """As many as promised came, each after it was promised."""

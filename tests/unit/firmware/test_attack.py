@@ -20,6 +20,8 @@ MUTANTS = {
         "(ticks_since(now, self->last_tick) <= (int32_t)",
         "(now - self->last_tick <= ",
     ),
+    "a count lost without a word": ("quadrature.h", "self->lost += behind - QUADRATURE_HELD;", ""),
+    "a count lost and not said": ("core/controller.c", "events_fault(&self->events, now, FAULT_ODOMETER, missed);", ""),
     "a burst too many": ("core/bursts.c", ".repeat = command->repeat,", ".repeat = (uint16_t)(command->repeat + 1U),"),
     "a host timeout that never comes": (
         "core/safety.c",
@@ -62,4 +64,4 @@ def test_a_fault_put_into_the_core_is_found(name: str, tmp_path: Path) -> None:
     assert right in text
     (firmware / file).write_text(text.replace(right, wrong))
     subprocess.run(["make", "--silent", "-C", str(firmware), "native"], check=True)
-    assert attack("native", 2, 5_000, firmware / "build/libannulus_native.so").broken
+    assert attack("native", 3, 20_000, firmware / "build/libannulus_native.so").broken

@@ -47,7 +47,16 @@ def test_a_short_fuzz_of_the_link_with_a_fixed_seed_finds_nothing(tmp_path: Path
 
 
 def test_the_core_includes_nothing_of_a_board_but_board_h() -> None:
-    allowed = {"stdbool.h", "stddef.h", "stdint.h", "string.h", "../application.h", "../board.h", "../duty.h", "../ticks.h"}
+    allowed = {
+        "stdbool.h",
+        "stddef.h",
+        "stdint.h",
+        "string.h",
+        "../application.h",
+        "../board.h",
+        "../duty.h",
+        "../ticks.h",
+    }
     own = {path.name for path in (FIRMWARE / "core").glob("*.h")}
     for path in (FIRMWARE / "core").glob("*.[ch]"):
         for line in path.read_text().splitlines():
