@@ -110,7 +110,7 @@ class Truth:
                 lambda: self._faults(kept, told),
                 lambda: self._edges(kept, told, scene, whole),
                 lambda: self._sync(told, kept),
-                lambda: trains(kept, told, self.board.now) if whole else None,
+                lambda: trains(kept, told, self.board.now) if whole and self._knows_trains(kept) else None,
                 lambda: self._counters(kept, told, whole),
                 lambda: odometer(kept, told, scene, whole),
                 lambda: self._rereads(kept),
@@ -176,6 +176,8 @@ class Truth:
 
     def _answers(self, kept: Kept) -> None:
         for asked in kept.asked:
+            if asked.command.SINCE > self.player.level:
+                continue  # an older controller need not know it
             excused = kept.boots or kept.unplugged or asked.line in kept.noise
             held = any(self._may_be_cut(kept, asked, end) for _, end in kept.stalls)
             insist(
@@ -206,6 +208,10 @@ class Truth:
     def _is_whole(self, kept: Kept) -> bool:
         made, here = self._count(kept)
         return here >= made
+
+    def _knows_trains(self, kept: Kept) -> bool:
+        """A pulled plug takes answers with it, and with them when a train began."""
+        return not kept.unplugged or all(a.reply for a in kept.asked if isinstance(a.command, Burst))
 
     def _sequence(self, kept: Kept) -> None:
         """Those that are not here must be counted, or a line was pulled."""
