@@ -204,8 +204,9 @@ class Motor:
 
     def _power(self, run: Run, latched: list[int]) -> None:
         """ENABLE once it stands, and from a fault on."""
-        cut = [tick for tick in latched if run.asked.sent < tick <= run.until]
-        wanted = 1 if cut or not run.move.hold else 0
+        first = run.steps[0][0] if run.steps else run.done.tick  # what latched while it waited to be read is over
+        cut = [tick for tick in latched if first < tick <= run.until]
+        wanted = 1 if cut or run.cause == StopCause.FAULT or not run.move.hold else 0
         insist(wanted in self._levels(run.done.tick, run.until), f"{run.move}: ENABLE is not {wanted}", run.done.tick)
         for tick in cut:
             if run.steps and tick > run.steps[0][0]:

@@ -176,7 +176,7 @@ class Truth:
 
     def _answers(self, kept: Kept) -> None:
         for asked in kept.asked:
-            if asked.command.SINCE > self.player.level:
+            if self.player.level < asked.command.SINCE:
                 continue  # an older controller need not know it
             excused = kept.boots or kept.unplugged or asked.line in kept.noise
             held = any(self._may_be_cut(kept, asked, end) for _, end in kept.stalls)
