@@ -165,11 +165,15 @@ class Motor:
                 if isinstance(other.command, Turntable) and other.reply and other.reply.status == StatusCode.OK:
                     config = other.command
             until = self._until(done, kept)
-            end = bisect_right(steps, (until, -2))
+            assert isinstance(asked.command, Move) and isinstance(done.event, TurntableDone)
+            end = bisect_right(steps, (until, -2))  # a round later the next move may have begun
+            for fewer in range(bisect_right(steps, (done.tick, -2)), end):
+                if position + sum(way for _, way in steps[at:fewer]) == done.event.position:
+                    end = fewer
+                    break
             mine, at = steps[at:end], end
             runs.append(Run(asked, config, position, done, until, stops.get(done.index, 0), mine))
             position += sum(way for _, way in mine)
-            assert isinstance(done.event, TurntableDone)
             insist(done.event.position == position, f"{done.event}: its steps lead to {position}", done.tick)
         insist(at == len(steps), "steps of no move", steps[at][0] if at < len(steps) else 0)
         return runs
@@ -177,7 +181,9 @@ class Motor:
     def _until(self, done: Told, kept: Kept) -> int:
         """The report is stamped when its round began, in which the main loop may have been held."""
         until = done.tick + self.player.board.round_max
-        return max([until, *(end + US for begin, end in kept.stalls if done.tick <= begin <= until)])
+        return max(
+            [until, *(end + self.player.board.round_max for begin, end in kept.stalls if done.tick <= begin <= until)]
+        )
 
     # ---- one move ----
 
@@ -204,8 +210,8 @@ class Motor:
 
     def _power(self, run: Run, latched: list[int]) -> None:
         """ENABLE once it stands, and from a fault on."""
-        first = run.steps[0][0] if run.steps else run.done.tick  # what latched while it waited to be read is over
-        cut = [tick for tick in latched if first < tick <= run.until]
+        first = run.steps[0][0] if run.steps else run.done.tick  # before that it may have waited to be read
+        cut = [tick for tick in latched if first < tick <= run.done.tick]
         wanted = 1 if cut or run.cause == StopCause.FAULT or not run.move.hold else 0
         insist(wanted in self._levels(run.done.tick, run.until), f"{run.move}: ENABLE is not {wanted}", run.done.tick)
         for tick in cut:
