@@ -124,7 +124,7 @@ static void start_guard(void)
     execute(GUARD_MACHINE, MOV_X_OSR);
     train.credits = 0;
     lay_out_credit();
-    train.guarded = time_of_write(PIO_INSTRUCTION(PIO1, GUARD_MACHINE), JMP(GUARD_WATCH));
+    train.guarded = time_of_write(PIO_INSTRUCTION(PIO1, GUARD_MACHINE), JMP(GUARD_WATCH)) + START_OFFSET;
 }
 
 // When GUARD cut, by its own count, and why.

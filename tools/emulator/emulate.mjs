@@ -74,7 +74,7 @@ function answer(machine, op) {
       break;
     default: throw new Fault(`no such op: ${op.op}`);
   }
-  return { now: machine.now, pins: machine.pins(), sent: machine.read_serial(), resets: machine.resets, stack: stackUsed(machine.ramView), bootloader: machine.bootloader ?? null, usb: op.op === 'usb' || machine.host.state !== 'detached' ? machine.host.report() : null, origin: machine.tickOrigin ?? 0, round: machine.loop.take(), overruns: machine.uart.overruns, flash: { erased: machine.flashChip.erased, programmed: machine.flashChip.programmed } };
+  return { now: machine.now, pins: machine.pins(), sent: machine.read_serial(), resets: machine.resets, stack: stackUsed(machine.ramView), bootloader: machine.bootloader ?? null, usb: op.op === 'usb' || machine.host.state !== 'detached' || machine.host.received?.length ? machine.host.report() : null, origin: machine.tickOrigin ?? 0, round: machine.loop.take(), overruns: machine.uart.overruns, flash: { erased: machine.flashChip.erased, programmed: machine.flashChip.programmed } };
 }
 
 function drive(machine, vcd) {

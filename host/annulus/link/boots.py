@@ -16,11 +16,12 @@ class BootWatch:
     """Each method returns why this is another boot, in a few words; empty when it may be the same."""
 
     def __init__(self) -> None:
-        self._edges = 0  # at least so many have been accepted
+        self._edges = 0  # so many have been told
+        self._counted = 0  # and so many counted by a status, which overtakes what it counts
 
     def restart(self) -> None:
         """Another boot: everything begins at zero."""
-        self._edges = 0
+        self._edges = self._counted = 0
 
     def edge(self, number: int, recovered: bool) -> str:
         """Edges come in order, but for those read again."""
@@ -31,9 +32,10 @@ class BootWatch:
         return f"edge {number} came a second time" if went_back else ""
 
     def status(self, edges: int) -> str:
-        """A status counts the edges whose events went before it."""
-        went_back = (edges - self._edges) % (2 * _FUTURE) >= _FUTURE
-        self._edges = edges
+        """A status counts the edges told before it, and perhaps more: replies go before events."""
+        seen = (self._edges, self._counted)
+        went_back = any((edges - before) % (2 * _FUTURE) >= _FUTURE for before in seen)
+        self._counted = edges
         return f"its count of edges went back to {edges}" if went_back else ""
 
     def ping(self, clock: ClockMap, tick: int, sent_ns: int, received_ns: int) -> str:
