@@ -208,8 +208,9 @@ static void try_to_end(void)
 // Keep step with the train; after the last burst only its gap is being played, so stopping late is harmless.
 static void follow_train(void)
 {
+    const uint32_t looked = board_tick();  // before the guard is looked at: up to here it had not cut
     const bool cut = train.enabled && is_guard_cutting();
-    const uint32_t now = cut ? cut_tick(&train.starved) : board_tick();  // what went on after the cut was dark
+    const uint32_t now = cut ? cut_tick(&train.starved) : looked;  // what went on after the cut was dark
     if (train.running) {
         charge_until(now);
         begin_until(now);
