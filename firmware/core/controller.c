@@ -37,10 +37,11 @@ static void report_burst(controller_t* const self)
 }
 
 // An odometer that is off says so, once for all that was missed since it last did.
-static void report_odometer(controller_t* const self, const uint32_t now)
+static void report_odometer(controller_t* const self)
 {
     board_health_t health;
     board_health(&health);
+    const uint32_t now = board_tick();  // none of it was missed later, however long this round has lasted
     const uint32_t missed = health.odometer_lost + health.odometer_impossible;
     self->odometer_hushed = self->odometer_hushed && !tick_is_past(now, self->odometer_hushed_until);
     if ((missed != self->odometer_missed) && !self->odometer_hushed) {
@@ -155,7 +156,7 @@ void controller_run(controller_t* const self)
     report_burst(self);
     turntable_run(&self->turntable, &self->events, now);
     board_measure_run();
-    report_odometer(self, now);
+    report_odometer(self);
     update_run(&self->update, now);
     events_run(&self->events, now);
     board_status_light(self->armed != 0U);

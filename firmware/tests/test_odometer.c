@@ -77,6 +77,28 @@ static void what_a_stalled_loop_could_not_follow_is_counted_and_said(void)
     EXPECT_EQ(rig_status().odometer, (int32_t)(900 - counted.odometer_lost));
 }
 
+// Held anywhere in a round, also between the tick it began with and the look at what was missed.
+static void no_loss_is_said_to_be_older_than_what_was_lost(void)
+{
+    for (uint64_t into = 0; into < NATIVE_ROUND_TICKS; into += 37) {
+        rig_scan(0);
+        phase = 0;
+        rig_pass(into);
+        native_stall_cpu(50 * MS);
+        const uint32_t lost_from = (uint32_t)(native_tick() - native_boot_tick());
+        turn(1000, 40 * US);
+        rig_pass(60 * MS);
+        const got_t* const event = rig_take(EVENT_FAULT);
+        EXPECT(event != NULL);
+        if (event != NULL) {
+            event_fault_t fault = {0};
+            event_fault_unpack(&fault, event->payload);
+            EXPECT_EQ(fault.fault, FAULT_ODOMETER);
+            EXPECT((int32_t)(fault.tick - lost_from) > 0);
+        }
+    }
+}
+
 static void both_lines_at_once_are_counted_and_said_but_not_in_a_flood(void)
 {
     rig_start();
@@ -157,6 +179,7 @@ void odometer_tests(void)
 {
     RUN(there_and_back_without_a_camera_reads_zero);
     RUN(what_a_stalled_loop_could_not_follow_is_counted_and_said);
+    RUN(no_loss_is_said_to_be_older_than_what_was_lost);
     RUN(both_lines_at_once_are_counted_and_said_but_not_in_a_flood);
     RUN(what_is_overwritten_while_it_is_read_is_counted);
     RUN(an_impossible_transition_is_off_by_two);

@@ -401,7 +401,7 @@ class Truth:
                     fall,
                 )
                 last = fall
-            elif last == taken[0] and self.board.name != "native":
+            elif taken and last == taken[0] and self.board.name != "native":
                 continue  # changed twice before any edge came, the one hold-off before holds for one edge more
             elif last is not None and not stalled:
                 insist(fall - last <= most + 20, f"an edge {fall - last} ticks after the last was refused", fall)
