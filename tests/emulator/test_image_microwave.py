@@ -230,3 +230,18 @@ def test_the_last_pulse_of_a_train_that_fills_its_period_ends_by_itself(board: E
     board.run_alive(board.now + 5 * MS)
     assert max(board.widths(PIN_MICROWAVE)) == 150
     assert board.widths(PIN_TRIGGER) == [100] * 4
+
+
+@pytest.mark.parametrize("call", range(24))
+def test_a_main_loop_held_anywhere_counts_no_burst_the_guard_kept_dark(board: EmulatedBoard, call: int) -> None:
+    """Held between the look at the guard and the look at the clock it told 7 bursts where 3 were sent."""
+    arm(board, ArmFlag.MICROWAVE)
+    burst = Burst(code=BurstCode.SINGLE, chip=100, repeat=60_000, period=20_000, trigger_offset=0)
+    assert board.request(burst).status == StatusCode.OK
+    board.run(board.now + MS)
+    for _ in range(call + 1):
+        board.run_to("board_tick")
+    board.stall(10 * MS)
+    board.run(board.now + 15 * MS)
+    [done] = board.heard(BurstDone)
+    assert done.done == len(board.widths(PIN_MICROWAVE))
