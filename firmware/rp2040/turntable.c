@@ -115,8 +115,8 @@ static uint32_t steps_made(const uint32_t waiting)
 
 void board_turntable_cut(void)
 {
-    REGISTER(SIO_GPIO_OUT_SET) = 1U << PIN_ENABLE;
     CLEAR_BITS(PIO_CTRL(PIO0)) = PIO_MACHINE(STEP_MACHINE);
+    REGISTER(SIO_GPIO_OUT_SET) = 1U << PIN_ENABLE;  // not before: no step is counted that the driver ignored
     if (motor.moving) {
         const uint32_t words = pause_words();
         dma_stop(DMA_STEPS);

@@ -287,3 +287,29 @@ def test_positions_beyond_the_limits_are_refused_from_wherever_it_stands(board: 
     forget(board)
     until_it_stands(board)
     assert board.transitions == [] or PIN_DIRECTION not in {pin for _, pin, _ in board.transitions}
+
+
+@pytest.mark.parametrize("part", range(4))
+def test_no_step_rises_without_power_however_close_to_the_cut(board: EmulatedBoard, part: int) -> None:
+    """ENABLE went first, and the machine 5 ticks later: a step between was counted that no driver made."""
+    ready(board, acceleration=0, start=0)
+    stands = 0
+    for before in range(20 * part, 20 * part + 20):
+        board.input((board.now, PIN_INTERLOCK, 0))
+        board.run(board.now + MS)
+        board.request(Clear())
+        forget(board)
+        assert start(board, stands + 500, hold=1).status == StatusCode.OK
+        board.run(board.now + MS)
+        board.input((board.now, PIN_INTERLOCK, 1))
+        board.run_to("board_turntable_cut")
+        due = board.rises(PIN_STEP)[-1] + intervals(board)[0]
+        board.stall(due - before - board.now)  # the step rises so many ticks into the cut
+        board.run(board.now + 2 * MS)
+        enabled = False
+        for _, pin, level in board.transitions:
+            enabled = (level == 0) if pin == PIN_ENABLE else enabled
+            assert enabled or pin != PIN_STEP or not level, before
+        [done] = board.heard(TurntableDone)
+        assert done.position - stands == len(board.rises(PIN_STEP))
+        stands = done.position

@@ -72,6 +72,11 @@ class Duty:
         self.at = tick
 
 
+def holdoff(config: Stage) -> int:
+    """In ticks."""
+    return config.frame_period - config.frame_period * config.tolerance // 1000
+
+
 class Truth:
     """Judges one player's scenes one after another; limits over time go on across them."""
 
@@ -88,6 +93,7 @@ class Truth:
         self.motor = Motor(player)
         self.longest = 0  # ticks a round took
         self.before: Stage | None = None  # in force when the scene began
+        self.earlier: list[Stage] = []  # in force since the last scene in which an edge counted began
 
     def judge(self, scene: Scene) -> list[str]:
         """What was broken, each check's first."""
@@ -333,6 +339,7 @@ class Truth:
                 )
         if whole:
             self._accepted(kept, taken, scene)
+        self.earlier = [*([] if taken else self.earlier), *self._configs(kept)]
         self.before = by_generation.get(kept.last.generation) if kept.last else None
 
     def _slot(self, edge: Edge, previous: Edge | None, free: bool, known: dict[int, Stage], ambiguous: set[int],
@@ -387,22 +394,23 @@ class Truth:
 
     def _accepted(self, kept: Kept, taken: list[int], scene: Scene) -> None:
         """Every edge outside the hold-off counts, none within it."""
-        configs = self._configs(kept)
-        holdoffs = [c.frame_period - c.frame_period * c.tolerance // 1000 for c in configs]
+        holdoffs = [holdoff(config) for config in self._configs(kept)]
         least, most = min(holdoffs), max(holdoffs)
+        # Changed twice before any edge came, the one before holds for one edge more.
+        first = min([least, *map(holdoff, self.earlier)]) if self.board.name != "native" else least
         accepted = set(taken)
         last: int | None = None
         stalled = bool(kept.stalls)
         for fall in kept.falls:
             if fall in accepted:
                 insist(
-                    last is None or fall - last >= least - 20,
+                    last is None or fall - last >= (first if last == taken[0] else least) - 20,
                     f"an edge {fall - (last or 0)} ticks after the last counted",
                     fall,
                 )
                 last = fall
             elif taken and last == taken[0] and self.board.name != "native":
-                continue  # changed twice before any edge came, the one hold-off before holds for one edge more
+                continue
             elif last is not None and not stalled:
                 insist(fall - last <= most + 20, f"an edge {fall - last} ticks after the last was refused", fall)
 
