@@ -88,7 +88,8 @@ class Motor:
         self.enable = [(0, 1)]  # transitions since the scene began, and the level before
         self.config = FREE
 
-    def judge(self, kept: Kept, told: list[Told], scene: Scene, latched: list[int], whole: bool) -> None:
+    def judge(self, kept: Kept, told: list[Told], scene: Scene, latched: list[int], whole: bool, longest: int) -> None:
+        """`longest`: ticks of the scene's longest round, in which nothing is looked at."""
         steps = self._steps()
         assert kept.last
         if kept.boots:
@@ -101,14 +102,15 @@ class Motor:
         )
         self._refused(kept, scene)
         runs = self._runs(kept, told, steps, before) if whole else []
-        slow = sum(end - begin for begin, end in kept.stalls)
+        slow = longest + sum(end - begin for begin, end in kept.stalls)
         for run in runs:
             self._arrival(run)
-            self._pace(run, slow)
+            self._pace(run, bool(kept.stalls))
             self._power(run, latched)
             self._ended(run, kept, latched, slow)
             self._cause(run, kept, scene)
-            self._switches(run, scene, kept.began, slow)
+            if not kept.stalls:
+                self._switches(run, scene, kept.began, longest)
 
     # ---- from the pins ----
 
@@ -194,7 +196,7 @@ class Motor:
         arrived = len(run.steps) == far
         insist(arrived or run.cause != 0, f"{run.move}: ended after {len(run.steps)} steps of {far}", run.done.tick)
 
-    def _pace(self, run: Run, slow: int) -> None:
+    def _pace(self, run: Run, slow: bool) -> None:
         ticks = [tick for tick, _ in run.steps]
         along_the_ramp = not slow and run.cause != StopCause.FAULT and not run.config.switches & TurntableFlag.END_HARD
         for made, (first, second) in enumerate(itertools.pairwise(ticks), 1):
@@ -255,13 +257,13 @@ class Motor:
                 watched = run.way == way and run.config.switches & flag
                 insist(bool(touched and watched), f"{run.move}: ended by a switch not touched", run.done.tick)
 
-    def _switches(self, run: Run, scene: Scene, began: int, slow: int) -> None:
+    def _switches(self, run: Run, scene: Scene, began: int, longest: int) -> None:
         ticks = [tick for tick, _ in run.steps]
         for flag, pin, way in END_PINS:
-            if not run.config.switches & flag or run.way != way or not ticks or slow:
+            if not run.config.switches & flag or run.way != way or not ticks:
                 continue
             hard = run.config.switches & TurntableFlag.END_HARD
-            most = AT_ONCE if hard else run.braking() + UNDER_WAY
+            most = (AT_ONCE if hard else run.braking() + UNDER_WAY) + longest // run.move.period
             for tick, which, level in scene.inputs:
                 tick += began
                 if (which, level) == (pin, 1) and ticks[0] <= tick < ticks[-1]:

@@ -92,6 +92,7 @@ class Truth:
         self.flash_on = 0  # and of the longest flash
         self.motor = Motor(player)
         self.longest = 0  # ticks a round took
+        self.round = 0  # and of the scene's rounds the longest
         self.before: Stage | None = None  # in force when the scene began
         self.earlier: list[Stage] = []  # in force since the last scene in which an edge counted began
 
@@ -112,7 +113,9 @@ class Truth:
                 lambda: self._sequence(kept),
                 lambda: self._armed(kept, told),
                 lambda: silence(kept, told, scene.line, self._configs(kept), self._latched(kept, told), self.board),
-                lambda: self.motor.judge(kept, told, scene, [i.tick for i in told if is_latching(i.event)], whole),
+                lambda: self.motor.judge(
+                    kept, told, scene, [i.tick for i in told if is_latching(i.event)], whole, self.round
+                ),
                 lambda: self._faults(kept, told),
                 lambda: self._edges(kept, told, scene, whole),
                 lambda: self._sync(told, kept),
@@ -122,7 +125,7 @@ class Truth:
                 lambda: self._rereads(kept),
             ]
         else:
-            checks.append(lambda: self.motor.judge(kept, [], scene, [], whole=False))
+            checks.append(lambda: self.motor.judge(kept, [], scene, [], whole=False, longest=0))
         broken = []
         for check in checks:
             try:
@@ -132,10 +135,10 @@ class Truth:
         return broken
 
     def _round(self) -> None:
-        longest, self.board.longest = self.board.longest, 0
-        self.longest = max(self.longest, longest)
+        self.round, self.board.longest = self.board.longest, 0
+        self.longest = max(self.longest, self.round)
         most = self.board.round_max
-        insist(longest <= most, f"a round of the main loop took {longest / US:.0f} us, budget {most / US:.0f}")
+        insist(self.round <= most, f"a round of the main loop took {self.round / US:.0f} us, budget {most / US:.0f}")
 
     # ---- at the pins alone ----
 
