@@ -135,7 +135,9 @@ static uint32_t cut_tick(bool* const starved)
     const uint32_t left = REGISTER(PIO_RX(PIO1, GUARD_MACHINE));
     const uint32_t taken = train.credits - credits_waiting();
     *starved = left == CREDIT_GONE;
-    return train.guarded + taken * CREDIT_TICKS + (*starved ? CREDIT_TICKS : 2U * (CREDIT - left));
+    const uint32_t tick = train.guarded + taken * CREDIT_TICKS + (*starved ? CREDIT_TICKS : 2U * (CREDIT - left));
+    const uint32_t now = board_tick();  // cut while it changed from one credit to the next, its count is of neither
+    return tick_is_past(tick, now) ? now : tick;
 }
 
 void dma_stop(const uint32_t channel)
@@ -231,12 +233,17 @@ static void follow_train(void)
 
 void board_microwave(const bool enabled)
 {
+    const bool on = enabled && !board_interlock_open();
+    const bool was_cut = is_guard_cutting();
+    if (!on) {
+        execute(GUARD_MACHINE, JMP(GUARD_CUT));  // before the train is followed: GUARD keeps when that was
+    }
     follow_train();
-    train.enabled = enabled && !board_interlock_open();
-    if (train.enabled) {
+    train.starved = train.starved && was_cut;
+    train.enabled = on;
+    if (on) {
         start_guard();
     } else {
-        execute(GUARD_MACHINE, JMP(GUARD_CUT));
         stop_players();
     }
 }

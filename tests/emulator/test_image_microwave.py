@@ -245,3 +245,27 @@ def test_a_main_loop_held_anywhere_counts_no_burst_the_guard_kept_dark(board: Em
     board.run(board.now + 15 * MS)
     [done] = board.heard(BurstDone)
     assert done.done == len(board.widths(PIN_MICROWAVE))
+
+
+@pytest.mark.parametrize("part", range(4))
+def test_a_train_disarmed_at_any_tick_counts_every_burst_that_was_whole(board: EmulatedBoard, part: int) -> None:
+    """The count was made first and the guard cut 100 ticks later: 31 told, 32 sent, and the trigger of the 34th."""
+    arm(board)
+    burst = Burst(code=BurstCode.SINGLE, chip=1838, repeat=40, period=36_760, trigger_offset=-34_922)
+    for before in range(60 * part, 60 * part + 60, 3):
+        assert board.request(Arm(outputs=ArmFlag.MICROWAVE)).status == StatusCode.OK
+        board.transitions.clear()
+        board.events.clear()
+        assert board.request(burst).status == StatusCode.OK
+        board.run(board.now + 2 * MS)
+        board.send(Arm(outputs=ArmFlag(0)))
+        board.run_to("board_microwave")
+        ends = board.rises(PIN_MICROWAVE)[0] + 1838
+        while ends - before <= board.now:
+            ends += burst.period
+        board.stall(ends - before - board.now)  # a burst ends so many ticks into the order
+        board.run(board.now + 2 * MS)
+        [done] = board.heard(BurstDone)
+        assert done.fault == FaultCode.NONE
+        assert done.done == sum(width == 1838 for width in board.widths(PIN_MICROWAVE)), before
+        assert len(board.rises(PIN_TRIGGER)) <= done.done + 1
