@@ -3,20 +3,30 @@
 The projector throws pure red, green and blue stripes, so hue differs from place to place; the LED is white, so hue is
 that of the wall everywhere, even on a yellow one. The variance of chromaticity over the picture, weighted with
 brightness, is 0.3 to 0.4 for the one, below 0.01 for the other, whatever the gain, pose or exposure.
+
+A frame is one exposure from top to bottom. So every band of it must show the same lamp (a torn picture's do not), and
+no two frames are the same down to the noise (a picture that the driver handed over twice is).
 """
 
 from dataclasses import dataclass
 from enum import StrEnum
+from hashlib import blake2b
 
 import numpy as np
-from numpy.typing import NDArray
+
+from annulus.numeric.arrays import Float32Array, FloatArray, Image
 
 THUMBNAIL_SIDE = 96  # samples along the shorter side; stripes must not melt into one another
 NOISE_GREY = 5.0  # a channel below this says nothing of hue
+PEAK_SHARE = 0.99
 DARK_GREY = 20.0  # brightest percentile of an unlit frame stays below
 LED_SPREAD_MAX = 0.015
 PROJECTOR_SPREAD_MIN = 0.18
 LIT_EVERYWHERE = 0.5  # of the samples: stripes alone never light that many
+LIT_OF_PEAK = 0.2  # a sample brighter than this share of the peak is lit
+BANDS = 8
+ROW_SPREAD_MAX = 2 * LED_SPREAD_MAX  # a row alone is noisier than a picture
+ROW_LIT_MIN = 0.02  # of a row's samples: with fewer lit ones it is dark
 
 
 class Light(StrEnum):
@@ -36,9 +46,12 @@ class Photometry:
     peak: float  # 99th percentile of the brightest channel, grey levels
     lit: float  # fraction of the samples brighter than a fifth of the peak
     spread: float  # brightness-weighted variance of chromaticity, 0..2/3
+    bands: tuple[Light, ...] = ()  # of BANDS horizontal strips, from the top; empty: not looked at
+    fingerprint: int | None = None  # 64 bits of the sampled pixels; the same for a picture handed over twice
 
     @property
     def light(self) -> Light:
+        """Of the picture as a whole."""
         if self.peak < DARK_GREY:
             return Light.DARK
         if self.spread <= LED_SPREAD_MAX:
@@ -47,37 +60,86 @@ class Photometry:
             return Light.PROJECTOR
         return Light.BOTH if self.lit >= LIT_EVERYWHERE else Light.UNCLEAR
 
+    @property
+    def torn(self) -> bool:
+        """Whether some band shows what the picture does not: two exposures in one. Stripes leave rows dark, the LED
+        does not.
+        """
+        light = self.light
+        if light is Light.PROJECTOR:
+            return Light.LED in self.bands or Light.BOTH in self.bands
+        return light is Light.LED and any(band is not Light.LED for band in self.bands)
 
-def measure(image: NDArray[np.uint8]) -> Photometry:
+
+def measure(image: Image) -> Photometry:
     """Statistics of a frame, (H, W, 3) BGR or (H, W) raw RGGB mosaic.
 
     Samples single pixels (or 2x2 cells), never averages: an average over a stripe's edge is white.
     """
-    channels = _samples(image)
-    brightest = np.maximum(np.maximum(channels[0], channels[1]), channels[2])
-    peak = float(np.percentile(brightest, 99))
-    says_hue = brightest > NOISE_GREY
-    total = np.where(says_hue, channels[0] + channels[1] + channels[2], 1.0)
-    weight = np.where(says_hue, total, 0.0)
-    weight_sum = float(weight.sum())
-    if weight_sum <= 0.0:
-        return Photometry(peak, 0.0, 0.0)
-    spread = 0.0
-    for channel in channels:
-        chroma = channel / total
-        mean = float(np.vdot(weight, chroma)) / weight_sum
-        spread += float(np.vdot(weight, (chroma - mean) ** 2)) / weight_sum
-    return Photometry(peak, float((brightest > 0.2 * peak).mean()), spread)
+    blue, green, red, sampled = _samples(image)
+    fingerprint = int.from_bytes(blake2b(sampled.data, digest_size=8).digest(), "little")
+    brightest = np.maximum(np.maximum(blue, green), red)
+    peak = _percentile(brightest, PEAK_SHARE)
+    row = np.ones(brightest.shape[1], np.float32)
+    lit = ((brightest > LIT_OF_PEAK * peak).astype(np.float32) @ row).astype(np.float64) / len(row)
+    # Of each row and channel: the light, and the light weighted with its share. What is too dark has no hue.
+    share_of = np.reciprocal(np.maximum(blue + green + red, 1.0))
+    share_of *= brightest > NOISE_GREY
+    light, pure = np.empty((2, 3, len(lit)))
+    for i, channel in enumerate((blue, green, red)):
+        chromaticity = channel * share_of
+        light[i] = (channel * (brightest > NOISE_GREY)) @ row
+        pure[i] = np.einsum("ij,ij->i", channel, chromaticity)
+    spread = float(_spread(light.sum(1), pure.sum(1)))
+    bands = _bands(lit, _spread(light, pure)) if peak >= DARK_GREY else (Light.DARK,) * BANDS
+    return Photometry(peak, float(lit.mean()), spread, bands, fingerprint)
 
 
-def _samples(image: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """Blue, green, red of every so many pixels."""
+def _percentile(values: Float32Array, share: float) -> float:
+    """numpy's, between its two neighbours, in a quarter of the time."""
+    at = share * (values.size - 1)
+    low = int(at)
+    high = min(low + 1, values.size - 1)
+    ordered = np.partition(values, (low, high), axis=None)
+    return float(ordered[low] + (at - low) * (ordered[high] - ordered[low]))
+
+
+def _spread(light: FloatArray, pure: FloatArray) -> FloatArray:
+    """Brightness-weighted variance of chromaticity from sums over pixels, one a column; 0 where there is no light."""
+    weight = np.maximum(light.sum(0), 1e-9)
+    spread: FloatArray = np.maximum((pure / weight).sum(0) - ((light / weight) ** 2).sum(0), 0.0)
+    return spread
+
+
+def _bands(lit: FloatArray, spread: FloatArray) -> tuple[Light, ...]:
+    """Each row is looked at alone, for a tear falls anywhere in a band: white light reaches most of a row and has one
+    hue; a row of one stripe has one hue too, but is mostly dark.
+    """
+    white = (spread <= ROW_SPREAD_MAX) & (lit >= LIT_EVERYWHERE)
+    dark = lit < ROW_LIT_MIN
+    bands = []
+    for i in range(BANDS):
+        band = slice(i * len(lit) // BANDS, (i + 1) * len(lit) // BANDS)
+        rows, of_white, of_dark = len(lit[band]), int(white[band].sum()), int(dark[band].sum())
+        if of_white and of_white < rows:
+            bands.append(Light.BOTH)
+        elif of_white:
+            bands.append(Light.LED)
+        else:
+            bands.append(Light.DARK if of_dark == rows else Light.PROJECTOR)
+    return tuple(bands)
+
+
+def _samples(image: Image) -> tuple[Float32Array, Float32Array, Float32Array, Image]:
+    """Blue, green and red of every so many pixels, and one of them as it came."""
     step = max(1, min(image.shape[:2]) // THUMBNAIL_SIDE)
     if image.ndim == 3:
-        pixels = image[step // 2 :: step, step // 2 :: step].astype(np.float32)
-        return pixels[..., 0].copy(), pixels[..., 1].copy(), pixels[..., 2].copy()
+        pixels = image[step // 2 :: step, step // 2 :: step]
+        blue, green, red = (pixels[..., i].astype(np.float32) for i in range(3))
+        return blue, green, red, np.ascontiguousarray(pixels[..., 1])
     step = max(2, step + step % 2)  # stay on the mosaic's 2x2 cells
     rows, columns = (side // 2 * 2 for side in image.shape)
     cells = image[:rows, :columns]
-    green = np.multiply(cells[0::step, 1::step].astype(np.float32) + cells[1::step, 0::step], np.float32(0.5))
-    return cells[1::step, 1::step].astype(np.float32), green, cells[0::step, 0::step].astype(np.float32)
+    sampled = np.ascontiguousarray(cells[0::step, 1::step])
+    green = np.multiply(sampled.astype(np.float32) + cells[1::step, 0::step], np.float32(0.5))
+    return cells[1::step, 1::step].astype(np.float32), green, cells[0::step, 0::step].astype(np.float32), sampled

@@ -12,7 +12,7 @@ from annulus.capture.photometry import measure
 from annulus.daemon.account import Account
 from annulus.daemon.cameras import apply_controls
 from annulus.daemon.config import CameraConfig
-from annulus.daemon.labelling import CameraMode, FrameSeen, Labelling
+from annulus.labelling.labelling import CameraMode, FrameSeen, Labelling
 from annulus.stream.frames import FrameHeader
 from annulus.stream.ring import FrameRing, Place
 from annulus.vocabulary import AnnulusError, CameraSequence
@@ -163,8 +163,8 @@ class Intake:
                 continue
             frame = one.frame
             self._ring.write(place, frame.image)
-            light = measure(frame.image).light
-            seen = FrameSeen(frame.sequence, frame.timestamp_ns, light, frame.metadata)
+            picture = measure(frame.image)
+            seen = FrameSeen(frame.sequence, frame.timestamp_ns, one.at_ns, picture, frame.metadata)
             self.labelling.saw(seen)
             self._waiting.append(InSlot(seen, place, one.at_ns))
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from annulus.daemon.account import Account
-from annulus.daemon.navigation import Navigation
 from annulus.daemon.observer import Observer
+from annulus.labelling.navigation import Navigation
 from annulus.sensors.sample import Sample, Sensor
 from annulus.vocabulary import AnnulusError
 

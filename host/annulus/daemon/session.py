@@ -24,13 +24,13 @@ from annulus.daemon.config import HeadConfig, require_size
 from annulus.daemon.control import ControlSocket, Do, Request
 from annulus.daemon.controller_line import TURN_S, ControllerLine, line_numbers, stage_of
 from annulus.daemon.intake import InSlot, Intake
-from annulus.daemon.labelling import CameraMode, Labelling
-from annulus.daemon.navigation import Navigation
 from annulus.daemon.observer import Mark, Observer, Observers
 from annulus.daemon.pools import Reconstruction, Recorder, RecordingSetup, default_workers, socket_folder
 from annulus.daemon.publishing import Publishing
 from annulus.daemon.samples import Samples
 from annulus.daemon.state import Event, State, next_state
+from annulus.labelling.labelling import CameraMode, Labelling
+from annulus.labelling.navigation import Navigation
 from annulus.link.head import Phase
 from annulus.sensors.sample import Sensor
 from annulus.stream.access import Doorkeeper

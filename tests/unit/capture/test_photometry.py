@@ -56,3 +56,24 @@ def test_both_lamps_are_never_taken_for_one() -> None:
 def test_any_size_is_measured(shape: tuple[int, int]) -> None:
     assert measure(np.full((*shape, 3), 90, np.uint8)).light is Light.LED
     assert measure(np.full(shape, 90, np.uint8)).light is Light.LED
+
+
+@pytest.mark.parametrize("wall", WALLS)
+@pytest.mark.parametrize("raw", [False, True])
+@pytest.mark.parametrize("share", [0.05, 0.2, 0.5])
+def test_a_picture_of_two_exposures_is_torn_wherever_the_tear_is(wall: str, raw: bool, share: float) -> None:
+    whole = [picture(wall, 1.0, 0.0, seed=1), picture(wall, 0.0, 1.0, seed=2)]
+    for upper, lower in (whole, whole[::-1]):
+        for above in (round(share * H), H - round(share * H)):
+            image = np.vstack([upper[:above], lower[above:]])
+            found = measure(mosaic(image) if raw else image)
+            assert found.torn or found.light not in (Light.PROJECTOR, Light.LED), found
+    assert not any(measure(mosaic(image) if raw else image).torn for image in whole)
+
+
+@pytest.mark.parametrize("raw", [False, True])
+def test_only_the_same_picture_has_the_same_fingerprint(raw: bool) -> None:
+    images = [picture("white", 1.0, 0.0, seed=seed) for seed in range(20)]
+    prints = [measure(mosaic(image) if raw else image).fingerprint for image in images]
+    assert len(set(prints)) == 20 and all(0 <= found < 2**64 for found in prints if found is not None)
+    assert measure(mosaic(images[3]) if raw else images[3].copy()).fingerprint == prints[3]

@@ -10,8 +10,8 @@ from annulus.capture.camera import EndOfFrames, HeldRequest
 from annulus.daemon.account import Account
 from annulus.daemon.config import CameraConfig
 from annulus.daemon.intake import QUEUE_FRAMES, CaptureThread, Intake
-from annulus.daemon.labelling import CameraMode, Labelling
-from annulus.daemon.navigation import Navigation
+from annulus.labelling.labelling import CameraMode, Labelling
+from annulus.labelling.navigation import Navigation
 from annulus.stream.ring import FrameRing
 
 PERIOD = 20_000_000

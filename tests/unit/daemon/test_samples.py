@@ -1,9 +1,9 @@
 """Promises about sensors: a dead one is noticed, counted and said, and nothing waits for it."""
 
 from annulus.daemon.account import Account
-from annulus.daemon.navigation import Navigation
 from annulus.daemon.observer import Observer
 from annulus.daemon.samples import RETRY_NS, SILENT_NS, Samples
+from annulus.labelling.navigation import Navigation
 from annulus.sensors.sample import Sample
 from annulus.vocabulary import AnnulusError
 

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from annulus.capture.photometry import Light
-from annulus.daemon.labelling import (
+from annulus.capture.photometry import Light, Photometry
+from annulus.labelling.labelling import (
     GIVE_UP_S,
     NO_CONTROLLER,
     NOT_KNOWN,
@@ -14,7 +14,7 @@ from annulus.daemon.labelling import (
     FrameSeen,
     Labelling,
 )
-from annulus.daemon.navigation import Navigation
+from annulus.labelling.navigation import Navigation
 from annulus.link.head import EdgeSeen
 from annulus.sensors.roll import NEAR_NS
 from annulus.sensors.sample import Sample
@@ -23,6 +23,12 @@ from annulus.vocabulary import CameraSequence, EdgeFlag, EdgeIndex, Flash, Label
 
 PERIOD = 40_000_000
 MODE = CameraMode(0, 64, 48, "mono8", PERIOD)
+
+
+def picture(light: Light) -> Photometry:
+    """What a picture of this light measures."""
+    peak, spread = {Light.DARK: (5.0, 0.0), Light.LED: (180.0, 0.001), Light.PROJECTOR: (250.0, 0.38)}[light]
+    return Photometry(peak, 0.4, spread)
 
 
 class Clockwork:
@@ -41,7 +47,7 @@ class Clockwork:
         flash = Flash(EdgeIndex(k), Tick(0), Slot(k % 5), self.lamp(k), delay, width, 20 * k, 1, 7, EdgeFlag(0))
         self.navigation.heard(EdgeSeen(flash, k * PERIOD, 1000, 1))
         light = Light.LED if self.lamp(k - 1) is Lamp.LED else Light.PROJECTOR
-        seen = FrameSeen(CameraSequence(k), k * PERIOD + self.offset_ns, light, {})
+        seen = FrameSeen(CameraSequence(k), k * PERIOD + self.offset_ns, k * PERIOD, picture(light), {})
         self.labelling.saw(seen)
         self.labelling.look_for_offset(k * PERIOD / 1e9)
         return seen
@@ -74,9 +80,9 @@ def test_pictures_that_fit_no_flash_give_no_label_and_the_operator_is_told() -> 
     clock = Clockwork(0)
     for k in range(1, round(2.5 * GIVE_UP_S * 25)):
         frame = clock.frame(k)
-        clock.labelling.saw(replace(frame, light=Light.LED if k % 3 else Light.PROJECTOR))
+        clock.labelling.saw(replace(frame, picture=picture(Light.LED if k % 3 else Light.PROJECTOR)))
         clock.labelling._seen.pop(), clock.labelling._seen.pop()
-        clock.labelling.saw(replace(frame, light=Light.LED if k % 3 else Light.PROJECTOR))
+        clock.labelling.saw(replace(frame, picture=picture(Light.LED if k % 3 else Light.PROJECTOR)))
         assert clock.labelling.header(frame).label is Label.UNKNOWN
     assert [kind for kind, _ in clock.told] == ["offset", "offset"]
     assert all("frames stay unknown" in text for _, text in clock.told)
@@ -100,7 +106,7 @@ def test_a_camera_that_changes_its_mind_is_unknown_until_its_new_offset_is_found
 
 def test_without_a_controller_labels_are_those_the_frames_bring() -> None:
     labelling = Labelling(MODE, Navigation(0.05), lambda *_: None, True)
-    led = FrameSeen(None, 5, Light.DARK, {"Light": "led", "ZMm": 3})
+    led = FrameSeen(None, 5, 6, picture(Light.DARK), {"Light": "led", "ZMm": 3})
     assert labelling.settled(led, 0)
     assert (labelling.header(led).label, labelling.header(led).z_mm) == (Label.LED, 3.0)
     for metadata in ({}, {"Light": "led"}, {"Light": "both", "ZMm": 1.0}, {"Light": "led", "ZMm": "far"}):

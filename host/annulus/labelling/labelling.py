@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from annulus.capture.pairing import Pairing, calibrate_offset
-from annulus.capture.photometry import Light
+from annulus.capture.photometry import Light, Photometry
 from annulus.controller import TICK_NS
-from annulus.daemon.navigation import Navigation
+from annulus.labelling.navigation import Navigation
 from annulus.stream.frames import FrameHeader
 from annulus.vocabulary import AnnulusError, CameraSequence, Flash, Label
 
@@ -45,8 +45,9 @@ class FrameSeen:
     """A frame without its picture, but with what the picture shows."""
 
     sequence: CameraSequence | None
-    timestamp_ns: int
-    light: Light
+    timestamp_ns: int  # the driver's, host monotonic
+    arrived_ns: int  # when we had it, host monotonic
+    picture: Photometry
     metadata: Mapping[str, Any]
 
 
@@ -76,7 +77,7 @@ class Labelling:
 
     def saw(self, frame: FrameSeen) -> None:
         """A frame has come; it may help to find the offset long before it can be labelled."""
-        self._seen.append((frame.timestamp_ns, frame.light))
+        self._seen.append((frame.timestamp_ns, frame.picture.light))
 
     def look_for_offset(self, now_s: float) -> None:
         """At the start, and again whenever the offset has become doubtful. Until it is found, frames are unknown."""
@@ -125,7 +126,7 @@ class Labelling:
             return self._numbered(_brought_along(blank, frame.metadata), frame.sequence)
         if not self._offset_known:
             return self._numbered(replace(blank, reason=NOT_KNOWN))
-        said = self._pairing.label(frame.timestamp_ns, frame.sequence, frame.light)
+        said = self._pairing.label(frame.timestamp_ns, frame.sequence, frame.picture.light)
         if said.label is Label.UNKNOWN or said.flash is None:
             return self._numbered(replace(blank, reason=str(said.reason)))
         flash = said.flash
