@@ -5,7 +5,7 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from annulus.capture.camera import Camera, CapturedFrame, EndOfFrames, grab
 from annulus.capture.photometry import measure
@@ -172,7 +172,7 @@ class Intake:
         """Frames whose label waiting cannot better, or that there is no room to let wait; all of them when `final`."""
         while self._waiting and (final or self._crowded or self._settled(self._waiting[0])):
             frame = self._waiting.popleft()
-            yield self.labelling.header(frame.seen), frame
+            yield replace(self.labelling.header(frame.seen), arrived_ns=frame.at_ns), frame
 
     @property
     def _crowded(self) -> bool:

@@ -12,6 +12,7 @@ from annulus.vocabulary import CameraSequence, EdgeIndex, Label, Slot
 CHANNELS = {"bgr8": 3, "bayer_rggb8": 1, "mono8": 1}  # encoding -> bytes a pixel, as foxglove.RawImage names them
 SIDE_MAX = 16384  # pixels; a larger image is a damaged header
 CAMERAS_MAX = 8
+SEGMENT_MAX = 2**31 - 1
 HEADER_MAX = 4096  # bytes of one packed header
 
 
@@ -33,6 +34,9 @@ class FrameHeader:
     height: int
     roll_deg: float | None = None  # of the head, clockwise looking forward, where a sensor gives it
     camera: int = 0  # which of the head's, in the order of head.toml
+    arrived_ns: int | None = None  # when the host had the frame, host monotonic clock
+    z_assumed: bool = False  # z goes on from a gap in which nothing was counted: it was assumed, within a stated bound
+    segment: int = 0  # of z: begins anew with every such gap; within one, differences of z are counted
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -81,6 +85,9 @@ class FrameHeader:
             height=_need(data, "height", 1, SIDE_MAX),
             roll_deg=_length(data, "roll_deg"),
             camera=_whole(data, "camera", 0, CAMERAS_MAX - 1) or 0,  # headers from before there were several have none
+            arrived_ns=_whole(data, "arrived_ns", 0, 2**63),
+            z_assumed=_flag(data, "z_assumed"),
+            segment=_whole(data, "segment", 0, SEGMENT_MAX) or 0,
         )
 
     @classmethod
@@ -96,6 +103,13 @@ def _whole(data: Mapping[str, Any], key: str, low: int, high: int) -> int | None
 
 def _need(data: Mapping[str, Any], key: str, low: int, high: int) -> int:
     return untrusted.whole(data.get(key), f"frame header: {key}", low, high)
+
+
+def _flag(data: Mapping[str, Any], key: str) -> bool:
+    value = data.get(key, False)
+    if not isinstance(value, bool):
+        raise ValueError(f"frame header: {key} is {value!r}, expected true or false")
+    return value
 
 
 def _length(data: Mapping[str, Any], key: str) -> float | None:

@@ -102,7 +102,9 @@ def taken(film: Live, slots: int = 8) -> tuple[Intake, FrameRing, Account]:
 def test_what_the_driver_dropped_is_counted_by_its_numbers_or_by_its_clock(counts: bool) -> None:
     intake, _, account = taken(Live([3, 4, 6, 10], counts))
     assert account.drops == {"camera": 4} and account.taken == 4
-    assert [header.z_mm for header, _ in intake.labelled()] == [3.0, 4.0, 6.0, 10.0]
+    out = list(intake.labelled())
+    assert [header.z_mm for header, _ in out] == [3.0, 4.0, 6.0, 10.0]
+    assert all(header.arrived_ns == frame.at_ns > header.timestamp_ns for header, frame in out)
     assert intake.ended
     intake.stop()
 

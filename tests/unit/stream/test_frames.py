@@ -22,6 +22,11 @@ HEADERS = st.builds(
     encoding=st.sampled_from(["bgr8", "bayer_rggb8", "mono8"]),
     width=st.integers(1, 16384),
     height=st.integers(1, 16384),
+    roll_deg=st.none() | st.floats(-1e9, 1e9),
+    camera=st.integers(0, 7),
+    arrived_ns=st.none() | st.integers(0, 2**63),
+    z_assumed=st.booleans(),
+    segment=st.integers(0, 2**31 - 1),
 )
 
 
@@ -50,13 +55,15 @@ def test_noise_is_a_value_error(noise: bytes) -> None:
 @pytest.mark.parametrize(
     "field, value",
     [("width", 0), ("height", 1 << 20), ("label", "both"), ("encoding", "jpeg"), ("index", -1), ("index", True),
-     ("reason", "x" * 201), ("z_mm", float("nan")), ("z_mm", "3"), ("slot", 16), ("timestamp_ns", 1.5)],
+     ("reason", "x" * 201), ("z_mm", float("nan")), ("z_mm", "3"), ("slot", 16), ("timestamp_ns", 1.5),
+     ("arrived_ns", -1), ("z_assumed", 1), ("segment", -1), ("segment", 2**31)],
 )  # fmt: skip
 def test_a_value_out_of_range_is_named(field: str, value: object) -> None:
     good = {
         "index": 1, "sequence": 2, "timestamp_ns": 3, "label": "led", "reason": "", "edge": 4, "slot": 4, "odometer": 5,
         "z_mm": 1.0, "encoding": "mono8", "width": 10, "height": 10,
     }  # fmt: skip
-    assert FrameHeader.from_dict(good).size == 100
+    old = FrameHeader.from_dict(good)  # as recordings of before there was more to say
+    assert old.size == 100 and (old.arrived_ns, old.z_assumed, old.segment) == (None, False, 0)
     with pytest.raises(ValueError, match=field):
         FrameHeader.unpack(msgpack.packb({**good, field: value}))
