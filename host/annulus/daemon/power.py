@@ -1,0 +1,76 @@
+"""What a session holds from power-up to power-down, scan or no scan: line, shared memory, sockets, workers."""
+
+import shutil
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+
+import zmq
+
+from annulus.capture.camera import Camera
+from annulus.daemon.account import Account
+from annulus.daemon.config import HeadConfig
+from annulus.daemon.control import ControlSocket
+from annulus.daemon.controller_line import ControllerLine, stage_of
+from annulus.daemon.observer import Observers
+from annulus.daemon.pools import socket_folder
+from annulus.daemon.publishing import Publishing
+from annulus.labelling.navigation import Navigation
+from annulus.sensors.sample import Sensor
+from annulus.stream.access import Doorkeeper
+from annulus.stream.frames import CHANNELS
+from annulus.stream.publish import Publisher
+from annulus.stream.ring import FrameRing
+from annulus.stream.workers import Shared
+
+
+@dataclass(frozen=True, slots=True)
+class Power:
+    """All that is open."""
+
+    line: ControllerLine | None
+    shared: Shared
+    doorkeeper: Doorkeeper
+    control: ControlSocket | None
+
+
+def power_up(
+    config: HeadConfig,
+    cameras: Sequence[Camera],
+    sensors: Sequence[Sensor],
+    account: Account,
+    observers: Observers,
+    navigation: Navigation,
+    stack: ExitStack,
+) -> Power:
+    """Acquire everything; `stack` gives it back in reverse order. Raises AnnulusError when the head is not there."""
+    for camera in cameras:
+        stack.callback(camera.close)
+    for sensor in sensors:
+        stack.callback(sensor.close)
+    line = None
+    if config.port is not None:
+        line = ControllerLine(config.port, stage_of(config), account, observers)
+        stack.callback(line.close)
+        for event in line.identify():
+            navigation.heard(event)
+    folder = socket_folder()
+    stack.callback(shutil.rmtree, folder, ignore_errors=True)
+    context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+    stack.callback(context.destroy, linger=0)
+    largest = max(camera.width * camera.height * CHANNELS[camera.encoding] for camera in cameras)
+    ring = FrameRing(config.slots, largest)  # cameras of several sizes share it: slots are as large as the largest
+    stack.callback(ring.close)
+    doorkeeper = Doorkeeper(context)
+    stack.callback(doorkeeper.close)
+    if config.publish is not None:
+        publisher = Publisher(doorkeeper, config.publish.address, config.publish.keys)
+        stack.callback(publisher.close)
+        publishing = Publishing(publisher)
+        observers.all.append(publishing)
+        stack.callback(observers.all.remove, publishing)
+    control = None
+    if config.control is not None:
+        control = ControlSocket(doorkeeper, config.control.address, config.control.keys)
+        stack.callback(control.close)
+    return Power(line, Shared(ring, context, folder), doorkeeper, control)

@@ -1,0 +1,137 @@
+"""One scan, from start to stop: its recorder, its cameras, the lamps, in this order up.
+
+scan = Scan(config, cameras, power, account, observers, navigation, name)   # its recorder is on its way up
+scan.start()                                      # now cameras and lamps may follow
+while not scan.armed:
+    why = scan.come_up()                          # not empty: it cannot go on
+scan.take_in()                                    # each turn: frames into the ring
+for header, frame in scan.labelled():
+    ..
+"""
+
+import time
+from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime
+
+from annulus.capture.camera import Camera
+from annulus.daemon.account import Account
+from annulus.daemon.config import HeadConfig
+from annulus.daemon.intake import InSlot, Intake
+from annulus.daemon.observer import Observers
+from annulus.daemon.pools import Recorder, RecordingSetup
+from annulus.daemon.power import Power
+from annulus.labelling.labelling import CameraMode, Labelling
+from annulus.labelling.navigation import Navigation
+from annulus.link.head import Phase
+from annulus.stream.frames import FrameHeader
+from annulus.vocabulary import AnnulusError
+
+START_S = 200.0  # on a fresh machine workers compile first
+ARM_S = 5.0
+DRAIN_S = 8.0
+
+
+class Scan:
+    """What a scan has of its own. The account is restarted for it."""
+
+    def __init__(
+        self,
+        config: HeadConfig,
+        cameras: Sequence[Camera],
+        power: Power,
+        account: Account,
+        observers: Observers,
+        navigation: Navigation,
+        name: str,
+    ) -> None:
+        """`name` of the recording; empty: its start, UTC."""
+        self.recorder: Recorder | None = None
+        self.intakes: list[Intake] = []  # none before the cameras run
+        self.armed = False  # the controller has confirmed
+        self._config, self._cameras, self._power, self._account = config, cameras, power, account
+        self._observers, self._navigation = observers, navigation
+        self._start_by = 0.0  # when recorder, or lamps, must be up
+        account.restart()
+        if config.record_folder is not None:
+            name = name or datetime.now(UTC).strftime("scan-%Y%m%d-%H%M%S")
+            calibration = None if config.calibration is None else config.calibration.to_dict()
+            setup = RecordingSetup(config.record_folder, name, calibration, config.to_dict())
+            self.recorder = Recorder(setup, power.shared, account, observers)
+            observers.all.insert(0, self.recorder)
+
+    @property
+    def started(self) -> bool:
+        return self._start_by > 0.0
+
+    @property
+    def ended(self) -> bool:
+        """The cameras have no more frames, and none waits."""
+        return bool(self.intakes) and all(intake.ended for intake in self.intakes)
+
+    @property
+    def trouble(self) -> str:
+        """What a camera lacks that may come back."""
+        return next((intake.trouble for intake in self.intakes if intake.trouble), "")
+
+    @property
+    def problem(self) -> str:
+        """Why a camera gave up."""
+        return next((intake.problem for intake in self.intakes if intake.problem), "")
+
+    def start(self) -> None:
+        """Lamps and cameras follow once the recorder is up."""
+        self._start_by = time.monotonic() + START_S
+
+    def come_up(self) -> str:
+        """What is still missing of a scan that was started: recorder, cameras, lamps, in this order. Returns why it
+        cannot go on, one line.
+        """
+        late = time.monotonic() > self._start_by
+        if not self.intakes:
+            recorder = self.recorder
+            if recorder is None or recorder.ready:
+                try:
+                    self._light_up()
+                except AnnulusError as error:
+                    return str(error)
+            elif recorder.broken or late:
+                return recorder.broken or f"the recorder is not ready after {START_S:g} s"
+        elif self._power.line is not None:
+            line = self._power.line
+            self.armed = line.head.phase is Phase.RUNNING
+            if line.head.phase is Phase.REFUSED or (late and not self.armed):
+                why = line.head.problem or f"still {line.head.phase.value} after {ARM_S:g} s"
+                return f"{line.url}: the lamps cannot be armed: {why}"
+        return ""
+
+    def take_in(self) -> None:
+        """What the cameras brought, into the ring."""
+        for intake in self.intakes:
+            intake.take(self._account)
+            intake.labelling.look_for_offset(time.monotonic())
+
+    def labelled(self, final: bool = False) -> Iterator[tuple[FrameHeader, InSlot]]:
+        """Frames whose label is settled; all of them when `final`."""
+        for intake in self.intakes:
+            yield from intake.labelled(final)
+
+    def close_recording(self) -> None:
+        """What the recorder has in hand is written, and its file ended."""
+        if self.recorder is not None:
+            self.recorder.stop(DRAIN_S)
+            self._observers.all.remove(self.recorder)
+
+    def _light_up(self) -> None:
+        """Cameras first, then the lamps: the controller needs the cameras' sync edges."""
+        line = self._power.line
+        self._start_by = time.monotonic() + ARM_S
+        self.armed = line is None
+        for number, (camera, config) in enumerate(zip(self._cameras, self._config.cameras, strict=True)):
+            mode = CameraMode(number, camera.width, camera.height, camera.encoding, round(1e9 / config.timing.fps))
+            labelling = Labelling(mode, self._navigation, self._observers.event, alone=line is None)
+            self.intakes.append(Intake(camera, mode, labelling, self._power.shared.ring))
+            for remark in self.intakes[-1].start(config):
+                self._observers.event("camera", remark)
+        self._account.begin()
+        if line is not None:
+            line.arm()
