@@ -15,8 +15,8 @@ from typing import Any
 
 import serial
 
-from annulus.link import client as link_client
 from annulus.link import operate
+from annulus.link import port as link_port
 from annulus.link.client import Client
 from annulus.link.codec import Decoder, Frame, encode
 from annulus.link.messages import (
@@ -42,7 +42,7 @@ TTY = Path("/dev/ttyACM0")
 VHCI = Path("/sys/devices/platform/vhci_hcd.0")
 DRIVER = Path("/sys/bus/usb/drivers/cdc_acm")
 PATIENCE_S = 30.0  # of everything here: the guest is slow, and the board's time slower
-link_client.WRITE_S = operate.TRAIN_SLACK_S = PATIENCE_S  # seconds on the wall, while the board's time is slower
+link_port.WRITE_S = operate.TRAIN_SLACK_S = PATIENCE_S  # seconds on the wall, while the board's time is slower
 MAGIC_RESET = 0x7E5E7B00
 USBDEVFS_RESET = 0x5514
 FLASHES = 20

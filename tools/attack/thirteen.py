@@ -257,8 +257,8 @@ def alike_after_power_ups(place: Place) -> Measured:
 MARK = b"between-two-openings"
 OPENING = f"""
 import sys
-from annulus.link.client import Port
 from annulus.link.messages import Ping
+from annulus.link.port import Port
 from annulus.link.session import Session
 session = Session()
 for number in (1, 2):

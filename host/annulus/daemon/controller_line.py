@@ -5,10 +5,10 @@ import time
 from annulus.daemon.account import Account
 from annulus.daemon.config import HeadConfig
 from annulus.daemon.observer import Observer
-from annulus.link.client import Port
 from annulus.link.head import HeadControl, HeadEvent, Phase, PhaseChanged, stage_from_us
 from annulus.link.messages import Fault, Stage, SyncFound, SyncLost, TurntableStopped
 from annulus.link.operate import why_it_stopped
+from annulus.link.port import Opening, Port
 from annulus.link.session import EventReceived, EventsLost, Rebooted
 from annulus.vocabulary import AnnulusError
 
@@ -28,7 +28,9 @@ class ControllerLine:
         self.url, self._account, self._observer = url, account, observer
         self.head = HeadControl(stage, armed=False)
         self._port: Port | None = Port(url)
+        self._opening: Opening | None = None
         self._reopen_s = 0.0
+        self._why_shut = ""
         self._armed = False
 
     def identify(self) -> list[HeadEvent]:
@@ -50,12 +52,8 @@ class ControllerLine:
         """One turn. A line that breaks is opened again, every second; frames meanwhile are unknown."""
         if self._port is None:
             time.sleep(TURN_S)
-            if time.monotonic() < self._reopen_s:
-                return []
-            self._reopen_s = time.monotonic() + REOPEN_S
-            try:
-                self._port = Port(self.url)
-            except AnnulusError:
+            self._port = self._reopened()
+            if self._port is None:
                 return []
             self.head.reopened()
             self._observer.event("link", f"{self.url}: the line is back")
@@ -67,6 +65,22 @@ class ControllerLine:
             self._account.lose("line_broken")
             self._observer.event("link", str(error))
             return []
+
+    def _reopened(self) -> Port | None:
+        """The port, once it is open again; tried every REOPEN_S, by a thread that waits so that nobody else does."""
+        if self._opening is None:
+            if time.monotonic() < self._reopen_s:
+                return None
+            self._opening = Opening(self.url)
+        try:
+            port = self._opening.poll()
+        except AnnulusError as error:
+            port, self._why_shut = None, str(error)
+            self._reopen_s = time.monotonic() + REOPEN_S
+            self._opening = None
+        if port is not None:
+            self._opening, self._why_shut = None, ""
+        return port
 
     def arm(self) -> None:
         """Lamps on, and kept on across restarts and faults. `pump` sees to it."""
@@ -92,7 +106,7 @@ class ControllerLine:
     def trouble(self) -> str:
         """Why it is not as it should be, one line; empty when it is, or is on its way there."""
         if self._port is None:
-            return f"{self.url}: the line is broken"
+            return self._why_shut or f"{self.url}: the line is broken"
         if self.head.phase in TROUBLED:
             return f"{self.url}: {self.head.problem or self.head.phase.value}"
         return ""
@@ -106,6 +120,9 @@ class ControllerLine:
         if self._port is not None:
             self._port.close()
             self._port = None
+        if self._opening is not None:
+            self._opening.abandon()
+            self._opening = None
 
     def _said(self, heard: list[HeadEvent]) -> list[HeadEvent]:
         """Tell people what concerns them."""

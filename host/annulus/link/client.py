@@ -7,99 +7,21 @@
 The daemon, which keeps a head in service, drives a HeadControl over the same Port: `port.pump(head)`.
 """
 
-import os
-import time
 from collections import deque
-from collections.abc import Callable
 from types import TracebackType
-from typing import Protocol, Self, TypeVar
-
-import serial
+from typing import Self
 
 from annulus.link.codec import Corrupt
 from annulus.link.head import PING_NS, refusal, schema_problem
 from annulus.link.messages import Command, IdentifyReply, Ping, Reply, StatusCode
+from annulus.link.port import BAUD, READ_S, Port
 from annulus.link.problems import too_old
 from annulus.link.session import Answer, LinkEvent, Session, Unanswered, identify
 from annulus.vocabulary import AnnulusError
 
-BAUD = 1_000_000
 IDENTIFY_S = 1.0
 REQUEST_S = 2.0
-READ_S = 0.002  # at most this long in one read, so that repeats are sent in time
-READ_MAX = 4096
-WRITE_S = 0.5
 HAPPENINGS_MAX = 1024  # kept between two polls; older ones are dropped and counted
-
-Item = TypeVar("Item")
-
-
-class Talker(Protocol[Item]):
-    """What a Port can pump: a Session-like thing that turns bytes into news and time into bytes."""
-
-    def receive(self, data: bytes, now: int) -> list[Item]: ...
-
-    def pending(self, now: int) -> bytes: ...
-
-
-class Port:
-    """A pyserial port whose failures are AnnulusErrors. `now` everywhere is its clock's: time.monotonic_ns(), or
-    that of the world in which a simulated port lives.
-
-    It begins with one 0x00. Until a fresh ttyACM is in raw mode the kernel echoes to the controller what the controller
-    said; the delimiter ends that, so that the first command does not go on where the echo stopped.
-    """
-
-    def __init__(self, url: str) -> None:
-        self.url = url
-        self.bytes_read = 0
-        try:
-            self._serial = serial.serial_for_url(url, baudrate=BAUD, timeout=READ_S, write_timeout=WRITE_S)
-        except (serial.SerialException, OSError, ValueError) as error:
-            raise AnnulusError(
-                f"{url}: cannot be opened ({_reason(error)}), expected a serial port or socket://host:port."
-                " Is the head plugged in?"
-            ) from None
-        self.now_ns: Callable[[], int] = getattr(self._serial, "now_ns", time.monotonic_ns)
-        try:
-            self.write(b"\0")
-        except AnnulusError:
-            self.close()
-            raise
-
-    def read(self, timeout_s: float) -> bytes:
-        """What is there, or what comes first within the time; empty when nothing does."""
-        try:
-            self._serial.timeout = max(0.0, timeout_s)
-            data = bytes(self._serial.read(1))
-            if data:
-                self._serial.timeout = 0
-                data += bytes(self._serial.read(READ_MAX))
-        except (serial.SerialException, OSError, TypeError) as error:
-            raise AnnulusError(f"{self.url}: the line went away ({_reason(error)}), expected the controller") from None
-        self.bytes_read += len(data)
-        return data
-
-    def write(self, data: bytes) -> None:
-        if not data:
-            return
-        try:
-            self._serial.write(data)
-        except serial.SerialTimeoutException:
-            raise AnnulusError(
-                f"{self.url}: takes no bytes for {WRITE_S:g} s, expected a controller that reads"
-            ) from None
-        except (serial.SerialException, OSError) as error:
-            raise AnnulusError(f"{self.url}: the line went away ({_reason(error)}), expected the controller") from None
-
-    def pump(self, talker: Talker[Item], timeout_s: float = READ_S) -> list[Item]:
-        """Write what is due, read what comes within the time, hand it over. Call it in a loop."""
-        self.write(talker.pending(self.now_ns()))
-        data = self.read(timeout_s)
-        return talker.receive(data, self.now_ns())
-
-    def close(self) -> None:
-        self._serial.close()
 
 
 class Client:
@@ -210,10 +132,3 @@ class Client:
     def _keep(self, happening: LinkEvent) -> None:
         self.dropped += len(self._happenings) == HAPPENINGS_MAX
         self._happenings.append(happening)
-
-
-def _reason(error: Exception) -> str:
-    """The operating system's words, without pyserial's wrapping."""
-    if isinstance(error, OSError) and error.errno:
-        return os.strerror(error.errno)
-    return (str(error) or type(error).__name__).splitlines()[0]

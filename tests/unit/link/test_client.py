@@ -11,8 +11,9 @@ from contextlib import contextmanager, suppress
 
 import pytest
 
-from annulus.link.client import Client, Port
+from annulus.link.client import Client
 from annulus.link.messages import Arm, ArmFlag, Edge, Ping, PingReply, Stage, Status, StatusCode
+from annulus.link.port import Port
 from annulus.link.session import EventReceived
 from annulus.testing.scripted import ScriptedController
 from annulus.vocabulary import AnnulusError, EdgeFlag, Lamp
