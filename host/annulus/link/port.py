@@ -52,10 +52,11 @@ class Port:
         """Waits as long as opening takes: for a host that does not answer 5 s, see `Opening`."""
         self.url = url
         self.bytes_read = 0
+        self.waitable: int | None  # readable when bytes have come; None: only `read` can wait for them
         self._unsent = bytearray()
         self._moved_s = 0.0  # when the line last took a byte, or had none to take
         try:
-            self._serial, self._file = _opened(url)
+            self._serial, self.waitable = _opened(url)
         except (serial.SerialException, OSError, ValueError) as error:
             if isinstance(error, OSError) and error.errno in (errno.EBUSY, errno.EAGAIN):
                 raise AnnulusError(
@@ -66,8 +67,8 @@ class Port:
                 " Is the head plugged in?"
             ) from None
         self._readable = select.poll()
-        if self._file is not None:
-            self._readable.register(self._file, select.POLLIN)
+        if self.waitable is not None:
+            self._readable.register(self.waitable, select.POLLIN)
         self.now_ns: Callable[[], int] = getattr(self._serial, "now_ns", time.monotonic_ns)
         try:
             self.write(b"\0")
@@ -78,7 +79,7 @@ class Port:
     def read(self, timeout_s: float) -> bytes:
         """What is there, or what comes first within the time; empty when nothing does."""
         try:
-            data = self._read_file(timeout_s) if self._file is not None else self._read_serial(timeout_s)
+            data = self._read_file(timeout_s) if self.waitable is not None else self._read_serial(timeout_s)
         except (serial.SerialException, OSError, TypeError) as error:
             raise AnnulusError(f"{self.url}: the line went away ({_reason(error)}), expected the controller") from None
         self.bytes_read += len(data)
@@ -92,11 +93,11 @@ class Port:
             self._moved_s = now
             return
         try:
-            if self._file is None:
+            if self.waitable is None:
                 self._serial.write(bytes(self._unsent))
                 sent = len(self._unsent)
             else:
-                sent = os.write(self._file, self._unsent)
+                sent = os.write(self.waitable, self._unsent)
         except BlockingIOError:
             sent = 0
         except (serial.SerialException, OSError) as error:
@@ -116,9 +117,9 @@ class Port:
     def _read_file(self, timeout_s: float) -> bytes:
         if not self._readable.poll(max(0.0, timeout_s) * 1000):
             return b""
-        assert self._file is not None
+        assert self.waitable is not None
         with contextlib.suppress(BlockingIOError):
-            data = os.read(self._file, READ_MAX)
+            data = os.read(self.waitable, READ_MAX)
             if not data:
                 raise OSError("nobody is at its other end")
             return data
