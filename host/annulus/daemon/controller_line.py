@@ -12,7 +12,8 @@ from annulus.link.port import Opening, Port
 from annulus.link.session import EventReceived, EventsLost, Rebooted
 from annulus.vocabulary import AnnulusError
 
-TURN_S = 0.002  # at most between two looks at the line: what comes in is stamped when it is read
+TURN_S = 0.002  # at most between two looks at a line that cannot wake us: what comes in is stamped when it is read
+REST_S = 0.02  # at most between two looks at one that can: pings, repeats and keep-alives are due in 50 ms or more
 IDENTIFY_S = 1.0
 REOPEN_S = 1.0
 DISARM_S = 0.5
@@ -21,7 +22,7 @@ TROUBLED = (Phase.SEARCHING, Phase.CLEARING, Phase.REFUSED, Phase.MISMATCH)
 
 
 class ControllerLine:
-    """One controller behind one port. Nothing here waits longer than TURN_S but `identify` and `disarm`."""
+    """One controller behind one port. Nothing here waits but `identify` and `disarm`."""
 
     def __init__(self, url: str, stage: Stage, account: Account, observer: Observer) -> None:
         """Raises AnnulusError when the port cannot be opened."""
@@ -48,17 +49,26 @@ class ControllerLine:
             raise AnnulusError(f"{self.url}: {self.head.problem}")
         return heard
 
-    def pump(self) -> list[HeadEvent]:
+    @property
+    def waitable(self) -> int | None:
+        """Readable when the controller has said something; None where nothing tells."""
+        return self._port.waitable if self._port is not None else None
+
+    @property
+    def patience_s(self) -> float:
+        """`pump` again after so long at the latest, even when `waitable` has nothing."""
+        return REST_S if self._port is None or (self.waitable is not None and self.settled) else TURN_S
+
+    def pump(self, wait_s: float = 0.0) -> list[HeadEvent]:
         """One turn. A line that breaks is opened again, every second; frames meanwhile are unknown."""
         if self._port is None:
-            time.sleep(TURN_S)
             self._port = self._reopened()
             if self._port is None:
                 return []
             self.head.reopened()
             self._observer.event("link", f"{self.url}: the line is back")
         try:
-            return self._said(self._port.pump(self.head, TURN_S))
+            return self._said(self._port.pump(self.head, wait_s))
         except AnnulusError as error:
             self.close()
             self._reopen_s = time.monotonic() + REOPEN_S
@@ -96,7 +106,7 @@ class ControllerLine:
         heard: list[HeadEvent] = []
         end = time.monotonic() + DISARM_S
         while self._port is not None and self.head.phase not in DARK and time.monotonic() < end:
-            heard += self.pump()
+            heard += self.pump(TURN_S)
         if self.head.phase is not Phase.IDLE:
             why = self.head.phase.value if self._port is not None else "the line is broken"
             self._observer.event("lamps", f"the controller did not confirm that the lamps are off ({why})")

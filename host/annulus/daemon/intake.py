@@ -1,5 +1,7 @@
 """One camera's frames on their way in: a thread that waits for the camera, a slot of the ring, a label."""
 
+import contextlib
+import os
 import queue
 import threading
 import time
@@ -45,6 +47,7 @@ class CaptureThread(threading.Thread):
         self._frames: queue.Queue[Arrived] = queue.Queue(QUEUE_FRAMES)
         self._stopping = threading.Event()
         self._ended = threading.Event()
+        self.waitable = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)  # readable when frames wait
 
     @property
     def ended(self) -> bool:
@@ -65,6 +68,7 @@ class CaptureThread(threading.Thread):
                 self._stopping.wait(min(1.0, (frame.timestamp_ns - time.monotonic_ns()) / 1e9))
                 try:
                     self._frames.put_nowait(Arrived(frame, time.monotonic_ns()))
+                    os.eventfd_write(self.waitable, 1)
                 except queue.Full:
                     self.counts["capture_queue"] += 1
         except EndOfFrames:
@@ -79,6 +83,8 @@ class CaptureThread(threading.Thread):
     def take(self) -> list[Arrived]:
         """What came since the last call, oldest first."""
         frames = []
+        with contextlib.suppress(OSError):  # nothing has come, or nothing will any more
+            os.eventfd_read(self.waitable)
         while True:
             try:
                 frames.append(self._frames.get_nowait())
@@ -90,6 +96,9 @@ class CaptureThread(threading.Thread):
         self._stopping.set()
         if self.is_alive():
             self.join(patience_s)
+        if not self.is_alive():
+            os.close(self.waitable)
+            self.waitable = -1
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,6 +135,11 @@ class Intake:
         """Take no more; what was taken can still be labelled."""
         self._thread.end(CAMERA_END_S)  # while the camera still runs: its next frame ends the wait
         self.camera.stop()
+
+    @property
+    def waitable(self) -> int:
+        """Readable when frames have come; negative once stopped."""
+        return self._thread.waitable
 
     @property
     def ended(self) -> bool:

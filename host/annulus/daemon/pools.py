@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import zmq
+
 from annulus.daemon.account import Account
 from annulus.daemon.intake import RESERVE, InSlot
 from annulus.daemon.observer import Mark, Observer
@@ -67,6 +69,11 @@ class _Pool:
     def in_hand(self) -> int:
         """Frames at the workers."""
         return self._pool.in_hand
+
+    @property
+    def waitable(self) -> zmq.Socket[bytes]:
+        """Readable when there is something to hear."""
+        return self._pool.results
 
     def poll(self) -> None:
         """Hear what happened since the last call. Never waits."""

@@ -12,6 +12,7 @@ for header, frame in scan.labelled():
 import time
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
+from typing import Any
 
 from annulus.capture.camera import Camera
 from annulus.daemon.account import Account
@@ -77,6 +78,12 @@ class Scan:
     def problem(self) -> str:
         """Why a camera gave up."""
         return next((intake.problem for intake in self.intakes if intake.problem), "")
+
+    @property
+    def waitables(self) -> list[Any]:
+        """Readable when a frame has come, or the recorder has answered."""
+        recorder = [] if self.recorder is None else [self.recorder.waitable]
+        return [intake.waitable for intake in self.intakes if intake.waitable >= 0] + recorder
 
     def start(self) -> None:
         """Lamps and cameras follow once the recorder is up."""

@@ -1,7 +1,8 @@
 """One head from power-up to lamps off: the loop that ties controller, cameras, labels, recorder, workers, sensors and
 viewers together.
 
-One thread does everything here but waiting for cameras, and waits for nobody. Frames go
+One thread does everything here but waiting for cameras, and waits for nobody: it sleeps until something has come, or
+is due. Frames go
 
     camera -> capture thread -> a slot of the ring -> label, when both its edges are known -> recorder, worker, viewers
 
@@ -9,16 +10,19 @@ and a slot is free again when the last of those is done with it. What the head m
 is what lies between start and stop, and has a recording and an account of its own.
 """
 
+import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
+import zmq
+
 from annulus.capture.camera import Camera
 from annulus.daemon.account import Account, ScanReport
 from annulus.daemon.config import HeadConfig, require_size
 from annulus.daemon.control import Do, Request
-from annulus.daemon.controller_line import TURN_S, ControllerLine, line_numbers
+from annulus.daemon.controller_line import REST_S, ControllerLine, line_numbers
 from annulus.daemon.intake import InSlot
 from annulus.daemon.observer import Mark, Observer, Observers
 from annulus.daemon.pools import Reconstruction, Recorder, default_workers
@@ -32,7 +36,7 @@ from annulus.stream.frames import FrameHeader
 from annulus.vocabulary import AnnulusError, Label
 
 TELEMETRY_S = 1.0
-CHORES_S = 0.01  # between two looks at sensors, states and sockets
+CHORES_S = 0.02  # between two looks at sensors, states and sockets
 
 
 class Session:
@@ -260,6 +264,7 @@ class Session:
             return
         end = time.monotonic() + DRAIN_S
         while self._reconstruction.busy and time.monotonic() < end:
+            self._sleep()
             self._listen()
             self._reconstruction.turn()
         self._reconstruction.end_scan()
@@ -275,6 +280,7 @@ class Session:
     # ---- one turn ----
 
     def _turn(self) -> None:
+        self._sleep()
         self._listen()
         if self._scan is not None:
             self._scan.take_in()
@@ -302,11 +308,20 @@ class Session:
             self._next_telemetry = now + TELEMETRY_S
             self._observers.telemetry(self.telemetry())
 
+    def _sleep(self) -> None:
+        """Until something has come: a frame, a word of the controller, an answer of a process; or a chore is due."""
+        wait_s = min(REST_S, max(0.0, self._next_chores - time.monotonic()))
+        sources: list[Any] = self._scan.waitables if self._scan is not None else []
+        if self._line is not None:
+            wait_s = min(wait_s, self._line.patience_s)
+            sources += [] if self._line.waitable is None else [self._line.waitable]
+        sources += [self._reconstruction.waitable] if self._reconstruction is not None else []
+        zmq.zmq_poll([(source, zmq.POLLIN) for source in sources], math.ceil(wait_s * 1000))
+
     def _listen(self) -> None:
-        """The controller, or the time it would have taken."""
+        """What the controller has said."""
         line = self._line
         if line is None:
-            time.sleep(TURN_S)
             return
         for event in line.pump():
             self._navigation.heard(event)
