@@ -4,6 +4,8 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag, StrEnum
 from typing import NewType
 
+from annulus.untrusted import one_line
+
 EdgeIndex = NewType("EdgeIndex", int)  # counts accepted sync edges since boot; never compare with CameraSequence
 CameraSequence = NewType("CameraSequence", int)  # the driver's frame counter; has holes where the driver dropped
 Slot = NewType("Slot", int)  # 0..R, place in the projector/LED cycle
@@ -61,4 +63,10 @@ class Finding:
 
 
 class AnnulusError(Exception):
-    """Anything a user can mend. The text is one line: what, where, what was expected."""
+    """Anything a user can mend. The text is one line: what, where, what was expected.
+
+    Texts from outside are in it (names, what a device said): here they lose what a terminal would obey.
+    """
+
+    def __init__(self, text: str) -> None:
+        super().__init__(one_line(text))

@@ -46,7 +46,7 @@ class RemoteCamera(OneRequest):
             self._socket.connect("\0" + address.removeprefix("@"))
             hello, rights, _, _ = self._socket.recvmsg(MESSAGE_MAX, socket.CMSG_SPACE(4))
             descriptor = array.array("i", rights[0][2][:4])[0]
-            about = untrusted.mapping(json.loads(hello), "hello")
+            about = untrusted.mapping(untrusted.parse_json(hello, MESSAGE_MAX), "hello")
             self.width = untrusted.whole(about.get("width"), "width", 1, SIDE_MAX)
             self.height = untrusted.whole(about.get("height"), "height", 1, SIDE_MAX)
             self.encoding = untrusted.text(about.get("encoding"), "encoding", 32)
@@ -90,7 +90,7 @@ class RemoteCamera(OneRequest):
             raise AnnulusError(f"{self.address}: the camera went away")
         size = int(np.prod(self._shape))
         try:
-            metadata = dict(untrusted.mapping(json.loads(told), "frame"))
+            metadata = dict(untrusted.mapping(untrusted.parse_json(told, MESSAGE_MAX), "frame"))
             slot = untrusted.whole(metadata.pop("slot", None), "slot", 0, len(self._memory) // size - 1)
         except ValueError as error:
             raise AnnulusError(f"{self.address}: what came is no frame: {error}") from None

@@ -1,7 +1,6 @@
 """head.toml: everything the daemon must know of one head. README.md beside this file shows one with every key."""
 
 import math
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -14,6 +13,7 @@ from annulus.geometry.calibration import Calibration
 from annulus.record.calibration_file import load_calibration
 from annulus.stream.access import Keys
 from annulus.stream.frames import CAMERAS_MAX
+from annulus.untrusted import TOML_MAX, parse_toml, read_file, shown
 from annulus.vocabulary import AnnulusError
 
 CameraKind = Literal["v4l2", "picamera2", "video", "folder", "remote"]
@@ -122,11 +122,11 @@ _SECTIONS: Mapping[str, tuple[str, ...]] = {
 def load_config(path: Path) -> HeadConfig:
     """Read and check head.toml; paths in it are relative to it. Raises AnnulusError naming section and key."""
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
+        data = parse_toml(read_file(path, TOML_MAX))
     except OSError as error:
         raise AnnulusError(f"{path}: cannot be read ({error.strerror}). Expected a head.toml.") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise AnnulusError(f"{path}: not TOML: {str(error).splitlines()[0]}") from None
+    except ValueError as error:
+        raise AnnulusError(f"{path}: {error}. Expected a head.toml.") from None
     try:
         return _checked(data, path.parent)
     except ValueError as error:
@@ -245,12 +245,11 @@ def require_size(calibration: Calibration, sizes: Sequence[tuple[int, int]]) -> 
 
 def _keys(content: Mapping[str, Any], section: str, folder: Path) -> Keys | None:
     """The key file holds the server's secret key, 40 characters of Z85, and nothing else."""
-    name = content.get("key_file")
-    if name is None:
+    if "key_file" not in content:
         return None
-    path = folder / str(name)
+    path = folder / _text(content, section, "key_file", "")
     try:
-        secret = path.read_text(encoding="ascii").strip()
+        secret = read_file(path, 4096).decode("ascii").strip()
         public = zmq.curve_public(secret.encode()).decode()
     except OSError as error:
         raise AnnulusError(f"{path}: cannot be read ({error.strerror}). Expected the daemon's secret key.") from None
@@ -270,21 +269,21 @@ def _optional(data: Mapping[str, Any], section: str, key: str) -> str | None:
 def _text(content: Mapping[str, Any], section: str, key: str, default: str) -> str:
     value = content.get(key, default)
     if not isinstance(value, str) or (key in content and not value):
-        raise ValueError(f"[{section}] {key} is {value!r}, expected a text")
+        raise ValueError(f"[{section}] {key} is {shown(value)}, expected a text")
     return value
 
 
 def _flag(content: Mapping[str, Any], section: str, key: str, default: bool) -> bool:
     value = content.get(key, default)
     if not isinstance(value, bool):
-        raise ValueError(f"[{section}] {key} is {value!r}, expected true or false")
+        raise ValueError(f"[{section}] {key} is {shown(value)}, expected true or false")
     return value
 
 
 def _number(content: Mapping[str, Any], section: str, key: str, default: float, low: float, high: float) -> float:
     value = content.get(key, default)
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise ValueError(f"[{section}] {key} is {value!r}, expected a number in {low:g}..{high:g}")
+        raise ValueError(f"[{section}] {key} is {shown(value)}, expected a number in {low:g}..{high:g}")
     if not low <= value <= high:
         raise ValueError(f"[{section}] {key} is {value:g}, expected a number in {low:g}..{high:g}")
     return float(value)

@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 from annulus.geometry.calibration import CAMERAS, ONE_CAMERA, Calibration, camera_alone
 from annulus.geometry.camera import Camera
 from annulus.record.whole import written_whole
+from annulus.untrusted import parse_json, read_file
 from annulus.vocabulary import AnnulusError
 
 Part = TypeVar("Part")
@@ -20,8 +21,8 @@ def load_calibration(path: Path) -> Calibration:
     data = _read(path)
     try:
         return Calibration.from_dict(data)
-    except (ValueError, RecursionError) as error:
-        raise AnnulusError(f"{path}: {str(error) or 'too deeply nested'}.") from None
+    except ValueError as error:
+        raise AnnulusError(f"{path}: {error}.") from None
 
 
 def load_sections(path: Path) -> dict[str, Any]:
@@ -80,10 +81,8 @@ def load_part(path: Path, parse: Callable[[object], Part], made_by: str) -> Part
     data = _read(path, f"a file made by `{made_by}`")
     try:
         return parse(data)
-    except (ValueError, RecursionError) as error:
-        raise AnnulusError(
-            f"{path}: {str(error) or 'too deeply nested'}. Expected a file made by `{made_by}`."
-        ) from None
+    except ValueError as error:
+        raise AnnulusError(f"{path}: {error}. Expected a file made by `{made_by}`.") from None
 
 
 def save_part(path: Path, data: Mapping[str, Any]) -> None:
@@ -93,24 +92,15 @@ def save_part(path: Path, data: Mapping[str, Any]) -> None:
 
 def _read(path: Path, expected: str = "the calibration.json of the head that scanned") -> Any:
     try:
-        with path.open("rb") as file:
-            data = file.read(SIZE_MAX + 1)
+        return parse_json(read_file(path, SIZE_MAX), SIZE_MAX)
     except FileNotFoundError:
         raise AnnulusError(f"{path}: no such file. Expected {expected}.") from None
     except IsADirectoryError:
         raise AnnulusError(f"{path}: is a folder. Expected {expected}.") from None
     except OSError as error:
         raise AnnulusError(f"{path}: cannot be read ({error.strerror}). Expected {expected}.") from None
-    if len(data) > SIZE_MAX:
-        raise AnnulusError(f"{path}: larger than {SIZE_MAX >> 20} MiB. Expected {expected}.")
-    try:
-        return json.loads(data.decode("utf-8-sig"))
-    except json.JSONDecodeError as error:
-        raise AnnulusError(f"{path}: line {error.lineno}: not JSON ({error.msg}). Expected {expected}.") from None
-    except UnicodeDecodeError:
-        raise AnnulusError(f"{path}: not a text file. Expected {expected}.") from None
-    except RecursionError:
-        raise AnnulusError(f"{path}: too deeply nested.") from None
+    except ValueError as error:
+        raise AnnulusError(f"{path}: {error}. Expected {expected}.") from None
 
 
 def _write(path: Path, data: object) -> None:

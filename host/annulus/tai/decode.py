@@ -14,9 +14,11 @@ from annulus.record.acoustic import AcousticRecord
 from annulus.thermoacoustic.codes import pattern, text
 from annulus.thermoacoustic.sweep import Sweep
 from annulus.thermoacoustic.templates import TAPS_MAX, Template, decode, decode_pair, design
+from annulus.untrusted import parse_json, read_file
 from annulus.vocabulary import AnnulusError
 
 FORMAT = "annulus-template/1"
+SIZE_MAX = 1 << 20  # bytes of a template file
 # times: another code that makes so much sharper peaks is what was really sent. Guards:
 # test_a_record_that_names_the_wrong_code_is_heard_out, test_another_code_than_was_asked_for_is_heard
 SHARPER = 1.5
@@ -38,11 +40,13 @@ def template_to_dict(template: Template, chip_s: float) -> dict[str, Any]:
 def load_template(path: Path) -> Template:
     """Raises AnnulusError naming the key that is wrong."""
     try:
-        data = json.loads(path.read_text())
+        data = parse_json(read_file(path, SIZE_MAX), SIZE_MAX)
     except FileNotFoundError:
         raise AnnulusError(f"{path}: no such file") from None
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise AnnulusError(f"{path}: not JSON ({error})") from None
+    except OSError as error:
+        raise AnnulusError(f"{path}: cannot be read ({error.strerror})") from None
+    except ValueError as error:
+        raise AnnulusError(f"{path}: {error}") from None
     if not isinstance(data, Mapping) or data.get("format") != FORMAT:
         raise AnnulusError(f'{path}: expected "format": "{FORMAT}", as `annulus burst design -o` writes')
     try:
