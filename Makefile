@@ -44,7 +44,7 @@ demo: setup
 
 # Lint first: it fails fast. Firmware tests need clang's fuzzer and sanitizers, which need.sh installs. No skips: tests/conftest.py.
 test: export ANNULUS_NO_SKIPS := 1
-test: setup lint firmware emulator
+test: setup lint firmware emulator .tools/picamera2/.made
 	@tools/need.sh clang libclang-rt sigrok-cli qemu-system-x86 linux-image-amd64 busybox-static kmod
 	$(BIN)/pytest -n auto --dist loadfile tests/unit tests/regression
 	$(BIN)/pytest -n auto --dist loadfile tests/scenes
@@ -52,6 +52,11 @@ test: setup lint firmware emulator
 	$(BIN)/pytest -n auto tests/emulator
 	$(BIN)/pytest -n auto tests/hil
 	$(BIN)/pytest tests/guest
+
+# Picamera2's own code, which the tests run off a Pi; by itself, since what it depends on is only on a Pi.
+.tools/picamera2/.made: tests/unit/capture/picamera2.txt .venv/.synced
+	@$(UV) pip install --quiet --no-deps --require-hashes --target $(@D) -r $<
+	@touch $@
 
 lint: setup generated
 	$(BIN)/ruff check .

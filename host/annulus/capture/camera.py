@@ -13,9 +13,8 @@ shows as a hole in `FrameSequence` or in the timestamps.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, Protocol, cast, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
-import cv2
 import numpy as np
 
 from annulus.numeric.arrays import Image
@@ -165,85 +164,9 @@ def plug(camera: object) -> Camera:
     if isinstance(camera, Camera):
         return camera
     if hasattr(camera, "camera_configuration") and hasattr(camera, "capture_request"):
-        return PicameraAdapter(camera)
+        from annulus.capture.picamera import PicameraCamera  # it needs this module
+
+        return PicameraCamera(camera)
     raise AnnulusError(
         f"camera: {type(camera).__name__} has not Picamera2's methods, expected start .. capture_request"
     )
-
-
-# Picamera2 names a format by its channels in a little-endian word, hence the swap: its "RGB888" is B, G, R in memory.
-_PICAMERA_FORMATS = {"RGB888": None, "BGR888": cv2.COLOR_RGB2BGR, "XRGB8888": cv2.COLOR_BGRA2BGR,
-                     "XBGR8888": cv2.COLOR_RGBA2BGR, "YUV420": cv2.COLOR_YUV2BGR_I420}  # fmt: skip
-
-
-class PicameraAdapter:
-    """A real, configured Picamera2 object as our Camera. Nothing of Picamera2 is imported here."""
-
-    def __init__(self, camera: Any) -> None:
-        configuration = camera.camera_configuration()
-        if not configuration or "main" not in configuration:
-            raise AnnulusError('camera: Picamera2 is not configured, expected configure() with a "main" stream first')
-        main = configuration["main"]
-        name = str(main["format"])
-        if name not in _PICAMERA_FORMATS:
-            raise AnnulusError(
-                f"camera: Picamera2 main format is {name}, expected one of {', '.join(_PICAMERA_FORMATS)}"
-            )
-        self._camera = camera
-        self._conversion = _PICAMERA_FORMATS[name]
-        self.width, self.height = (int(side) for side in main["size"])
-        self.encoding = BGR8
-
-    def start(self) -> None:
-        self._camera.start()
-
-    def stop(self) -> None:
-        self._camera.stop()
-
-    def close(self) -> None:
-        self._camera.close()
-
-    def capture_request(self) -> Request:
-        return _PicameraRequest(self._camera.capture_request(), self)
-
-    def capture_array(self, name: str = "main") -> Image:
-        return self.convert(self._camera.capture_array(name))
-
-    def capture_metadata(self) -> dict[str, Any]:
-        return cast(dict[str, Any], self._camera.capture_metadata())
-
-    def set_controls(self, controls: Mapping[str, Any]) -> None:
-        self._camera.set_controls(dict(controls))
-
-    def convert(self, array: Image) -> Image:
-        """Picamera2's array to (H, W, 3) BGR; padding that the stride left on the right is cut off."""
-        if self._conversion is not None:
-            array = cast(Image, cv2.cvtColor(array, self._conversion))
-        return np.ascontiguousarray(array[: self.height, : self.width])
-
-
-class _PicameraRequest:
-    def __init__(self, request: Any, adapter: PicameraAdapter) -> None:
-        self._request = request
-        self._adapter = adapter
-
-    def make_array(self, name: str) -> Image:
-        return self._adapter.convert(self._request.make_array(name))
-
-    def get_metadata(self) -> dict[str, Any]:
-        metadata = dict(self._request.get_metadata())
-        sequence = self._sequence()
-        if sequence is not None:
-            metadata.setdefault("FrameSequence", sequence)
-        return metadata
-
-    def release(self) -> None:
-        self._request.release()
-
-    def _sequence(self) -> int | None:
-        """The sensor's frame counter, which libcamera keeps with the buffer and Picamera2 does not pass on."""
-        try:
-            buffer = next(iter(self._request.request.buffers.values()))
-            return int(buffer.metadata.sequence)
-        except (AttributeError, StopIteration, TypeError, ValueError):
-            return None

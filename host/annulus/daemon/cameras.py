@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from annulus.capture.camera import Camera, plug
+from annulus.capture.camera import Camera
+from annulus.capture.picamera import configure
 from annulus.capture.remote import RemoteCamera
 from annulus.capture.v4l2 import NoSuchControl, V4L2Camera
 from annulus.daemon.config import CameraConfig, HeadConfig
@@ -59,10 +60,18 @@ def _picamera(wanted: CameraConfig) -> Camera:
             "camera: picamera2 is not installed for this Python. On a Raspberry Pi: apt install python3-picamera2, "
             "and make the environment with --system-site-packages."
         ) from None
-    camera = Picamera2(int(wanted.device)) if wanted.device.isdigit() else Picamera2()
-    size = (wanted.width, wanted.height)
-    camera.configure(camera.create_video_configuration(main={"size": size, "format": "RGB888"}, buffer_count=6))
-    return plug(camera)
+    try:
+        camera = Picamera2(int(wanted.device) if wanted.device.isdigit() else 0)
+    except (RuntimeError, IndexError) as error:
+        raise AnnulusError(f"camera: Picamera2 cannot open camera {wanted.device}: {error}") from None
+    try:
+        return configure(
+            camera, (wanted.width, wanted.height), stream=wanted.format, fps=wanted.timing.fps,
+            exposure_us=wanted.timing.exposure_us, gain=wanted.gain, colour_gains=wanted.colour_gains,
+        )  # fmt: skip
+    except BaseException:
+        camera.close()
+        raise
 
 
 def apply_controls(camera: Camera, config: CameraConfig) -> list[str]:
@@ -71,7 +80,7 @@ def apply_controls(camera: Camera, config: CameraConfig) -> list[str]:
     Returns what the camera cannot be told, for the operator. Raises AnnulusError when it does not do what it was told.
     """
     remarks = []
-    if config.kind in ("v4l2", "picamera2"):
+    if config.kind == "v4l2":  # Picamera2 was told when it was configured
         period_us = round(config.timing.period_us)
         for controls in (
             {"AeEnable": False, "FrameDurationLimits": (period_us, period_us)},

@@ -10,7 +10,8 @@ import zmq
 
 from annulus.capture.timing import FrameTiming
 from annulus.geometry.calibration import Calibration
-from annulus.record.calibration_file import load_calibration
+from annulus.record.calibration_file import load_calibration, load_part
+from annulus.rings.colour import ColourProfile
 from annulus.stream.access import Keys
 from annulus.stream.frames import CAMERAS_MAX
 from annulus.untrusted import TOML_MAX, parse_toml, read_file, shown
@@ -19,6 +20,7 @@ from annulus.vocabulary import AnnulusError
 CameraKind = Literal["v4l2", "picamera2", "video", "folder", "remote"]
 CAMERA_KINDS = ("v4l2", "picamera2", "video", "folder", "remote")
 SENSOR_KINDS = ("remote",)
+COLOUR_MAKER = "annulus calibrate colour"
 USUAL_TIMING = FrameTiming(25.0, 38_000.0, 28_000.0)
 
 
@@ -28,9 +30,10 @@ class CameraConfig:
     device: str = "/dev/video0"  # or the file, folder or address
     width: int = 1664
     height: int = 1232
-    format: str = "YU12"  # the fourcc that a V4L2 device is asked for
+    format: str = "YU12"  # the fourcc that a V4L2 device is asked for; of Picamera2 "raw" or a format of its "main"
     gain: float = 1.0
     timing: FrameTiming = USUAL_TIMING
+    colour_gains: tuple[float, float] | None = None  # red and blue over green, Picamera2's ColourGains
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +79,7 @@ class HeadConfig:
     port: str | None = None  # None: labels come with the frames (scan folder) or are unknown
     mm_per_count: float = 0.05
     calibration: Calibration | None = None  # None: no live reconstruction
+    colour: ColourProfile | None = None  # of the pipe; each frame's own where None
     record_folder: Path | None = None
     publish: SocketConfig | None = None
     control: SocketConfig | None = None
@@ -107,10 +111,21 @@ class HeadConfig:
 _LISTS = ("camera", "sensor")  # sections that may come several times, as [[camera]]
 _SECTIONS: Mapping[str, tuple[str, ...]] = {
     "controller": ("port",),
-    "camera": ("kind", "device", "width", "height", "format", "gain", "fps", "exposure_us", "readout_us"),
+    "camera": (
+        "kind",
+        "device",
+        "width",
+        "height",
+        "format",
+        "gain",
+        "fps",
+        "exposure_us",
+        "readout_us",
+        "colour_gains",
+    ),
     "lamps": tuple(field.name for field in fields(LampConfig)),
     "odometer": ("mm_per_count",),
-    "calibration": ("file",),
+    "calibration": ("file", "colour"),
     "record": ("folder",),
     "publish": ("address", "key_file", "viewers"),
     "control": ("address", "key_file", "viewers", "autostart"),
@@ -142,6 +157,7 @@ def _checked(data: Mapping[str, Any], folder: Path) -> HeadConfig:
     if len({camera.timing.fps for camera in cameras}) > 1:
         raise ValueError("[camera] fps differs from camera to camera, but they share one frame-sync")
     calibration_file, record = _optional(data, "calibration", "file"), _optional(data, "record", "folder")
+    paint = _optional(data, "calibration", "colour")
     workers, control = data.get("workers", {}), data.get("control", {})
     config = HeadConfig(
         cameras=cameras,
@@ -149,6 +165,7 @@ def _checked(data: Mapping[str, Any], folder: Path) -> HeadConfig:
         port=_optional(data, "controller", "port"),
         mm_per_count=_number(data.get("odometer", {}), "odometer", "mm_per_count", 0.05, -1e3, 1e3),
         calibration=None if calibration_file is None else load_calibration(folder / calibration_file),
+        colour=None if paint is None else load_part(folder / paint, ColourProfile.from_dict, COLOUR_MAKER),
         record_folder=None if record is None else folder / record,
         publish=_socket(data, "publish", folder),
         control=_socket(data, "control", folder),
@@ -193,14 +210,26 @@ def _camera(content: Mapping[str, Any]) -> CameraConfig:
         _text(content, "camera", "device", usual.device),
         _whole(content, "camera", "width", usual.width, 16, 16384),
         _whole(content, "camera", "height", usual.height, 16, 16384),
-        _text(content, "camera", "format", usual.format),
+        _text(content, "camera", "format", "raw" if kind == "picamera2" else usual.format),
         _number(content, "camera", "gain", usual.gain, 0.0, 1e3),
         FrameTiming(
             _number(content, "camera", "fps", usual.timing.fps, 1.0, 500.0),
             _number(content, "camera", "exposure_us", usual.timing.exposure_us, 1.0, 1e6),
             _number(content, "camera", "readout_us", usual.timing.readout_us, 0.0, 1e6),
         ),
+        _gains(content),
     )
+
+
+def _gains(content: Mapping[str, Any]) -> tuple[float, float] | None:
+    """[red, blue] as `annulus calibrate colour` prints them."""
+    gains = content.get("colour_gains")
+    if gains is None:
+        return None
+    if not isinstance(gains, list) or len(gains) != 2:
+        raise ValueError(f"[camera] colour_gains is {gains!r}, expected [red, blue]")
+    red, blue = (_number({"colour_gains": gain}, "camera", "colour_gains", 1.0, 0.01, 32.0) for gain in gains)
+    return red, blue
 
 
 def _lamps(content: Mapping[str, Any]) -> LampConfig:

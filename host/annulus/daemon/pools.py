@@ -21,6 +21,7 @@ from annulus.daemon.observer import Mark, Observer
 from annulus.daemon.reorder import ReorderBuffer
 from annulus.daemon.state import State
 from annulus.geometry.calibration import Calibration
+from annulus.rings.colour import ColourProfile
 from annulus.sensors.sample import Sample
 from annulus.stream.frames import FrameHeader
 from annulus.stream.ring import Place
@@ -195,10 +196,12 @@ class Reconstruction(_Pool):
     """The workers that turn projector frames into profiles, which come out in the order of frames."""
 
     def __init__(
-        self, calibration: Calibration, count: int, shared: Shared, account: Account, observer: Observer
-    ) -> None:
+        self, calibration: Calibration, colour: ColourProfile | None, count: int, shared: Shared, account: Account,
+        observer: Observer,
+    ) -> None:  # fmt: skip
         command = [sys.executable, "-m", "annulus.daemon.worker"]
-        kind = WorkerKind("worker", command, {"calibration": calibration.to_dict()}, count, WORKER_DEPTH)
+        setup = {"calibration": calibration.to_dict(), "colour": None if colour is None else colour.to_dict()}
+        kind = WorkerKind("worker", command, setup, count, WORKER_DEPTH)
         super().__init__(kind, shared, account, observer)
         self.camera = calibration.camera_id  # whose frames it takes
         self._queue: deque[tuple[FrameHeader, InSlot]] = deque()  # each holds its slot

@@ -164,7 +164,7 @@ class Session:
             self._prepare_scan(power)  # together with the workers: neither has to wait for the other
         if config.calibration is not None:
             self._reconstruction = Reconstruction(
-                config.calibration, config.workers or default_workers(), power.shared, self._account,
+                config.calibration, config.colour, config.workers or default_workers(), power.shared, self._account,
                 self._observers,
             )  # fmt: skip
 

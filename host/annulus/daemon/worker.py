@@ -11,6 +11,7 @@ from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import Image
 from annulus.record.recording import to_bgr
 from annulus.reprocess.method import method_for, warm_up
+from annulus.rings.colour import ColourProfile
 from annulus.stream.frames import FrameHeader
 from annulus.stream.workers import serve
 
@@ -18,8 +19,8 @@ from annulus.stream.workers import serve
 class ReconstructionJob:
     """A head's method as a job. A frame's `extra` is the last known pose, four numbers, or None."""
 
-    def __init__(self, calibration: Calibration) -> None:
-        self._method = method_for(calibration)
+    def __init__(self, calibration: Calibration, colour: ColourProfile | None = None) -> None:
+        self._method = method_for(calibration, colour)
         warm_up(self._method, calibration)  # compiles now what the first frame would wait for
 
     def frame(self, header: FrameHeader, image: Image, extra: Any) -> Any:
@@ -40,7 +41,8 @@ class ReconstructionJob:
 def _prepare(setup: Any) -> ReconstructionJob:
     os.nice(5)  # labels and recording come first
     cv2.setNumThreads(1)  # one process a core: threads would only fight over them
-    return ReconstructionJob(Calibration.from_dict(setup["calibration"]))
+    colour = None if setup["colour"] is None else ColourProfile.from_dict(setup["colour"])
+    return ReconstructionJob(Calibration.from_dict(setup["calibration"]), colour)
 
 
 if __name__ == "__main__":

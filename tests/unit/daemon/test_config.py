@@ -54,7 +54,7 @@ def test_the_example_in_the_readme_is_valid(tmp_path: Path) -> None:
     assert secret not in json.dumps(config.to_dict())
     assert config.control == SocketConfig("tcp://127.0.0.1:5602") and config.autostart
     assert config.sensors == (SensorConfig("remote", "ipc:///run/head/sensors"),)
-    assert config.cameras == (CameraConfig(),)
+    assert config.cameras == (CameraConfig(colour_gains=(1.9, 1.6)),)
 
 
 def test_an_empty_file_is_a_camera_without_a_controller(tmp_path: Path) -> None:
@@ -129,3 +129,17 @@ readout_us = 20000
         ("remote", "@other", 640),
     ]
     assert (config.timing.fps, config.timing.exposure_us, config.timing.readout_us) == (25.0, 36_000.0, 28_000.0)
+
+
+def test_colours_of_the_camera_and_of_the_pipe_come_from_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "head.toml"
+    path.write_text('[camera]\nkind = "picamera2"\ncolour_gains = [1.9, 1.6]\n')
+    [camera] = load_config(path).cameras
+    assert (camera.format, camera.colour_gains) == ("raw", (1.9, 1.6))
+    for wrong in ("1.9", "[1.9]", "[1.9, 0]", '["a", 1.0]', "[1.9, nan]"):
+        path.write_text(f'[camera]\nkind = "picamera2"\ncolour_gains = {wrong}\n')
+        with pytest.raises(AnnulusError, match=r"\[camera\] colour_gains is"):
+            load_config(path)
+    path.write_text('[calibration]\ncolour = "paint.json"\n')
+    with pytest.raises(AnnulusError, match=r"paint\.json: no such file.*annulus calibrate colour"):
+        load_config(path)
