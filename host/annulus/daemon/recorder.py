@@ -11,7 +11,7 @@ from typing import Any
 from annulus.numeric.arrays import Image
 from annulus.record.writer import RecordingWriter
 from annulus.stream.frames import FrameHeader
-from annulus.stream.workers import serve
+from annulus.stream.working import serve
 from annulus.vocabulary import AnnulusError
 
 

@@ -13,7 +13,7 @@ from annulus.record.recording import to_bgr
 from annulus.reprocess.method import method_for, warm_up
 from annulus.rings.colour import ColourProfile
 from annulus.stream.frames import FrameHeader
-from annulus.stream.workers import serve
+from annulus.stream.working import serve
 
 
 class ReconstructionJob:

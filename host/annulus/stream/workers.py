@@ -1,40 +1,46 @@
 """Worker processes fed through a FrameRing. A frame handed out comes back as done, failed or lost, whoever is killed.
 
-`WorkerPool` is the owner's side, `serve` the worker's. Each worker has its own PUSH socket, so the owner knows which
+`WorkerPool` is the owner's side, working.py the worker's. Each worker has its own PUSH socket, so the owner knows which
 frames died with it; all answer into one PULL socket. Nothing here waits: `poll` reads what is there, `offer` says no
 when everybody is busy.
+
+A worker that died, is stopped, or takes far longer over a frame than frames usually take is killed and replaced: by a
+spare, where its kind has any, which has done all but what its setup asks for.
 """
 
 import contextlib
-import ctypes
 import json
 import os
 import signal
 import subprocess
-import sys
 import time
-from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from statistics import median
+from typing import Any
 
 import msgpack
 import zmq
 
 from annulus import untrusted
-from annulus.numeric.arrays import Image
 from annulus.stream.frames import FrameHeader
-from annulus.stream.ring import FrameRing, Overwritten, Place, RingView
+from annulus.stream.ring import FrameRing, Place
 from annulus.vocabulary import AnnulusError
 
 MESSAGE_MAX = 1 << 26  # bytes; a profile is below 1 MB
 STARTS_MAX = 3  # times in a row a worker may die without having done anything
-HUNG_S = 20.0  # longer on one frame than this and the worker is replaced
+HUNG_S = 20.0  # longer on one frame than this and the worker is replaced; also while it waits for a disk
+HUNG_TIMES = 20.0  # as long as frames usually take, likewise, ..
+HUNG_LEAST_S = 1.0  # .. but not sooner than this: a busy machine is no hang
+USUAL_FRAMES = 31  # whose median is what frames usually take
+STOPPED_S = 0.4  # between two looks; found stopped twice, a worker is replaced
 START_S = 180.0  # compiling for the first time included
+WARM_START_S = 5.0  # for a spare that is called up: it has only its setup to do
+SPARE_S = 1.0  # between two starts of spares
+KILL_S = 2.0  # the kernel has for ending a killed process
 UNREADY_S = 1.0  # to leave, for one that was not ready yet
-_PR_SET_PDEATHSIG = 1
-_M_TRIM_THRESHOLD, _M_TOP_PAD, _M_MMAP_THRESHOLD = -1, -2, -3
 
 Socket = zmq.Socket[bytes]
 
@@ -97,8 +103,9 @@ class WorkerKind:
     command: Sequence[str]
     setup: Any  # plain types and bytes; each worker receives it first
     count: int
-    depth: int  # frames at most that wait at one worker
+    depth: int  # frames at most that one worker holds: its share of the ring
     hung_s: float = HUNG_S
+    spares: int = 0  # kept beside them, without a setup yet
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +135,11 @@ class _Worker:
     address: Path
     started: float
     answered: float = 0.0  # when it last gave a frame back
+    spare: bool = False
+    warm: bool = False  # it waits for its setup
     ready: bool = False
+    stopped: bool = False  # when last looked at
+    looked: float = 0.0
     broken: str = ""  # what the user can mend
     in_hand: dict[int, _InHand] = field(default_factory=dict)  # by the stamp of its place: no two frames share one
 
@@ -145,6 +156,9 @@ class WorkerPool:
         self._clock = clock
         self._numbers = 0
         self._barren = 0  # deaths since the last frame that came back
+        self._next_spare = 0.0
+        self._took_s: deque[float] = deque(maxlen=USUAL_FRAMES)  # over the last frames
+        self._dying: list[subprocess.Popen[bytes]] = []  # killed, and not gone yet: a disk may hold them
         self._workers: dict[int, _Worker] = {}
         self._results_path = shared.folder / f"{kind.name}-results"
         self.results = shared.context.socket(zmq.PULL)
@@ -154,6 +168,7 @@ class WorkerPool:
         try:
             for _ in range(kind.count):
                 self._start()
+            self._keep_spares(self._clock())
         except BaseException:
             self.stop(0.0)
             raise
@@ -161,29 +176,44 @@ class WorkerPool:
     @property
     def ready(self) -> int:
         """Workers that take frames."""
-        return sum(worker.ready for worker in self._workers.values())
+        return sum(worker.ready for worker in self._active)
 
     @property
     def alive(self) -> int:
-        return len(self._workers)
+        """Workers, without spares."""
+        return len(self._active)
 
     @property
     def in_hand(self) -> int:
         """Frames handed out and not yet back."""
-        return sum(len(worker.in_hand) for worker in self._workers.values())
+        return sum(len(worker.in_hand) for worker in self._active)
 
     @property
     def room(self) -> bool:
         """Whether some worker would take a frame now."""
-        return any(w.ready and len(w.in_hand) < self._kind.depth for w in self._workers.values())
+        return any(w.ready and len(w.in_hand) < self._kind.depth for w in self._active)
 
     @property
     def pids(self) -> list[int]:
-        return [worker.process.pid for worker in self._workers.values()]
+        """Of the workers, without spares."""
+        return [worker.process.pid for worker in self._active]
+
+    @property
+    def spare_pids(self) -> list[int]:
+        return [worker.process.pid for worker in self._workers.values() if worker.spare]
+
+    @property
+    def hung_s(self) -> float:
+        """A worker that takes longer than this over a frame is replaced."""
+        return min(self._kind.hung_s, max(HUNG_LEAST_S, HUNG_TIMES * median(self._took_s or [self._kind.hung_s])))
+
+    @property
+    def _active(self) -> list[_Worker]:
+        return [worker for worker in self._workers.values() if not worker.spare]
 
     def offer(self, header: FrameHeader, place: Place, extra: Any = None) -> bool:
         """Hand a frame to the least busy worker, which then holds its slot. False, and counted, when none has room."""
-        free = [w for w in self._workers.values() if w.ready and len(w.in_hand) < self._kind.depth]
+        free = [w for w in self._active if w.ready and len(w.in_hand) < self._kind.depth]
         if not free:
             self.counts["refused"] += 1
             return False
@@ -202,7 +232,7 @@ class WorkerPool:
     def tell(self, kind: str, body: Any) -> None:
         """A note to every worker. Counted under `notes_dropped` when a worker's queue is full."""
         note = msgpack.packb([kind, body])
-        for worker in self._workers.values():
+        for worker in self._active:
             try:
                 worker.tasks.send_multipart([b"note", note], zmq.NOBLOCK)
             except zmq.Again:
@@ -213,30 +243,54 @@ class WorkerPool:
         happened = self._receive()
         now = self._clock()
         for worker in list(self._workers.values()):
-            code = worker.process.poll()
-            oldest = min((task.since for task in worker.in_hand.values()), default=now)
-            since = max(oldest, worker.answered)  # the oldest may have waited behind others that were done
-            if code is None and now - since > self._kind.hung_s:
-                why = f"hung for {now - since:.0f} s"
-            elif code is None and not worker.ready and now - worker.started > START_S:
-                why = f"not ready after {START_S:.0f} s"
-            elif code is not None:
-                why = f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit status {code}"
-            else:
+            why = self._failing(worker, now)
+            if not why:
                 continue
             happened += self._receive()  # what it sent before it died still counts
             happened += self._bury(worker, why)
+            if worker.spare:
+                self.counts["spares_died"] += 1
+                continue
             self._barren += 1
             replace = not worker.broken and self._barren <= STARTS_MAX
             self.counts["died"] += 1
             happened.append(Died(worker.number, worker.broken or why, replace))
             if replace:
                 self._start()
+        self._keep_spares(now)
+        self._dying = [process for process in self._dying if process.poll() is None]
         return happened
+
+    def revive(self) -> None:
+        """Start those again that were not replaced."""
+        self._barren = 0
+        for _ in range(self._kind.count - self.alive):
+            self._start()
+
+    def _failing(self, worker: _Worker, now: float) -> str:
+        """Why this worker cannot stay; empty when it can."""
+        code = worker.process.poll()
+        if code is not None:
+            return f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit status {code}"
+        oldest = min((task.since for task in worker.in_hand.values()), default=now)
+        busy_s = now - max(oldest, worker.answered)  # the oldest may have waited behind others that were done
+        if busy_s > self.hung_s and (busy_s > self._kind.hung_s or _process_state(worker.process.pid) != "D"):
+            return f"hung for {busy_s:.0f} s"
+        start_s = WARM_START_S if worker.warm else START_S
+        if not worker.ready and not worker.spare and now - worker.started > start_s:
+            return f"not ready after {start_s:.0f} s"
+        if now - worker.looked > STOPPED_S:
+            before, worker.stopped = worker.stopped, _process_state(worker.process.pid) == "T"
+            worker.looked = now
+            if before and worker.stopped:
+                return "stopped by a signal"
+        return ""
 
     def stop(self, patience_s: float) -> list[PoolEvent]:
         """Ask every worker to finish what it has and leave; after `patience_s` kill. None is left when this returns."""
         happened: list[PoolEvent] = []
+        for spare in [worker for worker in self._workers.values() if worker.spare]:
+            self._bury(spare, "not needed")
         for worker in self._workers.values():
             with contextlib.suppress(zmq.ZMQError):
                 worker.tasks.send_multipart([b"stop", b""], zmq.NOBLOCK)
@@ -252,12 +306,29 @@ class WorkerPool:
         for worker in list(self._workers.values()):
             self.counts["killed"] += 1
             happened += self._bury(worker, f"still busy {patience_s:.0f} s after being asked to stop")
+        for process in self._dying:
+            with contextlib.suppress(
+                subprocess.TimeoutExpired
+            ):  # a disk holds it; the kernel ends it when that lets go
+                process.wait(KILL_S)
         if not self.results.closed:
             self.results.close(0)
         self._results_path.unlink(missing_ok=True)
         return happened
 
+    def _keep_spares(self, now: float) -> None:
+        if len(self.spare_pids) < self._kind.spares and now >= self._next_spare:
+            self._next_spare = now + SPARE_S
+            self._spawn().spare = True
+
     def _start(self) -> None:
+        """One more worker: a spare, if there is one that is not stopped itself."""
+        spares = sorted((w for w in self._workers.values() if w.spare and not w.stopped), key=lambda w: not w.warm)
+        worker = spares[0] if spares else self._spawn()
+        worker.spare, worker.started = False, self._clock()
+        worker.tasks.send_multipart([b"setup", msgpack.packb(self._kind.setup)], zmq.NOBLOCK)
+
+    def _spawn(self) -> _Worker:
         number, self._numbers = self._numbers, self._numbers + 1
         address = self._folder / f"{self._kind.name}-{number}"
         tasks = self._context.socket(zmq.PUSH)
@@ -281,8 +352,8 @@ class WorkerPool:
             tasks.close(0)
             address.unlink(missing_ok=True)
             raise AnnulusError(f"cannot start {self._kind.command[0]}: {error.strerror}") from None
-        self._workers[number] = _Worker(number, process, tasks, address, self._clock())
-        tasks.send_multipart([b"setup", msgpack.packb(self._kind.setup)], zmq.NOBLOCK)
+        worker = self._workers[number] = _Worker(number, process, tasks, address, self._clock())
+        return worker
 
     def _receive(self) -> list[PoolEvent]:
         happened: list[PoolEvent] = []
@@ -295,6 +366,8 @@ class WorkerPool:
             worker = self._workers.get(number)
             if worker is None:
                 self.counts["late"] += 1  # from one already buried; its frames were reported lost
+            elif kind == "warm":
+                worker.warm = True
             elif kind == "ready":
                 worker.ready = True
                 happened.append(Ready(number))
@@ -306,7 +379,9 @@ class WorkerPool:
                 self._ring.release(task.place)
                 self.counts[kind] += 1
                 self._barren = 0
-                worker.answered = self._clock()
+                now = self._clock()
+                self._took_s.append(now - max(task.since, worker.answered))
+                worker.answered = now
                 happened.append(
                     Done(number, task.header, body[1]) if kind == "done" else Failed(number, task.header, str(body[1]))
                 )
@@ -321,7 +396,7 @@ class WorkerPool:
     def _bury(self, worker: _Worker, why: str) -> list[PoolEvent]:
         if worker.process.poll() is None:
             worker.process.kill()
-        worker.process.wait()
+            self._dying.append(worker.process)
         worker.tasks.close(0)
         worker.address.unlink(missing_ok=True)
         del self._workers[worker.number]
@@ -331,99 +406,9 @@ class WorkerPool:
         return [FrameLost(worker.number, task.header, why) for task in worker.in_hand.values()]
 
 
-class Job(Protocol):
-    """What a worker does. Exceptions in `frame` cost that frame only."""
-
-    def frame(self, header: FrameHeader, image: Image, extra: Any) -> Any:
-        """Plain types and bytes, sent back. `image` is shared memory: valid during the call, read-only."""
-
-    def note(self, kind: str, body: Any) -> None:
-        """Something every worker of the kind is told."""
-
-    def idle(self) -> Any:
-        """Called at least every half second. Whatever is not None is sent as a report."""
-
-    def close(self) -> Any:
-        """Last words; sent back."""
-
-
-def serve(argument: str, prepare: Callable[[Any], Job]) -> None:
-    """Run one worker: `argument` is what WorkerPool put on the command line, `prepare` makes the job from the setup."""
-    link: Mapping[str, Any] = json.loads(argument)
-    end_with_parent(link["parent"])
-    keep_freed_memory()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))  # as an exception, so that the job is closed
-    ring = RingView(link["ring_fd"], link["frame_bytes"])
-    context: zmq.Context[Socket] = zmq.Context()
-    tasks, results = context.socket(zmq.PULL), context.socket(zmq.PUSH)
-    tasks.setsockopt(zmq.RCVHWM, 1)
-    results.setsockopt(zmq.LINGER, 2000)
-    tasks.bind(link["tasks"])
-    results.connect(link["results"])
-
-    def answer(kind: str, body: Any) -> None:
-        results.send(msgpack.packb([link["worker"], kind, body]))
-
-    job: Job | None = None
+def _process_state(pid: int) -> str:
+    """The kernel's letter: R, S, D (waits for a disk), T (stopped), Z .."""
     try:
-        while True:
-            if not tasks.poll(500):
-                if job is not None and (report := job.idle()) is not None:
-                    answer("report", report)
-                continue
-            kind, payload = tasks.recv_multipart()
-            if kind == b"stop":
-                break
-            body = msgpack.unpackb(payload)
-            if kind == b"setup":
-                try:
-                    job = prepare(body)
-                except AnnulusError as error:
-                    answer("broken", str(error))
-                    break
-                answer("ready", None)
-            elif job is not None and kind == b"note":
-                job.note(*body)
-            elif job is not None and kind == b"frame":
-                _one_frame(job, ring, body, answer)
-                if (report := job.idle()) is not None:
-                    answer("report", report)
-    finally:
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)
-        answer("bye", None if job is None else job.close())
-        results.close()
-        context.destroy(linger=2000)
-
-
-def _one_frame(job: Job, ring: RingView, body: Any, answer: Callable[[str, Any], None]) -> None:
-    raw, slot, stamp, extra = body
-    try:
-        header = FrameHeader.from_dict(raw)
-        with ring.frame(header, Place(slot, stamp)) as image:
-            result = job.frame(header, image, extra)
-            del image
-    except Overwritten as error:
-        answer("failed", [stamp, str(error)])
-    except Exception as error:  # a frame the method cannot take must not cost the worker
-        answer("failed", [stamp, f"{type(error).__name__}: {error}"])
-    else:
-        answer("done", [stamp, result])
-
-
-def end_with_parent(parent: int) -> None:
-    """Have the kernel send SIGTERM when the parent is gone, even by kill -9."""
-    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
-    if os.getppid() != parent:  # it died before we asked
-        sys.exit(1)
-
-
-def keep_freed_memory() -> None:
-    """Have glibc keep the megabytes of one frame for the next, instead of having the kernel zero new pages each time.
-
-    Writing a 2 MB frame to a recording takes 3.5 ms so, 9.2 ms otherwise. Does nothing under another libc.
-    """
-    libc = ctypes.CDLL(None)
-    if hasattr(libc, "mallopt"):
-        for option, value in ((_M_MMAP_THRESHOLD, 32 << 20), (_M_TRIM_THRESHOLD, 512 << 20), (_M_TOP_PAD, 16 << 20)):
-            libc.mallopt(option, value)
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(") ", 1)[1][0]
+    except (OSError, IndexError):
+        return ""

@@ -14,7 +14,7 @@ from annulus.vocabulary import Label
 
 SLEEPER = """
 import sys, time
-from annulus.stream.workers import serve
+from annulus.stream.working import serve
 
 class Sleeper:
     frame = staticmethod(lambda header, image, seconds: time.sleep(seconds))

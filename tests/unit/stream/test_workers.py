@@ -41,11 +41,18 @@ class Yard:
     """A ring, a pool of workers and the loop around them."""
 
     def __init__(
-        self, folder: Path, setup: object = "hello", count: int = 2, *, clock=time.monotonic, hung_s: float = HUNG_S
+        self,
+        folder: Path,
+        setup: object = "hello",
+        count: int = 2,
+        *,
+        clock=time.monotonic,
+        hung_s: float = HUNG_S,
+        spares: int = 0,
     ) -> None:
         self.context, self.ring = zmq.Context(), FrameRing(8, 30 * 40)
         self.folder, self.index = folder, 0
-        kind = WorkerKind("w", WORKER, setup, count, 2, hung_s)
+        kind = WorkerKind("w", WORKER, setup, count, 2, hung_s, spares)
         self.pool = WorkerPool(kind, Shared(self.ring, self.context, folder), clock)
         self.seen: list[PoolEvent] = []
 
@@ -74,7 +81,7 @@ class Yard:
         return [happening for happening in self.seen if isinstance(happening, kind)]
 
     def close(self) -> None:
-        pids = self.pool.pids
+        pids = self.pool.pids + self.pool.spare_pids
         self.seen += self.pool.stop(5.0)
         self.context.destroy(linger=0)
         assert not any(Path(f"/proc/{pid}").exists() for pid in pids)
@@ -222,4 +229,79 @@ def test_what_a_user_can_mend_is_said_and_not_tried_again(tmp_path: Path) -> Non
     yard = Yard(tmp_path, setup="broken", count=1)
     yard.until(lambda: yard.pool.alive == 0)
     assert yard.of(Died) == [Died(0, "/etc/x: mend it", False)]
+    yard.close()
+
+
+def test_a_hang_is_twenty_times_what_frames_usually_take_and_a_second_at_least(tmp_path: Path) -> None:
+    now = [0.0]
+    yard = Yard(tmp_path, count=1, clock=lambda: now[0]).all_ready(1)
+    assert yard.pool.hung_s == HUNG_S, "nothing is known yet"
+    for took_s in (0.2, 0.1, 0.1):
+        yard.hand_out("fine")
+        now[0] += took_s
+        done = len(yard.of(Done)) + 1
+        yard.until(lambda done=done: len(yard.of(Done)) == done)
+    assert yard.pool.hung_s == pytest.approx(2.0)
+    for _ in range(10):
+        yard.hand_out("fine")
+        done = len(yard.of(Done)) + 1
+        yard.until(lambda done=done: len(yard.of(Done)) == done)
+    assert yard.pool.hung_s == 1.0
+    yard.hand_out("hang")
+    now[0] += 0.9
+    yard.seen += yard.pool.poll()
+    assert not yard.of(Died)
+    now[0] += 0.2
+    yard.until(lambda: yard.of(Died))
+    yard.close()
+
+
+def test_a_stopped_worker_is_replaced_and_one_that_goes_on_in_time_is_not(tmp_path: Path) -> None:
+    now = [0.0]
+    yard = Yard(tmp_path, count=1, clock=lambda: now[0]).all_ready(1)
+    victim = yard.pool.pids[0]
+
+    def look(number: signal.Signals | None = None) -> None:
+        if number is not None:
+            os.kill(victim, number)
+            while (Path(f"/proc/{victim}/stat").read_text().rsplit(") ")[1][0] == "T") != (number == signal.SIGSTOP):
+                time.sleep(0.001)
+        now[0] += 0.5
+        yard.seen += yard.pool.poll()
+
+    look(signal.SIGSTOP)
+    look(signal.SIGCONT)
+    assert yard.pool.pids == [victim]
+    look(signal.SIGSTOP)
+    look()
+    assert [died.why for died in yard.of(Died)] == ["stopped by a signal"]
+    yard.all_ready(1).close()
+
+
+def test_a_spare_takes_over_and_another_spare_is_made(tmp_path: Path) -> None:
+    now = [0.0]
+    yard = Yard(tmp_path, count=1, spares=1, clock=lambda: now[0]).all_ready(1)
+    first, spares = yard.pool.pids, yard.pool.spare_pids
+    assert len(spares) == 1 and yard.pool.alive == 1
+    os.kill(first[0], signal.SIGKILL)
+    yard.until(lambda: yard.of(Died))
+    assert yard.pool.pids == spares
+    yard.all_ready(1)
+    assert yard.pool.spare_pids == [], "not one after the other as fast as they die"
+    now[0] += 1.1
+    yard.pool.poll()
+    assert len(yard.pool.spare_pids) == 1
+    os.kill(yard.pool.spare_pids[0], signal.SIGKILL)
+    yard.until(lambda: yard.pool.counts["spares_died"] == 1)
+    assert yard.pool.counts["died"] == 1 and yard.hand_out("fine")
+    yard.until(lambda: yard.of(Done))
+    yard.close()
+
+
+def test_those_given_up_can_be_started_again(tmp_path: Path) -> None:
+    yard = Yard(tmp_path, setup="broken", count=2)
+    yard.until(lambda: yard.pool.alive == 0)
+    yard.pool.revive()
+    assert yard.pool.alive == 2
+    yard.until(lambda: yard.pool.alive == 0)
     yard.close()

@@ -6,7 +6,7 @@ import sys
 import time
 from typing import Any
 
-from annulus.stream.workers import serve
+from annulus.stream.working import serve
 from annulus.vocabulary import AnnulusError
 
 
