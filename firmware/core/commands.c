@@ -61,6 +61,24 @@ static void stage(controller_t* const self, const uint8_t line, const uint8_t* c
     reply_stage_pack(&reply, answer);
 }
 
+static void preamble(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
+{
+    command_preamble_t command;
+    command_preamble_unpack(&command, payload);
+    reply_preamble_t reply = {.status = STATUS_OUT_OF_RANGE, .detail = command_preamble_range(&command)};
+    if (reply.detail == RANGE_OK) {
+        reply.detail = 0;
+        reply.status = STATUS_SCHEMA;
+        if (commands_allowed(self, line)) {
+            reply.status = STATUS_OK;
+            sequencer_preamble(&self->sequencer, &command);
+        }
+    }
+    reply.length = self->sequencer.preamble.config.length;
+    reply.interval = self->sequencer.preamble.config.interval;
+    reply_preamble_pack(&reply, answer);
+}
+
 static void commit(controller_t* const self, const uint8_t line, const uint8_t* const payload, uint8_t* const answer)
 {
     command_commit_t command;
@@ -277,6 +295,7 @@ static void (*const handlers[])(controller_t* self, uint8_t line, const uint8_t*
     [COMMAND_STATUS] = query_status,
     [COMMAND_STAGE] = stage,
     [COMMAND_COMMIT] = commit,
+    [COMMAND_PREAMBLE] = preamble,
     [COMMAND_ARM] = arm,
     [COMMAND_CLEAR] = clear,
     [COMMAND_REREAD] = query_reread,

@@ -786,6 +786,47 @@ void reply_samples_unpack(reply_samples_t* const self, const uint8_t* const payl
     memcpy(self->bits, payload + 5, 32);
 }
 
+void command_preamble_pack(const command_preamble_t* const self, uint8_t* const payload)
+{
+    put8(payload + 0, self->length);
+    put16(payload + 1, self->interval);
+    put8(payload + 3, self->now);
+}
+
+void command_preamble_unpack(command_preamble_t* const self, const uint8_t* const payload)
+{
+    self->length = get8(payload + 0);
+    self->interval = get16(payload + 1);
+    self->now = get8(payload + 3);
+}
+
+uint8_t command_preamble_range(const command_preamble_t* const self)
+{
+    if (self->length > 63U) {
+        return 0U;
+    }
+    if (self->now > 1U) {
+        return 2U;
+    }
+    return RANGE_OK;
+}
+
+void reply_preamble_pack(const reply_preamble_t* const self, uint8_t* const payload)
+{
+    put8(payload + 0, self->status);
+    put8(payload + 1, self->detail);
+    put8(payload + 2, self->length);
+    put16(payload + 3, self->interval);
+}
+
+void reply_preamble_unpack(reply_preamble_t* const self, const uint8_t* const payload)
+{
+    self->status = get8(payload + 0);
+    self->detail = get8(payload + 1);
+    self->length = get8(payload + 2);
+    self->interval = get16(payload + 3);
+}
+
 void command_turntable_pack(const command_turntable_t* const self, uint8_t* const payload)
 {
     put32(payload + 0, (uint32_t)self->lowest);
@@ -1043,6 +1084,8 @@ static const layout_t layouts[] = {
     {0x57, 2, 0xCC, 0, 2},  // reply measure
     {0x18, 2, 0x93, 1, 2},  // command samples
     {0x58, 37, 0x89, 0, 2},  // reply samples
+    {0x19, 4, 0xA2, 0, 2},  // command preamble
+    {0x59, 5, 0x39, 0, 2},  // reply preamble
     {0x12, 17, 0x00, 0, 2},  // command turntable
     {0x52, 19, 0xBF, 0, 2},  // reply turntable
     {0x13, 0, 0x6C, 0, 2},  // command turntable_stop
@@ -1087,4 +1130,4 @@ uint8_t fault_since(const uint8_t fault)
     return 1U;
 }
 
-const uint8_t known_commands[8] = {0xFF, 0xFF, 0xFF, 0x01, 0x00, 0x00, 0x00, 0x00};
+const uint8_t known_commands[8] = {0xFF, 0xFF, 0xFF, 0x03, 0x00, 0x00, 0x00, 0x00};

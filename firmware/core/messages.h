@@ -21,6 +21,7 @@
 #define UPDATE_CHUNK_BYTES 32U  // of an application, in one `update_data`
 #define UPDATE_MAX_BYTES 28672U  // largest application: the 32 KiB of the whole image without its loader
 #define UPDATE_SILENCE_MS 5000U  // an update is given up when its host says nothing for so long
+#define PREAMBLE_MAX 63U  // edges of a preamble
 #define LAMP_WIDTH_MAX_TICKS 2000000U  // longest flash
 #define LAMP_DUTY_MAX_PERMILLE 500U  // width over the shortest interval that the tolerance accepts
 #define FRAME_PERIOD_MIN_TICKS 200000U  // fastest frame rate
@@ -127,6 +128,8 @@ enum {
 #define EDGE_IRREGULAR 2U
 #define EDGE_FIRST 4U
 #define EDGE_DISARMED 8U
+#define EDGE_PREAMBLE 16U
+#define EDGE_AT_LEVEL_1 15U  // of these, what a host of level 1 knows
 
 #define STATE_SYNCED 1U
 #define STATE_LAMPS_ARMED 2U
@@ -137,10 +140,12 @@ enum {
 #define STATE_STAGED 64U
 #define STATE_SCHEMA_OK 128U
 #define STATE_TURNTABLE_LOST 256U
+#define STATE_AT_LEVEL_1 255U  // of these, what a host of level 1 knows
 
 #define TURNTABLE_END_LOW 1U
 #define TURNTABLE_END_HIGH 2U
 #define TURNTABLE_END_HARD 4U
+#define TURNTABLE_AT_LEVEL_1 0U  // of these, what a host of level 1 knows
 
 #define ARM_LAMPS 1U
 #define ARM_MICROWAVE 2U
@@ -192,6 +197,8 @@ enum {
     REPLY_MEASURE = 0x57,
     COMMAND_SAMPLES = 0x18,
     REPLY_SAMPLES = 0x58,
+    COMMAND_PREAMBLE = 0x19,
+    REPLY_PREAMBLE = 0x59,
     COMMAND_TURNTABLE = 0x12,
     REPLY_TURNTABLE = 0x52,
     COMMAND_TURNTABLE_STOP = 0x13,
@@ -685,6 +692,29 @@ typedef struct {
 } reply_samples_t;
 void reply_samples_pack(const reply_samples_t* self, uint8_t* payload);
 void reply_samples_unpack(reply_samples_t* self, const uint8_t* payload);
+
+// Optical preambles: edges lit by projector, LED or nothing in an order that does not repeat. One begins on arming, with `now`, and after every `interval` lamp cycles; then the cycle goes on at slot 0. Off after a reset and after every `identify` that takes the session.
+#define COMMAND_PREAMBLE_LENGTH 4U
+typedef struct {
+    uint8_t length;  // edges; 0 = none, and one that runs ends
+    uint16_t interval;  // lamp cycles from the end of one to the next; 0 = on arming and with `now` only
+    uint8_t now;  // 1 = begin one at the next edge, unless one runs or the lamps are not armed
+} command_preamble_t;
+void command_preamble_pack(const command_preamble_t* self, uint8_t* payload);
+void command_preamble_unpack(command_preamble_t* self, const uint8_t* payload);
+// Index of the first field outside its range, or RANGE_OK.
+uint8_t command_preamble_range(const command_preamble_t* self);
+
+// Answer to preamble.
+#define REPLY_PREAMBLE_LENGTH 5U
+typedef struct {
+    uint8_t status;  // ok, or why not
+    uint8_t detail;  // which field or lamp, see status
+    uint8_t length;  // in force
+    uint16_t interval;
+} reply_preamble_t;
+void reply_preamble_pack(const reply_preamble_t* self, uint8_t* payload);
+void reply_preamble_unpack(reply_preamble_t* self, const uint8_t* payload);
 
 // How the turntable moves, and how far; whoever sends it knows where it stands. Refused while it moves. After a reset: the widest limits, no ramp, no switches.
 #define COMMAND_TURNTABLE_LENGTH 17U

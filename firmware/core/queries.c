@@ -22,6 +22,7 @@ void query_identify(controller_t* const self, const uint8_t line, const uint8_t*
     const bool at_work = (self->armed != 0U) && (line != self->session);  // the other line's host: not to be disturbed
     if (!at_work) {
         board_measure(&(board_look_t){.looks = 0});  // nobody is left who asked for it
+        sequencer_preamble(&self->sequencer, &(command_preamble_t){.length = 0});
         self->session = line;
         self->schema_ok = understood;
         if (!understood) {

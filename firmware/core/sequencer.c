@@ -32,19 +32,57 @@ static bool is_led_slot(const command_stage_t* const config, const uint8_t slot)
     return slot == config->ratio;
 }
 
+static uint8_t lamp_due(const sequencer_t* const self)
+{
+    if (self->preamble.running) {
+        return preamble_lamp(&self->preamble, self->config.ratio);
+    }
+    return is_led_slot(&self->config, self->slot) ? LAMP_LED : LAMP_PROJECTOR;
+}
+
 // What the next edge has to take.
 static plan_t plan_next(const sequencer_t* const self)
 {
-    plan_t plan = {.slot = self->slot, .lamp = LAMP_DARK, .generation = self->config.generation, .armed = self->armed};
-    if (self->armed) {
-        const bool led = is_led_slot(&self->config, self->slot);
+    plan_t plan = {.slot = self->slot,
+                   .lamp = LAMP_DARK,
+                   .generation = self->config.generation,
+                   .armed = self->armed,
+                   .preamble = self->preamble.running};
+    const uint8_t lamp = lamp_due(self);
+    if (self->armed && (lamp != LAMP_DARK)) {
+        const bool led = lamp == LAMP_LED;
         plan.delay_ticks = led ? self->config.led_delay : self->config.projector_delay;
         plan.width_ticks = led ? self->config.led_width : self->config.projector_width;
-        if (plan.width_ticks > 0U) {
-            plan.lamp = led ? LAMP_LED : LAMP_PROJECTOR;
-        }
+        plan.lamp = (plan.width_ticks > 0U) ? lamp : LAMP_DARK;
     }
     return plan;
+}
+
+// From slot 0: of a preamble, where there is one, else of the lamp cycle.
+static void begin(sequencer_t* const self, const bool with_preamble)
+{
+    self->preamble.running = with_preamble && (self->preamble.config.length > 0U);
+    self->preamble.cycles = 0;
+    self->slot = 0;
+    self->reload = true;
+}
+
+// An edge took the slot before.
+static void next_slot(sequencer_t* const self, const uint8_t taken)
+{
+    preamble_t* const preamble = &self->preamble;
+    self->slot = (uint8_t)(taken + 1U);
+    if (preamble->running) {
+        if (self->slot >= preamble->config.length) {
+            begin(self, false);
+        }
+    } else if (is_led_slot(&self->config, taken)) {
+        self->slot = 0;
+        preamble->cycles++;
+        if (preamble->cycles == preamble->config.interval) {  // never with 0: they are counted first
+            begin(self, true);
+        }
+    }
 }
 
 static void put_in_force(sequencer_t* const self, events_t* const events, const uint32_t now)
@@ -70,8 +108,11 @@ static bool is_regular(const sequencer_t* const self, const uint32_t interval)
 static void report_edge(sequencer_t* const self, const board_edge_t* const edge, events_t* const events)
 {
     const bool late = edge->tag == 0U;
-    const plan_t dark = {
-        .slot = self->slot, .lamp = LAMP_DARK, .generation = self->config.generation, .armed = self->armed};
+    const plan_t dark = {.slot = self->slot,
+                         .lamp = LAMP_DARK,
+                         .generation = self->config.generation,
+                         .armed = self->armed,
+                         .preamble = self->preamble.running};
     const plan_t* const plan = late ? &dark : &self->plans[edge->tag - 1U];
     const bool configured = self->config.generation != 0U;
     const uint32_t interval = edge->tick - self->last_tick;
@@ -82,6 +123,7 @@ static void report_edge(sequencer_t* const self, const board_edge_t* const edge,
     flags |= (self->has_last && configured && !regular) ? EDGE_IRREGULAR : 0U;
     flags |= self->has_last ? 0U : EDGE_FIRST;
     flags |= plan->armed ? 0U : EDGE_DISARMED;
+    flags |= plan->preamble ? EDGE_PREAMBLE : 0U;
     event_edge_pack(&(event_edge_t){.edge = self->edges,
                                     .tick = edge->tick,
                                     .slot = plan->slot,
@@ -101,8 +143,13 @@ static void report_edge(sequencer_t* const self, const board_edge_t* const edge,
         event_sync_found_pack(&(event_sync_found_t){.tick = edge->tick, .edge = self->edges},
                               events_emit(events, EVENT_SYNC_FOUND));
     }
-    if (self->armed && plan->armed) {  // a late edge uses up its slot as well: the cycle keeps step with the frames
-        self->slot = is_led_slot(&self->config, plan->slot) ? 0U : (uint8_t)(plan->slot + 1U);
+    if (plan->preamble) {
+        preamble_step(&self->preamble);
+    }
+    // A late edge uses up its slot as well: the cycle keeps step with the frames. What a preamble has taken the place
+    // of since it was loaded uses up none.
+    if (self->armed && plan->armed && (plan->preamble == self->preamble.running)) {
+        next_slot(self, plan->slot);
     }
     self->period = self->has_last ? interval : 0U;
     self->last_tick = edge->tick;
@@ -128,6 +175,7 @@ static void check_sync(sequencer_t* const self, events_t* const events, const ui
 
 void sequencer_start(sequencer_t* const self)
 {
+    preamble_seed(&self->preamble, board_nonce());
     self->reload = true;
 }
 
@@ -252,17 +300,26 @@ bool sequencer_commit(sequencer_t* const self, const uint8_t generation)
     return true;
 }
 
+void sequencer_preamble(sequencer_t* const self, const command_preamble_t* const config)
+{
+    preamble_t* const preamble = &self->preamble;
+    preamble->config = *config;
+    preamble->cycles = 0;
+    const bool over = preamble->running && (self->slot >= config->length);
+    if (over || (!preamble->running && self->armed && (config->now != 0U))) {
+        begin(self, !over);
+    }
+}
+
 void sequencer_arm(sequencer_t* const self)
 {
     self->armed = true;
-    self->slot = 0;
-    self->reload = true;
+    begin(self, true);
 }
 
 void sequencer_disarm(sequencer_t* const self)
 {
     board_lamps_cut();
     self->armed = false;
-    self->slot = 0;
-    self->reload = true;
+    begin(self, false);
 }

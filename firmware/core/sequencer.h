@@ -9,6 +9,7 @@
 
 #include "events.h"
 #include "messages.h"
+#include "preamble.h"
 
 #define PLANS_KEPT 2U  // loads an edge may still report: the one that stands and the one it replaced
 
@@ -20,27 +21,30 @@ typedef struct {
     uint32_t width_ticks;
     uint8_t generation;
     bool armed;
+    bool preamble;  // its slot is a place in one
 } plan_t;
 
+// What is small comes first: the processor reaches it with one instruction.
 typedef struct {
-    command_stage_t config;  // in force; generation 0 = none
-    command_stage_t staged;
+    preamble_t preamble;
     bool is_staged;
     bool is_committed;  // staged waits for slot 0
     bool armed;
     bool reload;   // what the board holds is taken or out of date
-    uint8_t slot;  // of the next edge; 0 while not armed
+    uint8_t slot;  // of the next edge, in the lamp cycle or in a preamble; 0 while not armed
     uint8_t tag;   // of the last load
-    plan_t plans[PLANS_KEPT];
-    uint32_t edges;
-    uint32_t last_tick;  // of the last accepted edge, meaningful with has_last
     bool has_last;
     bool synced;
-    uint32_t period;  // last interval
     uint16_t late;
+    uint32_t edges;
+    uint32_t last_tick;  // of the last accepted edge, meaningful with has_last
+    uint32_t period;     // last interval
+    plan_t plans[PLANS_KEPT];
+    command_stage_t config;  // in force; generation 0 = none
+    command_stage_t staged;
 } sequencer_t;
 
-// After reset, all zero.
+// After reset, all else zero.
 void sequencer_start(sequencer_t* self);
 
 // Once a round, first: report all edges so far; notice a lost sync.
@@ -59,7 +63,10 @@ uint8_t sequencer_stage(sequencer_t* self, const command_stage_t* config, reply_
 // Put the staged configuration in force: at the next slot 0, or now when not armed. False: it is not staged.
 bool sequencer_commit(sequencer_t* self, uint8_t generation);
 
-// From slot 0. Needs a configuration in force.
+// Preambles from now on; one that runs goes on, but for what is over the length.
+void sequencer_preamble(sequencer_t* self, const command_preamble_t* config);
+
+// From slot 0, after a preamble. Needs a configuration in force.
 void sequencer_arm(sequencer_t* self);
 
 // Gates low now; edges are still reported.

@@ -16,6 +16,7 @@ HOST_TIMEOUT_DEFAULT_MS = 500  # of a configuration that says 0
 UPDATE_CHUNK_BYTES = 32  # of an application, in one `update_data`
 UPDATE_MAX_BYTES = 28672  # largest application: the 32 KiB of the whole image without its loader
 UPDATE_SILENCE_MS = 5000  # an update is given up when its host says nothing for so long
+PREAMBLE_MAX = 63  # edges of a preamble
 
 # Limits, compiled into the controller and enforced there.
 LAMP_WIDTH_MAX_TICKS = 2000000  # longest flash

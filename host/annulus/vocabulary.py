@@ -8,7 +8,7 @@ from annulus.untrusted import one_line
 
 EdgeIndex = NewType("EdgeIndex", int)  # counts accepted sync edges since boot; never compare with CameraSequence
 CameraSequence = NewType("CameraSequence", int)  # the driver's frame counter; has holes where the driver dropped
-Slot = NewType("Slot", int)  # 0..R, place in the projector/LED cycle
+Slot = NewType("Slot", int)  # 0..R, place in the projector/LED cycle; with EdgeFlag.PREAMBLE 0..62, place in a preamble
 Tick = NewType("Tick", int)  # controller time since boot, extended to 64 bits
 
 
@@ -29,12 +29,13 @@ class Label(StrEnum):
 
 
 class EdgeFlag(IntFlag):
-    """Why an edge may not be trusted for labelling (protocol/messages.toml, EDGE.flags)."""
+    """What is special about an edge (protocol/messages.toml, EDGE.flags): why it may not be trusted for labelling."""
 
     LATE_LOAD = 1  # the flash was not loaded in time: dark frame
     IRREGULAR = 2  # interval to the previous edge outside the tolerance
     FIRST = 4  # no previous edge to qualify against
     DISARMED = 8  # lamps not armed: dark frame on purpose
+    PREAMBLE = 16  # no doubt: of an optical preamble, in which any lamp may follow any other; the slot counts its edges
 
 
 @dataclass(frozen=True, slots=True)

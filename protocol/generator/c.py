@@ -26,6 +26,9 @@ def c_header(protocol: Protocol) -> str:
     for name, members in protocol.flags.items():
         out.append("")
         out += [f"#define {name.upper()}_{member.upper()} {value}U" for member, value in members.items()]
+        old = sum(value for member, value in members.items() if (name, member) not in protocol.added)
+        if old != sum(members.values()):
+            out.append(f"#define {name.upper()}_AT_LEVEL_1 {old}U  // of these, what a host of level 1 knows")
     out += ["", "enum {"]
     out += [f"    {m.kind.upper()}_{m.name.upper()} = 0x{m.id:02X}," for m in protocol.messages] + ["};"]
     for message in protocol.messages:

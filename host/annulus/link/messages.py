@@ -1051,6 +1051,29 @@ class SamplesReply(Reply):
 
 
 @dataclass(frozen=True, slots=True)
+class PreambleReply(Reply):
+    """Answer to preamble."""
+
+    ID: ClassVar[int] = 0x59
+    SCHEMA_BYTE: ClassVar[int] = 0x39
+    SINCE: ClassVar[int] = 2
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BBBH")
+    LENGTH: ClassVar[int] = 5
+    FIELDS: ClassVar[tuple[str, ...]] = ("status", "detail", "length", "interval")
+
+    length: int  # in force
+    interval: int
+
+    def pack(self) -> bytes:
+        return _pack("preamble", self.LAYOUT, self.status, self.detail, self.length, self.interval)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(StatusCode(v[0]), v[1], v[2], v[3])
+
+
+@dataclass(frozen=True, slots=True)
 class Identify(Command):
     """Who are you? Sent first, and with the host's schema hash, which unlocks arming when it is the same. Layout frozen
     for ever.
@@ -1709,6 +1732,35 @@ class Samples(Command):
 
 
 @dataclass(frozen=True, slots=True)
+class Preamble(Command):
+    """Optical preambles: edges lit by projector, LED or nothing in an order that does not repeat. One begins on arming,
+    with `now`, and after every `interval` lamp cycles; then the cycle goes on at slot 0. Off after a reset and after
+    every `identify` that takes the session.
+    """
+
+    ID: ClassVar[int] = 0x19
+    SCHEMA_BYTE: ClassVar[int] = 0xA2
+    SINCE: ClassVar[int] = 2
+    LAYOUT: ClassVar[struct.Struct] = struct.Struct("<BHB")
+    LENGTH: ClassVar[int] = 4
+    FIELDS: ClassVar[tuple[str, ...]] = ("length", "interval", "now")
+    REPLY: ClassVar[type[Reply]] = PreambleReply
+    QUERY: ClassVar[bool] = False
+
+    length: int  # edges; 0 = none, and one that runs ends
+    interval: int  # lamp cycles from the end of one to the next; 0 = on arming and with `now` only
+    now: int  # 1 = begin one at the next edge, unless one runs or the lamps are not armed
+
+    def pack(self) -> bytes:
+        return _pack("preamble", self.LAYOUT, self.length, self.interval, self.now)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        v = _values(cls.LAYOUT, payload)
+        return cls(v[0], v[1], v[2])
+
+
+@dataclass(frozen=True, slots=True)
 class Edge(Event):
     """An accepted falling edge, and what was loaded to fire after it."""
 
@@ -1986,6 +2038,7 @@ COMMANDS: dict[int, type[Command]] = {
     0x16: UpdateEnd,
     0x17: Measure,
     0x18: Samples,
+    0x19: Preamble,
     0x12: Turntable,
     0x13: TurntableStop,
 }
@@ -2014,6 +2067,7 @@ REPLIES: dict[int, type[Reply]] = {
     0x56: UpdateEndReply,
     0x57: MeasureReply,
     0x58: SamplesReply,
+    0x59: PreambleReply,
     0x52: TurntableReply,
     0x53: TurntableStopReply,
 }
