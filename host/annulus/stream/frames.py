@@ -7,6 +7,7 @@ from typing import Any
 import msgpack
 
 from annulus import untrusted
+from annulus.controller import PREAMBLE_MAX
 from annulus.vocabulary import CameraSequence, EdgeIndex, Label, Slot
 
 CHANNELS = {"bgr8": 3, "bayer_rggb8": 1, "mono8": 1}  # encoding -> bytes a pixel, as foxglove.RawImage names them
@@ -68,7 +69,7 @@ class FrameHeader:
             raise ValueError(f"frame header: encoding is {encoding!r}, expected one of {list(CHANNELS)}")
         if not isinstance(reason, str) or len(reason) > 200:
             raise ValueError("frame header: reason must be a text of at most 200 characters")
-        edge, slot = _whole(data, "edge", 0, 2**32 - 1), _whole(data, "slot", 0, 15)
+        edge, slot = _whole(data, "edge", 0, 2**32 - 1), _whole(data, "slot", 0, PREAMBLE_MAX - 1)
         sequence = _whole(data, "sequence", 0, 2**63)
         return cls(
             index=_need(data, "index", 0, 2**32 - 1),

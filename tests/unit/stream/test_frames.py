@@ -16,7 +16,7 @@ HEADERS = st.builds(
     label=st.sampled_from(Label),
     reason=st.text(max_size=200),
     edge=st.none() | st.integers(0, 2**32 - 1),
-    slot=st.none() | st.integers(0, 15),
+    slot=st.none() | st.integers(0, 62),
     odometer=st.none() | st.integers(-(2**31), 2**31 - 1),
     z_mm=st.none() | st.floats(-1e9, 1e9),
     encoding=st.sampled_from(["bgr8", "bayer_rggb8", "mono8"]),
@@ -55,7 +55,7 @@ def test_noise_is_a_value_error(noise: bytes) -> None:
 @pytest.mark.parametrize(
     "field, value",
     [("width", 0), ("height", 1 << 20), ("label", "both"), ("encoding", "jpeg"), ("index", -1), ("index", True),
-     ("reason", "x" * 201), ("z_mm", float("nan")), ("z_mm", "3"), ("slot", 16), ("timestamp_ns", 1.5),
+     ("reason", "x" * 201), ("z_mm", float("nan")), ("z_mm", "3"), ("slot", 63), ("timestamp_ns", 1.5),
      ("arrived_ns", -1), ("z_assumed", 1), ("segment", -1), ("segment", 2**31)],
 )  # fmt: skip
 def test_a_value_out_of_range_is_named(field: str, value: object) -> None:
