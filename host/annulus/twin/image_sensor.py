@@ -54,10 +54,15 @@ class Exposure:
     edge_tick: int  # world tick of the sync edge that ends its readout
     timestamp_ns: int  # what the driver will say: host clock, offset and jitter included
     z_mm: float  # of the head when the light came
-    pose: Pose
+    world: World = field(repr=False)
     projector: NDArray[np.float32]  # (H,) on-time each row saw, over the lamp's nominal on-time
     led: NDArray[np.float32]
     dropped: bool  # the driver lost it
+
+    @property
+    def pose(self) -> Pose:
+        """Of the pipe in the camera frame when the light came."""
+        return self.world.pose(self.z_mm)
 
     @property
     def lamps(self) -> frozenset[Lamp]:
@@ -142,8 +147,8 @@ class ImageSensor:
 
         transitions : (tick, pin, level) of all output pins since the last call; they must be complete up to `now`.
         """
-        for transition in transitions:
-            tick, pin, level = int(transition[0]), int(transition[1]), int(transition[2])
+        told = transitions.tolist() if isinstance(transitions, np.ndarray) else transitions
+        for tick, pin, level in told:
             if pin in self._gates:
                 self._gates[pin].change(tick, level)
         done = []
@@ -159,20 +164,23 @@ class ImageSensor:
         close = edge + self._row_close
         projector, at_projector = self._gates[PIN_PROJECTOR].collect(close - self._exposure, close)
         led, at_led = self._gates[PIN_LED].collect(close - self._exposure, close)
-        weight = [float(projector.sum()), float(led.sum())]
-        dark_at = edge - self._readout // 2 - self._exposure // 2
-        at = np.average([at_projector, at_led], weights=weight) if sum(weight) > 0 else dark_at
-        z = self.cable.z_mm(float(at))
-        rng = np.random.default_rng([self._seed, 1, frame])
-        dropped = bool(rng.random() < self.faults.frames_dropped)
-        late = self.offset_us + self.faults.timestamp_jitter_us * float(rng.standard_normal())
+        weight = (float(projector.sum()), float(led.sum()))
+        at = float(edge - self._readout // 2 - self._exposure // 2)  # where nothing lit it
+        if sum(weight) > 0.0:
+            at = (at_projector * weight[0] + at_led * weight[1]) / sum(weight)
+        z = self.cable.z_mm(at)
+        dropped, late = False, self.offset_us
+        if self.faults.frames_dropped or self.faults.timestamp_jitter_us:
+            rng = np.random.default_rng([self._seed, 1, frame])
+            dropped = bool(rng.random() < self.faults.frames_dropped)
+            late += self.faults.timestamp_jitter_us * float(rng.standard_normal())
         nominal = (self.world.projector.nominal_us, self.world.led.nominal_us)
         return Exposure(
             CameraSequence(frame),
             edge,
             self.clock.ns(edge + late * TICKS_PER_US),
             z,
-            self.world.pose(z),
+            self.world,
             (projector / (nominal[0] * TICKS_PER_US)).astype(np.float32),
             (led / (nominal[1] * TICKS_PER_US)).astype(np.float32),
             dropped,
@@ -180,8 +188,10 @@ class ImageSensor:
 
     def _sync_of(self, frame: int) -> list[Stimulus]:
         """High from the end of the first line to the end of the last."""
-        rng = np.random.default_rng([self._seed, 2, frame])
-        missing, glitch = rng.random(2) < (self.faults.sync_missing, self.faults.sync_glitches)
+        missing = glitch = False
+        if self.faults.sync_missing or self.faults.sync_glitches:
+            rng = np.random.default_rng([self._seed, 2, frame])
+            missing, glitch = rng.random(2) < (self.faults.sync_missing, self.faults.sync_glitches)
         edge = self.edge(frame)
         out: list[Stimulus] = [] if missing else [(edge - max(self._readout, 100), PIN_SYNC, 1), (edge, PIN_SYNC, 0)]
         if glitch:
@@ -218,6 +228,15 @@ class _Gate:
         moment = 0.0
         pulses = self.pulses if self.on_since is None else [*self.pulses, (self.on_since, int(closed[-1]))]
         for on, off in pulses:
+            if (
+                on >= opened[-1] and off <= closed[0]
+            ):  # all rows saw all of it: rows open, and close, one after the other
+                total += off - on
+                weight = float(len(total) * (off - on))
+                moment += weight * (on + off) / 2.0
+                continue
+            if on >= closed[-1] or off <= opened[0]:
+                continue
             start, end = np.maximum(opened, on), np.minimum(closed, off)
             light = np.maximum(end - start, 0)
             total += light
