@@ -27,8 +27,9 @@ from annulus.controller import (
 from annulus.testing.protocol_simulated import publish, withdraw
 from annulus.testing.scripted import BadLine, ScriptedController
 from annulus.twin.emulated import IMAGE, Board, EmulatedBoard, open_board
-from annulus.twin.faults import Faults, LossyLine, load_faults
+from annulus.twin.faults import Faults, LossyLine
 from annulus.twin.line import TcpLine
+from annulus.twin.profiles import load_faults
 
 SYNC_LOW_TICKS = 100 * TICKS_PER_US
 AHEAD_TICKS = 10_000 * TICKS_PER_US  # camera edges are given to the board so far ahead

@@ -1,19 +1,47 @@
-"""What goes wrong between the head and the host, all from one seed."""
+"""What goes wrong between the head and the host, all from one seed. `profiles` has them by name, `driver` and the line
+here do what is said.
+"""
 
-import tomllib
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from annulus.vocabulary import AnnulusError
 
+Placed = tuple[tuple[int, float], ...]
+"""(frame, how much): from that frame on, or for so long."""
+
+_SHARES = (
+    "frames_dropped", "frames_repeated", "frames_torn", "frames_late", "stamps_late", "events_lost", "bytes_flipped",
+    "sync_missing", "sync_glitches",
+)  # fmt: skip
+_AMOUNTS = {
+    "timestamp_jitter_us": (0.0, 1e6),
+    "stamp_offset_frames": (-100.0, 100.0),
+    "stamp_drift_ppm": (-1e4, 1e4),
+    "stamp_drift_turn_s": (0.0, 1e6),
+    "delivery_frames": (0.0, 100.0),
+}
+_FRAMES = ("resets", "power_losses", "count_resets")
+_PLACED = {  # what the second number may be
+    "stamp_steps": (-1000.0, 1000.0),
+    "count_jumps": (-1e6, 1e6),
+    "frozen": (1.0, 1e6),
+    "unplugged": (1.0, 1e6),
+    "disconnects": (1.0, 1e6),
+    "stalls": (0.0, 1000.0),
+}
+_WHOLE = ("count_jumps", "frozen", "unplugged")
+
 
 @dataclass(frozen=True, slots=True)
 class Faults:
-    """What goes wrong, as rates a frame or an event, all from one seed."""
+    """What goes wrong: shares of all frames, events or bytes; amounts; and what happens in the middle of a frame that
+    is named. A key of a fault file is a field's name.
+    """
 
     frames_dropped: float = 0.0  # by the camera's driver: a hole in its sequence
     events_lost: float = 0.0  # whole events lost between controller and host
@@ -23,17 +51,38 @@ class Faults:
     sync_glitches: float = 0.0  # edges doubled by a 20 us spike in the middle of a frame
     resets: tuple[int, ...] = ()  # the controller restarts in the middle of these frames
     sensors_silent: tuple[tuple[str, float, float], ...] = ()  # name, seconds from the start, for how many
+    frames_repeated: float = 0.0  # the picture before once more, under the new frame's stamp and count
+    frames_torn: float = 0.0  # the lower 5 to 95 % of the rows are still the picture before
+    frames_late: float = 0.0  # handed over up to half a second late; those behind wait, the order is kept
+    stamps_late: float = 0.0  # single stamps, by one to three frames or by parts of one
+    stamp_offset_frames: float = 0.0  # all stamps, later by so many frames
+    stamp_steps: Placed = ()  # frame, by how many frames stamps are later from there on
+    stamp_drift_ppm: float = 0.0  # above 0: the stamps' clock runs fast
+    stamp_drift_turn_s: float = 0.0  # the drift changes sign as often as this; 0: never
+    delivery_frames: float = 0.0  # every frame is handed over so many frames after its readout
+    frozen: Placed = ()  # frame, for how many frames the picture stays what it was
+    unplugged: Placed = ()  # frame, for how many frames there is no camera; its driver then counts from 0
+    count_jumps: Placed = ()  # frame, by how much the driver's count is higher from there on
+    count_resets: tuple[int, ...] = ()  # the driver counts from 0 at these frames
+    power_losses: tuple[int, ...] = ()  # the controller starts anew, and draws the very boot byte it had
+    disconnects: Placed = ()  # frame, ms without a line to the controller
+    stalls: Placed = ()  # frame, seconds in which the host does nothing; the driver keeps its oldest frames
 
     def __post_init__(self) -> None:
-        for name in ("frames_dropped", "events_lost", "bytes_flipped", "sync_missing", "sync_glitches"):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= 1.0:
-                raise AnnulusError(f"faults: {name} is {value!r}, expected a share from 0 to 1")
-        jitter = self.timestamp_jitter_us
-        if isinstance(jitter, bool) or not isinstance(jitter, int | float) or not 0.0 <= jitter <= 1e6:
-            raise AnnulusError(f"faults: timestamp_jitter_us is {jitter!r}, expected 0 to 1000000")
-        if not all(isinstance(frame, int) and not isinstance(frame, bool) and frame >= 0 for frame in self.resets):
-            raise AnnulusError(f"faults: resets is {self.resets!r}, expected frame numbers")
+        for name in _SHARES:
+            if not _within(getattr(self, name), 0.0, 1.0):
+                raise AnnulusError(f"faults: {name} is {getattr(self, name)!r}, expected a share from 0 to 1")
+        for name, (low, high) in _AMOUNTS.items():
+            if not _within(getattr(self, name), low, high):
+                raise AnnulusError(f"faults: {name} is {getattr(self, name)!r}, expected {low:.0f} to {high:.0f}")
+        for name in _FRAMES:
+            frames = getattr(self, name)
+            if not (isinstance(frames, tuple) and all(map(_is_frame, frames))):
+                raise AnnulusError(f"faults: {name} is {frames!r}, expected frame numbers")
+        for name, (low, high) in _PLACED.items():
+            pairs = getattr(self, name)
+            if not (isinstance(pairs, tuple) and all(_is_placed(pair, low, high, name in _WHOLE) for pair in pairs)):
+                raise AnnulusError(f"faults: {name} is {pairs!r}, expected (frame, {low:.0f} to {high:.0f}) each")
         if not all(_is_silence(silence) for silence in self.sensors_silent):
             raise AnnulusError(f"faults: sensors_silent is {self.sensors_silent!r}, expected (name, after_s, for_s)")
 
@@ -50,41 +99,29 @@ class Faults:
             raise AnnulusError(f"faults: {error}") from None
 
 
+def _within(value: object, low: float, high: float) -> bool:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return math.isfinite(value) and low <= value <= high
+
+
+def _is_frame(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= 0
+
+
+def _is_placed(pair: object, low: float, high: float, whole: bool) -> bool:
+    if not (isinstance(pair, tuple) and len(pair) == 2 and _is_frame(pair[0]) and _within(pair[1], low, high)):
+        return False
+    return not whole or pair[1] == int(pair[1])
+
+
 def _is_silence(value: object) -> bool:
     if not (isinstance(value, tuple) and len(value) == 3 and isinstance(value[0], str)):
         return False
-    return all(isinstance(v, int | float) and not isinstance(v, bool) and 0.0 <= v <= 1e6 for v in value[1:])
+    return all(_within(v, 0.0, 1e6) for v in value[1:])
 
 
 NO_FAULTS = Faults()
-NAMED_FAULTS = {
-    "none": NO_FAULTS,
-    # the acceptance soak; its two resets are placed by whoever knows the length of the run
-    "standard": Faults(frames_dropped=0.01, events_lost=0.01, timestamp_jitter_us=2000.0),
-    "rough": Faults(
-        frames_dropped=0.03, events_lost=0.02, bytes_flipped=1e-4, timestamp_jitter_us=3000.0, sync_missing=0.003,
-        sync_glitches=0.003,
-    ),
-}  # fmt: skip
-
-
-def load_faults(source: str | Path | None) -> Faults:
-    """Faults by name (`none`, `standard`, `rough`) or from a TOML file whose keys are the fields of `Faults`."""
-    if source is None:
-        return NO_FAULTS
-    if str(source) in NAMED_FAULTS:
-        return NAMED_FAULTS[str(source)]
-    path = Path(source)
-    try:
-        data: dict[str, Any] = tomllib.loads(path.read_text("utf-8"))
-    except FileNotFoundError:
-        raise AnnulusError(f"{source}: no such fault file, and not one of {', '.join(NAMED_FAULTS)}") from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise AnnulusError(f"{path}: cannot be read as TOML: {error}") from None
-    try:
-        return Faults.from_dict(data)
-    except AnnulusError as error:
-        raise AnnulusError(f"{path}: {error}") from None
 
 
 class LossyLine:
@@ -99,27 +136,37 @@ class LossyLine:
 
     def carry(self, data: bytes) -> bytes:
         """What arrives of `data`. With event loss an unfinished frame waits here for its delimiter."""
+        if not data:
+            return data
         if self._faults.events_lost > 0:
             data = self._lose_events(data)
         if self._faults.bytes_flipped > 0 and data:
             hit = np.flatnonzero(self._rng.random(len(data)) < self._faults.bytes_flipped)
-            flipped = bytearray(data)
-            for i in hit:
-                flipped[i] ^= 1 << int(self._rng.integers(8))
-            self.bytes_flipped += len(hit)
-            data = bytes(flipped)
+            if len(hit):
+                flipped = bytearray(data)
+                for i in hit:
+                    flipped[i] ^= 1 << int(self._rng.integers(8))
+                self.bytes_flipped += len(hit)
+                data = bytes(flipped)
         return data
 
+    def unplug(self) -> None:
+        """What was under way is gone."""
+        self._frame.clear()
+
     def _lose_events(self, data: bytes) -> bytes:
+        """Byte by byte in effect, delimiter by delimiter in haste."""
+        *whole, rest = data.split(b"\0")
         out = bytearray()
-        for byte in data:
-            self._frame.append(byte)
-            if byte == 0:
-                # an event's id is 0x80 or above, never zero, so it stands behind the first COBS code byte
-                is_event = len(self._frame) > 2 and 0x80 <= self._frame[1] < 0xF0
-                if is_event and self._rng.random() < self._faults.events_lost:
-                    self.events_lost += 1
-                else:
-                    out += self._frame
-                self._frame.clear()
+        for part in whole:
+            self._frame += part
+            self._frame.append(0)
+            # an event's id is 0x80 or above, never zero, so it stands behind the first COBS code byte
+            is_event = len(self._frame) > 2 and 0x80 <= self._frame[1] < 0xF0
+            if is_event and self._rng.random() < self._faults.events_lost:
+                self.events_lost += 1
+            else:
+                out += self._frame
+            self._frame.clear()
+        self._frame += rest
         return bytes(out)

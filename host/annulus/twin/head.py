@@ -30,7 +30,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus.capture.timing import FrameTiming
-from annulus.twin.faults import Faults, load_faults
+from annulus.twin.faults import Faults
+from annulus.twin.profiles import load_faults
 from annulus.twin.render import Renderer
 from annulus.twin.worlds import World, demo_world
 from annulus.vocabulary import AnnulusError

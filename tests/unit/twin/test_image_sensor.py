@@ -9,8 +9,9 @@ import pytest
 
 from annulus.capture.timing import FrameTiming
 from annulus.controller import PIN_LED, PIN_ODOMETER_A, PIN_ODOMETER_B, PIN_PROJECTOR, PIN_SYNC, TICKS_PER_US
-from annulus.twin.faults import Faults, LossyLine, load_faults
+from annulus.twin.faults import Faults, LossyLine
 from annulus.twin.image_sensor import Exposure, HostClock, ImageSensor
+from annulus.twin.profiles import load_faults
 from annulus.twin.worlds import World, clean_world
 from annulus.vocabulary import AnnulusError, Lamp
 

@@ -10,8 +10,9 @@ import pytest
 from annulus.controller import PIN_LED, PIN_PROJECTOR
 from annulus.sensors.sample import Sample
 from annulus.twin.cable import Cable
-from annulus.twin.faults import NO_FAULTS, Faults, load_faults
+from annulus.twin.faults import NO_FAULTS, Faults
 from annulus.twin.image_sensor import HostClock
+from annulus.twin.profiles import load_faults
 from annulus.twin.sensors import HeadSensors, Imu, Supply
 from annulus.twin.worlds import World, demo_world
 from annulus.vocabulary import AnnulusError

@@ -1,0 +1,188 @@
+"""What a camera's driver makes of its exposures: pictures, counts, stamps and the moment it hands them over, each with
+what goes wrong there. No clock: exposures in, deliveries out.
+
+    driver = Driver(faults, timing, clock, seed)
+    for exposure in sensor.exposures(now, pins):
+        delivered = driver.take(exposure)             # None: the driver lost it
+        if delivered is not None: ...                 # the host has it at delivered.due_tick, and not before
+"""
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from annulus.capture.timing import FrameTiming
+from annulus.controller import TICK_NS, TICK_S, TICKS_PER_US
+from annulus.twin.faults import Faults
+from annulus.twin.image_sensor import Exposure, HostClock
+from annulus.vocabulary import CameraSequence
+
+LAG_US = 1500.0  # end of readout -> frame in the host's hands, at least ..
+LAG_SPREAD_US = 400.0  # .. and as much more on the average
+LATE_MAX_S = 0.5
+BUFFERS = 4  # of the driver: what it keeps while nobody asks
+_DRAWN_AT_ONCE = 1024
+_DRAWS = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Rows of a picture, from one share of its height to another, that one exposure left there."""
+
+    exposure: Exposure
+    top: float
+    bottom: float
+
+
+@dataclass(frozen=True, slots=True)
+class Delivered:
+    """One frame as the host gets it."""
+
+    number: int  # the exposure in whose turn it came
+    sequence: CameraSequence  # what the driver says its count is
+    timestamp_ns: int
+    due_tick: int
+    parts: tuple[Part, ...]  # of the picture, from the top; more than one: torn
+
+
+class Driver:
+    """Call `take` with every exposure, in order. `counts` says what was done, `disturbed` which frame is the first that
+    a disturbance of that kind no longer touches.
+    """
+
+    def __init__(self, faults: Faults, timing: FrameTiming, clock: HostClock, seed: int = 0) -> None:
+        self.counts: Counter[str] = Counter()
+        self.disturbed: list[tuple[str, int]] = []
+        self._faults, self._clock = faults, clock
+        self._period = timing.period_us * TICKS_PER_US
+        self._rng = np.random.default_rng([seed, 5])
+        self._drawn: list[list[float]] = []
+        self._picture: tuple[Part, ...] = ()  # in the last buffer that was handed over
+        self._due = 0
+        self._steps = sorted(faults.stamp_steps)
+        self._stepped = 0.0  # frames
+        self._jumps = sorted(
+            [(at, float(by)) for at, by in faults.count_jumps] + [(at, None) for at in faults.count_resets],
+            key=lambda jump: jump[0],
+        )
+        self._counted_from = 0
+        self._frozen = sorted(faults.frozen)
+        self._unplugged = sorted(faults.unplugged)
+        self._stalls = sorted(faults.stalls)
+        self._stalled = 0  # frames that wait for the end of a stall
+
+    def take(self, exposure: Exposure) -> Delivered | None:
+        number = int(exposure.sequence)
+        draws = self._draws()
+        self._changes(number)
+        if self.absent(number):
+            self.counts["unplugged"] += 1
+            return None
+        if exposure.dropped:
+            self._lost("dropped", number)
+            return None
+        due = self._due_tick(exposure, draws)
+        if due is None:
+            self.counts["dropped_in_stall"] += 1
+            return None
+        picture = self._pictured(exposure, number, draws)
+        self._picture, self._due = picture, due
+        count = CameraSequence(max(0, number - self._counted_from))
+        return Delivered(number, count, self._stamp(exposure, number, draws), due, picture)
+
+    def absent(self, number: int) -> bool:
+        """Whether there is no camera in this frame."""
+        return bool(self._unplugged) and self._unplugged[0][0] <= number
+
+    # ---- what comes at its time ----
+
+    def _changes(self, number: int) -> None:
+        while self._steps and self._steps[0][0] <= number:
+            self._stepped += self._steps.pop(0)[1]
+            self._lost("stamp_step", number - 1)
+        while self._jumps and self._jumps[0][0] <= number:
+            by = self._jumps.pop(0)[1]
+            self._counted_from = number if by is None else self._counted_from - int(by)
+            self._lost("count_reset" if by is None else "count_jump", number - 1)
+        while self._unplugged and sum(self._unplugged[0]) <= number:
+            self._unplugged.pop(0)
+            self._counted_from = number
+            self._lost("unplug", number - 1)
+        while self._frozen and sum(self._frozen[0]) <= number:
+            self._frozen.pop(0)
+            self._lost("freeze", number - 1)
+
+    def _lost(self, kind: str, number: int) -> None:
+        """Frame `number` is the last that this touches."""
+        self.counts[kind] += 1
+        self.disturbed.append((kind, number + 1))
+
+    # ---- one frame ----
+
+    def _pictured(self, exposure: Exposure, number: int, draws: list[float]) -> tuple[Part, ...]:
+        if self._picture:
+            if self._frozen and self._frozen[0][0] <= number:
+                self.counts["frozen"] += 1
+                return self._picture
+            if draws[0] < self._faults.frames_repeated:
+                self._lost("repeated", number)
+                return self._picture
+            if draws[1] < self._faults.frames_torn:
+                self._lost("torn", number)
+                tear = 0.05 + 0.9 * draws[2]
+                below = [Part(p.exposure, max(p.top, tear), p.bottom) for p in self._picture if p.bottom > tear]
+                return (Part(exposure, 0.0, tear), *below)
+        return (Part(exposure, 0.0, 1.0),)
+
+    def _stamp(self, exposure: Exposure, number: int, draws: list[float]) -> int:
+        faults = self._faults
+        frames = faults.stamp_offset_frames + self._stepped
+        if draws[3] < faults.stamps_late:
+            self._lost("stamp_late", number)
+            much = 0.1 + 2.9 * draws[4]
+            frames += max(1, round(much)) if draws[5] < 0.5 else much
+        drifted_s = (
+            _accumulated_s(exposure.edge_tick * TICK_S, faults.stamp_drift_turn_s) * faults.stamp_drift_ppm * 1e-6
+        )
+        return exposure.timestamp_ns + round(frames * self._period * TICK_NS + drifted_s * 1e9)
+
+    def _due_tick(self, exposure: Exposure, draws: list[float]) -> int | None:
+        """When the host has it; None when the driver had no buffer left while the host stood still."""
+        faults = self._faults
+        lag_us = LAG_US - LAG_SPREAD_US * float(np.log(1.0 - draws[6]))
+        due = exposure.edge_tick + lag_us * TICKS_PER_US + faults.delivery_frames * self._period
+        if draws[7] < faults.frames_late:
+            self.counts["late"] += 1
+            due += draws[4] * LATE_MAX_S / TICK_S
+        while self._stalls and due >= self.stall_ends(self._stalls[0]):
+            at, seconds = self._stalls.pop(0)
+            self.counts["stall"] += 1
+            self.disturbed.append(("stall", at + 1 + int(seconds / TICK_S / self._period)))
+            self._stalled = 0
+        if self._stalls and due >= self.stall_begins(self._stalls[0]):
+            self._stalled += 1
+            if self._stalled > BUFFERS:
+                return None
+            due = self.stall_ends(self._stalls[0])
+        return max(round(due), self._due + 50 * TICKS_PER_US)
+
+    def stall_begins(self, stall: tuple[int, float]) -> float:
+        """World tick, in the middle of the frame that was named; of a sensor whose first edge falls a frame after 0."""
+        return (stall[0] + 0.5) * self._period
+
+    def stall_ends(self, stall: tuple[int, float]) -> float:
+        return self.stall_begins(stall) + stall[1] / TICK_S
+
+    def _draws(self) -> list[float]:
+        if not self._drawn:
+            self._drawn = self._rng.random((_DRAWN_AT_ONCE, _DRAWS)).tolist()
+        return self._drawn.pop()
+
+
+def _accumulated_s(passed_s: float, turn_s: float) -> float:
+    """Seconds that a drift has acted one way, less those it has acted the other."""
+    if turn_s <= 0.0:
+        return passed_s
+    turns, rest = divmod(passed_s, turn_s)
+    return rest if int(turns) % 2 == 0 else turn_s - rest
