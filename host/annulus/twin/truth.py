@@ -1,0 +1,130 @@
+"""What really lit each frame and where, against what its header says.
+
+A label is wrong when any row of the picture was lit by anything but that lamp, or not by all of its flash. A place is
+wrong when the edge that was given is not the one whose flash lit the picture, or when z is off by more than PLACE_MM
+and a count while the header does not say that it was assumed.
+"""
+
+from bisect import bisect_left, bisect_right
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from annulus.stream.frames import FrameHeader
+from annulus.twin.cable import Cable
+from annulus.twin.driver import Delivered, Part
+from annulus.vocabulary import Flash, Label, Lamp
+
+EVEN = 0.97  # a row with less light than this share of the brightest: the flash was not all rows'
+PLACE_MM = 0.1
+NEAR = 0.25  # of a period: between an edge as the camera made it, and as the controller stamped it
+EDGES_KEPT = 4096
+
+LAMPS = {Label.PROJECTOR: Lamp.PROJECTOR, Label.LED: Lamp.LED}
+
+
+class Verdict(StrEnum):
+    UNKNOWN = "unknown"
+    RIGHT = "right"
+    WRONG_LAMP = "wrong lamp"
+    WRONG_PLACE = "wrong place"
+
+
+@dataclass(frozen=True, slots=True)
+class _Life:
+    """Of the controller, between two restarts."""
+
+    began: int  # world tick
+    boot: int
+
+
+class Truth:
+    """Fed by the world: restarts as they happen, edges as the host hears of them. Asked for each header's verdict."""
+
+    def __init__(self, period: float, mm_per_count: float, cable: Cable) -> None:
+        self.assumed = 0  # labelled frames whose z was said to be assumed ..
+        self.assumed_error_mm = 0.0  # .. and by how much it was off, at most
+        self.error_mm = 0.0  # the same of those whose z was said to be known
+        self._period, self._cable = period, cable
+        self._z_error_max_mm = PLACE_MM + mm_per_count
+        self._lives: list[_Life] = []
+        self._edges: dict[tuple[int, int], int] = {}  # life, index -> world tick
+        self._zeros: list[tuple[float, float]] = [(-1.0, 0.0)]  # from this tick on z counts from that place
+
+    def life(self, began: int, boot: int) -> None:
+        """The controller's present life, as often as one likes."""
+        if not self._lives or self._lives[-1].began != began:
+            self._lives.append(_Life(began, boot))
+
+    def heard(self, flash: Flash, now: int) -> int | None:
+        """World tick of an edge that the host was told of: in the life in which it falls on an edge of the camera."""
+        for i in range(len(self._lives) - 1, -1, -1):
+            life = self._lives[i]
+            tick = life.began + flash.tick
+            ends = self._lives[i + 1].began if i + 1 < len(self._lives) else now
+            if life.boot == flash.boot and tick <= ends:
+                self._edges[(i, flash.edge)] = tick
+                while len(self._edges) > EDGES_KEPT:
+                    del self._edges[next(iter(self._edges))]
+                return tick
+        return None
+
+    def zeroed(self, tick: int) -> None:
+        """From this edge on z is counted from where the head was."""
+        self._zeros.append((tick, self._cable.z_mm(tick)))
+
+    def verdict(self, header: FrameHeader, frame: Delivered) -> Verdict:
+        if header.label is Label.UNKNOWN:
+            return Verdict.UNKNOWN
+        if not all(_lit_evenly(part, LAMPS[header.label]) for part in frame.parts):
+            return Verdict.WRONG_LAMP
+        if not any(self._is_of(header, part) for part in frame.parts):
+            return Verdict.WRONG_PLACE
+        if header.z_mm is None:
+            return Verdict.WRONG_PLACE
+        off_mm = max(abs(header.z_mm - self.z_mm(part)) for part in frame.parts)
+        if getattr(header, "z_assumed", False):
+            self.assumed += 1
+            self.assumed_error_mm = max(self.assumed_error_mm, off_mm)
+            return Verdict.RIGHT
+        self.error_mm = max(self.error_mm, off_mm)
+        return Verdict.RIGHT if off_mm <= self._z_error_max_mm else Verdict.WRONG_PLACE
+
+    def _is_of(self, header: FrameHeader, part: Part) -> bool:
+        opening = part.exposure.edge_tick - self._period
+        life = bisect_right(self._lives, opening + 0.01 * self._period, key=lambda life: life.began) - 1
+        fired = self._edges.get((life, -1 if header.edge is None else header.edge))
+        return fired is not None and abs(fired - opening) < NEAR * self._period
+
+    def z_mm(self, part: Part) -> float:
+        """Where the head was when that exposure was lit, counted from where it was last said to be at 0."""
+        at = part.exposure.edge_tick - (1 - NEAR) * self._period
+        zero = bisect_left(self._zeros, at, key=lambda zero: zero[0]) - 1
+        return part.exposure.z_mm - self._zeros[zero][1]
+
+
+def _lit_evenly(part: Part, lamp: Lamp) -> bool:
+    """Whether that lamp lit these rows, all of them alike, and no other did."""
+    exposure = part.exposure
+    if exposure.lamps != {lamp}:
+        return False
+    rows = exposure.projector if lamp is Lamp.PROJECTOR else exposure.led
+    first, last = round(part.top * len(rows)), round(part.bottom * len(rows))
+    return first >= last or float(np.min(rows[first:last])) >= EVEN * float(rows.max())
+
+
+def relocks(disturbed: list[tuple[str, int]], right: list[int], frames: int) -> dict[str, list[int]]:
+    """For each disturbance, by kind: frames from its end to the next right label, that frame included.
+
+    right : numbers of rightly labelled frames, rising. A disturbance with no right label after it counts as all the
+    frames that were left, unless fewer were left than a relock is allowed to take.
+    """
+    found: dict[str, list[int]] = {}
+    for kind, first in disturbed:
+        at = bisect_right(right, first - 1)
+        if at < len(right):
+            found.setdefault(kind, []).append(right[at] - first + 1)
+        elif frames - first > 8:
+            found.setdefault(kind, []).append(frames - first)
+    return found
