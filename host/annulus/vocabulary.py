@@ -50,8 +50,9 @@ class Flash:
     width_ticks: int
     odometer: int  # quadrature counts since boot
     generation: int  # of the committed configuration
-    boot: int  # boot byte: changes with every reset
+    boot: int  # boot byte: changes with every reset, but for one in 256 losses of power
     flags: EdgeFlag
+    epoch: int = 0  # which boot of the controller, as the host counts those it has met
 
 
 @dataclass(frozen=True, slots=True)

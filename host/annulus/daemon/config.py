@@ -12,6 +12,7 @@ from annulus.capture.timing import FrameTiming
 from annulus.geometry.calibration import Calibration
 from annulus.record.calibration_file import load_calibration, load_part
 from annulus.rings.colour import ColourProfile
+from annulus.sensors.odometer import MAX_SPEED_MM_S
 from annulus.stream.access import Keys
 from annulus.stream.frames import CAMERAS_MAX
 from annulus.untrusted import TOML_MAX, parse_toml, read_file, shown
@@ -78,6 +79,7 @@ class HeadConfig:
     lamps: LampConfig = LampConfig()
     port: str | None = None  # None: labels come with the frames (scan folder) or are unknown
     mm_per_count: float = 0.05
+    max_speed_mm_s: float = MAX_SPEED_MM_S  # of the winch: what was not counted is bounded by it
     calibration: Calibration | None = None  # None: no live reconstruction
     colour: ColourProfile | None = None  # of the pipe; each frame's own where None
     record_folder: Path | None = None
@@ -104,6 +106,7 @@ class HeadConfig:
             "lamps": asdict(self.lamps),
             "port": self.port,
             "mm_per_count": self.mm_per_count,
+            "max_speed_mm_s": self.max_speed_mm_s,
             "sensors": [asdict(sensor) for sensor in self.sensors],
         }
 
@@ -124,7 +127,7 @@ _SECTIONS: Mapping[str, tuple[str, ...]] = {
         "colour_gains",
     ),
     "lamps": tuple(field.name for field in fields(LampConfig)),
-    "odometer": ("mm_per_count",),
+    "odometer": ("mm_per_count", "max_speed_mm_s"),
     "calibration": ("file", "colour"),
     "record": ("folder",),
     "publish": ("address", "key_file", "viewers"),
@@ -164,6 +167,7 @@ def _checked(data: Mapping[str, Any], folder: Path) -> HeadConfig:
         lamps=_lamps(data.get("lamps", {})),
         port=_optional(data, "controller", "port"),
         mm_per_count=_number(data.get("odometer", {}), "odometer", "mm_per_count", 0.05, -1e3, 1e3),
+        max_speed_mm_s=_number(data.get("odometer", {}), "odometer", "max_speed_mm_s", MAX_SPEED_MM_S, 1.0, 1e5),
         calibration=None if calibration_file is None else load_calibration(folder / calibration_file),
         colour=None if paint is None else load_part(folder / paint, ColourProfile.from_dict, COLOUR_MAKER),
         record_folder=None if record is None else folder / record,

@@ -7,7 +7,7 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from annulus.capture.camera import Camera, CapturedFrame, EndOfFrames, grab
 from annulus.capture.photometry import measure
@@ -186,7 +186,7 @@ class Intake:
         """Frames whose label waiting cannot better, or that there is no room to let wait; all of them when `final`."""
         while self._waiting and (final or self._crowded or self._settled(self._waiting[0])):
             frame = self._waiting.popleft()
-            yield replace(self.labelling.header(frame.seen), arrived_ns=frame.at_ns), frame
+            yield self.labelling.header(frame.seen), frame
 
     @property
     def _crowded(self) -> bool:

@@ -31,6 +31,7 @@ from annulus.daemon.samples import Samples
 from annulus.daemon.scanning import DRAIN_S, START_S, Scan
 from annulus.daemon.state import Event, State, next_state
 from annulus.labelling.navigation import Navigation
+from annulus.sensors.odometer import Place
 from annulus.sensors.sample import Sensor
 from annulus.stream.frames import FrameHeader
 from annulus.vocabulary import AnnulusError, Label
@@ -62,7 +63,7 @@ class Session:
         self._state = State.OFF
         self._account = Account()
         self._observers = Observers([_Remember(self._account), *([observer] if observer is not None else [])])
-        self._navigation = Navigation(config.mm_per_count)
+        self._navigation = Navigation(config.mm_per_count, config.max_speed_mm_s)
         self._samples = Samples(sensors, self._navigation, self._account, self._observers)
         self._power: Power | None = None
         self._scan: Scan | None = None  # the one under way, or being made ready
@@ -144,7 +145,7 @@ class Session:
             **self._account.numbers(),
             **line_numbers(self._line),
             "place_gaps": self._navigation.odometer.gaps,
-            "z_mm": self._navigation.odometer.here_mm,
+            **_place_numbers(self._navigation.odometer.here),
             "cameras": labels,
             "sensors": self._samples.numbers(),
             "slots_free": power.shared.ring.free if power is not None else 0,
@@ -329,6 +330,9 @@ class Session:
         if odometer.zeroed_mm is not None:
             self._observers.event("odometer", f"odometer zeroed at {odometer.zeroed_mm:.1f} mm; z begins again there")
             odometer.zeroed_mm = None
+        if odometer.gap is not None:
+            self._observers.event("odometer", str(odometer.gap))
+            odometer.gap = None
 
     def _hand_out(self, header: FrameHeader, frame: InSlot) -> None:
         """Recorder first: what is recorded can be reconstructed later, what is seen cannot be recorded later."""
@@ -393,6 +397,16 @@ class Session:
     def _need_scan(self) -> None:
         if not self._has_scan:
             raise AnnulusError(f"no scan is under way, the head is {self._state}")
+
+
+def _place_numbers(here: Place | None) -> dict[str, Any]:
+    """For the telemetry."""
+    return {
+        "z_mm": here.z_mm if here is not None else None,
+        "z_bound_mm": here.bound_mm if here is not None else None,  # 0: counted
+        "z_assumed": here.assumed if here is not None else False,
+        "segment": here.segment if here is not None else 0,
+    }
 
 
 class _Remember(Observer):

@@ -120,7 +120,7 @@ class Labelling:
         mode = self._mode
         blank = FrameHeader(
             0, frame.sequence, frame.timestamp_ns, Label.UNKNOWN, "", None, None, None, None, mode.encoding,
-            mode.width, mode.height, camera=mode.camera,
+            mode.width, mode.height, camera=mode.camera, arrived_ns=frame.arrived_ns,
         )  # fmt: skip
         if self._alone:
             return self._numbered(_brought_along(blank, frame.metadata), frame.sequence)
@@ -130,12 +130,15 @@ class Labelling:
         if said.label is Label.UNKNOWN or said.flash is None:
             return self._numbered(replace(blank, reason=str(said.reason)))
         flash = said.flash
+        place = self._navigation.odometer.place(flash)
         known = replace(
             blank, label=said.label, edge=flash.edge, slot=flash.slot, odometer=flash.odometer,
-            z_mm=self._navigation.odometer.z_mm(flash),
+            z_mm=place.z_mm if place is not None else None,
+            z_assumed=place.assumed if place is not None else False,
+            segment=place.segment if place is not None else 0,
             roll_deg=self._navigation.roll.at(self._lit_ns(frame.timestamp_ns, flash)),
         )  # fmt: skip
-        return self._numbered(known, (flash.boot, flash.edge))
+        return self._numbered(known, (flash.epoch, flash.edge))
 
     def _numbered(self, header: FrameHeader, flash: object = None) -> FrameHeader:
         """Frames that one flash lit share an index, whichever camera they are of."""

@@ -1,8 +1,12 @@
 """What a head knows of time and place, shared by all its cameras: edges in host time, odometer, roll, frame numbers."""
 
+from dataclasses import replace
+
 from annulus.capture.pairing import EdgeHistory
 from annulus.link.head import EdgeSeen, HeadEvent, LampsCut
-from annulus.sensors.odometer import Odometer
+from annulus.link.messages import Fault, FaultCode
+from annulus.link.session import EventReceived
+from annulus.sensors.odometer import MAX_SPEED_MM_S, Odometer
 from annulus.sensors.roll import Roll
 from annulus.sensors.sample import Sample
 
@@ -13,9 +17,10 @@ INDICES_KEPT = 256  # flashes; cameras are no further apart than that
 class Navigation:
     """Sans-I/O: fed with the controller's events and the sensors' samples, asked by the cameras' labels."""
 
-    def __init__(self, mm_per_count: float) -> None:
+    def __init__(self, mm_per_count: float, max_speed_mm_s: float = MAX_SPEED_MM_S) -> None:
+        """`max_speed_mm_s`: the winch's."""
         self.edges = EdgeHistory()
-        self.odometer = Odometer(mm_per_count)
+        self.odometer = Odometer(mm_per_count, max_speed_mm_s)
         self.roll = Roll()
         self._next_index = 0  # never begins again: what is late is not taken for another scan's
         self._indices: dict[object, tuple[int, set[int]]] = {}  # key -> index, cameras that have it
@@ -24,8 +29,11 @@ class Navigation:
         """What concerns us among what the controller says."""
         match event:
             case EdgeSeen():
-                self.edges.edge(event.flash, event.host_ns, event.boot_epoch)
-                self.odometer.edge(event.flash, event.host_ns)
+                flash = replace(event.flash, epoch=event.boot_epoch)
+                self.edges.edge(flash, event.host_ns, event.boot_epoch)
+                self.odometer.edge(flash, event.host_ns, event.nonce)
+            case EventReceived(Fault(fault=FaultCode.ODOMETER, detail=counts)):
+                self.odometer.lost(counts)
             case LampsCut():
                 self.edges.invalidate(event.from_ns, event.to_ns)
 

@@ -80,6 +80,7 @@ class EdgeSeen:
     host_ns: int
     error_ns: int
     boot_epoch: int
+    nonce: int | None = None  # what that boot drew; None: the controller has not told it (yet)
 
 
 @dataclass(frozen=True, slots=True)
@@ -401,7 +402,9 @@ class HeadControl:
             host_ns = self.clock.to_host(tick)
             error_ns = self.clock.error_ns(host_ns) if host_ns is not None else None
             if host_ns is not None and error_ns is not None and error_ns <= self._error_max_ns:
-                yield EdgeSeen(flash_from(edge, tick, boot), host_ns, error_ns, self.boot_epoch)
+                info = self.session.info
+                nonce = info.nonce if info is not None else None
+                yield EdgeSeen(flash_from(edge, tick, boot), host_ns, error_ns, self.boot_epoch, nonce)
             else:
                 self.edges_unplaced += 1
 

@@ -1,40 +1,85 @@
-"""How far along the pipe: the controller's odometer counts to millimetres, across restarts and across being zeroed."""
+"""How far along the pipe: the controller's odometer counts to millimetres, across restarts and across being zeroed.
+
+Counts begin at zero with every boot of the controller; the pipe does not. Within a boot z is counted, however many
+edges are lost: an edge brings the whole count. Across a boot nobody counted. The head is then taken to have moved on at
+the speed it had, a new segment of z begins, and its places are marked as assumed, with a bound that holds as long as
+nothing pulls faster than `max_speed_mm_s`. Only `zero` ends the assumption.
+"""
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from annulus.controller import TICK_NS
 from annulus.sensors.sample import Sample
 from annulus.vocabulary import Flash
 
-SPEED_SPAN_NS = 1_000_000_000  # over which the head's speed is taken
+SPEED_SPAN_NS = 200_000_000  # over which the head's speed is taken; two edges at least
 EXPECT_NS = 5_000_000_000  # for so long at most a head nobody heard of is taken to have moved on
 SAMPLE_NS = 200_000_000  # between two samples
 SEGMENTS_KEPT = 16
+MAX_SPEED_MM_S = 500.0  # of the winch, where nobody says
+REST_COUNTS = 1.5  # in SPEED_SPAN_NS: a head at rest trembles between two counts
+BOOT_SLACK_NS = 20_000_000  # clock maps differ: by so much a boot may seem to be before the last edge of the one before
+LOST_EDGES = 16  # a loss of counts is told 0.1 s late at most: so many edges may have been before
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a flash was."""
+
+    z_mm: float
+    segment: int  # within one, differences of z are counted
+    bound_mm: float  # how far z may be off; 0 where it is counted
+
+    @property
+    def assumed(self) -> bool:
+        return self.bound_mm > 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """A stretch in which nobody counted, ended by the first edge of another boot."""
+
+    host_ns: int  # of that edge
+    seconds: float  # without odometer
+    from_mm: float
+    place: Place  # assumed, at that edge
+
+    def __str__(self) -> str:
+        return (
+            f"the controller restarted; {self.seconds:.1f} s without odometer; z is assumed to go on at "
+            f"{self.place.z_mm:.1f} mm (+- {self.place.bound_mm:.0f} mm, from {self.from_mm:.1f}); zero it or mark the "
+            "place"
+        )
 
 
 @dataclass(frozen=True, slots=True)
 class _Segment:
     """From one edge of one boot on: z = start_mm + counts * mm_per_count."""
 
-    boot: int
+    epoch: int
     first_edge: int
     start_mm: float
+    number: int = 0
+    bound_mm: float = 0.0
+    nonce: int | None = None  # of the boot, where the controller told it
 
 
 class Odometer:
-    """Counts begin at zero with every boot of the controller; the pipe does not. Also a Sensor: counts and z_mm.
-
-    After a restart the head is taken to have moved on at the speed it had. `gaps` counts how often that was assumed.
-    """
+    """Also a Sensor: counts and z_mm. `gaps` counts how often z was assumed to have gone on."""
 
     name = "odometer"
 
-    def __init__(self, mm_per_count: float) -> None:
+    def __init__(self, mm_per_count: float, max_speed_mm_s: float = MAX_SPEED_MM_S) -> None:
         self.gaps = 0
         self.zeroed_mm: float | None = None  # where the head was when the last `zero` took effect
+        self.gap: Gap | None = None  # the last one, until somebody has told it
         self._mm_per_count = mm_per_count
+        self._max_speed = max_speed_mm_s  # mm/s
         self._segments: deque[_Segment] = deque(maxlen=SEGMENTS_KEPT)
-        self._recent: deque[tuple[int, float]] = deque()  # host ns, z mm: about the last second
+        self._recent: deque[tuple[int, float]] = deque()  # host ns, z mm: of SPEED_SPAN_NS
+        self._last_edge = 0
+        self._lost = 0  # counts, in this boot, as the controller says
         self._zero_next = False
         self._samples: list[Sample] = []
         self._next_sample_ns = 0
@@ -44,35 +89,56 @@ class Odometer:
         """Where the head was at the last edge; None before the first."""
         return self._recent[-1][1] if self._recent else None
 
+    @property
+    def here(self) -> Place | None:
+        """The same, with how well it is known."""
+        if not self._recent:
+            return None
+        segment = self._segments[-1]
+        return Place(self._recent[-1][1], segment.number, segment.bound_mm)
+
     def zero(self) -> None:
         """The next edge that is heard is at z = 0, and so it goes on from there. Frames lit before keep their z."""
         self._zero_next = True
 
-    def edge(self, flash: Flash, host_ns: int) -> None:
+    def edge(self, flash: Flash, host_ns: int, nonce: int | None = None) -> None:
         """Every edge, as it is heard. One that had to be read again, and so comes late, places its frame only."""
-        moved = flash.odometer * self._mm_per_count
-        if not any(segment.boot == flash.boot for segment in self._segments):
-            self.gaps += bool(self._segments)
-            self._begin(flash, self._expected(host_ns) - moved if self._segments else 0.0)
+        if not any(segment.epoch == flash.epoch for segment in self._segments):
+            self._another_boot(flash, host_ns, nonce)
         elif self._recent and host_ns <= self._recent[-1][0]:
             return
-        z = self._place(flash)
+        place = self._place(flash)
         if self._zero_next:
-            self._zero_next, self.zeroed_mm = False, z
-            self._begin(flash, -moved)
-            z = 0.0
-        self._recent.append((host_ns, z))
-        while self._recent[-1][0] - self._recent[0][0] > SPEED_SPAN_NS:
+            self._zero_next, self.zeroed_mm = False, place.z_mm
+            before = self._segments[-1]
+            self._begin(
+                replace(
+                    before, first_edge=flash.edge, start_mm=-self._moved(flash), number=before.number + 1, bound_mm=0.0
+                )
+            )
+            place = self._place(flash)
+        self._last_edge = flash.edge
+        self._recent.append((host_ns, place.z_mm))
+        while len(self._recent) > 2 and self._recent[-1][0] - self._recent[0][0] > SPEED_SPAN_NS:
             self._recent.popleft()
         if host_ns >= self._next_sample_ns:
             self._next_sample_ns = host_ns + SAMPLE_NS
-            values = {"counts": float(flash.odometer), "z_mm": z}
+            values = {"counts": float(flash.odometer), "z_mm": place.z_mm}
             self._samples.append(Sample(self.name, host_ns, values, {"counts": "counts", "z_mm": "mm"}))
             del self._samples[:-SEGMENTS_KEPT]
 
-    def z_mm(self, flash: Flash) -> float | None:
-        """The station of a frame from its flash; None when that boot's edges were never heard, or too long ago."""
-        return self._place(flash) if any(segment.boot == flash.boot for segment in self._segments) else None
+    def lost(self, counts: int) -> None:
+        """The controller says that so many counts of this boot are lost; the last few edges may be from after that."""
+        more = (counts - self._lost) * abs(self._mm_per_count)
+        self._lost = counts
+        if self._segments and more > 0:
+            now = self._segments[-1]
+            first = max(now.first_edge, self._last_edge - LOST_EDGES)
+            self._segments.append(replace(now, first_edge=first, bound_mm=now.bound_mm + more))
+
+    def place(self, flash: Flash) -> Place | None:
+        """Of a frame, from its flash; None when that boot's edges were never heard, or too long ago."""
+        return self._place(flash) if any(segment.epoch == flash.epoch for segment in self._segments) else None
 
     def poll(self) -> list[Sample]:
         samples, self._samples = self._samples, []
@@ -81,16 +147,56 @@ class Odometer:
     def close(self) -> None:
         pass
 
-    def _begin(self, flash: Flash, start_mm: float) -> None:
-        self._segments.append(_Segment(flash.boot, flash.edge, start_mm))
+    def _moved(self, flash: Flash) -> float:
+        """Since the boot, mm."""
+        return flash.odometer * self._mm_per_count
+
+    def _begin(self, segment: _Segment) -> None:
+        self._segments.append(segment)
         self._recent.clear()
 
-    def _place(self, flash: Flash) -> float:
-        of_boot = [segment for segment in self._segments if segment.boot == flash.boot]
+    def _place(self, flash: Flash) -> Place:
+        of_boot = [segment for segment in self._segments if segment.epoch == flash.epoch]
         begun = [segment for segment in of_boot if segment.first_edge <= flash.edge]
-        return (begun[-1] if begun else of_boot[0]).start_mm + flash.odometer * self._mm_per_count
+        segment = begun[-1] if begun else of_boot[0]
+        return Place(segment.start_mm + self._moved(flash), segment.number, segment.bound_mm)
 
-    def _expected(self, host_ns: int) -> float:
+    def _another_boot(self, flash: Flash, host_ns: int, nonce: int | None) -> None:
+        """The first edge of a boot that is new to us."""
+        if not self._segments:
+            self._begin(_Segment(flash.epoch, flash.edge, 0.0, nonce=nonce))
+            return
+        before = self._segments[-1]
+        if nonce is not None and nonce == before.nonce:  # it was taken for another boot, and is none
+            self._begin(replace(before, epoch=flash.epoch, first_edge=flash.edge))
+            return
+        self._lost = 0
+        last_ns, last_mm = self._recent[-1]
+        gap_ns, counted_mm = self._uncounted(flash, host_ns, last_ns)
+        travel_mm = self._speed() * min(gap_ns, EXPECT_NS) / 1e9
+        bound_mm = before.bound_mm + abs(travel_mm) + self._max_speed * gap_ns / 1e9
+        place = Place(last_mm + travel_mm + counted_mm, before.number + 1, bound_mm)
+        self.gaps += 1
+        self.gap = Gap(host_ns, gap_ns / 1e9, last_mm, place)
+        start_mm = place.z_mm - self._moved(flash)
+        self._begin(_Segment(flash.epoch, flash.edge, start_mm, place.segment, bound_mm, nonce))
+
+    def _uncounted(self, flash: Flash, host_ns: int, last_ns: int) -> tuple[int, float]:
+        """For how long nobody counted, ns, and what was counted since, mm: a boot counts from its tick 0 on.
+
+        The tick begins again every 43 s, so that the boot may be longer ago than it says: then this is too long, and
+        the bound too wide.
+        """
+        whole_ns = max(0, host_ns - last_ns)
+        gap_ns = whole_ns - flash.tick * TICK_NS
+        if not -BOOT_SLACK_NS <= gap_ns <= whole_ns:  # this boot is older than our last edge: its counts say nothing
+            return whole_ns, 0.0
+        return max(BOOT_SLACK_NS, gap_ns), self._moved(flash)
+
+    def _speed(self) -> float:
+        """mm/s, of late; 0 at rest, and never faster than the winch."""
         (first_ns, first), (last_ns, last) = self._recent[0], self._recent[-1]
-        speed = (last - first) / (last_ns - first_ns) if last_ns > first_ns else 0.0
-        return last + speed * min(host_ns - last_ns, EXPECT_NS)
+        if last_ns <= first_ns or abs(last - first) <= REST_COUNTS * abs(self._mm_per_count):
+            return 0.0
+        speed = (last - first) / (last_ns - first_ns) * 1e9
+        return min(max(speed, -self._max_speed), self._max_speed)
