@@ -390,7 +390,7 @@ class Session:
             case Do.ZERO:
                 if self._line is None:
                     raise AnnulusError("there is no controller, and so no odometer to zero")
-                self._navigation.odometer.zero()
+                self._navigation.zero()
             case Do.STATE:
                 pass
 

@@ -10,7 +10,7 @@ if labelling.settled(frame, now_ns):              # frames in the order of captu
 
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from annulus.capture.pairing import Pairing, calibrate_offset
@@ -57,6 +57,7 @@ class Labelling:
     def __init__(self, mode: CameraMode, navigation: Navigation, tell: Callable[[str, str], None], alone: bool) -> None:
         """`alone`: there is no controller; labels are those the frames bring, or unknown."""
         self._mode, self._navigation, self._alone = mode, navigation, alone
+        navigation.journal.camera(alone, **asdict(mode))
         self._tell = tell
         self._pairing = Pairing(mode.period_ns, history=navigation.edges)
         self._seen: deque[tuple[int, Light]] = deque(maxlen=OFFSET_FRAMES_KEPT)
@@ -77,11 +78,14 @@ class Labelling:
 
     def saw(self, frame: FrameSeen) -> None:
         """A frame has come; it may help to find the offset long before it can be labelled."""
+        self._navigation.journal.saw(
+            self._mode.camera, frame.sequence, frame.timestamp_ns, frame.arrived_ns, frame.picture, frame.metadata
+        )
         self._seen.append((frame.timestamp_ns, frame.picture.light))
 
     def look_for_offset(self, now_s: float) -> None:
         """At the start, and again whenever the offset has become doubtful. Until it is found, frames are unknown."""
-        if self._alone or now_s < self._next_look:
+        if not self._navigation.journal.looks(self._mode.camera, now_s) or self._alone or now_s < self._next_look:
             return
         if self._offset_known:
             if not self._pairing.doubtful:
@@ -142,7 +146,9 @@ class Labelling:
 
     def _numbered(self, header: FrameHeader, flash: object = None) -> FrameHeader:
         """Frames that one flash lit share an index, whichever camera they are of."""
-        return replace(header, index=self._navigation.index(header.camera, flash))
+        header = replace(header, index=self._navigation.index(header.camera, flash))
+        self._navigation.journal.said(header)
+        return header
 
     def _lit_ns(self, timestamp_ns: int, flash: Flash) -> int:
         """The middle of the flash, host time: the flash came so long after the edge one period before readout ended."""

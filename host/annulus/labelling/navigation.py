@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 from annulus.capture.pairing import EdgeHistory
+from annulus.labelling.evidence import Journal, Write
 from annulus.link.head import EdgeSeen, HeadEvent, LampsCut
 from annulus.link.messages import Fault, FaultCode
 from annulus.link.session import EventReceived
@@ -22,11 +23,30 @@ class Navigation:
         self.edges = EdgeHistory()
         self.odometer = Odometer(mm_per_count, max_speed_mm_s)
         self.roll = Roll()
+        self.journal = Journal()
         self._next_index = 0  # never begins again: what is late is not taken for another scan's
         self._indices: dict[object, tuple[int, set[int]]] = {}  # key -> index, cameras that have it
 
+    def write_down(self, write: Write | None) -> None:
+        """From now on everything that labels follow from is written down, beginning with what is known already."""
+        self.journal.write_to(write)
+        if write is None:
+            return
+        self.journal.note("odometer", **self.odometer.remembered())
+        for from_ns, to_ns in self.edges.invalid:
+            self.journal.note("cut", from_ns=from_ns, to_ns=to_ns, why="before")
+        for edge in self.edges.edges:
+            self.journal.edge(EdgeSeen(edge.flash, edge.host_ns, 0, edge.boot_epoch))
+        self.journal.cameras()
+
+    def zero(self) -> None:
+        """z is 0 at the next edge."""
+        self.journal.note("zero")
+        self.odometer.zero()
+
     def heard(self, event: HeadEvent) -> None:
         """What concerns us among what the controller says."""
+        self.journal.heard(event)
         match event:
             case EdgeSeen():
                 flash = replace(event.flash, epoch=event.boot_epoch)
@@ -53,4 +73,5 @@ class Navigation:
     def sampled(self, sample: Sample) -> None:
         roll_deg = sample.values.get(ROLL)
         if roll_deg is not None and roll_deg == roll_deg and sample.units[ROLL] == "deg":
+            self.journal.note("roll", host_ns=sample.host_ns, roll_deg=roll_deg)
             self.roll.add(sample.host_ns, roll_deg)

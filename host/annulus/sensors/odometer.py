@@ -7,7 +7,9 @@ nothing pulls faster than `max_speed_mm_s`. Only `zero` ends the assumption.
 """
 
 from collections import deque
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 from annulus.controller import TICK_NS
 from annulus.sensors.sample import Sample
@@ -139,6 +141,24 @@ class Odometer:
     def place(self, flash: Flash) -> Place | None:
         """Of a frame, from its flash; None when that boot's edges were never heard, or too long ago."""
         return self._place(flash) if any(segment.epoch == flash.epoch for segment in self._segments) else None
+
+    def remembered(self) -> dict[str, Any]:
+        """All that later places follow from, as plain types; `recalled` is the inverse."""
+        return {
+            "mm_per_count": self._mm_per_count, "max_speed_mm_s": self._max_speed,
+            "segments": [asdict(segment) for segment in self._segments], "recent": [list(one) for one in self._recent],
+            "last_edge": self._last_edge, "lost": self._lost, "zero_next": self._zero_next,
+        }  # fmt: skip
+
+    @classmethod
+    def recalled(cls, data: Mapping[str, Any]) -> "Odometer":
+        """Raises KeyError, TypeError or ValueError on anything but what `remembered` gave."""
+        odometer = cls(float(data["mm_per_count"]), float(data["max_speed_mm_s"]))
+        odometer._segments.extend(_Segment(**segment) for segment in data["segments"])
+        odometer._recent.extend((int(host_ns), float(z_mm)) for host_ns, z_mm in data["recent"])
+        odometer._last_edge, odometer._lost = int(data["last_edge"]), int(data["lost"])
+        odometer._zero_next = bool(data["zero_next"])
+        return odometer
 
     def poll(self) -> list[Sample]:
         samples, self._samples = self._samples, []
