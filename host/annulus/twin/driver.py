@@ -1,7 +1,7 @@
 """What a camera's driver makes of its exposures: pictures, counts, stamps and the moment it hands them over, each with
 what goes wrong there. No clock: exposures in, deliveries out.
 
-    driver = Driver(faults, timing, clock, seed)
+    driver = Driver(faults, timing, seed)
     for exposure in sensor.exposures(now, pins):
         delivered = driver.take(exposure)             # None: the driver lost it
         if delivered is not None: ...                 # the host has it at delivered.due_tick, and not before
@@ -15,7 +15,7 @@ import numpy as np
 from annulus.capture.timing import FrameTiming
 from annulus.controller import TICK_NS, TICK_S, TICKS_PER_US
 from annulus.twin.faults import Faults
-from annulus.twin.image_sensor import Exposure, HostClock
+from annulus.twin.image_sensor import Exposure
 from annulus.vocabulary import CameraSequence
 
 LAG_US = 1500.0  # end of readout -> frame in the host's hands, at least ..
@@ -51,10 +51,11 @@ class Driver:
     a disturbance of that kind no longer touches.
     """
 
-    def __init__(self, faults: Faults, timing: FrameTiming, clock: HostClock, seed: int = 0) -> None:
+    def __init__(self, faults: Faults, timing: FrameTiming, seed: int = 0, *, start_tick: int = 0) -> None:
+        """start_tick : the sensor's."""
         self.counts: Counter[str] = Counter()
         self.disturbed: list[tuple[str, int]] = []
-        self._faults, self._clock = faults, clock
+        self._faults, self._start = faults, start_tick
         self._period = timing.period_us * TICKS_PER_US
         self._rng = np.random.default_rng([seed, 5])
         self._drawn: list[list[float]] = []
@@ -142,9 +143,8 @@ class Driver:
             self._lost("stamp_late", number)
             much = 0.1 + 2.9 * draws[4]
             frames += max(1, round(much)) if draws[5] < 0.5 else much
-        drifted_s = (
-            _accumulated_s(exposure.edge_tick * TICK_S, faults.stamp_drift_turn_s) * faults.stamp_drift_ppm * 1e-6
-        )
+        passed_s = (exposure.edge_tick - self._start) * TICK_S
+        drifted_s = _accumulated_s(passed_s, faults.stamp_drift_turn_s) * faults.stamp_drift_ppm * 1e-6
         return exposure.timestamp_ns + round(frames * self._period * TICK_NS + drifted_s * 1e9)
 
     def _due_tick(self, exposure: Exposure, draws: list[float]) -> int | None:
@@ -168,8 +168,8 @@ class Driver:
         return max(round(due), self._due + 50 * TICKS_PER_US)
 
     def stall_begins(self, stall: tuple[int, float]) -> float:
-        """World tick, in the middle of the frame that was named; of a sensor whose first edge falls a frame after 0."""
-        return (stall[0] + 0.5) * self._period
+        """World tick, in the middle of the frame that was named."""
+        return self._start + (stall[0] + 0.5) * self._period
 
     def stall_ends(self, stall: tuple[int, float]) -> float:
         return self.stall_begins(stall) + stall[1] / TICK_S

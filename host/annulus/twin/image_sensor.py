@@ -16,6 +16,7 @@ its own closing, so a wrong delay makes a dark or banded frame, as on the bench.
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,8 @@ from annulus.twin.cable import Cable, Stimulus
 from annulus.twin.faults import NO_FAULTS, Faults
 from annulus.twin.worlds.world import World
 from annulus.vocabulary import CameraSequence, Lamp
+
+UNLIT = 1e-4  # of a lamp's nominal light: less is none
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +49,7 @@ class HostClock:
         return self.start_ns + round(tick * TICK_NS / (1 + self.drift_ppm * 1e-6))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Exposure:
     """One frame as the sensor collected it: everything `Renderer.render` asks for, and the truth to score labels by."""
 
@@ -64,11 +67,16 @@ class Exposure:
         """Of the pipe in the camera frame when the light came."""
         return self.world.pose(self.z_mm)
 
+    @cached_property
+    def extremes(self) -> dict[Lamp, tuple[float, float]]:
+        """Of each lamp, the light of the row that got least and of the one that got most."""
+        rows = ((Lamp.PROJECTOR, self.projector), (Lamp.LED, self.led))
+        return {lamp: (float(light.min()), float(light.max())) for lamp, light in rows}
+
     @property
     def lamps(self) -> frozenset[Lamp]:
         """Lamps that put any light into it; empty for a dark frame."""
-        lit = ((Lamp.PROJECTOR, self.projector), (Lamp.LED, self.led))
-        return frozenset(lamp for lamp, rows in lit if float(rows.max()) > 1e-4)
+        return frozenset(lamp for lamp, (_, most) in self.extremes.items() if most > UNLIT)
 
 
 class ImageSensor:

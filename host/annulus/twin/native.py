@@ -72,6 +72,7 @@ class NativeBoard:
         self._wires: tuple[tuple[int, int], ...] = ()
         self._bytes = ctypes.create_string_buffer(65536)
         self._pins = np.zeros(16384, TRANSITION)
+        self._pins_at = self._pins.ctypes.data
 
     def _live(self) -> ctypes.CDLL:
         if NativeBoard._current is not self:
@@ -110,7 +111,7 @@ class NativeBoard:
     def serial_read(self) -> bytes:
         """All bytes that have arrived from the controller by now, at most 65536 at a time."""
         size = self._live().native_serial_read(self._bytes, len(self._bytes))
-        return self._bytes.raw[:size] if size else b""
+        return ctypes.string_at(self._bytes, size) if size else b""
 
     def seed(self, seed: int) -> None:
         """From now on the main loop's calls take times drawn from this; a new board's from 0."""
@@ -139,9 +140,11 @@ class NativeBoard:
         """Transitions of output pins since the last call, oldest first: structured array of TRANSITION."""
         library = self._live()
         parts = []
-        while size := library.native_pins(self._pins.ctypes.data, len(self._pins)):
+        while size := library.native_pins(self._pins_at, len(self._pins)):
             parts.append(self._pins[:size].copy())
-        return np.concatenate(parts) if parts else np.zeros(0, TRANSITION)
+            if size < len(self._pins):
+                break
+        return np.concatenate(parts) if len(parts) > 1 else parts[0] if parts else self._pins[:0].copy()
 
     def level(self, pin: int) -> int:
         """Level of any pin now."""

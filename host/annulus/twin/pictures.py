@@ -14,9 +14,10 @@ import numpy as np
 from annulus.capture.photometry import Photometry, measure
 from annulus.numeric.arrays import Image
 from annulus.twin.driver import Part
-from annulus.twin.image_sensor import Exposure
+from annulus.twin.image_sensor import UNLIT, Exposure
 from annulus.twin.render import Renderer
 from annulus.twin.worlds import World
+from annulus.vocabulary import Lamp
 
 STATIONS = 6
 NOISES = 8
@@ -86,12 +87,9 @@ class Pictures:
 def _lit(exposure: Exposure) -> tuple[bool, bool] | None:
     """(projector, LED) when each is all there or not at all, else None."""
     lit = []
-    for rows in (exposure.projector, exposure.led):
-        low, high = float(rows.min()), float(rows.max())
-        if high <= 1e-4:
-            lit.append(False)
-        elif low >= 1.0 - EVEN and high <= 1.0 + EVEN:
-            lit.append(True)
-        else:
+    for lamp in (Lamp.PROJECTOR, Lamp.LED):
+        least, most = exposure.extremes[lamp]
+        if most > UNLIT and not 1.0 - EVEN <= least <= most <= 1.0 + EVEN:
             return None
+        lit.append(most > UNLIT)
     return lit[0], lit[1]

@@ -28,7 +28,7 @@ from annulus.vocabulary import Label
 WIDTH = 104  # pixels: stripes stay apart, and a frame takes a fraction of a millisecond
 MS_TICKS = 1000 * TICKS_PER_US
 STEP_TICKS = MS_TICKS // 2  # between two looks at the line while an answer is awaited
-IDLE_TICKS = 13 * MS_TICKS + MS_TICKS // 2
+IDLE_TICKS = 20 * MS_TICKS
 TURN_TICKS = 4 * MS_TICKS  # after an edge: its event is over the line, and its frame in the host's hands
 WAITING_MAX = 20  # frames that wait while the offset is being found: the daemon's slots but its reserve
 START_NS = 4_000_000_000_000  # the host has been up for a while
@@ -75,10 +75,11 @@ class SoakWorld:
             replace(self.world, travel_mm=REACH_MM), self.timing, faults, seed=seed, clock=self.clock,
             start_tick=MS_TICKS,
         )  # fmt: skip
-        self.driver = Driver(faults, self.timing, self.clock, seed)
+        self.driver = Driver(faults, self.timing, seed, start_tick=MS_TICKS)
         self.pictures = Pictures(self.world, seed)
         self.line = LossyLine(faults, seed)
         self.board = board
+        self.tick = board.tick  # of the world, now
         self.boot = seed % 200  # a native board takes it, an emulated one has its own
         self.board.power_on(self.boot)
         self.head = HeadControl(soak_configuration(self.timing, self.world))
@@ -123,7 +124,7 @@ class SoakWorld:
             self._advance(edge - self._half)
             self._disturb(*self._orders.popleft())
         self._advance(edge + TURN_TICKS)
-        for exposure in self.sensor.exposures(self.board.tick, self.board.pins()):
+        for exposure in self.sensor.exposures(self.tick, self.board.pins()):
             delivered = self.driver.take(exposure)
             if delivered is not None:
                 self.on_the_way.append(delivered)
@@ -139,25 +140,25 @@ class SoakWorld:
 
     def finish(self) -> None:
         """What still waits gets its label without the edges that never came."""
-        self._deliver(self.board.tick + round(100 * self.period))
+        self._deliver(self.tick + round(100 * self.period))
         while self.waiting:
             self._label(self.waiting.popleft())
 
     @property
     def _now(self) -> int:
-        return self.clock.ns(self.board.tick)
+        return self.clock.ns(self.tick)
 
     @property
     def _stalled(self) -> bool:
         """Whether the host does nothing at present."""
-        now = self.board.tick
+        now = self.tick
         while self._stalls and self._stalls[0][1] <= now:
             self._stalls.pop(0)
         return bool(self._stalls) and self._stalls[0][0] <= now
 
     def _advance(self, until: int) -> None:
         """Let the world go on, stopping wherever the host has something to say or to hear."""
-        while (now := self.board.tick) < until:
+        while (now := self.tick) < until:
             awake, plugged = not self._stalled, now >= self._unplugged_until
             busy = False
             if awake and plugged:
@@ -170,6 +171,7 @@ class SoakWorld:
             for tick, pin, level in self.sensor.stimuli(stop):
                 self.board.input(max(tick, now), pin, level)
             self.board.run_until(stop)
+            self.tick = stop
             self.truth.life(self.board.boot_tick, self.board.boot)
             if not plugged:
                 self.board.serial_read()
@@ -180,7 +182,7 @@ class SoakWorld:
     def _heard(self, news: HeadEvent) -> None:
         match news:
             case EdgeSeen():
-                tick = self.truth.heard(news.flash, self.board.tick)
+                tick = self.truth.heard(news.flash, self.tick)
                 self.navigation.heard(news)
                 if self._zeroing and self.navigation.odometer.zeroed_mm is not None and tick is not None:
                     self._zeroing = False
@@ -204,11 +206,11 @@ class SoakWorld:
             return
         self._pull_at = number + round(float(self._rng.uniform(*PULL_S)) * self.timing.fps)
         speed = float(self._rng.uniform(-SPEED_MAX_MM_S, SPEED_MAX_MM_S)) if self._rng.random() >= REST else 0.0
-        far = self.sensor.cable.z_mm(self.board.tick) + speed * (self._pull_at - number) / self.timing.fps
+        far = self.sensor.cable.z_mm(self.tick) + speed * (self._pull_at - number) / self.timing.fps
         self._pull(speed if 0.0 < far < REACH_MM else -speed)
 
     def _pull(self, speed_mm_s: float) -> None:
-        self.sensor.pull(max(self.board.tick, MS_TICKS) + 1, speed_mm_s)
+        self.sensor.pull(max(self.tick, MS_TICKS) + 1, speed_mm_s)
 
     def _disturb(self, number: int, kind: str, much: float) -> None:
         if self._rng.random() < 0.5:  # often because something else stopped too
@@ -217,14 +219,14 @@ class SoakWorld:
             self.line.unplug()
             self.board.serial_read()
             ticks = (much / 1000 + REOPEN_S) / TICK_S
-            self._unplugged_until = self.board.tick + round(ticks)
+            self._unplugged_until = self.tick + round(ticks)
             self.disturbed.append((kind, number + 1 + int(ticks / self.period)))
             return
         if kind == "reset":
             self.boot = (self.boot + 1) % 256
         self.board.power_on(self.boot, BootCause.POWER_ON if kind == "power_loss" else BootCause.WATCHDOG)
         for pin, level in self.sensor.levels():
-            self.board.input(self.board.tick, pin, level)
+            self.board.input(self.tick, pin, level)
         self.truth.life(self.board.boot_tick, self.board.boot)
         self.disturbed.append((kind, number))
 
@@ -234,7 +236,7 @@ class SoakWorld:
         self.last_told = self.number
 
     def _host(self) -> None:
-        self._deliver(self.board.tick)
+        self._deliver(self.tick)
         now = self._now
         self.labelling.look_for_offset(now / 1e9)
         while self.waiting and (self._crowded or self.labelling.settled(self.waiting[0].seen, now)):

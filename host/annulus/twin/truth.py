@@ -109,9 +109,12 @@ def _lit_evenly(part: Part, lamp: Lamp) -> bool:
     exposure = part.exposure
     if exposure.lamps != {lamp}:
         return False
+    least, most = exposure.extremes[lamp]
+    if least >= EVEN * most:
+        return True
     rows = exposure.projector if lamp is Lamp.PROJECTOR else exposure.led
-    first, last = round(part.top * len(rows)), round(part.bottom * len(rows))
-    return first >= last or float(np.min(rows[first:last])) >= EVEN * float(rows.max())
+    seen = rows[round(part.top * len(rows)) : round(part.bottom * len(rows))]
+    return not len(seen) or float(np.min(seen)) >= EVEN * most
 
 
 def relocks(disturbed: list[tuple[str, int]], right: list[int], frames: int) -> dict[str, list[int]]:

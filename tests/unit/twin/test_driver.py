@@ -22,7 +22,7 @@ SOUND = -28_000_000  # V4L2's stamp: the start of the readout
 def run(frames: int, seed: int = 1, **faults: Any) -> tuple[list[Delivered], Driver]:
     chosen, clock = Faults(**faults), HostClock(START_NS)
     sensor = ImageSensor(WORLD, TIMING, chosen, seed=seed, clock=clock)
-    driver = Driver(chosen, TIMING, clock, seed)
+    driver = Driver(chosen, TIMING, seed)
     came = [driver.take(exposure) for exposure in sensor.exposures(sensor.edge(frames - 1))]
     return [frame for frame in came if frame is not None], driver
 
