@@ -20,7 +20,7 @@ Board = Annotated[
 def run(
     fps: Annotated[float, typer.Option(min=1.0, max=60.0, help="Frames per second.")] = 10.0,
     seed: Annotated[int, typer.Option(min=0, help="Of the world.")] = 1,
-    faults: Annotated[Path | None, typer.Option(help="TOML file of faults to inject.")] = None,
+    faults: Annotated[Path | None, typer.Option(help="A TOML file, or a name as in `twin soak`.")] = None,
     roll_deg: Annotated[float, typer.Option(min=0.0, max=30.0, help="The head rolls so far either way.")] = 6.0,
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="Folder for head.toml, calibration and truth.")

@@ -40,6 +40,7 @@ class CameraServer:
         self._listener.listen(1)
         self._viewer: socket.socket | None = None
         self.streaming = False
+        self._plugged = True
         self.generation = 0  # of the stream: frames of an earlier one are not delivered
 
     def waitables(self) -> list[socket.socket]:
@@ -74,6 +75,12 @@ class CameraServer:
             self._free.append(slot)
             self._leave()
 
+    def plug(self, there: bool) -> None:
+        """Whether there is a camera: without one its viewer is hung up on, and so is whoever comes."""
+        if self._plugged and not there and self._viewer is not None:
+            self._leave()
+        self._plugged = there
+
     def close(self) -> None:
         if self._viewer:
             self._viewer.close()
@@ -83,7 +90,8 @@ class CameraServer:
         with contextlib.suppress(OSError):
             viewer, _ = self._listener.accept()
             credentials = viewer.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12)
-            if self._viewer is not None or int.from_bytes(credentials[4:8], sys.byteorder) != os.getuid():
+            stranger = int.from_bytes(credentials[4:8], sys.byteorder) != os.getuid()
+            if self._viewer is not None or stranger or not self._plugged:
                 viewer.close()  # a camera has one user, and it is ours
                 return
             viewer.setblocking(False)

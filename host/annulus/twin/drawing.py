@@ -6,7 +6,7 @@ import queue
 import threading
 from typing import NamedTuple
 
-from annulus.twin.image_sensor import Exposure
+from annulus.twin.driver import Delivered
 from annulus.twin.render import Renderer
 from annulus.twin.stretch import U8
 
@@ -14,7 +14,7 @@ from annulus.twin.stretch import U8
 class Job(NamedTuple):
     slot: int
     generation: int
-    exposure: Exposure
+    frame: Delivered
 
 
 class Drawing:
@@ -25,7 +25,7 @@ class Drawing:
         self._renderer, self._slots = renderer, slots
         self._jobs: queue.Queue[Job | None] = queue.Queue(threads)
         self._done: queue.SimpleQueue[Job] = queue.SimpleQueue()
-        self._order: list[int] = []  # sequences asked for, oldest first
+        self._order: list[int] = []  # frames asked for, oldest first
         self._drawn: dict[int, Job] = {}
         self.wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)  # readable when something may be in order
         for _ in range(threads):
@@ -37,7 +37,7 @@ class Drawing:
             self._jobs.put_nowait(job)
         except queue.Full:
             return False
-        self._order.append(job.exposure.sequence)
+        self._order.append(job.frame.number)
         return True
 
     def finished(self) -> list[Job]:
@@ -46,7 +46,7 @@ class Drawing:
             os.eventfd_read(self.wake)
         while not self._done.empty():
             job = self._done.get()
-            self._drawn[job.exposure.sequence] = job
+            self._drawn[job.frame.number] = job
         out = []
         while self._order and self._order[0] in self._drawn:
             out.append(self._drawn.pop(self._order.pop(0)))
@@ -59,10 +59,14 @@ class Drawing:
 
     def _draw(self) -> None:
         while (job := self._jobs.get()) is not None:
-            exposure = job.exposure
-            self._renderer.render(
-                exposure.pose, exposure.z_mm, exposure.projector, exposure.led, seed=exposure.sequence,
-                out=self._slots[job.slot],
-            )  # fmt: skip
+            slot = self._slots[job.slot]
+            for part in job.frame.parts:  # of a torn picture more than one
+                exposure = part.exposure
+                whole = self._renderer.render(
+                    exposure.pose, exposure.z_mm, exposure.projector, exposure.led, seed=exposure.sequence,
+                    out=slot if part.top == 0.0 else None,
+                )  # fmt: skip
+                rows = slice(round(part.top * len(slot)), round(part.bottom * len(slot)))
+                slot[rows] = whole[rows]
             self._done.put(job)
             os.eventfd_write(self.wake, 1)

@@ -7,7 +7,7 @@ import select
 import signal
 import sys
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
@@ -18,10 +18,12 @@ import zmq
 from annulus.capture.camera import BAYER_RGGB8
 from annulus.capture.remote import MESSAGE_MAX
 from annulus.capture.timing import FrameTiming
-from annulus.controller import PIN_LED, PIN_PROJECTOR, TICK_NS, TICK_S
+from annulus.controller import PIN_LED, PIN_PROJECTOR, TICK_NS, TICK_S, TICKS_PER_US
+from annulus.link.messages import BootCause
 from annulus.sensors.sample import Sample
 from annulus.twin.camera_server import CameraServer
 from annulus.twin.drawing import Drawing, Job
+from annulus.twin.driver import Driver
 from annulus.twin.emulated import open_board
 from annulus.twin.faults import Faults, LossyLine
 from annulus.twin.image_sensor import Exposure, HostClock, ImageSensor
@@ -33,11 +35,10 @@ from annulus.vocabulary import AnnulusError
 
 EMULATOR_WARM_TICKS = 50_000_000  # node compiles what runs often
 SETTLE_S = 2.0  # from the camera's start to the cable's, time to calibrate and arm
-BOOT_WATCHDOG = 1  # messages.BootCause
 SAMPLES_WAITING_MAX = 1000  # at a subscriber that does not read
 COUNTED = (
     "frames", "rendered", "dropped_on_purpose", "driver_dropped_no_buffer", "driver_dropped_too_slow", "resets",
-    "pulls", "serial_overflow", "camera_closed", "samples",
+    "power_losses", "disconnects", "pulls", "serial_overflow", "camera_closed", "samples",
 )  # fmt: skip
 
 
@@ -105,8 +106,10 @@ class _Head:
         clock = self.clock = HostClock(time.monotonic_ns() - start * TICK_NS, float(order["drift_ppm"]))
         self.sensor = ImageSensor(self.world, self.timing, self.faults, seed=seed, clock=clock, start_tick=start)
         self.sensors = HeadSensors(self.world, self.sensor.cable, clock, self.faults, start_tick=start, seed=seed)
-        period = self.timing.period_us * 100
-        self.resets = [self.sensor.edge(frame) + round(period * 0.4) for frame in sorted(self.faults.resets)]
+        self.driver = Driver(self.faults, self.timing, seed, start_tick=start)
+        self.drawn: deque[Job] = deque()  # until the driver hands them over
+        self.unplugged_until = 0  # world tick; until then the serial line is
+        self.happenings = self._placed()
 
     def run(self) -> None:
         """Until stdin ends."""
@@ -123,7 +126,8 @@ class _Head:
             readable, _, _ = select.select(waitables, [], [], patience)
             self._advance()
             if heard := self.serial.read():
-                self.board.serial_write(heard)
+                if self.board.tick >= self.unplugged_until:
+                    self.board.serial_write(heard)
                 busy_until = time.monotonic() + 3e-3
             if sys.stdin in readable:
                 more = os.read(sys.stdin.fileno(), MESSAGE_MAX)
@@ -137,8 +141,9 @@ class _Head:
             if self.camera.streaming and self.speed_mm_s and not self.counts["pulls"]:
                 self.counts["pulls"] += 1
                 self.pull_at = self.clock.tick(time.monotonic_ns()) + round(SETTLE_S / TICK_S)
-            for job in self.drawing.finished():
-                self._deliver(job)
+            self.drawn += self.drawing.finished()
+            while self.drawn and self.drawn[0].frame.due_tick <= self.board.tick:
+                self._deliver(self.drawn.popleft())
 
     def close(self) -> None:
         self.drawing.close()
@@ -148,21 +153,39 @@ class _Head:
         self.board.close()
 
     # ---- time ----
+    def _placed(self) -> list[tuple[int, str, float]]:
+        """What the faults have in store: world tick, what, how much; in order."""
+        faults = self.faults
+        named: list[tuple[int, str, float]] = [(frame, "resets", 0.0) for frame in faults.resets]
+        named += [(frame, "power_losses", 0.0) for frame in faults.power_losses]
+        named += [(frame, "disconnects", ms) for frame, ms in faults.disconnects]
+        into = round(self.timing.period_us * TICKS_PER_US * 0.4)
+        return sorted((self.sensor.edge(frame) + into, what, much) for frame, what, much in named)
+
+    def _happens(self, what: str, much: float) -> None:
+        self.counts[what] += 1
+        if what == "disconnects":
+            self.unplugged_until = self.board.tick + round(much * 1e-3 / TICK_S)
+            self.line.unplug()
+            return
+        if what == "resets":
+            self.boot = self.boot % 255 + 1
+        self.board.power_on(self.boot, BootCause.WATCHDOG if what == "resets" else BootCause.POWER_ON)
+
     def _advance(self) -> None:
         """Bring the firmware's world to now."""
         now = self.clock.tick(time.monotonic_ns())
-        while self.resets and self.resets[0] <= now:
-            self._run_to(self.resets[0])
-            self.resets.pop(0)
-            self.boot = self.boot % 255 + 1
-            self.board.power_on(self.boot, BOOT_WATCHDOG)
-            self.counts["resets"] += 1
+        while self.happenings and self.happenings[0][0] <= now:
+            tick, what, much = self.happenings.pop(0)
+            self._run_to(tick)
+            self._happens(what, much)
         self._run_to(now)
         self.behind_ms = max(self.behind_ms, (self.clock.tick(time.monotonic_ns()) - now) * 1e3 * TICK_S)
         if self.pull_at is not None and now >= self.pull_at:
             self.sensor.pull(now + 1, self.speed_mm_s)
             self.pull_at = None
-        self.to_host += self.line.carry(self.board.serial_read())
+        said = self.board.serial_read()
+        self.to_host += self.line.carry(said if now >= self.unplugged_until else b"")
         if self.to_host:
             del self.to_host[: self.serial.write(bytes(self.to_host))]
             if len(self.to_host) > 65536:  # nobody reads: a real line would have lost it too
@@ -184,21 +207,23 @@ class _Head:
     def _order(self, exposure: Exposure) -> None:
         """Have a frame drawn, or drop it as a driver without a free buffer does."""
         self.counts["frames"] += 1
+        frame = self.driver.take(exposure)
+        self.camera.plug(not self.driver.absent(int(exposure.sequence)))
         if not self.camera.streaming:
             return
-        if exposure.dropped:
+        if frame is None:
             self.counts["dropped_on_purpose"] += 1
         elif (slot := self.camera.take()) is None:
             self.counts["driver_dropped_no_buffer"] += 1
-        elif not self.drawing.order(Job(slot, self.camera.generation, exposure)):
+        elif not self.drawing.order(Job(slot, self.camera.generation, frame)):
             self.camera.give_back(slot)
             self.counts["driver_dropped_too_slow"] += 1
 
     def _deliver(self, job: Job) -> None:
         self.counts["rendered"] += 1
         metadata = {
-            "SensorTimestamp": job.exposure.timestamp_ns,
-            "FrameSequence": job.exposure.sequence,
+            "SensorTimestamp": job.frame.timestamp_ns,
+            "FrameSequence": job.frame.sequence,
             "ExposureTime": round(self.timing.exposure_us),
             "FrameDuration": round(self.timing.period_us),
         }
@@ -221,6 +246,7 @@ class _Head:
         on = [name for name, pin in (("projector", PIN_PROJECTOR), ("led", PIN_LED)) if self.board.level(pin)]
         return {
             **self.counts,
+            "driver": dict(self.driver.counts),
             "events_lost": self.line.events_lost,
             "bytes_flipped": self.line.bytes_flipped,
             "z_mm": self.sensor.cable.z_mm(now),

@@ -1,0 +1,86 @@
+"""Promises of the live head's faults: the host meets each as it would on a bench, and the head counts what it did."""
+
+import itertools
+import time
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from annulus.capture.camera import CapturedFrame, grab
+from annulus.capture.photometry import measure
+from annulus.capture.remote import RemoteCamera
+from annulus.link.client import Client
+from annulus.link.messages import Ping
+from annulus.twin.faults import Faults
+from annulus.twin.head import start_head
+from annulus.twin.native import _LIBRARY
+from annulus.twin.worlds import demo_world
+from annulus.vocabulary import AnnulusError
+
+pytestmark = pytest.mark.skipif(not _LIBRARY.is_file(), reason="native firmware not built")
+WORLD = demo_world().scaled(208)
+PERIOD_NS = 40_000_000
+
+
+def frames(camera: RemoteCamera, count: int) -> list[CapturedFrame]:
+    return [grab(camera) for _ in range(count)]
+
+
+def test_pictures_repeat_and_tear_and_stamps_step_as_the_driver_says_it_did() -> None:
+    faults = Faults(frames_repeated=0.1, frames_torn=0.1, stamp_steps=((60, 5),), count_jumps=((80, 7),))
+    with start_head(WORLD, 25.0, faults, seed=4) as head:
+        camera = RemoteCamera(head.camera_address)
+        camera.start()
+        seen = frames(camera, 120)
+        counted = head.counters()["driver"]
+        camera.stop()
+        camera.close()
+    prints = [measure(frame.image).fingerprint for frame in seen]
+    again = sum(a == b for a, b in itertools.pairwise(prints))
+    assert 1 <= again <= counted["repeated"]
+    assert counted["torn"] >= 1
+    steps = Counter(round((b.timestamp_ns - a.timestamp_ns) / PERIOD_NS) for a, b in itertools.pairwise(seen))
+    assert steps[6] >= 1  # five frames later than the next would have been
+    jumps = [b.sequence - a.sequence for a, b in itertools.pairwise(seen) if a.sequence and b.sequence]
+    assert 8 in jumps
+
+
+def test_a_camera_that_is_unplugged_hangs_up_lets_nobody_in_and_counts_from_zero_when_it_is_back() -> None:
+    with start_head(WORLD, 25.0, Faults(unplugged=((60, 25),)), seed=4) as head:
+        camera = RemoteCamera(head.camera_address)
+        camera.start()
+        with pytest.raises(AnnulusError, match="went away"):
+            frames(camera, 200)
+        camera.close()
+        with pytest.raises(AnnulusError):
+            RemoteCamera(head.camera_address)
+        end = time.monotonic() + 10.0
+        while True:
+            try:
+                camera = RemoteCamera(head.camera_address)
+                break
+            except AnnulusError:
+                assert time.monotonic() < end
+                time.sleep(0.05)
+        camera.start()
+        (first,) = frames(camera, 1)
+        assert first.sequence is not None and first.sequence < 25 and np.any(first.image)
+        camera.close()
+
+
+def test_a_line_that_is_pulled_is_silent_and_a_controller_that_lost_power_has_the_boot_byte_it_had() -> None:
+    faults = Faults(disconnects=((50, 400.0),), power_losses=(90,))
+    with start_head(WORLD, 25.0, faults, seed=4) as head, Client(head.port_url) as client:
+        boot = client.identity.boot
+        end, answered, silent_s = time.monotonic() + 5.0, time.monotonic(), 0.0
+        while time.monotonic() < end:
+            try:
+                client.request(Ping())
+                silent_s = max(silent_s, time.monotonic() - answered)
+                answered = time.monotonic()
+            except AnnulusError:
+                continue
+        counters = head.counters()
+        assert (counters["disconnects"], counters["power_losses"]) == (1, 1)
+        assert 0.3 < silent_s < 3.0 and client.identity.boot == boot
