@@ -154,7 +154,7 @@ def daemon(
     """Run a head: capture, label, record, reconstruct and publish until Ctrl-C."""
     from annulus.daemon import run_daemon
 
-    run_daemon(config)
+    raise typer.Exit(run_daemon(config))
 
 
 def main() -> None:

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 
-def run_daemon(config: Path) -> None:
+def run_daemon(config: Path) -> int:
     """`annulus daemon`: scan until Ctrl-C."""
     from annulus.daemon.run import run_daemon as run  # late: worker processes live in this package and need none of it
 
-    run(config)
+    return run(config)

@@ -1,20 +1,21 @@
-"""The one place that counts what a scan took and what it lost. The law: a frame that was taken is accounted for.
+"""The one place that counts what a scan took and what it lost. A frame that was taken is accounted for:
 
-    taken         = frames with a label + `no_slot`                                     + waiting for their label
-    to record     = recorded + `recorder_busy` + `disk` + `recorder_failed`, `_died`    + in the recorder's hands
-    to profile    = profiles + `worker_busy`, `_failed`, `_died`, `_late`               + in the workers' hands
+    taken         = labelled + lost before a label     + waiting for their label
+    to record     = recorded + lost after it           + in the recorder's hands
+    to profile    = profiles + lost on the way there   + in the workers' hands
 
-`in_hand` is the last column; it is zero once a scan is over.
+`in_hand` is the last column; it is zero once a scan is over, and then ledger.py has what is asked of the rest.
 """
 
 import time
 from collections import Counter, deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 from typing import Any
 
+from annulus.daemon.ledger import AFTER, BEFORE, UNTAKEN, Finding, Ledger, findings
 from annulus.stream.frames import FrameHeader
 from annulus.vocabulary import Label
 
@@ -23,18 +24,25 @@ LATENCIES_KEPT = 1000
 LOSSES: Mapping[str, str] = {
     "camera": "holes in the driver's frame counter",
     "capture_queue": "the daemon did not take frames from the camera fast enough",
-    "no_slot": "shared memory full: recorder and workers hold every slot",
-    "recorder_busy": "labelled, but the recorder had no room",
+    "no_slot": "shared memory full: recorder, publisher and workers hold every slot",
+    "recorder_busy": "labelled, but the recorder held its whole share of the slots: the disk is slow",
+    "recorder_absent": "labelled, but no recorder was up",
     "disk": "labelled, but the disk did not take it",
     "recorder_failed": "the recorder refused it",
     "recorder_died": "in the hands of a recorder that died (another takes over, in a file of its own)",
+    "recording_gone": "recorded, but the file was removed or cut short while it was written",
     "recorder_notes": "small records (profiles, telemetry, events, samples) the recorder had no room for",
     "worker_busy": "recorded, but not reconstructed live: all workers had their hands full",
     "worker_failed": "recorded, but the worker refused it",
     "worker_died": "recorded, but the worker died with it",
     "worker_late": "recorded, but the worker was not done when the scan ended",
+    "publisher_busy": "labelled, but the publisher held its whole share of the slots: no viewer had it",
+    "publisher_failed": "labelled, but the publisher refused it",
+    "publisher_died": "labelled, but the publisher died with it",
+    "publisher_notes": "small messages (labels, profiles, telemetry, events, samples) the publisher had no room for",
     "workers_replaced": "workers that died or hung, and were started again",
     "recorders_replaced": "recorders that died or hung, and were started again",
+    "publishers_replaced": "publishers that died or hung, and were started again",
     "edge_events": "events of the controller that could not be read again; their frames are unknown",
     "line_broken": "times the serial line went away",
     "camera_silent": "waits for a frame that took over 2 s",
@@ -42,7 +50,6 @@ LOSSES: Mapping[str, str] = {
     "sensor_malformed": "what came from a sensor's address and was no sample",
     "control_malformed": "what came to the control socket and was no request",
 }
-_RECORDING = ("recorder_busy", "disk", "recorder_failed", "recorder_died")
 _RECONSTRUCTION = ("worker_busy", "worker_failed", "worker_died", "worker_late")
 
 
@@ -59,6 +66,8 @@ class ScanReport:
     latency_ms: float  # median, frame in hand to profile joined; 0 without profiles
     telemetry: Mapping[str, Any]  # the last one
     events: tuple[str, ...]  # the last ones, for people
+    ledger: Ledger
+    findings: tuple[Finding, ...]  # why it did not end well; empty when it did
 
 
 class Account:
@@ -78,7 +87,9 @@ class Account:
         self.to_profile = 0
         self.profiles = 0
         self.samples: Counter[str] = Counter()  # by sensor
-        self.recordings: dict[int, Path] = {}  # by recorder number
+        self.recordings: list[Path] = []  # the files there are
+        self.recording = False  # whether there is to be one
+        self.dark = True  # the lamps are off for certain, or there are none
         self._lost: Counter[str] = Counter()
         self._latency_ms: deque[float] = deque(maxlen=LATENCIES_KEPT)
         self._began_ns = self._ended_ns = 0
@@ -126,10 +137,28 @@ class Account:
     def in_hand(self) -> dict[str, int]:
         """Frames on their way, by where they are."""
         return {
-            "label": self.taken - self._lost["no_slot"] - self.frames.total(),
-            "recorder": self.to_record - self.recorded - sum(self._lost[kind] for kind in _RECORDING),
-            "workers": self.to_profile - self.profiles - sum(self._lost[kind] for kind in _RECONSTRUCTION),
+            "label": self.taken - self._sum(BEFORE) + self._sum(UNTAKEN) - self.frames.total(),
+            "recorder": self.to_record - self.recorded - self._sum(AFTER),
+            "workers": self.to_profile - self.profiles - self._sum(_RECONSTRUCTION),
         }
+
+    @property
+    def ledger(self) -> Ledger:
+        """Of a scan that is over; before, what is in hand is missing in it."""
+        return Ledger(
+            taken=self.taken + self._sum(UNTAKEN),
+            labelled=self.frames.total(),
+            before={kind: self._lost[kind] for kind in BEFORE if self._lost[kind]},
+            recording=self.recording,
+            recorded=self.recorded,
+            after={kind: self._lost[kind] for kind in AFTER if self._lost[kind]},
+        )
+
+    def unrecord(self, frames: int) -> None:
+        """A file with so many recorded frames is gone."""
+        frames = min(frames, self.recorded)
+        self.recorded -= frames
+        self.lose("recording_gone", frames)
 
     def numbers(self) -> dict[str, Any]:
         """For the telemetry."""
@@ -140,13 +169,18 @@ class Account:
             "recorded": self.recorded,
             "profiles": self.profiles,
             "in_hand": self.in_hand,
+            "ledger": self.ledger.to_dict(),
             "samples": dict(self.samples),
         }
 
     def report(self, telemetry: Mapping[str, Any]) -> ScanReport:
         """Where the scan stands, or ended."""
+        ledger = self.ledger
         return ScanReport(
-            self.seconds, dict(self.frames), dict(self.unknown), self.drops, self.profiles,
-            tuple(path for _, path in sorted(self.recordings.items())),
-            median(self._latency_ms) if self._latency_ms else 0.0, telemetry, tuple(self.events),
+            self.seconds, dict(self.frames), dict(self.unknown), self.drops, self.profiles, tuple(self.recordings),
+            median(self._latency_ms) if self._latency_ms else 0.0, telemetry, tuple(self.events), ledger,
+            tuple(findings(ledger, self.seconds, self.dark)),
         )  # fmt: skip
+
+    def _sum(self, kinds: Sequence[str]) -> int:
+        return sum(self._lost[kind] for kind in kinds)

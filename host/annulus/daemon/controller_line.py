@@ -122,6 +122,11 @@ class ControllerLine:
         return ""
 
     @property
+    def dark(self) -> bool:
+        """Whether the lamps are off for certain: the controller has said so, or there never was one."""
+        return self.head.identity is None or (self._port is not None and self.head.phase is Phase.IDLE)
+
+    @property
     def settled(self) -> bool:
         """Whether it is as wanted: lamps armed, or dark."""
         return self._port is not None and self.head.phase is (Phase.RUNNING if self._armed else Phase.IDLE)

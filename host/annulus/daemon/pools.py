@@ -1,5 +1,8 @@
-"""The two pools of worker processes: the recorder, and the workers that reconstruct. Both are fed from the ring and
-never waited for.
+"""The pools of processes that frames go to: here the recorder, and the workers that reconstruct; the publisher's is in
+publishing.py. They are fed from the ring and never waited for.
+
+Each holds its share of the slots at most: the recorder half of them, the publisher PUBLISHER_SHARE, a worker
+WORKER_DEPTH. A frame over the share is that outlet's loss alone.
 """
 
 import os
@@ -7,8 +10,9 @@ import shutil
 import sys
 import tempfile
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,10 +29,23 @@ from annulus.rings.colour import ColourProfile
 from annulus.sensors.sample import Sample
 from annulus.stream.frames import FrameHeader
 from annulus.stream.ring import Place
-from annulus.stream.workers import Died, Done, Failed, FrameLost, PoolEvent, Report, Shared, WorkerKind, WorkerPool
+from annulus.stream.workers import (
+    Died,
+    Done,
+    Failed,
+    FrameLost,
+    PoolEvent,
+    Ready,
+    Report,
+    Shared,
+    WorkerKind,
+    WorkerPool,
+)
+from annulus.vocabulary import AnnulusError
 from annulus.wall.profile import Profile
 
 WORKER_DEPTH = 2
+RETRY_S, RETRY_MOST_S = 1.0, 60.0  # until what was given up is tried again; twice as long each time
 
 
 def default_workers() -> int:
@@ -48,13 +65,14 @@ def socket_folder() -> Path:
     return Path(tempfile.mkdtemp(prefix=f"annulus-{os.getpid()}-", dir=place))
 
 
-class _Pool:
-    """Workers of one kind whose losses are counted and told."""
+class Pool:
+    """Workers of one kind whose losses are counted and told. Given up, they are tried again: later each time."""
 
     def __init__(self, kind: WorkerKind, shared: Shared, account: Account, observer: Observer) -> None:
         self._account = account
         self.broken = ""  # why there are no workers any more, one line
         self._who, self._ring, self._observer = kind.name, shared.ring, observer
+        self._retry_s, self._retry_at = RETRY_S, 0.0
         self._pool = WorkerPool(kind, shared)
 
     @property
@@ -79,6 +97,10 @@ class _Pool:
     def poll(self) -> None:
         """Hear what happened since the last call. Never waits."""
         self._happened(self._pool.poll())
+        if self.broken and not self._pool.alive and time.monotonic() > self._retry_at:
+            self._retry_s = min(2 * self._retry_s, RETRY_MOST_S)
+            with suppress(AnnulusError):  # as broken as before
+                self._pool.revive()
 
     def stop(self, patience_s: float) -> None:
         """Let them finish, then end them. A second call does nothing."""
@@ -92,6 +114,8 @@ class _Pool:
     def _happened(self, events: list[PoolEvent]) -> None:
         for one in events:
             match one:
+                case Ready():
+                    self._came_up()
                 case Done(header=header, body=body):
                     self._done(header, body)
                 case Failed(header=header, why=why):
@@ -100,7 +124,7 @@ class _Pool:
                     self._lost(header, "died", why)
                 case Died(why=why, replaced=replaced):
                     self._died(why, replaced)
-                case Report(worker, body) if isinstance(body, Mapping):
+                case Report(worker, body) if isinstance(body, list):
                     self._reported(worker, body)
 
     def _lost(self, header: FrameHeader, how: str, why: str) -> None:
@@ -110,15 +134,25 @@ class _Pool:
 
     def _died(self, why: str, replaced: bool) -> None:
         self._account.lose(f"{self._who}s_replaced", replaced)
-        after = "another takes over" if replaced else "it is given up"
+        given_up = not replaced and not self._pool.alive
+        self._retry_at = time.monotonic() + self._retry_s
+        if given_up and self.broken:
+            return  # nothing new
+        after = "another takes over" if replaced else f"it is given up; tried again in {self._retry_s:g} s"
         self._observer.event(f"{self._who}_died", f"{self._who} ended: {why}; {after}")
-        if not replaced and not self._pool.alive:
+        if given_up:
             self.broken = why if ": " in why else f"the {self._who} process cannot be started: {why}"
+
+    def _came_up(self) -> None:
+        self._retry_s = RETRY_S
+        if self.broken:
+            self.broken = ""
+            self._observer.event(f"{self._who}_back", f"the {self._who} is back")
 
     def _done(self, header: FrameHeader, body: Any) -> None:
         raise NotImplementedError
 
-    def _reported(self, worker: int, body: Mapping[str, Any]) -> None:
+    def _reported(self, worker: int, body: list[Any]) -> None:
         pass
 
 
@@ -132,8 +166,10 @@ class RecordingSetup:
     configuration: Mapping[str, Any]
 
 
-class Recorder(_Pool, Observer):
-    """The process that writes one recording; what is observed goes into it. One that dies is replaced, file and all."""
+class Recorder(Pool, Observer):
+    """The process that writes one recording; what is observed goes into it. One that dies is replaced by the spare, and
+    goes on in a file of its own. It holds half of the slots at most.
+    """
 
     def __init__(self, setup: RecordingSetup, shared: Shared, account: Account, observer: Observer) -> None:
         command = [sys.executable, "-m", "annulus.daemon.recorder"]
@@ -141,19 +177,40 @@ class Recorder(_Pool, Observer):
             "folder": str(setup.folder.absolute()), "name": setup.name, "calibration": setup.calibration,
             "configuration": setup.configuration,
         }  # fmt: skip
-        super().__init__(WorkerKind("recorder", command, plain, 1, len(shared.ring)), shared, account, observer)
+        kind = WorkerKind("recorder", command, plain, 1, max(1, len(shared.ring) // 2), spares=1)
+        super().__init__(kind, shared, account, observer)
+        account.recording = True
+        self._share = kind.depth
         self._problem = ""
+        self._frames: Counter[Path] = Counter()  # recorded, by file
+        self._behind = 0  # frames lost since it fell behind
         self._notes_dropped = 0
 
     def offer(self, header: FrameHeader, place: Place) -> None:
         """A labelled frame; lost, and counted, when there is no room."""
         self._account.to_record += 1
-        if not self._pool.offer(header, place):
+        if self._pool.offer(header, place):
+            if self._behind and not self._behind_still:
+                self._observer.event("disk", f"the recorder has caught up; {self._behind} frames are not recorded")
+                self._behind = 0
+        elif not self._pool.ready:
+            self._account.lose("recorder_absent")
+        else:
             self._account.lose("recorder_busy")
+            self._behind += 1
+            if self._behind == 1:
+                text = f"the recorder falls behind: it holds {self.in_hand} frames; more are labelled but not recorded"
+                self._observer.event("disk", text)
+
+    @property
+    def _behind_still(self) -> bool:
+        """It has not come down to half of its share yet."""
+        return self.in_hand > self._share // 2
 
     def note(self, topic: str, body: Mapping[str, Any], sequence: int = 0) -> None:
         """A small record."""
         if not self._pool.alive:
+            self._account.lose("recorder_notes")
             return
         self._pool.tell(topic, [time.monotonic_ns(), dict(body), sequence])
         dropped = self._pool.counts["notes_dropped"]
@@ -178,21 +235,45 @@ class Recorder(_Pool, Observer):
     def telemetry(self, numbers: Mapping[str, Any]) -> None:
         self.note("/telemetry", numbers)
 
+    def finish(self, patience_s: float) -> None:
+        """Let it write what it has in hand, and then what became of all frames; then end it, and look at its files."""
+        end = time.monotonic() + patience_s
+        while self.in_hand and time.monotonic() < end:
+            self.waitable.poll(20)
+            self.poll()
+        self.note("/summary", self._account.ledger.to_dict())
+        self.stop(max(1.0, end - time.monotonic()))
+        for path in [path for path in self._account.recordings if not path.exists()]:
+            self._observer.event("disk", f"{path}: was removed; the frames in it are lost")
+            self._gone(path)
+
     def _done(self, header: FrameHeader, body: Any) -> None:
         if body:
             self._account.recorded += 1
+            self._frames[Path(str(body))] += 1
         else:
             self._account.lose("disk")
 
-    def _reported(self, worker: int, body: Mapping[str, Any]) -> None:
-        self._account.recordings[worker] = Path(str(body["path"]))
-        problem = str(body["problem"])
-        if problem and problem != self._problem:
-            self._observer.event("disk", f"{body['path']}: {problem}; frames are labelled but not recorded")
-        self._problem = problem
+    def _reported(self, worker: int, body: list[Any]) -> None:
+        """Files that were begun, got into trouble, or are gone."""
+        recordings = self._account.recordings
+        for state in body:
+            path, problem = Path(str(state["path"])), str(state["problem"])
+            if state["gone"]:
+                self._gone(path)
+            elif path not in recordings:
+                recordings.append(path)
+            if problem and problem != self._problem:
+                self._observer.event("disk", f"{path}: {problem}")
+            self._problem = problem
+
+    def _gone(self, path: Path) -> None:
+        self._account.unrecord(self._frames.pop(path, 0))
+        if path in self._account.recordings:
+            self._account.recordings.remove(path)
 
 
-class Reconstruction(_Pool):
+class Reconstruction(Pool):
     """The workers that turn projector frames into profiles, which come out in the order of frames."""
 
     def __init__(

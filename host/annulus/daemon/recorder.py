@@ -1,8 +1,13 @@
 """The recorder process. Run as `python -m annulus.daemon.recorder`.
 
-A process of its own, so that a slow disk stalls nothing but the recording, and nothing but itself can break it.
+A process of its own, so that a slow disk stalls nothing but the recording, and nothing but itself can break it. It
+imports neither OpenCV nor numba: a spare one must be up at once.
+
+A file that lost its name (it, or its folder, was removed) or is shorter than what was written into it is lost with all
+its frames. That is reported, and the recording goes on in a new file where one can be begun.
 """
 
+import os
 import sys
 import time
 from pathlib import Path
@@ -14,42 +19,82 @@ from annulus.stream.frames import FrameHeader
 from annulus.stream.working import serve
 from annulus.vocabulary import AnnulusError
 
+LOOK_S = 0.5  # between two looks at the file, and between two attempts to begin another
+NOT_RECORDED = "frames are labelled but not recorded"
+
 
 class RecorderJob:
-    """A RecordingWriter as a job. Answers each frame with whether it is on disk; reports whenever losses grow."""
+    """RecordingWriters, one after the other, as a job. Answers each frame with the file it is in, empty when it is in
+    none; reports each file that is begun or gone, and whenever losses grow.
+    """
 
     def __init__(self, folder: Path, name: str, calibration: Any, configuration: Any) -> None:
-        self.path, self._writer = _begin(folder, name, calibration, configuration)
+        self._folder, self._name, self._calibration, self._configuration = folder, name, calibration, configuration
+        self.path = folder
+        self._writer: RecordingWriter | None = None
+        self._next_look = 0.0
         self._reported = -1
+        self._reports: list[dict[str, Any]] = []
+        self._problem = ""
+        self._begin()
 
     def frame(self, header: FrameHeader, image: Image, extra: Any) -> Any:
-        return self._writer.frame(header.to_dict(), image, header.timestamp_ns)
+        self._look()
+        written = self._writer is not None and self._writer.frame(header.to_dict(), image, header.timestamp_ns)
+        return str(self.path) if written else ""
 
     def note(self, kind: str, body: Any) -> None:
         time_ns, content, sequence = body
-        self._writer.note(kind, content, time_ns, sequence)
+        if self._writer is not None:
+            self._writer.note(kind, content, time_ns, sequence)
 
     def idle(self) -> Any:
-        if self._writer.waiting_s > 0.5:
-            self._writer.flush()
-        lost = self._writer.lost.total()
-        if lost == self._reported:
-            return None
-        self._reported = lost
-        return self._state()
+        self._look()
+        if self._writer is not None:
+            if self._writer.waiting_s > 0.5:
+                self._writer.flush()
+            lost = self._writer.lost.total()
+            if lost != self._reported:
+                self._reported = lost
+                self._reports.append(self._state())
+        reports, self._reports = self._reports, []
+        return reports or None
 
     def close(self) -> Any:
-        self._writer.close()
-        return self._state()
+        self._next_look = 0.0
+        self._look(more=False)
+        if self._writer is not None:
+            self._writer.close()
+            self._reports.append(self._state())
+        return self._reports
 
-    def _state(self) -> dict[str, Any]:
-        writer = self._writer
-        return {
-            "path": str(self.path),
-            "written": dict(writer.written),
-            "lost": dict(writer.lost),
-            "problem": writer.problem,
-        }
+    def _look(self, more: bool = True) -> None:
+        """Whether the file is still what it should be; if not, another is begun (if `more` is to come)."""
+        now = time.monotonic()
+        if now < self._next_look:
+            return
+        self._next_look = now + LOOK_S
+        if self._writer is not None and (why := self._writer.gone(self.path)):
+            self._writer.abandon()
+            self._writer = None
+            self._reports.append(self._state(gone=True, problem=f"{why}; the frames in it are lost"))
+        if self._writer is None and more:
+            try:
+                self._begin()
+            except AnnulusError as error:
+                if str(error) != self._problem:
+                    self._problem = str(error)
+                    self._reports.append(self._state(gone=True, problem=f"{error}; {NOT_RECORDED}"))
+
+    def _begin(self) -> None:
+        self.path, self._writer = _begin(self._folder, self._name, self._calibration, self._configuration)
+        self._reported, self._problem = -1, ""
+
+    def _state(self, gone: bool = False, problem: str = "") -> dict[str, Any]:
+        """`gone`: there is no such file, or not any more."""
+        if self._writer is not None and self._writer.problem:
+            problem = f"{self._writer.problem}; {NOT_RECORDED}"
+        return {"path": str(self.path), "problem": problem, "gone": gone}
 
 
 def _begin(folder: Path, name: str, calibration: Any, configuration: Any) -> tuple[Path, RecordingWriter]:
@@ -60,7 +105,7 @@ def _begin(folder: Path, name: str, calibration: Any, configuration: Any) -> tup
         raise AnnulusError(f"{folder}: cannot be made ({error.strerror}). Choose another folder.") from None
     for number in range(1, 1000):
         path = folder / (f"{name}.mcap" if number == 1 else f"{name}-{number}.mcap")
-        if not path.exists():
+        if not os.path.lexists(path):
             now_ns = time.monotonic_ns()
             return path, RecordingWriter(path, calibration=calibration, configuration=configuration, now_ns=now_ns)
     raise AnnulusError(f"{folder}: holds {name}.mcap to {name}-999.mcap already. Choose another folder.")

@@ -9,6 +9,7 @@ from annulus.daemon.account import ScanReport
 from annulus.daemon.cameras import open_cameras, open_sensors
 from annulus.daemon.config import load_config
 from annulus.daemon.interrupt import Interrupt
+from annulus.daemon.ledger import Status
 from annulus.daemon.observer import Observer
 from annulus.daemon.session import Session
 from annulus.daemon.state import State
@@ -32,12 +33,16 @@ class Console(Observer):
             _say(line)
 
 
-def run_daemon(config_path: Path) -> None:
-    """Until Ctrl-C or SIGTERM; every scan ends with what was made. Raises AnnulusError when it cannot begin."""
+def run_daemon(config_path: Path) -> Status:
+    """Until Ctrl-C or SIGTERM; every scan ends with what was made. Returns how the worst of them ended. Raises
+    AnnulusError when it cannot begin.
+    """
     with Interrupt() as interrupt:
         config = load_config(config_path)
         sensors = open_sensors(config)
-        Session(config, open_cameras(config), Console(), sensors=sensors).run(lambda: interrupt.requested)
+        session = Session(config, open_cameras(config), Console(), sensors=sensors)
+        session.run(lambda: interrupt.requested)
+        return session.status
 
 
 def one_line(telemetry: Mapping[str, Any]) -> str:
@@ -52,8 +57,10 @@ def ending(report: ScanReport) -> list[str]:
     lines = [f"{report.seconds:.1f} s, frames: " + ", ".join(f"{n} {label}" for label, n in report.frames.items())]
     if report.unknown:
         lines.append("unknown: " + ", ".join(f"{count} {why}" for why, count in report.unknown.items()))
+    lines += report.ledger.lines()
     lines.append("lost: " + (", ".join(f"{n} {kind}" for kind, n in report.drops.items()) or "nothing"))
     lines += [f"recording {path}" for path in report.recordings]
+    lines += [finding.text for finding in report.findings]
     return lines
 
 

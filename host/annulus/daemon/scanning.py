@@ -125,7 +125,7 @@ class Scan:
     def close_recording(self) -> None:
         """What the recorder has in hand is written, and its file ended."""
         if self.recorder is not None:
-            self.recorder.stop(DRAIN_S)
+            self.recorder.finish(DRAIN_S)
             self._observers.all.remove(self.recorder)
 
     def _light_up(self) -> None:

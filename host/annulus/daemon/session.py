@@ -24,6 +24,7 @@ from annulus.daemon.config import HeadConfig, require_size
 from annulus.daemon.control import Do, Request
 from annulus.daemon.controller_line import REST_S, ControllerLine, line_numbers
 from annulus.daemon.intake import InSlot
+from annulus.daemon.ledger import Status
 from annulus.daemon.observer import Mark, Observer, Observers
 from annulus.daemon.pools import Reconstruction, Recorder, default_workers
 from annulus.daemon.power import Power, power_up
@@ -71,6 +72,7 @@ class Session:
         self._next_telemetry = self._next_chores = 0.0
         self._report: ScanReport | None = None  # of the last scan
         self._problem = ""  # why the session cannot go on
+        self.status = Status.FINE  # how the worst scan so far ended
 
     # ---- from beginning to end ----
 
@@ -235,8 +237,12 @@ class Session:
         scan = self._scan
         with self._whatever_happens("disarm"):
             if self._line is not None:
+                self._account.dark = False
                 for event in self._line.disarm():
                     self._navigation.heard(event)
+                self._account.dark = self._line.dark
+        if not self._account.dark:
+            self.status = Status.NOT_DARK
         for intake in scan.intakes if scan is not None else []:
             with self._whatever_happens("camera"):
                 intake.stop()
@@ -256,6 +262,10 @@ class Session:
         with self._whatever_happens("recorder"):
             self._scan.close_recording()
         self._report = self._account.report({**telemetry, **self._account.numbers()})
+        for finding in self._report.findings:
+            self.status = max(self.status, finding.status)
+            if finding.status is Status.UNBALANCED:
+                self._observers.event("ledger", finding.text)
         self._observers.ended(self._report)
         self._scan = None
 

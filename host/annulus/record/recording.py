@@ -18,7 +18,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any, cast
 
-import cv2
 import numpy as np
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from google.protobuf.message import DecodeError
@@ -144,6 +143,8 @@ def frame_name(index: int, camera: int) -> str:
 
 def to_bgr(image: Image, encoding: str) -> Image:
     """(H, W, 3) BGR from any encoding of CHANNELS. bayer_rggb8 has R at (0, 0)."""
+    import cv2  # not by whom writes only: a recorder has to be up at once
+
     if encoding == "bayer_rggb8":
         return cast(Image, cv2.cvtColor(image, cv2.COLOR_BayerRGGB2BGR))
     if encoding == "mono8":

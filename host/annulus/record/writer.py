@@ -3,6 +3,7 @@
 What is in the file: recording.py.
 """
 
+import os
 import time
 from collections import Counter
 from collections.abc import Mapping
@@ -143,6 +144,21 @@ class RecordingWriter:
     def flush(self) -> None:
         """Write what waits."""
         self._flush()
+
+    def gone(self, path: Path) -> str:
+        """Why what was written is not what is at `path` any more, a few words; empty when it is."""
+        mine = os.fstat(self._file.fileno())
+        try:
+            there = path.stat()
+        except OSError:
+            return "was removed while it was written"
+        if mine.st_nlink == 0 or (there.st_dev, there.st_ino) != (mine.st_dev, mine.st_ino):
+            return "was replaced while it was written"
+        return "was cut short while it was written" if mine.st_size < self._whole.tell() else ""
+
+    def abandon(self) -> None:
+        """Let go of a file that is gone."""
+        self._file.close()
 
     def close(self) -> None:
         """End the file. After a loss it gets no index (the index would name what is not there); readers do without."""

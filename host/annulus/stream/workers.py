@@ -135,6 +135,7 @@ class _Worker:
     address: Path
     started: float
     answered: float = 0.0  # when it last gave a frame back
+    start_s: float = START_S  # until it must be ready
     spare: bool = False
     warm: bool = False  # it waits for its setup
     ready: bool = False
@@ -276,9 +277,8 @@ class WorkerPool:
         busy_s = now - max(oldest, worker.answered)  # the oldest may have waited behind others that were done
         if busy_s > self.hung_s and (busy_s > self._kind.hung_s or _process_state(worker.process.pid) != "D"):
             return f"hung for {busy_s:.0f} s"
-        start_s = WARM_START_S if worker.warm else START_S
-        if not worker.ready and not worker.spare and now - worker.started > start_s:
-            return f"not ready after {start_s:.0f} s"
+        if not worker.ready and not worker.spare and now - worker.started > worker.start_s:
+            return f"not ready after {worker.start_s:.0f} s"
         if now - worker.looked > STOPPED_S:
             before, worker.stopped = worker.stopped, _process_state(worker.process.pid) == "T"
             worker.looked = now
@@ -325,6 +325,8 @@ class WorkerPool:
         """One more worker: a spare, if there is one that is not stopped itself."""
         spares = sorted((w for w in self._workers.values() if w.spare and not w.stopped), key=lambda w: not w.warm)
         worker = spares[0] if spares else self._spawn()
+        if worker.warm:
+            worker.start_s = WARM_START_S
         worker.spare, worker.started = False, self._clock()
         worker.tasks.send_multipart([b"setup", msgpack.packb(self._kind.setup)], zmq.NOBLOCK)
 

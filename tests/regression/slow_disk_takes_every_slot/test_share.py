@@ -1,0 +1,56 @@
+"""A disk that stood still let the recorder hold every slot: frames were neither labelled nor shown. Fails when the
+recorder may hold as many frames as the ring has slots."""
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+import zmq
+
+from annulus.daemon.account import Account
+from annulus.daemon.observer import Observer
+from annulus.daemon.pools import Recorder, RecordingSetup
+from annulus.stream.frames import FrameHeader
+from annulus.stream.ring import FrameRing
+from annulus.stream.workers import Shared
+from annulus.vocabulary import Label
+
+
+class Told(Observer):
+    def __init__(self) -> None:
+        self.texts: list[str] = []
+
+    def event(self, kind: str, text: str) -> None:
+        self.texts.append(text)
+
+
+def test_a_recorder_that_stands_still_leaves_half_of_the_slots_to_the_others(tmp_path: Path) -> None:
+    context, ring, account, told = zmq.Context(), FrameRing(8, 1200), Account(), Told()
+    (sockets := tmp_path / "sockets").mkdir()
+    setup = RecordingSetup(tmp_path / "scans", "scan", None, {})
+    recorder = Recorder(setup, Shared(ring, context, sockets), account, told)
+    end = time.monotonic() + 60.0
+    while not recorder.ready:
+        assert time.monotonic() < end
+        recorder.poll()
+        time.sleep(0.01)
+    victim = recorder.pids[0]
+    os.kill(victim, signal.SIGSTOP)
+    for index in range(20):
+        place = ring.claim()
+        assert place is not None, f"frame {index} found no slot"
+        ring.write(place, np.zeros((30, 40), np.uint8))
+        header = FrameHeader(index, None, 0, Label.LED, "", None, None, None, 0.0, "mono8", 40, 30)
+        account.taken += 1
+        account.label(header)
+        recorder.offer(header, place)
+        ring.release(place)
+    assert ring.free == 4 and account.drops == {"recorder_busy": 16}
+    assert [text for text in told.texts if "falls behind" in text] == told.texts, "once"
+    os.kill(victim, signal.SIGCONT)
+    recorder.finish(20.0)
+    assert account.recorded == 4 and account.ledger.problem == "" and ring.free == 8
+    context.destroy(linger=0)
+    ring.close()
