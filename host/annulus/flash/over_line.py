@@ -14,7 +14,6 @@ from collections.abc import Callable
 from annulus.controller import UPDATE_CHUNK_BYTES
 from annulus.flash.image import Application
 from annulus.link.client import Client
-from annulus.link.head import refusal
 from annulus.link.messages import (
     StatusCode,
     UpdateBegin,
@@ -24,6 +23,7 @@ from annulus.link.messages import (
     UpdateEnd,
     UpdateRefusal,
 )
+from annulus.link.problems import refusal
 from annulus.link.session import Answer
 from annulus.vocabulary import AnnulusError
 

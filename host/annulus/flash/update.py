@@ -34,7 +34,6 @@ from annulus.flash.over_line import write_over_line
 from annulus.flash.picoboot import BootLoader, PicoBoot, choose, find_boot_loaders, write_flash
 from annulus.link.client import Client
 from annulus.link.codec import Corrupt
-from annulus.link.head import refusal, schema_problem
 from annulus.link.messages import (
     BOOTLOADER_MAGIC,
     BOOTLOADER_NEEDS_USB,
@@ -46,6 +45,7 @@ from annulus.link.messages import (
     StatusCode,
     StatusReply,
 )
+from annulus.link.problems import refusal, schema_problem
 from annulus.link.session import Answer, EventReceived, EventsLost, LinkEvent, Rebooted
 from annulus.vocabulary import AnnulusError
 

@@ -12,10 +12,10 @@ from types import TracebackType
 from typing import Self
 
 from annulus.link.codec import Corrupt
-from annulus.link.head import PING_NS, refusal, schema_problem
+from annulus.link.head import PING_NS
 from annulus.link.messages import Command, IdentifyReply, Ping, Reply, StatusCode
 from annulus.link.port import BAUD, READ_S, Port
-from annulus.link.problems import too_old
+from annulus.link.problems import refusal, schema_problem, too_old
 from annulus.link.session import Answer, LinkEvent, Session, Unanswered, identify
 from annulus.vocabulary import AnnulusError
 

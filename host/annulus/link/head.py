@@ -15,12 +15,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-from annulus.controller import LAMP_DUTY_MAX_PERMILLE, TICK_NS, TICKS_PER_US
+from annulus.controller import TICK_NS, TICKS_PER_US
 from annulus.link.boots import BootWatch
 from annulus.link.clock import ClockMap
 from annulus.link.messages import (
-    PROTOCOL_VERSION,
-    SCHEMA_HASH,
     Arm,
     ArmFlag,
     Clear,
@@ -34,14 +32,15 @@ from annulus.link.messages import (
     IdentifyReply,
     Ping,
     PingReply,
+    Preamble,
     Stage,
     StateFlag,
     Status,
     StatusCode,
     StatusReply,
-    StopCause,
 )
-from annulus.link.problems import configuration_problem
+from annulus.link.preamble import PreambleOrders
+from annulus.link.problems import configuration_problem, is_stopped, refusal, schema_problem
 from annulus.link.session import Answer, EventReceived, LinkEvent, Rebooted, Session, Unanswered, identify
 from annulus.vocabulary import EdgeFlag, EdgeIndex, Flash, Lamp, Slot, Tick
 
@@ -53,21 +52,28 @@ PERIOD_TICKS = 4_000_000  # while nothing is configured: 25 fps
 MISMATCH_NS = 1_000_000_000  # between two looks whether the controller has been flashed anew
 EDGES_WAITING_MAX = 64  # for the clock to lock
 LATCHING = (FaultCode.INTERLOCK, FaultCode.HOST_TIMEOUT, FaultCode.WATCHDOG, FaultCode.LIMIT)
+TAKEN_OVER = "another host has identified itself at the controller"
+STOPPED = "somebody else switched the lamps off"
 MENDABLE = (StatusCode.BAD_STATE, StatusCode.UNSAFE)  # may pass by itself: tried again
 
 
 class Phase(StrEnum):
-    """How far the controller is. REFUSED and MISMATCH last until the configuration or the firmware changes."""
+    """How far the controller is. REFUSED and MISMATCH last until the configuration or the firmware changes, STOPPED
+    until `arm`.
+    """
 
     SEARCHING = "searching"
+    LOOKING = "looking"  # are the lamps still as we left them?
     DISARMING = "disarming"
     STAGING = "staging"
     COMMITTING = "committing"
     VERIFYING = "verifying"  # reads back what is in force
+    PREPARING = "preparing"  # says how optical preambles are to be
     CLEARING = "clearing"
     ARMING = "arming"
     RUNNING = "running"  # armed, as asked
     IDLE = "idle"  # configured, or nothing to configure; dark, as asked
+    STOPPED = "stopped"  # by somebody else; dark, and kept so
     REFUSED = "refused"
     MISMATCH = "mismatch"
 
@@ -106,17 +112,9 @@ HeadEvent = LinkEvent | EdgeSeen | LampsCut | PhaseChanged
 def flash_from(edge: Edge, tick: Tick, boot: int) -> Flash:
     """The vocabulary's Flash of an Edge event, its tick extended to 64 bits."""
     return Flash(
-        EdgeIndex(edge.edge),
-        tick,
-        Slot(edge.slot),
-        Lamp(edge.lamp),
-        edge.delay,
-        edge.width,
-        edge.odometer,
-        edge.generation,
-        boot,
-        edge.flags,
-    )
+        EdgeIndex(edge.edge), tick, Slot(edge.slot), Lamp(edge.lamp), edge.delay, edge.width, edge.odometer,
+        edge.generation, boot, edge.flags,
+    )  # fmt: skip
 
 
 def stage_from_us(
@@ -150,9 +148,16 @@ def stage_from_us(
 
 
 class HeadControl:
-    """Drives one Session. `configuration` None: identify and keep alive only."""
+    """Drives one Session. What it armed it arms again after a reset or a fault; not after a stop that somebody else
+    ordered, over this line or another.
+    """
 
-    def __init__(self, configuration: Stage | None = None, *, armed: bool = True) -> None:
+    def __init__(
+        self, configuration: Stage | None = None, *, armed: bool = True, preamble: Preamble | None = None
+    ) -> None:
+        """`configuration` None: identify and keep alive only. `preamble`: what optical preambles are to be like, where
+        the controller has them.
+        """
         self.session = Session()
         self.clock = ClockMap()
         self.phase = Phase.SEARCHING
@@ -164,11 +169,13 @@ class HeadControl:
         self.edges_unplaced = 0  # heard, but there was no clock map, or too coarse a one, to place them with
         self._configuration = configuration
         self._armed = armed
+        self.preambles = PreambleOrders(preamble)
+        self._lit = False  # armed, by all we know
+        self._contradicted = False  # by one status; a second one settles it
+        self._fresh = armed  # told to arm, and not armed since: whoever was there before has to give way
         self._generation = 0
         self._waiting: int | None = None  # ticket of the step under way
-        self._next_step_ns = 0
-        self._next_ping_ns = 0
-        self._next_status_ns = 0
+        self._next_step_ns = self._next_ping_ns = self._next_status_ns = 0
         self._boots = BootWatch()
         self._early: deque[tuple[Edge, int, int]] = deque(maxlen=EDGES_WAITING_MAX)  # edge, boot, received
         self._has_run = False
@@ -187,15 +194,27 @@ class HeadControl:
             self._restart_steps(Phase.DISARMING)
 
     def arm(self) -> None:
-        self._armed = True
+        self._armed = self._fresh = True
         if self.phase is Phase.IDLE:
             self._restart_steps(Phase.DISARMING)
+        elif self.phase is Phase.STOPPED:
+            self._restart_steps(Phase.SEARCHING)
 
     def disarm(self) -> None:
         """Lamps off, and kept off. Sent with the next `pending`."""
         self._armed = False
-        if self.phase not in (Phase.SEARCHING, Phase.MISMATCH):
+        self.preambles.forget()
+        if self.phase not in (Phase.SEARCHING, Phase.MISMATCH, Phase.STOPPED):
             self._restart_steps(Phase.DISARMING)
+
+    def order_preamble(self) -> None:
+        """An optical preamble soon, where the controller has them."""
+        self.preambles.ask()
+
+    @property
+    def lacks_preamble(self) -> bool:
+        """Optical preambles are wanted, and this controller is too old for them."""
+        return self.preambles.wanted is not None and self.session.informed and not self.session.knows(Preamble)
 
     def reopened(self) -> None:
         """The port was opened again: who is there now is asked before anything else."""
@@ -224,6 +243,7 @@ class HeadControl:
             if step is not None and self._may_be_asked(step):
                 self._waiting = self.session.send(step)
                 self._step_sent_ns = now
+                self._lit &= not isinstance(step, Arm)
         if self.phase is not Phase.SEARCHING and not self.session.backlog:  # a line that is stuck is not fed further
             if now >= self._next_ping_ns:
                 self._next_ping_ns = now + (PING_NS if self.clock.locked else QUICK_PING_NS)
@@ -231,6 +251,9 @@ class HeadControl:
             if now >= self._next_status_ns:
                 self._next_status_ns = now + STATUS_NS
                 self.session.send(Status())
+            order = self.preambles.due(now)
+            if order is not None and self.phase is Phase.RUNNING and self.session.knows(Preamble):
+                self.preambles.sent(self.session.send(order), now)
         return self.session.pending(now)
 
     # ---- steps ----
@@ -240,6 +263,8 @@ class HeadControl:
         match self.phase:
             case Phase.SEARCHING | Phase.MISMATCH:
                 return identify()
+            case Phase.LOOKING:
+                return Status()
             case Phase.DISARMING:
                 return Arm(ArmFlag(0))
             case Phase.STAGING if self._configuration is not None:
@@ -248,6 +273,8 @@ class HeadControl:
                 return Commit(self._generation)
             case Phase.VERIFYING:
                 return Configuration()
+            case Phase.PREPARING:
+                return self.preambles.wanted
             case Phase.CLEARING:
                 return Clear()
             case Phase.ARMING:
@@ -255,12 +282,21 @@ class HeadControl:
         return None
 
     def _may_be_asked(self, step: Command) -> bool:
-        """What is in force is read back where the controller can tell; that one is known once `info` is settled."""
-        if not isinstance(step, Configuration) or self.session.knows(Configuration):
+        """What is in force is read back, and preambles are ordered, where the controller can; that one is known once
+        `info` is settled.
+        """
+        if not isinstance(step, Configuration | Preamble) or self.session.knows(type(step)):
             return True
         if self.session.informed:
-            self._enter(Phase.ARMING if self._armed else Phase.IDLE)
+            self._go_on_from(self.phase)
         return False
+
+    def _go_on_from(self, phase: Phase) -> None:
+        """With what is in force: preambles, then the lamps."""
+        if phase is Phase.VERIFYING and self.preambles.wanted is not None:
+            self._enter(Phase.PREPARING)
+        else:
+            self._enter(Phase.ARMING if self._armed else Phase.IDLE)
 
     def _enter(self, phase: Phase, why: str = "") -> None:
         if (phase, why) != (self.phase, self.problem):
@@ -287,8 +323,8 @@ class HeadControl:
         match answer.command:
             case Arm(outputs) if ArmFlag.LAMPS in outputs:
                 self.rearms += self._has_run
-                self._has_run = True
-                self._cleared = False
+                self._has_run = self._lit = True
+                self._cleared = self._contradicted = self._fresh = False
                 self._enter(Phase.RUNNING)
             case Arm() if self._configuration is None:
                 self._enter(Phase.IDLE)
@@ -302,6 +338,10 @@ class HeadControl:
                 self._enter(Phase.VERIFYING)
             case Configuration() if isinstance(answer.reply, ConfigurationReply):
                 self._verified(answer.reply)
+            case Preamble():
+                self._go_on_from(Phase.PREPARING)
+            case Status() if isinstance(answer.reply, StatusReply):
+                self._looked(answer.reply)
             case Clear():
                 self._cleared = True
                 self._enter(Phase.ARMING if self._armed and self._committed else Phase.DISARMING)
@@ -313,6 +353,16 @@ class HeadControl:
         if problem:
             self._next_step_ns = now + MISMATCH_NS
             self._enter(Phase.MISMATCH, problem)
+        elif reply.status is StatusCode.BAD_STATE:
+            self._next_step_ns = now + RETRY_NS
+            self._enter(Phase.SEARCHING, "another host is at work over the controller's other line")
+        else:
+            self._enter(Phase.LOOKING if self._lit and self._armed else Phase.DISARMING)
+
+    def _looked(self, status: StatusReply) -> None:
+        """Met again without a restart, with the lamps armed when it was last heard of."""
+        if is_stopped(status):
+            self._stop(STOPPED)
         else:
             self._enter(Phase.DISARMING)
 
@@ -323,7 +373,7 @@ class HeadControl:
             self._committed = False
             self._enter(Phase.REFUSED, problem)
         else:
-            self._enter(Phase.ARMING if self._armed else Phase.IDLE)
+            self._go_on_from(Phase.VERIFYING)
 
     def _refused(self, answer: Answer, now: int) -> None:
         status = answer.reply.status
@@ -333,8 +383,19 @@ class HeadControl:
         elif status in MENDABLE:
             self._next_step_ns = now + RETRY_NS
             self._enter(Phase.CLEARING if isinstance(answer.command, Clear) else Phase.DISARMING, refusal(answer))
+        elif status is StatusCode.SCHEMA and self._fresh:  # ours is the same: the line is not the one that commands
+            self._next_step_ns = now + RETRY_NS
+            self._enter(Phase.SEARCHING, TAKEN_OVER)
+        elif status is StatusCode.SCHEMA:
+            self._stop(TAKEN_OVER)
         else:
             self._enter(Phase.REFUSED, refusal(answer))
+
+    def _stop(self, why: str) -> None:
+        """Somebody wants it dark: so it stays, until `arm`."""
+        self._armed = self._lit = self._contradicted = False
+        self.preambles.forget()
+        self._restart_steps(Phase.STOPPED, why)
 
     # ---- news ----
 
@@ -342,6 +403,8 @@ class HeadControl:
         if isinstance(happening, Rebooted):
             self._rebooted(happening)
         self._news.append(happening)
+        if isinstance(happening, Answer | Unanswered):
+            self.preambles.ended(happening.ticket)
         match happening:
             case Answer() if isinstance(happening.reply, PingReply):
                 self._sampled(happening.reply, happening, now)
@@ -386,8 +449,16 @@ class HeadControl:
         self.status = status
         if self._suspect(self._boots.status(status.edges), now):
             return
-        if self.phase is Phase.RUNNING and StateFlag.LAMPS_ARMED not in status.state:
+        if self.phase is not Phase.RUNNING or StateFlag.LAMPS_ARMED in status.state:
+            self._contradicted = False
+        elif not is_stopped(status):
+            self._lit = False
             self._restart_steps(Phase.CLEARING, f"disarmed by the controller: {status.fault.name.lower()}")
+        elif self._contradicted:
+            self._stop(STOPPED)
+        else:
+            self._contradicted = True
+            self._next_status_ns = now
 
     @property
     def _error_max_ns(self) -> int:
@@ -412,6 +483,7 @@ class HeadControl:
         moment = self.clock.to_host(self.clock.extend(event.tick, now))
         moment = now if moment is None else moment
         self._news.append(LampsCut(moment, moment, event.fault.name.lower()))
+        self._lit = False
         if self.phase in (Phase.RUNNING, Phase.ARMING):
             self._restart_steps(Phase.CLEARING, f"fault: {event.fault.name.lower()}")
 
@@ -420,7 +492,8 @@ class HeadControl:
         self._boots.restart()
         self._forget_edges()
         self.clock.restart()
-        self._committed = False
+        self._committed = self._lit = False
+        self.preambles.forget()
         if happening.previous is not None:
             same = "" if happening.boot != happening.previous else f": {happening.why}"
             self._restart_steps(Phase.SEARCHING, f"the controller restarted{same}")
@@ -428,66 +501,3 @@ class HeadControl:
     def _forget_edges(self) -> None:
         self.edges_unplaced += len(self._early)
         self._early.clear()
-
-
-def schema_problem(reply: IdentifyReply) -> str:
-    """Empty when host and controller speak the same; else one line that says what to do."""
-    if (reply.protocol, reply.schema) == (PROTOCOL_VERSION, SCHEMA_HASH):
-        return ""
-    return (
-        f"controller speaks protocol {reply.protocol}, schema {reply.schema:08x}, expected {PROTOCOL_VERSION},"
-        f" {SCHEMA_HASH:08x}. Flash the firmware that came with this annulus; until then it cannot be armed."
-    )
-
-
-def refusal(answer: Answer) -> str:
-    """Why the controller would not, in one line."""
-    name = type(answer.command).__name__.lower()
-    status, detail = answer.reply.status, answer.reply.detail
-    match status:
-        case StatusCode.OUT_OF_RANGE:
-            names = answer.command.FIELDS
-            where = names[detail] if detail < len(names) else f"field {detail}"
-            value = getattr(answer.command, where, "?")
-            return f"{name} refused: {where} = {value} is out of range (protocol/REFERENCE.md has the ranges)"
-        case StatusCode.WINDOW if isinstance(answer.command, Stage):
-            return _window_refusal(answer.command, detail)
-        case StatusCode.DUTY if isinstance(answer.command, Stage):
-            return _duty_refusal(answer.command, detail)
-        case StatusCode.DUTY:
-            lamp = {1: "projector", 2: "led", 3: "microwave"}.get(detail, str(detail))
-            since = ", or it comes too soon after the last train" if name == "burst" else ""
-            return f"{name} refused: duty of the {lamp} is over the controller's limit{since}"
-        case StatusCode.SCHEMA:
-            return f"{name} refused: the schema differs. Flash the firmware that came with this annulus."
-        case StatusCode.UNSAFE if name == "move" and detail in (StopCause.END_LOW, StopCause.END_HIGH):
-            end = "lower" if detail == StopCause.END_LOW else "upper"
-            return f"{name} refused: the {end} end switch is reached, or its wire is broken"
-        case StatusCode.UNSAFE:
-            return f"{name} refused: interlock open or a fault latched"
-    return f"{name} refused: {status.name.lower()}, detail {detail}"
-
-
-def _duty_refusal(stage: Stage, lamp: int) -> str:
-    led = lamp == Lamp.LED
-    width = stage.led_width if led else stage.projector_width
-    us = TICKS_PER_US
-    shortest = stage.frame_period - stage.frame_period * stage.tolerance // 1000
-    return (
-        f"{'led' if led else 'projector'} flash of {width / us:g} us is too long, expected"
-        f" {shortest * LAMP_DUTY_MAX_PERMILLE / 1000 / us:g} us at most: {LAMP_DUTY_MAX_PERMILLE / 10:g} % of"
-        f" {shortest / us:g} us, the shortest interval between edges ({1e6 * us / stage.frame_period:g} fps,"
-        f" tolerance {stage.tolerance / 10:g} %)"
-    )
-
-
-def _window_refusal(stage: Stage, lamp: int) -> str:
-    led = lamp == Lamp.LED
-    delay, width = (stage.led_delay, stage.led_width) if led else (stage.projector_delay, stage.projector_width)
-    us = TICKS_PER_US
-    return (
-        f"{'led' if led else 'projector'} flash {delay / us:g}..{(delay + width) / us:g} us leaves the window"
-        f" {(stage.frame_period - stage.exposure) / us:g}..{(stage.frame_period - stage.readout) / us:g} us in which"
-        f" all rows expose ({1e6 * us / stage.frame_period:g} fps, exposure {stage.exposure / us / 1000:g} ms,"
-        f" readout {stage.readout / us / 1000:g} ms)"
-    )

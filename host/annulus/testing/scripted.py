@@ -36,6 +36,8 @@ from annulus.link.messages import (
     MoveReply,
     Ping,
     PingReply,
+    Preamble,
+    PreambleReply,
     Reply,
     Reread,
     RereadReply,
@@ -147,14 +149,17 @@ class ScriptedController:
                 return PingReply(*ok, tick)
             case Status():
                 state = StateFlag.LAMPS_ARMED if self.armed else StateFlag(0)
-                return StatusReply(*ok, state, self.fault, 1, self.edges, 0, 0, 0, self._next, 0, 0, 0, 0)
+                held = self.in_force.generation if self.in_force else 0
+                return StatusReply(*ok, state, self.fault, held, self.edges, 0, 0, 0, self._next, 0, 0, 0, 0)
             case Info():
                 known = sum(1 << id_ for id_ in COMMANDS).to_bytes(8, "little")
                 return InfoReply(*ok, self.level, 0, 1, 0, b"0" * 16, known, 0xFF, self.nonce, 0, 0, 1000)
             case Configuration():
-                held = self.in_force or Stage(0, *[0] * 10)
-                crc = crc16(held.pack(), Stage.SCHEMA_BYTE) if self.in_force else 0
-                return ConfigurationReply.unpack(bytes(ok) + held.pack() + crc.to_bytes(2, "little"))
+                stage = self.in_force or Stage(0, *[0] * 10)
+                crc = crc16(stage.pack(), Stage.SCHEMA_BYTE) if self.in_force else 0
+                return ConfigurationReply.unpack(bytes(ok) + stage.pack() + crc.to_bytes(2, "little"))
+            case Preamble(length, interval):
+                return PreambleReply(*ok, length, interval)
             case Stage(generation):
                 self._staged = command
                 return StageReply(*ok, generation, 0, 0)

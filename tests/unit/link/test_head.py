@@ -11,9 +11,11 @@ from annulus.link.messages import (
     FaultCode,
     Identify,
     Ping,
+    Preamble,
     Stage,
     StatusCode,
 )
+from annulus.link.preamble import preamble_of
 from annulus.testing.scripted import ScriptedController
 from annulus.vocabulary import EdgeFlag, Lamp
 
@@ -219,3 +221,161 @@ def test_a_dead_line_is_searched_again_and_again_without_piling_up() -> None:
     assert sent < 20_000 / 10  # bytes; a storm would be a hundred times that
     bench.run(700)
     assert head.phase is Phase.RUNNING
+
+
+# ---- who wants it dark ----
+
+
+def lamps_armed(bench: Bench) -> int:
+    """How often they were."""
+    return len([c for c in bench.controller.executed if isinstance(c, Arm) and ArmFlag.LAMPS in c.outputs])
+
+
+def test_a_disarm_that_somebody_else_ordered_stays() -> None:
+    bench = Bench(HeadControl(STAGE))
+    bench.run(50)
+    bench.controller.armed = False  # over the other line
+    bench.edge(9, EdgeFlag.DISARMED)
+    bench.run(5000)
+    assert not bench.controller.armed and lamps_armed(bench) == 1
+    assert bench.head.phase is Phase.STOPPED and bench.head.problem == "somebody else switched the lamps off"
+    bench.head.arm()
+    bench.run(20)
+    assert bench.controller.armed and bench.head.phase is Phase.RUNNING
+
+
+def test_without_an_edge_a_disarm_of_somebody_else_is_found_by_the_next_status_and_stays() -> None:
+    bench = Bench(HeadControl(STAGE))
+    bench.run(50)
+    bench.controller.armed = False
+    bench.run(5000)
+    assert not bench.controller.armed and bench.head.phase is Phase.STOPPED
+
+
+def test_a_disarm_while_the_line_was_closed_stays() -> None:
+    bench = Bench(HeadControl(STAGE))
+    bench.run(50)
+    bench.controller.armed = False
+    bench.head.reopened()
+    bench.run(5000)
+    assert not bench.controller.armed and lamps_armed(bench) == 1 and bench.head.phase is Phase.STOPPED
+
+
+def test_a_line_that_was_closed_and_a_host_timeout_meanwhile_end_with_the_lamps_armed() -> None:
+    bench = Bench(HeadControl(STAGE))
+    bench.run(50)
+    bench.controller.armed, bench.controller.fault = False, FaultCode.HOST_TIMEOUT
+    bench.controller.refuse[Arm] = (StatusCode.UNSAFE, 0)
+    bench.head.reopened()
+    bench.run(3)
+    bench.controller.refuse.clear()
+    bench.run(500)
+    assert bench.controller.armed and bench.head.phase is Phase.RUNNING
+
+
+def test_a_restart_that_nobody_told_is_no_stop() -> None:
+    bench = Bench(HeadControl(STAGE))
+    bench.run(50)
+    bench.controller.power_cycle()
+    bench.run(1500)
+    assert bench.controller.armed and bench.head.phase is Phase.RUNNING
+
+
+def test_a_host_that_takes_the_controller_over_while_it_is_dark_is_given_way() -> None:
+    bench = Bench(HeadControl(STAGE))
+    bench.run(50)
+    bench.controller.armed, bench.controller.fault = False, FaultCode.INTERLOCK
+    bench.controller.refuse[Arm] = (StatusCode.SCHEMA, 0)  # as to any line but the session's
+    bench.edge(9, EdgeFlag.DISARMED)
+    bench.run(3000)
+    assert bench.head.phase is Phase.STOPPED and "another host" in bench.head.problem
+    bench.controller.refuse.clear()
+    bench.run(3000)
+    assert not bench.controller.armed
+
+
+def test_a_start_takes_the_controller_back_from_a_host_that_identified_itself_meanwhile() -> None:
+    bench = Bench(HeadControl(STAGE, armed=False))
+    bench.run(50)
+    bench.controller.refuse[Stage] = (StatusCode.SCHEMA, 0)
+    bench.head.arm()
+    bench.run(50)
+    bench.controller.refuse.clear()  # identifying did it
+    bench.run(500)
+    assert bench.controller.armed and bench.head.phase is Phase.RUNNING
+
+
+def test_a_controller_at_work_for_another_host_is_not_disturbed() -> None:
+    bench = Bench(HeadControl(STAGE))
+    bench.controller.armed = True
+    bench.controller.refuse[Identify] = (StatusCode.BAD_STATE, 0)
+    bench.run(3000)
+    assert bench.controller.armed and bench.head.phase is Phase.SEARCHING and "other line" in bench.head.problem
+    assert not any(isinstance(c, Arm | Stage) for c in bench.controller.executed)
+
+
+# ---- optical preambles ----
+
+PREAMBLE = Preamble(15, 100, 0)
+
+
+def preambles(bench: Bench) -> list[Preamble]:
+    return [c for c in bench.controller.executed if isinstance(c, Preamble)]
+
+
+def test_preambles_are_set_before_the_lamps_are_armed_and_again_after_a_reset() -> None:
+    bench = Bench(HeadControl(STAGE, preamble=PREAMBLE))
+    bench.run(20)
+    steps = [c for c in bench.commands() if c in (Identify, Arm, Stage, Commit, Preamble)]
+    assert steps == [Identify, Arm, Stage, Commit, Preamble, Arm] and bench.head.phase is Phase.RUNNING
+    bench.controller.reset()
+    bench.run(20)
+    assert preambles(bench) == [PREAMBLE, PREAMBLE] and bench.head.phase is Phase.RUNNING
+    assert not bench.head.lacks_preamble
+
+
+def test_a_controller_without_preambles_is_armed_all_the_same() -> None:
+    bench = Bench(HeadControl(STAGE, preamble=PREAMBLE), ScriptedController(level=1))
+    bench.run(2000)
+    assert bench.head.phase is Phase.RUNNING and bench.head.lacks_preamble
+    bench.head.order_preamble()
+    bench.run(100)
+    assert preambles(bench) == [] and bench.head.preambles.count == 0
+
+
+def test_preambles_ordered_at_every_frame_are_sent_every_two_seconds() -> None:
+    bench = Bench(HeadControl(STAGE, preamble=PREAMBLE))
+    bench.run(50)
+    for _ in range(250):
+        bench.head.order_preamble()
+        bench.run(40)
+    ordered = [c for c in preambles(bench) if c.now]
+    assert len(ordered) == bench.head.preambles.count == 5
+    assert all(c == Preamble(15, 100, 1) for c in ordered)
+
+
+def test_an_order_waits_for_the_lamps_and_dies_with_the_scan() -> None:
+    bench = Bench(HeadControl(STAGE, armed=False, preamble=PREAMBLE))
+    bench.run(50)
+    bench.head.order_preamble()
+    bench.run(50)
+    assert [c.now for c in preambles(bench)] == [0]
+    bench.head.disarm()
+    bench.head.arm()
+    bench.run(50)
+    assert [c.now for c in preambles(bench) if c.now] == []
+
+
+def test_without_preambles_none_is_ordered() -> None:
+    bench = Bench(HeadControl(STAGE))
+    bench.run(50)
+    bench.head.order_preamble()
+    bench.run(50)
+    assert preambles(bench) == [] and not bench.head.lacks_preamble
+
+
+def test_the_interval_is_counted_in_lamp_cycles() -> None:
+    assert preamble_of(STAGE, 15, 20.0) == Preamble(15, 100, 0)  # of 200 ms
+    assert preamble_of(STAGE, 15, 0.0).interval == 0  # by order only
+    assert preamble_of(STAGE, 15, 0.01).interval == 1
+    assert preamble_of(STAGE, 15, 1e6).interval == 65535

@@ -98,7 +98,7 @@ def test_a_flash_that_does_not_fit_is_refused_by_the_controller_itself() -> None
 
 def test_the_firmware_of_another_schema_answers_but_is_not_armed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("annulus.link.session.SCHEMA_HASH", 0x12345678)
-    monkeypatch.setattr("annulus.link.head.SCHEMA_HASH", 0x12345678)
+    monkeypatch.setattr("annulus.link.problems.SCHEMA_HASH", 0x12345678)
     rig = Rig(0, rate=0.0)
     rig.run(300)
     assert rig.head.phase is Phase.MISMATCH and "expected 1, 12345678" in rig.head.problem
