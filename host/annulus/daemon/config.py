@@ -9,6 +9,7 @@ from typing import Any, Literal, cast
 import zmq
 
 from annulus.capture.timing import FrameTiming
+from annulus.controller import PREAMBLE_MAX
 from annulus.geometry.calibration import Calibration
 from annulus.record.calibration_file import load_calibration, load_part
 from annulus.rings.colour import ColourProfile
@@ -60,6 +61,8 @@ class LampConfig:
     projector_width_us: float = 5000.0
     led_delay_us: float = 3000.0
     led_width_us: float = 2500.0
+    preamble_frames: int = 15  # of an optical preamble; 0: none
+    preamble_interval_s: float = 20.0  # from one to the next; 0: on arming and after a doubt only
 
     def check(self, timing: FrameTiming) -> None:
         """Raises AnnulusError when a flash leaves the window in which all rows expose."""
@@ -238,14 +241,14 @@ def _gains(content: Mapping[str, Any]) -> tuple[float, float] | None:
 
 def _lamps(content: Mapping[str, Any]) -> LampConfig:
     usual = LampConfig()
-    return LampConfig(
-        _whole(content, "lamps", "ratio", usual.ratio, 0, 15),
-        *(
-            _number(content, "lamps", field.name, getattr(usual, field.name), 0.0, 1e6)
-            for field in fields(LampConfig)
-            if field.name != "ratio"
-        ),
-    )
+    whole = {"ratio": 15, "preamble_frames": PREAMBLE_MAX}
+    given: dict[str, Any] = {
+        field.name: _whole(content, "lamps", field.name, getattr(usual, field.name), 0, whole[field.name])
+        if field.name in whole
+        else _number(content, "lamps", field.name, getattr(usual, field.name), 0.0, 1e6)
+        for field in fields(LampConfig)
+    }
+    return LampConfig(**given)
 
 
 def _sensor(content: Mapping[str, Any]) -> SensorConfig:

@@ -6,9 +6,11 @@ from annulus.daemon.account import Account
 from annulus.daemon.config import HeadConfig
 from annulus.daemon.observer import Observer
 from annulus.link.head import HeadControl, HeadEvent, Phase, PhaseChanged, stage_from_us
-from annulus.link.messages import Fault, Stage, SyncFound, SyncLost, TurntableStopped
+from annulus.link.messages import Fault, Preamble, Stage, SyncFound, SyncLost, TurntableStopped
 from annulus.link.operate import why_it_stopped
 from annulus.link.port import Opening, Port
+from annulus.link.preamble import preamble_of
+from annulus.link.problems import too_old
 from annulus.link.session import EventReceived, EventsLost, Rebooted
 from annulus.vocabulary import AnnulusError
 
@@ -17,22 +19,26 @@ REST_S = 0.02  # at most between two looks at one that can: pings, repeats and k
 IDENTIFY_S = 1.0
 REOPEN_S = 1.0
 DISARM_S = 0.5
-DARK = (Phase.IDLE, Phase.REFUSED, Phase.MISMATCH)
+CONFIRMED = (Phase.IDLE, Phase.STOPPED)  # that it is dark
+DARK = (*CONFIRMED, Phase.REFUSED, Phase.MISMATCH)
 TROUBLED = (Phase.SEARCHING, Phase.CLEARING, Phase.REFUSED, Phase.MISMATCH)
 
 
 class ControllerLine:
     """One controller behind one port. Nothing here waits but `identify` and `disarm`."""
 
-    def __init__(self, url: str, stage: Stage, account: Account, observer: Observer) -> None:
+    def __init__(
+        self, url: str, stage: Stage, account: Account, observer: Observer, preamble: Preamble | None = None
+    ) -> None:
         """Raises AnnulusError when the port cannot be opened."""
         self.url, self._account, self._observer = url, account, observer
-        self.head = HeadControl(stage, armed=False)
+        self.head = HeadControl(stage, armed=False, preamble=preamble)
         self._port: Port | None = Port(url)
         self._opening: Opening | None = None
         self._reopen_s = 0.0
         self._why_shut = ""
         self._armed = False
+        self._told_of_preambles = False
 
     def identify(self) -> list[HeadEvent]:
         """What was heard meanwhile. Raises AnnulusError when nobody, or somebody else, answers."""
@@ -97,6 +103,15 @@ class ControllerLine:
         self._armed = True
         self.head.arm()
 
+    def order_preamble(self) -> None:
+        """A camera doubts which frame is which: an optical preamble soon. Ask as often as you like."""
+        self.head.order_preamble()
+
+    @property
+    def stopped(self) -> str:
+        """Who made it dark, when it was not us: it stays so until `arm`. Empty else."""
+        return f"{self.url}: {self.head.problem}" if self.head.phase is Phase.STOPPED else ""
+
     def disarm(self) -> list[HeadEvent]:
         """Lamps off, and kept off; what was heard until the controller said so. Tells when it does not."""
         self._armed = False
@@ -107,7 +122,7 @@ class ControllerLine:
         end = time.monotonic() + DISARM_S
         while self._port is not None and self.head.phase not in DARK and time.monotonic() < end:
             heard += self.pump(TURN_S)
-        if self.head.phase is not Phase.IDLE:
+        if self.head.phase not in CONFIRMED:
             why = self.head.phase.value if self._port is not None else "the line is broken"
             self._observer.event("lamps", f"the controller did not confirm that the lamps are off ({why})")
         return heard
@@ -129,7 +144,7 @@ class ControllerLine:
     @property
     def settled(self) -> bool:
         """Whether it is as wanted: lamps armed, or dark."""
-        return self._port is not None and self.head.phase is (Phase.RUNNING if self._armed else Phase.IDLE)
+        return self._port is not None and self.head.phase in ((Phase.RUNNING,) if self._armed else CONFIRMED)
 
     def close(self) -> None:
         if self._port is not None:
@@ -161,6 +176,9 @@ class ControllerLine:
                     tell("sync", f"frame-sync is regular from edge {event.edge} on")
                 case EventReceived(event) if isinstance(event, TurntableStopped):
                     tell("turntable", why_it_stopped(event))
+        if self.head.lacks_preamble and not self._told_of_preambles:
+            self._told_of_preambles = True
+            tell("preamble", too_old(Preamble))
         return heard
 
 
@@ -174,6 +192,14 @@ def stage_of(config: HeadConfig) -> Stage:
     )  # fmt: skip
 
 
+def preamble_for(config: HeadConfig) -> Preamble | None:
+    """The optical preambles that head.toml asks for."""
+    lamps = config.lamps
+    if lamps.preamble_frames == 0:
+        return None
+    return preamble_of(stage_of(config), lamps.preamble_frames, lamps.preamble_interval_s)
+
+
 def line_numbers(line: ControllerLine | None) -> dict[str, object]:
     """For the telemetry; also of a head without a controller."""
     head = line.head if line is not None else None
@@ -183,6 +209,7 @@ def line_numbers(line: ControllerLine | None) -> dict[str, object]:
         "link": head.session.counters.as_dict() if head is not None else {},
         "boot_epochs": head.boot_epoch if head is not None else 0,
         "rearms": head.rearms if head is not None else 0,
+        "preambles_ordered": head.preambles.count if head is not None else 0,
         "edges_unplaced": head.edges_unplaced if head is not None else 0,
         "clock_samples_rejected": head.clock.rejected if head is not None else 0,
     }

@@ -11,7 +11,7 @@ from annulus.capture.camera import Camera
 from annulus.daemon.account import Account
 from annulus.daemon.config import HeadConfig
 from annulus.daemon.control import ControlSocket
-from annulus.daemon.controller_line import ControllerLine, stage_of
+from annulus.daemon.controller_line import ControllerLine, preamble_for, stage_of
 from annulus.daemon.observer import Observers
 from annulus.daemon.pools import socket_folder
 from annulus.daemon.publishing import Publishing
@@ -50,7 +50,7 @@ def power_up(
         stack.callback(sensor.close)
     line = None
     if config.port is not None:
-        line = ControllerLine(config.port, stage_of(config), account, observers)
+        line = ControllerLine(config.port, stage_of(config), account, observers, preamble_for(config))
         stack.callback(line.close)
         for event in line.identify():
             navigation.heard(event)

@@ -116,6 +116,8 @@ class Scan:
         for intake in self.intakes:
             intake.take(self._account)
             intake.labelling.look_for_offset(time.monotonic())
+            if intake.labelling.wants_preamble and self._power.line is not None:
+                self._power.line.order_preamble()
 
     def labelled(self, final: bool = False) -> Iterator[tuple[FrameHeader, InSlot]]:
         """Frames whose label is settled; all of them when `final`."""

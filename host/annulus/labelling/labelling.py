@@ -69,6 +69,11 @@ class Labelling:
     def offset_known(self) -> bool:
         return self._offset_known
 
+    @property
+    def wants_preamble(self) -> bool:
+        """Which frame is which is in doubt: an order of lamps that does not repeat would tell."""
+        return not self._alone and (not self._offset_known or self._pairing.doubtful)
+
     def numbers(self) -> dict[str, int]:
         """For the telemetry."""
         return {
