@@ -262,6 +262,8 @@ class Player:
         self._must(Pattern(length=len(scene.chips), chips=chips.to_bytes(32, "little")))
         if scene.turntable and self.level == LEVEL:
             self._must(scene.turntable)
+        if scene.preamble and self.level >= scene.preamble.SINCE and scene.level >= scene.preamble.SINCE:
+            self._must(scene.preamble)
         self.kept.told.clear()
         self.kept.first = self._status()
         self.kept.missed_before = self._missed()

@@ -14,6 +14,7 @@ from annulus.controller import (
     PIN_ODOMETER_A,
     PIN_ODOMETER_B,
     PIN_SYNC,
+    PREAMBLE_MAX,
     TICKS_PER_US,
 )
 from annulus.link.messages import (
@@ -28,6 +29,7 @@ from annulus.link.messages import (
     Move,
     Pattern,
     Ping,
+    Preamble,
     Reread,
     Stage,
     Status,
@@ -56,6 +58,7 @@ class Scene:
     chips: str = ""  # of the uploaded pattern
     steps: list[tuple[int, int]] = field(default_factory=list)  # odometer: tick, +1 or -1
     turntable: Turntable | None = None  # what it is told to begin with
+    preamble: Preamble | None = None  # and what preambles are to be like
     level: int = 1  # of the host
 
 
@@ -178,10 +181,12 @@ def draw(seed: int, number: int, board: str) -> Scene:
     add_commands(rng, scene)
     add_mishaps(rng, scene, native)
     add_themes(rng, scene)
+    add_preambles(rng, scene)
     scene.actions.sort(key=lambda action: action[0])
     scene.inputs.sort(key=lambda edge: edge[0])
     turns = any(isinstance(action[-1], Move | Turntable) for action in scene.actions)
-    scene.level = 2 if turns or scene.turntable else rng.choice((1, 2))  # only then is a stop told
+    new = turns or scene.turntable or scene.preamble  # only then is a stop, or a preamble, told
+    scene.level = 2 if new else rng.choice((1, 2))
     return scene
 
 
@@ -274,6 +279,21 @@ def add_themes(rng: random.Random, scene: Scene) -> None:
     timeout = (scene.config.host_timeout or 500) * MS
     if timeout < scene.end and rng.random() < 0.4:
         scene.actions = themes.silence(rng, scene.actions, timeout, scene.end)
+
+
+def add_preambles(rng: random.Random, scene: Scene) -> None:
+    if rng.random() < 0.5:
+        return
+
+    def some(now: int) -> Preamble:
+        return Preamble(rng.choice((0, 1, 5, 15, PREAMBLE_MAX)), rng.choice((0, 1, 2, 5)), now)
+
+    scene.preamble = some(0)
+    for _ in range(rng.randrange(6)):
+        tick = max(0, min(scene.end - 1, rng.choice(scene.falls) + rng.randrange(-500 * US, 200 * US)))
+        scene.actions.append((tick, "send", scene.line, some(rng.randrange(2))))
+    if rng.random() < 0.2:  # wrong, and to be refused
+        scene.actions.append((rng.randrange(scene.end), "send", scene.line, Preamble(PREAMBLE_MAX + 1, 1, 1)))
 
 
 def add_mishaps(rng: random.Random, scene: Scene, native: bool) -> None:

@@ -24,7 +24,6 @@ from annulus.link.messages import (
     ArmFlag,
     Booted,
     Burst,
-    Commit,
     Configured,
     Edge,
     Event,
@@ -43,6 +42,7 @@ from tools.attack.odometer import odometer
 from tools.attack.play import Asked, Kept, Player, Told
 from tools.attack.scenes import Scene
 from tools.attack.silence import silence
+from tools.attack.slots import Slots, is_order, order_at, orders_kept
 from tools.attack.trains import chips_of, trains
 
 US = MS // 1000
@@ -91,6 +91,7 @@ class Truth:
         self.burst_on = 0  # on-time of the longest burst yet
         self.flash_on = 0  # and of the longest flash
         self.motor = Motor(player)
+        self.slots = Slots()
         self.longest = 0  # ticks a round took
         self.round = 0  # and of the scene's rounds the longest
         self.before: Stage | None = None  # in force when the scene began
@@ -125,6 +126,7 @@ class Truth:
                 lambda: self._rereads(kept),
             ]
         else:
+            self.slots.lost()
             checks.append(lambda: self.motor.judge(kept, [], scene, [], whole=False, longest=0))
         broken = []
         for check in checks:
@@ -309,6 +311,9 @@ class Truth:
                 if asked.command.generation in by_generation:
                     ambiguous.add(asked.command.generation)
                 by_generation[asked.command.generation] = asked.command
+        sure = {generation: config for generation, config in by_generation.items() if generation not in ambiguous}
+        if not whole:
+            self.slots.lost()
         falls = kept.falls
         taken: list[int] = []
         cuts = self._cuts(kept, told)
@@ -324,7 +329,8 @@ class Truth:
                 insist(not whole or edge.edge == previous.edge + 1, f"{edge} after {previous}", tick)
                 slot_free |= any(is_order(a) and taken[-1] - US <= a.answered and a.sent <= tick for a in kept.asked)
             slot_free |= any(taken and taken[-1] <= when <= tick for when, _ in cuts)
-            self._slot(edge, previous, slot_free, by_generation, ambiguous, whole)
+            before = previous if whole else None
+            self.slots.edge(edge, before, slot_free, sure, order_at(kept, taken[-1] if taken else 0, tick))
             slot_free = False
             if edge.flags & EdgeFlag.LATE_LOAD:
                 self._late(kept, told, tick, taken[-1] if taken else 0)
@@ -342,28 +348,9 @@ class Truth:
                 )
         if whole:
             self._accepted(kept, taken, scene)
+            orders_kept(kept, list(zip(taken, (edge for _, edge in edges), strict=True)))
         self.earlier = [*([] if taken else self.earlier), *self._configs(kept)]
         self.before = by_generation.get(kept.last.generation) if kept.last else None
-
-    def _slot(self, edge: Edge, previous: Edge | None, free: bool, known: dict[int, Stage], ambiguous: set[int],
-              whole: bool) -> None:  # fmt: skip
-        config = known.get(edge.generation)
-        if edge.flags & EdgeFlag.DISARMED:
-            insist(edge.lamp == Lamp.DARK, f"{edge}: disarmed and not dark")
-            return
-        if config is None or edge.generation in ambiguous:
-            return
-        led = edge.slot == config.ratio
-        insist(edge.slot <= config.ratio, f"{edge}: no such slot with ratio {config.ratio}")
-        if not edge.flags & EdgeFlag.LATE_LOAD and edge.lamp != Lamp.DARK:
-            expected = (config.led_delay, config.led_width) if led else (config.projector_delay, config.projector_width)
-            insist((edge.delay, edge.width) == expected, f"{edge}: configured were {expected}")
-            insist(edge.lamp == (Lamp.LED if led else Lamp.PROJECTOR), f"{edge}: the other lamp's slot")
-        if previous and whole and not free and not previous.flags & EdgeFlag.DISARMED:
-            before = known.get(previous.generation)
-            if before and previous.generation not in ambiguous:
-                follows = 0 if previous.slot == before.ratio else previous.slot + 1
-                insist(edge.slot == follows, f"{edge}: slot {follows} was due")
 
     def _cuts(self, kept: Kept, told: list[Told]) -> list[tuple[int, int]]:
         """What may end a flash: from when to when it may have acted."""
@@ -478,11 +465,6 @@ class Truth:
 
 def is_latching(event: Event) -> bool:
     return isinstance(event, Booted) or (isinstance(event, Fault) and (event.fault in LATCHING or event.fault == 8))
-
-
-def is_order(asked: Asked) -> bool:
-    """Does it change what is loaded?"""
-    return isinstance(asked.command, (Arm, Commit))
 
 
 def reloads(event: Event) -> bool:
