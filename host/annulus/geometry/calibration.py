@@ -92,13 +92,15 @@ class Calibration:
     def from_dict(cls, data: object) -> "Calibration":
         """Check and convert the parsed JSON. Raises ValueError naming the key that is wrong."""
         top = _section(data, "the file")
-        if top.get("format") not in CORRECTION:
-            raise ValueError(f'"format" is {top.get("format")!r}, expected "{ONE_CAMERA}" or "{CAMERAS}"')
+        if top.get("format") not in list(CORRECTION):
+            raise ValueError(
+                f'"format" is {untrusted.shown(top.get("format"))}, expected "{ONE_CAMERA}" or "{CAMERAS}"'
+            )
         cameras = _cameras(top)
         pattern = _section(_need(top, "pattern"), "pattern")
         kind = pattern.get("kind", "slits")
         if kind not in get_args(Kind):
-            raise ValueError(f'"pattern.kind" is {kind!r}, expected one of {", ".join(get_args(Kind))}')
+            raise ValueError(f'"pattern.kind" is {untrusted.shown(kind)}, expected one of {", ".join(get_args(Kind))}')
         colours = _colours(top) if kind == "slits" else ""
         rings = _rings(_need(top, "rings") if colours else top.get("rings", ()), len(colours) - 1 if colours else None)
         radius = _radius(_need(top, "pipe"))
@@ -227,7 +229,9 @@ def _cameras_to_list(cameras: Sequence[HeadCamera]) -> list[dict[str, Any]]:
 def _colours(top: Mapping[str, Any]) -> str:
     colours = _need(_section(_need(top, "pattern"), "pattern"), "colours", "pattern")
     if not isinstance(colours, str) or not 2 <= len(colours) <= 65 or set(colours) - set("RGB"):
-        raise ValueError(f'"pattern.colours" is {colours!r}, expected letters R, G, B from the innermost outwards')
+        raise ValueError(
+            f'"pattern.colours" is {untrusted.shown(colours)}, expected letters R, G, B from the innermost outwards'
+        )
     return colours
 
 
@@ -277,7 +281,7 @@ def camera_from_dict(data: object, where: str = "camera") -> Camera:
     section = _section(data, where)
     model = section.get("model")
     if model not in get_args(Model):
-        raise ValueError(f'"{where}.model" is {model!r}, expected one of {", ".join(get_args(Model))}')
+        raise ValueError(f'"{where}.model" is {untrusted.shown(model)}, expected one of {", ".join(get_args(Model))}')
     lengths = (0, 4) if model == "fisheye" else (0, 4, 5, 8, 12, 14)
     distortion = untrusted.numbers(section.get("distortion", []), f'"{where}.distortion" ({model})', lengths, 1e3)
     width, height = (_number(section, key, where, 16, 16384) for key in ("width", "height"))
@@ -300,7 +304,7 @@ def _mirror(data: object, where: str) -> Mirror:
         )
     looks = section.get("looks", "back")
     if looks not in ("back", "ahead"):
-        raise ValueError(f'"{where}.looks" is {looks!r}, expected "back" or "ahead"')
+        raise ValueError(f'"{where}.looks" is {untrusted.shown(looks)}, expected "back" or "ahead"')
     return Mirror(centre, radius, looks)
 
 

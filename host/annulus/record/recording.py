@@ -5,14 +5,17 @@ Topics: `/frame/<camera>` (foxglove.RawImage, protobuf) and JSON `/label`, `/pro
 frame's index; the label says which camera it is of, and lies before its frame in one uncompressed chunk. Frames of one
 index belong to one flash. Bytes inside JSON are {"base64": ".."}. Attachments: `calibration.json`,
 `configuration.json`. Recordings of before there was more than one camera have `/frame`: camera 0.
+
+Opening steps over images. A chunk's checksum is looked at when something in it is read, so an image or a note that
+comes out is what was written; `check` reads the whole file. What is damaged is told, and costs no more than its chunk.
 """
 
 import base64
-import contextlib
 import json
 import math
 import os
-import struct
+import stat
+import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,19 +27,16 @@ from google.protobuf.message import DecodeError
 
 from annulus import untrusted
 from annulus.numeric.arrays import Image
-from annulus.stream.frames import CHANNELS
+from annulus.record.walk import ATTACHMENT_MAX, MAGIC, Chunk, Damage, DamagedError, Message, Walk, piece
+from annulus.stream.frames import CHANNELS, SIDE_MAX
 from annulus.vocabulary import AnnulusError, Label
 
 FRAME_TOPIC = "/frame"  # .. of camera 0 in old recordings; now followed by the camera's id
 LABEL_TOPIC = "/label"
 CAMERA_ID_MAX = 255
-_MAGIC = b"\x89MCAP0\r\n"
+Z_MAX_MM = 1e8  # of a place; beyond is damage
 _JSON_MAX = 1 << 24
-_RECORD_MAX = 1 << 30
-_RECORD = struct.Struct("<BQ")
-_CHUNK_HEAD = struct.Struct("<QQQI")
-_MESSAGE_HEAD = struct.Struct("<HIQQ")
-_FOOTER, _CHANNEL, _MESSAGE, _CHUNK, _ATTACHMENT = 0x02, 0x04, 0x05, 0x06, 0x09
+_ATTACHED = ("calibration.json", "configuration.json")
 
 
 def to_json(value: Any) -> bytes:
@@ -60,11 +60,10 @@ def from_json(data: bytes) -> Any:
     """The inverse of `to_json`. ValueError on anything else."""
 
     def bytes_again(item: dict[str, Any]) -> Any:
-        return base64.b64decode(item["base64"]) if item.keys() == {"base64"} else item
+        packed = item.get("base64")
+        return base64.b64decode(packed) if len(item) == 1 and isinstance(packed, str) else item
 
-    if len(data) > _JSON_MAX:
-        raise ValueError(f"{len(data)} bytes of JSON")
-    return json.loads(data, object_hook=bytes_again)
+    return untrusted.parse_json(data, _JSON_MAX, bytes_again)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,11 +78,15 @@ class RecordedFrame:
     length: int
     roll_deg: float | None = None  # of the head, clockwise looking forward, where its label says so
     camera: int = 0
+    chunk: Chunk | None = None  # what its checksum is of
 
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """An opened recording. `torn`: the file ends in the middle; everything whole before that is here."""
+    """An opened recording. `torn`: the file ends in the middle; everything whole before that is here.
+
+    `damage`: what opening found; images are not looked at before they are read.
+    """
 
     path: Path
     frames: tuple[RecordedFrame, ...]  # by index, then camera
@@ -91,7 +94,11 @@ class Recording:
     configuration: Mapping[str, Any] | None
     torn: bool
     _labels: Mapping[tuple[int, int], Mapping[str, Any]] = field(repr=False)  # (index, camera) -> as it was written
-    _notes: Mapping[str, tuple[tuple[int, int], ...]] = field(repr=False)  # topic -> (offset, length)
+    _notes: Mapping[str, tuple[Message, ...]] = field(repr=False)  # by topic
+    damage: tuple[Damage, ...] = ()
+    _chunks: tuple[Chunk, ...] = field(default=(), repr=False)
+    _data_crc: tuple[int, int] | None = field(default=None, repr=False)
+    _sound: dict[int, bool] = field(default_factory=dict, repr=False)  # by a chunk's offset, of those looked at
 
     @property
     def cameras(self) -> tuple[int, ...]:
@@ -99,33 +106,62 @@ class Recording:
         return tuple(sorted({frame.camera for frame in self.frames}))
 
     def label(self, frame: RecordedFrame) -> Mapping[str, Any]:
-        """What was written of a frame with its label; empty where the label was lost."""
+        """What was written of a frame with its label; empty where the label was lost. Sound where the frame is."""
         return self._labels.get((frame.index, frame.camera), {})
 
     def notes(self, topic: str) -> Iterator[Any]:
-        """The records of one JSON topic, like "/event" or "/sensor/imu", in order; malformed ones are left out."""
+        """The records of one JSON topic, like "/event" or "/sensor/imu", in order.
+
+        What is malformed, or lies in a chunk with the wrong checksum, is left out.
+        """
         with self.path.open("rb") as file:
-            for offset, length in self._notes.get(topic, ()):
+            for message in self._notes.get(topic, ()):
                 try:
-                    yield from_json(_slice(file, offset, length))
+                    if self._is_sound(message.chunk, file):
+                        yield from_json(piece(file, message.offset, message.length))
                 except ValueError:
                     continue
 
-    def read_raw(self, frame: RecordedFrame) -> tuple[Image, str]:
-        """The image as the camera gave it, and its encoding. Raises AnnulusError when the bytes are damaged."""
-        where = f"{self.path}: {frame_name(frame.index, frame.camera)}"
+    def check(self) -> tuple[Damage, ...]:
+        """Everything that is damaged, by reading the whole file (1 GB/s and what the disk gives)."""
+        found = list(self.damage)
         with self.path.open("rb") as file:
-            data = _slice(file, frame.offset, frame.length)
+            for chunk in self._chunks:
+                try:
+                    if not self._is_sound(chunk, file) and all(one.offset != chunk.offset for one in self.damage):
+                        found.append(Damage(chunk.offset, "a chunk with the wrong checksum", chunk.messages))
+                except ValueError:
+                    found.append(Damage(chunk.offset, "a chunk that is no longer there", chunk.messages))
+            if self._data_crc is not None and _crc_before(file, self._data_crc[0]) != self._data_crc[1]:
+                found.append(Damage(0, "the checksum of all records is wrong"))
+        return tuple(found)
+
+    def read_raw(self, frame: RecordedFrame) -> tuple[Image, str]:
+        """The image as the camera gave it, and its encoding.
+
+        Raises DamagedError where the bytes are not what was written, AnnulusError for what is no image.
+        """
+        where = f"{self.path}: {frame_name(frame.index, frame.camera)}"
+        try:
+            with self.path.open("rb") as file:
+                data = _of_chunk(file, frame)
+        except DamagedError as error:
+            raise DamagedError(f"{where} is damaged: {error}.") from None
+        except ValueError as error:
+            raise DamagedError(f"{where} is damaged: {error}.") from None
+        except OSError as error:
+            raise AnnulusError(f"{where} cannot be read ({error.strerror}).") from None
         raw = RawImage()
         try:
             raw.ParseFromString(data)
         except DecodeError:
-            raise AnnulusError(f"{where} is damaged: not a foxglove.RawImage.") from None
+            raise DamagedError(f"{where} is damaged: not a foxglove.RawImage.") from None
         channels = CHANNELS.get(raw.encoding)
         if channels is None:
             raise AnnulusError(f"{where} is encoded as {raw.encoding!r}, expected one of {', '.join(CHANNELS)}.")
-        if not raw.width or not raw.height or len(raw.data) != raw.width * raw.height * channels:
-            raise AnnulusError(
+        within = 0 < raw.width <= SIDE_MAX and 0 < raw.height <= SIDE_MAX
+        if not within or len(raw.data) != raw.width * raw.height * channels:
+            raise DamagedError(
                 f"{where} is damaged: {len(raw.data)} bytes for {raw.width}x{raw.height} pixels of {channels} bytes."
             )
         shape = (raw.height, raw.width, channels) if channels > 1 else (raw.height, raw.width)
@@ -133,7 +169,46 @@ class Recording:
 
     def read(self, frame: RecordedFrame) -> Image:
         """The image as (H, W, 3) BGR, demosaiced where the camera gave a mosaic."""
-        return to_bgr(*self.read_raw(frame))
+        try:
+            return to_bgr(*self.read_raw(frame))
+        except cv2.error:
+            name = frame_name(frame.index, frame.camera)
+            raise AnnulusError(f"{self.path}: {name} is too small a mosaic to be made a picture.") from None
+
+    def is_sound(self, frame: RecordedFrame) -> bool:
+        """Whether frame and label are what was written."""
+        try:
+            with self.path.open("rb") as file:
+                return self._is_sound(frame.chunk, file)
+        except (OSError, ValueError):
+            return False
+
+    def _is_sound(self, chunk: Chunk | None, file: IO[bytes]) -> bool:
+        if chunk is None:
+            return True
+        if chunk.offset not in self._sound:
+            try:
+                chunk.read(file)
+                self._sound[chunk.offset] = True
+            except DamagedError:
+                self._sound[chunk.offset] = False
+        return self._sound[chunk.offset]
+
+
+def _of_chunk(file: IO[bytes], frame: RecordedFrame) -> memoryview:
+    """A frame's message, out of a chunk that is what was written."""
+    if frame.chunk is None:
+        return memoryview(piece(file, frame.offset, frame.length))
+    start = frame.offset - frame.chunk.offset
+    return memoryview(frame.chunk.read(file))[start : start + frame.length]
+
+
+def _crc_before(file: IO[bytes], end: int) -> int:
+    file.seek(0)
+    crc, left = 0, end
+    while left and (data := file.read(min(left, 1 << 20))):
+        crc, left = zlib.crc32(data, crc), left - len(data)
+    return crc
 
 
 def frame_name(index: int, camera: int) -> str:
@@ -154,13 +229,15 @@ def to_bgr(image: Image, encoding: str) -> Image:
 
 def open_recording(path: Path) -> Recording:
     """Index a recording by walking its records; needs no footer. Raises AnnulusError when it is none."""
-    walk = _Walk()
     try:
-        with path.open("rb") as file:
-            if file.read(len(_MAGIC)) != _MAGIC:
+        with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
+            told = os.fstat(file.fileno())
+            if not stat.S_ISREG(told.st_mode) or file.read(len(MAGIC)) != MAGIC:
                 raise AnnulusError(f"{path}: not an MCAP recording.")
-            with contextlib.suppress(struct.error, EOFError, ValueError):  # damaged from there on, whole before
-                walk.records(file, len(_MAGIC), os.fstat(file.fileno()).st_size)
+            walk = Walk(file, told.st_size, _ATTACHED)
+            frames, labels, notes = _sorted_out(walk, file)
+    except ValueError as error:  # shorter than it was a moment ago
+        raise AnnulusError(f"{path}: cannot be read ({error}). Is it still being written?") from None
     except OSError as error:
         raise AnnulusError(f"{path}: cannot be read ({error.strerror}). Expected a recording.") from None
     if walk.compression:
@@ -170,9 +247,10 @@ def open_recording(path: Path) -> Recording:
         )
     if not any(topic == LABEL_TOPIC or _camera_of(topic) is not None for topic in walk.channels.values()):
         raise AnnulusError(f"{path}: no {FRAME_TOPIC}/<camera> topic. Expected a recording made by annulus.")
+    calibration, configuration = (_attached(walk, name) for name in _ATTACHED)
     return Recording(
-        path, tuple(walk.frames()), walk.attached("calibration.json"), walk.attached("configuration.json"),
-        not walk.ended, walk.labels, {topic: tuple(places) for topic, places in walk.notes.items()},
+        path, frames, calibration, configuration, not walk.ended, labels, notes, tuple(walk.damage),
+        tuple(walk.chunks), walk.data_crc,
     )  # fmt: skip
 
 
@@ -190,100 +268,57 @@ def camera_of_label(label: object) -> int:
     return untrusted.whole(untrusted.mapping(label, "label").get("camera", 0), "label: camera", 0, CAMERA_ID_MAX)
 
 
-class _Walk:
-    """Goes through a file record by record, remembering where things are. Images are stepped over."""
+_Labels = dict[tuple[int, int], Mapping[str, Any]]  # by index and camera
 
-    def __init__(self) -> None:
-        self.channels: dict[int, str] = {}
-        self.notes: dict[str, list[tuple[int, int]]] = {}
-        self.labels: dict[tuple[int, int], Mapping[str, Any]] = {}  # by index and camera
-        self.images: dict[tuple[int, int], tuple[int, int, int]] = {}  # the same -> time, offset, length
-        self.attachments: dict[str, bytes] = {}
-        self.compression = ""
-        self.ended = False
 
-    def records(self, file: IO[bytes], start: int, end: int) -> None:
-        at = start
-        while at + _RECORD.size <= end and not self.ended:
-            opcode, length = _RECORD.unpack(_slice(file, at, _RECORD.size))
-            at += _RECORD.size
-            if opcode == _CHUNK:
-                self._chunk(file, at, min(at + length, end))  # of a torn chunk, the messages that are whole
-            elif at + length > end:
-                return
-            elif opcode == _MESSAGE and length >= _MESSAGE_HEAD.size:
-                self._message(file, at, length)
-            elif opcode == _CHANNEL:
-                self._channel(_slice(file, at, length))
-            elif opcode == _ATTACHMENT:
-                self._attachment(_slice(file, at, length))
-            elif opcode == _FOOTER:
-                self.ended = True
-            at += length
-
-    def _chunk(self, file: IO[bytes], at: int, end: int) -> None:
-        (name_length,) = struct.unpack("<I", _slice(file, at + _CHUNK_HEAD.size, 4))
-        compression = _slice(file, at + _CHUNK_HEAD.size + 4, min(name_length, 64)).decode()
-        if compression:
-            self.compression = compression
-            return
-        self.records(file, at + _CHUNK_HEAD.size + 4 + name_length + 8, end)
-
-    def _channel(self, data: bytes) -> None:
-        number, _schema, length = struct.unpack_from("<HHI", data)
-        self.channels[number] = data[8 : 8 + length].decode()
-
-    def _message(self, file: IO[bytes], at: int, length: int) -> None:
-        number, sequence, time_ns, _ = _MESSAGE_HEAD.unpack(_slice(file, at, _MESSAGE_HEAD.size))
-        topic = self.channels.get(number, "")
-        offset, size = at + _MESSAGE_HEAD.size, length - _MESSAGE_HEAD.size
+def _sorted_out(
+    walk: Walk, file: IO[bytes]
+) -> tuple[tuple[RecordedFrame, ...], _Labels, dict[str, tuple[Message, ...]]]:
+    """What was walked over as frames, their labels, and notes by topic."""
+    images: dict[tuple[int, int], Message] = {}
+    labels: _Labels = {}
+    labelled: dict[tuple[int, int], Chunk | None] = {}
+    notes: dict[str, list[Message]] = {}
+    for message in walk.messages:
+        topic = walk.channels.get(message.channel, "")
         camera = _camera_of(topic)
         if camera is not None:
-            self.images[sequence, camera] = time_ns, offset, size
+            before = images.setdefault((message.sequence, camera), message)
+            if before is not message and not walk.look_at(before.chunk) and walk.look_at(message.chunk):
+                images[message.sequence, camera] = message
         elif topic:
-            self.notes.setdefault(topic, []).append((offset, size))
+            notes.setdefault(topic, []).append(message)
             if topic == LABEL_TOPIC:
                 try:
-                    label = from_json(_slice(file, offset, size))
-                    self.labels[sequence, camera_of_label(label)] = label
+                    label = from_json(piece(file, message.offset, message.length))
+                    labels[message.sequence, camera_of_label(label)] = label
+                    labelled[message.sequence, camera_of_label(label)] = message.chunk
                 except ValueError:
-                    return
-
-    def _attachment(self, data: bytes) -> None:
-        (name_length,) = struct.unpack_from("<I", data, 16)
-        name = data[20 : 20 + name_length].decode()
-        at = 20 + name_length
-        (media_length,) = struct.unpack_from("<I", data, at)
-        at += 4 + media_length
-        (size,) = struct.unpack_from("<Q", data, at)
-        self.attachments[name] = data[at + 8 : at + 8 + size]
-
-    def frames(self) -> Iterator[RecordedFrame]:
-        for (index, camera), (time_ns, offset, length) in sorted(self.images.items()):
-            label = self.labels.get((index, camera), {})
-            name, z, roll = label.get("label"), label.get("z_mm"), label.get("roll_deg")
-            known = Label(name) if name in {one.value for one in Label} else Label.UNKNOWN
-            z_mm = float(z) if isinstance(z, int | float) and not isinstance(z, bool) else math.nan
-            if isinstance(roll, bool) or not isinstance(roll, int | float) or not math.isfinite(roll):
-                roll = None
-            yield RecordedFrame(
-                index, known if math.isfinite(z_mm) else Label.UNKNOWN, z_mm, time_ns, offset, length,
-                roll if roll is None else float(roll), camera,
-            )  # fmt: skip
-
-    def attached(self, name: str) -> Mapping[str, Any] | None:
-        try:
-            content = json.loads(self.attachments[name])
-        except (KeyError, ValueError):
-            return None
-        return content if isinstance(content, dict) else None
+                    walk.look_at(message.chunk)
+    for key in labelled.keys() ^ images.keys():  # they are written together
+        walk.look_at(labelled[key] if key in labelled else images[key].chunk)
+    frames = tuple(
+        _frame(index, camera, message, labels.get((index, camera), {}))
+        for (index, camera), message in sorted(images.items())
+    )
+    return frames, labels, {topic: tuple(messages) for topic, messages in notes.items()}
 
 
-def _slice(file: IO[bytes], offset: int, length: int) -> bytes:
-    if length > _RECORD_MAX:
-        raise ValueError(f"a record of {length} bytes")
-    file.seek(offset)
-    data = file.read(length)
-    if len(data) != length:
-        raise EOFError
-    return data
+def _frame(index: int, camera: int, image: Message, label: Mapping[str, Any]) -> RecordedFrame:
+    name, z, roll = label.get("label"), label.get("z_mm"), label.get("roll_deg")
+    known = Label(name) if name in [one.value for one in Label] else Label.UNKNOWN
+    z_mm = float(z) if isinstance(z, int | float) and not isinstance(z, bool) and abs(z) <= Z_MAX_MM else math.nan
+    if isinstance(roll, bool) or not isinstance(roll, int | float):
+        roll = None
+    return RecordedFrame(
+        index, known if math.isfinite(z_mm) else Label.UNKNOWN, z_mm, image.time_ns, image.offset, image.length,
+        roll if roll is None else float(roll), camera, image.chunk,
+    )  # fmt: skip
+
+
+def _attached(walk: Walk, name: str) -> Mapping[str, Any] | None:
+    try:
+        content = untrusted.parse_json(walk.attachments[name], ATTACHMENT_MAX)
+    except (KeyError, ValueError):
+        return None
+    return content if isinstance(content, dict) else None

@@ -19,7 +19,7 @@ import numpy as np
 
 from annulus.geometry.calibration import Calibration
 from annulus.numeric.arrays import Image
-from annulus.record.recording import CAMERA_ID_MAX, Recording, frame_name, open_recording
+from annulus.record.recording import CAMERA_ID_MAX, Z_MAX_MM, Recording, frame_name, open_recording
 from annulus.vocabulary import AnnulusError, Label
 
 TABLE = "frames.csv"
@@ -27,7 +27,6 @@ COLUMNS = ("index", "file", "light", "z_mm")
 ROLL, CAMERA = "roll_deg", "camera"  # may be missing
 TABLE_MAX = 256 << 20  # bytes; a day at 25 fps has 100 MB
 FRAME_MAX = 256 << 20
-Z_MAX_MM = 1e8
 ROLL_MAX_DEG = 36e3  # a sensor may count turns
 
 

@@ -1,5 +1,6 @@
 """From a job to its profiles, what is wrong with its frames, and what a survey says of them."""
 
+import contextlib
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -8,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from annulus.numeric.arrays import Image
+from annulus.record.walk import DamagedError
 from annulus.reprocess.executors import Executor, in_process
 from annulus.reprocess.job import Job, Measured, open_job
 from annulus.reprocess.method import examined
@@ -21,6 +24,7 @@ from annulus.wall.texture import LedFrame
 Progress = Callable[[str, int, int], None]  # stage, done, total
 
 LOOKED_AT = 4  # frames examined for what may be wrong with all of them
+DAMAGED = "damaged"  # kind of finding
 CHUNK = 8  # consecutive frames one worker does in a row, each seeded by the one before; fixed, so that results
 # do not depend on the number of workers
 
@@ -66,13 +70,17 @@ def reprocess(job: Job, executor: Executor = in_process, progress: Progress | No
         raise AnnulusError(
             f"{path}: none of its {len(job.scan.frames)} frames is labelled projector, nothing to measure."
         )
-    job.read(which[0])  # the usual mistakes, before anything is compiled
     spread = sorted({which[k * (len(which) - 1) // (LOOKED_AT - 1)] for k in range(LOOKED_AT)})
-    colour, decided = examined(job.calibration, job.colour, [(job.scan.frames[i].index, job.read(i)) for i in spread])
+    looked_at = [(job.scan.frames[i].index, image) for i, image in _intact(job, spread)]
+    if not looked_at:
+        job.read(which[0])  # says what is wrong
+    colour, decided = examined(job.calibration, job.colour, looked_at)
     job = replace(job, colour=colour)
     measured = measure(job, which, executor, progress)
     profiles = tuple(profile for profile, _ in measured)
+    damaged = damaged_frames(job, which, profiles)
     findings = [*exposure_findings([(profile.frame, exposure) for profile, exposure in measured]), *decided]
+    findings += damage_findings(job, damaged)
     if findings and all(profile.pose is None for profile in profiles):
         raise AnnulusError(f"{path}: {findings[0].text}.")
     if job.reference is not None:
@@ -85,6 +93,7 @@ def reprocess(job: Job, executor: Executor = in_process, progress: Progress | No
     }
     if job.scan.recording is not None:
         drops["recording_torn"] = int(job.scan.recording.torn)
+        drops["frames_damaged"] = len(damaged)
     timing = {**stage_medians(profiles), "scan_to_profiles": (time.perf_counter() - started) * 1e3}
     frames = {label.value: counted[label] for label in Label}
     return Reprocessed(job, profiles, tuple(findings), frames, drops, timing)
@@ -107,11 +116,47 @@ def measure(
 def led_frames(job: Job, progress: Progress | None = None) -> Iterator[LedFrame]:
     """The scan's LED frames, read one at a time."""
     which = job.which(Label.LED)
-    for done, i in enumerate(which):
+    for done, (i, image) in enumerate(_intact(job, which)):
         frame = job.scan.frames[i]
-        yield LedFrame(frame.index, frame.z_mm, job.read(i))
+        yield LedFrame(frame.index, frame.z_mm, image)
         if progress is not None:
             progress("texture", done + 1, len(which))
+
+
+def _intact(job: Job, which: Sequence[int]) -> Iterator[tuple[int, Image]]:
+    """Those of the frames that are what was written, with their image."""
+    for i in which:
+        with contextlib.suppress(DamagedError):
+            yield i, job.read(i)
+
+
+def damaged_frames(job: Job, which: Sequence[int], profiles: Sequence[Profile]) -> tuple[int, ...]:
+    """Indices of the frames of a recording that are not what was written: projector frames that made no profile, and
+    LED frames whose checksum is wrong."""
+    recording = job.scan.recording
+    if recording is None:
+        return ()
+    lost = {job.scan.frames[i].index for i in which} - {profile.frame for profile in profiles}
+    led = (i for i in job.which(Label.LED) if not recording.is_sound(recording.frames[i]))
+    return tuple(sorted({*lost, *(job.scan.frames[i].index for i in led)}))
+
+
+def damage_findings(job: Job, damaged: Sequence[int]) -> list[Finding]:
+    """What is told of a recording that is not as it was written."""
+    out: list[Finding] = []
+    recording = job.scan.recording
+    if recording is None:
+        return out
+    if damaged:
+        named = ", ".join(map(str, damaged[:5])) + (", .." if len(damaged) > 5 else "")
+        out.append(
+            Finding(DAMAGED, f"{len(damaged)} frames are damaged and left out (checksum; {named})", tuple(damaged))
+        )
+    if recording.damage:
+        first = recording.damage[0]
+        more = f", and {len(recording.damage) - 1} more" if len(recording.damage) > 1 else ""
+        out.append(Finding(DAMAGED, f"the recording is damaged: at byte {first.offset} {first.text}{more}"))
+    return out
 
 
 def stage_medians(profiles: Sequence[Profile]) -> dict[str, float]:

@@ -10,6 +10,7 @@ from annulus.geometry.calibration import Calibration
 from annulus.numeric.arrays import Image
 from annulus.record.calibration_file import load_calibration, load_part
 from annulus.record.scan import Scan, open_scan
+from annulus.record.walk import DamagedError
 from annulus.reprocess.method import method_for
 from annulus.rings.calibration.reference import Reference
 from annulus.rings.colour import ColourProfile
@@ -46,14 +47,20 @@ class Job:
         return image
 
     def worker(self) -> Callable[[Sequence[int]], list[Measured]]:
-        """Does chunks of frame numbers; in a chunk every frame is seeded with the pose of the one before."""
+        """Does chunks of frame numbers; in a chunk every frame is seeded with the pose of the one before.
+
+        A frame of a recording that is damaged has no profile.
+        """
         method = method_for(self.calibration, self.colour)
 
         def work(chunk: Sequence[int]) -> list[Measured]:
             out: list[Measured] = []
             seed = None
             for i in chunk:
-                image = self.read(i)
+                try:
+                    image = self.read(i)
+                except DamagedError:
+                    continue
                 profile = method(self.scan.frames[i], image, seed)
                 seed = profile.pose
                 out.append((profile, diagnose(image)))

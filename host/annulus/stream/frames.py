@@ -63,10 +63,12 @@ class FrameHeader:
         if not isinstance(data, Mapping):
             raise ValueError("frame header must be a mapping")
         label, encoding, reason = data.get("label"), data.get("encoding"), data.get("reason")
-        if label not in {known.value for known in Label}:
-            raise ValueError(f"frame header: label is {label!r}, expected one of {[known.value for known in Label]}")
-        if encoding not in CHANNELS:
-            raise ValueError(f"frame header: encoding is {encoding!r}, expected one of {list(CHANNELS)}")
+        if label not in [known.value for known in Label]:
+            raise ValueError(
+                f"frame header: label is {untrusted.shown(label)}, expected one of {[known.value for known in Label]}"
+            )
+        if not isinstance(encoding, str) or encoding not in CHANNELS:
+            raise ValueError(f"frame header: encoding is {untrusted.shown(encoding)}, expected one of {list(CHANNELS)}")
         if not isinstance(reason, str) or len(reason) > 200:
             raise ValueError("frame header: reason must be a text of at most 200 characters")
         edge, slot = _whole(data, "edge", 0, 2**32 - 1), _whole(data, "slot", 0, PREAMBLE_MAX - 1)

@@ -100,7 +100,7 @@ def test_a_frame_live_and_on_disk_has_one_profile(job: Job) -> None:
 def test_the_account_counts_what_the_recording_holds(job: Job) -> None:
     done = reprocess(job)
     assert done.frames == {"projector": 20, "led": 4, "unknown": 0}
-    assert done.drops == {"frames_unknown": 0, "profiles_without_pose": 0, "recording_torn": 0}
+    assert done.drops == {"frames_unknown": 0, "profiles_without_pose": 0, "recording_torn": 0, "frames_damaged": 0}
     assert done.findings == () and done.timing_ms["total"] > 0
 
 
@@ -124,3 +124,20 @@ def test_the_readmes_ten_lines_do_what_they_say(folder: Path) -> None:
     depth, k2, z = (float(said.group(i)) for i in (1, 2, 3))
     assert abs(depth - 3.0) <= max(k2, 0.1) and abs(z - 120) < 4 and said.group(4) in ("2:35", "2:40", "2:45")
     assert int(cells) == survey_of(folder / "scan.mcap").wall.seen.sum()
+
+
+def test_damaged_frames_are_left_out_counted_and_named(job: Job, tmp_path: Path) -> None:
+    recording = job.scan.recording
+    assert recording is not None
+    data = bytearray(job.scan.path.read_bytes())
+    for index in (0, 9, 12):  # the first of all, an LED frame, one in the middle
+        frame = recording.frames[index]
+        data[frame.offset + frame.length // 2] ^= 0x40
+    (tmp_path / "damaged.mcap").write_bytes(data)
+    done = reprocess(open_job(tmp_path / "damaged.mcap"), Processes(2))
+    assert done.drops == {"frames_unknown": 0, "profiles_without_pose": 0, "recording_torn": 0, "frames_damaged": 3}
+    assert [profile.frame for profile in done.profiles] == [i for i in range(1, FRAMES) if i % 5 != 4 and i != 12]
+    finding, opened = done.findings
+    assert finding.frames == (0, 9, 12) and "3 frames are damaged and left out" in finding.text
+    assert "the recording is damaged: at byte" in opened.text  # frame 0 lies with what says whose frames these are
+    assert done.survey().wall.seen.any()

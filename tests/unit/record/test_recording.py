@@ -291,7 +291,7 @@ def test_a_frame_whose_label_was_lost_is_unknown(tmp_path: Path) -> None:
 @given(
     st.dictionaries(
         st.text(max_size=5).filter(lambda k: k != "base64"),
-        st.one_of(st.binary(), st.integers(), st.text(), st.lists(st.binary())),
+        st.one_of(st.binary(), st.integers(1 - 2**64, 2**64 - 1), st.text(), st.lists(st.binary())),
     )
 )
 def test_json_carries_bytes(value: dict) -> None:

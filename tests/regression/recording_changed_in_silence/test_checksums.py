@@ -1,0 +1,97 @@
+"""A chunk's checksum was never looked at: 205 of 2000 mutated recordings gave other pixels, or their frames another
+place, and nothing was told. Fails where `Chunk.read` leaves its checksum alone."""
+
+import random
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from annulus.record.recording import open_recording
+from annulus.record.walk import DamagedError
+from annulus.record.writer import RecordingWriter
+from annulus.vocabulary import AnnulusError
+
+FRAMES, H, W = 6, 24, 32
+
+
+def image(index: int) -> np.ndarray:
+    return np.random.default_rng(index).integers(0, 256, (H, W), dtype=np.uint8)
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    path = tmp_path_factory.mktemp("written") / "scan.mcap"
+    with RecordingWriter(path, calibration={"format": "x"}, configuration={"fps": 25}, now_ns=0) as writer:
+        for index in range(FRAMES):
+            label = {"index": index, "label": "led", "z_mm": 2.5 * index, "encoding": "mono8", "width": W, "height": H}
+            writer.frame(label, image(index), index)
+            writer.note("/mark", {"n": index}, index)
+    return path.read_bytes()
+
+
+def changed(written: bytes, seed: int) -> bytes:
+    rng, data = random.Random(seed), bytearray(written)
+    at = rng.randrange(8, len(data))
+    match seed % 5:
+        case 0:
+            data[at] ^= 1 << rng.randrange(8)
+        case 1:
+            data[at : at + 20] = rng.randbytes(20)
+        case 2:
+            length = min(rng.randrange(1, 2000), len(data) - at)
+            data[at : at + length] = bytes(length)
+        case 3:
+            del data[at:]
+        case 4:
+            begin = rng.randrange(len(data))
+            data[at:at] = data[begin : begin + rng.randrange(3000)]
+    return bytes(data)
+
+
+def test_what_comes_out_is_what_was_written_or_the_damage_is_told(written: bytes, tmp_path: Path) -> None:
+    path, wrong, untold = tmp_path / "changed.mcap", 0, 0
+    for seed in range(600):
+        path.write_bytes(changed(written, seed))
+        try:
+            recording = open_recording(path)
+        except AnnulusError:
+            continue
+        told = recording.torn or bool(recording.damage)
+        right = set()
+        for frame in recording.frames:
+            try:
+                seen = recording.read_raw(frame)[0]
+            except AnnulusError:
+                told = True
+                continue
+            if np.array_equal(seen, image(frame.index)) and frame.z_mm == 2.5 * frame.index:
+                right.add(frame.index)
+            else:
+                wrong += 1
+        untold += not told and (len(right) < FRAMES or recording.calibration != {"format": "x"})
+        told = told or bool(recording.check())
+        untold += not told and [note["n"] for note in recording.notes("/mark")] != list(range(FRAMES))
+    assert wrong == untold == 0
+
+
+def test_one_damaged_chunk_costs_its_frame_and_nothing_else(written: bytes, tmp_path: Path) -> None:
+    path, data = tmp_path / "scan.mcap", bytearray(written)
+    path.write_bytes(data)
+    frames = open_recording(path).frames
+    data[frames[2].offset + 100] ^= 1  # a pixel
+    head = frames[4].chunk.offset - 40
+    data[head : head + 20] = bytes(20)  # where a chunk begins
+    path.write_bytes(data)
+    recording = open_recording(path)
+    assert [frame.index for frame in recording.frames] == [0, 1, 2, 3, 5]
+    with pytest.raises(
+        DamagedError, match=r"frame 2 is damaged: the chunk at byte \d+ has the wrong checksum, 3 messages"
+    ):
+        recording.read_raw(recording.frames[2])
+    for frame in (frame for frame in recording.frames if frame.index != 2):
+        assert np.array_equal(recording.read_raw(frame)[0], image(frame.index))
+    assert [note["n"] for note in recording.notes("/mark")] == [0, 2, 4, 5]  # 1 and 3 waited for frames 2 and 4
+    place, count = recording.damage
+    assert "no records" in place.text and count.text == "19 messages were written, 16 are here"
+    assert len(recording.check()) == 3
