@@ -5,8 +5,7 @@ after a reset or a fault. The daemon drives it through a port, the soak in virtu
     while True:
         for news in head.receive(port.read(), now):
             match news:
-                case EdgeSeen(): pairing.edge(news.flash, news.host_ns, news.boot_epoch)
-                case LampsCut(): pairing.invalidate(news.from_ns, news.to_ns)
+                case EdgeSeen(): history.edge(news.flash, news.host_ns, news.boot_epoch)
         port.write(head.pending(now))              # at least every few ms
 """
 
@@ -40,7 +39,7 @@ from annulus.link.messages import (
     StatusReply,
 )
 from annulus.link.preamble import PreambleOrders
-from annulus.link.problems import configuration_problem, is_stopped, refusal, schema_problem
+from annulus.link.problems import STOPPED, TAKEN_OVER, configuration_problem, is_stopped, refusal, schema_problem
 from annulus.link.session import Answer, EventReceived, LinkEvent, Rebooted, Session, Unanswered, identify
 from annulus.vocabulary import EdgeFlag, EdgeIndex, Flash, Lamp, Slot, Tick
 
@@ -52,8 +51,6 @@ PERIOD_TICKS = 4_000_000  # while nothing is configured: 25 fps
 MISMATCH_NS = 1_000_000_000  # between two looks whether the controller has been flashed anew
 EDGES_WAITING_MAX = 64  # for the clock to lock
 LATCHING = (FaultCode.INTERLOCK, FaultCode.HOST_TIMEOUT, FaultCode.WATCHDOG, FaultCode.LIMIT)
-TAKEN_OVER = "another host has identified itself at the controller"
-STOPPED = "somebody else switched the lamps off"
 MENDABLE = (StatusCode.BAD_STATE, StatusCode.UNSAFE)  # may pass by itself: tried again
 
 

@@ -18,6 +18,9 @@ from annulus.link.messages import (
 from annulus.link.session import Answer
 from annulus.vocabulary import Lamp
 
+TAKEN_OVER = "another host has identified itself at the controller"
+STOPPED = "somebody else switched the lamps off"
+
 
 def configuration_problem(found: ConfigurationReply, asked: Stage) -> str:
     """Empty when what is in force is what was asked for, field by field and by its CRC; else one line."""

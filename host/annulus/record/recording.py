@@ -169,6 +169,8 @@ class Recording:
 
     def read(self, frame: RecordedFrame) -> Image:
         """The image as (H, W, 3) BGR, demosaiced where the camera gave a mosaic."""
+        import cv2  # as in to_bgr
+
         try:
             return to_bgr(*self.read_raw(frame))
         except cv2.error:
