@@ -15,6 +15,7 @@ from annulus.labelling.labelling import CameraMode, FrameSeen, Labelling
 from annulus.labelling.navigation import Navigation
 from annulus.link.head import EdgeSeen, HeadControl, HeadEvent, LampsCut, Phase, PhaseChanged, stage_from_us
 from annulus.link.messages import BootCause, Stage
+from annulus.link.preamble import preamble_of
 from annulus.link.session import EventsLost, Rebooted
 from annulus.twin.driver import Delivered, Driver
 from annulus.twin.emulated import Board
@@ -35,11 +36,13 @@ START_NS = 4_000_000_000_000  # the host has been up for a while
 DRIFT_PPM = 35.0  # of the head's crystal against the host's
 REACH_MM = 3000.0  # the winch goes no further
 SPEED_MAX_MM_S = 12.0  # z is counted at the edge and judged at the flash, 7 ms later: 0.08 mm
+PREAMBLE_FRAMES, PREAMBLE_S = 15, 20.0  # as head.toml has them
 PULL_S = (5.0, 60.0)
 REST = 0.3  # of its time the winch stands still
 REOPEN_S = 0.2  # after the plug is back
 ZERO_FRAMES = 250  # after a restart the operator says where the head is
-QUIET_FRAMES = 250  # 10 s: frames unknown for longer and nobody told
+QUIET_FRAMES = 250  # 10 s: frames unknown for longer ..
+TOLD_BEFORE = 50  # .. and nobody told, then or shortly before
 SHOWN_MAX = 20
 
 
@@ -82,8 +85,9 @@ class SoakWorld:
         self.tick = board.tick  # of the world, now
         self.boot = seed % 200  # a native board takes it, an emulated one has its own
         self.board.power_on(self.boot)
-        self.head = HeadControl(soak_configuration(self.timing, self.world))
-        self.navigation = Navigation(self.world.mm_per_count)
+        stage = soak_configuration(self.timing, self.world)
+        self.head = HeadControl(stage, preamble=preamble_of(stage, PREAMBLE_FRAMES, PREAMBLE_S))
+        self.navigation = Navigation(self.world.mm_per_count, SPEED_MAX_MM_S)
         camera = self.world.camera
         mode = CameraMode(0, camera.width, camera.height, BAYER_RGGB8, round(self.timing.period_us * 1000))
         self.labelling = Labelling(mode, self.navigation, self._told, False)
@@ -97,7 +101,7 @@ class SoakWorld:
         self.events_lost_seen = self.events_lost_for_good = 0
         self.unknown_since: int | None = None
         self.last_told = 0
-        self.untold = 0
+        self.untold = self.unlit = 0
         self.number = 0
         self._zero_at, self._zeroing = -1, False
         self._unplugged_until = -1  # world tick
@@ -134,7 +138,7 @@ class SoakWorld:
         if number == self._zero_at:
             self._zeroing = True
             self.navigation.odometer.zeroed_mm = None
-            self.navigation.odometer.zero()
+            self.navigation.zero()
         if not self._stalled:
             self._host()
 
@@ -221,6 +225,7 @@ class SoakWorld:
             ticks = (much / 1000 + REOPEN_S) / TICK_S
             self._unplugged_until = self.tick + round(ticks)
             self.disturbed.append((kind, number + 1 + int(ticks / self.period)))
+            self.last_told = number  # the daemon says that the line is broken
             return
         if kind == "reset":
             self.boot = (self.boot + 1) % 256
@@ -239,6 +244,8 @@ class SoakWorld:
         self._deliver(self.tick)
         now = self._now
         self.labelling.look_for_offset(now / 1e9)
+        if self.labelling.wants_preamble:
+            self.head.order_preamble()
         while self.waiting and (self._crowded or self.labelling.settled(self.waiting[0].seen, now)):
             self._label(self.waiting.popleft())
 
@@ -257,7 +264,8 @@ class SoakWorld:
 
     def _label(self, one: _Waiting) -> None:
         header = self.labelling.header(one.seen)
-        verdict = self.truth.verdict(header, one.frame)
+        here = self.navigation.odometer.here
+        verdict = self.truth.verdict(header, one.frame, here.bound_mm if here is not None else 0.0)
         number = one.frame.number
         self.labels[header.label] += 1
         self.verdicts[verdict] += 1
@@ -265,8 +273,9 @@ class SoakWorld:
             self.reasons[header.reason] += 1
         if verdict is Verdict.UNKNOWN:
             self.unknown_since = number if self.unknown_since is None else self.unknown_since
-            if number - max(self.unknown_since, self.last_told) > QUIET_FRAMES:
-                self.untold += 1
+            self.unlit += not any(part.exposure.lamps for part in one.frame.parts)
+            told = self.last_told >= self.unknown_since - TOLD_BEFORE
+            self.untold += not told and number - self.unknown_since > QUIET_FRAMES
             return
         self.unknown_since = None
         if verdict is Verdict.RIGHT:
@@ -296,12 +305,14 @@ class SoakWorld:
             "wrong_lamps": wrong[Verdict.WRONG_LAMP],
             "wrong_places": wrong[Verdict.WRONG_PLACE],
             "unknown": self.labels[Label.UNKNOWN],
+            "unlit": self.unlit,
             "projector": self.labels[Label.PROJECTOR],
             "led": self.labels[Label.LED],
             "dropped": self.driver.counts["dropped"] + self.driver.counts["dropped_in_stall"],
             "unplugged": self.driver.counts["unplugged"],
             "untold": self.untold,
             "z_assumed": self.truth.assumed,
+            "z_beyond_bound": self.truth.beyond_bound,
             "z_error_max_mm": round(self.truth.error_mm, 3),
             "z_assumed_error_max_mm": round(self.truth.assumed_error_mm, 1),
             "reasons": dict(sorted(self.reasons.items())),

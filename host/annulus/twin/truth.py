@@ -44,7 +44,8 @@ class Truth:
 
     def __init__(self, period: float, mm_per_count: float, cable: Cable) -> None:
         self.assumed = 0  # labelled frames whose z was said to be assumed ..
-        self.assumed_error_mm = 0.0  # .. and by how much it was off, at most
+        self.assumed_error_mm = 0.0  # .. by how much it was off, at most ..
+        self.beyond_bound = 0  # .. and how many were further off than the bound that was told
         self.error_mm = 0.0  # the same of those whose z was said to be known
         self._period, self._cable = period, cable
         self._z_error_max_mm = PLACE_MM + mm_per_count
@@ -74,7 +75,8 @@ class Truth:
         """From this edge on z is counted from where the head was."""
         self._zeros.append((tick, self._cable.z_mm(tick)))
 
-    def verdict(self, header: FrameHeader, frame: Delivered) -> Verdict:
+    def verdict(self, header: FrameHeader, frame: Delivered, bound_mm: float = 0.0) -> Verdict:
+        """bound_mm : of z where it is assumed."""
         if header.label is Label.UNKNOWN:
             return Verdict.UNKNOWN
         if not all(_lit_evenly(part, LAMPS[header.label]) for part in frame.parts):
@@ -84,8 +86,9 @@ class Truth:
         if header.z_mm is None:
             return Verdict.WRONG_PLACE
         off_mm = max(abs(header.z_mm - self.z_mm(part)) for part in frame.parts)
-        if getattr(header, "z_assumed", False):
+        if header.z_assumed:
             self.assumed += 1
+            self.beyond_bound += off_mm > bound_mm + self._z_error_max_mm
             self.assumed_error_mm = max(self.assumed_error_mm, off_mm)
             return Verdict.RIGHT
         self.error_mm = max(self.error_mm, off_mm)
