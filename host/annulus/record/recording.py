@@ -212,6 +212,41 @@ def _crc_before(file: IO[bytes], end: int) -> int:
         crc, left = zlib.crc32(data, crc), left - len(data)
     return crc
 
+    def is_sound(self, frame: RecordedFrame) -> bool:
+        """Whether frame and label are what was written."""
+        try:
+            with self.path.open("rb") as file:
+                return self._is_sound(frame.chunk, file)
+        except (OSError, ValueError):
+            return False
+
+    def _is_sound(self, chunk: Chunk | None, file: IO[bytes]) -> bool:
+        if chunk is None:
+            return True
+        if chunk.offset not in self._sound:
+            try:
+                chunk.read(file)
+                self._sound[chunk.offset] = True
+            except DamagedError:
+                self._sound[chunk.offset] = False
+        return self._sound[chunk.offset]
+
+
+def _of_chunk(file: IO[bytes], frame: RecordedFrame) -> memoryview:
+    """A frame's message, out of a chunk that is what was written."""
+    if frame.chunk is None:
+        return memoryview(piece(file, frame.offset, frame.length))
+    start = frame.offset - frame.chunk.offset
+    return memoryview(frame.chunk.read(file))[start : start + frame.length]
+
+
+def _crc_before(file: IO[bytes], end: int) -> int:
+    file.seek(0)
+    crc, left = 0, end
+    while left and (data := file.read(min(left, 1 << 20))):
+        crc, left = zlib.crc32(data, crc), left - len(data)
+    return crc
+
 
 def frame_name(index: int, camera: int) -> str:
     """As messages name a frame."""
