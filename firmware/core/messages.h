@@ -698,7 +698,7 @@ void reply_samples_unpack(reply_samples_t* self, const uint8_t* payload);
 typedef struct {
     uint8_t length;  // edges; 0 = none, and one that runs ends
     uint16_t interval;  // lamp cycles from the end of one to the next; 0 = on arming and with `now` only
-    uint8_t now;  // 1 = begin one at the next edge, unless one runs or the lamps are not armed
+    uint8_t now;  // 1 = begin one after the flash that is loaded, unless one runs or the lamps are not armed
 } command_preamble_t;
 void command_preamble_pack(const command_preamble_t* self, uint8_t* payload);
 void command_preamble_unpack(command_preamble_t* self, const uint8_t* payload);

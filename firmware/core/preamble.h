@@ -10,10 +10,10 @@
 #include "messages.h"
 
 typedef struct {
-    uint16_t sequence;  // shift register of 15 bits, never 0
-    uint16_t cycles;    // of the lamps, complete since the last one
-    bool running;       // the next edge belongs to one
-    command_preamble_t config;
+    uint16_t sequence;          // shift register of 15 bits, never 0
+    uint16_t cycles;            // of the lamps, complete since the last one
+    bool running;               // the next edge belongs to one
+    command_preamble_t config;  // `now`: one is to begin
 } preamble_t;
 
 // Once, after reset: where the sequence begins.

@@ -62,6 +62,7 @@ static plan_t plan_next(const sequencer_t* const self)
 static void begin(sequencer_t* const self, const bool with_preamble)
 {
     self->preamble.running = with_preamble && (self->preamble.config.length > 0U);
+    self->preamble.config.now = 0;
     self->preamble.cycles = 0;
     self->slot = 0;
     self->reload = true;
@@ -76,12 +77,16 @@ static void next_slot(sequencer_t* const self, const uint8_t taken)
         if (self->slot >= preamble->config.length) {
             begin(self, false);
         }
-    } else if (is_led_slot(&self->config, taken)) {
+        return;
+    }
+    bool due = preamble->config.now != 0U;
+    if (is_led_slot(&self->config, taken)) {
         self->slot = 0;
         preamble->cycles++;
-        if (preamble->cycles == preamble->config.interval) {  // never with 0: they are counted first
-            begin(self, true);
-        }
+        due |= preamble->cycles == preamble->config.interval;  // never with 0: they are counted first
+    }
+    if (due) {
+        begin(self, true);
     }
 }
 
@@ -146,9 +151,7 @@ static void report_edge(sequencer_t* const self, const board_edge_t* const edge,
     if (plan->preamble) {
         preamble_step(&self->preamble);
     }
-    // A late edge uses up its slot as well: the cycle keeps step with the frames. What a preamble has taken the place
-    // of since it was loaded uses up none.
-    if (self->armed && plan->armed && (plan->preamble == self->preamble.running)) {
+    if (self->armed && plan->armed) {  // a late edge uses up its slot as well: the cycle keeps step with the frames
         next_slot(self, plan->slot);
     }
     self->period = self->has_last ? interval : 0U;
@@ -300,14 +303,14 @@ bool sequencer_commit(sequencer_t* const self, const uint8_t generation)
     return true;
 }
 
+// What is loaded stays loaded: its edge may just be coming.
 void sequencer_preamble(sequencer_t* const self, const command_preamble_t* const config)
 {
     preamble_t* const preamble = &self->preamble;
     preamble->config = *config;
     preamble->cycles = 0;
-    const bool over = preamble->running && (self->slot >= config->length);
-    if (over || (!preamble->running && self->armed && (config->now != 0U))) {
-        begin(self, !over);
+    if (!self->armed || preamble->running || (config->length == 0U)) {
+        preamble->config.now = 0;
     }
 }
 

@@ -63,7 +63,7 @@ uint8_t sequencer_stage(sequencer_t* self, const command_stage_t* config, reply_
 // Put the staged configuration in force: at the next slot 0, or now when not armed. False: it is not staged.
 bool sequencer_commit(sequencer_t* self, uint8_t generation);
 
-// Preambles from now on; one that runs goes on, but for what is over the length.
+// Preambles from the flash after the loaded one on; one that runs goes on, but for what is over the length.
 void sequencer_preamble(sequencer_t* self, const command_preamble_t* config);
 
 // From slot 0, after a preamble. Needs a configuration in force.

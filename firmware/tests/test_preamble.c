@@ -132,13 +132,15 @@ static void one_comes_after_every_interval_of_lamp_cycles(void)
     }
 }
 
-static void an_order_begins_one_at_the_next_edge_and_one_that_runs_is_not_begun_anew(void)
+static void an_order_begins_one_after_the_loaded_flash_and_one_that_runs_is_not_begun_anew(void)
 {
     scan(4, 15, 0);
-    watch(15 + 3);
+    watch(15 + 2);
     EXPECT_EQ(order(9, 0, 1).length, 9);
-    watch(4);
-    EXPECT_EQ(edges[0].slot, 0);
+    watch(5);
+    EXPECT(!in_preamble(&edges[0]));
+    EXPECT_EQ(edges[0].slot, 2);
+    EXPECT_EQ(edges[1].slot, 0);
     EXPECT_EQ(order(9, 0, 1).status, STATUS_OK);
     watch(7);
     for (size_t i = 0; i < 5U; i++) {
@@ -149,28 +151,62 @@ static void an_order_begins_one_at_the_next_edge_and_one_that_runs_is_not_begun_
     EXPECT_EQ(edges[5].slot, 0);
 }
 
+static void an_order_within_a_flash_disturbs_neither_it_nor_the_next(void)
+{
+    scan(4, 15, 0);
+    watch(15);
+    const uint64_t edge = rig_edge(4 * MS);  // the projector is on from 3 to 5 ms
+    const size_t last = rig_rises(PIN_PROJECTOR) - 1U;
+    EXPECT_EQ(native_pin(PIN_PROJECTOR), 1);
+    order(15, 0, 1);  // takes 2 ms
+    EXPECT_EQ(rig_fall(PIN_PROJECTOR, last) - edge, 5 * MS);
+    rig_pass(PERIOD - 6 * MS);
+    rig_take_edge();
+    watch(2);
+    EXPECT_EQ(edges[0].slot, 1);
+    EXPECT(in_preamble(&edges[1]));
+}
+
+static void an_order_of_none_leaves_the_cycle_alone(void)
+{
+    scan(4, 15, 0);
+    watch(15 + 2);
+    order(0, 0, 1);
+    watch(5);
+    for (size_t i = 0; i < 5U; i++) {
+        EXPECT_EQ(edges[i].slot, (2U + i) % 5U);
+    }
+}
+
 static void off_or_shorter_ends_one_that_runs(void)
 {
     for (uint8_t length = 0; length <= 4U; length += 4U) {
         scan(4, 15, 0);
         watch(6);
         EXPECT_EQ(order(length, 0, 1).length, length);
-        watch(2);
-        EXPECT(!in_preamble(&edges[0]));
-        EXPECT_EQ(edges[0].slot, 0);
-        EXPECT_EQ(edges[1].slot, 1);
+        watch(3);
+        EXPECT(in_preamble(&edges[0]));  // it was loaded
+        EXPECT_EQ(edges[0].slot, 6);
+        EXPECT(!in_preamble(&edges[1]));
+        EXPECT_EQ(edges[1].slot, 0);
+        EXPECT_EQ(edges[2].slot, 1);
     }
 }
 
-static void an_order_while_disarmed_lights_nothing(void)
+static void an_order_while_disarmed_lights_nothing_then_or_later(void)
 {
-    rig_start();
-    const command_stage_t config = rig_config(1, 4);
-    rig_configure(&config);
+    scan(4, 0, 0);
+    rig_arm(0);
     EXPECT_EQ(order(15, 0, 1).status, STATUS_OK);
+    EXPECT_EQ(order(0, 0, 1).status, STATUS_OK);
+    rig_arm(ARM_LAMPS);
+    order(15, 0, 0);
+    watch(6);
+    EXPECT(!in_preamble(&edges[5]));
+    rig_arm(0);
     watch(3);
     for (size_t i = 0; i < 3U; i++) {
-        EXPECT_EQ(edges[i].flags & ~EDGE_FIRST, EDGE_DISARMED);
+        EXPECT_EQ(edges[i].flags & ~EDGE_IRREGULAR, EDGE_DISARMED);
         EXPECT_EQ(edges[i].slot, 0);
     }
 }
@@ -273,6 +309,7 @@ static void whoever_identifies_has_none(void)
     scan(4, 15, 6);
     watch(5);
     EXPECT_EQ(identify(), STATUS_OK);
+    watch(1);  // it was loaded
     watch(60);
     for (size_t i = 0; i < 60U; i++) {
         EXPECT(!in_preamble(&edges[i]));
@@ -330,9 +367,11 @@ void preamble_tests(void)
     RUN(it_lights_what_the_sequence_says_and_goes_on_where_the_last_one_ended);
     RUN(the_sequence_takes_every_state_but_0_before_it_repeats);
     RUN(one_comes_after_every_interval_of_lamp_cycles);
-    RUN(an_order_begins_one_at_the_next_edge_and_one_that_runs_is_not_begun_anew);
+    RUN(an_order_begins_one_after_the_loaded_flash_and_one_that_runs_is_not_begun_anew);
+    RUN(an_order_within_a_flash_disturbs_neither_it_nor_the_next);
+    RUN(an_order_of_none_leaves_the_cycle_alone);
     RUN(off_or_shorter_ends_one_that_runs);
-    RUN(an_order_while_disarmed_lights_nothing);
+    RUN(an_order_while_disarmed_lights_nothing_then_or_later);
     RUN(disarming_ends_one_and_arming_begins_another);
     RUN(a_commit_within_one_takes_force_at_the_slot_0_after_it);
     RUN(a_late_load_within_one_uses_up_its_place);

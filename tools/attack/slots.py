@@ -17,7 +17,7 @@ LAMPS_OF_RATIO_0 = np.array([Lamp.DARK, Lamp.LED, Lamp.DARK, Lamp.LED])
 
 
 def is_order(asked: Asked) -> bool:
-    """Does it change what is loaded?"""
+    """Does it change what is due?"""
     return isinstance(asked.command, (Arm, Commit, Preamble, Identify))
 
 
@@ -44,7 +44,7 @@ class Slots:
         self, edge: Edge, previous: Edge | None, free: bool, configs: Mapping[int, Stage], order: Preamble | None
     ) -> None:
         """`free`: something between these two edges may have changed what is due. `configs`: by generation, where it is
-        sure. `order`: what preambles are to be like, where that is.
+        sure. `order`: what preambles are to be like, where that is, and has been for an edge more.
         """
         config = configs.get(edge.generation)
         if edge.flags & EdgeFlag.DISARMED:
@@ -135,8 +135,11 @@ def orders_kept(kept: Kept, edges: Sequence[tuple[int, Edge]]) -> None:
         order = asked.command
         if not isinstance(order, Preamble) or not order.now or not order.length or not asked.reply:
             continue
-        after = next(((tick, edge) for tick, edge in edges if tick > asked.answered), None)
-        if asked.reply.status != StatusCode.OK or after is None or after[1].flags & EdgeFlag.DISARMED:
+        later = [(tick, edge) for tick, edge in edges if tick > asked.answered]
+        if asked.reply.status != StatusCode.OK or len(later) < 2:
+            continue
+        after = later[1]  # the first one's flash was loaded
+        if after[1].flags & EdgeFlag.DISARMED:
             continue
         if any(other is not asked and other.answered > asked.sent and other.sent <= after[0] for other in orders):
             continue

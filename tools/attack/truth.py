@@ -24,6 +24,7 @@ from annulus.link.messages import (
     ArmFlag,
     Booted,
     Burst,
+    Commit,
     Configured,
     Edge,
     Event,
@@ -330,7 +331,7 @@ class Truth:
                 slot_free |= any(is_order(a) and taken[-1] - US <= a.answered and a.sent <= tick for a in kept.asked)
             slot_free |= any(taken and taken[-1] <= when <= tick for when, _ in cuts)
             before = previous if whole else None
-            self.slots.edge(edge, before, slot_free, sure, order_at(kept, taken[-1] if taken else 0, tick))
+            self.slots.edge(edge, before, slot_free, sure, order_at(kept, taken[-2] if len(taken) > 1 else 0, tick))
             slot_free = False
             if edge.flags & EdgeFlag.LATE_LOAD:
                 self._late(kept, told, tick, taken[-1] if taken else 0)
@@ -377,7 +378,7 @@ class Truth:
             previous == 0 or tick - previous < patience,
             sum(isinstance(i.event, Configured) and previous <= i.tick <= tick for i in told) > 1,  # two hold-offs
             any(begin - patience <= tick and end + patience >= previous for begin, end in kept.stalls),
-            any(a.sent <= tick and a.answered >= tick - patience for a in kept.asked if is_order(a)),
+            any(a.sent <= tick and a.answered >= tick - patience for a in kept.asked if reloads_flash(a)),
             any(abs(item.tick - tick) < patience for item in told if reloads(item.event)),
         )
         insist(any(reasons), "late_load, and nothing held the main loop up", tick)
@@ -465,6 +466,10 @@ class Truth:
 
 def is_latching(event: Event) -> bool:
     return isinstance(event, Booted) or (isinstance(event, Fault) and (event.fault in LATCHING or event.fault == 8))
+
+
+def reloads_flash(asked: Asked) -> bool:
+    return isinstance(asked.command, (Arm, Commit))
 
 
 def reloads(event: Event) -> bool:

@@ -1749,7 +1749,7 @@ class Preamble(Command):
 
     length: int  # edges; 0 = none, and one that runs ends
     interval: int  # lamp cycles from the end of one to the next; 0 = on arming and with `now` only
-    now: int  # 1 = begin one at the next edge, unless one runs or the lamps are not armed
+    now: int  # 1 = begin one after the flash that is loaded, unless one runs or the lamps are not armed
 
     def pack(self) -> bytes:
         return _pack("preamble", self.LAYOUT, self.length, self.interval, self.now)
