@@ -3,56 +3,40 @@
 Frame n is the frame whose readout ends at edge n, and it was lit by the flash fired after edge n-1. So: take the
 frame's timestamp, subtract the camera's offset, find the one edge near that moment (the closing edge), take the edge
 before it in the same controller life (the opening edge), and believe the flash it announced only if everything agrees:
-both edges regular, armed, one period apart, no reset, fault or arming in between, the driver's own count, and the
-picture. Nothing is counted by arrival, so one disturbed frame cannot shift the next: there is nothing to lock again.
+both edges regular, armed, one period apart, no reset, fault or arming in between, and every witness: the frame was not
+in hand before its edge, each edge has one frame and they rise, the driver counted as many frames as there were edges,
+and the picture shows that lamp, in all its bands, and was not shown before. Nothing is counted by arrival.
 
-    pairing = Pairing(period_ns, calibrate_offset(frames, edges, period_ns).offset_ns)
-    pairing.edge(flash, host_ns, boot_epoch)                  # as they come, in any order
-    if pairing.settled(frame.timestamp_ns, now):        # the edges it needs are here, or will not come any more
-        labelled = pairing.label(frame.timestamp_ns, frame.sequence, measure(frame.image).light)
+A witness that contradicts costs the frame its label and withdraws the proof (proof.py): labels stay unknown until a
+run of frames gives it back (doubt.py), or a search from nothing does (offset.py).
+
+    pairing = Pairing(period_ns, history=history)             # history is fed with edges as they come, in any order
+    pairing.believe(calibrate_offset(frames, history, period_ns))
+    if pairing.settled(frame, now):                           # its edges are here, or will not come any more
+        labelled = pairing.label(frame)                       # frames in the order of capture
 """
 
-import math
-from bisect import bisect_left, insort
-from collections import Counter, deque
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
-from enum import StrEnum
-from statistics import median
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
+from annulus.capture.doubt import Agreed, Doubt, Glimpse
+from annulus.capture.history import EdgeHistory, PlacedEdge
+from annulus.capture.offset import CLEAR, LIGHTS, WINDOW, Offset, OffsetTrack
 from annulus.capture.photometry import Light
-from annulus.vocabulary import AnnulusError, CameraSequence, EdgeFlag, Flash, Label, Lamp
+from annulus.capture.proof import CONTRADICTIONS, News, Reason, State, Witness, next_state
+from annulus.capture.seen import FrameSeen
+from annulus.capture.witnesses import Arrivals, Count, Pictures
+from annulus.vocabulary import CameraSequence, EdgeFlag, Flash, Label, Lamp
 
-EDGES_KEPT = 256  # ten seconds at 25 fps: more than a frame ever waits
-SPANS_KEPT = 64
-WINDOW = 0.25  # of a period: how far a frame may be from its edge
 INTERVAL_TOLERANCE = 0.1  # of a period: between opening and closing edge
+HURRIED = 0.5  # of a period: frames that come so soon one after the other were in a queue
 SETTLE_PERIODS = 3.0  # how long a frame waits for an edge that has to be read again
-OFFSET_FRAMES = 63
-OFFSETS_TRIED = (-2, -1, 0, 1)  # whole periods, from before the exposure to a late soft stamp; fewer than a 4:1 cycle
-CALIBRATION_FRAMES_MIN = 12
-CALIBRATION_MISMATCH_MAX = 0.05
+DOUBT_FRAMES_MAX = 32  # without agreement, before all is searched anew ..
+DOUBT_PICTURES_MAX = 3  # .. and pictures that contradict
 
-_LIGHTS = {Lamp.PROJECTOR: Light.PROJECTOR, Lamp.LED: Light.LED, Lamp.DARK: Light.DARK}
 _LABELS = {Lamp.PROJECTOR: Label.PROJECTOR, Lamp.LED: Label.LED}
-
-
-class Reason(StrEnum):
-    """Why a frame got its label. Everything but AGREED means unknown."""
-
-    AGREED = "agreed"
-    NO_EDGE = "no edge near"
-    TWO_EDGES = "two edges near"
-    OPENING_LOST = "opening edge lost"
-    IRREGULAR = "irregular edge"
-    LATE = "flash loaded late"
-    DISARMED = "disarmed"
-    DARK = "no flash"
-    CUT = "fault or arming during the frame"
-    SEQUENCE = "driver count disagrees"
-    PICTURE = "picture disagrees"
-    UNCLEAR = "picture unclear"
-    OFFSET = "timestamp offset doubtful"
+_TIMED = frozenset({Reason.AGREED, Reason.DARK})  # nothing but the picture can speak against it
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,250 +47,304 @@ class Labelled:
     flash: Flash | None  # fired after the opening edge
     reason: Reason
     residual_ns: int | None  # frame's moment minus its closing edge
-
-
-@dataclass(frozen=True, slots=True, order=True)
-class PlacedEdge:
-    """An edge in host time, by which it sorts."""
-
-    host_ns: int
-    boot_epoch: int
-    index: int
-    flash: Flash = field(compare=False)
+    opened_ns: int | None = None  # host time of the opening edge
 
 
 @dataclass(frozen=True, slots=True)
-class Offset:
-    """Result of `calibrate_offset`."""
+class _Judged:
+    """What edges and time say."""
 
-    offset_ns: int  # frame timestamp minus the end of its readout
-    jitter_ns: int  # one sigma
-    frames: int  # whose picture was compared
-    mismatches: int
-
-
-class EdgeHistory:
-    """The controller's edges of the last seconds, and the spans in which no flash is to be trusted. Cameras on one
-    sync line share one.
-    """
-
-    def __init__(self) -> None:
-        self.edges: list[PlacedEdge] = []  # by host time
-        self.invalid: deque[tuple[int, int]] = deque(maxlen=SPANS_KEPT)
-
-    def edge(self, flash: Flash, host_ns: int, boot_epoch: int) -> None:
-        """An edge was heard. Order does not matter: edges that had to be read again come late."""
-        insort(self.edges, PlacedEdge(host_ns, boot_epoch, flash.edge, flash))
-        if len(self.edges) > EDGES_KEPT:
-            del self.edges[0]
-
-    def invalidate(self, from_ns: int, to_ns: int) -> None:
-        """A lamp may have been cut, or switched, in this span: no frame that was open in it gets a label."""
-        self.invalid.append((from_ns, to_ns))
+    reason: Reason
+    closing: PlacedEdge | None = None
+    opening: PlacedEdge | None = None
 
 
 class Pairing:
-    """Labels one camera's frames from timestamps, edges and pictures. Holds bounded history, no thread, no clock."""
+    """Labels one camera's frames. Holds bounded history, no thread, no clock."""
 
     def __init__(
-        self, period_ns: int, offset_ns: int = 0, *, photometry: bool = True, history: EdgeHistory | None = None
+        self,
+        period_ns: int,
+        *,
+        history: EdgeHistory | None = None,
+        without: frozenset[Witness] = frozenset(),
+        tell: Callable[[str], None] | None = None,
     ) -> None:
-        """`history` is fed by whoever made it; without one, feed `edge` and `invalidate` here."""
+        """`history` is fed by whoever made it; without one, feed `edge` and `invalidate` here. `without`: who is not
+        asked, to show what they are good for. `tell` hears of every change of state, in a line.
+        """
         self.counters: Counter[str] = Counter()  # frames by reason
-        self._history = history or EdgeHistory()
-        self.edge, self.invalidate = self._history.edge, self._history.invalidate
-        self._period_ns = period_ns
-        self._offset_ns = offset_ns
-        self._photometry = photometry
-        self._last: tuple[CameraSequence, int, int] | None = None  # driver sequence, life, closing edge's index
-        self._proved = False
-        self._wandered = False
-        self._residuals: deque[int] = deque(maxlen=OFFSET_FRAMES)
+        self.contradictions: Counter[str] = Counter()  # by kind
+        self.history = history or EdgeHistory()
+        self.edge, self.invalidate = self.history.edge, self.history.invalidate
+        self._period_ns, self._without, self._tell = period_ns, without, tell
+        self._state = State.SEARCHING
+        self._track = OffsetTrack(0, period_ns)
+        self._arrivals, self._count, self._pictures = Arrivals(period_ns), Count(), Pictures()
+        self._doubt = Doubt(self.history, period_ns)
+        self._last: int | None = None  # ordinal of the last frame's closing edge
+        self._latest_ns = 0  # timestamp ..
+        self._arrived_ns: int | None = None  # .. and arrival, of the last frame
+
+    @property
+    def state(self) -> State:
+        return self._state
 
     @property
     def offset_ns(self) -> int:
-        return self._offset_ns
+        return round(self._track.at(self._latest_ns))
+
+    @property
+    def rate(self) -> float:
+        """Of the offset, ns per ns: how fast the driver's clock runs away from the controller's."""
+        return self._track.rate
+
+    @property
+    def lag_ns(self) -> int | None:
+        """How long after its edge a frame usually is in hand. None: not known."""
+        return self._arrivals.usual_ns
 
     @property
     def offset_error_ns(self) -> int:
         """How far the frames have lately been from where the offset puts them; near 0 when all is well."""
-        return round(median(self._residuals)) if len(self._residuals) >= 16 else 0
+        return round(self._track.residual_ns)
 
     @property
     def doubtful(self) -> bool:
-        """The offset is not to be believed (yet, or any more): every label is unknown meanwhile.
-
-        A picture of the other lamp puts the offset in doubt; a picture of the LED (or of the dark) where timing says
-        so proves it again, since under an offset wrong by a frame those never fall together. Frames that wander away
-        from their edges do so for good: they would come to the next edge in the end. Then, `recalibrate`.
-        """
-        return self._wandered or (self._photometry and not self._proved)
-
-    @property
-    def edges(self) -> Sequence[PlacedEdge]:
-        """The edges now held, by time."""
-        return self._history.edges
+        """Every label is unknown meanwhile."""
+        return self._state is not State.PROVED
 
     @property
     def _window_ns(self) -> int:
         return round(WINDOW * self._period_ns)
 
+    def believe(self, offset: Offset) -> None:
+        """What a search has just found."""
+        self._begin(offset.offset_ns)
+        self._arrivals.believe(offset.lags_ns)
+        self._count.believe(offset.count)
+        self._move(News.FOUND, f"{offset.offset_ns / 1e6:+.2f} ms fits {offset.frames} frames")
+
     def recalibrate(self, period_ns: int, offset_ns: int, *, proved: bool = True) -> None:
-        """Another frame rate or offset. `proved`: `calibrate_offset` just found it; False: it is from another day."""
-        self._period_ns, self._offset_ns = period_ns, offset_ns
-        self._proved, self._wandered = proved, False
-        self._last = None
-        self._residuals.clear()
+        """Another frame rate or offset. False: the offset is from another day, pictures have to prove it."""
+        self._period_ns = period_ns
+        self._begin(offset_ns)
+        self._move(News.FOUND if proved or Witness.LAMP in self._without else News.GIVEN, "told so")
 
-    def settled(self, timestamp_ns: int, now_ns: int) -> bool:
+    def settled(self, frame: FrameSeen, now_ns: int) -> bool:
         """Whether waiting longer can still help. True once both edges are held, or after SETTLE_PERIODS."""
-        moment = timestamp_ns - self._offset_ns
-        if now_ns - moment > SETTLE_PERIODS * self._period_ns:
+        moment = frame.timestamp_ns - self._track.at(frame.timestamp_ns)
+        ended = moment if Witness.ARRIVAL in self._without else min(moment, frame.arrived_ns)  # it may be of the future
+        if now_ns - ended > SETTLE_PERIODS * self._period_ns:
             return True
-        near = self._near(moment)
-        return len(near) == 1 and self._opening(near[0]) is not None
+        near = self.history.near(moment, self._window_ns)
+        return len(near) == 1 and self.history.opening(near[0]) is not None
 
-    def label(self, timestamp_ns: int, sequence: CameraSequence | None, light: Light | None) -> Labelled:
-        """The verdict on a frame. `light` None (or photometry off): timing alone. Frames in the order of capture."""
-        moment = timestamp_ns - self._offset_ns
-        closing, flash, reason = self._judge(moment, sequence)
-        residual = moment - closing.host_ns if closing is not None else None
-        if residual is not None:
-            self._residuals.append(residual)
-            self._wandered |= abs(self.offset_error_ns) > self._window_ns // 2
-        if self._photometry and light is not None and flash is not None and reason in (Reason.AGREED, Reason.DARK):
-            reason = self._compare(flash.lamp, light, reason)
+    def label(self, frame: FrameSeen) -> Labelled:
+        """The verdict on a frame. Frames in the order of capture."""
+        if self._state is State.SEARCHING:
+            self.counters[Reason.OFFSET] += 1
+            return Labelled(Label.UNKNOWN, None, Reason.OFFSET, None)
+        self._latest_ns = frame.timestamp_ns
+        repeated = Witness.REPEATED not in self._without and self._pictures.repeated(frame.picture)
+        torn = Witness.TORN not in self._without and frame.picture.torn
+        light = None if repeated or torn or Witness.LAMP in self._without else frame.picture.light
+        judged = self._judge(frame)
+        reason = self._look(judged, light)
+        contradicts = self._contradiction(reason, light)
+        if contradicts is not None:
+            self.contradictions[contradicts.value] += 1
+            self._doubt.pictures += contradicts is News.PICTURE
+            self._move(contradicts)
+        if self.doubtful and self._given_back(frame, judged, light):
+            judged = self._judge(frame)
+            reason = self._look(judged, light)
+        if judged.closing is not None and self._contradiction(reason, None) is None and not self.doubtful:
+            self._learn(frame, judged.closing)
+        if reason in _TIMED and (repeated or torn):
+            reason = Reason.REPEATED if repeated else Reason.TORN
         if reason is Reason.AGREED and self.doubtful:
             reason = Reason.OFFSET
         self.counters[reason] += 1
-        label = _LABELS[flash.lamp] if reason is Reason.AGREED and flash is not None else Label.UNKNOWN
-        return Labelled(label, flash, reason, residual)
+        self._arrived_ns = frame.arrived_ns
+        return self._labelled(frame, judged, reason)
 
-    def _judge(self, moment: int, sequence: CameraSequence | None) -> tuple[PlacedEdge | None, Flash | None, Reason]:
+    # ---- the verdict ----
+
+    def _judge(self, frame: FrameSeen) -> _Judged:
         """What timing says."""
-        near = self._near(moment)
+        moment = frame.timestamp_ns - self._track.at(frame.timestamp_ns)
+        near = self.history.near(moment, self._window_ns)
         if len(near) != 1:
-            self._last = None
-            return None, None, Reason.TWO_EDGES if near else Reason.NO_EDGE
+            return _Judged(Reason.TWO_EDGES if near else self._astray(frame, moment))
         closing = near[0]
-        counted = self._count_agrees(sequence, closing)
-        opening = self._opening(closing)
-        if opening is None:
-            return closing, None, Reason.OPENING_LOST
-        flash = opening.flash
-        interval = closing.host_ns - opening.host_ns
-        tolerance = INTERVAL_TOLERANCE * self._period_ns
-        irregular = EdgeFlag.IRREGULAR in flash.flags | closing.flash.flags
-        if irregular or abs(interval - self._period_ns) > tolerance:
-            return closing, flash, Reason.IRREGULAR
-        if EdgeFlag.LATE_LOAD in flash.flags:
-            return closing, flash, Reason.LATE
-        if EdgeFlag.DISARMED in flash.flags | closing.flash.flags:
-            return closing, flash, Reason.DISARMED
-        if flash.lamp not in _LABELS or flash.width_ticks == 0:
-            return closing, flash, Reason.DARK
-        if any(start <= closing.host_ns and end >= opening.host_ns for start, end in self._history.invalid):
-            return closing, flash, Reason.CUT
-        return closing, flash, Reason.AGREED if counted else Reason.SEQUENCE
+        opening = self.history.opening(closing)
+        reason = self._contradicted(frame, closing) or self._edges_say(opening, closing)
+        if reason is Reason.AGREED and self._counted(frame.sequence) is None:
+            reason = self._uncounted(frame, closing)
+        return _Judged(reason, closing, opening)
 
-    def _near(self, moment: int) -> list[PlacedEdge]:
-        """Edges inside the window around a moment. Neighbours a half period off are outside, so one is the rule."""
-        window = self._window_ns
-        first = bisect_left(self.edges, moment - window, key=lambda edge: edge.host_ns)
-        last = bisect_left(self.edges, moment + window + 1, key=lambda edge: edge.host_ns)
-        return list(self.edges[first:last])
+    def _astray(self, frame: FrameSeen, moment: float) -> Reason:
+        """There is no edge where the timestamp says. Because it was lost, or because the timestamp is wrong?"""
+        if Witness.ARRIVAL not in self._without and moment > frame.arrived_ns + self._window_ns:
+            return Reason.EARLY
+        if self.history.surrounded(moment, 1.5 * self._period_ns):
+            return Reason.BETWEEN
+        last = None if self._last is None else self.history.numbered(self._last)
+        if last is not None and moment < last.host_ns and Witness.ORDER not in self._without:
+            return Reason.ORDER
+        counted = self._counted(frame.sequence)
+        return Reason.NO_EDGE if counted is None or self.history.numbered(counted) is None else Reason.SEQUENCE
 
-    def _opening(self, closing: PlacedEdge) -> PlacedEdge | None:
-        """The edge before, by the controller's own count and in the same life."""
-        wanted = (closing.boot_epoch, closing.index - 1)
-        before = bisect_left(self.edges, closing.host_ns, key=lambda edge: edge.host_ns)
-        for edge in reversed(self.edges[max(0, before - 4) : before]):
-            if (edge.boot_epoch, edge.index) == wanted:
-                return edge
+    def _contradicted(self, frame: FrameSeen, closing: PlacedEdge) -> Reason | None:
+        """What witnesses of time say against this edge."""
+        lag = self._lag(frame, closing)
+        if lag is not None and self._arrivals.early(lag):
+            return Reason.EARLY
+        if Witness.ORDER not in self._without and self._last is not None and closing.ordinal <= self._last:
+            return Reason.ORDER
+        if self._counted(frame.sequence) not in (None, closing.ordinal):
+            return Reason.SEQUENCE
         return None
 
-    def _count_agrees(self, sequence: CameraSequence | None, closing: PlacedEdge) -> bool:
-        """Since the last frame, driver and controller must have counted the same number of frames."""
-        last, self._last = self._last, None
-        if sequence is None:
+    def _edges_say(self, opening: PlacedEdge | None, closing: PlacedEdge) -> Reason:
+        if opening is None:
+            return Reason.OPENING_LOST
+        flags = opening.flash.flags | closing.flash.flags
+        off = closing.host_ns - opening.host_ns - self._period_ns
+        if EdgeFlag.IRREGULAR in flags or abs(off) > INTERVAL_TOLERANCE * self._period_ns:
+            return Reason.IRREGULAR
+        if EdgeFlag.LATE_LOAD in opening.flash.flags:
+            return Reason.LATE
+        if EdgeFlag.DISARMED in flags:
+            return Reason.DISARMED
+        if opening.flash.lamp not in _LABELS or opening.flash.width_ticks == 0:
+            return Reason.DARK
+        return Reason.CUT if self.history.cut(opening, closing) else Reason.AGREED
+
+    def _uncounted(self, frame: FrameSeen, closing: PlacedEdge) -> Reason:
+        """Where no count stands by the timestamp, arrival and order have to, both."""
+        lag = self._lag(frame, closing)
+        if lag is not None and (self._hurried(frame) or self._arrivals.waited(lag)):
+            return Reason.LATER if self._arrivals.for_good else Reason.WAITED
+        skipped = self._last is not None and closing.ordinal != self._last + 1
+        return Reason.SKIPPED if skipped and Witness.ORDER not in self._without else Reason.AGREED
+
+    def _look(self, judged: _Judged, light: Light | None) -> Reason:
+        """Timing has said what lamp it was. What does the picture say?"""
+        if judged.reason not in _TIMED or judged.opening is None or light is None:
+            return judged.reason
+        flash = judged.opening.flash
+        if light is LIGHTS[flash.lamp] or (Witness.PREAMBLE in self._without and EdgeFlag.PREAMBLE in flash.flags):
+            return judged.reason
+        return Reason.UNCLEAR if light is Light.UNCLEAR else Reason.PICTURE
+
+    def _contradiction(self, reason: Reason, light: Light | None) -> News | None:
+        """Darkness would speak of a dead lamp, and both at once of something else; neither of a wrong offset."""
+        if reason is Reason.PICTURE and light not in (Light.PROJECTOR, Light.LED):
+            return None
+        return News(reason.value) if reason.value in CONTRADICTIONS else None
+
+    def _labelled(self, frame: FrameSeen, judged: _Judged, reason: Reason) -> Labelled:
+        if judged.closing is None:
+            return Labelled(Label.UNKNOWN, None, reason, None)
+        residual = round(frame.timestamp_ns - self._track.at(frame.timestamp_ns)) - judged.closing.host_ns
+        if judged.opening is None:
+            return Labelled(Label.UNKNOWN, None, reason, residual)
+        flash = judged.opening.flash
+        label = _LABELS[flash.lamp] if reason is Reason.AGREED else Label.UNKNOWN
+        return Labelled(label, flash, reason, residual, judged.opening.host_ns)
+
+    # ---- the proof ----
+
+    def _given_back(self, frame: FrameSeen, judged: _Judged, light: Light | None) -> bool:
+        """A frame in doubt: does it, with those before, end the doubt?"""
+        if judged.reason in (Reason.NO_EDGE, Reason.TWO_EDGES):
+            return False
+        closing = judged.closing
+        lag = self._lag(frame, closing) if closing is not None else None
+        self._doubt.add(
+            Glimpse(
+                frame.timestamp_ns,
+                self._sequence(frame),
+                light if light in CLEAR else None,
+                closing.ordinal if closing is not None else None,
+                self._arrival_says(frame),
+                self._counted(frame.sequence),
+                lag,
+                lag is not None and self._arrivals.waited(lag),
+            )
+        )
+        agreed = self._doubt.agreed()
+        if agreed is not None:
+            self._restore(frame, agreed)
             return True
-        self._last = (sequence, closing.boot_epoch, closing.index)
-        if last is None or last[1] != closing.boot_epoch:
-            return True
-        return sequence - last[0] == closing.index - last[2]
+        if self._doubt.frames > DOUBT_FRAMES_MAX or self._doubt.pictures >= DOUBT_PICTURES_MAX:
+            self._move(News.GIVEN_UP)
+        return False
 
-    def _compare(self, lamp: Lamp, light: Light, reason: Reason) -> Reason:
-        """Timing is sure of `lamp`. What does the picture say?"""
-        if light is _LIGHTS[lamp]:
-            self._proved |= lamp is not Lamp.PROJECTOR
-            return reason
-        if light is Light.UNCLEAR:
-            return Reason.UNCLEAR
-        if light in (Light.PROJECTOR, Light.LED):  # darkness would speak of a dead lamp, not of a wrong offset
-            self._proved = False
-        return Reason.PICTURE
+    def _restore(self, frame: FrameSeen, agreed: Agreed) -> None:
+        self._last = agreed.ordinals[-2]
+        if agreed.offset_ns is not None:
+            self._track.moved(frame.timestamp_ns, agreed.offset_ns)
+        if agreed.ahead is not None:
+            self._count.believe(agreed.ahead)
+        if agreed.lags_ns is not None:
+            self._arrivals.believe(agreed.lags_ns)
+        self._move(News.AGREED, agreed.why)
 
+    def _learn(self, frame: FrameSeen, closing: PlacedEdge) -> None:
+        """From a frame that nobody contradicts."""
+        self._last = closing.ordinal
+        if EdgeFlag.IRREGULAR in closing.flash.flags:
+            return
+        stamp = frame.timestamp_ns
+        self._track.follow(stamp, stamp - self._track.at(stamp) - closing.host_ns)
+        lag, sequence = self._lag(frame, closing), self._sequence(frame)
+        if lag is not None:
+            self._arrivals.learn(lag, self._counted(frame.sequence) is not None)
+        if sequence is not None:
+            self._count.learn(sequence, closing.ordinal)
 
-def calibrate_offset(frames: Iterable[tuple[int, Light]], edges: Sequence[PlacedEdge], period_ns: int) -> Offset:
-    """The camera's offset from frames whose pictures show what lit them, and the edges of the same seconds.
+    def _begin(self, offset_ns: int) -> None:
+        self._track = OffsetTrack(offset_ns, self._period_ns)
+        self._arrivals, self._count = Arrivals(self._period_ns), Count()
+        self._doubt = Doubt(self.history, self._period_ns)
+        self._last = None
 
-    The fraction of a period is the circular mean of the frames' phases; the whole periods are the only ones under
-    which pictures and flashes agree. AnnulusError when too little was seen, or when nothing or more than one agrees.
-    """
-    seen = [(stamp, light) for stamp, light in frames if light in (Light.DARK, Light.PROJECTOR, Light.LED)]
-    if len(seen) < CALIBRATION_FRAMES_MIN or len(edges) < 2:
-        raise AnnulusError(
-            f"camera offset: {len(seen)} frames with a clear picture and {len(edges)} edges, expected"
-            f" {CALIBRATION_FRAMES_MIN} frames or more. Do the lamps fire, and is the sync line connected?"
-        )
-    phase, jitter = _phase([stamp for stamp, _ in seen], edges, period_ns)
-    by_index = {(edge.boot_epoch, edge.index): edge for edge in edges}
-    verdicts = []
-    for periods in OFFSETS_TRIED:
-        offset = phase + periods * period_ns
-        compared = mismatches = 0
-        for stamp, light in seen:
-            closing = _nearest(edges, stamp - offset)
-            opening = by_index.get((closing.boot_epoch, closing.index - 1))
-            if abs(stamp - offset - closing.host_ns) > WINDOW * period_ns or opening is None:
-                continue
-            compared += 1
-            mismatches += _LIGHTS[opening.flash.lamp] is not light
-        if compared >= CALIBRATION_FRAMES_MIN // 2:
-            verdicts.append((mismatches / compared, mismatches, compared, offset))
-    fitting = [verdict for verdict in verdicts if verdict[0] <= CALIBRATION_MISMATCH_MAX]
-    if not fitting:
-        best = min(verdicts, default=(1.0, 0, 0, 0))
-        raise AnnulusError(
-            f"camera offset: pictures and flashes agree under no offset (best: {best[1]} of {best[2]} disagree),"
-            " expected projector and LED frames in the cycle that was configured"
-        )
-    if len(fitting) > 1:
-        found = ", ".join(f"{verdict[3] / 1e6:.1f}" for verdict in fitting)
-        raise AnnulusError(
-            f"camera offset: {found} ms fit equally well, expected one. Calibrate with a ratio of 4 or more"
-            " and LED frames in view"
-        )
-    _, mismatches, compared, offset = fitting[0]
-    return Offset(offset, jitter, compared, mismatches)
+    def _move(self, news: News, why: str = "") -> None:
+        before, self._state = self._state, next_state(self._state, news)
+        if self._state is before:
+            return
+        if self._state in (State.DOUBTED, State.TENTATIVE):
+            self._doubt.begin(news)
+        if self._tell is not None:
+            self._tell(f"labels were {before}, now {self._state}: {why or news}")
 
+    # ---- who says what ----
 
-def _phase(stamps: Sequence[int], edges: Sequence[PlacedEdge], period_ns: int) -> tuple[int, int]:
-    """Circular mean, and spread, of timestamp minus nearest edge, ns in (-period/2, period/2]."""
-    angles = [2 * math.pi * (stamp - _nearest(edges, stamp).host_ns) / period_ns for stamp in stamps]
-    x = sum(map(math.cos, angles)) / len(angles)
-    y = sum(map(math.sin, angles)) / len(angles)
-    length = min(1.0, math.hypot(x, y))
-    if length < 0.5:
-        raise AnnulusError(
-            "camera offset: frames and edges do not run at the same rate. Is the sync line this camera's, and is the"
-            " frame rate the configured one?"
-        )
-    scale = period_ns / (2 * math.pi)
-    return round(math.atan2(y, x) * scale), round(math.sqrt(-2 * math.log(length)) * scale)
+    def _sequence(self, frame: FrameSeen) -> CameraSequence | None:
+        return None if Witness.COUNT in self._without else frame.sequence
 
+    def _counted(self, sequence: CameraSequence | None) -> int | None:
+        """The ordinal of the edge that the driver's count names."""
+        if sequence is None or self._count.ahead is None or Witness.COUNT in self._without:
+            return None
+        return sequence - self._count.ahead
 
-def _nearest(edges: Sequence[PlacedEdge], moment: int) -> PlacedEdge:
-    at = bisect_left(edges, moment, key=lambda edge: edge.host_ns)
-    around = edges[max(0, at - 1) : at + 1]
-    return min(around, key=lambda edge: abs(edge.host_ns - moment))
+    def _lag(self, frame: FrameSeen, closing: PlacedEdge) -> int | None:
+        return None if Witness.ARRIVAL in self._without else frame.arrived_ns - closing.host_ns
+
+    def _hurried(self, frame: FrameSeen) -> bool:
+        """Whether it came on the heels of the one before: both had waited, and its time says less than it seems to."""
+        before = self._arrived_ns
+        return before is not None and frame.arrived_ns - before < HURRIED * self._period_ns
+
+    def _arrival_says(self, frame: FrameSeen) -> int | None:
+        """The ordinal of the edge that the frame's arrival names, where it did not have to wait."""
+        usual = self._arrivals.usual_ns
+        if usual is None or Witness.ARRIVAL in self._without or self._hurried(frame):
+            return None
+        moment = frame.arrived_ns - usual
+        near: Sequence[PlacedEdge] = self.history.near(moment - self._period_ns / 8, 0.375 * self._period_ns)
+        return near[0].ordinal if len(near) == 1 else None

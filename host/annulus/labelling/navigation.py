@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from annulus.capture.pairing import EdgeHistory
+from annulus.capture.history import EdgeHistory
 from annulus.labelling.evidence import Journal, Write
 from annulus.link.head import EdgeSeen, HeadEvent, LampsCut
 from annulus.link.messages import Fault, FaultCode

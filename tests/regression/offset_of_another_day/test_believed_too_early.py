@@ -4,7 +4,8 @@ Fails when an offset counts as good before a picture of the LED proved it."""
 import pytest
 
 from annulus.capture.pairing import Pairing
-from annulus.capture.photometry import Light
+from annulus.capture.photometry import Photometry
+from annulus.capture.seen import FrameSeen
 from annulus.vocabulary import CameraSequence, EdgeFlag, EdgeIndex, Flash, Label, Lamp, Slot, Tick
 
 MS = 1_000_000
@@ -31,7 +32,8 @@ def test_an_offset_wrong_by_whole_frames_never_gives_a_label(shift: int) -> None
         )
         pairing.edge(flash, 10**12 + edge * PERIOD, 1)
     for number in range(5, 100):
-        shown = Light.LED if lamp[number - 1] is Lamp.LED else Light.PROJECTOR
-        labelled = pairing.label(10**12 + number * PERIOD - 28 * MS, CameraSequence(number), shown)
+        shown = Photometry(200.0, 0.4, 0.001 if lamp[number - 1] is Lamp.LED else 0.38)
+        stamp = 10**12 + number * PERIOD - 28 * MS
+        labelled = pairing.label(FrameSeen(CameraSequence(number), stamp, stamp + 34 * MS, shown, {}))
         assert labelled.label is Label.UNKNOWN
     assert pairing.doubtful

@@ -5,8 +5,12 @@ from typing import Any
 
 import pytest
 
-from annulus.capture.pairing import EdgeHistory, Pairing, PlacedEdge, Reason, calibrate_offset
-from annulus.capture.photometry import Light
+from annulus.capture.history import EdgeHistory
+from annulus.capture.offset import calibrate_offset
+from annulus.capture.pairing import Pairing
+from annulus.capture.photometry import Light, Photometry
+from annulus.capture.proof import Reason, State, Witness
+from annulus.capture.seen import FrameSeen
 from annulus.vocabulary import (
     AnnulusError,
     CameraSequence,
@@ -35,6 +39,22 @@ def flash(edge: int, flags: EdgeFlag = FINE, *, boot: int = 1, lamp: Lamp | None
     return Flash(EdgeIndex(edge), Tick(edge * 4_000_000), Slot(edge % 5), lit, 3, 5, edge, 1, boot, flags)
 
 
+def picture(light: Light) -> Photometry:
+    spread = {Light.PROJECTOR: 0.38, Light.LED: 0.001, Light.BOTH: 0.1, Light.UNCLEAR: 0.1}.get(light, 0.0)
+    return Photometry(5.0 if light is Light.DARK else 200.0, 0.8 if light is Light.BOTH else 0.4, spread)
+
+
+def seen(stamp: int, light: Light, sequence: int | None = None, arrived: int | None = None) -> FrameSeen:
+    count, arrived = (
+        None if sequence is None else CameraSequence(sequence),
+        stamp + 34 * MS if arrived is None else arrived,
+    )
+    return FrameSeen(count, stamp, arrived, picture(light), {})
+
+
+BLIND = frozenset({Witness.LAMP})
+
+
 def at(edge: int) -> int:
     return 10**12 + edge * PERIOD
 
@@ -50,8 +70,8 @@ def pairing_with(edges: range, **options: Any) -> Pairing:
 def frame(pairing: Pairing, number: int, *, light: Light | None = None, jitter: int = 0, sequence: int | None = None):
     """Frame `number` ends at edge `number`; the flash after edge number-1 lit it."""
     shown = light or LIGHT[lamp_of(number - 1)]
-    count = CameraSequence(number if sequence is None else sequence)
-    return pairing.label(at(number) - 28 * MS + jitter, count, shown)
+    count = number if sequence is None else sequence
+    return pairing.label(seen(at(number) - 28 * MS + jitter, shown, count))
 
 
 def test_the_flash_after_edge_k_labels_the_frame_that_ends_at_edge_k_plus_1() -> None:
@@ -72,7 +92,7 @@ def test_a_dropped_frame_never_shifts_labels() -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_jitter_and_late_edges_never_make_a_wrong_label(seed: int) -> None:
     random_ = random.Random(seed)
-    pairing = Pairing(PERIOD, photometry=False)
+    pairing = Pairing(PERIOD, without=BLIND)
     pairing.recalibrate(PERIOD, -28 * MS)
     late: list[int] = []
     agreed = 0
@@ -92,12 +112,17 @@ def test_jitter_and_late_edges_never_make_a_wrong_label(seed: int) -> None:
 
 def test_a_frame_waits_for_its_edges_but_not_for_ever() -> None:
     pairing = pairing_with(range(5))
-    stamp = at(5) - 28 * MS
-    assert not pairing.settled(stamp, at(5))
+    this, after = (seen(at(n) - 28 * MS, Light.PROJECTOR) for n in (5, 6))
+    assert not pairing.settled(this, at(5))
     pairing.edge(flash(5), at(5), 1)
-    assert pairing.settled(stamp, at(5))
-    assert not pairing.settled(at(6) - 28 * MS, at(7))
-    assert pairing.settled(at(6) - 28 * MS, at(10))
+    assert pairing.settled(this, at(5))
+    assert not pairing.settled(after, at(7))
+    assert pairing.settled(after, at(10))
+
+
+def test_a_frame_stamped_in_the_future_is_not_waited_for() -> None:
+    pairing = pairing_with(range(5))
+    assert pairing.settled(seen(at(500), Light.PROJECTOR, arrived=at(5)), at(9))
 
 
 @pytest.mark.parametrize(
@@ -113,7 +138,7 @@ def test_a_frame_waits_for_its_edges_but_not_for_ever() -> None:
 def test_an_edge_that_is_not_to_be_trusted_labels_nothing(
     flags_opening: EdgeFlag, flags_closing: EdgeFlag, reason: Reason
 ) -> None:
-    pairing = Pairing(PERIOD, photometry=False)
+    pairing = Pairing(PERIOD, without=BLIND)
     pairing.recalibrate(PERIOD, -28 * MS)
     pairing.edge(flash(1, flags_opening), at(1), 1)
     pairing.edge(flash(2, flags_closing), at(2), 1)
@@ -144,10 +169,20 @@ def test_a_fault_inside_the_frame_makes_it_unknown_and_only_it() -> None:
 
 
 def test_the_drivers_count_must_agree_with_the_controllers() -> None:
-    pairing = pairing_with(range(12))
-    assert frame(pairing, 3).reason is Reason.AGREED
-    assert frame(pairing, 4, sequence=5).reason is Reason.SEQUENCE  # a frame is missing that has no edge
-    assert frame(pairing, 5, sequence=6).reason is Reason.AGREED
+    pairing = pairing_with(range(32))
+    assert all(frame(pairing, number).reason is Reason.AGREED for number in range(1, 10))
+    assert frame(pairing, 10, sequence=11).reason is Reason.SEQUENCE  # a frame is missing that has no edge
+    assert frame(pairing, 11, sequence=12).label is Label.UNKNOWN, "what is wrong once is not the truth from then on"
+    assert pairing.state is State.DOUBTED
+
+
+def test_a_count_that_was_wrong_once_is_forgiven_when_all_agree_again() -> None:
+    pairing = pairing_with(range(32))
+    for number in range(1, 10):
+        frame(pairing, number)
+    assert frame(pairing, 10, sequence=999).label is Label.UNKNOWN
+    labels = [frame(pairing, number).label for number in range(11, 20)]
+    assert labels[0] is Label.UNKNOWN and Label.UNKNOWN not in labels[1:]
 
 
 def test_two_edges_near_one_frame_label_nothing() -> None:
@@ -169,17 +204,22 @@ def test_a_right_offset_from_another_day_is_believed_from_the_first_led_frame_on
     assert labels[:4] == [Label.UNKNOWN] * 4 and labels[4:] == [LABEL[lamp_of(n - 1)] for n in range(5, 20)]
 
 
-def edges_of(count: int) -> list[PlacedEdge]:
-    return [PlacedEdge(at(n), 1, n, flash(n)) for n in range(count)]
+def history_of(count: int, **options: Any) -> EdgeHistory:
+    history = EdgeHistory()
+    for n in range(count):
+        history.edge(flash(n, **options), at(n), 1)
+    return history
 
 
 @pytest.mark.parametrize("offset_ms", [-66.0, -28.0, -20.5, 0.0, 3.0, 19.0, 31.0])
 def test_the_offset_is_found_wherever_the_driver_stamps(offset_ms: float) -> None:
     random_ = random.Random(1)
     frames = [
-        (at(n) + round(offset_ms * MS + random_.gauss(0, 2 * MS)), LIGHT[lamp_of(n - 1)]) for n in range(5, 55) if n % 9
+        seen(at(n) + round(offset_ms * MS + random_.gauss(0, 2 * MS)), LIGHT[lamp_of(n - 1)])
+        for n in range(5, 55)
+        if n % 9
     ]
-    found = calibrate_offset(frames, edges_of(60), PERIOD)
+    found = calibrate_offset(frames, history_of(60), PERIOD, arrivals=False)
     assert abs(found.offset_ns - offset_ms * MS) < 0.9 * MS
     assert 1.2 * MS < found.jitter_ns < 3 * MS and found.mismatches == 0
 
@@ -187,21 +227,59 @@ def test_the_offset_is_found_wherever_the_driver_stamps(offset_ms: float) -> Non
 def test_no_offset_is_made_up_from_frames_that_do_not_tell() -> None:
     stamps = [at(n) - 28 * MS for n in range(5, 55)]
     with pytest.raises(AnnulusError, match="fit equally well"):
-        projector_only = [PlacedEdge(at(n), 1, n, flash(n, lamp=Lamp.PROJECTOR)) for n in range(60)]
-        calibrate_offset([(stamp, Light.PROJECTOR) for stamp in stamps], projector_only, PERIOD)
+        calibrate_offset(
+            [seen(stamp, Light.PROJECTOR) for stamp in stamps], history_of(60, lamp=Lamp.PROJECTOR), PERIOD
+        )
     with pytest.raises(AnnulusError, match="agree under no offset"):
-        calibrate_offset([(stamp, Light.DARK) for stamp in stamps], edges_of(60), PERIOD)
+        calibrate_offset([seen(stamp, Light.DARK) for stamp in stamps], history_of(60), PERIOD)
     with pytest.raises(AnnulusError, match="0 frames with a clear picture"):
-        calibrate_offset([(stamp, Light.UNCLEAR) for stamp in stamps], edges_of(60), PERIOD)
+        calibrate_offset([seen(stamp, Light.UNCLEAR) for stamp in stamps], history_of(60), PERIOD)
     with pytest.raises(AnnulusError, match="same rate"):
-        slow = [(at(5) + n * 47 * MS, LIGHT[lamp_of(n)]) for n in range(40)]
-        calibrate_offset(slow, edges_of(60), PERIOD)
+        slow = [seen(at(5) + n * 47 * MS, LIGHT[lamp_of(n)]) for n in range(40)]
+        calibrate_offset(slow, history_of(60), PERIOD)
+
+
+@pytest.mark.parametrize("late", [0, 1, 2, 3, 4, 7, -3])
+def test_whole_periods_are_those_that_are_possible_for_frames_that_came_when_they_came(late: int) -> None:
+    offset = -28 * MS + late * PERIOD
+    frames = [seen(at(n) + offset, LIGHT[lamp_of(n - 1)], 7 * n, at(n) + 6 * MS) for n in range(5, 55)]
+    found = calibrate_offset(frames, history_of(60), PERIOD)
+    assert abs(found.offset_ns - offset) < MS
+    assert found.count is None, "a count that does not count frames is none"
+
+
+def test_nothing_is_concluded_from_frames_that_all_had_waited() -> None:
+    frames = [seen(at(n) - 28 * MS, LIGHT[lamp_of(n - 1)], n, at(60) + n * MS) for n in range(5, 55)]
+    with pytest.raises(AnnulusError, match="frames come in bursts"):
+        calibrate_offset(frames, history_of(60), PERIOD)
 
 
 def test_history_is_bounded() -> None:
     history = EdgeHistory()
     pairing = pairing_with(range(5000), history=history)
-    assert len(pairing.edges) <= 256
+    assert len(history.edges) <= 256
     for n in range(1000):
         pairing.invalidate(n, n)
     assert len(history.invalid) <= 64
+
+
+def test_edges_are_numbered_by_time_over_restarts_lost_and_doubled_edges() -> None:
+    """The controller's own count stands still where a pulse is missed, leaps where one is doubled, begins anew."""
+    history = EdgeHistory()
+    moments = [(n, 0.0) for n in range(1000) if n not in (200, 201) and not 300 <= n < 310]
+    moments = sorted([*moments, (100, 0.125), (150, 0.55)], key=sum)
+    index, life = 0, 1
+    for n, after in moments:
+        if n == 310:
+            index, life = 0, 2
+        history.edge(flash(index, boot=life), at(n) + round(after * PERIOD), life)
+        index += 1
+        if not after:
+            assert history.edges[-1].ordinal == n
+    assert history.lit(990) is not None
+
+
+def test_after_too_long_a_silence_no_number_fits() -> None:
+    history = history_of(4)
+    history.edge(flash(0, boot=2), at(4000), 2)
+    assert history.edges[-1].ordinal > 10**6

@@ -94,13 +94,13 @@ def test_a_camera_that_changes_its_mind_is_unknown_until_its_new_offset_is_found
     last, waiting = [], []
     for k in range(1, 400):
         if k == 150:
-            clock.offset_ns = 12_000_000  # one whole frame later: only pictures can tell
+            clock.offset_ns = 12_000_000  # one whole frame later
         waiting.append(clock.frame(k))
         while waiting and clock.labelling.settled(waiting[0], k * PERIOD):
             header = clock.labelling.header(waiting.pop(0))
             assert header.label in (Label.UNKNOWN, right[clock.lamp((header.sequence or 0) - 1)]), header
             last.append(header.label)
-    assert any("doubtful" in text for _, text in clock.told)
+    assert any("now doubted" in text for _, text in clock.told)
     assert Label.UNKNOWN not in last[-100:]
 
 

@@ -1,0 +1,173 @@
+"""What gives a withdrawn proof back.
+
+Timestamp, arrival and driver's count each name the edge that ends a frame. While labels are in doubt the last frames
+are kept. Their labels are believed again when a run of frames, edges rising, pictures agreeing, has either
+
+- all three on the same edges: whatever it was has passed;
+- two of them on the same edges, and the third off by the same in each: that one has moved, and is set anew.
+
+An edge named by two who were right before, or by all, is the frame's whatever the lamp cycle is. Where a run is not
+enough (nobody counts, the pictures were the contradiction) it must be longer, and where the flashes of those seconds
+include one that is not the projector's, a picture must have shown it.
+"""
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from statistics import median
+
+from annulus.capture.history import EdgeHistory
+from annulus.capture.offset import LAG_PERIODS_MAX, LAG_PERIODS_MIN, LIGHTS, WINDOW
+from annulus.capture.photometry import Light
+from annulus.capture.proof import News
+from annulus.vocabulary import CameraSequence, Lamp
+
+GLIMPSES_KEPT = 16
+PASSED_RUN = 2  # frames on which all agree, after a doubt about time
+MOVED_RUN = 4  # on which two agree
+PICTURES_RUN = 5  # after a doubt about pictures, and where nobody but pictures can say
+ALONE_RUN = 8  # where one is alone against one
+LAMP_LOOKED_FOR = 8  # frames back
+
+
+@dataclass(frozen=True, slots=True)
+class Glimpse:
+    """What the witnesses said of one frame in doubt. Edges by their ordinals."""
+
+    timestamp_ns: int
+    sequence: CameraSequence | None
+    light: Light | None  # None: the picture says nothing
+    by_stamp: int | None
+    by_arrival: int | None
+    by_count: int | None
+    lag_ns: int | None  # in hand so long after the edge `by_stamp`
+    waited: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Agreed:
+    """A run of frames that proves their edges, and what it says of each witness."""
+
+    ordinals: tuple[int, ...]  # rising
+    offset_ns: float | None  # None: as it was
+    ahead: int | None  # driver's count minus ordinal
+    lags_ns: tuple[int, ...] | None  # None: as they were
+    why: str
+
+
+class Doubt:
+    """The frames since labels were last believed."""
+
+    def __init__(self, history: EdgeHistory, period_ns: int) -> None:
+        self._history, self._period_ns = history, period_ns
+        self._glimpses: deque[Glimpse] = deque(maxlen=GLIMPSES_KEPT)
+        self._stamps_impossible = False
+        self.frames = 0
+        self.pictures = 0  # that contradicted
+
+    def begin(self, news: News) -> None:
+        self._glimpses.clear()
+        self._stamps_impossible = news in (News.EARLY, News.ORDER, News.BETWEEN)
+        self.frames, self.pictures = 0, int(news is News.PICTURE)
+
+    def add(self, glimpse: Glimpse) -> None:
+        self.frames += 1
+        self._glimpses.append(glimpse)
+
+    def agreed(self) -> Agreed | None:
+        """Whether the last frames prove their edges, the latest included."""
+        long = PICTURES_RUN if self.pictures else 0
+        for way, run, moved, why in (
+            (_all, max(PASSED_RUN, long), False, "all witnesses agree again"),
+            (_stamp_alone, max(PICTURES_RUN, long), False, "pictures agree"),
+            (_arrival_and_count, max(MOVED_RUN, long), True, "timestamps have moved"),
+            (_arrival_alone if self._stamps_impossible else _nobody, ALONE_RUN, True, "timestamps have moved"),
+            (_stamp_and_arrival, max(MOVED_RUN, long), True, "the driver counts anew"),
+            (_stamp_and_count, ALONE_RUN, True, "frames come sooner than they did"),
+        ):
+            agreed = self._run(way, run, moved or way is _stamp_alone or bool(self.pictures), why)
+            if agreed is not None:
+                return agreed
+        return None
+
+    def _run(self, way: Callable[[Glimpse], int | None], length: int, shown: bool, why: str) -> Agreed | None:
+        """The run that ends with the latest frame, if it is long enough. `shown`: some picture is of another lamp."""
+        run: list[tuple[Glimpse, int]] = []
+        told = 0
+        for glimpse in reversed(self._glimpses):
+            ordinal = way(glimpse)
+            if ordinal is None or (run and ordinal >= run[-1][1]):
+                break
+            flash = self._history.lit(ordinal)
+            if flash is not None and glimpse.light is not None:
+                if glimpse.light is not LIGHTS[flash.lamp]:
+                    break
+                told += flash.lamp is not Lamp.PROJECTOR
+            run.append((glimpse, ordinal))
+        if len(run) < length or (shown and not told and self._other_lamp_before(run[0][1])):
+            return None
+        return self._what_it_says(run[::-1], way, why)
+
+    def _other_lamp_before(self, ordinal: int) -> bool:
+        """Whether a flash but the projector's lit one of the last frames."""
+        flashes = (self._history.lit(ordinal - back) for back in range(LAMP_LOOKED_FOR))
+        return any(flash is not None and flash.lamp is not Lamp.PROJECTOR for flash in flashes)
+
+    def _what_it_says(self, run: list[tuple[Glimpse, int]], way: Callable[..., int | None], why: str) -> Agreed | None:
+        """None when what has moved has not settled yet."""
+        moved_to: float | None = None
+        if way in (_arrival_and_count, _arrival_alone):
+            placed = [(glimpse.timestamp_ns, self._history.numbered(ordinal)) for glimpse, ordinal in run]
+            offsets = [stamp - edge.host_ns for stamp, edge in placed if edge is not None]
+            moved_to = median(offsets)
+            if any(abs(offset - moved_to) > WINDOW * self._period_ns for offset in offsets):
+                return None
+        aheads = {glimpse.sequence - ordinal for glimpse, ordinal in run if glimpse.sequence is not None}
+        if way is _stamp_and_arrival and len(aheads) != 1:
+            return None
+        lags: tuple[int, ...] | None = None
+        if way in (_stamp_alone, _stamp_and_count):
+            lags = tuple(glimpse.lag_ns for glimpse, _ in run if glimpse.lag_ns is not None)
+            low, high = LAG_PERIODS_MIN * self._period_ns, LAG_PERIODS_MAX * self._period_ns
+            if any(not low <= lag <= high for lag in lags):
+                return None
+        ordinals = tuple(ordinal for _, ordinal in run)
+        return Agreed(ordinals, moved_to, aheads.pop() if len(aheads) == 1 else None, lags, why)
+
+
+def _all(glimpse: Glimpse) -> int | None:
+    """All who have a say, and at least one beside the timestamp. Who had to wait came late by his own fault."""
+    edge = glimpse.by_stamp
+    if glimpse.by_count not in (None, edge):
+        return None
+    if glimpse.by_arrival == edge:
+        return edge
+    return edge if glimpse.by_count is not None and (glimpse.waited or glimpse.lag_ns is None) else None
+
+
+def _stamp_alone(glimpse: Glimpse) -> int | None:
+    """Where nobody else has anything to say yet."""
+    alone = glimpse.by_arrival is None and glimpse.by_count is None and not glimpse.waited
+    return glimpse.by_stamp if alone else None
+
+
+def _arrival_and_count(glimpse: Glimpse) -> int | None:
+    return glimpse.by_arrival if glimpse.by_arrival == glimpse.by_count else None
+
+
+def _arrival_alone(glimpse: Glimpse) -> int | None:
+    return glimpse.by_arrival if glimpse.by_count is None else None
+
+
+def _nobody(glimpse: Glimpse) -> int | None:
+    return None
+
+
+def _stamp_and_arrival(glimpse: Glimpse) -> int | None:
+    counted_anew = glimpse.by_count not in (None, glimpse.by_stamp)
+    return glimpse.by_stamp if glimpse.by_stamp == glimpse.by_arrival and counted_anew else None
+
+
+def _stamp_and_count(glimpse: Glimpse) -> int | None:
+    sooner = glimpse.by_stamp is not None and not glimpse.waited and glimpse.by_arrival != glimpse.by_stamp
+    return glimpse.by_stamp if sooner and glimpse.by_stamp == glimpse.by_count else None

@@ -1,0 +1,110 @@
+"""What each witness keeps in mind: how late the driver usually is, which frames it counted, which pictures were shown.
+
+None of them learns from a frame that another contradicts.
+"""
+
+from collections import deque
+from collections.abc import Iterable
+
+from annulus.capture.photometry import Light, Photometry
+from annulus.vocabulary import CameraSequence
+
+LAGS_KEPT = 64
+LATE_KEPT = 32
+LAGS_MIN = 8  # before the usual lag is spoken of
+LAG_RANK = 20  # one in so many may be quicker than the usual, by chance
+QUICKER = 0.25  # of a period: what comes so much sooner than usual cannot be that frame
+SLOWER = 0.5  # of a period: what comes so much later had to wait
+FINGERPRINTS_KEPT = 64
+COUNT_FRAMES = 4  # that agree before a count is relied on
+
+
+class Arrivals:
+    """How long after its edge a frame is in hand: a host that stalls makes that longer, nothing makes it shorter."""
+
+    def __init__(self, period_ns: int) -> None:
+        self._period_ns = period_ns
+        self._lags: deque[int] = deque(maxlen=LAGS_KEPT)
+        self._waited: deque[int] = deque(maxlen=LATE_KEPT)  # one after the other
+        self.usual_ns: int | None = None
+
+    def believe(self, lags_ns: Iterable[int]) -> None:
+        """Forget what was; these are frames of the same seconds."""
+        self._lags.clear()
+        self._waited.clear()
+        self.usual_ns = None
+        for lag in lags_ns:
+            self._lags.append(lag)
+        self._judge()
+
+    def early(self, lag_ns: int) -> bool:
+        """Whether nobody could have had it so soon."""
+        return lag_ns < -QUICKER * self._period_ns or (
+            self.usual_ns is not None and lag_ns < self.usual_ns - QUICKER * self._period_ns
+        )
+
+    def waited(self, lag_ns: int) -> bool:
+        return self.usual_ns is not None and lag_ns > self.usual_ns + SLOWER * self._period_ns
+
+    def usual(self, lag_ns: int) -> bool:
+        return self.usual_ns is not None and not self.early(lag_ns) and not self.waited(lag_ns)
+
+    @property
+    def for_good(self) -> bool:
+        """Whether frames have been coming late for long, by the same time each: that is no backlog."""
+        return len(self._waited) == LATE_KEPT and max(self._waited) - min(self._waited) <= SLOWER * self._period_ns
+
+    def learn(self, lag_ns: int, counted: bool) -> None:
+        """Of a frame that nobody contradicts. A backlog says nothing of the driver, unless it never ends and the
+        driver's count knows that no frames are missing.
+        """
+        if self.waited(lag_ns):
+            self._waited.append(lag_ns)
+            if counted and self.for_good:
+                self.believe(list(self._waited))
+            return
+        self._waited.clear()
+        self._lags.append(lag_ns)
+        self._judge()
+
+    def _judge(self) -> None:
+        if len(self._lags) >= LAGS_MIN:
+            self.usual_ns = sorted(self._lags)[len(self._lags) // LAG_RANK]
+
+
+class Count:
+    """The driver's count minus the ordinal of the edge, which nothing changes but a driver that counts anew."""
+
+    def __init__(self) -> None:
+        self.ahead: int | None = None
+        self._candidate: int | None = None
+        self._agreed = 0
+
+    def believe(self, ahead: int | None) -> None:
+        self.ahead, self._candidate, self._agreed = ahead, None, 0
+
+    def learn(self, sequence: CameraSequence, ordinal: int) -> None:
+        """Of a frame that was believed, while no count was."""
+        if self.ahead is not None:
+            return
+        if self._candidate != sequence - ordinal:
+            self._candidate, self._agreed = sequence - ordinal, 0
+        self._agreed += 1
+        if self._agreed >= COUNT_FRAMES:
+            self.ahead = self._candidate
+
+
+class Pictures:
+    """Those lately shown. Darkness has no face: two dark frames may be alike to the last bit."""
+
+    def __init__(self) -> None:
+        self._shown: deque[int] = deque(maxlen=FINGERPRINTS_KEPT)
+
+    def repeated(self, picture: Photometry) -> bool:
+        """Ask once for each frame."""
+        if picture.fingerprint is None or picture.light is Light.DARK:
+            return False
+        if picture.fingerprint in self._shown:
+            return True
+        self._shown.append(picture.fingerprint)
+        return False
