@@ -4,7 +4,12 @@
 
 static uint8_t boot;
 static uint8_t cause;
-static uint32_t starts;  // in this process
+static uint32_t starts;  // in this world
+
+void identity_begin(void)
+{
+    starts = 0;
+}
 
 void identity_start(const uint8_t given_boot, const uint8_t given_cause)
 {

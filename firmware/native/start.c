@@ -15,6 +15,7 @@ static uint64_t next_time(void);
 void native_begin(void)
 {
     world_begin();
+    identity_begin();
     native_seed(0);
     pinuse_begin();
     lines_begin();
