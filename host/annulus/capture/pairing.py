@@ -146,8 +146,9 @@ class Pairing:
             self.counters[Reason.OFFSET] += 1
             return Labelled(Label.UNKNOWN, None, Reason.OFFSET, None)
         self._latest_ns = frame.timestamp_ns
-        repeated = Witness.REPEATED not in self._without and self._pictures.repeated(frame.picture)
-        torn = Witness.TORN not in self._without and frame.picture.torn
+        met = self._pictures.met(frame.picture)
+        repeated = met is Witness.REPEATED and Witness.REPEATED not in self._without
+        torn = (met is Witness.TORN or frame.picture.torn) and Witness.TORN not in self._without
         light = None if repeated or torn or Witness.LAMP in self._without else frame.picture.light
         judged = self._judge(frame)
         reason = self._look(judged, light)

@@ -5,7 +5,8 @@ that of the wall everywhere, even on a yellow one. The variance of chromaticity 
 brightness, is 0.3 to 0.4 for the one, below 0.01 for the other, whatever the gain, pose or exposure.
 
 A frame is one exposure from top to bottom. So every band of it must show the same lamp (a torn picture's do not), and
-no two frames are the same down to the noise (a picture that the driver handed over twice is).
+no two frames are the same down to the noise (a picture that the driver handed over twice is). A picture torn between
+two projector frames shows one lamp, but its first or last row is that of a picture shown before.
 """
 
 from dataclasses import dataclass
@@ -26,6 +27,7 @@ LIT_EVERYWHERE = 0.5  # of the samples: stripes alone never light that many
 LIT_OF_PEAK = 0.2  # a sample brighter than this share of the peak is lit
 BANDS = 8
 ROW_SPREAD_MAX = 2 * LED_SPREAD_MAX  # a row alone is noisier than a picture
+BUSY_GREY = 3  # a row whose samples differ by less may be any picture's
 ROW_LIT_MIN = 0.02  # of a row's samples: with fewer lit ones it is dark
 
 
@@ -48,6 +50,8 @@ class Photometry:
     spread: float  # brightness-weighted variance of chromaticity, 0..2/3
     bands: tuple[Light, ...] = ()  # of BANDS horizontal strips, from the top; empty: not looked at
     fingerprint: int | None = None  # 64 bits of the sampled pixels; the same for a picture handed over twice
+    top: int | None = None  # 48 bits of the first row of samples; None: it is too plain to be known again
+    bottom: int | None = None  # .. and of the last
 
     @property
     def light(self) -> Light:
@@ -77,7 +81,8 @@ def measure(image: Image) -> Photometry:
     Samples single pixels (or 2x2 cells), never averages: an average over a stripe's edge is white.
     """
     blue, green, red, sampled = _samples(image)
-    fingerprint = int.from_bytes(blake2b(sampled.data, digest_size=8).digest(), "little")
+    fingerprint = _hashed(sampled, 8)
+    top, bottom = (_hashed(row, 6) if np.ptp(row) >= BUSY_GREY else None for row in (sampled[0], sampled[-1]))
     brightest = np.maximum(np.maximum(blue, green), red)
     peak = _percentile(brightest, PEAK_SHARE)
     row = np.ones(brightest.shape[1], np.float32)
@@ -92,7 +97,11 @@ def measure(image: Image) -> Photometry:
         pure[i] = np.einsum("ij,ij->i", channel, chromaticity)
     spread = float(_spread(light.sum(1), pure.sum(1)))
     bands = _bands(lit, _spread(light, pure)) if peak >= DARK_GREY else (Light.DARK,) * BANDS
-    return Photometry(peak, float(lit.mean()), spread, bands, fingerprint)
+    return Photometry(peak, float(lit.mean()), spread, bands, fingerprint, top, bottom)
+
+
+def _hashed(samples: Image, size: int) -> int:
+    return int.from_bytes(blake2b(samples.data, digest_size=size).digest(), "little")
 
 
 def _percentile(values: Float32Array, share: float) -> float:

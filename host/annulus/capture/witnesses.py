@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Iterable
 
 from annulus.capture.photometry import Light, Photometry
+from annulus.capture.proof import Witness
 from annulus.vocabulary import CameraSequence
 
 LAGS_KEPT = 64
@@ -15,7 +16,7 @@ LAGS_MIN = 8  # before the usual lag is spoken of
 LAG_RANK = 20  # one in so many may be quicker than the usual, by chance
 QUICKER = 0.25  # of a period: what comes so much sooner than usual cannot be that frame
 SLOWER = 0.5  # of a period: what comes so much later had to wait
-FINGERPRINTS_KEPT = 64
+PICTURES_KEPT = 16  # more than a driver has buffers
 COUNT_FRAMES = 4  # that agree before a count is relied on
 
 
@@ -98,13 +99,17 @@ class Pictures:
     """Those lately shown. Darkness has no face: two dark frames may be alike to the last bit."""
 
     def __init__(self) -> None:
-        self._shown: deque[int] = deque(maxlen=FINGERPRINTS_KEPT)
+        self._shown: deque[tuple[int, int | None, int | None]] = deque(maxlen=PICTURES_KEPT)
 
-    def repeated(self, picture: Photometry) -> bool:
-        """Ask once for each frame."""
+    def met(self, picture: Photometry) -> Witness | None:
+        """Whether all of it was shown before, or its first or last row was. Ask once for each frame."""
         if picture.fingerprint is None or picture.light is Light.DARK:
-            return False
-        if picture.fingerprint in self._shown:
-            return True
-        self._shown.append(picture.fingerprint)
-        return False
+            return None
+        found: Witness | None = None
+        for whole, top, bottom in self._shown:
+            if whole == picture.fingerprint:
+                return Witness.REPEATED
+            if (top is not None and top == picture.top) or (bottom is not None and bottom == picture.bottom):
+                found = Witness.TORN
+        self._shown.append((picture.fingerprint, picture.top, picture.bottom))
+        return found

@@ -134,7 +134,7 @@ def _frame(row: Mapping[str, Any]) -> FrameSeen:
         None if sequence is None else CameraSequence(int(sequence)), int(row["timestamp_ns"]), int(row["arrived_ns"]),
         Photometry(
             float(picture["peak"]), float(picture["lit"]), float(picture["spread"]), bands,
-            None if fingerprint is None else int(fingerprint, 16),
+            None if fingerprint is None else int(fingerprint, 16), picture.get("top"), picture.get("bottom"),
         ),
         dict(row["metadata"]),
     )  # fmt: skip

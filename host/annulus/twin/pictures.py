@@ -42,14 +42,20 @@ class Pictures:
             lit = _lit(exposure)
             if lit is not None:
                 known = self._picture(exposure, lit)[1]
-                return replace(known, fingerprint=self._fingerprint(exposure))
-            return measure(self._image(exposure))
+                return self._alone_of_its_kind(known, exposure, exposure)
+            return self._alone_of_its_kind(measure(self._image(exposure)), exposure, exposure)
         height = self._world.camera.height
         image = np.empty((height, self._world.camera.width), np.uint8)
         for part in parts:
             rows = slice(round(part.top * height), round(part.bottom * height))
             image[rows] = self._image(part.exposure)[rows]
-        return measure(image)
+        return self._alone_of_its_kind(measure(image), parts[0].exposure, parts[-1].exposure)
+
+    def _alone_of_its_kind(self, measured: Photometry, first: Exposure, last: Exposure) -> Photometry:
+        """With fingerprints of the exposures that its first and last rows are of."""
+        top, bottom = self._fingerprint(first), self._fingerprint(last)
+        mixed = top if first is last else top ^ (bottom << 1 & _BITS)
+        return replace(measured, fingerprint=mixed, top=top >> 16, bottom=bottom >> 16)
 
     def _image(self, exposure: Exposure) -> Image:
         lit = _lit(exposure)

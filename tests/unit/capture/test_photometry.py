@@ -5,6 +5,8 @@ import pytest
 from numpy.typing import NDArray
 
 from annulus.capture.photometry import Light, measure
+from annulus.capture.proof import Witness
+from annulus.capture.witnesses import Pictures
 
 H, W = 308, 416
 WALLS = {"white": (1.0, 1.0, 1.0), "yellow": (0.15, 0.8, 1.0), "brown": (0.45, 0.6, 0.75)}  # blue, green, red
@@ -77,3 +79,16 @@ def test_only_the_same_picture_has_the_same_fingerprint(raw: bool) -> None:
     prints = [measure(mosaic(image) if raw else image).fingerprint for image in images]
     assert len(set(prints)) == 20 and all(0 <= found < 2**64 for found in prints if found is not None)
     assert measure(mosaic(images[3]) if raw else images[3].copy()).fingerprint == prints[3]
+
+
+@pytest.mark.parametrize("raw", [False, True])
+@pytest.mark.parametrize("share", [0.02, 0.2])
+def test_a_tear_between_two_pictures_of_one_lamp_leaves_a_row_that_was_shown_before(raw: bool, share: float) -> None:
+    pictures = Pictures()
+    before, after = (picture("white", 1.0, 0.0, seed=seed) for seed in (1, 2))
+    assert pictures.met(measure(mosaic(before) if raw else before)) is None
+    for above in (round(share * H), H - round(share * H)):
+        for upper, lower in ((before, after), (after, before)):
+            image = np.vstack([upper[:above], lower[above:]])
+            assert pictures.met(measure(mosaic(image) if raw else image)) is Witness.TORN
+    assert Pictures().met(measure(mosaic(after) if raw else after)) is None
