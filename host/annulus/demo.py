@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from annulus.daemon.account import ScanReport
-from annulus.daemon.cameras import open_cameras, open_sensors
+from annulus.daemon.cameras import open_sensors
 from annulus.daemon.config import HeadConfig, load_config
 from annulus.daemon.interrupt import Interrupt
 from annulus.daemon.observer import Observer
@@ -114,7 +114,7 @@ def _demo(wish_s: float | None, out: Path, world: World, interrupt: Interrupt, b
         stack.callback(head.close)
         config = demo_config(head, world, out)
         watcher, sensors = _Watcher(profiles, bars), open_sensors(config)
-        session = Session(config, open_cameras(config), watcher, sensors=sensors, name="scan")
+        session = Session(config, observer=watcher, sensors=sensors, name="scan")
         report = session.run(_Course(session, head, travel, seconds, interrupt, bars))
     recording = out / "scan.mcap"
     if interrupt.requested:

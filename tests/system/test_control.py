@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from annulus.capture.photometry import Light, measure
-from annulus.capture.remote import RemoteCamera
 from annulus.daemon.account import ScanReport
 from annulus.daemon.config import SocketConfig
 from annulus.daemon.control import ControlClient
@@ -99,7 +98,7 @@ def test_started_marked_zeroed_stopped_and_started_again(head: HeadHandle, tmp_p
         control=SocketConfig(f"ipc://{tmp_path}/control"),
     )  # fmt: skip
     seen, failed = Bystander(), []
-    session = Session(config, [RemoteCamera(head.camera_address)], seen, sensors=[Imu()], name="scan")
+    session = Session(config, observer=seen, sensors=[Imu()], name="scan")
     done = threading.Event()
 
     def operate() -> None:
@@ -176,7 +175,7 @@ def test_a_scan_that_cannot_begin_is_told_and_the_daemon_stays(head: HeadHandle,
         control=SocketConfig(f"ipc://{tmp_path}/control"),
     )  # fmt: skip
     seen, done, failed = Bystander(), threading.Event(), []
-    session = Session(config, [RemoteCamera(head.camera_address)], seen)
+    session = Session(config, observer=seen)
 
     def operate() -> None:
         try:

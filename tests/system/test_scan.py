@@ -16,7 +16,6 @@ import pytest
 
 from annulus.capture.camera import HeldRequest
 from annulus.capture.photometry import Light, measure
-from annulus.capture.remote import RemoteCamera
 from annulus.capture.timing import FrameTiming
 from annulus.daemon.account import ScanReport
 from annulus.daemon.config import CameraConfig, HeadConfig
@@ -49,7 +48,7 @@ class Rig(Observer):
         self.profiles: list[Profile] = []
         self.told: list[str] = []
         self.states: list[State] = []
-        self.session = Session(config, [RemoteCamera(head.camera_address)], self, name="scan")
+        self.session = Session(config, observer=self, name="scan")
 
     def profile(self, profile: Profile) -> None:
         self.profiles.append(profile)

@@ -10,6 +10,7 @@ No camera here has a thread or a queue of its own: what waits, waits in the driv
 shows as a hole in `FrameSequence` or in the timestamps.
 """
 
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -40,7 +41,9 @@ class Request(Protocol):
         """The picture of stream `name` ("main"), in the camera's `encoding`. A copy the caller owns."""
 
     def get_metadata(self) -> dict[str, Any]:
-        """At least SensorTimestamp: int, ns on the monotonic clock. FrameSequence: int, where the driver counts."""
+        """At least SensorTimestamp: int, ns on the monotonic clock. FrameSequence: int, where the driver counts.
+        ArrivalTimestamp: when we had it, where `capture_request` does more than wait for it.
+        """
 
     def release(self) -> None:
         """Hand the buffer back."""
@@ -87,11 +90,13 @@ class CapturedFrame:
     )
     sequence: CameraSequence | None  # None where the driver does not count
     metadata: Mapping[str, Any]
+    arrived_ns: int  # when we had it, before anything was done with it; host monotonic
 
 
 def grab(camera: Camera) -> CapturedFrame:
     """The next frame, checked and released. Raises TimeoutError, EndOfFrames, AnnulusError as the camera does."""
     request = camera.capture_request()
+    arrived_ns = time.monotonic_ns()
     try:
         image = request.make_array("main")
         metadata = request.get_metadata()
@@ -115,6 +120,7 @@ def grab(camera: Camera) -> CapturedFrame:
         timestamp,
         CameraSequence(sequence) if isinstance(sequence, int) else None,
         MappingProxyType(metadata),
+        metadata.get("ArrivalTimestamp", arrived_ns),
     )
 
 

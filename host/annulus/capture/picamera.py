@@ -82,6 +82,7 @@ class PicameraCamera(OneRequest):
 
     def __init__(self, camera: Any, expected: Mapping[str, Any] | None = None) -> None:
         """expected : controls that must be in force SETTLE_FRAMES after the start, by what the metadata say."""
+        self.timeout_s = SILENT_S
         configuration = camera.camera_configuration()
         if not configuration or "main" not in configuration:
             raise AnnulusError('camera: Picamera2 is not configured, expected configure() with a "main" stream first')
@@ -127,10 +128,10 @@ class PicameraCamera(OneRequest):
         self._camera.close()
 
     def capture_request(self) -> Request:
-        """TimeoutError when none came for SILENT_S; AnnulusError when the sensor does not do what it was told."""
+        """TimeoutError when none came for `timeout_s`; AnnulusError when the sensor does not do what it was told."""
         with self._came:
-            if not self._came.wait_for(lambda: bool(self._held), SILENT_S):
-                raise TimeoutError(f"no frame of Picamera2 for {SILENT_S:g} s")
+            if not self._came.wait_for(lambda: bool(self._held), self.timeout_s):
+                raise TimeoutError(f"no frame of Picamera2 for {self.timeout_s:g} s")
             request = self._held.popleft()
         self._frames_seen += 1
         taken = _Taken(request, self)

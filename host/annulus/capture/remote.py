@@ -35,9 +35,12 @@ FRAME_WAIT_S = 2.0
 class RemoteCamera(OneRequest):
     """See capture.camera.Camera. `timing` is the mode the server runs, fixed for as long as it does."""
 
-    def __init__(self, address: str) -> None:
-        """address : @name of the abstract socket. Raises AnnulusError when no camera is served there."""
-        self.address = address
+    def __init__(self, address: str, timeout_s: float = FRAME_WAIT_S) -> None:
+        """address : @name of the abstract socket. timeout_s : to wait for a frame.
+
+        Raises AnnulusError when no camera is served there.
+        """
+        self.address, self._timeout_s = address, timeout_s
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._socket.settimeout(FRAME_WAIT_S)
         self._lock = threading.Lock()  # requests may be released in another thread than waits for the next
@@ -63,6 +66,7 @@ class RemoteCamera(OneRequest):
         finally:
             if descriptor >= 0:
                 os.close(descriptor)
+        self._socket.settimeout(timeout_s)
         self._shape = (self.height, self.width, 3) if self.encoding == BGR8 else (self.height, self.width)
 
     def start(self) -> None:
@@ -79,11 +83,11 @@ class RemoteCamera(OneRequest):
             self._memory.close()
 
     def capture_request(self) -> Request:
-        """Wait for the next frame. Raises TimeoutError after 2 s, AnnulusError when the server is gone."""
+        """Wait for the next frame. Raises TimeoutError when none comes, AnnulusError when the server is gone."""
         try:
             told = self._socket.recv(MESSAGE_MAX)
         except TimeoutError:
-            raise TimeoutError(f"{self.address}: no frame within {FRAME_WAIT_S:g} s") from None
+            raise TimeoutError(f"{self.address}: no frame within {self._timeout_s:g} s") from None
         except OSError:
             told = b""
         if not told:

@@ -44,13 +44,20 @@ class V4L2Camera(OneRequest):
     """
 
     def __init__(
-        self, device: str | int, *, fourcc: str = "YU12", width: int = 1664, height: int = 1232, fps: float = 25.0
+        self,
+        device: str | int,
+        *,
+        fourcc: str = "YU12",
+        width: int = 1664,
+        height: int = 1232,
+        fps: float = 25.0,
+        timeout_s: float = TIMEOUT_S,
     ) -> None:
         """Raises AnnulusError, one line, unless the device is there, free, and takes these settings."""
         self._path = f"/dev/video{device}" if isinstance(device, int) else device
         if fourcc not in ENCODINGS_OF:
             raise AnnulusError(f"{self._path}: {fourcc} is not read, expected one of {', '.join(ENCODINGS_OF)}")
-        self._fourcc, self._fps = fourcc, fps
+        self._fourcc, self._fps, self._timeout_s = fourcc, fps, timeout_s
         self.width, self.height, self.encoding = width, height, ENCODINGS_OF[fourcc]
         self._device: v4l2.Device | None = None
         self._layout: Layout
@@ -94,15 +101,16 @@ class V4L2Camera(OneRequest):
 
     def capture_request(self) -> Request:
         """A damaged frame is skipped: the next one's FrameSequence shows it missing."""
-        end = time.monotonic() + TIMEOUT_S
+        end = time.monotonic() + self._timeout_s
         while True:
             device = self._started
             ready = self._poll.poll(max(0.0, end - time.monotonic()) * 1e3)
             if not ready:
-                raise TimeoutError(f"{self._path}: no whole frame within {TIMEOUT_S * 1e3:g} ms")
+                raise TimeoutError(f"{self._path}: no whole frame within {self._timeout_s * 1e3:g} ms")
             buffer = _buffer(0)
             try:
                 device.call(v4l2.DQBUF, buffer)
+                arrived_ns = time.monotonic_ns()
                 image = self._picture(buffer)
                 device.call(v4l2.QBUF, _buffer(buffer.index))
             except BlockingIOError:
@@ -113,7 +121,7 @@ class V4L2Camera(OneRequest):
                 raise self._said(error, "stopped streaming") from None
             metadata = self._metadata(buffer)
             if image is not None and metadata is not None:
-                return HeldRequest(image, metadata)
+                return HeldRequest(image, {**metadata, "ArrivalTimestamp": arrived_ns})
 
     def set_controls(self, controls: Mapping[str, Any]) -> None:
         """Raises NoSuchControl for what the device cannot be told, AnnulusError for what it does not do."""

@@ -23,7 +23,7 @@ EVENTS_KEPT = 200
 LATENCIES_KEPT = 1000
 LOSSES: Mapping[str, str] = {
     "camera": "holes in the driver's frame counter",
-    "capture_queue": "the daemon did not take frames from the camera fast enough",
+    "camera_away": "frames due while the camera, or its intake, was gone or silent",
     "no_slot": "shared memory full: recorder, publisher and workers hold every slot",
     "recorder_busy": "labelled, but the recorder held its whole share of the slots: the disk is slow",
     "recorder_absent": "labelled, but no recorder was up",
@@ -45,7 +45,9 @@ LOSSES: Mapping[str, str] = {
     "publishers_replaced": "publishers that died or hung, and were started again",
     "edge_events": "events of the controller that could not be read again; their frames are unknown",
     "line_broken": "times the serial line went away",
-    "camera_silent": "waits for a frame that took over 2 s",
+    "camera_silent": "times a camera fell silent; its stream is begun anew",
+    "camera_gone": "times a camera went away, or its intake; it is opened again",
+    "cameras_replaced": "intakes of cameras that died or hung, and were started again",
     "sensor_silent": "times a sensor fell silent for over 2 s, or broke",
     "sensor_malformed": "what came from a sensor's address and was no sample",
     "control_malformed": "what came to the control socket and was no request",

@@ -12,24 +12,19 @@ from annulus.sensors.remote import RemoteSensors
 from annulus.sensors.sample import Sensor
 from annulus.vocabulary import AnnulusError
 
+FRAME_WAIT_S = 0.2  # in one call: who waits for frames says so often enough that a hang is known from silence
 
-def open_cameras(config: HeadConfig) -> list[Camera]:
-    """Not started yet. Raises AnnulusError when one is not there or is of another size than configured."""
-    cameras: list[Camera] = []
-    try:
-        for number, wanted in enumerate(config.cameras):
-            camera = _open(wanted, number)
-            cameras.append(camera)
-            if (camera.width, camera.height) != (wanted.width, wanted.height):
-                raise AnnulusError(
-                    f"{wanted.device}: frames are {camera.width}x{camera.height}, but head.toml says "
-                    f"{wanted.width}x{wanted.height}."
-                )
-    except BaseException:
-        for camera in cameras:
-            camera.close()
-        raise
-    return cameras
+
+def open_camera(wanted: CameraConfig, number: int) -> Camera:
+    """Not started yet. Raises AnnulusError when it is not there or is of another size than configured."""
+    camera = _open(wanted, number)
+    if (camera.width, camera.height) != (wanted.width, wanted.height):
+        camera.close()
+        raise AnnulusError(
+            f"{wanted.device}: frames are {camera.width}x{camera.height}, but head.toml says "
+            f"{wanted.width}x{wanted.height}."
+        )
+    return camera
 
 
 def open_sensors(config: HeadConfig) -> list[Sensor]:
@@ -41,13 +36,14 @@ def _open(wanted: CameraConfig, number: int) -> Camera:
     fps = wanted.timing.fps
     match wanted.kind:
         case "v4l2":
-            return V4L2Camera(wanted.device, fourcc=wanted.format, width=wanted.width, height=wanted.height, fps=fps)
+            size = {"width": wanted.width, "height": wanted.height}
+            return V4L2Camera(wanted.device, fourcc=wanted.format, **size, fps=fps, timeout_s=FRAME_WAIT_S)
         case "video":
             return VideoFileCamera(Path(wanted.device))
         case "folder":
             return ScanFolderCamera(Path(wanted.device), fps=fps, camera=number)
         case "remote":
-            return RemoteCamera(wanted.device)
+            return RemoteCamera(wanted.device, FRAME_WAIT_S)
         case "picamera2":
             return _picamera(wanted)
 
@@ -65,13 +61,15 @@ def _picamera(wanted: CameraConfig) -> Camera:
     except (RuntimeError, IndexError) as error:
         raise AnnulusError(f"camera: Picamera2 cannot open camera {wanted.device}: {error}") from None
     try:
-        return configure(
+        configured = configure(
             camera, (wanted.width, wanted.height), stream=wanted.format, fps=wanted.timing.fps,
             exposure_us=wanted.timing.exposure_us, gain=wanted.gain, colour_gains=wanted.colour_gains,
         )  # fmt: skip
     except BaseException:
         camera.close()
         raise
+    configured.timeout_s = FRAME_WAIT_S
+    return configured
 
 
 def apply_controls(camera: Camera, config: CameraConfig) -> list[str]:

@@ -21,6 +21,7 @@ from annulus.vocabulary import AnnulusError
 
 CameraKind = Literal["v4l2", "picamera2", "video", "folder", "remote"]
 CAMERA_KINDS = ("v4l2", "picamera2", "video", "folder", "remote")
+FILES = ("video", "folder")  # cameras that end, and do not come back
 SENSOR_KINDS = ("remote",)
 COLOUR_MAKER = "annulus calibrate colour"
 USUAL_TIMING = FrameTiming(25.0, 38_000.0, 28_000.0)

@@ -12,7 +12,7 @@ from enum import IntEnum
 from typing import Any
 
 # Every kind of loss in account.LOSSES stands on one side; tests/unit/daemon/test_ledger.py sees to it.
-UNTAKEN = ("camera", "capture_queue")  # the daemon never had them
+UNTAKEN = ("camera", "camera_away")  # the daemon never had them
 BEFORE = (*UNTAKEN, "no_slot")
 AFTER = (
     "recorder_busy", "recorder_absent", "recorder_failed", "recorder_died", "disk", "recording_gone",
@@ -23,7 +23,8 @@ LIVE = (
 )  # fmt: skip
 NO_FRAMES = (
     "recorder_notes", "publisher_notes", "workers_replaced", "recorders_replaced", "publishers_replaced", "edge_events",
-    "line_broken", "camera_silent", "sensor_silent", "sensor_malformed", "control_malformed",
+    "line_broken", "camera_silent", "camera_gone", "cameras_replaced", "sensor_silent", "sensor_malformed",
+    "control_malformed",
 )  # fmt: skip
 
 LOST_MAX = 0.01  # of the labelled frames; a recording that lacks more is a lost one. tests/unit/daemon/test_ledger.py

@@ -9,12 +9,14 @@ import zmq
 
 from annulus.capture.camera import Camera
 from annulus.daemon.account import Account
+from annulus.daemon.camera_feed import CameraFeed
 from annulus.daemon.config import HeadConfig
 from annulus.daemon.control import ControlSocket
 from annulus.daemon.controller_line import ControllerLine, preamble_for, stage_of
 from annulus.daemon.observer import Observers
 from annulus.daemon.pools import socket_folder
 from annulus.daemon.publishing import Publishing
+from annulus.labelling.labelling import CameraMode
 from annulus.labelling.navigation import Navigation
 from annulus.sensors.sample import Sensor
 from annulus.stream.access import Doorkeeper
@@ -32,11 +34,13 @@ class Power:
     shared: Shared
     doorkeeper: Doorkeeper
     control: ControlSocket | None
+    feeds: tuple[CameraFeed, ...]  # of the cameras, in the order of head.toml
+    modes: tuple[CameraMode, ...]
 
 
 def power_up(
     config: HeadConfig,
-    cameras: Sequence[Camera],
+    cameras: Sequence[Camera] | None,
     sensors: Sequence[Sensor],
     account: Account,
     observers: Observers,
@@ -44,10 +48,15 @@ def power_up(
     stack: ExitStack,
 ) -> Power:
     """Acquire everything; `stack` gives it back in reverse order. Raises AnnulusError when the head is not there."""
-    for camera in cameras:
+    for camera in cameras or ():
         stack.callback(camera.close)
     for sensor in sensors:
         stack.callback(sensor.close)
+    feeds = []
+    for number, camera_config in enumerate(config.cameras):  # they open while the controller is talked to
+        own = cameras[number] if cameras is not None else None
+        feeds.append(CameraFeed(number, camera_config, account, observers, own))
+        stack.callback(feeds[-1].close)
     line = None
     if config.port is not None:
         line = ControllerLine(config.port, stage_of(config), account, observers, preamble_for(config))
@@ -58,9 +67,12 @@ def power_up(
     stack.callback(shutil.rmtree, folder, ignore_errors=True)
     context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
     stack.callback(context.destroy, linger=0)
-    largest = max(camera.width * camera.height * CHANNELS[camera.encoding] for camera in cameras)
+    modes = tuple(_mode(feed) for feed in feeds)
+    largest = max(mode.width * mode.height * CHANNELS[mode.encoding] for mode in modes)
     ring = FrameRing(config.slots, largest)  # cameras of several sizes share it: slots are as large as the largest
     stack.callback(ring.close)
+    for feed in feeds:
+        feed.join(ring, max(1, config.slots // len(feeds)))
     doorkeeper = Doorkeeper(context)
     stack.callback(doorkeeper.close)
     if config.publish is not None:
@@ -73,4 +85,10 @@ def power_up(
     if config.control is not None:
         control = ControlSocket(doorkeeper, config.control.address, config.control.keys)
         stack.callback(control.close)
-    return Power(line, Shared(ring, context, folder), doorkeeper, control)
+    return Power(line, Shared(ring, context, folder), doorkeeper, control, tuple(feeds), modes)
+
+
+def _mode(feed: CameraFeed) -> CameraMode:
+    """Raises AnnulusError when the camera is not there."""
+    width, height, encoding = feed.look()
+    return CameraMode(feed.number, width, height, encoding, round(1e9 / feed.config.timing.fps))

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from annulus.daemon.account import ScanReport
-from annulus.daemon.cameras import open_cameras, open_sensors
+from annulus.daemon.cameras import open_sensors
 from annulus.daemon.config import load_config
 from annulus.daemon.interrupt import Interrupt
 from annulus.daemon.ledger import Status
@@ -40,7 +40,7 @@ def run_daemon(config_path: Path) -> Status:
     with Interrupt() as interrupt:
         config = load_config(config_path)
         sensors = open_sensors(config)
-        session = Session(config, open_cameras(config), Console(), sensors=sensors)
+        session = Session(config, observer=Console(), sensors=sensors)
         session.run(lambda: interrupt.requested)
         return session.status
 

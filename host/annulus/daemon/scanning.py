@@ -1,6 +1,6 @@
 """One scan, from start to stop: its recorder, its cameras, the lamps, in this order up.
 
-scan = Scan(config, cameras, power, account, observers, navigation, name)   # its recorder is on its way up
+scan = Scan(config, power, account, observers, navigation, name)   # its recorder is on its way up
 scan.start()                                      # now cameras and lamps may follow
 while not scan.armed:
     why = scan.come_up()                          # not empty: it cannot go on
@@ -10,25 +10,24 @@ for header, frame in scan.labelled():
 """
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from typing import Any
 
-from annulus.capture.camera import Camera
 from annulus.daemon.account import Account
 from annulus.daemon.config import HeadConfig
 from annulus.daemon.intake import InSlot, Intake
 from annulus.daemon.observer import Observers
 from annulus.daemon.pools import Recorder, RecordingSetup
 from annulus.daemon.power import Power
-from annulus.labelling.labelling import CameraMode, Labelling
+from annulus.labelling.labelling import Labelling
 from annulus.labelling.navigation import Navigation
 from annulus.link.head import Phase
 from annulus.stream.frames import FrameHeader
-from annulus.vocabulary import AnnulusError
 
 START_S = 200.0  # on a fresh machine workers compile first
 ARM_S = 5.0
+OPEN_S = 20.0  # for the cameras to stream
 DRAIN_S = 8.0
 
 
@@ -38,7 +37,6 @@ class Scan:
     def __init__(
         self,
         config: HeadConfig,
-        cameras: Sequence[Camera],
         power: Power,
         account: Account,
         observers: Observers,
@@ -49,9 +47,10 @@ class Scan:
         self.recorder: Recorder | None = None
         self.intakes: list[Intake] = []  # none before the cameras run
         self.armed = False  # the controller has confirmed
-        self._config, self._cameras, self._power, self._account = config, cameras, power, account
+        self._power, self._account = power, account
         self._observers, self._navigation = observers, navigation
-        self._start_by = 0.0  # when recorder, or lamps, must be up
+        self._start_by = 0.0  # when recorder, cameras, or lamps, must be up
+        self._lit = False  # lamps were asked for
         account.restart()
         if config.record_folder is not None:
             name = name or datetime.now(UTC).strftime("scan-%Y%m%d-%H%M%S")
@@ -81,9 +80,8 @@ class Scan:
 
     @property
     def waitables(self) -> list[Any]:
-        """Readable when a frame has come, or the recorder has answered."""
-        recorder = [] if self.recorder is None else [self.recorder.waitable]
-        return [intake.waitable for intake in self.intakes if intake.waitable >= 0] + recorder
+        """Readable when the recorder has answered."""
+        return [] if self.recorder is None else [self.recorder.waitable]
 
     def start(self) -> None:
         """Lamps and cameras follow once the recorder is up."""
@@ -97,12 +95,14 @@ class Scan:
         if not self.intakes:
             recorder = self.recorder
             if recorder is None or recorder.ready:
-                try:
-                    self._light_up()
-                except AnnulusError as error:
-                    return str(error)
+                self._open_cameras()
             elif recorder.broken or late:
                 return recorder.broken or f"the recorder is not ready after {START_S:g} s"
+        elif not self._lit:
+            if late:
+                return f"the cameras do not stream after {OPEN_S:g} s"
+            if all(intake.is_open for intake in self.intakes):
+                self._light_up()
         elif self._power.line is not None:
             line = self._power.line
             self.armed = line.head.phase is Phase.RUNNING
@@ -130,17 +130,19 @@ class Scan:
             self.recorder.finish(DRAIN_S)
             self._observers.all.remove(self.recorder)
 
-    def _light_up(self) -> None:
+    def _open_cameras(self) -> None:
         """Cameras first, then the lamps: the controller needs the cameras' sync edges."""
-        line = self._power.line
-        self._start_by = time.monotonic() + ARM_S
-        self.armed = line is None
-        for number, (camera, config) in enumerate(zip(self._cameras, self._config.cameras, strict=True)):
-            mode = CameraMode(number, camera.width, camera.height, camera.encoding, round(1e9 / config.timing.fps))
-            labelling = Labelling(mode, self._navigation, self._observers.event, alone=line is None)
-            self.intakes.append(Intake(camera, mode, labelling, self._power.shared.ring))
-            for remark in self.intakes[-1].start(config):
-                self._observers.event("camera", remark)
+        self._start_by = time.monotonic() + OPEN_S
+        for feed, mode in zip(self._power.feeds, self._power.modes, strict=True):
+            alone = self._power.line is None
+            labelling = Labelling(mode, self._navigation, self._observers.event, alone=alone)
+            self.intakes.append(Intake(feed, mode, labelling, self._power.shared.ring))
+            self.intakes[-1].start()
         self._account.begin()
-        if line is not None:
-            line.arm()
+
+    def _light_up(self) -> None:
+        self._lit = True
+        self._start_by = time.monotonic() + ARM_S
+        self.armed = self._power.line is None
+        if self._power.line is not None:
+            self._power.line.arm()

@@ -1,10 +1,10 @@
 """One head from power-up to lamps off: the loop that ties controller, cameras, labels, recorder, workers, sensors and
 viewers together.
 
-One thread does everything here but waiting for cameras, and waits for nobody: it sleeps until something has come, or
-is due. Frames go
+One thread does everything here but wait for cameras and copy pictures. It waits for nobody: it sleeps until something
+has come, or is due. Frames go
 
-    camera -> capture thread -> a slot of the ring -> label, when both its edges are known -> recorder, worker, viewers
+    camera -> intake process -> a slot of the ring -> label, when both its edges are known -> recorder, worker, viewers
 
 and a slot is free again when the last of those is done with it. What the head may do when is state.py's table; a scan
 is what lies between start and stop, and has a recording and an account of its own.
@@ -20,6 +20,7 @@ import zmq
 
 from annulus.capture.camera import Camera
 from annulus.daemon.account import Account, ScanReport
+from annulus.daemon.camera_feed import CameraFeed
 from annulus.daemon.config import HeadConfig, require_size
 from annulus.daemon.control import Do, Request
 from annulus.daemon.controller_line import REST_S, ControllerLine, line_numbers
@@ -47,19 +48,21 @@ class Session:
     def __init__(
         self,
         config: HeadConfig,
-        cameras: Sequence[Camera],
+        cameras: Sequence[Camera] | None = None,
         observer: Observer | None = None,
         *,
         sensors: Sequence[Sensor] = (),
         name: str = "",
     ) -> None:
-        """`cameras`, in the order of the configuration's, and `sensors` become the session's: they are closed at the
-        end. `name` of the recordings: by default their start, UTC.
+        """`cameras`: by default those of the configuration, each in a process of its own; the caller's own are waited
+        for in threads. They, in the order of the configuration's, and `sensors` become the session's: they are closed
+        at the end. `name` of the recordings: by default their start, UTC.
         """
-        if len(cameras) != len(config.cameras):
+        if cameras is not None and len(cameras) != len(config.cameras):
             raise ValueError(f"{len(cameras)} cameras, but the configuration has {len(config.cameras)}")
         if config.calibration is not None:
-            require_size(config.calibration, [(camera.width, camera.height) for camera in cameras])
+            sizes = [(camera.width, camera.height) for camera in cameras or config.cameras]
+            require_size(config.calibration, sizes)
         self._config, self._cameras, self._sensors, self._name = config, cameras, sensors, name
         self._state = State.OFF
         self._account = Account()
@@ -149,6 +152,7 @@ class Session:
             "place_gaps": self._navigation.odometer.gaps,
             **_place_numbers(self._navigation.odometer.here),
             "cameras": labels,
+            "intakes": [feed.numbers() for feed in self._feeds],
             "sensors": self._samples.numbers(),
             "slots_free": power.shared.ring.free if power is not None else 0,
             **{name: pool.numbers() if pool is not None else {} for name, pool in pools.items()},
@@ -194,9 +198,7 @@ class Session:
     # ---- one scan ----
 
     def _prepare_scan(self, power: Power) -> Scan:
-        self._scan = Scan(
-            self._config, self._cameras, power, self._account, self._observers, self._navigation, self._name
-        )
+        self._scan = Scan(self._config, power, self._account, self._observers, self._navigation, self._name)
         return self._scan
 
     def _start(self) -> None:
@@ -223,6 +225,10 @@ class Session:
     @property
     def _line(self) -> ControllerLine | None:
         return self._power.line if self._power is not None else None
+
+    @property
+    def _feeds(self) -> Sequence[CameraFeed]:
+        return self._power.feeds if self._power is not None else ()
 
     @property
     def _has_scan(self) -> bool:
@@ -293,6 +299,9 @@ class Session:
     def _turn(self) -> None:
         self._sleep()
         self._listen()
+        if self._scan is None or not self._scan.intakes:
+            for feed in self._feeds:
+                feed.poll()
         if self._scan is not None:
             self._scan.take_in()
             for header, frame in self._scan.labelled():
@@ -322,7 +331,8 @@ class Session:
     def _sleep(self) -> None:
         """Until something has come: a frame, a word of the controller, an answer of a process; or a chore is due."""
         wait_s = min(REST_S, max(0.0, self._next_chores - time.monotonic()))
-        sources: list[Any] = self._scan.waitables if self._scan is not None else []
+        sources: list[Any] = [feed.waitable for feed in self._feeds if feed.waitable is not None]
+        sources += self._scan.waitables if self._scan is not None else []
         if self._line is not None:
             wait_s = min(wait_s, self._line.patience_s)
             sources += [] if self._line.waitable is None else [self._line.waitable]

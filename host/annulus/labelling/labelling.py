@@ -99,6 +99,13 @@ class Labelling:
         )
         self._seen.append(frame)
 
+    def restarted(self) -> None:
+        """The camera began anew, and its stamps may be off by something else; what came before has its label."""
+        self._navigation.journal.note("restarted", camera=self._mode.camera)
+        self._offset_known = self._alone
+        self._seen.clear()
+        self._looking_since, self._next_look = None, 0.0
+
     def look_for_offset(self, now_s: float) -> None:
         """At the start, and again whenever doubt did not end. Until it is found, frames are unknown."""
         looks = self._navigation.journal.looks(self._mode.camera, now_s)

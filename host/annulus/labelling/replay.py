@@ -93,6 +93,10 @@ class Replay:
                 camera.now_ns = round(float(row["now_s"]) * 1e9)
                 camera.labelling.look_for_offset(float(row["now_s"]))
                 yield from self._patient(camera)
+            case "restarted":
+                camera = self._cameras[row["camera"]]
+                yield from self._patient(camera, final=True)
+                camera.labelling.restarted()
             case "label":
                 yield from self._label(row)
 

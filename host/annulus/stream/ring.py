@@ -41,9 +41,10 @@ class _Slot:
 
 
 class FrameRing:
-    """The owner's side. Every slot is free, or held by those it was handed to; only a free slot is written.
+    """The owner's side. Every slot is free, lent to somebody who writes a frame into it, or held by those the frame was
+    handed to.
 
-    Not thread-safe by itself: `claim`, `hold` and `release` belong to one thread. `write` may run in another.
+    Not thread-safe by itself: all but `write` belong to one thread.
     """
 
     def __init__(self, slots: int, frame_bytes: int) -> None:
@@ -54,6 +55,7 @@ class FrameRing:
         self._stride = stride_of(frame_bytes)
         self._slots = [_Slot() for _ in range(slots)]
         self._free = list(range(slots))
+        self._lent: set[int] = set()  # slots
         self._next_stamp = 1
         total = slots * self._stride
         self.fd = os.memfd_create("annulus-frames", os.MFD_CLOEXEC)
@@ -69,32 +71,45 @@ class FrameRing:
 
     @property
     def free(self) -> int:
-        return len(self._free)
+        """Slots without a frame, lent ones too."""
+        return len(self._free) + len(self._lent)
 
     def __len__(self) -> int:
         return len(self._slots)
 
     def claim(self) -> Place | None:
-        """A free slot for the next frame, held once by the caller; None when every slot is held."""
+        """A free slot for the next frame, held once by the caller; None when every slot is lent or held."""
+        place = self.lend()
+        if place is not None:
+            self.filled(place)
+        return place
+
+    def lend(self) -> Place | None:
+        """A free slot for somebody else to write, who says when it is `filled`, or will not be: `give_back`."""
         if not self._free:
             return None
         number = self._free.pop()
         slot = self._slots[number]
-        slot.stamp, slot.holders = self._next_stamp, 1
+        slot.stamp, slot.holders = self._next_stamp, 0
         self._next_stamp += 1
+        self._lent.add(number)
         _STAMP.pack_into(
             self._memory, number * self._stride, 0
         )  # readers of the frame before see at once that it is gone
         return Place(number, slot.stamp)
 
+    def filled(self, place: Place) -> None:
+        """A lent slot has its frame, and is held once by the caller."""
+        self._take_back(place).holders = 1
+
+    def give_back(self, place: Place) -> None:
+        """A lent slot is free again. Only when nobody can write it any more."""
+        self._take_back(place)
+        self._free.append(place.slot)
+
     def write(self, place: Place, image: Image) -> None:
         """Copy `image` (uint8, any shape, at most `frame_bytes`) into a claimed slot, then put its stamp on it."""
-        flat = np.ascontiguousarray(image).reshape(-1)
-        if image.dtype != np.uint8 or flat.nbytes > self.frame_bytes:
-            raise ValueError(f"{flat.nbytes} bytes of {image.dtype} do not fit a slot of {self.frame_bytes} bytes")
-        start = place.slot * self._stride
-        np.frombuffer(self._memory, np.uint8, flat.nbytes, start + _PAGE)[:] = flat
-        _STAMP.pack_into(self._memory, start, place.stamp)
+        _write(self._memory, self.frame_bytes, place, image)
 
     def view(self, header: FrameHeader, place: Place) -> Image:
         """The image in a slot the caller holds; valid until released."""
@@ -111,6 +126,13 @@ class FrameRing:
         if slot.holders == 0:
             self._free.append(place.slot)
 
+    def _take_back(self, place: Place) -> _Slot:
+        slot = self._slots[place.slot]
+        if slot.stamp != place.stamp or place.slot not in self._lent:
+            raise ValueError(f"{place} is not lent")
+        self._lent.remove(place.slot)
+        return slot
+
     def _checked(self, place: Place) -> _Slot:
         slot = self._slots[place.slot]
         if slot.stamp != place.stamp or slot.holders <= 0:
@@ -123,6 +145,22 @@ class FrameRing:
         if self.fd >= 0:
             os.close(self.fd)
             self.fd = -1
+
+
+class RingWriter:
+    """The side of one who fills lent slots: the same memory, from the inherited descriptor."""
+
+    def __init__(self, fd: int, frame_bytes: int) -> None:
+        self._frame_bytes = frame_bytes
+        self._memory = mmap.mmap(fd, os.fstat(fd).st_size)
+
+    def write(self, place: Place, image: Image) -> None:
+        """As FrameRing.write."""
+        _write(self._memory, self._frame_bytes, place, image)
+
+    def close(self) -> None:
+        with suppress(BufferError):
+            self._memory.close()
 
 
 class RingView:
@@ -158,6 +196,15 @@ class RingView:
 def stride_of(frame_bytes: int) -> int:
     """Bytes from slot to slot: one page for the stamp, then the image on a page boundary."""
     return _PAGE + -(-frame_bytes // _PAGE) * _PAGE
+
+
+def _write(memory: mmap.mmap, frame_bytes: int, place: Place, image: Image) -> None:
+    flat = np.ascontiguousarray(image).reshape(-1)
+    if image.dtype != np.uint8 or flat.nbytes > frame_bytes:
+        raise ValueError(f"{flat.nbytes} bytes of {image.dtype} do not fit a slot of {frame_bytes} bytes")
+    start = place.slot * stride_of(frame_bytes)
+    np.frombuffer(memory, np.uint8, flat.nbytes, start + _PAGE)[:] = flat
+    _STAMP.pack_into(memory, start, place.stamp)
 
 
 def _image(memory: mmap.mmap, stride: int, header: FrameHeader, place: Place) -> Image:

@@ -111,9 +111,9 @@ def _one_frame(job: Job, ring: RingView, body: Any, answer: Callable[[str, Any],
         answer("done", [stamp, result])
 
 
-def end_with_parent(parent: int) -> None:
-    """Have the kernel send SIGTERM when the parent is gone, even by kill -9."""
-    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+def end_with_parent(parent: int, by: signal.Signals = signal.SIGTERM) -> None:
+    """Have the kernel send this signal when the parent is gone, even by kill -9."""
+    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, by, 0, 0, 0)
     if os.getppid() != parent:  # it died before we asked
         sys.exit(1)
 

@@ -52,7 +52,7 @@ def test_a_file_that_is_gone_takes_its_frames_along() -> None:
     assert account.recorded == 2 and account.drops == {"recording_gone": 3}
     assert account.ledger.problem == "" and account.in_hand["recorder"] == 0
     account.lose("camera", 2)
-    account.lose("capture_queue", 1)
+    account.lose("camera_away", 1)
     assert account.ledger.taken == 8 and account.ledger.problem == ""
 
 

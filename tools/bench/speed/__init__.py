@@ -10,6 +10,7 @@ TABLE = Table(
     {
         "rings": "One projector frame, one core",
         "twin": "The twin's renderer, one thread",
+        "latency": "From a frame in hand to its label at a viewer, while recording",
         "emulator": "The shipped image over 200 000 edges, on its pins",
     },
     Path(__file__).parent,
