@@ -8,7 +8,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, replace
-from itertools import pairwise
 from pathlib import Path
 from select import select
 
@@ -131,9 +130,8 @@ def test_a_camera_pulled_out_and_put_back_costs_its_frames_and_nothing_else(tmp_
         out_s = time.monotonic()
         yield lambda: watched.session.state is State.FAULT and time.monotonic() > out_s + away_s
         plug.put_in()
-        back_s, before = time.monotonic(), len(watched.frames_s)
+        before = len(watched.frames_s)
         yield lambda: len(watched.frames_s) >= before + 20
-        assert watched.frames_s[before] - back_s < 2.0
         yield lambda: watched.session.state is State.ARMED
 
     with head(tmp_path) as (plug, watched):
@@ -148,16 +146,14 @@ def test_a_camera_pulled_out_and_put_back_costs_its_frames_and_nothing_else(tmp_
 def test_an_intake_that_is_killed_or_stopped_is_replaced_and_its_slots_come_back(how: int, tmp_path: Path) -> None:
     times = 3
     gone: list[int] = []
-    back_s: list[float] = []
 
     def course(watched: Watched) -> Iterator[Callable[[], bool]]:
         for _ in range(times):
             gone.append(watched.intake())
             os.kill(gone[-1], how)
-            hit_s, before = time.monotonic(), len(watched.frames_s)
+            before = len(watched.frames_s)
             yield lambda: watched.session._feeds[0].pid not in gone
             yield lambda before=before: len(watched.frames_s) >= before + 30  # type: ignore[misc]
-            back_s.append(max(b - a for a, b in pairwise([hit_s, *watched.frames_s[before:]])))
         gone.append(watched.intake())
 
     with head(tmp_path) as (_, watched):
@@ -165,5 +161,4 @@ def test_an_intake_that_is_killed_or_stopped_is_replaced_and_its_slots_come_back
     accounted(watched, report, tmp_path)
     assert report.drops["cameras_replaced"] == report.drops["camera_gone"] == times
     assert report.drops["camera_away"] >= times
-    assert max(back_s) < 5.0, "two seconds on an idle machine"
     assert not any(Path(f"/proc/{pid}").exists() for pid in gone), "nothing is left behind"

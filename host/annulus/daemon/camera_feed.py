@@ -35,12 +35,14 @@ from annulus.daemon.camera_state import BackOff, CameraState
 from annulus.daemon.config import CameraConfig
 from annulus.daemon.observer import Observer
 from annulus.stream.ring import FrameRing, Place
+from annulus.stream.workers import process_state
 from annulus.vocabulary import AnnulusError, CameraSequence
 
 LOOK_S = 30.0  # to open a camera for the first time
 OPEN_S = 15.0  # to open it again; some drivers take seconds to find their sensor
 THREAD_SILENT_S = 2.5  # without a word of a camera of the caller's, which may wait so long by itself
 HUNG_S = 1.0  # without a word, where one comes every 0.2 s
+STOPPED_S = 0.4  # without a word, before the kernel is asked whether it is stopped, and between two questions
 STALL_S = 0.1  # longer between two polls than this and it was us who did not listen
 SEND_BYTES = 1 << 20  # of packets that wait for us, if the system lets them
 
@@ -94,6 +96,7 @@ class CameraFeed:
         self._heard_s = self._polled_s = time.monotonic()
         self._start_s: float | None = None  # when the next process is started
         self._starting = True  # it has not said a word yet
+        self._looked_s = 0.0  # whether it is stopped
         self._start()
         self._say("look")
 
@@ -175,6 +178,10 @@ class CameraFeed:
             self._is_troubled(CameraState.SILENT, f"it said nothing for {silent_s:.1f} s")
         elif self._process is not None and self._link is not None and silent_s > self._patience_s:
             happened += self._replace(f"it said nothing for {silent_s:.1f} s")
+        elif self._process is not None and silent_s > STOPPED_S and now > self._looked_s + STOPPED_S and self._wanted:
+            self._looked_s = now
+            if process_state(self._process.pid) == "T":
+                happened += self._replace("its process was stopped by a signal")
         self._lend()
         return happened
 

@@ -7,7 +7,6 @@ from annulus.capture.picamera import configure
 from annulus.capture.remote import RemoteCamera
 from annulus.capture.v4l2 import NoSuchControl, V4L2Camera
 from annulus.daemon.config import CameraConfig, HeadConfig
-from annulus.record.replay import ScanFolderCamera, VideoFileCamera
 from annulus.sensors.remote import RemoteSensors
 from annulus.sensors.sample import Sensor
 from annulus.vocabulary import AnnulusError
@@ -39,8 +38,12 @@ def _open(wanted: CameraConfig, number: int) -> Camera:
             size = {"width": wanted.width, "height": wanted.height}
             return V4L2Camera(wanted.device, fourcc=wanted.format, **size, fps=fps, timeout_s=FRAME_WAIT_S)
         case "video":
+            from annulus.record.replay import VideoFileCamera  # here: an intake that takes over has no time for it
+
             return VideoFileCamera(Path(wanted.device))
         case "folder":
+            from annulus.record.replay import ScanFolderCamera
+
             return ScanFolderCamera(Path(wanted.device), fps=fps, camera=number)
         case "remote":
             return RemoteCamera(wanted.device, FRAME_WAIT_S)

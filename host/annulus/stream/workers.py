@@ -275,12 +275,12 @@ class WorkerPool:
             return f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit status {code}"
         oldest = min((task.since for task in worker.in_hand.values()), default=now)
         busy_s = now - max(oldest, worker.answered)  # the oldest may have waited behind others that were done
-        if busy_s > self.hung_s and (busy_s > self._kind.hung_s or _process_state(worker.process.pid) != "D"):
+        if busy_s > self.hung_s and (busy_s > self._kind.hung_s or process_state(worker.process.pid) != "D"):
             return f"hung for {busy_s:.0f} s"
         if not worker.ready and not worker.spare and now - worker.started > worker.start_s:
             return f"not ready after {worker.start_s:.0f} s"
         if now - worker.looked > STOPPED_S:
-            before, worker.stopped = worker.stopped, _process_state(worker.process.pid) == "T"
+            before, worker.stopped = worker.stopped, process_state(worker.process.pid) == "T"
             worker.looked = now
             if before and worker.stopped:
                 return "stopped by a signal"
@@ -408,7 +408,7 @@ class WorkerPool:
         return [FrameLost(worker.number, task.header, why) for task in worker.in_hand.values()]
 
 
-def _process_state(pid: int) -> str:
+def process_state(pid: int) -> str:
     """The kernel's letter: R, S, D (waits for a disk), T (stopped), Z .."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rsplit(") ", 1)[1][0]
