@@ -166,7 +166,7 @@ class HeadControl:
         self.edges_unplaced = 0  # heard, but there was no clock map, or too coarse a one, to place them with
         self._configuration = configuration
         self._armed = armed
-        self.preambles = PreambleOrders(preamble)
+        self.preambles = PreambleOrders(preamble, configuration.frame_period if configuration else PERIOD_TICKS)
         self._lit = False  # armed, by all we know
         self._contradicted = False  # by one status; a second one settles it
         self._fresh = armed  # told to arm, and not armed since: whoever was there before has to give way

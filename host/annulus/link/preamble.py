@@ -2,10 +2,11 @@
 
 from dataclasses import dataclass, replace
 
-from annulus.controller import TICK_HZ
+from annulus.controller import TICK_HZ, TICK_NS
 from annulus.link.messages import Preamble, Stage
 
 ORDER_NS = 2_000_000_000  # between two orders at least: most doubts end within one preamble
+ORDER_LENGTHS = 4  # and so many lengths of one: a doubt that lasts leaves most frames to the lamp cycle
 CYCLES_MAX = 0xFFFF
 
 
@@ -18,9 +19,12 @@ def preamble_of(stage: Stage, frames: int, interval_s: float) -> Preamble:
 
 @dataclass(slots=True)
 class PreambleOrders:
-    """Orders beside the preambles that come by themselves: not more often than ORDER_NS, and one at a time."""
+    """Orders beside the preambles that come by themselves: not more often than ORDER_NS and ORDER_LENGTHS let, and one
+    at a time.
+    """
 
     wanted: Preamble | None
+    period_ticks: int  # from frame to frame
     count: int = 0
     _asked: bool = False
     _next_ns: int = 0
@@ -39,8 +43,9 @@ class PreambleOrders:
         return replace(self.wanted, now=1)
 
     def sent(self, ticket: int, now: int) -> None:
+        length_ns = self.wanted.length * self.period_ticks * TICK_NS if self.wanted is not None else 0
         self.count += 1
-        self._asked, self._ticket, self._next_ns = False, ticket, now + ORDER_NS
+        self._asked, self._ticket, self._next_ns = False, ticket, now + max(ORDER_NS, ORDER_LENGTHS * length_ns)
 
     def ended(self, ticket: int) -> None:
         """Answered, or not: one that does not come is no trouble, the next doubt asks again."""

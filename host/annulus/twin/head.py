@@ -184,6 +184,9 @@ def _collect(stream: IO[bytes], keep: Any) -> None:
     keep(b"")
 
 
+PREAMBLE_FRAMES = 500  # between two optical preambles, as on a real head: 20 s at 25 fps, of which it has fewer
+
+
 def head_toml(head: HeadHandle, world: World, calibration: Path | None = None) -> str:
     """The daemon's configuration for this head, flashes at the beginning of the window in which all rows expose.
 
@@ -208,6 +211,7 @@ def head_toml(head: HeadHandle, world: World, calibration: Path | None = None) -
         projector_width_us = {world.projector.nominal_us:g}
         led_delay_us = {delay_us}
         led_width_us = {world.led.nominal_us:g}
+        preamble_interval_s = {PREAMBLE_FRAMES / timing.fps:g}
         [odometer]
         mm_per_count = {world.mm_per_count:g}
         [[sensor]]
