@@ -169,48 +169,7 @@ class Recording:
 
     def read(self, frame: RecordedFrame) -> Image:
         """The image as (H, W, 3) BGR, demosaiced where the camera gave a mosaic."""
-        import cv2  # as in to_bgr
-
-        try:
-            return to_bgr(*self.read_raw(frame))
-        except cv2.error:
-            name = frame_name(frame.index, frame.camera)
-            raise AnnulusError(f"{self.path}: {name} is too small a mosaic to be made a picture.") from None
-
-    def is_sound(self, frame: RecordedFrame) -> bool:
-        """Whether frame and label are what was written."""
-        try:
-            with self.path.open("rb") as file:
-                return self._is_sound(frame.chunk, file)
-        except (OSError, ValueError):
-            return False
-
-    def _is_sound(self, chunk: Chunk | None, file: IO[bytes]) -> bool:
-        if chunk is None:
-            return True
-        if chunk.offset not in self._sound:
-            try:
-                chunk.read(file)
-                self._sound[chunk.offset] = True
-            except DamagedError:
-                self._sound[chunk.offset] = False
-        return self._sound[chunk.offset]
-
-
-def _of_chunk(file: IO[bytes], frame: RecordedFrame) -> memoryview:
-    """A frame's message, out of a chunk that is what was written."""
-    if frame.chunk is None:
-        return memoryview(piece(file, frame.offset, frame.length))
-    start = frame.offset - frame.chunk.offset
-    return memoryview(frame.chunk.read(file))[start : start + frame.length]
-
-
-def _crc_before(file: IO[bytes], end: int) -> int:
-    file.seek(0)
-    crc, left = 0, end
-    while left and (data := file.read(min(left, 1 << 20))):
-        crc, left = zlib.crc32(data, crc), left - len(data)
-    return crc
+        return to_bgr(*self.read_raw(frame))
 
     def is_sound(self, frame: RecordedFrame) -> bool:
         """Whether frame and label are what was written."""
