@@ -9,7 +9,7 @@ from typing import Any, Literal, cast
 import zmq
 
 from annulus.capture.timing import FrameTiming
-from annulus.controller import PREAMBLE_MAX
+from annulus.controller import HOST_TIMEOUT_DEFAULT_MS, HOST_TIMEOUT_MAX_MS, HOST_TIMEOUT_MIN_MS, PREAMBLE_MAX
 from annulus.geometry.calibration import Calibration
 from annulus.record.calibration_file import load_calibration, load_part
 from annulus.rings.colour import ColourProfile
@@ -24,6 +24,7 @@ CAMERA_KINDS = ("v4l2", "picamera2", "video", "folder", "remote")
 FILES = ("video", "folder")  # cameras that end, and do not come back
 SENSOR_KINDS = ("remote",)
 COLOUR_MAKER = "annulus calibrate colour"
+HOST_TIMEOUT_LEAST_MS = max(HOST_TIMEOUT_MIN_MS, 200)  # twice what lies between two words of the daemon, PING_NS
 USUAL_TIMING = FrameTiming(25.0, 38_000.0, 28_000.0)
 
 
@@ -64,6 +65,7 @@ class LampConfig:
     led_width_us: float = 2500.0
     preamble_frames: int = 15  # of an optical preamble; 0: none
     preamble_interval_s: float = 20.0  # from one to the next; 0: on arming and after a doubt only
+    host_timeout_ms: int = HOST_TIMEOUT_DEFAULT_MS  # lamps go dark when the daemon is silent for so long
 
     def check(self, timing: FrameTiming) -> None:
         """Raises AnnulusError when a flash leaves the window in which all rows expose."""
@@ -73,6 +75,24 @@ class LampConfig:
         ):
             if used and width > 0:
                 timing.check_flash(delay, width, lamp)
+
+
+@dataclass(frozen=True, slots=True)
+class RecordConfig:
+    """How much room a recording needs."""
+
+    min_free_gb: float = 2.0  # no scan begins with less,
+    min_free_minutes: float = 0.0  # or with less than so many minutes of frames
+    reserve_mb: float = 200.0  # a scan ends before the disk has less
+
+
+@dataclass(frozen=True, slots=True)
+class LogConfig:
+    """A log file that never takes more than (keep + 1) * max_mb."""
+
+    file: Path
+    max_mb: float = 10.0
+    keep: int = 5  # old ones, as FILE.1 to FILE.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,12 +107,15 @@ class HeadConfig:
     calibration: Calibration | None = None  # None: no live reconstruction
     colour: ColourProfile | None = None  # of the pipe; each frame's own where None
     record_folder: Path | None = None
+    record: RecordConfig = RecordConfig()
     publish: SocketConfig | None = None
     control: SocketConfig | None = None
     autostart: bool = True  # False: idle until the control socket says start
     sensors: tuple[SensorConfig, ...] = ()
     workers: int | None = None  # None: one a core but one
     slots: int = 24
+    log: LogConfig | None = None
+    realtime: bool | None = None  # None: where it is allowed
 
     @property
     def timing(self) -> FrameTiming:
@@ -108,6 +131,7 @@ class HeadConfig:
             "cameras": [asdict(camera) for camera in self.cameras],
             "timing": asdict(self.timing),
             "lamps": asdict(self.lamps),
+            "record": asdict(self.record),
             "port": self.port,
             "mm_per_count": self.mm_per_count,
             "max_speed_mm_s": self.max_speed_mm_s,
@@ -133,11 +157,13 @@ _SECTIONS: Mapping[str, tuple[str, ...]] = {
     "lamps": tuple(field.name for field in fields(LampConfig)),
     "odometer": ("mm_per_count", "max_speed_mm_s"),
     "calibration": ("file", "colour"),
-    "record": ("folder",),
+    "record": ("folder", *(field.name for field in fields(RecordConfig))),
     "publish": ("address", "key_file", "viewers"),
     "control": ("address", "key_file", "viewers", "autostart"),
     "sensor": ("kind", "device"),
     "workers": ("count", "slots"),
+    "log": ("file", "max_mb", "keep"),
+    "daemon": ("realtime",),
 }
 
 
@@ -175,12 +201,15 @@ def _checked(data: Mapping[str, Any], folder: Path) -> HeadConfig:
         calibration=None if calibration_file is None else load_calibration(folder / calibration_file),
         colour=None if paint is None else load_part(folder / paint, ColourProfile.from_dict, COLOUR_MAKER),
         record_folder=None if record is None else folder / record,
+        record=_record(data.get("record", {})),
         publish=_socket(data, "publish", folder),
         control=_socket(data, "control", folder),
         autostart=_flag(control, "control", "autostart", True),
         sensors=tuple(_sensor(content) for content in _several(data, "sensor")),
         workers=_whole(workers, "workers", "count", 1, 1, 64) if "count" in workers else None,
         slots=_whole(workers, "workers", "slots", 24, 4, 1024),
+        log=_log(data["log"], folder) if "log" in data else None,
+        realtime=_realtime(data.get("daemon", {})),
     )
     if config.port is not None:
         config.lamps.check(config.timing)
@@ -242,14 +271,46 @@ def _gains(content: Mapping[str, Any]) -> tuple[float, float] | None:
 
 def _lamps(content: Mapping[str, Any]) -> LampConfig:
     usual = LampConfig()
-    whole = {"ratio": 15, "preamble_frames": PREAMBLE_MAX}
+    whole = {  # and in which range; the others are numbers
+        "ratio": (0, 15),
+        "preamble_frames": (0, PREAMBLE_MAX),
+        "host_timeout_ms": (HOST_TIMEOUT_LEAST_MS, HOST_TIMEOUT_MAX_MS),
+    }
     given: dict[str, Any] = {
-        field.name: _whole(content, "lamps", field.name, getattr(usual, field.name), 0, whole[field.name])
+        field.name: _whole(content, "lamps", field.name, getattr(usual, field.name), *whole[field.name])
         if field.name in whole
         else _number(content, "lamps", field.name, getattr(usual, field.name), 0.0, 1e6)
         for field in fields(LampConfig)
     }
     return LampConfig(**given)
+
+
+def _record(content: Mapping[str, Any]) -> RecordConfig:
+    usual = RecordConfig()
+    return RecordConfig(
+        min_free_gb=_number(content, "record", "min_free_gb", usual.min_free_gb, 0.0, 1e5),
+        min_free_minutes=_number(content, "record", "min_free_minutes", usual.min_free_minutes, 0.0, 1e5),
+        reserve_mb=_number(content, "record", "reserve_mb", usual.reserve_mb, 0.0, 1e5),
+    )
+
+
+def _log(content: Mapping[str, Any], folder: Path) -> LogConfig:
+    if "file" not in content:
+        raise ValueError("[log] file is missing, expected where the log is written")
+    file = folder / _text(content, "log", "file", "")
+    usual = LogConfig(file)
+    return LogConfig(
+        file,
+        _number(content, "log", "max_mb", usual.max_mb, 0.01, 1e4),
+        _whole(content, "log", "keep", usual.keep, 1, 100),
+    )
+
+
+def _realtime(content: Mapping[str, Any]) -> bool | None:
+    value = content.get("realtime", "auto")
+    if value != "auto" and not isinstance(value, bool):
+        raise ValueError(f'[daemon] realtime is {value!r}, expected true, false or "auto"')
+    return None if value == "auto" else value
 
 
 def _sensor(content: Mapping[str, Any]) -> SensorConfig:

@@ -189,6 +189,7 @@ def stage_of(config: HeadConfig) -> Stage:
         ratio=lamps.ratio, period_us=timing.period_us, exposure_us=timing.exposure_us, readout_us=timing.readout_us,
         projector_us=(lamps.projector_delay_us, lamps.projector_width_us),
         led_us=(lamps.led_delay_us, lamps.led_width_us), tolerance_permille=100,
+        host_timeout_ms=lamps.host_timeout_ms,
     )  # fmt: skip
 
 

@@ -123,8 +123,11 @@ def stage_from_us(
     projector_us: tuple[float, float],
     led_us: tuple[float, float],
     tolerance_permille: int = 50,
+    host_timeout_ms: int = 0,
 ) -> Stage:
-    """A lamp configuration from microseconds; projector_us and led_us are (delay, width). HeadControl renumbers it."""
+    """A lamp configuration from microseconds; projector_us and led_us are (delay, width). HeadControl renumbers it.
+    host_timeout_ms 0: the controller's own.
+    """
 
     def ticks(us: float) -> int:
         return round(us * TICKS_PER_US)
@@ -136,7 +139,7 @@ def stage_from_us(
         exposure=ticks(exposure_us),
         readout=ticks(readout_us),
         tolerance=tolerance_permille,
-        host_timeout=0,
+        host_timeout=host_timeout_ms,
         projector_delay=ticks(projector_us[0]),
         projector_width=ticks(projector_us[1]),
         led_delay=ticks(led_us[0]),

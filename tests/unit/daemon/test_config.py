@@ -6,7 +6,16 @@ from pathlib import Path
 import pytest
 import zmq
 
-from annulus.daemon.config import CameraConfig, SensorConfig, SocketConfig, load_config
+from annulus.daemon.config import (
+    HOST_TIMEOUT_LEAST_MS,
+    CameraConfig,
+    LogConfig,
+    RecordConfig,
+    SensorConfig,
+    SocketConfig,
+    load_config,
+)
+from annulus.link.head import PING_NS
 from annulus.vocabulary import AnnulusError
 
 CALIBRATION = {
@@ -55,6 +64,12 @@ def test_the_example_in_the_readme_is_valid(tmp_path: Path) -> None:
     assert config.control == SocketConfig("tcp://127.0.0.1:5602") and config.autostart
     assert config.sensors == (SensorConfig("remote", "ipc:///run/head/sensors"),)
     assert config.cameras == (CameraConfig(colour_gains=(1.9, 1.6)),)
+    assert config.record == RecordConfig() and config.realtime is None
+    assert config.log == LogConfig(tmp_path / "head.log")
+
+
+def test_the_shortest_host_timeout_leaves_room_for_a_lost_ping() -> None:
+    assert HOST_TIMEOUT_LEAST_MS * 1_000_000 >= 2 * PING_NS
 
 
 def test_an_empty_file_is_a_camera_without_a_controller(tmp_path: Path) -> None:
@@ -77,6 +92,16 @@ def test_an_empty_file_is_a_camera_without_a_controller(tmp_path: Path) -> None:
         ('[camera]\nkind = "webcam"', "webcam"),
         ("[lamps]\nratio = 16", "0..15"),
         ("[lamps]\nratio = true", "ratio"),
+        ("[lamps]\nhost_timeout_ms = 100", "host_timeout_ms is 100, expected a number in 200..5000"),
+        ("[lamps]\nhost_timeout_ms = 250.5", "whole"),
+        ("[record]\nmin_free_gb = nan", "min_free_gb"),
+        ("[record]\nmin_free_minutes = -5", "min_free_minutes is -5"),
+        ("[record]\nreserve_mb = true", "reserve_mb"),
+        ("[log]\nmax_mb = 10", r"\[log\] file is missing"),
+        ('[log]\nfile = "head.log"\nkeep = 0', "keep is 0"),
+        ('[log]\nfile = "head.log"\nmax_mb = 0', "max_mb is 0"),
+        ('[daemon]\nrealtime = "yes"', 'expected true, false or "auto"'),
+        ("[daemon]\nrealtime = 1", "realtime is 1"),
         ('[controller]\nport = ""', "port"),
         ('[controller]\nport = "x"\n[lamps]\nprojector_delay_us = 100', "leaves the window"),
         ('[controller]\nport = "x"\n[camera]\nexposure_us = 20000', "readout"),
