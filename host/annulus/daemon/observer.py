@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from annulus.daemon.account import ScanReport
+from annulus.daemon.health import Health
 from annulus.daemon.state import State
 from annulus.numeric.arrays import Image
 from annulus.sensors.sample import Sample
@@ -51,6 +52,9 @@ class Observer:
     def telemetry(self, numbers: Mapping[str, Any]) -> None:
         """Once a second: every counter there is, as plain types."""
 
+    def health(self, health: Health) -> None:
+        """Once a second: how the head is, in one word."""
+
     def ended(self, report: ScanReport) -> None:
         """A scan is over and its recording closed."""
 
@@ -88,6 +92,10 @@ class Observers(Observer):
     def telemetry(self, numbers: Mapping[str, Any]) -> None:
         for one in self.all:
             one.telemetry(numbers)
+
+    def health(self, health: Health) -> None:
+        for one in self.all:
+            one.health(health)
 
     def ended(self, report: ScanReport) -> None:
         for one in self.all:

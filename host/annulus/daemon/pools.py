@@ -20,6 +20,7 @@ from typing import Any
 import zmq
 
 from annulus.daemon.account import Account
+from annulus.daemon.health import Health
 from annulus.daemon.intake import RESERVE, InSlot
 from annulus.daemon.observer import Mark, Observer
 from annulus.daemon.reorder import ReorderBuffer
@@ -246,6 +247,9 @@ class Recorder(Pool, Observer):
         for path in [path for path in self._account.recordings if not path.exists()]:
             self._observer.event("disk", f"{path}: was removed; the frames in it are lost")
             self._gone(path)
+
+    def health(self, health: Health) -> None:
+        self.note("/health", health.to_dict())
 
     def _done(self, header: FrameHeader, body: Any) -> None:
         if body:

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from annulus.daemon.account import ScanReport
+from annulus.daemon.health import Health
 from annulus.daemon.observer import Mark, Observer
 from annulus.daemon.state import State
 from annulus.numeric.arrays import Image
@@ -40,6 +41,9 @@ class Publishing(Observer):
 
     def telemetry(self, numbers: Mapping[str, Any]) -> None:
         self._send("telemetry", numbers)
+
+    def health(self, health: Health) -> None:
+        self._send("health", health.to_dict())
 
     def ended(self, report: ScanReport) -> None:
         self._send("ended", {"seconds": report.seconds, "recordings": [str(path) for path in report.recordings]})

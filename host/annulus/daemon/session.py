@@ -32,10 +32,11 @@ from annulus.daemon.power import Power, power_up
 from annulus.daemon.samples import Samples
 from annulus.daemon.scanning import DRAIN_S, START_S, Scan
 from annulus.daemon.state import Event, State, next_state
+from annulus.daemon.vitals import Vitals
 from annulus.labelling.navigation import Navigation
 from annulus.sensors.odometer import Place
 from annulus.sensors.sample import Sensor
-from annulus.stream.frames import FrameHeader
+from annulus.stream.frames import CHANNELS, FrameHeader
 from annulus.vocabulary import AnnulusError, Label
 
 TELEMETRY_S = 1.0
@@ -69,6 +70,8 @@ class Session:
         self._observers = Observers([_Remember(self._account), *([observer] if observer is not None else [])])
         self._navigation = Navigation(config.mm_per_count, config.max_speed_mm_s)
         self._samples = Samples(sensors, self._navigation, self._account, self._observers)
+        self._vitals: Vitals | None = None
+        self._trouble = ""  # why the head is in fault
         self._power: Power | None = None
         self._scan: Scan | None = None  # the one under way, or being made ready
         self._reconstruction: Reconstruction | None = None
@@ -155,6 +158,7 @@ class Session:
             "intakes": [feed.numbers() for feed in self._feeds],
             "sensors": self._samples.numbers(),
             "slots_free": power.shared.ring.free if power is not None else 0,
+            "disk": self._vitals.numbers() if self._vitals is not None else {},
             **{name: pool.numbers() if pool is not None else {} for name, pool in pools.items()},
         }
 
@@ -163,6 +167,9 @@ class Session:
     def _power_up(self, stack: ExitStack) -> None:
         """Acquire everything; `stack` gives it back in reverse order."""
         config = self._config
+        rate = sum(one.width * one.height * CHANNELS[one.encoding] for one in self._cameras) * config.timing.fps
+        self._vitals = Vitals(config, rate, self._observers)
+        stack.callback(self._vitals.close)
         self._power = power = power_up(
             config, self._cameras, self._sensors, self._account, self._observers, self._navigation, stack
         )
@@ -198,6 +205,9 @@ class Session:
     # ---- one scan ----
 
     def _prepare_scan(self, power: Power) -> Scan:
+        """Raises AnnulusError when there is no room for a recording."""
+        if self._vitals is not None:
+            self._vitals.require_space()
         self._scan = Scan(self._config, power, self._account, self._observers, self._navigation, self._name)
         return self._scan
 
@@ -326,7 +336,10 @@ class Session:
                 self._account.lose("control_malformed", power.control.poll(self._obey, lambda: self._state))
         if now >= self._next_telemetry:
             self._next_telemetry = now + TELEMETRY_S
-            self._observers.telemetry(self.telemetry())
+            telemetry = self.telemetry()
+            self._observers.telemetry(telemetry)
+            if self._vitals is not None and (why := self._vitals.look(telemetry, self._trouble, self._has_scan)):
+                self._fail(why)
 
     def _sleep(self) -> None:
         """Until something has come: a frame, a word of the controller, an answer of a process; or a chore is due."""
@@ -385,6 +398,7 @@ class Session:
             self._fail(why)
             scan = self._scan
         trouble = (self._line.trouble if self._line is not None else "") or (scan.trouble if scan is not None else "")
+        self._trouble = trouble
         if trouble and self._state in (State.IDLE, State.ARMED, State.SCANNING):
             self._enter(Event.FAULT, trouble)
         elif self._state is State.FAULT and not trouble and (self._line is None or self._line.settled):

@@ -1,0 +1,161 @@
+"""How long the disk lasts: what is free, how fast it goes, and when a recording must not begin or go on.
+
+The rate is what free space really lost over the last half minute, whoever wrote it; before that is known, what the
+cameras will send. Free space is asked for in a thread of its own, once a second: a disk that hangs hangs nobody else.
+"""
+
+import contextlib
+import os
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from annulus.daemon.config import RecordConfig
+from annulus.vocabulary import AnnulusError
+
+GB, MB = 1e9, 1e6
+WINDOW_S = 30.0
+TRUST_S = 10.0  # a rate measured over less is not believed
+ASK_S = 1.0
+MINUTES = (60, 30, 10, 5, 2)  # left: told once each, as the forecast falls below
+HANGS_S = 10.0  # without an answer about free space
+
+
+class Space(Protocol):
+    """As much of os.statvfs's answer as counts."""
+
+    @property
+    def f_bavail(self) -> int: ...
+
+    @property
+    def f_frsize(self) -> int: ...
+
+
+StatVfs = Callable[[str], Space]
+
+
+@dataclass(frozen=True, slots=True)
+class DiskState:
+    """`free_bytes` is None while nobody could say, `minutes_left` also while nothing is being written."""
+
+    free_bytes: int | None = None
+    bytes_per_s: float = 0.0
+    minutes_left: float | None = None
+
+    def __str__(self) -> str:
+        if self.free_bytes is None:
+            return "free space not known"
+        free = f"{self.free_bytes / GB:.1f} GB free"
+        return free if self.minutes_left is None else f"{free}, {self.minutes_left:.0f} min left"
+
+    def numbers(self) -> dict[str, float | None]:
+        """For the telemetry."""
+        return {
+            "free_gb": None if self.free_bytes is None else round(self.free_bytes / GB, 3),
+            "mb_per_s": round(self.bytes_per_s / MB, 2),
+            "minutes_left": None if self.minutes_left is None else round(self.minutes_left, 1),
+        }
+
+
+def free_bytes(folder: Path, statvfs: StatVfs = os.statvfs) -> int:
+    """Of the disk that the folder is on, or will be. Raises OSError."""
+    there = folder.absolute()
+    while not there.exists() and there != there.parent:
+        there = there.parent
+    space = statvfs(str(there))
+    return space.f_bavail * space.f_frsize
+
+
+def require_space(folder: Path, limits: RecordConfig, expected_rate: float, statvfs: StatVfs = os.statvfs) -> None:
+    """Raises AnnulusError, one line, when a scan must not begin there. `expected_rate`: bytes a second."""
+    try:
+        free = free_bytes(folder, statvfs)
+    except OSError as error:
+        raise AnnulusError(f"{folder}: {error.strerror}. Choose another folder for recordings.") from None
+    if free < limits.min_free_gb * GB:
+        raise AnnulusError(
+            f"{folder}: {free / GB:.1f} GB free, expected at least {limits.min_free_gb:g} GB ([record] min_free_gb)"
+        )
+    room = max(0.0, free - limits.reserve_mb * MB)
+    if expected_rate > 0 and room < limits.min_free_minutes * 60 * expected_rate:
+        raise AnnulusError(
+            f"{folder}: room for {room / expected_rate / 60:.0f} min at {expected_rate / MB:.0f} MB/s, expected at "
+            f"least {limits.min_free_minutes:g} min ([record] min_free_minutes)"
+        )
+
+
+class Forecast:
+    """Sans-I/O: told what is free, says what is left."""
+
+    def __init__(self, reserve_bytes: float = 0.0) -> None:
+        self._reserve = reserve_bytes
+        self._seen: deque[tuple[float, int]] = deque()
+        self._below = float("inf")  # the last threshold told
+
+    def restart(self) -> None:
+        """A scan begins: what was written before says nothing of it."""
+        self._seen.clear()
+        self._below = float("inf")
+
+    def look(self, free: int, now_s: float, expected_rate: float = 0.0) -> DiskState:
+        """`expected_rate`, bytes a second, is believed until a rate was measured."""
+        self._seen.append((now_s, free))
+        while self._seen[0][0] < now_s - WINDOW_S:
+            self._seen.popleft()
+        since, then = self._seen[0]
+        rate = (then - free) / (now_s - since) if now_s - since >= TRUST_S else expected_rate
+        if rate <= 0.0:
+            return DiskState(free)
+        return DiskState(free, rate, max(0.0, free - self._reserve) / rate / 60.0)
+
+    def news(self, state: DiskState) -> str:
+        """A line when fewer minutes are left than one of MINUTES, once for each; empty otherwise."""
+        left = state.minutes_left
+        if left is None:
+            return ""
+        below = min((minutes for minutes in MINUTES if left < minutes), default=float("inf"))
+        if left > 1.5 * self._below:  # somebody made room: tell anew
+            self._below = below
+        if below >= self._below:
+            return ""
+        self._below = below
+        return f"disk: {state}"
+
+    def is_full(self, state: DiskState) -> bool:
+        """Whether only the reserve is left."""
+        return state.free_bytes is not None and state.free_bytes <= self._reserve
+
+
+class Asker:
+    """Asks for free space every second, in a thread of its own."""
+
+    def __init__(self, folder: Path, statvfs: StatVfs = os.statvfs) -> None:
+        self._folder, self._statvfs = folder, statvfs
+        self._done = threading.Event()
+        self._answer: tuple[float, int] | None = None
+        self._began_s = time.monotonic()
+        threading.Thread(target=self._ask, name="free space", daemon=True).start()
+
+    def latest(self) -> int | None:
+        """None before the first answer, and when there was none for HANGS_S."""
+        answer = self._answer
+        return None if answer is None or time.monotonic() - answer[0] > HANGS_S else answer[1]
+
+    @property
+    def hangs(self) -> bool:
+        """Whether nobody has answered for HANGS_S."""
+        return time.monotonic() - (self._answer or (self._began_s,))[0] > HANGS_S
+
+    def close(self) -> None:
+        self._done.set()
+
+    def _ask(self) -> None:
+        while True:
+            with contextlib.suppress(OSError):  # the last answer grows old
+                self._answer = time.monotonic(), free_bytes(self._folder, self._statvfs)
+            if self._done.wait(ASK_S):
+                return

@@ -1,0 +1,70 @@
+"""How the head is, looked at once a second: the disk's forecast and the one word, told to whoever listens."""
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from annulus.daemon.config import HeadConfig
+from annulus.daemon.disk import MB, Asker, DiskState, Forecast, require_space
+from annulus.daemon.health import HealthFile, HealthWatch, health_path
+from annulus.daemon.observer import Observer
+
+RESERVE_S = 3.0  # of frames at least: what is in hand when a scan ends must still find room
+
+
+class Vitals:
+    """Of one session, scan or no scan."""
+
+    def __init__(self, config: HeadConfig, bytes_per_s: float, observer: Observer) -> None:
+        """`bytes_per_s`: what the cameras send."""
+        self._folder, self._limits, self._observer = config.record_folder, config.record, observer
+        self._rate = bytes_per_s
+        self._forecast = Forecast(max(config.record.reserve_mb * MB, RESERVE_S * bytes_per_s))
+        self._watch = HealthWatch(records=config.record_folder is not None)
+        self._asker = None if config.record_folder is None else Asker(config.record_folder)
+        self._disk = DiskState()
+        path = health_path(config.record_folder)
+        self._file = None if path is None else HealthFile(path)
+        self._told = ""
+
+    def require_space(self) -> None:
+        """Before a scan. Raises AnnulusError, one line, when it must not begin."""
+        if self._folder is not None:
+            require_space(self._folder, self._limits, self._rate)
+            self._forecast.restart()
+
+    def numbers(self) -> dict[str, Any]:
+        """Of the disk, for the telemetry."""
+        if self._asker is None:
+            return {}
+        return {**self._disk.numbers(), "hangs": self._asker.hangs}
+
+    def look(self, telemetry: Mapping[str, Any], why_fault: str, scanning: bool) -> str:
+        """Once a second. Returns why the scan under way must end, one line; empty when it need not."""
+        now = time.monotonic()
+        health = self._watch.judge(telemetry, why_fault, now)
+        self._observer.health(health)
+        if self._file is not None:
+            self._file.write(health, telemetry["state"], telemetry["disk"])
+            if self._file.problem != self._told:
+                self._told = self._file.problem
+                if self._told:
+                    self._observer.event("health", self._told)
+        free = self._asker.latest() if self._asker is not None else None
+        if free is None:
+            self._disk = DiskState()
+            return ""
+        self._disk = self._forecast.look(free, now, self._rate if scanning else 0.0)
+        if not scanning:
+            return ""
+        if news := self._forecast.news(self._disk):
+            self._observer.event("disk", news)
+        if self._forecast.is_full(self._disk):
+            return f"{self._folder}: only {free / MB:.0f} MB free: the scan is ended while its recording can be closed"
+        return ""
+
+    def close(self) -> None:
+        if self._asker is not None:
+            self._asker.close()
+        if self._file is not None:
+            self._file.close()
