@@ -150,11 +150,32 @@ def demo(
 @app.command(epilog="Example: annulus daemon --config head.toml")
 def daemon(
     config: Annotated[Path, typer.Option(help="head.toml: port, camera, timing, recording; see host/annulus/daemon.")],
+    check: Annotated[
+        bool, typer.Option("--check", help="Only look whether all is there and fits; lamps stay dark. Status 1 if not.")
+    ] = False,
+    log: Annotated[Path | None, typer.Option(help="Log file, in place of the one head.toml names.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print what --check found as JSON.")] = False,
 ) -> None:
     """Run a head: capture, label, record, reconstruct and publish until Ctrl-C."""
+    if check:
+        _print_findings(config, as_json)
+        return
     from annulus.daemon import run_daemon
 
-    raise typer.Exit(run_daemon(config))
+    raise typer.Exit(run_daemon(config, log))
+
+
+def _print_findings(config: Path, as_json: bool) -> None:
+    from annulus.daemon.check import check_head
+
+    found = check_head(config)
+    if as_json:
+        print(json.dumps([{"what": one.what, "ok": one.ok, "text": one.text} for one in found]))
+    else:
+        for one in found:
+            print(f"{ {True: 'ok', False: 'NOT OK', None: '-'}[one.ok]:<8}{one.what:<14}{one.text}")
+    if any(one.ok is False for one in found):
+        raise typer.Exit(1)
 
 
 def main() -> None:

@@ -1,22 +1,38 @@
 """`annulus daemon`: one head from the command line."""
 
+import logging
 import sys
 from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from annulus.daemon.account import ScanReport
 from annulus.daemon.cameras import open_sensors
-from annulus.daemon.config import load_config
+from annulus.daemon.config import LogConfig, load_config
+from annulus.daemon.health import Health, Word
 from annulus.daemon.interrupt import Interrupt
 from annulus.daemon.ledger import Status
-from annulus.daemon.observer import Observer
+from annulus.daemon.logfile import LogFile
+from annulus.daemon.observer import Observer, Observers
+from annulus.daemon.priority import raise_priority
+from annulus.daemon.service import Service
 from annulus.daemon.session import Session
 from annulus.daemon.state import State
+from annulus.vocabulary import AnnulusError
 
 
 class Console(Observer):
     """What happens, line by line on stderr."""
+
+    def __init__(self) -> None:
+        self._word = Word.OK
+
+    def health(self, health: Health) -> None:
+        if health.word is not self._word:
+            _say(f"health {health}")
+        self._word = health.word
 
     def state(self, state: State, why: str) -> None:
         if state is not State.OFF:  # it is the end of the process too
@@ -33,15 +49,33 @@ class Console(Observer):
             _say(line)
 
 
-def run_daemon(config_path: Path) -> Status:
+def run_daemon(config_path: Path, log: Path | None = None) -> Status:
     """Until Ctrl-C or SIGTERM; every scan ends with what was made. Returns how the worst of them ended. Raises
     AnnulusError when it cannot begin.
+
+    log : in place of the one that head.toml names.
     """
-    with Interrupt() as interrupt:
+    with Interrupt() as interrupt, ExitStack() as stack:
         config = load_config(config_path)
-        sensors = open_sensors(config)
-        session = Session(config, observer=Console(), sensors=sensors)
-        session.run(lambda: interrupt.requested)
+        if log is not None:
+            config = replace(config, log=replace(config.log or LogConfig(log), file=log))
+        service = Service()
+        stack.callback(service.close)
+        listeners = Observers([Console(), service])
+        written = LogFile(config.log) if config.log is not None else None
+        if written is not None:
+            stack.callback(written.close)
+            listeners.all.append(written)
+        if remark := raise_priority(config.realtime):
+            listeners.event("priority", remark)
+        try:
+            sensors = open_sensors(config)
+            session = Session(config, listeners, sensors=sensors)
+            session.run(lambda: interrupt.requested)
+        except AnnulusError as error:
+            if written is not None:
+                written.say(logging.ERROR, "daemon", str(error))
+            raise
         return session.status
 
 

@@ -1,0 +1,200 @@
+"""Before a scan: is everything there that it needs, and does it fit together?
+
+Everything is opened as the daemon would open it, one after the other, and given back; nothing is armed, so lamps stay
+dark. What fails does not keep the rest from being looked at.
+"""
+
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import zmq
+
+from annulus.capture.camera import Camera, EndOfFrames, grab
+from annulus.daemon.cameras import apply_controls, open_cameras, open_sensors
+from annulus.daemon.config import CameraConfig, HeadConfig, SocketConfig, load_config, require_size
+from annulus.daemon.disk import MB, DiskState, Forecast, free_bytes, require_space
+from annulus.daemon.priority import raise_priority
+from annulus.link import operate
+from annulus.link.client import Client
+from annulus.stream.access import Doorkeeper
+from annulus.stream.frames import CHANNELS
+from annulus.vocabulary import AnnulusError
+
+FRAME_S = 5.0  # for a camera's first frame
+SENSOR_S = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One line of the table. `ok` None: there is nothing to be right or wrong."""
+
+    what: str
+    ok: bool | None
+    text: str
+
+
+def check_head(path: Path) -> list[Finding]:
+    """All of it, in the order of a scan's beginning. Waits some seconds for cameras and sensors at most."""
+    try:
+        config = load_config(path)
+    except AnnulusError as error:
+        return [Finding("head.toml", False, str(error))]
+    found = [Finding("head.toml", True, str(path))]
+
+    def look(what: str, at: Callable[[], str], without: str = "") -> None:
+        if without:
+            found.append(Finding(what, None, without))
+            return
+        try:
+            found.append(Finding(what, True, at()))
+        except AnnulusError as error:
+            found.append(Finding(what, False, str(error)))
+
+    look("calibration", lambda: _calibration(config), "" if config.calibration else "none: nothing is seen live")
+    look("controller", lambda: _controller(config.port or ""), "" if config.port else "none: frames have no labels")
+    found += _cameras(config)
+    look("sensors", lambda: _sensors(config), "" if config.sensors else "none")
+    look("recording", lambda: _recording(config), "" if config.record_folder else "none: nothing is recorded")
+    for what, socket in (("publish", config.publish), ("control", config.control)):
+        look(what, lambda socket=socket, what=what: _socket(what, socket), "" if socket else "none")  # type: ignore[misc]
+    look("log", lambda: _log(config.log.file if config.log else Path()), "" if config.log else "none")
+    found.append(_priority(config.realtime))
+    return found
+
+
+def _calibration(config: HeadConfig) -> str:
+    assert config.calibration is not None
+    return ", ".join(f"camera {one.id} {one.camera.width}x{one.camera.height}" for one in config.calibration.cameras)
+
+
+def _controller(port: str) -> str:
+    with Client(port):  # one that may be armed, not only asked
+        pass
+    status = operate.status(port)
+    armed = str(status["state"])
+    if "armed" in armed or status["fault"] != "none":
+        raise AnnulusError(f"{port}: state is {armed}, fault {status['fault']}, expected a controller at rest")
+    return f"{port}: {status['board']}, firmware {status['version'] or status['firmware']}, {armed or 'at rest'}"
+
+
+def _cameras(config: HeadConfig) -> list[Finding]:
+    try:
+        cameras = open_cameras(config)
+    except AnnulusError as error:
+        return [Finding("cameras", False, str(error))]
+    found = []
+    with ExitStack() as stack:
+        for camera in cameras:
+            stack.callback(camera.close)
+        for number, (camera, wanted) in enumerate(zip(cameras, config.cameras, strict=True)):
+            what = f"camera {number}"
+            try:
+                if config.calibration is not None:
+                    require_size(config.calibration, [(one.width, one.height) for one in cameras])
+                found.append(Finding(what, True, _frame(camera, wanted)))
+            except AnnulusError as error:
+                found.append(Finding(what, False, str(error)))
+    return found
+
+
+def _frame(camera: Camera, wanted: CameraConfig) -> str:
+    """A camera that may wait for ever is waited for by a thread."""
+    came: list[object] = []
+
+    def take() -> None:
+        try:
+            camera.start()
+            came.extend(apply_controls(camera, wanted))
+            came.append(grab(camera).timestamp_ns)
+            camera.stop()
+        except (AnnulusError, TimeoutError, EndOfFrames) as error:
+            came.append(error)
+
+    thread = threading.Thread(target=take, name="first frame", daemon=True)
+    thread.start()
+    thread.join(FRAME_S)
+    last = came[-1] if came and not thread.is_alive() else TimeoutError(f"no frame within {FRAME_S:g} s")
+    if not isinstance(last, int):
+        raise AnnulusError(f"{wanted.device}: {last}")
+    remarks = "".join(f"; {remark}" for remark in came[:-1])
+    return f"{wanted.device}: {camera.width}x{camera.height} {camera.encoding}, a frame came{remarks}"
+
+
+def _sensors(config: HeadConfig) -> str:
+    """Each that spoke within SENSOR_S. Raises AnnulusError when one did not."""
+    with ExitStack() as stack:
+        sensors = open_sensors(config)
+        for sensor in sensors:
+            stack.callback(sensor.close)
+        silent = {number: config.sensors[number].device for number in range(len(sensors))}
+        spoke: set[str] = set()
+        end = time.monotonic() + SENSOR_S
+        while silent and time.monotonic() < end:
+            for number, sensor in enumerate(sensors):
+                names = {sample.sensor for sample in sensor.poll()}
+                if names:
+                    silent.pop(number, None)
+                    spoke |= names
+            time.sleep(0.01)
+    if silent:
+        raise AnnulusError(f"{', '.join(silent.values())}: nobody speaks there within {SENSOR_S:g} s")
+    return ", ".join(sorted(spoke))
+
+
+def _recording(config: HeadConfig) -> str:
+    folder = config.record_folder
+    assert folder is not None
+    rate = _bytes_per_s(config.cameras)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder) as file:
+            file.write(b"annulus")
+            file.flush()
+    except OSError as error:
+        raise AnnulusError(f"{folder}: cannot be written ({error.strerror}). Choose another folder.") from None
+    require_space(folder, config.record, rate)
+    state: DiskState = Forecast(config.record.reserve_mb * MB).look(free_bytes(folder), 0.0, rate)
+    return f"{folder}: {state}"
+
+
+def _bytes_per_s(cameras: Sequence[CameraConfig]) -> float:
+    """What they send at most, as colour pictures."""
+    return sum(one.width * one.height * one.timing.fps for one in cameras) * max(CHANNELS.values())
+
+
+def _socket(what: str, socket: SocketConfig | None) -> str:
+    assert socket is not None
+    context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+    doorkeeper = Doorkeeper(context)
+    try:
+        address = doorkeeper.bind(context.socket(zmq.ROUTER), socket.address, socket.keys, what)
+    finally:
+        doorkeeper.close()
+        context.destroy(linger=0)
+    return f"{address}, " + (f"{len(socket.keys.viewers)} keys" if socket.keys else "this machine only")
+
+
+def _log(file: Path) -> str:
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with file.open("ab"):
+            pass
+    except OSError as error:
+        raise AnnulusError(f"{file}: the log cannot be written ({error.strerror})") from None
+    return str(file)
+
+
+def _priority(wanted: bool | None) -> Finding:
+    """Tried in a thread that ends with it."""
+    if wanted is False:
+        return Finding("priority", None, "not wanted")
+    remark: list[str] = []
+    thread = threading.Thread(target=lambda: remark.append(raise_priority(True)))
+    thread.start()
+    thread.join()
+    return Finding("priority", not (wanted and remark[0]), remark[0] or "real-time")
