@@ -15,8 +15,8 @@ from pathlib import Path
 import zmq
 
 from annulus.capture.camera import Camera, EndOfFrames, grab
-from annulus.daemon.cameras import apply_controls, open_cameras, open_sensors
-from annulus.daemon.config import CameraConfig, HeadConfig, SocketConfig, load_config, require_size
+from annulus.daemon.cameras import apply_controls, open_camera, open_sensors
+from annulus.daemon.config import CameraConfig, HeadConfig, SocketConfig, load_config
 from annulus.daemon.disk import MB, DiskState, Forecast, free_bytes, require_space
 from annulus.daemon.priority import raise_priority
 from annulus.link import operate
@@ -83,22 +83,17 @@ def _controller(port: str) -> str:
 
 
 def _cameras(config: HeadConfig) -> list[Finding]:
-    try:
-        cameras = open_cameras(config)
-    except AnnulusError as error:
-        return [Finding("cameras", False, str(error))]
     found = []
-    with ExitStack() as stack:
-        for camera in cameras:
-            stack.callback(camera.close)
-        for number, (camera, wanted) in enumerate(zip(cameras, config.cameras, strict=True)):
-            what = f"camera {number}"
+    for number, wanted in enumerate(config.cameras):
+        what = f"camera {number}"
+        try:
+            camera = open_camera(wanted, number)
             try:
-                if config.calibration is not None:
-                    require_size(config.calibration, [(one.width, one.height) for one in cameras])
                 found.append(Finding(what, True, _frame(camera, wanted)))
-            except AnnulusError as error:
-                found.append(Finding(what, False, str(error)))
+            finally:
+                camera.close()
+        except AnnulusError as error:
+            found.append(Finding(what, False, str(error)))
     return found
 
 

@@ -70,7 +70,7 @@ def run_daemon(config_path: Path, log: Path | None = None) -> Status:
             listeners.event("priority", remark)
         try:
             sensors = open_sensors(config)
-            session = Session(config, listeners, sensors=sensors)
+            session = Session(config, observer=listeners, sensors=sensors)
             session.run(lambda: interrupt.requested)
         except AnnulusError as error:
             if written is not None:

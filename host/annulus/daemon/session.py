@@ -167,12 +167,12 @@ class Session:
     def _power_up(self, stack: ExitStack) -> None:
         """Acquire everything; `stack` gives it back in reverse order."""
         config = self._config
-        rate = sum(one.width * one.height * CHANNELS[one.encoding] for one in self._cameras) * config.timing.fps
-        self._vitals = Vitals(config, rate, self._observers)
-        stack.callback(self._vitals.close)
         self._power = power = power_up(
             config, self._cameras, self._sensors, self._account, self._observers, self._navigation, stack
         )
+        frames = sum(mode.width * mode.height * CHANNELS[mode.encoding] for mode in power.modes)
+        self._vitals = Vitals(config, frames * config.timing.fps, self._observers)
+        stack.callback(self._vitals.close)
         stack.callback(self._stop_pools)
         if config.autostart:
             self._prepare_scan(power)  # together with the workers: neither has to wait for the other
