@@ -43,7 +43,7 @@ def configure(
     """Stage, validate and commit the lamp timing. A flash that does not fit the window is refused."""
     from annulus.capture.timing import FrameTiming
     from annulus.link import operate
-    from annulus.link.head import stage_from_us
+    from annulus.link.stage import stage_from_us
 
     mode = FrameTiming(fps, exposure_us, readout_us)
     for lamp, delay_us, width_us in (

@@ -5,13 +5,14 @@ import time
 from annulus.daemon.account import Account
 from annulus.daemon.config import HeadConfig
 from annulus.daemon.observer import Observer
-from annulus.link.head import HeadControl, HeadEvent, Phase, PhaseChanged, stage_from_us
+from annulus.link.head import HeadControl, HeadEvent, Phase, PhaseChanged
 from annulus.link.messages import Fault, Preamble, Stage, SyncFound, SyncLost, TurntableStopped
 from annulus.link.operate import why_it_stopped
 from annulus.link.port import Opening, Port
 from annulus.link.preamble import preamble_of
 from annulus.link.problems import too_old
 from annulus.link.session import EventReceived, EventsLost, Rebooted
+from annulus.link.stage import stage_from_us
 from annulus.vocabulary import AnnulusError
 
 TURN_S = 0.002  # at most between two looks at a line that cannot wake us: what comes in is stamped when it is read

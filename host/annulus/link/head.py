@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-from annulus.controller import TICK_NS, TICKS_PER_US
+from annulus.controller import TICK_NS
 from annulus.link.boots import BootWatch
 from annulus.link.clock import ClockMap
 from annulus.link.messages import (
@@ -112,39 +112,6 @@ def flash_from(edge: Edge, tick: Tick, boot: int) -> Flash:
         EdgeIndex(edge.edge), tick, Slot(edge.slot), Lamp(edge.lamp), edge.delay, edge.width, edge.odometer,
         edge.generation, boot, edge.flags,
     )  # fmt: skip
-
-
-def stage_from_us(
-    *,
-    ratio: int,
-    period_us: float,
-    exposure_us: float,
-    readout_us: float,
-    projector_us: tuple[float, float],
-    led_us: tuple[float, float],
-    tolerance_permille: int = 50,
-    host_timeout_ms: int = 0,
-) -> Stage:
-    """A lamp configuration from microseconds; projector_us and led_us are (delay, width). HeadControl renumbers it.
-    host_timeout_ms 0: the controller's own.
-    """
-
-    def ticks(us: float) -> int:
-        return round(us * TICKS_PER_US)
-
-    return Stage(
-        generation=1,
-        ratio=ratio,
-        frame_period=ticks(period_us),
-        exposure=ticks(exposure_us),
-        readout=ticks(readout_us),
-        tolerance=tolerance_permille,
-        host_timeout=host_timeout_ms,
-        projector_delay=ticks(projector_us[0]),
-        projector_width=ticks(projector_us[1]),
-        led_delay=ticks(led_us[0]),
-        led_width=ticks(led_us[1]),
-    )
 
 
 class HeadControl:

@@ -13,10 +13,11 @@ from annulus.capture.timing import FrameTiming
 from annulus.controller import TICK_S, TICKS_PER_US
 from annulus.labelling.labelling import CameraMode, FrameSeen, Labelling
 from annulus.labelling.navigation import Navigation
-from annulus.link.head import EdgeSeen, HeadControl, HeadEvent, LampsCut, Phase, PhaseChanged, stage_from_us
+from annulus.link.head import EdgeSeen, HeadControl, HeadEvent, LampsCut, Phase, PhaseChanged
 from annulus.link.messages import BootCause, Stage
 from annulus.link.preamble import preamble_of
 from annulus.link.session import EventsLost, Rebooted
+from annulus.link.stage import stage_from_us
 from annulus.twin.driver import Delivered, Driver
 from annulus.twin.emulated import Board
 from annulus.twin.faults import Faults, LossyLine

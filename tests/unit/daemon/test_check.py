@@ -65,8 +65,8 @@ def test_everything_that_is_wrong_is_found_in_one_go(head: Path, monkeypatch: py
         monkeypatch.setattr(disk, "free_bytes", lambda *_: 10**9)
         rows = found(head)
     wrong = {what: text for what, (ok, text) in rows.items() if ok is False}
-    assert list(wrong) == ["controller", "cameras", "sensors", "recording", "publish", "control", "log"]
-    assert "cannot be opened" in wrong["controller"] and "64x48, but head.toml says 66x48" in wrong["cameras"]
+    assert list(wrong) == ["controller", "camera 0", "sensors", "recording", "publish", "control", "log"]
+    assert "cannot be opened" in wrong["controller"] and "64x48, but head.toml says 66x48" in wrong["camera 0"]
     assert "nobody speaks there" in wrong["sensors"] and "1.0 GB free, expected at least 2 GB" in wrong["recording"]
     assert "Address already in use" in wrong["control"] and "CURVE keys" in wrong["publish"]
     assert not [text for text in wrong.values() if "\n" in text]

@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 
 from annulus.link import operate
-from annulus.link.head import stage_from_us
 from annulus.link.messages import Command, Configuration, Reply
+from annulus.link.stage import stage_from_us
 from annulus.testing.heads import ScriptedHead, SimulatedHead
 from annulus.testing.scripted import ScriptedController
 from annulus.vocabulary import AnnulusError

@@ -9,8 +9,8 @@ import pytest
 
 from annulus.link.client import Client
 from annulus.link.codec import TO_CONTROLLER, Decoder
-from annulus.link.head import stage_from_us
 from annulus.link.messages import Arm, ArmFlag, Commit, StateFlag, Status, StatusReply
+from annulus.link.stage import stage_from_us
 from annulus.selftest.promise import Verdict
 from annulus.selftest.run import run_selftest
 from annulus.testing.heads import ScriptedHead, SimulatedHead

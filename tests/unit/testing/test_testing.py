@@ -12,9 +12,9 @@ import annulus.testing
 from annulus.controller import PIN_LED
 from annulus.link import operate
 from annulus.link.client import Client
-from annulus.link.head import stage_from_us
 from annulus.link.messages import Arm, ArmFlag, Commit, Edge, Fault, FaultCode, Ping
 from annulus.link.session import EventReceived, EventsLost
+from annulus.link.stage import stage_from_us
 from annulus.testing.heads import ScriptedHead, SimulatedHead
 
 PAGE = Path(annulus.testing.__file__).with_name("README.md")
