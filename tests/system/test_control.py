@@ -16,6 +16,7 @@ from annulus.daemon.observer import Mark, Observer
 from annulus.daemon.session import Session
 from annulus.daemon.state import State
 from annulus.demo import demo_config
+from annulus.link.messages import Arm, ArmFlag
 from annulus.record.recording import Recording, open_recording
 from annulus.sensors.sample import Sample
 from annulus.twin.head import HeadHandle, start_head
@@ -196,3 +197,39 @@ def test_a_scan_that_cannot_begin_is_told_and_the_daemon_stays(head: HeadHandle,
     if failed:
         raise failed[0]
     assert head.counters()["lamps_on"] == []
+
+
+def test_lamps_that_somebody_switches_off_end_the_scan_and_stay_off_until_it_is_started_again(
+    head: HeadHandle, tmp_path: Path
+) -> None:
+    config = replace(
+        demo_config(head, WORLD, tmp_path), calibration=None, control=SocketConfig(f"ipc://{tmp_path}/control"),
+    )  # fmt: skip
+    seen, done, failed = Bystander(), threading.Event(), []
+    session = Session(config, [RemoteCamera(head.camera_address)], seen, name="scan")
+
+    def operate() -> None:
+        try:
+            with ControlClient(config.control.address) as client:  # type: ignore[union-attr]
+                until(lambda: session.labelled >= 10)
+                assert session._line is not None
+                session._line.head.session.send(Arm(ArmFlag(0)))  # as another program on this line would
+                until(lambda: session.state is State.IDLE)
+                time.sleep(1.5)
+                assert head.counters()["lamps_on"] == [] and session.state is State.IDLE
+                assert client.start() is State.ARMED
+                until(lambda: session.labelled >= 10)
+                assert client.stop() is State.IDLE
+        except BaseException as error:
+            failed.append(error)
+        finally:
+            done.set()
+
+    operator = threading.Thread(target=operate)
+    operator.start()
+    session.run(done.is_set)
+    operator.join()
+    assert not failed, seen.told
+    assert len(seen.reports) == 2
+    assert any("somebody else switched the lamps off" in told for told in seen.told)
+    assert not any("did not confirm" in told for told in seen.told)

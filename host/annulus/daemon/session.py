@@ -403,7 +403,7 @@ class Session:
             self._enter(Event.FAULT, trouble)
         elif self._state is State.FAULT and not trouble and (self._line is None or self._line.settled):
             self._enter(Event.RUNNING if self._has_scan else Event.CLEARED)
-        stopped = self._line.stopped if self._line is not None and self._has_scan else ""
+        stopped = self._line.stopped if self._line is not None and scan is not None and scan.armed else ""
         problem = stopped or (scan.problem if scan is not None else "")
         if problem:
             self._fail(problem)
