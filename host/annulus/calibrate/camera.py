@@ -250,7 +250,7 @@ def _look(
         if progress:
             progress("looking for the target", n, len(files))
         try:
-            image = _read(file)
+            image = read_image(file)  # knows a torn file
         except AnnulusError as error:
             sizes.append(None)
             views.append(None)
@@ -262,15 +262,6 @@ def _look(
     if progress:
         progress("looking for the target", len(files), len(files))
     return sizes, views, rejected
-
-
-def _read(file: Path) -> NDArray[np.uint8]:
-    if file.suffix.lower() in (".jpg", ".jpeg", ".png"):
-        return read_image(file)  # knows a torn file
-    image = cv2.imread(str(file), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-    if image is None:
-        raise AnnulusError(f"{file}: not an image.")
-    return np.asarray(image, np.uint8)
 
 
 def _common_size(files: Sequence[Path], sizes: Sequence[tuple[int, int] | None]) -> tuple[int, int]:
@@ -314,7 +305,7 @@ def _markers(files: Sequence[Path], views: Sequence[TargetView | None]) -> str:
     """The dictionary of markers on the target, from the photographs that show most of it; empty for none."""
     best = sorted((i for i, v in enumerate(views) if v is not None), key=lambda i: -len(views[i].pixels))  # type: ignore[union-attr]
     for i in best[:2]:
-        image = _read(files[i])
+        image = read_image(files[i])
         scale = min(1.0, 1600 / max(image.shape))
         small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
         votes = {}

@@ -13,6 +13,7 @@ from numpy.lib.stride_tricks import as_strided
 
 from annulus.capture import videodev
 from annulus.capture.camera import BAYER_RGGB8, BGR8, MONO8
+from annulus.capture.pictures import decode
 from annulus.numeric.arrays import Image
 
 _YUV = ("YU12", "YV12", "NV12", "NV21", "YUYV", "UYVY", "YVYU")
@@ -80,7 +81,7 @@ class Layout:
     def picture(self, data: Image) -> Image | None:
         """(bytes,) uint8 to the picture, a copy; None where bytes are missing or a JPEG is cut off."""
         if self.fourcc in _JPEG:
-            return _decode(data)
+            return _decode(data, (self.width, self.height))
         h, w = self.height, self.width
         planes = [(h, self.stride, self.row_bytes)]  # rows, from one to the next, of it picture
         if self.fourcc in ("YU12", "YV12"):
@@ -140,12 +141,15 @@ def _matrix(red: float, blue: float, full: bool) -> np.ndarray:
     return np.column_stack([rows, -rows @ [black, 128.0, 128.0]])
 
 
-def _decode(data: Image) -> Image | None:
+def _decode(data: Image, size: tuple[int, int]) -> Image | None:
     """OpenCV fills what is missing of a JPEG with grey and says nothing: it must have its end."""
     end = len(data) - int(np.argmax(data[::-1] != 0)) if len(data) else 0  # drivers pad with zeros
     if end < 4 or bytes(data[:2]) != b"\xff\xd8" or bytes(data[end - 2 : end]) != b"\xff\xd9":
         return None
-    return cast(Image | None, cv2.imdecode(data[:end], cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION))
+    try:
+        return decode(bytes(data[:end]), size)
+    except ValueError:
+        return None
 
 
 def _cv(image: object) -> Image:

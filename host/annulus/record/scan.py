@@ -9,17 +9,14 @@ be empty; other columns are passed over.
 import csv
 import io
 import math
-import zlib
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import cast
 
-import cv2
-import numpy as np
-
+from annulus.capture.pictures import decode
 from annulus.geometry.calibration import Calibration
 from annulus.numeric.arrays import Image
 from annulus.record.recording import CAMERA_ID_MAX, Z_MAX_MM, Recording, frame_name, open_recording
+from annulus.untrusted import read_file, shown
 from annulus.vocabulary import AnnulusError, Label
 
 TABLE = "frames.csv"
@@ -98,68 +95,23 @@ def open_scan(path: Path) -> Scan:
 
 
 def read_image(path: Path) -> Image:
-    """A JPEG or PNG file as (H, W, 3) uint8 BGR, whole or not at all.
-
-    OpenCV fills the missing part of a truncated file with grey and says nothing, so the file's own structure is
-    checked first. Raises AnnulusError.
-    """
+    """A picture's file as (H, W, 3) uint8 BGR, whole or not at all; see `capture.pictures`. Raises AnnulusError."""
     try:
-        with path.open("rb") as file:
-            data = file.read(FRAME_MAX + 1)
+        return decode(read_file(path, FRAME_MAX))
     except FileNotFoundError:
         raise AnnulusError(f"{path}: no such frame file, though {TABLE} lists it.") from None
     except OSError as error:
         raise AnnulusError(f"{path}: cannot be read ({error.strerror}).") from None
-    if len(data) > FRAME_MAX:
-        raise AnnulusError(f"{path}: larger than {FRAME_MAX >> 20} MiB. Expected one frame.")
-    if data[:2] == b"\xff\xd8":
-        whole = _jpeg_is_whole(data)
-    elif data[:8] == b"\x89PNG\r\n\x1a\n":
-        whole = _png_is_whole(data)
-    else:
-        raise AnnulusError(f"{path}: {len(data)} bytes that are neither JPEG nor PNG.")
-    image = (
-        cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION) if whole else None
-    )
-    if image is None:
-        raise AnnulusError(f"{path}: truncated or damaged image ({len(data)} bytes). Copy it again from the camera.")
-    return cast(Image, image)
-
-
-def _jpeg_is_whole(data: bytes) -> bool:
-    """Whether the compressed data ends with the end-of-image marker (a thumbnail's, in a header, does not count)."""
-    at = 2
-    while at + 4 <= len(data) and data[at] == 0xFF:
-        marker = data[at + 1]
-        if marker == 0xFF:  # fill byte
-            at += 1
-        elif marker == 0xDA:  # start of scan: in what follows FF D9 can only be the end
-            return data.find(b"\xff\xd9", at) >= 0
-        else:
-            at += 2 + int.from_bytes(data[at + 2 : at + 4], "big")
-    return False
-
-
-def _png_is_whole(data: bytes) -> bool:
-    """Whether every chunk is there with its right checksum, up to the end chunk."""
-    at = 8
-    while at + 12 <= len(data):
-        size = int.from_bytes(data[at : at + 4], "big")
-        end = at + 12 + size
-        if end > len(data) or zlib.crc32(data[at + 4 : end - 4]) != int.from_bytes(data[end - 4 : end], "big"):
-            return False
-        if data[at + 4 : at + 8] == b"IEND":
-            return True
-        at = end
-    return False
+    except ValueError as error:
+        again = " Copy it again from the camera." if "truncated" in str(error) else ""
+        raise AnnulusError(f"{path}: {error}.{again}") from None
 
 
 def read_table(folder: Path) -> tuple[ScanFrame, ...]:
     """What the frames.csv of a scan folder lists, in its order. Raises AnnulusError naming the line."""
     table = folder / TABLE
     try:
-        with table.open("rb") as file:
-            data = file.read(TABLE_MAX + 1)
+        data = read_file(table, TABLE_MAX)
     except FileNotFoundError:
         try:
             empty = not any(folder.iterdir())
@@ -169,11 +121,14 @@ def read_table(folder: Path) -> tuple[ScanFrame, ...]:
         raise AnnulusError(f"{folder}: {what}. Expected {TABLE} ({','.join(COLUMNS)}) and the images.") from None
     except OSError as error:
         raise AnnulusError(f"{table}: cannot be read ({error.strerror}).") from None
-    if len(data) > TABLE_MAX:
-        raise AnnulusError(f"{table}: larger than {TABLE_MAX >> 20} MiB.")
+    except ValueError as error:
+        raise AnnulusError(f"{table}: {error}.") from None
     try:
+        inside: dict[PurePosixPath, bool] = {}
         rows = csv.DictReader(io.StringIO(data.decode("utf-8-sig"), newline=""), strict=True)
         columns = [name.strip() for name in rows.fieldnames or ()]
+        if len(set(columns)) < len(columns):
+            raise AnnulusError(f"{table}: line 1: a column is there twice. Expected {','.join(COLUMNS)}.")
         missing = [name for name in COLUMNS if name not in columns]
         if missing:
             raise AnnulusError(f"{table}: line 1: no column {', '.join(missing)}. Expected {','.join(COLUMNS)}.")
@@ -182,7 +137,7 @@ def read_table(folder: Path) -> tuple[ScanFrame, ...]:
         known: set[tuple[int, int]] = set()
         for row in rows:
             try:
-                frame = _frame(row, folder)
+                frame = _frame(row, folder, inside)
                 if (frame.index, frame.camera) in known:
                     of = f" of camera {frame.camera}" if frame.camera else ""
                     raise ValueError(f"index {frame.index}{of} was there before")
@@ -199,21 +154,25 @@ def read_table(folder: Path) -> tuple[ScanFrame, ...]:
     return tuple(frames)
 
 
-def _frame(row: dict[str, str | None], folder: Path) -> ScanFrame:
+def _frame(row: dict[str, str | None], folder: Path, inside: dict[PurePosixPath, bool]) -> ScanFrame:
+    """`inside`: of folders of images, whether they are in the scan's own; filled here."""
+    if None in row:
+        raise ValueError("more fields than line 1 has columns")
     index, file, light, z_text = ((row[name] or "").strip() for name in COLUMNS)
     if light not in {label.value for label in Label}:
         raise ValueError(f'light is "{light[:40]}", expected projector, led or unknown')
-    try:
-        z = float(z_text)
-    except ValueError:
-        z = math.nan
+    z = _number(z_text)
     if not abs(z) <= Z_MAX_MM:
         raise ValueError(f'z_mm is "{z_text[:40]}", expected a number of mm')
     place = PurePosixPath(file)
     if not file or len(file) > 1024 or place.is_absolute() or ".." in place.parts or "\\" in file or "\0" in file:
-        raise ValueError(f'file is "{file[:80]}", expected the path of an image inside the scan folder')
+        raise ValueError(f"file is {shown(file)}, expected the path of an image inside the scan folder")
     if not (folder / file).is_file():
         raise ValueError(f"{file} is not there")
+    if place.parent not in inside:
+        inside[place.parent] = (folder / place.parent).resolve().is_relative_to(folder.resolve())
+    if not inside[place.parent] or (folder / file).is_symlink():
+        raise ValueError(f"file {shown(file)} is or lies behind a link, expected an image inside the scan folder")
     camera = _whole((row.get(CAMERA) or "").strip() or "0", CAMERA)
     if camera > CAMERA_ID_MAX:
         raise ValueError(f"{CAMERA} is {camera}, expected an id in 0..{CAMERA_ID_MAX}")
@@ -226,13 +185,18 @@ def _whole(text: str, column: str) -> int:
     return int(text)
 
 
+def _number(text: str) -> float:
+    """NaN where it is none; "1_000" and digits of other scripts are none, though Python reads them."""
+    try:
+        return float(text) if text.isascii() and "_" not in text else math.nan
+    except ValueError:
+        return math.nan
+
+
 def _roll(text: str | None) -> float | None:
     if text is None or not text.strip():
         return None
-    try:
-        roll = float(text)
-    except ValueError:
-        roll = math.nan
+    roll = _number(text)
     if not abs(roll) <= ROLL_MAX_DEG:
         raise ValueError(f'{ROLL} is "{text[:40]}", expected degrees, or nothing where not known')
     return roll
