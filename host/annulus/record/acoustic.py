@@ -4,6 +4,7 @@ import math
 import re
 import uuid
 import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +14,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from annulus.record.arrays import require_plain_hdf5, require_plain_npz
 from annulus.record.whole import written_whole
 from annulus.vocabulary import AnnulusError
 
@@ -63,12 +65,25 @@ def load_acoustic(path: Path) -> AcousticRecord:
         raise AnnulusError(f"{path}: no such file")
     try:
         if path.suffix == ".npz":
+            require_plain_npz(path)
             with np.load(path, allow_pickle=False) as data:
                 return _from_npz(path, data)
         if path.suffix in (".h5", ".hdf5"):
             with h5py.File(path, "r") as root:
+                require_plain_hdf5(root)
                 return _read_ipasc(path, root)
-    except (zipfile.BadZipFile, EOFError, OSError, RuntimeError, ValueError, KeyError, TypeError) as error:
+    except (
+        zipfile.BadZipFile,
+        zlib.error,
+        EOFError,
+        OSError,
+        ArithmeticError,
+        AttributeError,
+        RuntimeError,
+        ValueError,
+        KeyError,
+        TypeError,
+    ) as error:
         what = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise AnnulusError(f"{path}: cannot be read as acoustic data ({what}); cut short or of another kind?") from None
     raise AnnulusError(f"{path}: expected a file ending in .hdf5, .h5 (IPASC) or .npz")
