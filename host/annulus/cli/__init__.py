@@ -12,6 +12,8 @@ import typer
 
 from annulus.cli import burst, calibrate, firmware, head, pattern, tai, twin
 from annulus.cli.show import Json, progress
+from annulus.cli.terminal import escaped
+from annulus.untrusted import one_line
 from annulus.vocabulary import AnnulusError
 
 app = typer.Typer(
@@ -180,6 +182,11 @@ def _print_findings(config: Path, as_json: bool) -> None:
 
 def main() -> None:
     """Entry point: one clear line for what a user can mend, exit status 0 only for success."""
+    with escaped():
+        _run()
+
+
+def _run() -> None:
     try:
         app()
     except AnnulusError as error:
@@ -194,8 +201,6 @@ def main() -> None:
     except Exception as error:
         if os.environ.get("ANNULUS_DEBUG"):
             raise
-        print(
-            f"annulus: internal error, {type(error).__name__}: {error} (ANNULUS_DEBUG=1 shows where; please report it)",
-            file=sys.stderr,
-        )
+        what = f"{type(error).__name__}: {one_line(str(error))}"
+        print(f"annulus: internal error, {what} (ANNULUS_DEBUG=1 shows where; please report it)", file=sys.stderr)
         sys.exit(70)

@@ -1,12 +1,14 @@
 """What every command needs to speak to a person or a program: a progress bar, --json, fields one a line."""
 
 import json
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Annotated, Any
 
 import typer
 
+from annulus.cli.terminal import as_it_is
 from annulus.controller import CHIP_MAX_TICKS, CHIP_MIN_TICKS, TICKS_PER_US
 
 Port = Annotated[str, typer.Option(help="Serial port of the controller: /dev/ttyACM0, a pty, socket://host:port.")]
@@ -29,7 +31,7 @@ def progress() -> Iterator[Callable[[str, int, int], None]]:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn("{task.description:<24}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    bars = Progress(*columns, console=Console(stderr=True))
+    bars = Progress(*columns, console=Console(file=as_it_is(sys.stderr)))
     tasks: dict[str, Any] = {}
 
     def report(what: str, done: int, total: int) -> None:
