@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -108,6 +108,7 @@ class HeadConfig:
     colour: ColourProfile | None = None  # of the pipe; each frame's own where None
     record_folder: Path | None = None
     record: RecordConfig = RecordConfig()
+    job: Mapping[str, str] = field(default_factory=dict)  # who scans what and where: free text, goes into the recording
     publish: SocketConfig | None = None
     control: SocketConfig | None = None
     autostart: bool = True  # False: idle until the control socket says start
@@ -135,10 +136,12 @@ class HeadConfig:
             "port": self.port,
             "mm_per_count": self.mm_per_count,
             "max_speed_mm_s": self.max_speed_mm_s,
+            "job": dict(self.job),
             "sensors": [asdict(sensor) for sensor in self.sensors],
         }
 
 
+JOB = ("who", "where", "what")
 _LISTS = ("camera", "sensor")  # sections that may come several times, as [[camera]]
 _SECTIONS: Mapping[str, tuple[str, ...]] = {
     "controller": ("port",),
@@ -158,6 +161,7 @@ _SECTIONS: Mapping[str, tuple[str, ...]] = {
     "odometer": ("mm_per_count", "max_speed_mm_s"),
     "calibration": ("file", "colour"),
     "record": ("folder", *(field.name for field in fields(RecordConfig))),
+    "job": JOB,
     "publish": ("address", "key_file", "viewers"),
     "control": ("address", "key_file", "viewers", "autostart"),
     "sensor": ("kind", "device"),
@@ -202,6 +206,7 @@ def _checked(data: Mapping[str, Any], folder: Path) -> HeadConfig:
         colour=None if paint is None else load_part(folder / paint, ColourProfile.from_dict, COLOUR_MAKER),
         record_folder=None if record is None else folder / record,
         record=_record(data.get("record", {})),
+        job={name: _text(data["job"], "job", name, "") for name in data.get("job", {})},
         publish=_socket(data, "publish", folder),
         control=_socket(data, "control", folder),
         autostart=_flag(control, "control", "autostart", True),

@@ -16,6 +16,7 @@ from typing import Any
 
 from annulus.daemon.account import Account
 from annulus.daemon.config import HeadConfig
+from annulus.daemon.evidence import Evidence
 from annulus.daemon.intake import InSlot, Intake
 from annulus.daemon.observer import Observers
 from annulus.daemon.pools import Recorder, RecordingSetup
@@ -47,6 +48,7 @@ class Scan:
         self.recorder: Recorder | None = None
         self.intakes: list[Intake] = []  # none before the cameras run
         self.armed = False  # the controller has confirmed
+        self._evidence: Evidence | None = None
         self._power, self._account = power, account
         self._observers, self._navigation = observers, navigation
         self._start_by = 0.0  # when recorder, cameras, or lamps, must be up
@@ -58,6 +60,8 @@ class Scan:
             setup = RecordingSetup(config.record_folder, name, calibration, config.to_dict())
             self.recorder = Recorder(setup, power.shared, account, observers)
             observers.all.insert(0, self.recorder)
+            head = power.line.head if power.line is not None else None
+            self._evidence = Evidence(self.recorder.note, navigation, account, config, power.modes, head)
 
     @property
     def started(self) -> bool:
@@ -118,6 +122,8 @@ class Scan:
             intake.labelling.look_for_offset(time.monotonic())
             if intake.labelling.wants_preamble and self._power.line is not None:
                 self._power.line.order_preamble()
+        if self._evidence is not None:
+            self._evidence.turn(time.monotonic())
 
     def labelled(self, final: bool = False) -> Iterator[tuple[FrameHeader, InSlot]]:
         """Frames whose label is settled; all of them when `final`."""
@@ -126,6 +132,8 @@ class Scan:
 
     def close_recording(self) -> None:
         """What the recorder has in hand is written, and its file ended."""
+        if self._evidence is not None:
+            self._evidence.close()
         if self.recorder is not None:
             self.recorder.finish(DRAIN_S)
             self._observers.all.remove(self.recorder)

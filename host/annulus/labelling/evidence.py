@@ -22,7 +22,7 @@ Write = Callable[[Row], None]
 
 UNPLACED_AFTER = 128  # edges: one that was heard so many edges ago and is not placed never will be
 LABEL = ("camera", "arrived_ns", "index", "label", "reason", "edge", "slot", "odometer", "z_mm", "roll_deg",
-         "z_assumed", "segment")  # fmt: skip
+         "z_assumed", "z_bound_mm", "segment")  # fmt: skip
 METADATA = (
     "Light",
     "ZMm",

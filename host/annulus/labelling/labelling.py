@@ -156,6 +156,7 @@ class Labelling:
             blank, label=said.label, edge=flash.edge, slot=flash.slot, odometer=flash.odometer,
             z_mm=place.z_mm if place is not None else None,
             z_assumed=place.assumed if place is not None else False,
+            z_bound_mm=place.bound_mm if place is not None else 0.0,
             segment=place.segment if place is not None else 0,
             roll_deg=self._navigation.roll.at(_lit_ns(said.opened_ns, flash)),
         )  # fmt: skip

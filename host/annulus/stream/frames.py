@@ -36,7 +36,8 @@ class FrameHeader:
     roll_deg: float | None = None  # of the head, clockwise looking forward, where a sensor gives it
     camera: int = 0  # which of the head's, in the order of head.toml
     arrived_ns: int | None = None  # when the host had the frame, host monotonic clock
-    z_assumed: bool = False  # z goes on from a gap in which nothing was counted: it was assumed, within a stated bound
+    z_assumed: bool = False  # z goes on from a gap in which nothing was counted: it was assumed ..
+    z_bound_mm: float = 0.0  # .. and may be so far off
     segment: int = 0  # of z: begins anew with every such gap; within one, differences of z are counted
 
     @property
@@ -90,6 +91,7 @@ class FrameHeader:
             camera=_whole(data, "camera", 0, CAMERAS_MAX - 1) or 0,  # headers from before there were several have none
             arrived_ns=_whole(data, "arrived_ns", 0, 2**63),
             z_assumed=_flag(data, "z_assumed"),
+            z_bound_mm=_length(data, "z_bound_mm") or 0.0,
             segment=_whole(data, "segment", 0, SEGMENT_MAX) or 0,
         )
 

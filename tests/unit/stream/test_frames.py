@@ -26,6 +26,7 @@ HEADERS = st.builds(
     camera=st.integers(0, 7),
     arrived_ns=st.none() | st.integers(0, 2**63),
     z_assumed=st.booleans(),
+    z_bound_mm=st.floats(0, 1e9),
     segment=st.integers(0, 2**31 - 1),
 )
 
