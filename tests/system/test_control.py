@@ -206,7 +206,7 @@ def test_lamps_that_somebody_switches_off_end_the_scan_and_stay_off_until_it_is_
         demo_config(head, WORLD, tmp_path), calibration=None, control=SocketConfig(f"ipc://{tmp_path}/control"),
     )  # fmt: skip
     seen, done, failed = Bystander(), threading.Event(), []
-    session = Session(config, [RemoteCamera(head.camera_address)], seen, name="scan")
+    session = Session(config, observer=seen, name="scan")
 
     def operate() -> None:
         try:

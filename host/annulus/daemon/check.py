@@ -167,7 +167,7 @@ def _socket(what: str, socket: SocketConfig | None) -> str:
     context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
     doorkeeper = Doorkeeper(context)
     try:
-        address = doorkeeper.bind(context.socket(zmq.ROUTER), socket.address, socket.keys, what)
+        address = doorkeeper.bind(context.socket(zmq.ROUTER), socket.address, socket.keys, what, 0)
     finally:
         doorkeeper.close()
         context.destroy(linger=0)

@@ -24,7 +24,7 @@ from annulus.vocabulary import AnnulusError
 
 REQUEST_MAX = 4096  # bytes
 PARTS_MAX = 3  # sender, delimiter, request
-CARRIED_MAX = 1 << 20  # bytes; what is larger ZeroMQ does not even take in
+CARRIED_MAX = 1 << 16  # bytes; what is larger ZeroMQ does not even take in
 TEXT_MAX = 500  # characters
 TAKEN_MAX = 16  # requests in one turn of the session
 ANSWERS_MAX = 100  # that wait for a client that does not read
@@ -71,9 +71,8 @@ class ControlSocket:
         self._socket = doorkeeper.context.socket(zmq.ROUTER)
         self._socket.setsockopt(zmq.RCVHWM, ANSWERS_MAX)
         self._socket.setsockopt(zmq.SNDHWM, ANSWERS_MAX)
-        self._socket.setsockopt(zmq.MAXMSGSIZE, CARRIED_MAX)
         self._socket.setsockopt(zmq.LINGER, 500)  # the answer to the request that ended us
-        self.address = doorkeeper.bind(self._socket, address, keys, "control")
+        self.address = doorkeeper.bind(self._socket, address, keys, "control", CARRIED_MAX)
 
     def poll(self, obey: Callable[[Request], None], state: Callable[[], State]) -> int:
         """Have what was asked done, and answer. `obey` raises AnnulusError when it cannot be. Returns how many messages

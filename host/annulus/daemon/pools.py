@@ -86,6 +86,10 @@ class Pool:
         return self._pool.pids
 
     @property
+    def spare_pids(self) -> list[int]:
+        return self._pool.spare_pids
+
+    @property
     def in_hand(self) -> int:
         """Frames at the workers."""
         return self._pool.in_hand

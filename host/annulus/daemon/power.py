@@ -21,9 +21,10 @@ from annulus.labelling.navigation import Navigation
 from annulus.sensors.sample import Sensor
 from annulus.stream.access import Doorkeeper
 from annulus.stream.frames import CHANNELS
-from annulus.stream.publish import Publisher
 from annulus.stream.ring import FrameRing
 from annulus.stream.workers import Shared
+
+PUBLISHED_S = 2.0  # the publisher has for the last words
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +35,7 @@ class Power:
     shared: Shared
     doorkeeper: Doorkeeper
     control: ControlSocket | None
+    publishing: Publishing | None
     feeds: tuple[CameraFeed, ...]  # of the cameras, in the order of head.toml
     modes: tuple[CameraMode, ...]
 
@@ -75,17 +77,17 @@ def power_up(
         feed.join(ring, max(1, config.slots // len(feeds)))
     doorkeeper = Doorkeeper(context)
     stack.callback(doorkeeper.close)
+    shared, publishing = Shared(ring, context, folder), None
     if config.publish is not None:
-        publisher = Publisher(doorkeeper, config.publish.address, config.publish.keys)
-        stack.callback(publisher.close)
-        publishing = Publishing(publisher)
+        publishing = Publishing(config.publish, shared, account, observers)
+        stack.callback(publishing.stop, PUBLISHED_S)
         observers.all.append(publishing)
         stack.callback(observers.all.remove, publishing)
     control = None
     if config.control is not None:
         control = ControlSocket(doorkeeper, config.control.address, config.control.keys)
         stack.callback(control.close)
-    return Power(line, Shared(ring, context, folder), doorkeeper, control, tuple(feeds), modes)
+    return Power(line, shared, doorkeeper, control, publishing, tuple(feeds), modes)
 
 
 def _mode(feed: CameraFeed) -> CameraMode:

@@ -1,34 +1,60 @@
-"""What is observed, to viewers: one topic for each method of an Observer."""
+"""What is observed, to viewers, by way of a process that strangers may talk to: one topic for each method of an
+Observer.
+"""
 
+import sys
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
-from annulus.daemon.account import ScanReport
+from annulus.daemon.account import Account, ScanReport
+from annulus.daemon.config import SocketConfig
 from annulus.daemon.health import Health
 from annulus.daemon.observer import Mark, Observer
+from annulus.daemon.pools import Pool
 from annulus.daemon.state import State
-from annulus.numeric.arrays import Image
 from annulus.sensors.sample import Sample
 from annulus.stream.frames import FrameHeader
-from annulus.stream.publish import Publisher
+from annulus.stream.ring import Place
+from annulus.stream.workers import Shared, WorkerKind
 from annulus.wall.profile import Profile
 
+PUBLISHER_SHARE = 2  # slots; viewers can miss frames
 
-class Publishing(Observer):
-    """Topics and bodies are listed in README.md."""
 
-    def __init__(self, publisher: Publisher) -> None:
-        self._send = publisher.send
+class Publishing(Pool, Observer):
+    """Topics and bodies are listed in README.md. They are numbered here: what a viewer missed shows, wherever it was
+    lost.
+    """
+
+    def __init__(self, config: SocketConfig, shared: Shared, account: Account, observer: Observer) -> None:
+        keys = config.keys
+        plain = None if keys is None else {
+            "public": keys.public, "secret": keys.secret, "viewers": sorted(keys.viewers)
+        }  # fmt: skip
+        self._setup: dict[str, Any] = {"address": config.address, "keys": plain}
+        self._sent: Counter[str] = Counter()
+        self._floods = self._notes_dropped = 0
+        command = [sys.executable, "-m", "annulus.daemon.publisher"]
+        kind = WorkerKind("publisher", command, self._setup, 1, PUBLISHER_SHARE, spares=1)
+        super().__init__(kind, shared, account, observer)
+
+    @property
+    def address(self) -> str:
+        """Where viewers connect: known once it is ready."""
+        return str(self._setup["address"])
+
+    def offer(self, header: FrameHeader, place: Place) -> None:
+        """A labelled frame; no viewer has it, and that is counted, when there is no room."""
+        self._send("label", header.to_dict())
+        if not self._pool.offer(header, place, self._number(f"frame/{header.camera}")):
+            self._account.lose("publisher_busy")
 
     def state(self, state: State, why: str) -> None:
         self._send("state", {"state": state.value, "why": why})
 
     def event(self, kind: str, text: str) -> None:
         self._send("event", {"kind": kind, "text": text})
-
-    def frame(self, header: FrameHeader, image: Image) -> None:
-        self._send("label", header.to_dict())
-        self._send(f"frame/{header.camera}", header.to_dict(), image.data)
 
     def profile(self, profile: Profile) -> None:
         self._send("profile", profile.to_dict())
@@ -47,3 +73,26 @@ class Publishing(Observer):
 
     def ended(self, report: ScanReport) -> None:
         self._send("ended", {"seconds": report.seconds, "recordings": [str(path) for path in report.recordings]})
+
+    def _send(self, topic: str, body: Mapping[str, Any]) -> None:
+        number = self._number(topic)
+        if not self._pool.alive:
+            self._account.lose("publisher_notes")
+            return
+        self._pool.tell(topic, [number, dict(body)])
+        dropped = self._pool.counts["notes_dropped"]
+        self._account.lose("publisher_notes", dropped - self._notes_dropped)
+        self._notes_dropped = dropped
+
+    def _number(self, topic: str) -> int:
+        self._sent[topic] += 1
+        return self._sent[topic] - 1
+
+    def _done(self, header: FrameHeader, body: Any) -> None:
+        pass
+
+    def _reported(self, worker: int, body: list[Any]) -> None:
+        self._setup["address"], floods = body  # one that takes over binds where this one did
+        if floods:
+            text = "a viewer asked for more topics than there are; all viewers were disconnected, and may come again"
+            self._observer.event("publisher_flooded", text)

@@ -29,6 +29,7 @@ from annulus.daemon.ledger import Status
 from annulus.daemon.observer import Mark, Observer, Observers
 from annulus.daemon.pools import Reconstruction, Recorder, default_workers
 from annulus.daemon.power import Power, power_up
+from annulus.daemon.publishing import Publishing
 from annulus.daemon.samples import Samples
 from annulus.daemon.scanning import DRAIN_S, START_S, Scan
 from annulus.daemon.state import Event, State, next_state
@@ -147,7 +148,7 @@ class Session:
         """Every counter there is, as plain types."""
         power = self._power
         labels = [intake.labelling.numbers() for intake in self._scan.intakes] if self._scan is not None else []
-        pools = {"workers": self._reconstruction, "recorder": self.recorder}
+        pools = {"workers": self._reconstruction, "recorder": self.recorder, "publisher": self._publishing}
         return {
             "state": self._state.value,
             **self._account.numbers(),
@@ -185,7 +186,7 @@ class Session:
     def _become_ready(self, stop: Callable[[], bool]) -> bool:
         """Until recorder and workers are up; False when asked to stop before."""
         end = time.monotonic() + START_S
-        pools = [pool for pool in (self.recorder, self._reconstruction) if pool is not None]
+        pools = [pool for pool in (self.recorder, self._reconstruction, self._publishing) if pool is not None]
         while not all(pool.ready for pool in pools):
             if stop():
                 return False
@@ -231,6 +232,10 @@ class Session:
         """The scan ends, the session does not."""
         self._end_scan()
         self._enter(Event.STOP)
+
+    @property
+    def _publishing(self) -> Publishing | None:
+        return self._power.publishing if self._power is not None else None
 
     @property
     def _line(self) -> ControllerLine | None:
@@ -320,6 +325,8 @@ class Session:
             self.recorder.poll()
         if self._reconstruction is not None:
             self._reconstruction.turn()
+        if self._publishing is not None:
+            self._publishing.poll()
         now = time.monotonic()
         if now >= self._next_chores:
             self._next_chores = now + CHORES_S
@@ -349,7 +356,7 @@ class Session:
         if self._line is not None:
             wait_s = min(wait_s, self._line.patience_s)
             sources += [] if self._line.waitable is None else [self._line.waitable]
-        sources += [self._reconstruction.waitable] if self._reconstruction is not None else []
+        sources += [pool.waitable for pool in (self._reconstruction, self._publishing) if pool is not None]
         zmq.zmq_poll([(source, zmq.POLLIN) for source in sources], math.ceil(wait_s * 1000))
 
     def _listen(self) -> None:
@@ -374,6 +381,8 @@ class Session:
             self._enter(Event.LABELLED)
         if self.recorder is not None:
             self.recorder.offer(header, frame.place)
+        if self._publishing is not None:
+            self._publishing.offer(header, frame.place)
         if (
             header.label is Label.PROJECTOR
             and self._reconstruction is not None

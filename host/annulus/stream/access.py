@@ -39,8 +39,9 @@ class Doorkeeper:
         self._door: zmq.Socket[bytes] | None = None
         self._viewers: dict[bytes, frozenset[bytes]] = {}  # by ZAP domain
 
-    def bind(self, socket: zmq.Socket[bytes], address: str, keys: Keys | None, what: str) -> str:
-        """Bind `socket` and return where it really is. `what` it is for, in messages and as the ZAP domain.
+    def bind(self, socket: zmq.Socket[bytes], address: str, keys: Keys | None, what: str, carried_max: int) -> str:
+        """Bind `socket` and return where it really is. `what` it is for, in messages and as the ZAP domain. Who sends
+        more than `carried_max` bytes at once, in the handshake or after it, is disconnected: libzmq would keep them.
 
         Raises AnnulusError, with the socket closed, when the address is taken, is not one, or is remote without keys.
         """
@@ -54,6 +55,7 @@ class Doorkeeper:
                 socket.curve_server = True
                 socket.curve_secretkey = keys.secret.encode()
                 socket.zap_domain = what.encode()
+            socket.setsockopt(zmq.MAXMSGSIZE, carried_max)  # before bind: later it does not reach those who connect
             socket.bind(address)
         except zmq.ZMQError as error:
             socket.close()

@@ -1,11 +1,16 @@
-"""Frames, labels, profiles and telemetry to viewers over ZeroMQ PUB. A slow viewer loses messages, never the scan.
+"""Frames, labels, profiles and telemetry to viewers over ZeroMQ. A slow viewer loses messages, never the scan.
 
 Every message is [topic, header, part]: header is msgpack {"n": running number within the topic, "body": ...}, part is
-raw bytes or empty. PUB drops silently when a viewer's queue (two messages) is full: the holes in "n" are how the viewer
-knows.
+raw bytes or empty. What a viewer's queue (two messages) has no room for is dropped silently: the holes in "n" are how
+the viewer knows.
+
+libzmq files every subscription in the sender's thread and memory, 60 bytes for each of its own: 20 MB of them took a
+gigabyte and 20 s. So none may be longer than CARRIED_MAX, few wait (the more wait, the longer libzmq is at them before
+it comes back), and whoever asks for more of what there is not than STRANGE_MAX has everybody's connections closed:
+that frees the memory, and viewers connect again by themselves.
 """
 
-from collections import Counter
+import contextlib
 from collections.abc import Collection
 from typing import Any
 
@@ -14,9 +19,13 @@ import zmq
 
 from annulus import untrusted
 from annulus.stream.access import Doorkeeper, Keys
+from annulus.vocabulary import AnnulusError
 
 VIEWER_QUEUE = 2  # messages per viewer
 BODY_MAX = 1 << 24
+CARRIED_MAX = 512  # bytes of anything a viewer sends; a CURVE handshake takes 400
+STRANGE_MAX = 1 << 16  # bytes of subscriptions to topics that there are not, of all viewers
+TOPICS = (b"frame/", b"label", b"profile", b"sensor/", b"mark", b"state", b"telemetry", b"event", b"ended", b"health")
 
 
 class Publisher:
@@ -24,20 +33,50 @@ class Publisher:
 
     def __init__(self, doorkeeper: Doorkeeper, address: str, keys: Keys | None = None) -> None:
         """Raises AnnulusError when the address is taken, is not one, or is remote and there are no keys."""
-        self.sent: Counter[str] = Counter()
-        self._socket = doorkeeper.context.socket(zmq.PUB)
-        self._socket.setsockopt(zmq.SNDHWM, VIEWER_QUEUE)
-        self._socket.setsockopt(zmq.LINGER, 0)
-        self.address = doorkeeper.bind(self._socket, address, keys, "publish")
+        self.floods = 0  # times that everybody's connection was closed
+        self._doorkeeper, self._keys = doorkeeper, keys
+        self._strange = 0
+        self.address = address
+        self._socket: zmq.Socket[bytes] | None = self._bound()
 
-    def send(self, topic: str, body: Any, part: Any = b"") -> None:
+    def send(self, topic: str, number: int, body: Any, part: Any = b"") -> None:
         """`body` is plain types and bytes; `part` is any buffer, copied by libzmq before this returns."""
-        header = msgpack.packb({"n": self.sent[topic], "body": body})
-        self.sent[topic] += 1
-        self._socket.send_multipart([topic.encode(), header, part], zmq.NOBLOCK, copy=True)
+        if self._socket is not None:
+            header = msgpack.packb({"n": number, "body": body})
+            self._socket.send_multipart([topic.encode(), header, part], zmq.NOBLOCK, copy=True)
+
+    def listen(self) -> None:
+        """See what viewers ask for. Call regularly; does not wait."""
+        if self._socket is None:
+            with contextlib.suppress(AnnulusError):  # libzmq has not quite let go of the address: the next time
+                self._socket = self._bound()
+            return
+        with contextlib.suppress(zmq.Again):
+            while self._strange <= STRANGE_MAX:
+                said = self._socket.recv(zmq.NOBLOCK)
+                if not _is_known(said[1:]):
+                    self._strange += len(said)
+        if self._strange > STRANGE_MAX:
+            self.floods += 1
+            self.close()
 
     def close(self) -> None:
-        self._socket.close()
+        if self._socket is not None:
+            self._socket.close(0)
+            self._socket = None
+
+    def _bound(self) -> zmq.Socket[bytes]:
+        self._strange = 0
+        socket = self._doorkeeper.context.socket(zmq.XPUB)
+        socket.setsockopt(zmq.SNDHWM, VIEWER_QUEUE)
+        socket.setsockopt(zmq.RCVHWM, 1)
+        socket.setsockopt(zmq.LINGER, 0)
+        self.address = self._doorkeeper.bind(socket, self.address, self._keys, "publish", CARRIED_MAX)
+        return socket
+
+
+def _is_known(prefix: bytes) -> bool:
+    return any(topic.startswith(prefix) or (topic[-1:] == b"/" and prefix.startswith(topic)) for topic in TOPICS)
 
 
 def parse(parts: Collection[bytes]) -> tuple[str, int, Any, bytes]:

@@ -9,6 +9,7 @@ import os
 import shutil
 import signal
 import sys
+import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Protocol
@@ -21,6 +22,7 @@ from annulus.stream.frames import FrameHeader
 from annulus.stream.ring import Overwritten, Place, RingView
 from annulus.vocabulary import AnnulusError
 
+REST_MS = 500
 _PR_SET_PDEATHSIG = 1
 _M_TRIM_THRESHOLD, _M_TOP_PAD, _M_MMAP_THRESHOLD = -1, -2, -3
 
@@ -37,13 +39,13 @@ class Job(Protocol):
         """Something every worker of the kind is told."""
 
     def idle(self) -> Any:
-        """Called at least every half second. Whatever is not None is sent as a report."""
+        """Called after each frame, and every `rest_ms`, frames or none. Whatever is not None is sent as a report."""
 
     def close(self) -> Any:
         """Last words; sent back."""
 
 
-def serve(argument: str, prepare: Callable[[Any], Job]) -> None:
+def serve(argument: str, prepare: Callable[[Any], Job], rest_ms: int = REST_MS) -> None:
     """Run one worker: `argument` is what WorkerPool put on the command line, `prepare` makes the job from the setup."""
     link: Mapping[str, Any] = json.loads(argument)
     end_with_parent(link["parent"])
@@ -62,12 +64,17 @@ def serve(argument: str, prepare: Callable[[Any], Job]) -> None:
         results.send(msgpack.packb([link["worker"], kind, body]))
 
     job: Job | None = None
+    idle_by = 0.0
     answer("warm", None)
     try:
         while True:
-            if not tasks.poll(500):
-                if job is not None and (report := job.idle()) is not None:
+            come = tasks.poll(rest_ms)
+            now = time.monotonic()
+            if job is not None and (not come or now >= idle_by):
+                idle_by = now + rest_ms / 1e3
+                if (report := job.idle()) is not None:
                     answer("report", report)
+            if not come:
                 continue
             kind, payload = tasks.recv_multipart()
             if kind == b"stop":

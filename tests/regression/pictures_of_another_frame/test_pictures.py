@@ -1,5 +1,5 @@
-"""A picture was looked at as a whole and alone: one that was torn passed for the larger part's lamp, one that the driver
-handed over twice for the later frame. Fails without bands, fingerprint, or first and last row."""
+"""A picture was looked at as a whole and alone: one that was torn passed for the larger part's lamp, one that the
+driver handed over twice for the later frame. Fails without bands, fingerprint, or first and last row."""
 
 from bench_of_faults import Bench, Faults
 

@@ -1,5 +1,13 @@
 """Promises to viewers, and to those who must stay outside."""
 
+import contextlib
+import random
+import resource
+import socket
+import threading
+import time
+from pathlib import Path
+
 import pytest
 import zmq
 
@@ -34,7 +42,8 @@ def greet(door: Doorkeeper, publisher: Publisher, socket: zmq.Socket, tries: int
     """Send until the subscription has arrived; False when nothing ever does."""
     for _ in range(tries):
         door.admit()
-        publisher.send("hello", None)
+        publisher.listen()
+        publisher.send("hello", 0, None)
         if socket.poll(10):
             while socket.poll(20):
                 socket.recv_multipart()
@@ -46,9 +55,9 @@ def test_a_viewer_gets_topic_number_body_and_bytes(context, door) -> None:
     publisher = Publisher(door, "tcp://127.0.0.1:*")
     socket = viewer(context, publisher.address)
     assert greet(door, publisher, socket)
-    publisher.send("frame", {"index": 7, "z_mm": 1.5}, bytes(range(100)))
+    publisher.send("frame", 3, {"index": 7, "z_mm": 1.5}, bytes(range(100)))
     assert socket.poll(2000)
-    assert parse(socket.recv_multipart()) == ("frame", 0, {"index": 7, "z_mm": 1.5}, bytes(range(100)))
+    assert parse(socket.recv_multipart()) == ("frame", 3, {"index": 7, "z_mm": 1.5}, bytes(range(100)))
     publisher.close()
 
 
@@ -56,13 +65,13 @@ def test_a_viewer_that_sleeps_never_holds_up_the_scan_and_sees_what_it_missed(co
     publisher = Publisher(door, "tcp://127.0.0.1:*")
     socket = viewer(context, publisher.address)
     assert greet(door, publisher, socket)
-    for _ in range(400):  # far more than the socket buffers take
-        publisher.send("frame", None, bytes(1 << 17))
+    for number in range(400):  # far more than the socket buffers take
+        publisher.send("frame", number, None, bytes(1 << 17))
     numbers = []
     while socket.poll(300):
         numbers.append(parse(socket.recv_multipart())[1])
     assert numbers == sorted(set(numbers))
-    assert publisher.sent["frame"] == 400 and len(numbers) < 400
+    assert len(numbers) < 400
     assert VIEWER_QUEUE == 2
     publisher.close()
 
@@ -115,7 +124,7 @@ def test_two_sockets_behind_one_door_have_each_their_own_list(context, door) -> 
     public, secret = pair[0].decode(), pair[1].decode()
     publisher = Publisher(door, "tcp://127.0.0.1:*", Keys(public, secret, frozenset({friend[0].decode()})))
     second = context.socket(zmq.PUB)
-    door.bind(second, "tcp://127.0.0.1:*", Keys(public, secret, frozenset({other[0].decode()})), "control")
+    door.bind(second, "tcp://127.0.0.1:*", Keys(public, secret, frozenset({other[0].decode()})), "control", 512)
 
     def knock(keys: tuple[bytes, bytes]) -> bool:
         socket = context.socket(zmq.SUB)
@@ -127,4 +136,92 @@ def test_two_sockets_behind_one_door_have_each_their_own_list(context, door) -> 
 
     assert knock(friend)
     assert not knock(other)
+    publisher.close()
+
+
+def stranger(address: str) -> socket.socket:
+    """Connected, and past ZMTP's greeting."""
+    host, port = address.removeprefix("tcp://").split(":")
+    line = socket.create_connection((host, int(port)))
+    line.settimeout(5.0)
+    line.sendall(b"\xff" + bytes(8) + b"\x7f\x03\x00NULL".ljust(55, b"\0"))
+    greeting = b""
+    while len(greeting) < 64:
+        greeting += line.recv(64 - len(greeting))
+    return line
+
+
+def subscriber(address: str) -> socket.socket:
+    """Past the handshake too."""
+    line = stranger(address)
+    ready = b"\x05READY\x0bSocket-Type\x00\x00\x00\x03SUB"
+    line.sendall(b"\x04" + bytes([len(ready)]) + ready)
+    return line
+
+
+def until_refused(line: socket.socket, data: bytes) -> None:
+    with contextlib.suppress(OSError):
+        line.sendall(data)
+
+
+def disconnected(line: socket.socket, door: Doorkeeper, publisher: Publisher) -> bool:
+    for _ in range(100):
+        door.admit()
+        publisher.listen()
+        publisher.send("label", 0, None)
+        line.settimeout(0.05)
+        try:
+            if not line.recv(1 << 16):
+                return True
+        except TimeoutError:
+            continue
+        except OSError:
+            return True
+    return False
+
+
+@pytest.mark.parametrize("command", [b"\x06", b"\x02"], ids=["handshake", "subscription"])
+def test_one_message_longer_than_any_viewer_needs_ends_the_connection(context, door, command: bytes) -> None:
+    publisher = Publisher(door, "tcp://127.0.0.1:*")
+    line = (stranger if command == b"\x06" else subscriber)(publisher.address)
+    line.sendall(command + (600_000_000).to_bytes(8, "big") + b"\x01" + bytes(10_000))
+    assert disconnected(line, door, publisher)
+    line.close()
+    publisher.close()
+
+
+def test_a_flood_of_subscriptions_costs_little_memory_and_viewers_come_back(context, door) -> None:
+    publisher = Publisher(door, "tcp://127.0.0.1:*")
+    friend = viewer(context, publisher.address)
+    assert greet(door, publisher, friend)
+    page_mb = resource.getpagesize() / 1e6
+    before = int(Path("/proc/self/statm").read_text().split()[1]) * page_mb
+    line = subscriber(publisher.address)
+    rng = random.Random(1)
+    flood = b"".join(b"\x00\xfa\x01" + rng.randbytes(249) for _ in range(80_000))  # 20 MB
+    sender = threading.Thread(target=until_refused, args=(line, flood))
+    sender.start()
+    end = time.monotonic() + 20.0
+    while sender.is_alive() or not publisher.floods:
+        assert time.monotonic() < end
+        publisher.listen()
+        publisher.send("label", 0, None)
+        time.sleep(0.002)
+    line.close()
+    assert publisher.floods >= 1
+    grown = int(Path("/proc/self/statm").read_text().split()[1]) * page_mb - before
+    assert grown < 60.0, "a gigabyte before"
+    assert greet(door, publisher, friend)
+    publisher.close()
+
+
+def test_what_viewers_may_ask_for_is_no_flood(context, door) -> None:
+    publisher = Publisher(door, "tcp://127.0.0.1:*")
+    viewers = []
+    for topic in (b"", b"frame", b"frame/0", b"label", b"sensor/imu", b"sens", b"telemetry", b"health") * 30:
+        viewers.append(context.socket(zmq.SUB))
+        viewers[-1].subscribe(topic)
+        viewers[-1].connect(publisher.address)
+    assert greet(door, publisher, viewers[0])
+    assert publisher.floods == 0 and publisher._strange == 0
     publisher.close()

@@ -1,0 +1,113 @@
+"""Promises of the publisher's process: what strangers do to it costs the session nothing, and it is soon back."""
+
+import os
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zmq
+
+from annulus.daemon.account import Account
+from annulus.daemon.config import SocketConfig
+from annulus.daemon.observer import Observer
+from annulus.daemon.publishing import PUBLISHER_SHARE, Publishing
+from annulus.stream.frames import FrameHeader
+from annulus.stream.publish import parse
+from annulus.stream.ring import FrameRing
+from annulus.stream.workers import Shared
+from annulus.vocabulary import Label
+
+
+class Stand:
+    def __init__(self, folder: Path, address: str = "tcp://127.0.0.1:*") -> None:
+        self.context, self.ring, self.account, self.index = zmq.Context(), FrameRing(8, 1200), Account(), 0
+        self.publishing = Publishing(
+            SocketConfig(address, None), Shared(self.ring, self.context, folder), self.account, Observer()
+        )
+        self.viewer = self.context.socket(zmq.SUB)
+        self.viewer.subscribe(b"")
+
+    def until(self, done) -> None:
+        end = time.monotonic() + 60.0
+        while not done():
+            assert time.monotonic() < end and not self.publishing.broken, self.publishing.broken
+            self.publishing.poll()
+            time.sleep(0.005)
+
+    def offer(self) -> float:
+        """A frame; how long that took, in seconds."""
+        place = self.ring.claim()
+        assert place is not None
+        self.ring.write(place, np.full((30, 40), self.index % 256, np.uint8))
+        header = FrameHeader(self.index, None, 0, Label.LED, "", None, None, None, 0.0, "mono8", 40, 30)
+        self.index += 1
+        began = time.monotonic()
+        self.publishing.offer(header, place)
+        took_s = time.monotonic() - began
+        self.ring.release(place)
+        return took_s
+
+    def receive(self, topic: str) -> tuple[int, dict, bytes]:
+        """The next of that topic, frames being offered all the while."""
+        end = time.monotonic() + 30.0
+        while True:
+            assert time.monotonic() < end
+            self.publishing.poll()
+            if self.ring.free > 2:
+                self.offer()
+            while self.viewer.poll(10):
+                found, number, body, part = parse(self.viewer.recv_multipart())
+                if found == topic:
+                    return number, body, part
+
+    def close(self) -> None:
+        pids = self.publishing.pids + self.publishing.spare_pids
+        self.publishing.stop(5.0)
+        self.context.destroy(linger=0)
+        assert self.ring.free == 8 and not any(Path(f"/proc/{pid}").exists() for pid in pids)
+        self.ring.close()
+
+
+@pytest.fixture
+def stand(tmp_path: Path) -> Iterator[Stand]:
+    stand = Stand(tmp_path)
+    stand.until(lambda: stand.publishing.ready and not stand.publishing.address.endswith("*"))
+    stand.viewer.connect(stand.publishing.address)
+    yield stand
+    stand.close()
+
+
+def test_frames_and_labels_reach_a_viewer_and_one_that_takes_over_numbers_on(stand: Stand) -> None:
+    number, body, pixels = stand.receive("frame/0")
+    assert pixels == bytes([body["index"] % 256]) * 1200 and number == body["index"]
+    number, body, pixels = stand.receive("label")
+    assert number == body["index"] and pixels == b""
+    first = stand.publishing.pids
+    os.kill(first[0], signal.SIGKILL)
+    stand.until(lambda: stand.publishing.ready and stand.publishing.pids != first)
+    killed_at = stand.index
+    number, body, _ = stand.receive("frame/0")
+    assert number == body["index"] >= killed_at - PUBLISHER_SHARE
+    assert stand.account.drops["publishers_replaced"] == 1
+    account = stand.account
+    stand.until(lambda: stand.publishing.in_hand == 0)
+    assert {"publisher_busy", "publisher_died", "publishers_replaced"} >= set(account.drops)
+
+
+def test_a_publisher_that_stands_still_holds_its_share_and_nobody_up(stand: Stand) -> None:
+    os.kill(stand.publishing.pids[0], signal.SIGSTOP)
+    assert max(stand.offer() for _ in range(200)) < 0.1
+    assert stand.ring.free == 8 - PUBLISHER_SHARE
+    assert stand.account.drops == {"publisher_busy": 200 - PUBLISHER_SHARE}
+    stand.until(lambda: stand.account.drops.get("publishers_replaced"))
+
+
+def test_an_address_that_is_taken_is_one_clear_line(stand: Stand, tmp_path: Path) -> None:
+    (folder := tmp_path / "other").mkdir()
+    other = Stand(folder, stand.publishing.address)
+    with pytest.raises(AssertionError, match=r"cannot publish on tcp://.*Expected"):
+        other.until(lambda: False)
+    other.close()
