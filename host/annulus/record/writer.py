@@ -3,17 +3,19 @@
 What is in the file: recording.py.
 """
 
+import contextlib
 import os
+import tempfile
 import time
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, cast
 
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from mcap.data_stream import RecordBuilder
-from mcap.records import DataEnd, Footer
+from mcap.records import ChunkIndex, DataEnd, Footer
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 from mcap_protobuf.schema import register_schema
 
@@ -59,6 +61,51 @@ class _Whole:
         pass
 
 
+class _ChunkIndexes:
+    """What the end of the file says of each chunk, in a file without a name. In memory it was 0.6 kB a frame: 50 MB an
+    hour.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.failure: OSError | None = None  # no index can be written any more
+        try:
+            self._file: IO[bytes] | None = tempfile.TemporaryFile(dir=folder, buffering=1 << 16)  # noqa: SIM115
+        except OSError as error:
+            self._file, self.failure = None, error
+
+    def append(self, index: ChunkIndex) -> None:
+        builder = RecordBuilder()
+        index.write(builder)
+        self._try(lambda file: file.write(builder.end()))
+
+    def write(self, builder: RecordBuilder) -> None:
+        """All of them, as records."""
+        self._try(lambda file: file.seek(0))
+        while self._file is not None and (data := self._file.read(1 << 20)):
+            builder.write(data)
+
+    def __iter__(self) -> "Iterator[_ChunkIndexes]":
+        """The MCAP writer asks each of its indexes to `write` itself: this one writes all."""
+        yield self
+
+    def complete(self) -> bool:
+        """Whether every index is there."""
+        self._try(lambda file: file.flush())
+        return self.failure is None
+
+    def close(self) -> None:
+        if self._file is not None:
+            with contextlib.suppress(OSError):
+                self._file.close()
+
+    def _try(self, do: Callable[[IO[bytes]], object]) -> None:
+        try:
+            if self._file is not None and self.failure is None:
+                do(self._file)
+        except OSError as error:
+            self.failure = error
+
+
 class RecordingWriter:
     """Writes one recording. What the disk does not take is counted in `lost`, by what it was, and never raised."""
 
@@ -91,6 +138,8 @@ class RecordingWriter:
             chunk_size=1 << 62,  # chunks end where we say
             compression=CompressionType.NONE,
         )
+        self._indexes = _ChunkIndexes(path.parent)
+        setattr(self._writer, "_Writer__chunk_indices", self._indexes)  # noqa: B010 - a name of its own making
         self._writer.start(profile="annulus")
         self._channels: dict[str, int] = {}  # by topic, those that are on disk or about to be
         self._new: list[str] = []  # of them, those that are not on disk yet
@@ -104,7 +153,7 @@ class RecordingWriter:
             if content is not None:
                 self._writer.add_attachment(now_ns, now_ns, name, "application/json", to_json(content))
         if self.lost or self._whole.failure is not None:
-            self._file.close()
+            self.abandon()
             path.unlink(missing_ok=True)
             raise AnnulusError(f"{path}: cannot be written ({self.problem or self._whole.failure}). Is the disk full?")
 
@@ -159,13 +208,14 @@ class RecordingWriter:
     def abandon(self) -> None:
         """Let go of a file that is gone."""
         self._file.close()
+        self._indexes.close()
 
     def close(self) -> None:
         """End the file. After a loss it gets no index (the index would name what is not there); readers do without."""
         if self._file.closed:
             return
         self._flush()
-        if self.lost:
+        if self.lost or not self._indexes.complete():
             builder = RecordBuilder()
             DataEnd(0).write(builder)
             Footer(0, 0, 0).write(builder)
@@ -176,6 +226,7 @@ class RecordingWriter:
         if self._whole.failure is not None:
             self.problem = _reason(self._whole.failure)
         self._file.close()
+        self._indexes.close()
 
     def __enter__(self) -> "RecordingWriter":
         return self

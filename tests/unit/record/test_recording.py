@@ -8,6 +8,7 @@ import resource
 import signal
 import subprocess
 import sys
+import tracemalloc
 from pathlib import Path
 
 import cv2
@@ -300,3 +301,23 @@ def test_json_carries_bytes(value: dict) -> None:
 
 def test_json_has_no_nan() -> None:
     assert json.loads(to_json({"a": float("nan"), "b": (1.5, float("inf"))})) == {"a": None, "b": [1.5, None]}
+
+
+def test_a_long_recording_costs_no_memory_and_keeps_its_index(tmp_path: Path) -> None:
+    image = np.zeros((6, 8), np.uint8)
+    label = {"index": 0, "label": "led", "z_mm": 0.0, "encoding": "mono8", "width": 8, "height": 6}
+    tracemalloc.start()
+    try:
+        with RecordingWriter(tmp_path / "a.mcap", calibration=None, configuration={}, now_ns=0) as writer:
+            for index in range(2000):
+                if index == 500:
+                    before = tracemalloc.get_traced_memory()[0]
+                assert writer.frame(label | {"index": index}, image, index)
+            grown = tracemalloc.get_traced_memory()[0] - before
+    finally:
+        tracemalloc.stop()
+    assert grown < 20_000, "bytes over 1500 frames; the indexes of chunks in memory were 900 000"
+    with (tmp_path / "a.mcap").open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None and len(summary.chunk_indexes) == 2001
+    assert os.listdir(tmp_path) == ["a.mcap"]
