@@ -1,6 +1,6 @@
 """Timestamps that moved by whole frames kept the lamp, a 4:1 cycle being like itself five frames on, and put every
-frame at another place along the pipe for ever; a count that disagreed once was the truth from then on. Fails when an edge
-is believed that the frame was in hand before, or that another frame had."""
+frame at another place along the pipe for ever; a count that disagreed once was the truth from then on. Fails when an
+edge is believed that the frame was in hand before, or that another frame had."""
 
 import pytest
 from bench_of_faults import PERIOD, Bench, Faults
