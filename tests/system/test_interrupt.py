@@ -120,7 +120,7 @@ def test_the_daemon_runs_a_head_from_its_file_until_ctrl_c(traces, tmp_path: Pat
                 daemon.send_signal(signal.SIGINT)
                 break
         heard += daemon.stderr.readlines()
-        assert daemon.wait(30) == 0, heard
+        assert daemon.wait(30) == 0, "".join(heard)
         assert head.counters()["lamps_on"] == []
     assert traces.left() == {}
     (recording,) = (tmp_path / "scans").glob("*.mcap")

@@ -17,6 +17,7 @@ import zmq
 from annulus.capture.camera import Camera, EndOfFrames, grab
 from annulus.daemon.cameras import apply_controls, open_camera, open_sensors
 from annulus.daemon.config import CameraConfig, HeadConfig, SocketConfig, load_config
+from annulus.daemon.control import CARRIED_MAX
 from annulus.daemon.disk import MB, DiskState, Forecast, free_bytes, require_space
 from annulus.daemon.priority import raise_priority
 from annulus.link import operate
@@ -167,7 +168,7 @@ def _socket(what: str, socket: SocketConfig | None) -> str:
     context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
     doorkeeper = Doorkeeper(context)
     try:
-        address = doorkeeper.bind(context.socket(zmq.ROUTER), socket.address, socket.keys, what, 0)
+        address = doorkeeper.bind(context.socket(zmq.ROUTER), socket.address, socket.keys, what, CARRIED_MAX)
     finally:
         doorkeeper.close()
         context.destroy(linger=0)

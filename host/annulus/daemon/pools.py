@@ -46,6 +46,7 @@ from annulus.vocabulary import AnnulusError
 from annulus.wall.profile import Profile
 
 WORKER_DEPTH = 2
+ABSORBS_S = 0.1  # a recorder that has its hands full is waited for, if it gave one back not longer ago
 RETRY_S, RETRY_MOST_S = 1.0, 60.0  # until what was given up is tried again; twice as long each time
 
 
@@ -188,12 +189,15 @@ class Recorder(Pool, Observer):
         self._share = kind.depth
         self._problem = ""
         self._frames: Counter[Path] = Counter()  # recorded, by file
+        self._moved = 0.0  # when it last gave a frame back, or was given one with empty hands
         self._behind = 0  # frames lost since it fell behind
         self._notes_dropped = 0
 
     def offer(self, header: FrameHeader, place: Place) -> None:
         """A labelled frame; lost, and counted, when there is no room."""
         self._account.to_record += 1
+        if not self.in_hand:
+            self._moved = time.monotonic()
         if self._pool.offer(header, place):
             if self._behind and not self._behind_still:
                 self._observer.event("disk", f"the recorder has caught up; {self._behind} frames are not recorded")
@@ -206,6 +210,11 @@ class Recorder(Pool, Observer):
             if self._behind == 1:
                 text = f"the recorder falls behind: it holds {self.in_hand} frames; more are labelled but not recorded"
                 self._observer.event("disk", text)
+
+    @property
+    def absorbs(self) -> bool:
+        """It has its hands full for the moment: frames come in a burst when their camera's offset is found."""
+        return self._pool.ready > 0 and not self._pool.room and time.monotonic() - self._moved < ABSORBS_S
 
     @property
     def _behind_still(self) -> bool:
@@ -256,6 +265,7 @@ class Recorder(Pool, Observer):
         self.note("/health", health.to_dict())
 
     def _done(self, header: FrameHeader, body: Any) -> None:
+        self._moved = time.monotonic()
         if body:
             self._account.recorded += 1
             self._frames[Path(str(body))] += 1

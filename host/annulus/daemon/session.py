@@ -24,7 +24,7 @@ from annulus.daemon.camera_feed import CameraFeed
 from annulus.daemon.config import HeadConfig, require_size
 from annulus.daemon.control import Do, Request
 from annulus.daemon.controller_line import REST_S, ControllerLine, line_numbers
-from annulus.daemon.intake import InSlot
+from annulus.daemon.intake import RESERVE, InSlot
 from annulus.daemon.ledger import Status
 from annulus.daemon.observer import Mark, Observer, Observers
 from annulus.daemon.pools import Reconstruction, Recorder, default_workers
@@ -234,6 +234,13 @@ class Session:
         self._enter(Event.STOP)
 
     @property
+    def _is_bursting(self) -> bool:
+        """More frames than the recorder may hold have their labels at once, and there is room to let some wait."""
+        return self.recorder is not None and self.recorder.absorbs and self._power is not None and (
+            self._power.shared.ring.free >= RESERVE
+        )  # fmt: skip
+
+    @property
     def _publishing(self) -> Publishing | None:
         return self._power.publishing if self._power is not None else None
 
@@ -273,6 +280,9 @@ class Session:
             if scan is not None:
                 for header, frame in scan.labelled(final=True):
                     self._hand_out(header, frame)
+                    while scan.recorder is not None and scan.recorder.absorbs:
+                        scan.recorder.waitable.poll(10)
+                        scan.recorder.poll()
         with self._whatever_happens("workers"):
             self._finish_reconstruction()
         self._scan = None if scan is None or (scan.recorder is None and not scan.intakes) else scan
@@ -319,8 +329,9 @@ class Session:
                 feed.poll()
         if self._scan is not None:
             self._scan.take_in()
-            for header, frame in self._scan.labelled():
-                self._hand_out(header, frame)
+            frames = self._scan.labelled()
+            while not self._is_bursting and (next_one := next(frames, None)) is not None:
+                self._hand_out(*next_one)
         if self.recorder is not None:
             self.recorder.poll()
         if self._reconstruction is not None:

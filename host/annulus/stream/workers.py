@@ -169,7 +169,6 @@ class WorkerPool:
         try:
             for _ in range(kind.count):
                 self._start()
-            self._keep_spares(self._clock())
         except BaseException:
             self.stop(0.0)
             raise
@@ -317,7 +316,8 @@ class WorkerPool:
         return happened
 
     def _keep_spares(self, now: float) -> None:
-        if len(self.spare_pids) < self._kind.spares and now >= self._next_spare:
+        """Once all are ready: until then they need the processors themselves."""
+        if len(self.spare_pids) < self._kind.spares and now >= self._next_spare and self.ready == self._kind.count:
             self._next_spare = now + SPARE_S
             self._spawn().spare = True
 

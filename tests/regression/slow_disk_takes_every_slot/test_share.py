@@ -47,6 +47,9 @@ def test_a_recorder_that_stands_still_leaves_half_of_the_slots_to_the_others(tmp
         account.label(header)
         recorder.offer(header, place)
         ring.release(place)
+    assert recorder.absorbs, "it was at work a moment ago: who has time may wait"
+    time.sleep(0.15)
+    assert not recorder.absorbs, "it stands still: nobody waits"
     assert ring.free == 4 and account.drops == {"recorder_busy": 16}
     assert [text for text in told.texts if "falls behind" in text] == told.texts, "once"
     os.kill(victim, signal.SIGCONT)
