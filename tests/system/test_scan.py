@@ -26,7 +26,7 @@ from annulus.demo import demo_config
 from annulus.link.client import Client
 from annulus.link.messages import StateFlag, Status
 from annulus.record.calibration_file import load_calibration
-from annulus.record.recording import Recording, open_recording
+from annulus.record.recording import Recording, open_part, open_recording
 from annulus.twin.faults import Faults
 from annulus.twin.head import HeadHandle, start_head
 from annulus.twin.worlds import World, demo_world
@@ -159,10 +159,12 @@ def test_a_recorder_killed_in_mid_scan_is_replaced_and_both_files_are_readable(
         if not killed and rig.session.labelled >= 18 and pool is not None:
             killed.append(rig.session.labelled)
             os.kill(pool.pids[0], signal.SIGKILL)
-        return bool(killed) and (tmp_path / "scan-2.mcap").exists() and rig.session.labelled >= killed[0] + 30
+        return bool(killed) and (tmp_path / "scan-002.mcap").exists() and rig.session.labelled >= killed[0] + 30
 
     report = rig.run(until)
-    first, second = open_recording(tmp_path / "scan.mcap"), open_recording(tmp_path / "scan-2.mcap")
+    first, second = open_part(tmp_path / "scan.mcap"), open_part(tmp_path / "scan-002.mcap")
+    whole = open_recording(tmp_path / "scan.mcap")
+    assert whole.torn and {f.index for f in whole.frames} == {f.index for f in (*first.frames, *second.frames)}
     assert first.torn and not second.torn
     assert len(first.frames) >= 15 and len(second.frames) >= 1
     gone = report.drops.get("recorder_died", 0) + report.drops.get("recorder_busy", 0)

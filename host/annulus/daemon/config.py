@@ -79,8 +79,11 @@ class LampConfig:
 
 @dataclass(frozen=True, slots=True)
 class RecordConfig:
-    """How much room a recording needs."""
+    """How a scan is recorded. 0: no such bound."""
 
+    part_minutes: float = 60.0  # a new file when the one at hand is so old,
+    part_gb: float = 0.0  # or so large
+    sync_s: float = 5.0  # to the disk itself this often; 0: whenever the system likes
     min_free_gb: float = 2.0  # no scan begins with less,
     min_free_minutes: float = 0.0  # or with less than so many minutes of frames
     reserve_mb: float = 200.0  # a scan ends before the disk has less
@@ -293,6 +296,9 @@ def _lamps(content: Mapping[str, Any]) -> LampConfig:
 def _record(content: Mapping[str, Any]) -> RecordConfig:
     usual = RecordConfig()
     return RecordConfig(
+        part_minutes=_bound(content, "record", "part_minutes", usual.part_minutes, 0.01, 1e5),
+        part_gb=_bound(content, "record", "part_gb", usual.part_gb, 0.01, 1e5),
+        sync_s=_bound(content, "record", "sync_s", usual.sync_s, 0.1, 3600.0),
         min_free_gb=_number(content, "record", "min_free_gb", usual.min_free_gb, 0.0, 1e5),
         min_free_minutes=_number(content, "record", "min_free_minutes", usual.min_free_minutes, 0.0, 1e5),
         reserve_mb=_number(content, "record", "reserve_mb", usual.reserve_mb, 0.0, 1e5),
@@ -390,6 +396,14 @@ def _number(content: Mapping[str, Any], section: str, key: str, default: float, 
     if not low <= value <= high:
         raise ValueError(f"[{section}] {key} is {value:g}, expected a number in {low:g}..{high:g}")
     return float(value)
+
+
+def _bound(content: Mapping[str, Any], section: str, key: str, default: float, low: float, high: float) -> float:
+    """A number in low..high, or 0 for no bound."""
+    value = _number(content, section, key, default, 0.0, high)
+    if 0.0 < value < low:
+        raise ValueError(f"[{section}] {key} is {value:g}, expected 0 or a number in {low:g}..{high:g}")
+    return value
 
 
 def _whole(content: Mapping[str, Any], section: str, key: str, default: int, low: int, high: int) -> int:

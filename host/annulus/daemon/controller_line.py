@@ -1,6 +1,7 @@
 """The controller and its line, in service: identified, opened again when it breaks, and what it says told to people."""
 
 import time
+from dataclasses import replace
 
 from annulus.daemon.account import Account
 from annulus.daemon.config import HeadConfig
@@ -186,12 +187,12 @@ class ControllerLine:
 def stage_of(config: HeadConfig) -> Stage:
     """The lamp configuration that head.toml asks for."""
     timing, lamps = config.timing, config.lamps
-    return stage_from_us(
+    stage = stage_from_us(
         ratio=lamps.ratio, period_us=timing.period_us, exposure_us=timing.exposure_us, readout_us=timing.readout_us,
         projector_us=(lamps.projector_delay_us, lamps.projector_width_us),
         led_us=(lamps.led_delay_us, lamps.led_width_us), tolerance_permille=100,
-        host_timeout_ms=lamps.host_timeout_ms,
     )  # fmt: skip
+    return replace(stage, host_timeout=lamps.host_timeout_ms)
 
 
 def preamble_for(config: HeadConfig) -> Preamble | None:

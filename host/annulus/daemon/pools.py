@@ -10,10 +10,11 @@ import shutil
 import sys
 import tempfile
 import time
+import uuid
 from collections import Counter, deque
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from annulus.daemon.observer import Mark, Observer
 from annulus.daemon.reorder import ReorderBuffer
 from annulus.daemon.state import State
 from annulus.geometry.calibration import Calibration
+from annulus.record.rotation import Bounds
 from annulus.rings.colour import ColourProfile
 from annulus.sensors.sample import Sample
 from annulus.stream.frames import FrameHeader
@@ -170,6 +172,8 @@ class RecordingSetup:
     name: str
     calibration: Mapping[str, Any] | None
     configuration: Mapping[str, Any]
+    bounds: Bounds = field(default_factory=Bounds)
+    scan: str = field(default_factory=lambda: uuid.uuid4().hex)  # whose parts belong together
 
 
 class Recorder(Pool, Observer):
@@ -181,7 +185,7 @@ class Recorder(Pool, Observer):
         command = [sys.executable, "-m", "annulus.daemon.recorder"]
         plain = {
             "folder": str(setup.folder.absolute()), "name": setup.name, "calibration": setup.calibration,
-            "configuration": setup.configuration,
+            "configuration": setup.configuration, "bounds": list(astuple(setup.bounds)), "scan": setup.scan,
         }  # fmt: skip
         kind = WorkerKind("recorder", command, plain, 1, max(1, len(shared.ring) // 2), spares=1)
         super().__init__(kind, shared, account, observer)

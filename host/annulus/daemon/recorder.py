@@ -7,13 +7,15 @@ A file that lost its name (it, or its folder, was removed) or is shorter than wh
 its frames. That is reported, and the recording goes on in a new file where one can be begun.
 """
 
-import os
 import sys
 import time
+import uuid
 from pathlib import Path
 from typing import Any
 
 from annulus.numeric.arrays import Image
+from annulus.record.parts import Part
+from annulus.record.rotation import UNBOUNDED, Bounds, RotatingWriter
 from annulus.record.writer import RecordingWriter
 from annulus.stream.frames import FrameHeader
 from annulus.stream.working import serve
@@ -24,23 +26,31 @@ NOT_RECORDED = "frames are labelled but not recorded"
 
 
 class RecorderJob:
-    """RecordingWriters, one after the other, as a job. Answers each frame with the file it is in, empty when it is in
-    none; reports each file that is begun or gone, and whenever losses grow.
+    """A scan's parts, one after the other, as a job; one that replaces a dead one begins the scan's next part. Answers
+    each frame with the file it is in, empty when it is in none; reports each file that is begun or gone, and whenever
+    losses grow.
     """
 
-    def __init__(self, folder: Path, name: str, calibration: Any, configuration: Any) -> None:
+    def __init__(
+        self, folder: Path, name: str, calibration: Any, configuration: Any, bounds: Bounds = UNBOUNDED, scan: str = ""
+    ) -> None:
+        """`scan`: what all parts of it have in common, drawn when empty."""
         self._folder, self._name, self._calibration, self._configuration = folder, name, calibration, configuration
+        self._bounds, self._scan = bounds, scan or uuid.uuid4().hex
         self.path = folder
-        self._writer: RecordingWriter | None = None
+        self._writer: RotatingWriter | None = None
         self._next_look = 0.0
-        self._reported = -1
+        self._reported = 0, ""  # frames lost, and the remark
         self._reports: list[dict[str, Any]] = []
         self._problem = ""
         self._begin()
 
     def frame(self, header: FrameHeader, image: Image, extra: Any) -> Any:
         self._look()
-        written = self._writer is not None and self._writer.frame(header.to_dict(), image, header.timestamp_ns)
+        writer = self._writer
+        written = writer is not None and writer.frame(header.to_dict(), image, header.timestamp_ns)
+        if writer is not None and writer.path != self.path:  # another part
+            self._tell(writer)
         return str(self.path) if written else ""
 
     def note(self, kind: str, body: Any) -> None:
@@ -53,10 +63,8 @@ class RecorderJob:
         if self._writer is not None:
             if self._writer.waiting_s > 0.5:
                 self._writer.flush()
-            lost = self._writer.lost.total()
-            if lost != self._reported:
-                self._reported = lost
-                self._reports.append(self._state())
+            if (self._writer.lost.total(), self._writer.remark) != self._reported:
+                self._tell(self._writer)
         reports, self._reports = self._reports, []
         return reports or None
 
@@ -65,7 +73,8 @@ class RecorderJob:
         self._look(more=False)
         if self._writer is not None:
             self._writer.close()
-            self._reports.append(self._state())
+            if self._state() not in self._reports:
+                self._reports.append(self._state())
         return self._reports
 
     def _look(self, more: bool = True) -> None:
@@ -74,7 +83,7 @@ class RecorderJob:
         if now < self._next_look:
             return
         self._next_look = now + LOOK_S
-        if self._writer is not None and (why := self._writer.gone(self.path)):
+        if self._writer is not None and (why := self._writer.gone()):
             self._writer.abandon()
             self._writer = None
             self._reports.append(self._state(gone=True, problem=f"{why}; the frames in it are lost"))
@@ -87,32 +96,34 @@ class RecorderJob:
                     self._reports.append(self._state(gone=True, problem=f"{error}; {NOT_RECORDED}"))
 
     def _begin(self) -> None:
-        self.path, self._writer = _begin(self._folder, self._name, self._calibration, self._configuration)
-        self._reported, self._problem = -1, ""
+        self._writer = RotatingWriter(self._folder, self._name, self._scan, self._bounds, self._part, time.monotonic)
+        self._problem = ""
+        self._tell(self._writer)
+
+    def _tell(self, writer: RotatingWriter) -> None:
+        self.path, self._reported = writer.path, (writer.lost.total(), writer.remark)
+        self._reports.append(self._state())
+
+    def _part(self, path: Path, part: Part) -> RecordingWriter:
+        return RecordingWriter(
+            path, calibration=self._calibration, configuration=self._configuration, now_ns=time.monotonic_ns(),
+            part=part,
+        )  # fmt: skip
 
     def _state(self, gone: bool = False, problem: str = "") -> dict[str, Any]:
         """`gone`: there is no such file, or not any more."""
         if self._writer is not None and self._writer.problem:
             problem = f"{self._writer.problem}; {NOT_RECORDED}"
+        elif self._writer is not None:
+            problem = problem or self._writer.remark
         return {"path": str(self.path), "problem": problem, "gone": gone}
 
 
-def _begin(folder: Path, name: str, calibration: Any, configuration: Any) -> tuple[Path, RecordingWriter]:
-    """The first free name: a recorder that replaces a dead one leaves the dead one's file alone."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise AnnulusError(f"{folder}: cannot be made ({error.strerror}). Choose another folder.") from None
-    for number in range(1, 1000):
-        path = folder / (f"{name}.mcap" if number == 1 else f"{name}-{number}.mcap")
-        if not os.path.lexists(path):
-            now_ns = time.monotonic_ns()
-            return path, RecordingWriter(path, calibration=calibration, configuration=configuration, now_ns=now_ns)
-    raise AnnulusError(f"{folder}: holds {name}.mcap to {name}-999.mcap already. Choose another folder.")
-
-
 def _prepare(setup: Any) -> RecorderJob:
-    return RecorderJob(Path(setup["folder"]), setup["name"], setup["calibration"], setup["configuration"])
+    return RecorderJob(
+        Path(setup["folder"]), setup["name"], setup["calibration"], setup["configuration"], Bounds(*setup["bounds"]),
+        setup["scan"],
+    )  # fmt: skip
 
 
 if __name__ == "__main__":

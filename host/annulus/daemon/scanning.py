@@ -16,6 +16,7 @@ from typing import Any
 
 from annulus.daemon.account import Account
 from annulus.daemon.config import HeadConfig
+from annulus.daemon.disk import GB
 from annulus.daemon.evidence import Evidence
 from annulus.daemon.intake import InSlot, Intake
 from annulus.daemon.observer import Observers
@@ -24,6 +25,7 @@ from annulus.daemon.power import Power
 from annulus.labelling.labelling import Labelling
 from annulus.labelling.navigation import Navigation
 from annulus.link.head import Phase
+from annulus.record.rotation import Bounds
 from annulus.stream.frames import FrameHeader
 
 START_S = 200.0  # on a fresh machine workers compile first
@@ -57,7 +59,9 @@ class Scan:
         if config.record_folder is not None:
             name = name or datetime.now(UTC).strftime("scan-%Y%m%d-%H%M%S")
             calibration = None if config.calibration is None else config.calibration.to_dict()
-            setup = RecordingSetup(config.record_folder, name, calibration, config.to_dict())
+            record = config.record
+            bounds = Bounds(60.0 * record.part_minutes, GB * record.part_gb, record.sync_s)
+            setup = RecordingSetup(config.record_folder, name, calibration, config.to_dict(), bounds)
             self.recorder = Recorder(setup, power.shared, account, observers)
             observers.all.insert(0, self.recorder)
             head = power.line.head if power.line is not None else None

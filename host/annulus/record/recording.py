@@ -1,10 +1,11 @@
-"""A recording read back: one scan in one .mcap file, whatever a crash or a full disk left of it.
+"""A recording read back: one scan in one .mcap file or in parts of it, whatever a crash or a full disk left of it.
 
 Topics: `/frame/<camera>` (foxglove.RawImage, protobuf) and JSON `/label`, `/profile`, `/telemetry`, `/event`,
 `/sensor/<name>` and whatever else is noted. A frame and its label share the message sequence number, which is the
 frame's index; the label says which camera it is of, and lies before its frame in one uncompressed chunk. Frames of one
 index belong to one flash. Bytes inside JSON are {"base64": ".."}. Attachments: `calibration.json`,
-`configuration.json`. Recordings of before there was more than one camera have `/frame`: camera 0.
+`configuration.json`, `part.json` (see parts.py). Recordings of before there was more than one camera have `/frame`:
+camera 0.
 
 Opening steps over images. A chunk's checksum is looked at when something in it is read, so an image or a note that
 comes out is what was written; `check` reads the whole file. What is damaged is told, and costs no more than its chunk.
@@ -17,7 +18,7 @@ import os
 import stat
 import zlib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import IO, Any, cast
 
@@ -27,6 +28,7 @@ from google.protobuf.message import DecodeError
 
 from annulus import untrusted
 from annulus.numeric.arrays import Image
+from annulus.record.parts import PART_FILE, Part, later_paths, part_of
 from annulus.record.walk import ATTACHMENT_MAX, MAGIC, Chunk, Damage, DamagedError, Message, Walk, piece
 from annulus.stream.frames import CHANNELS, SIDE_MAX
 from annulus.vocabulary import AnnulusError, Label
@@ -36,7 +38,7 @@ LABEL_TOPIC = "/label"
 CAMERA_ID_MAX = 255
 Z_MAX_MM = 1e8  # of a place; beyond is damage
 _JSON_MAX = 1 << 24
-_ATTACHED = ("calibration.json", "configuration.json")
+_ATTACHED = ("calibration.json", "configuration.json", PART_FILE)
 
 
 def to_json(value: Any) -> bytes:
@@ -79,13 +81,15 @@ class RecordedFrame:
     roll_deg: float | None = None  # of the head, clockwise looking forward, where its label says so
     camera: int = 0
     chunk: Chunk | None = None  # what its checksum is of
+    part: int = 0  # which of its recording's `parts` it is in
 
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """An opened recording. `torn`: the file ends in the middle; everything whole before that is here.
+    """An opened recording. `torn`: a file ends in the middle, or is missing; everything whole is here.
 
-    `damage`: what opening found; images are not looked at before they are read.
+    `damage`: what opening found; images are not looked at before they are read. `parts`: of a scan in several files the
+    recording of each; this one joins them, and `path` is the first one's.
     """
 
     path: Path
@@ -99,6 +103,8 @@ class Recording:
     _chunks: tuple[Chunk, ...] = field(default=(), repr=False)
     _data_crc: tuple[int, int] | None = field(default=None, repr=False)
     _sound: dict[int, bool] = field(default_factory=dict, repr=False)  # by a chunk's offset, of those looked at
+    part: Part | None = None  # of which scan; None before there were parts
+    parts: "tuple[Recording, ...]" = ()
 
     @property
     def cameras(self) -> tuple[int, ...]:
@@ -114,6 +120,10 @@ class Recording:
 
         What is malformed, or lies in a chunk with the wrong checksum, is left out.
         """
+        for part in self.parts:
+            yield from part.notes(topic)
+        if self.parts:
+            return
         with self.path.open("rb") as file:
             for message in self._notes.get(topic, ()):
                 try:
@@ -124,6 +134,8 @@ class Recording:
 
     def check(self) -> tuple[Damage, ...]:
         """Everything that is damaged, by reading the whole file (1 GB/s and what the disk gives)."""
+        if self.parts:
+            return _named([(part, part.check()) for part in self.parts])
         found = list(self.damage)
         with self.path.open("rb") as file:
             for chunk in self._chunks:
@@ -141,6 +153,8 @@ class Recording:
 
         Raises DamagedError where the bytes are not what was written, AnnulusError for what is no image.
         """
+        if self.parts:
+            return self.parts[frame.part].read_raw(frame)
         where = f"{self.path}: {frame_name(frame.index, frame.camera)}"
         try:
             with self.path.open("rb") as file:
@@ -173,6 +187,8 @@ class Recording:
 
     def is_sound(self, frame: RecordedFrame) -> bool:
         """Whether frame and label are what was written."""
+        if self.parts:
+            return self.parts[frame.part].is_sound(frame)
         try:
             with self.path.open("rb") as file:
                 return self._is_sound(frame.chunk, file)
@@ -224,7 +240,48 @@ def to_bgr(image: Image, encoding: str) -> Image:
 
 
 def open_recording(path: Path) -> Recording:
-    """Index a recording by walking its records; needs no footer. Raises AnnulusError when it is none."""
+    """Index a recording by walking its records; needs no footer. Given the first part of a scan, all of them as one.
+
+    Raises AnnulusError when it is none.
+    """
+    first = open_part(path)
+    if first.part is None or first.part.number != 1:
+        return first
+    parts, torn, expected = [first], first.torn, 2
+    for number, later in later_paths(path):
+        known = part_of(later)
+        if known is not None and known.scan != first.part.scan:
+            continue  # of another scan
+        torn |= number != expected
+        expected = number + 1
+        try:
+            parts.append(open_part(later))
+            torn |= parts[-1].torn
+        except AnnulusError:  # cut off before anything was in it
+            torn = True
+    return first if len(parts) == 1 and torn == first.torn else _joined(parts, torn)
+
+
+def _joined(parts: list[Recording], torn: bool) -> Recording:
+    frames: dict[tuple[int, int], RecordedFrame] = {}
+    labels: dict[tuple[int, int], Mapping[str, Any]] = {}
+    for number, part in enumerate(parts):
+        for frame in part.frames:
+            frames.setdefault((frame.index, frame.camera), replace(frame, part=number))
+        labels = {**part._labels, **labels}
+    return replace(
+        parts[0], frames=tuple(frames[key] for key in sorted(frames)), torn=torn, _labels=labels, _notes={},
+        damage=_named([(part, part.damage) for part in parts]), parts=tuple(parts),
+    )  # fmt: skip
+
+
+def _named(found: list[tuple[Recording, tuple[Damage, ...]]]) -> tuple[Damage, ...]:
+    """Damage of several files, with the file's name."""
+    return tuple(replace(one, text=f"of {part.path.name}: {one.text}") for part, damage in found for one in damage)
+
+
+def open_part(path: Path) -> Recording:
+    """One file alone, whichever part it is. Raises AnnulusError when it is no recording."""
     try:
         with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
             told = os.fstat(file.fileno())
@@ -243,10 +300,10 @@ def open_recording(path: Path) -> Recording:
         )
     if not any(topic == LABEL_TOPIC or _camera_of(topic) is not None for topic in walk.channels.values()):
         raise AnnulusError(f"{path}: no {FRAME_TOPIC}/<camera> topic. Expected a recording made by annulus.")
-    calibration, configuration = (_attached(walk, name) for name in _ATTACHED)
+    calibration, configuration, part = (_attached(walk, name) for name in _ATTACHED)
     return Recording(
         path, frames, calibration, configuration, not walk.ended, labels, notes, tuple(walk.damage),
-        tuple(walk.chunks), walk.data_crc,
+        tuple(walk.chunks), walk.data_crc, part=Part.from_dict(part),
     )  # fmt: skip
 
 

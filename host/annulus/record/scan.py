@@ -15,6 +15,7 @@ from pathlib import Path, PurePosixPath
 from annulus.capture.pictures import decode
 from annulus.geometry.calibration import Calibration
 from annulus.numeric.arrays import Image
+from annulus.record.parts import first_paths
 from annulus.record.recording import CAMERA_ID_MAX, Z_MAX_MM, Recording, frame_name, open_recording
 from annulus.untrusted import read_file, shown
 from annulus.vocabulary import AnnulusError, Label
@@ -70,10 +71,19 @@ class Scan:
 
 
 def open_scan(path: Path) -> Scan:
-    """A scan folder or an .mcap recording. Raises AnnulusError saying what is wrong, and in which line."""
+    """A scan folder, an .mcap recording (all parts of the scan when it is the first), or a folder with one recording.
+
+    Raises AnnulusError saying what is wrong, and in which line.
+    """
     try:
         if path.is_dir():
-            return Scan(path, read_table(path), None)
+            recordings = [] if (path / TABLE).exists() else first_paths(path)
+            if not recordings:
+                return Scan(path, read_table(path), None)
+            if len(recordings) > 1:
+                names = ", ".join(one.name for one in recordings[:5]) + (", .." if len(recordings) > 5 else "")
+                raise AnnulusError(f"{path}: holds {len(recordings)} recordings, expected one. Name one: {names}.")
+            path = recordings[0]
         if not path.exists():
             raise AnnulusError(f"{path}: no such scan. Expected a scan folder or an .mcap recording.")
     except PermissionError:

@@ -20,6 +20,7 @@ from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 from mcap_protobuf.schema import register_schema
 
 from annulus.numeric.arrays import Image
+from annulus.record.parts import PART_FILE, Part
 from annulus.record.recording import FRAME_TOPIC, LABEL_TOPIC, camera_of_label, to_json
 from annulus.stream.frames import CHANNELS
 from annulus.vocabulary import AnnulusError
@@ -117,6 +118,7 @@ class RecordingWriter:
         configuration: Mapping[str, Any],
         now_ns: int,
         file: IO[bytes] | None = None,
+        part: Part | None = None,
     ) -> None:
         """Creates `path`, which must not exist (`file`, an unbuffered binary file, is written instead when given).
 
@@ -149,7 +151,12 @@ class RecordingWriter:
         self._channel(LABEL_TOPIC)
         self.note("/event", {"kind": "recording_started", "text": "recording started"}, now_ns)
         self._flush()
-        for name, content in (("calibration.json", calibration), ("configuration.json", configuration)):
+        attached = {
+            PART_FILE: None if part is None else part.to_dict(),  # first: it is looked for at the beginning of the file
+            "calibration.json": calibration,
+            "configuration.json": configuration,
+        }
+        for name, content in attached.items():
             if content is not None:
                 self._writer.add_attachment(now_ns, now_ns, name, "application/json", to_json(content))
         if self.lost or self._whole.failure is not None:
@@ -189,6 +196,14 @@ class RecordingWriter:
     def waiting_s(self) -> float:
         """For how long the oldest record that is not on disk has waited."""
         return time.monotonic() - self._pending_since if self._pending else 0.0
+
+    @property
+    def size(self) -> int:
+        """Bytes in the file."""
+        return self._whole.tell()
+
+    def fileno(self) -> int:
+        return self._file.fileno()
 
     def flush(self) -> None:
         """Write what waits."""

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 import zmq
 
+from annulus.controller import HOST_TIMEOUT_DEFAULT_MS
 from annulus.daemon.config import (
     HOST_TIMEOUT_LEAST_MS,
     CameraConfig,
@@ -15,6 +16,7 @@ from annulus.daemon.config import (
     SocketConfig,
     load_config,
 )
+from annulus.daemon.controller_line import stage_of
 from annulus.link.head import PING_NS
 from annulus.vocabulary import AnnulusError
 
@@ -72,6 +74,11 @@ def test_the_shortest_host_timeout_leaves_room_for_a_lost_ping() -> None:
     assert HOST_TIMEOUT_LEAST_MS * 1_000_000 >= 2 * PING_NS
 
 
+def test_the_controller_is_told_how_long_to_wait_for_the_daemon(tmp_path: Path) -> None:
+    assert stage_of(load_config(write(tmp_path, ""))).host_timeout == HOST_TIMEOUT_DEFAULT_MS
+    assert stage_of(load_config(write(tmp_path, "[lamps]\nhost_timeout_ms = 250"))).host_timeout == 250
+
+
 def test_an_empty_file_is_a_camera_without_a_controller(tmp_path: Path) -> None:
     config = load_config(write(tmp_path, ""))
     assert config.port is None and config.calibration is None and config.record_folder is None
@@ -94,6 +101,10 @@ def test_an_empty_file_is_a_camera_without_a_controller(tmp_path: Path) -> None:
         ("[lamps]\nratio = true", "ratio"),
         ("[lamps]\nhost_timeout_ms = 100", "host_timeout_ms is 100, expected a number in 200..5000"),
         ("[lamps]\nhost_timeout_ms = 250.5", "whole"),
+        ("[record]\npart_minutes = -1", "part_minutes"),
+        ("[record]\npart_minutes = 0.001", "expected 0 or a number in 0.01..100000"),
+        ('[record]\npart_gb = "2"', "part_gb is '2'"),
+        ("[record]\nsync_s = 1e9", "sync_s"),
         ("[record]\nmin_free_gb = nan", "min_free_gb"),
         ("[record]\nmin_free_minutes = -5", "min_free_minutes is -5"),
         ("[record]\nreserve_mb = true", "reserve_mb"),
