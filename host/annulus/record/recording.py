@@ -82,6 +82,8 @@ class RecordedFrame:
     camera: int = 0
     chunk: Chunk | None = None  # what its checksum is of
     part: int = 0  # which of its recording's `parts` it is in
+    z_bound_mm: float = 0.0  # how far z may be off; 0: it was counted
+    segment: int = 0  # of z: within one, differences of z were counted
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,15 +122,25 @@ class Recording:
 
         What is malformed, or lies in a chunk with the wrong checksum, is left out.
         """
+        return (body for _, _, body in self.timed_notes(topic))
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """That have JSON records."""
+        return tuple(dict.fromkeys([*self._notes, *(topic for part in self.parts for topic in part.topics)]))
+
+    def timed_notes(self, topic: str) -> Iterator[tuple[int, int, Any]]:
+        """The same with host time, ns, and sequence number."""
         for part in self.parts:
-            yield from part.notes(topic)
+            yield from part.timed_notes(topic)
         if self.parts:
             return
         with self.path.open("rb") as file:
             for message in self._notes.get(topic, ()):
                 try:
                     if self._is_sound(message.chunk, file):
-                        yield from_json(piece(file, message.offset, message.length))
+                        body = from_json(piece(file, message.offset, message.length))
+                        yield message.time_ns, message.sequence, body
                 except ValueError:
                     continue
 
@@ -363,9 +375,12 @@ def _frame(index: int, camera: int, image: Message, label: Mapping[str, Any]) ->
     z_mm = float(z) if isinstance(z, int | float) and not isinstance(z, bool) and abs(z) <= Z_MAX_MM else math.nan
     if isinstance(roll, bool) or not isinstance(roll, int | float):
         roll = None
+    bound, segment = label.get("z_bound_mm"), label.get("segment")
     return RecordedFrame(
         index, known if math.isfinite(z_mm) else Label.UNKNOWN, z_mm, image.time_ns, image.offset, image.length,
         roll if roll is None else float(roll), camera, image.chunk,
+        float(bound) if isinstance(bound, int | float) and 0 < bound <= Z_MAX_MM else 0.0,
+        segment if type(segment) is int else 0,
     )  # fmt: skip
 
 

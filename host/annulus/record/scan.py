@@ -38,6 +38,8 @@ class ScanFrame:
     where: str
     roll_deg: float | None = None  # clockwise, looking forward
     camera: int = 0  # id; frames of one index belong to one flash
+    z_bound_mm: float = 0.0  # how far z may be off; 0: it was counted
+    segment: int = 0  # of z: within one, differences of z were counted
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +100,16 @@ def open_scan(path: Path) -> Scan:
     except ValueError as error:
         raise AnnulusError(f"{path}: the calibration in the recording is damaged: {error}.") from None
     frames = tuple(
-        ScanFrame(f.index, f.label, f.z_mm, f"{path}: {frame_name(f.index, f.camera)}", f.roll_deg, f.camera)
+        ScanFrame(
+            f.index,
+            f.label,
+            f.z_mm,
+            f"{path}: {frame_name(f.index, f.camera)}",
+            f.roll_deg,
+            f.camera,
+            f.z_bound_mm,
+            f.segment,
+        )
         for f in recording.frames
     )
     return Scan(path, frames, calibration, recording)

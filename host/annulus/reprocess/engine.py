@@ -14,6 +14,7 @@ from annulus.record.walk import DamagedError
 from annulus.reprocess.executors import Executor, in_process
 from annulus.reprocess.job import Job, Measured, open_job
 from annulus.reprocess.method import examined
+from annulus.reprocess.places import place_findings
 from annulus.rings.diagnosis import exposure_findings, reference_findings
 from annulus.vocabulary import AnnulusError, Finding, Label
 from annulus.wall import survey
@@ -83,6 +84,7 @@ def reprocess(job: Job, executor: Executor = in_process, progress: Progress | No
     findings += damage_findings(job, damaged)
     if findings and all(profile.pose is None for profile in profiles):
         raise AnnulusError(f"{path}: {findings[0].text}.")
+    findings += place_findings(job.scan.frames)
     if job.reference is not None:
         poses = [profile.pose for profile in profiles if profile.pose is not None]
         findings += reference_findings(job.reference, poses)

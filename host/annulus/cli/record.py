@@ -1,0 +1,60 @@
+"""`annulus record`: what a recording says of itself, and its labels said again."""
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from annulus.cli.show import Json, group, print_fields
+
+app = group("Recordings: who made one, and whether its labels follow from its evidence.")
+
+Scan = Annotated[Path, typer.Argument(help="A recording, .mcap.")]
+
+
+@app.command("show", epilog="Example: annulus record show scan.mcap")
+def show(scan: Scan, as_json: Json = False) -> None:
+    """Who, where, when and with what a recording was made, and how well its places are known."""
+    from annulus.reprocess.relabel import identity
+
+    print_fields(identity(scan), as_json)
+
+
+@app.command("relabel", epilog="Example: annulus record relabel scan.mcap --audit")
+def relabel_command(
+    scan: Scan,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="The new recording. [default: SCAN-relabelled.mcap]")
+    ] = None,
+    audit: Annotated[bool, typer.Option("--audit", help="Only compare, and write nothing.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Say the labels and places of a recording again, from its evidence. The original stays as it is.
+
+    An audit ends with status 1 where something differs, or evidence is missing.
+    """
+    from annulus.reprocess.relabel import audit as audit_of
+    from annulus.reprocess.relabel import relabel
+
+    new = out or scan.with_name(f"{scan.stem}-relabelled.mcap")
+    found = (audit_of(scan) if audit else relabel(scan, new)).to_dict()
+    if as_json:
+        print(json.dumps(found))
+    else:
+        _print_table(found)
+        if not audit:
+            print(f"recording  {new}")
+    if audit and (found["changed"] or found["without_evidence"]):
+        raise typer.Exit(1)
+
+
+def _print_table(found: dict[str, Any]) -> None:
+    print(f"{found['frames']} frames, {found['changed']} change, {found['without_evidence']} without evidence")
+    if found["rows_missing"] or found["rows_malformed"]:
+        print(f"of the evidence {found['rows_missing']} rows are missing, {found['rows_malformed']} damaged")
+    if found["frames_damaged"]:
+        print(f"{found['frames_damaged']} frames cannot be read and are left out")
+    for row in found["changes"]:
+        label = row["was"] if row["was"] == row["now"] else f"{row['was']} -> {row['now']}"
+        print(f"{row['frames']:>8}  {row['what']:<6} {label:<24} {row['why']}")

@@ -1,0 +1,31 @@
+"""What is wrong with the places of a scan's frames: stretches of z that nobody counted, or that begin anew."""
+
+from collections.abc import Sequence
+from itertools import groupby, pairwise
+
+from annulus.record.scan import ScanFrame
+from annulus.vocabulary import Finding, Label
+
+
+def place_findings(frames: Sequence[ScanFrame]) -> list[Finding]:
+    """One for each segment whose places are assumed, and one where segments do not hang together."""
+    placed = [frame for frame in frames if frame.label is not Label.UNKNOWN]
+    out = []
+    for _, of_segment in groupby(placed, key=lambda frame: frame.segment):
+        assumed = [frame for frame in of_segment if frame.z_bound_mm > 0.0]
+        if assumed:
+            bound = max(frame.z_bound_mm for frame in assumed)
+            text = (
+                f"place assumed from z {assumed[0].z_mm:.0f} mm on, to {assumed[-1].z_mm:.0f} mm, +- {bound:.1f} mm: "
+                "nobody counted in a gap before"
+            )
+            out.append(Finding("place_assumed", text, tuple(frame.index for frame in assumed)))
+    begun = [later for earlier, later in pairwise(placed) if later.segment != earlier.segment]
+    if begun:
+        where = ", ".join(f"frame {frame.index} at {frame.z_mm:.0f} mm" for frame in begun[:5])
+        text = (
+            f"z has {len(begun) + 1} segments, begun anew at {where}{' and more' if len(begun) > 5 else ''}: between "
+            "two of them distances were not counted"
+        )
+        out.append(Finding("place_segments", text, tuple(frame.index for frame in begun)))
+    return out

@@ -1,0 +1,214 @@
+"""The labels of a recording said again from its own evidence, to look into them (`audit`) or to have them better
+(`relabel`).
+
+An audit asks every label when the head asked it: what this program says of the same evidence is what that one said, and
+whatever differs is listed. Relabelling gives frames that were labelled early, for want of room, the time they lacked.
+A frame without evidence is unknown.
+"""
+
+import heapq
+import math
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from annulus.labelling.evidence import LABEL, Row
+from annulus.labelling.replay import PATIENCE_NS, Replay
+from annulus.record.recording import LABEL_TOPIC, RecordedFrame, Recording, open_recording
+from annulus.record.writer import RecordingWriter
+from annulus.stream.frames import FrameHeader
+from annulus.vocabulary import AnnulusError, Label
+
+TOPIC, NOTE = "/evidence", "/relabelled"
+SAME_MM = 1e-3
+NO_EVIDENCE = "no evidence"
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """What is said of some frames now, and was said of them then."""
+
+    was: str
+    now: str
+    what: str  # label or place
+    why: str  # the reasons, then and now
+
+
+@dataclass(slots=True)
+class Audit:
+    """frames: those with a label, recorded or not. missing: rows of evidence that are not in the recording."""
+
+    frames: int = 0
+    changes: Counter[Change] = field(default_factory=Counter)
+    without_evidence: int = 0
+    missing: int = 0
+    malformed: int = 0
+    damaged: int = 0  # frames whose picture cannot be read, and is not in the new recording
+
+    @property
+    def changed(self) -> int:
+        return self.changes.total()
+
+    def to_dict(self) -> dict[str, Any]:
+        rows = [
+            {"was": one.was, "now": one.now, "what": one.what, "why": one.why, "frames": count}
+            for one, count in self.changes.most_common()
+        ]
+        return {
+            "frames": self.frames, "changed": self.changed, "without_evidence": self.without_evidence,
+            "rows_missing": self.missing, "rows_malformed": self.malformed, "frames_damaged": self.damaged,
+            "changes": rows,
+        }  # fmt: skip
+
+
+def audit(path: Path) -> Audit:
+    """Whether the labels of a recording follow from its evidence. Raises AnnulusError where it has none."""
+    recording = open_recording(path)
+    found = Audit()
+    patience_ns = max((int(note["patience_ns"]) for note in recording.notes(NOTE)), default=0)
+    _said_again(recording, found, patience_ns)
+    return found
+
+
+def identity(path: Path) -> dict[str, Any]:
+    """What a recording says of itself, for people and programs."""
+    recording = open_recording(path)
+    who = [one for one in recording.notes("/identity") if isinstance(one, dict)]
+    first: Mapping[str, Any] = who[0] if who else {}
+    last: Mapping[str, Any] = who[-1] if who else {}
+    counted = Counter(frame.label.value for frame in recording.frames)
+    assumed = [frame for frame in recording.frames if frame.z_bound_mm > 0.0]
+    return {
+        "recording": str(path), "torn": recording.torn, "frames": dict(counted),
+        "from": first.get("utc"), "to": last.get("utc"), "job": last.get("job"),
+        "controller": last.get("controller"), "cameras": last.get("cameras"), "versions": first.get("versions"),
+        "segments": len({frame.segment for frame in recording.frames if frame.label is not Label.UNKNOWN}),
+        "frames_of_assumed_place": len(assumed),
+        "z_bound_mm": max((frame.z_bound_mm for frame in assumed), default=0.0),
+        "evidence": TOPIC in recording.topics,
+    }  # fmt: skip
+
+
+def relabel(path: Path, out: Path) -> Audit:
+    """Write `out`, which must not exist: the same recording with the labels said again. The original stays as it is."""
+    recording = open_recording(path)
+    if out.exists():
+        raise AnnulusError(f"{out}: is there already. Choose another name.")
+    found = Audit()
+    said = _said_again(recording, found, PATIENCE_NS)
+    begun = out.with_name(out.name + ".part")
+    begun.unlink(missing_ok=True)
+    try:
+        _copy(recording, said, found, begun)
+        begun.rename(out)
+    finally:
+        begun.unlink(missing_ok=True)
+    return found
+
+
+def _copy(recording: Recording, said: "_Said", found: Audit, out: Path) -> None:
+    first_ns = min((frame.timestamp_ns for frame in recording.frames), default=0)
+    with RecordingWriter(
+        out, calibration=recording.calibration, configuration=recording.configuration or {}, now_ns=first_ns
+    ) as writer:
+        note = {"from": recording.path.name, "patience_ns": PATIENCE_NS, **found.to_dict()}
+        writer.note(NOTE, note, first_ns)
+        for time_ns, _, topic, content in heapq.merge(_notes(recording), _frames(recording), key=lambda one: one[:2]):
+            if not isinstance(content, RecordedFrame):
+                sequence, body = content
+                writer.note(topic, body, time_ns, sequence)
+                continue
+            try:
+                image, encoding = recording.read_raw(content)
+            except AnnulusError:
+                found.damaged += 1
+                continue
+            label = _label(recording, content, said.get((content.index, content.camera)))
+            shape = {"encoding": encoding, "width": image.shape[1], "height": image.shape[0]}
+            if not writer.frame({**label, **shape}, image, time_ns):
+                break
+    if writer.lost:
+        raise AnnulusError(f"{out}: cannot be written ({writer.problem}). The recording is as it was.")
+
+
+_Said = dict[tuple[int, int], FrameHeader | None]  # by index and camera, as the recording has them
+
+
+def _said_again(recording: Recording, found: Audit, patience_ns: int) -> _Said:
+    """What differs goes into `found`."""
+    recorded = {(frame.index, frame.camera): frame for frame in recording.frames}
+    replay = Replay(patience_ns)
+    out: _Said = {}
+    any_row = False
+    for was, now in _replayed(recording, replay, found):
+        any_row = True
+        frame = recorded.get((was.get("index", -1), was.get("camera", 0)))
+        told: Mapping[str, Any] = recording.label(frame) if frame is not None else was
+        found.frames += 1
+        if frame is not None:
+            out[frame.index, frame.camera] = now
+        if now is None:
+            found.without_evidence += 1
+        elif (change := _change(told or was, now)) is not None:
+            found.changes[change] += 1
+    if not any_row:
+        raise AnnulusError(f"{recording.path}: has no evidence to label it from. Expected a recording that keeps some.")
+    for one in recorded.keys() - out.keys():
+        found.frames += 1
+        found.without_evidence += 1
+        out[one] = None
+    found.malformed = replay.malformed
+    return out
+
+
+def _replayed(recording: Recording, replay: Replay, found: Audit) -> Iterator[tuple[Row, FrameHeader | None]]:
+    expected = 0
+    for body in recording.notes(TOPIC):
+        if not isinstance(body, dict) or not isinstance(body.get("rows"), list) or type(body.get("first")) is not int:
+            found.malformed += 1
+            continue
+        found.missing += max(0, body["first"] - expected)
+        expected = body["first"] + len(body["rows"])
+        for row in body["rows"]:
+            yield from replay.feed(row)
+    yield from replay.finish()
+
+
+def _change(was: Mapping[str, Any], now: FrameHeader) -> Change | None:
+    if was.get("label") != now.label.value:
+        why = " -> ".join(str(reason) or "agreed" for reason in (was.get("reason", ""), now.reason))
+        return Change(str(was.get("label")), now.label.value, "label", why)
+    places = was.get("z_mm"), now.z_mm
+    apart = abs((places[0] or 0.0) - (places[1] or 0.0)) if (places[0] is None) == (places[1] is None) else math.inf
+    assumed = bool(was.get("z_assumed", False)), now.z_assumed
+    if apart <= SAME_MM and assumed[0] == assumed[1]:
+        return None
+    words = ["assumed" if one else "counted" for one in assumed]
+    return Change(now.label.value, now.label.value, "place", f"{words[0]} -> {words[1]}, {apart:.1f} mm apart")
+
+
+def _label(recording: Recording, frame: RecordedFrame, now: FrameHeader | None) -> dict[str, Any]:
+    label = dict(recording.label(frame)) or {"index": frame.index, "camera": frame.camera, "reason": ""}
+    if now is None:
+        return {**label, "label": Label.UNKNOWN.value, "reason": NO_EVIDENCE, "z_mm": None}
+    said = now.to_dict()
+    return {**label, **{name: said[name] for name in LABEL if name not in ("index", "camera")}}
+
+
+_Entry = tuple[int, int, str, Any]  # time, order among equals, topic, a frame or (sequence, body)
+
+
+def _notes(recording: Recording) -> Iterator[_Entry]:
+    """All that is neither label nor frame, by time."""
+
+    def of(topic: str) -> Iterator[_Entry]:
+        return ((time_ns, 0, topic, (sequence, body)) for time_ns, sequence, body in recording.timed_notes(topic))
+
+    streams = [of(topic) for topic in recording.topics if topic != LABEL_TOPIC]
+    return iter(heapq.merge(*streams, key=lambda one: one[0]))
+
+
+def _frames(recording: Recording) -> Iterator[_Entry]:
+    return ((frame.timestamp_ns, 1, "", frame) for frame in sorted(recording.frames, key=lambda one: one.timestamp_ns))
