@@ -379,8 +379,8 @@ def _frame(index: int, camera: int, image: Message, label: Mapping[str, Any]) ->
     return RecordedFrame(
         index, known if math.isfinite(z_mm) else Label.UNKNOWN, z_mm, image.time_ns, image.offset, image.length,
         roll if roll is None else float(roll), camera, image.chunk,
-        float(bound) if isinstance(bound, int | float) and 0 < bound <= Z_MAX_MM else 0.0,
-        segment if type(segment) is int else 0,
+        z_bound_mm=float(bound) if isinstance(bound, int | float) and 0 < bound <= Z_MAX_MM else 0.0,
+        segment=segment if type(segment) is int else 0,
     )  # fmt: skip
 
 
