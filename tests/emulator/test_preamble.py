@@ -79,7 +79,7 @@ def test_an_order_at_any_moment_of_a_frame_disturbs_no_flash(board: EmulatedBoar
     for edge in edges:
         board.pulse(edge)
     orders = 0
-    for edge in edges[3:-12:6]:
+    for edge in edges[3:-12:9]:  # long enough for a second one, which nobody ordered
         board.run(edge + rng.randrange(-50_000, 600_000))
         assert board.request(Preamble(3, 0, 1)).status == StatusCode.OK
         orders += 1
@@ -106,7 +106,7 @@ def test_disarming_ends_a_preamble_and_a_commit_waits_for_its_end(board: Emulate
     assert places(told)[1:] == [(True, slot) for slot in range(4)]
     assert board.request(Arm(outputs=ArmFlag(0))).status == StatusCode.OK
     told = watch(board, edges_from(board, 3))
-    assert all(EdgeFlag.DISARMED in edge.flags and edge.lamp == Lamp.DARK for edge in told)
+    assert all(edge.flags & ~EdgeFlag.IRREGULAR == EdgeFlag.DISARMED and edge.lamp == Lamp.DARK for edge in told)
 
 
 def test_with_ratio_0_the_projector_takes_no_part(board: EmulatedBoard) -> None:
