@@ -27,6 +27,7 @@ from annulus.link.client import Client
 from annulus.link.messages import StateFlag, Status
 from annulus.record.calibration_file import load_calibration
 from annulus.record.recording import Recording, open_part, open_recording
+from annulus.reprocess.relabel import Audit, audit
 from annulus.twin.faults import Faults
 from annulus.twin.head import HeadHandle, start_head
 from annulus.twin.worlds import World, demo_world
@@ -92,6 +93,9 @@ def test_a_scan_is_labelled_recorded_and_reconstructed(head: HeadHandle, tmp_pat
     report = rig.run(lambda rig: rig.session.labelled >= 40)
     recording = open_recording(tmp_path / "scan.mcap")
     assert not recording.torn and report.recordings == (tmp_path / "scan.mcap",)
+    again = audit(tmp_path / "scan.mcap")  # the labels follow from what the recording has of them
+    assert again.frames >= len(recording.frames) and again.to_dict() | {"frames": 0} == Audit().to_dict()
+    assert {"start", "end"} <= {note["why"] for note in recording.notes("/identity")}
     assert frames_are_what_they_are_called(recording) == report.frames["projector"] + report.frames["led"] >= 40
     assert len(recording.frames) == sum(report.frames.values())
     # one LED frame in five, whatever was dropped

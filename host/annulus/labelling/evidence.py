@@ -135,7 +135,7 @@ class Journal:
         )  # fmt: skip
 
     def looks(self, camera: int, now_s: float) -> bool:
-        """Whether there is anything new to look at for a camera's offset. What is not written down does not happen."""
+        """Whether anything has come since a camera looked for its offset. What is not written down does not happen."""
         if self._write is None:
             return True
         if self._looked.get(camera) == self._rows:

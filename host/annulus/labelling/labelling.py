@@ -108,8 +108,9 @@ class Labelling:
 
     def look_for_offset(self, now_s: float) -> None:
         """At the start, and again whenever doubt did not end. Until it is found, frames are unknown."""
-        looks = self._navigation.journal.looks(self._mode.camera, now_s)
-        if not looks or self.offset_known or now_s < self._next_look or len(self._seen) < OFFSET_FRAMES:
+        if self.offset_known or now_s < self._next_look or len(self._seen) < OFFSET_FRAMES:
+            return
+        if not self._navigation.journal.looks(self._mode.camera, now_s):
             return
         if self._looking_since is None:
             self._looking_since = now_s

@@ -88,11 +88,12 @@ class Replay:
                 frame, camera = _frame(row), self._cameras[row["camera"]]
                 camera.labelling.saw(frame)
                 camera.seen.append(frame)
-            case "look":
-                camera = self._cameras[row["camera"]]
-                camera.now_ns = round(float(row["now_s"]) * 1e9)
-                camera.labelling.look_for_offset(float(row["now_s"]))
-                yield from self._patient(camera)
+                if self._patience_ns:  # a frame that waits longer may make a search longer, or needless
+                    camera.now_ns = frame.arrived_ns
+                    camera.labelling.look_for_offset(frame.arrived_ns / 1e9)
+                    yield from self._patient(camera)
+            case "look" if not self._patience_ns:
+                self._cameras[row["camera"]].labelling.look_for_offset(float(row["now_s"]))
             case "restarted":
                 camera = self._cameras[row["camera"]]
                 yield from self._patient(camera, final=True)
