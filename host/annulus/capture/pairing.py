@@ -148,7 +148,7 @@ class Pairing:
         self._latest_ns = frame.timestamp_ns
         met = self._pictures.met(frame.picture)
         repeated = met is Witness.REPEATED and Witness.REPEATED not in self._without
-        torn = (met is Witness.TORN or frame.picture.torn) and Witness.TORN not in self._without
+        torn = met is Witness.TORN and Witness.TORN not in self._without
         light = None if repeated or torn or Witness.LAMP in self._without else frame.picture.light
         judged = self._judge(frame)
         reason = self._look(judged, light)

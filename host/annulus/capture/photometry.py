@@ -66,13 +66,20 @@ class Photometry:
 
     @property
     def torn(self) -> bool:
-        """Whether some band shows what the picture does not: two exposures in one. Stripes leave rows dark, the LED
-        does not.
-        """
+        """Whether some band shows another lamp than the picture: two exposures in one."""
         light = self.light
         if light is Light.PROJECTOR:
-            return Light.LED in self.bands or Light.BOTH in self.bands
-        return light is Light.LED and any(band is not Light.LED for band in self.bands)
+            return any(band in (Light.LED, Light.BOTH, Light.UNCLEAR) for band in self.bands)
+        return light is Light.LED and any(band in (Light.PROJECTOR, Light.BOTH) for band in self.bands)
+
+    @property
+    def unlit(self) -> tuple[bool, ...]:
+        """Of each band of an LED picture, whether some of it is dark: a lens may be masked there, or a strip be of a
+        projector picture, which is dark in places. Empty for others.
+        """
+        if self.light is not Light.LED:
+            return ()
+        return tuple(band in (Light.DARK, Light.UNCLEAR) for band in self.bands)
 
 
 def measure(image: Image) -> Photometry:
@@ -96,7 +103,10 @@ def measure(image: Image) -> Photometry:
         light[i] = (channel * (brightest > NOISE_GREY)) @ row
         pure[i] = np.einsum("ij,ij->i", channel, chromaticity)
     spread = float(_spread(light.sum(1), pure.sum(1)))
-    bands = _bands(lit, _spread(light, pure)) if peak >= DARK_GREY else (Light.DARK,) * BANDS
+    bands = (Light.DARK,) * BANDS
+    if peak >= DARK_GREY:
+        one_hue = spread <= LED_SPREAD_MAX
+        bands = _bands(lit, _spread(light, pure), _off_hue(light) if one_hue else np.ones(len(lit)))
     return Photometry(peak, float(lit.mean()), spread, bands, fingerprint, top, bottom)
 
 
@@ -120,20 +130,28 @@ def _spread(light: FloatArray, pure: FloatArray) -> FloatArray:
     return spread
 
 
-def _bands(lit: FloatArray, spread: FloatArray) -> tuple[Light, ...]:
-    """Each row is looked at alone, for a tear falls anywhere in a band: white light reaches most of a row and has one
-    hue; a row of one stripe has one hue too, but is mostly dark.
+def _off_hue(light: FloatArray) -> FloatArray:
+    """Square of the distance of each row's chromaticity from the picture's."""
+    rows = light / np.maximum(light.sum(0), 1e-9)
+    whole = light.sum(1) / max(float(light.sum()), 1e-9)
+    off: FloatArray = ((rows - whole[:, None]) ** 2).sum(0)
+    return off
+
+
+def _bands(lit: FloatArray, spread: FloatArray, off_hue: FloatArray) -> tuple[Light, ...]:
+    """Each row is looked at alone, for a tear falls anywhere in a band: a row of white light has one hue, that of the
+    picture or all over the row; a row of one stripe has one hue too, but another, and is mostly dark.
     """
-    white = (spread <= ROW_SPREAD_MAX) & (lit >= LIT_EVERYWHERE)
     dark = lit < ROW_LIT_MIN
+    white = ~dark & (spread <= ROW_SPREAD_MAX) & ((off_hue <= ROW_SPREAD_MAX) | (lit >= LIT_EVERYWHERE))
     bands = []
     for i in range(BANDS):
         band = slice(i * len(lit) // BANDS, (i + 1) * len(lit) // BANDS)
         rows, of_white, of_dark = len(lit[band]), int(white[band].sum()), int(dark[band].sum())
-        if of_white and of_white < rows:
-            bands.append(Light.BOTH)
-        elif of_white:
+        if of_white == rows > 0:
             bands.append(Light.LED)
+        elif of_white:
+            bands.append(Light.UNCLEAR if of_white + of_dark == rows else Light.BOTH)
         else:
             bands.append(Light.DARK if of_dark == rows else Light.PROJECTOR)
     return tuple(bands)

@@ -17,6 +17,7 @@ LAG_RANK = 20  # one in so many may be quicker than the usual, by chance
 QUICKER = 0.25  # of a period: what comes so much sooner than usual cannot be that frame
 SLOWER = 0.5  # of a period: what comes so much later had to wait
 PICTURES_KEPT = 16  # more than a driver has buffers
+UNLIT_MIN = 4  # pictures of the LED before what is dark in them is usual
 COUNT_FRAMES = 4  # that agree before a count is relied on
 
 
@@ -27,6 +28,7 @@ class Arrivals:
         self._period_ns = period_ns
         self._lags: deque[int] = deque(maxlen=LAGS_KEPT)
         self._waited: deque[int] = deque(maxlen=LATE_KEPT)  # one after the other
+        self._learnt = 0
         self.usual_ns: int | None = None
 
     def believe(self, lags_ns: Iterable[int]) -> None:
@@ -66,7 +68,9 @@ class Arrivals:
             return
         self._waited.clear()
         self._lags.append(lag_ns)
-        self._judge()
+        self._learnt += 1
+        if self.usual_ns is None or lag_ns < self.usual_ns or self._learnt % LAGS_MIN == 0:
+            self._judge()
 
     def _judge(self) -> None:
         if len(self._lags) >= LAGS_MIN:
@@ -100,12 +104,13 @@ class Pictures:
 
     def __init__(self) -> None:
         self._shown: deque[tuple[int, int | None, int | None]] = deque(maxlen=PICTURES_KEPT)
+        self._unlit: deque[tuple[bool, ...]] = deque(maxlen=PICTURES_KEPT)  # bands of LED pictures
 
     def met(self, picture: Photometry) -> Witness | None:
-        """Whether all of it was shown before, or its first or last row was. Ask once for each frame."""
+        """Whether all of it was shown before, or it is of two exposures. Ask once for each frame."""
+        found = Witness.TORN if picture.torn or self._newly_unlit(picture.unlit) else None
         if picture.fingerprint is None or picture.light is Light.DARK:
-            return None
-        found: Witness | None = None
+            return found
         for whole, top, bottom in self._shown:
             if whole == picture.fingerprint:
                 return Witness.REPEATED
@@ -113,3 +118,13 @@ class Pictures:
                 found = Witness.TORN
         self._shown.append((picture.fingerprint, picture.top, picture.bottom))
         return found
+
+    def _newly_unlit(self, bands: tuple[bool, ...]) -> bool:
+        """Whether a band has dark rows that it has not in other pictures of the LED: a mask is always there."""
+        before = list(self._unlit)
+        if bands:
+            self._unlit.append(bands)
+        usual = len(before) >= UNLIT_MIN
+        return any(
+            now and not (usual and 2 * sum(then[i] for then in before) >= len(before)) for i, now in enumerate(bands)
+        )

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from annulus.capture.photometry import Light, measure
 from annulus.capture.proof import Witness
-from annulus.capture.witnesses import Pictures
+from annulus.capture.witnesses import UNLIT_MIN, Pictures
 
 H, W = 308, 416
 WALLS = {"white": (1.0, 1.0, 1.0), "yellow": (0.15, 0.8, 1.0), "brown": (0.45, 0.6, 0.75)}  # blue, green, red
@@ -69,8 +69,24 @@ def test_a_picture_of_two_exposures_is_torn_wherever_the_tear_is(wall: str, raw:
         for above in (round(share * H), H - round(share * H)):
             image = np.vstack([upper[:above], lower[above:]])
             found = measure(mosaic(image) if raw else image)
-            assert found.torn or found.light not in (Light.PROJECTOR, Light.LED), found
-    assert not any(measure(mosaic(image) if raw else image).torn for image in whole)
+            torn = found.torn or any(found.unlit) or found.light not in (Light.PROJECTOR, Light.LED)
+            assert torn, found
+    for image in whole:
+        found = measure(mosaic(image) if raw else image)
+        assert not found.torn and not any(found.unlit)
+
+
+@pytest.mark.parametrize("raw", [False, True])
+def test_a_mask_before_the_lens_is_no_tear_once_it_is_known(raw: bool) -> None:
+    pictures, masked = Pictures(), []
+    for seed in range(12):
+        image = picture("white", 0.0, 1.0, seed=seed)
+        image[: H // 10] = image[-H // 15 :] = 0
+        image[H // 2 - 20 : H // 2 + 20, 50:-50] = 0  # and nothing is lit deep in the pipe
+        found = measure(mosaic(image) if raw else image)
+        assert found.light is Light.LED and not found.torn, found
+        masked.append(pictures.met(found))
+    assert masked == [Witness.TORN] * UNLIT_MIN + [None] * (12 - UNLIT_MIN)
 
 
 @pytest.mark.parametrize("raw", [False, True])

@@ -1,0 +1,30 @@
+"""The table of proofs: whatever contradicts takes labels away, and nothing gives them but what proves."""
+
+import pytest
+
+from annulus.capture.pairing import Pairing
+from annulus.capture.proof import CONTRADICTIONS, TRANSITIONS, News, Reason, State, next_state
+
+
+@pytest.mark.parametrize("news", sorted(CONTRADICTIONS))
+@pytest.mark.parametrize("state", State)
+def test_after_a_contradiction_no_label_is_given(state: State, news: News) -> None:
+    assert next_state(state, news) is not State.PROVED
+    assert state is State.SEARCHING or (state, news) in TRANSITIONS
+    assert news.value in {reason.value for reason in Reason}
+
+
+def test_only_a_search_or_a_run_of_frames_proves() -> None:
+    leading = {news for (state, news), to in TRANSITIONS.items() if to is State.PROVED and state is not State.PROVED}
+    assert leading == {News.FOUND, News.AGREED}
+    assert next_state(State.SEARCHING, News.AGREED) is State.SEARCHING, "frames cannot agree on an offset nobody has"
+
+
+def test_every_state_can_be_left_and_every_change_is_told() -> None:
+    assert {state for state, _ in TRANSITIONS} == set(State)
+    told: list[str] = []
+    pairing = Pairing(40_000_000, tell=told.append)
+    pairing.recalibrate(40_000_000, 0, proved=False)
+    pairing.recalibrate(40_000_000, 0)
+    assert pairing.state is State.PROVED and len(told) == 2
+    assert told[0].startswith("labels were searching, now tentative")
