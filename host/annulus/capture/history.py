@@ -19,6 +19,7 @@ NEAR = 0.25  # of a period: edges whose count and time differ by less agree
 BRIDGED = 0.2  # of a period: how far off a span without edges may be, and still be counted
 PLACED_NS = 4_000_000  # how well an edge is placed in host time, at worst
 CLOCKS = 20e-6  # by how much controller and host change their pace
+SOUND_WITHIN = 8  # edges back
 BASE_EDGES = 4096  # the period is measured over one to two times as many
 LEAP = 1 << 24  # frames; 8 days at 25 fps
 
@@ -120,12 +121,16 @@ class EdgeHistory:
         counted = index - beside.index if boot_epoch == beside.boot_epoch else None
         if self._period_ns is None or self._base is None:
             return beside.ordinal + (LEAP if counted is None else counted)
-        periods = (host_ns - beside.host_ns) / self._period_ns
         measured_ns = max(self._period_ns, self._edges[-1].host_ns - self._base.host_ns)
-        doubt = abs(periods) * (PLACED_NS / measured_ns + CLOCKS)
-        if counted is not None and abs(periods - counted) <= NEAR + doubt:
+        drift = PLACED_NS / measured_ns + CLOCKS
+        periods = (host_ns - beside.host_ns) / self._period_ns
+        if counted is not None and abs(periods - counted) <= NEAR + abs(periods) * drift:
             return beside.ordinal + counted
-        return beside.ordinal + (round(periods) if doubt <= BRIDGED else LEAP)
+        for sound in reversed(self._edges[max(0, at - SOUND_WITHIN) : at]):  # from one that fell where edges fall
+            if not sound.flash.flags & _NO_INTERVAL:
+                beside, periods = sound, (host_ns - sound.host_ns) / self._period_ns
+                break
+        return beside.ordinal + (round(periods) if abs(periods) * drift <= BRIDGED else LEAP)
 
     def _measure(self, edge: PlacedEdge) -> None:
         """The period, from the latest edge."""
@@ -134,6 +139,8 @@ class EdgeHistory:
             if before is not None and not edge.flash.flags & _NO_INTERVAL:
                 self._base = self._next_base = before
                 self._period_ns = float(edge.host_ns - before.host_ns)
+            return
+        if edge.flash.flags & _NO_INTERVAL:
             return
         if edge.ordinal > self._base.ordinal:
             self._period_ns = (edge.host_ns - self._base.host_ns) / (edge.ordinal - self._base.ordinal)

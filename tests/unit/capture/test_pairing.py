@@ -283,3 +283,14 @@ def test_after_too_long_a_silence_no_number_fits() -> None:
     history = history_of(4)
     history.edge(flash(0, boot=2), at(4000), 2)
     assert history.edges[-1].ordinal > 10**6
+
+
+def test_an_edge_in_the_middle_of_a_frame_does_not_shift_those_after_it() -> None:
+    """A controller that restarts may take the sync line's level for an edge: half a period off, and a period and a half
+    before the next.
+    """
+    history = history_of(30)
+    history.edge(flash(0, EdgeFlag.FIRST | EdgeFlag.IRREGULAR, boot=2), at(29) + round(0.5006 * PERIOD), 2)
+    history.edge(flash(1, EdgeFlag.IRREGULAR, boot=2), at(31), 2)
+    history.edge(flash(2, boot=2), at(32), 2)
+    assert [edge.ordinal for edge in history.edges][-2:] == [31, 32]
