@@ -140,6 +140,15 @@ class Session:
         return self._reconstruction
 
     @property
+    def processes(self) -> dict[str, list[int]]:
+        """Process ids of those that are up, by what they do."""
+        pools = {"recorder": self.recorder, "worker": self._reconstruction, "publisher": self._publishing}
+        up = {name: pool.pids for name, pool in pools.items() if pool is not None and pool.ready}
+        spares = {f"{name} spare": pool.spare_pids for name, pool in pools.items() if pool is not None}
+        feeds = self._power.feeds if self._power is not None else ()
+        return {**up, **spares, "camera": [feed.pid for feed in feeds if feed.pid is not None]}
+
+    @property
     def control_address(self) -> str:
         """Where the control socket really is; empty without one, and before power-up."""
         return self._power.control.address if self._power is not None and self._power.control is not None else ""

@@ -200,7 +200,8 @@ class WorkerPool:
 
     @property
     def spare_pids(self) -> list[int]:
-        return [worker.process.pid for worker in self._workers.values() if worker.spare]
+        """Of spares that are up."""
+        return [worker.process.pid for worker in self._workers.values() if worker.spare and worker.warm]
 
     @property
     def hung_s(self) -> float:
@@ -317,7 +318,8 @@ class WorkerPool:
 
     def _keep_spares(self, now: float) -> None:
         """Once all are ready: until then they need the processors themselves."""
-        if len(self.spare_pids) < self._kind.spares and now >= self._next_spare and self.ready == self._kind.count:
+        spares = sum(worker.spare for worker in self._workers.values())
+        if spares < self._kind.spares and now >= self._next_spare and self.ready == self._kind.count:
             self._next_spare = now + SPARE_S
             self._spawn().spare = True
 

@@ -281,6 +281,7 @@ def test_a_stopped_worker_is_replaced_and_one_that_goes_on_in_time_is_not(tmp_pa
 def test_a_spare_takes_over_and_another_spare_is_made(tmp_path: Path) -> None:
     now = [0.0]
     yard = Yard(tmp_path, count=1, spares=1, clock=lambda: now[0]).all_ready(1)
+    yard.until(lambda: yard.pool.spare_pids)
     first, spares = yard.pool.pids, yard.pool.spare_pids
     assert len(spares) == 1 and yard.pool.alive == 1
     os.kill(first[0], signal.SIGKILL)
@@ -289,8 +290,7 @@ def test_a_spare_takes_over_and_another_spare_is_made(tmp_path: Path) -> None:
     yard.all_ready(1)
     assert yard.pool.spare_pids == [], "not one after the other as fast as they die"
     now[0] += 1.1
-    yard.pool.poll()
-    assert len(yard.pool.spare_pids) == 1
+    yard.until(lambda: len(yard.pool.spare_pids) == 1)
     os.kill(yard.pool.spare_pids[0], signal.SIGKILL)
     yard.until(lambda: yard.pool.counts["spares_died"] == 1)
     assert yard.pool.counts["died"] == 1 and yard.hand_out("fine")

@@ -11,6 +11,7 @@ TABLE = Table(
         "rings": "One projector frame, one core",
         "twin": "The twin's renderer, one thread",
         "latency": "From a frame in hand to its label at a viewer, while recording",
+        "kills": "Every process of a scan killed and stopped in turn, with three others spinning",
         "emulator": "The shipped image over 200 000 edges, on its pins",
     },
     Path(__file__).parent,
