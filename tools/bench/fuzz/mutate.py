@@ -98,7 +98,7 @@ def of_values(rng: Random, value: Any, hostile: tuple[Any, ...]) -> Any:
             case 1:
                 inside[key] = [inside[key]]
             case 2 if isinstance(inside[key], int | float) and not isinstance(inside[key], bool):
-                inside[key] = rng.choice((-inside[key], inside[key] * 1e6, inside[key] + 1, str(inside[key])))
+                inside[key] = rng.choice((-inside[key], inside[key] * 1_000_000, inside[key] + 1, str(inside[key])))
             case 3 if isinstance(inside, dict):
                 inside[rng.choice(("", "\x1b", "unknown", "format", key + "x"))] = inside.pop(key)
             case 4 if isinstance(inside, list):
