@@ -23,7 +23,8 @@ from annulus import untrusted
 from annulus.daemon.config import load_config
 from annulus.daemon.control import REQUEST_MAX, Request
 from annulus.link import codec, messages
-from annulus.link.head import HeadControl, stage_from_us
+from annulus.link.head import HeadControl
+from annulus.link.stage import stage_from_us
 from annulus.record.acoustic import AcousticRecord, load_acoustic, save_acoustic
 from annulus.record.calibration_file import load_calibration, load_camera, load_part
 from annulus.record.recording import FRAME_TOPIC, LABEL_TOPIC, open_recording
