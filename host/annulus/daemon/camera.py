@@ -1,6 +1,6 @@
 """One camera's intake: waits for frames, writes each into a slot of the ring, measures it, and tells the daemon.
 
-    python -m annulus.daemon.camera '{"fd": .., "parent": .., "number": .., "camera": {..}}'
+    python -m annulus.daemon.camera '{"fd": .., "parent": .., "number": .., "camera": {..}, "realtime": ..}'
 
 It has nothing else to do, so a turn of the daemon that takes long costs no frame as long as there are slots, and
 whatever a camera's driver does to its process (wait for ever, crash) it does not do to the daemon. Daemon and intake
@@ -39,6 +39,7 @@ from annulus.capture.timing import FrameTiming
 from annulus.daemon.camera_state import CameraEvent, CameraState, CameraWatch
 from annulus.daemon.cameras import apply_controls, open_camera
 from annulus.daemon.config import FILES, CameraConfig
+from annulus.daemon.priority import raise_priority
 from annulus.stream.ring import Place, RingWriter
 from annulus.stream.working import end_with_parent, keep_freed_memory
 from annulus.vocabulary import AnnulusError
@@ -269,6 +270,7 @@ def main(argument: str) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     keep_freed_memory()
     cv2.setNumThreads(1)
+    raise_priority(link["realtime"])  # what is refused the daemon has told of itself
     plain: dict[str, Any] = {
         key: tuple(value) if isinstance(value, list) else value for key, value in link["camera"].items()
     }

@@ -71,9 +71,12 @@ class CameraFeed:
     """All methods belong to one thread, which must outlive the process: the kernel ends it with the thread."""
 
     def __init__(
-        self, number: int, config: CameraConfig, account: Account, observer: Observer, camera: Camera | None = None
-    ) -> None:
-        """`camera`: the caller's own; None: what `config` says, in a process."""
+        self, number: int, config: CameraConfig, account: Account, observer: Observer, camera: Camera | None = None,
+        realtime: bool | None = False,
+    ) -> None:  # fmt: skip
+        """`camera`: the caller's own; None: what `config` says, in a process, with real-time priority as head.toml's
+        `realtime` has it.
+        """
         self.number, self.config = number, config
         self.state = CameraState.CLOSED
         self.ended = False  # the camera has no more frames
@@ -81,6 +84,7 @@ class CameraFeed:
         self.refused = ""  # why it could not be opened, as long as it has not been since `stream`
         self.trouble = ""  # what it lacks that may come back, one line
         self._camera, self._account, self._observer = camera, account, observer
+        self._realtime = realtime
         self._ring: FrameRing | None = None
         self._share = 0
         self._lent: dict[int, Place] = {}  # by stamp
@@ -212,7 +216,10 @@ class CameraFeed:
             self._thread = threading.Thread(target=loop.run, name=f"camera {self.number}", daemon=True)
             self._thread.start()
             return
-        order = {"fd": theirs.fileno(), "parent": os.getpid(), "number": self.number, "camera": asdict(self.config)}
+        order = {
+            "fd": theirs.fileno(), "parent": os.getpid(), "number": self.number, "camera": asdict(self.config),
+            "realtime": self._realtime,
+        }  # fmt: skip
         one_thread = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
         with theirs:
             try:

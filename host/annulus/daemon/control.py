@@ -2,7 +2,7 @@
 request, one an answer.
 
     {"do": "start" | "stop" | "mark" | "zero" | "state", "text": .., "clock_deg": ..}   (text and clock_deg: of a mark)
-    {"ok": true | false, "state": "idle", "error": ""}
+    {"ok": true | false, "state": "idle", "health": "ok", "error": ""}
 
 Every request is answered once, a wrong one with what is wrong. Who may connect: as for viewers, see stream.access.
 """
@@ -74,7 +74,9 @@ class ControlSocket:
         self._socket.setsockopt(zmq.LINGER, 500)  # the answer to the request that ended us
         self.address = doorkeeper.bind(self._socket, address, keys, "control", CARRIED_MAX)
 
-    def poll(self, obey: Callable[[Request], None], state: Callable[[], State]) -> int:
+    def poll(
+        self, obey: Callable[[Request], None], state: Callable[[], State], health: Callable[[], str] = lambda: ""
+    ) -> int:
         """Have what was asked done, and answer. `obey` raises AnnulusError when it cannot be. Returns how many messages
         were no requests.
         """
@@ -92,7 +94,7 @@ class ControlSocket:
                 error = str(wrong)
             except AnnulusError as refused:
                 error = str(refused)
-            answer = msgpack.packb({"ok": not error, "state": state().value, "error": error})
+            answer = msgpack.packb({"ok": not error, "state": state().value, "health": health(), "error": error})
             with contextlib.suppress(zmq.ZMQError):  # it asks and does not listen
                 self._socket.send_multipart([*parts[: 1 + (len(parts) > 1 and not parts[1])], answer], zmq.NOBLOCK)
         return malformed
@@ -150,8 +152,15 @@ class ControlClient:
     def state(self) -> State:
         return self.ask({"do": "state"})
 
+    def health(self) -> str:
+        """How the head is: "ok", "degraded: why", "failed: why"."""
+        return untrusted.text(self._answer({"do": "state"}).get("health", ""), "health", REQUEST_MAX)
+
     def ask(self, request: Mapping[str, Any], timeout_s: float = ANSWER_S) -> State:
         """Any request. Raises AnnulusError when it is refused, or nobody answers in time."""
+        return State(untrusted.text(self._answer(request, timeout_s).get("state"), "state", 32))
+
+    def _answer(self, request: Mapping[str, Any], timeout_s: float = ANSWER_S) -> Mapping[str, Any]:
         self._socket.send(msgpack.packb(dict(request)))
         if not self._socket.poll(math.ceil(timeout_s * 1000)):
             self._socket.close(0)
@@ -160,7 +169,7 @@ class ControlClient:
         answer = untrusted.mapping(untrusted.unpack(self._socket.recv(), REQUEST_MAX), "answer")
         if answer.get("ok") is not True:
             raise AnnulusError(untrusted.text(answer.get("error"), "error", REQUEST_MAX))
-        return State(untrusted.text(answer.get("state"), "state", 32))
+        return answer
 
     def close(self) -> None:
         self._context.destroy(linger=0)

@@ -57,7 +57,7 @@ def power_up(
     feeds = []
     for number, camera_config in enumerate(config.cameras):  # they open while the controller is talked to
         own = cameras[number] if cameras is not None else None
-        feeds.append(CameraFeed(number, camera_config, account, observers, own))
+        feeds.append(CameraFeed(number, camera_config, account, observers, own, config.realtime))
         stack.callback(feeds[-1].close)
     line = None
     if config.port is not None:

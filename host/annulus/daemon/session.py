@@ -360,7 +360,9 @@ class Session:
         if power is not None:
             power.doorkeeper.admit()
             if power.control is not None:
-                self._account.lose("control_malformed", power.control.poll(self._obey, lambda: self._state))
+                self._account.lose(
+                    "control_malformed", power.control.poll(self._obey, lambda: self._state, self._how_it_is)
+                )
         if now >= self._next_telemetry:
             self._next_telemetry = now + TELEMETRY_S
             telemetry = self.telemetry()
@@ -457,6 +459,9 @@ class Session:
                 self._navigation.zero()
             case Do.STATE:
                 pass
+
+    def _how_it_is(self) -> str:
+        return str(self._vitals.health) if self._vitals is not None else ""
 
     def _need_scan(self) -> None:
         if not self._has_scan:

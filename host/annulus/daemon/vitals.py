@@ -6,7 +6,7 @@ from typing import Any
 
 from annulus.daemon.config import HeadConfig
 from annulus.daemon.disk import MB, Asker, DiskState, Forecast, require_space
-from annulus.daemon.health import HealthFile, HealthWatch, health_path
+from annulus.daemon.health import Health, HealthFile, HealthWatch, Word, health_path
 from annulus.daemon.observer import Observer
 
 RESERVE_S = 3.0  # of frames at least: what is in hand when a scan ends must still find room
@@ -23,6 +23,7 @@ class Vitals:
         self._watch = HealthWatch(records=config.record_folder is not None)
         self._asker = None if config.record_folder is None else Asker(config.record_folder)
         self._disk = DiskState()
+        self.health = Health(Word.OK)  # as of the last look
         path = health_path(config.record_folder)
         self._file = None if path is None else HealthFile(path)
         self._told = ""
@@ -42,7 +43,7 @@ class Vitals:
     def look(self, telemetry: Mapping[str, Any], why_fault: str, scanning: bool) -> str:
         """Once a second. Returns why the scan under way must end, one line; empty when it need not."""
         now = time.monotonic()
-        health = self._watch.judge(telemetry, why_fault, now)
+        self.health = health = self._watch.judge(telemetry, why_fault, now)
         self._observer.health(health)
         if self._file is not None:
             self._file.write(health, telemetry["state"], telemetry["disk"])

@@ -40,7 +40,7 @@ class Daemon:
     def _run(self) -> None:
         while not self._done.wait(0.001):
             self.door.admit()
-            self.malformed += self.socket.poll(self.obey, lambda: State.IDLE)
+            self.malformed += self.socket.poll(self.obey, lambda: State.IDLE, lambda: "ok")
 
     def obey(self, request: Request) -> None:
         if request.do is Do.STOP:
@@ -132,7 +132,7 @@ def test_a_dealer_without_a_delimiter_is_answered_too(daemon: Daemon) -> None:
     socket = context.socket(zmq.DEALER)
     socket.connect(daemon.socket.address)
     socket.send(msgpack.packb({"do": "state"}))
-    assert msgpack.unpackb(socket.recv()) == {"ok": True, "state": "idle", "error": ""}
+    assert msgpack.unpackb(socket.recv()) == {"ok": True, "state": "idle", "health": "ok", "error": ""}
     context.destroy(linger=0)
 
 
@@ -171,3 +171,8 @@ def test_outside_needs_keys_and_only_those_known_are_served() -> None:
         assert len(daemon.asked) == 1
     finally:
         daemon.close()
+
+
+def test_the_health_is_told_to_who_asks(daemon: Daemon) -> None:
+    with ControlClient(daemon.socket.address) as head:
+        assert head.health() == "ok"
