@@ -62,6 +62,12 @@ def soak(
     frames: Annotated[int, typer.Option(min=100, max=10_000_000, help="Camera frames.")] = 20_000,
     seed: Annotated[int, typer.Option(min=0)] = 1,
     faults: Annotated[str, typer.Option(help="A TOML file, or a name: none, standard, rough, all, ..")] = "standard",
+    without: Annotated[
+        list[str] | None, typer.Option(help="A witness not to ask: arrival, order, count, lamp, torn, ..")
+    ] = None,
+    witnesses: Annotated[
+        bool, typer.Option("--witnesses", help="What each witness is good for: short soaks with it and without.")
+    ] = False,
     jobs: Annotated[int, typer.Option(min=0, max=256, help="Processes; 0: one a core.")] = 0,
     board: Board = "native",
     as_json: Json = False,
@@ -69,8 +75,13 @@ def soak(
     """Labels and places under faults in virtual time: real firmware, link and labelling, scored against truth."""
     from annulus.twin.soak import soak
 
+    if witnesses:
+        _witnesses(seed, as_json)
+        return
     with progress() as report:
-        result = soak(frames, seed, faults=faults, board=board, jobs=jobs or None, progress=report)
+        result = soak(
+            frames, seed, faults=faults, without=without or (), board=board, jobs=jobs or None, progress=report
+        )
     if as_json:
         print(json.dumps(result))
     else:
@@ -78,6 +89,20 @@ def soak(
             print(f"{key:<24} {value}")
     if result["wrong"]:
         raise typer.Exit(1)
+
+
+def _witnesses(seed: int, as_json: bool) -> None:
+    from annulus.twin.witnesses import witnesses
+
+    with progress() as report:
+        rows = witnesses(seed=seed, progress=report)
+    if as_json:
+        print(json.dumps(rows))
+        return
+    print(f"{'witness':<10} {'faults':<16} {'silenced beside':<22} {'wrong':>6} {'without it':>11}")
+    for row in rows:
+        who, wrong = f"{row['witness']:<10} {row['faults']:<16} {row['silenced']:<22}", row["wrong"]
+        print(f"{who} {wrong:>6} {row['wrong_without']:>11}")
 
 
 @app.command(

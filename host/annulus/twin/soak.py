@@ -9,12 +9,13 @@ they found is added. The result does not depend on how many processes there were
 import os
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+from annulus.capture.proof import Witness
 from annulus.twin.emulated import open_board
 from annulus.twin.faults import Faults
 from annulus.twin.profiles import profile_of
@@ -31,6 +32,7 @@ def soak(
     seed: int = 0,
     *,
     faults: Faults | str | Path | None = "standard",
+    without: Iterable[str] = (),
     board: str = "native",
     jobs: int | None = 1,
     world_frames: int = WORLD_FRAMES,
@@ -38,7 +40,8 @@ def soak(
 ) -> dict[str, Any]:
     """Run `frames` camera frames of virtual time and score every label and place.
 
-    jobs : processes, None for one a core. board : native or emulated: the same core on a simulated board, or the very
+    without : witnesses that are not asked: sabotage, which shows what each is good for. jobs : processes, None for one
+    a core. board : native or emulated: the same core on a simulated board, or the very
     image a user flashes.
 
     Raises AnnulusError when `frames` is too few, a name is unknown, or with the emulated board where silicon would
@@ -47,10 +50,11 @@ def soak(
     if frames < FRAMES_MIN:
         raise AnnulusError(f"soak: {frames} frames, expected {FRAMES_MIN} or more")
     profile = profile_of(faults)
+    unasked = _witnesses(without)
     worlds = max(1, round(frames / world_frames))
     lengths = [frames // worlds + (i < frames % worlds) for i in range(worlds)]
     orders = [
-        (length, seed if worlds == 1 else 1000 * seed + i, profile.place(length, 1000 * seed + i), board)
+        (length, seed if worlds == 1 else 1000 * seed + i, profile.place(length, 1000 * seed + i), unasked, board)
         for i, length in enumerate(lengths)
     ]
     began = time.perf_counter()
@@ -67,14 +71,16 @@ def soak(
     return _together(frames, seed, reports, time.perf_counter() - began)
 
 
-_Order = tuple[int, int, Faults, str]
+_Order = tuple[int, int, Faults, frozenset[Witness], str]
 _Progress = Callable[[int], None] | None
 
 
-def _world(frames: int, seed: int, faults: Faults, board: str, progress: _Progress = None) -> dict[str, Any]:
+def _world(
+    frames: int, seed: int, faults: Faults, without: frozenset[Witness], board: str, progress: _Progress = None
+) -> dict[str, Any]:
     opened = open_board(board)
     try:
-        world = SoakWorld(frames, seed, faults, opened)
+        world = SoakWorld(frames, seed, faults, opened, without)
         for frame in range(frames):
             world.frame(frame)
             if progress is not None and frame % 100 == 0:
@@ -83,6 +89,13 @@ def _world(frames: int, seed: int, faults: Faults, board: str, progress: _Progre
         return world.report()
     finally:
         opened.close()
+
+
+def _witnesses(names: Iterable[str]) -> frozenset[Witness]:
+    try:
+        return frozenset(Witness(name) for name in names)
+    except ValueError as error:
+        raise AnnulusError(f"soak: {error}, expected {', '.join(Witness)}") from None
 
 
 def _from(progress: Callable[[str, int, int], None] | None, done: int, frames: int) -> _Progress:

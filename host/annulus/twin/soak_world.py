@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from annulus.capture.camera import BAYER_RGGB8
+from annulus.capture.proof import Witness
 from annulus.capture.timing import FrameTiming
 from annulus.controller import TICK_S, TICKS_PER_US
 from annulus.labelling.labelling import CameraMode, FrameSeen, Labelling
@@ -69,7 +70,7 @@ def soak_configuration(timing: FrameTiming, world: World, *, ratio: int = 4) -> 
 class SoakWorld:
     """`frame` with each number in turn, `finish`, then `report`. The board is the caller's to close."""
 
-    def __init__(self, frames: int, seed: int, faults: Faults, board: Board) -> None:
+    def __init__(self, frames: int, seed: int, faults: Faults, board: Board, without: frozenset[Witness]) -> None:
         self.frames, self.seed, self.faults = frames, seed, faults
         self.timing = FrameTiming(25.0, 38_000.0, 28_000.0)
         self.period = self.timing.period_us * TICKS_PER_US
@@ -91,7 +92,7 @@ class SoakWorld:
         self.navigation = Navigation(self.world.mm_per_count, SPEED_MAX_MM_S)
         camera = self.world.camera
         mode = CameraMode(0, camera.width, camera.height, BAYER_RGGB8, round(self.timing.period_us * 1000))
-        self.labelling = Labelling(mode, self.navigation, self._told, False)
+        self.labelling = Labelling(mode, self.navigation, self._told, False, without=without)
         self.truth = Truth(self.period, self.world.mm_per_count, self.sensor.cable)
         self.on_the_way: deque[Delivered] = deque()
         self.waiting: deque[_Waiting] = deque()
@@ -296,8 +297,16 @@ class SoakWorld:
 
     # ---- the account ----
 
+    def _spans(self) -> list[tuple[int, int]]:
+        """Frames, first and one past the last, in which no label can be had: what happens in them ends with them."""
+        faults, fps = self.faults, self.timing.fps
+        spans = [(at, at + 1 + int((ms / 1000 + REOPEN_S) * fps)) for at, ms in faults.disconnects]
+        spans += [(at, at + 1 + int(seconds * fps)) for at, seconds in faults.stalls]
+        return spans + [(at, at + int(much)) for at, much in (*faults.frozen, *faults.unplugged)]
+
     def report(self) -> dict[str, Any]:
-        disturbed = [*self.disturbed, *self.driver.disturbed]
+        spans = self._spans()
+        disturbed = [d for d in (*self.disturbed, *self.driver.disturbed) if not any(a <= d[1] < b for a, b in spans)]
         wrong = Counter({kind: self.verdicts[kind] for kind in (Verdict.WRONG_LAMP, Verdict.WRONG_PLACE)})
         return {
             "frames": self.frames,
