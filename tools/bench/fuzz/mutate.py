@@ -1,5 +1,6 @@
 """Valid samples made wrong: in their bytes, and in their values while the form around them stays right."""
 
+import copy
 import json
 from random import Random
 from typing import Any
@@ -90,7 +91,7 @@ def of_values(rng: Random, value: Any, hostile: tuple[Any, ...]) -> Any:
     for _ in range(rng.choice((1, 1, 1, 2, 3))):
         places = list(_places(out))
         if not places:
-            return rng.choice(hostile)
+            return copy.deepcopy(rng.choice(hostile))
         inside, key = rng.choice(places)
         match rng.randrange(8):
             case 0:
@@ -98,13 +99,13 @@ def of_values(rng: Random, value: Any, hostile: tuple[Any, ...]) -> Any:
             case 1:
                 inside[key] = [inside[key]]
             case 2 if isinstance(inside[key], int | float) and not isinstance(inside[key], bool):
-                inside[key] = rng.choice((-inside[key], inside[key] * 1_000_000, inside[key] + 1, str(inside[key])))
+                inside[key] = rng.choice((-inside[key], inside[key] * 1_000_000, inside[key] + 1, "9"))
             case 3 if isinstance(inside, dict):
                 inside[rng.choice(("", "\x1b", "unknown", "format", key + "x"))] = inside.pop(key)
             case 4 if isinstance(inside, list):
                 inside.extend([inside[key]] * rng.choice((1, 2, 5000)))
             case _:
-                inside[key] = rng.choice(hostile)
+                inside[key] = copy.deepcopy(rng.choice(hostile))  # what is done to it later is this case's alone
     return out
 
 
