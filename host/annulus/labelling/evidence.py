@@ -6,7 +6,8 @@ A label depends on nothing but the order of what came and the moments at which t
 rows. So the same program says the same labels again, to the bit (replay.py); another says what it would have said.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
@@ -47,6 +48,7 @@ class Journal:
     def __init__(self) -> None:
         self._write: Write | None = None
         self._rows = 0
+        self._known: Row = {}
         self._cameras: dict[int, Row] = {}
         self._looked: dict[int, int] = {}  # camera -> rows when it looked for its offset last
         self._heard: dict[tuple[int, int], _Heard] = {}  # (edge, tick) -> an edge that is not placed yet
@@ -68,7 +70,14 @@ class Journal:
     def note(self, what: str, **values: Any) -> None:
         self._rows += 1
         if self._write is not None:
-            self._write({"what": what, **values})
+            self._write({"what": what, **values, **self._known})
+
+    @contextmanager
+    def known(self) -> Iterator[None]:
+        """Rows of what was known before: for one who begins here, and nobody else."""
+        self._known = {"known": True}
+        yield
+        self._known = {}
 
     # ---- what comes ----
 

@@ -32,12 +32,13 @@ class Navigation:
         self.journal.write_to(write)
         if write is None:
             return
-        self.journal.note("odometer", **self.odometer.remembered())
-        for from_ns, to_ns in self.edges.invalid:
-            self.journal.note("cut", from_ns=from_ns, to_ns=to_ns, why="before")
-        for edge in self.edges.edges:
-            self.journal.edge(EdgeSeen(edge.flash, edge.host_ns, 0, edge.boot_epoch))
-        self.journal.cameras()
+        with self.journal.known():
+            self.journal.note("odometer", **self.odometer.remembered())
+            for from_ns, to_ns in self.edges.invalid:
+                self.journal.note("cut", from_ns=from_ns, to_ns=to_ns, why="before")
+            for edge in self.edges.edges:
+                self.journal.edge(EdgeSeen(edge.flash, edge.host_ns, 0, edge.boot_epoch))
+            self.journal.cameras()
 
     def zero(self) -> None:
         """z is 0 at the next edge."""

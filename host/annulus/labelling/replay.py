@@ -46,6 +46,7 @@ class Replay:
         self._patience_ns = patience_ns
         self._navigation = Navigation(1.0)
         self._cameras: dict[int, _Camera] = {}
+        self._begun = False  # something has come that was not known before
 
     def feed(self, row: Row) -> list[Said]:
         """The next row; the labels it brings."""
@@ -62,6 +63,10 @@ class Replay:
         return said
 
     def _fed(self, row: Row) -> Iterator[Said]:
+        known = bool(row.get("known"))
+        if known and self._begun:  # a recorder took another's place: for whoever has its file alone
+            return
+        self._begun |= not known
         navigation = self._navigation
         match row["what"]:
             case "odometer":

@@ -7,6 +7,7 @@ from annulus.labelling.evidence import LABEL
 from annulus.labelling.replay import PATIENCE_NS, Replay
 from annulus.link.messages import Edge
 from annulus.link.session import EventReceived
+from annulus.record.recording import from_json, to_json
 from annulus.vocabulary import EdgeFlag, Label, Lamp
 
 
@@ -30,6 +31,23 @@ def test_what_was_said_is_said_again(seed: int) -> None:
                 assert said[name] == was[name], name
     mine = [(header.camera, header.arrived_ns, header.label, header.z_mm, header.segment) for header in head.headers]
     assert mine == [(now.camera, now.arrived_ns, now.label, now.z_mm, now.segment) for _, now in again if now]
+
+
+def test_a_recorder_that_takes_anothers_place_changes_nothing_and_its_file_can_be_read_alone() -> None:
+    head = Head(2)
+    head.begin()
+    head.run(0, 300)
+    first = len(head.rows)
+    head.navigation.write_down(lambda row: head.rows.append(from_json(to_json(row))))  # another file
+    head.run(300, 900)
+    replay = Replay()
+    again = [one for row in head.rows for one in replay.feed(row)]
+    assert [(now.label, now.z_mm) for _, now in again if now] == [(one.label, one.z_mm) for one in head.headers]
+    alone = Replay()
+    rest = [one for row in head.rows[first:] for one in alone.feed(row)]
+    assert alone.malformed == 0 and sum(now is not None for _, now in rest) > 1000
+    for was, now in rest:  # it begins without an offset, and with the same place
+        assert now is None or now.label is Label.UNKNOWN or was["label"] == "unknown" or now.z_mm == was["z_mm"]
 
 
 def test_off_line_a_frame_may_wait_for_what_came_too_late() -> None:
