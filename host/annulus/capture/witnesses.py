@@ -100,7 +100,7 @@ class Count:
 
 
 class Pictures:
-    """Those lately shown. Darkness has no face: two dark frames may be alike to the last bit."""
+    """Those lately shown. Dark ones too: one may stand below in a torn picture, but two may be alike by chance."""
 
     def __init__(self) -> None:
         self._shown: deque[tuple[int, int | None, int | None]] = deque(maxlen=PICTURES_KEPT)
@@ -109,11 +109,11 @@ class Pictures:
     def met(self, picture: Photometry) -> Witness | None:
         """Whether all of it was shown before, or it is of two exposures. Ask once for each frame."""
         found = Witness.TORN if picture.torn or self._newly_unlit(picture.unlit) else None
-        if picture.fingerprint is None or picture.light is Light.DARK:
+        if picture.fingerprint is None:
             return found
         for whole, top, bottom in self._shown:
             if whole == picture.fingerprint:
-                return Witness.REPEATED
+                return found if picture.light is Light.DARK else Witness.REPEATED
             if (top is not None and top == picture.top) or (bottom is not None and bottom == picture.bottom):
                 found = Witness.TORN
         self._shown.append((picture.fingerprint, picture.top, picture.bottom))

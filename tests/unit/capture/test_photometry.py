@@ -108,3 +108,10 @@ def test_a_tear_between_two_pictures_of_one_lamp_leaves_a_row_that_was_shown_bef
             image = np.vstack([upper[:above], lower[above:]])
             assert pictures.met(measure(mosaic(image) if raw else image)) is Witness.TORN
     assert Pictures().met(measure(mosaic(after) if raw else after)) is None
+
+
+def test_a_dark_strip_that_was_shown_is_a_tear_and_darkness_shown_twice_is_not() -> None:
+    pictures = Pictures()
+    dark, bright = picture("white", 0.0, 0.0, seed=1), picture("white", 1.0, 0.0, seed=2)
+    assert pictures.met(measure(dark)) is None and pictures.met(measure(dark)) is None
+    assert pictures.met(measure(np.vstack([bright[: H // 2], dark[H // 2 :]]))) is Witness.TORN
