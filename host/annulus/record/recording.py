@@ -356,8 +356,9 @@ def _sorted_out(
             if topic == LABEL_TOPIC:
                 try:
                     label = from_json(piece(file, message.offset, message.length))
-                    labels[message.sequence, camera_of_label(label)] = label
-                    labelled[message.sequence, camera_of_label(label)] = message.chunk
+                    key = message.sequence, camera_of_label(label)
+                    if key not in labels or walk.look_at(message.chunk):
+                        labels[key], labelled[key] = label, message.chunk
                 except ValueError:
                     walk.look_at(message.chunk)
     for key in labelled.keys() ^ images.keys():  # they are written together

@@ -88,6 +88,7 @@ class Walk:
         self.compression = ""
         self._counted: tuple[int, int] | None = None  # messages and attachments, by the summary
         self._attached = 0
+        self._without = False
         self.ended = False
         self.data_crc: tuple[int, int] | None = None  # of the bytes before the first, the second
         at = len(MAGIC)
@@ -182,7 +183,9 @@ class Walk:
         first = start + _CHUNK_HEAD.size + 8
         if named or piece(self._file, first - 8, 8) != struct.pack("<Q", size) or end != first + size:
             return None
-        chunk, messages, channels, sound = self._inside(first, min(end, self._size), crc if end <= self._size else 0)
+        if not self.chunks:
+            self._without = crc == 0  # a writer makes checksums, or makes none
+        chunk, messages, channels, sound = self._inside(first, min(end, self._size), crc if end <= self._size else None)
         if channels or not sound:
             if not self.look_at(chunk):
                 channels = {}
@@ -193,7 +196,7 @@ class Walk:
         self.messages += (Message(*message, chunk) for message in messages)
         return end if end <= self._size else None
 
-    def _inside(self, at: int, end: int, crc: int) -> tuple[Chunk, list[_Place], dict[int, str], bool]:
+    def _inside(self, at: int, end: int, crc: int | None) -> tuple[Chunk, list[_Place], dict[int, str], bool]:
         """The chunk, its messages and channels, and whether its records fill it."""
         first = at
         messages: list[_Place] = []
@@ -214,7 +217,12 @@ class Walk:
                     break
                 messages.append(self._head(start, length))
             at = start + length
-        return Chunk(first, end - first, crc or None, len(messages)), messages, channels, at == end
+        return (
+            Chunk(first, end - first, None if crc == 0 and self._without else crc, len(messages)),
+            messages,
+            channels,
+            at == end,
+        )
 
     def _head(self, start: int, length: int) -> _Place:
         channel, sequence, time_ns, _ = _MESSAGE_HEAD.unpack(piece(self._file, start, _MESSAGE_HEAD.size))
