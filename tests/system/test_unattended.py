@@ -16,7 +16,7 @@ import pytest
 from annulus.capture.remote import RemoteCamera
 from annulus.daemon.check import check_head
 from annulus.daemon.config import RecordConfig
-from annulus.daemon.health import Health
+from annulus.daemon.health import HARMLESS, UNKNOWN_SHARE, Health
 from annulus.daemon.observer import Observer
 from annulus.daemon.session import Session
 from annulus.demo import demo_config
