@@ -39,6 +39,8 @@ fps = 10
 exposure_us = 98000
 [record]
 folder = "."
+min_free_gb = 0
+reserve_mb = 0
 [control]
 address = "ipc://{folder}/control"
 autostart = false

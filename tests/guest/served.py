@@ -80,7 +80,7 @@ class Served:
             with self._lock:
                 try:
                     while edge < self._board.now + STEP:
-                        self._board.pulse(edge)
+                        self._board.pulse(max(edge, self._board.now))  # a run ends with an instruction, some ticks late
                         edge += EDGES_APART
                     self._board.run(self._board.now + STEP)
                 except Exception as error:

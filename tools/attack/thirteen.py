@@ -258,14 +258,18 @@ MARK = b"between-two-openings"
 OPENING = f"""
 import sys
 from annulus.link.messages import Ping
-from annulus.link.port import Port
 from annulus.link.session import Session
+try:
+    from annulus.link.port import Port
+except ImportError:  # where it was before
+    from annulus.link.client import Port
 session = Session()
 for number in (1, 2):
     port = Port(sys.argv[1])
     session.send(Ping())
     port.write(session.pending(number * 10**9))
     port.write({MARK!r})
+    port.close()
 """
 
 
