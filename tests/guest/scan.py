@@ -2,7 +2,7 @@
 
     python scan.py PORT FOLDER     PORT: the controller's, for pyserial
 
-An operator's thread drops frames, pulls the camera's plug while a scan runs, puts it back, and starts again.
+An operator's thread drops frames, pulls the camera's plug while a scan runs, and puts it back.
 """
 
 import contextlib
@@ -77,8 +77,11 @@ def operate(address: str, said: io.StringIO, facts: dict[str, Any]) -> None:
             return head.state() is State.IDLE
         return False
 
+    def unknown() -> int:
+        return int((re.findall(r"(\d+) unknown;", said.getvalue()) or [0])[-1])
+
     def frames_beyond(count: int) -> Callable[[], bool]:
-        return lambda: int((re.findall(r"(\d+) unknown;", said.getvalue()) or [0])[-1]) > count
+        return lambda: unknown() > count
 
     try:
         with ControlClient(address) as head:
@@ -90,11 +93,9 @@ def operate(address: str, said: io.StringIO, facts: dict[str, Any]) -> None:
             camera(DROPPED, 0)
             held = videodev.Device(DEVICE)  # while somebody has it open, vivid does not come back
             held.call(videodev.S_CTRL, videodev.Control(DISCONNECT, 1))
-            until(is_idle)
+            until(lambda: "the camera is gone" in said.getvalue())
             held.close()
-            before = len(said.getvalue())
-            head.start()
-            until(lambda: "unknown;" in said.getvalue()[before:] and frames_beyond(15)())
+            until(frames_beyond(unknown() + 15))  # the scan goes on with it
             facts["stopped"] = str(head.stop())
     except Exception as error:
         facts["operator"] = f"{type(error).__name__}: {error}"
