@@ -86,12 +86,12 @@ def test_what_is_missing_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 # ---- pairing ----
 
 
-@pytest.mark.parametrize("faults, frames", [("standard", 600), ("rough", 250)])
+@pytest.mark.parametrize("faults, frames", [("standard", 600), ("rough", 600)])  # each of three armings has a preamble
 def test_no_label_is_wrong_on_the_image_under_faults(image: Path, faults: str, frames: int) -> None:
     result = soak(frames, seed=3, faults=faults, board="emulated")
     assert result["wrong"] == 0
-    lit = frames - result["reasons"].get("no flash", 0)  # of a preamble, one at each arming, some are dark
-    assert result["projector"] + result["led"] > 0.85 * lit
+    lit = frames - result["reasons"].get("no flash", 0)  # of a preamble some are dark, and have no label to be given
+    assert result["projector"] + result["led"] > 0.9 * lit
     assert result["relock_frames_max"] <= 8
     assert result["link"]["reboots"] == result["rearms"] == 2
     assert result["events_lost_for_good"] == 0
