@@ -156,6 +156,10 @@ def daemon(
         bool, typer.Option("--check", help="Only look whether all is there and fits; lamps stay dark. Status 1 if not.")
     ] = False,
     log: Annotated[Path | None, typer.Option(help="Log file, in place of the one head.toml names.")] = None,
+    job: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=TEXT", help="Who, where, what, for the recording: --job where='Elm Street'."),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print what --check found as JSON.")] = False,
 ) -> None:
     """Run a head: capture, label, record, reconstruct and publish until Ctrl-C."""
@@ -164,7 +168,7 @@ def daemon(
         return
     from annulus.daemon import run_daemon
 
-    raise typer.Exit(run_daemon(config, log))
+    raise typer.Exit(run_daemon(config, log, job or ()))
 
 
 def _print_findings(config: Path, as_json: bool) -> None:

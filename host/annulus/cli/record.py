@@ -49,6 +49,29 @@ def relabel_command(
         raise typer.Exit(1)
 
 
+@app.command("check", epilog="Example: annulus record check scan.mcap")
+def check(scan: Scan, as_json: Json = False) -> None:
+    """Read all of a recording, every part of it, and say what of it is damaged. Status 1 where something is.
+
+    A torn file is one that nobody closed: what was written before is whole.
+    """
+    from annulus.record.recording import open_recording
+
+    recording = open_recording(scan)
+    damage = recording.check()
+    if as_json:
+        found = [{"offset": one.offset, "text": one.text, "messages": one.messages} for one in damage]
+        print(json.dumps({"frames": len(recording.frames), "torn": recording.torn, "damage": found}))
+    else:
+        torn = ", torn: it ends before it was closed" if recording.torn else ""
+        print(f"{len(recording.frames)} frames, {len(damage)} places damaged{torn}")
+        for one in damage:
+            lost = f", {one.messages} messages lost" if one.messages else ""
+            print(f"{one.offset:>14}  {one.text}{lost}")
+    if damage or recording.torn:
+        raise typer.Exit(1)
+
+
 def _print_table(found: dict[str, Any]) -> None:
     print(f"{found['frames']} frames, {found['changed']} change, {found['without_evidence']} without evidence")
     if found["rows_missing"] or found["rows_malformed"]:

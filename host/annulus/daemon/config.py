@@ -228,6 +228,17 @@ def _checked(data: Mapping[str, Any], folder: Path) -> HeadConfig:
     return config
 
 
+def job_of(given: Sequence[str]) -> dict[str, str]:
+    """`name=text` each, as [job] has them. Raises AnnulusError for another name, or none."""
+    job = {}
+    for one in given:
+        name, _, text = one.partition("=")
+        if name not in JOB or not text:
+            raise AnnulusError(f"--job {shown(one)}: expected NAME=TEXT, a name one of {', '.join(JOB)}")
+        job[name] = text
+    return job
+
+
 def _check_names(section: str, content: object) -> None:
     if section not in _SECTIONS:
         raise ValueError(f"section [{section}] is not known, expected one of {', '.join(_SECTIONS)}")

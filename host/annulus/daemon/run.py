@@ -2,7 +2,7 @@
 
 import logging
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +10,7 @@ from typing import Any
 
 from annulus.daemon.account import ScanReport
 from annulus.daemon.cameras import open_sensors
-from annulus.daemon.config import LogConfig, load_config
+from annulus.daemon.config import LogConfig, job_of, load_config
 from annulus.daemon.health import Health, Word
 from annulus.daemon.interrupt import Interrupt
 from annulus.daemon.ledger import Status
@@ -49,14 +49,15 @@ class Console(Observer):
             _say(line)
 
 
-def run_daemon(config_path: Path, log: Path | None = None) -> Status:
+def run_daemon(config_path: Path, log: Path | None = None, job: Sequence[str] = ()) -> Status:
     """Until Ctrl-C or SIGTERM; every scan ends with what was made. Returns how the worst of them ended. Raises
     AnnulusError when it cannot begin.
 
-    log : in place of the one that head.toml names.
+    log : in place of the one that head.toml names. job : `name=text` each, over what head.toml says of the job.
     """
     with Interrupt() as interrupt, ExitStack() as stack:
         config = load_config(config_path)
+        config = replace(config, job={**config.job, **job_of(job)})
         if log is not None:
             config = replace(config, log=replace(config.log or LogConfig(log), file=log))
         service = Service()

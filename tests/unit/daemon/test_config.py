@@ -14,6 +14,7 @@ from annulus.daemon.config import (
     RecordConfig,
     SensorConfig,
     SocketConfig,
+    job_of,
     load_config,
 )
 from annulus.daemon.controller_line import stage_of
@@ -179,3 +180,11 @@ def test_colours_of_the_camera_and_of_the_pipe_come_from_the_file(tmp_path: Path
     path.write_text('[calibration]\ncolour = "paint.json"\n')
     with pytest.raises(AnnulusError, match=r"paint\.json: no such file.*annulus calibrate colour"):
         load_config(path)
+
+
+def test_a_job_on_the_command_line() -> None:
+    assert job_of(["where=Elm Street = 4", "who=J. Doe"]) == {"where": "Elm Street = 4", "who": "J. Doe"}
+    for wrong in ("where", "where=", "when=now", "=x", "\x1b[2J=x"):
+        with pytest.raises(AnnulusError, match="expected NAME=TEXT, a name one of who, where, what") as told:
+            job_of([wrong])
+        assert "\x1b" not in str(told.value)

@@ -10,6 +10,8 @@ import subprocess
 import sys
 import tracemalloc
 from pathlib import Path
+from typing import Any
+from unittest.mock import patch
 
 import cv2
 import numpy as np
@@ -20,6 +22,7 @@ from mcap.reader import make_reader
 from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 
+from annulus.cli import main
 from annulus.record.recording import from_json, open_recording, to_bgr, to_json
 from annulus.record.scan import open_scan
 from annulus.record.writer import RecordingWriter
@@ -321,3 +324,26 @@ def test_a_long_recording_costs_no_memory_and_keeps_its_index(tmp_path: Path) ->
         summary = make_reader(file).get_summary()
     assert summary is not None and len(summary.chunk_indexes) == 2001
     assert os.listdir(tmp_path) == ["a.mcap"]
+
+
+def test_a_recording_is_checked_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "scan.mcap"
+    write(path, 40).close()
+    assert main_check(path, capsys) == (0, {"frames": 40, "torn": False, "damage": []})
+    whole = path.read_bytes()
+    at = open_recording(path).frames[20].offset + 200
+    path.write_bytes(whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :])
+    status, found = main_check(path, capsys)
+    assert status == 1 and any("checksum" in one["text"] for one in found["damage"])
+    path.write_bytes(whole[: len(whole) // 2])
+    status, found = main_check(path, capsys)
+    assert status == 1 and found["torn"] and 10 <= found["frames"] <= 20
+
+
+def main_check(path: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, dict[str, Any]]:
+    with (
+        patch.object(sys, "argv", ["annulus", "record", "check", str(path), "--json"]),
+        pytest.raises(SystemExit) as ended,
+    ):
+        main()
+    return int(ended.value.code or 0), json.loads(capsys.readouterr().out)
