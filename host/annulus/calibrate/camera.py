@@ -3,7 +3,7 @@
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -231,10 +231,14 @@ def calibrate_camera(
     )
 
 
-def save_camera(result: CameraCalibration, path: Path) -> bool:
-    """Write the `camera` section and its provenance. True when rings measured with another camera stand beside it."""
+def save_camera(result: CameraCalibration, path: Path, sensor_crop: tuple[int, int, int, int] | None = None) -> bool:
+    """Write the `camera` section and its provenance. True when rings measured with another camera stand beside it.
+
+    sensor_crop : what the photographs show of the sensor, where that is known.
+    """
     told = result.to_dict()
-    section = told.pop("camera")
+    del told["camera"]
+    section = camera_to_dict(replace(result.camera, sensor_crop=sensor_crop))
     kept = update_calibration(path, {"camera": section}, {"camera": {"by": "annulus calibrate camera", **told}})
     return "rings" in kept
 

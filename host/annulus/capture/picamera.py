@@ -13,7 +13,7 @@ Nothing of Picamera2 is imported here.
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -96,6 +96,7 @@ class PicameraCamera(OneRequest):
         self.width, self.height = (int(side) for side in stream["size"])
         self.encoding = self._mosaic.encoding if self._mosaic else BGR8
         self.dropped = 0  # frames that made way here
+        self.sensor_crop = _shown_of_the_sensor(camera)
         self._camera, self._expected = camera, dict(expected or {})
         self._frames_seen = 0
         self._held: deque[Any] = deque()
@@ -211,13 +212,14 @@ class _Taken:
 
 def configure(
     camera: Any, size: tuple[int, int], *, stream: str, fps: float, exposure_us: float, gain: float,
-    colour_gains: tuple[float, float] | None,
+    colour_gains: tuple[float, float] | None, sensor_crop: tuple[int, int, int, int] | None = None,
 ) -> PicameraCamera:  # fmt: skip
     """Settings of a Picamera2 object for this use: nothing automatic, the sensor mode pinned, all of it in force from
     the first frame on and read back.
 
     stream : "raw" for the sensor's mosaic, or a format of the ISP's picture ("RGB888"). colour_gains : of red and blue,
-    for the ISP's picture. Raises AnnulusError when no mode of the sensor has that size.
+    for the ISP's picture. sensor_crop : what the mode must show of the sensor. Raises AnnulusError when no mode of the
+    sensor has that size, or the one that has shows something else.
     """
     period_us = round(1e6 / fps)
     known, bayer = camera.camera_controls, stream == "raw"
@@ -245,7 +247,19 @@ def configure(
     given = tuple(got["raw" if bayer else "main"]["size"])
     if given != size:
         raise AnnulusError(f"camera: Picamera2 gives {given[0]}x{given[1]}, asked for {size[0]}x{size[1]}")
-    return PicameraCamera(camera, told)
+    configured = PicameraCamera(camera, told)
+    shown = configured.sensor_crop
+    if sensor_crop is not None and shown is not None and shown != tuple(sensor_crop):
+        raise AnnulusError(
+            f"camera: this mode shows {_field(shown)} of the sensor, the calibration was made with "
+            f"{_field(sensor_crop)}. Another sensor, or another mode of that size: calibrate with the one in use."
+        )
+    return configured
+
+
+def _field(crop: Sequence[int]) -> str:
+    x, y, width, height = crop
+    return f"{width}x{height} at {x},{y}"
 
 
 def _mode_of(camera: Any, size: tuple[int, int]) -> str:
@@ -280,6 +294,15 @@ def require_controls(expected: Mapping[str, Any], metadata: Mapping[str, Any]) -
         pairs = zip(_several(wanted), _several(told), strict=False)
         if any(abs(says - wants) > TOLERANCES[name] * abs(wants) + slack for wants, says in pairs):
             raise AnnulusError(f"camera: {name} is {told}, it was told {wanted}. Is another sensor mode in force?")
+
+
+def _shown_of_the_sensor(camera: Any) -> tuple[int, int, int, int] | None:
+    """x, y, width, height in pixels of the whole sensor, of the mode that is configured; None where it does not say."""
+    try:
+        x, y, width, height = (int(value) for value in camera.camera_controls["ScalerCrop"][1])
+    except (AttributeError, KeyError, IndexError, TypeError, ValueError):
+        return None
+    return x, y, width, height
 
 
 def _several(value: Any) -> list[float]:

@@ -32,6 +32,14 @@ def camera(
         typer.Option(help='Inner corners of a chessboard, "9x6", or squares of a ChArUco board, "charuco 8x6".'),
     ] = None,
     square_mm: Annotated[float, typer.Option(min=0.01, max=10000.0, help="Side of a square, mm.")] = 25.0,
+    crop: Annotated[
+        str | None,
+        typer.Option(
+            "--sensor-crop",
+            metavar="X,Y,W,H",
+            help="What the sensor's mode shows of it, as `annulus daemon --check` has it; others are refused.",
+        ),
+    ] = None,
     picture: Annotated[
         Path | None, typer.Option(help="Where to draw what the lens is worth. [default: FILE.camera.png]")
     ] = None,
@@ -44,6 +52,7 @@ def camera(
     """
     if model not in (None, "pinhole", "fisheye"):
         raise AnnulusError(f'--model is "{model}", expected pinhole or fisheye')
+    field = None if crop is None else _field(crop)
     from annulus.calibrate.camera import calibrate_camera, image_files, save_camera
     from annulus.calibrate.camera_picture import draw_camera
 
@@ -55,7 +64,7 @@ def camera(
             square_mm=square_mm,
             progress=bars,
         )
-    stale = save_camera(result, out)
+    stale = save_camera(result, out, field)
     picture = picture or out.with_suffix(".camera.png")
     draw_camera(result, picture)
     told = result.to_dict()
@@ -294,3 +303,12 @@ def pipe(
     for warning in result.warnings:
         print(f"warning    {warning}")
     print(f"written    {out}, {picture}")
+
+
+def _field(text: str) -> tuple[int, int, int, int]:
+    from annulus.geometry.calibration import sensor_crop
+
+    try:
+        return sensor_crop([int(value) for value in text.split(",")], "--sensor-crop")
+    except ValueError:
+        raise AnnulusError(f"--sensor-crop {text}: expected X,Y,W,H in pixels of the sensor, 0,0,3280,2464") from None

@@ -67,6 +67,7 @@ def _picamera(wanted: CameraConfig) -> Camera:
         configured = configure(
             camera, (wanted.width, wanted.height), stream=wanted.format, fps=wanted.timing.fps,
             exposure_us=wanted.timing.exposure_us, gain=wanted.gain, colour_gains=wanted.colour_gains,
+            sensor_crop=wanted.sensor_crop,
         )  # fmt: skip
     except BaseException:
         camera.close()

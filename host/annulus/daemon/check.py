@@ -118,7 +118,9 @@ def _frame(camera: Camera, wanted: CameraConfig) -> str:
     if not isinstance(last, int):
         raise AnnulusError(f"{wanted.device}: {last}")
     remarks = "".join(f"; {remark}" for remark in came[:-1])
-    return f"{wanted.device}: {camera.width}x{camera.height} {camera.encoding}, a frame came{remarks}"
+    crop = getattr(camera, "sensor_crop", None)
+    shows = "" if crop is None else f", --sensor-crop {','.join(map(str, crop))}"
+    return f"{wanted.device}: {camera.width}x{camera.height} {camera.encoding}{shows}, a frame came{remarks}"
 
 
 def _sensors(config: HeadConfig) -> str:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -38,6 +38,7 @@ class CameraConfig:
     gain: float = 1.0
     timing: FrameTiming = USUAL_TIMING
     colour_gains: tuple[float, float] | None = None  # red and blue over green, Picamera2's ColourGains
+    sensor_crop: tuple[int, int, int, int] | None = None  # the calibration's: what the mode must show of the sensor
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,6 +224,9 @@ def _checked(data: Mapping[str, Any], folder: Path) -> HeadConfig:
         config.lamps.check(config.timing)
     if config.calibration is not None:
         require_size(config.calibration, [(camera.width, camera.height) for camera in cameras])
+        crops = {one.id: one.camera.sensor_crop for one in config.calibration.cameras}
+        shown = tuple(replace(camera, sensor_crop=crops.get(number)) for number, camera in enumerate(cameras))
+        config = replace(config, cameras=shown)
     if config.control is None and not config.autostart:
         raise ValueError("[control] autostart is false, but without an address nobody could start a scan")
     return config

@@ -20,6 +20,7 @@ ONE_CAMERA, CAMERAS = "annulus-calibration/1", "annulus-calibration/2"
 CORRECTION = {ONE_CAMERA: "fine", CAMERAS: "correction"}  # what a ring's residual correction is called in the file
 CORRECTION_MAX = 4096  # directions a ring may be corrected in
 CAMERAS_MAX, CAMERA_ID_MAX = 16, 255
+SENSOR_MAX = 65535.0  # pixels a side
 ROTATION_OFF = 1e-5  # of a unit vector: 2 um at a wall 200 mm away (test_a_rotation_is_one)
 
 Kind = Literal["slits", "lines", "fringe"]
@@ -273,6 +274,8 @@ def camera_to_dict(camera: Camera) -> dict[str, Any]:
     if camera.mirror is not None:
         ball = camera.mirror
         section["mirror"] = {"centre_mm": list(ball.centre_mm), "radius_mm": ball.radius_mm, "looks": ball.looks}
+    if camera.sensor_crop is not None:
+        section["sensor_crop"] = list(camera.sensor_crop)
     return section
 
 
@@ -290,7 +293,16 @@ def camera_from_dict(data: object, where: str = "camera") -> Camera:
     fx, fy = (_number(section, key, where, 1.0, 1e6) for key in ("fx", "fy"))
     cx, cy = (_number(section, key, where, -1e5, 1e5) for key in ("cx", "cy"))
     mirror = _mirror(_need(section, "mirror", where), f"{where}.mirror") if model == "mirror" else None
-    return Camera(cast(Model, model), int(width), int(height), fx, fy, cx, cy, distortion, mirror)
+    crop = sensor_crop(section["sensor_crop"], f'"{where}.sensor_crop"') if "sensor_crop" in section else None
+    return Camera(cast(Model, model), int(width), int(height), fx, fy, cx, cy, distortion, mirror, crop)
+
+
+def sensor_crop(data: object, where: str) -> tuple[int, int, int, int]:
+    """[x, y, width, height] in pixels of the whole sensor. Raises ValueError."""
+    x, y, width, height = (int(value) for value in untrusted.numbers(data, where, (4,), SENSOR_MAX))
+    if min(x, y) < 0 or min(width, height) < 16:
+        raise ValueError(f"{where} is {untrusted.shown(data)}, expected x, y, width, height in pixels of the sensor")
+    return x, y, width, height
 
 
 def _mirror(data: object, where: str) -> Mirror:

@@ -100,7 +100,10 @@ class Mirror:
 @dataclass(frozen=True, slots=True)
 class Camera:
     """Intrinsics. `pinhole` is Brown-Conrady (k1 k2 p1 p2 [k3 ..]), `fisheye` is OpenCV's Kannala-Brandt (k1..k4),
-    `mirror` a pinhole, with all its numbers, and the ball it looks at."""
+    `mirror` a pinhole, with all its numbers, and the ball it looks at.
+
+    `sensor_crop`: x, y, width, height of what the image shows of the whole sensor, in its pixels, where that is known:
+    modes of a sensor share sizes but not fields of view."""
 
     model: Model
     width: int
@@ -111,6 +114,7 @@ class Camera:
     cy: float
     distortion: tuple[float, ...] = ()
     mirror: Mirror | None = None
+    sensor_crop: tuple[int, int, int, int] | None = None
 
     def __post_init__(self) -> None:
         if (self.model == "mirror") != (self.mirror is not None):

@@ -214,6 +214,7 @@ class Sensor:
             Id("ScalerCrop"): Limits(*[Rectangle(0, 0, 3280, 2464)] * 3),
         }
         self.properties = {Id("ColorFilterArrangement"): 0, Id("Model"): "imx219"}
+        self.fields: dict[tuple[int, int], tuple[int, int, int, int]] = {}  # what a mode shows of it, if not all
         self.told: dict[str, Any] = {}
         self.does: dict[str, Any] = {}  # what it does otherwise than it was told
         self.queued: deque[Request] = deque()
@@ -251,6 +252,10 @@ class Sensor:
 
     def configure(self, configuration: CameraConfiguration) -> int:
         self.configuration = configuration
+        size = next((c.size for c in configuration if str(c.pixel_format).startswith("S")), None)
+        field = self.fields.get((size.width, size.height)) if size is not None else None
+        shown = Rectangle(*(field or (0, 0, 3280, 2464)))
+        self.controls[next(one for one in self.controls if one.name == "ScalerCrop")] = Limits(*[shown] * 3)
         return 0
 
     def create_request(self, cookie: int) -> Request:

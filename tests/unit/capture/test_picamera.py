@@ -55,9 +55,12 @@ def theirs(package: Any, sensor: libcamera_stub.Sensor) -> Iterator[Any]:
     camera.close()
 
 
-def configured(theirs: Any, stream: str = "raw", size: tuple[int, int] = SIZE, gain: float = 2.0) -> Any:
+def configured(
+    theirs: Any, stream: str = "raw", size: tuple[int, int] = SIZE, gain: float = 2.0, crop: Any = None
+) -> Any:
     return configure(
-        theirs, size, stream=stream, fps=25.0, exposure_us=38_000.0, gain=gain, colour_gains=(1.9, 1.6)
+        theirs, size, stream=stream, fps=25.0, exposure_us=38_000.0, gain=gain, colour_gains=(1.9, 1.6),
+        sensor_crop=crop,
     )  # fmt: skip
 
 
@@ -157,6 +160,16 @@ def test_a_sensor_that_does_otherwise_than_it_was_told_is_named(sensor: libcamer
             exposed(sensor, 1)
             grab(camera)
     camera.close()
+
+
+def test_a_mode_that_shows_another_field_than_the_calibrations_is_refused(
+    sensor: libcamera_stub.Sensor, theirs: Any
+) -> None:
+    assert configured(theirs, crop=(0, 0, 3280, 2464)).sensor_crop == (0, 0, 3280, 2464)
+    sensor.fields[SIZE] = (816, 616, 1648, 1232)  # the same size, from the middle of the sensor
+    with pytest.raises(AnnulusError, match=r"shows 1648x1232 at 816,616 .* made with 3280x2464 at 0,0"):
+        configured(theirs, crop=(0, 0, 3280, 2464))
+    assert configured(theirs).sensor_crop == (816, 616, 1648, 1232)  # a calibration that does not say
 
 
 def test_sizes_the_sensor_has_no_mode_of_are_refused_in_one_line(sensor: libcamera_stub.Sensor, theirs: Any) -> None:

@@ -132,11 +132,14 @@ def test_an_empty_file_is_a_camera_without_a_controller(tmp_path: Path) -> None:
         ("[[sensor]]", "device is missing"),
         ("[control]\nautostart = false", "nobody could start"),
         ("[control]\nautostart = 1", "true or false"),
+        ('[calibration]\nfile = "crop.json"', "sensor_crop"),
         ('[calibration]\nfile = "two.json"\n[camera]\nwidth = 640\nheight = 480', "a camera 1"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_named(tmp_path: Path, text: str, says: str) -> None:
     (tmp_path / "c.json").write_text(json.dumps(CALIBRATION))
+    cropped = {**CALIBRATION, "camera": {**CALIBRATION["camera"], "sensor_crop": [0, -2, 3280, 2464]}}
+    (tmp_path / "crop.json").write_text(json.dumps(cropped))
     (tmp_path / "two.json").write_text(json.dumps(TWO_CAMERAS))
     with pytest.raises(AnnulusError, match=says) as caught:
         load_config(write(tmp_path, text))
@@ -188,3 +191,15 @@ def test_a_job_on_the_command_line() -> None:
         with pytest.raises(AnnulusError, match="expected NAME=TEXT, a name one of who, where, what") as told:
             job_of([wrong])
         assert "\x1b" not in str(told.value)
+
+
+def test_the_calibrations_field_of_view_is_asked_of_the_camera(tmp_path: Path) -> None:
+    field = [8, 16, 1280, 960]
+    cropped = {**CALIBRATION, "camera": {**CALIBRATION["camera"], "sensor_crop": field}}
+    (tmp_path / "c.json").write_text(json.dumps(cropped))
+    path = tmp_path / "head.toml"
+    path.write_text('[calibration]\nfile = "c.json"\n[camera]\nwidth = 640\nheight = 480\n')
+    config = load_config(path)
+    assert [camera.sensor_crop for camera in config.cameras] == [tuple(field)]
+    assert config.calibration is not None
+    assert config.calibration.to_dict()["camera"]["sensor_crop"] == field
