@@ -119,7 +119,7 @@ def _frame(camera: Camera, wanted: CameraConfig) -> str:
         raise AnnulusError(f"{wanted.device}: {last}")
     remarks = "".join(f"; {remark}" for remark in came[:-1])
     crop = getattr(camera, "sensor_crop", None)
-    shows = "" if crop is None else f", --sensor-crop {','.join(map(str, crop))}"
+    shows = "" if crop is None else f", shows {','.join(map(str, crop))} of the sensor"
     return f"{wanted.device}: {camera.width}x{camera.height} {camera.encoding}{shows}, a frame came{remarks}"
 
 

@@ -238,7 +238,7 @@ def job_of(given: Sequence[str]) -> dict[str, str]:
     for one in given:
         name, _, text = one.partition("=")
         if name not in JOB or not text:
-            raise AnnulusError(f"--job {shown(one)}: expected NAME=TEXT, a name one of {', '.join(JOB)}")
+            raise AnnulusError(f"job {shown(one)}: expected NAME=TEXT, a name one of {', '.join(JOB)}")
         job[name] = text
     return job
 
