@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from annulus import untrusted
 from annulus.capture.remote import MESSAGE_MAX
 
 SLOTS = 6  # frames between head and camera
@@ -102,7 +103,7 @@ class CameraServer:
     def _hear(self, viewer: socket.socket) -> None:
         try:
             while told := viewer.recv(MESSAGE_MAX):
-                message = json.loads(told)
+                message = untrusted.mapping(untrusted.parse_json(told, MESSAGE_MAX), "what was told")
                 if message["do"] == "release":
                     self._held.remove(message["slot"])
                     self._free.append(message["slot"])

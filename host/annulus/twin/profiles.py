@@ -4,7 +4,6 @@ A name is a profile: what may go wrong at any frame, and how often in a million 
 in a run. Where it happens follows from the seed; two of them never fall together, so that what each costs can be told.
 """
 
-import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from annulus import untrusted
 from annulus.twin.faults import NO_FAULTS, Faults
 from annulus.vocabulary import AnnulusError
 
@@ -136,10 +136,10 @@ def load_faults(source: "str | Path | None", frames: int = 20_000, seed: int = 0
         return PROFILES[str(source)].place(frames, seed)
     path = Path(source)
     try:
-        data: dict[str, Any] = tomllib.loads(path.read_text("utf-8"))
+        data = untrusted.parse_toml(untrusted.read_file(path, untrusted.TOML_MAX))
     except FileNotFoundError:
         raise AnnulusError(f"{source}: no such fault file, and not one of {', '.join(PROFILES)}") from None
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (OSError, ValueError) as error:
         raise AnnulusError(f"{path}: cannot be read as TOML: {error}") from None
     try:
         return Faults.from_dict(data)
