@@ -95,3 +95,30 @@ def test_one_damaged_chunk_costs_its_frame_and_nothing_else(written: bytes, tmp_
     place, count = recording.damage
     assert "no records" in place.text and count.text == "19 messages were written, 16 are here"
     assert len(recording.check()) == 3
+
+
+def test_a_chunk_that_alone_says_it_has_no_checksum_is_not_believed(written: bytes, tmp_path: Path) -> None:
+    """Fails where a checksum of 0 always means that there is none."""
+    path, data = tmp_path / "scan.mcap", bytearray(written)
+    path.write_bytes(data)
+    frame = open_recording(path).frames[3]
+    assert frame.chunk is not None
+    data[frame.chunk.offset - 16 : frame.chunk.offset - 12] = bytes(4)
+    data[frame.offset + 100] ^= 1
+    path.write_bytes(data)
+    recording = open_recording(path)
+    with pytest.raises(DamagedError, match="wrong checksum"):
+        recording.read_raw(recording.frames[3])
+
+
+def test_a_label_that_took_another_frames_number_changes_no_place(written: bytes, tmp_path: Path) -> None:
+    """Fails where the last of two labels with one number is the frame's, whatever its chunk's checksum says."""
+    path, data = tmp_path / "scan.mcap", bytearray(written)
+    text = data.index(b'"z_mm":7.5')
+    head = data.rindex(b"{", 0, text) - 22
+    assert data[head + 2 : head + 6] == (3).to_bytes(4, "little")
+    data[head + 2 : head + 6] = (1).to_bytes(4, "little")
+    path.write_bytes(data)
+    recording = open_recording(path)
+    assert recording.damage
+    assert {frame.index: frame.z_mm for frame in recording.frames}[1] == 2.5
