@@ -1,55 +1,10 @@
-"""Who is still there: finds every process that a test started, however it was started."""
+"""What a program leaves behind when it is broken off."""
 
-import os
 import shutil
-import tempfile
-import time
-import uuid
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
-
-MARK = "ANNULUS_TEST_MARK"
-
-
-class Traces:
-    """Takes note of what is there before, and says what is left afterwards."""
-
-    def __init__(self) -> None:
-        self.mark = uuid.uuid4().hex
-        self.temporary = Path(tempfile.mkdtemp(prefix="traces-"))
-        self.environment = {**os.environ, MARK: self.mark, "TMPDIR": str(self.temporary)}
-        self._shm = _shared()
-
-    def processes(self) -> list[str]:
-        """Command lines of processes that carry the mark and are not this one."""
-        wanted, found = f"{MARK}={self.mark}".encode(), []
-        for folder in Path("/proc").iterdir():
-            if folder.name.isdigit() and int(folder.name) != os.getpid():
-                try:
-                    if wanted in (folder / "environ").read_bytes():
-                        found.append((folder / "cmdline").read_bytes().replace(b"\0", b" ").decode())
-                except OSError:
-                    continue  # ended, or not ours
-        return found
-
-    def left(self, patience_s: float = 5.0) -> dict[str, object]:
-        """What is left, after a moment for the kernel to bury the dead. Empty when all is clean."""
-        end = time.monotonic() + patience_s
-        while (processes := self.processes()) and time.monotonic() < end:
-            time.sleep(0.05)
-        left = {
-            "processes": processes,
-            "shm": _shared() - self._shm,
-            "temporary": set(os.listdir(self.temporary)),
-        }
-        return {what: which for what, which in left.items() if which}
-
-
-def _shared() -> set[str]:
-    """Semaphores of multiprocessing come and go with other programs on the machine; a scan makes none."""
-    return {name for name in os.listdir("/dev/shm") if not name.startswith("sem.mp-")}
+from leftovers import Traces
 
 
 @pytest.fixture

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import zmq
+from leftovers import left_in_shm
 
 from annulus import untrusted
 from annulus.capture.camera import Camera, CapturedFrame, grab, plug
@@ -28,11 +29,6 @@ from annulus.vocabulary import AnnulusError, Lamp
 pytestmark = pytest.mark.skipif(not _LIBRARY.is_file(), reason="native firmware not built")
 FPS = 25.0
 US = 100  # ticks
-
-
-def left_in_shm() -> set[str]:
-    """Files in shared memory, but for the semaphores of tests that run beside this one."""
-    return {name for name in os.listdir("/dev/shm") if not name.startswith("sem.mp-")}
 
 
 @pytest.fixture
@@ -163,7 +159,7 @@ def test_the_head_toml_it_prints_names_all_its_addresses(head: HeadHandle) -> No
 
 
 def test_the_head_ends_with_its_handle_ignores_ctrl_c_and_leaves_nothing() -> None:
-    before = left_in_shm()
+    before = set(os.listdir("/dev/shm"))
     head = start_head(demo_world().scaled(64), FPS)
     os.kill(head.process.pid, signal.SIGINT)
     head.counters()  # it still answers
@@ -178,7 +174,7 @@ def test_the_head_ends_with_its_handle_ignores_ctrl_c_and_leaves_nothing() -> No
             grab(camera)
     with pytest.raises(AnnulusError, match="no camera is served there"):
         RemoteCamera(head.camera_address)
-    assert left_in_shm() == before
+    assert left_in_shm(before) == set()
 
 
 def test_a_head_at_any_rate_has_a_window_for_the_demo_flashes() -> None:
