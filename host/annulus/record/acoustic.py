@@ -80,8 +80,9 @@ def load_acoustic(path: Path) -> AcousticRecord:
         ArithmeticError,
         AttributeError,
         RuntimeError,
+        SystemError,  # of numpy, for text of no characters
         ValueError,
-        KeyError,
+        LookupError,
         TypeError,
     ) as error:
         what = str(error).splitlines()[0] if str(error) else type(error).__name__

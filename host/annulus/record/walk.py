@@ -24,6 +24,7 @@ _CHUNK_HEAD = struct.Struct("<QQQII")  # first and last time, bytes, checksum, l
 _COUNTS = struct.Struct("<QHII")  # of the summary: messages, schemas, channels, attachments
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
 _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _ATTACHMENT, _STATISTICS, _DATA_END = 2, 3, 4, 5, 6, 9, 11, 15
+_FOOTER_BYTES = 20
 _PRIVATE = 0x80  # opcodes from here on are for anybody, and passed over
 _CHUNK_LIKE = re.compile(rb"\x06(?=.{5}\0\0\0.{28}\0\0\0\0)", re.DOTALL)  # below a TiB, uncompressed
 _LOOK_AHEAD = _RECORD.size + _CHUNK_HEAD.size + 8
@@ -143,6 +144,10 @@ class Walk:
             return self._chunk(start, end)
         if end > self._size or opcode == 0 or _DATA_END < opcode < _PRIVATE:
             return None
+        if opcode == _FOOTER and not (
+            length == _FOOTER_BYTES and MAGIC.startswith(piece(self._file, end, min(len(MAGIC), self._size - end)))
+        ):
+            return None  # bytes that look like one: the walk would end here, and nobody miss the rest
         try:
             if opcode == _MESSAGE:
                 self._message(start, length)
