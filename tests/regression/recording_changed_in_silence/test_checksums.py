@@ -122,3 +122,19 @@ def test_a_label_that_took_another_frames_number_changes_no_place(written: bytes
     recording = open_recording(path)
     assert recording.damage
     assert {frame.index: frame.z_mm for frame in recording.frames}[1] == 2.5
+
+
+def test_a_length_that_makes_what_follows_look_like_a_footer_ends_nothing(written: bytes, tmp_path: Path) -> None:
+    """Fails where any record with a footer's opcode ends the walk: one frame of four was left, and no damage told."""
+    path, data = tmp_path / "scan.mcap", bytearray(written)
+    path.write_bytes(data)
+    chunk = open_recording(path).frames[1].chunk
+    assert chunk is not None
+    index = chunk.offset + chunk.length
+    assert data[index] == 7  # a message index
+    data[index + 1 : index + 9] = bytes(8)
+    data[index + 9] = 2
+    path.write_bytes(data)
+    recording = open_recording(path)
+    assert [frame.index for frame in recording.frames] == list(range(FRAMES))
+    assert any("no records" in one.text for one in recording.damage)
