@@ -88,7 +88,8 @@ class Walk:
         self._looked_at: dict[int, bool] = {}  # by a chunk's offset, whether it is sound
         self.compression = ""
         self._counted: tuple[int, int] | None = None  # messages and attachments, by the summary
-        self._attached = 0
+        self._attached = self._attached_with_crc = 0
+        self._unchecked: dict[str, int] = {}  # attachments that say they have no checksum, and where they are
         self._without = False
         self.ended = False
         self.data_crc: tuple[int, int] | None = None  # of the bytes before the first, the second
@@ -104,6 +105,10 @@ class Walk:
         if self.chunks and loose:
             self.messages = [message for message in self.messages if message.chunk is not None]
             self._damaged(0, "messages outside the chunks", loose)
+        if self._attached_with_crc or any(chunk.crc is not None for chunk in self.chunks):
+            for name, offset in self._unchecked.items():  # a writer makes checksums, or makes none
+                del self.attachments[name]
+                self._damaged(offset, "an attachment with the wrong checksum")
         self._compare()
         nameless = [message.chunk for message in self.messages if message.channel not in self.channels]
         if nameless and all([self.look_at(chunk) for chunk in nameless]):
@@ -248,6 +253,7 @@ class Walk:
         if crc and zlib.crc32(data[:-4]) != crc:
             self._damaged(start, "an attachment with the wrong checksum")
             return
+        self._attached_with_crc += crc != 0
         (name_length,) = struct.unpack_from("<I", data, 16)
         name = data[20 : 20 + name_length].decode()
         if name not in self._wanted:
@@ -257,6 +263,8 @@ class Walk:
         at += 4 + media_length
         (size,) = struct.unpack_from("<Q", data, at)
         self.attachments[name] = data[at + 8 : at + 8 + size]
+        if not crc:
+            self._unchecked[name] = start
 
     def _next_chunk(self, at: int) -> int | None:
         """Where a chunk begins whose lengths agree with each other, from `at` on."""

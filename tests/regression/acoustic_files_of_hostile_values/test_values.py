@@ -1,5 +1,5 @@
-"""An empty sampling rate was an IndexError, text of characters that are none a SystemError of numpy. Fails where only the
-usual errors of a reader are made one line."""
+"""An empty sampling rate was an IndexError, text of characters that are none a SystemError of numpy. Fails where only
+the usual errors of a reader are made one line."""
 
 from pathlib import Path
 

@@ -138,3 +138,16 @@ def test_a_length_that_makes_what_follows_look_like_a_footer_ends_nothing(writte
     recording = open_recording(path)
     assert [frame.index for frame in recording.frames] == list(range(FRAMES))
     assert any("no records" in one.text for one in recording.damage)
+
+
+def test_an_attachment_that_alone_says_it_has_no_checksum_is_not_believed(written: bytes, tmp_path: Path) -> None:
+    """Fails where a checksum of 0 means that an attachment has none."""
+    path, data = tmp_path / "scan.mcap", bytearray(written)
+    at = data.index(b'{"format":"x"}')
+    data[at + 14 : at + 18] = bytes(4)
+    data[at + 11] ^= 1
+    path.write_bytes(data)
+    recording = open_recording(path)
+    assert recording.calibration is None and [one.text for one in recording.damage] == [
+        "an attachment with the wrong checksum"
+    ]
