@@ -7,6 +7,7 @@ ValueError, one line.
 
 import ast
 import math
+import mmap
 import struct
 import zipfile
 from pathlib import Path
@@ -19,11 +20,15 @@ NAMES_MAX = 200_000  # in one file; 8192 detectors have 5 each
 RATIO_MAX = 100  # of what is unpacked to what is packed; recorded sound is packed to a half
 UNPACKED_MAX = 1 << 26  # bytes that may be packed however tightly
 FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
+_HEAP, _HEAP_HEAD = b"GCOL\x01\0\0\0", 16  # how a collection of texts begins, and the bytes before its first
+_OBJECT = struct.Struct("<HHIQ")  # number, 0 for what is free; users; padding; bytes
 _HEAD_MAX = 10_000  # bytes of an array's head in .npy
 
 
 def require_plain_hdf5(root: h5py.File) -> None:
-    """Every name in the file is a group or an array that lies in this file, of a size that may be read."""
+    """Every name in the file is a group or an array that lies in this file, of a size that may be read, and its texts
+    are where reading ends."""
+    _require_heaps_that_end(root)
     waiting, seen, count = [root], set(), 0
     while waiting:
         group = waiting.pop()
@@ -43,6 +48,27 @@ def require_plain_hdf5(root: h5py.File) -> None:
                 waiting.append(found)
             elif isinstance(found, h5py.Dataset):
                 _require_plain(found)
+
+
+def _require_heaps_that_end(root: h5py.File) -> None:
+    """HDF5 keeps texts in collections of objects, and walks those by the size that each says it has: for ever where one
+    says that it has none (libhdf5 2.0, H5HG__cache_heap_deserialize).
+    """
+    if root.id.get_create_plist().get_sizes() != (8, 8):
+        raise ValueError("its addresses or lengths are not of 8 bytes")
+    with open(root.filename, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        begin = content.find(_HEAP)
+        while begin >= 0:
+            at = begin + _HEAP_HEAD
+            (size,) = struct.unpack_from("<Q", content[begin + len(_HEAP) : at].ljust(8, b"\0"))
+            end = begin + size
+            if end <= len(content):
+                while at + _OBJECT.size <= end:
+                    number, _, _, length = _OBJECT.unpack_from(content, at)
+                    at += _OBJECT.size + length + -length % 8 if number else length
+                    if at > end or (number == 0 and length < _OBJECT.size):
+                        raise ValueError(f"the texts at byte {begin} do not end where they should")
+            begin = content.find(_HEAP, begin + 1)
 
 
 def _require_plain(data: h5py.Dataset) -> None:
