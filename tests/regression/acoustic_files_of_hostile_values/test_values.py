@@ -33,3 +33,18 @@ def test_a_code_of_no_characters(tmp_path: Path) -> None:
     np.savez(path, **arrays)
     with pytest.raises(AnnulusError, match="cannot be read as acoustic data"):
         load_acoustic(path)
+
+
+def test_texts_that_never_end(tmp_path: Path) -> None:
+    """The HDF5 library walked them for ever. Fails where they are not looked at before it does."""
+    path = tmp_path / "a.hdf5"
+    save_acoustic(path, SOUND)
+    data = bytearray(path.read_bytes())
+    heap = data.index(b"GCOL")
+    first = int.from_bytes(data[heap + 24 : heap + 32], "little")
+    second = heap + 32 + first + -first % 8
+    assert load_acoustic(path).code == "code" and data[second] == 2
+    data[second : second + 16] = bytes(16)
+    path.write_bytes(data)
+    with pytest.raises(AnnulusError, match="do not end"):
+        load_acoustic(path)
