@@ -39,7 +39,8 @@ class ClockMap:
     """
 
     def __init__(self) -> None:
-        self._samples: deque[_Sample] = deque(maxlen=SAMPLES_MAX)
+        self._samples: deque[_Sample] = deque()
+        self._sums = (0.0, 0.0, 0.0, 0.0, 0.0)  # of w, wx, wxx, wy, wxy over the samples, as seen from the last one
         self._anchor: tuple[int, int] | None = None  # some (host_ns, tick), good to seconds, for the extension
         self._ref_ns = 0
         self._ref_tick = 0
@@ -61,6 +62,7 @@ class ClockMap:
     def restart(self) -> None:
         """The controller has started again: forget everything but the counters."""
         self._samples.clear()
+        self._sums = (0.0, 0.0, 0.0, 0.0, 0.0)
         self._anchor = None
         self._outliers = 0
         self.drift = 0.0
@@ -81,7 +83,7 @@ class ClockMap:
                 self.restart()
             return False
         self._outliers = 0
-        self._samples.append(_Sample(middle, tick64, half))
+        self._keep(_Sample(middle, tick64, half))
         self._anchor = (middle, tick64)
         self._fit()
         return True
@@ -131,18 +133,43 @@ class ClockMap:
         slack = OUTLIER_SLACK_NS + round(2 * DRIFT_PRIOR * abs(middle - last.host_ns))
         return abs(off) <= half + last.half_ns + slack
 
+    def _keep(self, new: _Sample) -> None:
+        """Another sample, and one fewer of the oldest. The sums go along, for nobody wants to add up 128 of them anew
+        ten times a second; what rounding leaves in them fades with the samples.
+        """
+        sw, swx, swxx, swy, swxy = self._sums
+        if self._samples:
+            last = self._samples[-1]
+            dx = float(new.host_ns - last.host_ns)
+            dy = (new.tick - last.tick) * TICK_NS - dx
+            faded = 2.0 ** (-dx / HALF_LIFE_NS)
+            swxy = faded * (swxy - dx * swy - dy * swx + dx * dy * sw)
+            swxx = faded * (swxx - 2.0 * dx * swx + dx * dx * sw)
+            swx = faded * (swx - dx * sw)
+            swy = faded * (swy - dy * sw)
+            sw *= faded
+        self._samples.append(new)
+        self._half_ns = new.half_ns if len(self._samples) == 1 else min(self._half_ns, new.half_ns)
+        if len(self._samples) > SAMPLES_MAX:
+            old = self._samples.popleft()
+            x = float(old.host_ns - new.host_ns)
+            y = (old.tick - new.tick) * TICK_NS - x
+            w = 2.0 ** (x / HALF_LIFE_NS) * _weight(old)
+            sw, swx, swxx, swy, swxy = sw - w, swx - w * x, swxx - w * x * x, swy - w * y, swxy - w * x * y
+            if old.half_ns == self._half_ns:
+                self._half_ns = min(sample.half_ns for sample in self._samples)
+        self._sums = (sw + _weight(new), swx, swxx, swy, swxy)
+
     def _fit(self) -> None:
         """Weighted line through the samples, slope drawn to its prior. Two unknowns: closed form."""
         last = self._samples[-1]
         self._ref_ns, self._ref_tick = last.host_ns, last.tick
-        self._half_ns = min(sample.half_ns for sample in self._samples)
-        sw = swx = swxx = swy = swxy = 0.0
-        for sample in self._samples:
-            x = float(sample.host_ns - self._ref_ns)
-            y = (sample.tick - self._ref_tick) * TICK_NS - x
-            w = 2.0 ** (x / HALF_LIFE_NS) / max(sample.half_ns, FLOOR_NS) ** 2
-            sw, swx, swxx, swy, swxy = sw + w, swx + w * x, swxx + w * x * x, swy + w * y, swxy + w * x * y
+        sw, swx, swxx, swy, swxy = self._sums
         swxx += (1.0 / DRIFT_PRIOR) ** 2
         determinant = sw * swxx - swx * swx
         self._offset_ns = (swy * swxx - swxy * swx) / determinant
         self.drift = (sw * swxy - swx * swy) / determinant
+
+
+def _weight(sample: _Sample) -> float:
+    return 1.0 / max(sample.half_ns, FLOOR_NS) ** 2

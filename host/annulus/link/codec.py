@@ -15,7 +15,13 @@ TO_CONTROLLER: Mapping[int, type[Message]] = COMMANDS
 TO_HOST: Mapping[int, type[Message]] = {**REPLIES, **EVENTS, **NOTICES}
 _CRC_BYTES = 2
 EVENTS_FROM, _NOTICES_FROM = 0x80, 0xF0  # ids
-_HEADER = {"command": 2, "reply": 2, "event": 4, "notice": 1}  # id and what follows it before the payload
+_EVENT_HEADER = 4  # bytes: id and what follows it before the payload
+_HEADER = {  # .. by id
+    **dict.fromkeys((*COMMANDS, *REPLIES), 2),
+    **dict.fromkeys(EVENTS, _EVENT_HEADER),
+    **dict.fromkeys(NOTICES, 1),
+}
+_BYTES = tuple(bytes((value,)) for value in range(256))
 
 
 class Why(StrEnum):
@@ -60,7 +66,7 @@ def crc16(body: bytes, schema_byte: int) -> int:
 
     The xorout is not decoration: without it one dropped zero byte can go unseen.
     """
-    return binascii.crc_hqx(bytes((schema_byte,)), binascii.crc_hqx(body, 0xFFFF)) ^ 0xFFFF
+    return binascii.crc_hqx(_BYTES[schema_byte], binascii.crc_hqx(body, 0xFFFF)) ^ 0xFFFF
 
 
 def encode(frame: Frame) -> bytes:
@@ -89,7 +95,7 @@ def decode(stuffed: bytes, accepted: Mapping[int, type[Message]] = TO_HOST) -> F
     if kind is None:
         newer = body[0] >= REPLY_BIT and accepted is TO_HOST and _is_whole(body)
         return _unknown(body) if newer else Corrupt(Why.ID, len(stuffed))
-    header = _HEADER[_kind(body[0])]
+    header = _HEADER[body[0]]
     if len(body) != header + kind.LENGTH + _CRC_BYTES:
         return Corrupt(Why.LENGTH, len(stuffed))
     content, crc = body[:-_CRC_BYTES], int.from_bytes(body[-_CRC_BYTES:], "little")
@@ -114,8 +120,14 @@ class Decoder:
     def feed(self, data: bytes) -> list[Frame | Corrupt | Unknown]:
         """Everything that `data` completes, in order. Two zeros in a row are no frame and no error."""
         found: list[Frame | Corrupt | Unknown] = []
+        if not data:
+            return found
         *complete, rest = data.split(b"\0")
         for part in complete:
+            if not self._held and not self._dropped and len(part) <= MAX_WIRE:  # whole: nothing to be held
+                if part:
+                    found.append(decode(bytes(part), self._accepted))
+                continue
             self._hold(part)
             if self._dropped:
                 found.append(Corrupt(Why.TOO_LONG, self._dropped + len(self._held)))
@@ -140,17 +152,9 @@ def _is_whole(body: bytes) -> bool:
 
 def _unknown(body: bytes) -> Unknown:
     if body[0] >= EVENTS_FROM:
-        has_sequence = len(body) >= _HEADER["event"] + _CRC_BYTES and body[0] < _NOTICES_FROM
+        has_sequence = len(body) >= _EVENT_HEADER + _CRC_BYTES and body[0] < _NOTICES_FROM
         return Unknown(body[0], int.from_bytes(body[1:3], "little") if has_sequence else None, body[3])
     return Unknown(body[0], body[1], 0)
-
-
-def _kind(identity: int) -> str:
-    if identity in COMMANDS:
-        return "command"
-    if identity in REPLIES:
-        return "reply"
-    return "event" if identity in EVENTS else "notice"
 
 
 def _stuff(body: bytes) -> bytes:
@@ -160,14 +164,11 @@ def _stuff(body: bytes) -> bytes:
 
 def _unstuff(stuffed: bytes) -> bytes | None:
     """The body, or None where a code byte points past the end. `stuffed` holds no zero."""
-    body = bytearray()
-    at = 0
-    while at < len(stuffed):
+    runs, at, size = [], 0, len(stuffed)
+    while at < size:
         end = at + stuffed[at]
-        if stuffed[at] == 0 or end > len(stuffed):
+        if end == at or end > size:
             return None
-        body += stuffed[at + 1 : end]
-        if end < len(stuffed):
-            body.append(0)
+        runs.append(stuffed[at + 1 : end])
         at = end
-    return bytes(body)
+    return b"\0".join(runs)

@@ -41,7 +41,7 @@ from annulus.link.messages import (
 from annulus.link.preamble import PreambleOrders
 from annulus.link.problems import STOPPED, TAKEN_OVER, configuration_problem, is_stopped, refusal, schema_problem
 from annulus.link.session import Answer, EventReceived, LinkEvent, Rebooted, Session, Unanswered, identify
-from annulus.vocabulary import EdgeFlag, EdgeIndex, Flash, Lamp, Slot, Tick
+from annulus.vocabulary import EdgeFlag, EdgeIndex, Flash, Slot, Tick
 
 PING_NS = 97_300_000  # no multiple of a frame period, so samples fall everywhere in the frame; far inside host_timeout
 QUICK_PING_NS = 4_000_000  # until the clock is locked
@@ -106,11 +106,11 @@ class PhaseChanged:
 HeadEvent = LinkEvent | EdgeSeen | LampsCut | PhaseChanged
 
 
-def flash_from(edge: Edge, tick: Tick, boot: int) -> Flash:
+def flash_from(edge: Edge, tick: Tick, boot: int, epoch: int = 0) -> Flash:
     """The vocabulary's Flash of an Edge event, its tick extended to 64 bits."""
     return Flash(
-        EdgeIndex(edge.edge), tick, Slot(edge.slot), Lamp(edge.lamp), edge.delay, edge.width, edge.odometer,
-        edge.generation, boot, edge.flags,
+        EdgeIndex(edge.edge), tick, Slot(edge.slot), edge.lamp, edge.delay, edge.width, edge.odometer,
+        edge.generation, boot, edge.flags, epoch,
     )  # fmt: skip
 
 
@@ -205,7 +205,7 @@ class HeadControl:
 
     def pending(self, now: int) -> bytes:
         """The bytes due now."""
-        if self._waiting is None and now >= self._next_step_ns:
+        if self.phase is not Phase.RUNNING and self._waiting is None and now >= self._next_step_ns:
             step = self._step()
             if step is not None and self._may_be_asked(step):
                 self._waiting = self.session.send(step)
@@ -392,7 +392,7 @@ class HeadControl:
                     self._next_status_ns = 0  # stale, or a fault we did not hear of
             case EventReceived(event) if isinstance(event, Fault) and event.fault in LATCHING:
                 self._faulted(event, now)
-        if self.clock.locked:
+        if self._early and self.clock.locked:
             self._news.extend(self._placed())
 
     def _sampled(self, reply: PingReply, answer: Answer, now: int) -> None:
@@ -442,7 +442,7 @@ class HeadControl:
             if host_ns is not None and error_ns is not None and error_ns <= self._error_max_ns:
                 info = self.session.info
                 nonce = info.nonce if info is not None else None
-                yield EdgeSeen(flash_from(edge, tick, boot), host_ns, error_ns, self.boot_epoch, nonce)
+                yield EdgeSeen(flash_from(edge, tick, boot, self.boot_epoch), host_ns, error_ns, self.boot_epoch, nonce)
             else:
                 self.edges_unplaced += 1
 

@@ -210,6 +210,8 @@ class Session:
     def receive(self, data: bytes, now: int) -> list[LinkEvent]:
         """What these bytes, cut anywhere, bring to an end."""
         happenings: list[LinkEvent] = []
+        if not data:
+            return happenings
         for frame in self._decoder.feed(data):
             if isinstance(frame, Corrupt):
                 self.counters.corrupt[frame.why] = self.counters.corrupt.get(frame.why, 0) + 1
@@ -229,6 +231,8 @@ class Session:
     def expire(self, now: int) -> list[LinkEvent]:
         """Commands and events given up by `now`. Call now and then; `pending` does not report."""
         happenings: list[LinkEvent] = []
+        if not self._outstanding and not self._missing:
+            return happenings
         for waiting in [w for w in self._outstanding.values() if w.due_ns <= now and w.tries >= _tries(w.command)]:
             del self._outstanding[waiting.sequence]
             happenings += self._give_up(waiting.ticket, waiting.command, f"no answer to {waiting.tries} tries")
@@ -238,7 +242,10 @@ class Session:
 
     def pending(self, now: int) -> bytes:
         """The bytes that are due now: repeats first, then what the window lets through."""
-        self._ask_again(now)
+        if self._missing:
+            self._ask_again(now)
+        if not (self._queue or self._outstanding or self._fresh):
+            return b""
         out = bytearray()
         if self._fresh:
             out.append(0)  # ends whatever half a frame the line holds from before
@@ -353,14 +360,17 @@ class Session:
 
     def _event(self, event: Event | None, sequence: int, boot: int, now: int) -> Iterator[LinkEvent]:
         """None: one this host does not know."""
-        yield from self._meet(boot)
-        yield from self._same_boot(event, sequence)
+        if boot != self.boot:
+            yield from self._meet(boot)
+        if sequence != self._next_event:
+            yield from self._same_boot(event, sequence)
         expected = self._next_event if self._next_event is not None else sequence
         ahead = (sequence - expected) % _EVENT_MODULUS
         recovered = False
         if ahead < _EVENT_MODULUS // 2:
             self._next_event = (sequence + 1) % _EVENT_MODULUS
-            yield from self._miss(expected, ahead, now)
+            if ahead:
+                yield from self._miss(expected, ahead, now)
         elif sequence in self._missing:
             del self._missing[sequence]
             self.counters.events_recovered += 1

@@ -2,7 +2,17 @@
 
 import random
 
-from annulus.link.clock import HOLD_NS, SAMPLES_TO_LOCK, ClockMap
+import numpy as np
+
+from annulus.link.clock import (
+    DRIFT_PRIOR,
+    FLOOR_NS,
+    HALF_LIFE_NS,
+    HOLD_NS,
+    SAMPLES_MAX,
+    SAMPLES_TO_LOCK,
+    ClockMap,
+)
 
 MS = 1_000_000
 WRAP = 1 << 32
@@ -75,3 +85,25 @@ def test_samples_of_another_life_are_refused_and_soon_drop_the_map() -> None:
     for later in (20, 30):
         clock.sample(1234 + later * 100_000, last + later * MS, last + later * MS + 300_000)
     assert not clock.locked and clock.rejected == 3
+
+
+def test_the_line_that_goes_along_is_the_one_through_all_samples_kept() -> None:
+    clock, random_ = ClockMap(), random.Random(7)
+    now, kept = 10**15, []
+    for _ in range(3 * SAMPLES_MAX):
+        half = random_.choice([10_000, 150_000, 150_000, 9 * MS])
+        tick = round(now * (1 + 40e-6) + random_.gauss(0.0, 0.3) * half) // 10
+        assert clock.sample(tick % WRAP, now - half, now + half)
+        kept = [*kept, (now, tick, half)][-SAMPLES_MAX:]
+        now += random_.randrange(MS, 300 * MS)
+    last_ns, last_tick, _ = kept[-1]
+    x = np.array([host_ns - last_ns for host_ns, _, _ in kept], float)
+    y = np.array([(tick - last_tick) * 10 for _, tick, _ in kept], float) - x
+    w = np.array([1.0 / max(half, FLOOR_NS) ** 2 for _, _, half in kept]) * 2.0 ** (x / HALF_LIFE_NS)
+    prior = (1.0 / DRIFT_PRIOR) ** 2  # of a slope of 0
+    normal = [[w.sum(), (w * x).sum()], [(w * x).sum(), (w * x * x).sum() + prior]]
+    offset_ns, drift = np.linalg.solve(normal, [(w * y).sum(), (w * x * y).sum()])
+    assert abs(clock.drift - drift) < 1e-15
+    placed = clock.to_host(clock.extend(last_tick % WRAP, last_ns))
+    assert placed is not None and abs(placed - (last_ns - offset_ns)) < 1.0
+    assert clock.error_ns(last_ns) == min(half for _, _, half in kept)
