@@ -23,8 +23,9 @@ SOUND_WITHIN = 8  # edges back
 BASE_EDGES = 4096  # the period is measured over one to two times as many
 LEAP = 1 << 24  # frames; 8 days at 25 fps
 
-_NO_FLASH = EdgeFlag.LATE_LOAD | EdgeFlag.IRREGULAR
-_NO_INTERVAL = EdgeFlag.IRREGULAR | EdgeFlag.FIRST
+_IRREGULAR = int(EdgeFlag.IRREGULAR)  # as plain numbers: asked for every frame
+_NO_FLASH = int(EdgeFlag.LATE_LOAD) | _IRREGULAR
+_NO_INTERVAL = _IRREGULAR | int(EdgeFlag.FIRST)
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -45,6 +46,7 @@ class EdgeHistory:
 
     def __init__(self) -> None:
         self.invalid: deque[tuple[int, int]] = deque(maxlen=SPANS_KEPT)
+        self._sound_from_ns = 0  # no span is after this
         self._edges: list[PlacedEdge] = []  # by host time
         self._times: list[int] = []  # theirs
         self._by_index: dict[tuple[int, int], PlacedEdge] = {}
@@ -76,6 +78,7 @@ class EdgeHistory:
     def invalidate(self, from_ns: int, to_ns: int) -> None:
         """A lamp may have been cut, or switched, in this span: no frame that was open in it gets a label."""
         self.invalid.append((from_ns, to_ns))
+        self._sound_from_ns = max(self._sound_from_ns, to_ns)
 
     def near(self, moment: float, window_ns: float) -> Sequence[PlacedEdge]:
         """Edges inside the window around a moment. Neighbours a half period off are outside, so one is the rule."""
@@ -107,11 +110,13 @@ class EdgeHistory:
         opening = self.opening(closing) if closing is not None else None
         if closing is None or opening is None or closing.ordinal - opening.ordinal != 1:
             return None
-        flags = opening.flash.flags | (closing.flash.flags & EdgeFlag.IRREGULAR)
+        flags = int(opening.flash.flags) | (int(closing.flash.flags) & _IRREGULAR)
         return None if flags & _NO_FLASH or self.cut(opening, closing) else opening.flash
 
     def cut(self, opening: PlacedEdge, closing: PlacedEdge) -> bool:
         """Whether a lamp may have been cut or switched between these two edges."""
+        if opening.host_ns > self._sound_from_ns:
+            return False
         return any(start <= closing.host_ns and end >= opening.host_ns for start, end in self.invalid)
 
     def _ordinal(self, host_ns: int, boot_epoch: int, index: int, at: int) -> int:
@@ -127,7 +132,7 @@ class EdgeHistory:
         if counted is not None and abs(periods - counted) <= NEAR + abs(periods) * drift:
             return beside.ordinal + counted
         for sound in reversed(self._edges[max(0, at - SOUND_WITHIN) : at]):  # from one that fell where edges fall
-            if not sound.flash.flags & _NO_INTERVAL:
+            if not int(sound.flash.flags) & _NO_INTERVAL:
                 beside, periods = sound, (host_ns - sound.host_ns) / self._period_ns
                 break
         return beside.ordinal + (round(periods) if abs(periods) * drift <= BRIDGED else LEAP)
@@ -136,11 +141,11 @@ class EdgeHistory:
         """The period, from the latest edge."""
         if self._base is None or edge.ordinal - self._base.ordinal >= LEAP:
             before = self.opening(edge)
-            if before is not None and not edge.flash.flags & _NO_INTERVAL:
+            if before is not None and not int(edge.flash.flags) & _NO_INTERVAL:
                 self._base = self._next_base = before
                 self._period_ns = float(edge.host_ns - before.host_ns)
             return
-        if edge.flash.flags & _NO_INTERVAL:
+        if int(edge.flash.flags) & _NO_INTERVAL:
             return
         if edge.ordinal > self._base.ordinal:
             self._period_ns = (edge.host_ns - self._base.host_ns) / (edge.ordinal - self._base.ordinal)

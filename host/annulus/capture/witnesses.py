@@ -103,7 +103,9 @@ class Pictures:
     """Those lately shown. Dark ones too: one may stand below in a torn picture, but two may be alike by chance."""
 
     def __init__(self) -> None:
-        self._shown: deque[tuple[int, int | None, int | None]] = deque(maxlen=PICTURES_KEPT)
+        self._wholes: deque[int] = deque(maxlen=PICTURES_KEPT)
+        self._tops: deque[int | None] = deque(maxlen=PICTURES_KEPT)  # theirs, each at the same place
+        self._bottoms: deque[int | None] = deque(maxlen=PICTURES_KEPT)
         self._unlit: deque[tuple[bool, ...]] = deque(maxlen=PICTURES_KEPT)  # bands of LED pictures
 
     def met(self, picture: Photometry) -> Witness | None:
@@ -111,19 +113,22 @@ class Pictures:
         found = Witness.TORN if picture.torn or self._newly_unlit(picture.unlit) else None
         if picture.fingerprint is None:
             return found
-        for whole, top, bottom in self._shown:
-            if whole == picture.fingerprint:
-                return found if picture.light is Light.DARK else Witness.REPEATED
-            if (top is not None and top == picture.top) or (bottom is not None and bottom == picture.bottom):
-                found = Witness.TORN
-        self._shown.append((picture.fingerprint, picture.top, picture.bottom))
+        if picture.fingerprint in self._wholes:
+            return found if picture.light is Light.DARK else Witness.REPEATED
+        top, bottom = picture.top, picture.bottom
+        if (top is not None and top in self._tops) or (bottom is not None and bottom in self._bottoms):
+            found = Witness.TORN
+        self._wholes.append(picture.fingerprint)
+        self._tops.append(top)
+        self._bottoms.append(bottom)
         return found
 
     def _newly_unlit(self, bands: tuple[bool, ...]) -> bool:
         """Whether a band has dark rows that it has not in other pictures of the LED: a mask is always there."""
+        if not bands:
+            return False
         before = list(self._unlit)
-        if bands:
-            self._unlit.append(bands)
+        self._unlit.append(bands)
         usual = len(before) >= UNLIT_MIN
         return any(
             now and not (usual and 2 * sum(then[i] for then in before) >= len(before)) for i, now in enumerate(bands)

@@ -139,29 +139,34 @@ class Labelling:
 
     def header(self, frame: FrameSeen) -> FrameHeader:
         """The verdict. Ask once for each frame, in the order of capture."""
-        mode = self._mode
-        blank = FrameHeader(
-            0, frame.sequence, frame.timestamp_ns, Label.UNKNOWN, "", None, None, None, None, mode.encoding,
-            mode.width, mode.height, camera=mode.camera, arrived_ns=frame.arrived_ns,
-        )  # fmt: skip
         if self._alone:
-            return self._numbered(_brought_along(blank, frame.metadata), frame.sequence)
+            blank = self._blank(frame, "", frame.sequence)
+            return self._said(_brought_along(blank, frame.metadata))
         if not self.offset_known:
-            return self._numbered(replace(blank, reason=NOT_KNOWN))
+            return self._said(self._blank(frame, NOT_KNOWN))
         said = self._verdict(frame)
         if said.label is Label.UNKNOWN or said.flash is None or said.opened_ns is None:
-            return self._numbered(replace(blank, reason=str(said.reason)))
-        flash = said.flash
+            return self._said(self._blank(frame, str(said.reason)))
+        mode, flash = self._mode, said.flash
         place = self._navigation.odometer.place(flash)
-        known = replace(
-            blank, label=said.label, edge=flash.edge, slot=flash.slot, odometer=flash.odometer,
-            z_mm=place.z_mm if place is not None else None,
+        known = FrameHeader(
+            self._index((flash.epoch, flash.edge)), frame.sequence, frame.timestamp_ns, said.label, "",
+            flash.edge, flash.slot, flash.odometer, place.z_mm if place is not None else None,
+            mode.encoding, mode.width, mode.height, camera=mode.camera, arrived_ns=frame.arrived_ns,
+            roll_deg=self._navigation.roll.at(_lit_ns(said.opened_ns, flash)),
             z_assumed=place.assumed if place is not None else False,
             z_bound_mm=place.bound_mm if place is not None else 0.0,
             segment=place.segment if place is not None else 0,
-            roll_deg=self._navigation.roll.at(_lit_ns(said.opened_ns, flash)),
         )  # fmt: skip
-        return self._numbered(known, (flash.epoch, flash.edge))
+        return self._said(known)
+
+    def _blank(self, frame: FrameSeen, reason: str, flash: object = None) -> FrameHeader:
+        """Of a frame without a label."""
+        mode = self._mode
+        return FrameHeader(
+            self._index(flash), frame.sequence, frame.timestamp_ns, Label.UNKNOWN, reason, None, None, None, None,
+            mode.encoding, mode.width, mode.height, camera=mode.camera, arrived_ns=frame.arrived_ns,
+        )  # fmt: skip
 
     def _verdict(self, frame: FrameSeen) -> Labelled:
         before = self._pairing.state
@@ -170,9 +175,11 @@ class Labelling:
             self._seen.clear()  # a search, should it come to that, is not to be misled by what was before
         return said
 
-    def _numbered(self, header: FrameHeader, flash: object = None) -> FrameHeader:
-        """Frames that one flash lit share an index, whichever camera they are of."""
-        header = replace(header, index=self._navigation.index(header.camera, flash))
+    def _index(self, flash: object) -> int:
+        """Frames that one flash lit share one, whichever camera they are of."""
+        return self._navigation.index(self._mode.camera, flash)
+
+    def _said(self, header: FrameHeader) -> FrameHeader:
         self._navigation.journal.said(header)
         return header
 

@@ -50,7 +50,9 @@ class Navigation:
         self.journal.heard(event)
         match event:
             case EdgeSeen():
-                flash = replace(event.flash, epoch=event.boot_epoch)
+                flash = event.flash
+                if flash.epoch != event.boot_epoch:
+                    flash = replace(flash, epoch=event.boot_epoch)
                 self.edges.edge(flash, event.host_ns, event.boot_epoch)
                 self.odometer.edge(flash, event.host_ns, event.nonce)
             case EventReceived(Fault(fault=FaultCode.ODOMETER, detail=counts)):
@@ -60,13 +62,14 @@ class Navigation:
 
     def index(self, camera: int, key: object) -> int:
         """Of a camera's frame: that of other cameras' frames with the same key, else the next one."""
-        index, cameras = self._indices.get(key, (-1, set()))
-        if index < 0 or camera in cameras:
-            index, cameras = self._next_index, set()
-            self._next_index += 1
-        cameras.add(camera)
+        known = self._indices.get(key)
+        if known is not None and camera not in known[1]:
+            known[1].add(camera)
+            return known[0]
+        index = self._next_index
+        self._next_index += 1
         if key is not None:
-            self._indices[key] = index, cameras
+            self._indices[key] = index, {camera}
             if len(self._indices) > INDICES_KEPT:
                 del self._indices[next(iter(self._indices))]
         return index

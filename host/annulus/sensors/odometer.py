@@ -105,7 +105,7 @@ class Odometer:
 
     def edge(self, flash: Flash, host_ns: int, nonce: int | None = None) -> None:
         """Every edge, as it is heard. One that had to be read again, and so comes late, places its frame only."""
-        if not any(segment.epoch == flash.epoch for segment in self._segments):
+        if not self._knows(flash):
             self._another_boot(flash, host_ns, nonce)
         elif self._recent and host_ns <= self._recent[-1][0]:
             return
@@ -140,7 +140,7 @@ class Odometer:
 
     def place(self, flash: Flash) -> Place | None:
         """Of a frame, from its flash; None when that boot's edges were never heard, or too long ago."""
-        return self._place(flash) if any(segment.epoch == flash.epoch for segment in self._segments) else None
+        return self._place(flash) if self._knows(flash) else None
 
     def remembered(self) -> dict[str, Any]:
         """All that later places follow from, as plain types; `recalled` is the inverse."""
@@ -175,10 +175,16 @@ class Odometer:
         self._segments.append(segment)
         self._recent.clear()
 
+    def _knows(self, flash: Flash) -> bool:
+        """Whether edges of that boot were heard."""
+        return any(segment.epoch == flash.epoch for segment in reversed(self._segments))
+
     def _place(self, flash: Flash) -> Place:
-        of_boot = [segment for segment in self._segments if segment.epoch == flash.epoch]
-        begun = [segment for segment in of_boot if segment.first_edge <= flash.edge]
-        segment = begun[-1] if begun else of_boot[0]
+        segment = self._segments[-1]
+        if segment.epoch != flash.epoch or segment.first_edge > flash.edge:
+            of_boot = [segment for segment in self._segments if segment.epoch == flash.epoch]
+            begun = [segment for segment in of_boot if segment.first_edge <= flash.edge]
+            segment = begun[-1] if begun else of_boot[0]
         return Place(segment.start_mm + self._moved(flash), segment.number, segment.bound_mm)
 
     def _another_boot(self, flash: Flash, host_ns: int, nonce: int | None) -> None:

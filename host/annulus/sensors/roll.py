@@ -28,6 +28,8 @@ class Roll:
 
     def at(self, host_ns: int) -> float | None:
         """Degrees in -180..180, clockwise looking forward; None where no sample is near."""
+        if not self._times:
+            return None
         after = bisect_left(self._times, host_ns)
         around = [i for i in (after - 1, after) if 0 <= i < len(self._times)]
         near = [i for i in around if abs(self._times[i] - host_ns) <= NEAR_NS]
