@@ -6,7 +6,10 @@ from dataclasses import dataclass
 from annulus.controller import PIN_ODOMETER_A, PIN_ODOMETER_B, TICK_S
 
 Stimulus = tuple[int, int, int]  # world tick, pin, level
+_A, _B = PIN_ODOMETER_A, PIN_ODOMETER_B
 _QUADRATURE = ((0, 0), (1, 0), (1, 1), (0, 1))  # A, B as the count rises: A leads
+_LEADS = ((_B, 0), (_A, 1), (_B, 1), (_A, 0))  # pin, level that brings a rising count here ..
+_FOLLOWS = ((_A, 0), (_B, 0), (_A, 1), (_B, 1))  # .. and a falling one
 
 
 class Cable:
@@ -38,23 +41,29 @@ class Cable:
     def stimuli(self, after: int, until: int, keep: int) -> list[Stimulus]:
         """The counter's transitions in (after, until]; `keep`: ticks before `after` that may still be asked for."""
         out: list[Stimulus] = []
-        step = self._step
+        if len(self._pulls) == 1 and self._pulls[0].tick <= until:
+            self._crossings(self._pulls[0], after, until, out)
+            return out
         ends = [p.tick for p in self._pulls[1:]] + [until + 1]
         for pull, end in zip(self._pulls, ends, strict=True):
-            last = min(end - 1, until)
-            if last <= after or pull.tick > until or pull.speed_mm_s == 0.0:
-                continue
-            target = math.floor(pull.z_mm(last) / step + 1e-9)
-            while self._count != target:
-                up = target > self._count
-                crossing = pull.tick_at((self._count + (1 if up else 0)) * step)
-                self._count += 1 if up else -1
-                old, new = _QUADRATURE[(self._count - (1 if up else -1)) % 4], _QUADRATURE[self._count % 4]
-                pin = 0 if old[0] != new[0] else 1
-                tick = min(max(crossing, after + 1), last)
-                out.append((tick, (PIN_ODOMETER_A, PIN_ODOMETER_B)[pin], new[pin]))
+            if pull.tick <= until:
+                self._crossings(pull, after, min(end - 1, until), out)
         self._pulls = [p for p, end in zip(self._pulls, ends, strict=True) if end > after - keep] or [self._pulls[-1]]
         return out
+
+    def _crossings(self, pull: "_Pull", after: int, last: int, out: list[Stimulus]) -> None:
+        """The counter's transitions while that pull lasts, in (after, last]."""
+        if last <= after or pull.speed_mm_s == 0.0:
+            return
+        count, step = self._count, self._step
+        target = math.floor(pull.z_mm(last) / step + 1e-9)
+        while count != target:
+            up = target > count
+            crossing = pull.tick_at((count + up) * step)
+            count += 1 if up else -1
+            pin, level = (_LEADS if up else _FOLLOWS)[count % 4]
+            out.append((min(max(crossing, after + 1), last), pin, level))
+        self._count = count
 
     def _pull_at(self, tick: float) -> "_Pull":
         return next((p for p in reversed(self._pulls) if p.tick <= tick), self._pulls[0])

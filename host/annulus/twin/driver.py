@@ -7,6 +7,7 @@ what goes wrong there. No clock: exposures in, deliveries out.
         if delivered is not None: ...                 # the host has it at delivered.due_tick, and not before
 """
 
+import math
 from collections import Counter
 from dataclasses import dataclass
 
@@ -150,7 +151,7 @@ class Driver:
     def _due_tick(self, exposure: Exposure, draws: list[float]) -> int | None:
         """When the host has it; None when the driver had no buffer left while the host stood still."""
         faults = self._faults
-        lag_us = LAG_US - LAG_SPREAD_US * float(np.log(1.0 - draws[6]))
+        lag_us = LAG_US - LAG_SPREAD_US * math.log(1.0 - draws[6])
         due = exposure.edge_tick + lag_us * TICKS_PER_US + faults.delivery_frames * self._period
         if draws[7] < faults.frames_late:
             self.counts["late"] += 1

@@ -141,8 +141,9 @@ class LossyLine:
         if self._faults.events_lost > 0:
             data = self._lose_events(data)
         if self._faults.bytes_flipped > 0 and data:
-            hit = np.flatnonzero(self._rng.random(len(data)) < self._faults.bytes_flipped)
-            if len(hit):
+            draws = self._rng.random(len(data))
+            if draws.min() < self._faults.bytes_flipped:
+                hit = np.flatnonzero(draws < self._faults.bytes_flipped)
                 flipped = bytearray(data)
                 for i in hit:
                     flipped[i] ^= 1 << int(self._rng.integers(8))

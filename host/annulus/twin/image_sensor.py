@@ -14,9 +14,10 @@ The lamps of a frame are nothing but the gate pins the firmware moved: each row 
 its own closing, so a wrong delay makes a dark or banded frame, as on the bench. World ticks are 10 ns of true time.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,7 @@ from annulus.capture.timing import FrameTiming
 from annulus.controller import PIN_INTERLOCK, PIN_LED, PIN_PROJECTOR, PIN_SYNC, TICK_NS, TICKS_PER_US
 from annulus.geometry.pose import Pose
 from annulus.twin.cable import Cable, Stimulus
+from annulus.twin.draws import Draws
 from annulus.twin.faults import NO_FAULTS, Faults
 from annulus.twin.worlds.world import World
 from annulus.vocabulary import CameraSequence, Lamp
@@ -68,12 +70,12 @@ class Exposure:
         return self.world.pose(self.z_mm)
 
     @cached_property
-    def extremes(self) -> dict[Lamp, tuple[float, float]]:
+    def extremes(self) -> Mapping[Lamp, tuple[float, float]]:
         """Of each lamp, the light of the row that got least and of the one that got most."""
         rows = ((Lamp.PROJECTOR, self.projector), (Lamp.LED, self.led))
         return {lamp: (float(light.min()), float(light.max())) for lamp, light in rows}
 
-    @property
+    @cached_property
     def lamps(self) -> frozenset[Lamp]:
         """Lamps that put any light into it; empty for a dark frame."""
         return frozenset(lamp for lamp, (_, most) in self.extremes.items() if most > UNLIT)
@@ -103,19 +105,26 @@ class ImageSensor:
         self.faults = faults
         self.clock = clock or HostClock()
         self.offset_us = -timing.readout_us if timestamp_offset_us is None else timestamp_offset_us
-        self._seed = seed
+        self._draws = (Draws(seed, 1), Draws(seed, 2))
         self._period = timing.period_us * TICKS_PER_US
         self._readout = round(timing.readout_us * TICKS_PER_US)
         self._exposure = round(timing.exposure_us * TICKS_PER_US)
         self._start = start_tick
         self._ended = 0  # frames handed out
         self._announced = 0  # frames whose sync pulses were handed out
+        self._announces = self.edge(0) - self._readout  # tick at which that of the next one begins
         self._told = start_tick - 1  # stimuli up to here were handed out
         self._pending: list[Stimulus] = []
         self._gates = {PIN_PROJECTOR: _Gate(), PIN_LED: _Gate()}
         self.cable = Cable(world.travel_mm, world.mm_per_count, start_tick, speed_mm_s)
         rows = np.arange(world.camera.height) / max(world.camera.height - 1, 1)
+        self._nominal = {
+            PIN_PROJECTOR: world.projector.nominal_us * TICKS_PER_US,
+            PIN_LED: world.led.nominal_us * TICKS_PER_US,
+        }
+        self._alike: dict[tuple[int, int], tuple[NDArray[np.float32], tuple[float, float]]] = {}  # rows by pin, ticks
         self._row_close = -np.round(self._readout * (1.0 - rows)).astype(np.int64)  # after the edge
+        self._closes = (int(self._row_close[0]), int(self._row_close[-1]))
 
     @property
     def next_edge(self) -> int:
@@ -140,14 +149,17 @@ class ImageSensor:
         """Input pins' transitions after those already told, up to and including tick `until`, in order."""
         if self._told < self._start:
             self._pending += [(self._start, pin, level) for pin, level in self.levels()]
-        while self.edge(self._announced) - self._readout <= until:
+        while self._announces <= until:
             self._pending += self._sync_of(self._announced)
             self._announced += 1
+            self._announces = self.edge(self._announced) - self._readout
         self._pending += self.cable.stimuli(self._told, until, self._history)
-        self._pending.sort(key=lambda stimulus: stimulus[0])
+        self._told = max(self._told, until)
+        if not self._pending:
+            return []
+        self._pending.sort(key=itemgetter(0))
         now = [s for s in self._pending if s[0] <= until]
         self._pending = self._pending[len(now) :]
-        self._told = max(self._told, until)
         return now
 
     def exposures(self, now: int, transitions: Iterable[Sequence[int]] | NDArray[Any] = ()) -> list[Exposure]:
@@ -160,45 +172,57 @@ class ImageSensor:
             if pin in self._gates:
                 self._gates[pin].change(tick, level)
         done = []
-        while self.next_edge <= now:
+        while self.edge(self._ended) <= now:
             done.append(self._expose(self._ended))
             self._ended += 1
+        before = self.next_edge - self._readout - self._exposure
         for gate in self._gates.values():
-            gate.forget(self.next_edge - self._readout - self._exposure)
+            if gate.pulses:
+                gate.forget(before)
         return done
 
     def _expose(self, frame: int) -> Exposure:
         edge = self.edge(frame)
-        close = edge + self._row_close
-        projector, at_projector = self._gates[PIN_PROJECTOR].collect(close - self._exposure, close)
-        led, at_led = self._gates[PIN_LED].collect(close - self._exposure, close)
-        weight = (float(projector.sum()), float(led.sum()))
+        projector, led = (self._collected(pin, edge) for pin in (PIN_PROJECTOR, PIN_LED))
         at = float(edge - self._readout // 2 - self._exposure // 2)  # where nothing lit it
-        if sum(weight) > 0.0:
-            at = (at_projector * weight[0] + at_led * weight[1]) / sum(weight)
+        weight = projector.weight + led.weight
+        if weight > 0.0:
+            at = (projector.at * projector.weight + led.at * led.weight) / weight
         z = self.cable.z_mm(at)
         dropped, late = False, self.offset_us
         if self.faults.frames_dropped or self.faults.timestamp_jitter_us:
-            rng = np.random.default_rng([self._seed, 1, frame])
+            rng = self._draws[0].of(frame)
             dropped = bool(rng.random() < self.faults.frames_dropped)
             late += self.faults.timestamp_jitter_us * float(rng.standard_normal())
-        nominal = (self.world.projector.nominal_us, self.world.led.nominal_us)
-        return Exposure(
-            CameraSequence(frame),
-            edge,
-            self.clock.ns(edge + late * TICKS_PER_US),
-            z,
-            self.world,
-            (projector / (nominal[0] * TICKS_PER_US)).astype(np.float32),
-            (led / (nominal[1] * TICKS_PER_US)).astype(np.float32),
-            dropped,
-        )
+        stamp = self.clock.ns(edge + late * TICKS_PER_US)
+        rows = (projector.rows, led.rows)
+        exposure = Exposure(CameraSequence(frame), edge, stamp, z, self.world, *rows, dropped)
+        if projector.alike is not None and led.alike is not None:  # known without a look at the rows
+            exposure.__dict__["extremes"] = {Lamp.PROJECTOR: projector.alike, Lamp.LED: led.alike}
+        return exposure
+
+    def _collected(self, pin: int, edge: int) -> "_Light":
+        """Of one lamp, in the frame that ends there."""
+        gate, nominal = self._gates[pin], self._nominal[pin]
+        closes = (edge + self._closes[0], edge + self._closes[1])
+        alike = gate.of_all((closes[0] - self._exposure, closes[1] - self._exposure), closes)
+        if alike is None:
+            close = edge + self._row_close
+            total, at = gate.collect(close - self._exposure, close)
+            return _Light((total / nominal).astype(np.float32), float(total.sum()), at)
+        ticks, at = alike
+        if (pin, ticks) not in self._alike:
+            rows = np.full(len(self._row_close), ticks / nominal, np.float32)
+            rows.setflags(write=False)
+            self._alike[pin, ticks] = rows, (float(rows[0]), float(rows[0]))
+        rows, extremes = self._alike[pin, ticks]
+        return _Light(rows, float(ticks * len(rows)), at, extremes)
 
     def _sync_of(self, frame: int) -> list[Stimulus]:
         """High from the end of the first line to the end of the last."""
         missing = glitch = False
         if self.faults.sync_missing or self.faults.sync_glitches:
-            rng = np.random.default_rng([self._seed, 2, frame])
+            rng = self._draws[1].of(frame)
             missing, glitch = rng.random(2) < (self.faults.sync_missing, self.faults.sync_glitches)
         edge = self.edge(frame)
         out: list[Stimulus] = [] if missing else [(edge - max(self._readout, 100), PIN_SYNC, 1), (edge, PIN_SYNC, 0)]
@@ -211,6 +235,16 @@ class ImageSensor:
     def _history(self) -> int:
         """Ticks that a frame still to be handed out may look back."""
         return self._readout + self._exposure + 3 * round(self._period)
+
+
+@dataclass(frozen=True, slots=True)
+class _Light:
+    """What a frame got of one lamp."""
+
+    rows: NDArray[np.float32]  # over the lamp's nominal on-time
+    weight: float  # ticks, over all rows
+    at: float  # centre of gravity, tick
+    alike: tuple[float, float] | None = None  # least and most, where all rows are known to have got the same
 
 
 @dataclass(slots=True)
@@ -229,6 +263,21 @@ class _Gate:
 
     def forget(self, before: int) -> None:
         self.pulses = [p for p in self.pulses if p[1] >= before]
+
+    def of_all(self, opens: tuple[int, int], closes: tuple[int, int]) -> tuple[int, float] | None:
+        """On-ticks that each row saw and their centre of gravity, if every pulse was all rows' or none's. `opens`,
+        `closes`: the first row and the last, for they do so one after the other.
+        """
+        if self.on_since is not None and self.on_since < closes[1]:
+            return None
+        total, moment = 0, 0.0
+        for on, off in self.pulses:
+            if on >= opens[1] and off <= closes[0]:
+                total += off - on
+                moment += (off - on) * (on + off) / 2.0
+            elif on < closes[1] and off > opens[0]:
+                return None
+        return total, moment / total if total else 0.0
 
     def collect(self, opened: NDArray[np.int64], closed: NDArray[np.int64]) -> tuple[NDArray[np.int64], float]:
         """On-ticks within each row's exposure, and their centre of gravity in time."""

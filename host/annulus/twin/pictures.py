@@ -7,7 +7,6 @@ drawn or put together row by row, and measured, as it comes.
 """
 
 from collections import OrderedDict
-from dataclasses import replace
 
 import numpy as np
 
@@ -53,9 +52,12 @@ class Pictures:
 
     def _alone_of_its_kind(self, measured: Photometry, first: Exposure, last: Exposure) -> Photometry:
         """With fingerprints of the exposures that its first and last rows are of."""
-        top, bottom = self._fingerprint(first), self._fingerprint(last)
-        mixed = top if first is last else top ^ (bottom << 1 & _BITS)
-        return replace(measured, fingerprint=mixed, top=top >> 16, bottom=bottom >> 16)
+        top = mixed = bottom = self._fingerprint(first)
+        if first is not last:
+            bottom = self._fingerprint(last)
+            mixed = top ^ (bottom << 1 & _BITS)
+        m = measured
+        return Photometry(m.peak, m.lit, m.spread, m.bands, mixed, top >> 16, bottom >> 16)
 
     def _image(self, exposure: Exposure) -> Image:
         lit = _lit(exposure)
@@ -75,12 +77,13 @@ class Pictures:
         station = int(exposure.z_mm % self._world.travel_mm / self._world.travel_mm * STATIONS)
         noise = int(exposure.sequence) % NOISES
         key = (*lit, station, noise)
-        if key not in self._kept:
+        kept = self._kept.get(key)
+        if kept is None:
             z = (station + 0.5) * self._world.travel_mm / STATIONS
             seed = 1 + noise + NOISES * station
             image = self._renderer.render(self._world.pose(z), z, float(lit[0]), float(lit[1]), seed=seed)
-            self._kept[key] = image, measure(image)
-        return self._kept[key]
+            kept = self._kept[key] = image, measure(image)
+        return kept
 
     def _fingerprint(self, exposure: Exposure) -> int:
         """splitmix64 of the exposure's number."""
@@ -93,8 +96,9 @@ class Pictures:
 def _lit(exposure: Exposure) -> tuple[bool, bool] | None:
     """(projector, LED) when each is all there or not at all, else None."""
     lit = []
+    extremes = exposure.extremes
     for lamp in (Lamp.PROJECTOR, Lamp.LED):
-        least, most = exposure.extremes[lamp]
+        least, most = extremes[lamp]
         if most > UNLIT and not 1.0 - EVEN <= least <= most <= 1.0 + EVEN:
             return None
         lit.append(most > UNLIT)
