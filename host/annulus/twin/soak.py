@@ -6,6 +6,7 @@ they found is added. The result does not depend on how many processes there were
 `pictures` what of the camera is kept instead of drawn.
 """
 
+import gc
 import os
 import time
 from collections import Counter
@@ -24,6 +25,7 @@ from annulus.vocabulary import AnnulusError
 
 FRAMES_MIN = 100
 WORLD_FRAMES = 50_000
+RELOCKS_SHOWN = 5
 _FOLDED = ("frames", "seed", "clock", "shown", "relocks", "z_error_max_mm", "z_assumed_error_max_mm")
 
 
@@ -81,6 +83,7 @@ def _world(
     opened = open_board(board)
     try:
         world = SoakWorld(frames, seed, faults, opened, without)
+        gc.freeze()  # all that was imported: nobody need look through it again
         for frame in range(frames):
             world.frame(frame)
             if progress is not None and frame % 100 == 0:
@@ -117,10 +120,7 @@ def _on_processes(
 
 def _together(frames: int, seed: int, reports: list[dict[str, Any]], seconds: float) -> dict[str, Any]:
     """Counts added, greatest errors kept."""
-    relocks: dict[str, list[int]] = {}
-    for report in reports:
-        for kind, found in report["relocks"].items():
-            relocks.setdefault(kind, []).extend(found)
+    relocks = sorted((one for report in reports for one in report["relocks"]), key=lambda one: one["frames"])
     summed: dict[str, Any] = {}
     for key, value in reports[0].items():
         if key in _FOLDED:
@@ -135,8 +135,9 @@ def _together(frames: int, seed: int, reports: list[dict[str, Any]], seconds: fl
         "unknown_share": round(summed["unknown"] / frames, 5),
         "z_error_max_mm": max(report["z_error_max_mm"] for report in reports),
         "z_assumed_error_max_mm": max(report["z_assumed_error_max_mm"] for report in reports),
-        "relock_frames_max": max((max(found) for found in relocks.values()), default=0),
-        "relock_frames": {kind: max(found) for kind, found in sorted(relocks.items())},
+        "relock_frames_max": relocks[-1]["frames"] if relocks else 0,
+        "relock_frames": dict(sorted({one["kind"]: one["frames"] for one in relocks}.items())),
+        "relock_worst": relocks[: -RELOCKS_SHOWN - 1 : -1],
         "clock": max((report["clock"] for report in reports), key=lambda clock: abs(clock["drift_ppm"])),
         "wrong_ones": [one for report in reports for one in report["shown"]][:SHOWN_MAX],
         "virtual_s": round(frames / 25.0, 1),

@@ -3,7 +3,7 @@ the daemon has them on the other, and the truth beside them.
 """
 
 from collections import Counter, deque
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -157,6 +157,8 @@ class SoakWorld:
     @property
     def _stalled(self) -> bool:
         """Whether the host does nothing at present."""
+        if not self._stalls:
+            return False
         now = self.tick
         while self._stalls and self._stalls[0][1] <= now:
             self._stalls.pop(0)
@@ -164,25 +166,28 @@ class SoakWorld:
 
     def _advance(self, until: int) -> None:
         """Let the world go on, stopping wherever the host has something to say or to hear."""
+        board, head = self.board, self.head
         while (now := self.tick) < until:
             awake, plugged = not self._stalled, now >= self._unplugged_until
             busy = False
             if awake and plugged:
                 if self._unplugged_until >= 0:
                     self._unplugged_until = -1
-                    self.head.reopened()
-                self.board.serial_write(self.head.pending(self._now))
-                busy = self.head.phase is not Phase.RUNNING or not self.head.session.idle
+                    head.reopened()
+                to_send = head.pending(self._now)
+                if to_send:
+                    board.serial_write(to_send)
+                busy = head.phase is not Phase.RUNNING or not head.session.idle
             stop = min(until, now + (STEP_TICKS if busy else IDLE_TICKS))
             for tick, pin, level in self.sensor.stimuli(stop):
-                self.board.input(max(tick, now), pin, level)
-            self.board.run_until(stop)
+                board.input(tick if tick > now else now, pin, level)
+            board.run_until(stop)
             self.tick = stop
-            self.truth.life(self.board.boot_tick, self.board.boot)
+            self.truth.life(board.boot_tick, board.boot)
             if not plugged:
-                self.board.serial_read()
+                board.serial_read()
             elif awake:
-                for news in self.head.receive(self.line.carry(self.board.serial_read()), self._now):
+                for news in head.receive(self.line.carry(board.serial_read()), self._now):
                     self._heard(news)
 
     def _heard(self, news: HeadEvent) -> None:
@@ -327,7 +332,10 @@ class SoakWorld:
             "z_error_max_mm": round(self.truth.error_mm, 3),
             "z_assumed_error_max_mm": round(self.truth.assumed_error_mm, 1),
             "reasons": dict(sorted(self.reasons.items())),
-            "relocks": relocks(sorted(disturbed, key=lambda d: d[1]), self.right, self.frames),
+            "relocks": [
+                {"world": self.seed, **asdict(relock)}
+                for relock in relocks(sorted(disturbed, key=lambda d: d[1]), self.right, self.frames)
+            ],
             "disturbances": {
                 **self.driver.counts,
                 "events_lost": self.line.events_lost,

@@ -120,17 +120,26 @@ def _lit_evenly(part: Part, lamp: Lamp) -> bool:
     return not len(seen) or float(np.min(seen)) >= EVEN * most
 
 
-def relocks(disturbed: list[tuple[str, int]], right: list[int], frames: int) -> dict[str, list[int]]:
-    """For each disturbance, by kind: frames from its end to the next right label, that frame included.
+@dataclass(frozen=True, slots=True)
+class Relock:
+    """What came after a disturbance."""
+
+    kind: str
+    first: int  # frame that it no longer touches
+    frames: int  # from that one to the next right label, both included
+
+
+def relocks(disturbed: list[tuple[str, int]], right: list[int], frames: int) -> list[Relock]:
+    """For each disturbance: frames from its end to the next right label, that frame included.
 
     right : numbers of rightly labelled frames, rising. A disturbance with no right label after it counts as all the
     frames that were left, unless fewer were left than a relock is allowed to take.
     """
-    found: dict[str, list[int]] = {}
+    found = []
     for kind, first in disturbed:
         at = bisect_right(right, first - 1)
         if at < len(right):
-            found.setdefault(kind, []).append(right[at] - first + 1)
+            found.append(Relock(kind, first, right[at] - first + 1))
         elif frames - first > 8:
-            found.setdefault(kind, []).append(frames - first)
+            found.append(Relock(kind, first, frames - first))
     return found

@@ -9,7 +9,7 @@ from annulus.stream.frames import FrameHeader
 from annulus.twin.cable import Cable
 from annulus.twin.driver import Delivered, Part
 from annulus.twin.image_sensor import Exposure
-from annulus.twin.truth import Truth, Verdict, relocks
+from annulus.twin.truth import Relock, Truth, Verdict, relocks
 from annulus.twin.worlds import clean_world
 from annulus.vocabulary import CameraSequence, EdgeFlag, EdgeIndex, Flash, Label, Lamp, Slot, Tick
 
@@ -97,5 +97,5 @@ def test_z_is_judged_from_where_it_was_said_to_be_zero(truth: Truth) -> None:
 
 
 def test_a_relock_counts_from_the_end_of_the_disturbance_to_the_next_right_label() -> None:
-    assert relocks([("drop", 10), ("drop", 20)], [9, 10, 23, 24], 30) == {"drop": [1, 4]}
-    assert relocks([("reset", 100)], [9], 200) == {"reset": [100]}  # never: everything that was left
+    assert relocks([("drop", 10), ("drop", 20)], [9, 10, 23, 24], 30) == [Relock("drop", 10, 1), Relock("drop", 20, 4)]
+    assert relocks([("reset", 100)], [9], 200) == [Relock("reset", 100, 100)]  # never: everything that was left
