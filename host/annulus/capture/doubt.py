@@ -27,6 +27,7 @@ PASSED_RUN = 2  # frames on which all agree, after a doubt about time
 MOVED_RUN = 4  # on which two agree
 PICTURES_RUN = 5  # after a doubt about pictures, and where nobody but pictures can say
 ALONE_RUN = 8  # where one is alone against one
+AGAINST_RUN = 4  # more, for each picture that was against it before
 LAMP_LOOKED_FOR = 8  # frames back
 
 
@@ -62,11 +63,14 @@ class Doubt:
         self._history, self._period_ns = history, period_ns
         self._glimpses: deque[Glimpse] = deque(maxlen=GLIMPSES_KEPT)
         self._stamps_impossible = False
+        self._taken: int | None = None
         self.frames = 0
         self.pictures = 0  # that contradicted
 
-    def begin(self, news: News) -> None:
+    def begin(self, news: News, taken: int | None) -> None:
+        """`taken`: the last edge that had its frame; None where it is not known, or not asked."""
         self._glimpses.clear()
+        self._taken = taken
         self._stamps_impossible = news in (News.EARLY, News.ORDER, News.BETWEEN)
         self.frames, self.pictures = 0, int(news is News.PICTURE)
 
@@ -91,19 +95,24 @@ class Doubt:
         return None
 
     def _run(self, way: Callable[[Glimpse], int | None], length: int, shown: bool, why: str) -> Agreed | None:
-        """The run that ends with the latest frame, if it is long enough. `shown`: some picture is of another lamp."""
+        """The run that ends with the latest frame, if it is long enough. `shown`: some picture is of another lamp.
+
+        A picture of this doubt that is against this way makes the run longer: in a preamble any four may fit by chance.
+        """
         run: list[tuple[Glimpse, int]] = []
-        told = 0
+        told, ended = 0, False
         for glimpse in reversed(self._glimpses):
             ordinal = way(glimpse)
-            if ordinal is None or (run and ordinal >= run[-1][1]):
-                break
+            if ordinal is None or (self._taken is not None and ordinal <= self._taken):
+                ended = True
+                continue
             flash = self._history.lit(ordinal)
-            if flash is not None and glimpse.light is not None:
-                if glimpse.light is not LIGHTS[flash.lamp]:
-                    break
-                told += flash.lamp is not Lamp.PROJECTOR
-            run.append((glimpse, ordinal))
+            fits = flash is None or glimpse.light is None or glimpse.light is LIGHTS[flash.lamp]
+            length += 0 if fits else AGAINST_RUN
+            ended |= not fits or (bool(run) and ordinal >= run[-1][1])
+            if not ended:
+                run.append((glimpse, ordinal))
+                told += flash is not None and glimpse.light is not None and flash.lamp is not Lamp.PROJECTOR
         if len(run) < length or (shown and not told and self._other_lamp_before(run[0][1])):
             return None
         return self._what_it_says(run[::-1], way, why)

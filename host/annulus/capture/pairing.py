@@ -321,7 +321,7 @@ class Pairing:
         if self._state is before:
             return
         if self._state in (State.DOUBTED, State.TENTATIVE):
-            self._doubt.begin(news)
+            self._doubt.begin(news, None if Witness.ORDER in self._without else self._last)
         if self._tell is not None:
             self._tell(f"labels were {before}, now {self._state}: {why or news}")
 

@@ -41,7 +41,7 @@ class Delivered:
     """One frame as the host gets it."""
 
     number: int  # the exposure in whose turn it came
-    sequence: CameraSequence  # what the driver says its count is
+    sequence: CameraSequence | None  # what the driver says its count is; None where it does not count
     timestamp_ns: int
     due_tick: int
     parts: tuple[Part, ...]  # of the picture, from the top; more than one: torn
@@ -62,8 +62,11 @@ class Driver:
         self._drawn: list[list[float]] = []
         self._picture: tuple[Part, ...] = ()  # in the last buffer that was handed over
         self._due = 0
+        self._held = False  # the last frame came late, or had to wait behind one that did
         self._steps = sorted(faults.stamp_steps)
         self._stepped = 0.0  # frames
+        self._deepened = sorted(faults.queue_steps)
+        self._queued = 0.0  # frames
         self._jumps = sorted(
             [(at, float(by)) for at, by in faults.count_jumps] + [(at, None) for at in faults.count_resets],
             key=lambda jump: jump[0],
@@ -90,8 +93,11 @@ class Driver:
             return None
         picture = self._pictured(exposure, number, draws)
         self._picture, self._due = picture, due
-        count = CameraSequence(max(0, number - self._counted_from))
-        return Delivered(number, count, self._stamp(exposure, number, draws), due, picture)
+        count = None if self._faults.uncounted else CameraSequence(max(0, number - self._counted_from))
+        stamp = self._stamp(exposure, number, draws)
+        if self._faults.stamped_when_handed_over:
+            stamp += round((due - exposure.edge_tick - LAG_US * TICKS_PER_US) * TICK_NS)
+        return Delivered(number, count, stamp, due, picture)
 
     def absent(self, number: int) -> bool:
         """Whether there is no camera in this frame."""
@@ -103,6 +109,9 @@ class Driver:
         while self._steps and self._steps[0][0] <= number:
             self._stepped += self._steps.pop(0)[1]
             self._lost("stamp_step", number - 1)
+        while self._deepened and self._deepened[0][0] <= number:
+            self._queued = min(max(self._queued + self._deepened.pop(0)[1], 0.0), float(BUFFERS))
+            self._lost("queue_step", number - 1)
         while self._jumps and self._jumps[0][0] <= number:
             by = self._jumps.pop(0)[1]
             self._counted_from = number if by is None else self._counted_from - int(by)
@@ -139,7 +148,7 @@ class Driver:
 
     def _stamp(self, exposure: Exposure, number: int, draws: list[float]) -> int:
         faults = self._faults
-        frames = faults.stamp_offset_frames + self._stepped
+        frames = faults.stamp_offset_frames + self._stepped + self._queued
         if draws[3] < faults.stamps_late:
             self._lost("stamp_late", number)
             much = 0.1 + 2.9 * draws[4]
@@ -152,10 +161,15 @@ class Driver:
         """When the host has it; None when the driver had no buffer left while the host stood still."""
         faults = self._faults
         lag_us = LAG_US - LAG_SPREAD_US * math.log(1.0 - draws[6])
-        due = exposure.edge_tick + lag_us * TICKS_PER_US + faults.delivery_frames * self._period
+        due = exposure.edge_tick + lag_us * TICKS_PER_US + (faults.delivery_frames + self._queued) * self._period
+        soonest = self._due + 50 * TICKS_PER_US
         if draws[7] < faults.frames_late:
             self.counts["late"] += 1
             due += draws[4] * LATE_MAX_S / TICK_S
+            self._held = True
+        elif self._held and due >= soonest:
+            self._held = False
+            self.disturbed.append(("late", int(exposure.sequence)))
         while self._stalls and due >= self.stall_ends(self._stalls[0]):
             at, seconds = self._stalls.pop(0)
             self.counts["stall"] += 1
@@ -166,7 +180,7 @@ class Driver:
             if self._stalled > BUFFERS:
                 return None
             due = self.stall_ends(self._stalls[0])
-        return max(round(due), self._due + 50 * TICKS_PER_US)
+        return max(round(due), soonest)
 
     def stall_begins(self, stall: tuple[int, float]) -> float:
         """World tick, in the middle of the frame that was named."""

@@ -16,8 +16,9 @@ Placed = tuple[tuple[int, float], ...]
 
 _SHARES = (
     "frames_dropped", "frames_repeated", "frames_torn", "frames_late", "stamps_late", "events_lost", "bytes_flipped",
-    "sync_missing", "sync_glitches",
+    "sync_missing", "sync_glitches", "flashes_failed",
 )  # fmt: skip
+_WHETHER = ("uncounted", "stamped_when_handed_over")
 _AMOUNTS = {
     "timestamp_jitter_us": (0.0, 1e6),
     "stamp_offset_frames": (-100.0, 100.0),
@@ -28,6 +29,7 @@ _AMOUNTS = {
 _FRAMES = ("resets", "power_losses", "count_resets")
 _PLACED = {  # what the second number may be
     "stamp_steps": (-1000.0, 1000.0),
+    "queue_steps": (-100.0, 100.0),
     "count_jumps": (-1e6, 1e6),
     "frozen": (1.0, 1e6),
     "unplugged": (1.0, 1e6),
@@ -67,6 +69,10 @@ class Faults:
     power_losses: tuple[int, ...] = ()  # the controller starts anew, and draws the very boot byte it had
     disconnects: Placed = ()  # frame, ms without a line to the controller
     stalls: Placed = ()  # frame, seconds in which the host does nothing; the driver keeps its oldest frames
+    flashes_failed: float = 0.0  # the gate opens, and the lamp stays dark: a loose contact
+    uncounted: bool = False  # the driver does not number its frames
+    stamped_when_handed_over: bool = False  # a frame that is late has a late stamp, too
+    queue_steps: Placed = ()  # frame, by how many more its driver keeps frames back from there on; stamps with them
 
     def __post_init__(self) -> None:
         for name in _SHARES:
@@ -83,6 +89,9 @@ class Faults:
             pairs = getattr(self, name)
             if not (isinstance(pairs, tuple) and all(_is_placed(pair, low, high, name in _WHOLE) for pair in pairs)):
                 raise AnnulusError(f"faults: {name} is {pairs!r}, expected (frame, {low:.0f} to {high:.0f}) each")
+        for name in _WHETHER:
+            if not isinstance(getattr(self, name), bool):
+                raise AnnulusError(f"faults: {name} is {getattr(self, name)!r}, expected true or false")
         if not all(_is_silence(silence) for silence in self.sensors_silent):
             raise AnnulusError(f"faults: sensors_silent is {self.sensors_silent!r}, expected (name, after_s, for_s)")
 

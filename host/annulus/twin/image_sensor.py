@@ -105,7 +105,7 @@ class ImageSensor:
         self.faults = faults
         self.clock = clock or HostClock()
         self.offset_us = -timing.readout_us if timestamp_offset_us is None else timestamp_offset_us
-        self._draws = (Draws(seed, 1), Draws(seed, 2))
+        self._draws = (Draws(seed, 1), Draws(seed, 2), Draws(seed, 7))
         self._period = timing.period_us * TICKS_PER_US
         self._readout = round(timing.readout_us * TICKS_PER_US)
         self._exposure = round(timing.exposure_us * TICKS_PER_US)
@@ -169,7 +169,7 @@ class ImageSensor:
         """
         told = transitions.tolist() if isinstance(transitions, np.ndarray) else transitions
         for tick, pin, level in told:
-            if pin in self._gates:
+            if pin in self._gates and not (self.faults.flashes_failed and level and self._fails(tick)):
                 self._gates[pin].change(tick, level)
         done = []
         while self.edge(self._ended) <= now:
@@ -217,6 +217,10 @@ class ImageSensor:
             self._alike[pin, ticks] = rows, (float(rows[0]), float(rows[0]))
         rows, extremes = self._alike[pin, ticks]
         return _Light(rows, float(ticks * len(rows)), at, extremes)
+
+    def _fails(self, tick: int) -> bool:
+        """Whether the lamp does not follow a gate that opens then."""
+        return bool(self._draws[2].of(round(tick / self._period)).random() < self.faults.flashes_failed)
 
     def _sync_of(self, frame: int) -> list[Stimulus]:
         """High from the end of the first line to the end of the last."""

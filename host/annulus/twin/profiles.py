@@ -34,17 +34,28 @@ _DRAWN: Mapping[str, Callable[[np.random.Generator], tuple[str, float | None]]] 
     "count resets": lambda rng: ("count_resets", None),
     "stalls": lambda rng: ("stalls", round(float(rng.uniform(0.1, 4.0)), 3)),
     "long outages": lambda rng: ("disconnects", 60_000.0),
+    "unheard restarts": lambda rng: ("disconnects", 60_000.0),  # .. of the controller, in the middle of an outage
+    "reckoned jumps": lambda rng: ("stamp_steps", int(rng.choice([-5, 5]))),  # .. and the count's
+    "queue steps": lambda rng: ("queue_steps", int(rng.choice([-3, -2, -1, 1, 2, 3]))),
+}
+_UNHEARD = 50  # frames that the line is away before
+_ALSO: Mapping[str, Callable[[int, float | None], tuple[str, Any]]] = {  # what comes with it
+    "unheard restarts": lambda at, much: ("resets", at + _UNHEARD),
+    "reckoned jumps": lambda at, much: ("count_jumps", (at, much)),
 }
 
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """Rates, and disturbances a million frames by kind. `thirds`: two resets, a third and two thirds of the way."""
+    """Rates, and disturbances a million frames by kind. `thirds`: two resets, a third and two thirds of the way.
+    `ratio`: projector flashes to one of the LED.
+    """
 
     says: str
     rates: Faults = NO_FAULTS
     per_million: Mapping[str, float] = field(default_factory=dict)
     thirds: bool = False
+    ratio: int = 4
 
     def place(self, frames: int, seed: int) -> Faults:
         """The faults of a run of so many frames."""
@@ -61,6 +72,9 @@ class Profile:
             at = FIRST + int(width * (i + rng.uniform(0.0, 0.3)))
             name, much = _DRAWN[kind](rng)
             found.setdefault(name, []).append(at if much is None else (at, much))
+            if kind in _ALSO:
+                name, value = _ALSO[kind](at, much)
+                found.setdefault(name, []).append(value)
         found = {name: tuple(values) for name, values in found.items()}
         return replace(self.rates, **found)
 
@@ -113,8 +127,28 @@ PROFILES = {
     ),
     "disconnects": Profile("the line to the controller is pulled and plugged", per_million={"disconnects": 300}),
     "winch-at-rest": Profile(
-        "the controller restarts, the line is away for a minute; the winch stops with it, or does not",
-        per_million={"resets": 200, "long outages": 60},
+        "the controller restarts, the line is away for a minute, or both; the winch stops with it, or does not",
+        per_million={"resets": 200, "long outages": 40, "unheard restarts": 40},
+    ),
+    "flashes-fail": Profile("one flash in 50 is ordered and does not come", Faults(flashes_failed=0.02)),
+    "queue-steps": Profile(
+        "the driver keeps one to three frames more, or fewer, and stamps what it hands over",
+        per_million={"queue steps": 2000},
+    ),
+    "handed-over": Profile(
+        "a driver that does not count stamps what it hands over; one frame in 50 is late",
+        Faults(frames_late=0.02, uncounted=True, stamped_when_handed_over=True),
+    ),
+    "reckoned": Profile(
+        "a driver that reckons its stamps from its count moves both by a whole lamp cycle",
+        per_million={"reckoned jumps": 1000},
+    ),
+    "kept-five": Profile("every frame is handed over five frames late", Faults(delivery_frames=5.0)),
+    "ratio-0": Profile(
+        "stamps move, and there is no LED in the cycle", per_million={"whole steps": 200, "part steps": 200}, ratio=0
+    ),
+    "ratio-1": Profile(
+        "stamps move, and every other flash is the LED's", per_million={"whole steps": 200, "part steps": 200}, ratio=1
     ),
 }  # fmt: skip
 

@@ -56,7 +56,14 @@ def soak(
     worlds = max(1, round(frames / world_frames))
     lengths = [frames // worlds + (i < frames % worlds) for i in range(worlds)]
     orders = [
-        (length, seed if worlds == 1 else 1000 * seed + i, profile.place(length, 1000 * seed + i), unasked, board)
+        (
+            length,
+            seed if worlds == 1 else 1000 * seed + i,
+            profile.place(length, 1000 * seed + i),
+            unasked,
+            board,
+            profile.ratio,
+        )
         for i, length in enumerate(lengths)
     ]
     began = time.perf_counter()
@@ -73,16 +80,22 @@ def soak(
     return _together(frames, seed, reports, time.perf_counter() - began)
 
 
-_Order = tuple[int, int, Faults, frozenset[Witness], str]
+_Order = tuple[int, int, Faults, frozenset[Witness], str, int]
 _Progress = Callable[[int], None] | None
 
 
 def _world(
-    frames: int, seed: int, faults: Faults, without: frozenset[Witness], board: str, progress: _Progress = None
+    frames: int,
+    seed: int,
+    faults: Faults,
+    without: frozenset[Witness],
+    board: str,
+    ratio: int,
+    progress: _Progress = None,
 ) -> dict[str, Any]:
     opened = open_board(board)
     try:
-        world = SoakWorld(frames, seed, faults, opened, without)
+        world = SoakWorld(frames, seed, faults, opened, without, ratio)
         gc.freeze()  # all that was imported: nobody need look through it again
         for frame in range(frames):
             world.frame(frame)
@@ -138,6 +151,11 @@ def _together(frames: int, seed: int, reports: list[dict[str, Any]], seconds: fl
         "relock_frames_max": relocks[-1]["frames"] if relocks else 0,
         "relock_frames": dict(sorted({one["kind"]: one["frames"] for one in relocks}.items())),
         "relock_worst": relocks[: -RELOCKS_SHOWN - 1 : -1],
+        "relock_mixed": {
+            "disturbances": len(relocks),
+            "mixed": sum(one["whole"] > one["frames"] for one in relocks),
+            "worst": max(relocks, key=lambda one: one["whole"], default=None),
+        },
         "clock": max((report["clock"] for report in reports), key=lambda clock: abs(clock["drift_ppm"])),
         "wrong_ones": [one for report in reports for one in report["shown"]][:SHOWN_MAX],
         "virtual_s": round(frames / 25.0, 1),

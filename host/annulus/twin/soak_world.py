@@ -70,7 +70,9 @@ def soak_configuration(timing: FrameTiming, world: World, *, ratio: int = 4) -> 
 class SoakWorld:
     """`frame` with each number in turn, `finish`, then `report`. The board is the caller's to close."""
 
-    def __init__(self, frames: int, seed: int, faults: Faults, board: Board, without: frozenset[Witness]) -> None:
+    def __init__(
+        self, frames: int, seed: int, faults: Faults, board: Board, without: frozenset[Witness], ratio: int = 4
+    ) -> None:
         self.frames, self.seed, self.faults = frames, seed, faults
         self.timing = FrameTiming(25.0, 38_000.0, 28_000.0)
         self.period = self.timing.period_us * TICKS_PER_US
@@ -87,7 +89,7 @@ class SoakWorld:
         self.boot = seed % 200  # a native board takes it, an emulated one has its own
         self.board.power_on(self.boot)
         self.tick = board.tick  # of the world, now; an emulated one takes time to come up
-        stage = soak_configuration(self.timing, self.world)
+        stage = soak_configuration(self.timing, self.world, ratio=ratio)
         self.head = HeadControl(stage, preamble=preamble_of(stage, PREAMBLE_FRAMES, PREAMBLE_S))
         self.navigation = Navigation(self.world.mm_per_count, SPEED_MAX_MM_S)
         camera = self.world.camera
@@ -100,7 +102,7 @@ class SoakWorld:
         self.right: list[int] = []
         self.shown: list[dict[str, Any]] = []  # the first wrong ones
         self.disturbed: list[tuple[str, int]] = []  # kind, first frame after its end
-        self.events_lost_seen = self.events_lost_for_good = 0
+        self.events_lost_seen = self.bytes_flipped_seen = self.events_lost_for_good = 0
         self.unknown_since: int | None = None
         self.last_told = 0
         self.untold = self.unlit = 0
@@ -137,6 +139,9 @@ class SoakWorld:
         if self.line.events_lost > self.events_lost_seen:
             self.events_lost_seen = self.line.events_lost
             self.disturbed.append(("event_lost", number + 1))
+        if self.line.bytes_flipped > self.bytes_flipped_seen:
+            self.bytes_flipped_seen = self.line.bytes_flipped
+            self.disturbed.append(("bytes_flipped", number + 1))
         if number == self._zero_at:
             self._zeroing = True
             self.navigation.odometer.zeroed_mm = None
@@ -340,7 +345,7 @@ class SoakWorld:
                 **self.driver.counts,
                 "events_lost": self.line.events_lost,
                 "bytes_flipped": self.line.bytes_flipped,
-                **Counter(kind for kind, _ in self.disturbed if kind != "event_lost"),
+                **Counter(kind for kind, _ in self.disturbed if kind not in ("event_lost", "bytes_flipped")),
             },
             "link": self.head.session.counters.as_dict(),
             "events_lost_for_good": self.events_lost_for_good,

@@ -126,20 +126,25 @@ class Relock:
 
     kind: str
     first: int  # frame that it no longer touches
-    frames: int  # from that one to the next right label, both included
+    whole: int  # frames from that one to the next right label, both included
+    frames: int  # the same, from the end of the last disturbance that fell in between
 
 
 def relocks(disturbed: list[tuple[str, int]], right: list[int], frames: int) -> list[Relock]:
     """For each disturbance: frames from its end to the next right label, that frame included.
 
+    Where others fall in between, which of them cost what cannot be told. Then `frames` counts from the end of the last
+    one, for that is when everybody could have known better; `whole` counts all. Alone, both are the same.
+
     right : numbers of rightly labelled frames, rising. A disturbance with no right label after it counts as all the
     frames that were left, unless fewer were left than a relock is allowed to take.
     """
     found = []
+    ends = sorted(first for _, first in disturbed)
     for kind, first in disturbed:
         at = bisect_right(right, first - 1)
-        if at < len(right):
-            found.append(Relock(kind, first, right[at] - first + 1))
-        elif frames - first > 8:
-            found.append(Relock(kind, first, frames - first))
+        back = right[at] if at < len(right) else frames - 1
+        if at < len(right) or frames - first > 8:
+            last = ends[bisect_right(ends, back) - 1]
+            found.append(Relock(kind, first, back - first + 1, back - last + 1))
     return found

@@ -128,11 +128,13 @@ def test_a_profile_has_each_of_its_disturbances_at_least_once_and_leaves_the_sta
     where = [
         at if isinstance(at, int) else at[0]
         for field in ("resets", "power_losses", "disconnects", "stamp_steps", "unplugged", "frozen", "count_jumps",
-                      "count_resets", "stalls")
+                      "count_resets", "stalls", "queue_steps")
         for at in getattr(placed, field)
     ]  # fmt: skip
-    assert len(where) == sum(max(1, round(often * frames / 1e6)) for often in profile.per_million.values())
-    assert min(where) >= FIRST and max(where) < frames and len(set(where)) == len(where)
+    times = {kind: max(1, round(often * frames / 1e6)) for kind, often in profile.per_million.items()}
+    moments = sum(times.values()) + times.get("unheard restarts", 0)  # the outage begins before
+    assert len(where) == moments + times.get("reckoned jumps", 0)  # of stamps and of the count, at once
+    assert min(where) >= FIRST and max(where) < frames and len(set(where)) == moments
 
 
 def test_a_profile_by_name_is_a_fault_set() -> None:

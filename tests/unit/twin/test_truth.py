@@ -97,5 +97,11 @@ def test_z_is_judged_from_where_it_was_said_to_be_zero(truth: Truth) -> None:
 
 
 def test_a_relock_counts_from_the_end_of_the_disturbance_to_the_next_right_label() -> None:
-    assert relocks([("drop", 10), ("drop", 20)], [9, 10, 23, 24], 30) == [Relock("drop", 10, 1), Relock("drop", 20, 4)]
-    assert relocks([("reset", 100)], [9], 200) == [Relock("reset", 100, 100)]  # never: everything that was left
+    found = relocks([("drop", 10), ("drop", 20)], [9, 10, 23, 24], 30)
+    assert found == [Relock("drop", 10, 1, 1), Relock("drop", 20, 4, 4)]
+    assert relocks([("reset", 100)], [9], 200) == [Relock("reset", 100, 100, 100)]  # never: everything that was left
+
+
+def test_where_disturbances_mix_a_relock_counts_from_the_end_of_the_last_and_tells_the_whole() -> None:
+    found = relocks([("step", 10), ("late", 18), ("drop", 22)], [9, 21, 22], 30)
+    assert found == [Relock("step", 10, 12, 4), Relock("late", 18, 4, 4), Relock("drop", 22, 1, 1)]
