@@ -99,10 +99,9 @@ def _witnesses(seed: int, as_json: bool) -> None:
     if as_json:
         print(json.dumps(rows))
         return
-    print(f"{'witness':<10} {'faults':<16} {'silenced beside':<22} {'wrong':>6} {'without it':>11}")
+    print(f"{'witness':<10} {'faults':<16} {'wrong':>6} {'without it':>11}")
     for row in rows:
-        who, wrong = f"{row['witness']:<10} {row['faults']:<16} {row['silenced']:<22}", row["wrong"]
-        print(f"{who} {wrong:>6} {row['wrong_without']:>11}")
+        print(f"{row['witness']:<10} {row['faults']:<16} {row['wrong']:>6} {row['wrong_without']:>11}")
 
 
 @app.command(

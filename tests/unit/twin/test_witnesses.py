@@ -1,0 +1,16 @@
+"""Each witness earns its keep: with all of them nothing is wrong, without it alone something is."""
+
+import pytest
+
+from annulus.capture.proof import Witness
+from annulus.twin.witnesses import CASES, Case, compared
+
+
+def test_every_witness_has_a_case() -> None:
+    assert {case.witness for case in CASES} == set(Witness)
+
+
+@pytest.mark.parametrize("case", CASES, ids=[str(case.witness) for case in CASES])
+def test_nothing_is_wrong_until_the_witness_is_silent(case: Case) -> None:
+    row = compared(case)
+    assert row["wrong"] == 0 < row["wrong_without"]
