@@ -12,6 +12,7 @@ TABLE = Table(
         "twin": "The twin's renderer, one thread",
         "latency": "From a frame in hand to its label at a viewer, while recording",
         "kills": "Every process of a scan killed and stopped in turn, with three others spinning",
+        "soak": "Labels and places under faults, in virtual time",
         "emulator": "The shipped image over 200 000 edges, on its pins",
     },
     Path(__file__).parent,
