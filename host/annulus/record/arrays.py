@@ -105,7 +105,7 @@ def require_plain_npz(path: Path) -> None:
 
 def _size_of_array(head: bytes) -> int:
     """Bytes of the array whose .npy begins like this. NumPy makes room for all of it before it reads."""
-    if head[:6] != b"\x93NUMPY":
+    if head[:6] != b"\x93NUMPY" or len(head) < 12:
         raise ValueError("what is not an array is in it")
     long = head[6] > 1
     (length,) = struct.unpack_from("<I" if long else "<H", head, 8)

@@ -1,6 +1,7 @@
 """An empty sampling rate was an IndexError, text of characters that are none a SystemError of numpy. Fails where only
 the usual errors of a reader are made one line."""
 
+import zipfile
 from pathlib import Path
 
 import h5py
@@ -47,4 +48,12 @@ def test_texts_that_never_end(tmp_path: Path) -> None:
     data[second : second + 16] = bytes(16)
     path.write_bytes(data)
     with pytest.raises(AnnulusError, match="do not end"):
+        load_acoustic(path)
+
+
+def test_an_array_of_which_only_the_name_is_there(tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("signals.npy", b"\x93NUMPY\x01\0")
+    with pytest.raises(AnnulusError, match="cannot be read as acoustic data"):
         load_acoustic(path)

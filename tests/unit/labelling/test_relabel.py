@@ -82,7 +82,8 @@ def test_frames_whose_evidence_is_lost_become_unknown(head: Head, tmp_path: Path
     path = record(tmp_path / "a.mcap", head, holes=(7,))
     found = relabel(path, tmp_path / "b.mcap")
     assert found.missing == 100 and 5 < found.without_evidence < 60
-    reasons = [open_recording(tmp_path / "b.mcap").label(frame)["reason"] for frame in open_recording(path).frames]
+    mended = open_recording(tmp_path / "b.mcap")
+    reasons = [mended.label(frame)["reason"] for frame in open_recording(path).frames]
     assert 0 < reasons.count("no evidence") <= found.without_evidence
 
 
