@@ -4,7 +4,6 @@ The rate is what free space really lost over the last half minute, whoever wrote
 cameras will send. Free space is asked for in a thread of its own, once a second: a disk that hangs hangs nobody else.
 """
 
-import contextlib
 import os
 import threading
 import time
@@ -75,7 +74,12 @@ def require_space(folder: Path, limits: RecordConfig, expected_rate: float, stat
     try:
         free = free_bytes(folder, statvfs)
     except OSError as error:
-        raise AnnulusError(f"{folder}: {error.strerror}. Choose another folder for recordings.") from None
+        raise AnnulusError(_refused(folder, error)) from None
+    require_room(folder, limits, expected_rate, free)
+
+
+def require_room(folder: Path, limits: RecordConfig, expected_rate: float, free: int) -> None:
+    """The same, where it is known what is free."""
     if free < limits.min_free_gb * GB:
         raise AnnulusError(
             f"{folder}: {free / GB:.1f} GB free, expected at least {limits.min_free_gb:g} GB ([record] min_free_gb)"
@@ -130,13 +134,19 @@ class Forecast:
         return state.free_bytes is not None and state.free_bytes <= self._reserve
 
 
+def _refused(folder: Path, error: OSError) -> str:
+    return f"{folder}: {error.strerror}. Choose another folder for recordings."
+
+
 class Asker:
     """Asks for free space every second, in a thread of its own."""
 
     def __init__(self, folder: Path, statvfs: StatVfs = os.statvfs) -> None:
         self._folder, self._statvfs = folder, statvfs
         self._done = threading.Event()
+        self._asked = threading.Event()  # once at least
         self._answer: tuple[float, int] | None = None
+        self._problem = ""
         self._began_s = time.monotonic()
         threading.Thread(target=self._ask, name="free space", daemon=True).start()
 
@@ -144,6 +154,18 @@ class Asker:
         """None before the first answer, and when there was none for HANGS_S."""
         answer = self._answer
         return None if answer is None or time.monotonic() - answer[0] > HANGS_S else answer[1]
+
+    def free(self, patience_s: float) -> int:
+        """As of a second ago; only the first answer is waited for. Raises AnnulusError, one line, when none came."""
+        self._asked.wait(patience_s)
+        free = self.latest()
+        if self._problem:
+            raise AnnulusError(self._problem)
+        if free is None:
+            raise AnnulusError(
+                f"{self._folder}: does not say what is free, expected an answer. Is the disk still there?"
+            )
+        return free
 
     @property
     def hangs(self) -> bool:
@@ -155,7 +177,11 @@ class Asker:
 
     def _ask(self) -> None:
         while True:
-            with contextlib.suppress(OSError):  # the last answer grows old
+            try:
                 self._answer = time.monotonic(), free_bytes(self._folder, self._statvfs)
+                self._problem = ""
+            except OSError as error:  # the last answer grows old
+                self._problem = _refused(self._folder, error)
+            self._asked.set()
             if self._done.wait(ASK_S):
                 return

@@ -15,6 +15,7 @@ from annulus.daemon.control import ControlSocket
 from annulus.daemon.controller_line import ControllerLine, preamble_for, stage_of
 from annulus.daemon.observer import Observers
 from annulus.daemon.pools import socket_folder
+from annulus.daemon.priority import prompt
 from annulus.daemon.publishing import Publishing
 from annulus.labelling.labelling import CameraMode
 from annulus.labelling.navigation import Navigation
@@ -67,19 +68,21 @@ def power_up(
             navigation.heard(event)
     folder = socket_folder()
     stack.callback(shutil.rmtree, folder, ignore_errors=True)
-    context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
-    stack.callback(context.destroy, linger=0)
+    ours: zmq.Context[zmq.Socket[bytes]] = prompt(zmq.Context())
+    strangers: zmq.Context[zmq.Socket[bytes]] = zmq.Context()  # has threads of its own, which no frame waits for
+    for context in (ours, strangers):
+        stack.callback(context.destroy, linger=0)
     modes = tuple(_mode(feed) for feed in feeds)
     largest = max(mode.width * mode.height * CHANNELS[mode.encoding] for mode in modes)
     ring = FrameRing(config.slots, largest)  # cameras of several sizes share it: slots are as large as the largest
     stack.callback(ring.close)
     for feed in feeds:
         feed.join(ring, max(1, config.slots // len(feeds)))
-    doorkeeper = Doorkeeper(context)
+    doorkeeper = Doorkeeper(strangers)
     stack.callback(doorkeeper.close)
-    shared, publishing = Shared(ring, context, folder), None
+    shared, publishing = Shared(ring, ours, folder), None
     if config.publish is not None:
-        publishing = Publishing(config.publish, shared, account, observers)
+        publishing = Publishing(config.publish, shared, account, observers, config.realtime)
         stack.callback(publishing.stop, PUBLISHED_S)
         observers.all.append(publishing)
         stack.callback(observers.all.remove, publishing)

@@ -9,6 +9,7 @@ from typing import Any
 
 import zmq
 
+from annulus.daemon.priority import Allowance, prompt
 from annulus.numeric.arrays import Image
 from annulus.stream.access import Doorkeeper, Keys
 from annulus.stream.frames import FrameHeader
@@ -21,16 +22,21 @@ REST_MS = 20  # at most, between two looks at who knocks and what viewers ask fo
 class PublisherJob:
     """A Publisher as a job. A frame's `extra` is its running number; a note's body its own and what it says. Reports
     where it is bound, and each time it had to close everybody's connection.
+
+    Labels are to be there at once, so it has real-time priority where that is allowed, but within limits (Allowance).
     """
 
-    def __init__(self, address: str, keys: Keys | None) -> None:
-        self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+    def __init__(self, address: str, keys: Keys | None, realtime: bool | None = False) -> None:
+        self._allowance = Allowance(realtime)
+        self._context: zmq.Context[zmq.Socket[bytes]] = prompt(zmq.Context())
         self._doorkeeper = Doorkeeper(self._context)
         self._publisher = Publisher(self._doorkeeper, address, keys)
         self._reported: list[Any] = []
 
     def frame(self, header: FrameHeader, image: Image, extra: Any) -> Any:
-        self._publisher.send(f"frame/{header.camera}", extra, header.to_dict(), image.data)
+        topic = f"frame/{header.camera}"
+        if self._publisher.wanted(topic):  # 2 MB copied for nobody otherwise
+            self._publisher.send(topic, extra, header.to_dict(), image.data)
 
     def note(self, kind: str, body: Any) -> None:
         number, said = body
@@ -39,6 +45,7 @@ class PublisherJob:
     def idle(self) -> Any:
         self._doorkeeper.admit()
         self._publisher.listen()
+        self._allowance.look()
         report = [self._publisher.address, self._publisher.floods]
         if report == self._reported:
             return None
@@ -52,7 +59,7 @@ class PublisherJob:
 def _prepare(setup: Any) -> PublisherJob:
     keys = setup["keys"]
     known = None if keys is None else Keys(keys["public"], keys["secret"], frozenset(keys["viewers"]))
-    return PublisherJob(setup["address"], known)
+    return PublisherJob(setup["address"], known, setup["realtime"])
 
 
 if __name__ == "__main__":

@@ -27,12 +27,15 @@ class Publishing(Pool, Observer):
     lost.
     """
 
-    def __init__(self, config: SocketConfig, shared: Shared, account: Account, observer: Observer) -> None:
+    def __init__(
+        self, config: SocketConfig, shared: Shared, account: Account, observer: Observer, realtime: bool | None = False
+    ) -> None:
+        """`realtime` as head.toml says."""
         keys = config.keys
         plain = None if keys is None else {
             "public": keys.public, "secret": keys.secret, "viewers": sorted(keys.viewers)
         }  # fmt: skip
-        self._setup: dict[str, Any] = {"address": config.address, "keys": plain}
+        self._setup: dict[str, Any] = {"address": config.address, "keys": plain, "realtime": realtime}
         self._sent: Counter[str] = Counter()
         self._floods = self._notes_dropped = 0
         command = [sys.executable, "-m", "annulus.daemon.publisher"]
@@ -44,9 +47,12 @@ class Publishing(Pool, Observer):
         """Where viewers connect: known once it is ready."""
         return str(self._setup["address"])
 
+    def label(self, header: FrameHeader) -> None:
+        """A frame's label, which needs no slot."""
+        self._send("label", header.to_dict())
+
     def offer(self, header: FrameHeader, place: Place) -> None:
         """A labelled frame; no viewer has it, and that is counted, when there is no room."""
-        self._send("label", header.to_dict())
         if not self._pool.offer(header, place, self._number(f"frame/{header.camera}")):
             self._account.lose("publisher_busy")
 

@@ -8,6 +8,7 @@ from typing import Any
 from annulus.daemon.account import Account
 from annulus.daemon.observer import Observer
 from annulus.labelling.navigation import Navigation
+from annulus.sensors.odometer import Place
 from annulus.sensors.sample import Sample, Sensor
 from annulus.vocabulary import AnnulusError
 
@@ -83,3 +84,13 @@ class Samples:
         self._account.samples[sample.sensor] += 1
         self._navigation.sampled(sample)
         self._observer.sample(sample)
+
+
+def place_numbers(here: Place | None) -> dict[str, Any]:
+    """For the telemetry."""
+    return {
+        "z_mm": here.z_mm if here is not None else None,
+        "z_bound_mm": here.bound_mm if here is not None else None,  # 0: counted
+        "z_assumed": here.assumed if here is not None else False,
+        "segment": here.segment if here is not None else 0,
+    }

@@ -12,7 +12,6 @@ for header, frame in scan.labelled():
 import time
 from collections.abc import Iterator
 from datetime import UTC, datetime
-from typing import Any
 
 from annulus.daemon.account import Account
 from annulus.daemon.config import HeadConfig
@@ -85,11 +84,6 @@ class Scan:
     def problem(self) -> str:
         """Why a camera gave up."""
         return next((intake.problem for intake in self.intakes if intake.problem), "")
-
-    @property
-    def waitables(self) -> list[Any]:
-        """Readable when the recorder has answered."""
-        return [] if self.recorder is None else [self.recorder.waitable]
 
     def start(self) -> None:
         """Lamps and cameras follow once the recorder is up."""

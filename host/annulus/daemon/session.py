@@ -12,6 +12,7 @@ is what lies between start and stop, and has a recording and an account of its o
 
 import math
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from typing import Any
@@ -30,12 +31,11 @@ from annulus.daemon.observer import Mark, Observer, Observers
 from annulus.daemon.pools import Reconstruction, Recorder, default_workers
 from annulus.daemon.power import Power, power_up
 from annulus.daemon.publishing import Publishing
-from annulus.daemon.samples import Samples
+from annulus.daemon.samples import Samples, place_numbers
 from annulus.daemon.scanning import DRAIN_S, START_S, Scan
 from annulus.daemon.state import Event, State, next_state
-from annulus.daemon.vitals import Vitals
+from annulus.daemon.vitals import Turns, Vitals
 from annulus.labelling.navigation import Navigation
-from annulus.sensors.odometer import Place
 from annulus.sensors.sample import Sensor
 from annulus.stream.frames import CHANNELS, FrameHeader
 from annulus.vocabulary import AnnulusError, Label
@@ -77,6 +77,8 @@ class Session:
         self._scan: Scan | None = None  # the one under way, or being made ready
         self._reconstruction: Reconstruction | None = None
         self._next_telemetry = self._next_chores = 0.0
+        self._turns = Turns()
+        self._told: deque[tuple[FrameHeader, InSlot]] = deque()  # labelled, each in its slot, and not handed out yet
         self._report: ScanReport | None = None  # of the last scan
         self._problem = ""  # why the session cannot go on
         self.status = Status.FINE  # how the worst scan so far ended
@@ -160,10 +162,11 @@ class Session:
         pools = {"workers": self._reconstruction, "recorder": self.recorder, "publisher": self._publishing}
         return {
             "state": self._state.value,
+            **self._turns.numbers(),
             **self._account.numbers(),
             **line_numbers(self._line),
             "place_gaps": self._navigation.odometer.gaps,
-            **_place_numbers(self._navigation.odometer.here),
+            **place_numbers(self._navigation.odometer.here),
             "cameras": labels,
             "intakes": [feed.numbers() for feed in self._feeds],
             "sensors": self._samples.numbers(),
@@ -288,7 +291,9 @@ class Session:
         with self._whatever_happens("labels"):
             if scan is not None:
                 for header, frame in scan.labelled(final=True):
-                    self._hand_out(header, frame)
+                    self._tell(header, frame)
+                while self._told:
+                    self._hand_out(*self._told.popleft())
                     while scan.recorder is not None and scan.recorder.absorbs:
                         scan.recorder.waitable.poll(10)
                         scan.recorder.poll()
@@ -332,15 +337,17 @@ class Session:
 
     def _turn(self) -> None:
         self._sleep()
+        began = time.monotonic()
         self._listen()
         if self._scan is None or not self._scan.intakes:
             for feed in self._feeds:
                 feed.poll()
         if self._scan is not None:
             self._scan.take_in()
-            frames = self._scan.labelled()
-            while not self._is_bursting and (next_one := next(frames, None)) is not None:
-                self._hand_out(*next_one)
+            for header, frame in self._scan.labelled():
+                self._tell(header, frame)
+            while self._told and not self._is_bursting:
+                self._hand_out(*self._told.popleft())
         if self.recorder is not None:
             self.recorder.poll()
         if self._reconstruction is not None:
@@ -351,6 +358,7 @@ class Session:
         if now >= self._next_chores:
             self._next_chores = now + CHORES_S
             self._do_chores(now)
+        self._turns.took(time.monotonic() - began)
 
     def _do_chores(self, now: float) -> None:
         """What can wait for some turns."""
@@ -367,18 +375,20 @@ class Session:
             self._next_telemetry = now + TELEMETRY_S
             telemetry = self.telemetry()
             self._observers.telemetry(telemetry)
+            self._turns.restart()
             if self._vitals is not None and (why := self._vitals.look(telemetry, self._trouble, self._has_scan)):
                 self._fail(why)
 
     def _sleep(self) -> None:
-        """Until something has come: a frame, a word of the controller, an answer of a process; or a chore is due."""
+        """Until something has come, a frame, a word of the controller, a profile; or a chore is due. What recorder and
+        publisher answer only frees slots: the next turn will do.
+        """
         wait_s = min(REST_S, max(0.0, self._next_chores - time.monotonic()))
         sources: list[Any] = [feed.waitable for feed in self._feeds if feed.waitable is not None]
-        sources += self._scan.waitables if self._scan is not None else []
         if self._line is not None:
             wait_s = min(wait_s, self._line.patience_s)
             sources += [] if self._line.waitable is None else [self._line.waitable]
-        sources += [pool.waitable for pool in (self._reconstruction, self._publishing) if pool is not None]
+        sources += [] if self._reconstruction is None else [self._reconstruction.waitable]
         zmq.zmq_poll([(source, zmq.POLLIN) for source in sources], math.ceil(wait_s * 1000))
 
     def _listen(self) -> None:
@@ -396,11 +406,17 @@ class Session:
             self._observers.event("odometer", str(odometer.gap))
             odometer.gap = None
 
-    def _hand_out(self, header: FrameHeader, frame: InSlot) -> None:
-        """Recorder first: what is recorded can be reconstructed later, what is seen cannot be recorded later."""
+    def _tell(self, header: FrameHeader, frame: InSlot) -> None:
+        """Its label goes to viewers at once: that takes no slot from anybody."""
         self._account.label(header)
         if self._state is State.ARMED and header.label is not Label.UNKNOWN:
             self._enter(Event.LABELLED)
+        if self._publishing is not None:
+            self._publishing.label(header)
+        self._told.append((header, frame))
+
+    def _hand_out(self, header: FrameHeader, frame: InSlot) -> None:
+        """Recorder first: what is recorded can be reconstructed later, what is seen cannot be recorded later."""
         if self.recorder is not None:
             self.recorder.offer(header, frame.place)
         if self._publishing is not None:
@@ -466,16 +482,6 @@ class Session:
     def _need_scan(self) -> None:
         if not self._has_scan:
             raise AnnulusError(f"no scan is under way, the head is {self._state}")
-
-
-def _place_numbers(here: Place | None) -> dict[str, Any]:
-    """For the telemetry."""
-    return {
-        "z_mm": here.z_mm if here is not None else None,
-        "z_bound_mm": here.bound_mm if here is not None else None,  # 0: counted
-        "z_assumed": here.assumed if here is not None else False,
-        "segment": here.segment if here is not None else 0,
-    }
 
 
 class _Remember(Observer):

@@ -5,11 +5,33 @@ from collections.abc import Mapping
 from typing import Any
 
 from annulus.daemon.config import HeadConfig
-from annulus.daemon.disk import MB, Asker, DiskState, Forecast, require_space
+from annulus.daemon.disk import MB, Asker, DiskState, Forecast, require_room
 from annulus.daemon.health import Health, HealthFile, HealthWatch, Word, health_path
 from annulus.daemon.observer import Observer
+from annulus.daemon.priority import share_priority
 
 RESERVE_S = 3.0  # of frames at least: what is in hand when a scan ends must still find room
+FIRST_ANSWER_S = 1.0  # a disk that does not say what is free by then is none to record on
+
+
+class Turns:
+    """How long the loop's turns take, sleep apart: who is in its hands waits so long at worst."""
+
+    def __init__(self) -> None:
+        self._since = self._ever = 0.0  # s
+
+    def took(self, seconds: float) -> None:
+        if seconds > self._since:
+            self._since = seconds
+            self._ever = max(self._ever, seconds)
+
+    def restart(self) -> None:
+        """What has been is told."""
+        self._since = 0.0
+
+    def numbers(self) -> dict[str, float]:
+        """For the telemetry: the longest since it was last told, and ever."""
+        return {"turn_ms": round(1e3 * self._since, 2), "turn_ms_longest": round(1e3 * self._ever, 2)}
 
 
 class Vitals:
@@ -30,8 +52,8 @@ class Vitals:
 
     def require_space(self) -> None:
         """Before a scan. Raises AnnulusError, one line, when it must not begin."""
-        if self._folder is not None:
-            require_space(self._folder, self._limits, self._rate)
+        if self._folder is not None and self._asker is not None:
+            require_room(self._folder, self._limits, self._rate, self._asker.free(FIRST_ANSWER_S))
             self._forecast.restart()
 
     def numbers(self) -> dict[str, Any]:
@@ -43,6 +65,7 @@ class Vitals:
     def look(self, telemetry: Mapping[str, Any], why_fault: str, scanning: bool) -> str:
         """Once a second. Returns why the scan under way must end, one line; empty when it need not."""
         now = time.monotonic()
+        share_priority()
         self.health = health = self._watch.judge(telemetry, why_fault, now)
         self._observer.health(health)
         if self._file is not None:

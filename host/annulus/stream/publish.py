@@ -6,8 +6,8 @@ the viewer knows.
 
 libzmq files every subscription in the sender's thread and memory, 60 bytes for each of its own: 20 MB of them took a
 gigabyte and 20 s. So none may be longer than CARRIED_MAX, few wait (the more wait, the longer libzmq is at them before
-it comes back), and whoever asks for more of what there is not than STRANGE_MAX has everybody's connections closed:
-that frees the memory, and viewers connect again by themselves.
+it comes back), and whoever asks for more of what there is not than STRANGE_MAX, or of what there may be than
+STANDING_MAX, has everybody's connections closed: that frees the memory, and viewers connect again by themselves.
 """
 
 import contextlib
@@ -25,6 +25,7 @@ VIEWER_QUEUE = 2  # messages per viewer
 BODY_MAX = 1 << 24
 CARRIED_MAX = 512  # bytes of anything a viewer sends; a CURVE handshake takes 400
 STRANGE_MAX = 1 << 16  # bytes of subscriptions to topics that there are not, of all viewers
+STANDING_MAX = 1 << 16  # bytes of those to topics that there may be, and that stand
 TOPICS = (b"frame/", b"label", b"profile", b"sensor/", b"mark", b"state", b"telemetry", b"event", b"ended", b"health")
 
 
@@ -36,6 +37,8 @@ class Publisher:
         self.floods = 0  # times that everybody's connection was closed
         self._doorkeeper, self._keys = doorkeeper, keys
         self._strange = 0
+        self._standing: set[bytes] = set()  # what viewers ask for
+        self._standing_bytes = 0
         self.address = address
         self._socket: zmq.Socket[bytes] | None = self._bound()
 
@@ -52,21 +55,41 @@ class Publisher:
                 self._socket = self._bound()
             return
         with contextlib.suppress(zmq.Again):
-            while self._strange <= STRANGE_MAX:
-                said = self._socket.recv(zmq.NOBLOCK)
-                if not _is_known(said[1:]):
-                    self._strange += len(said)
-        if self._strange > STRANGE_MAX:
+            while not self._flooded:
+                self._heard(self._socket.recv(zmq.NOBLOCK))
+        if self._flooded:
             self.floods += 1
             self.close()
+
+    def wanted(self, topic: str) -> bool:
+        """Whether some viewer has asked for it, as far as `listen` has heard."""
+        name = topic.encode()
+        return any(name[:length] in self._standing for length in range(len(name) + 1))
 
     def close(self) -> None:
         if self._socket is not None:
             self._socket.close(0)
             self._socket = None
 
+    @property
+    def _flooded(self) -> bool:
+        return self._strange > STRANGE_MAX or self._standing_bytes > STANDING_MAX
+
+    def _heard(self, said: bytes) -> None:
+        """libzmq tells of the first who asks for a prefix, and when nobody does any more."""
+        prefix = said[1:]
+        if not _is_known(prefix):
+            self._strange += len(said)
+        elif said[:1] == b"\1" and prefix not in self._standing:
+            self._standing.add(prefix)
+            self._standing_bytes += len(said)
+        elif said[:1] == b"\0" and prefix in self._standing:
+            self._standing.remove(prefix)
+            self._standing_bytes -= len(said)
+
     def _bound(self) -> zmq.Socket[bytes]:
-        self._strange = 0
+        self._strange = self._standing_bytes = 0
+        self._standing.clear()
         socket = self._doorkeeper.context.socket(zmq.XPUB)
         socket.setsockopt(zmq.SNDHWM, VIEWER_QUEUE)
         socket.setsockopt(zmq.RCVHWM, 1)

@@ -86,7 +86,23 @@ def test_a_disk_that_hangs_hangs_nobody_else(monkeypatch: pytest.MonkeyPatch, tm
 
     asker = Asker(tmp_path, hanging)
     assert asker.latest() is None and not asker.hangs
+    with pytest.raises(AnnulusError, match="does not say what is free"):
+        asker.free(0.0)
     monkeypatch.setattr("annulus.daemon.disk.HANGS_S", -1.0)
     assert asker.latest() is None and asker.hangs
     asker.close()
     let_go.set()
+
+
+def test_who_asks_before_a_scan_has_the_last_answer_at_once_or_the_disks_own_words(tmp_path: Path) -> None:
+    asker = Asker(tmp_path, FakeDisk(3.0 * GB).statvfs)
+    assert asker.free(20.0) == pytest.approx(3.0 * GB, abs=4096)
+    asker.close()
+
+    def gone(path: str) -> FakeDisk:
+        raise OSError(5, "Input/output error")
+
+    asker = Asker(tmp_path, gone)
+    with pytest.raises(AnnulusError, match="Input/output error"):
+        asker.free(20.0)
+    asker.close()

@@ -45,6 +45,7 @@ class Stand:
         header = FrameHeader(self.index, None, 0, Label.LED, "", None, None, None, 0.0, "mono8", 40, 30)
         self.index += 1
         began = time.monotonic()
+        self.publishing.label(header)
         self.publishing.offer(header, place)
         took_s = time.monotonic() - began
         self.ring.release(place)
@@ -103,6 +104,16 @@ def test_a_publisher_that_stands_still_holds_its_share_and_nobody_up(stand: Stan
     assert stand.ring.free == 8 - PUBLISHER_SHARE
     assert stand.account.drops == {"publisher_busy": 200 - PUBLISHER_SHARE}
     stand.until(lambda: stand.account.drops.get("publishers_replaced"))
+
+
+def test_frames_that_nobody_asked_for_are_not_copied(stand: Stand) -> None:
+    stand.receive("frame/0")
+    stand.viewer.unsubscribe(b"")
+    stand.viewer.subscribe(b"label")
+    for _ in range(20):  # until the publisher has heard of it
+        stand.receive("label")
+    stand.viewer.subscribe(b"frame/0")  # .. and it has them again as soon as it asks
+    assert stand.receive("frame/0")[2]
 
 
 def test_an_address_that_is_taken_is_one_clear_line(stand: Stand, tmp_path: Path) -> None:
