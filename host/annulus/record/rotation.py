@@ -7,6 +7,7 @@ Power may be cut at any moment. Every `sync_s` the file is told to be on the dis
 one at a time: what is lost is what came since the last one began that ended, so `sync_s` and the time that one takes.
 """
 
+import contextlib
 import os
 import threading
 import time
@@ -67,7 +68,7 @@ class RotatingWriter:
         self._began_s = self._synced_s = now_s()
         self._try_s = 0.0
         self._closed = False
-        _sync_folder(folder)
+        self._in_thread(_sync_folder, folder, "names to the disk itself")  # a busy one takes seconds
 
     @property
     def parts(self) -> int:
@@ -146,7 +147,10 @@ class RotatingWriter:
         old.flush()
         self._written, self._lost = self._written + old.written, self._lost + old.lost
         self._writer, self._part, self._began_s, self.path = fresh, Part(self._scan, number), now_s, path
-        thread = threading.Thread(target=self._end, args=(old,), name=f"ends part {number - 1}", daemon=True)
+        self._in_thread(self._end, old, f"ends part {number - 1}")
+
+    def _in_thread(self, work: Callable[[Any], None], what: Any, name: str) -> None:
+        thread = threading.Thread(target=work, args=(what,), name=name, daemon=True)
         thread.start()
         self._ending = [one for one in self._ending if one.is_alive()] + [thread]
 
@@ -200,4 +204,6 @@ def _sync_folder(folder: Path) -> None:
         file = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     except OSError:
         return
-    _synced(file)
+    with contextlib.suppress(OSError):
+        os.fsync(file)
+    os.close(file)
