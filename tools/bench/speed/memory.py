@@ -1,0 +1,94 @@
+"""What each process of a scan keeps for good: a real daemon with small pictures at many frames a second, recording and
+publishing, and how its memory grows.
+
+    python -m tools.bench.speed.memory [SECONDS]
+
+Counted is memory of a process's own (RssAnon); the ring is everybody's. The line through it has a slope, and that an
+error, told as twice what the scatter around the line makes it. Hours are of 90 000 frames: an hour at 25 a second.
+"""
+
+import math
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from annulus.capture.timing import FrameTiming
+from annulus.twin.worlds import clean_world
+from tools.bench.speed.live import children_of, daemon_at_work, following
+from tools.bench.table import Row
+
+FPS, WIDTH = 150.0, 208
+TIMING = FrameTiming(FPS, 6000.0, 500.0)  # us
+FLASH_US = 1000
+SECONDS, WARM_S, EVERY_S = 200.0, 40.0, 1.0
+HOUR = 90_000  # frames
+GROWTH_MAX_MB = 1.0  # an hour; the recorder grew by 50
+
+NOTE = f"At {FPS:g} frames a second of {WIDTH} pixels' width; an hour is {HOUR} frames."
+
+
+@dataclass(slots=True)
+class Kept:
+    """Of one process."""
+
+    frames: list[int] = field(default_factory=list)
+    mb: list[float] = field(default_factory=list)
+
+    def slope(self) -> tuple[float, float]:
+        """MB an hour, and its error."""
+        hours = np.array(self.frames) / HOUR
+        line, covariance = np.polyfit(hours, np.array(self.mb), 1, cov=True)
+        return float(line[0]), 2.0 * math.sqrt(float(covariance[0, 0]))
+
+
+def measure(seconds: float = SECONDS) -> tuple[dict[str, Kept], Mapping[str, int], float]:
+    """By process; labels; the share of frames taken that were recorded."""
+    kept: dict[str, Kept] = {}
+    flash = {"_width_us = ": f"_width_us = {FLASH_US} # "}
+    with daemon_at_work(clean_world().scaled(WIDTH), FPS, TIMING, flash) as live:
+        begin = time.monotonic() + WARM_S
+        next_look, telemetry = begin, dict[str, object]()
+        frames = 0
+        while time.monotonic() < begin + seconds:
+            topic, body = following(live.viewer)
+            if topic == "telemetry":
+                telemetry = dict(body)
+                continue
+            frames += 1
+            if (now := time.monotonic()) < next_look:
+                continue
+            next_look = now + EVERY_S
+            for name, pid in {**dict(reversed(children_of(live.pid))), "daemon": live.pid}.items():  # no spares
+                one = kept.setdefault(name, Kept())
+                one.frames.append(frames)
+                one.mb.append(_own_mb(pid))
+        ledger, labels = telemetry["ledger"], telemetry["frames"]
+        assert isinstance(ledger, Mapping) and isinstance(labels, Mapping)
+        return kept, labels, float(telemetry["recorded"]) / max(1, ledger["taken"])  # type: ignore[arg-type]
+
+
+def _own_mb(pid: int) -> float:
+    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    return next(int(line.split()[1]) / 1000.0 for line in lines if line.startswith("RssAnon"))
+
+
+def rows(seconds: float = SECONDS) -> list[Row]:
+    kept, labels, recorded = measure(seconds)
+    out = []
+    for name, one in sorted(kept.items()):
+        slope, error = one.slope()
+        text = f"{slope:+.2f} +- {error:.2f} MB an hour, {one.mb[-1]:.0f} MB after {one.frames[-1]} frames"
+        ok = slope - error <= GROWTH_MAX_MB
+        out.append(Row(f"{name} grows by", "-", f"<= {GROWTH_MAX_MB:g} MB an hour", text, ok))
+    told = ", ".join(f"{count} {label}" for label, count in labels.items())
+    out.append(Row("frames", "-", "-", f"{told}; {recorded:.1%} of those taken are recorded"))
+    return out
+
+
+if __name__ == "__main__":
+    for row in rows(float(sys.argv[1]) if len(sys.argv) > 1 else SECONDS):
+        print(f"{row.what}: {row.measured}")
