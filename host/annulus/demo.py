@@ -17,12 +17,12 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from annulus.daemon.account import ScanReport
-from annulus.daemon.cameras import open_sensors
 from annulus.daemon.config import HeadConfig, load_config
 from annulus.daemon.interrupt import Interrupt
 from annulus.daemon.observer import Observer
 from annulus.daemon.pools import default_workers
 from annulus.daemon.run import ending
+from annulus.daemon.samples import open_sensors
 from annulus.daemon.session import Session
 from annulus.record.calibration_file import save_calibration
 from annulus.report import Account, prepare_folder, write
@@ -113,7 +113,7 @@ def _demo(wish_s: float | None, out: Path, world: World, interrupt: Interrupt, b
             head = start_head(world, pace.fps, speed_mm_s=0.0)
         stack.callback(head.close)
         config = demo_config(head, world, out)
-        watcher, sensors = _Watcher(profiles, bars), open_sensors(config)
+        watcher, sensors = _Watcher(profiles, bars), open_sensors(config.sensors)
         session = Session(config, observer=watcher, sensors=sensors, name="scan")
         report = session.run(_Course(session, head, travel, seconds, interrupt, bars))
     recording = out / "scan.mcap"

@@ -15,7 +15,8 @@ import pytest
 
 from annulus.capture.timing import FrameTiming
 from annulus.daemon.account import ScanReport
-from annulus.daemon.config import CameraConfig, HeadConfig
+from annulus.daemon.camera_config import CameraConfig
+from annulus.daemon.config import HeadConfig
 from annulus.daemon.observer import Observer
 from annulus.daemon.session import Session
 from annulus.daemon.state import State

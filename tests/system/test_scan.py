@@ -18,7 +18,8 @@ from annulus.capture.camera import HeldRequest
 from annulus.capture.photometry import Light, measure
 from annulus.capture.timing import FrameTiming
 from annulus.daemon.account import ScanReport
-from annulus.daemon.config import CameraConfig, HeadConfig, LampConfig
+from annulus.daemon.camera_config import CameraConfig
+from annulus.daemon.config import HeadConfig, LampConfig
 from annulus.daemon.observer import Observer
 from annulus.daemon.session import Session
 from annulus.daemon.state import State

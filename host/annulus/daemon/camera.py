@@ -36,9 +36,9 @@ import msgpack
 from annulus.capture.camera import Camera, CapturedFrame, EndOfFrames, grab
 from annulus.capture.photometry import measure
 from annulus.capture.timing import FrameTiming
+from annulus.daemon.camera_config import FILES, CameraConfig
 from annulus.daemon.camera_state import CameraEvent, CameraState, CameraWatch
 from annulus.daemon.cameras import apply_controls, open_camera
-from annulus.daemon.config import FILES, CameraConfig
 from annulus.daemon.priority import raise_priority
 from annulus.stream.ring import Place, RingWriter
 from annulus.stream.working import end_with_parent, keep_freed_memory

@@ -31,8 +31,8 @@ from annulus.capture.camera import Camera
 from annulus.capture.photometry import Light, Photometry
 from annulus.daemon.account import Account
 from annulus.daemon.camera import PACKET_MAX, IntakeLoop, handed_in
+from annulus.daemon.camera_config import CameraConfig
 from annulus.daemon.camera_state import BackOff, CameraState
-from annulus.daemon.config import CameraConfig
 from annulus.daemon.observer import Observer
 from annulus.stream.ring import FrameRing, Place
 from annulus.stream.workers import process_state

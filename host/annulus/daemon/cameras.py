@@ -1,4 +1,4 @@
-"""The cameras and sensors that head.toml asks for."""
+"""The cameras that head.toml asks for."""
 
 from pathlib import Path
 
@@ -6,9 +6,7 @@ from annulus.capture.camera import Camera
 from annulus.capture.picamera import configure
 from annulus.capture.remote import RemoteCamera
 from annulus.capture.v4l2 import NoSuchControl, V4L2Camera
-from annulus.daemon.config import CameraConfig, HeadConfig
-from annulus.sensors.remote import RemoteSensors
-from annulus.sensors.sample import Sensor
+from annulus.daemon.camera_config import CameraConfig
 from annulus.vocabulary import AnnulusError
 
 FRAME_WAIT_S = 0.2  # in one call: who waits for frames says so often enough that a hang is known from silence
@@ -24,11 +22,6 @@ def open_camera(wanted: CameraConfig, number: int) -> Camera:
             f"{wanted.width}x{wanted.height}."
         )
     return camera
-
-
-def open_sensors(config: HeadConfig) -> list[Sensor]:
-    """Raises AnnulusError when an address is none; whether anybody speaks there is seen later."""
-    return [RemoteSensors(sensor.device) for sensor in config.sensors]
 
 
 def _open(wanted: CameraConfig, number: int) -> Camera:

@@ -15,11 +15,13 @@ from pathlib import Path
 import zmq
 
 from annulus.capture.camera import Camera, EndOfFrames, grab
-from annulus.daemon.cameras import apply_controls, open_camera, open_sensors
-from annulus.daemon.config import CameraConfig, HeadConfig, SocketConfig, load_config
+from annulus.daemon.camera_config import CameraConfig
+from annulus.daemon.cameras import apply_controls, open_camera
+from annulus.daemon.config import HeadConfig, SocketConfig, load_config
 from annulus.daemon.control import CARRIED_MAX
 from annulus.daemon.disk import MB, DiskState, Forecast, free_bytes, require_space
 from annulus.daemon.priority import raise_priority
+from annulus.daemon.samples import open_sensors
 from annulus.link import operate
 from annulus.link.client import Client
 from annulus.stream.access import Doorkeeper
@@ -126,7 +128,7 @@ def _frame(camera: Camera, wanted: CameraConfig) -> str:
 def _sensors(config: HeadConfig) -> str:
     """Each that spoke within SENSOR_S. Raises AnnulusError when one did not."""
     with ExitStack() as stack:
-        sensors = open_sensors(config)
+        sensors = open_sensors(config.sensors)
         for sensor in sensors:
             stack.callback(sensor.close)
         silent = {number: config.sensors[number].device for number in range(len(sensors))}

@@ -4,12 +4,13 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, cast
 
 import zmq
 
 from annulus.capture.timing import FrameTiming
 from annulus.controller import HOST_TIMEOUT_DEFAULT_MS, HOST_TIMEOUT_MAX_MS, HOST_TIMEOUT_MIN_MS, PREAMBLE_MAX
+from annulus.daemon.camera_config import CAMERA_KINDS, CameraConfig, CameraKind
 from annulus.geometry.calibration import Calibration
 from annulus.record.calibration_file import load_calibration, load_part
 from annulus.rings.colour import ColourProfile
@@ -19,26 +20,9 @@ from annulus.stream.frames import CAMERAS_MAX
 from annulus.untrusted import TOML_MAX, parse_toml, read_file, shown
 from annulus.vocabulary import AnnulusError
 
-CameraKind = Literal["v4l2", "picamera2", "video", "folder", "remote"]
-CAMERA_KINDS = ("v4l2", "picamera2", "video", "folder", "remote")
-FILES = ("video", "folder")  # cameras that end, and do not come back
 SENSOR_KINDS = ("remote",)
 COLOUR_MAKER = "annulus calibrate colour"
 HOST_TIMEOUT_LEAST_MS = max(HOST_TIMEOUT_MIN_MS, 200)  # twice what lies between two words of the daemon, PING_NS
-USUAL_TIMING = FrameTiming(25.0, 38_000.0, 28_000.0)
-
-
-@dataclass(frozen=True, slots=True)
-class CameraConfig:
-    kind: CameraKind = "v4l2"
-    device: str = "/dev/video0"  # or the file, folder or address
-    width: int = 1664
-    height: int = 1232
-    format: str = "YU12"  # the fourcc that a V4L2 device is asked for; of Picamera2 "raw" or a format of its "main"
-    gain: float = 1.0
-    timing: FrameTiming = USUAL_TIMING
-    colour_gains: tuple[float, float] | None = None  # red and blue over green, Picamera2's ColourGains
-    sensor_crop: tuple[int, int, int, int] | None = None  # the calibration's: what the mode must show of the sensor
 
 
 @dataclass(frozen=True, slots=True)

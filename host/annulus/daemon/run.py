@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from annulus.daemon.account import ScanReport
-from annulus.daemon.cameras import open_sensors
 from annulus.daemon.config import LogConfig, job_of, load_config
 from annulus.daemon.health import Health, Word
 from annulus.daemon.interrupt import Interrupt
@@ -17,6 +16,7 @@ from annulus.daemon.ledger import Status
 from annulus.daemon.logfile import LogFile
 from annulus.daemon.observer import Observer, Observers
 from annulus.daemon.priority import raise_priority
+from annulus.daemon.samples import open_sensors
 from annulus.daemon.service import Service
 from annulus.daemon.session import Session
 from annulus.daemon.state import State
@@ -70,7 +70,7 @@ def run_daemon(config_path: Path, log: Path | None = None, job: Sequence[str] = 
         if remark := raise_priority(config.realtime):
             listeners.event("priority", remark)
         try:
-            sensors = open_sensors(config)
+            sensors = open_sensors(config.sensors)
             session = Session(config, observer=listeners, sensors=sensors)
             session.run(lambda: interrupt.requested)
         except AnnulusError as error:

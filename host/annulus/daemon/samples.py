@@ -6,14 +6,21 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from annulus.daemon.account import Account
+from annulus.daemon.config import SensorConfig
 from annulus.daemon.observer import Observer
 from annulus.labelling.navigation import Navigation
 from annulus.sensors.odometer import Place
+from annulus.sensors.remote import RemoteSensors
 from annulus.sensors.sample import Sample, Sensor
 from annulus.vocabulary import AnnulusError
 
 SILENT_NS = 2_000_000_000
 RETRY_NS = 1_000_000_000  # between two looks at a sensor that broke
+
+
+def open_sensors(wanted: Sequence[SensorConfig]) -> list[Sensor]:
+    """Raises AnnulusError when an address is none; whether anybody speaks there is seen later."""
+    return [RemoteSensors(sensor.device) for sensor in wanted]
 
 
 class Samples:

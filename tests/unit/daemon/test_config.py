@@ -7,9 +7,9 @@ import pytest
 import zmq
 
 from annulus.controller import HOST_TIMEOUT_DEFAULT_MS
+from annulus.daemon.camera_config import CameraConfig
 from annulus.daemon.config import (
     HOST_TIMEOUT_LEAST_MS,
-    CameraConfig,
     LogConfig,
     RecordConfig,
     SensorConfig,

@@ -1,5 +1,7 @@
 """Promises of a camera's frames on their way in: from a scripted camera, through its intake, to a slot and a label."""
 
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -11,9 +13,9 @@ import pytest
 from annulus.capture.camera import EndOfFrames, HeldRequest
 from annulus.daemon import camera, camera_state
 from annulus.daemon.account import Account
+from annulus.daemon.camera_config import CameraConfig
 from annulus.daemon.camera_feed import CameraFeed
 from annulus.daemon.camera_state import CameraState
-from annulus.daemon.config import CameraConfig
 from annulus.daemon.intake import InSlot, Intake
 from annulus.daemon.observer import Observer
 from annulus.labelling.labelling import CameraMode, Labelling
@@ -108,6 +110,11 @@ def hurried(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(camera, "SILENT_PERIODS", 0.5)
     monkeypatch.setattr(camera_state, "RETRY_FIRST_S", 0.005)
     monkeypatch.setattr(camera_state, "RETRY_LAST_S", 0.05)
+
+
+def test_its_process_imports_no_method_and_is_up_soon() -> None:
+    code = "import sys, annulus.daemon.camera; print(*{'numba', 'scipy', 'annulus.rings'} & set(sys.modules))"
+    assert subprocess.check_output([sys.executable, "-c", code], text=True).split() == []
 
 
 def test_frames_come_in_order_and_the_end_is_told() -> None:
