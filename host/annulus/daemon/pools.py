@@ -304,7 +304,7 @@ class Reconstruction(Pool):
     ) -> None:  # fmt: skip
         command = [sys.executable, "-m", "annulus.daemon.worker"]
         setup = {"calibration": calibration.to_dict(), "colour": None if colour is None else colour.to_dict()}
-        kind = WorkerKind("worker", command, setup, count, WORKER_DEPTH)
+        kind = WorkerKind("worker", command, setup, count, WORKER_DEPTH, spares=1, eager=True)
         super().__init__(kind, shared, account, observer)
         self.camera = calibration.camera_id  # whose frames it takes
         self._queue: deque[tuple[FrameHeader, InSlot]] = deque()  # each holds its slot

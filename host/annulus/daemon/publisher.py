@@ -5,6 +5,7 @@ as notes; what viewers do not take in time is dropped, see stream/publish.py.
 """
 
 import sys
+import time
 from typing import Any
 
 import zmq
@@ -15,7 +16,9 @@ from annulus.stream.access import Doorkeeper, Keys
 from annulus.stream.frames import FrameHeader
 from annulus.stream.publish import Publisher
 from annulus.stream.working import serve
+from annulus.vocabulary import AnnulusError
 
+FREED_S = 1.0  # the address of one that was killed stays taken until the kernel has ended it
 REST_MS = 20  # at most, between two looks at who knocks and what viewers ask for
 
 
@@ -30,7 +33,11 @@ class PublisherJob:
         self._allowance = Allowance(realtime)
         self._context: zmq.Context[zmq.Socket[bytes]] = prompt(zmq.Context())
         self._doorkeeper = Doorkeeper(self._context)
-        self._publisher = Publisher(self._doorkeeper, address, keys)
+        try:
+            self._publisher = Publisher(self._doorkeeper, address, keys)
+        except AnnulusError:
+            self._context.destroy(linger=0)
+            raise
         self._reported: list[Any] = []
 
     def frame(self, header: FrameHeader, image: Image, extra: Any) -> Any:
@@ -59,7 +66,14 @@ class PublisherJob:
 def _prepare(setup: Any) -> PublisherJob:
     keys = setup["keys"]
     known = None if keys is None else Keys(keys["public"], keys["secret"], frozenset(keys["viewers"]))
-    return PublisherJob(setup["address"], known, setup["realtime"])
+    end = time.monotonic() + FREED_S
+    while True:
+        try:
+            return PublisherJob(setup["address"], known, setup["realtime"])
+        except AnnulusError:
+            if time.monotonic() > end:
+                raise
+        time.sleep(0.01)
 
 
 if __name__ == "__main__":

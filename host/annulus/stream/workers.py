@@ -5,7 +5,7 @@ frames died with it; all answer into one PULL socket. Nothing here waits: `poll`
 when everybody is busy.
 
 A worker that died, is stopped, or takes far longer over a frame than frames usually take is killed and replaced: by a
-spare, where its kind has any, which has done all but what its setup asks for.
+spare, where its kind has any, which has done all but what its setup asks for, or that too where its kind is `eager`.
 """
 
 import contextlib
@@ -35,7 +35,7 @@ HUNG_S = 20.0  # longer on one frame than this and the worker is replaced; also 
 HUNG_TIMES = 20.0  # as long as frames usually take, likewise, ..
 HUNG_LEAST_S = 1.0  # .. but not sooner than this: a busy machine is no hang
 USUAL_FRAMES = 31  # whose median is what frames usually take
-STOPPED_S = 0.4  # between two looks; found stopped twice, a worker is replaced
+STOPPED_S = 0.25  # between two looks; found stopped twice, a worker is replaced
 START_S = 180.0  # compiling for the first time included
 WARM_START_S = 5.0  # for a spare that is called up: it has only its setup to do
 NOT_HUNG = ("R", "D")  # not let run, or waiting for a disk: the next one would be no better off
@@ -107,7 +107,8 @@ class WorkerKind:
     count: int
     depth: int  # frames at most that one worker holds: its share of the ring
     hung_s: float = HUNG_S
-    spares: int = 0  # kept beside them, without a setup yet
+    spares: int = 0  # kept beside them, ..
+    eager: bool = False  # .. with their setup done; otherwise it is done when they are called up
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +140,8 @@ class _Worker:
     answered: float = 0.0  # when it last gave a frame back
     start_s: float = START_S  # until it must be ready
     spare: bool = False
-    warm: bool = False  # it waits for its setup
+    warm: bool = False  # it is up: all but its setup is done
+    set_up: bool = False  # it was sent its setup
     ready: bool = False
     stopped: bool = False  # when last looked at
     looked: float = 0.0
@@ -164,6 +166,7 @@ class WorkerPool:
         self._took_s: deque[float] = deque(maxlen=USUAL_FRAMES)  # over the last frames
         self._dying: list[subprocess.Popen[bytes]] = []  # killed, and not gone yet: a disk may hold them
         self._workers: dict[int, _Worker] = {}
+        self._called: list[PoolEvent] = []  # spares that were ready when they were called up
         self._results_path = shared.folder / f"{kind.name}-results"
         self.results = shared.context.socket(zmq.PULL)
         self.results.setsockopt(zmq.RCVHWM, 1000)
@@ -204,7 +207,7 @@ class WorkerPool:
     @property
     def spare_pids(self) -> list[int]:
         """Of spares that are up."""
-        return [worker.process.pid for worker in self._workers.values() if worker.spare and worker.warm]
+        return [worker.process.pid for worker in self._workers.values() if worker.spare and self._is_up(worker)]
 
     @property
     def hung_s(self) -> float:
@@ -264,6 +267,8 @@ class WorkerPool:
             happened.append(Died(worker.number, worker.broken or why, replace))
             if replace:
                 self._start()
+        happened += self._called
+        self._called = []
         self._keep_spares(now)
         self._dying = [process for process in self._dying if process.poll() is None]
         return happened
@@ -328,16 +333,34 @@ class WorkerPool:
         spares = sum(worker.spare for worker in self._workers.values())
         if spares < self._kind.spares and now >= self._next_spare and self.ready == self._kind.count:
             self._next_spare = now + SPARE_S
-            self._spawn().spare = True
+            worker = self._spawn()
+            worker.spare = True
+            if self._kind.eager:
+                self._set_up(worker)
 
     def _start(self) -> None:
         """One more worker: a spare, if there is one that is not stopped itself."""
-        spares = sorted((w for w in self._workers.values() if w.spare and not w.stopped), key=lambda w: not w.warm)
+        spares = sorted(
+            (w for w in self._workers.values() if w.spare and not w.stopped),
+            key=lambda w: (w.ready, w.warm),
+            reverse=True,
+        )
         worker = spares[0] if spares else self._spawn()
+        worker.spare, worker.started = False, self._clock()
+        if worker.ready:
+            self._called.append(Ready(worker.number))
+        if worker.set_up:
+            return
         if worker.warm:
             worker.start_s = WARM_START_S
-        worker.spare, worker.started = False, self._clock()
+        self._set_up(worker)
+
+    def _set_up(self, worker: _Worker) -> None:
+        worker.set_up = True
         worker.tasks.send_multipart([b"setup", msgpack.packb(self._kind.setup)], zmq.NOBLOCK)
+
+    def _is_up(self, spare: _Worker) -> bool:
+        return spare.ready if self._kind.eager else spare.warm
 
     def _spawn(self) -> _Worker:
         number, self._numbers = self._numbers, self._numbers + 1
@@ -381,7 +404,8 @@ class WorkerPool:
                 worker.warm = True
             elif kind == "ready":
                 worker.ready = True
-                happened.append(Ready(number))
+                if not worker.spare:
+                    happened.append(Ready(number))
             elif kind in ("done", "failed"):
                 task = worker.in_hand.pop(body[0], None)
                 if task is None:
