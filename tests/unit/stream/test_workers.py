@@ -49,10 +49,11 @@ class Yard:
         clock=time.monotonic,
         hung_s: float = HUNG_S,
         spares: int = 0,
+        eager: bool = False,
     ) -> None:
         self.context, self.ring = zmq.Context(), FrameRing(8, 30 * 40)
         self.folder, self.index = folder, 0
-        kind = WorkerKind("w", WORKER, setup, count, 2, hung_s, spares)
+        kind = WorkerKind("w", WORKER, setup, count, 2, hung_s, spares, eager)
         self.pool = WorkerPool(kind, Shared(self.ring, self.context, folder), clock)
         self.seen: list[PoolEvent] = []
 
@@ -218,6 +219,18 @@ def test_workers_end_when_their_owner_is_killed(tmp_path: Path) -> None:
     assert left_in_shm() == shm
 
 
+def test_a_stopped_worker_ends_in_order_when_its_owner_is_killed(tmp_path: Path) -> None:
+    (sockets := tmp_path / "sockets").mkdir()
+    code = _OWNER.format(tests=str(Path(__file__).parent), folder=str(sockets)).replace(
+        "os.kill(os.getpid()", "[os.kill(pid, signal.SIGSTOP) for pid in yard.pool.pids]; os.kill(os.getpid()"
+    )
+    owner = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    end = time.monotonic() + 10
+    while any(alive(pid) for pid in owner.stdout.split()) or sockets.exists():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
 def alive(pid: str) -> bool:
     try:
         return Path(f"/proc/{pid}/stat").read_text().rsplit(") ", 1)[1][0] != "Z"
@@ -294,6 +307,20 @@ def test_a_spare_takes_over_and_another_spare_is_made(tmp_path: Path) -> None:
     os.kill(yard.pool.spare_pids[0], signal.SIGKILL)
     yard.until(lambda: yard.pool.counts["spares_died"] == 1)
     assert yard.pool.counts["died"] == 1 and yard.hand_out("fine")
+    yard.until(lambda: yard.of(Done))
+    yard.close()
+
+
+def test_an_eager_spare_is_ready_at_once(tmp_path: Path) -> None:
+    yard = Yard(tmp_path, count=1, spares=1, eager=True).all_ready(1)
+    yard.until(lambda: yard.pool.spare_pids)
+    assert yard.pool.ready == yard.pool.alive == len(yard.of(Ready)) == 1
+    spares = yard.pool.spare_pids
+    os.kill(yard.pool.pids[0], signal.SIGKILL)
+    while not yard.of(Died):
+        yard.seen += yard.pool.poll()
+    assert yard.pool.pids == spares and yard.pool.ready == 1 and len(yard.of(Ready)) == 2
+    assert yard.hand_out("fine")
     yard.until(lambda: yard.of(Done))
     yard.close()
 
