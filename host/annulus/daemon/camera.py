@@ -10,7 +10,8 @@ talk over a socket of packets, each msgpack [kind, body], `camera_feed.CameraFee
             ring [frame_bytes]      with the ring's descriptor
             slots [[slot, stamp]..] free slots, ours to write until they are told back
             stream, rest            begin and end to take frames; what is lost in between is opened again
-    said:   is [width, height, encoding]; refused [why]      the answers to look
+    said:   up                      once, before all else
+            is [width, height, encoding]; refused [why]      the answers to look
             frame [slot or nil, stamp, sequence, timestamp_ns, arrived_ns, picture, metadata]; nil: no slot was free
             state [state, why, entered]; remark [text]; alive; ended [problem]
 
@@ -92,6 +93,7 @@ class IntakeLoop:
 
     def run(self) -> None:
         try:
+            self._say("up")
             while not self._over:
                 self._hear(self._idle_s)
                 if self._wanted and not self._over:

@@ -8,10 +8,11 @@
     late = feed.rest(2.5)
 
 The intake (camera.py) runs in a process of its own. One that dies or says nothing is killed, its slots are free again,
-and another takes over. A camera that the caller made himself cannot go to another process: it is waited for in a thread
-of this one, which speaks the same words.
+and another takes over: a spare, which is up and has opened nothing yet, for a camera has one user. A camera that the
+caller made himself cannot go to another process: it is waited for in a thread of this one, which speaks the same words.
 """
 
+import contextlib
 import json
 import os
 import select
@@ -43,6 +44,7 @@ OPEN_S = 15.0  # to open it again; some drivers take seconds to find their senso
 THREAD_SILENT_S = 2.5  # without a word of a camera of the caller's, which may wait so long by itself
 HUNG_S = 1.0  # without a word, where one comes every 0.2 s
 STOPPED_S = 0.4  # without a word, before the kernel is asked whether it is stopped, and between two questions
+SPARE_S = 1.0  # between two starts of spares
 STALL_S = 0.1  # longer between two polls than this and it was us who did not listen
 SEND_BYTES = 1 << 20  # of packets that wait for us, if the system lets them
 
@@ -65,6 +67,30 @@ class Began:
 
 
 Happened = Arrived | Began
+
+
+@dataclass(slots=True)
+class _Spare:
+    """An intake that nobody has told anything yet."""
+
+    link: socket.socket
+    process: subprocess.Popen[bytes]
+    is_up: bool = False
+
+    def look(self) -> bool:
+        """Whether it lives, and is not stopped. Hears whether it is up."""
+        try:
+            self.is_up = bool(self.link.recv(PACKET_MAX, socket.MSG_DONTWAIT))
+        except BlockingIOError:
+            pass
+        except OSError:
+            self.is_up = False
+        return self.process.poll() is None and process_state(self.process.pid) != "T"
+
+    def close(self) -> None:
+        self.link.close()
+        self.process.kill()
+        self.process.wait()
 
 
 class CameraFeed:
@@ -101,6 +127,8 @@ class CameraFeed:
         self._start_s: float | None = None  # when the next process is started
         self._starting = True  # it has not said a word yet
         self._looked_s = 0.0  # whether it is stopped
+        self._spare: _Spare | None = None
+        self._spare_s = 0.0  # when it is looked after next
         self._start()
         self._say("look")
 
@@ -112,6 +140,11 @@ class CameraFeed:
     @property
     def pid(self) -> int | None:
         return self._process.pid if self._process is not None else None
+
+    @property
+    def spare_pid(self) -> int | None:
+        """Of the spare, once it is up."""
+        return self._spare.process.pid if self._spare is not None and self._spare.is_up else None
 
     @property
     def is_open(self) -> bool:
@@ -187,11 +220,14 @@ class CameraFeed:
             if process_state(self._process.pid) == "T":
                 happened += self._replace("its process was stopped by a signal")
         self._lend()
+        if now >= self._spare_s and self._process is not None and self.state is CameraState.STREAMING:
+            self._keep_spare(now)
         return happened
 
     def close(self) -> None:
         """Nothing of it is left; the caller's camera is."""
         self._wanted, self._start_s = False, None
+        self._drop_spare()
         if self._link is not None:
             self._bury()
         if self._thread is not None:
@@ -209,13 +245,19 @@ class CameraFeed:
     def _start(self) -> None:
         """Raises AnnulusError when no process can be started."""
         self._start_s, self._heard_s, self._starting = None, time.monotonic(), True
-        self._link, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        theirs.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BYTES)
         if self._camera is not None:
+            self._link, theirs = _link()
             loop = IntakeLoop(handed_in(self.config, self._camera), theirs)
             self._thread = threading.Thread(target=loop.run, name=f"camera {self.number}", daemon=True)
             self._thread.start()
             return
+        if self._spare is not None and not self._spare.look():
+            self._drop_spare()
+        one, self._spare = self._spare or self._spawn(), None
+        self._link, self._process = one.link, one.process
+
+    def _spawn(self) -> _Spare:
+        link, theirs = _link()
         order = {
             "fd": theirs.fileno(), "parent": os.getpid(), "number": self.number, "camera": asdict(self.config),
             "realtime": self._realtime,
@@ -223,7 +265,7 @@ class CameraFeed:
         one_thread = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
         with theirs:
             try:
-                self._process = subprocess.Popen(
+                process = subprocess.Popen(
                     [sys.executable, "-m", "annulus.daemon.camera", json.dumps(order)],
                     stdin=subprocess.DEVNULL,
                     pass_fds=(theirs.fileno(),),
@@ -231,9 +273,22 @@ class CameraFeed:
                     env=os.environ | one_thread,
                 )
             except OSError as error:
-                self._link.close()
-                self._link = None
+                link.close()
                 raise AnnulusError(f"cannot start {sys.executable}: {error.strerror}") from None
+        return _Spare(link, process)
+
+    def _keep_spare(self, now: float) -> None:
+        self._spare_s = now + SPARE_S
+        if self._spare is not None and not self._spare.look():
+            self._drop_spare()
+        elif self._spare is None:
+            with contextlib.suppress(AnnulusError):  # no more processes: it does without
+                self._spare = self._spawn()
+
+    def _drop_spare(self) -> None:
+        if self._spare is not None:
+            self._spare.close()
+            self._spare = None
 
     def _hand_over(self) -> None:
         if self._link is not None and self._ring is not None:
@@ -370,3 +425,10 @@ class CameraFeed:
         if self.trouble != text:
             self._observer.event("camera", f"{text}; it is tried again until it is back")
         self.state, self._troubled, self.trouble = state, state, text
+
+
+def _link() -> tuple[socket.socket, socket.socket]:
+    """Ours and theirs."""
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    theirs.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BYTES)
+    return ours, theirs
