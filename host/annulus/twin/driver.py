@@ -103,6 +103,10 @@ class Driver:
         """Whether there is no camera in this frame."""
         return bool(self._unplugged) and self._unplugged[0][0] <= number
 
+    def unplug(self, number: int, frames: int) -> None:
+        """No camera from frame `number` on, for so many frames."""
+        self._unplugged = sorted([*self._unplugged, (number, float(frames))])
+
     # ---- what comes at its time ----
 
     def _changes(self, number: int) -> None:

@@ -63,14 +63,18 @@ class HeadHandle:
 
     def counters(self) -> dict[str, Any]:
         """What the head counts: frames, rendered, driver drops by reason, events lost on purpose, z_mm, lamps_on,
-        behind_ms: how far the world fell behind the clock at worst; a head that needs more than this machine has is
-        no head to judge a host by.
+        dark_s: for how long no lamp was on (None: none has been yet), behind_ms: how far the world fell behind the
+        clock at worst; a head that needs more than this machine has is no head to judge a host by.
         """
         return cast(dict[str, Any], self._ask({"do": "counters"}))
 
     def pull(self, speed_mm_s: float) -> None:
         """Let the cable move at this speed from now on; 0 stops it."""
         self._ask({"do": "pull", "speed_mm_s": speed_mm_s})
+
+    def unplug(self, seconds: float) -> None:
+        """Let there be no camera from the next frame on, for so long; its driver then counts from 0."""
+        self._ask({"do": "unplug", "seconds": seconds})
 
     def silence(self, sensor: str, seconds: float) -> None:
         """Let nothing be heard of this sensor ("imu", "supply") from now on, for so long."""

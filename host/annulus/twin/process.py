@@ -13,6 +13,7 @@ from dataclasses import asdict
 from typing import Any
 
 import msgpack
+import numpy as np
 import zmq
 
 from annulus.capture.camera import BAYER_RGGB8
@@ -92,6 +93,7 @@ class _Head:
         is_native = order["board"] == "native"
         self.serial: Line = PtyLine() if is_native else TcpLine()
         self.patience_s = (2e-4, 1e-3) if is_native else (5e-4, 3e-3)  # a look at the emulator costs 0.2 ms
+        self.lamp_tick: int | None = None  # when a lamp last went on or off
         self.behind_ms = 0.0  # at worst, the world against the clock
         self.to_host = bytearray()
         hello = {
@@ -126,6 +128,7 @@ class _Head:
             readable, _, _ = select.select(waitables, [], [], patience)
             self._advance()
             if heard := self.serial.read():
+                self._advance()  # to after it was sent: a controller that is behind would stamp it before
                 if self.board.tick >= self.unplugged_until:
                     self.board.serial_write(heard)
                 busy_until = time.monotonic() + 3e-3
@@ -197,6 +200,9 @@ class _Head:
             self.board.input(max(at, self.board.tick), pin, level)
         self.board.run_until(tick)
         pins = self.board.pins()
+        lamps = pins["tick"][np.isin(pins["pin"], (PIN_PROJECTOR, PIN_LED))]
+        if len(lamps):
+            self.lamp_tick = int(lamps[-1])
         for sample in self.sensors.samples(tick, pins):
             self.counts["samples"] += 1
             self.publisher.send(sample)
@@ -237,12 +243,17 @@ class _Head:
                 self.pull_at = now if math.isfinite(self.speed_mm_s) else None
                 self.counts["pulls"] += 1
                 return {}
+            case "unplug":
+                last = int(self.counts["frames"])
+                self.driver.unplug(last + 1, round(float(question["seconds"]) * self.timing.fps))
+                return {}
             case "silence":
                 try:
                     self.sensors.silence(question["sensor"], time.monotonic_ns(), float(question["seconds"]))
                 except AnnulusError as error:
                     return {"refused": str(error)}
                 return {}
+        last_lit_s = None if self.lamp_tick is None else (now - self.lamp_tick) * TICK_S
         on = [name for name, pin in (("projector", PIN_PROJECTOR), ("led", PIN_LED)) if self.board.level(pin)]
         return {
             **self.counts,
@@ -251,5 +262,6 @@ class _Head:
             "bytes_flipped": self.line.bytes_flipped,
             "z_mm": self.sensor.cable.z_mm(now),
             "lamps_on": on,
+            "dark_s": 0.0 if on else last_lit_s,
             "behind_ms": self.behind_ms,
         }
