@@ -138,6 +138,7 @@ class _Worker:
     address: Path
     started: float
     answered: float = 0.0  # when it last gave a frame back
+    waited: float = float("-inf")  # when it was last seen waiting for a disk
     start_s: float = START_S  # until it must be ready
     spare: bool = False
     warm: bool = False  # it is up: all but its setup is done
@@ -286,7 +287,7 @@ class WorkerPool:
             return f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit status {code}"
         oldest = min((task.since for task in worker.in_hand.values()), default=now)
         busy_s = now - max(oldest, worker.answered)  # the oldest may have waited behind others that were done
-        if busy_s > self.hung_s and (busy_s > self._kind.hung_s or process_state(worker.process.pid) != "D"):
+        if busy_s > self.hung_s and self._hangs(worker, busy_s, now):
             return f"hung for {busy_s:.0f} s"
         starting_s = 0.0 if worker.ready or worker.spare else now - worker.started
         if starting_s > worker.start_s and (starting_s > START_S or process_state(worker.process.pid) not in NOT_HUNG):
@@ -297,6 +298,12 @@ class WorkerPool:
             if before and worker.stopped:
                 return "stopped by a signal"
         return ""
+
+    def _hangs(self, worker: _Worker, busy_s: float, now: float) -> bool:
+        """Who waits for a disk does not, and has its time from when the disk lets go."""
+        if process_state(worker.process.pid) == "D":
+            worker.waited = now
+        return busy_s > self._kind.hung_s or now - worker.waited > self.hung_s
 
     def stop(self, patience_s: float) -> list[PoolEvent]:
         """Ask every worker to finish what it has and leave; after `patience_s` kill. None is left when this returns."""
