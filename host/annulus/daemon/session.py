@@ -123,6 +123,11 @@ class Session:
         return self._account.labelled
 
     @property
+    def recorded(self) -> int:
+        """Frames of this scan that a recorder has written."""
+        return self._account.recorded
+
+    @property
     def seconds(self) -> float:
         """Since the cameras were started; 0 before."""
         return self._account.seconds
@@ -147,8 +152,8 @@ class Session:
         pools = {"recorder": self.recorder, "worker": self._reconstruction, "publisher": self._publishing}
         up = {name: pool.pids for name, pool in pools.items() if pool is not None and pool.ready}
         spares = {f"{name} spare": pool.spare_pids for name, pool in pools.items() if pool is not None}
-        feeds = self._power.feeds if self._power is not None else ()
-        return {**up, **spares, "camera": [feed.pid for feed in feeds if feed.pid is not None]}
+        spares["camera spare"] = [feed.spare_pid for feed in self._feeds if feed.spare_pid is not None]
+        return {**up, **spares, "camera": [feed.pid for feed in self._feeds if feed.pid is not None]}
 
     @property
     def control_address(self) -> str:

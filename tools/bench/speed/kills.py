@@ -1,192 +1,146 @@
-"""Every process of a scan killed and stopped in turn, its recording's folder removed: how soon it goes on, and whether
-the ledger of frames adds up.
+"""Every process of a scan killed and stopped in turn, its disk full, slow and gone, its camera away: how soon it goes
+on, whether the ledger of frames adds up, whether the lamps are dark in time, and what is left behind.
 
-    python -m tools.bench.speed.kills [TIMES] [LOAD]     TIMES a process and signal; LOAD: processes that spin
+    python -m tools.bench.speed.kills [BLOWS] [LOAD] [--row NAME ...]     LOAD: processes that spin
 
-The head is the twin's, at a quarter of its size; the blows fall into one scan each.
+NAME: a part of the names of the rows wanted; --row ? lists them. Rows that share a scan (all but the daemon's own, and
+the disk's) are struck in turn, and answer together for the ledger and for what is left. Disks need root.
 """
 
+import argparse
 import os
-import shutil
-import signal
-import subprocess
-import sys
-import tempfile
-import time
-from collections import Counter
-from collections.abc import Callable
-from dataclasses import replace
-from pathlib import Path
+import random
+from collections.abc import Callable, Sequence
 from statistics import median
 
-from annulus.daemon.account import ScanReport
-from annulus.daemon.config import SocketConfig
-from annulus.daemon.session import Session
-from annulus.demo import demo_config
-from annulus.record.calibration_file import save_calibration
-from annulus.twin.head import HeadHandle, head_toml, start_head
-from annulus.twin.worlds import demo_world
+from annulus.vocabulary import AnnulusError
+from tools.bench.speed import blows, daemons
+from tools.bench.speed.blows import Blow
 from tools.bench.speed.latency import spinning
 from tools.bench.table import Row
 
 TIMES, LOAD = 20, 3
-FPS = 8.0
-SOON_S, PAUSE_S, GIVE_UP_S = 2.0, 0.5, 30.0
-DARK_S = 0.5 + 0.25  # the host timeout, and a period of edges at 4 Hz and more
-ROLES = ("recorder", "recorder spare", "publisher", "worker", "camera")
-FOLDER = "folder"
-WORLD = demo_world(travel_mm=330.0).scaled(416)
+SOON_S = 2.0
 
-NOTE = "Recovery: from the blow until another process is up in its place and frames are labelled again."
+NOTE = "Recovery: from the blow, or its end, until a frame that came after it is labelled and has got where it should."
 
-
-class Blows:
-    """A session's `stop`: strikes `times` times, each time once all is well again, and then ends the scan."""
-
-    def __init__(self, role: str, number: signal.Signals, times: int, folder: Path) -> None:
-        self.session: Session | None = None
-        self.recovery_s: list[float] = []
-        self.pids: set[int] = set()
-        self._role, self._number, self._left, self._folder = role, number, times, folder
-        self._victim, self._struck, self._labelled = 0, 0.0, 0
-        self._well_since = self._began = time.monotonic()
-
-    def __call__(self) -> bool:
-        assert self.session is not None
-        now, processes, labelled = time.monotonic(), self.session.processes, self.session.labelled
-        self.pids.update(pid for pids in processes.values() for pid in pids)
-        if self._struck:
-            if self._is_well(processes, labelled):
-                self.recovery_s.append(now - self._struck)
-                self._struck, self._well_since = 0.0, now
-            elif now - self._struck > GIVE_UP_S:
-                self.recovery_s.append(GIVE_UP_S)
-                return True
-            return False
-        if not all(processes.get(role) for role in ROLES) or labelled < 10:
-            self._well_since = now
-            return now - self._began > 120.0
-        if now - self._well_since < PAUSE_S:
-            return False
-        if not self._left:
-            return True
-        self._left -= 1
-        self._struck, self._labelled = now, labelled
-        if self._role == FOLDER:
-            shutil.rmtree(self._folder)
-        else:
-            self._victim = processes[self._role][0]
-            os.kill(self._victim, self._number)
-        return False
-
-    def _is_well(self, processes: dict[str, list[int]], labelled: int) -> bool:
-        if self._role == FOLDER:
-            return any(path.stat().st_size > 100_000 for path in self._folder.glob("*.mcap"))
-        there = processes.get(self._role, [])
-        return bool(there) and self._victim not in there and labelled > self._labelled
+Told = Callable[[Row], None]
+DAEMON: dict[str, Callable[[int], daemons.Outcome]] = {
+    "daemon SIGKILL": daemons.killed,
+    "daemon SIGKILL, its children stopped": lambda times: daemons.killed(times, stop_children=True),
+    "daemon stopped for 1.5 s": lambda times: daemons.stopped(times, daemons.STOP_S),
+    "daemon paused": lambda times: daemons.stopped(times, daemons.PAUSE_S),
+}
+ROOT: dict[str, Callable[[int], daemons.Outcome]] = {"disk full": daemons.filled}
 
 
-def struck(role: str, number: signal.Signals, times: int) -> tuple[Blows, ScanReport, list[str]]:
-    """One scan under blows: them, its report, and what it left behind."""
-    with tempfile.TemporaryDirectory() as out, start_head(WORLD, FPS, seed=5, speed_mm_s=2.0) as head:
-        config = demo_config(head, WORLD, Path(out))
-        folder = Path(out) / "scans"
-        config = replace(
-            config, record_folder=folder, workers=1, slots=24, publish=SocketConfig("tcp://127.0.0.1:*", None)
-        )
-        blows = Blows(role, number, times, folder)
-        session = blows.session = Session(config, name="scan")
-        report = session.run(blows)
-        left = [f"process {pid}" for pid in blows.pids if Path(f"/proc/{pid}").exists()]
-        left += [f"lamp {lamp}" for lamp in head.counters()["lamps_on"]]  # type: ignore[attr-defined]
-        return blows, report, left
+def names() -> list[str]:
+    """Of all rows that can be had here."""
+    scans = [blow.name for group in _groups() for blow in group]
+    return [*scans, *DAEMON, *(ROOT if os.geteuid() == 0 else ())]
 
 
-def daemon_killed(times: int) -> Row:
-    """kill -9 of the daemon itself: until the lamps are dark, and its processes gone."""
-    dark_s, left = [], Counter[str]()
-    for _ in range(times):
-        with tempfile.TemporaryDirectory() as out, start_head(WORLD, FPS, seed=5) as head:
-            save_calibration(Path(out) / "calibration.json", WORLD.calibration())
-            more = '\n[record]\nfolder = "scans"\n[publish]\naddress = "tcp://127.0.0.1:*"\n'
-            (Path(out) / "head.toml").write_text(head_toml(head, WORLD, Path("calibration.json")) + more)
-            (sockets := Path(out) / "tmp").mkdir()
-            mark = {"ANNULUS_KILLED": out, "TMPDIR": str(sockets)}
-            daemon = subprocess.Popen(
-                [
-                    sys.executable,
-                    "-c",
-                    "from annulus.cli import main; main()",
-                    "daemon",
-                    "--config",
-                    f"{out}/head.toml",
-                ],
-                env=os.environ | mark,
-                stderr=subprocess.PIPE,
-                text=True,
-            )
-            assert daemon.stderr is not None
-            for line in daemon.stderr:
-                if line.startswith("scanning: ") and int(line.split()[1]) >= 12:
-                    break
-            daemon.kill()
-            began = time.monotonic()
-            dark_s.append(_until_dark(head, began))
-            daemon.wait()
-            daemon.stderr.close()
-            end = time.monotonic() + 5.0
-            while (alive := _marked(out)) and time.monotonic() < end:
-                time.sleep(0.05)
-            left["processes"] += len(alive)
-            left["sockets"] += len(list(sockets.iterdir()))
-    worst = max(dark_s)
-    what = f"lamps dark after {median(dark_s):.2f}, at most {worst:.2f} s; left: {+left or 'nothing'}"
-    return Row(f"daemon, SIGKILL, {times} times", "-", f"dark in {DARK_S} s", what, worst <= DARK_S and not +left)
+def _groups() -> list[list[Blow]]:
+    """Blows that share a scan."""
+    groups = [list(blows.process_blows()), list(blows.other_blows())]
+    return groups + ([list(blows.disk_blows())] if os.geteuid() == 0 else [])
 
 
-def _until_dark(head: HeadHandle, began: float) -> float:
-    """The last moment at which a lamp was seen on, over two seconds, in seconds."""
-    last = 0.0
-    while (since := time.monotonic() - began) < 2.0:
-        if head.counters()["lamps_on"]:  # type: ignore[attr-defined]
-            last = since
-    return last
-
-
-def _marked(mark: str) -> list[str]:
-    found = []
-    for folder in Path("/proc").iterdir():
-        try:
-            if folder.name.isdigit() and f"ANNULUS_KILLED={mark}\0".encode() in (folder / "environ").read_bytes():
-                found.append(folder.name)
-        except OSError:
-            continue
-    return found
-
-
-def rows(times: int = TIMES, load: int = LOAD, tell: Callable[[Row], None] = lambda row: None) -> list[Row]:
+def rows(
+    times: int = TIMES, load: int = LOAD, wanted: Sequence[str] = ("",), tell: Told = lambda row: None
+) -> list[Row]:
     table: list[Row] = []
+
+    def done(row: Row) -> None:
+        table.append(row)
+        tell(row)
+
+    chosen = {name for name in names() if any(part in name for part in wanted)}
     with spinning(load):
-        cases = [(role, number) for role in ROLES for number in (signal.SIGKILL, signal.SIGSTOP)]
-        for role, number in [*cases, (FOLDER, signal.SIGKILL)]:
-            blows, report, left = struck(role, number, times)
-            took, ledger = blows.recovery_s, report.ledger
-            lost = ", ".join(f"{count} {kind}" for kind, count in (*ledger.before.items(), *ledger.after.items()))
-            measured = (
-                f"recovery {median(took):.2f}, at most {max(took):.2f} s; {ledger.taken} frames, "
-                f"lost: {lost or 'none'}; "
-                f"left: {', '.join(left) or 'nothing'}" + (f"; {ledger.problem}" if ledger.problem else "")
-            )
-            soon = SOON_S + (1.0 if "spare" in role else 0.0)  # a spare follows a second after the last one
-            ok = len(took) == times and max(took) <= soon and not left and not ledger.problem
-            how = "removed" if role == FOLDER else number.name
-            table.append(Row(f"{role}, {how}, {times} times", "-", f"{soon:g} s, adds up", measured, ok))
-            tell(table[-1])
-        table.append(daemon_killed(times))
-        tell(table[-1])
+        for number, group in enumerate(_groups()):
+            mine = [blow for blow in group if blow.name in chosen]
+            if mine:
+                _scan(mine, times, number, done)
+        for name, strike in (DAEMON | ROOT).items():
+            if name in chosen:
+                _daemon(name, strike, times, done)
     return table
 
 
+def _scan(group: list[Blow], times: int, seed: int, done: Told) -> None:
+    try:
+        outcome = blows.struck(_in_turn(group, times, seed), seed + 1, on_disk=group[0].name.startswith("disk"))
+    except AnnulusError as error:
+        done(Row(", ".join(blow.name for blow in group), "-", "runs", str(error), False))
+        return
+    for blow in group:
+        took = outcome.took_s[blow.name]
+        ok = len(took) == times and max(took) <= SOON_S
+        done(Row(f"{blow.name}, {len(took)} times", "-", f"{SOON_S:g} s", _spread(took), ok))
+    ledger = outcome.report.ledger
+    lost = ", ".join(f"{count} {kind}" for kind, count in (*ledger.before.items(), *ledger.after.items()))
+    unknown = outcome.report.frames.get("unknown", 0)
+    text = f"{ledger.taken} frames, {ledger.labelled} labelled ({unknown} unknown), {ledger.recorded} recorded; "
+    text += f"lost: {lost or 'none'}; "
+    text += "; ".join(outcome.problems) or "adds up, dark, nothing left"
+    done(Row("their scan", "-", "adds up, dark, nothing left", text, not outcome.problems))
+
+
+def _in_turn(group: list[Blow], times: int, seed: int) -> list[Blow]:
+    """Each as often, in rounds of a drawn order; what takes something away before what puts it back."""
+    chance, order = random.Random(seed), []
+    for _ in range(times):
+        fixed = any("put back" in blow.name for blow in group)
+        order += group if fixed else chance.sample(group, len(group))
+    return order
+
+
+def _daemon(name: str, strike: Callable[[int], daemons.Outcome], times: int, done: Told) -> None:
+    try:
+        outcome = strike(times)
+    except AnnulusError as error:
+        done(Row(name, "-", "runs", str(error), False))
+        return
+    ok, said, asked = not outcome.problems, [], []
+    if outcome.took_s:
+        said.append("recovery " + _spread(outcome.took_s))
+        asked.append(f"{SOON_S:g} s")
+        ok = ok and len(outcome.took_s) == times and max(outcome.took_s) <= SOON_S
+    if outcome.ended_s:
+        said.append("scan ended after " + _spread(outcome.ended_s))
+        asked.append(f"ended in {daemons.ENDED_S:g} s")
+        ok = ok and len(outcome.ended_s) == times and max(outcome.ended_s) <= daemons.ENDED_S
+    if outcome.dark_s:
+        said.append("dark after " + _spread(outcome.dark_s))
+        asked.append(f"dark in {daemons.DARK_S:.2f} s")
+        ok = ok and len(outcome.dark_s) == times and max(outcome.dark_s) <= daemons.DARK_S
+    said.append("; ".join(outcome.problems) or "adds up, dark, nothing left")
+    if outcome.statuses:
+        said.append(f"exit status {outcome.statuses[-1]}")
+    done(Row(f"{name}, {times} times", "-", ", ".join(asked), "; ".join(said), ok))
+
+
+def _spread(took_s: Sequence[float]) -> str:
+    return f"{median(took_s):.2f}, at most {max(took_s):.2f} s" if took_s else "none"
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("blows", nargs="?", type=int, default=TIMES)
+    parser.add_argument("load", nargs="?", type=int, default=LOAD)
+    parser.add_argument("--row", action="append", default=[])
+    given = parser.parse_args()
+    if "?" in given.row:
+        print("\n".join(names()))
+        return 0
+    table = rows(
+        given.blows,
+        given.load,
+        given.row or [""],
+        lambda row: print(row.what, "|", row.measured, "|", row.ok, flush=True),
+    )
+    return 0 if all(row.ok for row in table) else 1
+
+
 if __name__ == "__main__":
-    times, load = (int(value) for value in (*sys.argv[1:3], *(str(TIMES), str(LOAD))[len(sys.argv) - 1 :]))
-    rows(times, load, lambda row: print(row.what, "|", row.measured, "|", row.ok, flush=True))
+    raise SystemExit(main())
