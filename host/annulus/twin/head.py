@@ -64,7 +64,8 @@ class HeadHandle:
     def counters(self) -> dict[str, Any]:
         """What the head counts: frames, rendered, driver drops by reason, events lost on purpose, z_mm, lamps_on,
         dark_s: for how long no lamp was on (None: none has been yet), behind_ms: how far the world fell behind the
-        clock at worst; a head that needs more than this machine has is no head to judge a host by.
+        clock at worst, stretched_ms: for how long it stood still because this machine was too busy. A head that needs
+        more than this machine has is no head to judge a host by: its clocks jump by what was stretched.
         """
         return cast(dict[str, Any], self._ask({"do": "counters"}))
 
@@ -247,9 +248,16 @@ def run_head(fps: float, seed: int, faults: Path | None, board: str, roll_deg: f
                 raise AnnulusError(f"{out}: cannot be written ({error.strerror})") from None
             print(f"{out / 'head.toml'} is what `annulus daemon` wants", flush=True)
         print(f"# {head.timing}; Ctrl-C ends the head", file=sys.stderr, flush=True)
+        told_ms = 0.0
         try:
             while head.process.poll() is None:
                 time.sleep(0.2)
+                if (stretched_ms := head.counters()["stretched_ms"]) > told_ms:
+                    print(
+                        f"# this machine is too busy: the head stood still for {stretched_ms:.0f} ms so far",
+                        file=sys.stderr,
+                    )
+                    told_ms = stretched_ms + 1000.0
         except KeyboardInterrupt:
             return
     raise AnnulusError("twin head: ended by itself")

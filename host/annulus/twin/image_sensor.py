@@ -35,7 +35,7 @@ from annulus.vocabulary import CameraSequence, Lamp
 UNLIT = 1e-4  # of a lamp's nominal light: less is none
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class HostClock:
     """The host's monotonic clock against world ticks. `drift_ppm` > 0: the world (camera, controller) runs fast."""
 
@@ -49,6 +49,10 @@ class HostClock:
     def ns(self, tick: float) -> int:
         """Host time in ns at a world tick."""
         return self.start_ns + round(tick * TICK_NS / (1 + self.drift_ppm * 1e-6))
+
+    def stretch(self, ns: int) -> None:
+        """The world stood still for so long."""
+        self.start_ns += ns
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,9 @@ from annulus.twin.worlds.world import World
 from annulus.vocabulary import AnnulusError
 
 EMULATOR_WARM_TICKS = 50_000_000  # node compiles what runs often
+LATE_S = (
+    0.3  # further behind than this the world's time is stretched: a host's silence of 0.5 s would be the twin's own
+)
 SETTLE_S = 2.0  # from the camera's start to the cable's, time to calibrate and arm
 SAMPLES_WAITING_MAX = 1000  # at a subscriber that does not read
 COUNTED = (
@@ -48,7 +51,7 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the daemon's, which disarms the lamps through this head
     try:
         order = json.loads(sys.stdin.buffer.readline())
-        head = _Head(order)
+        head = Head(order)
     except AnnulusError as error:
         sys.exit(str(error))
     try:
@@ -75,7 +78,7 @@ class _SamplePublisher:
         self._context.destroy(linger=0)
 
 
-class _Head:
+class Head:
     def __init__(self, order: Mapping[str, Any]) -> None:
         self.world = World.from_dict(order["world"])
         self.faults = Faults.from_dict(order["faults"])
@@ -94,6 +97,7 @@ class _Head:
         self.serial: Line = PtyLine() if is_native else TcpLine()
         self.patience_s = (2e-4, 1e-3) if is_native else (5e-4, 3e-3)  # a look at the emulator costs 0.2 ms
         self.lamp_tick: int | None = None  # when a lamp last went on or off
+        self.stretched_ms = 0.0  # the world stood still for so long in all
         self.behind_ms = 0.0  # at worst, the world against the clock
         self.to_host = bytearray()
         hello = {
@@ -126,11 +130,8 @@ class _Head:
             patience = self.patience_s[0 if time.monotonic() < busy_until else 1]
             waitables = [*self.serial.waitables(), *self.camera.waitables(), sys.stdin, self.drawing.wake]
             readable, _, _ = select.select(waitables, [], [], patience)
-            self._advance()
-            if heard := self.serial.read():
-                self._advance()  # to after it was sent: a controller that is behind would stamp it before
-                if self.board.tick >= self.unplugged_until:
-                    self.board.serial_write(heard)
+            self.advance()
+            if self.listen():
                 busy_until = time.monotonic() + 3e-3
             if sys.stdin in readable:
                 more = os.read(sys.stdin.fileno(), MESSAGE_MAX)
@@ -147,6 +148,17 @@ class _Head:
             self.drawn += self.drawing.finished()
             while self.drawn and self.drawn[0].frame.due_tick <= self.board.tick:
                 self._deliver(self.drawn.popleft())
+
+    def listen(self) -> bool:
+        """What the host has sent, to the controller: after it was sent by the world's clock too, or the controller
+        would stamp what it had not got yet, and the host take its clock to have jumped.
+        """
+        heard = self.serial.read()
+        if heard:
+            self.advance()
+            if self.board.tick >= self.unplugged_until:
+                self.board.serial_write(heard)
+        return bool(heard)
 
     def close(self) -> None:
         self.drawing.close()
@@ -175,9 +187,14 @@ class _Head:
             self.boot = self.boot % 255 + 1
         self.board.power_on(self.boot, BootCause.WATCHDOG if what == "resets" else BootCause.POWER_ON)
 
-    def _advance(self) -> None:
+    def advance(self) -> None:
         """Bring the firmware's world to now."""
-        now = self.clock.tick(time.monotonic_ns())
+        now_ns = time.monotonic_ns()
+        now = self.clock.tick(now_ns)
+        if (late_s := (now - self.board.tick) * TICK_S - LATE_S) > 0.0:
+            self.stretched_ms += late_s * 1e3
+            self.clock.stretch(round(late_s * 1e9))
+            now = self.clock.tick(now_ns)
         while self.happenings and self.happenings[0][0] <= now:
             tick, what, much = self.happenings.pop(0)
             self._run_to(tick)
@@ -264,4 +281,5 @@ class _Head:
             "lamps_on": on,
             "dark_s": 0.0 if on else last_lit_s,
             "behind_ms": self.behind_ms,
+            "stretched_ms": self.stretched_ms,
         }

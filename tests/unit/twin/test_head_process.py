@@ -1,0 +1,55 @@
+"""Promises of the head's process: it keeps the order of things, and says so when it cannot keep the time."""
+
+import time
+from collections.abc import Iterator
+from dataclasses import asdict
+
+import pytest
+
+from annulus.twin import process
+from annulus.twin.faults import NO_FAULTS
+from annulus.twin.head import head_timing
+from annulus.twin.native import _LIBRARY
+from annulus.twin.worlds import demo_world
+
+pytestmark = pytest.mark.skipif(not _LIBRARY.is_file(), reason="native firmware not built")
+
+
+@pytest.fixture
+def head() -> Iterator[process.Head]:
+    order = {
+        "world": demo_world().scaled(104).to_dict(), "timing": asdict(head_timing(25.0)), "faults": asdict(NO_FAULTS),
+        "seed": 1, "speed_mm_s": 0.0, "drift_ppm": 30.0, "threads": 1, "board": "native",
+    }  # fmt: skip
+    head = process.Head(order)
+    yield head
+    head.close()
+
+
+def test_a_controller_gets_nothing_before_the_host_has_sent_it(
+    head: process.Head, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sent, got = list[int](), list[int]()
+
+    def read() -> bytes:
+        time.sleep(0.06)  # the machine was busy, and the host spoke at the end of it
+        sent.append(time.monotonic_ns())
+        return b"\0"
+
+    monkeypatch.setattr(head.serial, "read", read)
+    monkeypatch.setattr(head.board, "serial_write", lambda data: got.append(head.clock.ns(head.board.tick)))
+    for _ in range(3):
+        assert head.listen()
+    assert [at + process.TICK_NS >= then for at, then in zip(got, sent, strict=True)] == [True] * 3
+
+
+def test_a_head_that_was_held_up_stretches_its_time_and_says_by_how_much(head: process.Head) -> None:
+    head.advance()
+    before, at_ns = head.board.tick, head.clock.ns(head.board.tick)
+    time.sleep(process.LATE_S + 0.2)
+    head.advance()
+    stretched_ms = head.stretched_ms
+    passed_s = (head.board.tick - before) * process.TICK_S
+    assert stretched_ms >= 200.0 and passed_s == pytest.approx(process.LATE_S, abs=0.001)
+    moved_ns = head.clock.ns(before) - at_ns
+    assert moved_ns == pytest.approx(stretched_ms * 1e6, abs=1e3), "its clock tells the same"
