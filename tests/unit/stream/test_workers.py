@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import zmq
 
+from annulus.stream import workers
 from annulus.stream.frames import FrameHeader
 from annulus.stream.ring import FrameRing
 from annulus.stream.workers import (
@@ -267,6 +268,25 @@ def test_a_hang_is_twenty_times_what_frames_usually_take_and_a_second_at_least(t
     now[0] += 0.2
     yard.until(lambda: yard.of(Died))
     yard.close()
+
+
+def test_who_waited_for_a_disk_has_its_time_from_when_the_disk_lets_go(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now, letter = [0.0], ["D"]
+    monkeypatch.setattr(workers, "process_state", lambda pid: letter[0])
+    yard = Yard(tmp_path, count=1, clock=lambda: now[0]).all_ready(1)
+    yard.hand_out("fine")
+    yard.until(lambda: yard.of(Done))
+    yard.hand_out("hang")
+    for at_s, state in ((3.0, "D"), (3.9, "S")):
+        now[0], letter[0] = at_s, state
+        yard.seen += yard.pool.poll()
+        assert not yard.of(Died)
+    now[0] = 4.1
+    yard.until(lambda: yard.of(Died))
+    assert yard.of(Died)[0].why == "hung for 4 s"
+    yard.all_ready(1).close()
 
 
 def test_a_stopped_worker_is_replaced_and_one_that_goes_on_in_time_is_not(tmp_path: Path) -> None:
