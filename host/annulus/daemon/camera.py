@@ -41,8 +41,9 @@ from annulus.daemon.camera_config import FILES, CameraConfig
 from annulus.daemon.camera_state import CameraEvent, CameraState, CameraWatch
 from annulus.daemon.cameras import apply_controls, open_camera
 from annulus.daemon.priority import raise_priority
+from annulus.stream.orphan import end_with_parent
 from annulus.stream.ring import Place, RingWriter
-from annulus.stream.working import end_with_parent, keep_freed_memory
+from annulus.stream.working import keep_freed_memory
 from annulus.vocabulary import AnnulusError
 
 PACKET_MAX = 1 << 16  # bytes; 1024 slots are 10 kB

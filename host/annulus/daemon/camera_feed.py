@@ -35,6 +35,7 @@ from annulus.daemon.camera import PACKET_MAX, IntakeLoop, handed_in
 from annulus.daemon.camera_config import CameraConfig
 from annulus.daemon.camera_state import BackOff, CameraState
 from annulus.daemon.observer import Observer
+from annulus.stream.orphan import child
 from annulus.stream.ring import FrameRing, Place
 from annulus.stream.workers import process_state
 from annulus.vocabulary import AnnulusError, CameraSequence
@@ -266,7 +267,7 @@ class CameraFeed:
         with theirs:
             try:
                 process = subprocess.Popen(
-                    [sys.executable, "-m", "annulus.daemon.camera", json.dumps(order)],
+                    [*child("annulus.daemon.camera"), json.dumps(order)],
                     stdin=subprocess.DEVNULL,
                     pass_fds=(theirs.fileno(),),
                     process_group=0,  # the terminal's Ctrl-C is for the daemon

@@ -7,7 +7,6 @@ WORKER_DEPTH. A frame over the share is that outlet's loss alone.
 
 import os
 import shutil
-import sys
 import tempfile
 import time
 import uuid
@@ -31,6 +30,7 @@ from annulus.record.rotation import Bounds
 from annulus.rings.colour import ColourProfile
 from annulus.sensors.sample import Sample
 from annulus.stream.frames import FrameHeader
+from annulus.stream.orphan import child
 from annulus.stream.ring import Place
 from annulus.stream.workers import (
     Died,
@@ -182,7 +182,7 @@ class Recorder(Pool, Observer):
     """
 
     def __init__(self, setup: RecordingSetup, shared: Shared, account: Account, observer: Observer) -> None:
-        command = [sys.executable, "-m", "annulus.daemon.recorder"]
+        command = child("annulus.daemon.recorder")
         plain = {
             "folder": str(setup.folder.absolute()), "name": setup.name, "calibration": setup.calibration,
             "configuration": setup.configuration, "bounds": list(astuple(setup.bounds)), "scan": setup.scan,
@@ -302,7 +302,7 @@ class Reconstruction(Pool):
         self, calibration: Calibration, colour: ColourProfile | None, count: int, shared: Shared, account: Account,
         observer: Observer,
     ) -> None:  # fmt: skip
-        command = [sys.executable, "-m", "annulus.daemon.worker"]
+        command = child("annulus.daemon.worker")
         setup = {"calibration": calibration.to_dict(), "colour": None if colour is None else colour.to_dict()}
         kind = WorkerKind("worker", command, setup, count, WORKER_DEPTH, spares=1, eager=True)
         super().__init__(kind, shared, account, observer)

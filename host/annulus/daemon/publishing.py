@@ -2,7 +2,6 @@
 Observer.
 """
 
-import sys
 from collections import Counter
 from collections.abc import Mapping
 from typing import Any
@@ -15,6 +14,7 @@ from annulus.daemon.pools import Pool
 from annulus.daemon.state import State
 from annulus.sensors.sample import Sample
 from annulus.stream.frames import FrameHeader
+from annulus.stream.orphan import child
 from annulus.stream.ring import Place
 from annulus.stream.workers import Shared, WorkerKind
 from annulus.wall.profile import Profile
@@ -38,7 +38,7 @@ class Publishing(Pool, Observer):
         self._setup: dict[str, Any] = {"address": config.address, "keys": plain, "realtime": realtime}
         self._sent: Counter[str] = Counter()
         self._floods = self._notes_dropped = 0
-        command = [sys.executable, "-m", "annulus.daemon.publisher"]
+        command = child("annulus.daemon.publisher")
         kind = WorkerKind("publisher", command, self._setup, 1, PUBLISHER_SHARE, spares=1)
         super().__init__(kind, shared, account, observer)
 

@@ -39,10 +39,11 @@ class ReconstructionJob:
 
 
 def _prepare(setup: Any) -> ReconstructionJob:
-    os.nice(5)  # labels and recording come first
     cv2.setNumThreads(1)  # one process a core: threads would only fight over them
     colour = None if setup["colour"] is None else ColourProfile.from_dict(setup["colour"])
-    return ReconstructionJob(Calibration.from_dict(setup["calibration"]), colour)
+    job = ReconstructionJob(Calibration.from_dict(setup["calibration"]), colour)
+    os.nice(5)  # labels and recording come first; but nobody is to wait for a worker that is not up
+    return job
 
 
 if __name__ == "__main__":

@@ -5,11 +5,9 @@ workers.py imports it not, and it not workers.py: what runs in a worker should b
 
 import ctypes
 import json
-import os
 import shutil
 import signal
 import sys
-import threading
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -20,11 +18,11 @@ import zmq
 
 from annulus.numeric.arrays import Image
 from annulus.stream.frames import FrameHeader
+from annulus.stream.orphan import end_with_parent, is_dead
 from annulus.stream.ring import Overwritten, Place, RingView
 from annulus.vocabulary import AnnulusError
 
 REST_MS = 500
-_PR_SET_PDEATHSIG = 1
 _ENDS = (signal.SIGTERM, signal.SIGHUP)  # the kernel hangs up on stopped ones whose owner is gone
 _M_TRIM_THRESHOLD, _M_TOP_PAD, _M_MMAP_THRESHOLD = -1, -2, -3
 
@@ -99,7 +97,7 @@ def serve(argument: str, prepare: Callable[[Any], Job], rest_ms: int = REST_MS) 
     finally:
         _ignore_ends()
         answer("bye", None if job is None else job.close())
-        alone = _is_dead(link["parent"])  # it was killed: nobody reads the answers, or removes the sockets
+        alone = is_dead(link["parent"])  # it was killed: nobody reads the answers, or removes the sockets
         results.close(0 if alone else 2000)
         context.destroy(linger=0 if alone else 2000)
         if alone:
@@ -119,39 +117,6 @@ def _one_frame(job: Job, ring: RingView, body: Any, answer: Callable[[str, Any],
         answer("failed", [stamp, f"{type(error).__name__}: {error}"])
     else:
         answer("done", [stamp, result])
-
-
-def end_with_parent(parent: int, by: signal.Signals = signal.SIGTERM) -> None:
-    """Have the kernel send this signal when the parent is gone, even by kill -9, and even to a process that is stopped:
-    a stopped one is continued, for any signal but SIGKILL would wait in front of it for ever.
-    """
-    _at_parents_death(by)
-    if by is not signal.SIGKILL:
-        asked = threading.Event()
-        threading.Thread(target=_continue_with_parent, args=(asked,), name="continue", daemon=True).start()
-        asked.wait()
-    if _is_dead(parent):  # .. before we asked
-        sys.exit(1)
-
-
-def _is_dead(parent: int) -> bool:
-    """Or dying: its other threads may take a moment longer, and are our parent until then."""
-    try:
-        return os.getppid() != parent or Path(f"/proc/{parent}/stat").read_text().rsplit(") ", 1)[1][0] in "ZX"
-    except OSError:
-        return True
-
-
-def _at_parents_death(number: signal.Signals) -> None:
-    """Of the calling thread's: each thread may ask for a signal of its own, and the process gets them all."""
-    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, number, 0, 0, 0)
-
-
-def _continue_with_parent(asked: threading.Event) -> None:
-    signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())  # the others' signals are to interrupt them
-    _at_parents_death(signal.SIGCONT)
-    asked.set()
-    threading.Event().wait()
 
 
 def _end(*_: object) -> None:

@@ -7,9 +7,9 @@ import numpy as np
 
 from annulus.capture.camera import HeldRequest
 from annulus.daemon.account import Account
+from annulus.daemon.camera_config import CameraConfig
 from annulus.daemon.camera_feed import Arrived, Began, CameraFeed
 from annulus.daemon.camera_state import CameraState
-from annulus.daemon.config import CameraConfig
 from annulus.daemon.observer import Observer
 from annulus.stream.ring import FrameRing
 from annulus.vocabulary import AnnulusError
