@@ -12,6 +12,7 @@ next ticks may come up to a tenth of a microsecond late.
 """
 
 import json
+import os
 import shutil
 import subprocess
 from pathlib import Path
@@ -174,6 +175,10 @@ class EmulatedBoard:
     def level(self, pin: int) -> int:
         """Level of any pin now."""
         return self._levels.get(pin, 0)
+
+    def hurry(self) -> None:
+        """Before most others on this machine, but not all the time: it needs most of a processor. Raises OSError."""
+        os.setpriority(os.PRIO_PROCESS, self._process.pid, -10)
 
     def stall_cpu(self, ticks: int) -> None:
         """The processor stands still for so long, from the next run on; hardware goes on."""

@@ -1,5 +1,6 @@
 """The head's process: board, camera, sensors and serial line on one loop, slaved to the monotonic clock."""
 
+import contextlib
 import json
 import math
 import os
@@ -25,7 +26,7 @@ from annulus.sensors.sample import Sample
 from annulus.twin.camera_server import CameraServer
 from annulus.twin.drawing import Drawing, Job
 from annulus.twin.driver import Driver
-from annulus.twin.emulated import open_board
+from annulus.twin.emulated import EmulatedBoard, open_board
 from annulus.twin.faults import Faults, LossyLine
 from annulus.twin.image_sensor import Exposure, HostClock, ImageSensor
 from annulus.twin.line import Line, PtyLine, TcpLine
@@ -35,9 +36,8 @@ from annulus.twin.worlds.world import World
 from annulus.vocabulary import AnnulusError
 
 EMULATOR_WARM_TICKS = 50_000_000  # node compiles what runs often
-LATE_S = (
-    0.3  # further behind than this the world's time is stretched: a host's silence of 0.5 s would be the twin's own
-)
+LEVEL = 20  # of SCHED_FIFO, 1..99; before the daemon's 10
+LATE_S = 0.3  # further behind, the world's time is stretched: a host's silence of 0.5 s would be the twin's own
 SETTLE_S = 2.0  # from the camera's start to the cable's, time to calibrate and arm
 SAMPLES_WAITING_MAX = 1000  # at a subscriber that does not read
 COUNTED = (
@@ -119,6 +119,7 @@ class Head:
 
     def run(self) -> None:
         """Until stdin ends."""
+        self._keep_time()
         addresses = {"port": self.serial.url, "camera": self.camera.address, "sensors": self.publisher.address}
         sys.stdout.write(json.dumps(addresses) + "\n")
         sys.stdout.flush()
@@ -168,6 +169,15 @@ class Head:
         self.board.close()
 
     # ---- time ----
+    def _keep_time(self) -> None:
+        """A real head does not wait for this machine's processor. Where the system allows it neither does this one; its
+        pictures do.
+        """
+        with contextlib.suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(LEVEL))
+            if isinstance(self.board, EmulatedBoard):
+                self.board.hurry()
+
     def _placed(self) -> list[tuple[int, str, float]]:
         """What the faults have in store: world tick, what, how much; in order."""
         faults = self.faults
