@@ -43,7 +43,7 @@ from annulus.daemon.cameras import apply_controls, open_camera
 from annulus.daemon.priority import raise_priority
 from annulus.stream.orphan import end_with_parent
 from annulus.stream.ring import Place, RingWriter
-from annulus.stream.working import keep_freed_memory
+from annulus.stream.working import keep_freed_memory, leave_uncollected
 from annulus.vocabulary import AnnulusError
 
 PACKET_MAX = 1 << 16  # bytes; 1024 slots are 10 kB
@@ -272,6 +272,7 @@ def main(argument: str) -> None:
     end_with_parent(link["parent"], signal.SIGKILL)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     keep_freed_memory()
+    leave_uncollected()
     cv2.setNumThreads(1)
     raise_priority(link["realtime"])  # what is refused the daemon has told of itself
     plain: dict[str, Any] = {

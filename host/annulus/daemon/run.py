@@ -20,6 +20,7 @@ from annulus.daemon.samples import open_sensors
 from annulus.daemon.service import Service
 from annulus.daemon.session import Session
 from annulus.daemon.state import State
+from annulus.stream.working import leave_uncollected
 from annulus.vocabulary import AnnulusError
 
 
@@ -72,6 +73,7 @@ def run_daemon(config_path: Path, log: Path | None = None, job: Sequence[str] = 
         try:
             sensors = open_sensors(config.sensors)
             session = Session(config, observer=listeners, sensors=sensors)
+            leave_uncollected()
             session.run(lambda: interrupt.requested)
         except AnnulusError as error:
             if written is not None:
