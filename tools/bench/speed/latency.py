@@ -1,9 +1,13 @@
 """From a frame in hand to its label at a viewer, and what each process of the daemon needs, at 1664x1232 and 25 fps.
 
-    python -m tools.bench.speed.latency [LOAD] [SECONDS]     LOAD: processes that do nothing but spin
+    python -m tools.bench.speed.latency [LOAD] [SECONDS] [socket]     LOAD: processes that do nothing but spin
 
 Latency is a viewer's clock at the label minus the header's arrived_ns; the daemon's processes stamp what passes
 (hops.py), so a table says where the time goes. The rest: live.py.
+
+What a tty brings is handed on by a worker of the kernel's that has ordinary priority, and polling a tty waits for it:
+on a busy machine edges and their labels are late by that. With `socket` the controller's line is one, and has no such
+worker: what is left is ours.
 """
 
 import json
@@ -21,7 +25,7 @@ from tools.bench.speed.live import children_of, daemon_at_work, following, spinn
 from tools.bench.table import Row
 
 FPS, SECONDS, WARM_S = 25.0, 40.0, 4.0
-LOADS = (0, 3)
+RUNS = ((0, True), (3, True), (3, False))  # load, and whether the controller's line is a tty
 P50_MS, P999_MS = 3.0, 10.0
 
 NOTE = (
@@ -53,10 +57,10 @@ class Measured:
     load: float  # as the kernel averages it over the last minute
 
 
-def measure(load: int, seconds: float = SECONDS) -> Measured:
+def measure(load: int, seconds: float = SECONDS, tty: bool = True) -> Measured:
     world = clean_world()
     touch_memory(int((seconds + 3 * WARM_S) * FPS * world.camera.width * world.camera.height))
-    with daemon_at_work(world, FPS) as live, spinning(load):
+    with daemon_at_work(world, FPS, tty=tty) as live, spinning(load):
         seen, labels, turns_ms, cpu = _watch(live.viewer, live.pid, seconds)
         hops = _by_hop(seen, Stamps.read(live.stamps))
         return Measured(labels, cpu, hops, max(turns_ms, default=float("nan")), os.getloadavg()[0])
@@ -120,10 +124,11 @@ def at(ordered: list[float], share: float) -> float:
     return ordered[min(len(ordered) - 1, int(share * len(ordered)))] if ordered else float("inf")
 
 
-def rows(loads: tuple[int, ...] = LOADS, seconds: float = SECONDS) -> list[Row]:
+def rows(runs: tuple[tuple[int, bool], ...] = RUNS, seconds: float = SECONDS) -> list[Row]:
     out = []
-    for load in loads:
-        got = measure(load, seconds)
+    for load, tty in runs:
+        got = measure(load, seconds, tty)
+        run = f"load {load}, {'tty' if tty else 'socket'}"
         for hop, _, _ in HOPS:
             p50, p99, p999 = (at(got.hops[hop], share) for share in (0.5, 0.99, 0.999))
             text = f"p50 {p50:.2f}, p99 {p99:.1f}, p99.9 {p999:.1f} ms"
@@ -131,16 +136,17 @@ def rows(loads: tuple[int, ...] = LOADS, seconds: float = SECONDS) -> list[Row]:
             target = f"p50 <= {P50_MS:g}, p99.9 <= {P999_MS:g} ms" if is_whole else "-"
             ok = p50 <= P50_MS and p999 <= P999_MS if is_whole else None
             counted = f" of {len(got.hops[hop])} labels" if is_whole else ""
-            out.append(Row(f"load {load}: {hop}", "-", target, text + counted, ok))
-        out.append(Row(f"load {load}: longest turn of the daemon's loop", "-", f"< {TURN_MS:g} ms",
+            out.append(Row(f"{run}: {hop}", "-", target, text + counted, ok))
+        out.append(Row(f"{run}: longest turn of the daemon's loop", "-", f"< {TURN_MS:g} ms",
                        f"{got.turn_ms:.1f} ms", got.turn_ms < TURN_MS))  # fmt: skip
         cpu = ", ".join(f"{name} {percent:.1f} %" for name, percent in sorted(got.cpu_percent.items()))
         told = f"{cpu} of a core; load average {got.load:.1f}; {json.dumps(got.labels)}"
-        out.append(Row(f"load {load}: CPU by process", "-", "-", told))
+        out.append(Row(f"{run}: CPU by process", "-", "-", told))
     return out
 
 
 if __name__ == "__main__":
-    numbers = [float(word) for word in sys.argv[1:]]
-    for row in rows((int(numbers[0]),) if numbers else LOADS, numbers[1] if len(numbers) > 1 else SECONDS):
+    numbers = [float(word) for word in sys.argv[1:] if word != "socket"]
+    runs = ((int(numbers[0]), "socket" not in sys.argv),) if numbers else RUNS
+    for row in rows(runs, numbers[1] if len(numbers) > 1 else SECONDS):
         print(f"{row.what}: {row.measured}")

@@ -55,12 +55,13 @@ class Drawn(Renderer):
         return out
 
 
-def serve(width: int) -> None:
-    """The head's process; its camera is so many pixels wide."""
+def serve(width: int, tty: bool) -> None:
+    """The head's process; its camera is so many pixels wide, its line a tty or a socket."""
     world = clean_world().scaled(width)
     Drawn.start = world.pose(0.0)  # type: ignore[attr-defined]
     _raised(TWIN_LEVEL)
-    with patch.object(twin_process, "Renderer", Drawn):
+    line = twin_process.PtyLine if tty else twin_process.TcpLine
+    with patch.multiple(twin_process, Renderer=Drawn, PtyLine=line):
         twin_process.main()
 
 
@@ -89,16 +90,19 @@ class Live:
 
 @contextmanager
 def daemon_at_work(
-    world: World, fps: float, timing: FrameTiming | None = None, changed: Mapping[str, str] | None = None
-) -> Iterator[Live]:
-    """Once it has said its first label. `changed`: in head.toml, words for others."""
+    world: World, fps: float, timing: FrameTiming | None = None, changed: Mapping[str, str] | None = None,
+    tty: bool = True,
+) -> Iterator[Live]:  # fmt: skip
+    """Once it has said its first label. `changed`: in head.toml, words for others. `tty`: the controller's line is one,
+    else a socket.
+    """
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="annulus-bench-", dir=".")))
         stamps = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="annulus-bench-", dir=MEMORY)))
         run = subprocess.Popen
 
         def popen(command: list[str], **how: Any) -> Any:
-            ours = f"from tools.bench.speed.live import serve; serve({world.camera.width})"
+            ours = f"from tools.bench.speed.live import serve; serve({world.camera.width}, {tty})"
             return run([*command[:2], ours] if command[2:] == [START] else command, **how)
 
         with patch.object(twin_head.subprocess, "Popen", popen):

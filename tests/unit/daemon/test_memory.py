@@ -1,0 +1,58 @@
+"""A promise for long scans: what a frame needs while it is labelled and told of is given back."""
+
+import gc
+import tracemalloc
+from collections.abc import Mapping
+from types import SimpleNamespace
+from typing import Any, cast
+
+from faulty_head import Head
+
+from annulus.daemon.account import Account
+from annulus.daemon.config import HeadConfig
+from annulus.daemon.evidence import Evidence
+
+WARM, FRAMES = 2_000, 3_000  # of each camera
+KEPT_MAX = 40_000  # bytes, of which 20 000 come and go; one header kept of each frame would be 2 MB, one number 200 000
+
+
+class Scan:
+    """As much of a session as labels, evidence and numbers need; two cameras, and every fault of the line."""
+
+    def __init__(self) -> None:
+        self.head, self.account, self.notes = Head(seed=5), Account(), 0
+        self.head.begin()
+        config = cast(HeadConfig, SimpleNamespace(cameras=(), job={}))
+        self.evidence = Evidence(self._note, self.head.navigation, self.account, config, (), None)
+
+    def _note(self, topic: str, body: Mapping[str, Any]) -> None:
+        self.notes += 1
+
+    def run(self, first: int, last: int) -> None:
+        for k in range(first, last):
+            self.head.run(k, k + 1)
+            for header in self.head.headers:
+                self.account.label(header)
+            self.head.headers.clear()
+            self.evidence.turn(k * 0.04)
+            if k % 25 == 0:
+                assert self.account.numbers() and [one.numbers() for one in self.head.labellings]
+
+
+def test_what_a_frame_leaves_behind_is_nothing() -> None:
+    tracemalloc.start()
+    try:
+        scan = Scan()
+        scan.run(0, WARM)
+        before = _kept()
+        scan.run(WARM, WARM + FRAMES)
+        grown = _kept() - before
+    finally:
+        tracemalloc.stop()
+    assert scan.notes > FRAMES / 25 and scan.account.frames.total() > FRAMES
+    assert grown < KEPT_MAX
+
+
+def _kept() -> int:
+    gc.collect()
+    return tracemalloc.get_traced_memory()[0]
