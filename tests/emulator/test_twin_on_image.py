@@ -122,8 +122,9 @@ def test_the_daemon_scans_with_the_image_over_tcp(image: Path, tmp_path: Path) -
                 break
         heard += daemon.stderr.readlines()
         status, counters = daemon.wait(30), head.counters()
-    if not (enough and status == 0) and counters["behind_ms"] > BUSY_MS:
-        pytest.skip(f"this machine is too busy: the emulated board fell {counters['behind_ms']:.0f} ms behind")
+    late_ms = max(counters["behind_ms"], counters["stretched_ms"])
+    if not (enough and status == 0) and late_ms > BUSY_MS:
+        pytest.skip(f"this machine is too busy: the emulated board fell {late_ms:.0f} ms behind")
     assert enough and status == 0, heard
     assert counters["lamps_on"] == []
     (path,) = (tmp_path / "scans").glob("*.mcap")
