@@ -119,8 +119,10 @@ class Struck:
 class Course:
     """A session's `stop`: strikes whenever all is well, until no blow is left."""
 
-    def __init__(self, scene: Scene, blows: Sequence[Blow], seed: int) -> None:
+    def __init__(self, scene: Scene, blows: Sequence[Blow], seed: int, until_s: float) -> None:
+        self._until_s = until_s
         self.took_s: dict[str, list[float]] = {blow.name: [] for blow in blows}
+        self.replaced: Counter[str] = Counter()  # processes, by role, that had to be
         self.pids: set[int] = set()
         self.stuck = ""  # why it was ended early
         self._scene, self._left, self._random = scene, list(blows), random.Random(seed)
@@ -142,9 +144,10 @@ class Course:
             return bool(self.stuck)
         if now - self._well_s < self._calm_s:
             return False
-        if not self._left:
+        if not self._left or now > self._until_s:
             return True
         blow = self._left.pop(0)
+        self.replaced[blow.replaces] += 1
         self._struck = Struck(blow, (processes.get(blow.replaces) or [0])[0], now)
         blow.strike(scene)
         return False
@@ -320,8 +323,8 @@ class Outcome:
     problems: list[str] = field(default_factory=list)  # whatever is not as it should be after the scan
 
 
-def struck(blows: Sequence[Blow], seed: int = 1, on_disk: bool = False) -> Outcome:
-    """One scan under these blows, in this order, and what is to be said of it."""
+def struck(blows: Sequence[Blow], seed: int = 1, on_disk: bool = False, until_s: float = float("inf")) -> Outcome:
+    """One scan under these blows, in this order, and what is to be said of it. No blow falls after `until_s`."""
     with ExitStack() as stack:
         out = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="annulus-kills-")))
         head = stack.enter_context(start_head(WORLD, FPS, seed=seed, speed_mm_s=2.0))
@@ -338,7 +341,7 @@ def struck(blows: Sequence[Blow], seed: int = 1, on_disk: bool = False) -> Outco
             publish=SocketConfig(scene.address, None), record=RecordConfig(min_free_gb=0, sync_s=1.0),
         )  # fmt: skip
         session = scene.session = Session(config, observer=scene, name="scan")
-        course = Course(scene, blows, seed)
+        course = Course(scene, blows, seed, until_s)
         try:
             report = session.run(course)
         finally:
@@ -346,7 +349,7 @@ def struck(blows: Sequence[Blow], seed: int = 1, on_disk: bool = False) -> Outco
         problems = [course.stuck] if course.stuck else []
         problems += [f"left: {one}" for one in left(str(out), before, os.getpid())]
         problems += [f"left: process {pid}" for pid in course.pids if is_alive(pid)]
-        problems += _wrong_in(session, report, Counter(blow.replaces for blow in blows))
+        problems += _wrong_in(session, report, course.replaced)
         if not any("folder" in blow.name or "disk p" in blow.name for blow in blows):
             readable = len(open_recording(scene.folder / "scan.mcap").frames)
             if readable < report.ledger.recorded:

@@ -1,15 +1,17 @@
 """Every process of a scan killed and stopped in turn, its disk full, slow and gone, its camera away: how soon it goes
 on, whether the ledger of frames adds up, whether the lamps are dark in time, and what is left behind.
 
-    python -m tools.bench.speed.kills [BLOWS] [LOAD] [--row NAME ...]     LOAD: processes that spin
+    python -m tools.bench.speed.kills [BLOWS] [LOAD] [--row NAME ...] [--seconds N]     LOAD: processes that spin
 
 NAME: a part of the names of the rows wanted; --row ? lists them. Rows that share a scan (all but the daemon's own, and
-the disk's) are struck in turn, and answer together for the ledger and for what is left. Disks need root.
+the disk's) are struck in turn, and answer together for the ledger and for what is left; after N seconds such a scan
+ends, with fewer blows. Disks need root.
 """
 
 import argparse
 import os
 import random
+import time
 from collections.abc import Callable, Sequence
 from statistics import median
 
@@ -47,8 +49,13 @@ def _groups() -> list[list[Blow]]:
 
 
 def rows(
-    times: int = TIMES, load: int = LOAD, wanted: Sequence[str] = ("",), tell: Told = lambda row: None
+    times: int = TIMES,
+    load: int = LOAD,
+    wanted: Sequence[str] = ("",),
+    tell: Told = lambda row: None,
+    seconds: float = float("inf"),
 ) -> list[Row]:
+    """`seconds`: a scan ends after so long, with fewer blows."""
     table: list[Row] = []
 
     def done(row: Row) -> None:
@@ -60,16 +67,17 @@ def rows(
         for number, group in enumerate(_groups()):
             mine = [blow for blow in group if blow.name in chosen]
             if mine:
-                _scan(mine, times, number, done)
+                _scan(mine, times, number, seconds, done)
         for name, strike in (DAEMON | ROOT).items():
             if name in chosen:
                 _daemon(name, strike, times, done)
     return table
 
 
-def _scan(group: list[Blow], times: int, seed: int, done: Told) -> None:
+def _scan(group: list[Blow], times: int, seed: int, seconds: float, done: Told) -> None:
+    until_s, on_disk = time.monotonic() + seconds, group[0].name.startswith("disk")
     try:
-        outcome = blows.struck(_in_turn(group, times, seed), seed + 1, on_disk=group[0].name.startswith("disk"))
+        outcome = blows.struck(_in_turn(group, times, seed), seed + 1, on_disk, until_s)
     except AnnulusError as error:
         done(Row(", ".join(blow.name for blow in group), "-", "runs", str(error), False))
         return
@@ -128,17 +136,17 @@ def main() -> int:
     parser = argparse.ArgumentParser()
     parser.add_argument("blows", nargs="?", type=int, default=TIMES)
     parser.add_argument("load", nargs="?", type=int, default=LOAD)
+    parser.add_argument("--seconds", type=float, default=float("inf"))
     parser.add_argument("--row", action="append", default=[])
     given = parser.parse_args()
     if "?" in given.row:
         print("\n".join(names()))
         return 0
-    table = rows(
-        given.blows,
-        given.load,
-        given.row or [""],
-        lambda row: print(row.what, "|", row.measured, "|", row.ok, flush=True),
-    )
+
+    def tell(row: Row) -> None:
+        print(row.what, "|", row.measured, "|", row.ok, flush=True)
+
+    table = rows(given.blows, given.load, given.row or [""], tell, given.seconds)
     return 0 if all(row.ok for row in table) else 1
 
 
