@@ -18,7 +18,7 @@ from statistics import median
 from annulus.vocabulary import AnnulusError
 from tools.bench.speed import blows, daemons
 from tools.bench.speed.blows import Blow
-from tools.bench.speed.latency import spinning
+from tools.bench.speed.live import spinning
 from tools.bench.table import Row
 
 TIMES, LOAD = 20, 3
