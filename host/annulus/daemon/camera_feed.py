@@ -46,6 +46,7 @@ THREAD_SILENT_S = 2.5  # without a word of a camera of the caller's, which may w
 HUNG_S = 1.0  # without a word, where one comes every 0.2 s
 STOPPED_S = 0.4  # without a word, before the kernel is asked whether it is stopped, and between two questions
 SPARE_S = 1.0  # between two starts of spares
+RESTART_LAST_S = 5.0  # between two starts of intakes that die with their camera, each half a second of processor
 STALL_S = 0.1  # longer between two polls than this and it was us who did not listen
 SEND_BYTES = 1 << 20  # of packets that wait for us, if the system lets them
 
@@ -120,7 +121,7 @@ class CameraFeed:
         self._since_s, self._troubled = 0.0, CameraState.CLOSED  # the trouble: since when, and of which kind
         self._entered: Counter[str] = Counter()  # by processes that are no more
         self._entered_now: Mapping[str, int] = {}
-        self._back_off, self._fruitful = BackOff(), True  # whether the intake brought a frame
+        self._back_off, self._fruitful = BackOff(RESTART_LAST_S), True  # whether the intake brought a frame
         self._link: socket.socket | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self._thread: threading.Thread | None = None

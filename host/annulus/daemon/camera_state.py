@@ -8,8 +8,8 @@
                     +---+---------------retry-----------------+
     anything -close-> closed
 
-A camera that is gone or silent is opened again, with all its settings, after 0.5 s, then 1 s, and so on up to 5 s; the
-first frame sets that back. Frames missed meanwhile are counted by whoever knows when they were due.
+A camera that is gone or silent is opened again, with all its settings, after 0.5 s, then 1 s, and so on every second;
+the first frame sets that back. Frames missed meanwhile are counted by whoever knows when they were due.
 """
 
 from collections import Counter
@@ -17,7 +17,7 @@ from collections.abc import Mapping
 from enum import StrEnum
 
 RETRY_FIRST_S = 0.5
-RETRY_LAST_S = 5.0  # a cable put back in is found within this
+RETRY_LAST_S = 1.0  # a cable put back in is found within this; one attempt is milliseconds of work
 
 
 class CameraState(StrEnum):
@@ -55,12 +55,13 @@ TRANSITIONS: Mapping[tuple[CameraState, CameraEvent], CameraState] = {
 class BackOff:
     """Longer and longer between attempts that bring nothing."""
 
-    def __init__(self) -> None:
-        self._next_s = RETRY_FIRST_S
+    def __init__(self, last_s: float | None = None) -> None:
+        """`last_s`: it grows no longer than this, by default RETRY_LAST_S."""
+        self._next_s, self._last_s = RETRY_FIRST_S, RETRY_LAST_S if last_s is None else last_s
 
     def wait_s(self) -> float:
         """Before the next attempt."""
-        now, self._next_s = self._next_s, min(2 * self._next_s, RETRY_LAST_S)
+        now, self._next_s = self._next_s, min(2 * self._next_s, self._last_s)
         return now
 
     def succeeded(self) -> None:
