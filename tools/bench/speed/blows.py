@@ -391,7 +391,7 @@ def marked(mark: str) -> Iterator[None]:
 
 def shared() -> set[str]:
     """Segments; semaphores of multiprocessing come and go with other programs on the machine, a scan makes none."""
-    return {name for name in os.listdir("/dev/shm") if not name.startswith("sem.mp-")}
+    return {one.name for one in Path("/dev/shm").iterdir() if one.is_file() and not one.name.startswith("sem.mp-")}
 
 
 def _mapped(names: set[str]) -> set[str]:
