@@ -49,7 +49,7 @@ class Job(Protocol):
 def serve(argument: str, prepare: Callable[[Any], Job], rest_ms: int = REST_MS) -> None:
     """Run one worker: `argument` is what WorkerPool put on the command line, `prepare` makes the job from the setup."""
     link: Mapping[str, Any] = json.loads(argument)
-    end_with_parent(link["parent"])
+    end_with_parent(link["parent"], signal.SIGKILL)  # until there is a job to close
     keep_freed_memory()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for number in _ENDS:
@@ -89,6 +89,7 @@ def serve(argument: str, prepare: Callable[[Any], Job], rest_ms: int = REST_MS) 
                 except AnnulusError as error:
                     answer("broken", str(error))
                     break
+                end_with_parent(link["parent"])
                 answer("ready", None)
             elif job is not None and kind == b"note":
                 job.note(*body)
