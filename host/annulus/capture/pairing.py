@@ -18,7 +18,7 @@ run of frames gives it back (doubt.py), or a search from nothing does (offset.py
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from annulus.capture.doubt import Agreed, Doubt, Glimpse
 from annulus.capture.history import EdgeHistory, PlacedEdge
@@ -42,8 +42,7 @@ _IRREGULAR, _LATE_LOAD, _DISARMED = (  # as plain numbers: asked for every frame
 _TIMED = frozenset({Reason.AGREED, Reason.DARK})  # nothing but the picture can speak against it
 
 
-@dataclass(frozen=True, slots=True)
-class Labelled:
+class Labelled(NamedTuple):
     """The verdict on one frame. `flash` is given whenever one was found, also where the label stays unknown."""
 
     label: Label
@@ -53,8 +52,7 @@ class Labelled:
     opened_ns: int | None = None  # host time of the opening edge
 
 
-@dataclass(frozen=True, slots=True)
-class _Judged:
+class _Judged(NamedTuple):
     """What edges and time say."""
 
     reason: Reason

@@ -9,7 +9,7 @@ what goes wrong there. No clock: exposures in, deliveries out.
 
 import math
 from collections import Counter
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,8 +27,7 @@ _DRAWN_AT_ONCE = 1024
 _DRAWS = 8
 
 
-@dataclass(frozen=True, slots=True)
-class Part:
+class Part(NamedTuple):
     """Rows of a picture, from one share of its height to another, that one exposure left there."""
 
     exposure: Exposure
@@ -36,8 +35,7 @@ class Part:
     bottom: float
 
 
-@dataclass(frozen=True, slots=True)
-class Delivered:
+class Delivered(NamedTuple):
     """One frame as the host gets it."""
 
     number: int  # the exposure in whose turn it came

@@ -11,6 +11,8 @@ import numpy as np
 
 from annulus.vocabulary import AnnulusError
 
+_DRAWN_AT_ONCE = 4096
+
 Placed = tuple[tuple[int, float], ...]
 """(frame, how much): from that frame on, or for so long."""
 
@@ -138,7 +140,7 @@ class LossyLine:
 
     def __init__(self, faults: Faults, seed: int = 0) -> None:
         self._faults = faults
-        self._rng = np.random.default_rng([seed, 3])
+        self._draws = _Uniform(seed)
         self._frame = bytearray()
         self.events_lost = 0
         self.bytes_flipped = 0
@@ -150,12 +152,13 @@ class LossyLine:
         if self._faults.events_lost > 0:
             data = self._lose_events(data)
         if self._faults.bytes_flipped > 0 and data:
-            draws = self._rng.random(len(data))
-            if draws.min() < self._faults.bytes_flipped:
-                hit = np.flatnonzero(draws < self._faults.bytes_flipped)
+            draws = self._draws.take(len(data))
+            if min(draws) < self._faults.bytes_flipped:
+                hit = [i for i, draw in enumerate(draws) if draw < self._faults.bytes_flipped]
                 flipped = bytearray(data)
+                rng = self._draws.generator()
                 for i in hit:
-                    flipped[i] ^= 1 << int(self._rng.integers(8))
+                    flipped[i] ^= 1 << int(rng.integers(8))
                 self.bytes_flipped += len(hit)
                 data = bytes(flipped)
         return data
@@ -173,10 +176,38 @@ class LossyLine:
             self._frame.append(0)
             # an event's id is 0x80 or above, never zero, so it stands behind the first COBS code byte
             is_event = len(self._frame) > 2 and 0x80 <= self._frame[1] < 0xF0
-            if is_event and self._rng.random() < self._faults.events_lost:
+            if is_event and self._draws.take(1)[0] < self._faults.events_lost:
                 self.events_lost += 1
             else:
                 out += self._frame
             self._frame.clear()
         self._frame += rest
         return bytes(out)
+
+
+class _Uniform:
+    """Numbers of one generator, drawn many at once and handed out a few at a time."""
+
+    def __init__(self, seed: int) -> None:
+        self._rng = np.random.default_rng([seed, 3])
+        self._drawn: list[float] = []
+        self._at = 0  # so many of these were handed out
+        self._before: Any = None  # state of the generator before it drew them
+
+    def take(self, count: int) -> list[float]:
+        """The next ones, from 0 to 1."""
+        if self._at + count > len(self._drawn):
+            rng = self.generator()
+            self._before = rng.bit_generator.state
+            self._drawn = rng.random(max(count, _DRAWN_AT_ONCE)).tolist()
+        taken = self._drawn[self._at : self._at + count]
+        self._at += count
+        return taken
+
+    def generator(self) -> np.random.Generator:
+        """For draws of another kind: as if nothing had been drawn but what was handed out."""
+        if self._drawn:
+            self._rng.bit_generator.state = self._before
+            self._rng.random(self._at)
+            self._drawn, self._at = [], 0
+        return self._rng

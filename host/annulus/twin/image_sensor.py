@@ -18,7 +18,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from operator import itemgetter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -245,8 +245,7 @@ class ImageSensor:
         return self._readout + self._exposure + 3 * round(self._period)
 
 
-@dataclass(frozen=True, slots=True)
-class _Light:
+class _Light(NamedTuple):
     """What a frame got of one lamp."""
 
     rows: NDArray[np.float32]  # over the lamp's nominal on-time

@@ -3,8 +3,8 @@ the daemon has them on the other, and the truth beside them.
 """
 
 from collections import Counter, deque
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import asdict, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -48,8 +48,7 @@ TOLD_BEFORE = 50  # .. and nobody told, then or shortly before
 SHOWN_MAX = 20
 
 
-@dataclass(frozen=True, slots=True)
-class _Waiting:
+class _Waiting(NamedTuple):
     seen: FrameSeen
     frame: Delivered
 

@@ -79,13 +79,14 @@ class Truth:
         """bound_mm : of z where it is assumed."""
         if header.label is Label.UNKNOWN:
             return Verdict.UNKNOWN
-        if not all(_lit_evenly(part, LAMPS[header.label]) for part in frame.parts):
+        parts, lamp = frame.parts, LAMPS[header.label]
+        if not all([_lit_evenly(part, lamp) for part in parts]):
             return Verdict.WRONG_LAMP
-        if not any(self._is_of(header, part) for part in frame.parts):
+        if not any([self._is_of(header, part) for part in parts]):
             return Verdict.WRONG_PLACE
         if header.z_mm is None:
             return Verdict.WRONG_PLACE
-        off_mm = max(abs(header.z_mm - self.z_mm(part)) for part in frame.parts)
+        off_mm = max([abs(header.z_mm - self.z_mm(part)) for part in parts])
         if header.z_assumed:
             self.assumed += 1
             self.beyond_bound += off_mm > bound_mm + self._z_error_max_mm
@@ -110,7 +111,7 @@ class Truth:
 def _lit_evenly(part: Part, lamp: Lamp) -> bool:
     """Whether that lamp lit these rows, all of them alike, and no other did."""
     exposure = part.exposure
-    if exposure.lamps != {lamp}:
+    if len(exposure.lamps) != 1 or lamp not in exposure.lamps:
         return False
     least, most = exposure.extremes[lamp]
     if least >= EVEN * most:
