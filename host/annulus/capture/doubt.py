@@ -29,6 +29,7 @@ PICTURES_RUN = 5  # after a doubt about pictures, and where nobody but pictures 
 ALONE_RUN = 8  # where one is alone against one
 AGAINST_RUN = 4  # more, for each picture that was against it before
 LAMP_LOOKED_FOR = 8  # frames back
+LAMP_LOOKED_FOR_MOVED = 6  # where arrival and count, both as they were, agree against timestamps
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,21 +82,23 @@ class Doubt:
     def agreed(self) -> Agreed | None:
         """Whether the last frames prove their edges, the latest included."""
         long = PICTURES_RUN if self.pictures else 0
-        for way, run, moved, why in (
-            (_all, max(PASSED_RUN, long), False, "all witnesses agree again"),
-            (_stamp_alone, max(PICTURES_RUN, long), False, "pictures agree"),
-            (_arrival_and_count, max(MOVED_RUN, long), True, "timestamps have moved"),
-            (_arrival_alone if self._stamps_impossible else _nobody, ALONE_RUN, True, "timestamps have moved"),
-            (_stamp_and_arrival, max(MOVED_RUN, long), True, "the driver counts anew"),
-            (_stamp_and_count, ALONE_RUN, True, "frames come sooner than they did"),
+        looked = LAMP_LOOKED_FOR
+        for way, run, shown, why in (
+            (_all, max(PASSED_RUN, long), looked if self.pictures else 0, "all witnesses agree again"),
+            (_stamp_alone, max(PICTURES_RUN, long), looked, "pictures agree"),
+            (_arrival_and_count, max(MOVED_RUN, long), LAMP_LOOKED_FOR_MOVED, "timestamps have moved"),
+            (_arrival_alone if self._stamps_impossible else _nobody, ALONE_RUN, looked, "timestamps have moved"),
+            (_stamp_and_arrival, max(MOVED_RUN, long), looked, "the driver counts anew"),
+            (_stamp_and_count, ALONE_RUN, looked, "frames come sooner than they did"),
         ):
-            agreed = self._run(way, run, moved or way is _stamp_alone or bool(self.pictures), why)
+            agreed = self._run(way, run, shown, why)
             if agreed is not None:
                 return agreed
         return None
 
-    def _run(self, way: Callable[[Glimpse], int | None], length: int, shown: bool, why: str) -> Agreed | None:
-        """The run that ends with the latest frame, if it is long enough. `shown`: some picture is of another lamp.
+    def _run(self, way: Callable[[Glimpse], int | None], length: int, shown: int, why: str) -> Agreed | None:
+        """The run that ends with the latest frame, if it is long enough. `shown`: one of its pictures is of another
+        lamp than the projector, if such a lamp lit any of the last so many frames.
 
         A picture of this doubt that is against this way makes the run longer: in a preamble any four may fit by chance.
         """
@@ -109,23 +112,33 @@ class Doubt:
             flash = self._history.lit(ordinal)
             fits = flash is None or glimpse.light is None or glimpse.light is LIGHTS[flash.lamp]
             length += 0 if fits else AGAINST_RUN
-            ended |= not fits or (bool(run) and ordinal >= run[-1][1])
+            ended |= not fits or (
+                bool(run) and (ordinal >= run[-1][1] or self._stepped(way, (glimpse, ordinal), run[0]))
+            )
             if not ended:
                 run.append((glimpse, ordinal))
                 told += flash is not None and glimpse.light is not None and flash.lamp is not Lamp.PROJECTOR
-        if len(run) < length or (shown and not told and self._other_lamp_before(run[0][1])):
+        if len(run) < length or (not told and self._other_lamp_before(run[0][1], shown)):
             return None
         return self._what_it_says(run[::-1], way, why)
 
-    def _other_lamp_before(self, ordinal: int) -> bool:
+    def _stepped(self, way: Callable[..., int | None], one: tuple[Glimpse, int], last: tuple[Glimpse, int]) -> bool:
+        """Whether timestamps that have moved had not moved there yet, or that one was off by itself."""
+        edges = [self._history.numbered(ordinal) for _, ordinal in (one, last)]
+        if way not in _MOVED or edges[0] is None or edges[1] is None:
+            return False
+        off_ns = (one[0].timestamp_ns - edges[0].host_ns) - (last[0].timestamp_ns - edges[1].host_ns)
+        return abs(off_ns) > WINDOW * self._period_ns
+
+    def _other_lamp_before(self, ordinal: int, frames: int) -> bool:
         """Whether a flash but the projector's lit one of the last frames."""
-        flashes = (self._history.lit(ordinal - back) for back in range(LAMP_LOOKED_FOR))
+        flashes = (self._history.lit(ordinal - back) for back in range(frames))
         return any(flash is not None and flash.lamp is not Lamp.PROJECTOR for flash in flashes)
 
     def _what_it_says(self, run: list[tuple[Glimpse, int]], way: Callable[..., int | None], why: str) -> Agreed | None:
         """None when what has moved has not settled yet."""
         moved_to: float | None = None
-        if way in (_arrival_and_count, _arrival_alone):
+        if way in _MOVED:
             placed = [(glimpse.timestamp_ns, self._history.numbered(ordinal)) for glimpse, ordinal in run]
             offsets = [stamp - edge.host_ns for stamp, edge in placed if edge is not None]
             moved_to = median(offsets)
@@ -180,3 +193,6 @@ def _stamp_and_arrival(glimpse: Glimpse) -> int | None:
 def _stamp_and_count(glimpse: Glimpse) -> int | None:
     sooner = glimpse.by_stamp is not None and not glimpse.waited and glimpse.by_arrival != glimpse.by_stamp
     return glimpse.by_stamp if sooner and glimpse.by_stamp == glimpse.by_count else None
+
+
+_MOVED = (_arrival_and_count, _arrival_alone)  # ways in which timestamps are what is off

@@ -130,6 +130,11 @@ def test_a_count_that_begins_anew_is_believed_when_it_is_proved() -> None:
     assert 3 < score.relock(AT) <= 8 and score.share(AT + 8) == 0
 
 
+def test_a_stamp_that_is_off_by_itself_does_not_hold_up_those_that_have_moved() -> None:
+    score = run(Faults(stamp_ms=lambda k: FRAME_MS * (7 * (k >= AT) + 2 * (k == AT))))
+    assert score.relock(AT + 1) <= 8 and score.share(AT + 9) == 0
+
+
 def test_a_count_that_stands_still_is_no_count() -> None:
     assert run(Faults(count=lambda k: 7)).unknown == [0]
 
