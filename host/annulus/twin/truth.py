@@ -20,6 +20,7 @@ EVEN = 0.97  # a row with less light than this share of the brightest: the flash
 PLACE_MM = 0.1
 NEAR = 0.25  # of a period: between an edge as the camera made it, and as the controller stamped it
 EDGES_KEPT = 4096
+WRAP = 1 << 32  # of the controller's ticks: 43 s
 
 LAMPS = {Label.PROJECTOR: Lamp.PROJECTOR, Label.LED: Lamp.LED}
 
@@ -64,6 +65,7 @@ class Truth:
             life = self._lives[i]
             tick = life.began + flash.tick
             ends = self._lives[i + 1].began if i + 1 < len(self._lives) else now
+            tick += max(0, ends - tick) // WRAP * WRAP  # the host counts wraps from when it first heard of that boot
             if life.boot == flash.boot and tick <= ends:
                 self._edges[(i, flash.edge)] = tick
                 while len(self._edges) > EDGES_KEPT:
