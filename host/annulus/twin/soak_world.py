@@ -276,8 +276,7 @@ class SoakWorld:
 
     def _label(self, one: _Waiting) -> None:
         header = self.labelling.header(one.seen)
-        here = self.navigation.odometer.here
-        verdict = self.truth.verdict(header, one.frame, here.bound_mm if here is not None else 0.0)
+        verdict = self.truth.verdict(header, one.frame)
         number = one.frame.number
         self.labels[header.label] += 1
         self.verdicts[verdict] += 1

@@ -2,7 +2,7 @@
 
 A label is wrong when any row of the picture was lit by anything but that lamp, or not by all of its flash. A place is
 wrong when the edge that was given is not the one whose flash lit the picture, or when z is off by more than PLACE_MM
-and a count while the header does not say that it was assumed.
+and a count: where the header says that z is assumed, by more than the bound it tells besides.
 """
 
 from bisect import bisect_left, bisect_right
@@ -77,8 +77,7 @@ class Truth:
         """From this edge on z is counted from where the head was."""
         self._zeros.append((tick, self._cable.z_mm(tick)))
 
-    def verdict(self, header: FrameHeader, frame: Delivered, bound_mm: float = 0.0) -> Verdict:
-        """bound_mm : of z where it is assumed."""
+    def verdict(self, header: FrameHeader, frame: Delivered) -> Verdict:
         if header.label is Label.UNKNOWN:
             return Verdict.UNKNOWN
         parts, lamp = frame.parts, LAMPS[header.label]
@@ -91,9 +90,10 @@ class Truth:
         off_mm = max([abs(header.z_mm - self.z_mm(part)) for part in parts])
         if header.z_assumed:
             self.assumed += 1
-            self.beyond_bound += off_mm > bound_mm + self._z_error_max_mm
+            beyond = off_mm > header.z_bound_mm + self._z_error_max_mm
+            self.beyond_bound += beyond
             self.assumed_error_mm = max(self.assumed_error_mm, off_mm)
-            return Verdict.RIGHT
+            return Verdict.WRONG_PLACE if beyond else Verdict.RIGHT
         self.error_mm = max(self.error_mm, off_mm)
         return Verdict.RIGHT if off_mm <= self._z_error_max_mm else Verdict.WRONG_PLACE
 

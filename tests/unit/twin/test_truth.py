@@ -67,8 +67,9 @@ def test_another_edge_or_another_z_is_a_wrong_place(truth: Truth) -> None:
     assert truth.verdict(header(14), whole(9)) is Verdict.WRONG_PLACE
     assert truth.verdict(header(9, z_mm=10.14), whole(9)) is Verdict.RIGHT
     assert truth.verdict(header(9, z_mm=10.16), whole(9)) is Verdict.WRONG_PLACE
-    assert truth.verdict(replace(header(9, z_mm=4797.0), z_assumed=True), whole(9), bound_mm=50.0) is Verdict.RIGHT
-    assert truth.verdict(replace(header(9, z_mm=59.0), z_assumed=True), whole(9), bound_mm=50.0) is Verdict.RIGHT
+    far, near = (replace(header(9, z_mm=z), z_assumed=True, z_bound_mm=50.0) for z in (4797.0, 59.0))
+    assert truth.verdict(far, whole(9)) is Verdict.WRONG_PLACE, "the bound that was told did not hold"
+    assert truth.verdict(near, whole(9)) is Verdict.RIGHT
     assert (truth.assumed, truth.assumed_error_mm, truth.beyond_bound) == (2, 4787.0, 1)
 
 
