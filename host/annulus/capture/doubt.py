@@ -29,7 +29,7 @@ PICTURES_RUN = 5  # after a doubt about pictures, and where nobody but pictures 
 ALONE_RUN = 8  # where one is alone against one
 AGAINST_RUN = 4  # more, for each picture that was against it before
 LAMP_LOOKED_FOR = 8  # frames back
-LAMP_LOOKED_FOR_MOVED = 6  # where arrival and count, both as they were, agree against timestamps
+ELSEWHERE = 8  # frames before and after, where a run's pictures might fit as well
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +86,7 @@ class Doubt:
         for way, run, shown, why in (
             (_all, max(PASSED_RUN, long), looked if self.pictures else 0, "all witnesses agree again"),
             (_stamp_alone, max(PICTURES_RUN, long), looked, "pictures agree"),
-            (_arrival_and_count, max(MOVED_RUN, long), LAMP_LOOKED_FOR_MOVED, "timestamps have moved"),
+            (_arrival_and_count, max(MOVED_RUN, long), looked, "timestamps have moved"),
             (_arrival_alone if self._stamps_impossible else _nobody, ALONE_RUN, looked, "timestamps have moved"),
             (_stamp_and_arrival, max(MOVED_RUN, long), looked, "the driver counts anew"),
             (_stamp_and_count, ALONE_RUN, looked, "frames come sooner than they did"),
@@ -110,7 +110,7 @@ class Doubt:
                 ended = True
                 continue
             flash = self._history.lit(ordinal)
-            fits = flash is None or glimpse.light is None or glimpse.light is LIGHTS[flash.lamp]
+            fits = self._may_be_of(glimpse, ordinal)
             length += 0 if fits else AGAINST_RUN
             ended |= not fits or (
                 bool(run) and (ordinal >= run[-1][1] or self._stepped(way, (glimpse, ordinal), run[0]))
@@ -118,9 +118,30 @@ class Doubt:
             if not ended:
                 run.append((glimpse, ordinal))
                 told += flash is not None and glimpse.light is not None and flash.lamp is not Lamp.PROJECTOR
-        if len(run) < length or (not told and self._other_lamp_before(run[0][1], shown)):
+        if len(run) < length:
+            return None
+        if (
+            not told
+            and self._other_lamp_before(run[0][1], shown)
+            and not (way in _TWO and self._fits_nowhere_else(run))
+        ):
             return None
         return self._what_it_says(run[::-1], way, why)
+
+    def _fits_nowhere_else(self, run: list[tuple[Glimpse, int]]) -> bool:
+        """Whether these pictures are of no other edges nearby: in a preamble a stretch of the projector alone may be as
+        telling as the LED. Where they really belong they always fit, so a wrong place is never the only one.
+        """
+        latest = self._history.edges[-1].ordinal
+        return not any(
+            run[0][1] + off <= latest and all(self._may_be_of(glimpse, ordinal + off) for glimpse, ordinal in run)
+            for off in range(-ELSEWHERE, ELSEWHERE + 1)
+            if off
+        )
+
+    def _may_be_of(self, glimpse: Glimpse, ordinal: int) -> bool:
+        flash = self._history.lit(ordinal)
+        return flash is None or glimpse.light is None or glimpse.light is LIGHTS[flash.lamp]
 
     def _stepped(self, way: Callable[..., int | None], one: tuple[Glimpse, int], last: tuple[Glimpse, int]) -> bool:
         """Whether timestamps that have moved had not moved there yet, or that one was off by itself."""
@@ -196,3 +217,4 @@ def _stamp_and_count(glimpse: Glimpse) -> int | None:
 
 
 _MOVED = (_arrival_and_count, _arrival_alone)  # ways in which timestamps are what is off
+_TWO = (_arrival_and_count, _stamp_and_arrival)  # that agree against the third
