@@ -82,23 +82,22 @@ class Doubt:
     def agreed(self) -> Agreed | None:
         """Whether the last frames prove their edges, the latest included."""
         long = PICTURES_RUN if self.pictures else 0
-        looked = LAMP_LOOKED_FOR
         for way, run, shown, why in (
-            (_all, max(PASSED_RUN, long), looked if self.pictures else 0, "all witnesses agree again"),
-            (_stamp_alone, max(PICTURES_RUN, long), looked, "pictures agree"),
-            (_arrival_and_count, max(MOVED_RUN, long), looked, "timestamps have moved"),
-            (_arrival_alone if self._stamps_impossible else _nobody, ALONE_RUN, looked, "timestamps have moved"),
-            (_stamp_and_arrival, max(MOVED_RUN, long), looked, "the driver counts anew"),
-            (_stamp_and_count, ALONE_RUN, looked, "frames come sooner than they did"),
+            (_all, max(PASSED_RUN, long), bool(self.pictures), "all witnesses agree again"),
+            (_stamp_alone, max(PICTURES_RUN, long), True, "pictures agree"),
+            (_arrival_and_count, max(MOVED_RUN, long), True, "timestamps have moved"),
+            (_arrival_alone if self._stamps_impossible else _nobody, ALONE_RUN, True, "timestamps have moved"),
+            (_stamp_and_arrival, max(MOVED_RUN, long), True, "the driver counts anew"),
+            (_stamp_and_count, ALONE_RUN, True, "frames come sooner than they did"),
         ):
             agreed = self._run(way, run, shown, why)
             if agreed is not None:
                 return agreed
         return None
 
-    def _run(self, way: Callable[[Glimpse], int | None], length: int, shown: int, why: str) -> Agreed | None:
+    def _run(self, way: Callable[[Glimpse], int | None], length: int, shown: bool, why: str) -> Agreed | None:
         """The run that ends with the latest frame, if it is long enough. `shown`: one of its pictures is of another
-        lamp than the projector, if such a lamp lit any of the last so many frames.
+        lamp than the projector, if such a lamp lit any of the last LAMP_LOOKED_FOR frames.
 
         A picture of this doubt that is against this way makes the run longer: in a preamble any four may fit by chance.
         """
@@ -121,8 +120,9 @@ class Doubt:
         if len(run) < length:
             return None
         if (
-            not told
-            and self._other_lamp_before(run[0][1], shown)
+            shown
+            and not told
+            and self._other_lamp_before(run[0][1])
             and not (way in _TWO and self._fits_nowhere_else(run))
         ):
             return None
@@ -151,9 +151,9 @@ class Doubt:
         off_ns = (one[0].timestamp_ns - edges[0].host_ns) - (last[0].timestamp_ns - edges[1].host_ns)
         return abs(off_ns) > WINDOW * self._period_ns
 
-    def _other_lamp_before(self, ordinal: int, frames: int) -> bool:
+    def _other_lamp_before(self, ordinal: int) -> bool:
         """Whether a flash but the projector's lit one of the last frames."""
-        flashes = (self._history.lit(ordinal - back) for back in range(frames))
+        flashes = (self._history.lit(ordinal - back) for back in range(LAMP_LOOKED_FOR))
         return any(flash is not None and flash.lamp is not Lamp.PROJECTOR for flash in flashes)
 
     def _what_it_says(self, run: list[tuple[Glimpse, int]], way: Callable[..., int | None], why: str) -> Agreed | None:
