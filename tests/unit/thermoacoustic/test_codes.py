@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
@@ -168,6 +168,10 @@ def test_the_controller_refuses_what_the_findings_refuse_and_nothing_else() -> N
         return st.sampled_from(edges).flatmap(lambda edge: st.integers(max(edge - 2, 0), edge + 2))
 
     @settings(max_examples=120, deadline=None)
+    @example(bits="1", chip=30, slack=0, duty_edge=True, offset=0, at_end="start")  # each answer, whatever is drawn
+    @example(bits="1" * 40, chip=400, slack=0, duty_edge=True, offset=0, at_end="start")
+    @example(bits="10" * 20, chip=30, slack=0, duty_edge=False, offset=0, at_end="start")
+    @example(bits="1", chip=30, slack=-1, duty_edge=True, offset=-100_000, at_end="start")
     @given(
         bits=st.text("01", min_size=1, max_size=40),
         chip=near(10, 15, 30, 1500, 3000) | st.integers(8, 400),
