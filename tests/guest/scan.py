@@ -95,7 +95,8 @@ def operate(address: str, said: io.StringIO, facts: dict[str, Any]) -> None:
             held.call(videodev.S_CTRL, videodev.Control(DISCONNECT, 1))
             until(lambda: "the camera is gone" in said.getvalue())
             held.close()
-            until(frames_beyond(unknown() + 15))  # the scan goes on with it
+            until(lambda: "is back after" in said.getvalue())  # frames from before may still be counted until then
+            until(frames_beyond(unknown() + 30))  # the scan goes on with it
             facts["stopped"] = str(head.stop())
     except Exception as error:
         facts["operator"] = f"{type(error).__name__}: {error}"
