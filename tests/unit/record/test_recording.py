@@ -21,6 +21,7 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
+from mcap_protobuf.decoder import DecoderFactory
 
 from annulus.cli import main
 from annulus.record.recording import from_json, open_recording, to_bgr, to_json
@@ -108,6 +109,21 @@ def test_other_mcap_readers_read_it(tmp_path: Path) -> None:
         messages = [(c.topic, m.sequence) for _, c, m in make_reader(file, validate_crcs=True).iter_messages()]
     assert [s for t, s in messages if t == "/frame/0"] == list(range(7))
     assert [s for t, s in messages if t == "/label"] == list(range(7))
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 127), (8, 16), (3, 5461), (127, 129), (128, 128), (1448, 1449)])
+def test_pictures_of_any_size_are_foxgloves_message(size: tuple[int, int], tmp_path: Path) -> None:
+    height, width = size  # their products lie about the lengths where one byte more tells them
+    image = np.random.default_rng(height).integers(0, 256, (2 * height, 2 * width), dtype=np.uint8)[::2, ::2]
+    label = label_of(3) | {"encoding": "mono8", "width": width, "height": height}
+    with RecordingWriter(tmp_path / "a.mcap", calibration=None, configuration={}, now_ns=5) as writer:
+        writer.frame(label, image, 1_500_000_000)
+    with (tmp_path / "a.mcap").open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        [raw] = [message for *_, message in reader.iter_decoded_messages(topics=["/frame/0"])]
+    assert (raw.width, raw.height, raw.step, raw.encoding) == (width, height, width, "mono8")
+    assert (raw.timestamp.seconds, raw.timestamp.nanos) == (1, 500_000_000)
+    assert raw.data == image.tobytes()
 
 
 @pytest.mark.parametrize("encoding, red", [("bayer_rggb8", (0, 0)), ("mono8", None)])
