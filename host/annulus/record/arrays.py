@@ -57,12 +57,15 @@ def _require_heaps_that_end(root: h5py.File) -> None:
     if root.id.get_create_plist().get_sizes() != (8, 8):
         raise ValueError("its addresses or lengths are not of 8 bytes")
     with open(root.filename, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-        begin = content.find(_HEAP)
+        begin, walked = content.find(_HEAP), 0
         while begin >= 0:
             at = begin + _HEAP_HEAD
             (size,) = struct.unpack_from("<Q", content[begin + len(_HEAP) : at].ljust(8, b"\0"))
             end = begin + size
             if end <= len(content):
+                walked += size
+                if walked > 4 * len(content):  # they lie side by side, but for what was written over
+                    raise ValueError("its collections of texts lie within each other")
                 while at + _OBJECT.size <= end:
                     number, _, _, length = _OBJECT.unpack_from(content, at)
                     at += _OBJECT.size + length + -length % 8 if number else length
