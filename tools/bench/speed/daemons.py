@@ -155,6 +155,7 @@ def killed(times: int, stop_children: bool = False, seed: int = 1) -> Outcome:
                 daemon.process.wait()
                 outcome.problems += daemon.left(before)
                 outcome.problems += [f"left: process {pid}" for pid in children if is_alive(pid)]
+                _say("dark after", outcome.dark_s, outcome)
         outcome.problems += lit(head)
         outcome.problems += _unreadable(out / "scans")
     return outcome
@@ -177,6 +178,7 @@ def stopped(times: int, lasts_s: float, seed: int = 1) -> Outcome:
                 daemon.process.send_signal(signal.SIGCONT)
                 over_ns = time.monotonic_ns()
                 outcome.took_s.append(daemon.labelled(over_ns) - over_ns / 1e9)
+                _say("recovery", outcome.took_s, outcome)
             _end(daemon, outcome, before)
         outcome.problems += lit(head) + _unreadable(out / "scans")
     return outcome
@@ -205,11 +207,17 @@ def filled(times: int, seed: int = 1) -> Outcome:
                     (disk.folder / "filler").unlink()
                     outcome.problems += _unreadable(disk.folder / "scans")
                     shutil.rmtree(disk.folder / "scans")
+                    _say("ended after", outcome.ended_s, outcome)
                 _end(daemon, outcome, before)
             outcome.problems += lit(head)
         finally:
             disk.close()
     return outcome
+
+
+def _say(what: str, times_s: list[float], outcome: Outcome) -> None:
+    """After each blow: a run that is cut short has told something."""
+    print(f"{len(times_s)}: {what} {times_s[-1]:.2f} s", *outcome.problems, sep="; ", file=sys.stderr, flush=True)
 
 
 def _end(daemon: Daemon, outcome: Outcome, before: set[str]) -> None:
