@@ -75,7 +75,9 @@ def test_drops_are_counted_and_a_camera_that_goes_and_comes_back_is_used_again(
     assert "/dev/video0: has no ExposureTime to set" in said
     assert "Traceback" not in said
 
-    [scan] = [scan for scan in facts["scans"] if scan["counts"]]
+    scans = [scan for scan in facts["scans"] if scan["counts"]]
+    assert len(scans) == 1, said
+    [scan] = scans
     counts = scan["counts"]
     again = next(at for at in range(1, len(counts)) if counts[at] <= counts[at - 1])  # the driver began anew
     lost = {kind: int(count) for count, kind in re.findall(r"(\d+) (\w+)", re.findall(r"^lost: (.*)$", said, re.M)[-1])}
