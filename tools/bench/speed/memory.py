@@ -1,7 +1,7 @@
 """What each process of a scan keeps for good: a real daemon with small pictures at many frames a second, recording and
 publishing, and how its memory grows.
 
-    python -m tools.bench.speed.memory [SECONDS]
+    python -m tools.bench.speed.memory [SECONDS] [FPS]     8 h at 25 a second: 2400 s at 300
 
 Counted is memory of a process's own (RssAnon); the ring is everybody's. It grows in steps where more had to wait than
 ever before, and those are no leak: the slope is the median of the slopes between any two looks that are far apart, and
@@ -22,8 +22,7 @@ from tools.bench.speed.live import children_of, daemon_at_work, following
 from tools.bench.table import Row
 
 FPS, WIDTH = 150.0, 208
-TIMING = FrameTiming(FPS, 6000.0, 500.0)  # us
-FLASH_US = 1000
+EXPOSED, READ, FLASH = 0.9, 0.075, 0.15  # of the time between two frames
 SECONDS, WARM_S, EVERY_S = 200.0, 40.0, 1.0
 HOUR = 90_000  # frames
 GROWTH_MAX_MB = 1.0  # an hour; the recorder grew by 50
@@ -46,11 +45,13 @@ class Kept:
         return float(middle), float(high - low) / 2.0
 
 
-def measure(seconds: float = SECONDS) -> tuple[dict[str, Kept], Mapping[str, int], float]:
+def measure(seconds: float = SECONDS, fps: float = FPS) -> tuple[dict[str, Kept], Mapping[str, int], float]:
     """By process; labels; the share of frames taken that were recorded."""
     kept: dict[str, Kept] = {}
-    flash = {"_width_us = ": f"_width_us = {FLASH_US} # "}
-    with daemon_at_work(clean_world().scaled(WIDTH), FPS, TIMING, flash) as live:
+    period_us = 1e6 / fps
+    timing = FrameTiming(fps, EXPOSED * period_us, READ * period_us)
+    flash = {"_width_us = ": f"_width_us = {FLASH * period_us:.0f} # "}
+    with daemon_at_work(clean_world().scaled(WIDTH), fps, timing, flash) as live:
         begin = time.monotonic() + WARM_S
         next_look, telemetry = begin, dict[str, object]()
         frames = 0
@@ -77,8 +78,8 @@ def _own_mb(pid: int) -> float:
     return next(int(line.split()[1]) / 1000.0 for line in lines if line.startswith("RssAnon"))
 
 
-def rows(seconds: float = SECONDS) -> list[Row]:
-    kept, labels, recorded = measure(seconds)
+def rows(seconds: float = SECONDS, fps: float = FPS) -> list[Row]:
+    kept, labels, recorded = measure(seconds, fps)
     out = []
     for name, one in sorted(kept.items()):
         slope, error = one.slope()
@@ -91,5 +92,5 @@ def rows(seconds: float = SECONDS) -> list[Row]:
 
 
 if __name__ == "__main__":
-    for row in rows(float(sys.argv[1]) if len(sys.argv) > 1 else SECONDS):
+    for row in rows(*map(float, sys.argv[1:])):
         print(f"{row.what}: {row.measured}")
