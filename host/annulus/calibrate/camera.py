@@ -33,6 +33,7 @@ VIEW_OFF, VIEW_OFF_PX = 3.0, 0.1  # times the usual residual and so many pixels 
 FISHEYE_GAIN = 0.9  # of the pinhole's residual, when the model is free; two models of one lens are often equally good
 FEW = 8  # photographs
 LARGE_PX = 1.0  # of residual
+COVERED_PX = 8.0  # from place to place where coverage is asked
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +71,7 @@ class CameraCalibration:
     target_was_given: bool
     photographs: tuple[Photograph, ...]
     rms_everything_px: float  # of a plain fit to every corner of every target found, nothing rejected
-    coverage: float  # part of the image inside some target's outline
-    seen: tuple[FloatArray, ...]  # (N, 2) pixels of each photograph kept
+    coverage: float  # part of the image inside the outline of some target's corners
     warnings: tuple[str, ...]
 
     @property
@@ -79,7 +79,7 @@ class CameraCalibration:
         return self.intrinsics.camera
 
     def sigma_map(self, steps: int = 60) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """x and y of a grid over the image, and how well each pixel's ray is known there, px."""
+        """x and y of a grid over the image, and how well a pixel's ray is known there, px; NaN where no target was."""
         x = np.linspace(0, self.camera.width - 1, steps)
         y = np.linspace(0, self.camera.height - 1, max(round(steps * self.camera.height / self.camera.width), 2))
         at = np.stack(np.meshgrid(x, y), axis=2).reshape(-1, 2)
@@ -88,7 +88,7 @@ class CameraCalibration:
     def to_dict(self) -> dict[str, Any]:
         camera = self.camera
         sigma = np.sqrt(np.diag(self.intrinsics.covariance))
-        spread = self.sigma_map(30)[2]
+        spread = self.intrinsics.ray_sigma_px(np.concatenate(self.intrinsics.seen))
         return {
             "camera": camera_to_dict(camera),
             "sigma": {name: float(s) for name, s in zip(("fx", "fy", "cx", "cy"), sigma[:4], strict=True)},
@@ -222,12 +222,11 @@ def calibrate_camera(
                 np.nan if view is None else view.blur_px, float(rms.get(i, np.nan)), rejected[i],
             )
         )  # fmt: skip
-    seen = tuple(s.pixels for s in some)
-    coverage = _coverage(seen, size)
+    coverage = _coverage(first)
     if progress:
         progress("fitting", 3, 3)
     return CameraCalibration(
-        first, shown, given, tuple(photographs), everything.rms_px, coverage, seen, _warnings(first, coverage)
+        first, shown, given, tuple(photographs), everything.rms_px, coverage, _warnings(first, coverage)
     )
 
 
@@ -371,12 +370,9 @@ def _reject_far(fit: Intrinsics, kept: Sequence[int], good: dict[int, NDArray[np
     return before != (sum(int(np.count_nonzero(g)) for g in good.values()), sum(map(bool, rejected)))
 
 
-def _coverage(seen: Sequence[FloatArray], size: tuple[int, int]) -> float:
-    mask = np.zeros((max(size[1] // 8, 1), max(size[0] // 8, 1)), np.uint8)
-    for pixels in seen:
-        hull = cv2.convexHull((pixels / 8).astype(np.float32))
-        cv2.fillConvexPoly(mask, np.rint(hull).astype(np.int32), 1)
-    return float(mask.mean())
+def _coverage(fit: Intrinsics) -> float:
+    x, y = (np.arange(COVERED_PX / 2, size, COVERED_PX) for size in (fit.camera.width, fit.camera.height))
+    return float(fit.covered(np.stack(np.meshgrid(x, y), axis=2).reshape(-1, 2)).mean())
 
 
 def _warnings(fit: Intrinsics, coverage: float) -> tuple[str, ...]:

@@ -19,15 +19,17 @@ def draw_camera(result: CameraCalibration, path: Path) -> None:
     FigureCanvasAgg(figure)
     known, left, bars = figure.subplot_mosaic([["known", "left"], ["bars", "bars"]], height_ratios=[3, 1.3]).values()
     x, y, sigma = result.sigma_map()
+    known.set_facecolor("0.75")
     top = float(min(np.nanpercentile(sigma, 98), 6 * np.nanmedian(sigma)))
     shade = known.pcolormesh(x, y, sigma, vmin=0, vmax=max(top, 1e-6), cmap="viridis_r", shading="nearest")
-    if np.isfinite(sigma).all() and np.ptp(sigma) > 0:
-        known.clabel(known.contour(x, y, sigma, levels=6, colors="k", linewidths=0.5), fontsize=7)
-    for pixels in result.seen:
+    if np.nanmax(sigma) > np.nanmin(sigma):
+        lines = known.contour(x, y, np.ma.masked_invalid(sigma), levels=6, colors="k", linewidths=0.5)
+        known.clabel(lines, fontsize=7)
+    for pixels in fit.seen:
         known.plot(*pixels.T, ".", ms=1.5, color="white", alpha=0.6)
     figure.colorbar(shade, ax=known, label="px, one standard deviation")
-    known.set_title("How well each pixel's ray is known (white: corners)")
-    for pixels, off in zip(result.seen, fit.residuals, strict=True):
+    known.set_title("How well each pixel's ray is known (white: corners; grey: no target was there)")
+    for pixels, off in zip(fit.seen, fit.residuals, strict=True):
         left.quiver(*pixels.T, *off.T, angles="xy", scale_units="xy", scale=1 / ARROW, width=0.0015)
     left.set_title(f"Residuals, {ARROW:.0f} times enlarged; rms {fit.rms_px:.3f} px")
     for axes in (known, left):

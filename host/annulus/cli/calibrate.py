@@ -89,7 +89,7 @@ def camera(
         f"({told['rms_everything_px']:.3f} px with nothing left out)"
     )
     spread = told["ray_sigma_px"]
-    print(f"rays       known to {spread['median']:.2f} px (median), {spread['worst']:.2f} px (worst place)")
+    print(f"rays       known to {spread['median']:.3f} px (median corner), {spread['worst']:.3f} px (worst)")
     print(f"coverage   {100 * result.coverage:.0f} % of the image")
     for warning in result.warnings:
         print(f"warning    {warning}")

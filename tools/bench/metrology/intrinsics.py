@@ -113,7 +113,7 @@ def _drawn(name: str, camera: Camera, target: DrawnTarget, off: float) -> Row:
 
 def _ray_error_px(result: CameraCalibration, truth: Camera) -> float:
     """A turn of the whole camera taken out: that is every user's own pose."""
-    seen = np.concatenate(result.seen)
+    seen = np.concatenate(result.intrinsics.seen)
     rays, wanted = result.camera.rays(seen), truth.rays(seen)
     rays = Rotation.align_vectors(wanted, rays)[0].apply(rays)
     return float(np.sqrt(np.mean(((truth.project(rays) - truth.project(wanted)) ** 2).sum(axis=1))))
