@@ -29,13 +29,7 @@ def decode(data: bytes, size: _Size | None = None) -> Image:
 
     size : (width, height) that it must have, where that is known. Raises ValueError, one line.
     """
-    read = next((read for begin, read in _KINDS.items() if data.startswith(begin)), None)
-    if read is None:
-        raise ValueError(f"{len(data)} bytes that are neither JPEG nor PNG, TIFF, BMP, PNM or WebP")
-    try:
-        found = read(data)
-    except (struct.error, IndexError):
-        found = None
+    found = size_of(data)
     if found is not None:
         width, height = found
         if not (0 < width <= SIDE_MAX and 0 < height <= SIDE_MAX and width * height <= PIXELS_MAX):
@@ -50,6 +44,20 @@ def decode(data: bytes, size: _Size | None = None) -> Image:
         if image is not None and image.shape == (height, width, 3):
             return np.asarray(image, np.uint8)
     raise ValueError(f"truncated or damaged image ({len(data)} bytes)")
+
+
+def size_of(data: bytes) -> _Size | None:
+    """Width and height that a picture's head says, undecoded; None where it is cut short or damaged.
+
+    Raises ValueError, one line, for what is no picture at all.
+    """
+    read = next((read for begin, read in _KINDS.items() if data.startswith(begin)), None)
+    if read is None:
+        raise ValueError(f"{len(data)} bytes that are neither JPEG nor PNG, TIFF, BMP, PNM or WebP")
+    try:
+        return read(data)
+    except (struct.error, IndexError):
+        return None
 
 
 def _jpeg(data: bytes) -> _Size | None:

@@ -1,14 +1,16 @@
-"""`annulus record`: what a recording says of itself, and its labels said again."""
+"""`annulus record`: what a recording says of itself, its labels said again, and a video made a scan."""
 
 import json
+import sys
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from annulus.cli.show import Json, group, print_fields
+from annulus.cli.show import Json, group, print_fields, progress
+from annulus.vocabulary import AnnulusError
 
-app = group("Recordings: who made one, and whether its labels follow from its evidence.")
+app = group("Recordings: who made one, whether its labels follow from its evidence; videos made scan folders.")
 
 Scan = Annotated[Path, typer.Argument(help="A recording, .mcap.")]
 
@@ -70,6 +72,57 @@ def check(scan: Scan, as_json: Json = False) -> None:
             print(f"{one.offset:>14}  {one.text}{lost}")
     if damage or recording.torn:
         raise typer.Exit(1)
+
+
+@app.command(
+    "import",
+    epilog="Example: annulus record import dvd.mp4 -o scan --chainage counter.csv && annulus reconstruct scan ..",
+)
+def import_command(
+    video: Annotated[Path, typer.Argument(help="A video of a profiler head whose light stays on: AVI, MP4, MKV ..")],
+    out: Annotated[Path, typer.Option("-o", "--out", help="New folder for the scan.")],
+    chainage: Annotated[
+        Path | None,
+        typer.Option(
+            help="CSV with columns frame (from 0) and chainage, chainage_m, chainage_ft ..; even between rows."
+        ),
+    ] = None,
+    unit: Annotated[
+        str | None, typer.Option(help="Of the chainage, where its heading names none: mm, cm, m, in, ft. [default: mm]")
+    ] = None,
+    speed: Annotated[float | None, typer.Option(help="Of an even pull, mm/s, where no chainage is known.")] = None,
+    fps: Annotated[
+        float | None, typer.Option(min=0.01, help="Frames a second, with --speed; the video's own if not given.")
+    ] = None,
+    first: Annotated[int, typer.Option(min=0, help="First frame.")] = 0,
+    last: Annotated[int | None, typer.Option(min=0, help="Last frame; the video's if not given.")] = None,
+    every: Annotated[int, typer.Option(min=1, help="Take every n-th frame.")] = 1,
+    as_json: Json = False,
+) -> None:
+    """Make a scan folder of a video: a picture a frame, and where it was taken."""
+    from annulus.record.video import UNITS_MM, import_video, read_chainage
+
+    if (chainage is None) == (speed is None):
+        raise AnnulusError("where were the frames? Expected either --chainage CSV or --speed MM_PER_S.")
+    if fps is not None and speed is None:
+        raise AnnulusError("--fps goes with --speed: a table of chainage names frames by number.")
+    if unit is not None and (unit not in UNITS_MM or chainage is None):
+        raise AnnulusError(f"--unit goes with --chainage and is one of {', '.join(UNITS_MM)}.")
+    table = None if chainage is None else read_chainage(chainage, unit)
+    with progress() as bars:
+        made = import_video(
+            video, out, chainage=table, speed_mm_s=speed, fps=fps, first=first, last=last, every=every, progress=bars
+        )
+    print_fields(
+        {"scan": str(out), "frames": made.frames, "z_mm": list(made.z_mm), "without_place": made.without_place,
+         "missing": made.missing}, as_json,
+    )  # fmt: skip
+    if made.missing:
+        print(
+            f"annulus: {video}: ends {made.missing} frames before it says; it is cut short or damaged, and where it is "
+            "damaged in the middle frames after that have the place of later ones",
+            file=sys.stderr,
+        )
 
 
 def _print_table(found: dict[str, Any]) -> None:
