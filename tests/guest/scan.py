@@ -35,8 +35,8 @@ device = "{device}"
 format = "YUYV"
 width = 320
 height = 180
-fps = 10
-exposure_us = 98000
+fps = 5
+exposure_us = 198000
 [record]
 folder = "."
 min_free_gb = 0
@@ -63,7 +63,8 @@ def main() -> None:
         recording = open_recording(path)
         labels = [recording.label(frame) for frame in recording.frames]
         facts["scans"].append({
-            "counts": [label["sequence"] for label in labels], "labels": sorted({label["label"] for label in labels}),
+            "counts": [label["sequence"] for label in labels], "stamps_ns": [label["timestamp_ns"] for label in labels],
+            "labels": sorted({label["label"] for label in labels}),
             "shapes": sorted({recording.read(frame).shape for frame in recording.frames}),
         })  # fmt: skip
     json.dump(facts, sys.stdout)
