@@ -20,6 +20,7 @@ GB, MB = 1e9, 1e6
 WINDOW_S = 30.0
 TRUST_S = 10.0  # a rate measured over less is not believed
 ASK_S = 1.0
+FRESH_S = 0.1  # a disk that works has said what is free by then
 MINUTES = (60, 30, 10, 5, 2)  # left: told once each, as the forecast falls below
 HANGS_S = 10.0  # without an answer about free space
 
@@ -143,8 +144,9 @@ class Asker:
 
     def __init__(self, folder: Path, statvfs: StatVfs = os.statvfs) -> None:
         self._folder, self._statvfs = folder, statvfs
-        self._done = threading.Event()
-        self._asked = threading.Event()  # once at least
+        self._done = False
+        self._wake = threading.Event()  # somebody wants to know now
+        self._asked = threading.Event()  # since somebody wanted to
         self._answer: tuple[float, int] | None = None
         self._problem = ""
         self._began_s = time.monotonic()
@@ -156,8 +158,13 @@ class Asker:
         return None if answer is None or time.monotonic() - answer[0] > HANGS_S else answer[1]
 
     def free(self, patience_s: float) -> int:
-        """As of a second ago; only the first answer is waited for. Raises AnnulusError, one line, when none came."""
-        self._asked.wait(patience_s)
+        """As it is now, room made a moment ago included; as of the last answer where none comes within FRESH_S.
+
+        Only the first answer is waited for. Raises AnnulusError, one line, when none came.
+        """
+        self._asked.clear()
+        self._wake.set()
+        self._asked.wait(patience_s if self._answer is None else min(FRESH_S, patience_s))
         free = self.latest()
         if self._problem:
             raise AnnulusError(self._problem)
@@ -173,15 +180,16 @@ class Asker:
         return time.monotonic() - (self._answer or (self._began_s,))[0] > HANGS_S
 
     def close(self) -> None:
-        self._done.set()
+        self._done = True
+        self._wake.set()
 
     def _ask(self) -> None:
-        while True:
+        while not self._done:
+            self._wake.clear()
             try:
                 self._answer = time.monotonic(), free_bytes(self._folder, self._statvfs)
                 self._problem = ""
             except OSError as error:  # the last answer grows old
                 self._problem = _refused(self._folder, error)
             self._asked.set()
-            if self._done.wait(ASK_S):
-                return
+            self._wake.wait(ASK_S)

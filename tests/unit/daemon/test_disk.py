@@ -94,6 +94,15 @@ def test_a_disk_that_hangs_hangs_nobody_else(monkeypatch: pytest.MonkeyPatch, tm
     let_go.set()
 
 
+def test_room_that_was_made_a_moment_ago_counts(tmp_path: Path) -> None:
+    free = [0.01 * GB]
+    asker = Asker(tmp_path, lambda path: FakeDisk(free[0]))
+    for room in (3.0, 0.01, 5.0):
+        free[0] = room * GB
+        assert asker.free(20.0) == asker.latest() == pytest.approx(room * GB, abs=4096)
+    asker.close()
+
+
 def test_who_asks_before_a_scan_has_the_last_answer_at_once_or_the_disks_own_words(tmp_path: Path) -> None:
     asker = Asker(tmp_path, FakeDisk(3.0 * GB).statvfs)
     assert asker.free(20.0) == pytest.approx(3.0 * GB, abs=4096)

@@ -81,7 +81,7 @@ class Daemon:
             header = parse(self._viewer.recv_multipart())[2]
             if header["label"] != "unknown" and header["arrived_ns"] > since_ns:
                 return time.monotonic()
-        raise AnnulusError(f"no label within {patience_s:g} s; the daemon said: {self.heard()[-5:]}")
+        raise AnnulusError(f"no label within {patience_s:g} s; the daemon said: {_news(self.heard())}")
 
     def children(self) -> list[int]:
         return [pid for pid in processes_of(self.mark) if pid != self.process.pid]
@@ -213,6 +213,11 @@ def filled(times: int, seed: int = 1) -> Outcome:
         finally:
             disk.close()
     return outcome
+
+
+def _news(said: list[str]) -> list[str]:
+    """The last lines that are more than the same numbers again."""
+    return [line for line in said if not line.startswith("idle: ")][-12:]
 
 
 def _say(what: str, times_s: list[float], outcome: Outcome) -> None:
