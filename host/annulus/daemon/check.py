@@ -20,7 +20,7 @@ from annulus.daemon.cameras import apply_controls, open_camera
 from annulus.daemon.config import HeadConfig, SocketConfig, load_config
 from annulus.daemon.control import CARRIED_MAX
 from annulus.daemon.disk import MB, DiskState, Forecast, free_bytes, require_space
-from annulus.daemon.priority import raise_priority
+from annulus.daemon.priority import autogroup_remark, raise_priority
 from annulus.daemon.samples import open_sensors
 from annulus.link import operate
 from annulus.link.client import Client
@@ -197,4 +197,4 @@ def _priority(wanted: bool | None) -> Finding:
     thread = threading.Thread(target=lambda: remark.append(raise_priority(True)))
     thread.start()
     thread.join()
-    return Finding("priority", not (wanted and remark[0]), remark[0] or "real-time")
+    return Finding("priority", not (wanted and remark[0]), (remark[0] or "real-time") + autogroup_remark())

@@ -23,6 +23,7 @@ LEVEL = 10  # of 1..99; a kernel's interrupt threads run at 50
 PUBLISHER_LEVEL = 5  # of one that strangers talk to: after the loop, before what is not real-time
 ALLOWED = 0.3  # of one core, within a second, that such a one may need; it usually needs 0.05
 ALLOWED_RUN_US = 400_000  # .. and at one stretch, before the kernel ends it
+AUTOGROUP = Path("/proc/sys/kernel/sched_autogroup_enabled")
 _RLIMIT_RTTIME = 15  # resource has no name for it
 _REALTIME = (os.SCHED_FIFO, os.SCHED_RR)
 
@@ -43,6 +44,16 @@ def raise_priority(wanted: bool | None = None, level: int = LEVEL) -> str:
             f"no real-time priority ({error.strerror}): frames may be late when the machine is busy. "
             "Allow it with LimitRTPRIO=20 in the unit, or rtprio in /etc/security/limits.conf."
         )
+    return ""
+
+
+def autogroup_remark() -> str:
+    """What is to be said of a kernel that shares its time among sessions first, and then among who is in each: its own
+    workers, which hand on what a tty brings, then wait three times as long on a busy machine (decision 28).
+    """
+    with suppress(OSError):
+        if AUTOGROUP.read_text().strip() == "1":
+            return "; edges on a serial line are sooner with sysctl kernel.sched_autogroup_enabled=0"
     return ""
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from annulus.cli import main
-from annulus.daemon import check, disk
+from annulus.daemon import check, disk, priority
 from annulus.daemon.check import check_head
 
 HEAD = """
@@ -50,6 +50,17 @@ def test_a_head_in_order_is_said_to_be_in_order(head: Path) -> None:
     assert not [what for what, (ok, _) in rows.items() if ok is False]
     assert rows["camera 0"][1].endswith("64x48 bgr8, a frame came")
     assert "GB free" in rows["recording"][1] and not list((head.parent / "recordings").iterdir())
+
+
+@pytest.mark.parametrize("setting", ["1\n", "0\n", None])
+def test_a_kernel_that_makes_edges_wait_is_told_of(
+    head: Path, setting: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(priority, "AUTOGROUP", tmp_path / "sched_autogroup_enabled")
+    if setting is not None:
+        priority.AUTOGROUP.write_text(setting)
+    head.write_text(HEAD.format(folder=tmp_path).replace("realtime = false", "realtime = true"))
+    assert ("kernel.sched_autogroup_enabled=0" in found(head)["priority"][1]) == (setting == "1\n")
 
 
 def test_everything_that_is_wrong_is_found_in_one_go(head: Path, monkeypatch: pytest.MonkeyPatch) -> None:
