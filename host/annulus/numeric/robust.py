@@ -32,6 +32,17 @@ def cauchy(u: FloatArray) -> FloatArray:
     return np.asarray(1.0 / (1.0 + u**2))
 
 
+def nan_median(rows: FloatArray) -> FloatArray:
+    """(A,) median down the columns of (N, A), NaN passed over; NaN for an empty column, and without numpy's warning."""
+    ordered = np.sort(rows, axis=0)
+    n = np.isfinite(ordered).sum(axis=0)
+    if not len(rows):
+        return np.full(rows.shape[1], np.nan)
+    low = np.take_along_axis(ordered, (np.maximum(n - 1, 0) // 2)[None], axis=0)[0]
+    high = np.take_along_axis(ordered, np.minimum(n // 2, len(rows) - 1)[None], axis=0)[0]
+    return np.asarray(0.5 * (low + high))
+
+
 def prior_sigma(weight: FloatArray, pull: FloatArray) -> float:
     """Standard deviation about zero under which values with these weights, pulled so, are the likeliest.
 

@@ -51,6 +51,9 @@ def draw(survey: Survey) -> Pictures:
     scale = _scale(survey, deviation)
     filled = np.nan_to_num(deviation, nan=0.0)
     rgb = (DEVIATION(Normalize(-scale, scale)(filled))[..., :3] * 255).astype(np.uint8)
+    rgb[~np.isfinite(deviation)] = [
+        int(UNSEEN[i : i + 2], 16) for i in (1, 3, 5)
+    ]  # seen, but beside no circle that is known
     with mpl.rc_context(STYLE):
         return Pictures(
             _unwrapped(survey, deviation, scale), _texture(survey), _stations(survey), _surface(survey, rgb), rgb, scale
@@ -60,7 +63,7 @@ def draw(survey: Survey) -> Pictures:
 def _scale(survey: Survey, deviation: NDArray[np.float32]) -> float:
     """Ends of the colour bar, mm: a round number that holds the deepest defect and never shows bare noise as colour."""
     largest = max((d.depth_mm / (2 if d.kind is Kind.OVALITY else 1) for d in survey.defects), default=0.0)
-    seen = np.abs(deviation[survey.wall.seen])
+    seen = np.abs(deviation[np.isfinite(deviation)])
     usual = float(np.percentile(seen, 99)) if len(seen) else 0.0
     wanted = max(largest, usual, 10 * survey.noise_mm, 0.5)
     return _round_up(wanted)

@@ -42,7 +42,8 @@ def render_page(survey: Survey, summary: Mapping[str, Any], pictures: Pictures) 
 def _verdict(survey: Survey) -> str:
     worst = survey.worst
     if worst is None:
-        return "No defect above the listing limits on the wall that was seen."
+        unsure = " Not enough of it was seen to say what shape the pipe has: see below." if survey.findings else ""
+        return f"No defect above the listing limits on the wall that was seen.{unsure}"
     counts = [
         (sum(d.kind is kind for d in survey.defects), one, many)
         for kind, one, many in (

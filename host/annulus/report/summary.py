@@ -63,7 +63,10 @@ def summarize(survey: Survey, account: Account, files_ms: float) -> dict[str, An
             "roll_min": None if roll[0] is None else round(roll[0], 2),
             "roll_max": None if roll[1] is None else round(roll[1], 2),
         },
-        "warnings": [{"kind": str(w.kind), "text": w.text, "frames": list(w.frames)} for w in account.findings],
+        "warnings": [
+            {"kind": str(w.kind), "text": w.text, "frames": list(w.frames)}
+            for w in (*account.findings, *survey.findings)
+        ],
     }
     if survey.vibration is not None:
         out["vibration"] = _vibration(survey.vibration)

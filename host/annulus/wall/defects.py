@@ -21,7 +21,7 @@ from annulus.wall.indications import (
     with_shadow,
     without_holes,
 )
-from annulus.wall.stations import shape_ovality
+from annulus.wall.stations import clock_face, shape_ovality, swing_sigma
 
 __all__ = ["Defect", "Detection", "Kind", "Limits", "clock_face", "find_defects"]
 
@@ -81,12 +81,6 @@ class Detection:
     unconfirmed: int = 0  # places that one observation alone speaks for, or none surely: not known, so not listed
 
 
-def clock_face(angle_deg: float) -> str:
-    """Clock position of an angle, to 5 minutes of the dial (2.5 degrees): 90 -> "3:00", 0 -> "12:00"."""
-    ticks = round(angle_deg % 360.0 / 2.5) % 144
-    return f"{ticks // 12 or 12}:{ticks % 12 * 5:02d}"
-
-
 def find_defects(
     wall: Wall, *, shadow_ratio: float, least_shadow_ratio: float | None = None, limits: Limits | None = None
 ) -> Detection:
@@ -126,12 +120,13 @@ def find_defects(
         position = _extent(whole, wall)
         area = float(np.count_nonzero(whole) * scale.cell_mm[0] * scale.cell_mm[1])
         found.append((Defect(one.kind, *position, depth, area, floor_seen, k2, float(np.median(dark))), whole))
-    found += [(defect, np.zeros(unseen.shape, dtype=bool)) for defect in _oval_stretches(wall, limits)]
+    oval, unsure = _oval_stretches(wall, limits)
+    found += [(defect, np.zeros(unseen.shape, dtype=bool)) for defect in oval]
     found.sort(key=lambda item: (item[0].z_mm, item[0].clock_deg))
     label = np.zeros(unseen.shape, dtype=np.int32)
     for i, (_, place) in enumerate(found):
         label[place] = i + 1
-    return Detection(tuple(defect for defect, _ in found), label, limits, unconfirmed)
+    return Detection(tuple(defect for defect, _ in found), label, limits, unconfirmed + unsure)
 
 
 def _over_footprint(place: Indication, cells: BoolArray, footprint: Sequence[int]) -> float:
@@ -151,11 +146,12 @@ def _over_footprint(place: Indication, cells: BoolArray, footprint: Sequence[int
 
 def _expanded(wall: Wall, cells: BoolArray) -> float:
     """k = 2 uncertainty of a departure from the shape that some cells show: what their points may be off, which does
-    not average away, and the noise of a cell, for the deepest of noisy cells lie deeper than the wall."""
+    not average away, the noise of a cell, for the deepest of noisy cells lie deeper than the wall, and the shape's."""
     stated = cells & np.isfinite(wall.sigma_mm)
     if not stated.any():
         return math.nan
-    return 2.0 * math.hypot(float(np.median(wall.sigma_mm[stated])), float(np.median(wall.cell_noise_mm[stated])))
+    parts = wall.sigma_mm, wall.cell_noise_mm, wall.shape_sigma_mm()
+    return 2.0 * math.hypot(*(float(np.median(part[stated])) for part in parts))
 
 
 def _extent(whole: BoolArray, wall: Wall) -> tuple[float, float, float, float]:
@@ -169,11 +165,12 @@ def _extent(whole: BoolArray, wall: Wall) -> tuple[float, float, float, float]:
     return float(z0 + z1) / 2, clock, float(z1 - z0), arc
 
 
-def _oval_stretches(wall: Wall, limits: Limits) -> list[Defect]:
-    """Stretches whose fitted shape exceeds the limit, as far as it exceeds 70 % of it; short ones are passed over."""
+def _oval_stretches(wall: Wall, limits: Limits) -> tuple[list[Defect], int]:
+    """Stretches whose fitted shape exceeds the limit, as far as it exceeds 70 % of it; short ones are passed over, and
+    those that are not surely known to be out of round, whose number comes second."""
     percent = shape_ovality(wall)
-    label, n = ndimage.label(percent > 0.7 * limits.ovality_percent)
-    out = []
+    label, n = ndimage.label(np.nan_to_num(percent) > 0.7 * limits.ovality_percent)
+    out, unsure = [], 0
     for i in range(1, n + 1):
         rows = np.flatnonzero(label == i)
         length = len(rows) * wall.z_step_mm
@@ -188,6 +185,10 @@ def _oval_stretches(wall: Wall, limits: Limits) -> list[Defect]:
         depth = 2.0 * float(np.hypot(even, odd))
         z = float(wall.z_mm[rows].mean())
         area = 2 * np.pi * float(mean) * length
-        k2 = 2.0 * _expanded(wall, (np.arange(len(wall.z_mm)) == worst)[:, None] & wall.seen)  # of a diameter
-        out.append(Defect(Kind.OVALITY, z, float(long_axis), length, 360.0, depth, area, True, k2))
-    return out
+        points = _expanded(wall, (np.arange(len(wall.z_mm)) == worst)[:, None] & wall.seen)
+        k2 = 2.0 * math.hypot(points, 2.0 * float(swing_sigma(wall)[worst]))  # of a diameter
+        if k2 > UNSURE * depth:
+            unsure += 1
+        else:
+            out.append(Defect(Kind.OVALITY, z, float(long_axis), length, 360.0, depth, area, True, k2))
+    return out, unsure

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from annulus.numeric.arrays import BoolArray, Float32Array, FloatArray
-from annulus.numeric.robust import SIGMA_OF_MAD, TUKEY, biweight, robust_sigma
+from annulus.numeric.robust import SIGMA_OF_MAD, nan_median
 from annulus.vocabulary import AnnulusError
 from annulus.wall.profile import Profile
 from annulus.wall.shadow import STEP_MM, between_levels
+from annulus.wall.shape import fit_shape, harmonics, spread
 
 # ANGLE_STEP_DEG is guarded by test_grid.py; all together by the benchmark topics diameter, artefacts and mirror, which
 # measure whole walls.
@@ -28,10 +29,8 @@ STATION_SEEN = 0.5  # part of the circle seen where the scan starts and ends: ti
 BRIDGE_STEP_MM = 0.75  # a greater step in radius across a gap is an edge, not a sampling gap
 NOISE_FLOOR_MM = 0.02  # standard deviation of a cell; no instrument of this kind is better
 NOISE_LAG = 8  # columns; noise is alike over a few degrees, for lines are averaged with their neighbours
+SHAPE_UNSURE_OF_RADIUS = 0.005  # of the radius: a shape known no better than the least departure listed
 OBSERVATION_SMOOTHED = 0.7  # part of a ring's noise that smoothing over three degrees leaves: neighbours share theirs
-USUAL_MM = 0.2  # from the usual shape: this near is the usual shape
-SHAPE_SPACING_MM = 5.0  # between two fits of the pipe's shape along it
-SHAPE_WINDOW_MM = 10.0  # each side: what one fit of the pipe's shape looks at
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +54,8 @@ class Wall:
     z_mm (Z,), clock_deg (A,): cell centres. radius_mm (Z, A) float32, NaN where not seen. count (Z, A) int32: points
     in the cell; 0 with a radius means interpolated between measured neighbours. shape_mm (Z, 5): the pipe under its
     defects, r = s0 + s1 cos t + s2 sin t + s3 cos 2t + s4 sin 2t (t = clock angle): mean radius over about two
-    diameters, left-over centring, ovality. noise_mm (Z,): robust standard deviation of a cell about that shape.
+    diameters, left-over centring, ovality. shape_covariance (Z, 5, 5) mm^2: how well those five are known; infinite
+    where too little was seen to say. noise_mm (Z,): robust standard deviation of a cell about that shape.
     cell_noise_mm (Z, A) float32: never less than that, and more where only rings look that are noisier than most.
     sigma_mm (Z, A) float32: what one of the cell's points may be off (`Profile.sigma_mm`, the median); NaN where nobody
     said. Averaging does not make it less: a part of it all points of a ring have in common.
@@ -66,6 +66,7 @@ class Wall:
     radius_mm: Float32Array
     count: NDArray[np.int32]
     shape_mm: FloatArray
+    shape_covariance: FloatArray
     noise_mm: FloatArray
     cell_noise_mm: Float32Array
     observations: Observations
@@ -101,20 +102,26 @@ class Wall:
         """(Z, A) radius minus the pipe's shape, ovality taken out: what local defects are looked for in."""
         return np.asarray(self.radius_mm - self.shape_mm @ harmonics(self.clock_deg).T, dtype=np.float32)
 
+    def shape_sigma_mm(self) -> Float32Array:
+        """(Z, A) standard deviation of the shape's radius; grows over arcs that nobody saw."""
+        return spread(self.shape_covariance, harmonics(self.clock_deg))
+
+    @property
+    def shape_limit_mm(self) -> float:
+        """A shape that is less sure than this is none to measure from."""
+        return SHAPE_UNSURE_OF_RADIUS * self.mean_radius_mm
+
     def deviation_mm(self) -> Float32Array:
-        """(Z, A) radius minus the mean circle about the pipe's own centre: what the map shows, ovality included."""
-        basis = harmonics(self.clock_deg)
-        return np.asarray(self.radius_mm - self.shape_mm[:, :3] @ basis[:, :3].T, dtype=np.float32)
+        """(Z, A) radius minus the mean circle about the pipe's own centre: what the map shows, ovality included. NaN
+        where nothing was seen, or too little of the way round to know that circle to `shape_limit_mm`."""
+        basis = harmonics(self.clock_deg)[:, :3]
+        sure = spread(self.shape_covariance[:, :3, :3], basis) <= self.shape_limit_mm
+        departure = self.radius_mm - self.shape_mm[:, :3] @ basis.T
+        return np.where(sure, departure, np.nan).astype(np.float32)
 
     def filled_mm(self) -> Float32Array:
         """(Z, A) radius with the pipe's shape where nothing was seen; for placing texture, never for measuring."""
         return np.where(self.seen, self.radius_mm, (self.shape_mm @ harmonics(self.clock_deg).T).astype(np.float32))
-
-
-def harmonics(clock_deg: FloatArray) -> FloatArray:
-    """(A, 5) columns 1, cos t, sin t, cos 2t, sin 2t of the clock angle."""
-    t = np.radians(clock_deg)
-    return np.stack([np.ones_like(t), np.cos(t), np.sin(t), np.cos(2 * t), np.sin(2 * t)], axis=1)
 
 
 def build_wall(profiles: Sequence[Profile], *, z_step_mm: float | None = None, rise: float | None = None) -> Wall:
@@ -181,22 +188,27 @@ def build_wall(profiles: Sequence[Profile], *, z_step_mm: float | None = None, r
     errors = _bridge(_bridge(errors.T, 2.5, wrap=True).T, sampling, wrap=False)
     ends = np.flatnonzero(np.isfinite(grid).mean(axis=1) >= STATION_SEEN)
     if not len(ends):
-        raise AnnulusError(f"no wall: {len(points)} points are too few to make one station of the pipe")
+        most = 360.0 * float(np.isfinite(grid).mean(axis=1).max())
+        raise AnnulusError(
+            f"no wall: {len(points)} points are too few to make one station of the pipe; of none more than {most:.0f} "
+            f"of 360 degrees was seen, expected {360 * STATION_SEEN:.0f}"
+        )
     grid, count = grid[ends[0] : ends[-1] + 1], count[ends[0] : ends[-1] + 1]
     stated_sigma = np.where(np.isfinite(grid), errors[ends[0] : ends[-1] + 1], np.nan).astype(np.float32)
     z_rows = np.asarray((np.arange(first + ends[0], first + ends[-1] + 1) + 0.5) * step, dtype=np.float64)
-    shape = _fit_shape(grid, z_rows, clock_columns)
+    shape, covariance = fit_shape(grid, z_rows, clock_columns)
     cell = cell - ends[0] * columns
     keep &= (cell >= 0) & (cell < grid.size)
     observations = Observations(cell[keep], number[keep], radius[keep].astype(np.float32))
     measured = grid.astype(np.float32)
     unknown = np.zeros(grid.shape, dtype=np.float32)
-    bare = Wall(
-        z_rows, clock_columns, measured, count, shape, np.zeros(len(z_rows)), unknown, observations, stated_sigma
-    )
+    still = np.zeros(len(z_rows))
+    bare = Wall(z_rows, clock_columns, measured, count, shape, covariance, still, unknown, observations, stated_sigma)
     noise = _noise(bare)
     cell_noise = np.maximum(_cell_noise(bare, rings, int(sampling) + 1), noise[:, None]).astype(np.float32)
-    return Wall(z_rows, clock_columns, measured, count, shape, noise, cell_noise, observations, stated_sigma)
+    return Wall(
+        z_rows, clock_columns, measured, count, shape, covariance, noise, cell_noise, observations, stated_sigma
+    )
 
 
 def smooth(field: Float32Array) -> Float32Array:
@@ -278,76 +290,6 @@ def _bridge(grid: FloatArray, cells: float, *, wrap: bool) -> FloatArray:
     return out[reach:-reach] if wrap else out
 
 
-def _fit_shape(grid: FloatArray, z: FloatArray, clock: FloatArray) -> FloatArray:
-    """(Z, 5) shape of the pipe under its defects; see `Wall.shape_mm`."""
-    centres = np.arange(z[0], z[-1] + SHAPE_SPACING_MM, SHAPE_SPACING_MM)
-    basis = harmonics(clock)
-    lines = np.full((len(centres), len(clock)), np.nan)
-    for i, centre in enumerate(centres):
-        window = grid[np.searchsorted(z, centre - SHAPE_WINDOW_MM) : np.searchsorted(z, centre + SHAPE_WINDOW_MM)]
-        lines[i] = _nanmedian(window)
-    whole = _nanmedian(lines)
-    typical = _robust_harmonics(basis, whole, [])
-    fits = np.array([_robust_harmonics(basis, line, [typical]) for line in lines])
-    good = np.isfinite(fits[:, 0])
-    if not good.any():
-        fits[:] = typical if typical is not None else 0.0
-        good[:] = True
-    far = 2.0 * float(np.median(fits[good, 0]))  # one diameter each side
-    smooth_fits = np.empty_like(fits)
-    for i, centre in enumerate(centres):
-        wide = good & (np.abs(centres - centre) <= far)
-        wide = wide if wide.any() else good
-        smooth_fits[i, 0] = np.median(fits[wide, 0])
-        close = good & (np.abs(centres - centre) <= 1.01 * SHAPE_SPACING_MM)
-        smooth_fits[i, 1:] = np.median(fits[close if close.any() else wide, 1:], axis=0)
-    return np.stack([np.interp(z, centres, column) for column in smooth_fits.T], axis=1)
-
-
-def _nanmedian(rows: FloatArray) -> FloatArray:
-    """Median down the columns, NaN for an empty column, without numpy's warning about it."""
-    ordered = np.sort(rows, axis=0)
-    n = np.isfinite(ordered).sum(axis=0)
-    if not len(rows):
-        return np.full(rows.shape[1], np.nan)
-    low = np.take_along_axis(ordered, (np.maximum(n - 1, 0) // 2)[None], axis=0)[0]
-    high = np.take_along_axis(ordered, np.minimum(n // 2, len(rows) - 1)[None], axis=0)[0]
-    return np.asarray(0.5 * (low + high))
-
-
-def _robust_harmonics(basis: FloatArray, line: FloatArray, starts: Sequence[FloatArray]) -> FloatArray:
-    """(5,) coefficients of one station by Tukey's biweight, the best of several starts; NaN when too little was seen.
-
-    From each start the scale shrinks in steps (graduated non-convexity), so that a smooth oval is followed and a third
-    of the circle standing 2 mm out is not. Fewer than 40 % of the angles cannot carry five unknowns.
-    """
-    seen = np.isfinite(line)
-    if seen.mean() < 0.4:
-        return np.full(5, np.nan)
-    a, r = basis[seen], line[seen]
-    plain = np.linalg.lstsq(a, r, rcond=None)[0]
-    shifted = [s + np.array([np.median(r - a @ s), 0, 0, 0, 0]) for s in starts if np.isfinite(s).all()]
-    found: list[FloatArray] = []
-    for start in (plain, *shifted):
-        fit = start
-        scale = max(robust_sigma(r - a @ fit), 0.05)
-        for _ in range(12):
-            w = biweight((r - a @ fit) / (TUKEY * scale))
-            if (w > 0).mean() < 0.3:
-                break
-            aw = a * w[:, None]
-            fit = np.linalg.solve(aw.T @ a + 1e-9 * np.eye(5), aw.T @ r)
-            scale = max(min(robust_sigma(r - a @ fit), 0.8 * scale), 0.05)
-        found.append(fit)
-    if shifted:  # the pipe's shape changes slowly: where half of the angles still show it, the rest is a defect
-        usual = found[-1]
-        if np.mean(np.abs(r - a @ usual) < USUAL_MM) >= 0.5:
-            return usual
-    common = max(min(robust_sigma(r - a @ fit) for fit in found), 0.05)
-    cost = [float(np.minimum(((r - a @ fit) / (TUKEY * common)) ** 2, 1.0).sum()) for fit in found]
-    return found[int(np.argmin(cost))]
-
-
 def _noise(wall: Wall) -> FloatArray:
     """(Z,) robust standard deviation of the smoothed residual: the larger of what the neighbourhood and the row say.
 
@@ -357,8 +299,8 @@ def _noise(wall: Wall) -> FloatArray:
     where fewer rings look, at the ends of a scan.
     """
     residual = smooth(wall.residual_mm()).astype(np.float64)
-    spread = SIGMA_OF_MAD * _nanmedian(np.abs(residual - _nanmedian(residual.T)[:, None]).T)
-    steps = SIGMA_OF_MAD / np.sqrt(2) * _nanmedian(np.abs(residual - np.roll(residual, NOISE_LAG, axis=1)).T)
+    spread = SIGMA_OF_MAD * nan_median(np.abs(residual - nan_median(residual.T)[:, None]).T)
+    steps = SIGMA_OF_MAD / np.sqrt(2) * nan_median(np.abs(residual - np.roll(residual, NOISE_LAG, axis=1)).T)
     wide = _running_median(spread, max(int(wall.mean_radius_mm / wall.z_step_mm), 1))
     return np.maximum(np.maximum(wide, _running_median(steps, 4)), NOISE_FLOOR_MM)
 
@@ -399,5 +341,5 @@ def _running_median(values: FloatArray, reach: int) -> FloatArray:
     for start in range(0, len(values), 1024):  # blocks bound the copy on long scans
         stop = min(start + 1024, len(values))
         windows = np.lib.stride_tricks.sliding_window_view(padded[start : stop + 2 * reach], 2 * reach + 1)
-        out[start:stop] = _nanmedian(windows.T)
+        out[start:stop] = nan_median(windows.T)
     return np.where(np.isfinite(out), out, fallback)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from annulus.numeric.arrays import BoolArray, Float32Array, FloatArray
-from annulus.wall.grid import Wall, smooth
+from annulus.wall.grid import SHAPE_UNSURE_OF_RADIUS, Wall, smooth
 
 LabelArray = NDArray[np.int32]
 CORNERS = np.ones((3, 3), dtype=bool)
@@ -38,7 +38,9 @@ class Limits:
     `.._noise` are standard deviations of a cell."""
 
     seed_noise: float = 6.0  # a defect's core departs by this many standard deviations ..
-    seed_of_radius: float = 0.005  # .. and by this part of the radius (0.5 %, what ASTM-certified profilers promise)
+    seed_of_radius: float = (
+        SHAPE_UNSURE_OF_RADIUS  # .. and by this part of the radius (0.5 %, what ASTM-certified profilers promise)
+    )
     observations: int = 2  # .. and so many observations, each one ring in one frame, agree on it
     rim_noise: float = 3.0  # it reaches as far as the departure exceeds this many standard deviations ..
     rim_of_seed: float = 0.5  # .. and this part of the core's limit
@@ -89,16 +91,17 @@ def find_indications(wall: Wall, scale: Scale) -> tuple[list[Indication], int]:
     limits, residual = scale.limits, smooth(wall.residual_mm()).astype(np.float32)
     seed = np.maximum(limits.seed_noise * wall.cell_noise_mm, scale.mm(limits.seed_of_radius))
     rim = np.maximum(limits.rim_noise * wall.cell_noise_mm, limits.rim_of_seed * seed)
+    sure = wall.shape_sigma_mm() <= wall.shape_limit_mm  # beside a shape that is not known nothing stands out
     found: list[Indication] = []
     unconfirmed = 0
     for kind, height in ((Kind.LOSS, residual), (Kind.BUMP, -residual)):
-        height = np.where(wall.seen, height, np.float32(-np.inf))
+        height = np.where(wall.seen & sure, height, np.float32(-np.inf))
         for mask in _cells_of(height, ~wall.seen, seed, rim, scale):
             if _agreeing_observations(mask, kind, wall, rim) >= limits.observations:
                 found.append(Indication(kind, mask, height))
             else:
                 unconfirmed += 1
-    sound = wall.seen & (np.abs(residual) < rim)
+    sound = wall.seen & sure & (np.abs(residual) < rim)
     return _across_gaps(_without_edges(found, wall.seen, scale), sound, scale), unconfirmed
 
 

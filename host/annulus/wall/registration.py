@@ -12,8 +12,9 @@ import numpy as np
 from annulus.geometry.pose import Pose, rotation_z
 from annulus.numeric.arrays import FloatArray
 from annulus.numeric.robust import TUKEY, biweight, robust_sigma
-from annulus.wall.grid import NOISE_FLOOR_MM, Wall, build_wall, harmonics
+from annulus.wall.grid import NOISE_FLOOR_MM, Wall, build_wall
 from annulus.wall.profile import Profile
+from annulus.wall.shape import harmonics
 
 # POINTS_NEEDED, ANGLE_MAX and WORTH_MM are guarded by test_registration.py one way each. ROUNDS and SHIFT_OF_RADIUS:
 # unguarded; what all of it gains shows in the benchmark topic diameter (clouds before and after).

@@ -3,13 +3,16 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import ndimage
 
-from annulus.numeric.arrays import Float32Array, FloatArray
+from annulus.numeric.arrays import BoolArray, Float32Array, FloatArray
+from annulus.vocabulary import Finding
 from annulus.wall.grid import Wall
 
 OVALITY_NAME = "ASTM F1216"
 OVALITY_FORMULA = "100 · max(Dmax − Dmean, Dmean − Dmin) / Dmean"
 # PAIRS_NEEDED is guarded upwards by test_grid.py; the benchmark topic diameter scores stations of STATION_MM.
+NOT_ENOUGH = "not enough seen"  # kind of a finding
 STATION_MM = 5.0  # length of a station
 PAIRS_NEEDED = 0.5  # part of the diameters round the clock; with fewer a station has no figures
 
@@ -19,7 +22,8 @@ class Stations:
     """One entry a station; NaN where less than half of its diameters was measured.
 
     z_mm, diameter_min/max/mean_mm (as measured, local defects included), ovality_percent (ASTM F1216 from those three),
-    shape_ovality_percent (ASTM F1216 of the pipe's fitted shape, local defects left out), valid_fraction (of the wall
+    shape_ovality_percent (ASTM F1216 of the pipe's fitted shape, local defects left out; NaN where too little was seen
+    for it), valid_fraction (of the wall
     seen, 0..1), diameter_k2_mm (expanded uncertainty, k = 2, of one of those diameters; NaN where points say nothing of
     theirs). All (S,) float64.
     """
@@ -40,9 +44,64 @@ def f1216(largest: FloatArray, smallest: FloatArray, mean: FloatArray) -> FloatA
 
 
 def shape_ovality(wall: Wall) -> FloatArray:
-    """(Z,) F1216 ovality in percent of the pipe's fitted shape: mean diameter 2 s0, long axis 2 (s0 + |(s3, s4)|)."""
+    """(Z,) F1216 ovality in percent of the pipe's fitted shape: mean diameter 2 s0, long axis 2 (s0 + |(s3, s4)|). NaN
+    where too little was seen to know it to `wall.shape_limit_mm`."""
     half_swing = np.hypot(wall.shape_mm[:, 3], wall.shape_mm[:, 4])
-    return np.asarray(100.0 * half_swing / wall.shape_mm[:, 0])
+    return np.where(swing_sigma(wall) <= wall.shape_limit_mm, 100.0 * half_swing / wall.shape_mm[:, 0], np.nan)
+
+
+def not_enough_seen(wall: Wall) -> tuple[Finding, ...]:
+    """One line for each stretch in which the pipe's circle or its ovality is not known, with the arc nobody saw."""
+    swing = swing_sigma(wall) > wall.shape_limit_mm
+    circle = ~np.isfinite(wall.deviation_mm()) & wall.seen
+    label, n = ndimage.label(swing | circle.any(axis=1))
+    out = []
+    for i in range(1, n + 1):
+        rows = np.flatnonzero(label == i)
+        seen = wall.seen[rows].mean(axis=0) >= 0.5
+        if seen.all():
+            arc = "the wall departs from an oval"
+        else:
+            start, missing = widest_gap(seen)
+            middle = wall.clock_step_deg * (start + missing / 2)
+            arc = f"{missing * wall.clock_step_deg:.0f} degrees about clock {clock_face(middle)} were not seen"
+        first, last = wall.z_mm[rows[0]] - wall.z_step_mm / 2, wall.z_mm[rows[-1]] + wall.z_step_mm / 2
+        what = "ovality" if not circle[rows].any() else "shape"
+        out.append(
+            Finding(
+                NOT_ENOUGH,
+                f"not enough seen from {first:.0f} to {last:.0f} mm: {arc}, so that the pipe's {what} is not known to "
+                f"{wall.shape_limit_mm:.2f} mm and nothing is measured from it there",
+            )
+        )
+    return tuple(out)
+
+
+def widest_gap(seen: BoolArray) -> tuple[int, int]:
+    """First column and number of the longest run round the clock that is not `seen`, of which some are."""
+    marked = np.flatnonzero(seen)
+    if not len(marked):
+        return 0, len(seen)
+    gaps = np.diff(np.append(marked, marked[0] + len(seen))) - 1
+    i = int(np.argmax(gaps))
+    return int(marked[i] + 1), int(gaps[i])
+
+
+def clock_face(angle_deg: float) -> str:
+    """Clock position of an angle, to 5 minutes of the dial (2.5 degrees): 90 -> "3:00", 0 -> "12:00"."""
+    ticks = round(angle_deg % 360.0 / 2.5) % 144
+    return f"{ticks // 12 or 12}:{ticks % 12 * 5:02d}"
+
+
+def swing_sigma(wall: Wall) -> FloatArray:
+    """(Z,) mm, standard deviation of the long radius' excess over the mean, |(s3, s4)|, in its own direction."""
+    even, odd = wall.shape_mm[:, 3], wall.shape_mm[:, 4]
+    swing = np.maximum(np.hypot(even, odd), 1e-9)
+    way = np.stack([even / swing, odd / swing], axis=1)
+    a, b, c = (wall.shape_covariance[:, i, j] for i, j in ((3, 3), (4, 4), (3, 4)))
+    with np.errstate(invalid="ignore"):
+        square = way[:, 0] ** 2 * a + way[:, 1] ** 2 * b + 2 * way[:, 0] * way[:, 1] * c
+    return np.where(np.isfinite(square), np.sqrt(np.maximum(square, 0.0)), np.inf)
 
 
 def measure_stations(wall: Wall, station_mm: float = STATION_MM) -> Stations:

@@ -12,13 +12,14 @@ import numpy as np
 
 from annulus.geometry.calibration import Calibration
 from annulus.numeric.arrays import BoolArray, FloatArray, Image
+from annulus.vocabulary import Finding
 from annulus.wall.consistency import without_inconsistent
 from annulus.wall.defects import Defect, Detection, Kind, find_defects
 from annulus.wall.grid import Wall, build_wall
 from annulus.wall.profile import Profile
 from annulus.wall.registration import register
 from annulus.wall.shadow import shadowed
-from annulus.wall.stations import Stations, measure_stations
+from annulus.wall.stations import Stations, measure_stations, not_enough_seen
 from annulus.wall.surface import Mesh, triangulate
 from annulus.wall.texture import LedFrame, paint
 from annulus.wall.vibration import Vibration, without_vibration
@@ -60,6 +61,11 @@ class Survey:
     def worst(self) -> Defect | None:
         """The deepest loss or bump, an out-of-round stretch only where there is neither; None for a sound wall."""
         return max(self.defects, key=lambda d: (d.kind is not Kind.OVALITY, d.depth_mm), default=None)
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """Where too little was seen to say what shape the pipe has."""
+        return not_enough_seen(self.wall)
 
     @property
     def points(self) -> int:
