@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from annulus.calibrate.sample import Progress, Sampled, projector_frames, sample
-from annulus.geometry.calibration import Calibration, head_from_dict
+from annulus.geometry.calibration import Calibration, camera_alone, head_from_dict
 from annulus.geometry.camera import Camera
 from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import FloatArray, Image
@@ -19,7 +19,7 @@ from annulus.record.calibration_file import load_part, update_calibration
 from annulus.record.scan import open_scan
 from annulus.rings.calibration.autocalibration import calibrate, with_frame
 from annulus.rings.calibration.bundle import Solution
-from annulus.rings.calibration.contours import Contours, close_grid, follow, read_colours, wide_grid
+from annulus.rings.calibration.contours import Contours, Look, close_grid, read_colours, wide_grid
 from annulus.rings.calibration.corrections import fit_corrections, ring_corrections
 from annulus.rings.calibration.cross_validation import Measured, hold_out
 from annulus.rings.calibration.observations import Observations, observe
@@ -42,6 +42,8 @@ CORRECTION_WINS = 0.97  # residual corrections are kept if they bring the held-o
 WAVES = 8.0  # neighbouring errors alike: noise makes 3
 OTHER_PIPE = 0.004  # of the radius: a frame's pipe this much off is another pipe
 CLIPPED_HERE = 0.75  # of the stripes at full scale: rings then come out hundredths of a degree off
+NEARLY_FLAT = math.radians(8.0)  # from a plane: then it is tried as one, ..
+FLAT_FITS = 1.05  # .. which it is where it fits as well but for this
 OTHER_DISTANCE = 0.01  # of the distance camera - projector: farther from the last calibration's, it is said
 
 
@@ -117,26 +119,34 @@ class PipeCalibration:
         }
 
 
-def calibrate_pipe(scan: Path, camera: Path, radius_mm: float, *, progress: Progress | None = None) -> PipeCalibration:
+def calibrate_pipe(
+    scan: Path, camera: Path, radius_mm: float, *, lines: int = 0, progress: Progress | None = None
+) -> PipeCalibration:
     """Calibrate from the projector frames of a scan in a clean round pipe of known radius.
 
     `camera` is a file with the sections camera and pattern; a whole calibration.json will do, its rings are compared
-    with, never started from. Raises AnnulusError, one line, where nothing can be found.
+    with, never started from. lines : of a head of bright rings or planes how many; then the file needs no pattern.
+    Raises AnnulusError, one line, where nothing can be found.
     """
     if not 1.0 <= radius_mm <= 5000.0:
         raise AnnulusError(f"the radius is {radius_mm:g} mm, expected 1..5000: half of the pipe's inner diameter")
-    known, colours, last_radius, last = load_part(camera, head_from_dict, "annulus calibrate camera")
+    if lines:
+        known, look = load_part(camera, camera_alone, "annulus calibrate camera"), Look.of_lines(lines)
+        colours, last_radius, last = "", None, None
+    else:
+        known, colours, last_radius, last = load_part(camera, head_from_dict, "annulus calibrate camera")
+        look = Look.of_slits(colours)
     report = progress or (lambda stage, done, total: None)
     marks = {"start": time.process_time()}
     opened = open_scan(scan)
     frames = list(sample(opened, known, FRAMES_MOST, report))
     marks["read"] = time.process_time()
-    contours, kept, left_out = _decode(frames, known, colours, scan, report)
+    contours, kept, left_out = _decode(frames, known, look, scan, report)
     marks["decode"] = time.process_time()
     seen = _observations(known, [contours[i] for i in kept])
     indices = tuple(frames[i].index for i in kept)
     try:
-        solution = calibrate(seen, radius_mm, progress=lambda done, total: report("solve", done, total))
+        solution = _solve(seen, radius_mm, bool(lines), lambda done, total: report("solve", done, total))
     except AnnulusError as error:
         raise AnnulusError(f"{scan}: {error}.") from None
     _refuse(scan, solution, indices)
@@ -156,9 +166,9 @@ def calibrate_pipe(scan: Path, camera: Path, radius_mm: float, *, progress: Prog
     marks["hold out"] = time.process_time()
     calibration = Calibration(
         known, colours, best.rings, radius_mm, tuple(tuple(float(v) for v in row) for row in best.covariance),
-        None if corrections is None else ring_corrections(corrections),
+        None if corrections is None else ring_corrections(corrections), pattern={"kind": "line"} if lines else None,
     )  # fmt: skip
-    used = [frames[i].exposure for i in kept]
+    used = [] if lines else [frames[i].exposure for i in kept]  # a laser's line may be at full scale
     warnings = _warnings(best, held, indices, radius_mm, last_radius, last, used)
     names = list(marks)
     timing = {name: marks[name] - marks[before] for before, name in pairwise(names)}
@@ -174,26 +184,53 @@ def save_pipe(result: PipeCalibration, out: Path) -> None:
     made = {
         key: told[key] for key in ("frames_used", "residual_px", "held_out_mm", "held_out_corrected_mm", "corrected")
     }
-    sections = {key: data[key] for key in ("camera", "pattern", "rings", "pipe", "covariance")}
+    kept = "camera" if "camera" in data else "cameras"
+    sections = {key: data[key] for key in (kept, "pattern", "rings", "pipe", "covariance")}
     update_calibration(out, sections, {"rings": {"by": "annulus calibrate pipe", **made}})
 
 
+def _solve(seen: Observations, radius_mm: float, lines: bool, progress: Callable[[int, int], None]) -> Solution:
+    """Cones; of bright lines planes, where cones are as good as flat or leave their vertices open, and planes do."""
+    try:
+        solution = calibrate(seen, radius_mm, progress=progress)
+    except AnnulusError:
+        if not lines:
+            raise
+        solution = None
+    if not lines:
+        assert solution is not None
+        return solution
+    rings = int(seen.ring.max()) + 1
+    near = [True] * rings
+    if solution is not None:
+        near = [abs(math.pi / 2 - ring.half_angle) < NEARLY_FLAT for ring in solution.rings]
+    if not any(near):
+        assert solution is not None
+        return solution
+    flat = calibrate(seen, radius_mm, flat=tuple(near), progress=progress)
+    if solution is None or _rms(flat.error_px[flat.weight > 0]) < FLAT_FITS * _rms(
+        solution.error_px[solution.weight > 0]
+    ):
+        return flat
+    return solution
+
+
 def _decode(
-    frames: Sequence[Sampled], camera: Camera, colours: str, scan: Path, report: Progress
+    frames: Sequence[Sampled], camera: Camera, look: Look, scan: Path, report: Progress
 ) -> tuple[dict[int, Contours], list[int], dict[int, str]]:
     """Contours of the frames that can be used, which those are, and why the others cannot."""
     left_out = {
         frame.index: f"dark, nothing brighter than {frame.exposure.bright:.0f} of 255: lens cap on, or projector off"
         for frame in frames
-        if frame.exposure.dark
+        if frame.exposure.dark and look.colours
     }
-    lit = [i for i, frame in enumerate(frames) if not frame.exposure.dark]
+    lit = [i for i, frame in enumerate(frames) if not (frame.exposure.dark and look.colours)]
     if not lit:
         raise AnnulusError(
             f"{scan}: all {len(frames)} projector frames are dark (nothing brighter than "
             f"{max(frame.exposure.bright for frame in frames):.0f} of 255): lens cap on, or projector off."
         )
-    enough = SEEN_LEAST * (len(colours) - 1)
+    enough = SEEN_LEAST * look.rings
 
     def fair(contour: Contours, grid_lines: int) -> bool:
         return len(contour.ring) >= enough * grid_lines
@@ -202,16 +239,16 @@ def _decode(
     lines = len(grid.cosine)
     contours: dict[int, Contours] = {}
     for done, i in enumerate(lit):
-        contours[i] = follow(frames[i].image, grid, colours)
+        contours[i] = look.follow(frames[i].image, grid)
         if not fair(contours[i], lines):  # the pattern may lie beside the camera's axis
-            other = follow(frames[i].image, wide_grid(camera, _light_centre(frames[i].image)), colours)
+            other = look.follow(frames[i].image, wide_grid(camera, _light_centre(frames[i].image)))
             contours[i] = max(contours[i], other, key=lambda contour: len(contour.ring))
         report("find rings", done + 1, 2 * len(lit))
     kept = [i for i in lit if fair(contours[i], lines)]
     if kept:
         grid = close_grid(camera, [contours[i] for i in kept])
         for done, i in enumerate(lit):
-            contours[i] = follow(frames[i].image, grid, colours)
+            contours[i] = look.follow(frames[i].image, grid)
             report("find rings", len(lit) + done + 1, 2 * len(lit))
         kept = [i for i in lit if fair(contours[i], lines)]
     for i in lit:
@@ -219,16 +256,19 @@ def _decode(
             exposure = frames[i].exposure
             left_out[frames[i].index] = (
                 f"over-exposed, {100 * exposure.lost:.0f} % of the stripes have lost their colour"
-                if exposure.lost > LOST_MOST
-                else f"rings of {colours} not found in it ({contours[i].slits} slits seen)"
+                if exposure.lost > LOST_MOST and look.colours
+                else f"{look.what} not found in it ({contours[i].slits} {look.marks} seen)"
             )
     if len(kept) < 2:
-        raise AnnulusError(f"{scan}: {_why_none(frames, contours, kept, lit, colours, camera)}.")
-    missing = [k + 1 for k in range(len(colours) - 1) if all(np.isnan(contours[i].reach[k, 1]) for i in kept)]
+        raise AnnulusError(f"{scan}: {_why_none(frames, contours, kept, lit, look, camera)}.")
+    missing = [k + 1 for k in range(look.rings) if all(np.isnan(contours[i].reach[k, 1]) for i in kept)]
     if missing:
+        rings = f"ring{'s' if len(missing) > 1 else ''} {', '.join(map(str, missing))}"
+        if not look.colours:
+            raise AnnulusError(f"{scan}: {rings} of {look.rings} bright lines, from the innermost, seen in no frame.")
         read = read_colours(frames[kept[0]].image, grid)
         raise AnnulusError(
-            f"{scan}: ring{'s' if len(missing) > 1 else ''} {', '.join(map(str, missing))} of the pattern {colours} "
+            f"{scan}: {rings} of the pattern {look.colours} "
             f"(counted from the innermost) seen in no frame; the stripes read {read}. Check pattern.colours."
         )
     return contours, kept, left_out
@@ -239,12 +279,12 @@ def _why_none(
     contours: dict[int, Contours],
     kept: Sequence[int],
     lit: Sequence[int],
-    colours: str,
+    look: Look,
     camera: Camera,
 ) -> str:
     if len(frames) == 1:
         return "one projector frame, expected at least two, the head leaning to opposite sides (better four and more)"
-    over = [i for i in lit if i not in kept and frames[i].exposure.lost > LOST_MOST]
+    over = [i for i in lit if look.colours and i not in kept and frames[i].exposure.lost > LOST_MOST]
     if over:
         worst = max(frames[i].exposure.lost for i in over)
         return (
@@ -253,14 +293,14 @@ def _why_none(
         )
     i = max(lit, key=lambda i: contours[i].slits)
     grid = wide_grid(camera, np.array([camera.cx, camera.cy]))
-    if contours[i].slits > len(grid.cosine):
+    if look.colours and contours[i].slits > len(grid.cosine):
         return (
-            f"slits are seen but not in the order of pattern.colours {colours}; the stripes read "
+            f"slits are seen but not in the order of pattern.colours {look.colours}; the stripes read "
             f"{read_colours(frames[i].image, grid)} from the innermost. Check pattern.colours"
         )
     dark = len(frames) - len(lit)
     return (
-        f"the rings of {colours} are found in {len(kept)} of {len(frames)} projector frames"
+        f"the {look.what} are found in {len(kept)} of {len(frames)} projector frames"
         + (f", {dark} are dark" if dark else "")
         + "; two and more are needed. Is this a scan of a clean pipe, with the projector on?"
     )

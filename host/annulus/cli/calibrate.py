@@ -255,6 +255,8 @@ def pipe(
     out: Annotated[Path, typer.Option("--out", "-o", help="calibration.json; other sections in it are kept.")] = Path(
         "calibration.json"
     ),
+    pattern: Annotated[str, typer.Option(help="slits, or line: bright rings or planes of one colour.")] = "slits",
+    lines: Annotated[int, typer.Option(min=1, max=16, help="How many bright lines, with --pattern line.")] = 1,
     picture: Annotated[
         Path | None, typer.Option(help="Where to draw what is left over. [default: FILE.pipe.png]")
     ] = None,
@@ -264,12 +266,16 @@ def pipe(
 
     Lean the head about 10 degrees to the left, to the right, up and down, and stand off the axis that way, a frame or
     two each; eight frames are plenty. No target, no marks. The pipe may be any that is round and clean.
+
+    With --pattern line the head has bright rings or flat planes of a laser in place of a slide of slits.
     """
+    if pattern not in ("slits", "line"):
+        raise AnnulusError(f'--pattern is "{pattern}", expected slits or line')
     from annulus.calibrate.pipe import calibrate_pipe, save_pipe
     from annulus.calibrate.pipe_picture import draw_pipe
 
     with progress() as bars:
-        result = calibrate_pipe(scan, camera, radius, progress=bars)
+        result = calibrate_pipe(scan, camera, radius, lines=lines if pattern == "line" else 0, progress=bars)
     save_pipe(result, out)
     picture = picture or out.with_suffix(".pipe.png")
     draw_pipe(result, picture)

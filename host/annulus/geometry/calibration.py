@@ -23,7 +23,7 @@ CAMERAS_MAX, CAMERA_ID_MAX = 16, 255
 SENSOR_MAX = 65535.0  # pixels a side
 ROTATION_OFF = 1e-5  # of a unit vector: 2 um at a wall 200 mm away (test_a_rotation_is_one)
 
-Kind = Literal["slits", "lines", "fringe"]
+Kind = Literal["slits", "line", "lines", "fringe"]
 Vector = tuple[float, float, float]
 Matrix = tuple[Vector, Vector, Vector]
 
@@ -81,12 +81,15 @@ class Calibration:
         """What is projected."""
         return "slits" if self.pattern is None else cast(Kind, self.pattern["kind"])
 
-    def only(self) -> "Calibration":
-        """Itself, for a method that knows one camera and slits. Raises AnnulusError, one line, where there is more."""
+    def only(self, *kinds: Kind) -> "Calibration":
+        """Itself, for a method that knows one camera and these kinds of light (slits if none is named).
+
+        Raises AnnulusError, one line, where there is more."""
         if self.others:
             raise AnnulusError(f"calibration: {_more_than_one(self.cameras)}")
-        if self.pattern is not None:
-            raise AnnulusError(f"calibration: the head projects {self.kind}, expected slits for this method")
+        if self.kind not in (kinds or ("slits",)):
+            expected = " or ".join(kinds or ("slits",))
+            raise AnnulusError(f"calibration: the head projects {self.kind}, expected {expected} for this method")
         return self
 
     @classmethod
@@ -103,7 +106,10 @@ class Calibration:
         if kind not in get_args(Kind):
             raise ValueError(f'"pattern.kind" is {untrusted.shown(kind)}, expected one of {", ".join(get_args(Kind))}')
         colours = _colours(top) if kind == "slits" else ""
-        rings = _rings(_need(top, "rings") if colours else top.get("rings", ()), len(colours) - 1 if colours else None)
+        cones = _need(top, "rings") if kind in ("slits", "line") else top.get("rings", ())
+        rings = _rings(cones, len(colours) - 1 if colours else None)
+        if kind == "line" and not rings:
+            raise ValueError('"rings" must list at least one: a head of bright lines has a cone for each')
         radius = _radius(_need(top, "pipe"))
         covariance = None if "covariance" not in top else _covariance(top["covariance"], 6 * len(rings))
         first, *others = cameras
@@ -321,7 +327,7 @@ def _mirror(data: object, where: str) -> Mirror:
 
 
 def _cone(ring: Mapping[str, Any], where: str) -> Cone:
-    theta = _number(ring, "theta_full_deg", where, 1.0, 178.0)
+    theta = _number(ring, "theta_full_deg", where, 1.0, 180.0)  # a flat plane at most
     axis = _vector(ring, "axis", where)
     length = math.sqrt(sum(v * v for v in axis))
     if abs(length - 1.0) > 1e-3 or axis[2] <= 0:

@@ -6,10 +6,14 @@ import numpy as np
 
 from annulus.numeric.arrays import FloatArray
 
+AHEAD = 1e-9  # of the distance to the vertex: nearer to it than this a point is the vertex
+FLAT = 1e-16  # squared cosine of the half-angle: 1e-6 mm at 100 mm from a plane, which it then is
+
 
 @dataclass(frozen=True, slots=True)
 class Cone:
-    """One slit's surface. Half-angle in radians, unit axis (nearly +z), vertex in mm, camera frame."""
+    """One slit's surface. Half-angle in radians (pi / 2: the plane across the axis), unit axis (nearly +z), vertex in
+    mm, camera frame."""
 
     half_angle: float
     axis: tuple[float, float, float]
@@ -42,10 +46,15 @@ def intersect_cone(rays: FloatArray, cone: Cone, origin: FloatArray | None = Non
     b = 2.0 * (along * va - wv * cos2)
     c = va**2 - vv * cos2
     with np.errstate(divide="ignore", invalid="ignore"):
-        delta = np.sqrt(b * b - 4.0 * a * c)
-        q = -0.5 * (b + np.copysign(delta, b))  # the form that does not cancel
-        roots = np.stack([q / a, c / q])
-        forward = (roots > 0) & (va + roots * along > 0)
+        # b b - 4 a c with what cancels taken out, for a cone that is nearly flat
+        delta = 2.0 * np.sqrt(cos2 * (along**2 * vv - 2.0 * along * va * wv + va**2 + cos2 * (wv**2 - vv)))
+        if cos2 < FLAT:  # one sheet, which all of its light is on
+            roots = np.stack([-va / along, np.full(along.shape, -np.inf)])
+            forward = roots > 0
+        else:
+            q = -0.5 * (b + np.copysign(delta, b))  # the form that does not cancel
+            roots = np.stack([q / a, c / q])
+            forward = (roots > 0) & (va + roots * along > AHEAD * np.sqrt(vv))
         s = np.where(forward, roots, -np.inf).max(axis=0)
         s = np.where(np.isfinite(s), s, np.nan)
     return start + s[:, None] * rays, delta

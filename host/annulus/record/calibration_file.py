@@ -55,17 +55,29 @@ def update_calibration(
     written.
     """
     data = _read(path) if path.exists() else {}
-    if isinstance(data, dict) and data.get("format") == CAMERAS:
+    listed = "cameras" in sections  # a head that format 1 has no words for, though of one camera
+    if isinstance(data, dict) and data.get("format") == CAMERAS and not (listed and _has_one_camera(data)):
         raise AnnulusError(f'{path}: is of a head with several cameras ("{CAMERAS}"). Choose another file.')
-    if not isinstance(data, dict) or data.get("format", ONE_CAMERA) != ONE_CAMERA:
+    if not isinstance(data, dict) or data.get("format", ONE_CAMERA) not in (ONE_CAMERA, CAMERAS):
         raise AnnulusError(f'{path}: is there but is not "{ONE_CAMERA}". Choose another file or move it away.')
     before = data.get("provenance")
     replaced = {key for key, section in sections.items() if data.get(key) != section}
     still = {key: made for key, made in (before if isinstance(before, dict) else {}).items() if key not in replaced}
     origins = {**still, **(provenance or {})}
-    merged = {"format": ONE_CAMERA, **data, **sections, "provenance": origins or None}
+    if listed:
+        data.pop("camera", None)
+    merged = {"format": None, **data, **sections, "provenance": origins or None}
+    merged["format"] = CAMERAS if listed else ONE_CAMERA
     _write(path, {key: value for key, value in merged.items() if value is not None})
     return tuple(key for key in data if key not in {*sections, "format", "provenance"})
+
+
+def _has_one_camera(data: object) -> bool:
+    try:
+        camera_alone(data)
+    except ValueError:
+        return False
+    return True
 
 
 def save_calibration(path: Path, calibration: Calibration) -> None:

@@ -80,7 +80,9 @@ def reprocess(job: Job, executor: Executor = in_process, progress: Progress | No
     measured = measure(job, which, executor, progress)
     profiles = tuple(profile for profile, _ in measured)
     damaged = damaged_frames(job, which, profiles)
-    findings = [*exposure_findings([(profile.frame, exposure) for profile, exposure in measured]), *decided]
+    findings = [*decided]
+    if job.calibration.kind == "slits":  # a bright line is a small part of a dark picture, and has no colour to lose
+        findings[:0] = exposure_findings([(profile.frame, exposure) for profile, exposure in measured])
     findings += damage_findings(job, damaged)
     if findings and all(profile.pose is None for profile in profiles):
         raise AnnulusError(f"{path}: {findings[0].text}.")

@@ -37,7 +37,7 @@ def method_for(calibration: Calibration, colour: ColourProfile | None = None) ->
     Raises AnnulusError for a head that no method here knows. The only place that chooses: the next kind is a line here.
     """
     match calibration.kind:
-        case "slits":
+        case "slits" | "line":
             return _slits(calibration, colour)
     raise AnnulusError(f"calibration: the head projects {calibration.kind}, for which there is no method yet")
 

@@ -20,12 +20,18 @@ def warmup_frame(calibration: Calibration) -> Image:
     with np.errstate(divide="ignore", invalid="ignore"):
         axis = np.array([0.0, 0.0, 1.0])
         wall = intersect_cylinder(rays, np.zeros(3), axis, calibration.pipe_radius_mm, starts)
+        near = np.zeros(len(rays), bool)
         stripe, dark = np.zeros(len(rays), np.intp), ~(rays[:, 2] > 0) & camera.central
         for cone in calibration.rings:
             beam = wall - np.array(cone.vertex_mm)
             angle = np.arccos(np.clip(beam @ np.array(cone.axis) / np.linalg.norm(beam, axis=1), -1.0, 1.0))
             stripe += angle > cone.half_angle
-            dark |= np.abs(angle - cone.half_angle) < SLIT_HALF
+            near |= np.abs(angle - cone.half_angle) < SLIT_HALF
+    if calibration.kind == "line":
+        lit = np.where((near & ~dark)[:, None], np.array((8, 8, 180), np.uint8), np.uint8(4))
+        picture = lit.reshape(*u.shape, 3)
+        return cast(Image, cv2.resize(picture, (camera.width, camera.height), interpolation=cv2.INTER_LINEAR))
+    dark |= near
     paint = np.array([{"R": (8, 8, 180), "G": (8, 180, 8), "B": (180, 8, 8)}[c] for c in calibration.colours], np.uint8)
     picture = np.where(dark[:, None], np.uint8(4), paint[stripe]).reshape(*u.shape, 3)
     return cast(Image, cv2.resize(picture, (camera.width, camera.height), interpolation=cv2.INTER_LINEAR))

@@ -146,6 +146,14 @@ def examine(
     a frame.
     """
     calibration = reconstructor.calibration
+    if calibration.kind == "line":
+        profiles = [reconstructor.profile(image, frame=frame, z_mm=0.0) for frame, image in frames]
+        seen = [profile for profile in profiles if profile.pose is not None]
+        if not seen:
+            return ()
+        radii = [float(np.median(np.hypot(*profile.points_mm[:, :2].T))) for profile in seen]
+        spread = float(np.median([profile.residual_mm for profile in seen]))
+        return _radius_off(float(np.median(radii)), spread, calibration, tuple(profile.frame for profile in seen))
     placed: list[tuple[int, Slits, Placed]] = []
     for frame, image in frames:
         slits, place = reconstructor.slits_by_order(image)
@@ -160,17 +168,8 @@ def examine(
     if flip is not None:
         out.append(Finding(Trouble.FLIPPED, flip, names))
     radius = float(np.median([place.radius_mm for _, _, place in placed]))
-    off = radius - calibration.pipe_radius_mm
-    if flip is None and abs(off) > max(RADIUS_OFF * calibration.pipe_radius_mm, 2.0 * scatter):
-        out.append(
-            Finding(
-                Trouble.RADIUS,
-                f"the pipe is not the calibration's: every ring lies {abs(off):.2f} mm "
-                f"{'out' if off > 0 else 'in'}side its radius of {calibration.pipe_radius_mm:.2f} mm, "
-                f"this pipe's is about {radius:.2f} mm",
-                names,
-            )
-        )
+    if flip is None:
+        out += _radius_off(radius, scatter, calibration, names)
     read = _sequence([(slits, place) for _, slits, place in placed], calibration)
     if read is not None and read != calibration.colours:
         swapped = read.translate(str.maketrans("RB", "BR")) == calibration.colours
@@ -194,6 +193,21 @@ def examine(
                 )
             )
     return tuple(out)
+
+
+def _radius_off(radius: float, scatter: float, calibration: Calibration, names: tuple[int, ...]) -> tuple[Finding, ...]:
+    off = radius - calibration.pipe_radius_mm
+    if abs(off) <= max(RADIUS_OFF * calibration.pipe_radius_mm, 2.0 * scatter):
+        return ()
+    return (
+        Finding(
+            Trouble.RADIUS,
+            f"the pipe is not the calibration's: every ring lies {abs(off):.2f} mm "
+            f"{'out' if off > 0 else 'in'}side its radius of {calibration.pipe_radius_mm:.2f} mm, "
+            f"this pipe's is about {radius:.2f} mm",
+            names,
+        ),
+    )
 
 
 def _flip(reconstructor: Reconstructor, frames: Sequence[tuple[int, NDArray[np.uint8]]], scatter: float) -> str | None:

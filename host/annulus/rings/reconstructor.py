@@ -26,12 +26,13 @@ from annulus.numeric.arrays import FloatArray
 from annulus.numeric.jit import jit
 from annulus.rings.colour import ColourProfile
 from annulus.rings.decode import NONE, UNKNOWN, classify, decode, readings
+from annulus.rings.lines import find_lines, line_bias, name_lines
 from annulus.rings.order import Placed, by_order
 from annulus.rings.outliers import reject_outliers
 from annulus.rings.polar import polar_grid, unroll
 from annulus.rings.slits import Slits, find_slits
 from annulus.rings.triangulate import deviations, ring_optics, triangulate
-from annulus.rings.uncertainty import calibrated, point_sigma
+from annulus.rings.uncertainty import BIAS_PX, calibrated, point_sigma
 from annulus.vocabulary import AnnulusError
 from annulus.wall.pose import Fit, fit_pose
 from annulus.wall.profile import Profile
@@ -45,6 +46,10 @@ OVER_EXPOSED = 235.0  # grey levels of light, a slit's own darkness taken off
 STEP_PX = 1.5  # a point's neighbours lie within this many pixels' worth of radius and ..
 STEP = 0.01  # .. this part of the pipe's radius
 
+# what a frame shows: slits, or lines given like them; (N, K) which ring each could be; from (N, K) deviations of the
+# wall and their tolerance the ring of each; how many were left out, by reason
+_Seen = tuple[Slits, NDArray[np.bool_], Callable[[FloatArray, float], NDArray[np.int64]], dict[str, int]]
+
 
 class Reconstructor:
     """Holds what one calibration fixes (grid, rays, optics), so that frames cost only their own pixels.
@@ -56,7 +61,7 @@ class Reconstructor:
     def __init__(self, calibration: Calibration, directions: int = 720, *, colour: ColourProfile | None = None) -> None:
         if not 36 <= directions <= 4096:
             raise AnnulusError(f"{directions} polar directions, expected 36..4096")
-        self.calibration = calibration.only()
+        self.calibration = calibration.only("slits", "line")
         self.directions = directions
         self._grid = polar_grid(calibration, directions)
         self._optics = ring_optics(calibration, self._grid)
@@ -96,23 +101,21 @@ class Reconstructor:
                 f"frame {frame}: image is {_size(image_bgr)} but the calibration's camera is "
                 f"{camera.width}x{camera.height}, 8 bit colour. Calibrate with the camera that took this scan."
             )
-        pipe, colours = self.calibration.pipe_radius_mm, self.calibration.colours
+        pipe = self.calibration.pipe_radius_mm
         marks = [("", clock())]
-        polar = unroll(image_bgr, self._grid)
-        marks.append(("polar", clock()))
-        slits = find_slits(polar, self._grid)
-        marks.append(("slits", clock()))
-        both = classify(np.vstack([slits.inside, slits.outside]), colours, self._seen)
-        inside, outside = both[: len(slits.position)], both[len(slits.position) :]
-        marks.append(("colours", clock()))
-        points = triangulate(slits, self._grid, self._optics, readings(inside, outside, colours))
-        marks.append(("triangulate", clock()))
 
-        rejected = {"crowded": slits.crowded, "shallow": slits.shallow}
+        def mark(stage: str) -> None:
+            marks.append((stage, clock()))
+
+        slits, could_be, named, rejected = (self._lines if self.calibration.kind == "line" else self._slits)(
+            image_bgr, mark
+        )
+        points = triangulate(slits, self._grid, self._optics, could_be)
+        mark("triangulate")
         # A seed far off would make every reading implausible: then once more without.
         for first in (seed, None) if seed is not None else (None,):
             deviation = deviations(points, first or Pose(), pipe)
-            ring = decode(slits.direction, inside, outside, deviation, colours, FIRST_TOLERANCE)
+            ring = named(deviation, FIRST_TOLERANCE)
             marks.append(("decode", clock()))
             fitted = self._fit(points, ring, first, ROUGHLY)
             marks.append(("pose", clock()))
@@ -127,9 +130,8 @@ class Reconstructor:
             )  # fmt: skip
         # Read again where the wall now is, and fit what that leaves.
         deviation = deviations(points, fitted.pose, pipe)
-        ring = decode(slits.direction, inside, outside, deviation, colours, WALL_TOLERANCE)
+        ring = named(deviation, WALL_TOLERANCE)
         marks.append(("decode", clock()))
-        rejected["colour"] = int(np.count_nonzero((inside == UNKNOWN) | (outside == UNKNOWN)))
         rejected["no ring"] = int(np.count_nonzero(ring == NONE))
         step = STEP * pipe + STEP_PX * self._optics.mm_per_px
         outliers, wider = reject_outliers(ring, slits, pipe * (1.0 + deviation), step, self.directions)
@@ -147,7 +149,7 @@ class Reconstructor:
         marks.append(("points", clock()))
         sigma = point_sigma(
             ring[kept], slits.direction[kept], seen, slits.edge_blur[kept], wider[kept], clipped, self._optics,
-            self._calibrated, fitted,
+            self._calibrated, fitted, line_bias(slits) if self.calibration.kind == "line" else BIAS_PX,
         )  # fmt: skip
         marks.append(("sigma", clock()))
         return Profile(
@@ -155,6 +157,33 @@ class Reconstructor:
             slits.direction[kept].astype(np.uint16), fitted.robust_sigma_mm, rejected, _spans(marks),
             sigma, fitted.lean_sigma_deg,
         )  # fmt: skip
+
+    def _slits(self, image_bgr: NDArray[np.uint8], mark: Callable[[str], None]) -> _Seen:
+        polar = unroll(image_bgr, self._grid)
+        mark("polar")
+        slits = find_slits(polar, self._grid)
+        mark("slits")
+        colours = self.calibration.colours
+        both = classify(np.vstack([slits.inside, slits.outside]), colours, self._seen)
+        inside, outside = both[: len(slits.position)], both[len(slits.position) :]
+        mark("colours")
+
+        def named(deviation: FloatArray, tolerance: float) -> NDArray[np.int64]:
+            return decode(slits.direction, inside, outside, deviation, colours, tolerance)
+
+        unknown = int(np.count_nonzero((inside == UNKNOWN) | (outside == UNKNOWN)))
+        rejected = {"crowded": slits.crowded, "shallow": slits.shallow, "colour": unknown}
+        return slits, readings(inside, outside, colours), named, rejected
+
+    def _lines(self, image_bgr: NDArray[np.uint8], mark: Callable[[str], None]) -> _Seen:
+        lines, strength = find_lines(image_bgr, self._grid)
+        mark("lines")
+
+        def named(deviation: FloatArray, tolerance: float) -> NDArray[np.int64]:
+            return name_lines(lines.direction, strength, deviation, tolerance)
+
+        could_be = np.ones((len(lines.position), len(self.calibration.rings)), np.bool_)
+        return lines, could_be, named, {"crowded": lines.crowded, "faint": lines.shallow}
 
     def slits_by_order(self, image_bgr: NDArray[np.uint8]) -> tuple[Slits, Placed | None]:
         """A frame's slits, and which ring each is by its order alone; colours can be learnt from that."""

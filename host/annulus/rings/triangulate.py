@@ -12,14 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus.geometry.calibration import Calibration, RingCorrection
-from annulus.geometry.cone import intersect_cylinder
+from annulus.geometry.cone import FLAT, intersect_cylinder
 from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import FloatArray
 from annulus.numeric.jit import jit
 from annulus.rings.polar import RAY_STEP_PX, PolarGrid, ring_pixels
 from annulus.rings.slits import Slits
 
-GRAZING = 0.02  # sine of the least angle between ray and cone that still makes a point; unguarded at this size
+GRAZING = (
+    0.008  # sine of the least angle between ray and cone that still makes a point; test_a_plane_is_no_grazing_cone
+)
 PROBE_PX = 4.0  # step of the finite differences along a line; test_slits, the bend
 
 
@@ -186,15 +188,19 @@ def _meet(ox, oy, oz, x, y, z, cone, cos2, out):  # type: ignore[no-untyped-def]
     va = -(vx * ax + vy * ay + vz * az)
     wv = -(x * vx + y * vy + z * vz)
     vv = vx * vx + vy * vy + vz * vz
+    if cos2 < FLAT:
+        if along != 0.0 and abs(along) > GRAZING and -va / along > 0.0:
+            best = -va / along
+            out[0], out[1], out[2] = ox + best * x, oy + best * y, oz + best * z
+        return
     a = along * along - cos2
     b = 2.0 * (along * va - wv * cos2)
     c = va * va - vv * cos2
-    inside = b * b - 4.0 * a * c
+    # b b - 4 a c with what cancels taken out, for a cone that is nearly flat
+    inside = 4.0 * cos2 * (along * along * vv - 2.0 * along * va * wv + va * va + cos2 * (wv * wv - vv))
     if inside <= 0.0:
         return
     delta = math.sqrt(inside)
-    if delta < GRAZING * math.sqrt(vv):
-        return
     q = -0.5 * (b + math.copysign(delta, b))
     best = 0.0
     if a != 0.0:
@@ -205,5 +211,7 @@ def _meet(ox, oy, oz, x, y, z, cone, cos2, out):  # type: ignore[no-untyped-def]
         s = c / q
         if s > best and va + s * along > 0.0:
             best = s
-    if best > 0.0:
+    # delta over the length of the cone's gradient there is the sine of the angle between ray and cone
+    away2 = vv + 2.0 * best * wv + best * best
+    if best > 0.0 and inside > GRAZING * GRAZING * 4.0 * cos2 * (1.0 - cos2) * away2:
         out[0], out[1], out[2] = ox + best * x, oy + best * y, oz + best * z

@@ -34,6 +34,7 @@ def point_sigma(
     optics: RingOptics,
     calibrated_mm: FloatArray,
     fit: Fit,
+    bias_px: float = BIAS_PX,
 ) -> NDArray[np.float32]:
     """Standard deviation of each point's radius from the pipe's axis, (N,) mm.
 
@@ -43,6 +44,7 @@ def point_sigma(
     width_off_px : (N,) by how much the slit's width differs from its ring's around there.
     clipped : (N,) whether a stripe beside the slit is over-exposed.
     calibrated_mm : (K, J) what the calibration leaves open, from `calibrated`.
+    bias_px : what every place may be off alike, at least.
 
     Notes
     -----
@@ -60,7 +62,7 @@ def point_sigma(
     out = np.empty(len(ring), np.float32)
     _combine(
         ring, direction, points_mm, fit.pose.rotation, fit.pose.translation, fit.covariance, edge_blur,
-        width_off_px, clipped, optics.mm_per_px, calibrated_mm, out,
+        width_off_px, clipped, optics.mm_per_px, calibrated_mm, bias_px, out,
     )  # fmt: skip
     return out
 
@@ -111,7 +113,19 @@ def calibrated(calibration: Calibration, grid: PolarGrid, optics: RingOptics) ->
 
 @jit
 def _combine(  # type: ignore[no-untyped-def]
-    ring, direction, points, rotation, shift, covariance, edge_blur, width_off, clipped, mm_per_px, calibrated, out
+    ring,
+    direction,
+    points,
+    rotation,
+    shift,
+    covariance,
+    edge_blur,
+    width_off,
+    clipped,
+    mm_per_px,
+    calibrated,
+    least,
+    out,
 ):
     rings, directions = calibrated.shape
     radius = np.zeros((rings, directions))  # 0: no point
@@ -171,9 +185,9 @@ def _combine(  # type: ignore[no-untyped-def]
                 apart[k] = abs(median[k] - common) / mm_per_px[k]
                 work[size] = apart[k]
                 size += 1
-        bias = min(max(SIGMA_OF_MAD * middle(work, size), BIAS_PX), DRAWN_PX)
+        bias = min(max(SIGMA_OF_MAD * middle(work, size), least), DRAWN_PX)
     else:
-        bias = BIAS_PX
+        bias = least
     for n in range(len(ring)):
         k = ring[n]
         soft = min(max(edge_blur[n] / usual[k], BLUR_LEAST), BLUR_MOST)

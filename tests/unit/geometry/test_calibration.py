@@ -194,7 +194,7 @@ def test_a_rotation_is_one(rows: list[list[float]]) -> None:
 def test_sections_that_do_not_fit_are_named() -> None:
     for key, value, words in [
         ("format", "annulus-calibration/3", '"format" is'),
-        ("pattern", {"kind": "dots"}, "expected one of slits, lines, fringe"),
+        ("pattern", {"kind": "dots"}, "expected one of slits, line, lines, fringe"),
         ("rings", [], '"rings" must list 2 slits, one between each two of 3'),
         ("covariance", [[1.0]], "12 rows"),
         ("covariance", [[math.nan] * 12] * 12, r'"covariance\[0\]", number 1, is nan'),

@@ -39,6 +39,7 @@ def calibrate(
     start: Solution | None = None,
     corrections: FloatArray | None = None,
     directions: int = 0,
+    flat: tuple[bool, ...] = (),
     progress: Callable[[int, int], None] | None = None,
 ) -> Solution:
     """All rings and all poses together, from a cold start.
@@ -49,6 +50,7 @@ def calibrate(
     start : an answer nearby, saves the search. corrections : (K, 2, n) rad and mm, what each ring is known to be off
     its cone, see RingCorrection. directions : so many sectors round each ring may each be off the cone by their own
     angle (lumps of the slide); 0 = none is. Only what differs between poses then tells of the cones.
+    flat : which rings are flat planes, those of `start` if none is said; all are cones where nobody says.
 
     Raises
     ------
@@ -64,13 +66,14 @@ def calibrate(
     if frames < 2:
         raise AnnulusError("one frame cannot tell the projector's place from its angles: lean the head the other way")
     known = np.zeros((rings, 2, 0)) if corrections is None else np.ascontiguousarray(corrections)
-    problem = Bundle(seen, rings, frames, radius_mm, known)
+    flat = flat or (start.flat if start is not None else ())
+    problem = Bundle(seen, rings, frames, radius_mm, known, flat)
     runner_up = math.inf
     report = progress or (lambda done, total: None)
     if start is not None:
         x = packed(start)
     else:
-        few = Bundle(seen.take(_thinned(seen, rings, frames)), rings, frames, radius_mm, known)
+        few = Bundle(seen.take(_thinned(seen, rings, frames)), rings, frames, radius_mm, known, flat)
         found: list[tuple[float, FloatArray]] = []
         for done, distance in enumerate(DISTANCES):
             report(done, len(DISTANCES) + 1)
@@ -101,6 +104,7 @@ def with_frame(solution: Solution, one: Observations, pose: Pose) -> FloatArray:
     own, cross, four = matrix[:n, :n], matrix[:n, n : n + 4], matrix[n : n + 4, n : n + 4]
     gained = own - cross @ np.linalg.solve(four, cross.T)
     unit = np.sqrt(np.diag(solution.covariance))
+    unit = np.where(unit > 0, unit, 1.0)  # of a plane some numbers are given
     cover = solution.covariance / unit[:, None] / unit
     return np.asarray(
         np.linalg.solve(np.eye(n) + cover @ (gained * unit[:, None] * unit), cover) * unit[:, None] * unit

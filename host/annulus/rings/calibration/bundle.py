@@ -39,18 +39,25 @@ class Solution:
     runner_up: float  # cost of the second best start that led elsewhere, over the cost of this one; inf where none did
     off_radius_mm: tuple[float, float]  # what the observations say of the radius, less what was given, and its standard
     # deviation: infinite for a camera with one centre, whose images stay the same when everything grows alike
+    flat: tuple[bool, ...] = ()  # which rings are planes: half-angle and place across the axis given, their sigma 0
 
 
 class Bundle:
     """The observations and the unknowns: per ring half-angle, axis x y, vertex; per frame rx, ry, tx, ty."""
 
-    def __init__(self, seen: Observations, rings: int, frames: int, radius: float, corrections: FloatArray) -> None:
+    def __init__(
+        self, seen: Observations, rings: int, frames: int, radius: float, corrections: FloatArray,
+        flat: tuple[bool, ...] = (),
+    ) -> None:  # fmt: skip
         self.seen, self.rings, self.frames, self.radius, self.corrections = seen, rings, frames, radius, corrections
         self.place, self.middle = np.zeros(len(seen)), np.zeros(len(seen))
         self.error, self.rows = np.empty(len(seen)), np.empty((len(seen), 11))
         self.size = np.concatenate(
             [np.tile([1.0, 1.0, 1.0, *[radius] * 3], rings), np.tile([1.0, 1.0, radius, radius], frames)]
         )
+        self.flat = flat or (False,) * rings
+        # a plane has no half-angle to find, and its vertex may be anywhere on it: it is kept on the camera's axis
+        self.free = np.append(~np.outer(self.flat, (1, 0, 0, 1, 1, 0)).astype(bool).ravel(), np.ones(4 * frames, bool))
         self.members = [np.flatnonzero(seen.ring == k) for k in range(rings)]
         self.sector: NDArray[np.int64] | None = None  # (N,) of all rings' sectors; None: rings are cones
         self.sector_offset, self.sector_weight = (
@@ -68,6 +75,8 @@ class Bundle:
         angle = np.arctan2(self.radius, height - along)
         for k, mine in enumerate(self.members):
             x[6 * k], x[6 * k + 5] = np.median(angle[mine]) if len(mine) else 0.5, along
+            if self.flat[k]:
+                x[6 * k], x[6 * k + 5] = math.pi / 2, np.median(height[mine]) if len(mine) else self.radius
         return x
 
     def evaluate(self, x: FloatArray, middles: bool = False) -> None:
@@ -166,7 +175,7 @@ class Bundle:
         self, x: FloatArray, robust: bool, settled: float, poses_only: bool = False
     ) -> tuple[float, FloatArray]:
         """Levenberg-Marquardt; the loss's scale follows the errors down. Returns the cost in px^2 and the place."""
-        free = np.arange(6 * self.rings if poses_only else 0, len(x))
+        free = np.flatnonzero(self.free & (np.arange(len(x)) >= (6 * self.rings if poses_only else 0)))
         damping, sizes = 1e-3, self.size[free]
         self.evaluate(x, middles=True)
         for _ in range(STEPS):
@@ -214,21 +223,23 @@ class Bundle:
         self.fit_sector_offsets(honest)  # so that what they may take over is counted with these weights
         matrix, vector = self.normal(honest)
         self.rest = rest
-        unit = 1.0 / np.sqrt(np.maximum(np.diag(matrix)[:n], 1e-300))
-        values, vectors = np.linalg.eigh(matrix[:n, :n] * unit[:, None] * unit)
+        free = np.flatnonzero(self.free)
+        unit = 1.0 / np.sqrt(np.maximum(np.diag(matrix)[free], 1e-300))
+        values, vectors = np.linalg.eigh(matrix[np.ix_(free, free)] * unit[:, None] * unit)
         if values[0] < SINGULAR:
             raise AnnulusError("the poses are all alike: they leave the projector's place open")
-        half = vectors[:inner] * unit[:inner, None] / np.sqrt(values)
-        cover = half @ half.T
-        of_radius = (vectors.T @ (unit * matrix[:n, n])) / np.sqrt(values)
+        half = np.zeros((n, len(free)))
+        half[free] = vectors * unit[:, None] / np.sqrt(values)
+        cover = half[:inner] @ half[:inner].T
+        of_radius = (vectors.T @ (unit * matrix[free, n])) / np.sqrt(values)
         known = matrix[n, n] - of_radius @ of_radius  # 1/mm^2, all other unknowns free
-        pulled = vector[n] - of_radius @ ((vectors.T @ (unit * vector[:n])) / np.sqrt(values))
+        pulled = vector[n] - of_radius @ ((vectors.T @ (unit * vector[free])) / np.sqrt(values))
         off = (float(pulled / known), float(known**-0.5)) if known > 1e-9 * matrix[n, n] else (0.0, math.inf)
         rings, poses = self._unpacked(x)
         return Solution(
             rings, poses, self.radius,
             self.error.copy(), relative, self.rows[:, 0].copy(), self._axial(x), self.rows[:, 10].copy(),
-            scale, length, cover, runner_up, off,
+            scale, length, cover, runner_up, off, self.flat,
         )  # fmt: skip
 
     def _unpacked(self, x: FloatArray) -> tuple[tuple[Cone, ...], tuple[Pose, ...]]:

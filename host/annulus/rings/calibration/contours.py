@@ -1,6 +1,7 @@
 """Rings followed round an image whose geometry is not known yet: by order and colour, then by their own course."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from annulus.numeric.arrays import FloatArray
 from annulus.numeric.jit import jit
 from annulus.numeric.robust import SIGMA_OF_MAD
 from annulus.rings.decode import NONE, classify, decode, readings
+from annulus.rings.lines import find_lines, name_lines
 from annulus.rings.polar import PolarGrid, lay_grid, unroll
 from annulus.rings.slits import Slits, find_slits
 
@@ -23,6 +25,7 @@ AROUND = 8  # directions on each side that a ring's course is the median of
 WANDER = 0.5  # of the way to the next ring: a slit farther from its ring's course is another's
 STRAY, STRAY_PX = 5.0, 2.0  # a slit this many sigma, but at least so many px, off the course is no slit of the ring
 NARROW, WIDE = 0.75, 1.3  # of the ring's usual width around there
+STRONG = 0.5  # of the usual line: what is counted in the first look at bright lines
 LEAST = 0.15  # of the directions must show a ring for its course to be drawn
 
 
@@ -80,6 +83,32 @@ def follow(image_bgr: NDArray[np.uint8], grid: PolarGrid, colours: str) -> Conto
         ring = decode(
             slits.direction, inside, outside, np.where(allowed, stray / gap, np.nan), colours, WANDER / 0.65
         )  # fmt: skip
+    return _kept(grid, slits, ring, stray)
+
+
+def follow_lines(image_bgr: NDArray[np.uint8], grid: PolarGrid, rings: int) -> Contours:
+    """The same of a frame of so many bright lines, one colour: first where a polar line shows just so many strong ones,
+    then by each ring's own course."""
+    lines, strength = find_lines(image_bgr, grid)
+    shape = rings, len(grid.cosine)
+    strong = np.flatnonzero(strength > STRONG)
+    _, first, count = np.unique(lines.direction[strong], return_index=True, return_counts=True)
+    ring = np.full(len(lines.position), NONE, np.int64)
+    for k in range(rings):
+        ring[strong[first[count == rings] + k]] = k
+    stray = np.full((len(ring), rings), np.nan)
+    for _ in range(2):
+        course = _course(ring, lines.direction, lines.position, shape)
+        stray = (lines.position - course[:, lines.direction]).T
+        ring = name_lines(
+            lines.direction, strength, stray / _gap(course, grid.spacing_px)[:, lines.direction].T, WANDER
+        )
+    return _kept(grid, lines, ring, stray)
+
+
+def _kept(grid: PolarGrid, slits: Slits, ring: NDArray[np.int64], stray: FloatArray) -> Contours:
+    """Of named slits those that follow their ring's course, (N, K) px off it, and are about as wide."""
+    shape = stray.shape[1], len(grid.cosine)
     named = np.flatnonzero(ring != NONE)
     off = np.abs(stray[named, ring[named]])
     spread = np.array([np.median(off[ring[named] == k]) if (ring[named] == k).any() else 0.0 for k in range(shape[0])])
@@ -90,6 +119,28 @@ def follow(image_bgr: NDArray[np.uint8], grid: PolarGrid, colours: str) -> Conto
         good = (off <= most) & (ratio > NARROW) & (ratio < WIDE)
     kept = named[good]
     return _contours(grid, slits, ring[kept], kept, shape[0])
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """What the frames of a head show, in words too, and how its rings are followed round one."""
+
+    rings: int
+    what: str
+    marks: str
+    colours: str  # empty for bright lines
+    follow: Callable[[NDArray[np.uint8], PolarGrid], Contours]
+
+    @classmethod
+    def of_slits(cls, colours: str) -> "Look":
+        return cls(
+            len(colours) - 1, f"rings of {colours}", "slits", colours, lambda image, grid: follow(image, grid, colours)
+        )
+
+    @classmethod
+    def of_lines(cls, rings: int) -> "Look":
+        what = f"{rings} bright line{'s' if rings > 1 else ''}"
+        return cls(rings, what, "lines", "", lambda image, grid: follow_lines(image, grid, rings))
 
 
 def read_colours(image_bgr: NDArray[np.uint8], grid: PolarGrid) -> str:

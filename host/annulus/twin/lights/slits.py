@@ -27,6 +27,7 @@ class SlitTable(NamedTuple):
     cos0: np.float32  # of the first bin
     cos_step: np.float32  # bins a unit
     leak: np.float32
+    line: F32  # (3,) what red, green and blue pixels see of light through the slits
 
 
 @jit
@@ -34,6 +35,7 @@ def through_slits(part: Stretch, beam: Beam, table: SlitTable) -> None:
     """Slits by runs of pixels that share their nearest one."""
     scratch, slit_of, spread, n, v, odd = part.scratch, part.marks, part.spread, part.n, part.v, part.odd
     slits, colours, nearest, leak, blur = table.slits, table.colours, table.nearest, table.leak, beam.blur
+    line_even, line_odd = table.line[(v & 1) + odd], table.line[(v & 1) + 1 - odd]
     cos0, cos_step = table.cos0, table.cos_step
     one, zero = np.float32(1.0), np.float32(0.0)
     for u in range(n):
@@ -61,6 +63,7 @@ def through_slits(part: Stretch, beam: Beam, table: SlitTable) -> None:
             colour_out = odd_out if k & 1 else even_out
             share = inside * colour_in + outside * colour_out
             share += leak * (one - inside - outside) * (colour_in + colour_out)
+            share += (one - inside - outside) * (line_odd if k & 1 else line_even)
             scratch[LEVEL + k] = scratch[LIT + k] * share
         u = end
 
@@ -97,7 +100,10 @@ class Slits:
         self._nearest = np.searchsorted(bounds, middle).astype(np.int8)
         self._cos0, self._cos_step = np.float32(cos0), np.float32(_BINS / (cos1 - cos0))
         self._leak = np.float32(projector.leak)
+        self._line = np.array(projector.line or (0.0, 0.0, 0.0), np.float32)
+        if projector.line is not None:
+            self._colours[:] = 0.0
 
     def table(self, pose: Pose, z_mm: float) -> SlitTable:
         slits = in_pipe(self._slits, pose, z_mm)
-        return SlitTable(slits, self._colours, self._nearest, self._cos0, self._cos_step, self._leak)
+        return SlitTable(slits, self._colours, self._nearest, self._cos0, self._cos_step, self._leak, self._line)

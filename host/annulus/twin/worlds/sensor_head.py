@@ -12,7 +12,8 @@ class Projector:
     """The slide: cones of the slits (camera frame), their half-widths and the stripes' colours, inside to outside.
 
     `margin_deg`: how far the innermost and outermost stripe reach beyond the outer slits. `response`[c] is what the
-    red, green and blue pixels see of stripe colour c: filters of slide and sensor overlap.
+    red, green and blue pixels see of stripe colour c: filters of slide and sensor overlap. With a `line` it is turned
+    about: the slits are lit, in that one colour, and the stripes dark, as a laser's rings or planes are.
     """
 
     cones: tuple[Cone, ...]
@@ -23,6 +24,7 @@ class Projector:
     leak: float = 0.006  # of a stripe's light through a slit
     response: Response = ((1.0, 0.05, 0.04), (0.045, 1.0, 0.05), (0.03, 0.055, 0.75))
     nominal_us: float = 5000.0  # on-time that gives `peak`
+    line: tuple[float, float, float] | None = None  # what red, green and blue pixels see of bright rings: see below
 
 
 @dataclass(frozen=True, slots=True)

@@ -116,7 +116,10 @@ class World:
 
     def calibration(self) -> Calibration:
         """What a perfect calibration of this head would hold."""
-        return Calibration(self.camera, self.projector.colours, self.projector.cones, self.radius_mm)
+        head = self.projector
+        if head.line is not None:
+            return Calibration(self.camera, "", head.cones, self.radius_mm, pattern={"kind": "line"})
+        return Calibration(self.camera, head.colours, head.cones, self.radius_mm)
 
     def truth(self) -> dict[str, Any]:
         """The world as JSON-able data, defects as a perfect defect list; written beside a scan."""
