@@ -7,15 +7,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from annulus.calibrate.sample import Progress
+from annulus.calibrate.strangers import misfits, refuse_many, strangers
 from annulus.geometry.calibration import camera_to_dict
 from annulus.geometry.camera import Camera, Model
 from annulus.geometry.chessboard import TargetView, cropped, find_target
 from annulus.geometry.intrinsics import Intrinsics, TargetObservation, fit_intrinsics, target_pose
+from annulus.geometry.origin import AGREE, DICTIONARIES, from_colours, from_markers, read_markers
 from annulus.numeric.arrays import FloatArray
 from annulus.numeric.robust import robust_sigma
 from annulus.record.calibration_file import update_calibration
@@ -32,6 +33,7 @@ VIEW_BROKEN = 0.25  # of a photograph's corners are off like that
 VIEW_OFF, VIEW_OFF_PX = 3.0, 0.1  # times the usual residual and so many pixels more: the target bent, or it moved
 FISHEYE_GAIN = 0.9  # of the pinhole's residual, when the model is free; two models of one lens are often equally good
 FEW = 8  # photographs
+MISFIT = "does not fit the others"
 LARGE_PX = 1.0  # of residual
 COVERED_PX = 8.0  # from place to place where coverage is asked
 
@@ -50,9 +52,11 @@ class Target:
         return f"{kind}, {self.columns}x{self.rows} inner corners"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Photograph:
-    """One image's part in a calibration. `rejected`: why it has none. `rms_px`: NaN where no target was found."""
+    """One image's part in a calibration. `rejected`: why it has none. `rms_px`: NaN where no target was found. `pose`:
+    (3, 3) and (3,) mm, target to camera, of those kept; `own_origin`: counted from the target's own first corner, so
+    that poses of one place of it are comparable; else from the first corner that was seen."""
 
     file: str
     corners: int
@@ -60,6 +64,8 @@ class Photograph:
     blur_px: float
     rms_px: float
     rejected: str
+    pose: tuple[FloatArray, FloatArray] | None = None
+    own_origin: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +111,9 @@ class CameraCalibration:
                     "file": p.file, "corners": p.corners, "left_out": p.left_out,
                     "rms_px": p.rms_px if np.isfinite(p.rms_px) else None,
                     "blur_px": p.blur_px if np.isfinite(p.blur_px) else None, "rejected": p.rejected or None,
+                    "pose": None if p.pose is None else {
+                        "rotation": p.pose[0].tolist(), "translation_mm": p.pose[1].tolist(), "own_origin": p.own_origin
+                    },
                 }
                 for p in self.photographs
             ],
@@ -161,7 +170,7 @@ def calibrate_camera(
             f"{len(files)} image, expected at least 2, better 10 to 20 with the target near, tilted and in every corner"
         )
     images, views, rejected = _look(files, progress)
-    size = _common_size(files, images)
+    size = _common_size(files, images, views, rejected)
     found = [i for i, view in enumerate(views) if view is not None]
     if not found:
         raise AnnulusError(
@@ -169,10 +178,9 @@ def calibrate_camera(
             "or more, lit evenly."
         )
     shown, given = _target(views, wanted, square_mm)
-    if (wanted and wanted[2]) or any(len(v.cells) for v in views if v is not None):
-        markers = _markers(files, views)
-        shown = Target(shown.columns, shown.rows, square_mm, markers)
+    shown = replace(shown, markers=_dictionary(files, views))
     views = [None if v is None else cropped(v, shown.columns, shown.rows) for v in views]
+    _number(files, views, shown, rejected)
     _reject_poor(views, rejected)
 
     def observations_of(which: Sequence[int]) -> list[TargetObservation]:
@@ -192,25 +200,38 @@ def calibrate_camera(
     if progress:
         progress("fitting", 1, 3)
 
+    def inliers_of(which: Sequence[int]) -> list[TargetObservation]:
+        return [
+            TargetObservation(s.target_mm[good[i]], s.pixels[good[i]])
+            for i, s in zip(which, observations_of(which), strict=True)
+        ]
+
     good = {i: np.ones(len(s.pixels), bool) for i, s in zip(kept, observations_of(kept), strict=True)}
     for _ in range(3):
         changed = _reject_far(first, kept, good, rejected)
         kept = [i for i in kept if not rejected[i]]
         if len(kept) < 2:
             raise AnnulusError("the photographs do not agree on one camera: are all from it, unzoomed, target flat?")
-        some = [
-            TargetObservation(s.target_mm[good[i]], s.pixels[good[i]])
-            for i, s in zip(kept, observations_of(kept), strict=True)
-        ]
+        some = inliers_of(kept)
         first = fit_intrinsics(some, *size, first.camera.model, first.camera)
         if not changed:
             break
+    while strange := strangers(first, some, [files[i].name for i in kept]):
+        for n, reason in strange.items():
+            rejected[kept[n]] = reason
+        kept = [i for i in kept if not rejected[i]]
+        some = inliers_of(kept)
+        first = fit_intrinsics(some, *size, first.camera.model, first.camera)
+    odd = [i for i in found if rejected[i].startswith(MISFIT)]
+    for n, reason in misfits(first, observations_of(odd), [files[i].name for i in odd]).items():
+        rejected[odd[n]] = reason
     if progress:
         progress("fitting", 2, 3)
     usable = [i for i in found if views[i] is not None]
     plain = len(kept) == len(usable) and all(good[i].all() for i in kept)
     everything = first if plain else fit_intrinsics(observations_of(usable), *size, first.camera.model, first.camera)
     rms = dict(zip(kept, first.view_rms_px, strict=True))
+    pose = dict(zip(kept, zip(first.rotations, first.translations, strict=True), strict=True))
     photographs = []
     for i, file in enumerate(files):
         view = views[i]
@@ -220,6 +241,7 @@ def calibrate_camera(
             Photograph(
                 file.name, 0 if view is None else len(view.cells), int(np.count_nonzero(~good[i])) if i in kept else 0,
                 np.nan if view is None else view.blur_px, float(rms.get(i, np.nan)), rejected[i],
+                pose.get(i), view is not None and view.own_origin,
             )
         )  # fmt: skip
     coverage = _coverage(first)
@@ -267,17 +289,26 @@ def _look(
     return sizes, views, rejected
 
 
-def _common_size(files: Sequence[Path], sizes: Sequence[tuple[int, int] | None]) -> tuple[int, int]:
+def _common_size(
+    files: Sequence[Path], sizes: Sequence[tuple[int, int] | None], views: list[TargetView | None], rejected: list[str]
+) -> tuple[int, int]:
+    """Of all photographs, but for a few that lie on their side: those are rejected."""
     counts = Counter(size for size in sizes if size is not None)
     if not counts:
         raise AnnulusError(f"none of {len(files)} files can be read as an image ({files[0]} ..)")
-    if len(counts) > 1:
+    (width, height), most = counts.most_common(1)[0]
+    if counts.keys() - {(width, height), (height, width)}:
         each = ", ".join(
             f"{w}x{h} ({n}, {next(f.name for f, s in zip(files, sizes, strict=True) if s == (w, h))})"
             for (w, h), n in counts.most_common()
         )
         raise AnnulusError(f"images of different sizes: {each}. One calibration is of one camera at one size.")
-    return counts.most_common(1)[0][0]
+    aside = [i for i, size in enumerate(sizes) if size not in (None, (width, height))]
+    why = f"turned by 90 degrees ({height}x{width}), unlike the {most} others ({width}x{height})"
+    refuse_many([files[i].name for i in aside], most, why)
+    for i in aside:
+        views[i], rejected[i] = None, why
+    return width, height
 
 
 def _target(
@@ -304,22 +335,33 @@ def _target(
     return Target(a, b, square_mm), False
 
 
-def _markers(files: Sequence[Path], views: Sequence[TargetView | None]) -> str:
-    """The dictionary of markers on the target, from the photographs that show most of it; empty for none."""
+def _dictionary(files: Sequence[Path], views: Sequence[TargetView | None]) -> str:
+    """Of the markers on the target, from the photographs that show most of it; empty for none. Mirrored ones count:
+    that they are is found out later."""
     best = sorted((i for i, v in enumerate(views) if v is not None), key=lambda i: -len(views[i].pixels))  # type: ignore[union-attr]
     for i in best[:2]:
         image = read_image(files[i])
-        scale = min(1.0, 1600 / max(image.shape))
-        small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-        votes = {}
-        for name in ("4X4", "5X5", "6X6", "7X7"):
-            dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{name}_1000"))
-            _, ids, _ = cv2.aruco.ArucoDetector(dictionary).detectMarkers(small)
-            votes[name] = 0 if ids is None else len(ids)
+        votes = {
+            name: max(len(read_markers(one, name).numbers) for one in (image, image[:, ::-1])) for name in DICTIONARIES
+        }
         name = max(votes, key=lambda n: votes[n])
-        if votes[name] >= 4:
+        if votes[name] > AGREE:
             return name
     return ""
+
+
+def _number(files: Sequence[Path], views: list[TargetView | None], target: Target, rejected: list[str]) -> None:
+    """Numbers corners as on the target, where it tells; rejects what its markers show to be mirrored."""
+    if not target.markers:
+        views[:] = [None if v is None else from_colours(v, target.columns, target.rows) for v in views]
+        return
+    found = [(i, view) for i, view in enumerate(views) if view is not None]
+    seen = [read_markers(read_image(files[i]), target.markers) for i, _ in found]
+    placed = from_markers([view for _, view in found], seen, target.columns, target.rows)
+    for (i, _), view in zip(found, placed, strict=True):
+        views[i] = view
+        if not view.own_origin and len(read_markers(read_image(files[i])[:, ::-1], target.markers).numbers) >= AGREE:
+            rejected[i] = "mirrored: its markers are read in a mirror only"
 
 
 def _reject_poor(views: list[TargetView | None], rejected: list[str]) -> None:
@@ -363,9 +405,9 @@ def _reject_far(fit: Intrinsics, kept: Sequence[int], good: dict[int, NDArray[np
         broken = np.mean(~inside)
         left = float(np.sqrt(np.mean((off[~far] ** 2).sum(axis=1)))) if not far.all() else float(rms)
         if broken > VIEW_BROKEN or np.count_nonzero(inside) < PARTIAL:
-            rejected[i] = f"does not fit the others: {rms:.2f} px, usual here {usual:.2f}"
+            rejected[i] = f"{MISFIT}: {rms:.2f} px, usual here {usual:.2f}"
         elif left > VIEW_OFF * usual and left > usual + VIEW_OFF_PX:
-            rejected[i] = f"does not fit the others: {left:.2f} px, usual here {usual:.2f}"
+            rejected[i] = f"{MISFIT}: {left:.2f} px, usual here {usual:.2f}"
         good[i] = inside
     return before != (sum(int(np.count_nonzero(g)) for g in good.values()), sum(map(bool, rejected)))
 

@@ -79,7 +79,10 @@ def camera(
             + (f"  REJECTED {one.rejected}" * bool(one.rejected))
         )
     lens, sigma = result.camera, told["sigma"]
+    kept = [one for one in result.photographs if not one.rejected]
+    own = sum(one.own_origin for one in kept)
     print(f"target     {result.target}{'' if result.target_was_given else ' (found out)'}")
+    print(f"origin     {f'its own, in {own} of {len(kept)} photographs' if own else 'the first corner seen'}")
     print(f"camera     {lens.model} {lens.width}x{lens.height}")
     print(f"focal      {lens.fx:.2f} +- {sigma['fx']:.2f}, {lens.fy:.2f} +- {sigma['fy']:.2f} px")
     print(f"centre     {lens.cx:.2f} +- {sigma['cx']:.2f}, {lens.cy:.2f} +- {sigma['cy']:.2f} px")

@@ -1,12 +1,12 @@
 """Chessboard corners in a photograph: of any size, partly seen, through any lens, with or without ChArUco markers.
 
 Corners are found one by one and linked to their neighbours along the squares' edges, so nothing here needs to know how
-many there are, and a wide lens may bend the rows as it likes. Which corner of the target a corner is, is not found out:
-a calibration has a free pose for each photograph and needs none of it.
+many there are, and a wide lens may bend the rows as it likes. A calibration has a free pose for each photograph and
+need not know which corner of the target a corner is; where the target tells, `origin` finds it out.
 """
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -31,6 +31,7 @@ WINDOW = 0.3  # of the distance to the next corner: what a place is read from; b
 WINDOW_PX, WINDOW_BLURS = 12.0, 5.0  # and at most so many pixels, or standard deviations of the blur
 BESIDE_MARKERS = 0.11  # the same, where markers begin an eighth of a square away
 SPECKLED = 0.2  # of the contrast: standard deviation inside a square that has a marker
+ACROSS = 0.12  # of a square each way: from a corner into the squares around it; a marker begins an eighth away
 LEAST = 3  # corners each way
 
 
@@ -45,12 +46,21 @@ class TargetView:
     step_px: float  # median distance between neighbours
     blur_px: float  # standard deviation of the blur of its edges
     markers: bool  # something is printed in every other square
+    dark: int  # 0 or 1: the square beyond corner (x, y) is dark where x + y is even, or odd
+    own_origin: bool = False  # cells are numbered as on the target, in every photograph alike; see `origin`
 
     @property
     def size(self) -> tuple[int, int]:
         """Corners the long way and the short way, as far as they are seen."""
         columns, rows = (int(v) for v in self.cells.max(axis=0) + 1)
         return max(columns, rows), min(columns, rows)
+
+
+def renumbered(view: TargetView, quarters: int, shift: NDArray[np.int64]) -> TargetView:
+    """Its cells turned by so many quarter turns, (x, y) to (y, -x), and then moved by (2,) whole cells."""
+    turn = np.linalg.matrix_power(np.array([[0, 1], [-1, 0]]), quarters % 4)
+    square = np.floor(turn @ [0.5, 0.5] + shift).astype(int)  # where the one beyond corner (0, 0) comes to be
+    return replace(view, cells=view.cells @ turn.T + shift, dark=int((view.dark + square.sum()) % 2))
 
 
 def cropped(view: TargetView, columns: int, rows: int) -> TargetView:
@@ -63,8 +73,8 @@ def cropped(view: TargetView, columns: int, rows: int) -> TargetView:
                 inside = (x >= left) & (x < left + width) & (y >= top) & (y < top + height)
                 if np.count_nonzero(inside) > np.count_nonzero(best):
                     best = inside
-    cells = view.cells[best]
-    return TargetView(cells - cells.min(axis=0), view.pixels[best], view.step_px, view.blur_px, view.markers)
+    part = replace(view, cells=view.cells[best], pixels=view.pixels[best])
+    return renumbered(part, 0, -part.cells.min(axis=0))
 
 
 def find_target(image: NDArray[np.uint8]) -> TargetView | None:
@@ -274,10 +284,23 @@ def _refined(grey: NDArray[np.uint8], grid: dict[tuple[int, int], FloatArray]) -
     )
     if np.count_nonzero(good) < LEAST * LEAST:
         return None
-    cells = cells[good] - cells[good].min(axis=0)
-    if np.any(cells.max(axis=0) < LEAST - 1):
+    first = cells[good].min(axis=0)
+    if np.any(cells[good].max(axis=0) - first < LEAST - 1):
         return None
-    return TargetView(cells, fine[good], float(np.median(mean)), blur, markers)
+    view = TargetView(cells[good], fine[good], float(np.median(mean)), blur, markers, _dark(grey, grid))
+    return renumbered(view, 0, -first)
+
+
+def _dark(grey: NDArray[np.uint8], grid: dict[tuple[int, int], FloatArray]) -> int:
+    """Whether squares of even or of odd column and row are the dark ones, by light across the corners."""
+    votes = 0.0
+    light = grey.astype(np.float32)
+    for (x, y), at in grid.items():
+        if (x + 1, y) in grid and (x, y + 1) in grid:
+            a, b = ACROSS * (grid[x + 1, y] - at), ACROSS * (grid[x, y + 1] - at)
+            own, far, other, another = _sample(light, at + np.array([a + b, -a - b, a - b, b - a]))
+            votes += float(np.sign(own + far - other - another)) * (1 if (x + y) % 2 == 0 else -1)
+    return 0 if votes < 0 else 1
 
 
 def _has_markers(grey: NDArray[np.uint8], grid: dict[tuple[int, int], FloatArray]) -> bool:

@@ -36,8 +36,8 @@ class Intrinsics:
     """A camera fitted to views.
 
     `rotations` (V, 3, 3) and `translations` (V, 3) mm: target to camera. `residuals`: (N, 2) pixels of each view, seen
-    less modelled; `seen`: where, (N, 2) pixels. `covariance`: of fx, fy, cx, cy and the distortion, by photograph
-    (`_left_out`).
+    less modelled; `seen`: where, (N, 2) pixels. `information` (V, P, P), `pulls` (V, P): what each view says of fx, fy,
+    cx, cy and the distortion past its own pose: normal matrix and gradient.
     """
 
     camera: Camera
@@ -45,7 +45,24 @@ class Intrinsics:
     translations: FloatArray
     seen: tuple[FloatArray, ...]
     residuals: tuple[FloatArray, ...]
-    covariance: FloatArray
+    information: FloatArray
+    pulls: FloatArray
+
+    @cached_property
+    def covariance(self) -> FloatArray:
+        """(P, P) of the lens' numbers, from how they move when one view is left out.
+
+        Corner errors of one view belong together (its blur, its light, the target's bend), so a view is one
+        observation. Without it the lens moves by (sum of A - its A)^-1 its s; (V - 1) / V times the sum of these moves'
+        squares is Efron's jackknife, in one step: the sandwich of MacKinnon & White 1985 (HC3) by groups (Bell &
+        McCaffrey 2002). Somewhat large for few views, which is what two of it need to hold for 95 % there; two or
+        three views leave next to nothing when one is gone.
+        """
+        whole = self.information.sum(axis=0)
+        unit = 1 / np.sqrt(np.diag(whole))
+        rest = np.outer(unit, unit) * (whole - self.information) + 1e-14 * np.eye(len(unit))
+        moves = unit * np.linalg.solve(rest, (unit * self.pulls)[:, :, None])[:, :, 0]
+        return np.asarray((len(moves) - 1) / len(moves) * moves.T @ moves)
 
     @property
     def rms_px(self) -> float:
@@ -123,7 +140,8 @@ def fit_intrinsics(
         camera, rotations, translations = _adjust(camera, rotations, translations, views, None, robust=False)
     rows = [_rows(camera, *one) for one in zip(views, rotations, translations, strict=True)]
     seen = tuple(view.pixels for view in views)
-    return Intrinsics(camera, rotations, translations, seen, tuple(off for off, _, _ in rows), _left_out(rows))
+    information, pulls = (np.array(part) for part in zip(*map(_past_pose, rows), strict=True))
+    return Intrinsics(camera, rotations, translations, seen, tuple(off for off, _, _ in rows), information, pulls)
 
 
 def target_pose(camera: Camera, view: TargetObservation) -> tuple[FloatArray, FloatArray, float]:
@@ -296,28 +314,12 @@ def _adjust(
     return camera, rotations, translations
 
 
-def _left_out(rows: list[Rows]) -> FloatArray:
-    """(P, P): the lens' covariance from how it moves when one view is left out.
-
-    Corner errors of one view belong together (its blur, its light, the target's bend), so a view is one observation,
-    of the lens as seen past its own pose: A of the normal matrix, s of the gradient. Without it the lens moves by
-    (sum - A)^-1 s; (V - 1) / V times the sum of these moves' squares is Efron's jackknife, in one step: the sandwich
-    of MacKinnon & White 1985 (HC3) by groups (Bell & McCaffrey 2002). Somewhat large for few views, which is what two
-    of it need to hold for 95 % there; two or three views leave next to nothing when one is gone.
-    """
-    own = []
-    for off, by_lens, by_pose in rows:
-        lens, pose = by_lens.reshape(2 * len(off), -1), by_pose.reshape(-1, 6)
-        lens = lens - pose @ np.linalg.lstsq(pose, lens, rcond=None)[0]
-        own.append((lens.T @ lens, lens.T @ off.ravel()))
-    whole = np.asarray(sum(part for part, _ in own))
-    unit = 1 / np.sqrt(np.diag(whole))
-    moves = [
-        np.linalg.solve(np.outer(unit, unit) * (whole - part) + 1e-14 * np.eye(len(unit)), unit * pull)
-        for part, pull in own
-    ]
-    spread = np.stack(moves) * unit
-    return np.asarray((len(own) - 1) / len(own) * spread.T @ spread)
+def _past_pose(rows: Rows) -> tuple[FloatArray, FloatArray]:
+    """What a view says of the lens with its own pose left free: (P, P) of the normal matrix, (P,) of the gradient."""
+    off, by_lens, by_pose = rows
+    lens, pose = by_lens.reshape(2 * len(off), -1), by_pose.reshape(-1, 6)
+    lens = lens - pose @ np.linalg.lstsq(pose, lens, rcond=None)[0]
+    return lens.T @ lens, lens.T @ off.ravel()
 
 
 def _rows(camera: Camera, view: TargetObservation, rotation: FloatArray, translation: FloatArray) -> Rows:

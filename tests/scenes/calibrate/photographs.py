@@ -10,6 +10,7 @@ from scipy.interpolate import RectBivariateSpline
 from scipy.spatial.transform import Rotation
 
 from annulus.geometry.camera import Camera
+from annulus.geometry.intrinsics import TargetObservation
 from annulus.numeric.arrays import FloatArray
 
 
@@ -114,3 +115,26 @@ def poses(
         spin = Rotation.from_rotvec([0, 0, rng.normal(0, 0.3)])
         out.append(((facing * tilt * spin).as_matrix(), distance * ray))
     return out
+
+
+SMALL = DrawnTarget(8, 6)
+
+
+def corners(
+    camera: Camera, count: int, seed: int, off: float = 0.6, target: DrawnTarget = SMALL
+) -> list[TargetObservation]:
+    """Views of a target without errors."""
+    flat = np.stack(np.meshgrid(np.arange(1, target.columns), np.arange(1, target.rows)), axis=2).reshape(-1, 2)
+    mm = flat * target.square_mm - target.middle_mm[:2]
+    return [
+        TargetObservation(mm, camera.project(mm @ rotation[:, :2].T + middle))
+        for rotation, middle in poses(camera, target, count, fill=0.6, off=off, seed=seed)
+    ]
+
+
+def read(view: TargetObservation, rng: np.random.Generator, own: float, shared: float) -> TargetObservation:
+    """Every corner a little off by itself, and all of one photograph by a smooth field: blur, light, bend."""
+    u, v = (view.target_mm / np.abs(view.target_mm).max(axis=0)).T
+    fields = np.linalg.qr(np.stack([u**a * v**b for a in range(4) for b in range(4 - a)], axis=1))[0]
+    smooth = fields @ rng.normal(0, shared * np.sqrt(len(u) / fields.shape[1]), (fields.shape[1], 2))
+    return TargetObservation(view.target_mm, view.pixels + smooth + rng.normal(0, own, view.pixels.shape))

@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from photographs import DrawnTarget, poses
+from photographs import corners, read
 from scipy.spatial.transform import Rotation
 
 from annulus.geometry.camera import Camera
@@ -17,25 +17,6 @@ from annulus.numeric.arrays import FloatArray
 STEREO = Path(__file__).parents[2] / "data" / "opencv-stereo"
 PINHOLE = Camera("pinhole", 640, 480, 530.0, 531.0, 325.0, 236.0, (-0.28, 0.08, 1e-3, -5e-4, 0.0))
 FISHEYE = Camera("fisheye", 800, 600, 300.0, 299.0, 405.0, 296.0, (0.03, -0.012, 0.002, 0.0))
-TARGET = DrawnTarget(8, 6)
-
-
-def corners(camera: Camera, count: int, seed: int, off: float = 0.6) -> list[TargetObservation]:
-    """Views of a target without errors."""
-    flat = np.stack(np.meshgrid(np.arange(1, TARGET.columns), np.arange(1, TARGET.rows)), axis=2).reshape(-1, 2)
-    mm = flat * TARGET.square_mm - TARGET.middle_mm[:2]
-    return [
-        TargetObservation(mm, camera.project(mm @ rotation[:, :2].T + middle))
-        for rotation, middle in poses(camera, TARGET, count, fill=0.6, off=off, seed=seed)
-    ]
-
-
-def read(view: TargetObservation, rng: np.random.Generator, own: float, shared: float) -> TargetObservation:
-    """Every corner a little off by itself, and all of one photograph by a smooth field: blur, light, bend."""
-    u, v = (view.target_mm / np.abs(view.target_mm).max(axis=0)).T
-    fields = np.linalg.qr(np.stack([u**a * v**b for a in range(4) for b in range(4 - a)], axis=1))[0]
-    smooth = fields @ rng.normal(0, shared * np.sqrt(len(u) / fields.shape[1]), (fields.shape[1], 2))
-    return TargetObservation(view.target_mm, view.pixels + smooth + rng.normal(0, own, view.pixels.shape))
 
 
 def numbers(camera: Camera) -> FloatArray:
