@@ -2,13 +2,13 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import ndimage
 
 from annulus.numeric.arrays import BoolArray, FloatArray
-from annulus.wall.grid import Wall
+from annulus.wall.grid import Wall, smooth
 from annulus.wall.indications import (
     Indication,
     Kind,
@@ -104,12 +104,15 @@ def find_defects(
     unseen = ~wall.seen
     found: list[tuple[Defect, BoolArray]] = []
     indications, unconfirmed = find_indications(wall, scale)
-    for one in indications:
+    fine = smooth(wall.weighed_residual_mm())
+    for indication in indications:
+        known = np.isfinite(indication.height)
+        one = replace(indication, height=np.where(known, fine if indication.kind is Kind.LOSS else -fine, -np.inf))
         depth, floor_seen, cells = depth_of(one)
         core = without_holes(one.mask & (one.height >= limits.extent_of_depth * depth))
         deepest = depth if floor_seen else scale.mm(limits.unseen_depth_of_radius)
         ratios = (shadow_ratio if least_shadow_ratio is None else least_shadow_ratio, shadow_ratio)
-        whole = with_shadow(Indication(one.kind, core, one.height), unseen, ratios, wall.z_step_mm, deepest)
+        whole = with_shadow(replace(one, mask=core), unseen, ratios, wall.z_step_mm, deepest)
         dark = (whole & unseen).sum(axis=0)[whole.any(axis=0)] * wall.z_step_mm
         footprint = [max(1, round(scale.mm(limits.edge_of_radius) / size)) for size in scale.cell_mm]
         form = max(depth - _over_footprint(one, cells, footprint), 0.0)

@@ -39,12 +39,13 @@ class Observations:
     or right as a whole.
 
     cell (N,): index into the flattened grid. number (N,): the same for all points of one
-    observation.
+    observation. sigma_mm (N,): what each point said it may be off; NaN where nobody said.
     """
 
     cell: NDArray[np.int64]
     number: NDArray[np.int32]
     radius_mm: Float32Array
+    sigma_mm: Float32Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +102,21 @@ class Wall:
     def residual_mm(self) -> Float32Array:
         """(Z, A) radius minus the pipe's shape, ovality taken out: what local defects are looked for in."""
         return np.asarray(self.radius_mm - self.shape_mm @ harmonics(self.clock_deg).T, dtype=np.float32)
+
+    def weighed_residual_mm(self) -> Float32Array:
+        """(Z, A) the same for measuring: each cell's median weighs its points by what they may be off.
+
+        Near an edge rings err alike, and the inner ones eight times as much as the outer. But one wrong ring that is
+        sure of itself would win a cell, so what is looked for is looked for without weights.
+        """
+        seen = self.observations
+        stated = np.isfinite(seen.sigma_mm) & (seen.sigma_mm > 0)
+        if not stated.any():
+            return self.residual_mm()
+        weight = 1.0 / np.where(stated, seen.sigma_mm, np.median(seen.sigma_mm[stated])).astype(np.float64)
+        radius, count = _cell_medians(seen.cell, seen.radius_mm.astype(np.float64), self.radius_mm.shape, weight)
+        radius = np.where(self.seen & (count > 0), radius, self.radius_mm)
+        return np.asarray(radius - self.shape_mm @ harmonics(self.clock_deg).T, dtype=np.float32)
 
     def shape_sigma_mm(self) -> Float32Array:
         """(Z, A) standard deviation of the shape's radius; grows over arcs that nobody saw."""
@@ -199,7 +215,9 @@ def build_wall(profiles: Sequence[Profile], *, z_step_mm: float | None = None, r
     shape, covariance = fit_shape(grid, z_rows, clock_columns)
     cell = cell - ends[0] * columns
     keep &= (cell >= 0) & (cell < grid.size)
-    observations = Observations(cell[keep], number[keep], radius[keep].astype(np.float32))
+    observations = Observations(
+        cell[keep], number[keep], radius[keep].astype(np.float32), sigma[keep].astype(np.float32)
+    )
     measured = grid.astype(np.float32)
     unknown = np.zeros(grid.shape, dtype=np.float32)
     still = np.zeros(len(z_rows))
@@ -241,14 +259,25 @@ def _sampling_gap(profiles: Sequence[Profile], step: float, radius: float) -> fl
 
 
 def _cell_medians(
-    cell: NDArray[np.int64], value: FloatArray, shape: tuple[int, int]
+    cell: NDArray[np.int64], value: FloatArray, shape: tuple[int, int], weight: FloatArray | None = None
 ) -> tuple[FloatArray, NDArray[np.int32]]:
+    """Median of each cell's values, NaN without any, and how many they are.
+
+    weight : of each; 1 / sigma leaves a median the least variance: it is a value's density at its own middle.
+    """
     order = np.lexsort((value, cell))
     value = value[order]
     count = np.bincount(cell, minlength=shape[0] * shape[1])
-    start = np.concatenate([[0], np.cumsum(count)[:-1]])
     full = np.flatnonzero(count)
-    low, high = start[full] + (count[full] - 1) // 2, start[full] + count[full] // 2
+    end = np.cumsum(count)[full]
+    start = end - count[full]
+    if weight is None:
+        low, high = start + (count[full] - 1) // 2, start + count[full] // 2
+    else:
+        sums = np.concatenate([[0.0], np.cumsum(weight[order])])
+        half, slack = 0.5 * (sums[start] + sums[end]), 1e-9 * (sums[end] - sums[start])
+        low = np.clip(np.searchsorted(sums, half - slack) - 1, start, end - 1)
+        high = np.clip(np.searchsorted(sums, half + slack) - 1, start, end - 1)
     out = np.full(count.shape, np.nan)
     out[full] = 0.5 * (value[low] + value[high])
     return out.reshape(shape), count.astype(np.int32).reshape(shape)

@@ -5,7 +5,7 @@ about; both limits are written into every report. Nothing here knows which defec
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -23,6 +23,7 @@ BAND_OVERLAP, BAND_SOUND = 0.6, 0.35  # parts: what makes two places one band: c
 BAND_EDGES, BAND_ASPECT = 3.5, 4.0  # and what a band is: so many edge blurs long at most, so many times as wide
 RIPPLE_EDGES = 1.5  # how far from a step, and how long, its swing to the other side may be, in edge blurs
 OBSERVATION_POINTS = 3  # points of one ring in one frame on a place, for it to be an observation of it
+PLATEAU_NOISE = 4.0  # standard deviations of a cell: twice what its 98th percentile lies above a floor
 LEVELS = 24  # slices: how finely the surface is sliced when asked whether a place is one defect or several
 
 
@@ -58,11 +59,13 @@ class Limits:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Indication:
-    """Cells (Z, A) that belong together, and how far every cell of the grid departs that way (mm, -inf: not seen)."""
+    """Cells (Z, A) that belong together, how far every cell of the grid departs that way (mm, -inf: not seen), and the
+    standard deviation of that (mm)."""
 
     kind: Kind
     mask: BoolArray
     height: Float32Array
+    noise: Float32Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +101,7 @@ def find_indications(wall: Wall, scale: Scale) -> tuple[list[Indication], int]:
         height = np.where(wall.seen & sure, height, np.float32(-np.inf))
         for mask in _cells_of(height, ~wall.seen, seed, rim, scale):
             if _agreeing_observations(mask, kind, wall, rim) >= limits.observations:
-                found.append(Indication(kind, mask, height))
+                found.append(Indication(kind, mask, height, wall.cell_noise_mm))
             else:
                 unconfirmed += 1
     sound = wall.seen & sure & (np.abs(residual) < rim)
@@ -290,7 +293,7 @@ def _without_edges(parts: Sequence[Indication], seen: BoolArray, scale: Scale) -
         if host is None or (sound >= 0.5 and not _is_ripple(small, left[host], scale)):
             kept.append(small)
         elif left[host].kind is small.kind:
-            left[host] = Indication(small.kind, left[host].mask | small.mask, small.height)
+            left[host] = replace(small, mask=left[host].mask | small.mask)
     return kept
 
 
@@ -307,7 +310,7 @@ def _across_gaps(places: Sequence[Indication], sound: BoolArray, scale: Scale) -
         for i, one in enumerate(left):
             for k, other in enumerate(left):
                 if k != i and one.kind is other.kind and _is_one_band(one, other, sound, widest):
-                    left[i] = Indication(one.kind, one.mask | other.mask, np.maximum(one.height, other.height))
+                    left[i] = replace(one, mask=one.mask | other.mask, height=np.maximum(one.height, other.height))
                     del left[k]
                     joined = True
                     break
@@ -378,7 +381,11 @@ def with_shadow(
 
 
 def depth_of(place: Indication) -> tuple[float, bool, BoolArray]:
-    """Depth of a place (98th percentile), whether it was measured where the surface is calm, and in which cells.
+    """Depth of a place, whether it was measured where the surface is calm, and in which cells.
+
+    The highest of many cells is high by their noise, too. So it is the middle of all cells within PLATEAU_NOISE
+    standard deviations of the highest (the 98th percentile): of a floor, whose noise reaches as far down as up, and of
+    a round crest, whose cells are spread evenly over the heights of a cap.
 
     Within a slit's width of a step the measured radius overshoots, so only cells count about which (5 x 3 cells) the
     height changes by less than a third of itself: a floor, a crest. Where a tenth of the place is not calm its floor
@@ -392,9 +399,11 @@ def depth_of(place: Indication) -> tuple[float, bool, BoolArray]:
     calm = measured.copy()
     calm[measured] = high[measured] - low[measured] < place.height[measured] / 3
     floor_seen = np.count_nonzero(calm) >= max(4, 0.1 * np.count_nonzero(measured))
-    values = place.height[calm if floor_seen else measured]
-    depth = float(np.percentile(values, 98)) if len(values) >= 50 else float(np.sort(values)[-2:].mean())
-    return depth, bool(floor_seen), calm if floor_seen else measured
+    cells = calm if floor_seen else measured
+    values = place.height[cells]
+    highest = float(np.percentile(values, 98)) if len(values) >= 50 else float(np.sort(values)[-2:].mean())
+    plateau = PLATEAU_NOISE * float(np.median(place.noise[cells]))
+    return float(np.median(values[values >= highest - plateau])), bool(floor_seen), cells
 
 
 def arc_of(columns: BoolArray, step_deg: float) -> tuple[float, float]:
