@@ -4,10 +4,10 @@ A lens fitted to all of them leaves little over: two cameras of one kind differ 
 which every photograph's own pose nearly makes good. What gives them away is that the photographs disagree in two lots.
 Past its own pose, a photograph says of the lens where it lies (its pull) and how firmly (its information). They are
 parted into the two lots that two lenses fit best, as k-means does; on the line between the two lenses each photograph
-then has its place. Any album can be parted somehow, so the lots must lie farther apart, for their width, than they do
-in albums of one camera: photographs as far off as these, each in a random direction; and photographs strewn normally
-along that line. Where a camera's principal point is the image's middle, a turned photograph is no other, and does no
-harm.
+then has its place. Any album can be parted somehow, so two things must be more than in albums of one camera: what two
+lenses gain, where photographs are as far off as these, each in a random direction; and how far apart the lots lie for
+their width, where photographs are strewn normally along that line. Where a camera's principal point is the image's
+middle, a turned photograph is no other, and does no harm.
 """
 
 from collections.abc import Sequence
@@ -21,14 +21,16 @@ from annulus.numeric.arrays import FloatArray
 from annulus.vocabulary import AnnulusError
 
 # By test_strangers: real and drawn albums of two cameras, or with turned ones, are parted rightly, of one camera never.
-ALBUMS = 200  # drawn of one camera: none of them may be parted as clearly
+ALBUMS = 200  # drawn of one camera, of either kind: none of them may be parted as well
 STARTS = 6  # random partings to begin from, besides those along the photographs' main disagreements
 HELD = 1e-3  # of all photographs' information: keeps the lens of a small lot from what it says nothing of
 FAR = 10.0  # variances of photographs along the line to the turned lens are gained by turning a turned one back, ..
 MOST = 0.6  # .. and this part of what the best lens for that photograph alone gains
 MEDIAN_SQUARE = 0.455  # of a standard normal variable
 MINORITY = 0.5  # of the rest: more of them are no strangers, nobody can say whose photographs are meant
-GAINED = 0.15  # of the squared residuals: below, two lenses are hardly better for whoever uses them
+GAINED = 0.2  # of the squared residuals: below, two lenses are hardly better for whoever uses them
+LEFT = 0.25  # of the squared residual above the usual: may be left in a photograph turned back
+WORSE = 3.0  # times what a photograph usually gains by a lens of its own: it does not belong to the others'
 LOT = 3  # photographs that a camera of their own fits; two are fitted by many
 ALIKE = 2.0  # times the others' residual: they fit
 OTHER = "another camera's, or zoomed"
@@ -49,7 +51,10 @@ def strangers(fit: Intrinsics, views: Sequence[TargetObservation], names: Sequen
         return {}
     camera = fit.camera
     alone = fit_intrinsics(rest, camera.width, camera.height, camera.model, camera)
-    if lot is None:
+    if lot is not None:
+        few = _clear_of(fit, alone, views, few)
+        rest = [view for i, view in enumerate(views) if i not in few]
+    if lot is None or len(few) < 2:
         each = {int(i): how_turned(alone.camera, [views[i]], alone.rms_px) for i in few}
         return {i: f"{turned}, unlike the {len(rest)} others" for i, turned in each.items() if turned}
     turned = how_turned(alone.camera, [views[i] for i in few], alone.rms_px)
@@ -106,10 +111,21 @@ def two_lots(fit: Intrinsics) -> NDArray[np.bool_] | None:
         drawn *= (np.sqrt(any_lens) / np.linalg.norm(drawn, axis=1))[:, None]
         pulls = np.einsum("vpq,vq->vp", root, drawn)
         pulls -= says @ pulls.sum(axis=0)  # as one lens fitted to all leaves them
-        _, other = _parted(says, pulls, rng)
-        if other is not None and _clear(says, pulls, other)[0] >= clear:
+        if _parted(says, pulls, rng)[0] >= gain:
             return None
     return lot
+
+
+def _clear_of(
+    fit: Intrinsics, alone: Intrinsics, views: Sequence[TargetObservation], few: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Those of a lot that the others' lens fits much worse than one of their own; by chance some that fit are in it."""
+    _, gained = _whitened(fit.information, fit.pulls)
+    usual = float(np.median(_whitened(alone.information, alone.pulls)[1]))
+    worse = [
+        len(views[i].pixels) * (_rms(alone.camera, [views[i]]) ** 2 - fit.view_rms_px[i] ** 2) + gained[i] for i in few
+    ]
+    return few[np.array(worse) > WORSE * usual]
 
 
 def lone_turned(fit: Intrinsics) -> NDArray[np.int64]:
@@ -139,12 +155,12 @@ def lone_turned(fit: Intrinsics) -> NDArray[np.int64]:
 def how_turned(camera: Camera, views: Sequence[TargetObservation], usual_px: float) -> str:
     """Which of `TURNS` makes views fit the camera, and "" where none does or they fit as they are.
 
-    usual_px : rms of views that fit. Turned is what comes nearer to that than to what the views leave as they are.
+    usual_px : rms of views that fit. Turned views leave little more than that, of what they leave as they are.
     """
     as_is = _rms(camera, views)
     turned = {name: _rms(camera, [_turned(view, camera, turn) for view in views]) for name, turn in TURNS.items()}
     best = min(turned, key=lambda name: turned[name])
-    return best if turned[best] < np.sqrt(as_is * usual_px) else ""
+    return best if turned[best] ** 2 - usual_px**2 < LEFT * (as_is**2 - usual_px**2) else ""
 
 
 def _turned(view: TargetObservation, camera: Camera, turn: tuple[float, float]) -> TargetObservation:
