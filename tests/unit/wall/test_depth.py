@@ -1,0 +1,50 @@
+"""Promises of a defect's depth: neither a floor's noise nor rings that err more than others make it deeper."""
+
+import numpy as np
+import pytest
+
+from annulus.wall.grid import Observations, Wall
+from annulus.wall.indications import Indication, Kind, depth_of
+
+Z, A = 60, 360
+NOISE_MM = 0.06
+
+
+def place(height: np.ndarray, mask: np.ndarray, seed: int) -> Indication:
+    noise = np.random.default_rng(seed).normal(0.0, NOISE_MM, height.shape)
+    stated = np.full(height.shape, NOISE_MM, np.float32)
+    return Indication(Kind.LOSS, mask, (height + noise).astype(np.float32), stated)
+
+
+@pytest.mark.parametrize("depth_mm", [1.0, 3.0])
+def test_a_flat_floor_is_as_deep_as_it_is(depth_mm: float) -> None:
+    mask = np.zeros((Z, A), bool)
+    mask[20:40, 100:130] = True
+    found = [depth_of(place(np.where(mask, depth_mm, 0.0), mask, seed))[0] for seed in range(8)]
+    assert abs(np.mean(found) - depth_mm) < 0.02  # mm; it was 2 noises, 0.12
+    assert np.ptp(found) < 0.06
+
+
+def test_a_round_crest_is_as_high_as_it_is() -> None:
+    z, a = np.meshgrid(np.arange(Z) - 30.0, 1.3 * (np.arange(A) - 115.0), indexing="ij")  # mm
+    cap = 2.5 + np.sqrt(np.maximum(25.0**2 - z**2 - a**2, 0.0)) - 25.0
+    mask = cap > 0.3
+    found = [depth_of(place(np.maximum(cap, 0.0), mask, seed))[0] for seed in range(8)]
+    assert abs(np.mean(found) - 2.5) < 0.15  # mm
+
+
+def test_rings_weigh_by_what_they_may_be_off() -> None:
+    """In each cell a ring that is sure, and two that all err the same way and say how much."""
+    radius = np.array([76.0, 76.4, 76.5], np.float32)
+    sigma = np.array([0.05, 0.4, 0.4], np.float32)
+    cells = np.arange(Z * A)
+    seen = Observations(
+        np.repeat(cells, 3), np.tile(np.arange(3, dtype=np.int32), Z * A), np.tile(radius, Z * A), np.tile(sigma, Z * A)
+    )
+    shape = np.tile([75.0, 0.0, 0.0, 0.0, 0.0], (Z, 1))
+    flat = np.zeros((Z, A), np.float32)
+    wall = Wall(
+        np.arange(Z) + 0.5, np.arange(A) + 0.5, np.full((Z, A), 76.4, np.float32), np.full((Z, A), 3, np.int32), shape,
+        np.zeros((Z, 5, 5)), np.zeros(Z), flat, seen, flat,
+    )  # fmt: skip
+    assert np.allclose(wall.residual_mm(), 1.4, atol=1e-4) and np.allclose(wall.weighed_residual_mm(), 1.0, atol=1e-4)
