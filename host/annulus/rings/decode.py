@@ -172,6 +172,36 @@ def decode(
 
 
 @jit
+def choose(slit, name, own, ahead, behind, size, margin, ring):  # type: ignore[no-untyped-def]
+    """The best alignment of one line's candidates, in order; a ring is given only where every other reading is worse by
+    `margin`. slit, name, own (worth) : of the first `size`; ahead, behind : room to work in."""
+    for c in range(size):
+        ahead[c] = 0.0
+        for p in range(c):
+            if slit[p] < slit[c] and name[p] < name[c]:
+                ahead[c] = max(ahead[c], ahead[p])
+        ahead[c] += own[c]
+    for c in range(size - 1, -1, -1):
+        behind[c] = 0.0
+        for p in range(c + 1, size):
+            if slit[p] > slit[c] and name[p] > name[c]:
+                behind[c] = max(behind[c], behind[p] + own[p])
+    best = 0.0
+    for c in range(size):
+        best = max(best, ahead[c] + behind[c])
+    for c in range(size):
+        total = ahead[c] + behind[c]
+        if total < best - 1e-9 or total <= 0.0:
+            continue
+        alone = True
+        for p in range(size):
+            if p != c and (slit[p] == slit[c] or name[p] == name[c]) and ahead[p] + behind[p] > total - margin:
+                alone = False
+        if alone:
+            ring[slit[c]] = name[c]
+
+
+@jit
 def _align(direction, inside, outside, deviation, pattern, tolerance, ring):  # type: ignore[no-untyped-def]
     rings = len(pattern) - 1
     most = 0
@@ -211,28 +241,5 @@ def _align(direction, inside, outside, deviation, pattern, tolerance, ring):  # 
                 if own[size] <= 0.0:
                     continue
                 size += 1
-        for c in range(size):
-            ahead[c] = 0.0
-            for p in range(c):
-                if slit[p] < slit[c] and name[p] < name[c]:
-                    ahead[c] = max(ahead[c], ahead[p])
-            ahead[c] += own[c]
-        for c in range(size - 1, -1, -1):
-            behind[c] = 0.0
-            for p in range(c + 1, size):
-                if slit[p] > slit[c] and name[p] > name[c]:
-                    behind[c] = max(behind[c], behind[p] + own[p])
-        best = 0.0
-        for c in range(size):
-            best = max(best, ahead[c] + behind[c])
-        for c in range(size):
-            total = ahead[c] + behind[c]
-            if total < best - 1e-9 or total <= 0.0:
-                continue
-            alone = True
-            for p in range(size):
-                if p != c and (slit[p] == slit[c] or name[p] == name[c]) and ahead[p] + behind[p] > total - MARGIN:
-                    alone = False
-            if alone:
-                ring[slit[c]] = name[c]
+        choose(slit, name, own, ahead, behind, size, MARGIN, ring)
         start = n

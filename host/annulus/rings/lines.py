@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from annulus.numeric.arrays import FloatArray
 from annulus.numeric.jit import jit
 from annulus.numeric.robust import SIGMA_OF_MAD
-from annulus.rings.decode import NONE
+from annulus.rings.decode import NONE, choose
 from annulus.rings.polar import ACROSS, PolarGrid
 from annulus.rings.slits import Slits
 
@@ -29,11 +29,8 @@ FIRST_SCALE_PX = 1.5  # of the look that tells how wide lines are
 SCALE_LEAST_PX, SCALE_MOST_PX = 1.0, 8.0
 LEAST_PART = 0.2  # of the frame's usual line: what is fainter is a reflection or dirt
 LEAST_SIGMA = 5.0  # times what noise makes of a ridge
-SKIP, STRONG, PLACE = (
-    0.5,
-    2.0,
-    6.0,
-)  # prices: of leaving one out, against full strength, and a wall off by the tolerance
+SKIP, STRONG = 0.5, 2.0  # prices: of leaving one out, and against that of full strength; ..
+PLACE = 6.0  # .. of a wall that is off by the whole tolerance
 MOSAIC_PX, DRAWN_OF_WIDTH = 0.05, 0.01  # px; of a line's width: standard deviations, see `line_bias`
 MARGIN = 0.2  # a name is given only if every other reading is worse by this
 
@@ -195,27 +192,5 @@ def _align(direction, strength, deviation, tolerance, ring):  # type: ignore[no-
                 if worth > 0.0:
                     ridge[size], name[size], own[size] = i, k, worth
                     size += 1
-        best = 0.0
-        for c in range(size):
-            ahead[c] = 0.0
-            for p in range(c):
-                if ridge[p] < ridge[c] and name[p] < name[c]:
-                    ahead[c] = max(ahead[c], ahead[p])
-            ahead[c] += own[c]
-        for c in range(size - 1, -1, -1):
-            behind[c] = 0.0
-            for p in range(c + 1, size):
-                if ridge[p] > ridge[c] and name[p] > name[c]:
-                    behind[c] = max(behind[c], behind[p] + own[p])
-            best = max(best, ahead[c] + behind[c])
-        for c in range(size):
-            total = ahead[c] + behind[c]
-            if total < best - 1e-9:
-                continue
-            alone = True
-            for p in range(size):
-                if p != c and (ridge[p] == ridge[c] or name[p] == name[c]) and ahead[p] + behind[p] > total - MARGIN:
-                    alone = False
-            if alone:
-                ring[ridge[c]] = name[c]
+        choose(ridge, name, own, ahead, behind, size, MARGIN, ring)
         start = n
