@@ -6,7 +6,7 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.colors import LinearSegmentedColormap, ListedColormap, Normalize
+from matplotlib.colors import LinearSegmentedColormap, ListedColormap, Normalize, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
@@ -51,9 +51,7 @@ def draw(survey: Survey) -> Pictures:
     scale = _scale(survey, deviation)
     filled = np.nan_to_num(deviation, nan=0.0)
     rgb = (DEVIATION(Normalize(-scale, scale)(filled))[..., :3] * 255).astype(np.uint8)
-    rgb[~np.isfinite(deviation)] = [
-        int(UNSEEN[i : i + 2], 16) for i in (1, 3, 5)
-    ]  # seen, but beside no circle that is known
+    rgb[~np.isfinite(deviation)] = np.round(255 * np.array(to_rgb(UNSEEN)))  # seen, but beside no circle that is known
     with mpl.rc_context(STYLE):
         return Pictures(
             _unwrapped(survey, deviation, scale), _texture(survey), _stations(survey), _surface(survey, rgb), rgb, scale

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from annulus.numeric.arrays import BoolArray, Float32Array, FloatArray
+from annulus.numeric.arrays import Float32Array, FloatArray
 from annulus.vocabulary import Finding
 from annulus.wall.grid import Wall
+from annulus.wall.indications import arc_of
 
 OVALITY_NAME = "ASTM F1216"
 OVALITY_FORMULA = "100 · max(Dmax − Dmean, Dmean − Dmin) / Dmean"
@@ -62,9 +63,9 @@ def not_enough_seen(wall: Wall) -> tuple[Finding, ...]:
         if seen.all():
             arc = "the wall departs from an oval"
         else:
-            start, missing = widest_gap(seen)
-            middle = wall.clock_step_deg * (start + missing / 2)
-            arc = f"{missing * wall.clock_step_deg:.0f} degrees about clock {clock_face(middle)} were not seen"
+            start, known = arc_of(seen, wall.clock_step_deg) if seen.any() else (0.0, 0.0)
+            middle = start + known + (360.0 - known) / 2
+            arc = f"{360.0 - known:.0f} degrees about clock {clock_face(middle)} were not seen"
         first, last = wall.z_mm[rows[0]] - wall.z_step_mm / 2, wall.z_mm[rows[-1]] + wall.z_step_mm / 2
         what = "ovality" if not circle[rows].any() else "shape"
         out.append(
@@ -75,16 +76,6 @@ def not_enough_seen(wall: Wall) -> tuple[Finding, ...]:
             )
         )
     return tuple(out)
-
-
-def widest_gap(seen: BoolArray) -> tuple[int, int]:
-    """First column and number of the longest run round the clock that is not `seen`, of which some are."""
-    marked = np.flatnonzero(seen)
-    if not len(marked):
-        return 0, len(seen)
-    gaps = np.diff(np.append(marked, marked[0] + len(seen))) - 1
-    i = int(np.argmax(gaps))
-    return int(marked[i] + 1), int(gaps[i])
 
 
 def clock_face(angle_deg: float) -> str:
