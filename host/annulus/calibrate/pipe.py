@@ -48,7 +48,7 @@ OTHER_DISTANCE = 0.01  # of the distance camera - projector: farther from the la
 
 LINES_REMARK = (
     "of several bright lines, half-angle and vertex may together be off by ten times their sigmas (0.45 deg and "
-    "1.5 mm on a simulated head); what they measure of the wall is as good as the hold-out says"
+    "2 mm on a simulated head); what they measure of the wall is as good as the hold-out says"
 )
 
 

@@ -259,7 +259,9 @@ def pipe(
         "calibration.json"
     ),
     pattern: Annotated[str, typer.Option(help="slits, or line: bright rings or planes of one colour.")] = "slits",
-    lines: Annotated[int, typer.Option(min=1, max=16, help="How many bright lines, with --pattern line.")] = 1,
+    lines: Annotated[
+        int | None, typer.Option(min=1, max=16, help="How many bright lines, with --pattern line. [default: 1]")
+    ] = None,
     picture: Annotated[
         Path | None, typer.Option(help="Where to draw what is left over. [default: FILE.pipe.png]")
     ] = None,
@@ -274,11 +276,13 @@ def pipe(
     """
     if pattern not in ("slits", "line"):
         raise AnnulusError(f'--pattern is "{pattern}", expected slits or line')
+    if lines is not None and pattern != "line":
+        raise AnnulusError("--lines goes with --pattern line: slits are counted by the file's pattern.colours")
     from annulus.calibrate.pipe import calibrate_pipe, save_pipe
     from annulus.calibrate.pipe_picture import draw_pipe
 
     with progress() as bars:
-        result = calibrate_pipe(scan, camera, radius, lines=lines if pattern == "line" else 0, progress=bars)
+        result = calibrate_pipe(scan, camera, radius, lines=(lines or 1) if pattern == "line" else 0, progress=bars)
     save_pipe(result, out)
     picture = picture or out.with_suffix(".pipe.png")
     draw_pipe(result, picture)

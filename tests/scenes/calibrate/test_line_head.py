@@ -6,9 +6,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from line_heads import ONE_RING, PLANE, head, picture
+from line_heads import ONE_RING, PLANE, TWO_RINGS, head, picture
 
-from annulus.calibrate.pipe import calibrate_pipe, save_pipe
+from annulus.calibrate.pipe import LINES_REMARK, calibrate_pipe, save_pipe
 from annulus.geometry.calibration import camera_to_dict
 from annulus.geometry.pose import Pose
 from annulus.record.calibration_file import load_calibration
@@ -53,3 +53,14 @@ def test_a_line_head_is_calibrated_in_a_clean_pipe(cones: tuple[tuple[float, flo
     assert abs(reach[0] + lean - reach[1]) < 0.15
     assert np.abs(np.array(true.axis[:2]) - np.array(got.axis[:2])).max() < 0.004
     assert picture(world, 40.0).shape[:2] == (world.camera.height, world.camera.width)
+
+
+def test_two_rings_measure_the_wall_and_say_what_their_sigmas_do_not_hold(tmp_path: Path) -> None:
+    world = head(*TWO_RINGS, rods=False)
+    folder = scan_of(world, tmp_path / "scan")
+    found = calibrate_pipe(folder, folder / "camera.json", world.radius_mm, lines=2)
+    assert found.held_out is not None and found.held_out.rms_mm() < 0.1  # 0.032 measured
+    assert LINES_REMARK in found.warnings
+    for true, got in zip(world.projector.cones, found.calibration.rings, strict=True):  # as far off as it says
+        assert np.degrees(abs(2 * (got.half_angle - true.half_angle))) < 1.0  # of the full angle: 0.42 and 0.90
+        assert abs(got.vertex_mm[2] - true.vertex_mm[2]) < 3.0  # mm: 1.5 and 2.1
