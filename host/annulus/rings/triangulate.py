@@ -19,9 +19,8 @@ from annulus.numeric.jit import jit
 from annulus.rings.polar import RAY_STEP_PX, PolarGrid, ring_pixels
 from annulus.rings.slits import Slits
 
-GRAZING = (
-    0.008  # sine of the least angle between ray and cone that still makes a point; test_a_plane_is_no_grazing_cone
-)
+# sine of the least angle between ray and cone that still makes a point; test_a_plane_is_no_grazing_cone
+GRAZING = 0.008
 PROBE_PX = 4.0  # step of the finite differences along a line; test_slits, the bend
 
 

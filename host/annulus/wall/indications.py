@@ -39,9 +39,7 @@ class Limits:
     `.._noise` are standard deviations of a cell."""
 
     seed_noise: float = 6.0  # a defect's core departs by this many standard deviations ..
-    seed_of_radius: float = (
-        SHAPE_UNSURE_OF_RADIUS  # .. and by this part of the radius (0.5 %, what ASTM-certified profilers promise)
-    )
+    seed_of_radius: float = SHAPE_UNSURE_OF_RADIUS  # .. and this part of the radius: what certified profilers promise
     observations: int = 2  # .. and so many observations, each one ring in one frame, agree on it
     rim_noise: float = 3.0  # it reaches as far as the departure exceeds this many standard deviations ..
     rim_of_seed: float = 0.5  # .. and this part of the core's limit

@@ -18,9 +18,8 @@ from annulus.numeric.robust import TUKEY, biweight, nan_median, robust_sigma
 USUAL_MM = 0.2  # from the usual shape: this near is the usual shape
 SPACING_MM = 5.0  # between two fits of the pipe's shape along it
 WINDOW_MM = 10.0  # each side: what one fit of the pipe's shape looks at
-ROUND_OF_RADIUS = (
-    0.05  # of the radius: how oval, or off its centre, a pipe may be before it was seen, standard deviation
-)
+# of the radius: how oval, or off its centre, a pipe may be before it was seen, standard deviation
+ROUND_OF_RADIUS = 0.05
 RADIUS_VARIES = 0.005  # of the radius: how far a station's mean radius is from those about it, standard deviation
 LEAST_SIGMA_MM = 0.05  # of what is left of a station: medians of cells are no better
 ALIKE = 30.0  # columns that count as one, before it is known how alike they are
