@@ -11,6 +11,7 @@ import numpy as np
 
 from annulus.report.account import Account
 from annulus.wall.defects import Defect
+from annulus.wall.features import Feature
 from annulus.wall.stations import OVALITY_FORMULA, OVALITY_NAME
 from annulus.wall.survey import Survey
 from annulus.wall.vibration import Vibration
@@ -48,6 +49,7 @@ def summarize(survey: Survey, account: Account, files_ms: float) -> dict[str, An
             "shape_median_percent": round(survey.shape_ovality_median_percent, 4),
         },
         "defects": [_defect(defect) for defect in survey.defects],
+        "features": [_feature(feature) for feature in survey.features],
         "unsupported": survey.detection.unconfirmed,
         "limits": {
             "depth_mm": round(survey.depth_limit_mm, 3),
@@ -108,6 +110,20 @@ def _defect(defect: Defect) -> dict[str, Any]:
         "hidden_mm": round(defect.shadowed_mm, 1),
         "z_from_mm": round(first, 2), "z_to_mm": round(last, 2), "clock_from_to": list(defect.clock_range),
     }  # fmt: skip
+
+
+def _feature(feature: Feature) -> dict[str, Any]:
+    """What was measured stands under its own name, its uncertainty beside it: height_mm, height_k2_mm."""
+    first, last = feature.z_range_mm
+    out: dict[str, Any] = {
+        "kind": str(feature.kind), "z_mm": round(feature.z_mm, 2), "clock_deg": round(feature.clock_deg, 2),
+        "clock": feature.clock, "length_mm": round(feature.length_mm, 2), "arc_deg": round(feature.arc_deg, 2),
+        "z_from_mm": round(first, 2), "z_to_mm": round(last, 2), "remark": feature.remark,
+    }  # fmt: skip
+    for one in feature.measures:
+        out[one.name] = round(one.value, 3)
+        out[f"{one.name.removesuffix('_' + one.unit)}_k2_{one.unit}"] = round(one.k2, 3)
+    return out
 
 
 def _finite(value: Any) -> Any:

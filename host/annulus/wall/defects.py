@@ -82,7 +82,12 @@ class Detection:
 
 
 def find_defects(
-    wall: Wall, *, shadow_ratio: float, least_shadow_ratio: float | None = None, limits: Limits | None = None
+    wall: Wall,
+    *,
+    shadow_ratio: float,
+    least_shadow_ratio: float | None = None,
+    limits: Limits | None = None,
+    features: BoolArray | None = None,
 ) -> Detection:
     """Losses, bumps and out-of-round stretches of the wall.
 
@@ -92,6 +97,7 @@ def find_defects(
     shadow_ratio : length hidden behind a step over the step's height, cot of the smallest ring half-angle
         (Alzuhiri 2022, Eq. 3.24). least_shadow_ratio : the same for the largest one; shadow_ratio if not given.
     limits : what counts; the defaults hold for any pipe.
+    features : (Z, A) cells that a joint, an opening or the like explains; no defect is looked for there.
 
     Notes
     -----
@@ -103,7 +109,7 @@ def find_defects(
     limits = scale.limits
     unseen = ~wall.seen
     found: list[tuple[Defect, BoolArray]] = []
-    indications, unconfirmed = find_indications(wall, scale)
+    indications, unconfirmed = find_indications(wall, scale, features)
     fine = smooth(wall.weighed_residual_mm())
     for indication in indications:
         known = np.isfinite(indication.height)

@@ -83,16 +83,19 @@ class Scale:
         return of_radius * self.radius_mm
 
 
-def find_indications(wall: Wall, scale: Scale) -> tuple[list[Indication], int]:
+def find_indications(wall: Wall, scale: Scale, features: BoolArray | None = None) -> tuple[list[Indication], int]:
     """Every place that stands out of the pipe's shape, whole, and how many more only one observation speaks for.
 
     Hysteresis: cores beyond the seed limit grow over the rim limit. What only lines the rim of a larger place is no
-    indication of its own, and what no sound wall parts is one band.
+    indication of its own, and what no sound wall parts is one band. Cells of `features` (Z, A) are neither sound nor
+    part of a place.
     """
     limits, residual = scale.limits, smooth(wall.residual_mm()).astype(np.float32)
     seed = np.maximum(limits.seed_noise * wall.cell_noise_mm, scale.mm(limits.seed_of_radius))
     rim = np.maximum(limits.rim_noise * wall.cell_noise_mm, limits.rim_of_seed * seed)
     sure = wall.shape_sigma_mm() <= wall.shape_limit_mm  # beside a shape that is not known nothing stands out
+    if features is not None:
+        sure &= ~features
     found: list[Indication] = []
     unconfirmed = 0
     for kind, height in ((Kind.LOSS, residual), (Kind.BUMP, -residual)):

@@ -15,6 +15,7 @@ from annulus.numeric.arrays import BoolArray, FloatArray, Image
 from annulus.vocabulary import Finding
 from annulus.wall.consistency import without_inconsistent
 from annulus.wall.defects import Defect, Detection, Kind, find_defects
+from annulus.wall.features import Feature
 from annulus.wall.grid import Wall, build_wall
 from annulus.wall.profile import Profile
 from annulus.wall.registration import register
@@ -38,6 +39,7 @@ class Survey:
     stations : diameters and ovality along the pipe.
     texture : (Z, A, 4) uint8 RGBA in LED light, alpha 0 where not known; None without a usable LED frame.
     vibration : what shook periodically and was taken out; None where nobody asked.
+    features : joints, openings, levels and the like, in order of distance; none of them is a defect.
     nominal_diameter_mm : of the calibration.
     timing_ms : of every step.
     """
@@ -49,6 +51,7 @@ class Survey:
     stations: Stations
     texture: Image | None
     vibration: Vibration | None
+    features: tuple[Feature, ...]
     nominal_diameter_mm: float
     timing_ms: Mapping[str, float]
 
@@ -203,8 +206,10 @@ def survey(
         texture[dark] = 0  # the radius there is not known, so neither is what was seen of it
     done("texture")
     timing = {name: 1e3 * (after - before) for (_, before), (name, after) in pairwise(marks)}
+    features: list[Feature] = []
+    features.sort(key=lambda one: (one.z_mm, one.clock_deg))
     nominal = 2 * calibration.pipe_radius_mm
-    return Survey(measured, wall, dark, detection, stations, texture, shaken, nominal, timing)
+    return Survey(measured, wall, dark, detection, stations, texture, shaken, tuple(features), nominal, timing)
 
 
 def _over(of: Any, values: FloatArray) -> float:
