@@ -84,11 +84,12 @@ def _write_cloud(path: Path, survey: Survey) -> None:
             ("frame", "<i4"), ("ring", "u1"), ("sigma", "<f4"),
         ],
     )  # fmt: skip
-    at = 0
+    at, line = 0, survey.centreline
     for profile in sorted(survey.profiles, key=lambda one: one.frame):
         part = records[at : at + len(profile.points_mm)]
+        space = profile.points_mm if line.is_straight else line.to_space(profile.points_mm.astype(np.float64))
         for axis, name in enumerate("xyz"):
-            part[name] = profile.points_mm[:, axis]
+            part[name] = space[:, axis]
         for channel, name in enumerate(("red", "green", "blue")):
             part[name] = profile.colour[:, channel]
         part["radius"] = np.hypot(profile.points_mm[:, 0], profile.points_mm[:, 1])

@@ -14,6 +14,7 @@ from scipy import ndimage
 from annulus.numeric.arrays import BoolArray, Float32Array, FloatArray
 from annulus.numeric.robust import SIGMA_OF_MAD, nan_median
 from annulus.vocabulary import AnnulusError
+from annulus.wall.centreline import Centreline
 from annulus.wall.profile import Profile
 from annulus.wall.shadow import STEP_MM, between_levels
 from annulus.wall.shape import fit_shape, harmonics, spread
@@ -140,7 +141,13 @@ class Wall:
         return np.where(self.seen, self.radius_mm, (self.shape_mm @ harmonics(self.clock_deg).T).astype(np.float32))
 
 
-def build_wall(profiles: Sequence[Profile], *, z_step_mm: float | None = None, rise: float | None = None) -> Wall:
+def build_wall(
+    profiles: Sequence[Profile],
+    *,
+    z_step_mm: float | None = None,
+    rise: float | None = None,
+    centreline: Centreline | None = None,
+) -> Wall:
     """Grid the points of all profiles and fit the pipe's own shape.
 
     Parameters
@@ -148,6 +155,7 @@ def build_wall(profiles: Sequence[Profile], *, z_step_mm: float | None = None, r
     profiles : any order; those without a pose or points are passed over.
     z_step_mm : row length; chosen from the density of points when not given.
     rise : tangent of the widest ring's half-angle, so that what a step hides is told from what lies behind it.
+    centreline : whose radius the shape's mean radius follows, its steps and tapers; one straight pipe if not given.
 
     Raises
     ------
@@ -212,7 +220,11 @@ def build_wall(profiles: Sequence[Profile], *, z_step_mm: float | None = None, r
     grid, count = grid[ends[0] : ends[-1] + 1], count[ends[0] : ends[-1] + 1]
     stated_sigma = np.where(np.isfinite(grid), errors[ends[0] : ends[-1] + 1], np.nan).astype(np.float32)
     z_rows = np.asarray((np.arange(first + ends[0], first + ends[-1] + 1) + 0.5) * step, dtype=np.float64)
-    shape, covariance = fit_shape(grid, z_rows, clock_columns)
+    course = np.zeros(len(z_rows))
+    if centreline is not None and not centreline.is_even:
+        course = centreline.radius_at(z_rows) - centreline.pieces[0].radius_mm
+    shape, covariance = fit_shape(grid - course[:, None], z_rows, clock_columns)
+    shape[:, 0] += course
     cell = cell - ends[0] * columns
     keep &= (cell >= 0) & (cell < grid.size)
     observations = Observations(

@@ -6,19 +6,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus.numeric.arrays import FloatArray
+from annulus.wall.centreline import Centreline
 from annulus.wall.grid import Wall
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
-    """points_mm (N, 3), pipe frame; triangles (M, 3) of their indices; cell (N,) index into the flattened grid."""
+    """points_mm (N, 3), space; triangles (M, 3) of their indices; cell (N,) index into the flattened grid."""
 
     points_mm: FloatArray
     triangles: NDArray[np.int32]
     cell: NDArray[np.int64]
 
 
-def triangulate(wall: Wall) -> Mesh:
+def triangulate(wall: Wall, centreline: Centreline) -> Mesh:
     """A vertex in every seen cell, joined with its neighbours.
 
     A face joins cells only where all its corners were seen; around the clock the grid closes. Triangles are wound so
@@ -48,4 +49,4 @@ def triangulate(wall: Wall) -> Mesh:
     radius = wall.radius_mm.astype(np.float64)
     z = np.broadcast_to(wall.z_mm[:, None], radius.shape)
     points = np.stack([radius * np.sin(t), -radius * np.cos(t), z], axis=-1).reshape(-1, 3)[flat]
-    return Mesh(points, triangles, flat)
+    return Mesh(centreline.to_space(points), triangles, flat)

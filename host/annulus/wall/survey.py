@@ -13,6 +13,8 @@ import numpy as np
 from annulus.geometry.calibration import Calibration
 from annulus.numeric.arrays import BoolArray, FloatArray, Image
 from annulus.vocabulary import Finding
+from annulus.wall.axis import find_axis
+from annulus.wall.centreline import Centreline
 from annulus.wall.consistency import without_inconsistent
 from annulus.wall.defects import Defect, Detection, Kind, find_defects
 from annulus.wall.features import Feature
@@ -40,6 +42,7 @@ class Survey:
     texture : (Z, A, 4) uint8 RGBA in LED light, alpha 0 where not known; None without a usable LED frame.
     vibration : what shook periodically and was taken out; None where nobody asked.
     features : joints, openings, levels and the like, in order of distance; none of them is a defect.
+    centreline : pipe coordinates, in which all of this is, and the way to space.
     nominal_diameter_mm : of the calibration.
     timing_ms : of every step.
     """
@@ -52,6 +55,7 @@ class Survey:
     texture: Image | None
     vibration: Vibration | None
     features: tuple[Feature, ...]
+    centreline: Centreline
     nominal_diameter_mm: float
     timing_ms: Mapping[str, float]
 
@@ -156,8 +160,8 @@ class Survey:
         return (math.degrees(min(rolls)), math.degrees(max(rolls))) if rolls else None
 
     def mesh(self) -> Mesh:
-        """The seen wall as triangles."""
-        return triangulate(self.wall)
+        """The seen wall as triangles, in space."""
+        return triangulate(self.wall, self.centreline)
 
 
 def survey(
@@ -188,20 +192,23 @@ def survey(
         marks.append((step, time.perf_counter()))
 
     narrowest, widest = (math.tan(calibration.rings[k].half_angle) for k in (0, -1))
-    measured = without_inconsistent(register(profiles))
+    axis = find_axis(profiles)
+    done("axis")
+    # a chain's heads have been adjusted with it; on a straight pipe they follow its shape, too
+    measured = without_inconsistent(register(profiles) if axis.adjusted is None else axis.profiles)
     done("alignment")
     shaken = None
     if vibration:
         measured, shaken = without_vibration(measured, fps)
         done("vibration")
-    wall = build_wall(measured, rise=widest)
+    wall = build_wall(measured, rise=widest, centreline=axis.centreline)
     done("wall")
     detection = find_defects(wall, shadow_ratio=1.0 / narrowest, least_shadow_ratio=1.0 / widest)
     done("defects")
     stations = measure_stations(wall)
     dark = shadowed(wall.radius_mm.astype(np.float64), wall.z_step_mm, narrowest)
     done("stations")
-    texture = paint(wall, calibration, measured, led_frames)
+    texture = paint(wall, axis.centreline, calibration, measured, led_frames)
     if texture is not None:
         texture[dark] = 0  # the radius there is not known, so neither is what was seen of it
     done("texture")
@@ -209,7 +216,9 @@ def survey(
     features: list[Feature] = []
     features.sort(key=lambda one: (one.z_mm, one.clock_deg))
     nominal = 2 * calibration.pipe_radius_mm
-    return Survey(measured, wall, dark, detection, stations, texture, shaken, tuple(features), nominal, timing)
+    return Survey(
+        measured, wall, dark, detection, stations, texture, shaken, tuple(features), axis.centreline, nominal, timing
+    )
 
 
 def _over(of: Any, values: FloatArray) -> float:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from annulus.geometry.calibration import Calibration
 from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import FloatArray
+from annulus.wall.centreline import Centreline
 from annulus.wall.grid import Wall
 from annulus.wall.profile import Profile
 
@@ -49,7 +50,11 @@ def pose_at(profiles: Sequence[Profile], z_mm: float) -> Pose | None:
 
 
 def paint(
-    wall: Wall, calibration: Calibration, profiles: Sequence[Profile], frames: Iterable[LedFrame]
+    wall: Wall,
+    centreline: Centreline,
+    calibration: Calibration,
+    profiles: Sequence[Profile],
+    frames: Iterable[LedFrame],
 ) -> NDArray[np.uint8] | None:
     """Colour of every cell, (Z, A, 4) uint8 RGBA, alpha 0 where no LED frame saw it; None without a usable frame.
 
@@ -64,7 +69,7 @@ def paint(
     points = _surface(wall)
     for frame in frames:
         pose = pose_at(profiles, frame.z_mm)
-        patch = _look(wall, points, calibration, pose, frame) if pose is not None else None
+        patch = _look(wall, points, centreline, calibration, pose, frame) if pose is not None else None
         if patch is None:
             continue
         if light is None:
@@ -98,7 +103,9 @@ def _surface(wall: Wall) -> FloatArray:
     return np.stack([radius * np.sin(t), -radius * np.cos(t), z], axis=-1)
 
 
-def _look(wall: Wall, points: FloatArray, calibration: Calibration, pose: Pose, frame: LedFrame) -> _Patch | None:
+def _look(
+    wall: Wall, points: FloatArray, centreline: Centreline, calibration: Calibration, pose: Pose, frame: LedFrame
+) -> _Patch | None:
     """What one frame shows of the grid's cells within reach; None when it shows nothing of it."""
     radius = wall.mean_radius_mm
     reach = (frame.z_mm + NEAREST_OF_RADIUS * radius, frame.z_mm + FARTHEST_OF_RADIUS * radius)
@@ -106,7 +113,7 @@ def _look(wall: Wall, points: FloatArray, calibration: Calibration, pose: Pose, 
     if first == last:
         return None
     part = points[first:last]
-    camera = pose.to_camera(part.reshape(-1, 3), frame.z_mm)
+    camera = pose.to_camera(centreline.to_head(part.reshape(-1, 3), frame.z_mm))
     pixels = calibration.camera.project(camera)
     pixels[camera[:, 2] < 1.0] = np.nan
     height, width = frame.image_bgr.shape[:2]

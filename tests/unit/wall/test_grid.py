@@ -4,6 +4,7 @@ from synthetic_pipe import CALIBRATION, RADIUS_MM, SHADOW_RATIO, bump, oval, poc
 
 from annulus.geometry.pose import Pose
 from annulus.vocabulary import AnnulusError
+from annulus.wall.centreline import Centreline, Piece
 from annulus.wall.defects import Defect, Detection, Kind, clock_face, find_defects
 from annulus.wall.grid import Wall, build_wall
 from annulus.wall.profile import Profile
@@ -198,11 +199,11 @@ def test_texture_shows_a_stain_where_it_is(sound: Wall) -> None:
         light = 220 * np.clip(60 / np.maximum(ahead, 1), 0, 1) ** 1.5
         image = light[:, None] * np.where(stain[:, None], [0.1, 0.2, 1.0], [0.9, 0.9, 0.9])
         frames.append(LedFrame(index, z, image.reshape(camera.height, camera.width, 3).astype(np.uint8)))
-    texture = paint(sound, CALIBRATION, scan(round_pipe, z_mm=[0.0, 110.0]), frames)
+    texture = paint(sound, Centreline([Piece(0.0, 76.2)]), CALIBRATION, scan(round_pipe, z_mm=[0.0, 110.0]), frames)
     assert texture is not None
     red = (texture[..., 0].astype(int) - texture[..., 2] > 60) & (texture[..., 3] > 0)
     rows, columns = np.nonzero(red)
     assert abs(sound.z_mm[rows].mean() - 170) < 0.07 and abs(sound.clock_deg[columns].mean() - 250) < 0.05
     plain = texture[(texture[..., 3] > 0) & ~red][:, :3]
     assert np.percentile(plain, 5) > 0.8 * np.percentile(plain, 95), "the light's fall-off along the pipe is evened out"
-    assert paint(sound, CALIBRATION, [], frames) is None
+    assert paint(sound, Centreline([Piece(0.0, 76.2)]), CALIBRATION, [], frames) is None

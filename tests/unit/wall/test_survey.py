@@ -9,6 +9,7 @@ from synthetic_pipe import CALIBRATION, RADIUS_MM, bump, oval, pocket, round_pip
 
 from annulus.vocabulary import AnnulusError
 from annulus.wall import LedFrame, Profile, Survey, survey
+from annulus.wall.centreline import Centreline, Piece
 from annulus.wall.defects import Kind
 from annulus.wall.grid import build_wall
 from annulus.wall.surface import triangulate
@@ -85,6 +86,6 @@ def test_no_frame_is_one_clear_line() -> None:
 
 def test_the_mesh_closes_around_the_seam() -> None:
     wall = build_wall(scan(round_pipe, z_mm=[3.0 * i for i in range(20)], rods_deg=(90.0,)))
-    mesh = triangulate(wall)
+    mesh = triangulate(wall, Centreline([Piece(0.0, 76.2)]))
     columns = mesh.cell[mesh.triangles] % len(wall.clock_deg)
     assert ((columns == 0).any(axis=1) & (columns == len(wall.clock_deg) - 1).any(axis=1)).any()

@@ -1,0 +1,296 @@
+"""Heads and centre line, adjusted together so that what every ring saw lies on one pipe.
+
+One observation is a sector of one ring in one frame. Rings of a frame lie at different ranges and frames overlap, so
+the frames on both sides of a joint tie its two pipes together: four numbers a head, ten a piece, one a ring, in one
+robust least-squares problem whose heads are eliminated frame by frame.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from annulus.geometry.pose import rotation_x, rotation_y, rotation_z
+from annulus.numeric.arrays import FloatArray
+from annulus.numeric.robust import CAUCHY, SIGMA_OF_MAD
+from annulus.wall.centreline import Centreline, Piece
+from annulus.wall.profile import Profile
+
+POINTS_LEAST = 3  # points of a ring's sector, for an observation
+FRAME_LEAST = 200  # points in a frame, for the numbers of its head
+SIGMA_LEAST_MM = 0.03  # of an observation
+HEAD = 5  # numbers a head: rx, ry, tx, ty, roll
+BIAS = 3  # numbers a ring: mean, to the camera's right, down
+PIECE = 11  # numbers a piece: offset 2, turn 2, curvature 2, radius, taper, oval 2, start
+BIAS_SIGMA_MM = 0.05  # of a ring: how far its own colour and cone may put it beside the others
+ROLL_SIGMA, ROLL_HELD = 0.01, 1e-5  # radians; of a head whose roll a sensor gave, and of one that has none
+UNIT_LEAST = (
+    0.3  # of what points say they may be off: part of that all points of a ring have in common and does not show
+)
+APART = 0.4  # of the way between two starts: as far as one step may go
+HEAD_STEPS = (1e-5, 1e-5, 1e-3, 1e-3, 1e-5)  # radians, mm: of the derivatives
+PIECE_STEPS = (1e-3, 1e-3, 1e-5, 1e-5, 1e-8, 1e-8, 1e-3, 1e-6, 1e-3, 1e-3, 1e-2)
+OFFSET, TURN, CURVATURE, RADIUS, TAPER, OVAL, START = slice(0, 2), slice(2, 4), slice(4, 6), 6, 7, slice(8, 10), 10
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sightings:
+    """Observations (N,), those of one frame side by side: points in the camera's frame, mm; sigma;
+    frame, ring and where each frame's begin. chainage (F,): of the heads."""
+
+    points_mm: FloatArray  # (N, 3)
+    sigma_mm: FloatArray
+    frame: NDArray[np.intp]
+    ring: NDArray[np.intp]
+    first: NDArray[np.intp]  # (F,)
+    chainage_mm: FloatArray  # (F,)
+    heads: FloatArray  # (F, HEAD) as the frames found them: rx, ry, tx, ty, roll
+    roll_known: NDArray[np.bool_]  # (F,)
+    which: NDArray[np.intp]  # (F,) index of the profile
+    rings: int
+    radius_mm: float
+    ways: FloatArray  # (N, BIAS) what each number of its ring's bias does: 1 and its direction in the camera
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class State:
+    """Where all is. pieces (P, PIECE), the radius of all but the first as its step against the one before; bias_mm
+    (R, BIAS) of the rings; heads (F, HEAD)."""
+
+    pieces: FloatArray
+    bias_mm: FloatArray
+    heads: FloatArray
+
+    def radii_mm(self) -> FloatArray:
+        """(P,) at the start of each piece."""
+        grown = self.pieces[:-1, TAPER] * np.diff(self.pieces[:, START])
+        return np.asarray(np.cumsum(self.pieces[:, RADIUS] + np.append(0.0, grown)))
+
+    def centreline(self) -> Centreline:
+        return Centreline(
+            [
+                Piece(
+                    float(row[START]), float(radius), (float(row[0]), float(row[1])), (float(row[2]), float(row[3])),
+                    (float(row[4]), float(row[5])), float(row[TAPER]),
+                )
+                for row, radius in zip(self.pieces, self.radii_mm(), strict=True)
+            ]
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Where:
+    """Observations in pipe coordinates: residual (N,) mm, chainage, unit direction (N, 2), piece (N,)."""
+
+    residual_mm: FloatArray
+    chainage_mm: FloatArray
+    direction: FloatArray
+    piece: NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Adjusted:
+    """A state with the robust sigma of its weighted residuals, and the covariance of its free numbers.
+
+    `free`: flat indices into pieces (P, PIECE); covariance (n, n) in their order, scaled by what is left."""
+
+    state: State
+    where: Where
+    weight: FloatArray
+    unit: float  # robust sigma of residual over sigma
+    cost: float
+    free: NDArray[np.intp]
+    covariance: FloatArray
+
+    def sigma(self, piece: int, number: int) -> float:
+        """Standard deviation of one number of a piece; 0 where it was held."""
+        at = np.flatnonzero(self.free == piece * PIECE + number)
+        return float(np.sqrt(self.covariance[at[0], at[0]])) if len(at) else 0.0
+
+
+def sightings(profiles: Sequence[Profile], sectors: int) -> Sightings | None:
+    """The observations of all frames with a pose, so many to a full ring; None where there is none."""
+    usable = [i for i, p in enumerate(profiles) if p.pose is not None and len(p.points_mm) >= FRAME_LEAST]
+    if not usable:
+        return None
+    usable.sort(key=lambda i: profiles[i].z_mm)
+    parts = [_of_frame(profiles[i], sectors) for i in usable]
+    points, sigma, ring = (np.concatenate([part[j] for part in parts]) for j in range(3))
+    counts = np.array([len(part[1]) for part in parts])
+    poses = [pose for i in usable if (pose := profiles[i].pose) is not None]
+    radii = [np.hypot(*profiles[i].points_mm[::37, :2].T) for i in usable]
+    return Sightings(
+        points, sigma, np.repeat(np.arange(len(parts)), counts), ring.astype(np.intp),
+        np.concatenate([[0], np.cumsum(counts)[:-1]]), np.array([profiles[i].z_mm for i in usable]),
+        np.array([[p.rx, p.ry, p.tx, p.ty, p.roll or 0.0] for p in poses]),
+        np.array([p.roll is not None for p in poses]), np.array(usable), int(ring.max()) + 1,
+        float(np.median(np.concatenate(radii))),
+        np.column_stack([np.ones(len(points)), points[:, :2] / np.hypot(points[:, 0], points[:, 1])[:, None]]),
+    )  # fmt: skip
+
+
+def _of_frame(profile: Profile, sectors: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Points (N, 3) in the camera frame, their sigma and ring: of each sector the median radius in its middle."""
+    assert profile.pose is not None
+    x, y, z = profile.points_mm.astype(np.float64).T
+    radius, turn = np.hypot(x, y), np.arctan2(y, x) / (2 * np.pi)
+    key = profile.ring.astype(np.intp) * sectors + np.floor(turn * sectors).astype(np.intp) % sectors
+    order = np.lexsort((radius, key))
+    keys, start, count = np.unique(key[order], return_index=True, return_counts=True)
+    own = np.repeat(np.arange(len(keys)), count)
+
+    def mean(values: FloatArray) -> FloatArray:
+        return np.asarray(np.bincount(own, weights=values[order]) / count)
+
+    c, s = mean(x / radius), mean(y / radius)
+    middle = radius[order][start + count // 2] / np.hypot(c, s)
+    pipe = np.stack([middle * c, middle * s, mean(z)], axis=1)
+    stated = np.nan_to_num(profile.sigma_mm.astype(np.float64), nan=SIGMA_LEAST_MM)
+    enough = count >= POINTS_LEAST
+    camera = profile.pose.to_camera(pipe[enough], profile.z_mm)
+    return camera, np.maximum(mean(stated)[enough], SIGMA_LEAST_MM), (keys[enough] // sectors).astype(np.float64)
+
+
+def locate(seen: Sightings, state: State) -> Where:
+    """Every observation in pipe coordinates, and how far it is off the wall."""
+    local = _local(seen, state.heads)
+    line = state.centreline()
+    origins, frames = line.frames_at(seen.chainage_mm)
+    space = origins[seen.frame] + np.einsum("nij,nj->ni", frames[seen.frame], local)
+    pipe = line.to_pipe(space, line.piece_of(seen.chainage_mm)[seen.frame])
+    radius = np.hypot(pipe[:, 0], pipe[:, 1])
+    direction = pipe[:, :2] / np.maximum(radius, 1e-9)[:, None]
+    own = line.piece_of(pipe[:, 2])
+    of = state.pieces[own]
+    c, s = direction.T
+    model = (
+        state.radii_mm()[own] + of[:, TAPER] * (pipe[:, 2] - of[:, START])
+        + of[:, 8] * (c * c - s * s) + of[:, 9] * 2 * c * s + (state.bias_mm[seen.ring] * seen.ways).sum(axis=1)
+    )  # fmt: skip
+    return Where(radius - model, pipe[:, 2], direction, own)
+
+
+def _local(seen: Sightings, heads: FloatArray) -> FloatArray:
+    """(N, 3) observations in the pipe's own frame at each head."""
+    turned = np.stack([rotation_x(h[0]) @ rotation_y(h[1]) @ rotation_z(-h[4]) for h in heads])
+    moved = seen.points_mm.copy()
+    moved[:, :2] -= heads[seen.frame, 2:4]
+    return np.asarray(np.einsum("nji,nj->ni", turned[seen.frame], moved))
+
+
+def adjust(
+    seen: Sightings, start: State, free: NDArray[np.bool_], *, scales_mm: Sequence[float] = (), rounds: int = 8
+) -> Adjusted:
+    """Gauss-Newton with Cauchy's weights, whose scale goes down in steps (`scales_mm`) to what is left.
+
+    free : (P, PIECE) which numbers of the pieces may change. The first piece's offset and turn never may: its frame is
+    space. Rings' biases are free with a small prior, so that the colour of a ring is not taken for a taper or a bend.
+    """
+    state, where = start, locate(seen, start)
+    columns = np.flatnonzero(free.ravel())
+    scales = [*scales_mm, *[0.0] * rounds]
+    cost = math.inf
+    for i, scale in enumerate(scales):
+        weight, unit = _weights(where.residual_mm, seen.sigma_mm, scale)
+        step_heads, step_pieces, step_bias, covariance = _step(seen, state, where, weight, unit, columns)
+        flat = state.pieces.ravel().copy()
+        flat[columns] += step_pieces
+        pieces = flat.reshape(state.pieces.shape)
+        was = state.pieces[:, START]
+        apart = APART * np.diff(was)  # a start leaps over no other
+        most = np.append(was[1:-1] + apart[1:], np.inf)
+        pieces[1:, START] = np.clip(pieces[1:, START], was[1:] - apart, most[: len(apart)])
+        state = replace(
+            state, pieces=pieces, bias_mm=state.bias_mm + step_bias.reshape(-1, BIAS),
+            heads=state.heads + step_heads,
+        )  # fmt: skip
+        where = locate(seen, state)
+        if scale == 0.0:
+            before, cost = cost, cost_of(where.residual_mm, seen.sigma_mm)
+            if i > len(scales_mm) and abs(before - cost) < 1e-3 * cost:
+                break
+    weight, unit = _weights(where.residual_mm, seen.sigma_mm, 0.0)
+    return Adjusted(state, where, weight, unit, cost_of(where.residual_mm, seen.sigma_mm), columns, covariance)
+
+
+def _weights(residual: FloatArray, sigma: FloatArray, scale_mm: float) -> tuple[FloatArray, float]:
+    """1/mm^2, and the unit: robust sigma of residual over sigma, never less than UNIT_LEAST."""
+    unit = max(SIGMA_OF_MAD * float(np.median(np.abs(residual / sigma))), UNIT_LEAST)
+    if scale_mm > 0:
+        return np.asarray(1.0 / (1.0 + (residual / scale_mm) ** 2) / sigma**2), unit
+    return np.asarray(1.0 / (1.0 + (residual / (CAUCHY * unit * sigma)) ** 2) / sigma**2), unit
+
+
+def cost_of(residual: FloatArray, sigma: FloatArray, unit: float = 1.0) -> float:
+    """Cauchy's, in units of chi-square."""
+    return float((CAUCHY**2 * np.log1p((residual / (CAUCHY * unit * sigma)) ** 2)).sum())
+
+
+def _step(
+    seen: Sightings, state: State, where: Where, weight: FloatArray, unit: float, columns: NDArray[np.intp]
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Steps of heads (F, HEAD), free numbers of the pieces (n,), biases (R,), and the covariance of the second."""
+    heads_do = by_head(seen, state, where)
+    by_line = np.concatenate([_by_pieces(seen, state, where, columns), _by_bias(seen)], axis=1)
+    f, n = len(seen.first), by_line.shape[1]
+    weighted = by_line * weight[:, None]
+    normal = by_line.T @ weighted
+    right = -weighted.T @ where.residual_mm
+    u = np.add.reduceat((heads_do * weight[:, None])[:, :, None] * heads_do[:, None, :], seen.first)
+    w = np.stack([
+        heads_do[a:b].T @ weighted[a:b] for a, b in zip(seen.first, [*seen.first[1:], len(weight)], strict=True)
+    ])  # fmt: skip
+    gh = -np.add.reduceat(heads_do * (weight * where.residual_mm)[:, None], seen.first)
+    roll = np.where(seen.roll_known, ROLL_SIGMA, ROLL_HELD)
+    prior = np.zeros((f, HEAD))
+    prior[:, 4] = (unit / roll) ** 2
+    prior[:, :4] = 1e-6 * np.einsum("fii->fi", u)[:, :4] + 1e-9
+    gh[:, 4] -= prior[:, 4] * (state.heads[:, 4] - seen.heads[:, 4])
+    u = u + prior[:, :, None] * np.eye(HEAD)
+    solved = np.linalg.solve(u, np.concatenate([w, gh[:, :, None]], axis=2))
+    reduced = normal - np.einsum("fhi,fhj->ij", w, solved[:, :, :n])
+    held = np.concatenate([_priors(state)[columns], np.full(BIAS * seen.rings, BIAS_SIGMA_MM)])
+    value = np.concatenate([np.zeros(len(columns)), state.bias_mm.ravel()])
+    reduced += np.diag((unit / held) ** 2)
+    right = right - np.einsum("fhi,fh->i", w, solved[:, :, n]) - (unit / held) ** 2 * value
+    inverse = np.linalg.inv(reduced)
+    step = inverse @ right
+    heads = solved[:, :, n] - solved[:, :, :n] @ step
+    k = len(columns)
+    return heads, step[:k], step[k:], unit**2 * inverse[:k, :k]
+
+
+def _priors(state: State) -> FloatArray:
+    """(P * PIECE,) how far a number of a piece moves in one step, standard deviation: what nobody saw stays near."""
+    radius = float(state.pieces[0, RADIUS])
+    of_radius = 0.1 * radius
+    one = [of_radius, of_radius, 0.2, 0.2, 1 / radius, 1 / radius, of_radius, 0.1, of_radius, of_radius, of_radius]
+    return np.tile(np.array(one), len(state.pieces))
+
+
+def by_head(seen: Sightings, state: State, where: Where) -> FloatArray:
+    """(N, HEAD) what each number of its head does to each residual."""
+    out = np.empty((len(seen.frame), HEAD))
+    for i, step in enumerate(HEAD_STEPS):
+        heads = state.heads.copy()
+        heads[:, i] += step
+        out[:, i] = (locate(seen, replace(state, heads=heads)).residual_mm - where.residual_mm) / step
+    return np.clip(out, -1e4, 1e4)
+
+
+def _by_pieces(seen: Sightings, state: State, where: Where, columns: NDArray[np.intp]) -> FloatArray:
+    """(N, n) what each free number does."""
+    out = np.empty((len(seen.frame), len(columns)))
+    for j, column in enumerate(columns):
+        step = PIECE_STEPS[column % PIECE]
+        pieces = state.pieces.copy()
+        pieces.flat[column] += step
+        out[:, j] = (locate(seen, replace(state, pieces=pieces)).residual_mm - where.residual_mm) / step
+    return out
+
+
+def _by_bias(seen: Sightings) -> FloatArray:
+    own = (seen.ring[:, None] == np.arange(seen.rings))[:, :, None]
+    return np.asarray(-np.where(own, seen.ways[:, None, :], 0.0).reshape(len(seen.ring), -1))

@@ -1,0 +1,328 @@
+"""The pipe's own axis: where it jumps, turns, bends and changes its radius, found from the frames that saw it.
+
+One straight cylinder is adjusted to all frames. Where a joint, a bend or a taper that begins at some place would
+explain more of what is left than errors do, and more than an inspector passes over, a new piece begins: from the near
+end on, one after the other, each of the kind that explains its stretch best. Then all is adjusted once more.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from annulus.geometry.pose import Pose
+from annulus.numeric.arrays import BoolArray, FloatArray
+from annulus.wall.adjustment import (
+    BIAS,
+    CURVATURE,
+    OFFSET,
+    OVAL,
+    PIECE,
+    RADIUS,
+    START,
+    TAPER,
+    TURN,
+    Adjusted,
+    Sightings,
+    State,
+    adjust,
+    by_head,
+    cost_of,
+    locate,
+    sightings,
+)  # fmt: skip
+from annulus.wall.centreline import Centreline, Piece
+from annulus.wall.profile import Profile
+
+# Guarded by tests/unit/wall/test_axis.py (pipes with and without) and by the scenes of tests/scenes.
+STEP_OF_RADIUS = 0.05  # of the radius: between places that are tried
+SHOWN = 100.0  # chi-square that a piece's beginning must explain ..
+ENDS = 25.0  # .. and the end of a bend or a taper, which ends somewhere
+# What an inspector passes over, and what calibrations leave: sound straight scans show a tenth of it.
+OFFSET_OF_RADIUS = 0.002  # of the radius: hi-lo
+TURN_LEAST = 0.0025  # radians
+RADIUS_STEP = 0.0015  # of the radius
+BEND_OF_RADIUS = 0.012  # radians a radius; a bend wider than 80 radii is a straight pipe's sag
+TAPER_LEAST = 0.003  # mm a mm
+AHEAD_OF_RADIUS = 2.0  # of the radius: how far past its beginning a piece is looked at before its kind is decided
+BACK_OF_RADIUS = 6.0  # of the radius: heads this far back see what is decided
+JOINT_STEP_MM = 1.0  # between places tried for a joint
+NUMBER_COST = 10.0  # chi-square that one more number must explain
+PIECES_MOST = 256
+COARSE, FINE = 24, 72  # sectors of a ring; few bias a bend's radius by the ring's own course within one (1.5 %)
+SIGHTINGS_LEAST = 20  # of a frame
+RINGS_LEAST = 3  # fewer do not tell how a pipe goes on within one frame
+
+
+class Begins(StrEnum):
+    """What begins with a piece."""
+
+    STRAIGHT = "straight"  # the scan, or the end of a bend or taper
+    JOINT = "joint"
+    BEND = "bend"
+    TAPER = "taper"
+
+
+KINDS = (Begins.JOINT, Begins.BEND, Begins.TAPER)
+# of the eight numbers of `explained`: offset 2, turn 2, curvature 2, radius, taper
+NUMBERS = {Begins.JOINT: [0, 1, 2, 3, 6], Begins.BEND: [4, 5], Begins.TAPER: [7]}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Axis:
+    """`profiles` in pipe coordinates, each pose against the centre line where its head is; the centre line; what began
+    with each of its pieces; the adjustment, for its uncertainties, None where the pipe is one straight piece."""
+
+    profiles: tuple[Profile, ...]
+    centreline: Centreline
+    begins: tuple[Begins, ...]
+    adjusted: Adjusted | None
+
+
+def find_axis(profiles: Sequence[Profile]) -> Axis:
+    """The centre line of the pipe that all frames saw.
+
+    Parameters
+    ----------
+    profiles : each in the frame of its own pose, a straight pipe assumed.
+
+    Notes
+    -----
+    A scan of a straight, even pipe comes back unchanged, to the bit. So does one of fewer than three rings, which
+    cannot tell a kink from a lean.
+    """
+    seen = sightings(profiles, COARSE)
+    as_it_was = Axis(
+        tuple(profiles), Centreline([Piece(0.0, seen.radius_mm if seen else 1.0)]), (Begins.STRAIGHT,), None
+    )
+    if seen is None or seen.rings < RINGS_LEAST or len(seen.first) < 2:
+        return as_it_was
+    found, begins = _search(seen)
+    if len(begins) == 1:
+        return as_it_was
+    fine = sightings(profiles, FINE)
+    assert fine is not None
+    found = adjust(fine, found.state, _free(begins), scales_mm=(1.0, 0.5))
+    for i in (i for i, kind in enumerate(begins) if kind is Begins.JOINT):
+        found = adjust(fine, _placed(fine, found.state, i), _free(begins))
+    while (idle := _idle(found, begins)) is not None:
+        begins = [*begins[:idle], *begins[idle + 1 :]]
+        if len(begins) == 1:
+            return as_it_was
+        pieces = np.delete(found.state.pieces, idle, axis=0)
+        found = adjust(fine, replace(found.state, pieces=pieces), _free(begins), scales_mm=(1.0, 0.5))
+    return Axis(_moved(profiles, fine, found.state), found.state.centreline(), tuple(begins), found)
+
+
+def explained(
+    seen: Sightings, now: Adjusted, at_mm: FloatArray, upto_mm: float = np.inf
+) -> tuple[FloatArray, FloatArray]:
+    """Chi-square (G, 3) that a joint, bend or taper beginning at each of some places would explain of what is left, and
+    how large it would be: (G, 8) offset 2, turn 2, curvature 2, radius, taper, in mm and radians.
+
+    Linear, about where all is now: heads may follow, four numbers each, and are eliminated.
+    """
+    lean = by_head(seen, now.state, now.where)
+    z, (c, s) = now.where.chainage_mm, now.where.direction.T
+    weight = np.where(z < upto_mm, now.weight, 0.0) / now.unit**2
+    ends = [*seen.first[1:], len(z)]
+    low, high = np.minimum.reduceat(z, seen.first), np.minimum(np.maximum.reduceat(z, seen.first), upto_mm)
+    held = np.diag([1e-3, 1e-3, 1e-6, 1e-6, 1e9])  # the roll stays
+    gain, size = np.zeros((len(at_mm), 3)), np.zeros((len(at_mm), 8))
+    for i, at in enumerate(at_mm):
+        normal, right = np.zeros((8, 8)), np.zeros(8)
+        for k in np.flatnonzero((high > at) & (low < at)):
+            own = slice(seen.first[k], ends[k])
+            d, on = np.maximum(z[own] - at, 0.0), (z[own] > at).astype(np.float64)
+            u, v = c[own], s[own]
+            bent = d * d / 2
+            change = -np.stack([u * on, v * on, u * d, v * d, u * bent, v * bent, on, d], axis=1)
+            weighted = lean[own] * weight[own, None]
+            both = change.T @ weighted
+            left = now.where.residual_mm[own]
+            follow = np.linalg.solve(lean[own].T @ weighted + held, np.column_stack([both.T, weighted.T @ left]))
+            normal += change.T @ (change * weight[own, None]) - both @ follow[:, :8]
+            right += change.T @ (weight[own] * left) - both @ follow[:, 8]
+        for j, kind in enumerate(KINDS):
+            pick = NUMBERS[kind]
+            own_normal = normal[np.ix_(pick, pick)]
+            own_normal = own_normal + 1e-6 * np.diag(np.diag(own_normal)) + 1e-9 * np.eye(len(pick))
+            size[i, pick] = np.linalg.solve(own_normal, -right[pick])
+            gain[i, j] = -right[pick] @ size[i, pick]
+    return gain, size
+
+
+def _matters(size: FloatArray, radius: float) -> BoolArray:
+    """(G, 3) whether a joint, a bend, a taper of that size is one an inspector would name."""
+    joint = (
+        (np.hypot(size[:, 0], size[:, 1]) > OFFSET_OF_RADIUS * radius)
+        | (np.hypot(size[:, 2], size[:, 3]) > TURN_LEAST)
+        | (np.abs(size[:, 6]) > RADIUS_STEP * radius)
+    )
+    bend = np.hypot(size[:, 4], size[:, 5]) * radius > BEND_OF_RADIUS
+    return np.stack([joint, bend, np.abs(size[:, 7]) > TAPER_LEAST], axis=1)
+
+
+def _idle(found: Adjusted, begins: Sequence[Begins]) -> int | None:
+    """The first piece with which nothing begins that matters; None where there is none."""
+    pieces = found.state.pieces
+    for i in range(1, len(begins)):
+        size = np.concatenate(
+            [pieces[i, OFFSET], pieces[i, TURN], pieces[i, CURVATURE] - pieces[i - 1, CURVATURE],
+             [pieces[i, RADIUS], pieces[i, TAPER] - pieces[i - 1, TAPER]]]
+        )  # fmt: skip
+        if not _matters(size[None], pieces[0, RADIUS]).any():
+            return i
+    return None
+
+
+def _search(seen: Sightings) -> tuple[Adjusted, list[Begins]]:
+    radius, step = seen.radius_mm, STEP_OF_RADIUS * seen.radius_mm
+    row = np.zeros((1, PIECE))
+    row[0, RADIUS], row[0, START] = radius, seen.chainage_mm[0] - radius
+    begins = [Begins.STRAIGHT]
+    now = adjust(seen, State(row, np.zeros((seen.rings, BIAS)), seen.heads), _free(begins))
+    since = -np.inf
+    while len(begins) < PIECES_MOST:
+        low, high = np.percentile(now.where.chainage_mm, [1, 99]) + np.array([2 * step, -2 * step])
+        places = np.arange(max(low, since), high, step)
+        if not len(places):
+            break
+        gain, size = explained(seen, now, places)
+        needed = [ENDS if begins[-1] is kind and kind is not Begins.JOINT else SHOWN for kind in KINDS]
+        shown = ((gain > needed) & _matters(size, radius)).any(axis=1)
+        if not shown.any():
+            break
+        first = float(places[np.argmax(shown)])
+        began = _begun(seen, now, begins, first, float(high))
+        if began is None:
+            since = first + step
+            continue
+        begins = [*begins, began[1]]
+        # what lies beyond is another piece's business: only its heads follow
+        now = adjust(seen, began[0], np.zeros((len(begins), PIECE), np.bool_), scales_mm=(5.0, 2.0))
+        since = float(now.state.pieces[-1, START]) + step
+    return now, begins
+
+
+def _begun(
+    seen: Sightings, now: Adjusted, begins: Sequence[Begins], first: float, high: float
+) -> tuple[State, Begins] | None:
+    """The kind of piece that explains best what begins at `first` or soon after, and the state with it."""
+    step, reach = STEP_OF_RADIUS * seen.radius_mm, AHEAD_OF_RADIUS * seen.radius_mm
+    places = np.arange(first, min(first + 0.75 * reach, high), step)
+    gain, size = explained(seen, now, places, first + reach)
+    part, heads = _up_to(seen, now, first + reach)
+    start = replace(now.state, heads=now.state.heads[heads])
+    tries = [(kind, kind) for kind in KINDS]
+    if begins[-1] in (Begins.BEND, Begins.TAPER):
+        tries.append((begins[-1], Begins.STRAIGHT))
+    best: tuple[float, State, Begins] | None = None
+    for shown_by, kind in tries:
+        shown = gain[:, KINDS.index(shown_by)]
+        if shown.max() < ENDS / 2:
+            continue
+        at = {int(np.argmax(shown))}
+        if kind is not Begins.JOINT:  # what bends or tapers finds its own beginning, from not too far
+            at |= {0, len(places) // 3, 2 * len(places) // 3}
+        for i in sorted(at):
+            tried = _with(part, start, begins, kind, float(places[i]), size[i])
+            cost = tried.cost + NUMBER_COST * len(tried.free)
+            if best is None or cost < best[0]:
+                best = cost, tried.state, kind
+    if best is None:
+        return None
+    state = best[1]
+    if best[2] is Begins.JOINT:
+        for _ in range(2):
+            held = _free([*begins, Begins.JOINT])
+            held[:-2] = False
+            state = adjust(part, _placed(part, state, len(begins)), held).state
+    everywhere = now.state.heads.copy()
+    everywhere[heads] = state.heads
+    return replace(state, heads=everywhere), best[2]
+
+
+def _placed(seen: Sightings, state: State, piece: int) -> State:
+    """The state with a joint where it costs least, within a radius of where it was; its two pipes stay."""
+    was = float(state.pieces[piece, START])
+    low = state.pieces[piece - 1, START] + 1.0
+    high = state.pieces[piece + 1, START] - 1.0 if piece + 1 < len(state.pieces) else np.inf
+    tried = []
+    for at in np.clip(was + np.arange(-seen.radius_mm, seen.radius_mm, JOINT_STEP_MM), low, high):
+        pieces = state.pieces.copy()
+        pieces[piece, START] = at
+        pieces[piece, OFFSET] += (at - was) * pieces[piece, TURN]
+        moved = replace(state, pieces=pieces)
+        tried.append((cost_of(locate(seen, moved).residual_mm, seen.sigma_mm), moved))
+    least = min(cost for cost, _ in tried)
+    good = [moved for cost, moved in tried if cost <= least + ENDS]
+    return good[len(good) // 2]  # the middle of what a bead hides
+
+
+def _with(
+    seen: Sightings, state: State, begins: Sequence[Begins], kind: Begins, at_mm: float, size: FloatArray
+) -> Adjusted:
+    """One more piece from a place on, adjusted with the one before it."""
+    last = state.pieces[-1]
+    row = np.zeros(PIECE)
+    row[START], row[OVAL] = at_mm, last[OVAL]
+    if kind is Begins.JOINT:
+        row[OFFSET], row[TURN], row[RADIUS] = size[0:2], size[2:4], size[6]
+    elif kind is Begins.BEND:
+        row[CURVATURE] = last[CURVATURE] + size[4:6]
+    elif kind is Begins.TAPER:
+        row[CURVATURE], row[TAPER] = last[CURVATURE], last[TAPER] + size[7]
+    free = np.zeros((len(begins) + 1, PIECE), np.bool_)
+    free[-2:] = _free([*begins, kind])[-2:]
+    return adjust(seen, replace(state, pieces=np.vstack([state.pieces, row])), free, scales_mm=(5.0, 2.0, 1.0, 0.5))
+
+
+def _free(begins: Sequence[Begins]) -> BoolArray:
+    """(P, PIECE) which numbers of each piece may change. A joint's place is not among them: beads hide it."""
+    free = np.zeros((len(begins), PIECE), np.bool_)
+    free[0, RADIUS] = True
+    free[:, OVAL] = True
+    for i, kind in enumerate(begins):
+        if kind is Begins.JOINT:
+            free[i, OFFSET] = free[i, TURN] = free[i, RADIUS] = True
+        elif kind is Begins.BEND:
+            free[i, CURVATURE] = free[i, START] = True
+        elif kind is Begins.TAPER:
+            free[i, TAPER] = free[i, START] = True
+        elif i:
+            free[i, START] = True
+    return free
+
+
+def _up_to(seen: Sightings, now: Adjusted, upto_mm: float) -> tuple[Sightings, NDArray[np.intp]]:
+    """The observations up to a place, of heads that see it; and which heads."""
+    keep = now.where.chainage_mm < upto_mm
+    count = np.add.reduceat(keep.astype(np.intp), seen.first)
+    back = upto_mm - BACK_OF_RADIUS * seen.radius_mm
+    heads = np.flatnonzero((count > SIGHTINGS_LEAST) & (seen.chainage_mm > back))
+    keep &= np.isin(seen.frame, heads)
+    frame = np.searchsorted(heads, seen.frame[keep])
+    part = replace(
+        seen, points_mm=seen.points_mm[keep], sigma_mm=seen.sigma_mm[keep], frame=frame, ring=seen.ring[keep],
+        first=np.searchsorted(frame, np.arange(len(heads))), chainage_mm=seen.chainage_mm[heads],
+        heads=seen.heads[heads], roll_known=seen.roll_known[heads], which=seen.which[heads], ways=seen.ways[keep],
+    )  # fmt: skip
+    return part, heads
+
+
+def _moved(profiles: Sequence[Profile], seen: Sightings, state: State) -> tuple[Profile, ...]:
+    """The profiles in pipe coordinates."""
+    out = list(profiles)
+    line = state.centreline()
+    for i, head, chainage in zip(seen.which, state.heads, seen.chainage_mm, strict=True):
+        was = profiles[i]
+        assert was.pose is not None
+        rx, ry, tx, ty, roll = (float(v) for v in head)
+        pose = Pose(rx, ry, tx, ty, None if was.pose.roll is None else roll)
+        camera = was.pose.to_camera(was.points_mm.astype(np.float64), was.z_mm)
+        points = line.from_head(pose.to_pipe(camera), float(chainage))
+        out[i] = replace(was, pose=pose, points_mm=points.astype(np.float32))
+    return tuple(out)
