@@ -212,7 +212,16 @@ def adjust(
             if i > len(scales_mm) and abs(before - cost) < 1e-3 * cost:
                 break
     weight, unit = _weights(where.residual_mm, seen.sigma_mm, 0.0)
+    covariance = covariance * _alike(seen, where.residual_mm * np.sqrt(weight) / unit)
     return Adjusted(state, where, weight, unit, cost_of(where.residual_mm, seen.sigma_mm), columns, covariance)
+
+
+def _alike(seen: Sightings, residual: FloatArray) -> float:
+    """How many observations count as one: a ring of a frame is off as a whole, a quarter of it at a time."""
+    quarter = np.floor(np.arctan2(seen.ways[:, 2], seen.ways[:, 1]) * (2 / np.pi)).astype(np.intp) + 2
+    _, own = np.unique((seen.frame * seen.rings + seen.ring) * 5 + quarter, return_inverse=True)
+    square = np.bincount(own, weights=residual) ** 2
+    return max(float(square.sum() / np.sum(residual**2)), 1.0)
 
 
 def _weights(residual: FloatArray, sigma: FloatArray, scale_mm: float) -> tuple[FloatArray, float]:

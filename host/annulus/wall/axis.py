@@ -48,6 +48,7 @@ BEND_OF_RADIUS = 0.012  # radians a radius; a bend wider than 80 radii is a stra
 TAPER_LEAST = 0.003  # mm a mm
 AHEAD_OF_RADIUS = 2.0  # of the radius: how far past its beginning a piece is looked at before its kind is decided
 BACK_OF_RADIUS = 6.0  # of the radius: heads this far back see what is decided
+GROSS_OF_RADIUS, JOINT_OF_RADIUS = 0.01, 0.15  # of the radius: off both walls; how far a joint reaches each way
 JOINT_STEP_MM = 1.0  # between places tried for a joint
 NUMBER_COST = 10.0  # chi-square that one more number must explain
 PIECES_MOST = 256
@@ -259,7 +260,19 @@ def _placed(seen: Sightings, state: State, piece: int) -> State:
         tried.append((cost_of(locate(seen, moved).residual_mm, seen.sigma_mm), moved))
     least = min(cost for cost, _ in tried)
     good = [moved for cost, moved in tried if cost <= least + ENDS]
-    return good[len(good) // 2]  # the middle of what a bead hides
+    best = good[len(good) // 2]  # the middle of what a bead hides
+    # a bead or a gap is neither pipe's wall: the joint is in its midst
+    where, at = locate(seen, best), float(best.pieces[piece, START])
+    gross = np.abs(where.residual_mm) > GROSS_OF_RADIUS * seen.radius_mm
+    gross &= np.abs(where.chainage_mm - at) < JOINT_OF_RADIUS * seen.radius_mm
+    round_the_clock = np.floor(np.arctan2(where.direction[gross, 0], where.direction[gross, 1]) * (12 / np.pi))
+    if len(np.unique(round_the_clock)) < 12:
+        return best
+    ends = np.percentile(where.chainage_mm[gross], [10, 90])
+    pieces = best.pieces.copy()
+    pieces[piece, START] = float(np.clip(ends.mean(), low, high))
+    pieces[piece, OFFSET] += (pieces[piece, START] - at) * pieces[piece, TURN]
+    return replace(best, pieces=pieces)
 
 
 def _with(

@@ -5,7 +5,6 @@ frames see the same wall through other rings, where the shadow falls elsewhere: 
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -48,16 +47,7 @@ def without_inconsistent(profiles: Sequence[Profile]) -> tuple[Profile, ...]:
     for profile in profiles:
         kept = good[at : at + len(profile.points_mm)]
         at += len(kept)
-        if kept.all():
-            out.append(profile)
-            continue
-        rejected = {**profile.rejected, "contradicted": int(np.count_nonzero(~kept))}
-        out.append(
-            replace(
-                profile, points_mm=profile.points_mm[kept], colour=profile.colour[kept], ring=profile.ring[kept],
-                direction=profile.direction[kept], sigma_mm=profile.sigma_mm[kept], rejected=rejected,
-            )
-        )  # fmt: skip
+        out.append(profile if kept.all() else profile.without(~kept, "contradicted"))
     return tuple(out)
 
 

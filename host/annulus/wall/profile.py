@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from annulus import untrusted
 from annulus.geometry.pose import Pose
+from annulus.numeric.arrays import BoolArray
 
 POINTS_MAX = 64 * 4096  # more than any pattern times any polar grid; bounds what a stranger can make us hold
 
@@ -44,6 +45,15 @@ class Profile:
             if len(self.sigma_mm):
                 raise ValueError(f"a profile of {len(self.ring)} points has {len(self.sigma_mm)} sigmas")
             object.__setattr__(self, "sigma_mm", np.full(len(self.ring), np.nan, np.float32))
+
+    def without(self, lost: BoolArray, reason: str) -> "Profile":
+        """The same less some of its points (N,), counted in `rejected`."""
+        kept = ~lost
+        rejected = {**self.rejected, reason: self.rejected.get(reason, 0) + int(np.count_nonzero(lost))}
+        return replace(
+            self, points_mm=self.points_mm[kept], colour=self.colour[kept], ring=self.ring[kept],
+            direction=self.direction[kept], sigma_mm=self.sigma_mm[kept], rejected=rejected,
+        )  # fmt: skip
 
     def to_dict(self) -> dict[str, Any]:
         """Plain types and bytes (little-endian, row by row), as msgpack carries them."""

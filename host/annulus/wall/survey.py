@@ -14,11 +14,13 @@ from annulus.geometry.calibration import Calibration
 from annulus.numeric.arrays import BoolArray, FloatArray, Image
 from annulus.vocabulary import Finding
 from annulus.wall.axis import find_axis
+from annulus.wall.bends import find_bends
 from annulus.wall.centreline import Centreline
 from annulus.wall.consistency import without_inconsistent
 from annulus.wall.defects import Defect, Detection, Kind, find_defects
 from annulus.wall.features import Feature
 from annulus.wall.grid import Wall, build_wall
+from annulus.wall.joints import find_joints, taken, without_hidden
 from annulus.wall.profile import Profile
 from annulus.wall.registration import register
 from annulus.wall.shadow import shadowed
@@ -203,7 +205,14 @@ def survey(
         done("vibration")
     wall = build_wall(measured, rise=widest, centreline=axis.centreline)
     done("wall")
-    detection = find_defects(wall, shadow_ratio=1.0 / narrowest, least_shadow_ratio=1.0 / widest)
+    joints = find_joints(wall, axis)
+    seen = without_hidden(measured, joints, 1.0 / widest)
+    if any(a is not b for a, b in zip(seen, measured, strict=True)):
+        measured = seen
+        wall = build_wall(measured, rise=widest, centreline=axis.centreline)
+    explained = taken(wall, joints, 1.0 / narrowest)
+    done("features")
+    detection = find_defects(wall, shadow_ratio=1.0 / narrowest, least_shadow_ratio=1.0 / widest, features=explained)
     done("defects")
     stations = measure_stations(wall)
     dark = shadowed(wall.radius_mm.astype(np.float64), wall.z_step_mm, narrowest)
@@ -213,7 +222,7 @@ def survey(
         texture[dark] = 0  # the radius there is not known, so neither is what was seen of it
     done("texture")
     timing = {name: 1e3 * (after - before) for (_, before), (name, after) in pairwise(marks)}
-    features: list[Feature] = []
+    features = [*(joint.feature for joint in joints), *find_bends(axis, wall.extent[:2])]
     features.sort(key=lambda one: (one.z_mm, one.clock_deg))
     nominal = 2 * calibration.pipe_radius_mm
     return Survey(

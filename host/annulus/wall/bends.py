@@ -1,0 +1,84 @@
+"""Bends, tapers and reducers: pieces of the centre line in the words of an inspector."""
+
+import math
+
+import numpy as np
+
+from annulus.numeric.arrays import FloatArray
+from annulus.wall.adjustment import CURVATURE, PIECE, START, TAPER
+from annulus.wall.axis import Axis, Begins
+from annulus.wall.features import Feature, FeatureKind, Measure
+from annulus.wall.stations import clock_face
+
+REDUCER = 0.05  # of the radius: what changes by more within a diameter is a reducer, a fitting; less is a pipe's taper
+
+
+def find_bends(axis: Axis, scanned_mm: tuple[float, float]) -> tuple[Feature, ...]:
+    """Every bend and taper, in order of distance; one that goes on where the scan ends, ends there."""
+    if axis.adjusted is None:
+        return ()
+    out = []
+    for i, piece in enumerate(axis.centreline.pieces):
+        last = i + 1 == len(axis.centreline.pieces)
+        end = scanned_mm[1] if last else axis.centreline.pieces[i + 1].start_mm
+        start = max(piece.start_mm, scanned_mm[0])
+        if end <= start:
+            continue
+        if piece.is_bent:
+            out.append(_bend(axis, i, start, end, last))
+        if piece.taper != 0.0 and axis.begins[i] is Begins.TAPER:
+            out.append(_taper(axis, i, start, end, last))
+    return tuple(out)
+
+
+def _bend(axis: Axis, i: int, start: float, end: float, last: bool) -> Feature:
+    piece, diameter = axis.centreline.pieces[i], 2.0 * axis.centreline.pieces[i].radius_mm
+    k = math.hypot(*piece.curvature)
+    way = np.array(piece.curvature) / k
+    length = end - start
+    by = np.zeros((3, len(axis.centreline.pieces) * PIECE))  # what each number does to radius, angle, plane
+    at = i * PIECE
+    by[0, at + CURVATURE.start : at + CURVATURE.stop] = -way / k**2
+    by[1, at + CURVATURE.start : at + CURVATURE.stop] = way * length
+    by[2, at + CURVATURE.start : at + CURVATURE.stop] = np.array([-way[1], way[0]]) / k
+    by[1, at + START] = -k
+    if not last:
+        by[1, at + PIECE + START] = k
+    radius_k2, angle_k2, plane_k2 = _k2(axis, by)
+    angle = math.degrees(k * length)
+    plane = math.degrees(math.atan2(way[1], way[0]))
+    toward = clock_face(plane + 90.0)
+    remark = f"{1 / k / diameter:.1f} D, {angle:.0f} degrees, to {toward.removesuffix(':00')}"
+    measures = (
+        Measure("start_mm", start, 2.0 * axis.adjusted.sigma(i, START) if axis.adjusted else math.nan),
+        Measure("radius_mm", 1.0 / k, radius_k2),
+        Measure("angle_deg", angle, math.degrees(angle_k2)),
+        Measure("plane_deg", plane, math.degrees(plane_k2)),
+    )
+    return Feature(FeatureKind.BEND, (start + end) / 2, length, measures=measures, remark=f"{remark} o'clock")
+
+
+def _taper(axis: Axis, i: int, start: float, end: float, last: bool) -> Feature:
+    piece = axis.centreline.pieces[i]
+    before, after = (piece.radius_mm + piece.taper * (z - piece.start_mm) for z in (start, end))
+    by = np.zeros((1, len(axis.centreline.pieces) * PIECE))
+    by[0, i * PIECE + TAPER] = end - start
+    by[0, i * PIECE + START] = -piece.taper
+    if not last:
+        by[0, (i + 1) * PIECE + START] = piece.taper
+    (change_k2,) = _k2(axis, by)
+    short = end - start < 2.0 * piece.radius_mm and abs(after - before) > REDUCER * piece.radius_mm
+    measures = (
+        Measure("radius_before_mm", before, change_k2),
+        Measure("radius_after_mm", after, change_k2),
+        Measure("taper_percent", 100.0 * piece.taper, 100.0 * change_k2 / (end - start)),
+    )
+    kind = FeatureKind.REDUCER if short else FeatureKind.TAPER
+    return Feature(kind, (start + end) / 2, end - start, measures=measures, remark="goes on" if last else "")
+
+
+def _k2(axis: Axis, by: FloatArray) -> list[float]:
+    """k = 2 of some functions of the pieces' numbers, their gradients given."""
+    assert axis.adjusted is not None
+    free = by[:, axis.adjusted.free]
+    return [2.0 * math.sqrt(max(float(row @ axis.adjusted.covariance @ row), 0.0)) for row in free]

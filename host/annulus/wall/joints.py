@@ -1,0 +1,242 @@
+"""Joints: what stands between two pipes, from the wall about it and from how the centre line goes on.
+
+The centre line tells hi-lo, angle and step; the wall whether a bead stands in between, a gap gapes, or nothing shows. A
+bead that neither jumps nor turns is a joint, too. The sensor looks forward: it sees a bead's near flank and crest, and
+its far flank hardly ever.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from annulus.numeric.arrays import BoolArray, FloatArray
+from annulus.wall.adjustment import OFFSET, RADIUS, TURN
+from annulus.wall.axis import Axis, Begins
+from annulus.wall.features import Feature, FeatureKind, Measure
+from annulus.wall.grid import SHAPE_UNSURE_OF_RADIUS, Wall
+from annulus.wall.profile import Profile
+
+REACH_OF_RADIUS = 0.3  # how far each side of where two pipes meet the joint may reach
+NEAR_OF_RADIUS = 0.1  # how far from a bend's end the bead of its weld may be
+LONGEST_OF_RADIUS = 0.5  # what is longer is no joint
+OFF_COLUMNS = 12  # of a row: so many depart, and it is not sound
+ROUND = 0.7  # part of what is seen of a row that must depart alike, for a bead all round
+SOUND = 0.8  # part of what is seen of a row that lies on the pipe's shape: no joint there
+SEEN = 0.3  # part of the circle, for a row to say anything
+SLIT_OF_RADIUS = 0.05  # a slit's width on the wall: a lip is not seen that close
+SECTORS, POINTS = 36, 6  # of a bead, and points of one that give it a height
+STANDS = 0.5  # part of a joint's points that stand inwards, for a bead
+CREST = 97.0  # percentile of a sector's heights: noise is small against beads
+HIGH, TOP = 0.75, 0.85  # of the crest: what belongs to it, and what is its top
+WIDTH_K2_OF_RADIUS = 0.03  # k = 2 of a bead's width: half a slit and the hidden flank
+
+
+@dataclass(frozen=True, slots=True)
+class Joint:
+    """A feature, and the rows of the wall it takes."""
+
+    feature: Feature
+    from_mm: float
+    to_mm: float
+    is_gap: bool
+
+
+def find_joints(wall: Wall, axis: Axis) -> tuple[Joint, ...]:
+    """Every joint, in order of distance.
+
+    Notes
+    -----
+    Height is the crest's, the median over 36 sectors of each one's 97th percentile; width from half that height on the
+    near flank to as much behind the last crest. A gap is what lies between the last and the first row that is sound
+    wall, less a slit's width.
+    """
+    limit = max(6.0 * float(np.median(wall.noise_mm)), SHAPE_UNSURE_OF_RADIUS * wall.mean_radius_mm)
+    rows = _Rows.of(wall, limit)
+    found: list[Joint] = []
+    for i, kind in enumerate(axis.begins):
+        if kind is Begins.JOINT:
+            zone = rows.zone(axis.centreline.pieces[i].start_mm)
+            found.append(_joint(wall, zone, limit, axis, i))
+    for i, kind in enumerate(axis.begins):  # a bend is welded to its pipes; of those beads little may be seen
+        if kind is Begins.BEND or (kind is Begins.STRAIGHT and i and axis.begins[i - 1] is Begins.BEND):
+            at = axis.centreline.pieces[i].start_mm
+            if rows.disturbed(at):
+                found.append(_joint(wall, rows.zone(at), limit, axis, None))
+    for start, end in rows.beads():
+        middle = (start + end) / 2
+        if all(not joint.from_mm - end < 0 < joint.to_mm - start for joint in found):
+            found.append(_joint(wall, rows.zone(middle), limit, axis, None))
+    return tuple(sorted(found, key=lambda joint: joint.from_mm))
+
+
+def taken(wall: Wall, joints: Sequence[Joint], shadow_ratio: float) -> BoolArray:
+    """(Z, A) bool: what joints explain, and where a bead's shadow cuts slits in half.
+
+    shadow_ratio : length hidden behind a step over its height, of the narrowest ring (Alzuhiri 2022, Eq. 3.24).
+    """
+    out = np.zeros(wall.radius_mm.shape, np.bool_)
+    margin = SLIT_OF_RADIUS * wall.mean_radius_mm
+    for joint in joints:
+        height = joint.feature.measured("height_mm")
+        height = 0.0 if math.isnan(height) else height
+        end = max(joint.to_mm, joint.feature.z_range_mm[1] + height * shadow_ratio) + margin
+        out[(wall.z_mm > joint.from_mm - margin) & (wall.z_mm < end)] = True
+    return out
+
+
+def without_hidden(
+    profiles: Sequence[Profile], joints: Sequence[Joint], least_shadow_ratio: float
+) -> tuple[Profile, ...]:
+    """The profiles less the points in gaps, and where beads keep the light of every ring away: what seems to be seen
+    there is a slit cut in half. Counted as rejected["joint"]."""
+    spans = []
+    for joint in joints:
+        height = joint.feature.measured("height_mm")
+        if joint.is_gap:
+            spans.append((joint.from_mm, joint.to_mm))
+        elif height > 0:
+            end = joint.feature.z_range_mm[1]
+            spans.append((end, end + height * least_shadow_ratio))
+    out = []
+    for profile in profiles:
+        z = profile.points_mm[:, 2]
+        lost = np.zeros(len(z), np.bool_)
+        for first, last in spans:
+            lost |= (z > first) & (z < last)
+        out.append(profile.without(lost, "joint") if lost.any() else profile)
+    return tuple(out)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rows:
+    """What each row of the wall is: sound, and how it departs all round (mm, NaN where it does not)."""
+
+    z_mm: FloatArray
+    step_mm: float
+    radius_mm: float
+    sound: BoolArray
+    off: BoolArray  # some of it departs
+    inwards: BoolArray
+
+    @classmethod
+    def of(cls, wall: Wall, limit: float) -> "_Rows":
+        seen = wall.seen & (wall.count > 0)  # what was filled in between two lips is no wall
+        height = np.where(seen, wall.residual_mm(), np.nan).astype(np.float64)
+        count = np.maximum(seen.sum(axis=1), 1)
+        enough = seen.mean(axis=1) >= SEEN
+        with np.errstate(invalid="ignore"):
+            near = (np.abs(height) < limit).sum(axis=1) / count
+            inwards = (height < -limit).sum(axis=1) / count
+            off = (np.abs(height) > limit).sum(axis=1) >= OFF_COLUMNS
+        inwards = (inwards >= ROUND) & (count >= OFF_COLUMNS)
+        return cls(wall.z_mm, wall.z_step_mm, wall.mean_radius_mm, enough & (near >= SOUND), off, inwards)
+
+    def zone(self, at_mm: float) -> tuple[float, float]:
+        """From the last sound row before to the first one after a place, no farther than a joint reaches."""
+        reach = REACH_OF_RADIUS * self.radius_mm
+        near = np.abs(self.z_mm - at_mm) <= reach
+        unsound = np.flatnonzero(near & ~self.sound)
+        if not len(unsound):
+            return at_mm, at_mm
+        middle = unsound[np.argmin(np.abs(self.z_mm[unsound] - at_mm))]
+        gap = max(2, round(0.04 * self.radius_mm / self.step_mm))  # a sound row or two within a joint are chance
+        first = last = middle
+        for k in unsound[unsound < middle][::-1]:
+            if first - k > gap:
+                break
+            first = k
+        for k in unsound[unsound > middle]:
+            if k - last > gap:
+                break
+            last = k
+        half = self.step_mm / 2
+        return float(self.z_mm[first]) - half, float(self.z_mm[last]) + half
+
+    def disturbed(self, at_mm: float) -> bool:
+        """Whether something stands out near a place, all round or not."""
+        near = np.abs(self.z_mm - at_mm) <= NEAR_OF_RADIUS * self.radius_mm
+        return bool((near & self.off).any())
+
+    def beads(self) -> list[tuple[float, float]]:
+        """Runs of rows that stand inwards all round, short enough for a joint."""
+        marked = np.flatnonzero(self.inwards)
+        return [
+            (float(self.z_mm[run[0]]), float(self.z_mm[run[-1]]))
+            for run in np.split(marked, np.flatnonzero(np.diff(marked) > 3) + 1)
+            if len(run) and (run[-1] - run[0] + 1) * self.step_mm <= LONGEST_OF_RADIUS * self.radius_mm
+        ]
+
+
+def _joint(wall: Wall, zone: tuple[float, float], limit: float, axis: Axis, piece: int | None) -> Joint:
+    first, last = zone
+    seen = wall.observations
+    z = wall.z_mm[seen.cell // len(wall.clock_deg)]
+    inside = (z >= first) & (z <= last)
+    cell, z = seen.cell[inside], z[inside]
+    height = np.asarray(wall.shape_radius_mm().ravel()[cell] - seen.radius_mm[inside], np.float64)  # inwards
+    measures: list[Measure] = []
+    is_bead = len(height) > 0 and bool((height > limit).mean() >= STANDS)
+    middle, length = (first + last) / 2, last - first
+    if is_bead:
+        sector = (cell % len(wall.clock_deg)) * SECTORS // len(wall.clock_deg)
+        crests = [np.percentile(height[sector == k], CREST) for k in range(SECTORS) if (sector == k).sum() >= POINTS]
+        crest = float(np.median(crests)) if crests else float(np.percentile(height, CREST))
+        scatter = float(np.std(crests)) / math.sqrt(len(crests)) if crests else math.nan
+        start, end = _flanks(z, height, crest, wall.z_step_mm)
+        noise = math.hypot(float(np.median(wall.noise_mm)), float(np.nanmedian(seen.sigma_mm[inside])))
+        measures.append(Measure("height_mm", crest, 2.0 * math.hypot(noise, scatter)))
+        measures.append(Measure("width_mm", end - start, WIDTH_K2_OF_RADIUS * wall.mean_radius_mm))
+        first, last = min(first, start), max(last, end)
+        middle, length = (start + end) / 2, end - start
+    is_gap = piece is not None and not is_bead and length > 2.0 * SLIT_OF_RADIUS * wall.mean_radius_mm
+    if is_gap:
+        gap = length - SLIT_OF_RADIUS * wall.mean_radius_mm
+        measures.append(Measure("gap_mm", gap, 2.0 * SLIT_OF_RADIUS * wall.mean_radius_mm / math.sqrt(3)))
+        length = gap
+    remark = "butt fusion" if is_bead else "coupling" if is_gap else "kind not told: too little of it was seen"
+    if piece is not None and axis.adjusted is not None:
+        measures += _of_line(axis, piece, middle)
+        step = axis.adjusted.state.pieces[piece, RADIUS]
+        if not is_bead and not is_gap and abs(step) > 0.02 * wall.mean_radius_mm:
+            remark = "socket"
+    kind = FeatureKind.GAP if is_gap else FeatureKind.JOINT
+    length = max(length, 2 * wall.z_step_mm)
+    return Joint(Feature(kind, middle, length, measures=tuple(measures), remark=remark), first, last, is_gap)
+
+
+def _flanks(z: FloatArray, height: FloatArray, crest: float, step_mm: float) -> tuple[float, float]:
+    """Where a bead begins and ends. Its near flank is where rows come to half its height; what lies between that and
+    its first crest lies behind the last crest that was seen, too, for the far flank is hidden."""
+    rows = np.array([row for row in np.unique(z) if (z == row).sum() >= POINTS])
+    if not len(rows):
+        return float(z.min()), float(z.max())
+    middle = np.array([np.median(height[z == row]) for row in rows])
+    half = int(np.argmax(middle >= 0.5 * crest))
+    start = float(rows[half])
+    if half > 0 and middle[half] > middle[half - 1]:
+        start -= step_mm * float((middle[half] - 0.5 * crest) / (middle[half] - middle[half - 1]))
+    high = rows[middle >= HIGH * crest]
+    if not len(high):
+        return start, float(rows[-1])
+    top = rows[np.argmax(middle >= min(TOP * crest, float(middle.max())))]
+    return start, float(high[-1]) + step_mm / 2 + max(float(top) - start, 0.0)
+
+
+def _of_line(axis: Axis, piece: int, at_mm: float) -> list[Measure]:
+    """Hi-lo, its clock, angle, step of diameter and the radius after, with the adjustment's uncertainty."""
+    assert axis.adjusted is not None
+    row, start = axis.adjusted.state.pieces[piece], axis.centreline.pieces[piece].start_mm
+    offset = row[OFFSET] + (at_mm - start) * row[TURN]
+    hilo, angle = float(np.hypot(*offset)), math.degrees(float(np.hypot(*row[TURN])))
+    sigma = [axis.adjusted.sigma(piece, k) for k in range(4)]
+    turn_sigma = math.hypot(sigma[2], sigma[3])
+    return [
+        Measure("hilo_mm", hilo, 2.0 * math.hypot(sigma[0], sigma[1], 3.0 * turn_sigma)),
+        Measure("hilo_clock_deg", math.degrees(math.atan2(offset[0], -offset[1])) % 360.0),
+        Measure("angle_deg", angle, 2.0 * math.degrees(turn_sigma)),
+        Measure("angle_clock_deg", math.degrees(math.atan2(row[TURN][0], -row[TURN][1])) % 360.0),
+        Measure("step_mm", 2.0 * float(row[RADIUS]), 4.0 * axis.adjusted.sigma(piece, RADIUS)),
+        Measure("radius_after_mm", axis.centreline.pieces[piece].radius_mm, 2.0 * axis.adjusted.sigma(piece, RADIUS)),
+    ]
