@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from annulus.report import figures
 from annulus.report.account import Account
+from annulus.report.course import centreline
 from annulus.report.page import render_page
 from annulus.report.ply import write_ply
 from annulus.report.summary import summarize
@@ -21,8 +22,12 @@ from annulus.vocabulary import AnnulusError
 from annulus.wall.stations import Stations
 from annulus.wall.survey import Survey
 
-CLOUD_NOTE = "annulus point cloud, pipe frame, mm: x right, y down, z along the pipe; sigma = of the radius, k = 1"
-FILES = ("cloud.ply", "mesh.ply", "unwrapped.png", "texture.png", "stations.csv", "report.html", "summary.json")
+CLOUD_NOTE = "annulus point cloud, mm: x right, y down, z along the first straight pipe; sigma = of the radius, k = 1"
+MESH_NOTE = "annulus wall, mm, in the frame of the cloud; quality = deviation of the radius, mm"
+FILES = (
+    "cloud.ply", "mesh.ply", "unwrapped.png", "texture.png", "stations.csv", "centreline.json", "report.html",
+    "summary.json",
+)  # fmt: skip
 
 
 def write(survey: Survey, account: Account, out: Path) -> dict[str, Any]:
@@ -48,6 +53,7 @@ def write(survey: Survey, account: Account, out: Path) -> dict[str, Any]:
             (staging / "unwrapped.png").write_bytes(pictures.unwrapped)
             (staging / "texture.png").write_bytes(pictures.texture)
             _write_stations(staging / "stations.csv", survey.stations)
+            (staging / "centreline.json").write_text(json.dumps(centreline(survey), indent=1) + "\n", encoding="utf-8")
             summary = summarize(survey, account, 1e3 * (time.perf_counter() - started))
             (staging / "report.html").write_text(render_page(survey, summary, pictures), encoding="utf-8")
             text = json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False)
@@ -115,7 +121,12 @@ def _write_mesh(path: Path, survey: Survey, fallback: NDArray[np.uint8]) -> None
     for channel, name in enumerate(("red", "green", "blue")):
         records[name] = colour.reshape(-1, 3)[mesh.cell, channel]
     records["quality"] = survey.wall.deviation_mm().reshape(-1)[mesh.cell]
-    write_ply(path, records, mesh.triangles, note="annulus wall, pipe frame, mm; quality = deviation of the radius, mm")
+    write_ply(
+        path,
+        records,
+        mesh.triangles,
+        note=MESH_NOTE,
+    )
 
 
 def _write_stations(path: Path, stations: Stations) -> None:
