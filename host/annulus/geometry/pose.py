@@ -25,6 +25,14 @@ def rotation_z(angle: float) -> FloatArray:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
+def rotations(rx: FloatArray, ry: FloatArray, roll: FloatArray) -> FloatArray:
+    """(N, 3, 3) of many poses, Rx(rx) Ry(ry) Rz(-roll)."""
+    (ca, sa), (cb, sb), (cr, sr) = ((np.cos(a), np.sin(a)) for a in (rx, ry, -roll))
+    rows = [cb * cr, -cb * sr, sb, ca * sr + sa * sb * cr, ca * cr - sa * sb * sr, -sa * cb,
+            sa * sr - ca * sb * cr, sa * cr + ca * sb * sr, ca * cb]  # fmt: skip
+    return np.stack(rows, axis=1).reshape(-1, 3, 3)
+
+
 @dataclass(frozen=True, slots=True)
 class Pose:
     """The pipe in the camera frame: `camera = R pipe + T`, R = Rx(rx) Ry(ry) Rz(-roll), T = (tx, ty, 0).

@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus.geometry.pose import rotation_x, rotation_y, rotation_z
+from annulus.geometry.cone import Cone
+from annulus.geometry.pose import rotations
 from annulus.numeric.arrays import FloatArray
 from annulus.numeric.robust import CAUCHY, SIGMA_OF_MAD
 from annulus.wall.centreline import Centreline, Piece
@@ -25,11 +26,14 @@ HEAD = 5  # numbers a head: rx, ry, tx, ty, roll
 BIAS = 3  # numbers a ring: mean, to the camera's right, down
 PIECE = 11  # numbers a piece: offset 2, turn 2, curvature 2, radius, taper, oval 2, start
 BIAS_SIGMA_MM = 0.05  # of a ring: how far its own colour and cone may put it beside the others
+BIAS_COMMON_MM = 0.002  # of all rings
+BIAS_STEP_MM = 1e-3
 ROLL_SIGMA, ROLL_HELD = 0.01, 1e-5  # radians; of a head whose roll a sensor gave, and of one that has none
 UNIT_LEAST = (
     0.3  # of what points say they may be off: part of that all points of a ring have in common and does not show
 )
-APART = 0.4  # of the way between two starts: as far as one step may go
+APART = 0.4  # of the way between two starts: as far as one step may go ..
+APART_LEAST_MM = 1.0  # .. and how near they may come
 HEAD_STEPS = (1e-5, 1e-5, 1e-3, 1e-3, 1e-5)  # radians, mm: of the derivatives
 PIECE_STEPS = (1e-3, 1e-3, 1e-5, 1e-5, 1e-8, 1e-8, 1e-3, 1e-6, 1e-3, 1e-3, 1e-2)
 OFFSET, TURN, CURVATURE, RADIUS, TAPER, OVAL, START = slice(0, 2), slice(2, 4), slice(4, 6), 6, 7, slice(8, 10), 10
@@ -51,7 +55,8 @@ class Sightings:
     which: NDArray[np.intp]  # (F,) index of the profile
     rings: int
     radius_mm: float
-    ways: FloatArray  # (N, BIAS) what each number of its ring's bias does: 1 and its direction in the camera
+    slide_mm: FloatArray  # (N, 3) how a point moves with its slit's place in the image, radially, in the camera frame
+    ways: FloatArray  # (N, BIAS) 1 and its direction in the camera
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,7 +115,7 @@ class Adjusted:
         return float(np.sqrt(self.covariance[at[0], at[0]])) if len(at) else 0.0
 
 
-def sightings(profiles: Sequence[Profile], sectors: int) -> Sightings | None:
+def sightings(profiles: Sequence[Profile], cones: Sequence[Cone], sectors: int) -> Sightings | None:
     """The observations of all frames with a pose, so many to a full ring; None where there is none."""
     usable = [i for i, p in enumerate(profiles) if p.pose is not None and len(p.points_mm) >= FRAME_LEAST]
     if not usable:
@@ -126,36 +131,50 @@ def sightings(profiles: Sequence[Profile], sectors: int) -> Sightings | None:
         np.concatenate([[0], np.cumsum(counts)[:-1]]), np.array([profiles[i].z_mm for i in usable]),
         np.array([[p.rx, p.ry, p.tx, p.ty, p.roll or 0.0] for p in poses]),
         np.array([p.roll is not None for p in poses]), np.array(usable), int(ring.max()) + 1,
-        float(np.median(np.concatenate(radii))),
+        float(np.median(np.concatenate(radii))), _slides(points, ring.astype(np.intp), cones),
         np.column_stack([np.ones(len(points)), points[:, :2] / np.hypot(points[:, 0], points[:, 1])[:, None]]),
     )  # fmt: skip
 
 
+def _slides(points: FloatArray, ring: NDArray[np.intp], cones: Sequence[Cone]) -> FloatArray:
+    """(N, 3) how far points move along their cones when their place in the image is off by a constant, scaled so that
+    of each ring half move outwards by more than 1."""
+    vertex = np.array([cone.vertex_mm for cone in cones])[ring]
+    along = points - vertex
+    along /= np.linalg.norm(along, axis=1)[:, None]
+    away = np.linalg.norm(points, axis=1)
+    parallax = np.linalg.norm(np.cross(along, points / away[:, None]), axis=1)
+    slide = along * (away / np.maximum(parallax, 1e-3))[:, None]
+    outwards = (slide[:, :2] * points[:, :2]).sum(axis=1) / np.hypot(points[:, 0], points[:, 1])
+    usual = np.array([np.median(outwards[ring == k]) if (ring == k).any() else 1.0 for k in range(len(cones))])
+    return np.asarray(slide / usual[ring, None])
+
+
 def _of_frame(profile: Profile, sectors: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Points (N, 3) in the camera frame, their sigma and ring: of each sector the median radius in its middle."""
+    """Points (N, 3) in the camera frame, their sigma and ring: of each sector the point of median radius.
+
+    A point, not a mean: in a bend a ring's radius goes up and down round the clock, and the middle of that is none of
+    the wall's (a bend's radius was off by up to 1.5 %).
+    """
     assert profile.pose is not None
-    x, y, z = profile.points_mm.astype(np.float64).T
+    x, y, _ = profile.points_mm.astype(np.float64).T
     radius, turn = np.hypot(x, y), np.arctan2(y, x) / (2 * np.pi)
     key = profile.ring.astype(np.intp) * sectors + np.floor(turn * sectors).astype(np.intp) % sectors
     order = np.lexsort((radius, key))
     keys, start, count = np.unique(key[order], return_index=True, return_counts=True)
-    own = np.repeat(np.arange(len(keys)), count)
-
-    def mean(values: FloatArray) -> FloatArray:
-        return np.asarray(np.bincount(own, weights=values[order]) / count)
-
-    c, s = mean(x / radius), mean(y / radius)
-    middle = radius[order][start + count // 2] / np.hypot(c, s)
-    pipe = np.stack([middle * c, middle * s, mean(z)], axis=1)
-    stated = np.nan_to_num(profile.sigma_mm.astype(np.float64), nan=SIGMA_LEAST_MM)
     enough = count >= POINTS_LEAST
-    camera = profile.pose.to_camera(pipe[enough], profile.z_mm)
-    return camera, np.maximum(mean(stated)[enough], SIGMA_LEAST_MM), (keys[enough] // sectors).astype(np.float64)
+    chosen = order[(start + count // 2)[enough]]
+    stated = np.nan_to_num(profile.sigma_mm[chosen].astype(np.float64), nan=SIGMA_LEAST_MM)
+    camera = profile.pose.to_camera(profile.points_mm[chosen].astype(np.float64), profile.z_mm)
+    return camera, np.maximum(stated, SIGMA_LEAST_MM), (keys[enough] // sectors).astype(np.float64)
 
 
 def locate(seen: Sightings, state: State) -> Where:
     """Every observation in pipe coordinates, and how far it is off the wall."""
-    local = _local(seen, state.heads)
+    return _locate(seen, state, _local(seen, state))
+
+
+def _locate(seen: Sightings, state: State, local: FloatArray) -> Where:
     line = state.centreline()
     origins, frames = line.frames_at(seen.chainage_mm)
     space = origins[seen.frame] + np.einsum("nij,nj->ni", frames[seen.frame], local)
@@ -167,15 +186,17 @@ def locate(seen: Sightings, state: State) -> Where:
     c, s = direction.T
     model = (
         state.radii_mm()[own] + of[:, TAPER] * (pipe[:, 2] - of[:, START])
-        + of[:, 8] * (c * c - s * s) + of[:, 9] * 2 * c * s + (state.bias_mm[seen.ring] * seen.ways).sum(axis=1)
+        + of[:, 8] * (c * c - s * s) + of[:, 9] * 2 * c * s
     )  # fmt: skip
     return Where(radius - model, pipe[:, 2], direction, own)
 
 
-def _local(seen: Sightings, heads: FloatArray) -> FloatArray:
-    """(N, 3) observations in the pipe's own frame at each head."""
-    turned = np.stack([rotation_x(h[0]) @ rotation_y(h[1]) @ rotation_z(-h[4]) for h in heads])
-    moved = seen.points_mm.copy()
+def _local(seen: Sightings, state: State) -> FloatArray:
+    """(N, 3) observations in the pipe's own frame at each head, each ring's bias taken out."""
+    heads = state.heads
+    turned = rotations(heads[:, 0], heads[:, 1], heads[:, 4])
+    bias = (state.bias_mm[seen.ring] * seen.ways).sum(axis=1)
+    moved = seen.points_mm - bias[:, None] * seen.slide_mm
     moved[:, :2] -= heads[seen.frame, 2:4]
     return np.asarray(np.einsum("nji,nj->ni", turned[seen.frame], moved))
 
@@ -202,6 +223,8 @@ def adjust(
         apart = APART * np.diff(was)  # a start leaps over no other
         most = np.append(was[1:-1] + apart[1:], np.inf)
         pieces[1:, START] = np.clip(pieces[1:, START], was[1:] - apart, most[: len(apart)])
+        for k in range(1, len(pieces)):
+            pieces[k, START] = max(pieces[k, START], pieces[k - 1, START] + APART_LEAST_MM)
         state = replace(
             state, pieces=pieces, bias_mm=state.bias_mm + step_bias.reshape(-1, BIAS),
             heads=state.heads + step_heads,
@@ -242,7 +265,7 @@ def _step(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Steps of heads (F, HEAD), free numbers of the pieces (n,), biases (R,), and the covariance of the second."""
     heads_do = by_head(seen, state, where)
-    by_line = np.concatenate([_by_pieces(seen, state, where, columns), _by_bias(seen)], axis=1)
+    by_line = np.concatenate([_by_pieces(seen, state, where, columns), _by_bias(seen, state, where)], axis=1)
     f, n = len(seen.first), by_line.shape[1]
     weighted = by_line * weight[:, None]
     normal = by_line.T @ weighted
@@ -262,8 +285,11 @@ def _step(
     reduced = normal - np.einsum("fhi,fhj->ij", w, solved[:, :, :n])
     held = np.concatenate([_priors(state)[columns], np.full(BIAS * seen.rings, BIAS_SIGMA_MM)])
     value = np.concatenate([np.zeros(len(columns)), state.bias_mm.ravel()])
-    reduced += np.diag((unit / held) ** 2)
-    right = right - np.einsum("fhi,fh->i", w, solved[:, :, n]) - (unit / held) ** 2 * value
+    # what all rings have in common is the pipe's radius, not a bias
+    common = np.concatenate([np.zeros(len(columns)), np.tile([1.0 / seen.rings, 0.0, 0.0], seen.rings)])
+    both = (unit / BIAS_COMMON_MM) ** 2 * np.outer(common, common) + np.diag((unit / held) ** 2)
+    reduced += both
+    right = right - np.einsum("fhi,fh->i", w, solved[:, :, n]) - both @ value
     inverse = np.linalg.inv(reduced)
     step = inverse @ right
     heads = solved[:, :, n] - solved[:, :, :n] @ step
@@ -292,14 +318,18 @@ def by_head(seen: Sightings, state: State, where: Where) -> FloatArray:
 def _by_pieces(seen: Sightings, state: State, where: Where, columns: NDArray[np.intp]) -> FloatArray:
     """(N, n) what each free number does."""
     out = np.empty((len(seen.frame), len(columns)))
+    local = _local(seen, state)
     for j, column in enumerate(columns):
         step = PIECE_STEPS[column % PIECE]
         pieces = state.pieces.copy()
         pieces.flat[column] += step
-        out[:, j] = (locate(seen, replace(state, pieces=pieces)).residual_mm - where.residual_mm) / step
+        out[:, j] = (_locate(seen, replace(state, pieces=pieces), local).residual_mm - where.residual_mm) / step
     return out
 
 
-def _by_bias(seen: Sightings) -> FloatArray:
+def _by_bias(seen: Sightings, state: State, where: Where) -> FloatArray:
+    """(N, R * BIAS) what each number of each ring's bias does."""
+    more = replace(state, bias_mm=state.bias_mm + np.array([BIAS_STEP_MM, 0.0, 0.0]))
+    change = (locate(seen, more).residual_mm - where.residual_mm) / BIAS_STEP_MM
     own = (seen.ring[:, None] == np.arange(seen.rings))[:, :, None]
-    return np.asarray(-np.where(own, seen.ways[:, None, :], 0.0).reshape(len(seen.ring), -1))
+    return np.asarray(np.where(own, (change[:, None] * seen.ways)[:, None, :], 0.0).reshape(len(seen.ring), -1))

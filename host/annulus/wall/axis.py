@@ -12,6 +12,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from annulus.geometry.cone import Cone
 from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import BoolArray, FloatArray
 from annulus.wall.adjustment import (
@@ -50,6 +51,7 @@ AHEAD_OF_RADIUS = 2.0  # of the radius: how far past its beginning a piece is lo
 BACK_OF_RADIUS = 6.0  # of the radius: heads this far back see what is decided
 GROSS_OF_RADIUS, JOINT_OF_RADIUS = 0.01, 0.15  # of the radius: off both walls; how far a joint reaches each way
 JOINT_STEP_MM = 1.0  # between places tried for a joint
+SHORTEST_OF_RADIUS = 0.5  # of the radius: a bend or taper
 NUMBER_COST = 10.0  # chi-square that one more number must explain
 PIECES_MOST = 256
 COARSE, FINE = 24, 72  # sectors of a ring; few bias a bend's radius by the ring's own course within one (1.5 %)
@@ -82,19 +84,19 @@ class Axis:
     adjusted: Adjusted | None
 
 
-def find_axis(profiles: Sequence[Profile]) -> Axis:
+def find_axis(profiles: Sequence[Profile], cones: Sequence[Cone]) -> Axis:
     """The centre line of the pipe that all frames saw.
 
     Parameters
     ----------
-    profiles : each in the frame of its own pose, a straight pipe assumed.
+    profiles : each in the frame of its own pose, a straight pipe assumed. cones : of the rings, in the camera frame.
 
     Notes
     -----
     A scan of a straight, even pipe comes back unchanged, to the bit. So does one of fewer than three rings, which
     cannot tell a kink from a lean.
     """
-    seen = sightings(profiles, COARSE)
+    seen = sightings(profiles, cones, COARSE)
     as_it_was = Axis(
         tuple(profiles), Centreline([Piece(0.0, seen.radius_mm if seen else 1.0)]), (Begins.STRAIGHT,), None
     )
@@ -103,17 +105,14 @@ def find_axis(profiles: Sequence[Profile]) -> Axis:
     found, begins = _search(seen)
     if len(begins) == 1:
         return as_it_was
-    fine = sightings(profiles, FINE)
+    fine = sightings(profiles, cones, FINE)
     assert fine is not None
     found = adjust(fine, found.state, _free(begins), scales_mm=(1.0, 0.5))
     for i in (i for i, kind in enumerate(begins) if kind is Begins.JOINT):
         found = adjust(fine, _placed(fine, found.state, i), _free(begins))
-    while (idle := _idle(found, begins)) is not None:
-        begins = [*begins[:idle], *begins[idle + 1 :]]
-        if len(begins) == 1:
-            return as_it_was
-        pieces = np.delete(found.state.pieces, idle, axis=0)
-        found = adjust(fine, replace(found.state, pieces=pieces), _free(begins), scales_mm=(1.0, 0.5))
+    found, begins = _pruned(fine, found, begins)
+    if len(begins) == 1:
+        return as_it_was
     return Axis(_moved(profiles, fine, found.state), found.state.centreline(), tuple(begins), found)
 
 
@@ -166,17 +165,45 @@ def _matters(size: FloatArray, radius: float) -> BoolArray:
     return np.stack([joint, bend, np.abs(size[:, 7]) > TAPER_LEAST], axis=1)
 
 
-def _idle(found: Adjusted, begins: Sequence[Begins]) -> int | None:
-    """The first piece with which nothing begins that matters; None where there is none."""
-    pieces = found.state.pieces
-    for i in range(1, len(begins)):
-        size = np.concatenate(
-            [pieces[i, OFFSET], pieces[i, TURN], pieces[i, CURVATURE] - pieces[i - 1, CURVATURE],
-             [pieces[i, RADIUS], pieces[i, TAPER] - pieces[i - 1, TAPER]]]
-        )  # fmt: skip
-        if not _matters(size[None], pieces[0, RADIUS]).any():
-            return i
-    return None
+def _pruned(seen: Sightings, found: Adjusted, begins: list[Begins]) -> tuple[Adjusted, list[Begins]]:
+    """Without pieces that explain nothing: with which nothing begins that matters, or so short that what is before and
+    after them does as well."""
+    i = 1
+    while i < len(begins):
+        fewer = [*begins[:i], *begins[i + 1 :]]
+        short = _lengths(found)[i] < SHORTEST_OF_RADIUS * seen.radius_mm
+        if not short and _begins_something(found.state.pieces, i, seen.radius_mm):
+            i += 1
+            continue
+        without = adjust(seen, _less(found.state, i), _free(fewer), scales_mm=(5.0, 2.0, 1.0, 0.5))
+        flank = short and begins[i] in (Begins.BEND, Begins.TAPER)  # a bead's: no pipe bends or tapers so shortly
+        if short and not flank and without.cost > found.cost + SHOWN:
+            i += 1
+            continue
+        found, begins, i = without, fewer, 1
+    return found, begins
+
+
+def _lengths(found: Adjusted) -> FloatArray:
+    return np.append(np.diff(found.state.pieces[:, START]), np.inf)
+
+
+def _begins_something(pieces: FloatArray, i: int, radius: float) -> bool:
+    size = np.concatenate(
+        [pieces[i, OFFSET], pieces[i, TURN], pieces[i, CURVATURE] - pieces[i - 1, CURVATURE],
+         [pieces[i, RADIUS], pieces[i, TAPER] - pieces[i - 1, TAPER]]]
+    )  # fmt: skip
+    return bool(_matters(size[None], radius).any())
+
+
+def _less(state: State, piece: int) -> State:
+    """The state without a piece; what comes after it keeps its radius."""
+    radii, pieces = state.radii_mm(), np.delete(state.pieces, piece, axis=0)
+    if piece < len(pieces):
+        before = state.pieces[piece - 1]
+        length = state.pieces[piece + 1, START] - before[START]
+        pieces[piece, RADIUS] = radii[piece + 1] - radii[piece - 1] - before[TAPER] * length
+    return replace(state, pieces=pieces)
 
 
 def _search(seen: Sightings) -> tuple[Adjusted, list[Begins]]:
@@ -225,25 +252,22 @@ def _begun(
         shown = gain[:, KINDS.index(shown_by)]
         if shown.max() < ENDS / 2:
             continue
-        at = {int(np.argmax(shown))}
-        if kind is not Begins.JOINT:  # what bends or tapers finds its own beginning, from not too far
-            at |= {0, len(places) // 3, 2 * len(places) // 3}
-        for i in sorted(at):
+        # what begins finds its own beginning, from not too far
+        for i in sorted({int(np.argmax(shown)), 0, len(places) // 3, 2 * len(places) // 3}):
             tried = _with(part, start, begins, kind, float(places[i]), size[i])
+            if kind is Begins.JOINT:
+                held = _free([*begins, kind])
+                held[:-2] = False
+                for _ in range(2):
+                    tried = adjust(part, _placed(part, tried.state, len(begins)), held, rounds=3)
             cost = tried.cost + NUMBER_COST * len(tried.free)
             if best is None or cost < best[0]:
                 best = cost, tried.state, kind
     if best is None:
         return None
-    state = best[1]
-    if best[2] is Begins.JOINT:
-        for _ in range(2):
-            held = _free([*begins, Begins.JOINT])
-            held[:-2] = False
-            state = adjust(part, _placed(part, state, len(begins)), held).state
     everywhere = now.state.heads.copy()
-    everywhere[heads] = state.heads
-    return replace(state, heads=everywhere), best[2]
+    everywhere[heads] = best[1].heads
+    return replace(best[1], heads=everywhere), best[2]
 
 
 def _placed(seen: Sightings, state: State, piece: int) -> State:
@@ -290,7 +314,9 @@ def _with(
         row[CURVATURE], row[TAPER] = last[CURVATURE], last[TAPER] + size[7]
     free = np.zeros((len(begins) + 1, PIECE), np.bool_)
     free[-2:] = _free([*begins, kind])[-2:]
-    return adjust(seen, replace(state, pieces=np.vstack([state.pieces, row])), free, scales_mm=(5.0, 2.0, 1.0, 0.5))
+    return adjust(
+        seen, replace(state, pieces=np.vstack([state.pieces, row])), free, scales_mm=(5.0, 2.0, 0.5), rounds=3
+    )
 
 
 def _free(begins: Sequence[Begins]) -> BoolArray:
@@ -322,6 +348,7 @@ def _up_to(seen: Sightings, now: Adjusted, upto_mm: float) -> tuple[Sightings, N
         seen, points_mm=seen.points_mm[keep], sigma_mm=seen.sigma_mm[keep], frame=frame, ring=seen.ring[keep],
         first=np.searchsorted(frame, np.arange(len(heads))), chainage_mm=seen.chainage_mm[heads],
         heads=seen.heads[heads], roll_known=seen.roll_known[heads], which=seen.which[heads], ways=seen.ways[keep],
+        slide_mm=seen.slide_mm[keep],
     )  # fmt: skip
     return part, heads
 

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from annulus.numeric.arrays import BoolArray, FloatArray
 from annulus.wall.adjustment import OFFSET, RADIUS, TURN
@@ -17,6 +18,7 @@ from annulus.wall.axis import Axis, Begins
 from annulus.wall.features import Feature, FeatureKind, Measure
 from annulus.wall.grid import SHAPE_UNSURE_OF_RADIUS, Wall
 from annulus.wall.profile import Profile
+from annulus.wall.shape import harmonics
 
 REACH_OF_RADIUS = 0.3  # how far each side of where two pipes meet the joint may reach
 NEAR_OF_RADIUS = 0.1  # how far from a bend's end the bead of its weld may be
@@ -26,6 +28,7 @@ ROUND = 0.7  # part of what is seen of a row that must depart alike, for a bead 
 SOUND = 0.8  # part of what is seen of a row that lies on the pipe's shape: no joint there
 SEEN = 0.3  # part of the circle, for a row to say anything
 SLIT_OF_RADIUS = 0.05  # a slit's width on the wall: a lip is not seen that close
+ROW_MM = 1.0  # of a bead's flank
 SECTORS, POINTS = 36, 6  # of a bead, and points of one that give it a height
 STANDS = 0.5  # part of a joint's points that stand inwards, for a bead
 CREST = 97.0  # percentile of a sector's heights: noise is small against beads
@@ -43,8 +46,8 @@ class Joint:
     is_gap: bool
 
 
-def find_joints(wall: Wall, axis: Axis) -> tuple[Joint, ...]:
-    """Every joint, in order of distance.
+def find_joints(wall: Wall, profiles: Sequence[Profile], axis: Axis) -> tuple[Joint, ...]:
+    """Every joint, in order of distance. profiles : in pipe coordinates, those the wall was made of.
 
     Notes
     -----
@@ -53,21 +56,21 @@ def find_joints(wall: Wall, axis: Axis) -> tuple[Joint, ...]:
     wall, less a slit's width.
     """
     limit = max(6.0 * float(np.median(wall.noise_mm)), SHAPE_UNSURE_OF_RADIUS * wall.mean_radius_mm)
-    rows = _Rows.of(wall, limit)
+    rows, points = _Rows.of(wall, limit), _Points.of(wall, profiles)
     found: list[Joint] = []
     for i, kind in enumerate(axis.begins):
         if kind is Begins.JOINT:
             zone = rows.zone(axis.centreline.pieces[i].start_mm)
-            found.append(_joint(wall, zone, limit, axis, i))
+            found.append(_joint(wall, points, zone, limit, axis, i))
     for i, kind in enumerate(axis.begins):  # a bend is welded to its pipes; of those beads little may be seen
         if kind is Begins.BEND or (kind is Begins.STRAIGHT and i and axis.begins[i - 1] is Begins.BEND):
             at = axis.centreline.pieces[i].start_mm
             if rows.disturbed(at):
-                found.append(_joint(wall, rows.zone(at), limit, axis, None))
+                found.append(_joint(wall, points, rows.zone(at), limit, axis, None))
     for start, end in rows.beads():
         middle = (start + end) / 2
         if all(not joint.from_mm - end < 0 < joint.to_mm - start for joint in found):
-            found.append(_joint(wall, rows.zone(middle), limit, axis, None))
+            found.append(_joint(wall, points, rows.zone(middle), limit, axis, None))
     return tuple(sorted(found, key=lambda joint: joint.from_mm))
 
 
@@ -107,6 +110,30 @@ def without_hidden(
             lost |= (z > first) & (z < last)
         out.append(profile.without(lost, "joint") if lost.any() else profile)
     return tuple(out)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Points:
+    """Every point: chainage, sector round the clock, and how far it stands inwards of the pipe's shape, mm."""
+
+    z_mm: FloatArray
+    sector: NDArray[np.intp]
+    height_mm: FloatArray
+    stated_mm: FloatArray
+
+    @classmethod
+    def of(cls, wall: Wall, profiles: Sequence[Profile]) -> "_Points":
+        x, y, z = np.concatenate([profile.points_mm for profile in profiles]).astype(np.float64).T
+        clock = np.degrees(np.arctan2(x, -y)) % 360.0
+        row = np.clip(np.searchsorted(wall.z_mm, z), 0, len(wall.z_mm) - 1)
+        shape = (wall.shape_mm[row] * harmonics(clock)).sum(axis=1)
+        sigma = np.concatenate([profile.sigma_mm for profile in profiles]).astype(np.float64)
+        return cls(z, (clock * SECTORS / 360.0).astype(np.intp), shape - np.hypot(x, y), sigma)
+
+    def sigma_mm(self, inside: BoolArray) -> float:
+        """Of one of some points, the median; NaN where nobody said."""
+        stated = self.stated_mm[inside]
+        return float(np.median(stated[np.isfinite(stated)])) if np.isfinite(stated).any() else math.nan
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,23 +196,21 @@ class _Rows:
         ]
 
 
-def _joint(wall: Wall, zone: tuple[float, float], limit: float, axis: Axis, piece: int | None) -> Joint:
+def _joint(
+    wall: Wall, points: _Points, zone: tuple[float, float], limit: float, axis: Axis, piece: int | None
+) -> Joint:
     first, last = zone
-    seen = wall.observations
-    z = wall.z_mm[seen.cell // len(wall.clock_deg)]
-    inside = (z >= first) & (z <= last)
-    cell, z = seen.cell[inside], z[inside]
-    height = np.asarray(wall.shape_radius_mm().ravel()[cell] - seen.radius_mm[inside], np.float64)  # inwards
+    inside = (points.z_mm >= first) & (points.z_mm <= last)
+    z, sector, height = points.z_mm[inside], points.sector[inside], points.height_mm[inside]
     measures: list[Measure] = []
     is_bead = len(height) > 0 and bool((height > limit).mean() >= STANDS)
     middle, length = (first + last) / 2, last - first
     if is_bead:
-        sector = (cell % len(wall.clock_deg)) * SECTORS // len(wall.clock_deg)
         crests = [np.percentile(height[sector == k], CREST) for k in range(SECTORS) if (sector == k).sum() >= POINTS]
         crest = float(np.median(crests)) if crests else float(np.percentile(height, CREST))
         scatter = float(np.std(crests)) / math.sqrt(len(crests)) if crests else math.nan
-        start, end = _flanks(z, height, crest, wall.z_step_mm)
-        noise = math.hypot(float(np.median(wall.noise_mm)), float(np.nanmedian(seen.sigma_mm[inside])))
+        start, end = _flanks(z, height, crest)
+        noise = math.hypot(float(np.median(wall.noise_mm)), points.sigma_mm(inside))
         measures.append(Measure("height_mm", crest, 2.0 * math.hypot(noise, scatter)))
         measures.append(Measure("width_mm", end - start, WIDTH_K2_OF_RADIUS * wall.mean_radius_mm))
         first, last = min(first, start), max(last, end)
@@ -206,22 +231,25 @@ def _joint(wall: Wall, zone: tuple[float, float], limit: float, axis: Axis, piec
     return Joint(Feature(kind, middle, length, measures=tuple(measures), remark=remark), first, last, is_gap)
 
 
-def _flanks(z: FloatArray, height: FloatArray, crest: float, step_mm: float) -> tuple[float, float]:
+def _flanks(z: FloatArray, height: FloatArray, crest: float) -> tuple[float, float]:
     """Where a bead begins and ends. Its near flank is where rows come to half its height; what lies between that and
     its first crest lies behind the last crest that was seen, too, for the far flank is hidden."""
-    rows = np.array([row for row in np.unique(z) if (z == row).sum() >= POINTS])
+    row = np.floor((z - z.min()) / ROW_MM).astype(np.intp)
+    count = np.bincount(row)
+    rows = np.flatnonzero(count >= POINTS)
     if not len(rows):
         return float(z.min()), float(z.max())
-    middle = np.array([np.median(height[z == row]) for row in rows])
+    middle = np.array([np.median(height[row == k]) for k in rows])
+    at = z.min() + (rows + 0.5) * ROW_MM
     half = int(np.argmax(middle >= 0.5 * crest))
-    start = float(rows[half])
+    start = float(at[half])
     if half > 0 and middle[half] > middle[half - 1]:
-        start -= step_mm * float((middle[half] - 0.5 * crest) / (middle[half] - middle[half - 1]))
-    high = rows[middle >= HIGH * crest]
+        start -= float((at[half] - at[half - 1]) * (middle[half] - 0.5 * crest) / (middle[half] - middle[half - 1]))
+    high = at[middle >= HIGH * crest]
     if not len(high):
-        return start, float(rows[-1])
-    top = rows[np.argmax(middle >= min(TOP * crest, float(middle.max())))]
-    return start, float(high[-1]) + step_mm / 2 + max(float(top) - start, 0.0)
+        return start, float(at[-1])
+    top = at[np.argmax(middle >= min(TOP * crest, float(middle.max())))]
+    return start, float(high[-1]) + ROW_MM / 2 + max(float(top) - start, 0.0)
 
 
 def _of_line(axis: Axis, piece: int, at_mm: float) -> list[Measure]:

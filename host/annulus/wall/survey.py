@@ -194,7 +194,7 @@ def survey(
         marks.append((step, time.perf_counter()))
 
     narrowest, widest = (math.tan(calibration.rings[k].half_angle) for k in (0, -1))
-    axis = find_axis(profiles)
+    axis = find_axis(profiles, calibration.rings)
     done("axis")
     # a chain's heads have been adjusted with it; on a straight pipe they follow its shape, too
     measured = without_inconsistent(register(profiles) if axis.adjusted is None else axis.profiles)
@@ -205,7 +205,7 @@ def survey(
         done("vibration")
     wall = build_wall(measured, rise=widest, centreline=axis.centreline)
     done("wall")
-    joints = find_joints(wall, axis)
+    joints = find_joints(wall, measured, axis)
     seen = without_hidden(measured, joints, 1.0 / widest)
     if any(a is not b for a, b in zip(seen, measured, strict=True)):
         measured = seen

@@ -1,0 +1,109 @@
+"""Frames of a pipe along a centre line: rings cast, a head that wobbles, each frame posed by itself as a real one."""
+
+import itertools
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from synthetic_pipe import NOISE_MM, RADIUS_MM, THETA_FULL_DEG, VERTEX_Z_MM
+
+from annulus.geometry.pose import Pose
+from annulus.wall.centreline import Centreline
+from annulus.wall.pose import fit_pose
+from annulus.wall.profile import Profile
+
+DIRECTIONS = 360
+Departure = Callable[[np.ndarray, np.ndarray], np.ndarray]  # (clock degrees, chainage mm) -> mm outwards
+
+
+def smooth(clock: np.ndarray, chainage: np.ndarray) -> np.ndarray:
+    return np.zeros(np.broadcast(clock, chainage).shape)
+
+
+def bead(at_mm: float, height: float, half_width: float, inner: Departure = smooth) -> Departure:
+    def departure(clock: np.ndarray, chainage: np.ndarray) -> np.ndarray:
+        u = np.abs(chainage - at_mm) / half_width
+        return inner(clock, chainage) - np.where(u < 1, height * np.sqrt(np.maximum(1 - u * u, 0.0)), 0.0)
+
+    return departure
+
+
+def pit(clock_deg: float, at_mm: float, depth: float, inner: Departure = smooth) -> Departure:
+    def departure(clock: np.ndarray, chainage: np.ndarray) -> np.ndarray:
+        inside = (np.abs((clock - clock_deg + 180) % 360 - 180) < 12) & (np.abs(chainage - at_mm) < 10)
+        return inner(clock, chainage) + depth * inside
+
+    return departure
+
+
+def frames(
+    line: Centreline, chainages: Sequence[float], departure: Departure = smooth, *, roll: bool = False, seed: int = 3
+) -> list[Profile]:
+    """A profile a chainage. roll : the head turns, and a sensor says how far, to a third of a degree."""
+    rng = np.random.default_rng(seed)
+    out = []
+    for number, chainage in enumerate(chainages):
+        lean, shift = rng.normal(0, 0.012, 2), rng.normal(0, 1.2, 2)
+        turned = float(rng.normal(0, 0.03)) if roll else None
+        head = Pose(*lean, *shift, turned)
+        said = None if turned is None else turned + float(rng.normal(0, 0.006))
+        points, ring, direction = _rays(line, departure, head, float(chainage), rng)
+        sigma = np.array(NOISE_MM)[ring].astype(np.float32)
+        fit = fit_pose(points, RADIUS_MM, sigma.astype(float), seed=out[-1].pose if out else None)
+        if fit is None:  # a frame whose pipe was not found has no points
+            continue
+        pose = Pose(fit.pose.rx, fit.pose.ry, fit.pose.tx, fit.pose.ty, said)
+        in_pipe = pose.to_pipe(points, float(chainage)).astype(np.float32)
+        colour = np.full((len(points), 3), 200, np.uint8)
+        out.append(
+            Profile(
+                number, float(chainage), pose, in_pipe, colour, ring.astype(np.uint8), direction.astype(np.uint16),
+                fit.robust_sigma_mm, sigma_mm=sigma,
+            )
+        )  # fmt: skip
+    return out
+
+
+def _rays(
+    line: Centreline, departure: Departure, head: Pose, chainage: float, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Camera-frame points of all directions of five rings, those the wall hides from lamp or lens left out."""
+    clock = np.radians((np.arange(DIRECTIONS) + 0.5) * 360 / DIRECTIONS)
+    half = np.radians(np.array(THETA_FULL_DEG)) / 2
+    ways = np.stack(
+        [np.outer(np.sin(half), np.sin(clock)), -np.outer(np.sin(half), np.cos(clock)),
+         np.outer(np.cos(half), np.ones(DIRECTIONS))], axis=-1
+    ).reshape(-1, 3)  # fmt: skip
+    ring, direction = np.divmod(np.arange(len(ways)), DIRECTIONS)
+    vertex = np.array([0.0, 0.0, VERTEX_Z_MM])
+
+    def outside(points: np.ndarray) -> np.ndarray:
+        """mm beyond the wall, of camera-frame points (N, 3)."""
+        pipe = line.from_head(head.to_pipe(points), chainage)
+        radius = np.hypot(pipe[:, 0], pipe[:, 1])
+        t = np.degrees(np.arctan2(pipe[:, 0], -pipe[:, 1])) % 360
+        return radius - line.radius_at(pipe[:, 2]) - departure(t, pipe[:, 2])
+
+    steps = np.arange(80.0, 420.0, 4.0)
+    first = np.full(len(ways), np.nan)
+    for a, b in itertools.pairwise(steps):
+        open_ = np.flatnonzero(np.isnan(first))
+        if not len(open_):
+            break
+        crossed = outside(vertex + b * ways[open_]) >= 0
+        low, high = np.full(crossed.sum(), a), np.full(crossed.sum(), b)
+        for _ in range(14):
+            middle = (low + high) / 2
+            out = outside(vertex + middle[:, None] * ways[open_[crossed]]) >= 0
+            low, high = np.where(out, low, middle), np.where(out, middle, high)
+        first[open_[crossed]] = high
+    hit = np.isfinite(first)
+    points = vertex + np.where(hit, first, 1.0)[:, None] * ways
+    seen = hit.copy()
+    for part in np.linspace(0.5, 0.985, 24):  # the lens, at the origin, must see it
+        seen &= outside(part * points) < 0
+    noise = rng.normal(0, 1, len(ways)) * np.array(NOISE_MM)[ring]
+    outward = ways[:, :2] / np.linalg.norm(ways[:, :2], axis=1)[:, None]
+    # an error of the slit's place moves a point along its cone: out, and ahead
+    points[:, :2] += noise[:, None] * outward
+    points[:, 2] += noise / np.tan(half)[ring]
+    return points[seen], ring[seen], direction[seen]
