@@ -1,0 +1,5 @@
+"""Ray-traced scans with truth: `python -m tools.bench scenes [FOLDER] [--only s01a-butt ..] [--keep RESULTS]`.
+
+Every scene of FOLDER (what is shared beside the checkout, if not given) is reconstructed and scored by the folder's own
+`score_real.py`; one row a scene, one line for each thing in it, targets stated. Ends with status 1 if one is missed.
+"""

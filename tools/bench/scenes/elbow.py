@@ -1,0 +1,38 @@
+"""The bend: how far its centre line, its wall and its list are from the truth."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+from tools.bench.scenes.judge import Check
+
+ELBOW = "elbow-a"
+BOUNDS = {  # of what score_elbow.py says, in the unit its names end in
+    "bend_radius_percent": 1.0, "angle_deg": 0.3, "plane_deg": 0.3, "start_mm": 1.5, "camera_last_mm": 3.0,
+    "wall_rms_mm": 0.2, "wall_median_mm": 0.06,
+}  # fmt: skip
+DENT_MM = 0.2
+NEAR_MM = 28.0  # of a true defect's middle, along the centre line: what is listed so close is that defect
+CLOUDS = ("cloud_in_space.ply", "cloud.ply")  # the scorer wants space; where there is no such file, the one there is
+
+
+def elbow_checks(score_elbow: ModuleType, out: Path, truth_file: Path) -> Iterator[Check]:
+    """Of results with a centreline.json in the form the scorer reads."""
+    truth = json.loads(truth_file.read_text(encoding="utf-8"))
+    summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    line = json.loads((out / "centreline.json").read_text(encoding="utf-8"))
+    if not line.get("bends"):
+        yield Check("bends", "none found", False)
+        return
+    cloud = next(out / name for name in CLOUDS if (out / name).is_file())
+    for name, value in score_elbow.score(line, truth, str(cloud)).items():
+        yield Check(name, f"{value:g}", abs(value) <= BOUNDS[name] if name in BOUNDS else None)
+    defects = truth["scene"]["pipe"]["defects"]
+    for one in (d for d in defects if d["kind"].startswith("dent")):
+        near = [d for d in summary["defects"] if abs(d["z_mm"] - one["s"]) <= NEAR_MM]
+        depth = max((d["depth_mm"] for d in near), default=None)
+        asked = depth is not None and abs(depth - one["depth"]) <= DENT_MM
+        yield Check("dent", f"{depth} of {one['depth']} mm", asked)
+    false = [d for d in summary["defects"] if all(abs(d["z_mm"] - one["s"]) > NEAR_MM for one in defects)]
+    yield Check("false", ", ".join(f"{d['kind']} at {d['z_mm']:.0f} mm" for d in false) or "none", not false)
