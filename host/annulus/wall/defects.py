@@ -114,8 +114,8 @@ def find_defects(
     for indication in indications:
         known = np.isfinite(indication.height)
         one = replace(indication, height=np.where(known, fine if indication.kind is Kind.LOSS else -fine, -np.inf))
-        depth, floor_seen, cells = depth_of(one)
-        core = without_holes(one.mask & (one.height >= limits.extent_of_depth * depth))
+        depth, floor_seen, cells = depth_of(one, scale)
+        core = without_holes(one.mask & (indication.height >= limits.extent_of_depth * depth))
         deepest = depth if floor_seen else scale.mm(limits.unseen_depth_of_radius)
         ratios = (shadow_ratio if least_shadow_ratio is None else least_shadow_ratio, shadow_ratio)
         whole = with_shadow(replace(one, mask=core), unseen, ratios, wall.z_step_mm, deepest)

@@ -24,6 +24,7 @@ BAND_EDGES, BAND_ASPECT = 3.5, 4.0  # and what a band is: so many edge blurs lon
 RIPPLE_EDGES = 1.5  # how far from a step, and how long, its swing to the other side may be, in edge blurs
 OBSERVATION_POINTS = 3  # points of one ring in one frame on a place, for it to be an observation of it
 PLATEAU_NOISE = 4.0  # standard deviations of a cell: twice what its 98th percentile lies above a floor
+FLOOR_AGREES = 0.5  # part of a floor's cells, by weight, that lie within one standard deviation of its middle
 LEVELS = 24  # slices: how finely the surface is sliced when asked whether a place is one defect or several
 
 
@@ -57,13 +58,14 @@ class Limits:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Indication:
-    """Cells (Z, A) that belong together, how far every cell of the grid departs that way (mm, -inf: not seen), and the
-    standard deviation of that (mm)."""
+    """Cells (Z, A) that belong together, how far every cell of the grid departs that way (mm, -inf: not seen), the
+    noise of that (mm, standard deviation), and what it may be off in all: noise, and what its points share."""
 
     kind: Kind
     mask: BoolArray
     height: Float32Array
     noise: Float32Array
+    sigma: Float32Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,13 +98,14 @@ def find_indications(wall: Wall, scale: Scale, features: BoolArray | None = None
     sure = wall.shape_sigma_mm() <= wall.shape_limit_mm  # beside a shape that is not known nothing stands out
     if features is not None:
         sure &= ~features
+    sigma = np.hypot(wall.cell_noise_mm, np.nan_to_num(wall.sigma_mm))
     found: list[Indication] = []
     unconfirmed = 0
     for kind, height in ((Kind.LOSS, residual), (Kind.BUMP, -residual)):
         height = np.where(wall.seen & sure, height, np.float32(-np.inf))
         for mask in _cells_of(height, ~wall.seen, seed, rim, scale):
             if _agreeing_observations(mask, kind, wall, rim) >= limits.observations:
-                found.append(Indication(kind, mask, height, wall.cell_noise_mm))
+                found.append(Indication(kind, mask, height, wall.cell_noise_mm, sigma))
             else:
                 unconfirmed += 1
     sound = wall.seen & sure & (np.abs(residual) < rim)
@@ -343,7 +346,7 @@ def _is_ripple(small: Indication, large: Indication, scale: Scale) -> bool:
     short = np.count_nonzero(small.mask.any(axis=1)) * scale.cell_mm[0] <= RIPPLE_EDGES * scale.mm(
         scale.limits.edge_of_radius
     )
-    return bool(short and small.kind is not large.kind and depth_of(small)[0] < 0.6 * depth_of(large)[0])
+    return bool(short and small.kind is not large.kind and depth_of(small, scale)[0] < 0.6 * depth_of(large, scale)[0])
 
 
 def with_shadow(
@@ -381,16 +384,17 @@ def with_shadow(
     return whole
 
 
-def depth_of(place: Indication) -> tuple[float, bool, BoolArray]:
+def depth_of(place: Indication, scale: Scale) -> tuple[float, bool, BoolArray]:
     """Depth of a place, whether it was measured where the surface is calm, and in which cells.
-
-    The highest of many cells is high by their noise, too. So it is the middle of all cells within PLATEAU_NOISE
-    standard deviations of the highest (the 98th percentile): of a floor, whose noise reaches as far down as up, and of
-    a round crest, whose cells are spread evenly over the heights of a cap.
 
     Within a slit's width of a step the measured radius overshoots, so only cells count about which (5 x 3 cells) the
     height changes by less than a third of itself: a floor, a crest. Where a tenth of the place is not calm its floor
     was not seen; then all cells count.
+
+    A floor is as deep as its middle, cells weighed by what they may be off: what is left beside a step is deeper, seen
+    by one ring, and says itself how little it knows. Elsewhere the highest of many cells is high by its noise, too; so
+    it is the middle of all within PLATEAU_NOISE standard deviations of the highest (the 98th percentile): of a round
+    crest, whose cells are spread evenly over the heights of a cap.
     """
     wide = np.pad(place.height, ((0, 0), (1, 1)), mode="wrap")
     missing = ~np.isfinite(wide)
@@ -401,10 +405,25 @@ def depth_of(place: Indication) -> tuple[float, bool, BoolArray]:
     calm[measured] = high[measured] - low[measured] < place.height[measured] / 3
     floor_seen = np.count_nonzero(calm) >= max(4, 0.1 * np.count_nonzero(measured))
     cells = calm if floor_seen else measured
+    floor = _floor(place, cells, scale) if floor_seen else None
+    if floor is not None:
+        return floor, True, cells
     values = place.height[cells]
     highest = float(np.percentile(values, 98)) if len(values) >= 50 else float(np.sort(values)[-2:].mean())
     plateau = PLATEAU_NOISE * float(np.median(place.noise[cells]))
     return float(np.median(values[values >= highest - plateau])), bool(floor_seen), cells
+
+
+def _floor(place: Indication, cells: BoolArray, scale: Scale) -> float | None:
+    """How deep a flat floor is; None where there is none: where cells do not agree, or a pit in it is surely deeper."""
+    height, weight, noise = place.height[cells], 1.0 / place.sigma[cells], float(np.median(place.noise[cells]))
+    order = np.argsort(height)
+    sums = np.cumsum(weight[order])
+    middle = float(height[order][np.searchsorted(sums, 0.5 * sums[-1])])
+    if weight[np.abs(height - middle) <= noise].sum() < FLOOR_AGREES * sums[-1]:
+        return None
+    pits, n = label_around(cells & (place.height - 2.0 * place.sigma > middle + PLATEAU_NOISE / 2 * noise))
+    return None if any(_is_resolved(pits == i, scale, 1.0) for i in range(1, n + 1)) else middle
 
 
 def arc_of(columns: BoolArray, step_deg: float) -> tuple[float, float]:

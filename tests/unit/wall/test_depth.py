@@ -4,32 +4,58 @@ import numpy as np
 import pytest
 
 from annulus.wall.grid import Observations, Wall
-from annulus.wall.indications import Indication, Kind, depth_of
+from annulus.wall.indications import Indication, Kind, Limits, Scale, depth_of
 
 Z, A = 60, 360
 NOISE_MM = 0.06
+SCALE = Scale((1.0, 1.3), 76.2, Limits())
 
 
-def place(height: np.ndarray, mask: np.ndarray, seed: int) -> Indication:
+def place(height: np.ndarray, mask: np.ndarray, seed: int, sigma: float | np.ndarray = NOISE_MM) -> Indication:
     noise = np.random.default_rng(seed).normal(0.0, NOISE_MM, height.shape)
     stated = np.full(height.shape, NOISE_MM, np.float32)
-    return Indication(Kind.LOSS, mask, (height + noise).astype(np.float32), stated)
+    may_be = np.broadcast_to(sigma, height.shape).astype(np.float32)
+    return Indication(Kind.LOSS, mask, (height + noise).astype(np.float32), stated, may_be)
+
+
+def floor() -> np.ndarray:
+    mask = np.zeros((Z, A), bool)
+    mask[20:40, 100:130] = True
+    return mask
 
 
 @pytest.mark.parametrize("depth_mm", [1.0, 3.0])
 def test_a_flat_floor_is_as_deep_as_it_is(depth_mm: float) -> None:
-    mask = np.zeros((Z, A), bool)
-    mask[20:40, 100:130] = True
-    found = [depth_of(place(np.where(mask, depth_mm, 0.0), mask, seed))[0] for seed in range(8)]
+    mask = floor()
+    found = [depth_of(place(np.where(mask, depth_mm, 0.0), mask, seed), SCALE)[0] for seed in range(8)]
     assert abs(np.mean(found) - depth_mm) < 0.02  # mm; it was 2 noises, 0.12
     assert np.ptp(found) < 0.06
+
+
+def test_a_seam_that_one_unsure_ring_sees_too_deep_makes_no_floor_deeper() -> None:
+    """Beside a step an inner ring lies 0.3 to 0.6 mm beyond the floor, and says that it may be off by 0.2."""
+    mask = floor()
+    seam = np.zeros((Z, A), bool)
+    seam[36:39, 100:130] = True
+    height = np.where(seam, 4.0 + np.linspace(0.3, 0.6, A), np.where(mask, 4.0, 0.0))
+    found = [depth_of(place(height, mask, seed, np.where(seam, 0.2, NOISE_MM)), SCALE)[0] for seed in range(8)]
+    assert abs(np.mean(found) - 4.0) < 0.03  # mm; it was 0.2 and more
+
+
+def test_a_pit_in_a_floor_is_what_is_deepest() -> None:
+    mask = floor()
+    pit = np.zeros((Z, A), bool)
+    pit[26:35, 111:118] = True  # 9 x 9 mm, 5 x 6.5 of it calm
+    height = np.where(pit, 2.0, np.where(mask, 1.0, 0.0))
+    found = [depth_of(place(height, mask, seed), SCALE)[0] for seed in range(8)]
+    assert abs(np.mean(found) - 2.0) < 0.1
 
 
 def test_a_round_crest_is_as_high_as_it_is() -> None:
     z, a = np.meshgrid(np.arange(Z) - 30.0, 1.3 * (np.arange(A) - 115.0), indexing="ij")  # mm
     cap = 2.5 + np.sqrt(np.maximum(25.0**2 - z**2 - a**2, 0.0)) - 25.0
     mask = cap > 0.3
-    found = [depth_of(place(np.maximum(cap, 0.0), mask, seed))[0] for seed in range(8)]
+    found = [depth_of(place(np.maximum(cap, 0.0), mask, seed), SCALE)[0] for seed in range(8)]
     assert abs(np.mean(found) - 2.5) < 0.15  # mm
 
 
