@@ -29,6 +29,8 @@ __all__ = ["Defect", "Detection", "Kind", "Limits", "clock_face", "find_defects"
 ALL_ROUND_DEG = 345.0  # an arc longer than this goes all round
 UNSURE = 0.6  # part of a depth: a place whose k = 2 uncertainty is larger is not known to be a defect
 DEEP = 0.8  # part of its depth: the cells of a place that show how deep it is
+# A place that is not known to be a defect, but so large, and seen by so many rings of so many frames, is told of.
+LARGE_OF_RADIUS, LOOKS = 0.1, 8  # side of a square of its area, part of the radius; observations with points in it
 WIDE_ENOUGH = 0.15  # part of its widest row: a row of a place that counts for its length
 
 
@@ -73,12 +75,17 @@ class Defect:
 @dataclass(frozen=True, slots=True)
 class Detection:
     """Defects in order of distance, and which cell of the wall's grid belongs to which (0 none, i + 1 defects[i];
-    what a defect hides is part of it)."""
+    what a defect hides is part of it).
+
+    undecided : places that stand out, large and looked at many times, but less surely than a defect must: no claim that
+    there is one, and none that there is not. unconfirmed : how many more only one look or a few speak for.
+    """
 
     defects: tuple[Defect, ...]
     label: LabelArray
     limits: Limits
-    unconfirmed: int = 0  # places that one observation alone speaks for, or none surely: not known, so not listed
+    unconfirmed: int = 0
+    undecided: tuple[Defect, ...] = ()
 
 
 def find_defects(
@@ -109,6 +116,7 @@ def find_defects(
     limits = scale.limits
     unseen = ~wall.seen
     found: list[tuple[Defect, BoolArray]] = []
+    undecided: list[Defect] = []
     indications, unconfirmed = find_indications(wall, scale, features)
     fine = smooth(wall.weighed_residual_mm())
     for indication in indications:
@@ -123,19 +131,28 @@ def find_defects(
         footprint = [max(1, round(scale.mm(limits.edge_of_radius) / size)) for size in scale.cell_mm]
         form = max(depth - _over_footprint(one, cells, footprint), 0.0)
         k2 = math.hypot(_expanded(wall, cells & (one.height >= DEEP * depth)), 2.0 * form)
-        if k2 > UNSURE * depth:
-            unconfirmed += 1
-            continue
         position = _extent(whole, wall)
         area = float(np.count_nonzero(whole) * scale.cell_mm[0] * scale.cell_mm[1])
-        found.append((Defect(one.kind, *position, depth, area, floor_seen, k2, float(np.median(dark))), whole))
+        defect = Defect(one.kind, *position, depth, area, floor_seen, k2, float(np.median(dark)))
+        if not k2 > UNSURE * depth:  # nor where nobody says
+            found.append((defect, whole))
+        elif area >= scale.mm(LARGE_OF_RADIUS) ** 2 and _looks(core, wall) >= LOOKS:
+            undecided.append(defect)
+        else:
+            unconfirmed += 1
     oval, unsure = _oval_stretches(wall, limits)
     found += [(defect, np.zeros(unseen.shape, dtype=bool)) for defect in oval]
+    undecided = sorted([*undecided, *unsure], key=lambda one: (one.z_mm, one.clock_deg))
     found.sort(key=lambda item: (item[0].z_mm, item[0].clock_deg))
     label = np.zeros(unseen.shape, dtype=np.int32)
     for i, (_, place) in enumerate(found):
         label[place] = i + 1
-    return Detection(tuple(defect for defect, _ in found), label, limits, unconfirmed + unsure)
+    return Detection(tuple(defect for defect, _ in found), label, limits, unconfirmed, tuple(undecided))
+
+
+def _looks(place: BoolArray, wall: Wall) -> int:
+    """How many observations have a point in a place."""
+    return len(np.unique(wall.observations.number[place.ravel()[wall.observations.cell]]))
 
 
 def _over_footprint(place: Indication, cells: BoolArray, footprint: Sequence[int]) -> float:
@@ -174,12 +191,13 @@ def _extent(whole: BoolArray, wall: Wall) -> tuple[float, float, float, float]:
     return float(z0 + z1) / 2, clock, float(z1 - z0), arc
 
 
-def _oval_stretches(wall: Wall, limits: Limits) -> tuple[list[Defect], int]:
-    """Stretches whose fitted shape exceeds the limit, as far as it exceeds 70 % of it; short ones are passed over, and
-    those that are not surely known to be out of round, whose number comes second."""
+def _oval_stretches(wall: Wall, limits: Limits) -> tuple[list[Defect], list[Defect]]:
+    """Stretches whose fitted shape exceeds the limit, as far as it exceeds 70 % of it; short ones are passed over.
+    Those that are not surely known to be out of round come second."""
     percent = shape_ovality(wall)
     label, n = ndimage.label(np.nan_to_num(percent) > 0.7 * limits.ovality_percent)
-    out, unsure = [], 0
+    out: list[Defect] = []
+    unsure: list[Defect] = []
     for i in range(1, n + 1):
         rows = np.flatnonzero(label == i)
         length = len(rows) * wall.z_step_mm
@@ -196,8 +214,6 @@ def _oval_stretches(wall: Wall, limits: Limits) -> tuple[list[Defect], int]:
         area = 2 * np.pi * float(mean) * length
         points = _expanded(wall, (np.arange(len(wall.z_mm)) == worst)[:, None] & wall.seen)
         k2 = 2.0 * math.hypot(points, 2.0 * float(swing_sigma(wall)[worst]))  # of a diameter
-        if k2 > UNSURE * depth:
-            unsure += 1
-        else:
-            out.append(Defect(Kind.OVALITY, z, float(long_axis), length, 360.0, depth, area, True, k2))
+        one = Defect(Kind.OVALITY, z, float(long_axis), length, 360.0, depth, area, True, k2)
+        (unsure if k2 > UNSURE * depth else out).append(one)
     return out, unsure

@@ -1,0 +1,36 @@
+"""Promises of what is not surely a defect: the large that many looked at is told of, the rest is counted."""
+
+from dataclasses import replace
+
+import numpy as np
+from synthetic_pipe import SHADOW_RATIO, oval, pocket, round_pipe, scan
+
+from annulus.wall.defects import UNSURE, Detection, Kind, find_defects
+from annulus.wall.grid import Wall, build_wall
+
+DEPTH_MM = 0.8
+
+
+def found(wall: Wall, sigma_mm: float) -> Detection:
+    return find_defects(replace(wall, sigma_mm=np.full_like(wall.sigma_mm, sigma_mm)), shadow_ratio=SHADOW_RATIO)
+
+
+def test_a_large_place_that_many_looked_at_is_told_of_without_a_claim() -> None:
+    told = found(build_wall(scan(pocket(round_pipe, 200, 15, 150, 170, DEPTH_MM))), 0.5)
+    assert told.defects == () and told.unconfirmed == 0 and not told.label.any()
+    (one,) = told.undecided
+    assert one.kind is Kind.LOSS and abs(one.z_mm - 160) < 3 and abs(one.clock_deg - 200) < 2
+    assert abs(one.depth_mm - DEPTH_MM) < 0.05 and one.depth_k2_mm > UNSURE * one.depth_mm
+
+
+def test_a_small_one_is_only_counted() -> None:
+    told = found(build_wall(scan(pocket(round_pipe, 200, 3, 150, 156, DEPTH_MM))), 0.5)
+    assert told.defects == () and told.undecided == () and told.unconfirmed == 1
+
+
+def test_an_ovality_is_held_to_the_same() -> None:
+    wall = build_wall(scan(oval(round_pipe, 30, 0.01)))
+    (one,) = found(wall, 0.02).defects
+    assert one.kind is Kind.OVALITY and one.depth_k2_mm < UNSURE * one.depth_mm
+    told = found(wall, 0.6)
+    assert told.defects == () and [one.kind for one in told.undecided] == [Kind.OVALITY]
