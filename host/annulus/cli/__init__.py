@@ -122,7 +122,12 @@ def _print_summary(data: Mapping[str, Any], out: Path) -> None:
             + (f", {d['hidden_mm']:.0f} mm of it hidden" if d["hidden_mm"] >= 0.5 else "")
         )
     if not data["defects"]:
-        print("defects    none")
+        print("defects    none" + (" that is sure" if data["undecided"] else ""))
+    for f in data["features"]:
+        where = "all round" if f["arc_deg"] >= 360 else f"clock {f['clock']}, {f['arc_deg']:.0f} deg"
+        print(f"{f['kind']:<10} at {f['z_mm']:.0f} mm, {where}" + (f": {f['remark']}" if f["remark"] else ""))
+    for d in data["undecided"]:
+        print(f"undecided  {d['depth_mm']:.2f} ± {_up(d['depth_k2_mm'])} mm at {d['z_mm']:.0f} mm, clock {d['clock']}")
     if "vibration" in data:
         for line in data["vibration"]["lines"]:
             hertz = "" if line["hertz"] is None else f" ({line['hertz']:.2f} Hz)"

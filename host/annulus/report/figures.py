@@ -1,36 +1,42 @@
 """The report's pictures, as PNG bytes."""
 
-import io
 from dataclasses import dataclass
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.colors import LinearSegmentedColormap, ListedColormap, Normalize, to_rgb
+from matplotlib.colors import ListedColormap, Normalize, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from annulus.numeric.arrays import Image
+from annulus.report.feature_pictures import draw_features
 from annulus.report.half_view import HALF_DEG, half_view
-from annulus.wall.defects import Defect, Kind, clock_face
+from annulus.report.paper import (
+    BUMP_BLUE,
+    DEVIATION,
+    DPI,
+    FAINT,
+    FEATURE,
+    HIDDEN,
+    INK,
+    LOSS_RED,
+    NEAR,
+    UNSEEN,
+    WIDTH_IN,
+    badge,
+    in_style,
+    letter,
+    mark,
+    png,
+    question,
+    round_up,
+)
+from annulus.wall.defects import ALL_ROUND_DEG, Defect, Kind, clock_face
 from annulus.wall.grid import Wall
 from annulus.wall.stations import OVALITY_NAME
 from annulus.wall.survey import Survey
-
-DPI = 150
-WIDTH_IN = 11.0
-INK, FAINT, UNSEEN, HIDDEN = "#1c2733", "#6b7885", "#c9ced4", "#59626c"
-LOSS_RED, BUMP_BLUE = "#b3261e", "#1d5fa8"
-# Outwards red, sound wall near white, inwards blue; readable in every common colour vision, and grey means not seen.
-DEVIATION = LinearSegmentedColormap.from_list(
-    "deviation", ["#0b3c7d", "#2f79c4", "#a9cdea", "#f7f7f5", "#f6c3a4", "#d9583b", "#86101b"]
-)
-STYLE = {
-    "font.family": "DejaVu Sans", "font.size": 10, "axes.edgecolor": FAINT, "axes.labelcolor": INK, "text.color": INK,
-    "xtick.color": INK, "ytick.color": INK, "axes.linewidth": 0.8, "hatch.linewidth": 0.5,
-}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +49,7 @@ class Pictures:
     surface: tuple[tuple[str, bytes], ...]  # caption, picture
     deviation_rgb: Image
     scale_mm: float
+    features: tuple[tuple[str, bytes], ...]  # letter or question mark, picture
 
 
 def draw(survey: Survey) -> Pictures:
@@ -52,9 +59,10 @@ def draw(survey: Survey) -> Pictures:
     filled = np.nan_to_num(deviation, nan=0.0)
     rgb = (DEVIATION(Normalize(-scale, scale)(filled))[..., :3] * 255).astype(np.uint8)
     rgb[~np.isfinite(deviation)] = np.round(255 * np.array(to_rgb(UNSEEN)))  # seen, but beside no circle that is known
-    with mpl.rc_context(STYLE):
+    with in_style():
         return Pictures(
-            _unwrapped(survey, deviation, scale), _texture(survey), _stations(survey), _surface(survey, rgb), rgb, scale
+            _unwrapped(survey, deviation, scale), _texture(survey), _stations(survey), _surface(survey, rgb), rgb,
+            scale, draw_features(survey),
         )  # fmt: skip
 
 
@@ -64,7 +72,7 @@ def _scale(survey: Survey, deviation: NDArray[np.float32]) -> float:
     seen = np.abs(deviation[np.isfinite(deviation)])
     usual = float(np.percentile(seen, 99)) if len(seen) else 0.0
     wanted = max(largest, usual, 10 * survey.noise_mm, 0.5)
-    return _round_up(wanted)
+    return round_up(wanted)
 
 
 class _Axis:
@@ -118,7 +126,7 @@ def _unwrapped(survey: Survey, deviation: NDArray[np.float32], scale: float) -> 
         "(hatched grey: not seen; dark grey: hidden by a step)",
         loc="left", fontsize=11, pad=24,
     )  # fmt: skip
-    return _png(figure)
+    return png(figure)
 
 
 def _texture(survey: Survey) -> bytes:
@@ -135,11 +143,12 @@ def _texture(survey: Survey) -> bytes:
     axes.set_title(
         "Wall in LED light, brightness evened out   (hatched grey: not seen)", loc="left", fontsize=11, pad=24
     )
-    return _png(figure)
+    return png(figure)
 
 
 def _outline(axes: Any, survey: Survey, axis: _Axis) -> None:
-    """Draws around every defect and gives it its number in the table."""
+    """Draws around every defect and gives it its number in the table; features have letters."""
+    mark(axes, survey, axis.per_mm)
     wall = survey.wall
     z = wall.z_mm * axis.per_mm
     span = axis.limits[1] - axis.limits[0]
@@ -150,7 +159,7 @@ def _outline(axes: Any, survey: Survey, axis: _Axis) -> None:
                 "", (first, -6), (last, -6), annotation_clip=False,
                 arrowprops={"arrowstyle": "|-|", "lw": 1.2, "color": INK},
             )  # fmt: skip
-            _badge(axes, (first + last) / 2, -6, number)
+            badge(axes, (first + last) / 2, -6, str(number))
             continue
         mask = (survey.detection.label == number).astype(float)
         mask = ndimage.gaussian_filter(mask, 1.0, mode=("nearest", "wrap"))  # for the eye; the table has the figures
@@ -161,15 +170,7 @@ def _outline(axes: Any, survey: Survey, axis: _Axis) -> None:
         top = defect.clock_deg - min(defect.arc_deg, 350) / 2
         x = float(np.clip((first + last) / 2, axis.limits[0] + 0.015 * span, axis.limits[1] - 0.015 * span))
         y = top - 11 if 15 < top < 360 else defect.clock_deg + min(defect.arc_deg, 330) / 2 + 11
-        _badge(axes, x, float(np.clip(y, 11, 349)), number)
-
-
-def _badge(axes: Any, x: float, y: float, number: int) -> None:
-    axes.text(
-        x, y, str(number), ha="center", va="center", fontsize=9.5, fontweight="bold", color="white", zorder=6,
-        clip_on=False,
-        bbox={"boxstyle": "circle,pad=0.28", "fc": INK, "ec": "white", "lw": 1.2},
-    )  # fmt: skip
+        badge(axes, x, float(np.clip(y, 11, 349)), str(number))
 
 
 def _stations(survey: Survey) -> bytes:
@@ -211,22 +212,35 @@ def _stations(survey: Survey) -> bytes:
             if defect.kind is not Kind.OVALITY:
                 first, last = (value * axis.per_mm for value in defect.z_range_mm)
                 axes.axvspan(first, last, color=LOSS_RED if defect.kind is Kind.LOSS else BUMP_BLUE, alpha=0.08, lw=0)
-    near = 0.035 * (axis.limits[1] - axis.limits[0])
-    groups: list[tuple[float, list[int]]] = []
-    for number, defect in enumerate(survey.defects, start=1):
-        at = defect.z_mm * axis.per_mm
-        if groups and at - groups[-1][0] < near:
-            groups[-1][1].append(number)
-        else:
-            groups.append((at, [number]))
-    for at, numbers in groups:
+        for feature in survey.features:
+            if feature.arc_deg >= ALL_ROUND_DEG:
+                axes.axvspan(*(value * axis.per_mm for value in feature.z_range_mm), color=FEATURE, alpha=0.10, lw=0)
+    for at, names in _named(survey, axis):
         top.text(
-            at, 1.01, ", ".join(map(str, numbers)), transform=top.get_xaxis_transform(), ha="center", va="bottom",
-            fontsize=9, fontweight="bold",
+            at, 1.01, ", ".join(names), transform=top.get_xaxis_transform(), ha="center", va="bottom", fontsize=9,
+            fontweight="bold",
         )  # fmt: skip
     for axes in (top, middle):
         axes.legend(loc="upper left", bbox_to_anchor=(1.005, 1.0), frameon=False, fontsize=8.5)
-    return _png(figure)
+    return png(figure)
+
+
+def _named(survey: Survey, axis: _Axis) -> list[tuple[float, list[str]]]:
+    """Where along the pipe something has a name, and which; those close together share a place."""
+    low, high = axis.limits
+    all_of_them = [
+        *((one.z_mm, str(i)) for i, one in enumerate(survey.defects, start=1)),
+        *((one.z_mm, letter(i)) for i, one in enumerate(survey.features)),
+        *((one.z_mm, question(i)) for i, one in enumerate(survey.detection.undecided)),
+    ]
+    groups: list[tuple[float, list[str]]] = []
+    for z, name in sorted(all_of_them, key=lambda one: one[0]):
+        at = float(np.clip(z * axis.per_mm, low, high))
+        if groups and at - groups[-1][0] < NEAR * (high - low):
+            groups[-1][1].append(name)
+        else:
+            groups.append((at, [name]))
+    return groups
 
 
 def _surface(survey: Survey, rgb: Image) -> tuple[tuple[str, bytes], ...]:
@@ -285,7 +299,7 @@ def _half(wall: Wall, rgb: Image, rows: slice, clock_deg: float) -> bytes:
             axes.text(
                 x + 12 * shift, y, clock_face(clock), ha="right" if shift < 0 else "left", va="center", fontsize=10
             )
-    step = _round_up((last - first) / 6)
+    step = round_up((last - first) / 6)
     rim = clock_deg + HALF_DEG  # the nearer of the two rims
     for z in np.arange(np.ceil(first / step) * step, last + 1e-6, step):
         (x0, y0), (x1, y1) = at(rim, z, 1.0), at(rim, z, 1.06)
@@ -294,15 +308,4 @@ def _half(wall: Wall, rgb: Image, rows: slice, clock_deg: float) -> bytes:
         axes.text(x, y, f"{z:g} mm", ha="center", va="center", fontsize=10, color=FAINT)
     axes.set_xlim(0, width)
     axes.set_ylim(height, 0)
-    return _png(figure)
-
-
-def _round_up(value: float) -> float:
-    power = 10.0 ** np.floor(np.log10(max(value, 1e-6)))
-    return float(next(step * power for step in (1, 1.5, 2, 3, 4, 5, 6, 8, 10) if step * power >= value * 0.999))
-
-
-def _png(figure: Figure) -> bytes:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=DPI, facecolor="white")
-    return buffer.getvalue()
+    return png(figure)

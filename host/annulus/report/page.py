@@ -10,15 +10,40 @@ import jinja2
 
 from annulus.report.figures import Pictures
 from annulus.report.half_view import EXAGGERATION
-from annulus.wall.defects import ALL_ROUND_DEG, Defect, Kind, clock_face
+from annulus.report.paper import letter, question
+from annulus.wall.defects import ALL_ROUND_DEG, UNSURE, Defect, Kind, clock_face
+from annulus.wall.features import Feature, FeatureKind, Measure
 from annulus.wall.survey import Survey
 
 TEMPLATE = "page.html.j2"
 NAMES = {Kind.LOSS: "Wall loss", Kind.BUMP: "Bump into the pipe", Kind.OVALITY: "Out of round"}
+UNDECIDED = {Kind.LOSS: "Stands outwards", Kind.BUMP: "Stands inwards", Kind.OVALITY: "May be out of round"}
+COUNTED: Mapping[Kind | FeatureKind, tuple[str, str]] = {  # one of them, and many
+    Kind.LOSS: ("wall loss", "wall losses"), Kind.BUMP: ("bump", "bumps"),
+    Kind.OVALITY: ("out-of-round stretch", "out-of-round stretches"),
+    FeatureKind.JOINT: ("joint", "joints"), FeatureKind.GAP: ("gap", "gaps"),
+    FeatureKind.BRANCH: ("opening", "openings"), FeatureKind.TEE: ("tee", "tees"),
+    FeatureKind.WATER: ("stretch under water", "stretches under water"),
+    FeatureKind.DEPOSIT: ("deposit", "deposits"), FeatureKind.REDUCER: ("reducer", "reducers"),
+    FeatureKind.TAPER: ("taper", "tapers"), FeatureKind.BEND: ("bend", "bends"),
+}  # fmt: skip
+FEATURES = {
+    FeatureKind.JOINT: "Joint", FeatureKind.GAP: "Gap in a coupling", FeatureKind.BRANCH: "Opening, branch",
+    FeatureKind.TEE: "Opening, rim stands in", FeatureKind.WATER: "Water", FeatureKind.DEPOSIT: "Deposit",
+    FeatureKind.REDUCER: "Reducer", FeatureKind.TAPER: "Taper", FeatureKind.BEND: "Bend",
+}  # fmt: skip
+UNITS = {"deg": "°", "percent": "%"}
+WORDS = {"hilo": "hi-lo", "hilo clock": "hi-lo towards", "inner d": "inner diameter"}  # where the name says too little
 
 
 def render_page(survey: Survey, summary: Mapping[str, Any], pictures: Pictures) -> str:
     """The report as one HTML document: no script, no font and no picture from anywhere else."""
+    features = [_feature(letter(i), feature) for i, feature in enumerate(survey.features)]
+    undecided = [
+        {**_row(question(i), place, survey), "name": UNDECIDED[place.kind]}
+        for i, place in enumerate(survey.detection.undecided)
+    ]
+    captions = {one["number"]: f"{one['number']}: {one['name'].lower()}" for one in (*features, *undecided)}
     text = resources.files("annulus.report").joinpath(TEMPLATE).read_text(encoding="utf-8")
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
@@ -26,8 +51,13 @@ def render_page(survey: Survey, summary: Mapping[str, Any], pictures: Pictures) 
     return environment.from_string(text).render(
         s=summary,
         survey=survey,
-        rows=[_row(number, defect, survey) for number, defect in enumerate(survey.defects, start=1)],
+        rows=[_row(str(number), defect, survey) for number, defect in enumerate(survey.defects, start=1)],
+        features=features,
+        undecided=undecided,
+        pictures=[(captions[name], _inline(data)) for name, data in pictures.features],
         verdict=_verdict(survey),
+        look=_look(survey),
+        unsure=UNSURE,
         unwrapped=_inline(pictures.unwrapped),
         texture=_inline(pictures.texture),
         stations=_inline(pictures.stations),
@@ -40,27 +70,46 @@ def render_page(survey: Survey, summary: Mapping[str, Any], pictures: Pictures) 
 
 
 def _verdict(survey: Survey) -> str:
-    worst = survey.worst
+    """The result in words: what is damaged, what there is besides, and what could not be said."""
+    worst, undecided = survey.worst, len(survey.detection.undecided)
+    kinds = [defect.kind for defect in survey.defects]
+    damage = ", ".join(_count(kinds.count(kind), *COUNTED[kind]) for kind in Kind if kind in kinds)
     if worst is None:
-        unsure = " Not enough of it was seen to say what shape the pipe has: see below." if survey.findings else ""
-        return f"No defect above the listing limits on the wall that was seen.{unsure}"
-    counts = [
-        (sum(d.kind is kind for d in survey.defects), one, many)
-        for kind, one, many in (
-            (Kind.LOSS, "wall loss", "wall losses"), (Kind.BUMP, "bump", "bumps"),
-            (Kind.OVALITY, "out-of-round stretch", "out-of-round stretches"),
+        sure = "sure " if undecided else ""
+        damage = f"No {sure}defect above the listing limits on the wall that was seen."
+    elif worst.kind is Kind.OVALITY:
+        damage = f"{damage}."
+    else:
+        damage = (
+            f"{damage}. Deepest: {NAMES[worst.kind].lower()} of {_measured(worst.depth_mm, worst.depth_k2_mm)} (k=2) "
+            f"at {worst.z_mm / 1000:.3f} m, clock {worst.clock}."
         )
-    ]  # fmt: skip
-    words = ", ".join(f"{n} {one if n == 1 else many}" for n, one, many in counts if n)
-    if worst.kind is Kind.OVALITY:
-        return f"{words}."
-    return (
-        f"{words}. Deepest: {NAMES[worst.kind].lower()} of {_measured(worst.depth_mm, worst.depth_k2_mm)} (k=2) "
-        f"at {worst.z_mm / 1000:.3f} m, clock {worst.clock}."
-    )
+    said = [damage]
+    named = [feature.kind for feature in survey.features]
+    if named:
+        counts = (_count(named.count(kind), *COUNTED[kind]) for kind in FeatureKind if kind in named)
+        said.append(f"Also in the pipe: {', '.join(counts)}.")
+    if undecided:
+        said.append(
+            f"{_count(undecided, 'place stands', 'places stand')} out and could not be decided: see below, look there."
+        )
+    if survey.findings:
+        said.append("Not enough of it was seen to say what shape the pipe has: see below.")
+    return " ".join(said)
 
 
-def _row(number: int, defect: Defect, survey: Survey) -> dict[str, Any]:
+def _look(survey: Survey) -> str:
+    """Class of the first sentence: sound (green) only where nothing at all is listed; look where no damage is."""
+    if survey.defects:
+        return ""
+    return "look" if survey.features or survey.detection.undecided or survey.findings else "sound"
+
+
+def _count(n: int, one: str, many: str) -> str:
+    return f"{n} {one if n == 1 else many}"
+
+
+def _row(number: str, defect: Defect, survey: Survey) -> dict[str, Any]:
     first, last = defect.z_range_mm
     mean = survey.nominal_diameter_mm if math.isnan(survey.diameter_mean_mm) else survey.diameter_mean_mm
     begin, end = defect.clock_range
@@ -90,11 +139,46 @@ def _row(number: int, defect: Defect, survey: Survey) -> dict[str, Any]:
     }
 
 
+def _feature(name: str, feature: Feature) -> dict[str, Any]:
+    first, last = feature.z_range_mm
+    begin, end = (clock_face(feature.clock_deg + side * feature.arc_deg / 2) for side in (-1, 1))
+    return {
+        "number": name,
+        "name": FEATURES[feature.kind],
+        "at": f"{feature.z_mm / 1000:.3f}",
+        "from_to": f"{first / 1000:.3f} to {last / 1000:.3f}",
+        "clock": "all round" if feature.arc_deg >= ALL_ROUND_DEG else f"{begin} to {end}",
+        "length": f"{feature.length_mm:.0f} mm",
+        "measures": [_words(one) for one in feature.measures],
+        "remark": feature.remark,
+    }
+
+
+def _words(one: Measure) -> tuple[str, str]:
+    """What was measured, and its value with its expanded uncertainty and unit."""
+    stem = one.name.removesuffix("_" + one.unit).replace("_", " ")
+    unit = UNITS.get(one.unit, one.unit)
+    if not math.isfinite(one.value):
+        text = "not measured"
+    elif stem.endswith("clock"):
+        text = clock_face(one.value)
+    elif math.isfinite(one.k2):
+        text = f"{one.value:.2f} ± {_up(one.k2)} {unit}"
+    else:
+        text = f"{one.value:.2f} {unit}"
+    return WORDS.get(stem, stem), text
+
+
+def _up(k2: float) -> str:
+    """An uncertainty is rounded up, never 0.00."""
+    return f"{max(math.ceil(100 * k2 - 1e-9), 1) / 100:.2f}"
+
+
 def _measured(mm: float, k2_mm: float) -> str:
     """A length with its expanded uncertainty; the value alone where nobody knows how far it may be off."""
     if not math.isfinite(k2_mm):
         return f"{mm:.2f} mm"
-    return f"{mm:.2f} ± {max(math.ceil(100 * k2_mm - 1e-9), 1) / 100:.2f} mm"  # rounded up, never 0.00
+    return f"{mm:.2f} ± {_up(k2_mm)} mm"
 
 
 def _length(mm: float) -> str:

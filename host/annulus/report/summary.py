@@ -50,6 +50,7 @@ def summarize(survey: Survey, account: Account, files_ms: float) -> dict[str, An
         },
         "defects": [_defect(defect) for defect in survey.defects],
         "features": [_feature(feature) for feature in survey.features],
+        "undecided": [_defect(place) for place in survey.detection.undecided],
         "unsupported": survey.detection.unconfirmed,
         "limits": {
             "depth_mm": round(survey.depth_limit_mm, 3),

@@ -14,7 +14,6 @@ BOUNDS = {  # of what score_elbow.py says, in the unit its names end in
 }  # fmt: skip
 DENT_MM = 0.2
 NEAR_MM = 28.0  # of a true defect's middle, along the centre line: what is listed so close is that defect
-CLOUDS = ("cloud_in_space.ply", "cloud.ply")  # the scorer wants space; where there is no such file, the one there is
 
 
 def elbow_checks(score_elbow: ModuleType, out: Path, truth_file: Path) -> Iterator[Check]:
@@ -25,8 +24,7 @@ def elbow_checks(score_elbow: ModuleType, out: Path, truth_file: Path) -> Iterat
     if not line.get("bends"):
         yield Check("bends", "none found", False)
         return
-    cloud = next(out / name for name in CLOUDS if (out / name).is_file())
-    for name, value in score_elbow.score(line, truth, str(cloud)).items():
+    for name, value in score_elbow.score(line, truth, str(out / "cloud.ply")).items():
         yield Check(name, f"{value:g}", abs(value) <= BOUNDS[name] if name in BOUNDS else None)
     defects = truth["scene"]["pipe"]["defects"]
     for one in (d for d in defects if d["kind"].startswith("dent")):
