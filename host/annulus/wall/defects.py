@@ -8,6 +8,7 @@ import numpy as np
 from scipy import ndimage
 
 from annulus.numeric.arrays import BoolArray, FloatArray
+from annulus.wall.extent import with_shadow, without_scraps
 from annulus.wall.grid import Wall, smooth
 from annulus.wall.indications import (
     Indication,
@@ -18,7 +19,6 @@ from annulus.wall.indications import (
     arc_of,
     depth_of,
     find_indications,
-    with_shadow,
     without_holes,
 )
 from annulus.wall.stations import clock_face, shape_ovality, swing_sigma
@@ -108,9 +108,9 @@ def find_defects(
 
     Notes
     -----
-    What lies unseen between two parts of one kind joins them; what lies unseen just before a loss is in the shadow of
-    the loss's own near rim and belongs to it; what lies unseen just behind a bump is its shadow, taken as far as the
-    bump is long before its crest.
+    What lies unseen between two parts of one kind joins them; how much of what lies unseen just before a loss or behind
+    a bump belongs to it, extent.py says. A place with a flat floor ends half-way up its walls, which a slit blurs as
+    far in as out; any other where it departs by a quarter of its depth.
     """
     scale = Scale.of(wall, limits or Limits())
     limits = scale.limits
@@ -122,11 +122,13 @@ def find_defects(
     for indication in indications:
         known = np.isfinite(indication.height)
         one = replace(indication, height=np.where(known, fine if indication.kind is Kind.LOSS else -fine, -np.inf))
-        depth, floor_seen, cells = depth_of(one, scale)
-        core = without_holes(one.mask & (indication.height >= limits.extent_of_depth * depth))
+        depth, floor_seen, cells, flat = depth_of(one, scale)
+        edge = (limits.extent_of_floor if flat else limits.extent_of_depth) * depth
+        sound = known & (indication.height < limits.extent_of_depth * depth)
+        core = without_scraps(without_holes(one.mask & (indication.height >= edge)), sound)
         deepest = depth if floor_seen else scale.mm(limits.unseen_depth_of_radius)
         ratios = (shadow_ratio if least_shadow_ratio is None else least_shadow_ratio, shadow_ratio)
-        whole = with_shadow(replace(one, mask=core), unseen, ratios, wall.z_step_mm, deepest)
+        whole = with_shadow(replace(one, mask=core), unseen, ratios, scale, deepest)
         dark = (whole & unseen).sum(axis=0)[whole.any(axis=0)] * wall.z_step_mm
         footprint = [max(1, round(scale.mm(limits.edge_of_radius) / size)) for size in scale.cell_mm]
         form = max(depth - _over_footprint(one, cells, footprint), 0.0)

@@ -7,6 +7,7 @@ about; both limits are written into every report. Nothing here knows which defec
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +45,8 @@ class Limits:
     observations: int = 2  # .. and so many observations, each one ring in one frame, agree on it
     rim_noise: float = 3.0  # it reaches as far as the departure exceeds this many standard deviations ..
     rim_of_seed: float = 0.5  # .. and this part of the core's limit
-    extent_of_depth: float = 0.25  # its extent is where it departs by this part of its depth: edges blur outwards
+    extent_of_depth: float = 0.25  # its extent is where it departs by this part of its depth: edges blur outwards ..
+    extent_of_floor: float = 0.5  # .. and by this, where it has a flat floor: a step's blur reaches as far in as out
     size_of_radius: float = 0.04  # smaller than this both ways is not resolved (3 mm in a 6-inch pipe)
     edge_of_radius: float = 0.08  # along the pipe, what a step's edge is blurred over: a slit's width on the wall
     join_of_radius: float = 0.05  # places of a kind this close are one (4 mm)
@@ -346,46 +348,20 @@ def _is_ripple(small: Indication, large: Indication, scale: Scale) -> bool:
     short = np.count_nonzero(small.mask.any(axis=1)) * scale.cell_mm[0] <= RIPPLE_EDGES * scale.mm(
         scale.limits.edge_of_radius
     )
-    return bool(short and small.kind is not large.kind and depth_of(small, scale)[0] < 0.6 * depth_of(large, scale)[0])
+    return bool(short and small.kind is not large.kind and depth_of(small, scale).mm < 0.6 * depth_of(large, scale).mm)
 
 
-def with_shadow(
-    place: Indication, unseen: BoolArray, shadow_ratios: tuple[float, float], z_step: float, deepest_mm: float
-) -> BoolArray:
-    """The place with what it hides from a sensor that looks along +z.
+class Depth(NamedTuple):
+    """Depth of a place, whether its floor or crest was seen, in which cells it shows, whether that floor is flat."""
 
-    A loss begins between the last place seen before it and where the light of the widest ring that reaches its floor
-    came over the rim: halfway is taken. A slit has a width, so the wall is not seen right up to the rim.
-    deepest_mm : how deep a loss may be. Its measured height when its floor was seen; more when only its far edge was.
-    """
-    whole = place.mask.copy()
-    columns = np.flatnonzero(place.mask.any(axis=0))
-    before = {int(column): 0 for column in columns}
-    crest = np.flatnonzero((place.mask & (place.height >= 0.9 * place.height[place.mask].max())).any(axis=1)).mean()
-    mirrored = round(2 * crest) - int(np.flatnonzero(place.mask.any(axis=1))[0])
-    for column in columns:
-        rows = np.flatnonzero(place.mask[:, column])
-        depth = max(float(place.height[rows, column].max()), 0.0)
-        if place.kind is Kind.LOSS:
-            reach = int(np.ceil(max(depth, deepest_mm) * shadow_ratios[1] / z_step)) + 2
-            run = unseen[max(0, rows[0] - reach) : rows[0], column][::-1]
-            # Unseen up to the limit and beyond is no shadow of this rim alone (a rod, the end of the scan).
-            gap = 0 if run.all() else int(np.argmin(run))
-            lit = min(int(depth * shadow_ratios[0] / z_step), gap)
-            before[int(column)] = (gap + lit) // 2
-        else:
-            behind = unseen[rows[-1] + 1 : max(mirrored, rows[-1]) + 1, column]
-            hidden = int(np.argmin(behind)) if not behind.all() else len(behind)
-            whole[rows[-1] + 1 : rows[-1] + 1 + hidden, column] = True
-    usual = int(np.median(list(before.values())))  # a rim throws its shadow along its whole width
-    for index, run_length in before.items():
-        first = int(np.flatnonzero(place.mask[:, index])[0])
-        whole[first - min(run_length, usual + 2) : first, index] = True
-    return whole
+    mm: float
+    floor_seen: bool
+    cells: BoolArray
+    flat: bool
 
 
-def depth_of(place: Indication, scale: Scale) -> tuple[float, bool, BoolArray]:
-    """Depth of a place, whether it was measured where the surface is calm, and in which cells.
+def depth_of(place: Indication, scale: Scale) -> Depth:
+    """How deep a place is where the surface is calm.
 
     Within a slit's width of a step the measured radius overshoots, so only cells count about which (5 x 3 cells) the
     height changes by less than a third of itself: a floor, a crest. Where a tenth of the place is not calm its floor
@@ -407,11 +383,11 @@ def depth_of(place: Indication, scale: Scale) -> tuple[float, bool, BoolArray]:
     cells = calm if floor_seen else measured
     floor = _floor(place, cells, scale) if floor_seen else None
     if floor is not None:
-        return floor, True, cells
+        return Depth(floor, True, cells, True)
     values = place.height[cells]
     highest = float(np.percentile(values, 98)) if len(values) >= 50 else float(np.sort(values)[-2:].mean())
     plateau = PLATEAU_NOISE * float(np.median(place.noise[cells]))
-    return float(np.median(values[values >= highest - plateau])), bool(floor_seen), cells
+    return Depth(float(np.median(values[values >= highest - plateau])), bool(floor_seen), cells, False)
 
 
 def _floor(place: Indication, cells: BoolArray, scale: Scale) -> float | None:
