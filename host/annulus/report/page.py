@@ -17,6 +17,7 @@ from annulus.wall.survey import Survey
 
 TEMPLATE = "page.html.j2"
 NAMES = {Kind.LOSS: "Wall loss", Kind.BUMP: "Bump into the pipe", Kind.OVALITY: "Out of round"}
+ALL_ROUND = {Kind.LOSS: "Groove all round", Kind.BUMP: "Ridge all round"}
 UNDECIDED = {Kind.LOSS: "Stands outwards", Kind.BUMP: "Stands inwards", Kind.OVALITY: "May be out of round"}
 COUNTED: Mapping[Kind | FeatureKind, tuple[str, str]] = {  # one of them, and many
     Kind.LOSS: ("wall loss", "wall losses"), Kind.BUMP: ("bump", "bumps"),
@@ -81,7 +82,7 @@ def _verdict(survey: Survey) -> str:
         damage = f"{damage}."
     else:
         damage = (
-            f"{damage}. Deepest: {NAMES[worst.kind].lower()} of {_measured(worst.depth_mm, worst.depth_k2_mm)} (k=2) "
+            f"{damage}. Deepest: {_name(worst).lower()} of {_measured(worst.depth_mm, worst.depth_k2_mm)} (k=2) "
             f"at {worst.z_mm / 1000:.3f} m, clock {worst.clock}."
         )
     said = [damage]
@@ -105,6 +106,10 @@ def _look(survey: Survey) -> str:
     return "look" if survey.features or survey.detection.undecided or survey.findings else "sound"
 
 
+def _name(defect: Defect) -> str:
+    return (ALL_ROUND if defect.is_all_round else NAMES)[defect.kind]
+
+
 def _count(n: int, one: str, many: str) -> str:
     return f"{n} {one if n == 1 else many}"
 
@@ -113,21 +118,21 @@ def _row(number: str, defect: Defect, survey: Survey) -> dict[str, Any]:
     first, last = defect.z_range_mm
     mean = survey.nominal_diameter_mm if math.isnan(survey.diameter_mean_mm) else survey.diameter_mean_mm
     begin, end = defect.clock_range
+    clock = width = "all round"
+    remark = ""
     if defect.kind is Kind.OVALITY:
         remark = f"long axis {defect.clock} to {clock_face(defect.clock_deg + 180)}"
-        clock = "all round"
-        width = "all round"
-    else:
-        clock = "all round" if defect.arc_deg >= ALL_ROUND_DEG else f"{begin} to {end}"
+    elif not defect.is_all_round:
+        clock = f"{begin} to {end}"
         width = f"{defect.arc_deg * math.pi / 360 * mean:.0f} mm ({defect.arc_deg:.0f}°)"
-        remark = f"centre {defect.clock}" if defect.arc_deg < ALL_ROUND_DEG else ""
+        remark = f"centre {defect.clock}"
     if defect.shadowed_mm >= 0.5:
         seen = max(defect.length_mm - defect.shadowed_mm, 0.0)
         remark += f"{', ' if remark else ''}{defect.shadowed_mm:.0f} mm of the length hidden, {seen:.0f} mm seen"
     return {
         "number": number,
         "kind": str(defect.kind),
-        "name": NAMES[defect.kind],
+        "name": _name(defect),
         "at": f"{defect.z_mm / 1000:.3f}",
         "from_to": f"{first / 1000:.3f} to {last / 1000:.3f}",
         "clock": clock,

@@ -107,7 +107,7 @@ def _defect(defect: Defect) -> dict[str, Any]:
         "kind": str(defect.kind), "z_mm": round(defect.z_mm, 2), "clock_deg": round(defect.clock_deg, 2),
         "clock": defect.clock, "length_mm": round(defect.length_mm, 2), "arc_deg": round(defect.arc_deg, 2),
         "depth_mm": round(defect.depth_mm, 3), "depth_k2_mm": round(defect.depth_k2_mm, 3),
-        "area_mm2": round(defect.area_mm2, 1), "floor_seen": defect.floor_seen,
+        "area_mm2": round(defect.area_mm2, 1), "all_round": defect.is_all_round, "floor_seen": defect.floor_seen,
         "hidden_mm": round(defect.shadowed_mm, 1),
         "z_from_mm": round(first, 2), "z_to_mm": round(last, 2), "clock_from_to": list(defect.clock_range),
     }  # fmt: skip

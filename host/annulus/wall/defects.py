@@ -26,7 +26,8 @@ from annulus.wall.stations import clock_face, shape_ovality, swing_sigma
 __all__ = ["Defect", "Detection", "Kind", "Limits", "clock_face", "find_defects"]
 
 # Held as a whole by test_grid.py and the benchmark topic mirror; not tried one by one.
-ALL_ROUND_DEG = 345.0  # an arc longer than this goes all round
+ALL_ROUND_DEG = 345.0  # an arc longer than this goes all round ..
+MOST_ROUND_DEG = 270.0  # .. or one longer than this with sound wall in no more directions than that leaves
 UNSURE = 0.6  # part of a depth: a place whose k = 2 uncertainty is larger is not known to be a defect
 DEEP = 0.8  # part of its depth: the cells of a place that show how deep it is
 # A place that is not known to be a defect, but so large, and seen by so many rings of so many frames, is told of.
@@ -59,6 +60,11 @@ class Defect:
     @property
     def clock(self) -> str:
         return clock_face(self.clock_deg)
+
+    @property
+    def is_all_round(self) -> bool:
+        """A loss all round is a groove, a bump a ridge."""
+        return self.kind is not Kind.OVALITY and self.arc_deg >= ALL_ROUND_DEG
 
     @property
     def z_range_mm(self) -> tuple[float, float]:
@@ -133,7 +139,7 @@ def find_defects(
         footprint = [max(1, round(scale.mm(limits.edge_of_radius) / size)) for size in scale.cell_mm]
         form = max(depth - _over_footprint(one, cells, footprint), 0.0)
         k2 = math.hypot(_expanded(wall, cells & (one.height >= DEEP * depth)), 2.0 * form)
-        position = _extent(whole, wall)
+        position = _extent(whole, sound, wall)
         area = float(np.count_nonzero(whole) * scale.cell_mm[0] * scale.cell_mm[1])
         defect = Defect(one.kind, *position, depth, area, floor_seen, k2, float(np.median(dark)))
         if not k2 > UNSURE * depth:  # nor where nobody says
@@ -182,13 +188,18 @@ def _expanded(wall: Wall, cells: BoolArray) -> float:
     return 2.0 * math.hypot(*(float(np.median(part[stated])) for part in parts))
 
 
-def _extent(whole: BoolArray, wall: Wall) -> tuple[float, float, float, float]:
-    """z_mm, clock_deg, length_mm and arc_deg of the cells of a defect."""
+def _extent(whole: BoolArray, sound: BoolArray, wall: Wall) -> tuple[float, float, float, float]:
+    """z_mm, clock_deg, length_mm and arc_deg of the cells of a defect; it goes all round where hardly a direction in
+    its stations shows sound wall, however many a rod or its own rim hides."""
     wide = whole.sum(axis=1)
     rows = np.flatnonzero(wide >= WIDE_ENOUGH * wide.max())
     z0, z1 = wall.z_mm[rows[0]] - wall.z_step_mm / 2, wall.z_mm[rows[-1]] + wall.z_step_mm / 2
     start, arc = arc_of(np.asarray(whole.any(axis=0)), wall.clock_step_deg)
-    arc = 360.0 if arc >= ALL_ROUND_DEG else arc  # what is left is a rod's shadow
+    middle = wide >= 0.5 * wide.max()
+    against = sound[middle].sum(axis=0) > 0.5 * middle.sum()
+    round_deg = 360.0 - wall.clock_step_deg * np.count_nonzero(against & ~whole.any(axis=0))
+    if arc >= ALL_ROUND_DEG or (arc >= MOST_ROUND_DEG and round_deg >= ALL_ROUND_DEG):
+        arc = 360.0  # what is left is a rod's shadow
     clock = (start + arc / 2) % 360.0 if arc < 360.0 else 0.0
     return float(z0 + z1) / 2, clock, float(z1 - z0), arc
 

@@ -81,3 +81,11 @@ def test_marks_change_the_maps_and_not_the_stations(sound: Survey, tmp_path: Pat
     for name, same in (("unwrapped.png", False), ("texture.png", False), ("stations.csv", True)):
         files = [(tmp_path / one / name).read_bytes() for one in ("plain", "marked")]
         assert (files[0] == files[1]) is same, name
+
+
+def test_a_loss_all_round_is_called_a_groove(sound: Survey, tmp_path: Path) -> None:
+    groove = replace(PLACE, arc_deg=360.0, clock_deg=0.0, depth_mm=1.5, depth_k2_mm=0.2)
+    pipe = replace(sound, detection=replace(sound.detection, defects=(groove,)))
+    summary, page = written(pipe, tmp_path)
+    assert ">Groove all round<" in page and verdict(page).startswith(": 1 wall loss. Deepest: groove all round of 1.50")
+    assert summary["defects"][0]["kind"] == "loss" and summary["defects"][0]["all_round"]  # type: ignore[index]
