@@ -1,17 +1,16 @@
 """The pipe's course: centreline.json, and a picture of it."""
 
-import io
 import math
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from annulus.report.paper import BUMP_BLUE, DPI, FEATURE, INK, in_style, letter, png
 from annulus.wall.features import FeatureKind
 from annulus.wall.survey import Survey
 
 STEP_MM = 10.0  # between points of the line in the file
-DPI = 150
 LEAST_SPAN_MM = 1.0  # of the radius in the picture: what is even looks even
 
 
@@ -63,39 +62,40 @@ def _camera_path(survey: Survey) -> list[tuple[int, np.ndarray[Any, Any]]]:
 
 def draw_course(survey: Survey) -> bytes | None:
     """The line from above and from the side, and the radius along it, as PNG; None of one straight, even pipe."""
-    line = survey.centreline
-    if line.is_straight and line.is_even:
+    if survey.centreline.is_straight and survey.centreline.is_even:
         return None
+    with in_style():
+        return png(_course(survey))
+
+
+def _course(survey: Survey) -> Figure:
+    line = survey.centreline
     start, end = survey.scanned_mm
     chainage = np.linspace(start, end, 400)
     space = line.to_space(np.column_stack([np.zeros((len(chainage), 2)), chainage]))
     figure = Figure(figsize=(11.0, 4.6), dpi=DPI, layout="constrained")
     above, side, radius = figure.subplots(1, 3)
     for axes, column, name in ((above, 0, "right"), (side, 1, "down")):
-        axes.plot(space[:, 2], space[:, column], color="#1c2733", lw=1.8)
+        axes.plot(space[:, 2], space[:, column], color=INK, lw=1.8)
         for number, feature in enumerate(survey.features):
             at = line.to_space(np.array([[0.0, 0.0, feature.z_mm]]))[0]
-            axes.plot(at[2], at[column], "o", color="#b3261e", ms=5)
-            axes.annotate(
-                chr(ord("A") + number % 26), (at[2], at[column]), (0, 7), textcoords="offset points", ha="center"
-            )
+            axes.plot(at[2], at[column], "o", color=FEATURE, ms=5)
+            axes.annotate(letter(number), (at[2], at[column]), (0, 7), textcoords="offset points", ha="center")
         axes.set_aspect("equal", adjustable="datalim")
         axes.margins(0.12)
         axes.invert_yaxis()
         axes.set_xlabel("forward along the first straight, mm")
         axes.set_ylabel(f"{name}, mm")
-        axes.grid(color="#1c2733", alpha=0.10, lw=0.6)
+        axes.grid(color=INK, alpha=0.10, lw=0.6)
     above.set_title("centre line from above", loc="left", fontsize=10)
     side.set_title("from the left side", loc="left", fontsize=10)
     along = survey.wall.shape_mm[:, 0]
-    radius.plot(survey.wall.z_mm, along, color="#1d5fa8", lw=1.4)
+    radius.plot(survey.wall.z_mm, along, color=BUMP_BLUE, lw=1.4)
     middle, half = (along.max() + along.min()) / 2, max(0.6 * float(np.ptp(along)), LEAST_SPAN_MM / 2)
     radius.set_ylim(middle - half, middle + half)
     radius.set_title("radius along it", loc="left", fontsize=10)
     radius.set_xlabel("chainage, mm")
     radius.set_ylabel("mm")
     radius.ticklabel_format(axis="y", useOffset=False)
-    radius.grid(color="#1c2733", alpha=0.10, lw=0.6)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=DPI, facecolor="white")
-    return buffer.getvalue()
+    radius.grid(color=INK, alpha=0.10, lw=0.6)
+    return figure

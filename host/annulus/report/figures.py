@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from annulus.numeric.arrays import Image
+from annulus.report.course import draw_course
 from annulus.report.feature_pictures import draw_features
 from annulus.report.half_view import HALF_DEG, half_view
 from annulus.report.paper import (
@@ -50,6 +51,7 @@ class Pictures:
     deviation_rgb: Image
     scale_mm: float
     features: tuple[tuple[str, bytes], ...]  # letter or question mark, picture
+    course: bytes | None  # of a pipe that is not one straight, even tube
 
 
 def draw(survey: Survey) -> Pictures:
@@ -62,7 +64,7 @@ def draw(survey: Survey) -> Pictures:
     with in_style():
         return Pictures(
             _unwrapped(survey, deviation, scale), _texture(survey), _stations(survey), _surface(survey, rgb), rgb,
-            scale, draw_features(survey),
+            scale, draw_features(survey), draw_course(survey),
         )  # fmt: skip
 
 

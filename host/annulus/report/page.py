@@ -34,7 +34,12 @@ FEATURES = {
     FeatureKind.REDUCER: "Reducer", FeatureKind.TAPER: "Taper", FeatureKind.BEND: "Bend",
 }  # fmt: skip
 UNITS = {"deg": "°", "percent": "%"}
-WORDS = {"hilo": "hi-lo", "hilo clock": "hi-lo towards", "inner d": "inner diameter"}  # where the name says too little
+WORDS = {
+    "hilo": "hi-lo",
+    "hilo clock": "hi-lo towards",
+    "angle clock": "turns towards",
+    "inner d": "inner diameter",
+}  # where the name says too little
 
 
 def render_page(survey: Survey, summary: Mapping[str, Any], pictures: Pictures) -> str:
@@ -62,6 +67,7 @@ def render_page(survey: Survey, summary: Mapping[str, Any], pictures: Pictures) 
         unwrapped=_inline(pictures.unwrapped),
         texture=_inline(pictures.texture),
         stations=_inline(pictures.stations),
+        course=None if pictures.course is None else _inline(pictures.course),
         surface=[(caption, _inline(data)) for caption, data in pictures.surface],
         exaggeration=EXAGGERATION,
         length=_length(summary["scanned_mm"]["length"]),
