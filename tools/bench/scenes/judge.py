@@ -41,7 +41,7 @@ def scene_checks(score: Mapping[str, Any], page: str, undecided: int) -> Iterato
     counts = score["misnamed"], score["missed"], len(score["false"])
     yield Check("list", f"{score['found']}/{'/'.join(map(str, counts))}", not any(counts))
     yield Check("gross", f"{score['gross_percent']:.2f} %", score["gross_percent"] <= GROSS_PERCENT)
-    yield Check("k2", f"{score['k2']:.2f} ({score['k2_centred']:.2f})", K2[0] <= score["k2_centred"] <= K2[1])
+    yield Check("k2", f"{score['k2']:.3f} ({score['k2_centred']:.3f})", K2[0] <= score["k2_centred"] <= K2[1])
     if any(one["name"] == "gap" for one in score["features"]):
         yield Check("points in the gap", str(score["points_in_openings"]), score["points_in_openings"] < IN_GAP)
     green, words = verdict(page)
@@ -94,7 +94,8 @@ def _places(one: Mapping[str, Any], pipe: Mapping[str, Any], listed: Sequence[Ma
         along, round_mm = near["z_mm"] - z, math.radians(_turn(near["clock_deg"] - clock)) * pipe["radius"]
         text = f"off by {along:+.1f} mm along, {round_mm:+.1f} mm round"
         yield Check("place", text, math.hypot(along, round_mm) <= PLACE_MM)
-    shift = pipe.get("features", {}).get("joint" if one["name"] == "joint" else "coupling", {}).get("hilo_mm")
+    kind = {"joint": "joint", "gap": "coupling"}.get(one["name"], "")
+    shift = pipe.get("features", {}).get(kind, {}).get("hilo_mm")
     if shift and math.hypot(*shift) and near.get("hilo_clock_deg") is not None:
         true = math.degrees(math.atan2(shift[0], -shift[1])) % 360
         off = _turn(near["hilo_clock_deg"] - true)
