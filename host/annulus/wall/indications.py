@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from annulus.numeric.arrays import BoolArray, Float32Array, FloatArray
+from annulus.numeric.robust import SIGMA_OF_MAD
 from annulus.wall.grid import SHAPE_UNSURE_OF_RADIUS, Wall, smooth
 
 LabelArray = NDArray[np.int32]
@@ -25,6 +26,7 @@ BAND_EDGES, BAND_ASPECT = 3.5, 4.0  # and what a band is: so many edge blurs lon
 RIPPLE_EDGES = 1.5  # how far from a step, and how long, its swing to the other side may be, in edge blurs
 OBSERVATION_POINTS = 3  # points of one ring in one frame on a place, for it to be an observation of it
 PLATEAU_NOISE = 4.0  # standard deviations of a cell: twice what its 98th percentile lies above a floor
+CREST_SCATTER = 0.08  # part of a crest's height: how far its cells may scatter about a paraboloid
 FLOOR_AGREES = 0.5  # part of a floor's cells, by weight, that lie within one standard deviation of its middle
 LEVELS = 24  # slices: how finely the surface is sliced when asked whether a place is one defect or several
 
@@ -369,8 +371,7 @@ def depth_of(place: Indication, scale: Scale) -> Depth:
 
     A floor is as deep as its middle, cells weighed by what they may be off: what is left beside a step is deeper, seen
     by one ring, and says itself how little it knows. Elsewhere the highest of many cells is high by its noise, too; so
-    it is the middle of all within PLATEAU_NOISE standard deviations of the highest (the 98th percentile): of a round
-    crest, whose cells are spread evenly over the heights of a cap.
+    it is the middle of all within PLATEAU_NOISE standard deviations of the highest (the 98th percentile).
     """
     wide = np.pad(place.height, ((0, 0), (1, 1)), mode="wrap")
     missing = ~np.isfinite(wide)
@@ -387,7 +388,33 @@ def depth_of(place: Indication, scale: Scale) -> Depth:
     values = place.height[cells]
     highest = float(np.percentile(values, 98)) if len(values) >= 50 else float(np.sort(values)[-2:].mean())
     plateau = PLATEAU_NOISE * float(np.median(place.noise[cells]))
+    crest = _crest(place, measured & (place.height >= 0.5 * highest), highest, scale)
+    if crest is not None:
+        return Depth(crest, bool(floor_seen), cells, False)
     return Depth(float(np.median(values[values >= highest - plateau])), bool(floor_seen), cells, False)
+
+
+def _crest(place: Indication, cells: BoolArray, highest: float, scale: Scale) -> float | None:
+    """Top of the paraboloid through the upper half of a place; None where its cells do not lie on one."""
+    row, column = np.nonzero(cells)
+    if len(row) < 12:
+        return None
+    start, _ = arc_of(np.asarray(cells.any(axis=0)), 1.0)
+    size = scale.mm(1.0)
+    z, s = row * scale.cell_mm[0] / size, ((column - start) % cells.shape[1]) * scale.cell_mm[1] / size
+    z, s = z - z.mean(), s - s.mean()
+    terms = np.stack([np.ones_like(z), z, s, z * z, s * s, z * s], axis=1)
+    height = place.height[cells].astype(np.float64)
+    weight = 1.0 / place.sigma[cells].astype(np.float64)
+    for _ in range(4):  # rings that err more than they say are let go
+        fit, *_ = np.linalg.lstsq(terms * weight[:, None], height * weight, rcond=None)
+        off = height - terms @ fit
+        scatter = SIGMA_OF_MAD * float(np.median(np.abs(off)))
+        weight = 1.0 / place.sigma[cells] / (1.0 + (off / max(2.0 * scatter, 1e-6)) ** 2)
+    if fit[3] >= 0 or fit[4] >= 0 or scatter > CREST_SCATTER * highest:
+        return None
+    top = float((terms @ fit).max())
+    return top if abs(top - highest) <= 0.3 * highest else None
 
 
 def _floor(place: Indication, cells: BoolArray, scale: Scale) -> float | None:

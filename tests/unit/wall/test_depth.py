@@ -56,7 +56,7 @@ def test_a_round_crest_is_as_high_as_it_is() -> None:
     cap = 2.5 + np.sqrt(np.maximum(25.0**2 - z**2 - a**2, 0.0)) - 25.0
     mask = cap > 0.3
     found = [depth_of(place(np.maximum(cap, 0.0), mask, seed), SCALE)[0] for seed in range(8)]
-    assert abs(np.mean(found) - 2.5) < 0.15  # mm
+    assert abs(np.mean(found) - 2.5) < 0.05  # mm; the middle of its highest cells lay 0.1 below
 
 
 def test_rings_weigh_by_what_they_may_be_off() -> None:
