@@ -194,10 +194,12 @@ def survey(
         marks.append((step, time.perf_counter()))
 
     narrowest, widest = (math.tan(calibration.rings[k].half_angle) for k in (0, -1))
-    axis = find_axis(profiles, calibration.rings)
+    above, levels = without_levels(profiles, calibration)
+    done("levels")
+    axis = find_axis(above, calibration.rings)
     done("axis")
     # a chain's heads have been adjusted with it; on a straight pipe they follow its shape, too
-    measured = without_inconsistent(register(profiles) if axis.adjusted is None else axis.profiles)
+    measured = without_inconsistent(register(above) if axis.adjusted is None else axis.profiles)
     done("alignment")
     shaken = None
     if vibration:
@@ -210,7 +212,8 @@ def survey(
     if any(a is not b for a, b in zip(seen, measured, strict=True)):
         measured = seen
         wall = build_wall(measured, rise=widest, centreline=axis.centreline)
-    explained = taken(wall, joints, 1.0 / narrowest)
+    below = covered(levels, wall.clock_deg, wall.z_mm[:, None])
+    explained = taken(wall, joints, 1.0 / narrowest) | below
     done("features")
     detection = find_defects(wall, shadow_ratio=1.0 / narrowest, least_shadow_ratio=1.0 / widest, features=explained)
     done("defects")
@@ -222,7 +225,8 @@ def survey(
         texture[dark] = 0  # the radius there is not known, so neither is what was seen of it
     done("texture")
     timing = {name: 1e3 * (after - before) for (_, before), (name, after) in pairwise(marks)}
-    features = [*(joint.feature for joint in joints), *find_bends(axis, wall.extent[:2])]
+    features = [level.feature for level in levels]
+    features += [*(joint.feature for joint in joints), *find_bends(axis, wall.extent[:2])]
     features.sort(key=lambda one: (one.z_mm, one.clock_deg))
     nominal = 2 * calibration.pipe_radius_mm
     return Survey(

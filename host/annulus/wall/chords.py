@@ -1,0 +1,123 @@
+"""Where a chord cuts the pipe's round: stretches whose bottom is a line and no part of the wall.
+
+A level cuts the pipe's round by a chord: the wall goes round as ever down to both its corners, and between them points
+lie along a line, inwards of where the wall must be. A dent has no corners, an oval no line, a bump no length.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from annulus.numeric.arrays import BoolArray, FloatArray
+from annulus.wall.grid import Wall
+from annulus.wall.shape import fit_shape, harmonics, spread
+
+# Held as a whole by test_levels.py; not tried one by one.
+DOWN_DEG = 180.0  # clock angle
+HIDDEN_DEG = 80.0  # each side of the bottom: nothing there says at first where the wall is
+LOOKED_DEG = 100.0  # each side of the bottom: where a level is looked for
+LEAST_HALF_DEG, MOST_HALF_DEG = 12.0, 84.0  # half of a level's arc; a chord of 12 degrees is 0.02 of the radius deep
+LEAST_OF_RADIUS = 0.008  # of the radius: half of what the middle of the least chord stands inwards, through water
+BESIDE_DEG = 15.0  # of wall beside a level's corners that is judged with it
+CAP_OF_RADIUS = 0.05  # of the radius: a cell that is farther off than this is just off
+AS_IT_LOOKS = (1.0, 0.8, 0.6)  # parts of its depth that what lies below a level may seem cut off: less, through water
+EXPLAINED, EXPLAINED_USUAL = 0.65, 0.8  # part of what a slab departs from the wall: each slab's, and the median's
+SEEN_LEAST = 0.5  # part of a level's arc that has cells
+LENGTH_OF_RADIUS = 0.5  # of the radius: a shorter one is a heap or a bump
+STEP_OF_RADIUS = 0.05  # of the radius: a level goes on if the next slab's is so near
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Chord:
+    """A stretch cut off by a line: which rows of the wall's grid, the clock angle of its middle, half of its arc in
+    degrees and the wall's radius below it (S,), and how well that is known, standard deviation in mm."""
+
+    rows: slice
+    clock_deg: float
+    half_deg: FloatArray
+    radius_mm: FloatArray
+    radius_sigma_mm: float
+
+
+def turn_from(clock_deg: FloatArray | float, other_deg: float) -> FloatArray:
+    """Degrees from one clock angle to others, clockwise, -180..180."""
+    return (np.asarray(clock_deg) - other_deg + 180.0) % 360.0 - 180.0
+
+
+def find_chords(wall: Wall, off_deg: float) -> list[Chord]:
+    """Stretches of the wall that a chord explains, its middle at most `off_deg` off the bottom.
+
+    First no part of the bottom says where the wall is, then all that is not below what was found.
+    """
+    hidden = np.broadcast_to(np.abs(turn_from(wall.clock_deg, DOWN_DEG)) < HIDDEN_DEG, wall.radius_mm.shape)
+    found: list[Chord] = []
+    for _ in range(2):
+        found = _stretches(wall, hidden, off_deg)
+        if not found:
+            break
+        hidden = np.zeros(wall.radius_mm.shape, np.bool_)
+        for chord in found:
+            away = np.abs(turn_from(wall.clock_deg, chord.clock_deg))
+            hidden[chord.rows] |= away <= chord.half_deg[:, None] + wall.clock_step_deg
+    return found
+
+
+def _stretches(wall: Wall, hidden: BoolArray, off_deg: float) -> list[Chord]:
+    shape, covariance = fit_shape(np.where(hidden, np.nan, wall.radius_mm), wall.z_mm, wall.clock_deg)
+    radius = shape @ harmonics(wall.clock_deg).T
+    sigma = spread(covariance, harmonics(wall.clock_deg))
+    rows = zip(radius - wall.radius_mm, radius, strict=True)
+    fits = [_best(wall, inwards, line, off_deg) for inwards, line in rows]
+    good = np.array([fit is not None for fit in fits])
+    good |= ndimage.binary_closing(np.pad(good, 2), np.ones(3))[2:-2]
+    label, count = ndimage.label(good)
+    out = []
+    for n in range(1, count + 1):
+        mine = np.flatnonzero(label == n)
+        at = np.array([i for i in mine if fits[i] is not None])
+        half, turn, explained = np.array([fits[i] for i in at]).T
+        clock = DOWN_DEG + float(np.median(turn))
+        column = int(np.argmin(np.abs(turn_from(wall.clock_deg, clock))))
+        bottom = radius[mine, column]
+        half = np.interp(mine, at, half)
+        steps = np.abs(np.diff(bottom * np.cos(np.radians(half))))
+        if (
+            len(mine) * wall.z_step_mm >= LENGTH_OF_RADIUS * wall.mean_radius_mm
+            and np.median(explained) >= EXPLAINED_USUAL
+            and np.percentile(steps, 90) <= STEP_OF_RADIUS * wall.mean_radius_mm
+        ):
+            error = float(np.median(sigma[mine, column]))
+            out.append(Chord(slice(int(mine[0]), int(mine[-1]) + 1), clock, half, bottom, error))
+    return out
+
+
+def _best(wall: Wall, inwards: FloatArray, radius: FloatArray, off_deg: float) -> tuple[float, float, float] | None:
+    """Half of its arc, turn from the bottom (both in degrees), and explained part of the chord that explains a slab
+    best; None where none explains enough.
+
+    inwards, radius (A,): how far the slab lies inwards of the wall, NaN where not seen, and the wall.
+    """
+    off = turn_from(wall.clock_deg, DOWN_DEG)
+    near = np.isfinite(inwards) & (np.abs(off) < LOOKED_DEG)
+    sunk = near & (np.abs(off) < off_deg + LEAST_HALF_DEG) & (inwards > LEAST_OF_RADIUS * wall.mean_radius_mm)
+    if np.count_nonzero(sunk) * wall.clock_step_deg < SEEN_LEAST * 2 * LEAST_HALF_DEG:
+        return None
+    off, value, round_ = off[near], inwards[near], radius[near]
+    cap = CAP_OF_RADIUS * wall.mean_radius_mm
+    nothing = np.minimum(np.abs(value), cap)
+    halves = np.arange(LEAST_HALF_DEG, MOST_HALF_DEG + 1.0)
+    best, half, turn = 0.0, 0.0, 0.0
+    for middle in np.arange(-off_deg, off_deg + 1.0, 2.0):
+        along = np.cos(np.radians(off - middle))
+        height = float(np.interp(middle, off, round_)) * np.cos(np.radians(halves))[:, None]
+        chord = np.where(along > 0.05, np.maximum(round_ - height / np.maximum(along, 0.05), 0.0), 0.0)
+        for part in AS_IT_LOOKS:
+            gain = (nothing - np.minimum(np.abs(value - part * chord), cap)).sum(axis=1)
+            i = int(np.argmax(gain))
+            if gain[i] > best:
+                best, half, turn = float(gain[i]), float(halves[i]), float(middle)
+    away = np.abs(off - turn)
+    seen = np.count_nonzero(away <= half) * wall.clock_step_deg
+    explained = best / max(float(nothing[away <= half + BESIDE_DEG].sum()), 1e-9)
+    return (half, turn, explained) if seen >= SEEN_LEAST * 2 * half and explained >= EXPLAINED else None
