@@ -1,4 +1,4 @@
-"""Where a chord cuts the pipe's round: stretches whose bottom is a line and no part of the wall.
+"""Where a chord cuts the pipe's round: stretches whose bottom is a line and no part of the slabs.
 
 A level cuts the pipe's round by a chord: the wall goes round as ever down to both its corners, and between them points
 lie along a line, inwards of where the wall must be. A dent has no corners, an oval no line, a bump no length.
@@ -10,7 +10,6 @@ import numpy as np
 from scipy import ndimage
 
 from annulus.numeric.arrays import BoolArray, FloatArray
-from annulus.wall.grid import Wall
 from annulus.wall.shape import fit_shape, harmonics, spread
 
 # Held as a whole by test_levels.py; not tried one by one.
@@ -29,9 +28,27 @@ STEP_OF_RADIUS = 0.05  # of the radius: a level goes on if the next slab's is so
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Slabs:
+    """Radii (Z, A) in mm of short slabs of pipe, NaN where nothing was seen; where their middles (Z,) and columns (A,)
+    lie."""
+
+    radius_mm: FloatArray
+    z_mm: FloatArray
+    clock_deg: FloatArray
+
+    @property
+    def clock_step_deg(self) -> float:
+        return 360.0 / len(self.clock_deg)
+
+    @property
+    def z_step_mm(self) -> float:
+        return float(self.z_mm[1] - self.z_mm[0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Chord:
-    """A stretch cut off by a line: which rows of the wall's grid, the clock angle of its middle, half of its arc in
-    degrees and the wall's radius below it (S,), and how well that is known, standard deviation in mm."""
+    """A stretch cut off by a line: which slabs, the clock angle of its middle; half of its arc in degrees and the
+    wall's radius below it (S,); how well that is known, standard deviation in mm."""
 
     rows: slice
     clock_deg: float
@@ -45,30 +62,31 @@ def turn_from(clock_deg: FloatArray | float, other_deg: float) -> FloatArray:
     return (np.asarray(clock_deg) - other_deg + 180.0) % 360.0 - 180.0
 
 
-def find_chords(wall: Wall, off_deg: float) -> list[Chord]:
+def find_chords(slabs: Slabs, off_deg: float) -> list[Chord]:
     """Stretches of the wall that a chord explains, its middle at most `off_deg` off the bottom.
 
     First no part of the bottom says where the wall is, then all that is not below what was found.
     """
-    hidden = np.broadcast_to(np.abs(turn_from(wall.clock_deg, DOWN_DEG)) < HIDDEN_DEG, wall.radius_mm.shape)
+    hidden = np.broadcast_to(np.abs(turn_from(slabs.clock_deg, DOWN_DEG)) < HIDDEN_DEG, slabs.radius_mm.shape)
     found: list[Chord] = []
     for _ in range(2):
-        found = _stretches(wall, hidden, off_deg)
+        found = _stretches(slabs, hidden, off_deg)
         if not found:
             break
-        hidden = np.zeros(wall.radius_mm.shape, np.bool_)
+        hidden = np.zeros(slabs.radius_mm.shape, np.bool_)
         for chord in found:
-            away = np.abs(turn_from(wall.clock_deg, chord.clock_deg))
-            hidden[chord.rows] |= away <= chord.half_deg[:, None] + wall.clock_step_deg
+            away = np.abs(turn_from(slabs.clock_deg, chord.clock_deg))
+            hidden[chord.rows] |= away <= chord.half_deg[:, None] + slabs.clock_step_deg
     return found
 
 
-def _stretches(wall: Wall, hidden: BoolArray, off_deg: float) -> list[Chord]:
-    shape, covariance = fit_shape(np.where(hidden, np.nan, wall.radius_mm), wall.z_mm, wall.clock_deg)
-    radius = shape @ harmonics(wall.clock_deg).T
-    sigma = spread(covariance, harmonics(wall.clock_deg))
-    rows = zip(radius - wall.radius_mm, radius, strict=True)
-    fits = [_best(wall, inwards, line, off_deg) for inwards, line in rows]
+def _stretches(slabs: Slabs, hidden: BoolArray, off_deg: float) -> list[Chord]:
+    shape, covariance = fit_shape(np.where(hidden, np.nan, slabs.radius_mm), slabs.z_mm, slabs.clock_deg)
+    radius = shape @ harmonics(slabs.clock_deg).T
+    sigma = spread(covariance, harmonics(slabs.clock_deg))
+    size = float(np.median(shape[:, 0]))
+    rows = zip(radius - slabs.radius_mm, radius, strict=True)
+    fits = [_best(slabs, inwards, line, off_deg) for inwards, line in rows]
     good = np.array([fit is not None for fit in fits])
     good |= ndimage.binary_closing(np.pad(good, 2), np.ones(3))[2:-2]
     label, count = ndimage.label(good)
@@ -78,33 +96,33 @@ def _stretches(wall: Wall, hidden: BoolArray, off_deg: float) -> list[Chord]:
         at = np.array([i for i in mine if fits[i] is not None])
         half, turn, explained = np.array([fits[i] for i in at]).T
         clock = DOWN_DEG + float(np.median(turn))
-        column = int(np.argmin(np.abs(turn_from(wall.clock_deg, clock))))
+        column = int(np.argmin(np.abs(turn_from(slabs.clock_deg, clock))))
         bottom = radius[mine, column]
         half = np.interp(mine, at, half)
         steps = np.abs(np.diff(bottom * np.cos(np.radians(half))))
         if (
-            len(mine) * wall.z_step_mm >= LENGTH_OF_RADIUS * wall.mean_radius_mm
+            len(mine) * slabs.z_step_mm >= LENGTH_OF_RADIUS * size
             and np.median(explained) >= EXPLAINED_USUAL
-            and np.percentile(steps, 90) <= STEP_OF_RADIUS * wall.mean_radius_mm
+            and np.percentile(steps, 90) <= STEP_OF_RADIUS * size
         ):
             error = float(np.median(sigma[mine, column]))
             out.append(Chord(slice(int(mine[0]), int(mine[-1]) + 1), clock, half, bottom, error))
     return out
 
 
-def _best(wall: Wall, inwards: FloatArray, radius: FloatArray, off_deg: float) -> tuple[float, float, float] | None:
+def _best(slabs: Slabs, inwards: FloatArray, radius: FloatArray, off_deg: float) -> tuple[float, float, float] | None:
     """Half of its arc, turn from the bottom (both in degrees), and explained part of the chord that explains a slab
     best; None where none explains enough.
 
     inwards, radius (A,): how far the slab lies inwards of the wall, NaN where not seen, and the wall.
     """
-    off = turn_from(wall.clock_deg, DOWN_DEG)
+    off, size = turn_from(slabs.clock_deg, DOWN_DEG), float(radius.mean())
     near = np.isfinite(inwards) & (np.abs(off) < LOOKED_DEG)
-    sunk = near & (np.abs(off) < off_deg + LEAST_HALF_DEG) & (inwards > LEAST_OF_RADIUS * wall.mean_radius_mm)
-    if np.count_nonzero(sunk) * wall.clock_step_deg < SEEN_LEAST * 2 * LEAST_HALF_DEG:
+    sunk = near & (np.abs(off) < off_deg + LEAST_HALF_DEG) & (inwards > LEAST_OF_RADIUS * size)
+    if np.count_nonzero(sunk) * slabs.clock_step_deg < SEEN_LEAST * 2 * LEAST_HALF_DEG:
         return None
     off, value, round_ = off[near], inwards[near], radius[near]
-    cap = CAP_OF_RADIUS * wall.mean_radius_mm
+    cap = CAP_OF_RADIUS * size
     nothing = np.minimum(np.abs(value), cap)
     halves = np.arange(LEAST_HALF_DEG, MOST_HALF_DEG + 1.0)
     best, half, turn = 0.0, 0.0, 0.0
@@ -118,6 +136,6 @@ def _best(wall: Wall, inwards: FloatArray, radius: FloatArray, off_deg: float) -
             if gain[i] > best:
                 best, half, turn = float(gain[i]), float(halves[i]), float(middle)
     away = np.abs(off - turn)
-    seen = np.count_nonzero(away <= half) * wall.clock_step_deg
+    seen = np.count_nonzero(away <= half) * slabs.clock_step_deg
     explained = best / max(float(nothing[away <= half + BESIDE_DEG].sum()), 1e-9)
     return (half, turn, explained) if seen >= SEEN_LEAST * 2 * half and explained >= EXPLAINED else None

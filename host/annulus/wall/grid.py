@@ -115,7 +115,7 @@ class Wall:
         if not stated.any():
             return self.residual_mm()
         weight = 1.0 / np.where(stated, seen.sigma_mm, np.median(seen.sigma_mm[stated])).astype(np.float64)
-        radius, count = _cell_medians(seen.cell, seen.radius_mm.astype(np.float64), self.radius_mm.shape, weight)
+        radius, count = cell_medians(seen.cell, seen.radius_mm.astype(np.float64), self.radius_mm.shape, weight)
         radius = np.where(self.seen & (count > 0), radius, self.radius_mm)
         return np.asarray(radius - self.shape_mm @ harmonics(self.clock_deg).T, dtype=np.float32)
 
@@ -191,15 +191,15 @@ def build_wall(
     rings = 1 + max(int(p.ring.max()) for p in used)
     number = (frame * rings + np.concatenate([p.ring for p in used]))[finite][inside].astype(np.int32)
 
-    grid, count = _cell_medians(cell, radius, (rows, columns))
+    grid, count = cell_medians(cell, radius, (rows, columns))
     keep = _supported(grid, cell, radius)
-    grid, count = _cell_medians(cell[keep], radius[keep], (rows, columns))
+    grid, count = cell_medians(cell[keep], radius[keep], (rows, columns))
     if rise is not None:
         keep &= ~between_levels(grid, step, rise).ravel()[cell]
-        grid, count = _cell_medians(cell[keep], radius[keep], (rows, columns))
+        grid, count = cell_medians(cell[keep], radius[keep], (rows, columns))
     sigma = np.concatenate([p.sigma_mm for p in used]).astype(np.float64)[finite][inside]
     stated = keep & np.isfinite(sigma)
-    errors, _ = _cell_medians(cell[stated], sigma[stated], (rows, columns))
+    errors, _ = cell_medians(cell[stated], sigma[stated], (rows, columns))
     clock_columns = np.asarray((np.arange(columns) + 0.5) * ANGLE_STEP_DEG, dtype=np.float64)
 
     grid = _bridge(grid.T, 2.5, wrap=True).T
@@ -270,7 +270,7 @@ def _sampling_gap(profiles: Sequence[Profile], step: float, radius: float) -> fl
     return min(max(regular, 2.5 * step), max(BRIDGE_OF_RADIUS * radius, 2.5 * step))
 
 
-def _cell_medians(
+def cell_medians(
     cell: NDArray[np.int64], value: FloatArray, shape: tuple[int, int], weight: FloatArray | None = None
 ) -> tuple[FloatArray, NDArray[np.int32]]:
     """Median of each cell's values, NaN without any, and how many they are.

@@ -19,19 +19,22 @@ from annulus.geometry.calibration import Calibration
 from annulus.geometry.pose import rotation_z
 from annulus.numeric.arrays import BoolArray, FloatArray
 from annulus.numeric.robust import TUKEY, biweight, nan_median, robust_sigma
-from annulus.wall.chords import DOWN_DEG, Chord, find_chords, turn_from
+from annulus.wall.chords import DOWN_DEG, Chord, Slabs, find_chords, turn_from
 from annulus.wall.features import Feature, FeatureKind, Measure
-from annulus.wall.grid import Wall, build_wall
+from annulus.wall.grid import cell_medians
 from annulus.wall.profile import Profile
 from annulus.wall.refraction import surface_heights
 
 # Held as a whole by test_levels.py; not tried one by one.
 SLAB_OF_RADIUS = 0.1  # of the radius: length of pipe in which a level is looked for
+SLABS_MOST = 20_000  # bounds time and memory on very long scans
+COLUMN_DEG = 2.0
 OFF_DEG, OFF_ROLL_KNOWN_DEG = 24.0, 6.0  # a level's middle off the bottom: a head turns, and sensors err
 MARGIN_OF_RADIUS = 0.01  # of the radius: this far above the level there is no surface left
 FLAT_OF_RADIUS = 0.01  # of the radius: half of the range of heights, 5 to 95 %, of what is called flat
 MIDDLE = 0.75  # part of a level's arc that it is measured on: its corners are partly wall
 POINTS_MOST = 400  # of a frame and ring that a level is measured with
+LEAN_MOST_DEG = 6.0  # of a surface against the chord's own middle
 CELL_DEG = 4.0  # of the clock, by a slab's length: where rings see one piece of surface
 OVERLAP = 0.5  # part of those cells that two rings or more must see, or nothing is told apart
 SIGMA_UNSAID_OF_RADIUS = 0.002  # of the radius: of a ring, where points say nothing of theirs
@@ -65,12 +68,14 @@ def without_levels(
 ) -> tuple[tuple[Profile, ...], tuple[Level, ...]]:
     """The profiles less what lies below a level, and the levels in order of distance.
 
-    How many points went is added to each profile's `rejected["below level"]`. Raises AnnulusError as `build_wall` does.
+    How many points went is added to each profile's `rejected["below level"]`.
     """
-    wall = build_wall(profiles, z_step_mm=SLAB_OF_RADIUS * calibration.pipe_radius_mm)
+    slabs = _cut(profiles, SLAB_OF_RADIUS * calibration.pipe_radius_mm)
+    if slabs is None:
+        return tuple(profiles), ()
     rolls = [profile.pose.roll for profile in profiles if profile.pose is not None]
-    chords = find_chords(wall, OFF_DEG if None in rolls else OFF_ROLL_KNOWN_DEG)
-    levels = tuple(_level(chord, wall, profiles, calibration) for chord in chords)
+    chords = find_chords(slabs, OFF_DEG if None in rolls else OFF_ROLL_KNOWN_DEG)
+    levels = tuple(_level(chord, slabs, profiles, calibration) for chord in chords)
     return (tuple(_above(levels, profile) for profile in profiles) if levels else tuple(profiles)), levels
 
 
@@ -94,31 +99,47 @@ def _above(levels: Sequence[Level], profile: Profile) -> Profile:
     )  # fmt: skip
 
 
-def _level(chord: Chord, wall: Wall, profiles: Sequence[Profile], calibration: Calibration) -> Level:
-    size, z_mm = wall.mean_radius_mm, wall.z_mm[chord.rows]
-    edges = float(z_mm[0] - wall.z_step_mm / 2), float(z_mm[-1] + wall.z_step_mm / 2)
-    bottom = float(np.median(chord.radius_mm))
+def _cut(profiles: Sequence[Profile], length_mm: float) -> Slabs | None:
+    """Slabs of the pipe; None where not two can be made."""
+    points = [profile.points_mm for profile in profiles if len(profile.points_mm)]
+    if not points:
+        return None
+    x, y, z = np.concatenate(points).astype(np.float64).T
+    low, high = np.percentile(z, [0.05, 99.95])  # a stray point far away must not stretch the grid
+    rows, columns = min(round((high - low) / length_mm), SLABS_MOST), round(360.0 / COLUMN_DEG)
+    if rows < 2:
+        return None
+    step = (high - low) / rows
+    row = np.floor((z - low) / step).astype(np.int64)
+    column = (np.degrees(np.arctan2(x, -y)) % 360.0 / COLUMN_DEG).astype(np.int64) % columns
+    inside = (row >= 0) & (row < rows)
+    radius, _ = cell_medians((row * columns + column)[inside], np.hypot(x, y)[inside], (rows, columns))
+    middles = np.asarray(low + (np.arange(rows) + 0.5) * step, dtype=np.float64)
+    return Slabs(radius, middles, np.asarray((np.arange(columns) + 0.5) * COLUMN_DEG, dtype=np.float64))
+
+
+def _level(chord: Chord, slabs: Slabs, profiles: Sequence[Profile], calibration: Calibration) -> Level:
+    z_mm, step = slabs.z_mm[chord.rows], slabs.z_step_mm
+    edges = float(z_mm[0] - step / 2), float(z_mm[-1] + step / 2)
+    size = bottom = float(np.median(chord.radius_mm))
     clock = chord.clock_deg
-    sight = _look(chord, clock, edges, profiles, calibration, bottom)
-    for _ in range(3):  # the surface's own lean says where its middle is, better than its corners
-        lean = math.degrees(math.atan(_slope(sight)))
-        clock += lean
-        sight = _look(chord, clock, edges, profiles, calibration, bottom)
-        if abs(lean) < 0.02:
-            break
-    told, heights, error = _told_apart(sight, size, chord.radius_sigma_mm)
+    sight = _look(chord, slabs, profiles, calibration)
+    clock += _lean_deg(sight.points_mm @ _straight(clock))  # says where the middle is better than the corners do
+    opaque, water, sigma = _heights(sight, clock, chord, len(calibration.rings))
+    told, heights, error = _told_apart(opaque, water, sigma, size, chord.radius_sigma_mm)
     level = float(np.nanmedian(heights))
-    slabs = nan_median(heights.T)
-    known = np.isfinite(slabs)
-    course = np.polynomial.Polynomial.fit(z_mm[known], slabs[known], min(1, np.count_nonzero(known) - 1))(z_mm)
+    by_slab = nan_median(heights.T)
+    known = np.isfinite(by_slab)
+    course = np.asarray(np.polynomial.Polynomial.fit(z_mm[known], by_slab[known], 1)(z_mm))
     low, high = np.nanpercentile(heights - course[:, None], [5, 95])
     flat = (high - low) / 2 <= FLAT_OF_RADIUS * size
     if not flat:  # nowhere above what was seen of it
-        course = ndimage.minimum_filter1d(np.interp(z_mm, z_mm[known], slabs[known]), 3, mode="nearest")
+        course = ndimage.minimum_filter1d(np.interp(z_mm, z_mm[known], by_slab[known]), 3, mode="nearest")
     half = _half_deg(course - MARGIN_OF_RADIUS * size, chord.radius_mm)
-    begins, ends = chord.rows.start > 1, chord.rows.stop < len(wall.z_mm) - 1
-    reach = edges[0] - wall.z_step_mm if begins else -math.inf, edges[1] + wall.z_step_mm if ends else math.inf
-    first, last = edges[0] if begins else wall.extent[0], edges[1] if ends else wall.extent[1]
+    begins, ends = chord.rows.start > 1, chord.rows.stop < len(slabs.z_mm) - 1
+    reach = edges[0] - step if begins else -math.inf, edges[1] + step if ends else math.inf
+    first = edges[0] if begins else float(slabs.z_mm[0] - step / 2)
+    last = edges[1] if ends else float(slabs.z_mm[-1] + step / 2)
     remark = "flat" if flat else f"uneven by {(high - low) / 2:.1f} mm up and down"
     measures = (
         Measure("level_mm", level, 2.0 * error),
@@ -139,95 +160,92 @@ def _half_deg(height_mm: FloatArray, radius_mm: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Sight:
-    """What the rings see of a surface, in a frame whose y goes straight down to it.
+    """Points on a surface, pipe frame: where they lie, where their rays and cones start and the cones' axes, (N, 3);
+    the slab of the chord, ring and sigma of each, (N,)."""
 
-    x_mm, z_mm, opaque_mm (N,): points, `opaque_mm` their y. Of the surface's height by row of the wall, column of the
-    clock and ring: `opaque` (S, C, K) if nothing is seen through it, `water` if it is water; NaN where not seen.
-    sigma_mm (K,).
-    """
-
-    x_mm: FloatArray
-    z_mm: FloatArray
-    opaque_mm: FloatArray
-    opaque: FloatArray
-    water: FloatArray
+    points_mm: FloatArray
+    eyes_mm: FloatArray
+    lamps_mm: FloatArray
+    axes: FloatArray
+    slab: NDArray[np.int64]
+    ring: NDArray[np.int64]
     sigma_mm: FloatArray
 
 
-def _look(
-    chord: Chord, clock_deg: float, edges: tuple[float, float], profiles: Sequence[Profile], calibration: Calibration,
-    bottom_mm: float,
-) -> _Sight:  # fmt: skip
-    straight = rotation_z(-math.radians(clock_deg - DOWN_DEG)).T
-    camera, rings = calibration.camera, len(calibration.rings)
+def _look(chord: Chord, slabs: Slabs, profiles: Sequence[Profile], calibration: Calibration) -> _Sight:
+    camera, rings = calibration.camera, calibration.rings
+    lamp, axis = (np.array([getattr(cone, name) for cone in rings]) for name in ("vertex_mm", "axis"))
     half = MIDDLE * chord.half_deg
+    start = slabs.z_mm[chord.rows][0] - slabs.z_step_mm / 2
     parts = []
     for profile in profiles:
         pose = profile.pose
         if pose is None or not len(profile.points_mm):
             continue
         points = profile.points_mm.astype(np.float64)
-        x, y, z = points.T
-        off = np.abs(turn_from(np.degrees(np.arctan2(x, -y)), clock_deg))
-        row = ((z - edges[0]) / (edges[1] - edges[0]) * len(half)).astype(np.int64)
-        inside = (z >= edges[0]) & (z < edges[1]) & (profile.ring < rings)
-        chosen = np.flatnonzero(inside & (off <= half[np.clip(row, 0, len(half) - 1)]))
-        chosen = chosen[:: 1 + len(chosen) // (POINTS_MOST * rings)]
-        points, ring, row = points[chosen], profile.ring[chosen].astype(np.int64), row[chosen]
-        seen = pose.to_camera(points, profile.z_mm)
+        slab = np.floor((points[:, 2] - start) / slabs.z_step_mm).astype(np.int64)
+        inside = (slab >= 0) & (slab < len(half)) & (profile.ring < len(rings))
+        off = np.abs(turn_from(np.degrees(np.arctan2(points[:, 0], -points[:, 1])), chord.clock_deg))
+        chosen = np.flatnonzero(inside & (off <= half[slab.clip(0, len(half) - 1)]))
+        chosen = chosen[:: 1 + len(chosen) // (POINTS_MOST * len(rings))]
+        ring = profile.ring[chosen].astype(np.int64)
+        seen = pose.to_camera(points[chosen], profile.z_mm)
         eyes = np.zeros_like(seen) if camera.central else camera.lines(camera.project(seen))[0]
-        cones = [calibration.rings[k] for k in ring]
-        lamps = np.array([cone.vertex_mm for cone in cones]).reshape(-1, 3)
-        axes = np.array([cone.axis for cone in cones]).reshape(-1, 3) @ pose.rotation @ straight
-        points = points @ straight
-        water = surface_heights(
-            points, pose.to_pipe(eyes, profile.z_mm) @ straight, pose.to_pipe(lamps, profile.z_mm) @ straight, axes,
-            np.full(len(points), bottom_mm),
-        )  # fmt: skip
-        parts.append(np.column_stack([points, water, profile.sigma_mm[chosen], ring, row]))
-    x, y, z, water, sigma, ring, row = np.concatenate(parts).T
-    columns = 1 + int(2 * half.max() / CELL_DEG)
-    column = np.clip((np.degrees(np.arctan2(x, y)) / CELL_DEG + columns / 2).astype(np.int64), 0, columns - 1)
-    cell = (row.astype(np.int64) * columns + column) * rings + ring.astype(np.int64)
-    tables = [_medians(cell, value, (len(half), columns, rings)) for value in (y, water)]
-    said = _medians(ring.astype(np.int64), sigma, (rings,))
-    return _Sight(x, z, y, tables[0], tables[1], said)
+        eyes, lamps = (pose.to_pipe(starts, profile.z_mm) for starts in (eyes, lamp[ring]))
+        axes = axis[ring] @ pose.rotation
+        parts.append((points[chosen], eyes, lamps, axes, slab[chosen], ring, profile.sigma_mm[chosen].astype(float)))
+    return _Sight(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
 
-def _medians(cell: NDArray[np.int64], value: FloatArray, shape: tuple[int, ...]) -> FloatArray:
-    """Median of the finite values of each cell, NaN where there is none."""
-    out = np.full(math.prod(shape), np.nan)
-    known = np.isfinite(value)
-    order = np.lexsort((value[known], cell[known]))
-    value = value[known][order]
-    count = np.bincount(cell[known], minlength=len(out))
-    full = count > 0
-    start = (np.cumsum(count) - count)[full]
-    out[full] = 0.5 * (value[start + (count[full] - 1) // 2] + value[start + count[full] // 2])
-    return out.reshape(shape)
-
-
-def _slope(sight: _Sight) -> float:
-    """How much a surface goes down to the right, as it looks; water looks deeper in the middle."""
-    x, z = sight.x_mm, sight.z_mm
+def _lean_deg(points_mm: FloatArray) -> float:
+    """How much a surface across y goes down to the right as it looks. Water looks deeper in its middle: a bend is
+    fitted along."""
+    x, y, z = points_mm.T
     design = np.column_stack([np.ones_like(x), x, x * x, z - z.mean()])
-    fit = np.array([float(np.median(sight.opaque_mm)), 0.0, 0.0, 0.0])
+    fit = np.array([float(np.median(y)), 0.0, 0.0, 0.0])
     for _ in range(8):
-        left = sight.opaque_mm - design @ fit
+        left = y - design @ fit
         weight = biweight(left / (TUKEY * max(robust_sigma(left), 1e-3)))
         weighted = design * weight[:, None]
-        fit = np.linalg.lstsq(weighted.T @ design, weighted.T @ sight.opaque_mm, rcond=None)[0]
-    return float(fit[1])
+        fit = np.linalg.lstsq(weighted.T @ design, weighted.T @ y, rcond=None)[0]
+    return float(np.clip(math.degrees(math.atan(fit[1])), -LEAN_MOST_DEG, LEAN_MOST_DEG))
 
 
-def _told_apart(sight: _Sight, size: float, radius_sigma_mm: float) -> tuple[FeatureKind | None, FloatArray, float]:
+def _heights(sight: _Sight, clock_deg: float, chord: Chord, rings: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Of the surface, by slab, column of the clock and ring (S, C, K), NaN where not seen: if nothing is seen through
+    it and if it is water. And sigma of each ring (K,)."""
+    straight = _straight(clock_deg)
+    points = sight.points_mm @ straight
+    eyes, lamps, axes = sight.eyes_mm @ straight, sight.lamps_mm @ straight, sight.axes @ straight
+    water = surface_heights(points, eyes, lamps, axes, chord.radius_mm[sight.slab])
+    half = MIDDLE * float(chord.half_deg.max()) + LEAN_MOST_DEG
+    columns = 1 + int(2 * half / CELL_DEG)
+    across = np.degrees(np.arctan2(points[:, 0], points[:, 1]))
+    column = np.clip(((across + half) / CELL_DEG).astype(np.int64), 0, columns - 1)
+    shape = len(chord.half_deg), columns, rings
+    cell = (sight.slab * columns + column) * rings + sight.ring
+    known, said = np.isfinite(water), np.isfinite(sight.sigma_mm)
+    flat = math.prod(shape[:2]), rings
+    opaque, through = cell_medians(cell, points[:, 1], flat)[0], cell_medians(cell[known], water[known], flat)[0]
+    sigma = cell_medians(sight.ring[said], sight.sigma_mm[said], (1, rings))[0][0]
+    return opaque.reshape(shape), through.reshape(shape), sigma
+
+
+def _straight(clock_deg: float) -> FloatArray:
+    """(3, 3) that points (N, 3) are multiplied by so that a clock angle is down."""
+    return rotation_z(math.radians(clock_deg - DOWN_DEG))
+
+
+def _told_apart(
+    opaque_mm: FloatArray, water_mm: FloatArray, sigma_mm: FloatArray, size: float, radius_sigma_mm: float
+) -> tuple[FeatureKind | None, FloatArray, float]:
     """What the surface is, None where nobody can say; (S, C) its height, NaN where not seen; that height's standard
     deviation."""
     unsaid, least = SIGMA_UNSAID_OF_RADIUS * size, SIGMA_LEAST_OF_RADIUS * size
-    sigma = np.maximum(np.where(np.isfinite(sight.sigma_mm), sight.sigma_mm, unsaid), least)
-    opaque, off_opaque = _levelled(sight.opaque, sigma)
-    water, off_water = _levelled(sight.water, sigma)
-    rings = np.isfinite(sight.opaque).sum(axis=2)
+    sigma = np.maximum(np.where(np.isfinite(sigma_mm), sigma_mm, unsaid), least)
+    opaque, off_opaque = _levelled(opaque_mm, sigma)
+    water, off_water = _levelled(water_mm, sigma)
+    rings = np.isfinite(opaque_mm).sum(axis=2)
     possible = np.isfinite(water).sum() >= 0.5 * np.isfinite(opaque).sum()
     expected = np.where(np.isfinite(off_water), off_opaque - off_water, 0.0)
     weight = np.where(np.isfinite(off_water), sigma**-2.0, 0.0)
@@ -250,7 +268,7 @@ def _told_apart(sight: _Sight, size: float, radius_sigma_mm: float) -> tuple[Fea
 
 
 def _levelled(table: FloatArray, sigma: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(S, C) the surface that (S, C, K) rings see, and (K,) how far each ring sees it below that; NaN where none does."""
+    """(S, C) the surface that rings see, (S, C, K), and how far each sees it below that, (K,); NaN where none does."""
     weight = np.where(np.isfinite(table), sigma**-2.0, 0.0)
     offset = np.zeros(len(sigma))
     value = np.nan_to_num(table)

@@ -1,10 +1,10 @@
 """What clear, still water does to the rings below it, undone.
 
-A ring's light and the camera's view both bend where they enter the water. Both come along the pipe, at 20 to 35 degrees
-to the surface, so what lies a depth D below it seems to lie 0.1 to 0.3 D below it, the more so the wider the ring: rings
-disagree in order. Whatever is opaque shows all rings at one height. Assumed: a flat, still surface across y, and the
-pipe's own round bottom under it. Then one number explains a point, the height of the surface, and it is solved for,
-point by point: rings that agree on it have seen water.
+A ring's light and the camera's view both bend where they enter the water. Both come along the pipe, at 20 to 35
+degrees to the surface, so what lies a depth D below it seems to lie 0.1 to 0.3 D below it, the more so the wider the
+ring: rings disagree in order. Whatever is opaque shows all rings at one height. Assumed: a flat, still surface across
+y, and the pipe's own round bottom under it. Then one number explains a point, the height of the surface, and it is
+solved for, point by point: rings that agree on it have seen water.
 """
 
 import math
@@ -16,7 +16,7 @@ from annulus.numeric.jit import jit
 
 WATER = 1.333  # refractive index, visible light, 20 C; 1.331..1.339 from red to blue and from 0 to 30 C
 LOWEST = 3.0  # of a point's height above the bottom: seen straight down, a depth shrinks to three quarters
-BISECTIONS = 32  # of a height below one radius: to the nanometre
+BISECTIONS = 26  # of lengths like the radius: to a thousandth of a micrometre
 
 
 def surface_heights(
