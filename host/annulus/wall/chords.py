@@ -7,6 +7,7 @@ lie along a line, inwards of where the wall must be. A dent has no corners, an o
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from annulus.numeric.arrays import BoolArray, FloatArray
@@ -25,6 +26,9 @@ EXPLAINED, EXPLAINED_USUAL = 0.65, 0.8  # part of what a slab departs from the w
 SEEN_LEAST = 0.5  # part of a level's arc that has cells
 LENGTH_OF_RADIUS = 0.5  # of the radius: a shorter one is a heap or a bump
 STEP_OF_RADIUS = 0.05  # of the radius: a level goes on if the next slab's is so near
+END_SLABS = 5  # whose arc is held against the slabs beyond them
+INNER = 0.8  # part of a level's arc that shows whether it goes on
+ON_WALL = 0.3  # part of what a chord cuts off: what is less far inwards is wall; and part of the cells that must be
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,8 +89,8 @@ def _stretches(slabs: Slabs, hidden: BoolArray, off_deg: float) -> list[Chord]:
     radius = shape @ harmonics(slabs.clock_deg).T
     sigma = spread(covariance, harmonics(slabs.clock_deg))
     size = float(np.median(shape[:, 0]))
-    rows = zip(radius - slabs.radius_mm, radius, strict=True)
-    fits = [_best(slabs, inwards, line, off_deg) for inwards, line in rows]
+    inwards = radius - slabs.radius_mm
+    fits = [_best(slabs, sunk, line, off_deg) for sunk, line in zip(inwards, radius, strict=True)]
     good = np.array([fit is not None for fit in fits])
     good |= ndimage.binary_closing(np.pad(good, 2), np.ones(3))[2:-2]
     label, count = ndimage.label(good)
@@ -94,20 +98,44 @@ def _stretches(slabs: Slabs, hidden: BoolArray, off_deg: float) -> list[Chord]:
     for n in range(1, count + 1):
         mine = np.flatnonzero(label == n)
         at = np.array([i for i in mine if fits[i] is not None])
-        half, turn, explained = np.array([fits[i] for i in at]).T
+        halves, turn, explained = np.array([fits[i] for i in at]).T
         clock = DOWN_DEG + float(np.median(turn))
         column = int(np.argmin(np.abs(turn_from(slabs.clock_deg, clock))))
-        bottom = radius[mine, column]
-        half = np.interp(mine, at, half)
-        steps = np.abs(np.diff(bottom * np.cos(np.radians(half))))
+        steps = np.abs(np.diff(radius[at, column] * np.cos(np.radians(halves))))
         if (
-            len(mine) * slabs.z_step_mm >= LENGTH_OF_RADIUS * size
-            and np.median(explained) >= EXPLAINED_USUAL
-            and np.percentile(steps, 90) <= STEP_OF_RADIUS * size
+            len(mine) * slabs.z_step_mm < LENGTH_OF_RADIUS * size
+            or np.median(explained) < EXPLAINED_USUAL
+            or np.percentile(steps, 90) > STEP_OF_RADIUS * size
         ):
-            error = float(np.median(sigma[mine, column]))
-            out.append(Chord(slice(int(mine[0]), int(mine[-1]) + 1), clock, half, bottom, error))
+            continue
+        first, last = (_goes_on(slabs, inwards, radius, clock, halves, at, step) for step in (-1, 1))
+        rows = slice(first, last + 1)
+        half = np.interp(np.arange(first, last + 1), at, halves)
+        error = float(np.median(sigma[at, column]))
+        out.append(Chord(rows, clock, half, radius[rows, column], error))
     return out
+
+
+def _goes_on(
+    slabs: Slabs, inwards: FloatArray, radius: FloatArray, clock: float, halves: FloatArray, at: NDArray[np.int64],
+    step: int,
+) -> int:  # fmt: skip
+    """The last slab, in one direction, before the wall is seen again where a chord cuts it off. A slab that shows too
+    little to be told by itself does not end a level, and slabs that show nothing do not prolong it unless they are the
+    scan's last."""
+    i = last = int(at[0] if step < 0 else at[-1])
+    half = float(np.median(halves[:END_SLABS] if step < 0 else halves[-END_SLABS:]))
+    away = turn_from(slabs.clock_deg, clock)
+    along = np.cos(np.radians(np.minimum(np.abs(away), half)))
+    while 0 <= i + step < len(radius):
+        i += step
+        chord = radius[i] * (1.0 - np.cos(np.radians(half)) / along)
+        judged = np.isfinite(inwards[i]) & (np.abs(away) <= INNER * half)
+        if np.count_nonzero(judged & (inwards[i] < ON_WALL * chord)) > ON_WALL * np.count_nonzero(judged):
+            return last
+        if judged.any():
+            last = i
+    return i if abs(i - last) * slabs.z_step_mm <= LENGTH_OF_RADIUS * radius[last].mean() else last
 
 
 def _best(slabs: Slabs, inwards: FloatArray, radius: FloatArray, off_deg: float) -> tuple[float, float, float] | None:

@@ -22,6 +22,7 @@ from annulus.numeric.robust import TUKEY, biweight, nan_median, robust_sigma
 from annulus.wall.chords import DOWN_DEG, Chord, Slabs, find_chords, turn_from
 from annulus.wall.features import Feature, FeatureKind, Measure
 from annulus.wall.grid import cell_medians
+from annulus.wall.pose import fit_pose
 from annulus.wall.profile import Profile
 from annulus.wall.refraction import surface_heights
 
@@ -32,6 +33,7 @@ COLUMN_DEG = 2.0
 OFF_DEG, OFF_ROLL_KNOWN_DEG = 24.0, 6.0  # a level's middle off the bottom: a head turns, and sensors err
 MARGIN_OF_RADIUS = 0.01  # of the radius: this far above the level there is no surface left
 FLAT_OF_RADIUS = 0.01  # of the radius: half of the range of heights, 5 to 95 %, of what is called flat
+UNEVEN_MOST = 0.4  # of its depth: what is more uneven is no level
 MIDDLE = 0.75  # part of a level's arc that it is measured on: its corners are partly wall
 POINTS_MOST = 400  # of a frame and ring that a level is measured with
 LEAN_MOST_DEG = 6.0  # of a surface against the chord's own middle
@@ -70,13 +72,40 @@ def without_levels(
 
     How many points went is added to each profile's `rejected["below level"]`.
     """
+    levels = _find(profiles, calibration)
+    if not levels:
+        return tuple(profiles), ()
+    # what lay below pulled on the poses, and the level was measured from these
+    posed = [_posed(levels, profile, calibration.pipe_radius_mm) for profile in profiles]
+    levels = _find(posed, calibration)
+    return tuple(_above(levels, profile) for profile in posed), levels
+
+
+def _find(profiles: Sequence[Profile], calibration: Calibration) -> tuple[Level, ...]:
     slabs = _cut(profiles, SLAB_OF_RADIUS * calibration.pipe_radius_mm)
     if slabs is None:
-        return tuple(profiles), ()
+        return ()
     rolls = [profile.pose.roll for profile in profiles if profile.pose is not None]
     chords = find_chords(slabs, OFF_DEG if None in rolls else OFF_ROLL_KNOWN_DEG)
-    levels = tuple(_level(chord, slabs, profiles, calibration) for chord in chords)
-    return (tuple(_above(levels, profile) for profile in profiles) if levels else tuple(profiles)), levels
+    found = (_level(chord, slabs, profiles, calibration) for chord in chords)
+    return tuple(level for level in found if level is not None)
+
+
+def _posed(levels: Sequence[Level], profile: Profile, radius_mm: float) -> Profile:
+    """The profile about the pipe that what lies above the levels makes; as it was where that makes none."""
+    above = _above(levels, profile)
+    old = profile.pose
+    if old is None or above is profile:
+        return profile
+    said = np.where(np.isfinite(above.sigma_mm), above.sigma_mm, SIGMA_UNSAID_OF_RADIUS * radius_mm)
+    camera = old.to_camera(above.points_mm.astype(np.float64), profile.z_mm)
+    fit = fit_pose(camera, radius_mm, said.astype(np.float64), old, one_ring=len(np.unique(above.ring)) < 2)
+    if fit is None:
+        return profile
+    pose = replace(fit.pose, roll=old.roll)
+    everything = old.to_camera(profile.points_mm.astype(np.float64), profile.z_mm)
+    moved = pose.to_pipe(everything, profile.z_mm).astype(np.float32)
+    return replace(profile, pose=pose, points_mm=moved, lean_sigma_deg=fit.lean_sigma_deg)
 
 
 def covered(levels: Iterable[Level], clock_deg: FloatArray, z_mm: FloatArray) -> BoolArray:
@@ -118,7 +147,7 @@ def _cut(profiles: Sequence[Profile], length_mm: float) -> Slabs | None:
     return Slabs(radius, middles, np.asarray((np.arange(columns) + 0.5) * COLUMN_DEG, dtype=np.float64))
 
 
-def _level(chord: Chord, slabs: Slabs, profiles: Sequence[Profile], calibration: Calibration) -> Level:
+def _level(chord: Chord, slabs: Slabs, profiles: Sequence[Profile], calibration: Calibration) -> Level | None:
     z_mm, step = slabs.z_mm[chord.rows], slabs.z_step_mm
     edges = float(z_mm[0] - step / 2), float(z_mm[-1] + step / 2)
     size = bottom = float(np.median(chord.radius_mm))
@@ -132,6 +161,8 @@ def _level(chord: Chord, slabs: Slabs, profiles: Sequence[Profile], calibration:
     known = np.isfinite(by_slab)
     course = np.asarray(np.polynomial.Polynomial.fit(z_mm[known], by_slab[known], 1)(z_mm))
     low, high = np.nanpercentile(heights - course[:, None], [5, 95])
+    if (high - low) / 2 > UNEVEN_MOST * (bottom - level) or not math.isfinite(error + chord.radius_sigma_mm):
+        return None
     flat = (high - low) / 2 <= FLAT_OF_RADIUS * size
     if not flat:  # nowhere above what was seen of it
         course = ndimage.minimum_filter1d(np.interp(z_mm, z_mm[known], by_slab[known]), 3, mode="nearest")
