@@ -20,10 +20,10 @@ LOOKED_DEG = 100.0  # each side of the bottom: where a level is looked for
 LEAST_HALF_DEG, MOST_HALF_DEG = 12.0, 84.0  # half of a level's arc; a chord of 12 degrees is 0.02 of the radius deep
 LEAST_OF_RADIUS = 0.008  # of the radius: half of what the middle of the least chord stands inwards, through water
 BESIDE_DEG = 15.0  # of wall beside a level's corners that is judged with it
-CAP_OF_RADIUS = 0.05  # of the radius: a cell that is farther off than this is just off
+CAP_OF_RADIUS = 0.15  # of the radius: a cell that is farther off than this is just off
 AS_IT_LOOKS = (1.0, 0.8, 0.6)  # parts of its depth that what lies below a level may seem cut off: less, through water
 EXPLAINED, EXPLAINED_USUAL = 0.65, 0.8  # part of what a slab departs from the wall: each slab's, and the median's
-SEEN_LEAST = 0.5  # part of a level's arc that has cells
+SEEN_LEAST = 0.2  # part of a level's arc, each side of its middle, that has cells: deep down no ring is believed
 LENGTH_OF_RADIUS = 0.5  # of the radius: a shorter one is a heap or a bump
 STEP_OF_RADIUS = 0.05  # of the radius: a level goes on if the next slab's is so near
 END_SLABS = 5  # whose arc is held against the slabs beyond them
@@ -146,8 +146,8 @@ def _best(slabs: Slabs, inwards: FloatArray, radius: FloatArray, off_deg: float)
     """
     off, size = turn_from(slabs.clock_deg, DOWN_DEG), float(radius.mean())
     near = np.isfinite(inwards) & (np.abs(off) < LOOKED_DEG)
-    sunk = near & (np.abs(off) < off_deg + LEAST_HALF_DEG) & (inwards > LEAST_OF_RADIUS * size)
-    if np.count_nonzero(sunk) * slabs.clock_step_deg < SEEN_LEAST * 2 * LEAST_HALF_DEG:
+    sunk = near & (inwards > LEAST_OF_RADIUS * size)
+    if np.count_nonzero(sunk) * slabs.clock_step_deg < LEAST_HALF_DEG:
         return None
     off, value, round_ = off[near], inwards[near], radius[near]
     cap = CAP_OF_RADIUS * size
@@ -163,7 +163,7 @@ def _best(slabs: Slabs, inwards: FloatArray, radius: FloatArray, off_deg: float)
             i = int(np.argmax(gain))
             if gain[i] > best:
                 best, half, turn = float(gain[i]), float(halves[i]), float(middle)
-    away = np.abs(off - turn)
-    seen = np.count_nonzero(away <= half) * slabs.clock_step_deg
-    explained = best / max(float(nothing[away <= half + BESIDE_DEG].sum()), 1e-9)
-    return (half, turn, explained) if seen >= SEEN_LEAST * 2 * half and explained >= EXPLAINED else None
+    away = off - turn
+    sides = [np.count_nonzero((side >= 0) & (side <= half)) * slabs.clock_step_deg for side in (away, -away)]
+    explained = best / max(float(nothing[np.abs(away) <= half + BESIDE_DEG].sum()), 1e-9)
+    return (half, turn, explained) if min(sides) >= SEEN_LEAST * half and explained >= EXPLAINED else None

@@ -34,7 +34,7 @@ OFF_DEG, OFF_ROLL_KNOWN_DEG = 24.0, 6.0  # a level's middle off the bottom: a he
 MARGIN_OF_RADIUS = 0.01  # of the radius: this far above the level there is no surface left
 FLAT_OF_RADIUS = 0.01  # of the radius: half of the range of heights, 5 to 95 %, of what is called flat
 UNEVEN_MOST = 0.4  # of its depth: what is more uneven is no level
-MIDDLE = 0.75  # part of a level's arc that it is measured on: its corners are partly wall
+MIDDLE, CORNER_DEG = 0.75, 8.0  # part of a level's arc that it is measured on, or all but its corners, partly wall
 POINTS_MOST = 400  # of a frame and ring that a level is measured with
 LEAN_MOST_DEG = 6.0  # of a surface against the chord's own middle
 CELL_DEG = 4.0  # of the clock, by a slab's length: where rings see one piece of surface
@@ -206,7 +206,7 @@ class _Sight:
 def _look(chord: Chord, slabs: Slabs, profiles: Sequence[Profile], calibration: Calibration) -> _Sight:
     camera, rings = calibration.camera, calibration.rings
     lamp, axis = (np.array([getattr(cone, name) for cone in rings]) for name in ("vertex_mm", "axis"))
-    half = MIDDLE * chord.half_deg
+    half = np.maximum(MIDDLE * chord.half_deg, chord.half_deg - CORNER_DEG)
     start = slabs.z_mm[chord.rows][0] - slabs.z_step_mm / 2
     parts = []
     for profile in profiles:
@@ -249,7 +249,7 @@ def _heights(sight: _Sight, clock_deg: float, chord: Chord, rings: int) -> tuple
     points = sight.points_mm @ straight
     eyes, lamps, axes = sight.eyes_mm @ straight, sight.lamps_mm @ straight, sight.axes @ straight
     water = surface_heights(points, eyes, lamps, axes, chord.radius_mm[sight.slab])
-    half = MIDDLE * float(chord.half_deg.max()) + LEAN_MOST_DEG
+    half = float(chord.half_deg.max()) + LEAN_MOST_DEG
     columns = 1 + int(2 * half / CELL_DEG)
     across = np.degrees(np.arctan2(points[:, 0], points[:, 1]))
     column = np.clip(((across + half) / CELL_DEG).astype(np.int64), 0, columns - 1)
