@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from annulus.numeric.arrays import BoolArray, FloatArray
+from annulus.numeric.robust import nan_median
 from annulus.wall.shape import fit_shape, harmonics, spread
 
 # Held as a whole by test_levels.py; not tried one by one.
@@ -24,7 +25,7 @@ CAP_OF_RADIUS = 0.15  # of the radius: a cell that is farther off than this is j
 AS_IT_LOOKS = (1.0, 0.8, 0.6)  # parts of its depth that what lies below a level may seem cut off: less, through water
 EXPLAINED, EXPLAINED_USUAL = 0.65, 0.8  # part of what a slab departs from the wall: each slab's, and the median's
 SEEN_LEAST = 0.2  # part of a level's arc, each side of its middle, that has cells: deep down no ring is believed
-LENGTH_OF_RADIUS = 0.5  # of the radius: a shorter one is a heap or a bump
+LENGTH_OF_RADIUS = 1.0  # of the radius: a shorter one is a heap, a bump or the rim of a tee
 STEP_OF_RADIUS = 0.05  # of the radius: a level goes on if the next slab's is so near
 END_SLABS = 5  # whose arc is held against the slabs beyond them
 INNER = 0.8  # part of a level's arc that shows whether it goes on
@@ -106,6 +107,7 @@ def _stretches(slabs: Slabs, hidden: BoolArray, off_deg: float) -> list[Chord]:
             len(mine) * slabs.z_step_mm < LENGTH_OF_RADIUS * size
             or np.median(explained) < EXPLAINED_USUAL
             or np.percentile(steps, 90) > STEP_OF_RADIUS * size
+            or not _cornered(slabs, nan_median(inwards[at]), radius[at].mean(axis=0), clock, float(np.median(halves)))
         ):
             continue
         first, last = (_goes_on(slabs, inwards, radius, clock, halves, at, step) for step in (-1, 1))
@@ -114,6 +116,32 @@ def _stretches(slabs: Slabs, hidden: BoolArray, off_deg: float) -> list[Chord]:
         error = float(np.median(sigma[at, column]))
         out.append(Chord(rows, clock, half, radius[rows, column], error))
     return out
+
+
+def _cornered(slabs: Slabs, inwards: FloatArray, radius: FloatArray, clock: float, half: float) -> bool:
+    """Whether a stretch looks more like a chord, which has corners, than like any dent, which has none.
+
+    inwards, radius (A,): how far the stretch lies inwards of the wall, and the wall.
+    """
+    least = []
+    for middle in clock + np.arange(-2.0, 2.5, 0.5):  # chords were looked for in steps of two degrees
+        away = np.abs(turn_from(slabs.clock_deg, middle))
+        judged = np.isfinite(inwards) & (away <= half + BESIDE_DEG)
+        away, value, wall = away[judged], inwards[judged], radius[judged]
+        wide = np.arange(0.7, 1.3, 0.02)[:, None] * half
+        along = np.cos(np.radians(np.minimum(away, LOOKED_DEG - BESIDE_DEG)))
+        chords = np.maximum(wall * (1.0 - np.cos(np.radians(wide)) / along), 0.0)
+        wide = np.arange(0.7, 2.5, 0.05)[:, None] * half
+        dents = np.cos(np.radians(90.0 * np.minimum(away / wide, 1.0))) ** 2
+        least.append([_left_by(forms, value) for forms in (chords, dents)])
+    by_chord, by_dent = np.min(least, axis=0)
+    return bool(by_chord < by_dent)
+
+
+def _left_by(forms: FloatArray, value: FloatArray) -> float:
+    """What the best of forms (F, N), each scaled as it likes, leaves of values (N,): the sum of absolute values."""
+    scale = (forms * value).sum(axis=1) / np.maximum((forms**2).sum(axis=1), 1e-9)
+    return float(np.abs(value - scale[:, None] * forms).sum(axis=1).min())
 
 
 def _goes_on(

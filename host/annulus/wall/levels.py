@@ -166,7 +166,7 @@ def _level(chord: Chord, slabs: Slabs, profiles: Sequence[Profile], calibration:
     flat = (high - low) / 2 <= FLAT_OF_RADIUS * size
     if not flat:  # nowhere above what was seen of it
         course = ndimage.minimum_filter1d(np.interp(z_mm, z_mm[known], by_slab[known]), 3, mode="nearest")
-    half = _half_deg(course - MARGIN_OF_RADIUS * size, chord.radius_mm)
+    half = _half_deg(course - MARGIN_OF_RADIUS * size - 2.0 * error, chord.radius_mm)
     begins, ends = chord.rows.start > 1, chord.rows.stop < len(slabs.z_mm) - 1
     reach = edges[0] - step if begins else -math.inf, edges[1] + step if ends else math.inf
     first = edges[0] if begins else float(slabs.z_mm[0] - step / 2)
@@ -294,8 +294,10 @@ def _told_apart(
         disagree = float(np.nanstd(off_water)) / math.sqrt(np.count_nonzero(there))
         return told, water, math.hypot(THROUGH_WATER * common, disagree, (THROUGH_WATER - 1.0) * radius_sigma_mm)
     disagree = float(np.nanstd(off_opaque)) / math.sqrt(np.count_nonzero(there))
-    unknown = 0.0 if told else float(np.nanmedian(opaque) - np.nanmedian(water)) if possible else 0.0
-    return told, opaque, math.hypot(common, disagree, unknown / 2.0)
+    if told is None:  # between the two that it may be
+        middle = 0.5 * (opaque + np.where(np.isfinite(water), water, opaque))
+        return None, middle, math.hypot(common, disagree, float(np.nanmedian(opaque - middle)))
+    return told, opaque, math.hypot(common, disagree)
 
 
 def _levelled(table: FloatArray, sigma: FloatArray) -> tuple[FloatArray, FloatArray]:
