@@ -1,6 +1,8 @@
 """Diameters and ovality, station by station along the pipe."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import ndimage
@@ -9,6 +11,9 @@ from annulus.numeric.arrays import Float32Array, FloatArray
 from annulus.vocabulary import Finding
 from annulus.wall.grid import Wall
 from annulus.wall.indications import arc_of
+
+if TYPE_CHECKING:  # features' clock faces are from here
+    from annulus.wall.features import Feature
 
 OVALITY_NAME = "ASTM F1216"
 OVALITY_FORMULA = "100 · max(Dmax − Dmean, Dmean − Dmin) / Dmean"
@@ -51,22 +56,24 @@ def shape_ovality(wall: Wall) -> FloatArray:
     return np.where(swing_sigma(wall) <= wall.shape_limit_mm, 100.0 * half_swing / wall.shape_mm[:, 0], np.nan)
 
 
-def not_enough_seen(wall: Wall) -> tuple[Finding, ...]:
-    """One line for each stretch in which the pipe's circle or its ovality is not known, with the arc nobody saw."""
+def not_enough_seen(wall: Wall, features: "Sequence[Feature]" = ()) -> tuple[Finding, ...]:
+    """One line for each stretch in which the pipe's circle or its ovality is not known, with the arc nobody saw, be it
+    below one of the features or not."""
     swing = swing_sigma(wall) > wall.shape_limit_mm
     circle = ~np.isfinite(wall.deviation_mm()) & wall.seen
     label, n = ndimage.label(swing | circle.any(axis=1))
     out = []
     for i in range(1, n + 1):
         rows = np.flatnonzero(label == i)
+        first, last = wall.z_mm[rows[0]] - wall.z_step_mm / 2, wall.z_mm[rows[-1]] + wall.z_step_mm / 2
         seen = wall.seen[rows].mean(axis=0) >= 0.5
         if seen.all():
             arc = "the wall departs from an oval"
         else:
             start, known = arc_of(seen, wall.clock_step_deg) if seen.any() else (0.0, 0.0)
             middle = start + known + (360.0 - known) / 2
-            arc = f"{360.0 - known:.0f} degrees about clock {clock_face(middle)} were not seen"
-        first, last = wall.z_mm[rows[0]] - wall.z_step_mm / 2, wall.z_mm[rows[-1]] + wall.z_step_mm / 2
+            why = next((f"lie below {f.kind}" for f in features if _below(f, first, last, middle)), "were not seen")
+            arc = f"{360.0 - known:.0f} degrees about clock {clock_face(middle)} {why}"
         what = "ovality" if not circle[rows].any() else "shape"
         out.append(
             Finding(
@@ -76,6 +83,14 @@ def not_enough_seen(wall: Wall) -> tuple[Finding, ...]:
             )
         )
     return tuple(out)
+
+
+def _below(feature: "Feature", first_mm: float, last_mm: float, clock_deg: float) -> bool:
+    """Whether a level covers the middle of an arc over most of a stretch."""
+    start, end = feature.z_range_mm
+    most = min(end, last_mm) - max(start, first_mm) > 0.5 * (last_mm - first_mm)
+    away = abs((clock_deg - feature.clock_deg + 180.0) % 360.0 - 180.0)
+    return feature.kind in ("water", "deposit") and most and away < 0.25 * feature.arc_deg
 
 
 def clock_face(angle_deg: float) -> str:

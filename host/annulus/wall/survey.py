@@ -74,7 +74,7 @@ class Survey:
     @property
     def findings(self) -> tuple[Finding, ...]:
         """Where too little was seen to say what shape the pipe has."""
-        return not_enough_seen(self.wall)
+        return not_enough_seen(self.wall, self.features)
 
     @property
     def points(self) -> int:
@@ -222,7 +222,7 @@ def survey(
     done("stations")
     texture = paint(wall, axis.centreline, calibration, measured, led_frames)
     if texture is not None:
-        texture[dark] = 0  # the radius there is not known, so neither is what was seen of it
+        texture[dark | below] = 0  # the radius there is not known, so neither is what was seen of it
     done("texture")
     timing = {name: 1e3 * (after - before) for (_, before), (name, after) in pairwise(marks)}
     features = [level.feature for level in levels]

@@ -12,7 +12,7 @@ from synthetic_pipe import CALIBRATION, NOISE_MM, RADIUS_MM, turn
 
 from annulus.geometry.calibration import Calibration
 from annulus.geometry.cone import Cone, intersect_cone
-from annulus.geometry.pose import Pose, rotation_z
+from annulus.geometry.pose import Pose
 from annulus.rings.reconstructor import WALL_TOLERANCE
 from annulus.wall.pose import fit_pose
 from annulus.wall.profile import Profile
@@ -27,8 +27,9 @@ def still(height_mm: float) -> Surface:
 
 def scan(
     surface: Surface, *, index: float | None = None, frames: int = 20, every_mm: float = 4.0, roll_deg: float = 0.0,
-    told_roll: bool = False, rods_deg: Sequence[float] = (107.0, 227.0, 347.0), noise: float = 1.0, bias_mm: float = 0.02,
-    wall: Shape | None = None, calibration: Calibration = CALIBRATION, directions: int = 720, seed: int = 3,
+    told_roll: bool = False, rods_deg: Sequence[float] = (107.0, 227.0, 347.0), noise: float = 1.0,
+    bias_mm: float = 0.02, wall: Shape | None = None, calibration: Calibration = CALIBRATION, directions: int = 360,
+    seed: int = 3,
     unseen: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
 ) -> list[Profile]:  # fmt: skip
     """Frames of a wandering head, posed by `fit_pose` as real ones are.
@@ -117,7 +118,7 @@ def _ahead(
 ) -> np.ndarray:
     """Where rays leave the wall, or go through the surface: bisected between inside and outside."""
     low, high = np.zeros(len(ways)), np.full(len(ways), 1500.0)
-    for _ in range(60):
+    for _ in range(45):
         s = 0.5 * (low + high)
         x, y, z = (start + s[:, None] * ways).T
         if surface is not None:
@@ -139,16 +140,10 @@ def _window(eye: np.ndarray, bottom: np.ndarray, height: np.ndarray, index: floa
     far = np.hypot(across[:, 0], across[:, 2])
     up, down = height - eye[1], bottom[:, 1] - height
     low, high = np.zeros(len(bottom)), np.ones(len(bottom))
-    for _ in range(60):
+    for _ in range(45):
         part = 0.5 * (low + high)
         slope = part * far / np.hypot(part * far, up) - index * (1 - part) * far / np.hypot((1 - part) * far, down)
         low, high = np.where(slope < 0, part, low), np.where(slope < 0, high, part)
     out = eye + across * low[:, None]
     out[:, 1] = height
     return out
-
-
-def rolled(surface: Surface, angle_deg: float) -> Surface:
-    """A flat surface in the frame of a head turned so far and not told of it. Only for planes through x = 0."""
-    turned = rotation_z(-math.radians(angle_deg))
-    return lambda x, z: (surface(np.zeros_like(x), z) - turned[1, 0] * x) / turned[1, 1]
