@@ -288,16 +288,22 @@ def _told_apart(
             told = FeatureKind.WATER if share > TOLD else FeatureKind.DEPOSIT
     if not possible:
         told = FeatureKind.DEPOSIT
-    there = np.isfinite(off_opaque)
-    common = float(np.median(sigma[there]))
+    common = float(np.median(sigma[np.isfinite(off_opaque)]))
     if told is FeatureKind.WATER:
-        disagree = float(np.nanstd(off_water)) / math.sqrt(np.count_nonzero(there))
+        disagree = _disagreement(off_water, sigma)
         return told, water, math.hypot(THROUGH_WATER * common, disagree, (THROUGH_WATER - 1.0) * radius_sigma_mm)
-    disagree = float(np.nanstd(off_opaque)) / math.sqrt(np.count_nonzero(there))
+    disagree = _disagreement(off_opaque, sigma)
     if told is None:  # between the two that it may be
         middle = 0.5 * (opaque + np.where(np.isfinite(water), water, opaque))
         return None, middle, math.hypot(common, disagree, float(np.nanmedian(opaque - middle)))
     return told, opaque, math.hypot(common, disagree)
+
+
+def _disagreement(offset: FloatArray, sigma: FloatArray) -> float:
+    """What rings that disagree by (K,) leave open of their mean, standard deviation."""
+    there = np.isfinite(offset)
+    weight = sigma[there] ** -2.0
+    return math.sqrt(float((weight * offset[there] ** 2).sum() / weight.sum()) / len(weight))
 
 
 def _levelled(table: FloatArray, sigma: FloatArray) -> tuple[FloatArray, FloatArray]:
