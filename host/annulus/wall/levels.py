@@ -118,14 +118,8 @@ def covered(levels: Iterable[Level], clock_deg: FloatArray, z_mm: FloatArray) ->
 
 def _above(levels: Sequence[Level], profile: Profile) -> Profile:
     x, y, z = profile.points_mm.astype(np.float64).T
-    kept = ~covered(levels, np.degrees(np.arctan2(x, -y)), z)
-    if kept.all():
-        return profile
-    return replace(
-        profile, points_mm=profile.points_mm[kept], colour=profile.colour[kept], ring=profile.ring[kept],
-        direction=profile.direction[kept], sigma_mm=profile.sigma_mm[kept],
-        rejected={**profile.rejected, "below level": int(np.count_nonzero(~kept))},
-    )  # fmt: skip
+    below = covered(levels, np.degrees(np.arctan2(x, -y)), z)
+    return profile.without(below, "below level") if below.any() else profile
 
 
 def _cut(profiles: Sequence[Profile], length_mm: float) -> Slabs | None:

@@ -21,6 +21,7 @@ from annulus.wall.defects import Defect, Detection, Kind, find_defects
 from annulus.wall.features import Feature
 from annulus.wall.grid import Wall, build_wall
 from annulus.wall.joints import find_joints, taken, without_hidden
+from annulus.wall.levels import covered, without_levels
 from annulus.wall.profile import Profile
 from annulus.wall.registration import register
 from annulus.wall.shadow import shadowed
