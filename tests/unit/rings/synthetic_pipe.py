@@ -51,6 +51,24 @@ def bump(inner: RadiusMap, clock_deg: float, z_mm: float, foot_mm: float, height
     return radius
 
 
+def opening(
+    inner: RadiusMap, clock_deg: float, z_mm: float, inner_d: float, outer_d: float = 0.0, stands: float = 0.0
+) -> RadiusMap:
+    """A bore at right angles to the pipe; its rim, cut square, reaches `stands` into it."""
+
+    def radius(clock: np.ndarray, z: np.ndarray) -> np.ndarray:
+        side, along = np.radians(turn(clock, clock_deg)), z - z_mm
+        near, half = np.cos(side) > 0.5, inner_d / 2
+        wall = inner(clock, z)
+        top = (RADIUS_MM - stands) / np.maximum(np.cos(side), 0.2) if outer_d else wall
+        away = np.hypot(top * np.sin(side), along)
+        face = np.sqrt(np.maximum(half**2 - along**2, 0.0)) / np.maximum(np.abs(np.sin(side)), 1e-9)
+        rim = np.where(near & (away >= half) & (away <= outer_d / 2), np.minimum(wall, top), wall)
+        return np.where(near & (away < half), np.minimum(np.maximum(face, top), RADIUS_MM + 60.0), rim)
+
+    return radius
+
+
 def oval(inner: RadiusMap, clock_deg: float, part: float, z0: float = -1e9, z1: float = 1e9) -> RadiusMap:
     def radius(clock: np.ndarray, z: np.ndarray) -> np.ndarray:
         fade = np.clip(np.minimum(z - z0, z1 - z) / 20.0, 0.0, 1.0)
@@ -61,17 +79,20 @@ def oval(inner: RadiusMap, clock_deg: float, part: float, z0: float = -1e9, z1: 
 
 def scan(
     radius: RadiusMap, *, z_mm: Sequence[float] | None = None, rods_deg: Sequence[float] = (107.0, 227.0, 347.0),
-    noise: float = 1.0, gross: float = 0.0, directions: int = 720, seed: int = 5,
+    noise: float = 1.0, gross: float = 0.0, directions: int = 720, seed: int = 5, steep: bool = False,
 ) -> list[Profile]:  # fmt: skip
-    """Profiles of a centred sensor at the stations (50 frames 2.4 mm apart, every fifth left to the LED)."""
+    """Profiles of a centred sensor at the stations (50 frames 2.4 mm apart, every fifth left to the LED).
+
+    steep : walls may stand upright: light is followed to the hundredth of a millimetre.
+    """
     stations = [2.4 * i for i in range(50) if i % 5 != 4] if z_mm is None else z_mm
-    return list(_cast(radius, tuple(stations), tuple(rods_deg), noise, gross, directions, seed))
+    return list(_cast(radius, tuple(stations), tuple(rods_deg), noise, gross, directions, seed, steep))
 
 
 @lru_cache(maxsize=16)
 def _cast(
     radius: RadiusMap, stations: tuple[float, ...], rods_deg: tuple[float, ...], noise: float, gross: float,
-    directions: int, seed: int,
+    directions: int, seed: int, steep: bool,
 ) -> tuple[Profile, ...]:  # fmt: skip
     rng = np.random.default_rng(seed)
     clock = (np.arange(directions) + 0.5) * 360.0 / directions
@@ -89,6 +110,13 @@ def _cast(
             columns = np.arange(len(clock))
             g0, g1 = gap[first - 1, columns], gap[first, columns]
             r = rho[first - 1, 0] + 1.0 * g0 / (g0 - g1)
+            if steep:
+                low, high = rho[first - 1, 0], rho[first, 0]
+                for _ in range(7):
+                    middle = 0.5 * (low + high)
+                    beyond = middle >= radius(clock, VERTEX_Z_MM + middle / np.tan(np.radians(full / 2)) + z0)
+                    low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
+                r = 0.5 * (low + high)
             z_hit = VERTEX_Z_MM + r / np.tan(np.radians(full / 2))
             way = np.linspace(0.8, 0.985, 14)[:, None]  # the camera's line of sight, at the origin, must stay inside
             open_way = (way * r < radius(clock[None], way * z_hit + z0)).all(axis=0)
