@@ -4,7 +4,7 @@ import math
 import time
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -22,6 +22,7 @@ from annulus.wall.features import Feature
 from annulus.wall.grid import Wall, build_wall
 from annulus.wall.joints import find_joints, taken, without_hidden
 from annulus.wall.levels import covered, without_levels
+from annulus.wall.openings import find_openings
 from annulus.wall.profile import Profile
 from annulus.wall.registration import register
 from annulus.wall.shadow import shadowed
@@ -200,7 +201,8 @@ def survey(
     axis = find_axis(above, calibration.rings)
     done("axis")
     # a chain's heads have been adjusted with it; on a straight pipe they follow its shape, too
-    measured = without_inconsistent(register(above) if axis.adjusted is None else axis.profiles)
+    aligned = register(above) if axis.adjusted is None else axis.profiles
+    measured = without_inconsistent(aligned)
     done("alignment")
     shaken = None
     if vibration:
@@ -214,11 +216,12 @@ def survey(
         measured = seen
         wall = build_wall(measured, rise=widest, centreline=axis.centreline)
     below = covered(levels, wall.clock_deg, wall.z_mm[:, None])
-    explained = taken(wall, joints, 1.0 / narrowest) | below
+    openings, no_wall = find_openings(wall, aligned, calibration)
+    explained = taken(wall, joints, 1.0 / narrowest) | below | no_wall
     done("features")
     detection = find_defects(wall, shadow_ratio=1.0 / narrowest, least_shadow_ratio=1.0 / widest, features=explained)
     done("defects")
-    stations = measure_stations(wall)
+    stations = measure_stations(replace(wall, radius_mm=np.where(no_wall, np.float32(np.nan), wall.radius_mm)))
     dark = shadowed(wall.radius_mm.astype(np.float64), wall.z_step_mm, narrowest)
     done("stations")
     texture = paint(wall, axis.centreline, calibration, measured, led_frames)
@@ -227,7 +230,7 @@ def survey(
     done("texture")
     timing = {name: 1e3 * (after - before) for (_, before), (name, after) in pairwise(marks)}
     features = [level.feature for level in levels]
-    features += [*(joint.feature for joint in joints), *find_bends(axis, wall.extent[:2])]
+    features += [*(joint.feature for joint in joints), *find_bends(axis, wall.extent[:2]), *openings]
     features.sort(key=lambda one: (one.z_mm, one.clock_deg))
     nominal = 2 * calibration.pipe_radius_mm
     return Survey(
