@@ -174,7 +174,7 @@ def _fitted(bore: _Bore, points: Points, looks: Looks, size: float) -> _Bore | N
     for gate in GATES:
         rim = _rim(bore, points, size)
         bore = rim if rim.stands_mm or gate < GATES[0] else bore
-        ends = _ends(bore, looks, size)
+        ends = _ends(bore, points, looks, size)
         angle = bore.aside(points.clock_deg)
         across, along = points.radius_mm * np.sin(angle), points.z_mm - bore.z_mm
         off = np.hypot(across, along) - bore.radius_mm
@@ -263,20 +263,30 @@ def _passing(bore: _Bore, looks: Looks, size: float) -> tuple[FloatArray, FloatA
     return across, along, missed, looks.lit & (np.cos(angle) > 0.3)
 
 
-def _ends(bore: _Bore, looks: Looks, size: float) -> FloatArray:
-    """(E, 2) across and along, from the centre, where rings end at the sides and the near half of the opening."""
+def _ends(bore: _Bore, points: Points, looks: Looks, size: float) -> FloatArray:
+    """(E, 2) across and along, from the centre, where rings end at the sides and the near half of the opening: half a
+    direction beyond their last points."""
     across, along, missed, known = _passing(bore, looks, size)
     order = np.roll(np.arange(COLUMNS), COLUMNS // 2 - int(bore.clock_deg / 360.0 * COLUMNS))  # the axis in the middle
-    across, along, missed, known = across[order], along[:, order], missed[:, order], known[:, order]
-    inside = missed & known & (np.hypot(across, along) < bore.radius_mm + SLIT * size)
+    along, missed, known = along[:, order], missed[:, order], known[:, order]
+    inside = missed & known & (np.hypot(across[order], along) < bore.radius_mm + SLIT * size)
+    angle = bore.aside(points.clock_deg)
+    column = np.minimum((points.clock_deg * (COLUMNS / 360.0)).astype(np.int64), COLUMNS - 1)
     out = []
     for i in np.flatnonzero(np.count_nonzero(inside, axis=1) >= 3):
+        mine = np.flatnonzero(points.look == i)
         run = np.flatnonzero(inside[i])
-        for last, beyond in ((run[0], run[0] - 1), (run[-1], run[-1] + 1)):
-            if 0 <= beyond < COLUMNS and known[i, beyond] and not missed[i, beyond]:
-                out.append((0.5 * (across[last] + across[beyond]), along[i, last]))
-    ends = np.array(out, dtype=np.float64).reshape(-1, 2)
-    return ends[ends[:, 1] < 0.1 * bore.radius_mm]
+        for last, way in ((run[0], -1), (run[-1], 1)):
+            beyond = last + way
+            if not 0 <= beyond < COLUMNS or not known[i, beyond] or missed[i, beyond]:
+                continue
+            ends = angle[mine[column[mine] == order[beyond]]]
+            if len(ends):
+                step = float(np.median(np.diff(np.sort(angle[mine]))))
+                end = np.array([way * float((way * ends).min()) - way * step / 2])
+                out.append((float(((bore.wall_mm + _level(bore, end)) * np.sin(end))[0]), along[i, last]))
+    found = np.array(out, dtype=np.float64).reshape(-1, 2)
+    return found[found[:, 1] < 0.1 * bore.radius_mm]
 
 
 def _is_open(bore: _Bore, points: Points, looks: Looks, size: float) -> bool:

@@ -1,4 +1,4 @@
-"""Openings in pictures: a traced branch, and walls of the simulated head that have none."""
+"""Openings in traced pictures: a branch is one; pockets, a coupling's gap, dirt and dead columns are none."""
 
 import json
 from pathlib import Path
@@ -10,11 +10,11 @@ from annulus.wall.features import FeatureKind
 
 PIPES = Path(__file__).resolve().parents[4] / "shared" / "scenes" / "pipes"
 OPENINGS = (FeatureKind.BRANCH, FeatureKind.TEE)
-SCENES = [path.name for path in sorted(PIPES.glob("s*-*")) if path.is_dir()]
+SCENES = ("s00a-control", "s02a-coupling", "s06a-dirt", "s07a-leak", "s09a-branch")
 
 
-@pytest.mark.skipif(not SCENES, reason="needs ../shared/scenes/pipes")
-@pytest.mark.parametrize("name", SCENES or ["none"])
+@pytest.mark.skipif(not PIPES.is_dir(), reason="needs ../shared/scenes/pipes")
+@pytest.mark.parametrize("name", SCENES)
 def test_a_branch_is_named_where_there_is_one_and_nowhere_else(name: str) -> None:
     folder = PIPES / name
     true = json.loads((folder / "truth.json").read_text())["scene"]["pipe"].get("features", {}).get("branch")
@@ -28,4 +28,6 @@ def test_a_branch_is_named_where_there_is_one_and_nowhere_else(name: str) -> Non
         (diameter,) = found[0].measures
         assert diameter.value == pytest.approx(true["inner_d"], abs=1.0)
         assert abs(diameter.value - true["inner_d"]) < diameter.k2
-        assert not [d for d in pipe.defects if abs(d.z_mm - true["z"]) < 20 and abs(d.clock_deg - found[0].clock_deg) < 20]
+        assert not [
+            d for d in pipe.defects if abs(d.z_mm - true["z"]) < 20 and abs(d.clock_deg - found[0].clock_deg) < 20
+        ]
