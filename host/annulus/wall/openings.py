@@ -36,6 +36,7 @@ LEVEL = 0.02  # this near to a surface is that surface (1.5 mm in a 6-inch pipe)
 CELL = 0.026  # length of a cell of places of passage along the pipe
 MISSING, LOOKS_LEAST = 0.75, 3  # part of the looks that found no wall, and how many, make a cell one of a patch
 FULL = 0.25  # part of the box about a patch that it fills: a disc fills three quarters, a crescent of it a half
+ROD = 0.15  # over so much that nobody looked at, a rod's shadow, a patch goes on
 SIZE_LEAST, SIZE_MOST = 0.12, 1.6  # of a patch and of a diameter: less is a slit's width, more is no opening but an end
 GATES = 0.08, 0.06, 0.04, 0.03  # how far from the circle a face may lie, in one round of the fit after the other
 SLIT = 0.04  # half a slit's width on the wall: how early or late rings may end, standard deviation
@@ -147,7 +148,12 @@ def _patches(looks: Looks, wall: Wall, stands_mm: float) -> list[_Bore]:
         off = np.abs(looks.departure_mm)
         wall_met = (off <= LEVEL * size) | (np.abs(off - stands_mm) <= 0.5 * STARTS[1] * size)
     every, missed = around(looks.lit), around(~wall_met)
-    label, n = label_around((missed >= MISSING * every) & (every >= LOOKS_LEAST))
+    patch = (missed >= MISSING * every) & (every >= LOOKS_LEAST)
+    reach = round(ROD / 2 / (2 * np.pi) * COLUMNS)  # each side of a rod's shadow
+    joined = ndimage.binary_closing(
+        np.pad(patch, ((0, 0), (2 * reach, 2 * reach)), mode="wrap"), np.ones((1, 2 * reach + 1), dtype=bool)
+    )
+    label, n = label_around(patch | (joined[:, 2 * reach : -2 * reach] & (every < LOOKS_LEAST)))
     wide_mm = 2 * np.pi * size / COLUMNS
     rows_, columns = np.nonzero(label)
     number = label[rows_, columns]
