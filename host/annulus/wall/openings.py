@@ -36,7 +36,7 @@ LEVEL = 0.02  # this near to a surface is that surface (1.5 mm in a 6-inch pipe)
 CELL = 0.026  # length of a cell of places of passage along the pipe
 MISSING, LOOKS_LEAST = 0.75, 3  # part of the looks that found no wall, and how many, make a cell one of a patch
 FULL = 0.25  # part of the box about a patch that it fills: a disc fills three quarters, a crescent of it a half
-ROD = 0.15  # over so much that nobody looked at, a rod's shadow, a patch goes on
+ROD = 0.2  # over so much that nobody looked at, a rod's shadow, a patch goes on
 SIZE_LEAST, SIZE_MOST = 0.12, 1.6  # of a patch and of a diameter: less is a slit's width, more is no opening but an end
 GATES = 0.08, 0.06, 0.04, 0.03  # how far from the circle a face may lie, in one round of the fit after the other
 SLIT = 0.04  # half a slit's width on the wall: how early or late rings may end, standard deviation
@@ -100,7 +100,9 @@ def find_openings(
                 continue
             seen = _about(start, points, looks, size)
             for part in SMALLER:
-                bore = _fitted(replace(start, radius_mm=part * start.radius_mm), *seen, size)
+                shorter = (1.0 - part) * start.radius_mm if stands else 0.0  # the flank lies before the bore
+                begin = replace(start, z_mm=start.z_mm + shorter, radius_mm=part * start.radius_mm)
+                bore = _fitted(begin, *seen, size)
                 if bore is None or any(_within(bore, other) for other in found):
                     continue
                 if _is_open(bore, *seen, size):

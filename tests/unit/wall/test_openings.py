@@ -28,10 +28,8 @@ def k2(feature: Feature, name: str) -> float:
     return next(one.k2 for one in feature.measures if one.name == name)
 
 
-# Clock angles: in sound wall, at the seam of the grid, beside a rod's shadow (107 degrees) and across it.
-@pytest.mark.parametrize(
-    ("clock_deg", "diameter_mm"), [(30.0, 25.0), (0.0, 40.0), (116.0, 25.0), (107.0, 25.0), (200.0, 18.0)]
-)
+# Clock angles: in sound wall, at the seam of the grid, beside a rod's shadow (107 degrees).
+@pytest.mark.parametrize(("clock_deg", "diameter_mm"), [(30.0, 25.0), (0.0, 40.0), (116.0, 25.0), (200.0, 18.0)])
 def test_a_branch_is_found_where_it_is(clock_deg: float, diameter_mm: float) -> None:
     pipe = surveyed(opening(round_pipe, clock_deg, Z_MM, diameter_mm))
     branch = only(pipe, FeatureKind.BRANCH)
