@@ -19,7 +19,7 @@ class Mesh:
     cell: NDArray[np.int64]
 
 
-def triangulate(wall: Wall, centreline: Centreline) -> Mesh:
+def triangulate(wall: Wall, centreline: Centreline | None = None) -> Mesh:
     """A vertex in every seen cell, joined with its neighbours.
 
     A face joins cells only where all its corners were seen; around the clock the grid closes. Triangles are wound so
@@ -49,4 +49,4 @@ def triangulate(wall: Wall, centreline: Centreline) -> Mesh:
     radius = wall.radius_mm.astype(np.float64)
     z = np.broadcast_to(wall.z_mm[:, None], radius.shape)
     points = np.stack([radius * np.sin(t), -radius * np.cos(t), z], axis=-1).reshape(-1, 3)[flat]
-    return Mesh(centreline.to_space(points), triangles, flat)
+    return Mesh(points if centreline is None else centreline.to_space(points), triangles, flat)
