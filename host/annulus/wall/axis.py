@@ -54,7 +54,9 @@ JOINT_STEP_MM = 1.0  # between places tried for a joint
 SHORTEST_OF_RADIUS = 0.5  # of the radius: a bend or taper
 NUMBER_COST = 10.0  # chi-square that one more number must explain
 PIECES_MOST = 256
-COARSE, FINE = 24, 72  # sectors of a ring; few bias a bend's radius by the ring's own course within one (1.5 %)
+COARSE, FINE = 24, 72  # sectors of a ring, to search with and to measure with ..
+FRAMES_FINE = 1000  # .. as long as there are no more frames; bounds memory
+BLOCK = 64  # places looked at before it is asked whether something began
 SIGHTINGS_LEAST = 20  # of a frame
 RINGS_LEAST = 3  # fewer do not tell how a pipe goes on within one frame
 
@@ -105,7 +107,7 @@ def find_axis(profiles: Sequence[Profile], cones: Sequence[Cone]) -> Axis:
     found, begins = _search(seen)
     if len(begins) == 1:
         return as_it_was
-    fine = sightings(profiles, cones, FINE)
+    fine = sightings(profiles, cones, FINE if len(seen.first) <= FRAMES_FINE else COARSE)
     assert fine is not None
     found = adjust(fine, found.state, _free(begins), scales_mm=(1.0, 0.5))
     for i in (i for i, kind in enumerate(begins) if kind is Begins.JOINT):
@@ -117,14 +119,13 @@ def find_axis(profiles: Sequence[Profile], cones: Sequence[Cone]) -> Axis:
 
 
 def explained(
-    seen: Sightings, now: Adjusted, at_mm: FloatArray, upto_mm: float = np.inf
+    seen: Sightings, now: Adjusted, lean: FloatArray, at_mm: FloatArray, upto_mm: float = np.inf
 ) -> tuple[FloatArray, FloatArray]:
     """Chi-square (G, 3) that a joint, bend or taper beginning at each of some places would explain of what is left, and
     how large it would be: (G, 8) offset 2, turn 2, curvature 2, radius, taper, in mm and radians.
 
-    Linear, about where all is now: heads may follow, four numbers each, and are eliminated.
+    Linear, about where all is now: heads may follow, and are eliminated. lean : (N, HEAD) what those do, of `by_head`.
     """
-    lean = by_head(seen, now.state, now.where)
     z, (c, s) = now.where.chainage_mm, now.where.direction.T
     weight = np.where(z < upto_mm, now.weight, 0.0) / now.unit**2
     ends = [*seen.first[1:], len(z)]
@@ -132,19 +133,23 @@ def explained(
     held = np.diag([1e-3, 1e-3, 1e-6, 1e-6, 1e9])  # the roll stays
     gain, size = np.zeros((len(at_mm), 3)), np.zeros((len(at_mm), 8))
     for i, at in enumerate(at_mm):
-        normal, right = np.zeros((8, 8)), np.zeros(8)
-        for k in np.flatnonzero((high > at) & (low < at)):
-            own = slice(seen.first[k], ends[k])
-            d, on = np.maximum(z[own] - at, 0.0), (z[own] > at).astype(np.float64)
-            u, v = c[own], s[own]
-            bent = d * d / 2
-            change = -np.stack([u * on, v * on, u * d, v * d, u * bent, v * bent, on, d], axis=1)
-            weighted = lean[own] * weight[own, None]
-            both = change.T @ weighted
-            left = now.where.residual_mm[own]
-            follow = np.linalg.solve(lean[own].T @ weighted + held, np.column_stack([both.T, weighted.T @ left]))
-            normal += change.T @ (change * weight[own, None]) - both @ follow[:, :8]
-            right += change.T @ (weight[own] * left) - both @ follow[:, 8]
+        astride = np.flatnonzero((high > at) & (low < at))
+        if not len(astride):
+            continue
+        own = slice(seen.first[astride[0]], ends[astride[-1]])  # frames stand in order; one not astride adds nothing
+        starts = seen.first[astride[0] : astride[-1] + 1] - own.start
+        d, on = np.maximum(z[own] - at, 0.0), (z[own] > at).astype(np.float64)
+        u, v, bent = c[own], s[own], d * d / 2
+        change = -np.stack([u * on, v * on, u * d, v * d, u * bent, v * bent, on, d], axis=1)
+        left = now.where.residual_mm[own]
+        weighted = lean[own] * weight[own, None]
+        both = np.add.reduceat(change[:, :, None] * weighted[:, None, :], starts)  # (F, 8, HEAD)
+        heads = np.add.reduceat(lean[own][:, :, None] * weighted[:, None, :], starts) + held
+        pull = np.add.reduceat(weighted * left[:, None], starts)
+        follow = np.linalg.solve(heads, np.concatenate([both.transpose(0, 2, 1), pull[:, :, None]], axis=2))
+        counted = change * weight[own, None]
+        normal = change.T @ counted - np.einsum("fah,fhb->ab", both, follow[:, :, :8])
+        right = counted.T @ left - np.einsum("fah,fh->a", both, follow[:, :, 8])
         for j, kind in enumerate(KINDS):
             pick = NUMBERS[kind]
             own_normal = normal[np.ix_(pick, pick)]
@@ -207,9 +212,9 @@ def _less(state: State, piece: int) -> State:
 
 
 def _search(seen: Sightings) -> tuple[Adjusted, list[Begins]]:
-    radius, step = seen.radius_mm, STEP_OF_RADIUS * seen.radius_mm
+    step = STEP_OF_RADIUS * seen.radius_mm
     row = np.zeros((1, PIECE))
-    row[0, RADIUS], row[0, START] = radius, seen.chainage_mm[0] - radius
+    row[0, RADIUS], row[0, START] = seen.radius_mm, seen.chainage_mm[0] - seen.radius_mm
     begins = [Begins.STRAIGHT]
     now = adjust(seen, State(row, np.zeros((seen.rings, BIAS)), seen.heads), _free(begins))
     since = -np.inf
@@ -218,12 +223,10 @@ def _search(seen: Sightings) -> tuple[Adjusted, list[Begins]]:
         places = np.arange(max(low, since), high, step)
         if not len(places):
             break
-        gain, size = explained(seen, now, places)
         needed = [ENDS if begins[-1] is kind and kind is not Begins.JOINT else SHOWN for kind in KINDS]
-        shown = ((gain > needed) & _matters(size, radius)).any(axis=1)
-        if not shown.any():
+        first = _first(seen, now, places, np.array(needed))
+        if first is None:
             break
-        first = float(places[np.argmax(shown)])
         began = _begun(seen, now, begins, first, float(high))
         if began is None:
             since = first + step
@@ -235,13 +238,24 @@ def _search(seen: Sightings) -> tuple[Adjusted, list[Begins]]:
     return now, begins
 
 
+def _first(seen: Sightings, now: Adjusted, places: FloatArray, needed: FloatArray) -> float | None:
+    """The nearest of some places at which something begins; None where nothing does."""
+    lean = by_head(seen, now.state, now.where)
+    for i in range(0, len(places), BLOCK):
+        gain, size = explained(seen, now, lean, places[i : i + BLOCK])
+        shown = ((gain > needed) & _matters(size, seen.radius_mm)).any(axis=1)
+        if shown.any():
+            return float(places[i + np.argmax(shown)])
+    return None
+
+
 def _begun(
     seen: Sightings, now: Adjusted, begins: Sequence[Begins], first: float, high: float
 ) -> tuple[State, Begins] | None:
     """The kind of piece that explains best what begins at `first` or soon after, and the state with it."""
     step, reach = STEP_OF_RADIUS * seen.radius_mm, AHEAD_OF_RADIUS * seen.radius_mm
     places = np.arange(first, min(first + 0.75 * reach, high), step)
-    gain, size = explained(seen, now, places, first + reach)
+    gain, size = explained(seen, now, by_head(seen, now.state, now.where), places, first + reach)
     part, heads = _up_to(seen, now, first + reach)
     start = replace(now.state, heads=now.state.heads[heads])
     tries = [(kind, kind) for kind in KINDS]
