@@ -130,6 +130,17 @@ class _Points:
         sigma = np.concatenate([profile.sigma_mm for profile in profiles]).astype(np.float64)
         return cls(z, (clock * SECTORS / 360.0).astype(np.intp), shape - np.hypot(x, y), sigma)
 
+    def trimmed(self, zone: tuple[float, float], limit: float) -> tuple[float, float]:
+        """A zone without what is sound wall at its ends; the grid's rows may be coarser than points are."""
+        inside = (self.z_mm >= zone[0]) & (self.z_mm <= zone[1])
+        row = np.floor((self.z_mm[inside] - zone[0]) / ROW_MM).astype(np.intp)
+        count = np.bincount(row)
+        near = np.bincount(row, weights=np.abs(self.height_mm[inside]) < limit)
+        unsound = np.flatnonzero((count < POINTS) | (near < SOUND * count))
+        if not len(unsound):
+            return zone
+        return zone[0] + float(unsound[0]) * ROW_MM, min(zone[0] + float(unsound[-1] + 1) * ROW_MM, zone[1])
+
     def sigma_mm(self, inside: BoolArray) -> float:
         """Of one of some points, the median; NaN where nobody said."""
         stated = self.stated_mm[inside]
@@ -199,7 +210,7 @@ class _Rows:
 def _joint(
     wall: Wall, points: _Points, zone: tuple[float, float], limit: float, axis: Axis, piece: int | None
 ) -> Joint:
-    first, last = zone
+    first, last = points.trimmed(zone, limit)
     inside = (points.z_mm >= first) & (points.z_mm <= last)
     z, sector, height = points.z_mm[inside], points.sector[inside], points.height_mm[inside]
     measures: list[Measure] = []
@@ -208,7 +219,7 @@ def _joint(
     if is_bead:
         crests = [np.percentile(height[sector == k], CREST) for k in range(SECTORS) if (sector == k).sum() >= POINTS]
         crest = float(np.median(crests)) if crests else float(np.percentile(height, CREST))
-        scatter = float(np.std(crests)) / math.sqrt(len(crests)) if crests else math.nan
+        scatter = float(np.std(crests)) / 2 if crests else math.nan  # a bead uneven all round is seen as unevenly
         start, end = _flanks(z, height, crest)
         noise = math.hypot(float(np.median(wall.noise_mm)), points.sigma_mm(inside))
         measures.append(Measure("height_mm", crest, 2.0 * math.hypot(noise, scatter)))

@@ -45,6 +45,14 @@ def test_a_joint_is_measured(offset: tuple[float, float], turn: tuple[float, flo
     assert loss.clock_deg == pytest.approx(120.0, abs=4.0)
 
 
+def test_a_narrower_pipe_is_no_gap() -> None:
+    pipe = survey(frames(Centreline([Piece(0.0, R), Piece(160.0, R - 3.0)]), STATIONS), CALIBRATION)
+    (joint,) = pipe.features
+    assert joint.kind is FeatureKind.JOINT
+    assert joint.measured("step_mm") == pytest.approx(-6.0, abs=0.03)
+    assert not pipe.defects
+
+
 def test_a_bend_is_measured_in_space() -> None:
     radius = 3.0 * 2 * R
     arc = radius * np.pi / 2
