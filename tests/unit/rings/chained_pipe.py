@@ -83,7 +83,7 @@ def _rays(
         t = np.degrees(np.arctan2(pipe[:, 0], -pipe[:, 1])) % 360
         return radius - line.radius_at(pipe[:, 2]) - departure(t, pipe[:, 2])
 
-    steps = np.arange(80.0, 420.0, 4.0)
+    steps = np.arange(108.0, 408.0, 5.0)
     first = np.full(len(ways), np.nan)
     for a, b in itertools.pairwise(steps):
         open_ = np.flatnonzero(np.isnan(first))
@@ -99,7 +99,7 @@ def _rays(
     hit = np.isfinite(first)
     points = vertex + np.where(hit, first, 1.0)[:, None] * ways
     seen = hit.copy()
-    for part in np.linspace(0.5, 0.985, 24):  # the lens, at the origin, must see it
+    for part in np.linspace(0.6, 0.985, 12):  # the lens, at the origin, must see it
         seen &= outside(part * points) < 0
     noise = rng.normal(0, 1, len(ways)) * np.array(NOISE_MM)[ring]
     outward = ways[:, :2] / np.linalg.norm(ways[:, :2], axis=1)[:, None]
