@@ -25,7 +25,7 @@ from annulus.daemon.run import ending
 from annulus.daemon.samples import open_sensors
 from annulus.daemon.session import Session
 from annulus.record.calibration_file import save_calibration
-from annulus.report import Account, prepare_folder, write
+from annulus.report import FILES, Account, prepare_folder, write
 from annulus.reprocess import Job, Processes, led_frames, measure, method_for, open_job, stage_medians, warm_up
 from annulus.twin.head import HeadHandle, head_toml, start_head, sustainable_fps
 from annulus.twin.score import score
@@ -44,9 +44,7 @@ MM_PER_FRAME = 3.0  # aimed at; a slow machine scans longer for it, when nobody 
 MM_PER_FRAME_MAX = 6.0  # .. and less of the pipe, when somebody does
 START_PATIENCE_S = 60.0  # from lamps armed to the first labelled frame
 BAR_S = 0.1
-RESULTS = (
-    "report.html", "summary.json", "cloud.ply", "mesh.ply", "unwrapped.png", "texture.png", "stations.csv"
-)  # fmt: skip
+RESULTS = ("report.html", *(name for name in FILES if name != "report.html"))  # what people open comes first
 
 
 @dataclass(frozen=True, slots=True)

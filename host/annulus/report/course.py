@@ -40,7 +40,7 @@ def centreline(survey: Survey) -> dict[str, Any]:
         ],
         "bends": [
             {one.name: round(one.value, 4) for one in bend.measures}
-            | {one.name.removesuffix(f"_{one.unit}") + f"_k2_{one.unit}": round(one.k2, 4) for one in bend.measures}
+            | {one.k2_name: round(one.k2, 4) for one in bend.measures}
             for bend in survey.features
             if bend.kind is FeatureKind.BEND
         ],

@@ -123,7 +123,7 @@ def _feature(feature: Feature) -> dict[str, Any]:
     }  # fmt: skip
     for one in feature.measures:
         out[one.name] = round(one.value, 3)
-        out[f"{one.name.removesuffix('_' + one.unit)}_k2_{one.unit}"] = round(one.k2, 3)
+        out[one.k2_name] = round(one.k2, 3)
     return out
 
 

@@ -1,8 +1,8 @@
 """Heads and centre line, adjusted together so that what every ring saw lies on one pipe.
 
 One observation is a sector of one ring in one frame. Rings of a frame lie at different ranges and frames overlap, so
-the frames on both sides of a joint tie its two pipes together: four numbers a head, ten a piece, one a ring, in one
-robust least-squares problem whose heads are eliminated frame by frame.
+the frames on both sides of a joint tie its two pipes together: some numbers a head, a piece and a ring, in one robust
+least-squares problem whose heads are eliminated frame by frame.
 """
 
 import math
@@ -29,9 +29,7 @@ BIAS_SIGMA_MM = 0.05  # of a ring: how far its own colour and cone may put it be
 BIAS_COMMON_MM = 0.002  # of all rings
 BIAS_STEP_MM = 1e-3
 ROLL_SIGMA, ROLL_HELD = 0.01, 1e-5  # radians; of a head whose roll a sensor gave, and of one that has none
-UNIT_LEAST = (
-    0.3  # of what points say they may be off: part of that all points of a ring have in common and does not show
-)
+UNIT_LEAST = 0.3  # of what points say they may be off: what a ring's points have in common does not scatter
 APART = 0.4  # of the way between two starts: as far as one step may go ..
 APART_LEAST_MM = 1.0  # .. and how near they may come
 HEAD_STEPS = (1e-5, 1e-5, 1e-3, 1e-3, 1e-5)  # radians, mm: of the derivatives
@@ -87,12 +85,11 @@ class State:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Where:
-    """Observations in pipe coordinates: residual (N,) mm, chainage, unit direction (N, 2), piece (N,)."""
+    """Observations in pipe coordinates: residual (N,) mm, chainage, unit direction (N, 2)."""
 
     residual_mm: FloatArray
     chainage_mm: FloatArray
     direction: FloatArray
-    piece: NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -188,7 +185,7 @@ def _locate(seen: Sightings, state: State, local: FloatArray) -> Where:
         state.radii_mm()[own] + of[:, TAPER] * (pipe[:, 2] - of[:, START])
         + of[:, 8] * (c * c - s * s) + of[:, 9] * 2 * c * s
     )  # fmt: skip
-    return Where(radius - model, pipe[:, 2], direction, own)
+    return Where(radius - model, pipe[:, 2], direction)
 
 
 def _local(seen: Sightings, state: State) -> FloatArray:
@@ -255,9 +252,9 @@ def _weights(residual: FloatArray, sigma: FloatArray, scale_mm: float) -> tuple[
     return np.asarray(1.0 / (1.0 + (residual / (CAUCHY * unit * sigma)) ** 2) / sigma**2), unit
 
 
-def cost_of(residual: FloatArray, sigma: FloatArray, unit: float = 1.0) -> float:
+def cost_of(residual: FloatArray, sigma: FloatArray) -> float:
     """Cauchy's, in units of chi-square."""
-    return float((CAUCHY**2 * np.log1p((residual / (CAUCHY * unit * sigma)) ** 2)).sum())
+    return float((CAUCHY**2 * np.log1p((residual / (CAUCHY * sigma)) ** 2)).sum())
 
 
 def _step(

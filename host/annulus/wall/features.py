@@ -38,6 +38,11 @@ class Measure:
     def unit(self) -> str:
         return self.name.rsplit("_", 1)[1]
 
+    @property
+    def k2_name(self) -> str:
+        """What its uncertainty is called beside it: height_k2_mm."""
+        return f"{self.name.removesuffix(self.unit)}k2_{self.unit}"
+
 
 @dataclass(frozen=True, slots=True)
 class Feature:

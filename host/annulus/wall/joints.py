@@ -16,8 +16,10 @@ from annulus.numeric.arrays import BoolArray, FloatArray
 from annulus.wall.adjustment import OFFSET, RADIUS, TURN
 from annulus.wall.axis import Axis, Begins
 from annulus.wall.features import Feature, FeatureKind, Measure
-from annulus.wall.grid import SHAPE_UNSURE_OF_RADIUS, Wall
+from annulus.wall.grid import Wall
+from annulus.wall.indications import Limits
 from annulus.wall.profile import Profile
+from annulus.wall.shadow import SLIT_OF_RADIUS
 from annulus.wall.shape import harmonics
 
 REACH_OF_RADIUS = 0.3  # how far each side of where two pipes meet the joint may reach
@@ -27,7 +29,6 @@ OFF_COLUMNS = 12  # of a row: so many depart, and it is not sound
 ROUND = 0.7  # part of what is seen of a row that must depart alike, for a bead all round
 SOUND = 0.8  # part of what is seen of a row that lies on the pipe's shape: no joint there
 SEEN = 0.3  # part of the circle, for a row to say anything
-SLIT_OF_RADIUS = 0.05  # a slit's width on the wall: a lip is not seen that close
 ROW_MM = 1.0  # of a bead's flank
 SECTORS, POINTS = 36, 6  # of a bead, and points of one that give it a height
 STANDS = 0.5  # part of a joint's points that stand inwards, for a bead
@@ -55,22 +56,25 @@ def find_joints(wall: Wall, profiles: Sequence[Profile], axis: Axis) -> tuple[Jo
     near flank to as much behind the last crest. A gap is what lies between the last and the first row that is sound
     wall, less a slit's width.
     """
-    limit = max(6.0 * float(np.median(wall.noise_mm)), SHAPE_UNSURE_OF_RADIUS * wall.mean_radius_mm)
-    rows, points = _Rows.of(wall, limit), _Points.of(wall, profiles)
-    found: list[Joint] = []
-    for i, kind in enumerate(axis.begins):
-        if kind is Begins.JOINT:
-            zone = rows.zone(axis.centreline.pieces[i].start_mm)
-            found.append(_joint(wall, points, zone, limit, axis, i))
+    limits = Limits()
+    limit = max(limits.seed_noise * float(np.median(wall.noise_mm)), limits.seed_of_radius * wall.mean_radius_mm)
+    rows = _Rows.of(wall, limit)
+    starts = [piece.start_mm for piece in axis.centreline.pieces]
+    zones = [(rows.zone(starts[i]), i) for i, kind in enumerate(axis.begins) if kind is Begins.JOINT]
+    welds: list[tuple[float, float]] = []
     for i, kind in enumerate(axis.begins):  # a bend is welded to its pipes; of those beads little may be seen
-        if kind is Begins.BEND or (kind is Begins.STRAIGHT and i and axis.begins[i - 1] is Begins.BEND):
-            at = axis.centreline.pieces[i].start_mm
-            if rows.disturbed(at):
-                found.append(_joint(wall, points, rows.zone(at), limit, axis, None))
-    for start, end in rows.beads():
-        middle = (start + end) / 2
+        after_bend = kind is Begins.STRAIGHT and i > 0 and axis.begins[i - 1] is Begins.BEND
+        if (kind is Begins.BEND or after_bend) and rows.disturbed(starts[i]):
+            welds.append(rows.zone(starts[i]))
+    beads = rows.beads()
+    if not zones and not welds and not beads:
+        return ()
+    points = _Points.of(wall, profiles)
+    found = [_joint(wall, points, zone, limit, axis, i) for zone, i in zones]
+    found += [_joint(wall, points, zone, limit, axis, None) for zone in welds]
+    for start, end in beads:
         if all(not joint.from_mm - end < 0 < joint.to_mm - start for joint in found):
-            found.append(_joint(wall, points, rows.zone(middle), limit, axis, None))
+            found.append(_joint(wall, points, rows.zone((start + end) / 2), limit, axis, None))
     return tuple(sorted(found, key=lambda joint: joint.from_mm))
 
 
