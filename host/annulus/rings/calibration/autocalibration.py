@@ -18,16 +18,18 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import FloatArray
 from annulus.rings.calibration.bundle import SETTLED, Bundle, Solution, packed
-from annulus.rings.calibration.observations import Observations
+from annulus.rings.calibration.observations import Observations, Placement
 from annulus.vocabulary import AnnulusError
 
 # Of the radius: vertex beside the camera, tried as starts in this order.
 # By topic autocalibration (cold starts, with and without noise) and, for a mirror, test_mirror_calibration.
 DISTANCES = (-0.7, -0.25, 0.3, -1.8, 1.0)
+ASIDE, WAYS = (0.25, 0.5), 8  # of the radius: vertex to the side of a camera of several, in so many directions
 COARSE = 32  # observations of each ring in each frame that a start is tried with
 NEAR = 1e-3  # of a parameter's size: a start is good enough to be compared
 
@@ -46,7 +48,7 @@ def calibrate(
 
     Parameters
     ----------
-    seen : at least two frames. radius_mm : the pipe's; it alone sets the scale of the answer.
+    seen : at least two frames, of one camera or of several on one head. radius_mm : the pipe's; it alone sets the scale of the answer.
     start : an answer nearby, saves the search. corrections : (K, 2, n) rad and mm, what each ring is known to be off
     its cone, see RingCorrection. directions : so many sectors round each ring may each be off the cone by their own
     angle (lumps of the slide); 0 = none is. Only what differs between poses then tells of the cones.
@@ -60,7 +62,9 @@ def calibrate(
     -----
     Alzuhiri 2022, §4.3.2, Alg. 2 (Alg. 1 when there is one ring). Gauss-Newton with analytic derivatives: every
     observation touches the six numbers of its ring and the four of its pose, so the normal equations are gathered in
-    small blocks. Its error is where its ring's image crosses its line, found by Newton's method.
+    small blocks. Its error is where its ring's image crosses its line, found by Newton's method. Of several cameras
+    each begins alone, the projector to its side; what all of them saw of the pipe and the rings says where they stand
+    (Eq. 5.10 and 5.11), and then all is adjusted together, six numbers more for each camera.
     """
     rings, frames = int(seen.ring.max()) + 1, int(seen.frame.max()) + 1
     if frames < 2:
@@ -72,6 +76,8 @@ def calibrate(
     report = progress or (lambda done, total: None)
     if start is not None:
         x = packed(start)
+    elif problem.cameras > 1:
+        x, runner_up = _several(seen, problem, report)
     else:
         few = Bundle(seen.take(_thinned(seen, rings, frames)), rings, frames, radius_mm, known, flat)
         found: list[tuple[float, FloatArray]] = []
@@ -89,6 +95,53 @@ def calibrate(
         _, x = problem.descend(x, robust=False, settled=SETTLED)
     report(len(DISTANCES) + 1, len(DISTANCES) + 1)
     return problem.solution(x, runner_up)
+
+
+def _several(seen: Observations, whole: Bundle, report: Callable[[int, int], None]) -> tuple[FloatArray, float]:
+    """Where to begin with several cameras, and the least `runner_up` of those that each found alone."""
+    alone, runner_up = [], math.inf
+    for number in range(whole.cameras):
+        report(number, whole.cameras + 1)
+        own = seen.take(np.flatnonzero(seen.camera == number))
+        own = replace(own, camera=np.zeros(len(own), np.int64), tint=np.zeros((len(own), 0)))
+        few = Bundle(own.take(_thinned(own, whole.rings, whole.frames)), whole.rings, whole.frames, whole.radius,
+                     whole.corrections)  # fmt: skip
+        found = []
+        for aside in ASIDE:
+            for way in range(WAYS):
+                turn = 2 * math.pi * way / WAYS
+                start = few.first_beside(aside * whole.radius * np.array([math.cos(turn), math.sin(turn)]))
+                found.append(few.descend(start, robust=True, settled=NEAR))
+        found.sort(key=lambda one: one[0])
+        best, x = found[0]
+        far = 0.05 * whole.radius
+        others = [cost for cost, other in found if np.linalg.norm(other[3:6] - x[3:6]) > far]
+        runner_up = min(runner_up, min(others, default=math.inf) / max(best, 1e-300))
+        alone.append(few.solution(x, math.inf))
+    start = replace(
+        alone[0], cameras=tuple(_placed(alone[0], other) for other in alone[1:]),
+        colour_shift_px=np.zeros((seen.tint.shape[1] // 4, 4)),
+    )  # fmt: skip
+    few = Bundle(seen.take(_thinned(seen, whole.rings, whole.frames)), whole.rings, whole.frames, whole.radius,
+                 whole.corrections)  # fmt: skip
+    _, x = few.descend(packed(start), robust=True, settled=NEAR)
+    return x, runner_up
+
+
+def _placed(first: Solution, other: Solution) -> Placement:
+    """Where a camera stands from which the same rings and the same pipe were seen."""
+    ours, theirs = [], []
+    for one, out in ((first, ours), (other, theirs)):
+        vertex = np.mean([ring.vertex_mm for ring in one.rings], axis=0)
+        out += [np.asarray(ring.axis) for ring in one.rings]
+        for pose in one.poses:
+            axis = pose.rotation[:, 2]
+            away = pose.translation - vertex
+            out += [axis, (away - (away @ axis) * axis) / one.radius_mm]  # the pipe's way, and where it passes by
+    turn, _ = Rotation.align_vectors(np.array(ours), np.array(theirs))
+    matrix = np.asarray(turn.as_matrix())
+    vertices = [np.mean([ring.vertex_mm for ring in one.rings], axis=0) for one in (first, other)]
+    return Placement(matrix, vertices[0] - matrix @ vertices[1])
 
 
 def with_frame(solution: Solution, one: Observations, pose: Pose) -> FloatArray:
@@ -112,10 +165,11 @@ def with_frame(solution: Solution, one: Observations, pose: Pose) -> FloatArray:
 
 
 def _thinned(seen: Observations, rings: int, frames: int) -> NDArray[np.int64]:
-    """At most COARSE observations of each ring in each frame, evenly taken."""
+    """At most COARSE observations of each ring in each frame of each camera, evenly taken."""
     out = []
-    for frame in range(frames):
-        for ring in range(rings):
-            mine = np.flatnonzero((seen.frame == frame) & (seen.ring == ring))
-            out.append(mine[:: max(1, len(mine) // COARSE)])
+    for camera in range(int(seen.camera.max(initial=0)) + 1):
+        for frame in range(frames):
+            for ring in range(rings):
+                mine = np.flatnonzero((seen.camera == camera) & (seen.frame == frame) & (seen.ring == ring))
+                out.append(mine[:: max(1, len(mine) // COARSE)])
     return np.concatenate(out)

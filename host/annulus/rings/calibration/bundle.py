@@ -1,23 +1,30 @@
 """All rings and all poses as one least-squares problem: the bundle that autocalibration adjusts."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from annulus.geometry.cone import Cone
 from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import FloatArray
 from annulus.numeric.robust import CAUCHY, biweight, cauchy, prior_sigma, robust_sigma
 from annulus.rings.calibration.kernels import REACH_PX, errors, gather, gather_sectors
-from annulus.rings.calibration.observations import Observations, azimuths
+from annulus.rings.calibration.observations import Observations, Placement, azimuths
 from annulus.vocabulary import AnnulusError
 
 # By topic autocalibration (errors, time); a factor of two either way moves no test.
 REJECTED = 6.0  # sigma, Tukey's: 98 % efficient on normal errors, nothing beyond counts
 STEPS = 60  # of the descent
 SINGULAR = 1e-11  # least eigenvalue of the normal equations, all unknowns scaled to 1
+TINT_PX, TINT_COMMON_PX = (
+    0.2,
+    0.001,
+)  # a colour's image is off by no more, and all alike (the lens would show it), standard deviation
+_ALL = np.tile(np.eye(4)[:2], 3) / 3.0  # (2, 12): the way that all three colours are off by
+TINTS = np.eye(12) / TINT_PX**2 + _ALL.T @ _ALL / TINT_COMMON_PX**2
 SETTLED = 1e-6  # of a parameter's size: the descent ends
 
 
@@ -40,10 +47,15 @@ class Solution:
     off_radius_mm: tuple[float, float]  # what the observations say of the radius, less what was given, and its standard
     # deviation: infinite for a camera with one centre, whose images stay the same when everything grows alike
     flat: tuple[bool, ...] = ()  # which rings are planes: half-angle and place across the axis given, their sigma 0
+    cameras: tuple[Placement, ...] = ()  # of those after the first, and how well that is known, ..
+    camera_covariance: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))  # .. each turn rad, centre mm
+    colour_shift_px: FloatArray = field(default_factory=lambda: np.zeros((0, 4)))  # (3, 4) of red, green, blue images
 
 
 class Bundle:
-    """The observations and the unknowns: per ring half-angle, axis x y, vertex; per frame rx, ry, tx, ty."""
+    """The observations and the unknowns: per ring half-angle, axis x y, vertex; per frame rx, ry, tx, ty; per camera
+    after the first its turn (a rotation vector) and its centre, in the first one's frame; where observations have a
+    tint, how far each colour's image is off, alike in all cameras (which are of one make: demosaicing and JPEG do it)."""
 
     def __init__(
         self, seen: Observations, rings: int, frames: int, radius: float, corrections: FloatArray,
@@ -51,13 +63,21 @@ class Bundle:
     ) -> None:  # fmt: skip
         self.seen, self.rings, self.frames, self.radius, self.corrections = seen, rings, frames, radius, corrections
         self.place, self.middle = np.zeros(len(seen)), np.zeros(len(seen))
-        self.error, self.rows = np.empty(len(seen)), np.empty((len(seen), 11))
+        self.error, self.rows = np.empty(len(seen)), np.zeros((len(seen), 17 + seen.tint.shape[1]))
+        self.cameras = int(seen.camera.max(initial=0)) + 1
+        self.head = seen  # all rays in the first camera's frame
         self.size = np.concatenate(
-            [np.tile([1.0, 1.0, 1.0, *[radius] * 3], rings), np.tile([1.0, 1.0, radius, radius], frames)]
+            [
+                np.tile([1.0, 1.0, 1.0, *[radius] * 3], rings),
+                np.tile([1.0, 1.0, radius, radius], frames),
+                np.tile([1.0, 1.0, 1.0, *[radius] * 3], self.cameras - 1),
+                np.full(seen.tint.shape[1], 10.0),
+            ]
         )
         self.flat = flat or (False,) * rings
         # a plane has no half-angle to find, and its vertex may be anywhere on it: it is kept on the camera's axis
-        self.free = np.append(~np.outer(self.flat, (1, 0, 0, 1, 1, 0)).astype(bool).ravel(), np.ones(4 * frames, bool))
+        others = np.ones(4 * frames + 6 * (self.cameras - 1) + seen.tint.shape[1], bool)
+        self.free = np.append(~np.outer(self.flat, (1, 0, 0, 1, 1, 0)).astype(bool).ravel(), others)
         self.members = [np.flatnonzero(seen.ring == k) for k in range(rings)]
         self.sector: NDArray[np.int64] | None = None  # (N,) of all rings' sectors; None: rings are cones
         self.sector_offset, self.sector_weight = (
@@ -65,6 +85,7 @@ class Bundle:
             np.zeros(0),
         )  # (K n,) rad, 1/rad^2 of each sector, its prior included
         self.rest = self.error  # (N,) errors less the lumps'
+        self.shift = np.zeros(seen.tint.shape[1])  # px
 
     def first(self, along: float) -> FloatArray:
         """Vertices `along` mm from the camera on its axis, the head in the middle of the pipe."""
@@ -79,19 +100,49 @@ class Bundle:
                 x[6 * k], x[6 * k + 5] = math.pi / 2, np.median(height[mine]) if len(mine) else self.radius
         return x
 
+    def first_beside(self, vertex: FloatArray) -> FloatArray:
+        """Vertices (x, y) mm to the side of the only camera, the pipe's axis half way between the two."""
+        x = np.zeros(len(self.size))
+        w, middle = self.seen.rays[:, 1], vertex / 2
+        a, b, c = (w[:, :2] ** 2).sum(axis=1), w[:, :2] @ middle, middle @ middle - self.radius**2
+        wall = ((b + np.sqrt(b * b - a * c)) / np.maximum(a, 1e-12))[:, None] * w
+        angle = np.arctan2(np.hypot(*(wall[:, :2] - vertex).T), wall[:, 2])
+        cones, poses, *_ = self._split(x)
+        for k, mine in enumerate(self.members):
+            cones[k, 0], cones[k, 3:5] = np.median(angle[mine]) if len(mine) else 0.5, vertex
+        poses[:, 2:] = middle
+        return x
+
     def evaluate(self, x: FloatArray, middles: bool = False) -> None:
         """Errors and their derivatives at x. `middles`: anew, too, where slits' cones lie between their edges."""
-        cones, poses = x[: 6 * self.rings].reshape(-1, 6), x[6 * self.rings :].reshape(-1, 4)
+        cones, poses, cameras, shift = self._split(x)
         turns = np.stack([np.cos(poses[:, 0]), np.sin(poses[:, 0]), np.cos(poses[:, 1]), np.sin(poses[:, 1])], axis=1)
-        seen = self.seen
+        if len(cameras):
+            self.head = self.seen.in_head(_placements(cameras))
+        seen = self.head
         errors(
             seen.frame, seen.ring, seen.rays, seen.origins, seen.width if middles else seen.width[:0], cones, poses,
             turns, self.radius, self.corrections, self.place, self.middle, self.error, self.rows,
         )  # fmt: skip
+        if self.cameras > 1:
+            self.rows[seen.camera == 0, 11:17] = 0.0  # the first camera is where all is measured from
+        for number, row in enumerate(cameras, start=1):  # the turn itself to its rotation vector
+            mine = np.flatnonzero(seen.camera == number)
+            self.rows[mine, 11:14] = self.rows[mine, 11:14] @ _turned_by(row[:3])
+        self.shift = shift
+        if len(shift):
+            self.error -= seen.tint @ shift
+            self.rows[:, 17:] = seen.tint
+
+    def _split(self, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Cones (K, 6), poses (F, 4), cameras (C - 1, 6), colours' shifts (6,) or none."""
+        a, b = 6 * self.rings, 6 * self.rings + 4 * self.frames
+        c = b + 6 * (self.cameras - 1)
+        return x[:a].reshape(-1, 6), x[a:b].reshape(-1, 4), x[b:c].reshape(-1, 6), x[c:]
 
     def allow_sector_offsets(self, x: FloatArray, directions: int) -> None:
         """From here on each of so many sectors of a ring may be off the cone by its own angle."""
-        turn = azimuths(self.seen, *self._unpacked(x), self.radius)
+        turn = azimuths(self.head, *self._unpacked(x), self.radius)
         self.sector = self.seen.ring * directions + np.minimum((turn * directions).astype(np.int64), directions - 1)
         self.sector_offset, self.sector_weight = (
             np.zeros(self.rings * directions),
@@ -142,15 +193,19 @@ class Bundle:
 
     def normal(self, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
         """J^T W J and J^T W e over all unknowns and, last, the radius."""
-        k, f = self.rings, self.frames
-        blocks, right = np.zeros((k, f, 11, 11)), np.zeros((k, f, 11))
-        gather(self.seen.frame, self.seen.ring, weight, self.rest, self.rows, blocks, right)
-        n = 6 * k + 4 * f
+        k, f, c = self.rings, self.frames, self.cameras
+        wide = self.rows.shape[1]
+        of, of_right = np.zeros((c, k, f, wide, wide)), np.zeros((c, k, f, wide))
+        gather(self.seen.frame, self.seen.ring, self.seen.camera, weight, self.rest, self.rows, of, of_right)
+        blocks, right = of[..., :11, :11].sum(axis=0), of_right[..., :11].sum(axis=0)
+        placed = 6 * k + 4 * f  # where the cameras' numbers begin
+        tinted = placed + 6 * (c - 1)  # .. and the colours'
+        n = tinted + wide - 17
         matrix, vector = np.zeros((n + 1, n + 1)), np.zeros(n + 1)
         for ring in range(k):
             at = slice(6 * ring, 6 * ring + 6)
             matrix[at, at] = blocks[ring, :, :6, :6].sum(axis=0)
-            matrix[at, 6 * k : n] = blocks[ring, :, :6, 6:10].transpose(1, 0, 2).reshape(6, -1)
+            matrix[at, 6 * k : placed] = blocks[ring, :, :6, 6:10].transpose(1, 0, 2).reshape(6, -1)
             matrix[at, n:] = blocks[ring, :, :6, 10:].sum(axis=0)
             vector[at] = right[ring, :, :6].sum(axis=0)
         for frame in range(f):
@@ -159,6 +214,23 @@ class Bundle:
             matrix[at, n:] = blocks[:, frame, 6:10, 10:].sum(axis=0)
             vector[at] = right[:, frame, 6:10].sum(axis=0)
         matrix[n:, n:], vector[n:] = blocks[:, :, 10:, 10:].sum(axis=(0, 1)), right[:, :, 10:].sum(axis=(0, 1))
+        for number in range(1, c):
+            at, own = slice(placed + 6 * (number - 1), placed + 6 * number), of[number]
+            matrix[: 6 * k, at] = own[:, :, :6, 11:17].sum(axis=1).reshape(-1, 6)
+            matrix[6 * k : placed, at] = own[:, :, 6:10, 11:17].sum(axis=0).reshape(-1, 6)
+            matrix[at, at], matrix[at, n] = (
+                own[..., 11:17, 11:17].sum(axis=(0, 1)),
+                own[..., 10, 11:17].sum(axis=(0, 1)),
+            )
+            matrix[at, tinted:n] = own[..., 11:17, 17:].sum(axis=(0, 1))
+            vector[at] = of_right[number, :, :, 11:17].sum(axis=(0, 1))
+        if n > tinted:
+            both = of.sum(axis=0)
+            matrix[: 6 * k, tinted:n] = both[..., :6, 17:].sum(axis=1).reshape(6 * k, -1)
+            matrix[6 * k : placed, tinted:n] = both[..., 6:10, 17:].sum(axis=0).reshape(4 * f, -1)
+            matrix[tinted:n, n] = both[..., 10, 17:].sum(axis=(0, 1))
+            matrix[tinted:n, tinted:n] = both[..., 17:, 17:].sum(axis=(0, 1)) + TINTS
+            vector[tinted:n] = of_right[..., 17:].sum(axis=(0, 1, 2)) - TINTS @ self.shift
         matrix = np.triu(matrix) + np.triu(matrix, 1).T
         if self.sector is not None:  # what the lumps could take over tells nothing
             per = len(self.sector_offset) // k
@@ -230,6 +302,7 @@ class Bundle:
             raise AnnulusError("the poses are all alike: they leave the projector's place open")
         half = np.zeros((n, len(free)))
         half[free] = vectors * unit[:, None] / np.sqrt(values)
+        placed = half[inner + 4 * self.frames : n - self.seen.tint.shape[1]]
         cover = half[:inner] @ half[:inner].T
         of_radius = (vectors.T @ (unit * matrix[free, n])) / np.sqrt(values)
         known = matrix[n, n] - of_radius @ of_radius  # 1/mm^2, all other unknowns free
@@ -239,11 +312,12 @@ class Bundle:
         return Solution(
             rings, poses, self.radius,
             self.error.copy(), relative, self.rows[:, 0].copy(), self._axial(x), self.rows[:, 10].copy(),
-            scale, length, cover, runner_up, off, self.flat,
+            scale, length, cover, runner_up, off, self.flat, _placements(self._split(x)[2]), placed @ placed.T,
+            self.shift.reshape(-1, 4).copy(),
         )  # fmt: skip
 
     def _unpacked(self, x: FloatArray) -> tuple[tuple[Cone, ...], tuple[Pose, ...]]:
-        cones, poses = x[: 6 * self.rings].reshape(-1, 6), x[6 * self.rings :].reshape(-1, 4)
+        cones, poses, *_ = self._split(x)
         return tuple(_cone(c) for c in cones), tuple(Pose(*(float(v) for v in p)) for p in poses)
 
     def _axial(self, x: FloatArray) -> FloatArray:
@@ -256,7 +330,7 @@ class Bundle:
         out = np.ones(self.rings)
         for k, mine in enumerate(self.members):
             e = np.where(weight[mine] > 0, self.rest[mine], 0.0)
-            frame = self.seen.frame[mine]
+            frame = self.seen.frame[mine] * self.cameras + self.seen.camera[mine]
             square = float(e @ e)
             for lag in range(1, min(60, len(e) // 4)):
                 same = frame[lag:] == frame[:-lag]
@@ -269,7 +343,23 @@ class Bundle:
 
 def packed(start: Solution) -> FloatArray:
     cones = [[c.half_angle, c.axis[0], c.axis[1], *c.vertex_mm] for c in start.rings]
-    return np.concatenate([np.ravel(cones), np.ravel([[p.rx, p.ry, p.tx, p.ty] for p in start.poses])])
+    cameras = [[*Rotation.from_matrix(c.rotation).as_rotvec(), *c.centre_mm] for c in start.cameras]
+    poses = [[p.rx, p.ry, p.tx, p.ty] for p in start.poses]
+    return np.concatenate([np.ravel(cones), np.ravel(poses), np.ravel(cameras), start.colour_shift_px.ravel()])
+
+
+def _placements(cameras: FloatArray) -> tuple[Placement, ...]:
+    return tuple(Placement(np.asarray(Rotation.from_rotvec(row[:3]).as_matrix()), row[3:].copy()) for row in cameras)
+
+
+def _turned_by(vector: FloatArray) -> FloatArray:
+    """(3, 3) small turn that a change of a rotation vector adds, on the left: the group's left Jacobian."""
+    angle = float(np.linalg.norm(vector))
+    cross = np.array([[0, -vector[2], vector[1]], [vector[2], 0, -vector[0]], [-vector[1], vector[0], 0]])
+    if angle < 1e-6:
+        return np.asarray(np.eye(3) + cross / 2)
+    a, b = (1 - math.cos(angle)) / angle**2, (angle - math.sin(angle)) / angle**3
+    return np.asarray(np.eye(3) + a * cross + b * cross @ cross)
 
 
 def _cone(c: FloatArray) -> Cone:

@@ -17,11 +17,12 @@ REACH_PX = 60.0  # a ring farther from a slit than this pulls no harder; topic a
 
 @jit
 def errors(frame, ring, rays, origins, width, cones, poses, turns, radius, correction, places, middles, error, rows):  # type: ignore[no-untyped-def]
-    """Seen less expected place along each line (px), NaN where ray, wall and cone do not meet; `rows` (N, 11): how the
-    expected place moves with half-angle, axis x y, vertex x y z, rx, ry, tx, ty, radius. `places` and `middles` are
+    """Seen less expected place along each line (px), NaN where ray, wall and cone do not meet; `rows` (N, 17 ..): how the
+    expected place moves with half-angle, axis x y, vertex x y z, rx, ry, tx, ty, radius, and with the camera: its turn
+    about its centre and its centre, x y z each. `places` and `middles` are
     kept from call to call: where the ring's image crosses the line, and how far beyond its slit's middle that is; the
     latter is found again where `width` is given."""
-    more = np.empty(10)
+    more = np.empty(16)
     for n in range(len(frame)):
         cone, pose, turn, own = cones[ring[n]], poses[frame[n]], turns[frame[n]], correction[ring[n]]
         at = places[n]  # px from the slit, outwards positive
@@ -53,15 +54,15 @@ def errors(frame, ring, rays, origins, width, cones, poses, turns, radius, corre
             error[n] = np.nan
             continue
         rows[n, 0] = 1.0 / slope
-        for a in range(9):
+        for a in range(16):
             rows[n, a + 1] = -more[a] / slope
-        rows[n, 10] = -more[9] / slope
 
 
 @jit
 def _off(rays, origins, at, cone, pose, turn, radius, correction, more, wanted):  # type: ignore[no-untyped-def]
     """Angle about the cone's axis of the wall's point seen at `at`, less the cone's half-angle there; its slope along
-    the line. In `more`, if wanted, its gradient: axis x y, vertex x y z, rx, ry, tx, ty, radius."""
+    the line. In `more`, if wanted, its gradient: axis x y, vertex x y z, rx, ry, tx, ty, radius, the camera's turn and
+    its centre."""
     part = at / RAY_STEP_PX
     wx, wy, wz, ux, uy, uz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     ox, oy, oz, vx, vy, vz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -137,6 +138,10 @@ def _off(rays, origins, at, cone, pose, turn, radius, correction, more, wanted):
         more[7] = push * nx
         more[8] = push * ny
         more[9] = push
+        # the ray moves with its camera, and its point stays on the wall
+        hx, hy, hz = gx - push * nx, gy - push * ny, gz - push * nz
+        more[10], more[11], more[12] = s * (wy * hz - wz * hy), s * (wz * hx - wx * hz), s * (wx * hy - wy * hx)
+        more[13], more[14], more[15] = hx, hy, hz
     return value, slope
 
 
@@ -157,16 +162,18 @@ def correction_at(correction, dx, dy, dz, ax, ay, az):  # type: ignore[no-untype
 
 
 @jit
-def gather(frame, ring, weight, error, rows, blocks, right):  # type: ignore[no-untyped-def]
+def gather(frame, ring, camera, weight, error, rows, blocks, right):  # type: ignore[no-untyped-def]
     for n in range(len(frame)):
         w = weight[n]
         if w == 0.0:
             continue
-        block, vector = blocks[ring[n], frame[n]], right[ring[n], frame[n]]
-        for a in range(11):
+        block, vector = blocks[camera[n], ring[n], frame[n]], right[camera[n], ring[n], frame[n]]
+        for a in range(rows.shape[1]):
             scaled = w * rows[n, a]
+            if scaled == 0.0:
+                continue
             vector[a] += scaled * error[n]
-            for b in range(a, 11):
+            for b in range(a, rows.shape[1]):
                 block[a, b] += scaled * rows[n, b]
 
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,14 @@ RAY_STEP_PX = 4.0  # rays of an observation: at its place and so far to both sid
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Placement:
+    """Where a camera stands in the first one's frame: x = rotation x_own + centre_mm."""
+
+    rotation: FloatArray  # (3, 3)
+    centre_mm: FloatArray  # (3,)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Observations:
     """Slits of known ring, seen in several frames. One row a slit."""
 
@@ -24,14 +32,44 @@ class Observations:
     rays: FloatArray  # (N, 3, 3) unit vectors, camera frame: RAY_STEP_PX nearer, at the slit, RAY_STEP_PX farther out
     origins: FloatArray  # (N, 3, 3) mm, where those rays start; zeros for a camera with one centre
     width: FloatArray  # (N,) px between the slit's edges; 0 where the place is that of the cone itself
+    camera: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))  # (N,) whose frame; 0, the first
+
+    tint: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))  # (N, 12) how its place moves with the numbers
+    # of `ColourShift`, red, green, blue; (N, 0) where colours are taken to lie where the lens says
+
+    def __post_init__(self) -> None:
+        if len(self.camera) != len(self.frame):
+            object.__setattr__(self, "camera", np.zeros(len(self.frame), np.int64))
+        if len(self.tint) != len(self.frame):
+            object.__setattr__(self, "tint", np.zeros((len(self.frame), 0)))
 
     def __len__(self) -> int:
         return len(self.frame)
 
     def take(self, which: NDArray[np.int64]) -> "Observations":
         return Observations(
-            self.frame[which], self.ring[which], self.rays[which], self.origins[which], self.width[which]
+            self.frame[which], self.ring[which], self.rays[which], self.origins[which], self.width[which],
+            self.camera[which], self.tint[which],
         )  # fmt: skip
+
+    def in_head(self, cameras: Sequence[Placement]) -> "Observations":
+        """The same with every ray in the first camera's frame. cameras : of those after the first."""
+        rays, origins = self.rays.copy(), self.origins.copy()
+        for number, placement in enumerate(cameras, start=1):
+            mine = self.camera == number
+            turn = placement.rotation
+            rays[mine] = self.rays[mine] @ turn.T
+            origins[mine] = self.origins[mine] @ turn.T + placement.centre_mm
+        return replace(self, rays=rays, origins=origins)
+
+
+def joined(parts: Sequence[Observations]) -> Observations:
+    """What several cameras saw, one after the other, each numbered by its place in `parts`."""
+    columns = zip(*((p.frame, p.ring, p.rays, p.origins, p.width) for p in parts), strict=True)
+    camera = np.repeat(np.arange(len(parts)), [len(p) for p in parts])
+    return Observations(
+        *(np.concatenate(column) for column in columns), camera, np.concatenate([p.tint for p in parts])
+    )  # fmt: skip
 
 
 def observe(
@@ -41,8 +79,11 @@ def observe(
     pixels: FloatArray,
     centre: FloatArray,
     width: FloatArray | None = None,
+    colours: str = "",
 ) -> Observations:
-    """Slits at (N, 2) pixels on lines through `centre` (2,) px, without those that the lens model cannot invert."""
+    """Slits at (N, 2) pixels on lines through `centre` (2,) px, without those that the lens model cannot invert.
+
+    colours : the pattern's, where each colour's image may be off by its own; see `Observations.tint`."""
     way = pixels - centre
     way /= np.linalg.norm(way, axis=1, keepdims=True)
     places = np.stack([pixels - RAY_STEP_PX * way, pixels, pixels + RAY_STEP_PX * way], axis=1)
@@ -50,9 +91,23 @@ def observe(
     seen = Observations(
         np.asarray(frame, np.int64), np.asarray(ring, np.int64), rays.reshape(-1, 3, 3), origins.reshape(-1, 3, 3),
         np.zeros(len(pixels)) if width is None else np.asarray(width, float),
+        tint=_tints(np.asarray(ring, np.int64), way, colours),
     )  # fmt: skip
     good = np.isfinite(seen.rays).all(axis=(1, 2)) & np.isfinite(seen.origins).all(axis=(1, 2))
     return seen.take(np.flatnonzero(good))
+
+
+def _tints(ring: NDArray[np.int64], way: FloatArray, colours: str) -> FloatArray:
+    """(N, 12) each edge of a slit is the image of its own stripe's colour; `way` (N, 2) along the lines."""
+    if not colours:
+        return np.zeros((len(ring), 0))
+    c, s = way.T
+    waves = np.stack([c, s, c * (4 * c * c - 3), s * (3 - 4 * s * s)], axis=1)
+    of = np.zeros((len(colours) - 1, 3))
+    for k in range(len(of)):
+        for colour in colours[k : k + 2]:
+            of[k, "RGB".index(colour)] += 0.5
+    return np.asarray((of[ring][:, :, None] * waves[:, None, :]).reshape(len(ring), 12))
 
 
 def azimuths(seen: Observations, rings: Sequence[Cone], poses: Sequence[Pose], radius_mm: float) -> FloatArray:
