@@ -25,7 +25,7 @@ class ReconstructionJob:
 
     def frame(self, header: FrameHeader, image: Image, extra: Any) -> Any:
         seed = None if extra is None else Pose(*extra)
-        profile = self._method(header, to_bgr(image, header.encoding), seed)
+        profile = self._method(header, {header.camera: to_bgr(image, header.encoding)}, seed)
         return {**profile.to_dict(), "camera": header.camera}
 
     def note(self, kind: str, body: Any) -> None:

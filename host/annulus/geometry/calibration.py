@@ -282,6 +282,8 @@ def camera_to_dict(camera: Camera) -> dict[str, Any]:
         section["mirror"] = {"centre_mm": list(ball.centre_mm), "radius_mm": ball.radius_mm, "looks": ball.looks}
     if camera.sensor_crop is not None:
         section["sensor_crop"] = list(camera.sensor_crop)
+    if camera.colour_shift_px:
+        section["colour_shift_px"] = [list(row) for row in camera.colour_shift_px]
     return section
 
 
@@ -300,7 +302,15 @@ def camera_from_dict(data: object, where: str = "camera") -> Camera:
     cx, cy = (_number(section, key, where, -1e5, 1e5) for key in ("cx", "cy"))
     mirror = _mirror(_need(section, "mirror", where), f"{where}.mirror") if model == "mirror" else None
     crop = sensor_crop(section["sensor_crop"], f'"{where}.sensor_crop"') if "sensor_crop" in section else None
-    return Camera(cast(Model, model), int(width), int(height), fx, fy, cx, cy, distortion, mirror, crop)
+    shifts = _colour_shift(section["colour_shift_px"], where) if "colour_shift_px" in section else ()
+    return Camera(cast(Model, model), int(width), int(height), fx, fy, cx, cy, distortion, mirror, crop, shifts)
+
+
+def _colour_shift(value: object, where: str) -> tuple[tuple[float, float, float, float], ...]:
+    if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != 3:
+        raise ValueError(f'"{where}.colour_shift_px" must be three rows, red, green, blue')
+    rows = (untrusted.numbers(row, f'"{where}.colour_shift_px[{i}]"', (4,), 10.0) for i, row in enumerate(value))
+    return tuple(cast(tuple[float, float, float, float], row) for row in rows)
 
 
 def sensor_crop(data: object, where: str) -> tuple[int, int, int, int]:

@@ -103,7 +103,11 @@ class Camera:
     `mirror` a pinhole, with all its numbers, and the ball it looks at.
 
     `sensor_crop`: x, y, width, height of what the image shows of the whole sensor, in its pixels, where that is known:
-    modes of a sensor share sizes but not fields of view."""
+    modes of a sensor share sizes but not fields of view.
+
+    `colour_shift_px`: of red, green and blue (in this order) how far an edge in its image lies from where the lens
+    says, along the edge's normal at angle a in the image: (c1, s1, c3, s3) for c1 cos a + s1 sin a + c3 cos 3a +
+    s3 sin 3a. Demosaicing with JPEG's chroma does it, lateral colour too."""
 
     model: Model
     width: int
@@ -115,6 +119,7 @@ class Camera:
     distortion: tuple[float, ...] = ()
     mirror: Mirror | None = None
     sensor_crop: tuple[int, int, int, int] | None = None
+    colour_shift_px: tuple[tuple[float, float, float, float], ...] = ()  # three, or none
 
     def __post_init__(self) -> None:
         if (self.model == "mirror") != (self.mirror is not None):

@@ -10,6 +10,7 @@ import csv
 import io
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path, PurePosixPath
 
 from annulus.capture.pictures import decode
@@ -42,7 +43,7 @@ class ScanFrame:
     segment: int = 0  # of z: within one, differences of z were counted
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Scan:
     """A scan opened for reading; plain data, so that worker processes can be handed one."""
 
@@ -55,6 +56,17 @@ class Scan:
     def cameras(self) -> tuple[int, ...]:
         """Ids of the cameras that have a frame here, rising."""
         return tuple(sorted({frame.camera for frame in self.frames}))
+
+    def same_flash(self, i: int) -> list[int]:
+        """Numbers of all frames of the flash of frames[i], in their order."""
+        return self._by_flash[self.frames[i].index]
+
+    @cached_property
+    def _by_flash(self) -> dict[int, list[int]]:
+        out: dict[int, list[int]] = {}
+        for i, frame in enumerate(self.frames):
+            out.setdefault(frame.index, []).append(i)
+        return out
 
     def only(self) -> "Scan":
         """Itself, for a method that knows one camera. Raises AnnulusError, one line, where there are more."""

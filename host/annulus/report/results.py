@@ -87,7 +87,7 @@ def _write_cloud(path: Path, survey: Survey) -> None:
         survey.points,
         dtype=[
             ("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1"), ("radius", "<f4"),
-            ("frame", "<i4"), ("ring", "u1"), ("sigma", "<f4"),
+            ("frame", "<i4"), ("ring", "u1"), ("sigma", "<f4"), ("camera", "u1"),
         ],
     )  # fmt: skip
     at, line = 0, survey.centreline
@@ -100,6 +100,7 @@ def _write_cloud(path: Path, survey: Survey) -> None:
             part[name] = profile.colour[:, channel]
         part["radius"] = np.hypot(profile.points_mm[:, 0], profile.points_mm[:, 1])
         part["sigma"], part["frame"], part["ring"] = profile.sigma_mm, profile.frame, profile.ring
+        part["camera"] = profile.seen_by
         at += len(part)
     write_ply(path, records, note=CLOUD_NOTE)
 

@@ -25,7 +25,7 @@ from annulus.wall.texture import LedFrame
 Progress = Callable[[str, int, int], None]  # stage, done, total
 
 LOOKED_AT = 4  # frames examined for what may be wrong with all of them
-DAMAGED = "damaged"  # kind of finding
+DAMAGED, MISSING = "damaged", "camera-missing"  # kinds of finding
 CHUNK = 8  # consecutive frames one worker does in a row, each seeded by the one before; fixed, so that results
 # do not depend on the number of workers
 
@@ -65,14 +65,17 @@ def reprocess(job: Job, executor: Executor = in_process, progress: Progress | No
     progress : called with (stage, done, total). Raises AnnulusError, one line, where nothing can be measured.
     """
     started = time.perf_counter()
-    which = job.which(Label.PROJECTOR)
+    which = job.flashes(Label.PROJECTOR)
     path = job.scan.path
     if not which:
         raise AnnulusError(
             f"{path}: none of its {len(job.scan.frames)} frames is labelled projector, nothing to measure."
         )
     spread = sorted({which[k * (len(which) - 1) // (LOOKED_AT - 1)] for k in range(LOOKED_AT)})
-    looked_at = [(job.scan.frames[i].index, image) for i, image in _intact(job, spread)]
+    looked_at = []
+    for i in spread:
+        with contextlib.suppress(DamagedError):
+            looked_at.append((job.scan.frames[i].index, job.read_flash(i)))
     if not looked_at:
         job.read(which[0])  # says what is wrong
     colour, decided = examined(job.calibration, job.colour, looked_at)
@@ -86,6 +89,7 @@ def reprocess(job: Job, executor: Executor = in_process, progress: Progress | No
     findings += damage_findings(job, damaged)
     if findings and all(profile.pose is None for profile in profiles):
         raise AnnulusError(f"{path}: {findings[0].text}.")
+    findings += missing_findings(job, which)
     findings += place_findings(job.scan.frames)
     if job.reference is not None:
         poses = [profile.pose for profile in profiles if profile.pose is not None]
@@ -122,7 +126,7 @@ def led_frames(job: Job, progress: Progress | None = None) -> Iterator[LedFrame]
     which = job.which(Label.LED)
     for done, (i, image) in enumerate(_intact(job, which)):
         frame = job.scan.frames[i]
-        yield LedFrame(frame.index, frame.z_mm, image)
+        yield LedFrame(frame.index, frame.z_mm, image, frame.camera)
         if progress is not None:
             progress("texture", done + 1, len(which))
 
@@ -143,6 +147,19 @@ def damaged_frames(job: Job, which: Sequence[int], profiles: Sequence[Profile]) 
     lost = {job.scan.frames[i].index for i in which} - {profile.frame for profile in profiles}
     led = (i for i in job.which(Label.LED) if not recording.is_sound(recording.frames[i]))
     return tuple(sorted({*lost, *(job.scan.frames[i].index for i in led)}))
+
+
+def missing_findings(job: Job, which: Sequence[int]) -> list[Finding]:
+    """What is told of flashes that a camera has no frame of."""
+    out: list[Finding] = []
+    for one in job.calibration.cameras if job.calibration.others else ():
+        seen = {frame.index for frame in job.scan.frames if frame.camera == one.id}
+        lost = tuple(job.scan.frames[i].index for i in which if job.scan.frames[i].index not in seen)
+        if lost:
+            named = ", ".join(map(str, lost[:5])) + (", .." if len(lost) > 5 else "")
+            text = f"camera {one.id} has no frame of {len(lost)} of {len(which)} flashes: measured without it ({named})"
+            out.append(Finding(MISSING, text, lost))
+    return out
 
 
 def damage_findings(job: Job, damaged: Sequence[int]) -> list[Finding]:

@@ -1,5 +1,6 @@
 """What is to be reprocessed, and with what."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,7 +10,7 @@ import numpy as np
 from annulus.geometry.calibration import Calibration
 from annulus.numeric.arrays import Image
 from annulus.record.calibration_file import load_calibration, load_part
-from annulus.record.scan import Scan, open_scan
+from annulus.record.scan import Scan, ScanFrame, open_scan
 from annulus.record.walk import DamagedError
 from annulus.reprocess.method import method_for
 from annulus.rings.calibration.reference import Reference
@@ -18,6 +19,7 @@ from annulus.rings.diagnosis import Exposure, diagnose
 from annulus.vocabulary import AnnulusError, Label
 from annulus.wall.profile import Profile
 
+FLASH_MM = 0.05  # frames of one flash stand no farther apart; a tenth of what a head moves in a flash is less
 Measured = tuple[Profile, Exposure]
 
 
@@ -34,17 +36,41 @@ class Job:
         """Numbers of the frames with that label."""
         return [i for i, frame in enumerate(self.scan.frames) if frame.label is label]
 
+    def flashes(self, label: Label) -> list[int]:
+        """The same, but one number for each flash: of its frame from the first camera that has one."""
+        first: dict[int, int] = {}
+        for i in self.which(label):
+            first.setdefault(self.scan.frames[i].index, i)
+        return list(first.values())
+
     def read(self, i: int) -> Image:
         """scan.frames[i], (H, W, 3) uint8 BGR. Raises AnnulusError when it is damaged or not of the calibrated size."""
         image = self.scan.read(i)
         height, width = image.shape[:2]
-        camera = self.calibration.camera
+        own = self.scan.frames[i].camera
+        camera = next((one.camera for one in self.calibration.cameras if one.id == own), self.calibration.camera)
         if (width, height) != (camera.width, camera.height):
             raise AnnulusError(
                 f"calibration: camera is {camera.width}x{camera.height} but {self.scan.frames[i].where} is "
                 f"{width}x{height}. Calibrate with the camera that took this scan."
             )
         return image
+
+    def read_flash(self, i: int) -> dict[int, Image]:
+        """The images of scan.frames[i] and of the other cameras' frames of its flash, by camera id; damaged ones are
+        left out. Raises AnnulusError as `read` does, DamagedError where all are damaged."""
+        if len(self.scan.cameras) == 1:
+            return {self.scan.frames[i].camera: self.read(i)}
+        out: dict[int, Image] = {}
+        damage: DamagedError | None = None
+        for j in self.scan.same_flash(i):
+            try:
+                out[self.scan.frames[j].camera] = self.read(j)
+            except DamagedError as error:
+                damage = error
+        if not out and damage is not None:
+            raise damage
+        return out
 
     def worker(self) -> Callable[[Sequence[int]], list[Measured]]:
         """Does chunks of frame numbers; in a chunk every frame is seeded with the pose of the one before.
@@ -58,12 +84,12 @@ class Job:
             seed = None
             for i in chunk:
                 try:
-                    image = self.read(i)
+                    images = self.read_flash(i)
                 except DamagedError:
                     continue
-                profile = method(self.scan.frames[i], image, seed)
+                profile = method(self.scan.frames[i], images, seed)
                 seed = profile.pose
-                out.append((profile, diagnose(image)))
+                out.append((profile, max(map(diagnose, images.values()), key=lambda light: light.lost)))
             return out
 
         return work
@@ -77,7 +103,7 @@ def open_job(
     calibration : a recording's own is used when None. colour, reference : files of `annulus calibrate colour` and
     `reference`. Raises AnnulusError, one line, for what is missing, damaged or does not belong together.
     """
-    opened = roll_filled(open_scan(scan).only())  # no method joins views yet
+    opened = roll_filled(open_scan(scan))
     known = load_calibration(calibration) if calibration is not None else opened.calibration
     if known is None:
         raise AnnulusError(f"{scan}: carries no calibration. Give the calibration file of its head.")
@@ -88,7 +114,33 @@ def open_job(
         except ValueError as error:
             raise AnnulusError(f"{reference}: {error}. Make it with this calibration.") from None
     paint = None if colour is None else load_part(colour, ColourProfile.from_dict, "annulus calibrate colour")
+    _belong_together(opened, known)
     return Job(opened, known, paint, pattern)
+
+
+def _belong_together(scan: Scan, calibration: Calibration) -> None:
+    """Raises AnnulusError where the scan's cameras are not the calibration's, or frames of one flash are not."""
+    known = [one.id for one in calibration.cameras]
+    if len(known) == 1:
+        scan.only()
+        return
+    strange = [number for number in scan.cameras if number not in known]
+    if strange:
+        raise AnnulusError(
+            f"{scan.path}: has frames of camera {strange[0]}, but the calibration's cameras are "
+            f"{', '.join(map(str, known))}. Calibrate the head that took this scan."
+        )
+    first: dict[int, ScanFrame] = {}
+    for frame in scan.frames:
+        other = first.setdefault(frame.index, frame)
+        if other.label is not frame.label or not (
+            abs(other.z_mm - frame.z_mm) <= FLASH_MM or (math.isnan(other.z_mm) and math.isnan(frame.z_mm))
+        ):
+            raise AnnulusError(
+                f"{scan.path}: index {frame.index}: camera {other.camera}'s frame is {other.label.value} at "
+                f"{other.z_mm:g} mm, camera {frame.camera}'s {frame.label.value} at {frame.z_mm:g} mm, expected one "
+                "flash. Frames of different flashes need an index each."
+            )
 
 
 def roll_filled(scan: Scan) -> Scan:

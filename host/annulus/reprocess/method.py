@@ -1,6 +1,6 @@
-"""Which method a head's frames need, and the one function from a frame to its profile."""
+"""Which method a head's frames need, and the one function from the frames of a flash to their profile."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
 from annulus.geometry.calibration import Calibration
@@ -11,6 +11,7 @@ from annulus.reprocess.warmup import warmup_frame
 from annulus.rings.colour import ColourProfile
 from annulus.rings.diagnosis import Trouble, examine
 from annulus.rings.reconstructor import Reconstructor
+from annulus.stereo import StereoReconstructor, swapped
 from annulus.vocabulary import AnnulusError, Finding, Label
 from annulus.wall.profile import Profile
 
@@ -26,9 +27,10 @@ class Frame(Protocol):
     def roll_deg(self) -> float | None: ...
 
 
-# (frame, image (H, W, 3) uint8 BGR, pose of a frame nearby or None) -> profile. Raises AnnulusError for an image of
-# another size than the calibration's camera, ValueError for a frame whose place along the pipe is not known.
-Method = Callable[[Frame, Image, Pose | None], Profile]
+# (frame, images (H, W, 3) uint8 BGR by camera id, pose of a frame nearby or None) -> profile. All images are of one
+# flash; a camera whose frame was lost is missing. Raises AnnulusError for an image of another size than its camera's,
+# ValueError for a frame whose place along the pipe is not known.
+Method = Callable[[Frame, Mapping[int, Image], Pose | None], Profile]
 
 
 def method_for(calibration: Calibration, colour: ColourProfile | None = None) -> Method:
@@ -36,34 +38,39 @@ def method_for(calibration: Calibration, colour: ColourProfile | None = None) ->
 
     Raises AnnulusError for a head that no method here knows. The only place that chooses: the next kind is a line here.
     """
+    if calibration.others:
+        return _method(StereoReconstructor(calibration, colour=colour).profile)
     match calibration.kind:
         case "slits" | "line":
-            return _slits(calibration, colour)
+            one = Reconstructor(calibration, colour=colour)
+            return _method(lambda images, **known: one.profile(*images.values(), **known))
     raise AnnulusError(f"calibration: the head projects {calibration.kind}, for which there is no method yet")
 
 
-def _slits(calibration: Calibration, colour: ColourProfile | None) -> Method:
-    reconstructor = Reconstructor(calibration, colour=colour)
-
-    def profile(frame: Frame, image: Image, seed: Pose | None) -> Profile:
+def _method(profile_of: Callable[..., Profile]) -> Method:
+    def profile(frame: Frame, images: Mapping[int, Image], seed: Pose | None) -> Profile:
         if frame.z_mm is None:
             raise ValueError("no place along the pipe is known for this frame")
         # to numba a read-only array is another type: everything would compile again
-        writeable = image if image.flags.writeable else image.copy()
-        return reconstructor.profile(writeable, frame=frame.index, z_mm=frame.z_mm, seed=seed, roll_deg=frame.roll_deg)
+        writeable = {number: image if image.flags.writeable else image.copy() for number, image in images.items()}
+        return profile_of(writeable, frame=frame.index, z_mm=frame.z_mm, seed=seed, roll_deg=frame.roll_deg)
 
     return profile
 
 
 def examined(
-    calibration: Calibration, colour: ColourProfile | None, some: Sequence[tuple[int, Image]]
+    calibration: Calibration, colour: ColourProfile | None, some: Sequence[tuple[int, Mapping[int, Image]]]
 ) -> tuple[ColourProfile | None, tuple[Finding, ...]]:
-    """What (frame, image) of a few frames spread over a scan decide for all of them: the colour profile to use, None
+    """What (frame, images) of a few flashes spread over a scan decide for all of them: the colour profile to use, None
     where the one given is not this pipe's, and what is wrong with every frame."""
-    findings = examine(Reconstructor(calibration, colour=colour), some, colour)
+    if calibration.others:
+        return colour, tuple(swapped(StereoReconstructor(calibration, colour=colour), some))
+    alone = [(index, image) for index, images in some for image in images.values()]
+    findings = examine(Reconstructor(calibration, colour=colour), alone, colour)
     return None if any(finding.kind == Trouble.PAINT for finding in findings) else colour, findings
 
 
 def warm_up(method: Method, calibration: Calibration) -> Profile:
     """Take a drawn frame through the whole method, so that no real one has to wait for compilers."""
-    return method(ScanFrame(0, Label.PROJECTOR, 0.0, "warm-up frame"), warmup_frame(calibration), None)
+    frames = {one.id: warmup_frame(calibration, one) for one in calibration.cameras}
+    return method(ScanFrame(0, Label.PROJECTOR, 0.0, "warm-up frame"), frames, None)

@@ -5,18 +5,22 @@ from typing import cast
 import cv2
 import numpy as np
 
-from annulus.geometry.calibration import Calibration
+from annulus.geometry.calibration import Calibration, HeadCamera
 from annulus.geometry.cone import intersect_cylinder
 from annulus.numeric.arrays import Image
 
 SLIT_HALF = 0.0035  # radians, about the real slide's
 
 
-def warmup_frame(calibration: Calibration) -> Image:
-    """Roughly what the camera sees in a clean pipe, head in the middle: (H, W, 3) BGR. Good for warming up only."""
-    camera, step = calibration.camera, 4
+def warmup_frame(calibration: Calibration, of: HeadCamera | None = None) -> Image:
+    """Roughly what a camera of the head (the first if none is named) sees in a clean pipe, the first in its middle:
+    (H, W, 3) BGR. Good for warming up only."""
+    of = of or calibration.cameras[0]
+    camera, step = of.camera, 4
     v, u = np.mgrid[0 : camera.height : step, 0 : camera.width : step]
     starts, rays = camera.lines(np.stack([u.ravel(), v.ravel()], axis=1).astype(float))
+    turn = np.array(of.rotation)
+    starts, rays = (starts - of.translation_mm) @ turn, rays @ turn
     with np.errstate(divide="ignore", invalid="ignore"):
         axis = np.array([0.0, 0.0, 1.0])
         wall = intersect_cylinder(rays, np.zeros(3), axis, calibration.pipe_radius_mm, starts)

@@ -56,21 +56,24 @@ class PolarGrid:
         return np.asarray(self.centre + away[:, None] * way)
 
 
-def polar_grid(calibration: Calibration, directions: int) -> PolarGrid:
-    """Lay the grid where this calibration's rings can appear, for `directions` lines around the pattern's centre."""
+def polar_grid(calibration: Calibration, directions: int, usual: Pose = Pose()) -> PolarGrid:  # noqa: B008
+    """Lay the grid where this calibration's rings can appear, for `directions` lines around the pattern's centre.
+
+    usual : the pipe as the camera sees it when the head stands as it should."""
     camera, radius = calibration.camera, calibration.pipe_radius_mm
-    nominal = [ring_pixels(camera, cone, Pose(), radius) for cone in calibration.rings]
+    nominal = [ring_pixels(camera, cone, usual, radius) for cone in calibration.rings]
     if not all(np.isfinite(curve).any() for curve in nominal):
         raise AnnulusError("calibration: a ring of the pattern is nowhere in the image; check pipe.radius_mm and rings")
     middle = np.array([(np.nanmin(curve, axis=0) + np.nanmax(curve, axis=0)) / 2 for curve in nominal])
     centre = middle.mean(axis=0)
     leaning = [
-        Pose(a, b, c, d) for a, b, c, d in np.vstack([np.eye(4), -np.eye(4)]) * [TILT, TILT, *[SHIFT * radius] * 2]
+        Pose(usual.rx + a, usual.ry + b, usual.tx + c, usual.ty + d)
+        for a, b, c, d in np.vstack([np.eye(4), -np.eye(4)]) * [TILT, TILT, *[SHIFT * radius] * 2]
     ]
     inner = [ring_pixels(camera, calibration.rings[0], pose, radius) for pose in leaning]
-    inner.append(ring_pixels(camera, calibration.rings[0], Pose(), BULGE * radius))
+    inner.append(ring_pixels(camera, calibration.rings[0], usual, BULGE * radius))
     outer = [ring_pixels(camera, calibration.rings[-1], pose, radius) for pose in leaning]
-    outer.append(ring_pixels(camera, calibration.rings[-1], Pose(), DENT * radius))
+    outer.append(ring_pixels(camera, calibration.rings[-1], usual, DENT * radius))
     reach = [np.linalg.norm(np.vstack(curves) - centre, axis=1) for curves in (inner, outer)]
     mean_radii = [float(np.nanmedian(np.linalg.norm(curve - centre, axis=1))) for curve in nominal]
     spacing = float(np.min(np.abs(np.diff(mean_radii)))) if len(mean_radii) > 1 else mean_radii[0] / 4

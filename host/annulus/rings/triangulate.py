@@ -32,10 +32,11 @@ class RingOptics:
     bend: FloatArray  # (K, J) 1/px, see `ring_optics`
     mm_per_px: FloatArray  # (K,) how far the wall's radius moves with one pixel along a line
     corrections: FloatArray | None  # (K, n, 2) half-angle and shift over the azimuth; see RingCorrection
+    offset_px: FloatArray  # (K, J) along a line: how far a slit's image is off because of its stripes' colours
 
 
-def ring_optics(calibration: Calibration, grid: PolarGrid) -> RingOptics:
-    """Tabulate the rings' optics.
+def ring_optics(calibration: Calibration, grid: PolarGrid, usual: Pose = Pose()) -> RingOptics:  # noqa: B008
+    """Tabulate the rings' optics, of a pipe in its usual pose.
 
     A slit's cone lies at the middle of its two edges' *angles*, which is not the middle of their pixels: on a wall
     the angle t(p) bends along the line, and the true place is `(p1 + p2)/2 + t''/t' (p2 - p1)^2 / 8`, from
@@ -48,7 +49,7 @@ def ring_optics(calibration: Calibration, grid: PolarGrid) -> RingOptics:
     bend = np.zeros((len(cones), directions))
     slope_mm = np.zeros(len(cones))
     for k, cone in enumerate(calibration.rings):
-        pixels = ring_pixels(calibration.camera, cone, Pose(), pipe)
+        pixels = ring_pixels(calibration.camera, cone, usual, pipe)
         pixels = pixels[np.isfinite(pixels).all(axis=1)] - grid.centre
         order = np.argsort(np.arctan2(pixels[:, 1], pixels[:, 0]) % (2 * math.pi))
         turn = (np.arctan2(pixels[:, 1], pixels[:, 0]) % (2 * math.pi))[order]
@@ -58,7 +59,7 @@ def ring_optics(calibration: Calibration, grid: PolarGrid) -> RingOptics:
         angles = []
         for step in (-PROBE_PX, 0.0, PROBE_PX):
             start, way = calibration.camera.lines(grid.pixels(lines, at + step))
-            wall = intersect_cylinder(way, np.zeros(3), np.array([0.0, 0.0, 1.0]), pipe, start)
+            wall = intersect_cylinder(way, usual.translation, usual.rotation[:, 2], pipe, start)
             v = wall - np.asarray(cone.vertex_mm)
             angles.append(np.arctan2(np.linalg.norm(np.cross(v, cone.axis), axis=1), v @ np.asarray(cone.axis)))
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -66,14 +67,30 @@ def ring_optics(calibration: Calibration, grid: PolarGrid) -> RingOptics:
             bend[k] = np.nan_to_num(second / ((angles[2] - angles[0]) / (2 * PROBE_PX)), posinf=0.0, neginf=0.0)
         near, far = (grid.pixels(lines, at + step) for step in (-1.0, 1.0))
         ends = np.stack([meet_rings(*calibration.camera.lines(at), cones[k : k + 1])[:, 0] for at in (near, far)])
-        slope_mm[k] = np.nanmedian(np.abs(np.diff(np.linalg.norm(ends[..., :2], axis=2), axis=0))) / 2
+        radii = np.linalg.norm(usual.to_pipe(ends)[..., :2], axis=2)
+        slope_mm[k] = np.nanmedian(np.abs(np.diff(radii, axis=0))) / 2
     slope_mm = np.nan_to_num(slope_mm, nan=float(np.nanmax(slope_mm)))
     return RingOptics(
         cones,
         bend,
         slope_mm,
         _correction_table(calibration.corrections) if calibration.corrections is not None else None,
+        _colour_offsets(calibration, grid),
     )
+
+
+def _colour_offsets(calibration: Calibration, grid: PolarGrid) -> FloatArray:
+    """(K, J) px along each line: a slit's edges are images of its two stripes, each off by its colour's shift."""
+    shifts = calibration.camera.colour_shift_px
+    out = np.zeros((len(calibration.rings), len(grid.cosine)))
+    if not shifts or not calibration.colours:
+        return out
+    c, s = grid.cosine * grid.step, grid.sine * grid.step
+    waves = np.stack([c, s, c * (4 * c * c - 3), s * (3 - 4 * s * s)])
+    of = np.array(shifts) @ waves
+    for k in range(len(out)):
+        out[k] = sum(0.5 * of["RGB".index(colour)] for colour in calibration.colours[k : k + 2])
+    return out
 
 
 def _correction_table(corrections: tuple[RingCorrection, ...]) -> FloatArray:

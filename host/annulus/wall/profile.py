@@ -23,7 +23,8 @@ class Profile:
     first; `direction` is the index of the polar direction; `colour` is the wall's colour beside the slit, RGB.
     `residual_mm` is the robust sigma of the points about the fitted cylinder; NaN without a pose. `rejected` counts
     every slit that was seen and not used, by reason; `timing_ms` the stages. `sigma_mm` is the standard deviation of
-    each point's radius from the pipe's axis; NaN where nobody said.
+    each point's radius from the pipe's axis; NaN where nobody said. `seen_by` is the camera that saw each point; of a
+    head with several it is their number where more than one did.
     """
 
     frame: int
@@ -39,8 +40,11 @@ class Profile:
     sigma_mm: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, np.float32))  # (N,)
     lean_sigma_deg: float = math.nan  # how well the pose knows the head's lean; large with one ring
     camera: int = 0  # the frame's, see FrameHeader
+    seen_by: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, np.uint8))  # (N,)
 
     def __post_init__(self) -> None:
+        if len(self.seen_by) != len(self.ring):
+            object.__setattr__(self, "seen_by", np.full(len(self.ring), self.camera, np.uint8))
         if len(self.sigma_mm) != len(self.ring):
             if len(self.sigma_mm):
                 raise ValueError(f"a profile of {len(self.ring)} points has {len(self.sigma_mm)} sigmas")
@@ -52,7 +56,7 @@ class Profile:
         rejected = {**self.rejected, reason: self.rejected.get(reason, 0) + int(np.count_nonzero(lost))}
         return replace(
             self, points_mm=self.points_mm[kept], colour=self.colour[kept], ring=self.ring[kept],
-            direction=self.direction[kept], sigma_mm=self.sigma_mm[kept], rejected=rejected,
+            direction=self.direction[kept], sigma_mm=self.sigma_mm[kept], rejected=rejected, seen_by=self.seen_by[kept],
         )  # fmt: skip
 
     def to_dict(self) -> dict[str, Any]:
@@ -68,6 +72,7 @@ class Profile:
             "ring": self.ring.tobytes(),
             "direction": self.direction.astype("<u2").tobytes(),
             "sigma": self.sigma_mm.astype("<f4").tobytes(),
+            **({"seen_by": self.seen_by.tobytes()} if (self.seen_by != self.camera).any() else {}),
             "residual_mm": self.residual_mm,
             "lean_sigma_deg": self.lean_sigma_deg,
             "rejected": dict(self.rejected),
@@ -87,7 +92,8 @@ class Profile:
         direction = _array(data, "direction", "<u2", 1)[:, 0]
         # recordings made before there was a sigma have none
         sigma = _array(data, "sigma", "<f4", 1)[:, 0] if "sigma" in data else np.full(len(ring), np.nan, np.float32)
-        if not len(sigma) == len(points) == len(colour) == len(direction) == len(ring):
+        seen_by = _array(data, "seen_by", "u1", 1)[:, 0] if "seen_by" in data else np.zeros(len(ring), np.uint8)
+        if not len(seen_by) == len(sigma) == len(points) == len(colour) == len(direction) == len(ring):
             raise ValueError("a profile's arrays must be of one length")
         if not np.isfinite(points).all():
             raise ValueError("a profile's points must be finite")
@@ -111,6 +117,7 @@ class Profile:
             sigma.astype(np.float32),
             math.nan if pose is None or "lean_sigma_deg" not in data else _lean_sigma(data["lean_sigma_deg"]),
             untrusted.whole(data.get("camera", 0), "a profile's camera", 0, 255),
+            seen_by if "seen_by" in data else np.zeros(0, np.uint8),
         )
 
 

@@ -27,6 +27,7 @@ class LedFrame:
     index: int
     z_mm: float
     image_bgr: NDArray[np.uint8]
+    camera: int = 0  # id; of a head with several
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,29 +65,26 @@ def paint(
     """
     total = np.zeros((*wall.radius_mm.shape, 3), dtype=np.float32)
     weight = np.zeros(wall.radius_mm.shape, dtype=np.float32)
-    waiting: list[_Patch] = []
-    light: FloatArray | None = None
+    waiting: dict[int, list[_Patch]] = {}  # by camera: each has its own light
+    light: dict[int, FloatArray] = {}
     points = _surface(wall)
     for frame in frames:
         pose = pose_at(profiles, frame.z_mm)
         patch = _look(wall, points, centreline, calibration, pose, frame) if pose is not None else None
         if patch is None:
             continue
-        if light is None:
-            waiting.append(patch)
-            if len(waiting) < LIGHT_FRAMES:
-                continue
-            light = _light(waiting, wall)
-            for old in waiting:
-                _add(total, weight, old, light, wall)
-        else:
-            _add(total, weight, patch, light, wall)
-    if light is None:
-        if not waiting:
-            return None
-        light = _light(waiting, wall)
-        for old in waiting:
-            _add(total, weight, old, light, wall)
+        if frame.camera in light:
+            _add(total, weight, patch, light[frame.camera], wall)
+            continue
+        first = waiting.setdefault(frame.camera, [])
+        first.append(patch)
+        if len(first) == LIGHT_FRAMES:
+            light[frame.camera] = _learn(total, weight, first, wall)
+    if not waiting:
+        return None
+    for camera, first in waiting.items():
+        if camera not in light:
+            light[camera] = _learn(total, weight, first, wall)
     seen = weight > 0
     colour = total / np.maximum(weight, 1e-12)[..., None]
     bright = np.percentile(colour[seen].max(axis=1), 99) if seen.any() else 1.0
@@ -94,6 +92,16 @@ def paint(
     out[..., :3] = np.clip(colour[..., ::-1] * (235.0 / max(float(bright), 1e-6)), 0, 255).astype(np.uint8)
     out[..., 3] = np.where(seen, 255, 0)
     return out
+
+
+def _learn(
+    total: NDArray[np.float32], weight: NDArray[np.float32], patches: Sequence[_Patch], wall: Wall
+) -> FloatArray:
+    """The fall-off of a camera's light from its first frames, which are added with it."""
+    light = _light(patches, wall)
+    for patch in patches:
+        _add(total, weight, patch, light, wall)
+    return light
 
 
 def _surface(wall: Wall) -> FloatArray:
@@ -114,7 +122,10 @@ def _look(
         return None
     part = points[first:last]
     camera = pose.to_camera(centreline.to_head(part.reshape(-1, 3), frame.z_mm))
-    pixels = calibration.camera.project(camera)
+    own = next((one for one in calibration.cameras if one.id == frame.camera), calibration.cameras[0])
+    if calibration.others:
+        camera = camera @ np.array(own.rotation).T + own.translation_mm
+    pixels = own.camera.project(camera)
     pixels[camera[:, 2] < 1.0] = np.nan
     height, width = frame.image_bgr.shape[:2]
     inside = (

@@ -94,7 +94,7 @@ def test_a_frame_live_and_on_disk_has_one_profile(job: Job) -> None:
     )
     method, image = method_for(job.calibration), job.read(i)
     image.flags.writeable = False  # as out of shared memory
-    assert same(method(header, image, None), measure(job, [i])[0][0])
+    assert same(method(header, {0: image}, None), measure(job, [i])[0][0])
 
 
 def test_the_account_counts_what_the_recording_holds(job: Job) -> None:

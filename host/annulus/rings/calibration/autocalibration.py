@@ -48,7 +48,8 @@ def calibrate(
 
     Parameters
     ----------
-    seen : at least two frames, of one camera or of several on one head. radius_mm : the pipe's; it alone sets the scale of the answer.
+    seen : at least two frames, of one camera or of several on one head. radius_mm : the pipe's; it alone sets the scale
+    of the answer.
     start : an answer nearby, saves the search. corrections : (K, 2, n) rad and mm, what each ring is known to be off
     its cone, see RingCorrection. directions : so many sectors round each ring may each be off the cone by their own
     angle (lumps of the slide); 0 = none is. Only what differs between poses then tells of the cones.
@@ -106,31 +107,32 @@ def _several(seen: Observations, whole: Bundle, report: Callable[[int, int], Non
         own = replace(own, camera=np.zeros(len(own), np.int64), tint=np.zeros((len(own), 0)))
         few = Bundle(own.take(_thinned(own, whole.rings, whole.frames)), whole.rings, whole.frames, whole.radius,
                      whole.corrections)  # fmt: skip
-        found = []
+        found: list[tuple[float, FloatArray]] = []
         for aside in ASIDE:
             for way in range(WAYS):
                 turn = 2 * math.pi * way / WAYS
-                start = few.first_beside(aside * whole.radius * np.array([math.cos(turn), math.sin(turn)]))
-                found.append(few.descend(start, robust=True, settled=NEAR))
+                beside = few.first_beside(aside * whole.radius * np.array([math.cos(turn), math.sin(turn)]))
+                found.append(few.descend(beside, robust=True, settled=NEAR))
         found.sort(key=lambda one: one[0])
         best, x = found[0]
         far = 0.05 * whole.radius
         others = [cost for cost, other in found if np.linalg.norm(other[3:6] - x[3:6]) > far]
         runner_up = min(runner_up, min(others, default=math.inf) / max(best, 1e-300))
         alone.append(few.solution(x, math.inf))
-    start = replace(
+    first = replace(
         alone[0], cameras=tuple(_placed(alone[0], other) for other in alone[1:]),
         colour_shift_px=np.zeros((seen.tint.shape[1] // 4, 4)),
     )  # fmt: skip
     few = Bundle(seen.take(_thinned(seen, whole.rings, whole.frames)), whole.rings, whole.frames, whole.radius,
                  whole.corrections)  # fmt: skip
-    _, x = few.descend(packed(start), robust=True, settled=NEAR)
+    _, x = few.descend(packed(first), robust=True, settled=NEAR)
     return x, runner_up
 
 
 def _placed(first: Solution, other: Solution) -> Placement:
     """Where a camera stands from which the same rings and the same pipe were seen."""
-    ours, theirs = [], []
+    ours: list[FloatArray] = []
+    theirs: list[FloatArray] = []
     for one, out in ((first, ours), (other, theirs)):
         vertex = np.mean([ring.vertex_mm for ring in one.rings], axis=0)
         out += [np.asarray(ring.axis) for ring in one.rings]

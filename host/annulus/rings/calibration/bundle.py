@@ -55,7 +55,7 @@ class Solution:
 class Bundle:
     """The observations and the unknowns: per ring half-angle, axis x y, vertex; per frame rx, ry, tx, ty; per camera
     after the first its turn (a rotation vector) and its centre, in the first one's frame; where observations have a
-    tint, how far each colour's image is off, alike in all cameras (which are of one make: demosaicing and JPEG do it)."""
+    tint, how far each colour's image is off, alike in all cameras, which are of one make: JPEG's chroma does it."""
 
     def __init__(
         self, seen: Observations, rings: int, frames: int, radius: float, corrections: FloatArray,

@@ -65,10 +65,11 @@ class Observations:
 
 def joined(parts: Sequence[Observations]) -> Observations:
     """What several cameras saw, one after the other, each numbered by its place in `parts`."""
-    columns = zip(*((p.frame, p.ring, p.rays, p.origins, p.width) for p in parts), strict=True)
-    camera = np.repeat(np.arange(len(parts)), [len(p) for p in parts])
     return Observations(
-        *(np.concatenate(column) for column in columns), camera, np.concatenate([p.tint for p in parts])
+        np.concatenate([p.frame for p in parts]), np.concatenate([p.ring for p in parts]),
+        np.concatenate([p.rays for p in parts]), np.concatenate([p.origins for p in parts]),
+        np.concatenate([p.width for p in parts]), np.repeat(np.arange(len(parts)), [len(p) for p in parts]),
+        np.concatenate([p.tint for p in parts]),
     )  # fmt: skip
 
 

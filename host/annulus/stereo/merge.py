@@ -1,0 +1,199 @@
+"""Where each ring met the wall, from what several cameras saw of it.
+
+A ring's light leaves the projector along generators of its cone. On each of them the wall is one unknown, the distance
+from the vertex. A camera that sees the ring says where its image is; how many pixels that moves with a mm of the wall
+is the camera's sensitivity there, and the farther of two roots (§5.2) is the one near which it is taken. So the wall is
+where the weighted squares of what is left, in pixels, are least: where one camera's ray is tangent to the cone
+(delta = 0) its sensitivity is zero and it says nothing, by itself; no threshold decides (Alzuhiri 2022 has one, Delta).
+
+Assumed: the cameras see the same wall. When they do not (an edge between them, a slit misread), they contradict each
+other beyond what their sigmas allow, and neither is believed.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from annulus.numeric.arrays import BoolArray, FloatArray
+from annulus.numeric.jit import jit
+from annulus.stereo.lens import on_line
+from annulus.stereo.view import Expected, View
+
+# By topic stereo of the metrology table: errors against truth, share inside k = 2, at the tangents as elsewhere.
+JUMP_PX = 3.0  # between two neighbouring lines: more is an edge of the wall, and nothing is read between them
+SLOPE_LINES = 3  # to each side, over which the course of what was seen is read
+CLOSE_MM, ROUNDS = 0.01, 6  # a step so small ends it
+NEARER, FARTHER = 0.5, 2.0  # of the distance to a clean pipe: no wall is looked for beyond
+CONTRADICTS = 4.0  # sigma apart: two cameras do not see the same wall
+SHARE = 0.03  # of the weight: a camera with less is none that a point was made from
+NOISY, HOPELESS = 0.3, 4.0  # of what is not known: from there a mean over neighbouring lines is read; nor that helps
+KNOWN, UNSEEN, CONTRADICTED, BLUNT = 0, 1, 2, 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sight:
+    """What one camera saw of the rings. On its lines (K, J): samples, NaN for nowhere, and their standard deviation,
+    px; the same as a mean over neighbours, for where single lines are too noisy. plain_px (K,): of a usual slit."""
+
+    place: FloatArray
+    sigma_px: FloatArray
+    calm: FloatArray
+    calm_px: FloatArray
+    plain_px: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Merged:
+    """By ring and generator (K, P): distance from the vertex, mm, NaN where not known; its standard deviation; which
+    camera saw it, its place in the list or, of several, their number; the heaviest, and the line it saw it on;
+    KNOWN, UNSEEN, CONTRADICTED or BLUNT: seen, but from where it says too little of the wall."""
+
+    distance_mm: FloatArray
+    sigma_mm: FloatArray
+    camera: NDArray[np.int64]
+    heaviest: NDArray[np.int64]
+    line: NDArray[np.int64]
+    state: NDArray[np.int64]
+
+
+def merge(
+    views: Sequence[View], expected: Sequence[Expected], sights: Sequence[Sight], vertices: FloatArray,
+    ways: FloatArray, start_mm: FloatArray, sigma_most_mm: float, usable: BoolArray | None = None,
+) -> Merged:  # fmt: skip
+    """The wall's distance along each generator.
+
+    Parameters
+    ----------
+    vertices (K, 3), ways (K, P, 3), start_mm (K, P) : generators, and how far a clean pipe is along them.
+    sigma_most_mm : a usual slit that would tell the distance no better tells nothing.
+    usable : (C, K, P) where each camera is asked, and all count alike; None, everywhere, by what each says.
+    """
+    shape = start_mm.shape
+    distance, sigma = np.full(shape, np.nan), np.full(shape, np.nan)
+    camera, heaviest, line, state = (np.zeros(shape, np.int64) for _ in range(4))
+    course = np.stack([e.course for e in expected])
+    _solve(
+        np.stack([view.lens for view in views]), vertices, ways, start_mm,
+        np.stack([np.stack([e.line, e.place, e.line_by_mm, e.place_by_mm]) for e in expected]), course,
+        np.stack([s.place for s in sights]) - course, np.stack([s.sigma_px for s in sights]),
+        np.stack([s.calm for s in sights]) - course, np.stack([s.calm_px for s in sights]),
+        np.stack([s.plain_px for s in sights]), sigma_most_mm,
+        np.ones((1, 1, 1), np.bool_) if usable is None else usable, usable is not None,
+        distance, sigma, camera, heaviest, line, state,
+    )  # fmt: skip
+    return Merged(distance, sigma, camera, heaviest, line, state)
+
+
+@jit
+def _solve(  # type: ignore[no-untyped-def]
+    lenses, vertices, ways, start, expected, course, stray, sigma_px, calm, calm_px, plain_px, most, usable, gated,
+    distance, sigma, camera, heaviest, line, state,
+):  # fmt: skip
+    cameras = len(lenses)
+    rings, steps = start.shape
+    left, gain, off, at = np.empty(cameras), np.empty(cameras), np.empty(cameras), np.empty(cameras)
+    for k in range(rings):
+        for p in range(steps):
+            state[k, p] = UNSEEN
+            s = start[k, p]
+            if s != s:
+                continue
+            total, plain = 0.0, 0.0
+            for calmly in range(2):
+                if calmly == 1 and not (total > 0.0 and total * (NOISY * most) ** 2 < 1.0 and not gated):
+                    break
+                for turn in range(ROUNDS):
+                    pull, total, plain = 0.0, 0.0, 0.0
+                    for c in range(cameras):
+                        left[c] = gain[c] = off[c] = np.nan
+                        if gated and not usable[c, k, p]:
+                            continue
+                        if turn == 0 and calmly == 0:
+                            at[c], place = expected[c, 0, k, p], expected[c, 1, k, p]
+                        else:
+                            at[c], place = on_line(
+                                lenses[c], vertices[k, 0] + s * ways[k, p, 0], vertices[k, 1] + s * ways[k, p, 1],
+                                vertices[k, 2] + s * ways[k, p, 2],
+                            )  # fmt: skip
+                        by_line, by_place = expected[c, 2, k, p], expected[c, 3, k, p]
+                        if calmly == 0:
+                            value, slope, spread = _look(stray[c, k], sigma_px[c, k], course[c, k], at[c])
+                        else:
+                            value, slope, spread = _look(calm[c, k], calm_px[c, k], course[c, k], at[c])
+                        if value != value:
+                            continue
+                        own = by_place - slope * by_line
+                        left[c], gain[c], off[c] = value - place, own, spread
+                        weight = (own / spread) ** 2 if not gated else own * own * 1e-6
+                        if gated:  # the source's: each camera's own answer, and their mean
+                            pull += (value - place) / own
+                            total += 1.0
+                        else:
+                            pull += weight * (value - place) / own if own != 0.0 else 0.0
+                            total += weight
+                        plain += (own / plain_px[c, k]) ** 2
+                    if not (total > 0.0 and plain * (HOPELESS * most) ** 2 >= 1.0):
+                        break
+                    step = min(max(pull / total, (NEARER - 1.0) * start[k, p]), (FARTHER - 1.0) * start[k, p])
+                    s = min(max(s + step, NEARER * start[k, p]), FARTHER * start[k, p])
+                    if abs(step) < CLOSE_MM:
+                        for c in range(cameras):
+                            left[c] -= gain[c] * step
+                        break
+            if not total > 0.0:
+                continue
+            square, weights, best, seen, used = 0.0, 0.0, -1.0, 0, 0
+            for c in range(cameras):
+                if left[c] == left[c]:
+                    weight = (gain[c] / off[c]) ** 2
+                    square += (left[c] / off[c]) ** 2
+                    weights += weight
+                    seen += 1
+                    if weight > best:
+                        best, heaviest[k, p] = weight, c
+            if seen == 0 or not weights > 0.0:
+                continue
+            if not weights * most * most >= 1.0 and not gated:
+                state[k, p] = BLUNT
+                continue
+            if seen > 1 and square > CONTRADICTS * CONTRADICTS * (seen - 1) and not gated:
+                state[k, p] = CONTRADICTED
+                continue
+            for c in range(cameras):
+                if left[c] == left[c] and (gain[c] / off[c]) ** 2 > SHARE * weights:
+                    used += 1
+            state[k, p] = KNOWN
+            distance[k, p], sigma[k, p] = s, 1.0 / np.sqrt(weights)
+            camera[k, p] = heaviest[k, p] if used == 1 else cameras
+            line[k, p] = int(at[heaviest[k, p]] + 0.5)
+
+
+@jit
+def _look(stray, sigma_px, course, line):  # type: ignore[no-untyped-def]
+    """Where a ring was seen on a line between lines (sample), how that changes from line to line, and its sigma, px;
+    NaN where it was not seen."""
+    if line != line:
+        return np.nan, np.nan, np.nan
+    lines = len(stray)
+    at = int(line)
+    part = line - at
+    a, b = at % lines, (at + 1) % lines
+    here, there = stray[a], stray[b]
+    if here == here and there == there:
+        if abs(there - here) > JUMP_PX:
+            return np.nan, np.nan, np.nan
+        value, off = here + part * (there - here), sigma_px[a] + part * (sigma_px[b] - sigma_px[a])
+    elif here == here and part <= 0.5:
+        value, off = here, sigma_px[a]
+    elif there == there and part > 0.5:
+        value, off = there, sigma_px[b]
+    else:
+        return np.nan, np.nan, np.nan
+    slope = course[b] - course[a]
+    change = (stray[(b + SLOPE_LINES) % lines] - stray[(a - SLOPE_LINES) % lines]) / (2 * SLOPE_LINES + 1)
+    value += course[a] + part * slope
+    if change == change and abs(change) < JUMP_PX / 2:
+        slope += change
+    return value, slope, off

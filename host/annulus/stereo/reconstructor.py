@@ -1,0 +1,356 @@
+"""From the frames of one flash to the wall: the method, end to end.
+
+Assumed: one projector, several cameras beside it, all calibrated together; a round pipe but for what is to be found; a
+head whose middle leans and stands off the pipe's axis no farther than `rings.polar` looks.
+
+What carries it: each camera's slits are found and named alone, so that a camera that fails costs only its own; the wall
+is then what all that was seen says of it (`merge`), with what is left between the cameras as the measure of how well.
+
+When it breaks: where no camera sees a ring, or only one whose ray is tangent to the cone, there is no point; where two
+contradict each other there is none either, and `Profile.rejected` counts it.
+"""
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from annulus.geometry.calibration import Calibration
+from annulus.geometry.cone import intersect_cone
+from annulus.geometry.pose import Pose
+from annulus.numeric.arrays import BoolArray, FloatArray
+from annulus.numeric.jit import jit, middle
+from annulus.numeric.robust import SIGMA_OF_MAD
+from annulus.rings.colour import ColourProfile
+from annulus.rings.decode import NONE
+from annulus.rings.reconstructor import FIRST_TOLERANCE, RING_POINTS, WALL_TOLERANCE
+from annulus.stereo.merge import BLUNT, CONTRADICTED, Merged, Sight, merge
+from annulus.stereo.view import Expected, Seen, View, view_of
+from annulus.vocabulary import AnnulusError
+from annulus.wall.pose import Fit, fit_pose
+from annulus.wall.profile import Profile
+
+# By topic stereo of the metrology table.
+DIRECTIONS = 720  # generators of each cone
+SIGMA_MOST = 0.008  # of the radius, along its generator: a point known no better is not known
+ROUGHLY = 6  # of so many generators one, for the pose that rings are named with
+BIAS_PX, TINTED_PX = 0.0115, 0.025  # of an edge's place what scatter does not show; where colours are not calibrated
+OVER_EXPOSED, CLIPPED_PX = 235.0, 0.04  # grey levels; as `rings.uncertainty`
+LAG, LEAST, UNKNOWN_PX = 4, 40, 0.1  # as `rings.uncertainty`
+BLUR_LEAST, BLUR_MOST = 0.5, 4.0
+CALM_LINES, CALM_PX = 5, 1.5  # to each side, of like places, that are averaged where one line says too little ..
+ALIKE_LINES = 2.7  # .. of which so many say as much as one: each is an average with its neighbours already
+CAMERAS_LEAST = 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Look:
+    """What one camera's frame said."""
+
+    seen: Seen
+    which: NDArray[np.int64]  # (K, J) slit, -1 for none
+    sight: Sight
+
+
+class StereoReconstructor:
+    """Holds what one calibration fixes, so that frames cost only their own pixels.
+
+    >>> head = StereoReconstructor(calibration)
+    >>> profile = head.profile({0: left_bgr, 1: right_bgr}, frame=17, z_mm=40.8, seed=last.pose)
+    """
+
+    def __init__(
+        self, calibration: Calibration, directions: int = DIRECTIONS, *, colour: ColourProfile | None = None,
+        delta_gate: float | None = None,
+    ) -> None:  # fmt: skip
+        """delta_gate : for comparison only, the source's Delta (§5.2): a camera is asked only where delta is above this
+        part of its greatest, and those that are count alike."""
+        if len(calibration.cameras) < CAMERAS_LEAST:
+            raise AnnulusError("calibration: the head has one camera, expected two or more for this method")
+        if calibration.kind != "slits":
+            raise AnnulusError(f"calibration: the head projects {calibration.kind}, expected slits for several cameras")
+        self.calibration, self.directions, self.colour, self.delta_gate = calibration, directions, colour, delta_gate
+        self.usual = usual_pose(calibration)
+        self.views = {one.id: view_of(calibration, one, self.usual, directions) for one in calibration.cameras}
+        self._vertex, self._ways = generators(calibration, directions)
+
+    def profile(
+        self,
+        images: Mapping[int, NDArray[np.uint8]],
+        *,
+        frame: int,
+        z_mm: float,
+        seed: Pose | None = None,
+        roll_deg: float | None = None,
+        clock: Callable[[], float] = time.perf_counter,
+    ) -> Profile:
+        """The wall's points from the frames of one flash.
+
+        Parameters
+        ----------
+        images : by camera id, (H, W, 3) uint8 BGR; a camera whose frame was lost is left out, at least one is there.
+        z_mm : the station of the first camera. seed, roll_deg : see `rings.Reconstructor.profile`; the head's.
+
+        Raises
+        ------
+        AnnulusError for an image of another size than its camera's, or of a camera that the head does not have.
+        """
+        marks = [("", clock())]
+        seen: dict[int, Seen] = {}
+        rejected: dict[str, int] = {}
+        for number, image in images.items():
+            if number not in self.views:
+                known = ", ".join(map(str, self.views))
+                raise AnnulusError(f"frame {frame}: is of camera {number}, but the calibration has cameras {known}.")
+            camera = self.views[number].camera
+            if image.shape != (camera.height, camera.width, 3) or image.dtype != np.uint8:
+                raise AnnulusError(
+                    f"frame {frame}: camera {number}'s image is {'x'.join(map(str, image.shape[1::-1]))} but the "
+                    f"calibration's is {camera.width}x{camera.height}, 8 bit colour. Calibrate with these cameras."
+                )
+            seen[number], left_out = self.views[number].see(image, self.colour)
+            for reason, count in left_out.items():
+                rejected[reason] = rejected.get(reason, 0) + count
+            marks.append(("slits", clock()))
+        lost = len(self.views) - len(images)
+        if lost:
+            rejected["camera missing"] = lost
+        fitted = None
+        for first in (seed, self.usual) if seed is not None else (self.usual,):
+            some = np.ascontiguousarray(self._ways[:, ::ROUGHLY])
+            few = self._expect(first, some, seen)
+            looks = {n: self._read(self.views[n], one, few[n], FIRST_TOLERANCE, None) for n, one in seen.items()}
+            merged = self._merge(first, looks, few, some)
+            marks.append(("merge", clock()))
+            fitted = self._fit(merged, first, some)
+            marks.append(("pose", clock()))
+            if fitted is not None:
+                break
+        if fitted is None:
+            rejected["no pipe"] = sum(len(one.slits.position) for one in seen.values())
+            return _empty(frame, z_mm, rejected, marks)
+        expected = self._expect(fitted.pose, self._ways, seen)
+        looks = {n: self._read(self.views[n], one, expected[n], WALL_TOLERANCE, rejected) for n, one in seen.items()}
+        marks.append(("decode", clock()))
+        merged = self._merge(fitted.pose, looks, expected, self._ways)
+        marks.append(("merge", clock()))
+        fitted = self._fit(merged, fitted.pose, self._ways) or fitted
+        marks.append(("pose", clock()))
+        pose = replace(fitted.pose, roll=None if roll_deg is None else math.radians(roll_deg))
+        ring, direction = np.nonzero(np.isfinite(merged.distance_mm))
+        at = ring, direction
+        points = self._vertex[ring] + merged.distance_mm[at][:, None] * self._ways[at]
+        wall = pose.to_pipe(points, z_mm)
+        sigma = self._sigma(points, merged.sigma_mm[at], self._ways[at], fitted)
+        light = self._light(merged, at, looks)
+        rejected["contradicted"] = int(np.count_nonzero(merged.state == CONTRADICTED))
+        rejected["tangent"] = int(np.count_nonzero(merged.state == BLUNT))
+        marks.append(("points", clock()))
+        camera_of = np.array([*looks, *([len(self.views)] if len(looks) else [])])
+        return Profile(
+            frame, z_mm, pose, wall.astype(np.float32), light, ring.astype(np.uint8), direction.astype(np.uint16),
+            fitted.robust_sigma_mm, rejected, _spans(marks), sigma.astype(np.float32), fitted.lean_sigma_deg,
+            seen_by=camera_of[merged.camera[at]].astype(np.uint8),
+        )  # fmt: skip
+
+    def _to_pipe(self, pose: Pose, ways: FloatArray, radius_mm: float) -> FloatArray:
+        """(K, P) mm along each generator to a clean pipe."""
+        turn = pose.rotation
+        start = (self._vertex - pose.translation) @ turn
+        way = ways @ turn
+        a = (way[..., :2] ** 2).sum(axis=-1)
+        b = (way[..., :2] * start[:, None, :2]).sum(axis=-1)
+        c = (start[:, :2] ** 2).sum(axis=-1)[:, None] - radius_mm**2
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.asarray((np.sqrt(b * b - a * c) - b) / a)
+
+    def _expect(self, pose: Pose, ways: FloatArray, numbers: Mapping[int, object]) -> dict[int, Expected]:
+        start = self._to_pipe(pose, ways, self.calibration.pipe_radius_mm)
+        return {n: self.views[n].expect(self._vertex, ways, start, pose) for n in numbers}
+
+    def _read(
+        self, view: View, seen: Seen, expected: Expected, tolerance: float, rejected: dict[str, int] | None
+    ) -> _Look:
+        ring, off = view.name(seen, expected, tolerance)
+        wider = np.zeros(len(ring))
+        if rejected is not None:
+            rejected["no ring"] = rejected.get("no ring", 0) + int(np.count_nonzero(ring == NONE))
+            lost, wider = view.without_outliers(ring, seen, off, expected)
+            for reason, count in lost.items():
+                rejected[reason] = rejected.get(reason, 0) + count
+        place, which = view.table(ring, seen)
+        bias = BIAS_PX if view.camera.colour_shift_px else TINTED_PX
+        return _Look(seen, which, _sight(seen, which, place, expected.course, wider, bias))
+
+    def _merge(
+        self, pose: Pose, looks: Mapping[int, _Look], expected: Mapping[int, Expected], ways: FloatArray
+    ) -> Merged:
+        start = self._to_pipe(pose, ways, self.calibration.pipe_radius_mm)
+        views = [self.views[n] for n in looks]
+        usable = None
+        if self.delta_gate is not None:
+            points = self._vertex[:, None] + start[..., None] * ways
+            usable = np.stack([self._gate(view, points) for view in views])
+        return merge(
+            views, [expected[n] for n in looks], [look.sight for look in looks.values()], self._vertex, ways, start,
+            SIGMA_MOST * self.calibration.pipe_radius_mm, usable,
+        )  # fmt: skip
+
+    def _gate(self, view: View, points: FloatArray) -> BoolArray:
+        """(K, P) where delta (Eq. 5.7) is above `delta_gate` of its greatest."""
+        centre = -view.rotation.T @ view.translation_mm
+        out = np.zeros(points.shape[:2], np.bool_)
+        for k, cone in enumerate(self.calibration.rings):
+            _, delta = intersect_cone(_unit(points[k] - centre), cone, centre)
+            out[k] = delta > (self.delta_gate or 0.0) * np.nanmax(delta)
+        return out
+
+    def _fit(self, merged: Merged, first: Pose, ways: FloatArray) -> Fit | None:
+        ring, direction = np.nonzero(np.isfinite(merged.distance_mm))
+        if not len(ring):
+            return None
+        own = ways[ring, direction]
+        points = self._vertex[ring] + merged.distance_mm[ring, direction][:, None] * own
+        enough = RING_POINTS * ways.shape[1] / self.directions
+        one_ring = bool(np.count_nonzero(np.bincount(ring) > enough) < 2)
+        across = _outwards(points, own, first)
+        sigma = np.hypot(merged.sigma_mm[ring, direction] * across, 0.0005 * self.calibration.pipe_radius_mm)
+        return fit_pose(points, self.calibration.pipe_radius_mm, sigma, first, one_ring)
+
+    def _sigma(self, points: FloatArray, along: FloatArray, ways: FloatArray, fit: Fit) -> FloatArray:
+        """(N,) mm of each point's radius: along its generator, and the pose."""
+        pose = fit.pose
+        q = (points - pose.translation) @ pose.rotation
+        r = np.hypot(q[:, 0], q[:, 1])
+        pull = np.stack([q[:, 2] * q[:, 1] / r, -q[:, 2] * q[:, 0] / r, -q[:, 0] / r, -q[:, 1] / r], axis=1)
+        by_pose = np.einsum("ni,ij,nj->n", pull, fit.covariance, pull)
+        return np.asarray(np.sqrt((along * _outwards(points, ways, pose)) ** 2 + by_pose))
+
+    def _light(
+        self, merged: Merged, at: tuple[NDArray[np.int64], NDArray[np.int64]], looks: Mapping[int, _Look]
+    ) -> NDArray[np.uint8]:
+        """(N, 3) RGB of the wall beside each point, as the camera shows it that knows it best."""
+        light = np.zeros((len(at[0]), 3), np.uint8)
+        best, line = merged.heaviest[at], merged.line[at] % self.directions
+        for number, look in enumerate(looks.values()):
+            mine = np.flatnonzero(best == number)
+            which = look.which[at[0][mine], line[mine]]
+            for step in (1, -1):
+                beside = look.which[at[0][mine], (line[mine] + step) % self.directions]
+                which = np.where(which < 0, beside, which)
+            good = which >= 0
+            both = 0.5 * (look.seen.slits.inside[which[good]] + look.seen.slits.outside[which[good]])
+            light[mine[good]] = np.clip(both[:, ::-1], 0, 255).astype(np.uint8)
+        return light
+
+
+def usual_pose(calibration: Calibration) -> Pose:
+    """The pipe as the first camera sees it when the middle of the cameras is on its axis and the head does not lean."""
+    centres = np.array([-np.array(c.rotation).T @ np.array(c.translation_mm) for c in calibration.cameras])
+    x, y, _ = centres.mean(axis=0)
+    return Pose(0.0, 0.0, float(x), float(y))
+
+
+def generators(calibration: Calibration, directions: int) -> tuple[FloatArray, FloatArray]:
+    """Vertices (K, 3) mm, and (K, P, 3) unit vectors along each cone's light, P directions round its axis, from the
+    camera's x towards its y: Alzuhiri 2022, Eq. 5.2."""
+    turn = np.arange(directions) * (2 * math.pi / directions)
+    vertices, ways = [], []
+    for cone in calibration.rings:
+        axis = np.asarray(cone.axis)
+        first = np.array([1.0, 0.0, 0.0]) - axis[0] * axis
+        first /= np.linalg.norm(first)
+        across = np.cos(turn)[:, None] * first + np.sin(turn)[:, None] * np.cross(axis, first)
+        ways.append(math.cos(cone.half_angle) * axis + math.sin(cone.half_angle) * across)
+        vertices.append(cone.vertex_mm)
+    return np.array(vertices), np.array(ways)
+
+
+def _outwards(points: FloatArray, ways: FloatArray, pose: Pose) -> FloatArray:
+    """(N,) how much of a step along its generator takes a point away from the pipe's axis."""
+    q, w = (points - pose.translation) @ pose.rotation, ways @ pose.rotation
+    return np.asarray((q[:, :2] * w[:, :2]).sum(axis=1) / np.hypot(q[:, 0], q[:, 1]))
+
+
+def _sight(
+    seen: Seen, which: NDArray[np.int64], place: FloatArray, course: FloatArray, wider: FloatArray, bias_px: float
+) -> Sight:
+    """How far each slit's place may be off, px: see `rings.uncertainty.point_sigma`, whose terms these are."""
+    slits = seen.slits
+    sigma, plain = np.full(which.shape, np.nan), np.full(len(which), UNKNOWN_PX)
+    calm, calm_px = np.full(which.shape, np.nan), np.full(which.shape, np.nan)
+    _spread(
+        which, place - course, slits.edge_blur, slits.inside, slits.outside, wider, bias_px, sigma, plain, calm, calm_px
+    )
+    return Sight(place, sigma, calm + course, calm_px, plain)
+
+
+@jit
+def _spread(which, stray, edge_blur, inside, outside, wider, least, sigma, plain, calm, calm_px):  # type: ignore[no-untyped-def]
+    rings, lines = which.shape
+    work, noise = np.empty(lines), np.empty(lines)
+    for k in range(rings):
+        size = 0
+        for j in range(lines):
+            third = (stray[k, (j + 3 * LAG) % lines] - stray[k, j]) - 3.0 * (
+                stray[k, (j + 2 * LAG) % lines] - stray[k, (j + LAG) % lines]
+            )
+            if third == third:
+                work[size] = abs(third)
+                size += 1
+        scatter = SIGMA_OF_MAD / math.sqrt(20.0) * middle(work, size) if size >= LEAST else UNKNOWN_PX
+        plain[k] = math.sqrt(scatter * scatter + least * least)
+        size = 0
+        for j in range(lines):
+            if which[k, j] >= 0:
+                work[size] = edge_blur[which[k, j]]
+                size += 1
+        usual = max(middle(work, size), 1e-9)
+        for j in range(lines):
+            n = which[k, j]
+            if n < 0:
+                continue
+            soft = scatter * min(max(edge_blur[n] / usual, BLUR_LEAST), BLUR_MOST)
+            bright = 0.0
+            for c in range(3):
+                bright = max(bright, inside[n, c], outside[n, c])
+            bias = max(CLIPPED_PX, least) if bright > OVER_EXPOSED else least
+            other = max((0.5 * wider[n]) ** 2 - 4.0 * soft * soft, 0.0) / 3.0
+            noise[j] = soft * soft
+            sigma[k, j] = math.sqrt(soft * soft + bias * bias + other)
+        for j in range(lines):
+            total, random, common, count = 0.0, 0.0, 0.0, 0
+            for d in range(-CALM_LINES, CALM_LINES + 1):
+                value = stray[k, (j + d) % lines]
+                if value == value and abs(value - stray[k, j]) < CALM_PX:
+                    total += value
+                    random += noise[(j + d) % lines]
+                    common += sigma[k, (j + d) % lines] ** 2 - noise[(j + d) % lines]
+                    count += 1
+            if count > CALM_LINES:
+                calm[k, j] = total / count
+                calm_px[k, j] = math.sqrt((random * ALIKE_LINES / count + common) / count)
+
+
+def _unit(v: FloatArray) -> FloatArray:
+    return np.asarray(v / np.linalg.norm(v, axis=-1, keepdims=True))
+
+
+def _empty(frame: int, z_mm: float, rejected: dict[str, int], marks: list[tuple[str, float]]) -> Profile:
+    none = np.zeros(0, np.uint8)
+    return Profile(
+        frame, z_mm, None, np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8), none, none.astype(np.uint16),
+        math.nan, rejected, _spans(marks),
+    )  # fmt: skip
+
+
+def _spans(marks: list[tuple[str, float]]) -> dict[str, float]:
+    spans: dict[str, float] = {}
+    for (_, before), (name, after) in pairwise(marks):
+        spans[name] = spans.get(name, 0.0) + 1e3 * (after - before)
+    spans["total"] = 1e3 * (marks[-1][1] - marks[0][1])
+    return spans

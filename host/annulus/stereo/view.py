@@ -1,0 +1,190 @@
+"""One camera of a head with several: its slits, named, and where it would see a point of the wall.
+
+All that `rings` knows of finding slits holds for a camera beside the projector, too, but for one thing: where a ray is
+tangent to its cone, the slit's place says nothing of the wall, and the wall nothing of the slit. So a slit is named by
+how far it lies from where its ring should be in the image, against how far a wall could move it there.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from annulus.geometry.calibration import Calibration, HeadCamera
+from annulus.geometry.camera import Camera
+from annulus.geometry.cone import Cone
+from annulus.geometry.pose import Pose
+from annulus.numeric.arrays import FloatArray
+from annulus.numeric.jit import jit
+from annulus.rings.colour import ColourProfile
+from annulus.rings.decode import NONE, UNKNOWN, classify, decode, readings
+from annulus.rings.outliers import reject_outliers
+from annulus.rings.polar import PolarGrid, polar_grid, unroll
+from annulus.rings.slits import Slits, find_slits
+from annulus.rings.triangulate import RingOptics, ring_optics
+from annulus.stereo.lens import lens_numbers, on_line
+
+STEP_PX, STEP = 1.5, 0.01  # px, part of the radius: between a point and its neighbours on a wall, as in `rings`
+FARTHER = 0.02  # of the distance: step of the finite differences along a generator
+WIDE = 1.3  # of the usual width: a slit in a shadow's edge must not shift itself
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """The slits of one frame, and by ring and line (K, J) which of them it is, -1 for none."""
+
+    slits: Slits
+    inside: NDArray[np.uint8]
+    outside: NDArray[np.uint8]
+    could_be: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Expected:
+    """Where a camera would see each ring on a clean pipe. By generator (K, P): line, sample along it, and how both move
+    with a mm along the generator; by line (K, J): sample, and how it moves with the pipe's radius (px a radius)."""
+
+    line: FloatArray
+    place: FloatArray
+    line_by_mm: FloatArray
+    place_by_mm: FloatArray
+    course: FloatArray
+    by_radius: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """A camera where it stands: X_own = rotation X_head + translation_mm."""
+
+    camera: Camera
+    rotation: FloatArray  # (3, 3)
+    translation_mm: FloatArray  # (3,)
+    grid: PolarGrid
+    optics: RingOptics
+    colours: str
+    lens: FloatArray  # all of the above for compiled loops, see `lens`
+
+    def expect(self, vertices: FloatArray, ways: FloatArray, start_mm: FloatArray, pose: Pose) -> Expected:
+        """What a clean pipe would show. vertices (K, 3), ways (K, P, 3), start_mm (K, P): generators to where they meet
+        it."""
+        rings, lines = len(vertices), len(self.grid.cosine)
+        by_generator, by_line = np.empty((4, *start_mm.shape)), np.full((2, rings, lines), np.nan)
+        _expect(self.lens, vertices, ways, start_mm, pose.rotation, pose.translation, by_generator, by_line)
+        return Expected(*by_generator, *by_line)
+
+    def see(self, image_bgr: NDArray[np.uint8], colour: ColourProfile | None) -> tuple[Seen, dict[str, int]]:
+        """The slits of one frame, and how many were left out, by reason."""
+        slits = find_slits(unroll(image_bgr, self.grid), self.grid)
+        both = classify(
+            np.vstack([slits.inside, slits.outside]), self.colours, None if colour is None else colour.seen()
+        )
+        inside, outside = both[: len(slits.position)], both[len(slits.position) :]
+        unknown = int(np.count_nonzero((inside == UNKNOWN) | (outside == UNKNOWN)))
+        rejected = {"crowded": slits.crowded, "shallow": slits.shallow, "colour": unknown}
+        return Seen(slits, inside, outside, readings(inside, outside, self.colours)), rejected
+
+    def name(self, seen: Seen, expected: Expected, tolerance: float) -> tuple[NDArray[np.int64], FloatArray]:
+        """Ring of each slit, or NONE; and (N, K) px from where each ring should be. tolerance : of the wall, of the
+        radius."""
+        slits = seen.slits
+        off = slits.position[:, None] - expected.course[:, slits.direction].T
+        steps = np.abs(np.diff(expected.course, axis=0))
+        edge = np.full((1, expected.course.shape[1]), np.nan)
+        gap = np.fmin(np.concatenate([edge, steps]), np.concatenate([steps, edge]))  # to the nearer neighbour
+        reach = np.hypot(expected.by_radius, np.where(np.isfinite(gap), gap, self.grid.spacing_px))
+        reach = reach[:, slits.direction].T
+        deviation = np.where(seen.could_be, off / reach, np.nan)
+        ring = decode(slits.direction, seen.inside, seen.outside, deviation, self.colours, tolerance)
+        return ring, off
+
+    def without_outliers(
+        self, ring: NDArray[np.int64], seen: Seen, off: FloatArray, expected: Expected
+    ) -> tuple[dict[str, int], FloatArray]:
+        """Sets `ring` to NONE where a slit is not to be believed; see `rings.outliers`."""
+        step = STEP_PX + STEP * np.nanmedian(np.abs(expected.by_radius), axis=1)
+        return reject_outliers(ring, seen.slits, off, step, len(self.grid.cosine))
+
+    def table(self, ring: NDArray[np.int64], seen: Seen) -> tuple[FloatArray, NDArray[np.int64]]:
+        """(K, J) the samples at which each ring was seen, NaN for none; and which slit that is, -1 for none."""
+        shape = self.optics.bend.shape
+        place, which = np.full(shape, np.nan), np.full(shape, -1)
+        named = np.flatnonzero(ring != NONE)
+        at = ring[named], seen.slits.direction[named]
+        which[at] = named
+        if len(named):
+            width = np.minimum(seen.slits.width[named], WIDE * float(np.median(seen.slits.width)))
+            bend = self.optics.bend[at] * width * width / 8.0
+            place[at] = seen.slits.position[named] + bend - self.optics.offset_px[at]
+        return place, which
+
+
+def view_of(calibration: Calibration, of: HeadCamera, nominal: Pose, directions: int) -> View:
+    """A view of one of the head's cameras; `nominal` : the pipe in the head's frame."""
+    rotation, translation = np.array(of.rotation), np.array(of.translation_mm)
+    rings = tuple(
+        Cone(c.half_angle, _three(rotation @ c.axis), _three(rotation @ np.array(c.vertex_mm) + translation))
+        for c in calibration.rings
+    )
+    own = replace(calibration, camera=of.camera, rings=rings, others=(), covariance=None)
+    pose = pose_of(rotation @ nominal.rotation[:, 2], rotation @ nominal.translation + translation)
+    grid = polar_grid(own, directions, pose)
+    lens = lens_numbers(of.camera, rotation, translation, grid)
+    return View(of.camera, rotation, translation, grid, ring_optics(own, grid, pose), calibration.colours, lens)
+
+
+@jit
+def _expect(lens, vertices, ways, start, rotation, shift, by_generator, by_line):  # type: ignore[no-untyped-def]
+    """See `Expected`: line, place and their changes with a mm, (4, K, P); course and change with a radius (2, K, J)."""
+    rings, steps = start.shape
+    lines = by_line.shape[2]
+    by_radius = np.empty(steps)
+    for k in range(rings):
+        for p in range(steps):
+            near = start[k, p]
+            step = FARTHER * near
+            x, y, z = vertices[k, 0], vertices[k, 1], vertices[k, 2]
+            wx, wy, wz = ways[k, p, 0], ways[k, p, 1], ways[k, p, 2]
+            x, y, z = x + near * wx, y + near * wy, z + near * wz
+            line, place = on_line(lens, x, y, z)
+            line_far, place_far = on_line(lens, x + step * wx, y + step * wy, z + step * wz)
+            moved = line_far - line
+            moved -= lines * math.floor(moved / lines + 0.5)
+            by_generator[0, k, p], by_generator[1, k, p] = line, place
+            by_generator[2, k, p], by_generator[3, k, p] = moved / step, (place_far - place) / step
+            # how fast the step leads away from the axis
+            x, y, z = x - shift[0], y - shift[1], z - shift[2]
+            u = x * rotation[0, 0] + y * rotation[1, 0] + z * rotation[2, 0]
+            v = x * rotation[0, 1] + y * rotation[1, 1] + z * rotation[2, 1]
+            wu = wx * rotation[0, 0] + wy * rotation[1, 0] + wz * rotation[2, 0]
+            wv = wx * rotation[0, 1] + wy * rotation[1, 1] + wz * rotation[2, 1]
+            by_radius[p] = (u * wu + v * wv) / (u * u + v * v)  # radii a mm
+        for p in range(steps):
+            q = (p + 1) % steps
+            a, b = by_generator[0, k, p], by_generator[0, k, q]
+            if not (a == a and b == b):
+                continue
+            span = b - a
+            span -= lines * math.floor(span / lines + 0.5)
+            if span == 0.0:
+                continue
+            before, after = by_generator[1, k, p], by_generator[1, k, q]
+            slope = (after - before) / span
+            low, high = (a, a + span) if span > 0 else (a + span, a)
+            for j in range(math.ceil(low), math.floor(high) + 1):
+                part = (j - a) / span
+                by_line[0, k, j % lines] = before + part * (after - before)
+                own_a = (by_generator[3, k, p] - slope * by_generator[2, k, p]) / by_radius[p]
+                own_b = (by_generator[3, k, q] - slope * by_generator[2, k, q]) / by_radius[q]
+                by_line[1, k, j % lines] = own_a + part * (own_b - own_a)
+
+
+def pose_of(axis: FloatArray, through_mm: FloatArray) -> Pose:
+    """The pose of a pipe along `axis` through a point, in the same frame."""
+    at = through_mm - through_mm[2] / axis[2] * axis
+    ry = float(np.arcsin(axis[0]))
+    return Pose(float(np.arctan2(-axis[1], axis[2])), ry, float(at[0]), float(at[1]))
+
+
+def _three(v: FloatArray) -> tuple[float, float, float]:
+    return float(v[0]), float(v[1]), float(v[2])
