@@ -10,16 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from annulus.calibrate.sample import Progress, Sampled, projector_frames, sample
+from annulus.calibrate.followed import decode_frames
+from annulus.calibrate.sample import Progress, projector_frames, sample
 from annulus.geometry.calibration import Calibration, camera_alone, head_from_dict
 from annulus.geometry.camera import Camera
 from annulus.geometry.pose import Pose
-from annulus.numeric.arrays import FloatArray, Image
+from annulus.numeric.arrays import BoolArray, FloatArray
 from annulus.record.calibration_file import load_part, update_calibration
 from annulus.record.scan import open_scan
 from annulus.rings.calibration.autocalibration import calibrate, with_frame
 from annulus.rings.calibration.bundle import Solution
-from annulus.rings.calibration.contours import Contours, Look, close_grid, read_colours, wide_grid
+from annulus.rings.calibration.contours import Contours, Look
 from annulus.rings.calibration.corrections import fit_corrections, ring_corrections
 from annulus.rings.calibration.cross_validation import Measured, hold_out
 from annulus.rings.calibration.observations import Observations, observe
@@ -31,7 +32,6 @@ from annulus.vocabulary import AnnulusError
 # CLIPPED_HERE) was chosen on calibration-a, spoilt one way at a time: unguarded.
 FRAMES_MOST = 40  # of a longer scan evenly taken; more only average noise that is small already
 FRAMES_ASKED = 4  # fewer are used, and said to be few
-SEEN_LEAST = 0.25  # of all rings in all directions: less is no frame to calibrate with
 LEAN_DEG, LEAN_SHIFT = 10.0, 0.1  # what is advised: to lean so far, and stand off by this part of the radius
 GOOD_ANGLE_DEG, GOOD_VERTEX = 0.02, 0.001  # of the full angle; of the radius: known so well, poses were good enough
 USELESS = 0.03  # of the radius: a vertex known no better than this is not known
@@ -69,6 +69,32 @@ class PipeCalibration:
     timing_s: dict[str, float] = field(default_factory=dict)
     held_every: int = HELD_EVERY
 
+    def _held_mm(self, held: Measured, part: BoolArray | None = None) -> float:
+        """mm rms of the radius in frames held out."""
+        if not self.solution.cameras:
+            return held.rms_mm() if part is None else held.rms_mm(part)
+        return self._mm(held.error_px, part, self.held_every)
+
+    def _mm(self, error_px: FloatArray, part: BoolArray | None, every: int = 1) -> float:
+        """Errors in px as mm of radius: where a ray is tangent to its cone a pixel is any length, so over all."""
+        by_mm = self.solution.radius_px[::every]
+        good = np.isfinite(error_px) if part is None else np.isfinite(error_px) & part
+        return _rms(error_px[good]) / max(_rms(by_mm[good]), 1e-9)
+
+    @property
+    def cameras(self) -> list[dict[str, Any]]:
+        """Of each camera after the first: how far it is turned (degrees), where its centre is in the first one's frame
+        (mm), and their standard deviations."""
+        sigma = np.sqrt(np.diag(self.solution.camera_covariance)).reshape(-1, 6)
+        out = []
+        for one, placed, s in zip(self.calibration.others, self.solution.cameras, sigma, strict=True):
+            turn = math.degrees(math.acos(min(1.0, max(-1.0, (float(np.trace(placed.rotation)) - 1.0) / 2.0))))
+            at = {"turned_deg": turn, "turned_sigma_deg": math.degrees(float(s[:3].max()))}
+            out.append(
+                {"camera": one.id, **at, "centre_mm": placed.centre_mm.tolist(), "centre_sigma_mm": s[3:].tolist()}
+            )
+        return out
+
     @property
     def distance_mm(self) -> float:
         """From the camera's centre to the rings' vertices, the mean: what a ruler can check."""
@@ -82,6 +108,7 @@ class PipeCalibration:
         for k, ring in enumerate(solution.rings):
             mine = (self.seen.ring == k) & (solution.weight > 0)
             mm = solution.error_px[mine] / solution.radius_px[mine]
+            part = self.seen.ring[:: self.held_every] == k
             rings.append(
                 {
                     "theta_full_deg": math.degrees(2 * ring.half_angle),
@@ -92,8 +119,10 @@ class PipeCalibration:
                     "vertex_sigma_mm": sigma[k, 3:].tolist(),
                     "observations": int(np.count_nonzero(mine)),
                     "residual_px": _rms(solution.error_px[mine]),
-                    "residual_mm": _rms(mm),
-                    "held_out_mm": None if held is None else held.rms_mm(self.seen.ring[:: self.held_every] == k),
+                    "residual_mm": _rms(mm) if not solution.cameras else self._mm(solution.error_px, mine),
+                    "held_out_mm": None
+                    if held is None
+                    else self._held_mm(held, part),
                 }
             )
         return {
@@ -112,11 +141,12 @@ class PipeCalibration:
             ],
             "rings": rings,
             "residual_px": _rms(solution.error_px[solution.weight > 0]),
-            "held_out_mm": None if self.held_out is None else self.held_out.rms_mm(),
+            "held_out_mm": None if self.held_out is None else self._held_mm(self.held_out),
             "held_out_corrected_mm": None if self.held_out_corrected is None else self.held_out_corrected.rms_mm(),
             "corrected": self.calibration.corrections is not None,
             "camera_projector_mm": self.distance_mm,
             "pipe_radius_mm": self.calibration.pipe_radius_mm,
+            **({"cameras": self.cameras} if self.cameras else {}),
             "poses_good": not self.advice,
             "advice": list(self.advice),
             "warnings": list(self.warnings),
@@ -146,7 +176,7 @@ def calibrate_pipe(
     opened = open_scan(scan)
     frames = list(sample(opened, known, FRAMES_MOST, report))
     marks["read"] = time.process_time()
-    contours, kept, left_out = _decode(frames, known, look, scan, report)
+    contours, kept, left_out = decode_frames(frames, known, look, scan, report)
     marks["decode"] = time.process_time()
     seen = _observations(known, [contours[i] for i in kept])
     indices = tuple(frames[i].index for i in kept)
@@ -154,7 +184,7 @@ def calibrate_pipe(
         solution = _solve(seen, radius_mm, bool(lines), lambda done, total: report("solve", done, total))
     except AnnulusError as error:
         raise AnnulusError(f"{scan}: {error}.") from None
-    _refuse(scan, solution, indices)
+    refuse(scan, solution, indices)
     marks["solve"] = time.process_time()
     held, held_corrected, best, corrections = None, None, solution, None
     if len(kept) > 2:
@@ -174,14 +204,14 @@ def calibrate_pipe(
         None if corrections is None else ring_corrections(corrections), pattern={"kind": "line"} if lines else None,
     )  # fmt: skip
     used = [] if lines else [frames[i].exposure for i in kept]  # a laser's line may be at full scale
-    warnings = _warnings(best, held, indices, radius_mm, last_radius, last, used)
+    warnings = warn(best, held, indices, radius_mm, last_radius, last, used)
     if lines > 1:
         warnings += (LINES_REMARK,)
     names = list(marks)
     timing = {name: marks[name] - marks[before] for before, name in pairwise(names)}
     return PipeCalibration(
         calibration, best, seen, held, held_corrected, indices, left_out, len(projector_frames(opened)), warnings,
-        _advice(known, best, radius_mm), timing,
+        advise(known, best, radius_mm), timing,
     )  # fmt: skip
 
 
@@ -222,104 +252,6 @@ def _solve(seen: Observations, radius_mm: float, lines: bool, progress: Callable
     return solution
 
 
-def _decode(
-    frames: Sequence[Sampled], camera: Camera, look: Look, scan: Path, report: Progress
-) -> tuple[dict[int, Contours], list[int], dict[int, str]]:
-    """Contours of the frames that can be used, which those are, and why the others cannot."""
-    left_out = {
-        frame.index: f"dark, nothing brighter than {frame.exposure.bright:.0f} of 255: lens cap on, or projector off"
-        for frame in frames
-        if frame.exposure.dark and look.colours
-    }
-    lit = [i for i, frame in enumerate(frames) if not (frame.exposure.dark and look.colours)]
-    if not lit:
-        raise AnnulusError(
-            f"{scan}: all {len(frames)} projector frames are dark (nothing brighter than "
-            f"{max(frame.exposure.bright for frame in frames):.0f} of 255): lens cap on, or projector off."
-        )
-    enough = SEEN_LEAST * look.rings
-
-    def fair(contour: Contours, grid_lines: int) -> bool:
-        return len(contour.ring) >= enough * grid_lines
-
-    grid = wide_grid(camera, np.array([camera.cx, camera.cy]))
-    lines = len(grid.cosine)
-    contours: dict[int, Contours] = {}
-    for done, i in enumerate(lit):
-        contours[i] = look.follow(frames[i].image, grid)
-        if not fair(contours[i], lines):  # the pattern may lie beside the camera's axis
-            other = look.follow(frames[i].image, wide_grid(camera, _light_centre(frames[i].image)))
-            contours[i] = max(contours[i], other, key=lambda contour: len(contour.ring))
-        report("find rings", done + 1, 2 * len(lit))
-    kept = [i for i in lit if fair(contours[i], lines)]
-    if kept:
-        grid = close_grid(camera, [contours[i] for i in kept])
-        for done, i in enumerate(lit):
-            contours[i] = look.follow(frames[i].image, grid)
-            report("find rings", len(lit) + done + 1, 2 * len(lit))
-        kept = [i for i in lit if fair(contours[i], lines)]
-    for i in lit:
-        if i not in kept:
-            exposure = frames[i].exposure
-            left_out[frames[i].index] = (
-                f"over-exposed, {100 * exposure.lost:.0f} % of the stripes have lost their colour"
-                if exposure.lost > LOST_MOST and look.colours
-                else f"{look.what} not found in it ({contours[i].slits} {look.marks} seen)"
-            )
-    if len(kept) < 2:
-        raise AnnulusError(f"{scan}: {_why_none(frames, contours, kept, lit, look, camera)}.")
-    missing = [k + 1 for k in range(look.rings) if all(np.isnan(contours[i].reach[k, 1]) for i in kept)]
-    if missing:
-        rings = f"ring{'s' if len(missing) > 1 else ''} {', '.join(map(str, missing))}"
-        if not look.colours:
-            raise AnnulusError(f"{scan}: {rings} of {look.rings} bright lines, from the innermost, seen in no frame.")
-        read = read_colours(frames[kept[0]].image, grid)
-        raise AnnulusError(
-            f"{scan}: {rings} of the pattern {look.colours} "
-            f"(counted from the innermost) seen in no frame; the stripes read {read}. Check pattern.colours."
-        )
-    return contours, kept, left_out
-
-
-def _why_none(
-    frames: Sequence[Sampled],
-    contours: dict[int, Contours],
-    kept: Sequence[int],
-    lit: Sequence[int],
-    look: Look,
-    camera: Camera,
-) -> str:
-    if len(frames) == 1:
-        return "one projector frame, expected at least two, the head leaning to opposite sides (better four and more)"
-    over = [i for i in lit if look.colours and i not in kept and frames[i].exposure.lost > LOST_MOST]
-    if over:
-        worst = max(frames[i].exposure.lost for i in over)
-        return (
-            f"{len(over)} of {len(frames)} projector frames over-exposed (up to {100 * worst:.0f} % of the stripes "
-            "have lost their colour): shorten the projector's flash or lower the gain"
-        )
-    i = max(lit, key=lambda i: contours[i].slits)
-    grid = wide_grid(camera, np.array([camera.cx, camera.cy]))
-    if look.colours and contours[i].slits > len(grid.cosine):
-        return (
-            f"slits are seen but not in the order of pattern.colours {look.colours}; the stripes read "
-            f"{read_colours(frames[i].image, grid)} from the innermost. Check pattern.colours"
-        )
-    dark = len(frames) - len(lit)
-    return (
-        f"the {look.what} are found in {len(kept)} of {len(frames)} projector frames"
-        + (f", {dark} are dark" if dark else "")
-        + "; two and more are needed. Is this a scan of a clean pipe, with the projector on?"
-    )
-
-
-def _light_centre(image: Image) -> FloatArray:
-    top = image[::8, ::8].max(axis=2).astype(float)
-    top = np.where(top > 0.3 * np.percentile(top, 99), 1.0, 0.0)
-    y, x = np.indices(top.shape)
-    return np.array([8 * np.average(x, weights=top), 8 * np.average(y, weights=top)])
-
-
 def _observations(camera: Camera, contours: Sequence[Contours]) -> Observations:
     frame = np.concatenate([np.full(len(contour.ring), j) for j, contour in enumerate(contours)])
     ring = np.concatenate([contour.ring for contour in contours])
@@ -330,7 +262,7 @@ def _observations(camera: Camera, contours: Sequence[Contours]) -> Observations:
     return observe(camera, frame, ring, pixels, centre, width)
 
 
-def _refuse(scan: Path, solution: Solution, frames: Sequence[int]) -> None:
+def refuse(scan: Path, solution: Solution, frames: Sequence[int]) -> None:
     """Raises where the answer is none."""
     vertex = np.sqrt(np.diag(solution.covariance)).reshape(-1, 6)[:, 3:].max()
     lean = leans(solution.poses)
@@ -362,7 +294,7 @@ def leans(poses: Sequence[Pose]) -> FloatArray:
     return np.asarray(-np.degrees(np.arctan2(axes[:, :2], axes[:, 2:])))
 
 
-def _advice(camera: Camera, solution: Solution, radius: float) -> tuple[str, ...]:
+def advise(camera: Camera, solution: Solution, radius: float) -> tuple[str, ...]:
     """What poses to add, if these were not good enough."""
     sigma = np.sqrt(np.diag(solution.covariance)).reshape(-1, 6)
     out: list[str] = []
@@ -416,7 +348,7 @@ def _best_lean(camera: Camera, solution: Solution, radius: float) -> tuple[str, 
     return best
 
 
-def _warnings(
+def warn(
     solution: Solution,
     held: Measured | None,
     frames: Sequence[int],

@@ -22,20 +22,32 @@ class Sampled:
     image: Image
 
 
-def projector_frames(scan: Scan) -> list[int]:
-    """Which of the scan's frames the projector lit. Raises AnnulusError where none is, or several cameras took them."""
-    out = [i for i, frame in enumerate(scan.only().frames) if frame.label is Label.PROJECTOR]
+ALONE = -1  # no camera's id: the scan is of one camera
+
+
+def projector_frames(scan: Scan, camera_id: int | None = ALONE) -> list[int]:
+    """Which of the scan's frames, of one camera or (None) of all, the projector lit. Raises AnnulusError where none is,
+    or several cameras took them and it is not said which."""
+    if camera_id == ALONE:
+        scan.only()
+    out = [
+        i
+        for i, frame in enumerate(scan.frames)
+        if frame.label is Label.PROJECTOR and camera_id in (ALONE, None, frame.camera)
+    ]
     if not out:
         raise AnnulusError(f"{scan.path}: none of its {len(scan.frames)} frames is labelled projector.")
     return out
 
 
-def sample(scan: Scan, camera: Camera, most: int, progress: Progress | None = None) -> Iterator[Sampled]:
-    """At most so many projector frames, evenly over the scan.
+def sample(
+    scan: Scan, camera: Camera, most: int, progress: Progress | None = None, camera_id: int = ALONE
+) -> Iterator[Sampled]:
+    """At most so many projector frames, evenly over the scan, of one of its cameras.
 
     Raises AnnulusError where there are none, one is damaged, or they are not of the camera's size.
     """
-    projector = projector_frames(scan)
+    projector = projector_frames(scan, camera_id)
     chosen = sorted({projector[k * (len(projector) - 1) // max(most - 1, 1)] for k in range(most)})
     for done, i in enumerate(chosen):
         image = read_frame(scan, i, camera)

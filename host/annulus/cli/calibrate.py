@@ -272,17 +272,24 @@ def pipe(
     Lean the head about 10 degrees to the left, to the right, up and down, and stand off the axis that way, a frame or
     two each; eight frames are plenty. No target, no marks. The pipe may be any that is round and clean.
 
-    With --pattern line the head has bright rings or flat planes of a laser in place of a slide of slits.
+    With --pattern line the head has bright rings or flat planes of a laser in place of a slide of slits. Where the file
+    lists several cameras, the scan has frames of all, and where they stand is found along.
     """
     if pattern not in ("slits", "line"):
         raise AnnulusError(f'--pattern is "{pattern}", expected slits or line')
     if lines is not None and pattern != "line":
         raise AnnulusError("--lines goes with --pattern line: slits are counted by the file's pattern.colours")
+    from annulus.calibrate.head import calibrate_head
     from annulus.calibrate.pipe import calibrate_pipe, save_pipe
     from annulus.calibrate.pipe_picture import draw_pipe
+    from annulus.geometry.calibration import several_cameras
+    from annulus.record.calibration_file import load_sections
 
     with progress() as bars:
-        result = calibrate_pipe(scan, camera, radius, lines=(lines or 1) if pattern == "line" else 0, progress=bars)
+        if pattern == "slits" and several_cameras(load_sections(camera)):
+            result = calibrate_head(scan, camera, radius, progress=bars)
+        else:
+            result = calibrate_pipe(scan, camera, radius, lines=(lines or 1) if pattern == "line" else 0, progress=bars)
     save_pipe(result, out)
     picture = picture or out.with_suffix(".pipe.png")
     draw_pipe(result, picture)
@@ -307,9 +314,16 @@ def pipe(
     print(f"frames     {len(result.frames)} of {result.found} used")
     if told["held_out_mm"] is not None:
         kept = "kept" if told["corrected"] else "not kept"
+        corrected = told["held_out_corrected_mm"]
         print(
-            f"radius     {told['held_out_mm']:.3f} mm rms in frames held out, "
-            f"{told['held_out_corrected_mm']:.3f} with residual corrections ({kept})"
+            f"radius     {told['held_out_mm']:.3f} mm rms in frames held out"
+            + ("" if corrected is None else f", {corrected:.3f} with residual corrections ({kept})")
+        )
+    for one in result.cameras:
+        x, y, z = one["centre_mm"]
+        print(
+            f"camera {one['camera']:<3} turned {one['turned_deg']:.3f} +- {one['turned_sigma_deg']:.3f} deg, at "
+            f"{x:.3f} {y:.3f} {z:.3f} +- {max(one['centre_sigma_mm']):.3f} mm from the first"
         )
     print(f"distance   {result.distance_mm:.2f} mm from camera to projector, if the radius is {radius:g} mm: check it")
     print(f"poses      {'good' if not result.advice else 'could be better: ' + '; '.join(result.advice)}")

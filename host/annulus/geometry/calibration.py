@@ -156,6 +156,25 @@ def head_from_dict(data: object) -> tuple[Camera, str, float | None, Calibration
     return camera, _colours(top), radius, Calibration.from_dict(data) if "rings" in top else None
 
 
+def head_cameras_from_dict(data: object) -> tuple[tuple[HeadCamera, ...], str]:
+    """Cameras and colours of a head with several, wherever they stand: for a file that is to be calibrated.
+
+    Raises ValueError naming the key that is wrong."""
+    top = _section(data, "the file")
+    sections = _camera_sections(top)
+    still = {"rotation": STILL, "translation_mm": (0.0, 0.0, 0.0)}
+    cameras = _cameras({**top, "cameras": [{**_section(one, "cameras"), **still} for one in sections]})
+    if len(cameras) < 2:
+        raise ValueError('"cameras" lists one camera, expected two or more')
+    return tuple(cameras), _colours(top)
+
+
+def several_cameras(data: object) -> bool:
+    """Whether a parsed file is of a head with several cameras."""
+    cameras = data.get("cameras") if isinstance(data, Mapping) else None
+    return isinstance(cameras, Sequence) and not isinstance(cameras, str) and len(cameras) > 1
+
+
 def camera_alone(data: object) -> Camera:
     """The camera of a file that may have nothing else yet.
 

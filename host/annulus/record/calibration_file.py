@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-from annulus.geometry.calibration import CAMERAS, ONE_CAMERA, Calibration, camera_alone
+from annulus.geometry.calibration import CAMERAS, ONE_CAMERA, Calibration, camera_alone, several_cameras
 from annulus.geometry.camera import Camera
 from annulus.record.whole import written_whole
 from annulus.untrusted import parse_json, read_file
@@ -56,7 +56,8 @@ def update_calibration(
     """
     data = _read(path) if path.exists() else {}
     listed = "cameras" in sections  # a head that format 1 has no words for, though of one camera
-    if isinstance(data, dict) and data.get("format") == CAMERAS and not (listed and _has_one_camera(data)):
+    several = several_cameras(data) and several_cameras(sections)
+    if isinstance(data, dict) and data.get("format") == CAMERAS and not (listed and (several or _has_one_camera(data))):
         raise AnnulusError(f'{path}: is of a head with several cameras ("{CAMERAS}"). Choose another file.')
     if not isinstance(data, dict) or data.get("format", ONE_CAMERA) not in (ONE_CAMERA, CAMERAS):
         raise AnnulusError(f'{path}: is there but is not "{ONE_CAMERA}". Choose another file or move it away.')

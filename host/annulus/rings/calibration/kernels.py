@@ -19,7 +19,8 @@ REACH_PX = 60.0  # a ring farther from a slit than this pulls no harder; topic a
 def errors(frame, ring, rays, origins, width, cones, poses, turns, radius, correction, places, middles, error, rows):  # type: ignore[no-untyped-def]
     """Seen less expected place along each line (px), NaN where ray, wall and cone do not meet; `rows` (N, 17 ..): how
     the expected place moves with half-angle, axis x y, vertex x y z, rx, ry, tx, ty, radius, and with the camera: its
-    turn about its centre and its centre, x y z each. `places` and `middles` are kept from call to call: where the ring's image crosses the line, and how far beyond its slit's middle that is; the
+    turn about its centre and its centre, x y z each. `places` and `middles` are kept from call to call: where the
+    ring's image crosses the line, and how far beyond its slit's middle that is; the
     latter is found again where `width` is given."""
     more = np.empty(16)
     for n in range(len(frame)):
