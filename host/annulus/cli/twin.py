@@ -109,7 +109,9 @@ def _witnesses(seed: int, as_json: bool) -> None:
 )
 def scan(
     out: Annotated[Path, typer.Option("-o", "--out", help="New folder for the scan.")],
-    world: Annotated[str, typer.Option(help="demo, clean, mirror-2inch, mirror-3inch or mirror-4inch.")] = "demo",
+    world: Annotated[
+        str, typer.Option(help="demo, clean, mirror-2inch, -3inch, -4inch, stereo or stereo-3inch.")
+    ] = "demo",
     frames: Annotated[int, typer.Option(min=2, max=100_000, help="Camera frames, every fifth lit by the LED.")] = 100,
     seed: Annotated[int, typer.Option(min=0, help="Of the world.")] = 1,
     defects: Annotated[bool, typer.Option(help="Whether the pipe has any.")] = True,

@@ -5,7 +5,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from annulus.geometry.calibration import HeadCamera
+from annulus.geometry.cone import intersect_cylinder
 from annulus.geometry.pose import Pose
+from annulus.numeric.arrays import FloatArray
 from annulus.twin.stretch import (
     CX,
     CY,
@@ -39,8 +42,17 @@ class Eye(NamedTuple):
     station: F32  # (3,) mm
 
 
-def eye_at(rays: F32, pose: Pose, z_mm: float) -> Eye:
-    return Eye(rays, pose.rotation.astype(np.float32), pose.to_pipe(np.zeros((1, 3)), z_mm)[0].astype(np.float32))
+def eye_at(rays: F32, seen: HeadCamera, pose: Pose, z_mm: float) -> Eye:
+    """Of one of the head's cameras. pose : the head's, that is its first camera's."""
+    turn, centre = placed(seen)
+    station = pose.to_pipe(centre[None], z_mm)[0].astype(np.float32)
+    return Eye(rays, (turn @ pose.rotation).astype(np.float32), station)
+
+
+def placed(seen: HeadCamera) -> tuple[FloatArray, FloatArray]:
+    """(3, 3), (3,) mm: turn from the head's frame into the camera's, and where in the head's its centre is."""
+    turn = np.array(seen.rotation)
+    return turn, -np.array(seen.translation_mm) @ turn
 
 
 @jit
@@ -79,14 +91,15 @@ def meet_cylinder(part: Stretch, u0: int, eye: Eye, starts: F32 | None, radius: 
         scratch[OPEN + u], scratch[LEVEL + u], scratch[PLAIN + u] = one, zero, s
 
 
-def ray_table(world: World) -> tuple[F32, F32 | None]:
+def ray_table(world: World, seen_by: HeadCamera, axis: FloatArray) -> tuple[F32, F32 | None]:
     """Where every pixel looks: the table all cameras have, and what one without a single centre has besides.
 
     (3, H, W): x, y of every pixel's unit ray, and how its cot(theta) on the wall changes with a pixel: a ring on the
     wall of a clean pipe, half-angle t, is blurred by sin^2 t times that (zero where the lens sees nothing).
     (4, H, W): x, y, z (mm) where the ray starts, and the sign of its z.
+    axis : (6,) of the projector's light. Where it does not look along with one camera, theta is the angle to it.
     """
-    camera = world.camera
+    camera = seen_by.camera
     grid = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1).astype(float)
     shape = (camera.height, camera.width, 3)
     start, rays = (part.reshape(shape) for part in camera.lines(grid.reshape(-1, 2)))
@@ -95,7 +108,9 @@ def ray_table(world: World) -> tuple[F32, F32 | None]:
         if camera.mirror is None:
             theta = np.arctan2(across, rays[..., 2])
             spread = _slope(theta) / np.sin(theta) ** 2
-            seen = (rays[..., 2] > 0) & (theta > 1e-3)
+            if world.others:
+                spread = _slope(_cot_on_wall(world, seen_by, rays.reshape(-1, 3), axis).reshape(theta.shape))
+            seen = (rays[..., 2] > 0) & (theta > 1e-3) & (theta < np.radians(world.optics.half_field_deg))
         else:
             reach = world.radius_mm - np.hypot(start[..., 0], start[..., 1])
             spread = _slope(start[..., 2] + reach * rays[..., 2] / across) / world.radius_mm
@@ -110,6 +125,16 @@ def ray_table(world: World) -> tuple[F32, F32 | None]:
         return table, None
     sign = np.where(rays[..., 2] < 0, -1.0, 1.0)[..., None]
     return table, np.nan_to_num(np.concatenate([start, sign], axis=-1)).transpose(2, 0, 1).astype(np.float32).copy()
+
+
+def _cot_on_wall(world: World, seen: HeadCamera, rays: FloatArray, axis: FloatArray) -> FloatArray:
+    """(N,) cot of the angle to the projector's axis where rays of a head that does not wobble meet the wall."""
+    turn, centre = placed(seen)
+    middle, along = np.array([*world.centre_mm, 0.0]), np.array([0.0, 0.0, 1.0])
+    starts = np.broadcast_to(centre, rays.shape)
+    away = intersect_cylinder(rays @ turn, middle, along, world.radius_mm, starts) - axis[:3]
+    forward = away @ axis[3:]
+    return np.asarray(forward / np.linalg.norm(away - forward[:, None] * axis[3:], axis=1))
 
 
 def _slope(values: NDArray[np.float64]) -> NDArray[np.float64]:

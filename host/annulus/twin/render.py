@@ -30,6 +30,7 @@ from annulus.twin.walls import PER_Z, Wall, meet_wall, wall_of
 from annulus.twin.worlds.world import World
 
 _NOISE = 1 << 20
+_APART = 0x2545F491  # seeds of two cameras' noise in one frame
 
 
 class Paint(NamedTuple):
@@ -135,7 +136,7 @@ def _draw(
             meet_wall(part, eye.station, starts, wall, beam.centre, gp > 0)
             if gp > 0:
                 fall(part, beam)
-                shade(part, beam, eye.rotation)
+                shade(part, beam)
                 through(slide, part, beam)
             if gl > 0:
                 shine(part, led)
@@ -152,17 +153,21 @@ def _draw(
 
 
 class Renderer:
-    """Draws frames of one world. Holds tables, no state between frames; safe to call from several threads."""
+    """Draws what one camera of a world sees. Holds tables, no state between frames; safe to call from several
+    threads.
+    """
 
-    def __init__(self, world: World) -> None:
-        self.world = world
-        self.height, self.width = world.camera.height, world.camera.width
-        self._rays, self._starts = ray_table(world)
+    def __init__(self, world: World, camera: int = 0) -> None:
+        """camera : which of the world's, from 0."""
+        self.world, self._number = world, camera
+        self._first, self._seen = world.cameras[0], world.cameras[camera]
+        self.height, self.width = self._seen.camera.height, self._seen.camera.width
         self._wall = wall_of(world)
         albedo = np.ascontiguousarray(world.albedo_map.transpose(2, 0, 1))
         self._paint = Paint(albedo, np.array(world.albedo, np.float32))
         self._slide = SLIDES[type(world.projector)](world.projector)
-        self._projector = SlideProjector(world, self._slide.axis, self._slide.rims, self._slide.outermost)
+        self._rays, self._starts = ray_table(world, self._seen, self._slide.axis)
+        self._projector = SlideProjector(world, self._seen, self._slide.axis, self._slide.rims, self._slide.outermost)
         self._led = LedRing(world)
         optics = world.optics
         noise = np.random.default_rng([world.seed, 0x4015E]).standard_normal(_NOISE)
@@ -184,17 +189,19 @@ class Renderer:
     ) -> U8:
         """One raw frame, (H, W) uint8, RGGB mosaic.
 
-        pose, z_mm : where the head was when the light flashed. projector, led : light each row collected, in units of
-        the lamp's nominal on-time, (H,) or one number. seed : of this frame's noise. rows : draw only these, into
-        `out` (which a caller with two threads shares between them).
+        pose, z_mm : where the head, its first camera, was when the light flashed. projector, led : light each row
+        collected, in units of the lamp's nominal on-time, (H,) or one number. seed : of this frame's noise. rows : draw
+        only these, into `out` (which a caller with two threads shares between them).
         """
         frame = np.empty((self.height, self.width), np.uint8) if out is None else out
         # Copies: a broadcast view is read-only, which numba would compile a second kernel for.
         gains = [np.array(np.broadcast_to(g, (self.height,)), np.float32) for g in (projector, led)]
-        eye = eye_at(self._rays, pose, z_mm)
+        eye = eye_at(self._rays, self._seen, pose, z_mm)
+        first = eye if self._number == 0 else eye_at(self._rays, self._first, pose, z_mm)
+        noise = (seed + self._number * _APART) & 0x7FFFFFFF
         _draw(
             frame, rows or (0, self.height), eye, self._starts, self._wall, self._paint,
             self._projector.beam(pose, z_mm, gains[0]), self._slide.table(pose, z_mm),
-            self._led.table(eye, gains[1]), self._pixel._replace(seed=seed & 0x7FFFFFFF),
+            self._led.table(first, gains[1]), self._pixel._replace(seed=noise),
         )  # fmt: skip
         return frame

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from annulus.record.recording import to_bgr
-from annulus.record.scan import COLUMNS, ROLL, TABLE
+from annulus.record.scan import CAMERA, COLUMNS, ROLL, TABLE
 from annulus.twin.render import Renderer
 from annulus.twin.worlds import WORLDS, World
 from annulus.twin.worlds.world import WAVES
@@ -41,7 +41,8 @@ def write_scan(
     """Pull the head through the world in `frames` even steps and write the scan into `folder`, which must be empty.
 
     Writes frames.csv, frames/*.png, calibration.json (that of a perfect calibration) and truth.json. Every fifth frame
-    is the LED's. Raises AnnulusError where the folder cannot be written or holds something.
+    is the LED's; a head with several cameras has a picture of each in every step. Raises AnnulusError where the folder
+    cannot be written or holds something.
     """
     try:
         if folder.is_dir() and any(folder.iterdir()):
@@ -49,18 +50,21 @@ def write_scan(
         (folder / "frames").mkdir(parents=True, exist_ok=True)
         (folder / "calibration.json").write_text(json.dumps(world.calibration().to_dict(), indent=1) + "\n")
         (folder / "truth.json").write_text(json.dumps(world.truth(), indent=1) + "\n")
-        renderer = Renderer(world)
+        renderers = [Renderer(world, number) for number in range(len(world.cameras))]
+        several = len(renderers) > 1
         with (folder / TABLE).open("w", newline="") as file:
             table = csv.writer(file)
-            table.writerow([*COLUMNS, ROLL] if world.roll_deg else COLUMNS)
+            table.writerow([*COLUMNS, *([ROLL] if world.roll_deg else []), *([CAMERA] if several else [])])
             for index, z_mm in enumerate(np.linspace(0.0, world.travel_mm, frames)):
                 led = index % LED_EVERY == LED_EVERY - 1
+                light = (Label.LED if led else Label.PROJECTOR).value
                 pose = world.pose(z_mm)
-                raw = renderer.render(pose, z_mm, float(not led), float(led), seed=index)
-                name = f"frames/{index:06d}.png"
-                cv2.imwrite(str(folder / name), to_bgr(raw, "bayer_rggb8"), [cv2.IMWRITE_PNG_COMPRESSION, 1])
                 roll = [] if pose.roll is None else [f"{math.degrees(pose.roll):.3f}"]
-                table.writerow([index, name, (Label.LED if led else Label.PROJECTOR).value, f"{z_mm:.4f}", *roll])
+                for camera, renderer in enumerate(renderers):
+                    raw = renderer.render(pose, z_mm, float(not led), float(led), seed=index)
+                    name = f"frames/{index:06d}{f'-{camera}' if several else ''}.png"
+                    cv2.imwrite(str(folder / name), to_bgr(raw, "bayer_rggb8"), [cv2.IMWRITE_PNG_COMPRESSION, 1])
+                    table.writerow([index, name, light, f"{z_mm:.4f}", *roll, *([camera] if several else [])])
                 if progress is not None:
                     progress("frames", index + 1, frames)
     except OSError as error:

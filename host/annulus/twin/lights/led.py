@@ -36,8 +36,11 @@ class LedRing:
         near = math.atan2(world.radius_mm, 45.0 + world.led.behind_mm)
         power = world.led.peak / max(world.albedo) / (math.sin(near) ** 3 / world.radius_mm**2)
         self._power = (power * np.array(world.led.colour)).astype(np.float32)
-        self._behind_mm = world.led.behind_mm
+        self._behind_mm, self._aside_mm = world.led.behind_mm, world.led.aside_mm
 
-    def table(self, eye: Eye, gain: F32) -> LedTable:
-        place = eye.station - np.float64(self._behind_mm) * eye.rotation[2]  # rounded once
+    def table(self, first: Eye, gain: F32) -> LedTable:
+        """first : the head's first camera, behind which they shine."""
+        aside, down = self._aside_mm
+        place = first.station - np.float64(self._behind_mm) * first.rotation[2]  # rounded once
+        place = place + np.float64(aside) * first.rotation[0] + np.float64(down) * first.rotation[1]
         return LedTable(gain, place.astype(np.float32), self._power)

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from annulus.geometry.calibration import HeadCamera
 from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import FloatArray
 from annulus.twin.stretch import AT, F32, LIT, NX, NY, NZ, OPEN, S, Stretch, X, Y, Z, jit, step_up
@@ -19,7 +20,8 @@ class Beam(NamedTuple):
     lit: F32  # u, v, inner, outer (px): pixels outside the ring get none of it
     centre: F32  # (6,) the point it comes from and its axis, pipe frame
     power: np.float32
-    rods: F32  # (rods, 5) x, y, radius, back, front as seen from the point, camera frame
+    rods: F32  # (rods, 5) x, y, radius, back, front as seen from the point, head's frame
+    rotation: F32  # (3, 3), pipe to head
     blur: np.float32  # px, sigma
     focal: np.float32  # px a radian
 
@@ -27,11 +29,13 @@ class Beam(NamedTuple):
 class SlideProjector:
     """All but the slide, which says where its light is."""
 
-    def __init__(self, world: World, axis: FloatArray, rims: tuple[float, float], outermost: float) -> None:
-        """axis : (6,) point and unit vector in the camera frame. rims : the angles to it between which light comes.
-        outermost : that at which a wall gets the world's peak, rad.
+    def __init__(
+        self, world: World, seen: HeadCamera, axis: FloatArray, rims: tuple[float, float], outermost: float
+    ) -> None:
+        """seen : the camera it is drawn for. axis : (6,) point and unit vector in the head's frame. rims : the angles
+        to it between which light comes. outermost : that at which a wall gets the world's peak, rad.
         """
-        self._world, self._axis, self._rims = world, axis, rims
+        self._world, self._seen, self._axis, self._rims = world, seen, axis, rims
         self._extremes = np.stack([world.radius_map.min(axis=1), world.radius_map.max(axis=1)], axis=1)
         reach = math.sin(outermost) ** 3 / world.radius_mm**2
         self._power = np.float32(world.projector.peak / max(world.albedo) / reach)
@@ -44,19 +48,21 @@ class SlideProjector:
             np.float32,
         ).reshape(-1, 5)
         self._blur = np.float32(math.sqrt(world.optics.blur_px**2 + 1.0 / 12.0))  # the pixel itself is a box
-        self._focal = np.float32(world.camera.fx)
-        if (mirror := world.camera.mirror) is not None:
+        self._focal = np.float32(seen.camera.fx)
+        if (mirror := seen.camera.mirror) is not None:
             self._focal *= np.float32(mirror.radius_mm / (2 * np.linalg.norm(mirror.centre_mm)))
 
     def beam(self, pose: Pose, z_mm: float, gain: F32) -> Beam:
         centre = in_pipe(self._axis[None], pose, z_mm)[0]
         lit = self._lit_circle(pose, z_mm)
-        return Beam(gain, lit, centre, self._power, self._rods, self._blur, self._focal)
+        rotation = pose.rotation.astype(np.float32)
+        return Beam(gain, lit, centre, self._power, self._rods, rotation, self._blur, self._focal)
 
     def _lit_circle(self, pose: Pose, z_mm: float) -> F32:
         """(u, v, inner, outer): pixels outside the ring inner..outer get no projector light."""
-        world = self._world
-        if not world.camera.central:  # not worth a search: only the demo's frames must be quick
+        world, camera = self._world, self._seen.camera
+        turn, moved = np.array(self._seen.rotation), np.array(self._seen.translation_mm)
+        if not camera.central:  # not worth a search: only the demo's frames must be quick
             return np.array([0.0, 0.0, 0.0, 1e6], np.float32)
         around = np.linspace(0, 2 * np.pi, 48, endpoint=False)
         vertex, axis = self._axis[:3], self._axis[3:]
@@ -76,7 +82,7 @@ class SlideProjector:
             a = rays[:, 0] ** 2 + rays[:, 1] ** 2
             b = v[0] * rays[:, 0] + v[1] * rays[:, 1]
             s = (np.sqrt(b * b - a * (v[0] ** 2 + v[1] ** 2 - radius**2)) - b) / a
-            bounds.append(world.camera.project(pose.to_camera(v + s[:, None] * rays)))
+            bounds.append(camera.project(pose.to_camera(v + s[:, None] * rays) @ turn.T + moved))
         centre = bounds[1].mean(axis=0)
         inner = np.linalg.norm(bounds[0] - centre, axis=1).min() - 6.0
         outer = np.linalg.norm(bounds[1] - centre, axis=1).max() + 6.0
@@ -105,9 +111,9 @@ def fall(part: Stretch, beam: Beam) -> None:
 
 
 @jit
-def shade(part: Stretch, beam: Beam, rotation: F32) -> None:
+def shade(part: Stretch, beam: Beam) -> None:
     """Rods on the way of the light."""
-    scratch, n, rods, centre = part.scratch, part.n, beam.rods, beam.centre
+    scratch, n, rods, centre, rotation = part.scratch, part.n, beam.rods, beam.centre, beam.rotation
     blur, focal = beam.blur, beam.focal
     r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
     r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]

@@ -11,6 +11,7 @@ from annulus.twin.worlds.mirror import mirror_world
 from annulus.twin.worlds.paint import ORANGE, WHITE, YELLOW
 from annulus.twin.worlds.pipes import CONTAMINATED, clean_world, demo_world, fisheye_camera, painted
 from annulus.twin.worlds.sensor_head import Optics
+from annulus.twin.worlds.stereo import stereo_world
 from annulus.twin.worlds.world import World
 
 __all__ = [
@@ -28,6 +29,7 @@ __all__ = [
     "fisheye_camera",
     "mirror_world",
     "painted",
+    "stereo_world",
 ]
 
 WORLDS: Mapping[str, Callable[[int], World]] = {
@@ -36,4 +38,6 @@ WORLDS: Mapping[str, Callable[[int], World]] = {
     "mirror-2inch": lambda seed: mirror_world(seed, 25.4),
     "mirror-3inch": mirror_world,
     "mirror-4inch": lambda seed: mirror_world(seed, 50.8),
+    "stereo": stereo_world,
+    "stereo-3inch": lambda seed: stereo_world(seed, 38.1),
 }

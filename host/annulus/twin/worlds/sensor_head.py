@@ -35,6 +35,7 @@ class Led:
     peak: float = 150.0  # grey levels above black on a white wall 45 mm ahead
     colour: tuple[float, float, float] = (0.96, 1.0, 0.97)
     nominal_us: float = 2500.0
+    aside_mm: tuple[float, float] = (0.0, 0.0)  # of the lens: they stand about another middle, where cameras share them
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +51,7 @@ class Optics:
     read: float = 1.5
     shot: float = 0.03  # variance per grey level
     balance: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    half_field_deg: float = 90.0  # the lens lets nothing by from further off its axis
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus.geometry.calibration import Calibration
+from annulus.geometry.calibration import Calibration, HeadCamera
 from annulus.geometry.camera import Camera, Mirror
 from annulus.geometry.cone import Cone
 from annulus.geometry.pose import Pose
@@ -50,6 +50,8 @@ class World:
     mm_per_count: float = 0.05  # of the cable counter
     seed: int = 1
     roll_deg: float = 0.0  # amplitude; then the head has a sensor that says so
+    others: tuple[HeadCamera, ...] = ()  # further cameras, on the first one's sync line; all else is in its frame
+    centre_mm: tuple[float, float] = (0.0, 0.0)  # of the head: where the pipe's axis passes when it does not wobble
 
     def __post_init__(self) -> None:
         slits = len(self.projector.cones)
@@ -57,6 +59,8 @@ class World:
             raise AnnulusError(f"world: {slits} cones need {slits} slit widths and {slits + 1} stripe colours")
         if self.travel_mm <= 0 or self.mm_per_count <= 0:
             raise AnnulusError("world: travel_mm and mm_per_count must be above zero")
+        if any(one.camera.height != self.camera.height for one in self.others):
+            raise AnnulusError("world: cameras on one sync line must have equally many rows")
 
     # ---- the wall ------------------------------------------------------------------------------------------------
     def deviation(self, clock_deg: FloatArray, z_mm: FloatArray) -> FloatArray:
@@ -99,6 +103,11 @@ class World:
         return out
 
     # ---- the head ------------------------------------------------------------------------------------------------
+    @property
+    def cameras(self) -> tuple[HeadCamera, ...]:
+        """The first stands where it stands, the others beside it."""
+        return (HeadCamera(0, self.camera), *self.others)
+
     @cached_property
     def _wobble(self) -> NDArray[np.float64]:
         """(4, 2, 2): per degree of freedom two (wavelength mm, phase)."""
@@ -112,14 +121,16 @@ class World:
         rx, ry, tx, ty = np.sin(angle) @ np.array(WAVES)
         tilt = math.radians(self.wobble_deg)
         roll = math.radians(self.roll_deg) * math.sin(2 * math.pi * z_mm / ROLL_WAVE_MM) if self.roll_deg else None
-        return Pose(tilt * rx, tilt * ry, self.wobble_mm * tx, self.wobble_mm * ty, roll)
+        aside, down = self.centre_mm
+        return Pose(tilt * rx, tilt * ry, aside + self.wobble_mm * tx, down + self.wobble_mm * ty, roll)
 
     def calibration(self) -> Calibration:
         """What a perfect calibration of this head would hold."""
         head = self.projector
         if head.line is not None:
-            return Calibration(self.camera, "", head.cones, self.radius_mm, pattern={"kind": "line"})
-        return Calibration(self.camera, head.colours, head.cones, self.radius_mm)
+            line = {"kind": "line"}
+            return Calibration(self.camera, "", head.cones, self.radius_mm, others=self.others, pattern=line)
+        return Calibration(self.camera, head.colours, head.cones, self.radius_mm, others=self.others)
 
     def truth(self) -> dict[str, Any]:
         """The world as JSON-able data, defects as a perfect defect list; written beside a scan."""
@@ -152,9 +163,10 @@ class World:
             projector = dict(top["projector"])
             projector["cones"] = tuple(_tupled(Cone, cone) for cone in projector["cones"])
             top["projector"] = _tupled(Projector, projector)
-            mirror = top["camera"].get("mirror")
-            mirror = None if mirror is None else _tupled(Mirror, mirror)
-            top["camera"] = _tupled(Camera, {**top["camera"], "mirror": mirror})
+            top["camera"] = _camera(top["camera"])
+            top["others"] = tuple(
+                _tupled(HeadCamera, {**one, "camera": _camera(one["camera"])}) for one in top.get("others", ())
+            )
             top["features"] = tuple(Feature(**feature) for feature in top["features"])
             top["rods"] = tuple(Rod(**rod) for rod in top["rods"])
             top["led"], top["optics"] = _tupled(Led, top["led"]), _tupled(Optics, top["optics"])
@@ -165,16 +177,26 @@ class World:
     def scaled(self, width: int) -> "World":
         """The same world through a camera `width` pixels wide that sees the same field; blur shrinks with it."""
         k = width / self.camera.width
-        camera = replace(
-            self.camera,
-            width=width,
-            height=round(self.camera.height * k),
-            fx=self.camera.fx * k,
-            fy=self.camera.fy * k,
-            cx=(self.camera.cx + 0.5) * k - 0.5,
-            cy=(self.camera.cy + 0.5) * k - 0.5,
-        )
-        return replace(self, camera=camera, optics=replace(self.optics, blur_px=self.optics.blur_px * k))
+        others = tuple(replace(one, camera=_scaled(one.camera, k)) for one in self.others)
+        optics = replace(self.optics, blur_px=self.optics.blur_px * k)
+        return replace(self, camera=_scaled(self.camera, k), others=others, optics=optics)
+
+
+def _scaled(camera: Camera, k: float) -> Camera:
+    return replace(
+        camera,
+        width=round(camera.width * k),
+        height=round(camera.height * k),
+        fx=camera.fx * k,
+        fy=camera.fy * k,
+        cx=(camera.cx + 0.5) * k - 0.5,
+        cy=(camera.cy + 0.5) * k - 0.5,
+    )
+
+
+def _camera(data: Mapping[str, Any]) -> Camera:
+    mirror = data.get("mirror")
+    return _tupled(Camera, {**data, "mirror": None if mirror is None else _tupled(Mirror, mirror)})
 
 
 Record = TypeVar("Record")
