@@ -43,7 +43,7 @@ OVER_EXPOSED, CLIPPED_PX = 235.0, 0.04  # grey levels; as `rings.uncertainty`
 LAG, LEAST, UNKNOWN_PX = 4, 40, 0.1  # as `rings.uncertainty`
 BLUR_LEAST, BLUR_MOST = 0.5, 4.0
 CALM_LINES, CALM_PX = 5, 1.5  # to each side, of like places, that are averaged where one line says too little ..
-ALIKE_LINES = 2.7  # .. of which so many say as much as one: each is an average with its neighbours already
+ALIKE_LINES = 5.5  # .. of which so many say as much as one: neighbours share pixels, and pixels lie in rows
 CAMERAS_LEAST = 2
 
 

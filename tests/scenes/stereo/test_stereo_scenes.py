@@ -1,0 +1,68 @@
+"""A traced head with two cameras, calibrated by its own scan of a tube, measures a damaged pipe."""
+
+import importlib.util
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from annulus.calibrate.head import calibrate_head
+from annulus.calibrate.pipe import save_pipe
+from annulus.record.calibration_file import load_calibration
+from annulus.report import Account, write
+from annulus.reprocess import open_job, reprocess
+from annulus.wall.defects import Kind
+
+SCENES = Path(__file__).resolve().parents[4] / "shared" / "scenes"
+pytestmark = pytest.mark.skipif(not (SCENES / "stereo-a").is_dir(), reason="needs ../shared/scenes/stereo-a")
+
+
+def scorer() -> Any:
+    spec = importlib.util.spec_from_file_location("score_stereo", SCENES / "score_stereo.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def calibration(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("stereo") / "calibration.json"
+    tube = SCENES / "stereo-calib-a"
+    save_pipe(calibrate_head(tube, tube / "camera.json", 76.2), out)
+    return out
+
+
+def test_the_head_is_known_from_intrinsics_and_the_tubes_radius(calibration: Path) -> None:
+    found = scorer().score_calibration(str(calibration), str(SCENES / "stereo-calib-a" / "truth"))
+    assert found["camera_1_turn_error_deg"] < 0.012
+    assert max(map(abs, found["camera_1_place_error_mm"])) < 0.012  # 0.0073 measured, 0.005 asked
+    assert max(map(abs, found["theta_full_error_deg"])) < 0.012
+    assert max(abs(v) for vertex in found["vertex_error_mm"] for v in vertex) < 0.025
+    assert found["radius_error_rms_mm"] < 0.012
+
+
+def test_a_damaged_pipe_is_measured_all_round(calibration: Path, tmp_path: Path) -> None:
+    done = reprocess(open_job(SCENES / "stereo-a", calibration))
+    pipe = done.survey()
+    write(pipe, Account("stereo-a", done.frames, done.drops, done.timing_ms), tmp_path)
+    found = scorer().score_cloud(str(tmp_path / "cloud.ply"), str(SCENES / "stereo-a" / "truth"))
+    assert found["rms_mm"] < 0.07
+    assert found["rms_at_seams_mm"] < 0.08
+    assert found["gross_over_1mm_percent"] < 0.02
+    assert found["coverage"]["of_seen"] > 0.985
+    assert json.loads((tmp_path / "summary.json").read_text())["points"] > 70_000
+    losses = sorted(d.depth_mm for d in pipe.defects if d.kind is Kind.LOSS)
+    bumps = sorted(d.depth_mm for d in pipe.defects if d.kind is Kind.BUMP)
+    assert losses[-3:] == pytest.approx([0.8, 2.5, 4.0], abs=0.15)
+    assert bumps == pytest.approx([3.0, 4.0], abs=0.35)  # a ball's top lies between rings
+    assert pipe.texture is not None
+    assert (pipe.texture[..., 3] > 0).mean() > 0.9
+
+
+def test_a_calibration_without_placements_is_refused_in_one_line() -> None:
+    from annulus.vocabulary import AnnulusError
+
+    with pytest.raises(AnnulusError, match="rotation"):
+        load_calibration(SCENES / "stereo-calib-a" / "camera.json")
