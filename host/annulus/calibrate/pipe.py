@@ -120,9 +120,7 @@ class PipeCalibration:
                     "observations": int(np.count_nonzero(mine)),
                     "residual_px": _rms(solution.error_px[mine]),
                     "residual_mm": _rms(mm) if not solution.cameras else self._mm(solution.error_px, mine),
-                    "held_out_mm": None
-                    if held is None
-                    else self._held_mm(held, part),
+                    "held_out_mm": None if held is None else self._held_mm(held, part),
                 }
             )
         return {

@@ -10,6 +10,7 @@ Assumed: the cameras see the same wall. When they do not (an edge between them, 
 other beyond what their sigmas allow, and neither is believed.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -18,16 +19,18 @@ from numpy.typing import NDArray
 
 from annulus.numeric.arrays import BoolArray, FloatArray
 from annulus.numeric.jit import jit
+from annulus.numeric.robust import SIGMA_OF_MAD
 from annulus.stereo.lens import on_line
 from annulus.stereo.view import Expected, View
 
 # By topic stereo of the metrology table: errors against truth, share inside k = 2, at the tangents as elsewhere.
 JUMP_PX = 3.0  # between two neighbouring lines: more is an edge of the wall, and nothing is read between them
 SLOPE_LINES = 3  # to each side, over which the course of what was seen is read
-CLOSE_MM, ROUNDS = 0.01, 6  # a step so small ends it
+CLOSE_MM, ROUNDS = 0.2, 6  # a step so small ends it: what it bends by is its square over the distance
 NEARER, FARTHER = 0.5, 2.0  # of the distance to a clean pipe: no wall is looked for beyond
-CONTRADICTS = 6.0  # sigma apart: two cameras do not see the same wall
+CONTRADICTS, LEAST_PX = 6.0, 0.04  # sigma apart, of at least so much: two cameras do not see the same wall
 SHARE = 0.03  # of the weight: a camera with less is none that a point was made from
+BOTH, LEAST, UNIT_LEAST, UNIT_MOST = 0.1, 200, 0.5, 3.0  # share of each, points, for what sigmas are worth; its bounds
 NOISY, HOPELESS = 0.3, 4.0  # of what is not known: from there a mean over neighbouring lines is read; nor that helps
 KNOWN, UNSEEN, CONTRADICTED, BLUNT = 0, 1, 2, 3
 
@@ -56,6 +59,17 @@ class Merged:
     heaviest: NDArray[np.int64]
     line: NDArray[np.int64]
     state: NDArray[np.int64]
+    apart: FloatArray  # squares of how far the cameras lie apart, in sigmas, where each has a share; NaN elsewhere
+
+    @property
+    def unit(self) -> float:
+        """What sigmas are to be multiplied by: how far the cameras really lie apart says one half of the variance, by
+        the median; the other they may have in common. 1 where too few points tell."""
+        known = self.apart[np.isfinite(self.apart)]
+        if len(known) < LEAST:
+            return 1.0
+        unit = float(np.clip(SIGMA_OF_MAD * np.sqrt(np.median(known)), UNIT_LEAST, UNIT_MOST))
+        return math.sqrt((1.0 + unit**2) / 2.0)
 
 
 def merge(
@@ -71,7 +85,7 @@ def merge(
     usable : (C, K, P) where each camera is asked, and all count alike; None, everywhere, by what each says.
     """
     shape = start_mm.shape
-    distance, sigma = np.full(shape, np.nan), np.full(shape, np.nan)
+    distance, sigma, apart = np.full(shape, np.nan), np.full(shape, np.nan), np.full(shape, np.nan)
     camera, heaviest, line, state = (np.zeros(shape, np.int64) for _ in range(4))
     course = np.stack([e.course for e in expected])
     _solve(
@@ -81,15 +95,15 @@ def merge(
         np.stack([s.calm for s in sights]) - course, np.stack([s.calm_px for s in sights]),
         np.stack([s.plain_px for s in sights]), sigma_most_mm,
         np.ones((1, 1, 1), np.bool_) if usable is None else usable, usable is not None,
-        distance, sigma, camera, heaviest, line, state,
+        distance, sigma, camera, heaviest, line, state, apart,
     )  # fmt: skip
-    return Merged(distance, sigma, camera, heaviest, line, state)
+    return Merged(distance, sigma, camera, heaviest, line, state, apart)
 
 
 @jit
 def _solve(  # type: ignore[no-untyped-def]
     lenses, vertices, ways, start, expected, course, stray, sigma_px, calm, calm_px, plain_px, most, usable, gated,
-    distance, sigma, camera, heaviest, line, state,
+    distance, sigma, camera, heaviest, line, state, apart,
 ):  # fmt: skip
     cameras = len(lenses)
     rings, steps = start.shape
@@ -144,11 +158,12 @@ def _solve(  # type: ignore[no-untyped-def]
                         break
             if not total > 0.0:
                 continue
-            square, weights, best, seen, used = 0.0, 0.0, -1.0, 0, 0
+            square, wrong, weights, best, seen, used = 0.0, 0.0, 0.0, -1.0, 0, 0
             for c in range(cameras):
                 if left[c] == left[c]:
                     weight = (gain[c] / off[c]) ** 2
                     square += (left[c] / off[c]) ** 2
+                    wrong += (left[c] / max(off[c], LEAST_PX)) ** 2
                     weights += weight
                     seen += 1
                     if weight > best:
@@ -158,7 +173,7 @@ def _solve(  # type: ignore[no-untyped-def]
             if not weights * most * most >= 1.0 and not gated:
                 state[k, p] = BLUNT
                 continue
-            if seen > 1 and square > CONTRADICTS * CONTRADICTS * (seen - 1) and not gated:
+            if seen > 1 and wrong > CONTRADICTS * CONTRADICTS * (seen - 1) and not gated:
                 state[k, p] = CONTRADICTED
                 continue
             for c in range(cameras):
@@ -167,6 +182,8 @@ def _solve(  # type: ignore[no-untyped-def]
             state[k, p] = KNOWN
             distance[k, p], sigma[k, p] = s, 1.0 / np.sqrt(weights)
             camera[k, p] = heaviest[k, p] if used == 1 else cameras
+            if seen == 2 and best < (1.0 - BOTH) * weights:
+                apart[k, p] = square
             line[k, p] = int(at[heaviest[k, p]] + 0.5)
 
 

@@ -38,12 +38,12 @@ from annulus.wall.profile import Profile
 DIRECTIONS = 720  # generators of each cone
 SIGMA_MOST = 0.008  # of the radius, along its generator: a point known no better is not known
 ROUGHLY = 6  # of so many generators one, for the pose that rings are named with
-BIAS_PX, TINTED_PX = 0.0115, 0.025  # of an edge's place what scatter does not show; where colours are not calibrated
+BIAS_PX, TINTED_PX = 0.0115, 0.02  # of an edge's place what scatter does not show; where colours are not calibrated
 OVER_EXPOSED, CLIPPED_PX = 235.0, 0.04  # grey levels; as `rings.uncertainty`
 LAG, LEAST, UNKNOWN_PX = 4, 40, 0.1  # as `rings.uncertainty`
 BLUR_LEAST, BLUR_MOST = 0.5, 4.0
 CALM_LINES, CALM_PX = 5, 1.5  # to each side, of like places, that are averaged where one line says too little ..
-ALIKE_LINES = 5.5  # .. of which so many say as much as one: neighbours share pixels, and pixels lie in rows
+ALIKE_LINES = 4.0  # .. of which so many say as much as one: neighbours share pixels, and pixels lie in rows
 CAMERAS_LEAST = 2
 
 
@@ -99,6 +99,7 @@ class StereoReconstructor:
         ------
         AnnulusError for an image of another size than its camera's, or of a camera that the head does not have.
         """
+        pipe = self.calibration.pipe_radius_mm
         marks = [("", clock())]
         seen: dict[int, Seen] = {}
         rejected: dict[str, int] = {}
@@ -122,9 +123,10 @@ class StereoReconstructor:
         fitted = None
         for first in (seed, self.usual) if seed is not None else (self.usual,):
             some = np.ascontiguousarray(self._ways[:, ::ROUGHLY])
-            few = self._expect(first, some, seen)
+            start = self._to_pipe(first, some, pipe)
+            few = self._expect(first, some, start, seen)
             looks = {n: self._read(self.views[n], one, few[n], FIRST_TOLERANCE, None) for n, one in seen.items()}
-            merged = self._merge(first, looks, few, some)
+            merged = self._merge(looks, few, some, start)
             marks.append(("merge", clock()))
             fitted = self._fit(merged, first, some)
             marks.append(("pose", clock()))
@@ -133,10 +135,11 @@ class StereoReconstructor:
         if fitted is None:
             rejected["no pipe"] = sum(len(one.slits.position) for one in seen.values())
             return _empty(frame, z_mm, rejected, marks)
-        expected = self._expect(fitted.pose, self._ways, seen)
+        start = self._to_pipe(fitted.pose, self._ways, pipe)
+        expected = self._expect(fitted.pose, self._ways, start, seen)
         looks = {n: self._read(self.views[n], one, expected[n], WALL_TOLERANCE, rejected) for n, one in seen.items()}
         marks.append(("decode", clock()))
-        merged = self._merge(fitted.pose, looks, expected, self._ways)
+        merged = self._merge(looks, expected, self._ways, start)
         marks.append(("merge", clock()))
         fitted = self._fit(merged, fitted.pose, self._ways) or fitted
         marks.append(("pose", clock()))
@@ -145,7 +148,7 @@ class StereoReconstructor:
         at = ring, direction
         points = self._vertex[ring] + merged.distance_mm[at][:, None] * self._ways[at]
         wall = pose.to_pipe(points, z_mm)
-        sigma = self._sigma(points, merged.sigma_mm[at], self._ways[at], fitted)
+        sigma = self._sigma(points, merged.unit * merged.sigma_mm[at], self._ways[at], fitted)
         light = self._light(merged, at, looks)
         rejected["contradicted"] = int(np.count_nonzero(merged.state == CONTRADICTED))
         rejected["tangent"] = int(np.count_nonzero(merged.state == BLUNT))
@@ -168,8 +171,9 @@ class StereoReconstructor:
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.asarray((np.sqrt(b * b - a * c) - b) / a)
 
-    def _expect(self, pose: Pose, ways: FloatArray, numbers: Mapping[int, object]) -> dict[int, Expected]:
-        start = self._to_pipe(pose, ways, self.calibration.pipe_radius_mm)
+    def _expect(
+        self, pose: Pose, ways: FloatArray, start: FloatArray, numbers: Mapping[int, object]
+    ) -> dict[int, Expected]:
         return {n: self.views[n].expect(self._vertex, ways, start, pose) for n in numbers}
 
     def _read(
@@ -184,12 +188,11 @@ class StereoReconstructor:
                 rejected[reason] = rejected.get(reason, 0) + count
         place, which = view.table(ring, seen)
         bias = BIAS_PX if view.camera.colour_shift_px else TINTED_PX
-        return _Look(seen, which, _sight(seen, which, place, expected.course, wider, bias))
+        return _Look(seen, which, _sight(seen, which, place, expected.course, wider, bias, rejected is not None))
 
     def _merge(
-        self, pose: Pose, looks: Mapping[int, _Look], expected: Mapping[int, Expected], ways: FloatArray
+        self, looks: Mapping[int, _Look], expected: Mapping[int, Expected], ways: FloatArray, start: FloatArray
     ) -> Merged:
-        start = self._to_pipe(pose, ways, self.calibration.pipe_radius_mm)
         views = [self.views[n] for n in looks]
         usable = None
         if self.delta_gate is not None:
@@ -277,20 +280,37 @@ def _outwards(points: FloatArray, ways: FloatArray, pose: Pose) -> FloatArray:
 
 
 def _sight(
-    seen: Seen, which: NDArray[np.int64], place: FloatArray, course: FloatArray, wider: FloatArray, bias_px: float
+    seen: Seen,
+    which: NDArray[np.int64],
+    place: FloatArray,
+    course: FloatArray,
+    wider: FloatArray,
+    bias_px: float,
+    calmly: bool,
 ) -> Sight:
     """How far each slit's place may be off, px: see `rings.uncertainty.point_sigma`, whose terms these are."""
     slits = seen.slits
     sigma, plain = np.full(which.shape, np.nan), np.full(len(which), UNKNOWN_PX)
     calm, calm_px = np.full(which.shape, np.nan), np.full(which.shape, np.nan)
     _spread(
-        which, place - course, slits.edge_blur, slits.inside, slits.outside, wider, bias_px, sigma, plain, calm, calm_px
+        which,
+        place - course,
+        slits.edge_blur,
+        slits.inside,
+        slits.outside,
+        wider,
+        bias_px,
+        calmly,
+        sigma,
+        plain,
+        calm,
+        calm_px,
     )
     return Sight(place, sigma, calm + course, calm_px, plain)
 
 
 @jit
-def _spread(which, stray, edge_blur, inside, outside, wider, least, sigma, plain, calm, calm_px):  # type: ignore[no-untyped-def]
+def _spread(which, stray, edge_blur, inside, outside, wider, least, calmly, sigma, plain, calm, calm_px):  # type: ignore[no-untyped-def]
     rings, lines = which.shape
     work, noise = np.empty(lines), np.empty(lines)
     for k in range(rings):
@@ -322,7 +342,7 @@ def _spread(which, stray, edge_blur, inside, outside, wider, least, sigma, plain
             other = max((0.5 * wider[n]) ** 2 - 4.0 * soft * soft, 0.0) / 3.0
             noise[j] = soft * soft
             sigma[k, j] = math.sqrt(soft * soft + bias * bias + other)
-        for j in range(lines):
+        for j in range(lines if calmly else 0):
             total, random, common, count = 0.0, 0.0, 0.0, 0
             for d in range(-CALM_LINES, CALM_LINES + 1):
                 value = stray[k, (j + d) % lines]

@@ -88,13 +88,9 @@ class View:
         """Ring of each slit, or NONE; and (N, K) px from where each ring should be. tolerance : of the wall, of the
         radius."""
         slits = seen.slits
-        off = slits.position[:, None] - expected.course[:, slits.direction].T
-        steps = np.abs(np.diff(expected.course, axis=0))
-        edge = np.full((1, expected.course.shape[1]), np.nan)
-        gap = np.fmin(np.concatenate([edge, steps]), np.concatenate([steps, edge]))  # to the nearer neighbour
-        reach = np.hypot(expected.by_radius, np.where(np.isfinite(gap), gap, self.grid.spacing_px))
-        reach = reach[:, slits.direction].T
-        deviation = np.where(seen.could_be, off / reach, np.nan)
+        off, deviation = np.empty(seen.could_be.shape), np.empty(seen.could_be.shape)
+        _off(slits.direction, slits.position, seen.could_be, expected.course, expected.by_radius, self.grid.spacing_px,
+             off, deviation)  # fmt: skip
         ring = decode(slits.direction, seen.inside, seen.outside, deviation, self.colours, tolerance)
         return ring, off
 
@@ -131,6 +127,27 @@ def view_of(calibration: Calibration, of: HeadCamera, nominal: Pose, directions:
     grid = polar_grid(own, directions, pose)
     lens = lens_numbers(of.camera, rotation, translation, grid)
     return View(of.camera, rotation, translation, grid, ring_optics(own, grid, pose), calibration.colours, lens)
+
+
+@jit
+def _off(direction, position, could_be, course, by_radius, spacing, off, deviation):  # type: ignore[no-untyped-def]
+    """(N, K) px of each slit beyond where each ring should be; and against how far a wall of a radius more or less, or
+    the nearer neighbour's place, is from there, NaN where it cannot be that ring."""
+    rings = len(course)
+    for n in range(len(direction)):
+        j = direction[n]
+        for k in range(rings):
+            off[n, k] = position[n] - course[k, j]
+            if not could_be[n, k]:
+                deviation[n, k] = np.nan
+                continue
+            gap = np.inf
+            if k > 0 and course[k - 1, j] == course[k - 1, j]:
+                gap = abs(course[k, j] - course[k - 1, j])
+            if k + 1 < rings and course[k + 1, j] == course[k + 1, j]:
+                gap = min(gap, abs(course[k + 1, j] - course[k, j]))
+            gap = gap if gap < np.inf else spacing
+            deviation[n, k] = off[n, k] / math.sqrt(by_radius[k, j] ** 2 + gap * gap)
 
 
 @jit

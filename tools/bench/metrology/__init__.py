@@ -19,6 +19,7 @@ TABLE = Table(
         "colour": "Pipes of other colours",
         "artefacts": "Artefacts, vibration, blind zones",
         "mirror": "Mirror sensor for small pipes (§3.6)",
+        "stereo": "Two cameras, 360 degrees (ch. 5)",
         "pattern": "Pattern design",
         "speed": "Speed, one core",
     },
