@@ -28,6 +28,9 @@ PIECE = 11  # numbers a piece: offset 2, turn 2, curvature 2, radius, taper, ova
 BIAS_SIGMA_MM = 0.05  # of a ring: how far its own colour and cone may put it beside the others
 BIAS_COMMON_MM = 0.002  # of all rings
 BIAS_STEP_MM = 1e-3
+# Of a ring's scatter: how far the middle of its slit moves between straight and bent wall, each way: a few hundredths
+# of a pixel, which no residual shows. So large that ray-traced pictures' bend is off by one standard deviation.
+CHANGES_OF_SCATTER = 0.7
 ROLL_SIGMA, ROLL_HELD = 0.01, 1e-5  # radians; of a head whose roll a sensor gave, and of one that has none
 UNIT_LEAST = 0.3  # of what points say they may be off: what a ring's points have in common does not scatter
 APART = 0.4  # of the way between two starts: as far as one step may go ..
@@ -96,7 +99,9 @@ class Where:
 class Adjusted:
     """A state with the robust sigma of its weighted residuals, and the covariance of its free numbers.
 
-    `free`: flat indices into pieces (P, PIECE); covariance (n, n) in their order, scaled by what is left."""
+    `free`: flat indices into pieces (P, PIECE); covariance (n, n) in their order, scaled by what is left. When the line
+    moves by a step (n,) of those, heads do by `follow` (F, HEAD, n) times it; `head_covariance` (F, HEAD, HEAD) is
+    theirs on a line that is known."""
 
     state: State
     where: Where
@@ -105,6 +110,8 @@ class Adjusted:
     cost: float
     free: NDArray[np.intp]
     covariance: FloatArray
+    follow: FloatArray
+    head_covariance: FloatArray
 
     def sigma(self, piece: int, number: int) -> float:
         """Standard deviation of one number of a piece; 0 where it was held."""
@@ -212,9 +219,9 @@ def adjust(
     cost = math.inf
     for i, scale in enumerate(scales):
         weight, unit = _weights(where.residual_mm, seen.sigma_mm, scale)
-        step_heads, step_pieces, step_bias, covariance = _step(seen, state, where, weight, unit, columns)
+        step = _step(seen, state, where, weight, unit, columns)
         flat = state.pieces.ravel().copy()
-        flat[columns] += step_pieces
+        flat[columns] += step.pieces
         pieces = flat.reshape(state.pieces.shape)
         was = state.pieces[:, START]
         apart = APART * np.diff(was)  # a start leaps over no other
@@ -223,8 +230,8 @@ def adjust(
         for k in range(1, len(pieces)):
             pieces[k, START] = max(pieces[k, START], pieces[k - 1, START] + APART_LEAST_MM)
         state = replace(
-            state, pieces=pieces, bias_mm=state.bias_mm + step_bias.reshape(-1, BIAS),
-            heads=state.heads + step_heads,
+            state, pieces=pieces, bias_mm=state.bias_mm + step.bias.reshape(-1, BIAS),
+            heads=state.heads + step.heads,
         )  # fmt: skip
         where = locate(seen, state)
         if scale == 0.0:
@@ -232,8 +239,27 @@ def adjust(
             if i > len(scales_mm) and abs(before - cost) < 1e-3 * cost:
                 break
     weight, unit = _weights(where.residual_mm, seen.sigma_mm, 0.0)
-    covariance = covariance * _alike(seen, where.residual_mm * np.sqrt(weight) / unit)
-    return Adjusted(state, where, weight, unit, cost_of(where.residual_mm, seen.sigma_mm), columns, covariance)
+    alike = _alike(seen, where.residual_mm * np.sqrt(weight) / unit)
+    return Adjusted(
+        state, where, weight, unit, cost_of(where.residual_mm, seen.sigma_mm), columns, alike * step.covariance,
+        step.follow, alike * step.head_covariance,
+    )  # fmt: skip
+
+
+def unmodelled(seen: Sightings, found: Adjusted) -> FloatArray:
+    """(n, n) covariance of the free numbers from what each ring is off in bends otherwise than in straights, and no
+    residual shows: a part of its points' scatter, each way by itself."""
+    bent = np.array([piece.is_bent for piece in found.state.centreline().pieces])
+    if not bent.any():
+        return np.zeros_like(found.covariance)
+    own = found.state.centreline().piece_of(found.where.chainage_mm)
+    each = np.where(bent[own][:, None], _by_bias(seen, found.state, found.where), 0.0)
+    step = _step(seen, found.state, found.where, found.weight, found.unit, found.free, each)
+    scatter = np.zeros(seen.rings)
+    for k in np.unique(seen.ring):
+        scatter[k] = SIGMA_OF_MAD * float(np.median(np.abs(found.where.residual_mm[seen.ring == k])))
+    moved = step.answers * (CHANGES_OF_SCATTER * np.repeat(scatter, BIAS))
+    return np.asarray(moved @ moved.T)
 
 
 def _alike(seen: Sightings, residual: FloatArray) -> float:
@@ -257,10 +283,25 @@ def cost_of(residual: FloatArray, sigma: FloatArray) -> float:
     return float((CAUCHY**2 * np.log1p((residual / (CAUCHY * sigma)) ** 2)).sum())
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Step:
+    """Steps of heads (F, HEAD), free numbers of the pieces (n,), biases (R * BIAS,); the rest as `Adjusted` has it, of
+    points that count as one each. `answers` (n, m): how the free numbers answer to each residual asked about."""
+
+    heads: FloatArray
+    pieces: FloatArray
+    bias: FloatArray
+    covariance: FloatArray
+    follow: FloatArray
+    head_covariance: FloatArray
+    answers: FloatArray
+
+
 def _step(
-    seen: Sightings, state: State, where: Where, weight: FloatArray, unit: float, columns: NDArray[np.intp]
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Steps of heads (F, HEAD), free numbers of the pieces (n,), biases (R,), and the covariance of the second."""
+    seen: Sightings, state: State, where: Where, weight: FloatArray, unit: float, columns: NDArray[np.intp],
+    asked: FloatArray | None = None,
+) -> _Step:  # fmt: skip
+    """One step of Gauss-Newton. asked : (N, m) residuals, mm, to which the answers are wanted."""
     heads_do = by_head(seen, state, where)
     by_line = np.concatenate([_by_pieces(seen, state, where, columns), _by_bias(seen, state, where)], axis=1)
     f, n = len(seen.first), by_line.shape[1]
@@ -291,7 +332,18 @@ def _step(
     step = inverse @ right
     heads = solved[:, :, n] - solved[:, :, :n] @ step
     k = len(columns)
-    return heads, step[:k], step[k:], unit**2 * inverse[:k, :k]
+    answers = np.zeros((k, 0))
+    if asked is not None:
+        pull = np.stack([
+            heads_do[a:b].T @ (weight[a:b, None] * asked[a:b])
+            for a, b in zip(seen.first, [*seen.first[1:], len(weight)], strict=True)
+        ])  # fmt: skip
+        answers = -(inverse @ (weighted.T @ asked - np.einsum("fhi,fhm->im", solved[:, :, :n], pull)))[:k]
+    with_line = inverse[:, :k] @ np.linalg.inv(inverse[:k, :k])  # biases, too, follow the line
+    return _Step(
+        heads, step[:k], step[k:], unit**2 * inverse[:k, :k], -solved[:, :, :n] @ with_line,
+        unit**2 * np.linalg.inv(u), answers,
+    )  # fmt: skip
 
 
 def _priors(state: State) -> FloatArray:

@@ -10,8 +10,8 @@ from annulus.wall.axis import Axis, Begins
 from annulus.wall.features import Feature, FeatureKind, Measure
 from annulus.wall.stations import clock_face
 
-# What bends with known truth are off beyond what the adjustment says: parts of the curvature, mm of the beginning.
-UNMODELLED, UNMODELLED_MM = 0.002, 0.2
+# What bends with known truth begin elsewhere than the adjustment says, and what their plane is off.
+UNMODELLED_MM, UNMODELLED_TURN = 0.2, 0.002  # mm; radians
 REDUCER = 0.05  # of the radius: what changes by more within a diameter is a reducer, a fitting; less is a pipe's taper
 
 
@@ -54,9 +54,9 @@ def _bend(axis: Axis, i: int, start: float, end: float, last: bool) -> Feature:
     remark = f"{1 / k / diameter:.1f} D, {angle:.0f} degrees, to {toward.removesuffix(':00')}"
     measures = (
         Measure("start_mm", start, 2.0 * math.hypot(axis.adjusted.sigma(i, START), UNMODELLED_MM)),
-        Measure("radius_mm", 1.0 / k, math.hypot(radius_k2, 2.0 * UNMODELLED / k)),
-        Measure("angle_deg", angle, math.hypot(math.degrees(angle_k2), 2.0 * UNMODELLED * angle)),
-        Measure("plane_deg", plane, math.degrees(math.hypot(plane_k2, 2.0 * UNMODELLED))),
+        Measure("radius_mm", 1.0 / k, radius_k2),
+        Measure("angle_deg", angle, math.degrees(angle_k2)),
+        Measure("plane_deg", plane, math.degrees(math.hypot(plane_k2, 2.0 * UNMODELLED_TURN))),
     )
     return Feature(FeatureKind.BEND, (start + end) / 2, length, measures=measures, remark=f"{remark} o'clock")
 
