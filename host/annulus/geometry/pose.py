@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from annulus.numeric.arrays import FloatArray
 
@@ -31,6 +32,14 @@ def rotations(rx: FloatArray, ry: FloatArray, roll: FloatArray) -> FloatArray:
     rows = [cb * cr, -cb * sr, sb, ca * sr + sa * sb * cr, ca * cr - sa * sb * sr, -sa * cb,
             sa * sr - ca * sb * cr, sa * cr + ca * sb * sr, ca * cb]  # fmt: skip
     return np.stack(rows, axis=1).reshape(-1, 3, 3)
+
+
+def composed(turns: FloatArray) -> FloatArray:
+    """(3,) rotation vector, radians, of turns (N, 3) one after the other, each about the axes as the last left them."""
+    whole = Rotation.identity()
+    for turn in Rotation.from_rotvec(np.reshape(turns, (-1, 3))):
+        whole = whole * turn
+    return np.asarray(whole.as_rotvec())
 
 
 @dataclass(frozen=True, slots=True)

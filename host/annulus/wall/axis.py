@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from annulus.geometry.cone import Cone
 from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import BoolArray, FloatArray
+from annulus.vocabulary import Finding
 from annulus.wall.adjustment import (
     BIAS,
     CURVATURE,
@@ -33,8 +34,10 @@ from annulus.wall.adjustment import (
     cost_of,
     locate,
     sightings,
+    unmodelled,
 )  # fmt: skip
 from annulus.wall.centreline import Centreline, Piece
+from annulus.wall.gyro import NO_TURNS, Turns, weigh
 from annulus.wall.profile import Profile
 
 # Guarded by tests/unit/wall/test_axis.py (pipes with and without) and by the scenes of tests/scenes.
@@ -78,20 +81,23 @@ NUMBERS = {Begins.JOINT: [0, 1, 2, 3, 6], Begins.BEND: [4, 5], Begins.TAPER: [7]
 @dataclass(frozen=True, slots=True, eq=False)
 class Axis:
     """`profiles` in pipe coordinates, each pose against the centre line where its head is; the centre line; what began
-    with each of its pieces; the adjustment, for its uncertainties, None where the pipe is one straight piece."""
+    with each of its pieces; the adjustment, for its uncertainties, None where the pipe is one straight piece; what of
+    the sensors was not believed."""
 
     profiles: tuple[Profile, ...]
     centreline: Centreline
     begins: tuple[Begins, ...]
     adjusted: Adjusted | None
+    findings: tuple[Finding, ...] = ()
 
 
-def find_axis(profiles: Sequence[Profile], cones: Sequence[Cone]) -> Axis:
+def find_axis(profiles: Sequence[Profile], cones: Sequence[Cone], turns: Turns = NO_TURNS) -> Axis:
     """The centre line of the pipe that all frames saw.
 
     Parameters
     ----------
     profiles : each in the frame of its own pose, a straight pipe assumed. cones : of the rings, in the camera frame.
+    turns : what a gyroscope said, of every frame of the scan; asked where the pipe bends.
 
     Notes
     -----
@@ -115,7 +121,11 @@ def find_axis(profiles: Sequence[Profile], cones: Sequence[Cone]) -> Axis:
     found, begins = _pruned(fine, found, begins)
     if len(begins) == 1:
         return as_it_was
-    return Axis(_moved(profiles, fine, found.state), found.state.centreline(), tuple(begins), found)
+    findings: tuple[Finding, ...] = ()
+    if any(piece.is_bent for piece in found.state.centreline().pieces):
+        found = replace(found, covariance=found.covariance + unmodelled(fine, found))
+        found, findings = weigh(fine, found, np.array([profiles[i].frame for i in fine.which]), turns)
+    return Axis(_moved(profiles, fine, found.state), found.state.centreline(), tuple(begins), found, findings)
 
 
 def explained(

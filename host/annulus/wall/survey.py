@@ -20,6 +20,7 @@ from annulus.wall.consistency import without_inconsistent
 from annulus.wall.defects import Defect, Detection, Kind, find_defects
 from annulus.wall.features import Feature
 from annulus.wall.grid import Wall, build_wall
+from annulus.wall.gyro import NO_TURNS, Turns
 from annulus.wall.joints import find_joints, taken, without_hidden
 from annulus.wall.levels import covered, without_levels
 from annulus.wall.openings import find_openings
@@ -47,6 +48,7 @@ class Survey:
     vibration : what shook periodically and was taken out; None where nobody asked.
     features : joints, openings, levels and the like, in order of distance; none of them is a defect.
     centreline : pipe coordinates, in which all of this is, and the way to space.
+    disbelieved : what of the sensors the rings contradict.
     nominal_diameter_mm : of the calibration.
     timing_ms : of every step.
     """
@@ -60,6 +62,7 @@ class Survey:
     vibration: Vibration | None
     features: tuple[Feature, ...]
     centreline: Centreline
+    disbelieved: tuple[Finding, ...]
     nominal_diameter_mm: float
     timing_ms: Mapping[str, float]
 
@@ -75,8 +78,8 @@ class Survey:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Where too little was seen to say what shape the pipe has."""
-        return not_enough_seen(self.wall, self.features)
+        """Where too little was seen to say what shape the pipe has; what of the sensors was not believed."""
+        return *not_enough_seen(self.wall, self.features), *self.disbelieved
 
     @property
     def points(self) -> int:
@@ -173,6 +176,7 @@ def survey(
     calibration: Calibration,
     led_frames: Iterable[LedFrame] = (),
     *,
+    turns: Turns = NO_TURNS,
     vibration: bool = False,
     fps: float | None = None,
 ) -> Survey:
@@ -181,6 +185,7 @@ def survey(
     Parameters
     ----------
     profiles : of the projector frames, any order. led_frames : for the colour; read once, one at a time.
+    turns : how far the head turned since the frame before, as a gyroscope said; of every frame of the scan.
     vibration : take out what shakes periodically along the pipe; fps : frames a second, only to name it in hertz.
 
     Raises
@@ -198,7 +203,7 @@ def survey(
     narrowest, widest = (math.tan(calibration.rings[k].half_angle) for k in (0, -1))
     above, levels = without_levels(profiles, calibration)
     done("levels")
-    axis = find_axis(above, calibration.rings)
+    axis = find_axis(above, calibration.rings, turns)
     done("axis")
     # a chain's heads have been adjusted with it; on a straight pipe they follow its shape, too
     aligned = register(above) if axis.adjusted is None else axis.profiles
@@ -234,8 +239,9 @@ def survey(
     features.sort(key=lambda one: (one.z_mm, one.clock_deg))
     nominal = 2 * calibration.pipe_radius_mm
     return Survey(
-        measured, wall, dark, detection, stations, texture, shaken, tuple(features), axis.centreline, nominal, timing
-    )
+        measured, wall, dark, detection, stations, texture, shaken, tuple(features), axis.centreline, axis.findings,
+        nominal, timing,
+    )  # fmt: skip
 
 
 def _over(of: Any, values: FloatArray) -> float:

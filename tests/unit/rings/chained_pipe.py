@@ -4,6 +4,7 @@ import itertools
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 from synthetic_pipe import NOISE_MM, RADIUS_MM, THETA_FULL_DEG, VERTEX_Z_MM
 
 from annulus.geometry.pose import Pose
@@ -39,12 +40,20 @@ def frames(
     line: Centreline, chainages: Sequence[float], departure: Departure = smooth, *, roll: bool = False, seed: int = 3
 ) -> list[Profile]:
     """A profile a chainage. roll : the head turns, and a sensor says how far, to a third of a degree."""
+    return ridden(line, chainages, departure, roll=roll, seed=seed)[0]
+
+
+def ridden(
+    line: Centreline, chainages: Sequence[float], departure: Departure = smooth, *, roll: bool = False, seed: int = 3
+) -> tuple[list[Profile], list[Pose]]:
+    """The same, and where the head really was, of every chainage."""
     rng = np.random.default_rng(seed)
-    out = []
+    out, heads = [], []
     for number, chainage in enumerate(chainages):
         lean, shift = rng.normal(0, 0.012, 2), rng.normal(0, 1.2, 2)
         turned = float(rng.normal(0, 0.03)) if roll else None
         head = Pose(*lean, *shift, turned)
+        heads.append(head)
         said = None if turned is None else turned + float(rng.normal(0, 0.006))
         points, ring, direction = _rays(line, departure, head, float(chainage), rng)
         sigma = np.array(NOISE_MM)[ring].astype(np.float32)
@@ -60,7 +69,20 @@ def frames(
                 fit.robust_sigma_mm, sigma_mm=sigma,
             )
         )  # fmt: skip
-    return out
+    return out, heads
+
+
+def gyroscope(
+    line: Centreline, chainages: Sequence[float], heads: Sequence[Pose], bias_deg: Sequence[float], noise_deg: float
+) -> dict[int, tuple[float, float, float]]:
+    """What one says of every frame: turned since the one before about the camera's axes, degrees."""
+    rng = np.random.default_rng(11)
+    along = line.frames_at(np.array(chainages, dtype=float))[1]
+    camera = [frame @ head.rotation.T for frame, head in zip(along, heads, strict=True)]
+    turns = [np.zeros(3)]
+    turns += [np.degrees(Rotation.from_matrix(a.T @ b).as_rotvec()) for a, b in itertools.pairwise(camera)]
+    said = np.array(turns) + np.array(bias_deg) + rng.normal(0, noise_deg, (len(turns), 3))
+    return {i: (float(x), float(y), float(z)) for i, (x, y, z) in enumerate(said)}
 
 
 def _rays(
