@@ -3,19 +3,20 @@
 A scan folder has `frames.csv` and the images it names. Its columns are index, file, light, z_mm and, where the head
 has several cameras, camera (its id; rows of one index belong to one flash) and, where it has an inertial sensor,
 roll_deg: how far the head was turned clockwise, looking forward, from image up at 12 o'clock. A field of these two may
-be empty; other columns are passed over.
+be empty; other columns are passed over. `imu.csv` beside it, if there, says how the head turned: `record/imu.py`.
 """
 
 import csv
 import io
-import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 
 from annulus.capture.pictures import decode
 from annulus.geometry.calibration import Calibration
 from annulus.numeric.arrays import Image
+from annulus.record.imu import Motion, read_motion
+from annulus.record.numbers import number, whole
 from annulus.record.parts import first_paths
 from annulus.record.recording import CAMERA_ID_MAX, Z_MAX_MM, Recording, frame_name, open_recording
 from annulus.untrusted import read_file, shown
@@ -41,6 +42,7 @@ class ScanFrame:
     camera: int = 0  # id; frames of one index belong to one flash
     z_bound_mm: float = 0.0  # how far z may be off; 0: it was counted
     segment: int = 0  # of z: within one, differences of z were counted
+    motion: Motion | None = None  # what an inertial sensor said
 
 
 @dataclass(frozen=True)
@@ -184,7 +186,8 @@ def read_table(folder: Path) -> tuple[ScanFrame, ...]:
         raise AnnulusError(f"{table}: line {rows.reader.line_num}: {error}.") from None
     if not frames:
         raise AnnulusError(f"{table}: lists no frames. Expected at least one line below {','.join(COLUMNS)}.")
-    return tuple(frames)
+    motions = read_motion(folder, (frame.index for frame in frames))
+    return tuple(replace(f, motion=motions[f.index]) if f.index in motions else f for f in frames)
 
 
 def _frame(row: dict[str, str | None], folder: Path, inside: dict[PurePosixPath, bool]) -> ScanFrame:
@@ -194,7 +197,7 @@ def _frame(row: dict[str, str | None], folder: Path, inside: dict[PurePosixPath,
     index, file, light, z_text = ((row[name] or "").strip() for name in COLUMNS)
     if light not in {label.value for label in Label}:
         raise ValueError(f'light is "{light[:40]}", expected projector, led or unknown')
-    z = _number(z_text)
+    z = number(z_text)
     if not abs(z) <= Z_MAX_MM:
         raise ValueError(f'z_mm is "{z_text[:40]}", expected a number of mm')
     place = PurePosixPath(file)
@@ -206,30 +209,16 @@ def _frame(row: dict[str, str | None], folder: Path, inside: dict[PurePosixPath,
         inside[place.parent] = (folder / place.parent).resolve().is_relative_to(folder.resolve())
     if not inside[place.parent] or (folder / file).is_symlink():
         raise ValueError(f"file {shown(file)} is or lies behind a link, expected an image inside the scan folder")
-    camera = _whole((row.get(CAMERA) or "").strip() or "0", CAMERA)
+    camera = whole((row.get(CAMERA) or "").strip() or "0", CAMERA)
     if camera > CAMERA_ID_MAX:
         raise ValueError(f"{CAMERA} is {camera}, expected an id in 0..{CAMERA_ID_MAX}")
-    return ScanFrame(_whole(index, "index"), Label(light), z, file, _roll(row.get(ROLL)), camera)
-
-
-def _whole(text: str, column: str) -> int:
-    if not (text.isascii() and text.isdigit()) or len(text) > 18:
-        raise ValueError(f'{column} is "{text[:40]}", expected a whole number')
-    return int(text)
-
-
-def _number(text: str) -> float:
-    """NaN where it is none; "1_000" and digits of other scripts are none, though Python reads them."""
-    try:
-        return float(text) if text.isascii() and "_" not in text else math.nan
-    except ValueError:
-        return math.nan
+    return ScanFrame(whole(index, "index"), Label(light), z, file, _roll(row.get(ROLL)), camera)
 
 
 def _roll(text: str | None) -> float | None:
     if text is None or not text.strip():
         return None
-    roll = _number(text)
+    roll = number(text)
     if not abs(roll) <= ROLL_MAX_DEG:
         raise ValueError(f'{ROLL} is "{text[:40]}", expected degrees, or nothing where not known')
     return roll

@@ -12,7 +12,7 @@ import numpy as np
 from annulus.numeric.arrays import Image
 from annulus.record.walk import DamagedError
 from annulus.reprocess.executors import Executor, in_process
-from annulus.reprocess.job import Job, Measured, open_job
+from annulus.reprocess.job import Job, Measured, open_job, turns_of
 from annulus.reprocess.method import examined
 from annulus.reprocess.places import place_findings
 from annulus.rings.diagnosis import exposure_findings, reference_findings
@@ -48,7 +48,8 @@ class Reprocessed:
     def survey(self, *, vibration: bool = False, fps: float | None = None, progress: Progress | None = None) -> Survey:
         """What the profiles and LED frames say of the pipe; see `wall.survey`."""
         leds = led_frames(self.job, progress)
-        return survey(self.profiles, self.job.calibration, leds, vibration=vibration, fps=fps)
+        turns = turns_of(self.job.scan)
+        return survey(self.profiles, self.job.calibration, leds, turns=turns, vibration=vibration, fps=fps)
 
 
 def survey_of(scan: str | Path, calibration: str | Path | None = None) -> Survey:

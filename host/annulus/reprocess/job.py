@@ -17,6 +17,7 @@ from annulus.rings.calibration.reference import Reference
 from annulus.rings.colour import ColourProfile
 from annulus.rings.diagnosis import Exposure, diagnose
 from annulus.vocabulary import AnnulusError, Label
+from annulus.wall.gyro import Turns
 from annulus.wall.profile import Profile
 
 FLASH_MM = 0.05  # frames of one flash stand no farther apart; a tenth of what a head moves in a flash is less
@@ -141,6 +142,12 @@ def _belong_together(scan: Scan, calibration: Calibration) -> None:
                 f"{other.z_mm:g} mm, camera {frame.camera}'s {frame.label.value} at {frame.z_mm:g} mm, expected one "
                 "flash. Frames of different flashes need an index each."
             )
+
+
+def turns_of(scan: Scan) -> Turns:
+    """How far the head turned since the frame before, of every frame; NaN where no sensor said so."""
+    unknown = (math.nan, math.nan, math.nan)
+    return {frame.index: (frame.motion and frame.motion.turned_deg) or unknown for frame in scan.frames}
 
 
 def roll_filled(scan: Scan) -> Scan:
