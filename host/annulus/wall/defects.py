@@ -124,11 +124,15 @@ def find_defects(
     found: list[tuple[Defect, BoolArray]] = []
     undecided: list[Defect] = []
     indications, unconfirmed = find_indications(wall, scale, features)
-    fine = smooth(wall.weighed_residual_mm())
+    measured = wall.weighed_residual_mm()
+    fine = smooth(measured)
+    # a median over more than two slits' widths along the pipe takes the top off a crest
+    coarse = 3 * wall.z_step_mm > 2 * scale.mm(limits.edge_of_radius)
+    crests = smooth(measured, 1) if coarse else None
     for indication in indications:
-        known = np.isfinite(indication.height)
-        one = replace(indication, height=np.where(known, fine if indication.kind is Kind.LOSS else -fine, -np.inf))
-        depth, floor_seen, cells, flat = depth_of(one, scale)
+        known, way = np.isfinite(indication.height), np.float32(1 if indication.kind is Kind.LOSS else -1)
+        one = replace(indication, height=np.where(known, way * fine, np.float32(-np.inf)))
+        depth, floor_seen, cells, flat = depth_of(one, scale, None if crests is None else way * crests)
         edge = (limits.extent_of_floor if flat else limits.extent_of_depth) * depth
         sound = known & (indication.height < limits.extent_of_depth * depth)
         core = without_scraps(without_holes(one.mask & (indication.height >= edge)), sound)

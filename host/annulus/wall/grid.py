@@ -241,14 +241,16 @@ def build_wall(
     )
 
 
-def smooth(field: Float32Array) -> Float32Array:
-    """Median over each cell's 3 x 3 seen neighbours (itself included), NaN where the cell itself was not seen."""
-    padded = np.pad(np.pad(field, ((1, 1), (0, 0)), constant_values=np.nan), ((0, 0), (1, 1)), mode="wrap")
+def smooth(field: Float32Array, rows: int = 3) -> Float32Array:
+    """Median over each cell's `rows` (3 or 1) x 3 seen neighbours (itself included), NaN where the cell itself was not
+    seen."""
+    ends = ((rows // 2, rows // 2), (0, 0))
+    padded = np.pad(np.pad(field, ends, constant_values=np.nan), ((0, 0), (1, 1)), mode="wrap")
     z, a = field.shape
     out = np.full_like(field, np.nan)
     for start in range(0, z, 4096):  # blocks bound the nine-fold copy on long scans
         stop = min(start + 4096, z)
-        stack = np.stack([padded[start + i : stop + i, j : j + a] for i in range(3) for j in range(3)])
+        stack = np.stack([padded[start + i : stop + i, j : j + a] for i in range(rows) for j in range(3)])
         stack.sort(axis=0)  # NaN last
         n = np.isfinite(stack).sum(axis=0)
         low = np.take_along_axis(stack, (np.maximum(n - 1, 0) // 2)[None], axis=0)[0]

@@ -362,7 +362,7 @@ class Depth(NamedTuple):
     flat: bool
 
 
-def depth_of(place: Indication, scale: Scale) -> Depth:
+def depth_of(place: Indication, scale: Scale, crests: Float32Array | None = None) -> Depth:
     """How deep a place is where the surface is calm.
 
     Within a slit's width of a step the measured radius overshoots, so only cells count about which (5 x 3 cells) the
@@ -371,7 +371,8 @@ def depth_of(place: Indication, scale: Scale) -> Depth:
 
     A floor is as deep as its middle, cells weighed by what they may be off: what is left beside a step is deeper, seen
     by one ring, and says itself how little it knows. Elsewhere the highest of many cells is high by its noise, too; so
-    it is the middle of all within PLATEAU_NOISE standard deviations of the highest (the 98th percentile).
+    it is the middle of all within PLATEAU_NOISE standard deviations of the highest (the 98th percentile). The top of a
+    crest is fitted, once it is known to be one, to the heights `crests` (Z, A) where there are others for it.
     """
     wide = np.pad(place.height, ((0, 0), (1, 1)), mode="wrap")
     missing = ~np.isfinite(wide)
@@ -388,9 +389,11 @@ def depth_of(place: Indication, scale: Scale) -> Depth:
     values = place.height[cells]
     highest = float(np.percentile(values, 98)) if len(values) >= 50 else float(np.sort(values)[-2:].mean())
     plateau = PLATEAU_NOISE * float(np.median(place.noise[cells]))
-    crest = _crest(place, measured & (place.height >= 0.5 * highest), highest, scale)
+    upper = measured & (place.height >= 0.5 * highest)
+    crest = _crest(place, upper, highest, scale)
     if crest is not None:
-        return Depth(crest, bool(floor_seen), cells, False)
+        sharper = None if crests is None else _crest(replace(place, height=crests), upper, highest, scale)
+        return Depth(crest if sharper is None else sharper, bool(floor_seen), cells, False)
     return Depth(float(np.median(values[values >= highest - plateau])), bool(floor_seen), cells, False)
 
 

@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from synthetic_pipe import RADIUS_MM, SHADOW_RATIO, round_pipe, scan
 
-from annulus.wall.grid import Observations, Wall
+from annulus.wall.defects import find_defects
+from annulus.wall.grid import Observations, Wall, build_wall
 from annulus.wall.indications import Indication, Kind, Limits, Scale, depth_of
 
 Z, A = 60, 360
@@ -74,3 +76,16 @@ def test_rings_weigh_by_what_they_may_be_off() -> None:
         np.zeros((Z, 5, 5)), np.zeros(Z), flat, seen, flat,
     )  # fmt: skip
     assert np.allclose(wall.residual_mm(), 1.4, atol=1e-4) and np.allclose(wall.weighed_residual_mm(), 1.0, atol=1e-4)
+
+
+def test_rows_wider_than_a_slit_take_no_top_off_a_crest() -> None:
+    """A spherical dent of radius 45 mm in a scan of few frames: rows of 5 mm, of which a median takes three."""
+
+    def dented(clock: np.ndarray, z: np.ndarray) -> np.ndarray:
+        across = RADIUS_MM * np.radians((clock - 90.0 + 180.0) % 360.0 - 180.0)
+        cap = np.sqrt(np.maximum(45.0**2 - across**2 - (z - 152.0) ** 2, 0.0)) - 42.0
+        return np.asarray(round_pipe(clock, z) + np.maximum(cap, 0.0))
+
+    wall = build_wall(scan(dented), z_step_mm=5.0)
+    (dent,) = find_defects(wall, shadow_ratio=SHADOW_RATIO).defects
+    assert abs(dent.depth_mm - 3.0) < 0.1  # mm; it was 0.2
