@@ -4,12 +4,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
 
 from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import FloatArray
-from annulus.numeric.jit import jit
-from annulus.numeric.robust import CAUCHY, SIGMA_OF_MAD, cauchy
+from annulus.numeric.jit import around, jit, middle, ranked
+from annulus.numeric.robust import CAUCHY, SIGMA_OF_MAD
 
 # Held as a whole by test_pose.py and by the benchmark topics stabilisation (200 seeds, beside least squares told the
 # clean points) and few_rings (one ring, damaged rings); not tried one by one.
@@ -34,6 +33,7 @@ LEAST_POINTS = 40  # points
 LEAST_TURN = 0.4  # part of the way round that must have points, or a circle is a guess
 WORST_SIGMA = 0.08  # of the radius; beyond it this is no pipe of that radius
 LEAST_KEPT = 0.4  # part of the points that must lie on the cylinder
+BLOCK = 256  # points whose gradients stay in the fastest cache; times, not results
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,151 +98,181 @@ def fit_pose(
 
 
 def _fit(points: FloatArray, weight: FloatArray, radius: float, first: Pose, tilt: float) -> Fit | None:
-    x = _approach(points, weight, radius, first, tilt)
-    return _settle(points, weight, radius, x, tilt) if x is not None else None
-
-
-def _approach(points: FloatArray, weight: FloatArray, radius: float, first: Pose, tilt: float) -> FloatArray | None:
-    """(7,) rx, ry, tx, ty; the radius' mean, twofold cosine and sine beyond the nominal. Near the answer, whatever part
-    of the points is wrong; None when that led away from any pipe.
-    """
+    """The most likely pose near the first guess, or None where the points about it do not make a pipe."""
     x = np.array([first.rx, first.ry, first.tx, first.ty, 0.0, 0.0, 0.0])
-    error = np.empty(len(points))
-    likely, rows = np.empty(len(points)), np.empty((8, len(points)))
-    for _ in range(30):
-        _errors(points, x, radius, error)
-        scale = max(_robust_sigma(error), 1e-4 * radius)
-        if scale < THERE * radius:
-            break
-        np.divide(weight, 1.0 + (error / (CAUCHY * scale)) ** 2, out=likely)
-        step, _ = _step(points, likely, x, radius, _prior(scale, radius, tilt, SHAPE_PRIOR), rows)
-        x = x + step
-        if np.abs(step[:2]).max() < CLOSE and np.abs(step[2:]).max() < CLOSE * radius:
-            break
-    return x if _sane(x, radius) else None
-
-
-def _settle(points: FloatArray, weight: FloatArray, radius: float, x: FloatArray, tilt: float) -> Fit | None:
-    """The most likely pose near x, or None where the points about it do not make a pipe."""
-    root = np.sqrt(weight)
-    off, likely, used = np.empty(len(points)), np.empty(len(points)), np.empty(len(points))
-    rows = np.empty((8, len(points)))
-    _errors(points, x, radius, off)
-    scale = max(_robust_sigma(off * root), 1e-4 * radius)
-    patches = _Patches(points, x, off * root, scale, radius)
-    wild = NO_POINT / scale  # wild points, per mm of radius and per point
-    shape, mildly = SHAPE_TOLERANCE, True  # a hole as wide as an oval's flank is a hole as long as a circle will do
-    for left in range(ROUNDS, 0, -1):
-        _weigh(points, root, patches.of, x, radius, scale, wild, off, likely, patches.count, patches.total)
-        trust, unrest = patches.judge(scale, mildly)
-        known, square, sound, beyond = _tally(off, likely, weight, trust, patches.of, scale, used)
-        if known < LEAST_KEPT * len(points):
-            return None
-        scale = max(math.sqrt(square / known), 1e-4 * radius)
-        wild = max(beyond / (8 * sound), NO_POINT) / scale
-        step, seen = _step(points, used, x, radius, _prior(scale, radius, tilt, shape), rows)
-        x = x + step
-        moved = max(np.abs(step[:2]).max(), np.abs(step[2:]).max() / radius)
-        if mildly:
-            mildly = left > ROUNDS / 2 and moved > CLOSE
-            shape = SHAPE_TOLERANCE if mildly else SHAPE_PRIOR
-            continue
-        if left > 3 and moved > NEAR:
-            continue
-        seen += np.diag(_prior(scale, radius, tilt, shape))
-        covariance = np.asarray((scale * unrest) ** 2 * np.linalg.inv(seen))
-        if shape == SHAPE_TOLERANCE or _shows_shape(x, covariance):
-            break
-        shape = SHAPE_TOLERANCE
+    seen, covariance, used = np.empty((7, 7)), np.empty((7, 7)), np.empty(len(points))
+    _approach(points, weight, x, radius, tilt, used)
+    if not _sane(x, radius):
+        return None
+    scale, robust = _settle(points, weight, x, radius, tilt, used, seen, covariance)
+    if not _sane(x, radius) or not scale <= WORST_SIGMA * radius:
+        return None
     if tilt == TILT_KEPT:  # the head may lean all the same, with the shift that makes up for it
         along = np.vstack([np.eye(2), -np.linalg.solve(seen[2:, 2:], seen[2:, :2])])
         covariance += TILT_UNSEEN**2 * along @ along.T
-    if not _sane(x, radius) or scale > WORST_SIGMA * radius:
+    if not _all_round(points, x, used):
         return None
-    if _turn(points, x, used) < LEAST_TURN * 36:
-        return None
-    _errors(points, x, radius, off)
-    return Fit(_pose(x), _robust_sigma(off), covariance[:4, :4])
-
-
-def _shows_shape(x: FloatArray, covariance: FloatArray) -> bool:
-    lean = math.sqrt(max(covariance[0, 0], covariance[1, 1]))
-    return lean > TILT_SHOWN or float(x[4:] @ np.linalg.solve(covariance[4:, 4:], x[4:])) > SHAPE_SHOWN
-
-
-def _pose(x: FloatArray) -> Pose:
-    return Pose(*(float(v) for v in x[:4]))
+    return Fit(Pose(*(float(v) for v in x[:4])), robust, covariance[:4, :4])
 
 
 def _sane(x: FloatArray, radius: float) -> bool:
     return bool(np.isfinite(x).all() and np.abs(x[:2]).max() < 0.8 and np.abs(x[2:]).max() < 0.8 * radius)
 
 
-class _Patches:
-    """The wall cut into patches, nearly square, of a dozen points each on average; what lies beyond is in none.
-
-    `of` (N,) each point's patch, the last one standing for none; `count` and `total` (P + 1,) room for sums.
-    """
-
-    def __init__(self, points: FloatArray, x: FloatArray, off: FloatArray, scale: float, radius: float) -> None:
-        self.of = np.empty(len(points), np.int32)
-        near = points[np.abs(off) < 3 * scale]  # wild points do not say how long the wall is
-        z = np.sort(_pose(x).to_pipe(near[:: max(1, len(near) // 400)])[:, 2])
-        low, high = float(z[len(z) // 100]), float(z[-1 - len(z) // 100])
-        length = max(high - low, 0.01 * radius)
-        side = math.sqrt(2 * math.pi * radius * length * CELL_POINTS / len(points))
-        columns, rows = max(round(2 * math.pi * radius / side), 8), max(round(length / side), 1)
-        _assign(points, x, low, length, rows, columns, self.of)
-        self._shape = rows, columns
-        self._points = np.bincount(self.of, minlength=rows * columns + 1)[:-1].astype(np.float64)
-        self.count, self.total = np.empty(rows * columns + 1), np.empty(rows * columns + 1)
-
-    def judge(self, scale: float, mildly: bool) -> tuple[FloatArray, float]:
-        """(P + 1,) 0..1, how far to trust a patch; and how many times more patches' means vary than single points say.
-
-        `mildly`: a Cauchy weight, as long as the pose still leans on the damage itself.
-        """
-        count = self.count[:-1]
-        used = count > 1.0
-        if np.count_nonzero(used) < 8:
-            return np.append(np.ones(len(used)), 0.0), 1.0
-        far = np.where(used, self.total[:-1], 0.0) / (scale * np.sqrt(np.maximum(count, 1.0)))
-        unrest = max(1.0, _robust_sigma(far[used]))
-        far /= unrest
-        if mildly:
-            return np.append(cauchy(far / CAUCHY), 0.0), unrest
-        far = far.reshape(self._shape)
-        bad = np.abs(far) > CELL_OFF
-        if bad.any():
-            # The rim of the damage: like its neighbour, if less so.
-            for sign in (1.0, -1.0):
-                beside = ndimage.maximum_filter(bad & (sign * far > 0), (3, 3), mode=("nearest", "wrap"))
-                bad |= beside & (sign * far > CELL_DOUBTED)
-        if (count < CELL_SOUND * self._points).any():
-            both = np.stack([count, self._points]).reshape(2, *self._shape)
-            around = ndimage.uniform_filter1d(both, CELL_BESIDE, axis=2, mode="wrap")
-            bad |= around[0] < CELL_SOUND * (around[1] + 0.5)
-        return np.append(np.where(bad, 0.0, 1.0), 0.0), unrest
-
-
-def _robust_sigma(error: FloatArray) -> float:
-    middle = len(error) // 2
-    return SIGMA_OF_MAD * float(np.partition(np.abs(error), middle)[middle])
+@jit
+def _approach(points, weight, x, radius, tilt, likely):  # type: ignore[no-untyped-def]
+    """Moves x (7,) near the answer, whatever part of the points is wrong: rx, ry, tx, ty; the radius' mean, twofold
+    cosine and sine beyond the nominal."""
+    error, work = np.empty(len(points)), np.empty(len(points))
+    step, seen = np.empty(7), np.empty((7, 7))
+    for _ in range(30):
+        _errors(points, x, radius, error)
+        scale = max(_robust_sigma(error, work), 1e-4 * radius)
+        if scale < THERE * radius:
+            break
+        for n in range(len(points)):
+            likely[n] = weight[n] / (1.0 + (error[n] / (CAUCHY * scale)) ** 2)
+        if _step(points, likely, x, radius, _prior(scale, radius, tilt, SHAPE_PRIOR), step, seen) < CLOSE:
+            break
 
 
 @jit
-def _assign(points, x, low, length, rows, columns, out):  # type: ignore[no-untyped-def]
+def _settle(points, weight, x, radius, tilt, used, seen, covariance):  # type: ignore[no-untyped-def]
+    """Moves x (7,) on to the most likely pose; what points are worth, what they know, and the covariance, (N,) (7, 7)
+    (7, 7), are written. Returns the errors' scale, inf where too few lie on the cylinder, and their robust sigma."""
+    size = len(points)
+    root = np.sqrt(weight)
+    off, likely, work, step = np.empty(size), np.empty(size), np.empty(size), np.empty(7)
+    patch = np.empty(size, np.int32)
+    _errors(points, x, radius, off)
+    for n in range(size):
+        off[n] *= root[n]
+    scale = max(_robust_sigma(off, work), 1e-4 * radius)
+    rows, columns = _cut(points, x, off, scale, radius, work, patch)
+    count, total, trust = np.empty(rows * columns + 1), np.empty(rows * columns + 1), np.empty(rows * columns + 1)
+    every = np.zeros(rows * columns + 1)
+    for n in range(size):
+        every[patch[n]] += 1.0
+    wild = NO_POINT / scale  # wild points, per mm of radius and per point
+    shape, mildly = SHAPE_TOLERANCE, True  # a hole as wide as an oval's flank is a hole as long as a circle will do
+    for left in range(ROUNDS, 0, -1):
+        _weigh(points, root, patch, x, radius, scale, wild, off, likely, count, total)
+        unrest = _judge(count, total, every, rows, columns, scale, mildly, trust)
+        known, square, sound, beyond = _tally(off, likely, weight, trust, patch, scale, used)
+        if known < LEAST_KEPT * size:
+            return np.inf, np.inf
+        scale = max(math.sqrt(square / known), 1e-4 * radius)
+        wild = max(beyond / (8 * sound), NO_POINT) / scale
+        prior = _prior(scale, radius, tilt, shape)
+        moved = _step(points, used, x, radius, prior, step, seen)
+        if mildly:
+            mildly = left > ROUNDS / 2 and moved > CLOSE
+            shape = SHAPE_TOLERANCE if mildly else SHAPE_PRIOR
+            continue
+        if left > 3 and moved > NEAR:
+            continue
+        for i in range(7):
+            seen[i, i] += prior[i]
+        covariance[:] = (scale * unrest) ** 2 * np.linalg.inv(seen)
+        shown = np.sqrt(max(covariance[0, 0], covariance[1, 1])) > TILT_SHOWN
+        if shape == SHAPE_TOLERANCE or shown:
+            break
+        oval = np.ascontiguousarray(x[4:])
+        if np.dot(oval, np.linalg.solve(np.ascontiguousarray(covariance[4:, 4:]), oval)) > SHAPE_SHOWN:
+            break
+        shape = SHAPE_TOLERANCE
+    _errors(points, x, radius, off)
+    return scale, _robust_sigma(off, work)
+
+
+@jit
+def _robust_sigma(error, work):  # type: ignore[no-untyped-def]
+    for n in range(len(error)):
+        work[n] = abs(error[n])
+    return SIGMA_OF_MAD * middle(work, len(error))
+
+
+@jit
+def _cut(points, x, off, scale, radius, work, patch):  # type: ignore[no-untyped-def]
+    """Cuts the wall into patches, nearly square, of a dozen points each on average, and says which is each point's,
+    (N,); what lies beyond is in none, the last. Returns their rows and columns."""
+    near = 0
+    for n in range(len(points)):  # wild points do not say how long the wall is
+        near += abs(off[n]) < 3 * scale
+    every, size, near = max(1, near // 400), 0, 0
+    for n in range(len(points)):
+        if abs(off[n]) < 3 * scale:
+            if near % every == 0:
+                work[size] = _along(points[n], x)
+                size += 1
+            near += 1
+    low, high = ranked(work, size, size // 100), ranked(work, size, size - 1 - size // 100)
+    length = max(high - low, 0.01 * radius)
+    side = math.sqrt(2 * math.pi * radius * length * CELL_POINTS / len(points))
+    rows, columns = max(round(length / side), 1), max(round(2 * math.pi * radius / side), 8)
     ca, sa, cb, sb = math.cos(x[0]), math.sin(x[0]), math.cos(x[1]), math.sin(x[1])
     for n in range(len(points)):
+        along = (_along(points[n], x) - low) / length
+        if not -BEYOND <= along <= 1.0 + BEYOND:
+            patch[n] = rows * columns
+            continue
         px, py, pz = points[n, 0] - x[2], points[n, 1] - x[3], points[n, 2]
         turn = math.atan2(ca * py + sa * pz, cb * px + sb * (sa * py - ca * pz)) / (2.0 * math.pi)
-        z = sb * px - cb * (sa * py - ca * pz)
-        along = (z - low) / length
-        if not -BEYOND <= along <= 1.0 + BEYOND:
-            out[n] = rows * columns
-            continue
-        row = min(max(int(along * rows), 0), rows - 1)
-        out[n] = row * columns + int((turn + 1.0) * columns) % columns
+        patch[n] = min(max(int(along * rows), 0), rows - 1) * columns + int((turn + 1.0) * columns) % columns
+    return rows, columns
+
+
+@jit
+def _along(point, x):  # type: ignore[no-untyped-def]
+    """How far ahead along the pipe a point lies."""
+    px, py, pz = point[0] - x[2], point[1] - x[3], point[2]
+    return math.sin(x[1]) * px - math.cos(x[1]) * (math.sin(x[0]) * py - math.cos(x[0]) * pz)
+
+
+@jit
+def _judge(count, total, every, rows, columns, scale, mildly, trust):  # type: ignore[no-untyped-def]
+    """Writes (P + 1,) 0..1, how far to trust a patch; how many times more patches' means vary than single points say.
+
+    count, total, every (P + 1,) : of likely points, of their errors, of all points. mildly: a Cauchy weight, as long
+    as the pose still leans on the damage itself.
+    """
+    cells = rows * columns
+    far, work = np.zeros(cells), np.empty(cells)
+    size, sparse = 0, False
+    trust[:cells], trust[cells] = 1.0, 0.0
+    for p in range(cells):
+        sparse |= count[p] < CELL_SOUND * every[p]
+        if count[p] > 1.0:
+            far[p] = total[p] / (scale * math.sqrt(count[p]))
+            work[size] = abs(far[p])
+            size += 1
+    if size < 8:
+        return 1.0
+    unrest = max(1.0, SIGMA_OF_MAD * middle(work, size))
+    for p in range(cells):
+        far[p] /= unrest
+        if mildly:
+            trust[p] = 1.0 / (1.0 + (far[p] / CAUCHY) ** 2)
+    if mildly:
+        return unrest
+    for row in range(rows):
+        for column in range(columns):
+            p = row * columns + column
+            if abs(far[p]) > CELL_OFF:
+                # The rim of the damage: like its neighbour, if less so.
+                for r in range(max(row - 1, 0), min(row + 2, rows)):
+                    for c in range(column - 1, column + 2):
+                        beside = far[r * columns + around(c, columns)] * math.copysign(1.0, far[p])
+                        if beside > CELL_DOUBTED:
+                            trust[r * columns + around(c, columns)] = 0.0
+            if sparse:
+                likely, there = 0.0, 0.0
+                for c in range(column - CELL_BESIDE // 2, column + CELL_BESIDE // 2 + 1):
+                    likely += count[row * columns + around(c, columns)]
+                    there += every[row * columns + around(c, columns)]
+                if likely < CELL_SOUND * (there + 0.5 * CELL_BESIDE):
+                    trust[p] = 0.0
+    return unrest
 
 
 @jit
@@ -277,14 +307,19 @@ def _tally(off, likely, weight, trust, patch, scale, used):  # type: ignore[no-u
 
 
 @jit
-def _turn(points, x, used):  # type: ignore[no-untyped-def]
-    """How many of 36 directions from the pipe's axis have points that count."""
-    seen = np.zeros(36, np.bool_)
-    for n in range(len(points)):
-        if used[n] > 0.0:
-            turn = math.atan2(points[n, 1] - x[3] + x[0] * points[n, 2], points[n, 0] - x[2] - x[1] * points[n, 2])
-            seen[int((turn / (2.0 * math.pi) + 1.0) * 36) % 36] = True
-    return np.count_nonzero(seen)
+def _all_round(points, x, used):  # type: ignore[no-untyped-def]
+    """Whether enough of 36 directions from the pipe's axis have points that count."""
+    seen, directions, some = np.zeros(36, np.bool_), 0, 16
+    for first in range(some):  # neighbours look one way: every sixteenth is soon enough
+        for n in range(first, len(points), some):
+            if used[n] > 0.0:
+                turn = math.atan2(points[n, 1] - x[3] + x[0] * points[n, 2], points[n, 0] - x[2] - x[1] * points[n, 2])
+                way = int((turn / (2.0 * math.pi) + 1.0) * 36) % 36
+                directions += not seen[way]
+                seen[way] = True
+                if directions >= LEAST_TURN * 36:
+                    return True
+    return False
 
 
 @jit
@@ -299,53 +334,72 @@ def _errors(points, x, radius, out):  # type: ignore[no-untyped-def]
         out[n] = r - radius - x[4] - x[5] * (u * u - v * v) / square - x[6] * 2.0 * u * v / square
 
 
-def _prior(scale: float, radius: float, tilt: float, shape: float) -> FloatArray:
+@jit
+def _prior(scale, radius, tilt, shape):  # type: ignore[no-untyped-def]
     """(7,) what is known beforehand, as precisions times scale^2."""
-    return np.asarray((scale / np.array([tilt, tilt, math.inf, math.inf, *[shape * radius] * 3])) ** 2)
-
-
-def _step(
-    points: FloatArray, weight: FloatArray, x: FloatArray, radius: float, prior: FloatArray, rows: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """(7,) the next step, (7, 7) what the points know: its inverse times scale^2 is the covariance. rows: (8, N) to
-    work in."""
-    product = np.empty((8, 8))
-    _products(points, weight, x, radius, rows, product)
-    size = np.array([1.0, 1.0, *[radius] * 5])  # angles and lengths alike
-    normal = (product[:7, :7] + np.diag(prior)) * size[:, None] * size
-    normal += 1e-12 * np.trace(product) * np.eye(7)
-    return np.asarray(-np.linalg.solve(normal, (product[:7, 7] + prior * x) * size) * size), product[:7, :7]
+    prior = np.zeros(7)
+    prior[:2] = (scale / tilt) ** 2
+    prior[4:] = (scale / (shape * radius)) ** 2
+    return prior
 
 
 @jit
-def _products(points, weight, x, radius, rows, out):  # type: ignore[no-untyped-def]
-    """Sums of products of each point's gradient and error about x, those times the root of its weight being `rows`.
+def _step(points, weight, x, radius, prior, step, seen):  # type: ignore[no-untyped-def]
+    """Takes x (7,) a step on; how far, in radians or parts of the radius. seen (7, 7): what the points know; its
+    inverse times scale^2 is the covariance."""
+    product = np.zeros((8, 8))
+    _products(points, weight, x, radius, product)
+    seen[:] = product[:7, :7]
+    normal, trace = np.empty((7, 7)), np.trace(product)
+    for i in range(7):
+        size = 1.0 if i < 2 else radius  # angles and lengths alike
+        for j in range(7):
+            normal[i, j] = seen[i, j] * size * (1.0 if j < 2 else radius)
+        normal[i, i] += prior[i] * size * size + 1e-12 * trace
+        step[i] = (product[i, 7] + prior[i] * x[i]) * size
+    step[:] = np.linalg.solve(normal, step)
+    moved = 0.0
+    for i in range(7):
+        moved = max(moved, abs(step[i]))
+        x[i] -= step[i] * (1.0 if i < 2 else radius)
+    return moved
+
+
+@jit
+def _products(points, weight, x, radius, out):  # type: ignore[no-untyped-def]
+    """Sums of products of each point's gradient and error about x, times its weight: (8, 8).
 
     R = Rx(rx) Ry(ry), q = R^T (p - T), r = |q_xy|. How the twofold term turns with the pose is left out: it is small,
     and costs steps, not accuracy.
     """
     ca, sa, cb, sb = math.cos(x[0]), math.sin(x[0]), math.cos(x[1]), math.sin(x[1])
-    for n in range(len(points)):
-        px, py, pz = points[n, 0] - x[2], points[n, 1] - x[3], points[n, 2]
-        turned = sa * py - ca * pz
-        u = cb * px + sb * turned
-        v = ca * py + sa * pz
-        r = max(math.sqrt(u * u + v * v), 1e-9)
-        cu, cv = u / r, v / r
-        twofold, quarter = cu * cu - cv * cv, 2.0 * cu * cv
-        w = math.sqrt(weight[n])
-        rows[0, n] = w * (cu * sb * v + cv * (ca * pz - sa * py))
-        rows[1, n] = w * (cu * (cb * turned - sb * px))
-        rows[2, n] = -w * cu * cb
-        rows[3, n] = -w * (cu * sb * sa + cv * ca)
-        rows[4, n] = -w
-        rows[5, n] = -w * twofold
-        rows[6, n] = -w * quarter
-        rows[7, n] = w * (r - radius - x[4] - x[5] * twofold - x[6] * quarter)
-    for i in range(len(rows)):
-        for j in range(i, len(rows)):
-            a, b = rows[i], rows[j]
-            total = 0.0
-            for n in range(len(a)):
-                total += a[n] * b[n]
-            out[i, j] = out[j, i] = total
+    rows = np.empty((8, BLOCK))
+    for start in range(0, len(points), BLOCK):
+        size = min(BLOCK, len(points) - start)
+        for n in range(size):
+            px, py, pz = points[start + n, 0] - x[2], points[start + n, 1] - x[3], points[start + n, 2]
+            turned = sa * py - ca * pz
+            u = cb * px + sb * turned
+            v = ca * py + sa * pz
+            r = max(math.sqrt(u * u + v * v), 1e-9)
+            cu, cv = u / r, v / r
+            twofold, quarter = cu * cu - cv * cv, 2.0 * cu * cv
+            w = math.sqrt(weight[start + n])
+            rows[0, n] = w * (cu * sb * v + cv * (ca * pz - sa * py))
+            rows[1, n] = w * (cu * (cb * turned - sb * px))
+            rows[2, n] = -w * cu * cb
+            rows[3, n] = -w * (cu * sb * sa + cv * ca)
+            rows[4, n] = -w
+            rows[5, n] = -w * twofold
+            rows[6, n] = -w * quarter
+            rows[7, n] = w * (r - radius - x[4] - x[5] * twofold - x[6] * quarter)
+        for i in range(8):
+            for j in range(i, 8):
+                a, b = rows[i, :size], rows[j, :size]
+                total = 0.0
+                for n in range(size):
+                    total += a[n] * b[n]
+                out[i, j] += total
+    for i in range(8):
+        for j in range(i):
+            out[i, j] = out[j, i]
