@@ -85,7 +85,7 @@ def fit_pose(
     """
     if len(points_mm) < LEAST_POINTS:
         return None
-    points = np.ascontiguousarray(points_mm, dtype=float)
+    points = np.ascontiguousarray(points_mm.T, dtype=float)  # loops then read runs of x, y and z
     weight = 1.0 / np.maximum(sigma_mm, 1e-6) ** 2
     weight /= weight.mean()
     for first in (seed, Pose()) if seed is not None else (Pose(),):
@@ -100,7 +100,7 @@ def fit_pose(
 def _fit(points: FloatArray, weight: FloatArray, radius: float, first: Pose, tilt: float) -> Fit | None:
     """The most likely pose near the first guess, or None where the points about it do not make a pipe."""
     x = np.array([first.rx, first.ry, first.tx, first.ty, 0.0, 0.0, 0.0])
-    seen, covariance, used = np.empty((7, 7)), np.empty((7, 7)), np.empty(len(points))
+    seen, covariance, used = np.empty((7, 7)), np.empty((7, 7)), np.empty(len(weight))
     _approach(points, weight, x, radius, tilt, used)
     if not _sane(x, radius):
         return None
@@ -123,14 +123,14 @@ def _sane(x: FloatArray, radius: float) -> bool:
 def _approach(points, weight, x, radius, tilt, likely):  # type: ignore[no-untyped-def]
     """Moves x (7,) near the answer, whatever part of the points is wrong: rx, ry, tx, ty; the radius' mean, twofold
     cosine and sine beyond the nominal."""
-    error, work = np.empty(len(points)), np.empty(len(points))
+    error, work = np.empty(len(weight)), np.empty(len(weight))
     step, seen = np.empty(7), np.empty((7, 7))
     for _ in range(30):
         _errors(points, x, radius, error)
         scale = max(_robust_sigma(error, work), 1e-4 * radius)
         if scale < THERE * radius:
             break
-        for n in range(len(points)):
+        for n in range(len(weight)):
             likely[n] = weight[n] / (1.0 + (error[n] / (CAUCHY * scale)) ** 2)
         if _step(points, likely, x, radius, _prior(scale, radius, tilt, SHAPE_PRIOR), step, seen) < CLOSE:
             break
@@ -140,7 +140,7 @@ def _approach(points, weight, x, radius, tilt, likely):  # type: ignore[no-untyp
 def _settle(points, weight, x, radius, tilt, used, seen, covariance):  # type: ignore[no-untyped-def]
     """Moves x (7,) on to the most likely pose; what points are worth, what they know, and the covariance, (N,) (7, 7)
     (7, 7), are written. Returns the errors' scale, inf where too few lie on the cylinder, and their robust sigma."""
-    size = len(points)
+    size = len(weight)
     root = np.sqrt(weight)
     off, likely, work, step = np.empty(size), np.empty(size), np.empty(size), np.empty(7)
     patch = np.empty(size, np.int32)
@@ -196,37 +196,30 @@ def _robust_sigma(error, work):  # type: ignore[no-untyped-def]
 def _cut(points, x, off, scale, radius, work, patch):  # type: ignore[no-untyped-def]
     """Cuts the wall into patches, nearly square, of a dozen points each on average, and says which is each point's,
     (N,); what lies beyond is in none, the last. Returns their rows and columns."""
-    near = 0
-    for n in range(len(points)):  # wild points do not say how long the wall is
-        near += abs(off[n]) < 3 * scale
-    every, size, near = max(1, near // 400), 0, 0
-    for n in range(len(points)):
-        if abs(off[n]) < 3 * scale:
-            if near % every == 0:
-                work[size] = _along(points[n], x)
-                size += 1
-            near += 1
+    ca, sa, cb, sb = math.cos(x[0]), math.sin(x[0]), math.cos(x[1]), math.sin(x[1])
+    along, near, total = np.empty(len(off)), np.empty(len(off), np.int64), 0
+    for n in range(len(off)):
+        px, py, pz = points[0, n] - x[2], points[1, n] - x[3], points[2, n]
+        along[n] = sb * px - cb * (sa * py - ca * pz)
+        near[total] = n
+        total += abs(off[n]) < 3 * scale  # wild points do not say how long the wall is
+    every = max(1, total // 400)
+    size = (total + every - 1) // every
+    for i in range(size):
+        work[i] = along[near[i * every]]
     low, high = ranked(work, size, size // 100), ranked(work, size, size - 1 - size // 100)
     length = max(high - low, 0.01 * radius)
-    side = math.sqrt(2 * math.pi * radius * length * CELL_POINTS / len(points))
+    side = math.sqrt(2 * math.pi * radius * length * CELL_POINTS / len(off))
     rows, columns = max(round(length / side), 1), max(round(2 * math.pi * radius / side), 8)
-    ca, sa, cb, sb = math.cos(x[0]), math.sin(x[0]), math.cos(x[1]), math.sin(x[1])
-    for n in range(len(points)):
-        along = (_along(points[n], x) - low) / length
-        if not -BEYOND <= along <= 1.0 + BEYOND:
+    for n in range(len(off)):
+        row = (along[n] - low) / length
+        if not -BEYOND <= row <= 1.0 + BEYOND:
             patch[n] = rows * columns
             continue
-        px, py, pz = points[n, 0] - x[2], points[n, 1] - x[3], points[n, 2]
+        px, py, pz = points[0, n] - x[2], points[1, n] - x[3], points[2, n]
         turn = math.atan2(ca * py + sa * pz, cb * px + sb * (sa * py - ca * pz)) / (2.0 * math.pi)
-        patch[n] = min(max(int(along * rows), 0), rows - 1) * columns + int((turn + 1.0) * columns) % columns
+        patch[n] = min(max(int(row * rows), 0), rows - 1) * columns + int((turn + 1.0) * columns) % columns
     return rows, columns
-
-
-@jit
-def _along(point, x):  # type: ignore[no-untyped-def]
-    """How far ahead along the pipe a point lies."""
-    px, py, pz = point[0] - x[2], point[1] - x[3], point[2]
-    return math.sin(x[1]) * px - math.cos(x[1]) * (math.sin(x[0]) * py - math.cos(x[0]) * pz)
 
 
 @jit
@@ -281,7 +274,7 @@ def _weigh(points, root, patch, x, radius, scale, wild, off, likely, count, tota
     _errors(points, x, radius, off)
     count[:] = 0.0
     total[:] = 0.0
-    for n in range(len(points)):
+    for n in range(len(off)):
         off[n] *= root[n]
         normal = math.exp(-0.5 * (off[n] / scale) ** 2) * (0.4 / scale)
         likely[n] = normal / (normal + wild)
@@ -311,9 +304,9 @@ def _all_round(points, x, used):  # type: ignore[no-untyped-def]
     """Whether enough of 36 directions from the pipe's axis have points that count."""
     seen, directions, some = np.zeros(36, np.bool_), 0, 16
     for first in range(some):  # neighbours look one way: every sixteenth is soon enough
-        for n in range(first, len(points), some):
+        for n in range(first, len(used), some):
             if used[n] > 0.0:
-                turn = math.atan2(points[n, 1] - x[3] + x[0] * points[n, 2], points[n, 0] - x[2] - x[1] * points[n, 2])
+                turn = math.atan2(points[1, n] - x[3] + x[0] * points[2, n], points[0, n] - x[2] - x[1] * points[2, n])
                 way = int((turn / (2.0 * math.pi) + 1.0) * 36) % 36
                 directions += not seen[way]
                 seen[way] = True
@@ -325,8 +318,8 @@ def _all_round(points, x, used):  # type: ignore[no-untyped-def]
 @jit
 def _errors(points, x, radius, out):  # type: ignore[no-untyped-def]
     ca, sa, cb, sb = math.cos(x[0]), math.sin(x[0]), math.cos(x[1]), math.sin(x[1])
-    for n in range(len(points)):
-        px, py, pz = points[n, 0] - x[2], points[n, 1] - x[3], points[n, 2]
+    for n in range(len(out)):
+        px, py, pz = points[0, n] - x[2], points[1, n] - x[3], points[2, n]
         u = cb * px + sb * (sa * py - ca * pz)
         v = ca * py + sa * pz
         r = math.sqrt(u * u + v * v)
@@ -374,17 +367,19 @@ def _products(points, weight, x, radius, out):  # type: ignore[no-untyped-def]
     """
     ca, sa, cb, sb = math.cos(x[0]), math.sin(x[0]), math.cos(x[1]), math.sin(x[1])
     rows = np.empty((8, BLOCK))
-    for start in range(0, len(points), BLOCK):
-        size = min(BLOCK, len(points) - start)
+    for start in range(0, len(weight), BLOCK):
+        size = min(BLOCK, len(weight) - start)
+        xs, ys, zs = points[0][start:], points[1][start:], points[2][start:]
+        worth = weight[start:]
         for n in range(size):
-            px, py, pz = points[start + n, 0] - x[2], points[start + n, 1] - x[3], points[start + n, 2]
+            px, py, pz = xs[n] - x[2], ys[n] - x[3], zs[n]
             turned = sa * py - ca * pz
             u = cb * px + sb * turned
             v = ca * py + sa * pz
             r = max(math.sqrt(u * u + v * v), 1e-9)
             cu, cv = u / r, v / r
             twofold, quarter = cu * cu - cv * cv, 2.0 * cu * cv
-            w = math.sqrt(weight[start + n])
+            w = math.sqrt(worth[n])
             rows[0, n] = w * (cu * sb * v + cv * (ca * pz - sa * py))
             rows[1, n] = w * (cu * (cb * turned - sb * px))
             rows[2, n] = -w * cu * cb
@@ -395,7 +390,7 @@ def _products(points, weight, x, radius, out):  # type: ignore[no-untyped-def]
             rows[7, n] = w * (r - radius - x[4] - x[5] * twofold - x[6] * quarter)
         for i in range(8):
             for j in range(i, 8):
-                a, b = rows[i, :size], rows[j, :size]
+                a, b = rows[i], rows[j]
                 total = 0.0
                 for n in range(size):
                     total += a[n] * b[n]
