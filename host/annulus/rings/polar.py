@@ -143,7 +143,7 @@ def unroll(image: NDArray[np.uint8], grid: PolarGrid) -> Unrolled:
     """
     image = np.ascontiguousarray(image)
     height, width = image.shape[:2]
-    black, gain, start, stop = _lit(image, grid)
+    black, gain, start, stop = _lit(image, grid.map_xy, grid.stop)
     plane = np.empty((height, width), np.uint8)
     ends = grid.first + grid.step * start, grid.first + grid.step * stop
     _strongest(image.reshape(-1), width, *grid.centre, min(ends) - 3.0, max(ends) + 3.0, black, gain, plane.reshape(-1))
@@ -153,47 +153,76 @@ def unroll(image: NDArray[np.uint8], grid: PolarGrid) -> Unrolled:
     return Unrolled(image, top, start, *_level(top, grid.stop - start))
 
 
-def _lit(image: NDArray[np.uint8], grid: PolarGrid) -> tuple[NDArray[np.int32], NDArray[np.int32], int, int]:
+@jit
+def _lit(image, map_xy, stop):  # type: ignore[no-untyped-def]
     """What a coarse look at the frame says: (3,) black levels, (3,) gains in 1/64, and the samples from where to where
     there is light. A slit has light on both sides, so there is none outside."""
+    lines, length = (len(stop) + PROBE_LINES - 1) // PROBE_LINES, map_xy.shape[1]
+    seen = np.zeros((lines, length // PROBE_PX + 1, 3), np.uint8)
     counted = np.zeros((3, 256), np.int64)
-    _probe(image, grid.map_xy, grid.stop, counted)
-    counted = np.cumsum(counted, axis=1)
-    black, full = (np.array([np.searchsorted(c, part * c[-1]) for c in counted]) for part in (0.02, 0.97))
-    light = np.maximum(full - black, 1)
-    gain = light.max() / light
-    gain = np.where(gain > WEAK, np.rint(64 * np.minimum(gain, RAISED_MOST)), 64).astype(np.int32)
-    black = np.where(gain > 64, black, 0).astype(np.int32)
-    start, stop = _light_range(image, grid.map_xy, grid.stop, black, gain, int(64 * max(LIT * light.max(), 2.0)))
-    length = grid.map_xy.shape[1]
-    start = max(min(start - LIT_MARGIN, length - 16), 0)
-    return black, gain, start, max(min(stop + LIT_MARGIN, length), start + 16)
-
-
-def _level(top: NDArray[np.uint8], stop: NDArray[np.int64]) -> tuple[float, float]:
-    """The frame's bright level and noise in grey levels, from every 24th line and every third sample along it."""
-    levels, steps = np.zeros(256, np.int64), np.zeros((256, 256), np.int32)
-    _count(top, stop, levels, steps)
-    counted = np.cumsum(levels)
-    if not counted[-1]:
-        return 0.0, 0.0
-    half, bright = np.searchsorted(counted, (0.5 * counted[-1], 0.95 * counted[-1]))
-    # the darker half of the samples holds few edges; a step of n is anything up to n
-    step = steps[: half + 1].sum(axis=0)
-    counted = np.cumsum(step)
-    at = int(np.searchsorted(counted, 0.5 * counted[-1]))
-    middle = at - 0.5 + (0.5 * counted[-1] - counted[at] + step[at]) / step[at]
-    return float(bright), SIGMA_OF_MAD / math.sqrt(2) * float(max(middle, 0.0))
+    for line in range(lines):
+        for n in range((stop[line * PROBE_LINES] + PROBE_PX - 1) // PROBE_PX):
+            x, y = map_xy[line * PROBE_LINES + 1, n * PROBE_PX]
+            for c in range(3):
+                seen[line, n, c] = image[y, x, c]
+                counted[c, image[y, x, c]] += 1
+    black, gain, light = np.zeros(3, np.int32), np.full(3, 64, np.int32), np.empty(3)
+    for c in range(3):
+        black[c] = _rank(counted[c], 0.02)
+        light[c] = max(_rank(counted[c], 0.97) - black[c], 1)
+    most = light.max()
+    for c in range(3):
+        if most / light[c] > WEAK:
+            gain[c] = np.int32(np.rint(64 * min(most / light[c], RAISED_MOST)))
+        else:
+            black[c] = 0
+    # one sample brighter than the limit is noise, one together with the next is light
+    limit, first, last = int(64 * max(LIT * most, 2.0)), length, 0
+    for line in range(lines):
+        before = False
+        for n in range((stop[line * PROBE_LINES] + PROBE_PX - 1) // PROBE_PX):
+            lit = False
+            for c in range(3):
+                lit |= (np.int32(seen[line, n, c]) - black[c]) * gain[c] > limit
+            if lit and before:
+                first, last = min(first, (n - 1) * PROBE_PX), max(last, n * PROBE_PX)
+            before = lit
+    first = max(min(first - LIT_MARGIN, length - 16), 0)
+    return black, gain, first, max(min(last + LIT_MARGIN, length), first + 16)
 
 
 @jit
-def _count(top, stop, levels, steps):  # type: ignore[no-untyped-def]
-    """Counts of grey levels, (256,), and of steps from the sample before, by level, (256, 256)."""
+def _level(top, stop):  # type: ignore[no-untyped-def]
+    """The frame's bright level and noise in grey levels, from every 24th line and every third sample along it."""
+    levels, steps = np.zeros(256, np.int64), np.zeros((256, 256), np.int32)  # the step from the sample before, by level
+    size = 0
     for j in range(0, len(stop), 24):
         for i in range(1, min(stop[j], top.shape[1]), 3):
             value = np.int64(top[j, i])
             levels[value] += 1
             steps[value, abs(value - np.int64(top[j, i - 1]))] += 1
+            size += 1
+    if not size:
+        return 0.0, 0.0
+    # the darker half of the samples holds few edges; a step of n is anything up to n
+    some, step = 0, np.zeros(256, np.int64)
+    for value in range(_rank(levels, 0.5) + 1):
+        for n in range(256):
+            step[n] += steps[value, n]
+        some += levels[value]
+    at = _rank(step, 0.5)
+    middle = at - 0.5 + (0.5 * some - step[:at].sum()) / step[at]
+    return float(_rank(levels, 0.95)), SIGMA_OF_MAD / math.sqrt(2) * max(middle, 0.0)
+
+
+@jit
+def _rank(counted, part):  # type: ignore[no-untyped-def]
+    """The level below or at which that part of what was counted lies."""
+    total, level, wanted = counted[0], 0, part * counted.sum()
+    while total < wanted:
+        level += 1
+        total += counted[level]
+    return level
 
 
 def ring_pixels(camera: Camera, cone: Cone, pose: Pose, radius_mm: float, steps: int = 180) -> FloatArray:
@@ -224,33 +253,6 @@ def _length_inside(
             edge = np.where(way > 0, size - 2.0 - at, 1.0 - at) / np.where(np.abs(way) > 1e-12, way, np.nan)
         reach = np.fmin(reach, edge)
     return np.maximum(np.floor(reach - first), 0).astype(np.int64)
-
-
-@jit
-def _probe(image, map_xy, stop, counted):  # type: ignore[no-untyped-def]
-    """Counts the grey levels of each channel, (3, 256), at a coarse grid of samples."""
-    for j in range(0, len(stop), PROBE_LINES):
-        for i in range(0, stop[j], PROBE_PX):
-            x, y = map_xy[j + 1, i, 0], map_xy[j + 1, i, 1]
-            for c in range(3):
-                counted[c, image[y, x, c]] += 1
-
-
-@jit
-def _light_range(image, map_xy, stop, black, gain, limit):  # type: ignore[no-untyped-def]
-    """First and last sample of any line brighter than the limit together with the next: one alone is noise."""
-    start, last = map_xy.shape[1], 0
-    for j in range(0, len(stop), PROBE_LINES):
-        before = False
-        for i in range(0, stop[j], PROBE_PX):
-            x, y = map_xy[j + 1, i, 0], map_xy[j + 1, i, 1]
-            lit = False
-            for c in range(3):
-                lit |= (np.int32(image[y, x, c]) - black[c]) * gain[c] > limit
-            if lit and before:
-                start, last = min(start, i - PROBE_PX), max(last, i)
-            before = lit
-    return start, last
 
 
 @jit

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus.numeric.jit import jit, middle
+from annulus.numeric.jit import around, jit, middle
 from annulus.rings.polar import PolarGrid, Unrolled
 
 # Parts of light unless named. What is found at all is measured by topic colour (share of visible points read) and
@@ -199,26 +199,26 @@ def _sides(image, centre, away, cosine, sine, found, direction, place, light):  
     """The light beside each slit, (2, N, 3): BGR of the inner side, of the outer, the slit's own darkness taken off.
 
     Nearest pixels at every other sample, half of them the line's own, the rest of its two neighbours."""
-    right, low, lines = image.shape[1] - 1, image.shape[0] - 1, len(cosine)
+    width, right, low, lines = image.shape[1], image.shape[1] - 1, image.shape[0] - 1, len(cosine)
+    run = image.reshape(-1)
     for n in range(len(direction)):
         j = int(found[n, 0])
         direction[n], place[0, n], place[1, n], place[2, n] = j, found[n, 1], found[n, 2], found[n, 9]
         dark = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+        before, after = around(j - 1, lines), around(j + 1, lines)
         for part in range(3):
             a = int(found[n, 3]) - 1 if part == 0 else int(found[n, 3 + 2 * part])
             b = a + 2 if part == 0 else max(a, int(found[n, 4 + 2 * part]))
             blue, green, red = 0, 0, 0
             for i in range(a, b + 1, 2):
-                way = j
-                if (i - a) & 2:
-                    way += ((i - a) & 4) // 2 - 1
-                    way += lines if way < 0 else -lines if way == lines else 0
+                way = j if not (i - a) & 2 else after if (i - a) & 4 else before
                 far = away[0] + away[1] * i
                 x = min(max(int(centre[0] + far * cosine[way] + 0.5), 0), right)
                 y = min(max(int(centre[1] + far * sine[way] + 0.5), 0), low)
-                blue += image[y, x, 0]
-                green += image[y, x, 1]
-                red += image[y, x, 2]
+                at = np.uint64(3 * (y * width + x))  # unsigned: nothing to look after below zero
+                blue += run[at]
+                green += run[at + np.uint64(1)]
+                red += run[at + np.uint64(2)]
             scale = np.float32(1.0 / ((b - a) // 2 + 1))
             if part == 0:
                 dark = blue * scale, green * scale, red * scale

@@ -123,7 +123,8 @@ def meet_rings(origins: FloatArray, rays: FloatArray, cones: FloatArray) -> Floa
     out = np.empty((len(rays), len(cones), 3))
     for n in range(len(rays)):
         for k in range(len(cones)):
-            _meet(*origins[n], *rays[n], cones[k], math.cos(cones[k, 6]) ** 2, out[n, k])
+            far = _meet(*origins[n], *rays[n], cones[k], math.cos(cones[k, 6]) ** 2)
+            out[n, k] = origins[n] + far * rays[n]
     return out
 
 
@@ -165,14 +166,16 @@ def _all_rings(direction, position, width, rays, origins, step, cones, bend, cor
             y = rays[j, i, 1] + part * (rays[j, i + 1, 1] - rays[j, i, 1])
             z = rays[j, i, 2] + part * (rays[j, i + 1, 2] - rays[j, i, 2])
             scale = 1.0 / math.sqrt(x * x + y * y + z * z)
+            x, y, z = x * scale, y * scale, z * scale
             if origins is not None:  # decided when compiled: a camera with one centre does not pay for it
                 ox = origins[j, i, 0] + part * (origins[j, i + 1, 0] - origins[j, i, 0])
                 oy = origins[j, i, 1] + part * (origins[j, i + 1, 1] - origins[j, i, 1])
                 oz = origins[j, i, 2] + part * (origins[j, i + 1, 2] - origins[j, i, 2])
-            _meet(ox, oy, oz, x * scale, y * scale, z * scale, cones[k], squares[k], out[n, k])
+            far = _meet(ox, oy, oz, x, y, z, cones[k], squares[k])
             if corrections is not None:  # once more with the cone that was measured at this azimuth
-                _corrected(out[n, k], cones[k], corrections[k], own)
-                _meet(ox, oy, oz, x * scale, y * scale, z * scale, own, math.cos(own[6]) ** 2, out[n, k])
+                _corrected((ox + far * x, oy + far * y, oz + far * z), cones[k], corrections[k], own)
+                far = _meet(ox, oy, oz, x, y, z, own, math.cos(own[6]) ** 2)
+            out[n, k, 0], out[n, k, 1], out[n, k, 2] = ox + far * x, oy + far * y, oz + far * z
 
 
 @jit
@@ -196,28 +199,24 @@ def _corrected(point, cone, correction, out):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _meet(ox, oy, oz, x, y, z, cone, cos2, out):  # type: ignore[no-untyped-def]
-    """Ray from o along x, y, z and cone: Alzuhiri 2022, App. A.2; of two forward roots the farther, §5.2."""
-    out[0] = out[1] = out[2] = np.nan
+def _meet(ox, oy, oz, x, y, z, cone, cos2):  # type: ignore[no-untyped-def]
+    """How far along its unit way x, y, z a ray from o meets a cone, NaN if nowhere: Alzuhiri 2022, App. A.2; of two
+    forward roots the farther, §5.2."""
     vx, vy, vz, ax, ay, az = cone[0] - ox, cone[1] - oy, cone[2] - oz, cone[3], cone[4], cone[5]
     along = x * ax + y * ay + z * az
     va = -(vx * ax + vy * ay + vz * az)
     wv = -(x * vx + y * vy + z * vz)
     vv = vx * vx + vy * vy + vz * vz
     if cos2 < FLAT:
-        if along != 0.0 and abs(along) > GRAZING and -va / along > 0.0:
-            best = -va / along
-            out[0], out[1], out[2] = ox + best * x, oy + best * y, oz + best * z
-        return
+        return -va / along if abs(along) > GRAZING and -va / along > 0.0 else np.nan
     a = along * along - cos2
     b = 2.0 * (along * va - wv * cos2)
     c = va * va - vv * cos2
     # b b - 4 a c with what cancels taken out, for a cone that is nearly flat
     inside = 4.0 * cos2 * (along * along * vv - 2.0 * along * va * wv + va * va + cos2 * (wv * wv - vv))
     if inside <= 0.0:
-        return
-    delta = math.sqrt(inside)
-    q = -0.5 * (b + math.copysign(delta, b))
+        return np.nan
+    q = -0.5 * (b + math.copysign(math.sqrt(inside), b))
     best = 0.0
     if a != 0.0:
         s = q / a
@@ -229,5 +228,4 @@ def _meet(ox, oy, oz, x, y, z, cone, cos2, out):  # type: ignore[no-untyped-def]
             best = s
     # delta over the length of the cone's gradient there is the sine of the angle between ray and cone
     away2 = vv + 2.0 * best * wv + best * best
-    if best > 0.0 and inside > GRAZING * GRAZING * 4.0 * cos2 * (1.0 - cos2) * away2:
-        out[0], out[1], out[2] = ox + best * x, oy + best * y, oz + best * z
+    return best if best > 0.0 and inside > GRAZING * GRAZING * 4.0 * cos2 * (1.0 - cos2) * away2 else np.nan
