@@ -205,13 +205,12 @@ def _level(top, stop):  # type: ignore[no-untyped-def]
     if not size:
         return 0.0, 0.0
     # the darker half of the samples holds few edges; a step of n is anything up to n
-    some, step = 0, np.zeros(256, np.int64)
-    for value in range(_rank(levels, 0.5) + 1):
+    half, step = _rank(levels, 0.5) + 1, np.zeros(256, np.int64)
+    for level in range(half):
         for n in range(256):
-            step[n] += steps[value, n]
-        some += levels[value]
+            step[n] += steps[level, n]
     at = _rank(step, 0.5)
-    middle = at - 0.5 + (0.5 * some - step[:at].sum()) / step[at]
+    middle = at - 0.5 + (0.5 * step.sum() - step[:at].sum()) / step[at]
     return float(_rank(levels, 0.95)), SIGMA_OF_MAD / math.sqrt(2) * max(middle, 0.0)
 
 
