@@ -147,7 +147,7 @@ class Reconstructor:
         clipped = np.empty(len(kept), np.bool_)
         _beside(kept, slits.inside, slits.outside, light, clipped)
         marks.append(("points", clock()))
-        sigma = point_sigma(
+        sigma, of_rings = point_sigma(
             ring[kept], slits.direction[kept], seen, slits.edge_blur[kept], wider[kept], clipped, self._optics,
             self._calibrated, fitted, line_bias(slits) if self.calibration.kind == "line" else BIAS_PX,
         )  # fmt: skip
@@ -155,7 +155,7 @@ class Reconstructor:
         return Profile(
             frame, z_mm, pose, wall.astype(np.float32), light, ring[kept].astype(np.uint8),
             slits.direction[kept].astype(np.uint16), fitted.robust_sigma_mm, rejected, _spans(marks),
-            sigma, fitted.lean_sigma_deg,
+            sigma, fitted.lean_sigma_deg, ring_sigma_mm=of_rings,
         )  # fmt: skip
 
     def _slits(self, image_bgr: NDArray[np.uint8], mark: Callable[[str], None]) -> _Seen:

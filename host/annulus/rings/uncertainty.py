@@ -35,8 +35,9 @@ def point_sigma(
     calibrated_mm: FloatArray,
     fit: Fit,
     bias_px: float = BIAS_PX,
-) -> NDArray[np.float32]:
-    """Standard deviation of each point's radius from the pipe's axis, (N,) mm.
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Standard deviation of each point's radius from the pipe's axis, (N,) mm; and of it, (K, 2), what all points of a
+    ring have in common: how far its edges seem drawn, and what the calibration leaves, the mean round the ring.
 
     Parameters
     ----------
@@ -59,12 +60,12 @@ def point_sigma(
       from nothing (both edges) to half of that (one), evenly.
     - the pose, by its covariance, and the calibration, by its own.
     """
-    out = np.empty(len(ring), np.float32)
+    out, drawn = np.empty(len(ring), np.float32), np.empty(len(calibrated_mm))
     _combine(
         ring, direction, points_mm, fit.pose.rotation, fit.pose.translation, fit.covariance, edge_blur,
-        width_off_px, clipped, optics.mm_per_px, calibrated_mm, bias_px, out,
+        width_off_px, clipped, optics.mm_per_px, calibrated_mm, bias_px, out, drawn,
     )  # fmt: skip
-    return out
+    return out, np.stack([drawn, calibrated_mm.mean(axis=1)], axis=1).astype(np.float32)
 
 
 def calibrated(calibration: Calibration, grid: PolarGrid, optics: RingOptics) -> FloatArray:
@@ -126,6 +127,7 @@ def _combine(  # type: ignore[no-untyped-def]
     calibrated,
     least,
     out,
+    drawn,
 ):
     rings, directions = calibrated.shape
     radius = np.zeros((rings, directions))  # 0: no point
@@ -176,25 +178,27 @@ def _combine(  # type: ignore[no-untyped-def]
         if median[k] > 0:
             work[size] = median[k]
             size += 1
-    common = middle(work, size)
+    wall = middle(work, size)
     apart = np.zeros(rings)
     if size > 1:
         size = 0
         for k in range(rings):
             if median[k] > 0:
-                apart[k] = abs(median[k] - common) / mm_per_px[k]
+                apart[k] = abs(median[k] - wall) / mm_per_px[k]
                 work[size] = apart[k]
                 size += 1
         bias = min(max(SIGMA_OF_MAD * middle(work, size), least), DRAWN_PX)
     else:
         bias = least
+    share = np.empty(rings)  # px
+    for k in range(rings):
+        share[k] = apart[k] if bias < apart[k] < DRAWN_PX else bias
+        drawn[k] = np.sqrt(max(share[k] ** 2 - least**2, 0.0)) * mm_per_px[k]
     for n in range(len(ring)):
         k = ring[n]
         soft = min(max(edge_blur[n] / usual[k], BLUR_LEAST), BLUR_MOST)
         place = (scatter[k] * soft) ** 2
-        drawn = apart[k] if bias < apart[k] < DRAWN_PX else bias
-        if clipped[n]:
-            drawn = max(drawn, CLIPPED_PX)
+        common = max(share[k], CLIPPED_PX) if clipped[n] else share[k]
         # the width scatters by twice what the middle does; only what is more is not noise
         other = max((0.5 * width_off[n] * mm_per_px[k]) ** 2 - 4.0 * place, 0.0) / 3.0
-        out[n] = np.sqrt(place + (drawn * mm_per_px[k]) ** 2 + other + pose[n] + calibrated[k, direction[n]] ** 2)
+        out[n] = np.sqrt(place + (common * mm_per_px[k]) ** 2 + other + pose[n] + calibrated[k, direction[n]] ** 2)

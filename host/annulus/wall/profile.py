@@ -23,8 +23,10 @@ class Profile:
     first; `direction` is the index of the polar direction; `colour` is the wall's colour beside the slit, RGB.
     `residual_mm` is the robust sigma of the points about the fitted cylinder; NaN without a pose. `rejected` counts
     every slit that was seen and not used, by reason; `timing_ms` the stages. `sigma_mm` is the standard deviation of
-    each point's radius from the pipe's axis; NaN where nobody said. `seen_by` is the camera that saw each point; of a
-    head with several it is their number where more than one did.
+    each point's radius from the pipe's axis; NaN where nobody said. `ring_sigma_mm` (K, 2) are the parts of it that
+    a ring's points have in common: how far its edges seem drawn, and what the calibration leaves; empty where nobody
+    said. `seen_by` is the camera that saw each point; of a head with several it is their number where more than one
+    did.
     """
 
     frame: int
@@ -40,6 +42,7 @@ class Profile:
     sigma_mm: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, np.float32))  # (N,)
     lean_sigma_deg: float = math.nan  # how well the pose knows the head's lean; large with one ring
     camera: int = 0  # the frame's, see FrameHeader
+    ring_sigma_mm: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 2), np.float32))
     seen_by: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, np.uint8))  # (N,)
 
     def __post_init__(self) -> None:
@@ -73,6 +76,7 @@ class Profile:
             "direction": self.direction.astype("<u2").tobytes(),
             "sigma": self.sigma_mm.astype("<f4").tobytes(),
             **({"seen_by": self.seen_by.tobytes()} if (self.seen_by != self.camera).any() else {}),
+            "ring_sigma": self.ring_sigma_mm.astype("<f4").tobytes(),
             "residual_mm": self.residual_mm,
             "lean_sigma_deg": self.lean_sigma_deg,
             "rejected": dict(self.rejected),
@@ -92,11 +96,14 @@ class Profile:
         direction = _array(data, "direction", "<u2", 1)[:, 0]
         # recordings made before there was a sigma have none
         sigma = _array(data, "sigma", "<f4", 1)[:, 0] if "sigma" in data else np.full(len(ring), np.nan, np.float32)
+        of_rings = _array(data, "ring_sigma", "<f4", 2) if "ring_sigma" in data else np.zeros((0, 2), np.float32)
         seen_by = _array(data, "seen_by", "u1", 1)[:, 0] if "seen_by" in data else np.zeros(len(ring), np.uint8)
         if not len(seen_by) == len(sigma) == len(points) == len(colour) == len(direction) == len(ring):
             raise ValueError("a profile's arrays must be of one length")
         if not np.isfinite(points).all():
             raise ValueError("a profile's points must be finite")
+        if len(of_rings) > 256 or not (of_rings >= 0).all() or np.isinf(of_rings).any():
+            raise ValueError("a profile's ring_sigma must be two lengths a ring")
         if (sigma < 0).any() or np.isinf(sigma).any():
             raise ValueError("a profile's sigma must be a length or NaN")
         frame = untrusted.whole(data.get("frame"), "a profile's frame", 0, 2**63 - 1)
@@ -117,6 +124,7 @@ class Profile:
             sigma.astype(np.float32),
             math.nan if pose is None or "lean_sigma_deg" not in data else _lean_sigma(data["lean_sigma_deg"]),
             untrusted.whole(data.get("camera", 0), "a profile's camera", 0, 255),
+            of_rings.astype(np.float32),
             seen_by if "seen_by" in data else np.zeros(0, np.uint8),
         )
 

@@ -17,6 +17,7 @@ from annulus.wall.axis import find_axis
 from annulus.wall.bends import find_bends
 from annulus.wall.centreline import Centreline
 from annulus.wall.consistency import without_inconsistent
+from annulus.wall.crosscheck import with_revised_sigma
 from annulus.wall.defects import Defect, Detection, Kind, find_defects
 from annulus.wall.features import Feature
 from annulus.wall.grid import Wall, build_wall
@@ -213,6 +214,8 @@ def survey(
     if vibration:
         measured, shaken = without_vibration(measured, fps)
         done("vibration")
+    measured = with_revised_sigma(measured, axis.centreline)
+    done("sigma")
     wall = build_wall(measured, rise=widest, centreline=axis.centreline)
     done("wall")
     joints = find_joints(wall, measured, axis)
