@@ -27,6 +27,27 @@ def test_an_arc_that_other_frames_contradict_is_dropped_and_counted(error_mm: fl
     assert dropped == len(profiles[20].points_mm) - len(after[20].points_mm) >= 60
 
 
+def test_who_is_contradicted_along_most_of_an_arc_is_not_believed_where_nobody_else_looked() -> None:
+    profiles = scan(round_pipe, rods_deg=())
+    false = with_false_arc(profiles[20], 2, -2.0)
+    gone = false.points_mm[(false.ring == 2) & (false.direction < 12), :3].mean(axis=0)
+    profiles = [p.without(np.linalg.norm(p.points_mm - gone, axis=1) < 12.0, "stain") for p in profiles]
+    profiles[20] = false
+    error = np.hypot(*without_inconsistent(profiles)[20].points_mm[:, :2].T) - RADIUS_MM
+    assert np.abs(error).max() < 1.0
+
+
+def test_many_noisy_points_do_not_vouch_for_one_against_few_that_are_sure() -> None:
+    profiles = [
+        replace(p, sigma_mm=np.array([1.0, 0.06, 0.04, 0.03, 0.02], np.float32)[p.ring]) for p in scan(round_pipe)
+    ]
+    for i in range(15, 26):  # ring 0 is wrong alike in a fourth of the frames
+        profiles[i] = with_false_arc(profiles[i], 0, 2.0)
+    after = without_inconsistent(profiles)
+    left = sum(np.count_nonzero(np.hypot(*p.points_mm[:, :2].T) - RADIUS_MM > 1.5) for p in after)
+    assert left < 0.1 * 11 * 72
+
+
 def test_a_real_defect_is_no_contradiction() -> None:
     profiles = scan(bump(pocket(round_pipe, 90, 12, 130, 165, 5.0), 270, 150, 12.0, 4.0))
     after = without_inconsistent(profiles)
