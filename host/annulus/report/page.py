@@ -13,6 +13,8 @@ from annulus.report.half_view import EXAGGERATION
 from annulus.report.paper import letter, question
 from annulus.wall.defects import ALL_ROUND_DEG, UNSURE, Defect, Kind, clock_face
 from annulus.wall.features import Feature, FeatureKind, Measure
+from annulus.wall.lost import RING_LOST
+from annulus.wall.stations import NOT_ENOUGH
 from annulus.wall.survey import Survey
 
 TEMPLATE = "page.html.j2"
@@ -100,8 +102,11 @@ def _verdict(survey: Survey) -> str:
         said.append(
             f"{_count(undecided, 'place stands', 'places stand')} out and could not be decided: see below, look there."
         )
-    if survey.findings:
+    missed = {finding.kind for finding in survey.findings}
+    if NOT_ENOUGH in missed:
         said.append("Not enough of it was seen to say what shape the pipe has: see below.")
+    if RING_LOST in missed:
+        said.append("A ring of the pattern was lost: see below.")
     return " ".join(said)
 
 

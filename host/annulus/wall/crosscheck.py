@@ -104,7 +104,7 @@ def _pairs(profiles: Sequence[Profile], ring: NDArray[np.intp], centreline: Cent
 
 
 def _calm(cell: NDArray[np.int64], radius: FloatArray, rows: int, slack: float) -> BoolArray:
-    """(cells,) whether the wall is even to `slack` over a spot and those around it: on a flank points rightly differ."""
+    """(cells,) whether the wall is even to `slack` over a spot and those around it: points of a flank differ."""
     wall, _ = cell_medians(cell, radius, (rows, COLUMNS))
     wall = np.pad(wall, ((0, 0), (1, 1)), mode="wrap")
     unseen = ~np.isfinite(wall)
@@ -143,14 +143,14 @@ def _noises(pairs: _Pairs, ring: NDArray[np.intp], usual: FloatArray, bias: Floa
     rings = len(usual)
     rows, most = [], np.full(rings, np.inf)
     for i, k, apart in _by_rings(pairs, ring, rings):
-        square = (float(np.percentile(np.abs(apart - bias[i] + bias[k]), OFTEN)) / NORMAL) ** 2
-        trust = math.sqrt(len(apart)) / max(square, 1e-12)
+        both = (float(np.percentile(np.abs(apart - bias[i] + bias[k]), OFTEN)) / NORMAL) ** 2
+        trust = math.sqrt(len(apart)) / max(both, 1e-12)
         row = np.zeros(rings + 1)
         row[i] += trust
         row[k] += trust
-        row[-1] = trust * square
+        row[-1] = trust * both
         rows.append(row)
-        most[[i, k]] = np.minimum(most[[i, k]], square / (2 if i == k else 1))
+        most[[i, k]] = np.minimum(most[[i, k]], both / (2 if i == k else 1))
     if not rows:
         return np.full(rings, np.nan)
     table = np.array(rows)

@@ -24,6 +24,7 @@ from annulus.wall.grid import Wall, build_wall
 from annulus.wall.gyro import NO_TURNS, Turns
 from annulus.wall.joints import find_joints, taken, without_hidden
 from annulus.wall.levels import covered, without_levels
+from annulus.wall.lost import lost_rings
 from annulus.wall.openings import find_openings
 from annulus.wall.profile import Profile
 from annulus.wall.registration import register
@@ -79,8 +80,9 @@ class Survey:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Where too little was seen to say what shape the pipe has; what of the sensors was not believed."""
-        return *not_enough_seen(self.wall, self.features), *self.disbelieved
+        """Where too little was seen to say what shape the pipe has; which rings of the pattern were lost; what of the
+        sensors was not believed."""
+        return *not_enough_seen(self.wall, self.features), *lost_rings(self.profiles), *self.disbelieved
 
     @property
     def points(self) -> int:

@@ -55,6 +55,19 @@ def test_a_page_is_green_only_where_nothing_at_all_is_listed(sound: Survey, tmp_
     assert said.startswith(": 1 wall loss. Deepest") and said.endswith("Also in the pipe: 1 joint.")
 
 
+def test_a_ring_that_was_lost_is_said_in_the_verdict_the_warnings_and_the_summary(
+    sound: Survey, tmp_path: Path
+) -> None:
+    without = replace(sound, profiles=tuple(p.without(p.ring == 1, "swallowed") for p in sound.profiles))
+    summary, page = written(without, tmp_path)
+    assert verdict(page).startswith("look: No defect") and verdict(page).endswith(
+        "A ring of the pattern was lost: see below."
+    )
+    (warning,) = summary["warnings"]  # type: ignore[misc,attr-defined]
+    assert warning["kind"] == "ring lost" and len(warning["frames"]) == 20
+    assert "ring 2 of 5" in warning["text"] and "ring 2 of 5" in page
+
+
 def test_every_feature_has_its_row_its_letter_and_its_picture(sound: Survey, tmp_path: Path) -> None:
     pipe = replace(
         sound, features=(JOINT, OPENING, BEYOND), detection=replace(sound.detection, undecided=(PLACE,))

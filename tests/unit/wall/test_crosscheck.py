@@ -20,7 +20,7 @@ def said(
     profiles: Sequence[Profile], *, times: float = 1.0, drawn: Sequence[float] = (0, 0, 0, 0, 0),
     calibrated: float = 0.0, bias: Sequence[float] = (0, 0, 0, 0, 0),
 ) -> list[Profile]:  # fmt: skip
-    """Each ring off by a bias; its points say `times` their noise, what it seems drawn and what the calibration leaves."""
+    """Each ring off by a bias; points say `times` their noise, how far it seems drawn, what the calibration leaves."""
     parts = np.stack([np.array(drawn, float), np.full(5, calibrated)], axis=1)
     sigma = np.sqrt((times * NOISE) ** 2 + (parts**2).sum(axis=1))
     out = []
@@ -34,7 +34,7 @@ def said(
                 points_mm=points.astype(np.float32),
                 sigma_mm=sigma[one.ring].astype(np.float32),
                 ring_sigma_mm=parts.astype(np.float32),
-            )  # fmt: skip
+            )
         )
     return out
 
