@@ -29,6 +29,7 @@ from annulus.rings.decode import NONE, UNKNOWN, classify, decode, readings
 from annulus.rings.lines import find_lines, line_bias, name_lines
 from annulus.rings.order import Placed, by_order
 from annulus.rings.outliers import reject_outliers
+from annulus.rings.pedestal import without_pedestal
 from annulus.rings.polar import polar_grid, unroll
 from annulus.rings.slits import Slits, find_slits
 from annulus.rings.triangulate import deviations, ring_optics, triangulate
@@ -159,7 +160,7 @@ class Reconstructor:
         )  # fmt: skip
 
     def _slits(self, image_bgr: NDArray[np.uint8], mark: Callable[[str], None]) -> _Seen:
-        polar = unroll(image_bgr, self._grid)
+        polar = unroll(without_pedestal(image_bgr, self._grid.spacing_px), self._grid)
         mark("polar")
         slits = find_slits(polar, self._grid)
         mark("slits")
@@ -187,7 +188,7 @@ class Reconstructor:
 
     def slits_by_order(self, image_bgr: NDArray[np.uint8]) -> tuple[Slits, Placed | None]:
         """A frame's slits, and which ring each is by its order alone; colours can be learnt from that."""
-        slits = find_slits(unroll(image_bgr, self._grid), self._grid)
+        slits = find_slits(unroll(without_pedestal(image_bgr, self._grid.spacing_px), self._grid), self._grid)
         return slits, by_order(slits, self._grid, self._optics, self._expected, self.calibration.pipe_radius_mm)
 
     def _fit(

@@ -13,6 +13,7 @@ from annulus.numeric.jit import jit
 from annulus.numeric.robust import SIGMA_OF_MAD
 from annulus.rings.decode import NONE, classify, decode, readings
 from annulus.rings.lines import find_lines, name_lines
+from annulus.rings.pedestal import without_pedestal
 from annulus.rings.polar import PolarGrid, lay_grid, unroll
 from annulus.rings.slits import Slits, find_slits
 
@@ -70,7 +71,7 @@ def follow(image_bgr: NDArray[np.uint8], grid: PolarGrid, colours: str) -> Conto
     A line is read by the order of its colours alone (`decode` with a wall that deviates nowhere). What that leaves
     unread or reads wrong, a ring's own course round the image mends: the running median of its slits.
     """
-    slits = find_slits(unroll(image_bgr, grid), grid)
+    slits = find_slits(unroll(without_pedestal(image_bgr, grid.spacing_px), grid), grid)
     both = classify(np.vstack([slits.inside, slits.outside]), colours)
     inside, outside = both[: len(slits.position)], both[len(slits.position) :]
     allowed = readings(inside, outside, colours)
@@ -145,7 +146,7 @@ class Look:
 
 def read_colours(image_bgr: NDArray[np.uint8], grid: PolarGrid) -> str:
     """The stripes of a frame from the innermost outwards as they look, whatever the pattern should be; "?" unclear."""
-    slits = find_slits(unroll(image_bgr, grid), grid)
+    slits = find_slits(unroll(without_pedestal(image_bgr, grid.spacing_px), grid), grid)
     both = classify(np.vstack([slits.inside, slits.outside]), "RGB")
     inside, outside = both[: len(slits.position)], both[len(slits.position) :]
     count = np.bincount(slits.direction, minlength=len(grid.cosine))
