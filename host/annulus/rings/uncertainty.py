@@ -37,7 +37,8 @@ def point_sigma(
     bias_px: float = BIAS_PX,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Standard deviation of each point's radius from the pipe's axis, (N,) mm; and of it, (K, 2), what all points of a
-    ring have in common: how far its edges seem drawn, and what the calibration leaves, the mean round the ring.
+    ring have in common: how far its edges seem drawn, and what no other frame can show: `bias_px`, and what the
+    calibration leaves, the mean round the ring.
 
     Parameters
     ----------
@@ -65,7 +66,8 @@ def point_sigma(
         ring, direction, points_mm, fit.pose.rotation, fit.pose.translation, fit.covariance, edge_blur,
         width_off_px, clipped, optics.mm_per_px, calibrated_mm, bias_px, out, drawn,
     )  # fmt: skip
-    return out, np.stack([drawn, calibrated_mm.mean(axis=1)], axis=1).astype(np.float32)
+    fixed = np.hypot(bias_px * optics.mm_per_px, calibrated_mm.mean(axis=1))
+    return out, np.stack([drawn, fixed], axis=1).astype(np.float32)
 
 
 def calibrated(calibration: Calibration, grid: PolarGrid, optics: RingOptics) -> FloatArray:

@@ -3,7 +3,7 @@
 A frame sees its own noise, and guesses from how its rings disagree how far their edges are drawn; a taper, a step or a
 pose that is off looks the same to it. Frames overlap: where two of them look at one spot of the wall, through one ring
 or two, they differ by the errors of both and by nothing of the pipe's. What all rings and frames have in common is
-seen by nobody here: the calibration's share stays as it was.
+seen by nobody here: that share stays as it was.
 """
 
 import math
@@ -39,7 +39,8 @@ def with_revised_sigma(profiles: Sequence[Profile], centreline: Centreline) -> t
     """The same profiles in pipe coordinates, each point's sigma such that the frames' disagreements are what it says.
 
     Of every ring over the scan: how far it lies off the others is a bias, known but not taken out; how far frames
-    scatter scales what its points said of their own noise and pose. Where frames do not overlap, sigma stays.
+    scatter scales what its points said of their own noise and pose: upwards only as long as the poses are the frames'
+    own, for neighbours err a little alike; of a pipe of pieces they are not. Where frames do not overlap, sigma stays.
     """
     used = [profile for profile in profiles if _said(profile)]
     if not used:
@@ -51,6 +52,8 @@ def with_revised_sigma(profiles: Sequence[Profile], centreline: Centreline) -> t
     pairs = _pairs(used, ring, centreline)
     bias, common = _biases(pairs, ring, usual)
     noise = _noises(pairs, ring, usual, bias)
+    if len(centreline.pieces) == 1:
+        noise = np.maximum(noise, usual)
     known = np.isfinite(noise)
     out, at = [], 0
     for profile in profiles:
@@ -71,10 +74,10 @@ def _said(profile: Profile) -> bool:
 
 
 def _parts(profile: Profile) -> tuple[FloatArray, FloatArray]:
-    """Per point, mm^2: what it said of noise and pose; what the calibration leaves."""
-    drawn, calibrated = profile.ring_sigma_mm.astype(np.float64)[profile.ring].T
+    """Per point, mm^2: what it said of noise and pose; what no frame can show."""
+    drawn, hidden = profile.ring_sigma_mm.astype(np.float64)[profile.ring].T
     said = profile.sigma_mm.astype(np.float64) ** 2
-    return np.maximum(said - drawn**2 - calibrated**2, 1e-6 * said), calibrated**2
+    return np.maximum(said - drawn**2 - hidden**2, 1e-6 * said), hidden**2
 
 
 def _pairs(profiles: Sequence[Profile], ring: NDArray[np.intp], centreline: Centreline) -> _Pairs:

@@ -24,9 +24,9 @@ class Profile:
     `residual_mm` is the robust sigma of the points about the fitted cylinder; NaN without a pose. `rejected` counts
     every slit that was seen and not used, by reason; `timing_ms` the stages. `sigma_mm` is the standard deviation of
     each point's radius from the pipe's axis; NaN where nobody said. `ring_sigma_mm` (K, 2) are the parts of it that
-    a ring's points have in common: how far its edges seem drawn, and what the calibration leaves; empty where nobody
-    said. `seen_by` is the camera that saw each point; of a head with several it is their number where more than one
-    did.
+    a ring's points have in common: how far its edges seem drawn, and what no other frame can show, such as what the
+    calibration leaves; empty where nobody said. `seen_by` is the camera that saw each point; of a head with several it
+    is their number where more than one did.
     """
 
     frame: int
