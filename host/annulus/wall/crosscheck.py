@@ -52,6 +52,9 @@ def with_revised_sigma(profiles: Sequence[Profile], centreline: Centreline) -> t
     pairs = _pairs(used, ring, centreline)
     bias, common = _biases(pairs, ring, usual)
     noise = _noises(pairs, ring, usual, bias)
+    # a part of what no frame can show varies all the same, and is in the differences already
+    shown = np.array([np.median(fixed[ring == k]) if (ring == k).any() else 0.0 for k in range(rings)])
+    noise = np.sqrt(np.maximum(noise**2 - shown, noise**2 / 4))
     if len(centreline.pieces) == 1:
         noise = np.maximum(noise, usual)
     known = np.isfinite(noise)
