@@ -17,6 +17,7 @@ from annulus.wall.profile import Profile
 # FARTHEST_OF_RADIUS is guarded downwards by test_texture_shows_a_stain_where_it_is; the others: unguarded.
 NEAREST_OF_RADIUS, FARTHEST_OF_RADIUS = 0.4, 2.2  # of the radius: distances ahead from which colour is taken
 LIGHT_FRAMES = 8  # how many frames teach the fall-off of the LED light along the pipe
+HIDDEN = 0.85  # of another camera's brightness: a cell seen darker is hidden by what is before it; test_pairs
 BLACK = 4.0  # grey levels of a dark pixel; a cell must be brighter than this to have a colour
 
 
@@ -63,8 +64,7 @@ def paint(
     with the fourth power of the distance ahead, as the area a pixel covers does). The fall-off of the LED light along
     the pipe is learned from the frames themselves: at each distance ahead, the median over the clock and the frames.
     """
-    total = np.zeros((*wall.radius_mm.shape, 3), dtype=np.float32)
-    weight = np.zeros(wall.radius_mm.shape, dtype=np.float32)
+    sums: dict[int, tuple[NDArray[np.float32], NDArray[np.float32]]] = {}  # by camera: weighted colours, weights
     waiting: dict[int, list[_Patch]] = {}  # by camera: each has its own light
     light: dict[int, FloatArray] = {}
     points = _surface(wall)
@@ -73,18 +73,22 @@ def paint(
         patch = _look(wall, points, centreline, calibration, pose, frame) if pose is not None else None
         if patch is None:
             continue
+        if frame.camera not in sums:
+            shape = wall.radius_mm.shape
+            sums[frame.camera] = np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32)
         if frame.camera in light:
-            _add(total, weight, patch, light[frame.camera], wall)
+            _add(*sums[frame.camera], patch, light[frame.camera], wall)
             continue
         first = waiting.setdefault(frame.camera, [])
         first.append(patch)
         if len(first) == LIGHT_FRAMES:
-            light[frame.camera] = _learn(total, weight, first, wall)
+            light[frame.camera] = _learn(*sums[frame.camera], first, wall)
     if not waiting:
         return None
     for camera, first in waiting.items():
         if camera not in light:
-            light[camera] = _learn(total, weight, first, wall)
+            light[camera] = _learn(*sums[camera], first, wall)
+    total, weight = _unhidden(list(sums.values()))
     seen = weight > 0
     colour = total / np.maximum(weight, 1e-12)[..., None]
     bright = np.percentile(colour[seen].max(axis=1), 99) if seen.any() else 1.0
@@ -92,6 +96,19 @@ def paint(
     out[..., :3] = np.clip(colour[..., ::-1] * (235.0 / max(float(bright), 1e-6)), 0, 255).astype(np.uint8)
     out[..., 3] = np.where(seen, 255, 0)
     return out
+
+
+def _unhidden(
+    sums: Sequence[tuple[NDArray[np.float32], NDArray[np.float32]]],
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """The sums of all cameras, without those that see a cell much darker than another does: something is before it."""
+    if len(sums) == 1:
+        return sums[0]
+    bright = np.stack([total.max(axis=2) / np.maximum(weight, 1e-12) for total, weight in sums])
+    clear = bright > HIDDEN * bright.max(axis=0)
+    total = sum(np.where(ok[..., None], one, 0) for ok, (one, _) in zip(clear, sums, strict=True))
+    weight = sum(np.where(ok, one, 0) for ok, (_, one) in zip(clear, sums, strict=True))
+    return np.asarray(total, np.float32), np.asarray(weight, np.float32)
 
 
 def _learn(
