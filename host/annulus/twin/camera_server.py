@@ -25,8 +25,8 @@ class CameraServer:
     A slot is free, being filled (`take`), or held by the viewer (`deliver`, until it says so or is gone).
     """
 
-    def __init__(self, hello: Mapping[str, Any], counts: Counter[str]) -> None:
-        """hello : width, height, encoding, timing; a frame is width x height bytes."""
+    def __init__(self, hello: Mapping[str, Any], counts: Counter[str], number: int = 0) -> None:
+        """hello : width, height, encoding, timing; a frame is width x height bytes. number : which of the head's."""
         self._hello, self._counts = hello, counts
         height, width = int(hello["height"]), int(hello["width"])
         self._memory_fd = os.memfd_create("annulus-twin", os.MFD_CLOEXEC)
@@ -35,7 +35,7 @@ class CameraServer:
         self.slots = np.frombuffer(self._memory, np.uint8).reshape(SLOTS, height, width)
         self._free = list(range(SLOTS))
         self._held: set[int] = set()
-        self.address = f"@annulus-twin-{os.getpid()}"
+        self.address = f"@annulus-twin-{os.getpid()}{f'-{number}' if number else ''}"
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
         self._listener.bind("\0" + self.address[1:])
         self._listener.listen(1)

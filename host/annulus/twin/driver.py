@@ -15,6 +15,7 @@ import numpy as np
 
 from annulus.capture.timing import FrameTiming
 from annulus.controller import TICK_NS, TICK_S, TICKS_PER_US
+from annulus.twin.draws import Draws
 from annulus.twin.faults import Faults
 from annulus.twin.image_sensor import Exposure
 from annulus.vocabulary import CameraSequence
@@ -50,13 +51,16 @@ class Driver:
     a disturbance of that kind no longer touches.
     """
 
-    def __init__(self, faults: Faults, timing: FrameTiming, seed: int = 0, *, start_tick: int = 0) -> None:
-        """start_tick : the sensor's."""
+    def __init__(
+        self, faults: Faults, timing: FrameTiming, seed: int = 0, *, start_tick: int = 0, camera: int = 0
+    ) -> None:
+        """start_tick : the sensor's. camera : 0, or another on its sync line, which loses frames of its own."""
         self.counts: Counter[str] = Counter()
         self.disturbed: list[tuple[str, int]] = []
         self._faults, self._start = faults, start_tick
         self._period = timing.period_us * TICKS_PER_US
-        self._rng = np.random.default_rng([seed, 5])
+        self._rng = np.random.default_rng([seed, 5, camera] if camera else [seed, 5])
+        self._loses = Draws(seed + camera, 8) if camera else None
         self._drawn: list[list[float]] = []
         self._picture: tuple[Part, ...] = ()  # in the last buffer that was handed over
         self._due = 0
@@ -82,7 +86,7 @@ class Driver:
         if self.absent(number):
             self.counts["unplugged"] += 1
             return None
-        if exposure.dropped:
+        if self._dropped(exposure):
             self._lost("dropped", number)
             return None
         due = self._due_tick(exposure, draws)
@@ -106,6 +110,11 @@ class Driver:
         self._unplugged = sorted([*self._unplugged, (number, float(frames))])
 
     # ---- what comes at its time ----
+
+    def _dropped(self, exposure: Exposure) -> bool:
+        if self._loses is None:
+            return exposure.dropped
+        return bool(self._loses.of(int(exposure.sequence)).random() < self._faults.frames_dropped)
 
     def _changes(self, number: int) -> None:
         while self._steps and self._steps[0][0] <= number:

@@ -20,7 +20,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
@@ -55,11 +55,12 @@ class HeadHandle:
     """A running head, seen from the process that started it. Close it, or use it as a context."""
 
     port_url: str
-    camera_address: str
+    camera_address: str  # of the first camera
     sensor_address: str  # ZeroMQ PUB: see sensors.remote
     timing: FrameTiming
     process: "subprocess.Popen[bytes]" = field(repr=False)
     _lines: "queue.SimpleQueue[bytes]" = field(repr=False)
+    camera_addresses: tuple[str, ...] = ()  # of all
 
     def counters(self) -> dict[str, Any]:
         """What the head counts: frames, rendered, driver drops by reason, events lost on purpose, z_mm, lamps_on,
@@ -73,9 +74,9 @@ class HeadHandle:
         """Let the cable move at this speed from now on; 0 stops it."""
         self._ask({"do": "pull", "speed_mm_s": speed_mm_s})
 
-    def unplug(self, seconds: float) -> None:
-        """Let there be no camera from the next frame on, for so long; its driver then counts from 0."""
-        self._ask({"do": "unplug", "seconds": seconds})
+    def unplug(self, seconds: float, camera: int = 0) -> None:
+        """Let that camera not be there from the next frame on, for so long; its driver then counts from 0."""
+        self._ask({"do": "unplug", "seconds": seconds, "camera": camera})
 
     def silence(self, sensor: str, seconds: float) -> None:
         """Let nothing be heard of this sensor ("imu", "supply") from now on, for so long."""
@@ -124,13 +125,15 @@ def start_head(
     drift_ppm: float = 30.0,
     threads: int | None = None,
     board: str = "native",
+    others: Sequence[Faults] = (),
 ) -> HeadHandle:
     """Start a head in its own process and wait until it can be talked to.
 
     fps : of the camera, which runs at once and for ever. timing : exposure and readout, by default `head_timing(fps)`.
     speed_mm_s : of the cable, which starts 2 s after the camera was first started; None: 3 mm a frame, 0: not before
     `pull`. drift_ppm : of the head's crystal against this machine's clock. threads : that render, by default one a
-    core, two at most. board : native or emulated, the shipped image.
+    core, two at most. board : native or emulated, the shipped image. others : what the drivers of further cameras do,
+    where that is not what the first one's does.
 
     Raises AnnulusError when the head does not come up, with the last thing it said.
     """
@@ -138,7 +141,7 @@ def start_head(
     order = {
         "world": world.to_dict(),
         "timing": asdict(mode),
-        "faults": asdict(faults if isinstance(faults, Faults) else load_faults(faults)),
+        "faults": [asdict(one) for one in (faults if isinstance(faults, Faults) else load_faults(faults), *others)],
         "seed": seed,
         "speed_mm_s": MM_PER_FRAME * fps if speed_mm_s is None else speed_mm_s,
         "drift_ppm": drift_ppm,
@@ -164,7 +167,8 @@ def start_head(
         process.stdin.write(json.dumps(order).encode() + b"\n")
         process.stdin.flush()
         up = json.loads(lines.get(timeout=_START_S))
-        return HeadHandle(up["port"], up["camera"], up["sensors"], mode, process, lines)
+        cameras = tuple(up["cameras"])
+        return HeadHandle(up["port"], cameras[0], up["sensors"], mode, process, lines, cameras)
     except BaseException as error:
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(1.0)  # what broke it is still being said
@@ -197,19 +201,24 @@ def head_toml(head: HeadHandle, world: World, calibration: Path | None = None) -
 
     calibration : file with the head's calibration, where live profiles are wanted.
     """
-    timing, camera = head.timing, world.camera
+    timing = head.timing
     delay_us = math.ceil(timing.opens_us + FLASH_AFTER_OPENING_US)
-    lines = f"""
-        [controller]
-        port = "{head.port_url}"
-        [camera]
+    section = "[[camera]]" if world.others else "[camera]"
+    cameras = "".join(
+        f"""
+        {section}
         kind = "remote"
-        device = "{head.camera_address}"
-        width = {camera.width}
-        height = {camera.height}
+        device = "{address}"
+        width = {one.camera.width}
+        height = {one.camera.height}
         fps = {timing.fps:g}
         exposure_us = {timing.exposure_us:.1f}
-        readout_us = {timing.readout_us:.1f}
+        readout_us = {timing.readout_us:.1f}"""
+        for address, one in zip(head.camera_addresses or (head.camera_address,), world.cameras, strict=True)
+    )
+    lines = f"""
+        [controller]
+        port = "{head.port_url}"{cameras}
         [lamps]
         ratio = 4
         projector_delay_us = {delay_us}
@@ -264,18 +273,21 @@ def run_head(fps: float, seed: int, faults: Path | None, board: str, roll_deg: f
 
 
 def sustainable_fps(world: World, threads: int | None = None, frames: int = 8) -> float:
-    """Projector frames a second that this machine renders now, on as many threads as the head would use.
+    """Flashes of the projector a second that this machine renders now, each as every camera of the world sees it, on as
+    many threads as the head would use.
 
     Measured over the world's whole travel, after a first frame that may compile. It leaves nothing for anybody else.
     """
-    renderer = Renderer(world)
-    renderer.render(world.pose(0.0), 0.0, 1.0)
+    renderers = [Renderer(world, number) for number in range(len(world.cameras))]
+    for renderer in renderers:
+        renderer.render(world.pose(0.0), 0.0, 1.0)
     threads = threads or default_threads()
     stations = np.linspace(0.0, world.travel_mm, frames * threads)
 
     def work(mine: NDArray[np.float64]) -> None:
         for z in mine:
-            renderer.render(world.pose(float(z)), float(z), 1.0)
+            for renderer in renderers:
+                renderer.render(world.pose(float(z)), float(z), 1.0)
 
     crew = [threading.Thread(target=work, args=(stations[i::threads],)) for i in range(threads)]
     start = time.perf_counter()

@@ -78,15 +78,31 @@ class _SamplePublisher:
         self._context.destroy(linger=0)
 
 
+class _Camera:
+    """One of the head's cameras: its driver, what draws its frames, and where they are asked for."""
+
+    def __init__(
+        self, number: int, renderer: Renderer, driver: Driver, timing: FrameTiming, counts: Counter[str], threads: int
+    ) -> None:
+        hello = {
+            "width": renderer.width, "height": renderer.height, "encoding": BAYER_RGGB8, "timing": asdict(timing)
+        }  # fmt: skip
+        self.server = CameraServer(hello, counts, number)
+        self.drawing = Drawing(renderer, self.server.slots, threads)
+        self.driver = driver
+        self.drawn: deque[Job] = deque()  # until the driver hands them over
+
+
 class Head:
     def __init__(self, order: Mapping[str, Any]) -> None:
         self.world = World.from_dict(order["world"])
-        self.faults = Faults.from_dict(order["faults"])
+        self.faults, *others = (Faults.from_dict(one) for one in order["faults"])
         self.timing = FrameTiming(**order["timing"])
         seed = int(order["seed"])
         self.counts = Counter({name: 0 for name in COUNTED})
-        renderer = Renderer(self.world)
-        renderer.render(self.world.pose(0.0), 0.0, 1.0, rows=(0, 8))  # compile before time starts
+        renderers = [Renderer(self.world, number) for number in range(len(self.world.cameras))]
+        for renderer in renderers:
+            renderer.render(self.world.pose(0.0), 0.0, 1.0, rows=(0, 8))  # compile before time starts
         self.board = open_board(str(order["board"]))
         self.boot = 1 + seed % 200
         self.board.power_on(self.boot)
@@ -100,11 +116,6 @@ class Head:
         self.stretched_ms = 0.0  # the world stood still for so long in all
         self.behind_ms = 0.0  # at worst, the world against the clock
         self.to_host = bytearray()
-        hello = {
-            "width": renderer.width, "height": renderer.height, "encoding": BAYER_RGGB8, "timing": asdict(self.timing)
-        }  # fmt: skip
-        self.camera = CameraServer(hello, self.counts)
-        self.drawing = Drawing(renderer, self.camera.slots, int(order["threads"]))
         self.publisher = _SamplePublisher()
         if not is_native:
             self.board.run_until(self.board.tick + EMULATOR_WARM_TICKS)
@@ -112,15 +123,20 @@ class Head:
         clock = self.clock = HostClock(time.monotonic_ns() - start * TICK_NS, float(order["drift_ppm"]))
         self.sensor = ImageSensor(self.world, self.timing, self.faults, seed=seed, clock=clock, start_tick=start)
         self.sensors = HeadSensors(self.world, self.sensor.cable, clock, self.faults, start_tick=start, seed=seed)
-        self.driver = Driver(self.faults, self.timing, seed, start_tick=start)
-        self.drawn: deque[Job] = deque()  # until the driver hands them over
+        threads = max(1, int(order["threads"]) // len(renderers))
+        self.cameras = []
+        for number, renderer in enumerate(renderers):
+            faults = others[number - 1] if 0 < number <= len(others) else self.faults
+            driver = Driver(faults, self.timing, seed, start_tick=start, camera=number)
+            self.cameras.append(_Camera(number, renderer, driver, self.timing, self.counts, threads))
         self.unplugged_until = 0  # world tick; until then the serial line is
         self.happenings = self._placed()
 
     def run(self) -> None:
         """Until stdin ends."""
         self._keep_time()
-        addresses = {"port": self.serial.url, "camera": self.camera.address, "sensors": self.publisher.address}
+        cameras = [camera.server.address for camera in self.cameras]
+        addresses = {"port": self.serial.url, "cameras": cameras, "sensors": self.publisher.address}
         sys.stdout.write(json.dumps(addresses) + "\n")
         sys.stdout.flush()
         os.set_blocking(sys.stdin.fileno(), False)
@@ -129,7 +145,9 @@ class Head:
         while True:
             # while the host talks, answer soon; else a tenth of a frame will do
             patience = self.patience_s[0 if time.monotonic() < busy_until else 1]
-            waitables = [*self.serial.waitables(), *self.camera.waitables(), sys.stdin, self.drawing.wake]
+            waitables = [*self.serial.waitables(), sys.stdin]
+            for camera in self.cameras:
+                waitables += [*camera.server.waitables(), camera.drawing.wake]
             readable, _, _ = select.select(waitables, [], [], patience)
             self.advance()
             if self.listen():
@@ -142,13 +160,15 @@ class Head:
                 for question in questions:
                     sys.stdout.write(json.dumps(self._answer(json.loads(question))) + "\n")
                     sys.stdout.flush()
-            self.camera.serve(readable)
-            if self.camera.streaming and self.speed_mm_s and not self.counts["pulls"]:
+            for camera in self.cameras:
+                camera.server.serve(readable)
+            if all(camera.server.streaming for camera in self.cameras) and self.speed_mm_s and not self.counts["pulls"]:
                 self.counts["pulls"] += 1
                 self.pull_at = self.clock.tick(time.monotonic_ns()) + round(SETTLE_S / TICK_S)
-            self.drawn += self.drawing.finished()
-            while self.drawn and self.drawn[0].frame.due_tick <= self.board.tick:
-                self._deliver(self.drawn.popleft())
+            for camera in self.cameras:
+                camera.drawn += camera.drawing.finished()
+                while camera.drawn and camera.drawn[0].frame.due_tick <= self.board.tick:
+                    self._deliver(camera, camera.drawn.popleft())
 
     def listen(self) -> bool:
         """What the host has sent, to the controller: after it was sent by the world's clock too, or the controller
@@ -162,8 +182,9 @@ class Head:
         return bool(heard)
 
     def close(self) -> None:
-        self.drawing.close()
-        self.camera.close()
+        for camera in self.cameras:
+            camera.drawing.close()
+            camera.server.close()
         self.publisher.close()
         self.serial.close()
         self.board.close()
@@ -234,25 +255,26 @@ class Head:
             self.counts["samples"] += 1
             self.publisher.send(sample)
         for exposure in self.sensor.exposures(tick, pins):
-            self._order(exposure)
+            self.counts["frames"] += 1
+            for camera in self.cameras:
+                self._order(camera, exposure)
 
     # ---- frames ----
-    def _order(self, exposure: Exposure) -> None:
+    def _order(self, camera: _Camera, exposure: Exposure) -> None:
         """Have a frame drawn, or drop it as a driver without a free buffer does."""
-        self.counts["frames"] += 1
-        frame = self.driver.take(exposure)
-        self.camera.plug(not self.driver.absent(int(exposure.sequence)))
-        if not self.camera.streaming:
+        frame = camera.driver.take(exposure)
+        camera.server.plug(not camera.driver.absent(int(exposure.sequence)))
+        if not camera.server.streaming:
             return
         if frame is None:
             self.counts["dropped_on_purpose"] += 1
-        elif (slot := self.camera.take()) is None:
+        elif (slot := camera.server.take()) is None:
             self.counts["driver_dropped_no_buffer"] += 1
-        elif not self.drawing.order(Job(slot, self.camera.generation, frame)):
-            self.camera.give_back(slot)
+        elif not camera.drawing.order(Job(slot, camera.server.generation, frame)):
+            camera.server.give_back(slot)
             self.counts["driver_dropped_too_slow"] += 1
 
-    def _deliver(self, job: Job) -> None:
+    def _deliver(self, camera: _Camera, job: Job) -> None:
         self.counts["rendered"] += 1
         metadata = {
             "SensorTimestamp": job.frame.timestamp_ns,
@@ -260,7 +282,7 @@ class Head:
             "ExposureTime": round(self.timing.exposure_us),
             "FrameDuration": round(self.timing.period_us),
         }
-        self.camera.deliver(job.slot, job.generation, metadata)
+        camera.server.deliver(job.slot, job.generation, metadata)
 
     def _answer(self, question: Mapping[str, Any]) -> dict[str, Any]:
         now = self.clock.tick(time.monotonic_ns())
@@ -272,7 +294,8 @@ class Head:
                 return {}
             case "unplug":
                 last = int(self.counts["frames"])
-                self.driver.unplug(last + 1, round(float(question["seconds"]) * self.timing.fps))
+                driver = self.cameras[int(question["camera"])].driver
+                driver.unplug(last + 1, round(float(question["seconds"]) * self.timing.fps))
                 return {}
             case "silence":
                 try:
@@ -284,7 +307,8 @@ class Head:
         on = [name for name, pin in (("projector", PIN_PROJECTOR), ("led", PIN_LED)) if self.board.level(pin)]
         return {
             **self.counts,
-            "driver": dict(self.driver.counts),
+            "driver": dict(self.cameras[0].driver.counts),
+            "drivers": [dict(camera.driver.counts) for camera in self.cameras],
             "events_lost": self.line.events_lost,
             "bytes_flipped": self.line.bytes_flipped,
             "z_mm": self.sensor.cable.z_mm(now),
