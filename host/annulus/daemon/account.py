@@ -32,6 +32,8 @@ LOSSES: Mapping[str, str] = {
     "recorder_died": "in the hands of a recorder that died (another takes over, in a file of its own)",
     "recording_gone": "recorded, but the file was removed or cut short while it was written",
     "recorder_notes": "small records (profiles, telemetry, events, samples) the recorder had no room for",
+    "camera_late": "recorded, but its flash was measured before it came",
+    "camera_missing": "flashes measured live without a camera's frame",
     "worker_busy": "recorded, but not reconstructed live: all workers had their hands full",
     "worker_failed": "recorded, but the worker refused it",
     "worker_died": "recorded, but the worker died with it",
@@ -93,6 +95,7 @@ class Account:
         self.recording = False  # whether there is to be one
         self.dark = True  # the lamps are off for certain, or there are none
         self._lost: Counter[str] = Counter()
+        self._cameras: dict[int, tuple[Counter[str], Counter[str]]] = {}  # by label, and lost by kind
         self._latency_ms: deque[float] = deque(maxlen=LATENCIES_KEPT)
         self._began_ns = self._ended_ns = 0
 
@@ -116,6 +119,7 @@ class Account:
 
     def label(self, header: FrameHeader) -> None:
         self.frames[header.label.value] += 1
+        self._of(header.camera)[0][header.label.value] += 1
         if header.label is Label.UNKNOWN:
             self.unknown[header.reason] += 1
 
@@ -124,11 +128,24 @@ class Account:
         self.profiles += 1
         self._latency_ms.append(latency_ms)
 
-    def lose(self, kind: str, count: int = 1) -> None:
-        """`kind` is one of LOSSES."""
+    def lose(self, kind: str, count: int = 1, *, camera: int | None = None) -> None:
+        """`kind` is one of LOSSES. `camera`: that it is a loss of."""
         if kind not in LOSSES:
             raise ValueError(f"a loss of kind {kind!r}, expected one of {', '.join(LOSSES)}")
         self._lost[kind] += count
+        if camera is not None:
+            self._of(camera)[1][kind] += count
+
+    def of_camera(self, number: int) -> dict[str, Any]:
+        """One camera's frames by label, and what was lost of it by kind."""
+        frames, lost = self._of(number)
+        return {
+            "frames": {label.value: frames[label.value] for label in Label},
+            "lost": {kind: count for kind, count in sorted(lost.items()) if count},
+        }
+
+    def _of(self, camera: int) -> tuple[Counter[str], Counter[str]]:
+        return self._cameras.setdefault(camera, (Counter(), Counter()))
 
     @property
     def drops(self) -> dict[str, int]:

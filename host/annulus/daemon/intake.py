@@ -88,10 +88,11 @@ class Intake:
 
     def _arrived(self, one: Arrived, account: Account) -> None:
         account.taken += 1
+        camera = self._mode.camera
         kind = "camera_away" if self._began else "camera"
-        account.lose(kind, self._holes(one))
+        account.lose(kind, self._holes(one), camera=camera)
         if one.place is None:  # the frame has no label and never will
-            account.lose("no_slot")
+            account.lose("no_slot", camera=camera)
             return
         seen = FrameSeen(one.sequence, one.timestamp_ns, one.arrived_ns, one.picture, one.metadata)
         self.labelling.saw(seen)

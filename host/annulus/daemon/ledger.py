@@ -18,10 +18,11 @@ AFTER = (
     "recorder_busy", "recorder_absent", "recorder_failed", "recorder_died", "disk", "recording_gone",
 )  # fmt: skip
 LIVE = (
-    "worker_busy", "worker_failed", "worker_died", "worker_late", "publisher_busy", "publisher_failed",
+    "camera_late", "worker_busy", "worker_failed", "worker_died", "worker_late", "publisher_busy", "publisher_failed",
     "publisher_died",
 )  # fmt: skip
 NO_FRAMES = (
+    "camera_missing",
     "recorder_notes", "publisher_notes", "workers_replaced", "recorders_replaced", "publishers_replaced", "edge_events",
     "line_broken", "camera_silent", "camera_gone", "cameras_replaced", "sensor_silent", "sensor_malformed",
     "control_malformed",

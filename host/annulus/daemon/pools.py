@@ -20,6 +20,7 @@ from typing import Any
 import zmq
 
 from annulus.daemon.account import Account
+from annulus.daemon.flashes import Flashes, Gathered
 from annulus.daemon.health import Health
 from annulus.daemon.intake import RESERVE, InSlot
 from annulus.daemon.observer import Mark, Observer
@@ -44,10 +45,11 @@ from annulus.stream.workers import (
     WorkerKind,
     WorkerPool,
 )
-from annulus.vocabulary import AnnulusError
+from annulus.vocabulary import AnnulusError, Label
 from annulus.wall.profile import Profile
 
 WORKER_DEPTH = 2
+PATIENCE_PERIODS = 6  # a flash waits no longer for the frame of a camera that is silent; a driver keeps four at most
 ABSORBS_S = 0.1  # a recorder that has its hands full is waited for, if it gave one back not longer ago
 RETRY_S, RETRY_MOST_S = 1.0, 60.0  # until what was given up is tried again; twice as long each time
 
@@ -299,35 +301,49 @@ class Reconstruction(Pool):
     """The workers that turn projector frames into profiles, which come out in the order of frames."""
 
     def __init__(
-        self, calibration: Calibration, colour: ColourProfile | None, count: int, shared: Shared, account: Account,
-        observer: Observer,
+        self, calibration: Calibration, colour: ColourProfile | None, count: int, period_us: float, shared: Shared,
+        account: Account, observer: Observer,
     ) -> None:  # fmt: skip
+        """period_us : of the cameras' frames."""
         command = child("annulus.daemon.worker")
         setup = {"calibration": calibration.to_dict(), "colour": None if colour is None else colour.to_dict()}
         kind = WorkerKind("worker", command, setup, count, WORKER_DEPTH, spares=1, eager=True)
         super().__init__(kind, shared, account, observer)
-        self.camera = calibration.camera_id  # whose frames it takes
-        self._queue: deque[tuple[FrameHeader, InSlot]] = deque()  # each holds its slot
+        patience_ns = round(PATIENCE_PERIODS * period_us * 1000)
+        self._flashes: Flashes[InSlot] = Flashes([one.id for one in calibration.cameras], patience_ns)
+        self._queue: deque[Gathered[InSlot]] = deque()  # each holds its slots
         self._joined: ReorderBuffer[Profile] = ReorderBuffer()
         self._taken_ns: dict[int, int] = {}  # frame index -> when it came, while a worker has it
         self._seed: list[float] | None = None
 
     def take(self, header: FrameHeader, frame: InSlot) -> None:
-        """A labelled projector frame. It waits for a worker in its slot, but never in the way of new ones."""
-        self._account.to_profile += 1
-        self._ring.hold(frame.place)
-        self._queue.append((header, frame))
+        """A labelled frame of any camera. A projector frame waits in its slot for those of the head's other cameras,
+        then for a worker, but never in the way of new ones.
+        """
+        if header.camera in self._flashes.cameras:
+            if header.label is Label.PROJECTOR:
+                match self._flashes.take(header, frame, time.monotonic_ns()):
+                    case None:
+                        self._account.lose("camera_late")
+                    case is_first:
+                        self._account.to_profile += is_first
+                        self._ring.hold(frame.place)
+            self._flashes.passed(header)
         self.feed()
 
     def feed(self) -> None:
+        self._gather(all_of_them=self._ring.free < RESERVE)
         while self._queue and self._pool.room:
-            header, frame = self._queue.popleft()
-            if self._pool.offer(header, frame.place, self._seed):
-                self._taken_ns[header.index] = frame.at_ns
+            flash = self._queue.popleft()
+            (header, frame), *beside = flash.frames.values()
+            if self._pool.offer(header, frame.place, self._seed, [(other, one.place) for other, one in beside]):
+                self._taken_ns[header.index] = min(one.at_ns for _, one in flash.frames.values())
                 self._joined.expect(header.index)
+                for camera in self._flashes.missing(flash):
+                    self._account.lose("camera_missing", camera=camera)
             else:
                 self._account.lose("worker_busy")
-            self._ring.release(frame.place)
+            self._release(flash)
         while self._queue and self._ring.free < RESERVE:
             self._drop()
 
@@ -337,6 +353,11 @@ class Reconstruction(Pool):
         self.feed()
         self._join()
 
+    def no_more(self) -> None:
+        """No frame comes any more: what waits for another camera's goes without it."""
+        self._gather(all_of_them=True)
+        self.feed()
+
     @property
     def busy(self) -> bool:
         """Whether frames wait for workers that will come to them, or are at one."""
@@ -344,15 +365,22 @@ class Reconstruction(Pool):
 
     def end_scan(self) -> None:
         """What is not done by now is not done; the workers stay, for the next scan."""
+        self._gather(all_of_them=True)
         while self._queue:
             self._drop()
         self._account.lose("worker_late", self._joined.missing)
         self._join(final=True)
         self._seed = None
 
+    def _gather(self, all_of_them: bool) -> None:
+        self._queue += self._flashes.ready(time.monotonic_ns(), all_of_them)
+
+    def _release(self, flash: Gathered[InSlot]) -> None:
+        for _, frame in flash.frames.values():
+            self._ring.release(frame.place)
+
     def _drop(self) -> None:
-        _, frame = self._queue.popleft()
-        self._ring.release(frame.place)
+        self._release(self._queue.popleft())
         self._account.lose("worker_busy")
 
     def _done(self, header: FrameHeader, body: Any) -> None:

@@ -94,11 +94,19 @@ def ending(report: ScanReport) -> list[str]:
     lines = [f"{report.seconds:.1f} s, frames: " + ", ".join(f"{n} {label}" for label, n in report.frames.items())]
     if report.unknown:
         lines.append("unknown: " + ", ".join(f"{count} {why}" for why, count in report.unknown.items()))
+    if len(cameras := report.telemetry.get("cameras", ())) > 1:
+        lines += [f"camera {number}: {_of_camera(one)}" for number, one in enumerate(cameras)]
     lines += report.ledger.lines()
     lines.append("lost: " + (", ".join(f"{n} {kind}" for kind, n in report.drops.items()) or "nothing"))
     lines += [f"recording {path}" for path in report.recordings]
     lines += [finding.text for finding in report.findings]
     return lines
+
+
+def _of_camera(numbers: Mapping[str, Any]) -> str:
+    frames = ", ".join(f"{count} {label}" for label, count in numbers["frames"].items())
+    lost = ", ".join(f"{count} {kind}" for kind, count in numbers["lost"].items())
+    return f"{frames}; lost: {lost or 'nothing'}"
 
 
 def _say(line: str) -> None:

@@ -163,7 +163,8 @@ class Session:
     def telemetry(self) -> dict[str, Any]:
         """Every counter there is, as plain types."""
         power = self._power
-        labels = [intake.labelling.numbers() for intake in self._scan.intakes] if self._scan is not None else []
+        intakes = self._scan.intakes if self._scan is not None else []
+        cameras = [{**one.labelling.numbers(), **self._account.of_camera(i)} for i, one in enumerate(intakes)]
         pools = {"workers": self._reconstruction, "recorder": self.recorder, "publisher": self._publishing}
         return {
             "state": self._state.value,
@@ -172,7 +173,7 @@ class Session:
             **line_numbers(self._line),
             "place_gaps": self._navigation.odometer.gaps,
             **place_numbers(self._navigation.odometer.here),
-            "cameras": labels,
+            "cameras": cameras,
             "intakes": [feed.numbers() for feed in self._feeds],
             "sensors": self._samples.numbers(),
             "slots_free": power.shared.ring.free if power is not None else 0,
@@ -196,8 +197,8 @@ class Session:
             self._prepare_scan(power)  # together with the workers: neither has to wait for the other
         if config.calibration is not None:
             self._reconstruction = Reconstruction(
-                config.calibration, config.colour, config.workers or default_workers(), power.shared, self._account,
-                self._observers,
+                config.calibration, config.colour, config.workers or default_workers(), config.timing.period_us,
+                power.shared, self._account, self._observers,
             )  # fmt: skip
 
     def _become_ready(self, stop: Callable[[], bool]) -> bool:
@@ -323,6 +324,7 @@ class Session:
         """What waits for a worker still gets one, if they are quick."""
         if self._reconstruction is None:
             return
+        self._reconstruction.no_more()
         end = time.monotonic() + DRAIN_S
         while self._reconstruction.busy and time.monotonic() < end:
             self._sleep()
@@ -426,11 +428,7 @@ class Session:
             self.recorder.offer(header, frame.place)
         if self._publishing is not None:
             self._publishing.offer(header, frame.place)
-        if (
-            header.label is Label.PROJECTOR
-            and self._reconstruction is not None
-            and header.camera == self._reconstruction.camera
-        ):
+        if self._reconstruction is not None:
             self._reconstruction.take(header, frame)
         assert self._power is not None  # frames lie in its ring
         ring = self._power.shared.ring

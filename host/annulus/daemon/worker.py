@@ -2,6 +2,7 @@
 
 import os
 import sys
+from collections.abc import Sequence
 from typing import Any
 
 import cv2
@@ -20,13 +21,19 @@ class ReconstructionJob:
     """A head's method as a job. A frame's `extra` is the last known pose, four numbers, or None."""
 
     def __init__(self, calibration: Calibration, colour: ColourProfile | None = None) -> None:
+        self._joins = bool(calibration.others)  # its profiles say themselves which camera saw what
         self._method = method_for(calibration, colour)
         warm_up(self._method, calibration)  # compiles now what the first frame would wait for
 
     def frame(self, header: FrameHeader, image: Image, extra: Any) -> Any:
+        return self.flash([(header, image)], extra)
+
+    def flash(self, frames: Sequence[tuple[FrameHeader, Image]], extra: Any) -> Any:
         seed = None if extra is None else Pose(*extra)
-        profile = self._method(header, {header.camera: to_bgr(image, header.encoding)}, seed)
-        return {**profile.to_dict(), "camera": header.camera}
+        header = frames[0][0]
+        images = {one.camera: to_bgr(image, one.encoding) for one, image in frames}
+        profile = self._method(header, images, seed).to_dict()
+        return profile if self._joins else {**profile, "camera": header.camera}
 
     def note(self, kind: str, body: Any) -> None:
         pass

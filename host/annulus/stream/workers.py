@@ -126,7 +126,7 @@ PoolEvent = Ready | Done | Failed | FrameLost | Died | Report
 @dataclass(slots=True)
 class _InHand:
     header: FrameHeader
-    place: Place
+    places: tuple[Place, ...]
     since: float
 
 
@@ -219,21 +219,30 @@ class WorkerPool:
     def _active(self) -> list[_Worker]:
         return [worker for worker in self._workers.values() if not worker.spare]
 
-    def offer(self, header: FrameHeader, place: Place, extra: Any = None) -> bool:
-        """Hand a frame to the least busy worker, which then holds its slot. False, and counted, when none has room."""
+    def offer(
+        self, header: FrameHeader, place: Place, extra: Any = None,
+        beside: Sequence[tuple[FrameHeader, Place]] = (),
+    ) -> bool:  # fmt: skip
+        """Hand a frame to the least busy worker, which then holds its slot. False, and counted, when none has room.
+
+        beside : frames that go with it, in the same task; their slots are held too. What comes back is the first one's.
+        """
         free = [w for w in self._active if w.ready and len(w.in_hand) < self._kind.depth]
         if not free:
             self.counts["refused"] += 1
             return False
         worker = min(free, key=lambda w: len(w.in_hand))
-        task = msgpack.packb([header.to_dict(), place.slot, place.stamp, extra])
+        others = [[other.to_dict(), at.slot, at.stamp] for other, at in beside]
+        task = msgpack.packb([header.to_dict(), place.slot, place.stamp, extra, *others])
         try:
             worker.tasks.send_multipart([b"frame", task], zmq.NOBLOCK)
         except zmq.Again:
             self.counts["refused"] += 1
             return False
-        self._ring.hold(place)
-        worker.in_hand[place.stamp] = _InHand(header, place, self._clock())
+        places = (place, *(at for _, at in beside))
+        for one in places:
+            self._ring.hold(one)
+        worker.in_hand[place.stamp] = _InHand(header, places, self._clock())
         self.counts["offered"] += 1
         return True
 
@@ -418,7 +427,7 @@ class WorkerPool:
                 if task is None:
                     self.counts["late"] += 1
                     continue
-                self._ring.release(task.place)
+                self._let_go(task)
                 self.counts[kind] += 1
                 self._barren = 0
                 now = self._clock()
@@ -435,6 +444,10 @@ class WorkerPool:
                 self.counts["malformed"] += 1
         return happened
 
+    def _let_go(self, task: _InHand) -> None:
+        for place in task.places:
+            self._ring.release(place)
+
     def _bury(self, worker: _Worker, why: str) -> list[PoolEvent]:
         if worker.process.poll() is None:
             worker.process.kill()
@@ -443,7 +456,7 @@ class WorkerPool:
         worker.address.unlink(missing_ok=True)
         del self._workers[worker.number]
         for task in worker.in_hand.values():
-            self._ring.release(task.place)
+            self._let_go(task)
         self.counts["lost"] += len(worker.in_hand)
         return [FrameLost(worker.number, task.header, why) for task in worker.in_hand.values()]
 

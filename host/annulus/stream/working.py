@@ -10,9 +10,10 @@ import shutil
 import signal
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import msgpack
 import zmq
@@ -44,6 +45,14 @@ class Job(Protocol):
 
     def close(self) -> Any:
         """Last words; sent back."""
+
+
+@runtime_checkable
+class FlashJob(Job, Protocol):
+    """A job that takes frames of several cameras at once."""
+
+    def flash(self, frames: Sequence[tuple[FrameHeader, Image]], extra: Any) -> Any:
+        """As `frame`, for all the frames of one flash that are in one task."""
 
 
 def serve(argument: str, prepare: Callable[[Any], Job], rest_ms: int = REST_MS) -> None:
@@ -108,12 +117,17 @@ def serve(argument: str, prepare: Callable[[Any], Job], rest_ms: int = REST_MS) 
 
 
 def _one_frame(job: Job, ring: RingView, body: Any, answer: Callable[[str, Any], None]) -> None:
-    raw, slot, stamp, extra = body
+    raw, slot, stamp, extra, *beside = body
     try:
         header = FrameHeader.from_dict(raw)
-        with ring.frame(header, Place(slot, stamp)) as image:
-            result = job.frame(header, image, extra)
-            del image
+        with ExitStack() as held:
+            image = held.enter_context(ring.frame(header, Place(slot, stamp)))
+            frames = [(header, image)]
+            for other, its_slot, its_stamp in beside:
+                its = FrameHeader.from_dict(other)
+                frames.append((its, held.enter_context(ring.frame(its, Place(its_slot, its_stamp)))))
+            result = job.flash(frames, extra) if isinstance(job, FlashJob) else job.frame(header, image, extra)
+            del image, frames
     except Overwritten as error:
         answer("failed", [stamp, str(error)])
     except Exception as error:  # a frame the method cannot take must not cost the worker
