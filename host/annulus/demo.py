@@ -5,7 +5,7 @@ import math
 import os
 import time
 import webbrowser
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -29,21 +29,26 @@ from annulus.report import FILES, Account, prepare_folder, write
 from annulus.reprocess import Job, Processes, led_frames, measure, method_for, open_job, stage_medians, warm_up
 from annulus.twin.head import HeadHandle, head_toml, start_head, sustainable_fps
 from annulus.twin.score import score
-from annulus.twin.worlds import World, demo_world
+from annulus.twin.worlds import World, demo_world, stereo_world
 from annulus.vocabulary import AnnulusError, Label
 from annulus.wall import Profile, Survey, survey
 
 FPS_MAX = 25.0
 FPS_MIN = 2.0
 SHARE = 0.75  # of the machine the scan may take; the rest is the desktop's, and for frames that take longer
-OVERHEAD_MS = 12.0  # a frame: two copies, its label, the recorder
+OVERHEAD_MS = 12.0  # a frame of a camera: two copies, its label, the recorder
 TRAVEL_MM = 330.0  # past every defect of the demo's pipe
+HEADS: Mapping[str, Callable[[], World]] = {
+    "ring": lambda: demo_world(travel_mm=TRAVEL_MM),
+    "stereo": lambda: stereo_world(travel_mm=200.0),
+}
 SECONDS = 15.0
 SECONDS_MAX = 60.0
 MM_PER_FRAME = 3.0  # aimed at; a slow machine scans longer for it, when nobody says how long ..
 MM_PER_FRAME_MAX = 6.0  # .. and less of the pipe, when somebody does
 START_PATIENCE_S = 60.0  # from lamps armed to the first labelled frame
 BAR_S = 0.1
+MISSING = "camera missing"  # in what a profile rejected: it was made without some camera's frame
 RESULTS = ("report.html", *(name for name in FILES if name != "report.html"))  # what people open comes first
 
 
@@ -71,19 +76,23 @@ def run_demo(
     open_report: bool = True,
     console: Console | None = None,
     *,
+    head: str = "ring",
     world: World | None = None,
 ) -> None:
     """Scan a simulated pipe, write all results into `out`, and score them against the truth.
 
-    seconds : of scanning; None: 15, or as many as this machine needs for a frame every 3 mm, 60 at most.
+    seconds : of scanning; None: 15, or as many as this machine needs for a frame every 3 mm, 60 at most. head : one of
+    HEADS, in its pipe, where no world is given.
 
     Ctrl-C or SIGTERM at any moment: lamps off, recording closed and readable, no process left; KeyboardInterrupt.
     Raises AnnulusError when something is missing or `out` cannot be written.
     """
+    if head not in HEADS:
+        raise AnnulusError(f"head {head!r}: expected one of {', '.join(HEADS)}")
     console = console or Console(stderr=True)
     with Interrupt() as interrupt, _bars(console) as bars:
         try:
-            _demo(seconds, out, world or demo_world(travel_mm=TRAVEL_MM), interrupt, bars, console)
+            _demo(seconds, out, world or HEADS[head](), interrupt, bars, console)
         except AnnulusError:
             if interrupt.requested:  # what failed was cut off
                 raise KeyboardInterrupt from None
@@ -122,7 +131,9 @@ def _demo(wish_s: float | None, out: Path, world: World, interrupt: Interrupt, b
         for line in ending(report):
             console.print(line)
         job = open_job(recording)
-        profiles += (late := _late(job, profiles, bars))
+        late = _late(job, profiles, bars)
+        again = {profile.frame for profile in late}
+        profiles = [profile for profile in profiles if profile.frame not in again] + late
         with bars.spinning("building the wall, drawing the report"):
             pipe = survey(sorted(profiles, key=lambda one: one.frame), job.calibration, led_frames(job))
             truth = _truth(world, pipe)
@@ -140,7 +151,7 @@ def measure_pace(world: World) -> Pace:
     spent = [warm_up(method, calibration).timing_ms["total"] for _ in range(6)]
     reconstruct_ms = median(spent[1:])  # the first one may compile
     render_ms = min(2, cores) * 1e3 / render_fps  # of one core
-    together = SHARE * cores * 1e3 / (render_ms + 0.8 * reconstruct_ms + OVERHEAD_MS)
+    together = SHARE * cores * 1e3 / (render_ms + 0.8 * reconstruct_ms + OVERHEAD_MS * len(world.cameras))
     workers = SHARE * default_workers() * 1e3 / (0.8 * reconstruct_ms)
     fps = min(FPS_MAX, SHARE * render_fps, together, workers)
     return Pace(max(FPS_MIN, math.floor(2 * fps) / 2), render_fps, reconstruct_ms, cores)
@@ -202,13 +213,21 @@ class _Watcher(Observer):
 
 
 def _late(job: Job, done: Sequence[Profile], bars: "_Bars") -> list[Profile]:
-    """Profiles of the recorded projector frames that no worker had time for."""
-    have = {profile.frame for profile in done}
-    missing = [i for i in job.which(Label.PROJECTOR) if job.scan.frames[i].index not in have]
+    """Profiles of the recorded projector flashes that no worker had time for, or had without a camera's frame that came
+    later.
+    """
+    alone = {profile.frame for profile in done if MISSING in profile.rejected}
+    have = {profile.frame for profile in done} - {index for index in alone if _is_whole(job, index)}
+    missing = [i for i in job.flashes(Label.PROJECTOR) if job.scan.frames[i].index not in have]
     if not missing:
         return []
-    bar = bars.bar("frames the workers had no time for", len(missing))
+    bar = bars.bar("flashes the workers had no time for", len(missing))
     return [one for one, _ in measure(job, missing, Processes(), lambda _, n, total: bars.update(bar, None, n))]
+
+
+def _is_whole(job: Job, index: int) -> bool:
+    """Whether the recording has a frame of that flash from every camera."""
+    return sum(frame.index == index for frame in job.scan.frames) == len(job.calibration.cameras)
 
 
 def _account(

@@ -146,12 +146,15 @@ def demo(
         typer.Option(min=2.0, max=600.0, help="Length of the scan, s. [default: 15, longer on a slow machine]"),
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("annulus-demo"),
+    head: Annotated[
+        str, typer.Option(help="ring: one camera; stereo: two, at right angles about the projector.")
+    ] = "ring",
     open_report: Annotated[bool, typer.Option("--open/--no-open", help="Open the report when done.")] = True,
 ) -> None:
     """The whole main job on a simulated head: scan, label, record, reconstruct, report."""
     from annulus.demo import run_demo
 
-    run_demo(seconds, out, open_report)
+    run_demo(seconds, out, open_report, head=head)
 
 
 @app.command(epilog="Example: annulus daemon --config head.toml")
