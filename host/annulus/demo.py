@@ -48,6 +48,7 @@ MM_PER_FRAME = 3.0  # aimed at; a slow machine scans longer for it, when nobody 
 MM_PER_FRAME_MAX = 6.0  # .. and less of the pipe, when somebody does
 START_PATIENCE_S = 60.0  # from lamps armed to the first labelled frame
 BAR_S = 0.1
+SLOTS = 40  # a camera: frames are told apart late on a machine that draws them too
 MISSING = "camera missing"  # in what a profile rejected: it was made without some camera's frame
 RESULTS = ("report.html", *(name for name in FILES if name != "report.html"))  # what people open comes first
 
@@ -160,7 +161,7 @@ def measure_pace(world: World) -> Pace:
 def demo_config(head: HeadHandle, world: World, out: Path) -> HeadConfig:
     """For the simulated head, by way of the files a real one has: head.toml and calibration.json, left in `out`."""
     save_calibration(out / "calibration.json", world.calibration())
-    here = '\n[record]\nfolder = "."\n\n[workers]\nslots = 40\n'
+    here = f'\n[record]\nfolder = "."\n\n[workers]\nslots = {SLOTS * len(world.cameras)}\n'
     (out / "head.toml").write_text(head_toml(head, world, Path("calibration.json")) + here, encoding="utf-8")
     return load_config(out / "head.toml")
 

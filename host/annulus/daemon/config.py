@@ -23,6 +23,7 @@ from annulus.vocabulary import AnnulusError
 SENSOR_KINDS = ("remote",)
 COLOUR_MAKER = "annulus calibrate colour"
 HOST_TIMEOUT_LEAST_MS = max(HOST_TIMEOUT_MIN_MS, 200)  # twice what lies between two words of the daemon, PING_NS
+SLOTS = 24  # in shared memory, for a head of one camera
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +103,7 @@ class HeadConfig:
     autostart: bool = True  # False: idle until the control socket says start
     sensors: tuple[SensorConfig, ...] = ()
     workers: int | None = None  # None: one a core but one
-    slots: int = 24
+    slots: int = SLOTS
     log: LogConfig | None = None
     realtime: bool | None = None  # None: where it is allowed
 
@@ -200,7 +201,7 @@ def _checked(data: Mapping[str, Any], folder: Path) -> HeadConfig:
         autostart=_flag(control, "control", "autostart", True),
         sensors=tuple(_sensor(content) for content in _several(data, "sensor")),
         workers=_whole(workers, "workers", "count", 1, 1, 64) if "count" in workers else None,
-        slots=_whole(workers, "workers", "slots", 24, 4, 1024),
+        slots=_whole(workers, "workers", "slots", SLOTS * len(cameras), 4, 1024),
         log=_log(data["log"], folder) if "log" in data else None,
         realtime=_realtime(data.get("daemon", {})),
     )
