@@ -141,7 +141,8 @@ def start_head(
     order = {
         "world": world.to_dict(),
         "timing": asdict(mode),
-        "faults": [asdict(one) for one in (faults if isinstance(faults, Faults) else load_faults(faults), *others)],
+        "faults": asdict(faults if isinstance(faults, Faults) else load_faults(faults)),
+        "others": [asdict(one) for one in others],
         "seed": seed,
         "speed_mm_s": MM_PER_FRAME * fps if speed_mm_s is None else speed_mm_s,
         "drift_ppm": drift_ppm,

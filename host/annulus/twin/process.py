@@ -96,7 +96,8 @@ class _Camera:
 class Head:
     def __init__(self, order: Mapping[str, Any]) -> None:
         self.world = World.from_dict(order["world"])
-        self.faults, *others = (Faults.from_dict(one) for one in order["faults"])
+        self.faults = Faults.from_dict(order["faults"])
+        others = [Faults.from_dict(one) for one in order.get("others", ())]
         self.timing = FrameTiming(**order["timing"])
         seed = int(order["seed"])
         self.counts = Counter({name: 0 for name in COUNTED})
