@@ -126,7 +126,12 @@ def _one_frame(job: Job, ring: RingView, body: Any, answer: Callable[[str, Any],
             for other, its_slot, its_stamp in beside:
                 its = FrameHeader.from_dict(other)
                 frames.append((its, held.enter_context(ring.frame(its, Place(its_slot, its_stamp)))))
-            result = job.flash(frames, extra) if isinstance(job, FlashJob) else job.frame(header, image, extra)
+            if isinstance(job, FlashJob):
+                result = job.flash(frames, extra)
+            elif not beside:
+                result = job.frame(header, image, extra)
+            else:
+                raise ValueError(f"{len(frames)} frames at once, for a job that takes one")
             del image, frames
     except Overwritten as error:
         answer("failed", [stamp, str(error)])

@@ -111,6 +111,39 @@ def test_every_frame_comes_back_with_its_own_answer(yard: Yard) -> None:
         assert done.body == [1200 * done.header.index, done.header.index]
 
 
+def test_frames_of_one_flash_come_to_one_worker_and_their_slots_back_whatever_it_does(tmp_path: Path) -> None:
+    yard = Yard(tmp_path, "flashes").all_ready()
+    for extra in (None, "raise", "die"):
+        places = [yard.ring.claim(), yard.ring.claim()]
+        frames = []
+        for camera, place in enumerate(places):
+            assert place is not None
+            header = FrameHeader(7, 0, 0, Label.PROJECTOR, "", None, None, None, 0.0, "mono8", 40, 30, camera=camera)  # type: ignore[arg-type]
+            yard.ring.write(place, np.full((30, 40), camera + 1, np.uint8))
+            frames.append((header, place))
+        assert yard.pool.offer(*frames[0], extra, frames[1:])
+        for _, place in frames:
+            yard.ring.release(place)
+        yard.until(lambda: yard.pool.in_hand == 0)
+        assert yard.ring.free == len(yard.ring)
+    assert [done.body for done in yard.of(Done)] == [[[0, 1200], [1, 2400]]]
+    assert "asked to" in yard.of(Failed)[0].why and yard.of(FrameLost)[0].header.camera == 0
+    yard.close()
+
+
+def test_a_job_of_single_frames_refuses_several(yard: Yard) -> None:
+    header = FrameHeader(7, 0, 0, Label.PROJECTOR, "", None, None, None, 0.0, "mono8", 40, 30)  # type: ignore[arg-type]
+    places = [yard.ring.claim(), yard.ring.claim()]
+    for place in places:
+        assert place is not None
+        yard.ring.write(place, np.zeros((30, 40), np.uint8))
+    assert yard.pool.offer(header, places[0], None, [(header, places[1])])
+    for place in places:
+        yard.ring.release(place)
+    yard.until(lambda: yard.of(Failed))
+    assert "a job that takes one" in yard.of(Failed)[0].why
+
+
 def test_busy_workers_say_no_and_it_is_counted(yard: Yard) -> None:
     taken = [yard.hand_out("hang") for _ in range(6)]
     assert taken == [True] * 4 + [False] * 2

@@ -34,12 +34,18 @@ class Obedient:
         return self.setup
 
 
+class OfFlashes(Obedient):
+    def flash(self, frames, extra) -> Any:
+        self.frame(*frames[0], extra)
+        return [[header.camera, int(image.sum())] for header, image in frames]
+
+
 def prepare(setup: Any) -> Obedient:
     if setup == "broken":
         raise AnnulusError("/etc/x: mend it")
     if setup == "stillborn":
         sys.exit(3)
-    return Obedient(setup)
+    return OfFlashes(setup) if setup == "flashes" else Obedient(setup)
 
 
 serve(sys.argv[-1], prepare)
