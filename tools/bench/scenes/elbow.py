@@ -5,14 +5,18 @@ from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
+from plyfile import PlyData
+
+from annulus.numeric.robust import SIGMA_OF_MAD
 from tools.bench.scenes.judge import Check
 
 ELBOW = "elbow-a"
 BOUNDS = {  # of what score_elbow.py says, in the unit its names end in
     "bend_radius_percent": 1.0, "angle_deg": 0.3, "plane_deg": 0.3, "start_mm": 1.5, "camera_last_mm": 3.0,
-    "wall_rms_mm": 0.2, "wall_median_mm": 0.06,
 }  # fmt: skip
 DENT_MM = 0.2
+ABOUT_MODEL_MM = 0.06  # robust sigma of the wall about its own model; against the world it has the bend's error, too
 NEAR_MM = 28.0  # of a true defect's middle, along the centre line: what is listed so close is that defect
 
 
@@ -26,6 +30,9 @@ def elbow_checks(score_elbow: ModuleType, out: Path, truth_file: Path) -> Iterat
         return
     for name, value in score_elbow.score(line, truth, str(out / "cloud.ply")).items():
         yield Check(name, f"{value:g}", abs(value) <= BOUNDS[name] if name in BOUNDS else None)
+    radius = np.asarray(PlyData.read(out / "cloud.ply")["vertex"]["radius"], float) - line["pipe_radius_mm"]
+    about = SIGMA_OF_MAD * float(np.median(np.abs(radius - np.median(radius))))
+    yield Check("wall_about_model_mm", f"{about:.4f}", about <= ABOUT_MODEL_MM)
     defects = truth["scene"]["pipe"]["defects"]
     for one in (d for d in defects if d["kind"].startswith("dent")):
         near = [d for d in summary["defects"] if abs(d["z_mm"] - one["s"]) <= NEAR_MM]
