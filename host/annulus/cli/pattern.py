@@ -25,11 +25,19 @@ def _pattern() -> None:
 )
 def design(
     pipe_mm: Annotated[str, typer.Option(help="Inner diameter of the pipe, mm, or a range: 100-160.")],
-    distance_mm: Annotated[float, typer.Option(help="Projector behind camera (d_t), mm.")],
-    sensor_radius_mm: Annotated[float, typer.Option(help="Radius of the sensor's body (R_sen), mm.")],
-    glass_mm: Annotated[float, typer.Option(help="Length of the clear tube (d_g), mm.")],
-    projector_f_mm: Annotated[float, typer.Option(min=0.5, max=500.0, help="Focal length of the slide's lens, mm.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for slide, preview and calibration.json.")],
+    distance_mm: Annotated[float | None, typer.Option(help="Projector behind camera (d_t), mm.")] = None,
+    sensor_radius_mm: Annotated[float | None, typer.Option(help="Radius of the sensor's body (R_sen), mm.")] = None,
+    glass_mm: Annotated[float | None, typer.Option(help="Length of the clear tube (d_g), mm.")] = None,
+    projector_f_mm: Annotated[
+        float | None, typer.Option(min=0.5, max=500.0, help="Focal length of the slide's lens, mm.")
+    ] = None,
+    head: Annotated[
+        str, typer.Option(help="sequence: projector behind camera. stereo: beside two cameras.")
+    ] = "sequence",
+    calibration: Annotated[
+        Path | None, typer.Option(help="With --head stereo: a calibration, or a design in its form.")
+    ] = None,
     word: Annotated[int, typer.Option(help="Stripes that must be read together to know where one is (n).")] = 2,
     colours: Annotated[str, typer.Option(help="Colours of the stripes; k letters of R, G, B.")] = "RGB",
     stripes: Annotated[int | None, typer.Option(help="Coloured stripes; k^n if not given.")] = None,
@@ -50,7 +58,22 @@ def design(
 
     The slide is to scale in slide.svg and slide.pdf: print at 100 % and measure the bar. Black passes no light.
     calibration.json has the pattern and the rings as designed, for `annulus calibrate pipe` to begin with.
+
+    With --head stereo nothing is laid out: cameras and rings are read from --calibration, and for the ends and the
+    middle of --pipe-mm is drawn and said where each camera knows the wall, and where both together know it worst.
     """
+    if head not in ("sequence", "stereo"):
+        raise AnnulusError(f'--head is "{head}", expected sequence or stereo')
+    if head == "stereo":
+        _stereo(pipe_mm, calibration, out, as_json)
+        return
+    if calibration is not None:
+        raise AnnulusError("--calibration goes with --head stereo")
+    if distance_mm is None or sensor_radius_mm is None or glass_mm is None or projector_f_mm is None:
+        raise AnnulusError(
+            "give --distance-mm, --sensor-radius-mm, --glass-mm and --projector-f-mm: where the projector stands "
+            "behind the camera, the body, the clear tube, the slide's lens"
+        )
     from annulus.calibrate.slide import write_design
     from annulus.geometry.camera import Camera
     from annulus.record.calibration_file import load_camera
@@ -71,19 +94,13 @@ def design(
                 f"--f {f} and --size {size}: expected a focal length in px and an image of 16 to 16384 px"
             )
         lens = Camera("fisheye" if fisheye else "pinhole", width, height, f, f, (width - 1) / 2, (height - 1) / 2)
-    diameters = re.fullmatch(r"\s*([\d.]+)\s*(?:-|\.\.|to)?\s*([\d.]+)?\s*", pipe_mm)
-    try:
-        least, most = (float(diameters[1]), float(diameters[2] or diameters[1])) if diameters else (0.0, 0.0)
-    except ValueError:
-        least = 0.0
-    if least <= 0:
-        raise AnnulusError(f'--pipe-mm is "{pipe_mm}", expected a diameter in mm, or a range like 100-160')
+    least, most = _diameters(pipe_mm)
     if rings is not None and stripes is not None:
         raise AnnulusError("--rings and --stripes say the same: give one")
     count = rings + 1 if rings is not None else stripes
-    head = Head(lens, least, most, nominal_mm or (least + most) / 2, distance_mm, sensor_radius_mm, glass_mm)
+    planned = Head(lens, least, most, nominal_mm or (least + most) / 2, distance_mm, sensor_radius_mm, glass_mm)
     pattern = lay_out(
-        head,
+        planned,
         stripe_colours(colours, word, count),
         word,
         slit_px=slit_px,
@@ -111,3 +128,51 @@ def design(
     for colour, a, b in pattern.radii_mm(projector_f_mm):
         print(f"  {colour}     {a:8.4f} {b:8.4f}")
     print("written    " + ", ".join(str(path) for path in written))
+
+
+def _diameters(text: str) -> tuple[float, float]:
+    match = re.fullmatch(r"\s*([\d.]+)\s*(?:-|\.\.|to)?\s*([\d.]+)?\s*", text)
+    try:
+        least, most = (float(match[1]), float(match[2] or match[1])) if match else (0.0, 0.0)
+    except ValueError:
+        least, most = 0.0, 0.0
+    if not 0 < least <= most <= 1e4:
+        raise AnnulusError(f'--pipe-mm is "{text}", expected a diameter in mm, or a range like 100-160')
+    return least, most
+
+
+def _stereo(pipe_mm: str, file: Path | None, out: Path, as_json: bool) -> None:
+    from annulus.calibrate.outlook_picture import draw_outlook
+    from annulus.record.calibration_file import load_calibration
+    from annulus.stereo.outlook import COVERED, outlook
+
+    if file is None:
+        raise AnnulusError("--head stereo needs --calibration FILE: cameras, where they stand, and the rings")
+    known = load_calibration(file)
+    if not known.others:
+        raise AnnulusError(f"{file}: the head has one camera, expected two or more for --head stereo")
+    least, most = _diameters(pipe_mm)
+    pipes = [outlook(known, diameter / 2) for diameter in sorted({least, (least + most) / 2, most})]
+    picture = out / "outlook.png"
+    draw_outlook(pipes, [one.id for one in known.cameras], picture)
+    told = []
+    for pipe in pipes:
+        worst = float(pipe.worst_mm.max())
+        at = float(pipe.worst_mm.argmax() * 360.0 / len(pipe.worst_mm))
+        seen = worst < 1e6
+        told.append(
+            {
+                "diameter_mm": 2 * pipe.radius_mm, "covered": pipe.is_covered, "worst_direction_deg": at,
+                "worst_sigma_mm": worst if seen else None, "ahead_mm": pipe.ahead_mm.tolist(),
+            }
+        )  # fmt: skip
+        if not as_json:
+            print(
+                f"pipe       {2 * pipe.radius_mm:g} mm: {'covered' if pipe.is_covered else 'NOT covered'}; worst at "
+                f"{at:.0f} deg round the projector, {f'sigma {worst:.3f} mm' if seen else 'a ring is not seen'} "
+                f"(asked: {COVERED * pipe.radius_mm:.3f})"
+            )
+    if as_json:
+        print(json.dumps({"pipes": told, "files": [str(picture)]}))
+    else:
+        print(f"written    {picture}")

@@ -123,7 +123,7 @@ class StereoReconstructor:
         fitted = None
         for first in (seed, self.usual) if seed is not None else (self.usual,):
             some = np.ascontiguousarray(self._ways[:, ::ROUGHLY])
-            start = self._to_pipe(first, some, pipe)
+            start = to_pipe(self._vertex, first, some, pipe)
             few = self._expect(first, some, start, seen)
             looks = {n: self._read(self.views[n], one, few[n], FIRST_TOLERANCE, None) for n, one in seen.items()}
             merged = self._merge(looks, few, some, start)
@@ -135,7 +135,7 @@ class StereoReconstructor:
         if fitted is None:
             rejected["no pipe"] = sum(len(one.slits.position) for one in seen.values())
             return _empty(frame, z_mm, rejected, marks)
-        start = self._to_pipe(fitted.pose, self._ways, pipe)
+        start = to_pipe(self._vertex, fitted.pose, self._ways, pipe)
         expected = self._expect(fitted.pose, self._ways, start, seen)
         looks = {n: self._read(self.views[n], one, expected[n], WALL_TOLERANCE, rejected) for n, one in seen.items()}
         marks.append(("decode", clock()))
@@ -159,17 +159,6 @@ class StereoReconstructor:
             fitted.robust_sigma_mm, rejected, _spans(marks), sigma.astype(np.float32), fitted.lean_sigma_deg,
             seen_by=camera_of[merged.camera[at]].astype(np.uint8),
         )  # fmt: skip
-
-    def _to_pipe(self, pose: Pose, ways: FloatArray, radius_mm: float) -> FloatArray:
-        """(K, P) mm along each generator to a clean pipe."""
-        turn = pose.rotation
-        start = (self._vertex - pose.translation) @ turn
-        way = ways @ turn
-        a = (way[..., :2] ** 2).sum(axis=-1)
-        b = (way[..., :2] * start[:, None, :2]).sum(axis=-1)
-        c = (start[:, :2] ** 2).sum(axis=-1)[:, None] - radius_mm**2
-        with np.errstate(invalid="ignore", divide="ignore"):
-            return np.asarray((np.sqrt(b * b - a * c) - b) / a)
 
     def _expect(
         self, pose: Pose, ways: FloatArray, start: FloatArray, numbers: Mapping[int, object]
@@ -271,6 +260,18 @@ def generators(calibration: Calibration, directions: int) -> tuple[FloatArray, F
         ways.append(math.cos(cone.half_angle) * axis + math.sin(cone.half_angle) * across)
         vertices.append(cone.vertex_mm)
     return np.array(vertices), np.array(ways)
+
+
+def to_pipe(vertices: FloatArray, pose: Pose, ways: FloatArray, radius_mm: float) -> FloatArray:
+    """(K, P) mm along each generator, (K, P, 3) from (K, 3), to a clean pipe."""
+    turn = pose.rotation
+    start = (vertices - pose.translation) @ turn
+    way = ways @ turn
+    a = (way[..., :2] ** 2).sum(axis=-1)
+    b = (way[..., :2] * start[:, None, :2]).sum(axis=-1)
+    c = (start[:, :2] ** 2).sum(axis=-1)[:, None] - radius_mm**2
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray((np.sqrt(b * b - a * c) - b) / a)
 
 
 def _outwards(points: FloatArray, ways: FloatArray, pose: Pose) -> FloatArray:
