@@ -67,4 +67,3 @@ def test_a_pair_is_measured_together_and_alone_where_a_camera_lost_its_frame(tmp
     points = np.concatenate([profile.points_mm for profile in kept.profiles])
     scored = score_cloud(WORLD, points, np.concatenate([profile.ring for profile in kept.profiles]))
     assert scored.rms_mm < 0.25 and scored.gross_percent < 0.3
-    print(scored, len(alone), cameras, report.drops)
