@@ -61,7 +61,7 @@ def test_the_cloud_holds_every_point_that_is_not_contradicted_with_its_ring_and_
 ) -> None:
     out, pipe, profiles = written
     cloud = PlyData.read(out / "cloud.ply")["vertex"].data
-    assert cloud.dtype.names == ("x", "y", "z", "red", "green", "blue", "radius", "frame", "ring", "sigma")
+    assert cloud.dtype.names == ("x", "y", "z", "red", "green", "blue", "radius", "frame", "ring", "sigma", "camera")
     measured = sum(len(p.points_mm) for p in profiles)
     assert len(cloud) == pipe.points
     assert 0.99 * measured < len(cloud) <= measured
