@@ -127,7 +127,7 @@ class Reconstructor:
             empty = np.zeros(0, np.uint8)
             return Profile(
                 frame, z_mm, None, np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8), empty,
-                empty.astype(np.uint16), math.nan, rejected, _spans(marks),
+                empty.astype(np.uint16), math.nan, rejected, spans(marks),
             )  # fmt: skip
         # Read again where the wall now is, and fit what that leaves.
         deviation = deviations(points, fitted.pose, pipe)
@@ -155,7 +155,7 @@ class Reconstructor:
         marks.append(("sigma", clock()))
         return Profile(
             frame, z_mm, pose, wall.astype(np.float32), light, ring[kept].astype(np.uint8),
-            slits.direction[kept].astype(np.uint16), fitted.robust_sigma_mm, rejected, _spans(marks),
+            slits.direction[kept].astype(np.uint16), fitted.robust_sigma_mm, rejected, spans(marks),
             sigma, fitted.lean_sigma_deg, ring_sigma_mm=of_rings,
         )  # fmt: skip
 
@@ -202,12 +202,13 @@ class Reconstructor:
         return fit_pose(points[kept, mine], self.calibration.pipe_radius_mm, self._expected[mine], seed, one_ring)
 
 
-def _spans(marks: list[tuple[str, float]]) -> dict[str, float]:
-    spans: dict[str, float] = {}
+def spans(marks: list[tuple[str, float]]) -> dict[str, float]:
+    """ms of each stage, from (what ended, when in s); of stages of one name the sum, and `total`."""
+    out: dict[str, float] = {}
     for (_, before), (name, after) in pairwise(marks):
-        spans[name] = spans.get(name, 0.0) + 1e3 * (after - before)
-    spans["total"] = 1e3 * (marks[-1][1] - marks[0][1])
-    return spans
+        out[name] = out.get(name, 0.0) + 1e3 * (after - before)
+    out["total"] = 1e3 * (marks[-1][1] - marks[0][1])
+    return out
 
 
 def _size(image: NDArray[np.uint8]) -> str:

@@ -14,7 +14,6 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +26,7 @@ from annulus.numeric.jit import jit, middle
 from annulus.numeric.robust import SIGMA_OF_MAD
 from annulus.rings.colour import ColourProfile
 from annulus.rings.decode import NONE
-from annulus.rings.reconstructor import FIRST_TOLERANCE, RING_POINTS, WALL_TOLERANCE
+from annulus.rings.reconstructor import FIRST_TOLERANCE, RING_POINTS, WALL_TOLERANCE, spans
 from annulus.stereo.merge import BLUNT, CONTRADICTED, Merged, Sight, merge
 from annulus.stereo.view import Expected, Seen, View, view_of
 from annulus.vocabulary import AnnulusError
@@ -156,7 +155,7 @@ class StereoReconstructor:
         camera_of = np.array([*looks, *([len(self.views)] if len(looks) else [])])
         return Profile(
             frame, z_mm, pose, wall.astype(np.float32), light, ring.astype(np.uint8), direction.astype(np.uint16),
-            fitted.robust_sigma_mm, rejected, _spans(marks), sigma.astype(np.float32), fitted.lean_sigma_deg,
+            fitted.robust_sigma_mm, rejected, spans(marks), sigma.astype(np.float32), fitted.lean_sigma_deg,
             seen_by=camera_of[merged.camera[at]].astype(np.uint8),
         )  # fmt: skip
 
@@ -365,13 +364,5 @@ def _empty(frame: int, z_mm: float, rejected: dict[str, int], marks: list[tuple[
     none = np.zeros(0, np.uint8)
     return Profile(
         frame, z_mm, None, np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8), none, none.astype(np.uint16),
-        math.nan, rejected, _spans(marks),
+        math.nan, rejected, spans(marks),
     )  # fmt: skip
-
-
-def _spans(marks: list[tuple[str, float]]) -> dict[str, float]:
-    spans: dict[str, float] = {}
-    for (_, before), (name, after) in pairwise(marks):
-        spans[name] = spans.get(name, 0.0) + 1e3 * (after - before)
-    spans["total"] = 1e3 * (marks[-1][1] - marks[0][1])
-    return spans

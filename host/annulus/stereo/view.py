@@ -32,7 +32,7 @@ WIDE = 1.3  # of the usual width: a slit in a shadow's edge must not shift itsel
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """The slits of one frame, and by ring and line (K, J) which of them it is, -1 for none."""
+    """The slits (N,) of one frame, the colours beside them, and (N, K) which rings they could be by those."""
 
     slits: Slits
     inside: NDArray[np.uint8]
