@@ -18,6 +18,7 @@ export class Usb {
     this.onPull = () => {};     // D+ pulled up, or no longer
     this.frameAt = () => undefined; // (now) => {number, age} of the bus's frame, undefined while none are sent
     this.lateFrom = Infinity;   // age from which on a buffer for bulk in may not be handed over
+    this.latest = 0;            // age of the frame in which one was handed over latest
     this.reset();
   }
 
@@ -111,6 +112,7 @@ export class Usb {
       if ((value & LENGTH) > 64) fault(`USB: packet of ${value & LENGTH} bytes for ${name}`);
       if (Boolean(value & FULL) === Boolean(endpoint & 1)) fault(`USB: FULL is wrong for ${name}`);
       const late = this.frameAt(now)?.age;
+      if (this.isBulkIn(endpoint) && late > this.latest) this.latest = late;
       if (this.isBulkIn(endpoint) && late >= this.lateFrom) fault(`USB: ${name} handed over ${late} ticks into a frame: erratum E15`);
     }
     if (value !== old) this.changed[endpoint] = now;

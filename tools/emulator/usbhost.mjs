@@ -302,7 +302,7 @@ export class UsbHost {
   read() { return Buffer.from(this.received.splice(0)); }
 
   report() {
-    return { state: this.state, open: this.isOpen, attached: this.attached, found: this.found, received: this.read().toString('hex'), waiting: this.outgoing.length,
+    return { state: this.state, open: this.isOpen, attached: this.attached, latest: this.usb.latest, found: this.found, received: this.read().toString('hex'), waiting: this.outgoing.length,
              controls: this.controls.splice(0), packets: this.packets };
   }
 }
