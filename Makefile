@@ -4,6 +4,9 @@ UV_VERSION := 0.13.8
 UV         := .tools/bin/uv
 BIN        := .venv/bin
 
+# Containers are often made with this set: then every process compiles all it imports anew, 3 s of each, and a scan has eight.
+export PYTHONDONTWRITEBYTECODE :=
+
 .PHONY: setup demo test lint bench bench-metrology bench-thermoacoustic study native firmware emulator generated mutants clean
 
 setup: .venv/.synced .venv/.kernels native
