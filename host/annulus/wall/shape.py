@@ -12,7 +12,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from annulus.numeric.arrays import BoolArray, Float32Array, FloatArray
-from annulus.numeric.robust import TUKEY, biweight, nan_median, robust_sigma
+from annulus.numeric.jit import jit, middle
+from annulus.numeric.robust import SIGMA_OF_MAD, TUKEY, biweight, nan_median, robust_sigma
 
 # Held as a whole by test_shape.py and the benchmark topic diameter; ROUND_OF_RADIUS is the pose's SHAPE_PRIOR.
 USUAL_MM = 0.2  # from the usual shape: this near is the usual shape
@@ -147,28 +148,58 @@ def _robust(basis: FloatArray, line: FloatArray, starts: Sequence[FloatArray]) -
     if seen.mean() < 0.4:
         return np.full(5, np.nan)
     a, r = basis[seen], line[seen]
-    middle = float(np.median(r))
-    rest = max(robust_sigma(r - middle), LEAST_SIGMA_MM)
-    plain = np.linalg.solve(a.T @ a + _kept_round(basis, seen, rest, middle, ALIKE) + 1e-9 * np.eye(5), a.T @ r)
+    centre = float(np.median(r))
+    kept = _kept_round(basis, seen, 1.0, centre, ALIKE)
     shifted = [s + np.array([np.median(r - a @ s), 0, 0, 0, 0]) for s in starts if np.isfinite(s).all()]
-    found: list[FloatArray] = []
-    for start in (plain, *shifted):
-        fit = start
-        scale = max(robust_sigma(r - a @ fit), LEAST_SIGMA_MM)
-        for _ in range(12):
-            w = biweight((r - a @ fit) / (TUKEY * scale))
-            if (w > 0).mean() < 0.3:
-                break
-            aw = a * w[:, None]
-            fit = np.linalg.solve(
-                aw.T @ a + _kept_round(basis, seen, scale, middle, ALIKE) + 1e-9 * np.eye(5), aw.T @ r
-            )
-            scale = max(min(robust_sigma(r - a @ fit), 0.8 * scale), LEAST_SIGMA_MM)
-        found.append(fit)
-    if shifted:  # the pipe's shape changes slowly: where half of the angles still show it, the rest is a defect
+    found: list[FloatArray] = [_graduated(a, r, start, kept) for start in shifted]
+    if found:  # the pipe's shape changes slowly: where half of the angles still show it, the rest is a defect
         usual = found[-1]
         if np.mean(np.abs(r - a @ usual) < USUAL_MM) >= 0.5:
             return usual
+    rest = max(robust_sigma(r - centre), LEAST_SIGMA_MM)
+    plain = np.linalg.solve(a.T @ a + rest**2 * kept + 1e-9 * np.eye(5), a.T @ r)
+    found.insert(0, _graduated(a, r, plain, kept))
     common = max(min(robust_sigma(r - a @ fit) for fit in found), LEAST_SIGMA_MM)
     cost = [float(np.minimum(((r - a @ fit) / (TUKEY * common)) ** 2, 1.0).sum()) for fit in found]
     return found[int(np.argmin(cost))]
+
+
+@jit
+def _graduated(a, r, start, kept):  # type: ignore[no-untyped-def]
+    """(5,) the fit of a (N, 5) to r (N,) that a start of (5,) comes to while the scale shrinks. kept (5, 5): what is
+    known before, as a normal matrix over the square of the scale."""
+    size, fit, step = len(r), start.copy(), np.empty(5)
+    left, work, normal = np.empty(size), np.empty(size), np.empty((5, 5))
+    scale = max(_left(a, r, fit, left, work), LEAST_SIGMA_MM)
+    for _ in range(12):
+        normal[:] = scale * scale * kept
+        step[:] = 0.0
+        counted = 0
+        for n in range(size):
+            u = left[n] / (TUKEY * scale)
+            if abs(u) >= 1.0:
+                continue
+            counted += 1
+            w = (1.0 - u * u) ** 2
+            for i in range(5):
+                step[i] += w * a[n, i] * r[n]
+                for j in range(i + 1):
+                    normal[i, j] += w * a[n, i] * a[n, j]
+        if counted < 0.3 * size:
+            break
+        for i in range(5):
+            normal[i, i] += 1e-9
+            for j in range(i):
+                normal[j, i] = normal[i, j]
+        fit = np.linalg.solve(normal, step)
+        scale = max(min(_left(a, r, fit, left, work), 0.8 * scale), LEAST_SIGMA_MM)
+    return fit
+
+
+@jit
+def _left(a, r, fit, left, work):  # type: ignore[no-untyped-def]
+    """Writes what a fit leaves of r, (N,), and returns its robust sigma."""
+    for n in range(len(r)):
+        left[n] = r[n] - (a[n, 0] * fit[0] + a[n, 1] * fit[1] + a[n, 2] * fit[2] + a[n, 3] * fit[3] + a[n, 4] * fit[4])
+        work[n] = abs(left[n])
+    return SIGMA_OF_MAD * middle(work, len(r))
