@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from annulus.calibrate.both import AGREES, board_from_dict, disagreement
 from annulus.calibrate.followed import decode_frames
 from annulus.calibrate.pipe import (
     FOLDS,
@@ -37,10 +38,12 @@ from annulus.vocabulary import AnnulusError
 def calibrate_head(scan: Path, camera: Path, radius_mm: float, *, progress: Progress | None = None) -> PipeCalibration:
     """Calibrate from the projector frames of a two-camera scan in a clean round pipe of known radius.
 
-    `camera` has the section cameras, whose placements, if there are any, are not read, and pattern.colours.
+    `camera` has the section cameras, whose placements, if there are any, are not read, and pattern.colours. Where a
+    board, seen by both, has said where they stand, the answer is compared with it.
     Raises AnnulusError, one line, where nothing can be found.
     """
     cameras, colours = load_part(camera, head_cameras_from_dict, "annulus calibrate camera")
+    board = load_part(camera, board_from_dict, "annulus calibrate camera")
     report = progress or (lambda stage, done, total: None)
     marks = {"start": time.process_time()}
     opened = open_scan(scan)
@@ -87,12 +90,21 @@ def calibrate_head(scan: Path, camera: Path, radius_mm: float, *, progress: Prog
             held = None
     marks["hold out"] = time.process_time()
     calibration = _calibration(cameras, colours, solution, radius_mm)
+    told = [disagreement(board, one.id, n, solution) for n, one in enumerate(cameras[1:])] if board is not None else []
+    compared = tuple(one for one in told if one is not None)
+    warnings = warn(solution, held, indices, radius_mm, None, None, exposures)
+    warnings += tuple(
+        f"the board has camera {one.camera} {one.moved_mm:.3f} mm elsewhere, turned by {one.turned_deg:.3f} deg, "
+        f"{one.sigmas:.1f} sigma, not {AGREES:g} at most: check the squares' side, the pipe's radius, the lenses"
+        for one in compared
+        if not one.agrees
+    )
     names = list(marks)
     return PipeCalibration(
         calibration, solution, seen, held, None, indices, left_out,
         len({opened.frames[i].index for i in projector_frames(opened, None)}),
-        warn(solution, held, indices, radius_mm, None, None, exposures), advise(cameras[0].camera, alone, radius_mm),
-        {name: marks[name] - marks[before] for before, name in pairwise(names)},
+        warnings, advise(cameras[0].camera, alone, radius_mm),
+        {name: marks[name] - marks[before] for before, name in pairwise(names)}, board=compared,
     )  # fmt: skip
 
 

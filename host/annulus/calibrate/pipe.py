@@ -3,13 +3,14 @@
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from annulus.calibrate.both import Disagreement
 from annulus.calibrate.followed import decode_frames
 from annulus.calibrate.sample import Progress, projector_frames, sample
 from annulus.geometry.calibration import Calibration, camera_alone, head_from_dict
@@ -68,6 +69,7 @@ class PipeCalibration:
     advice: tuple[str, ...]
     timing_s: dict[str, float] = field(default_factory=dict)
     held_every: int = HELD_EVERY
+    board: tuple[Disagreement, ...] = ()  # with a target before both cameras, about where they stand
 
     def _held_mm(self, held: Measured, part: BoolArray | None = None) -> float:
         """mm rms of the radius in frames held out."""
@@ -145,6 +147,7 @@ class PipeCalibration:
             "camera_projector_mm": self.distance_mm,
             "pipe_radius_mm": self.calibration.pipe_radius_mm,
             **({"cameras": self.cameras} if self.cameras else {}),
+            **({"board": [asdict(one) for one in self.board]} if self.board else {}),
             "poses_good": not self.advice,
             "advice": list(self.advice),
             "warnings": list(self.warnings),

@@ -3,12 +3,15 @@
 import json
 import math
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from annulus.cli.show import Json, group, progress
 from annulus.vocabulary import AnnulusError
+
+if TYPE_CHECKING:
+    from annulus.calibrate.camera import CameraCalibration
 
 app = group("Measure the head: camera, rings, colours. Every answer goes into one calibration.json.")
 
@@ -40,6 +43,10 @@ def camera(
             help="What the sensor's mode shows of it, as `annulus daemon --check` has it; others are refused.",
         ),
     ] = None,
+    second: Annotated[
+        Path | None,
+        typer.Option(help="Folder of photographs by the head's second camera, taken at the same moments."),
+    ] = None,
     picture: Annotated[
         Path | None, typer.Option(help="Where to draw what the lens is worth. [default: FILE.camera.png]")
     ] = None,
@@ -49,28 +56,65 @@ def camera(
 
     The target may be of any size, partly seen, through any lens; bad photographs are left out and named. Ten to twenty
     photographs, the target filling half the image, tilted 30 to 45 degrees, and in every corner of it.
+
+    With --second both cameras of a head are measured, and where the second stands: photographs of one moment have one
+    name in both folders, or one place in their order. `annulus calibrate pipe` then says how the rings agree with it.
     """
     if model not in (None, "pinhole", "fisheye"):
         raise AnnulusError(f'--model is "{model}", expected pinhole or fisheye')
     field = None if crop is None else _field(crop)
+    from annulus.calibrate.both import join_cameras, pair_files, save_both
     from annulus.calibrate.camera import calibrate_camera, image_files, save_camera
     from annulus.calibrate.camera_picture import draw_camera
 
+    files = [image_files(images), *([] if second is None else [image_files([second])])]
+    pairs = pair_files(*files) if second is not None else []
+    if field is not None and second is not None:
+        raise AnnulusError("--sensor-crop does not go with --second: give it for each camera by itself")
     with progress() as bars:
-        result = calibrate_camera(
-            image_files(images),
-            model=model,  # type: ignore[arg-type]
-            target=target,
-            square_mm=square_mm,
-            progress=bars,
-        )
-    stale = save_camera(result, out, field)
+        results = [
+            calibrate_camera(
+                each,
+                model=model,  # type: ignore[arg-type]
+                target=target,
+                square_mm=square_mm,
+                progress=bars,
+            )
+            for each in files
+        ]
+    both = join_cameras(results[0], results[1], pairs) if second is not None else None
+    stale = save_camera(results[0], out, field) if both is None else save_both(both, out)
     picture = picture or out.with_suffix(".camera.png")
-    draw_camera(result, picture)
-    told = result.to_dict()
+    pictures = [picture, picture.with_stem(f"{picture.stem}-second")][: len(results)]
+    for result, drawn in zip(results, pictures, strict=True):
+        draw_camera(result, drawn)
     if as_json:
-        print(json.dumps({**told, "file": str(out), "picture": str(picture)}))
+        shown = {"file": str(out), "picture": str(picture)}
+        if both is None:
+            print(json.dumps({**results[0].to_dict(), **shown}))
+        else:
+            print(json.dumps({"cameras": [one.to_dict() for one in results], **both.to_dict(), **shown}))
         return
+    for result in results:
+        _show_camera(result)
+    if both is not None:
+        x, y, z = both.placed.centre_mm
+        told = both.to_dict()
+        used = sum(one["used"] for one in told["moments"])
+        print(f"moments    {used} of {len(pairs)} say where the second camera stands")
+        for names in both.left_out:
+            print(f"           {names[0]} and {names[1]} LEFT OUT: not of one moment, they contradict the others")
+        print(
+            f"second     turned {told['turned_deg']:.3f} +- {told['turned_sigma_deg']:.3f} deg, at {x:.3f} {y:.3f} "
+            f"{z:.3f} +- {max(told['centre_sigma_mm']):.3f} mm from the first"
+        )
+    if stale:
+        print(f"warning    the rings in {out} were measured with the camera before this one: calibrate them again")
+    print(f"written    {', '.join(map(str, (out, *pictures)))}")
+
+
+def _show_camera(result: "CameraCalibration") -> None:
+    told = result.to_dict()
     for one in result.photographs:
         state = f"{one.rms_px:6.3f} px" if one.rms_px == one.rms_px else "        -"
         odd = f", {one.left_out} left out" if one.left_out else ""
@@ -96,9 +140,6 @@ def camera(
     print(f"coverage   {100 * result.coverage:.0f} % of the image")
     for warning in result.warnings:
         print(f"warning    {warning}")
-    if stale:
-        print(f"warning    the rings in {out} were measured with the camera before this one: calibrate them again")
-    print(f"written    {out}, {picture}")
 
 
 @app.command("colour", epilog="Example: annulus calibrate colour scans/yellow --calibration head-7.json -o yellow.json")
@@ -324,6 +365,11 @@ def pipe(
         print(
             f"camera {one['camera']:<3} turned {one['turned_deg']:.3f} +- {one['turned_sigma_deg']:.3f} deg, at "
             f"{x:.3f} {y:.3f} {z:.3f} +- {max(one['centre_sigma_mm']):.3f} mm from the first"
+        )
+    for one in told.get("board", ()):
+        print(
+            f"board      has camera {one['camera']} turned by {one['turned_deg']:.3f} deg and {one['moved_mm']:.3f} mm "
+            f"elsewhere: {one['sigmas']:.1f} sigma"
         )
     print(f"distance   {result.distance_mm:.2f} mm from camera to projector, if the radius is {radius:g} mm: check it")
     print(f"poses      {'good' if not result.advice else 'could be better: ' + '; '.join(result.advice)}")

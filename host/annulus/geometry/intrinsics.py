@@ -36,17 +36,27 @@ class Intrinsics:
     """A camera fitted to views.
 
     `rotations` (V, 3, 3) and `translations` (V, 3) mm: target to camera. `residuals`: (N, 2) pixels of each view, seen
-    less modelled; `seen`: where, (N, 2) pixels. `information` (V, P, P), `pulls` (V, P): what each view says of fx, fy,
+    less modelled; `views`: as given. `information` (V, P, P), `pulls` (V, P): what each view says of fx, fy,
     cx, cy and the distortion past its own pose: normal matrix and gradient.
     """
 
     camera: Camera
     rotations: FloatArray
     translations: FloatArray
-    seen: tuple[FloatArray, ...]
+    views: tuple[TargetObservation, ...]
     residuals: tuple[FloatArray, ...]
     information: FloatArray
     pulls: FloatArray
+
+    @property
+    def seen(self) -> tuple[FloatArray, ...]:
+        """(N, 2) pixels of each view."""
+        return tuple(view.pixels for view in self.views)
+
+    @cached_property
+    def moves(self) -> FloatArray:
+        """(V, P) how the lens' numbers move when one view is left out, in one step."""
+        return left_out(self.information, self.pulls)
 
     @cached_property
     def covariance(self) -> FloatArray:
@@ -58,11 +68,7 @@ class Intrinsics:
         McCaffrey 2002). Somewhat large for few views, which is what two of it need to hold for 95 % there; two or
         three views leave next to nothing when one is gone.
         """
-        whole = self.information.sum(axis=0)
-        unit = 1 / np.sqrt(np.diag(whole))
-        rest = np.outer(unit, unit) * (whole - self.information) + 1e-14 * np.eye(len(unit))
-        moves = unit * np.linalg.solve(rest, (unit * self.pulls)[:, :, None])[:, :, 0]
-        return np.asarray((len(moves) - 1) / len(moves) * moves.T @ moves)
+        return np.asarray((len(self.moves) - 1) / len(self.moves) * self.moves.T @ self.moves)
 
     @property
     def rms_px(self) -> float:
@@ -102,7 +108,7 @@ class Intrinsics:
         rays = self.camera.rays(pixels)
         good = np.asarray(np.isfinite(rays).all(axis=1))
         _, by_point, by_lens = project_with_slopes(self.camera, rays[good])
-        return good, by_point @ -_cross_matrix(rays[good]), by_lens
+        return good, by_point @ -cross_matrix(rays[good]), by_lens
 
 
 def fit_intrinsics(
@@ -138,10 +144,19 @@ def fit_intrinsics(
     camera, rotations, translations = _adjust(camera, rotations, translations, views, None, robust=True)
     if not robust:
         camera, rotations, translations = _adjust(camera, rotations, translations, views, None, robust=False)
-    rows = [_rows(camera, *one) for one in zip(views, rotations, translations, strict=True)]
-    seen = tuple(view.pixels for view in views)
+    rows = [target_rows(camera, *one) for one in zip(views, rotations, translations, strict=True)]
     information, pulls = (np.array(part) for part in zip(*map(_past_pose, rows), strict=True))
-    return Intrinsics(camera, rotations, translations, seen, tuple(off for off, _, _ in rows), information, pulls)
+    return Intrinsics(
+        camera, rotations, translations, tuple(views), tuple(off for off, _, _ in rows), information, pulls
+    )
+
+
+def left_out(information: FloatArray, pulls: FloatArray) -> FloatArray:
+    """(V, P) how the answer moves when one of V observations, each with its normal matrix and gradient, is left out."""
+    whole = information.sum(axis=0)
+    unit = 1 / np.sqrt(np.diag(whole))
+    rest = np.outer(unit, unit) * (whole - information) + 1e-14 * np.eye(len(unit))
+    return np.asarray(-unit * np.linalg.solve(rest, (unit * pulls)[:, :, None])[:, :, 0])
 
 
 def target_pose(camera: Camera, view: TargetObservation) -> tuple[FloatArray, FloatArray, float]:
@@ -260,7 +275,7 @@ def _poses(camera: Camera, views: list[TargetObservation]) -> tuple[FloatArray, 
         middle, spread = view.target_mm[good].mean(axis=0), float(np.std(view.target_mm[good]))
         flat = (view.target_mm[good] - middle) / spread
         homogeneous = np.concatenate([flat, np.ones((len(flat), 1))], axis=1)
-        rows = np.einsum("nij,nk->nijk", _cross_matrix(rays[good]), homogeneous).reshape(-1, 9)
+        rows = np.einsum("nij,nk->nijk", cross_matrix(rays[good]), homogeneous).reshape(-1, 9)
         h = np.linalg.svd(rows, full_matrices=False)[2][-1].reshape(3, 3)
         if np.einsum("ni,ij,nj->n", rays[good], h, homogeneous).sum() < 0:
             h = -h
@@ -322,14 +337,14 @@ def _past_pose(rows: Rows) -> tuple[FloatArray, FloatArray]:
     return lens.T @ lens, lens.T @ off.ravel()
 
 
-def _rows(camera: Camera, view: TargetObservation, rotation: FloatArray, translation: FloatArray) -> Rows:
+def target_rows(camera: Camera, view: TargetObservation, rotation: FloatArray, translation: FloatArray) -> Rows:
     turned = view.target_mm @ rotation[:, :2].T
     with np.errstate(all="ignore"):
         pixels, by_point, by_lens = project_with_slopes(camera, turned + translation)
     off = view.pixels - pixels
     if camera.model == "pinhole":
         off[(turned + translation)[:, 2] <= 0] = 1e6
-    return off, by_lens, np.concatenate([by_point @ -_cross_matrix(turned), by_point], axis=2)
+    return off, by_lens, np.concatenate([by_point @ -cross_matrix(turned), by_point], axis=2)
 
 
 def _normal(
@@ -344,7 +359,9 @@ def _normal(
     """Normal equations, their blocks for each pose with the scale of the residuals, and the cost."""
     found = [
         (off, by_lens @ basis, by_pose)
-        for off, by_lens, by_pose in (_rows(camera, *one) for one in zip(views, rotations, translations, strict=True))
+        for off, by_lens, by_pose in (
+            target_rows(camera, *one) for one in zip(views, rotations, translations, strict=True)
+        )
     ]
     if not all(
         np.isfinite(off).all() and np.isfinite(lens).all() and np.isfinite(pose).all() for off, lens, pose in found
@@ -398,7 +415,7 @@ def _moved(
     return moved, Rotation.from_rotvec(both[:, :3]).as_matrix() @ rotations, translations + both[:, 3:]
 
 
-def _cross_matrix(v: FloatArray) -> FloatArray:
+def cross_matrix(v: FloatArray) -> FloatArray:
     """(N, 3) -> (N, 3, 3): times a vector, the cross product with it."""
     x, y, z = v.T
     zero = np.zeros_like(x)

@@ -128,7 +128,7 @@ class Bundle:
             self.rows[seen.camera == 0, 11:17] = 0.0  # the first camera is where all is measured from
         for number, row in enumerate(cameras, start=1):  # the turn itself to its rotation vector
             mine = np.flatnonzero(seen.camera == number)
-            self.rows[mine, 11:14] = self.rows[mine, 11:14] @ _turned_by(row[:3])
+            self.rows[mine, 11:14] = self.rows[mine, 11:14] @ turned_by(row[:3])
         self.shift = shift
         if len(shift):
             self.error -= seen.tint @ shift
@@ -352,7 +352,7 @@ def _placements(cameras: FloatArray) -> tuple[Placement, ...]:
     return tuple(Placement(np.asarray(Rotation.from_rotvec(row[:3]).as_matrix()), row[3:].copy()) for row in cameras)
 
 
-def _turned_by(vector: FloatArray) -> FloatArray:
+def turned_by(vector: FloatArray) -> FloatArray:
     """(3, 3) small turn that a change of a rotation vector adds, on the left: the group's left Jacobian."""
     angle = float(np.linalg.norm(vector))
     cross = np.array([[0, -vector[2], vector[1]], [vector[2], 0, -vector[0]], [-vector[1], vector[0], 0]])
