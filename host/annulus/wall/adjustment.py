@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from annulus.geometry.cone import Cone
 from annulus.geometry.pose import rotations
 from annulus.numeric.arrays import FloatArray
+from annulus.numeric.jit import jit
 from annulus.numeric.robust import CAUCHY, SIGMA_OF_MAD
-from annulus.wall.centreline import Centreline, Piece
+from annulus.wall.centreline import Centreline, Piece, point_to_pipe
 from annulus.wall.profile import Profile
 
 POINTS_LEAST = 3  # points of a ring's sector, for an observation
@@ -181,28 +182,56 @@ def locate(seen: Sightings, state: State) -> Where:
 def _locate(seen: Sightings, state: State, local: FloatArray) -> Where:
     line = state.centreline()
     origins, frames = line.frames_at(seen.chainage_mm)
-    space = origins[seen.frame] + np.einsum("nij,nj->ni", frames[seen.frame], local)
-    pipe = line.to_pipe(space, line.piece_of(seen.chainage_mm)[seen.frame])
-    radius = np.hypot(pipe[:, 0], pipe[:, 1])
-    direction = pipe[:, :2] / np.maximum(radius, 1e-9)[:, None]
-    own = line.piece_of(pipe[:, 2])
-    of = state.pieces[own]
-    c, s = direction.T
-    model = (
-        state.radii_mm()[own] + of[:, TAPER] * (pipe[:, 2] - of[:, START])
-        + of[:, 8] * (c * c - s * s) + of[:, 9] * 2 * c * s
+    size = len(seen.frame)
+    residual, chainage, direction = np.empty(size), np.empty(size), np.empty((size, 2))
+    _off_the_wall(
+        local, seen.frame, origins, frames, line.piece_of(seen.chainage_mm), line.places, state.pieces,
+        state.radii_mm(), residual, chainage, direction,
     )  # fmt: skip
-    return Where(radius - model, pipe[:, 2], direction)
+    return Where(residual, chainage, direction)
+
+
+@jit
+def _off_the_wall(  # type: ignore[no-untyped-def]
+    local, frame, origins, turns, since, places, pieces, radii, residual, chainage, direction
+):
+    """Writes `Where` of points (N, 3) before heads that stand at origins (F, 3), turns (F, 3, 3), on pieces (F,)."""
+    for n in range(len(local)):
+        f = frame[n]
+        turn, a, b, c = turns[f], local[n, 0], local[n, 1], local[n, 2]
+        px = origins[f, 0] + turn[0, 0] * a + turn[0, 1] * b + turn[0, 2] * c
+        py = origins[f, 1] + turn[1, 0] * a + turn[1, 1] * b + turn[1, 2] * c
+        pz = origins[f, 2] + turn[2, 0] * a + turn[2, 1] * b + turn[2, 2] * c
+        x, y, z = point_to_pipe(px, py, pz, since[f], places[0], places[1], places[2], places[3])
+        own = 0
+        while own + 1 < len(pieces) and z >= pieces[own + 1, START]:
+            own += 1
+        radius = math.hypot(x, y)
+        x, y = x / max(radius, 1e-9), y / max(radius, 1e-9)
+        row = pieces[own]
+        model = radii[own] + row[TAPER] * (z - row[START]) + row[8] * (x * x - y * y) + row[9] * 2 * x * y
+        residual[n], chainage[n], direction[n, 0], direction[n, 1] = radius - model, z, x, y
 
 
 def _local(seen: Sightings, state: State) -> FloatArray:
     """(N, 3) observations in the pipe's own frame at each head, each ring's bias taken out."""
     heads = state.heads
     turned = rotations(heads[:, 0], heads[:, 1], heads[:, 4])
-    bias = (state.bias_mm[seen.ring] * seen.ways).sum(axis=1)
-    moved = seen.points_mm - bias[:, None] * seen.slide_mm
-    moved[:, :2] -= heads[seen.frame, 2:4]
-    return np.asarray(np.einsum("nji,nj->ni", turned[seen.frame], moved))
+    out = np.empty(seen.points_mm.shape)
+    _to_heads(seen.points_mm, seen.slide_mm, seen.ways, seen.ring, seen.frame, state.bias_mm, heads, turned, out)
+    return out
+
+
+@jit
+def _to_heads(points, slide, ways, ring, frame, bias, heads, turned, out):  # type: ignore[no-untyped-def]
+    for n in range(len(points)):
+        own, turn = bias[ring[n]], turned[frame[n]]
+        off = own[0] * ways[n, 0] + own[1] * ways[n, 1] + own[2] * ways[n, 2]
+        x = points[n, 0] - off * slide[n, 0] - heads[frame[n], 2]
+        y = points[n, 1] - off * slide[n, 1] - heads[frame[n], 3]
+        z = points[n, 2] - off * slide[n, 2]
+        for i in range(3):
+            out[n, i] = turn[0, i] * x + turn[1, i] * y + turn[2, i] * z
 
 
 def adjust(

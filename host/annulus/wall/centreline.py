@@ -5,6 +5,7 @@ before its start and along it is the same. A piece begins where the centre line 
 (its angle), begins or ends to curve, or the radius steps or begins to change. Frames are carried along without twist.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus.numeric.arrays import FloatArray
+from annulus.numeric.jit import jit
 
 STRAIGHT = 1e-9  # 1/mm; less curvature than this is none
 
@@ -41,7 +43,7 @@ class Centreline:
     Raises ValueError when there is no piece or starts do not rise.
     """
 
-    __slots__ = ("_ends", "_frames", "_origins", "pieces")
+    __slots__ = ("_ends", "_frames", "_origins", "pieces", "places")
 
     def __init__(self, pieces: Sequence[Piece]) -> None:
         if not pieces or any(b.start_mm <= a.start_mm for a, b in pairwise(pieces)):
@@ -58,6 +60,11 @@ class Centreline:
             frame = frame @ rotation(np.array([piece.turn]))[0]
             self._origins.append(origin)
             self._frames.append(frame)
+        # of each piece its start (P,), curvature (P, 2), and where it begins in space: origin (P, 3), frame (P, 3, 3)
+        self.places = (
+            np.array([piece.start_mm for piece in pieces]), np.array([piece.curvature for piece in pieces]),
+            np.array(self._origins), np.array(self._frames),
+        )  # fmt: skip
 
     @property
     def is_straight(self) -> bool:
@@ -118,17 +125,9 @@ class Centreline:
         where it was; the first if not given."""
         if self.is_straight:
             return points_mm
+        own = np.zeros(len(points_mm), np.intp) if since is None else since
         out = np.empty(points_mm.shape)
-        own = np.zeros(len(points_mm), np.intp) if since is None else since.copy()
-        last = len(self.pieces) - 1
-        for i, piece in enumerate(self.pieces):
-            here = np.flatnonzero(own == i)
-            if not len(here):
-                continue
-            local = _to_piece(piece, (points_mm[here] - self._origins[i]) @ self._frames[i])
-            on = local[:, 2] > self._ends[i] if i < last else np.zeros(len(here), bool)
-            out[here] = local
-            own[here[on]] = i + 1
+        _to_pipe(np.asarray(points_mm, dtype=np.float64), own, *self.places, out)
         return out
 
 
@@ -155,17 +154,33 @@ def _along(piece: Piece, length_mm: FloatArray) -> tuple[FloatArray, FloatArray]
     return way, rotation(length_mm[:, None] * bend)
 
 
-def _to_piece(piece: Piece, local: FloatArray) -> FloatArray:
-    """(N, 3) x, y, chainage of points in the frame of a piece's start."""
-    k = float(np.hypot(*piece.curvature))
-    out = local.copy()
-    if k > STRAIGHT:
-        x, y = np.array(piece.curvature) / k
-        towards = x * local[:, 0] + y * local[:, 1]
-        arm = 1.0 / k - towards
-        change = 1.0 / k - np.hypot(arm, local[:, 2]) - towards
-        out[:, 0] += change * x
-        out[:, 1] += change * y
-        out[:, 2] = np.arctan2(local[:, 2], arm) / k
-    out[:, 2] += piece.start_mm
-    return out
+@jit
+def _to_pipe(points, own, starts, bends, origins, frames, out):  # type: ignore[no-untyped-def]
+    for n in range(len(points)):
+        px, py, pz = points[n]
+        out[n, 0], out[n, 1], out[n, 2] = point_to_pipe(px, py, pz, own[n], starts, bends, origins, frames)
+
+
+@jit
+def point_to_pipe(px, py, pz, piece, starts, bends, origins, frames):  # type: ignore[no-untyped-def]
+    """x, y, chainage of a point in space, sought from a piece on; the rest is `Centreline.places`."""
+    while True:
+        dx, dy, dz = px - origins[piece, 0], py - origins[piece, 1], pz - origins[piece, 2]
+        f = frames[piece]
+        x = dx * f[0, 0] + dy * f[1, 0] + dz * f[2, 0]
+        y = dx * f[0, 1] + dy * f[1, 1] + dz * f[2, 1]
+        z = dx * f[0, 2] + dy * f[1, 2] + dz * f[2, 2]
+        k = math.hypot(bends[piece, 0], bends[piece, 1])
+        if k > STRAIGHT:
+            bx, by = bends[piece, 0] / k, bends[piece, 1] / k
+            towards = bx * x + by * y
+            arm = 1.0 / k - towards
+            change = 1.0 / k - math.hypot(arm, z) - towards
+            x += change * bx
+            y += change * by
+            z = math.atan2(z, arm) / k
+        z += starts[piece]
+        if piece + 1 < len(starts) and z > starts[piece + 1]:
+            piece += 1
+            continue
+        return x, y, z
