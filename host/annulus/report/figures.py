@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.colors import ListedColormap, Normalize, to_rgb
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
+from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 from scipy import ndimage
 
@@ -39,6 +39,9 @@ from annulus.wall.grid import Wall
 from annulus.wall.stations import OVALITY_NAME
 from annulus.wall.survey import Survey
 
+SHARED = "#3f8f5b"  # what several cameras saw, and what each did
+OWN = ("#e0912f", "#7a5aa6", "#2f79c4", "#b3261e", "#8a6d3b", "#4b2e83", "#0b7285", "#d6336c") * 2
+
 
 @dataclass(frozen=True, slots=True)
 class Pictures:
@@ -52,6 +55,7 @@ class Pictures:
     scale_mm: float
     features: tuple[tuple[str, bytes], ...]  # letter or question mark, picture
     course: bytes | None  # of a pipe that is not one straight, even tube
+    cameras: bytes | None  # which of several saw what, and how well
 
 
 def draw(survey: Survey) -> Pictures:
@@ -65,6 +69,7 @@ def draw(survey: Survey) -> Pictures:
         return Pictures(
             _unwrapped(survey, deviation, scale), _texture(survey), _stations(survey), _surface(survey, rgb), rgb,
             scale, draw_features(survey), draw_course(survey),
+            _cameras(survey) if len(survey.cameras) > 1 else None,
         )  # fmt: skip
 
 
@@ -92,19 +97,24 @@ def _map_figure(wall: Wall, axis: _Axis) -> tuple[Figure, Any]:
     height = float(np.clip(WIDTH_IN * 0.8 * ratio, 3.6, 6.0))  # true to scale where that fits a page
     figure = Figure(figsize=(WIDTH_IN, height), dpi=DPI, layout="constrained")
     axes = figure.add_subplot()
+    _lay_map(axes, axis)
+    axes.set_xlabel(axis.label)
+    return figure, axes
+
+
+def _lay_map(axes: Any, axis: _Axis) -> None:
+    """Distance against clock position; what is drawn on it nowhere was not seen."""
     axes.set_facecolor(UNSEEN)
     axes.set_xlim(*axis.limits)
     axes.set_ylim(360, 0)
     axes.set_yticks(range(0, 361, 30), labels=[f"{h % 12 or 12}:00" if h % 3 == 0 else "" for h in range(13)])
     axes.set_ylabel("clock position, looking forward")
-    axes.set_xlabel(axis.label)
     axes.add_patch(
         Rectangle(
             (axis.limits[0], 0), axis.limits[1] - axis.limits[0], 360, fill=False, hatch="////", ec="#aab1b9", lw=0
         )
     )
     axes.grid(axis="y", color=INK, alpha=0.10, lw=0.6)
-    return figure, axes
 
 
 def _unwrapped(survey: Survey, deviation: NDArray[np.float32], scale: float) -> bytes:
@@ -145,6 +155,50 @@ def _texture(survey: Survey) -> bytes:
     axes.set_title(
         "Wall in LED light, brightness evened out   (hatched grey: not seen)", loc="left", fontsize=11, pad=24
     )
+    return png(figure)
+
+
+def _cameras(survey: Survey) -> bytes:
+    """Which camera saw each cell, and how well those that did know its radius."""
+    wall, axis = survey.wall, _Axis(survey.wall)
+    figure = Figure(figsize=(WIDTH_IN, 7.0), dpi=DPI, layout="constrained")
+    both = figure.subplots(2, 1, sharex=True)
+    for axes in both:
+        _lay_map(axes, axis)
+    who = wall.seen_by(len(survey.cameras))
+    names = [*(f"camera {one} alone" for one in survey.cameras), "more than one"]
+    shades = [*OWN[: len(survey.cameras)], SHARED]
+    extent, more = (*axis.limits, 360.0, 0.0), len(names) + 0.5
+    both[0].imshow(
+        np.ma.masked_equal(who.T, 0), cmap=ListedColormap(shades[: len(names)]), vmin=0.5, vmax=more, extent=extent,
+        aspect="auto", interpolation="nearest", zorder=2,
+    )  # fmt: skip
+    both[0].imshow(
+        np.ma.masked_equal(survey.shadowed.T, False), cmap=ListedColormap([HIDDEN]), extent=extent, aspect="auto",
+        interpolation="nearest", zorder=3,
+    )  # fmt: skip
+    share = survey.seen_by_fraction()
+    patches = [
+        Patch(color=shade, label=f"{name}: {100 * part:.1f} %")
+        for shade, name, part in zip(shades, names, share.values(), strict=False)
+    ]
+    patches.append(
+        Patch(fc=UNSEEN, hatch="////", ec="#aab1b9", label=f"none: {100 * (1 - survey.seen_fraction):.1f} %")
+    )
+    both[0].legend(handles=patches, loc="upper left", bbox_to_anchor=(1.005, 1.0), frameon=False, fontsize=8.5)
+    both[0].set_title(
+        "Which camera saw the wall   (hatched grey: none; dark grey: hidden by a step)", loc="left", fontsize=11
+    )
+    sigma = wall.sigma_mm
+    known = sigma[np.isfinite(sigma)]
+    top = round_up(float(np.percentile(known, 98))) if len(known) else 1.0
+    shown = both[1].imshow(
+        np.ma.masked_invalid(sigma.T), cmap="viridis_r", vmin=0, vmax=top, extent=extent, aspect="auto",
+        interpolation="nearest", zorder=2,
+    )  # fmt: skip
+    both[1].set_title("How well a point's radius is known, one standard deviation", loc="left", fontsize=11)
+    both[1].set_xlabel(axis.label)
+    figure.colorbar(shown, ax=both[1], pad=0.015, fraction=0.035, aspect=28).set_label("mm")
     return png(figure)
 
 

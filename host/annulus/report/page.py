@@ -68,6 +68,7 @@ def render_page(survey: Survey, summary: Mapping[str, Any], pictures: Pictures) 
         unsure=UNSURE,
         unwrapped=_inline(pictures.unwrapped),
         texture=_inline(pictures.texture),
+        cameras=None if pictures.cameras is None else _inline(pictures.cameras),
         stations=_inline(pictures.stations),
         course=None if pictures.course is None else _inline(pictures.course),
         surface=[(caption, _inline(data)) for caption, data in pictures.surface],

@@ -71,6 +71,11 @@ def summarize(survey: Survey, account: Account, files_ms: float) -> dict[str, An
             for w in (*account.findings, *survey.findings)
         ],
     }
+    if len(survey.cameras) > 1:
+        out["seen_by_percent"] = {
+            "several" if one is None else str(one): round(100.0 * part, 2)
+            for one, part in survey.seen_by_fraction().items()
+        }
     if survey.vibration is not None:
         out["vibration"] = _vibration(survey.vibration)
     if account.truth is not None:

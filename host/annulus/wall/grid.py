@@ -40,13 +40,15 @@ class Observations:
     or right as a whole.
 
     cell (N,): index into the flattened grid. number (N,): the same for all points of one
-    observation. sigma_mm (N,): what each point said it may be off; NaN where nobody said.
+    observation. sigma_mm (N,): what each point said it may be off; NaN where nobody said. seen_by (N,): as
+    `Profile.seen_by`.
     """
 
     cell: NDArray[np.int64]
     number: NDArray[np.int32]
     radius_mm: Float32Array
     sigma_mm: Float32Array
+    seen_by: NDArray[np.uint8]
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,6 +138,20 @@ class Wall:
         departure = self.radius_mm - self.shape_mm[:, :3] @ basis.T
         return np.where(sure, departure, np.nan).astype(np.float32)
 
+    def seen_by(self, cameras: int) -> NDArray[np.uint8]:
+        """(Z, A) of a head of several: 0 not seen, n by the n-th alone, cameras + 1 by more than one, be it one
+        after the other. A cell between measured ones is theirs that measured the nearest."""
+        at, who = self.observations.cell, self.observations.seen_by
+        by = np.zeros((cameras, self.radius_mm.size), bool)
+        for n in range(cameras):
+            by[n, at[(who == n) | (who >= cameras)]] = True
+        alone = np.where(by.sum(axis=0) > 1, cameras + 1, (by * np.arange(1, cameras + 1)[:, None]).sum(axis=0))
+        wide = np.pad(alone.reshape(self.radius_mm.shape), ((0, 0), (8, 8)), mode="wrap")
+        if wide.any():
+            row, column = ndimage.distance_transform_edt(wide == 0, return_distances=False, return_indices=True)
+            wide = wide[row, column]
+        return np.where(self.seen, wide[:, 8:-8], 0).astype(np.uint8)
+
     def filled_mm(self) -> Float32Array:
         """(Z, A) radius with the pipe's shape where nothing was seen; for placing texture, never for measuring."""
         return np.where(self.seen, self.radius_mm, (self.shape_mm @ harmonics(self.clock_deg).T).astype(np.float32))
@@ -198,6 +214,7 @@ def build_wall(
         keep &= ~between_levels(grid, step, rise).ravel()[cell]
         grid, count = cell_medians(cell[keep], radius[keep], (rows, columns))
     sigma = np.concatenate([p.sigma_mm for p in used]).astype(np.float64)[finite][inside]
+    seen_by = np.concatenate([p.seen_by for p in used])[finite][inside]
     stated = keep & np.isfinite(sigma)
     errors, _ = cell_medians(cell[stated], sigma[stated], (rows, columns))
     clock_columns = np.asarray((np.arange(columns) + 0.5) * ANGLE_STEP_DEG, dtype=np.float64)
@@ -228,7 +245,7 @@ def build_wall(
     cell = cell - ends[0] * columns
     keep &= (cell >= 0) & (cell < grid.size)
     observations = Observations(
-        cell[keep], number[keep], radius[keep].astype(np.float32), sigma[keep].astype(np.float32)
+        cell[keep], number[keep], radius[keep].astype(np.float32), sigma[keep].astype(np.float32), seen_by[keep]
     )
     measured = grid.astype(np.float32)
     unknown = np.zeros(grid.shape, dtype=np.float32)

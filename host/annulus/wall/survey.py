@@ -51,7 +51,7 @@ class Survey:
     features : joints, openings, levels and the like, in order of distance; none of them is a defect.
     centreline : pipe coordinates, in which all of this is, and the way to space.
     disbelieved : what of the sensors the rings contradict.
-    nominal_diameter_mm : of the calibration.
+    nominal_diameter_mm : of the calibration. cameras : of the head, their ids.
     timing_ms : of every step.
     """
 
@@ -67,6 +67,7 @@ class Survey:
     disbelieved: tuple[Finding, ...]
     nominal_diameter_mm: float
     timing_ms: Mapping[str, float]
+    cameras: tuple[int, ...]
 
     @property
     def defects(self) -> tuple[Defect, ...]:
@@ -102,6 +103,11 @@ class Survey:
     def shadowed_fraction(self) -> float:
         """Of the wall's area, 0..1."""
         return float(self.shadowed.mean())
+
+    def seen_by_fraction(self) -> dict[int | None, float]:
+        """Of the wall's area, 0..1: what each camera alone saw, by its id, and more than one of them, by None."""
+        who = self.wall.seen_by(len(self.cameras))
+        return {one: float(np.mean(who == n)) for n, one in enumerate((*self.cameras, None), start=1)}
 
     @property
     def noise_mm(self) -> float:
@@ -245,7 +251,7 @@ def survey(
     nominal = 2 * calibration.pipe_radius_mm
     return Survey(
         measured, wall, dark, detection, stations, texture, shaken, tuple(features), axis.centreline, axis.findings,
-        nominal, timing,
+        nominal, timing, tuple(one.id for one in calibration.cameras),
     )  # fmt: skip
 
 

@@ -67,7 +67,11 @@ def test_rings_weigh_by_what_they_may_be_off() -> None:
     sigma = np.array([0.05, 0.4, 0.4], np.float32)
     cells = np.arange(Z * A)
     seen = Observations(
-        np.repeat(cells, 3), np.tile(np.arange(3, dtype=np.int32), Z * A), np.tile(radius, Z * A), np.tile(sigma, Z * A)
+        np.repeat(cells, 3),
+        np.tile(np.arange(3, dtype=np.int32), Z * A),
+        np.tile(radius, Z * A),
+        np.tile(sigma, Z * A),
+        np.zeros(3 * Z * A, np.uint8),
     )
     shape = np.tile([75.0, 0.0, 0.0, 0.0, 0.0], (Z, 1))
     flat = np.zeros((Z, A), np.float32)
