@@ -111,13 +111,15 @@ def _rays(
         open_ = np.flatnonzero(np.isnan(first))
         if not len(open_):
             break
-        crossed = outside(vertex + b * ways[open_]) >= 0
-        low, high = np.full(crossed.sum(), a), np.full(crossed.sum(), b)
-        for _ in range(14):
-            middle = (low + high) / 2
-            out = outside(vertex + middle[:, None] * ways[open_[crossed]]) >= 0
-            low, high = np.where(out, low, middle), np.where(out, middle, high)
-        first[open_[crossed]] = high
+        first[open_[outside(vertex + b * ways[open_]) >= 0]] = a
+    crossed = np.flatnonzero(np.isfinite(first))
+    low = first[crossed]
+    high = low + 5.0
+    for _ in range(14):
+        middle = (low + high) / 2
+        out = outside(vertex + middle[:, None] * ways[crossed]) >= 0
+        low, high = np.where(out, low, middle), np.where(out, middle, high)
+    first[crossed] = high
     hit = np.isfinite(first)
     points = vertex + np.where(hit, first, 1.0)[:, None] * ways
     seen = hit.copy()
