@@ -373,7 +373,8 @@ def _cell_noise(wall: Wall, rings: int, reach: int) -> FloatArray:
     A cell interpolated along the pipe is as good as the worst measured one within `reach` rows.
     """
     seen = wall.observations
-    cell, number = np.unique(np.stack([seen.cell, seen.number.astype(np.int64)]), axis=1)
+    numbers = int(seen.number.max(initial=0)) + 1
+    cell, number = np.divmod(np.unique(seen.cell * numbers + seen.number), numbers)
     departure = np.abs(seen.radius_mm - wall.shape_radius_mm().ravel()[seen.cell])
     ring = seen.number % rings
     spread = np.array([float(np.median(departure[ring == k])) if (ring == k).any() else 0.0 for k in range(rings)])
