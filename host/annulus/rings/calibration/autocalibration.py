@@ -31,6 +31,8 @@ from annulus.vocabulary import AnnulusError
 DISTANCES = (-0.7, -0.25, 0.3, -1.8, 1.0)
 ASIDE, WAYS = (0.25, 0.5), 8  # of the radius: vertex to the side of a camera of several, in so many directions
 COARSE = 32  # observations of each ring in each frame that a start is tried with
+SPARSE = 96  # of each ring over all frames: enough for where one of several cameras begins, it is only a beginning
+ROUGH, PROMISING = 0.1, 6  # of a parameter's size: starts are looked at, and so many go on
 NEAR = 1e-3  # of a parameter's size: a start is good enough to be compared
 
 
@@ -105,14 +107,16 @@ def _several(seen: Observations, whole: Bundle, report: Callable[[int, int], Non
         report(number, whole.cameras + 1)
         own = seen.take(np.flatnonzero(seen.camera == number))
         own = replace(own, camera=np.zeros(len(own), np.int64), tint=np.zeros((len(own), 0)))
-        few = Bundle(own.take(_thinned(own, whole.rings, whole.frames)), whole.rings, whole.frames, whole.radius,
-                     whole.corrections)  # fmt: skip
-        found: list[tuple[float, FloatArray]] = []
+        sparse = own.take(_thinned(own, whole.rings, whole.frames, -(-SPARSE // whole.frames)))
+        few = Bundle(sparse, whole.rings, whole.frames, whole.radius, whole.corrections)
+        rough: list[tuple[float, FloatArray]] = []
         for aside in ASIDE:
             for way in range(WAYS):
                 turn = 2 * math.pi * way / WAYS
                 beside = few.first_beside(aside * whole.radius * np.array([math.cos(turn), math.sin(turn)]))
-                found.append(few.descend(beside, robust=True, settled=NEAR))
+                rough.append(few.descend(beside, robust=True, settled=ROUGH))
+        rough.sort(key=lambda one: one[0])
+        found = [few.descend(x, robust=True, settled=NEAR) for _, x in rough[:PROMISING]]
         found.sort(key=lambda one: one[0])
         best, x = found[0]
         far = 0.05 * whole.radius
@@ -166,12 +170,12 @@ def with_frame(solution: Solution, one: Observations, pose: Pose) -> FloatArray:
     )
 
 
-def _thinned(seen: Observations, rings: int, frames: int) -> NDArray[np.int64]:
-    """At most COARSE observations of each ring in each frame of each camera, evenly taken."""
+def _thinned(seen: Observations, rings: int, frames: int, most: int = COARSE) -> NDArray[np.int64]:
+    """About `most`, COARSE at most, observations of each ring in each frame of each camera, evenly taken."""
     out = []
     for camera in range(int(seen.camera.max(initial=0)) + 1):
         for frame in range(frames):
             for ring in range(rings):
                 mine = np.flatnonzero((seen.camera == camera) & (seen.frame == frame) & (seen.ring == ring))
-                out.append(mine[:: max(1, len(mine) // COARSE)])
+                out.append(mine[:: max(1, len(mine) // min(most, COARSE))])
     return np.concatenate(out)
