@@ -5,10 +5,11 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from annulus.calibrate.head import calibrate_head
-from annulus.calibrate.pipe import save_pipe
+from annulus.calibrate.pipe import PipeCalibration, save_pipe
 from annulus.record.calibration_file import load_calibration
 from annulus.report import Account, write
 from annulus.reprocess import open_job, reprocess
@@ -27,11 +28,29 @@ def scorer() -> Any:
 
 
 @pytest.fixture(scope="module")
-def calibration(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def found(tmp_path_factory: pytest.TempPathFactory) -> PipeCalibration:
+    """From intrinsics and radius, beside a board that put the second camera where it is, give or take 0.01 mm."""
+    tube, camera = SCENES / "stereo-calib-a", tmp_path_factory.mktemp("stereo") / "camera.json"
+    true = json.loads((tube / "truth" / "calibration.json").read_text())["cameras"][1]
+    board = {"camera": 1, **{key: true[key] for key in ("rotation", "translation_mm")}}
+    board["covariance"] = np.diag([1e-6] * 3 + [1e-4] * 3).tolist()
+    camera.write_text(json.dumps({**json.loads((tube / "camera.json").read_text()), "board": board}))
+    return calibrate_head(tube, camera, 76.2)
+
+
+@pytest.fixture(scope="module")
+def calibration(found: PipeCalibration, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("stereo") / "calibration.json"
-    tube = SCENES / "stereo-calib-a"
-    save_pipe(calibrate_head(tube, tube / "camera.json", 76.2), out)
+    save_pipe(found, out)
     return out
+
+
+def test_how_far_a_board_puts_the_second_camera_elsewhere_is_said_in_sigmas(found: PipeCalibration) -> None:
+    (told,) = found.board
+    assert told.camera == 1 and told.agrees and told.sigmas < 1.5
+    assert told.moved_mm < 0.02 and told.turned_deg < 0.012
+    assert found.to_dict()["board"][0]["sigmas"] == told.sigmas
+    assert not any("the board has" in warning for warning in found.warnings)
 
 
 def test_the_head_is_known_from_intrinsics_and_the_tubes_radius(calibration: Path) -> None:
