@@ -92,7 +92,7 @@ def join_cameras(first: CameraCalibration, second: CameraCalibration, pairs: Seq
 
 
 def save_both(result: BothCameras, path: Path) -> bool:
-    """Write `cameras`, and `board`: where the second stands, with its covariance, to be compared with. True when rings
+    """Write `cameras`, and `target_placement`: where the second stands, to be compared with. True when rings
     measured with other cameras stand beside them."""
     turn = result.placed.rotation.T
     still = {"rotation": np.eye(3).tolist(), "translation_mm": [0.0, 0.0, 0.0]}
@@ -102,14 +102,14 @@ def save_both(result: BothCameras, path: Path) -> bool:
         for number, (one, place) in enumerate(zip(result.cameras, (still, stands), strict=True))
     ]
     told = [{key: value for key, value in one.to_dict().items() if key != "camera"} for one in result.cameras]
-    board = {"camera": 1, **stands, "covariance": result.placed.covariance.tolist()}
+    target = {"camera": 1, **stands, "covariance": result.placed.covariance.tolist()}
     made = {"by": "annulus calibrate camera", "cameras": told, **result.to_dict()}
-    kept = update_calibration(path, {"cameras": cameras, "board": board}, {"cameras": made})
+    kept = update_calibration(path, {"cameras": cameras, "target_placement": target}, {"cameras": made})
     return "rings" in kept
 
 
 @dataclass(frozen=True, slots=True)
-class Board:
+class TargetPlacement:
     """Where a target said that a camera stands, in the first one's frame."""
 
     camera: int
@@ -118,28 +118,28 @@ class Board:
     covariance: FloatArray  # (6, 6), see geometry.seen_by_both.Placed
 
 
-def board_from_dict(data: object) -> Board | None:
+def placement_from_dict(data: object) -> TargetPlacement | None:
     """Of a parsed calibration; None where it has none. Raises ValueError naming the key that is wrong."""
-    board = data.get("board") if isinstance(data, Mapping) else None
-    if board is None:
+    target = data.get("target_placement") if isinstance(data, Mapping) else None
+    if target is None:
         return None
-    if not isinstance(board, Mapping):
-        raise ValueError('"board" must be an object')
+    if not isinstance(target, Mapping):
+        raise ValueError('"target_placement" must be an object')
     rows = {"rotation": (3, 1.001), "covariance": (6, 1e6)}
     matrices = {}
     for key, (size, most) in rows.items():
-        value = board.get(key)
+        value = target.get(key)
         if not isinstance(value, list) or len(value) != size:
-            raise ValueError(f'"board.{key}" must be {size} rows of {size} numbers')
-        matrices[key] = np.array([untrusted.numbers(row, f'"board.{key}"', (size,), most) for row in value])
+            raise ValueError(f'"target_placement.{key}" must be {size} rows of {size} numbers')
+        matrices[key] = np.array([untrusted.numbers(row, f'"target_placement.{key}"', (size,), most) for row in value])
     turn, cover = matrices["rotation"], matrices["covariance"]
     if np.abs(turn @ turn.T - np.eye(3)).max() > 1e-5 or np.linalg.det(turn) < 0:
-        raise ValueError('"board.rotation" is no rotation')
+        raise ValueError('"target_placement.rotation" is no rotation')
     if np.abs(cover - cover.T).max() > 1e-9 * np.abs(cover).max() or np.diag(cover).min() <= 0:
-        raise ValueError('"board.covariance" is none')
-    moved = np.array(untrusted.numbers(board.get("translation_mm"), '"board.translation_mm"', (3,), 1e4))
-    number = untrusted.whole(board.get("camera"), '"board.camera"', 0, 255)
-    return Board(number, turn.T, -turn.T @ moved, cover)
+        raise ValueError('"target_placement.covariance" is none')
+    moved = np.array(untrusted.numbers(target.get("translation_mm"), '"target_placement.translation_mm"', (3,), 1e4))
+    number = untrusted.whole(target.get("camera"), '"target_placement.camera"', 0, 255)
+    return TargetPlacement(number, turn.T, -turn.T @ moved, cover)
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,17 +156,17 @@ class Disagreement:
         return self.sigmas <= AGREES
 
 
-def disagreement(board: Board, camera: int, number: int, solution: Solution) -> Disagreement | None:
+def disagreement(target: TargetPlacement, camera: int, number: int, solution: Solution) -> Disagreement | None:
     """Against the `number`-th camera after the first, whose id is `camera`; None where the target was not before it."""
-    if board.camera != camera:
+    if target.camera != camera:
         return None
     placed = solution.cameras[number]
     own = solution.camera_covariance[6 * number : 6 * number + 6, 6 * number : 6 * number + 6]
     to_turn = np.eye(6)
     to_turn[:3, :3] = turned_by(Rotation.from_matrix(placed.rotation).as_rotvec())
-    turn = Rotation.from_matrix(placed.rotation @ board.rotation.T).as_rotvec()
-    off = np.concatenate([turn, placed.centre_mm - board.centre_mm])
-    sigma = np.sqrt(np.diag(to_turn @ own @ to_turn.T + board.covariance))
+    turn = Rotation.from_matrix(placed.rotation @ target.rotation.T).as_rotvec()
+    off = np.concatenate([turn, placed.centre_mm - target.centre_mm])
+    sigma = np.sqrt(np.diag(to_turn @ own @ to_turn.T + target.covariance))
     return Disagreement(
         camera,
         float(np.degrees(np.linalg.norm(turn))),

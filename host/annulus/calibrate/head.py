@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from annulus.calibrate.both import AGREES, board_from_dict, disagreement
+from annulus.calibrate.both import AGREES, disagreement, placement_from_dict
 from annulus.calibrate.followed import decode_frames
 from annulus.calibrate.pipe import (
     FOLDS,
@@ -39,11 +39,11 @@ def calibrate_head(scan: Path, camera: Path, radius_mm: float, *, progress: Prog
     """Calibrate from the projector frames of a two-camera scan in a clean round pipe of known radius.
 
     `camera` has the section cameras, whose placements, if there are any, are not read, and pattern.colours. Where a
-    board, seen by both, has said where they stand, the answer is compared with it.
+    target, seen by both, has said where they stand, the answer is compared with it.
     Raises AnnulusError, one line, where nothing can be found.
     """
     cameras, colours = load_part(camera, head_cameras_from_dict, "annulus calibrate camera")
-    board = load_part(camera, board_from_dict, "annulus calibrate camera")
+    target = load_part(camera, placement_from_dict, "annulus calibrate camera")
     report = progress or (lambda stage, done, total: None)
     marks = {"start": time.process_time()}
     opened = open_scan(scan)
@@ -90,11 +90,11 @@ def calibrate_head(scan: Path, camera: Path, radius_mm: float, *, progress: Prog
             held = None
     marks["hold out"] = time.process_time()
     calibration = _calibration(cameras, colours, solution, radius_mm)
-    told = [disagreement(board, one.id, n, solution) for n, one in enumerate(cameras[1:])] if board is not None else []
+    told = [disagreement(target, one.id, n, solution) for n, one in enumerate(cameras[1:]) if target is not None]
     compared = tuple(one for one in told if one is not None)
     warnings = warn(solution, held, indices, radius_mm, None, None, exposures)
     warnings += tuple(
-        f"the board has camera {one.camera} {one.moved_mm:.3f} mm elsewhere, turned by {one.turned_deg:.3f} deg, "
+        f"the target has camera {one.camera} {one.moved_mm:.3f} mm elsewhere, turned by {one.turned_deg:.3f} deg, "
         f"{one.sigmas:.1f} sigma, not {AGREES:g} at most: check the squares' side, the pipe's radius, the lenses"
         for one in compared
         if not one.agrees
@@ -104,7 +104,7 @@ def calibrate_head(scan: Path, camera: Path, radius_mm: float, *, progress: Prog
         calibration, solution, seen, held, None, indices, left_out,
         len({opened.frames[i].index for i in projector_frames(opened, None)}),
         warnings, advise(cameras[0].camera, alone, radius_mm),
-        {name: marks[name] - marks[before] for before, name in pairwise(names)}, board=compared,
+        {name: marks[name] - marks[before] for before, name in pairwise(names)}, target=compared,
     )  # fmt: skip
 
 

@@ -69,7 +69,7 @@ class PipeCalibration:
     advice: tuple[str, ...]
     timing_s: dict[str, float] = field(default_factory=dict)
     held_every: int = HELD_EVERY
-    board: tuple[Disagreement, ...] = ()  # with a target before both cameras, about where they stand
+    target: tuple[Disagreement, ...] = ()  # with a target before both cameras, about where they stand
 
     def _held_mm(self, held: Measured, part: BoolArray | None = None) -> float:
         """mm rms of the radius in frames held out."""
@@ -147,7 +147,7 @@ class PipeCalibration:
             "camera_projector_mm": self.distance_mm,
             "pipe_radius_mm": self.calibration.pipe_radius_mm,
             **({"cameras": self.cameras} if self.cameras else {}),
-            **({"board": [asdict(one) for one in self.board]} if self.board else {}),
+            **({"target": [asdict(one) for one in self.target]} if self.target else {}),
             "poses_good": not self.advice,
             "advice": list(self.advice),
             "warnings": list(self.warnings),

@@ -366,9 +366,9 @@ def pipe(
             f"camera {one['camera']:<3} turned {one['turned_deg']:.3f} +- {one['turned_sigma_deg']:.3f} deg, at "
             f"{x:.3f} {y:.3f} {z:.3f} +- {max(one['centre_sigma_mm']):.3f} mm from the first"
         )
-    for one in told.get("board", ()):
+    for one in told.get("target", ()):
         print(
-            f"board      has camera {one['camera']} turned by {one['turned_deg']:.3f} deg and {one['moved_mm']:.3f} mm "
+            f"target     has camera {one['camera']} turned by {one['turned_deg']:.3f} deg and {one['moved_mm']:.3f} mm "
             f"elsewhere: {one['sigmas']:.1f} sigma"
         )
     print(f"distance   {result.distance_mm:.2f} mm from camera to projector, if the radius is {radius:g} mm: check it")

@@ -1,4 +1,4 @@
-"""A board before both cameras of a head says where the second stands."""
+"""A target before both cameras of a head says where the second stands."""
 
 import json
 from functools import lru_cache
@@ -11,7 +11,7 @@ from photographs import DrawnTarget, corners, photograph, poses, read
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
-from annulus.calibrate.both import Board, board_from_dict, disagreement, pair_files
+from annulus.calibrate.both import TargetPlacement, disagreement, pair_files, placement_from_dict
 from annulus.cli.calibrate import app
 from annulus.geometry.camera import Camera
 from annulus.geometry.chessboard import cropped, find_target
@@ -31,7 +31,7 @@ FIRST = Camera("fisheye", 480, 360, 152.0, 151.0, 242.0, 178.0, (0.02, -0.008, 0
 SECOND = Camera("fisheye", 480, 360, 154.0, 153.0, 238.0, 181.0, (0.018, -0.007, 0.001, 0.0))
 TURN = Rotation.from_euler("zyx", (-88.2, 0.9, -0.4), degrees=True).as_matrix()  # x = TURN x_own + CENTRE
 CENTRE = np.array([-16.2, -15.2, 1.4])
-BOARD = DrawnTarget(7, 6)  # 6x5 corners: its own first one is told
+TARGET = DrawnTarget(7, 6)  # 6x5 corners: its own first one is told
 COUNT = 12
 
 
@@ -41,17 +41,17 @@ def from_second(rotation: np.ndarray, shift: np.ndarray) -> tuple[np.ndarray, np
 
 @lru_cache(maxsize=8)
 def fitted(seed: int, noise_px: float = 0.05) -> tuple[Intrinsics, Intrinsics]:
-    """Both cameras from corners, read with errors, of boards that both see; a few more that one of them sees."""
+    """Both cameras from corners, read with errors, of targets that both see; a few more that one of them sees."""
     rng = np.random.default_rng(seed)
     flat = np.stack(np.meshgrid(np.arange(1, 7), np.arange(1, 6)), axis=2).reshape(-1, 2) * 25.0
     own: tuple[list[TargetObservation], list[TargetObservation]] = ([], [])
-    for rotation, middle in poses(FIRST, BOARD, COUNT, fill=0.5, off=0.45, seed=seed):
+    for rotation, middle in poses(FIRST, TARGET, COUNT, fill=0.5, off=0.45, seed=seed):
         there = from_second(rotation, middle)
         for views, camera, (turn, shift) in ((own[0], FIRST, (rotation, middle)), (own[1], SECOND, there)):
-            at = camera.project((np.c_[flat, 0 * flat[:, 0]] - BOARD.middle_mm) @ turn.T + shift)
+            at = camera.project((np.c_[flat, 0 * flat[:, 0]] - TARGET.middle_mm) @ turn.T + shift)
             views.append(read(TargetObservation(flat - 25.0, at), rng, noise_px, 0.5 * noise_px))
     for views, camera in zip(own, (FIRST, SECOND), strict=True):
-        views += [read(one, rng, noise_px, 0.5 * noise_px) for one in corners(camera, 4, seed + 5, target=BOARD)]
+        views += [read(one, rng, noise_px, 0.5 * noise_px) for one in corners(camera, 4, seed + 5, target=TARGET)]
     fits = [fit_intrinsics(v, 480, 360, "fisheye", camera) for v, camera in zip(own, (FIRST, SECOND), strict=True)]
     return fits[0], fits[1]
 
@@ -71,7 +71,7 @@ def test_the_second_camera_is_found_as_well_as_it_says() -> None:
     assert np.abs(off(exact)).max() < 1e-6
 
 
-def test_it_makes_no_difference_from_which_corner_a_board_is_counted() -> None:
+def test_it_makes_no_difference_from_which_corner_a_target_is_counted() -> None:
     first, second = fitted(1)
     plain = place_second(first, second, [Moment(i, i, True) for i in range(COUNT)])
     turned = place_second(first, other_way_round(second), [Moment(i, i, False) for i in range(COUNT)])
@@ -80,7 +80,7 @@ def test_it_makes_no_difference_from_which_corner_a_board_is_counted() -> None:
 
 
 def other_way_round(fit: Intrinsics) -> Intrinsics:
-    """Every second board counted from its last corner."""
+    """Every second target counted from its last corner."""
     views = [
         TargetObservation([125.0, 100.0] - v.target_mm if i % 2 else v.target_mm, v.pixels)
         for i, v in enumerate(fit.views)
@@ -100,7 +100,7 @@ def test_photographs_of_different_moments_are_left_out_or_refused() -> None:
 
 
 def test_real_pairs_give_what_opencv_finds() -> None:
-    """Same corners, same lenses; which way each board is counted is not told."""
+    """Same corners, same lenses; which way each target is counted is not told."""
     start = Camera("pinhole", 640, 480, 535.0, 535.0, 335.0, 240.0, (-0.28, 0.0, 0.0, 0.0, 0.0))
     files = [sorted(STEREO.glob(f"{name}0[1-6].jpg")) for name in ("left", "right")]
     found = [[view for file in each if (view := find_target(read_image(file)))] for each in files]
@@ -110,7 +110,7 @@ def test_real_pairs_give_what_opencv_finds() -> None:
     ]
     left, right = (fit_intrinsics(each, 640, 480, "pinhole", start) for each in views)
     placed = place_second(left, right, [Moment(i, i, False) for i in range(6)])
-    board = [np.c_[v.target_mm, 0 * v.target_mm[:, 0]].astype(np.float32) for v in left.views]
+    target = [np.c_[v.target_mm, 0 * v.target_mm[:, 0]].astype(np.float32) for v in left.views]
     order = [
         np.lexsort(b.target_mm.T)[np.argsort(np.lexsort(a.target_mm.T))]
         for a, b in zip(left.views, right.views, strict=True)
@@ -122,17 +122,17 @@ def test_real_pairs_give_what_opencv_finds() -> None:
         for c in (left.camera, right.camera)
     ]
     *_, turn, shift, _, _ = cv2.stereoCalibrate(
-        board, pixels, others, *lenses[0], *lenses[1], (640, 480), flags=cv2.CALIB_FIX_INTRINSIC
+        target, pixels, others, *lenses[0], *lenses[1], (640, 480), flags=cv2.CALIB_FIX_INTRINSIC
     )
     assert np.abs(placed.rotation.T - turn).max() < 1e-5
     assert np.abs(placed.centre_mm + (turn.T @ shift)[:, 0]).max() < 1e-3
 
 
 def test_both_folders_become_one_file_with_both_cameras(tmp_path: Path) -> None:
-    for i, (rotation, middle) in enumerate(poses(FIRST, BOARD, 4, fill=0.6, off=0.3, seed=4)):
+    for i, (rotation, middle) in enumerate(poses(FIRST, TARGET, 4, fill=0.6, off=0.3, seed=4)):
         for name, camera, pose in (("a", FIRST, (rotation, middle)), ("b", SECOND, from_second(rotation, middle))):
             (tmp_path / name).mkdir(exist_ok=True)
-            cv2.imwrite(str(tmp_path / name / f"{i}.png"), photograph(camera, BOARD, *pose, seed=i))
+            cv2.imwrite(str(tmp_path / name / f"{i}.png"), photograph(camera, TARGET, *pose, seed=i))
     file = tmp_path / "head.json"
     update_calibration(file, {"pattern": {"kind": "slits", "colours": "RGB"}})
     folders = [str(tmp_path / "a"), "--second", str(tmp_path / "b")]
@@ -144,9 +144,9 @@ def test_both_folders_become_one_file_with_both_cameras(tmp_path: Path) -> None:
     written = load_sections(file)
     assert written["format"] == "annulus-calibration/2" and written["pattern"]["colours"] == "RGB"
     assert len(written["cameras"]) == 2
-    board = board_from_dict(written)
-    assert board is not None and board.camera == 1
-    assert np.allclose(board.centre_mm, said["centre_mm"], atol=1e-9)
+    target = placement_from_dict(written)
+    assert target is not None and target.camera == 1
+    assert np.allclose(target.centre_mm, said["centre_mm"], atol=1e-9)
 
 
 def test_photographs_are_paired_by_name_or_else_by_order(tmp_path: Path) -> None:
@@ -161,9 +161,9 @@ def test_photographs_are_paired_by_name_or_else_by_order(tmp_path: Path) -> None
         pair_files(files("l/a.png"), files("l/a.png"))
 
 
-def test_how_the_rings_agree_with_the_board_is_said_in_sigmas() -> None:
+def test_how_the_rings_agree_with_the_target_is_said_in_sigmas() -> None:
     placed = place_second(*fitted(1), [Moment(i, i, True) for i in range(COUNT)])
-    board = Board(1, placed.rotation, placed.centre_mm, placed.covariance)
+    target = TargetPlacement(1, placed.rotation, placed.centre_mm, placed.covariance)
 
     def rings(turn_deg: float, moved_mm: float) -> Solution:
         turn = Rotation.from_rotvec([np.radians(turn_deg), 0, 0]).as_matrix() @ placed.rotation
@@ -172,12 +172,12 @@ def test_how_the_rings_agree_with_the_board_is_said_in_sigmas() -> None:
         none, cover = np.zeros(0), 1e-12 * np.eye(6)
         return Solution(cones, stands, 76.2, *[none] * 8, 1.0, (0.0, 1.0), (), (where,), cover)
 
-    same = disagreement(board, 1, 0, rings(0.0, 0.0))
+    same = disagreement(target, 1, 0, rings(0.0, 0.0))
     assert same is not None and same.sigmas < 1e-6
-    moved = disagreement(board, 1, 0, rings(0.0, 0.4))
+    moved = disagreement(target, 1, 0, rings(0.0, 0.4))
     assert moved is not None and moved.moved_mm == pytest.approx(0.4)
     assert moved.sigmas == pytest.approx(0.4 / np.sqrt(placed.covariance[4, 4]), rel=1e-3)
-    turned = disagreement(board, 1, 0, rings(0.5, 0.0))
+    turned = disagreement(target, 1, 0, rings(0.5, 0.0))
     assert turned is not None and turned.turned_deg == pytest.approx(0.5)
     assert turned.sigmas == pytest.approx(np.radians(0.5) / np.sqrt(placed.covariance[0, 0]), rel=1e-3)
-    assert disagreement(board, 2, 0, rings(0.0, 0.0)) is None
+    assert disagreement(target, 2, 0, rings(0.0, 0.0)) is None

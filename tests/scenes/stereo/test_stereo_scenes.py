@@ -29,12 +29,12 @@ def scorer() -> Any:
 
 @pytest.fixture(scope="module")
 def found(tmp_path_factory: pytest.TempPathFactory) -> PipeCalibration:
-    """From intrinsics and radius, beside a board that put the second camera where it is, give or take 0.01 mm."""
+    """From intrinsics and radius, beside a target that put the second camera where it is, give or take 0.01 mm."""
     tube, camera = SCENES / "stereo-calib-a", tmp_path_factory.mktemp("stereo") / "camera.json"
     true = json.loads((tube / "truth" / "calibration.json").read_text())["cameras"][1]
-    board = {"camera": 1, **{key: true[key] for key in ("rotation", "translation_mm")}}
-    board["covariance"] = np.diag([1e-6] * 3 + [1e-4] * 3).tolist()
-    camera.write_text(json.dumps({**json.loads((tube / "camera.json").read_text()), "board": board}))
+    target = {"camera": 1, **{key: true[key] for key in ("rotation", "translation_mm")}}
+    target["covariance"] = np.diag([1e-6] * 3 + [1e-4] * 3).tolist()
+    camera.write_text(json.dumps({**json.loads((tube / "camera.json").read_text()), "target_placement": target}))
     return calibrate_head(tube, camera, 76.2)
 
 
@@ -45,12 +45,12 @@ def calibration(found: PipeCalibration, tmp_path_factory: pytest.TempPathFactory
     return out
 
 
-def test_how_far_a_board_puts_the_second_camera_elsewhere_is_said_in_sigmas(found: PipeCalibration) -> None:
-    (told,) = found.board
+def test_how_far_a_target_puts_the_second_camera_elsewhere_is_said_in_sigmas(found: PipeCalibration) -> None:
+    (told,) = found.target
     assert told.camera == 1 and told.agrees and told.sigmas < 1.5
     assert told.moved_mm < 0.02 and told.turned_deg < 0.012
-    assert found.to_dict()["board"][0]["sigmas"] == told.sigmas
-    assert not any("the board has" in warning for warning in found.warnings)
+    assert found.to_dict()["target"][0]["sigmas"] == told.sigmas
+    assert not any("the target has" in warning for warning in found.warnings)
 
 
 def test_the_head_is_known_from_intrinsics_and_the_tubes_radius(calibration: Path) -> None:

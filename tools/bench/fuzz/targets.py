@@ -20,7 +20,7 @@ import msgpack
 import numpy as np
 
 from annulus import untrusted
-from annulus.calibrate.both import board_from_dict
+from annulus.calibrate.both import placement_from_dict
 from annulus.daemon.config import load_config
 from annulus.daemon.control import REQUEST_MAX, Request
 from annulus.link import codec, messages
@@ -246,7 +246,7 @@ _PARTS: dict[str, Callable[[Path], object]] = {
     "calibration-mirror.json": load_calibration,
     "../calibration-2.json": load_calibration,
     "calibration-plain.json": load_camera,
-    "board.json": lambda path: load_part(path, board_from_dict, "annulus calibrate camera"),
+    "target_placement.json": lambda path: load_part(path, placement_from_dict, "annulus calibrate camera"),
     "template.json": load_template,
     "colour.json": lambda path: load_part(path, ColourProfile.from_dict, "annulus calibrate colour"),
     "reference.json": lambda path: load_part(path, Reference.from_dict, "annulus calibrate reference"),
