@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus.numeric.arrays import BoolArray, FloatArray
-from annulus.numeric.jit import jit
+from annulus.numeric.jit import around, jit
 from annulus.numeric.robust import SIGMA_OF_MAD
 from annulus.stereo.lens import on_line
 from annulus.stereo.view import Expected, View
@@ -196,7 +196,7 @@ def _look(stray, sigma_px, course, line):  # type: ignore[no-untyped-def]
     lines = len(stray)
     at = int(line)
     part = line - at
-    a, b = at % lines, (at + 1) % lines
+    a, b = around(at, lines), around(at + 1, lines)
     here, there = stray[a], stray[b]
     if here == here and there == there:
         if abs(there - here) > JUMP_PX:
@@ -209,7 +209,8 @@ def _look(stray, sigma_px, course, line):  # type: ignore[no-untyped-def]
     else:
         return np.nan, np.nan, np.nan
     slope = course[b] - course[a]
-    change = (stray[(b + SLOPE_LINES) % lines] - stray[(a - SLOPE_LINES) % lines]) / (2 * SLOPE_LINES + 1)
+    change = stray[around(b + SLOPE_LINES, lines)] - stray[around(a - SLOPE_LINES, lines)]
+    change /= 2 * SLOPE_LINES + 1
     value += course[a] + part * slope
     if change == change and abs(change) < JUMP_PX / 2:
         slope += change

@@ -7,7 +7,8 @@ import numpy as np
 from annulus.geometry.calibration import Calibration
 from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import FloatArray
-from annulus.stereo.reconstructor import generators, to_pipe, usual_pose
+from annulus.stereo.points import to_pipe
+from annulus.stereo.reconstructor import generators, usual_pose
 from annulus.stereo.view import view_of
 from annulus.vocabulary import AnnulusError
 

@@ -22,12 +22,13 @@ from annulus.geometry.calibration import Calibration
 from annulus.geometry.cone import intersect_cone
 from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import BoolArray, FloatArray
-from annulus.numeric.jit import jit, middle
+from annulus.numeric.jit import around, jit, middle
 from annulus.numeric.robust import SIGMA_OF_MAD
 from annulus.rings.colour import ColourProfile
 from annulus.rings.decode import NONE
 from annulus.rings.reconstructor import FIRST_TOLERANCE, RING_POINTS, WALL_TOLERANCE, spans
 from annulus.stereo.merge import BLUNT, CONTRADICTED, Merged, Sight, merge
+from annulus.stereo.points import beside, known, outwards, radius_sigma, to_pipe
 from annulus.stereo.view import Expected, Seen, View, view_of
 from annulus.vocabulary import AnnulusError
 from annulus.wall.pose import Fit, fit_pose
@@ -76,6 +77,7 @@ class StereoReconstructor:
         self.usual = usual_pose(calibration)
         self.views = {one.id: view_of(calibration, one, self.usual, directions) for one in calibration.cameras}
         self._vertex, self._ways = generators(calibration, directions)
+        self._some = np.ascontiguousarray(self._ways[:, ::ROUGHLY])
 
     def profile(
         self,
@@ -104,8 +106,8 @@ class StereoReconstructor:
         rejected: dict[str, int] = {}
         for number, image in images.items():
             if number not in self.views:
-                known = ", ".join(map(str, self.views))
-                raise AnnulusError(f"frame {frame}: is of camera {number}, but the calibration has cameras {known}.")
+                own = ", ".join(map(str, self.views))
+                raise AnnulusError(f"frame {frame}: is of camera {number}, but the calibration has cameras {own}.")
             camera = self.views[number].camera
             if image.shape != (camera.height, camera.width, 3) or image.dtype != np.uint8:
                 raise AnnulusError(
@@ -121,7 +123,7 @@ class StereoReconstructor:
             rejected["camera missing"] = lost
         fitted = None
         for first in (seed, self.usual) if seed is not None else (self.usual,):
-            some = np.ascontiguousarray(self._ways[:, ::ROUGHLY])
+            some = self._some
             start = to_pipe(self._vertex, first, some, pipe)
             few = self._expect(first, some, start, seen)
             looks = {n: self._read(self.views[n], one, few[n], FIRST_TOLERANCE, None) for n, one in seen.items()}
@@ -143,12 +145,14 @@ class StereoReconstructor:
         fitted = self._fit(merged, fitted.pose, self._ways) or fitted
         marks.append(("pose", clock()))
         pose = replace(fitted.pose, roll=None if roll_deg is None else math.radians(roll_deg))
-        ring, direction = np.nonzero(np.isfinite(merged.distance_mm))
-        at = ring, direction
-        points = self._vertex[ring] + merged.distance_mm[at][:, None] * self._ways[at]
+        at, points = known(merged, self._vertex, self._ways)
+        ring, direction = at
         wall = pose.to_pipe(points, z_mm)
-        sigma = self._sigma(points, merged.unit * merged.sigma_mm[at], self._ways[at], fitted)
-        light = self._light(merged, at, looks)
+        along = merged.unit * merged.sigma_mm[ring, direction]
+        sigma = radius_sigma(points, at, along, self._ways, fitted.pose, fitted.covariance)
+        light = np.zeros((len(points), 3), np.uint8)
+        for number, look in enumerate(looks.values()):  # as the camera shows it that knows the point best
+            beside(at, merged, number, look.which, look.seen.slits, light)
         rejected["contradicted"] = int(np.count_nonzero(merged.state == CONTRADICTED))
         rejected["tangent"] = int(np.count_nonzero(merged.state == BLUNT))
         marks.append(("points", clock()))
@@ -156,7 +160,7 @@ class StereoReconstructor:
         return Profile(
             frame, z_mm, pose, wall.astype(np.float32), light, ring.astype(np.uint8), direction.astype(np.uint16),
             fitted.robust_sigma_mm, rejected, spans(marks), sigma.astype(np.float32), fitted.lean_sigma_deg,
-            seen_by=camera_of[merged.camera[at]].astype(np.uint8),
+            seen_by=camera_of[merged.camera[ring, direction]].astype(np.uint8),
         )  # fmt: skip
 
     def _expect(
@@ -201,42 +205,15 @@ class StereoReconstructor:
         return out
 
     def _fit(self, merged: Merged, first: Pose, ways: FloatArray) -> Fit | None:
-        ring, direction = np.nonzero(np.isfinite(merged.distance_mm))
+        at, points = known(merged, self._vertex, ways)
+        ring, direction = at
         if not len(ring):
             return None
-        own = ways[ring, direction]
-        points = self._vertex[ring] + merged.distance_mm[ring, direction][:, None] * own
         enough = RING_POINTS * ways.shape[1] / self.directions
         one_ring = bool(np.count_nonzero(np.bincount(ring) > enough) < 2)
-        across = _outwards(points, own, first)
+        across = outwards(points, at, ways, first)
         sigma = np.hypot(merged.sigma_mm[ring, direction] * across, 0.0005 * self.calibration.pipe_radius_mm)
         return fit_pose(points, self.calibration.pipe_radius_mm, sigma, first, one_ring)
-
-    def _sigma(self, points: FloatArray, along: FloatArray, ways: FloatArray, fit: Fit) -> FloatArray:
-        """(N,) mm of each point's radius: along its generator, and the pose."""
-        pose = fit.pose
-        q = (points - pose.translation) @ pose.rotation
-        r = np.hypot(q[:, 0], q[:, 1])
-        pull = np.stack([q[:, 2] * q[:, 1] / r, -q[:, 2] * q[:, 0] / r, -q[:, 0] / r, -q[:, 1] / r], axis=1)
-        by_pose = np.einsum("ni,ij,nj->n", pull, fit.covariance, pull)
-        return np.asarray(np.sqrt((along * _outwards(points, ways, pose)) ** 2 + by_pose))
-
-    def _light(
-        self, merged: Merged, at: tuple[NDArray[np.int64], NDArray[np.int64]], looks: Mapping[int, _Look]
-    ) -> NDArray[np.uint8]:
-        """(N, 3) RGB of the wall beside each point, as the camera shows it that knows it best."""
-        light = np.zeros((len(at[0]), 3), np.uint8)
-        best, line = merged.heaviest[at], merged.line[at] % self.directions
-        for number, look in enumerate(looks.values()):
-            mine = np.flatnonzero(best == number)
-            which = look.which[at[0][mine], line[mine]]
-            for step in (1, -1):
-                beside = look.which[at[0][mine], (line[mine] + step) % self.directions]
-                which = np.where(which < 0, beside, which)
-            good = which >= 0
-            both = 0.5 * (look.seen.slits.inside[which[good]] + look.seen.slits.outside[which[good]])
-            light[mine[good]] = np.clip(both[:, ::-1], 0, 255).astype(np.uint8)
-        return light
 
 
 def usual_pose(calibration: Calibration) -> Pose:
@@ -259,24 +236,6 @@ def generators(calibration: Calibration, directions: int) -> tuple[FloatArray, F
         ways.append(math.cos(cone.half_angle) * axis + math.sin(cone.half_angle) * across)
         vertices.append(cone.vertex_mm)
     return np.array(vertices), np.array(ways)
-
-
-def to_pipe(vertices: FloatArray, pose: Pose, ways: FloatArray, radius_mm: float) -> FloatArray:
-    """(K, P) mm along each generator, (K, P, 3) from (K, 3), to a clean pipe."""
-    turn = pose.rotation
-    start = (vertices - pose.translation) @ turn
-    way = ways @ turn
-    a = (way[..., :2] ** 2).sum(axis=-1)
-    b = (way[..., :2] * start[:, None, :2]).sum(axis=-1)
-    c = (start[:, :2] ** 2).sum(axis=-1)[:, None] - radius_mm**2
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray((np.sqrt(b * b - a * c) - b) / a)
-
-
-def _outwards(points: FloatArray, ways: FloatArray, pose: Pose) -> FloatArray:
-    """(N,) how much of a step along its generator takes a point away from the pipe's axis."""
-    q, w = (points - pose.translation) @ pose.rotation, ways @ pose.rotation
-    return np.asarray((q[:, :2] * w[:, :2]).sum(axis=1) / np.hypot(q[:, 0], q[:, 1]))
 
 
 def _sight(
@@ -316,8 +275,8 @@ def _spread(which, stray, edge_blur, inside, outside, wider, least, calmly, sigm
     for k in range(rings):
         size = 0
         for j in range(lines):
-            third = (stray[k, (j + 3 * LAG) % lines] - stray[k, j]) - 3.0 * (
-                stray[k, (j + 2 * LAG) % lines] - stray[k, (j + LAG) % lines]
+            third = (stray[k, around(j + 3 * LAG, lines)] - stray[k, j]) - 3.0 * (
+                stray[k, around(j + 2 * LAG, lines)] - stray[k, around(j + LAG, lines)]
             )
             if third == third:
                 work[size] = abs(third)
@@ -339,17 +298,18 @@ def _spread(which, stray, edge_blur, inside, outside, wider, least, calmly, sigm
             for c in range(3):
                 bright = max(bright, inside[n, c], outside[n, c])
             bias = max(CLIPPED_PX, least) if bright > OVER_EXPOSED else least
-            other = max((0.5 * wider[n]) ** 2 - 4.0 * soft * soft, 0.0) / 3.0
+            foreign = max((0.5 * wider[n]) ** 2 - 4.0 * soft * soft, 0.0) / 3.0
             noise[j] = soft * soft
-            sigma[k, j] = math.sqrt(soft * soft + bias * bias + other)
+            sigma[k, j] = math.sqrt(soft * soft + bias * bias + foreign)
         for j in range(lines if calmly else 0):
             total, random, common, count = 0.0, 0.0, 0.0, 0
             for d in range(-CALM_LINES, CALM_LINES + 1):
-                value = stray[k, (j + d) % lines]
+                other = around(j + d, lines)
+                value = stray[k, other]
                 if value == value and abs(value - stray[k, j]) < CALM_PX:
                     total += value
-                    random += noise[(j + d) % lines]
-                    common += sigma[k, (j + d) % lines] ** 2 - noise[(j + d) % lines]
+                    random += noise[other]
+                    common += sigma[k, other] ** 2 - noise[other]
                     count += 1
             if count > CALM_LINES:
                 calm[k, j] = total / count

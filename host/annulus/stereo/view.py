@@ -17,6 +17,7 @@ from annulus.geometry.cone import Cone
 from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import FloatArray
 from annulus.numeric.jit import jit
+from annulus.numeric.robust import nan_median
 from annulus.rings.colour import ColourProfile
 from annulus.rings.decode import NONE, UNKNOWN, classify, decode, readings
 from annulus.rings.outliers import reject_outliers
@@ -98,20 +99,17 @@ class View:
         self, ring: NDArray[np.int64], seen: Seen, off: FloatArray, expected: Expected
     ) -> tuple[dict[str, int], FloatArray]:
         """Sets `ring` to NONE where a slit is not to be believed; see `rings.outliers`."""
-        step = STEP_PX + STEP * np.nanmedian(np.abs(expected.by_radius), axis=1)
+        step = STEP_PX + STEP * nan_median(np.abs(expected.by_radius).T)
         return reject_outliers(ring, seen.slits, off, step, len(self.grid.cosine))
 
     def table(self, ring: NDArray[np.int64], seen: Seen) -> tuple[FloatArray, NDArray[np.int64]]:
         """(K, J) the samples at which each ring was seen, NaN for none; and which slit that is, -1 for none."""
         shape = self.optics.bend.shape
         place, which = np.full(shape, np.nan), np.full(shape, -1)
-        named = np.flatnonzero(ring != NONE)
-        at = ring[named], seen.slits.direction[named]
-        which[at] = named
-        if len(named):
-            width = np.minimum(seen.slits.width[named], WIDE * float(np.median(seen.slits.width)))
-            bend = self.optics.bend[at] * width * width / 8.0
-            place[at] = seen.slits.position[named] + bend - self.optics.offset_px[at]
+        slits = seen.slits
+        widest = WIDE * float(np.median(slits.width)) if len(ring) else 0.0
+        _table(ring, slits.direction, slits.position, slits.width, widest, self.optics.bend, self.optics.offset_px,
+               place, which)  # fmt: skip
         return place, which
 
 
@@ -148,6 +146,17 @@ def _off(direction, position, could_be, course, by_radius, spacing, off, deviati
                 gap = min(gap, abs(course[k + 1, j] - course[k, j]))
             gap = gap if gap < np.inf else spacing
             deviation[n, k] = off[n, k] / math.sqrt(by_radius[k, j] ** 2 + gap * gap)
+
+
+@jit
+def _table(ring, direction, position, width, widest, bend, offset, place, which):  # type: ignore[no-untyped-def]
+    """Writes (K, J) slits and their places, moved to the middle of the angles, less what colours draw them."""
+    for n in range(len(ring)):
+        k, j = ring[n], direction[n]
+        if k != NONE:
+            wide = min(width[n], widest)
+            which[k, j] = n
+            place[k, j] = position[n] + bend[k, j] * wide * wide / 8.0 - offset[k, j]
 
 
 @jit
