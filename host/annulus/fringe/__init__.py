@@ -3,15 +3,28 @@
 A wall's point keeps its place while the slide's light moves over it: N >= 3 frames and where they were taken say its
 phase, DC, AC and height. Point and light move through the image by amounts that depend on that height, so all are found
 together, along the point's own track (`track`). Carried by: positions are true, the wall's albedo is a point's own,
-grey levels are linear in light. A wrong position shows as a misfit that follows the texture; `noise` says what misfit
-is usual, `texture` takes out what albedo and blur do to the phase, `merge` joins cameras, `source` is the source's own
-method.
+grey levels are linear in light. A wrong position shows as a misfit that follows the texture: `steps` finds positions
+from the frames. `noise` says what misfit is usual, `texture` takes out what albedo and blur do to the phase, `merge`
+joins cameras, `source` is the source's own method.
 """
 
 from annulus.fringe.heights import Heights, Points, View, heights, spline
 from annulus.fringe.merge import merged
 from annulus.fringe.noise import noise_of
 from annulus.fringe.projector import FringeProjector
+from annulus.fringe.steps import Steps, find_steps
 from annulus.fringe.texture import untextured
 
-__all__ = ["FringeProjector", "Heights", "Points", "View", "heights", "merged", "noise_of", "spline", "untextured"]
+__all__ = [
+    "FringeProjector",
+    "Heights",
+    "Points",
+    "Steps",
+    "View",
+    "find_steps",
+    "heights",
+    "merged",
+    "noise_of",
+    "spline",
+    "untextured",
+]

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.ndimage import spline_filter
 
 from annulus.fringe.projector import FringeProjector
-from annulus.fringe.track import AMBIGUOUS, GOOD, UNMODULATED, follow
+from annulus.fringe.track import AMBIGUOUS, GOOD, UNMODULATED, follow, look
 from annulus.geometry.calibration import HeadCamera
 from annulus.numeric.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from annulus.numeric.robust import nan_median
@@ -88,6 +88,19 @@ class View:
         if self.slide[0] == 0.0:
             return np.asarray((self.slide[1] * q[:, 0] + self.slide[2] * q[:, 1]) / q[:, 2] + self.slide[3])
         return np.asarray(self.slide[1] * q[:, 2] / np.hypot(q[:, 0], q[:, 1]) + self.slide[3])
+
+    def wave(self, phase: FloatArray) -> FloatArray:
+        """The light's waveform at phases of any shape, of amplitude 1."""
+        total = np.cos(phase)
+        for k, (even, odd) in enumerate(self.slide[4:].reshape(-1, 2), start=2):
+            total = total + even * np.cos(k * phase) + odd * np.sin(k * phase)
+        return total
+
+    def pixels(self, x: FloatArray, frame: int) -> tuple[FloatArray, FloatArray]:
+        """(P, 3) mm, world -> where that frame shows them, px."""
+        u, v = np.empty(len(x)), np.empty(len(x))
+        look(self.lens, self.cameras[frame], x, u, v)
+        return u, v
 
     def radians_per_mm(self, points: "Points", height: FloatArray) -> FloatArray:
         """(P,) how fast the phase changes with height along the ray of the middle frame."""

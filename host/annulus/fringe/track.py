@@ -74,6 +74,19 @@ def sample(images, k, u, v):  # type: ignore[no-untyped-def]
 
 
 @jit
+def look(lens, camera, points, u, v):  # type: ignore[no-untyped-def]
+    """`see` of (P, 3) world points by a camera (3, 4), into u and v."""
+    for p in range(len(points)):
+        x, y, z = points[p, 0], points[p, 1], points[p, 2]
+        u[p], v[p] = see(
+            lens,
+            camera[0, 0] * x + camera[0, 1] * y + camera[0, 2] * z + camera[0, 3],
+            camera[1, 0] * x + camera[1, 1] * y + camera[1, 2] * z + camera[1, 3],
+            camera[2, 0] * x + camera[2, 1] * y + camera[2, 2] * z + camera[2, 3],
+        )
+
+
+@jit
 def solve4(m, b, size):  # type: ignore[no-untyped-def]
     """Solves the symmetric m x = b in place (x in b) by Cholesky; returns the last unknown's variance, or -1 if m does
     not determine it."""

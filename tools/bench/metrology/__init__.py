@@ -20,6 +20,7 @@ TABLE = Table(
         "artefacts": "Artefacts, vibration, blind zones",
         "mirror": "Mirror sensor for small pipes (§3.6)",
         "stereo": "Two cameras, 360 degrees (ch. 5)",
+        "fringe": "Motion phase shifting (ch. 6)",
         "pattern": "Pattern design",
         "speed": "Speed, one core",
     },
