@@ -182,13 +182,12 @@ def _cameras(survey: Survey) -> bytes:
         Patch(color=shade, label=f"{name}: {100 * part:.1f} %")
         for shade, name, part in zip(shades, names, share.values(), strict=False)
     ]
-    patches.append(
-        Patch(fc=UNSEEN, hatch="////", ec="#aab1b9", label=f"none: {100 * (1 - survey.seen_fraction):.1f} %")
+    none = f"none: {100 * (1 - survey.seen_fraction):.1f} %"
+    patches += [Patch(color=HIDDEN, label="hidden by a step"), Patch(fc=UNSEEN, hatch="////", ec="#aab1b9", label=none)]
+    both[0].legend(
+        handles=patches, loc="lower left", bbox_to_anchor=(-0.01, 1.0), ncols=len(patches), frameon=False, fontsize=8.5
     )
-    both[0].legend(handles=patches, loc="upper left", bbox_to_anchor=(1.005, 1.0), frameon=False, fontsize=8.5)
-    both[0].set_title(
-        "Which camera saw the wall   (hatched grey: none; dark grey: hidden by a step)", loc="left", fontsize=11
-    )
+    both[0].set_title("Which camera saw the wall", loc="left", fontsize=11, pad=24)
     sigma = wall.sigma_mm
     known = sigma[np.isfinite(sigma)]
     top = round_up(float(np.percentile(known, 98))) if len(known) else 1.0
