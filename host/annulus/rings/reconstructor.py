@@ -157,6 +157,7 @@ class Reconstructor:
             frame, z_mm, pose, wall.astype(np.float32), light, ring[kept].astype(np.uint8),
             slits.direction[kept].astype(np.uint16), fitted.robust_sigma_mm, rejected, spans(marks),
             sigma, fitted.lean_sigma_deg, ring_sigma_mm=of_rings,
+            slit_rad=self._slit_rad(slits.width[kept], ring[kept]),
         )  # fmt: skip
 
     def _slits(self, image_bgr: NDArray[np.uint8], mark: Callable[[str], None]) -> _Seen:
@@ -175,6 +176,14 @@ class Reconstructor:
         unknown = int(np.count_nonzero((inside == UNKNOWN) | (outside == UNKNOWN)))
         rejected = {"crowded": slits.crowded, "shallow": slits.shallow, "colour": unknown}
         return slits, readings(inside, outside, colours), named, rejected
+
+    def _slit_rad(self, width: FloatArray, ring: NDArray[np.int64]) -> NDArray[np.float32]:
+        """(K,) half of the angle of light between the edges of each ring's slit, 0 where too few were seen. None of a
+        bright line, which has no edges, and behind a mirror, where rays start apart."""
+        if self.calibration.kind == "line" or not self.calibration.camera.central:
+            return np.zeros(0, np.float32)
+        usual = [np.median(w) if len(w := width[ring == k]) >= RING_POINTS else 0.0 for k in range(len(self._expected))]
+        return np.asarray(0.5 * self._optics.rad_per_px * usual, np.float32)
 
     def _lines(self, image_bgr: NDArray[np.uint8], mark: Callable[[str], None]) -> _Seen:
         lines, strength = find_lines(image_bgr, self._grid)

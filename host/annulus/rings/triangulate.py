@@ -30,6 +30,7 @@ class RingOptics:
 
     cones: FloatArray  # (K, 7) vertex, axis, half-angle
     bend: FloatArray  # (K, J) 1/px, see `ring_optics`
+    rad_per_px: FloatArray  # (K,) how far the light's angle turns with one pixel along a line
     mm_per_px: FloatArray  # (K,) how far the wall's radius moves with one pixel along a line
     corrections: FloatArray | None  # (K, n, 2) half-angle and shift over the azimuth; see RingCorrection
     offset_px: FloatArray  # (K, J) along a line: how far a slit's image is off because of its stripes' colours
@@ -47,7 +48,7 @@ def ring_optics(calibration: Calibration, grid: PolarGrid, usual: Pose = Pose())
     lines = np.arange(directions)
     cones = np.array([[*c.vertex_mm, *c.axis, c.half_angle] for c in calibration.rings])
     bend = np.zeros((len(cones), directions))
-    slope_mm = np.zeros(len(cones))
+    slope_mm, slope_rad = np.zeros(len(cones)), np.zeros(len(cones))
     for k, cone in enumerate(calibration.rings):
         pixels = ring_pixels(calibration.camera, cone, usual, pipe)
         pixels = pixels[np.isfinite(pixels).all(axis=1)] - grid.centre
@@ -65,6 +66,7 @@ def ring_optics(calibration: Calibration, grid: PolarGrid, usual: Pose = Pose())
         with np.errstate(divide="ignore", invalid="ignore"):
             second = (angles[2] - 2 * angles[1] + angles[0]) / PROBE_PX**2
             bend[k] = np.nan_to_num(second / ((angles[2] - angles[0]) / (2 * PROBE_PX)), posinf=0.0, neginf=0.0)
+        slope_rad[k] = np.nan_to_num(np.nanmedian(np.abs(angles[2] - angles[0])) / (2 * PROBE_PX))
         near, far = (grid.pixels(lines, at + step) for step in (-1.0, 1.0))
         ends = np.stack([meet_rings(*calibration.camera.lines(at), cones[k : k + 1])[:, 0] for at in (near, far)])
         radii = np.linalg.norm(usual.to_pipe(ends)[..., :2], axis=2)
@@ -73,6 +75,7 @@ def ring_optics(calibration: Calibration, grid: PolarGrid, usual: Pose = Pose())
     return RingOptics(
         cones,
         bend,
+        slope_rad,
         slope_mm,
         _correction_table(calibration.corrections) if calibration.corrections is not None else None,
         _colour_offsets(calibration, grid),

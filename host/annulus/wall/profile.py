@@ -26,7 +26,8 @@ class Profile:
     each point's radius from the pipe's axis; NaN where nobody said. `ring_sigma_mm` (K, 2) are the parts of it that
     a ring's points have in common: how far its edges seem drawn, and what no other frame can show, such as what the
     calibration leaves; empty where nobody said. `seen_by` is the camera that saw each point; of a head with several it
-    is their number where more than one did.
+    is their number where more than one did. `slit_rad` (K,) is half of the angle of light between the edges of each
+    ring's slit, radians, 0 of a ring not seen; empty where nobody said.
     """
 
     frame: int
@@ -44,6 +45,7 @@ class Profile:
     camera: int = 0  # the frame's, see FrameHeader
     ring_sigma_mm: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 2), np.float32))
     seen_by: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, np.uint8))  # (N,)
+    slit_rad: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, np.float32))  # (K,)
 
     def __post_init__(self) -> None:
         if len(self.seen_by) != len(self.ring):
@@ -77,6 +79,7 @@ class Profile:
             "sigma": self.sigma_mm.astype("<f4").tobytes(),
             **({"seen_by": self.seen_by.tobytes()} if (self.seen_by != self.camera).any() else {}),
             "ring_sigma": self.ring_sigma_mm.astype("<f4").tobytes(),
+            **({"slit": self.slit_rad.astype("<f4").tobytes()} if len(self.slit_rad) else {}),
             "residual_mm": self.residual_mm,
             "lean_sigma_deg": self.lean_sigma_deg,
             "rejected": dict(self.rejected),
@@ -97,6 +100,7 @@ class Profile:
         # recordings made before there was a sigma have none
         sigma = _array(data, "sigma", "<f4", 1)[:, 0] if "sigma" in data else np.full(len(ring), np.nan, np.float32)
         of_rings = _array(data, "ring_sigma", "<f4", 2) if "ring_sigma" in data else np.zeros((0, 2), np.float32)
+        slit = _array(data, "slit", "<f4", 1)[:, 0] if "slit" in data else np.zeros(0, np.float32)
         seen_by = _array(data, "seen_by", "u1", 1)[:, 0] if "seen_by" in data else np.zeros(len(ring), np.uint8)
         if not len(seen_by) == len(sigma) == len(points) == len(colour) == len(direction) == len(ring):
             raise ValueError("a profile's arrays must be of one length")
@@ -104,6 +108,8 @@ class Profile:
             raise ValueError("a profile's points must be finite")
         if len(of_rings) > 256 or not (of_rings >= 0).all() or np.isinf(of_rings).any():
             raise ValueError("a profile's ring_sigma must be two lengths a ring")
+        if len(slit) > 256 or not ((slit >= 0) & (slit < math.pi)).all():
+            raise ValueError("a profile's slit must be an angle a ring")
         if (sigma < 0).any() or np.isinf(sigma).any():
             raise ValueError("a profile's sigma must be a length or NaN")
         frame = untrusted.whole(data.get("frame"), "a profile's frame", 0, 2**63 - 1)
@@ -126,6 +132,7 @@ class Profile:
             untrusted.whole(data.get("camera", 0), "a profile's camera", 0, 255),
             of_rings.astype(np.float32),
             seen_by if "seen_by" in data else np.zeros(0, np.uint8),
+            slit.astype(np.float32),
         )
 
 

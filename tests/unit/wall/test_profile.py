@@ -17,6 +17,7 @@ def profile(n=5, pose=Pose(0.1, 0.2, 3.0, 4.0)):  # noqa: B008 (frozen)
         rng.integers(0, 5, n).astype(np.uint8), rng.integers(0, 720, n).astype(np.uint16), 0.04,
         {"width": 3}, {"slits": 2.5}, rng.uniform(0.01, 1, n).astype(np.float32),
         ring_sigma_mm=rng.uniform(0.01, 1, (5, 2)).astype(np.float32),
+        slit_rad=rng.uniform(0, 0.01, 5).astype(np.float32),
     )  # fmt: skip
 
 
@@ -25,7 +26,7 @@ def test_a_profile_comes_back_as_it_was(original):
     back = Profile.from_dict(msgpack.unpackb(msgpack.packb(original.to_dict())))
     assert (back.frame, back.z_mm, back.pose) == (original.frame, original.z_mm, original.pose)
     assert back.rejected == original.rejected and back.timing_ms == original.timing_ms
-    for name in ("points_mm", "colour", "ring", "direction", "sigma_mm", "ring_sigma_mm"):
+    for name in ("points_mm", "colour", "ring", "direction", "sigma_mm", "ring_sigma_mm", "slit_rad"):
         a, b = getattr(original, name), getattr(back, name)
         assert a.dtype == b.dtype and a.shape == b.shape and (a == b).all()
 
@@ -40,6 +41,10 @@ def test_a_profile_of_old_has_sigmas_nobody_knows():
     assert Profile.from_dict(data).ring_sigma_mm.shape == (0, 2)
     with pytest.raises(ValueError, match="ring_sigma"):
         Profile.from_dict(profile().to_dict() | {"ring_sigma": np.full(4, np.nan, "<f4").tobytes()})
+    del data["slit"]
+    assert Profile.from_dict(data).slit_rad.shape == (0,)
+    with pytest.raises(ValueError, match="slit"):
+        Profile.from_dict(profile().to_dict() | {"slit": np.full(5, -1, "<f4").tobytes()})
 
 
 ANYTHING = st.one_of(
