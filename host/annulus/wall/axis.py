@@ -122,6 +122,7 @@ def find_axis(profiles: Sequence[Profile], cones: Sequence[Cone], turns: Turns =
     found, begins = _pruned(fine, found, begins)
     if len(begins) == 1:
         return as_it_was
+    found, begins = _ended(fine, found, begins)
     profiles, fine, found = _centred(profiles, cones, fine, found, _free(begins))
     findings: tuple[Finding, ...] = ()
     if any(piece.is_bent for piece in found.state.centreline().pieces):
@@ -219,6 +220,21 @@ def _pruned(seen: Sightings, found: Adjusted, begins: list[Begins]) -> tuple[Adj
             i += 1
             continue
         found, begins, i = without, fewer, 1
+    return found, begins
+
+
+def _ended(seen: Sightings, found: Adjusted, begins: list[Begins]) -> tuple[Adjusted, list[Begins]]:
+    """With the end of a bend or taper for a joint at which it ends, where that explains as much: a turn a little before
+    the end is what is left of the bend."""
+    for i, kind in enumerate(begins):
+        if kind is not Begins.JOINT or not (found.state.pieces[i - 1, [*range(8)[CURVATURE], TAPER]] != 0).any():
+            continue
+        fewer = [*begins[:i], Begins.STRAIGHT, *begins[i + 1 :]]
+        pieces = found.state.pieces.copy()
+        pieces[i, OFFSET] = pieces[i, TURN] = pieces[i, RADIUS] = 0.0
+        without = adjust(seen, replace(found.state, pieces=pieces), _free(fewer), scales_mm=(1.0, 0.5))
+        if without.cost <= found.cost + NUMBER_COST * len(NUMBERS[Begins.JOINT]):
+            found, begins = without, fewer
     return found, begins
 
 

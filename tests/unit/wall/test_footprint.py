@@ -36,7 +36,7 @@ def slopes_of(line: Centreline, head: Pose, angles: np.ndarray, vertex_z: float,
 
 @pytest.mark.parametrize("clock", [1.2, 2.2, math.pi, 4.0])
 def test_a_slit_on_a_bent_wall_is_where_its_middle_is(clock: float) -> None:
-    """Midway between the images of two edges, mended for a straight pipe, is off by hundredths of a millimetre; then by none."""
+    """Midway between the images of two edges, mended for a straight pipe, is off by hundredths of a millimetre."""
     bent = Centreline([Piece(0.0, R), Piece(60.0, R, curvature=(1 / 400.0, 0.0))])
     straight = Centreline([Piece(0.0, R)])
     seen = sightings(frames(straight, [0.0, AT]), CALIBRATION.rings, 24)
