@@ -105,12 +105,17 @@ def _witnesses(seed: int, as_json: bool) -> None:
 
 
 @app.command(
-    "scan", epilog="Example: annulus twin scan --world mirror-3inch -o scan && annulus reconstruct scan -o out"
+    "scan",
+    epilog="Example: annulus twin scan --world butt --seed 3 --frames 26 -o scan && annulus reconstruct scan -o out",
 )
 def scan(
     out: Annotated[Path, typer.Option("-o", "--out", help="New folder for the scan.")],
     world: Annotated[
-        str, typer.Option(help="demo, clean, mirror-2inch, -3inch, -4inch, stereo or stereo-3inch.")
+        str,
+        typer.Option(
+            help="demo, clean, mirror-2inch, -3inch, -4inch, stereo, stereo-3inch; butt, coupling, branch, bend or "
+            "water: pipes of several pieces, drawn from the seed."
+        ),
     ] = "demo",
     frames: Annotated[int, typer.Option(min=2, max=100_000, help="Camera frames, every fifth lit by the LED.")] = 100,
     seed: Annotated[int, typer.Option(min=0, help="Of the world.")] = 1,

@@ -1,13 +1,12 @@
 """Where pixels look: rays of any camera, met with the plain cylinder."""
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from annulus.geometry.calibration import HeadCamera
 from annulus.geometry.cone import intersect_cylinder
-from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import FloatArray
 from annulus.twin.stretch import (
     CX,
@@ -34,6 +33,15 @@ from annulus.twin.stretch import (
 from annulus.twin.worlds.world import World
 
 
+class Placed(Protocol):
+    """Where the head is: a Pose, or one in a pipe of several pieces."""
+
+    @property
+    def rotation(self) -> FloatArray: ...
+
+    def to_pipe(self, points: FloatArray, z_mm: float) -> FloatArray: ...
+
+
 class Eye(NamedTuple):
     """A camera in the pipe."""
 
@@ -42,7 +50,7 @@ class Eye(NamedTuple):
     station: F32  # (3,) mm
 
 
-def eye_at(rays: F32, seen: HeadCamera, pose: Pose, z_mm: float) -> Eye:
+def eye_at(rays: F32, seen: HeadCamera, pose: Placed, z_mm: float) -> Eye:
     """Of one of the head's cameras. pose : the head's, that is its first camera's."""
     turn, centre = placed(seen)
     station = pose.to_pipe(centre[None], z_mm)[0].astype(np.float32)

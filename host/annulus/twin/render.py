@@ -4,21 +4,25 @@
 Light comes from two points (projector, LED), so shadows of rods and of the wall itself are rays too.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from annulus.geometry.pose import Pose
+from annulus.twin.course import InSpace, Tube, meet_tube, tube_of
 from annulus.twin.lights.led import LedRing, LedTable, shine
 from annulus.twin.lights.projector import Beam, SlideProjector, fall, shade
 from annulus.twin.lights.slide import SLIDES, through
 from annulus.twin.rays import Eye, eye_at, meet_cylinder, ray_table
 from annulus.twin.stretch import (
     COLUMN,
+    CX,
     F32,
     LEVEL,
     PAINT,
     PIXELS,
+    PLAIN,
     SCRATCH,
     U8,
     Real,
@@ -115,8 +119,6 @@ def _draw(
     marks = np.zeros(PIXELS, np.int32)
     level = np.zeros(width, np.float32)
     zero = np.float32(0.0)
-    black, read2, shot = pixel.levels[0], pixel.levels[1] * pixel.levels[1], pixel.levels[2]
-    balance, noise = pixel.balance, pixel.noise
     state = np.uint64(pixel.seed) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(1)
     for v in range(rows[0], rows[1]):
         gp, gl = beam.gain[v], led.gain[v]
@@ -143,13 +145,63 @@ def _draw(
             _paint(part, wall, paint)
             for u in range(n):
                 level[u0 + u] = scratch[LEVEL + u]
-        state = state * np.uint64(6364136223846793005) + np.uint64(2 * v + 1442695040888963407)
-        at = int((state >> np.uint64(33)) % np.uint64(noise.shape[0] - width))
-        gain_even, gain_odd = balance[v & 1], balance[(v & 1) + 1]
-        for u in range(width):
-            gain = gain_odd if u & 1 else gain_even
-            value = gain * (level[u] + np.sqrt(read2 + shot * level[u]) * noise[at + u]) + black + np.float32(0.5)
-            out[v, u] = np.uint8(min(max(value, zero), np.float32(255.0)))
+        state = _expose(out, v, level, pixel, state)
+
+
+@jit
+def _draw_course(
+    out: U8, rows: tuple[int, int], eye: Eye, pixel_rad: F32, tube: Tube, paint: Paint, beam: Beam, slide: NamedTuple,
+    led: LedTable, pixel: Pixel, lit: F32, hint: int,
+) -> None:  # fmt: skip
+    """The same in a pipe of several pieces; a row with water in it twice, for what the surface mirrors. lit : see
+    `meet_tube`. hint : the piece that the head is in."""
+    width = out.shape[1]
+    scratch = np.zeros(SCRATCH, np.float32)
+    marks = np.zeros(PIXELS, np.int32)
+    level = np.zeros(width, np.float32)
+    sharp = np.zeros(PIXELS, np.float32)
+    zero = np.float32(0.0)
+    state = np.uint64(pixel.seed) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(1)
+    for v in range(rows[0], rows[1]):
+        gp, gl = beam.gain[v], led.gain[v]
+        level[:] = zero
+        for u0 in range(0, width if gp > 0 or gl > 0 else 0, PIXELS):
+            n = min(PIXELS, width - u0)
+            seen = Stretch(scratch, marks, eye.rays[2, v, u0 : u0 + n], n, v, u0 & 1)
+            part = Stretch(scratch, marks, sharp[:n], n, v, u0 & 1)
+            for mirrored in range(2):
+                wet = meet_tube(seen, u0, eye, pixel_rad, sharp, tube, beam.centre, lit, mirrored == 1, hint)
+                scratch[LEVEL : LEVEL + n] = zero
+                if gp > 0:
+                    fall(part, beam)
+                    shade(part, beam)
+                    through(slide, part, beam)
+                if gl > 0:
+                    shine(part, led)
+                for k in range(n):
+                    if sharp[k] > 0:
+                        channel = (v & 1) + ((k & 1) ^ part.odd)
+                        row = scratch[PLAIN + k] * PER_Z
+                        white = _reflect(paint.albedo, scratch[COLUMN + k], row, channel, paint.base)
+                        level[u0 + k] += scratch[LEVEL + k] * white * scratch[PAINT + k] * scratch[CX + k]
+                if not wet:
+                    break
+        state = _expose(out, v, level, pixel, state)
+
+
+@jit
+def _expose(out: U8, v: int, level: F32, pixel: Pixel, state: Real) -> Real:
+    """A row of light to grey levels; the state of the noise's dice after it."""
+    width, noise, balance, zero = out.shape[1], pixel.noise, pixel.balance, np.float32(0.0)
+    black, read2, shot = pixel.levels[0], pixel.levels[1] * pixel.levels[1], pixel.levels[2]
+    state = state * np.uint64(6364136223846793005) + np.uint64(2 * v + 1442695040888963407)
+    at = int((state >> np.uint64(33)) % np.uint64(noise.shape[0] - width))
+    gain_even, gain_odd = balance[v & 1], balance[(v & 1) + 1]
+    for u in range(width):
+        gain = gain_odd if u & 1 else gain_even
+        value = gain * (level[u] + np.sqrt(read2 + shot * level[u]) * noise[at + u]) + black + np.float32(0.5)
+        out[v, u] = np.uint8(min(max(value, zero), np.float32(255.0)))
+    return state
 
 
 class Renderer:
@@ -162,13 +214,15 @@ class Renderer:
         self.world, self._number = world, camera
         self._first, self._seen = world.cameras[0], world.cameras[camera]
         self.height, self.width = self._seen.camera.height, self._seen.camera.width
-        self._wall = wall_of(world)
+        self._wall = wall_of(world) if world.course is None else None
+        self._tube = None if world.course is None else tube_of(world)
         albedo = np.ascontiguousarray(world.albedo_map.transpose(2, 0, 1))
         self._paint = Paint(albedo, np.array(world.albedo, np.float32))
         self._slide = SLIDES[type(world.projector)](world.projector)
         self._rays, self._starts = ray_table(world, self._seen, self._slide.axis)
         self._projector = SlideProjector(world, self._seen, self._slide.axis, self._slide.rims, self._slide.outermost)
         self._led = LedRing(world)
+        self._pixel_rad = None if world.course is None else _pixel_rad(self._rays)
         optics = world.optics
         noise = np.random.default_rng([world.seed, 0x4015E]).standard_normal(_NOISE)
         self._pixel = Pixel(
@@ -196,6 +250,9 @@ class Renderer:
         frame = np.empty((self.height, self.width), np.uint8) if out is None else out
         # Copies: a broadcast view is read-only, which numba would compile a second kernel for.
         gains = [np.array(np.broadcast_to(g, (self.height,)), np.float32) for g in (projector, led)]
+        if self._tube is not None:
+            return self._render_course(pose, z_mm, gains, frame, rows or (0, self.height), seed)
+        assert self._wall is not None
         eye = eye_at(self._rays, self._seen, pose, z_mm)
         first = eye if self._number == 0 else eye_at(self._rays, self._first, pose, z_mm)
         noise = (seed + self._number * _APART) & 0x7FFFFFFF
@@ -205,3 +262,28 @@ class Renderer:
             self._led.table(first, gains[1]), self._pixel._replace(seed=noise),
         )  # fmt: skip
         return frame
+
+    def _render_course(
+        self, pose: Pose, z_mm: float, gains: list[F32], frame: U8, rows: tuple[int, int], seed: int
+    ) -> U8:
+        """In a pipe of several pieces; z_mm : chainage."""
+        course = self.world.course
+        assert course is not None and self._tube is not None and self._pixel_rad is not None
+        head = InSpace(pose, course).at(z_mm)
+        eye = eye_at(self._rays, self._seen, head, z_mm)
+        # of a frame of the LED alone no light of the projector is asked for
+        lit = np.array([math.cos(rim) for rim in self._slide.rims] if gains[0].any() else [-1.0, 1.0], np.float32)
+        _draw_course(
+            frame, rows, eye, self._pixel_rad, self._tube, self._paint, self._projector.beam(head, z_mm, gains[0]),
+            self._slide.table(head, z_mm), self._led.table(eye, gains[1]),
+            self._pixel._replace(seed=seed & 0x7FFFFFFF), lit, course.frame(z_mm)[2],
+        )  # fmt: skip
+        return frame
+
+
+def _pixel_rad(rays: F32) -> F32:
+    """(H, W) angle between the rays of neighbouring pixels; the mean of both ways, as a blur sees it."""
+    way = rays.astype(np.float64)
+    way[2] = np.sqrt(np.maximum(1.0 - way[0] ** 2 - way[1] ** 2, 0.0))
+    down, right = (np.linalg.norm(np.gradient(way, axis=axis), axis=0) for axis in (1, 2))
+    return np.ascontiguousarray(np.sqrt(down * right), dtype=np.float32)

@@ -72,7 +72,7 @@ class Wall(NamedTuple):
 
 
 @jit
-def _wall(deviation: F32, column: Real, row: Real) -> Real:
+def wall_at(deviation: F32, column: Real, row: Real) -> Real:
     """Bilinear deviation (mm) at a fractional map place, column -1..CLOCKS + 1; its first and last row are clean."""
     return _wall_and_slopes(deviation, column, row)[0]
 
@@ -113,7 +113,7 @@ def _excess(relief: Relief, s: Real, c: F32, way: Ray, column: Real) -> Real:
     """r - wall at range s of a ray in the pipe frame; the clock angle hardly changes over a wall's roughness."""
     wx, wy, wz = way
     x, y, z = c[0] + s * wx, c[1] + s * wy, c[2] + s * wz
-    return np.sqrt(x * x + y * y) - relief.radius - _wall(relief.deviation, column, (z - relief.z0) * PER_Z)
+    return np.sqrt(x * x + y * y) - relief.radius - wall_at(relief.deviation, column, (z - relief.z0) * PER_Z)
 
 
 @jit
@@ -131,9 +131,9 @@ def _meet_gentle(part: Stretch, station: F32, relief: Relief) -> None:
     for k in range((n + 6) // 4):
         u = min(4 * k, n - 1)
         wx, wy, wz, column = scratch[WX + u], scratch[WY + u], scratch[WZ + u], scratch[COLUMN + u]
-        d0 = _wall(deviation, column, (scratch[Z + u] - z0) * PER_Z)
+        d0 = wall_at(deviation, column, (scratch[Z + u] - z0) * PER_Z)
         s = _cylinder(sx, sy, wx, wy, radius + d0)
-        d1 = _wall(deviation, column, (sz + s * wz - z0) * PER_Z)
+        d1 = wall_at(deviation, column, (sz + s * wz - z0) * PER_Z)
         gain = (d1 - d0) / (d0 if abs(d0) > np.float32(1e-3) else np.float32(1e-3))
         lift = one / (one - min(max(gain, -half), half))
         d2 = d0 + (d1 - d0) * lift
@@ -248,7 +248,7 @@ def _shadowed(relief: Relief, place: Ray, light: F32, low: Real, column: Real) -
         qx, qy, qz = x + t * dx, y + t * dy, z + t * dz
         r = np.sqrt(qx * qx + qy * qy) - radius
         at_column = min(max(column + t * turn, np.float32(-1.0)), np.float32(CLOCKS + 1))
-        if r > _wall(deviation, at_column, (qz - z0) * PER_Z) + np.float32(0.03):
+        if r > wall_at(deviation, at_column, (qz - z0) * PER_Z) + np.float32(0.03):
             return True
         t += step
     return False
@@ -276,8 +276,8 @@ def _meet_rough(
         r = np.sqrt(x * x + y * y)
         row = (z - z0) * PER_Z
         half = np.float32(0.4)  # of a map cell, both ways
-        slope_c = _wall(deviation, column + half, row) - _wall(deviation, column - half, row)
-        slope_z = (_wall(deviation, column, row + half) - _wall(deviation, column, row - half)) * (
+        slope_c = wall_at(deviation, column + half, row) - wall_at(deviation, column - half, row)
+        slope_z = (wall_at(deviation, column, row + half) - wall_at(deviation, column, row - half)) * (
             PER_Z / (half + half)
         )
         slope_c *= np.float32(CLOCKS / (2 * np.pi)) / (r * (half + half))
@@ -319,10 +319,14 @@ def meet_wall(part: Stretch, station: F32, starts: F32 | None, wall: Wall, light
         _meet_rough(part, rough, station, starts, wall, light, ask_shadow)
 
 
+def padded(world: World) -> F32:
+    """The world's radius map as `wall_at` reads it: flat, with columns to spare on both sides."""
+    return np.pad(world.radius_map, ((0, 0), (1, _WALL_PITCH - CLOCKS - 1)), mode="wrap").ravel()
+
+
 def wall_of(world: World) -> Wall:
-    deviation = np.pad(world.radius_map, ((0, 0), (1, _WALL_PITCH - CLOCKS - 1)), mode="wrap").ravel()
     low, high, near_low, near_high, kind = _tiles(world)
-    relief = Relief(np.float32(world.radius_mm), np.float32(world.z_range_mm[0]), deviation, low, high)
+    relief = Relief(np.float32(world.radius_mm), np.float32(world.z_range_mm[0]), padded(world), low, high)
     return Wall(relief, near_low, near_high, kind)
 
 

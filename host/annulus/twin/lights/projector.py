@@ -9,8 +9,11 @@ from numpy.typing import NDArray
 from annulus.geometry.calibration import HeadCamera
 from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import FloatArray
+from annulus.twin.rays import Placed
 from annulus.twin.stretch import AT, F32, LIT, NX, NY, NZ, OPEN, S, Stretch, X, Y, Z, jit, step_up
 from annulus.twin.worlds.world import STEP_Z_MM, World
+
+EVERYWHERE = (0.0, 0.0, 0.0, 1e6)  # no pixel is known to be dark beforehand
 
 
 class Beam(NamedTuple):
@@ -52,9 +55,9 @@ class SlideProjector:
         if (mirror := seen.camera.mirror) is not None:
             self._focal *= np.float32(mirror.radius_mm / (2 * np.linalg.norm(mirror.centre_mm)))
 
-    def beam(self, pose: Pose, z_mm: float, gain: F32) -> Beam:
+    def beam(self, pose: Placed, z_mm: float, gain: F32) -> Beam:
         centre = in_pipe(self._axis[None], pose, z_mm)[0]
-        lit = self._lit_circle(pose, z_mm)
+        lit = self._lit_circle(pose, z_mm) if isinstance(pose, Pose) else np.array(EVERYWHERE, np.float32)
         rotation = pose.rotation.astype(np.float32)
         return Beam(gain, lit, centre, self._power, self._rods, rotation, self._blur, self._focal)
 
@@ -63,7 +66,7 @@ class SlideProjector:
         world, camera = self._world, self._seen.camera
         turn, moved = np.array(self._seen.rotation), np.array(self._seen.translation_mm)
         if not camera.central:  # not worth a search: only the demo's frames must be quick
-            return np.array([0.0, 0.0, 0.0, 1e6], np.float32)
+            return np.array(EVERYWHERE, np.float32)
         around = np.linspace(0, 2 * np.pi, 48, endpoint=False)
         vertex, axis = self._axis[:3], self._axis[3:]
         side = np.cross(axis, [0.0, 1.0, 0.0])
@@ -89,7 +92,7 @@ class SlideProjector:
         return np.array([*centre, max(inner, 0.0), outer], np.float32)
 
 
-def in_pipe(table: NDArray[np.float64], pose: Pose, z_mm: float) -> F32:
+def in_pipe(table: NDArray[np.float64], pose: Placed, z_mm: float) -> F32:
     """Rows of vertex, axis and more, from the camera frame to the pipe's."""
     place, way = pose.to_pipe(table[:, :3], z_mm), table[:, 3:6] @ pose.rotation
     return np.hstack([place, way, table[:, 6:]]).astype(np.float32)

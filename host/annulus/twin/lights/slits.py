@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus.geometry.pose import Pose
 from annulus.twin.lights.projector import Beam, in_pipe
+from annulus.twin.rays import Placed
 from annulus.twin.stretch import AT, F32, LEVEL, LIT, Stretch, X, Y, Z, jit, step_up
 from annulus.twin.worlds.sensor_head import Projector
 
@@ -104,6 +104,6 @@ class Slits:
         if projector.line is not None:
             self._colours[:] = 0.0
 
-    def table(self, pose: Pose, z_mm: float) -> SlitTable:
+    def table(self, pose: Placed, z_mm: float) -> SlitTable:
         slits = in_pipe(self._slits, pose, z_mm)
         return SlitTable(slits, self._colours, self._nearest, self._cos0, self._cos_step, self._leak, self._line)

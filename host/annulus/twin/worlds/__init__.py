@@ -7,6 +7,7 @@ of its own, with a line in WORLDS if it shall have a name on the command line.
 from collections.abc import Callable, Mapping
 
 from annulus.twin.worlds.features import Feature, clock_text
+from annulus.twin.worlds.fittings import FITTINGS
 from annulus.twin.worlds.mirror import mirror_world
 from annulus.twin.worlds.paint import ORANGE, WHITE, YELLOW
 from annulus.twin.worlds.pipes import CONTAMINATED, clean_world, demo_world, fisheye_camera, painted
@@ -39,5 +40,6 @@ WORLDS: Mapping[str, Callable[[int], World]] = {
     "mirror-3inch": mirror_world,
     "mirror-4inch": lambda seed: mirror_world(seed, 50.8),
     "stereo": stereo_world,
+    **FITTINGS,
     "stereo-3inch": lambda seed: stereo_world(seed, 38.1),
 }

@@ -18,6 +18,7 @@ from annulus.geometry.camera import Camera, Mirror
 from annulus.geometry.cone import Cone
 from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import FloatArray
+from annulus.twin.worlds.course import Course
 from annulus.twin.worlds.features import Feature
 from annulus.twin.worlds.paint import WHITE, print_line, stain
 from annulus.twin.worlds.sensor_head import Led, Optics, Projector, Rod
@@ -52,6 +53,7 @@ class World:
     roll_deg: float = 0.0  # amplitude; then the head has a sensor that says so
     others: tuple[HeadCamera, ...] = ()  # further cameras, on the first one's sync line; all else is in its frame
     centre_mm: tuple[float, float] = (0.0, 0.0)  # of the head: where the pipe's axis passes when it does not wobble
+    course: Course | None = None  # of a pipe of several pieces: then z is chainage, `radius_mm` what is calibrated with
 
     def __post_init__(self) -> None:
         slits = len(self.projector.cones)
@@ -61,6 +63,8 @@ class World:
             raise AnnulusError("world: travel_mm and mm_per_count must be above zero")
         if any(one.camera.height != self.camera.height for one in self.others):
             raise AnnulusError("world: cameras on one sync line must have equally many rows")
+        if self.course is not None and (self.others or not self.camera.central):
+            raise AnnulusError("world: a pipe of several pieces is drawn for one camera without a mirror")
 
     # ---- the wall ------------------------------------------------------------------------------------------------
     def deviation(self, clock_deg: FloatArray, z_mm: FloatArray) -> FloatArray:
@@ -146,6 +150,7 @@ class World:
                 for f in self.features
             ],
             "defects": [f.as_defect(self.radius_mm) for f in self.features],
+            **({} if self.course is None else {"course": asdict(self.course), **self.course.truth()}),
             "travel_mm": self.travel_mm,
             "mm_per_count": self.mm_per_count,
             "calibration": self.calibration().to_dict(),
@@ -167,6 +172,8 @@ class World:
             top["others"] = tuple(
                 _tupled(HeadCamera, {**one, "camera": _camera(one["camera"])}) for one in top.get("others", ())
             )
+            if top.get("course") is not None:
+                top["course"] = Course.from_dict(top["course"])
             top["features"] = tuple(Feature(**feature) for feature in top["features"])
             top["rods"] = tuple(Rod(**rod) for rod in top["rods"])
             top["led"], top["optics"] = _tupled(Led, top["led"]), _tupled(Optics, top["optics"])
