@@ -239,7 +239,7 @@ def meet_tube(part: Stretch, u0: int, eye: Eye, pixel_rad: F32, sharp: F32, tube
     """What each pixel sees, as `fall` and those after it ask. Whether water is in view.
 
     Of a place under water, X, Y, Z are where the projector's light would have come to had it gone on straight, the
-    normal is shortened to the cosine it arrives with, OPEN is what the surface lets in and CX what it lets out. PLAIN is
+    normal is shortened to the cosine it arrives with, OPEN is what the surface lets in, CX what it lets out. PLAIN is
     chainage, PAINT the piece's brightness. mirrored : what the surface shows instead of what lies under it. sharp :
     (n,) set to how much cot of the angle to the projector's axis changes in a pixel, see `rays.ray_table`.
     lit : (2,) cosines of that angle between which there is light.
