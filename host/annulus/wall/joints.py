@@ -47,14 +47,15 @@ class Joint:
     is_gap: bool
 
 
-def find_joints(wall: Wall, profiles: Sequence[Profile], axis: Axis) -> tuple[Joint, ...]:
+def find_joints(wall: Wall, profiles: Sequence[Profile], axis: Axis, least_shadow_ratio: float) -> tuple[Joint, ...]:
     """Every joint, in order of distance. profiles : in pipe coordinates, those the wall was made of.
+    least_shadow_ratio : length hidden behind a step over its height, of the widest ring (Alzuhiri 2022, Eq. 3.24).
 
     Notes
     -----
     Height is the crest's, the median over 36 sectors of each one's 97th percentile; width from half that height on the
     near flank to as much behind the last crest. A gap is what lies between the last and the first row that is sound
-    wall, less a slit's width.
+    wall, less a slit's width and what the wall's own step outwards hides behind its lip.
     """
     limits = Limits()
     limit = max(limits.seed_noise * float(np.median(wall.noise_mm)), limits.seed_of_radius * wall.mean_radius_mm)
@@ -70,11 +71,12 @@ def find_joints(wall: Wall, profiles: Sequence[Profile], axis: Axis) -> tuple[Jo
     if not zones and not welds and not beads:
         return ()
     points = _Points.of(wall, profiles)
-    found = [_joint(wall, points, zone, limit, axis, i) for zone, i in zones]
-    found += [_joint(wall, points, zone, limit, axis, None) for zone in welds]
+    found = [_joint(wall, points, zone, limit, axis, i, least_shadow_ratio) for zone, i in zones]
+    found += [_joint(wall, points, zone, limit, axis, None, least_shadow_ratio) for zone in welds]
     for start, end in beads:
         if all(not joint.from_mm - end < 0 < joint.to_mm - start for joint in found):
-            found.append(_joint(wall, points, rows.zone((start + end) / 2), limit, axis, None))
+            zone = rows.zone((start + end) / 2)
+            found.append(_joint(wall, points, zone, limit, axis, None, least_shadow_ratio))
     return tuple(sorted(found, key=lambda joint: joint.from_mm))
 
 
@@ -212,8 +214,9 @@ class _Rows:
 
 
 def _joint(
-    wall: Wall, points: _Points, zone: tuple[float, float], limit: float, axis: Axis, piece: int | None
-) -> Joint:
+    wall: Wall, points: _Points, zone: tuple[float, float], limit: float, axis: Axis, piece: int | None,
+    least_shadow_ratio: float,
+) -> Joint:  # fmt: skip
     first, last = points.trimmed(zone, limit)
     inside = (points.z_mm >= first) & (points.z_mm <= last)
     z, sector, height = points.z_mm[inside], points.sector[inside], points.height_mm[inside]
@@ -230,10 +233,12 @@ def _joint(
         measures.append(Measure("width_mm", end - start, WIDTH_K2_OF_RADIUS * wall.mean_radius_mm))
         first, last = min(first, start), max(last, end)
         middle, length = (start + end) / 2, end - start
-    is_gap = piece is not None and not is_bead and length > 2.0 * SLIT_OF_RADIUS * wall.mean_radius_mm
+    slit = SLIT_OF_RADIUS * wall.mean_radius_mm
+    least, most = (least_shadow_ratio * step for step in _outwards(axis, piece, middle))
+    is_gap = piece is not None and not is_bead and length - most > 2.0 * slit
     if is_gap:
-        gap = length - SLIT_OF_RADIUS * wall.mean_radius_mm
-        measures.append(Measure("gap_mm", gap, 2.0 * SLIT_OF_RADIUS * wall.mean_radius_mm / math.sqrt(3)))
+        gap = length - slit - most
+        measures.append(Measure("gap_mm", gap, math.hypot(2.0 * slit / math.sqrt(3), most - least)))
         length = gap
     remark = "butt fusion" if is_bead else "coupling" if is_gap else "kind not told: too little of it was seen"
     if piece is not None and axis.adjusted is not None:
@@ -265,6 +270,15 @@ def _flanks(z: FloatArray, height: FloatArray, crest: float) -> tuple[float, flo
         return start, float(at[-1])
     top = at[np.argmax(middle >= min(TOP * crest, float(middle.max())))]
     return start, float(high[-1]) + ROW_MM / 2 + max(float(top) - start, 0.0)
+
+
+def _outwards(axis: Axis, piece: int | None, at_mm: float) -> tuple[float, float]:
+    """mm by which the wall steps outwards at a joint, where it does so least and most round the clock; 0 or more."""
+    if piece is None or axis.adjusted is None:
+        return 0.0, 0.0
+    row, start = axis.adjusted.state.pieces[piece], axis.centreline.pieces[piece].start_mm
+    hilo = float(np.hypot(*(row[OFFSET] + (at_mm - start) * row[TURN])))
+    return max(float(row[RADIUS]) - hilo, 0.0), max(float(row[RADIUS]) + hilo, 0.0)
 
 
 def _of_line(axis: Axis, piece: int, at_mm: float) -> list[Measure]:

@@ -226,7 +226,7 @@ def survey(
     done("sigma")
     wall = build_wall(measured, rise=widest, centreline=axis.centreline)
     done("wall")
-    joints = find_joints(wall, measured, axis)
+    joints = find_joints(wall, measured, axis, 1.0 / widest)
     seen = without_hidden(measured, joints, 1.0 / widest)
     if any(a is not b for a, b in zip(seen, measured, strict=True)):
         measured = seen

@@ -1,11 +1,13 @@
 """Promises of the table of scenes: what is off is marked, what is not asked is not, and a green page is read as one."""
 
+import json
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from tools.bench.__main__ import main
+from tools.bench.scenes.blind import blind_checks
 from tools.bench.scenes.judge import feature_checks, pocket_bias, scene_checks, verdict
 
 GREEN = '<div class="verdict sound">No defect\n above.\n  <small>Listed</small></div>'
@@ -82,3 +84,40 @@ def test_a_joint_is_held_to_its_measures_and_the_clock_of_its_step() -> None:
 def test_a_folder_without_scenes_is_status_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["scenes", str(tmp_path)]) == 2
     assert "no score_real.py" in capsys.readouterr().err
+
+
+def drawn(folder: Path, **changed: Any) -> tuple[Path, Path]:
+    """A scan's truth and what a survey said of it: a joint, a pocket, a bend, each as it is but for what is changed."""
+    joint = {"kind": "joint", "z_mm": 300.0, "length_mm": 8.0, "height_mm": 3.0, "width_mm": 8.0}
+    loss = {"kind": "loss", "z_mm": 150.0, "length_mm": 20.0, "depth_mm": 2.0}
+    bend = {"start_mm": 160.0, "radius_mm": 400.0, "angle_deg": 45.0}
+    truth = {"named": [joint], "defects": [loss], "centreline": {"bends": [bend]}}
+    found = {"features": [{**joint, **changed.get("joint", {})}], "defects": [{**loss, **changed.get("loss", {})}]}
+    found["defects"] += changed.get("more", [])
+    line = {"bends": [{**bend, **changed.get("bend", {})}], "line_mm": [[90.0, 0, 0, 90], [400.0, 0, 0, 400]]}
+    for name, what in (("truth", truth), ("summary", found), ("centreline", line)):
+        (folder / f"{name}.json").write_text(json.dumps(what), encoding="utf-8")
+    (folder / "report.html").write_text(changed.get("page", RED), encoding="utf-8")
+    return folder, folder
+
+
+@pytest.mark.parametrize(
+    ("changed", "what"),
+    [
+        ({}, []),
+        ({"joint": {"height_mm": 3.6}}, ["height_mm"]),
+        ({"joint": {"kind": "groove"}}, ["joint 300"]),
+        ({"loss": {"z_mm": 200.0}}, ["loss 150", "false"]),
+        ({"loss": {"length_mm": 26.0}}, ["length"]),
+        ({"bend": {"angle_deg": 45.4}}, ["bend angle_deg"]),
+        ({"more": [{"kind": "bump", "z_mm": 240.0, "length_mm": 6.0, "depth_mm": 1.0}]}, ["false"]),
+        ({"page": GREEN}, ["verdict"]),
+    ],
+)
+def test_what_the_twin_drew_is_what_must_be_listed(tmp_path: Path, changed: dict[str, Any], what: list[str]) -> None:
+    assert missed(blind_checks(*drawn(tmp_path, **changed))) == what
+
+
+def test_an_unknown_blind_scene_is_status_2(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["scenes", "--blind", "1", "--only", "elbow"]) == 2
+    assert "there are butt" in capsys.readouterr().err
