@@ -101,7 +101,11 @@ def parse_image(content: bytes, name: str) -> Image:
         raise AnnulusError(f"{name}: neither UF2 nor ELF, expected firmware/build/annulus.uf2")
     data = _flash(pages, name)
     _require_bootable(data, name)
-    return Image(name, data, _identity(data))
+    image = Image(name, data, _identity(data))
+    holes = len(data) // PAGE_BYTES - len(pages)
+    if holes and image.identity is not None and content[:4] != b"\x7fELF":  # what a linker leaves out, uf2.py fills in
+        raise AnnulusError(f"{name}: damaged, {holes} pages between others are missing: a block has another's address")
+    return image
 
 
 def require_ours(image: Image) -> None:
