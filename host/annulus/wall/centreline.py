@@ -43,27 +43,26 @@ class Centreline:
     Raises ValueError when there is no piece or starts do not rise.
     """
 
-    __slots__ = ("_ends", "_frames", "_origins", "pieces", "places")
+    __slots__ = ("pieces", "places")
 
     def __init__(self, pieces: Sequence[Piece]) -> None:
         if not pieces or any(b.start_mm <= a.start_mm for a, b in pairwise(pieces)):
             raise ValueError("a centre line needs pieces whose starts rise")
         self.pieces = tuple(pieces)
-        self._ends = np.array([piece.start_mm for piece in pieces[1:]])
         origin, frame = np.array([0.0, 0.0, pieces[0].start_mm]), np.eye(3)
-        self._origins, self._frames = [origin], [frame]
+        origins, frames = [origin], [frame]
         for before, piece in pairwise(pieces):
             moved, turned = _along(before, np.array([piece.start_mm - before.start_mm]))
             origin = origin + frame @ moved[0]
             frame = frame @ turned[0]
             origin = origin + frame @ np.array([*piece.offset_mm, 0.0])
             frame = frame @ rotation(np.array([piece.turn]))[0]
-            self._origins.append(origin)
-            self._frames.append(frame)
+            origins.append(origin)
+            frames.append(frame)
         # of each piece its start (P,), curvature (P, 2), and where it begins in space: origin (P, 3), frame (P, 3, 3)
         self.places = (
             np.array([piece.start_mm for piece in pieces]), np.array([piece.curvature for piece in pieces]),
-            np.array(self._origins), np.array(self._frames),
+            np.array(origins), np.array(frames),
         )  # fmt: skip
 
     @property
@@ -78,18 +77,19 @@ class Centreline:
 
     def piece_of(self, chainage_mm: FloatArray) -> NDArray[np.intp]:
         """(N,) index of the piece at each chainage."""
-        return np.searchsorted(self._ends, chainage_mm, side="right")
+        return np.searchsorted(self.places[0][1:], chainage_mm, side="right")
 
     def frames_at(self, chainage_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(N, 3) points of the centre line, mm, and (N, 3, 3) its frames there (columns x, y, ahead), in space."""
         own = self.piece_of(chainage_mm)
         origins, frames = np.empty((len(own), 3)), np.empty((len(own), 3, 3))
+        _, _, begins, turns = self.places
         for i, piece in enumerate(self.pieces):
             here = own == i
             if here.any():
                 moved, turned = _along(piece, chainage_mm[here] - piece.start_mm)
-                origins[here] = self._origins[i] + moved @ self._frames[i].T
-                frames[here] = self._frames[i] @ turned
+                origins[here] = begins[i] + moved @ turns[i].T
+                frames[here] = turns[i] @ turned
         return origins, frames
 
     def radius_at(self, chainage_mm: FloatArray) -> FloatArray:
