@@ -54,7 +54,7 @@ class Port:
         self.bytes_read = 0
         self.waitable: int | None  # readable when bytes have come; None: only `read` can wait for them
         self._unsent = bytearray()
-        self._moved_s = 0.0  # when the line last took a byte, or had none to take
+        self._moved_s = time.monotonic()  # when the line last took a byte, or had none to take
         try:
             self._serial, self.waitable = _opened(url)
         except (serial.SerialException, OSError, ValueError) as error:

@@ -3,6 +3,7 @@
 import os
 import pty
 import socket
+import termios
 import threading
 import time
 import tty
@@ -13,7 +14,7 @@ import pytest
 
 from annulus.link.client import Client
 from annulus.link.messages import Arm, ArmFlag, Edge, Ping, PingReply, Stage, Status, StatusCode
-from annulus.link.port import Port
+from annulus.link.port import WRITE_S, Port
 from annulus.link.session import EventReceived
 from annulus.testing.scripted import ScriptedController
 from annulus.vocabulary import AnnulusError, EdgeFlag, Lamp
@@ -143,3 +144,20 @@ def test_a_port_ends_what_the_kernel_echoed_before_it_was_raw() -> None:
     finally:
         os.close(master)
         os.close(slave)
+
+
+def test_a_port_whose_line_is_full_when_it_opens_gets_the_time_that_is_promised() -> None:
+    """A driver just bound again takes nothing for a moment: only `WRITE_S` of nothing is a broken line."""
+    master, slave = pty.openpty()
+    termios.tcflow(slave, termios.TCOOFF)
+    try:
+        port = Port(os.ttyname(slave))
+        time.sleep(WRITE_S / 2)
+        port.write(b"")
+        time.sleep(WRITE_S)
+        with pytest.raises(AnnulusError, match=f"takes no bytes for {WRITE_S:g} s"):
+            port.write(b"")
+        port.close()
+    finally:
+        os.close(slave)
+        os.close(master)
