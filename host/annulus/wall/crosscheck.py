@@ -7,8 +7,9 @@ seen by nobody here: that share stays as it was.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations_with_replacement
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ from annulus.wall.profile import Profile
 # All by test_crosscheck.py and the benchmark `scenes` (93 to 97 % of true radii inside k = 2).
 STEPS = (1, 2)  # a spot's observations are compared with the next one and the one after; bounds what a long scan costs
 PAIRS_LEAST = 40  # of two rings; fewer say nothing
-OFTEN, NORMAL = 90.0, 1.645  # per cent of differences that are less, and in how many sigma of a normal error those lie
+OFTEN, NORMAL = 95.45, 2.0  # per cent of differences that are less, and in how many sigma of a normal error those lie
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +34,14 @@ class _Pairs:
     a: NDArray[np.intp]
     b: NDArray[np.intp]
     apart_mm: FloatArray
+
+    def of_rings(self, ring: NDArray[np.intp], rings: int) -> Iterator[tuple[int, int, BoolArray]]:
+        """Which pairs are of rings i <= k, where there are enough."""
+        kind = ring[self.a] * rings + ring[self.b]
+        for i, k in combinations_with_replacement(range(rings), 2):
+            these = kind == i * rings + k
+            if np.count_nonzero(these) >= PAIRS_LEAST:
+                yield i, k, these
 
 
 def with_revised_sigma(profiles: Sequence[Profile], centreline: Centreline) -> tuple[Profile, ...]:
@@ -51,7 +60,7 @@ def with_revised_sigma(profiles: Sequence[Profile], centreline: Centreline) -> t
     usual = np.array([np.sqrt(np.median(own[ring == k])) if (ring == k).any() else np.nan for k in range(rings)])
     pairs = _pairs(used, ring, centreline)
     bias, common = _biases(pairs, ring, usual)
-    noise = _noises(pairs, ring, usual, bias)
+    noise = _noises(pairs, ring, own, usual, bias)
     # a part of what no frame can show varies all the same, and is in the differences already
     shown = np.array([np.median(fixed[ring == k]) if (ring == k).any() else 0.0 for k in range(rings)])
     noise = np.sqrt(np.maximum(noise**2 - shown, noise**2 / 4))
@@ -119,37 +128,34 @@ def _calm(cell: NDArray[np.int64], radius: FloatArray, rows: int, slack: float) 
     return np.asarray((high - low < slack).ravel())
 
 
-def _by_rings(pairs: _Pairs, ring: NDArray[np.intp], rings: int) -> list[tuple[int, int, FloatArray]]:
-    """Differences by the two rings they are of, where there are enough."""
-    kind = ring[pairs.a] * rings + ring[pairs.b]
-    groups = ((k // rings, k % rings, pairs.apart_mm[kind == k]) for k in range(rings * rings))
-    return [group for group in groups if len(group[2]) >= PAIRS_LEAST]
-
-
 def _biases(pairs: _Pairs, ring: NDArray[np.intp], usual: FloatArray) -> tuple[FloatArray, float]:
     """(K,) how far outside the wall each ring lies, all of them weighed by their noise being right on average; and how
     far that average may be off, were biases as large, beside noise, as they are found to be."""
     weight = np.nan_to_num(1.0 / usual**2)
     rows, right = [weight / weight.sum()], [0.0]
-    for i, k, apart in _by_rings(pairs, ring, len(usual)):
+    for i, k, these in pairs.of_rings(ring, len(usual)):
         if i != k:
             rows.append(np.zeros(len(usual)))
             rows[-1][[i, k]] = 1.0, -1.0
-            right.append(float(np.median(apart)))
+            right.append(float(np.median(pairs.apart_mm[these])))
     bias = np.linalg.lstsq(np.array(rows), np.array(right), rcond=None)[0]
     seen = weight > 0
     return bias, math.sqrt(float(np.mean((bias[seen] / usual[seen]) ** 2)) / float(weight.sum()))
 
 
-def _noises(pairs: _Pairs, ring: NDArray[np.intp], usual: FloatArray, bias: FloatArray) -> FloatArray:
+def _noises(pairs: _Pairs, ring: NDArray[np.intp], own: FloatArray, usual: FloatArray, bias: FloatArray) -> FloatArray:
     """(K,) sigma of each ring, mm; NaN where nothing tells. Two rings' differences scatter by both: solved for each.
 
     Not the median of the differences but one that few exceed says what interval most errors lie in: they have tails.
+    And differences in what their two points expected: where some frames and flanks are worse than most, and say so,
+    nothing is to be scaled.
     """
     rings = len(usual)
     rows, most = [], np.full(rings, np.inf)
-    for i, k, apart in _by_rings(pairs, ring, rings):
-        both = (float(np.percentile(np.abs(apart - bias[i] + bias[k]), OFTEN)) / NORMAL) ** 2
+    for i, k, these in pairs.of_rings(ring, rings):
+        expected = np.sqrt(own[pairs.a[these]] + own[pairs.b[these]])
+        apart = np.abs(pairs.apart_mm[these] - bias[i] + bias[k]) / expected
+        both = (float(np.percentile(apart, OFTEN)) / NORMAL) ** 2 * (usual[i] ** 2 + usual[k] ** 2)
         trust = math.sqrt(len(apart)) / max(both, 1e-12)
         row = np.zeros(rings + 1)
         row[i] += trust
