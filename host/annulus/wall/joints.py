@@ -34,6 +34,8 @@ SECTORS, POINTS = 36, 6  # of a bead, and points of one that give it a height
 STANDS = 0.5  # part of a joint's points that stand inwards, for a bead
 CREST = 97.0  # percentile of a sector's heights: noise is small against beads
 HIGH, TOP = 0.75, 0.85  # of the crest: what belongs to it, and what is its top
+FIRST, NOTCH = 0.6, 0.1  # of it: what a first of two crests has at least, and by how much the notch behind is lower
+SURE = 2.0  # times the usual sigma: beyond, a slit that a bead's shadow cuts in half seems to stand high behind it
 WIDTH_K2_OF_RADIUS = 0.03  # k = 2 of a bead's width: half a slit and the hidden flank
 
 
@@ -54,8 +56,9 @@ def find_joints(wall: Wall, profiles: Sequence[Profile], axis: Axis, least_shado
     Notes
     -----
     Height is the crest's, the median over 36 sectors of each one's 97th percentile; width from half that height on the
-    near flank to as much behind the last crest. A gap is what lies between the last and the first row that is sound
-    wall, less a slit's width and what the wall's own step outwards hides behind its lip.
+    near flank to as much behind the last crest as lies between that flank and its first one. A gap is what lies between
+    the last and the first row that is sound wall, less a slit's width and what the wall's own step outwards hides
+    behind its lip.
     """
     limits = Limits()
     limit = max(limits.seed_noise * float(np.median(wall.noise_mm)), limits.seed_of_radius * wall.mean_radius_mm)
@@ -227,7 +230,8 @@ def _joint(
         crests = [np.percentile(height[sector == k], CREST) for k in range(SECTORS) if (sector == k).sum() >= POINTS]
         crest = float(np.median(crests)) if crests else float(np.percentile(height, CREST))
         scatter = float(np.std(crests)) / 2 if crests else math.nan  # a bead uneven all round is seen as unevenly
-        start, end = _flanks(z, height, crest)
+        sure = ~(points.stated_mm[inside] > SURE * np.nanmedian(points.stated_mm))
+        start, end = _flanks(z[sure], height[sure], crest) if sure.any() else _flanks(z, height, crest)
         noise = math.hypot(float(np.median(wall.noise_mm)), points.sigma_mm(inside))
         measures.append(Measure("height_mm", crest, 2.0 * math.hypot(noise, scatter)))
         measures.append(Measure("width_mm", end - start, WIDTH_K2_OF_RADIUS * wall.mean_radius_mm))
@@ -268,8 +272,9 @@ def _flanks(z: FloatArray, height: FloatArray, crest: float) -> tuple[float, flo
     high = at[middle >= HIGH * crest]
     if not len(high):
         return start, float(at[-1])
-    top = at[np.argmax(middle >= min(TOP * crest, float(middle.max())))]
-    return start, float(high[-1]) + ROW_MM / 2 + max(float(top) - start, 0.0)
+    is_top = middle >= min(TOP * crest, float(middle.max()))
+    is_top[:-1] |= (middle >= FIRST * crest)[:-1] & (middle[:-1] - middle[1:] >= NOTCH * crest)
+    return start, float(high[-1]) + ROW_MM / 2 + max(float(at[np.argmax(is_top)]) - start, 0.0)
 
 
 def _outwards(axis: Axis, piece: int | None, at_mm: float) -> tuple[float, float]:

@@ -1,5 +1,7 @@
 """The pipe's axis from frames of a head that wobbles through joints, bends and tapers; and none where there is none."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from chained_pipe import bead, frames, pit
@@ -37,12 +39,28 @@ def test_a_joint_is_measured(offset: tuple[float, float], turn: tuple[float, flo
     assert joint.kind is FeatureKind.JOINT
     assert joint.z_mm == pytest.approx(170.0, abs=2.5)
     assert joint.measured("height_mm") == pytest.approx(3.0, abs=0.4)
+    assert joint.measured("width_mm") == pytest.approx(8.0, abs=2.0)
     assert joint.measured("hilo_mm") == pytest.approx(np.hypot(*offset), abs=0.1)
     assert joint.measured("angle_deg") == pytest.approx(np.degrees(np.hypot(*turn)), abs=0.08)
     assert joint.measured("step_mm") == pytest.approx(2 * step, abs=0.06)
     (loss,) = pipe.defects  # behind the joint, and nothing else
     assert loss.depth_mm == pytest.approx(2.5, abs=0.15)
     assert loss.clock_deg == pytest.approx(120.0, abs=4.0)
+
+
+def test_slits_that_a_beads_shadow_cuts_in_half_do_not_widen_it() -> None:
+    """Behind it they seem to stand as high as it does, and say how little they know."""
+    line = Centreline([Piece(0.0, R), Piece(170.0, R, *HILO_AND_KINK[:2])])
+    rng = np.random.default_rng(2)
+    profiles = []
+    for one in frames(line, STATIONS, bead(170.0, 3.0, 4.0)):
+        behind = (one.points_mm[:, 2] > 176.0) & (one.points_mm[:, 2] < 182.0) & (rng.random(len(one.ring)) < 0.7)
+        points = one.points_mm.copy()
+        points[behind, :2] *= 1 - 2.6 / R
+        sigma = np.where(behind, 1.0, one.sigma_mm).astype(np.float32)
+        profiles.append(replace(one, points_mm=points, sigma_mm=sigma))
+    (joint,) = survey(profiles, CALIBRATION).features
+    assert joint.measured("width_mm") == pytest.approx(8.0, abs=2.3)
 
 
 def test_a_narrower_pipe_is_no_gap() -> None:
