@@ -378,6 +378,69 @@ def pipe(
     print(f"written    {out}, {picture}")
 
 
+@app.command(
+    "fringe", epilog="Example: annulus calibrate fringe scans/reference --camera head-7.json --distance 100 -o head-7.json"
+)
+def fringe(
+    scan: Annotated[Path, typer.Argument(help="Scan folder of a plain, flat plate; frames.csv has height_mm.")],
+    camera: Annotated[Path, typer.Option(help="File with the camera, or the cameras; a calibration.json will do.")],
+    distance: Annotated[
+        float | None,
+        typer.Option(
+            min=1.0, max=10000.0, help="First camera to the plate at height 0, mm. [default: the file's distance_mm]"
+        ),
+    ] = None,
+    out: Annotated[Path, typer.Option("--out", "-o", help="calibration.json; other sections in it are kept.")] = Path(
+        "calibration.json"
+    ),
+    as_json: Json = False,
+) -> None:
+    """A slide of fringes from a flat plate at two or more known heights: where its light comes from, period, waveform.
+
+    Stand a plain plate across the first camera's axis, one projector frame a camera at each height (towards the head is
+    positive); three heights or more, of uneven spacing, a few millimetres apart. Nothing need move.
+    """
+    from annulus.calibrate.fringe import calibrate_fringe, save_fringe
+
+    with progress() as bars:
+        result = calibrate_fringe(scan, camera, distance_mm=distance, progress=bars)
+    save_fringe(result, out)
+    told = result.to_dict()
+    if as_json:
+        print(json.dumps({**told, "file": str(out)}))
+        return
+    slide, sigma = told["projector"], told["sigma"]
+    x, y, z = slide["centre_mm"]
+    print(f"frames     {told['frames']} of a plate at {', '.join(f'{h:g}' for h in told['heights_mm'])} mm")
+    print(
+        f"light      from {x:.3f} {y:.3f} {z:.3f} mm, +- {sigma['across_mm']:.4f} across the stripes, "
+        f"{sigma['depth_mm']:.4f} ahead (along them it makes no difference)"
+    )
+    print(
+        f"period     {slide['period']:.6f} +- {sigma['period']:.6f} of the tangent; K {told['k_rad']:.3f} +- "
+        f"{sigma['k_rad']:.3f} rad"
+    )
+    print(
+        f"stripes    turned {slide['turn_deg']:.4f} +- {sigma['turn_deg']:.4f} deg, axis known to "
+        f"{max(sigma['tilt_deg']):.5f} deg, phase {slide['phase0']:.4f} +- {sigma['phase0']:.4f} rad"
+    )
+    curve = told["transfer"]
+    source = "as the file says" if result.curve_told else "the file says none"
+    print(
+        f"curve      {curve['sensor']}, black {curve['black']:g}, gamma {curve.get('gamma', 1.0):.3f} taken out "
+        f"({source}); what is left looks like a gamma of {told['gamma']:.4f} +- {told['gamma_sigma']:.4f}"
+    )
+    waves = slide.get("harmonics", [])
+    pairs = zip(waves[::2], waves[1::2], sigma["harmonics"][::2], strict=True)
+    shown = ", ".join(f"{k}: {c:.4f} cos {s:+.4f} sin +- {e:.4f}" for k, (c, s, e) in enumerate(pairs, start=2))
+    print(f"harmonics  {shown or 'none'}, taken out; modulation {told['modulation']:.3f}")
+    apart = f", cameras {told['cameras_apart_rad']:.4f} rad apart" if len(result.head.cameras) > 1 else ""
+    print(f"phase      {told['rms_rad']:.4f} rad rms over {told['tiles']} tiles{apart}")
+    for warning in result.warnings:
+        print(f"warning    {warning}")
+    print(f"written    {out}")
+
+
 def _field(text: str) -> tuple[int, int, int, int]:
     from annulus.geometry.calibration import sensor_crop
 

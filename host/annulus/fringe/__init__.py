@@ -8,14 +8,28 @@ from the frames. `noise` says what misfit is usual, `texture` takes out what alb
 joins cameras, `source` is the source's own method.
 """
 
+from annulus.fringe.calibration import NAMES as plate_names
+from annulus.fringe.calibration import PlateCalibration, ReferencePlate, calibrate_plate
+from annulus.fringe.edges import edged
+from annulus.fringe.head import FringeHead, projector_to_dict
 from annulus.fringe.heights import Heights, Points, View, heights, spline
 from annulus.fringe.merge import merged
 from annulus.fringe.noise import noise_of
 from annulus.fringe.projector import FringeProjector
 from annulus.fringe.steps import Steps, find_steps
 from annulus.fringe.texture import untextured
+from annulus.fringe.transfer import Transfer, transfers
 
 __all__ = [
+    "FringeHead",
+    "PlateCalibration",
+    "ReferencePlate",
+    "Transfer",
+    "edged",
+    "calibrate_plate",
+    "plate_names",
+    "projector_to_dict",
+    "transfers",
     "FringeProjector",
     "Heights",
     "Points",

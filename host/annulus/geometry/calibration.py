@@ -110,6 +110,8 @@ class Calibration:
         rings = _rings(cones, len(colours) - 1 if colours else None)
         if kind == "line" and not rings:
             raise ValueError('"rings" must list at least one: a head of bright lines has a cone for each')
+        if kind == "fringe" and "pipe" not in top:
+            raise ValueError('"pipe" is missing: this is the calibration of fringes on a plate, no pipe\'s')
         radius = _radius(_need(top, "pipe"))
         covariance = None if "covariance" not in top else _covariance(top["covariance"], 6 * len(rings))
         first, *others = cameras
@@ -167,6 +169,13 @@ def head_cameras_from_dict(data: object) -> tuple[tuple[HeadCamera, ...], str]:
     if len(cameras) < 2:
         raise ValueError('"cameras" lists one camera, expected two or more')
     return tuple(cameras), _colours(top)
+
+
+def cameras_from_dict(data: object) -> tuple[HeadCamera, ...]:
+    """All cameras of a file, whatever the head projects and whatever wall it stands before.
+
+    Raises ValueError naming the key that is wrong."""
+    return tuple(_cameras(_section(data, "the file")))
 
 
 def several_cameras(data: object) -> bool:

@@ -3,11 +3,13 @@
 A scan folder has `frames.csv` and the images it names. Its columns are index, file, light, z_mm and, where the head
 has several cameras, camera (its id; rows of one index belong to one flash) and, where it has an inertial sensor,
 roll_deg: how far the head was turned clockwise, looking forward, from image up at 12 o'clock. A field of these two may
-be empty; other columns are passed over. `imu.csv` beside it, if there, says how the head turned: `record/imu.py`.
+be empty. Before a plate there is x_mm in place of z_mm: the stage along the head's motion; and height_mm in reference
+frames: how far the plate stood towards the head. Other columns are passed over. `imu.csv` beside it, if there, says how the head turned: `record/imu.py`.
 """
 
 import csv
 import io
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path, PurePosixPath
@@ -25,6 +27,7 @@ from annulus.vocabulary import AnnulusError, Label
 TABLE = "frames.csv"
 COLUMNS = ("index", "file", "light", "z_mm")
 ROLL, CAMERA = "roll_deg", "camera"  # may be missing
+PLACE, STAGE, HEIGHT = "z_mm", "x_mm", "height_mm"  # the first may be missing where the second is there
 TABLE_MAX = 256 << 20  # bytes; a day at 25 fps has 100 MB
 FRAME_MAX = 256 << 20
 ROLL_MAX_DEG = 36e3  # a sensor may count turns
@@ -43,6 +46,8 @@ class ScanFrame:
     z_bound_mm: float = 0.0  # how far z may be off; 0: it was counted
     segment: int = 0  # of z: within one, differences of z were counted
     motion: Motion | None = None  # what an inertial sensor said
+    x_mm: float | None = None  # of the stage, before a plate
+    height_mm: float | None = None  # of the plate, in reference frames
 
 
 @dataclass(frozen=True)
@@ -164,7 +169,7 @@ def read_table(folder: Path) -> tuple[ScanFrame, ...]:
         columns = [name.strip() for name in rows.fieldnames or ()]
         if len(set(columns)) < len(columns):
             raise AnnulusError(f"{table}: line 1: a column is there twice. Expected {','.join(COLUMNS)}.")
-        missing = [name for name in COLUMNS if name not in columns]
+        missing = [name for name in COLUMNS if name not in columns and not (name == PLACE and STAGE in columns)]
         if missing:
             raise AnnulusError(f"{table}: line 1: no column {', '.join(missing)}. Expected {','.join(COLUMNS)}.")
         rows.fieldnames = columns
@@ -194,11 +199,11 @@ def _frame(row: dict[str, str | None], folder: Path, inside: dict[PurePosixPath,
     """`inside`: of folders of images, whether they are in the scan's own; filled here."""
     if None in row:
         raise ValueError("more fields than line 1 has columns")
-    index, file, light, z_text = ((row[name] or "").strip() for name in COLUMNS)
+    index, file, light, z_text = ((row.get(name) or "").strip() for name in COLUMNS)
     if light not in {label.value for label in Label}:
         raise ValueError(f'light is "{light[:40]}", expected projector, led or unknown')
-    z = number(z_text)
-    if not abs(z) <= Z_MAX_MM:
+    z = number(z_text) if PLACE in row else math.nan
+    if PLACE in row and not abs(z) <= Z_MAX_MM:
         raise ValueError(f'z_mm is "{z_text[:40]}", expected a number of mm')
     place = PurePosixPath(file)
     if not file or len(file) > 1024 or place.is_absolute() or ".." in place.parts or "\\" in file or "\0" in file:
@@ -212,7 +217,19 @@ def _frame(row: dict[str, str | None], folder: Path, inside: dict[PurePosixPath,
     camera = whole((row.get(CAMERA) or "").strip() or "0", CAMERA)
     if camera > CAMERA_ID_MAX:
         raise ValueError(f"{CAMERA} is {camera}, expected an id in 0..{CAMERA_ID_MAX}")
-    return ScanFrame(whole(index, "index"), Label(light), z, file, _roll(row.get(ROLL)), camera)
+    x, height = (_length(row.get(name), name) for name in (STAGE, HEIGHT))
+    return ScanFrame(
+        whole(index, "index"), Label(light), z, file, _roll(row.get(ROLL)), camera, x_mm=x, height_mm=height
+    )
+
+
+def _length(text: str | None, name: str) -> float | None:
+    if text is None or not text.strip():
+        return None
+    value = number(text)
+    if not abs(value) <= Z_MAX_MM:
+        raise ValueError(f'{name} is "{text[:40]}", expected a number of mm')
+    return value
 
 
 def _roll(text: str | None) -> float | None:

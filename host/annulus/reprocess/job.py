@@ -116,6 +116,10 @@ def open_job(
             raise AnnulusError(f"{reference}: {error}. Make it with this calibration.") from None
     paint = None if colour is None else load_part(colour, ColourProfile.from_dict, "annulus calibrate colour")
     _belong_together(opened, known)
+    if any(math.isnan(frame.z_mm) and frame.x_mm is not None for frame in opened.frames):
+        raise AnnulusError(
+            f"{scan}: says x_mm, no z_mm: a scan of a plate. Expected the calibration of a head that projects fringes."
+        )
     return Job(opened, known, paint, pattern)
 
 

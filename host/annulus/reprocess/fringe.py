@@ -1,0 +1,386 @@
+"""A scan under a slide of fringes to the heights of the plate it went past.
+
+A scan is worked through in windows of consecutive flashes, half of each shared with the next, so that memory does not
+grow with its length. Each window places its own frames (`fringe.steps`) and says the heights of the cells that stand
+before its middle; windows are joined where they share frames. A camera's frames are held one camera at a time.
+"""
+
+import itertools
+import math
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.ndimage import binary_closing, binary_fill_holes
+
+from annulus.fringe import FringeHead, FringeProjector, Heights, Points, View, find_steps, heights, merged, noise_of, spline
+from annulus.fringe import Transfer, edged, untextured
+from annulus.fringe.track import AMBIGUOUS, GOOD, TOO_FEW, UNDETERMINED, UNMODULATED, UNSETTLED
+from annulus.geometry.calibration import HeadCamera
+from annulus.numeric.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from annulus.numeric.robust import robust_sigma
+from annulus.record.calibration_file import load_part
+from annulus.record.scan import Scan, open_scan
+from annulus.vocabulary import AnnulusError, Finding, Label
+from annulus.wall.plate import Plate
+
+Progress = Callable[[str, int, int], None]
+
+WINDOW = 24  # flashes: some fringes' worth of phase, and 200 MB of a camera of 2 Mpixel
+MARGIN = 8  # cells beside a window's own, for what looks at neighbours
+CELL_PX = 1.5  # of the wall's grid: what the lens's blur leaves to be told apart
+COARSE = 4  # cells
+CHECKED_MIN = 100  # cells that two cameras see, to judge their sigma by
+DRIFT = 0.1  # share by which a point's light may change along half a track: the lens's shading
+ODOMETER_SIGMA_MM = 0.05  # of a cable counter or a stage, where the frames' own texture decides nothing
+FLASH_MM = 0.05  # cameras of one flash stand no farther apart
+SHIFT_MIN = 0.1  # least singular value of DC and wave over the frames, of 1: less and they cannot be told apart
+SATURATED_MAX, UNTOLD_MAX = 0.001, 0.02  # shares from which it is said
+MISFIT_MAX = 0.25  # of the swing: the frames do not show this slide
+REASONS = {
+    TOO_FEW: "seen in fewer than 3 frames, or saturated",
+    UNMODULATED: "no fringes on it",
+    UNDETERMINED: "no phase shift",
+    UNSETTLED: "frames that do not fit one another",
+    AMBIGUOUS: "order of the fringe open",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class FringeJob:
+    """A scan with what its frames need. curve : how its grey levels came from light."""
+
+    scan: Scan
+    head: FringeHead
+    projector: FringeProjector
+    distance_mm: float
+    curve: Transfer
+    flashes: tuple[tuple[float, dict[int, int]], ...]  # x_mm, and the scan's frame number by camera
+    findings: tuple[Finding, ...]
+
+
+def open_fringe(scan: Path, calibration: Path) -> FringeJob:
+    """AnnulusError, one line, for what is missing, damaged or does not belong together."""
+    head = load_part(calibration, FringeHead.from_dict, "annulus calibrate fringe")
+    if head.projector is None:
+        raise AnnulusError(f'{calibration}: has no "pattern.projector". Make it with `annulus calibrate fringe`.')
+    if head.distance_mm is None:
+        raise AnnulusError(f'{calibration}: has no "distance_mm" of a plate. Make it with `annulus calibrate fringe`.')
+    opened = open_scan(scan)
+    strange = [number for number in opened.cameras if number not in {one.id for one in head.cameras}]
+    if strange:
+        head.camera(strange[0])
+    flashes = _flashes(opened)
+    _check_motion(opened, head, head.projector, head.distance_mm, flashes)
+    findings = []
+    for one in head.cameras:
+        lost = [k for k, (_, frames) in enumerate(flashes) if one.id not in frames]
+        if lost:
+            text = f"camera {one.id} has no frame of {len(lost)} of {len(flashes)} flashes: measured without it there"
+            findings.append(Finding("camera-missing", text))
+    curve = head.curve(scan.resolve().name)
+    if curve is None:
+        curve = next(iter(head.transfer.values()), Transfer())
+        if head.transfer:
+            text = (
+                f'the calibration names no transfer curve for a scan called "{scan.resolve().name}": taken as '
+                f"{curve.sensor}, black {curve.black:g}"
+            )
+            findings.append(Finding("transfer", text))
+    return FringeJob(opened, head, head.projector, head.distance_mm, curve, flashes, tuple(findings))
+
+
+def _flashes(scan: Scan) -> tuple[tuple[float, dict[int, int]], ...]:
+    by_index: dict[int, dict[int, int]] = {}
+    for i, frame in enumerate(scan.frames):
+        if frame.label is not Label.PROJECTOR:
+            continue
+        if frame.x_mm is None:
+            raise AnnulusError(
+                f"{scan.path}: frame {frame.index} has no x_mm, expected where the stage stood, in a column x_mm of "
+                "frames.csv"
+            )
+        by_index.setdefault(frame.index, {})[frame.camera] = i
+    out = []
+    for index, frames in by_index.items():
+        told = [x for i in frames.values() if (x := scan.frames[i].x_mm) is not None]
+        if max(told) - min(told) > FLASH_MM:
+            raise AnnulusError(
+                f"{scan.path}: index {index}: its frames are at x_mm {min(told):g} and {max(told):g}, expected one flash"
+            )
+        out.append((told[0], frames))
+    return tuple(out)
+
+
+def _check_motion(
+    scan: Scan, head: FringeHead, slide: FringeProjector, distance_mm: float, flashes: Sequence[tuple[float, object]]
+) -> None:
+    """AnnulusError where the frames are too few, or no phase moved between them."""
+    if len(flashes) < 3:
+        raise AnnulusError(
+            f"{scan.path}: {len(flashes)} flashes with the projector, expected at least 3: phase, DC and AC of a point"
+        )
+    x = np.array([place for place, _ in flashes])
+    if not np.ptp(x) > 0:
+        raise AnnulusError(f"{scan.path}: x_mm is {x[0]:g} throughout: the head did not move, nothing shifted the phase")
+    ahead = np.array(slide.centre_mm) * [1, 1, 0] + [0, 0, distance_mm]
+    phase = slide.phase(ahead - (x - x[0])[:, None] * np.array(head.motion))
+    matrix = np.stack([np.ones(len(x)), np.cos(phase), np.sin(phase)], axis=1) / math.sqrt(len(x))
+    if np.linalg.svd(matrix, compute_uv=False)[-1] < SHIFT_MIN:
+        period = 2 * np.pi / abs(float(np.polyfit(x, phase, 1)[0]))
+        raise AnnulusError(
+            f"{scan.path}: its {len(x)} flashes shift the fringes by whole periods, or hardly at all ({period:.2f} mm a "
+            "period on the plate): expected steps of a third to a quarter period, or uneven ones"
+        )
+
+
+def reconstruct_fringe(job: FringeJob, progress: Progress | None = None) -> Plate:
+    """The heights of the plate. AnnulusError where nothing can be measured."""
+    started = time.perf_counter()
+    report = progress or (lambda stage, done, total: None)
+    last = max(len(job.flashes) - WINDOW, 0)
+    starts = [*range(0, last, WINDOW // 2), last]
+    frames = _Frames(job, lambda done: report("fringes", done, len(job.flashes)))
+    report("fringes", 0, len(job.flashes))
+    parts: list[_Part] = []
+    for k, start in enumerate(starts):
+        low = -math.inf if k == 0 else (starts[k] + starts[k - 1] + WINDOW - 1) / 2
+        high = math.inf if k + 1 == len(starts) else (starts[k + 1] + starts[k] + WINDOW - 1) / 2
+        parts.append(_window(job, frames, start, (low, high), parts[-1] if parts else None))
+    return _joined(job, frames, parts, started)
+
+
+class _Frames:
+    """Splines of the frames of one window, read once each, dropped when the window has gone on."""
+
+    def __init__(self, job: FringeJob, report: Callable[[int], None]) -> None:
+        self._job, self._report = job, report
+        self._held: dict[int, Float32Array] = {}
+        self.saturated = self.pixels = 0
+
+    def of(self, one: HeadCamera, start: int) -> tuple[Float32Array, IntArray]:
+        """(N, H, W) of a camera, and which flashes of the window they are. AnnulusError for another size."""
+        window = self._job.flashes[start : start + WINDOW]
+        wanted = {i for _, frames in window for i in frames.values()}
+        self._held = {i: image for i, image in self._held.items() if i in wanted}
+        which = [k for k, (_, frames) in enumerate(window) if one.id in frames]
+        for k in which:
+            i = window[k][1][one.id]
+            if i not in self._held:
+                self._held[i] = self._read(i, one)
+                self._report(start + k + 1)
+        images = [self._held[window[k][1][one.id]] for k in which]
+        return np.array(images, np.float32), np.array(which, dtype=np.int64)
+
+    def _read(self, i: int, one: HeadCamera) -> Float32Array:
+        picture, frame = self._job.scan.read(i), self._job.scan.frames[i]
+        height, width = picture.shape[:2]
+        if (width, height) != (one.camera.width, one.camera.height):
+            raise AnnulusError(
+                f"calibration: camera {one.id} is {one.camera.width}x{one.camera.height} but {frame.where} is "
+                f"{width}x{height}. Calibrate with the camera that took this scan."
+            )
+        light = self._job.curve.light(picture)
+        self.saturated += int(np.isnan(light).sum())
+        self.pixels += light.size
+        if np.isnan(light).all():
+            raise AnnulusError(f"{self._job.scan.path}: {frame.where} is saturated throughout: expose less")
+        return spline(light[None])[0]
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """What one window says: where its frames stand; its cells, node (i, j) at (i, j) cell mm; how well the frames fit.
+    """
+
+    start: int
+    place_mm: FloatArray
+    sigma_mm: FloatArray
+    slipped: BoolArray
+    i: IntArray
+    j: IntArray
+    found: Heights | None  # None where the slide lit nothing
+    misfit: float  # rms residual over the swing, median of the cells
+
+
+def _window(
+    job: FringeJob, frames: _Frames, start: int, share: tuple[float, float], before: _Part | None
+) -> _Part:
+    window = job.flashes[start : start + WINDOW]
+    odometer, ahead, cell = np.array([x for x, _ in window]), np.array(job.head.motion), _cell_mm(job)
+    cameras = [one for one in job.head.cameras if sum(one.id in seen for _, seen in window) >= 3]
+    if not cameras:
+        raise AnnulusError(f"{job.scan.path}: no camera has 3 frames among {len(window)} flashes beside one another")
+    boxes = [_box(job, one, odometer) for one in cameras]
+    places, weights = np.zeros(len(window)), np.zeros(len(window))
+    slipped, taken = np.zeros(len(window), bool), []
+    for one, box in zip(cameras, boxes, strict=True):
+        images, which = frames.of(one, start)
+        coarse = Points.plate(*(np.arange(low, high, COARSE * cell) for low, high in box), job.distance_mm)
+        steps = find_steps(
+            one, job.projector, odometer[which], ahead, images, coarse,
+            odometer_sigma_mm=ODOMETER_SIGMA_MM, drift_sigma=DRIFT,
+        )  # fmt: skip
+        weight = 1 / np.maximum(steps.sigma_mm, 1e-6) ** 2
+        places[which] += weight * (steps.place_mm + odometer[which[0]])
+        weights[which] += weight
+        slipped[which] |= steps.slipped
+        taken.append((one, images, which, coarse))
+    place = np.where(weights > 0, places / np.maximum(weights, 1e-300), odometer)
+    if before is not None:
+        shared = before.start + len(before.place_mm) - start
+        place += float(np.mean(before.place_mm[len(before.place_mm) - shared :] - place[:shared]))
+    told, lit, misfits, noises = [], np.zeros((0, 3)), [], []
+    for one, images, which, coarse in taken:
+        view = View.of(one, job.projector, place[which, None] * ahead)
+        first = heights(view, images, coarse, drift_sigma=DRIFT, residuals=True)
+        good = first.flag == GOOD
+        if good.any():
+            kept = np.where(np.isfinite(first.residual[:, good]), first.residual[:, good], 0.0)
+            rest = np.sqrt((kept**2).sum(axis=0) / np.maximum(first.used[good], 1))
+            misfits.append(float(np.median((rest / first.ac[good])[rest > 0])))
+        lit = np.concatenate([lit, coarse.base[good]])
+        noises.append(noise_of(first))
+    sigma = np.where(weights > 0, np.maximum(weights, 1e-300) ** -0.5, ODOMETER_SIGMA_MM)
+    axis = int(np.argmax(np.abs(ahead[:2])))
+    none = np.empty(0, np.int64)
+    if len(lit) < 9:
+        return _Part(start, place, sigma, slipped, none, none, None, math.nan)
+    # nodes of this window's share along the motion, and some more for what looks at neighbours
+    ends = [_at(share[k] - start, place) * ahead[axis] for k in (0, 1)]
+    middle = float(np.mean([np.mean(box[axis]) for box in boxes]) - place.mean() * ahead[axis])
+    low, high = sorted(end + middle for end in ends)
+    reach = [(lit[:, k].min(), lit[:, k].max()) for k in (0, 1)]
+    nodes = []
+    for k, (least, most) in enumerate(reach):
+        if k == axis:
+            least, most = max(least, low - MARGIN * cell), min(most, high + MARGIN * cell)
+        nodes.append(np.arange(math.ceil(least / cell), math.floor(most / cell) + 1))
+    if min(map(len, nodes)) < 1:
+        return _Part(start, place, sigma, slipped, none, none, None, math.nan)
+    grid = Points.plate(nodes[0] * cell, nodes[1] * cell, job.distance_mm)
+    blurs = []
+    for (one, images, which, _), noise in zip(taken, noises, strict=True):
+        view = View.of(one, job.projector, place[which, None] * ahead)
+        found, blur = untextured(view, grid, heights(view, images, grid, noise=noise, drift_sigma=DRIFT))
+        told.append(found)
+        blurs.append(blur or cell / 2)
+    both = merged(told)
+    both = replace(both, sigma_mm=both.sigma_mm * _apart(told))
+    both = edged(grid, both, float(np.mean(blurs)))
+    i, j = (one.ravel() for one in np.meshgrid(nodes[0], nodes[1]))
+    own = ((i, j)[axis] * cell >= low) & ((i, j)[axis] * cell < high)
+    kept = Heights(
+        *(getattr(both, name)[own] for name in ("height_mm", "sigma_mm", "dc", "ac", "misfit", "used", "flag")),
+        np.empty((0, 0), np.float32),
+    )
+    return _Part(start, place, sigma, slipped, i[own], j[own], kept, float(np.median(misfits)))
+
+
+def _apart(told: Sequence[Heights]) -> float:
+    """How many times their sigma two cameras differ on the same cells, at least 1; nothing checks one camera alone."""
+    out = [1.0]
+    for a, b in itertools.pairwise(told):
+        gap = (a.height_mm - b.height_mm) / np.hypot(a.sigma_mm, b.sigma_mm)
+        gap = gap[np.isfinite(gap)]
+        if len(gap) >= CHECKED_MIN:
+            out.append(robust_sigma(gap))
+    return max(out)
+
+
+def _at(k: float, place: FloatArray) -> float:
+    """Where the head stood at the k-th flash, between two as well."""
+    return k if math.isinf(k) else float(np.interp(k, np.arange(len(place)), place))
+
+
+def _cell_mm(job: FringeJob) -> float:
+    """Of the grid: what CELL_PX pixels of the first camera see of the plate, to two digits."""
+    camera = job.head.cameras[0].camera
+    return float(f"{CELL_PX * job.distance_mm / max(camera.fx, camera.fy):.2g}")
+
+
+def _box(job: FringeJob, one: HeadCamera, odometer: FloatArray) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Least and most x, y of the plate that a camera sees from these positions, mm."""
+    width, height = one.camera.width, one.camera.height
+    edge = np.array([(u, v) for u in np.linspace(0, width - 1, 9) for v in np.linspace(0, height - 1, 9)])
+    turn = np.array(one.rotation)
+    rays, eye = one.camera.rays(edge) @ turn, -turn.T @ np.array(one.translation_mm)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        far = np.where(rays[:, 2] > 0.05, (job.distance_mm - eye[2]) / rays[:, 2], np.nan)
+    at = eye[:2] + rays[:, :2] * far[:, None]
+    moved = np.outer([odometer.min(), odometer.max()], np.array(job.head.motion)[:2])
+    low, high = np.nanmin(at, axis=0) + moved.min(axis=0), np.nanmax(at, axis=0) + moved.max(axis=0)
+    return (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
+
+
+def _joined(job: FringeJob, frames: _Frames, parts: Sequence[_Part], started: float) -> Plate:
+    some = [part for part in parts if part.found is not None]
+    if not some:
+        raise AnnulusError(f"{job.scan.path}: shows no fringes of this slide on the plate, nothing to measure")
+    misfit = float(np.median([part.misfit for part in some]))
+    if misfit > MISFIT_MAX:
+        raise AnnulusError(
+            f"{job.scan.path}: its frames do not show the calibration's slide: what is left of the fit is {misfit:.2f} "
+            f"of the fringes' swing, expected below {MISFIT_MAX:g}. Another slide (period), another distance, or x_mm "
+            "that are wrong?"
+        )
+    cell = _cell_mm(job)
+    i, j = (np.concatenate([getattr(part, name) for part in some]) for name in ("i", "j"))
+    shape = (int(j.max() - j.min()) + 1, int(i.max() - i.min()) + 1)
+    where = (j - j.min(), i - i.min())
+
+    def grid(name: str, empty: float = math.nan) -> FloatArray:
+        out = np.full(shape, empty)
+        out[where] = np.concatenate([getattr(part.found, name) for part in some])
+        return out
+
+    flag = grid("flag", TOO_FEW)
+    lit: BoolArray = binary_fill_holes(binary_closing(np.pad(flag == GOOD, COARSE), iterations=COARSE // 2))
+    lit = lit[COARSE:-COARSE, COARSE:-COARSE] | (flag == GOOD)
+    counts = Counter(int(one) for one in flag[lit & (flag != GOOD)])
+    untold = {REASONS[kind]: n for kind, n in sorted(counts.items())}
+    good = flag == GOOD
+    dc, ac = grid("dc"), grid("ac")
+    with np.errstate(divide="ignore", invalid="ignore"):
+        modulation = np.where(good, ac / dc, np.nan)
+    places = np.full(len(job.flashes), np.nan)
+    sigma = np.full(len(job.flashes), np.nan)
+    slipped = np.zeros(len(job.flashes), bool)
+    for part in parts:
+        inside = slice(part.start, part.start + len(part.place_mm))
+        places[inside], sigma[inside] = part.place_mm, part.sigma_mm
+        slipped[inside] |= part.slipped
+    return Plate(
+        (np.arange(shape[1]) + i.min()) * cell, (np.arange(shape[0]) + j.min()) * cell,
+        np.where(good, grid("height_mm"), np.nan), np.where(good, grid("sigma_mm"), np.nan),
+        np.where(good, dc, np.nan), modulation, lit, job.distance_mm, untold,
+        tuple(job.scan.frames[next(iter(seen.values()))].index for _, seen in job.flashes),
+        places, sigma, np.array([x for x, _ in job.flashes]),
+        (*job.findings, *_findings(job, frames, slipped, untold, lit, some)),
+        {"scan_to_heights": 1e3 * (time.perf_counter() - started)},
+    )  # fmt: skip
+
+
+def _findings(
+    job: FringeJob, frames: _Frames, slipped: BoolArray, untold: dict[str, int], lit: BoolArray, parts: Sequence[_Part]
+) -> list[Finding]:
+    out = []
+    if slipped.any():
+        indices = tuple(
+            job.scan.frames[next(iter(seen.values()))].index
+            for (_, seen), one in zip(job.flashes, slipped, strict=True) if one
+        )  # fmt: skip
+        named = ", ".join(map(str, indices[:5])) + (", .." if len(indices) > 5 else "")
+        out.append(
+            Finding("slip", f"x_mm disagrees with the frames at {len(indices)} of them ({named}): the frames' places are used", indices)
+        )
+    if frames.saturated > SATURATED_MAX * frames.pixels:
+        share = 100 * frames.saturated / frames.pixels
+        out.append(Finding("saturated", f"{share:.1f} % of all pixels are saturated and say nothing: expose less"))
+    if sum(untold.values()) > UNTOLD_MAX * lit.sum():
+        reasons = ", ".join(f"{n} {reason}" for reason, n in untold.items())
+        out.append(Finding("untold", f"{sum(untold.values())} of {int(lit.sum())} lit cells have no height: {reasons}"))
+    return out
