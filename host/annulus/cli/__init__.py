@@ -85,10 +85,24 @@ def reconstruct(
     workers: Annotated[int | None, typer.Option(min=1, max=64, help="Processes; one a core if not given.")] = None,
     as_json: Json = False,
 ) -> None:
-    """From frames to the pipe wall: cloud, mesh, maps, stations, defects and a report."""
-    from annulus.report import Account, prepare_folder, write
-    from annulus.reprocess import Processes, open_job, reprocess
+    """From frames to the pipe wall: cloud, mesh, maps, stations, defects and a report.
 
+    The calibration's kind chooses the method. A head that projects fringes on a plate writes depth.npz, cloud and
+    report; its frames.csv has x_mm in place of z_mm.
+    """
+    from annulus.report import Account, prepare_folder, write
+    from annulus.reprocess import Processes, kind_of, open_job, reprocess
+
+    if calibration is not None and kind_of(calibration) == "fringe":
+        for option, given in (
+            ("--colour", colour),
+            ("--reference", reference),
+            ("--vibration-filter", vibration_filter),
+        ):
+            if given:
+                raise AnnulusError(f"{option} does not go with {calibration}: its head projects fringes")
+        _reconstruct_fringe(scan, calibration, out, as_json)
+        return
     job = open_job(scan, calibration, colour=colour, reference=reference)
     prepare_folder(out)
     with progress() as bars:
@@ -99,6 +113,37 @@ def reconstruct(
         print(json.dumps(summary))
     else:
         _print_summary(summary, out)
+
+
+def _reconstruct_fringe(scan: Path, calibration: Path, out: Path, as_json: bool) -> None:
+    from annulus.report import Account, prepare_folder, write_plate
+    from annulus.reprocess import open_fringe, reconstruct_fringe
+
+    job = open_fringe(scan, calibration)
+    prepare_folder(out)
+    with progress() as bars:
+        plate = reconstruct_fringe(job, bars)
+    counts = job.scan.counts()
+    summary = write_plate(
+        plate, Account(str(scan), counts, {"frames_unknown": counts["unknown"]}, plate.timing_ms), out
+    )
+    if as_json:
+        print(json.dumps(summary))
+        return
+    height, sigma, places = (summary[key] for key in ("height_mm", "sigma_mm", "places"))
+    print(f"frames     {', '.join(f'{n} {label}' for label, n in counts.items())}")
+    print(
+        f"motion     {places['length_mm']:.2f} mm in {places['flashes']} flashes; x_mm up to "
+        f"{places['off_odometer_mm']:.3f} mm off what the frames say"
+    )
+    print(f"points     {summary['points']}, {100 * summary['completeness']:.1f} % of what the slide lit")
+    print(f"height     {height['min']:.2f}..{height['max']:.2f} mm, median {height['median']:.3f}")
+    print(f"known to   ± {2 * sigma['p50']:.3f} mm (k=2, median), ± {2 * sigma['p95']:.3f} in the worst twentieth")
+    for reason, cells in summary["untold"].items():
+        print(f"not told   {cells} places: {reason}")
+    for warning in summary["warnings"]:
+        print(f"warning    {warning['text']}")
+    print(f"report     {out / 'report.html'}")
 
 
 def _up(mm: float) -> str:

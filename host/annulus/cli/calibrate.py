@@ -379,7 +379,8 @@ def pipe(
 
 
 @app.command(
-    "fringe", epilog="Example: annulus calibrate fringe scans/reference --camera head-7.json --distance 100 -o head-7.json"
+    "fringe",
+    epilog="Example: annulus calibrate fringe scans/reference --camera head-7.json --distance 100 -o head-7.json",
 )
 def fringe(
     scan: Annotated[Path, typer.Argument(help="Scan folder of a plain, flat plate; frames.csv has height_mm.")],

@@ -1,4 +1,4 @@
-"""What is not known beside a step of the wall: the lens's blur mixes both sides, and a height is that of a place nearby.
+"""What is not known beside a step of the wall: the lens's blur mixes both sides.
 
 A height beside a step is off by up to the blur times the slope; where the slope is the wall's own all around (a tilt,
 a curve) both sides of a place cancel. So sigma gets blur times the part of the slope that its surroundings do not have,

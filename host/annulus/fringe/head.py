@@ -1,8 +1,8 @@
 """A head that projects fringes, as calibration.json has it: cameras, slide, curves, the wall it stands before.
 
 `annulus-calibration/2` with "pattern": {"kind": "fringe", "projector": {..}}. Beside it "transfer" (see `transfer`),
-"motion" (unit vector, the first camera's frame; x where missing) and the wall: "distance_mm" of a plate across the first
-camera's axis. A pipe's file has "pipe", and is a `Calibration` too.
+"motion" (unit vector, the first camera's frame; x where missing) and the wall: "distance_mm" of a plate across the
+first camera's axis. A pipe's file has "pipe", and is a `Calibration` too.
 """
 
 from collections.abc import Mapping

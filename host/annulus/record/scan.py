@@ -4,12 +4,14 @@ A scan folder has `frames.csv` and the images it names. Its columns are index, f
 has several cameras, camera (its id; rows of one index belong to one flash) and, where it has an inertial sensor,
 roll_deg: how far the head was turned clockwise, looking forward, from image up at 12 o'clock. A field of these two may
 be empty. Before a plate there is x_mm in place of z_mm: the stage along the head's motion; and height_mm in reference
-frames: how far the plate stood towards the head. Other columns are passed over. `imu.csv` beside it, if there, says how the head turned: `record/imu.py`.
+frames: how far the plate stood towards the head. Other columns are passed over. `imu.csv` beside it, if there, says
+how the head turned: `record/imu.py`.
 """
 
 import csv
 import io
 import math
+from collections import Counter
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path, PurePosixPath
@@ -63,6 +65,11 @@ class Scan:
     def cameras(self) -> tuple[int, ...]:
         """Ids of the cameras that have a frame here, rising."""
         return tuple(sorted({frame.camera for frame in self.frames}))
+
+    def counts(self) -> dict[str, int]:
+        """How many frames each label has."""
+        counted = Counter(frame.label for frame in self.frames)
+        return {label.value: counted[label] for label in Label}
 
     def same_flash(self, i: int) -> list[int]:
         """Numbers of all frames of the flash of frames[i], in their order."""

@@ -60,7 +60,7 @@ def summarize(survey: Survey, account: Account, files_ms: float) -> dict[str, An
         "drops": dict(account.drops),
         "rejected": dict(survey.rejected),
         "timing_ms": {name: round(value, 3) for name, value in timing.items()},
-        "versions": _versions(),
+        "versions": versions(),
         "head_deg": {
             "lean_sigma": round(survey.lean_sigma_deg, 4),
             "roll_min": None if roll[0] is None else round(roll[0], 2),
@@ -80,7 +80,7 @@ def summarize(survey: Survey, account: Account, files_ms: float) -> dict[str, An
         out["vibration"] = _vibration(survey.vibration)
     if account.truth is not None:
         out["truth"] = dict(account.truth)
-    plain: dict[str, Any] = _finite(out)
+    plain: dict[str, Any] = finite(out)
     return plain
 
 
@@ -96,7 +96,7 @@ def _vibration(found: Vibration) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _versions() -> dict[str, str]:
+def versions() -> dict[str, str]:
     out = {"python": platform.python_version()}
     for name in ("annulus", "numpy", "scipy", "opencv-python-headless"):
         try:
@@ -132,14 +132,14 @@ def _feature(feature: Feature) -> dict[str, Any]:
     return out
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
     """The same with None for what JSON has no number for."""
     if isinstance(value, float) and not math.isfinite(value):
         return None
     if isinstance(value, Mapping):
-        return {str(key): _finite(item) for key, item in value.items()}
+        return {str(key): finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
+        return [finite(item) for item in value]
     if isinstance(value, np.generic):
-        return _finite(value.item())
+        return finite(value.item())
     return value

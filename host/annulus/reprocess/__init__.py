@@ -3,17 +3,19 @@
 `method` is the one place where a head's method is chosen, and has the one function from a frame to its profile: the
 daemon's workers call it live, everything else goes through `engine`. An executor says where chunks of frames are worked
 on (this process, local processes). What comes out is the same to the bit whichever it is: what must be decided once per
-scan is decided before, and chunks are fixed.
+scan is decided before, and chunks are fixed. A scan under fringes has no profile a frame: `fringe` takes it whole.
 
 >>> pipe = survey_of("scan.mcap")
 """
 
 from annulus.reprocess.engine import Reprocessed, led_frames, measure, reprocess, stage_medians, survey_of
 from annulus.reprocess.executors import Executor, Processes, in_process
+from annulus.reprocess.fringe import FringeJob, open_fringe, reconstruct_fringe
 from annulus.reprocess.job import Job, open_job
-from annulus.reprocess.method import Method, method_for, warm_up
+from annulus.reprocess.method import Method, kind_of, method_for, warm_up
 
 __all__ = [
-    "Executor", "Job", "Method", "Processes", "Reprocessed", "in_process", "led_frames", "measure", "method_for",
-    "open_job", "reprocess", "stage_medians", "survey_of", "warm_up",
+    "Executor", "FringeJob", "Job", "Method", "Processes", "Reprocessed", "in_process", "kind_of", "led_frames",
+    "measure", "method_for", "open_fringe", "open_job", "reconstruct_fringe", "reprocess", "stage_medians", "survey_of",
+    "warm_up",
 ]  # fmt: skip

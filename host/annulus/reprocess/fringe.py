@@ -16,8 +16,21 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import binary_closing, binary_fill_holes
 
-from annulus.fringe import FringeHead, FringeProjector, Heights, Points, View, find_steps, heights, merged, noise_of, spline
-from annulus.fringe import Transfer, edged, untextured
+from annulus.fringe import (
+    FringeHead,
+    FringeProjector,
+    Heights,
+    Points,
+    Transfer,
+    View,
+    edged,
+    find_steps,
+    heights,
+    merged,
+    noise_of,
+    spline,
+    untextured,
+)
 from annulus.fringe.track import AMBIGUOUS, GOOD, TOO_FEW, UNDETERMINED, UNMODULATED, UNSETTLED
 from annulus.geometry.calibration import HeadCamera
 from annulus.numeric.arrays import BoolArray, Float32Array, FloatArray, IntArray
@@ -32,6 +45,7 @@ Progress = Callable[[str, int, int], None]
 WINDOW = 24  # flashes: some fringes' worth of phase, and 200 MB of a camera of 2 Mpixel
 MARGIN = 8  # cells beside a window's own, for what looks at neighbours
 CELL_PX = 1.5  # of the wall's grid: what the lens's blur leaves to be told apart
+VAGUE_RAD = 0.25  # sigma of a phase: beyond it errors are no longer normal (track.MODULATED)
 COARSE = 4  # cells
 CHECKED_MIN = 100  # cells that two cameras see, to judge their sigma by
 DRIFT = 0.1  # share by which a point's light may change along half a track: the lens's shading
@@ -42,7 +56,7 @@ SATURATED_MAX, UNTOLD_MAX = 0.001, 0.02  # shares from which it is said
 MISFIT_MAX = 0.25  # of the swing: the frames do not show this slide
 REASONS = {
     TOO_FEW: "seen in fewer than 3 frames, or saturated",
-    UNMODULATED: "no fringes on it",
+    UNMODULATED: "too little of the fringes on it",
     UNDETERMINED: "no phase shift",
     UNSETTLED: "frames that do not fit one another",
     AMBIGUOUS: "order of the fringe open",
@@ -109,7 +123,7 @@ def _flashes(scan: Scan) -> tuple[tuple[float, dict[int, int]], ...]:
         told = [x for i in frames.values() if (x := scan.frames[i].x_mm) is not None]
         if max(told) - min(told) > FLASH_MM:
             raise AnnulusError(
-                f"{scan.path}: index {index}: its frames are at x_mm {min(told):g} and {max(told):g}, expected one flash"
+                f"{scan.path}: index {index}: x_mm is {min(told):g} and {max(told):g}, expected one flash"
             )
         out.append((told[0], frames))
     return tuple(out)
@@ -125,15 +139,17 @@ def _check_motion(
         )
     x = np.array([place for place, _ in flashes])
     if not np.ptp(x) > 0:
-        raise AnnulusError(f"{scan.path}: x_mm is {x[0]:g} throughout: the head did not move, nothing shifted the phase")
+        raise AnnulusError(
+            f"{scan.path}: x_mm is {x[0]:g} throughout: the head did not move, nothing shifted the phase"
+        )
     ahead = np.array(slide.centre_mm) * [1, 1, 0] + [0, 0, distance_mm]
     phase = slide.phase(ahead - (x - x[0])[:, None] * np.array(head.motion))
     matrix = np.stack([np.ones(len(x)), np.cos(phase), np.sin(phase)], axis=1) / math.sqrt(len(x))
     if np.linalg.svd(matrix, compute_uv=False)[-1] < SHIFT_MIN:
         period = 2 * np.pi / abs(float(np.polyfit(x, phase, 1)[0]))
         raise AnnulusError(
-            f"{scan.path}: its {len(x)} flashes shift the fringes by whole periods, or hardly at all ({period:.2f} mm a "
-            "period on the plate): expected steps of a third to a quarter period, or uneven ones"
+            f"{scan.path}: its {len(x)} flashes shift the fringes by whole periods, or hardly at all ({period:.2f} mm "
+            "a period on the plate): expected steps of a third to a quarter period, or uneven ones"
         )
 
 
@@ -188,13 +204,13 @@ class _Frames:
         self.pixels += light.size
         if np.isnan(light).all():
             raise AnnulusError(f"{self._job.scan.path}: {frame.where} is saturated throughout: expose less")
-        return spline(light[None])[0]
+        out: Float32Array = spline(light[None])[0]
+        return out
 
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """What one window says: where its frames stand; its cells, node (i, j) at (i, j) cell mm; how well the frames fit.
-    """
+    """What one window says: where its frames stand, the heights of its cells, node (i, j) at (i, j) cell mm."""
 
     start: int
     place_mm: FloatArray
@@ -203,12 +219,9 @@ class _Part:
     i: IntArray
     j: IntArray
     found: Heights | None  # None where the slide lit nothing
-    misfit: float  # rms residual over the swing, median of the cells
 
 
-def _window(
-    job: FringeJob, frames: _Frames, start: int, share: tuple[float, float], before: _Part | None
-) -> _Part:
+def _window(job: FringeJob, frames: _Frames, start: int, share: tuple[float, float], before: _Part | None) -> _Part:
     window = job.flashes[start : start + WINDOW]
     odometer, ahead, cell = np.array([x for x, _ in window]), np.array(job.head.motion), _cell_mm(job)
     cameras = [one for one in job.head.cameras if sum(one.id in seen for _, seen in window) >= 3]
@@ -216,39 +229,46 @@ def _window(
         raise AnnulusError(f"{job.scan.path}: no camera has 3 frames among {len(window)} flashes beside one another")
     boxes = [_box(job, one, odometer) for one in cameras]
     places, weights = np.zeros(len(window)), np.zeros(len(window))
-    slipped, taken = np.zeros(len(window), bool), []
+    slipped, taken, misfits = np.zeros(len(window), bool), [], []
     for one, box in zip(cameras, boxes, strict=True):
         images, which = frames.of(one, start)
-        coarse = Points.plate(*(np.arange(low, high, COARSE * cell) for low, high in box), job.distance_mm)
-        steps = find_steps(
-            one, job.projector, odometer[which], ahead, images, coarse,
-            odometer_sigma_mm=ODOMETER_SIGMA_MM, drift_sigma=DRIFT,
-        )  # fmt: skip
+        coarse = Points.plate(np.arange(*box[0], COARSE * cell), np.arange(*box[1], COARSE * cell), job.distance_mm)
+        view = View.of(one, job.projector, odometer[which, None] * ahead)
+        misfits.append(_misfit(heights(view, images, coarse, drift_sigma=DRIFT, residuals=True)))
+        taken.append((one, images, which, coarse))
+        if misfits[-1] > MISFIT_MAX:
+            raise AnnulusError(
+                f"{job.scan.path}: its frames do not show the calibration's slide: what is left of the fit is "
+                f"{misfits[-1]:.2f} of the fringes' swing, expected below {MISFIT_MAX:g}. Another slide (period), "
+                "another distance, or x_mm that are wrong?"
+            )
+        try:
+            steps = find_steps(
+                one, job.projector, odometer[which], ahead, images, coarse,
+                odometer_sigma_mm=ODOMETER_SIGMA_MM, drift_sigma=DRIFT,
+            )  # fmt: skip
+        except AnnulusError:  # no place is seen in all frames: the odometer is all there is
+            continue
         weight = 1 / np.maximum(steps.sigma_mm, 1e-6) ** 2
         places[which] += weight * (steps.place_mm + odometer[which[0]])
         weights[which] += weight
         slipped[which] |= steps.slipped
-        taken.append((one, images, which, coarse))
     place = np.where(weights > 0, places / np.maximum(weights, 1e-300), odometer)
     if before is not None:
         shared = before.start + len(before.place_mm) - start
         place += float(np.mean(before.place_mm[len(before.place_mm) - shared :] - place[:shared]))
-    told, lit, misfits, noises = [], np.zeros((0, 3)), [], []
+    told, lit, noises = [], np.zeros((0, 3)), []
     for one, images, which, coarse in taken:
         view = View.of(one, job.projector, place[which, None] * ahead)
-        first = heights(view, images, coarse, drift_sigma=DRIFT, residuals=True)
+        first = heights(view, images, coarse, drift_sigma=DRIFT)
         good = first.flag == GOOD
-        if good.any():
-            kept = np.where(np.isfinite(first.residual[:, good]), first.residual[:, good], 0.0)
-            rest = np.sqrt((kept**2).sum(axis=0) / np.maximum(first.used[good], 1))
-            misfits.append(float(np.median((rest / first.ac[good])[rest > 0])))
         lit = np.concatenate([lit, coarse.base[good]])
         noises.append(noise_of(first))
     sigma = np.where(weights > 0, np.maximum(weights, 1e-300) ** -0.5, ODOMETER_SIGMA_MM)
     axis = int(np.argmax(np.abs(ahead[:2])))
     none = np.empty(0, np.int64)
     if len(lit) < 9:
-        return _Part(start, place, sigma, slipped, none, none, None, math.nan)
+        return _Part(start, place, sigma, slipped, none, none, None)
     # nodes of this window's share along the motion, and some more for what looks at neighbours
     ends = [_at(share[k] - start, place) * ahead[axis] for k in (0, 1)]
     middle = float(np.mean([np.mean(box[axis]) for box in boxes]) - place.mean() * ahead[axis])
@@ -260,24 +280,45 @@ def _window(
             least, most = max(least, low - MARGIN * cell), min(most, high + MARGIN * cell)
         nodes.append(np.arange(math.ceil(least / cell), math.floor(most / cell) + 1))
     if min(map(len, nodes)) < 1:
-        return _Part(start, place, sigma, slipped, none, none, None, math.nan)
+        return _Part(start, place, sigma, slipped, none, none, None)
     grid = Points.plate(nodes[0] * cell, nodes[1] * cell, job.distance_mm)
     blurs = []
     for (one, images, which, _), noise in zip(taken, noises, strict=True):
         view = View.of(one, job.projector, place[which, None] * ahead)
         found, blur = untextured(view, grid, heights(view, images, grid, noise=noise, drift_sigma=DRIFT))
-        told.append(found)
+        told.append(_certain(view, grid, found))
         blurs.append(blur or cell / 2)
     both = merged(told)
     both = replace(both, sigma_mm=both.sigma_mm * _apart(told))
     both = edged(grid, both, float(np.mean(blurs)))
     i, j = (one.ravel() for one in np.meshgrid(nodes[0], nodes[1]))
     own = ((i, j)[axis] * cell >= low) & ((i, j)[axis] * cell < high)
-    kept = Heights(
-        *(getattr(both, name)[own] for name in ("height_mm", "sigma_mm", "dc", "ac", "misfit", "used", "flag")),
-        np.empty((0, 0), np.float32),
+    height, spread, dc, ac, misfit, used, flag = (
+        np.asarray(getattr(both, name))[own] for name in ("height_mm", "sigma_mm", "dc", "ac", "misfit", "used", "flag")
     )
-    return _Part(start, place, sigma, slipped, i[own], j[own], kept, float(np.median(misfits)))
+    share_of = Heights(height, spread, dc, ac, misfit, used, flag, np.empty((0, 0), np.float32))
+    return _Part(start, place, sigma, slipped, i[own], j[own], share_of)
+
+
+def _misfit(found: Heights) -> float:
+    """rms residual over the swing, the median of the points with a height; 0 where there are none."""
+    good = found.flag == GOOD
+    rest = np.nan_to_num(found.residual[:, good])
+    share = np.sqrt((rest**2).sum(axis=0) / np.maximum(found.used[good], 1)) / found.ac[good]
+    return float(np.median(share)) if len(share) else 0.0
+
+
+def _certain(view: View, grid: Points, found: Heights) -> Heights:
+    """Without the heights that are none: farther than half a fringe from the plate where the fit began, or known to
+    less than a phase is worth."""
+    rate = np.abs(view.radians_per_mm(grid, np.zeros(len(grid.base))))
+    with np.errstate(invalid="ignore"):
+        far, vague = np.abs(found.height_mm) * rate > np.pi, found.sigma_mm * rate > VAGUE_RAD
+    gone = found.flag == GOOD
+    flag = np.where(gone & far, AMBIGUOUS, np.where(gone & vague, UNMODULATED, found.flag))
+    lost = far | vague
+    height, sigma = (np.where(lost, np.nan, one) for one in (found.height_mm, found.sigma_mm))
+    return replace(found, height_mm=height, sigma_mm=sigma, flag=flag.astype(float))
 
 
 def _apart(told: Sequence[Heights]) -> float:
@@ -320,13 +361,6 @@ def _joined(job: FringeJob, frames: _Frames, parts: Sequence[_Part], started: fl
     some = [part for part in parts if part.found is not None]
     if not some:
         raise AnnulusError(f"{job.scan.path}: shows no fringes of this slide on the plate, nothing to measure")
-    misfit = float(np.median([part.misfit for part in some]))
-    if misfit > MISFIT_MAX:
-        raise AnnulusError(
-            f"{job.scan.path}: its frames do not show the calibration's slide: what is left of the fit is {misfit:.2f} "
-            f"of the fringes' swing, expected below {MISFIT_MAX:g}. Another slide (period), another distance, or x_mm "
-            "that are wrong?"
-        )
     cell = _cell_mm(job)
     i, j = (np.concatenate([getattr(part, name) for part in some]) for name in ("i", "j"))
     shape = (int(j.max() - j.min()) + 1, int(i.max() - i.min()) + 1)
@@ -375,7 +409,11 @@ def _findings(
         )  # fmt: skip
         named = ", ".join(map(str, indices[:5])) + (", .." if len(indices) > 5 else "")
         out.append(
-            Finding("slip", f"x_mm disagrees with the frames at {len(indices)} of them ({named}): the frames' places are used", indices)
+            Finding(
+                "slip",
+                f"x_mm disagrees with the frames at {len(indices)} of them ({named}): the frames' places are used",
+                indices,
+            )
         )
     if frames.saturated > SATURATED_MAX * frames.pixels:
         share = 100 * frames.saturated / frames.pixels

@@ -1,11 +1,13 @@
 """Which method a head's frames need, and the one function from the frames of a flash to their profile."""
 
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Protocol
 
 from annulus.geometry.calibration import Calibration
 from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import Image
+from annulus.record.calibration_file import load_sections
 from annulus.record.scan import ScanFrame
 from annulus.reprocess.warmup import warmup_frame
 from annulus.rings.colour import ColourProfile
@@ -33,6 +35,15 @@ class Frame(Protocol):
 Method = Callable[[Frame, Mapping[int, Image], Pose | None], Profile]
 
 
+def kind_of(calibration: Path) -> str:
+    """What the head of a calibration file projects: slits, line, lines or fringe. A scan under fringes goes to
+    `reprocess.fringe`, for a height there follows from many frames together; all others to the engine.
+
+    Raises AnnulusError where the file cannot be read."""
+    pattern = load_sections(calibration).get("pattern")
+    return str(pattern.get("kind", "slits")) if isinstance(pattern, dict) else "slits"
+
+
 def method_for(calibration: Calibration, colour: ColourProfile | None = None) -> Method:
     """The method of a head, ready for its frames; holds all that the calibration fixes, so make it once.
 
@@ -44,7 +55,9 @@ def method_for(calibration: Calibration, colour: ColourProfile | None = None) ->
         case "slits" | "line":
             one = Reconstructor(calibration, colour=colour)
             return _method(lambda images, **known: one.profile(*images.values(), **known))
-    raise AnnulusError(f"calibration: the head projects {calibration.kind}, for which there is no method yet")
+    raise AnnulusError(
+        f"calibration: the head projects {calibration.kind}, for which there is no method frame by frame"
+    )
 
 
 def _method(profile_of: Callable[..., Profile]) -> Method:

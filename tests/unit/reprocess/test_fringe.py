@@ -1,0 +1,169 @@
+"""Scan folders of a drawn plate through the functions behind `annulus calibrate fringe` and `reconstruct`."""
+
+import csv
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "fringe"))
+from plates import DISTANCE_MM, LEFT, RIGHT, SLIDE, drawn
+
+from annulus.calibrate.fringe import calibrate_fringe, save_fringe
+from annulus.fringe import projector_to_dict
+from annulus.geometry.calibration import Calibration, camera_to_dict
+from annulus.report import Account, write_plate
+from annulus.reprocess import fringe as module
+from annulus.reprocess import kind_of, open_fringe, open_job, reconstruct_fringe
+from annulus.vocabulary import AnnulusError
+
+PLACES = (0.0, 1.0, 2.1, 3.0, 3.9, 5.2, 6.1, 7.0)
+
+
+def calibration(folder: Path, **changes: Any) -> Path:
+    heads = [
+        {"id": one.id, **camera_to_dict(one.camera), "rotation": one.rotation, "translation_mm": one.translation_mm}
+        for one in (LEFT, RIGHT)
+    ]
+    data = {
+        "format": "annulus-calibration/2", "cameras": heads, "transfer": {}, "distance_mm": DISTANCE_MM,
+        "pattern": {"kind": "fringe", "projector": projector_to_dict(SLIDE)}, **changes,
+    }  # fmt: skip
+    path = folder / "head.json"
+    path.write_text(json.dumps({key: value for key, value in data.items() if value is not None}))
+    return path
+
+
+def scan(
+    folder: Path, places: Sequence[float] = PLACES, heights: Sequence[float] | None = None, *, gain: float = 1.0,
+    column: str = "x_mm", heads: Sequence[Any] = (LEFT, RIGHT), texture: float = 0.3,
+) -> Path:  # fmt: skip
+    folder.mkdir(exist_ok=True)
+    rows = []
+    for one in heads:
+        images = [
+            drawn(np.array([x]), 1.0 if heights is None else heights[k], noise=1.0, texture=texture, head=one, seed=k)[
+                0
+            ]
+            for k, x in enumerate(places)
+        ]
+        for k, (x, image) in enumerate(zip(places, images, strict=True)):
+            name = f"{k:06d}-{one.id}.png"
+            cv2.imwrite(str(folder / name), np.clip(gain * image, 0, 255).round().astype(np.uint8))
+            row = {"index": k, "camera": one.id, "file": name, "light": "projector", column: x}
+            rows.append(row if heights is None else {**row, "height_mm": heights[k]})
+    with (folder / "frames.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    return folder
+
+
+def test_a_plate_is_calibrated_and_measured(tmp_path: Path) -> None:
+    reference = scan(tmp_path / "reference", (0.0,) * 4, (-4.0, 0.0, 3.0, 8.0), texture=0.0)
+    result = calibrate_fringe(reference, calibration(tmp_path, pattern=None))
+    out = tmp_path / "made.json"
+    save_fringe(result, out)
+    assert kind_of(out) == "fringe"
+    assert result.to_dict()["sigma"]["across_mm"] < 0.1
+    plate = reconstruct_fringe(open_fringe(scan(tmp_path / "scan"), out))
+    told = np.isfinite(plate.height_mm)
+    assert plate.completeness > 0.95
+    assert np.nanmedian(plate.height_mm) == pytest.approx(1.0, abs=0.02)
+    off = (plate.height_mm[told] - 1.0) / plate.sigma_mm[told]
+    assert np.mean(np.abs(off) < 2) > 0.9
+    summary = write_plate(plate, Account("a scan", {"projector": 16}, {}, plate.timing_ms), tmp_path / "out")
+    assert summary["points"] == told.sum()
+    with np.load(tmp_path / "out" / "depth.npz") as depth:
+        assert depth["height_mm"].shape == (len(depth["y_mm"]), len(depth["x_mm"])) == depth["sigma_mm"].shape
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert page.count("data:image/png;base64,") == 2
+    assert "http" not in page
+    assert "size:A4" in page
+
+
+def test_a_long_scan_holds_one_window_of_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "WINDOW", 6)
+    held = []
+    read = module._Frames.of
+
+    def counted(self: Any, one: Any, start: int) -> Any:
+        out = read(self, one, start)
+        held.append(len(self._held))
+        return out
+
+    monkeypatch.setattr(module._Frames, "of", counted)
+    places = tuple(np.arange(14) * 1.1)
+    plate = reconstruct_fringe(open_fringe(scan(tmp_path / "scan", places, heads=(LEFT,)), calibration(tmp_path)))
+    assert max(held) <= 6
+    assert plate.completeness > 0.9
+    np.testing.assert_allclose(plate.places_mm, places, atol=0.1)
+    inner = plate.height_mm[:, (plate.x_mm > 0) & (plate.x_mm < 25)]
+    assert np.nanmedian(np.abs(inner - 1.0)) < 0.1
+    assert np.isfinite(inner).mean() > 0.95  # no seam between windows
+
+
+@pytest.mark.parametrize(
+    ("places", "changes", "text"),
+    [
+        (PLACES[:2], {}, "2 flashes with the projector, expected at least 3"),
+        ((1.0, 1.0, 1.0, 1.0), {}, "the head did not move"),
+        ((0.0, 4.0, 8.0, 12.0), {}, "by whole periods"),
+        (PLACES, {"distance_mm": None}, 'has no "distance_mm"'),
+        (PLACES, {"pattern": {"kind": "fringe"}}, 'has no "pattern.projector"'),
+        (PLACES, {"pattern": {"kind": "lines"}}, "expected fringe"),
+        (PLACES, {"motion": [1.0, 1.0, 0.0]}, "no unit vector"),
+    ],
+)
+def test_bad_input_is_one_line(tmp_path: Path, places: tuple[float, ...], changes: dict[str, Any], text: str) -> None:
+    folder = scan(tmp_path / "scan", places, heads=(LEFT,))
+    with pytest.raises(AnnulusError, match=text) as caught:
+        open_fringe(folder, calibration(tmp_path, **changes))
+    assert "\n" not in str(caught.value)
+
+
+def test_another_slide_is_no_height(tmp_path: Path) -> None:
+    other = {**projector_to_dict(SLIDE), "period": 0.05}
+    job = open_fringe(
+        scan(tmp_path / "scan", heads=(LEFT,)), calibration(tmp_path, pattern={"kind": "fringe", "projector": other})
+    )
+    with pytest.raises(AnnulusError, match="do not show the calibration's slide"):
+        reconstruct_fringe(job)
+
+
+def test_saturated_frames_are_said_and_not_told(tmp_path: Path) -> None:
+    plate = reconstruct_fringe(open_fringe(scan(tmp_path / "scan", gain=1.7), calibration(tmp_path)))
+    assert any(finding.kind == "saturated" for finding in plate.findings)
+    told = np.isfinite(plate.height_mm)
+    assert np.abs(np.median(plate.height_mm[told]) - 1.0) < 0.1
+
+
+def test_a_missing_camera_is_said(tmp_path: Path) -> None:
+    job = open_fringe(scan(tmp_path / "scan", heads=(RIGHT,)), calibration(tmp_path))
+    assert [one.text for one in job.findings] == ["camera 0 has no frame of 8 of 8 flashes: measured without it there"]
+    assert reconstruct_fringe(job).points > 1000
+
+
+def test_scans_and_calibrations_that_do_not_belong_together(tmp_path: Path) -> None:
+    path = calibration(tmp_path)
+    with pytest.raises(AnnulusError, match="has no x_mm"):
+        open_fringe(scan(tmp_path / "a", column="z_mm", heads=(LEFT,)), path)
+    with pytest.raises(AnnulusError, match="no pipe's"):
+        open_job(scan(tmp_path / "b", heads=(LEFT,)), path)
+    with pytest.raises(AnnulusError, match="has no height_mm"):
+        calibrate_fringe(scan(tmp_path / "c", heads=(LEFT,)), path)
+    alone = json.loads(path.read_text())
+    alone["cameras"] = alone["cameras"][:1]
+    path.write_text(json.dumps(alone))
+    with pytest.raises(AnnulusError, match="knows camera 0, not camera 1 of the scan"):
+        open_fringe(scan(tmp_path / "d", heads=(RIGHT,)), path)
+
+
+def test_a_pipes_fringes_are_still_a_calibration(tmp_path: Path) -> None:
+    data = json.loads(calibration(tmp_path, pipe={"radius_mm": 101.6}).read_text())
+    assert Calibration.from_dict(data).kind == "fringe"
