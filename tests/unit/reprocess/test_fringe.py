@@ -2,7 +2,6 @@
 
 import csv
 import json
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -10,8 +9,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "fringe"))
 from plates import DISTANCE_MM, LEFT, RIGHT, SLIDE, drawn
 
 from annulus.calibrate.fringe import calibrate_fringe, save_fringe
