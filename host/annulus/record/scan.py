@@ -178,7 +178,8 @@ def read_table(folder: Path) -> tuple[ScanFrame, ...]:
             raise AnnulusError(f"{table}: line 1: a column is there twice. Expected {','.join(COLUMNS)}.")
         missing = [name for name in COLUMNS if name not in columns and not (name == PLACE and STAGE in columns)]
         if missing:
-            raise AnnulusError(f"{table}: line 1: no column {', '.join(missing)}. Expected {','.join(COLUMNS)}.")
+            stage = f" ({STAGE} in place of {PLACE} before a plate)" if PLACE in missing else ""
+            raise AnnulusError(f"{table}: line 1: no column {', '.join(missing)}. Expected {','.join(COLUMNS)}{stage}.")
         rows.fieldnames = columns
         frames: list[ScanFrame] = []
         known: set[tuple[int, int]] = set()

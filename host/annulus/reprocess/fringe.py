@@ -65,13 +65,14 @@ REASONS = {
 
 @dataclass(frozen=True, slots=True)
 class FringeJob:
-    """A scan with what its frames need. curve : how its grey levels came from light."""
+    """A scan with what its frames need. curve : how its grey levels came from light;
+    None where the calibration does not say."""
 
     scan: Scan
     head: FringeHead
     projector: FringeProjector
     distance_mm: float
-    curve: Transfer
+    curve: Transfer | None
     flashes: tuple[tuple[float, dict[int, int]], ...]  # x_mm, and the scan's frame number by camera
     findings: tuple[Finding, ...]
 
@@ -96,14 +97,6 @@ def open_fringe(scan: Path, calibration: Path) -> FringeJob:
             text = f"camera {one.id} has no frame of {len(lost)} of {len(flashes)} flashes: measured without it there"
             findings.append(Finding("camera-missing", text))
     curve = head.curve(scan.resolve().name)
-    if curve is None:
-        curve = next(iter(head.transfer.values()), Transfer())
-        if head.transfer:
-            text = (
-                f'the calibration names no transfer curve for a scan called "{scan.resolve().name}": taken as '
-                f"{curve.sensor}, black {curve.black:g}"
-            )
-            findings.append(Finding("transfer", text))
     return FringeJob(opened, head, head.projector, head.distance_mm, curve, flashes, tuple(findings))
 
 
@@ -153,10 +146,37 @@ def _check_motion(
         )
 
 
+def _curve(job: FringeJob) -> FringeJob:
+    """The same with the curve whose light fits the slide's waveform best, of those in the calibration and the usual
+    ones: another curve has other harmonics."""
+    said = [*job.head.transfer.values()] or [Transfer()]
+    usual = [Transfer(sensor, said[0].black) for sensor in ("linear", "srgb")]
+    one = max(job.head.cameras, key=lambda one: sum(one.id in seen for _, seen in job.flashes[:WINDOW]))
+    odometer = np.array([x for x, seen in job.flashes[:WINDOW] if one.id in seen])
+    if len(odometer) < 3:
+        return replace(job, curve=said[0])
+    box, step = _box(job, one, odometer), COARSE * _cell_mm(job)
+    coarse = Points.plate(np.arange(*box[0], step), np.arange(*box[1], step), job.distance_mm)
+    view = View.of(one, job.projector, odometer[:, None] * np.array(job.head.motion))
+    told = []
+    for curve in dict.fromkeys([*said, *usual]):
+        images, _ = _Frames(replace(job, curve=curve), lambda done: None).of(one, 0)
+        told.append((_misfit(heights(view, images, coarse, drift_sigma=DRIFT, residuals=True)), curve))
+    misfit, best = min(told, key=lambda one: one[0])
+    text = (
+        f'the calibration names no transfer curve for a scan called "{job.scan.path.resolve().name}": taken as '
+        f"{best.sensor}, black {best.black:g}, for that fits the slide's wave best ({misfit:.3f} of the swing is left, "
+        f"{max(misfit for misfit, _ in told):.3f} with the worst)"
+    )
+    return replace(job, curve=best, findings=(*job.findings, Finding("transfer", text)))
+
+
 def reconstruct_fringe(job: FringeJob, progress: Progress | None = None) -> Plate:
     """The heights of the plate. AnnulusError where nothing can be measured."""
     started = time.perf_counter()
     report = progress or (lambda stage, done, total: None)
+    if job.curve is None:
+        job = _curve(job)
     last = max(len(job.flashes) - WINDOW, 0)
     starts = [*range(0, last, WINDOW // 2), last]
     frames = _Frames(job, lambda done: report("fringes", done, len(job.flashes)))
@@ -199,7 +219,7 @@ class _Frames:
                 f"calibration: camera {one.id} is {one.camera.width}x{one.camera.height} but {frame.where} is "
                 f"{width}x{height}. Calibrate with the camera that took this scan."
             )
-        light = self._job.curve.light(picture)
+        light = (self._job.curve or Transfer()).light(picture)
         self.saturated += int(np.isnan(light).sum())
         self.pixels += light.size
         if np.isnan(light).all():

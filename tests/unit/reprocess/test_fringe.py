@@ -140,6 +140,19 @@ def test_saturated_frames_are_said_and_not_told(tmp_path: Path) -> None:
     assert np.abs(np.median(plate.height_mm[told]) - 1.0) < 0.1
 
 
+def test_a_curve_that_nobody_told_is_found_by_the_wave(tmp_path: Path) -> None:
+    folder = scan(tmp_path / "scan", heads=(LEFT,))
+    for file in folder.glob("*.png"):
+        share = cv2.imread(str(file)).astype(float) / 255
+        srgb = np.where(share <= 0.0031308, 12.92 * share, 1.055 * share ** (1 / 2.4) - 0.055)
+        cv2.imwrite(str(file), (255 * srgb).round().astype(np.uint8))
+    job = open_fringe(folder, calibration(tmp_path, transfer={"another": {"sensor": "linear"}}))
+    assert job.curve is None
+    plate = reconstruct_fringe(job)
+    assert any("taken as srgb" in one.text for one in plate.findings)
+    assert np.nanmedian(plate.height_mm) == pytest.approx(1.0, abs=0.02)
+
+
 def test_a_missing_camera_is_said(tmp_path: Path) -> None:
     job = open_fringe(scan(tmp_path / "scan", heads=(RIGHT,)), calibration(tmp_path))
     assert [one.text for one in job.findings] == ["camera 0 has no frame of 8 of 8 flashes: measured without it there"]
