@@ -65,7 +65,8 @@ def test_a_plate_by_the_commands(name: str, calibrated: Path, tmp_path: Path) ->
     assert score["completeness"] >= 0.994
     assert score["gross_over_0.5mm_percent"] <= 0.1
     assert score["defects_found"].startswith("19 of 19")
-    # 19 asked: a scratch 0.8 mm wide reads 0.39 of 0.5, for its own wall shades a quarter of its floor
+    # 19 asked: a scratch 0.8 mm wide reads 0.39 of 0.5: at one side its wall hides the floor from a camera and shades
+    # it for the other
     assert sum(bool(one.get("measured")) for one in score["defects"]) >= 18
     with np.load(tmp_path / "depth.npz") as depth:
         inside = within_k2(scorer(), depth, name)
