@@ -19,8 +19,9 @@ POSES = [Pose(a * LEAN, b * LEAN, -8.1 + c, -7.6 + d) for a, b, c, d in WAYS]
 SHIFT_PX = np.array([[0.3, 0.2, 0.1, 0.0], [0.0, 0.0, 0.0, 0.0], [-0.3, -0.2, 0.0, 0.1]])
 
 
-def seen(shifted: bool) -> Observations:
-    calibration, parts = head(1.0), []
+def seen(shifted: bool, off_px: float = 0.0, steps: int = 120) -> Observations:
+    """off_px : by so much each twelfth of a ring's image is off, in all poses alike, standard deviation."""
+    calibration, parts, random = head(1.0), [], np.random.default_rng(13)
     for of in calibration.cameras:
         turn, moved = np.array(of.rotation), np.array(of.translation_mm)
         rings = [
@@ -31,13 +32,16 @@ def seen(shifted: bool) -> Observations:
         for j, pose in enumerate(POSES):
             own = pose_of(turn @ pose.rotation[:, 2], turn @ pose.translation + moved)
             for k, cone in enumerate(rings):
-                at = ring_pixels(of.camera, cone, own, RADIUS_MM, 120)
+                at = ring_pixels(of.camera, cone, own, RADIUS_MM, steps)
                 at = at[np.isfinite(at).all(axis=1)]
                 frame.append(np.full(len(at), j))
                 ring.append(np.full(len(at), k))
                 pixels.append(at)
         of_frame, of_ring, places = np.concatenate(frame), np.concatenate(ring), np.vstack(pixels)
         centre = np.array([of.camera.cx, of.camera.cy])
+        way = (places - centre) / np.linalg.norm(places - centre, axis=1)[:, None]
+        twelfth = (np.degrees(np.arctan2(way[:, 1], way[:, 0])) % 360 // 30).astype(int)
+        places = places + (off_px * random.normal(size=(len(rings), 12))[of_ring, twelfth])[:, None] * way
         if shifted:
             way = (places - centre) / np.linalg.norm(places - centre, axis=1)[:, None]
             tint = observe(of.camera, of_frame, of_ring, places, centre, None, COLOURS).tint
@@ -61,3 +65,14 @@ def test_everything_is_found_from_intrinsics_and_radius(shifted: bool) -> None:
     wanted_px = SHIFT_PX - SHIFT_PX.mean(axis=0) * [1, 1, 0, 0] if shifted else np.zeros((3, 4))
     assert np.abs(found.colour_shift_px - wanted_px)[:, :2].max() < 0.01 * exact
     assert np.isfinite(found.camera_covariance).all()
+
+
+def test_what_is_off_alike_in_every_pose_is_counted() -> None:
+    true = head(1.0)
+    found = calibrate(seen(False, 0.01, 60), RADIUS_MM)
+    (placed,) = found.cameras
+    turn = np.array(true.others[0].rotation).T
+    sigma = np.sqrt(np.diag(found.camera_covariance))[3:]
+    off = (placed.centre_mm + turn @ true.others[0].translation_mm) / sigma
+    assert np.abs(off).max() < 3.0
+    assert (sigma > 0.001).any()
