@@ -26,11 +26,12 @@ def run(
         Path | None, typer.Option("-o", "--out", help="Folder for head.toml, calibration and truth.")
     ] = None,
     board: Board = "native",
+    head: Annotated[str, typer.Option(help="ring: one camera; stereo: two beside the projector.")] = "ring",
 ) -> None:
     """Run a simulated head in real time and print the head.toml for it, or write it. Ends with Ctrl-C."""
     from annulus.twin.head import run_head
 
-    run_head(fps=fps, seed=seed, faults=faults, board=board, roll_deg=roll_deg, out=out)
+    run_head(fps=fps, seed=seed, faults=faults, board=board, roll_deg=roll_deg, out=out, head=head)
 
 
 @app.command("rig", epilog="Example: annulus twin rig --phantom wires")

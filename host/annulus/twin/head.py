@@ -20,7 +20,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
@@ -33,7 +33,7 @@ from annulus.capture.timing import FrameTiming
 from annulus.twin.faults import Faults
 from annulus.twin.profiles import load_faults
 from annulus.twin.render import Renderer
-from annulus.twin.worlds import World, demo_world
+from annulus.twin.worlds import World, demo_world, stereo_world
 from annulus.vocabulary import AnnulusError
 
 MM_PER_FRAME = 3.0
@@ -41,6 +41,7 @@ READOUT_MAX_US = 28_000.0  # of the sensor at 1664x1232
 SLACK_US = 2_000.0  # exposure ends this much short of the frame period
 FLASH_AFTER_OPENING_US = 500.0
 _START_S = 90.0  # the first start of a fresh clone compiles the renderer
+HEADS: Mapping[str, Callable[[int], World]] = {"ring": demo_world, "stereo": stereo_world}  # by seed
 
 
 def head_timing(fps: float) -> FrameTiming:
@@ -238,31 +239,35 @@ def head_toml(head: HeadHandle, world: World, calibration: Path | None = None) -
     return "".join(line.strip() + "\n" for line in lines if line.strip()).replace("\n[", "\n\n[")
 
 
-def run_head(fps: float, seed: int, faults: Path | None, board: str, roll_deg: float, out: Path | None) -> None:
-    """A head on the demo's world until Ctrl-C, for a daemon or `annulus head` in another terminal.
+def run_head(
+    fps: float, seed: int, faults: Path | None, board: str, roll_deg: float, out: Path | None, head: str = "ring"
+) -> None:
+    """A head, one of HEADS, in its pipe until Ctrl-C, for a daemon or `annulus head` in another terminal.
 
     Prints the head.toml that finds it, or writes it into `out`, with the calibration and the truth beside it. The head
     rolls by `roll_deg` either way on its way through the pipe.
     """
-    world = replace(demo_world(seed), roll_deg=roll_deg)
-    with start_head(world, fps, faults, seed=seed, board=board) as head:
+    if head not in HEADS:
+        raise AnnulusError(f"head {head!r}: expected one of {', '.join(HEADS)}")
+    world = replace(HEADS[head](seed), roll_deg=roll_deg)
+    with start_head(world, fps, faults, seed=seed, board=board) as running:
         if out is None:
-            print(head_toml(head, world), flush=True)
+            print(head_toml(running, world), flush=True)
         else:
             try:
                 out.mkdir(parents=True, exist_ok=True)
                 (out / "calibration.json").write_text(json.dumps(world.calibration().to_dict(), indent=1) + "\n")
                 (out / "truth.json").write_text(json.dumps(world.truth(), indent=1) + "\n")
-                (out / "head.toml").write_text(head_toml(head, world, Path("calibration.json")))
+                (out / "head.toml").write_text(head_toml(running, world, Path("calibration.json")))
             except OSError as error:
                 raise AnnulusError(f"{out}: cannot be written ({error.strerror})") from None
             print(f"{out / 'head.toml'} is what `annulus daemon` wants", flush=True)
-        print(f"# {head.timing}; Ctrl-C ends the head", file=sys.stderr, flush=True)
+        print(f"# {running.timing}; Ctrl-C ends the head", file=sys.stderr, flush=True)
         told_ms = 0.0
         try:
-            while head.process.poll() is None:
+            while running.process.poll() is None:
                 time.sleep(0.2)
-                if (stretched_ms := head.counters()["stretched_ms"]) > told_ms:
+                if (stretched_ms := running.counters()["stretched_ms"]) > told_ms:
                     print(
                         f"# this machine is too busy: the head stood still for {stretched_ms:.0f} ms so far",
                         file=sys.stderr,

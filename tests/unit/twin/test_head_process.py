@@ -8,9 +8,10 @@ import pytest
 
 from annulus.twin import process
 from annulus.twin.faults import NO_FAULTS
-from annulus.twin.head import head_timing
+from annulus.twin.head import head_timing, run_head
 from annulus.twin.native import _LIBRARY
 from annulus.twin.worlds import demo_world
+from annulus.vocabulary import AnnulusError
 
 pytestmark = pytest.mark.skipif(not _LIBRARY.is_file(), reason="native firmware not built")
 
@@ -53,3 +54,8 @@ def test_a_head_that_was_held_up_stretches_its_time_and_says_by_how_much(head: p
     assert stretched_ms >= 200.0 and passed_s == pytest.approx(process.LATE_S, abs=0.001)
     moved_ns = head.clock.ns(before) - at_ns
     assert moved_ns == pytest.approx(stretched_ms * 1e6, abs=1e3), "its clock tells the same"
+
+
+def test_a_head_that_there_is_none_of_is_refused_with_those_that_there_are() -> None:
+    with pytest.raises(AnnulusError, match="'nose': expected one of ring, stereo"):
+        run_head(3.0, 1, None, "native", 6.0, None, head="nose")
