@@ -90,7 +90,7 @@ def merge(
     course = np.stack([e.course for e in expected])
     _solve(
         np.stack([view.lens for view in views]), vertices, ways, start_mm,
-        np.stack([np.stack([e.line, e.place, e.line_by_mm, e.place_by_mm]) for e in expected]), course,
+        np.stack([e.by_generator for e in expected]), course,
         np.stack([s.place for s in sights]) - course, np.stack([s.sigma_px for s in sights]),
         np.stack([s.calm for s in sights]) - course, np.stack([s.calm_px for s in sights]),
         np.stack([s.plain_px for s in sights]), sigma_most_mm,

@@ -250,6 +250,9 @@ def _sight(
     """How far each slit's place may be off, px: see `rings.uncertainty.point_sigma`, whose terms these are."""
     slits = seen.slits
     sigma, plain = np.full(which.shape, np.nan), np.full(len(which), UNKNOWN_PX)
+    if not calmly:  # for a first pose, which only names
+        sigma[:] = UNKNOWN_PX
+        return Sight(place, sigma, place, sigma, plain)
     calm, calm_px = np.full(which.shape, np.nan), np.full(which.shape, np.nan)
     _spread(
         which,
@@ -259,7 +262,6 @@ def _sight(
         slits.outside,
         wider,
         bias_px,
-        calmly,
         sigma,
         plain,
         calm,
@@ -269,7 +271,7 @@ def _sight(
 
 
 @jit
-def _spread(which, stray, edge_blur, inside, outside, wider, least, calmly, sigma, plain, calm, calm_px):  # type: ignore[no-untyped-def]
+def _spread(which, stray, edge_blur, inside, outside, wider, least, sigma, plain, calm, calm_px):  # type: ignore[no-untyped-def]
     rings, lines = which.shape
     work, noise = np.empty(lines), np.empty(lines)
     for k in range(rings):
@@ -301,7 +303,7 @@ def _spread(which, stray, edge_blur, inside, outside, wider, least, calmly, sigm
             foreign = max((0.5 * wider[n]) ** 2 - 4.0 * soft * soft, 0.0) / 3.0
             noise[j] = soft * soft
             sigma[k, j] = math.sqrt(soft * soft + bias * bias + foreign)
-        for j in range(lines if calmly else 0):
+        for j in range(lines):
             total, random, common, count = 0.0, 0.0, 0.0, 0
             for d in range(-CALM_LINES, CALM_LINES + 1):
                 other = around(j + d, lines)

@@ -29,6 +29,8 @@ from annulus.stereo.lens import lens_numbers, on_line
 STEP_PX, STEP = 1.5, 0.01  # px, part of the radius: between a point and its neighbours on a wall, as in `rings`
 FARTHER = 0.02  # of the distance: step of the finite differences along a generator
 WIDE = 1.3  # of the usual width: a slit in a shadow's edge must not shift itself
+EVERY = 4  # generators: how fast places change along them changes slowly, and is found on one of so many
+SOME = 8  # lines, of which one says how far a ring's image moves
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,6 +41,7 @@ class Seen:
     inside: NDArray[np.uint8]
     outside: NDArray[np.uint8]
     could_be: NDArray[np.bool_]
+    widest: float  # px: what is wider is no wider than this
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,12 +49,25 @@ class Expected:
     """Where a camera would see each ring on a clean pipe. By generator (K, P): line, sample along it, and how both move
     with a mm along the generator; by line (K, J): sample, and how it moves with the pipe's radius (px a radius)."""
 
-    line: FloatArray
-    place: FloatArray
-    line_by_mm: FloatArray
-    place_by_mm: FloatArray
+    by_generator: FloatArray  # (4, K, P)
     course: FloatArray
     by_radius: FloatArray
+
+    @property
+    def line(self) -> FloatArray:
+        return np.asarray(self.by_generator[0])
+
+    @property
+    def place(self) -> FloatArray:
+        return np.asarray(self.by_generator[1])
+
+    @property
+    def line_by_mm(self) -> FloatArray:
+        return np.asarray(self.by_generator[2])
+
+    @property
+    def place_by_mm(self) -> FloatArray:
+        return np.asarray(self.by_generator[3])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +88,7 @@ class View:
         rings, lines = len(vertices), len(self.grid.cosine)
         by_generator, by_line = np.empty((4, *start_mm.shape)), np.full((2, rings, lines), np.nan)
         _expect(self.lens, vertices, ways, start_mm, pose.rotation, pose.translation, by_generator, by_line)
-        return Expected(*by_generator, *by_line)
+        return Expected(by_generator, *by_line)
 
     def see(self, image_bgr: NDArray[np.uint8], colour: ColourProfile | None) -> tuple[Seen, dict[str, int]]:
         """The slits of one frame, and how many were left out, by reason."""
@@ -83,7 +99,8 @@ class View:
         inside, outside = both[: len(slits.position)], both[len(slits.position) :]
         unknown = int(np.count_nonzero((inside == UNKNOWN) | (outside == UNKNOWN)))
         rejected = {"crowded": slits.crowded, "shallow": slits.shallow, "colour": unknown}
-        return Seen(slits, inside, outside, readings(inside, outside, self.colours)), rejected
+        widest = WIDE * float(np.median(slits.width)) if len(slits.width) else 0.0
+        return Seen(slits, inside, outside, readings(inside, outside, self.colours), widest), rejected
 
     def name(self, seen: Seen, expected: Expected, tolerance: float) -> tuple[NDArray[np.int64], FloatArray]:
         """Ring of each slit, or NONE; and (N, K) px from where each ring should be. tolerance : of the wall, of the
@@ -99,7 +116,7 @@ class View:
         self, ring: NDArray[np.int64], seen: Seen, off: FloatArray, expected: Expected
     ) -> tuple[dict[str, int], FloatArray]:
         """Sets `ring` to NONE where a slit is not to be believed; see `rings.outliers`."""
-        step = STEP_PX + STEP * nan_median(np.abs(expected.by_radius).T)
+        step = STEP_PX + STEP * nan_median(np.abs(expected.by_radius[:, ::SOME]).T)
         return reject_outliers(ring, seen.slits, off, step, len(self.grid.cosine))
 
     def table(self, ring: NDArray[np.int64], seen: Seen) -> tuple[FloatArray, NDArray[np.int64]]:
@@ -107,8 +124,7 @@ class View:
         shape = self.optics.bend.shape
         place, which = np.full(shape, np.nan), np.full(shape, -1)
         slits = seen.slits
-        widest = WIDE * float(np.median(slits.width)) if len(ring) else 0.0
-        _table(ring, slits.direction, slits.position, slits.width, widest, self.optics.bend, self.optics.offset_px,
+        _table(ring, slits.direction, slits.position, slits.width, seen.widest, self.optics.bend, self.optics.offset_px,
                place, which)  # fmt: skip
         return place, which
 
@@ -165,19 +181,17 @@ def _expect(lens, vertices, ways, start, rotation, shift, by_generator, by_line)
     rings, steps = start.shape
     lines = by_line.shape[2]
     by_radius = np.empty(steps)
+    every = EVERY if steps % EVERY == 0 else 1
     for k in range(rings):
         for p in range(steps):
             near = start[k, p]
-            step = FARTHER * near
             x, y, z = vertices[k, 0], vertices[k, 1], vertices[k, 2]
             wx, wy, wz = ways[k, p, 0], ways[k, p, 1], ways[k, p, 2]
             x, y, z = x + near * wx, y + near * wy, z + near * wz
             line, place = on_line(lens, x, y, z)
-            line_far, place_far = on_line(lens, x + step * wx, y + step * wy, z + step * wz)
-            moved = line_far - line
-            moved -= lines * math.floor(moved / lines + 0.5)
             by_generator[0, k, p], by_generator[1, k, p] = line, place
-            by_generator[2, k, p], by_generator[3, k, p] = moved / step, (place_far - place) / step
+            if p % every == 0:
+                by_generator[2, k, p], by_generator[3, k, p] = _change(lens, x, y, z, ways[k, p], near, lines)
             # how fast the step leads away from the axis
             x, y, z = x - shift[0], y - shift[1], z - shift[2]
             u = x * rotation[0, 0] + y * rotation[1, 0] + z * rotation[2, 0]
@@ -185,6 +199,20 @@ def _expect(lens, vertices, ways, start, rotation, shift, by_generator, by_line)
             wu = wx * rotation[0, 0] + wy * rotation[1, 0] + wz * rotation[2, 0]
             wv = wx * rotation[0, 1] + wy * rotation[1, 1] + wz * rotation[2, 1]
             by_radius[p] = (u * wu + v * wv) / (u * u + v * v)  # radii a mm
+        for p in range(steps):
+            part = p % every
+            if part > 0:
+                a, b = p - part, (p - part + every) % steps
+                for i in (2, 3):
+                    before, after = by_generator[i, k, a], by_generator[i, k, b]
+                    by_generator[i, k, p] = before + (after - before) * part / every
+                if by_generator[3, k, p] != by_generator[3, k, p]:  # beside where the cone meets no wall
+                    near = start[k, p]
+                    x, y, z = vertices[k, 0], vertices[k, 1], vertices[k, 2]
+                    wx, wy, wz = ways[k, p, 0], ways[k, p, 1], ways[k, p, 2]
+                    by_generator[2, k, p], by_generator[3, k, p] = _change(
+                        lens, x + near * wx, y + near * wy, z + near * wz, ways[k, p], near, lines
+                    )
         for p in range(steps):
             q = (p + 1) % steps
             a, b = by_generator[0, k, p], by_generator[0, k, q]
@@ -203,6 +231,17 @@ def _expect(lens, vertices, ways, start, rotation, shift, by_generator, by_line)
                 own_a = (by_generator[3, k, p] - slope * by_generator[2, k, p]) / by_radius[p]
                 own_b = (by_generator[3, k, q] - slope * by_generator[2, k, q]) / by_radius[q]
                 by_line[1, k, j % lines] = own_a + part * (own_b - own_a)
+
+
+@jit
+def _change(lens, x, y, z, way, near, lines):  # type: ignore[no-untyped-def]
+    """How line and sample change with a mm along a generator, from (x, y, z), which is `near` mm along it."""
+    step = FARTHER * near
+    line, place = on_line(lens, x, y, z)
+    line_far, place_far = on_line(lens, x + step * way[0], y + step * way[1], z + step * way[2])
+    moved = line_far - line
+    moved -= lines * math.floor(moved / lines + 0.5)
+    return moved / step, (place_far - place) / step
 
 
 def pose_of(axis: FloatArray, through_mm: FloatArray) -> Pose:
