@@ -11,7 +11,7 @@ from annulus.geometry.cone import Cone
 from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import FloatArray
 from annulus.numeric.robust import CAUCHY, biweight, cauchy, prior_sigma, robust_sigma
-from annulus.rings.calibration.kernels import REACH_PX, errors, gather, gather_sectors
+from annulus.rings.calibration.kernels import REACH_PX, errors, gather, gather_sectors, of_head
 from annulus.rings.calibration.observations import Observations, Placement, azimuths
 from annulus.vocabulary import AnnulusError
 
@@ -128,15 +128,10 @@ class Bundle:
             seen.frame, seen.ring, seen.rays, seen.origins, seen.width if middles else seen.width[:0], cones, poses,
             turns, self.radius, self.corrections, self.place, self.middle, self.error, self.rows,
         )  # fmt: skip
-        if self.cameras > 1:
-            self.rows[seen.camera == 0, 11:17] = 0.0  # the first camera is where all is measured from
-        for number, row in enumerate(cameras, start=1):  # the turn itself to its rotation vector
-            mine = np.flatnonzero(seen.camera == number)
-            self.rows[mine, 11:14] = self.rows[mine, 11:14] @ turned_by(row[:3])
         self.shift = shift
-        if len(shift):
-            self.error -= seen.tint @ shift
-            self.rows[:, 17:] = seen.tint
+        if self.cameras > 1 or len(shift):
+            turns = np.stack([np.eye(3), *(turned_by(row[:3]) for row in cameras)])
+            of_head(seen.camera, turns, seen.tint, shift, self.error, self.rows)
 
     def _split(self, x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Cones (K, 6), poses (F, 4), cameras (C - 1, 6), colours' shifts (6,) or none."""
@@ -362,7 +357,7 @@ class Bundle:
         for k, mine in enumerate(self.members):
             e = np.where(weight[mine] > 0, self.rest[mine], 0.0)
             frame = self.seen.frame[mine] * self.cameras + self.seen.camera[mine]
-            square = float(e @ e)
+            square = float((e * e).sum())
             for lag in range(1, min(60, len(e) // 4)):
                 same = frame[lag:] == frame[:-lag]
                 part = float((e[lag:] * e[:-lag])[same].sum()) / max(square, 1e-300)

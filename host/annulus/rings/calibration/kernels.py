@@ -191,3 +191,21 @@ def gather_sectors(frame, sector, weight, rows, shared):  # type: ignore[no-unty
         for a in range(4):
             row[6 + 4 * frame[n] + a] += w * rows[n, 6 + a]
         row[last] += w * rows[n, 10]
+
+
+@jit
+def of_head(camera, turns, tint, shift, error, rows):  # type: ignore[no-untyped-def]
+    """What several cameras and their colours add to `errors`: of the rows no camera's for the first, from which all is
+    measured, and of the others the turn as their rotation vector's, by `turns` (C, 3, 3); colours' shifts (T,) px.
+    Compiled: for so many rows BLAS wakes all its threads, and they spin."""
+    for n in range(len(camera)):
+        row = rows[n]
+        if camera[n] == 0:
+            row[11:17] = 0.0
+        else:
+            by, x, y, z = turns[camera[n]], row[11], row[12], row[13]
+            for a in range(3):
+                row[11 + a] = x * by[0, a] + y * by[1, a] + z * by[2, a]
+        for a in range(tint.shape[1]):
+            row[17 + a] = tint[n, a]
+            error[n] -= tint[n, a] * shift[a]

@@ -11,6 +11,7 @@ from annulus.geometry.camera import Camera
 from annulus.geometry.cone import Cone, intersect_cylinder
 from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import FloatArray
+from annulus.numeric.jit import jit
 
 RAY_STEP_PX = 4.0  # rays of an observation: at its place and so far to both sides of it; between them a parabola
 
@@ -56,10 +57,9 @@ class Observations:
         """The same with every ray in the first camera's frame. cameras : of those after the first."""
         rays, origins = self.rays.copy(), self.origins.copy()
         for number, placement in enumerate(cameras, start=1):
-            mine = self.camera == number
-            turn = placement.rotation
-            rays[mine] = self.rays[mine] @ turn.T
-            origins[mine] = self.origins[mine] @ turn.T + placement.centre_mm
+            turn = np.ascontiguousarray(placement.rotation)
+            _place(self.camera, number, turn, np.zeros(3), rays)
+            _place(self.camera, number, turn, placement.centre_mm, origins)
         return replace(self, rays=rays, origins=origins)
 
 
@@ -109,6 +109,19 @@ def _tints(ring: NDArray[np.int64], way: FloatArray, colours: str) -> FloatArray
         for colour in colours[k : k + 2]:
             of[k, "RGB".index(colour)] += 0.5
     return np.asarray((of[ring][:, :, None] * waves[:, None, :]).reshape(len(ring), 12))
+
+
+@jit
+def _place(camera, number, turn, shift, vectors):  # type: ignore[no-untyped-def]
+    """Turns and shifts (N, 3, 3) vectors of one camera in place. Compiled: BLAS wakes all its threads for so many, and
+    they spin."""
+    for n in range(len(camera)):
+        if camera[n] != number:
+            continue
+        for i in range(3):
+            x, y, z = vectors[n, i, 0], vectors[n, i, 1], vectors[n, i, 2]
+            for a in range(3):
+                vectors[n, i, a] = turn[a, 0] * x + turn[a, 1] * y + turn[a, 2] * z + shift[a]
 
 
 def azimuths(seen: Observations, rings: Sequence[Cone], poses: Sequence[Pose], radius_mm: float) -> FloatArray:
