@@ -240,10 +240,15 @@ def _run(
         np.ascontiguousarray(images, np.float32) if tracked else nothing,
         np.ascontiguousarray(images[..., 0], float) if not tracked else np.empty((0, 0)),
         view.lens, view.cameras, view.eyes, view.projectors, view.slide, view.drift, fit.drift_sigma,
-        np.array(fit.noise), points.base, np.ascontiguousarray(points.path), np.ascontiguousarray(points.normal), start,
+        np.array(fit.noise), points.base, _rows(points.path), _rows(points.normal), start,
         tolerance, *told, left,
     )  # fmt: skip
     return _of(told, left)
+
+
+def _rows(vectors: FloatArray) -> FloatArray:
+    """(P, 3), or (1, 3) where one stands for all."""
+    return np.ascontiguousarray(vectors[:1] if vectors.strides[0] == 0 else vectors)
 
 
 def _of(values: list[FloatArray], residual: Float32Array) -> Heights:
@@ -253,15 +258,18 @@ def _of(values: list[FloatArray], residual: Float32Array) -> Heights:
 
 def _again(view: View, images: Float32Array, points: Points, found: Heights, fit: _Fit) -> Heights:
     """Points that came to nothing, from where their neighbours are: a step's upper edge starts too far below."""
+    columns = points.shape[1]
     for _ in range(AGAIN_MAX if min(points.shape) > 1 else 0):
-        framed = np.pad(found.height_mm.reshape(points.shape), 1, constant_values=np.nan)
-        rows, columns = points.shape
-        around = np.stack([framed[j : j + rows, i : i + columns].ravel() for j in range(3) for i in range(3)])
-        start = nan_median(around)
-        which = (found.flag >= UNMODULATED) & np.isfinite(start)
-        if not which.any():
+        which = np.flatnonzero(found.flag >= UNMODULATED)
+        j, i = np.divmod(which, columns)
+        framed = np.pad(found.height_mm.reshape(points.shape), 1, constant_values=np.nan) if len(which) else np.empty(0)
+        start = (
+            nan_median(np.stack([framed[j + dj, i + di] for dj in range(3) for di in range(3)])) if len(which) else j
+        )
+        which, start = which[np.isfinite(start)], start[np.isfinite(start)]
+        if not len(which):
             break
-        some = _run(view, images, points.some(which), start[which], fit)
+        some = _run(view, images, points.some(which), start, fit)
         if not (some.flag == GOOD).any():
             break
         for name in NAMES:

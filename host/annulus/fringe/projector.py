@@ -18,7 +18,7 @@ import numpy as np
 
 from annulus import untrusted
 from annulus.numeric.arrays import FloatArray
-from annulus.numeric.jit import jit
+from annulus.numeric.jit import cos_sin, jit
 from annulus.vocabulary import AnnulusError
 
 HARMONICS_MAX = 4  # pairs (c, s) above the first: the fifth harmonic of a blurred bar is below 1 % of its first
@@ -67,22 +67,33 @@ class FringeProjector:
 
 
 @jit
+def stripes(a, b, phase0, x, y, z, dx, dy, dz):  # type: ignore[no-untyped-def]
+    """`phase_and_slope` of stripes."""
+    inverse = 1.0 / z
+    ratio = (a * x + b * y) * inverse
+    return ratio + phase0, (a * dx + b * dy - ratio * dz) * inverse
+
+
+@jit
+def rings(a, phase0, x, y, z, dx, dy, dz):  # type: ignore[no-untyped-def]
+    """`phase_and_slope` of rings."""
+    squared = x * x + y * y
+    inverse = 1.0 / math.sqrt(squared)
+    return a * z * inverse + phase0, a * inverse * (dz - z * (x * dx + y * dy) / squared)
+
+
+@jit
 def phase_and_slope(slide, x, y, z, dx, dy, dz):  # type: ignore[no-untyped-def]
     """Phase at a point of the projector's frame, and its change per unit of a step (dx, dy, dz)."""
     if slide[0] == 0.0:
-        across = slide[1] * x + slide[2] * y
-        inverse = 1.0 / z
-        ratio = across * inverse
-        return ratio + slide[3], (slide[1] * dx + slide[2] * dy - ratio * dz) * inverse
-    squared = x * x + y * y
-    inverse = 1.0 / math.sqrt(squared)
-    return slide[1] * z * inverse + slide[3], slide[1] * inverse * (dz - z * (x * dx + y * dy) / squared)
+        return stripes(slide[1], slide[2], slide[3], x, y, z, dx, dy, dz)
+    return rings(slide[1], slide[3], x, y, z, dx, dy, dz)
 
 
 @jit
 def wave(slide, phase):  # type: ignore[no-untyped-def]
     """The light's waveform at a phase, of amplitude 1, its slope, and the first harmonic's other half (sine)."""
-    c, s = math.cos(phase), math.sin(phase)
+    c, s = cos_sin(phase)
     value, slope = c, -s
     ck, sk = c, s
     for k in range((slide.size - 4) // 2):

@@ -16,8 +16,8 @@ import math
 
 import numpy as np
 
-from annulus.fringe.projector import phase_and_slope, wave
-from annulus.numeric.jit import jit
+from annulus.fringe.projector import phase_and_slope, rings, stripes, wave
+from annulus.numeric.jit import cos_sin, jit
 
 GOOD, TOO_FEW, UNMODULATED, UNDETERMINED, UNSETTLED, AMBIGUOUS = range(6)
 ROUNDS_MAX = 12
@@ -26,7 +26,21 @@ TUKEY_SQUARED = 4.685**2
 STEP_MAX_RAD = 1.0  # of one Gauss-Newton step: its tangent is good for about a radian
 EXCESS = 3.0  # sigma of chi^2: more misfit than that is no chance, and makes the height's sigma larger
 MODULATED = 4.0  # sigma of AC: below it phase is noise (its sigma a quarter of a radian, no longer normal)
+BLOCK = 64  # points
 PIVOT_MIN = 1e-7  # of a diagonal element: rounding of float32 images
+
+
+@jit
+def pinhole(fx, fy, cx, cy, k1, k2, p1, p2, k3, x, y, z):  # type: ignore[no-untyped-def]
+    """Pixel of a point in the camera's frame, OpenCV's coefficients; NaN behind it."""
+    over = 1.0 / z if z > 0.0 else math.nan
+    u, v = x * over, y * over
+    r2 = u * u + v * v
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    return (
+        fx * (u * radial + 2.0 * p1 * u * v + p2 * (r2 + 2.0 * u * u)) + cx,
+        fy * (v * radial + p1 * (r2 + 2.0 * v * v) + 2.0 * p2 * u * v) + cy,
+    )
 
 
 @jit
@@ -34,16 +48,7 @@ def see(lens, x, y, z):  # type: ignore[no-untyped-def]
     """Pixel of a point in the camera's frame; NaN behind a pinhole. lens: kind (0 pinhole, 1 fisheye), fx, fy, cx, cy,
     and OpenCV's k1 k2 p1 p2 k3, or k1..k4."""
     if lens[0] == 0.0:
-        if z <= 0.0:
-            return math.nan, math.nan
-        u, v = x / z, y / z
-        r2 = u * u + v * v
-        radial = 1.0 + r2 * (lens[5] + r2 * (lens[6] + r2 * lens[9]))
-        p, q = lens[7], lens[8]
-        return (
-            lens[1] * (u * radial + 2.0 * p * u * v + q * (r2 + 2.0 * u * u)) + lens[3],
-            lens[2] * (v * radial + p * (r2 + 2.0 * v * v) + 2.0 * q * u * v) + lens[4],
-        )
+        return pinhole(lens[1], lens[2], lens[3], lens[4], lens[5], lens[6], lens[7], lens[8], lens[9], x, y, z)
     rho = math.sqrt(x * x + y * y)
     theta = math.atan2(rho, z)
     t2 = theta * theta
@@ -65,12 +70,83 @@ def sample(images, k, u, v):  # type: ignore[no-untyped-def]
     a0, b0 = six * (one - a) * (one - a) * (one - a), six * (one - b) * (one - b) * (one - b)
     a1, b1 = six * (four + three * a * a * (a - two)), six * (four + three * b * b * (b - two))
     a2, b2 = one - a0 - a1 - a3, one - b0 - b1 - b3
+    n, row, i0, step = np.uint64(k), np.uint64(j - 1), np.uint64(i - 1), np.uint64(1)  # signed ones ask each time: < 0?
+    i1, i2, i3 = i0 + step, i0 + step + step, i0 + step + step + step
     total = np.float32(0.0)
-    for r in range(4):
-        across = a0 * images[k, j + r - 1, i - 1] + a1 * images[k, j + r - 1, i]
-        across += a2 * images[k, j + r - 1, i + 1] + a3 * images[k, j + r - 1, i + 2]
-        total += (b0 if r == 0 else b1 if r == 1 else b2 if r == 2 else b3) * across
+    for weight in (b0, b1, b2, b3):
+        across = a0 * images[n, row, i0] + a1 * images[n, row, i1] + a2 * images[n, row, i2] + a3 * images[n, row, i3]
+        total += weight * across
+        row += step
     return np.float64(total)
+
+
+@jit
+def see_row(lens, camera, x, y, z, count, u, v):  # type: ignore[no-untyped-def]
+    """`see` of the first `count` world points by a camera (3, 4). Scalars out of arrays first: it vectorises."""
+    r00, r01, r02, tx = camera[0, 0], camera[0, 1], camera[0, 2], camera[0, 3]
+    r10, r11, r12, ty = camera[1, 0], camera[1, 1], camera[1, 2], camera[1, 3]
+    r20, r21, r22, tz = camera[2, 0], camera[2, 1], camera[2, 2], camera[2, 3]
+    if lens[0] == 0.0:
+        fx, fy, cx, cy, k1, k2 = lens[1], lens[2], lens[3], lens[4], lens[5], lens[6]
+        p1, p2, k3 = lens[7], lens[8], lens[9]
+        for i in range(count):
+            u[i], v[i] = pinhole(
+                fx, fy, cx, cy, k1, k2, p1, p2, k3,
+                r00 * x[i] + r01 * y[i] + r02 * z[i] + tx,
+                r10 * x[i] + r11 * y[i] + r12 * z[i] + ty,
+                r20 * x[i] + r21 * y[i] + r22 * z[i] + tz,
+            )  # fmt: skip
+        return
+    for i in range(count):
+        u[i], v[i] = see(
+            lens,
+            r00 * x[i] + r01 * y[i] + r02 * z[i] + tx,
+            r10 * x[i] + r11 * y[i] + r12 * z[i] + ty,
+            r20 * x[i] + r21 * y[i] + r22 * z[i] + tz,
+        )
+
+
+@jit
+def light_row(slide, projector, eye, x, y, z, count, scale, phase):  # type: ignore[no-untyped-def]
+    """Phase of the first `count` world points, and in `scale` its change along the eye's ray: on entry the inverse of
+    the ray's way along the normal. The ray in the projector's frame is the point less the eye, both in it."""
+    r00, r01, r02, tx = projector[0, 0], projector[0, 1], projector[0, 2], projector[0, 3]
+    r10, r11, r12, ty = projector[1, 0], projector[1, 1], projector[1, 2], projector[1, 3]
+    r20, r21, r22, tz = projector[2, 0], projector[2, 1], projector[2, 2], projector[2, 3]
+    ex = r00 * eye[0] + r01 * eye[1] + r02 * eye[2] + tx
+    ey = r10 * eye[0] + r11 * eye[1] + r12 * eye[2] + ty
+    ez = r20 * eye[0] + r21 * eye[1] + r22 * eye[2] + tz
+    a, b, phase0 = slide[1], slide[2], slide[3]
+    if slide[0] == 0.0:
+        for i in range(count):
+            qx = r00 * x[i] + r01 * y[i] + r02 * z[i] + tx
+            qy = r10 * x[i] + r11 * y[i] + r12 * z[i] + ty
+            qz = r20 * x[i] + r21 * y[i] + r22 * z[i] + tz
+            told, slope = stripes(a, b, phase0, qx, qy, qz, qx - ex, qy - ey, qz - ez)
+            phase[i] = told
+            scale[i] *= slope
+        return
+    for i in range(count):
+        qx = r00 * x[i] + r01 * y[i] + r02 * z[i] + tx
+        qy = r10 * x[i] + r11 * y[i] + r12 * z[i] + ty
+        qz = r20 * x[i] + r21 * y[i] + r22 * z[i] + tz
+        told, slope = rings(a, phase0, qx, qy, qz, qx - ex, qy - ey, qz - ez)
+        phase[i] = told
+        scale[i] *= slope
+
+
+@jit
+def wave_row(slide, phase, count, crest, steep, sine):  # type: ignore[no-untyped-def]
+    """`wave` of the first `count` phases."""
+    if slide.size > 4:
+        for i in range(count):
+            crest[i], steep[i], sine[i] = wave(slide, phase[i])
+        return
+    for i in range(count):
+        c, s = cos_sin(phase[i])
+        crest[i] = c
+        steep[i] = -s
+        sine[i] = s
 
 
 @jit
@@ -87,35 +163,41 @@ def look(lens, camera, points, u, v):  # type: ignore[no-untyped-def]
 
 
 @jit
-def solve4(m, b, size):  # type: ignore[no-untyped-def]
-    """Solves the symmetric m x = b in place (x in b) by Cholesky; returns the last unknown's variance, or -1 if m does
-    not determine it."""
-    for j in range(size):
-        d = m[j, j]
-        least = PIVOT_MIN * d
-        for k in range(j):
-            d -= m[j, k] * m[j, k]
-        if not d > least:
-            return -1.0
-        d = math.sqrt(d)
-        m[j, j] = d
-        for i in range(j + 1, size):
-            s = m[i, j]
-            for k in range(j):
-                s -= m[i, k] * m[j, k]
-            m[i, j] = s / d
-    for i in range(size):
-        s = b[i]
-        for k in range(i):
-            s -= m[i, k] * b[k]
-        b[i] = s / m[i, i]
-    last = 1.0 / (m[size - 1, size - 1] * m[size - 1, size - 1])
-    for i in range(size - 1, -1, -1):
-        s = b[i]
-        for k in range(i + 1, size):
-            s -= m[k, i] * b[k]
-        b[i] = s / m[i, i]
-    return last
+def solve3(a, b, c, d, e, f, x, y, z, least_a, least_c, least_f):  # type: ignore[no-untyped-def]
+    """Solves the symmetric [[a b d] [b c e] [d e f]] by (x, y, z); the solution and the last unknown's variance, which
+    is -1 if a pivot is below its least: the matrix does not determine them."""
+    if not a > least_a:
+        return 0.0, 0.0, 0.0, -1.0
+    over_a = 1.0 / a
+    l10, l20 = b * over_a, d * over_a
+    c -= l10 * b
+    if not c > least_c:
+        return 0.0, 0.0, 0.0, -1.0
+    over_c = 1.0 / c
+    e -= l20 * b
+    l21 = e * over_c
+    f -= l20 * d + l21 * e
+    if not f > least_f:
+        return 0.0, 0.0, 0.0, -1.0
+    variance = 1.0 / f
+    y -= l10 * x
+    z = (z - l20 * x - l21 * y) * variance
+    y = y * over_c - l21 * z
+    return x * over_a - l10 * y - l20 * z, y, z, variance
+
+
+@jit
+def lit_along(slide, projector, x, y, z, way):  # type: ignore[no-untyped-def]
+    """`phase_and_slope` of a world point and a way from it."""
+    return phase_and_slope(
+        slide,
+        projector[0, 0] * x + projector[0, 1] * y + projector[0, 2] * z + projector[0, 3],
+        projector[1, 0] * x + projector[1, 1] * y + projector[1, 2] * z + projector[1, 3],
+        projector[2, 0] * x + projector[2, 1] * y + projector[2, 2] * z + projector[2, 3],
+        projector[0, 0] * way[0] + projector[0, 1] * way[1] + projector[0, 2] * way[2],
+        projector[1, 0] * way[0] + projector[1, 1] * way[1] + projector[1, 2] * way[2],
+        projector[2, 0] * way[0] + projector[2, 1] * way[1] + projector[2, 2] * way[2],
+    )
 
 
 @jit
@@ -129,126 +211,159 @@ def follow(  # type: ignore[no-untyped-def]
     lens : as `see` takes it. cameras, projectors : (N, 3, 4) world to camera and to projector in each frame.
     eyes : (N, 3) camera centres, world. slide : as `wave` takes it. drift : (N,) t_n; drift_sigma: what is believed of
     g, 0 for none. noise : (3,) variance of a grey level I is noise . (1, I, I^2).
-    base, path : (P, 3). normal : (P, 3), path . normal = 1. start : (P,). tolerance : of h, where rounds end.
+    base : (P, 3). path, normal : (P, 3) or (1, 3) for all, path . normal = 1. start : (P,).
+    tolerance : of h, where rounds end.
     Written: height, sigma (mm), dc, ac, misfit (chi^2, each frame's share at most Tukey's), used (frames), flag : (P,);
     residual : (N, P) grey levels, or (0, 0).
     """
     tracked, frames = samples.size == 0, len(cameras)
-    value, phase, slope, weight = np.empty(frames), np.empty(frames), np.empty(frames), np.empty(frames)
-    crest, change, sine = np.empty(frames), np.empty(frames), np.empty(frames)
-    m, b, row = np.empty((4, 4)), np.empty(4), np.empty(4)
-    size = 4 if drift_sigma > 0.0 else 3
-    keep = residual.size > 0
-    for p in range(len(base)):
-        h, level, swing, tilt = start[p], 0.0, 0.0, 0.0
-        state, variance, scale, free, n = UNSETTLED, -1.0, 1.0, 1, 0
+    # a block of points at a time: rows over points vectorise, and what a round needs stays in the nearest cache
+    value, weight, slope = np.empty((frames, BLOCK)), np.empty((frames, BLOCK)), np.empty((frames, BLOCK))
+    crest, steep, sine = np.empty((frames, BLOCK)), np.empty((frames, BLOCK)), np.empty((frames, BLOCK))
+    x, y, z, u, v = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
+    nx, ny, nz, out = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
+    which, h = np.empty(BLOCK, np.int64), np.empty(BLOCK)
+    level, swing, tilt, scale = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
+    own_path, own_normal = int(len(path) > 1), int(len(normal) > 1)
+    drifting, keep = drift_sigma > 0.0, residual.size > 0
+    stiff = 1.0 / (drift_sigma * drift_sigma) if drifting else 0.0
+    for first in range(0, len(base), BLOCK):
+        live = min(BLOCK, len(base) - first)
+        for i in range(live):
+            which[i], h[i], level[i], swing[i], tilt[i], scale[i] = first + i, start[first + i], 0.0, 0.0, 0.0, 1.0
         for turn in range(ROUNDS_MAX):
-            n, bend = 0, 0.0
-            x, y, z = base[p, 0] + h * path[p, 0], base[p, 1] + h * path[p, 1], base[p, 2] + h * path[p, 2]
+            for i in range(live):
+                p, q, r = which[i], which[i] * own_path, which[i] * own_normal
+                x[i], y[i] = base[p, 0] + h[i] * path[q, 0], base[p, 1] + h[i] * path[q, 1]
+                z[i] = base[p, 2] + h[i] * path[q, 2]
+                nx[i], ny[i], nz[i] = normal[r, 0], normal[r, 1], normal[r, 2]
+                out[i] = x[i] * nx[i] + y[i] * ny[i] + z[i] * nz[i]
             for k in range(frames):
-                value[k] = math.nan
                 if tracked:
-                    u, v = see(
-                        lens,
-                        cameras[k, 0, 0] * x + cameras[k, 0, 1] * y + cameras[k, 0, 2] * z + cameras[k, 0, 3],
-                        cameras[k, 1, 0] * x + cameras[k, 1, 1] * y + cameras[k, 1, 2] * z + cameras[k, 1, 3],
-                        cameras[k, 2, 0] * x + cameras[k, 2, 1] * y + cameras[k, 2, 2] * z + cameras[k, 2, 3],
-                    )
-                    grey = sample(images, k, u, v)
+                    see_row(lens, cameras[k], x, y, z, live, u, v)
+                    for i in range(live):
+                        value[k, i] = sample(images, k, u[i], v[i])
+                    ex, ey, ez, bent = eyes[k, 0], eyes[k, 1], eyes[k, 2], slope[k]
+                    for i in range(live):
+                        bent[i] = 1.0 / (out[i] - ex * nx[i] - ey * ny[i] - ez * nz[i])
+                    light_row(slide, projectors[k], eyes[k], x, y, z, live, slope[k], u)
                 else:
-                    grey = samples[k, p]
-                if not math.isfinite(grey):
+                    for i in range(live):
+                        p = which[i]
+                        value[k, i] = samples[k, p]
+                        u[i], slope[k, i] = lit_along(slide, projectors[k], x[i], y[i], z[i], path[p * own_path])
+                wave_row(slide, u, live, crest[k], steep[k], sine[k])
+                for i in range(live):
+                    grey = max(value[k, i], 0.0)
+                    weight[k, i] = 1.0 / (noise[0] + grey * (noise[1] + grey * noise[2]))
+            left = 0
+            for i in range(live):
+                p, n, bend = which[i], 0, 0.0
+                m00 = m10 = m11 = m20 = m21 = m22 = b0 = b1 = b2 = 0.0
+                state, variance = UNSETTLED, -1.0
+                if (
+                    turn == 0
+                ):  # I = V1 + V2 cos phase - V3 sin phase: the sine's harmonics are small beside half a period
+                    for k in range(frames):
+                        grey, w, c = value[k, i], weight[k, i], crest[k, i]
+                        if math.isfinite(grey):
+                            wc, ws = w * c, w * sine[k, i]
+                            m00 += w
+                            m10 += wc
+                            m11 += wc * c
+                            m20 -= ws
+                            m21 -= ws * c
+                            m22 += ws * sine[k, i]
+                            b0 += w * grey
+                            b1 += wc * grey
+                            b2 -= ws * grey
+                            bend += slope[k, i]
+                            n += 1
+                    b0, b1, b2, variance = solve3(
+                        m00, m10, m11, m20, m21, m22, b0, b1, b2, PIVOT_MIN * m00, PIVOT_MIN * m11, PIVOT_MIN * m22
+                    )
+                    if n < 3 or variance < 0.0:
+                        state = TOO_FEW if n < 3 else UNDETERMINED
+                    else:
+                        level[i], swing[i] = b0, math.sqrt(b1 * b1 + b2 * b2)
+                        h[i] += math.atan2(b2, b1) * n / bend
+                else:
+                    robust, total, cost = turn > 2, 0.0, 0.0
+                    t0, t1, t2, t3, bt = 0.0, 0.0, 0.0, stiff, -tilt[i] * stiff
+                    if robust:
+                        for k in range(frames):
+                            n += math.isfinite(value[k, i])
+                        robust, n = n >= ROBUST_FROM, 0
+                    for k in range(frames):
+                        if not math.isfinite(value[k, i]):
+                            continue
+                        gain = 1.0 + tilt[i] * drift[k]
+                        lit = level[i] + swing[i] * crest[k, i]
+                        off = value[k, i] - lit * gain
+                        w = weight[k, i]
+                        cost += min(off * off * w, TUKEY_SQUARED)
+                        if robust:
+                            far = off * off * w / (scale[i] * TUKEY_SQUARED)
+                            w = w * (1.0 - far) ** 2 if far < 1.0 else 0.0
+                        total += w * off * off
+                        # the height stands last: its variance is then what the elimination leaves
+                        r1, r2 = crest[k, i] * gain, swing[i] * steep[k, i] * slope[k, i] * gain
+                        w0, w1, w2 = w * gain, w * r1, w * r2
+                        m00 += w0 * gain
+                        m10 += w1 * gain
+                        m11 += w1 * r1
+                        m20 += w2 * gain
+                        m21 += w2 * r1
+                        m22 += w2 * r2
+                        b0 += w0 * off
+                        b1 += w1 * off
+                        b2 += w2 * off
+                        bend += slope[k, i]
+                        n += 1
+                        if drifting:
+                            r3 = lit * drift[k]
+                            t0 += w0 * r3
+                            t1 += w1 * r3
+                            t2 += w2 * r3
+                            t3 += w * r3 * r3
+                            bt += w * r3 * off
+                    free = max(n - 3, 1) if drifting else n - 3
+                    scale[i] = total / free if free > 0 and total > free + EXCESS * math.sqrt(2.0 * free) else 1.0
+                    told, least0, least1, least2 = m11, PIVOT_MIN * m00, PIVOT_MIN * m11, PIVOT_MIN * m22
+                    if drifting:  # the light's drift is eliminated first: what is believed of it keeps its pivot
+                        q = 1.0 / t3
+                        m00, m10, m11 = m00 - t0 * t0 * q, m10 - t1 * t0 * q, m11 - t1 * t1 * q
+                        m20, m21, m22 = m20 - t2 * t0 * q, m21 - t2 * t1 * q, m22 - t2 * t2 * q
+                        b0, b1, b2 = b0 - t0 * bt * q, b1 - t1 * bt * q, b2 - t2 * bt * q
+                    b0, b1, step, variance = solve3(m00, m10, m11, m20, m21, m22, b0, b1, b2, least0, least1, least2)
+                    if n < 3 or variance < 0.0:
+                        state = TOO_FEW if n < 3 else UNDETERMINED
+                    else:
+                        level[i] += b0
+                        swing[i] += b1
+                        if drifting:
+                            tilt[i] += (bt - t0 * b0 - t1 * b1 - t2 * step) / t3
+                        most = STEP_MAX_RAD * n / abs(bend)
+                        h[i] += min(max(step, -most), most)
+                        misfit[p] = cost
+                        if abs(step) < tolerance:
+                            modulated = swing[i] > 0.0 and swing[i] * swing[i] * told > MODULATED * MODULATED
+                            state = GOOD if modulated else UNMODULATED
+                if state == UNSETTLED and turn + 1 < ROUNDS_MAX:  # on to the next round, closed up
+                    which[left], h[left], level[left] = p, h[i], level[i]
+                    swing[left], tilt[left], scale[left] = swing[i], tilt[i], scale[i]
+                    left += 1
                     continue
-                dx, dy, dz = path[p, 0], path[p, 1], path[p, 2]
-                if tracked:
-                    dx, dy, dz = x - eyes[k, 0], y - eyes[k, 1], z - eyes[k, 2]
-                    scaled = 1.0 / (dx * normal[p, 0] + dy * normal[p, 1] + dz * normal[p, 2])
-                    dx, dy, dz = dx * scaled, dy * scaled, dz * scaled
-                phase[k], slope[k] = phase_and_slope(
-                    slide,
-                    projectors[k, 0, 0] * x + projectors[k, 0, 1] * y + projectors[k, 0, 2] * z + projectors[k, 0, 3],
-                    projectors[k, 1, 0] * x + projectors[k, 1, 1] * y + projectors[k, 1, 2] * z + projectors[k, 1, 3],
-                    projectors[k, 2, 0] * x + projectors[k, 2, 1] * y + projectors[k, 2, 2] * z + projectors[k, 2, 3],
-                    projectors[k, 0, 0] * dx + projectors[k, 0, 1] * dy + projectors[k, 0, 2] * dz,
-                    projectors[k, 1, 0] * dx + projectors[k, 1, 1] * dy + projectors[k, 1, 2] * dz,
-                    projectors[k, 2, 0] * dx + projectors[k, 2, 1] * dy + projectors[k, 2, 2] * dz,
-                )
-                value[k] = grey
-                crest[k], change[k], sine[k] = wave(slide, phase[k])
-                weight[k] = 1.0 / (noise[0] + max(grey, 0.0) * (noise[1] + max(grey, 0.0) * noise[2]))
-                bend += slope[k]
-                n += 1
-            if n < 3:
-                state = TOO_FEW
+                height[p], sigma[p] = math.nan, math.nan
+                dc[p], ac[p], used[p], flag[p] = level[i], swing[i], n, state
+                if state == GOOD:
+                    height[p], sigma[p] = h[i], math.sqrt(variance * scale[i])
+                if keep:
+                    for k in range(frames):
+                        residual[k, p] = math.nan
+                        if state == GOOD and math.isfinite(value[k, i]):
+                            told = (level[i] + swing[i] * crest[k, i]) * (1.0 + tilt[i] * drift[k])
+                            residual[k, p] = value[k, i] - told
+            live = left
+            if live == 0:
                 break
-            bend /= n
-            m[:] = 0.0
-            b[:] = 0.0
-            if turn == 0:  # I = V1 + V2 cos phase - V3 sin phase; the sine's harmonics are small beside half a period
-                for k in range(frames):
-                    if math.isfinite(value[k]):
-                        row[0], row[1], row[2] = 1.0, crest[k], -sine[k]
-                        for i in range(3):
-                            b[i] += weight[k] * row[i] * value[k]
-                            for j in range(i + 1):
-                                m[i, j] += weight[k] * row[i] * row[j]
-                if solve4(m, b, 3) < 0.0:
-                    state = UNDETERMINED
-                    break
-                level, swing = b[0], math.hypot(b[1], b[2])
-                step = math.atan2(b[2], b[1]) / bend
-                h += step
-                continue
-            total, cost, robust = 0.0, 0.0, n >= ROBUST_FROM and turn > 2
-            free = n - size
-            for k in range(frames):
-                if not math.isfinite(value[k]):
-                    continue
-                gain = 1.0 + tilt * drift[k]
-                lit = level + swing * crest[k]
-                off = value[k] - lit * gain
-                w = weight[k]
-                if robust:
-                    far = off * off * w / (scale * TUKEY_SQUARED)
-                    w = w * (1.0 - far) ** 2 if far < 1.0 else 0.0
-                total += w * off * off
-                cost += min(off * off * weight[k], TUKEY_SQUARED)
-                # the height stands last: its variance is then what the elimination leaves
-                row[0], row[1], row[size - 1] = gain, crest[k] * gain, swing * change[k] * slope[k] * gain
-                if size == 4:
-                    row[2] = lit * drift[k]
-                for i in range(size):
-                    b[i] += w * row[i] * off
-                    for j in range(i + 1):
-                        m[i, j] += w * row[i] * row[j]
-            if size == 4:
-                m[2, 2] += 1.0 / (drift_sigma * drift_sigma)
-                b[2] -= tilt / (drift_sigma * drift_sigma)
-                free = max(n - 3, 1)
-            scale = total / free if free > 0 and total > free + EXCESS * math.sqrt(2.0 * free) else 1.0
-            ac_information = m[1, 1]
-            variance = solve4(m, b, size)
-            if variance < 0.0:
-                state = UNDETERMINED
-                break
-            level += b[0]
-            swing += b[1]
-            if size == 4:
-                tilt += b[2]
-            step = b[size - 1]
-            most = STEP_MAX_RAD / abs(bend)
-            h += min(max(step, -most), most)
-            misfit[p] = cost
-            if abs(step) < tolerance:
-                modulated = swing > 0.0 and swing * swing * ac_information > MODULATED * MODULATED
-                state = GOOD if modulated else UNMODULATED
-                break
-        height[p], dc[p], ac[p], used[p], flag[p] = h, level, swing, n, state
-        sigma[p] = math.sqrt(variance * scale) if variance > 0.0 else math.nan
-        if state != GOOD:
-            height[p], sigma[p] = math.nan, math.nan
-        if keep:
-            for k in range(frames):
-                residual[k, p] = math.nan
-                if state == GOOD and math.isfinite(value[k]):
-                    residual[k, p] = value[k] - (level + swing * crest[k]) * (1.0 + tilt * drift[k])
