@@ -5,7 +5,8 @@ phase, DC, AC and height. Point and light move through the image by amounts that
 together, along the point's own track (`track`). Carried by: positions are true, the wall's albedo is a point's own,
 grey levels are linear in light. A wrong position shows as a misfit that follows the texture: `steps` finds positions
 from the frames. `noise` says what misfit is usual, `texture` takes out what albedo and blur do to the phase, `merge`
-joins cameras, `stream` takes a scan as it comes, `source` is the source's own method.
+joins cameras, `stereo_phase` takes the phase two cameras agree on, whatever the slide, `stream` takes a scan as it
+comes, `source` is the source's own method.
 """
 
 from annulus.fringe.calibration import NAMES as plate_names
@@ -17,6 +18,7 @@ from annulus.fringe.merge import merged
 from annulus.fringe.noise import noise_of
 from annulus.fringe.projector import FringeProjector
 from annulus.fringe.steps import Steps, find_steps
+from annulus.fringe.stereo_phase import stereo_heights
 from annulus.fringe.stream import stream
 from annulus.fringe.texture import untextured
 from annulus.fringe.transfer import Transfer, transfers
@@ -40,7 +42,8 @@ __all__ = [
     "plate_names",
     "projector_to_dict",
     "spline",
-    "transfers",
+    "stereo_heights",
     "stream",
+    "transfers",
     "untextured",
 ]
