@@ -36,7 +36,7 @@ from annulus.wall.profile import Profile
 
 # By topic stereo of the metrology table.
 DIRECTIONS = 720  # generators of each cone
-SIGMA_MOST = 0.008  # of the radius, along its generator: a point known no better is not known
+SIGMA_MOST = 0.01  # of the radius, along its generator: a point known no better is not known (profilers: 0.5 % of 2 r)
 ROUGHLY = 6  # of so many generators one, for the pose that rings are named with
 BIAS_PX, TINTED_PX = 0.0115, 0.02  # of an edge's place what scatter does not show; where colours are not calibrated
 OVER_EXPOSED, CLIPPED_PX = 235.0, 0.04  # grey levels; as `rings.uncertainty`

@@ -53,6 +53,14 @@ def test_how_far_a_target_puts_the_second_camera_elsewhere_is_said_in_sigmas(fou
     assert not any("the target has" in warning for warning in found.warnings)
 
 
+def test_the_second_cameras_place_is_as_well_known_as_is_said(found: PipeCalibration) -> None:
+    true = json.loads((SCENES / "stereo-calib-a" / "truth" / "calibration.json").read_text())["cameras"][1]
+    off = found.solution.cameras[0].centre_mm + np.array(true["rotation"]).T @ true["translation_mm"]
+    sigma = np.sqrt(np.diag(found.solution.camera_covariance))[3:]
+    assert np.abs(off / sigma).max() < 3.0  # 1.6
+    assert sigma.max() < 0.015  # 0.005
+
+
 def test_the_head_is_known_from_intrinsics_and_the_tubes_radius(calibration: Path) -> None:
     found = scorer().score_calibration(str(calibration), str(SCENES / "stereo-calib-a" / "truth"))
     assert found["camera_1_turn_error_deg"] < 0.012
@@ -71,6 +79,7 @@ def test_a_damaged_pipe_is_measured_all_round(calibration: Path, tmp_path: Path)
     assert found["rms_at_seams_mm"] < 0.08
     assert found["gross_over_1mm_percent"] < 0.02
     assert found["coverage"]["of_seen"] > 0.985
+    assert found["coverage"]["camera_0_only"] + found["coverage"]["camera_1_only"] > 2 * 0.85
     assert json.loads((tmp_path / "summary.json").read_text())["points"] > 70_000
     losses = sorted(d.depth_mm for d in pipe.defects if d.kind is Kind.LOSS)
     bumps = sorted(d.depth_mm for d in pipe.defects if d.kind is Kind.BUMP)
