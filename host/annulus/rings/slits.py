@@ -58,9 +58,10 @@ def find_slits(unrolled: Unrolled, grid: PolarGrid) -> Slits:
     stop = np.minimum(grid.stop - unrolled.first, unrolled.top.shape[1])
     away = (grid.first + grid.step * unrolled.first, grid.step)
     n, crowded = _scan(unrolled.top, stop, away, taps, np.float32(floor), np.float32(grid.spacing_px), found)
-    kept = _dark_ones(found, n)
+    dark = _dark_ones(found, n)
+    kept = len(dark)
     direction, place, light = np.empty(kept, np.int64), np.empty((3, kept)), np.empty((2, kept, 3))
-    _sides(unrolled.image, grid.centre, away, grid.cosine, grid.sine, found, direction, place, light)
+    _sides(unrolled.image, grid.centre, away, grid.cosine, grid.sine, found, dark, direction, place, light)
     return Slits(direction, unrolled.first + place[0], place[1], light[0], light[1], place[2], n - kept, crowded)
 
 
@@ -183,32 +184,33 @@ def _scan(bright, stop, away, taps, floor, spacing, out):  # type: ignore[no-unt
 
 @jit
 def _dark_ones(found, size):  # type: ignore[no-untyped-def]
-    """Moves the rows that are nearly as dark as the usual one to the front; how many they are."""
+    """Which of the rows are nearly as dark as the usual one."""
     depth = found[:size, 4].copy()
     usual = np.float32(SHALLOW) * middle(depth, size)
-    kept = 0
+    dark, kept = np.empty(size, np.int64), 0
     for n in range(size):
         if found[n, 4] >= usual:
-            found[kept] = found[n]
+            dark[kept] = n
             kept += 1
-    return kept
+    return dark[:kept]
 
 
 @jit
-def _sides(image, centre, away, cosine, sine, found, direction, place, light):  # type: ignore[no-untyped-def]
+def _sides(image, centre, away, cosine, sine, found, dark_ones, direction, place, light):  # type: ignore[no-untyped-def]
     """The light beside each slit, (2, N, 3): BGR of the inner side, of the outer, the slit's own darkness taken off.
 
     Nearest pixels at every other sample, half of them the line's own, the rest of its two neighbours."""
     width, right, low, lines = image.shape[1], image.shape[1] - 1, image.shape[0] - 1, len(cosine)
     run = image.reshape(-1)
     for n in range(len(direction)):
-        j = int(found[n, 0])
-        direction[n], place[0, n], place[1, n], place[2, n] = j, found[n, 1], found[n, 2], found[n, 9]
+        row = found[dark_ones[n]]
+        j = int(row[0])
+        direction[n], place[0, n], place[1, n], place[2, n] = j, row[1], row[2], row[9]
         dark = np.float32(0.0), np.float32(0.0), np.float32(0.0)
         before, after = around(j - 1, lines), around(j + 1, lines)
         for part in range(3):
-            a = int(found[n, 3]) - 1 if part == 0 else int(found[n, 3 + 2 * part])
-            b = a + 2 if part == 0 else max(a, int(found[n, 4 + 2 * part]))
+            a = int(row[3]) - 1 if part == 0 else int(row[3 + 2 * part])
+            b = a + 2 if part == 0 else max(a, int(row[4 + 2 * part]))
             blue, green, red = 0, 0, 0
             for i in range(a, b + 1, 2):
                 way = j if not (i - a) & 2 else after if (i - a) & 4 else before
