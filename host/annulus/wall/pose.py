@@ -90,7 +90,7 @@ def fit_pose(
     weight /= weight.mean()
     for first in (seed, Pose()) if seed is not None else (Pose(),):
         found = None if one_ring else _fit(points, weight, radius_mm, first, TILT_PRIOR)
-        if one_ring or (found is not None and max(np.diag(found.covariance)[:2]) > TILT_SHOWN**2):
+        if one_ring or (found is not None and max(found.covariance[0, 0], found.covariance[1, 1]) > TILT_SHOWN**2):
             found = _fit(points, weight, radius_mm, Pose(0.0, 0.0, first.tx, first.ty), TILT_KEPT)
         if found is not None:
             return found
@@ -100,23 +100,31 @@ def fit_pose(
 def _fit(points: FloatArray, weight: FloatArray, radius: float, first: Pose, tilt: float) -> Fit | None:
     """The most likely pose near the first guess, or None where the points about it do not make a pipe."""
     x = np.array([first.rx, first.ry, first.tx, first.ty, 0.0, 0.0, 0.0])
-    seen, covariance, used = np.empty((7, 7)), np.empty((7, 7)), np.empty(len(weight))
-    _approach(points, weight, x, radius, tilt, used)
-    if not _sane(x, radius):
-        return None
-    scale, robust = _settle(points, weight, x, radius, tilt, used, seen, covariance)
-    if not _sane(x, radius) or not scale <= WORST_SIGMA * radius:
+    seen, covariance = np.empty((7, 7)), np.empty((7, 7))
+    found, robust = _likely(points, weight, x, radius, tilt, seen, covariance)
+    if not found:
         return None
     if tilt == TILT_KEPT:  # the head may lean all the same, with the shift that makes up for it
         along = np.vstack([np.eye(2), -np.linalg.solve(seen[2:, 2:], seen[2:, :2])])
         covariance += TILT_UNSEEN**2 * along @ along.T
-    if not _all_round(points, x, used):
-        return None
-    return Fit(Pose(*(float(v) for v in x[:4])), robust, covariance[:4, :4])
+    return Fit(Pose(*x[:4].tolist()), robust, covariance[:4, :4])
 
 
-def _sane(x: FloatArray, radius: float) -> bool:
-    return bool(np.isfinite(x).all() and np.abs(x[:2]).max() < 0.8 and np.abs(x[2:]).max() < 0.8 * radius)
+@jit
+def _likely(points, weight, x, radius, tilt, seen, covariance):  # type: ignore[no-untyped-def]
+    """Moves x (7,) to the most likely pose; whether the points there make a pipe, and their robust sigma."""
+    used = np.empty(len(weight))
+    _approach(points, weight, x, radius, tilt, used)
+    if not _sane(x, radius):
+        return False, np.inf
+    scale, robust = _settle(points, weight, x, radius, tilt, used, seen, covariance)
+    found = _sane(x, radius) and scale <= WORST_SIGMA * radius
+    return found and _all_round(points, x, used), robust
+
+
+@jit
+def _sane(x, radius):  # type: ignore[no-untyped-def]
+    return np.all(np.abs(x[:2]) < 0.8) and np.all(np.abs(x[2:]) < 0.8 * radius)
 
 
 @jit
