@@ -6,7 +6,8 @@ its position. What a point's own DC, AC, height and drift of light can explain i
 projection): few frames then claim no more than they know, and texture that leans to the drift by chance says nothing.
 The first frame is the origin. Carried by: the wall does not move between frames, its residuals are independent. On a
 flat wall without texture the fringes stand still in the image and say nothing: the odometer's own sigma then stays.
-Where light may drift along the track the frames do not know the motion's whole stretch: that is then the odometer's.
+Where light may drift along the track the fit does not know the motion's whole stretch: that is then the odometer's,
+unless the texture's way through the pictures (`stretch`) contradicts it beyond chance.
 """
 
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ from scipy.ndimage import map_coordinates
 from annulus.fringe.heights import Heights, Points, View, heights
 from annulus.fringe.noise import noise_of
 from annulus.fringe.projector import FringeProjector
+from annulus.fringe.stretch import stretch
 from annulus.fringe.track import GOOD
 from annulus.geometry.calibration import HeadCamera
 from annulus.numeric.arrays import BoolArray, Float32Array, FloatArray
@@ -29,6 +31,7 @@ STILL_SIGMA = 0.1  # of its sigma a position may change in a round that is the l
 MISFIT_MAX = 3.0  # per degree of freedom: points at edges have residuals of their own
 STIFF = 1e8  # times the odometer's weight: no freedom
 SAID = 4.0  # sigma by which frames and odometer must differ before it is said
+CHANCE = 4.0  # sigma by which a texture must stand out of noise
 EPSILON = 1e-3  # of a step, and rad of the height's phase: differences in place of derivatives
 
 
@@ -103,7 +106,12 @@ def find_steps(
         weight = cauchy((place - scale * said) / (CAUCHY * both))
     slipped = np.abs(place - scale * said) > SAID * both
     if drift_sigma > 0:
-        return Steps(place / scale, sigma, said, 1.0, np.inf, slipped)
+        place = place / scale
+        view = View.of(one, projector, place[:, None] * direction)
+        scale, own = stretch(view, samples, some, found.height_mm, place, direction)
+        if abs(scale - 1) > SAID * own:
+            place, sigma = place * scale, np.hypot(sigma, place * own)
+        return Steps(place, sigma, said, scale, own, slipped)
     return Steps(place, sigma, said, scale, below**-0.5, slipped)
 
 
@@ -151,9 +159,10 @@ def _texture(change: FloatArray, lit: FloatArray) -> tuple[FloatArray, float]:
     product, square = np.nan_to_num(change * lit), np.where(np.isfinite(change * lit), lit**2, 0.0)
     others = (product.sum(axis=0) - product) / np.maximum(square.sum(axis=0) - square, 1e-12)
     slope = product.sum(axis=0) / np.maximum(square.sum(axis=0), 1e-12)
-    scatter = np.nansum((change - slope * lit) ** 2) / (len(change) - 1) / len(change)
+    scatter = np.nansum((change - slope * lit) ** 2) / (len(change) - 1) ** 2
     whole = float(np.nansum((others * lit) ** 2)) / len(change)
-    return np.where(np.isfinite(change), others * lit, np.nan), max(0.0, 1.0 - scatter / max(whole, 1e-300))
+    chance = 1 + CHANCE * np.sqrt(2 / lit.shape[1])  # noise alone may show that much
+    return np.where(np.isfinite(change), others * lit, np.nan), max(0.0, 1.0 - chance * scatter / max(whole, 1e-300))
 
 
 def _residual(
