@@ -21,6 +21,7 @@ TABLE = Table(
         "mirror": "Mirror sensor for small pipes (§3.6)",
         "stereo": "Two cameras, 360 degrees (ch. 5)",
         "fringe": "Motion phase shifting (ch. 6)",
+        "fringe_plate": "Motion phase shifting in pictures (ch. 6)",
         "pattern": "Pattern design",
         "speed": "Speed, one core",
     },
