@@ -5,6 +5,7 @@ import re
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 
 from annulus.cli.show import Json, group
@@ -49,6 +50,15 @@ def design(
     nominal_mm: Annotated[
         float | None, typer.Option(help="Pipe in which stripes are of one width. [default: the middle of the range]")
     ] = None,
+    fringe: Annotated[
+        bool, typer.Option("--fringe", help="A slide of waves, for fringes, in place of coloured stripes.")
+    ] = False,
+    period_mm: Annotated[
+        float | None, typer.Option(min=0.1, max=1000.0, help="With --fringe: a period along the wall, mm.")
+    ] = None,
+    defocus_mm: Annotated[
+        float, typer.Option(min=0.0, max=10.0, help="With --fringe: diameter of the lens's blur on the slide, mm.")
+    ] = 0.0,
     slit_px: Annotated[float, typer.Option(min=2.0, max=100.0, help="Width of a slit in the image, px.")] = 8.0,
     inner_deg: Annotated[float | None, typer.Option(help="Full angle where the pattern begins; else chosen.")] = None,
     outer_deg: Annotated[float | None, typer.Option(help="Full angle where the pattern ends; else chosen.")] = None,
@@ -61,7 +71,15 @@ def design(
 
     With --head stereo nothing is laid out: cameras and rings are read from --calibration, and for the ends and the
     middle of --pipe-mm is drawn and said where each camera knows the wall, and where both together know it worst.
+
+    With --fringe the rings are a wave whose phase is linear along the wall of that pipe: give --period-mm,
+    --distance-mm, --inner-deg, --outer-deg, --projector-f-mm.
     """
+    if fringe:
+        _fringe(pipe_mm, period_mm, distance_mm, inner_deg, outer_deg, projector_f_mm, defocus_mm, out, as_json)
+        return
+    if period_mm is not None or defocus_mm:
+        raise AnnulusError("--period-mm and --defocus-mm go with --fringe")
     if head not in ("sequence", "stereo"):
         raise AnnulusError(f'--head is "{head}", expected sequence or stereo')
     if head == "stereo":
@@ -139,6 +157,43 @@ def _diameters(text: str) -> tuple[float, float]:
     if not 0 < least <= most <= 1e4:
         raise AnnulusError(f'--pipe-mm is "{text}", expected a diameter in mm, or a range like 100-160')
     return least, most
+
+
+def _fringe(
+    pipe_mm: str, period_mm: float | None, distance_mm: float | None, inner_deg: float | None, outer_deg: float | None,
+    focal_mm: float | None, defocus_mm: float, out: Path, as_json: bool,
+) -> None:  # fmt: skip
+    from annulus.calibrate.fringe_slide import write_ring_slide
+    from annulus.fringe import ring_slide
+
+    if period_mm is None or distance_mm is None or inner_deg is None or outer_deg is None or focal_mm is None:
+        raise AnnulusError(
+            "--fringe needs --period-mm, --distance-mm, --inner-deg, --outer-deg and --projector-f-mm: the wave on the "
+            "wall, where the projector stands behind the camera, its field, the slide's lens"
+        )
+    least, most = _diameters(pipe_mm)
+    slide = ring_slide(
+        (least + most) / 4, period_mm, distance_mm, (inner_deg / 2, outer_deg / 2), focal_mm, defocus_mm
+    )  # fmt: skip
+    written = write_ring_slide(slide, out)
+    edges = np.array([slide.inner_mm, slide.outer_mm])
+    left = [round(float(one), 3) for one in slide.modulation(edges)]
+    told = {
+        "kind": "fringe", "rings": slide.rings, "period_mm": period_mm, "pipe_diameter_mm": (least + most) / 2,
+        "radii_mm": edges.tolist(), "finest_mm": slide.finest_mm, "modulation": left, "ahead_mm": list(slide.wall_mm),
+        "files": [str(path) for path in written],
+    }  # fmt: skip
+    if as_json:
+        print(json.dumps(told))
+        return
+    near, far = slide.wall_mm
+    print(
+        f"wave       {period_mm:g} mm along the wall of a pipe of {told['pipe_diameter_mm']:g} mm, {slide.rings} rings"
+    )
+    print(f"wall       {near:.0f} to {far:.0f} mm ahead of the camera")
+    print(f"slide      radii {slide.inner_mm:.3f} to {slide.outer_mm:.3f} mm, finest period {slide.finest_mm:.4f} mm")
+    print(f"modulation {left[0]:.0%} of the innermost, {left[1]:.0%} of the outermost ring is left by the defocus")
+    print("written    " + ", ".join(str(path) for path in written))
 
 
 def _stereo(pipe_mm: str, file: Path | None, out: Path, as_json: bool) -> None:

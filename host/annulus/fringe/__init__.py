@@ -7,16 +7,24 @@ grey levels are linear in light. A wrong position shows as a misfit that follows
 from the frames. `noise` says what misfit is usual, `texture` takes out what albedo and blur do to the phase, `merge`
 joins cameras, `stereo_phase` takes the phase two cameras agree on, whatever the slide, `stream` takes a scan as it
 comes, `source` is the source's own method.
+
+In a pipe (§6.8.2, Model A): `measure_pipe` makes a map of the radius, its head found from the scan itself (`placement`,
+`bore`), `find_scratches` the defects of it, and `calibrate_pipe` the projector from a clean pipe; `ring_slide` says how
+to draw the rings.
 """
 
 from annulus.fringe.calibration import NAMES as plate_names
 from annulus.fringe.calibration import PlateCalibration, ReferencePlate, calibrate_plate
+from annulus.fringe.clean import PipeCalibration, calibrate_pipe
 from annulus.fringe.edges import edged
 from annulus.fringe.head import FringeHead, projector_to_dict
 from annulus.fringe.heights import Heights, Points, View, heights, spline
 from annulus.fringe.merge import merged
 from annulus.fringe.noise import noise_of
+from annulus.fringe.pipe import PipeMap, measure_pipe
 from annulus.fringe.projector import FringeProjector
+from annulus.fringe.scratches import find_scratches
+from annulus.fringe.slide import RingSlide, ring_slide
 from annulus.fringe.steps import Steps, find_steps
 from annulus.fringe.stereo_phase import stereo_heights
 from annulus.fringe.stream import stream
@@ -27,20 +35,27 @@ __all__ = [
     "FringeHead",
     "FringeProjector",
     "Heights",
+    "PipeCalibration",
+    "PipeMap",
     "PlateCalibration",
     "Points",
     "ReferencePlate",
+    "RingSlide",
     "Steps",
     "Transfer",
     "View",
+    "calibrate_pipe",
     "calibrate_plate",
     "edged",
+    "find_scratches",
     "find_steps",
     "heights",
+    "measure_pipe",
     "merged",
     "noise_of",
     "plate_names",
     "projector_to_dict",
+    "ring_slide",
     "spline",
     "stereo_heights",
     "stream",

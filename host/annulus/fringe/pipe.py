@@ -1,0 +1,360 @@
+"""A pipe's wall from the frames of one camera and a slide of rings in series (Alzuhiri 2022, §6.8.2.1, Model A).
+
+    seen = measure_pipe(camera, projector, images, z_mm, radius_mm)        a `PipeMap`
+
+The slide's rings stand still in the image of a clean pipe: it is the wall that moves through them. Each cell's frames
+say its radius; all cells together say how the head lay in the pipe, frame by frame, and what its light is like
+(`placement`). Then comes what the lens's blur makes of the wall's texture (`bore`), from the map itself: each map gives
+the albedo's slope for the next, and a shadow's edge is one, too. Sigma is a cell's own, of its frames, and what cells
+apart scatter beyond that.
+
+Where neither a frame's parallax nor a neighbour decides the order of the fringe a cell is ambiguous and NaN. Where a
+loss is so narrow that its near rim keeps light or sight off its floor, or the blur fills it, its radius is a lower
+limit: `at_least`.
+"""
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from scipy.ndimage import binary_erosion, label, uniform_filter
+
+from annulus.fringe.bore import TERMS, follow_wall
+from annulus.fringe.heights import PARALLAX, Heights, Points, spline
+from annulus.fringe.noise import noise_of
+from annulus.fringe.placement import LAW, Freedom, Head, refined
+from annulus.fringe.projector import FringeProjector
+from annulus.fringe.track import AMBIGUOUS, GOOD, ROBUST_FROM
+from annulus.geometry.calibration import HeadCamera
+from annulus.numeric.arrays import BoolArray, Float32Array, FloatArray, Image, IntArray
+from annulus.numeric.robust import robust_sigma
+from annulus.vocabulary import AnnulusError
+
+CELL_OF_RADIUS = 1 / 200  # a cell: half a millimetre in an 8-inch pipe, about a pixel
+DARK = 0.06  # of the brightest: below that no light falls on the wall
+REACH_PX = 4  # of a blur and of a cubic spline: what lies so near the field's edge is not used
+LIT_LEAST = 0.01  # of the image: less is no slide of rings on a wall
+SOME = 4000  # cells that place the head: its poses are then known to micrometres
+ROUNDS, BLURRED = 5, 2  # for the head; maps with the blur taken out: a third changes nothing
+POSE_SIGMA = (0.05, 0.05, 0.0, 0.03, 0.03, 0.0)  # rad, radii: a head's lean and offset; roll and place are as told
+RADIUS_SIGMA = 0.03  # of it: what is believed of the stated radius
+DRIFT = 0.1  # share by which a point's light may drift along half its track, beside the shading
+WALL_LEAST = 1e-4  # of the radius: no wall is rounder
+SLOPE_MAX = 1.0  # 1 / mm: an edge of albedo is sharper, the blur of it is not
+APART = 8  # cells: two so far from each other share neither pixels nor texture
+ROWS, LONG_ROWS, ROW_LEAST = 2, 16, 100  # either way, for cells apart round and along; cells that tell a scatter
+NARROW_BLURS = 6.0  # sigma of the blur: it widens a loss by two each way, and two must lie between to show a floor
+BEYOND_FIRST = 0.2  # of what texture was found to do: a slope says it to the first order of the blur
+STARTS = 4.0  # sigma above which a cell is part of a loss
+CONTINUOUS = 0.25  # of a period: neighbours nearer than that are one surface
+CONTRADICTED = 0.3  # cells of a surface that speak for another order, over those that speak for this one
+TRIED = 4000  # cells whose other orders are tried
+
+
+@dataclass(frozen=True, slots=True)
+class PipeMap:
+    """The wall as one scan shows it, in the pipe's frame (x right, y down, z along; phi from x towards y).
+
+    z_mm (Z,), phi_deg (A,). radius_mm, sigma_mm (Z, A): NaN where not told. flag (Z, A): track.GOOD .. AMBIGUOUS.
+    at_least : (Z, A) bool, the floor of a loss was not seen: the radius is a lower limit. dc, modulation (Z, A): light
+    of the wall with the head's own shading taken out, and AC over DC. frames (Z, A): how many told. head : poses,
+    shading, blur, and the mean radius.
+    noise : of a grey level, as `noise_of` says.
+    """
+
+    z_mm: FloatArray
+    phi_deg: FloatArray
+    radius_mm: FloatArray
+    sigma_mm: FloatArray
+    flag: Image
+    at_least: BoolArray
+    dc: FloatArray
+    modulation: FloatArray
+    frames: IntArray
+    head: Head
+    noise: tuple[float, float, float]
+
+    @property
+    def cell_mm(self) -> tuple[float, float]:
+        """Along, and round the pipe."""
+        return float(self.z_mm[1] - self.z_mm[0]), 2 * np.pi * self.head.radius_mm / len(self.phi_deg)
+
+
+def measure_pipe(
+    camera: HeadCamera,
+    projector: FringeProjector,
+    images: Float32Array,
+    z_mm: FloatArray,
+    radius_mm: float,
+    *,
+    cell_mm: float | None = None,
+    seed: int = 0,
+) -> PipeMap:
+    """The wall of a pipe from N >= 3 frames.
+
+    images : (N, H, W) grey levels linear in light, black at 0, NaN where saturated. z_mm : (N,) where the head was, as
+    measured, any steps. radius_mm : the pipe's, roughly (to a third of a fringe). AnnulusError where frames are too
+    few, do not fit the positions or the camera, show no lit wall, or where the head stood still.
+    """
+    z_mm = np.asarray(z_mm, dtype=float)
+    if len(images) != len(z_mm):
+        raise AnnulusError(f"{len(images)} images for {len(z_mm)} positions")
+    poses = np.zeros((len(z_mm), 6))
+    poses[:, 5] = z_mm
+    head = Head(camera, projector, poses, np.zeros((3, TERMS)), radius_mm)
+    head, coefficients, (near, far) = lit_wall(head, images)
+    step = cell_mm or CELL_OF_RADIUS * radius_mm
+    z = np.arange(np.ceil((z_mm.min() + near) / step) * step, z_mm.max() + far, step)
+    phi = np.arange(round(2 * np.pi * radius_mm / step)) * 2 * np.pi / round(2 * np.pi * radius_mm / step)
+    points = Points.pipe(phi, z, radius_mm)
+    random = np.random.default_rng(seed)
+    pick = np.sort(random.choice(len(points.base), min(SOME, len(points.base)), replace=False))
+    head, noise = _placed(head, coefficients, points.some(pick), poses)
+    maps = _Maps(coefficients, points, noise, step)
+    found = maps.told(head, np.full(len(points.base), head.radius_mm - radius_mm), None)
+    plain, texture = found, maps.texture(found)
+    for _ in range(BLURRED):
+        texture = maps.texture(found)
+        head = _refocused(head, coefficients, points.some(pick), poses, noise, found.height_mm[pick], texture[pick])
+        found = maps.told(head, np.nan_to_num(found.height_mm), texture)
+    found = _decided(head, coefficients, points, found, noise)
+    shape = points.shape
+    found = _scattered(head, z, found, shape, plain.height_mm, np.isfinite(texture))
+    height, sigma = found.height_mm.reshape(shape), found.sigma_mm.reshape(shape)
+    return PipeMap(
+        z, np.degrees(phi), radius_mm + height, sigma, found.flag.astype(np.uint8).reshape(shape),
+        _lower_limits(head, z, height, sigma, step), found.dc.reshape(shape), found.modulation.reshape(shape),
+        np.nan_to_num(found.used).astype(int).reshape(shape), head,
+        noise,
+    )  # fmt: skip
+
+
+def lit_wall(head: Head, images: Float32Array) -> tuple[Head, Float32Array, tuple[float, float]]:
+    """The head with its shading's extent, the frames as splines, NaN where the slide throws no light, and how far
+    ahead the lit wall begins and ends, mm. What lies in the dark of a rod or beyond the slide's edge stays there: they
+    move with the head."""
+    lens = head.camera.camera
+    if images.shape[1:] != (lens.height, lens.width):
+        raise AnnulusError(
+            f"images of {images.shape[2]}x{images.shape[1]}, but the camera is {lens.width}x{lens.height}"
+        )
+    head.view  # noqa: B018  says what is wrong with lens and positions
+    whole = np.isfinite(images).all(axis=0)
+    if not whole.any():
+        raise AnnulusError("every pixel is saturated in some frame: less light, or a shorter flash")
+    mean = np.where(whole, np.where(np.isfinite(images), images, 0).mean(axis=0), 0)
+    on = (mean > DARK * np.percentile(mean, 99)).astype(np.uint8)
+    if on.mean() < LIT_LEAST:
+        raise AnnulusError(f"{on.mean():.1%} of the image is lit: no rings of light on a pipe's wall")
+    # a trough may be as dark as no light at all: along the radius, dark no longer than a fringe is lit
+    size = (int(np.hypot(*mean.shape)), int(np.pi * min(mean.shape)))
+    way = cv2.WARP_POLAR_LINEAR | cv2.INTER_NEAREST
+    flat = cv2.warpPolar(on, size, (lens.cx, lens.cy), size[0], way)
+    flat = cv2.morphologyEx(flat, cv2.MORPH_CLOSE, np.ones((1, _fringe_px(head)), np.uint8))
+    on = cv2.warpPolar(flat, mean.shape[::-1], (lens.cx, lens.cy), size[0], way | cv2.WARP_INVERSE_MAP)
+    lit = np.asarray(binary_erosion((on > 0) & whole, iterations=REACH_PX))
+    v, u = np.nonzero(lit)
+    if len(u) < LIT_LEAST * lit.size:
+        raise AnnulusError("no wall is lit in all frames: are they saturated, or of another slide?")
+    rays = lens.rays(np.stack([u, v], axis=1).astype(float))
+    ahead = head.radius_mm * rays[:, 2] / np.hypot(rays[:, 0], rays[:, 1])
+    near, far = (float(one) for one in np.quantile(ahead[np.isfinite(ahead)], [0.0005, 0.9995]))
+    coefficients = spline(images)
+    coefficients[:, ~lit] = np.nan
+    shading = head.shading.copy()
+    shading[0, :2] = (near + far) / 2, (far - near) / 2
+    return replace(head, shading=shading), coefficients, (near, far)
+
+
+def _fringe_px(head: Head) -> int:
+    """The longest fringe in the image of a wall that is as far off as the projector's own nominal one."""
+    lens, slide = head.camera.camera, head.projector
+    z = np.arange(0.2, 4.0, 0.01) * head.radius_mm
+    wall = np.stack([np.full_like(z, head.radius_mm), np.zeros_like(z), z], axis=1)
+    pixel, phase = lens.project(wall)[:, 0], slide.phase(wall)
+    rate = np.abs(np.gradient(pixel) / np.gradient(phase))
+    inside = (pixel > 0) & (pixel < lens.width) & np.isfinite(rate)
+    if not inside.any():
+        raise AnnulusError("the camera sees nothing of the wall the projector lights: is the calibration this head's?")
+    return int(min(2 * np.pi * float(rate[inside].max()), lens.width / 8)) | 1
+
+
+def followed(
+    head: Head, images: Float32Array, points: Points, start: FloatArray, noise: tuple[float, float, float],
+    texture: FloatArray | None = None,
+) -> Heights:  # fmt: skip
+    """`follow_wall` of those points, heights outwards from where the points are."""
+    view, count = head.view, len(points.base)
+    height, sigma, dc, ac, misfit, used, flag = (np.full(count, np.nan) for _ in range(7))
+    follow_wall(
+        images, view.lens, view.cameras, view.eyes, view.projectors, view.slide, head.shading,
+        head.blur_squared if texture is not None else 0.0, view.drift, DRIFT, np.array(noise), points.base,
+        np.ascontiguousarray(points.path), np.zeros(count) if texture is None else np.nan_to_num(texture), start,
+        head.radius_mm * 1e-5, height, sigma, dc, ac, misfit, used, flag,
+    )  # fmt: skip
+    return Heights(height, sigma, dc, ac, misfit, used, flag, np.empty((0, 0), np.float32))
+
+
+def _freedom(head: Head, said: FloatArray, wall: float) -> Freedom:
+    sigma = np.array(POSE_SIGMA) * [1, 1, 1, head.radius_mm, head.radius_mm, head.radius_mm]
+    return Freedom(
+        said, np.tile(sigma, (len(said), 1)), np.zeros(6), np.zeros(LAW), wall_mm=wall, drift=DRIFT,
+        radius_mm=RADIUS_SIGMA * head.radius_mm,
+    )  # fmt: skip
+
+
+def _placed(
+    head: Head, images: Float32Array, points: Points, said: FloatArray
+) -> tuple[Head, tuple[float, float, float]]:
+    """The head's poses and shading from some cells, and the noise."""
+    base = float(np.hypot(*points.base[0, :2]))
+    wall, noise = RADIUS_SIGMA * base, (1.0, 0.0, 0.0)
+    for turn in range(ROUNDS):
+        start = np.full(len(points.base), head.radius_mm - base)
+        found = followed(head, images, points, start, (1.0, 0.0, 0.0))
+        noise = noise_of(found)
+        found = followed(head, images, points, start, noise)
+        if turn > 1:
+            wall = _scatter(found, base)
+        head, _ = refined(head, images, points, _freedom(head, said, wall), noise, found)
+    return head, noise
+
+
+def _refocused(
+    head: Head, images: Float32Array, points: Points, said: FloatArray, noise: tuple[float, float, float],
+    start: FloatArray, texture: FloatArray,
+) -> Head:  # fmt: skip
+    """The head again, its lens's blur from what slopes of albedo do to the phase."""
+    base = float(np.hypot(*points.base[0, :2]))
+    for _ in range(2):
+        found = followed(head, images, points, np.nan_to_num(start), noise, texture)
+        head, _ = refined(
+            head, images, points, _freedom(head, said, _scatter(found, base)), noise, found, np.nan_to_num(texture)
+        )
+    return head
+
+
+def _scatter(found: Heights, base: float) -> float:
+    h = found.height_mm[found.flag == GOOD]
+    if not len(h):
+        raise AnnulusError("no cell of the wall shows fringes: is this the slide of the calibration?")
+    return max(robust_sigma(h - np.median(h)), WALL_LEAST * base)
+
+
+@dataclass(frozen=True, slots=True)
+class _Maps:
+    """The grid, and what one map says for the next."""
+
+    images: Float32Array
+    points: Points
+    noise: tuple[float, float, float]
+    step_mm: float
+
+    def told(self, head: Head, start: FloatArray, texture: FloatArray | None) -> Heights:
+        return followed(head, self.images, self.points, start, self.noise, texture)
+
+    def texture(self, found: Heights) -> FloatArray:
+        """(P,) slope of the albedo along the pipe over itself, 1 / mm; NaN where too few frames know it."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            known = (found.flag == GOOD) & (found.dc > 0) & (found.used >= ROBUST_FROM)  # fewer know no DC by itself
+            dc = np.log(np.where(known, found.dc, np.nan)).reshape(self.points.shape)
+        rise = np.full((len(dc) + 1, dc.shape[1]), np.nan)
+        rise[1:-1] = np.diff(dc, axis=0) / self.step_mm
+        before, after = rise[:-1], rise[1:]  # at an end there is only one
+        slope = np.where(np.isfinite(before), np.where(np.isfinite(after), (before + after) / 2, before), after).ravel()
+        return np.clip(slope, -SLOPE_MAX, SLOPE_MAX)
+
+
+def _scattered(
+    head: Head, z_mm: FloatArray, found: Heights, shape: tuple[int, int], plain_mm: FloatArray, sloped: BoolArray
+) -> Heights:
+    """Sigma as cells APART differ, row by row: how far ahead and how often a row was seen decides what texture and blur
+    leave beyond the noise of frames. Most of the wall is smooth over that distance. plain_mm : (P,) heights with the
+    texture's share still in them; sloped : (P,) bool, whether that is known. What is not known of a large share is
+    large, and cells without a slope of their own may have as much of it as others had."""
+    h = np.where(found.flag == GOOD, found.height_mm, np.nan).reshape(shape)
+    across, along = (h - np.roll(h, APART, axis=1)) / np.sqrt(2), np.full(shape, np.nan)
+    along[APART:] = (h[APART:] - h[:-APART]) / np.sqrt(2)
+    own = (found.sigma_mm**2).reshape(shape)
+    variance = own.copy()
+    for j in range(shape[0]):
+        beyond = [0.0]
+        for apart, rows in ((across, ROWS), (along, LONG_ROWS)):
+            near = slice(max(j - rows, 0), j + rows + 1)
+            told = apart[near][np.isfinite(apart[near])]
+            if len(told) >= ROW_LEAST:
+                beyond.append(robust_sigma(told) ** 2 - float(np.nanmedian(own[near])))
+        variance[j] += max(beyond)
+    few = ~sloped.reshape(shape)
+    changed = (found.height_mm - plain_mm).reshape(shape)
+    variance += np.nan_to_num(BEYOND_FIRST * changed) ** 2
+    changed = changed[~few & np.isfinite(changed)]
+    usual = robust_sigma(changed) if len(changed) else 0.0
+    middle, half = head.shading[0, :2]
+    ahead = middle + half * np.where(z_mm < z_mm.mean(), -1.0, 1.0)  # where few frames see a cell: at an end
+    wider = ((head.radius_mm**2 + ahead**2) / (head.radius_mm**2 + middle**2)) ** 2  # a blur's square on the wall
+    variance += np.where(few, (usual * wider[:, None]) ** 2, 0.0)
+    return replace(found, sigma_mm=np.sqrt(variance.ravel()))
+
+
+def _decided(
+    head: Head, images: Float32Array, points: Points, found: Heights, noise: tuple[float, float, float]
+) -> Heights:
+    """Surfaces whose order of fringe is not decided are ambiguous: each joined one by its cells' other orders."""
+    shape = points.shape
+    good = found.flag == GOOD
+    h = np.where(good, found.height_mm, np.nan)
+    if not good.any():
+        return found
+    spacing = 2 * np.pi / np.abs(head.view.radians_per_mm(points, np.nan_to_num(h)))
+    near = CONTINUOUS * float(np.median(spacing[good]))
+    smooth = uniform_filter(np.nan_to_num(h).reshape(shape), 3) / np.maximum(
+        uniform_filter(good.reshape(shape).astype(float), 3), 1e-9
+    )
+    joined = good.reshape(shape) & (np.abs(np.nan_to_num(h).reshape(shape) - smooth) < near)
+    surface, count = label(joined, structure=np.ones((3, 3)))
+    every = np.flatnonzero(good)[:: max(int(good.sum()) // TRIED, 1)]
+    tried = points.some(every)
+    plain = followed(head, images, tried, h[every], noise)
+    which = surface.ravel()[every]
+    largest = int(np.argmax(np.bincount(surface.ravel(), minlength=count + 1)[1:])) + 1 if count else 0
+    sure = np.ones(count + 1, bool)
+    for way in (-1, 1):
+        other = followed(head, images, tried, h[every] + way * spacing[every], noise)
+        with np.errstate(invalid="ignore"):
+            another = (other.flag == GOOD) & (np.abs(other.height_mm - h[every]) > near)
+            worse = np.where(another, other.misfit - plain.misfit, np.inf)
+        spoken = np.bincount(which, weights=worse > PARALLAX, minlength=count + 1)
+        against = np.bincount(which, weights=worse < -PARALLAX, minlength=count + 1)
+        told = spoken > 0
+        told[largest] = True  # what the stated radius says of the wall itself, until cells speak against it
+        sure &= told & (against <= CONTRADICTED * spoken)
+    sure[0] = False
+    unsure = good & ~sure[surface.ravel()] & (surface.ravel() > 0)
+    return replace(
+        found,
+        height_mm=np.where(unsure, np.nan, found.height_mm),
+        sigma_mm=np.where(unsure, np.nan, found.sigma_mm),
+        flag=np.where(unsure, AMBIGUOUS, found.flag),
+    )
+
+
+def _lower_limits(head: Head, z: FloatArray, height: FloatArray, sigma: FloatArray, step: float) -> BoolArray:
+    """(Z, A) cells of losses that are narrower along the pipe than what their rim hides and the blur fills."""
+    middle = head.radius_mm
+    outer = height - np.nanmedian(height)
+    with np.errstate(invalid="ignore"):
+        deep = (outer > STARTS * sigma) & (outer > STARTS * robust_sigma(outer[np.isfinite(outer)]))
+    runs, count = label(deep, structure=[[0, 1, 0], [0, 1, 0], [0, 1, 0]])
+    if not count:
+        return np.zeros(height.shape, bool)
+    size = np.bincount(runs.ravel(), minlength=count + 1) * step
+    depth = np.zeros(count + 1)
+    np.maximum.at(depth, runs.ravel(), np.where(deep, outer, 0.0).ravel())
+    ahead = head.shading[0, 0]  # the middle of the seen wall
+    lamp = ahead - head.projector.centre_mm[2]
+    lens = head.camera.camera
+    blur = np.sqrt(head.blur_squared) * (middle**2 + ahead**2) / (middle * lens.fx)
+    narrow = size < depth * lamp / middle + NARROW_BLURS * blur
+    narrow[0] = False
+    return np.asarray(narrow[runs])

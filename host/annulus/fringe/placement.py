@@ -1,0 +1,313 @@
+"""Where a head is in a pipe, what light it throws and where its projector stands, from the frames themselves.
+
+All of it is one least-squares problem over some thousand points of the wall: six numbers of pose a frame, the light's
+shading, the lens's blur, and, in a clean pipe, the projector's place, direction and phase law. A point's own albedo,
+modulation, height and drift of light are projected out first (variable projection), so that none of them passes for a
+motion of the head. What a scan alone cannot tell, how the whole head lies in the pipe, is told by the wall being round
+on the whole: every height is believed to be the pipe's radius to within what heights scatter by, and the more it
+departs the less it says (Cauchy). Wrong where a wall is no circle with a straight axis: the pose then leans.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from annulus.fringe.bore import DEGREE, TERMS, look_around
+from annulus.fringe.heights import Heights, Points, View
+from annulus.fringe.projector import FringeProjector
+from annulus.geometry.calibration import HeadCamera
+from annulus.numeric.arrays import BoolArray, Float32Array, FloatArray
+from annulus.numeric.robust import CAUCHY, cauchy
+from annulus.vocabulary import AnnulusError
+
+POSE, LAW = 6, 7  # numbers of a pose; of a projector: centre, two of its direction, phase, logarithm of its period
+EPSILON = 1e-5  # rad: differences in place of derivatives
+EPSILON_LAW = np.array([1e-3, 1e-3, 1e-3, 1e-6, 1e-6, 1e-4, 1e-7])
+SHADING_SIGMA = 0.5  # of a coefficient: light changes by a factor along the seen wall, not by orders of magnitude
+BLUR_SIGMA = 2.0  # px^2
+
+
+@dataclass(frozen=True, slots=True)
+class Head:
+    """A head in N frames, and what is known of its light.
+
+    poses : (N, 6) rotation vector (rad, world's vectors to the head's) and place (mm) of the first camera's frame.
+    shading : (3, TERMS), see `bore`. blur_squared : of the image, px^2. radius_mm : of the pipe's wall.
+    """
+
+    camera: HeadCamera
+    projector: FringeProjector
+    poses: FloatArray
+    shading: FloatArray
+    radius_mm: float
+    blur_squared: float = 0.0
+
+    @property
+    def view(self) -> View:
+        turns = Rotation.from_rotvec(self.poses[:, :3]).as_matrix()
+        return View.of(self.camera, self.projector, self.poses[:, 3:], np.asarray(turns))
+
+
+@dataclass(frozen=True, slots=True)
+class Freedom:
+    """What is believed before the frames are asked, and its standard deviations; 0: known. said, poses : (N, 6) poses
+    and theirs, each frame's own; together : (6,) of what all frames may be off alike. law : (LAW,) of the projector;
+    harmonics : how many pairs are sought. wall_mm : how far heights scatter about the radius; drift : of a point's
+    light along half its track; radius_mm : of the radius."""
+
+    said: FloatArray
+    poses: FloatArray
+    together: FloatArray
+    law: FloatArray
+    harmonics: int = 0
+    wall_mm: float = 1.0
+    drift: float = 0.0
+    radius_mm: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Looks:
+    """Some points in every frame as `look_around` sees them: (N, P), and seen (N, P, 3)."""
+
+    grey: FloatArray
+    phase: FloatArray
+    slope: FloatArray
+    pull: FloatArray
+    seen: FloatArray
+
+    @staticmethod
+    def of(head: Head, images: Float32Array, x: FloatArray, normal: FloatArray) -> "Looks":
+        view = head.view
+        shape = (len(view.cameras), len(x))
+        one = Looks(np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape), np.empty((*shape, 3)))
+        look_around(
+            images, view.lens, view.cameras, view.eyes, view.projectors, view.slide, np.ascontiguousarray(x),
+            np.ascontiguousarray(normal), one.grey, one.phase, one.slope, one.pull, one.seen,
+        )  # fmt: skip
+        return one
+
+
+def shading_terms(shading: FloatArray, seen: FloatArray) -> FloatArray:
+    """(..., 3) mm before the camera -> (..., TERMS)."""
+    t = (seen[..., 2] - shading[0, 0]) / shading[0, 1]
+    rho = np.hypot(seen[..., 0], seen[..., 1])
+    around = np.stack([np.ones_like(t), seen[..., 0] / rho, seen[..., 1] / rho], axis=-1)
+    powers = t[..., None] ** np.arange(DEGREE + 1)
+    return np.asarray((powers[..., :, None] * around[..., None, :]).reshape(*t.shape, TERMS))
+
+
+def changed(projector: FringeProjector, step: FloatArray) -> FringeProjector:
+    """A projector whose numbers (LAW) and harmonics are changed by a step."""
+    turn = np.asarray(Rotation.from_rotvec([step[3], step[4], 0.0]).as_matrix() @ np.array(projector.rotation))
+    x, y, z = (float(a + b) for a, b in zip(projector.centre_mm, step[:3], strict=True))
+    harmonics = np.zeros(max(len(projector.harmonics), len(step) - LAW))
+    harmonics[: len(projector.harmonics)] = projector.harmonics
+    harmonics[: len(step) - LAW] += step[LAW:]
+    return replace(
+        projector,
+        centre_mm=(x, y, z),
+        rotation=tuple((float(a), float(b), float(c)) for a, b, c in turn),
+        phase0=projector.phase0 + float(step[5]),
+        period=projector.period * float(np.exp(step[6])),
+        harmonics=tuple(float(v) for v in harmonics),
+    )
+
+
+def refined(
+    head: Head,
+    images: Float32Array,
+    points: Points,
+    freedom: Freedom,
+    noise: tuple[float, float, float],
+    found: Heights | None = None,
+    texture: FloatArray | None = None,
+) -> tuple[Head, FloatArray]:
+    """One Gauss-Newton step, and the covariance (K, K) of poses, shading (gain, depth), blur, radius, law, harmonics.
+
+    found : what `follow_wall` said of the points with this head. None: a clean pipe, whose heights are 0 and whose
+    albedo alone is a point's own; the modulation is then the projector's. texture : (P,) as `follow_wall` takes it.
+    """
+    free = found is not None
+    which = (found.flag == 0) & (found.used >= 4) if found is not None else np.ones(len(points.base), bool)
+    some = points.some(np.flatnonzero(which))
+    h = found.height_mm[which] if found is not None else np.zeros(len(some.base))
+    slope = np.zeros(len(h)) if texture is None else texture[which]
+    frames, count = len(head.poses), len(h)
+    if count < 10 * POSE:
+        raise AnnulusError(f"{count} points of the wall are seen in enough frames: too few to place the head by")
+    view = head.view
+    x = some.at(h)
+    here = Looks.of(head, images, x, some.normal)
+    rows = shading_terms(head.shading, here.seen)
+    phase = here.phase + head.blur_squared * slope * here.pull
+    w = view.wave(phase)
+    gain, depth = np.exp(rows @ head.shading[1]), np.exp(rows @ head.shading[2])
+    good = np.isfinite(here.grey)
+    if found is not None:
+        level, swing = found.dc[which], found.ac[which]
+    else:  # A alone: the mean of what frames say of it
+        unit = gain * (1 + depth * w)
+        level = np.where(good, here.grey * unit, 0).sum(axis=0) / np.maximum(
+            np.where(good, unit**2, 0).sum(axis=0), 1e-9
+        )
+        swing = level
+    lit = gain * (level + swing * depth * w)
+    root = np.where(good, 1 / np.sqrt(noise[0] + np.maximum(lit, 0) * (noise[1] + np.maximum(lit, 0) * noise[2])), 0.0)
+
+    def model(projector: FringeProjector) -> FloatArray:
+        other = replace(head, projector=projector).view
+        there = np.stack([other.phase(x, n) for n in range(frames)])
+        wave = other.wave(there + head.blur_squared * slope * here.pull)
+        return np.asarray(gain * (level + swing * depth * wave))
+
+    rest = here.grey - lit
+    dwave = (view.wave(phase + 1e-5) - view.wave(phase - 1e-5)) / 2e-5
+    rise = gain * swing * depth * dwave
+    # A head that moves sees other wall through the same pixel, farther off or nearer along the pixel's ray: all that
+    # fringes tell of a pose. Pixels' own slopes are not asked: their noise would vouch for any pose.
+    poses = -(rise * here.slope)[..., None] * _outwards(head, x, some.normal)
+    shade = [lit[..., None] * rows, (gain * swing * depth * w)[..., None] * rows]
+    wide = [(rise * slope * here.pull)[..., None], np.zeros((frames, count, 1))]
+    law = np.zeros((frames, count, LAW + 2 * freedom.harmonics))
+    for i in range(law.shape[2]):
+        e = EPSILON_LAW[i] if i < LAW else 1e-4
+        if i >= LAW or freedom.law[i] > 0:
+            step = np.zeros(law.shape[2])
+            step[i] = e
+            law[..., i] = (model(changed(head.projector, step)) - lit) / e
+    common = np.concatenate([*shade, *wide, law], axis=2)
+    # what is a point's own: its albedo; in a pipe not known to be clean, its modulation, height and drift of light too
+    own = [gain * (1 + depth * w)] if not free else [gain, gain * depth * w]
+    if free:
+        own.append(rise * here.slope)
+        if freedom.drift > 0:
+            own.append(lit * view.drift[:, None])
+    bad = ~(good & np.isfinite(rest) & np.isfinite(poses).all(axis=2) & np.isfinite(common).all(axis=2))
+    columns = np.stack(own, axis=-1)
+    root[bad] = 0.0
+    for part in (rest, poses, common, columns):
+        part[bad] = 0.0
+    told = head.radius_mm - np.hypot(x[:, 0], x[:, 1]) if free else None
+    matrix, pull = _normal(rest, poses, common, columns, root, told, freedom)
+    prior, off, held = _prior(head, freedom, common.shape[2], free)
+    matrix += prior
+    pull += off
+    keep = ~held
+    covariance = np.zeros_like(matrix)
+    covariance[np.ix_(keep, keep)] = np.linalg.inv(matrix[np.ix_(keep, keep)])
+    step = covariance @ pull
+    at = frames * POSE
+    shading = head.shading.copy()
+    shading[1:] += step[at : at + 2 * TERMS].reshape(2, TERMS)
+    at += 2 * TERMS
+    return (
+        replace(
+            head,
+            poses=head.poses + step[: frames * POSE].reshape(frames, POSE),
+            shading=shading,
+            blur_squared=max(head.blur_squared + float(step[at]), 0.0),
+            radius_mm=head.radius_mm + float(step[at + 1]),
+            projector=changed(head.projector, step[at + 2 :]),
+        ),
+        covariance,
+    )
+
+
+def _outwards(head: Head, x: FloatArray, normal: FloatArray) -> FloatArray:
+    """(N, P, POSE): how far what the head sees at points x goes outwards, mm, per unit of each number of a pose."""
+    out = np.empty((len(head.poses), len(x), POSE))
+    out[..., 3:] = normal
+    turns = np.asarray(Rotation.from_rotvec(head.poses[:, :3]).as_matrix())
+    for i in range(3):
+        step = np.zeros(3)
+        step[i] = EPSILON
+        other = np.asarray(Rotation.from_rotvec(head.poses[:, :3] + step).as_matrix())
+        for n, m in enumerate(head.poses[:, 3:]):
+            moved = ((x - m) @ turns[n].T) @ other[n] - (x - m)
+            out[n, :, i] = np.einsum("pi,pi->p", moved, normal) / EPSILON
+    return out
+
+
+def _prior(head: Head, freedom: Freedom, common: int, free: bool) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """(K, K) what was believed before, as weights; (K,) how it pulls; (K,) bool, what is known and stays."""
+    frames = len(head.poses)
+    size = frames * POSE
+    weights, pull = np.zeros((size + common, size + common)), np.zeros(size + common)
+    held = np.zeros(size + common, bool)
+    for i in range(POSE):
+        rows = np.arange(frames) * POSE + i
+        own, alike = freedom.poses[:, i], float(freedom.together[i])
+        if alike == 0 and not own.any():
+            held[rows] = True
+            continue
+        least = np.maximum(own, 1e-6 * max(alike, float(own.max())))
+        block = np.linalg.inv(np.diag(least**2) + alike**2)
+        weights[np.ix_(rows, rows)] = block
+        pull[rows] = block @ (freedom.said[:, i] - head.poses[:, i])
+    sigma = np.concatenate(
+        [
+            np.full(2 * TERMS, SHADING_SIGMA),
+            [BLUR_SIGMA if free else 0.0, freedom.radius_mm],
+            freedom.law,
+            np.ones(2 * freedom.harmonics),
+        ]
+    )
+    sigma[0] = 0.0  # a point's albedo says it
+    if free:
+        sigma[TERMS] = 0.0  # and its modulation
+    held[size:] = sigma == 0
+    diagonal = np.where(sigma > 0, 1 / np.maximum(sigma, 1e-12) ** 2, 0.0)
+    weights[np.arange(size, size + common), np.arange(size, size + common)] = diagonal
+    pull[size : size + 2 * TERMS] = -head.shading[1:].ravel() * diagonal[: 2 * TERMS]
+    return weights, pull, held
+
+
+def _normal(
+    rest: FloatArray, poses: FloatArray, common: FloatArray, columns: FloatArray, root: FloatArray,
+    told: FloatArray | None, freedom: Freedom,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    """Normal equations of poses and common numbers, what is a point's own projected out."""
+    frames, count = rest.shape
+    width = columns.shape[2]
+    extra = 2 if told is not None else 0  # rows: a height is the radius; a light does not drift
+    for turn in range(3):
+        own = np.zeros((count, frames + extra, width))
+        own[:, :frames] = (columns * root[..., None]).transpose(1, 0, 2)
+        r = np.zeros((count, frames + extra))
+        r[:, :frames] = (rest * root).T
+        everyone = np.zeros((count, frames + extra, common.shape[2]))
+        everyone[:, :frames] = (common * root[..., None]).transpose(1, 0, 2)
+        if told is not None:
+            share = np.sqrt(cauchy(told / (CAUCHY * freedom.wall_mm))) / freedom.wall_mm
+            own[:, frames, 2] = share
+            r[:, frames] = told * share
+            everyone[:, frames, 2 * TERMS + 1] = -share
+            if width > 3:
+                own[:, frames + 1, 3] = 1 / freedom.drift
+        q = np.linalg.qr(own)[0]
+        left = r - np.einsum("pni,pi->pn", q, np.einsum("pni,pn->pi", q, r))
+        if turn < 2:
+            root = root * np.sqrt(cauchy(left[:, :frames].T / CAUCHY))
+    d = (poses * root[..., None]).transpose(1, 0, 2)
+    size = frames * POSE
+    matrix = np.zeros((size + common.shape[2], size + common.shape[2]))
+    blocks = np.einsum("pni,pnj->nij", d, d)
+    for n in range(frames):
+        matrix[n * POSE : (n + 1) * POSE, n * POSE : (n + 1) * POSE] = blocks[n]
+    cross = np.einsum("pni,pnk->nik", d, everyone[:, :frames]).reshape(size, -1)
+    matrix[:size, size:], matrix[size:, :size] = cross, cross.T
+    flat = everyone.reshape(-1, common.shape[2])
+    matrix[size:, size:] = flat.T @ flat
+    inner = np.concatenate(
+        [
+            np.einsum("pni,pnj->pjni", d, q[:, :frames]).reshape(count * width, size),
+            np.einsum("pnk,pnj->pjk", everyone, q).reshape(count * width, -1),
+        ],
+        axis=1,
+    )
+    matrix -= inner.T @ inner
+    pull = np.concatenate(
+        [np.einsum("pni,pn->ni", d, left[:, :frames]).ravel(), np.einsum("pnk,pn->k", everyone, left)]
+    )
+    return matrix, pull
