@@ -1,0 +1,31 @@
+"""Butt-fusion joints: a CT volume to surfaces, beads, density, heat-affected zone and flaws. Arrays in, arrays out.
+
+    joint = image(ArrayVolume(grey, (0.288, 0.288, 0.288)))
+    joint.zone.width, joint.thickness_mm, joint.flaws
+
+Chapter 9 of the source. The pipe's axis is a line; planes at right angles to it are unrolled (`unwrap`), the wall's two
+surfaces found (`surface`), the machine's traces taken out of the density between them (`density`). Angles run from the
+volume's x towards its y, z along the axis from where it crosses the first slice. No CT of a PE joint is public: proven
+on simulated ones only.
+"""
+
+from annulus.joints.features import features, maps, summary
+from annulus.joints.flaws import Flaw
+from annulus.joints.image import JointImage, Parts, image
+from annulus.joints.surface import Bead
+from annulus.joints.unwrap import ArrayVolume, Volume
+from annulus.joints.zone import Zone
+
+__all__ = [
+    "ArrayVolume",
+    "Bead",
+    "Flaw",
+    "JointImage",
+    "Parts",
+    "Volume",
+    "Zone",
+    "features",
+    "image",
+    "maps",
+    "summary",
+]

@@ -1,0 +1,187 @@
+"""A joint from its CT volume: surfaces, beads, density map, zone, flaws. The one door of the room's first half."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from annulus.joints.density import air_level, density_map, relative_density, wall_samples
+from annulus.joints.find import Found, find
+from annulus.joints.flaws import Flaw, flaws_of
+from annulus.joints.surface import SMOOTH_MM, Bead, Sides, bead_of, edges, plain_planes, sides_of, smooth_round
+from annulus.joints.unwrap import Volume, planes
+from annulus.joints.zone import Zone, zone_of
+from annulus.numeric.arrays import BoolArray, FloatArray
+from annulus.vocabulary import AnnulusError
+
+Progress = Callable[[str, int, int], None]
+ANGLES_MIN, ANGLES_MAX = 360, 1440
+NOTCH_BLUR = 0.1  # of a voxel: a groove's floor is seen so much too high or too low
+UNEVEN = 0.025  # of a voxel: rings and strips leave a surface so far off in every slice
+BANDS = 5  # of depth, in which the zone's flare is seen
+BEAD_MAX = 1.0  # of the wall: no bead stands higher
+BORE = (0.6, 1.3)  # of the wall: from the inner surface inwards, where the bore's air is taken
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """What of the wall the density map is the mean over: the middle `inner_mm` of `of_mm`, as a part of any wall."""
+
+    inner_mm: float = 4.0
+    of_mm: float = 5.6
+
+    def __post_init__(self) -> None:
+        if not 0 < self.inner_mm <= self.of_mm:
+            raise AnnulusError(f"inner {self.inner_mm:g} mm of a wall of {self.of_mm:g} mm: expected a part of it")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointImage:
+    """All that a volume says of its joint. Lengths in mm, z along the axis, angles from the volume's x to its y."""
+
+    found: Found
+    phi: FloatArray  # (P,) rad
+    z_mm: FloatArray  # (Z,)
+    outer: FloatArray  # (Z, P) surface, bead included
+    inner: FloatArray  # (Z, P)
+    density: FloatArray  # (Z, P) relative to plain wall
+    plain: BoolArray  # (Z,)
+    outer_sides: Sides
+    inner_sides: Sides
+    bead_out: Bead
+    bead_in: Bead
+    fusion_mm: FloatArray  # (P,) the fusion plane
+    zone: Zone
+    flaws: list[Flaw]
+
+    @property
+    def wall_mm(self) -> FloatArray:
+        """(P,) of plain wall, mean of both sides."""
+        return np.asarray(np.mean(self.outer_sides.at_mm - self.inner_sides.at_mm, axis=0))
+
+    @property
+    def thickness_mm(self) -> FloatArray:
+        """(P,) T: from notch to notch."""
+        return self.wall_mm + self.bead_out.notch + self.bead_in.notch
+
+    @property
+    def thickness_sigma_mm(self) -> FloatArray:
+        """(P,) of T: each surface's noise, smoothed as it was, and a notch's blur, which no smoothing takes away."""
+        blur = math.sqrt(2) * NOTCH_BLUR * min(self.z_mm[1] - self.z_mm[0], self.found.wall_mm)
+        return np.full(len(self.phi), math.hypot(self._noise(self.outer), self._noise(self.inner), blur))
+
+    def _noise(self, surface: FloatArray) -> float:
+        smooth = smooth_round(np.nan_to_num(surface[self.plain]), _sigma_phi(self.found.radius_mm, len(self.phi)))
+        along = np.diff(smooth, 2, axis=0) / math.sqrt(6)
+        return 1.4826 * float(np.median(np.abs(along)))
+
+    @property
+    def crest_mm(self) -> FloatArray:
+        """(P,) from crest to crest."""
+        return self.wall_mm + self.bead_out.height + self.bead_in.height
+
+
+def _sigma_phi(radius_mm: float, angles: int) -> float:
+    return SMOOTH_MM / (2 * math.pi * radius_mm / angles)
+
+
+def image(volume: Volume, parts: Parts = Parts(), progress: Progress = lambda what, done, total: None) -> JointImage:
+    """Volume to maps and features, in two passes over its slices.
+
+    Raises AnnulusError where there is no whole hollow cylinder in it, no bead, or no plain wall beside it.
+    """
+    found = find(volume, progress)
+    axis, wall = found.axis, found.wall_mm
+    voxel = float(np.prod(volume.voxel_mm) ** (1 / 3))
+    across, down, along = axis.frame()
+    lean = math.hypot(across[2], down[2])
+    top = found.radius_mm + BEAD_MAX * wall
+    dz = volume.voxel_mm[0]
+    length = (volume.shape[0] - 1) * dz
+    ends = (found.radius_mm + 0.3 * wall) * lean
+    z_mm: FloatArray = np.arange(ends / along[2], (length - ends) / along[2], dz)
+    if len(z_mm) < 16:
+        raise AnnulusError(f"{length:.1f} mm of a pipe that leans by {axis.lean_deg:.1f} degrees: too short")
+    count = int(np.clip(4 * round(math.pi * found.radius_mm / (2 * voxel)), ANGLES_MIN, ANGLES_MAX))
+    phi: FloatArray = np.arange(count, dtype=np.float64) * (2 * math.pi / count)
+    step = 0.5 * min(volume.voxel_mm[1:])
+    bottom = found.radius_mm - (1 + BORE[1]) * wall
+    rho: FloatArray = np.arange(max(bottom, 2 * step), top, step)
+    surface = [np.empty((len(z_mm), count)) for _ in range(2)]
+    air = np.empty((len(z_mm), count))
+    bore = rho < max(found.radius_mm - (1 + BORE[0]) * wall, rho[0] + 2 * step)
+    for start, block in planes(volume, axis, z_mm, phi, rho):
+        stop = start + len(block)
+        edges(block, rho, found.level, surface[0][start:stop], surface[1][start:stop])
+        air[start:stop] = block[:, :, bore].mean(axis=2)
+        progress("surfaces", stop, len(z_mm))
+    outer, inner = surface
+    plain, beads = plain_planes(outer, inner, z_mm, found.joint_mm, wall, voxel)
+    joint = 0.5 * (beads[0] + beads[1])
+    sigma = _sigma_phi(found.radius_mm, count)
+    sides_out, sides_in = (sides_of(s, z_mm, plain, joint, sigma, UNEVEN * voxel) for s in surface)
+    bead_out, bead_in = (
+        _bead(s, side, sign, z_mm, beads, sigma, voxel)
+        for s, side, sign in ((outer, sides_out, 1), (inner, sides_in, -1))
+    )
+    fusion = _fusion(bead_out, bead_in, joint, sigma)
+    relative, inner_wall, outer_wall = _wall(volume, found, z_mm, phi, rho, sides_in, sides_out, voxel, progress)
+    shade, air_grey = air_level(air, plain), float(np.nanmean(air[plain]))
+    relative_density(relative, shade, air_grey, z_mm, plain, joint)
+    progress("zone and flaws", 1, 3)
+    flaws, mask = flaws_of(relative, z_mm, inner_wall, outer_wall, fusion, voxel)
+    progress("zone and flaws", 2, 3)
+    skin = 0.5 * (1 - parts.inner_mm / parts.of_mm)
+    depths = np.linspace(skin, 1 - skin, BANDS + 1)
+    sound = density_map(relative, skin, 1 - skin, mask)
+    bands = np.stack([density_map(relative, a, b, mask) for a, b in pairwise(depths)], axis=2)
+    shade /= found.plastic - air_grey
+    zone, share = zone_of(sound, bands, shade, z_mm, fusion, beads, wall, voxel)
+    density = 1 + density_map(relative, skin, 1 - skin, np.zeros_like(mask)) - share * shade
+    progress("zone and flaws", 3, 3)
+    return JointImage(
+        found, phi, z_mm, outer, inner, density, plain, sides_out, sides_in, bead_out, bead_in, fusion, zone, flaws
+    )
+
+
+def _bead(surface: FloatArray, sides: Sides, sign: int, z_mm: FloatArray, span: tuple[float, float], sigma: float,
+          voxel: float) -> Bead:  # fmt: skip
+    middle = sides.middle(z_mm)
+    over = smooth_round(np.nan_to_num(sign * (surface - middle)), sigma)
+    offset = sign * 0.5 * np.stack([-sides.hilo_mm, sides.hilo_mm])
+    return bead_of(over, offset, z_mm, span, max(1.5 * voxel, 0.3))
+
+
+def _fusion(outside: Bead, inside: Bead, joint: float, sigma: float) -> FloatArray:
+    """(P,) the fusion plane along z: mean of both notches; a plane's first order of angle where they are not seen."""
+    both = np.stack([outside.notch_z, inside.notch_z])
+    seen = np.isfinite(both).any(axis=0)
+    count = both.shape[1]
+    phi = np.arange(count) * 2 * math.pi / count
+    terms = np.stack([np.ones(count), np.cos(phi), np.sin(phi)])
+    if seen.sum() < 0.3 * count:
+        return np.full(count, joint)
+    value = np.nansum(both, axis=0) / np.maximum(np.isfinite(both).sum(axis=0), 1)
+    weight = seen.astype(float)
+    for _ in range(6):
+        fit = np.linalg.solve((terms * weight) @ terms.T, (terms * weight) @ value)
+        residual = value - fit @ terms
+        scale = 1.4826 * float(np.median(np.abs(residual[seen]))) + 1e-6
+        weight = seen * np.where(np.abs(residual) < 4.7 * scale, (1 - (residual / (4.7 * scale)) ** 2) ** 2, 0.0)
+    return np.asarray(fit @ terms)
+
+
+def _wall(volume: Volume, found: Found, z_mm: FloatArray, phi: FloatArray, rho: FloatArray, inner: Sides, outer: Sides,
+          voxel: float, progress: Progress) -> tuple[NDArray[np.float32], FloatArray, FloatArray]:  # fmt: skip
+    """Grey of the wall between its plain surfaces, (Z, P, U), and these, (Z, P)."""
+    low, high = inner.along(z_mm), outer.along(z_mm)
+    depth = max(8, math.ceil(found.wall_mm / voxel))
+    wall = np.empty((len(z_mm), len(phi), depth), np.float32)
+    for start, block in planes(volume, found.axis, z_mm, phi, rho):
+        stop = start + len(block)
+        wall_samples(block, rho, low[start:stop], high[start:stop], wall[start:stop])
+        progress("wall", stop, len(z_mm))
+    return wall, low, high

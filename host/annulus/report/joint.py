@@ -1,0 +1,129 @@
+"""A joint's features and maps as files: features.json, maps.npz and pictures like Figures 9.10 and 9.49 to 9.51."""
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from annulus.numeric.arrays import FloatArray
+from annulus.report.paper import BUMP_BLUE, FAINT, INK, LOSS_RED, UNSEEN, WIDTH_IN, in_style, png
+
+BESIDE_MM = 12.0  # shown beside the fusion plane
+MARKS = {"void": "o", "grain": "^", "gap": "_"}
+
+
+def write_joint(
+    folder: Path, features: Mapping[str, Any], maps: Mapping[str, FloatArray], summary: Mapping[str, Any]
+) -> list[Path]:
+    """Writes all files of a joint into the folder, made if need be; their paths."""
+    folder.mkdir(parents=True, exist_ok=True)
+    told = {name: _plain(value) for name, value in features.items()} | {
+        "units": "mm, degrees",
+        "summary": dict(summary),
+    }
+    (folder / "features.json").write_text(json.dumps(told, allow_nan=False))
+    np.savez_compressed(folder / "maps.npz", **{k: v.astype(np.float32) for k, v in maps.items()})  # type: ignore[arg-type]
+    with in_style():
+        pictures = {
+            "density.png": _density(features, maps),
+            "beads.png": _beads(features, maps),
+            "features.png": _curves(features),
+        }
+        for name, figure in pictures.items():
+            (folder / name).write_bytes(png(figure))
+    return [folder / name for name in ("features.json", "maps.npz", *pictures)]
+
+
+def _plain(value: Any) -> Any:
+    """Arrays as lists; what is not told, None."""
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, list):
+        return [_plain(v) for v in value]
+    if isinstance(value, Mapping):
+        return {k: _plain(v) for k, v in value.items()}
+    if isinstance(value, float):
+        return round(value, 5) if math.isfinite(value) else None
+    return value
+
+
+def _near(features: Mapping[str, Any], maps: Mapping[str, FloatArray]) -> tuple[np.ndarray, float]:
+    middle = float(np.mean(features["zj"]))
+    return np.abs(maps["z_mm"] - middle) <= BESIDE_MM, middle
+
+
+def _map(axes: Axes, features: Mapping[str, Any], maps: Mapping[str, FloatArray], values: FloatArray, low: float,
+         high: float, colours: str) -> Any:  # fmt: skip
+    near, middle = _near(features, maps)
+    z = maps["z_mm"][near] - middle
+    axes.set_facecolor(UNSEEN)
+    drawn = axes.imshow(
+        values[near], extent=(0, 360, z[-1], z[0]), aspect="auto", cmap=colours, vmin=low, vmax=high,
+        interpolation="nearest",
+    )  # fmt: skip
+    axes.plot(features["phi_deg"], features["zj"] - middle, color=INK, lw=0.6, ls=":")
+    axes.set(xlim=(0, 360), ylabel="along the axis, mm", xticks=range(0, 361, 45))
+    return drawn
+
+
+def _density(features: Mapping[str, Any], maps: Mapping[str, FloatArray]) -> Figure:
+    figure = Figure(figsize=(WIDTH_IN, 4.2), layout="constrained")
+    axes = figure.subplots()
+    middle = float(np.mean(features["zj"]))
+    deepest = 100 * float(np.nanmax(1 - features["haz"], initial=0.01))
+    drawn = _map(axes, features, maps, 100 * (maps["density"] - 1), -1.6 * deepest, 0.8 * deepest, "gray")
+    figure.colorbar(drawn, ax=axes, label="density less plain wall's, %")
+    for edge in (-0.5, 0.5):
+        axes.plot(features["phi_deg"], features["zj"] - middle + edge * features["W"], color=LOSS_RED, lw=1.0)
+    for flaw in features["found"]:
+        axes.plot(flaw["phi_deg"], flaw["z"] - middle, MARKS[flaw["kind"]], mfc="none", mec=BUMP_BLUE, ms=11, mew=1.6)
+        axes.annotate(
+            flaw["kind"], (flaw["phi_deg"], flaw["z"] - middle), (9, 7), textcoords="offset points", color=BUMP_BLUE
+        )
+    axes.set(xlabel="angle, degrees from the volume's x to its y", ylim=(BESIDE_MM, -BESIDE_MM))
+    axes.set_title("Density of the wall, mean over its inner part; red: heat-affected zone", fontsize=10)
+    return figure
+
+
+def _beads(features: Mapping[str, Any], maps: Mapping[str, FloatArray]) -> Figure:
+    figure = Figure(figsize=(WIDTH_IN, 6.4), layout="constrained")
+    high = max(float(np.nanmax(np.concatenate([features["ho"], features["hi"]]), initial=0.1)), 0.1)
+    for axes, name, word in zip(
+        figure.subplots(2, sharex=True), ("bead_out_mm", "bead_in_mm"), ("outside", "inside"), strict=True
+    ):
+        drawn = _map(axes, features, maps, maps[name], 0.0, high, "viridis")
+        axes.set_title(f"Bead {word}: height over the plain wall", fontsize=10)
+        figure.colorbar(drawn, ax=axes, label="mm")
+    axes.set(xlabel="angle, degrees from the volume's x to its y")
+    return figure
+
+
+def _curves(features: Mapping[str, Any]) -> Figure:
+    figure = Figure(figsize=(WIDTH_IN, 9.0), layout="constrained")
+    phi = features["phi_deg"]
+    width, thick, high, aside = figure.subplots(4, sharex=True)
+    for axes, name, word in ((width, "W", "width W of the zone, mm"), (thick, "T", "thickness T of the joint, mm")):
+        value, sigma = features[name], features[f"{name}_sigma"]
+        axes.fill_between(phi, value - 2 * sigma, value + 2 * sigma, color=FAINT, alpha=0.3, lw=0, label="two sigma")
+        axes.plot(phi, value, color=INK, lw=1.2)
+        axes.set_ylabel(word)
+        axes.legend(frameon=False, fontsize=8, loc="upper right")
+    for name, word, colour in (("o", "outside", LOSS_RED), ("i", "inside", BUMP_BLUE)):
+        high.plot(phi, features[f"h{name}"], color=colour, label=f"height {word}")
+        high.plot(phi, features[f"w{name}"] / 4, color=colour, ls="--", label=f"width / 4 {word}")
+        aside.plot(phi, features[f"hilo_{word.removesuffix('side')}"], color=colour, label=word)
+    high.set_ylabel("bead, mm")
+    aside.set(
+        ylabel="hi-lo, mm",
+        xlabel="angle, degrees from the volume's x to its y",
+        xlim=(0, 360),
+        xticks=range(0, 361, 45),
+    )
+    for axes in (high, aside):
+        axes.legend(frameon=False, fontsize=8, ncols=4, loc="upper right")
+    return figure
