@@ -1,4 +1,4 @@
-"""Runs a table of benchmarks: `python -m tools.bench TABLE [TOPIC ..]`, TABLE metrology, thermoacoustic or speed.
+"""Runs a table of benchmarks: `python -m tools.bench TABLE [TOPIC ..]`, TABLE one of `TABLES`.
 
 A whole table writes its RESULTS.md and pictures; topics named are run alone, and only printed. Ends with status 1 if a
 row misses its target or a topic breaks, with 2 for a name that there is not. `python -m tools.bench fuzz` feeds the
@@ -10,7 +10,7 @@ import sys
 
 from tools.bench.table import Table
 
-TABLES = ("metrology", "thermoacoustic", "speed")
+TABLES = ("metrology", "thermoacoustic", "joints", "speed")
 
 
 def main(arguments: list[str]) -> int:
