@@ -25,7 +25,7 @@ VOXEL_MM = (0.002, 5.0)  # the smallest and largest that a joint can be seen wit
 EVEN = 0.02  # of the slices' spacing: so far may one be off its place
 AGREE = 0.01  # a voxel's size in ct.json and in the DICOM headers
 TIFF, DICOM = (".tif", ".tiff"), (".dcm", ".dicom", ".ima", "")
-EXTRA = "uv sync --extra joints, or pip install 'annulus[joints]'"
+EXTRA = "pip install 'annulus[joints]', or `make setup` in a checkout"
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,8 +75,7 @@ def open_volume(path: Path, voxel_mm: tuple[float, float, float] | None = None) 
     shape, form, read, own = _form(path)
     if stated is None and own is None:
         raise AnnulusError(
-            f"{path}: nothing says how large its voxels are; expected ct.json beside it with "
-            '{"voxel_mm": [z, y, x]}, or --voxel-mm'
+            f'{path}: nothing says how large its voxels are; expected ct.json beside it with {{"voxel_mm": [z, y, x]}}'
         )
     if stated is not None and own is not None:
         for axis, a, b in zip("zyx", stated, own, strict=True):
