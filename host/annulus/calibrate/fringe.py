@@ -82,7 +82,9 @@ def calibrate_fringe(
     head = load_part(camera, FringeHead.from_dict, "annulus calibrate camera")
     distance = head.distance_mm if distance_mm is None else distance_mm
     if distance is None:
-        raise AnnulusError(f'{camera}: has no "distance_mm": give --distance, from the first camera to the plate at 0.')
+        raise AnnulusError(
+            f'{camera}: no "distance_mm", expected there or told: mm from the first camera to the plate at height 0'
+        )
     opened = open_scan(scan)
     which = _reference(opened)
     told = head.curve(scan.resolve().name)
