@@ -19,6 +19,7 @@ from annulus.fringe import (
     ReferencePlate,
     Transfer,
     calibrate_plate,
+    light_of,
     plate_names,
     projector_to_dict,
 )  # fmt: skip
@@ -146,13 +147,7 @@ def _calibrated(
     for i in which:
         frame, picture = scan.frames[i], scan.read(i)
         one = head.camera(frame.camera)
-        height, width = picture.shape[:2]
-        if (width, height) != (one.camera.width, one.camera.height):
-            raise AnnulusError(
-                f"calibration: camera {one.id} is {one.camera.width}x{one.camera.height} but {frame.where} is "
-                f"{width}x{height}. Calibrate with the camera that took this scan."
-            )
-        light = curve.light(picture)
+        light = light_of(picture, one, curve, frame.where)
         lost = float(np.isnan(light).mean())
         if lost > SATURATED_MAX:
             raise AnnulusError(f"{scan.path}: {100 * lost:.0f} % of {frame.where} is saturated: expose less")

@@ -87,9 +87,10 @@ def reconstruct(
 ) -> None:
     """From frames to the pipe wall: cloud, mesh, maps, stations, defects and a report.
 
-    The calibration's kind chooses the method. A head that projects fringes on a plate writes depth.npz, cloud and
-    report; its frames.csv has x_mm in place of z_mm.
+    The calibration's kind chooses the method. A head that projects fringes writes depth.npz beside the rest, its finest
+    map; before a plate frames.csv has x_mm in place of z_mm.
     """
+    from annulus.record.calibration_file import projects_rings
     from annulus.report import Account, prepare_folder, write
     from annulus.reprocess import Processes, kind_of, open_job, reprocess
 
@@ -101,7 +102,10 @@ def reconstruct(
         ):
             if given:
                 raise AnnulusError(f"{option} does not go with {calibration}: its head projects fringes")
-        _reconstruct_fringe(scan, calibration, out, as_json)
+        if projects_rings(calibration):
+            _reconstruct_fringe_pipe(scan, calibration, out, as_json)
+        else:
+            _reconstruct_fringe(scan, calibration, out, as_json)
         return
     job = open_job(scan, calibration, colour=colour, reference=reference)
     prepare_folder(out)
@@ -109,6 +113,28 @@ def reconstruct(
         done = reprocess(job, Processes(workers), bars)
         survey = done.survey(vibration=vibration_filter, fps=fps, progress=bars)
     summary = write(survey, Account(str(scan), done.frames, done.drops, done.timing_ms, done.findings), out)
+    if as_json:
+        print(json.dumps(summary))
+    else:
+        _print_summary(summary, out)
+
+
+def _reconstruct_fringe_pipe(scan: Path, calibration: Path, out: Path, as_json: bool) -> None:
+    from annulus.report import Account, prepare_folder, write
+    from annulus.reprocess import open_fringe_pipe, reconstruct_fringe_pipe
+
+    job = open_fringe_pipe(scan, calibration)
+    prepare_folder(out)
+    with progress() as bars:
+        found = reconstruct_fringe_pipe(job, bars)
+    counts = job.scan.counts()
+    account = Account(str(scan), counts, {"frames_unknown": counts["unknown"]}, found.timing_ms, found.findings)
+    seen = found.map
+    depth = {
+        "phi_deg": seen.phi_deg, "z_mm": seen.z_mm, "radius_mm": seen.radius_mm, "sigma_mm": seen.sigma_mm,
+        "at_least": seen.at_least, "light": seen.dc, "modulation": seen.modulation,
+    }  # fmt: skip
+    summary = write(found.survey, account, out, depth=depth)
     if as_json:
         print(json.dumps(summary))
     else:

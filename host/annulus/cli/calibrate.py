@@ -383,8 +383,22 @@ def pipe(
     epilog="Example: annulus calibrate fringe scans/reference --camera head-7.json --distance 100 -o head-7.json",
 )
 def fringe(
-    scan: Annotated[Path, typer.Argument(help="Scan folder of a plain, flat plate; frames.csv has height_mm.")],
+    scan: Annotated[
+        Path,
+        typer.Argument(
+            help="Scan folder of a plain, flat plate (frames.csv has height_mm) or clean pipe (tx_mm, ty_mm)."
+        ),
+    ],
     camera: Annotated[Path, typer.Option(help="File with the camera, or the cameras; a calibration.json will do.")],
+    design: Annotated[
+        Path | None,
+        typer.Option(
+            "--slide", help="calibration.json of `annulus pattern design --fringe`: rings. [default: the camera's file]"
+        ),
+    ] = None,
+    radius: Annotated[
+        float | None, typer.Option(min=1.0, max=5000.0, help="Of the clean pipe, inside, mm. [default: the file's]")
+    ] = None,
     distance: Annotated[
         float | None,
         typer.Option(
@@ -400,9 +414,21 @@ def fringe(
 
     Stand a plain plate across the first camera's axis, one projector frame a camera at each height (towards the head is
     positive); three heights or more, of uneven spacing, a few millimetres apart. Nothing need move.
+
+    A slide of rings: in a clean pipe of known radius, the head some millimetres aside (tx_mm right, ty_mm down), three
+    frames or more. It begins with the slide's design.
     """
     from annulus.calibrate.fringe import calibrate_fringe, save_fringe
+    from annulus.cli.fringe import show_plate
+    from annulus.record.calibration_file import projects_rings
 
+    if projects_rings(design or camera):
+        if distance is not None:
+            raise AnnulusError("--distance is of a plate, and the slide is one of rings for a pipe: leave it out")
+        _fringe_pipe(scan, camera, design, radius, out, as_json)
+        return
+    if design is not None or radius is not None:
+        raise AnnulusError("--slide and --radius are of a slide of rings, and the file has none")
     with progress() as bars:
         result = calibrate_fringe(scan, camera, distance_mm=distance, progress=bars)
     save_fringe(result, out)
@@ -410,36 +436,20 @@ def fringe(
     if as_json:
         print(json.dumps({**told, "file": str(out)}))
         return
-    slide, sigma = told["projector"], told["sigma"]
-    x, y, z = slide["centre_mm"]
-    print(f"frames     {told['frames']} of a plate at {', '.join(f'{h:g}' for h in told['heights_mm'])} mm")
-    print(
-        f"light      from {x:.3f} {y:.3f} {z:.3f} mm, +- {sigma['across_mm']:.4f} across the stripes, "
-        f"{sigma['depth_mm']:.4f} ahead (along them it makes no difference)"
-    )
-    print(
-        f"period     {slide['period']:.6f} +- {sigma['period']:.6f} of the tangent; K {told['k_rad']:.3f} +- "
-        f"{sigma['k_rad']:.3f} rad"
-    )
-    print(
-        f"stripes    turned {slide['turn_deg']:.4f} +- {sigma['turn_deg']:.4f} deg, axis known to "
-        f"{max(sigma['tilt_deg']):.5f} deg, phase {slide['phase0']:.4f} +- {sigma['phase0']:.4f} rad"
-    )
-    curve = told["transfer"]
-    source = "as the file says" if result.curve_told else "the file says none"
-    print(
-        f"curve      {curve['sensor']}, black {curve['black']:g}, gamma {curve.get('gamma', 1.0):.3f} taken out "
-        f"({source}); what is left looks like a gamma of {told['gamma']:.4f} +- {told['gamma_sigma']:.4f}"
-    )
-    waves = slide.get("harmonics", [])
-    pairs = zip(waves[::2], waves[1::2], sigma["harmonics"][::2], strict=True)
-    shown = ", ".join(f"{k}: {c:.4f} cos {s:+.4f} sin +- {e:.4f}" for k, (c, s, e) in enumerate(pairs, start=2))
-    print(f"harmonics  {shown or 'none'}, taken out; modulation {told['modulation']:.3f}")
-    apart = f", cameras {told['cameras_apart_rad']:.4f} rad apart" if len(result.head.cameras) > 1 else ""
-    print(f"phase      {told['rms_rad']:.4f} rad rms over {told['tiles']} tiles{apart}")
-    for warning in result.warnings:
-        print(f"warning    {warning}")
-    print(f"written    {out}")
+    show_plate(result, told, out)
+
+
+def _fringe_pipe(scan: Path, camera: Path, slide: Path | None, radius: float | None, out: Path, as_json: bool) -> None:
+    from annulus.calibrate.fringe_pipe import calibrate_fringe_pipe, save_fringe_pipe
+    from annulus.cli.fringe import show_pipe
+
+    result = calibrate_fringe_pipe(scan, camera, slide, radius_mm=radius)
+    save_fringe_pipe(result, out)
+    told = result.to_dict()
+    if as_json:
+        print(json.dumps({**told, "file": str(out)}))
+    else:
+        show_pipe(result, told, out)
 
 
 def _field(text: str) -> tuple[int, int, int, int]:

@@ -29,7 +29,7 @@ from annulus.fringe.steps import Steps, find_steps
 from annulus.fringe.stereo_phase import stereo_heights
 from annulus.fringe.stream import stream
 from annulus.fringe.texture import untextured
-from annulus.fringe.transfer import Transfer, transfers
+from annulus.fringe.transfer import Transfer, light_of, transfers
 
 __all__ = [
     "FringeHead",
@@ -50,6 +50,7 @@ __all__ = [
     "find_scratches",
     "find_steps",
     "heights",
+    "light_of",
     "measure_pipe",
     "merged",
     "noise_of",

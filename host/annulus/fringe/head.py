@@ -2,7 +2,7 @@
 
 `annulus-calibration/2` with "pattern": {"kind": "fringe", "projector": {..}}. Beside it "transfer" (see `transfer`),
 "motion" (unit vector, the first camera's frame; x where missing) and the wall: "distance_mm" of a plate across the
-first camera's axis. A pipe's file has "pipe", and is a `Calibration` too.
+first camera's axis, or "pipe" with its radius: such a file is a `Calibration` too.
 """
 
 from collections.abc import Mapping
@@ -18,18 +18,20 @@ from annulus.geometry.calibration import HeadCamera, cameras_from_dict
 from annulus.vocabulary import AnnulusError
 
 Vector = tuple[float, float, float]
+RADIUS_MIN_MM, RADIUS_MAX_MM = 1.0, 5000.0
 
 
 @dataclass(frozen=True, slots=True)
 class FringeHead:
     """What is known of the head; `projector` None where the file is only about to be calibrated. distance_mm : of a
-    plate, height 0, from the first camera along its axis; None where the wall is another."""
+    plate, height 0, from the first camera along its axis; radius_mm : of a pipe. None where the wall is another."""
 
     cameras: tuple[HeadCamera, ...]
     projector: FringeProjector | None
     motion: Vector = (1.0, 0.0, 0.0)
     distance_mm: float | None = None
     transfer: Mapping[str, Transfer] = field(default_factory=dict, hash=False)
+    radius_mm: float | None = None
 
     @staticmethod
     def from_dict(data: object) -> "FringeHead":
@@ -45,12 +47,15 @@ class FringeHead:
         if not abs(np.hypot(np.hypot(x, y), z) - 1) < 1e-3:
             raise ValueError('"motion" is no unit vector, expected the direction the stage moves the head in')
         distance = top.get("distance_mm")
+        pipe = untrusted.mapping(top["pipe"], '"pipe"') if "pipe" in top else {}
+        radius = pipe.get("radius_mm")
         return FringeHead(
             cameras,
             None if projector is None else FringeProjector.from_dict(projector),
             (x, y, z),
             None if distance is None else untrusted.within(distance, '"distance_mm"', 1.0, 1e4),
             transfers(top["transfer"]) if "transfer" in top else {},
+            None if radius is None else untrusted.within(radius, '"pipe.radius_mm"', RADIUS_MIN_MM, RADIUS_MAX_MM),
         )
 
     def curve(self, scan: str) -> Transfer | None:

@@ -12,7 +12,9 @@ from typing import Any, Literal
 import numpy as np
 
 from annulus import untrusted
+from annulus.geometry.calibration import HeadCamera
 from annulus.numeric.arrays import Float32Array, Image
+from annulus.vocabulary import AnnulusError
 
 WHITE = 255.0
 SATURATED = 254  # grey levels from here on say no more than "at least"
@@ -58,6 +60,21 @@ class Transfer:
             untrusted.within(section.get("black", 0.0), f'"{where}.black"', 0.0, 200.0),
             untrusted.within(section.get("gamma", 1.0), f'"{where}.gamma"', GAMMA_MIN, GAMMA_MAX),
         )
+
+
+def light_of(picture: Image, one: HeadCamera, curve: Transfer, where: str) -> Float32Array:
+    """(H, W) light of a camera's frame, see `Transfer.light`. AnnulusError, naming `where`, for another size than the
+    camera's, and where every pixel is saturated."""
+    height, width = picture.shape[:2]
+    if (width, height) != (one.camera.width, one.camera.height):
+        raise AnnulusError(
+            f"calibration: camera {one.id} is {one.camera.width}x{one.camera.height} but {where} is "
+            f"{width}x{height}. Calibrate with the camera that took this scan."
+        )
+    light = curve.light(picture)
+    if np.isnan(light).all():
+        raise AnnulusError(f"{where} is saturated throughout: expose less")
+    return light
 
 
 def transfers(section: object) -> dict[str, Transfer]:

@@ -44,6 +44,13 @@ def load_camera(path: Path) -> Camera:
         raise AnnulusError(f"{path}: {error}.") from None
 
 
+def projects_rings(file: Path) -> bool:
+    """Whether a calibration.json has a slide of rings, in a pipe. AnnulusError where it cannot be read."""
+    pattern = load_sections(file).get("pattern")
+    slide = pattern.get("projector") if isinstance(pattern, dict) else None
+    return isinstance(slide, dict) and slide.get("kind") == "rings"
+
+
 def update_calibration(
     path: Path, sections: Mapping[str, Any], provenance: Mapping[str, Any] | None = None
 ) -> tuple[str, ...]:

@@ -30,6 +30,7 @@ TABLE = "frames.csv"
 COLUMNS = ("index", "file", "light", "z_mm")
 ROLL, CAMERA = "roll_deg", "camera"  # may be missing
 PLACE, STAGE, HEIGHT = "z_mm", "x_mm", "height_mm"  # the first may be missing where the second is there
+ASIDE = "tx_mm", "ty_mm"
 TABLE_MAX = 256 << 20  # bytes; a day at 25 fps has 100 MB
 FRAME_MAX = 256 << 20
 ROLL_MAX_DEG = 36e3  # a sensor may count turns
@@ -50,6 +51,7 @@ class ScanFrame:
     motion: Motion | None = None  # what an inertial sensor said
     x_mm: float | None = None  # of the stage, before a plate
     height_mm: float | None = None  # of the plate, in reference frames
+    aside_mm: tuple[float, float] | None = None  # right and down: of the head in a clean pipe, in reference frames
 
 
 @dataclass(frozen=True)
@@ -225,10 +227,11 @@ def _frame(row: dict[str, str | None], folder: Path, inside: dict[PurePosixPath,
     camera = whole((row.get(CAMERA) or "").strip() or "0", CAMERA)
     if camera > CAMERA_ID_MAX:
         raise ValueError(f"{CAMERA} is {camera}, expected an id in 0..{CAMERA_ID_MAX}")
-    x, height = (_length(row.get(name), name) for name in (STAGE, HEIGHT))
+    x, height, right, down = (_length(row.get(name), name) for name in (STAGE, HEIGHT, *ASIDE))
     return ScanFrame(
-        whole(index, "index"), Label(light), z, file, _roll(row.get(ROLL)), camera, x_mm=x, height_mm=height
-    )
+        whole(index, "index"), Label(light), z, file, _roll(row.get(ROLL)), camera, x_mm=x, height_mm=height,
+        aside_mm=None if right is None or down is None else (right, down),
+    )  # fmt: skip
 
 
 def _length(text: str | None, name: str) -> float | None:

@@ -6,6 +6,7 @@ import math
 import shutil
 import tempfile
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -28,10 +29,15 @@ FILES = (
     "cloud.ply", "mesh.ply", "unwrapped.png", "texture.png", "stations.csv", "centreline.json", "report.html",
     "summary.json",
 )  # fmt: skip
+DEPTH = "depth.npz"  # of methods whose map is finer than the report's
 
 
-def write(survey: Survey, account: Account, out: Path) -> dict[str, Any]:
+def write(
+    survey: Survey, account: Account, out: Path, *, depth: Mapping[str, NDArray[Any]] | None = None
+) -> dict[str, Any]:
     """Write every result file of a survey into the folder `out`. Returns what summary.json says.
+
+    depth : arrays of a finer map of the wall, for depth.npz; none without.
 
     Raises
     ------
@@ -59,6 +65,10 @@ def write(survey: Survey, account: Account, out: Path) -> dict[str, Any]:
             text = json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False)
             (staging / "summary.json").write_text(text + "\n", encoding="utf-8")
             (out / "summary.json").unlink(missing_ok=True)
+            (out / DEPTH).unlink(missing_ok=True)  # of a scan before
+            if depth is not None:
+                np.savez(staging / DEPTH, **dict[str, Any](depth))
+                (staging / DEPTH).replace(out / DEPTH)
             for name in FILES:
                 (staging / name).replace(out / name)
         finally:

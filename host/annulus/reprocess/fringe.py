@@ -26,6 +26,7 @@ from annulus.fringe import (
     edged,
     find_steps,
     heights,
+    light_of,
     merged,
     noise_of,
     spline,
@@ -212,18 +213,10 @@ class _Frames:
         return np.array(images, np.float32), np.array(which, dtype=np.int64)
 
     def _read(self, i: int, one: HeadCamera) -> Float32Array:
-        picture, frame = self._job.scan.read(i), self._job.scan.frames[i]
-        height, width = picture.shape[:2]
-        if (width, height) != (one.camera.width, one.camera.height):
-            raise AnnulusError(
-                f"calibration: camera {one.id} is {one.camera.width}x{one.camera.height} but {frame.where} is "
-                f"{width}x{height}. Calibrate with the camera that took this scan."
-            )
-        light = (self._job.curve or Transfer()).light(picture)
+        picture, where = self._job.scan.read(i), self._job.scan.frames[i].where
+        light = light_of(picture, one, self._job.curve or Transfer(), where)
         self.saturated += int(np.isnan(light).sum())
         self.pixels += light.size
-        if np.isnan(light).all():
-            raise AnnulusError(f"{self._job.scan.path}: {frame.where} is saturated throughout: expose less")
         out: Float32Array = spline(light[None])[0]
         return out
 

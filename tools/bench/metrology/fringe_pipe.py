@@ -4,7 +4,6 @@ The design that calibration begins with is off by two millimetres and a tenth of
 only judges.
 """
 
-import csv
 import importlib.util
 import json
 import tempfile
@@ -14,18 +13,19 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import cv2
 import numpy as np
 
-from annulus.fringe import FringeProjector, PipeCalibration, PipeMap, calibrate_pipe, find_scratches, measure_pipe
-from annulus.geometry.calibration import HeadCamera
-from annulus.geometry.camera import Camera
-from annulus.numeric.arrays import Float32Array
+from annulus.calibrate.fringe_pipe import calibrate_fringe_pipe, save_fringe_pipe
+from annulus.fringe import FringeProjector, PipeCalibration
+from annulus.reprocess import MeasuredPipe, open_fringe_pipe, reconstruct_fringe_pipe
 from annulus.wall.defects import Defect
 from tools.bench.table import SCENES, Row
 
 PIPE = SCENES / "fringe-pipe-a"
-STILL = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+DESIGN = {
+    "kind": "rings", "centre_mm": [0.0, 0.0, -58.0], "rotation": np.eye(3).tolist(), "period_mm": 8.05,
+    "nominal_radius_mm": 101.6, "phase0": 0.0,
+}  # fmt: skip
 PLAIN_MM = 2.0  # from any feature
 
 
@@ -35,40 +35,43 @@ class Judged:
 
     calibrated: PipeCalibration
     centre_mm: float
-    seen: PipeMap
+    measured: MeasuredPipe
     score: dict[str, Any]
     covered: float
-    defects: list[Defect]
     seconds: float
+
+    @property
+    def defects(self) -> tuple[Defect, ...]:
+        return self.measured.survey.defects
 
 
 def judged() -> Judged:
-    """Calibrates, measures and scores the scene."""
+    """Calibrates, measures and scores the scene, as the commands do."""
     told = json.loads((PIPE / "calibration.json").read_text())
-    one, radius = told["cameras"][0], told["pipe"]["radius_mm"]
-    camera = HeadCamera(0, Camera("fisheye", *(one[k] for k in ("width", "height", "fx", "fy", "cx", "cy"))))
-    designed = FringeProjector("rings", (0.0, 0.0, -58.0), STILL, 8.05, nominal_radius_mm=radius)
-    images, rows = _frames("reference", told["transfer"]["reference"])
-    places = np.array([[float(row["tx_mm"]), float(row["ty_mm"]), 0.0] for row in rows])
-    calibrated = calibrate_pipe(camera, designed, images, places, radius)
     exact = FringeProjector.from_dict(told["pattern"]["projector"])
-    centre = float(np.abs(np.subtract(calibrated.projector.centre_mm, exact.centre_mm)).max())
-    images, rows = _frames("uniform", told["transfer"]["uniform"])
-    began = time.process_time()
-    seen = measure_pipe(camera, calibrated.projector, images, np.array([float(row["z_mm"]) for row in rows]), radius)
-    seconds = time.process_time() - began
-    judge, truth = _judge(), PIPE / "truth" / "truth.json"
+    told["pattern"]["projector"] = DESIGN
+    radius = told["pipe"]["radius_mm"]
     with tempfile.TemporaryDirectory() as folder:
+        design, head = Path(folder) / "design.json", Path(folder) / "head.json"
+        design.write_text(json.dumps(told))
+        calibrated = calibrate_fringe_pipe(PIPE / "reference", design)
+        save_fringe_pipe(calibrated, head)
+        began = time.process_time()
+        measured = reconstruct_fringe_pipe(open_fringe_pipe(PIPE / "uniform", head))
+        seconds = time.process_time() - began
+        seen = measured.map
+        judge, truth = _judge(), PIPE / "truth" / "truth.json"
         file = Path(folder) / "depth.npz"
         np.savez(file, phi_deg=seen.phi_deg, z_mm=seen.z_mm, radius_mm=seen.radius_mm, sigma_mm=seen.sigma_mm)
         score = judge.main(str(file), str(truth), "uniform")
+    centre = float(np.abs(np.subtract(calibrated.found.projector.centre_mm, exact.centre_mm)).max())
     phi, z = np.meshgrid(seen.phi_deg, seen.z_mm)
     features = json.loads(truth.read_text())["worlds"]["wall"]["features"]
     depth, which = judge.pipe_radius(features, radius, phi, z)
     plain = (which < 0) & (judge.distance(which >= 0, seen.cell_mm[0]) > PLAIN_MM) & np.isfinite(seen.radius_mm)
     error = (seen.radius_mm - radius - depth)[plain]
     covered = float(np.mean(np.abs(error - np.median(error)) < 2 * seen.sigma_mm[plain]))
-    return Judged(calibrated, centre, seen, score, covered, find_scratches(seen), seconds)
+    return Judged(calibrated.found, centre, measured, score, covered, seconds)
 
 
 def rows() -> list[Row]:
@@ -89,16 +92,6 @@ def rows() -> list[Row]:
         Row("k = 2 covers", "-", "93 to 97 %", f"{one.covered:.1%}", 0.93 <= one.covered <= 0.97),
         Row("24 frames, CPU", "-", "-", f"{one.seconds:.0f} s"),
     ]  # fmt: skip
-
-
-def _frames(name: str, transfer: dict[str, Any]) -> tuple[Float32Array, list[dict[str, str]]]:
-    with (PIPE / name / "frames.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    pictures = [cv2.imread(str(PIPE / name / row["file"]), cv2.IMREAD_GRAYSCALE) for row in rows]
-    black = transfer["black"]
-    light = [(np.float32(one) - black) * 255 / (255 - black) for one in pictures if one is not None]
-    full = [np.where(np.asarray(one) >= 254, np.nan, lit) for one, lit in zip(pictures, light, strict=True)]
-    return np.array(full, np.float32), rows
 
 
 def _judge() -> ModuleType:

@@ -1,0 +1,193 @@
+"""A scan under a slide of rings in a pipe (Model A, §6.8.2.1) to the same survey that every method makes.
+
+The wall's map follows from many frames together, so there is no profile a frame: each row of the map is handed on as
+one. A scan is worked through in windows of consecutive frames, half of each shared with the next, so that memory does
+not grow with its length; a row is told by the window whose middle is nearest.
+"""
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from annulus.fringe import FringeHead, FringeProjector, PipeMap, Transfer, find_scratches, light_of, measure_pipe
+from annulus.fringe.scratches import CELL, CELLS_MIN, LEAST_OF_RADIUS
+from annulus.fringe.track import AMBIGUOUS
+from annulus.geometry.calibration import HeadCamera
+from annulus.geometry.pose import Pose
+from annulus.numeric.arrays import BoolArray, Float32Array
+from annulus.record.calibration_file import load_part
+from annulus.record.scan import Scan, open_scan
+from annulus.vocabulary import AnnulusError, Finding, Label
+from annulus.wall.centreline import Centreline, Piece
+from annulus.wall.defects import Defect, Detection
+from annulus.wall.grid import Wall, build_wall
+from annulus.wall.indications import Limits
+from annulus.wall.profile import Profile
+from annulus.wall.stations import measure_stations
+from annulus.wall.survey import Survey
+
+Progress = Callable[[str, int, int], None]
+
+WINDOW = 24  # frames: three fringes of 8 mm at 1 mm a frame, and 120 MB of a camera of a Mpixel
+UNTOLD_MAX = 0.02  # share of the map's cells from which it is said that their order of fringe is open
+
+
+@dataclass(frozen=True, slots=True)
+class FringePipeJob:
+    """A scan with what its frames need."""
+
+    scan: Scan
+    camera: HeadCamera
+    projector: FringeProjector
+    radius_mm: float
+    curve: Transfer
+    frames: tuple[int, ...]  # numbers in the scan, projector's, in order
+    z_mm: tuple[float, ...]
+    findings: tuple[Finding, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredPipe:
+    """map : the fine one. survey : the same wall as reports and files take it. findings : what a reader must know."""
+
+    map: PipeMap
+    survey: Survey
+    findings: tuple[Finding, ...]
+    timing_ms: dict[str, float]
+
+
+def open_fringe_pipe(scan: Path, calibration: Path) -> FringePipeJob:
+    """AnnulusError, one line, for what is missing, damaged or does not belong together."""
+    head = load_part(calibration, FringeHead.from_dict, "annulus calibrate fringe")
+    if head.projector is None or head.projector.kind != "rings" or head.radius_mm is None:
+        raise AnnulusError(f"{calibration}: has no slide of rings and pipe. Make it with `annulus calibrate fringe`.")
+    if len(head.cameras) != 1:
+        raise AnnulusError(f"{calibration}: has {len(head.cameras)} cameras, expected one before a slide of rings")
+    opened = open_scan(scan)
+    lit = [i for i, frame in enumerate(opened.frames) if frame.label is Label.PROJECTOR]
+    for i in lit:
+        head.camera(opened.frames[i].camera)
+        if not math.isfinite(opened.frames[i].z_mm):
+            raise AnnulusError(f"{scan}: frame {opened.frames[i].index} has no z_mm, expected where the head was")
+    if len(lit) < 3:
+        raise AnnulusError(
+            f"{scan}: {len(lit)} frames with the projector, expected at least 3: phase, DC and AC of a point"
+        )
+    z = tuple(opened.frames[i].z_mm for i in lit)
+    if not np.ptp(z) > 0:
+        raise AnnulusError(f"{scan}: z_mm is {z[0]:g} throughout: the head did not move, nothing shifted the phase")
+    told = head.curve(scan.resolve().name)
+    text = "the calibration names no transfer curve for this scan: grey levels are taken as linear in light"
+    findings = () if told is not None else (Finding("transfer", text),)
+    return FringePipeJob(
+        opened, head.cameras[0], head.projector, head.radius_mm, told or Transfer(), tuple(lit), z, findings
+    )
+
+
+def reconstruct_fringe_pipe(job: FringePipeJob, progress: Progress | None = None) -> MeasuredPipe:
+    """The wall. AnnulusError where nothing can be measured."""
+    started = time.perf_counter()
+    report = progress or (lambda stage, done, total: None)
+    count = len(job.frames)
+    last = max(count - WINDOW, 0)
+    starts = [*range(0, last, WINDOW // 2), last]
+    report("fringes", 0, count)
+    parts = []
+    for start in starts:
+        window = slice(start, start + WINDOW)
+        images = np.array([_light(job, i) for i in job.frames[window]])
+        try:
+            parts.append(measure_pipe(job.camera, job.projector, images, np.array(job.z_mm[window]), job.radius_mm))
+        except AnnulusError as error:
+            raise AnnulusError(f"{job.scan.path}: {error}") from None
+        report("fringes", min(start + WINDOW, count), count)
+    seen = _joined(parts)
+    timing = {"scan_to_map": 1e3 * (time.perf_counter() - started)}
+    findings = list(job.findings)
+    if (unsure := float((seen.flag == AMBIGUOUS).mean())) > UNTOLD_MAX:
+        text = f"{100 * unsure:.1f} % of the map has no radius: the order of the fringe is open there"
+        findings.append(Finding("untold", text))
+    return MeasuredPipe(seen, _survey(job, seen), tuple(findings), timing)
+
+
+def _light(job: FringePipeJob, i: int) -> Float32Array:
+    return light_of(job.scan.read(i), job.camera, job.curve, job.scan.frames[i].where)
+
+
+def _joined(parts: Sequence[PipeMap]) -> PipeMap:
+    """One map of all windows; their rows are whole steps from z = 0."""
+    if len(parts) == 1:
+        return parts[0]
+    step = parts[0].cell_mm[0]
+    rows = [np.rint(part.z_mm / step).astype(int) for part in parts]
+    every = np.arange(min(one[0] for one in rows), max(one[-1] for one in rows) + 1)
+    middles = np.array([part.z_mm.mean() for part in parts])
+    distance = np.abs(every[None, :] * step - middles[:, None])
+    for k, one in enumerate(rows):
+        distance[k, (every < one[0]) | (every > one[-1])] = np.inf
+    owner = np.argmin(distance, axis=0)
+    first = parts[0]
+
+    def grid(name: str) -> Any:
+        return np.array([getattr(parts[k], name)[row - rows[k][0]] for row, k in zip(every, owner, strict=True)])
+
+    poses = np.concatenate([first.head.poses, *(part.head.poses[WINDOW // 2 :] for part in parts[1:])])
+    radius = float(np.mean([part.head.radius_mm for part in parts]))
+    return PipeMap(
+        every * step, first.phi_deg, grid("radius_mm"), grid("sigma_mm"), grid("flag"), grid("at_least"), grid("dc"),
+        grid("modulation"), grid("frames"), replace(first.head, poses=poses, radius_mm=radius), first.noise,
+    )  # fmt: skip
+
+
+def _survey(job: FringePipeJob, seen: PipeMap) -> Survey:
+    began = time.perf_counter()
+    line = Centreline([Piece(0.0, seen.head.radius_mm)])
+    profiles = _rows(job, seen)
+    wall = build_wall(profiles, centreline=line)
+    built = time.perf_counter()
+    defects = find_scratches(seen)
+    size = math.sqrt(CELLS_MIN) * seen.cell_mm[0] / seen.head.radius_mm
+    limits = replace(Limits(), seed_noise=CELL, seed_of_radius=LEAST_OF_RADIUS, size_of_radius=size)
+    label = np.zeros(wall.radius_mm.shape, np.int32)
+    for n, one in enumerate(defects, start=1):
+        label[_cells(wall, one)] = n
+    timing = {"wall": 1e3 * (built - began), "defects": 1e3 * (time.perf_counter() - built)}
+    return Survey(
+        tuple(profiles), wall, np.zeros(wall.radius_mm.shape, bool), Detection(tuple(defects), label, limits),
+        measure_stations(wall), None, None, (), line, (), 2 * job.radius_mm, timing, (job.camera.id,),
+    )  # fmt: skip
+
+
+def _rows(job: FringePipeJob, seen: PipeMap) -> list[Profile]:
+    """A row of the map as a profile: of the frame whose lit wall it was nearest the middle of."""
+    middle = float(np.median(seen.z_mm)) - float(np.median(job.z_mm))
+    z = np.array(job.z_mm)
+    turn, out = np.radians(seen.phi_deg), []
+    bright = float(np.nanpercentile(seen.dc, 99)) if np.isfinite(seen.dc).any() else 1.0
+    for j, at in enumerate(seen.z_mm):
+        told = np.flatnonzero(np.isfinite(seen.radius_mm[j]) & np.isfinite(seen.sigma_mm[j]))
+        radius = seen.radius_mm[j, told]
+        points = np.stack([radius * np.cos(turn[told]), radius * np.sin(turn[told]), np.full(len(told), at)], axis=1)
+        grey = np.clip(255 * np.nan_to_num(seen.dc[j, told]) / bright, 0, 255).astype(np.uint8)
+        frame = job.scan.frames[job.frames[int(np.argmin(np.abs(z + middle - at)))]].index
+        out.append(
+            Profile(
+                frame, float(at), Pose(), points.astype(np.float32), np.repeat(grey[:, None], 3, axis=1),
+                np.zeros(len(told), np.uint8), told.astype(np.uint16), float(np.median(seen.sigma_mm[j, told]))
+                if len(told) else math.nan, sigma_mm=seen.sigma_mm[j, told].astype(np.float32), camera=job.camera.id,
+            )
+        )  # fmt: skip
+    return out
+
+
+def _cells(wall: Wall, one: Defect) -> BoolArray:
+    """(Z, A) bool, of the report's coarser grid: those that a defect's extent covers, at least one."""
+    low, high = one.z_range_mm
+    rows = np.abs(wall.z_mm - one.z_mm) <= max((high - low) / 2, wall.z_step_mm / 2)
+    away = np.abs((wall.clock_deg - one.clock_deg + 180.0) % 360.0 - 180.0)
+    return np.asarray(rows[:, None] & (away <= max(one.arc_deg / 2, wall.clock_step_deg / 2)))
