@@ -6,6 +6,7 @@ where it began. The slide's design is where the search begins: `pattern.projecto
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,8 @@ from annulus.geometry.calibration import camera_to_dict
 from annulus.record.calibration_file import load_part, load_sections, update_calibration
 from annulus.record.scan import open_scan
 from annulus.vocabulary import AnnulusError, Label
+
+Progress = Callable[[str, int, int], None]
 
 FRAMES_MAX = 32  # held at once, 5 MB a frame of a Mpixel
 
@@ -56,8 +59,9 @@ class FringePipeCalibration:
 
 
 def calibrate_fringe_pipe(
-    scan: Path, camera: Path, slide: Path | None = None, *, radius_mm: float | None = None
-) -> FringePipeCalibration:
+    scan: Path, camera: Path, slide: Path | None = None, *, radius_mm: float | None = None,
+    progress: Progress | None = None,
+) -> FringePipeCalibration:  # fmt: skip
     """The projector of the head whose camera is in `camera`, from frames of a clean pipe.
 
     slide : the file with the design, that of the camera where None. radius_mm : of the pipe; the file's where None.
@@ -82,8 +86,10 @@ def calibrate_fringe_pipe(
     which = [which[k] for k in np.unique(np.linspace(0, len(which) - 1, min(len(which), FRAMES_MAX)).astype(int))]
     told = head.curve(scan.resolve().name)
     curve = told or Transfer()
+    report = progress or (lambda stage, done, total: None)
     aside, images = [], []
-    for i in which:
+    for done, i in enumerate(which):
+        report("projector", done, len(which) + 1)
         frame = opened.frames[i]
         if frame.aside_mm is None:
             raise AnnulusError(
@@ -92,10 +98,12 @@ def calibrate_fringe_pipe(
             )
         aside.append((*frame.aside_mm, 0.0))
         images.append(light_of(opened.read(i), head.camera(frame.camera), curve, frame.where))
+    report("projector", len(which), len(which) + 1)
     try:
         found = calibrate_pipe(head.cameras[0], design, np.array(images), np.array(aside), radius)
     except AnnulusError as error:
         raise AnnulusError(f"{scan}: {error}") from None
+    report("projector", len(which) + 1, len(which) + 1)
     known = replace(
         head, projector=found.projector, radius_mm=radius, transfer=dict(head.transfer) if told else {"": curve}
     )

@@ -443,7 +443,8 @@ def _fringe_pipe(scan: Path, camera: Path, slide: Path | None, radius: float | N
     from annulus.calibrate.fringe_pipe import calibrate_fringe_pipe, save_fringe_pipe
     from annulus.cli.fringe import show_pipe
 
-    result = calibrate_fringe_pipe(scan, camera, slide, radius_mm=radius)
+    with progress() as bars:
+        result = calibrate_fringe_pipe(scan, camera, slide, radius_mm=radius, progress=bars)
     save_fringe_pipe(result, out)
     told = result.to_dict()
     if as_json:
