@@ -23,6 +23,8 @@ from annulus.vocabulary import AnnulusError, Label
 Progress = Callable[[str, int, int], None]
 
 FRAMES_MAX = 32  # held at once, 5 MB a frame of a Mpixel
+MISFIT_MAX = 0.25  # of half the brightest light, the fringes' swing; test_fringe_pipe
+BRIGHTEST = 97.0  # percentile
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +106,13 @@ def calibrate_fringe_pipe(
     except AnnulusError as error:
         raise AnnulusError(f"{scan}: {error}") from None
     report("projector", len(which) + 1, len(which) + 1)
+    off = found.misfit / (float(np.nanpercentile(images, BRIGHTEST)) / 2)
+    if off > MISFIT_MAX:
+        raise AnnulusError(
+            f"{scan}: its frames do not show this slide in a pipe of {radius:g} mm radius: what is left of the fit is "
+            f"{off:.2f} of the fringes' swing, expected below {MISFIT_MAX:g}. Another radius or slide, or tx_mm, ty_mm "
+            "that are wrong?"
+        )
     known = replace(
         head, projector=found.projector, radius_mm=radius, transfer=dict(head.transfer) if told else {"": curve}
     )

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from bores import LENS, RADIUS_MM, SLIDE
 
+from annulus.calibrate import fringe_pipe as calibrate
 from annulus.calibrate.fringe_pipe import calibrate_fringe_pipe
-from annulus.fringe import PipeMap, projector_to_dict
+from annulus.fringe import PipeCalibration, PipeMap, projector_to_dict
 from annulus.fringe.bore import TERMS
 from annulus.fringe.placement import Head
 from annulus.geometry.calibration import camera_to_dict
@@ -74,6 +75,19 @@ def test_a_calibration_that_is_none_for_it_is_one_line(tmp_path: Path) -> None:
         calibrate_fringe_pipe(aside, calibration(tmp_path, cameras=[HEAD, {**HEAD, "id": 1}]))
     with pytest.raises(AnnulusError, match="no slide of rings and pipe"):
         open_fringe_pipe(aside, calibration(tmp_path, pattern={"kind": "fringe"}))
+
+
+def test_a_pipe_whose_frames_do_not_fit_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A radius half as large leaves 0.42 of the swing in the ray-traced pipe, the right one 0.02."""
+    aside = scan(tmp_path / "aside", "z_mm,tx_mm,ty_mm", ["0,0,0", "0,3,0", "0,0,3"])
+    for misfit, wrong in ((8.0, True), (0.5, False)):
+        found = PipeCalibration(SLIDE, np.ones(7), np.eye(7), np.zeros(6), misfit, 3)
+        monkeypatch.setattr(calibrate, "calibrate_pipe", lambda *_, found=found: found)
+        if wrong:
+            with pytest.raises(AnnulusError, match="do not show this slide in a pipe of 60 mm radius"):
+                calibrate_fringe_pipe(aside, calibration(tmp_path))
+        else:
+            assert calibrate_fringe_pipe(aside, calibration(tmp_path)).found is found
 
 
 def test_windows_of_a_long_scan_are_one_wall(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
