@@ -3,8 +3,6 @@
 import base64
 import json
 import math
-import shutil
-import tempfile
 import time
 from datetime import UTC, datetime
 from importlib import resources
@@ -19,12 +17,10 @@ from annulus.numeric.arrays import FloatArray
 from annulus.report.account import Account
 from annulus.report.paper import DEVIATION, UNSEEN, WIDTH_IN, in_style, png, round_up
 from annulus.report.ply import write_ply
-from annulus.report.results import prepare_folder
+from annulus.report.results import DEPTH, SUMMARY, staged
 from annulus.report.summary import finite, versions
-from annulus.vocabulary import AnnulusError
 from annulus.wall.plate import Plate
 
-FILES = ("depth.npz", "cloud.ply", "height.png", "sigma.png", "report.html", "summary.json")
 CLOUD_NOTE = "annulus point cloud of a plate, mm: first camera's frame at position 0; sigma = of the height, k = 1"
 TEMPLATE = "plate.html.j2"
 SCALE_PERCENTILES = (0.5, 99.5)  # of the heights, at the ends of the colour bar
@@ -38,30 +34,19 @@ def write_plate(plate: Plate, account: Account, out: Path) -> dict[str, Any]:
     AnnulusError when `out` cannot be written.
     """
     started = time.perf_counter()
-    prepare_folder(out)
-    try:
-        staging = Path(tempfile.mkdtemp(prefix=".annulus-", dir=out))
-        try:
-            np.savez(
-                staging / "depth.npz", x_mm=plate.x_mm, y_mm=plate.y_mm, height_mm=plate.height_mm,
-                sigma_mm=plate.sigma_mm, light=plate.light, modulation=plate.modulation,
-                distance_mm=plate.distance_mm,
-            )  # fmt: skip
-            _write_cloud(staging / "cloud.ply", plate)
-            pictures = {"height.png": _heights(plate), "sigma.png": _sigma(plate)}
-            for name, data in pictures.items():
-                (staging / name).write_bytes(data)
-            summary = _summary(plate, account, 1e3 * (time.perf_counter() - started))
-            (staging / "report.html").write_text(_page(summary, pictures), encoding="utf-8")
-            text = json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False)
-            (staging / "summary.json").write_text(text + "\n", encoding="utf-8")
-            (out / "summary.json").unlink(missing_ok=True)
-            for name in FILES:
-                (staging / name).replace(out / name)
-        finally:
-            shutil.rmtree(staging, ignore_errors=True)
-    except OSError as error:
-        raise AnnulusError(f"{out}: results cannot be written ({error.strerror or error}).") from None
+    with staged(out) as staging:
+        np.savez(
+            staging / DEPTH, x_mm=plate.x_mm, y_mm=plate.y_mm, height_mm=plate.height_mm,
+            sigma_mm=plate.sigma_mm, light=plate.light, modulation=plate.modulation, distance_mm=plate.distance_mm,
+        )  # fmt: skip
+        _write_cloud(staging / "cloud.ply", plate)
+        pictures = {"height.png": _heights(plate), "sigma.png": _sigma(plate)}
+        for name, data in pictures.items():
+            (staging / name).write_bytes(data)
+        summary = _summary(plate, account, 1e3 * (time.perf_counter() - started))
+        (staging / "report.html").write_text(_page(summary, pictures), encoding="utf-8")
+        text = json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False)
+        (staging / SUMMARY).write_text(text + "\n", encoding="utf-8")
     return summary
 
 

@@ -1,12 +1,13 @@
 """All result files of one scan: cloud, mesh, maps, stations, summary, report."""
 
+import contextlib
 import csv
 import json
 import math
 import shutil
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,7 @@ FILES = (
     "cloud.ply", "mesh.ply", "unwrapped.png", "texture.png", "stations.csv", "centreline.json", "report.html",
     "summary.json",
 )  # fmt: skip
-DEPTH = "depth.npz"  # of methods whose map is finer than the report's
+SUMMARY, DEPTH = "summary.json", "depth.npz"  # the second: of methods whose map is finer than the report's
 
 
 def write(
@@ -43,39 +44,42 @@ def write(
     ------
     AnnulusError when `out` cannot be written.
 
-    Notes
-    -----
-    Files are made in a folder beside the old ones and moved into place at the end, summary.json last: a crash leaves
-    no half file, and a summary always belongs to the files beside it.
     """
     started = time.perf_counter()
+    with staged(out) as staging:
+        _write_cloud(staging / "cloud.ply", survey)
+        pictures = figures.draw(survey)
+        _write_mesh(staging / "mesh.ply", survey, pictures.deviation_rgb)
+        (staging / "unwrapped.png").write_bytes(pictures.unwrapped)
+        (staging / "texture.png").write_bytes(pictures.texture)
+        _write_stations(staging / "stations.csv", survey.stations)
+        (staging / "centreline.json").write_text(json.dumps(centreline(survey), indent=1) + "\n", encoding="utf-8")
+        if depth is not None:
+            np.savez(staging / DEPTH, **dict[str, Any](depth))
+        summary = summarize(survey, account, 1e3 * (time.perf_counter() - started))
+        (staging / "report.html").write_text(render_page(survey, summary, pictures), encoding="utf-8")
+        text = json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False)
+        (staging / SUMMARY).write_text(text + "\n", encoding="utf-8")
+    return summary
+
+
+@contextlib.contextmanager
+def staged(out: Path) -> Iterator[Path]:
+    """A folder for result files, which are moved into `out` when all are made, summary.json last: a crash leaves no
+    half file, and a summary always belongs to the files beside it. AnnulusError when `out` cannot be written."""
     prepare_folder(out)
     try:
         staging = Path(tempfile.mkdtemp(prefix=".annulus-", dir=out))
         try:
-            _write_cloud(staging / "cloud.ply", survey)
-            pictures = figures.draw(survey)
-            _write_mesh(staging / "mesh.ply", survey, pictures.deviation_rgb)
-            (staging / "unwrapped.png").write_bytes(pictures.unwrapped)
-            (staging / "texture.png").write_bytes(pictures.texture)
-            _write_stations(staging / "stations.csv", survey.stations)
-            (staging / "centreline.json").write_text(json.dumps(centreline(survey), indent=1) + "\n", encoding="utf-8")
-            summary = summarize(survey, account, 1e3 * (time.perf_counter() - started))
-            (staging / "report.html").write_text(render_page(survey, summary, pictures), encoding="utf-8")
-            text = json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False)
-            (staging / "summary.json").write_text(text + "\n", encoding="utf-8")
-            (out / "summary.json").unlink(missing_ok=True)
+            yield staging
+            (out / SUMMARY).unlink(missing_ok=True)
             (out / DEPTH).unlink(missing_ok=True)  # of a scan before
-            if depth is not None:
-                np.savez(staging / DEPTH, **dict[str, Any](depth))
-                (staging / DEPTH).replace(out / DEPTH)
-            for name in FILES:
-                (staging / name).replace(out / name)
+            for file in sorted(staging.iterdir(), key=lambda file: file.name == SUMMARY):
+                file.replace(out / file.name)
         finally:
             shutil.rmtree(staging, ignore_errors=True)
     except OSError as error:
         raise AnnulusError(f"{out}: results cannot be written ({error.strerror or error}).") from None
-    return summary
 
 
 def prepare_folder(out: Path) -> None:
