@@ -30,7 +30,7 @@ from annulus.rings.polar import ring_pixels
 from annulus.vocabulary import AnnulusError
 
 # What is refused and what is found: test_pipe and topic calibrate_scene. What is only said (GOOD_*, WAVES, OTHER_*,
-# CLIPPED_HERE) was chosen on calibration-a, spoilt one way at a time: unguarded.
+# CLIPPED_*) was chosen on calibration-a, spoilt one way at a time: unguarded.
 FRAMES_MOST = 40  # of a longer scan evenly taken; more only average noise that is small already
 FRAMES_ASKED = 4  # fewer are used, and said to be few
 LEAN_DEG, LEAN_SHIFT = 10.0, 0.1  # what is advised: to lean so far, and stand off by this part of the radius
@@ -41,6 +41,7 @@ FOLDS = 4  # parts that are held out in turn
 HELD_EVERY = 3  # observations: as many as the held-out error needs
 CORRECTION_WINS = 0.97  # residual corrections are kept if they bring the held-out error down to this part at most
 WAVES = 8.0  # neighbouring errors alike: noise makes 3
+CLIPPED_SOME = 0.02  # of the stripes at full scale: enough to bend a ring by the tenth of a pixel that makes waves
 OTHER_PIPE = 0.004  # of the radius: a frame's pipe this much off is another pipe
 CLIPPED_HERE = 0.75  # of the stripes at full scale: rings then come out hundredths of a degree off
 NEARLY_FLAT = math.radians(8.0)  # from a plane: then it is tried as one, ..
@@ -71,7 +72,7 @@ class PipeCalibration:
     held_every: int = HELD_EVERY
     target: tuple[Disagreement, ...] = ()  # with a target before both cameras, about where they stand
 
-    def _held_mm(self, held: Measured, part: BoolArray | None = None) -> float:
+    def held_mm(self, held: Measured, part: BoolArray | None = None) -> float:
         """mm rms of the radius in frames held out."""
         if not self.solution.cameras:
             return held.rms_mm() if part is None else held.rms_mm(part)
@@ -122,7 +123,7 @@ class PipeCalibration:
                     "observations": int(np.count_nonzero(mine)),
                     "residual_px": _rms(solution.error_px[mine]),
                     "residual_mm": _rms(mm) if not solution.cameras else self._mm(solution.error_px, mine),
-                    "held_out_mm": None if held is None else self._held_mm(held, part),
+                    "held_out_mm": None if held is None else self.held_mm(held, part),
                 }
             )
         return {
@@ -141,7 +142,7 @@ class PipeCalibration:
             ],
             "rings": rings,
             "residual_px": _rms(solution.error_px[solution.weight > 0]),
-            "held_out_mm": None if self.held_out is None else self._held_mm(self.held_out),
+            "held_out_mm": None if self.held_out is None else self.held_mm(self.held_out),
             "held_out_corrected_mm": None if self.held_out_corrected is None else self.held_out_corrected.rms_mm(),
             "corrected": self.calibration.corrections is not None,
             "camera_projector_mm": self.distance_mm,
@@ -393,9 +394,11 @@ def warn(
         out.append("another place of the projector fits nearly as well: take frames that lean more")
     waves = float(solution.correlation_length.max())
     if waves > WAVES:
+        clipped = max((e.clipped for e in exposures), default=0.0)
+        moved = f", or slits moved in the {100 * clipped:.0f} % of the stripes that are over-exposed"
         out.append(
             f"the errors run in long waves along the rings (up to {waves:.0f} neighbours alike): the camera's file is "
-            "not of this camera and lens, or the pipe is not round"
+            f"not of this camera and lens, or the pipe is not round{moved if clipped > CLIPPED_SOME else ''}"
         )
     over = [e for e in exposures if e.lost > LOST_MOST or e.clipped > CLIPPED_HERE]
     if over:

@@ -44,12 +44,18 @@ def draw_pipe(result: PipeCalibration, path: Path) -> None:
     poses.set_ylim(reach, -reach)
     poses.set_aspect("equal")
     poses.set_title("How the head leant, degrees (right, down)")
-    if result.held_out is not None and result.held_out_corrected is not None:
-        for shift, held, name in ((-0.2, result.held_out, "cones"), (0.2, result.held_out_corrected, "corrected")):
-            values = [held.rms_mm(seen.ring[:: result.held_every] == k) for k in range(rings)]
-            bars.bar(np.arange(1, rings + 1) + shift, values, 0.4, label=name, color=SHADES[0 if shift < 0 else 4])
+    held = [(name, one) for name, one in (("cones", result.held_out), ("corrected", result.held_out_corrected)) if one]
+    width = 0.8 / max(len(held), 1)
+    for i, (name, one) in enumerate(held):
+        values = [result.held_mm(one, seen.ring[:: result.held_every] == k) for k in range(rings)]
+        place = np.arange(1, rings + 1) + width * (i - (len(held) - 1) / 2)
+        bars.bar(place, values, width, label=name, color=SHADES[4 * i])
+    if held:
         bars.set_xticks(range(1, rings + 1))
         bars.legend()
+    else:
+        bars.text(0.5, 0.5, "nothing held out: too few frames show a ring", ha="center", transform=bars.transAxes)
+        bars.set_axis_off()
     bars.set_xlabel("ring")
     bars.set_title("Radius error in frames held out, mm rms")
     try:

@@ -5,11 +5,13 @@ import json
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
 from annulus.calibrate.head import calibrate_head
 from annulus.calibrate.pipe import PipeCalibration, save_pipe
+from annulus.calibrate.pipe_picture import draw_pipe
 from annulus.record.calibration_file import load_calibration
 from annulus.report import Account, write
 from annulus.reprocess import open_job, reprocess
@@ -51,6 +53,13 @@ def test_how_far_a_target_puts_the_second_camera_elsewhere_is_said_in_sigmas(fou
     assert told.moved_mm < 0.02 and told.turned_deg < 0.012
     assert found.to_dict()["target"][0]["sigmas"] == told.sigmas
     assert not any("the target has" in warning for warning in found.warnings)
+
+
+def test_what_frames_held_out_say_is_drawn(found: PipeCalibration, tmp_path: Path) -> None:
+    draw_pipe(found, tmp_path / "pipe.png")
+    picture = np.asarray(cv2.imread(str(tmp_path / "pipe.png"))).astype(int)
+    bars = picture[picture.shape[0] * 55 // 100 :, picture.shape[1] * 68 // 100 :]
+    assert np.count_nonzero(np.ptp(bars, axis=2) > 40) > 0.05 * bars[..., 0].size  # coloured; an empty panel has none
 
 
 def test_the_second_cameras_place_is_as_well_known_as_is_said(found: PipeCalibration) -> None:

@@ -163,3 +163,10 @@ def test_a_frame_of_another_pipe_shows_in_the_frames_held_out() -> None:
     )  # fmt: skip
     held = hold_out(both, calibrate(both, RADIUS), 6)
     assert held.off_radius_mm[5] == pytest.approx(0.02 * RADIUS, abs=0.12)
+
+
+def test_a_ring_that_one_frame_alone_shows_leaves_nothing_to_hold_out() -> None:
+    seen = _seen(POSES, noise_px=0.1)
+    few = seen.take(np.flatnonzero((seen.ring < len(RINGS) - 1) | (seen.frame == 0)))
+    with pytest.raises(AnnulusError, match="the projector's place open"):
+        hold_out(few, calibrate(few, RADIUS), len(POSES))

@@ -70,6 +70,8 @@ def calibrate(
     (Eq. 5.10 and 5.11), and then all is adjusted together, six numbers more for each camera.
     """
     rings, frames = int(seen.ring.max()) + 1, int(seen.frame.max()) + 1
+    if start is not None:  # a part of the frames need not show every ring
+        rings, frames = len(start.rings), len(start.poses)
     if frames < 2:
         raise AnnulusError("one frame cannot tell the projector's place from its angles: lean the head the other way")
     known = np.zeros((rings, 2, 0)) if corrections is None else np.ascontiguousarray(corrections)
