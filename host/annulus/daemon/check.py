@@ -28,7 +28,8 @@ from annulus.stream.access import Doorkeeper
 from annulus.stream.frames import CHANNELS
 from annulus.vocabulary import AnnulusError
 
-FRAME_S = 5.0  # for a camera's first frame
+FRAME_S, PERIODS = 5.0, 3.0  # for a camera's first frame; and so many frame periods, where they are long
+START_S = 1.0  # for a camera to start, and for its last wait to end
 SENSOR_S = 2.0
 
 
@@ -103,26 +104,39 @@ def _cameras(config: HeadConfig) -> list[Finding]:
 def _frame(camera: Camera, wanted: CameraConfig) -> str:
     """A camera that may wait for ever is waited for by a thread."""
     came: list[object] = []
+    wait_s = max(FRAME_S, PERIODS * wanted.timing.period_us / 1e6)
 
     def take() -> None:
         try:
             camera.start()
             came.extend(apply_controls(camera, wanted))
-            came.append(grab(camera).timestamp_ns)
+            came.append(_first(camera, time.monotonic() + wait_s))
             camera.stop()
         except (AnnulusError, TimeoutError, EndOfFrames) as error:
             came.append(error)
 
     thread = threading.Thread(target=take, name="first frame", daemon=True)
     thread.start()
-    thread.join(FRAME_S)
-    last = came[-1] if came and not thread.is_alive() else TimeoutError(f"no frame within {FRAME_S:g} s")
+    thread.join(wait_s + START_S)
+    last = came[-1] if came and not thread.is_alive() else None
+    if last is None or isinstance(last, TimeoutError):
+        last = TimeoutError(f"no frame within {wait_s:g} s")
     if not isinstance(last, int):
         raise AnnulusError(f"{wanted.device}: {last}")
     remarks = "".join(f"; {remark}" for remark in came[:-1])
     crop = getattr(camera, "sensor_crop", None)
     shows = "" if crop is None else f", shows {','.join(map(str, crop))} of the sensor"
     return f"{wanted.device}: {camera.width}x{camera.height} {camera.encoding}{shows}, a frame came{remarks}"
+
+
+def _first(camera: Camera, end_s: float) -> int:
+    """The first frame's timestamp; one call of `grab` waits less than the period of a slow camera."""
+    while True:
+        try:
+            return grab(camera).timestamp_ns
+        except TimeoutError:
+            if time.monotonic() >= end_s:
+                raise
 
 
 def _sensors(config: HeadConfig) -> str:

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from annulus.capture.camera import Camera, CapturedFrame, grab
 from annulus.cli import main
 from annulus.daemon import check, disk, priority
 from annulus.daemon.check import check_head
@@ -85,7 +86,8 @@ def test_everything_that_is_wrong_is_found_in_one_go(head: Path, monkeypatch: py
 
 def test_a_camera_that_waits_for_ever_is_not_waited_for(head: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     let_go = threading.Event()
-    monkeypatch.setattr(check, "FRAME_S", 0.05)
+    for name, value in (("FRAME_S", 0.05), ("PERIODS", 0.0), ("START_S", 0.0)):
+        monkeypatch.setattr(check, name, value)
 
     def wait(camera: object) -> None:
         let_go.wait(20.0)
@@ -94,6 +96,18 @@ def test_a_camera_that_waits_for_ever_is_not_waited_for(head: Path, monkeypatch:
     monkeypatch.setattr(check, "grab", wait)
     assert found(head)["camera 0"] == (False, f"{head.parent}/scan: no frame within 0.05 s")
     let_go.set()
+
+
+def test_a_camera_of_few_frames_a_second_is_waited_for(head: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    waits = iter(range(3))
+
+    def slow(camera: Camera) -> CapturedFrame:
+        if next(waits, None) is not None:
+            raise TimeoutError  # as a driver does whose one wait is shorter than the camera's period
+        return grab(camera)
+
+    monkeypatch.setattr(check, "grab", slow)
+    assert found(head)["camera 0"][0]
 
 
 def test_the_command_prints_a_table_and_its_status_says_whether_all_is_well(
