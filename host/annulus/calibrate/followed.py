@@ -1,6 +1,6 @@
 """The frames of a tube in which the rings can be followed, and why the others cannot be used."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -71,7 +71,15 @@ def decode_frames(
             f"{scan}: {rings} of the pattern {look.colours} "
             f"(counted from the innermost) seen in no frame; the stripes read {read}. Check pattern.colours."
         )
+    if look.colours:  # a laser's line may be at full scale
+        contours = {i: contours[i].whole() for i in lit}
     return contours, kept, left_out
+
+
+def over_exposed(contours: Iterable[Contours]) -> tuple[int, ...]:
+    """Rings, from 1, most of whose slits lie beside stripes at full scale."""
+    ring, clipped = (np.concatenate(part) for part in zip(*((one.ring, one.clipped) for one in contours), strict=True))
+    return tuple(int(k) + 1 for k in np.unique(ring) if clipped[ring == k].mean() > 0.5)
 
 
 def _why_none(

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from annulus.calibrate.both import AGREES, disagreement, placement_from_dict
-from annulus.calibrate.followed import decode_frames
+from annulus.calibrate.followed import decode_frames, over_exposed
 from annulus.calibrate.pipe import (
     FOLDS,
     FRAMES_MOST,
@@ -92,7 +92,8 @@ def calibrate_head(scan: Path, camera: Path, radius_mm: float, *, progress: Prog
     calibration = _calibration(cameras, colours, solution, radius_mm)
     told = [disagreement(target, one.id, n, solution) for n, one in enumerate(cameras[1:]) if target is not None]
     compared = tuple(one for one in told if one is not None)
-    warnings = warn(solution, held, indices, radius_mm, None, None, exposures)
+    full = over_exposed(contour for found in contours for contour in found.values())
+    warnings = warn(solution, held, indices, radius_mm, None, None, exposures, full)
     warnings += tuple(
         f"the target has camera {one.camera} {one.moved_mm:.3f} mm elsewhere, turned by {one.turned_deg:.3f} deg, "
         f"{one.sigmas:.1f} sigma, not {AGREES:g} at most: check the squares' side, the pipe's radius, the lenses"

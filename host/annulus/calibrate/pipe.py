@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from annulus.calibrate.both import Disagreement
-from annulus.calibrate.followed import decode_frames
+from annulus.calibrate.followed import decode_frames, over_exposed
 from annulus.calibrate.sample import Progress, projector_frames, sample
 from annulus.geometry.calibration import Calibration, camera_alone, head_from_dict
 from annulus.geometry.camera import Camera
@@ -205,8 +205,10 @@ def calibrate_pipe(
         known, colours, best.rings, radius_mm, tuple(tuple(float(v) for v in row) for row in best.covariance),
         None if corrections is None else ring_corrections(corrections), pattern={"kind": "line"} if lines else None,
     )  # fmt: skip
-    used = [] if lines else [frames[i].exposure for i in kept]  # a laser's line may be at full scale
-    warnings = warn(best, held, indices, radius_mm, last_radius, last, used)
+    # a laser's line may be at full scale
+    used = [] if lines else [frames[i].exposure for i in kept]
+    full = () if lines else over_exposed(contours[i] for i in kept)
+    warnings = warn(best, held, indices, radius_mm, last_radius, last, used, full)
     if lines > 1:
         warnings += (LINES_REMARK,)
     names = list(marks)
@@ -358,7 +360,9 @@ def warn(
     last_radius: float | None,
     last: Calibration | None,
     exposures: Sequence[Exposure],
+    full: Sequence[int],
 ) -> tuple[str, ...]:
+    """What may be wrong, a line each. full : rings, from 1, that lie between over-exposed stripes all round."""
     out = []
     distance = float(np.mean([math.hypot(*ring.vertex_mm) for ring in solution.rings]))
     off, sigma = solution.off_radius_mm
@@ -405,6 +409,11 @@ def warn(
         out.append(
             f"{len(over)} frames over-exposed, up to {100 * max(e.clipped for e in over):.0f} % of the stripes at full "
             "scale: slits move there; shorten the projector's flash"
+        )
+    elif full:
+        out.append(
+            f"ring{'s' if len(full) > 1 else ''} {', '.join(map(str, full))} beside over-exposed stripes nearly all "
+            "round: slits move there, angles by tenths of a degree; shorten the projector's flash"
         )
     return tuple(out)
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,8 @@ STRAY, STRAY_PX = 5.0, 2.0  # a slit this many sigma, but at least so many px, o
 NARROW, WIDE = 0.75, 1.3  # of the ring's usual width around there
 STRONG = 0.5  # of the usual line: what is counted in the first look at bright lines
 LEAST = 0.15  # of the directions must show a ring for its course to be drawn
+FULL, BESIDE_PX = 250, 3.0  # grey level that is full scale, give or take JPEG; looked for so far beyond a slit's edges
+WHOLE = 0.3  # of a ring's slits in a frame: with so many between stripes that are not over-exposed, the others go
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,10 +39,23 @@ class Contours:
     ring: NDArray[np.int64]  # (N,)
     pixels: FloatArray  # (N, 2)
     width: FloatArray  # (N,) px
+    clipped: NDArray[np.bool_]  # (N,) a stripe beside it is over-exposed
     reach: FloatArray  # (K, 3) px from the centre: least, median and most of each ring; NaN where it is not seen
     middle: FloatArray  # (2,) px, of the rings
     slits: int  # seen, ring or not
     centre: tuple[float, float]  # of the lines they were found on
+
+    def whole(self) -> "Contours":
+        """Without slits beside over-exposed stripes, ring by ring, where enough of the ring is left: full scale cuts
+        off half an edge, and moves a slit by up to a quarter of a pixel, on the pipe's nearer side only."""
+        kept = ~self.clipped
+        for k in range(len(self.reach)):
+            mine = self.ring == k
+            if np.count_nonzero(mine & kept) < WHOLE * np.count_nonzero(mine):
+                kept |= mine
+        return replace(
+            self, ring=self.ring[kept], pixels=self.pixels[kept], width=self.width[kept], clipped=self.clipped[kept]
+        )
 
 
 def wide_grid(camera: Camera, centre: FloatArray) -> PolarGrid:
@@ -84,7 +99,7 @@ def follow(image_bgr: NDArray[np.uint8], grid: PolarGrid, colours: str) -> Conto
         ring = decode(
             slits.direction, inside, outside, np.where(allowed, stray / gap, np.nan), colours, WANDER / 0.65
         )  # fmt: skip
-    return _kept(grid, slits, ring, stray)
+    return _kept(image_bgr, grid, slits, ring, stray)
 
 
 def follow_lines(image_bgr: NDArray[np.uint8], grid: PolarGrid, rings: int) -> Contours:
@@ -104,10 +119,12 @@ def follow_lines(image_bgr: NDArray[np.uint8], grid: PolarGrid, rings: int) -> C
         ring = name_lines(
             lines.direction, strength, stray / _gap(course, grid.spacing_px)[:, lines.direction].T, WANDER
         )
-    return _kept(grid, lines, ring, stray)
+    return _kept(image_bgr, grid, lines, ring, stray)
 
 
-def _kept(grid: PolarGrid, slits: Slits, ring: NDArray[np.int64], stray: FloatArray) -> Contours:
+def _kept(
+    image_bgr: NDArray[np.uint8], grid: PolarGrid, slits: Slits, ring: NDArray[np.int64], stray: FloatArray
+) -> Contours:
     """Of named slits those that follow their ring's course, (N, K) px off it, and are about as wide."""
     shape = stray.shape[1], len(grid.cosine)
     named = np.flatnonzero(ring != NONE)
@@ -119,7 +136,7 @@ def _kept(grid: PolarGrid, slits: Slits, ring: NDArray[np.int64], stray: FloatAr
         most = np.maximum(STRAY * SIGMA_OF_MAD * spread[ring[named]], STRAY_PX)
         good = (off <= most) & (ratio > NARROW) & (ratio < WIDE)
     kept = named[good]
-    return _contours(grid, slits, ring[kept], kept, shape[0])
+    return _contours(image_bgr, grid, slits, ring[kept], kept, shape[0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,7 +227,14 @@ def _running_median(curve, around, out):  # type: ignore[no-untyped-def]
                 out[k, j] = 0.5 * (window[(n - 1) // 2] + window[n // 2])
 
 
-def _contours(grid: PolarGrid, slits: Slits, ring: NDArray[np.int64], kept: NDArray[np.int64], rings: int) -> Contours:
+def _contours(
+    image_bgr: NDArray[np.uint8],
+    grid: PolarGrid,
+    slits: Slits,
+    ring: NDArray[np.int64],
+    kept: NDArray[np.int64],
+    rings: int,
+) -> Contours:
     pixels = grid.pixels(slits.direction[kept], slits.position[kept])
     away = np.linalg.norm(pixels - np.asarray(grid.centre), axis=1)
     reach, middles = np.full((rings, 3), np.nan), []
@@ -225,4 +249,9 @@ def _contours(grid: PolarGrid, slits: Slits, ring: NDArray[np.int64], kept: NDAr
             if len(both):
                 middles.append(pixels[both].mean(axis=0))
     middle = np.mean(middles, axis=0) if middles else np.asarray(grid.centre)
-    return Contours(ring, pixels, slits.width[kept], reach, middle, len(slits.position), grid.centre)
+    clipped = np.zeros(len(kept), bool)
+    for way in (-1.0, 1.0):
+        beside = grid.pixels(slits.direction[kept], slits.position[kept] + way * (slits.width[kept] / 2 + BESIDE_PX))
+        x, y = np.clip(np.rint(beside).astype(int), 0, np.array(image_bgr.shape[1::-1]) - 1).T
+        clipped |= image_bgr[y, x].max(axis=1) >= FULL
+    return Contours(ring, pixels, slits.width[kept], clipped, reach, middle, len(slits.position), grid.centre)
