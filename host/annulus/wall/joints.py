@@ -36,7 +36,8 @@ CREST = 97.0  # percentile of a sector's heights: noise is small against beads
 HIGH, TOP = 0.75, 0.85  # of the crest: what belongs to it, and what is its top
 FIRST, NOTCH = 0.6, 0.1  # of it: what a first of two crests has at least, and by how much the notch behind is lower
 SURE = 2.0  # times the usual sigma: beyond, a slit that a bead's shadow cuts in half seems to stand high behind it
-WIDTH_K2_OF_RADIUS = 0.03  # k = 2 of a bead's width: half a slit and the hidden flank
+# k = 2 of a bead's width, half a slit and the hidden flank, where points that doubt their place do not say otherwise.
+WIDTH_K2_OF_RADIUS = 0.03
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,10 +232,11 @@ def _joint(
         crest = float(np.median(crests)) if crests else float(np.percentile(height, CREST))
         scatter = float(np.std(crests)) / 2 if crests else math.nan  # a bead uneven all round is seen as unevenly
         sure = ~(points.stated_mm[inside] > SURE * np.nanmedian(points.stated_mm))
-        start, end = _flanks(z[sure], height[sure], crest) if sure.any() else _flanks(z, height, crest)
+        start, end, apart_k2 = bead_span(z, height, crest, sure)
         noise = math.hypot(float(np.median(wall.noise_mm)), points.sigma_mm(inside))
         measures.append(Measure("height_mm", crest, 2.0 * math.hypot(noise, scatter)))
-        measures.append(Measure("width_mm", end - start, WIDTH_K2_OF_RADIUS * wall.mean_radius_mm))
+        k2 = math.hypot(WIDTH_K2_OF_RADIUS * wall.mean_radius_mm, apart_k2)
+        measures.append(Measure("width_mm", end - start, k2))
         first, last = min(first, start), max(last, end)
         middle, length = (start + end) / 2, end - start
     slit = SLIT_OF_RADIUS * wall.mean_radius_mm
@@ -253,6 +255,17 @@ def _joint(
     kind = FeatureKind.GAP if is_gap else FeatureKind.JOINT
     length = max(length, 2 * wall.z_step_mm)
     return Joint(Feature(kind, middle, length, measures=tuple(measures), remark=remark), first, last, is_gap)
+
+
+def bead_span(z: FloatArray, height: FloatArray, crest: float, sure: BoolArray) -> tuple[float, float, float]:
+    """Where a bead begins and ends (mm), from those of its points (N,) that are sure of their place, and k = 2 of its
+    width for the rest: with all of them the bead is another as wide, and two readings of one value differ by sqrt 2 of
+    its sigma."""
+    first, last = _flanks(z, height, crest)
+    if not sure.any():
+        return first, last, 0.0
+    start, end = _flanks(z[sure], height[sure], crest)
+    return start, end, math.sqrt(2.0) * abs((end - start) - (last - first))
 
 
 def _flanks(z: FloatArray, height: FloatArray, crest: float) -> tuple[float, float]:
