@@ -39,7 +39,7 @@ DIRECTIONS = 720  # generators of each cone
 SIGMA_MOST = 0.01  # of the radius, along its generator: a point known no better is not known (profilers: 0.5 % of 2 r)
 ROUGHLY = 6  # of so many generators one, for the pose that rings are named with
 BIAS_PX, TINTED_PX = 0.0115, 0.02  # of an edge's place what scatter does not show; where colours are not calibrated
-# grey levels; px: a stripe at twice full scale moves a slit by up to 0.2, evenly. One camera's rings tell by how much by
+# Grey levels; px: a stripe at twice full scale moves a slit by up to 0.2, evenly. One camera's rings tell by how much,
 # lying apart (`rings.uncertainty`); where cones graze, nothing does.
 OVER_EXPOSED, CLIPPED_PX = 235.0, 0.12
 LAG, LEAST, UNKNOWN_PX = 4, 40, 0.1  # as `rings.uncertainty`
