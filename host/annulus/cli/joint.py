@@ -1,6 +1,7 @@
 """`annulus joint`: butt-fusion joints, from a CT volume to what may be said of them."""
 
 import json
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,13 +10,17 @@ import typer
 from annulus.cli.show import Json, group, progress
 from annulus.vocabulary import AnnulusError
 
-app = group("Butt-fusion joints: beads, heat-affected zone and flaws from a CT volume.")
+app = group("Butt-fusion joints: beads, heat-affected zone and flaws from a CT volume, and what strengths go with.")
 DIAMETER_AGREES, WALL_AGREES = 0.03, 0.15  # of what ct.json says the pipe has
 
 
-# With one verb a group would be the verb: `annulus joint CT`.
-@app.callback()
-def _noun() -> None: ...
+class Sense(StrEnum):
+    SAME = "same"
+    MIRRORED = "mirrored"
+    EITHER = "either"
+
+
+SENSES = {Sense.SAME: (1,), Sense.MIRRORED: (-1,), Sense.EITHER: (1, -1)}
 
 
 @app.command("image", epilog="Example: annulus joint image joint-7/ct.tif -o joint-7/result")
@@ -69,6 +74,97 @@ def image_command(
         return
     _print(volume, told, named["found"])
     print(f"files      {', '.join(str(file) for file in files)}")
+
+
+@app.command("correlate", epilog="Example: annulus joint correlate joint-7/result strength.csv")
+def correlate_command(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder that `annulus joint image` wrote.")],
+    strength: Annotated[Path, typer.Argument(help="CSV of dogbones: angle_deg,energy_j and what else there is.")],
+    feature: Annotated[
+        list[str] | None, typer.Option(help="Feature in features.json, again for more: each more costs power.")
+    ] = None,
+    within_deg: Annotated[
+        float,
+        typer.Option(min=0, max=180, help="The strengths' zero angle is unknown by so much either way; 0: known."),
+    ] = 40.0,
+    sense: Annotated[
+        Sense, typer.Option(help="Do the dogbones' angles run as the volume's, against them, or is it not known?")
+    ] = Sense.EITHER,
+    mean_deg: Annotated[
+        float,
+        typer.Option(min=0, max=90, help="A dogbone's width round the pipe: the feature's mean over it is taken."),
+    ] = 20.0,
+    as_json: Json = False,
+) -> None:
+    """Do a joint's features go with its dogbones' strengths? By default W and T.
+
+    The p-value is that of the whole search: the best |r| over all shifts and senses, against features as smooth that
+    have nothing to do with the strengths. Writes correlate.json and correlate.png into DIR.
+    """
+    from annulus.joints.statistics import LEVEL, Search, Strengths, correlate, moving_mean, power
+    from annulus.record.strength import read_features, read_strengths
+    from annulus.report.joint import write_correlation
+
+    names = list(dict.fromkeys(feature or ("W", "T")))
+    source = folder / "features.json"
+    phi, raw = read_features(source, names)
+    angles, energies = read_strengths(strength)
+    try:
+        strengths = Strengths(angles, energies)
+    except AnnulusError as error:
+        raise AnnulusError(f"{strength}: {error}") from None
+    curves = {}
+    for name, values in raw.items():
+        try:
+            curves[name] = moving_mean(phi, values, mean_deg)
+        except AnnulusError as error:
+            raise AnnulusError(f"{source}: {name} is {error}") from None
+    search = Search(within_deg, senses=SENSES[sense])
+    relations = correlate(curves, strengths, search)
+    told: dict[str, Any] = {
+        "strengths": str(strength), "n": len(angles), "angle_deg": angles, "energy_j": energies,
+        "within_deg": within_deg, "sense_sought": sense.value, "mean_deg": mean_deg, "level": LEVEL,
+        "features": {
+            one.name: {
+                "r": one.r, "shift_deg": one.shift_deg, "sense": one.sense, "p": one.p, "p_all": one.p_all,
+                "least_p": one.least_p, "p_rotated": one.p_rotated, "least_p_rotated": one.least_p_rotated,
+                "ordinary_p": one.ordinary_p, "related": one.related,
+                "told_if_r_0.8": power(curves[one.name], angles, search),
+                "told_if_r_0.8_known_zero": power(curves[one.name], angles, Search(0.0, senses=(1,))),
+            }
+            for one in relations
+        },
+    }  # fmt: skip
+    files = write_correlation(folder, told, curves, {one.name: one.chance for one in relations})
+    if as_json:
+        print((folder / "correlate.json").read_text())
+        return
+    print(f"strengths  {len(angles)} dogbones; sought within {within_deg:g} deg either way, sense {sense.value}")
+    for name, one in told["features"].items():
+        print(
+            f"{name:<10} r {one['r']:+.3f} at shift {one['shift_deg']:+g} deg, "
+            f"{'same sense' if one['sense'] > 0 else 'mirrored'}; p over the search {one['p']:.4f}, over all tried "
+            f"{one['p_all']:.4f}, least p {one['least_p']:.4f}, n {len(angles)}: {_verdict(one, LEVEL)}"
+        )
+        print(
+            f"           its own rotations do as well in {one['p_rotated']:.3f}, least {one['least_p_rotated']:.3f} "
+            "(both times the features tried)"
+        )
+        for sought, key in (("", ""), (", zero and sense known", "_known_zero")):
+            seen, believed = one[f"told_if_r_0.8{key}"]
+            print(
+                f"           a true r of 0.8{sought}: p <= {LEVEL:g} in {100 * seen:.0f} %, "
+                f"called related in {100 * believed:.0f} %"
+            )
+    print(f"files      {', '.join(str(file) for file in files)}")
+
+
+def _verdict(one: dict[str, Any], level: float) -> str:
+    if one["related"]:
+        return "related"
+    if max(one["least_p"], one["least_p_rotated"]) > level:
+        return "cannot be told, whatever had come out: too wide a search for so smooth a feature; mark the zero angle"
+    return "not told from chance"
 
 
 def _print(volume: Any, told: dict[str, Any], found: list[dict[str, Any]]) -> None:

@@ -1,4 +1,7 @@
-"""A joint's features and maps as files: features.json, maps.npz and pictures like Figures 9.10 and 9.49 to 9.51."""
+"""A joint's features and maps as files: features.json, maps.npz and pictures like Figures 9.10 and 9.49 to 9.51.
+
+And what its dogbones' strengths have to do with them: correlate.json, correlate.png.
+"""
 
 import json
 import math
@@ -37,6 +40,48 @@ def write_joint(
         for name, figure in pictures.items():
             (folder / name).write_bytes(png(figure))
     return [folder / name for name in ("features.json", "maps.npz", *pictures)]
+
+
+def write_correlation(
+    folder: Path, told: Mapping[str, Any], curves: Mapping[str, FloatArray], chance: Mapping[str, FloatArray]
+) -> list[Path]:
+    """Writes correlate.json and correlate.png into the folder; their paths.
+
+    told : what correlate.json holds; its `features` by name are drawn. curves : (P,) smoothed features, even round the
+    pipe. chance : (N,) greatest |r| by chance.
+    """
+    (folder / "correlate.json").write_text(json.dumps(_plain(told), allow_nan=False))
+    with in_style():
+        (folder / "correlate.png").write_bytes(png(_relations(told, curves, chance)))
+    return [folder / "correlate.json", folder / "correlate.png"]
+
+
+def _relations(told: Mapping[str, Any], curves: Mapping[str, FloatArray], chance: Mapping[str, FloatArray]) -> Figure:
+    figure = Figure(figsize=(WIDTH_IN, 0.6 + 2.9 * len(curves)), layout="constrained")
+    rows = figure.subplots(len(curves), 2, squeeze=False, width_ratios=(2, 1))
+    energy = np.array(told["energy_j"])
+    for (along, odds), (name, curve) in zip(rows, curves.items(), strict=True):
+        one = told["features"][name]
+        along.plot(np.linspace(0, 360, len(curve), endpoint=False), curve, color=INK, lw=1.2)
+        at = (one["sense"] * np.array(told["angle_deg"]) + one["shift_deg"]) % 360
+        beside = along.twinx()
+        beside.plot(at, energy, "o", color=LOSS_RED, ms=6)
+        if one["r"] < 0:
+            beside.invert_yaxis()
+        beside.set_ylabel("strength, J" + (", downwards" if one["r"] < 0 else ""), color=LOSS_RED)
+        along.set(xlim=(0, 360), xticks=range(0, 361, 45), ylabel=f"{name}, moving mean")
+        along.set_title(
+            f"{name}: best r {one['r']:+.2f}, shift {one['shift_deg']:+.0f} deg, "
+            f"{'same sense' if one['sense'] > 0 else 'mirrored'}",
+            fontsize=10,
+        )
+        odds.hist(chance[name], bins=40, range=(0, 1), color=FAINT)
+        odds.axvline(abs(one["r"]), color=LOSS_RED, lw=1.6)
+        odds.set(yticks=[])
+        odds.set_title(f"p over the search {one['p']:.3f}, over all tried {one['p_all']:.3f}", fontsize=10)
+    rows[-1, 0].set(xlabel="angle, degrees from the volume's x to its y")
+    rows[-1, 1].set(xlabel="best |r|: by chance grey, here red")
+    return figure
 
 
 def _plain(value: Any) -> Any:

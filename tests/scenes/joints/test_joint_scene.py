@@ -65,3 +65,15 @@ def test_a_wrong_voxel_size_is_told(tmp_path: Path) -> None:
     assert done.exit_code != 0
     assert "is the voxel size of 0.3 x 0.3 x 0.3 mm right?" in str(done.exception)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["strength.csv", "strength-other.csv"])
+def test_strengths_whose_zero_is_unknown_are_never_called_related(results: Path, name: str) -> None:
+    done = CliRunner().invoke(app, ["joint", "correlate", str(results), str(JOINTS / "joint-a" / name)])
+    assert done.exit_code == 0, done.output
+    for word in ("p over the search", "least p", "n 8", "shift", "cannot be told"):
+        assert word in done.output
+    said = json.loads((results / "correlate.json").read_text())["features"]
+    assert set(said) == {"W", "T"}
+    assert not any(one["related"] for one in said.values())
+    assert (results / "correlate.png").read_bytes().startswith(b"\x89PNG")
