@@ -10,34 +10,24 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from annulus.numeric.arrays import BoolArray, FloatArray
 from annulus.wall.adjustment import OFFSET, RADIUS, TURN
 from annulus.wall.axis import Axis, Begins
+from annulus.wall.beads import SOUND, Points, measure_bead
 from annulus.wall.features import Feature, FeatureKind, Measure
 from annulus.wall.grid import Wall
 from annulus.wall.indications import Limits
 from annulus.wall.profile import Profile
 from annulus.wall.shadow import SLIT_OF_RADIUS
-from annulus.wall.shape import harmonics
 
 REACH_OF_RADIUS = 0.3  # how far each side of where two pipes meet the joint may reach
 NEAR_OF_RADIUS = 0.1  # how far from a bend's end the bead of its weld may be
 LONGEST_OF_RADIUS = 0.5  # what is longer is no joint
 OFF_COLUMNS = 12  # of a row: so many depart, and it is not sound
 ROUND = 0.7  # part of what is seen of a row that must depart alike, for a bead all round
-SOUND = 0.8  # part of what is seen of a row that lies on the pipe's shape: no joint there
 SEEN = 0.3  # part of the circle, for a row to say anything
-ROW_MM = 1.0  # of a bead's flank
-SECTORS, POINTS = 36, 6  # of a bead, and points of one that give it a height
 STANDS = 0.5  # part of a joint's points that stand inwards, for a bead
-CREST = 97.0  # percentile of a sector's heights: noise is small against beads
-HIGH, TOP = 0.75, 0.85  # of the crest: what belongs to it, and what is its top
-FIRST, NOTCH = 0.6, 0.1  # of it: what a first of two crests has at least, and by how much the notch behind is lower
-SURE = 2.0  # times the usual sigma: beyond, a slit that a bead's shadow cuts in half seems to stand high behind it
-# k = 2 of a bead's width, half a slit and the hidden flank, where points that doubt their place do not say otherwise.
-WIDTH_K2_OF_RADIUS = 0.03
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,16 +40,14 @@ class Joint:
     is_gap: bool
 
 
-def find_joints(wall: Wall, profiles: Sequence[Profile], axis: Axis, least_shadow_ratio: float) -> tuple[Joint, ...]:
+def find_joints(wall: Wall, profiles: Sequence[Profile], axis: Axis, shadow_ratios: FloatArray) -> tuple[Joint, ...]:
     """Every joint, in order of distance. profiles : in pipe coordinates, those the wall was made of.
-    least_shadow_ratio : length hidden behind a step over its height, of the widest ring (Alzuhiri 2022, Eq. 3.24).
+    shadow_ratios : (K,) length hidden behind a step over its height, of every ring (Alzuhiri 2022, Eq. 3.24).
 
     Notes
     -----
-    Height is the crest's, the median over 36 sectors of each one's 97th percentile; width from half that height on the
-    near flank to as much behind the last crest as lies between that flank and its first one. A gap is what lies between
-    the last and the first row that is sound wall, less a slit's width and what the wall's own step outwards hides
-    behind its lip.
+    A gap is what lies between the last and the first row that is sound wall, less a slit's width and what the wall's
+    own step outwards hides behind its lip.
     """
     limits = Limits()
     limit = max(limits.seed_noise * float(np.median(wall.noise_mm)), limits.seed_of_radius * wall.mean_radius_mm)
@@ -74,7 +62,7 @@ def find_joints(wall: Wall, profiles: Sequence[Profile], axis: Axis, least_shado
     beads = rows.beads()
     if not zones and not welds and not beads:
         return ()
-    points = _Points.of(wall, profiles)
+    points, least_shadow_ratio = Points.of(wall, profiles, shadow_ratios), float(shadow_ratios.min())
     found = [_joint(wall, points, zone, limit, axis, i, least_shadow_ratio) for zone, i in zones]
     found += [_joint(wall, points, zone, limit, axis, None, least_shadow_ratio) for zone in welds]
     for start, end in beads:
@@ -120,41 +108,6 @@ def without_hidden(
             lost |= (z > first) & (z < last)
         out.append(profile.without(lost, "joint") if lost.any() else profile)
     return tuple(out)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Points:
-    """Every point: chainage, sector round the clock, and how far it stands inwards of the pipe's shape, mm."""
-
-    z_mm: FloatArray
-    sector: NDArray[np.intp]
-    height_mm: FloatArray
-    stated_mm: FloatArray
-
-    @classmethod
-    def of(cls, wall: Wall, profiles: Sequence[Profile]) -> "_Points":
-        x, y, z = np.concatenate([profile.points_mm for profile in profiles]).astype(np.float64).T
-        clock = np.degrees(np.arctan2(x, -y)) % 360.0
-        row = np.clip(np.searchsorted(wall.z_mm, z), 0, len(wall.z_mm) - 1)
-        shape = (wall.shape_mm[row] * harmonics(clock)).sum(axis=1)
-        sigma = np.concatenate([profile.sigma_mm for profile in profiles]).astype(np.float64)
-        return cls(z, (clock * SECTORS / 360.0).astype(np.intp), shape - np.hypot(x, y), sigma)
-
-    def trimmed(self, zone: tuple[float, float], limit: float) -> tuple[float, float]:
-        """A zone without what is sound wall at its ends; the grid's rows may be coarser than points are."""
-        inside = (self.z_mm >= zone[0]) & (self.z_mm <= zone[1])
-        row = np.floor((self.z_mm[inside] - zone[0]) / ROW_MM).astype(np.intp)
-        count = np.bincount(row)
-        near = np.bincount(row, weights=np.abs(self.height_mm[inside]) < limit)
-        unsound = np.flatnonzero((count < POINTS) | (near < SOUND * count))
-        if not len(unsound):
-            return zone
-        return zone[0] + float(unsound[0]) * ROW_MM, min(zone[0] + float(unsound[-1] + 1) * ROW_MM, zone[1])
-
-    def sigma_mm(self, inside: BoolArray) -> float:
-        """Of one of some points, the median; NaN where nobody said."""
-        stated = self.stated_mm[inside]
-        return float(np.median(stated[np.isfinite(stated)])) if np.isfinite(stated).any() else math.nan
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -218,27 +171,22 @@ class _Rows:
 
 
 def _joint(
-    wall: Wall, points: _Points, zone: tuple[float, float], limit: float, axis: Axis, piece: int | None,
+    wall: Wall, points: Points, zone: tuple[float, float], limit: float, axis: Axis, piece: int | None,
     least_shadow_ratio: float,
 ) -> Joint:  # fmt: skip
     first, last = points.trimmed(zone, limit)
     inside = (points.z_mm >= first) & (points.z_mm <= last)
-    z, sector, height = points.z_mm[inside], points.sector[inside], points.height_mm[inside]
+    height = points.height_mm[inside]
     measures: list[Measure] = []
     is_bead = len(height) > 0 and bool((height > limit).mean() >= STANDS)
     middle, length = (first + last) / 2, last - first
     if is_bead:
-        crests = [np.percentile(height[sector == k], CREST) for k in range(SECTORS) if (sector == k).sum() >= POINTS]
-        crest = float(np.median(crests)) if crests else float(np.percentile(height, CREST))
-        scatter = float(np.std(crests)) / 2 if crests else math.nan  # a bead uneven all round is seen as unevenly
-        sure = ~(points.stated_mm[inside] > SURE * np.nanmedian(points.stated_mm))
-        start, end, apart_k2 = bead_span(z, height, crest, sure)
-        noise = math.hypot(float(np.median(wall.noise_mm)), points.sigma_mm(inside))
-        measures.append(Measure("height_mm", crest, 2.0 * math.hypot(noise, scatter)))
-        k2 = math.hypot(WIDTH_K2_OF_RADIUS * wall.mean_radius_mm, apart_k2)
-        measures.append(Measure("width_mm", end - start, k2))
-        first, last = min(first, start), max(last, end)
-        middle, length = (start + end) / 2, end - start
+        bead = measure_bead(wall, points, (first, last))
+        measures.append(Measure("height_mm", bead.height_mm, bead.height_k2_mm))
+        measures.append(Measure("width_mm", bead.width_mm, bead.width_k2_mm))
+        end = bead.start_mm + bead.width_mm
+        first, last = min(first, bead.start_mm), max(last, end)
+        middle, length = (bead.start_mm + end) / 2, bead.width_mm
     slit = SLIT_OF_RADIUS * wall.mean_radius_mm
     least, most = (least_shadow_ratio * step for step in _outwards(axis, piece, middle))
     is_gap = piece is not None and not is_bead and length - most > 2.0 * slit
@@ -255,39 +203,6 @@ def _joint(
     kind = FeatureKind.GAP if is_gap else FeatureKind.JOINT
     length = max(length, 2 * wall.z_step_mm)
     return Joint(Feature(kind, middle, length, measures=tuple(measures), remark=remark), first, last, is_gap)
-
-
-def bead_span(z: FloatArray, height: FloatArray, crest: float, sure: BoolArray) -> tuple[float, float, float]:
-    """Where a bead begins and ends (mm), from those of its points (N,) that are sure of their place, and k = 2 of its
-    width for the rest: with all of them the bead is another as wide, and two readings of one value differ by sqrt 2 of
-    its sigma."""
-    first, last = _flanks(z, height, crest)
-    if not sure.any():
-        return first, last, 0.0
-    start, end = _flanks(z[sure], height[sure], crest)
-    return start, end, math.sqrt(2.0) * abs((end - start) - (last - first))
-
-
-def _flanks(z: FloatArray, height: FloatArray, crest: float) -> tuple[float, float]:
-    """Where a bead begins and ends. Its near flank is where rows come to half its height; what lies between that and
-    its first crest lies behind the last crest that was seen, too, for the far flank is hidden."""
-    row = np.floor((z - z.min()) / ROW_MM).astype(np.intp)
-    count = np.bincount(row)
-    rows = np.flatnonzero(count >= POINTS)
-    if not len(rows):
-        return float(z.min()), float(z.max())
-    middle = np.array([np.median(height[row == k]) for k in rows])
-    at = z.min() + (rows + 0.5) * ROW_MM
-    half = int(np.argmax(middle >= 0.5 * crest))
-    start = float(at[half])
-    if half > 0 and middle[half] > middle[half - 1]:
-        start -= float((at[half] - at[half - 1]) * (middle[half] - 0.5 * crest) / (middle[half] - middle[half - 1]))
-    high = at[middle >= HIGH * crest]
-    if not len(high):
-        return start, float(at[-1])
-    is_top = middle >= min(TOP * crest, float(middle.max()))
-    is_top[:-1] |= (middle >= FIRST * crest)[:-1] & (middle[:-1] - middle[1:] >= NOTCH * crest)
-    return start, float(high[-1]) + ROW_MM / 2 + max(float(at[np.argmax(is_top)]) - start, 0.0)
 
 
 def _outwards(axis: Axis, piece: int | None, at_mm: float) -> tuple[float, float]:

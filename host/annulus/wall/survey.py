@@ -209,7 +209,8 @@ def survey(
     def done(step: str) -> None:
         marks.append((step, time.perf_counter()))
 
-    narrowest, widest = (math.tan(calibration.rings[k].half_angle) for k in (0, -1))
+    rises = np.array([math.tan(ring.half_angle) for ring in calibration.rings])
+    narrowest, widest = float(rises[0]), float(rises[-1])
     above, levels = without_levels(profiles, calibration)
     done("levels")
     axis = find_axis(above, calibration.rings, turns)
@@ -226,7 +227,7 @@ def survey(
     done("sigma")
     wall = build_wall(measured, rise=widest, centreline=axis.centreline)
     done("wall")
-    joints = find_joints(wall, measured, axis, 1.0 / widest)
+    joints = find_joints(wall, measured, axis, 1.0 / rises)
     seen = without_hidden(measured, joints, 1.0 / widest)
     if any(a is not b for a, b in zip(seen, measured, strict=True)):
         measured = seen

@@ -1,0 +1,157 @@
+"""A bead of butt fusion: how high it stands and how wide it is, from its front and from where it lets light by again.
+
+A slit is as wide on the wall as half a bead. On a crest only its lower part is lit, so that crests read low. Behind a
+bead, slits that its shadow cuts in half seem to stand high, where nothing stands: what was seen there says only that
+light did not get by. The far flank is never seen. But the ring whose middle just passes the last crest lands on
+the wall behind, each ring farther off the narrower it is, and that place is well seen. A bead is two rolls alike, a
+quarter of its width from flank to crest each: with the near flank and the height known, the width is what puts the
+light's return where it is.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from annulus.numeric.arrays import FloatArray
+from annulus.wall.grid import Wall
+from annulus.wall.profile import Profile
+from annulus.wall.shadow import SLIT_OF_RADIUS
+from annulus.wall.shape import harmonics
+
+# All held together by the benchmark topic scenes (s01a-butt) and its blind scenes; POINTS and ROW_MM not tried.
+ROW_MM = 1.0  # of a bead's flank
+SECTORS, POINTS = 36, 6  # of a bead, and points of one that give it a height
+SECTORS_MIN = 9  # whose front was seen, for a height from the front alone
+SOUND = 0.8  # part of what is seen of a row that lies on the pipe's shape: no joint there
+CREST = 97.0  # percentile of a sector's heights: noise is small against beads
+FRONT_OF_RADIUS = 0.05  # from the near flank on: the first crest, and nothing of a second one
+ASIDE_OF_RADIUS, BEHIND_OF_RADIUS = 0.08, 0.6  # sound wall beside it; as far behind light has come down again
+READS_LOW = 0.4  # of how far half a slit reaches up a flank: so much lower is the middle of what of it lights a crest
+LOW = 0.3  # of a bead's height: what is lower is wall
+BESIDE = 0.5  # of half a slit: so far past the shadow's edge its middle is, when the wall has the brighter part of it
+BESIDE_SIGMA = 0.25  # of half a slit, how well that is known
+FORM_SIGMA = 0.05  # of a width: how far a bead is from two rolls alike
+QUARTERS = 0.006 * np.arange(1.0, 17.0, 0.1)  # of the radius: a quarter of the width of any bead, from least to most
+ALIKE, ALIKE_POINTS = 1.1, 5  # times as many points in the wrong place, and so many more: a width as good as the best
+
+
+@dataclass(frozen=True, slots=True)
+class Bead:
+    """mm along the pipe, and how far it stands into it; k2 of height and width."""
+
+    start_mm: float
+    width_mm: float
+    width_k2_mm: float
+    height_mm: float
+    height_k2_mm: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Points:
+    """Every point: chainage, sector round the clock, how far it stands inwards of the pipe's shape and what it may be
+    off, mm; its ring's length hidden behind a step over its height, and half of its slit's width on the wall, mm."""
+
+    z_mm: FloatArray
+    sector: NDArray[np.intp]
+    height_mm: FloatArray
+    stated_mm: FloatArray
+    shadow_ratio: FloatArray
+    slit_mm: FloatArray
+    _radius_mm: FloatArray
+    _clock_deg: FloatArray
+
+    @classmethod
+    def of(cls, wall: Wall, profiles: Sequence[Profile], shadow_ratios: FloatArray) -> "Points":
+        x, y, z = np.concatenate([profile.points_mm for profile in profiles]).astype(np.float64).T
+        clock, radius = np.degrees(np.arctan2(x, -y)) % 360.0, np.hypot(x, y)
+        row = np.clip(np.searchsorted(wall.z_mm, z), 0, len(wall.z_mm) - 1)
+        shape = (wall.shape_mm[row] * harmonics(clock)).sum(axis=1)
+        sigma = np.concatenate([profile.sigma_mm for profile in profiles]).astype(np.float64)
+        ratio = shadow_ratios[np.concatenate([profile.ring for profile in profiles])]
+        half = np.concatenate([p.slit_rad[p.ring] if len(p.slit_rad) else np.zeros(len(p.ring)) for p in profiles])
+        slit = np.where(half > 0, half * (1.0 + ratio**2), SLIT_OF_RADIUS / 2) * wall.mean_radius_mm
+        sector = (clock * SECTORS / 360.0).astype(np.intp)
+        return cls(z, sector, shape - radius, sigma, ratio, slit, radius, clock)
+
+    def over(self, wall: Wall, at_mm: float) -> FloatArray:
+        """How far each point stands inwards of the pipe's shape at one chainage, mm."""
+        row = int(np.clip(np.searchsorted(wall.z_mm, at_mm), 0, len(wall.z_mm) - 1))
+        return np.asarray(harmonics(self._clock_deg) @ wall.shape_mm[row] - self._radius_mm)
+
+    def trimmed(self, zone: tuple[float, float], limit: float) -> tuple[float, float]:
+        """A zone without what is sound wall at its ends; the grid's rows may be coarser than points are."""
+        inside = (self.z_mm >= zone[0]) & (self.z_mm <= zone[1])
+        row = np.floor((self.z_mm[inside] - zone[0]) / ROW_MM).astype(np.intp)
+        count = np.bincount(row)
+        near = np.bincount(row, weights=np.abs(self.height_mm[inside]) < limit)
+        unsound = np.flatnonzero((count < POINTS) | (near < SOUND * count))
+        if not len(unsound):
+            return zone
+        return zone[0] + float(unsound[0]) * ROW_MM, min(zone[0] + float(unsound[-1] + 1) * ROW_MM, zone[1])
+
+
+def measure_bead(wall: Wall, points: Points, zone: tuple[float, float]) -> Bead:
+    """The bead that stands between two stations; the wall before and behind them is sound.
+
+    Notes
+    -----
+    Height: the median over 36 sectors of each one's 97th percentile over the front, against the pipe before it, and
+    what a crest reads low. Width: with a the quarter of it, s the near flank at half height, h the height and q a
+    ring's shadow ratio, light comes down again at s + 3a + sqrt((h q)^2 + a^2), the tangent to a second roll that is
+    half an ellipse; a is that for which the fewest points are low before, or stand high after, where the light that
+    made them would have come down.
+    """
+    radius = wall.mean_radius_mm
+    aside = ASIDE_OF_RADIUS * radius
+    before, after = points.over(wall, zone[0] - aside), points.over(wall, zone[1] + aside)
+    inside = (points.z_mm >= zone[0]) & (points.z_mm <= zone[1])
+    rough, _ = _crest(points.height_mm[inside], points.sector[inside])
+    start = _near_flank(points.z_mm[inside], before[inside], rough)
+    front = inside & (points.z_mm >= start - ROW_MM / 2) & (points.z_mm <= start + FRONT_OF_RADIUS * radius)
+    crest, sectors = _crest(before[front], points.sector[front])
+    if len(sectors) < SECTORS_MIN:
+        crest, sectors = _crest(points.height_mm[inside], points.sector[inside])
+    rise = float(np.median(points.slit_mm[inside] / points.shadow_ratio[inside]))
+    height = crest + READS_LOW * rise
+    start = _near_flank(points.z_mm[inside], before[inside], height)
+
+    behind = (points.z_mm > start + ROW_MM / 2) & (points.z_mm < start + BEHIND_OF_RADIUS * radius)
+    stands = np.where(points.z_mm < start + FRONT_OF_RADIUS * radius, before, after)[behind]
+    ratio, slit = points.shadow_ratio[behind], points.slit_mm[behind]
+    lands, low = points.z_mm[behind] + stands * ratio, stands < LOW * height
+    quarters = QUARTERS * radius
+    lit = start + BESIDE * slit - lands
+    wrong = [np.count_nonzero(low == (lit + 3 * a + np.sqrt((height * ratio) ** 2 + a * a) > 0)) for a in quarters]
+    width = 4.0 * float(quarters[wrong == np.min(wrong)].mean())
+    alike = 4.0 * np.ptp(quarters[wrong <= ALIKE * np.min(wrong) + ALIKE_POINTS]) / 2
+    slit_sigma = BESIDE_SIGMA * float(np.median(slit)) * 4.0 / 3.0
+    width_k2 = float(np.linalg.norm([alike, 2.0 * slit_sigma, 2.0 * FORM_SIGMA * width]))
+    # a bead uneven all round is seen as unevenly
+    spread = np.hypot(float(np.std(sectors)) / 2 if len(sectors) else np.nan, READS_LOW / 2 * rise)
+    stated = points.stated_mm[inside]
+    sigma = float(np.median(stated[np.isfinite(stated)])) if np.isfinite(stated).any() else np.nan
+    noise = np.hypot(float(np.median(wall.noise_mm)), sigma)
+    return Bead(start, width, width_k2, height, 2.0 * float(np.hypot(noise, spread)))
+
+
+def _crest(height: FloatArray, sector: NDArray[np.intp]) -> tuple[float, FloatArray]:
+    """mm: the crest, and each sector's of those with points enough."""
+    each = [np.percentile(height[sector == k], CREST) for k in range(SECTORS) if (sector == k).sum() >= POINTS]
+    return (float(np.median(each)) if each else float(np.percentile(height, CREST))), np.array(each)
+
+
+def _near_flank(z: FloatArray, height: FloatArray, crest: float) -> float:
+    """Chainage at which rows come to half a crest's height."""
+    row = np.floor((z - z.min()) / ROW_MM).astype(np.intp)
+    rows = np.flatnonzero(np.bincount(row) >= POINTS)
+    if not len(rows):
+        return float(z.min())
+    middle = np.array([np.median(height[row == k]) for k in rows])
+    at = z.min() + (rows + 0.5) * ROW_MM
+    half = int(np.argmax(middle >= 0.5 * crest))
+    start = float(at[half])
+    if half > 0 and middle[half] > middle[half - 1]:
+        start -= float((at[half] - at[half - 1]) * (middle[half] - 0.5 * crest) / (middle[half] - middle[half - 1]))
+    return start

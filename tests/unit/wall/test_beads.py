@@ -1,0 +1,73 @@
+"""A bead is measured by where light strikes it and where it comes down behind: true, unlike what the points show."""
+
+import numpy as np
+import pytest
+
+from annulus.wall.beads import Bead, Points, measure_bead
+from annulus.wall.grid import Observations, Wall
+
+RADIUS_MM, AT_MM = 76.2, 172.0
+RATIOS = np.array([2.9, 2.6, 2.3, 2.0, 1.8])
+
+
+def _wall() -> Wall:
+    z, clock = np.arange(140.5, 220.0), np.arange(0.5, 360.0)
+    shape = np.tile([RADIUS_MM, 0.0, 0.0, 0.0, 0.0], (len(z), 1))
+    cells = np.full((len(z), len(clock)), RADIUS_MM, np.float32)
+    none = np.zeros(0)
+    nobody = Observations(none.astype(int), none.astype(np.int32), none.astype(np.float32), none.astype(np.float32),
+                          none.astype(np.uint8))  # fmt: skip
+    still = np.full(len(z), 0.02)
+    return Wall(z, clock, cells, np.ones(cells.shape, np.int32), shape, np.zeros((len(z), 5, 5)), still,
+                np.full_like(cells, 0.05), nobody, np.full_like(cells, 0.05))  # fmt: skip
+
+
+def _stands(z: np.ndarray, height: float, width: float) -> np.ndarray:
+    """Two half ellipses side by side."""
+    arm = (np.abs(z - AT_MM) - width / 4) / (width / 4)
+    return np.where(np.abs(z - AT_MM) < width / 2, height * np.sqrt(np.maximum(1.0 - arm * arm, 0.0)), 0.0)
+
+
+def _measured(height: float, width: float, half_slit: float, rng: np.random.Generator) -> Bead:
+    """Slits of rings in frames 5 mm apart: the middle of what light falls on the wall, or on the bead, the brighter one
+    of both, drawn to the nominal cone."""
+    z, stands, ratio, sector = [], [], [], []
+    for q in RATIOS:
+        for lands in np.arange(145.0, 215.0, 5.0) + rng.uniform(0, 5):
+            across = np.linspace(-half_slit, half_slit, 41)
+            path = np.linspace(0.0, 1.5 * height, 301)  # heights along each ray, from above
+            at = lands + across[:, None] - q * path
+            blocked = _stands(at, height, width) > path
+            top = np.where(blocked.any(axis=1), path[300 - np.argmax(blocked[:, ::-1], axis=1)], 0.0)
+            for k in range(36):
+                on_bead = top > 0
+                mine = on_bead if 2.0 * on_bead.sum() > (~on_bead).sum() else ~on_bead
+                stood = top[mine].mean() + rng.normal(0, 0.05)
+                z += [lands - q * stood] * 2
+                stands += [stood] * 2
+                ratio += [q] * 2
+                sector += [k] * 2
+    rows = [np.array(one, float) for one in (z, stands, ratio)]
+    clock = np.array(sector) * 10.0 + 5.0
+    points = Points(
+        rows[0], np.array(sector), rows[1], np.full(len(clock), 0.05), rows[2], np.full(len(clock), half_slit),
+        RADIUS_MM - rows[1], clock,
+    )  # fmt: skip
+    return measure_bead(_wall(), points, (AT_MM - width / 2 - 2, AT_MM + width / 2 + 12))
+
+
+@pytest.mark.parametrize(("height", "width"), [(2.5, 7.0), (3.5, 8.0), (3.5, 12.0), (4.8, 10.5)])
+@pytest.mark.parametrize("half_slit", [1.0, 2.2])
+def test_a_bead_is_as_high_and_as_wide_as_it_is(height: float, width: float, half_slit: float) -> None:
+    bead = _measured(height, width, half_slit, np.random.default_rng(3))
+    assert abs(bead.height_mm - height) < 0.5
+    assert abs(bead.width_mm - width) < 2.0
+    assert abs(bead.width_mm - width) < bead.width_k2_mm
+    assert abs(bead.height_mm - height) < bead.height_k2_mm
+    assert abs(bead.start_mm - (AT_MM - width / 2)) < 2.0
+
+
+def test_a_wider_slit_knows_less() -> None:
+    fine, coarse = (_measured(3.5, 8.0, half, np.random.default_rng(5)) for half in (1.0, 2.2))
+    assert coarse.width_k2_mm > fine.width_k2_mm
+    assert coarse.height_k2_mm > fine.height_k2_mm
