@@ -8,7 +8,6 @@ quarter of its width from flank to crest each: with the near flank and the heigh
 light's return where it is.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,15 +15,11 @@ from numpy.typing import NDArray
 
 from annulus.numeric.arrays import FloatArray
 from annulus.wall.grid import Wall
-from annulus.wall.profile import Profile
-from annulus.wall.shadow import SLIT_OF_RADIUS
-from annulus.wall.shape import harmonics
+from annulus.wall.points import ROW_MM, SECTORS, Points
 
-# All held together by the benchmark topic scenes (s01a-butt) and its blind scenes; POINTS and ROW_MM not tried.
-ROW_MM = 1.0  # of a bead's flank
-SECTORS, POINTS = 36, 6  # of a bead, and points of one that give it a height
+# All held together by test_beads.py and the benchmark topic scenes (s01a-butt); POINTS not tried.
+POINTS = 6  # of a sector, that give it a height
 SECTORS_MIN = 9  # whose front was seen, for a height from the front alone
-SOUND = 0.8  # part of what is seen of a row that lies on the pipe's shape: no joint there
 CREST = 97.0  # percentile of a sector's heights: noise is small against beads
 FRONT_OF_RADIUS = 0.05  # from the near flank on: the first crest, and nothing of a second one
 ASIDE_OF_RADIUS, BEHIND_OF_RADIUS = 0.08, 0.6  # sound wall beside it; as far behind light has come down again
@@ -46,50 +41,6 @@ class Bead:
     width_k2_mm: float
     height_mm: float
     height_k2_mm: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Points:
-    """Every point: chainage, sector round the clock, how far it stands inwards of the pipe's shape and what it may be
-    off, mm; its ring's length hidden behind a step over its height, and half of its slit's width on the wall, mm."""
-
-    z_mm: FloatArray
-    sector: NDArray[np.intp]
-    height_mm: FloatArray
-    stated_mm: FloatArray
-    shadow_ratio: FloatArray
-    slit_mm: FloatArray
-    _radius_mm: FloatArray
-    _clock_deg: FloatArray
-
-    @classmethod
-    def of(cls, wall: Wall, profiles: Sequence[Profile], shadow_ratios: FloatArray) -> "Points":
-        x, y, z = np.concatenate([profile.points_mm for profile in profiles]).astype(np.float64).T
-        clock, radius = np.degrees(np.arctan2(x, -y)) % 360.0, np.hypot(x, y)
-        row = np.clip(np.searchsorted(wall.z_mm, z), 0, len(wall.z_mm) - 1)
-        shape = (wall.shape_mm[row] * harmonics(clock)).sum(axis=1)
-        sigma = np.concatenate([profile.sigma_mm for profile in profiles]).astype(np.float64)
-        ratio = shadow_ratios[np.concatenate([profile.ring for profile in profiles])]
-        half = np.concatenate([p.slit_rad[p.ring] if len(p.slit_rad) else np.zeros(len(p.ring)) for p in profiles])
-        slit = np.where(half > 0, half * (1.0 + ratio**2), SLIT_OF_RADIUS / 2) * wall.mean_radius_mm
-        sector = (clock * SECTORS / 360.0).astype(np.intp)
-        return cls(z, sector, shape - radius, sigma, ratio, slit, radius, clock)
-
-    def over(self, wall: Wall, at_mm: float) -> FloatArray:
-        """How far each point stands inwards of the pipe's shape at one chainage, mm."""
-        row = int(np.clip(np.searchsorted(wall.z_mm, at_mm), 0, len(wall.z_mm) - 1))
-        return np.asarray(harmonics(self._clock_deg) @ wall.shape_mm[row] - self._radius_mm)
-
-    def trimmed(self, zone: tuple[float, float], limit: float) -> tuple[float, float]:
-        """A zone without what is sound wall at its ends; the grid's rows may be coarser than points are."""
-        inside = (self.z_mm >= zone[0]) & (self.z_mm <= zone[1])
-        row = np.floor((self.z_mm[inside] - zone[0]) / ROW_MM).astype(np.intp)
-        count = np.bincount(row)
-        near = np.bincount(row, weights=np.abs(self.height_mm[inside]) < limit)
-        unsound = np.flatnonzero((count < POINTS) | (near < SOUND * count))
-        if not len(unsound):
-            return zone
-        return zone[0] + float(unsound[0]) * ROW_MM, min(zone[0] + float(unsound[-1] + 1) * ROW_MM, zone[1])
 
 
 def measure_bead(wall: Wall, points: Points, zone: tuple[float, float]) -> Bead:

@@ -8,6 +8,7 @@ import numpy as np
 from scipy import ndimage
 
 from annulus.numeric.arrays import BoolArray, FloatArray
+from annulus.numeric.robust import nan_median
 from annulus.wall.extent import with_shadow, without_scraps
 from annulus.wall.grid import Wall, smooth
 from annulus.wall.indications import (
@@ -212,6 +213,7 @@ def _oval_stretches(wall: Wall, limits: Limits) -> tuple[list[Defect], list[Defe
     """Stretches whose fitted shape exceeds the limit, as far as it exceeds 70 % of it; short ones are passed over.
     Those that are not surely known to be out of round come second."""
     percent = shape_ovality(wall)
+    swing = 2.0 * np.hypot(wall.shape_mm[:, 3], wall.shape_mm[:, 4])  # of a diameter
     label, n = ndimage.label(np.nan_to_num(percent) > 0.7 * limits.ovality_percent)
     out: list[Defect] = []
     unsure: list[Defect] = []
@@ -223,14 +225,18 @@ def _oval_stretches(wall: Wall, limits: Limits) -> tuple[list[Defect], list[Defe
             or length < limits.ovality_length_of_radius * wall.mean_radius_mm
         ):
             continue
-        worst = rows[np.argmax(percent[rows])]
-        mean, _, _, even, odd = wall.shape_mm[worst]
+        # where a groove or a step drags the shape about, it is known badly, and looks more oval than the pipe is
+        stated = wall.seen[rows] & np.isfinite(wall.sigma_mm[rows])
+        parts = (part[rows] for part in (wall.sigma_mm, wall.cell_noise_mm, wall.shape_sigma_mm()))
+        points = [nan_median(np.where(stated, part, np.nan).T.astype(np.float64)) for part in parts]
+        k2 = 2.0 * np.linalg.norm(
+            [*(2.0 * one for one in points), 2.0 * swing_sigma(wall)[rows]], axis=0
+        )  # a diameter's
+        worst = int(np.argmax(swing[rows] - np.nan_to_num(k2)))
+        mean, _, _, even, odd = wall.shape_mm[rows[worst]]
         long_axis = np.degrees(np.arctan2(odd, even)) / 2 % 180.0
-        depth = 2.0 * float(np.hypot(even, odd))
-        z = float(wall.z_mm[rows].mean())
+        depth, z = float(swing[rows[worst]]), float(wall.z_mm[rows].mean())
         area = 2 * np.pi * float(mean) * length
-        points = _expanded(wall, (np.arange(len(wall.z_mm)) == worst)[:, None] & wall.seen)
-        k2 = 2.0 * math.hypot(points, 2.0 * float(swing_sigma(wall)[worst]))  # of a diameter
-        one = Defect(Kind.OVALITY, z, float(long_axis), length, 360.0, depth, area, True, k2)
-        (unsure if k2 > UNSURE * depth else out).append(one)
+        one = Defect(Kind.OVALITY, z, float(long_axis), length, 360.0, depth, area, True, float(k2[worst]))
+        (unsure if k2[worst] > UNSURE * depth else out).append(one)
     return out, unsure

@@ -14,10 +14,11 @@ import numpy as np
 from annulus.numeric.arrays import BoolArray, FloatArray
 from annulus.wall.adjustment import OFFSET, RADIUS, TURN
 from annulus.wall.axis import Axis, Begins
-from annulus.wall.beads import SOUND, Points, measure_bead
+from annulus.wall.beads import measure_bead
 from annulus.wall.features import Feature, FeatureKind, Measure
 from annulus.wall.grid import Wall
 from annulus.wall.indications import Limits
+from annulus.wall.points import SOUND, Points
 from annulus.wall.profile import Profile
 from annulus.wall.shadow import SLIT_OF_RADIUS
 

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from annulus.wall.beads import Bead, Points, measure_bead
+from annulus.wall.beads import Bead, measure_bead
 from annulus.wall.grid import Observations, Wall
+from annulus.wall.points import Points
 
 RADIUS_MM, AT_MM = 76.2, 172.0
 RATIOS = np.array([2.9, 2.6, 2.3, 2.0, 1.8])
