@@ -12,13 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from annulus.numeric.arrays import BoolArray, FloatArray
+from annulus.numeric.robust import SIGMA_OF_MAD
 from annulus.wall.adjustment import OFFSET, RADIUS, TURN
 from annulus.wall.axis import Axis, Begins
 from annulus.wall.beads import measure_bead
 from annulus.wall.features import Feature, FeatureKind, Measure
 from annulus.wall.grid import Wall
 from annulus.wall.indications import Limits
-from annulus.wall.points import SOUND, Points
+from annulus.wall.points import ROW_MM, SECTORS, SOUND, Points
 from annulus.wall.profile import Profile
 from annulus.wall.shadow import SLIT_OF_RADIUS
 
@@ -28,6 +29,9 @@ LONGEST_OF_RADIUS = 0.5  # what is longer is no joint
 OFF_COLUMNS = 12  # of a row: so many depart, and it is not sound
 ROUND = 0.7  # part of what is seen of a row that must depart alike, for a bead all round
 SEEN = 0.3  # part of the circle, for a row to say anything
+ASIDE_OF_RADIUS = 0.08  # before and behind a gap: sound wall
+GAP_SECTORS, GAP_POINTS = 12, 3  # each with its own ends, and points of a row of one that say something
+SLIT_KNOWN = 0.5  # of half a slit: how well it is known where on an edge its light is lost
 STANDS = 0.5  # part of a joint's points that stand inwards, for a bead
 
 
@@ -47,8 +51,8 @@ def find_joints(wall: Wall, profiles: Sequence[Profile], axis: Axis, shadow_rati
 
     Notes
     -----
-    A gap is what lies between the last and the first row that is sound wall, less a slit's width and what the wall's
-    own step outwards hides behind its lip.
+    A gap is what lies between the last and the first row that is sound wall, and is more than what the wall's own step
+    outwards hides behind its lip.
     """
     limits = Limits()
     limit = max(limits.seed_noise * float(np.median(wall.noise_mm)), limits.seed_of_radius * wall.mean_radius_mm)
@@ -189,11 +193,11 @@ def _joint(
         first, last = min(first, bead.start_mm), max(last, end)
         middle, length = (bead.start_mm + end) / 2, bead.width_mm
     slit = SLIT_OF_RADIUS * wall.mean_radius_mm
-    least, most = (least_shadow_ratio * step for step in _outwards(axis, piece, middle))
-    is_gap = piece is not None and not is_bead and length - most > 2.0 * slit
+    hidden = least_shadow_ratio * _outwards(axis, piece, middle)
+    is_gap = piece is not None and not is_bead and length - hidden > 2.0 * slit
     if is_gap:
-        gap = length - slit - most
-        measures.append(Measure("gap_mm", gap, math.hypot(2.0 * slit / math.sqrt(3), most - least)))
+        gap, gap_k2 = _gap(wall, points, (first, last))
+        measures.append(Measure("gap_mm", gap, gap_k2))
         length = gap
     remark = "butt fusion" if is_bead else "coupling" if is_gap else "kind not told: too little of it was seen"
     if piece is not None and axis.adjusted is not None:
@@ -206,13 +210,39 @@ def _joint(
     return Joint(Feature(kind, middle, length, measures=tuple(measures), remark=remark), first, last, is_gap)
 
 
-def _outwards(axis: Axis, piece: int | None, at_mm: float) -> tuple[float, float]:
-    """mm by which the wall steps outwards at a joint, where it does so least and most round the clock; 0 or more."""
+def _gap(wall: Wall, points: Points, zone: tuple[float, float]) -> tuple[float, float]:
+    """mm between the ends of two pipes, and its k = 2: in each sector what is not sound about the zone's middle, less
+    half a slit at either end. Pipes that meet at an angle have their ends askew, so rows all round would read long."""
+    aside = ASIDE_OF_RADIUS * wall.mean_radius_mm
+    first, last = zone[0] - aside, zone[1] + aside
+    before, after = points.over(wall, first), points.over(wall, last)
+    limit = Limits().seed_of_radius * wall.mean_radius_mm
+    off = np.abs(np.where(points.z_mm < (zone[0] + zone[1]) / 2, before, after)) > limit
+    ends = []
+    for k in range(GAP_SECTORS):
+        mine = (points.sector * GAP_SECTORS // SECTORS == k) & (points.z_mm >= first) & (points.z_mm < last)
+        row = np.floor((points.z_mm[mine] - first) / ROW_MM).astype(np.intp)
+        count = np.bincount(row)
+        rows = np.flatnonzero((count >= GAP_POINTS) & (np.bincount(row, weights=off[mine]) > 0.5 * count))
+        if len(rows):
+            ends.append((rows[0] * ROW_MM, (rows[-1] + 1) * ROW_MM))
+    near = (points.z_mm >= first) & (points.z_mm < last)
+    slit = float(np.median(points.slit_mm[near]))
+    if not ends:
+        return max(zone[1] - zone[0] - 2.0 * slit, 0.0), 2.0 * slit
+    begins, stops = np.array(ends).T
+    scatter = SIGMA_OF_MAD * float(np.median(np.abs((stops - begins) - np.median(stops - begins))))
+    gap = max(float(np.median(stops) - np.median(begins)) - 2.0 * slit, 0.0)
+    return gap, 2.0 * math.hypot(scatter / math.sqrt(len(ends)), SLIT_KNOWN * slit, ROW_MM / math.sqrt(6))
+
+
+def _outwards(axis: Axis, piece: int | None, at_mm: float) -> float:
+    """mm by which the wall steps outwards at a joint, where it does so most round the clock; 0 or more."""
     if piece is None or axis.adjusted is None:
-        return 0.0, 0.0
+        return 0.0
     row, start = axis.adjusted.state.pieces[piece], axis.centreline.pieces[piece].start_mm
     hilo = float(np.hypot(*(row[OFFSET] + (at_mm - start) * row[TURN])))
-    return max(float(row[RADIUS]) - hilo, 0.0), max(float(row[RADIUS]) + hilo, 0.0)
+    return max(float(row[RADIUS]) + hilo, 0.0)
 
 
 def _of_line(axis: Axis, piece: int, at_mm: float) -> list[Measure]:
