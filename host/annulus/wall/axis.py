@@ -49,6 +49,9 @@ ENDS = 25.0  # .. and the end of a bend or a taper, which ends somewhere
 OFFSET_OF_RADIUS = 0.002  # of the radius: hi-lo
 TURN_LEAST = 0.0025  # radians
 RADIUS_STEP = 0.0015  # of the radius
+SURE = (
+    4.0  # standard deviations of a joint's hi-lo, turn or step: a swing in the pipe's ovality looks like 2.6 of a turn
+)
 BEND_OF_RADIUS = 0.012  # radians a radius; a bend wider than 80 radii is a straight pipe's sag
 TAPER_LEAST = 0.003  # mm a mm
 AHEAD_OF_RADIUS = 2.0  # of the radius: how far past its beginning a piece is looked at before its kind is decided
@@ -211,7 +214,7 @@ def _pruned(seen: Sightings, found: Adjusted, begins: list[Begins]) -> tuple[Adj
     while i < len(begins):
         fewer = [*begins[:i], *begins[i + 1 :]]
         short = _lengths(found)[i] < SHORTEST_OF_RADIUS * seen.radius_mm
-        if not short and _begins_something(found.state.pieces, i, seen.radius_mm):
+        if not short and _begins_something(found, i, begins[i], seen.radius_mm):
             i += 1
             continue
         without = adjust(seen, _less(found.state, i), _free(fewer), scales_mm=(5.0, 2.0, 1.0, 0.5))
@@ -242,11 +245,18 @@ def _lengths(found: Adjusted) -> FloatArray:
     return np.append(np.diff(found.state.pieces[:, START]), np.inf)
 
 
-def _begins_something(pieces: FloatArray, i: int, radius: float) -> bool:
+def _begins_something(found: Adjusted, i: int, kind: Begins, radius: float) -> bool:
+    """Whether what a piece differs by from the one before it matters; of a joint, what is sure of it."""
+    pieces = found.state.pieces
     size = np.concatenate(
         [pieces[i, OFFSET], pieces[i, TURN], pieces[i, CURVATURE] - pieces[i - 1, CURVATURE],
          [pieces[i, RADIUS], pieces[i, TAPER] - pieces[i - 1, TAPER]]]
     )  # fmt: skip
+    if kind is Begins.JOINT:
+        for numbers in ([0, 1], [2, 3], [6]):
+            sigma = float(np.linalg.norm([found.sigma(i, k) for k in numbers]))
+            if np.linalg.norm(size[numbers]) < SURE * sigma:
+                size[numbers] = 0.0
     return bool(_matters(size[None], radius).any())
 
 

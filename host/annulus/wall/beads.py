@@ -22,7 +22,7 @@ POINTS = 6  # of a sector, that give it a height
 SECTORS_MIN = 9  # whose front was seen, for a height from the front alone
 CREST = 97.0  # percentile of a sector's heights: noise is small against beads
 FRONT_OF_RADIUS = 0.05  # from the near flank on: the first crest, and nothing of a second one
-ASIDE_OF_RADIUS, BEHIND_OF_RADIUS = 0.08, 0.6  # sound wall beside it; as far behind light has come down again
+BEHIND_OF_RADIUS = 0.6  # of the radius, from the near flank on: by then light has come down again
 READS_LOW = 0.4  # of how far half a slit reaches up a flank: so much lower is the middle of what of it lights a crest
 LOW = 0.3  # of a bead's height: what is lower is wall
 BESIDE = 0.5  # of half a slit: so far past the shadow's edge its middle is, when the wall has the brighter part of it
@@ -48,29 +48,26 @@ def measure_bead(wall: Wall, points: Points, zone: tuple[float, float]) -> Bead:
 
     Notes
     -----
-    Height: the median over 36 sectors of each one's 97th percentile over the front, against the pipe before it, and
-    what a crest reads low. Width: with a the quarter of it, s the near flank at half height, h the height and q a
+    Height: the median over 36 sectors of each one's 97th percentile over the front, and what a crest
+    reads low. Width: with a the quarter of it, s the near flank at half height, h the height and q a
     ring's shadow ratio, light comes down again at s + 3a + sqrt((h q)^2 + a^2), the tangent to a second roll that is
     half an ellipse; a is that for which the fewest points are low before, or stand high after, where the light that
     made them would have come down.
     """
     radius = wall.mean_radius_mm
-    aside = ASIDE_OF_RADIUS * radius
-    before, after = points.over(wall, zone[0] - aside), points.over(wall, zone[1] + aside)
     inside = (points.z_mm >= zone[0]) & (points.z_mm <= zone[1])
     rough, _ = _crest(points.height_mm[inside], points.sector[inside])
-    start = _near_flank(points.z_mm[inside], before[inside], rough)
+    start = _near_flank(points.z_mm[inside], points.height_mm[inside], rough)
     front = inside & (points.z_mm >= start - ROW_MM / 2) & (points.z_mm <= start + FRONT_OF_RADIUS * radius)
-    crest, sectors = _crest(before[front], points.sector[front])
+    crest, sectors = _crest(points.height_mm[front], points.sector[front])
     if len(sectors) < SECTORS_MIN:
         crest, sectors = _crest(points.height_mm[inside], points.sector[inside])
     rise = float(np.median(points.slit_mm[inside] / points.shadow_ratio[inside]))
     height = crest + READS_LOW * rise
-    start = _near_flank(points.z_mm[inside], before[inside], height)
+    start = _near_flank(points.z_mm[inside], points.height_mm[inside], height)
 
     behind = (points.z_mm > start + ROW_MM / 2) & (points.z_mm < start + BEHIND_OF_RADIUS * radius)
-    stands = np.where(points.z_mm < start + FRONT_OF_RADIUS * radius, before, after)[behind]
-    ratio, slit = points.shadow_ratio[behind], points.slit_mm[behind]
+    stands, ratio, slit = points.height_mm[behind], points.shadow_ratio[behind], points.slit_mm[behind]
     lands, low = points.z_mm[behind] + stands * ratio, stands < LOW * height
     quarters = QUARTERS * radius
     lit = start + BESIDE * slit - lands

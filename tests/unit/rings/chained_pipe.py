@@ -21,8 +21,10 @@ def smooth(clock: np.ndarray, chainage: np.ndarray) -> np.ndarray:
 
 
 def bead(at_mm: float, height: float, half_width: float, inner: Departure = smooth) -> Departure:
+    """Two rolls side by side, each half an ellipse."""
+
     def departure(clock: np.ndarray, chainage: np.ndarray) -> np.ndarray:
-        u = np.abs(chainage - at_mm) / half_width
+        u = 2 * np.abs(chainage - at_mm) / half_width - 1
         return inner(clock, chainage) - np.where(u < 1, height * np.sqrt(np.maximum(1 - u * u, 0.0)), 0.0)
 
     return departure
@@ -37,15 +39,18 @@ def pit(clock_deg: float, at_mm: float, depth: float, inner: Departure = smooth)
 
 
 def frames(
-    line: Centreline, chainages: Sequence[float], departure: Departure = smooth, *, roll: bool = False, seed: int = 3
-) -> list[Profile]:
-    """A profile a chainage. roll : the head turns, and a sensor says how far, to a third of a degree."""
-    return ridden(line, chainages, departure, roll=roll, seed=seed)[0]
+    line: Centreline, chainages: Sequence[float], departure: Departure = smooth, *, roll: bool = False, seed: int = 3,
+    step_mm: float = 5.0,
+) -> list[Profile]:  # fmt: skip
+    """A profile a chainage. roll : the head turns, and a sensor says how far, to a third of a degree. step_mm : along a
+    ray; what is shorter may be passed through."""
+    return ridden(line, chainages, departure, roll=roll, seed=seed, step_mm=step_mm)[0]
 
 
 def ridden(
-    line: Centreline, chainages: Sequence[float], departure: Departure = smooth, *, roll: bool = False, seed: int = 3
-) -> tuple[list[Profile], list[Pose]]:
+    line: Centreline, chainages: Sequence[float], departure: Departure = smooth, *, roll: bool = False, seed: int = 3,
+    step_mm: float = 5.0,
+) -> tuple[list[Profile], list[Pose]]:  # fmt: skip
     """The same, and where the head really was, of every chainage."""
     rng = np.random.default_rng(seed)
     out, heads = [], []
@@ -55,7 +60,7 @@ def ridden(
         head = Pose(*lean, *shift, turned)
         heads.append(head)
         said = None if turned is None else turned + float(rng.normal(0, 0.006))
-        points, ring, direction = _rays(line, departure, head, float(chainage), rng)
+        points, ring, direction = _rays(line, departure, head, float(chainage), rng, step_mm)
         sigma = np.array(NOISE_MM)[ring].astype(np.float32)
         fit = fit_pose(points, RADIUS_MM, sigma.astype(float), seed=out[-1].pose if out else None)
         if fit is None:  # a frame whose pipe was not found has no points
@@ -86,7 +91,7 @@ def gyroscope(
 
 
 def _rays(
-    line: Centreline, departure: Departure, head: Pose, chainage: float, rng: np.random.Generator
+    line: Centreline, departure: Departure, head: Pose, chainage: float, rng: np.random.Generator, step_mm: float = 5.0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Camera-frame points of all directions of five rings, those the wall hides from lamp or lens left out."""
     clock = np.radians((np.arange(DIRECTIONS) + 0.5) * 360 / DIRECTIONS)
@@ -105,7 +110,7 @@ def _rays(
         t = np.degrees(np.arctan2(pipe[:, 0], -pipe[:, 1])) % 360
         return radius - line.radius_at(pipe[:, 2]) - departure(t, pipe[:, 2])
 
-    steps = np.arange(108.0, 408.0, 5.0)
+    steps = np.arange(108.0, 408.0, step_mm)
     first = np.full(len(ways), np.nan)
     for a, b in itertools.pairwise(steps):
         open_ = np.flatnonzero(np.isnan(first))
@@ -114,7 +119,7 @@ def _rays(
         first[open_[outside(vertex + b * ways[open_]) >= 0]] = a
     crossed = np.flatnonzero(np.isfinite(first))
     low = first[crossed]
-    high = low + 5.0
+    high = low + step_mm
     for _ in range(14):
         middle = (low + high) / 2
         out = outside(vertex + middle[:, None] * ways[crossed]) >= 0

@@ -11,6 +11,7 @@ from annulus.wall.axis import Begins, find_axis
 from annulus.wall.bends import find_bends
 from annulus.wall.centreline import Centreline, Piece
 from annulus.wall.features import FeatureKind
+from annulus.wall.profile import Profile
 from annulus.wall.survey import survey
 
 R = 76.2
@@ -26,6 +27,11 @@ def test_a_straight_pipe_is_one_piece_and_comes_back_to_the_bit() -> None:
         assert all(a is b for a, b in zip(axis.profiles, profiles, strict=True))
 
 
+def lines(profiles: list[Profile]) -> list[Profile]:
+    """What was cast are rays: slits of no width, and said to be."""
+    return [replace(one, slit_rad=np.full(5, 1e-5, np.float32)) for one in profiles]
+
+
 HILO_AND_KINK = ((1.2, -0.9), (0.0105, -0.014), 0.0)
 STEP = ((-0.6, 0.3), (0.0, 0.0), -0.75)
 
@@ -33,7 +39,7 @@ STEP = ((-0.6, 0.3), (0.0, 0.0), -0.75)
 @pytest.mark.parametrize(("offset", "turn", "step"), [HILO_AND_KINK, STEP])
 def test_a_joint_is_measured(offset: tuple[float, float], turn: tuple[float, float], step: float) -> None:
     line = Centreline([Piece(0.0, R), Piece(170.0, R + step, offset, turn)])
-    profiles = frames(line, STATIONS, bead(170.0, 3.0, 4.0, pit(120.0, 200.0, 2.5)))
+    profiles = lines(frames(line, STATIONS, bead(170.0, 3.0, 4.0, pit(120.0, 200.0, 2.5)), step_mm=1.5))
     pipe = survey(profiles, CALIBRATION)
     (joint,) = pipe.features
     assert joint.kind is FeatureKind.JOINT
@@ -53,7 +59,7 @@ def test_slits_that_a_beads_shadow_cuts_in_half_do_not_widen_it() -> None:
     line = Centreline([Piece(0.0, R), Piece(170.0, R, *HILO_AND_KINK[:2])])
     rng = np.random.default_rng(2)
     profiles = []
-    for one in frames(line, STATIONS, bead(170.0, 3.0, 4.0)):
+    for one in lines(frames(line, STATIONS, bead(170.0, 3.0, 4.0), step_mm=1.5)):
         behind = (one.points_mm[:, 2] > 176.0) & (one.points_mm[:, 2] < 182.0) & (rng.random(len(one.ring)) < 0.7)
         points = one.points_mm.copy()
         points[behind, :2] *= 1 - 2.6 / R
