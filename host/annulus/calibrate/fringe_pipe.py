@@ -126,7 +126,7 @@ def _design(file: Path) -> FringeProjector | None:
         return None
     try:
         return FringeProjector.from_dict(section)
-    except AnnulusError as error:
+    except ValueError as error:
         raise AnnulusError(f"{file}: {error}") from None
 
 

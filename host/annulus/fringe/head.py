@@ -35,7 +35,7 @@ class FringeHead:
 
     @staticmethod
     def from_dict(data: object) -> "FringeHead":
-        """Raises ValueError or AnnulusError naming the key that is wrong."""
+        """Raises ValueError naming the key that is wrong."""
         top = untrusted.mapping(data, "the file")
         cameras = cameras_from_dict(top)
         pattern = top.get("pattern", {"kind": "fringe"})

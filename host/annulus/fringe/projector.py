@@ -19,7 +19,6 @@ import numpy as np
 from annulus import untrusted
 from annulus.numeric.arrays import FloatArray
 from annulus.numeric.jit import cos_sin, jit
-from annulus.vocabulary import AnnulusError
 
 HARMONICS_MAX = 4  # pairs (c, s) above the first: the fifth harmonic of a blurred bar is below 1 % of its first
 
@@ -39,11 +38,8 @@ class FringeProjector:
 
     @staticmethod
     def from_dict(section: object) -> "FringeProjector":
-        """`pattern.projector` of calibration.json. AnnulusError names what is wrong in it."""
-        try:
-            return _read(section)
-        except ValueError as error:
-            raise AnnulusError(f"calibration: {error}") from error
+        """`pattern.projector` of calibration.json. ValueError names the key that is wrong."""
+        return _read(section)
 
     @property
     def numbers(self) -> FloatArray:
@@ -127,6 +123,8 @@ def _read(section: object) -> FringeProjector:
     rotation = tuple(vector(row, "rotation") for row in rows)
     if not np.allclose(np.array(rotation) @ np.array(rotation).T, np.eye(3), atol=1e-6):
         raise ValueError(f'{where}: "rotation" is none: its rows are no unit vectors at right angles')
+    if np.linalg.det(np.array(rotation)) < 0:
+        raise ValueError(f'{where}: "rotation" is a mirror, expected a rotation: the third row across the first two')
     harmonics = untrusted.numbers(
         section.get("harmonics", []), f'{where}: "harmonics"', range(0, 2 * HARMONICS_MAX + 1, 2), 1.0
     )
