@@ -259,7 +259,13 @@ def _ordered(plates: Sequence[ReferencePlate], rough: list[_Tiles], carrier: Flo
             f"the reference frames leave the fringes' order open ({misfit:.3f} and {ranked[1][0]:.3f} rad off): add "
             "heights nearer to one another, or of uneven spacing"
         )
-    return joined(values)[1]
+    misfit, values = joined(values)
+    if misfit > STILL_RAD:
+        raise AnnulusError(
+            f"one camera's frames show a slide of stripes, all cameras' do not: {misfit:.2f} rad off. Expected the "
+            "plate at the distance told, and the cameras as the calibration has them"
+        )
+    return values
 
 
 def _explained(
