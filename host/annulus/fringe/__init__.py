@@ -21,6 +21,7 @@ from annulus.fringe.head import FringeHead, projector_to_dict
 from annulus.fringe.heights import Heights, Points, View, heights, spline
 from annulus.fringe.merge import merged
 from annulus.fringe.noise import noise_of
+from annulus.fringe.order import told_elsewhere
 from annulus.fringe.pipe import PipeMap, measure_pipe
 from annulus.fringe.projector import FringeProjector
 from annulus.fringe.scratches import find_scratches
@@ -60,6 +61,7 @@ __all__ = [
     "spline",
     "stereo_heights",
     "stream",
+    "told_elsewhere",
     "transfers",
     "untextured",
 ]

@@ -51,7 +51,12 @@ class Steps:
     @property
     def wrong(self) -> bool:
         """Whether the odometer's scale or one of its steps is wrong beyond chance."""
-        return bool(self.slipped.any() or abs(self.scale - 1) > SAID * self.scale_sigma)
+        return bool(self.slipped.any()) or self.stretched
+
+    @property
+    def stretched(self) -> bool:
+        """Whether the odometer's scale is wrong beyond chance."""
+        return bool(abs(self.scale - 1) > SAID * self.scale_sigma)
 
 
 def find_steps(

@@ -30,6 +30,7 @@ from annulus.fringe import (
     merged,
     noise_of,
     spline,
+    told_elsewhere,
     untextured,
 )
 from annulus.fringe.track import AMBIGUOUS, GOOD, TOO_FEW, UNDETERMINED, UNMODULATED, UNSETTLED
@@ -42,17 +43,20 @@ from annulus.vocabulary import AnnulusError, Finding, Label
 from annulus.wall.plate import Plate
 
 Progress = Callable[[str, int, int], None]
+Box = tuple[tuple[float, float], tuple[float, float]]  # least and most x, y, mm
 
 WINDOW = 24  # flashes: some fringes' worth of phase, and 200 MB of a camera of 2 Mpixel
 MARGIN = 8  # cells beside a window's own, for what looks at neighbours
 CELL_PX = 1.5  # of the wall's grid: what the lens's blur leaves to be told apart
 VAGUE_RAD = 0.25  # sigma of a phase: beyond it errors are no longer normal (track.MODULATED)
 COARSE = 4  # cells
+APART = 3.0  # times their sigma, from which it is said that two cameras differ
 CHECKED_MIN = 100  # cells that two cameras see, to judge their sigma by
 DRIFT = 0.1  # share by which a point's light may change along half a track: the lens's shading
 ODOMETER_SIGMA_MM = 0.05  # of a cable counter or a stage, where the frames' own texture decides nothing
 FLASH_MM = 0.05  # cameras of one flash stand no farther apart
 SHIFT_MIN = 0.1  # least singular value of DC and wave over the frames, of 1: less and they cannot be told apart
+SHIFT_LEAST_RAD = 0.5  # over the scan: three frames less apart than that are one
 SATURATED_MAX, UNTOLD_MAX = 0.001, 0.02  # shares from which it is said
 MISFIT_MAX = 0.25  # of the swing: the frames do not show this slide
 REASONS = {
@@ -137,12 +141,22 @@ def _check_motion(
             f"{scan.path}: x_mm is {x[0]:g} throughout: the head did not move, nothing shifted the phase"
         )
     ahead = np.array(slide.centre_mm) * [1, 1, 0] + [0, 0, distance_mm]
+    if slide.kind == "stripes" and not (np.array(slide.rotation)[2] @ (ahead - np.array(slide.centre_mm))) > 0:
+        raise AnnulusError(
+            f'calibration: the slide at {slide.centre_mm[2]:g} mm ("pattern.projector") does not shine on the plate at '
+            f"{distance_mm:g} mm: expected the plate before it"
+        )
     phase = slide.phase(ahead - (x - x[0])[:, None] * np.array(head.motion))
+    if np.ptp(phase) < SHIFT_LEAST_RAD:
+        raise AnnulusError(
+            f'{scan.path}: {np.ptp(x):g} mm along "motion" of the calibration shift the fringes by {np.ptp(phase):.2g} '
+            "rad: expected a motion across the stripes, of a period or so"
+        )
     matrix = np.stack([np.ones(len(x)), np.cos(phase), np.sin(phase)], axis=1) / math.sqrt(len(x))
     if np.linalg.svd(matrix, compute_uv=False)[-1] < SHIFT_MIN:
         period = 2 * np.pi / abs(float(np.polyfit(x, phase, 1)[0]))
         raise AnnulusError(
-            f"{scan.path}: its {len(x)} flashes shift the fringes by whole periods, or hardly at all ({period:.2f} mm "
+            f"{scan.path}: its {len(x)} flashes shift the fringes by whole periods ({period:.2f} mm "
             "a period on the plate): expected steps of a third to a quarter period, or uneven ones"
         )
 
@@ -232,6 +246,8 @@ class _Part:
     i: IntArray
     j: IntArray
     found: Heights | None  # None where the slide lit nothing
+    scale: float = 1.0  # of the motion over x_mm, where the frames contradict x_mm beyond chance
+    apart: float = 1.0  # how many times their sigma two cameras differ
 
 
 def _window(job: FringeJob, frames: _Frames, start: int, share: tuple[float, float], before: _Part | None) -> _Part:
@@ -242,7 +258,7 @@ def _window(job: FringeJob, frames: _Frames, start: int, share: tuple[float, flo
         raise AnnulusError(f"{job.scan.path}: no camera has 3 frames among {len(window)} flashes beside one another")
     boxes = [_box(job, one, odometer) for one in cameras]
     places, weights = np.zeros(len(window)), np.zeros(len(window))
-    slipped, taken, misfits = np.zeros(len(window), bool), [], []
+    slipped, taken, misfits, scale = np.zeros(len(window), bool), [], [], 1.0
     for one, box in zip(cameras, boxes, strict=True):
         images, which = frames.of(one, start)
         coarse = Points.plate(np.arange(*box[0], COARSE * cell), np.arange(*box[1], COARSE * cell), job.distance_mm)
@@ -266,6 +282,9 @@ def _window(job: FringeJob, frames: _Frames, start: int, share: tuple[float, flo
         places[which] += weight * (steps.place_mm + odometer[which[0]])
         weights[which] += weight
         slipped[which] |= steps.slipped
+        scale = steps.scale if steps.stretched else scale
+    if start == 0:
+        _check_order(job, [(one, images, odometer[which]) for one, images, which, _ in taken], boxes)
     place = np.where(weights > 0, places / np.maximum(weights, 1e-300), odometer)
     if before is not None:
         shared = before.start + len(before.place_mm) - start
@@ -281,7 +300,7 @@ def _window(job: FringeJob, frames: _Frames, start: int, share: tuple[float, flo
     axis = int(np.argmax(np.abs(ahead[:2])))
     none = np.empty(0, np.int64)
     if len(lit) < 9:
-        return _Part(start, place, sigma, slipped, none, none, None)
+        return _Part(start, place, sigma, slipped, none, none, None, scale)
     # nodes of this window's share along the motion, and some more for what looks at neighbours
     ends = [_at(share[k] - start, place) * ahead[axis] for k in (0, 1)]
     middle = float(np.mean([np.mean(box[axis]) for box in boxes]) - place.mean() * ahead[axis])
@@ -293,7 +312,7 @@ def _window(job: FringeJob, frames: _Frames, start: int, share: tuple[float, flo
             least, most = max(least, low - MARGIN * cell), min(most, high + MARGIN * cell)
         nodes.append(np.arange(math.ceil(least / cell), math.floor(most / cell) + 1))
     if min(map(len, nodes)) < 1:
-        return _Part(start, place, sigma, slipped, none, none, None)
+        return _Part(start, place, sigma, slipped, none, none, None, scale)
     grid = Points.plate(nodes[0] * cell, nodes[1] * cell, job.distance_mm)
     blurs = []
     for (one, images, which, _), noise in zip(taken, noises, strict=True):
@@ -302,7 +321,8 @@ def _window(job: FringeJob, frames: _Frames, start: int, share: tuple[float, flo
         told.append(_certain(view, grid, found))
         blurs.append(blur or cell / 2)
     both = merged(told)
-    both = replace(both, sigma_mm=both.sigma_mm * _apart(told))
+    apart = _apart(told)
+    both = replace(both, sigma_mm=both.sigma_mm * apart)
     both = edged(grid, both, float(np.mean(blurs)))
     i, j = (one.ravel() for one in np.meshgrid(nodes[0], nodes[1]))
     own = ((i, j)[axis] * cell >= low) & ((i, j)[axis] * cell < high)
@@ -310,7 +330,30 @@ def _window(job: FringeJob, frames: _Frames, start: int, share: tuple[float, flo
         np.asarray(getattr(both, name))[own] for name in ("height_mm", "sigma_mm", "dc", "ac", "misfit", "used", "flag")
     )
     share_of = Heights(height, spread, dc, ac, misfit, used, flag, np.empty((0, 0), np.float32))
-    return _Part(start, place, sigma, slipped, i[own], j[own], share_of)
+    return _Part(start, place, sigma, slipped, i[own], j[own], share_of, scale, apart)
+
+
+def _check_order(
+    job: FringeJob, taken: Sequence[tuple[HeadCamera, Float32Array, FloatArray]], boxes: Sequence[Box]
+) -> None:
+    """AnnulusError where two cameras see one texture only if the plate stands a fringe from where it was told."""
+    if len(taken) < 2:
+        return
+    step = COARSE * _cell_mm(job)
+    both = [(max(a[k][0] for a in boxes[:2]), min(a[k][1] for a in boxes[:2])) for k in (0, 1)]
+    points = Points.plate(np.arange(*both[0], step), np.arange(*both[1], step), job.distance_mm)
+    if not len(points.base):
+        return
+    views = [
+        (View.of(one, job.projector, x[:, None] * np.array(job.head.motion)), images) for one, images, x in taken[:2]
+    ]
+    if (told := told_elsewhere(views, points, drift_sigma=DRIFT)) is not None:
+        height, there, here = told
+        raise AnnulusError(
+            f"{job.scan.path}: the plate stands about {job.distance_mm - height:.4g} mm away, the calibration's "
+            f'"distance_mm" is {job.distance_mm:g}, a fringe off: there its cameras see one texture (correlation '
+            f"{there:.2f}), as told they do not ({here:.2f})"
+        )
 
 
 def _misfit(found: Heights) -> float:
@@ -356,7 +399,7 @@ def _cell_mm(job: FringeJob) -> float:
     return float(f"{CELL_PX * job.distance_mm / max(camera.fx, camera.fy):.2g}")
 
 
-def _box(job: FringeJob, one: HeadCamera, odometer: FloatArray) -> tuple[tuple[float, float], tuple[float, float]]:
+def _box(job: FringeJob, one: HeadCamera, odometer: FloatArray) -> Box:
     """Least and most x, y of the plate that a camera sees from these positions, mm."""
     width, height = one.camera.width, one.camera.height
     edge = np.array([(u, v) for u in np.linspace(0, width - 1, 9) for v in np.linspace(0, height - 1, 9)])
@@ -428,6 +471,16 @@ def _findings(
                 indices,
             )
         )
+    scales = [part.scale for part in parts if part.scale != 1.0]
+    if scales:
+        text = f"x_mm is wrong as a whole: by the frames the head went {np.median(scales):.3f} times as far, taken so"
+        out.append(Finding("stretched", text))
+    if (apart := max(part.apart for part in parts)) > APART:
+        text = (
+            f"the cameras' heights differ by {apart:.1f} times their sigma, which is widened by that: is this the "
+            "slide and are these the cameras of the calibration?"
+        )
+        out.append(Finding("cameras-apart", text))
     if frames.saturated > SATURATED_MAX * frames.pixels:
         share = 100 * frames.saturated / frames.pixels
         out.append(Finding("saturated", f"{share:.1f} % of all pixels are saturated and say nothing: expose less"))

@@ -2,7 +2,7 @@
 code of the method used but the slide's phase."""
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, map_coordinates
 
 from annulus.fringe import FringeProjector
 from annulus.geometry.calibration import HeadCamera
@@ -15,13 +15,15 @@ LENS = Camera("pinhole", 320, 120, 300.0, 300.0, 159.5, 59.5)
 LEFT = HeadCamera(0, LENS)
 RIGHT = HeadCamera(1, LENS, STILL, (-40.0, 0.0, 0.0))
 DISTANCE_MM, OVER = 100.0, 3
+SPECKS = gaussian_filter(np.random.default_rng(2).normal(0, 1, (128, 128)), 1.0, mode="wrap")  # one a mm
 
 
 def drawn(
-    moved_mm: FloatArray, height_mm: float = 0.0, *, noise: float = 0.0, texture: float = 0.0, blur_px: float = 0.0,
-    head: HeadCamera = LEFT, seed: int = 1,
+    moved_mm: FloatArray, height_mm: float = 0.0, *, noise: float = 0.0, texture: float = 0.0, specks: float = 0.0,
+    blur_px: float = 0.0, head: HeadCamera = LEFT, seed: int = 1,
 ) -> Float32Array:  # fmt: skip
-    """(N, H, W) grey levels, linear. moved_mm : (N,) along x. texture : share by which albedo varies, 6 mm a wave."""
+    """(N, H, W) grey levels, linear. moved_mm : (N,) along x. texture : share by which albedo varies, 6 mm a wave;
+    specks : the same without a period."""
     camera, random = head.camera, np.random.default_rng(seed)
     fine = (np.arange(OVER) - (OVER - 1) / 2) / OVER
     u = (np.arange(camera.width)[:, None] + fine).ravel()
@@ -34,6 +36,11 @@ def drawn(
     images = []
     for moved in moved_mm:
         albedo = 1 + texture * np.sin((X + moved) * 1.05) * np.cos(Y * 0.9)
+        if specks:
+            places = np.stack([Y, X + moved]).reshape(2, -1)
+            albedo += (
+                specks / SPECKS.std() * map_coordinates(SPECKS, places, order=1, mode="grid-wrap").reshape(X.shape)
+            )
         seen = 90 * albedo * light
         seen = gaussian_filter(seen, blur_px * OVER) if blur_px else seen
         image = seen.reshape(camera.height, OVER, camera.width, OVER).mean(axis=(1, 3))

@@ -1,0 +1,51 @@
+"""A motion told wrongly as a whole, by the wall's texture alone."""
+
+import numpy as np
+import pytest
+from plates import DISTANCE_MM, LEFT, SLIDE, drawn
+
+from annulus.fringe import Points, View, spline
+from annulus.fringe.stretch import stretch
+from annulus.numeric.arrays import Float32Array
+
+AHEAD = np.array([1.0, 0.0, 0.0])
+TRUE = np.arange(0.0, 13.0, 1.3)
+GRID = Points.plate(np.arange(0.0, 30.0, 1.0), np.arange(-14.0, 14.0, 1.0), DISTANCE_MM)
+FLAT = np.zeros(len(GRID.base))
+
+
+def drawn_with(specks: float) -> Float32Array:
+    return spline(drawn(TRUE, noise=0.5, specks=specks))
+
+
+@pytest.fixture(scope="module")
+def images() -> Float32Array:
+    return drawn_with(0.2)
+
+
+def found(images: Float32Array, factor: float) -> tuple[float, float]:
+    place = TRUE / factor
+    return stretch(View.of(LEFT, SLIDE, place[:, None] * AHEAD), images, GRID, FLAT, place, AHEAD)
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.03, 0.97])
+def test_the_texture_tells_the_true_motion(images: Float32Array, factor: float) -> None:
+    scale, sigma = found(images, factor)
+    assert scale == pytest.approx(factor, abs=3 * sigma)
+    assert sigma < 0.01
+
+
+def test_a_plain_wall_tells_nothing_certain() -> None:
+    scale, sigma = found(drawn_with(0.0), 1.0)
+    assert abs(scale - 1) < 3 * sigma
+
+
+def test_a_motion_too_short_to_be_seen_tells_nothing(images: Float32Array) -> None:
+    assert stretch(
+        View.of(LEFT, SLIDE, TRUE[:3, None] * AHEAD), images[:3], GRID, FLAT, TRUE[:3], AHEAD
+    ) == (1.0, np.inf)  # fmt: skip
+
+
+def test_a_wall_without_heights_tells_nothing(images: Float32Array) -> None:
+    view = View.of(LEFT, SLIDE, TRUE[:, None] * AHEAD)
+    assert stretch(view, images, GRID, FLAT * np.nan, TRUE, AHEAD) == (1.0, np.inf)
