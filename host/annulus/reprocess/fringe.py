@@ -473,7 +473,8 @@ def _findings(
         )
     scales = [part.scale for part in parts if part.scale != 1.0]
     if scales:
-        text = f"x_mm is wrong as a whole: by the frames the head went {np.median(scales):.3f} times as far, taken so"
+        far = f"{np.median(scales):.2f}"
+        text = f"x_mm is wrong as a whole: by the frames the head went about {far} times as far, taken so"
         out.append(Finding("stretched", text))
     if (apart := max(part.apart for part in parts)) > APART:
         text = (

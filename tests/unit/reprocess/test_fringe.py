@@ -12,6 +12,7 @@ import pytest
 from plates import DISTANCE_MM, LEFT, RIGHT, SLIDE, drawn
 
 from annulus.calibrate.fringe import calibrate_fringe, save_fringe
+from annulus.calibrate.fringe_pipe import _design
 from annulus.fringe import projector_to_dict
 from annulus.geometry.calibration import Calibration, camera_to_dict
 from annulus.report import Account, write_plate
@@ -36,19 +37,25 @@ def calibration(folder: Path, **changes: Any) -> Path:
     return path
 
 
+def slide(**changes: Any) -> dict[str, Any]:
+    return {"pattern": {"kind": "fringe", "projector": {**projector_to_dict(SLIDE), **changes}}}
+
+
 def scan(
     folder: Path, places: Sequence[float] = PLACES, heights: Sequence[float] | None = None, *, gain: float = 1.0,
     column: str = "x_mm", heads: Sequence[Any] = (LEFT, RIGHT), texture: float = 0.3,
+    specks: float = 0.0,
 ) -> Path:  # fmt: skip
     folder.mkdir(exist_ok=True)
     rows = []
     for one in heads:
         images = [
-            drawn(np.array([x]), 1.0 if heights is None else heights[k], noise=1.0, texture=texture, head=one, seed=k)[
-                0
-            ]
+            drawn(
+                np.array([x]), 1.0 if heights is None else heights[k],
+                noise=1.0, texture=texture, specks=specks, head=one, seed=k,
+            )[0]
             for k, x in enumerate(places)
-        ]
+        ]  # fmt: skip
         for k, (x, image) in enumerate(zip(places, images, strict=True)):
             name = f"{k:06d}-{one.id}.png"
             cv2.imwrite(str(folder / name), np.clip(gain * image, 0, 255).round().astype(np.uint8))
@@ -115,6 +122,11 @@ def test_a_long_scan_holds_one_window_of_frames(tmp_path: Path, monkeypatch: pyt
         (PLACES, {"pattern": {"kind": "fringe"}}, 'has no "pattern.projector"'),
         (PLACES, {"pattern": {"kind": "lines"}}, "expected fringe"),
         (PLACES, {"motion": [1.0, 1.0, 0.0]}, "no unit vector"),
+        (PLACES, {"motion": [0.0, 1.0, 0.0]}, "expected a motion across the stripes"),
+        ((0.0, 0.001, 0.002), {}, "expected a motion across the stripes"),
+        (PLACES, slide(centre_mm=[20.0, 0.0, 200.0]), "does not shine on the plate at 100 mm"),
+        (PLACES, slide(rotation=[[1, 0, 0], [0, 1, 0], [0, 0, -1]]), r"head\.json: .*mirror"),
+        (PLACES, slide(period=0), r"head\.json: .*period"),
     ],
 )
 def test_bad_input_is_one_line(tmp_path: Path, places: tuple[float, ...], changes: dict[str, Any], text: str) -> None:
@@ -122,6 +134,32 @@ def test_bad_input_is_one_line(tmp_path: Path, places: tuple[float, ...], change
     with pytest.raises(AnnulusError, match=text) as caught:
         open_fringe(folder, calibration(tmp_path, **changes))
     assert "\n" not in str(caught.value)
+
+
+def test_a_slide_that_cannot_be_read_names_its_file(tmp_path: Path) -> None:
+    path = tmp_path / "slide.json"
+    path.write_text(json.dumps(slide(period=0)))
+    with pytest.raises(AnnulusError, match=r"slide\.json: .*period"):
+        _design(path)
+
+
+def test_a_plate_a_fringe_from_where_it_was_told_is_refused(tmp_path: Path) -> None:
+    a_fringe = DISTANCE_MM * (1 - 1 / 1.2)  # 20 mm / (0.04 (100 - h)) is one more than 5
+    folder = scan(tmp_path / "scan", PLACES[:4], (a_fringe,) * 4, texture=0.0, specks=0.2)
+    with pytest.raises(AnnulusError, match=r'the plate stands about 83\.\d+ mm away, the calibration\'s "distance_mm"'):
+        reconstruct_fringe(open_fringe(folder, calibration(tmp_path)))
+
+
+def test_a_motion_told_too_long_is_said(tmp_path: Path) -> None:
+    folder = scan(tmp_path / "scan", np.arange(10) * 1.3, texture=0.0, specks=0.2, heads=(LEFT,))
+    text = (folder / "frames.csv").read_text().splitlines()
+    rows = [line.rsplit(",", 1) for line in text[1:]]
+    told = [text[0], *(f"{head},{1.05 * float(x)}" for head, x in rows)]
+    (folder / "frames.csv").write_text("\n".join(told) + "\n")
+    plate = reconstruct_fringe(open_fringe(folder, calibration(tmp_path)))
+    said = [one.text for one in plate.findings if one.kind == "stretched"]
+    assert len(said) == 1
+    assert float(said[0].split("went about ")[1].split()[0]) == pytest.approx(1 / 1.05, abs=0.03)  # reads 0.966
 
 
 def test_another_slide_is_no_height(tmp_path: Path) -> None:
