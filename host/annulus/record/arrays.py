@@ -11,6 +11,7 @@ import mmap
 import struct
 import zipfile
 from pathlib import Path
+from typing import BinaryIO
 
 import h5py
 import numpy as np
@@ -89,7 +90,7 @@ def _require_plain(data: h5py.Dataset) -> None:
         raise ValueError(f"{data.name} would become {size} bytes from {stored}")
 
 
-def require_plain_npz(path: Path) -> None:
+def require_plain_npz(path: Path | BinaryIO) -> None:
     """Every member is an array that may be read, and is no larger than its head says."""
     with zipfile.ZipFile(path) as archive:
         members = archive.infolist()

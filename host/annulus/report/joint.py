@@ -56,6 +56,58 @@ def write_correlation(
     return [folder / "correlate.json", folder / "correlate.png"]
 
 
+def write_scan(
+    folder: Path, said: Mapping[str, Any], told: Mapping[str, Any], features: Mapping[str, Any],
+    maps: Mapping[str, FloatArray], laid: Mapping[str, FloatArray],
+) -> list[Path]:  # fmt: skip
+    """A raster laid on a joint: `microwave` in features.json, scan.npz and scan.png; their paths.
+
+    said : what features.json says. told : what becomes its `microwave`. laid : (Z, P) maps by name, on the grid of
+    `maps`, `joint_..` and `material_..` of each channel.
+    """
+    beside = folder / ".features.json.part"
+    beside.write_text(json.dumps({**said, "microwave": _plain(told)}, allow_nan=False))
+    beside.replace(folder / "features.json")
+    axes = {name: maps[name] for name in ("z_mm", "phi_deg")}
+    np.savez_compressed(folder / "scan.npz", **{k: v.astype(np.float32) for k, v in (axes | dict(laid)).items()})  # type: ignore[arg-type]
+    with in_style():
+        (folder / "scan.png").write_bytes(png(_scan(told, features, maps, laid)))
+    return [folder / name for name in ("features.json", "scan.npz", "scan.png")]
+
+
+def _scan(told: Mapping[str, Any], features: Mapping[str, Any], maps: Mapping[str, FloatArray],
+          laid: Mapping[str, FloatArray]) -> Figure:  # fmt: skip
+    figure = Figure(figsize=(WIDTH_IN, 0.6 + 2.6 * len(laid)), layout="constrained")
+    middle = float(np.mean(features["zj"]))
+    height = maps["z_mm"] - middle
+    near = np.abs(height) <= BESIDE_MM
+    panels = figure.subplots(len(laid), sharex=True, squeeze=False)[:, 0]
+    for axes, (name, values) in zip(panels, laid.items(), strict=True):
+        part, _, channel = name.partition("_")
+        least, most = np.nanpercentile(values[near], (0.5, 99.5)) if np.isfinite(values[near]).any() else (0.0, 1.0)
+        drawn = _map(axes, features, maps, values, least, most, "gray")
+        figure.colorbar(drawn, ax=axes, label="mV")
+        word = channel.removesuffix("_mv")
+        if part == "joint":
+            bead = maps["bead_out_mm"][near]
+            steps = [share * float(bead.max()) for share in (0.1, 0.5, 0.9)]
+            axes.contour(features["phi_deg"], height[near], bead, steps, colors=LOSS_RED, linewidths=0.8)
+            axes.set_title(
+                f"Probe's {word} over plain wall; red: the CT's bead, 10, 50, 90 % of its height", fontsize=10
+            )
+        else:
+            for edge in (-0.5, 0.5):
+                axes.plot(features["phi_deg"], features["zj"] - middle + edge * features["W"], color=LOSS_RED, lw=1.0)
+            axes.set_title(f"Probe's {word}, the bead's share taken out; red: the CT's heat-affected zone", fontsize=10)
+        axes.set_ylim(BESIDE_MM, -BESIDE_MM)
+    panels[-1].set_xlabel("angle, degrees from the volume's x to its y")
+    figure.suptitle(
+        f"shift {told['shift_deg']:.1f} deg, sigma {told['shift_sigma_deg']:.1f}, sense {told['sense']}"
+        + ("" if told["accepted"] else ": NOT ACCEPTED as of this joint"), fontsize=11,
+    )  # fmt: skip
+    return figure
+
+
 def _relations(told: Mapping[str, Any], curves: Mapping[str, FloatArray], chance: Mapping[str, FloatArray]) -> Figure:
     figure = Figure(figsize=(WIDTH_IN, 0.6 + 2.9 * len(curves)), layout="constrained")
     rows = figure.subplots(len(curves), 2, squeeze=False, width_ratios=(2, 1))
