@@ -1,4 +1,4 @@
-"""`annulus joint image` on the joint of ../shared/joints: bias, rms, flaws, time and memory."""
+"""`annulus joint image` and `scan` on the joint of ../shared/joints: bias, rms, flaws, the raster, time and memory."""
 
 import importlib.util
 import json
@@ -50,8 +50,17 @@ def rows() -> list[Row]:
         said = json.loads((Path(folder) / "features.json").read_text())
         for name in ("density.png", "features.png"):
             shutil.copy(f"{folder}/{name}", TABLE.pictures / name)
+        raster = str(JOINTS / "joint-a" / "microwave.npz")
+        laid = subprocess.run(
+            [*command[:-1], "scan", folder, raster, "--json"], check=True, capture_output=True, timeout=600
+        )
+        scan = json.loads(laid.stdout)
+        shutil.copy(f"{folder}/scan.png", TABLE.pictures / "scan.png")
         score = scorer.score(f"{folder}/features.json", str(truth))
-    by = json.loads(truth.read_text())["by_angle"]
+    told = json.loads(truth.read_text())
+    by, probe = told["by_angle"], told["scene"]["microwave"]
+    off = (scan["shift_deg"] - probe["shift_deg"] + 180) % 360 - 180
+    sense = scan["sense"] == ("mirrored" if probe["flip"] else "same")
     phi = np.array(said["phi_deg"])
     drop = np.interp(phi, [*by["phi_deg"], 360.0], [*by["drop"], by["drop"][0]])
     light = 100 * float(np.nanmax(np.abs(np.array(said["haz"], float) - (1 - drop))))
@@ -70,6 +79,11 @@ def rows() -> list[Row]:
             "voids, grains and gaps found; made up", "-", "all; <= 1",
             f"{found} of {len(score['defects'])}; {score['false']}",
             found == len(score["defects"]) and score["false"] <= 1,
+        ),
+        Row(
+            "probe's raster: shift less truth, its sigma; sense", "-", "within k = 2",
+            f"{off:+.1f} deg, {scan['shift_sigma_deg']:.1f} deg; {scan['sense']}",
+            scan["accepted"] and sense and abs(off) <= 2 * scan["shift_sigma_deg"],
         ),
         Row("CPU time, start and pictures included", "-", "-", f"{after.ru_utime - before.ru_utime:.1f} s"),
         Row("memory at most", "-", "<= 2 GB", f"{after.ru_maxrss / 1e6:.2f} GB", after.ru_maxrss < 2e6),
