@@ -11,7 +11,10 @@ from annulus.numeric.arrays import BoolArray, FloatArray
 from annulus.numeric.robust import nan_median
 from annulus.wall.extent import with_shadow, without_scraps
 from annulus.wall.grid import Wall, smooth
+from annulus.wall.grooves import groove_floor
 from annulus.wall.indications import (
+    BAND_ASPECT,
+    BAND_EDGES,
     Indication,
     Kind,
     LabelArray,
@@ -22,6 +25,7 @@ from annulus.wall.indications import (
     find_indications,
     without_holes,
 )
+from annulus.wall.points import Points
 from annulus.wall.stations import clock_face, shape_ovality, swing_sigma
 
 __all__ = ["Defect", "Detection", "Kind", "Limits", "clock_face", "find_defects"]
@@ -102,6 +106,7 @@ def find_defects(
     least_shadow_ratio: float | None = None,
     limits: Limits | None = None,
     features: BoolArray | None = None,
+    points: Points | None = None,
 ) -> Detection:
     """Losses, bumps and out-of-round stretches of the wall.
 
@@ -112,6 +117,7 @@ def find_defects(
         (Alzuhiri 2022, Eq. 3.24). least_shadow_ratio : the same for the largest one; shadow_ratio if not given.
     limits : what counts; the defaults hold for any pipe.
     features : (Z, A) cells that a joint, an opening or the like explains; no defect is looked for there.
+    points : the wall's, by which a groove's floor is told from its rims; without them its cells must do.
 
     Notes
     -----
@@ -147,6 +153,11 @@ def find_defects(
         position = _extent(whole, sound, wall)
         area = float(np.count_nonzero(whole) * scale.cell_mm[0] * scale.cell_mm[1])
         defect = Defect(one.kind, *position, depth, area, floor_seen, k2, float(np.median(dark)))
+        if points is not None and _is_groove(defect, scale):
+            floor = groove_floor(wall, points, defect.z_range_mm, defect.clock_deg, defect.arc_deg, depth)
+            if floor is not None:
+                depth, k2 = floor
+                defect = replace(defect, depth_mm=depth, depth_k2_mm=k2, floor_seen=True)
         if not k2 > UNSURE * depth:  # nor where nobody says
             found.append((defect, whole))
         elif area >= scale.mm(LARGE_OF_RADIUS) ** 2 and _looks(core, wall) >= LOOKS:
@@ -161,6 +172,14 @@ def find_defects(
     for i, (_, place) in enumerate(found):
         label[place] = i + 1
     return Detection(tuple(defect for defect, _ in found), label, limits, unconfirmed, tuple(undecided))
+
+
+def _is_groove(one: Defect, scale: Scale) -> bool:
+    """All round, or so short along the pipe that a slit hardly fits in, and many times as long across it."""
+    if one.kind is not Kind.LOSS:
+        return False
+    short = one.length_mm <= BAND_EDGES * scale.mm(scale.limits.edge_of_radius)
+    return one.is_all_round or (short and math.radians(one.arc_deg) * scale.radius_mm >= BAND_ASPECT * one.length_mm)
 
 
 def _looks(place: BoolArray, wall: Wall) -> int:

@@ -21,7 +21,8 @@ SOUND = 0.8  # part of what is seen of a row that lies on the pipe's shape: no j
 @dataclass(frozen=True, slots=True, eq=False)
 class Points:
     """Every point: chainage, sector round the clock, how far it stands inwards of the pipe's shape and what it may be
-    off, mm; its ring's length hidden behind a step over its height, and half of its slit's width on the wall, mm."""
+    off, mm; its ring's length hidden behind a step over its height, and half of its slit's width on the wall, mm; its
+    radius, mm, and clock angle."""
 
     z_mm: FloatArray
     sector: NDArray[np.intp]
@@ -29,8 +30,8 @@ class Points:
     stated_mm: FloatArray
     shadow_ratio: FloatArray
     slit_mm: FloatArray
-    _radius_mm: FloatArray
-    _clock_deg: FloatArray
+    radius_mm: FloatArray
+    clock_deg: FloatArray
 
     @classmethod
     def of(cls, wall: Wall, profiles: Sequence[Profile], shadow_ratios: FloatArray) -> "Points":
@@ -48,7 +49,7 @@ class Points:
     def over(self, wall: Wall, at_mm: float) -> FloatArray:
         """How far each point stands inwards of the pipe's shape at one chainage, mm."""
         row = int(np.clip(np.searchsorted(wall.z_mm, at_mm), 0, len(wall.z_mm) - 1))
-        return np.asarray(harmonics(self._clock_deg) @ wall.shape_mm[row] - self._radius_mm)
+        return np.asarray(harmonics(self.clock_deg) @ wall.shape_mm[row] - self.radius_mm)
 
     def trimmed(self, zone: tuple[float, float], limit: float) -> tuple[float, float]:
         """A zone without what is sound wall at its ends; the grid's rows may be coarser than points are."""

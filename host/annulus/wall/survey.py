@@ -21,12 +21,12 @@ from annulus.wall.crosscheck import with_revised_sigma
 from annulus.wall.defects import Defect, Detection, Kind, find_defects
 from annulus.wall.features import Feature
 from annulus.wall.grid import Wall, build_wall
-from annulus.wall.grooves import with_groove_floors
 from annulus.wall.gyro import NO_TURNS, Turns
 from annulus.wall.joints import find_joints, taken, without_hidden
 from annulus.wall.levels import covered, without_levels
 from annulus.wall.lost import lost_rings
 from annulus.wall.openings import find_openings
+from annulus.wall.points import Points
 from annulus.wall.profile import Profile
 from annulus.wall.registration import register
 from annulus.wall.shadow import shadowed
@@ -237,8 +237,10 @@ def survey(
     openings, no_wall = find_openings(wall, aligned, calibration)
     explained = taken(wall, joints, 1.0 / narrowest) | below | no_wall
     done("features")
-    detection = find_defects(wall, shadow_ratio=1.0 / narrowest, least_shadow_ratio=1.0 / widest, features=explained)
-    detection = with_groove_floors(detection, wall, measured, 1.0 / rises)
+    detection = find_defects(
+        wall, shadow_ratio=1.0 / narrowest, least_shadow_ratio=1.0 / widest, features=explained,
+        points=Points.of(wall, measured, 1.0 / rises),
+    )  # fmt: skip
     done("defects")
     stations = measure_stations(replace(wall, radius_mm=np.where(no_wall, np.float32(np.nan), wall.radius_mm)))
     dark = shadowed(wall.radius_mm.astype(np.float64), wall.z_step_mm, narrowest)

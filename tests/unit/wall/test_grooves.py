@@ -1,13 +1,11 @@
 """A groove is as deep as its floor: not as what slits show that lie half on a rim."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from annulus.wall.defects import Defect, Detection, Kind, Limits
 from annulus.wall.grid import Observations, Wall
-from annulus.wall.grooves import with_groove_floors
+from annulus.wall.grooves import groove_floor
+from annulus.wall.points import Points
 from annulus.wall.profile import Profile
 
 RADIUS_MM, AT_MM = 76.2, 172.0
@@ -52,25 +50,23 @@ def _frames(deep: float, width: float, rng: np.random.Generator) -> list[Profile
     return out
 
 
-def _listed(depth: float) -> Detection:
-    groove = Defect(Kind.LOSS, AT_MM, 0.0, 12.0, 360.0, depth, 1.0, True, 0.6)
-    return Detection((groove,), np.zeros((35, 360), np.int32), Limits())
+def _floor(
+    deep: float, width: float, listed: float, seed: int = 2, arc_deg: float = 360.0
+) -> tuple[float, float] | None:
+    wall = _wall()
+    points = Points.of(wall, _frames(deep, width, np.random.default_rng(seed)), RATIOS)
+    return groove_floor(wall, points, (AT_MM - 6, AT_MM + 6), 30.0, arc_deg, listed)
 
 
 @pytest.mark.parametrize(("deep", "width", "listed"), [(1.5, 8.0, 1.35), (1.8, 9.0, 1.6), (2.5, 12.0, 2.9)])
-def test_a_groove_is_as_deep_as_its_floor(deep: float, width: float, listed: float) -> None:
-    rng = np.random.default_rng(2)
-    (groove,) = with_groove_floors(_listed(listed), _wall(), _frames(deep, width, rng), RATIOS).defects
-    assert abs(groove.depth_mm - deep) < 0.08
-    assert abs(groove.depth_mm - deep) < groove.depth_k2_mm < 0.6
+@pytest.mark.parametrize("arc_deg", [360.0, 90.0])
+def test_a_groove_is_as_deep_as_its_floor(deep: float, width: float, listed: float, arc_deg: float) -> None:
+    found = _floor(deep, width, listed, arc_deg=arc_deg)
+    assert found is not None
+    depth, k2 = found
+    assert abs(depth - deep) < 0.1
+    assert abs(depth - deep) < k2 < 0.6
 
 
-def test_a_groove_whose_floor_no_slit_shows_whole_keeps_what_was_said_of_it() -> None:
-    listed = _listed(1.6)
-    assert with_groove_floors(listed, _wall(), _frames(1.8, 3.0, np.random.default_rng(4)), RATIOS) == listed
-
-
-def test_what_does_not_go_round_is_left_alone() -> None:
-    listed = _listed(1.6)
-    pocket = replace(listed, defects=(replace(listed.defects[0], arc_deg=80.0),))
-    assert with_groove_floors(pocket, _wall(), _frames(1.8, 9.0, np.random.default_rng(4)), RATIOS) == pocket
+def test_a_groove_whose_floor_no_slit_shows_whole_has_none() -> None:
+    assert _floor(1.8, 3.0, 1.6, 4) is None
