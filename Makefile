@@ -49,7 +49,8 @@ demo: setup
 test: export ANNULUS_NO_SKIPS := 1
 test: setup lint firmware emulator .tools/picamera2/.made
 	@tools/need.sh clang libclang-rt sigrok-cli qemu-system-x86 linux-image-amd64 busybox-static kmod
-	$(BIN)/pytest -n auto --dist loadfile tests/unit tests/regression
+	$(BIN)/pytest -n auto --dist loadfile -m "not slow" tests/unit tests/regression
+	$(BIN)/pytest -n auto --dist loadfile -m slow tests/unit tests/regression
 	$(BIN)/pytest -n auto --dist loadfile tests/scenes
 	$(BIN)/pytest tests/system
 	$(BIN)/pytest -n auto tests/emulator

@@ -6,11 +6,14 @@ from collections.abc import Mapping
 from types import SimpleNamespace
 from typing import Any, cast
 
+import pytest
 from faulty_head import Head
 
 from annulus.daemon.account import Account
 from annulus.daemon.config import HeadConfig
 from annulus.daemon.evidence import Evidence
+
+pytestmark = pytest.mark.slow
 
 WARM, FRAMES = 2_000, 3_000  # of each camera
 KEPT_MAX = 40_000  # bytes, of which 20 000 come and go; one header kept of each frame would be 2 MB, one number 200 000

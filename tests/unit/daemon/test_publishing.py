@@ -20,6 +20,8 @@ from annulus.stream.ring import FrameRing
 from annulus.stream.workers import Shared
 from annulus.vocabulary import Label
 
+pytestmark = pytest.mark.slow
+
 
 class Stand:
     def __init__(self, folder: Path, address: str = "tcp://127.0.0.1:*") -> None:

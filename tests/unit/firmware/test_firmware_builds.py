@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 FIRMWARE = Path(__file__).resolve().parents[3] / "firmware"
 GCOVR = shutil.which("gcovr") or str(FIRMWARE.parent / ".venv/bin/gcovr")
 

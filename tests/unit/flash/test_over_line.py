@@ -42,6 +42,8 @@ from annulus.link.messages import (
 from annulus.testing.scripted import ScriptedController
 from annulus.vocabulary import AnnulusError
 
+pytestmark = pytest.mark.slow
+
 SIZE = 3000
 
 

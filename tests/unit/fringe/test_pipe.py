@@ -11,6 +11,8 @@ from annulus.fringe.projector import HARMONICS_MAX
 from annulus.numeric.arrays import FloatArray
 from annulus.vocabulary import AnnulusError
 
+pytestmark = pytest.mark.slow
+
 UNEVEN = np.array([0.0, 1.1, 3.3, 4.2, 6.9, 8.0, 10.6, 12.1, 13.0, 15.4])
 LEAN = np.array([0.004, -0.003, 0.0, 0.9, -0.6, 0.0])
 GROOVE = (56.0, 60.0, 25.0, 0.5)

@@ -14,6 +14,8 @@ from annulus.joints.zone import Shape, _model
 from annulus.numeric.arrays import FloatArray
 from annulus.vocabulary import AnnulusError
 
+pytestmark = pytest.mark.slow
+
 SCENE = Scene()
 
 

@@ -10,6 +10,8 @@ from annulus.link.session import EventReceived
 from annulus.record.recording import from_json, to_json
 from annulus.vocabulary import EdgeFlag, Label, Lamp
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize("seed", range(8))
 def test_what_was_said_is_said_again(seed: int) -> None:

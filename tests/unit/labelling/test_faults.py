@@ -9,6 +9,8 @@ from bench_of_faults import PERIOD, Bench, Faults, Score
 from annulus.capture.proof import State, Witness
 from annulus.vocabulary import Lamp
 
+pytestmark = pytest.mark.slow
+
 NOBODY_COUNTS: Callable[[int], int | None] = lambda k: None  # noqa: E731
 COUNTS = pytest.mark.parametrize("count", [lambda k: 1000 + k, NOBODY_COUNTS], ids=["counted", "uncounted"])
 AT = 150  # the frame at which a thing happens that happens once

@@ -15,6 +15,8 @@ from annulus.reprocess.relabel import audit, identity, relabel
 from annulus.stream.frames import FrameHeader
 from annulus.vocabulary import AnnulusError, Label
 
+pytestmark = pytest.mark.slow
+
 Changed = dict[int, dict[str, Any]]  # by number of the frame
 
 

@@ -29,6 +29,8 @@ from annulus.record.scan import open_scan
 from annulus.record.writer import RecordingWriter
 from annulus.vocabulary import AnnulusError, Label
 
+pytestmark = pytest.mark.slow
+
 H, W = 48, 64
 
 

@@ -14,6 +14,8 @@ from annulus.record.scan import open_scan
 from annulus.record.video import Chainage, Imported, import_video, read_chainage
 from annulus.vocabulary import AnnulusError, Label
 
+pytestmark = pytest.mark.slow
+
 FRAMES, WIDTH, HEIGHT = 12, 64, 48
 
 

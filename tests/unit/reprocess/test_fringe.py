@@ -20,6 +20,8 @@ from annulus.reprocess import fringe as module
 from annulus.reprocess import kind_of, open_fringe, open_job, reconstruct_fringe
 from annulus.vocabulary import AnnulusError
 
+pytestmark = pytest.mark.slow
+
 PLACES = (0.0, 1.0, 2.1, 3.0, 3.9, 5.2, 6.1, 7.0)
 
 

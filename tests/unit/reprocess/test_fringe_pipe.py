@@ -21,6 +21,8 @@ from annulus.reprocess import open_fringe_pipe, reconstruct_fringe_pipe
 from annulus.vocabulary import AnnulusError
 from annulus.wall.defects import Kind
 
+pytestmark = pytest.mark.slow
+
 STEP = RADIUS_MM / 200
 HEAD = {"id": 0, **camera_to_dict(LENS.camera), "rotation": LENS.rotation, "translation_mm": LENS.translation_mm}
 

@@ -13,6 +13,8 @@ from annulus.record.calibration_file import save_calibration
 from annulus.reprocess import Processes, Reprocessed, in_process, method_for, open_job, reprocess
 from annulus.vocabulary import AnnulusError
 
+pytestmark = pytest.mark.slow
+
 FRAMES = 20
 
 

@@ -14,6 +14,8 @@ from annulus.record.calibration_file import load_calibration, save_calibration
 from annulus.reprocess import open_job, reprocess
 from annulus.vocabulary import AnnulusError
 
+pytestmark = pytest.mark.slow
+
 POSES = [Pose(0.01, 0.0, -8.0, -7.0), Pose(0.0, -0.02, -9.0, -8.0)]
 FLASHES = 6
 

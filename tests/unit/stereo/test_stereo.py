@@ -12,6 +12,8 @@ from annulus.stereo import StereoReconstructor, swapped
 from annulus.vocabulary import AnnulusError
 from annulus.wall.profile import Profile
 
+pytestmark = pytest.mark.slow
+
 POSE = Pose(0.02, -0.03, -6.9, -9.1)
 Images = dict[int, NDArray[np.uint8]]
 

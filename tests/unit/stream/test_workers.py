@@ -30,6 +30,8 @@ from annulus.stream.workers import (
 )
 from annulus.vocabulary import AnnulusError, Label
 
+pytestmark = pytest.mark.slow
+
 WORKER = [sys.executable, str(Path(__file__).with_name("worker_for_tests.py"))]
 
 

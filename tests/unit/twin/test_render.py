@@ -12,6 +12,8 @@ from annulus.geometry.pose import Pose
 from annulus.twin.render import Renderer
 from annulus.twin.worlds import Feature, World, clean_world, demo_world, fisheye_camera
 
+pytestmark = pytest.mark.slow
+
 CLEAN = replace(clean_world(), rods=()).scaled(832)
 
 

@@ -17,6 +17,8 @@ from annulus.twin.score import score_cloud
 from annulus.twin.worlds import World, mirror_world
 from annulus.vocabulary import AnnulusError, Label
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def small() -> World:

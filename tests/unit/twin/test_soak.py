@@ -6,6 +6,8 @@ from annulus.twin.faults import Faults
 from annulus.twin.soak import soak
 from annulus.vocabulary import AnnulusError
 
+pytestmark = pytest.mark.slow
+
 
 def test_no_label_is_wrong_under_drops_lost_events_jitter_and_two_resets() -> None:
     result = soak(300, seed=5)

@@ -16,6 +16,8 @@ from annulus.twin.scan import world_named, write_scan
 from annulus.twin.worlds import World, stereo_world
 from annulus.vocabulary import AnnulusError, Label
 
+pytestmark = pytest.mark.slow
+
 
 def places(world: World, ring: int, around: float, off: np.ndarray) -> np.ndarray:
     """(N, 3) in the first camera's frame: where the wall of a clean pipe is met `off` (rad) beside the ring's cone."""

@@ -5,6 +5,8 @@ import pytest
 from annulus.capture.proof import Witness
 from annulus.twin.witnesses import CASES, Case, compared
 
+pytestmark = pytest.mark.slow
+
 
 def test_every_witness_has_a_case() -> None:
     assert {case.witness for case in CASES} == set(Witness)

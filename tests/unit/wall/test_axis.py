@@ -14,6 +14,8 @@ from annulus.wall.features import FeatureKind
 from annulus.wall.profile import Profile
 from annulus.wall.survey import survey
 
+pytestmark = pytest.mark.slow
+
 R = 76.2
 STATIONS = [4.0 * i for i in range(25) if i % 5 != 4]
 

@@ -7,6 +7,8 @@ from annulus.wall.beads import Bead, measure_bead
 from annulus.wall.grid import Observations, Wall
 from annulus.wall.points import Points
 
+pytestmark = pytest.mark.slow
+
 RADIUS_MM, AT_MM = 76.2, 172.0
 RATIOS = np.array([2.9, 2.6, 2.3, 2.0, 1.8])
 

@@ -11,6 +11,8 @@ from annulus.wall.profile import Profile
 from annulus.wall.stations import f1216, measure_stations
 from annulus.wall.texture import LedFrame, paint, pose_at
 
+pytestmark = pytest.mark.slow
+
 
 def defects_of(wall: Wall) -> tuple[Defect, ...]:
     return find_defects(wall, shadow_ratio=SHADOW_RATIO).defects

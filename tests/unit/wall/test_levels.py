@@ -22,6 +22,8 @@ from annulus.wall.levels import covered, without_levels
 from annulus.wall.refraction import WATER
 from annulus.wall.stations import not_enough_seen
 
+pytestmark = pytest.mark.slow
+
 LIMITS = {FeatureKind.WATER: 0.1, FeatureKind.DEPOSIT: 0.05}  # mm; asked are 1 and 0.3
 
 

@@ -16,6 +16,8 @@ from annulus.rings.reconstructor import Reconstructor
 from annulus.wall.lost import RING_LOST, lost_rings
 from annulus.wall.profile import Profile
 
+pytestmark = pytest.mark.slow
+
 POSES = [Pose(), Pose(0.012, -0.01, 1.0, -1.5), Pose(-0.01, 0.0, -1.0, 0.5)]
 
 

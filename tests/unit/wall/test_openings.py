@@ -9,6 +9,8 @@ from synthetic_pipe import CALIBRATION, RADIUS_MM, RadiusMap, bump, opening, ova
 from annulus.wall import Profile, Survey, survey
 from annulus.wall.features import Feature, FeatureKind
 
+pytestmark = pytest.mark.slow
+
 STATIONS = tuple(3.0 * i for i in range(32) if i % 5 != 4)
 Z_MM = 155.0
 

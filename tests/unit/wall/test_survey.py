@@ -14,6 +14,8 @@ from annulus.wall.defects import Kind
 from annulus.wall.grid import build_wall
 from annulus.wall.surface import triangulate
 
+pytestmark = pytest.mark.slow
+
 STATIONS = [3.0 * i for i in range(26)]
 
 
