@@ -197,6 +197,8 @@ def _joint(
     is_gap = piece is not None and not is_bead and length - hidden > 2.0 * slit
     if is_gap:
         gap, gap_k2 = _gap(wall, points, (first, last))
+        is_gap = gap > gap_k2  # what may be none is not called one: slits about a step read as much
+    if is_gap:
         measures.append(Measure("gap_mm", gap, gap_k2))
         length = gap
     remark = "butt fusion" if is_bead else "coupling" if is_gap else "kind not told: too little of it was seen"
