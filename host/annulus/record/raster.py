@@ -9,7 +9,8 @@ import numpy as np
 
 from annulus.numeric.arrays import FloatArray
 from annulus.record.arrays import require_plain_npz
-from annulus.untrusted import mapping, parse_json, read_file, shown
+from annulus.record.strength import read_bounded
+from annulus.untrusted import mapping, parse_json, shown
 from annulus.vocabulary import AnnulusError
 
 BYTES_MAX = 1 << 26
@@ -41,7 +42,7 @@ def read_joint(folder: Path) -> tuple[dict[str, Any], dict[str, FloatArray]]:
     """What features.json says, and of maps.npz z_mm (Z,), phi_deg (P,), even from 0, and `MAPS` (Z, P), finite."""
     path = folder / "features.json"
     try:
-        said = dict(mapping(parse_json(_read(path), BYTES_MAX), "features"))
+        said = dict(mapping(parse_json(read_bounded(path, BYTES_MAX), BYTES_MAX), "features"))
     except ValueError as error:
         raise AnnulusError(f"{path}: {error}") from None
     path = folder / "maps.npz"
@@ -58,7 +59,7 @@ def read_joint(folder: Path) -> tuple[dict[str, Any], dict[str, FloatArray]]:
 
 
 def _arrays(path: Path, wanted: tuple[str, ...], needed: tuple[str, ...]) -> dict[str, FloatArray]:
-    content = io.BytesIO(_read(path))
+    content = io.BytesIO(read_bounded(path, BYTES_MAX))
     try:
         require_plain_npz(content)
         content.seek(0)
@@ -92,14 +93,3 @@ def _require_shape(path: Path, name: str, values: FloatArray, shape: tuple[int, 
     if values.shape != shape:
         sides, expected = (" x ".join(str(n) for n in one) or "one number" for one in (values.shape, shape))
         raise AnnulusError(f"{path}: {name} is of {sides}, expected {expected} as {of} is")
-
-
-def _read(path: Path) -> bytes:
-    try:
-        return read_file(path, BYTES_MAX)
-    except FileNotFoundError:
-        raise AnnulusError(f"{path}: no such file") from None
-    except OSError as error:
-        raise AnnulusError(f"{path}: {error.strerror or error}") from None
-    except ValueError as error:
-        raise AnnulusError(f"{path}: {error}") from None

@@ -21,7 +21,7 @@ def read_strengths(path: Path) -> tuple[FloatArray, FloatArray]:
 
     A head of column names, then one dogbone a line; other columns are left alone. Raises AnnulusError with the line.
     """
-    rows = csv.reader(io.StringIO(_read(path, CSV_MAX).decode("utf-8-sig", errors="replace"), newline=""))
+    rows = csv.reader(io.StringIO(read_bounded(path, CSV_MAX).decode("utf-8-sig", errors="replace"), newline=""))
     found: list[list[float]] = []
     try:
         head = [name.strip() for name in next(rows, [])]
@@ -46,7 +46,7 @@ def read_strengths(path: Path) -> tuple[FloatArray, FloatArray]:
 def read_features(path: Path, names: Sequence[str]) -> tuple[FloatArray, dict[str, FloatArray]]:
     """(P,) phi_deg, rising within one turn, and the named features (P,) of a features.json, NaN where it says null."""
     try:
-        said = mapping(parse_json(_read(path, JSON_MAX), JSON_MAX), "features")
+        said = mapping(parse_json(read_bounded(path, JSON_MAX), JSON_MAX), "features")
     except ValueError as error:
         raise AnnulusError(f"{path}: {error}") from None
     phi = _curve(path, said.get("phi_deg"), "phi_deg")
@@ -62,7 +62,8 @@ def read_features(path: Path, names: Sequence[str]) -> tuple[FloatArray, dict[st
     return phi, curves
 
 
-def _read(path: Path, limit: int) -> bytes:
+def read_bounded(path: Path, limit: int) -> bytes:
+    """A file of at most so many bytes. AnnulusError with its path for what is none."""
     try:
         return read_file(path, limit)
     except FileNotFoundError:
