@@ -49,9 +49,8 @@ ENDS = 25.0  # .. and the end of a bend or a taper, which ends somewhere
 OFFSET_OF_RADIUS = 0.002  # of the radius: hi-lo
 TURN_LEAST = 0.0025  # radians
 RADIUS_STEP = 0.0015  # of the radius
-SURE = (
-    4.0  # standard deviations of a joint's hi-lo, turn or step: a swing in the pipe's ovality looks like 2.6 of a turn
-)
+# Standard deviations of a joint's hi-lo, turn or step: a swing in the pipe's ovality looks like 2.6 of a turn.
+SURE = 4.0
 BEND_OF_RADIUS = 0.012  # radians a radius; a bend wider than 80 radii is a straight pipe's sag
 TAPER_LEAST = 0.003  # mm a mm
 AHEAD_OF_RADIUS = 2.0  # of the radius: how far past its beginning a piece is looked at before its kind is decided

@@ -1,7 +1,7 @@
 """The defect list: every indication measured, with its uncertainty, and stretches that are out of round."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -106,7 +106,7 @@ def find_defects(
     least_shadow_ratio: float | None = None,
     limits: Limits | None = None,
     features: BoolArray | None = None,
-    points: Points | None = None,
+    points: Callable[[], Points] | None = None,
 ) -> Detection:
     """Losses, bumps and out-of-round stretches of the wall.
 
@@ -117,7 +117,8 @@ def find_defects(
         (Alzuhiri 2022, Eq. 3.24). least_shadow_ratio : the same for the largest one; shadow_ratio if not given.
     limits : what counts; the defaults hold for any pipe.
     features : (Z, A) cells that a joint, an opening or the like explains; no defect is looked for there.
-    points : the wall's, by which a groove's floor is told from its rims; without them its cells must do.
+    points : gives the wall's, asked only where there is a groove, to tell its floor from its rims; without them its
+        cells must do.
 
     Notes
     -----
@@ -154,7 +155,7 @@ def find_defects(
         area = float(np.count_nonzero(whole) * scale.cell_mm[0] * scale.cell_mm[1])
         defect = Defect(one.kind, *position, depth, area, floor_seen, k2, float(np.median(dark)))
         if points is not None and _is_groove(defect, scale):
-            floor = groove_floor(wall, points, defect.z_range_mm, defect.clock_deg, defect.arc_deg, depth)
+            floor = groove_floor(wall, points(), defect.z_range_mm, defect.clock_deg, defect.arc_deg, depth)
             if floor is not None:
                 depth, k2 = floor
                 defect = replace(defect, depth_mm=depth, depth_k2_mm=k2, floor_seen=True)

@@ -31,9 +31,10 @@ def groove_floor(
     """
     aside = ASIDE_OF_RADIUS * wall.mean_radius_mm
     first, last = z_range_mm[0] - aside, z_range_mm[1] + aside
-    near = (points.z_mm >= first) & (points.z_mm <= last)
-    if arc_deg < 360.0:
-        near &= np.abs((points.clock_deg - clock_deg + 180.0) % 360.0 - 180.0) <= WITHIN * arc_deg / 2
+    points = points.between(first, last)
+    near = np.abs((points.clock_deg - clock_deg + 180.0) % 360.0 - 180.0) <= WITHIN * arc_deg / 2
+    if arc_deg >= 360.0:
+        near[:] = True
     if not near.any():
         return None
     z, sector, ratio, slit, stated = (

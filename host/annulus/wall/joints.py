@@ -217,19 +217,19 @@ def _gap(wall: Wall, points: Points, zone: tuple[float, float]) -> tuple[float, 
     half a slit at either end. Pipes that meet at an angle have their ends askew, so rows all round would read long."""
     aside = ASIDE_OF_RADIUS * wall.mean_radius_mm
     first, last = zone[0] - aside, zone[1] + aside
+    points = points.between(first, last)
     before, after = points.over(wall, first), points.over(wall, last)
     limit = Limits().seed_of_radius * wall.mean_radius_mm
     off = np.abs(np.where(points.z_mm < (zone[0] + zone[1]) / 2, before, after)) > limit
+    row = np.floor((points.z_mm - first) / ROW_MM).astype(np.intp)
     ends = []
     for k in range(GAP_SECTORS):
-        mine = (points.sector * GAP_SECTORS // SECTORS == k) & (points.z_mm >= first) & (points.z_mm < last)
-        row = np.floor((points.z_mm[mine] - first) / ROW_MM).astype(np.intp)
-        count = np.bincount(row)
-        rows = np.flatnonzero((count >= GAP_POINTS) & (np.bincount(row, weights=off[mine]) > 0.5 * count))
+        mine = points.sector * GAP_SECTORS // SECTORS == k
+        count = np.bincount(row[mine])
+        rows = np.flatnonzero((count >= GAP_POINTS) & (np.bincount(row[mine], weights=off[mine]) > 0.5 * count))
         if len(rows):
             ends.append((rows[0] * ROW_MM, (rows[-1] + 1) * ROW_MM))
-    near = (points.z_mm >= first) & (points.z_mm < last)
-    slit = float(np.median(points.slit_mm[near]))
+    slit = float(np.median(points.slit_mm))
     if not ends:
         return max(zone[1] - zone[0] - 2.0 * slit, 0.0), 2.0 * slit
     begins, stops = np.array(ends).T

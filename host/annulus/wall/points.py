@@ -1,7 +1,7 @@
 """Every point of a wall with what is asked of it where a cell of the grid is too coarse: at beads, gaps and grooves."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +45,11 @@ class Points:
         slit = np.where(half > 0, half * (1.0 + ratio**2), SLIT_OF_RADIUS / 2) * wall.mean_radius_mm
         sector = (clock * SECTORS / 360.0).astype(np.intp)
         return cls(z, sector, shape - radius, sigma, ratio, slit, radius, clock)
+
+    def between(self, first_mm: float, last_mm: float) -> "Points":
+        """Those of a stretch; a long scan has ten millions."""
+        near = (self.z_mm >= first_mm) & (self.z_mm < last_mm)
+        return Points(*(getattr(self, one.name)[near] for one in fields(self)))
 
     def over(self, wall: Wall, at_mm: float) -> FloatArray:
         """How far each point stands inwards of the pipe's shape at one chainage, mm."""

@@ -5,6 +5,7 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import pairwise
 from typing import Any
 
@@ -239,7 +240,7 @@ def survey(
     done("features")
     detection = find_defects(
         wall, shadow_ratio=1.0 / narrowest, least_shadow_ratio=1.0 / widest, features=explained,
-        points=Points.of(wall, measured, 1.0 / rises),
+        points=cache(lambda: Points.of(wall, measured, 1.0 / rises)),
     )  # fmt: skip
     done("defects")
     stations = measure_stations(replace(wall, radius_mm=np.where(no_wall, np.float32(np.nan), wall.radius_mm)))

@@ -2,27 +2,15 @@
 
 import numpy as np
 import pytest
+from even_wall import RADIUS_MM, even_wall
 
 from annulus.wall.beads import Bead, measure_bead
-from annulus.wall.grid import Observations, Wall
 from annulus.wall.points import Points
 
 pytestmark = pytest.mark.slow
 
-RADIUS_MM, AT_MM = 76.2, 172.0
+AT_MM = 172.0
 RATIOS = np.array([2.9, 2.6, 2.3, 2.0, 1.8])
-
-
-def _wall() -> Wall:
-    z, clock = np.arange(140.5, 220.0), np.arange(0.5, 360.0)
-    shape = np.tile([RADIUS_MM, 0.0, 0.0, 0.0, 0.0], (len(z), 1))
-    cells = np.full((len(z), len(clock)), RADIUS_MM, np.float32)
-    none = np.zeros(0)
-    nobody = Observations(none.astype(int), none.astype(np.int32), none.astype(np.float32), none.astype(np.float32),
-                          none.astype(np.uint8))  # fmt: skip
-    still = np.full(len(z), 0.02)
-    return Wall(z, clock, cells, np.ones(cells.shape, np.int32), shape, np.zeros((len(z), 5, 5)), still,
-                np.full_like(cells, 0.05), nobody, np.full_like(cells, 0.05))  # fmt: skip
 
 
 def _stands(z: np.ndarray, height: float, width: float) -> np.ndarray:
@@ -56,7 +44,7 @@ def _measured(height: float, width: float, half_slit: float, rng: np.random.Gene
         rows[0], np.array(sector), rows[1], np.full(len(clock), 0.05), rows[2], np.full(len(clock), half_slit),
         RADIUS_MM - rows[1], clock,
     )  # fmt: skip
-    return measure_bead(_wall(), points, (AT_MM - width / 2 - 2, AT_MM + width / 2 + 12))
+    return measure_bead(even_wall(), points, (AT_MM - width / 2 - 2, AT_MM + width / 2 + 12))
 
 
 @pytest.mark.parametrize(("height", "width"), [(2.5, 7.0), (3.5, 8.0), (3.5, 12.0), (4.8, 10.5)])

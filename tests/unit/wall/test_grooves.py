@@ -2,25 +2,15 @@
 
 import numpy as np
 import pytest
+from even_wall import RADIUS_MM, even_wall
 
-from annulus.wall.grid import Observations, Wall
 from annulus.wall.grooves import groove_floor
 from annulus.wall.points import Points
 from annulus.wall.profile import Profile
 
-RADIUS_MM, AT_MM = 76.2, 172.0
+AT_MM = 172.0
 RATIOS = np.array([2.9, 2.6, 2.3, 2.0, 1.8])
 SLITS_MM = np.array([3.1, 2.2, 1.6, 1.1, 0.8])  # half of each, on the wall
-
-
-def _wall() -> Wall:
-    z, clock = np.arange(141.0, 210.0, 2.0), np.arange(0.5, 360.0)
-    shape = np.tile([RADIUS_MM, 0.0, 0.0, 0.0, 0.0], (len(z), 1))
-    cells, none = np.full((len(z), len(clock)), RADIUS_MM, np.float32), np.zeros(0, np.float32)
-    nobody = Observations(none.astype(int), none.astype(np.int32), none, none, none.astype(np.uint8))
-    noise = np.full(len(z), 0.02)
-    return Wall(z, clock, cells, np.ones(cells.shape, np.int32), shape, np.zeros((len(z), 5, 5)), noise,
-                np.full_like(cells, 0.05), nobody, np.full_like(cells, 0.05))  # fmt: skip
 
 
 def _frames(deep: float, width: float, rng: np.random.Generator) -> list[Profile]:
@@ -53,7 +43,7 @@ def _frames(deep: float, width: float, rng: np.random.Generator) -> list[Profile
 def _floor(
     deep: float, width: float, listed: float, seed: int = 2, arc_deg: float = 360.0
 ) -> tuple[float, float] | None:
-    wall = _wall()
+    wall = even_wall()
     points = Points.of(wall, _frames(deep, width, np.random.default_rng(seed)), RATIOS)
     return groove_floor(wall, points, (AT_MM - 6, AT_MM + 6), 30.0, arc_deg, listed)
 

@@ -34,3 +34,15 @@ def test_an_ovality_is_held_to_the_same() -> None:
     assert one.kind is Kind.OVALITY and one.depth_k2_mm < UNSURE * one.depth_mm
     told = found(wall, 0.6)
     assert told.defects == () and [one.kind for one in told.undecided] == [Kind.OVALITY]
+
+
+def test_an_ovality_is_that_of_where_the_shape_is_known() -> None:
+    """A groove drags the shape about where it lies: it looks more oval there, and says how little it knows."""
+    wall = build_wall(scan(oval(round_pipe, 30, 0.01)))
+    (true,) = found(wall, 0.02).defects
+    rows = slice(len(wall.z_mm) // 2, len(wall.z_mm) // 2 + 4)
+    shape, covariance = wall.shape_mm.copy(), wall.shape_covariance.copy()
+    shape[rows, 3:] *= 1.2
+    covariance[rows] += 0.3**2 * np.eye(5)
+    (one,) = found(replace(wall, shape_mm=shape, shape_covariance=covariance), 0.02).defects
+    assert abs(one.depth_mm - true.depth_mm) < 0.02 and one.depth_k2_mm < 2 * true.depth_k2_mm
