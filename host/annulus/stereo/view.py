@@ -29,7 +29,7 @@ from annulus.stereo.lens import lens_numbers, on_line
 STEP_PX, STEP = 1.5, 0.01  # px, part of the radius: between a point and its neighbours on a wall, as in `rings`
 FARTHER = 0.02  # of the distance: step of the finite differences along a generator
 WIDE = 1.3  # of the usual width: a slit in a shadow's edge must not shift itself
-EVERY = 4  # generators: how fast places change along them changes slowly, and is found on one of so many
+EVERY, NODES = 8, 60  # of so many generators places are worked out on one, but on so many of a cone at least
 SOME = 8  # lines, of which one says how far a ring's image moves
 
 
@@ -177,42 +177,54 @@ def _table(ring, direction, position, width, widest, bend, offset, place, which)
 
 @jit
 def _expect(lens, vertices, ways, start, rotation, shift, by_generator, by_line):  # type: ignore[no-untyped-def]
-    """See `Expected`: line, place and their changes with a mm, (4, K, P); course and change with a radius (2, K, J)."""
+    """See `Expected`: line, place and their changes with a mm, (4, K, P); course and change with a radius (2, K, J).
+
+    They change slowly round a cone and are worked out on some generators; cubics lead to those between (4 degrees
+    apart, within 1e-3 px), but for where the cone meets no wall."""
     rings, steps = start.shape
     lines = by_line.shape[2]
+    every = EVERY
+    while every > 1 and (steps % every or steps < every * NODES):
+        every //= 2
+    nodes = steps // every
+    node, own = np.empty((nodes + 3, 4)), np.empty(4)  # the last, all, and the first two once more
     by_radius = np.empty(steps)
-    every = EVERY if steps % EVERY == 0 else 1
+    cubic = np.empty((every, 4))
+    for q in range(every):
+        t = q / every
+        cubic[q, 0], cubic[q, 1] = -t * (t - 1) * (t - 2) / 6, (t * t - 1) * (t - 2) / 2
+        cubic[q, 2], cubic[q, 3] = -t * (t + 1) * (t - 2) / 2, t * (t * t - 1) / 6
     for k in range(rings):
+        for m in range(nodes):
+            _one(lens, vertices[k], ways[k, m * every], start[k, m * every], lines, node[m + 1])
+        node[0], node[nodes + 1], node[nodes + 2] = node[nodes], node[1], node[2]
+        for m in range(1, nodes + 3):  # lines begin anew after the last: between nodes they must not
+            node[m, 0] -= lines * math.floor((node[m, 0] - node[m - 1, 0]) / lines + 0.5)
+        m, q = -1, every - 1
         for p in range(steps):
+            q += 1
+            if q == every:
+                m, q = m + 1, 0
             near = start[k, p]
-            x, y, z = vertices[k, 0], vertices[k, 1], vertices[k, 2]
-            wx, wy, wz = ways[k, p, 0], ways[k, p, 1], ways[k, p, 2]
-            x, y, z = x + near * wx, y + near * wy, z + near * wz
-            line, place = on_line(lens, x, y, z)
-            by_generator[0, k, p], by_generator[1, k, p] = line, place
-            if p % every == 0:
-                by_generator[2, k, p], by_generator[3, k, p] = _change(lens, x, y, z, ways[k, p], near, lines)
+            for i in range(4):
+                own[i] = (
+                    cubic[q, 0] * node[m, i] + cubic[q, 1] * node[m + 1, i] + cubic[q, 2] * node[m + 2, i]
+                    + cubic[q, 3] * node[m + 3, i]
+                )  # fmt: skip
+            if own[3] != own[3] or near != near:
+                _one(lens, vertices[k], ways[k, p], near, lines, own)
+            own[0] -= lines * math.floor(own[0] / lines)
+            for i in range(4):
+                by_generator[i, k, p] = own[i]
             # how fast the step leads away from the axis
-            x, y, z = x - shift[0], y - shift[1], z - shift[2]
+            wx, wy, wz = ways[k, p, 0], ways[k, p, 1], ways[k, p, 2]
+            x, y = vertices[k, 0] + near * wx - shift[0], vertices[k, 1] + near * wy - shift[1]
+            z = vertices[k, 2] + near * wz - shift[2]
             u = x * rotation[0, 0] + y * rotation[1, 0] + z * rotation[2, 0]
             v = x * rotation[0, 1] + y * rotation[1, 1] + z * rotation[2, 1]
             wu = wx * rotation[0, 0] + wy * rotation[1, 0] + wz * rotation[2, 0]
             wv = wx * rotation[0, 1] + wy * rotation[1, 1] + wz * rotation[2, 1]
             by_radius[p] = (u * wu + v * wv) / (u * u + v * v)  # radii a mm
-        for p in range(steps):
-            part = p % every
-            if part > 0:
-                a, b = p - part, (p - part + every) % steps
-                for i in (2, 3):
-                    before, after = by_generator[i, k, a], by_generator[i, k, b]
-                    by_generator[i, k, p] = before + (after - before) * part / every
-                if by_generator[3, k, p] != by_generator[3, k, p]:  # beside where the cone meets no wall
-                    near = start[k, p]
-                    x, y, z = vertices[k, 0], vertices[k, 1], vertices[k, 2]
-                    wx, wy, wz = ways[k, p, 0], ways[k, p, 1], ways[k, p, 2]
-                    by_generator[2, k, p], by_generator[3, k, p] = _change(
-                        lens, x + near * wx, y + near * wy, z + near * wz, ways[k, p], near, lines
-                    )
         for p in range(steps):
             q = (p + 1) % steps
             a, b = by_generator[0, k, p], by_generator[0, k, q]
@@ -234,14 +246,15 @@ def _expect(lens, vertices, ways, start, rotation, shift, by_generator, by_line)
 
 
 @jit
-def _change(lens, x, y, z, way, near, lines):  # type: ignore[no-untyped-def]
-    """How line and sample change with a mm along a generator, from (x, y, z), which is `near` mm along it."""
+def _one(lens, vertex, way, near, lines, out):  # type: ignore[no-untyped-def]
+    """Of a generator that meets the wall `near` mm from the vertex: line and sample, and how both change with a mm."""
+    line, place = on_line(lens, vertex[0] + near * way[0], vertex[1] + near * way[1], vertex[2] + near * way[2])
     step = FARTHER * near
-    line, place = on_line(lens, x, y, z)
-    line_far, place_far = on_line(lens, x + step * way[0], y + step * way[1], z + step * way[2])
-    moved = line_far - line
+    far = near + step
+    out[2], out[3] = on_line(lens, vertex[0] + far * way[0], vertex[1] + far * way[1], vertex[2] + far * way[2])
+    moved = out[2] - line
     moved -= lines * math.floor(moved / lines + 0.5)
-    return moved / step, (place_far - place) / step
+    out[0], out[1], out[2], out[3] = line, place, moved / step, (out[3] - place) / step
 
 
 def pose_of(axis: FloatArray, through_mm: FloatArray) -> Pose:
