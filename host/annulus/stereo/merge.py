@@ -32,18 +32,21 @@ CONTRADICTS, LEAST_PX = 6.0, 0.04  # sigma apart, of at least so much: two camer
 SHARE = 0.03  # of the weight: a camera with less is none that a point was made from
 BOTH, LEAST, UNIT_LEAST, UNIT_MOST = 0.1, 200, 0.5, 3.0  # share of each, points, for what sigmas are worth; its bounds
 NOISY, HOPELESS = 0.3, 4.0  # of what is not known: from there a mean over neighbouring lines is read; nor that helps
+CALM_LINES, CALM_PX = 5, 1.5  # to each side, of like places, that are averaged where one line says too little ..
+ALIKE_LINES = 4.0  # .. of which so many say as much as one: neighbours share pixels, and pixels lie in rows
 KNOWN, UNSEEN, CONTRADICTED, BLUNT = 0, 1, 2, 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sight:
-    """What one camera saw of the rings. On its lines (K, J): samples, NaN for nowhere, and their standard deviation,
-    px; the same as a mean over neighbours, for where single lines are too noisy. plain_px (K,): of a usual slit."""
+    """What one camera saw of the rings. On its lines (K, J): samples, NaN for nowhere; their standard deviation, px, and
+    of that what neighbours do not share, and what a slit across an edge of the wall may be off, as in every other
+    camera. plain_px (K,): of a usual slit."""
 
     place: FloatArray
     sigma_px: FloatArray
-    calm: FloatArray
-    calm_px: FloatArray
+    noise_px: FloatArray
+    edge_px: FloatArray
     plain_px: FloatArray
 
 
@@ -51,7 +54,9 @@ class Sight:
 class Merged:
     """By ring and generator (K, P): distance from the vertex, mm, NaN where not known; its standard deviation; which
     camera saw it, its place in the list or, of several, their number; the heaviest, and the line it saw it on;
-    KNOWN, UNSEEN, CONTRADICTED or BLUNT: seen, but from where it says too little of the wall."""
+    CALM_LINES, CALM_PX = 5, 1.5  # to each side, of like places, that are averaged where one line says too little ..
+ALIKE_LINES = 4.0  # .. of which so many say as much as one: neighbours share pixels, and pixels lie in rows
+KNOWN, UNSEEN, CONTRADICTED or BLUNT: seen, but from where it says too little of the wall."""
 
     distance_mm: FloatArray
     sigma_mm: FloatArray
@@ -92,7 +97,7 @@ def merge(
         np.stack([view.lens for view in views]), vertices, ways, start_mm,
         np.stack([e.by_generator for e in expected]), course,
         np.stack([s.place for s in sights]) - course, np.stack([s.sigma_px for s in sights]),
-        np.stack([s.calm for s in sights]) - course, np.stack([s.calm_px for s in sights]),
+        np.stack([s.noise_px for s in sights]), np.stack([s.edge_px for s in sights]),
         np.stack([s.plain_px for s in sights]), sigma_most_mm,
         np.ones((1, 1, 1), np.bool_) if usable is None else usable, usable is not None,
         distance, sigma, camera, heaviest, line, state, apart,
@@ -102,7 +107,7 @@ def merge(
 
 @jit
 def _solve(  # type: ignore[no-untyped-def]
-    lenses, vertices, ways, start, expected, course, stray, sigma_px, calm, calm_px, plain_px, most, usable, gated,
+    lenses, vertices, ways, start, expected, course, stray, sigma_px, noise_px, edge_px, plain_px, most, usable, gated,
     distance, sigma, camera, heaviest, line, state, apart,
 ):  # fmt: skip
     cameras = len(lenses)
@@ -135,7 +140,9 @@ def _solve(  # type: ignore[no-untyped-def]
                         if calmly == 0:
                             value, slope, spread = _look(stray[c, k], sigma_px[c, k], course[c, k], at[c])
                         else:
-                            value, slope, spread = _look(calm[c, k], calm_px[c, k], course[c, k], at[c])
+                            value, slope, spread = _look_calmly(
+                                stray[c, k], sigma_px[c, k], noise_px[c, k], course[c, k], at[c]
+                            )
                         if value != value:
                             continue
                         own = by_place - slope * by_line
@@ -159,9 +166,13 @@ def _solve(  # type: ignore[no-untyped-def]
             if not total > 0.0:
                 continue
             square, wrong, weights, best, seen, used = 0.0, 0.0, 0.0, -1.0, 0, 0
+            own, shared = 0.0, 0.0
             for c in range(cameras):
                 if left[c] == left[c]:
                     weight = (gain[c] / off[c]) ** 2
+                    edge = min(edge_px[c, k, around(int(at[c] + 0.5), edge_px.shape[2])], off[c])
+                    own += weight * (1.0 - (edge / off[c]) ** 2)
+                    shared += abs(gain[c]) * edge / (off[c] * off[c])
                     square += (left[c] / off[c]) ** 2
                     wrong += (left[c] / max(off[c], LEAST_PX)) ** 2
                     weights += weight
@@ -180,7 +191,7 @@ def _solve(  # type: ignore[no-untyped-def]
                 if left[c] == left[c] and (gain[c] / off[c]) ** 2 > SHARE * weights:
                     used += 1
             state[k, p] = KNOWN
-            distance[k, p], sigma[k, p] = s, 1.0 / np.sqrt(weights)
+            distance[k, p], sigma[k, p] = s, math.sqrt(own + shared * shared) / weights
             camera[k, p] = heaviest[k, p] if used == 1 else cameras
             if seen == 2 and best < (1.0 - BOTH) * weights:
                 apart[k, p] = square
@@ -195,17 +206,34 @@ def _look(stray, sigma_px, course, line):  # type: ignore[no-untyped-def]
         return np.nan, np.nan, np.nan
     lines = len(stray)
     at = int(line)
-    part = line - at
     a, b = around(at, lines), around(at + 1, lines)
-    here, there = stray[a], stray[b]
+    return _between(a, b, line - at, stray[a], sigma_px[a], stray[b], sigma_px[b], stray, course)
+
+
+@jit
+def _look_calmly(stray, sigma_px, noise_px, course, line):  # type: ignore[no-untyped-def]
+    """The same as means over neighbours, for where single lines are too noisy."""
+    if line != line:
+        return np.nan, np.nan, np.nan
+    lines = len(stray)
+    at = int(line)
+    a, b = around(at, lines), around(at + 1, lines)
+    here, here_px = _calm(stray, sigma_px, noise_px, a)
+    there, there_px = _calm(stray, sigma_px, noise_px, b)
+    return _between(a, b, line - at, here, here_px, there, there_px, stray, course)
+
+
+@jit
+def _between(a, b, part, here, here_px, there, there_px, stray, course):  # type: ignore[no-untyped-def]
+    lines = len(stray)
     if here == here and there == there:
         if abs(there - here) > JUMP_PX:
             return np.nan, np.nan, np.nan
-        value, off = here + part * (there - here), sigma_px[a] + part * (sigma_px[b] - sigma_px[a])
+        value, off = here + part * (there - here), here_px + part * (there_px - here_px)
     elif here == here and part <= 0.5:
-        value, off = here, sigma_px[a]
+        value, off = here, here_px
     elif there == there and part > 0.5:
-        value, off = there, sigma_px[b]
+        value, off = there, there_px
     else:
         return np.nan, np.nan, np.nan
     slope = course[b] - course[a]
@@ -215,3 +243,22 @@ def _look(stray, sigma_px, course, line):  # type: ignore[no-untyped-def]
     if change == change and abs(change) < JUMP_PX / 2:
         slope += change
     return value, slope, off
+
+
+@jit
+def _calm(stray, sigma_px, noise_px, line):  # type: ignore[no-untyped-def]
+    """The mean of like places on neighbouring lines, and its sigma, px; NaN of too few; its own place where noise is unknown."""
+    own = stray[line]
+    if own != own or noise_px[line] == 0.0:
+        return own, sigma_px[line]
+    total, random, common, count = 0.0, 0.0, 0.0, 0
+    for d in range(-CALM_LINES, CALM_LINES + 1):
+        other = around(line + d, len(stray))
+        if abs(stray[other] - own) < CALM_PX:
+            total += stray[other]
+            random += noise_px[other] ** 2
+            common += sigma_px[other] ** 2 - noise_px[other] ** 2
+            count += 1
+    if count <= CALM_LINES:
+        return np.nan, np.nan
+    return total / count, math.sqrt((random * ALIKE_LINES / count + common) / count)

@@ -44,8 +44,6 @@ BIAS_PX, TINTED_PX = 0.0115, 0.02  # of an edge's place what scatter does not sh
 OVER_EXPOSED, CLIPPED_PX = 235.0, 0.12
 LAG, LEAST, UNKNOWN_PX = 4, 40, 0.1  # as `rings.uncertainty`
 BLUR_LEAST, BLUR_MOST = 0.5, 4.0
-CALM_LINES, CALM_PX = 5, 1.5  # to each side, of like places, that are averaged where one line says too little ..
-ALIKE_LINES = 4.0  # .. of which so many say as much as one: neighbours share pixels, and pixels lie in rows
 CAMERAS_LEAST = 2
 
 
@@ -247,35 +245,26 @@ def _sight(
     course: FloatArray,
     wider: FloatArray,
     bias_px: float,
-    calmly: bool,
+    surely: bool,
 ) -> Sight:
     """How far each slit's place may be off, px: see `rings.uncertainty.point_sigma`, whose terms these are."""
     slits = seen.slits
     sigma, plain = np.full(which.shape, np.nan), np.full(len(which), UNKNOWN_PX)
-    if not calmly:  # for a first pose, which only names
+    noise, edge = np.zeros(which.shape), np.zeros(which.shape)
+    if not surely:  # for a first pose, which only names
         sigma[:] = UNKNOWN_PX
-        return Sight(place, sigma, place, sigma, plain)
-    calm, calm_px = np.full(which.shape, np.nan), np.full(which.shape, np.nan)
-    _spread(
-        which,
-        place - course,
-        slits.edge_blur,
-        slits.inside,
-        slits.outside,
-        wider,
-        bias_px,
-        sigma,
-        plain,
-        calm,
-        calm_px,
-    )
-    return Sight(place, sigma, calm + course, calm_px, plain)
+    else:
+        _spread(
+            which, place - course, slits.edge_blur, slits.inside, slits.outside, wider, bias_px,
+            sigma, noise, edge, plain,
+        )  # fmt: skip
+    return Sight(place, sigma, noise, edge, plain)
 
 
 @jit
-def _spread(which, stray, edge_blur, inside, outside, wider, least, sigma, plain, calm, calm_px):  # type: ignore[no-untyped-def]
+def _spread(which, stray, edge_blur, inside, outside, wider, least, sigma, noise, edge, plain):  # type: ignore[no-untyped-def]
     rings, lines = which.shape
-    work, noise = np.empty(lines), np.empty(lines)
+    work = np.empty(lines)
     for k in range(rings):
         size = 0
         for j in range(lines):
@@ -303,21 +292,8 @@ def _spread(which, stray, edge_blur, inside, outside, wider, least, sigma, plain
                 bright = max(bright, inside[n, c], outside[n, c])
             bias = max(CLIPPED_PX, least) if bright > OVER_EXPOSED else least
             foreign = max((0.5 * wider[n]) ** 2 - 4.0 * soft * soft, 0.0) / 3.0
-            noise[j] = soft * soft
+            noise[k, j], edge[k, j] = soft, math.sqrt(foreign)
             sigma[k, j] = math.sqrt(soft * soft + bias * bias + foreign)
-        for j in range(lines):
-            total, random, common, count = 0.0, 0.0, 0.0, 0
-            for d in range(-CALM_LINES, CALM_LINES + 1):
-                other = around(j + d, lines)
-                value = stray[k, other]
-                if value == value and abs(value - stray[k, j]) < CALM_PX:
-                    total += value
-                    random += noise[other]
-                    common += sigma[k, other] ** 2 - noise[other]
-                    count += 1
-            if count > CALM_LINES:
-                calm[k, j] = total / count
-                calm_px[k, j] = math.sqrt((random * ALIKE_LINES / count + common) / count)
 
 
 def _unit(v: FloatArray) -> FloatArray:

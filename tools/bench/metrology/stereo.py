@@ -102,7 +102,7 @@ def _table_5_1() -> list[Row]:
 def _noisy(course: NDArray[np.float64], random: np.random.Generator) -> Sight:
     place = course + random.normal(0.0, NOISE_PX, course.shape)
     sigma = np.full(course.shape, NOISE_PX)
-    return Sight(place, sigma, place, sigma, np.full(len(course), NOISE_PX))
+    return Sight(place, sigma, np.zeros(course.shape), np.zeros(course.shape), np.full(len(course), NOISE_PX))
 
 
 def _delta(view: View, cone: Cone, points: NDArray[np.float64]) -> NDArray[np.float64]:
