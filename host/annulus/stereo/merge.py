@@ -29,34 +29,34 @@ SLOPE_LINES = 3  # to each side, over which the course of what was seen is read
 CLOSE_MM, ROUNDS = 0.2, 6  # a step so small ends it: what it bends by is its square over the distance
 NEARER, FARTHER = 0.5, 2.0  # of the distance to a clean pipe: no wall is looked for beyond
 CONTRADICTS, LEAST_PX = 6.0, 0.04  # sigma apart, of at least so much: two cameras do not see the same wall
+ACROSS = 0.25  # of what is not known: where an edge of the wall leaves so much open of a slit's middle, none is known
 SHARE = 0.03  # of the weight: a camera with less is none that a point was made from
 BOTH, LEAST, UNIT_LEAST, UNIT_MOST = 0.1, 200, 0.5, 3.0  # share of each, points, for what sigmas are worth; its bounds
-NOISY, HOPELESS = 0.3, 4.0  # of what is not known: from there a mean over neighbouring lines is read; nor that helps
-CALM_LINES, CALM_PX = 5, 1.5  # to each side, of like places, that are averaged where one line says too little ..
-ALIKE_LINES = 4.0  # .. of which so many say as much as one: neighbours share pixels, and pixels lie in rows
-KNOWN, UNSEEN, CONTRADICTED, BLUNT = 0, 1, 2, 3
+HOPELESS = 4.0  # of what is not known: a usual slit that would say so little is not asked
+NOISY = 0.12  # of what is not known: a direction that says less is known together with its neighbours, ..
+BESIDE, SLOPE_MM = 5, 0.1  # .. so many to each side, as a wall that goes out or in by so much a direction, ..
+ALIKE, UNLIKE = 4.0, 9.0  # .. so many saying as much as one: pixels lie in rows; unless they differ by so many sigma^2
+KNOWN, UNSEEN, CONTRADICTED, BLUNT, EDGE = 0, 1, 2, 3, 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sight:
-    """What one camera saw of the rings. On its lines (K, J): samples, NaN for nowhere; their standard deviation, px, and
-    of that what neighbours do not share, and what a slit across an edge of the wall may be off, as in every other
-    camera. plain_px (K,): of a usual slit."""
+    """What one camera saw of the rings. On its lines (K, J): samples, NaN for nowhere; their standard deviation, px; of
+    that what a slit across an edge of the wall may be off, in all cameras alike. plain_px (K,): of a usual slit.
+    bias_px: what neighbours may be off together."""
 
     place: FloatArray
     sigma_px: FloatArray
-    noise_px: FloatArray
     edge_px: FloatArray
     plain_px: FloatArray
+    bias_px: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Merged:
     """By ring and generator (K, P): distance from the vertex, mm, NaN where not known; its standard deviation; which
     camera saw it, its place in the list or, of several, their number; the heaviest, and the line it saw it on;
-    CALM_LINES, CALM_PX = 5, 1.5  # to each side, of like places, that are averaged where one line says too little ..
-ALIKE_LINES = 4.0  # .. of which so many say as much as one: neighbours share pixels, and pixels lie in rows
-KNOWN, UNSEEN, CONTRADICTED or BLUNT: seen, but from where it says too little of the wall."""
+    KNOWN, UNSEEN, CONTRADICTED or BLUNT: seen, but from where it says too little of the wall."""
 
     distance_mm: FloatArray
     sigma_mm: FloatArray
@@ -79,14 +79,14 @@ KNOWN, UNSEEN, CONTRADICTED or BLUNT: seen, but from where it says too little of
 
 def merge(
     views: Sequence[View], expected: Sequence[Expected], sights: Sequence[Sight], vertices: FloatArray,
-    ways: FloatArray, start_mm: FloatArray, sigma_most_mm: float, usable: BoolArray | None = None,
+    ways: FloatArray, start_mm: FloatArray, sigma_most_mm: FloatArray, usable: BoolArray | None = None,
 ) -> Merged:  # fmt: skip
     """The wall's distance along each generator.
 
     Parameters
     ----------
     vertices (K, 3), ways (K, P, 3), start_mm (K, P) : generators, and how far a clean pipe is along them.
-    sigma_most_mm : a usual slit that would tell the distance no better tells nothing.
+    sigma_most_mm : (K,) of each ring: a distance known no better is not known.
     usable : (C, K, P) where each camera is asked, and all count alike; None, everywhere, by what each says.
     """
     shape = start_mm.shape
@@ -97,8 +97,8 @@ def merge(
         np.stack([view.lens for view in views]), vertices, ways, start_mm,
         np.stack([e.by_generator for e in expected]), course,
         np.stack([s.place for s in sights]) - course, np.stack([s.sigma_px for s in sights]),
-        np.stack([s.noise_px for s in sights]), np.stack([s.edge_px for s in sights]),
-        np.stack([s.plain_px for s in sights]), sigma_most_mm,
+        np.stack([s.edge_px for s in sights]), np.stack([s.plain_px for s in sights]),
+        np.array([s.bias_px for s in sights]), sigma_most_mm,
         np.ones((1, 1, 1), np.bool_) if usable is None else usable, usable is not None,
         distance, sigma, camera, heaviest, line, state, apart,
     )  # fmt: skip
@@ -107,62 +107,63 @@ def merge(
 
 @jit
 def _solve(  # type: ignore[no-untyped-def]
-    lenses, vertices, ways, start, expected, course, stray, sigma_px, noise_px, edge_px, plain_px, most, usable, gated,
-    distance, sigma, camera, heaviest, line, state, apart,
+    lenses, vertices, ways, start, expected, course, stray, sigma_px, edge_px, plain_px, bias_px, limit, usable,
+    gated, distance, sigma, camera, heaviest, line, state, apart,
 ):  # fmt: skip
     cameras = len(lenses)
     rings, steps = start.shape
     left, gain, off, at = np.empty(cameras), np.empty(cameras), np.empty(cameras), np.empty(cameras)
+    alone = np.empty(steps)  # of one ring: what a direction says by itself, 1/mm2, and what it does at a clean wall
+    clean = np.empty((steps, cameras, 4))
     for k in range(rings):
+        most = limit[k]
+        alone[:], clean[:] = 0.0, 0.0
         for p in range(steps):
             state[k, p] = UNSEEN
             s = start[k, p]
             if s != s:
                 continue
             total, plain = 0.0, 0.0
-            for calmly in range(2):
-                if calmly == 1 and not (total > 0.0 and total * (NOISY * most) ** 2 < 1.0 and not gated):
+            for turn in range(ROUNDS):
+                pull, total, plain = 0.0, 0.0, 0.0
+                for c in range(cameras):
+                    left[c] = gain[c] = off[c] = np.nan
+                    if gated and not usable[c, k, p]:
+                        continue
+                    if turn == 0:
+                        at[c], place = expected[c, 0, k, p], expected[c, 1, k, p]
+                    else:
+                        at[c], place = on_line(
+                            lenses[c], vertices[k, 0] + s * ways[k, p, 0], vertices[k, 1] + s * ways[k, p, 1],
+                            vertices[k, 2] + s * ways[k, p, 2],
+                        )  # fmt: skip
+                    by_line, by_place = expected[c, 2, k, p], expected[c, 3, k, p]
+                    value, slope, spread = _look(stray[c, k], sigma_px[c, k], course[c, k], at[c])
+                    if value != value:
+                        continue
+                    own = by_place - slope * by_line
+                    left[c], gain[c], off[c] = value - place, own, spread
+                    weight = (own / spread) ** 2 if not gated else own * own * 1e-6
+                    if gated:  # the source's: each camera's own answer, and their mean
+                        pull += (value - place) / own
+                        total += 1.0
+                    else:
+                        pull += weight * (value - place) / own if own != 0.0 else 0.0
+                        total += weight
+                    plain += (own / plain_px[c, k]) ** 2
+                    if turn == 0:
+                        clean[p, c, 0] = weight
+                        clean[p, c, 1] = own * left[c] / spread**2
+                        clean[p, c, 2] = (left[c] / spread) ** 2
+                        clean[p, c, 3] = own / spread**2
+                if not (total > 0.0 and plain * (HOPELESS * most) ** 2 >= 1.0):
                     break
-                for turn in range(ROUNDS):
-                    pull, total, plain = 0.0, 0.0, 0.0
+                step = min(max(pull / total, (NEARER - 1.0) * start[k, p]), (FARTHER - 1.0) * start[k, p])
+                s = min(max(s + step, NEARER * start[k, p]), FARTHER * start[k, p])
+                if abs(step) < CLOSE_MM:
                     for c in range(cameras):
-                        left[c] = gain[c] = off[c] = np.nan
-                        if gated and not usable[c, k, p]:
-                            continue
-                        if turn == 0 and calmly == 0:
-                            at[c], place = expected[c, 0, k, p], expected[c, 1, k, p]
-                        else:
-                            at[c], place = on_line(
-                                lenses[c], vertices[k, 0] + s * ways[k, p, 0], vertices[k, 1] + s * ways[k, p, 1],
-                                vertices[k, 2] + s * ways[k, p, 2],
-                            )  # fmt: skip
-                        by_line, by_place = expected[c, 2, k, p], expected[c, 3, k, p]
-                        if calmly == 0:
-                            value, slope, spread = _look(stray[c, k], sigma_px[c, k], course[c, k], at[c])
-                        else:
-                            value, slope, spread = _look_calmly(
-                                stray[c, k], sigma_px[c, k], noise_px[c, k], course[c, k], at[c]
-                            )
-                        if value != value:
-                            continue
-                        own = by_place - slope * by_line
-                        left[c], gain[c], off[c] = value - place, own, spread
-                        weight = (own / spread) ** 2 if not gated else own * own * 1e-6
-                        if gated:  # the source's: each camera's own answer, and their mean
-                            pull += (value - place) / own
-                            total += 1.0
-                        else:
-                            pull += weight * (value - place) / own if own != 0.0 else 0.0
-                            total += weight
-                        plain += (own / plain_px[c, k]) ** 2
-                    if not (total > 0.0 and plain * (HOPELESS * most) ** 2 >= 1.0):
-                        break
-                    step = min(max(pull / total, (NEARER - 1.0) * start[k, p]), (FARTHER - 1.0) * start[k, p])
-                    s = min(max(s + step, NEARER * start[k, p]), FARTHER * start[k, p])
-                    if abs(step) < CLOSE_MM:
-                        for c in range(cameras):
-                            left[c] -= gain[c] * step
-                        break
+                        left[c] -= gain[c] * step
+                    break
             if not total > 0.0:
                 continue
             square, wrong, weights, best, seen, used = 0.0, 0.0, 0.0, -1.0, 0, 0
@@ -181,6 +182,11 @@ def _solve(  # type: ignore[no-untyped-def]
                         best, heaviest[k, p] = weight, c
             if seen == 0 or not weights > 0.0:
                 continue
+            alone[p], line[k, p] = weights, int(at[heaviest[k, p]] + 0.5)
+            if shared > ACROSS * most * weights and not gated:
+                state[k, p] = EDGE
+                clean[p] = 0.0  # it would put its neighbours off, too
+                continue
             if not weights * most * most >= 1.0 and not gated:
                 state[k, p] = BLUNT
                 continue
@@ -195,7 +201,52 @@ def _solve(  # type: ignore[no-untyped-def]
             camera[k, p] = heaviest[k, p] if used == 1 else cameras
             if seen == 2 and best < (1.0 - BOTH) * weights:
                 apart[k, p] = square
-            line[k, p] = int(at[heaviest[k, p]] + 0.5)
+        if gated:
+            continue
+        for p in range(steps):
+            weak = 0.0 < alone[p] * (NOISY * most) ** 2 < 1.0
+            if state[k, p] == EDGE or (weak and (state[k, p] == KNOWN or state[k, p] == BLUNT)):
+                _among_neighbours(
+                    clean, bias_px, p, start[k, p], most, distance[k], sigma[k], camera[k], state[k], apart[k]
+                )
+
+
+@jit
+def _among_neighbours(clean, bias_px, p, start, most, distance, sigma, camera, state, apart):  # type: ignore[no-untyped-def]
+    """A direction that says too little by itself: as far from a clean wall as its neighbours are together."""
+    steps, cameras = clean.shape[:2]
+    total, by_turn, by_square = 0.0, 0.0, 1.0 / SLOPE_MM**2
+    pull, pull_turn, square, count, best, first = 0.0, 0.0, 0.0, 0, 0.0, 0
+    shift = np.zeros((cameras, 2))  # pull and pull_turn if all of a camera's places are off by a pixel
+    for c in range(cameras):
+        own = 0.0
+        for d in range(-BESIDE, BESIDE + 1):
+            weight, towards, left, by_px = clean[around(p + d, steps), c]
+            if left > 0.0:
+                own, by_turn, by_square = own + weight, by_turn + weight * d, by_square + weight * d * d
+                pull, pull_turn, square = pull + towards, pull_turn + towards * d, square + left
+                shift[c, 0], shift[c, 1] = shift[c, 0] + by_px, shift[c, 1] + by_px * d
+                count += 1
+        total += own
+        if own > best:
+            best, first = own, c
+    if count <= BESIDE or not total > 0.0:
+        return
+    lean = by_turn / by_square
+    known = total - by_turn * lean
+    beyond = (pull - pull_turn * lean) / known
+    slope = (pull_turn - by_turn * beyond) / by_square
+    unlike = (square - pull * beyond - pull_turn * slope) / count
+    if unlike > UNLIKE:
+        return
+    variance = ALIKE * max(unlike, 1.0) / known
+    for c in range(cameras):
+        variance += (bias_px[c] * (shift[c, 0] - shift[c, 1] * lean) / known) ** 2
+    apart[p] = np.nan
+    state[p], sigma[p], distance[p] = KNOWN, math.sqrt(variance), start + beyond
+    if not sigma[p] <= most:
+        state[p], distance[p] = BLUNT, np.nan
+    camera[p] = first if total - best < SHARE * total else cameras
 
 
 @jit
@@ -208,19 +259,6 @@ def _look(stray, sigma_px, course, line):  # type: ignore[no-untyped-def]
     at = int(line)
     a, b = around(at, lines), around(at + 1, lines)
     return _between(a, b, line - at, stray[a], sigma_px[a], stray[b], sigma_px[b], stray, course)
-
-
-@jit
-def _look_calmly(stray, sigma_px, noise_px, course, line):  # type: ignore[no-untyped-def]
-    """The same as means over neighbours, for where single lines are too noisy."""
-    if line != line:
-        return np.nan, np.nan, np.nan
-    lines = len(stray)
-    at = int(line)
-    a, b = around(at, lines), around(at + 1, lines)
-    here, here_px = _calm(stray, sigma_px, noise_px, a)
-    there, there_px = _calm(stray, sigma_px, noise_px, b)
-    return _between(a, b, line - at, here, here_px, there, there_px, stray, course)
 
 
 @jit
@@ -243,22 +281,3 @@ def _between(a, b, part, here, here_px, there, there_px, stray, course):  # type
     if change == change and abs(change) < JUMP_PX / 2:
         slope += change
     return value, slope, off
-
-
-@jit
-def _calm(stray, sigma_px, noise_px, line):  # type: ignore[no-untyped-def]
-    """The mean of like places on neighbouring lines, and its sigma, px; NaN of too few; its own place where noise is unknown."""
-    own = stray[line]
-    if own != own or noise_px[line] == 0.0:
-        return own, sigma_px[line]
-    total, random, common, count = 0.0, 0.0, 0.0, 0
-    for d in range(-CALM_LINES, CALM_LINES + 1):
-        other = around(line + d, len(stray))
-        if abs(stray[other] - own) < CALM_PX:
-            total += stray[other]
-            random += noise_px[other] ** 2
-            common += sigma_px[other] ** 2 - noise_px[other] ** 2
-            count += 1
-    if count <= CALM_LINES:
-        return np.nan, np.nan
-    return total / count, math.sqrt((random * ALIKE_LINES / count + common) / count)

@@ -45,7 +45,8 @@ def outlook(calibration: Calibration, radius_mm: float, directions: int = 360, e
     places += [np.array(ring.vertex_mm) for ring in calibration.rings]
     if max(float(np.hypot(*(p - pose.translation)[:2])) for p in places) >= radius_mm:
         raise AnnulusError(f"the head does not fit a pipe of {2 * radius_mm:g} mm: a part of it lies outside")
-    vertices, ways = generators(calibration, directions)
+    cones, ways = generators(calibration, directions)
+    vertices = cones[:, :3]
     start = to_pipe(vertices, pose, ways, radius_mm)
     points = vertices[:, None] + start[..., None] * ways
     outwards = np.abs((_away(points, pose) * ways[..., :2]).sum(axis=-1))
@@ -58,7 +59,7 @@ def outlook(calibration: Calibration, radius_mm: float, directions: int = 360, e
         except AnnulusError:  # this camera sees none of a ring
             alone.append(np.full(start.shape, np.inf))
             continue
-        e = view.expect(vertices, ways, start, pose)
+        e = view.expect(cones, ways, start, pose)
         lines = e.course.shape[1]
         slope = np.stack([np.gradient(row) for row in e.course])
         own = np.take_along_axis(slope, np.nan_to_num(e.line).astype(np.intp) % lines, axis=1)

@@ -23,11 +23,11 @@ from annulus.geometry.cone import intersect_cone
 from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import BoolArray, FloatArray
 from annulus.numeric.jit import around, jit, middle
-from annulus.numeric.robust import SIGMA_OF_MAD
+from annulus.numeric.robust import SIGMA_OF_MAD, nan_median
 from annulus.rings.colour import ColourProfile
 from annulus.rings.decode import NONE
 from annulus.rings.reconstructor import FIRST_TOLERANCE, RING_POINTS, WALL_TOLERANCE, spans
-from annulus.stereo.merge import BLUNT, CONTRADICTED, Merged, Sight, merge
+from annulus.stereo.merge import BLUNT, CONTRADICTED, EDGE, Merged, Sight, merge
 from annulus.stereo.points import beside, known, outwards, radius_sigma, to_pipe
 from annulus.stereo.view import Expected, Seen, View, view_of
 from annulus.vocabulary import AnnulusError
@@ -36,9 +36,10 @@ from annulus.wall.profile import Profile
 
 # By topic stereo of the metrology table.
 DIRECTIONS = 720  # generators of each cone
-SIGMA_MOST = 0.01  # of the radius, along its generator: a point known no better is not known (profilers: 0.5 % of 2 r)
+SIGMA_MOST = 0.01  # of the radius: a point known no better is not known (profilers: 0.5 % of 2 r)
 ROUGHLY = 6  # of so many generators one, for the pose that rings are named with
-BIAS_PX, TINTED_PX = 0.0115, 0.02  # of an edge's place what scatter does not show; where colours are not calibrated
+# What neighbouring places may be off alike, at least; and where no second camera or too few rings tell by lying apart.
+BIAS_PX, UNTOLD_PX, RINGS_LEAST = 0.0115, 0.02, 3
 # Grey levels; px: a stripe at twice full scale moves a slit by up to 0.2, evenly. One camera's rings tell by how much,
 # lying apart (`rings.uncertainty`); where cones graze, nothing does.
 OVER_EXPOSED, CLIPPED_PX = 235.0, 0.12
@@ -76,7 +77,11 @@ class StereoReconstructor:
         self.calibration, self.directions, self.colour, self.delta_gate = calibration, directions, colour, delta_gate
         self.usual = usual_pose(calibration)
         self.views = {one.id: view_of(calibration, one, self.usual, directions) for one in calibration.cameras}
-        self._vertex, self._ways = generators(calibration, directions)
+        self._cones, self._ways = generators(calibration, directions)
+        self._vertex = np.ascontiguousarray(self._cones[:, :3])
+        self._outwards = np.sin([cone.half_angle for cone in calibration.rings])  # of a step along a generator
+        self._most = SIGMA_MOST * calibration.pipe_radius_mm / self._outwards
+        self._mm_per_px = np.mean([view.optics.mm_per_px for view in self.views.values()], axis=0)
         self._some = np.ascontiguousarray(self._ways[:, ::ROUGHLY])
 
     def profile(
@@ -126,7 +131,7 @@ class StereoReconstructor:
             some = self._some
             start = to_pipe(self._vertex, first, some, pipe)
             few = self._expect(first, some, start, seen)
-            looks = {n: self._read(self.views[n], one, few[n], FIRST_TOLERANCE, None) for n, one in seen.items()}
+            looks = {n: self._read(self.views[n], one, few[n], FIRST_TOLERANCE, 0.0, None) for n, one in seen.items()}
             merged = self._merge(looks, few, some, start)
             marks.append(("merge", clock()))
             fitted = self._fit(merged, first, some)
@@ -136,9 +141,12 @@ class StereoReconstructor:
         if fitted is None:
             rejected["no pipe"] = sum(len(one.slits.position) for one in seen.values())
             return _empty(frame, z_mm, rejected, marks)
+        bias = max(self._drawn(merged, fitted.pose), BIAS_PX if len(images) > 1 else UNTOLD_PX)
         start = to_pipe(self._vertex, fitted.pose, self._ways, pipe)
         expected = self._expect(fitted.pose, self._ways, start, seen)
-        looks = {n: self._read(self.views[n], one, expected[n], WALL_TOLERANCE, rejected) for n, one in seen.items()}
+        looks = {
+            n: self._read(self.views[n], one, expected[n], WALL_TOLERANCE, bias, rejected) for n, one in seen.items()
+        }
         marks.append(("decode", clock()))
         merged = self._merge(looks, expected, self._ways, start)
         marks.append(("merge", clock()))
@@ -155,6 +163,7 @@ class StereoReconstructor:
             beside(at, merged, number, look.which, look.seen.slits, light)
         rejected["contradicted"] = int(np.count_nonzero(merged.state == CONTRADICTED))
         rejected["tangent"] = int(np.count_nonzero(merged.state == BLUNT))
+        rejected["across an edge"] = int(np.count_nonzero(merged.state == EDGE))
         marks.append(("points", clock()))
         camera_of = np.array([*looks, *([len(self.views)] if len(looks) else [])])
         return Profile(
@@ -166,10 +175,16 @@ class StereoReconstructor:
     def _expect(
         self, pose: Pose, ways: FloatArray, start: FloatArray, numbers: Mapping[int, object]
     ) -> dict[int, Expected]:
-        return {n: self.views[n].expect(self._vertex, ways, start, pose) for n in numbers}
+        return {n: self.views[n].expect(self._cones, ways, start, pose) for n in numbers}
 
     def _read(
-        self, view: View, seen: Seen, expected: Expected, tolerance: float, rejected: dict[str, int] | None
+        self,
+        view: View,
+        seen: Seen,
+        expected: Expected,
+        tolerance: float,
+        bias_px: float,
+        rejected: dict[str, int] | None,
     ) -> _Look:
         ring, off = view.name(seen, expected, tolerance)
         wider = np.zeros(len(ring))
@@ -179,8 +194,17 @@ class StereoReconstructor:
             for reason, count in lost.items():
                 rejected[reason] = rejected.get(reason, 0) + count
         place, which = view.table(ring, seen)
-        bias = BIAS_PX if view.camera.colour_shift_px else TINTED_PX
-        return _Look(seen, which, _sight(seen, which, place, expected.course, wider, bias, rejected is not None))
+        return _Look(seen, which, _sight(seen, which, place, expected.course, wider, bias_px, rejected is not None))
+
+    def _drawn(self, merged: Merged, pose: Pose) -> float:
+        """px, how far a place in this frame is off as all of its ring are: rings see one wall, and how far they lie
+        apart all the same is how far edges are drawn."""
+        start = to_pipe(self._vertex, pose, self._some, self.calibration.pipe_radius_mm)
+        off = nan_median((merged.distance_mm - start).T) * self._outwards
+        if np.count_nonzero(np.isfinite(off)) < RINGS_LEAST:
+            return UNTOLD_PX
+        off -= np.nanmedian(off)
+        return float(np.sqrt(np.nanmean((off / self._mm_per_px) ** 2)))
 
     def _merge(
         self, looks: Mapping[int, _Look], expected: Mapping[int, Expected], ways: FloatArray, start: FloatArray
@@ -192,7 +216,7 @@ class StereoReconstructor:
             usable = np.stack([self._gate(view, points) for view in views])
         return merge(
             views, [expected[n] for n in looks], [look.sight for look in looks.values()], self._vertex, ways, start,
-            SIGMA_MOST * self.calibration.pipe_radius_mm, usable,
+            self._most, usable,
         )  # fmt: skip
 
     def _gate(self, view: View, points: FloatArray) -> BoolArray:
@@ -224,18 +248,18 @@ def usual_pose(calibration: Calibration) -> Pose:
 
 
 def generators(calibration: Calibration, directions: int) -> tuple[FloatArray, FloatArray]:
-    """Vertices (K, 3) mm, and (K, P, 3) unit vectors along each cone's light, P directions round its axis, from the
-    camera's x towards its y: Alzuhiri 2022, Eq. 5.2."""
+    """Cones (K, 7), see `RingOptics`, and (K, P, 3) unit vectors along each one's light, P directions round its axis,
+    from the camera's x towards its y: Alzuhiri 2022, Eq. 5.2."""
     turn = np.arange(directions) * (2 * math.pi / directions)
-    vertices, ways = [], []
+    cones, ways = [], []
     for cone in calibration.rings:
         axis = np.asarray(cone.axis)
         first = np.array([1.0, 0.0, 0.0]) - axis[0] * axis
         first /= np.linalg.norm(first)
         across = np.cos(turn)[:, None] * first + np.sin(turn)[:, None] * np.cross(axis, first)
         ways.append(math.cos(cone.half_angle) * axis + math.sin(cone.half_angle) * across)
-        vertices.append(cone.vertex_mm)
-    return np.array(vertices), np.array(ways)
+        cones.append([*cone.vertex_mm, *cone.axis, cone.half_angle])
+    return np.array(cones), np.array(ways)
 
 
 def _sight(
@@ -250,19 +274,19 @@ def _sight(
     """How far each slit's place may be off, px: see `rings.uncertainty.point_sigma`, whose terms these are."""
     slits = seen.slits
     sigma, plain = np.full(which.shape, np.nan), np.full(len(which), UNKNOWN_PX)
-    noise, edge = np.zeros(which.shape), np.zeros(which.shape)
+    edge = np.zeros(which.shape)
     if not surely:  # for a first pose, which only names
         sigma[:] = UNKNOWN_PX
     else:
         _spread(
             which, place - course, slits.edge_blur, slits.inside, slits.outside, wider, bias_px,
-            sigma, noise, edge, plain,
+            sigma, edge, plain,
         )  # fmt: skip
-    return Sight(place, sigma, noise, edge, plain)
+    return Sight(place, sigma, edge, plain, bias_px)
 
 
 @jit
-def _spread(which, stray, edge_blur, inside, outside, wider, least, sigma, noise, edge, plain):  # type: ignore[no-untyped-def]
+def _spread(which, stray, edge_blur, inside, outside, wider, least, sigma, edge, plain):  # type: ignore[no-untyped-def]
     rings, lines = which.shape
     work = np.empty(lines)
     for k in range(rings):
@@ -292,7 +316,7 @@ def _spread(which, stray, edge_blur, inside, outside, wider, least, sigma, noise
                 bright = max(bright, inside[n, c], outside[n, c])
             bias = max(CLIPPED_PX, least) if bright > OVER_EXPOSED else least
             foreign = max((0.5 * wider[n]) ** 2 - 4.0 * soft * soft, 0.0) / 3.0
-            noise[k, j], edge[k, j] = soft, math.sqrt(foreign)
+            edge[k, j] = math.sqrt(foreign)
             sigma[k, j] = math.sqrt(soft * soft + bias * bias + foreign)
 
 

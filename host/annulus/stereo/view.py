@@ -29,7 +29,7 @@ from annulus.stereo.lens import lens_numbers, on_line
 STEP_PX, STEP = 1.5, 0.01  # px, part of the radius: between a point and its neighbours on a wall, as in `rings`
 FARTHER = 0.02  # of the distance: step of the finite differences along a generator
 WIDE = 1.3  # of the usual width: a slit in a shadow's edge must not shift itself
-EVERY, NODES = 8, 60  # of so many generators places are worked out on one, but on so many of a cone at least
+EVERY, NODES = 12, 40  # of so many generators places are worked out on one, but on so many of a cone at least
 SOME = 8  # lines, of which one says how far a ring's image moves
 
 
@@ -47,11 +47,13 @@ class Seen:
 @dataclass(frozen=True, slots=True, eq=False)
 class Expected:
     """Where a camera would see each ring on a clean pipe. By generator (K, P): line, sample along it, and how both move
-    with a mm along the generator; by line (K, J): sample, and how it moves with the pipe's radius (px a radius)."""
+    with a mm along the generator; by line (K, J): sample, and how it moves with the pipe's radius (px a radius) and the
+    half-angle of the cone (px a radian)."""
 
     by_generator: FloatArray  # (4, K, P)
     course: FloatArray
     by_radius: FloatArray
+    by_angle: FloatArray
 
     @property
     def line(self) -> FloatArray:
@@ -82,12 +84,12 @@ class View:
     colours: str
     lens: FloatArray  # all of the above for compiled loops, see `lens`
 
-    def expect(self, vertices: FloatArray, ways: FloatArray, start_mm: FloatArray, pose: Pose) -> Expected:
-        """What a clean pipe would show. vertices (K, 3), ways (K, P, 3), start_mm (K, P): generators to where they meet
-        it."""
-        rings, lines = len(vertices), len(self.grid.cosine)
-        by_generator, by_line = np.empty((4, *start_mm.shape)), np.full((2, rings, lines), np.nan)
-        _expect(self.lens, vertices, ways, start_mm, pose.rotation, pose.translation, by_generator, by_line)
+    def expect(self, cones: FloatArray, ways: FloatArray, start_mm: FloatArray, pose: Pose) -> Expected:
+        """What a clean pipe would show. cones (K, 7), see `RingOptics`, ways (K, P, 3), start_mm (K, P): generators to
+        where they meet it."""
+        rings, lines = len(cones), len(self.grid.cosine)
+        by_generator, by_line = np.empty((4, *start_mm.shape)), np.full((3, rings, lines), np.nan)
+        _expect(self.lens, cones, ways, start_mm, pose.rotation, pose.translation, by_generator, by_line)
         return Expected(by_generator, *by_line)
 
     def see(self, image_bgr: NDArray[np.uint8], colour: ColourProfile | None) -> tuple[Seen, dict[str, int]]:
@@ -117,7 +119,9 @@ class View:
     ) -> tuple[dict[str, int], FloatArray]:
         """Sets `ring` to NONE where a slit is not to be believed; see `rings.outliers`."""
         step = STEP_PX + STEP * nan_median(np.abs(expected.by_radius[:, ::SOME]).T)
-        return reject_outliers(ring, seen.slits, off, step, len(self.grid.cosine))
+        width = np.array(seen.slits.width)
+        _as_usual(ring, seen.slits.direction, expected.by_angle, width)
+        return reject_outliers(ring, replace(seen.slits, width=width), off, step, len(self.grid.cosine))
 
     def table(self, ring: NDArray[np.int64], seen: Seen) -> tuple[FloatArray, NDArray[np.int64]]:
         """(K, J) the samples at which each ring was seen, NaN for none; and which slit that is, -1 for none."""
@@ -165,6 +169,21 @@ def _off(direction, position, could_be, course, by_radius, spacing, off, deviati
 
 
 @jit
+def _as_usual(ring, direction, by_angle, width):  # type: ignore[no-untyped-def]
+    """Turns widths (N,) into what they would be where a ring's slit were equally wide all round."""
+    for k in range(len(by_angle)):
+        total, count = 0.0, 0
+        for j in range(by_angle.shape[1]):
+            if by_angle[k, j] == by_angle[k, j]:
+                total += by_angle[k, j]
+                count += 1
+        mean = total / max(count, 1)
+        for n in range(len(ring)):
+            if ring[n] == k and by_angle[k, direction[n]] > 0.0:
+                width[n] *= mean / by_angle[k, direction[n]]
+
+
+@jit
 def _table(ring, direction, position, width, widest, bend, offset, place, which):  # type: ignore[no-untyped-def]
     """Writes (K, J) slits and their places, moved to the middle of the angles, less what colours draw them."""
     for n in range(len(ring)):
@@ -176,19 +195,20 @@ def _table(ring, direction, position, width, widest, bend, offset, place, which)
 
 
 @jit
-def _expect(lens, vertices, ways, start, rotation, shift, by_generator, by_line):  # type: ignore[no-untyped-def]
-    """See `Expected`: line, place and their changes with a mm, (4, K, P); course and change with a radius (2, K, J).
+def _expect(lens, cones, ways, start, rotation, shift, by_generator, by_line):  # type: ignore[no-untyped-def]
+    """See `Expected`: line, place and their changes with a mm, (4, K, P); course, change with a radius and with a
+    radian of the half-angle (3, K, J).
 
-    They change slowly round a cone and are worked out on some generators; cubics lead to those between (4 degrees
-    apart, within 1e-3 px), but for where the cone meets no wall."""
+    They change slowly round a cone and are worked out on some generators; cubics lead to those between (6 degrees
+    apart, within 2e-3 px), but for where the cone meets no wall."""
     rings, steps = start.shape
     lines = by_line.shape[2]
     every = EVERY
     while every > 1 and (steps % every or steps < every * NODES):
         every //= 2
     nodes = steps // every
-    node, own = np.empty((nodes + 3, 4)), np.empty(4)  # the last, all, and the first two once more
-    by_radius = np.empty(steps)
+    node, own = np.empty((nodes + 3, 6)), np.empty(6)  # the last, all, and the first two once more
+    by_radius, turn = np.empty(steps), np.empty((steps, 2))
     cubic = np.empty((every, 4))
     for q in range(every):
         t = q / every
@@ -196,7 +216,7 @@ def _expect(lens, vertices, ways, start, rotation, shift, by_generator, by_line)
         cubic[q, 2], cubic[q, 3] = -t * (t + 1) * (t - 2) / 2, t * (t * t - 1) / 6
     for k in range(rings):
         for m in range(nodes):
-            _one(lens, vertices[k], ways[k, m * every], start[k, m * every], lines, node[m + 1])
+            _one(lens, cones[k], ways[k, m * every], start[k, m * every], rotation, shift, lines, node[m + 1])
         node[0], node[nodes + 1], node[nodes + 2] = node[nodes], node[1], node[2]
         for m in range(1, nodes + 3):  # lines begin anew after the last: between nodes they must not
             node[m, 0] -= lines * math.floor((node[m, 0] - node[m - 1, 0]) / lines + 0.5)
@@ -206,24 +226,20 @@ def _expect(lens, vertices, ways, start, rotation, shift, by_generator, by_line)
             if q == every:
                 m, q = m + 1, 0
             near = start[k, p]
-            for i in range(4):
-                own[i] = (
-                    cubic[q, 0] * node[m, i] + cubic[q, 1] * node[m + 1, i] + cubic[q, 2] * node[m + 2, i]
-                    + cubic[q, 3] * node[m + 3, i]
-                )  # fmt: skip
+            a, b, c, d = cubic[q, 0], cubic[q, 1], cubic[q, 2], cubic[q, 3]
+            for i in range(6):
+                own[i] = a * node[m, i] + b * node[m + 1, i] + c * node[m + 2, i] + d * node[m + 3, i]
             if own[3] != own[3] or near != near:
-                _one(lens, vertices[k], ways[k, p], near, lines, own)
+                _one(lens, cones[k], ways[k, p], near, rotation, shift, lines, own)
             own[0] -= lines * math.floor(own[0] / lines)
             for i in range(4):
                 by_generator[i, k, p] = own[i]
+            turn[p, 0], turn[p, 1] = own[4], own[5]
             # how fast the step leads away from the axis
             wx, wy, wz = ways[k, p, 0], ways[k, p, 1], ways[k, p, 2]
-            x, y = vertices[k, 0] + near * wx - shift[0], vertices[k, 1] + near * wy - shift[1]
-            z = vertices[k, 2] + near * wz - shift[2]
-            u = x * rotation[0, 0] + y * rotation[1, 0] + z * rotation[2, 0]
-            v = x * rotation[0, 1] + y * rotation[1, 1] + z * rotation[2, 1]
-            wu = wx * rotation[0, 0] + wy * rotation[1, 0] + wz * rotation[2, 0]
-            wv = wx * rotation[0, 1] + wy * rotation[1, 1] + wz * rotation[2, 1]
+            x, y = cones[k, 0] + near * wx - shift[0], cones[k, 1] + near * wy - shift[1]
+            u, v = _across(rotation, x, y, cones[k, 2] + near * wz - shift[2])
+            wu, wv = _across(rotation, wx, wy, wz)
             by_radius[p] = (u * wu + v * wv) / (u * u + v * v)  # radii a mm
         for p in range(steps):
             q = (p + 1) % steps
@@ -243,18 +259,45 @@ def _expect(lens, vertices, ways, start, rotation, shift, by_generator, by_line)
                 own_a = (by_generator[3, k, p] - slope * by_generator[2, k, p]) / by_radius[p]
                 own_b = (by_generator[3, k, q] - slope * by_generator[2, k, q]) / by_radius[q]
                 by_line[1, k, j % lines] = own_a + part * (own_b - own_a)
+                own_a, own_b = turn[p, 1] - slope * turn[p, 0], turn[q, 1] - slope * turn[q, 0]
+                by_line[2, k, j % lines] = own_a + part * (own_b - own_a)
 
 
 @jit
-def _one(lens, vertex, way, near, lines, out):  # type: ignore[no-untyped-def]
-    """Of a generator that meets the wall `near` mm from the vertex: line and sample, and how both change with a mm."""
-    line, place = on_line(lens, vertex[0] + near * way[0], vertex[1] + near * way[1], vertex[2] + near * way[2])
+def _across(rotation, x, y, z):  # type: ignore[no-untyped-def]
+    """A vector of the head's frame along the pipe's x and y."""
+    return (
+        x * rotation[0, 0] + y * rotation[1, 0] + z * rotation[2, 0],
+        x * rotation[0, 1] + y * rotation[1, 1] + z * rotation[2, 1],
+    )
+
+
+@jit
+def _one(lens, cone, way, near, rotation, shift, lines, out):  # type: ignore[no-untyped-def]
+    """Of a generator that meets the wall `near` mm from the vertex: line and sample, how both change with a mm, and how
+    with a radian of the half-angle where the wall stays."""
+    x, y, z = cone[0] + near * way[0], cone[1] + near * way[1], cone[2] + near * way[2]
     step = FARTHER * near
-    far = near + step
-    out[2], out[3] = on_line(lens, vertex[0] + far * way[0], vertex[1] + far * way[1], vertex[2] + far * way[2])
-    moved = out[2] - line
+    out[0], out[1] = on_line(lens, x, y, z)
+    _moved(lens, x + step * way[0], y + step * way[1], z + step * way[2], lines, step, out, 2)
+    cosine, sine = math.cos(cone[6]), math.sin(cone[6])
+    a, b, c = cosine * way[0] - cone[3], cosine * way[1] - cone[4], cosine * way[2] - cone[5]  # how the way turns
+    u, v = _across(rotation, x - shift[0], y - shift[1], z - shift[2])
+    wu, wv = _across(rotation, way[0], way[1], way[2])
+    tu, tv = _across(rotation, a, b, c)
+    back = (u * tu + v * tv) / (u * wu + v * wv)
+    step /= sine
+    x, y, z = x + step * (a - back * way[0]), y + step * (b - back * way[1]), z + step * (c - back * way[2])
+    _moved(lens, x, y, z, lines, FARTHER, out, 4)
+
+
+@jit
+def _moved(lens, x, y, z, lines, by, out, at):  # type: ignore[no-untyped-def]
+    """Writes how line and sample change from out[:2] to those of a point, which is `by` away."""
+    line, place = on_line(lens, x, y, z)
+    moved = line - out[0]
     moved -= lines * math.floor(moved / lines + 0.5)
-    out[0], out[1], out[2], out[3] = line, place, moved / step, (out[3] - place) / step
+    out[at], out[at + 1] = moved / by, (place - out[1]) / by
 
 
 def pose_of(axis: FloatArray, through_mm: FloatArray) -> Pose:

@@ -12,7 +12,8 @@ POSE = Pose(0.02, -0.03, -6.9, -9.1)
 
 
 def test_points_and_their_sigma_are_those_of_the_plain_sums() -> None:
-    vertices, ways = generators(head(), 90)
+    cones, ways = generators(head(), 90)
+    vertices = cones[:, :3]
     start = to_pipe(vertices, POSE, ways, RADIUS_MM)
     on_wall = POSE.to_pipe((vertices[:, None] + start[..., None] * ways).reshape(-1, 3))
     assert np.allclose(np.hypot(on_wall[:, 0], on_wall[:, 1]), RADIUS_MM, atol=1e-9)
