@@ -32,23 +32,21 @@ CONTRADICTS, LEAST_PX = 6.0, 0.04  # sigma apart, of at least so much: two camer
 ACROSS = 0.25  # of what is not known: where an edge of the wall leaves so much open of a slit's middle, none is known
 SHARE = 0.03  # of the weight: a camera with less is none that a point was made from
 BOTH, LEAST, UNIT_LEAST, UNIT_MOST = 0.1, 200, 0.5, 3.0  # share of each, points, for what sigmas are worth; its bounds
-HOPELESS = 4.0  # of what is not known: a usual slit that would say so little is not asked
 NOISY = 0.12  # of what is not known: a direction that says less is known together with its neighbours, ..
 BESIDE, SLOPE_MM = 5, 0.1  # .. so many to each side, as a wall that goes out or in by so much a direction, ..
-ALIKE, UNLIKE = 4.0, 9.0  # .. so many saying as much as one: pixels lie in rows; unless they differ by so many sigma^2
+ALIKE = 3.0  # .. so many saying as much as one (pixels lie in rows), or less, by what they leave of that wall
 KNOWN, UNSEEN, CONTRADICTED, BLUNT, EDGE = 0, 1, 2, 3, 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sight:
     """What one camera saw of the rings. On its lines (K, J): samples, NaN for nowhere; their standard deviation, px; of
-    that what a slit across an edge of the wall may be off, in all cameras alike. plain_px (K,): of a usual slit.
+    that what a slit across an edge of the wall may be off, in all cameras alike.
     bias_px: what neighbours may be off together."""
 
     place: FloatArray
     sigma_px: FloatArray
     edge_px: FloatArray
-    plain_px: FloatArray
     bias_px: float
 
 
@@ -97,7 +95,7 @@ def merge(
         np.stack([view.lens for view in views]), vertices, ways, start_mm,
         np.stack([e.by_generator for e in expected]), course,
         np.stack([s.place for s in sights]) - course, np.stack([s.sigma_px for s in sights]),
-        np.stack([s.edge_px for s in sights]), np.stack([s.plain_px for s in sights]),
+        np.stack([s.edge_px for s in sights]),
         np.array([s.bias_px for s in sights]), sigma_most_mm,
         np.ones((1, 1, 1), np.bool_) if usable is None else usable, usable is not None,
         distance, sigma, camera, heaviest, line, state, apart,
@@ -107,25 +105,24 @@ def merge(
 
 @jit
 def _solve(  # type: ignore[no-untyped-def]
-    lenses, vertices, ways, start, expected, course, stray, sigma_px, edge_px, plain_px, bias_px, limit, usable,
+    lenses, vertices, ways, start, expected, course, stray, sigma_px, edge_px, bias_px, limit, usable,
     gated, distance, sigma, camera, heaviest, line, state, apart,
 ):  # fmt: skip
     cameras = len(lenses)
     rings, steps = start.shape
     left, gain, off, at = np.empty(cameras), np.empty(cameras), np.empty(cameras), np.empty(cameras)
-    alone = np.empty(steps)  # of one ring: what a direction says by itself, 1/mm2, and what it does at a clean wall
-    clean = np.empty((steps, cameras, 4))
+    clean = np.empty((steps, cameras, 4))  # of one ring: what each direction says of how far a clean wall is off
     for k in range(rings):
         most = limit[k]
-        alone[:], clean[:] = 0.0, 0.0
+        clean[:] = 0.0
         for p in range(steps):
             state[k, p] = UNSEEN
             s = start[k, p]
             if s != s:
                 continue
-            total, plain = 0.0, 0.0
+            total = 0.0
             for turn in range(ROUNDS):
-                pull, total, plain = 0.0, 0.0, 0.0
+                pull, total = 0.0, 0.0
                 for c in range(cameras):
                     left[c] = gain[c] = off[c] = np.nan
                     if gated and not usable[c, k, p]:
@@ -150,13 +147,12 @@ def _solve(  # type: ignore[no-untyped-def]
                     else:
                         pull += weight * (value - place) / own if own != 0.0 else 0.0
                         total += weight
-                    plain += (own / plain_px[c, k]) ** 2
                     if turn == 0:
                         clean[p, c, 0] = weight
                         clean[p, c, 1] = own * left[c] / spread**2
                         clean[p, c, 2] = (left[c] / spread) ** 2
                         clean[p, c, 3] = own / spread**2
-                if not (total > 0.0 and plain * (HOPELESS * most) ** 2 >= 1.0):
+                if not (total * (NOISY * most) ** 2 >= 1.0 or gated):
                     break
                 step = min(max(pull / total, (NEARER - 1.0) * start[k, p]), (FARTHER - 1.0) * start[k, p])
                 s = min(max(s + step, NEARER * start[k, p]), FARTHER * start[k, p])
@@ -182,12 +178,12 @@ def _solve(  # type: ignore[no-untyped-def]
                         best, heaviest[k, p] = weight, c
             if seen == 0 or not weights > 0.0:
                 continue
-            alone[p], line[k, p] = weights, int(at[heaviest[k, p]] + 0.5)
+            line[k, p] = int(at[heaviest[k, p]] + 0.5)
             if shared > ACROSS * most * weights and not gated:
                 state[k, p] = EDGE
                 clean[p] = 0.0  # it would put its neighbours off, too
                 continue
-            if not weights * most * most >= 1.0 and not gated:
+            if not weights * (NOISY * most) ** 2 >= 1.0 and not gated:
                 state[k, p] = BLUNT
                 continue
             if seen > 1 and wrong > CONTRADICTS * CONTRADICTS * (seen - 1) and not gated:
@@ -204,15 +200,12 @@ def _solve(  # type: ignore[no-untyped-def]
         if gated:
             continue
         for p in range(steps):
-            weak = 0.0 < alone[p] * (NOISY * most) ** 2 < 1.0
-            if state[k, p] == EDGE or (weak and (state[k, p] == KNOWN or state[k, p] == BLUNT)):
-                _among_neighbours(
-                    clean, bias_px, p, start[k, p], most, distance[k], sigma[k], camera[k], state[k], apart[k]
-                )
+            if state[k, p] == EDGE or state[k, p] == BLUNT:
+                _among_neighbours(clean, bias_px, p, start[k, p], most, distance[k], sigma[k], camera[k], state[k])
 
 
 @jit
-def _among_neighbours(clean, bias_px, p, start, most, distance, sigma, camera, state, apart):  # type: ignore[no-untyped-def]
+def _among_neighbours(clean, bias_px, p, start, most, distance, sigma, camera, state):  # type: ignore[no-untyped-def]
     """A direction that says too little by itself: as far from a clean wall as its neighbours are together."""
     steps, cameras = clean.shape[:2]
     total, by_turn, by_square = 0.0, 0.0, 1.0 / SLOPE_MM**2
@@ -237,15 +230,12 @@ def _among_neighbours(clean, bias_px, p, start, most, distance, sigma, camera, s
     beyond = (pull - pull_turn * lean) / known
     slope = (pull_turn - by_turn * beyond) / by_square
     unlike = (square - pull * beyond - pull_turn * slope) / count
-    if unlike > UNLIKE:
-        return
     variance = ALIKE * max(unlike, 1.0) / known
     for c in range(cameras):
         variance += (bias_px[c] * (shift[c, 0] - shift[c, 1] * lean) / known) ** 2
-    apart[p] = np.nan
+    if not variance <= most * most:
+        return
     state[p], sigma[p], distance[p] = KNOWN, math.sqrt(variance), start + beyond
-    if not sigma[p] <= most:
-        state[p], distance[p] = BLUNT, np.nan
     camera[p] = first if total - best < SHARE * total else cameras
 
 

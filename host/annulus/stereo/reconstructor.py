@@ -37,6 +37,7 @@ from annulus.wall.profile import Profile
 # By topic stereo of the metrology table.
 DIRECTIONS = 720  # generators of each cone
 SIGMA_MOST = 0.01  # of the radius: a point known no better is not known (profilers: 0.5 % of 2 r)
+EVERY, MANY = 2, 2000  # the pose is of every other point where there are more: neighbours share their pixels
 ROUGHLY = 6  # of so many generators one, for the pose that rings are named with
 # What neighbouring places may be off alike, at least; and where no second camera or too few rings tell by lying apart.
 BIAS_PX, UNTOLD_PX, RINGS_LEAST = 0.0115, 0.02, 3
@@ -44,6 +45,7 @@ BIAS_PX, UNTOLD_PX, RINGS_LEAST = 0.0115, 0.02, 3
 # lying apart (`rings.uncertainty`); where cones graze, nothing does.
 OVER_EXPOSED, CLIPPED_PX = 235.0, 0.12
 LAG, LEAST, UNKNOWN_PX = 4, 40, 0.1  # as `rings.uncertainty`
+USUAL_PX = 0.03  # what a place is off until its frame says
 BLUR_LEAST, BLUR_MOST = 0.5, 4.0
 CAMERAS_LEAST = 2
 
@@ -237,7 +239,8 @@ class StereoReconstructor:
         one_ring = bool(np.count_nonzero(np.bincount(ring) > enough) < 2)
         across = outwards(points, at, ways, first)
         sigma = np.hypot(merged.sigma_mm[ring, direction] * across, 0.0005 * self.calibration.pipe_radius_mm)
-        return fit_pose(points, self.calibration.pipe_radius_mm, sigma, first, one_ring)
+        every = EVERY if len(points) > MANY else 1
+        return fit_pose(points[::every], self.calibration.pipe_radius_mm, sigma[::every], first, one_ring)
 
 
 def usual_pose(calibration: Calibration) -> Pose:
@@ -273,20 +276,18 @@ def _sight(
 ) -> Sight:
     """How far each slit's place may be off, px: see `rings.uncertainty.point_sigma`, whose terms these are."""
     slits = seen.slits
-    sigma, plain = np.full(which.shape, np.nan), np.full(len(which), UNKNOWN_PX)
-    edge = np.zeros(which.shape)
+    sigma, edge = np.full(which.shape, np.nan), np.zeros(which.shape)
     if not surely:  # for a first pose, which only names
-        sigma[:] = UNKNOWN_PX
+        sigma[:] = USUAL_PX
     else:
         _spread(
-            which, place - course, slits.edge_blur, slits.inside, slits.outside, wider, bias_px,
-            sigma, edge, plain,
+            which, place - course, slits.edge_blur, slits.inside, slits.outside, wider, bias_px, sigma, edge
         )  # fmt: skip
-    return Sight(place, sigma, edge, plain, bias_px)
+    return Sight(place, sigma, edge, bias_px)
 
 
 @jit
-def _spread(which, stray, edge_blur, inside, outside, wider, least, sigma, edge, plain):  # type: ignore[no-untyped-def]
+def _spread(which, stray, edge_blur, inside, outside, wider, least, sigma, edge):  # type: ignore[no-untyped-def]
     rings, lines = which.shape
     work = np.empty(lines)
     for k in range(rings):
@@ -299,7 +300,6 @@ def _spread(which, stray, edge_blur, inside, outside, wider, least, sigma, edge,
                 work[size] = abs(third)
                 size += 1
         scatter = SIGMA_OF_MAD / math.sqrt(20.0) * middle(work, size) if size >= LEAST else UNKNOWN_PX
-        plain[k] = math.sqrt(scatter * scatter + least * least)
         size = 0
         for j in range(lines):
             if which[k, j] >= 0:

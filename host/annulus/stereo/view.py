@@ -16,11 +16,12 @@ from annulus.geometry.camera import Camera
 from annulus.geometry.cone import Cone
 from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import FloatArray
-from annulus.numeric.jit import jit
+from annulus.numeric.jit import jit, middle
 from annulus.numeric.robust import nan_median
 from annulus.rings.colour import ColourProfile
 from annulus.rings.decode import NONE, UNKNOWN, classify, decode, readings
 from annulus.rings.outliers import reject_outliers
+from annulus.rings.pedestal import without_pedestal
 from annulus.rings.polar import PolarGrid, polar_grid, unroll
 from annulus.rings.slits import Slits, find_slits
 from annulus.rings.triangulate import RingOptics, ring_optics
@@ -94,6 +95,7 @@ class View:
 
     def see(self, image_bgr: NDArray[np.uint8], colour: ColourProfile | None) -> tuple[Seen, dict[str, int]]:
         """The slits of one frame, and how many were left out, by reason."""
+        image_bgr = without_pedestal(image_bgr, self.grid.spacing_px)
         slits = find_slits(unroll(image_bgr, self.grid), self.grid)
         both = classify(
             np.vstack([slits.inside, slits.outside]), self.colours, None if colour is None else colour.seen()
@@ -101,7 +103,7 @@ class View:
         inside, outside = both[: len(slits.position)], both[len(slits.position) :]
         unknown = int(np.count_nonzero((inside == UNKNOWN) | (outside == UNKNOWN)))
         rejected = {"crowded": slits.crowded, "shallow": slits.shallow, "colour": unknown}
-        widest = WIDE * float(np.median(slits.width)) if len(slits.width) else 0.0
+        widest = WIDE * middle(slits.width.copy(), len(slits.width)) if len(slits.width) else 0.0
         return Seen(slits, inside, outside, readings(inside, outside, self.colours), widest), rejected
 
     def name(self, seen: Seen, expected: Expected, tolerance: float) -> tuple[NDArray[np.int64], FloatArray]:
@@ -171,16 +173,18 @@ def _off(direction, position, could_be, course, by_radius, spacing, off, deviati
 @jit
 def _as_usual(ring, direction, by_angle, width):  # type: ignore[no-untyped-def]
     """Turns widths (N,) into what they would be where a ring's slit were equally wide all round."""
+    mean = np.zeros(len(by_angle))
     for k in range(len(by_angle)):
-        total, count = 0.0, 0
+        count = 0
         for j in range(by_angle.shape[1]):
             if by_angle[k, j] == by_angle[k, j]:
-                total += by_angle[k, j]
+                mean[k] += by_angle[k, j]
                 count += 1
-        mean = total / max(count, 1)
-        for n in range(len(ring)):
-            if ring[n] == k and by_angle[k, direction[n]] > 0.0:
-                width[n] *= mean / by_angle[k, direction[n]]
+        mean[k] /= max(count, 1)
+    for n in range(len(ring)):
+        k = ring[n]
+        if k != NONE and by_angle[k, direction[n]] > 0.0:
+            width[n] *= mean[k] / by_angle[k, direction[n]]
 
 
 @jit
