@@ -16,6 +16,7 @@ from annulus.reprocess.job import Job, Measured, open_job, turns_of
 from annulus.reprocess.method import examined
 from annulus.reprocess.places import place_findings
 from annulus.rings.diagnosis import exposure_findings, reference_findings
+from annulus.stereo import TWO_WALLS
 from annulus.vocabulary import AnnulusError, Finding, Label
 from annulus.wall import survey
 from annulus.wall.profile import Profile
@@ -25,7 +26,8 @@ from annulus.wall.texture import LedFrame
 Progress = Callable[[str, int, int], None]  # stage, done, total
 
 LOOKED_AT = 4  # frames examined for what may be wrong with all of them
-DAMAGED, MISSING = "damaged", "camera-missing"  # kinds of finding
+DAMAGED, MISSING, APART = "damaged", "camera-missing", "flashes-apart"  # kinds of finding
+APART_MOST = 0.25  # of the flashes: where more are not of one, their frames are paired wrongly
 CHUNK = 8  # consecutive frames one worker does in a row, each seeded by the one before; fixed, so that results
 # do not depend on the number of workers
 
@@ -91,6 +93,7 @@ def reprocess(job: Job, executor: Executor = in_process, progress: Progress | No
     if findings and all(profile.pose is None for profile in profiles):
         raise AnnulusError(f"{path}: {findings[0].text}.")
     findings += missing_findings(job, which)
+    findings += apart_findings(job, profiles)
     findings += place_findings(job.scan.frames)
     if job.reference is not None:
         poses = [profile.pose for profile in profiles if profile.pose is not None]
@@ -161,6 +164,22 @@ def missing_findings(job: Job, which: Sequence[int]) -> list[Finding]:
             text = f"camera {one.id} has no frame of {len(lost)} of {len(which)} flashes: measured without it ({named})"
             out.append(Finding(MISSING, text, lost))
     return out
+
+
+def apart_findings(job: Job, profiles: Sequence[Profile]) -> list[Finding]:
+    """What is told of flashes left out because their cameras see two walls. Raises AnnulusError where most are."""
+    apart = tuple(profile.frame for profile in profiles if TWO_WALLS in profile.rejected)
+    pairs = sum("camera missing" not in profile.rejected for profile in profiles)
+    if not apart:
+        return []
+    named = ", ".join(map(str, apart[:5])) + (", .." if len(apart) > 5 else "")
+    text = (
+        f"in {len(apart)} of {pairs} flashes ({named}) the cameras contradict each other all round: their frames are "
+        "not of one flash, or the cameras do not stand as they were calibrated"
+    )
+    if len(apart) > APART_MOST * pairs:
+        raise AnnulusError(f"{job.scan.path}: {text}.")
+    return [Finding(APART, f"{text}; left out", apart)]
 
 
 def damage_findings(job: Job, damaged: Sequence[int]) -> list[Finding]:

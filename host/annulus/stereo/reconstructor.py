@@ -27,7 +27,7 @@ from annulus.numeric.robust import SIGMA_OF_MAD, nan_median
 from annulus.rings.colour import ColourProfile
 from annulus.rings.decode import NONE
 from annulus.rings.reconstructor import FIRST_TOLERANCE, RING_POINTS, WALL_TOLERANCE, spans
-from annulus.stereo.merge import BLUNT, CONTRADICTED, EDGE, Merged, Sight, merge
+from annulus.stereo.merge import BLUNT, CONTRADICTED, EDGE, KNOWN, Merged, Sight, merge
 from annulus.stereo.points import beside, known, outwards, radius_sigma, to_pipe
 from annulus.stereo.view import Expected, Seen, View, view_of
 from annulus.vocabulary import AnnulusError
@@ -48,6 +48,10 @@ LAG, LEAST, UNKNOWN_PX = 4, 40, 0.1  # as `rings.uncertainty`
 USUAL_PX = 0.03  # what a place is off until its frame says
 BLUR_LEAST, BLUR_MOST = 0.5, 4.0
 CAMERAS_LEAST = 2
+# Part of what both see that is contradicted, and in how many quarters of the round: not one flash. A quarter of
+# stereo-a has 0.002 at most; with its frames paired with their neighbours', 0.4 and more where the head has moved.
+SPREAD, QUARTERS = 0.02, 3
+TWO_WALLS = "cameras contradict"  # key of `rejected`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -154,6 +158,11 @@ class StereoReconstructor:
         marks.append(("merge", clock()))
         fitted = self._fit(merged, fitted.pose, self._ways) or fitted
         marks.append(("pose", clock()))
+        for reason, state in (("contradicted", CONTRADICTED), ("tangent", BLUNT), ("across an edge", EDGE)):
+            rejected[reason] = int(np.count_nonzero(merged.state == state))
+        if _two_walls(merged):
+            rejected[TWO_WALLS] = int(np.count_nonzero(merged.state == KNOWN))
+            return _empty(frame, z_mm, rejected, marks)
         pose = replace(fitted.pose, roll=None if roll_deg is None else math.radians(roll_deg))
         at, points = known(merged, self._vertex, self._ways)
         ring, direction = at
@@ -163,9 +172,6 @@ class StereoReconstructor:
         light = np.zeros((len(points), 3), np.uint8)
         for number, look in enumerate(looks.values()):  # as the camera shows it that knows the point best
             beside(at, merged, number, look.which, look.seen.slits, light)
-        rejected["contradicted"] = int(np.count_nonzero(merged.state == CONTRADICTED))
-        rejected["tangent"] = int(np.count_nonzero(merged.state == BLUNT))
-        rejected["across an edge"] = int(np.count_nonzero(merged.state == EDGE))
         marks.append(("points", clock()))
         camera_of = np.array([*looks, *([len(self.views)] if len(looks) else [])])
         return Profile(
@@ -318,6 +324,17 @@ def _spread(which, stray, edge_blur, inside, outside, wider, least, sigma, edge)
             foreign = max((0.5 * wider[n]) ** 2 - 4.0 * soft * soft, 0.0) / 3.0
             edge[k, j] = math.sqrt(foreign)
             sigma[k, j] = math.sqrt(soft * soft + bias * bias + foreign)
+
+
+def _two_walls(merged: Merged) -> bool:
+    """Whether the cameras contradict each other nearly all round: then they did not see one flash, or do not stand as
+    they were calibrated. What water mirrors, or dirt on one lens, is on one side."""
+    wrong = merged.state == CONTRADICTED
+    if not wrong.any():
+        return False
+    both = wrong | np.isfinite(merged.apart)
+    parts = zip(np.array_split(wrong, 4, axis=1), np.array_split(both, 4, axis=1), strict=True)
+    return sum(bool(bad.sum() > SPREAD * of.sum()) for bad, of in parts) >= QUARTERS
 
 
 def _unit(v: FloatArray) -> FloatArray:
