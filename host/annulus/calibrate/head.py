@@ -19,6 +19,7 @@ from annulus.calibrate.pipe import (
     HELD_EVERY,
     PipeCalibration,
     advise,
+    check_radius,
     refuse,
     warn,
 )
@@ -34,6 +35,10 @@ from annulus.rings.calibration.cross_validation import hold_out
 from annulus.rings.calibration.observations import Observations, joined, observe
 from annulus.vocabulary import AnnulusError
 
+# Of the radius, rms: more is no head. 0.0009 of stereo-calib-a, 0.0011 of a pipe with pockets; 0.014 and 0.017 with
+# frames paired with their neighbours', and with the cameras exchanged.
+TOGETHER = 0.005
+
 
 def calibrate_head(scan: Path, camera: Path, radius_mm: float, *, progress: Progress | None = None) -> PipeCalibration:
     """Calibrate from the projector frames of a two-camera scan in a clean round pipe of known radius.
@@ -42,6 +47,7 @@ def calibrate_head(scan: Path, camera: Path, radius_mm: float, *, progress: Prog
     target, seen by both, has said where they stand, the answer is compared with it.
     Raises AnnulusError, one line, where nothing can be found.
     """
+    check_radius(radius_mm)
     cameras, colours = load_part(camera, head_cameras_from_dict, "annulus calibrate camera")
     target = load_part(camera, placement_from_dict, "annulus calibrate camera")
     report = progress or (lambda stage, done, total: None)
@@ -94,6 +100,11 @@ def calibrate_head(scan: Path, camera: Path, radius_mm: float, *, progress: Prog
     compared = tuple(one for one in told if one is not None)
     full = over_exposed(contour for found in contours for contour in found.values())
     warnings = warn(solution, held, indices, radius_mm, None, None, exposures, full)
+    for one, found in zip(cameras, contours, strict=True):
+        without = sorted(set(indices) - found.keys())
+        if without:
+            named = ", ".join(map(str, without[:5])) + (", .." if len(without) > 5 else "")
+            warnings += (f"camera {one.id} shows no rings in {len(without)} of {len(indices)} flashes ({named})",)
     warnings += tuple(
         f"the target has camera {one.camera} {one.moved_mm:.3f} mm elsewhere, turned by {one.turned_deg:.3f} deg, "
         f"{one.sigmas:.1f} sigma, not {AGREES:g} at most: check the squares' side, the pipe's radius, the lenses"
@@ -101,12 +112,18 @@ def calibrate_head(scan: Path, camera: Path, radius_mm: float, *, progress: Prog
         if not one.agrees
     )
     names = list(marks)
-    return PipeCalibration(
+    result = PipeCalibration(
         calibration, solution, seen, held, None, indices, left_out,
         len({opened.frames[i].index for i in projector_frames(opened, None)}),
         warnings, advise(cameras[0].camera, alone, radius_mm),
         {name: marks[name] - marks[before] for before, name in pairwise(names)}, target=compared,
     )  # fmt: skip
+    if not result.off_mm < TOGETHER * radius_mm:
+        raise AnnulusError(
+            f"{scan}: no head with these cameras sees this: {result.off_mm:.2f} mm rms of the radius, expected less "
+            f"than {TOGETHER * radius_mm:.2f}. Are frames of one index of one flash, and of the camera they say?"
+        )
+    return result
 
 
 def _observed(

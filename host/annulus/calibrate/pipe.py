@@ -78,6 +78,11 @@ class PipeCalibration:
             return held.rms_mm() if part is None else held.rms_mm(part)
         return self._mm(held.error_px, part, self.held_every)
 
+    @property
+    def off_mm(self) -> float:
+        """mm rms of the radius: in frames held out, where there are enough for that."""
+        return self._mm(self.solution.error_px, None) if self.held_out is None else self.held_mm(self.held_out)
+
     def _mm(self, error_px: FloatArray, part: BoolArray | None, every: int = 1) -> float:
         """Errors in px as mm of radius: where a ray is tangent to its cone a pixel is any length, so over all."""
         by_mm = self.solution.radius_px[::every]
@@ -165,8 +170,7 @@ def calibrate_pipe(
     with, never started from. lines : of a head of bright rings or planes how many; then the file needs no pattern.
     Raises AnnulusError, one line, where nothing can be found.
     """
-    if not 1.0 <= radius_mm <= 5000.0:
-        raise AnnulusError(f"the radius is {radius_mm:g} mm, expected 1..5000: half of the pipe's inner diameter")
+    check_radius(radius_mm)
     if lines:
         known, look = load_part(camera, camera_alone, "annulus calibrate camera"), Look.of_lines(lines)
         colours, last_radius, last = "", None, None
@@ -217,6 +221,12 @@ def calibrate_pipe(
         calibration, best, seen, held, held_corrected, indices, left_out, len(projector_frames(opened)), warnings,
         advise(known, best, radius_mm), timing,
     )  # fmt: skip
+
+
+def check_radius(radius_mm: float) -> None:
+    """Raises AnnulusError for what is no pipe's radius."""
+    if not 1.0 <= radius_mm <= 5000.0:
+        raise AnnulusError(f"the radius is {radius_mm:g} mm, expected 1..5000: half of the pipe's inner diameter")
 
 
 def save_pipe(result: PipeCalibration, out: Path) -> None:

@@ -76,3 +76,10 @@ class Pose:
     def to_camera(self, points: FloatArray, z_mm: float = 0.0) -> FloatArray:
         """(N, 3) mm in the pipe frame -> camera frame; inverse of `to_pipe`."""
         return np.asarray((points - np.array([0.0, 0.0, z_mm])) @ self.rotation.T + self.translation)
+
+
+def pose_of(axis: FloatArray, through_mm: FloatArray) -> Pose:
+    """The pose of a pipe along `axis` through a point, in the same frame."""
+    at = through_mm - through_mm[2] / axis[2] * axis
+    ry = float(np.arcsin(axis[0]))
+    return Pose(float(np.arctan2(-axis[1], axis[2])), ry, float(at[0]), float(at[1]))

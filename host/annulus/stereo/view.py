@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from annulus.geometry.calibration import Calibration, HeadCamera
 from annulus.geometry.camera import Camera
 from annulus.geometry.cone import Cone
-from annulus.geometry.pose import Pose
+from annulus.geometry.pose import Pose, pose_of
 from annulus.numeric.arrays import FloatArray
 from annulus.numeric.jit import jit, middle
 from annulus.numeric.robust import nan_median
@@ -302,13 +302,6 @@ def _moved(lens, x, y, z, lines, by, out, at):  # type: ignore[no-untyped-def]
     moved = line - out[0]
     moved -= lines * math.floor(moved / lines + 0.5)
     out[at], out[at + 1] = moved / by, (place - out[1]) / by
-
-
-def pose_of(axis: FloatArray, through_mm: FloatArray) -> Pose:
-    """The pose of a pipe along `axis` through a point, in the same frame."""
-    at = through_mm - through_mm[2] / axis[2] * axis
-    ry = float(np.arcsin(axis[0]))
-    return Pose(float(np.arctan2(-axis[1], axis[2])), ry, float(at[0]), float(at[1]))
 
 
 def _three(v: FloatArray) -> tuple[float, float, float]:

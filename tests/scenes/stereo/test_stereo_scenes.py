@@ -131,17 +131,20 @@ def test_a_tenth_of_one_cameras_frames_lost_costs_directions_and_no_wrong_point(
     assert found["gross_over_1mm_percent"] < 0.03
 
 
-def test_frames_paired_with_their_neighbours_are_refused_in_one_line(calibration: Path, tmp_path: Path) -> None:
-    def shift(rows: list[dict[str, str]]) -> list[dict[str, str]]:
-        second = [row for row in rows if row["camera"] == "1" and row["light"] == "projector"]
-        files = [row["file"] for row in second]
-        for row, file in zip(second, files[1:] + files[:1], strict=True):
-            row["file"] = file
-        return rows
+def shifted(rows: list[dict[str, str]]) -> list[dict[str, str]]:
+    second = [row for row in rows if row["camera"] == "1" and row["light"] == "projector"]
+    files = [row["file"] for row in second]
+    for row, file in zip(second, files[1:] + files[:1], strict=True):
+        row["file"] = file
+    return rows
 
-    scan = rewritten(SCENES / "stereo-a", tmp_path / "scan", shift)
+
+def test_frames_paired_with_their_neighbours_are_refused_in_one_line(calibration: Path, tmp_path: Path) -> None:
     with pytest.raises(AnnulusError, match="not of one flash"):
-        reprocess(open_job(scan, calibration))
+        reprocess(open_job(rewritten(SCENES / "stereo-a", tmp_path / "scan", shifted), calibration))
+    tube = SCENES / "stereo-calib-a"
+    with pytest.raises(AnnulusError, match="of one flash"):
+        calibrate_head(rewritten(tube, tmp_path / "tube", shifted), tube / "camera.json", 76.2)
 
 
 def test_a_calibration_without_placements_is_refused_in_one_line() -> None:

@@ -7,11 +7,11 @@ import pytest
 from drawn_head import COLOURS, RADIUS_MM, head
 
 from annulus.geometry.cone import Cone
-from annulus.geometry.pose import Pose
+from annulus.geometry.pose import Pose, pose_of
 from annulus.rings.calibration.autocalibration import calibrate
 from annulus.rings.calibration.observations import Observations, joined, observe
 from annulus.rings.polar import ring_pixels
-from annulus.stereo.view import pose_of
+from annulus.vocabulary import AnnulusError
 
 pytestmark = pytest.mark.slow
 
@@ -78,3 +78,21 @@ def test_what_is_off_alike_in_every_pose_is_counted() -> None:
     off = (placed.centre_mm + turn @ true.others[0].translation_mm) / sigma
     assert np.abs(off).max() < 3.0
     assert (sigma > 0.001).any()
+
+
+def test_flashes_that_one_camera_has_no_frame_of_tell_what_they_can() -> None:
+    both = seen(False)
+    lost = ((both.frame == 0) & (both.camera == 0)) | ((both.frame == 3) & (both.camera == 1))
+    found = calibrate(both.take(np.flatnonzero(~lost)), RADIUS_MM)
+    true = head(1.0).others[0]
+    (placed,) = found.cameras
+    assert len(found.poses) == len(POSES)
+    assert np.abs(placed.centre_mm + np.array(true.rotation).T @ np.array(true.translation_mm)).max() < 0.01
+    assert np.nanmax(np.abs(found.error_px)) < 0.05
+
+
+def test_cameras_without_a_flash_in_common_are_one_line() -> None:
+    both = seen(False)
+    apart = (both.frame < 3) == (both.camera == 0)
+    with pytest.raises(AnnulusError, match="same flash"):
+        calibrate(both.take(np.flatnonzero(apart)), RADIUS_MM)

@@ -13,14 +13,14 @@ projector that fits nearly as well shows in `runner_up`.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from annulus.geometry.pose import Pose
+from annulus.geometry.pose import Pose, pose_of
 from annulus.numeric.arrays import FloatArray
 from annulus.rings.calibration.bundle import SETTLED, Bundle, Solution, packed
 from annulus.rings.calibration.observations import Observations, Placement
@@ -103,14 +103,18 @@ def calibrate(
 
 
 def _several(seen: Observations, whole: Bundle, report: Callable[[int, int], None]) -> tuple[FloatArray, float]:
-    """Where to begin with several cameras, and the least `runner_up` of those that each found alone."""
-    alone, runner_up = [], math.inf
+    """Where to begin with several cameras, and the least `runner_up` of those that each found alone, from the frames
+    that it has."""
+    alone, which, runner_up = [], [], math.inf
     for number in range(whole.cameras):
         report(number, whole.cameras + 1)
         own = seen.take(np.flatnonzero(seen.camera == number))
-        own = replace(own, camera=np.zeros(len(own), np.int64), tint=np.zeros((len(own), 0)))
-        sparse = own.take(_thinned(own, whole.rings, whole.frames, -(-SPARSE // whole.frames)))
-        few = Bundle(sparse, whole.rings, whole.frames, whole.radius, whole.corrections)
+        frames, frame = np.unique(own.frame, return_inverse=True)
+        if len(frames) < 2:
+            raise AnnulusError(f"one of the cameras shows the rings in {len(frames)} frames, expected two and more")
+        own = replace(own, frame=frame, camera=np.zeros(len(own), np.int64), tint=np.zeros((len(own), 0)))
+        sparse = own.take(_thinned(own, whole.rings, len(frames), -(-SPARSE // len(frames))))
+        few = Bundle(sparse, whole.rings, len(frames), whole.radius, whole.corrections)
         rough: list[tuple[float, FloatArray]] = []
         for aside in ASIDE:
             for way in range(WAYS):
@@ -125,24 +129,40 @@ def _several(seen: Observations, whole: Bundle, report: Callable[[int, int], Non
         others = [cost for cost, other in found if np.linalg.norm(other[3:6] - x[3:6]) > far]
         runner_up = min(runner_up, min(others, default=math.inf) / max(best, 1e-300))
         alone.append(few.solution(x, math.inf))
+        which.append(frames)
+    poses = [dict(zip(frames.tolist(), one.poses, strict=True)) for frames, one in zip(which, alone, strict=True)]
+    placed = [_placed(alone[0], poses[0], one, own) for one, own in zip(alone[1:], poses[1:], strict=True)]
+    every = [_in_first(frame, poses, placed) for frame in range(whole.frames)]
     first = replace(
-        alone[0], cameras=tuple(_placed(alone[0], other) for other in alone[1:]),
-        colour_shift_px=np.zeros((seen.tint.shape[1] // 4, 4)),
-    )  # fmt: skip
+        alone[0], poses=tuple(every), cameras=tuple(placed), colour_shift_px=np.zeros((seen.tint.shape[1] // 4, 4))
+    )
     few = Bundle(seen.take(_thinned(seen, whole.rings, whole.frames)), whole.rings, whole.frames, whole.radius,
                  whole.corrections)  # fmt: skip
     _, x = few.descend(packed(first), robust=True, settled=NEAR)
     return x, runner_up
 
 
-def _placed(first: Solution, other: Solution) -> Placement:
-    """Where a camera stands from which the same rings and the same pipe were seen."""
+def _in_first(frame: int, poses: Sequence[Mapping[int, Pose]], placed: Sequence[Placement]) -> Pose:
+    """The pipe in the first camera's frame, as the first of the cameras that saw it says."""
+    if frame in poses[0]:
+        return poses[0][frame]
+    own, place = next((own[frame], place) for own, place in zip(poses[1:], placed, strict=True) if frame in own)
+    return pose_of(place.rotation @ own.rotation[:, 2], place.rotation @ own.translation + place.centre_mm)
+
+
+def _placed(
+    first: Solution, first_poses: Mapping[int, Pose], other: Solution, other_poses: Mapping[int, Pose]
+) -> Placement:
+    """Where a camera stands from which the same rings and the same pipe, in the frames of both, were seen."""
     ours: list[FloatArray] = []
     theirs: list[FloatArray] = []
-    for one, out in ((first, ours), (other, theirs)):
+    both = sorted(first_poses.keys() & other_poses.keys())
+    if not both:
+        raise AnnulusError("no frame of one camera is of the same flash as one of the other")
+    for one, poses, out in ((first, first_poses, ours), (other, other_poses, theirs)):
         vertex = np.mean([ring.vertex_mm for ring in one.rings], axis=0)
         out += [np.asarray(ring.axis) for ring in one.rings]
-        for pose in one.poses:
+        for pose in (poses[frame] for frame in both):
             axis = pose.rotation[:, 2]
             away = pose.translation - vertex
             out += [axis, (away - (away @ axis) * axis) / one.radius_mm]  # the pipe's way, and where it passes by
