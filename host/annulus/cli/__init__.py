@@ -216,7 +216,7 @@ def demo(
         float | None,
         typer.Option(min=2.0, max=600.0, help="Length of the scan, s. [default: 15, longer on a slow machine]"),
     ] = None,
-    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("annulus-demo"),
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")] = Path("annulus-demo"),
     head: Annotated[
         str, typer.Option(help="ring: one camera; stereo: two, at right angles about the projector.")
     ] = "ring",
