@@ -356,11 +356,16 @@ def _half(wall: Wall, rgb: Image, rows: slice, clock_deg: float) -> bytes:
             )
     step = round_up((last - first) / 6)
     rim = clock_deg + HALF_DEG  # the nearer of the two rims
+    free = -np.inf  # px: where a short stretch has no room for a label at every mark
     for z in np.arange(np.ceil(first / step) * step, last + 1e-6, step):
         (x0, y0), (x1, y1) = at(rim, z, 1.0), at(rim, z, 1.06)
         axes.plot([x0, x1], [y0, y1], color=INK, lw=0.5)
         x, y = at(rim, z, 1.13)
-        axes.text(x, y, f"{z:g} mm", ha="center", va="center", fontsize=10, color=FAINT)
+        text = f"{z:g} mm"
+        half = 0.35 * len(text) * 10 * DPI / 72
+        if x - half > free:
+            axes.text(x, y, text, ha="center", va="center", fontsize=10, color=FAINT)
+            free = x + half
     axes.set_xlim(0, width)
     axes.set_ylim(height, 0)
     return png(figure)
