@@ -33,7 +33,7 @@ ACROSS = 0.25  # of what is not known: where an edge of the wall leaves so much 
 SHARE = 0.03  # of the weight: a camera with less is none that a point was made from
 BOTH, LEAST, UNIT_LEAST, UNIT_MOST = 0.1, 200, 0.5, 3.0  # share of each, points, for what sigmas are worth; its bounds
 NOISY = 0.12  # of what is not known: a direction that says less is known together with its neighbours, ..
-BESIDE, SLOPE_MM = 5, 0.1  # .. so many to each side, as a wall that goes out or in by so much a direction, ..
+BESIDE_DEG, SLOPE_MM_DEG = 2.5, 0.2  # .. so far to each side, as a wall that goes out or in by so much a degree, ..
 ALIKE = 3.0  # .. so many saying as much as one (pixels lie in rows), or less, by what they leave of that wall
 KNOWN, UNSEEN, CONTRADICTED, BLUNT, EDGE = 0, 1, 2, 3, 4
 
@@ -208,12 +208,13 @@ def _solve(  # type: ignore[no-untyped-def]
 def _among_neighbours(clean, bias_px, p, start, most, distance, sigma, camera, state):  # type: ignore[no-untyped-def]
     """A direction that says too little by itself: as far from a clean wall as its neighbours are together."""
     steps, cameras = clean.shape[:2]
-    total, by_turn, by_square = 0.0, 0.0, 1.0 / SLOPE_MM**2
+    beside = max(int(BESIDE_DEG * steps / 360.0 + 0.5), 1)
+    total, by_turn, by_square = 0.0, 0.0, (steps / (360.0 * SLOPE_MM_DEG)) ** 2
     pull, pull_turn, square, count, best, first = 0.0, 0.0, 0.0, 0, 0.0, 0
     shift = np.zeros((cameras, 2))  # pull and pull_turn if all of a camera's places are off by a pixel
     for c in range(cameras):
         own = 0.0
-        for d in range(-BESIDE, BESIDE + 1):
+        for d in range(-beside, beside + 1):
             weight, towards, left, by_px = clean[around(p + d, steps), c]
             if left > 0.0:
                 own, by_turn, by_square = own + weight, by_turn + weight * d, by_square + weight * d * d
@@ -223,7 +224,7 @@ def _among_neighbours(clean, bias_px, p, start, most, distance, sigma, camera, s
         total += own
         if own > best:
             best, first = own, c
-    if count <= BESIDE or not total > 0.0:
+    if count <= beside or not total > 0.0:
         return
     lean = by_turn / by_square
     known = total - by_turn * lean
