@@ -29,7 +29,7 @@ SCENES = Path(__file__).resolve().parents[4] / "shared" / "scenes"
 PLATE = SCENES / "fringe-a"
 AHEAD = np.array([1.0, 0.0, 0.0])
 DRIFT = 0.1  # vignetting along half a track
-pytestmark = pytest.mark.skipif(not PLATE.is_dir(), reason="no scenes here")
+pytestmark = pytest.mark.skipif(not PLATE.is_dir(), reason="needs ../shared/scenes")
 
 
 def scorer() -> ModuleType:
