@@ -27,6 +27,7 @@ from annulus.daemon.session import Session
 from annulus.record.calibration_file import save_calibration
 from annulus.report import FILES, Account, prepare_folder, write
 from annulus.reprocess import Job, Processes, led_frames, measure, method_for, open_job, stage_medians, warm_up
+from annulus.stereo import CAMERA_MISSING
 from annulus.twin.head import HeadHandle, head_toml, start_head, sustainable_fps
 from annulus.twin.score import score
 from annulus.twin.worlds import World, demo_world, stereo_world
@@ -49,7 +50,6 @@ MM_PER_FRAME_MAX = 6.0  # .. and less of the pipe, when somebody does
 START_PATIENCE_S = 60.0  # from lamps armed to the first labelled frame
 BAR_S = 0.1
 SLOTS = 40  # a camera: frames are told apart late on a machine that draws them too
-MISSING = "camera missing"  # in what a profile rejected: it was made without some camera's frame
 RESULTS = ("report.html", *(name for name in FILES if name != "report.html"))  # what people open comes first
 
 
@@ -217,7 +217,7 @@ def _late(job: Job, done: Sequence[Profile], bars: "_Bars") -> list[Profile]:
     """Profiles of the recorded projector flashes that no worker had time for, or had without a camera's frame that came
     later.
     """
-    alone = {profile.frame for profile in done if MISSING in profile.rejected}
+    alone = {profile.frame for profile in done if CAMERA_MISSING in profile.rejected}
     have = {profile.frame for profile in done} - {index for index in alone if _is_whole(job, index)}
     missing = [i for i in job.flashes(Label.PROJECTOR) if job.scan.frames[i].index not in have]
     if not missing:

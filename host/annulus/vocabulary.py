@@ -1,5 +1,6 @@
-"""The words every room speaks. Types only; the names follow the glossary in README.md."""
+"""The words every room speaks. Types, and one phrase; the names follow the glossary in README.md."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag, StrEnum
 from typing import NewType
@@ -72,3 +73,8 @@ class AnnulusError(Exception):
 
     def __init__(self, text: str) -> None:
         super().__init__(one_line(text))
+
+
+def first_few(indices: Sequence[int]) -> str:
+    """The first five of them in words, and ".." where there are more."""
+    return ", ".join(map(str, indices[:5])) + (", .." if len(indices) > 5 else "")

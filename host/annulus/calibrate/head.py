@@ -33,7 +33,7 @@ from annulus.rings.calibration.bundle import Solution
 from annulus.rings.calibration.contours import Contours, Look
 from annulus.rings.calibration.cross_validation import hold_out
 from annulus.rings.calibration.observations import Observations, joined, observe
-from annulus.vocabulary import AnnulusError
+from annulus.vocabulary import AnnulusError, first_few
 
 # Of the radius, rms: more is no head. 0.0009 of stereo-calib-a, 0.0011 of a pipe with pockets; 0.014 and 0.017 with
 # frames paired with their neighbours', and with the cameras exchanged.
@@ -103,7 +103,7 @@ def calibrate_head(scan: Path, camera: Path, radius_mm: float, *, progress: Prog
     for one, found in zip(cameras, contours, strict=True):
         without = sorted(set(indices) - found.keys())
         if without:
-            named = ", ".join(map(str, without[:5])) + (", .." if len(without) > 5 else "")
+            named = first_few(without)
             warnings += (f"camera {one.id} shows no rings in {len(without)} of {len(indices)} flashes ({named})",)
     warnings += tuple(
         f"the target has camera {one.camera} {one.moved_mm:.3f} mm elsewhere, turned by {one.turned_deg:.3f} deg, "

@@ -16,8 +16,8 @@ from annulus.reprocess.job import Job, Measured, open_job, turns_of
 from annulus.reprocess.method import examined
 from annulus.reprocess.places import place_findings
 from annulus.rings.diagnosis import exposure_findings, reference_findings
-from annulus.stereo import TWO_WALLS
-from annulus.vocabulary import AnnulusError, Finding, Label
+from annulus.stereo import CAMERA_MISSING, TWO_WALLS
+from annulus.vocabulary import AnnulusError, Finding, Label, first_few
 from annulus.wall import survey
 from annulus.wall.profile import Profile
 from annulus.wall.survey import Survey
@@ -160,8 +160,8 @@ def missing_findings(job: Job, which: Sequence[int]) -> list[Finding]:
         seen = {frame.index for frame in job.scan.frames if frame.camera == one.id}
         lost = tuple(job.scan.frames[i].index for i in which if job.scan.frames[i].index not in seen)
         if lost:
-            named = ", ".join(map(str, lost[:5])) + (", .." if len(lost) > 5 else "")
-            text = f"camera {one.id} has no frame of {len(lost)} of {len(which)} flashes: measured without it ({named})"
+            text = f"camera {one.id} has no frame of {len(lost)} of {len(which)} flashes: measured without it"
+            text += f" ({first_few(lost)})"
             out.append(Finding(MISSING, text, lost))
     return out
 
@@ -169,13 +169,12 @@ def missing_findings(job: Job, which: Sequence[int]) -> list[Finding]:
 def apart_findings(job: Job, profiles: Sequence[Profile]) -> list[Finding]:
     """What is told of flashes left out because their cameras see two walls. Raises AnnulusError where most are."""
     apart = tuple(profile.frame for profile in profiles if TWO_WALLS in profile.rejected)
-    pairs = sum("camera missing" not in profile.rejected for profile in profiles)
+    pairs = sum(CAMERA_MISSING not in profile.rejected for profile in profiles)
     if not apart:
         return []
-    named = ", ".join(map(str, apart[:5])) + (", .." if len(apart) > 5 else "")
     text = (
-        f"in {len(apart)} of {pairs} flashes ({named}) the cameras contradict each other all round: their frames are "
-        "not of one flash, or the cameras do not stand as they were calibrated"
+        f"in {len(apart)} of {pairs} flashes ({first_few(apart)}) the cameras contradict each other all round: their "
+        "frames are not of one flash, or the cameras do not stand as they were calibrated"
     )
     if len(apart) > APART_MOST * pairs:
         raise AnnulusError(f"{job.scan.path}: {text}.")
@@ -189,10 +188,8 @@ def damage_findings(job: Job, damaged: Sequence[int]) -> list[Finding]:
     if recording is None:
         return out
     if damaged:
-        named = ", ".join(map(str, damaged[:5])) + (", .." if len(damaged) > 5 else "")
-        out.append(
-            Finding(DAMAGED, f"{len(damaged)} frames are damaged and left out (checksum; {named})", tuple(damaged))
-        )
+        text = f"{len(damaged)} frames are damaged and left out (checksum; {first_few(damaged)})"
+        out.append(Finding(DAMAGED, text, tuple(damaged)))
     if recording.damage:
         first = recording.damage[0]
         more = f", and {len(recording.damage) - 1} more" if len(recording.damage) > 1 else ""

@@ -39,7 +39,7 @@ from annulus.numeric.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from annulus.numeric.robust import robust_sigma
 from annulus.record.calibration_file import load_part
 from annulus.record.scan import Scan, open_scan
-from annulus.vocabulary import AnnulusError, Finding, Label
+from annulus.vocabulary import AnnulusError, Finding, Label, first_few
 from annulus.wall.plate import Plate
 
 Progress = Callable[[str, int, int], None]
@@ -463,7 +463,7 @@ def _findings(
             job.scan.frames[next(iter(seen.values()))].index
             for (_, seen), one in zip(job.flashes, slipped, strict=True) if one
         )  # fmt: skip
-        named = ", ".join(map(str, indices[:5])) + (", .." if len(indices) > 5 else "")
+        named = first_few(indices)
         out.append(
             Finding(
                 "slip",

@@ -4,7 +4,7 @@
 and names the slits of one camera with `rings`; `merge` says where on its cone each ring met the wall, from all views.
 """
 
-from annulus.stereo.reconstructor import TWO_WALLS, StereoReconstructor
+from annulus.stereo.reconstructor import CAMERA_MISSING, TWO_WALLS, StereoReconstructor
 from annulus.stereo.swapped import swapped
 
-__all__ = ["TWO_WALLS", "StereoReconstructor", "swapped"]
+__all__ = ["CAMERA_MISSING", "TWO_WALLS", "StereoReconstructor", "swapped"]

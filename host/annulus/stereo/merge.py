@@ -54,7 +54,7 @@ class Sight:
 class Merged:
     """By ring and generator (K, P): distance from the vertex, mm, NaN where not known; its standard deviation; which
     camera saw it, its place in the list or, of several, their number; the heaviest, and the line it saw it on;
-    KNOWN, UNSEEN, CONTRADICTED or BLUNT: seen, but from where it says too little of the wall."""
+    KNOWN, UNSEEN, CONTRADICTED, BLUNT (seen, but from where it says too little of the wall) or EDGE (across one)."""
 
     distance_mm: FloatArray
     sigma_mm: FloatArray

@@ -51,7 +51,7 @@ CAMERAS_LEAST = 2
 # Part of what both see that is contradicted, and in how many quarters of the round: not one flash. A quarter of
 # stereo-a has 0.002 at most; with its frames paired with their neighbours', 0.4 and more where the head has moved.
 SPREAD, QUARTERS = 0.02, 3
-TWO_WALLS = "cameras contradict"  # key of `rejected`
+TWO_WALLS, CAMERA_MISSING = "cameras contradict", "camera missing"  # keys of `rejected`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,7 +131,7 @@ class StereoReconstructor:
             marks.append(("slits", clock()))
         lost = len(self.views) - len(images)
         if lost:
-            rejected["camera missing"] = lost
+            rejected[CAMERA_MISSING] = lost
         fitted = None
         for first in (seed, self.usual) if seed is not None else (self.usual,):
             some = self._some
