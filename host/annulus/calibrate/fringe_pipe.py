@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from annulus.fringe import FringeHead, PipeCalibration, Transfer, calibrate_pipe, light_of, projector_to_dict
+from annulus.fringe import FringeHead, PipeCalibration, Shots, Transfer, calibrate_pipe, light_of, projector_to_dict
 from annulus.fringe.projector import FringeProjector
-from annulus.geometry.calibration import camera_to_dict
+from annulus.geometry.calibration import STILL, camera_to_dict
 from annulus.record.calibration_file import load_part, load_sections, update_calibration
 from annulus.record.scan import open_scan
 from annulus.vocabulary import AnnulusError, Label
@@ -38,7 +38,7 @@ class FringePipeCalibration:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers; mm, degrees and rad."""
-        slide, sigma = self.found.projector, self.found.sigma
+        slide, sigma = self.head.projector or self.found.projector, self.found.sigma
         return {
             "projector": projector_to_dict(slide),
             "sigma": {
@@ -76,8 +76,6 @@ def calibrate_fringe_pipe(
             f'{slide or camera}: "pattern.projector" is no slide of rings, expected the calibration.json of '
             "`annulus pattern design` for fringes"
         )
-    if len(head.cameras) != 1:
-        raise AnnulusError(f"{camera}: has {len(head.cameras)} cameras, expected one before a slide of rings")
     radius = head.radius_mm if radius_mm is None else radius_mm
     if radius is None:
         raise AnnulusError(f'{camera}: no "pipe.radius_mm", expected there or told: the inner radius of the clean pipe')
@@ -85,11 +83,16 @@ def calibrate_fringe_pipe(
     which = [i for i, frame in enumerate(opened.frames) if frame.label is Label.PROJECTOR]
     if not which:
         raise AnnulusError(f"{scan}: none of its {len(opened.frames)} frames is labelled projector")
-    which = [which[k] for k in np.unique(np.linspace(0, len(which) - 1, min(len(which), FRAMES_MAX)).astype(int))]
+    every = sorted({opened.frames[i].index for i in which})
+    most = max(FRAMES_MAX // len(head.cameras), 3)
+    some = {every[k] for k in np.unique(np.linspace(0, len(every) - 1, min(len(every), most)).astype(int))}
+    which = [i for i in which if opened.frames[i].index in some]
     told = head.curve(scan.resolve().name)
     curve = told or Transfer()
     report = progress or (lambda stage, done, total: None)
-    aside, images = [], []
+    known_as = {one.id: number for number, one in enumerate(head.cameras)}
+    flash_of = {index: k for k, index in enumerate(sorted({opened.frames[i].index for i in which}))}
+    aside, images, eye, flash = np.zeros((len(flash_of), 3)), [], [], []
     for done, i in enumerate(which):
         report("projector", done, len(which) + 1)
         frame = opened.frames[i]
@@ -98,11 +101,15 @@ def calibrate_fringe_pipe(
                 f"{scan}: frame {frame.index} has no tx_mm, ty_mm, expected how far right and down the head stood, in "
                 "columns of frames.csv"
             )
-        aside.append((*frame.aside_mm, 0.0))
         images.append(light_of(opened.read(i), head.camera(frame.camera), curve, frame.where))
+        eye.append(known_as[frame.camera])
+        flash.append(flash_of[frame.index])
+        aside[flash[-1], :2] = frame.aside_mm
     report("projector", len(which), len(which) + 1)
     try:
-        found = calibrate_pipe(head.cameras[0], design, np.array(images), np.array(aside), radius)
+        shots = Shots(np.array(images), np.array(eye), np.array(flash))
+        placed = replace(head, projector=design, lamps=()).eyes()
+        found = calibrate_pipe([one.camera for one, _, _ in placed], placed[0][0].projector, shots, aside, radius)
     except AnnulusError as error:
         raise AnnulusError(f"{scan}: {error}") from None
     report("projector", len(which) + 1, len(which) + 1)
@@ -114,7 +121,7 @@ def calibrate_fringe_pipe(
             "that are wrong?"
         )
     known = replace(
-        head, projector=found.projector, radius_mm=radius, transfer=dict(head.transfer) if told else {"": curve}
+        head.with_projector(found.projector), radius_mm=radius, transfer=dict(head.transfer) if told else {"": curve}
     )
     return FringePipeCalibration(known, found, curve, told is not None)
 
@@ -132,19 +139,23 @@ def _design(file: Path) -> FringeProjector | None:
 
 def save_fringe_pipe(result: FringePipeCalibration, path: Path) -> None:
     """Write or replace the head's sections of a calibration.json. Raises AnnulusError when it cannot be written."""
-    told, one = result.to_dict(), result.head.cameras[0]
+    told = result.to_dict()
     curves = {name: curve.to_dict() for name, curve in result.head.transfer.items()}
     sections = {
         "cameras": [
             {"id": one.id, **camera_to_dict(one.camera), "rotation": [list(row) for row in one.rotation],
              "translation_mm": list(one.translation_mm)}
+            for one in result.head.cameras
         ],
         "camera": None,
         "pattern": {
             "kind": "fringe", "projector": told["projector"], "sigma": told["sigma"], "covariance": told["covariance"],
         },
         "transfer": curves.get("", curves),
-        "pipe": {"radius_mm": result.head.radius_mm},
+        "pipe": {
+            "radius_mm": result.head.radius_mm, "rotation": [list(row) for row in result.head.mount[0]],
+            "translation_mm": list(result.head.mount[1]),
+        } if result.head.mount[0] != STILL else {"radius_mm": result.head.radius_mm},
     }  # fmt: skip
     measured = {key: told[key] for key in ("misfit_levels", "frames")}
     update_calibration(path, sections, {"pattern": {"by": "annulus calibrate fringe", **measured}})

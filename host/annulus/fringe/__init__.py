@@ -23,6 +23,7 @@ from annulus.fringe.merge import merged
 from annulus.fringe.noise import noise_of
 from annulus.fringe.order import told_elsewhere
 from annulus.fringe.pipe import PipeMap, measure_pipe
+from annulus.fringe.placement import Eye, Shots
 from annulus.fringe.projector import FringeProjector
 from annulus.fringe.scratches import find_scratches
 from annulus.fringe.slide import RingSlide, ring_slide
@@ -33,6 +34,7 @@ from annulus.fringe.texture import untextured
 from annulus.fringe.transfer import Transfer, light_of, transfers
 
 __all__ = [
+    "Eye",
     "FringeHead",
     "FringeProjector",
     "Heights",
@@ -42,6 +44,7 @@ __all__ = [
     "Points",
     "ReferencePlate",
     "RingSlide",
+    "Shots",
     "Steps",
     "Transfer",
     "View",

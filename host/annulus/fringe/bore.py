@@ -1,8 +1,9 @@
 """What the loops over a pipe's wall see: light, phase and place of wall points in every frame of a head in a pipe.
 
 Light in a pipe is no constant along a track: it falls off with distance and angle, and fringes that the lens sees
-aslant are blurred more the farther ahead. Both belong to the head and are smooth there, so a polynomial in the point's
-place in the head's frame says both, a level and a modulation relative to their middle (`shading`):
+aslant are blurred more the farther ahead. Both belong to the head and are smooth there, so for each of its eyes a
+polynomial in the point's place in the head's frame says both, a level and a modulation relative to their middle
+(`shading`):
 
     I_n = gain_n (A + B depth_n w(phase_n(h) + texture q_n blur^2)) (1 + g t_n)
 
@@ -72,7 +73,7 @@ def solve4(m, b, size):  # type: ignore[no-untyped-def]
 
 @jit
 def terms(shading, x, y, z, row):  # type: ignore[no-untyped-def]
-    """The polynomial's terms at a place of the camera's frame, into row (TERMS,). shading[0] : middle and half-length
+    """The polynomial's terms at a place of the head's frame, into row (TERMS,). shading[0] : middle and half-length
     of the seen wall, mm along z."""
     t = (z - shading[0, 0]) / shading[0, 1]
     rho = math.sqrt(x * x + y * y)
@@ -106,20 +107,20 @@ def place(pose, x, y, z):  # type: ignore[no-untyped-def]
 
 @jit
 def look_around(  # type: ignore[no-untyped-def]
-    images, lens, cameras, eyes, projectors, slide, points, normal, grey, phase, slope, pull, seen
+    images, lens, cameras, heads, eyes, projectors, slide, points, normal, grey, phase, slope, pull, seen
 ):
     """(P, 3) points of a wall that stands across normal (P, 3), in every frame: grey level, phase, its slope along the
-    frame's ray per mm of height, and q, each written (N, P), and where the points stand before the camera, (N, P, 3);
+    frame's ray per mm of height, and q, each written (N, P), and where the points stand in the head's frame, (N, P, 3);
     NaN where not seen."""
     for k in range(len(cameras)):
         for p in range(len(points)):
             x, y, z = points[p, 0], points[p, 1], points[p, 2]
             cx, cy, cz = place(cameras[k], x, y, z)
-            u, v = see(lens, cx, cy, cz)
+            u, v = see(lens[k], cx, cy, cz)
             grey[k, p] = sample(images, k, u, v)
-            seen[k, p, 0], seen[k, p, 1], seen[k, p, 2] = cx, cy, cz
+            seen[k, p, 0], seen[k, p, 1], seen[k, p, 2] = place(heads[k], x, y, z)
             ux, vx = see(
-                lens, cx + AHEAD_MM * cameras[k, 0, 2], cy + AHEAD_MM * cameras[k, 1, 2],
+                lens[k], cx + AHEAD_MM * cameras[k, 0, 2], cy + AHEAD_MM * cameras[k, 1, 2],
                 cz + AHEAD_MM * cameras[k, 2, 2],
             )  # fmt: skip
             px, py, pz = place(projectors[k], x, y, z)
@@ -127,26 +128,36 @@ def look_around(  # type: ignore[no-untyped-def]
             scaled = 1.0 / (dx * normal[p, 0] + dy * normal[p, 1] + dz * normal[p, 2])
             dx, dy, dz = dx * scaled, dy * scaled, dz * scaled
             phase[k, p], slope[k, p] = phase_and_slope(
-                slide, px, py, pz,
+                slide[k], px, py, pz,
                 projectors[k, 0, 0] * dx + projectors[k, 0, 1] * dy + projectors[k, 0, 2] * dz,
                 projectors[k, 1, 0] * dx + projectors[k, 1, 1] * dy + projectors[k, 1, 2] * dz,
                 projectors[k, 2, 0] * dx + projectors[k, 2, 1] * dy + projectors[k, 2, 2] * dz,
             )  # fmt: skip
-            along = phase_and_slope(slide, px, py, pz, projectors[k, 0, 2], projectors[k, 1, 2], projectors[k, 2, 2])[1]
+            along = phase_and_slope(
+                slide[k], px, py, pz, projectors[k, 0, 2], projectors[k, 1, 2], projectors[k, 2, 2]
+            )[1]
             pull[k, p] = along * AHEAD_MM * AHEAD_MM / ((ux - u) ** 2 + (vx - v) ** 2)
 
 
 @jit
 def follow_wall(  # type: ignore[no-untyped-def]
-    images, lens, cameras, eyes, projectors, slide, shading, blur_squared, drift, drift_sigma, noise, base, path,
-    texture, start, tolerance, height, sigma, dc, ac, misfit, used, flag,
+    images, lens, cameras, heads, eyes, projectors, slide, eye, shading, blur_squared, drift, drift_sigma, noise, base,
+    path, texture, start, tolerance, height, sigma, dc, ac, misfit, used, flag,
 ):  # fmt: skip
     """Every wall point's height outwards, from its `start`; as `track.follow`, in a pipe's light (module docstring).
 
-    texture : (P,) slope of the albedo along the pipe over itself, 1 / mm. blur_squared : px^2. The rest, and what is
-    written: as there.
+    eye : (N,) whose frame each is; lens, slide (N, ..) by frame, shading (E, 3, TERMS) by eye. texture : (P,) slope of
+    the albedo along the pipe over itself, 1 / mm. blur_squared : px^2. The rest, and what is written: as there.
+
+    A height is begun by one eye alone, for two on either side of a lamp see its light move in opposite ways.
     """
-    frames = len(cameras)
+    frames, eye_count = len(cameras), len(shading)
+    seen, bend_of, low, high = (
+        np.empty(eye_count, np.int64),
+        np.empty(eye_count),
+        np.empty(eye_count),
+        np.empty(eye_count),
+    )
     value, phase, slope, weight = np.empty(frames), np.empty(frames), np.empty(frames), np.empty(frames)
     crest, change, sine, gain = np.empty(frames), np.empty(frames), np.empty(frames), np.empty(frames)
     wide = np.zeros(frames)
@@ -156,22 +167,24 @@ def follow_wall(  # type: ignore[no-untyped-def]
         h, level, swing, tilt = start[p], 0.0, 0.0, 0.0
         state, variance, scale, free, n = UNSETTLED, -1.0, 1.0, 1, 0
         for turn in range(ROUNDS_MAX):
-            n, bend, low, high = 0, 0.0, math.inf, -math.inf
+            n, bend = 0, 0.0
+            seen[:], bend_of[:], low[:], high[:] = 0, 0.0, math.inf, -math.inf
             x, y, z = base[p, 0] + h * path[p, 0], base[p, 1] + h * path[p, 1], base[p, 2] + h * path[p, 2]
             for k in range(frames):
                 value[k] = math.nan
                 cx, cy, cz = place(cameras[k], x, y, z)
-                u, v = see(lens, cx, cy, cz)
+                u, v = see(lens[k], cx, cy, cz)
                 grey = sample(images, k, u, v)
                 if not math.isfinite(grey):
                     continue
-                level_there, depth = shade(shading, cx, cy, cz, powers)
+                hx, hy, hz = place(heads[k], x, y, z)
+                level_there, depth = shade(shading[eye[k]], hx, hy, hz, powers)
                 dx, dy, dz = x - eyes[k, 0], y - eyes[k, 1], z - eyes[k, 2]
                 scaled = 1.0 / (dx * path[p, 0] + dy * path[p, 1] + dz * path[p, 2])
                 dx, dy, dz = dx * scaled, dy * scaled, dz * scaled
                 px, py, pz = place(projectors[k], x, y, z)
                 phase[k], slope[k] = phase_and_slope(
-                    slide, px, py, pz,
+                    slide[k], px, py, pz,
                     projectors[k, 0, 0] * dx + projectors[k, 0, 1] * dy + projectors[k, 0, 2] * dz,
                     projectors[k, 1, 0] * dx + projectors[k, 1, 1] * dy + projectors[k, 1, 2] * dz,
                     projectors[k, 2, 0] * dx + projectors[k, 2, 1] * dy + projectors[k, 2, 2] * dz,
@@ -179,27 +192,34 @@ def follow_wall(  # type: ignore[no-untyped-def]
                 if blur_squared > 0.0:
                     if turn == 0:  # a height changes it little
                         ux, vx = see(
-                            lens, cx + AHEAD_MM * cameras[k, 0, 2], cy + AHEAD_MM * cameras[k, 1, 2],
+                            lens[k], cx + AHEAD_MM * cameras[k, 0, 2], cy + AHEAD_MM * cameras[k, 1, 2],
                             cz + AHEAD_MM * cameras[k, 2, 2],
                         )  # fmt: skip
                         wide[k] = blur_squared * AHEAD_MM * AHEAD_MM / ((ux - u) ** 2 + (vx - v) ** 2)
                     along = phase_and_slope(
-                        slide, px, py, pz, projectors[k, 0, 2], projectors[k, 1, 2], projectors[k, 2, 2]
+                        slide[k], px, py, pz, projectors[k, 0, 2], projectors[k, 1, 2], projectors[k, 2, 2]
                     )[1]
                     phase[k] += texture[p] * along * wide[k]
                 value[k], gain[k] = grey, level_there
-                crest[k], change[k], sine[k] = wave(slide, phase[k])
+                crest[k], change[k], sine[k] = wave(slide[k], phase[k])
                 crest[k] *= depth
                 change[k] *= depth
                 sine[k] *= depth
                 weight[k] = 1.0 / (noise[0] + max(grey, 0.0) * (noise[1] + max(grey, 0.0) * noise[2]))
-                bend += slope[k]
-                low, high = min(low, phase[k]), max(high, phase[k])
+                bend += abs(slope[k])
+                e = eye[k]
+                bend_of[e] += slope[k]
+                low[e], high[e] = min(low[e], phase[k]), max(high[e], phase[k])
+                seen[e] += 1
                 n += 1
-            if n < 3:
+            first = 0
+            for e in range(eye_count):
+                if seen[e] >= 3 and not (seen[first] >= 3 and high[first] - low[first] >= high[e] - low[e]):
+                    first = e
+            if seen[first] < 3:
                 state = TOO_FEW
                 break
-            if high - low < SPAN_LEAST:
+            if high[first] - low[first] < SPAN_LEAST:
                 state = UNDETERMINED
                 break
             bend /= n
@@ -207,7 +227,7 @@ def follow_wall(  # type: ignore[no-untyped-def]
             b[:] = 0.0
             if turn == 0:  # I = V1 + V2 cos phase - V3 sin phase; the sine's harmonics are small beside half a period
                 for k in range(frames):
-                    if math.isfinite(value[k]):
+                    if eye[k] == first and math.isfinite(value[k]):
                         row[0], row[1], row[2] = gain[k], gain[k] * crest[k], -gain[k] * sine[k]
                         for i in range(3):
                             b[i] += weight[k] * row[i] * value[k]
@@ -217,7 +237,7 @@ def follow_wall(  # type: ignore[no-untyped-def]
                     state = UNDETERMINED
                     break
                 level, swing = b[0], math.hypot(b[1], b[2])
-                h += math.atan2(b[2], b[1]) / bend
+                h += math.atan2(b[2], b[1]) * seen[first] / bend_of[first]
                 continue
             total, cost, robust = 0.0, 0.0, n >= ROBUST_FROM and turn > 1
             free = n - size
@@ -255,7 +275,7 @@ def follow_wall(  # type: ignore[no-untyped-def]
             if size == 4:
                 tilt += b[2]
             step = b[size - 1]
-            most = STEP_MAX_RAD / abs(bend)
+            most = STEP_MAX_RAD / bend
             h += min(max(step, -most), most)
             misfit[p] = cost
             if abs(step) < tolerance and turn > 1:

@@ -1,6 +1,6 @@
 """The projector of a head from a clean pipe: its place, direction and phase law, with their sigma.
 
-    told = calibrate_pipe(camera, designed, images, shift_mm, radius_mm)
+    told = calibrate_pipe(cameras, designed, shots, shift_mm, radius_mm)
 
 The pipe's radius is known and its wall is smooth; the head stands aside by known amounts, a frame each. Rays of a
 camera whose lens is known meet the wall at known places, so each frame shows the slide's phase over a surface, and a
@@ -13,14 +13,14 @@ Wrong where the radius is: the projector's place scales with it. What one lens g
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from annulus.fringe.bore import TERMS
 from annulus.fringe.heights import Points
 from annulus.fringe.pipe import lit_wall
-from annulus.fringe.placement import LAW, Freedom, Head, Looks, changed, refined, shading_terms
+from annulus.fringe.placement import LAW, Eye, Freedom, Head, Looks, Shots, changed, refined, shaded, shading_terms
 from annulus.fringe.projector import FringeProjector
 from annulus.geometry.calibration import HeadCamera
 from annulus.numeric.arrays import Float32Array, FloatArray
@@ -54,9 +54,9 @@ class PipeCalibration:
 
 
 def calibrate_pipe(
-    camera: HeadCamera,
+    cameras: Sequence[HeadCamera],
     designed: FringeProjector,
-    images: Float32Array,
+    shots: Shots,
     shift_mm: FloatArray,
     radius_mm: float,
     *,
@@ -64,24 +64,23 @@ def calibrate_pipe(
 ) -> PipeCalibration:
     """The projector of `designed`'s kind as the frames say it is.
 
-    images : (N, H, W) linear in light, N >= 3. shift_mm : (N, 3) where the head stood, pipe frame; z is nothing a clean
+    cameras : those that look at the slide's light, in a frame whose z lies along the pipe. shift_mm : (F, 3) where the
+    head stood, pipe frame; z is nothing a clean
     pipe tells of. Told for the pipe before the head (the other sign), that is found out, and said. shift_sigma_mm : how
     well that is known. designed : about where the projector is meant to be; its phase0 is not used. AnnulusError for
     fewer than three places, and where frames and design do not go together.
     """
     shift_mm = np.asarray(shift_mm, dtype=float)
-    if len(images) != len(shift_mm):
-        raise AnnulusError(f"{len(images)} images for {len(shift_mm)} places")
+    if len(shots.flash) and int(shots.flash.max()) >= len(shift_mm):
+        raise AnnulusError(f"{int(shots.flash.max()) + 1} flashes for {len(shift_mm)} places")
     if designed.kind != "rings":
         raise AnnulusError(f"a slide of {designed.kind}: a clean pipe calibrates rings")
     if len(shift_mm) < 3 or np.linalg.matrix_rank(shift_mm[:, :2] - shift_mm[0, :2], tol=radius_mm * 1e-3) < 2:
         raise AnnulusError(
             f"{len(shift_mm)} frames whose places aside do not span a plane: at least three, not in a line"
         )
-    poses = np.zeros((len(images), 6))
-    poses[:, 3:] = shift_mm
-    head = Head(camera, designed, poses, np.zeros((3, TERMS)), radius_mm)
-    head, coefficients, (near, far) = lit_wall(head, images)
+    head = Head.at([Eye(camera, designed) for camera in cameras], shots, shift_mm, radius_mm)
+    head, coefficients, (near, far) = lit_wall(head, shots.images)
     z = np.linspace(near, far, CELLS[0]) + float(np.median(shift_mm[:, 2]))
     points = Points.pipe(np.arange(CELLS[1]) * 2 * np.pi / CELLS[1], z, radius_mm)
     other = replace(head, poses=head.poses * [1, 1, 1, -1, -1, 1])
@@ -92,11 +91,11 @@ def calibrate_pipe(
             f"the frames' light adds up to {coherent:.2f} under the designed slide, expected above {COHERENT / 2:.2f}: "
             "another slide, or a projector far from its design"
         )
-    head = replace(head, projector=slide)
+    head = head.under(slide)
     count = LAW + 2 * HARMONICS
     freedom = Freedom(
         head.poses,
-        np.tile([0.0, 0.0, 0.0, shift_sigma_mm, shift_sigma_mm, 0.0], (len(images), 1)),
+        np.tile([0.0, 0.0, 0.0, shift_sigma_mm, shift_sigma_mm, 0.0], (len(shift_mm), 1)),
         np.array([LEAN_SIGMA, LEAN_SIGMA, 0.0, OFFSET_SIGMA_MM, OFFSET_SIGMA_MM, 0.0]),
         np.array([PLACE_SIGMA_MM] * 3 + [TILT_SIGMA, TILT_SIGMA, 10.0, PERIOD_SIGMA]),
     )
@@ -114,7 +113,8 @@ def calibrate_pipe(
             break
     told = covariance[-count:, -count:]
     return PipeCalibration(
-        head.projector, np.sqrt(np.diag(told)), told, head.poses.mean(axis=0), misfit, len(images), bool(backwards)
+        head.projector, np.sqrt(np.diag(told)), told, head.poses.mean(axis=0), misfit, len(shots.images),
+        bool(backwards),
     )  # fmt: skip
 
 
@@ -124,13 +124,14 @@ def _found(head: Head, images: Float32Array, points: Points) -> tuple[float, Fri
     good = np.isfinite(here.grey)
     if not good.any():
         raise AnnulusError("no wall is lit: are these frames of a clean pipe?")
-    terms = shading_terms(head.shading, here.seen)[good]
-    level = terms @ np.linalg.lstsq(terms, here.grey[good], rcond=None)[0]
-    swing = np.zeros(good.shape)
-    swing[good] = here.grey[good] / np.maximum(level, 1.0) - 1.0
+    terms, swing = shading_terms(head, here.seen), np.zeros(good.shape)
+    for eye in range(len(head.eyes)):
+        mine = good & (head.eye == eye)[:, None]
+        level = terms[mine] @ np.linalg.lstsq(terms[mine], here.grey[mine], rcond=None)[0]
+        swing[mine] = here.grey[mine] / np.maximum(level, 1.0) - 1.0
 
     def sum_of(projector: FringeProjector) -> complex:
-        view = replace(head, projector=projector).view
+        view = head.under(projector).view
         phase = np.stack([view.phase(points.base, n) for n in range(len(images))])
         return complex((swing * np.exp(-1j * phase))[good].mean())
 
@@ -155,8 +156,8 @@ def _found(head: Head, images: Float32Array, points: Points) -> tuple[float, Fri
 def _misfit(head: Head, images: Float32Array, points: Points) -> float:
     """Grey levels that frames differ from the model, robustly."""
     here = Looks.of(head, images, points.base, points.normal)
-    terms = shading_terms(head.shading, here.seen)
-    unit = np.exp(terms @ head.shading[1]) * (1 + np.exp(terms @ head.shading[2]) * head.view.wave(here.phase))
+    gain, depth = shaded(head, shading_terms(head, here.seen))
+    unit = gain * (1 + depth * head.view.wave(here.phase))
     good = np.isfinite(here.grey)
     grey = np.where(good, here.grey, 0.0)
     below = np.where(good, unit**2, 0.0).sum(axis=0)

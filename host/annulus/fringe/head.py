@@ -3,28 +3,54 @@
 `annulus-calibration/2` with "pattern": {"kind": "fringe", "projector": {..}}. Beside it "transfer" (see `transfer`),
 "motion" (unit vector, the first camera's frame; x where missing) and the wall: "distance_mm" of a plate across the
 first camera's axis, or "pipe" with its radius: such a file is a `Calibration` too.
+
+A head that lights a pipe all around by several slides, in turn, has "projectors": [{.., "cameras": [ids that look at
+its light], "slots": [places in the lamp cycle at which it is lit]}, ..] in place of "projector"; without "slots" it is
+lit at all. Where the first camera does not look along the pipe, "pipe" has "rotation" and "translation_mm", too: a
+point X of that camera's frame lies at rotation X + translation_mm in a frame whose z is the pipe's axis.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from annulus import untrusted
+from annulus.fringe.placement import Eye
 from annulus.fringe.projector import FringeProjector
 from annulus.fringe.transfer import Transfer, transfers
-from annulus.geometry.calibration import HeadCamera, cameras_from_dict
+from annulus.geometry.calibration import (
+    CAMERA_ID_MAX,
+    STILL,
+    HeadCamera,
+    Matrix,
+    Vector,
+    cameras_from_dict,
+    placement_from_dict,
+)
+from annulus.numeric.arrays import FloatArray
 from annulus.vocabulary import AnnulusError
 
-Vector = tuple[float, float, float]
+LAMPS_MAX = 16
 RADIUS_MIN_MM, RADIUS_MAX_MM = 1.0, 5000.0
 
 
 @dataclass(frozen=True, slots=True)
+class Lamp:
+    """One slide of several: ids of the cameras that look at its light, and the slots of the lamp cycle at which it is
+    lit; empty: all."""
+
+    projector: FringeProjector
+    cameras: tuple[int, ...] = ()
+    slots: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class FringeHead:
-    """What is known of the head; `projector` None where the file is only about to be calibrated. distance_mm : of a
-    plate, height 0, from the first camera along its axis; radius_mm : of a pipe. None where the wall is another."""
+    """What is known of the head; `projector` None where the file is only about to be calibrated, or has `lamps`.
+    distance_mm : of a plate, height 0, from the first camera along its axis; radius_mm : of a pipe. None where the wall
+    is another. mount : rotation and translation_mm of a pipe's frame."""
 
     cameras: tuple[HeadCamera, ...]
     projector: FringeProjector | None
@@ -32,6 +58,8 @@ class FringeHead:
     distance_mm: float | None = None
     transfer: Mapping[str, Transfer] = field(default_factory=dict, hash=False)
     radius_mm: float | None = None
+    lamps: tuple[Lamp, ...] = ()
+    mount: tuple[Matrix, Vector] = (STILL, (0.0, 0.0, 0.0))
 
     @staticmethod
     def from_dict(data: object) -> "FringeHead":
@@ -42,7 +70,9 @@ class FringeHead:
         kind = pattern.get("kind", "slits") if isinstance(pattern, Mapping) else pattern
         if kind != "fringe":
             raise ValueError(f'"pattern.kind" is {untrusted.shown(kind)}, expected fringe')
-        projector = pattern.get("projector")
+        projector, lamps = pattern.get("projector"), pattern.get("projectors")
+        if projector is not None and lamps is not None:
+            raise ValueError('"pattern" has "projector" and "projectors", expected one of them')
         x, y, z = untrusted.numbers(top.get("motion", [1.0, 0.0, 0.0]), '"motion"', (3,), 1.0 + 1e-6)
         if not abs(np.hypot(np.hypot(x, y), z) - 1) < 1e-3:
             raise ValueError('"motion" is no unit vector, expected the direction the stage moves the head in')
@@ -56,7 +86,41 @@ class FringeHead:
             None if distance is None else untrusted.within(distance, '"distance_mm"', 1.0, 1e4),
             transfers(top["transfer"]) if "transfer" in top else {},
             None if radius is None else untrusted.within(radius, '"pipe.radius_mm"', RADIUS_MIN_MM, RADIUS_MAX_MM),
+            () if lamps is None else _lamps(lamps, cameras),
+            placement_from_dict(pipe, "pipe") if "rotation" in pipe else (STILL, (0.0, 0.0, 0.0)),
         )
+
+    def eyes(self) -> tuple[tuple[Eye, int, tuple[int, ...]], ...]:
+        """Each camera with each slide it looks at, in the pipe's frame: the eye, the camera's id, the slots at which
+        that slide is lit (none: all)."""
+        lamps = self.lamps or (() if self.projector is None else (Lamp(self.projector),))
+        turn, moved = np.array(self.mount[0]), np.array(self.mount[1])
+        out = []
+        for lamp in lamps:
+            slide = lamp.projector
+            light = replace(
+                slide,
+                centre_mm=_vector(turn @ np.array(slide.centre_mm) + moved),
+                rotation=_rows(np.array(slide.rotation) @ turn.T),
+            )
+            for one in self.cameras:
+                if not lamp.cameras or one.id in lamp.cameras:
+                    own = np.array(one.rotation) @ turn.T
+                    seen = HeadCamera(
+                        one.id, one.camera, _rows(own), _vector(np.array(one.translation_mm) - own @ moved)
+                    )
+                    out.append((Eye(seen, light), one.id, lamp.slots))
+        return tuple(out)
+
+    def with_projector(self, slide: FringeProjector) -> "FringeHead":
+        """The same head under one slide, told in the pipe's frame as `eyes` gives it."""
+        turn, moved = np.array(self.mount[0]), np.array(self.mount[1])
+        own = replace(
+            slide,
+            centre_mm=_vector(turn.T @ (np.array(slide.centre_mm) - moved)),
+            rotation=_rows(np.array(slide.rotation) @ turn),
+        )
+        return replace(self, projector=own)
 
     def curve(self, scan: str) -> Transfer | None:
         """The curve of the scan in a folder of that name; None where the file says none for it."""
@@ -69,6 +133,45 @@ class FringeHead:
                 return one
         known = ", ".join(str(one.id) for one in self.cameras)
         raise AnnulusError(f"calibration: knows camera {known}, not camera {number} of the scan")
+
+
+def _lamps(value: object, cameras: Sequence[HeadCamera]) -> tuple[Lamp, ...]:
+    where = '"pattern.projectors"'
+    if not isinstance(value, list) or not 1 <= len(value) <= LAMPS_MAX:
+        raise ValueError(f"{where} must be a list of 1..{LAMPS_MAX} slides")
+    known, out = {one.id for one in cameras}, []
+    for i, section in enumerate(value):
+        slide = FringeProjector.from_dict(section)
+        assert isinstance(section, Mapping)
+        ids, slots = (_places(section.get(key, []), f'{where}[{i}]."{key}"') for key in ("cameras", "slots"))
+        if set(ids) - known:
+            raise ValueError(f'{where}[{i}]."cameras" names {min(set(ids) - known)}, which is no camera of the head')
+        out.append(Lamp(slide, ids, slots))
+    return tuple(out)
+
+
+def _places(value: object, where: str) -> tuple[int, ...]:
+    if not isinstance(value, list) or len(value) > CAMERA_ID_MAX:
+        raise ValueError(f"{where} must be a list of whole numbers")
+    return tuple(untrusted.whole(one, where, 0, CAMERA_ID_MAX) for one in value)
+
+
+def _vector(value: FloatArray) -> Vector:
+    x, y, z = (float(one) for one in value)
+    return x, y, z
+
+
+def _rows(value: FloatArray) -> Matrix:
+    x, y, z = (_vector(row) for row in value)
+    return x, y, z
+
+
+def lamps_to_list(lamps: Sequence[Lamp]) -> list[dict[str, Any]]:
+    """`pattern.projectors`, as `FringeHead.from_dict` reads it."""
+    return [
+        {**projector_to_dict(lamp.projector), "cameras": list(lamp.cameras), "slots": list(lamp.slots)}
+        for lamp in lamps
+    ]
 
 
 def projector_to_dict(slide: FringeProjector) -> dict[str, Any]:

@@ -1,8 +1,13 @@
-"""A pipe's wall from the frames of one camera and a slide of rings in series (Alzuhiri 2022, §6.8.2.1, Model A).
+"""A pipe's wall from the frames of a head that projects fringes (Alzuhiri 2022, §6.8.2, Models A, B and C).
 
-    seen = measure_pipe(camera, projector, images, z_mm, radius_mm)        a `PipeMap`
+    seen = measure_pipe(eyes, shots, z_mm, radius_mm)        a `PipeMap`
 
-The slide's rings stand still in the image of a clean pipe: it is the wall that moves through them. Each cell's frames
+An eye is one camera under one slide. Model A has one, camera and slide of rings in series; Model B several pairs of
+cameras about the pipe, each pair with a slide of stripes of its own, lit in turn; Model C several cameras about one
+slide of rings. To the map they are alike: frames of one flash share the head's pose, and a cell is solved from all
+frames that see it, whoever took them.
+
+The slide's fringes stand still in the image of a clean pipe: it is the wall that moves through them. Each cell's frames
 say its radius; all cells together say how the head lay in the pipe, frame by frame, and what its light is like
 (`placement`). Then comes what the lens's blur makes of the wall's texture (`bore`), from the map itself: each map gives
 the albedo's slope for the next, and a shadow's edge is one, too. Sigma is a cell's own, of its frames, and what cells
@@ -13,23 +18,26 @@ loss is so narrow that its near rim keeps light or sight off its floor, or the b
 limit: `at_least`.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from scipy.ndimage import binary_erosion, label, uniform_filter
 
-from annulus.fringe.bore import TERMS, follow_wall
+from annulus.fringe.bore import follow_wall
 from annulus.fringe.heights import PARALLAX, Heights, Points, spline
 from annulus.fringe.noise import noise_of
-from annulus.fringe.placement import LAW, Freedom, Head, refined
-from annulus.fringe.projector import FringeProjector
+from annulus.fringe.placement import LAW, Eye, Freedom, Head, Shots, refined
 from annulus.fringe.track import AMBIGUOUS, GOOD, ROBUST_FROM
-from annulus.geometry.calibration import HeadCamera
+from annulus.geometry.cone import intersect_cylinder
 from annulus.numeric.arrays import BoolArray, Float32Array, FloatArray, Image, IntArray
 from annulus.numeric.robust import robust_sigma
 from annulus.vocabulary import AnnulusError
 
+STRAIGHT = 0.9  # cosine: a camera that looks along the pipe
+FAR_OF_RADIUS = 20.0  # a pixel that sees the wall farther ahead sees nothing of it
+BESIDE = "the camera sees nothing of the wall the projector lights: is the calibration this head's?"
 CELL_OF_RADIUS = 1 / 200  # a cell: half a millimetre in an 8-inch pipe, about a pixel
 DARK = 0.06  # of the brightest: below that no light falls on the wall
 REACH_PX = 4  # of a blur and of a cubic spline: what lies so near the field's edge is not used
@@ -81,28 +89,26 @@ class PipeMap:
 
 
 def measure_pipe(
-    camera: HeadCamera,
-    projector: FringeProjector,
-    images: Float32Array,
+    eyes: Sequence[Eye],
+    shots: Shots,
     z_mm: FloatArray,
     radius_mm: float,
     *,
     cell_mm: float | None = None,
     seed: int = 0,
 ) -> PipeMap:
-    """The wall of a pipe from N >= 3 frames.
+    """The wall of a pipe from N >= 3 frames of each eye.
 
-    images : (N, H, W) grey levels linear in light, black at 0, NaN where saturated. z_mm : (N,) where the head was, as
-    measured, any steps. radius_mm : the pipe's, roughly (to a third of a fringe). AnnulusError where frames are too
-    few, do not fit the positions or the camera, show no lit wall, or where the head stood still.
+    z_mm : (F,) where the head was at each flash, as measured, any steps. radius_mm : the pipe's, roughly (to a third of
+    a fringe). AnnulusError where frames are too few, do not fit the positions or a camera, show no lit wall, or where
+    the head stood still.
     """
     z_mm = np.asarray(z_mm, dtype=float)
-    if len(images) != len(z_mm):
-        raise AnnulusError(f"{len(images)} images for {len(z_mm)} positions")
-    poses = np.zeros((len(z_mm), 6))
-    poses[:, 5] = z_mm
-    head = Head(camera, projector, poses, np.zeros((3, TERMS)), radius_mm)
-    head, coefficients, (near, far) = lit_wall(head, images)
+    if len(shots.flash) and int(shots.flash.max()) >= len(z_mm):
+        raise AnnulusError(f"{int(shots.flash.max()) + 1} flashes for {len(z_mm)} positions")
+    head = Head.at(eyes, shots, z_mm[:, None] * [0.0, 0.0, 1.0], radius_mm)
+    poses = head.poses
+    head, coefficients, (near, far) = lit_wall(head, shots.images)
     step = cell_mm or CELL_OF_RADIUS * radius_mm
     z = np.arange(np.ceil((z_mm.min() + near) / step) * step, z_mm.max() + far, step)
     phi = np.arange(round(2 * np.pi * radius_mm / step)) * 2 * np.pi / round(2 * np.pi * radius_mm / step)
@@ -133,49 +139,82 @@ def lit_wall(head: Head, images: Float32Array) -> tuple[Head, Float32Array, tupl
     """The head with its shading's extent, the frames as splines, NaN where the slide throws no light, and how far
     ahead the lit wall begins and ends, mm. What lies in the dark of a rod or beyond the slide's edge stays there: they
     move with the head."""
-    lens = head.camera.camera
-    if images.shape[1:] != (lens.height, lens.width):
-        raise AnnulusError(
-            f"images of {images.shape[2]}x{images.shape[1]}, but the camera is {lens.width}x{lens.height}"
-        )
+    for eye in head.eyes:
+        lens = eye.camera.camera
+        if images.shape[1:] != (lens.height, lens.width):
+            raise AnnulusError(
+                f"images of {images.shape[2]}x{images.shape[1]}, but the camera is {lens.width}x{lens.height}"
+            )
     head.view  # noqa: B018  says what is wrong with lens and positions
+    coefficients, shading = np.empty_like(images, dtype=np.float32), head.shading.copy()
+    for number, eye in enumerate(head.eyes):
+        mine = head.eye == number
+        lit, (near, far) = _lit(eye, images[mine], head.radius_mm)
+        coefficients[mine] = spline(images[mine])
+        coefficients[mine] = np.where(lit, coefficients[mine], np.nan)
+        shading[number, 0, :2] = (near + far) / 2, (far - near) / 2
+    head = replace(head, shading=shading)
+    middle, half = head.ahead
+    return head, coefficients, (middle - half, middle + half)
+
+
+def _lit(eye: Eye, images: Float32Array, radius_mm: float) -> tuple[BoolArray, tuple[float, float]]:
+    """(H, W) where an eye's frames show lit wall, and how far ahead that begins and ends, mm."""
+    lens = eye.camera.camera
     whole = np.isfinite(images).all(axis=0)
     if not whole.any():
         raise AnnulusError("every pixel is saturated in some frame: less light, or a shorter flash")
     mean = np.where(whole, np.where(np.isfinite(images), images, 0).mean(axis=0), 0)
     on = (mean > DARK * np.percentile(mean, 99)).astype(np.uint8)
     if on.mean() < LIT_LEAST:
-        raise AnnulusError(f"{on.mean():.1%} of the image is lit: no rings of light on a pipe's wall")
-    # a trough may be as dark as no light at all: along the radius, dark no longer than a fringe is lit
-    size = (int(np.hypot(*mean.shape)), int(np.pi * min(mean.shape)))
-    way = cv2.WARP_POLAR_LINEAR | cv2.INTER_NEAREST
-    flat = cv2.warpPolar(on, size, (lens.cx, lens.cy), size[0], way)
-    flat = cv2.morphologyEx(flat, cv2.MORPH_CLOSE, np.ones((1, _fringe_px(head)), np.uint8))
-    on = cv2.warpPolar(flat, mean.shape[::-1], (lens.cx, lens.cy), size[0], way | cv2.WARP_INVERSE_MAP)
-    lit = np.asarray(binary_erosion((on > 0) & whole, iterations=REACH_PX))
-    v, u = np.nonzero(lit)
-    if len(u) < LIT_LEAST * lit.size:
+        raise AnnulusError(f"{on.mean():.1%} of the image is lit: no fringes of light on a pipe's wall")
+    ahead, phase = _wall_seen(eye, radius_mm)
+    # a trough may be as dark as no light at all: across the fringes, dark no longer than a fringe is lit
+    if eye.camera.rotation[2][2] > STRAIGHT and eye.projector.kind == "rings":
+        size = (int(np.hypot(*mean.shape)), int(np.pi * min(mean.shape)))
+        way = cv2.WARP_POLAR_LINEAR | cv2.INTER_NEAREST
+        flat = cv2.warpPolar(on, size, (lens.cx, lens.cy), size[0], way)
+        flat = cv2.morphologyEx(flat, cv2.MORPH_CLOSE, np.ones((1, _fringe_px(eye, radius_mm)), np.uint8))
+        on = cv2.warpPolar(flat, mean.shape[::-1], (lens.cx, lens.cy), size[0], way | cv2.WARP_INVERSE_MAP)
+    else:
+        rate = np.hypot(*np.gradient(phase))[(on > 0) & np.isfinite(phase)]
+        rate = rate[np.isfinite(rate)]
+        if not len(rate):
+            raise AnnulusError(BESIDE)
+        longest = int(min(2 * np.pi / max(float(np.percentile(rate, 5)), 1e-3), lens.width / 8)) | 1
+        on = cv2.morphologyEx(on, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (longest, longest)))
+    lit = np.asarray(binary_erosion((on > 0) & whole & np.isfinite(ahead), iterations=REACH_PX))
+    if lit.sum() < LIT_LEAST * lit.size:
         raise AnnulusError("no wall is lit in all frames: are they saturated, or of another slide?")
-    rays = lens.rays(np.stack([u, v], axis=1).astype(float))
-    ahead = head.radius_mm * rays[:, 2] / np.hypot(rays[:, 0], rays[:, 1])
-    near, far = (float(one) for one in np.quantile(ahead[np.isfinite(ahead)], [0.0005, 0.9995]))
-    coefficients = spline(images)
-    coefficients[:, ~lit] = np.nan
-    shading = head.shading.copy()
-    shading[0, :2] = (near + far) / 2, (far - near) / 2
-    return replace(head, shading=shading), coefficients, (near, far)
+    near, far = (float(one) for one in np.quantile(ahead[lit], [0.0005, 0.9995]))
+    return lit, (near, far)
 
 
-def _fringe_px(head: Head) -> int:
+def _wall_seen(eye: Eye, radius_mm: float) -> tuple[FloatArray, FloatArray]:
+    """(H, W) how far ahead of the head each pixel sees the wall of a pipe it stands straight in, mm, and the slide's
+    phase there; NaN where it sees none."""
+    lens = eye.camera.camera
+    v, u = np.mgrid[: lens.height, : lens.width]
+    turn = np.array(eye.camera.rotation)
+    rays = lens.rays(np.stack([u.ravel(), v.ravel()], axis=1).astype(float)) @ turn
+    centre = -np.array(eye.camera.translation_mm) @ turn
+    with np.errstate(invalid="ignore", divide="ignore"):
+        wall = intersect_cylinder(rays, np.zeros(3), np.array([0.0, 0.0, 1.0]), radius_mm, np.tile(centre, (u.size, 1)))
+    far = np.abs(wall[:, 2] - centre[2]) > FAR_OF_RADIUS * radius_mm
+    wall = np.where(far[:, None], np.nan, wall)
+    return wall[:, 2].reshape(u.shape), eye.projector.phase(wall).reshape(u.shape)
+
+
+def _fringe_px(eye: Eye, radius_mm: float) -> int:
     """The longest fringe in the image of a wall that is as far off as the projector's own nominal one."""
-    lens, slide = head.camera.camera, head.projector
-    z = np.arange(0.2, 4.0, 0.01) * head.radius_mm
-    wall = np.stack([np.full_like(z, head.radius_mm), np.zeros_like(z), z], axis=1)
+    lens, slide = eye.camera.camera, eye.projector
+    z = np.arange(0.2, 4.0, 0.01) * radius_mm
+    wall = np.stack([np.full_like(z, radius_mm), np.zeros_like(z), z], axis=1)
     pixel, phase = lens.project(wall)[:, 0], slide.phase(wall)
     rate = np.abs(np.gradient(pixel) / np.gradient(phase))
     inside = (pixel > 0) & (pixel < lens.width) & np.isfinite(rate)
     if not inside.any():
-        raise AnnulusError("the camera sees nothing of the wall the projector lights: is the calibration this head's?")
+        raise AnnulusError(BESIDE)
     return int(min(2 * np.pi * float(rate[inside].max()), lens.width / 8)) | 1
 
 
@@ -187,7 +226,7 @@ def followed(
     view, count = head.view, len(points.base)
     height, sigma, dc, ac, misfit, used, flag = (np.full(count, np.nan) for _ in range(7))
     follow_wall(
-        images, view.lens, view.cameras, view.eyes, view.projectors, view.slide, head.shading,
+        images, view.lens, view.cameras, view.heads, view.eyes, view.projectors, view.slide, view.eye, head.shading,
         head.blur_squared if texture is not None else 0.0, view.drift, DRIFT, np.array(noise), points.base,
         np.ascontiguousarray(points.path), np.zeros(count) if texture is None else np.nan_to_num(texture), start,
         head.radius_mm * 1e-5, height, sigma, dc, ac, misfit, used, flag,
@@ -290,7 +329,7 @@ def _scattered(
     variance += np.nan_to_num(BEYOND_FIRST * changed) ** 2
     changed = changed[~few & np.isfinite(changed)]
     usual = robust_sigma(changed) if len(changed) else 0.0
-    middle, half = head.shading[0, :2]
+    middle, half = head.ahead
     ahead = middle + half * np.where(z_mm < z_mm.mean(), -1.0, 1.0)  # where few frames see a cell: at an end
     wider = ((head.radius_mm**2 + ahead**2) / (head.radius_mm**2 + middle**2)) ** 2  # a blur's square on the wall
     variance += np.where(few, (usual * wider[:, None]) ** 2, 0.0)
@@ -341,7 +380,6 @@ def _decided(
 
 def _lower_limits(head: Head, z: FloatArray, height: FloatArray, sigma: FloatArray, step: float) -> BoolArray:
     """(Z, A) cells of losses that are narrower along the pipe than what their rim hides and the blur fills."""
-    middle = head.radius_mm
     outer = height - np.nanmedian(height)
     with np.errstate(invalid="ignore"):
         deep = (outer > STARTS * sigma) & (outer > STARTS * robust_sigma(outer[np.isfinite(outer)]))
@@ -351,10 +389,23 @@ def _lower_limits(head: Head, z: FloatArray, height: FloatArray, sigma: FloatArr
     size = np.bincount(runs.ravel(), minlength=count + 1) * step
     depth = np.zeros(count + 1)
     np.maximum.at(depth, runs.ravel(), np.where(deep, outer, 0.0).ravel())
-    ahead = head.shading[0, 0]  # the middle of the seen wall
-    lamp = ahead - head.projector.centre_mm[2]
-    lens = head.camera.camera
-    blur = np.sqrt(head.blur_squared) * (middle**2 + ahead**2) / (middle * lens.fx)
-    narrow = size < depth * lamp / middle + NARROW_BLURS * blur
+    aslant = [_aslant(head, number) for number in range(len(head.eyes))]
+    hidden, blur = (max(each) for each in zip(*aslant, strict=True))
+    narrow = size < depth * hidden + NARROW_BLURS * blur
     narrow[0] = False
     return np.asarray(narrow[runs])
+
+
+def _aslant(head: Head, number: int) -> tuple[float, float]:
+    """How far along the pipe a rim hides the wall behind it from an eye's lamp, per mm of depth, and what the lens's
+    blur spans there, mm: both in the middle of the wall it sees."""
+    eye, middle = head.eyes[number], head.radius_mm
+    turn = np.array(eye.camera.rotation)
+    centre, lamp = -np.array(eye.camera.translation_mm) @ turn, np.array(eye.projector.centre_mm)
+    out = turn[2, :2] if np.hypot(*turn[2, :2]) > 1 - STRAIGHT else np.array([1.0, 0.0])
+    normal = np.array([*out / np.hypot(*out), 0.0])
+    place = middle * normal + [0.0, 0.0, head.shading[number, 0, 0]]
+    to_lamp, to_eye = place - lamp, place - centre
+    hidden = abs(to_lamp[2]) / float(to_lamp @ normal)
+    blur = np.sqrt(head.blur_squared) * float(to_eye @ to_eye) / (float(to_eye @ normal) * eye.camera.camera.fx)
+    return hidden, blur

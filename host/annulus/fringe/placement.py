@@ -8,16 +8,17 @@ on the whole: every height is believed to be the pipe's radius to within what he
 departs the less it says (Cauchy). Wrong where a wall is no circle with a straight axis: the pose then leans.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from annulus.fringe.bore import DEGREE, TERMS, look_around
-from annulus.fringe.heights import Heights, Points, View
+from annulus.fringe.heights import EPSILON_MM, Heights, Points, View
 from annulus.fringe.projector import FringeProjector
 from annulus.geometry.calibration import HeadCamera
-from annulus.numeric.arrays import BoolArray, Float32Array, FloatArray
+from annulus.numeric.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from annulus.numeric.robust import CAUCHY, cauchy
 from annulus.vocabulary import AnnulusError
 
@@ -29,24 +30,132 @@ BLUR_SIGMA = 2.0  # px^2
 
 
 @dataclass(frozen=True, slots=True)
-class Head:
-    """A head in N frames, and what is known of its light.
-
-    poses : (N, 6) rotation vector (rad, world's vectors to the head's) and place (mm) of the first camera's frame.
-    shading : (3, TERMS), see `bore`. blur_squared : of the image, px^2. radius_mm : of the pipe's wall.
-    """
+class Eye:
+    """One camera under one slide; both in the head's frame, whose z lies along the pipe but for lean."""
 
     camera: HeadCamera
     projector: FringeProjector
+
+
+@dataclass(frozen=True, slots=True)
+class Shots:
+    """The frames of a scan. images : (N, H, W) grey levels linear in light, black at 0, NaN where saturated. eye : (N,)
+    which of the head's eyes saw each, flash : (N,) and at which flash, 0 .. F - 1."""
+
+    images: Float32Array
+    eye: IntArray
+    flash: IntArray
+
+    @staticmethod
+    def single(images: Float32Array) -> "Shots":
+        """Of a head with one eye: a frame a flash."""
+        return Shots(images, np.zeros(len(images), int), np.arange(len(images)))
+
+
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """N frames of a head of several eyes: what the loops of `bore` take. lens (N, 10), slide (N, S) as `see` and `wave`
+    take them; world to camera, to head and to projector (N, 3, 4); eyes (N, 3) camera centres; drift (N,)."""
+
+    lens: FloatArray
+    cameras: FloatArray
+    heads: FloatArray
+    projectors: FloatArray
+    eyes: FloatArray
+    slide: FloatArray
+    drift: FloatArray
+    eye: IntArray
+
+    def phase(self, x: FloatArray, frame: int) -> FloatArray:
+        """(P, 3) mm, world -> (P,) rad: the slide's phase there in that frame."""
+        q = x @ self.projectors[frame, :, :3].T + self.projectors[frame, :, 3]
+        kind, a, b, phase0 = self.slide[frame, :4]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            if kind == 0.0:
+                return np.asarray((a * q[:, 0] + b * q[:, 1]) / q[:, 2] + phase0)
+            return np.asarray(a * q[:, 2] / np.hypot(q[:, 0], q[:, 1]) + phase0)
+
+    def wave(self, phase: FloatArray) -> FloatArray:
+        """(N, ...) rad -> the light's waveform there, of amplitude 1."""
+        total = np.cos(phase)
+        own = self.slide[:, 4:].reshape(len(phase), -1, 2, *[1] * (phase.ndim - 1))
+        for k in range(own.shape[1]):
+            total = total + own[:, k, 0] * np.cos((k + 2) * phase) + own[:, k, 1] * np.sin((k + 2) * phase)
+        return np.asarray(total)
+
+    def radians_per_mm(self, points: Points, height: FloatArray) -> FloatArray:
+        """(P,) how fast the phase changes with height along a ray: of the middle frame of the eye that looks
+        straightest at each point."""
+        x = points.at(height)
+        out, best = np.full(len(x), np.nan), np.full(len(x), -np.inf)
+        for eye in np.unique(self.eye):
+            mine = np.flatnonzero(self.eye == eye)
+            n = int(mine[len(mine) // 2])
+            way = x - self.eyes[n]
+            facing = way @ self.cameras[n, 2, :3] / np.linalg.norm(way, axis=1)
+            way = EPSILON_MM * way / np.einsum("pi,pi->p", way, points.normal)[:, None]
+            rate = (self.phase(x + way, n) - self.phase(x - way, n)) / (2 * EPSILON_MM)
+            out, best = np.where(facing > best, rate, out), np.maximum(best, facing)
+        return out
+
+
+@dataclass(frozen=True, slots=True)
+class Head:
+    """A head in N frames of F flashes, and what is known of its light.
+
+    poses : (F, 6) rotation vector (rad, world's vectors to the head's) and place (mm) of the head's frame. eye, flash :
+    (N,) as in `Shots`. shading : (E, 3, TERMS), see `bore`. blur_squared : of the images, px^2. radius_mm : the wall's.
+    """
+
+    eyes: tuple[Eye, ...]
     poses: FloatArray
+    eye: IntArray
+    flash: IntArray
     shading: FloatArray
     radius_mm: float
     blur_squared: float = 0.0
 
+    @staticmethod
+    def at(eyes: Sequence[Eye], shots: Shots, places_mm: FloatArray, radius_mm: float) -> "Head":
+        """That stands straight at (F, 3) places; nothing is known of its light yet."""
+        poses = np.concatenate([np.zeros((len(places_mm), 3)), places_mm], axis=1)
+        return Head(tuple(eyes), poses, shots.eye, shots.flash, np.zeros((len(eyes), 3, TERMS)), radius_mm)
+
     @property
-    def view(self) -> View:
-        turns = Rotation.from_rotvec(self.poses[:, :3]).as_matrix()
-        return View.of(self.camera, self.projector, self.poses[:, 3:], np.asarray(turns))
+    def projector(self) -> FringeProjector:
+        """The one that all eyes share, or the first."""
+        return self.eyes[0].projector
+
+    def under(self, projector: FringeProjector) -> "Head":
+        """The same head with that projector alone."""
+        return replace(self, eyes=tuple(replace(eye, projector=projector) for eye in self.eyes))
+
+    @property
+    def ahead(self) -> tuple[float, float]:
+        """Middle and half-length of the wall that its eyes see lit, mm along z."""
+        middle, half = self.shading[:, 0, 0], self.shading[:, 0, 1]
+        near, far = float((middle - half).min()), float((middle + half).max())
+        return (near + far) / 2, (far - near) / 2
+
+    @property
+    def view(self) -> Sight:
+        """AnnulusError where an eye has fewer than three frames, or did not move between them."""
+        turns, count = np.asarray(Rotation.from_rotvec(self.poses[:, :3]).as_matrix()), len(self.eye)
+        away = -np.einsum("nij,nj->ni", turns, self.poses[:, 3:])
+        widest = max(len(eye.projector.numbers) for eye in self.eyes)
+        out = Sight(
+            np.zeros((count, 10)), np.zeros((count, 3, 4)),
+            np.ascontiguousarray(np.concatenate([turns, away[..., None]], axis=2)[self.flash]),
+            np.zeros((count, 3, 4)), np.zeros((count, 3)), np.zeros((count, widest)), np.zeros(count), self.eye,
+        )  # fmt: skip
+        for number, eye in enumerate(self.eyes):
+            mine = np.flatnonzero(self.eye == number)
+            own = self.flash[mine]
+            seen = View.of(eye.camera, eye.projector, self.poses[own, 3:], turns[own])
+            out.lens[mine], out.slide[mine, : len(seen.slide)] = seen.lens, seen.slide
+            out.cameras[mine], out.projectors[mine] = seen.cameras, seen.projectors
+            out.eyes[mine], out.drift[mine] = seen.eyes, seen.drift
+        return out
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,19 +191,26 @@ class Looks:
         shape = (len(view.cameras), len(x))
         one = Looks(np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape), np.empty((*shape, 3)))
         look_around(
-            images, view.lens, view.cameras, view.eyes, view.projectors, view.slide, np.ascontiguousarray(x),
-            np.ascontiguousarray(normal), one.grey, one.phase, one.slope, one.pull, one.seen,
+            images, view.lens, view.cameras, view.heads, view.eyes, view.projectors, view.slide,
+            np.ascontiguousarray(x), np.ascontiguousarray(normal), one.grey, one.phase, one.slope, one.pull, one.seen,
         )  # fmt: skip
         return one
 
 
-def shading_terms(shading: FloatArray, seen: FloatArray) -> FloatArray:
-    """(..., 3) mm before the camera -> (..., TERMS)."""
-    t = (seen[..., 2] - shading[0, 0]) / shading[0, 1]
+def shading_terms(head: Head, seen: FloatArray) -> FloatArray:
+    """(N, P, 3) mm in the head's frame -> (N, P, TERMS)."""
+    extent = head.shading[head.eye, 0, :2]
+    t = (seen[..., 2] - extent[:, :1]) / extent[:, 1:]
     rho = np.hypot(seen[..., 0], seen[..., 1])
     around = np.stack([np.ones_like(t), seen[..., 0] / rho, seen[..., 1] / rho], axis=-1)
     powers = t[..., None] ** np.arange(DEGREE + 1)
     return np.asarray((powers[..., :, None] * around[..., None, :]).reshape(*t.shape, TERMS))
+
+
+def shaded(head: Head, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(N, P, TERMS) -> (N, P) gain of each frame's light, and of its modulation."""
+    gain, depth = (np.exp(np.einsum("npt,nt->np", rows, head.shading[head.eye, k])) for k in (1, 2))
+    return gain, depth
 
 
 def changed(projector: FringeProjector, step: FloatArray) -> FringeProjector:
@@ -133,16 +249,16 @@ def refined(
     some = points.some(np.flatnonzero(which))
     h = found.height_mm[which] if found is not None else np.zeros(len(some.base))
     slope = np.zeros(len(h)) if texture is None else texture[which]
-    frames, count = len(head.poses), len(h)
+    frames, count = len(head.eye), len(h)
     if count < 10 * POSE:
         raise AnnulusError(f"{count} points of the wall are seen in enough frames: too few to place the head by")
     view = head.view
     x = some.at(h)
     here = Looks.of(head, images, x, some.normal)
-    rows = shading_terms(head.shading, here.seen)
+    rows = shading_terms(head, here.seen)
     phase = here.phase + head.blur_squared * slope * here.pull
     w = view.wave(phase)
-    gain, depth = np.exp(rows @ head.shading[1]), np.exp(rows @ head.shading[2])
+    gain, depth = shaded(head, rows)
     good = np.isfinite(here.grey)
     if found is not None:
         level, swing = found.dc[which], found.ac[which]
@@ -156,7 +272,7 @@ def refined(
     root = np.where(good, 1 / np.sqrt(noise[0] + np.maximum(lit, 0) * (noise[1] + np.maximum(lit, 0) * noise[2])), 0.0)
 
     def model(projector: FringeProjector) -> FloatArray:
-        other = replace(head, projector=projector).view
+        other = head.under(projector).view
         there = np.stack([other.phase(x, n) for n in range(frames)])
         wave = other.wave(there + head.blur_squared * slope * here.pull)
         return np.asarray(gain * (level + swing * depth * wave))
@@ -166,8 +282,11 @@ def refined(
     rise = gain * swing * depth * dwave
     # A head that moves sees other wall through the same pixel, farther off or nearer along the pixel's ray: all that
     # fringes tell of a pose. Pixels' own slopes are not asked: their noise would vouch for any pose.
-    poses = -(rise * here.slope)[..., None] * _outwards(head, x, some.normal)
-    shade = [lit[..., None] * rows, (gain * swing * depth * w)[..., None] * rows]
+    poses = -(rise * here.slope)[..., None] * _outwards(head, x, some.normal)[head.flash]
+    shade = np.zeros((frames, count, len(head.eyes), 2, TERMS))
+    every = np.arange(frames)
+    shade[every, :, head.eye, 0] = lit[..., None] * rows
+    shade[every, :, head.eye, 1] = (gain * swing * depth * w)[..., None] * rows
     wide = [(rise * slope * here.pull)[..., None], np.zeros((frames, count, 1))]
     law = np.zeros((frames, count, LAW + 2 * freedom.harmonics))
     for i in range(law.shape[2]):
@@ -176,7 +295,7 @@ def refined(
             step = np.zeros(law.shape[2])
             step[i] = e
             law[..., i] = (model(changed(head.projector, step)) - lit) / e
-    common = np.concatenate([*shade, *wide, law], axis=2)
+    common = np.concatenate([shade.reshape(frames, count, -1), *wide, law], axis=2)
     # what is a point's own: its albedo; in a pipe not known to be clean, its modulation, height and drift of light too
     own = [gain * (1 + depth * w)] if not free else [gain, gain * depth * w]
     if free:
@@ -189,7 +308,7 @@ def refined(
     for part in (rest, poses, common, columns):
         part[bad] = 0.0
     told = head.radius_mm - np.hypot(x[:, 0], x[:, 1]) if free else None
-    matrix, pull = _normal(rest, poses, common, columns, root, told, freedom)
+    matrix, pull = _normal(rest, poses, common, columns, root, told, freedom, head)
     prior, off, held = _prior(head, freedom, common.shape[2], free)
     matrix += prior
     pull += off
@@ -197,21 +316,19 @@ def refined(
     covariance = np.zeros_like(matrix)
     covariance[np.ix_(keep, keep)] = np.linalg.inv(matrix[np.ix_(keep, keep)])
     step = covariance @ pull
-    at = frames * POSE
+    at = head.poses.size
+    light = head.shading[:, 1:].size
     shading = head.shading.copy()
-    shading[1:] += step[at : at + 2 * TERMS].reshape(2, TERMS)
-    at += 2 * TERMS
-    return (
-        replace(
-            head,
-            poses=head.poses + step[: frames * POSE].reshape(frames, POSE),
-            shading=shading,
-            blur_squared=max(head.blur_squared + float(step[at]), 0.0),
-            radius_mm=head.radius_mm + float(step[at + 1]),
-            projector=changed(head.projector, step[at + 2 :]),
-        ),
-        covariance,
+    shading[:, 1:] += step[at : at + light].reshape(shading[:, 1:].shape)
+    moved = replace(
+        head,
+        poses=head.poses + step[:at].reshape(head.poses.shape),
+        shading=shading,
+        blur_squared=max(head.blur_squared + float(step[at + light]), 0.0),
+        radius_mm=head.radius_mm + float(step[at + light + 1]),
     )
+    law_step = step[at + light + 2 :]
+    return moved.under(changed(head.projector, law_step)) if law_step.any() else moved, covariance
 
 
 def _outwards(head: Head, x: FloatArray, normal: FloatArray) -> FloatArray:
@@ -247,7 +364,7 @@ def _prior(head: Head, freedom: Freedom, common: int, free: bool) -> tuple[Float
         pull[rows] = block @ (freedom.said[:, i] - head.poses[:, i])
     sigma = np.concatenate(
         [
-            np.full(2 * TERMS, SHADING_SIGMA),
+            np.full(head.shading[:, 1:].size, SHADING_SIGMA),
             [BLUR_SIGMA if free else 0.0, freedom.radius_mm],
             freedom.law,
             np.ones(2 * freedom.harmonics),
@@ -259,13 +376,14 @@ def _prior(head: Head, freedom: Freedom, common: int, free: bool) -> tuple[Float
     held[size:] = sigma == 0
     diagonal = np.where(sigma > 0, 1 / np.maximum(sigma, 1e-12) ** 2, 0.0)
     weights[np.arange(size, size + common), np.arange(size, size + common)] = diagonal
-    pull[size : size + 2 * TERMS] = -head.shading[1:].ravel() * diagonal[: 2 * TERMS]
+    light = head.shading[:, 1:].ravel()
+    pull[size : size + len(light)] = -light * diagonal[: len(light)]
     return weights, pull, held
 
 
 def _normal(
     rest: FloatArray, poses: FloatArray, common: FloatArray, columns: FloatArray, root: FloatArray,
-    told: FloatArray | None, freedom: Freedom,
+    told: FloatArray | None, freedom: Freedom, head: Head,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Normal equations of poses and common numbers, what is a point's own projected out."""
     frames, count = rest.shape
@@ -282,7 +400,7 @@ def _normal(
             share = np.sqrt(cauchy(told / (CAUCHY * freedom.wall_mm))) / freedom.wall_mm
             own[:, frames, 2] = share
             r[:, frames] = told * share
-            everyone[:, frames, 2 * TERMS + 1] = -share
+            everyone[:, frames, head.shading[:, 1:].size + 1] = -share
             if width > 3:
                 own[:, frames + 1, 3] = 1 / freedom.drift
         q = np.linalg.qr(own)[0]
@@ -290,24 +408,29 @@ def _normal(
         if turn < 2:
             root = root * np.sqrt(cauchy(left[:, :frames].T / CAUCHY))
     d = (poses * root[..., None]).transpose(1, 0, 2)
-    size = frames * POSE
+    flashes, size = len(head.poses), head.poses.size
+    of = (head.flash[:, None] == np.arange(flashes)).astype(float)  # (N, F): frames of one flash share its pose
     matrix = np.zeros((size + common.shape[2], size + common.shape[2]))
-    blocks = np.einsum("pni,pnj->nij", d, d)
-    for n in range(frames):
+    blocks = np.einsum("nf,nij->fij", of, np.einsum("pni,pnj->nij", d, d))
+    for n in range(flashes):
         matrix[n * POSE : (n + 1) * POSE, n * POSE : (n + 1) * POSE] = blocks[n]
-    cross = np.einsum("pni,pnk->nik", d, everyone[:, :frames]).reshape(size, -1)
+    cross = np.einsum("nf,nik->fik", of, np.einsum("pni,pnk->nik", d, everyone[:, :frames])).reshape(size, -1)
     matrix[:size, size:], matrix[size:, :size] = cross, cross.T
     flat = everyone.reshape(-1, common.shape[2])
     matrix[size:, size:] = flat.T @ flat
+    projected = np.einsum("pni,pnj->pjni", d, q[:, :frames])
     inner = np.concatenate(
         [
-            np.einsum("pni,pnj->pjni", d, q[:, :frames]).reshape(count * width, size),
+            np.einsum("pjni,nf->pjfi", projected, of, optimize=True).reshape(count * width, size),
             np.einsum("pnk,pnj->pjk", everyone, q).reshape(count * width, -1),
         ],
         axis=1,
     )
     matrix -= inner.T @ inner
     pull = np.concatenate(
-        [np.einsum("pni,pn->ni", d, left[:, :frames]).ravel(), np.einsum("pnk,pn->k", everyone, left)]
+        [
+            (of.T @ np.einsum("pni,pn->ni", d, left[:, :frames])).ravel(),
+            np.einsum("pnk,pn->k", everyone, left),
+        ]
     )
     return matrix, pull

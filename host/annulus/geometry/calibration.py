@@ -20,6 +20,7 @@ ONE_CAMERA, CAMERAS = "annulus-calibration/1", "annulus-calibration/2"
 CORRECTION = {ONE_CAMERA: "fine", CAMERAS: "correction"}  # what a ring's residual correction is called in the file
 CORRECTION_MAX = 4096  # directions a ring may be corrected in
 CAMERAS_MAX, CAMERA_ID_MAX = 16, 255
+BESIDE = ("transfer", "motion", "pipe")  # of a head that projects fringes: see fringe.head
 SENSOR_MAX = 65535.0  # pixels a side
 ROTATION_OFF = 1e-5  # of a unit vector: 2 um at a wall 200 mm away (test_a_rotation_is_one)
 
@@ -55,7 +56,8 @@ class Calibration:
 
     `camera` is the first one and `camera_id` its name in scans and recordings; rings are in its frame. `others` are the
     further cameras of a head that has several. `pattern` is None where slits are projected; else it is the section as
-    it stands in the file, with "kind", to be understood by the method for that kind, and there may be no rings.
+    it stands in the file, with "kind", to be understood by the method for that kind, and there may be no rings; so are
+    the sections BESIDE it, and what else "pipe" says.
 
     `covariance` (6K, 6K) says how well the K rings are known: ring after ring half-angle (rad), axis x, y, vertex x, y,
     z (mm). `corrections` say what each ring is off its cone (Alzuhiri 2022, Alg. 3). Either may be missing.
@@ -70,6 +72,7 @@ class Calibration:
     others: tuple[HeadCamera, ...] = ()
     camera_id: int = 0
     pattern: Mapping[str, Any] | None = field(default=None, hash=False)
+    beside: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
     @property
     def cameras(self) -> tuple[HeadCamera, ...]:
@@ -118,6 +121,7 @@ class Calibration:
         return cls(
             first.camera, colours, tuple(cone for cone, _ in rings), radius, covariance, _corrections(rings),
             tuple(others), first.id, None if kind == "slits" else dict(pattern),
+            _beside(top) if kind == "fringe" else {},
         )  # fmt: skip
 
     def to_dict(self) -> dict[str, Any]:
@@ -139,6 +143,8 @@ class Calibration:
             ],
             "pipe": {"radius_mm": self.pipe_radius_mm},
         }
+        for key, section in self.beside.items():
+            data[key] = {**section, **data[key]} if key == "pipe" else section
         for ring, correction in zip(data["rings"], self.corrections or (), strict=False):
             written = ring[CORRECTION[data["format"]]] = {"offset_rad": list(correction.offset_rad)}
             if correction.shift_mm is not None:
@@ -227,14 +233,18 @@ def _head_camera(data: object, where: str, *, first: bool) -> HeadCamera:
     camera = camera_from_dict(section, where)
     if first and "rotation" not in section and "translation_mm" not in section:
         return HeadCamera(number, camera)
-    rotation = _rotation(_need(section, "rotation", where), f"{where}.rotation")
-    moved = _vector(section, "translation_mm", where)
+    rotation, moved = placement_from_dict(section, where)
     if first and (rotation != STILL or any(moved)):
         raise ValueError(
             f'"{where}" is the first camera, the others stand relative to it: expected the unit matrix for its '
             '"rotation" and zeros for its "translation_mm"'
         )
     return HeadCamera(number, camera, rotation, moved)
+
+
+def placement_from_dict(section: Mapping[str, Any], where: str) -> tuple[Matrix, Vector]:
+    """ "rotation" and "translation_mm" of a section. Raises ValueError naming the key that is wrong."""
+    return _rotation(_need(section, "rotation", where), f"{where}.rotation"), _vector(section, "translation_mm", where)
 
 
 def _rotation(value: object, where: str) -> Matrix:
@@ -259,6 +269,11 @@ def _cameras_to_list(cameras: Sequence[HeadCamera]) -> list[dict[str, Any]]:
         }
         for one in cameras
     ]  # fmt: skip
+
+
+def _beside(top: Mapping[str, Any]) -> dict[str, Any]:
+    pipe = {key: value for key, value in top["pipe"].items() if key != "radius_mm"}
+    return {key: top[key] for key in BESIDE if key in top and key != "pipe"} | ({"pipe": pipe} if pipe else {})
 
 
 def _colours(top: Mapping[str, Any]) -> str:

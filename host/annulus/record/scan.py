@@ -28,7 +28,7 @@ from annulus.vocabulary import AnnulusError, Label
 
 TABLE = "frames.csv"
 COLUMNS = ("index", "file", "light", "z_mm")
-ROLL, CAMERA = "roll_deg", "camera"  # may be missing
+ROLL, CAMERA, SLOT = "roll_deg", "camera", "slot"  # may be missing
 PLACE, STAGE, HEIGHT = "z_mm", "x_mm", "height_mm"  # the first may be missing where the second is there
 ASIDE = "tx_mm", "ty_mm"
 TABLE_MAX = 256 << 20  # bytes; a day at 25 fps has 100 MB
@@ -52,6 +52,7 @@ class ScanFrame:
     x_mm: float | None = None  # of the stage, before a plate
     height_mm: float | None = None  # of the plate, in reference frames
     aside_mm: tuple[float, float] | None = None  # right and down: of the head in a clean pipe, in reference frames
+    slot: int | None = None  # place in the lamp cycle, where told
 
 
 @dataclass(frozen=True)
@@ -137,6 +138,7 @@ def open_scan(path: Path) -> Scan:
             f.camera,
             f.z_bound_mm,
             f.segment,
+            slot=_slot(recording.label(f).get("slot")),
         )
         for f in recording.frames
     )
@@ -231,7 +233,13 @@ def _frame(row: dict[str, str | None], folder: Path, inside: dict[PurePosixPath,
     return ScanFrame(
         whole(index, "index"), Label(light), z, file, _roll(row.get(ROLL)), camera, x_mm=x, height_mm=height,
         aside_mm=None if right is None or down is None else (right, down),
+        slot=whole((row.get(SLOT) or "").strip(), SLOT) if (row.get(SLOT) or "").strip() else None,
     )  # fmt: skip
+
+
+def _slot(value: object) -> int | None:
+    """Of a label, as it was written."""
+    return value if isinstance(value, int) and not isinstance(value, bool) and value >= 0 else None
 
 
 def _length(text: str | None, name: str) -> float | None:

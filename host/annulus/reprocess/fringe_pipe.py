@@ -1,4 +1,4 @@
-"""A scan under a slide of rings in a pipe (Model A, §6.8.2.1) to the same survey that every method makes.
+"""A scan under fringes in a pipe (§6.8.2, Models A, B and C) to the same survey that every method makes.
 
 The wall's map follows from many frames together, so there is no profile a frame: each row of the map is handed on as
 one. A scan is worked through in windows of consecutive frames, half of each shared with the next, so that memory does
@@ -14,15 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from annulus.fringe import FringeHead, FringeProjector, PipeMap, Transfer, find_scratches, light_of, measure_pipe
+from annulus.fringe import Eye, FringeHead, PipeMap, Shots, Transfer, find_scratches, light_of, measure_pipe
 from annulus.fringe.scratches import CELL, CELLS_MIN, LEAST_OF_RADIUS
 from annulus.fringe.track import AMBIGUOUS
-from annulus.geometry.calibration import HeadCamera
 from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import BoolArray, Float32Array
 from annulus.record.calibration_file import load_part
 from annulus.record.scan import Scan, open_scan
-from annulus.vocabulary import AnnulusError, Finding, Label
+from annulus.vocabulary import AnnulusError, Finding, Label, first_few
 from annulus.wall.centreline import Centreline, Piece
 from annulus.wall.defects import Defect, Detection
 from annulus.wall.grid import Wall, build_wall
@@ -33,7 +32,8 @@ from annulus.wall.survey import Survey
 
 Progress = Callable[[str, int, int], None]
 
-WINDOW = 24  # frames: three fringes of 8 mm at 1 mm a frame, and 120 MB of a camera of a Mpixel
+WINDOW = 24  # flashes of a slide: three fringes of 8 mm at 1 mm a frame, and 120 MB of a camera of a Mpixel
+MADE_BY = "annulus calibrate fringe"
 UNTOLD_MAX = 0.02  # share of the map's cells from which it is said that their order of fringe is open
 
 
@@ -42,12 +42,13 @@ class FringePipeJob:
     """A scan with what its frames need."""
 
     scan: Scan
-    camera: HeadCamera
-    projector: FringeProjector
+    eyes: tuple[Eye, ...]
+    ids: tuple[int, ...]  # of the eyes' cameras
     radius_mm: float
     curve: Transfer
-    frames: tuple[int, ...]  # numbers in the scan, projector's, in order
+    flashes: tuple[tuple[tuple[int, int], ...], ...]  # of each: eye, and number of its frame in the scan
     z_mm: tuple[float, ...]
+    window: int  # flashes
     findings: tuple[Finding, ...]
 
 
@@ -61,52 +62,91 @@ class MeasuredPipe:
     timing_ms: dict[str, float]
 
 
-def open_fringe_pipe(scan: Path, calibration: Path) -> FringePipeJob:
-    """AnnulusError, one line, for what is missing, damaged or does not belong together."""
-    head = load_part(calibration, FringeHead.from_dict, "annulus calibrate fringe")
-    if head.projector is None or head.projector.kind != "rings" or head.radius_mm is None:
-        raise AnnulusError(f"{calibration}: has no slide of rings and pipe. Make it with `annulus calibrate fringe`.")
-    if len(head.cameras) != 1:
-        raise AnnulusError(f"{calibration}: has {len(head.cameras)} cameras, expected one before a slide of rings")
+def open_fringe_pipe(scan: Path, calibration: Path | None) -> FringePipeJob:
+    """calibration : None: the recording's own. AnnulusError, one line, for what is missing, damaged or does not belong
+    together."""
     opened = open_scan(scan)
-    lit = [i for i, frame in enumerate(opened.frames) if frame.label is Label.PROJECTOR]
-    for i in lit:
-        head.camera(opened.frames[i].camera)
-        if not math.isfinite(opened.frames[i].z_mm):
-            raise AnnulusError(f"{scan}: frame {opened.frames[i].index} has no z_mm, expected where the head was")
-    if len(lit) < 3:
-        raise AnnulusError(
-            f"{scan}: {len(lit)} frames with the projector, expected at least 3: phase, DC and AC of a point"
-        )
-    z = tuple(opened.frames[i].z_mm for i in lit)
+    said = calibration or scan
+    head = _head_of(opened, scan) if calibration is None else load_part(calibration, FringeHead.from_dict, MADE_BY)
+    if head.radius_mm is None or not (head.lamps or head.projector is not None):
+        raise AnnulusError(f"{said}: has no slide of fringes and pipe. Make it with `{MADE_BY}`.")
+    eyes = head.eyes()
+    flashes, findings = _flashes(opened, scan, head)
+    for number, (_, camera, _) in enumerate(eyes):
+        mine = sum(eye == number for flash in flashes for eye, _ in flash)
+        if mine < 3:
+            whose = "with the projector" if len(eyes) == 1 else f"of camera {camera} under its slide"
+            raise AnnulusError(f"{scan}: {mine} frames {whose}, expected at least 3: phase, DC and AC of a point")
+    z = tuple(opened.frames[flash[0][1]].z_mm for flash in flashes)
     if not np.ptp(z) > 0:
         raise AnnulusError(f"{scan}: z_mm is {z[0]:g} throughout: the head did not move, nothing shifted the phase")
     told = head.curve(scan.resolve().name)
     text = "the calibration names no transfer curve for this scan: grey levels are taken as linear in light"
-    findings = () if told is not None else (Finding("transfer", text),)
+    if told is None:
+        findings.append(Finding("transfer", text))
+    turns = max(1, round(len(flashes) * len(eyes) / max(sum(len(flash) for flash in flashes), 1)))
     return FringePipeJob(
-        opened, head.cameras[0], head.projector, head.radius_mm, told or Transfer(), tuple(lit), z, findings
-    )
+        opened, tuple(eye for eye, _, _ in eyes), tuple(camera for _, camera, _ in eyes), head.radius_mm,
+        told or Transfer(), tuple(flashes), z, WINDOW * turns, tuple(findings),
+    )  # fmt: skip
+
+
+def _head_of(opened: Scan, scan: Path) -> FringeHead:
+    if opened.recording is None or opened.recording.calibration is None:
+        raise AnnulusError(f"{scan}: carries no calibration of a head that projects fringes. Name one.")
+    try:
+        return FringeHead.from_dict(opened.recording.calibration)
+    except ValueError as error:
+        raise AnnulusError(f"{scan}: the calibration in the recording is damaged: {error}.") from None
+
+
+def _flashes(opened: Scan, scan: Path, head: FringeHead) -> tuple[list[tuple[tuple[int, int], ...]], list[Finding]]:
+    """Of each flash of a slide: eye, and number of its frame in the scan; in order of the flashes."""
+    eyes = head.eyes()
+    found: dict[int, list[tuple[int, int]]] = {}
+    unplaced = []
+    for i, frame in enumerate(opened.frames):
+        if frame.label is not Label.PROJECTOR:
+            continue
+        head.camera(frame.camera)
+        if not math.isfinite(frame.z_mm):
+            raise AnnulusError(f"{scan}: frame {frame.index} has no z_mm, expected where the head was")
+        mine = [(number, slots) for number, (_, camera, slots) in enumerate(eyes) if camera == frame.camera]
+        if any(slots for _, slots in mine) and frame.slot is None:
+            unplaced.append(frame.index)
+        found.setdefault(frame.index, []).extend(
+            (number, i) for number, slots in mine if not slots or frame.slot in slots
+        )
+    findings = []
+    if unplaced:
+        text = (
+            f"{len(unplaced)} frames have no slot ({first_few(unplaced)}): which of the slides was lit is not known, "
+            "they are left out"
+        )
+        findings.append(Finding("slot", text, tuple(unplaced)))
+    return [tuple(found[index]) for index in sorted(found) if found[index]], findings
 
 
 def reconstruct_fringe_pipe(job: FringePipeJob, progress: Progress | None = None) -> MeasuredPipe:
     """The wall. AnnulusError where nothing can be measured."""
     started = time.perf_counter()
     report = progress or (lambda stage, done, total: None)
-    count = len(job.frames)
-    last = max(count - WINDOW, 0)
-    starts = [*range(0, last, WINDOW // 2), last]
+    count, size = len(job.flashes), job.window
+    last = max(count - size, 0)
+    starts = [*range(0, last, size // 2), last]
     report("fringes", 0, count)
     parts = []
     for start in starts:
-        window = slice(start, start + WINDOW)
-        images = np.array([_light(job, i) for i in job.frames[window]])
+        window = slice(start, start + size)
+        each = [(k, eye, i) for k, flash in enumerate(job.flashes[window]) for eye, i in flash]
+        images = np.array([_light(job, eye, i) for _, eye, i in each])
+        shots = Shots(images, np.array([eye for _, eye, _ in each]), np.array([k for k, _, _ in each]))
         try:
-            parts.append(measure_pipe(job.camera, job.projector, images, np.array(job.z_mm[window]), job.radius_mm))
+            parts.append(measure_pipe(job.eyes, shots, np.array(job.z_mm[window]), job.radius_mm))
         except AnnulusError as error:
             raise AnnulusError(f"{job.scan.path}: {error}") from None
-        report("fringes", min(start + WINDOW, count), count)
-    seen = _joined(parts)
+        report("fringes", min(start + size, count), count)
+    seen = _joined(parts, size)
     timing = {"scan_to_map": 1e3 * (time.perf_counter() - started)}
     findings = list(job.findings)
     if (unsure := float((seen.flag == AMBIGUOUS).mean())) > UNTOLD_MAX:
@@ -115,11 +155,11 @@ def reconstruct_fringe_pipe(job: FringePipeJob, progress: Progress | None = None
     return MeasuredPipe(seen, _survey(job, seen), tuple(findings), timing)
 
 
-def _light(job: FringePipeJob, i: int) -> Float32Array:
-    return light_of(job.scan.read(i), job.camera, job.curve, job.scan.frames[i].where)
+def _light(job: FringePipeJob, eye: int, i: int) -> Float32Array:
+    return light_of(job.scan.read(i), job.eyes[eye].camera, job.curve, job.scan.frames[i].where)
 
 
-def _joined(parts: Sequence[PipeMap]) -> PipeMap:
+def _joined(parts: Sequence[PipeMap], window: int) -> PipeMap:
     """One map of all windows; their rows are whole steps from z = 0."""
     if len(parts) == 1:
         return parts[0]
@@ -136,7 +176,7 @@ def _joined(parts: Sequence[PipeMap]) -> PipeMap:
     def grid(name: str) -> Any:
         return np.array([getattr(parts[k], name)[row - rows[k][0]] for row, k in zip(every, owner, strict=True)])
 
-    poses = np.concatenate([first.head.poses, *(part.head.poses[WINDOW // 2 :] for part in parts[1:])])
+    poses = np.concatenate([first.head.poses, *(part.head.poses[window // 2 :] for part in parts[1:])])
     radius = float(np.mean([part.head.radius_mm for part in parts]))
     return PipeMap(
         every * step, first.phi_deg, grid("radius_mm"), grid("sigma_mm"), grid("flag"), grid("at_least"), grid("dc"),
@@ -159,7 +199,7 @@ def _survey(job: FringePipeJob, seen: PipeMap) -> Survey:
     timing = {"wall": 1e3 * (built - began), "defects": 1e3 * (time.perf_counter() - built)}
     return Survey(
         tuple(profiles), wall, np.zeros(wall.radius_mm.shape, bool), Detection(tuple(defects), label, limits),
-        measure_stations(wall), None, None, (), line, (), 2 * job.radius_mm, timing, (job.camera.id,),
+        measure_stations(wall), None, None, (), line, (), 2 * job.radius_mm, timing, tuple(sorted(set(job.ids))),
     )  # fmt: skip
 
 
@@ -174,12 +214,12 @@ def _rows(job: FringePipeJob, seen: PipeMap) -> list[Profile]:
         radius = seen.radius_mm[j, told]
         points = np.stack([radius * np.cos(turn[told]), radius * np.sin(turn[told]), np.full(len(told), at)], axis=1)
         grey = np.clip(255 * np.nan_to_num(seen.dc[j, told]) / bright, 0, 255).astype(np.uint8)
-        frame = job.scan.frames[job.frames[int(np.argmin(np.abs(z + middle - at)))]].index
+        frame = job.scan.frames[job.flashes[int(np.argmin(np.abs(z + middle - at)))][0][1]].index
         out.append(
             Profile(
                 frame, float(at), Pose(), points.astype(np.float32), np.repeat(grey[:, None], 3, axis=1),
                 np.zeros(len(told), np.uint8), told.astype(np.uint16), float(np.median(seen.sigma_mm[j, told]))
-                if len(told) else math.nan, sigma_mm=seen.sigma_mm[j, told].astype(np.float32), camera=job.camera.id,
+                if len(told) else math.nan, sigma_mm=seen.sigma_mm[j, told].astype(np.float32), camera=job.ids[0],
             )
         )  # fmt: skip
     return out

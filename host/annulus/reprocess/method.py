@@ -49,7 +49,7 @@ def method_for(calibration: Calibration, colour: ColourProfile | None = None) ->
 
     Raises AnnulusError for a head that no method here knows. The only place that chooses: the next kind is a line here.
     """
-    if calibration.others:
+    if calibration.others and calibration.kind == "slits":
         return _method(StereoReconstructor(calibration, colour=colour).profile)
     match calibration.kind:
         case "slits" | "line":
@@ -76,7 +76,7 @@ def examined(
 ) -> tuple[ColourProfile | None, tuple[Finding, ...]]:
     """What (frame, images) of a few flashes spread over a scan decide for all of them: the colour profile to use, None
     where the one given is not this pipe's, and what is wrong with every frame."""
-    if calibration.others:
+    if calibration.others and calibration.kind == "slits":
         return colour, tuple(swapped(StereoReconstructor(calibration, colour=colour), some))
     alone = [(index, image) for index, images in some for image in images.values()]
     findings = examine(Reconstructor(calibration, colour=colour), alone, colour)

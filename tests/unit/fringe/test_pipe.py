@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from bores import LENS, RADIUS_MM, SLIDE, drawn
 
-from annulus.fringe import FringeProjector, calibrate_pipe, find_scratches, measure_pipe
+from annulus.fringe import Eye, FringeProjector, Shots, calibrate_pipe, find_scratches, measure_pipe
 from annulus.fringe.projector import HARMONICS_MAX
 from annulus.numeric.arrays import FloatArray
 from annulus.vocabulary import AnnulusError
 
 pytestmark = pytest.mark.slow
 
+EYE = Eye(LENS, SLIDE)
 UNEVEN = np.array([0.0, 1.1, 3.3, 4.2, 6.9, 8.0, 10.6, 12.1, 13.0, 15.4])
 LEAN = np.array([0.004, -0.003, 0.0, 0.9, -0.6, 0.0])
 GROOVE = (56.0, 60.0, 25.0, 0.5)
@@ -27,7 +28,7 @@ def poses(z: FloatArray) -> FloatArray:
 
 def test_a_pipe_with_a_groove_by_a_leaning_head_and_uneven_steps() -> None:
     images = drawn(poses(UNEVEN), groove=GROOVE)
-    seen = measure_pipe(LENS, SLIDE, images, UNEVEN, RADIUS_MM, cell_mm=0.8)
+    seen = measure_pipe([EYE], Shots.single(images), UNEVEN, RADIUS_MM, cell_mm=0.8)
     np.testing.assert_allclose(seen.head.poses[:, :2], LEAN[:2] * np.ones((10, 1)), atol=6e-4)
     np.testing.assert_allclose(seen.head.poses[:, 3:5], LEAN[3:5] * np.ones((10, 1)), atol=0.06)
     phi = (seen.phi_deg + 180) % 360 - 180
@@ -50,7 +51,8 @@ def test_a_clean_pipe_calibrates_the_projector() -> None:
     slide = replace(SLIDE, harmonics=(0.06, -0.03))
     shifted = np.concatenate([np.zeros((4, 3)), ASIDE], axis=1) + np.array([0.002, 0.001, 0, 0.4, 0.2, 0])
     designed = FringeProjector("rings", (0.0, 0.0, -38.5), ((1, 0, 0), (0, 1, 0), (0, 0, 1)), 7.05, 0, 0, RADIUS_MM)
-    told = calibrate_pipe(LENS, designed, drawn(shifted, slide=slide, texture=0.0, blur_px=0.3), ASIDE, RADIUS_MM)
+    shots = Shots.single(drawn(shifted, slide=slide, texture=0.0, blur_px=0.3))
+    told = calibrate_pipe([LENS], designed, shots, ASIDE, RADIUS_MM)
     assert len(told.sigma) == 7 + len(told.projector.harmonics) <= 7 + 2 * HARMONICS_MAX
     off = np.array(told.projector.centre_mm) - SLIDE.centre_mm
     assert (np.abs(off) < 4 * told.sigma[:3] + 0.02).all()
@@ -58,23 +60,24 @@ def test_a_clean_pipe_calibrates_the_projector() -> None:
     assert told.projector.period == pytest.approx(7.0, abs=0.01)
     np.testing.assert_allclose(told.projector.harmonics[:2], slide.harmonics, atol=0.015)  # the blur takes most of them
     assert not told.reversed
-    assert calibrate_pipe(LENS, designed, drawn(shifted, texture=0.0), -ASIDE, RADIUS_MM).reversed
+    shots = Shots.single(drawn(shifted, texture=0.0))
+    assert calibrate_pipe([LENS], designed, shots, -ASIDE, RADIUS_MM).reversed
 
 
 def test_what_cannot_be_measured_is_said_in_a_line() -> None:
     images = np.full((4, 360, 360), 1.0, np.float32)
     z = np.arange(4.0)
     with pytest.raises(AnnulusError, match="3 positions"):
-        measure_pipe(LENS, SLIDE, images, z[:3], RADIUS_MM)
+        measure_pipe([EYE], Shots.single(images), z[:3], RADIUS_MM)
     with pytest.raises(AnnulusError, match="need at least 3"):
-        measure_pipe(LENS, SLIDE, images[:2], z[:2], RADIUS_MM)
+        measure_pipe([EYE], Shots.single(images[:2]), z[:2], RADIUS_MM)
     with pytest.raises(AnnulusError, match="did not move"):
-        measure_pipe(LENS, SLIDE, images, 0 * z, RADIUS_MM)
+        measure_pipe([EYE], Shots.single(images), 0 * z, RADIUS_MM)
     with pytest.raises(AnnulusError, match="100x90, but the camera is 360x360"):
-        measure_pipe(LENS, SLIDE, images[:, :90, :100], z, RADIUS_MM)
+        measure_pipe([EYE], Shots.single(images[:, :90, :100]), z, RADIUS_MM)
     with pytest.raises(AnnulusError, match="lit"):
-        measure_pipe(LENS, SLIDE, 0 * images, z, RADIUS_MM)
+        measure_pipe([EYE], Shots.single(0 * images), z, RADIUS_MM)
     with pytest.raises(AnnulusError, match="saturated"):
-        measure_pipe(LENS, SLIDE, np.nan * images, z, RADIUS_MM)
+        measure_pipe([EYE], Shots.single(np.nan * images), z, RADIUS_MM)
     with pytest.raises(AnnulusError, match="not in a line"):
-        calibrate_pipe(LENS, SLIDE, images, z[:, None] * [1.0, 0.0, 0.0], RADIUS_MM)
+        calibrate_pipe([LENS], SLIDE, Shots.single(images), z[:, None] * [1.0, 0.0, 0.0], RADIUS_MM)

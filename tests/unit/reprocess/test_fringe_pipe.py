@@ -73,9 +73,9 @@ def test_a_calibration_that_is_none_for_it_is_one_line(tmp_path: Path) -> None:
         calibrate_fringe_pipe(aside, calibration(tmp_path, pipe=None))
     with pytest.raises(AnnulusError, match="is no slide of rings"):
         calibrate_fringe_pipe(aside, calibration(tmp_path, pattern={"kind": "fringe"}))
-    with pytest.raises(AnnulusError, match="2 cameras, expected one"):
+    with pytest.raises(AnnulusError, match="0 frames: phase, DC and AC"):
         calibrate_fringe_pipe(aside, calibration(tmp_path, cameras=[HEAD, {**HEAD, "id": 1}]))
-    with pytest.raises(AnnulusError, match="no slide of rings and pipe"):
+    with pytest.raises(AnnulusError, match="no slide of fringes and pipe"):
         open_fringe_pipe(aside, calibration(tmp_path, pattern={"kind": "fringe"}))
 
 
@@ -96,8 +96,8 @@ def test_windows_of_a_long_scan_are_one_wall(tmp_path: Path, monkeypatch: pytest
     """Each sees 80 mm; the groove lies where two meet. What a window says where another is nearer is not taken."""
     held = []
 
-    def measured(camera: Any, slide: Any, images: Any, z_mm: Any, radius_mm: float) -> PipeMap:
-        held.append(len(images))
+    def measured(eyes: Any, shots: Any, z_mm: Any, radius_mm: float) -> PipeMap:
+        held.append(len(shots.images))
         rows = np.arange(np.ceil((z_mm.min() + 60) / STEP), np.floor((z_mm.max() + 90) / STEP)) * STEP
         phi = np.arange(0.0, 360.0, 0.5)
         shape = len(rows), len(phi)
@@ -108,7 +108,7 @@ def test_windows_of_a_long_scan_are_one_wall(tmp_path: Path, monkeypatch: pytest
             radius[:4] -= 9.0
         poses = np.zeros((len(z_mm), 6))
         poses[:, 5] = z_mm
-        head = Head(camera, slide, poses, np.zeros((3, TERMS)), RADIUS_MM)
+        head = Head(tuple(eyes), poses, shots.eye, shots.flash, np.zeros((1, 3, TERMS)), RADIUS_MM)
         few, none = np.full(shape, 8), np.zeros(shape)
         return PipeMap(
             rows, phi, radius + np.random.default_rng(1).normal(0, 0.01, shape), none + 0.01,
