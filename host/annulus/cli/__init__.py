@@ -90,19 +90,18 @@ def reconstruct(
     The calibration's kind chooses the method. A head that projects fringes writes depth.npz beside the rest, its finest
     map; before a plate frames.csv has x_mm in place of z_mm.
     """
-    from annulus.record.calibration_file import projects_rings
     from annulus.report import Account, prepare_folder, write
-    from annulus.reprocess import Processes, kind_of, open_job, reprocess
+    from annulus.reprocess import Processes, fringes_on, open_job, reprocess
 
-    if calibration is not None and kind_of(calibration) == "fringe":
+    if wall := fringes_on(scan, calibration):
         for option, given in (
             ("--colour", colour),
             ("--reference", reference),
             ("--vibration-filter", vibration_filter),
         ):
             if given:
-                raise AnnulusError(f"{option} does not go with {calibration}: its head projects fringes")
-        if projects_rings(calibration):
+                raise AnnulusError(f"{option} does not go with {calibration or scan}: its head projects fringes")
+        if wall == "pipe" or calibration is None:
             _reconstruct_fringe_pipe(scan, calibration, out, as_json)
         else:
             _reconstruct_fringe(scan, calibration, out, as_json)
@@ -119,7 +118,7 @@ def reconstruct(
         _print_summary(summary, out)
 
 
-def _reconstruct_fringe_pipe(scan: Path, calibration: Path, out: Path, as_json: bool) -> None:
+def _reconstruct_fringe_pipe(scan: Path, calibration: Path | None, out: Path, as_json: bool) -> None:
     from annulus.report import Account, prepare_folder, write
     from annulus.reprocess import open_fringe_pipe, reconstruct_fringe_pipe
 

@@ -17,7 +17,7 @@ from annulus.fringe.calibration import NAMES as plate_names
 from annulus.fringe.calibration import PlateCalibration, ReferencePlate, calibrate_plate
 from annulus.fringe.clean import PipeCalibration, calibrate_pipe
 from annulus.fringe.edges import edged
-from annulus.fringe.head import FringeHead, projector_to_dict
+from annulus.fringe.head import FringeHead, Lamp, lamps_to_list, projector_to_dict
 from annulus.fringe.heights import Heights, Points, View, heights, spline
 from annulus.fringe.merge import merged
 from annulus.fringe.noise import noise_of
@@ -38,6 +38,7 @@ __all__ = [
     "FringeHead",
     "FringeProjector",
     "Heights",
+    "Lamp",
     "PipeCalibration",
     "PipeMap",
     "PlateCalibration",
@@ -54,6 +55,7 @@ __all__ = [
     "find_scratches",
     "find_steps",
     "heights",
+    "lamps_to_list",
     "light_of",
     "measure_pipe",
     "merged",

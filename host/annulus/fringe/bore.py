@@ -36,6 +36,7 @@ from annulus.numeric.jit import jit
 DEGREE = 3  # of the shading along the pipe; times 1, cos, sin of the direction
 TERMS = 3 * (DEGREE + 1)
 SPAN_LEAST = 0.99 * 4 * math.pi / 3  # rad, of the frames' phases: what three steps of a third of a period cover
+FULL_MOST = 1.5  # AC over DC: light is not negative; what is above 1 a slide's harmonics and noise may do
 AHEAD_MM = 0.01  # a difference in place of the lens's derivative
 
 
@@ -74,7 +75,7 @@ def solve4(m, b, size):  # type: ignore[no-untyped-def]
 @jit
 def terms(shading, x, y, z, row):  # type: ignore[no-untyped-def]
     """The polynomial's terms at a place of the head's frame, into row (TERMS,). shading[0] : middle and half-length
-    of the seen wall, mm along z."""
+    of the seen wall, mm along z; least cosine of what is seen to the camera's axis."""
     t = (z - shading[0, 0]) / shading[0, 1]
     rho = math.sqrt(x * x + y * y)
     c, s = x / rho, y / rho
@@ -173,6 +174,9 @@ def follow_wall(  # type: ignore[no-untyped-def]
             for k in range(frames):
                 value[k] = math.nan
                 cx, cy, cz = place(cameras[k], x, y, z)
+                edge = shading[eye[k], 0, 2]
+                if cz * abs(cz) < edge * abs(edge) * (cx * cx + cy * cy + cz * cz):
+                    continue
                 u, v = see(lens[k], cx, cy, cz)
                 grey = sample(images, k, u, v)
                 if not math.isfinite(grey):
@@ -280,7 +284,7 @@ def follow_wall(  # type: ignore[no-untyped-def]
             misfit[p] = cost
             if abs(step) < tolerance and turn > 1:
                 modulated = swing > 0.0 and swing * swing * ac_information > MODULATED * MODULATED
-                state = GOOD if modulated else UNMODULATED
+                state = GOOD if modulated and swing < FULL_MOST * level else UNMODULATED
                 break
         height[p], dc[p], ac[p], used[p], flag[p] = h, level, swing, n, state
         sigma[p] = math.sqrt(variance * scale) if variance > 0.0 else math.nan

@@ -36,6 +36,7 @@ from annulus.numeric.robust import robust_sigma
 from annulus.vocabulary import AnnulusError
 
 STRAIGHT = 0.9  # cosine: a camera that looks along the pipe
+WIDER = 0.02  # of that cosine: a pose that leans
 FAR_OF_RADIUS = 20.0  # a pixel that sees the wall farther ahead sees nothing of it
 BESIDE = "the camera sees nothing of the wall the projector lights: is the calibration this head's?"
 CELL_OF_RADIUS = 1 / 200  # a cell: half a millimetre in an 8-inch pipe, about a pixel
@@ -149,17 +150,18 @@ def lit_wall(head: Head, images: Float32Array) -> tuple[Head, Float32Array, tupl
     coefficients, shading = np.empty_like(images, dtype=np.float32), head.shading.copy()
     for number, eye in enumerate(head.eyes):
         mine = head.eye == number
-        lit, (near, far) = _lit(eye, images[mine], head.radius_mm)
+        lit, (near, far), widest = _lit(eye, images[mine], head.radius_mm)
         coefficients[mine] = spline(images[mine])
         coefficients[mine] = np.where(lit, coefficients[mine], np.nan)
-        shading[number, 0, :2] = (near + far) / 2, (far - near) / 2
+        shading[number, 0, :3] = (near + far) / 2, (far - near) / 2, widest
     head = replace(head, shading=shading)
     middle, half = head.ahead
     return head, coefficients, (middle - half, middle + half)
 
 
-def _lit(eye: Eye, images: Float32Array, radius_mm: float) -> tuple[BoolArray, tuple[float, float]]:
-    """(H, W) where an eye's frames show lit wall, and how far ahead that begins and ends, mm."""
+def _lit(eye: Eye, images: Float32Array, radius_mm: float) -> tuple[BoolArray, tuple[float, float], float]:
+    """(H, W) where an eye's frames show lit wall, how far ahead that begins and ends, mm, and the least cosine of its
+    angle to the camera's axis."""
     lens = eye.camera.camera
     whole = np.isfinite(images).all(axis=0)
     if not whole.any():
@@ -172,7 +174,7 @@ def _lit(eye: Eye, images: Float32Array, radius_mm: float) -> tuple[BoolArray, t
     # a trough may be as dark as no light at all: across the fringes, dark no longer than a fringe is lit
     if eye.camera.rotation[2][2] > STRAIGHT and eye.projector.kind == "rings":
         size = (int(np.hypot(*mean.shape)), int(np.pi * min(mean.shape)))
-        way = cv2.WARP_POLAR_LINEAR | cv2.INTER_NEAREST
+        way = cv2.WARP_POLAR_LINEAR | cv2.INTER_NEAREST | cv2.WARP_FILL_OUTLIERS
         flat = cv2.warpPolar(on, size, (lens.cx, lens.cy), size[0], way)
         flat = cv2.morphologyEx(flat, cv2.MORPH_CLOSE, np.ones((1, _fringe_px(eye, radius_mm)), np.uint8))
         on = cv2.warpPolar(flat, mean.shape[::-1], (lens.cx, lens.cy), size[0], way | cv2.WARP_INVERSE_MAP)
@@ -187,7 +189,8 @@ def _lit(eye: Eye, images: Float32Array, radius_mm: float) -> tuple[BoolArray, t
     if lit.sum() < LIT_LEAST * lit.size:
         raise AnnulusError("no wall is lit in all frames: are they saturated, or of another slide?")
     near, far = (float(one) for one in np.quantile(ahead[lit], [0.0005, 0.9995]))
-    return lit, (near, far)
+    v, u = np.nonzero(lit)
+    return lit, (near, far), float(lens.rays(np.stack([u, v], axis=1).astype(float))[:, 2].min()) - WIDER
 
 
 def _wall_seen(eye: Eye, radius_mm: float) -> tuple[FloatArray, FloatArray]:

@@ -13,10 +13,29 @@ from annulus.reprocess.executors import Executor, Processes, in_process
 from annulus.reprocess.fringe import FringeJob, open_fringe, reconstruct_fringe
 from annulus.reprocess.fringe_pipe import FringePipeJob, MeasuredPipe, open_fringe_pipe, reconstruct_fringe_pipe
 from annulus.reprocess.job import Job, open_job
-from annulus.reprocess.method import Method, kind_of, method_for, warm_up
+from annulus.reprocess.method import Method, fringes_on, method_for, warm_up
 
 __all__ = [
-    "Executor", "FringeJob", "FringePipeJob", "Job", "MeasuredPipe", "Method", "Processes", "Reprocessed", "in_process",
-    "kind_of", "led_frames", "measure", "method_for", "open_fringe", "open_fringe_pipe", "open_job",
-    "reconstruct_fringe", "reconstruct_fringe_pipe", "reprocess", "stage_medians", "survey_of", "warm_up",
+    "Executor",
+    "FringeJob",
+    "FringePipeJob",
+    "Job",
+    "MeasuredPipe",
+    "Method",
+    "Processes",
+    "Reprocessed",
+    "fringes_on",
+    "in_process",
+    "led_frames",
+    "measure",
+    "method_for",
+    "open_fringe",
+    "open_fringe_pipe",
+    "open_job",
+    "reconstruct_fringe",
+    "reconstruct_fringe_pipe",
+    "reprocess",
+    "stage_medians",
+    "survey_of",
+    "warm_up",
 ]  # fmt: skip

@@ -132,7 +132,9 @@ def reconstruct_fringe_pipe(job: FringePipeJob, progress: Progress | None = None
     started = time.perf_counter()
     report = progress or (lambda stage, done, total: None)
     count, size = len(job.flashes), job.window
-    last = max(count - size, 0)
+    last = count - size
+    if last <= size // 4:  # a few more at once are cheaper than a window for them
+        size, last = max(count, size), 0
     starts = [*range(0, last, size // 2), last]
     report("fringes", 0, count)
     parts = []
@@ -146,7 +148,7 @@ def reconstruct_fringe_pipe(job: FringePipeJob, progress: Progress | None = None
         except AnnulusError as error:
             raise AnnulusError(f"{job.scan.path}: {error}") from None
         report("fringes", min(start + size, count), count)
-    seen = _joined(parts, size)
+    seen = _joined(parts, starts)
     timing = {"scan_to_map": 1e3 * (time.perf_counter() - started)}
     findings = list(job.findings)
     if (unsure := float((seen.flag == AMBIGUOUS).mean())) > UNTOLD_MAX:
@@ -159,8 +161,8 @@ def _light(job: FringePipeJob, eye: int, i: int) -> Float32Array:
     return light_of(job.scan.read(i), job.eyes[eye].camera, job.curve, job.scan.frames[i].where)
 
 
-def _joined(parts: Sequence[PipeMap], window: int) -> PipeMap:
-    """One map of all windows; their rows are whole steps from z = 0."""
+def _joined(parts: Sequence[PipeMap], starts: Sequence[int]) -> PipeMap:
+    """One map of all windows, which begin at these flashes; their rows are whole steps from z = 0."""
     if len(parts) == 1:
         return parts[0]
     step = parts[0].cell_mm[0]
@@ -176,7 +178,9 @@ def _joined(parts: Sequence[PipeMap], window: int) -> PipeMap:
     def grid(name: str) -> Any:
         return np.array([getattr(parts[k], name)[row - rows[k][0]] for row, k in zip(every, owner, strict=True)])
 
-    poses = np.concatenate([first.head.poses, *(part.head.poses[window // 2 :] for part in parts[1:])])
+    poses = first.head.poses
+    for part, start in zip(parts[1:], starts[1:], strict=True):
+        poses = np.concatenate([poses, part.head.poses[len(poses) - start :]])
     radius = float(np.mean([part.head.radius_mm for part in parts]))
     return PipeMap(
         every * step, first.phi_deg, grid("radius_mm"), grid("sigma_mm"), grid("flag"), grid("at_least"), grid("dc"),

@@ -2,13 +2,13 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Literal, Protocol
 
 from annulus.geometry.calibration import Calibration
 from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import Image
 from annulus.record.calibration_file import load_sections
-from annulus.record.scan import ScanFrame
+from annulus.record.scan import ScanFrame, open_scan
 from annulus.reprocess.warmup import warmup_frame
 from annulus.rings.colour import ColourProfile
 from annulus.rings.diagnosis import Trouble, examine
@@ -35,13 +35,23 @@ class Frame(Protocol):
 Method = Callable[[Frame, Mapping[int, Image], Pose | None], Profile]
 
 
-def kind_of(calibration: Path) -> str:
-    """What the head of a calibration file projects: slits, line, lines or fringe. A scan under fringes goes to
-    `reprocess.fringe`, for a height there follows from many frames together; all others to the engine.
+def fringes_on(scan: Path, calibration: Path | None) -> Literal["plate", "pipe"] | None:
+    """Which wall a scan shows under fringes, by its calibration or the one a recording carries; None under other light.
+    Such a scan goes to `reprocess.fringe` or `fringe_pipe`, for a height follows from many frames together; all others
+    to the engine.
 
-    Raises AnnulusError where the file cannot be read."""
-    pattern = load_sections(calibration).get("pattern")
-    return str(pattern.get("kind", "slits")) if isinstance(pattern, dict) else "slits"
+    Raises AnnulusError where a file cannot be read."""
+    if calibration is None:
+        known = open_scan(scan).calibration
+        return "pipe" if known is not None and known.kind == "fringe" else None
+    sections = load_sections(calibration)
+    pattern = sections.get("pattern")
+    if not isinstance(pattern, dict) or pattern.get("kind", "slits") != "fringe":
+        return None
+    slide = pattern.get("projector")
+    rings = isinstance(slide, dict) and slide.get("kind") == "rings"
+    in_pipe = rings or "projectors" in pattern or ("pipe" in sections and "distance_mm" not in sections)
+    return "pipe" if in_pipe else "plate"
 
 
 def method_for(calibration: Calibration, colour: ColourProfile | None = None) -> Method:

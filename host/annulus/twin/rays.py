@@ -1,5 +1,6 @@
 """Where pixels look: rays of any camera, met with the plain cylinder."""
 
+from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -99,13 +100,16 @@ def meet_cylinder(part: Stretch, u0: int, eye: Eye, starts: F32 | None, radius: 
         scratch[OPEN + u], scratch[LEVEL + u], scratch[PLAIN + u] = one, zero, s
 
 
-def ray_table(world: World, seen_by: HeadCamera, axis: FloatArray) -> tuple[F32, F32 | None]:
+def ray_table(
+    world: World, seen_by: HeadCamera, coordinate: Callable[[FloatArray], FloatArray] | None
+) -> tuple[F32, F32 | None]:
     """Where every pixel looks: the table all cameras have, and what one without a single centre has besides.
 
     (3, H, W): x, y of every pixel's unit ray, and how its cot(theta) on the wall changes with a pixel: a ring on the
     wall of a clean pipe, half-angle t, is blurred by sin^2 t times that (zero where the lens sees nothing).
     (4, H, W): x, y, z (mm) where the ray starts, and the sign of its z.
-    axis : (6,) of the projector's light. Where it does not look along with one camera, theta is the angle to it.
+    coordinate : along which the slide draws, of (N, 3) points in the head's frame, to take in place of cot(theta)
+    where the projector does not look along with one camera.
     """
     camera = seen_by.camera
     grid = np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1).astype(float)
@@ -116,8 +120,8 @@ def ray_table(world: World, seen_by: HeadCamera, axis: FloatArray) -> tuple[F32,
         if camera.mirror is None:
             theta = np.arctan2(across, rays[..., 2])
             spread = _slope(theta) / np.sin(theta) ** 2
-            if world.others:
-                spread = _slope(_cot_on_wall(world, seen_by, rays.reshape(-1, 3), axis).reshape(theta.shape))
+            if coordinate is not None:
+                spread = _slope(coordinate(_on_wall(world, seen_by, rays.reshape(-1, 3))).reshape(theta.shape))
             seen = (rays[..., 2] > 0) & (theta > 1e-3) & (theta < np.radians(world.optics.half_field_deg))
         else:
             reach = world.radius_mm - np.hypot(start[..., 0], start[..., 1])
@@ -135,14 +139,11 @@ def ray_table(world: World, seen_by: HeadCamera, axis: FloatArray) -> tuple[F32,
     return table, np.nan_to_num(np.concatenate([start, sign], axis=-1)).transpose(2, 0, 1).astype(np.float32).copy()
 
 
-def _cot_on_wall(world: World, seen: HeadCamera, rays: FloatArray, axis: FloatArray) -> FloatArray:
-    """(N,) cot of the angle to the projector's axis where rays of a head that does not wobble meet the wall."""
+def _on_wall(world: World, seen: HeadCamera, rays: FloatArray) -> FloatArray:
+    """(N, 3) where rays of a head that does not wobble meet the wall, in its frame."""
     turn, centre = placed(seen)
     middle, along = np.array([*world.centre_mm, 0.0]), np.array([0.0, 0.0, 1.0])
-    starts = np.broadcast_to(centre, rays.shape)
-    away = intersect_cylinder(rays @ turn, middle, along, world.radius_mm, starts) - axis[:3]
-    forward = away @ axis[3:]
-    return np.asarray(forward / np.linalg.norm(away - forward[:, None] * axis[3:], axis=1))
+    return intersect_cylinder(rays @ turn, middle, along, world.radius_mm, np.broadcast_to(centre, rays.shape))
 
 
 def _slope(values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -13,7 +13,7 @@ from annulus.geometry.pose import Pose
 from annulus.twin.course import InSpace, Tube, meet_tube, tube_of
 from annulus.twin.lights.led import LedRing, LedTable, shine
 from annulus.twin.lights.projector import Beam, SlideProjector, fall, shade
-from annulus.twin.lights.slide import SLIDES, through
+from annulus.twin.lights.slide import slides_of, through
 from annulus.twin.rays import Eye, eye_at, meet_cylinder, ray_table
 from annulus.twin.stretch import (
     COLUMN,
@@ -31,6 +31,7 @@ from annulus.twin.stretch import (
     jit,
 )  # fmt: skip
 from annulus.twin.walls import PER_Z, Wall, meet_wall, wall_of
+from annulus.twin.worlds.sensor_head import Fringes
 from annulus.twin.worlds.world import World
 
 _NOISE = 1 << 20
@@ -218,11 +219,18 @@ class Renderer:
         self._tube = None if world.course is None else tube_of(world)
         albedo = np.ascontiguousarray(world.albedo_map.transpose(2, 0, 1))
         self._paint = Paint(albedo, np.array(world.albedo, np.float32))
-        self._slide = SLIDES[type(world.projector)](world.projector)
-        self._rays, self._starts = ray_table(world, self._seen, self._slide.axis)
-        self._projector = SlideProjector(world, self._seen, self._slide.axis, self._slide.rims, self._slide.outermost)
+        self._slides = slides_of(world)
+        fringes = isinstance(world.projector, Fringes)
+        tables = [
+            ray_table(world, self._seen, slide.coordinate if world.others or fringes else None)
+            for slide in self._slides
+        ]
+        self._rays, self._starts = [rays for rays, _ in tables], tables[0][1]
+        self._projectors = [
+            SlideProjector(world, self._seen, slide.axis, slide.rims, slide.brightest) for slide in self._slides
+        ]
         self._led = LedRing(world)
-        self._pixel_rad = None if world.course is None else _pixel_rad(self._rays)
+        self._pixel_rad = None if world.course is None else _pixel_rad(self._rays[0])
         optics = world.optics
         noise = np.random.default_rng([world.seed, 0x4015E]).standard_normal(_NOISE)
         self._pixel = Pixel(
@@ -237,6 +245,7 @@ class Renderer:
         projector: F32 | float = 0.0,
         led: F32 | float = 0.0,
         *,
+        slot: int | None = None,
         seed: int = 0,
         rows: tuple[int, int] | None = None,
         out: U8 | None = None,
@@ -244,7 +253,8 @@ class Renderer:
         """One raw frame, (H, W) uint8, RGGB mosaic.
 
         pose, z_mm : where the head, its first camera, was when the light flashed. projector, led : light each row
-        collected, in units of the lamp's nominal on-time, (H,) or one number. seed : of this frame's noise. rows : draw
+        collected, in units of the lamp's nominal on-time, (H,) or one number. slot : of the lamp cycle, which tells
+        several slides apart. seed : of this frame's noise. rows : draw
         only these, into `out` (which a caller with two threads shares between them).
         """
         frame = np.empty((self.height, self.width), np.uint8) if out is None else out
@@ -253,12 +263,13 @@ class Renderer:
         if self._tube is not None:
             return self._render_course(pose, z_mm, gains, frame, rows or (0, self.height), seed)
         assert self._wall is not None
-        eye = eye_at(self._rays, self._seen, pose, z_mm)
-        first = eye if self._number == 0 else eye_at(self._rays, self._first, pose, z_mm)
+        lit = self.world.projector.lit(slot) if isinstance(self.world.projector, Fringes) else 0
+        eye = eye_at(self._rays[lit], self._seen, pose, z_mm)
+        first = eye if self._number == 0 else eye_at(self._rays[lit], self._first, pose, z_mm)
         noise = (seed + self._number * _APART) & 0x7FFFFFFF
         _draw(
             frame, rows or (0, self.height), eye, self._starts, self._wall, self._paint,
-            self._projector.beam(pose, z_mm, gains[0]), self._slide.table(pose, z_mm),
+            self._projectors[lit].beam(pose, z_mm, gains[0]), self._slides[lit].table(pose, z_mm),
             self._led.table(first, gains[1]), self._pixel._replace(seed=noise),
         )  # fmt: skip
         return frame
@@ -270,13 +281,13 @@ class Renderer:
         course = self.world.course
         assert course is not None and self._tube is not None and self._pixel_rad is not None
         head = InSpace(pose, course).at(z_mm)
-        eye = eye_at(self._rays, self._seen, head, z_mm)
+        eye = eye_at(self._rays[0], self._seen, head, z_mm)
         # of a frame of the LED alone no light of the projector is asked for
-        lit = np.array([math.cos(rim) for rim in self._slide.rims] if gains[0].any() else [-1.0, 1.0], np.float32)
+        lit = np.array([math.cos(rim) for rim in self._slides[0].rims] if gains[0].any() else [-1.0, 1.0], np.float32)
         _draw_course(
-            frame, rows, eye, self._pixel_rad, self._tube, self._paint, self._projector.beam(head, z_mm, gains[0]),
-            self._slide.table(head, z_mm), self._led.table(eye, gains[1]),
-            self._pixel._replace(seed=seed & 0x7FFFFFFF), lit, course.frame(z_mm)[2],
+            frame, rows, eye, self._pixel_rad, self._tube, self._paint,
+            self._projectors[0].beam(head, z_mm, gains[0]), self._slides[0].table(head, z_mm),
+            self._led.table(eye, gains[1]), self._pixel._replace(seed=seed & 0x7FFFFFFF), lit, course.frame(z_mm)[2],
         )  # fmt: skip
         return frame
 

@@ -11,9 +11,10 @@ import cv2
 import numpy as np
 
 from annulus.record.recording import to_bgr
-from annulus.record.scan import CAMERA, COLUMNS, ROLL, TABLE
+from annulus.record.scan import CAMERA, COLUMNS, ROLL, SLOT, TABLE
 from annulus.twin.render import Renderer
 from annulus.twin.worlds import WORLDS, World
+from annulus.twin.worlds.sensor_head import Fringes
 from annulus.twin.worlds.world import WAVES
 from annulus.vocabulary import AnnulusError, Label
 
@@ -41,7 +42,8 @@ def write_scan(
     """Pull the head through the world in `frames` even steps and write the scan into `folder`, which must be empty.
 
     Writes frames.csv, frames/*.png, calibration.json (that of a perfect calibration) and truth.json. Every fifth frame
-    is the LED's; a head with several cameras has a picture of each in every step. Raises AnnulusError where the folder
+    is the LED's; a head with several cameras has a picture of each in every step, but of those whose slide was dark.
+    Raises AnnulusError where the folder
     cannot be written or holds something.
     """
     try:
@@ -54,17 +56,25 @@ def write_scan(
         several = len(renderers) > 1
         with (folder / TABLE).open("w", newline="") as file:
             table = csv.writer(file)
-            table.writerow([*COLUMNS, *([ROLL] if world.roll_deg else []), *([CAMERA] if several else [])])
+            light = world.projector
+            fringes = light if isinstance(light, Fringes) and any(slide.slots for slide in light.slides) else None
+            extra = [*([ROLL] if world.roll_deg else []), *([CAMERA] if several else []), *([SLOT] if fringes else [])]
+            table.writerow([*COLUMNS, *extra])
             for index, z_mm in enumerate(np.linspace(0.0, world.travel_mm, frames)):
-                led = index % LED_EVERY == LED_EVERY - 1
-                light = (Label.LED if led else Label.PROJECTOR).value
+                slot = index % LED_EVERY
+                led = slot == LED_EVERY - 1
+                looks = fringes.slides[fringes.lit(slot)].cameras if fringes and not led else ()
+                lamp = (Label.LED if led else Label.PROJECTOR).value
                 pose = world.pose(z_mm)
                 roll = [] if pose.roll is None else [f"{math.degrees(pose.roll):.3f}"]
                 for camera, renderer in enumerate(renderers):
-                    raw = renderer.render(pose, z_mm, float(not led), float(led), seed=index)
+                    if looks and camera not in looks:  # its slide is dark
+                        continue
+                    raw = renderer.render(pose, z_mm, float(not led), float(led), slot=slot, seed=index)
                     name = f"frames/{index:06d}{f'-{camera}' if several else ''}.png"
                     cv2.imwrite(str(folder / name), to_bgr(raw, "bayer_rggb8"), [cv2.IMWRITE_PNG_COMPRESSION, 1])
-                    table.writerow([index, name, light, f"{z_mm:.4f}", *roll, *([camera] if several else [])])
+                    told = [*([camera] if several else []), *([slot] if fringes else [])]
+                    table.writerow([index, name, lamp, f"{z_mm:.4f}", *roll, *told])
                 if progress is not None:
                     progress("frames", index + 1, frames)
     except OSError as error:

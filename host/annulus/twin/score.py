@@ -65,7 +65,7 @@ def score_cloud(
     clock: FloatArray = np.degrees(np.arctan2(points[:, 0], -points[:, 1])) % 360.0
     error = np.hypot(points[:, 0], points[:, 1]) - world.radius_mm - world.deviation(clock, points[:, 2])
     away = _edge_distance(world, clock, points[:, 2]) > NEAR_EDGE_MM
-    rings = () if ring is None else tuple(_rms(error[away & (ring == i)]) for i in range(len(world.projector.cones)))
+    rings = () if ring is None else tuple(_rms(error[away & (ring == i)]) for i in range(world.projector.rings))
     clear = error[away]
     if len(clear) == 0:
         return CloudScore(len(points), np.nan, np.nan, np.nan, np.nan, _rms(error), rings)

@@ -353,8 +353,7 @@ def _tiles(world: World) -> tuple[F32, F32, F32, F32, U8]:
         np.abs(np.diff(deviation, axis=1, append=deviation[:, :1]))[:rows] / (world.radius_mm * 2 * np.pi / CLOCKS),
     )
     steep = slope.reshape(shape).max(axis=(1, 3)) > _STEEP
-    cones = world.projector.cones
-    grazing = math.tan(max(cones[0].half_angle - math.radians(world.projector.margin_deg[0]), math.radians(8.0)))
+    grazing = math.tan(max(world.projector.innermost, math.radians(8.0)))
     relief = max(float(np.abs(deviation).max(initial=0.0)), 0.0)
     reach = math.ceil(relief / grazing / (STEP_Z_MM * _TILE_ROWS)) + 2
     mode = ("nearest", "wrap")

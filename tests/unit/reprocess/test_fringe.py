@@ -17,7 +17,7 @@ from annulus.fringe import projector_to_dict
 from annulus.geometry.calibration import Calibration, camera_to_dict
 from annulus.report import Account, write_plate
 from annulus.reprocess import fringe as module
-from annulus.reprocess import kind_of, open_fringe, open_job, reconstruct_fringe
+from annulus.reprocess import fringes_on, open_fringe, open_job, reconstruct_fringe
 from annulus.vocabulary import AnnulusError
 
 pytestmark = pytest.mark.slow
@@ -75,7 +75,7 @@ def test_a_plate_is_calibrated_and_measured(tmp_path: Path) -> None:
     result = calibrate_fringe(reference, calibration(tmp_path, pattern=None))
     out = tmp_path / "made.json"
     save_fringe(result, out)
-    assert kind_of(out) == "fringe"
+    assert fringes_on(out, out) == "plate"
     assert result.to_dict()["sigma"]["across_mm"] < 0.1
     plate = reconstruct_fringe(open_fringe(scan(tmp_path / "scan"), out))
     told = np.isfinite(plate.height_mm)

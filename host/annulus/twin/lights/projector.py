@@ -11,6 +11,7 @@ from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import FloatArray
 from annulus.twin.rays import Placed
 from annulus.twin.stretch import AT, F32, LIT, NX, NY, NZ, OPEN, S, Stretch, X, Y, Z, jit, step_up
+from annulus.twin.worlds.sensor_head import Projector
 from annulus.twin.worlds.world import STEP_Z_MM, World
 
 EVERYWHERE = (0.0, 0.0, 0.0, 1e6)  # no pixel is known to be dark beforehand
@@ -33,15 +34,14 @@ class SlideProjector:
     """All but the slide, which says where its light is."""
 
     def __init__(
-        self, world: World, seen: HeadCamera, axis: FloatArray, rims: tuple[float, float], outermost: float
+        self, world: World, seen: HeadCamera, axis: FloatArray, rims: tuple[float, float], brightest: float
     ) -> None:
         """seen : the camera it is drawn for. axis : (6,) point and unit vector in the head's frame. rims : the angles
-        to it between which light comes. outermost : that at which a wall gets the world's peak, rad.
+        to it between which light comes. brightest : cosine over the squared distance of a wall that gets the peak.
         """
         self._world, self._seen, self._axis, self._rims = world, seen, axis, rims
         self._extremes = np.stack([world.radius_map.min(axis=1), world.radius_map.max(axis=1)], axis=1)
-        reach = math.sin(outermost) ** 3 / world.radius_mm**2
-        self._power = np.float32(world.projector.peak / max(world.albedo) / reach)
+        self._power = np.float32(world.projector.peak / max(world.albedo) / brightest)
         vertex = axis[:3]
         self._rods = np.array(
             [
@@ -65,7 +65,8 @@ class SlideProjector:
         """(u, v, inner, outer): pixels outside the ring inner..outer get no projector light."""
         world, camera = self._world, self._seen.camera
         turn, moved = np.array(self._seen.rotation), np.array(self._seen.translation_mm)
-        if not camera.central:  # not worth a search: only the demo's frames must be quick
+        # not worth a search: only the demo's frames must be quick
+        if not camera.central or not isinstance(world.projector, Projector):
             return np.array(EVERYWHERE, np.float32)
         around = np.linspace(0, 2 * np.pi, 48, endpoint=False)
         vertex, axis = self._axis[:3], self._axis[3:]

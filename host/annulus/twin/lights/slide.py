@@ -1,17 +1,28 @@
 """Which slide the projector holds: for a world by what it says, in a frame's kernel by the type of its table."""
 
-from collections.abc import Mapping
 from typing import Any
 
 import numba.extending
 
+from annulus.twin.lights.fringes import FringeSlide
 from annulus.twin.lights.slits import Slits
 from annulus.twin.stretch import OPTIONS
 from annulus.twin.worlds.sensor_head import Projector
+from annulus.twin.worlds.world import World
 
-# What a world's projector is -> the light it makes. A slide has `axis` and `rims` (see SlideProjector), a method
+Slide = Slits | FringeSlide
+
+# A slide has `axis`, `rims` and `brightest` (see SlideProjector), `coordinate(points)`, along which it draws, a method
 # `table(pose, z_mm)` that gives its numbers for one frame as a `Table`, and the kernel that reads them.
-SLIDES: Mapping[type, type[Slits]] = {Projector: Slits}
+SLIDES: tuple[type[Slide], ...] = (Slits, FringeSlide)
+
+
+def slides_of(world: World) -> tuple[Slide, ...]:
+    """Of a world's projector, in its order."""
+    light = world.projector
+    if isinstance(light, Projector):
+        return (Slits(light, world.radius_mm),)
+    return tuple(FringeSlide(light, number) for number in range(len(light.slides)))
 
 
 def through(table: Any, part: Any, beam: Any) -> None:
@@ -22,5 +33,5 @@ def through(table: Any, part: Any, beam: Any) -> None:
 @numba.extending.overload(through, jit_options=OPTIONS)
 def _through(table, part, beam):  # type: ignore[no-untyped-def]
     """Called by the compiler, with types: `table.instance_class` is the NamedTuple that it will be."""
-    kernel = next(slide.kernel for slide in SLIDES.values() if slide.Table is table.instance_class)
+    kernel = next(slide.kernel for slide in SLIDES if slide.Table is table.instance_class)
     return lambda table, part, beam: kernel(part, beam, table)

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from annulus.numeric.arrays import FloatArray
 from annulus.twin.lights.projector import Beam, in_pipe
 from annulus.twin.rays import Placed
 from annulus.twin.stretch import AT, F32, LEVEL, LIT, Stretch, X, Y, Z, jit, step_up
@@ -74,7 +75,7 @@ class Slits:
     Table = SlitTable
     kernel = staticmethod(through_slits)
 
-    def __init__(self, projector: Projector) -> None:
+    def __init__(self, projector: Projector, radius_mm: float) -> None:
         cones = projector.cones
         vertex = np.mean([c.vertex_mm for c in cones], axis=0)
         axis = np.mean([c.axis for c in cones], axis=0)
@@ -83,7 +84,7 @@ class Slits:
             cones[0].half_angle - math.radians(projector.margin_deg[0]),
             cones[-1].half_angle + math.radians(projector.margin_deg[1]),
         )
-        self.outermost = cones[-1].half_angle
+        self.brightest = math.sin(cones[-1].half_angle) ** 3 / radius_mm**2
         angles = [self.rims[0], *(c.half_angle for c in cones), self.rims[1]]
         halves = [0.0, *(math.radians(h) for h in projector.slit_half_deg), 0.0]
         ends = [cones[0], *cones, cones[-1]]
@@ -103,6 +104,12 @@ class Slits:
         self._line = np.array(projector.line or (0.0, 0.0, 0.0), np.float32)
         if projector.line is not None:
             self._colours[:] = 0.0
+
+    def coordinate(self, points: FloatArray) -> FloatArray:
+        """(N, 3) mm in the head's frame -> (N,) cot of the angle to the axis."""
+        away = points - self.axis[:3]
+        forward = away @ self.axis[3:]
+        return np.asarray(forward / np.linalg.norm(away - forward[:, None] * self.axis[3:], axis=1))
 
     def table(self, pose: Placed, z_mm: float) -> SlitTable:
         slits = in_pipe(self._slits, pose, z_mm)

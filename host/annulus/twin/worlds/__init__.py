@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 
 from annulus.twin.worlds.features import Feature, clock_text
 from annulus.twin.worlds.fittings import FITTINGS
+from annulus.twin.worlds.fringe import mirror_fringe_world, modules_world, series_world
 from annulus.twin.worlds.mirror import mirror_world
 from annulus.twin.worlds.paint import ORANGE, WHITE, YELLOW
 from annulus.twin.worlds.pipes import CONTAMINATED, clean_world, demo_world, fisheye_camera, painted
@@ -28,8 +29,11 @@ __all__ = [
     "clock_text",
     "demo_world",
     "fisheye_camera",
+    "mirror_fringe_world",
     "mirror_world",
+    "modules_world",
     "painted",
+    "series_world",
     "stereo_world",
 ]
 
@@ -41,5 +45,8 @@ WORLDS: Mapping[str, Callable[[int], World]] = {
     "mirror-4inch": lambda seed: mirror_world(seed, 50.8),
     "stereo": stereo_world,
     **FITTINGS,
+    "fringe": series_world,
+    "fringe-modules": modules_world,
+    "fringe-mirror": mirror_fringe_world,
     "stereo-3inch": lambda seed: stereo_world(seed, 38.1),
 }

@@ -12,7 +12,7 @@ import numpy as np
 
 from annulus.twin.worlds.course import Course, Joint, Opening, Piece
 from annulus.twin.worlds.features import Feature
-from annulus.twin.worlds.pipes import demo_world
+from annulus.twin.worlds.pipes import demo_projector, demo_world
 from annulus.twin.worlds.world import World
 
 _WIDTH = 832
@@ -24,7 +24,8 @@ Dice = np.random.Generator
 
 def _world(seed: int, course: Course, features: tuple[Feature, ...], travel_mm: float, roll_deg: float = 0.0) -> World:
     world = demo_world(seed, travel_mm).scaled(_WIDTH)
-    slits = replace(world.projector, slit_half_deg=tuple(2 * h for h in world.projector.slit_half_deg))
+    slits = demo_projector()
+    slits = replace(slits, slit_half_deg=tuple(2 * h for h in slits.slit_half_deg))
     optics = replace(world.optics, blur_px=0.8)
     return replace(
         world, projector=slits, optics=optics, features=features, course=course, radius_mm=_RADIUS_MM, roll_deg=roll_deg

@@ -62,7 +62,9 @@ def painted(world: World, albedo: tuple[float, float, float], response: Response
 
     The projector is as strong as before and the exposure such that the pipe's brightest channel is.
     """
-    projector = world.projector if response is None else replace(world.projector, response=response)
+    projector = world.projector
+    if response is not None and isinstance(projector, Projector):
+        projector = replace(projector, response=response)
     return replace(world, albedo=albedo, projector=projector)
 
 

@@ -1,8 +1,12 @@
 """What the sensor head is made of, besides its camera: slide projector, LEDs, optics, rods."""
 
+import math
 from dataclasses import dataclass
+from typing import ClassVar
 
+from annulus.fringe import FringeProjector
 from annulus.geometry.cone import Cone
+from annulus.vocabulary import AnnulusError
 
 Response = tuple[tuple[float, float, float], ...]
 
@@ -25,6 +29,56 @@ class Projector:
     response: Response = ((1.0, 0.05, 0.04), (0.045, 1.0, 0.05), (0.03, 0.055, 0.75))
     nominal_us: float = 5000.0  # on-time that gives `peak`
     line: tuple[float, float, float] | None = None  # what red, green and blue pixels see of bright rings: see below
+
+    def __post_init__(self) -> None:
+        slits = len(self.cones)
+        if len(self.slit_half_deg) != slits or len(self.colours) != slits + 1:
+            raise AnnulusError(f"world: {slits} cones need {slits} slit widths and {slits + 1} stripe colours")
+
+    @property
+    def rings(self) -> int:
+        """How many a profile may have."""
+        return len(self.cones)
+
+    @property
+    def innermost(self) -> float:
+        """Half-angle at which light begins, rad."""
+        return self.cones[0].half_angle - math.radians(self.margin_deg[0])
+
+
+@dataclass(frozen=True, slots=True)
+class Fringe:
+    """One slide of a sinusoid, in the head's frame. field_deg : of rings the half-angles where they begin and end, of
+    stripes half the field across them and along. cameras : numbers of those that look at its light, slots : of the lamp
+    cycle at which it is lit; none: all."""
+
+    slide: FringeProjector
+    field_deg: tuple[float, float]
+    cameras: tuple[int, ...] = ()
+    slots: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Fringes:
+    """A projector, or several, of static sinusoids. reach_mm : from the light straight to a wall that gets the peak."""
+
+    slides: tuple[Fringe, ...]
+    reach_mm: float
+    modulation: float = 0.85  # of the light on the wall, where the lens is sharp
+    peak: float = 190.0  # grey levels above black on that wall, lit for its nominal time
+    colour: tuple[float, float, float] = (0.95, 1.0, 0.9)
+    nominal_us: float = 5000.0
+    rings: ClassVar[int] = 0
+
+    @property
+    def innermost(self) -> float:
+        """Half-angle to the pipe at which light begins, rad; of stripes, which look across it, a right angle's half."""
+        rings = [one.field_deg[0] for one in self.slides if one.slide.kind == "rings"]
+        return math.radians(min(rings, default=45.0))
+
+    def lit(self, slot: int | None) -> int:
+        """Number of the slide that is lit at a slot of the lamp cycle."""
+        return next((k for k, one in enumerate(self.slides) if not one.slots or slot in one.slots), 0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,8 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus.geometry.calibration import Calibration, HeadCamera
+from annulus.fringe import FringeProjector, Lamp, lamps_to_list, projector_to_dict
+from annulus.geometry.calibration import STILL, Calibration, HeadCamera, Matrix, Vector
 from annulus.geometry.camera import Camera, Mirror
 from annulus.geometry.cone import Cone
 from annulus.geometry.pose import Pose
@@ -21,7 +22,7 @@ from annulus.numeric.arrays import FloatArray
 from annulus.twin.worlds.course import Course
 from annulus.twin.worlds.features import Feature
 from annulus.twin.worlds.paint import WHITE, print_line, stain
-from annulus.twin.worlds.sensor_head import Led, Optics, Projector, Rod
+from annulus.twin.worlds.sensor_head import Fringe, Fringes, Led, Optics, Projector, Rod
 from annulus.vocabulary import AnnulusError
 
 CLOCKS = 1440  # columns of the wall maps: 0.25 degrees, a third of a millimetre on a 6-inch wall
@@ -36,7 +37,7 @@ class World:
     """A pipe, a sensor head, and how the head travels. Immutable; equal seeds give equal worlds."""
 
     camera: Camera
-    projector: Projector
+    projector: Projector | Fringes
     radius_mm: float = 76.2
     features: tuple[Feature, ...] = ()
     rods: tuple[Rod, ...] = ()
@@ -53,12 +54,10 @@ class World:
     roll_deg: float = 0.0  # amplitude; then the head has a sensor that says so
     others: tuple[HeadCamera, ...] = ()  # further cameras, on the first one's sync line; all else is in its frame
     centre_mm: tuple[float, float] = (0.0, 0.0)  # of the head: where the pipe's axis passes when it does not wobble
+    mounted: tuple[Matrix, Vector] = STILL, (0.0, 0.0, 0.0)  # the first camera in the head's frame, as a HeadCamera is
     course: Course | None = None  # of a pipe of several pieces: then z is chainage, `radius_mm` what is calibrated with
 
     def __post_init__(self) -> None:
-        slits = len(self.projector.cones)
-        if len(self.projector.slit_half_deg) != slits or len(self.projector.colours) != slits + 1:
-            raise AnnulusError(f"world: {slits} cones need {slits} slit widths and {slits + 1} stripe colours")
         if self.travel_mm <= 0 or self.mm_per_count <= 0:
             raise AnnulusError("world: travel_mm and mm_per_count must be above zero")
         if any(one.camera.height != self.camera.height for one in self.others):
@@ -110,7 +109,7 @@ class World:
     @property
     def cameras(self) -> tuple[HeadCamera, ...]:
         """The first stands where it stands, the others beside it."""
-        return (HeadCamera(0, self.camera), *self.others)
+        return (HeadCamera(0, self.camera, *self.mounted), *self.others)
 
     @cached_property
     def _wobble(self) -> NDArray[np.float64]:
@@ -131,10 +130,34 @@ class World:
     def calibration(self) -> Calibration:
         """What a perfect calibration of this head would hold."""
         head = self.projector
+        if isinstance(head, Fringes):
+            return self._fringe_calibration(head)
         if head.line is not None:
             line = {"kind": "line"}
             return Calibration(self.camera, "", head.cones, self.radius_mm, others=self.others, pattern=line)
         return Calibration(self.camera, head.colours, head.cones, self.radius_mm, others=self.others)
+
+    def _fringe_calibration(self, light: Fringes) -> Calibration:
+        """Everything in the first camera's frame, as a file has it."""
+        turn, moved = np.array(self.mounted[0]), np.array(self.mounted[1])
+        lamps = []
+        for one in light.slides:
+            centre = turn @ np.array(one.slide.centre_mm) + moved
+            slide = replace(one.slide, centre_mm=_row(centre), rotation=_rows(np.array(one.slide.rotation) @ turn.T))
+            lamps.append(Lamp(slide, one.cameras, one.slots))
+        others = []
+        for other in self.others:
+            own = np.array(other.rotation) @ turn.T
+            place = np.array(other.translation_mm) - own @ moved
+            others.append(replace(other, rotation=_rows(own), translation_mm=_row(place)))
+        several = len(lamps) > 1 or bool(lamps[0].cameras)
+        told = {"projectors": lamps_to_list(lamps)} if several else {"projector": projector_to_dict(lamps[0].projector)}
+        beside: dict[str, Any] = {"transfer": {"sensor": "linear", "black": self.optics.black}}
+        if self.mounted[0] != STILL:
+            beside["pipe"] = {"rotation": turn.T.tolist(), "translation_mm": (-turn.T @ moved).tolist()}
+        return Calibration(
+            self.camera, "", (), self.radius_mm, others=tuple(others), pattern={"kind": "fringe", **told}, beside=beside
+        )
 
     def truth(self) -> dict[str, Any]:
         """The world as JSON-able data, defects as a perfect defect list; written beside a scan."""
@@ -165,9 +188,7 @@ class World:
         """Raises AnnulusError for data that is not a world's."""
         try:
             top = dict(data)
-            projector = dict(top["projector"])
-            projector["cones"] = tuple(_tupled(Cone, cone) for cone in projector["cones"])
-            top["projector"] = _tupled(Projector, projector)
+            top["projector"] = _light(top["projector"])
             top["camera"] = _camera(top["camera"])
             top["others"] = tuple(
                 _tupled(HeadCamera, {**one, "camera": _camera(one["camera"])}) for one in top.get("others", ())
@@ -199,6 +220,23 @@ def _scaled(camera: Camera, k: float) -> Camera:
         cx=(camera.cx + 0.5) * k - 0.5,
         cy=(camera.cy + 0.5) * k - 0.5,
     )
+
+
+def _light(data: Mapping[str, Any]) -> Projector | Fringes:
+    if "slides" not in data:
+        return _tupled(Projector, {**data, "cones": tuple(_tupled(Cone, cone) for cone in data["cones"])})
+    slides = tuple(_tupled(Fringe, {**one, "slide": _tupled(FringeProjector, one["slide"])}) for one in data["slides"])
+    return _tupled(Fringes, {**data, "slides": slides})
+
+
+def _row(value: FloatArray) -> Vector:
+    x, y, z = (float(one) for one in value)
+    return x, y, z
+
+
+def _rows(value: FloatArray) -> Matrix:
+    x, y, z = (_row(row) for row in value)
+    return x, y, z
 
 
 def _camera(data: Mapping[str, Any]) -> Camera:
