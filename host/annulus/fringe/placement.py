@@ -27,6 +27,7 @@ EPSILON = 1e-5  # rad: differences in place of derivatives
 EPSILON_LAW = np.array([1e-3, 1e-3, 1e-3, 1e-6, 1e-6, 1e-4, 1e-7])
 SHADING_SIGMA = 0.5  # of a coefficient: light changes by a factor along the seen wall, not by orders of magnitude
 BLUR_SIGMA = 2.0  # px^2
+BATCH = 1 << 23  # numbers that normal equations of some points take at once, 64 MB
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,22 +247,54 @@ def refined(
     """
     free = found is not None
     which = (found.flag == 0) & (found.used >= 4) if found is not None else np.ones(len(points.base), bool)
-    some = points.some(np.flatnonzero(which))
-    h = found.height_mm[which] if found is not None else np.zeros(len(some.base))
-    slope = np.zeros(len(h)) if texture is None else texture[which]
-    frames, count = len(head.eye), len(h)
-    if count < 10 * POSE:
-        raise AnnulusError(f"{count} points of the wall are seen in enough frames: too few to place the head by")
+    index = np.flatnonzero(which)
+    if len(index) < 10 * POSE:
+        raise AnnulusError(f"{len(index)} points of the wall are seen in enough frames: too few to place the head by")
+    at, light = head.poses.size, head.shading[:, 1:].size
+    common = light + 2 + LAW + 2 * freedom.harmonics
+    matrix, pull, held = _prior(head, freedom, common, free)
+    each = max(BATCH // (len(head.eye) * common), 1)
+    for first in range(0, len(index), each):
+        mine = index[first : first + each]
+        of = None if found is None else (found.height_mm[mine], found.dc[mine], found.ac[mine])
+        slope = np.zeros(len(mine)) if texture is None else texture[mine]
+        some, more = _equations(head, images, points.some(mine), freedom, noise, of, slope)
+        matrix += some
+        pull += more
+    keep = ~held
+    covariance = np.zeros_like(matrix)
+    covariance[np.ix_(keep, keep)] = np.linalg.inv(matrix[np.ix_(keep, keep)])
+    step = covariance @ pull
+    shading = head.shading.copy()
+    shading[:, 1:] += step[at : at + light].reshape(shading[:, 1:].shape)
+    moved = replace(
+        head,
+        poses=head.poses + step[:at].reshape(head.poses.shape),
+        shading=shading,
+        blur_squared=max(head.blur_squared + float(step[at + light]), 0.0),
+        radius_mm=head.radius_mm + float(step[at + light + 1]),
+    )
+    law_step = step[at + light + 2 :]
+    return moved.under(changed(head.projector, law_step)) if law_step.any() else moved, covariance
+
+
+def _equations(
+    head: Head, images: Float32Array, points: Points, freedom: Freedom, noise: tuple[float, float, float],
+    found: tuple[FloatArray, FloatArray, FloatArray] | None, slope: FloatArray,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    """Normal equations of some points. found : their height, DC and AC; slope : of their albedo."""
+    free = found is not None
+    frames, count = len(head.eye), len(points.base)
     view = head.view
-    x = some.at(h)
-    here = Looks.of(head, images, x, some.normal)
+    x = points.at(found[0] if found is not None else np.zeros(count))
+    here = Looks.of(head, images, x, points.normal)
     rows = shading_terms(head, here.seen)
     phase = here.phase + head.blur_squared * slope * here.pull
     w = view.wave(phase)
     gain, depth = shaded(head, rows)
     good = np.isfinite(here.grey)
     if found is not None:
-        level, swing = found.dc[which], found.ac[which]
+        level, swing = found[1:]
     else:  # A alone: the mean of what frames say of it
         unit = gain * (1 + depth * w)
         level = np.where(good, here.grey * unit, 0).sum(axis=0) / np.maximum(
@@ -282,7 +315,7 @@ def refined(
     rise = gain * swing * depth * dwave
     # A head that moves sees other wall through the same pixel, farther off or nearer along the pixel's ray: all that
     # fringes tell of a pose. Pixels' own slopes are not asked: their noise would vouch for any pose.
-    poses = -(rise * here.slope)[..., None] * _outwards(head, x, some.normal)[head.flash]
+    poses = -(rise * here.slope)[..., None] * _outwards(head, x, points.normal)[head.flash]
     shade = np.zeros((frames, count, len(head.eyes), 2, TERMS))
     every = np.arange(frames)
     shade[every, :, head.eye, 0] = lit[..., None] * rows
@@ -308,27 +341,7 @@ def refined(
     for part in (rest, poses, common, columns):
         part[bad] = 0.0
     told = head.radius_mm - np.hypot(x[:, 0], x[:, 1]) if free else None
-    matrix, pull = _normal(rest, poses, common, columns, root, told, freedom, head)
-    prior, off, held = _prior(head, freedom, common.shape[2], free)
-    matrix += prior
-    pull += off
-    keep = ~held
-    covariance = np.zeros_like(matrix)
-    covariance[np.ix_(keep, keep)] = np.linalg.inv(matrix[np.ix_(keep, keep)])
-    step = covariance @ pull
-    at = head.poses.size
-    light = head.shading[:, 1:].size
-    shading = head.shading.copy()
-    shading[:, 1:] += step[at : at + light].reshape(shading[:, 1:].shape)
-    moved = replace(
-        head,
-        poses=head.poses + step[:at].reshape(head.poses.shape),
-        shading=shading,
-        blur_squared=max(head.blur_squared + float(step[at + light]), 0.0),
-        radius_mm=head.radius_mm + float(step[at + light + 1]),
-    )
-    law_step = step[at + light + 2 :]
-    return moved.under(changed(head.projector, law_step)) if law_step.any() else moved, covariance
+    return _normal(rest, poses, common, columns, root, told, freedom, head)
 
 
 def _outwards(head: Head, x: FloatArray, normal: FloatArray) -> FloatArray:
@@ -407,29 +420,39 @@ def _normal(
         left = r - np.einsum("pni,pi->pn", q, np.einsum("pni,pn->pi", q, r))
         if turn < 2:
             root = root * np.sqrt(cauchy(left[:, :frames].T / CAUCHY))
-    d = (poses * root[..., None]).transpose(1, 0, 2)
-    flashes, size = len(head.poses), head.poses.size
-    of = (head.flash[:, None] == np.arange(flashes)).astype(float)  # (N, F): frames of one flash share its pose
+    d = poses * root[..., None]  # (N, P, POSE)
+    light, size = head.shading[:, 1:].size, head.poses.size
+    order = np.argsort(head.flash, kind="stable")
+    begins = np.searchsorted(head.flash[order], np.arange(len(head.poses)))  # frames of one flash share its pose
+
+    def by_flash(each: FloatArray) -> FloatArray:
+        return np.asarray(np.add.reduceat(each[order], begins, axis=0))
+
     matrix = np.zeros((size + common.shape[2], size + common.shape[2]))
-    blocks = np.einsum("nf,nij->fij", of, np.einsum("pni,pnj->nij", d, d))
-    for n in range(flashes):
-        matrix[n * POSE : (n + 1) * POSE, n * POSE : (n + 1) * POSE] = blocks[n]
-    cross = np.einsum("nf,nik->fik", of, np.einsum("pni,pnk->nik", d, everyone[:, :frames])).reshape(size, -1)
+    for n, block in enumerate(by_flash(d.transpose(0, 2, 1) @ d)):
+        matrix[n * POSE : (n + 1) * POSE, n * POSE : (n + 1) * POSE] = block
+    cross = by_flash(d.transpose(0, 2, 1) @ everyone[:, :frames].transpose(1, 0, 2)).reshape(size, -1)
     matrix[:size, size:], matrix[size:, :size] = cross, cross.T
-    flat = everyone.reshape(-1, common.shape[2])
-    matrix[size:, size:] = flat.T @ flat
-    projected = np.einsum("pni,pnj->pjni", d, q[:, :frames])
+    own_light = light // len(head.eyes)
+    for eye in range(len(head.eyes)):  # of another eye's light a frame knows nothing
+        which = np.r_[eye * own_light : (eye + 1) * own_light, light : common.shape[2]]
+        flat = everyone[:, np.concatenate([head.eye == eye, np.full(extra, eye == 0)])][..., which].reshape(
+            -1, len(which)
+        )
+        matrix[np.ix_(size + which, size + which)] += flat.T @ flat
     inner = np.concatenate(
         [
-            np.einsum("pjni,nf->pjfi", projected, of, optimize=True).reshape(count * width, size),
-            np.einsum("pnk,pnj->pjk", everyone, q).reshape(count * width, -1),
+            by_flash(d[..., None] * q[:, :frames].transpose(1, 0, 2)[:, :, None, :])
+            .transpose(1, 3, 0, 2)
+            .reshape(count * width, size),
+            (q.transpose(0, 2, 1) @ everyone).reshape(count * width, -1),
         ],
         axis=1,
     )
     matrix -= inner.T @ inner
     pull = np.concatenate(
         [
-            (of.T @ np.einsum("pni,pn->ni", d, left[:, :frames])).ravel(),
+            by_flash(np.einsum("npi,pn->ni", d, left[:, :frames])).ravel(),
             np.einsum("pnk,pn->k", everyone, left),
         ]
     )

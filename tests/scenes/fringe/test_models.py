@@ -1,0 +1,60 @@
+"""The twin's heads under fringes (§6.8.2, Models A, B and C), by the commands alone: scan, wall, defects, report."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from annulus.cli import app
+from annulus.numeric.arrays import FloatArray
+from annulus.twin.scan import write_scan
+from annulus.twin.worlds import World, mirror_fringe_world, modules_world, series_world
+
+EDGE_MM = 1.5  # nearer to a step the truth jumps
+
+
+def errors(world: World, depth: Any) -> tuple[FloatArray, FloatArray]:
+    """mm off the truth, and over sigma, of cells away from edges; the mean radius is the head's common offset."""
+    clock, z = (depth["phi_deg"] + 90.0) % 360.0, depth["z_mm"][:, None]
+    off = depth["radius_mm"] - world.radius_mm - world.deviation(clock[None], z)
+    away = np.isfinite(off)
+    for feature in world.features:
+        away &= np.abs(feature.edge_distance_mm(clock[None] + 0 * z, z + 0 * clock[None], world.radius_mm)) > EDGE_MM
+    told = off[away] - np.median(off[away])
+    return told, told / depth["sigma_mm"][away]
+
+
+@pytest.mark.parametrize(
+    ("world", "frames", "rms_mm"),
+    [
+        (series_world(travel_mm=46.0), 25, 0.04),
+        (modules_world(travel_mm=56.0), 80, 0.04),
+        (mirror_fringe_world(travel_mm=30.0), 20, 0.02),
+    ],
+    ids=["A", "B", "C"],
+)
+def test_a_head_of_the_twin_measures_its_pipe(world: World, frames: int, rms_mm: float, tmp_path: Path) -> None:
+    scan, out = tmp_path / "scan", tmp_path / "out"
+    write_scan(world, scan, frames)
+    words = ["reconstruct", str(scan), "--calibration", str(scan / "calibration.json"), "-o", str(out), "--json"]
+    done = CliRunner().invoke(app, words, catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    summary = json.loads(done.stdout)
+    assert {one.name for one in out.iterdir()} >= {"depth.npz", "cloud.ply", "mesh.ply", "report.html", "stations.csv"}
+    with np.load(out / "depth.npz") as depth:
+        off, in_sigma = errors(world, depth)
+        middle = depth["z_mm"][:, None] + 0 * depth["radius_mm"]
+        about = np.abs(middle - np.median(depth["z_mm"])) < 15.0
+        assert np.isfinite(depth["radius_mm"][about]).mean() > 0.96  # the wires of A take 1.5 %
+    assert np.sqrt(np.mean(off**2)) < rms_mm
+    assert 0.93 <= np.mean(np.abs(in_sigma) < 2) <= 1.0  # B's are too large: see fringe.bore's drift
+    true = sorted((one.as_defect(world.radius_mm) for one in world.features), key=lambda one: one["z_mm"])
+    found = sorted(summary["defects"], key=lambda one: one["z_mm"])
+    assert [one["kind"] for one in found] == [one["kind"] for one in true]
+    for got, want in zip(found, true, strict=True):
+        assert abs((got["clock_deg"] - want["clock_deg"] + 180) % 360 - 180) < 2.0
+        assert abs(got["z_mm"] - want["z_mm"]) < 1.0
+        assert abs(got["depth_mm"] - want["depth_mm"]) < max(0.05, 0.2 * want["depth_mm"])
