@@ -143,12 +143,14 @@ def look_around(  # type: ignore[no-untyped-def]
 @jit
 def follow_wall(  # type: ignore[no-untyped-def]
     images, lens, cameras, heads, eyes, projectors, slide, eye, shading, blur_squared, drift, drift_sigma, noise, base,
-    path, texture, start, tolerance, height, sigma, dc, ac, misfit, used, flag,
+    path, texture, start, tolerance, height, sigma, dc, ac, misfit, used, flag, who,
 ):  # fmt: skip
     """Every wall point's height outwards, from its `start`; as `track.follow`, in a pipe's light (module docstring).
 
     eye : (N,) whose frame each is; lens, slide (N, ..) by frame, shading (E, 3, TERMS) by eye. texture : (P,) slope of
     the albedo along the pipe over itself, 1 / mm. blur_squared : px^2. The rest, and what is written: as there.
+
+    who : (P,) written: the eye whose frames told it, the number of eyes where several did, -1 where none.
 
     A height is begun by one eye alone, for two on either side of a lamp see its light move in opposite ways.
     """
@@ -287,6 +289,10 @@ def follow_wall(  # type: ignore[no-untyped-def]
                 state = GOOD if modulated and swing < FULL_MOST * level else UNMODULATED
                 break
         height[p], dc[p], ac[p], used[p], flag[p] = h, level, swing, n, state
+        who[p] = -1
+        for e in range(eye_count):
+            if seen[e] > 0:
+                who[p] = e if who[p] < 0 else eye_count
         sigma[p] = math.sqrt(variance * scale) if variance > 0.0 else math.nan
         if state != GOOD:
             height[p], sigma[p] = math.nan, math.nan

@@ -9,7 +9,7 @@ admit one order only; the fit along the track, for at a wrong height the wall's 
 are decided. Where none does, the height is NaN and its flag AMBIGUOUS.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.ndimage import spline_filter
@@ -159,6 +159,7 @@ class Heights:
     used: FloatArray
     flag: FloatArray
     residual: Float32Array
+    who: IntArray = field(default_factory=lambda: np.empty(0, int))  # of a head of several eyes: see `bore.follow_wall`
 
     @property
     def modulation(self) -> FloatArray:

@@ -66,8 +66,8 @@ class PipeMap:
 
     z_mm (Z,), phi_deg (A,). radius_mm, sigma_mm (Z, A): NaN where not told. flag (Z, A): track.GOOD .. AMBIGUOUS.
     at_least : (Z, A) bool, the floor of a loss was not seen: the radius is a lower limit. dc, modulation (Z, A): light
-    of the wall with the head's own shading taken out, and AC over DC. frames (Z, A): how many told. head : poses,
-    shading, blur, and the mean radius.
+    of the wall with the head's own shading taken out, and AC over DC. frames (Z, A): how many told. seen_by (Z, A): the
+    eye whose frames did, the number of eyes where several, -1 where none. head : poses, shading, blur, mean radius.
     noise : of a grey level, as `noise_of` says.
     """
 
@@ -80,6 +80,7 @@ class PipeMap:
     dc: FloatArray
     modulation: FloatArray
     frames: IntArray
+    seen_by: IntArray
     head: Head
     noise: tuple[float, float, float]
 
@@ -131,8 +132,7 @@ def measure_pipe(
     return PipeMap(
         z, np.degrees(phi), radius_mm + height, sigma, found.flag.astype(np.uint8).reshape(shape),
         _lower_limits(head, z, height, sigma, step), found.dc.reshape(shape), found.modulation.reshape(shape),
-        np.nan_to_num(found.used).astype(int).reshape(shape), head,
-        noise,
+        np.nan_to_num(found.used).astype(int).reshape(shape), found.who.reshape(shape), head, noise,
     )  # fmt: skip
 
 
@@ -228,13 +228,14 @@ def followed(
     """`follow_wall` of those points, heights outwards from where the points are."""
     view, count = head.view, len(points.base)
     height, sigma, dc, ac, misfit, used, flag = (np.full(count, np.nan) for _ in range(7))
+    who = np.empty(count, np.int64)
     follow_wall(
         images, view.lens, view.cameras, view.heads, view.eyes, view.projectors, view.slide, view.eye, head.shading,
         head.blur_squared if texture is not None else 0.0, view.drift, DRIFT, np.array(noise), points.base,
         np.ascontiguousarray(points.path), np.zeros(count) if texture is None else np.nan_to_num(texture), start,
-        head.radius_mm * 1e-5, height, sigma, dc, ac, misfit, used, flag,
+        head.radius_mm * 1e-5, height, sigma, dc, ac, misfit, used, flag, who,
     )  # fmt: skip
-    return Heights(height, sigma, dc, ac, misfit, used, flag, np.empty((0, 0), np.float32))
+    return Heights(height, sigma, dc, ac, misfit, used, flag, np.empty((0, 0), np.float32), who)
 
 
 def _freedom(head: Head, said: FloatArray, wall: float) -> Freedom:

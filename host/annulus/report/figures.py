@@ -40,6 +40,7 @@ from annulus.wall.stations import OVALITY_NAME
 from annulus.wall.survey import Survey
 
 SHARED = "#3f8f5b"  # what several cameras saw, and what each did
+LEGEND_COLUMNS = 6
 OWN = ("#e0912f", "#7a5aa6", "#2f79c4", "#b3261e", "#8a6d3b", "#4b2e83", "#0b7285", "#d6336c") * 2
 
 
@@ -145,7 +146,7 @@ def _texture(survey: Survey) -> bytes:
     axis = _Axis(survey.wall)
     figure, axes = _map_figure(survey.wall, axis)
     if survey.texture is None:
-        axes.text(0.5, 0.5, "no usable LED frames in this scan", transform=axes.transAxes, ha="center", fontsize=13)
+        axes.text(0.5, 0.5, f"no usable frames in {survey.light}", transform=axes.transAxes, ha="center", fontsize=13)
     else:
         axes.imshow(
             survey.texture.swapaxes(0, 1), extent=(*axis.limits, 360.0, 0.0), aspect="auto",
@@ -153,7 +154,7 @@ def _texture(survey: Survey) -> bytes:
         )  # fmt: skip
     _outline(axes, survey, axis)
     axes.set_title(
-        "Wall in LED light, brightness evened out   (hatched grey: not seen)", loc="left", fontsize=11, pad=24
+        f"Wall in {survey.light}, brightness evened out   (hatched grey: not seen)", loc="left", fontsize=11, pad=24
     )
     return png(figure)
 
@@ -184,10 +185,12 @@ def _cameras(survey: Survey) -> bytes:
     ]
     none = f"none: {100 * (1 - survey.seen_fraction):.1f} %"
     patches += [Patch(color=HIDDEN, label="hidden by a step"), Patch(fc=UNSEEN, hatch="////", ec="#aab1b9", label=none)]
+    columns = min(len(patches), LEGEND_COLUMNS)
+    lines = -(-len(patches) // columns)
     both[0].legend(
-        handles=patches, loc="lower left", bbox_to_anchor=(-0.01, 1.0), ncols=len(patches), frameon=False, fontsize=8.5
+        handles=patches, loc="lower left", bbox_to_anchor=(-0.01, 1.0), ncols=columns, frameon=False, fontsize=8.5
     )
-    both[0].set_title("Which camera saw the wall", loc="left", fontsize=11, pad=24)
+    both[0].set_title("Which camera saw the wall", loc="left", fontsize=11, pad=24 + 16 * (lines - 1))
     sigma = wall.sigma_mm
     known = sigma[np.isfinite(sigma)]
     top = round_up(float(np.percentile(known, 98))) if len(known) else 1.0

@@ -18,7 +18,7 @@ from annulus.fringe import Eye, FringeHead, PipeMap, Shots, Transfer, find_scrat
 from annulus.fringe.scratches import CELL, CELLS_MIN, LEAST_OF_RADIUS
 from annulus.fringe.track import AMBIGUOUS
 from annulus.geometry.pose import Pose
-from annulus.numeric.arrays import BoolArray, Float32Array
+from annulus.numeric.arrays import BoolArray, Float32Array, Image
 from annulus.record.calibration_file import load_part
 from annulus.record.scan import Scan, open_scan
 from annulus.vocabulary import AnnulusError, Finding, Label, first_few
@@ -33,6 +33,8 @@ from annulus.wall.survey import Survey
 Progress = Callable[[str, int, int], None]
 
 WINDOW = 24  # flashes of a slide: three fringes of 8 mm at 1 mm a frame, and 120 MB of a camera of a Mpixel
+LIGHT = "the fringes' mean light"
+BRIGHT = 230  # of 255: what the brightest hundredth of the wall is drawn as
 MADE_BY = "annulus calibrate fringe"
 UNTOLD_MAX = 0.02  # share of the map's cells from which it is said that their order of fringe is open
 
@@ -184,7 +186,8 @@ def _joined(parts: Sequence[PipeMap], starts: Sequence[int]) -> PipeMap:
     radius = float(np.mean([part.head.radius_mm for part in parts]))
     return PipeMap(
         every * step, first.phi_deg, grid("radius_mm"), grid("sigma_mm"), grid("flag"), grid("at_least"), grid("dc"),
-        grid("modulation"), grid("frames"), replace(first.head, poses=poses, radius_mm=radius), first.noise,
+        grid("modulation"), grid("frames"), grid("seen_by"), replace(first.head, poses=poses, radius_mm=radius),
+        first.noise,
     )  # fmt: skip
 
 
@@ -203,7 +206,8 @@ def _survey(job: FringePipeJob, seen: PipeMap) -> Survey:
     timing = {"wall": 1e3 * (built - began), "defects": 1e3 * (time.perf_counter() - built)}
     return Survey(
         tuple(profiles), wall, np.zeros(wall.radius_mm.shape, bool), Detection(tuple(defects), label, limits),
-        measure_stations(wall), None, None, (), line, (), 2 * job.radius_mm, timing, tuple(sorted(set(job.ids))),
+        measure_stations(wall), _light_map(wall, seen), None, (), line, (), 2 * job.radius_mm, timing,
+        tuple(sorted(set(job.ids))), LIGHT,
     )  # fmt: skip
 
 
@@ -212,6 +216,8 @@ def _rows(job: FringePipeJob, seen: PipeMap) -> list[Profile]:
     middle = float(np.median(seen.z_mm)) - float(np.median(job.z_mm))
     z = np.array(job.z_mm)
     turn, out = np.radians(seen.phi_deg), []
+    cameras = sorted(set(job.ids))
+    whose = np.array([*(cameras.index(one) for one in job.ids), len(cameras)], np.uint8)  # by eye, and of several
     bright = float(np.nanpercentile(seen.dc, 99)) if np.isfinite(seen.dc).any() else 1.0
     for j, at in enumerate(seen.z_mm):
         told = np.flatnonzero(np.isfinite(seen.radius_mm[j]) & np.isfinite(seen.sigma_mm[j]))
@@ -224,6 +230,7 @@ def _rows(job: FringePipeJob, seen: PipeMap) -> list[Profile]:
                 frame, float(at), Pose(), points.astype(np.float32), np.repeat(grey[:, None], 3, axis=1),
                 np.zeros(len(told), np.uint8), told.astype(np.uint16), float(np.median(seen.sigma_mm[j, told]))
                 if len(told) else math.nan, sigma_mm=seen.sigma_mm[j, told].astype(np.float32), camera=job.ids[0],
+                seen_by=whose[seen.seen_by[j, told]],
             )
         )  # fmt: skip
     return out
@@ -235,3 +242,19 @@ def _cells(wall: Wall, one: Defect) -> BoolArray:
     rows = np.abs(wall.z_mm - one.z_mm) <= max((high - low) / 2, wall.z_step_mm / 2)
     away = np.abs((wall.clock_deg - one.clock_deg + 180.0) % 360.0 - 180.0)
     return np.asarray(rows[:, None] & (away <= max(one.arc_deg / 2, wall.clock_step_deg / 2)))
+
+
+def _light_map(wall: Wall, seen: PipeMap) -> Image | None:
+    """(Z, A, 4) uint8 RGBA of the report's grid: the mean of the map's DC in each cell, alpha 0 where not told."""
+    row = np.rint((seen.z_mm - wall.z_mm[0]) / wall.z_step_mm).astype(int)
+    column = np.rint((seen.phi_deg + 90.0) / wall.clock_step_deg).astype(int) % len(wall.clock_deg)
+    told = np.isfinite(seen.radius_mm) & ((row >= 0) & (row < len(wall.z_mm)))[:, None]
+    if not told.any():
+        return None
+    j, i = np.nonzero(told)
+    cell = row[j] * len(wall.clock_deg) + column[i]
+    count = np.bincount(cell, minlength=wall.radius_mm.size)
+    mean = np.bincount(cell, weights=seen.dc[told], minlength=wall.radius_mm.size) / np.maximum(count, 1)
+    grey = np.clip(BRIGHT * mean / np.percentile(mean[count > 0], 99), 0, 255)
+    alpha = np.where(count > 0, 255, 0)
+    return np.stack([grey, grey, grey, alpha], axis=1).astype(np.uint8).reshape(*wall.radius_mm.shape, 4)

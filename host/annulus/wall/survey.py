@@ -48,7 +48,7 @@ class Survey:
     shadowed : (Z, A) bool, cells that a step keeps the rings' light from; a part of what was not seen.
     detection : the defects, which cells each has, the limits of listing, how many places are not surely known.
     stations : diameters and ovality along the pipe.
-    texture : (Z, A, 4) uint8 RGBA in LED light, alpha 0 where not known; None without a usable LED frame.
+    texture : (Z, A, 4) uint8 RGBA in its `light`, alpha 0 where not known; None without a usable frame of it.
     vibration : what shook periodically and was taken out; None where nobody asked.
     features : joints, openings, levels and the like, in order of distance; none of them is a defect.
     centreline : pipe coordinates, in which all of this is, and the way to space.
@@ -70,6 +70,7 @@ class Survey:
     nominal_diameter_mm: float
     timing_ms: Mapping[str, float]
     cameras: tuple[int, ...]
+    light: str = "LED light"  # that `texture` shows the wall in
 
     @property
     def defects(self) -> tuple[Defect, ...]:

@@ -1,4 +1,4 @@
-"""Heads under fringes: every camera sees its slide's phase where that falls on the wall, and files say the same head."""
+"""Heads under fringes: each camera sees its slide's phase where that falls on the wall, a file says the same head."""
 
 import json
 from collections.abc import Callable
