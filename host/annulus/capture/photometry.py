@@ -4,6 +4,9 @@ The projector throws pure red, green and blue stripes, so hue differs from place
 that of the wall everywhere, even on a yellow one. The variance of chromaticity over the picture, weighted with
 brightness, is 0.3 to 0.4 for the one, below 0.01 for the other, whatever the gain, pose or exposure.
 
+A projector of a static sinusoid has one hue, too, but its stripes: neighbouring samples differ by 0.16 to 0.36 of their
+sum, in the LED's light by 0.06 at most, in the dirtiest pipe there is (test_photometry).
+
 A frame is one exposure from top to bottom. So every band of it must show the same lamp (a torn picture's do not), and
 no two frames are the same down to the noise (a picture that the driver handed over twice is). A picture torn between
 two projector frames shows one lamp, but its first or last row is that of a picture shown before.
@@ -25,6 +28,8 @@ LED_SPREAD_MAX = 0.015
 PROJECTOR_SPREAD_MIN = 0.18
 LIT_EVERYWHERE = 0.5  # of the samples: stripes alone never light that many
 LIT_OF_PEAK = 0.2  # a sample brighter than this share of the peak is lit
+STRIPED_MIN, PLAIN_MAX = 0.12, 0.06  # difference over sum of neighbouring samples: of fringes, of the LED
+STRIPED_PEAK = 2 * DARK_GREY  # in less light noise is striped
 BANDS = 8
 ROW_SPREAD_MAX = 2 * LED_SPREAD_MAX  # a row alone is noisier than a picture
 BUSY_GREY = 3  # a row whose samples differ by less may be any picture's
@@ -52,6 +57,7 @@ class Photometry:
     fingerprint: int | None = None  # 64 bits of the sampled pixels; the same for a picture handed over twice
     top: int | None = None  # 48 bits of the first row of samples; None: it is too plain to be known again
     bottom: int | None = None  # .. and of the last
+    contrast: float = 0.0  # of one hue: difference over sum of neighbouring samples, along or across
 
     @property
     def light(self) -> Light:
@@ -59,10 +65,15 @@ class Photometry:
         if self.peak < DARK_GREY:
             return Light.DARK
         if self.spread <= LED_SPREAD_MAX:
-            return Light.LED
+            return Light.PROJECTOR if self.striped else Light.LED
         if self.spread >= PROJECTOR_SPREAD_MIN:
             return Light.PROJECTOR
         return Light.BOTH if self.lit >= LIT_EVERYWHERE else Light.UNCLEAR
+
+    @property
+    def striped(self) -> bool:
+        """Whether light of one hue comes in fringes."""
+        return self.contrast >= STRIPED_MIN and self.peak >= STRIPED_PEAK
 
     @property
     def torn(self) -> bool:
@@ -103,11 +114,15 @@ def measure(image: Image) -> Photometry:
         light[i] = (channel * (brightest > NOISE_GREY)) @ row
         pure[i] = np.einsum("ij,ij->i", channel, chromaticity)
     spread = float(_spread(light.sum(1), pure.sum(1)))
-    bands = (Light.DARK,) * BANDS
-    if peak >= DARK_GREY:
-        one_hue = spread <= LED_SPREAD_MAX
+    bands, contrast = (Light.DARK,) * BANDS, 0.0
+    one_hue = spread <= LED_SPREAD_MAX
+    if one_hue and peak >= STRIPED_PEAK:
+        contrast = _contrast(brightest)
+    if contrast >= STRIPED_MIN:
+        bands = _striped_bands(brightest, lit)
+    elif peak >= DARK_GREY:
         bands = _bands(lit, _spread(light, pure), _off_hue(light) if one_hue else np.ones(len(lit)))
-    return Photometry(peak, float(lit.mean()), spread, bands, fingerprint, top, bottom)
+    return Photometry(peak, float(lit.mean()), spread, bands, fingerprint, top, bottom, contrast)
 
 
 def _hashed(samples: Image, size: int) -> int:
@@ -154,6 +169,25 @@ def _bands(lit: FloatArray, spread: FloatArray, off_hue: FloatArray) -> tuple[Li
             bands.append(Light.UNCLEAR if of_white + of_dark == rows else Light.BOTH)
         else:
             bands.append(Light.DARK if of_dark == rows else Light.PROJECTOR)
+    return tuple(bands)
+
+
+def _contrast(bright: Float32Array) -> float:
+    """The larger of both ways; stripes may lie along one."""
+    ways = ((bright[1:], bright[:-1]), (bright[:, 1:], bright[:, :-1]))
+    return max(float(np.abs(a - b).sum()) / max(float((a + b).sum()), 1.0) for a, b in ways)
+
+
+def _striped_bands(bright: Float32Array, lit: FloatArray) -> tuple[Light, ...]:
+    """Of a picture of fringes: a band that is lit without them is the LED's."""
+    bands = []
+    for i in range(BANDS):
+        band = slice(i * len(lit) // BANDS, (i + 1) * len(lit) // BANDS)
+        if not lit[band].max(initial=0.0) >= ROW_LIT_MIN:
+            bands.append(Light.DARK)
+        else:
+            plain = lit[band].min() >= LIT_EVERYWHERE and _contrast(bright[band]) <= PLAIN_MAX
+            bands.append(Light.LED if plain else Light.PROJECTOR)
     return tuple(bands)
 
 

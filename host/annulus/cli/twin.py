@@ -26,7 +26,13 @@ def run(
         Path | None, typer.Option("-o", "--out", help="Folder for head.toml, calibration and truth.")
     ] = None,
     board: Board = "native",
-    head: Annotated[str, typer.Option(help="ring: one camera; stereo: two beside the projector.")] = "ring",
+    head: Annotated[
+        str,
+        typer.Option(
+            help="ring: one camera; stereo: two beside the projector; fringe: one behind a static sinusoid; "
+            "fringe-mirror: four about one."
+        ),
+    ] = "ring",
 ) -> None:
     """Run a simulated head in real time and print the head.toml for it, or write it. Ends with Ctrl-C."""
     from annulus.twin.head import run_head
@@ -114,8 +120,9 @@ def scan(
     world: Annotated[
         str,
         typer.Option(
-            help="demo, clean, mirror-2inch, -3inch, -4inch, stereo, stereo-3inch; butt, coupling, branch, bend or "
-            "water: pipes of several pieces, drawn from the seed."
+            help="demo, clean, mirror-2inch, -3inch, -4inch, stereo, stereo-3inch; fringe, fringe-modules, "
+            "fringe-mirror: heads that project a sinusoid; butt, coupling, branch, bend or water: pipes of several "
+            "pieces, drawn from the seed."
         ),
     ] = "demo",
     frames: Annotated[int, typer.Option(min=2, max=100_000, help="Camera frames, every fifth lit by the LED.")] = 100,

@@ -73,7 +73,9 @@ def check_head(path: Path) -> list[Finding]:
 
 def _calibration(config: HeadConfig) -> str:
     assert config.calibration is not None
-    return ", ".join(f"camera {one.id} {one.camera.width}x{one.camera.height}" for one in config.calibration.cameras)
+    cameras = ", ".join(f"camera {one.id} {one.camera.width}x{one.camera.height}" for one in config.calibration.cameras)
+    later = "" if config.calibration.frame_by_frame else "; nothing is seen live: its frames are measured together"
+    return cameras + later
 
 
 def _controller(port: str) -> str:

@@ -195,7 +195,7 @@ class Session:
         stack.callback(self._stop_pools)
         if config.autostart:
             self._prepare_scan(power)  # together with the workers: neither has to wait for the other
-        if config.calibration is not None:
+        if config.calibration is not None and config.calibration.frame_by_frame:
             self._reconstruction = Reconstruction(
                 config.calibration, config.colour, config.workers or default_workers(), config.timing.period_us,
                 power.shared, self._account, self._observers,

@@ -96,19 +96,21 @@ def measure_pipe(
     z_mm: FloatArray,
     radius_mm: float,
     *,
+    roll_rad: FloatArray | None = None,
     cell_mm: float | None = None,
     seed: int = 0,
 ) -> PipeMap:
     """The wall of a pipe from N >= 3 frames of each eye.
 
-    z_mm : (F,) where the head was at each flash, as measured, any steps. radius_mm : the pipe's, roughly (to a third of
+    z_mm : (F,) where the head was at each flash, as measured, any steps; roll_rad : (F,) how it was rolled, clockwise
+    looking forward, taken as told: a slide of rings says nothing of it. radius_mm : the pipe's, roughly (to a third of
     a fringe). AnnulusError where frames are too few, do not fit the positions or a camera, show no lit wall, or where
     the head stood still.
     """
     z_mm = np.asarray(z_mm, dtype=float)
     if len(shots.flash) and int(shots.flash.max()) >= len(z_mm):
         raise AnnulusError(f"{int(shots.flash.max()) + 1} flashes for {len(z_mm)} positions")
-    head = Head.at(eyes, shots, z_mm[:, None] * [0.0, 0.0, 1.0], radius_mm)
+    head = Head.at(eyes, shots, z_mm[:, None] * [0.0, 0.0, 1.0], radius_mm, roll_rad)
     poses = head.poses
     head, coefficients, (near, far) = lit_wall(head, shots.images)
     step = cell_mm or CELL_OF_RADIUS * radius_mm

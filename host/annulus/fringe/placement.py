@@ -117,9 +117,12 @@ class Head:
     blur_squared: float = 0.0
 
     @staticmethod
-    def at(eyes: Sequence[Eye], shots: Shots, places_mm: FloatArray, radius_mm: float) -> "Head":
-        """That stands straight at (F, 3) places; nothing is known of its light yet."""
+    def at(
+        eyes: Sequence[Eye], shots: Shots, places_mm: FloatArray, radius_mm: float, roll_rad: FloatArray | None = None
+    ) -> "Head":
+        """That stands straight at (F, 3) places, rolled clockwise looking forward; nothing is known of its light."""
         poses = np.concatenate([np.zeros((len(places_mm), 3)), places_mm], axis=1)
+        poses[:, 2] = 0.0 if roll_rad is None else -roll_rad
         return Head(tuple(eyes), poses, shots.eye, shots.flash, np.zeros((len(eyes), 3, TERMS)), radius_mm)
 
     @property

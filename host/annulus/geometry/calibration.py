@@ -84,6 +84,11 @@ class Calibration:
         """What is projected."""
         return "slits" if self.pattern is None else cast(Kind, self.pattern["kind"])
 
+    @property
+    def frame_by_frame(self) -> bool:
+        """Whether the frames of one flash say a profile; those of a fringe are recorded, and measured together."""
+        return self.kind in ("slits", "line")
+
     def only(self, *kinds: Kind) -> "Calibration":
         """Itself, for a method that knows one camera and these kinds of light (slits if none is named).
 

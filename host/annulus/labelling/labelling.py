@@ -20,7 +20,7 @@ from annulus.capture.seen import FrameSeen as FrameSeen
 from annulus.controller import TICK_NS
 from annulus.labelling.navigation import Navigation
 from annulus.stream.frames import FrameHeader
-from annulus.vocabulary import AnnulusError, Flash, Label
+from annulus.vocabulary import AnnulusError, EdgeFlag, Flash, Label
 
 OFFSET_FRAMES = 15  # seen before the camera's offset is tried ..
 OFFSET_FRAMES_KEPT = 64  # .. and looked at
@@ -151,9 +151,9 @@ class Labelling:
         place = self._navigation.odometer.place(flash)
         known = FrameHeader(
             self._index((flash.epoch, flash.edge)), frame.sequence, frame.timestamp_ns, said.label, "",
-            flash.edge, flash.slot, flash.odometer, place.z_mm if place is not None else None,
-            mode.encoding, mode.width, mode.height, camera=mode.camera, arrived_ns=frame.arrived_ns,
-            roll_deg=self._navigation.roll.at(_lit_ns(said.opened_ns, flash)),
+            flash.edge, None if EdgeFlag.PREAMBLE in flash.flags else flash.slot, flash.odometer,
+            place.z_mm if place is not None else None, mode.encoding, mode.width, mode.height, camera=mode.camera,
+            arrived_ns=frame.arrived_ns, roll_deg=self._navigation.roll.at(_lit_ns(said.opened_ns, flash)),
             z_assumed=place.assumed if place is not None else False,
             z_bound_mm=place.bound_mm if place is not None else 0.0,
             segment=place.segment if place is not None else 0,

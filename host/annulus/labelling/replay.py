@@ -145,6 +145,7 @@ def _frame(row: Mapping[str, Any]) -> FrameSeen:
         Photometry(
             float(picture["peak"]), float(picture["lit"]), float(picture["spread"]), bands,
             None if fingerprint is None else int(fingerprint, 16), picture.get("top"), picture.get("bottom"),
+            float(picture.get("contrast", 0.0)),
         ),
         dict(row["metadata"]),
     )  # fmt: skip

@@ -40,7 +40,7 @@ from annulus.wall.stations import OVALITY_NAME
 from annulus.wall.survey import Survey
 
 SHARED = "#3f8f5b"  # what several cameras saw, and what each did
-LEGEND_COLUMNS = 6
+LEGEND_COLUMNS = 4
 OWN = ("#e0912f", "#7a5aa6", "#2f79c4", "#b3261e", "#8a6d3b", "#4b2e83", "#0b7285", "#d6336c") * 2
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import gaussian_filter
 
 from annulus.fringe import Eye, FringeHead, PipeMap, Shots, Transfer, find_scratches, light_of, measure_pipe
 from annulus.fringe.scratches import CELL, CELLS_MIN, LEAST_OF_RADIUS
@@ -21,6 +22,7 @@ from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import BoolArray, Float32Array, Image
 from annulus.record.calibration_file import load_part
 from annulus.record.scan import Scan, open_scan
+from annulus.reprocess.job import roll_filled
 from annulus.vocabulary import AnnulusError, Finding, Label, first_few
 from annulus.wall.centreline import Centreline, Piece
 from annulus.wall.defects import Defect, Detection
@@ -34,8 +36,10 @@ Progress = Callable[[str, int, int], None]
 
 WINDOW = 24  # flashes of a slide: three fringes of 8 mm at 1 mm a frame, and 120 MB of a camera of a Mpixel
 LIGHT = "the fringes' mean light"
+EVEN_CELLS = 20.0  # of the report's grid: brightness is evened out over that
 BRIGHT = 230  # of 255: what the brightest hundredth of the wall is drawn as
 MADE_BY = "annulus calibrate fringe"
+STEP_OF_RADIUS = 1 / 400  # half a cell of the map: flashes nearer than that are one
 UNTOLD_MAX = 0.02  # share of the map's cells from which it is said that their order of fringe is open
 
 
@@ -50,6 +54,7 @@ class FringePipeJob:
     curve: Transfer
     flashes: tuple[tuple[tuple[int, int], ...], ...]  # of each: eye, and number of its frame in the scan
     z_mm: tuple[float, ...]
+    roll_rad: tuple[float, ...] | None  # None where nobody said
     window: int  # flashes
     findings: tuple[Finding, ...]
 
@@ -67,21 +72,22 @@ class MeasuredPipe:
 def open_fringe_pipe(scan: Path, calibration: Path | None) -> FringePipeJob:
     """calibration : None: the recording's own. AnnulusError, one line, for what is missing, damaged or does not belong
     together."""
-    opened = open_scan(scan)
+    opened = roll_filled(open_scan(scan))
     said = calibration or scan
     head = _head_of(opened, scan) if calibration is None else load_part(calibration, FringeHead.from_dict, MADE_BY)
     if head.radius_mm is None or not (head.lamps or head.projector is not None):
         raise AnnulusError(f"{said}: has no slide of fringes and pipe. Make it with `{MADE_BY}`.")
     eyes = head.eyes()
     flashes, findings = _flashes(opened, scan, head)
+    flashes = _moved(opened, scan, flashes, STEP_OF_RADIUS * head.radius_mm)
     for number, (_, camera, _) in enumerate(eyes):
         mine = sum(eye == number for flash in flashes for eye, _ in flash)
         if mine < 3:
             whose = "with the projector" if len(eyes) == 1 else f"of camera {camera} under its slide"
             raise AnnulusError(f"{scan}: {mine} frames {whose}, expected at least 3: phase, DC and AC of a point")
     z = tuple(opened.frames[flash[0][1]].z_mm for flash in flashes)
-    if not np.ptp(z) > 0:
-        raise AnnulusError(f"{scan}: z_mm is {z[0]:g} throughout: the head did not move, nothing shifted the phase")
+    rolls = [opened.frames[flash[0][1]].roll_deg for flash in flashes]
+    rolled = tuple(math.radians(one) for one in rolls if one is not None)
     told = head.curve(scan.resolve().name)
     text = "the calibration names no transfer curve for this scan: grey levels are taken as linear in light"
     if told is None:
@@ -89,7 +95,8 @@ def open_fringe_pipe(scan: Path, calibration: Path | None) -> FringePipeJob:
     turns = max(1, round(len(flashes) * len(eyes) / max(sum(len(flash) for flash in flashes), 1)))
     return FringePipeJob(
         opened, tuple(eye for eye, _, _ in eyes), tuple(camera for _, camera, _ in eyes), head.radius_mm,
-        told or Transfer(), tuple(flashes), z, WINDOW * turns, tuple(findings),
+        told or Transfer(), tuple(flashes), z, rolled if len(rolled) == len(z) else None,
+        WINDOW * turns, tuple(findings),
     )  # fmt: skip
 
 
@@ -129,6 +136,26 @@ def _flashes(opened: Scan, scan: Path, head: FringeHead) -> tuple[list[tuple[tup
     return [tuple(found[index]) for index in sorted(found) if found[index]], findings
 
 
+def _moved(
+    opened: Scan, scan: Path, flashes: list[tuple[tuple[int, int], ...]], step_mm: float
+) -> list[tuple[tuple[int, int], ...]]:
+    """Without flashes of a head that stood still: they say again what the one before said. AnnulusError where it did
+    throughout."""
+    out: list[tuple[tuple[int, int], ...]] = []
+    last = dict[int, float]()  # by eye
+    for flash in flashes:
+        z, eyes = opened.frames[flash[0][1]].z_mm, [eye for eye, _ in flash]
+        if any(abs(z - last.get(eye, math.inf)) >= step_mm for eye in eyes):
+            out.append(flash)
+            last.update(dict.fromkeys(eyes, z))
+    places = [opened.frames[flash[0][1]].z_mm for flash in out]
+    if len(flashes) > 2 and np.ptp(places) < step_mm:
+        raise AnnulusError(
+            f"{scan}: z_mm is {places[0]:g} throughout: the head did not move, nothing shifted the phase"
+        )
+    return out
+
+
 def reconstruct_fringe_pipe(job: FringePipeJob, progress: Progress | None = None) -> MeasuredPipe:
     """The wall. AnnulusError where nothing can be measured."""
     started = time.perf_counter()
@@ -146,7 +173,8 @@ def reconstruct_fringe_pipe(job: FringePipeJob, progress: Progress | None = None
         images = np.array([_light(job, eye, i) for _, eye, i in each])
         shots = Shots(images, np.array([eye for _, eye, _ in each]), np.array([k for k, _, _ in each]))
         try:
-            parts.append(measure_pipe(job.eyes, shots, np.array(job.z_mm[window]), job.radius_mm))
+            roll = None if job.roll_rad is None else np.array(job.roll_rad[window])
+            parts.append(measure_pipe(job.eyes, shots, np.array(job.z_mm[window]), job.radius_mm, roll_rad=roll))
         except AnnulusError as error:
             raise AnnulusError(f"{job.scan.path}: {error}") from None
         report("fringes", min(start + size, count), count)
@@ -245,7 +273,8 @@ def _cells(wall: Wall, one: Defect) -> BoolArray:
 
 
 def _light_map(wall: Wall, seen: PipeMap) -> Image | None:
-    """(Z, A, 4) uint8 RGBA of the report's grid: the mean of the map's DC in each cell, alpha 0 where not told."""
+    """(Z, A, 4) uint8 RGBA of the report's grid: the mean of the map's DC in each cell over that about it, alpha 0
+    where not told. How bright one stretch of wall is beside another far from it, no eye knows."""
     row = np.rint((seen.z_mm - wall.z_mm[0]) / wall.z_step_mm).astype(int)
     column = np.rint((seen.phi_deg + 90.0) / wall.clock_step_deg).astype(int) % len(wall.clock_deg)
     told = np.isfinite(seen.radius_mm) & ((row >= 0) & (row < len(wall.z_mm)))[:, None]
@@ -254,7 +283,13 @@ def _light_map(wall: Wall, seen: PipeMap) -> Image | None:
     j, i = np.nonzero(told)
     cell = row[j] * len(wall.clock_deg) + column[i]
     count = np.bincount(cell, minlength=wall.radius_mm.size)
-    mean = np.bincount(cell, weights=seen.dc[told], minlength=wall.radius_mm.size) / np.maximum(count, 1)
-    grey = np.clip(BRIGHT * mean / np.percentile(mean[count > 0], 99), 0, 255)
-    alpha = np.where(count > 0, 255, 0)
-    return np.stack([grey, grey, grey, alpha], axis=1).astype(np.uint8).reshape(*wall.radius_mm.shape, 4)
+    total = np.bincount(cell, weights=seen.dc[told], minlength=wall.radius_mm.size)
+    about = [
+        gaussian_filter(one.reshape(wall.radius_mm.shape).astype(float), EVEN_CELLS, mode=("nearest", "wrap")).ravel()
+        for one in (total, count)
+    ]
+    known = count > 0
+    even = np.where(known, total / np.maximum(count, 1) / np.maximum(about[0] / np.maximum(about[1], 1e-9), 1e-9), 0.0)
+    grey = np.clip(BRIGHT * even / np.percentile(even[known], 99), 0, 255)
+    picture = np.stack([grey, grey, grey, np.where(known, 255, 0)], axis=1)
+    return picture.astype(np.uint8).reshape(*wall.radius_mm.shape, 4)

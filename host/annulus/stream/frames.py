@@ -27,7 +27,7 @@ class FrameHeader:
     label: Label
     reason: str  # why the label is unknown; empty otherwise
     edge: EdgeIndex | None
-    slot: Slot | None
+    slot: Slot | None  # place in the lamp cycle; of a preamble's frames none
     odometer: int | None  # quadrature counts since boot
     z_mm: float | None
     encoding: str

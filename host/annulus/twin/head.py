@@ -33,7 +33,7 @@ from annulus.capture.timing import FrameTiming
 from annulus.twin.faults import Faults
 from annulus.twin.profiles import load_faults
 from annulus.twin.render import Renderer
-from annulus.twin.worlds import World, demo_world, stereo_world
+from annulus.twin.worlds import World, demo_world, mirror_fringe_world, series_world, stereo_world
 from annulus.vocabulary import AnnulusError
 
 MM_PER_FRAME = 3.0
@@ -41,7 +41,9 @@ READOUT_MAX_US = 28_000.0  # of the sensor at 1664x1232
 SLACK_US = 2_000.0  # exposure ends this much short of the frame period
 FLASH_AFTER_OPENING_US = 500.0
 _START_S = 90.0  # the first start of a fresh clone compiles the renderer
-HEADS: Mapping[str, Callable[[int], World]] = {"ring": demo_world, "stereo": stereo_world}  # by seed
+HEADS: Mapping[str, Callable[[int], World]] = {  # by seed
+    "ring": demo_world, "stereo": stereo_world, "fringe": series_world, "fringe-mirror": mirror_fringe_world,
+}  # fmt: skip
 
 
 def head_timing(fps: float) -> FrameTiming:

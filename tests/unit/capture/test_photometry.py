@@ -117,3 +117,30 @@ def test_a_dark_strip_that_was_shown_is_a_tear_and_darkness_shown_twice_is_not()
     dark, bright = picture("white", 0.0, 0.0, seed=1), picture("white", 1.0, 0.0, seed=2)
     assert pictures.met(measure(dark)) is None and pictures.met(measure(dark)) is None
     assert pictures.met(measure(np.vstack([bright[: H // 2], dark[H // 2 :]]))) is Witness.TORN
+
+
+def fringes(wide_px: float, along: bool, *, mean: float = 90.0, modulation: float = 0.8) -> NDArray[np.uint8]:
+    """A sinusoid in white light over a dark surround, noise of 3 grey."""
+    y, x = np.mgrid[0:H, 0:W].astype(float)
+    inside = np.hypot((x - W / 2) / (W / 2), (y - H / 2) / (H / 2)) < 0.9
+    wave = 1 + modulation * np.cos(2 * np.pi * (x if along else y) / wide_px)
+    grey = np.where(inside, mean * wave, 2.0)[..., None] * np.array(WALLS["brown"]) / 0.6
+    noise = np.random.default_rng(1).normal(0, 3, grey.shape)
+    return np.clip(grey + noise, 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("along", [False, True])
+@pytest.mark.parametrize("wide_px", [9.0, 20.0, 33.0])
+def test_fringes_of_one_hue_are_the_projectors(wide_px: float, along: bool) -> None:
+    image = fringes(wide_px, along)
+    for seen in (image, mosaic(image)):
+        found = measure(seen)
+        assert found.light is Light.PROJECTOR and not found.torn, found
+
+
+@pytest.mark.parametrize("rows", [slice(0, 90), slice(220, H)])
+def test_a_strip_of_the_leds_light_in_a_picture_of_fringes_is_torn(rows: slice) -> None:
+    image = fringes(20.0, along=False)
+    image[rows] = picture("brown", 0.0, 1.0)[rows]
+    found = measure(image)
+    assert found.light is not Light.LED and found.torn, found

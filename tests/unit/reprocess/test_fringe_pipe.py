@@ -96,7 +96,7 @@ def test_windows_of_a_long_scan_are_one_wall(tmp_path: Path, monkeypatch: pytest
     """Each sees 80 mm; the groove lies where two meet. What a window says where another is nearer is not taken."""
     held = []
 
-    def measured(eyes: Any, shots: Any, z_mm: Any, radius_mm: float) -> PipeMap:
+    def measured(eyes: Any, shots: Any, z_mm: Any, radius_mm: float, roll_rad: Any = None) -> PipeMap:
         held.append(len(shots.images))
         rows = np.arange(np.ceil((z_mm.min() + 60) / STEP), np.floor((z_mm.max() + 90) / STEP)) * STEP
         phi = np.arange(0.0, 360.0, 0.5)
