@@ -11,14 +11,11 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from scipy.ndimage import binary_closing, binary_fill_holes
 
 from annulus.fringe import (
-    FringeHead,
-    FringeProjector,
     Heights,
     Points,
     Transfer,
@@ -30,33 +27,24 @@ from annulus.fringe import (
     merged,
     noise_of,
     spline,
-    told_elsewhere,
     untextured,
 )
 from annulus.fringe.track import AMBIGUOUS, GOOD, TOO_FEW, UNDETERMINED, UNMODULATED, UNSETTLED
 from annulus.geometry.calibration import HeadCamera
 from annulus.numeric.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from annulus.numeric.robust import robust_sigma
-from annulus.record.calibration_file import load_part
-from annulus.record.scan import Scan, open_scan
-from annulus.vocabulary import AnnulusError, Finding, Label, first_few
+from annulus.reprocess.fringe_job import COARSE, DRIFT, Box, FringeJob, cell_mm, check_order
+from annulus.vocabulary import AnnulusError, Finding, first_few
 from annulus.wall.plate import Plate
 
 Progress = Callable[[str, int, int], None]
-Box = tuple[tuple[float, float], tuple[float, float]]  # least and most x, y, mm
 
 WINDOW = 24  # flashes: some fringes' worth of phase, and 200 MB of a camera of 2 Mpixel
 MARGIN = 8  # cells beside a window's own, for what looks at neighbours
-CELL_PX = 1.5  # of the wall's grid: what the lens's blur leaves to be told apart
 VAGUE_RAD = 0.25  # sigma of a phase: beyond it errors are no longer normal (track.MODULATED)
-COARSE = 4  # cells
 APART = 3.0  # times their sigma, from which it is said that two cameras differ
 CHECKED_MIN = 100  # cells that two cameras see, to judge their sigma by
-DRIFT = 0.1  # share by which a point's light may change along half a track: the lens's shading
 ODOMETER_SIGMA_MM = 0.05  # of a cable counter or a stage, where the frames' own texture decides nothing
-FLASH_MM = 0.05  # cameras of one flash stand no farther apart
-SHIFT_MIN = 0.1  # least singular value of DC and wave over the frames, of 1: less and they cannot be told apart
-SHIFT_LEAST_RAD = 0.5  # over the scan: three frames less apart than that are one
 SATURATED_MAX, UNTOLD_MAX = 0.001, 0.02  # shares from which it is said
 MISFIT_MAX = 0.25  # of the swing: the frames do not show this slide
 REASONS = {
@@ -68,99 +56,6 @@ REASONS = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class FringeJob:
-    """A scan with what its frames need. curve : how its grey levels came from light;
-    None where the calibration does not say."""
-
-    scan: Scan
-    head: FringeHead
-    projector: FringeProjector
-    distance_mm: float
-    curve: Transfer | None
-    flashes: tuple[tuple[float, dict[int, int]], ...]  # x_mm, and the scan's frame number by camera
-    findings: tuple[Finding, ...]
-
-
-def open_fringe(scan: Path, calibration: Path) -> FringeJob:
-    """AnnulusError, one line, for what is missing, damaged or does not belong together."""
-    head = load_part(calibration, FringeHead.from_dict, "annulus calibrate fringe")
-    if head.projector is None:
-        raise AnnulusError(f'{calibration}: has no "pattern.projector". Make it with `annulus calibrate fringe`.')
-    if head.distance_mm is None:
-        raise AnnulusError(f'{calibration}: has no "distance_mm" of a plate. Make it with `annulus calibrate fringe`.')
-    opened = open_scan(scan)
-    strange = [number for number in opened.cameras if number not in {one.id for one in head.cameras}]
-    if strange:
-        head.camera(strange[0])
-    flashes = _flashes(opened)
-    _check_motion(opened, head, head.projector, head.distance_mm, flashes)
-    findings = []
-    for one in head.cameras:
-        lost = [k for k, (_, frames) in enumerate(flashes) if one.id not in frames]
-        if lost:
-            text = f"camera {one.id} has no frame of {len(lost)} of {len(flashes)} flashes: measured without it there"
-            findings.append(Finding("camera-missing", text))
-    curve = head.curve(scan.resolve().name)
-    return FringeJob(opened, head, head.projector, head.distance_mm, curve, flashes, tuple(findings))
-
-
-def _flashes(scan: Scan) -> tuple[tuple[float, dict[int, int]], ...]:
-    by_index: dict[int, dict[int, int]] = {}
-    for i, frame in enumerate(scan.frames):
-        if frame.label is not Label.PROJECTOR:
-            continue
-        if frame.x_mm is None:
-            raise AnnulusError(
-                f"{scan.path}: frame {frame.index} has no x_mm, expected where the stage stood, in a column x_mm of "
-                "frames.csv"
-            )
-        by_index.setdefault(frame.index, {})[frame.camera] = i
-    out = []
-    for index, frames in by_index.items():
-        told = [x for i in frames.values() if (x := scan.frames[i].x_mm) is not None]
-        if max(told) - min(told) > FLASH_MM:
-            raise AnnulusError(
-                f"{scan.path}: index {index}: x_mm is {min(told):g} and {max(told):g}, expected one flash"
-            )
-        out.append((told[0], frames))
-    return tuple(out)
-
-
-def _check_motion(
-    scan: Scan, head: FringeHead, slide: FringeProjector, distance_mm: float, flashes: Sequence[tuple[float, object]]
-) -> None:
-    """AnnulusError where the frames are too few, or no phase moved between them."""
-    if len(flashes) < 3:
-        raise AnnulusError(
-            f"{scan.path}: {len(flashes)} flashes with the projector, expected at least 3: phase, DC and AC of a point"
-        )
-    x = np.array([place for place, _ in flashes])
-    if not np.ptp(x) > 0:
-        raise AnnulusError(
-            f"{scan.path}: x_mm is {x[0]:g} throughout: the head did not move, nothing shifted the phase"
-        )
-    ahead = np.array(slide.centre_mm) * [1, 1, 0] + [0, 0, distance_mm]
-    if slide.kind == "stripes" and not (np.array(slide.rotation)[2] @ (ahead - np.array(slide.centre_mm))) > 0:
-        raise AnnulusError(
-            f'calibration: the slide at {slide.centre_mm[2]:g} mm ("pattern.projector") does not shine on the plate at '
-            f"{distance_mm:g} mm: expected the plate before it"
-        )
-    phase = slide.phase(ahead - (x - x[0])[:, None] * np.array(head.motion))
-    if np.ptp(phase) < SHIFT_LEAST_RAD:
-        raise AnnulusError(
-            f'{scan.path}: {np.ptp(x):g} mm along "motion" of the calibration shift the fringes by {np.ptp(phase):.2g} '
-            "rad: expected a motion across the stripes, of a period or so"
-        )
-    matrix = np.stack([np.ones(len(x)), np.cos(phase), np.sin(phase)], axis=1) / math.sqrt(len(x))
-    if np.linalg.svd(matrix, compute_uv=False)[-1] < SHIFT_MIN:
-        period = 2 * np.pi / abs(float(np.polyfit(x, phase, 1)[0]))
-        raise AnnulusError(
-            f"{scan.path}: its {len(x)} flashes shift the fringes by whole periods ({period:.2f} mm "
-            "a period on the plate): expected steps of a third to a quarter period, or uneven ones"
-        )
-
-
 def _curve(job: FringeJob) -> FringeJob:
     """The same with the curve whose light fits the slide's waveform best, of those in the calibration and the usual
     ones: another curve has other harmonics."""
@@ -170,7 +65,7 @@ def _curve(job: FringeJob) -> FringeJob:
     odometer = np.array([x for x, seen in job.flashes[:WINDOW] if one.id in seen])
     if len(odometer) < 3:
         return replace(job, curve=said[0])
-    box, step = _box(job, one, odometer), COARSE * _cell_mm(job)
+    box, step = _box(job, one, odometer), COARSE * cell_mm(job)
     coarse = Points.plate(np.arange(*box[0], step), np.arange(*box[1], step), job.distance_mm)
     view = View.of(one, job.projector, odometer[:, None] * np.array(job.head.motion))
     told = []
@@ -252,7 +147,7 @@ class _Part:
 
 def _window(job: FringeJob, frames: _Frames, start: int, share: tuple[float, float], before: _Part | None) -> _Part:
     window = job.flashes[start : start + WINDOW]
-    odometer, ahead, cell = np.array([x for x, _ in window]), np.array(job.head.motion), _cell_mm(job)
+    odometer, ahead, cell = np.array([x for x, _ in window]), np.array(job.head.motion), cell_mm(job)
     cameras = [one for one in job.head.cameras if sum(one.id in seen for _, seen in window) >= 3]
     if not cameras:
         raise AnnulusError(f"{job.scan.path}: no camera has 3 frames among {len(window)} flashes beside one another")
@@ -284,7 +179,7 @@ def _window(job: FringeJob, frames: _Frames, start: int, share: tuple[float, flo
         slipped[which] |= steps.slipped
         scale = steps.scale if steps.stretched else scale
     if start == 0:
-        _check_order(job, [(one, images, odometer[which]) for one, images, which, _ in taken], boxes)
+        check_order(job, [(one, images, odometer[which]) for one, images, which, _ in taken], boxes)
     place = np.where(weights > 0, places / np.maximum(weights, 1e-300), odometer)
     if before is not None:
         shared = before.start + len(before.place_mm) - start
@@ -333,29 +228,6 @@ def _window(job: FringeJob, frames: _Frames, start: int, share: tuple[float, flo
     return _Part(start, place, sigma, slipped, i[own], j[own], share_of, scale, apart)
 
 
-def _check_order(
-    job: FringeJob, taken: Sequence[tuple[HeadCamera, Float32Array, FloatArray]], boxes: Sequence[Box]
-) -> None:
-    """AnnulusError where two cameras see one texture only if the plate stands a fringe from where it was told."""
-    if len(taken) < 2:
-        return
-    step = COARSE * _cell_mm(job)
-    both = [(max(a[k][0] for a in boxes[:2]), min(a[k][1] for a in boxes[:2])) for k in (0, 1)]
-    points = Points.plate(np.arange(*both[0], step), np.arange(*both[1], step), job.distance_mm)
-    if not len(points.base):
-        return
-    views = [
-        (View.of(one, job.projector, x[:, None] * np.array(job.head.motion)), images) for one, images, x in taken[:2]
-    ]
-    if (told := told_elsewhere(views, points, drift_sigma=DRIFT)) is not None:
-        height, there, here = told
-        raise AnnulusError(
-            f"{job.scan.path}: the plate stands about {job.distance_mm - height:.4g} mm away, the calibration's "
-            f'"distance_mm" is {job.distance_mm:g}, a fringe off: there its cameras see one texture (correlation '
-            f"{there:.2f}), as told they do not ({here:.2f})"
-        )
-
-
 def _misfit(found: Heights) -> float:
     """rms residual over the swing, the median of the points with a height; 0 where there are none."""
     good = found.flag == GOOD
@@ -393,12 +265,6 @@ def _at(k: float, place: FloatArray) -> float:
     return k if math.isinf(k) else float(np.interp(k, np.arange(len(place)), place))
 
 
-def _cell_mm(job: FringeJob) -> float:
-    """Of the grid: what CELL_PX pixels of the first camera see of the plate, to two digits."""
-    camera = job.head.cameras[0].camera
-    return float(f"{CELL_PX * job.distance_mm / max(camera.fx, camera.fy):.2g}")
-
-
 def _box(job: FringeJob, one: HeadCamera, odometer: FloatArray) -> Box:
     """Least and most x, y of the plate that a camera sees from these positions, mm."""
     width, height = one.camera.width, one.camera.height
@@ -417,7 +283,7 @@ def _joined(job: FringeJob, frames: _Frames, parts: Sequence[_Part], started: fl
     some = [part for part in parts if part.found is not None]
     if not some:
         raise AnnulusError(f"{job.scan.path}: shows no fringes of this slide on the plate, nothing to measure")
-    cell = _cell_mm(job)
+    cell = cell_mm(job)
     i, j = (np.concatenate([getattr(part, name) for part in some]) for name in ("i", "j"))
     shape = (int(j.max() - j.min()) + 1, int(i.max() - i.min()) + 1)
     where = (j - j.min(), i - i.min())
