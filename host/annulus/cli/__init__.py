@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from annulus.cli import burst, calibrate, firmware, head, joint, pattern, record, tai, twin
+from annulus.cli.fringe import BY, By
 from annulus.cli.show import Json, progress
 from annulus.cli.terminal import escaped
 from annulus.untrusted import one_line
@@ -82,6 +83,9 @@ def reconstruct(
         bool, typer.Option("--vibration-filter", help="Take out what shakes periodically along the pipe, and say what.")
     ] = False,
     fps: Annotated[float | None, typer.Option(min=0.01, help="Frames a second, to name vibrations in hertz.")] = None,
+    by: Annotated[
+        By, typer.Option(help="Heights of a plate under fringes: by the calibrated slide, or by two cameras alone.")
+    ] = By.SLIDE,
     workers: Annotated[int | None, typer.Option(min=1, max=64, help="Processes; one a core if not given.")] = None,
     as_json: Json = False,
 ) -> None:
@@ -93,7 +97,11 @@ def reconstruct(
     from annulus.report import Account, prepare_folder, write
     from annulus.reprocess import Processes, fringes_on, open_job, reprocess
 
-    if wall := fringes_on(scan, calibration):
+    wall = fringes_on(scan, calibration)
+    if by is By.CAMERAS and wall != "plate":
+        which = f"without a calibration of fringes: {calibration or scan}" if wall is None else "in a pipe"
+        raise AnnulusError(f"--by cameras does not go {which}, expected a head that projects fringes on a plate")
+    if wall:
         for option, given in (
             ("--colour", colour),
             ("--reference", reference),
@@ -104,7 +112,7 @@ def reconstruct(
         if wall == "pipe" or calibration is None:
             _reconstruct_fringe_pipe(scan, calibration, out, as_json)
         else:
-            _reconstruct_fringe(scan, calibration, out, as_json)
+            _reconstruct_fringe(scan, calibration, out, by, as_json)
         return
     job = open_job(scan, calibration, colour=colour, reference=reference)
     prepare_folder(out)
@@ -140,11 +148,11 @@ def _reconstruct_fringe_pipe(scan: Path, calibration: Path | None, out: Path, as
         _print_summary(summary, out)
 
 
-def _reconstruct_fringe(scan: Path, calibration: Path, out: Path, as_json: bool) -> None:
+def _reconstruct_fringe(scan: Path, calibration: Path, out: Path, by: By, as_json: bool) -> None:
     from annulus.report import Account, prepare_folder, write_plate
     from annulus.reprocess import open_fringe, reconstruct_fringe
 
-    job = open_fringe(scan, calibration)
+    job = open_fringe(scan, calibration, "cameras" if by is By.CAMERAS else "slide")
     prepare_folder(out)
     with progress() as bars:
         plate = reconstruct_fringe(job, bars)
@@ -155,6 +163,7 @@ def _reconstruct_fringe(scan: Path, calibration: Path, out: Path, as_json: bool)
     if as_json:
         print(json.dumps(summary))
         return
+    print(f"by         {BY[By(plate.by)]}")
     height, sigma, places = (summary[key] for key in ("height_mm", "sigma_mm", "places"))
     print(f"frames     {', '.join(f'{n} {label}' for label, n in counts.items())}")
     print(

@@ -1,12 +1,24 @@
-"""What `annulus calibrate fringe` says to people: before a plate, in a pipe."""
+"""What the commands say to people of fringes: `annulus calibrate fringe` before a plate, in a pipe, `reconstruct`."""
 
 from collections.abc import Mapping
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from annulus.calibrate.fringe import FringeCalibration
     from annulus.calibrate.fringe_pipe import FringePipeCalibration
+
+
+class By(StrEnum):
+    SLIDE = "slide"
+    CAMERAS = "cameras"
+
+
+BY = {
+    By.SLIDE: "the slide: its calibrated phase says the height",
+    By.CAMERAS: "the cameras: the height at which both see one phase; the slide's own calibration is not used",
+}
 
 
 def show_plate(result: "FringeCalibration", told: Mapping[str, Any], out: Path) -> None:

@@ -28,7 +28,7 @@ from annulus.fringe.projector import FringeProjector
 from annulus.fringe.scratches import find_scratches
 from annulus.fringe.slide import RingSlide, ring_slide
 from annulus.fringe.steps import Steps, find_steps
-from annulus.fringe.stereo_phase import stereo_heights
+from annulus.fringe.stereo_phase import slide_seen, stereo_heights
 from annulus.fringe.stream import stream
 from annulus.fringe.texture import untextured
 from annulus.fringe.transfer import Transfer, light_of, transfers
@@ -63,6 +63,7 @@ __all__ = [
     "plate_names",
     "projector_to_dict",
     "ring_slide",
+    "slide_seen",
     "spline",
     "stereo_heights",
     "stream",

@@ -12,7 +12,7 @@ cameras are told the same wrong, and the difference does not hear of it. Nor of 
 (`texture`): that too belongs to the place. Where the DC has no texture there is no rough height, and no height.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -31,7 +31,11 @@ SMOOTH = (8 * BLOCK_PX**2, 32 * BLOCK_PX**2)  # OpenCV's own suggestion for step
 LEFT_RIGHT_PX = 1
 SUBPIXEL = 16.0  # the matcher's unit
 ROUNDS = 5
+SEEN_MIN = 200  # points with a disparity, to say a phase by
 STRONG = 0.1  # rad/mm: below that two cameras' phases do not tell heights apart
+BLOCK = 20000  # points at a time: 24 frames of them, and their columns, are 40 MB
+PERIOD_OFF, PERIOD_STEPS = 0.05, 101  # share by which a slide's period may be off its design
+CONCENTRATED = 0.3  # length of the mean of all unit phases: below it the frames show no slide of that period
 WINDOW = 0.5  # of a half period: farther from the rough height than that is another order's
 
 
@@ -63,8 +67,56 @@ def stereo_heights(
     bounds_mm : between which heights the wall lies, for the matcher. Flag AMBIGUOUS where it finds none, or where the
     phases agree too far from what it found.
     """
-    views = tuple(View.of(one, projector, moved_mm) for one in pair)
+    views = (View.of(pair[0], projector, moved_mm), View.of(pair[1], projector, moved_mm))
     rough = rough_heights(pair, projector, moved_mm, images, points, bounds_mm)
+    blocks = [np.arange(k, min(k + BLOCK, len(rough))) for k in range(0, len(rough), BLOCK)]
+    told = [_agreed(views, images, points.some(some), rough[some], noise, drift_sigma) for some in blocks]
+    h, sigma, dc, ac, misfit, used, flag = (np.concatenate(one) for one in zip(*told, strict=True))
+    return Heights(h, sigma, dc, ac, misfit, used, flag, np.empty((0, 0), np.float32))
+
+
+def slide_seen(
+    pair: tuple[HeadCamera, HeadCamera], projector: FringeProjector, moved_mm: FloatArray,
+    images: tuple[Float32Array, Float32Array], points: Points, bounds_mm: tuple[float, float],
+) -> FringeProjector:  # fmt: skip
+    """The slide with the phase0 and period that the first camera sees where the disparity says that the wall is: a
+    slide that was never calibrated has any phase, and a period within some percent of its design.
+
+    As `stereo_heights` takes them. AnnulusError where there is no disparity, or no common phase.
+    """
+    rough = rough_heights(pair, projector, moved_mm, images, points, bounds_mm)
+    which = np.flatnonzero(np.isfinite(rough))
+    if len(which) < SEEN_MIN:
+        low, high = bounds_mm
+        raise AnnulusError(
+            f"its cameras see no texture in common between {low:g} and {high:g} mm of height: only the slide says "
+            "where the wall is"
+        )
+    some, h = points.some(which), rough[which]
+    for _ in range(2):
+        view = View.of(pair[0], projector, moved_mm)
+        off = _phase(view, images[0], some, h, (1.0, 0.0, 0.0), 0.0, robust=False).off
+        x = some.at(h)
+        ahead = np.mean([view.phase(x, n) for n in range(len(moved_mm))], axis=0) - projector.phase0
+        good = np.isfinite(off + ahead)
+        stretch = np.linspace(-PERIOD_OFF, PERIOD_OFF, PERIOD_STEPS)
+        sums = [complex(np.mean(np.exp(1j * (off - one * ahead)[good]))) if good.any() else 0j for one in stretch]
+        best = int(np.argmax(np.abs(sums)))
+        if abs(sums[best]) < CONCENTRATED:
+            raise AnnulusError(
+                f"the frames' phases add up to {abs(sums[best]):.2f} under the slide, expected above {CONCENTRATED:g}: "
+                "its period or its place is too far off"
+            )
+        period, phase0 = projector.period / (1 + stretch[best]), projector.phase0 + float(np.angle(sums[best]))
+        projector = replace(projector, period=period, phase0=phase0)
+    return projector
+
+
+def _agreed(
+    views: tuple[View, View], images: tuple[Float32Array, Float32Array], points: Points, rough: FloatArray,
+    noise: tuple[float, float, float], drift_sigma: float,
+) -> tuple[FloatArray, ...]:  # fmt: skip
+    """What `Heights` has of the points but residuals, in its order: both phases followed to where they agree."""
     h = rough.copy()
     first, second = views
     for turn in range(ROUNDS):
@@ -86,10 +138,8 @@ def stereo_heights(
     flag = np.where(np.minimum(a.used, b.used) < 3, TOO_FEW, flag)
     flag = np.where(np.isfinite(rough), flag, AMBIGUOUS).astype(float)
     told = (flag == GOOD) & np.isfinite(sigma)
-    return Heights(
-        np.where(told, h, np.nan), np.where(told, sigma, np.nan), a.dc, a.ac, a.misfit + b.misfit, a.used + b.used,
-        flag, np.empty((0, 0), np.float32),
-    )  # fmt: skip
+    height, sigma = np.where(told, h, np.nan), np.where(told, sigma, np.nan)
+    return height, sigma, a.dc, a.ac, a.misfit + b.misfit, a.used + b.used, flag
 
 
 def rough_heights(

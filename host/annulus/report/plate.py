@@ -58,6 +58,7 @@ def _summary(plate: Plate, account: Account, files_ms: float) -> dict[str, Any]:
     out: dict[str, Any] = {
         "format": "annulus-summary/1",
         "method": "fringe",
+        "by": plate.by,
         "source": account.source,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "frames": dict(account.frames),

@@ -1,5 +1,8 @@
 """A scan under a slide of fringes to the heights of the plate it went past.
 
+By cameras (`job.by`) the same, but a height is where both cameras see one phase (`fringe.stereo_heights`); of the slide
+they need about what its design says, its phase and period are taken from the first window.
+
 A scan is worked through in windows of consecutive flashes, half of each shared with the next, so that memory does not
 grow with its length. Each window places its own frames (`fringe.steps`) and says the heights of the cells that stand
 before its middle; windows are joined where they share frames. A camera's frames are held one camera at a time.
@@ -26,7 +29,9 @@ from annulus.fringe import (
     light_of,
     merged,
     noise_of,
+    slide_seen,
     spline,
+    stereo_heights,
     untextured,
 )
 from annulus.fringe.track import AMBIGUOUS, GOOD, TOO_FEW, UNDETERMINED, UNMODULATED, UNSETTLED
@@ -54,6 +59,8 @@ REASONS = {
     UNSETTLED: "frames that do not fit one another",
     AMBIGUOUS: "order of the fringe open",
 }
+NO_TEXTURE = "no texture that both cameras see, or phases that do not agree there"  # AMBIGUOUS, by cameras
+REACH = 0.05  # of the distance: how far a plate may stand from it, by cameras; twice that has 0.15 % gross errors
 
 
 def _curve(job: FringeJob) -> FringeJob:
@@ -91,6 +98,8 @@ def reconstruct_fringe(job: FringeJob, progress: Progress | None = None) -> Plat
     starts = [*range(0, last, WINDOW // 2), last]
     frames = _Frames(job, lambda done: report("fringes", done, len(job.flashes)))
     report("fringes", 0, len(job.flashes))
+    if job.by == "cameras":
+        job = _phased(job, frames)
     parts: list[_Part] = []
     for k, start in enumerate(starts):
         low = -math.inf if k == 0 else (starts[k] + starts[k - 1] + WINDOW - 1) / 2
@@ -178,7 +187,7 @@ def _window(job: FringeJob, frames: _Frames, start: int, share: tuple[float, flo
         weights[which] += weight
         slipped[which] |= steps.slipped
         scale = steps.scale if steps.stretched else scale
-    if start == 0:
+    if start == 0 and job.by == "slide":
         check_order(job, [(one, images, odometer[which]) for one, images, which, _ in taken], boxes)
     place = np.where(weights > 0, places / np.maximum(weights, 1e-300), odometer)
     if before is not None:
@@ -210,7 +219,11 @@ def _window(job: FringeJob, frames: _Frames, start: int, share: tuple[float, flo
         return _Part(start, place, sigma, slipped, none, none, None, scale)
     grid = Points.plate(nodes[0] * cell, nodes[1] * cell, job.distance_mm)
     blurs = []
-    for (one, images, which, _), noise in zip(taken, noises, strict=True):
+    if job.by == "cameras":
+        noise = tuple(float(one) for one in np.mean(noises, axis=0))
+        told.append(_by_cameras(job, [one[:3] for one in taken], place, grid, (noise[0], noise[1], noise[2])))
+        blurs.append(cell / 2)
+    for (one, images, which, _), noise in zip(taken if job.by == "slide" else [], noises, strict=False):
         view = View.of(one, job.projector, place[which, None] * ahead)
         found, blur = untextured(view, grid, heights(view, images, grid, noise=noise, drift_sigma=DRIFT))
         told.append(_certain(view, grid, found))
@@ -226,6 +239,44 @@ def _window(job: FringeJob, frames: _Frames, start: int, share: tuple[float, flo
     )
     share_of = Heights(height, spread, dc, ac, misfit, used, flag, np.empty((0, 0), np.float32))
     return _Part(start, place, sigma, slipped, i[own], j[own], share_of, scale, apart)
+
+
+def _phased(job: FringeJob, frames: _Frames) -> FringeJob:
+    """The same, the slide's phase and period as the first window's cameras see them."""
+    window = job.flashes[:WINDOW]
+    odometer = np.array([x for x, _ in window])
+    boxes = [_box(job, one, odometer) for one in job.head.cameras]
+    low, high = np.max(boxes, axis=0)[:, 0], np.min(boxes, axis=0)[:, 1]
+    step = COARSE * cell_mm(job)
+    points = Points.plate(np.arange(low[0], high[0], step), np.arange(low[1], high[1], step), job.distance_mm)
+    pair, moved, images = _pair(job, [(one, *frames.of(one, 0)) for one in job.head.cameras], odometer)
+    try:
+        return replace(job, projector=slide_seen(pair, job.projector, moved, images, points, _bounds(job)))
+    except AnnulusError as error:
+        raise AnnulusError(f"{job.scan.path}: {error}") from None
+
+
+def _pair(
+    job: FringeJob, taken: Sequence[tuple[HeadCamera, Float32Array, IntArray]], place: FloatArray
+) -> tuple[tuple[HeadCamera, HeadCamera], FloatArray, tuple[Float32Array, Float32Array]]:
+    """Two cameras, (N, 3) mm and (N, H, W) each of the flashes that both have. AnnulusError for fewer than 3."""
+    if len(taken) < 2 or len(common := np.intersect1d(taken[0][2], taken[1][2])) < 3:
+        raise AnnulusError(f"{job.scan.path}: no 3 of {len(place)} flashes in a row have both cameras' frames")
+    (one, first, a), (other, second, b) = taken
+    images = first[np.isin(a, common)], second[np.isin(b, common)]
+    return (one, other), place[common, None] * np.array(job.head.motion), images
+
+
+def _bounds(job: FringeJob) -> tuple[float, float]:
+    return -REACH * job.distance_mm, REACH * job.distance_mm
+
+
+def _by_cameras(
+    job: FringeJob, taken: Sequence[tuple[HeadCamera, Float32Array, IntArray]], place: FloatArray, grid: Points,
+    noise: tuple[float, float, float],
+) -> Heights:  # fmt: skip
+    pair, moved, images = _pair(job, taken, place)
+    return stereo_heights(pair, job.projector, moved, images, grid, _bounds(job), noise=noise, drift_sigma=DRIFT)
 
 
 def _misfit(found: Heights) -> float:
@@ -297,7 +348,8 @@ def _joined(job: FringeJob, frames: _Frames, parts: Sequence[_Part], started: fl
     lit: BoolArray = binary_fill_holes(binary_closing(np.pad(flag == GOOD, COARSE), iterations=COARSE // 2))
     lit = lit[COARSE:-COARSE, COARSE:-COARSE] | (flag == GOOD)
     counts = Counter(int(one) for one in flag[lit & (flag != GOOD)])
-    untold = {REASONS[kind]: n for kind, n in sorted(counts.items())}
+    reasons = {**REASONS, AMBIGUOUS: NO_TEXTURE} if job.by == "cameras" else REASONS
+    untold = {reasons[kind]: n for kind, n in sorted(counts.items())}
     good = flag == GOOD
     dc, ac = grid("dc"), grid("ac")
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -316,7 +368,7 @@ def _joined(job: FringeJob, frames: _Frames, parts: Sequence[_Part], started: fl
         tuple(job.scan.frames[next(iter(seen.values()))].index for _, seen in job.flashes),
         places, sigma, np.array([x for x, _ in job.flashes]),
         (*job.findings, *_findings(job, frames, slipped, untold, lit, some)),
-        {"scan_to_heights": 1e3 * (time.perf_counter() - started)},
+        {"scan_to_heights": 1e3 * (time.perf_counter() - started)}, job.by,
     )  # fmt: skip
 
 

@@ -7,6 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from annulus.record.calibration_file import load_part
 from annulus.record.scan import Scan, open_scan
 from annulus.vocabulary import AnnulusError, Finding, Label
 
+By = Literal["slide", "cameras"]  # what says how high a point is: its phase, or where two cameras' phases agree
 Box = tuple[tuple[float, float], tuple[float, float]]  # least and most x, y, mm
 
 CELL_PX = 1.5  # of the wall's grid: what the lens's blur leaves to be told apart
@@ -39,11 +41,15 @@ class FringeJob:
     curve: Transfer | None
     flashes: tuple[tuple[float, dict[int, int]], ...]  # x_mm, and the scan's frame number by camera
     findings: tuple[Finding, ...]
+    by: By = "slide"
 
 
-def open_fringe(scan: Path, calibration: Path) -> FringeJob:
-    """AnnulusError, one line, for what is missing, damaged or does not belong together."""
+def open_fringe(scan: Path, calibration: Path, by: By = "slide") -> FringeJob:
+    """by : "cameras" takes the slide for no more than a mark on the wall: its period, axis and place as it was designed
+    will do, its phase is not used. AnnulusError, one line, for what is missing, damaged or does not belong together."""
     head = load_part(calibration, FringeHead.from_dict, "annulus calibrate fringe")
+    if by == "cameras":
+        _check_pair(head, calibration)
     if head.projector is None:
         raise AnnulusError(f'{calibration}: has no "pattern.projector". Make it with `annulus calibrate fringe`.')
     if head.distance_mm is None:
@@ -55,13 +61,29 @@ def open_fringe(scan: Path, calibration: Path) -> FringeJob:
     flashes = _flashes(opened)
     _check_motion(opened, head, head.projector, head.distance_mm, flashes)
     findings = []
+    if by == "cameras" and sum(len(frames) == len(head.cameras) for _, frames in flashes) < 3:
+        raise AnnulusError(f"{scan}: fewer than 3 flashes have a frame of both cameras, which are to find the heights")
     for one in head.cameras:
         lost = [k for k, (_, frames) in enumerate(flashes) if one.id not in frames]
         if lost:
             text = f"camera {one.id} has no frame of {len(lost)} of {len(flashes)} flashes: measured without it there"
             findings.append(Finding("camera-missing", text))
     curve = head.curve(scan.resolve().name)
-    return FringeJob(opened, head, head.projector, head.distance_mm, curve, flashes, tuple(findings))
+    return FringeJob(opened, head, head.projector, head.distance_mm, curve, flashes, tuple(findings), by)
+
+
+def _check_pair(head: FringeHead, calibration: Path) -> None:
+    """AnnulusError where heights cannot be found by two cameras."""
+    if len(head.cameras) != 2:
+        count = f"{len(head.cameras)} camera{'s' if len(head.cameras) > 1 else ''}"
+        raise AnnulusError(f"{calibration}: has {count}, expected two for heights by cameras")
+    if head.projector is None:
+        raise AnnulusError(
+            f'{calibration}: has no "pattern.projector", expected the slide as it was designed: kind, centre_mm, '
+            "rotation, period. Heights by cameras need no more of it."
+        )
+    if head.projector.kind != "stripes":
+        raise AnnulusError(f"{calibration}: has a slide of {head.projector.kind}, in a pipe, expected stripes, a plate")
 
 
 def _flashes(scan: Scan) -> tuple[tuple[float, dict[int, int]], ...]:

@@ -16,7 +16,8 @@ class Plate:
     (the wall's own, fringes out); modulation.
 
     lit : where the slide's light was seen and moved at all. untold : (reason, cells) among those. places_mm,
-    places_sigma_mm : (N,) where the frames were taken, as found. findings : what a reader must know.
+    places_sigma_mm : (N,) where the frames were taken, as found. findings : what a reader must know. by : what
+    told the heights: the phase of a calibrated "slide", or where the phases of two "cameras" agree.
     """
 
     x_mm: FloatArray
@@ -34,6 +35,7 @@ class Plate:
     odometer_mm: FloatArray
     findings: tuple[Finding, ...]
     timing_ms: Mapping[str, float]
+    by: str = "slide"
 
     @property
     def points(self) -> int:

@@ -74,6 +74,31 @@ def test_a_plate_by_the_commands(name: str, calibrated: Path, tmp_path: Path) ->
     assert summary["completeness"] > 0.95
 
 
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [("uniform", {}), ("nonuniform", {}), ("uniform", {"phase0": 1.0, "period": 0.0404})],
+    ids=["uniform", "nonuniform", "a slide told wrong"],
+)
+def test_a_plate_by_cameras(name: str, changes: dict[str, float], tmp_path: Path) -> None:
+    """The slide as it was drawn, never calibrated: 0.4 rad and 1 % of its period off make no difference."""
+    told = json.loads((PLATE / "calibration.json").read_text())
+    told["pattern"]["projector"].update(changes)
+    (tmp_path / "head.json").write_text(json.dumps(told))
+    out = tmp_path / "out"
+    summary = run("reconstruct", PLATE / name, "--calibration", tmp_path / "head.json", "--by", "cameras", "-o", out)
+    assert summary["by"] == "cameras"
+    assert "By two cameras" in (out / "report.html").read_text()
+    assert not [one for one in summary["warnings"] if one["kind"] != "untold"]
+    score = scorer().main(str(out / "depth.npz"), str(TRUTH), name)
+    assert score["rms_mm"] <= 0.016
+    assert score["completeness"] >= 0.975
+    assert score["gross_over_0.5mm_percent"] <= 0.1
+    with np.load(out / "depth.npz") as depth:
+        inside = within_k2(scorer(), depth, name)
+        assert np.isfinite(depth["light"]).sum() == np.isfinite(depth["modulation"]).sum() == summary["points"]
+    assert 0.93 <= inside <= 0.98
+
+
 def within_k2(scoring: ModuleType, depth: Any, name: str) -> float:
     """Share of all heights of the wanted part, edges and all, that lie within two of their own sigma."""
     truth = json.loads(TRUTH.read_text())

@@ -13,6 +13,7 @@ from plates import DISTANCE_MM, LEFT, RIGHT, SLIDE, drawn
 
 from annulus.calibrate.fringe import calibrate_fringe, save_fringe
 from annulus.calibrate.fringe_pipe import _design
+from annulus.cli import main
 from annulus.fringe import projector_to_dict
 from annulus.geometry.calibration import Calibration, camera_to_dict
 from annulus.report import Account, write_plate
@@ -150,6 +151,60 @@ def test_a_plate_a_fringe_from_where_it_was_told_is_refused(tmp_path: Path) -> N
     folder = scan(tmp_path / "scan", PLACES[:4], (a_fringe,) * 4, texture=0.0, specks=0.2)
     with pytest.raises(AnnulusError, match=r'the plate stands about 83\.\d+ mm away, the calibration\'s "distance_mm"'):
         reconstruct_fringe(open_fringe(folder, calibration(tmp_path)))
+
+
+def test_two_cameras_need_no_calibrated_slide(tmp_path: Path) -> None:
+    """Phase a third of a wave off, period 3 %, the light 1 mm aside: no matter."""
+    folder = scan(tmp_path / "scan", texture=0.0, specks=0.2)
+    head = calibration(tmp_path, **slide(phase0=SLIDE.phase0 + 2.0, period=SLIDE.period * 1.03, centre_mm=[21.0, 0, 0]))
+    plate = reconstruct_fringe(open_fringe(folder, head, "cameras"))
+    assert plate.by == "cameras"
+    assert plate.completeness > 0.9
+    told = plate.height_mm[np.isfinite(plate.height_mm)]
+    assert np.median(told) == pytest.approx(1.0, abs=0.02)
+    off = (told - 1.0) / plate.sigma_mm[np.isfinite(plate.height_mm)]
+    assert np.mean(np.abs(off) < 2) > 0.9
+    summary = write_plate(plate, Account("a scan", {"projector": 16}, {}, plate.timing_ms), tmp_path / "out")
+    assert summary["by"] == "cameras"
+    assert "By two cameras" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_by_cameras_a_wall_without_texture_is_refused(tmp_path: Path) -> None:
+    folder = scan(tmp_path / "scan", PLACES[:4], texture=0.0)
+    with pytest.raises(AnnulusError, match="its cameras see no texture in common between -5 and 5 mm"):
+        reconstruct_fringe(open_fringe(folder, calibration(tmp_path), "cameras"))
+
+
+def test_what_cannot_be_measured_by_cameras_is_refused_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, path = scan(tmp_path / "scan", PLACES[:4]), calibration(tmp_path)
+    data = json.loads(path.read_text())
+
+    def told(**changes: Any) -> str:
+        path.write_text(json.dumps({**data, **changes}))
+        given = ["--calibration", str(path), "--by", "cameras", "-o", str(tmp_path / "out")]
+        monkeypatch.setattr("sys.argv", ["annulus", "reconstruct", str(folder), *given])
+        with pytest.raises(SystemExit) as left:
+            main()
+        said = capsys.readouterr().err
+        assert left.value.code == 1
+        assert said.count("\n") == 1
+        return said
+
+    assert "has 1 camera, expected two" in told(cameras=data["cameras"][:1])
+    assert 'no "pattern.projector", expected the slide as it was designed' in told(pattern={"kind": "fringe"})
+    rings = {"kind": "rings", "centre_mm": [0, 0, 0], "rotation": np.eye(3).tolist(), "period_mm": 8}
+    pipe = {"kind": "fringe", "projector": {**rings, "nominal_radius_mm": 100}}
+    assert "its slide is one of rings, for a pipe" in told(pattern=pipe)
+    assert "its head projects lines, expected a head that projects fringes" in told(pattern={"kind": "lines"})
+    monkeypatch.setattr("sys.argv", ["annulus", "reconstruct", str(folder), "--by", "cameras", "-o", "out"])
+    with pytest.raises(SystemExit):
+        main()
+    assert "does not go without --calibration" in capsys.readouterr().err
+    path.write_text(json.dumps(data))
+    with pytest.raises(AnnulusError, match="fewer than 3 flashes have a frame of both cameras"):
+        open_fringe(scan(tmp_path / "one", PLACES[:4], heads=(LEFT,)), path, "cameras")
 
 
 def test_a_motion_told_too_long_is_said(tmp_path: Path) -> None:
