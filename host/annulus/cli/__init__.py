@@ -99,7 +99,8 @@ def reconstruct(
 
     wall = fringes_on(scan, calibration)
     if by is By.CAMERAS and wall != "plate":
-        which = f"without a calibration of fringes: {calibration or scan}" if wall is None else "in a pipe"
+        why = "projects no fringes" if wall is None else "lights a pipe"
+        which = "without --calibration" if calibration is None else f"with {calibration}: its head {why}"
         raise AnnulusError(f"--by cameras does not go {which}, expected a head that projects fringes on a plate")
     if wall:
         for option, given in (

@@ -196,8 +196,8 @@ def test_what_cannot_be_measured_by_cameras_is_refused_in_one_line(
     assert 'no "pattern.projector", expected the slide as it was designed' in told(pattern={"kind": "fringe"})
     rings = {"kind": "rings", "centre_mm": [0, 0, 0], "rotation": np.eye(3).tolist(), "period_mm": 8}
     pipe = {"kind": "fringe", "projector": {**rings, "nominal_radius_mm": 100}}
-    assert "its slide is one of rings, for a pipe" in told(pattern=pipe)
-    assert "its head projects lines, expected a head that projects fringes" in told(pattern={"kind": "lines"})
+    assert "its head lights a pipe, expected" in told(pattern=pipe)
+    assert "its head projects no fringes, expected a head that projects fringes" in told(pattern={"kind": "lines"})
     monkeypatch.setattr("sys.argv", ["annulus", "reconstruct", str(folder), "--by", "cameras", "-o", "out"])
     with pytest.raises(SystemExit):
         main()
