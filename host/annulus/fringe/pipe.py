@@ -29,6 +29,7 @@ from annulus.fringe.bore import follow_wall
 from annulus.fringe.heights import PARALLAX, Heights, Points, spline
 from annulus.fringe.noise import noise_of
 from annulus.fringe.placement import LAW, Eye, Freedom, Head, Shots, refined
+from annulus.fringe.slip import Places, find_places
 from annulus.fringe.track import AMBIGUOUS, GOOD, ROBUST_FROM
 from annulus.geometry.cone import intersect_cylinder
 from annulus.numeric.arrays import BoolArray, Float32Array, FloatArray, Image, IntArray
@@ -68,7 +69,8 @@ class PipeMap:
     at_least : (Z, A) bool, the floor of a loss was not seen: the radius is a lower limit. dc, modulation (Z, A): light
     of the wall with the head's own shading taken out, and AC over DC. frames (Z, A): how many told. seen_by (Z, A): the
     eye whose frames did, the number of eyes where several, -1 where none. head : poses, shading, blur, mean radius.
-    noise : of a grey level, as `noise_of` says.
+    noise : of a grey level, as `noise_of` says. slipped (F,): flashes whose told place the frames contradict (`slip`);
+    the head's poses have the frames'.
     """
 
     z_mm: FloatArray
@@ -83,6 +85,7 @@ class PipeMap:
     seen_by: IntArray
     head: Head
     noise: tuple[float, float, float]
+    slipped: BoolArray
 
     @property
     def cell_mm(self) -> tuple[float, float]:
@@ -123,10 +126,20 @@ def measure_pipe(
     maps = _Maps(coefficients, points, noise, step)
     found = maps.told(head, np.full(len(points.base), head.radius_mm - radius_mm), None)
     plain, texture = found, maps.texture(found)
-    for _ in range(BLURRED):
-        texture = maps.texture(found)
-        head = _refocused(head, coefficients, points.some(pick), poses, noise, found.height_mm[pick], texture[pick])
-        found = maps.told(head, np.nan_to_num(found.height_mm), texture)
+    slipped = np.zeros(len(z_mm), bool)
+    for again in range(2):
+        for _ in range(BLURRED):
+            texture = maps.texture(found)
+            head = _refocused(head, coefficients, points.some(pick), poses, noise, found.height_mm[pick], texture[pick])
+            found = maps.told(head, np.nan_to_num(found.height_mm), texture)
+        if again or len(shots.eye) < len(eyes) * len(z_mm):  # a slide in turn sees too little of the wall for a place
+            break
+        places = maps.places(head, poses, found, texture)
+        slipped = places.slipped
+        if not slipped.any():
+            break
+        along = np.where(slipped, places.off_mm, 0.0)[:, None] * [0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+        poses, head = poses + along, replace(head, poses=head.poses + along)
     found = _decided(head, coefficients, points, found, noise)
     shape = points.shape
     found = _scattered(head, z, found, shape, plain.height_mm, np.isfinite(texture))
@@ -134,7 +147,7 @@ def measure_pipe(
     return PipeMap(
         z, np.degrees(phi), radius_mm + height, sigma, found.flag.astype(np.uint8).reshape(shape),
         _lower_limits(head, z, height, sigma, step), found.dc.reshape(shape), found.modulation.reshape(shape),
-        np.nan_to_num(found.used).astype(int).reshape(shape), found.who.reshape(shape), head, noise,
+        np.nan_to_num(found.used).astype(int).reshape(shape), found.who.reshape(shape), head, noise, slipped,
     )  # fmt: skip
 
 
@@ -297,6 +310,15 @@ class _Maps:
 
     def told(self, head: Head, start: FloatArray, texture: FloatArray | None) -> Heights:
         return followed(head, self.images, self.points, start, self.noise, texture)
+
+    def places(self, head: Head, said: FloatArray, found: Heights, texture: FloatArray) -> Places:
+        base = float(np.hypot(*self.points.base[0, :2]))
+        freedom = _freedom(head, said, _scatter(found, base))
+
+        def follow(other: Head, some: Points, height: FloatArray, slope: FloatArray) -> Heights:
+            return followed(other, self.images, some, np.nan_to_num(height), self.noise, slope)
+
+        return find_places(head, self.images, self.points, found, texture, freedom, self.noise, self.step_mm, follow)
 
     def texture(self, found: Heights) -> FloatArray:
         """(P,) slope of the albedo along the pipe over itself, 1 / mm; NaN where too few frames know it."""

@@ -242,11 +242,14 @@ def refined(
     noise: tuple[float, float, float],
     found: Heights | None = None,
     texture: FloatArray | None = None,
+    along: tuple[FloatArray, FloatArray] | None = None,
 ) -> tuple[Head, FloatArray]:
     """One Gauss-Newton step, and the covariance (K, K) of poses, shading (gain, depth), blur, radius, law, harmonics.
 
     found : what `follow_wall` said of the points with this head. None: a clean pipe, whose heights are 0 and whose
     albedo alone is a point's own; the modulation is then the projector's. texture : (P,) as `follow_wall` takes it.
+    along : (P,) slopes along the pipe of the albedo's logarithm and of the radius, 1 / mm: with them frames say where
+    they were taken, too (see `slip`).
     """
     free = found is not None
     which = (found.flag == 0) & (found.used >= 4) if found is not None else np.ones(len(points.base), bool)
@@ -261,7 +264,8 @@ def refined(
         mine = index[first : first + each]
         of = None if found is None else (found.height_mm[mine], found.dc[mine], found.ac[mine])
         slope = np.zeros(len(mine)) if texture is None else texture[mine]
-        some, more = _equations(head, images, points.some(mine), freedom, noise, of, slope)
+        way = None if along is None else (along[0][mine], along[1][mine])
+        some, more = _equations(head, images, points.some(mine), freedom, noise, of, slope, way)
         matrix += some
         pull += more
     keep = ~held
@@ -284,6 +288,7 @@ def refined(
 def _equations(
     head: Head, images: Float32Array, points: Points, freedom: Freedom, noise: tuple[float, float, float],
     found: tuple[FloatArray, FloatArray, FloatArray] | None, slope: FloatArray,
+    along: tuple[FloatArray, FloatArray] | None,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Normal equations of some points. found : their height, DC and AC; slope : of their albedo."""
     free = found is not None
@@ -318,7 +323,14 @@ def _equations(
     rise = gain * swing * depth * dwave
     # A head that moves sees other wall through the same pixel, farther off or nearer along the pixel's ray: all that
     # fringes tell of a pose. Pixels' own slopes are not asked: their noise would vouch for any pose.
-    poses = -(rise * here.slope)[..., None] * _outwards(head, x, points.normal)[head.flash]
+    moves = _moves(head, x)
+    outwards = np.einsum("fpij,pj->fpi", moves, points.normal)[head.flash]
+    poses = -(rise * here.slope)[..., None] * outwards
+    if along is not None:  # a frame taken farther on sees, wherever it looks, the wall farther on
+        ray = x - view.eyes[:, None, :]
+        aslant = ray[..., 2] / np.einsum("npj,pj->np", ray, points.normal)
+        farther = moves[..., 2][head.flash] - outwards * aslant[..., None]
+        poses += (lit * along[0] + rise * here.slope * along[1])[..., None] * farther
     shade = np.zeros((frames, count, len(head.eyes), 2, TERMS))
     every = np.arange(frames)
     shade[every, :, head.eye, 0] = lit[..., None] * rows
@@ -347,18 +359,17 @@ def _equations(
     return _normal(rest, poses, common, columns, root, told, freedom, head)
 
 
-def _outwards(head: Head, x: FloatArray, normal: FloatArray) -> FloatArray:
-    """(N, P, POSE): how far what the head sees at points x goes outwards, mm, per unit of each number of a pose."""
-    out = np.empty((len(head.poses), len(x), POSE))
-    out[..., 3:] = normal
+def _moves(head: Head, x: FloatArray) -> FloatArray:
+    """(F, P, POSE, 3): how far what the head sees at points x goes, mm, per unit of each number of a pose."""
+    out = np.zeros((len(head.poses), len(x), POSE, 3))
+    out[..., 3:, :] = np.eye(3)
     turns = np.asarray(Rotation.from_rotvec(head.poses[:, :3]).as_matrix())
     for i in range(3):
         step = np.zeros(3)
         step[i] = EPSILON
         other = np.asarray(Rotation.from_rotvec(head.poses[:, :3] + step).as_matrix())
         for n, m in enumerate(head.poses[:, 3:]):
-            moved = ((x - m) @ turns[n].T) @ other[n] - (x - m)
-            out[n, :, i] = np.einsum("pi,pi->p", moved, normal) / EPSILON
+            out[n, :, i] = (((x - m) @ turns[n].T) @ other[n] - (x - m)) / EPSILON
     return out
 
 

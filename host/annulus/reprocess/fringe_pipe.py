@@ -166,7 +166,7 @@ def reconstruct_fringe_pipe(job: FringePipeJob, progress: Progress | None = None
         size, last = max(count, size), 0
     starts = [*range(0, last, size // 2), last]
     report("fringes", 0, count)
-    parts = []
+    parts, z, slipped = [], np.array(job.z_mm), np.zeros(count, bool)
     for start in starts:
         window = slice(start, start + size)
         each = [(k, eye, i) for k, flash in enumerate(job.flashes[window]) for eye, i in flash]
@@ -174,13 +174,24 @@ def reconstruct_fringe_pipe(job: FringePipeJob, progress: Progress | None = None
         shots = Shots(images, np.array([eye for _, eye, _ in each]), np.array([k for k, _, _ in each]))
         try:
             roll = None if job.roll_rad is None else np.array(job.roll_rad[window])
-            parts.append(measure_pipe(job.eyes, shots, np.array(job.z_mm[window]), job.radius_mm, roll_rad=roll))
+            part = measure_pipe(job.eyes, shots, z[window], job.radius_mm, roll_rad=roll)
         except AnnulusError as error:
             raise AnnulusError(f"{job.scan.path}: {error}") from None
+        parts.append(part)
+        off = part.head.poses[:, 5] - z[window]
+        slipped[window] |= part.slipped
+        z[start:] += np.concatenate([off, np.full(len(z) - start - len(off), off[-1])])  # what slipped stays so
         report("fringes", min(start + size, count), count)
     seen = _joined(parts, starts)
     timing = {"scan_to_map": 1e3 * (time.perf_counter() - started)}
     findings = list(job.findings)
+    if slipped.any():
+        indices = tuple(job.scan.frames[job.flashes[k][0][1]].index for k in np.flatnonzero(slipped))
+        text = (
+            f"z_mm disagrees with the frames by up to {np.abs(z - job.z_mm).max():.2f} mm, at {len(indices)} flashes "
+            f"({first_few(indices)}): the frames' places are used"
+        )
+        findings.append(Finding("slip", text, indices))
     if (unsure := float((seen.flag == AMBIGUOUS).mean())) > UNTOLD_MAX:
         text = f"{100 * unsure:.1f} % of the map has no radius: the order of the fringe is open there"
         findings.append(Finding("untold", text))
@@ -215,7 +226,7 @@ def _joined(parts: Sequence[PipeMap], starts: Sequence[int]) -> PipeMap:
     return PipeMap(
         every * step, first.phi_deg, grid("radius_mm"), grid("sigma_mm"), grid("flag"), grid("at_least"), grid("dc"),
         grid("modulation"), grid("frames"), grid("seen_by"), replace(first.head, poses=poses, radius_mm=radius),
-        first.noise,
+        first.noise, np.concatenate([part.slipped for part in parts]),
     )  # fmt: skip
 
 

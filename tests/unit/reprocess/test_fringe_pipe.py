@@ -113,6 +113,7 @@ def test_windows_of_a_long_scan_are_one_wall(tmp_path: Path, monkeypatch: pytest
         return PipeMap(
             rows, phi, radius + np.random.default_rng(1).normal(0, 0.01, shape), none + 0.01,
             none.astype(np.uint8), none > 1, none + 50.0, none + 0.8, few, few * 0, head, (1.0, 0.0, 0.0),
+            np.zeros(len(z_mm), bool),
         )  # fmt: skip
 
     monkeypatch.setattr(module, "measure_pipe", measured)
