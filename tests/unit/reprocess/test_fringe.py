@@ -15,11 +15,12 @@ from annulus.calibrate.fringe import calibrate_fringe, save_fringe
 from annulus.calibrate.fringe_pipe import _design
 from annulus.cli import main
 from annulus.fringe import projector_to_dict
-from annulus.geometry.calibration import Calibration, camera_to_dict
+from annulus.geometry.calibration import Calibration, HeadCamera, camera_to_dict
 from annulus.report import Account, write_plate
 from annulus.reprocess import fringe as module
 from annulus.reprocess import fringes_on, open_fringe, open_job, reconstruct_fringe
 from annulus.vocabulary import AnnulusError
+from annulus.wall.plate import Plate
 
 pytestmark = pytest.mark.slow
 
@@ -217,6 +218,47 @@ def test_a_motion_told_too_long_is_said(tmp_path: Path) -> None:
     said = [one.text for one in plate.findings if one.kind == "stretched"]
     assert len(said) == 1
     assert float(said[0].split("went about ")[1].split()[0]) == pytest.approx(1 / 1.05, abs=0.01)
+
+
+def turned(one: HeadCamera, deg: float) -> list[dict[str, Any]]:
+    """Sections of two cameras, the other one told turned about its y."""
+    c, s = np.cos(np.radians(deg)), np.sin(np.radians(deg))
+    turn = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+    return [
+        {"id": own.id, **camera_to_dict(own.camera), "rotation": (turn if own is one else np.eye(3)).tolist(),
+         "translation_mm": (turn @ own.translation_mm if own is one else np.array(own.translation_mm)).tolist()}
+        for own in (LEFT, RIGHT)
+    ]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def right(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Plate]:
+    """A scan, and its plate by a calibration that is right."""
+    folder = tmp_path_factory.mktemp("right")
+    path = scan(folder / "scan")
+    return path, reconstruct_fringe(open_fringe(path, calibration(folder)))
+
+
+def test_cameras_that_agree_are_not_accused(right: tuple[Path, Plate]) -> None:
+    assert not [one for one in right[1].findings if one.kind == "cameras-apart"]
+
+
+@pytest.mark.parametrize(
+    "changes", [slide(phase0=SLIDE.phase0 + 0.3), {"cameras": turned(RIGHT, 0.2)}], ids=["slide", "camera"]
+)
+def test_cameras_that_differ_are_said_and_sigma_has_it(
+    right: tuple[Path, Plate], changes: dict[str, Any], tmp_path: Path
+) -> None:
+    path, true = right
+    plate = reconstruct_fringe(open_fringe(path, calibration(tmp_path, **changes)))
+    said = [one.text for one in plate.findings if one.kind == "cameras-apart"]
+    assert len(said) == 1
+    times = float(said[0].split("differ by ")[1].split()[0])
+    assert times > 3
+    assert np.nanmedian(plate.sigma_mm) > 0.9 * times * np.nanmedian(true.sigma_mm)
+    off = np.abs(plate.height_mm - 1.0)[np.isfinite(plate.height_mm)]
+    assert np.median(off) > 0.5  # wrong, by far more than the sigma of frames alone
+    assert np.mean(off < 2 * plate.sigma_mm[np.isfinite(plate.height_mm)]) > 0.9
 
 
 def test_another_slide_is_no_height(tmp_path: Path) -> None:
