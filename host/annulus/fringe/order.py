@@ -19,6 +19,7 @@ FINE_CELLS = 4.0  # sigma: wider is lamp and lens, and alike at every order
 CLIPPED = (2.0, 98.0)  # percentiles: a box's edge is no texture
 SAME = 0.5  # correlation: one texture is alike by more than that, strangers by less
 SEEN_MIN = 200  # points both cameras see
+ORDERS = (-2, -1, 1, 2)  # 0.3 s at fringe-a, once a scan
 NEAR = 0.5  # of a period: what came back to the first order is no other
 
 
@@ -34,12 +35,12 @@ def told_elsewhere(
     for view, images in views:
         first = heights(view, images, points, drift_sigma=drift_sigma)
         h = np.nan_to_num(first.height_mm)
-        spacing = 2 * np.pi / np.abs(view.radians_per_mm(points, h))
         one = {0: (first.height_mm, _dc(first.dc, first.flag == GOOD, points))}
-        for order in (-1, 1):
-            start = h + order * spacing
+        for order in ORDERS:
+            start = _there(view, points, h, order)
             other = heights(view, images, points, start, drift_sigma=drift_sigma)
             with np.errstate(invalid="ignore"):
+                spacing = 2 * np.pi / np.abs(view.radians_per_mm(points, start))
                 there = (other.flag == GOOD) & (np.abs(other.height_mm - start) < NEAR * spacing)
             one[order] = (other.height_mm, _dc(other.dc, there, points))
         found.append(one)
@@ -49,6 +50,16 @@ def told_elsewhere(
         return None
     seen = np.isfinite(found[0][best][1].ravel())
     return float(np.median(found[0][best][0][seen])), alike[best], alike[0]
+
+
+def _there(view: View, points: Points, h: FloatArray, order: int) -> FloatArray:
+    """(P,) mm: heights that lie whole fringes from h, found a fringe at a time, for their spacing is not even."""
+    way = 1 if order > 0 else -1
+    for _ in range(abs(order)):
+        with np.errstate(divide="ignore", invalid="ignore"):  # there may be no such order before the head
+            middle = h + way * np.pi / np.abs(view.radians_per_mm(points, h))
+            h = h + way * 2 * np.pi / np.abs(view.radians_per_mm(points, middle))
+    return h
 
 
 def _dc(dc: FloatArray, told: BoolArray, points: Points) -> FloatArray:

@@ -145,7 +145,7 @@ def _check_motion(
 def check_order(
     job: FringeJob, taken: Sequence[tuple[HeadCamera, Float32Array, FloatArray]], boxes: Sequence[Box]
 ) -> None:
-    """AnnulusError where two cameras see one texture only if the plate stands a fringe from where it was told."""
+    """AnnulusError where two cameras see one texture only if the plate stands whole fringes from where it was told."""
     if len(taken) < 2:
         return
     step = COARSE * cell_mm(job)
@@ -160,7 +160,7 @@ def check_order(
         height, there, here = told
         raise AnnulusError(
             f"{job.scan.path}: the plate stands about {job.distance_mm - height:.4g} mm away, the calibration's "
-            f'"distance_mm" is {job.distance_mm:g}, a fringe off: there its cameras see one texture (correlation '
+            f'"distance_mm" is {job.distance_mm:g}, whole fringes off: there its cameras see one texture (correlation '
             f"{there:.2f}), as told they do not ({here:.2f})"
         )
 

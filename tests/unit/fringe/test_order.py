@@ -37,5 +37,14 @@ def test_a_plate_a_fringe_off_is_found() -> None:
     assert there > 0.8 > 0.5 > here
 
 
+@pytest.mark.parametrize("order", [-2, -1, 1, 2])
+def test_a_plate_some_fringes_off_is_found(order: int) -> None:
+    height = DISTANCE_MM * (1 - 5 / (5 + order))  # 20 mm / (0.04 (100 - h)) is 5 and the order
+    found = told(height, 0.2)
+    assert found is not None
+    assert found[0] == pytest.approx(height, abs=0.4)
+    assert found[1] > 0.8 > 0.5 > found[2]
+
+
 def test_without_texture_nothing_is_told() -> None:
     assert told(FRINGE_MM, 0.0) is None
