@@ -27,6 +27,7 @@ SIDE_MIN_PX = 64
 FAR_PX = 8.0  # what stands still must lie that far from where the texture is looked for
 ROUNDS = 5
 NEARER = 2  # rounds: the second with pictures cut to overlap
+STANDS_OUT = 12.0  # times the rms: the highest of noise is 8, of a texture of one wave 12, of fringe-a above 100
 PEAK_PX = 1.0  # sigma: finer detail is noise as often as texture
 PULL = 0.004  # of the motion: measured, see above
 
@@ -89,7 +90,8 @@ def _texture(images: Float32Array) -> list[Float32Array]:
 
 
 def _shift(one: Float32Array, other: Float32Array, whole: IntArray) -> FloatArray | None:
-    """(2,) px by which the second picture is shifted, looked for about `whole`; None where they share too little.
+    """(2,) px by which the second picture is shifted, looked for about `whole`; None where they share too little,
+    of the picture or of texture.
 
     Phase correlation, its frequencies weighted by a Gaussian: the peak then is a Gaussian wherever it lies, and its
     logarithm a parabola. OpenCV's, the middle of weight of 5 x 5 pixels, is drawn to whole pixels by 0.1 of one.
@@ -105,6 +107,8 @@ def _shift(one: Float32Array, other: Float32Array, whole: IntArray) -> FloatArra
         square = np.add.outer(fftfreq(first.shape[0]) ** 2, rfftfreq(first.shape[1]) ** 2)
         cross = cross / np.maximum(np.abs(cross), 1e-20) * np.exp(-2 * (np.pi * PEAK_PX) ** 2 * square)
         peak = irfft2(cross, s=first.shape)
+        if not peak.max() > STANDS_OUT * peak.std():
+            return None
         v, u = np.unravel_index(np.argmax(peak), peak.shape)
         more = [_top(np.roll(line, 1 - at)[:3]) + at for line, at in ((peak[v], int(u)), (peak[:, u], int(v)))]
         size = np.array(first.shape[::-1])

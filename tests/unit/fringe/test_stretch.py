@@ -45,9 +45,12 @@ def test_shifts_are_not_drawn_to_whole_pixels() -> None:
     assert shift == pytest.approx([-3.9, 0.0], abs=0.05)
 
 
-def test_a_plain_wall_tells_nothing_certain() -> None:
-    scale, sigma = found(drawn_with(0.0), 1.0)
-    assert abs(scale - 1) < 3 * sigma
+@pytest.mark.parametrize("texture", [0.0, 0.3])
+def test_a_plain_wall_or_one_wave_tells_nothing(texture: float) -> None:
+    """Noise has a highest peak too: one such scan in six read 3.9 +- 0.6."""
+    for seed in range(100, 106):
+        images = spline(drawn(TRUE, noise=1.0, texture=texture, seed=seed))
+        assert found(images, 1.0) == (1.0, np.inf)
 
 
 def test_a_motion_too_short_to_be_seen_tells_nothing(images: Float32Array) -> None:
