@@ -34,7 +34,7 @@ def test_a_slip_is_said_where_it_was() -> None:
 
 def test_a_plain_wall_leaves_the_odometer_its_say() -> None:
     steps = found(np.round(TRUE / 0.2) * 0.2, texture=0.0)
-    assert (steps.sigma_mm[1:] > 0.02).all()  # noise passes for a little texture
+    assert (steps.sigma_mm[1:] > 0.09).all()  # the odometer's 0.1, no better
     assert (np.abs(steps.place_mm - TRUE) < 4 * steps.sigma_mm + 1e-6).all()
     assert not steps.slipped.any()
 
