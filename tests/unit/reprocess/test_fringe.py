@@ -170,6 +170,15 @@ def test_two_cameras_need_no_calibrated_slide(tmp_path: Path) -> None:
     assert "By two cameras" in (tmp_path / "out" / "report.html").read_text()
 
 
+def test_by_cameras_a_long_scan_goes_in_windows_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "WINDOW", 6)
+    folder = scan(tmp_path / "scan", tuple(np.arange(14) * 1.1), texture=0.0, specks=0.2)
+    plate = reconstruct_fringe(open_fringe(folder, calibration(tmp_path), "cameras"))
+    inner = plate.height_mm[:, (plate.x_mm > 5) & (plate.x_mm < 35)]
+    assert np.isfinite(inner).mean() > 0.9
+    assert np.nanmedian(np.abs(inner - 1.0)) < 0.1
+
+
 def test_by_cameras_a_wall_without_texture_is_refused(tmp_path: Path) -> None:
     folder = scan(tmp_path / "scan", PLACES[:4], texture=0.0)
     with pytest.raises(AnnulusError, match="its cameras see no texture in common between -5 and 5 mm"):
