@@ -60,15 +60,15 @@ def judged() -> Judged:
         measured = reconstruct_fringe_pipe(open_fringe_pipe(PIPE / "uniform", head))
         seconds = time.process_time() - began
         seen = measured.map
-        judge, truth = _judge(), PIPE / "truth" / "truth.json"
+        judging, truth = judge(), PIPE / "truth" / "truth.json"
         file = Path(folder) / "depth.npz"
         np.savez(file, phi_deg=seen.phi_deg, z_mm=seen.z_mm, radius_mm=seen.radius_mm, sigma_mm=seen.sigma_mm)
-        score = judge.main(str(file), str(truth), "uniform")
+        score = judging.main(str(file), str(truth), "uniform")
     centre = float(np.abs(np.subtract(calibrated.found.projector.centre_mm, exact.centre_mm)).max())
     phi, z = np.meshgrid(seen.phi_deg, seen.z_mm)
     features = json.loads(truth.read_text())["worlds"]["wall"]["features"]
-    depth, which = judge.pipe_radius(features, radius, phi, z)
-    plain = (which < 0) & (judge.distance(which >= 0, seen.cell_mm[0]) > PLAIN_MM) & np.isfinite(seen.radius_mm)
+    depth, which = judging.pipe_radius(features, radius, phi, z)
+    plain = (which < 0) & (judging.distance(which >= 0, seen.cell_mm[0]) > PLAIN_MM) & np.isfinite(seen.radius_mm)
     error = (seen.radius_mm - radius - depth)[plain]
     covered = float(np.mean(np.abs(error - np.median(error)) < 2 * seen.sigma_mm[plain]))
     return Judged(calibrated.found, centre, measured, score, covered, seconds)
@@ -94,7 +94,8 @@ def rows() -> list[Row]:
     ]  # fmt: skip
 
 
-def _judge() -> ModuleType:
+def judge() -> ModuleType:
+    """The scenes' own scorer."""
     spec = importlib.util.spec_from_file_location("score_fringe", SCENES / "score_fringe.py")
     if spec is None or spec.loader is None:
         raise FileNotFoundError(SCENES / "score_fringe.py")
