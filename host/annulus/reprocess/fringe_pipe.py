@@ -127,6 +127,10 @@ def _flashes(opened: Scan, scan: Path, head: FringeHead) -> tuple[list[tuple[tup
             (number, i) for number, slots in mine if not slots or frame.slot in slots
         )
     findings = []
+    if unplaced and not any(found.values()):
+        raise AnnulusError(
+            f"{scan}: no frame says its slot in the lamp cycle, expected it: the head's slides are lit in turn"
+        )
     if unplaced:
         text = (
             f"{len(unplaced)} frames have no slot ({first_few(unplaced)}): which of the slides was lit is not known, "

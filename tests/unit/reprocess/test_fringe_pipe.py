@@ -79,6 +79,28 @@ def test_a_calibration_that_is_none_for_it_is_one_line(tmp_path: Path) -> None:
         open_fringe_pipe(aside, calibration(tmp_path, pattern={"kind": "fringe"}))
 
 
+def test_slides_in_turn_need_slots_and_a_head_that_is_one(tmp_path: Path) -> None:
+    slide = projector_to_dict(SLIDE)
+    lamps = [{**slide, "cameras": [0], "slots": [0]}, {**slide, "cameras": [0], "slots": [2]}]
+    head = calibration(tmp_path, pattern={"kind": "fringe", "projectors": lamps})
+    with pytest.raises(AnnulusError, match="no frame says its slot in the lamp cycle"):
+        open_fringe_pipe(scan(tmp_path / "plain", "z_mm", [f"{k}" for k in range(8)]), head)
+    told = scan(tmp_path / "told", "z_mm,slot", [f"{k},{k % 3 if k else ''}" for k in range(13)])
+    job = open_fringe_pipe(told, head)
+    assert [eye for flash in job.flashes for eye, _ in flash] == [1, 0] * 4  # slots 0 and 2; 1 is no slide's
+    assert [finding.kind for finding in job.findings] == ["slot"]
+    for wrong, said in (
+        ({"cameras": [3]}, "names 3, which is no camera"),
+        ({"slots": ["x"]}, "expected a whole number"),
+    ):
+        bad = calibration(tmp_path, pattern={"kind": "fringe", "projectors": [{**lamps[0], **wrong}]})
+        with pytest.raises(AnnulusError, match=said):
+            open_fringe_pipe(told, bad)
+    both = calibration(tmp_path, pattern={"kind": "fringe", "projector": slide, "projectors": lamps})
+    with pytest.raises(AnnulusError, match="expected one of them"):
+        open_fringe_pipe(told, both)
+
+
 def test_a_pipe_whose_frames_do_not_fit_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A radius half as large leaves 0.42 of the swing in the ray-traced pipe, the right one 0.02."""
     aside = scan(tmp_path / "aside", "z_mm,tx_mm,ty_mm", ["0,0,0", "0,3,0", "0,0,3"])
