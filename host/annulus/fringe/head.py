@@ -27,9 +27,10 @@ from annulus.geometry.calibration import (
     Matrix,
     Vector,
     cameras_from_dict,
+    matrix_of,
     placement_from_dict,
+    vector_of,
 )
-from annulus.numeric.arrays import FloatArray
 from annulus.vocabulary import AnnulusError
 
 LAMPS_MAX = 16
@@ -100,14 +101,14 @@ class FringeHead:
             slide = lamp.projector
             light = replace(
                 slide,
-                centre_mm=_vector(turn @ np.array(slide.centre_mm) + moved),
-                rotation=_rows(np.array(slide.rotation) @ turn.T),
+                centre_mm=vector_of(turn @ np.array(slide.centre_mm) + moved),
+                rotation=matrix_of(np.array(slide.rotation) @ turn.T),
             )
             for one in self.cameras:
                 if not lamp.cameras or one.id in lamp.cameras:
                     own = np.array(one.rotation) @ turn.T
                     seen = HeadCamera(
-                        one.id, one.camera, _rows(own), _vector(np.array(one.translation_mm) - own @ moved)
+                        one.id, one.camera, matrix_of(own), vector_of(np.array(one.translation_mm) - own @ moved)
                     )
                     out.append((Eye(seen, light), one.id, lamp.slots))
         return tuple(out)
@@ -117,8 +118,8 @@ class FringeHead:
         turn, moved = np.array(self.mount[0]), np.array(self.mount[1])
         own = replace(
             slide,
-            centre_mm=_vector(turn.T @ (np.array(slide.centre_mm) - moved)),
-            rotation=_rows(np.array(slide.rotation) @ turn),
+            centre_mm=vector_of(turn.T @ (np.array(slide.centre_mm) - moved)),
+            rotation=matrix_of(np.array(slide.rotation) @ turn),
         )
         return replace(self, projector=own)
 
@@ -154,16 +155,6 @@ def _places(value: object, where: str) -> tuple[int, ...]:
     if not isinstance(value, list) or len(value) > CAMERA_ID_MAX:
         raise ValueError(f"{where} must be a list of whole numbers")
     return tuple(untrusted.whole(one, where, 0, CAMERA_ID_MAX) for one in value)
-
-
-def _vector(value: FloatArray) -> Vector:
-    x, y, z = (float(one) for one in value)
-    return x, y, z
-
-
-def _rows(value: FloatArray) -> Matrix:
-    x, y, z = (_vector(row) for row in value)
-    return x, y, z
 
 
 def lamps_to_list(lamps: Sequence[Lamp]) -> list[dict[str, Any]]:

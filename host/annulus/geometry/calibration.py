@@ -14,6 +14,7 @@ from typing import Any, Literal, cast, get_args
 from annulus import untrusted
 from annulus.geometry.camera import Camera, Mirror, Model
 from annulus.geometry.cone import Cone
+from annulus.numeric.arrays import FloatArray
 from annulus.vocabulary import AnnulusError
 
 ONE_CAMERA, CAMERAS = "annulus-calibration/1", "annulus-calibration/2"
@@ -157,6 +158,18 @@ class Calibration:
         if self.covariance is not None:
             data["covariance"] = [list(row) for row in self.covariance]
         return data
+
+
+def vector_of(value: FloatArray) -> Vector:
+    """(3,) as a file and a `HeadCamera` have it."""
+    x, y, z = (float(one) for one in value)
+    return x, y, z
+
+
+def matrix_of(value: FloatArray) -> Matrix:
+    """(3, 3) the same."""
+    x, y, z = (vector_of(row) for row in value)
+    return x, y, z
 
 
 def head_from_dict(data: object) -> tuple[Camera, str, float | None, Calibration | None]:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from annulus.fringe import FringeProjector
-from annulus.geometry.calibration import STILL, HeadCamera, Matrix, Vector
+from annulus.geometry.calibration import STILL, HeadCamera, Matrix, matrix_of, vector_of
 from annulus.geometry.camera import Camera
 from annulus.numeric.arrays import FloatArray
 from annulus.twin.worlds.features import Feature
@@ -48,7 +48,11 @@ def modules_world(seed: int = 4, radius_mm: float = 76.2, travel_mm: float = 84.
         for end in (-0.5, 0.5):
             cameras.append(_camera(len(cameras), middle + end * _BASELINE_MM * along, round_, along, outwards))
         slide = FringeProjector(
-            "stripes", _vector(middle), _rows(along, -round_, outwards), _PERIOD_MM / (radius_mm - out_mm), 0.3 * k
+            "stripes",
+            vector_of(middle),
+            matrix_of(np.stack([along, -round_, outwards])),
+            _PERIOD_MM / (radius_mm - out_mm),
+            0.3 * k,
         )
         slides.append(Fringe(slide, (42.0, 61.0), (2 * k, 2 * k + 1), (k,)))
     return _around(cameras, Fringes(tuple(slides), radius_mm - out_mm), radius_mm, travel_mm, seed)
@@ -61,7 +65,7 @@ def mirror_fringe_world(seed: int = 5, radius_mm: float = 76.2, travel_mm: float
     for k in range(_MODULES):
         along, round_, outwards = _axes(2 * math.pi * (k + 0.5) / _MODULES)
         cameras.append(_camera(k, 0.2 * radius_mm * outwards, round_, along, outwards))
-    back = _rows(np.array([1.0, 0.0, 0.0]), np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, -1.0]))
+    back: Matrix = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
     slide = FringeProjector("rings", (0.5, 0.3, _MIRRORED_MM), back, _PERIOD_MM, 0.2, nominal_radius_mm=radius_mm)
     light = Fringes((Fringe(slide, (29.0, 56.0)),), radius_mm / math.sin(math.radians(50.0)) ** 1.5, peak=150.0)
     return _around(cameras, light, radius_mm, travel_mm, seed)
@@ -94,8 +98,8 @@ def _axes(angle: float) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _camera(number: int, place: FloatArray, x: FloatArray, y: FloatArray, z: FloatArray) -> HeadCamera:
-    turn = _rows(x, y, z)
-    return HeadCamera(number, _SIDE, turn, _vector(-np.array(turn) @ place))
+    turn = matrix_of(np.stack([x, y, z]))
+    return HeadCamera(number, _SIDE, turn, vector_of(-np.array(turn) @ place))
 
 
 def _turned(x_deg: float, y_deg: float) -> Matrix:
@@ -106,13 +110,4 @@ def _turned(x_deg: float, y_deg: float) -> Matrix:
     z = np.array([math.sin(b), -math.sin(a), math.sqrt(1 - math.sin(a) ** 2 - math.sin(b) ** 2)])
     x = np.cross([0.0, 1.0, 0.0], z)
     x /= np.linalg.norm(x)
-    return _rows(x, np.cross(z, x), z)
-
-
-def _rows(x: FloatArray, y: FloatArray, z: FloatArray) -> Matrix:
-    return _vector(x), _vector(y), _vector(z)
-
-
-def _vector(value: FloatArray) -> Vector:
-    x, y, z = (float(one) for one in value)
-    return x, y, z
+    return matrix_of(np.stack([x, np.cross(z, x), z]))

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus.fringe import FringeProjector, Lamp, lamps_to_list, projector_to_dict
-from annulus.geometry.calibration import STILL, Calibration, HeadCamera, Matrix, Vector
+from annulus.geometry.calibration import STILL, Calibration, HeadCamera, Matrix, Vector, matrix_of, vector_of
 from annulus.geometry.camera import Camera, Mirror
 from annulus.geometry.cone import Cone
 from annulus.geometry.pose import Pose
@@ -143,13 +143,15 @@ class World:
         lamps = []
         for one in light.slides:
             centre = turn @ np.array(one.slide.centre_mm) + moved
-            slide = replace(one.slide, centre_mm=_row(centre), rotation=_rows(np.array(one.slide.rotation) @ turn.T))
+            slide = replace(
+                one.slide, centre_mm=vector_of(centre), rotation=matrix_of(np.array(one.slide.rotation) @ turn.T)
+            )
             lamps.append(Lamp(slide, one.cameras, one.slots))
         others = []
         for other in self.others:
             own = np.array(other.rotation) @ turn.T
             place = np.array(other.translation_mm) - own @ moved
-            others.append(replace(other, rotation=_rows(own), translation_mm=_row(place)))
+            others.append(replace(other, rotation=matrix_of(own), translation_mm=vector_of(place)))
         several = len(lamps) > 1 or bool(lamps[0].cameras)
         told = {"projectors": lamps_to_list(lamps)} if several else {"projector": projector_to_dict(lamps[0].projector)}
         beside: dict[str, Any] = {"transfer": {"sensor": "linear", "black": self.optics.black}}
@@ -227,16 +229,6 @@ def _light(data: Mapping[str, Any]) -> Projector | Fringes:
         return _tupled(Projector, {**data, "cones": tuple(_tupled(Cone, cone) for cone in data["cones"])})
     slides = tuple(_tupled(Fringe, {**one, "slide": _tupled(FringeProjector, one["slide"])}) for one in data["slides"])
     return _tupled(Fringes, {**data, "slides": slides})
-
-
-def _row(value: FloatArray) -> Vector:
-    x, y, z = (float(one) for one in value)
-    return x, y, z
-
-
-def _rows(value: FloatArray) -> Matrix:
-    x, y, z = (_row(row) for row in value)
-    return x, y, z
 
 
 def _camera(data: Mapping[str, Any]) -> Camera:
