@@ -14,7 +14,7 @@ from annulus.fringe.steps import find_steps
 from annulus.geometry.calibration import HeadCamera
 from annulus.geometry.camera import Camera
 from annulus.numeric.arrays import FloatArray
-from tools.bench.metrology import fringe_models, fringe_pipe, fringe_plate
+from tools.bench.metrology import fringe_models, fringe_pipe, fringe_scan
 from tools.bench.table import Row
 
 DISTANCE, BASELINE, PERIOD, SWING = 1.5, 0.1, 0.0133, 0.8
@@ -31,7 +31,7 @@ TOLD_WRONGLY = 0.03
 
 
 def rows() -> list[Row]:
-    return [*_four_steps(), *_uneven(), *fringe_plate.rows(), *fringe_pipe.rows(), *fringe_models.rows()]
+    return [*_four_steps(), *_uneven(), *fringe_scan.rows(), *fringe_pipe.rows(), *fringe_models.rows()]
 
 
 def _points() -> tuple[Points, FloatArray]:
