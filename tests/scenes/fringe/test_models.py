@@ -1,15 +1,20 @@
 """The twin's heads under fringes (§6.8.2, Models A, B and C), by the commands alone: scan, wall, defects, report."""
 
 import json
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from annulus.cli import app
 from annulus.numeric.arrays import FloatArray
+from annulus.record.recording import to_bgr
+from annulus.twin.render import Renderer
 from annulus.twin.scan import write_scan
 from annulus.twin.worlds import World, mirror_fringe_world, modules_world, series_world
 
@@ -58,3 +63,37 @@ def test_a_head_of_the_twin_measures_its_pipe(world: World, frames: int, rms_mm:
         assert abs((got["clock_deg"] - want["clock_deg"] + 180) % 360 - 180) < 2.0
         assert abs(got["z_mm"] - want["z_mm"]) < 1.0
         assert abs(got["depth_mm"] - want["depth_mm"]) < max(0.05, 0.2 * want["depth_mm"])
+
+
+@pytest.mark.parametrize(
+    ("make", "place_mm"), [(series_world, 0.2), (mirror_fringe_world, 0.4)], ids=["A", "C"]
+)  # measured: 0.08, 0.20
+def test_a_clean_pipe_says_where_the_light_comes_from(
+    make: Callable[[], World], place_mm: float, tmp_path: Path
+) -> None:
+    """The head some millimetres aside, all its cameras at once, from a design that is off by more than a millimetre."""
+    clean = replace(make(), features=(), texture=False, wobble_deg=0.15, wobble_mm=0.0)
+    several = len(clean.cameras) > 1
+    rows = ["index,file,light,z_mm,camera,tx_mm,ty_mm"]
+    for index, (right, down) in enumerate([(0, 0), (4, 0), (-2, 3.4), (-2, -3.4), (2, 3.4), (2, -3.4)]):
+        aside = replace(clean, centre_mm=(-right, -down))
+        for camera in range(len(clean.cameras)):
+            raw = Renderer(aside, camera).render(aside.pose(0.0), 0.0, 1.0, seed=index)
+            assert cv2.imwrite(str(tmp_path / f"{index}-{camera}.png"), to_bgr(raw, "bayer_rggb8"))
+            rows.append(f"{index},{index}-{camera}.png,projector,0,{camera},{right},{down}")
+    (tmp_path / "frames.csv").write_text("\n".join(rows) + "\n")
+    design = clean.calibration().to_dict()
+    true = design["pattern"]["projector"]
+    off = [at + by for at, by in zip(true["centre_mm"], (1.0, -1.2, 1.5), strict=True)]
+    wrong = {**true, "centre_mm": off, "period_mm": 1.004 * true["period_mm"], "phase0": 0.0}
+    (tmp_path / "design.json").write_text(json.dumps({**design, "pattern": {"kind": "fringe", "projector": wrong}}))
+    head = tmp_path / "head.json"
+    words = ["calibrate", "fringe", str(tmp_path), "--camera", str(tmp_path / "design.json"), "-o", str(head), "--json"]
+    done = CliRunner().invoke(app, words, catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    written = json.loads(head.read_text())
+    found = written["pattern"]["projector"]
+    assert np.abs(np.subtract(found["centre_mm"], true["centre_mm"])).max() < place_mm
+    assert np.degrees(np.linalg.norm(np.subtract(found["rotation"][2], true["rotation"][2]))) < 0.03
+    assert len(written["cameras"]) == len(clean.cameras)
+    assert ("rotation" in written["pipe"]) == several  # how the first camera stands in the pipe is kept
