@@ -13,9 +13,9 @@ say its radius; all cells together say how the head lay in the pipe, frame by fr
 the albedo's slope for the next, and a shadow's edge is one, too. Sigma is a cell's own, of its frames, and what cells
 apart scatter beyond that.
 
-Where neither a frame's parallax nor a neighbour decides the order of the fringe a cell is ambiguous and NaN. Where a
-loss is so narrow that its near rim keeps light or sight off its floor, or the blur fills it, its radius is a lower
-limit: `at_least`.
+Where neither a frame's parallax nor a neighbour decides the order of the fringe a cell is ambiguous and NaN. A loss so
+narrow that its near rim keeps light or sight off its floor, or the blur fills it, is fitted as a groove (`groove`);
+where its floor shows in no frame its radius is a lower limit: `at_least`.
 """
 
 from collections.abc import Sequence
@@ -25,6 +25,7 @@ import cv2
 import numpy as np
 from scipy.ndimage import binary_erosion, label, uniform_filter
 
+from annulus.fringe import groove
 from annulus.fringe.bore import follow_wall
 from annulus.fringe.heights import PARALLAX, Heights, Points, spline
 from annulus.fringe.noise import noise_of
@@ -53,9 +54,7 @@ WALL_LEAST = 1e-4  # of the radius: no wall is rounder
 SLOPE_MAX = 1.0  # 1 / mm: an edge of albedo is sharper, the blur of it is not
 APART = 8  # cells: two so far from each other share neither pixels nor texture
 ROWS, LONG_ROWS, ROW_LEAST = 2, 16, 100  # either way, for cells apart round and along; cells that tell a scatter
-NARROW_BLURS = 6.0  # sigma of the blur: it widens a loss by two each way, and two must lie between to show a floor
 BEYOND_FIRST = 0.2  # of what texture was found to do: a slope says it to the first order of the blur
-STARTS = 4.0  # sigma above which a cell is part of a loss
 CONTINUOUS = 0.25  # of a period: neighbours nearer than that are one surface
 CONTRADICTED = 0.3  # cells of a surface that speak for another order, over those that speak for this one
 TRIED = 4000  # cells whose other orders are tried
@@ -66,7 +65,8 @@ class PipeMap:
     """The wall as one scan shows it, in the pipe's frame (x right, y down, z along; phi from x towards y).
 
     z_mm (Z,), phi_deg (A,). radius_mm, sigma_mm (Z, A): NaN where not told. flag (Z, A): track.GOOD .. AMBIGUOUS.
-    at_least : (Z, A) bool, the floor of a loss was not seen: the radius is a lower limit. dc, modulation (Z, A): light
+    at_least : (Z, A) bool, the floor of a loss was not seen: the radius is a lower limit, or
+    NaN (`groove`). dc, modulation (Z, A): light
     of the wall with the head's own shading taken out, and AC over DC. frames (Z, A): how many told. seen_by (Z, A): the
     eye whose frames did, the number of eyes where several, -1 where none. head : poses, shading, blur, mean radius.
     noise : of a grey level, as `noise_of` says. slipped (F,): flashes whose told place the frames contradict (`slip`);
@@ -143,10 +143,14 @@ def measure_pipe(
     found = _decided(head, coefficients, points, found, noise)
     shape = points.shape
     found = _scattered(head, z, found, shape, plain.height_mm, np.isfinite(texture))
-    height, sigma = found.height_mm.reshape(shape), found.sigma_mm.reshape(shape)
+    modulation = found.modulation.reshape(shape)
+    height, sigma, at_least = groove.measured(
+        head, coefficients, noise, phi, z, radius_mm, found.height_mm.reshape(shape), found.sigma_mm.reshape(shape),
+        modulation,
+    )  # fmt: skip
     return PipeMap(
         z, np.degrees(phi), radius_mm + height, sigma, found.flag.astype(np.uint8).reshape(shape),
-        _lower_limits(head, z, height, sigma, step), found.dc.reshape(shape), found.modulation.reshape(shape),
+        at_least, found.dc.reshape(shape), modulation,
         np.nan_to_num(found.used).astype(int).reshape(shape), found.who.reshape(shape), head, noise, slipped,
     )  # fmt: skip
 
@@ -404,36 +408,3 @@ def _decided(
         sigma_mm=np.where(unsure, np.nan, found.sigma_mm),
         flag=np.where(unsure, AMBIGUOUS, found.flag),
     )
-
-
-def _lower_limits(head: Head, z: FloatArray, height: FloatArray, sigma: FloatArray, step: float) -> BoolArray:
-    """(Z, A) cells of losses that are narrower along the pipe than what their rim hides and the blur fills."""
-    outer = height - np.nanmedian(height)
-    with np.errstate(invalid="ignore"):
-        deep = (outer > STARTS * sigma) & (outer > STARTS * robust_sigma(outer[np.isfinite(outer)]))
-    runs, count = label(deep, structure=[[0, 1, 0], [0, 1, 0], [0, 1, 0]])
-    if not count:
-        return np.zeros(height.shape, bool)
-    size = np.bincount(runs.ravel(), minlength=count + 1) * step
-    depth = np.zeros(count + 1)
-    np.maximum.at(depth, runs.ravel(), np.where(deep, outer, 0.0).ravel())
-    aslant = [_aslant(head, number) for number in range(len(head.eyes))]
-    hidden, blur = (max(each) for each in zip(*aslant, strict=True))
-    narrow = size < depth * hidden + NARROW_BLURS * blur
-    narrow[0] = False
-    return np.asarray(narrow[runs])
-
-
-def _aslant(head: Head, number: int) -> tuple[float, float]:
-    """How far along the pipe a rim hides the wall behind it from an eye's lamp, per mm of depth, and what the lens's
-    blur spans there, mm: both in the middle of the wall it sees."""
-    eye, middle = head.eyes[number], head.radius_mm
-    turn = np.array(eye.camera.rotation)
-    centre, lamp = -np.array(eye.camera.translation_mm) @ turn, np.array(eye.projector.centre_mm)
-    out = turn[2, :2] if np.hypot(*turn[2, :2]) > 1 - STRAIGHT else np.array([1.0, 0.0])
-    normal = np.array([*out / np.hypot(*out), 0.0])
-    place = middle * normal + [0.0, 0.0, head.shading[number, 0, 0]]
-    to_lamp, to_eye = place - lamp, place - centre
-    hidden = abs(to_lamp[2]) / float(to_lamp @ normal)
-    blur = np.sqrt(head.blur_squared) * float(to_eye @ to_eye) / (float(to_eye @ normal) * eye.camera.camera.fx)
-    return hidden, blur

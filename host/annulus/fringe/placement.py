@@ -106,6 +106,7 @@ class Head:
 
     poses : (F, 6) rotation vector (rad, world's vectors to the head's) and place (mm) of the head's frame. eye, flash :
     (N,) as in `Shots`. shading : (E, 3, TERMS), see `bore`. blur_squared : of the images, px^2. radius_mm : the wall's.
+    blur_sigma : of the blur's square, px^2.
     """
 
     eyes: tuple[Eye, ...]
@@ -115,6 +116,7 @@ class Head:
     shading: FloatArray
     radius_mm: float
     blur_squared: float = 0.0
+    blur_sigma: float = np.inf
 
     @staticmethod
     def at(
@@ -279,6 +281,7 @@ def refined(
         poses=head.poses + step[:at].reshape(head.poses.shape),
         shading=shading,
         blur_squared=max(head.blur_squared + float(step[at + light]), 0.0),
+        blur_sigma=float(np.sqrt(covariance[at + light, at + light])),
         radius_mm=head.radius_mm + float(step[at + light + 1]),
     )
     law_step = step[at + light + 2 :]

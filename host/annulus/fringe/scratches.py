@@ -51,7 +51,8 @@ def find_scratches(seen: PipeMap) -> list[Defect]:
             few = np.maximum(1.0, np.where(known, sigma, 1.0) / np.nanmedian(sigma))  # cells that few frames saw
             core |= np.nan_to_num(mean, nan=-1.0) > np.maximum(SEED * usual * few, least)
         cells = known & (sign * value > CELL * scatter)
-        found += [(_measured(seen, kind, place, sign * off), place) for place in _places(cells, core)]
+        dark = seen.at_least & ~np.isfinite(seen.radius_mm) & (sign > 0)
+        found += [(_measured(seen, kind, place, sign * off), place) for place in _places(cells, core, dark)]
     sure = [(one, place) for one, place in found if one.depth_k2_mm <= UNSURE * one.depth_mm]
     whole = [one for one, place in sure if not _is_ripple(one, place, sure)]
     return sorted(whole, key=lambda one: (one.z_mm, one.clock_deg))
@@ -109,9 +110,10 @@ def _wrapped(field: FloatArray, kernel: FloatArray) -> FloatArray:
     return np.asarray(convolve(padded, kernel, mode="constant")[:, wide:-wide])
 
 
-def _places(cells: BoolArray, core: BoolArray) -> list[BoolArray]:
-    """Joined cells around cores; what touches the seam of the map goes on at its other side."""
-    joined = binary_closing(cells, np.ones((3, 3))) | cells
+def _places(cells: BoolArray, core: BoolArray, dark: BoolArray) -> list[BoolArray]:
+    """Joined cells around cores, also across what lies in the dark of their rims; what touches the seam of the map goes
+    on at its other side."""
+    joined = binary_closing(cells, np.ones((3, 3))) | cells | dark
     marks, count = label(joined, structure=np.ones((3, 3)))
     for j in range(len(marks)):
         for i in (j - 1, j, j + 1):

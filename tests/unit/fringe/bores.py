@@ -1,5 +1,5 @@
 """A pipe before a fisheye and a slide of rings, ray by ray: no code of the method used but the slide's phase and the
-lens's rays. Grooves are cut straight down; what their rims would hide is not drawn."""
+lens's rays. Grooves are cut straight down; their rims hide and shade what lies behind them."""
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
@@ -10,7 +10,7 @@ from annulus.geometry.calibration import HeadCamera
 from annulus.geometry.camera import Camera
 from annulus.numeric.arrays import Float32Array, FloatArray
 
-RADIUS_MM, OVER = 60.0, 2
+RADIUS_MM = 60.0
 LENS = HeadCamera(0, Camera("fisheye", 360, 360, 150.0, 150.0, 179.5, 179.5, (0.02, -0.004, 0.0, 0.0)))
 TURN = Rotation.from_rotvec([0.006, -0.004, 0.0]).as_matrix()
 SLIDE = FringeProjector(
@@ -22,22 +22,21 @@ FIELD_DEG = (22.0, 40.0)
 def drawn(
     poses: FloatArray, *, slide: FringeProjector = SLIDE, groove: tuple[float, float, float, float] | None = None,
     texture: float = 0.2, noise: float = 0.7, blur_px: float = 0.8, seed: int = 1,
+    over: int = 2,
 ) -> Float32Array:  # fmt: skip
     """(N, H, W) grey levels, linear. poses : (N, 6) lean (rad) and place (mm) of the head. groove : z0, z1, half its
-    arc (deg, about phi = 0), depth."""
+    arc (deg, about phi = 0), depth. over : rays either way in a pixel."""
     camera, random = LENS.camera, np.random.default_rng(seed)
-    v, u = (np.mgrid[: camera.height * OVER, : camera.width * OVER] + 0.5) / OVER - 0.5
+    v, u = (np.mgrid[: camera.height * over, : camera.width * over] + 0.5) / over - 0.5
     rays = camera.rays(np.stack([u.ravel(), v.ravel()], axis=1))
     rays[~np.isfinite(rays).all(axis=1)] = [0.0, 0.0, 1.0]
     out = []
     for pose in poses:
         turn = Rotation.from_rotvec(pose[:3]).as_matrix()
         way = rays @ turn
-        x = _met(way, pose[3:], RADIUS_MM)
+        x, bright = _met(way, pose[3:], RADIUS_MM), 1.0
         if groove is not None:
-            z0, z1, half, depth = groove
-            inside = (x[:, 2] > z0) & (x[:, 2] < z1) & (np.abs(np.degrees(np.arctan2(x[:, 1], x[:, 0]))) < half)
-            x = np.where(inside[:, None], _met(way, pose[3:], RADIUS_MM + depth), x)
+            x, bright = _cut(groove, way, x, pose[3:], pose[3:] + np.array(slide.centre_mm) @ turn)
         head = (x - pose[3:]) @ turn.T
         beam = (head - slide.centre_mm) @ np.array(slide.rotation).T
         angle = np.degrees(np.arctan2(np.hypot(beam[:, 0], beam[:, 1]), beam[:, 2]))
@@ -45,12 +44,29 @@ def drawn(
         for k, (even, odd) in enumerate(np.reshape(slide.harmonics, (-1, 2)), start=2):
             wave = wave + even * np.cos(k * phase) + odd * np.sin(k * phase)
         albedo = 1 + texture * np.sin(x[:, 2] * 0.57) * np.cos(8 * np.arctan2(x[:, 1], x[:, 0]))
-        light = 90 * albedo * (1 + 0.8 * (np.cos(phase) + wave)) * (100 / np.maximum(beam[:, 2], 1.0))
+        light = 90 * albedo * (1 + 0.8 * (np.cos(phase) + wave)) * (100 / np.maximum(beam[:, 2], 1.0)) * bright
         light = np.where((angle > FIELD_DEG[0]) & (angle < FIELD_DEG[1]), light, 0.0)
-        seen = gaussian_filter(light.reshape(u.shape), blur_px * OVER)
-        seen = seen.reshape(camera.height, OVER, camera.width, OVER).mean(axis=(1, 3))
+        seen = gaussian_filter(light.reshape(u.shape), blur_px * over)
+        seen = seen.reshape(camera.height, over, camera.width, over).mean(axis=(1, 3))
         out.append(seen + random.normal(0, noise, seen.shape))
     return np.array(out, np.float32)
+
+
+def _cut(
+    groove: tuple[float, float, float, float], way: FloatArray, x: FloatArray, eye: FloatArray, lamp: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Where lines of sight that meet the wall at x meet it with a groove in it, and its light over the wall's."""
+    z0, z1, half, depth = groove
+    inside = (x[:, 2] > z0) & (x[:, 2] < z1) & (np.abs(np.degrees(np.arctan2(x[:, 1], x[:, 0]))) < half)
+    floor = _met(way, eye, RADIUS_MM + depth)
+    side = inside & (floor[:, 2] > z1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        end = eye + way * ((z1 - eye[2]) / way[:, 2])[:, None]
+    out = np.where(side[:, None], end, np.where(inside[:, None], floor, x))
+    beam = out - lamp
+    steep = beam[:, 2] / np.hypot(beam[:, 0], beam[:, 1])
+    over = _met(beam, lamp, RADIUS_MM)[:, 2]
+    return out, np.where(inside & (over < z0), 0.0, np.where(side, steep, 1.0))
 
 
 def _met(way: FloatArray, start: FloatArray, radius: float) -> FloatArray:
