@@ -11,7 +11,8 @@ then runs over all of it, and albedo is free along the wall. What a frame does n
 floor that no frame sees leaves its depth undetermined, and the map's own reading remains as the lower limit it is.
 
 A groove with a round floor is fitted as the steep one most like it, whose depth is 0.92 of its middle's, and a V's is
-0.8: what is left of the frames hardly tells them apart, so sigma has a share of every depth. Grooves along the pipe need none of this: there the lens sees both rims alike.
+0.8: what is left of the frames hardly tells them apart, so sigma has a share of every depth. Grooves along the pipe
+need none of this: there the lens sees both rims alike.
 """
 
 import math
