@@ -1,6 +1,8 @@
 """`annulus joint`: butt-fusion joints, from a CT volume to what may be said of them."""
 
+import contextlib
 import json
+import sys
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -21,6 +23,7 @@ class Sense(StrEnum):
     EITHER = "either"
 
 
+TWIN_FEED_MM_MIN = 30_000.0  # a bench that nobody waits for
 SENSES = {Sense.SAME: (1,), Sense.MIRRORED: (-1,), Sense.EITHER: (1, -1)}
 
 
@@ -160,8 +163,99 @@ def correlate_command(
     print(f"files      {', '.join(str(file) for file in files)}")
 
 
-@app.command("scan", epilog="Example: annulus joint scan joint-7/result joint-7/microwave.npz")
+@app.command(
+    "scan",
+    epilog="Example: annulus joint scan --port /dev/ttyACM0 --linear-stage /dev/ttyUSB0 --probe "
+    'TCPIP::192.168.1.30::5025::SOCKET --amplitude "MEAS:VOLT:DC? (@101)" --to-mm 40 -o joint-7/microwave.npz. '
+    "Without hardware: annulus joint scan --twin --angles 20 --step-mm 2 -o microwave.npz",
+)
 def scan_command(
+    out: Annotated[Path, typer.Option("--out", "-o", help="Raster to write, .npz; its points beside it as they come.")],
+    port: Annotated[
+        str | None, typer.Option(help="Serial port of the controller, whose turntable turns the pipe.")
+    ] = None,
+    stage: Annotated[
+        str | None, typer.Option("--linear-stage", help="Serial port of what carries the probe along, GRBL 1.1.")
+    ] = None,
+    axis: Annotated[str, typer.Option(help="Of the linear stage: X, Y or Z.")] = "X",
+    feed: Annotated[float, typer.Option(min=1.0, max=1e5, help="Of the linear stage, mm/min.")] = 600.0,
+    probe: Annotated[
+        str | None, typer.Option(help="VISA name of the detector, or address of samples: ipc://PATH, tcp://HOST:PORT.")
+    ] = None,
+    sensor: Annotated[str, typer.Option(help="Which sensor of the samples.")] = "probe",
+    amplitude: Annotated[
+        str | None, typer.Option(help="Channel of amplitude: query that answers volts, or a sample's value.")
+    ] = None,
+    phase: Annotated[str | None, typer.Option(help="Channel of phase: the same.")] = None,
+    twin: Annotated[bool, typer.Option("--twin", help="On the twin's bench, with the controller's own code.")] = False,
+    angles: Annotated[int, typer.Option(min=3, max=4096, help="Over one turn of the pipe.")] = 100,
+    from_mm: Annotated[float, typer.Option(help="First place of the linear stage, mm.")] = 0.0,
+    to_mm: Annotated[float, typer.Option(help="Last place of the linear stage, mm.")] = 40.0,
+    step_mm: Annotated[float, typer.Option(help="From place to place, mm.")] = 0.5,
+    averages: Annotated[int, typer.Option(min=1, max=10_000, help="Readings at each point.")] = 4,
+    settle_ms: Annotated[float, typer.Option(min=0.0, max=1e4, help="Waited where it stands, ms.")] = 20.0,
+    steps_per_turn: Annotated[int, typer.Option(min=3, max=1_000_000, help="Of the turntable.")] = 400,
+    step_us: Annotated[float, typer.Option(min=100.0, max=1e6, help="Step to step, us.")] = 1000.0,
+    home: Annotated[bool, typer.Option("--home", help="Drive the linear stage to its switch first.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on: measure what its points have not yet.")] = False,
+    homed: Annotated[
+        bool, typer.Option("--homed", help="With --resume: turntable and stage were put back to where they began.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """A near-field probe over a joint, angle by angle along the pipe.
+
+    Every point is on the disk before the next; Ctrl-C, a lost probe or a stage in alarm ends the scan with what it has
+    (status not 0), --resume goes on. `annulus joint register` lays the raster on the joint's CT.
+    """
+    from annulus.nearfield import Plan, log_of, scan
+    from annulus.sensors.linear_stage import LinearStage
+    from annulus.sensors.probe import Probe, SampleProbe, VisaProbe
+
+    given = [one is not None for one in (port, stage, probe)]
+    if twin == any(given) or any(given) != all(given):
+        raise AnnulusError("give --port, --linear-stage and --probe, or --twin alone")
+    queries = {name: key for name, key in (("amplitude_mv", amplitude), ("phase_mv", phase)) if key}
+    if not twin and not queries:
+        raise AnnulusError("give --amplitude, --phase or both: what the probe is asked for")
+    plan = Plan(angles, from_mm, to_mm, step_mm, averages, settle_ms, steps_per_turn, step_us)
+    notes: list[str] = []
+    with contextlib.ExitStack() as stack:
+        report = stack.enter_context(progress())
+        if twin:
+            from annulus.twin.acoustic.rig import serving
+            from annulus.twin.nearfield import QUERIES, bench
+
+            rig = stack.enter_context(serving(bench(steps_per_turn)))
+            port, stage, probe, homed = rig.port_url, rig.stage_url, rig.probe_name, True
+            queries = {name: query for query, name in QUERIES.items()}
+            feed = TWIN_FEED_MM_MIN
+        assert port is not None and stage is not None and probe is not None
+        carried = stack.enter_context(LinearStage(stage, axis=axis, feed_mm_min=feed))
+        if home:
+            carried.home()
+        meter: Probe = (
+            SampleProbe(probe, sensor, queries) if probe.startswith(("ipc://", "tcp://")) else VisaProbe(probe, queries)
+        )
+        stack.callback(meter.close)
+        try:
+            done = scan(port, carried, meter, plan, out, resume=resume, homed=homed, say=notes.append, progress=report)
+        except KeyboardInterrupt:
+            notes.append(f"stopped; what was measured is in {log_of(out)}, --resume goes on")
+            raise
+        finally:
+            stack.close()
+            for note in notes:
+                print(f"note       {note}", file=sys.stderr)
+    if as_json:
+        print(json.dumps(done.to_dict() | {"raster": str(out), "points_file": str(log_of(out))}))
+        return
+    print(f"scanned    {done.measured} of {done.points} points in {done.seconds:.1f} s, {done.retries} readings again")
+    print(f"raster     {out}: {plan.angles} angles x {len(plan.z_mm)} z, mV; its points in {log_of(out)}")
+
+
+@app.command("register", epilog="Example: annulus joint register joint-7/result joint-7/microwave.npz")
+def register_command(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder that `annulus joint image` wrote.")],
     raster: Annotated[
         Path,
@@ -177,8 +271,7 @@ def scan_command(
     The raster less its plain wall is explained by the CT's bead outside and density, blurred by the aperture; nothing
     is left to choose. Adds `microwave` to features.json, writes scan.npz (maps on the CT's grid: `joint` over plain
     wall, `material` with the bead's share taken out) and scan.png. `accepted` is not proof: rasters of other joints
-    that had one cold sector too were accepted in 11 of 80 simulated cases, in one set of 20 in 5. Driving a bench is
-    not done yet: this reads a file that a bench has made.
+    that had one cold sector too were accepted in 11 of 80 simulated cases, in one set of 20 in 5.
     """
     import numpy as np
 

@@ -1,4 +1,4 @@
-"""`annulus joint image` and `scan` on the joint of ../shared/joints: bias, rms, flaws, the raster, time and memory."""
+"""`annulus joint image` and `register` on the joint of ../shared/joints: bias, rms, flaws, the raster, time and memory."""
 
 import importlib.util
 import json
@@ -52,7 +52,7 @@ def rows() -> list[Row]:
             shutil.copy(f"{folder}/{name}", TABLE.pictures / name)
         raster = str(JOINTS / "joint-a" / "microwave.npz")
         laid = subprocess.run(
-            [*command[:-1], "scan", folder, raster, "--json"], check=True, capture_output=True, timeout=600
+            [*command[:-1], "register", folder, raster, "--json"], check=True, capture_output=True, timeout=600
         )
         scan = json.loads(laid.stdout)
         shutil.copy(f"{folder}/scan.png", TABLE.pictures / "scan.png")

@@ -10,6 +10,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
+from typing import Protocol, TypeVar
 
 from annulus.controller import (
     PIN_DIRECTION,
@@ -155,8 +156,19 @@ class AcousticRig:
         self.board.close()
 
 
+class Rig(Protocol):
+    """What is served in real time."""
+
+    def run(self, over: threading.Event) -> None: ...
+
+    def close(self) -> None: ...
+
+
+R = TypeVar("R", bound=Rig)
+
+
 @contextlib.contextmanager
-def serving(rig: AcousticRig) -> Iterator[AcousticRig]:
+def serving(rig: R) -> Iterator[R]:
     """The rig in real time on a thread of this process; closed at the end."""
     over = threading.Event()
     failed: list[BaseException] = []
@@ -167,7 +179,7 @@ def serving(rig: AcousticRig) -> Iterator[AcousticRig]:
         except BaseException as error:  # told to whoever waits, not to a thread's stderr
             failed.append(error)
 
-    thread = threading.Thread(target=run, name="acoustic rig", daemon=True)
+    thread = threading.Thread(target=run, name="twin rig", daemon=True)
     thread.start()
     try:
         yield rig
