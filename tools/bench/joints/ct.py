@@ -1,4 +1,4 @@
-"""`annulus joint image` and `register` on the joint of ../shared/joints: bias, rms, flaws, the raster, time and memory."""
+"""`annulus joint image` and `register` on the joint of ../shared/joints: bias, rms, flaws, raster, time and memory."""
 
 import importlib.util
 import json
