@@ -139,6 +139,8 @@ def correlate_command(
             for one in relations
         },
     }  # fmt: skip
+    for one in told["features"].values():
+        one["verdict"] = _verdict(one, LEVEL)
     files = write_correlation(folder, told, curves, {one.name: one.chance for one in relations})
     if as_json:
         print((folder / "correlate.json").read_text())
@@ -148,7 +150,7 @@ def correlate_command(
         print(
             f"{name:<10} r {one['r']:+.3f} at shift {one['shift_deg']:+g} deg, "
             f"{'same sense' if one['sense'] > 0 else 'mirrored'}; p over the search {one['p']:.4f}, over all tried "
-            f"{one['p_all']:.4f}, least p {one['least_p']:.4f}, n {len(angles)}: {_verdict(one, LEVEL)}"
+            f"{one['p_all']:.4f}, least p {one['least_p']:.4f}, n {len(angles)}: {one['verdict']}"
         )
         print(
             f"           its own rotations do as well in {one['p_rotated']:.3f}, least {one['least_p_rotated']:.3f} "
@@ -346,6 +348,23 @@ def register_command(
     print(f"files      {', '.join(str(file) for file in files)}")
 
 
+@app.command("report", epilog="Example: annulus joint report joint-7/result")
+def report_command(
+    folder: Annotated[
+        Path, typer.Argument(metavar="DIR", help="Folder of `annulus joint image`; of `register` and `correlate` too.")
+    ],
+    as_json: Json = False,
+) -> None:
+    """One page of a joint that opens and prints anywhere: what was measured, what it can and cannot say.
+
+    Takes in what `register` and `correlate` have added to the folder.
+    """
+    from annulus.report.joint_page import write_joint_page
+
+    page = write_joint_page(folder)
+    print(json.dumps({"report": str(page)}) if as_json else f"report     {page}")
+
+
 def _verdict(one: dict[str, Any], level: float) -> str:
     if one["related"]:
         return "related"
@@ -379,7 +398,7 @@ def _print(volume: Any, told: dict[str, Any], found: list[dict[str, Any]]) -> No
     for flaw in found:
         print(
             f"{flaw['kind']:<10} at {flaw['phi_deg']:.1f} deg, {flaw['rho']:.2f} mm from the axis, "
-            f"{flaw['z'] - told['joint_z_mm']:+.2f} mm from the joint, {flaw['snr']:.0f} sigma"
+            f"{flaw['from_joint_mm']:+.2f} mm from the joint, {flaw['snr']:.0f} sigma"
         )
     if not found:
         print("flaws      none seen in the wall; beads and the skin within two voxels are not looked at")

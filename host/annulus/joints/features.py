@@ -10,7 +10,8 @@ from annulus.numeric.arrays import FloatArray
 
 
 def features(joint: JointImage) -> dict[str, Any]:
-    """Arrays by angle under `phi_deg`, NaN where a thing is not told; `found` lists flaws. Lengths in mm.
+    """Arrays by angle under `phi_deg`, NaN where a thing is not told; `found` lists flaws, `from_joint_mm` from the
+    fusion plane at their angle. Lengths in mm.
 
     W, W_sigma : width of the heat-affected zone, mean over the wall's inner part. T, T_sigma : thickness from notch to
     notch. crest : from crest to crest. wo, ho, wi, hi : width and height of the bead outside and inside; no, ni :
@@ -18,8 +19,9 @@ def features(joint: JointImage) -> dict[str, Any]:
     haz : mean density in the zone relative to plain wall, haz_sigma. hilo_out, hilo_in : second surface over the first.
     """
     outside, inside, zone = joint.bead_out, joint.bead_in, joint.zone
+    phi_deg = np.degrees(joint.phi)
     return {
-        "phi_deg": np.degrees(joint.phi),
+        "phi_deg": phi_deg,
         "W": zone.width, "W_sigma": zone.width_sigma,
         "T": joint.thickness_mm, "T_sigma": joint.thickness_sigma_mm,
         "crest": joint.crest_mm,
@@ -29,7 +31,11 @@ def features(joint: JointImage) -> dict[str, Any]:
         "ro": joint.outer_sides.at_mm, "ri": joint.inner_sides.at_mm,
         "hilo_out": joint.outer_sides.hilo_mm, "hilo_in": joint.inner_sides.hilo_mm,
         "zj": joint.fusion_mm,
-        "found": [{name: getattr(flaw, name) for name in flaw.__slots__} for flaw in joint.flaws],
+        "found": [
+            {name: getattr(flaw, name) for name in flaw.__slots__}
+            | {"from_joint_mm": flaw.z - float(np.interp(flaw.phi_deg, phi_deg, joint.fusion_mm, period=360))}
+            for flaw in joint.flaws
+        ],
     }  # fmt: skip
 
 

@@ -1,15 +1,12 @@
 """The result files of a flat wall: depth.npz, cloud, summary, and a page with its heights and their sigma."""
 
-import base64
 import json
 import math
 import time
 from datetime import UTC, datetime
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -18,6 +15,7 @@ from annulus.report.account import Account
 from annulus.report.paper import DEVIATION, UNSEEN, WIDTH_IN, in_style, png, round_up
 from annulus.report.ply import write_ply
 from annulus.report.results import DEPTH, SUMMARY, staged
+from annulus.report.sheet import sheet
 from annulus.report.summary import finite, versions
 from annulus.wall.plate import Plate
 
@@ -141,12 +139,4 @@ def _map(plate: Plate, values: FloatArray, colours: Any, ends: tuple[float, floa
 
 
 def _page(summary: dict[str, Any], pictures: dict[str, bytes]) -> str:
-    """The report as one HTML document: no script, no font and no picture from anywhere else."""
-    text = resources.files("annulus.report").joinpath(TEMPLATE).read_text(encoding="utf-8")
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    inline = {
-        name: f"data:image/png;base64,{base64.b64encode(data).decode('ascii')}" for name, data in pictures.items()
-    }
-    return environment.from_string(text).render(s=summary, height=inline["height.png"], sigma=inline["sigma.png"])
+    return sheet(TEMPLATE, pictures, s=summary)

@@ -2,6 +2,8 @@
 
 import importlib.util
 import json
+import re
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from annulus.cli import app
+from annulus.vocabulary import AnnulusError
 
 JOINTS = Path(__file__).resolve().parents[4] / "shared" / "joints"
 TRUTH = JOINTS / "joint-a-truth" / "truth.json"
@@ -77,3 +80,38 @@ def test_strengths_whose_zero_is_unknown_are_never_called_related(results: Path,
     assert set(said) == {"W", "T"}
     assert not any(one["related"] for one in said.values())
     assert (results / "correlate.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_one_page_says_what_may_be_said(results: Path, tmp_path: Path) -> None:
+    """With the image alone, then with the raster and the strengths of another pipe, which are not related."""
+    folder = tmp_path / "joint"
+    shutil.copytree(results, folder)
+    for name in ("correlate.json", "correlate.png", "report.html"):
+        (folder / name).unlink(missing_ok=True)
+    run = CliRunner().invoke
+    for steps, said, unsaid in (
+        ([], ["2 voids, 1 inclusion, 1 gap", "no strengths were given"], ["Near-field scan"]),
+        (
+            [
+                ["joint", "register", str(folder), str(JOINTS / "joint-a/microwave.npz")],
+                ["joint", "correlate", str(folder), str(JOINTS / "joint-a/strength-other.csv")],
+            ],
+            ["Near-field scan", "W and the strengths", "of 8 dogbones"],
+            ["strengths: related", "no strengths were given"],
+        ),
+    ):
+        for step in steps:
+            assert run(app, step).exit_code == 0
+        done = run(app, ["joint", "report", str(folder), "--json"])
+        assert done.exit_code == 0, done.output
+        page = Path(json.loads(done.stdout)["report"]).read_text()
+        assert all(text in page for text in said)
+        assert not any(text in page for text in unsaid)
+        assert not re.search(r'(src|href)="(?!data:)', page)  # nothing from elsewhere
+    (folder / "beads.png").unlink()
+    with pytest.raises(AnnulusError, match=r"beads\.png: No such file"):
+        run(app, ["joint", "report", str(folder)], catch_exceptions=False)
+    (folder / "features.json").write_text('{"found": [], "summary": {}}')
+    shutil.copy(results / "beads.png", folder)
+    with pytest.raises(AnnulusError, match="expected what `annulus joint image` writes"):
+        run(app, ["joint", "report", str(folder)], catch_exceptions=False)

@@ -1,9 +1,12 @@
 """How often chance is believed: 1000 studies of a joint that nothing relates, by our p-value and by the source's."""
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from annulus.joints.statistics import LEVEL, Search, Strengths, correlate, moving_mean
 from annulus.numeric.arrays import FloatArray
+from annulus.report.paper import BUMP_BLUE, FAINT, LOSS_RED, WIDTH_IN, in_style, png
+from tools.bench.joints import TABLE
 from tools.bench.table import Row
 
 STUDIES, SURROGATES = 1000, 199
@@ -33,7 +36,7 @@ def sector(rng: np.random.Generator) -> FloatArray:
 
 
 def rows() -> list[Row]:
-    table = []
+    table, drawn = [], {}
     for name, make, asked in (
         ("white", white, True),
         ("smooth", smooth, True),
@@ -47,8 +50,10 @@ def rows() -> list[Row]:
             for study in range(STUDIES):
                 feature, strengths = moving_mean(PHI, make(rng), 20.0), Strengths(ANGLES, make(rng)[::45])
                 (one,) = correlate({"W": feature}, strengths, search, SURROGATES, seed=study)
-                told.append((one.p <= LEVEL, one.related, one.ordinary_p < LEVEL, abs(one.r)))
-            ours, related, source, r = np.array(told, float).T
+                told.append((one.p, one.related, one.ordinary_p, abs(one.r)))
+            p, related, ordinary, r = np.array(told, float).T
+            drawn[name, how] = p, ordinary
+            ours, source = p <= LEVEL, ordinary < LEVEL
             table.append(
                 Row(
                     f"{name}, {how}: p <= 0.05; related",
@@ -58,4 +63,30 @@ def rows() -> list[Row]:
                     bool((not asked or 0.03 <= ours.mean() <= 0.07) and related.mean() <= 0.07),
                 )
             )
+    (TABLE.pictures / "chance.png").write_bytes(_drawn(drawn))
     return table
+
+
+def _drawn(studies: dict[tuple[str, str], tuple[FloatArray, FloatArray]]) -> bytes:
+    """How often studies of nothing come below a p, by our p and by the source's recipe."""
+    names, hows = (list(dict.fromkeys(key[k] for key in studies)) for k in (0, 1))
+    with in_style():
+        figure = Figure(figsize=(WIDTH_IN, 1.45 * WIDTH_IN / len(hows)))
+        axes = figure.subplots(len(hows), len(names), sharex=True, sharey=True, squeeze=False)
+        for row, how in zip(axes, hows, strict=True):
+            for one, name in zip(row, names, strict=True):
+                for values, colour, said in zip(
+                    studies[name, how], (BUMP_BLUE, LOSS_RED), ("this project", "the source's recipe"), strict=True
+                ):
+                    ordered = np.sort(values)
+                    share = 100 * np.arange(1, len(ordered) + 1) / len(ordered)
+                    one.step(100 * ordered, share, color=colour, where="post", label=said)
+                one.plot([0, 20], [0, 20], color=FAINT, linewidth=0.8, label="honest")
+                one.set(xlim=(0, 20), ylim=(0, 100), title=f"{name}\n{how}")
+                one.axvline(100 * LEVEL, color=FAINT, linestyle=":", linewidth=0.8)
+            row[0].set_ylabel("studies of nothing at or below it, %")
+        for one in axes[-1]:
+            one.set_xlabel("p, %")
+        axes[0, 0].legend(loc="center right", fontsize=6)
+        figure.tight_layout()
+        return png(figure)
