@@ -14,6 +14,7 @@ from annulus.vocabulary import AnnulusError
 
 app = group("Butt-fusion joints: beads, heat-affected zone and flaws from a CT volume, and what strengths go with.")
 SENSE_NAMES = {1: "same", -1: "mirrored", 0: "undecided"}
+ANGLE_AGREES_DEG = 0.5
 DIAMETER_AGREES, WALL_AGREES = 0.03, 0.15  # of what ct.json says the pipe has
 
 
@@ -346,6 +347,93 @@ def register_command(
     if placed.accepted:
         print("           no proof: of joints that have one cold sector too, one in eight passes for this one")
     print(f"files      {', '.join(str(file) for file in files)}")
+
+
+@app.command("transmission", epilog="Example: annulus joint transmission joint-7/result joint-7/ots.csv")
+def transmission_command(
+    folder: Annotated[
+        Path, typer.Argument(metavar="DIR", help="Folder for the results: that of `annulus joint image`.")
+    ],
+    lines: Annotated[Path, typer.Argument(help="CSV of line scans: z_mm, then mV of each dogbone_<degrees>.")],
+    strength: Annotated[Path | None, typer.Option(help="CSV of the same dogbones: angle_deg,energy_j.")] = None,
+    zero_deg: Annotated[
+        float | None,
+        typer.Option(help="The CT's angle of dogbone_0, if known: its thickness is then taken out (Beer-Lambert)."),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Light through a joint's dogbones: lines aligned, their own plain wall and thickness taken out, compared.
+
+    Writes transmission.json and transmission.png into DIR: by dogbone the joint's absorbance over plain wall with its
+    sigma, and the source's smoothed gradient and moving deviation beside what plain wall shows of them.
+    """
+    import numpy as np
+
+    from annulus.joints.transmission import against_strengths, transmission
+    from annulus.record.raster import read_walls
+    from annulus.record.strength import read_strengths, read_transmission
+    from annulus.report.joint import write_transmission
+
+    z, angles, mv = read_transmission(lines)
+    try:
+        found = transmission(z, mv)
+        if zero_deg is not None:
+            found = transmission(z, mv, _thickness(*read_walls(folder), (angles + zero_deg) % 360, z, found.joint_mm))
+    except AnnulusError as error:
+        raise AnnulusError(str(error) if str(folder) in str(error) else f"{lines}: {error}") from None
+    inside = found.inside
+    told: dict[str, Any] = {
+        "lines": str(lines), "units": "mm, degrees, absorbance to base e", "dogbone_deg": angles.tolist(),
+        "shift_mm": found.shift_mm, "shift_sigma_mm": found.shift_sigma_mm, "joint_mm": list(found.joint_mm),
+        "depth": found.depth, "depth_sigma": found.depth_sigma,
+        "gradient_per_mm": np.abs(found.gradient[:, inside]).max(axis=1), "plain_gradient_per_mm": found.plain_gradient,
+        "deviation": found.deviation[:, inside].max(axis=1), "plain_deviation": found.plain_deviation,
+        "alpha_per_mm": found.alpha, "alpha_sigma_per_mm": found.alpha_sigma,
+        "thickness_taken_out": bool(zero_deg is not None and found.thickness_out),
+    }  # fmt: skip
+    if strength is not None:
+        at, energy = read_strengths(strength)
+        same = np.abs((at[None, :] - angles[:, None] + 180) % 360 - 180) < ANGLE_AGREES_DEG
+        if not same.any(axis=1).all():
+            raise AnnulusError(f"{strength}: has not the {len(angles)} dogbones of {lines}, expected their angles")
+        energy = energy[np.argmax(same, axis=1)]
+        r, as_good, least = against_strengths(found.depth, energy)
+        told |= {"energy_j": energy.tolist(), "r": r, "as_good_by_turning": as_good, "least_by_turning": least}
+    curves = {"z_mm": z, "absorbance": found.absorbance, "gradient": found.gradient, "deviation": found.deviation}
+    files = write_transmission(folder, told, curves)
+    if as_json:
+        print((folder / "transmission.json").read_text())
+        return
+    print(f"lines      {len(angles)} dogbones, aligned to {found.shift_sigma_mm[0]:.2f} mm (sigma)")
+    print(f"joint      {found.joint_mm[0]:.2f} to {found.joint_mm[1]:.2f} mm")
+    for k, angle in enumerate(angles):
+        print(
+            f"{angle:>6g} deg  absorbance {found.depth[k]:.4f}, sigma {found.depth_sigma[k]:.4f}; gradient "
+            f"{told['gradient_per_mm'][k]:.3f} /mm, deviation {told['deviation'][k]:.4f}"
+        )
+    print(f"plain wall gradient {found.plain_gradient:.3f} /mm, deviation {found.plain_deviation:.4f} (1 in 400 above)")
+    if zero_deg is None:
+        print("thickness  each line's own plain wall is taken out; the CT's needs --zero-deg")
+    else:
+        done = "taken out along the lines" if told["thickness_taken_out"] else "left in: alpha is not told from 0"
+        print(f"thickness  alpha {found.alpha:.3f} /mm, sigma {found.alpha_sigma:.3f}: {done}")
+    if strength is not None:
+        print(
+            f"strengths  r {told['r']:+.3f} over {len(angles)} dogbones; turned or mirrored "
+            f"{100 * told['as_good_by_turning']:.0f} % of ways do as well, least {100 * told['least_by_turning']:.0f} %"
+        )
+    print(f"files      {', '.join(str(file) for file in files)}")
+
+
+def _thickness(z_ct: Any, phi: Any, wall: Any, fusion: Any, angles: Any, z: Any, joint: tuple[float, float]) -> Any:
+    """(n, Z) mm of wall along lines whose joint is there, by the CT's (Z, P) wall and (P,) fusion plane."""
+    import numpy as np
+
+    out = []
+    for angle in angles:
+        column = int(np.argmin(np.abs((phi - angle + 180) % 360 - 180)))
+        out.append(np.interp(z - sum(joint) / 2, z_ct - fusion[column], wall[:, column], left=np.nan, right=np.nan))
+    return np.stack(out)
 
 
 @app.command("report", epilog="Example: annulus joint report joint-7/result")

@@ -9,7 +9,7 @@ import numpy as np
 
 from annulus.numeric.arrays import FloatArray
 from annulus.record.arrays import require_plain_npz
-from annulus.record.strength import read_bounded
+from annulus.record.strength import read_bounded, read_features
 from annulus.untrusted import mapping, parse_json, shown
 from annulus.vocabulary import AnnulusError
 
@@ -56,6 +56,18 @@ def read_joint(folder: Path) -> tuple[dict[str, Any], dict[str, FloatArray]]:
         _require_shape(path, name, held[name], (len(z), len(phi)), "z_mm x phi_deg")
         _require_finite(path, name, held[name])
     return said, held
+
+
+def read_walls(folder: Path) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Of `annulus joint image`: z_mm (Z,), phi_deg (P,), wall (Z, P) mm, fusion plane (P,) mm."""
+    path = folder / "maps.npz"
+    held = _arrays(path, ("z_mm", "phi_deg", "outer_mm", "inner_mm"), ("z_mm", "phi_deg", "outer_mm", "inner_mm"))
+    z, phi = (_axis(path, held, name) for name in ("z_mm", "phi_deg"))
+    for name in ("outer_mm", "inner_mm"):
+        _require_shape(path, name, held[name], (len(z), len(phi)), "z_mm x phi_deg")
+    _, curves = read_features(folder / "features.json", ["zj"])
+    _require_shape(path, "phi_deg", phi, curves["zj"].shape, "zj of features.json")
+    return z, phi, held["outer_mm"] - held["inner_mm"], curves["zj"]
 
 
 def _arrays(path: Path, wanted: tuple[str, ...], needed: tuple[str, ...]) -> dict[str, FloatArray]:

@@ -1,4 +1,4 @@
-"""Files that the statistics of joints are made from: strengths of dogbones (CSV) and a joint's features.json."""
+"""Files of dogbones and joints: strengths and light through dogbones (CSV), and a joint's features.json."""
 
 import csv
 import io
@@ -41,6 +41,38 @@ def read_strengths(path: Path) -> tuple[FloatArray, FloatArray]:
         raise AnnulusError(f"{path}: line {rows.line_num}: {error}") from None
     table = np.array(found, float).reshape(-1, len(COLUMNS))
     return table[:, 0], table[:, 1]
+
+
+def read_transmission(path: Path) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(Z,) z_mm, (n,) degrees and (n, Z) mV of light through n dogbones: columns z_mm and dogbone_<degrees>."""
+    rows = csv.reader(io.StringIO(read_bounded(path, CSV_MAX).decode("utf-8-sig", errors="replace"), newline=""))
+    found: list[list[float]] = []
+    try:
+        head = [name.strip() for name in next(rows, [])]
+        angles = [_degrees(path, name) for name in head[1:]]
+        if head[:1] != ["z_mm"] or not angles:
+            raise AnnulusError(f"{path}: columns {shown(','.join(head))}, expected z_mm, dogbone_<degrees>, ..")
+        found.extend(
+            [_number(path, rows.line_num, row, place, name) for place, name in enumerate(head)]
+            for row in rows
+            if any(cell.strip() for cell in row)
+        )
+    except csv.Error as error:
+        raise AnnulusError(f"{path}: line {rows.line_num}: {error}") from None
+    if len(found) < 2:
+        raise AnnulusError(f"{path}: {len(found)} places, expected a line scan")
+    table = np.array(found, float)
+    return table[:, 0], np.array(angles), table[:, 1:].T
+
+
+def _degrees(path: Path, name: str) -> float:
+    try:
+        value = float(name.removeprefix("dogbone_")) if name.startswith("dogbone_") else np.nan
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value):
+        raise AnnulusError(f"{path}: column {shown(name)}, expected dogbone_<degrees>")
+    return value
 
 
 def read_features(path: Path, names: Sequence[str]) -> tuple[FloatArray, dict[str, FloatArray]]:

@@ -75,6 +75,49 @@ def write_scan(
     return [folder / name for name in ("features.json", "scan.npz", "scan.png")]
 
 
+def write_transmission(folder: Path, told: Mapping[str, Any], curves: Mapping[str, FloatArray]) -> list[Path]:
+    """transmission.json and transmission.png in the folder, made if need be; their paths.
+
+    told : what transmission.json holds, `dogbone_deg` and the numbers by dogbone among it. curves : z_mm (Z,), and
+    absorbance, gradient, deviation (n, Z), drawn.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "transmission.json").write_text(json.dumps(_plain({**told, **curves}), allow_nan=False))
+    with in_style():
+        (folder / "transmission.png").write_bytes(png(_transmission(told, curves)))
+    return [folder / name for name in ("transmission.json", "transmission.png")]
+
+
+def _transmission(told: Mapping[str, Any], curves: Mapping[str, FloatArray]) -> Figure:
+    figure = Figure(figsize=(WIDTH_IN, 7.5), layout="constrained")
+    panels = figure.subplots(3, sharex=True)
+    angles, energy = told["dogbone_deg"], told.get("energy_j")
+    weak = [INK if energy is None or one > np.median(energy) else LOSS_RED for one in energy or angles]
+    for axes, (name, label, most) in zip(
+        panels,
+        (
+            ("absorbance", "absorbance over plain wall", None),
+            ("gradient", "smoothed gradient, 1/mm", told["plain_gradient_per_mm"]),
+            ("deviation", "deviation within 2 mm", told["plain_deviation"]),
+        ),
+        strict=True,
+    ):
+        for angle, line, colour in zip(angles, curves[name], weak, strict=True):
+            axes.plot(curves["z_mm"], line, color=colour, lw=0.9)
+            peak = int(np.nanargmax(np.abs(line)))
+            axes.annotate(f"{angle:g}", (curves["z_mm"][peak], line[peak]), fontsize=7, color=colour)
+        axes.axvspan(*told["joint_mm"], color=FAINT, alpha=0.15, lw=0)
+        for level in () if most is None else (most, -most) if name == "gradient" else (most,):
+            axes.axhline(level, color=FAINT, lw=0.8, ls=":")
+        axes.set_ylabel(label)
+    panels[0].set_title(
+        "Light through dogbones, aligned; numbers: degrees" + ("; red: the weaker half" if energy is not None else ""),
+        fontsize=10,
+    )
+    panels[-1].set_xlabel("along the pipe, mm; dotted: what 1 in 400 of plain wall's own exceed")
+    return figure
+
+
 def _scan(told: Mapping[str, Any], features: Mapping[str, Any], maps: Mapping[str, FloatArray],
           laid: Mapping[str, FloatArray]) -> Figure:  # fmt: skip
     figure = Figure(figsize=(WIDTH_IN, 0.6 + 2.6 * len(laid)), layout="constrained")

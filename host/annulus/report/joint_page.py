@@ -12,7 +12,8 @@ from annulus.untrusted import mapping, parse_json
 from annulus.vocabulary import AnnulusError
 
 BYTES_MAX = 1 << 26
-ALWAYS, WITH_SCAN, WITH_STRENGTHS = ("density.png", "beads.png", "features.png"), "scan.png", "correlate.png"
+ALWAYS = ("density.png", "beads.png", "features.png")
+WITH_SCAN, WITH_STRENGTHS, WITH_LIGHT = "scan.png", "correlate.png", "transmission.png"
 SEEN = {"void": "void", "grain": "inclusion", "gap": "gap"}
 
 
@@ -32,11 +33,15 @@ def write_joint_page(folder: Path) -> Path:
         correlated = _json(folder / "correlate.json")
         pictures[WITH_STRENGTHS] = _bytes(folder / WITH_STRENGTHS)
         relations = correlated.get("features", {})
+    light: dict[str, Any] = {}
+    if (folder / "transmission.json").exists():
+        light = _json(folder / "transmission.json")
+        pictures[WITH_LIGHT] = _bytes(folder / WITH_LIGHT)
     try:
         flaws = [{**one, "kind": SEEN[one["kind"]]} for one in features["found"]]
         page = sheet(
             "joint.html.j2", pictures, name=folder.resolve().name, s=features["summary"], flaws=flaws, scan=scan,
-            created=datetime.now(UTC).strftime("%Y-%m-%d %H:%M"), versions=versions(), relations=relations,
+            created=datetime.now(UTC).strftime("%Y-%m-%d %H:%M"), versions=versions(), relations=relations, light=light,
             n=correlated.get("n"), said=_said(features["summary"], flaws, scan, relations),
         )  # fmt: skip
     except (KeyError, TypeError, ValueError, IndexError, jinja2.UndefinedError) as error:
