@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from annulus.cli import burst, calibrate, firmware, head, joint, pattern, record, tai, twin
+from annulus.cli import dogbones as dogbones  # its commands are of joint's group
 from annulus.cli.fringe import BY, By
 from annulus.cli.show import Json, progress
 from annulus.cli.terminal import escaped

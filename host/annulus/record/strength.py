@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from annulus.numeric.arrays import FloatArray
+from annulus.numeric.arrays import BoolArray, FloatArray
 from annulus.untrusted import mapping, parse_json, read_file, shown
 from annulus.vocabulary import AnnulusError
 
 CSV_MAX, JSON_MAX = 1 << 20, 1 << 25
 COLUMNS = ("angle_deg", "energy_j")
+RESULTS = ("joint", "angle_deg", "result")
 ANGLES_MIN = 8  # in features.json
 
 
@@ -63,6 +64,33 @@ def read_transmission(path: Path) -> tuple[FloatArray, FloatArray, FloatArray]:
         raise AnnulusError(f"{path}: {len(found)} places, expected a line scan")
     table = np.array(found, float)
     return table[:, 0], np.array(angles), table[:, 1:].T
+
+
+def read_results(path: Path) -> tuple[list[str], FloatArray, BoolArray]:
+    """Of each dogbone: its joint's folder, angle_deg (n,) and whether it was good (n,). Columns joint, angle_deg,
+    result; others are left alone."""
+    rows = csv.reader(io.StringIO(read_bounded(path, CSV_MAX).decode("utf-8-sig", errors="replace"), newline=""))
+    joints: list[str] = []
+    angles: list[float] = []
+    good: list[bool] = []
+    try:
+        head = [name.strip() for name in next(rows, [])]
+        missing = [name for name in RESULTS if name not in head]
+        if missing:
+            raise AnnulusError(f"{path}: no column {' and '.join(missing)}, expected {', '.join(RESULTS)}")
+        joint, angle, result = (head.index(name) for name in RESULTS)
+        for row in rows:
+            if not any(cell.strip() for cell in row):
+                continue
+            said = row[result].strip() if result < len(row) else ""
+            if said not in ("good", "bad"):
+                raise AnnulusError(f"{path}: line {rows.line_num}: result is {shown(said)}, expected good or bad")
+            angles.append(_number(path, rows.line_num, row, angle, "angle_deg"))
+            joints.append(row[joint].strip())
+            good.append(said == "good")
+    except csv.Error as error:
+        raise AnnulusError(f"{path}: line {rows.line_num}: {error}") from None
+    return joints, np.array(angles, float), np.array(good, bool)
 
 
 def _degrees(path: Path, name: str) -> float:

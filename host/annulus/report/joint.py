@@ -75,6 +75,35 @@ def write_scan(
     return [folder / name for name in ("features.json", "scan.npz", "scan.png")]
 
 
+def write_clusters(folder: Path, told: Mapping[str, Any]) -> list[Path]:
+    """clusters.json and clusters.png in the folder, made if need be; their paths. told : what clusters.json holds."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "clusters.json").write_text(json.dumps(_plain(told), allow_nan=False))
+    with in_style():
+        (folder / "clusters.png").write_bytes(png(_clusters(told)))
+    return [folder / name for name in ("clusters.json", "clusters.png")]
+
+
+def _clusters(told: Mapping[str, Any]) -> Figure:
+    figure = Figure(figsize=(0.75 * WIDTH_IN, 0.55 * WIDTH_IN), layout="constrained")
+    axes = figure.subplots()
+    values, names = np.asarray(told["values"], float), told["features"]
+    y = values[:, 1] if len(names) > 1 else np.array([told["joints"].index(one) for one in told["joint"]], float)
+    for is_good, colour, word in ((True, BUMP_BLUE, "good"), (False, LOSS_RED, "bad")):
+        mine = np.array([one == is_good for one in told["good"]])
+        axes.plot(values[mine, 0], y[mine], "o", color=colour, ms=6, label=word)
+    wrong = np.array([called != true for called, true in zip(told["called_good"], told["good"], strict=True)])
+    axes.plot(values[wrong, 0], y[wrong], "o", mfc="none", mec=INK, ms=12, label="told wrongly by the other joints")
+    axes.set(xlabel=f"{names[0]}, mean over a dogbone", ylabel=f"{names[1]}, the same" if len(names) > 1 else "joint")
+    axes.set_title(
+        f"Each joint told by the others: {100 * told['balanced']:.0f} % of good and bad alike (guessing 50), "
+        f"p {told['p']:.3f}",
+        fontsize=10,
+    )
+    axes.legend(fontsize=8)
+    return figure
+
+
 def write_transmission(folder: Path, told: Mapping[str, Any], curves: Mapping[str, FloatArray]) -> list[Path]:
     """transmission.json and transmission.png in the folder, made if need be; their paths.
 
