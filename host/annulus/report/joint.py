@@ -3,9 +3,10 @@
 And what its dogbones' strengths have to do with them: correlate.json, correlate.png.
 """
 
+import contextlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,30 +16,41 @@ from matplotlib.figure import Figure
 
 from annulus.numeric.arrays import FloatArray
 from annulus.report.paper import BUMP_BLUE, FAINT, INK, LOSS_RED, UNSEEN, WIDTH_IN, in_style, png
+from annulus.vocabulary import AnnulusError
 
 BESIDE_MM = 12.0  # shown beside the fusion plane
 MARKS = {"void": "o", "grain": "^", "gap": "_"}
+
+
+@contextlib.contextmanager
+def _into(folder: Path) -> Iterator[None]:
+    """The folder, made if need be. AnnulusError where it or what goes into it cannot be written."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        yield
+    except OSError as error:
+        raise AnnulusError(f"{error.filename or folder}: cannot be written ({error.strerror})") from None
 
 
 def write_joint(
     folder: Path, features: Mapping[str, Any], maps: Mapping[str, FloatArray], summary: Mapping[str, Any]
 ) -> list[Path]:
     """Writes all files of a joint into the folder, made if need be; their paths."""
-    folder.mkdir(parents=True, exist_ok=True)
-    told = {name: _plain(value) for name, value in features.items()} | {
-        "units": "mm, degrees",
-        "summary": dict(summary),
-    }
-    (folder / "features.json").write_text(json.dumps(told, allow_nan=False))
-    np.savez_compressed(folder / "maps.npz", **{k: v.astype(np.float32) for k, v in maps.items()})  # type: ignore[arg-type]
-    with in_style():
-        pictures = {
-            "density.png": _density(features, maps),
-            "beads.png": _beads(features, maps),
-            "features.png": _curves(features),
+    with _into(folder):
+        told = {name: _plain(value) for name, value in features.items()} | {
+            "units": "mm, degrees",
+            "summary": dict(summary),
         }
-        for name, figure in pictures.items():
-            (folder / name).write_bytes(png(figure))
+        (folder / "features.json").write_text(json.dumps(told, allow_nan=False))
+        np.savez_compressed(folder / "maps.npz", **{k: v.astype(np.float32) for k, v in maps.items()})  # type: ignore[arg-type]
+        with in_style():
+            pictures = {
+                "density.png": _density(features, maps),
+                "beads.png": _beads(features, maps),
+                "features.png": _curves(features),
+            }
+            for name, figure in pictures.items():
+                (folder / name).write_bytes(png(figure))
     return [folder / name for name in ("features.json", "maps.npz", *pictures)]
 
 
@@ -50,9 +62,10 @@ def write_correlation(
     told : what correlate.json holds; its `features` by name are drawn. curves : (P,) smoothed features, even round the
     pipe. chance : (N,) greatest |r| by chance.
     """
-    (folder / "correlate.json").write_text(json.dumps(_plain(told), allow_nan=False))
-    with in_style():
-        (folder / "correlate.png").write_bytes(png(_relations(told, curves, chance)))
+    with _into(folder):
+        (folder / "correlate.json").write_text(json.dumps(_plain(told), allow_nan=False))
+        with in_style():
+            (folder / "correlate.png").write_bytes(png(_relations(told, curves, chance)))
     return [folder / "correlate.json", folder / "correlate.png"]
 
 
@@ -65,22 +78,23 @@ def write_scan(
     said : what features.json says. told : what becomes its `microwave`. laid : (Z, P) maps by name, on the grid of
     `maps`, `joint_..` and `material_..` of each channel.
     """
-    beside = folder / ".features.json.part"
-    beside.write_text(json.dumps({**said, "microwave": _plain(told)}, allow_nan=False))
-    beside.replace(folder / "features.json")
-    axes = {name: maps[name] for name in ("z_mm", "phi_deg")}
-    np.savez_compressed(folder / "scan.npz", **{k: v.astype(np.float32) for k, v in (axes | dict(laid)).items()})  # type: ignore[arg-type]
-    with in_style():
-        (folder / "scan.png").write_bytes(png(_scan(told, features, maps, laid)))
+    with _into(folder):
+        beside = folder / ".features.json.part"
+        beside.write_text(json.dumps({**said, "microwave": _plain(told)}, allow_nan=False))
+        beside.replace(folder / "features.json")
+        axes = {name: maps[name] for name in ("z_mm", "phi_deg")}
+        np.savez_compressed(folder / "scan.npz", **{k: v.astype(np.float32) for k, v in (axes | dict(laid)).items()})  # type: ignore[arg-type]
+        with in_style():
+            (folder / "scan.png").write_bytes(png(_scan(told, features, maps, laid)))
     return [folder / name for name in ("features.json", "scan.npz", "scan.png")]
 
 
 def write_clusters(folder: Path, told: Mapping[str, Any]) -> list[Path]:
     """clusters.json and clusters.png in the folder, made if need be; their paths. told : what clusters.json holds."""
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "clusters.json").write_text(json.dumps(_plain(told), allow_nan=False))
-    with in_style():
-        (folder / "clusters.png").write_bytes(png(_clusters(told)))
+    with _into(folder):
+        (folder / "clusters.json").write_text(json.dumps(_plain(told), allow_nan=False))
+        with in_style():
+            (folder / "clusters.png").write_bytes(png(_clusters(told)))
     return [folder / name for name in ("clusters.json", "clusters.png")]
 
 
@@ -110,10 +124,10 @@ def write_transmission(folder: Path, told: Mapping[str, Any], curves: Mapping[st
     told : what transmission.json holds, `dogbone_deg` and the numbers by dogbone among it. curves : z_mm (Z,), and
     absorbance, gradient, deviation (n, Z), drawn.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "transmission.json").write_text(json.dumps(_plain({**told, **curves}), allow_nan=False))
-    with in_style():
-        (folder / "transmission.png").write_bytes(png(_transmission(told, curves)))
+    with _into(folder):
+        (folder / "transmission.json").write_text(json.dumps(_plain({**told, **curves}), allow_nan=False))
+        with in_style():
+            (folder / "transmission.png").write_bytes(png(_transmission(told, curves)))
     return [folder / name for name in ("transmission.json", "transmission.png")]
 
 
