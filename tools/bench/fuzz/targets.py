@@ -28,11 +28,9 @@ from annulus.link.head import HeadControl
 from annulus.link.stage import stage_from_us
 from annulus.record.acoustic import AcousticRecord, load_acoustic, save_acoustic
 from annulus.record.calibration_file import load_calibration, load_camera, load_part
-from annulus.record.raster_log import RasterLog
 from annulus.record.recording import FRAME_TOPIC, LABEL_TOPIC, open_recording
 from annulus.record.replay import ScanFolderCamera
 from annulus.record.scan import open_scan
-from annulus.record.strength import read_results, read_strengths, read_transmission
 from annulus.record.writer import RecordingWriter
 from annulus.rings.calibration.reference import Reference
 from annulus.rings.colour import ColourProfile
@@ -42,6 +40,7 @@ from annulus.tai.decode import load_template
 from annulus.tai.design import load_transducer
 from annulus.testing.scripted import ScriptedController
 from annulus.vocabulary import AnnulusError
+from tools.bench.fuzz.joint_files import joint_case, joint_read
 from tools.bench.fuzz.mutate import HOSTILE, UNWRITABLE, as_json, of_bytes, of_rows, of_toml, of_values
 
 ROOT = Path(__file__).parents[3]
@@ -465,31 +464,6 @@ def _transducer_read(data: bytes, folder: Path) -> None:
     load_transducer(folder / "t.csv")
 
 
-# ---- files of a joint: strengths, results, light through dogbones, a scan's log, features ----
-
-_LOG = '# annulus near-field scan 1\n# {"angles": 3, "boot": 1}\ni,j,amplitude_mv\n'
-_JOINT_FILES: dict[str, tuple[str, Callable[[Path], object]]] = {
-    "strength.csv": ("angle_deg,energy_j\n" + "".join(f"{45 * i},{20 + i}\n" for i in range(8)), read_strengths),
-    "results.csv": ("joint,angle_deg,result\n" + "".join(f"a,{45 * i},good\n" for i in range(8)), read_results),
-    "ots.csv": ("z_mm,dogbone_0,dogbone_45\n" + "".join(f"{i},{8 + i},7.5\n" for i in range(20)), read_transmission),
-    "log.csv": (_LOG + "".join(f"0,{i},{300 + i}\n" for i in range(20)), lambda path: RasterLog.resumed(path).close()),
-}
-
-
-def _joint_case(rng: Random) -> bytes:
-    name = rng.choice(tuple(_JOINT_FILES))
-    table = _JOINT_FILES[name][0]
-    made = of_bytes(rng, table.encode()) if rng.random() < 0.5 else of_rows(rng, table).encode("utf-8", "surrogatepass")
-    return name.encode() + b"\0" + made
-
-
-def _joint_read(data: bytes, folder: Path) -> None:
-    name, _, content = data.partition(b"\0")
-    path = folder / name.decode()
-    path.write_bytes(content)
-    _JOINT_FILES[path.name][1](path)
-
-
 TARGETS: dict[str, Target] = {
     "link": Target(_link_case, _link_read),
     "control": Target(_control_case, _control_read, (ValueError,)),
@@ -499,5 +473,5 @@ TARGETS: dict[str, Target] = {
     "head": Target(_head_case, _head_read),
     "acoustic": Target(_acoustic_case, _acoustic_read),
     "transducer": Target(_transducer_case, _transducer_read),
-    "joint": Target(_joint_case, _joint_read),
+    "joint": Target(joint_case, joint_read),
 }
