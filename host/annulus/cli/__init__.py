@@ -197,9 +197,10 @@ def _print_summary(data: Mapping[str, Any], out: Path) -> None:
     print(f"points     {data['points']}")
     for d in data["defects"]:
         k2 = f" ± {_up(d['depth_k2_mm'])}" if d.get("depth_k2_mm") is not None else ""
+        least = "" if d.get("floor_seen", True) else ">= "
         print(
-            f"{d['kind']:<10} {d['depth_mm']:.2f}{k2} mm at {d['z_mm']:.0f} mm, clock {d['clock']}, "
-            f"{d['length_mm']:.0f} mm long, {d['arc_deg']:.0f} deg"
+            f"{d['kind']:<10} {least}{d['depth_mm']:.2f}{k2} mm at {d['z_mm']:.0f} mm, "
+            f"clock {d['clock']}, {d['length_mm']:.0f} mm long, {d['arc_deg']:.0f} deg"
             + (f", {d['hidden_mm']:.0f} mm of it hidden" if d["hidden_mm"] >= 0.5 else "")
         )
     if not data["defects"]:

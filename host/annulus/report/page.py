@@ -91,7 +91,7 @@ def _verdict(survey: Survey) -> str:
         damage = f"{damage}."
     else:
         damage = (
-            f"{damage}. Deepest: {_name(worst).lower()} of {_measured(worst.depth_mm, worst.depth_k2_mm)} (k=2) "
+            f"{damage}. Deepest: {_name(worst).lower()} of {_depth(worst)} (k=2) "
             f"at {worst.z_mm / 1000:.3f} m, clock {worst.clock}."
         )
     said = [damage]
@@ -150,7 +150,7 @@ def _row(number: str, defect: Defect, survey: Survey) -> dict[str, Any]:
         "clock": clock,
         "length": f"{defect.length_mm:.0f} mm",
         "width": width,
-        "depth": f"{'' if defect.floor_seen else '≥ '}{_measured(defect.depth_mm, defect.depth_k2_mm)}",
+        "depth": _depth(defect),
         "part": f"{100 * defect.depth_mm / mean:.1f} %",
         "remark": remark,
     }
@@ -189,6 +189,10 @@ def _words(one: Measure) -> tuple[str, str]:
 def _up(k2: float) -> str:
     """An uncertainty is rounded up, never 0.00."""
     return f"{max(math.ceil(100 * k2 - 1e-9), 1) / 100:.2f}"
+
+
+def _depth(defect: Defect) -> str:
+    return f"{'' if defect.floor_seen else '≥ '}{_measured(defect.depth_mm, defect.depth_k2_mm)}"
 
 
 def _measured(mm: float, k2_mm: float) -> str:
