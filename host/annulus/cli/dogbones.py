@@ -47,24 +47,17 @@ def correlate_command(
     The p-value is that of the whole search: the best |r| over all shifts and senses, against features as smooth that
     have nothing to do with the strengths. Writes correlate.json and correlate.png into DIR.
     """
-    from annulus.joints.statistics import LEVEL, Search, Strengths, correlate, moving_mean, power
-    from annulus.record.strength import read_features, read_strengths
+    from annulus.joints.statistics import LEVEL, Search, Strengths, correlate, power
+    from annulus.record.strength import read_strengths
     from annulus.report.joint import write_correlation
 
     names = list(dict.fromkeys(feature or ("W", "T")))
-    source = folder / "features.json"
-    phi, raw = read_features(source, names)
+    curves = _means(folder / "features.json", names, mean_deg)
     angles, energies = read_strengths(strength)
     try:
         strengths = Strengths(angles, energies)
     except AnnulusError as error:
         raise AnnulusError(f"{strength}: {error}") from None
-    curves = {}
-    for name, values in raw.items():
-        try:
-            curves[name] = moving_mean(phi, values, mean_deg)
-        except AnnulusError as error:
-            raise AnnulusError(f"{source}: {name} is {error}") from None
     search = Search(within_deg, senses=SENSES[sense])
     relations = correlate(curves, strengths, search)
     told: dict[str, Any] = {
@@ -194,6 +187,21 @@ def _thickness(z_ct: Any, phi: Any, wall: Any, fusion: Any, angles: Any, z: Any,
     return np.stack(out)
 
 
+def _means(source: Path, names: list[str], mean_deg: float) -> dict[str, Any]:
+    """(P,) each: named features of a features.json, mean over a dogbone, even round the pipe."""
+    from annulus.joints.statistics import moving_mean
+    from annulus.record.strength import read_features
+
+    phi, raw = read_features(source, names)
+    out = {}
+    for name, values in raw.items():
+        try:
+            out[name] = moving_mean(phi, values, mean_deg)
+        except AnnulusError as error:
+            raise AnnulusError(f"{source}: {name} is {error}") from None
+    return out
+
+
 def _verdict(one: dict[str, Any], level: float) -> str:
     if one["related"]:
         return "related"
@@ -229,8 +237,8 @@ def classify_command(
     import numpy as np
 
     from annulus.joints.clusters import leave_one_out
-    from annulus.joints.statistics import LEVEL, moving_mean
-    from annulus.record.strength import read_features, read_results
+    from annulus.joints.statistics import LEVEL
+    from annulus.record.strength import read_results
     from annulus.report.joint import write_clusters
 
     names = list(dict.fromkeys(feature or ("W", "T")))
@@ -238,14 +246,8 @@ def classify_command(
     folders = list(dict.fromkeys(joints))
     values = np.empty((len(joints), len(names)))
     for folder in folders:
-        source = dogbones.parent / folder / "features.json"
-        phi, raw = read_features(source, names)
         mine = [k for k, one in enumerate(joints) if one == folder]
-        for column, name in enumerate(names):
-            try:
-                mean = moving_mean(phi, raw[name], mean_deg)
-            except AnnulusError as error:
-                raise AnnulusError(f"{source}: {name} is {error}") from None
+        for column, mean in enumerate(_means(dogbones.parent / folder / "features.json", names, mean_deg).values()):
             turn = np.linspace(0, 360, len(mean), endpoint=False)
             values[mine, column] = np.interp(angles[mine], turn, mean, period=360)
     pipe = np.array([folders.index(one) for one in joints])

@@ -130,8 +130,8 @@ def scan_command(
     with contextlib.ExitStack() as stack:
         report = stack.enter_context(progress())
         if twin:
-            from annulus.twin.acoustic.rig import serving
             from annulus.twin.nearfield import QUERIES, bench
+            from annulus.twin.real_time import serving
 
             rig = stack.enter_context(serving(bench(steps_per_turn)))
             port, stage, probe, homed = rig.port_url, rig.stage_url, rig.probe_name, True

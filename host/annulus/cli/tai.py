@@ -127,7 +127,8 @@ def acquire_command(
     with contextlib.ExitStack() as stack:
         report = stack.enter_context(progress())
         if twin:
-            from annulus.twin.acoustic.rig import rig_named, serving
+            from annulus.twin.acoustic.rig import rig_named
+            from annulus.twin.real_time import serving
 
             rig = stack.enter_context(
                 serving(rig_named(phantom, radius_mm, sound_speed, steps_per_turn, progress=report))

@@ -300,6 +300,16 @@ def status_of(client: Client) -> StatusReply:
     return reply
 
 
+def require_no_fault(client: Client, port: str) -> None:
+    """AnnulusError where one is latched."""
+    fault = status_of(client).fault
+    if fault is not FaultCode.NONE:
+        raise AnnulusError(
+            f"{port}: fault {fault.name.lower()} is latched; once its cause is gone, "
+            "`annulus head clear` with this port clears it"
+        )
+
+
 def move_turntable(client: Client, port: str, position: int, step_us: float, *, hold: bool) -> None:
     """To an absolute position in steps, and wait until it stands. `hold` keeps the motor powered afterwards."""
     end = time.monotonic() + TURNTABLE_BUSY_S

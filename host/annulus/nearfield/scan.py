@@ -16,8 +16,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from annulus.link.client import Client
-from annulus.link.messages import FaultCode
-from annulus.link.operate import move_turntable, status_of
+from annulus.link.operate import move_turntable, require_no_fault
 from annulus.numeric.arrays import FloatArray, IntArray
 from annulus.record.raster import SAMPLES_MAX, SIDE_MAX
 from annulus.record.raster_log import RasterLog, write_raster
@@ -126,12 +125,7 @@ def scan(
     if out.exists():
         raise AnnulusError(f"{out}: is there already, expected a new name")
     with Client(port) as client:
-        status = status_of(client)
-        if status.fault is not FaultCode.NONE:
-            raise AnnulusError(
-                f"{port}: fault {status.fault.name.lower()} is latched; once its cause is gone, "
-                "`annulus head clear` with this port clears it"
-            )
+        require_no_fault(client, port)
         log = _log(plan, out, probe, client.identity.boot, resume=resume, homed=homed)
         measured = retries = 0
         try:

@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus.link.client import Client
-from annulus.link.messages import FaultCode
-from annulus.link.operate import move_turntable, send_train, status_of, train_messages
+from annulus.link.operate import move_turntable, require_no_fault, send_train, status_of, train_messages
 from annulus.record.acoustic import AcousticRecord, load_acoustic, save_acoustic
 from annulus.sensors.digitizer import Acquisition, Digitizer, DigitizerLostError, Trace, TriggerLostError
 from annulus.tai.decode import detected_code
@@ -133,12 +132,7 @@ def acquire(
     if out.exists() and not resume:
         raise AnnulusError(f"{out}: is there already, expected a new name, or to be told to resume it")
     with Client(port) as client:
-        status = status_of(client)
-        if status.fault is not FaultCode.NONE:
-            raise AnnulusError(
-                f"{port}: fault {status.fault.name.lower()} is latched; once its cause is gone, "
-                f"`annulus head clear` with this port clears it"
-            )
+        require_no_fault(client, port)
         sweep = _Sweep(plan, out, client.identity.boot)
         if out.exists():
             sweep.go_on(homed)

@@ -4,9 +4,7 @@ The pipe stands at the steps that came out on GP8 in the direction of GP9, the p
 what the meter says follows from both. `field` is what stands there in the probe's way, mV.
 """
 
-import contextlib
 import math
-import select
 import threading
 import time
 from collections.abc import Callable
@@ -16,9 +14,8 @@ import numpy as np
 from annulus.controller import PIN_DIRECTION, PIN_INTERLOCK, PIN_STEP
 from annulus.twin.emulated import Board, open_board
 from annulus.twin.line import Line, PtyLine, TcpLine
+from annulus.twin.real_time import rounds
 
-PATIENCE_S = 1e-3
-SLIP_TICKS = 2_000_000
 TRAVEL_MM = (-10.0, 300.0)  # of the stage: beyond it goes into alarm
 NOISE_MV = 0.4
 
@@ -92,7 +89,7 @@ class GrblStage:
 
 
 class NearFieldRig:
-    """Board, stage and meter; `run` keeps them up with the clock. For `twin.acoustic.rig.serving`."""
+    """Board, stage and meter; `run` keeps them up with the clock. For `real_time.serving`."""
 
     def __init__(
         self, board: Board, field: Field = joint_field, *, steps_per_turn: int = 400, boot: int = 1,
@@ -125,23 +122,7 @@ class NearFieldRig:
 
     def run(self, over: threading.Event) -> None:
         """Serve port, stage and meter until `over`."""
-        origin = time.monotonic_ns() - self.board.tick * 10
-        to_host = bytearray()
-        while not over.is_set():
-            with contextlib.suppress(OSError, ValueError):  # a line that was just closed
-                lines = (self._serial, self._stage_line, self._lan)
-                select.select([one for line in lines for one in line.waitables()], [], [], PATIENCE_S)
-            now = (time.monotonic_ns() - origin) // 10
-            if now > self.board.tick + SLIP_TICKS:
-                origin += (now - self.board.tick - SLIP_TICKS) * 10
-                now = self.board.tick + SLIP_TICKS
-            self.advance(now)
-            if heard := self._serial.read():
-                self.board.serial_write(heard)
-            to_host += self.board.serial_read()
-            del to_host[: self._serial.write(bytes(to_host)) if to_host else 0]
-            if len(to_host) > 65536:
-                to_host.clear()
+        for _ in rounds(self.board, self._serial, (self._stage_line, self._lan), self.advance, over):
             if told := self._stage_line.read():
                 self._stage_line.write(self.stage.receive(told, time.monotonic()))
             self._asked = (self._asked + self._lan.read())[-4096:]

@@ -20,9 +20,9 @@ from annulus.record.raster import read_raster
 from annulus.record.raster_log import RasterLog
 from annulus.sensors.linear_stage import LinearStage
 from annulus.sensors.probe import VisaProbe
-from annulus.twin.acoustic.rig import serving
 from annulus.twin.emulated import open_board
 from annulus.twin.nearfield import NOISE_MV, QUERIES, GrblStage, NearFieldRig, joint_field
+from annulus.twin.real_time import serving
 from annulus.vocabulary import AnnulusError
 
 pytestmark = pytest.mark.slow

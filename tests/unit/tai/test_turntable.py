@@ -12,9 +12,10 @@ from annulus.link.messages import Move, StopCause, TurntableStop, TurntableStopp
 from annulus.thermoacoustic.phantoms import Disc
 from annulus.twin.acoustic.phantom import RigSetup
 from annulus.twin.acoustic.receiver import Receiver
-from annulus.twin.acoustic.rig import AcousticRig, serving
+from annulus.twin.acoustic.rig import AcousticRig
 from annulus.twin.acoustic.scope import Scope
 from annulus.twin.native import NativeBoard
+from annulus.twin.real_time import serving
 from annulus.vocabulary import AnnulusError
 
 

@@ -4,13 +4,10 @@ Nothing is taken from what the host says it sent: the envelope is what GP5 did, 
 the angle is the steps on GP8 in the direction of GP9.
 """
 
-import contextlib
-import select
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
-from typing import Protocol, TypeVar
+from collections.abc import Callable
 
 from annulus.controller import (
     PIN_DIRECTION,
@@ -28,11 +25,9 @@ from annulus.twin.acoustic.receiver import Receiver
 from annulus.twin.acoustic.scope import Scope
 from annulus.twin.emulated import Board, open_board
 from annulus.twin.line import Line, PtyLine, TcpLine
-from annulus.vocabulary import AnnulusError
+from annulus.twin.real_time import rounds
 
 KEEP_TICKS = 1_000_000  # pulses longer ago than this are heard no more, nor in any record still to come
-SLIP_TICKS = 2_000_000  # a machine that falls further behind than this has its world slowed down
-PATIENCE_S = 1e-3
 ENCODER_TICKS = 100
 _QUADRATURE = ((1, 1), (0, 1), (0, 0), (1, 0))  # of the turntable's encoder, a count a step; A first counts up
 
@@ -117,23 +112,8 @@ class AcousticRig:
 
     def run(self, over: threading.Event) -> None:
         """Serve port and scope until `over`: the world keeps up with the clock, or is slowed down."""
-        origin = time.monotonic_ns() - self.board.tick * 10
-        to_host = bytearray()
         arrivals = 0
-        while not over.is_set():
-            with contextlib.suppress(OSError, ValueError):  # a line that was just closed
-                select.select([*self._serial.waitables(), *self._lan.waitables()], [], [], PATIENCE_S)
-            now = (time.monotonic_ns() - origin) // 10
-            if now > self.board.tick + SLIP_TICKS:
-                origin += (now - self.board.tick - SLIP_TICKS) * 10
-                now = self.board.tick + SLIP_TICKS
-            self.advance(now)
-            if heard := self._serial.read():
-                self.board.serial_write(heard)
-            to_host += self.board.serial_read()
-            del to_host[: self._serial.write(bytes(to_host)) if to_host else 0]
-            if len(to_host) > 65536:
-                to_host.clear()
+        for _ in rounds(self.board, self._serial, (self._lan,), self.advance, over):
             told = self._lan.read()
             if self._lan.arrivals != arrivals:
                 arrivals = self._lan.arrivals
@@ -154,41 +134,6 @@ class AcousticRig:
         self._serial.close()
         self._lan.close()
         self.board.close()
-
-
-class Rig(Protocol):
-    """What is served in real time."""
-
-    def run(self, over: threading.Event) -> None: ...
-
-    def close(self) -> None: ...
-
-
-R = TypeVar("R", bound=Rig)
-
-
-@contextlib.contextmanager
-def serving(rig: R) -> Iterator[R]:
-    """The rig in real time on a thread of this process; closed at the end."""
-    over = threading.Event()
-    failed: list[BaseException] = []
-
-    def run() -> None:
-        try:
-            rig.run(over)
-        except BaseException as error:  # told to whoever waits, not to a thread's stderr
-            failed.append(error)
-
-    thread = threading.Thread(target=run, name="twin rig", daemon=True)
-    thread.start()
-    try:
-        yield rig
-    finally:
-        over.set()
-        thread.join(5.0)
-        rig.close()
-    if failed:
-        raise AnnulusError(f"twin rig: ended by itself ({failed[0]})")
 
 
 def rig_named(
