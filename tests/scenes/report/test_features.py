@@ -97,8 +97,10 @@ def test_marks_change_the_maps_and_not_the_stations(sound: Survey, tmp_path: Pat
 
 
 def test_a_loss_all_round_is_called_a_groove(sound: Survey, tmp_path: Path) -> None:
-    groove = replace(PLACE, arc_deg=360.0, clock_deg=0.0, depth_mm=1.5, depth_k2_mm=0.2)
-    pipe = replace(sound, detection=replace(sound.detection, defects=(groove,)))
-    summary, page = written(pipe, tmp_path)
-    assert ">Groove all round<" in page and verdict(page).startswith(": 1 wall loss. Deepest: groove all round of 1.50")
-    assert summary["defects"][0]["kind"] == "loss" and summary["defects"][0]["all_round"]  # type: ignore[index]
+    groove = replace(PLACE, arc_deg=360.0, clock_deg=0.0, depth_mm=1.5, depth_k2_mm=0.2, floor_seen=True)
+    for place, depth in ((groove, "1.50"), (replace(groove, floor_seen=False), "≥ 1.50")):
+        pipe = replace(sound, detection=replace(sound.detection, defects=(place,)))
+        summary, page = written(pipe, tmp_path)
+        said = f": 1 wall loss. Deepest: groove all round of {depth} "
+        assert ">Groove all round<" in page and verdict(page).startswith(said)
+        assert summary["defects"][0]["kind"] == "loss" and summary["defects"][0]["all_round"]  # type: ignore[index]
