@@ -68,6 +68,7 @@ def correlate_command(
                 "r": one.r, "shift_deg": one.shift_deg, "sense": one.sense, "p": one.p, "p_all": one.p_all,
                 "least_p": one.least_p, "p_rotated": one.p_rotated, "least_p_rotated": one.least_p_rotated,
                 "ordinary_p": one.ordinary_p, "related": one.related,
+                "distance_correlation": one.distance, "distance_p": one.distance_p,
                 "told_if_r_0.8": power(curves[one.name], angles, search),
                 "told_if_r_0.8_known_zero": power(curves[one.name], angles, Search(0.0, senses=(1,))),
             }
@@ -90,6 +91,10 @@ def correlate_command(
         print(
             f"           its own rotations do as well in {one['p_rotated']:.3f}, least {one['least_p_rotated']:.3f} "
             "(both times the features tried)"
+        )
+        print(
+            f"           distance correlation at its best {one['distance_correlation']:+.3f}, p over the search "
+            f"{one['distance_p']:.4f}; for a look, in no verdict"
         )
         for sought, key in (("", ""), (", zero and sense known", "_known_zero")):
             seen, believed = one[f"told_if_r_0.8{key}"]

@@ -3,11 +3,13 @@
 import json
 from pathlib import Path
 
+import dcor
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from annulus.cli import app
+from annulus.joints.distance import distance_correlation
 from annulus.joints.statistics import Search, Strengths, correlate, moving_mean, power
 from annulus.numeric.arrays import FloatArray
 from annulus.vocabulary import AnnulusError
@@ -86,6 +88,31 @@ def test_one_deep_sector_in_both_is_never_called_related_where_the_zero_is_unkno
         assert not found.related
         assert found.least_p_rotated > 0.05
     assert np.mean(told) > 0.1  # what the phases alone would have believed
+
+
+@pytest.mark.parametrize("n", [5, 8, 16])
+def test_the_distance_correlation_is_that_of_dcor(n: int) -> None:
+    rng = np.random.default_rng(n)
+    values, many = rng.normal(size=n), rng.normal(size=(3, 4, n))
+    many[0, 0], many[0, 1], many[0, 2] = 3 - 2 * values, values**2, 7.0
+    ours = distance_correlation(many, values)
+    theirs = [[dcor.u_distance_correlation_sqr(one, values) for one in row] for row in many]
+    assert ours == pytest.approx(np.array(theirs), abs=1e-9)
+    assert ours[0, 0] == pytest.approx(1) and ours[0, 2] == 0
+
+
+def test_a_bent_relation_is_seen_by_distance_and_chance_by_neither() -> None:
+    rng = np.random.default_rng(8)
+    fired, bent = [], []
+    for seed in range(60):
+        feature = round_the_pipe(rng, 8.0)
+        at = np.arange(0, 360, 22.5)
+        for told, energy in ((fired, rng.normal(size=16)), (bent, np.interp(at, PHI, feature, period=360) ** 2)):
+            (one,) = correlate({"W": feature}, Strengths(at, energy), Search(0.0, senses=(1,)), 199, seed)
+            told.append((one.distance_p <= 0.05, one.p <= 0.05))
+    assert np.mean(fired, axis=0) == pytest.approx([0.05, 0.05], abs=0.08)
+    by_distance, by_r = np.mean(bent, axis=0)
+    assert by_distance > 0.6 and by_distance > by_r + 0.2
 
 
 def test_a_mean_goes_round_the_circle_and_over_what_is_not_told() -> None:
