@@ -1,13 +1,14 @@
 """`annulus joint`, of dogbones: their strengths, light through them, and whether joints tell good from bad."""
 
+import math
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from annulus.cli.joint import app
-from annulus.cli.show import Json
+from annulus.cli.joint import WALL_AGREES, app
+from annulus.cli.show import Json, progress
 from annulus.vocabulary import AnnulusError
 
 ANGLE_AGREES_DEG = 0.5
@@ -178,6 +179,56 @@ def transmission_command(
             f"strengths  r {told['r']:+.3f} over {len(angles)} dogbones; turned or mirrored "
             f"{100 * told['as_good_by_turning']:.0f} % of ways do as well, least {100 * told['least_by_turning']:.0f} %"
         )
+    print(f"files      {', '.join(str(file) for file in files)}")
+
+
+@app.command("strip", epilog="Example: annulus joint strip dogbones/57AB-45.tif -o dogbones/57AB-45")
+def strip_command(
+    ct: Annotated[
+        Path, typer.Argument(help="CT of one dogbone: TIFF stack, .npy, or folder of slices; ct.json beside it.")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the results; made if need be.")],
+    voxel_mm: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option(metavar="Z Y X", help="Size of a voxel, mm, in place of ct.json's."),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """W and T of one dogbone that was scanned alone: a strip along the volume's slices, its beads on.
+
+    Writes strip.json and strip.png. As with a pipe, plain wall has to be seen on both sides of the joint.
+    """
+    from annulus.joints import strip
+    from annulus.record.volume import open_volume
+    from annulus.report.joint import write_strip
+
+    volume = open_volume(ct, voxel_mm)
+    with progress() as report:
+        try:
+            found = strip(volume, progress=report)
+        except AnnulusError as error:
+            raise AnnulusError(str(error) if str(ct) in str(error) else f"{ct}: {error}") from None
+    if volume.wall_mm is not None and abs(found.wall_mm - volume.wall_mm) > WALL_AGREES * volume.wall_mm:
+        raise AnnulusError(
+            f"{ct}: the wall is {found.wall_mm:.2f} mm in the volume and {volume.wall_mm:g} mm in ct.json; is the "
+            f"voxel size of {' x '.join(f'{v:g}' for v in volume.voxel_mm)} mm right?"
+        )
+    told: dict[str, Any] = {
+        "ct": str(ct), "voxel_mm": list(volume.voxel_mm), "W_mm": found.w_mm, "W_sigma_mm": found.w_sigma_mm,
+        "T_mm": found.t_mm, "T_sigma_mm": found.t_sigma_mm, "wall_mm": found.wall_mm, "width_mm": found.width_mm,
+        "haz": found.haz, "haz_sigma": found.haz_sigma, "lean_deg": found.lean_deg, "joint_mm": found.joint_mm,
+    }  # fmt: skip
+    files = write_strip(out, told, found.z_mm, found.across_mm, found.section)
+    if as_json:
+        print((out / "strip.json").read_text())
+        return
+    print(f"strip      {found.width_mm:.1f} mm wide, wall {found.wall_mm:.2f} mm, leans by {found.lean_deg:.1f} deg")
+    for name, value, sigma, why in (
+        ("W", found.w_mm, found.w_sigma_mm, "no zone stands out of plain wall"),
+        ("T", found.t_mm, found.t_sigma_mm, "no notch is seen on both faces"),
+    ):
+        said = f"{value:.2f} mm, sigma {sigma:.2f} mm" if math.isfinite(value) else f"not told: {why}"
+        print(f"{name:<10} {said}")
     print(f"files      {', '.join(str(file) for file in files)}")
 
 

@@ -12,6 +12,7 @@ on simulated ones only.
 from annulus.joints.features import features, maps, summary
 from annulus.joints.flaws import Flaw
 from annulus.joints.image import JointImage, Parts, image
+from annulus.joints.strip import StripImage, strip
 from annulus.joints.surface import Bead
 from annulus.joints.unwrap import ArrayVolume, Volume
 from annulus.joints.zone import Zone
@@ -22,10 +23,12 @@ __all__ = [
     "Flaw",
     "JointImage",
     "Parts",
+    "StripImage",
     "Volume",
     "Zone",
     "features",
     "image",
     "maps",
+    "strip",
     "summary",
 ]

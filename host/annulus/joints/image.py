@@ -20,6 +20,7 @@ from annulus.vocabulary import AnnulusError
 Progress = Callable[[str, int, int], None]
 ANGLES_MIN, ANGLES_MAX = 360, 1440
 NOTCH_BLUR = 0.1  # of a voxel: a groove's floor is seen so much too high or too low
+HILO_LEFT = 0.15  # of the hi-lo: rms of what its step leaves in T (drawn joints with 0.4 and 0.8 mm of it)
 UNEVEN = 0.025  # of a voxel: rings and strips leave a surface so far off in every slice
 BANDS = 5  # of depth, in which the zone's flare is seen
 BEAD_MAX = 1.0  # of the wall: no bead stands higher
@@ -69,9 +70,10 @@ class JointImage:
 
     @property
     def thickness_sigma_mm(self) -> FloatArray:
-        """(P,) of T: each surface's noise, smoothed as it was, and a notch's blur, which no smoothing takes away."""
+        """(P,) of T: each surface's noise, smoothed as it was, a notch's blur and step, which no smoothing takes."""
         blur = math.sqrt(2) * NOTCH_BLUR * min(self.z_mm[1] - self.z_mm[0], self.found.wall_mm)
-        return np.full(len(self.phi), math.hypot(self._noise(self.outer), self._noise(self.inner), blur))
+        step = HILO_LEFT * 0.5 * (self.outer_sides.hilo_mm + self.inner_sides.hilo_mm)
+        return np.hypot(math.hypot(self._noise(self.outer), self._noise(self.inner), blur), step)
 
     def _noise(self, surface: FloatArray) -> float:
         smooth = smooth_round(np.nan_to_num(surface[self.plain]), _sigma_phi(self.found.radius_mm, len(self.phi)))
@@ -123,11 +125,12 @@ def image(volume: Volume, parts: Parts = Parts(), progress: Progress = lambda wh
     joint = 0.5 * (beads[0] + beads[1])
     sigma = _sigma_phi(found.radius_mm, count)
     sides_out, sides_in = (sides_of(s, z_mm, plain, joint, sigma, UNEVEN * voxel) for s in surface)
-    bead_out, bead_in = (
-        _bead(s, side, sign, z_mm, beads, sigma, voxel)
-        for s, side, sign in ((outer, sides_out, 1), (inner, sides_in, -1))
-    )
-    fusion = _fusion(bead_out, bead_in, joint, sigma)
+    both = ((outer, sides_out, 1), (inner, sides_in, -1))
+    bead_out, bead_in = (bead_over(*one, z_mm, beads, voxel, sigma=sigma) for one in both)
+    # The floor of a notch between unequal sides is lowest on the lower one, outside and inside on different ones: their
+    # middle is the fusion plane, and only without its step there do both notches say how thick the joint is.
+    fusion = fusion_plane(bead_out, bead_in, joint)
+    bead_out, bead_in = (bead_over(*one, z_mm, beads, voxel, fusion, sigma) for one in both)
     relative, inner_wall, outer_wall = _wall(volume, found, z_mm, phi, rho, sides_in, sides_out, voxel, progress)
     shade, air_grey = air_level(air, plain), float(np.nanmean(air[plain]))
     relative_density(relative, shade, air_grey, z_mm, plain, joint)
@@ -147,15 +150,18 @@ def image(volume: Volume, parts: Parts = Parts(), progress: Progress = lambda wh
     )
 
 
-def _bead(surface: FloatArray, sides: Sides, sign: int, z_mm: FloatArray, span: tuple[float, float], sigma: float,
-          voxel: float) -> Bead:  # fmt: skip
-    middle = sides.middle(z_mm)
-    over = smooth_round(np.nan_to_num(sign * (surface - middle)), sigma)
-    offset = sign * 0.5 * np.stack([-sides.hilo_mm, sides.hilo_mm])
+def bead_over(surface: FloatArray, sides: Sides, sign: int, z_mm: FloatArray, span: tuple[float, float], voxel: float,
+              fusion: FloatArray | None = None, sigma: float = 0.0) -> Bead:  # fmt: skip
+    """The bead on a surface (Z, P), sign 1 outside and -1 inside; its sides' step taken out if the plane is known."""
+    half = 0.5 * sign * sides.hilo_mm
+    plain, offset = sides.middle(z_mm), np.stack([-half, half])
+    if fusion is not None:
+        plain, offset = sides.stepped(z_mm, fusion), np.zeros_like(offset)
+    over = smooth_round(np.nan_to_num(sign * (surface - plain)), sigma)
     return bead_of(over, offset, z_mm, span, max(1.5 * voxel, 0.3))
 
 
-def _fusion(outside: Bead, inside: Bead, joint: float, sigma: float) -> FloatArray:
+def fusion_plane(outside: Bead, inside: Bead, joint: float) -> FloatArray:
     """(P,) the fusion plane along z: mean of both notches; a plane's first order of angle where they are not seen."""
     both = np.stack([outside.notch_z, inside.notch_z])
     seen = np.isfinite(both).any(axis=0)

@@ -7,10 +7,12 @@ standing on the wall: the square of its height is a parabola of z, whose zero is
 a vertical flank that no voxel shows) and whose top is the crest. The valley between them is the notch.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
+from scipy.special import erf
 
 from annulus.numeric.arrays import BoolArray, FloatArray
 from annulus.numeric.jit import jit
@@ -19,6 +21,7 @@ from annulus.vocabulary import AnnulusError
 
 FOOT = 0.25  # of the crest: below it a flank is blurred into the wall
 SMOOTH_MM = 1.0  # along the circumference: standard deviation of what beads are smoothed with
+STEP_BLUR = 0.7  # of a voxel along z: standard deviation of what a step in a surface is seen with
 SLOPE_ORDERS = 3  # of the angle, that a side's slope along z has
 CLEAR = 0.35  # of the wall: so far from a bead's foot is the wall plain
 
@@ -63,6 +66,13 @@ class Sides:
         """(Z, P) mm: halfway between both sides, each carried on."""
         away = (z_mm - self.joint_mm)[:, None]
         return np.asarray(0.5 * (self.at_mm.sum(axis=0) + self.slope.sum(axis=0) * away))
+
+    def stepped(self, z_mm: FloatArray, fusion_mm: FloatArray) -> FloatArray:
+        """(Z, P) mm: each side's own, from one to the other at the fusion plane (P,) as voxels see a step."""
+        blur = STEP_BLUR * abs(z_mm[1] - z_mm[0])
+        side = erf((z_mm[:, None] - fusion_mm) / (math.sqrt(2) * blur))  # -1 .. 1
+        half = 0.5 * (self.hilo_mm + (self.slope[1] - self.slope[0]) * (z_mm - self.joint_mm)[:, None])
+        return np.asarray(self.middle(z_mm) + side * half)
 
     @property
     def hilo_mm(self) -> FloatArray:

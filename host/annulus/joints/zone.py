@@ -91,13 +91,13 @@ def _shape_of(bands: FloatArray, dark: FloatArray, t: FloatArray, start: FloatAr
     return Shape(q[7:] / q[7:].mean(), float(q[5]), float(q[6]))
 
 
-def zone_of(density: FloatArray, bands: FloatArray, shade: FloatArray, z_mm: FloatArray, centre_mm: FloatArray,
+def zone_of(density: FloatArray, bands: FloatArray | None, shade: FloatArray, z_mm: FloatArray, centre_mm: FloatArray,
             beads: tuple[float, float], wall_mm: float, voxel_mm: float) -> tuple[Zone, float]:  # fmt: skip
     """The zone at every angle, and how much of `shade` the density has.
 
-    density : (Z, P) relative to plain wall, less one; NaN where not known. bands : (Z, P, B) the
-    same at B depths. shade : (Z, P) how the air's level changed,
-    in the same unit. centre_mm : (P,) where the fusion plane is believed; columns are brought to it before they are
+    density : (Z, P) relative to plain wall, less one; NaN where not known. bands : (Z, P, B) the same at B depths;
+    without them an edge has no flare, no rim and no shade. shade : (Z, P) how the air's level changed, in the same
+    unit. centre_mm : (P,) where the fusion plane is believed; columns are brought to it before they are
     averaged. beads : where along z they begin and end.
     """
     count = density.shape[1]
@@ -117,7 +117,7 @@ def zone_of(density: FloatArray, bands: FloatArray, shade: FloatArray, z_mm: Flo
     plainest = np.median(mean, axis=1)
     start = _fit(start, t, plainest, Shape(np.ones(1), 0.0, 0.0), noise, low, high)
     shape = Shape(np.ones(1), 0.0, 0.0)
-    if start[1] - start[0] > 2 * voxel_mm and start[3] > 0:
+    if bands is not None and start[1] - start[0] > 2 * voxel_mm and start[3] > 0:
         turned = np.stack([np.median(_brought(band, z_mm, centre_mm, t), axis=1) for band in np.moveaxis(bands, 2, 0)])
         least = max(robust_sigma(np.diff(turned, axis=1)) / math.sqrt(2), 1e-5)
         shape = _shape_of(turned, np.median(dark, axis=1), t, start, least)

@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from annulus.numeric.arrays import FloatArray
+from annulus.numeric.arrays import Float32Array, FloatArray
 from annulus.report.paper import BUMP_BLUE, FAINT, INK, LOSS_RED, UNSEEN, WIDTH_IN, in_style, png
 from annulus.vocabulary import AnnulusError
 
@@ -129,6 +129,36 @@ def write_transmission(folder: Path, told: Mapping[str, Any], curves: Mapping[st
         with in_style():
             (folder / "transmission.png").write_bytes(png(_transmission(told, curves)))
     return [folder / name for name in ("transmission.json", "transmission.png")]
+
+
+def write_strip(
+    folder: Path, told: Mapping[str, Any], z_mm: FloatArray, across_mm: FloatArray, section: Float32Array
+) -> list[Path]:
+    """strip.json and strip.png in the folder, made if need be; their paths.
+
+    told : what strip.json holds. section : (Z, R) grey of the strip's middle, along it and through its thickness, mm.
+    """
+    with _into(folder):
+        (folder / "strip.json").write_text(json.dumps(_plain(told), allow_nan=False))
+        with in_style():
+            figure = Figure(figsize=(WIDTH_IN, 3.6), layout="constrained")
+            axes = figure.subplots()
+            wall = np.abs(across_mm) < 0.4 * told["wall_mm"]
+            low, high = np.percentile(section[:, wall], (1, 99))
+            box = (z_mm[0], z_mm[-1], across_mm[0], across_mm[-1])
+            axes.imshow(section.T, cmap="gray", origin="lower", extent=box, vmin=low - 0.5 * (high - low), vmax=high)
+            for way in (-0.5, 0.5):
+                if math.isfinite(told["W_mm"]):
+                    axes.axvline(told["joint_mm"] + way * told["W_mm"], color=LOSS_RED, lw=1.2)
+            said = ", ".join(
+                f"{name} not told" if not math.isfinite(told[f"{name}_mm"])
+                else f"{name} {told[f'{name}_mm']:.2f} ± {2 * told[f'{name}_sigma_mm']:.2f} mm"
+                for name in ("W", "T")
+            )  # fmt: skip
+            axes.set_title(f"{said} (k=2)")
+            axes.set(xlabel="along the strip, mm", ylabel="through it, mm")
+            (folder / "strip.png").write_bytes(png(figure))
+    return [folder / name for name in ("strip.json", "strip.png")]
 
 
 def _transmission(told: Mapping[str, Any], curves: Mapping[str, FloatArray]) -> Figure:

@@ -30,6 +30,7 @@ class Scene:
     void: tuple[float, float, float] | None = (60.0, 13.0, 0.5)  # angle, distance from the axis, along it
     grain: tuple[float, float, float] | None = (200.0, 12.6, -1.2)
     shape: tuple[int, int, int] = field(default=(96, 128, 128))
+    sawn: float | None = None  # mm: only a strip so wide is left, at angle 0
 
     def width_at(self, phi: FloatArray) -> FloatArray:
         return self.width + 0.5 * np.cos(phi - 1.0)
@@ -60,6 +61,8 @@ def volume(scene: Scene, seed: int = 1, voxel: tuple[float, float, float] = VOXE
     inner = outer - scene.wall
     edge = 0.15
     solid = _step((outer + bead - rho) / edge) * _step((rho - inner + 0.8 * bead) / edge)
+    if scene.sawn is not None:
+        solid = solid * _step((0.5 * scene.sawn - np.abs(py)) / edge) * (px > 0)
     zone = _step((0.5 * scene.width_at(phi) - np.abs(s)) / 0.2)
     density = solid * (1 - scene.drop * zone)
     for place, value in ((scene.void, 0.0), (scene.grain, 2.2)):
