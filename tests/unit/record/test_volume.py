@@ -1,6 +1,7 @@
 """CT volumes come in as they were written, in the order of their places, or are refused in one line."""
 
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -81,6 +82,19 @@ def test_a_dicom_series_is_ordered_by_place_and_rescaled(tmp_path: Path) -> None
     volume = open_volume(tmp_path)
     assert volume.voxel_mm == pytest.approx(SIZES)
     assert np.array_equal(volume.slices(0, 7), 2.0 * GREY - 1000)
+
+
+@pytest.mark.parametrize(("missing", "form"), [("imagecodecs", "TIFF"), ("tifffile", "TIFF"), ("pydicom", "DICOM")])
+def test_a_missing_extra_is_named_with_what_brings_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, missing: str, form: str
+) -> None:
+    tifffile.imwrite(tmp_path / "ct.tif", GREY, photometric="minisblack")
+    (tmp_path / "series").mkdir()
+    dicom(tmp_path / "series", NAMES)
+    says(tmp_path)
+    monkeypatch.setitem(sys.modules, missing, None)  # as if it were not installed
+    with pytest.raises(AnnulusError, match=rf"{form} \w+ need {missing}: pip install 'annulus\[joints\]'"):
+        open_volume(tmp_path / ("series" if form == "DICOM" else "ct.tif"))
 
 
 def test_bad_series_are_one_line(tmp_path: Path) -> None:
