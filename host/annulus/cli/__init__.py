@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from annulus.cli import burst, calibrate, firmware, head, joint, pattern, record, tai, twin
+from annulus.cli import bore, burst, calibrate, firmware, head, joint, pattern, record, tai, twin
 from annulus.cli import dogbones as dogbones  # its commands are of joint's group
 from annulus.cli.fringe import BY, By
 from annulus.cli.show import Json, progress
@@ -26,7 +26,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for _noun in (head, burst, calibrate, pattern, tai, joint, firmware, twin, record):
+for _noun in (head, burst, calibrate, pattern, tai, joint, bore, firmware, twin, record):
     app.add_typer(_noun.app, name=_noun.__name__.rpartition(".")[2])
 
 

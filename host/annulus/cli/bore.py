@@ -1,0 +1,93 @@
+"""`annulus bore`: cross bores, where a pipe was drilled through a sewer."""
+
+import json
+import math
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from annulus.cli.show import Json, group
+from annulus.vocabulary import AnnulusError
+
+app = group("Cross bores: where a pipe was drilled through a sewer, by a head with capacitive sectors.")
+
+
+@app.command("detect", epilog="Example: annulus bore detect pipe-12.csv.gz -o pipe-12.json")
+def detect_command(
+    log: Annotated[Path, typer.Argument(help="The head's log: CSV, plain or gzipped.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Detections as JSON; a picture beside it, .png.")
+    ] = None,
+    air_pf: Annotated[
+        float | None, typer.Option(min=0.01, max=1000, help="What a sector of this head reads in its pipe in air, pF.")
+    ] = None,
+    coupling_ff: Annotated[
+        float | None, typer.Option(min=1, max=10_000, help="What a coupling takes off each sector of this head, fF.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Where a log shows a sewer: air, water or half of each, with direction and length; and what else stands out.
+
+    Water reads like moist soil: it is told in dry soil, or where the log has loss columns, and how much of the log that
+    is is said. The head's pose (off_x_mm, off_y_mm), where there, takes lift-off out.
+    """
+    from dataclasses import replace
+
+    from annulus.crossbore import Head, Log, detect, on_grid
+    from annulus.record.bore_log import read_bore_log
+    from annulus.report.bore import clock, write_bores
+
+    head = Head()
+    if air_pf is not None:
+        head = replace(head, air_ff=1000 * air_pf)
+    if coupling_ff is not None:
+        head = replace(head, coupling_ff=coupling_ff)
+    rows = Log(*read_bore_log(log))
+    try:
+        grid = on_grid(rows)
+        account = detect(grid, head)
+    except AnnulusError as error:
+        raise AnnulusError(f"{log}: {error}") from None
+    bores = [_told(one) for one in account.bores]
+    others = [_told(one) for one in account.indications if one not in account.bores]
+    files = write_bores(out, bores, others, grid.z_mm, grid.c_ff, grid.seen) if out is not None else []
+    summary: dict[str, Any] = {
+        "log": str(log), "length_mm": account.length_mm, "unseen_mm": account.unseen_mm,
+        "water_told_mm": account.water_told_mm, "rows_without_reading": grid.unread, "spikes": grid.spikes,
+        "lift_off_ff_per_mm": grid.lift_ff_mm, "bores": bores, "others": others, "files": [str(f) for f in files],
+    }  # fmt: skip
+    if as_json:
+        print(json.dumps(summary, allow_nan=False))
+        return
+    print(
+        f"log        {account.length_mm / 1000:.1f} m; not seen {account.unseen_mm / 1000:.2f} m, "
+        f"{grid.unread} rows without a reading, {grid.spikes} spikes left out"
+    )
+    lift = "no pose in the log: lift-off stays in" if grid.lift_ff_mm is None else f"{grid.lift_ff_mm:.0f} fF a mm"
+    print(f"lift-off   {lift}")
+    for one in account.indications:
+        way = "all round" if not math.isfinite(one.phi_deg) else (
+            f"{one.phi_deg:.0f} deg ({clock(one.phi_deg)}), k=2 {2 * one.phi_sigma_deg:.0f} deg"
+        )  # fmt: skip
+        print(f"{one.kind:<10} at {one.odometer_mm / 1000:.3f} m, {one.extent_mm:.0f} mm long, {way}")
+    if not account.bores:
+        print("bores      none of those that can be told here")
+    blind = account.length_mm - account.water_told_mm
+    if blind > 1000:
+        why = "no loss in the log, and soil reads like water" if rows.loss_ff is None else "not seen"
+        print(f"water      cannot be told on {blind / 1000:.1f} m: {why}")
+    if files:
+        print(f"files      {', '.join(str(file) for file in files)}")
+
+
+def _told(one: Any) -> dict[str, Any]:
+    said: dict[str, Any] = {
+        "odometer_mm": round(one.odometer_mm, 1), "kind": str(one.kind), "extent_mm": round(one.extent_mm, 1),
+        "change_ff": [round(float(v), 1) for v in one.change_ff],
+    }  # fmt: skip
+    if math.isfinite(one.phi_deg):
+        said |= {"phi_deg": round(one.phi_deg, 1), "phi_sigma_deg": round(one.phi_sigma_deg, 1)}
+    if math.isfinite(one.loss_ff):
+        said["loss_ff"] = round(one.loss_ff, 1)
+    return said

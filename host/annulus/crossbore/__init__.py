@@ -1,0 +1,13 @@
+"""Cross bores: a capacitive head's log to where the pipe was drilled through a sewer. Arrays in, arrays out.
+
+    account = detect(on_grid(log))
+    [(one.odometer_mm, one.kind, one.phi_deg) for one in account.bores]
+
+Chapter 10 of the source, and what its section 11.2 leaves undone. Angles: atan2(y, x) with y down, 90 is the invert.
+Proven on simulated logs only.
+"""
+
+from annulus.crossbore.detect import Account, Head, Indication, Kind, Limits, detect
+from annulus.crossbore.grid import Grid, Log, on_grid
+
+__all__ = ["Account", "Grid", "Head", "Indication", "Kind", "Limits", "Log", "detect", "on_grid"]

@@ -1,0 +1,327 @@
+"""Where a pipe was drilled through a sewer, by three capacitive sectors along the pipe; what else it may be, by name.
+
+Round a buried pipe is soil. Where it passes through a sewer's air every sector that looks there falls to what it reads
+in air, and the mean of the three, which lift-off and roll hardly touch, falls with them for a stretch as long as the
+sewer is wide. Not so: stones and voids are too short, near misses do not show, and a coupling is more plastic all
+round, which takes off about as much in any soil, over one length, from all sectors alike. Water reads like moist soil:
+it stands out in dry soil only, or by its loss where the log has it. Where neither can tell it the account says so.
+
+Direction: the sewer's wall leaves a part of the pipe's circumference in air, phi +- beta, and a sector reads by how
+much of its own width that covers. Three readings give both, and how well.
+"""
+
+import math
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+from scipy.signal import find_peaks
+
+from annulus.crossbore.grid import SECTORS, STEP_MM, Grid
+from annulus.numeric.arrays import FloatArray
+from annulus.numeric.robust import robust_sigma
+
+UP_DEG = 270.0  # the obvert; angles run from the right over the invert, 90
+
+
+class Kind(StrEnum):
+    AIR = "air"
+    PART = "part"  # half full of water
+    WATER = "water"
+    COUPLING = "coupling"
+    VOID = "void"  # a stone's hollow or loose backfill: too short for a sewer
+    BEAD = "bead"
+    UNKNOWN = "unknown"  # something is there, and nothing here says what
+
+
+BORES = (Kind.AIR, Kind.PART, Kind.WATER)
+
+
+@dataclass(frozen=True, slots=True)
+class Head:
+    """What a head reads, told once on the bench. Those of the simulated 2.4-inch head in a 3-inch pipe of SDR 11.
+
+    air_ff : a sector's reading in a pipe in air. sector_deg : how wide a sector looks. coupling_ff, coupling_mm : what
+    a coupling takes off every sector, and over what length at half of that.
+    """
+
+    air_ff: float = 4575.0
+    sector_deg: float = 110.0
+    coupling_ff: float = 113.0
+    coupling_mm: float = 130.0
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What is listed: lengths at half the change, mm; changes of the sectors' mean, fF, or as a part of soil to air."""
+
+    least_ff: float = 8.0
+    bore_mm: tuple[float, float] = (108.0, 600.0)
+    bore_part: float = 0.30  # of the strongest sector: a stone's hollow has less
+    water_mm: tuple[float, float] = (75.0, 400.0)
+    water_sigma: float = 7.0  # of the soil's own unevenness
+    loss_ff: float = 3.0
+    coupling_part: float = 0.12  # of what a coupling takes off
+    coupling_off_mm: float = 15.0
+    coupling_uneven: float = 0.2  # of the mean, that sectors differ by
+
+
+HEAD, LIMITS = Head(), Limits()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Indication:
+    """One place. phi_deg is NaN where it is alike all round or not told; change_ff (3,) over what is beside it."""
+
+    odometer_mm: float
+    kind: Kind
+    extent_mm: float
+    phi_deg: float
+    phi_sigma_deg: float
+    change_ff: FloatArray = field(repr=False)
+    part: float = math.nan  # of soil to air, the strongest sector
+    loss_ff: float = math.nan
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Account:
+    """What was found, in order; how much of the log was seen; where water could have been told, mm of all."""
+
+    indications: list[Indication]
+    length_mm: float
+    unseen_mm: float
+    water_told_mm: float
+
+    @property
+    def bores(self) -> list[Indication]:
+        return [one for one in self.indications if one.kind in BORES]
+
+
+SMOOTH_MM = 15.0
+LOSS_SMOOTH_MM = 30.0
+BESIDE_MM = (225.0, 600.0)  # from a peak to what is beside any sewer, soil only
+CLOSE_MM = (50.0, 200.0)  # beyond where it is half over: closer, where its own length is known
+UNEVEN_MM = 3000.0  # to either side: soil whose unevenness counts
+BEAD_FF = 25.0  # a bead of plastic inside stands so far over all three sectors
+MERGED_MM = 150.0
+CLOSE = round(CLOSE_MM[1] / STEP_MM)
+DRY = 0.75  # of the deepest: in soil that reads less than that over air, water stands out
+PART_UP_DEG = 15.0  # a level of water is horizontal: air within so much of straight up
+PART_BETA_DEG = (70.0, 110.0)
+PART_WET = 0.12  # of soil to air: a sector that rises by so much beside one that falls sees water
+PART_LOSS = 0.3  # of what soil loses: a sector that sees no air and loses so much less sees water
+
+
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """A peak of the sectors' mean: where, how far over what is beside it, how long at half of that, uneven beside."""
+
+    index: int
+    depth: float
+    low: int
+    high: int
+    sigma: float
+    left: float
+    right: float
+
+    @property
+    def middle(self) -> int:
+        return (self.low + self.high) // 2
+
+    @property
+    def extent_mm(self) -> float:
+        return (self.high - self.low) * STEP_MM
+
+
+def detect(grid: Grid, head: Head = HEAD, limits: Limits = LIMITS) -> Account:
+    """What lies along a log. Nothing is said of stretches that were not seen."""
+    mean = gaussian_filter1d(grid.c_ff.mean(axis=1), SMOOTH_MM / STEP_MM)
+    dips = [(one, _dip(grid, one, head, limits)) for one in _places(mean, -1, limits.least_ff)]
+    found = [said for one, said in dips if said.kind is not Kind.UNKNOWN or _stands_out(one, limits)]
+    found += [_rise(grid, one, head, limits) for one in _places(mean, 1, limits.least_ff) if _stands_out(one, limits)]
+    told = 0.0
+    if grid.loss_ff is not None:
+        loss = gaussian_filter1d(grid.loss_ff.mean(axis=1), LOSS_SMOOTH_MM / STEP_MM)
+        found += [_by_loss(grid, one, limits) for one in _places(loss, -1, limits.loss_ff) if _stands_out(one, limits)]
+        told = float(STEP_MM * np.count_nonzero(grid.seen))
+    else:
+        dry = gaussian_filter1d(mean, UNEVEN_MM / STEP_MM / 3) - head.air_ff < DRY * _wet(mean, head)
+        told = float(STEP_MM * np.count_nonzero(grid.seen & dry))
+    found += _beads(grid)
+    kept = [one for one in found if grid.seen[int(np.argmin(np.abs(grid.z_mm - one.odometer_mm)))]]
+    return Account(_merged(kept), float(np.ptp(grid.z_mm)), float(STEP_MM * np.count_nonzero(~grid.seen)), told)
+
+
+def _wet(mean: FloatArray, head: Head) -> float:
+    return float(np.percentile(mean, 98)) - head.air_ff
+
+
+def _stands_out(place: _Place, limits: Limits) -> bool:
+    """From the soil's own unevenness, and not at a boundary between two soils."""
+    return place.depth > limits.water_sigma * place.sigma and abs(place.left - place.right) < 0.5 * place.depth
+
+
+def _places(line: FloatArray, sign: int, least: float) -> list[_Place]:
+    near, far = (round(v / STEP_MM) for v in BESIDE_MM)
+    peaks, _ = find_peaks(sign * line, prominence=least, wlen=2 * far)
+    quick = line - gaussian_filter1d(line, 300.0 / STEP_MM, mode="nearest")
+    found = []
+    for i in peaks:
+        wider = _medians(line, i - near, i + near, far - near)
+        low, high = _half(line, int(i), sign, *wider)
+        left, right = _medians(line, low - round(CLOSE_MM[0] / STEP_MM), high + round(CLOSE_MM[0] / STEP_MM), CLOSE)
+        if not math.isfinite(left + right):
+            continue
+        low, high = _half(line, int(i), sign, left, right)
+        depth = sign * float(line[i]) - max(sign * left, sign * right)
+        # Between two other things a place stands out from them alone.
+        if depth < least or sign * float(line[i]) - max(sign * one for one in wider) < 0.5 * depth:
+            continue
+        wide = round(UNEVEN_MM / STEP_MM)
+        around = np.r_[quick[max(i - wide, 0) : max(i - far, 0)], quick[i + far : i + wide]]
+        sigma = robust_sigma(around) if len(around) > near else math.inf
+        found.append(_Place(int(i), depth, low, high, sigma, left, right))
+    return found
+
+
+def _medians(line: FloatArray, before: int, after: int, count: int) -> tuple[float, float]:
+    """Of `count` values before and after; NaN where the log ends."""
+    left, right = line[max(before - count, 0) : max(before, 0)], line[after : after + count]
+    if min(len(left), len(right)) < 10:
+        return math.nan, math.nan
+    return float(np.median(left)), float(np.median(right))
+
+
+def _half(line: FloatArray, peak: int, sign: int, left: float, right: float) -> tuple[int, int]:
+    """First and last place that stands out by half or more of what the peak does."""
+    beside = sign * max(sign * left, sign * right)
+    half = beside + 0.5 * (float(line[peak]) - beside)
+    low = high = peak
+    while low > 0 and sign * (line[low] - half) > 0:
+        low -= 1
+    while high < len(line) - 1 and sign * (line[high] - half) > 0:
+        high += 1
+    return low, high
+
+
+def _change(values: FloatArray, place: _Place) -> FloatArray:
+    """(3,) in the middle of a place over what is beside it."""
+    near = round(CLOSE_MM[0] / STEP_MM)
+    left = values[max(place.low - near - CLOSE, 0) : max(place.low - near, 1)]
+    right = values[place.high + near : place.high + near + CLOSE]
+    here = values[max(place.middle - 2, 0) : place.middle + 3].mean(axis=0)
+    return np.asarray(here - 0.5 * (np.median(left, axis=0) + np.median(right, axis=0)))
+
+
+def _dip(grid: Grid, place: _Place, head: Head, limits: Limits) -> Indication:
+    change = _change(grid.c_ff, place)
+    soil = 0.5 * (place.left + place.right) - head.air_ff
+    z, extent = float(grid.z_mm[place.middle]), place.extent_mm
+    uneven = float(np.ptp(change)) / max(3.0 * abs(float(change.mean())), 1e-9)
+    coupling = (
+        abs(place.depth - head.coupling_ff) < limits.coupling_part * head.coupling_ff
+        and abs(extent - head.coupling_mm) < limits.coupling_off_mm
+        and uneven < limits.coupling_uneven
+    )
+    share = -change / max(soil, 1.0)
+    strongest = float(share.max())
+    if coupling:
+        return Indication(z, Kind.COUPLING, extent, math.nan, math.nan, change, strongest)
+    phi, sigma, beta = _direction(share, grid.looks_deg(place.middle), head, grid.lift_ff_mm is not None, soil)
+    if not limits.bore_mm[0] <= extent <= limits.bore_mm[1] or strongest < limits.bore_part:
+        kind = Kind.VOID if extent < limits.bore_mm[0] else Kind.UNKNOWN
+        return Indication(z, kind, extent, phi, sigma, change, strongest)
+    kind = Kind.PART if _half_full(grid, place, share, phi, beta) else Kind.AIR
+    return Indication(z, kind, extent, phi, sigma, change, strongest)
+
+
+def _half_full(grid: Grid, place: _Place, share: FloatArray, phi: float, beta: float) -> bool:
+    """Air above and water below: a level at the pipe's height, told by its being level or by the water itself."""
+    if share.min() < -PART_WET:
+        return True
+    if grid.loss_ff is not None:
+        loss = _change(gaussian_filter1d(grid.loss_ff, LOSS_SMOOTH_MM / STEP_MM, axis=0), place)
+        soil = float(np.median(grid.loss_ff[max(place.low - 2 * CLOSE, 0) : place.high + 2 * CLOSE]))
+        dry = share < 0.2
+        return bool(dry.any() and (-loss[dry]).max() > max(PART_LOSS * soil, 4.0))
+    level = math.isfinite(phi) and abs((phi - UP_DEG + 180) % 360 - 180) < PART_UP_DEG
+    return bool(level and PART_BETA_DEG[0] <= beta <= PART_BETA_DEG[1] and share.max() > 0.85)
+
+
+def _rise(grid: Grid, place: _Place, head: Head, limits: Limits) -> Indication:
+    change = _change(grid.c_ff, place)
+    z, extent = float(grid.z_mm[place.middle]), place.extent_mm
+    water = limits.water_mm[0] <= extent <= limits.water_mm[1]
+    share = change / max(float(change.max()), 1e-9)
+    phi, sigma, _ = _direction(
+        share, grid.looks_deg(place.middle), head, grid.lift_ff_mm is not None, float(change.max())
+    )
+    return Indication(z, Kind.WATER if water else Kind.UNKNOWN, extent, phi, sigma, change)
+
+
+def _by_loss(grid: Grid, place: _Place, limits: Limits) -> Indication:
+    assert grid.loss_ff is not None
+    change = _change(grid.c_ff, place)
+    loss = _change(gaussian_filter1d(grid.loss_ff, LOSS_SMOOTH_MM / STEP_MM, axis=0), place)
+    share = np.clip(-loss / max(float((-loss).max()), 1e-9), 0, 1)
+    weight = np.exp(1j * np.radians(grid.looks_deg(place.middle)))
+    phi = float(np.degrees(np.angle(share @ weight)) % 360)
+    water = limits.water_mm[0] <= place.extent_mm <= limits.water_mm[1]
+    kind = Kind.WATER if water else Kind.UNKNOWN
+    z = float(grid.z_mm[place.middle])
+    return Indication(z, kind, place.extent_mm, phi, 20.0, change, loss_ff=float(loss.mean()))
+
+
+def _beads(grid: Grid) -> list[Indication]:
+    """Rings of plastic inside: over all sectors, shorter than anything outside can show."""
+    ring = grid.raised.min(axis=1)
+    peaks, _ = find_peaks(ring, height=BEAD_FF, distance=round(MERGED_MM / STEP_MM))
+    return [
+        Indication(float(grid.z_mm[i]), Kind.BEAD, STEP_MM * 2, math.nan, math.nan, grid.raised[i].copy())
+        for i in peaks
+    ]
+
+
+def _direction(
+    share: FloatArray, looks_deg: FloatArray, head: Head, pose_known: bool, soil_ff: float
+) -> tuple[float, float, float]:
+    """(phi, its sigma, beta), degrees: NaN where it is alike all round.
+
+    A sector's reading is the part of its width that phi +- beta covers, all times how far from the wall the soil is.
+    """
+    phi = np.arange(0.0, 360.0, 2.0)
+    beta = np.arange(10.0, 181.0, 5.0)
+    off = (looks_deg[:, None] - phi + 180) % 360 - 180  # (3, F)
+    half = 0.5 * head.sector_deg
+    covered = np.zeros((SECTORS, len(phi), len(beta)))
+    for turn in (-360.0, 0.0, 360.0):
+        low = np.maximum(off[:, :, None] + turn - half, -beta)
+        high = np.minimum(off[:, :, None] + turn + half, beta)
+        covered += np.clip(high - low, 0, None)
+    covered = np.clip(covered / head.sector_deg, 0, 1)
+    size = np.clip(np.einsum("kfb,k->fb", covered, share) / np.maximum(np.sum(covered**2, axis=0), 1e-9), 0.05, 1.05)
+    noise = math.hypot(0.04, (3.0 if pose_known else 8.0) / max(soil_ff, 1.0))
+    chi = np.sum((share[:, None, None] - size * covered) ** 2, axis=0) / noise**2
+    odds = np.exp(-0.5 * (chi - chi.min()))
+    by_phi = odds.sum(axis=1)
+    mean = complex(np.sum(by_phi * np.exp(1j * np.radians(phi))) / by_phi.sum())
+    length = min(abs(mean), 1.0)
+    best_beta = float(np.sum(odds * beta) / odds.sum())
+    if length < 0.5:
+        return math.nan, math.nan, best_beta
+    return float(np.degrees(np.angle(mean)) % 360), math.degrees(math.sqrt(-2 * math.log(max(length, 1e-9)))), best_beta
+
+
+def _merged(found: list[Indication]) -> list[Indication]:
+    """One a place: what is surest of what lies together, bores and couplings before what is not known."""
+    rank = {
+        kind: k
+        for k, kind in enumerate((Kind.AIR, Kind.PART, Kind.COUPLING, Kind.VOID, Kind.WATER, Kind.BEAD, Kind.UNKNOWN))
+    }
+    kept: list[Indication] = []
+    for one in sorted(found, key=lambda i: (rank[i.kind], -float(np.abs(i.change_ff).max()))):
+        near = [k for k in kept if abs(k.odometer_mm - one.odometer_mm) < max(MERGED_MM, k.extent_mm)]
+        if not near or (one.kind is Kind.BEAD and all(k.kind is not Kind.BEAD for k in near)):
+            kept.append(one)
+    return sorted(kept, key=lambda i: i.odometer_mm)
