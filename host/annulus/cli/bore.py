@@ -10,6 +10,8 @@ import typer
 from annulus.cli.show import Json, group
 from annulus.vocabulary import AnnulusError
 
+ROOM_MM = 700.0  # that two things along a simulated pipe are apart
+
 app = group("Cross bores: where a pipe was drilled through a sewer, by a head with capacitive sectors.")
 
 
@@ -79,6 +81,34 @@ def detect_command(
         print(f"water      cannot be told on {blind / 1000:.1f} m: {why}")
     if files:
         print(f"files      {', '.join(str(file) for file in files)}")
+
+
+@app.command("simulate", epilog="Example: annulus bore simulate pipe.csv.gz --length-m 120 --seed 3 --pose --loss")
+def simulate_command(
+    log: Annotated[Path, typer.Argument(help="Log to write, .csv or .csv.gz; its truth beside it, .truth.json.")],
+    length_m: Annotated[float, typer.Option(min=10.0, max=2000.0, help="Of pipe, m.")] = 60.0,
+    bores: Annotated[int, typer.Option(min=0, max=200, help="Sewers through it or half into it.")] = 4,
+    near: Annotated[int, typer.Option(min=0, max=200, help="Sewers beside it, 15 to 80 mm away.")] = 2,
+    soil: Annotated[
+        list[float] | None,
+        typer.Option(min=1.5, max=60, help="Relative permittivity, again for more soils. Default: 15, 4, 22."),
+    ] = None,
+    pose: Annotated[bool, typer.Option("--pose", help="With the head's offset from the axis.")] = False,
+    loss: Annotated[bool, typer.Option("--loss", help="With the sectors' loss.")] = False,
+    seed: Annotated[int, typer.Option(min=0, help="The same seed, the same log.")] = 0,
+) -> None:
+    """A log of the twin's pipe, with couplings, beads, hollows, lost rows, slips and drift, and its truth."""
+    from annulus.twin.capacitance import log as passage
+    from annulus.twin.capacitance import some_ground, write
+
+    room = 1000 * length_m / (2 * (bores + near) + 5)
+    if room < ROOM_MM:
+        raise AnnulusError(
+            f"{bores + near} sewers in {length_m:g} m: {room:.0f} mm each, expected at least {ROOM_MM:g}"
+        )
+    ground = some_ground(1000 * length_m, seed, tuple(soil or (15.0, 4.0, 22.0)), bores, near, pose, loss)
+    truth = write(passage(ground, seed), log)
+    print(f"files      {log}, {truth}")
 
 
 def _told(one: Any) -> dict[str, Any]:

@@ -58,13 +58,16 @@ class Limits:
 
     least_ff: float = 8.0
     bore_mm: tuple[float, float] = (108.0, 600.0)
-    bore_part: float = 0.30  # of the strongest sector: a stone's hollow has less
+    bore_part: float = 0.22  # of the strongest sector
+    short_mm: float = 75.0  # a narrow sewer, right through: no hollow beside the wall takes so much off
+    short_part: float = 0.45
     water_mm: tuple[float, float] = (75.0, 400.0)
     water_sigma: float = 7.0  # of the soil's own unevenness
     loss_ff: float = 3.0
-    coupling_part: float = 0.12  # of what a coupling takes off
-    coupling_off_mm: float = 15.0
-    coupling_uneven: float = 0.2  # of the mean, that sectors differ by
+    even: float = 0.2  # of the mean: sectors that differ by less are alike all round
+    all_air: float = 0.65  # of soil to air, where it is alike all round
+    coupling_part: tuple[float, float] = (0.12, 0.3)  # of what it takes off: where air would do as well; where not
+    coupling_off_mm: float = 20.0
 
 
 HEAD, LIMITS = Head(), Limits()
@@ -219,21 +222,29 @@ def _dip(grid: Grid, place: _Place, head: Head, limits: Limits) -> Indication:
     soil = 0.5 * (place.left + place.right) - head.air_ff
     z, extent = float(grid.z_mm[place.middle]), place.extent_mm
     uneven = float(np.ptp(change)) / max(3.0 * abs(float(change.mean())), 1e-9)
-    coupling = (
-        abs(place.depth - head.coupling_ff) < limits.coupling_part * head.coupling_ff
-        and abs(extent - head.coupling_mm) < limits.coupling_off_mm
-        and uneven < limits.coupling_uneven
-    )
     share = -change / max(soil, 1.0)
     strongest = float(share.max())
-    if coupling:
+    near = abs(extent - head.coupling_mm) < limits.coupling_off_mm
+    off = abs(place.depth - head.coupling_ff) / head.coupling_ff
+    all_air = float(share.mean()) > limits.all_air
+    # A coupling is alike all round, but for lift-off where that is not known. A sewer's air reads as air, and only in
+    # dry soil is that as much as a coupling takes off.
+    even = limits.even * (1.0 if grid.lift_ff_mm is not None else 1.5)
+    if near and uneven < even and off < limits.coupling_part[0 if all_air else 1]:
         return Indication(z, Kind.COUPLING, extent, math.nan, math.nan, change, strongest)
+    if extent >= limits.bore_mm[0] and uneven < limits.even:
+        kind = Kind.AIR if all_air else Kind.UNKNOWN
+        return Indication(z, kind, extent, math.nan, math.nan, change, strongest)
     phi, sigma, beta = _direction(share, grid.looks_deg(place.middle), head, grid.lift_ff_mm is not None, soil)
-    if not limits.bore_mm[0] <= extent <= limits.bore_mm[1] or strongest < limits.bore_part:
+    long = limits.bore_mm[0] <= extent <= limits.bore_mm[1] and strongest >= limits.bore_part
+    if strongest < limits.short_part and abs(place.left - place.right) > 0.5 * place.depth:
+        long = False  # beside something that stands out the other way
+    if not long and not (limits.short_mm <= extent < limits.bore_mm[0] and strongest >= limits.short_part):
         kind = Kind.VOID if extent < limits.bore_mm[0] else Kind.UNKNOWN
         return Indication(z, kind, extent, phi, sigma, change, strongest)
-    kind = Kind.PART if _half_full(grid, place, share, phi, beta) else Kind.AIR
-    return Indication(z, kind, extent, phi, sigma, change, strongest)
+    if _half_full(grid, place, share, phi, beta):  # its air is above, wherever the sewer lies
+        return Indication(z, Kind.PART, extent, math.nan, math.nan, change, strongest)
+    return Indication(z, Kind.AIR, extent, phi, sigma, change, strongest)
 
 
 def _half_full(grid: Grid, place: _Place, share: FloatArray, phi: float, beta: float) -> bool:
