@@ -7,7 +7,7 @@ BIN        := .venv/bin
 # Containers are often made with this set: then every process compiles all it imports anew, 3 s of each, and a scan has eight.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: setup demo test lint bench bench-metrology bench-thermoacoustic bench-joints study native firmware emulator generated mutants clean
+.PHONY: setup demo test lint bench bench-metrology bench-thermoacoustic bench-joints bench-crossbore study native firmware emulator generated mutants clean
 
 setup: .venv/.synced .venv/.kernels native
 
@@ -84,6 +84,9 @@ bench-thermoacoustic: setup
 
 bench-joints: setup
 	$(BIN)/python -m tools.bench joints
+
+bench-crossbore: setup
+	$(BIN)/python -m tools.bench crossbore
 
 # The source's figures and tables, simulated: pictures and numbers in build/study.
 study: setup
