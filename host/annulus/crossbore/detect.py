@@ -65,7 +65,7 @@ class Limits:
     water_sigma: float = 7.0  # of the soil's own unevenness
     loss_ff: float = 3.0
     even: float = 0.2  # of the mean: sectors that differ by less are alike all round
-    all_air: float = 0.65  # of soil to air, where it is alike all round
+    all_air: float = 0.58  # of soil to air, where it is alike all round
     coupling_part: tuple[float, float] = (0.12, 0.3)  # of what it takes off: where air would do as well; where not
     coupling_off_mm: float = 20.0
 
@@ -224,8 +224,10 @@ def _dip(grid: Grid, place: _Place, head: Head, limits: Limits) -> Indication:
     uneven = float(np.ptp(change)) / max(3.0 * abs(float(change.mean())), 1e-9)
     share = -change / max(soil, 1.0)
     strongest = float(share.max())
-    near = abs(extent - head.coupling_mm) < limits.coupling_off_mm
-    off = abs(place.depth - head.coupling_ff) / head.coupling_ff
+    # At a boundary between soils half of the lower change is sooner reached: a place looks shorter.
+    short = limits.coupling_off_mm * (2.0 if abs(place.left - place.right) > 0.1 * place.depth else 1.0)
+    near = -short < extent - head.coupling_mm < limits.coupling_off_mm
+    off = abs(-float(change.mean()) - head.coupling_ff) / head.coupling_ff
     all_air = float(share.mean()) > limits.all_air
     # A coupling is alike all round, but for lift-off where that is not known. A sewer's air reads as air, and only in
     # dry soil is that as much as a coupling takes off.
