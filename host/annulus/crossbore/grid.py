@@ -25,6 +25,7 @@ BRIDGED_MM = 60.0  # a hole so long is drawn over; the head's own electrodes are
 SPEED_ROWS = 20  # over which the speed is taken
 LONG_MM = 1500.0  # lift-off is told from what changes within it
 ROWS_MIN = 200
+SPAN_MM = (500.0, 2e7)  # less says nothing; 20 km are 4 million places
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,8 +77,8 @@ def on_grid(log: Log) -> Grid:
     if rows < ROWS_MIN:
         raise AnnulusError(f"{rows} rows, expected at least {ROWS_MIN}")
     span = float(np.ptp(log.odometer_mm))
-    if span < 500.0:
-        raise AnnulusError(f"the odometer covers {span:.0f} mm, expected at least 500")
+    if not SPAN_MM[0] <= span <= SPAN_MM[1]:
+        raise AnnulusError(f"the odometer covers {span:.0f} mm, expected {SPAN_MM[0]:.0f} to {SPAN_MM[1]:.0f}")
     dt = np.maximum(np.diff(log.t_s, prepend=log.t_s[0]), 1e-3)
     speed = uniform_filter1d(np.diff(log.odometer_mm, prepend=log.odometer_mm[0]) / dt, SPEED_ROWS, mode="nearest")
     drift = log.reference_pf - np.median(log.reference_pf)

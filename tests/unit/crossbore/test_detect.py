@@ -136,6 +136,7 @@ ROW = "0.1,10,4.8,4.8,4.8,4.7,0\n"
         (HEAD + "0.1,10,inf,4.8,4.8,4.7,0\n", "c1_pf is 'inf'"),
         (HEAD + ROW * 3, "3 rows, expected at least"),
         (HEAD + ROW * 300, "the odometer covers 0 mm"),
+        (HEAD + ROW * 300 + ROW.replace("10", "1e11"), "the odometer covers"),
         (HEAD + "0.1,10,,,,4.7,0\n" * 9, "100 % of the rows have an empty cell"),
         (HEAD.replace("c2_pf", "c1_pf") + ROW, "no column c2_pf"),
     ],
