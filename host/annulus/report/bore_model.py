@@ -119,7 +119,7 @@ def _passing(told: Mapping[str, Any], curves: Mapping[str, FloatArray]) -> Figur
     right.set_ylim(0, 100)
     right.legend(frameon=False, fontsize=8.5, loc="lower right")
     right.set_title(
-        f"standing capacitance: the swing is {100 * told['swing_of_standing']:.0f} % of it, "
+        f"the swing is {100 * told['swing_of_standing']:.0f} % of what stands in air,\n"
         f"{100 * told['swing_of_standing_shield_off']:.1f} % with the shield at earth",
         fontsize=10,
     )
@@ -152,6 +152,7 @@ def _bores(told: Mapping[str, Any]) -> Figure:
         one.set_xlabel("sector looks at")
         if k == 0:
             one.set_ylabel("change, fF")
+        if k == len(air) - 1:
             one.legend(frameon=False, fontsize=8.5, loc="lower right")
     return figure
 
