@@ -88,7 +88,7 @@ def test_drivers_read_their_chips_and_say_what_is_wrong(guest: Guest) -> None:
     lines = done.stdout.splitlines()
     assert lines[0].startswith("capacitance {'c1_pf': 4.8, 'c2_pf': 4.85, 'c3_pf': 4.57, 'cref_pf': 4.7, 'loss1_ff': ")
     assert lines[1].startswith("supply {'voltage_v': 5.02, 'current_a': 0.8, ")
-    assert lines[2].startswith("imu {'roll_deg': 30.0, 'vibration_m_s2': 0.0, 'temperature_c': 21.0")
+    assert lines[2].startswith("imu {'roll_deg': 30.0") and "'temperature_c': 21.0" in lines[2]
     assert lines[3] == "supply at 0x41: register 0xfe is not answered (No such device), 3 times"
     assert lines[4] == "1 ['capacitance', 'supply', 'imu']"
     assert lines[5] == "['supply', 'imu']"
