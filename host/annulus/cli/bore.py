@@ -122,8 +122,8 @@ def model_command(
 ) -> None:
     """The head's electrostatic field: Figures 10.3 and 10.5, depth and shield, and the source's pipes A, B and C.
 
-    Writes model.json, field.png, passing.png and bores.png, in about half a minute. Beside stand the numbers of a
-    prototype's field; electrodes were chosen for the bore gone through, the rest follows.
+    Writes model.json, field.png, passing.png and bores.png, in about 40 s. Beside stand the numbers of a prototype's
+    field. The source gives no size of the electrodes: theirs were chosen among 18 to come near those numbers.
     """
     from annulus.crossbore.elements import permittivity
     from annulus.crossbore.model import model

@@ -106,6 +106,9 @@ LOSS_SMOOTH_MM = 30.0
 BESIDE_MM = (225.0, 600.0)  # from a peak to what is beside any sewer, soil only
 CLOSE_MM = (50.0, 200.0)  # beyond where it is half over: closer, where its own length is known
 UNEVEN_MM = 3000.0  # to either side: soil whose unevenness counts
+UNEVEN_FF = (3.0, 8.0)  # of one sector against the others, pose known and not: logs a2, a1
+LOSS_UNEVEN_FF = 1.0  # the same of its loss, smoothed
+SHAPE = 0.04  # of what air takes off: what the model of a sector's width leaves
 BEAD_FF = 25.0  # a bead of plastic inside stands so far over all three sectors
 MERGED_MM = 150.0
 CLOSE = round(CLOSE_MM[1] / STEP_MM)
@@ -146,7 +149,9 @@ def detect(grid: Grid, head: Head = HEAD, limits: Limits = LIMITS) -> Account:
     told = 0.0
     if grid.loss_ff is not None:
         loss = gaussian_filter1d(grid.loss_ff.mean(axis=1), LOSS_SMOOTH_MM / STEP_MM)
-        found += [_by_loss(grid, one, limits) for one in _places(loss, -1, limits.loss_ff) if _stands_out(one, limits)]
+        found += [
+            _by_loss(grid, one, head, limits) for one in _places(loss, -1, limits.loss_ff) if _stands_out(one, limits)
+        ]
         told = float(STEP_MM * np.count_nonzero(grid.seen))
     else:
         dry = gaussian_filter1d(mean, UNEVEN_MM / STEP_MM / 3) - head.air_ff < DRY * _wet(mean, head)
@@ -237,7 +242,7 @@ def _dip(grid: Grid, place: _Place, head: Head, limits: Limits) -> Indication:
     if extent >= limits.bore_mm[0] and uneven < limits.even:
         kind = Kind.AIR if all_air else Kind.UNKNOWN
         return Indication(z, kind, extent, math.nan, math.nan, change, strongest)
-    phi, sigma, beta = _direction(share, grid.looks_deg(place.middle), head, grid.lift_ff_mm is not None, soil)
+    phi, sigma, beta = _direction(share, grid.looks_deg(place.middle), head, _lift_off(grid) / max(soil, 1.0))
     long = limits.bore_mm[0] <= extent <= limits.bore_mm[1] and strongest >= limits.bore_part
     if strongest < limits.short_part and abs(place.left - place.right) > 0.5 * place.depth:
         long = False  # beside something that stands out the other way
@@ -267,23 +272,21 @@ def _rise(grid: Grid, place: _Place, head: Head, limits: Limits) -> Indication:
     z, extent = float(grid.z_mm[place.middle]), place.extent_mm
     water = limits.water_mm[0] <= extent <= limits.water_mm[1]
     share = change / max(float(change.max()), 1e-9)
-    phi, sigma, _ = _direction(
-        share, grid.looks_deg(place.middle), head, grid.lift_ff_mm is not None, float(change.max())
-    )
+    noise = _lift_off(grid) / max(float(change.max()), 1.0)
+    phi, sigma, _ = _direction(share, grid.looks_deg(place.middle), head, noise)
     return Indication(z, Kind.WATER if water else Kind.UNKNOWN, extent, phi, sigma, change)
 
 
-def _by_loss(grid: Grid, place: _Place, limits: Limits) -> Indication:
+def _by_loss(grid: Grid, place: _Place, head: Head, limits: Limits) -> Indication:
     assert grid.loss_ff is not None
     change = _change(grid.c_ff, place)
     loss = _change(gaussian_filter1d(grid.loss_ff, LOSS_SMOOTH_MM / STEP_MM, axis=0), place)
-    share = np.clip(-loss / max(float((-loss).max()), 1e-9), 0, 1)
-    weight = np.exp(1j * np.radians(grid.looks_deg(place.middle)))
-    phi = float(np.degrees(np.angle(share @ weight)) % 360)
+    most = max(float((-loss).max()), 1e-9)
+    phi, sigma, _ = _direction(-loss / most, grid.looks_deg(place.middle), head, LOSS_UNEVEN_FF / most)
     water = limits.water_mm[0] <= place.extent_mm <= limits.water_mm[1]
     kind = Kind.WATER if water else Kind.UNKNOWN
     z = float(grid.z_mm[place.middle])
-    return Indication(z, kind, place.extent_mm, phi, 20.0, change, loss_ff=float(loss.mean()))
+    return Indication(z, kind, place.extent_mm, phi, sigma, change, loss_ff=float(loss.mean()))
 
 
 def _beads(grid: Grid) -> list[Indication]:
@@ -296,10 +299,13 @@ def _beads(grid: Grid) -> list[Indication]:
     ]
 
 
-def _direction(
-    share: FloatArray, looks_deg: FloatArray, head: Head, pose_known: bool, soil_ff: float
-) -> tuple[float, float, float]:
-    """(phi, its sigma, beta), degrees: NaN where it is alike all round.
+def _lift_off(grid: Grid) -> float:
+    """FF by which the head's place and the soil's unevenness may change one sector against the others."""
+    return UNEVEN_FF[0] if grid.lift_ff_mm is not None else UNEVEN_FF[1]
+
+
+def _direction(share: FloatArray, looks_deg: FloatArray, head: Head, noise: float) -> tuple[float, float, float]:
+    """(phi, its sigma, beta), degrees: NaN where it is alike all round. share, noise : of what air takes off.
 
     A sector's reading is the part of its width that phi +- beta covers, all times how far from the wall the soil is.
     """
@@ -314,8 +320,7 @@ def _direction(
         covered += np.clip(high - low, 0, None)
     covered = np.clip(covered / head.sector_deg, 0, 1)
     size = np.clip(np.einsum("kfb,k->fb", covered, share) / np.maximum(np.sum(covered**2, axis=0), 1e-9), 0.05, 1.05)
-    noise = math.hypot(0.04, (3.0 if pose_known else 8.0) / max(soil_ff, 1.0))
-    chi = np.sum((share[:, None, None] - size * covered) ** 2, axis=0) / noise**2
+    chi = np.sum((share[:, None, None] - size * covered) ** 2, axis=0) / math.hypot(SHAPE, noise) ** 2
     odds = np.exp(-0.5 * (chi - chi.min()))
     by_phi = odds.sum(axis=1)
     mean = complex(np.sum(by_phi * np.exp(1j * np.radians(phi))) / by_phi.sum())

@@ -26,7 +26,7 @@ PROTOTYPE_FF = {  # of a prototype's field, air in the bore
 GTI = {"through": "A", "half": "B", "10 mm clear": "C", "50 mm clear": "C"}
 LIFT_MM = 1.0
 LIFT_PROTOTYPE = 0.31
-DEPTH_PROTOTYPE_MM = 4.5  # half of the swing comes from so much beyond the wall
+DEPTH_PROTOTYPE_MM = 4.5  # half of the swing: taken here as what so thick a layer of air beside the wall takes off
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,7 @@ class Model:
 def model(
     soil: complex = SOIL, progress: Callable[[str, int, int], None] = lambda what, done, total: None, fine: float = 1.0
 ) -> Model:
-    """Half a minute. AnnulusError where scikit-fem is not installed."""
+    """Some 40 s. AnnulusError where scikit-fem is not installed."""
     plain = Section(soil=soil, fine=fine)
     pairs = {name: along(Along(one, one, fine=fine)) for name, one in (("air", AIR), ("soil", soil), ("water", WATER))}
     swing = pairs["soil"].differential_pf - pairs["air"].differential_pf

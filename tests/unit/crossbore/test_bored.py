@@ -12,8 +12,8 @@ CASE = Section()
 
 
 def test_bores_change_the_sectors_as_in_a_prototypes_field() -> None:
-    """-243 fF through a bore on all sectors, -91/-220/-2 half in it, -7 at 10 mm clear, 0 at 50 mm. Through was met by
-    choice of the electrodes; the rest was not fitted."""
+    """-243 fF through a bore on all sectors, -91/-220/-2 half in it, -7 at 10 mm clear, 0 at 50 mm. The electrodes
+    were chosen with these in view, and the bore's side to suit them: this guards, it does not confirm."""
     cases = source_cases(76.0, CASE.pipe.outer_mm)
     found = dict(zip(cases, changes(CASE, list(cases.values()))[0], strict=True))
     assert found["through"] == pytest.approx([-243] * 3, rel=0.05)
