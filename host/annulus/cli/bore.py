@@ -55,7 +55,7 @@ def detect_command(
     others = [_told(one) for one in account.indications if one not in account.bores]
     files = write_bores(out, bores, others, grid.z_mm, grid.c_ff, grid.seen) if out is not None else []
     summary: dict[str, Any] = {
-        "log": str(log), "length_mm": account.length_mm, "unseen_mm": account.unseen_mm,
+        "log": str(log), "length_mm": account.length_mm, "unseen_mm": account.unseen_mm, "ends_mm": account.ends_mm,
         "water_told_mm": account.water_told_mm, "rows_without_reading": grid.unread, "spikes": grid.spikes,
         "lift_off_ff_per_mm": grid.lift_ff_mm, "bores": bores, "others": others, "files": [str(f) for f in files],
     }  # fmt: skip
@@ -66,6 +66,7 @@ def detect_command(
         f"log        {account.length_mm / 1000:.1f} m; not seen {account.unseen_mm / 1000:.2f} m, "
         f"{grid.unread} rows without a reading, {grid.spikes} spikes left out"
     )
+    print(f"ends       the first and last {account.ends_mm / 1000:.2f} m are not judged")
     lift = "no pose in the log: lift-off stays in" if grid.lift_ff_mm is None else f"{grid.lift_ff_mm:.0f} fF a mm"
     print(f"lift-off   {lift}")
     for one in account.indications:

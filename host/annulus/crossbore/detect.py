@@ -23,6 +23,24 @@ from annulus.numeric.arrays import FloatArray
 from annulus.numeric.robust import robust_sigma
 
 UP_DEG = 270.0  # the obvert; angles run from the right over the invert, 90
+SMOOTH_MM = 15.0
+LOSS_SMOOTH_MM = 30.0
+BESIDE_MM = (225.0, 600.0)  # from a peak to what is beside any sewer, soil only
+BESIDE_LEAST = 10  # places: with fewer on one side nothing is judged
+ENDS_MM = BESIDE_MM[0] + BESIDE_LEAST * STEP_MM  # so the first and last of a log are not
+CLOSE_MM = (50.0, 200.0)  # beyond where it is half over: closer, where its own length is known
+UNEVEN_MM = 3000.0  # to either side: soil whose unevenness counts
+UNEVEN_FF = (3.0, 8.0)  # of one sector against the others, pose known and not: logs a2, a1
+LOSS_UNEVEN_FF = 1.0  # the same of its loss, smoothed
+SHAPE = 0.04  # of what air takes off: what the model of a sector's width leaves
+BEAD_FF = 25.0  # a bead of plastic inside stands so far over all three sectors
+MERGED_MM = 150.0
+CLOSE = round(CLOSE_MM[1] / STEP_MM)
+DRY = 0.75  # of the deepest: in soil that reads less than that over air, water stands out
+PART_UP_DEG = 15.0  # a level of water is horizontal: air within so much of straight up
+PART_BETA_DEG = (70.0, 110.0)
+PART_WET = 0.12  # of soil to air: a sector that rises by so much beside one that falls sees water
+PART_LOSS = 0.3  # of what soil loses: a sector that sees no air and loses so much less sees water
 
 
 class Kind(StrEnum):
@@ -89,34 +107,20 @@ class Indication:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Account:
-    """What was found, in order; how much of the log was seen; where water could have been told, mm of all."""
+    """What was found, in order; how much of the log was seen; where water could have been told, mm of all.
+
+    ends_mm : of either end, where nothing is judged, for want of what lies beyond.
+    """
 
     indications: list[Indication]
     length_mm: float
     unseen_mm: float
     water_told_mm: float
+    ends_mm: float = ENDS_MM
 
     @property
     def bores(self) -> list[Indication]:
         return [one for one in self.indications if one.kind in BORES]
-
-
-SMOOTH_MM = 15.0
-LOSS_SMOOTH_MM = 30.0
-BESIDE_MM = (225.0, 600.0)  # from a peak to what is beside any sewer, soil only
-CLOSE_MM = (50.0, 200.0)  # beyond where it is half over: closer, where its own length is known
-UNEVEN_MM = 3000.0  # to either side: soil whose unevenness counts
-UNEVEN_FF = (3.0, 8.0)  # of one sector against the others, pose known and not: logs a2, a1
-LOSS_UNEVEN_FF = 1.0  # the same of its loss, smoothed
-SHAPE = 0.04  # of what air takes off: what the model of a sector's width leaves
-BEAD_FF = 25.0  # a bead of plastic inside stands so far over all three sectors
-MERGED_MM = 150.0
-CLOSE = round(CLOSE_MM[1] / STEP_MM)
-DRY = 0.75  # of the deepest: in soil that reads less than that over air, water stands out
-PART_UP_DEG = 15.0  # a level of water is horizontal: air within so much of straight up
-PART_BETA_DEG = (70.0, 110.0)
-PART_WET = 0.12  # of soil to air: a sector that rises by so much beside one that falls sees water
-PART_LOSS = 0.3  # of what soil loses: a sector that sees no air and loses so much less sees water
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,6 +181,8 @@ def _places(line: FloatArray, sign: int, least: float) -> list[_Place]:
     found = []
     for i in peaks:
         wider = _medians(line, i - near, i + near, far - near)
+        if not math.isfinite(sum(wider)):
+            continue
         low, high = _half(line, int(i), sign, *wider)
         left, right = _medians(line, low - round(CLOSE_MM[0] / STEP_MM), high + round(CLOSE_MM[0] / STEP_MM), CLOSE)
         if not math.isfinite(left + right):
@@ -196,7 +202,7 @@ def _places(line: FloatArray, sign: int, least: float) -> list[_Place]:
 def _medians(line: FloatArray, before: int, after: int, count: int) -> tuple[float, float]:
     """Of `count` values before and after; NaN where the log ends."""
     left, right = line[max(before - count, 0) : max(before, 0)], line[after : after + count]
-    if min(len(left), len(right)) < 10:
+    if min(len(left), len(right)) < BESIDE_LEAST:
         return math.nan, math.nan
     return float(np.median(left)), float(np.median(right))
 

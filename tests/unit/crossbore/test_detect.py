@@ -58,6 +58,12 @@ def test_a_coupling_is_called_one_in_any_soil(eps: float, pose: bool) -> None:
     assert one.kind is Kind.COUPLING and one.odometer_mm == pytest.approx(3006, abs=15)
 
 
+def test_a_bore_at_the_end_of_a_log_is_not_judged_and_that_is_said() -> None:
+    account = found(replace(PLAIN, bores=(Bore(120.0, 101.0), Bore(3000.0, 101.0))))
+    assert [round(one.odometer_mm, -2) for one in account.bores] == [3000]
+    assert 120 < account.ends_mm < 400
+
+
 def test_hollows_and_beads_have_their_names() -> None:
     ground = replace(PLAIN, voids=((2000.0, 25.0, 100.0),), beads_mm=(4000.0,))
     kinds = [(one.kind, round(one.odometer_mm, -2)) for one in found(ground, 2).indications]
