@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from annulus.cli.joint import WALL_AGREES, app
+from annulus.cli.joint import WALL_AGREES, agree, app
 from annulus.cli.show import Json, progress
 from annulus.vocabulary import AnnulusError
 
@@ -208,11 +208,7 @@ def strip_command(
             found = strip(volume, progress=report)
         except AnnulusError as error:
             raise AnnulusError(str(error) if str(ct) in str(error) else f"{ct}: {error}") from None
-    if volume.wall_mm is not None and abs(found.wall_mm - volume.wall_mm) > WALL_AGREES * volume.wall_mm:
-        raise AnnulusError(
-            f"{ct}: the wall is {found.wall_mm:.2f} mm in the volume and {volume.wall_mm:g} mm in ct.json; is the "
-            f"voxel size of {' x '.join(f'{v:g}' for v in volume.voxel_mm)} mm right?"
-        )
+    agree(ct, volume, volume.wall_mm, found.wall_mm, "the wall", WALL_AGREES)
     told: dict[str, Any] = {
         "ct": str(ct), "voxel_mm": list(volume.voxel_mm), "W_mm": found.w_mm, "W_sigma_mm": found.w_sigma_mm,
         "T_mm": found.t_mm, "T_sigma_mm": found.t_sigma_mm, "wall_mm": found.wall_mm, "width_mm": found.width_mm,

@@ -17,6 +17,15 @@ DIAMETER_AGREES, WALL_AGREES = 0.03, 0.15  # of what ct.json says the pipe has
 TWIN_FEED_MM_MIN = 30_000.0  # a bench that nobody waits for
 
 
+def agree(ct: Path, volume: Any, said_mm: float | None, found_mm: float, what: str, part: float) -> None:
+    """AnnulusError where a length of the volume is further from what its ct.json says than that part of it."""
+    if said_mm is not None and abs(found_mm - said_mm) > part * said_mm:
+        raise AnnulusError(
+            f"{ct}: {what} is {found_mm:.2f} mm in the volume and {said_mm:g} mm in ct.json; is the voxel "
+            f"size of {' x '.join(f'{v:g}' for v in volume.voxel_mm)} mm right?"
+        )
+
+
 @app.command("image", epilog="Example: annulus joint image joint-7/ct.tif -o joint-7/result")
 def image_command(
     ct: Annotated[
@@ -54,11 +63,7 @@ def image_command(
         (volume.outer_diameter_mm, 2 * joint.found.radius_mm, "outer diameter", DIAMETER_AGREES),
         (volume.wall_mm, joint.found.wall_mm, "wall", WALL_AGREES),
     ):
-        if said is not None and abs(found - said) > part * said:
-            raise AnnulusError(
-                f"{ct}: the pipe's {name} is {found:.2f} mm in the volume and {said:g} mm in ct.json; is the voxel "
-                f"size of {' x '.join(f'{v:g}' for v in volume.voxel_mm)} mm right?"
-            )
+        agree(ct, volume, said, found, f"the pipe's {name}", part)
     told = summary(joint)
     named = features(joint)
     files = write_joint(out, named, maps(joint), told)

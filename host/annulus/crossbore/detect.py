@@ -150,7 +150,6 @@ def detect(grid: Grid, head: Head = HEAD, limits: Limits = LIMITS) -> Account:
     dips = [(one, _dip(grid, one, head, limits)) for one in _places(mean, -1, limits.least_ff)]
     found = [said for one, said in dips if said.kind is not Kind.UNKNOWN or _stands_out(one, limits)]
     found += [_rise(grid, one, head, limits) for one in _places(mean, 1, limits.least_ff) if _stands_out(one, limits)]
-    told = 0.0
     if grid.loss_ff is not None:
         loss = gaussian_filter1d(grid.loss_ff.mean(axis=1), LOSS_SMOOTH_MM / STEP_MM)
         found += [

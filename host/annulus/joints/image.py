@@ -11,7 +11,17 @@ from numpy.typing import NDArray
 from annulus.joints.density import air_level, density_map, relative_density, wall_samples
 from annulus.joints.find import Found, find
 from annulus.joints.flaws import Flaw, flaws_of
-from annulus.joints.surface import SMOOTH_MM, Bead, Sides, bead_of, edges, plain_planes, sides_of, smooth_round
+from annulus.joints.surface import (
+    SMOOTH_MM,
+    Bead,
+    Sides,
+    bead_of,
+    edges,
+    noise_along,
+    plain_planes,
+    sides_of,
+    smooth_round,
+)
 from annulus.joints.unwrap import Volume, planes
 from annulus.joints.zone import Zone, zone_of
 from annulus.numeric.arrays import BoolArray, FloatArray
@@ -77,8 +87,7 @@ class JointImage:
 
     def _noise(self, surface: FloatArray) -> float:
         smooth = smooth_round(np.nan_to_num(surface[self.plain]), _sigma_phi(self.found.radius_mm, len(self.phi)))
-        along = np.diff(smooth, 2, axis=0) / math.sqrt(6)
-        return 1.4826 * float(np.median(np.abs(along)))
+        return noise_along(smooth)
 
     @property
     def crest_mm(self) -> FloatArray:

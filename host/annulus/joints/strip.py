@@ -17,8 +17,8 @@ from annulus.joints.axis import Axis, fit_axis
 from annulus.joints.density import air_level, density_map, relative_density, wall_samples
 from annulus.joints.find import two_greys
 from annulus.joints.image import BEAD_MAX, HILO_LEFT, NOTCH_BLUR, UNEVEN, Parts, Progress, bead_over
-from annulus.joints.surface import edges, plain_planes, sides_of
-from annulus.joints.unwrap import Volume
+from annulus.joints.surface import edges, noise_along, plain_planes, sides_of
+from annulus.joints.unwrap import Volume, trilinear
 from annulus.joints.zone import zone_of
 from annulus.numeric.arrays import BoolArray, Float32Array, FloatArray
 from annulus.numeric.jit import jit
@@ -99,7 +99,7 @@ def strip(volume: Volume, parts: Parts = WHOLE, progress: Progress = lambda what
     fusion = np.array([np.nanmean(notches) if np.isfinite(notches).any() else joint])
     both = [bead_over(f, s, sign, z_mm, beads, voxel, fusion) for f, s, sign in zip(faces, sides, (1, -1), strict=True)]
     own = float(np.mean(sides[0].at_mm - sides[1].at_mm))
-    noise = math.hypot(*(_noise(face[plain]) for face in faces))
+    noise = math.hypot(*(noise_along(face[plain]) for face in faces))
     blur = math.sqrt(2) * NOTCH_BLUR * min(dz, own)
     left = HILO_LEFT * 0.5 * float(sides[0].hilo_mm[0] + sides[1].hilo_mm[0])
     zone = _zone(block, rho, z_mm, surface, plain, air_grey, joint, fusion, beads, own, voxel, parts)
@@ -115,7 +115,7 @@ def _zone(block: Float32Array, rho: FloatArray, z_mm: FloatArray, surface: list[
           parts: Parts) -> tuple[float, float, float, float]:  # fmt: skip
     """W, its sigma, drop, its sigma; NaN where no zone is told."""
     # The plain faces' own shape across the strip, straight along it.
-    low, high = (sides_of(face, z_mm, plain, joint, 0.0).along(z_mm) for face in (_even(surface[1]), _even(surface[0])))
+    low, high = (sides_of(face, z_mm, plain, joint, 0.0).along(z_mm) for face in (surface[1], surface[0]))
     walls = np.empty((*block.shape[:2], max(8, math.ceil(wall / voxel))), np.float32)
     wall_samples(block, rho, low, high, walls)
     reach = max(float(np.nanmax(surface[0])), -float(np.nanmin(surface[1])))
@@ -131,17 +131,6 @@ def _zone(block: Float32Array, rho: FloatArray, z_mm: FloatArray, surface: list[
     # angles tell together; from a strip they are noise: with a rim W came out up to 0.8 mm wide.
     zone, _ = zone_of(sound, None, np.zeros_like(sound), z_mm, fusion, beads, wall, voxel)
     return float(zone.width[0]), float(zone.width_sigma[0]), float(zone.drop[0]), float(zone.drop_sigma[0])
-
-
-def _even(face: FloatArray) -> FloatArray:
-    """Where a ray found no surface: what the others of its column found."""
-    usual = nan_median(face)
-    return np.where(np.isfinite(face), face, np.where(np.isfinite(usual), usual, float(np.nanmedian(usual))))
-
-
-def _noise(face: FloatArray) -> float:
-    along = np.diff(face[:, 0], 2) / math.sqrt(6)
-    return 1.4826 * float(np.nanmedian(np.abs(along)))
 
 
 def _looked(volume: Volume) -> FloatArray:
@@ -251,12 +240,4 @@ def _sample(slab, first, voxel, origin, through, wide, along, rho, aside, z, out
                     min(max(y, 0.0), rows - 1.001),
                     min(max(s, 0.0), depth - 1.001),
                 )
-                i0, j0, k0 = int(x), int(y), int(s)
-                fx, fy, fz = x - i0, y - j0, s - k0
-                low = (slab[k0, j0, i0] * (1 - fx) + slab[k0, j0, i0 + 1] * fx) * (1 - fy) + (
-                    slab[k0, j0 + 1, i0] * (1 - fx) + slab[k0, j0 + 1, i0 + 1] * fx
-                ) * fy
-                high = (slab[k0 + 1, j0, i0] * (1 - fx) + slab[k0 + 1, j0, i0 + 1] * fx) * (1 - fy) + (
-                    slab[k0 + 1, j0 + 1, i0] * (1 - fx) + slab[k0 + 1, j0 + 1, i0 + 1] * fx
-                ) * fy
-                out[p, j, k] = low * (1 - fz) + high * fz
+                out[p, j, k] = trilinear(slab, x, y, s)

@@ -144,6 +144,11 @@ def sides_of(surface: FloatArray, z_mm: FloatArray, plain: BoolArray, joint_mm: 
     return Sides(at, slope, sigma, joint_mm)
 
 
+def noise_along(rows: FloatArray) -> float:
+    """Of one place of a plain surface (Z, P), mm: from second differences along z, which no lean or taper is in."""
+    return 1.4826 * float(np.nanmedian(np.abs(np.diff(rows, 2, axis=0) / math.sqrt(6))))
+
+
 def _filled(rows: FloatArray) -> FloatArray:
     """NaN replaced by its column's median."""
     usual = nan_median(rows)

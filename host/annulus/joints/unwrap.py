@@ -44,6 +44,23 @@ class ArrayVolume:
 
 
 @jit
+def trilinear(slab, x, y, s):  # type: ignore[no-untyped-def]
+    """Grey at column x, row y, slice s of slab[slice, row, column], within it."""
+    depth, rows, columns = slab.shape
+    i0 = min(int(x), columns - 2)
+    j0 = min(int(y), rows - 2)
+    k0 = min(max(int(s), 0), depth - 2)
+    fx, fy, fz = x - i0, y - j0, s - k0
+    low = (slab[k0, j0, i0] * (1 - fx) + slab[k0, j0, i0 + 1] * fx) * (1 - fy) + (
+        slab[k0, j0 + 1, i0] * (1 - fx) + slab[k0, j0 + 1, i0 + 1] * fx
+    ) * fy
+    high = (slab[k0 + 1, j0, i0] * (1 - fx) + slab[k0 + 1, j0, i0 + 1] * fx) * (1 - fy) + (
+        slab[k0 + 1, j0 + 1, i0] * (1 - fx) + slab[k0 + 1, j0 + 1, i0 + 1] * fx
+    ) * fy
+    return low * (1 - fz) + high * fz
+
+
+@jit
 def _sample(slab, first, voxel, origin, across, down, along, cos, sin, rho, z, out):  # type: ignore[no-untyped-def]
     """out[plane, phi, rho] trilinear; NaN outside the slab. voxel, origin and directions in x, y, z; origin in mm."""
     depth, rows, columns = slab.shape
@@ -63,17 +80,7 @@ def _sample(slab, first, voxel, origin, across, down, along, cos, sin, rho, z, o
                 if not (0 <= x <= columns - 1 and 0 <= y <= rows - 1 and -1e-6 <= s <= depth - 1 + 1e-6):
                     out[p, j, k] = np.nan
                     continue
-                i0 = min(int(x), columns - 2)
-                j0 = min(int(y), rows - 2)
-                k0 = min(max(int(s), 0), depth - 2)
-                fx, fy, fz = x - i0, y - j0, s - k0
-                low = (slab[k0, j0, i0] * (1 - fx) + slab[k0, j0, i0 + 1] * fx) * (1 - fy) + (
-                    slab[k0, j0 + 1, i0] * (1 - fx) + slab[k0, j0 + 1, i0 + 1] * fx
-                ) * fy
-                high = (slab[k0 + 1, j0, i0] * (1 - fx) + slab[k0 + 1, j0, i0 + 1] * fx) * (1 - fy) + (
-                    slab[k0 + 1, j0 + 1, i0] * (1 - fx) + slab[k0 + 1, j0 + 1, i0 + 1] * fx
-                ) * fy
-                out[p, j, k] = low * (1 - fz) + high * fz
+                out[p, j, k] = trilinear(slab, x, y, s)
 
 
 def planes(

@@ -126,7 +126,7 @@ class I2cSensors:
     """A Sensor of the daemon: drivers read in turn, every `period_s`, in a thread of their own.
 
     A chip that does not answer costs its own samples: it is looked at again after BACK_OFF_S, set up anew, and its
-    samples carry how many faults it had. What nobody fetches is dropped, oldest first, and counted in `malformed`.
+    samples carry how many faults it had. What nobody fetches is dropped, oldest first, and counted in `dropped`.
     """
 
     def __init__(self, name: str, bus: Bus, readers: Sequence[Reader], period_s: float) -> None:

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
+from annulus.crossbore.grid import Log
 from annulus.numeric.arrays import FloatArray
 from annulus.vocabulary import AnnulusError
 
@@ -74,6 +75,14 @@ class Drawn:
     ground: Ground
     columns: dict[str, FloatArray]
     _course: tuple[FloatArray, FloatArray]
+
+    def rows(self) -> Log:
+        """The columns as a detector takes them."""
+        c = self.columns
+        loss = np.stack([c[f"loss{k}_ff"] for k in (1, 2, 3)], axis=1) if "loss1_ff" in c else None
+        off = np.stack([c["off_x_mm"], c["off_y_mm"]], axis=1) if "off_x_mm" in c else None
+        three = np.stack([c[f"c{k}_pf"] for k in (1, 2, 3)], axis=1)
+        return Log(c["t_s"], c["odometer_mm"], three, c["cref_pf"], c["roll_deg"], loss, off)
 
     def odometer_mm(self, place_mm: float) -> float:
         """What the odometer said where the head was there first."""

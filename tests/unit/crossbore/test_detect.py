@@ -12,7 +12,6 @@ from typer.testing import CliRunner
 
 from annulus.cli import app
 from annulus.crossbore import Account, Indication, Kind, Log, detect, on_grid
-from annulus.numeric.arrays import FloatArray
 from annulus.record.bore_log import read_bore_log
 from annulus.twin.capacitance import Bore, Drawn, Ground, log, some_ground, write
 from annulus.vocabulary import AnnulusError
@@ -20,16 +19,8 @@ from annulus.vocabulary import AnnulusError
 PLAIN = Ground(6000.0)
 
 
-def columns(drawn: Drawn) -> Log:
-    c: dict[str, FloatArray] = drawn.columns
-    three = np.stack([c[f"c{k}_pf"] for k in (1, 2, 3)], axis=1)
-    loss = np.stack([c[f"loss{k}_ff"] for k in (1, 2, 3)], axis=1) if "loss1_ff" in c else None
-    off = np.stack([c["off_x_mm"], c["off_y_mm"]], axis=1) if "off_x_mm" in c else None
-    return Log(c["t_s"], c["odometer_mm"], three, c["cref_pf"], c["roll_deg"], loss, off)
-
-
 def found(ground: Ground, seed: int = 1) -> Account:
-    return detect(on_grid(columns(log(ground, seed))))
+    return detect(on_grid(log(ground, seed).rows()))
 
 
 def only(ground: Ground, seed: int = 1) -> Indication:
@@ -83,7 +74,7 @@ def test_over_many_pipes_most_are_found_none_is_made_up_and_no_near_miss_reporte
     missed, count, false, off = 0, 0, 0, []
     for seed in range(100, 112):
         drawn = log(some_ground(20_000.0, seed, soils=(15.0, 22.0), pose=seed % 2 == 0), seed)
-        truth, account = drawn.truth(), detect(on_grid(columns(drawn)))
+        truth, account = drawn.truth(), detect(on_grid(drawn.rows()))
         places = [0.5 * (bore["odo0_mm"] + bore["odo1_mm"]) for bore in truth["bores"]]
         for bore, place in zip(truth["bores"], places, strict=True):
             near = [one for one in account.bores if abs(one.odometer_mm - place) < 150]
@@ -98,14 +89,14 @@ def test_over_many_pipes_most_are_found_none_is_made_up_and_no_near_miss_reporte
 
 def test_lift_off_comes_out_by_the_pose_and_a_hole_in_the_log_stays_one() -> None:
     drawn = log(replace(PLAIN, wander_mm=0.6, pose=True), 4)
-    with_pose = on_grid(columns(drawn))
-    without = on_grid(replace(columns(drawn), offset_mm=None))
+    with_pose = on_grid(drawn.rows())
+    without = on_grid(replace(drawn.rows(), offset_mm=None))
     assert with_pose.lift_ff_mm == pytest.approx(375 / 4.43, rel=0.15)
     assert np.std(with_pose.c_ff, axis=0).max() < 0.4 * np.std(without.c_ff, axis=0).max()
     drawn = log(replace(PLAIN, bores=(Bore(3000.0, 101.0),)), 5)
     gone = np.abs(drawn.columns["odometer_mm"] - 3006) < 250
     drawn = Drawn(drawn.ground, {name: c[~gone] for name, c in drawn.columns.items()}, drawn._course)
-    account = detect(on_grid(columns(drawn)))
+    account = detect(on_grid(drawn.rows()))
     assert account.unseen_mm == pytest.approx(450, abs=60) and not account.bores
 
 

@@ -1,13 +1,11 @@
 """The source's three pipes a thousand times, and pipes drawn by the twin; beside a threshold on any one sector."""
 
-from collections.abc import Sequence
-
 import numpy as np
 from scipy.ndimage import median_filter
 
-from annulus.crossbore import Kind, Log, detect, on_grid
+from annulus.crossbore import Kind, detect, on_grid
 from annulus.crossbore.grid import STEP_MM, Grid
-from annulus.twin.capacitance import Bore, Drawn, Ground, log, some_ground
+from annulus.twin.capacitance import Bore, Ground, log, some_ground
 from tools.bench.table import Row
 
 RUNS = 1000
@@ -36,7 +34,7 @@ def _thousand(pipe: str, offset: float, fill: str) -> Row:
     for seed in range(RUNS):
         phi = float(rng.uniform(-20, 200))  # not from straight above: that is a sewer half full
         bore = Bore(2000.0, 101.0, offset, phi, float(rng.uniform(60, 90)), fill)
-        grid = on_grid(columns(log(Ground(4000.0, bores=(bore,), uneven=0.06), seed)))
+        grid = on_grid(log(Ground(4000.0, bores=(bore,), uneven=0.06), seed).rows())
         bores = detect(grid).bores
         found += bool(bores)
         air += any(one.kind is Kind.AIR for one in bores)
@@ -62,7 +60,7 @@ def _drawn(pose: bool) -> list[Row]:
     for seed in range(SEED, SEED + PIPES):
         drawn = log(some_ground(30_000.0, seed, pose=pose, loss=pose), seed)
         truth = drawn.truth()
-        grid = on_grid(columns(drawn))
+        grid = on_grid(drawn.rows())
         account = detect(grid)
         metres += 30.0
         places = [(bore, 0.5 * (bore["odo0_mm"] + bore["odo1_mm"])) for bore in truth["bores"]]
@@ -95,20 +93,6 @@ def _drawn(pose: bool) -> list[Row]:
             f"{right} of {named}; {np.sqrt(np.mean(np.square(off))):.1f} mm",
         ),
     ]  # fmt: skip
-
-
-def columns(drawn: Drawn) -> Log:
-    c = drawn.columns
-
-    def of(names: Sequence[str]) -> np.ndarray | None:
-        return np.stack([c[name] for name in names], axis=1) if names[0] in c else None
-
-    three = of(("c1_pf", "c2_pf", "c3_pf"))
-    assert three is not None
-    return Log(
-        c["t_s"], c["odometer_mm"], three, c["cref_pf"], c["roll_deg"], of(("loss1_ff", "loss2_ff", "loss3_ff")),
-        of(("off_x_mm", "off_y_mm")),
-    )  # fmt: skip
 
 
 def _threshold(grid: Grid) -> list[float]:
