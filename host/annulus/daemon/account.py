@@ -52,6 +52,9 @@ LOSSES: Mapping[str, str] = {
     "cameras_replaced": "intakes of cameras that died or hung, and were started again",
     "sensor_silent": "times a sensor fell silent for over 2 s, or broke",
     "sensor_malformed": "what came from a sensor's address and was no sample",
+    "sensor_fault": "transfers of chips on I2C that were tried again or given up, brown-outs, tanks that stood still",
+    "sensor_dropped": "samples of chips on I2C that nobody fetched in time",
+    "supply_fault": "times a supply had too little voltage, drew too much, or a lamp drew nothing",
     "control_malformed": "what came to the control socket and was no request",
 }
 _RECONSTRUCTION = ("worker_busy", "worker_failed", "worker_died", "worker_late")

@@ -147,7 +147,7 @@ def _sensors(config: HeadConfig) -> str:
         sensors = open_sensors(config.sensors)
         for sensor in sensors:
             stack.callback(sensor.close)
-        silent = {number: config.sensors[number].device for number in range(len(sensors))}
+        silent = {number: sensor.name for number, sensor in enumerate(sensors)}
         spoke: set[str] = set()
         end = time.monotonic() + SENSOR_S
         while silent and time.monotonic() < end:

@@ -14,22 +14,32 @@ from annulus.daemon.camera_config import CAMERA_KINDS, CameraConfig, CameraKind
 from annulus.geometry.calibration import Calibration
 from annulus.record.calibration_file import load_calibration, load_part
 from annulus.rings.colour import ColourProfile
+from annulus.sensors.chips import CHIPS
+from annulus.sensors.i2c import bus_number
 from annulus.sensors.odometer import MAX_SPEED_MM_S
+from annulus.sensors.remote import NAME
 from annulus.stream.access import Keys
 from annulus.stream.frames import CAMERAS_MAX
 from annulus.untrusted import TOML_MAX, parse_toml, read_file, shown
 from annulus.vocabulary import AnnulusError
 
-SENSOR_KINDS = ("remote",)
+SENSOR_KINDS = ("remote", *CHIPS)
 COLOUR_MAKER = "annulus calibrate colour"
 HOST_TIMEOUT_LEAST_MS = max(HOST_TIMEOUT_MIN_MS, 200)  # twice what lies between two words of the daemon, PING_NS
+PERIOD_MS = 25.0  # of the chips of a bus
 SLOTS = 24  # in shared memory, for a head of one camera
 
 
 @dataclass(frozen=True, slots=True)
 class SensorConfig:
+    """device : the address, or the I2C bus. The rest is of a chip: one of sensors.chips, its own settings in theirs."""
+
     kind: str
-    device: str  # the address
+    device: str
+    name: str = ""
+    address: int = 0
+    period_ms: float = PERIOD_MS
+    settings: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +163,14 @@ _SECTIONS: Mapping[str, tuple[str, ...]] = {
     "job": JOB,
     "publish": ("address", "key_file", "viewers"),
     "control": ("address", "key_file", "viewers", "autostart"),
-    "sensor": ("kind", "device"),
+    "sensor": (
+        "kind",
+        "device",
+        "name",
+        "address",
+        "period_ms",
+        *sorted({name for chip in CHIPS.values() for name in chip.settings}),
+    ),
     "workers": ("count", "slots"),
     "log": ("file", "max_mb", "keep"),
     "daemon": ("realtime",),
@@ -199,7 +216,7 @@ def _checked(data: Mapping[str, Any], folder: Path) -> HeadConfig:
         publish=_socket(data, "publish", folder),
         control=_socket(data, "control", folder),
         autostart=_flag(control, "control", "autostart", True),
-        sensors=tuple(_sensor(content) for content in _several(data, "sensor")),
+        sensors=_sensors(data),
         workers=_whole(workers, "workers", "count", 1, 1, 64) if "count" in workers else None,
         slots=_whole(workers, "workers", "slots", SLOTS * len(cameras), 4, 1024),
         log=_log(data["log"], folder) if "log" in data else None,
@@ -330,7 +347,41 @@ def _sensor(content: Mapping[str, Any]) -> SensorConfig:
         raise ValueError(f"[sensor] kind is {kind!r}, expected one of {', '.join(SENSOR_KINDS)}")
     if "device" not in content:
         raise ValueError("[sensor] device is missing, expected the address of the sensor")
-    return SensorConfig(kind, _text(content, "sensor", "device", ""))
+    device = _text(content, "sensor", "device", "")
+    chip = CHIPS.get(kind)
+    own = ("name", "address", "period_ms", *chip.settings) if chip is not None else ()
+    strange = [key for key in content if key not in ("kind", "device", *own)]
+    if strange:
+        raise ValueError(
+            f"[sensor] {strange[0]} does not go with kind {kind!r}, expected device {' '.join(own)}".strip()
+        )
+    if chip is None:
+        return SensorConfig(kind, device)
+    try:
+        bus_number(device)
+    except AnnulusError as error:
+        raise ValueError(f"[sensor] device is {error}") from None
+    name = _text(content, "sensor", "name", chip.name)
+    if not NAME.fullmatch(name):
+        raise ValueError(f"[sensor] name is {name!r}, expected letters, digits, . _ -, at most 32")
+    told = {key: _number(content, "sensor", key, 0.0, *chip.settings[key]) for key in chip.settings if key in content}
+    period = _number(content, "sensor", "period_ms", PERIOD_MS, 5.0, 10_000.0)
+    return SensorConfig(
+        kind, device, name, _whole(content, "sensor", "address", chip.address, 0x03, 0x77), period, told
+    )
+
+
+def _sensors(data: Mapping[str, Any]) -> tuple[SensorConfig, ...]:
+    sensors = tuple(_sensor(content) for content in _several(data, "sensor"))
+    chips = [one for one in sensors if one.kind in CHIPS]
+    for what, taken in (
+        ("name", [one.name for one in chips]),
+        ("address", [f"0x{one.address:02x} on {one.device}" for one in chips]),
+    ):
+        twice = [one for one in taken if taken.count(one) > 1]
+        if twice:
+            raise ValueError(f"[sensor] {what} {twice[0]} is there twice, expected one a chip")
+    return sensors
 
 
 def _socket(data: Mapping[str, Any], section: str, folder: Path) -> SocketConfig | None:

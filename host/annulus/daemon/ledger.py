@@ -25,6 +25,7 @@ NO_FRAMES = (
     "camera_missing",
     "recorder_notes", "publisher_notes", "workers_replaced", "recorders_replaced", "publishers_replaced", "edge_events",
     "line_broken", "camera_silent", "camera_gone", "cameras_replaced", "sensor_silent", "sensor_malformed",
+    "sensor_fault", "sensor_dropped", "supply_fault",
     "control_malformed",
 )  # fmt: skip
 

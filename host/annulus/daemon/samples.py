@@ -9,6 +9,8 @@ from annulus.daemon.account import Account
 from annulus.daemon.config import SensorConfig
 from annulus.daemon.observer import Observer
 from annulus.labelling.navigation import Navigation
+from annulus.sensors.chips import CHIPS
+from annulus.sensors.i2c import I2cSensors, bus_number, open_bus
 from annulus.sensors.odometer import Place
 from annulus.sensors.remote import RemoteSensors
 from annulus.sensors.sample import Sample, Sensor
@@ -16,11 +18,32 @@ from annulus.vocabulary import AnnulusError
 
 SILENT_NS = 2_000_000_000
 RETRY_NS = 1_000_000_000  # between two looks at a sensor that broke
+WRONG = {"undervoltage", "overcurrent", "draws_nothing"}  # what a supply's sample may say beside its numbers
+WRONG_READINGS = 3  # in a row, before it is said: lamps have been armed before their first flash
 
 
 def open_sensors(wanted: Sequence[SensorConfig]) -> list[Sensor]:
-    """Raises AnnulusError when an address is none; whether anybody speaks there is seen later."""
-    return [RemoteSensors(sensor.device) for sensor in wanted]
+    """Raises AnnulusError when an address or a bus is none; whether anybody speaks there is seen later.
+
+    Chips of one bus are one sensor here: one thread asks them in turn, as often as the most eager of them wants.
+    """
+    opened: list[Sensor] = [RemoteSensors(sensor.device) for sensor in wanted if sensor.kind not in CHIPS]
+    buses: dict[str, list[SensorConfig]] = {}
+    for sensor in wanted:
+        if sensor.kind in CHIPS:
+            buses.setdefault(sensor.device, []).append(sensor)
+    try:
+        for device, chips in buses.items():
+            bus = open_bus(bus_number(device))
+            readers = [CHIPS[one.kind].build(bus, one.address, one.name, one.settings) for one in chips]
+            on_bus = I2cSensors(device, bus, readers, 1e-3 * min(one.period_ms for one in chips))
+            on_bus.start()
+            opened.append(on_bus)
+    except AnnulusError:
+        for one in opened:
+            one.close()
+        raise
+    return opened
 
 
 class Samples:
@@ -33,12 +56,15 @@ class Samples:
         self._spoken: set[str] = set()  # sensors that have given a sample
         self._silent: set[str] = set()
         self._broken: dict[str, int] = {}  # name -> when it is looked at again
-        self._malformed = 0
+        self._malformed = self._faults = self._dropped = 0
+        self._wrong: dict[tuple[str, str], int] = {}  # of a supply, by sensor and name: how many readings in a row
 
-    def poll(self, now_ns: int | None = None) -> None:
-        """One look at every sensor."""
+    def poll(self, now_ns: int | None = None, lit: bool = False) -> None:
+        """One look at every sensor. lit : whether the lamps flash, so that one that draws nothing is seen."""
         now = time.monotonic_ns() if now_ns is None else now_ns
         for sensor in self._sensors:
+            if isinstance(sensor, I2cSensors):
+                sensor.lit = lit
             if now < self._broken.get(sensor.name, 0):
                 continue
             try:
@@ -73,6 +99,11 @@ class Samples:
         malformed = sum(getattr(sensor, "malformed", 0) for sensor in self._sensors)
         self._account.lose("sensor_malformed", malformed - self._malformed)
         self._malformed = malformed
+        on_buses = [sensor for sensor in self._sensors if isinstance(sensor, I2cSensors)]
+        faults, dropped = sum(one.faults for one in on_buses), sum(one.dropped for one in on_buses)
+        self._account.lose("sensor_fault", faults - self._faults)
+        self._account.lose("sensor_dropped", dropped - self._dropped)
+        self._faults, self._dropped = faults, dropped
 
     def numbers(self) -> Mapping[str, Any]:
         """For the telemetry: the last values, by sensor; what is no number is None."""
@@ -91,6 +122,14 @@ class Samples:
         self._account.samples[sample.sensor] += 1
         self._navigation.sampled(sample)
         self._observer.sample(sample)
+        for name in WRONG & sample.values.keys():
+            key = sample.sensor, name
+            self._wrong[key] = self._wrong.get(key, 0) + 1 if sample.values[name] > 0 else 0
+            if self._wrong[key] == WRONG_READINGS:
+                self._account.lose("supply_fault")
+                volts, amperes = (sample.values.get(unit, math.nan) for unit in ("voltage_v", "current_a"))
+                text = f"{sample.sensor}: {name.replace('_', ' ')}, {volts:.2f} V, {1000 * amperes:.0f} mA"
+                self._observer.event("sensor", text)
 
 
 def place_numbers(here: Place | None) -> dict[str, Any]:

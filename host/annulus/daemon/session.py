@@ -369,7 +369,7 @@ class Session:
 
     def _do_chores(self, now: float) -> None:
         """What can wait for some turns."""
-        self._samples.poll(time.monotonic_ns())
+        self._samples.poll(time.monotonic_ns(), lit=self._line is not None and self._state is State.SCANNING)
         self._watch()
         power = self._power
         if power is not None:

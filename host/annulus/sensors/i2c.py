@@ -6,6 +6,7 @@ daemon's own loop: `I2cSensors` asks in a thread of its own and `poll` hands out
 """
 
 import contextlib
+import math
 import threading
 import time
 from collections import Counter, deque
@@ -13,6 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol, TypeVar
 
 from annulus.sensors.sample import Sample
+from annulus.untrusted import shown
 from annulus.vocabulary import AnnulusError
 
 T = TypeVar("T")
@@ -40,6 +42,14 @@ class Bus(Protocol):
     def close(self) -> None: ...
 
 
+def bus_number(device: str) -> int:
+    """Of /dev/i2c-1, or 1. AnnulusError for anything else."""
+    number = device.removeprefix("/dev/i2c-")
+    if not (number.isascii() and number.isdigit() and len(number) < 4):
+        raise AnnulusError(f"{shown(device)}: no I2C bus, expected /dev/i2c-1 or the like")
+    return int(number)
+
+
 def open_bus(number: int) -> Bus:
     """/dev/i2c-<number>. AnnulusError in one line where it cannot be had."""
     try:
@@ -56,13 +66,18 @@ def open_bus(number: int) -> Bus:
 
 
 class Chip:
-    """One address on a bus. `faults` counts by reason: retried, no answer, brown-out, stale."""
+    """One address on a bus. `faults` counts by reason: retried, no answer, brown-out, stale.
+
+    lit : whether the head's lamps flash, head_c : its temperature; for a chip that judges by them.
+    """
 
     name = "chip"
 
     def __init__(self, bus: Bus, address: int) -> None:
         self.bus, self.address = bus, address
         self.faults: Counter[str] = Counter()
+        self.lit = False
+        self.head_c = math.nan
 
     def read(self, register: int) -> int:
         """A 16-bit register."""
@@ -115,6 +130,8 @@ class Reader(Protocol):
 
     name: str
     faults: Counter[str]
+    lit: bool
+    head_c: float
 
     def set_up(self) -> None: ...
 
@@ -132,6 +149,8 @@ class I2cSensors:
     def __init__(self, name: str, bus: Bus, readers: Sequence[Reader], period_s: float) -> None:
         self.name = name
         self.dropped = 0
+        self.lit = False  # whether the head's lamps flash; whoever lights them says so
+        self._head_c = math.nan
         self._bus, self._readers, self._period = bus, list(readers), period_s
         self._samples: deque[Sample] = deque(maxlen=SAMPLES_KEPT)
         self._gone: dict[str, tuple[float, str]] = {}  # by reader: when it is looked at again, why it is gone
@@ -150,6 +169,7 @@ class I2cSensors:
             again, _ = self._gone.get(reader.name, (0.0, ""))
             if now_s < again:
                 continue
+            reader.lit, reader.head_c = self.lit, self._head_c
             try:
                 if reader.name not in self._ready:
                     reader.set_up()
@@ -163,6 +183,7 @@ class I2cSensors:
             self._told.discard(reader.name)
             if len(self._samples) == SAMPLES_KEPT:
                 self.dropped += 1
+            self._head_c = values.get("temperature_c", self._head_c)
             faults = float(sum(reader.faults.values()))
             self._samples.append(Sample(reader.name, host_ns, {**values, "faults": faults}, {**units, "faults": "1"}))
 
@@ -178,6 +199,11 @@ class I2cSensors:
                     raise I2cError(why)
         return samples
 
+    @property
+    def faults(self) -> int:
+        """Of all its chips, retries and brown-outs too."""
+        return sum(sum(reader.faults.values()) for reader in self._readers)
+
     def close(self) -> None:
         self._stop.set()
         if self._thread is not None:
@@ -186,8 +212,10 @@ class I2cSensors:
             self._bus.close()
 
     def _run(self) -> None:
-        while not self._stop.wait(self._period):
+        due = time.monotonic()
+        while not self._stop.wait(max(due - time.monotonic(), 0.0)):
             self.step(time.monotonic(), time.monotonic_ns())
+            due = max(due + self._period, time.monotonic())
 
 
 def _swapped(word: Any) -> int:

@@ -1,6 +1,7 @@
 """INA226: volts and amperes of the head's supply, or of a lamp's rail. 16-bit registers, 2.5 uV and 1.25 mV a count.
 
-What is wrong is told beside the numbers: undervoltage, overcurrent, a lamp that draws nothing while it should.
+What is wrong is told beside the numbers: undervoltage, overcurrent, a lamp that draws nothing while it should. What it
+may draw is less in a hot head: the limit falls with the head's temperature, and is told, too.
 """
 
 import math
@@ -17,12 +18,21 @@ SHUNT_UV, VOLTS_MV = 2.5, 1.25  # a count
 
 @dataclass(frozen=True, slots=True)
 class Rail:
-    """shunt_mohm : between its sense pins. The rest is what counts as wrong; draws_ma : least that a lamp lit draws."""
+    """shunt_mohm : between its sense pins. The rest is what counts as wrong; draws_ma : the least that its lamps draw
+    in the mean while they flash. Above derated_from_c most_a falls by derated_a_per_k.
+    """
 
     shunt_mohm: float = 10.0
     least_v: float = 4.75
     most_a: float = 3.0
     draws_ma: float = math.nan  # no lamp
+    derated_from_c: float = 60.0
+    derated_a_per_k: float = 0.0
+
+    def limit_a(self, head_c: float) -> float:
+        """The most it may draw in a head so warm; of one whose temperature nobody told, all of it."""
+        over = max(head_c - self.derated_from_c, 0.0) if math.isfinite(head_c) else 0.0
+        return max(self.most_a - self.derated_a_per_k * over, 0.0)
 
     @property
     def calibration(self) -> int:
@@ -34,12 +44,11 @@ RAIL = Rail()
 
 
 class Ina226(Chip):
-    """`lit` says whether the lamp behind it should draw; None where there is none."""
+    """Needs `lit` and `head_c` of Chip to say what a lamp should draw, and may."""
 
     def __init__(self, bus: Bus, address: int = 0x40, rail: Rail = RAIL, name: str = "supply") -> None:
         super().__init__(bus, address)
         self.name, self._rail = name, rail
-        self.lit: bool | None = None
 
     def set_up(self) -> None:
         self.identify(IDENTITY)
@@ -54,10 +63,12 @@ class Ina226(Chip):
         amperes = (raw - (raw >> 15 << 16)) * SHUNT_UV * 1e-3 / self._rail.shunt_mohm
         volts = (self.read(VOLTS) & 0x7FFF) * VOLTS_MV * 1e-3
         dark = bool(self.lit) and 1000 * amperes < self._rail.draws_ma
+        limit = self._rail.limit_a(self.head_c)
         wrong = {
             "undervoltage": volts < self._rail.least_v,
-            "overcurrent": abs(amperes) > self._rail.most_a,
+            "overcurrent": abs(amperes) > limit,
             "draws_nothing": dark,
         }
-        numbers = {"voltage_v": volts, "current_a": amperes, **{name: float(is_so) for name, is_so in wrong.items()}}
-        return numbers, {"voltage_v": "V", "current_a": "A", **dict.fromkeys(wrong, "1")}
+        said = {"voltage_v": volts, "current_a": amperes, "current_limit_a": limit}
+        units = {"voltage_v": "V", "current_a": "A", "current_limit_a": "A"}
+        return said | {name: float(is_so) for name, is_so in wrong.items()}, units | dict.fromkeys(wrong, "1")

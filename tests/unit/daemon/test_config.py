@@ -65,7 +65,10 @@ def test_the_example_in_the_readme_is_valid(tmp_path: Path) -> None:
     assert config.publish is not None and config.publish.keys is not None
     assert secret not in json.dumps(config.to_dict())
     assert config.control == SocketConfig("tcp://127.0.0.1:5602") and config.autostart
-    assert config.sensors == (SensorConfig("remote", "ipc:///run/head/sensors"),)
+    assert config.sensors[0] == SensorConfig("remote", "ipc:///run/head/sensors")
+    assert [(one.kind, one.name) for one in config.sensors[1:]] == [
+        ("fdc2214", "capacitance"), ("ina226", "supply"), ("mpu6050", "imu"),
+    ]  # fmt: skip
     assert config.cameras == (CameraConfig(colour_gains=(1.9, 1.6)),)
     assert config.record == RecordConfig() and config.realtime is None
     assert config.log == LogConfig(tmp_path / "head.log")
@@ -130,6 +133,13 @@ def test_an_empty_file_is_a_camera_without_a_controller(tmp_path: Path) -> None:
         ('[controller]\nport = "x"\n[[camera]]\n[[camera]]\nreadout_us = 36000', "leaves the window"),
         ('[[sensor]]\nkind = "thermometer"', "thermometer"),
         ("[[sensor]]", "device is missing"),
+        ('[[sensor]]\nkind = "ina226"\ndevice = "/dev/spi0"', "no I2C bus"),
+        ('[[sensor]]\nkind = "remote"\ndevice = "ipc://@x"\naddress = 3', "address does not go with kind 'remote'"),
+        ('[[sensor]]\nkind = "mpu6050"\ndevice = "/dev/i2c-1"\nshunt_mohm = 3.0', "does not go with kind 'mpu6050'"),
+        ('[[sensor]]\nkind = "ina226"\ndevice = "/dev/i2c-1"\naddress = 200', "address is 200"),
+        ('[[sensor]]\nkind = "ina226"\ndevice = "/dev/i2c-1"\nname = "a b"', "name is 'a b'"),
+        ('[[sensor]]\nkind = "ina226"\ndevice = "/dev/i2c-1"\nshunt_mohm = 0.0', "shunt_mohm is 0"),
+        (2 * '[[sensor]]\nkind = "ina226"\ndevice = "/dev/i2c-1"\n', "name supply is there twice"),
         ("[control]\nautostart = false", "nobody could start"),
         ("[control]\nautostart = 1", "true or false"),
         ('[calibration]\nfile = "crop.json"', "sensor_crop"),
@@ -203,3 +213,24 @@ def test_the_calibrations_field_of_view_is_asked_of_the_camera(tmp_path: Path) -
     assert [camera.sensor_crop for camera in config.cameras] == [tuple(field)]
     assert config.calibration is not None
     assert config.calibration.to_dict()["camera"]["sensor_crop"] == field
+
+
+def test_chips_on_a_bus_are_told_their_own_and_keep_their_usual(tmp_path: Path) -> None:
+    text = """
+[[sensor]]
+kind = "fdc2214"
+device = "/dev/i2c-1"
+adc_address = 0x48
+inductance_uh = 22.0
+period_ms = 20
+[[sensor]]
+kind = "ina226"
+device = "/dev/i2c-1"
+name = "lamps"
+address = 0x41
+draws_ma = 50.0
+"""
+    sectors, lamps = load_config(write(tmp_path, text)).sensors
+    assert (sectors.name, sectors.address, sectors.period_ms) == ("capacitance", 0x2A, 20.0)
+    assert sectors.settings == {"adc_address": 0x48, "inductance_uh": 22.0}
+    assert (lamps.name, lamps.address, lamps.period_ms, lamps.settings) == ("lamps", 0x41, 25.0, {"draws_ma": 50.0})

@@ -1,10 +1,19 @@
 """Promises about sensors: a dead one is noticed, counted and said, and nothing waits for it."""
 
+import errno
+
+import pytest
+
+from annulus.daemon import samples
 from annulus.daemon.account import Account
+from annulus.daemon.config import SensorConfig
 from annulus.daemon.observer import Observer
-from annulus.daemon.samples import RETRY_NS, SILENT_NS, Samples
+from annulus.daemon.samples import RETRY_NS, SILENT_NS, Samples, open_sensors
 from annulus.labelling.navigation import Navigation
+from annulus.sensors.fdc2214 import Tank
+from annulus.sensors.i2c import I2cSensors
 from annulus.sensors.sample import Sample
+from annulus.twin.i2c_chips import TwinBus, ads1115, fdc2214, ina226, mpu6050
 from annulus.vocabulary import AnnulusError
 
 S = 1_000_000_000
@@ -40,10 +49,10 @@ class Listener(Observer):
 
 
 class Rig:
-    def __init__(self, *names: str) -> None:
+    def __init__(self, *names: str, on_bus: I2cSensors | None = None) -> None:
         self.sensors = [Scripted(name) for name in names]
         self.account, self.heard, self.navigation = Account(), Listener(), Navigation(0.05)
-        self.samples = Samples(self.sensors, self.navigation, self.account, self.heard)
+        self.samples = Samples(self.sensors if on_bus is None else [on_bus], self.navigation, self.account, self.heard)
 
     def poll(self, now_ns: int, *values: tuple[str, float], sensor: int = 0) -> None:
         if values:
@@ -114,3 +123,90 @@ def test_whoever_gives_roll_in_degrees_is_the_attitude_sensor() -> None:
     ]
     rig.samples.poll(2)
     assert rig.navigation.roll.at(2) == 3.0
+
+
+PLAYS = {
+    "voltage_v": 5.0, "current_a": 0.4, "x_g": 0.5, "y_g": -0.866, "z_g": 0.0, "temperature_c": 21.0,
+    "c1_pf": 4.8, "c2_pf": 4.85, "c3_pf": 4.57, "cref_pf": 4.7, "loss1_ff": 20.0, "loss2_ff": 0.0, "loss3_ff": 30.0,
+}  # fmt: skip
+
+
+def head_on_i2c(monkeypatch: pytest.MonkeyPatch) -> tuple[TwinBus, dict[str, float], Rig, I2cSensors]:
+    """A supply with lamps, an IMU and three sectors on the twin's bus, opened as head.toml names them."""
+    plays = dict(PLAYS)
+    bus = TwinBus({0x40: ina226(plays, 10.0), 0x68: mpu6050(plays), 0x2A: fdc2214(plays, Tank()),
+                   0x48: ads1115(plays, Tank())})  # fmt: skip
+    monkeypatch.setattr(samples, "open_bus", lambda number: bus)
+    monkeypatch.setattr(I2cSensors, "start", lambda self: None)  # the test takes its steps
+    rail = {"draws_ma": 50.0, "most_a": 1.0, "derated_from_c": 40.0, "derated_a_per_k": 0.02}
+    (on_bus,) = open_sensors((
+        SensorConfig("ina226", "/dev/i2c-1", "supply", 0x40, 25.0, rail),
+        SensorConfig("fdc2214", "/dev/i2c-1", "capacitance", 0x2A, 25.0, {"adc_address": 0x48}),
+        SensorConfig("mpu6050", "/dev/i2c-1", "imu", 0x68),
+    ))  # fmt: skip
+    assert isinstance(on_bus, I2cSensors)
+    return bus, plays, Rig(on_bus=on_bus), on_bus
+
+
+def test_chips_of_head_toml_give_samples_and_their_roll_is_the_heads(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, _, rig, on_bus = head_on_i2c(monkeypatch)
+    on_bus.step(0.0, S)
+    rig.samples.poll(S)
+    said = {sample.sensor: sample for sample in rig.heard.samples}
+    assert set(said) == {"supply", "capacitance", "imu"}
+    assert said["capacitance"].values["c2_pf"] == pytest.approx(4.85, abs=1e-5)
+    assert said["capacitance"].values["loss3_ff"] == pytest.approx(30.0, abs=0.5)
+    assert said["imu"].values["roll_deg"] == pytest.approx(-30.0, abs=0.1)
+    assert not rig.account.drops and not rig.heard.told
+
+
+def test_a_lamp_that_draws_nothing_and_a_limit_that_falls_with_heat_are_said_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    _, plays, rig, on_bus = head_on_i2c(monkeypatch)
+    now = 0
+
+    def readings(count: int, lit: bool) -> None:
+        nonlocal now
+        for _ in range(count):
+            now += 1
+            rig.samples.poll(now * S // 40, lit)
+            on_bus.step(now / 40, now * S // 40)
+        rig.samples.poll(now * S // 40, lit)
+
+    plays["current_a"] = 0.002
+    readings(10, lit=False)
+    assert not rig.heard.told
+    readings(10, lit=True)
+    assert rig.heard.told == ["supply: draws nothing, 5.00 V, 2 mA"]
+    plays["current_a"] = 0.8
+    readings(10, lit=True)
+    assert rig.account.drops == {"supply_fault": 1}
+    plays["temperature_c"] = 60.0  # 0.6 A are left of the 1 A
+    readings(10, lit=True)
+    assert rig.heard.told[1:] == ["supply: overcurrent, 5.00 V, 800 mA"]
+    plays.update(temperature_c=20.0, voltage_v=4.2)
+    readings(10, lit=True)
+    assert rig.heard.told[2:] == ["supply: undervoltage, 4.20 V, 800 mA"]
+
+
+def test_faults_of_a_bus_are_counted_and_a_stuck_one_is_said_and_comes_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    bus, _, rig, on_bus = head_on_i2c(monkeypatch)
+    bus.faults = [errno.EREMOTEIO] * 2
+    on_bus.step(0.0, S)
+    rig.samples.poll(S)
+    assert rig.account.drops == {"sensor_fault": 2} and not rig.heard.told
+    bus.stuck = True
+    on_bus.step(1.0, 2 * S)
+    rig.samples.poll(2 * S)
+    assert "not answered" in rig.heard.told[0] and rig.account.drops["sensor_silent"] == 1
+    bus.stuck = False
+    on_bus.step(3.0, 4 * S)
+    rig.samples.poll(4 * S)
+    assert rig.heard.told[-1].endswith("can be read again")
+    assert rig.heard.samples[-1].host_ns == 4 * S
+
+
+def test_a_bus_that_is_none_is_one_line() -> None:
+    with pytest.raises(AnnulusError, match="/dev/i2c-199: cannot be opened"):
+        open_sensors((SensorConfig("mpu6050", "/dev/i2c-199", "imu", 0x68),))
