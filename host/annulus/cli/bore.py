@@ -27,6 +27,9 @@ def detect_command(
     coupling_ff: Annotated[
         float | None, typer.Option(min=1, max=10_000, help="What a coupling takes off each sector of this head, fF.")
     ] = None,
+    joint_mm: Annotated[
+        list[float] | None, typer.Option(help="Where the ring sensor saw a joint, by the log's odometer, mm; again.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Where a log shows a sewer: air, water or half of each, with direction and length; and what else stands out.
@@ -36,7 +39,7 @@ def detect_command(
     """
     from dataclasses import replace
 
-    from annulus.crossbore import Head, Log, detect, on_grid
+    from annulus.crossbore import Head, Log, detect, likely, on_grid
     from annulus.record.bore_log import read_bore_log
     from annulus.report.bore import clock, write_bores
 
@@ -48,7 +51,7 @@ def detect_command(
     rows = Log(*read_bore_log(log))
     try:
         grid = on_grid(rows)
-        account = detect(grid, head)
+        account = detect(grid, head, joints_mm=joint_mm or ())
     except AnnulusError as error:
         raise AnnulusError(f"{log}: {error}") from None
     bores = [_told(one) for one in account.bores]
@@ -70,10 +73,11 @@ def detect_command(
     lift = "no pose in the log: lift-off stays in" if grid.lift_ff_mm is None else f"{grid.lift_ff_mm:.0f} fF a mm"
     print(f"lift-off   {lift}")
     for one in account.indications:
+        sure = f", {100 * likely(one):.0f} %" if one.odds else ""
         way = "all round" if not math.isfinite(one.phi_deg) else (
             f"{one.phi_deg:.0f} deg ({clock(one.phi_deg)}), k=2 {2 * one.phi_sigma_deg:.0f} deg"
         )  # fmt: skip
-        print(f"{one.kind:<10} at {one.odometer_mm / 1000:.3f} m, {one.extent_mm:.0f} mm long, {way}")
+        print(f"{one.kind:<10} at {one.odometer_mm / 1000:.3f} m, {one.extent_mm:.0f} mm long, {way}{sure}")
     if not account.bores:
         print("bores      none of those that can be told here")
     blind = account.length_mm - account.water_told_mm
@@ -165,6 +169,8 @@ def _told(one: Any) -> dict[str, Any]:
     }  # fmt: skip
     if math.isfinite(one.phi_deg):
         said |= {"phi_deg": round(one.phi_deg, 1), "phi_sigma_deg": round(one.phi_sigma_deg, 1)}
+    if one.odds:
+        said["odds"] = {fate: round(value, 4) for fate, value in one.odds.items()}
     if math.isfinite(one.loss_ff):
         said["loss_ff"] = round(one.loss_ff, 1)
     return said

@@ -11,7 +11,8 @@ much of its own width that covers. Three readings give both, and how well.
 """
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 import numpy as np
@@ -19,6 +20,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
 from annulus.crossbore.grid import SECTORS, STEP_MM, Grid
+from annulus.crossbore.odds import odds
 from annulus.numeric.arrays import FloatArray
 from annulus.numeric.robust import robust_sigma
 
@@ -35,6 +37,7 @@ LOSS_UNEVEN_FF = 1.0  # the same of its loss, smoothed
 SHAPE = 0.04  # of what air takes off: what the model of a sector's width leaves
 BEAD_FF = 25.0  # a bead of plastic inside stands so far over all three sectors
 MERGED_MM = 150.0
+JOINT_MM = 60.0  # of a joint's place, half a coupling: sectors and rings are not at one place along the head
 CLOSE = round(CLOSE_MM[1] / STEP_MM)
 DRY = 0.75  # of the deepest: in soil that reads less than that over air, water stands out
 PART_UP_DEG = 15.0  # a level of water is horizontal: air within so much of straight up
@@ -93,7 +96,10 @@ HEAD, LIMITS = Head(), Limits()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Indication:
-    """One place. phi_deg is NaN where it is alike all round or not told; change_ff (3,) over what is beside it."""
+    """One place. phi_deg is NaN where it is alike all round or not told; change_ff (3,) over what is beside it.
+
+    arc_deg : how much of the circumference it has, about phi. odds : of what it may be, see `crossbore.odds`.
+    """
 
     odometer_mm: float
     kind: Kind
@@ -103,6 +109,8 @@ class Indication:
     change_ff: FloatArray = field(repr=False)
     part: float = math.nan  # of soil to air, the strongest sector
     loss_ff: float = math.nan
+    arc_deg: float = 360.0
+    odds: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,8 +152,17 @@ class _Place:
         return (self.high - self.low) * STEP_MM
 
 
-def detect(grid: Grid, head: Head = HEAD, limits: Limits = LIMITS) -> Account:
-    """What lies along a log. Nothing is said of stretches that were not seen."""
+def likely(one: Indication) -> float:
+    """Probability of what it is called, 0..1; for what is no bore, that no sewer is there. NaN where nobody counted."""
+    return one.odds.get(str(one.kind) if one.kind in BORES else "soil", math.nan)
+
+
+def detect(grid: Grid, head: Head = HEAD, limits: Limits = LIMITS, joints_mm: Sequence[float] = ()) -> Account:
+    """What lies along a log. Nothing is said of stretches that were not seen.
+
+    joints_mm : along the same odometer, where something else has seen a joint of the pipe: what is alike all round and
+    no longer than a coupling is one there, whatever it takes off.
+    """
     mean = gaussian_filter1d(grid.c_ff.mean(axis=1), SMOOTH_MM / STEP_MM)
     dips = [(one, _dip(grid, one, head, limits)) for one in _places(mean, -1, limits.least_ff)]
     found = [said for one, said in dips if said.kind is not Kind.UNKNOWN or _stands_out(one, limits)]
@@ -159,9 +176,25 @@ def detect(grid: Grid, head: Head = HEAD, limits: Limits = LIMITS) -> Account:
     else:
         dry = gaussian_filter1d(mean, UNEVEN_MM / STEP_MM / 3) - head.air_ff < DRY * _wet(mean, head)
         told = float(STEP_MM * np.count_nonzero(grid.seen & dry))
+    found = [_explained(one, joints_mm, head, limits) for one in found]
     found += _beads(grid)
     kept = [one for one in found if grid.seen[int(np.argmin(np.abs(grid.z_mm - one.odometer_mm)))]]
-    return Account(_merged(kept), float(np.ptp(grid.z_mm)), float(STEP_MM * np.count_nonzero(~grid.seen)), told)
+    listed = [
+        replace(one, odds=odds(str(one.kind), one.part, math.isfinite(one.phi_deg), one.loss_ff))
+        for one in _merged(kept)
+    ]
+    return Account(listed, float(np.ptp(grid.z_mm)), float(STEP_MM * np.count_nonzero(~grid.seen)), told)
+
+
+def _explained(one: Indication, joints_mm: Sequence[float], head: Head, limits: Limits) -> Indication:
+    """By a joint that the ring sensor saw at its place."""
+    at_joint = any(abs(joint - one.odometer_mm) < JOINT_MM for joint in joints_mm)
+    short = one.extent_mm < head.coupling_mm + 2 * limits.coupling_off_mm
+    mean = max(abs(float(one.change_ff.mean())), 1e-9)
+    even = float(np.ptp(one.change_ff)) < 3 * 1.5 * limits.even * mean
+    if at_joint and short and even and one.kind in (Kind.AIR, Kind.VOID, Kind.UNKNOWN):
+        return replace(one, kind=Kind.COUPLING, phi_deg=math.nan, phi_sigma_deg=math.nan, arc_deg=360.0)
+    return one
 
 
 def _wet(mean: FloatArray, head: Head) -> float:
@@ -256,7 +289,11 @@ def _dip(grid: Grid, place: _Place, head: Head, limits: Limits) -> Indication:
         return Indication(z, kind, extent, phi, sigma, change, strongest)
     if _half_full(grid, place, share, phi, beta):  # its air is above, wherever the sewer lies
         return Indication(z, Kind.PART, extent, math.nan, math.nan, change, strongest)
-    return Indication(z, Kind.AIR, extent, phi, sigma, change, strongest)
+    return Indication(z, Kind.AIR, extent, phi, sigma, change, strongest, arc_deg=_arc(phi, beta))
+
+
+def _arc(phi: float, beta: float) -> float:
+    return min(2 * beta, 360.0) if math.isfinite(phi) else 360.0
 
 
 def _half_full(grid: Grid, place: _Place, share: FloatArray, phi: float, beta: float) -> bool:
@@ -278,8 +315,9 @@ def _rise(grid: Grid, place: _Place, head: Head, limits: Limits) -> Indication:
     water = limits.water_mm[0] <= extent <= limits.water_mm[1]
     share = change / max(float(change.max()), 1e-9)
     noise = _lift_off(grid) / max(float(change.max()), 1.0)
-    phi, sigma, _ = _direction(share, grid.looks_deg(place.middle), head, noise)
-    return Indication(z, Kind.WATER if water else Kind.UNKNOWN, extent, phi, sigma, change)
+    phi, sigma, beta = _direction(share, grid.looks_deg(place.middle), head, noise)
+    kind = Kind.WATER if water else Kind.UNKNOWN
+    return Indication(z, kind, extent, phi, sigma, change, arc_deg=_arc(phi, beta))
 
 
 def _by_loss(grid: Grid, place: _Place, head: Head, limits: Limits) -> Indication:
@@ -287,11 +325,11 @@ def _by_loss(grid: Grid, place: _Place, head: Head, limits: Limits) -> Indicatio
     change = _change(grid.c_ff, place)
     loss = _change(gaussian_filter1d(grid.loss_ff, LOSS_SMOOTH_MM / STEP_MM, axis=0), place)
     most = max(float((-loss).max()), 1e-9)
-    phi, sigma, _ = _direction(-loss / most, grid.looks_deg(place.middle), head, LOSS_UNEVEN_FF / most)
+    phi, sigma, beta = _direction(-loss / most, grid.looks_deg(place.middle), head, LOSS_UNEVEN_FF / most)
     water = limits.water_mm[0] <= place.extent_mm <= limits.water_mm[1]
     kind = Kind.WATER if water else Kind.UNKNOWN
     z = float(grid.z_mm[place.middle])
-    return Indication(z, kind, place.extent_mm, phi, sigma, change, loss_ff=float(loss.mean()))
+    return Indication(z, kind, place.extent_mm, phi, sigma, change, loss_ff=float(loss.mean()), arc_deg=_arc(phi, beta))
 
 
 def _beads(grid: Grid) -> list[Indication]:

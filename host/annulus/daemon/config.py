@@ -43,6 +43,15 @@ class SensorConfig:
 
 
 @dataclass(frozen=True, slots=True)
+class SectorsConfig:
+    """Of a head with capacitive sectors. ahead_mm : their middle, ahead of the camera, along the pipe."""
+
+    air_pf: float = 4.575
+    coupling_ff: float = 113.0
+    ahead_mm: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
 class SocketConfig:
     """Where others may connect, and who."""
 
@@ -112,6 +121,7 @@ class HeadConfig:
     control: SocketConfig | None = None
     autostart: bool = True  # False: idle until the control socket says start
     sensors: tuple[SensorConfig, ...] = ()
+    sectors: SectorsConfig = SectorsConfig()
     workers: int | None = None  # None: one a core but one
     slots: int = SLOTS
     log: LogConfig | None = None
@@ -136,6 +146,7 @@ class HeadConfig:
             "mm_per_count": self.mm_per_count,
             "max_speed_mm_s": self.max_speed_mm_s,
             "job": dict(self.job),
+            "sectors": asdict(self.sectors),
             "sensors": [asdict(sensor) for sensor in self.sensors],
         }
 
@@ -171,6 +182,7 @@ _SECTIONS: Mapping[str, tuple[str, ...]] = {
         "period_ms",
         *sorted({name for chip in CHIPS.values() for name in chip.settings}),
     ),
+    "sectors": ("air_pf", "coupling_ff", "ahead_mm"),
     "workers": ("count", "slots"),
     "log": ("file", "max_mb", "keep"),
     "daemon": ("realtime",),
@@ -217,6 +229,7 @@ def _checked(data: Mapping[str, Any], folder: Path) -> HeadConfig:
         control=_socket(data, "control", folder),
         autostart=_flag(control, "control", "autostart", True),
         sensors=_sensors(data),
+        sectors=_sectors(data.get("sectors", {})),
         workers=_whole(workers, "workers", "count", 1, 1, 64) if "count" in workers else None,
         slots=_whole(workers, "workers", "slots", SLOTS * len(cameras), 4, 1024),
         log=_log(data["log"], folder) if "log" in data else None,
@@ -368,6 +381,15 @@ def _sensor(content: Mapping[str, Any]) -> SensorConfig:
     period = _number(content, "sensor", "period_ms", PERIOD_MS, 5.0, 10_000.0)
     return SensorConfig(
         kind, device, name, _whole(content, "sensor", "address", chip.address, 0x03, 0x77), period, told
+    )
+
+
+def _sectors(content: Mapping[str, Any]) -> SectorsConfig:
+    usual = SectorsConfig()
+    return SectorsConfig(
+        _number(content, "sectors", "air_pf", usual.air_pf, 0.01, 1e3),
+        _number(content, "sectors", "coupling_ff", usual.coupling_ff, 1.0, 1e4),
+        _number(content, "sectors", "ahead_mm", usual.ahead_mm, -2000.0, 2000.0),
     )
 
 

@@ -21,6 +21,7 @@ import zmq
 
 from annulus.capture.camera import Camera
 from annulus.daemon.account import Account, ScanReport
+from annulus.daemon.bores import Bores
 from annulus.daemon.camera_feed import CameraFeed
 from annulus.daemon.config import HeadConfig, require_size
 from annulus.daemon.control import Do, Request
@@ -69,6 +70,7 @@ class Session:
         self._state = State.OFF
         self._account = Account()
         self._observers = Observers([_Remember(self._account), *([observer] if observer is not None else [])])
+        self._bores = Bores(config.sectors, self._observers)
         self._navigation = Navigation(config.mm_per_count, config.max_speed_mm_s)
         self._samples = Samples(sensors, self._navigation, self._account, self._observers)
         self._vitals: Vitals | None = None
@@ -308,6 +310,7 @@ class Session:
         self._scan = None if scan is None or (scan.recorder is None and not scan.intakes) else scan
         if self._scan is None:
             return
+        self._bores.look(final=True)
         telemetry = self.telemetry()
         self._observers.telemetry(telemetry)
         with self._whatever_happens("recorder"):

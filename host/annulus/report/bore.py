@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from annulus.numeric.arrays import BoolArray, FloatArray
 from annulus.report.paper import BUMP_BLUE, FAINT, FEATURE, INK, LOSS_RED, UNSEEN, WIDTH_IN, in_style, png
 from annulus.vocabulary import AnnulusError
+from annulus.wall.lane import Lane
 
 ROW_M = 10.0
 ROWS_MAX = 60  # a longer log has longer rows
@@ -40,7 +41,20 @@ def write_bores(
     return [path, picture]
 
 
-def _lanes(marks: Sequence[Mapping[str, Any]], z: FloatArray, c: FloatArray, seen: BoolArray) -> Figure:
+def draw_lane(lane: Lane) -> bytes:
+    """The same of a survey, as PNG; its places are the map's."""
+    marks = [
+        {"odometer_mm": one.z_mm, "extent_mm": one.length_mm, "kind": one.kind, "probability": one.probability}
+        | ({"phi_deg": one.phi_deg} if math.isfinite(one.phi_deg) else {})
+        for one in lane.marks
+    ]
+    with in_style():
+        return png(_lanes(marks, lane.z_mm / 1000, lane.c_pf, lane.seen, "distance along the pipe, m"))
+
+
+def _lanes(
+    marks: Sequence[Mapping[str, Any]], z: FloatArray, c: FloatArray, seen: BoolArray, label: str = "odometer, m"
+) -> Figure:  # fmt: skip
     row_m = max(ROW_M, float(np.ptp(z)) / ROWS_MAX)
     count = max(1, math.ceil(float(np.ptp(z)) / row_m - 0.05))
     figure = Figure(figsize=(WIDTH_IN, 1.0 + 1.25 * count), layout="constrained")
@@ -48,7 +62,7 @@ def _lanes(marks: Sequence[Mapping[str, Any]], z: FloatArray, c: FloatArray, see
     c = np.where(seen[:, None], c, np.nan)
     for k, axes in enumerate(rows):
         low = float(z[0]) + k * row_m
-        high = low + row_m if k < count - 1 else max(low + row_m, float(z[-1]))
+        high = low + row_m if k < count - 1 else float(z[-1]) if count == 1 else max(low + row_m, float(z[-1]))
         here = (z >= low) & (z <= high)
         for sector in range(c.shape[1]):
             axes.plot(z[here], c[here, sector], color=SECTORS[sector], lw=0.8, label=f"sector {sector + 1}")
@@ -59,7 +73,7 @@ def _lanes(marks: Sequence[Mapping[str, Any]], z: FloatArray, c: FloatArray, see
             if low <= one["odometer_mm"] / 1000 < high:
                 _mark(axes, one)
     figure.legend(*rows[0].get_legend_handles_labels(), loc="outside upper right", ncols=3, fontsize=8, frameon=False)
-    rows[-1].set_xlabel("odometer, m")
+    rows[-1].set_xlabel(label)
     return figure
 
 
@@ -68,8 +82,10 @@ def _mark(axes: Axes, one: Mapping[str, Any]) -> None:
     bore = one["kind"] in COLOURS
     axes.axvspan(z - half, z + half, color=COLOURS.get(one["kind"], FEATURE), alpha=0.25 if bore else 0.1, lw=0)
     where = f" {clock(one['phi_deg'])}" if "phi_deg" in one and bore else ""
+    likely = one.get("probability", math.nan)
+    sure = f" {100 * likely:.0f} %" if bore and math.isfinite(likely) else ""
     axes.annotate(
-        f"{one['kind']}{where}", (z, 0.03 if bore else 0.9), xycoords=("data", "axes fraction"), ha="center",
+        f"{one['kind']}{where}{sure}", (z, 0.03 if bore else 0.9), xycoords=("data", "axes fraction"), ha="center",
         fontsize=7, weight="bold" if bore else "normal", color=INK if bore else FAINT,
     )  # fmt: skip
 

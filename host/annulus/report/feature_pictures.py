@@ -23,6 +23,7 @@ from annulus.report.paper import (
     round_up,
 )
 from annulus.wall.defects import ALL_ROUND_DEG, clock_face
+from annulus.wall.features import FeatureKind
 from annulus.wall.survey import Survey
 
 SIZE_IN = (4.2, 2.7)
@@ -32,8 +33,12 @@ SEEN = 0.2  # part of the circle: fewer directions make no middle, least and gre
 
 
 def draw_features(survey: Survey) -> tuple[tuple[str, bytes], ...]:
-    """Name and PNG of every feature, then of every undecided place, in their order."""
-    features = [(letter(i), f.z_range_mm, f.clock_deg, f.arc_deg) for i, f in enumerate(survey.features)]
+    """Name and PNG of every feature that can be seen from inside, then of every undecided place, in their order."""
+    features = [
+        (letter(i), f.z_range_mm, f.clock_deg, f.arc_deg)
+        for i, f in enumerate(survey.features)
+        if f.kind is not FeatureKind.CROSS_BORE
+    ]
     places = [(question(i), d.z_range_mm, d.clock_deg, d.arc_deg) for i, d in enumerate(survey.detection.undecided)]
     with in_style():
         return tuple((name, _picture(survey, z, clock, arc)) for name, z, clock, arc in (*features, *places))

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from annulus.numeric.arrays import Image
+from annulus.report.bore import draw_lane
 from annulus.report.course import draw_course
 from annulus.report.feature_pictures import draw_features
 from annulus.report.half_view import HALF_DEG, half_view
@@ -57,6 +58,7 @@ class Pictures:
     features: tuple[tuple[str, bytes], ...]  # letter or question mark, picture
     course: bytes | None  # of a pipe that is not one straight, even tube
     cameras: bytes | None  # which of several saw what, and how well
+    lane: bytes | None = None  # of sectors that look through the wall
 
 
 def draw(survey: Survey) -> Pictures:
@@ -71,6 +73,7 @@ def draw(survey: Survey) -> Pictures:
             _unwrapped(survey, deviation, scale), _texture(survey), _stations(survey), _surface(survey, rgb), rgb,
             scale, draw_features(survey), draw_course(survey),
             _cameras(survey) if len(survey.cameras) > 1 else None,
+            None if survey.lane is None else draw_lane(survey.lane),
         )  # fmt: skip
 
 

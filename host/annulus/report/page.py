@@ -29,13 +29,15 @@ COUNTED: Mapping[Kind | FeatureKind, tuple[str, str]] = {  # one of them, and ma
     FeatureKind.WATER: ("stretch under water", "stretches under water"),
     FeatureKind.DEPOSIT: ("deposit", "deposits"), FeatureKind.REDUCER: ("reducer", "reducers"),
     FeatureKind.TAPER: ("taper", "tapers"), FeatureKind.BEND: ("bend", "bends"),
+    FeatureKind.CROSS_BORE: ("cross bore", "cross bores"),
 }  # fmt: skip
 FEATURES = {
     FeatureKind.JOINT: "Joint", FeatureKind.GAP: "Gap in a coupling", FeatureKind.BRANCH: "Opening, branch",
     FeatureKind.TEE: "Opening, rim stands in", FeatureKind.WATER: "Water", FeatureKind.DEPOSIT: "Deposit",
     FeatureKind.REDUCER: "Reducer", FeatureKind.TAPER: "Taper", FeatureKind.BEND: "Bend",
+    FeatureKind.CROSS_BORE: "Cross bore",
 }  # fmt: skip
-UNITS = {"deg": "°", "percent": "%"}
+UNITS = {"deg": "°", "percent": "%", "ff": "fF"}
 WORDS = {
     "hilo": "hi-lo",
     "hilo clock": "hi-lo towards",
@@ -70,6 +72,7 @@ def render_page(survey: Survey, summary: Mapping[str, Any], pictures: Pictures) 
         texture=_inline(pictures.texture),
         cameras=None if pictures.cameras is None else _inline(pictures.cameras),
         stations=_inline(pictures.stations),
+        lane=None if pictures.lane is None else _inline(pictures.lane),
         course=None if pictures.course is None else _inline(pictures.course),
         surface=[(caption, _inline(data)) for caption, data in pictures.surface],
         exaggeration=EXAGGERATION,

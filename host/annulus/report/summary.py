@@ -4,6 +4,7 @@ import importlib.metadata
 import math
 import platform
 from collections.abc import Mapping
+from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Any
 
@@ -76,6 +77,8 @@ def summarize(survey: Survey, account: Account, files_ms: float) -> dict[str, An
             "several" if one is None else str(one): round(100.0 * part, 2)
             for one, part in survey.seen_by_fraction().items()
         }
+    if survey.lane is not None:
+        out["sectors"] = {"told": survey.lane.told, "places": [asdict(mark) for mark in survey.lane.marks]}
     if survey.vibration is not None:
         out["vibration"] = _vibration(survey.vibration)
     if account.truth is not None:

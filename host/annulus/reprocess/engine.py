@@ -11,6 +11,7 @@ import numpy as np
 
 from annulus.numeric.arrays import Image
 from annulus.record.walk import DamagedError
+from annulus.reprocess.bores import with_bores
 from annulus.reprocess.executors import Executor, in_process
 from annulus.reprocess.job import Job, Measured, open_job, turns_of
 from annulus.reprocess.method import examined
@@ -48,10 +49,11 @@ class Reprocessed:
     timing_ms: Mapping[str, float]
 
     def survey(self, *, vibration: bool = False, fps: float | None = None, progress: Progress | None = None) -> Survey:
-        """What the profiles and LED frames say of the pipe; see `wall.survey`."""
+        """What profiles, LED frames and capacitive sectors say of the pipe; see `wall.survey`, `with_bores`."""
         leds = led_frames(self.job, progress)
         turns = turns_of(self.job.scan)
-        return survey(self.profiles, self.job.calibration, leds, turns=turns, vibration=vibration, fps=fps)
+        pipe = survey(self.profiles, self.job.calibration, leds, turns=turns, vibration=vibration, fps=fps)
+        return with_bores(self.job.scan, self.profiles, pipe)
 
 
 def survey_of(scan: str | Path, calibration: str | Path | None = None) -> Survey:

@@ -9,6 +9,7 @@ off the axis and rolls. Drawn apart from the detector, and simpler than a field:
 import gzip
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -172,6 +173,33 @@ def log(ground: Ground, seed: int) -> Drawn:
         columns |= {"off_x_mm": off[0], "off_y_mm": off[1]}
     kept = rng.random(rows) > 5e-4
     return Drawn(ground, {name: column[kept] for name, column in columns.items()}, (place, odometer))
+
+
+class Buried:
+    """The ground round a pipe, as a sector at any place of it reads it."""
+
+    def __init__(self, ground: Ground, seed: int) -> None:
+        self._theta = np.arange(0.0, 360.0, STEP_DEG)
+        z = np.arange(0.0, ground.length_mm, STEP_MM)
+        rng = np.random.default_rng(seed)
+        self._level, self._loss = _round_the_pipe(ground, z, np.radians(self._theta), rng)
+        self._beads = ground.beads_mm
+
+    def sees(self, z_mm: float, look_deg: float, off_mm: tuple[float, float]) -> tuple[float, float]:
+        """Capacitance and loss, fF, of a sector that looks there; off_mm : of the head from the pipe's axis, x, y."""
+        i = int(np.clip(z_mm / STEP_MM, 0, len(self._level) - 1))
+        sees = _window(self._theta, np.array([look_deg]))[0]
+        towards = off_mm[0] * math.cos(math.radians(look_deg)) + off_mm[1] * math.sin(math.radians(look_deg))
+        bead = sum(60.0 * math.exp(-0.5 * ((z_mm - at) / 3.0) ** 2) for at in self._beads)
+        c = AIR_FF + float(sees @ self._level[i]) + LIFT_FF * math.expm1(towards / LIFT_MM) + bead
+        return c, float(sees @ self._loss[i])
+
+
+def ground_of(data: Mapping[str, Any]) -> Ground:
+    """Of `dataclasses.asdict`."""
+    told: dict[str, Any] = {name: tuple(v) if isinstance(v, list) else v for name, v in data.items()}
+    told["bores"] = tuple(Bore(**one) for one in told["bores"])
+    return Ground(**told)
 
 
 def _round_the_pipe(

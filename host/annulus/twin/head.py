@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus.capture.timing import FrameTiming
+from annulus.twin.capacitance import Ground
 from annulus.twin.faults import Faults
 from annulus.twin.profiles import load_faults
 from annulus.twin.render import Renderer
@@ -129,6 +130,7 @@ def start_head(
     threads: int | None = None,
     board: str = "native",
     others: Sequence[Faults] = (),
+    ground: Ground | None = None,
 ) -> HeadHandle:
     """Start a head in its own process and wait until it can be talked to.
 
@@ -136,7 +138,7 @@ def start_head(
     speed_mm_s : of the cable, which starts 2 s after the camera was first started; None: 3 mm a frame, 0: not before
     `pull`. drift_ppm : of the head's crystal against this machine's clock. threads : that render, by default one a
     core, two at most. board : native or emulated, the shipped image. others : what the drivers of further cameras do,
-    where that is not what the first one's does.
+    where that is not what the first one's does. ground : what the pipe lies in, for a head with capacitive sectors.
 
     Raises AnnulusError when the head does not come up, with the last thing it said.
     """
@@ -151,6 +153,7 @@ def start_head(
         "drift_ppm": drift_ppm,
         "threads": threads or default_threads(),
         "board": board,
+        "ground": None if ground is None else asdict(ground),
     }
     process = subprocess.Popen(
         [sys.executable, "-c", "from annulus.twin.process import main; main()"],

@@ -5,12 +5,17 @@ swap reads nonsense here, as it would on a head.
 """
 
 import errno
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from annulus.sensors.fdc2214 import AT_RESET as FDC_AT_RESET
 from annulus.sensors.fdc2214 import CHANNELS, LOSSES, Tank
+from annulus.sensors.imu import G_M_S2
 from annulus.sensors.ina226 import AT_RESET as INA_AT_RESET
+from annulus.sensors.remote import RemoteSensors
+
+TRANSFER_S = 1e-4  # of a word at 400 kHz
 
 
 @dataclass(slots=True)
@@ -76,6 +81,37 @@ class TwinBus:
         if address not in self.chips:
             raise OSError(errno.ENXIO, "No such device or address")
         return self.chips[address]
+
+
+class HeadBus(TwinBus):
+    """A running head's chips: what its sensors say over ZeroMQ is what they hold. A transfer takes a bus's time.
+
+    address : of the head's samples. Chips: fdc2214 at 0x2a with an ads1115 at 0x48, ina226 at 0x40, mpu6050 at 0x68.
+    """
+
+    def __init__(self, address: str, tank: Tank, shunt_mohm: float) -> None:
+        nan = float("nan")
+        self._plays = dict.fromkeys((*CHANNELS, *LOSSES), nan) | {
+            "voltage_v": 5.0, "current_a": 0.0, "x_g": 0.0, "y_g": -1.0, "z_g": 0.0, "temperature_c": 20.0,
+        }  # fmt: skip
+        plays = self._plays
+        super().__init__({
+            0x2A: fdc2214(plays, tank), 0x48: ads1115(plays, tank), 0x40: ina226(plays, shunt_mohm),
+            0x68: mpu6050(plays),
+        })  # fmt: skip
+        self._head = RemoteSensors(address)
+
+    def close(self) -> None:
+        super().close()
+        self._head.close()
+
+    def _chip(self, address: int) -> Chip:
+        for sample in self._head.poll():
+            self._plays.update({name: value for name, value in sample.values.items() if name in self._plays})
+            self._plays.update({f"{axis}_g": sample.values[f"{axis}_m_s2"] / G_M_S2 for axis in "xyz"
+                            if f"{axis}_m_s2" in sample.values})  # fmt: skip
+        time.sleep(TRANSFER_S)
+        return super()._chip(address)
 
 
 def fdc2214(plays: dict[str, float], tank: Tank) -> Chip:

@@ -24,6 +24,7 @@ from annulus.controller import PIN_LED, PIN_PROJECTOR, TICK_NS, TICK_S, TICKS_PE
 from annulus.link.messages import BootCause
 from annulus.sensors.sample import Sample
 from annulus.twin.camera_server import CameraServer
+from annulus.twin.capacitance import ground_of
 from annulus.twin.drawing import Drawing, Job
 from annulus.twin.driver import Driver
 from annulus.twin.emulated import EmulatedBoard, open_board
@@ -123,7 +124,10 @@ class Head:
         start = self.board.tick
         clock = self.clock = HostClock(time.monotonic_ns() - start * TICK_NS, float(order["drift_ppm"]))
         self.sensor = ImageSensor(self.world, self.timing, self.faults, seed=seed, clock=clock, start_tick=start)
-        self.sensors = HeadSensors(self.world, self.sensor.cable, clock, self.faults, start_tick=start, seed=seed)
+        ground = None if order.get("ground") is None else ground_of(order["ground"])
+        self.sensors = HeadSensors(
+            self.world, self.sensor.cable, clock, self.faults, start_tick=start, seed=seed, ground=ground
+        )
         threads = max(1, int(order["threads"]) // len(renderers))
         self.cameras = []
         for number, renderer in enumerate(renderers):

@@ -23,6 +23,7 @@ class FeatureKind(StrEnum):
     REDUCER = "reducer"
     TAPER = "taper"
     BEND = "bend"
+    CROSS_BORE = "cross bore"  # a sewer that the pipe was drilled through, behind the wall
 
 
 @dataclass(frozen=True, slots=True)

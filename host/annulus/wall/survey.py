@@ -24,6 +24,7 @@ from annulus.wall.features import Feature
 from annulus.wall.grid import Wall, build_wall
 from annulus.wall.gyro import NO_TURNS, Turns
 from annulus.wall.joints import find_joints, taken, without_hidden
+from annulus.wall.lane import Lane
 from annulus.wall.levels import covered, without_levels
 from annulus.wall.lost import lost_rings
 from annulus.wall.openings import find_openings
@@ -71,6 +72,7 @@ class Survey:
     timing_ms: Mapping[str, float]
     cameras: tuple[int, ...]
     light: str = "LED light"  # that `texture` shows the wall in
+    lane: Lane | None = None  # of sectors that look through the wall
 
     @property
     def defects(self) -> tuple[Defect, ...]:

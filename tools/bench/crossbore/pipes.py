@@ -3,9 +3,10 @@
 import numpy as np
 from scipy.ndimage import median_filter
 
-from annulus.crossbore import Kind, detect, on_grid
+from annulus.crossbore import BORES, Kind, detect, likely, on_grid
 from annulus.crossbore.grid import STEP_MM, Grid
 from annulus.twin.capacitance import Bore, Ground, log, some_ground
+from tools.bench.crossbore.odds import fate
 from tools.bench.table import Row
 
 RUNS = 1000
@@ -57,12 +58,19 @@ def _drawn(pose: bool) -> list[Row]:
     hit = count = false = near = beside = right = named = plain_false = plain_hit = 0
     metres = 0.0
     off: list[float] = []
+    promised = kept = places_said = 0.0
     for seed in range(SEED, SEED + PIPES):
         drawn = log(some_ground(30_000.0, seed, pose=pose, loss=pose), seed)
         truth = drawn.truth()
         grid = on_grid(drawn.rows())
         account = detect(grid)
         metres += 30.0
+        for one in account.indications:
+            if one.odds:
+                real = fate(drawn, one)
+                places_said += 1
+                promised += likely(one)
+                kept += real == (str(one.kind) if one.kind in BORES else "soil")
         places = [(bore, 0.5 * (bore["odo0_mm"] + bore["odo1_mm"])) for bore in truth["bores"]]
         plain = _threshold(grid)
         for bore, place in places:
@@ -86,6 +94,11 @@ def _drawn(pose: bool) -> list[Row]:
             f"twin, {said}: air and half full, found; false in 100 m",
             f"threshold {100 * plain_hit / count:.0f} %; {100 * plain_false / metres:.1f}", ">= 90 %; <= 0.25",
             f"{hit} of {count}; {100 * false / metres:.2f}", hit >= 0.9 * count and 100 * false / metres <= 0.25,
+        ),
+        Row(
+            f"twin, {said}: probability of what is said, mean; right", "-", "within 3 %",
+            f"{100 * promised / places_said:.1f} %; {100 * kept / places_said:.1f} % of {places_said:.0f}",
+            abs(promised - kept) < 0.03 * places_said,
         ),
         Row(f"twin, {said}: near misses reported", "-", "0", f"{beside} of {near}", beside == 0),
         Row(

@@ -1,0 +1,113 @@
+"""A capacitive log of what sensors said each at its own time: readings, places, roll, and where the head was.
+
+    passage = Passage()
+    passage.place(t_s, z_mm); passage.roll(t_s, roll_deg); passage.read(t_s, (c1, c2, c3, reference))
+    for run in passage.runs(): detect(on_grid(run.log))
+
+Where the odometer was zeroed, or a controller restarted, places jump: a run ends there, and another begins.
+"""
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from annulus.crossbore.grid import ROWS_MIN, SECTORS, SPAN_MM, Log
+from annulus.numeric.arrays import FloatArray
+
+JUMP_MM, JUMP_MM_S = 20.0, 1000.0  # faster than any winch
+APART_S = 0.6  # two places or rolls further apart say nothing of what is between; an odometer says one each 0.2 s
+KEPT_MAX = 20_000  # of each kind, of a head that stands still
+OFFSETS_APART_MM = 60.0  # .. and two places of the head off the axis
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """rolled : whether the head's roll was known; without it a direction says nothing of the pipe."""
+
+    log: Log
+    rolled: bool
+
+
+class Passage:
+    """ahead_mm : the sectors' middle, ahead of the odometer's zero. keep_mm : of pipe, of late; None: all of it.
+
+    A row without a place is left out. All times are seconds of one clock, rising for each kind.
+    """
+
+    def __init__(self, ahead_mm: float = 0.0, keep_mm: float | None = None) -> None:
+        self._ahead, self._keep = ahead_mm, keep_mm
+        most = None if keep_mm is None else KEPT_MAX
+        self._rows: deque[tuple[float, ...]] = deque(maxlen=most)  # t, c1..c3, reference, loss1..loss3
+        self._places: deque[tuple[float, float]] = deque(maxlen=most)
+        self._rolls: deque[tuple[float, float]] = deque(maxlen=most)
+
+    def read(self, t_s: float, c_pf: Sequence[float], loss_ff: Sequence[float] = ()) -> None:
+        """c_pf : the three sectors and the reference, NaN for one that failed."""
+        self._rows.append((t_s, *c_pf, *(loss_ff or (math.nan,) * SECTORS)))
+
+    def place(self, t_s: float, z_mm: float) -> None:
+        self._places.append((t_s, z_mm))
+        if self._keep is None:
+            return
+        while abs(z_mm - self._places[0][1]) > self._keep:
+            self._places.popleft()
+        for said in (self._rows, self._rolls):
+            while said and said[0][0] < self._places[0][0]:
+                said.popleft()
+
+    def roll(self, t_s: float, roll_deg: float) -> None:
+        """Clockwise, looking ahead."""
+        if math.isfinite(roll_deg):
+            self._rolls.append((t_s, roll_deg))
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def runs(self, offsets: FloatArray | None = None) -> list[Run]:
+        """Those long enough to be judged. offsets : (N, 3) odometer, x and y off the pipe's axis, mm, where known."""
+        if len(self._rows) < ROWS_MIN or len(self._places) < 2:
+            return []
+        rows, places = np.array(self._rows), np.array(self._places)
+        dt, dz = np.diff(places[:, 0]), np.diff(places[:, 1])
+        cuts = np.flatnonzero(np.abs(dz) > JUMP_MM + JUMP_MM_S * dt) + 1
+        runs = (self._run(rows, part, offsets) for part in np.split(places, cuts))
+        return [run for run in runs if run is not None]
+
+    def _run(self, rows: FloatArray, places: FloatArray, offsets: FloatArray | None) -> Run | None:
+        if len(places) < 2:
+            return None
+        z = _between(rows[:, 0], places)
+        rows, z = rows[np.isfinite(z)], z[np.isfinite(z)]
+        if len(rows) < ROWS_MIN or not SPAN_MM[0] <= np.ptp(z) <= SPAN_MM[1]:
+            return None
+        roll, rolled = np.zeros(len(rows)), False
+        if len(self._rolls) > 1:
+            said = np.array(self._rolls)
+            said[:, 1] = np.unwrap(said[:, 1], period=360.0)
+            known = _between(rows[:, 0], said)
+            rolled = bool(np.isfinite(known).all())
+            roll = known if rolled else roll
+        loss = rows[:, 5:8] if np.isfinite(rows[:, 5:8]).all(axis=1).mean() > 0.5 else None
+        off = None if offsets is None else _off(z, offsets)
+        return Run(Log(rows[:, 0], z + self._ahead, rows[:, 1:4], rows[:, 4], roll, loss, off), rolled)
+
+
+def _between(at: FloatArray, said: FloatArray) -> FloatArray:
+    """NaN before the first, after the last, and where two lie too far apart. said : (N, 2) time, value."""
+    after = np.clip(np.searchsorted(said[:, 0], at), 1, len(said) - 1)
+    gap = said[after, 0] - said[after - 1, 0]
+    known = (at >= said[0, 0]) & (at <= said[-1, 0]) & (gap <= APART_S)
+    return np.where(known, np.interp(at, said[:, 0], said[:, 1]), np.nan)
+
+
+def _off(z: FloatArray, offsets: FloatArray) -> FloatArray | None:
+    """(N, 2) where the head was known all along; None where for more than a tenth it was not."""
+    line = offsets[np.argsort(offsets[:, 0], kind="stable")]
+    after = np.clip(np.searchsorted(line[:, 0], z), 1, len(line) - 1)
+    known = line[after, 0] - line[after - 1, 0] <= OFFSETS_APART_MM
+    if len(line) < 2 or known.mean() < 0.9:
+        return None
+    return np.stack([np.interp(z, line[:, 0], line[:, k]) for k in (1, 2)], axis=1)

@@ -1,0 +1,131 @@
+"""Cross bores of a recorded scan: what its capacitive sectors read, its odometer, its roll and its rings' poses say.
+
+The rings know where the head stood off the pipe's axis, and where the pipe has joints: lift-off is taken out, and a
+joint is no sewer.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from annulus import untrusted
+from annulus.crossbore import BORES, Account, Grid, Head, Indication, Passage, detect, likely, on_grid
+from annulus.numeric.arrays import FloatArray
+from annulus.record.scan import Scan
+from annulus.sensors.fdc2214 import CHANNELS, LOSSES
+from annulus.sensors.sample import Sample
+from annulus.wall.features import Feature, FeatureKind, Measure
+from annulus.wall.lane import Lane, LaneMark
+from annulus.wall.profile import Profile
+from annulus.wall.survey import Survey
+
+ODOMETER, ROLL, SECTORS_OF = "z_mm", "roll_deg", "sectors"
+TOPIC = "/sensor/"
+
+
+def with_bores(scan: Scan, profiles: Sequence[Profile], survey: Survey) -> Survey:
+    """The same survey with its lane and its cross bores among the features; itself where no sectors were recorded."""
+    recording = scan.recording
+    if recording is None:
+        return survey
+    told = (recording.configuration or {}).get(SECTORS_OF)
+    head, ahead = _head(told if isinstance(told, Mapping) else {})
+    passage = Passage(ahead)
+    for topic in recording.topics:
+        if topic.startswith(TOPIC):
+            for body in recording.notes(topic):
+                try:
+                    sample = Sample.from_dict(body)
+                except ValueError:
+                    continue
+                take(passage, sample)
+    runs = passage.runs(_offsets(profiles, ahead))
+    joints = [f.z_mm for f in survey.features if f.kind in (FeatureKind.JOINT, FeatureKind.GAP)]
+    lane, features = None, list(survey.features)
+    for run in runs:
+        grid = on_grid(run.log)
+        account = detect(grid, head, joints_mm=joints)
+        features += [_feature(one, grid, run.rolled) for one in account.bores]
+        more = _lane(account, grid, run.rolled)
+        lane = more if lane is None else lane.joined(more)
+    if lane is None:
+        return survey
+    features.sort(key=lambda one: (one.z_mm, one.clock_deg))
+    return replace(survey, features=tuple(features), lane=lane)
+
+
+def take(passage: Passage, sample: Sample) -> bool:
+    """What concerns a passage in a sample, whichever sensor's; whether it was a reading of the sectors."""
+    t_s, said = 1e-9 * sample.host_ns, sample.values
+    if ROLL in said and sample.units[ROLL] == "deg":
+        passage.roll(t_s, said[ROLL])
+    if sample.sensor == "odometer" and ODOMETER in said:
+        passage.place(t_s, said[ODOMETER])
+    if not all(sample.units.get(name) == "pF" for name in CHANNELS):
+        return False
+    loss = [said[name] for name in LOSSES] if all(name in said for name in LOSSES) else ()
+    passage.read(t_s, [said[name] for name in CHANNELS], loss)
+    return True
+
+
+def _head(told: Mapping[str, Any]) -> tuple[Head, float]:
+    """Of a recording's configuration; what is none is passed over."""
+    usual = Head()
+    try:
+        return replace(
+            usual,
+            air_ff=1000 * untrusted.number(told.get("air_pf", usual.air_ff / 1000), "air_pf"),
+            coupling_ff=untrusted.number(told.get("coupling_ff", usual.coupling_ff), "coupling_ff"),
+        ), untrusted.number(told.get("ahead_mm", 0.0), "ahead_mm")
+    except ValueError:
+        return usual, 0.0
+
+
+def _offsets(profiles: Sequence[Profile], ahead_mm: float) -> FloatArray | None:
+    """(N, 3) odometer, x and y of the sectors' middle off the pipe's axis, mm; None where few frames had a pose."""
+    rows = [
+        (one.z_mm, *one.pose.to_pipe(np.array([[0.0, 0.0, ahead_mm]]))[0, :2])
+        for one in profiles
+        if one.pose is not None and math.isfinite(one.z_mm)
+    ]
+    return np.array(rows) if len(rows) > 1 else None
+
+
+def _feature(one: Indication, grid: Grid, rolled: bool) -> Feature:
+    clock, arc = ((one.phi_deg + 90.0) % 360, one.arc_deg) if rolled and math.isfinite(one.phi_deg) else (0.0, 360.0)
+    measures = [Measure("probability_percent", round(100 * likely(one), 1))]
+    sector = _sector(one, grid)
+    strongest = float(one.change_ff[int(np.argmax(np.abs(one.change_ff)))])
+    measures.append(Measure("change_ff", strongest))
+    if arc < 360.0:
+        measures.append(Measure("towards_deg", clock, 2 * one.phi_sigma_deg))
+    where = f"sector {sector}" if sector else "all sectors"
+    how = "" if rolled else "; the head's roll is not known, and so no direction"
+    fill = {"part": "air above water"}.get(str(one.kind), str(one.kind))
+    return Feature(
+        FeatureKind.CROSS_BORE, one.odometer_mm, one.extent_mm, clock, arc, tuple(measures), f"{fill}, {where}{how}"
+    )
+
+
+def _sector(one: Indication, grid: Grid) -> int:
+    """That sees most of it, from 1; 0 where all see as much."""
+    return 0 if not math.isfinite(one.phi_deg) else 1 + int(np.argmax(np.abs(one.change_ff)))
+
+
+def _lane(account: Account, grid: Grid, rolled: bool) -> Lane:
+    marks = tuple(
+        LaneMark(
+            str(one.kind), one.odometer_mm, one.extent_mm, one.kind in BORES, _sector(one, grid),
+            one.phi_deg if rolled else math.nan, likely(one),
+        )
+        for one in account.indications
+    )  # fmt: skip
+    blind = account.length_mm - account.water_told_mm
+    told = f"The first and last {account.ends_mm / 1000:.2f} m are not judged."
+    if blind > 100.0:
+        told += f" Water cannot be told on {blind / 1000:.1f} m."
+    lift = "taken out by the rings' poses" if grid.lift_ff_mm is not None else "left in: too few frames had a pose"
+    return Lane(grid.z_mm, grid.c_ff / 1000, grid.seen, marks, f"{told} Lift-off is {lift}.")
