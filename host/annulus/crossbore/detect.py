@@ -37,6 +37,10 @@ LOSS_UNEVEN_FF = 1.0  # the same of its loss, smoothed
 SHAPE = 0.04  # of what air takes off: what the model of a sector's width leaves
 BEAD_FF = 25.0  # a bead of plastic inside stands so far over all three sectors
 MERGED_MM = 150.0
+SLANT_MM = 12.0  # of a 3-inch pipe that crosses sewers at 58 to 90 degrees, rms
+LEAST_SECTOR_FF = 25.0  # a sector that falls by less does not say where
+EDGE_MM = 80.0  # of a dip, over which its middle moves by as much as unevenness is of its depth
+NEAR_UP_DEG = 40.0  # air that lies so may be above water that nothing told
 JOINT_MM = 60.0  # of a joint's place, half a coupling: sectors and rings are not at one place along the head
 CLOSE = round(CLOSE_MM[1] / STEP_MM)
 DRY = 0.75  # of the deepest: in soil that reads less than that over air, water stands out
@@ -288,12 +292,44 @@ def _dip(grid: Grid, place: _Place, head: Head, limits: Limits) -> Indication:
         kind = Kind.VOID if extent < limits.bore_mm[0] else Kind.UNKNOWN
         return Indication(z, kind, extent, phi, sigma, change, strongest)
     if _half_full(grid, place, share, phi, beta):  # its air is above, wherever the sewer lies
+        z = _level_middle(grid, place, head)
         return Indication(z, Kind.PART, extent, math.nan, math.nan, change, strongest)
+    if abs((phi - UP_DEG + 180) % 360 - 180) < NEAR_UP_DEG:
+        z = _level_middle(grid, place, head)
     return Indication(z, Kind.AIR, extent, phi, sigma, change, strongest, arc_deg=_arc(phi, beta))
 
 
 def _arc(phi: float, beta: float) -> float:
     return min(2 * beta, 360.0) if math.isfinite(phi) else 360.0
+
+
+def _level_middle(grid: Grid, place: _Place, head: Head) -> float:
+    """Where a sewer half full is crossed, mm. One that is crossed at a slant meets the pipe's upper side, where its air
+    is, before or behind its middle: by A cos + B sin of the direction, R cot(angle) at most. Each sector's own dip lies
+    where the air it sees is; two unknowns beside the middle, and what sewers are crossed at (SLANT_MM) where sectors do
+    not tell them.
+    """
+    rows, places, weights = [], [], []
+    for k, look in enumerate(grid.looks_deg(place.middle)):
+        line = gaussian_filter1d(grid.c_ff[:, k], SMOOTH_MM / STEP_MM)
+        seen = np.radians(look + np.linspace(-0.5, 0.5, 56) * head.sector_deg)
+        above = seen[np.sin(seen) < 0]
+        near = round(CLOSE_MM[0] / STEP_MM)
+        left, right = _medians(line, place.low - near, place.high + near, CLOSE)
+        peak = place.low + int(np.argmin(line[place.low : place.high + 1]))
+        depth = max(left, right) - float(line[peak])
+        if not len(above) or not depth > LEAST_SECTOR_FF:
+            continue
+        low, high = _half(line, peak, -1, left, right)
+        rows.append((1.0, float(np.cos(above).mean()), float(np.sin(above).mean())))
+        places.append(float(np.interp(0.5 * (low + high), np.arange(len(grid.z_mm)), grid.z_mm)))
+        weights.append(1.0 / (2.0 + EDGE_MM * _lift_off(grid) / depth))
+    if not rows:
+        return float(grid.z_mm[place.middle])
+    terms = np.array(rows) * np.array(weights)[:, None]
+    prior = np.array([[0.0, 1 / SLANT_MM, 0.0], [0.0, 0.0, 1 / SLANT_MM]])
+    fit, *_ = np.linalg.lstsq(np.vstack([terms, prior]), np.r_[np.array(places) * weights, 0.0, 0.0], rcond=None)
+    return float(fit[0])
 
 
 def _half_full(grid: Grid, place: _Place, share: FloatArray, phi: float, beta: float) -> bool:
