@@ -10,8 +10,6 @@ import typer
 from annulus.cli.show import Json, group, progress
 from annulus.vocabulary import AnnulusError
 
-ROOM_MM = 700.0  # that two things along a simulated pipe are apart
-
 app = group("Cross bores: where a pipe was drilled through a sewer, by a head with capacitive sectors.")
 
 
@@ -59,7 +57,7 @@ def detect_command(
     files = write_bores(out, bores, others, grid.z_mm, grid.c_ff, grid.seen) if out is not None else []
     summary: dict[str, Any] = {
         "log": str(log), "length_mm": account.length_mm, "unseen_mm": account.unseen_mm, "ends_mm": account.ends_mm,
-        "water_told_mm": account.water_told_mm, "rows_without_reading": grid.unread, "spikes": grid.spikes,
+        "water_told_mm": account.water_told_mm, "wanders": account.wanders, "rows_without_reading": grid.unread, "spikes": grid.spikes,
         "lift_off_ff_per_mm": grid.lift_ff_mm, "bores": bores, "others": others, "files": [str(f) for f in files],
     }  # fmt: skip
     if as_json:
@@ -72,6 +70,8 @@ def detect_command(
     print(f"ends       the first and last {account.ends_mm / 1000:.2f} m are not judged")
     lift = "no pose in the log: lift-off stays in" if grid.lift_ff_mm is None else f"{grid.lift_ff_mm:.0f} fF a mm"
     print(f"lift-off   {lift}")
+    if account.wanders:
+        print("wanders    the head stood off the axis by millimetres: only what is alike all round is called a bore")
     for one in account.indications:
         sure = f", {100 * likely(one):.0f} %" if one.odds else ""
         way = "all round" if not math.isfinite(one.phi_deg) else (
@@ -103,13 +103,13 @@ def simulate_command(
     seed: Annotated[int, typer.Option(min=0, help="The same seed, the same log.")] = 0,
 ) -> None:
     """A log of the twin's pipe, with couplings, beads, hollows, lost rows, slips and drift, and its truth."""
+    from annulus.twin.capacitance import ROOM_M, some_ground, write
     from annulus.twin.capacitance import log as passage
-    from annulus.twin.capacitance import some_ground, write
 
-    room = 1000 * length_m / (2 * (bores + near) + 5)
-    if room < ROOM_MM:
+    room = length_m / (2 * (bores + near) + 5)
+    if room < ROOM_M:
         raise AnnulusError(
-            f"{bores + near} sewers in {length_m:g} m: {room:.0f} mm each, expected at least {ROOM_MM:g}"
+            f"{bores + near} sewers in {length_m:g} m: {1000 * room:.0f} mm each, expected at least {1000 * ROOM_M:g}"
         )
     ground = some_ground(1000 * length_m, seed, tuple(soil or (15.0, 4.0, 22.0)), bores, near, pose, loss)
     truth = write(passage(ground, seed), log)

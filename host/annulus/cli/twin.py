@@ -33,11 +33,15 @@ def run(
             "fringe-mirror: four about one."
         ),
     ] = "ring",
+    buried_m: Annotated[
+        float | None,
+        typer.Option(min=5.0, max=100.0, help="Pipe in the ground, so long, with sewers; the head has sectors."),
+    ] = None,
 ) -> None:
     """Run a simulated head in real time and print the head.toml for it, or write it. Ends with Ctrl-C."""
     from annulus.twin.head import run_head
 
-    run_head(fps=fps, seed=seed, faults=faults, board=board, roll_deg=roll_deg, out=out, head=head)
+    run_head(fps=fps, seed=seed, faults=faults, board=board, roll_deg=roll_deg, out=out, head=head, buried_m=buried_m)
 
 
 @app.command("rig", epilog="Example: annulus twin rig --phantom wires")

@@ -34,6 +34,7 @@ CLOSE_MM = (50.0, 200.0)  # beyond where it is half over: closer, where its own 
 UNEVEN_MM = 3000.0  # to either side: soil whose unevenness counts
 UNEVEN_FF = (3.0, 8.0)  # of one sector against the others, pose known and not: logs a2, a1
 LOSS_UNEVEN_FF = 1.0  # the same of its loss, smoothed
+BLURRED = 4.0  # standard deviations of that, of a head that wanders, are no side
 SHAPE = 0.04  # of what air takes off: what the model of a sector's width leaves
 BEAD_FF = 25.0  # a bead of plastic inside stands so far over all three sectors
 MERGED_MM = 150.0
@@ -121,7 +122,8 @@ class Indication:
 class Account:
     """What was found, in order; how much of the log was seen; where water could have been told, mm of all.
 
-    ends_mm : of either end, where nothing is judged, for want of what lies beyond.
+    ends_mm : of either end, where nothing is judged, for want of what lies beyond. wanders : the head stood off the axis
+    by millimetres, nobody knows where, so that nothing but what is alike all round is called a bore.
     """
 
     indications: list[Indication]
@@ -129,6 +131,7 @@ class Account:
     unseen_mm: float
     water_told_mm: float
     ends_mm: float = ENDS_MM
+    wanders: bool = False
 
     @property
     def bores(self) -> list[Indication]:
@@ -180,14 +183,28 @@ def detect(grid: Grid, head: Head = HEAD, limits: Limits = LIMITS, joints_mm: Se
     else:
         dry = gaussian_filter1d(mean, UNEVEN_MM / STEP_MM / 3) - head.air_ff < DRY * _wet(mean, head)
         told = float(STEP_MM * np.count_nonzero(grid.seen & dry))
+    if _wanders(grid):
+        found = [_all_round_or_unknown(one) for one in found]
     found = [_explained(one, joints_mm, head, limits) for one in found]
     found += _beads(grid)
     kept = [one for one in found if grid.seen[int(np.argmin(np.abs(grid.z_mm - one.odometer_mm)))]]
-    listed = [
-        replace(one, odds=odds(str(one.kind), one.part, math.isfinite(one.phi_deg), one.loss_ff))
-        for one in _merged(kept)
-    ]
-    return Account(listed, float(np.ptp(grid.z_mm)), float(STEP_MM * np.count_nonzero(~grid.seen)), told)
+    listed = (
+        _merged(kept)
+        if _wanders(grid)
+        else [
+            replace(one, odds=odds(str(one.kind), one.part, math.isfinite(one.phi_deg), one.loss_ff))
+            for one in _merged(kept)
+        ]
+    )
+    return Account(
+        listed, float(np.ptp(grid.z_mm)), float(STEP_MM * np.count_nonzero(~grid.seen)), told, wanders=_wanders(grid)
+    )
+
+
+def _all_round_or_unknown(one: Indication) -> Indication:
+    """What a log says whose head wandered, nobody knows where: it lifts off one side, and a little off the mean."""
+    told = one.kind not in BORES or math.isfinite(one.loss_ff) or (one.kind is Kind.AIR and math.isnan(one.phi_deg))
+    return one if told else replace(one, kind=Kind.UNKNOWN, phi_deg=math.nan, phi_sigma_deg=math.nan, arc_deg=360.0)
 
 
 def _explained(one: Indication, joints_mm: Sequence[float], head: Head, limits: Limits) -> Indication:
@@ -279,9 +296,11 @@ def _dip(grid: Grid, place: _Place, head: Head, limits: Limits) -> Indication:
     # A coupling is alike all round, but for lift-off where that is not known. A sewer's air reads as air, and only in
     # dry soil is that as much as a coupling takes off.
     even = limits.even * (1.0 if grid.lift_ff_mm is not None else 1.5)
-    if near and uneven < even and off < limits.coupling_part[0 if all_air else 1]:
+    # What a head that wanders adds to one side says nothing of a side.
+    blurred = _wanders(grid) and float(np.ptp(change)) < BLURRED * grid.uneven_ff
+    if near and (uneven < even or blurred) and off < limits.coupling_part[0 if all_air else 1]:
         return Indication(z, Kind.COUPLING, extent, math.nan, math.nan, change, strongest)
-    if extent >= limits.bore_mm[0] and uneven < limits.even:
+    if (extent >= limits.bore_mm[0] and uneven < limits.even) or blurred:
         kind = Kind.AIR if all_air else Kind.UNKNOWN
         return Indication(z, kind, extent, math.nan, math.nan, change, strongest)
     phi, sigma, beta = _direction(share, grid.looks_deg(place.middle), head, _lift_off(grid) / max(soil, 1.0))
@@ -378,9 +397,14 @@ def _beads(grid: Grid) -> list[Indication]:
     ]
 
 
+def _wanders(grid: Grid) -> bool:
+    """Whether the head moves about more than any log that was judged with a truth beside it; nobody counted odds so."""
+    return grid.uneven_ff > 2 * UNEVEN_FF[0 if grid.lift_ff_mm is not None else 1]
+
+
 def _lift_off(grid: Grid) -> float:
     """FF by which the head's place and the soil's unevenness may change one sector against the others."""
-    return UNEVEN_FF[0] if grid.lift_ff_mm is not None else UNEVEN_FF[1]
+    return max(UNEVEN_FF[0] if grid.lift_ff_mm is not None else UNEVEN_FF[1], grid.uneven_ff)
 
 
 def _direction(share: FloatArray, looks_deg: FloatArray, head: Head, noise: float) -> tuple[float, float, float]:

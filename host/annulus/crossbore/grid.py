@@ -51,7 +51,8 @@ class Grid:
     Places that were not seen are False in `seen` (G,), and drawn over. roll_deg : (G,), not wrapped. speed_mm_s : (G,).
     raised : (G, 3) how far beads and spikes stood over what is beside them, fF. spikes : readings left out;
     unread : rows with a number missing.
-    lift_ff_mm : what a millimetre towards the wall adds, where the pose says it.
+    lift_ff_mm : what a millimetre towards the wall adds, where the pose says it. uneven_ff : of one sector against the
+    others, over some metres: what soil, and a head that wanders, leave.
     """
 
     z_mm: FloatArray
@@ -64,6 +65,7 @@ class Grid:
     spikes: int
     unread: int
     lift_ff_mm: float | None
+    uneven_ff: float = 0.0
 
     def looks_deg(self, index: int) -> FloatArray:
         """(3,) where the sectors look at this place; 90 is the invert."""
@@ -108,7 +110,9 @@ def on_grid(log: Log) -> Grid:
     narrow = np.abs(raised) > OFF * sigma
     c_grid = np.where(narrow, smooth, c_grid)
     grid_speed = _filled(_binned(z, log.odometer_mm, speed))
-    return Grid(z, c_grid, loss, roll, ~wide, raised, grid_speed, int(spiky.sum()), unread, lift)
+    apart = c_grid - c_grid.mean(axis=1, keepdims=True)
+    uneven = robust_sigma(apart - gaussian_filter1d(apart, LONG_MM / STEP_MM / 6, axis=0, mode="nearest"))
+    return Grid(z, c_grid, loss, roll, ~wide, raised, grid_speed, int(spiky.sum()), unread, lift, uneven)
 
 
 def _read(log: Log) -> tuple[Log, int]:

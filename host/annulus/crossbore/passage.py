@@ -43,6 +43,7 @@ class Passage:
         self._rows: deque[tuple[float, ...]] = deque(maxlen=most)  # t, c1..c3, reference, loss1..loss3
         self._places: deque[tuple[float, float]] = deque(maxlen=most)
         self._rolls: deque[tuple[float, float]] = deque(maxlen=most)
+        self._offs: deque[tuple[float, float, float]] = deque(maxlen=most)  # odometer, x, y
 
     def read(self, t_s: float, c_pf: Sequence[float], loss_ff: Sequence[float] = ()) -> None:
         """c_pf : the three sectors and the reference, NaN for one that failed."""
@@ -63,20 +64,24 @@ class Passage:
         if math.isfinite(roll_deg):
             self._rolls.append((t_s, roll_deg))
 
+    def off(self, z_mm: float, x_mm: float, y_mm: float) -> None:
+        """How far off the pipe's axis the sectors' middle was when the odometer said z_mm; x right, y down."""
+        self._offs.append((z_mm, x_mm, y_mm))
+
     def __len__(self) -> int:
         return len(self._rows)
 
-    def runs(self, offsets: FloatArray | None = None) -> list[Run]:
-        """Those long enough to be judged. offsets : (N, 3) odometer, x and y off the pipe's axis, mm, where known."""
+    def runs(self) -> list[Run]:
+        """Those long enough to be judged."""
         if len(self._rows) < ROWS_MIN or len(self._places) < 2:
             return []
         rows, places = np.array(self._rows), np.array(self._places)
         dt, dz = np.diff(places[:, 0]), np.diff(places[:, 1])
         cuts = np.flatnonzero(np.abs(dz) > JUMP_MM + JUMP_MM_S * dt) + 1
-        runs = (self._run(rows, part, offsets) for part in np.split(places, cuts))
+        runs = (self._run(rows, part) for part in np.split(places, cuts))
         return [run for run in runs if run is not None]
 
-    def _run(self, rows: FloatArray, places: FloatArray, offsets: FloatArray | None) -> Run | None:
+    def _run(self, rows: FloatArray, places: FloatArray) -> Run | None:
         if len(places) < 2:
             return None
         z = _between(rows[:, 0], places)
@@ -91,7 +96,7 @@ class Passage:
             rolled = bool(np.isfinite(known).all())
             roll = known if rolled else roll
         loss = rows[:, 5:8] if np.isfinite(rows[:, 5:8]).all(axis=1).mean() > 0.5 else None
-        off = None if offsets is None else _off(z, offsets)
+        off = _off(z, np.array(self._offs)) if len(self._offs) > 1 else None
         return Run(Log(rows[:, 0], z + self._ahead, rows[:, 1:4], rows[:, 4], roll, loss, off), rolled)
 
 
@@ -108,6 +113,6 @@ def _off(z: FloatArray, offsets: FloatArray) -> FloatArray | None:
     line = offsets[np.argsort(offsets[:, 0], kind="stable")]
     after = np.clip(np.searchsorted(line[:, 0], z), 1, len(line) - 1)
     known = line[after, 0] - line[after - 1, 0] <= OFFSETS_APART_MM
-    if len(line) < 2 or known.mean() < 0.9:
+    if known.mean() < 0.9:
         return None
     return np.stack([np.interp(z, line[:, 0], line[:, k]) for k in (1, 2)], axis=1)

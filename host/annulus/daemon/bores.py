@@ -1,7 +1,7 @@
 """Cross bores while the head moves: what its capacitive sectors read over the last metres, judged once a second.
 
-Without the rings' poses: `reprocess` takes lift-off out afterwards. A place is told when the head is past it by what it
-is held against, so that it does not change its name.
+Lift-off is taken out where workers keep up with the rings' poses; `reprocess` has them all. A place is told when the
+head is past it by what it is held against, so that it does not change its name.
 """
 
 from collections.abc import Mapping
@@ -12,8 +12,9 @@ from annulus.crossbore.detect import BESIDE_MM, MERGED_MM
 from annulus.daemon.config import SectorsConfig
 from annulus.daemon.observer import Observer, Observers
 from annulus.daemon.state import State
-from annulus.reprocess.bores import take
+from annulus.reprocess.bores import take, take_pose
 from annulus.sensors.sample import Sample
+from annulus.wall.profile import Profile
 
 KEEP_MM = 8000.0  # 53 s at 150 mm/s: some milliseconds a look
 STEP_MM = 100.0  # the head has moved so far since the last look, or there is none
@@ -50,6 +51,9 @@ class Bores(Observer):
         if sample.sensor == "odometer":
             self._here_mm = sample.values.get("z_mm", before)
 
+    def profile(self, profile: Profile) -> None:
+        take_pose(self._passage, profile, self._sectors.ahead_mm)
+
     def look(self, final: bool = False) -> list[Indication]:
         """What was not told before. final : the scan is over, so is what the head was not yet past."""
         if not self._reads or (not final and abs(self._here_mm - self._looked_mm) < STEP_MM):
@@ -70,7 +74,5 @@ class Bores(Observer):
 def told(one: Indication) -> str:
     """For people: "cross bore, air, at 12.340 m, 210 mm long, 97 %"."""
     assert one.kind in BORES
-    return (
-        f"cross bore, {one.kind}, at {one.odometer_mm / 1000:.3f} m, {one.extent_mm:.0f} mm long, "
-        f"{100 * likely(one):.0f} % as the twin's pipes are drawn"
-    )
+    sure = f"{100 * likely(one):.0f} % as the twin's pipes are drawn" if one.odds else "the head wanders: no odds"
+    return f"cross bore, {one.kind}, at {one.odometer_mm / 1000:.3f} m, {one.extent_mm:.0f} mm long, {sure}"

@@ -13,7 +13,6 @@ import numpy as np
 
 from annulus import untrusted
 from annulus.crossbore import BORES, Account, Grid, Head, Indication, Passage, detect, likely, on_grid
-from annulus.numeric.arrays import FloatArray
 from annulus.record.scan import Scan
 from annulus.sensors.fdc2214 import CHANNELS, LOSSES
 from annulus.sensors.sample import Sample
@@ -42,7 +41,9 @@ def with_bores(scan: Scan, profiles: Sequence[Profile], survey: Survey) -> Surve
                 except ValueError:
                     continue
                 take(passage, sample)
-    runs = passage.runs(_offsets(profiles, ahead))
+    for profile in profiles:
+        take_pose(passage, profile, ahead)
+    runs = passage.runs()
     joints = [f.z_mm for f in survey.features if f.kind in (FeatureKind.JOINT, FeatureKind.GAP)]
     lane, features = None, list(survey.features)
     for run in runs:
@@ -84,19 +85,16 @@ def _head(told: Mapping[str, Any]) -> tuple[Head, float]:
         return usual, 0.0
 
 
-def _offsets(profiles: Sequence[Profile], ahead_mm: float) -> FloatArray | None:
-    """(N, 3) odometer, x and y of the sectors' middle off the pipe's axis, mm; None where few frames had a pose."""
-    rows = [
-        (one.z_mm, *one.pose.to_pipe(np.array([[0.0, 0.0, ahead_mm]]))[0, :2])
-        for one in profiles
-        if one.pose is not None and math.isfinite(one.z_mm)
-    ]
-    return np.array(rows) if len(rows) > 1 else None
+def take_pose(passage: Passage, profile: Profile, ahead_mm: float) -> None:
+    """Where the rings saw the head."""
+    if profile.pose is not None and math.isfinite(profile.z_mm):
+        x, y = profile.pose.to_pipe(np.array([[0.0, 0.0, ahead_mm]]))[0, :2]
+        passage.off(profile.z_mm, float(x), float(y))
 
 
 def _feature(one: Indication, grid: Grid, rolled: bool) -> Feature:
     clock, arc = ((one.phi_deg + 90.0) % 360, one.arc_deg) if rolled and math.isfinite(one.phi_deg) else (0.0, 360.0)
-    measures = [Measure("probability_percent", round(100 * likely(one), 1))]
+    measures = [Measure("probability_percent", round(100 * likely(one), 1))] if one.odds else []
     sector = _sector(one, grid)
     strongest = float(one.change_ff[int(np.argmax(np.abs(one.change_ff)))])
     measures.append(Measure("change_ff", strongest))
@@ -127,5 +125,7 @@ def _lane(account: Account, grid: Grid, rolled: bool) -> Lane:
     told = f"The first and last {account.ends_mm / 1000:.2f} m are not judged."
     if blind > 100.0:
         told += f" Water cannot be told on {blind / 1000:.1f} m."
+    if account.wanders:
+        told += " The head wandered: only what is alike all round is called a bore."
     lift = "taken out by the rings' poses" if grid.lift_ff_mm is not None else "left in: too few frames had a pose"
     return Lane(grid.z_mm, grid.c_ff / 1000, grid.seen, marks, f"{told} Lift-off is {lift}.")

@@ -31,6 +31,7 @@ LIFT_FF, LIFT_MM = 375.0, 4.43
 WATER_EPS, WATER_LOSS_FF = 80.0, 10.0
 COUPLING_FF, COUPLING_MM = 113.0, 115.0
 STEP_MM, STEP_DEG = 4.0, 5.0
+ROOM_M = 0.7  # that two things along a pipe are apart, at least
 
 
 @dataclass(frozen=True, slots=True)

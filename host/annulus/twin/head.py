@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus.capture.timing import FrameTiming
-from annulus.twin.capacitance import Ground
+from annulus.twin.capacitance import ROOM_M, Ground, some_ground
 from annulus.twin.faults import Faults
 from annulus.twin.profiles import load_faults
 from annulus.twin.render import Renderer
@@ -245,24 +245,31 @@ def head_toml(head: HeadHandle, world: World, calibration: Path | None = None) -
 
 
 def run_head(
-    fps: float, seed: int, faults: Path | None, board: str, roll_deg: float, out: Path | None, head: str = "ring"
-) -> None:
+    fps: float, seed: int, faults: Path | None, board: str, roll_deg: float, out: Path | None, head: str = "ring",
+    buried_m: float | None = None,
+) -> None:  # fmt: skip
     """A head, one of HEADS, in its pipe until Ctrl-C, for a daemon or `annulus head` in another terminal.
 
     Prints the head.toml that finds it, or writes it into `out`, with the calibration and the truth beside it. The head
-    rolls by `roll_deg` either way on its way through the pipe.
+    rolls by `roll_deg` either way on its way through the pipe. buried_m : the pipe is so long and lies in a ground with
+    sewers that it was drilled through, and the head has capacitive sectors.
     """
     if head not in HEADS:
         raise AnnulusError(f"head {head!r}: expected one of {', '.join(HEADS)}")
     world = replace(HEADS[head](seed), roll_deg=roll_deg)
-    with start_head(world, fps, faults, seed=seed, board=board) as running:
+    ground = None
+    if buried_m is not None:
+        ground = some_ground(1000 * buried_m, seed, bores=int((buried_m / ROOM_M - 5) / 2), near=0)
+        world = replace(world, travel_mm=1000 * buried_m)
+    with start_head(world, fps, faults, seed=seed, board=board, ground=ground) as running:
         if out is None:
             print(head_toml(running, world), flush=True)
         else:
             try:
                 out.mkdir(parents=True, exist_ok=True)
                 (out / "calibration.json").write_text(json.dumps(world.calibration().to_dict(), indent=1) + "\n")
-                (out / "truth.json").write_text(json.dumps(world.truth(), indent=1) + "\n")
+                truth = world.truth() | ({} if ground is None else {"ground": asdict(ground)})
+                (out / "truth.json").write_text(json.dumps(truth, indent=1) + "\n")
                 (out / "head.toml").write_text(head_toml(running, world, Path("calibration.json")))
             except OSError as error:
                 raise AnnulusError(f"{out}: cannot be written ({error.strerror})") from None

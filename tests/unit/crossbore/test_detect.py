@@ -49,6 +49,17 @@ def test_a_coupling_is_called_one_in_any_soil(eps: float, pose: bool) -> None:
     assert one.kind is Kind.COUPLING and one.odometer_mm == pytest.approx(3006, abs=15)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_head_that_wanders_by_millimetres_gives_a_coupling_no_side_and_nothing_odds(seed: int) -> None:
+    """1 mm off the axis adds 85 fF to one sector: by itself that is a sewer on one side. Nobody counted odds so."""
+    ground = replace(PLAIN, couplings_mm=(3000.0,), wander_mm=1.2)
+    account = found(ground, seed)
+    assert not account.bores and not any(one.odds for one in account.indications)
+    sewer = found(replace(PLAIN, bores=(Bore(3000.0, 101.0),), wander_mm=1.2), seed)
+    assert [round(one.odometer_mm, -2) for one in sewer.bores] == [3000]
+    assert found(replace(ground, pose=True), seed).indications[0].odds  # with the pose it does not wander
+
+
 def test_a_bore_at_the_end_of_a_log_is_not_judged_and_that_is_said() -> None:
     account = found(replace(PLAIN, bores=(Bore(120.0, 101.0), Bore(3000.0, 101.0))))
     assert [round(one.odometer_mm, -2) for one in account.bores] == [3000]
