@@ -5,6 +5,7 @@ The head's chips are registers on a simulated I2C bus; drivers, daemon, recorder
 
 import resource
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -27,7 +28,7 @@ from annulus.wall.features import FeatureKind
 pytestmark = pytest.mark.system
 
 FPS, SPEED_MM_S, TRAVEL_MM = 8.0, 120.0, 2300.0
-WORLD = demo_world(travel_mm=TRAVEL_MM + 200.0).scaled(416)
+WORLD = replace(demo_world(travel_mm=TRAVEL_MM + 200.0), wobble_mm=0.2).scaled(416)  # on skids: a frame every 15 mm
 BORE_MM, RADIUS_MM = 1150.0, 76.0
 GROUND = Ground(TRAVEL_MM + 400.0, bores=(Bore(BORE_MM, RADIUS_MM, angle_deg=90.0),), wander_mm=0.0)
 CHIPS = ("capacitance", "supply", "imu")

@@ -57,7 +57,8 @@ def detect_command(
     files = write_bores(out, bores, others, grid.z_mm, grid.c_ff, grid.seen) if out is not None else []
     summary: dict[str, Any] = {
         "log": str(log), "length_mm": account.length_mm, "unseen_mm": account.unseen_mm, "ends_mm": account.ends_mm,
-        "water_told_mm": account.water_told_mm, "wanders": account.wanders, "rows_without_reading": grid.unread, "spikes": grid.spikes,
+        "water_told_mm": account.water_told_mm, "wanders": account.wanders,
+        "rows_without_reading": grid.unread, "spikes": grid.spikes,
         "lift_off_ff_per_mm": grid.lift_ff_mm, "bores": bores, "others": others, "files": [str(f) for f in files],
     }  # fmt: skip
     if as_json:

@@ -122,8 +122,8 @@ class Indication:
 class Account:
     """What was found, in order; how much of the log was seen; where water could have been told, mm of all.
 
-    ends_mm : of either end, where nothing is judged, for want of what lies beyond. wanders : the head stood off the axis
-    by millimetres, nobody knows where, so that nothing but what is alike all round is called a bore.
+    ends_mm : of either end, where nothing is judged, for want of what lies beyond. wanders : the head stood off the
+    axis by millimetres, nobody knows where, so that nothing but what is alike all round is called a bore.
     """
 
     indications: list[Indication]
@@ -196,9 +196,8 @@ def detect(grid: Grid, head: Head = HEAD, limits: Limits = LIMITS, joints_mm: Se
             for one in _merged(kept)
         ]
     )
-    return Account(
-        listed, float(np.ptp(grid.z_mm)), float(STEP_MM * np.count_nonzero(~grid.seen)), told, wanders=_wanders(grid)
-    )
+    unseen = float(STEP_MM * np.count_nonzero(~grid.seen))
+    return Account(listed, float(np.ptp(grid.z_mm)), unseen, told, wanders=_wanders(grid))
 
 
 def _all_round_or_unknown(one: Indication) -> Indication:
@@ -399,7 +398,7 @@ def _beads(grid: Grid) -> list[Indication]:
 
 def _wanders(grid: Grid) -> bool:
     """Whether the head moves about more than any log that was judged with a truth beside it; nobody counted odds so."""
-    return grid.uneven_ff > 2 * UNEVEN_FF[0 if grid.lift_ff_mm is not None else 1]
+    return grid.uneven_ff > 2 * UNEVEN_FF[1]
 
 
 def _lift_off(grid: Grid) -> float:

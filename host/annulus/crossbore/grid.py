@@ -24,6 +24,7 @@ OFF = 6.0  # standard deviations at which a reading is no part of what is beside
 BRIDGED_MM = 60.0  # a hole so long is drawn over; the head's own electrodes are as long
 SPEED_ROWS = 20  # over which the speed is taken
 LONG_MM = 1500.0  # lift-off is told from what changes within it
+POSE_MM = 2.5  # over which a pose is smoothed: with 10 a head that wobbles every 30 mm keeps half of its lift-off
 ROWS_MIN = 200
 SPAN_MM = (500.0, 2e7)  # less says nothing; 20 km are 4 million places
 
@@ -155,7 +156,7 @@ def _filled(value: FloatArray) -> FloatArray:
 def _without_lift_off(c: FloatArray, off: FloatArray, roll_deg: FloatArray) -> tuple[FloatArray, float]:
     """Sectors as on the axis, and fF a mm towards the wall there: told from all places where only the head moved."""
     angle = np.radians(roll_deg[:, None] + 120.0 * np.arange(SECTORS))
-    nearer = gaussian_filter1d(off[:, :1] * np.cos(angle) + off[:, 1:] * np.sin(angle), 2.0, axis=0)
+    nearer = gaussian_filter1d(off[:, :1] * np.cos(angle) + off[:, 1:] * np.sin(angle), POSE_MM / STEP_MM, axis=0)
     terms = np.stack([nearer, nearer**2, nearer**3], axis=2)  # steeper the nearer it comes
     long = LONG_MM / STEP_MM / 6
 
