@@ -9,26 +9,30 @@ Where the odometer was zeroed, or a controller restarted, places jump: a run end
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from annulus.crossbore.grid import ROWS_MIN, SECTORS, SPAN_MM, Log
-from annulus.numeric.arrays import FloatArray
+from annulus.numeric.arrays import BoolArray, FloatArray
 
 JUMP_MM, JUMP_MM_S = 20.0, 1000.0  # faster than any winch
 APART_S = 0.6  # two places or rolls further apart say nothing of what is between; an odometer says one each 0.2 s
+PF_MAX, Z_MAX_MM, ROLL_MAX_DEG = 1000.0, 1e8, 1e6  # what is beyond is no reading
 KEPT_MAX = 20_000  # of each kind, of a head that stands still
 OFFSETS_APART_MM = 60.0  # .. and two places of the head off the axis
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Run:
-    """rolled : whether the head's roll was known; without it a direction says nothing of the pipe."""
+    """rolled : (N,) whether the head's roll was known; without it a direction says nothing of the pipe."""
 
     log: Log
-    rolled: bool
+    rolled: BoolArray
+
+    def rolled_at(self, odometer_mm: float) -> bool:
+        return bool(self.rolled[int(np.argmin(np.abs(self.log.odometer_mm - odometer_mm)))])
 
 
 class Passage:
@@ -47,9 +51,12 @@ class Passage:
 
     def read(self, t_s: float, c_pf: Sequence[float], loss_ff: Sequence[float] = ()) -> None:
         """c_pf : the three sectors and the reference, NaN for one that failed."""
-        self._rows.append((t_s, *c_pf, *(loss_ff or (math.nan,) * SECTORS)))
+        sound = (value if 0.0 < value < PF_MAX else math.nan for value in c_pf)
+        self._rows.append((t_s, *sound, *(loss_ff or (math.nan,) * SECTORS)))
 
     def place(self, t_s: float, z_mm: float) -> None:
+        if not abs(z_mm) < Z_MAX_MM:
+            return
         self._places.append((t_s, z_mm))
         if self._keep is None:
             return
@@ -61,7 +68,7 @@ class Passage:
 
     def roll(self, t_s: float, roll_deg: float) -> None:
         """Clockwise, looking ahead."""
-        if math.isfinite(roll_deg):
+        if abs(roll_deg) < ROLL_MAX_DEG:
             self._rolls.append((t_s, roll_deg))
 
     def off(self, z_mm: float, x_mm: float, y_mm: float) -> None:
@@ -72,10 +79,10 @@ class Passage:
         return len(self._rows)
 
     def runs(self) -> list[Run]:
-        """Those long enough to be judged."""
+        """Those long enough to be judged: with more than half of their readings sound."""
         if len(self._rows) < ROWS_MIN or len(self._places) < 2:
             return []
-        rows, places = np.array(self._rows), np.array(self._places)
+        rows, places = _in_time(self._rows), _in_time(self._places)
         dt, dz = np.diff(places[:, 0]), np.diff(places[:, 1])
         cuts = np.flatnonzero(np.abs(dz) > JUMP_MM + JUMP_MM_S * dt) + 1
         runs = (self._run(rows, part) for part in np.split(places, cuts))
@@ -85,19 +92,28 @@ class Passage:
         if len(places) < 2:
             return None
         z = _between(rows[:, 0], places)
-        rows, z = rows[np.isfinite(z)], z[np.isfinite(z)]
-        if len(rows) < ROWS_MIN or not SPAN_MM[0] <= np.ptp(z) <= SPAN_MM[1]:
+        placed = np.isfinite(z)
+        sound = placed & np.isfinite(rows[:, 1:5]).all(axis=1)
+        if np.count_nonzero(sound) < max(ROWS_MIN, 0.5 * np.count_nonzero(placed)):
             return None
-        roll, rolled = np.zeros(len(rows)), False
+        rows, z = rows[sound], z[sound]
+        if not SPAN_MM[0] <= np.ptp(z) <= SPAN_MM[1]:
+            return None
+        roll, rolled = np.zeros(len(rows)), np.zeros(len(rows), bool)
         if len(self._rolls) > 1:
-            said = np.array(self._rolls)
+            said = _in_time(self._rolls)
             said[:, 1] = np.unwrap(said[:, 1], period=360.0)
-            known = _between(rows[:, 0], said)
-            rolled = bool(np.isfinite(known).all())
-            roll = known if rolled else roll
+            rolled = np.isfinite(_between(rows[:, 0], said))
+            roll = np.interp(rows[:, 0], said[:, 0], said[:, 1])
         loss = rows[:, 5:8] if np.isfinite(rows[:, 5:8]).all(axis=1).mean() > 0.5 else None
         off = _off(z, np.array(self._offs)) if len(self._offs) > 1 else None
         return Run(Log(rows[:, 0], z + self._ahead, rows[:, 1:4], rows[:, 4], roll, loss, off), rolled)
+
+
+def _in_time(said: Iterable[tuple[float, ...]]) -> FloatArray:
+    """Of several sensors the same, in the order of their times."""
+    table = np.array(list(said))
+    return np.asarray(table[np.argsort(table[:, 0], kind="stable")])
 
 
 def _between(at: FloatArray, said: FloatArray) -> FloatArray:

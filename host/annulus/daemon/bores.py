@@ -14,6 +14,7 @@ from annulus.daemon.observer import Observer, Observers
 from annulus.daemon.state import State
 from annulus.reprocess.bores import take, take_pose
 from annulus.sensors.sample import Sample
+from annulus.vocabulary import AnnulusError
 from annulus.wall.profile import Profile
 
 KEEP_MM = 8000.0  # 53 s at 150 mm/s: some milliseconds a look
@@ -35,7 +36,7 @@ class Bores(Observer):
         self._passage = Passage(self._sectors.ahead_mm, KEEP_MM)
         self._told: list[Indication] = []
         self._here_mm = self._looked_mm = float("nan")
-        self._reads = False
+        self._reads = self._broke = False
 
     def state(self, state: State, why: str) -> None:
         if state is State.ARMED and self._state is not State.FAULT:
@@ -60,15 +61,25 @@ class Bores(Observer):
             return []
         self._looked_mm = self._here_mm
         new: list[Indication] = []
-        for run in self._passage.runs():
-            for one in detect(on_grid(run.log), self._head).bores:
-                past = abs(self._here_mm + self._sectors.ahead_mm - one.odometer_mm) >= PAST_MM
-                known = any(abs(old.odometer_mm - one.odometer_mm) < MERGED_MM for old in (*self._told, *new))
-                if (past or final) and not known:
-                    new.append(one)
-                    self._observers.event("bore", told(one))
+        for one in self._bores():
+            past = abs(self._here_mm + self._sectors.ahead_mm - one.odometer_mm) >= PAST_MM
+            known = any(abs(old.odometer_mm - one.odometer_mm) < MERGED_MM for old in (*self._told, *new))
+            if (past or final) and not known:
+                new.append(one)
+                self._observers.event("bore", told(one))
         self._told += new
         return new
+
+    def _bores(self) -> list[Indication]:
+        """Of all that is kept. What goes wrong here costs bores, never the scan; it is said once."""
+        try:
+            return [one for run in self._passage.runs() for one in detect(on_grid(run.log), self._head).bores]
+        except Exception as error:
+            if not self._broke:
+                self._broke = True
+                why = str(error) if isinstance(error, AnnulusError) else f"{type(error).__name__}: {error}"
+                self._observers.event("bore", f"cross bores cannot be told: {why}")
+            return []
 
 
 def told(one: Indication) -> str:

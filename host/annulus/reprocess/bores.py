@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 
 from annulus import untrusted
-from annulus.crossbore import BORES, Account, Grid, Head, Indication, Passage, detect, likely, on_grid
+from annulus.crossbore import BORES, Account, Grid, Head, Indication, Passage, Run, detect, likely, on_grid
 from annulus.record.scan import Scan
 from annulus.sensors.fdc2214 import CHANNELS, LOSSES
 from annulus.sensors.sample import Sample
+from annulus.vocabulary import AnnulusError, Finding
 from annulus.wall.features import Feature, FeatureKind, Measure
 from annulus.wall.lane import Lane, LaneMark
 from annulus.wall.profile import Profile
@@ -45,17 +46,19 @@ def with_bores(scan: Scan, profiles: Sequence[Profile], survey: Survey) -> Surve
         take_pose(passage, profile, ahead)
     runs = passage.runs()
     joints = [f.z_mm for f in survey.features if f.kind in (FeatureKind.JOINT, FeatureKind.GAP)]
-    lane, features = None, list(survey.features)
+    lane, features, findings = None, list(survey.features), list(survey.disbelieved)
     for run in runs:
-        grid = on_grid(run.log)
-        account = detect(grid, head, joints_mm=joints)
-        features += [_feature(one, grid, run.rolled) for one in account.bores]
-        more = _lane(account, grid, run.rolled)
+        try:
+            grid = on_grid(run.log)
+            account = detect(grid, head, joints_mm=joints)
+        except AnnulusError as error:  # the wall is told all the same
+            findings.append(Finding("sectors", f"capacitive sectors: {error}"))
+            continue
+        features += [_feature(one, grid, run.rolled_at(one.odometer_mm)) for one in account.bores]
+        more = _lane(account, grid, run)
         lane = more if lane is None else lane.joined(more)
-    if lane is None:
-        return survey
     features.sort(key=lambda one: (one.z_mm, one.clock_deg))
-    return replace(survey, features=tuple(features), lane=lane)
+    return replace(survey, features=tuple(features), lane=lane, disbelieved=tuple(findings))
 
 
 def take(passage: Passage, sample: Sample) -> bool:
@@ -76,11 +79,10 @@ def _head(told: Mapping[str, Any]) -> tuple[Head, float]:
     """Of a recording's configuration; what is none is passed over."""
     usual = Head()
     try:
-        return replace(
-            usual,
-            air_ff=1000 * untrusted.number(told.get("air_pf", usual.air_ff / 1000), "air_pf"),
-            coupling_ff=untrusted.number(told.get("coupling_ff", usual.coupling_ff), "coupling_ff"),
-        ), untrusted.number(told.get("ahead_mm", 0.0), "ahead_mm")
+        air_pf = untrusted.within(told.get("air_pf", usual.air_ff / 1000), "air_pf", 0.01, 1e3)
+        coupling_ff = untrusted.within(told.get("coupling_ff", usual.coupling_ff), "coupling_ff", 1.0, 1e4)
+        ahead = untrusted.within(told.get("ahead_mm", 0.0), "ahead_mm", -2000.0, 2000.0)
+        return replace(usual, air_ff=1000 * air_pf, coupling_ff=coupling_ff), ahead
     except ValueError:
         return usual, 0.0
 
@@ -113,11 +115,11 @@ def _sector(one: Indication, grid: Grid) -> int:
     return 0 if not math.isfinite(one.phi_deg) else 1 + int(np.argmax(np.abs(one.change_ff)))
 
 
-def _lane(account: Account, grid: Grid, rolled: bool) -> Lane:
+def _lane(account: Account, grid: Grid, run: Run) -> Lane:
     marks = tuple(
         LaneMark(
             str(one.kind), one.odometer_mm, one.extent_mm, one.kind in BORES, _sector(one, grid),
-            one.phi_deg if rolled else math.nan, likely(one),
+            one.phi_deg if run.rolled_at(one.odometer_mm) else math.nan, likely(one),
         )
         for one in account.indications
     )  # fmt: skip

@@ -33,7 +33,7 @@ def test_what_three_sensors_say_finds_the_bore_where_the_log_does() -> None:
     told(passage, drawn)
     (run,) = passage.runs()
     (one,), (same,) = detect(on_grid(run.log)).bores, detect(on_grid(drawn.rows())).bores
-    assert run.rolled and one.kind is same.kind is Kind.AIR
+    assert run.rolled[10:-10].all() and one.kind is same.kind is Kind.AIR
     assert one.odometer_mm - 40.0 == pytest.approx(same.odometer_mm, abs=8.0)
     assert one.phi_deg == pytest.approx(same.phi_deg, abs=8.0) and one.arc_deg < 360.0
 
@@ -48,7 +48,7 @@ def test_an_odometer_that_is_zeroed_begins_another_run() -> None:
         passage.place(t0 + t, rows.odometer_mm[i])
         passage.read(t0 + t, (*rows.c_pf[i], rows.reference_pf[i]))
     first, second = passage.runs()
-    assert first.rolled and not second.rolled  # nobody said how the head was turned
+    assert first.rolled_at(3000.0) and not second.rolled_at(3000.0)  # nobody said how the head was turned
     for run in (first, second):
         assert [round(one.odometer_mm, -2) for one in detect(on_grid(run.log)).bores] == [3000]
 
@@ -69,6 +69,39 @@ def test_a_head_whose_odometer_says_nothing_has_no_run() -> None:
     passage.place(0.0, 0.0)
     passage.place(20.0, 2000.0)  # nothing is assumed of what lies between
     assert passage.runs() == []
+
+
+def test_a_tank_that_stands_still_and_numbers_that_are_none_are_no_readings() -> None:
+    drawn = log(GROUND, 4)
+    passage, rows = Passage(), drawn.rows()
+    for i, t in enumerate(rows.t_s):
+        c = list(rows.c_pf[i])
+        if i % 3 == 0:
+            c[i % 2] = (math.nan, math.inf, -1.0, 1e300)[i % 4]
+        passage.place(t, rows.odometer_mm[i])
+        passage.place(t, math.inf)
+        passage.roll(t, rows.roll_deg[i] if i < 2000 else math.nan)
+        passage.read(t, (*c, rows.reference_pf[i]))
+    (run,) = passage.runs()
+    assert [round(one.odometer_mm, -2) for one in detect(on_grid(run.log)).bores] == [3000]
+    assert run.rolled_at(100.0)
+    dead = Passage()
+    for i, t in enumerate(rows.t_s):
+        dead.place(t, rows.odometer_mm[i])
+        dead.read(t, (4.8, math.nan, 4.8, 4.7))
+    assert dead.runs() == []
+
+
+def test_where_the_roll_was_not_known_nothing_is_said_of_a_direction() -> None:
+    drawn = log(GROUND, 4)
+    passage, rows = Passage(), drawn.rows()
+    for i, t in enumerate(rows.t_s):
+        passage.place(t, rows.odometer_mm[i])
+        if not 2000 < rows.odometer_mm[i] < 4000:
+            passage.roll(t, rows.roll_deg[i])
+        passage.read(t, (*rows.c_pf[i], rows.reference_pf[i]))
+    (run,) = passage.runs()
+    assert [run.rolled_at(z) for z in (1000.0, 3000.0, 5000.0)] == [True, False, True]
 
 
 def test_a_joint_that_the_rings_saw_explains_what_is_alike_all_round() -> None:

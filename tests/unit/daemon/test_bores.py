@@ -78,3 +78,13 @@ def test_a_head_without_sectors_is_never_looked_at() -> None:
     bores = Bores(SectorsConfig(), Observers([listener]))
     bores.sample(Sample("imu", 1, {"roll_deg": math.nan}, {"roll_deg": "deg"}))
     assert bores.look(final=True) == [] and listener.texts == []
+
+
+def test_what_goes_wrong_costs_bores_and_is_said_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(log: object) -> None:
+        raise ZeroDivisionError("at last")
+
+    monkeypatch.setattr("annulus.daemon.bores.on_grid", broken)
+    listener = Told()
+    pulled(Bores(SectorsConfig(), Observers([listener])), log(Ground(6000.0), 2), listener)
+    assert listener.texts == ["cross bores cannot be told: ZeroDivisionError: at last"]
