@@ -170,6 +170,8 @@ def _told(one: Any) -> dict[str, Any]:
     }  # fmt: skip
     if math.isfinite(one.phi_deg):
         said |= {"phi_deg": round(one.phi_deg, 1), "phi_sigma_deg": round(one.phi_sigma_deg, 1)}
+    if math.isfinite(one.speed_mm_s[0]):
+        said["speed_mm_s"] = {"transient": round(one.speed_mm_s[0], 1), "odometer": round(one.speed_mm_s[1], 1)}
     if one.odds:
         said["odds"] = {fate: round(value, 4) for fate, value in one.odds.items()}
     if math.isfinite(one.loss_ff):

@@ -103,6 +103,8 @@ HEAD, LIMITS = Head(), Limits()
 class Indication:
     """One place. phi_deg is NaN where it is alike all round or not told; change_ff (3,) over what is beside it.
 
+    speed_mm_s : of a coupling, by its known length and how long it took to pass, and by the odometer meanwhile. The
+    first is known to a quarter: where they differ by more the odometer slips, or it is another coupling.
     arc_deg : how much of the circumference it has, about phi. odds : of what it may be, see `crossbore.odds`.
     """
 
@@ -116,6 +118,7 @@ class Indication:
     loss_ff: float = math.nan
     arc_deg: float = 360.0
     odds: Mapping[str, float] = field(default_factory=dict)
+    speed_mm_s: tuple[float, float] = (math.nan, math.nan)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -188,6 +191,7 @@ def detect(grid: Grid, head: Head = HEAD, limits: Limits = LIMITS, joints_mm: Se
     found = [_explained(one, joints_mm, head, limits) for one in found]
     found += _beads(grid)
     kept = [one for one in found if grid.seen[int(np.argmin(np.abs(grid.z_mm - one.odometer_mm)))]]
+    kept = [replace(one, speed_mm_s=_speed(grid, one, head)) if one.kind is Kind.COUPLING else one for one in kept]
     listed = (
         _merged(kept)
         if _wanders(grid)
@@ -215,6 +219,16 @@ def _explained(one: Indication, joints_mm: Sequence[float], head: Head, limits: 
     if at_joint and short and even and one.kind in (Kind.AIR, Kind.VOID, Kind.UNKNOWN):
         return replace(one, kind=Kind.COUPLING, phi_deg=math.nan, phi_sigma_deg=math.nan, arc_deg=360.0)
     return one
+
+
+def _speed(grid: Grid, one: Indication, head: Head) -> tuple[float, float]:
+    """By a coupling's transient, and by the odometer; NaN where the head stood or turned back there."""
+    here = np.abs(grid.z_mm - one.odometer_mm) <= max(0.5 * one.extent_mm, STEP_MM)
+    by_odometer = np.abs(grid.speed_mm_s[here])
+    if by_odometer.min() < 1.0 or np.ptp(np.sign(grid.speed_mm_s[here])) > 0:
+        return math.nan, math.nan
+    transit_s = one.extent_mm / len(by_odometer) * float(np.sum(1 / by_odometer))
+    return head.coupling_mm / transit_s, one.extent_mm / transit_s
 
 
 def _wet(mean: FloatArray, head: Head) -> float:

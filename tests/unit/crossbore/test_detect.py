@@ -49,6 +49,20 @@ def test_a_coupling_is_called_one_in_any_soil(eps: float, pose: bool) -> None:
     assert one.kind is Kind.COUPLING and one.odometer_mm == pytest.approx(3006, abs=15)
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_a_couplings_transient_says_how_fast_the_head_was(seed: int) -> None:
+    """Its length is known: the transient says the same of a head whose odometer counts a fifth too much."""
+    drawn = log(replace(PLAIN, couplings_mm=(3000.0,)), seed)
+    rows = drawn.rows()
+    at = np.abs(rows.odometer_mm - drawn.odometer_mm(3000.0)) < 100
+    true = float(np.ptp(rows.odometer_mm[at]) / np.ptp(rows.t_s[at]))
+    for scale in (1.0, 1.2):
+        grid = on_grid(replace(rows, odometer_mm=scale * rows.odometer_mm))
+        (one,) = (i for i in detect(grid, joints_mm=[scale * 3006]).indications if i.kind is Kind.COUPLING)
+        transient, odometer = one.speed_mm_s
+        assert transient == pytest.approx(true, rel=0.25) and odometer == pytest.approx(scale * true, rel=0.1)
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_a_head_that_wanders_by_millimetres_gives_a_coupling_no_side_and_nothing_odds(seed: int) -> None:
     """1 mm off the axis adds 85 fF to one sector: by itself that is a sewer on one side. Nobody counted odds so."""
