@@ -7,12 +7,14 @@ joint is no sewer.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import islice
 from typing import Any
 
 import numpy as np
 
 from annulus import untrusted
 from annulus.crossbore import BORES, Account, Grid, Head, Indication, Passage, Run, detect, likely, on_grid
+from annulus.record.recording import Recording
 from annulus.record.scan import Scan
 from annulus.sensors.fdc2214 import CHANNELS, LOSSES
 from annulus.sensors.sample import Sample
@@ -24,12 +26,13 @@ from annulus.wall.survey import Survey
 
 ODOMETER, ROLL, SECTORS_OF = "z_mm", "roll_deg", "sectors"
 TOPIC = "/sensor/"
+FIRST = 10  # records of a topic that are looked at
 
 
 def with_bores(scan: Scan, profiles: Sequence[Profile], survey: Survey) -> Survey:
     """The same survey with its lane and its cross bores among the features; itself where no sectors were recorded."""
     recording = scan.recording
-    if recording is None:
+    if recording is None or not any(_of_sectors(recording, topic) for topic in recording.topics):
         return survey
     told = (recording.configuration or {}).get(SECTORS_OF)
     head, ahead = _head(told if isinstance(told, Mapping) else {})
@@ -59,6 +62,13 @@ def with_bores(scan: Scan, profiles: Sequence[Profile], survey: Survey) -> Surve
         lane = more if lane is None else lane.joined(more)
     features.sort(key=lambda one: (one.z_mm, one.clock_deg))
     return replace(survey, features=tuple(features), lane=lane, disbelieved=tuple(findings))
+
+
+def _of_sectors(recording: Recording, topic: str) -> bool:
+    """By its first records: an hour of a head without sectors has a third of a million others to read."""
+    first = islice(recording.notes(topic), FIRST) if topic.startswith(TOPIC) else ()
+    values = (body.get("values") for body in first if isinstance(body, Mapping))
+    return any(isinstance(said, Mapping) and CHANNELS[0] in said for said in values)
 
 
 def take(passage: Passage, sample: Sample) -> bool:

@@ -37,7 +37,25 @@ class HeadSensor(Protocol):
         """
 
 
-class Imu:
+class _Steady:
+    """A sensor that reads at an even rate, whatever the lamps do."""
+
+    RATE_HZ: ClassVar[float]
+    _start: int  # tick
+    _taken: int
+
+    def samples(self, until: int, transitions: Transitions = ()) -> list[Sample]:
+        out = []
+        while (tick := self._start + round((self._taken + 1) / self.RATE_HZ / TICK_S)) <= until:
+            out.append(self._at(tick, self._taken))
+            self._taken += 1
+        return out
+
+    def _at(self, tick: int, index: int) -> Sample:
+        raise NotImplementedError
+
+
+class Imu(_Steady):
     """Accelerometer and gyroscope, with the roll that its own filter makes of them.
 
     Frame: the camera's, x right, y down, z ahead. A head at rest and level reads -9.81 m/s2 along y. `roll_deg` is the
@@ -55,13 +73,6 @@ class Imu:
     def __init__(self, world: World, cable: Cable, clock: HostClock, start_tick: int = 0, seed: int = 0) -> None:
         self._world, self._cable, self._clock, self._seed = world, cable, clock, seed
         self._start, self._taken = start_tick, 0
-
-    def samples(self, until: int, transitions: Transitions = ()) -> list[Sample]:
-        out = []
-        while (tick := self._start + round((self._taken + 1) / self.RATE_HZ / TICK_S)) <= until:
-            out.append(self._at(tick, self._taken))
-            self._taken += 1
-        return out
 
     def _at(self, tick: int, index: int) -> Sample:
         rng = np.random.default_rng([self._seed, 5, index])
@@ -142,7 +153,7 @@ class Supply:
         return Sample(self.name, self._clock.ns(tick) + int(rng.integers(LATE_NS)), values, self.UNITS)
 
 
-class Capacitance:
+class Capacitance(_Steady):
     """Three capacitive sectors and a reference, through the wall of a pipe in the ground: see twin.capacitance.
 
     The ground lies along the world's pipe; the head's place, roll and offset are the world's, and so is its speed.
@@ -158,13 +169,6 @@ class Capacitance:
         self._buried = Buried(ground, seed)
         self._world, self._cable, self._clock, self._seed = world, cable, clock, seed
         self._start, self._taken = start_tick, 0
-
-    def samples(self, until: int, transitions: Transitions = ()) -> list[Sample]:
-        out = []
-        while (tick := self._start + round((self._taken + 1) / self.RATE_HZ / TICK_S)) <= until:
-            out.append(self._at(tick, self._taken))
-            self._taken += 1
-        return out
 
     def _at(self, tick: int, index: int) -> Sample:
         rng = np.random.default_rng([self._seed, 7, index])
