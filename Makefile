@@ -18,7 +18,7 @@ $(UV):
 	.tools/bin/pip install --quiet --disable-pip-version-check uv==$(UV_VERSION)
 
 .venv/.synced: pyproject.toml uv.lock | $(UV)
-	$(UV) sync --frozen --all-extras --quiet
+	$(UV) sync --frozen --all-extras --all-groups --quiet
 	@touch $@
 
 # numba's cache knows a kernel's own file, not those of the kernels it calls: after a pull, none of the old ones is left.

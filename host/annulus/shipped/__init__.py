@@ -1,0 +1,24 @@
+"""Files that come with the package and are no Python: the native library, the Pico's image, udev rule, unit, manual.
+
+They lie in this folder, in a wheel and in a checkout alike: a build puts what it makes here (git ignores it), and
+nothing looks for it by a parent's folder.
+"""
+
+from importlib import resources
+from pathlib import Path
+
+from annulus.vocabulary import AnnulusError
+
+NATIVE, IMAGE, UDEV, UNIT, MANUAL = (
+    "libannulus_native.so", "annulus.uf2", "99-annulus.rules", "annulus.service", "manual",
+)  # fmt: skip
+_MADE_BY = {NATIVE: "make setup", IMAGE: "make firmware", MANUAL: "make docs"}
+
+
+def shipped(name: str) -> Path:
+    """Where one of them lies. Raises AnnulusError where it is missing, with what makes it."""
+    path = Path(str(resources.files(__name__))) / name
+    if not path.exists():
+        made = f"In a checkout `{_MADE_BY[name]}` makes it" if name in _MADE_BY else "It is part of the checkout"
+        raise AnnulusError(f"{path}: is missing. {made}; a wheel has it: install annulus again.")
+    return path
