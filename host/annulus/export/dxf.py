@@ -179,8 +179,8 @@ def _described(place: Place) -> str:
     out += f" at {_m(place.z_mm)} m, from {_m(place.z_from_mm)} to {_m(place.z_to_mm)} m"
     if place.kind == "ovality":
         out += f", long axis at clock {clock_time(place.clock_deg):%H:%M}"
-    elif place.is_all_round:
+    elif place.is_all_round and place.kind != "bend":
         out += ", all round"
-    else:
+    elif not place.is_all_round:
         out += f", clock {clock_time(place.clock_deg):%H:%M}, {place.arc_deg:.0f} degrees"
     return ", ".join(text for text in (out, place.remark, place.severity) if text)
