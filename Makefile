@@ -29,7 +29,7 @@ $(UV):
 native:
 	@$(MAKE) --silent -C firmware native
 
-# The image for the Pico: firmware/build/annulus.uf2 and .elf, budgets printed.
+# The image for the Pico: firmware/build/annulus.uf2 and .elf, budgets printed; the first also in host/annulus/shipped.
 firmware:
 	@tools/need.sh gcc-arm-none-eabi
 	@$(MAKE) --silent -C firmware image
@@ -97,4 +97,4 @@ mutants: setup firmware emulator
 	$(BIN)/python tools/mutants.py
 
 clean:
-	rm -rf .venv .tools firmware/build tools/emulator/node_modules
+	rm -rf .venv .tools firmware/build tools/emulator/node_modules dist
