@@ -4,6 +4,8 @@ They lie in this folder, in a wheel and in a checkout alike: a build puts what i
 nothing looks for it by a parent's folder. What only a checkout has is asked for here too.
 """
 
+import json
+import subprocess
 from importlib import resources
 from pathlib import Path
 
@@ -12,6 +14,7 @@ from annulus.vocabulary import AnnulusError
 NATIVE, IMAGE, UDEV, UNIT, MANUAL = (
     "libannulus_native.so", "annulus.uf2", "99-annulus.rules", "annulus.service", "manual",
 )  # fmt: skip
+BUILD = "build.json"  # which version, commit and machine a wheel is of; only a wheel has it
 EMULATOR = "tools/emulator/emulate.mjs"
 _MADE_BY = {NATIVE: "make setup", IMAGE: "make firmware", MANUAL: "make docs"}
 
@@ -26,6 +29,21 @@ def shipped(name: str) -> Path:
         made = f"In a checkout `{_MADE_BY[name]}` makes it" if name in _MADE_BY else "It is part of the checkout"
         raise AnnulusError(f"{path}: is missing. {made}; a wheel has it: install annulus again.")
     return path
+
+
+def is_shipped(name: str) -> bool:
+    return (_HERE / name).exists()
+
+
+def commit() -> str:
+    """Of the source that runs, eight digits; of a checkout, as last committed. 'unknown' where nobody can say."""
+    if is_shipped(BUILD):
+        return str(json.loads((_HERE / BUILD).read_text(encoding="utf-8"))["commit"])
+    try:
+        asked = ["git", "-C", str(_HERE), "rev-parse", "--short=8", "HEAD"]
+        return subprocess.run(asked, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
 
 
 def of_checkout(name: str) -> Path:
