@@ -9,6 +9,7 @@ from scipy import ndimage
 
 from annulus.numeric.arrays import BoolArray, FloatArray
 from annulus.numeric.robust import nan_median
+from annulus.numeric.rounding import clock_face
 from annulus.wall.extent import with_shadow, without_scraps
 from annulus.wall.grid import Wall, smooth
 from annulus.wall.grooves import groove_floor
@@ -26,7 +27,7 @@ from annulus.wall.indications import (
     without_holes,
 )
 from annulus.wall.points import Points
-from annulus.wall.stations import clock_face, shape_ovality, swing_sigma
+from annulus.wall.stations import shape_ovality, swing_sigma
 
 __all__ = ["Defect", "Detection", "Kind", "Limits", "clock_face", "find_defects"]
 
