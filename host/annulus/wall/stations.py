@@ -8,6 +8,7 @@ import numpy as np
 from scipy import ndimage
 
 from annulus.numeric.arrays import Float32Array, FloatArray
+from annulus.numeric.robust import nan_median
 from annulus.vocabulary import Finding
 from annulus.wall.grid import Wall
 from annulus.wall.indications import arc_of
@@ -121,6 +122,15 @@ def swing_sigma(wall: Wall) -> FloatArray:
     with np.errstate(invalid="ignore"):
         square = way[:, 0] ** 2 * a + way[:, 1] ** 2 * b + 2 * way[:, 0] * way[:, 1] * c
     return np.where(np.isfinite(square), np.sqrt(np.maximum(square, 0.0)), np.inf)
+
+
+def swing_k2_mm(wall: Wall) -> FloatArray:
+    """(Z,) mm, expanded uncertainty (k = 2) of the departure of the long diameter from the mean one; NaN where points
+    say nothing of theirs. A diameter errs by what its points and the shape may be off at both ends."""
+    stated = wall.seen & np.isfinite(wall.sigma_mm)
+    parts = (wall.sigma_mm, wall.cell_noise_mm, wall.shape_sigma_mm())
+    points = [nan_median(np.where(stated, part, np.nan).T.astype(np.float64)) for part in parts]
+    return np.asarray(2.0 * np.linalg.norm([*(2.0 * one for one in points), 2.0 * swing_sigma(wall)], axis=0))
 
 
 def measure_stations(wall: Wall, station_mm: float = STATION_MM) -> Stations:
