@@ -12,7 +12,8 @@ from annulus.capture.timing import FrameTiming
 from annulus.controller import HOST_TIMEOUT_DEFAULT_MS, HOST_TIMEOUT_MAX_MS, HOST_TIMEOUT_MIN_MS, PREAMBLE_MAX
 from annulus.daemon.camera_config import CAMERA_KINDS, CameraConfig, CameraKind
 from annulus.geometry.calibration import Calibration
-from annulus.record.calibration_file import load_calibration, load_part
+from annulus.job import BEFORE, WORDS, JobSheet, provenance
+from annulus.record.calibration_file import load_calibration, load_part, load_sections
 from annulus.rings.colour import ColourProfile
 from annulus.sensors.chips import CHIPS
 from annulus.sensors.i2c import bus_number
@@ -116,7 +117,8 @@ class HeadConfig:
     colour: ColourProfile | None = None  # of the pipe; each frame's own where None
     record_folder: Path | None = None
     record: RecordConfig = RecordConfig()
-    job: Mapping[str, str] = field(default_factory=dict)  # who scans what and where: free text, goes into the recording
+    job: JobSheet = field(default_factory=JobSheet)  # goes into the recording
+    provenance: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # of the calibration
     publish: SocketConfig | None = None
     control: SocketConfig | None = None
     autostart: bool = True  # False: idle until the control socket says start
@@ -145,13 +147,13 @@ class HeadConfig:
             "port": self.port,
             "mm_per_count": self.mm_per_count,
             "max_speed_mm_s": self.max_speed_mm_s,
-            "job": dict(self.job),
+            "job": self.job.to_dict(),
+            "calibration_provenance": {name: dict(made) for name, made in self.provenance.items()},
             "sectors": asdict(self.sectors),
             "sensors": [asdict(sensor) for sensor in self.sensors],
         }
 
 
-JOB = ("who", "where", "what")
 _LISTS = ("camera", "sensor")  # sections that may come several times, as [[camera]]
 _SECTIONS: Mapping[str, tuple[str, ...]] = {
     "controller": ("port",),
@@ -171,7 +173,7 @@ _SECTIONS: Mapping[str, tuple[str, ...]] = {
     "odometer": ("mm_per_count", "max_speed_mm_s"),
     "calibration": ("file", "colour"),
     "record": ("folder", *(field.name for field in fields(RecordConfig))),
-    "job": JOB,
+    "job": (*WORDS, *BEFORE),
     "publish": ("address", "key_file", "viewers"),
     "control": ("address", "key_file", "viewers", "autostart"),
     "sensor": (
@@ -224,7 +226,8 @@ def _checked(data: Mapping[str, Any], folder: Path) -> HeadConfig:
         colour=None if paint is None else load_part(folder / paint, ColourProfile.from_dict, COLOUR_MAKER),
         record_folder=None if record is None else folder / record,
         record=_record(data.get("record", {})),
-        job={name: _text(data["job"], "job", name, "") for name in data.get("job", {})},
+        job=JobSheet.from_dict(data.get("job", {})),
+        provenance={} if calibration_file is None else provenance(load_sections(folder / calibration_file)),
         publish=_socket(data, "publish", folder),
         control=_socket(data, "control", folder),
         autostart=_flag(control, "control", "autostart", True),
@@ -245,17 +248,6 @@ def _checked(data: Mapping[str, Any], folder: Path) -> HeadConfig:
     if config.control is None and not config.autostart:
         raise ValueError("[control] autostart is false, but without an address nobody could start a scan")
     return config
-
-
-def job_of(given: Sequence[str]) -> dict[str, str]:
-    """`name=text` each, as [job] has them. Raises AnnulusError for another name, or none."""
-    job = {}
-    for one in given:
-        name, _, text = one.partition("=")
-        if name not in JOB or not text:
-            raise AnnulusError(f"job {shown(one)}: expected NAME=TEXT, a name one of {', '.join(JOB)}")
-        job[name] = text
-    return job
 
 
 def _check_names(section: str, content: object) -> None:

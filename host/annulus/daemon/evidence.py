@@ -84,7 +84,7 @@ class Evidence:
         body = {
             "why": why, "host_ns": (before_ns + time.monotonic_ns()) // 2, "utc_ns": utc_ns,
             "utc": datetime.fromtimestamp(utc_ns / 1e9, UTC).isoformat(timespec="milliseconds"),
-            "controller": self._controller, "cameras": cameras, "job": dict(self._config.job),
+            "controller": self._controller, "cameras": cameras, "job": self._config.job.to_dict(),
             "versions": versions(),
         }  # fmt: skip
         self._note(IDENTITY, body)
