@@ -7,7 +7,7 @@ BIN        := .venv/bin
 # Containers are often made with this set: then every process compiles all it imports anew, 3 s of each, and a scan has eight.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: setup demo test lint bench bench-metrology bench-thermoacoustic bench-joints bench-crossbore study native firmware emulator generated mutants clean
+.PHONY: setup demo test lint bench bench-metrology bench-thermoacoustic bench-joints bench-crossbore study native firmware emulator generated mutants docs clean
 
 setup: .venv/.synced .venv/.kernels native
 
@@ -91,6 +91,10 @@ bench-crossbore: setup
 # The source's figures and tables, simulated: pictures and numbers in build/study.
 study: setup
 	$(BIN)/python -m tools.study --out build/study
+
+# The manual, into host/annulus/shipped/manual; `annulus docs` opens it. Any warning fails it; nothing is fetched.
+docs: setup
+	@$(BIN)/python -m tools.manual
 
 # Faults put into the firmware on purpose; the emulator's tests must catch every one.
 mutants: setup firmware emulator
