@@ -7,7 +7,7 @@ BIN        := .venv/bin
 # Containers are often made with this set: then every process compiles all it imports anew, 3 s of each, and a scan has eight.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: setup demo test lint bench bench-metrology bench-thermoacoustic bench-joints bench-crossbore study native firmware emulator generated mutants docs clean
+.PHONY: setup demo test lint bench bench-metrology bench-thermoacoustic bench-joints bench-crossbore study native firmware emulator generated mutants docs sample clean
 
 setup: .venv/.synced .venv/.kernels native
 
@@ -95,6 +95,14 @@ study: setup
 # The manual, into host/annulus/shipped/manual; `annulus docs` opens it. Any warning fails it; nothing is fetched.
 docs: setup
 	@$(BIN)/python -m tools.manual
+
+# A recording to try everything on, as a wheel of its own: dist/annulus_sample-*.whl, put into this checkout's environment
+# too, so that `annulus sample` finds it.
+sample: setup
+	@$(BIN)/python -m tools.sample
+	@$(UV) build --quiet --wheel --out-dir dist tools/sample
+	@$(UV) pip install --quiet --no-deps --reinstall dist/annulus_sample-*.whl
+	@ls -l dist/annulus_sample-*.whl
 
 # Faults put into the firmware on purpose; the emulator's tests must catch every one.
 mutants: setup firmware emulator

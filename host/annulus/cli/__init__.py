@@ -14,6 +14,7 @@ from annulus.cli import bore, burst, calibrate, firmware, head, joint, pattern, 
 from annulus.cli import dogbones as dogbones  # its commands are of joint's group
 from annulus.cli.fringe import BY, By
 from annulus.cli.manual import docs
+from annulus.cli.sample import sample
 from annulus.cli.show import Json, progress
 from annulus.cli.terminal import escaped
 from annulus.untrusted import one_line
@@ -31,6 +32,7 @@ for _noun in (head, burst, calibrate, pattern, tai, joint, bore, firmware, twin,
     app.add_typer(_noun.app, name=_noun.__name__.rpartition(".")[2])
 
 app.command("docs", epilog="Example: annulus docs first-scan --no-open")(docs)
+app.command("sample", epilog="Example: annulus sample -o pipe.mcap && annulus reconstruct pipe.mcap -o results")(sample)
 
 
 @app.command(
