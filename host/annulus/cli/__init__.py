@@ -13,6 +13,8 @@ import typer
 from annulus.cli import bore, burst, calibrate, firmware, head, joint, pattern, record, tai, twin
 from annulus.cli import dogbones as dogbones  # its commands are of joint's group
 from annulus.cli.fringe import BY, By
+from annulus.cli.manual import docs
+from annulus.cli.sample import sample
 from annulus.cli.show import Json, progress
 from annulus.cli.terminal import escaped
 from annulus.untrusted import one_line
@@ -31,6 +33,9 @@ app = typer.Typer(
 )
 for _noun in (head, burst, calibrate, pattern, tai, joint, bore, firmware, twin, record):
     app.add_typer(_noun.app, name=_noun.__name__.rpartition(".")[2])
+
+app.command("docs", epilog="Example: annulus docs first-scan --no-open")(docs)
+app.command("sample", epilog="Example: annulus sample -o pipe.mcap && annulus reconstruct pipe.mcap -o results")(sample)
 
 
 @app.command(
