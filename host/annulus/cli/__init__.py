@@ -13,8 +13,9 @@ import typer
 from annulus.cli import bore, burst, calibrate, firmware, head, joint, pattern, record, tai, twin
 from annulus.cli import dogbones as dogbones  # its commands are of joint's group
 from annulus.cli.fringe import BY, By
-from annulus.cli.show import Json, progress
+from annulus.cli.show import Json, progress, tell
 from annulus.cli.terminal import escaped
+from annulus.numeric.compiling import telling
 from annulus.untrusted import one_line
 from annulus.vocabulary import AnnulusError
 
@@ -96,7 +97,7 @@ def reconstruct(
     map; before a plate frames.csv has x_mm in place of z_mm.
     """
     from annulus.report import Account, prepare_folder, write
-    from annulus.reprocess import Processes, fringes_on, open_job, reprocess
+    from annulus.reprocess import Processes, fringes_on, make_ready, open_job, reprocess
 
     wall = fringes_on(scan, calibration)
     if by is By.CAMERAS and wall != "plate":
@@ -118,6 +119,7 @@ def reconstruct(
         return
     job = open_job(scan, calibration, colour=colour, reference=reference)
     prepare_folder(out)
+    make_ready(job.calibration, tell)
     with progress() as bars:
         done = reprocess(job, Processes(workers), bars)
         survey = done.survey(vibration=vibration_filter, fps=fps, progress=bars)
@@ -276,7 +278,7 @@ def _print_findings(config: Path, as_json: bool) -> None:
 
 def main() -> None:
     """Entry point: one clear line for what a user can mend, exit status 0 only for success."""
-    with escaped():
+    with escaped(), telling(tell):
         _run()
 
 
