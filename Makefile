@@ -13,7 +13,7 @@ EXTRAS ?= export pdf
 .PHONY: setup setup-all wheels demo test lint bench bench-metrology bench-thermoacoustic bench-joints bench-crossbore study native firmware emulator generated mutants docs sample clean
 
 # What a user needs.
-setup: .venv/.synced .venv/.kernels native
+setup: .venv/.synced native
 	@$(if $(filter command% environment%,$(origin EXTRAS)),$(UV) sync --frozen --inexact --no-dev $(EXTRAS:%=--extra %) --quiet)
 
 # .. and what only tests and checks do: all extras, all development tools.
@@ -32,11 +32,6 @@ $(UV):
 .venv/.synced-all: pyproject.toml uv.lock | $(UV)
 	$(UV) sync --frozen --all-extras --all-groups --quiet
 	@touch .venv/.synced $@
-
-# numba's cache knows a kernel's own file, not those of the kernels it calls: after a pull, none of the old ones is left.
-.venv/.kernels: $(shell grep -rlE '@jit' host --include=*.py) | .venv/.synced
-	@find host \( -name '*.nbi' -o -name '*.nbc' \) -delete
-	@touch $@
 
 native:
 	@$(MAKE) --silent -C firmware native

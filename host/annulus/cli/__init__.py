@@ -15,8 +15,9 @@ from annulus.cli import dogbones as dogbones  # its commands are of joint's grou
 from annulus.cli.fringe import BY, By
 from annulus.cli.manual import docs
 from annulus.cli.sample import sample
-from annulus.cli.show import Json, progress
+from annulus.cli.show import Json, progress, tell
 from annulus.cli.terminal import escaped
+from annulus.numeric.compiling import telling
 from annulus.untrusted import one_line
 from annulus.vocabulary import AnnulusError
 
@@ -113,7 +114,7 @@ def reconstruct(
     from annulus.job import job_of
     from annulus.record.origin import origin_of
     from annulus.report import Account, prepare_folder, write
-    from annulus.reprocess import Processes, fringes_on, open_job, reprocess
+    from annulus.reprocess import Processes, fringes_on, make_ready, open_job, reprocess
 
     sheet = job_of(job or ())
     wall = fringes_on(scan, calibration)
@@ -137,6 +138,7 @@ def reconstruct(
     work = open_job(scan, calibration, colour=colour, reference=reference)
     origin = origin_of(work.scan, calibration, sheet)
     prepare_folder(out)
+    make_ready(work.calibration, tell)
     with progress() as bars:
         done = reprocess(work, Processes(workers), bars)
         survey = done.survey(vibration=vibration_filter, fps=fps, progress=bars)
@@ -301,7 +303,7 @@ def _print_findings(config: Path, as_json: bool) -> None:
 
 def main() -> None:
     """Entry point: one clear line for what a user can mend, exit status 0 only for success."""
-    with escaped():
+    with escaped(), telling(tell):
         _run()
 
 
