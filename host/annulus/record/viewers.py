@@ -30,7 +30,7 @@ CALIBRATION_TOPIC, PREVIEW_CALIBRATION_TOPIC = "/calibration", "/preview_calibra
 PIPE, HEAD, PREVIEW = "pipe", "camera", "preview"  # frames of reference
 PREVIEW_QUALITY = 80  # of a JPEG: 32 kB of 1664x1232 for 1.7 ms
 WARNINGS = frozenset(
-    {"disk", "lost", "ledger", "scan", "ending", "link", "lamps", "camera_died", "publisher_flooded", "odometer"}
+    {"disk", "ledger", "scan", "ending", "link", "lamps", "camera_died", "publisher_flooded", "odometer"}
 )  # events that say that something went otherwise than it should
 
 _Said = tuple[str, Any]  # a topic and what is said on it
