@@ -129,8 +129,9 @@ class RecorderJob:
         self._reports.append(self._state())
 
     def _part(self, path: Path, part: Part) -> RecordingWriter:
+        now_ns = self._clock.host_ns if part.number == 1 else time.monotonic_ns()  # the scan began before we were up
         return RecordingWriter(
-            path, calibration=self._calibration, configuration=self._configuration, now_ns=time.monotonic_ns(),
+            path, calibration=self._calibration, configuration=self._configuration, now_ns=now_ns,
             part=part, codec=self._codec, clock=self._clock,
         )  # fmt: skip
 
