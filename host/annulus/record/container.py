@@ -35,7 +35,7 @@ from mcap.records import (
     Statistics,
     SummaryOffset,
 )
-from mcap.writer import LIBRARY_IDENTIFIER, MCAP0_MAGIC
+from mcap.writer import MCAP0_MAGIC
 
 from annulus.record.walk import PACKED_MAX
 
@@ -143,7 +143,7 @@ class Container:
         self._counts: Counter[int] = Counter()  # messages by channel
         self._chunks = 0
         self._times: tuple[int, int] | None = None  # of all messages
-        self.begun = self._whole.write([MCAP0_MAGIC, _record(Header("annulus", LIBRARY_IDENTIFIER))])
+        self.begun = self._whole.write([MCAP0_MAGIC, _record(Header(profile="annulus", library="annulus"))])
 
     @property
     def size(self) -> int:

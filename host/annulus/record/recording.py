@@ -21,7 +21,7 @@ import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import IO, Any
 
 import numpy as np
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
@@ -31,6 +31,7 @@ from google.protobuf.message import DecodeError
 from annulus import untrusted
 from annulus.numeric.arrays import Image
 from annulus.record.clock import CLOCK_FILE, Clock
+from annulus.record.codec import to_bgr
 from annulus.record.parts import PART_FILE, Part, later_paths, part_of
 from annulus.record.walk import ATTACHMENT_MAX, MAGIC, Chunk, Damage, DamagedError, Message, Walk, piece
 from annulus.stream.frames import CHANNELS, SIDE_MAX
@@ -287,17 +288,6 @@ def _crc_before(file: IO[bytes], end: int) -> int:
 def frame_name(index: int, camera: int) -> str:
     """As messages name a frame."""
     return f"frame {index} of camera {camera}" if camera else f"frame {index}"
-
-
-def to_bgr(image: Image, encoding: str) -> Image:
-    """(H, W, 3) BGR from any encoding of CHANNELS. bayer_rggb8 has R at (0, 0)."""
-    import cv2  # not by whom writes only: a recorder has to be up at once
-
-    if encoding == "bayer_rggb8":
-        return cast(Image, cv2.cvtColor(image, cv2.COLOR_BayerRGGB2BGR))
-    if encoding == "mono8":
-        return cast(Image, cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
-    return image
 
 
 def open_recording(path: Path) -> Recording:

@@ -23,6 +23,7 @@ from google.protobuf.timestamp_pb2 import Timestamp
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from annulus.numeric.arrays import FloatArray, Image
+from annulus.record.codec import is_mosaic
 from annulus.record.container import Form
 
 PREVIEW_TOPIC, POINTS_TOPIC, TRANSFORMS_TOPIC, LOG_TOPIC = "/preview", "/points", "/tf", "/log"
@@ -30,7 +31,7 @@ CALIBRATION_TOPIC, PREVIEW_CALIBRATION_TOPIC = "/calibration", "/preview_calibra
 PIPE, HEAD, PREVIEW = "pipe", "camera", "preview"  # frames of reference
 PREVIEW_QUALITY = 80  # of a JPEG: 32 kB of 1664x1232 for 1.7 ms
 WARNINGS = frozenset(
-    {"disk", "lost", "ledger", "scan", "ending", "link", "lamps", "camera_died", "publisher_flooded", "odometer"}
+    {"disk", "ledger", "scan", "ending", "link", "lamps", "camera_died", "publisher_flooded", "odometer"}
 )  # events that say that something went otherwise than it should
 
 _Said = tuple[str, Any]  # a topic and what is said on it
@@ -107,10 +108,11 @@ def preview(image: Image, encoding: str) -> Image:
     """(N,) uint8, a JPEG of half the size, straight from the mosaic: no pixel is made up."""
     import cv2  # not by whom imports this: a recorder has to be up at once
 
-    if encoding == "bayer_rggb8":
+    if is_mosaic(encoding):
         height, width = (side // 2 * 2 for side in image.shape[:2])
-        whole = image[:height, :width]
-        small = cv2.merge([np.ascontiguousarray(one) for one in (whole[1::2, 1::2], whole[::2, 1::2], whole[::2, ::2])])
+        order = encoding.removeprefix("bayer_")[:4]
+        at = (divmod(order.index(colour), 2) for colour in "bgr")
+        small = cv2.merge([np.ascontiguousarray(image[y:height:2, x:width:2]) for y, x in at])
     else:
         small = np.ascontiguousarray(image[::2, ::2])
     return np.asarray(cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, PREVIEW_QUALITY])[1])

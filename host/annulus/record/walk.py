@@ -353,19 +353,27 @@ class _Plain:
         return piece(self._file, at, length)
 
 
+class _Stretch:
+    """The bytes of a packed chunk, for the unpacker. (Not `_Packed` itself: the unpacker is nothing that Python's
+    collector sees through, and a ring of the two was never let go.)
+    """
+
+    def __init__(self, file: IO[bytes], chunk: Chunk) -> None:
+        self._file, self._at, self._end = file, chunk.offset, chunk.offset + chunk.length
+
+    def read(self, length: int) -> bytes:
+        data = piece(self._file, self._at, min(length, self._end - self._at))
+        self._at += len(data)
+        return data
+
+
 class _Packed:
     """Records of a packed chunk from the first on, unpacked as far as somebody looks, and not kept."""
 
     def __init__(self, file: IO[bytes], chunk: Chunk) -> None:
-        self._file, self._at, self._end = file, chunk.offset, chunk.offset + chunk.length
-        self._stream = _unpacker().stream_reader(cast(IO[bytes], self), read_size=_SIP, read_across_frames=True)
+        source = cast(IO[bytes], _Stretch(file, chunk))
+        self._stream = _unpacker().stream_reader(source, read_size=_SIP, read_across_frames=True)
         self._held, self._before = b"", 0  # bytes, and how many came before them
-
-    def read(self, length: int) -> bytes:
-        """Of the packed bytes; the unpacker asks."""
-        data = piece(self._file, self._at, min(length, self._end - self._at))
-        self._at += len(data)
-        return data
 
     def piece(self, at: int, length: int) -> bytes:
         """Rising `at`. ValueError where there is no such piece."""

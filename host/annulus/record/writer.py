@@ -17,7 +17,7 @@ import numpy as np
 from annulus.numeric.arrays import Image
 from annulus.record import viewers
 from annulus.record.clock import CLOCK_FILE, Clock
-from annulus.record.codec import DEFAULT, Codec, jpeg
+from annulus.record.codec import DEFAULT, Codec, is_mosaic, jpeg
 from annulus.record.container import Container, Form, Piece
 from annulus.record.parts import PART_FILE, Part
 from annulus.record.recording import FRAME_TOPIC, LABEL_TOPIC, camera_of_label, to_json
@@ -100,13 +100,7 @@ class RecordingWriter:
             self._say(topic, said, time_ns)
         if self._codec is Codec.JPEG and as_jpeg is None:
             as_jpeg = jpeg(image, encoding)
-        if (
-            as_jpeg is None
-            and encoding == "bayer_rggb8"
-            and self._previews
-            and not self.hurried
-            and min(image.shape) > 1
-        ):
+        if as_jpeg is None and is_mosaic(encoding) and self._previews and not self.hurried and min(image.shape) > 1:
             small = viewers.preview(image, encoding)
             picture = viewers.jpeg_message(small.tobytes(), viewers.of_camera(camera, viewers.PREVIEW), utc_ns)
             self._say(f"{viewers.PREVIEW_TOPIC}/{camera}", picture, time_ns, index)

@@ -25,9 +25,10 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from annulus.cli import main
 from annulus.record.clock import Clock
-from annulus.record.codec import Codec
-from annulus.record.recording import from_json, open_recording, to_bgr, to_json
+from annulus.record.codec import Codec, to_bgr
+from annulus.record.recording import from_json, open_recording, to_json
 from annulus.record.scan import open_scan
+from annulus.record.viewers import preview
 from annulus.record.writer import RecordingWriter
 from annulus.vocabulary import AnnulusError, Label
 
@@ -133,7 +134,16 @@ def test_pictures_of_any_size_are_foxgloves_message(size: tuple[int, int], tmp_p
     assert raw.data == image.tobytes()
 
 
-@pytest.mark.parametrize("encoding, red", [("bayer_rggb8", (0, 0)), ("mono8", None)])
+@pytest.mark.parametrize(
+    "encoding, red",
+    [
+        ("bayer_rggb8", (0, 0)),
+        ("bayer_bggr8", (1, 1)),
+        ("bayer_grbg8", (0, 1)),
+        ("bayer_gbrg8", (1, 0)),
+        ("mono8", None),
+    ],
+)
 def test_a_red_world_stays_red(encoding: str, red: tuple[int, int] | None) -> None:
     mosaic = np.zeros((H, W), np.uint8)
     if red is None:
@@ -143,6 +153,8 @@ def test_a_red_world_stays_red(encoding: str, red: tuple[int, int] | None) -> No
     mosaic[red[0] :: 2, red[1] :: 2] = 200
     blue, green, red_channel = cv2.split(to_bgr(mosaic, encoding)[4:-4, 4:-4])
     assert red_channel.min() == 200 and green.max() == 0 and blue.max() == 0
+    b, g, r = cv2.imdecode(preview(mosaic, encoding), cv2.IMREAD_COLOR).reshape(-1, 3).mean(0)
+    assert r > 190 and b < 10 and g < 10
 
 
 _CHILD = """
