@@ -12,6 +12,7 @@ import typer
 
 from annulus.cli import bore, burst, calibrate, firmware, head, joint, pattern, record, tai, twin
 from annulus.cli import dogbones as dogbones  # its commands are of joint's group
+from annulus.cli.export import export
 from annulus.cli.fringe import BY, By
 from annulus.cli.manual import docs
 from annulus.cli.sample import sample
@@ -34,6 +35,7 @@ app = typer.Typer(
 )
 for _noun in (head, burst, calibrate, pattern, tai, joint, bore, firmware, twin, record):
     app.add_typer(_noun.app, name=_noun.__name__.rpartition(".")[2])
+app.command(epilog="Example: annulus export results --to xlsx --to laz -o hand-over")(export)
 
 app.command("docs", epilog="Example: annulus docs first-scan --no-open")(docs)
 app.command("sample", epilog="Example: annulus sample -o pipe.mcap && annulus reconstruct pipe.mcap -o results")(sample)
