@@ -8,6 +8,7 @@ import numpy as np
 from scipy import ndimage
 
 from annulus.numeric.arrays import BoolArray, FloatArray
+from annulus.numeric.rounding import clock_face
 from annulus.wall.extent import with_shadow, without_scraps
 from annulus.wall.grid import Wall, smooth
 from annulus.wall.grooves import groove_floor
@@ -25,7 +26,7 @@ from annulus.wall.indications import (
     without_holes,
 )
 from annulus.wall.points import Points
-from annulus.wall.stations import clock_face, shape_ovality, swing_k2_mm
+from annulus.wall.stations import shape_ovality, swing_k2_mm
 
 __all__ = ["Defect", "Detection", "Kind", "Limits", "clock_face", "find_defects"]
 

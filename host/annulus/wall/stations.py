@@ -9,6 +9,7 @@ from scipy import ndimage
 
 from annulus.numeric.arrays import Float32Array, FloatArray
 from annulus.numeric.robust import nan_median
+from annulus.numeric.rounding import clock_face
 from annulus.vocabulary import Finding
 from annulus.wall.grid import Wall
 from annulus.wall.indications import arc_of
@@ -105,12 +106,6 @@ def _below(feature: "Feature", first_mm: float, last_mm: float, clock_deg: float
     most = min(end, last_mm) - max(start, first_mm) > 0.5 * (last_mm - first_mm)
     away = abs((clock_deg - feature.clock_deg + 180.0) % 360.0 - 180.0)
     return feature.kind in ("water", "deposit") and most and away < 0.25 * feature.arc_deg
-
-
-def clock_face(angle_deg: float) -> str:
-    """Clock position of an angle, to 5 minutes of the dial (2.5 degrees): 90 -> "3:00", 0 -> "12:00"."""
-    ticks = round(angle_deg % 360.0 / 2.5) % 144
-    return f"{ticks // 12 or 12}:{ticks % 12 * 5:02d}"
 
 
 def swing_sigma(wall: Wall) -> FloatArray:
