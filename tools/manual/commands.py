@@ -29,10 +29,23 @@ def is_group(command: Any) -> bool:
 
 
 def examples() -> Iterator[tuple[str, str]]:
-    """(command, its example) of every command that has one."""
+    """(command, a line to type) of every example."""
     for name, command in tree():
-        if command.epilog:
-            yield name, command.epilog.removeprefix("Example: ")
+        for line in example(command)[0]:
+            yield name, line
+
+
+def example(command: Any) -> tuple[list[str], str]:
+    """A command's example as lines to type, and the words behind them."""
+    lines, words = [], ""
+    text = (command.epilog or "").removeprefix("Example: ")
+    for part in re.split(r"\. (?=[A-Z][a-z]+ )| && |, then ", text):
+        line = part.removeprefix("Without hardware: ")
+        if line.startswith(f"{PROGRAM} "):
+            lines.append(line)
+        else:
+            words += part
+    return lines, words
 
 
 def page() -> str:
@@ -51,8 +64,9 @@ def page() -> str:
                     for verb, below in command.commands.items() if not below.hidden]  # fmt: skip
             out.append("\n".join(["| command | |", "|---|---|", *rows]) + "\n")
             continue
-        if command.epilog:
-            out.append(f"```sh\n{command.epilog.removeprefix('Example: ')}\n```\n")
+        lines, words = example(command)
+        if lines:
+            out.append("```sh\n" + "\n".join(lines) + f"\n```\n\n{_plain(words)}\n")
         rows = [row for parameter in command.params if (row := _row(parameter))]
         if rows:
             out.append("\n".join(["| | takes | default | |", "|---|---|---|---|", *rows]) + "\n")

@@ -2,7 +2,8 @@
 
 A page is included by a line `<!-- include: PATH -->`, PATH from the root of the checkout; what is generated comes in
 place of `<!-- generated: NAME -->`. Links in any of them are those of the checkout: one to a file that is a page leads
-to that page, one to another file becomes its words alone, since the manual is read without a checkout.
+to that page, one to another file becomes its words alone, since the manual is read without a checkout. `[[name]]` leads
+to the page of that name in the same folder, and is a word where there is none.
 """
 
 import os
@@ -19,6 +20,7 @@ DOCS = ROOT / "docs"
 INCLUDE = re.compile(r"^<!-- include: (\S+) -->$", re.M)
 GENERATED = re.compile(r"^<!-- generated: (\S+) -->$", re.M)
 OPTIONAL = re.compile(r"^\S+\*$", re.M)  # in a toctree: pages that may not be there
+BESIDE = re.compile(r"\[\[([a-z-]+)\]\]")
 LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\[\]]*\])*)\]\(([^()\s]+)\)")
 FENCE = re.compile(r"^(```|~~~|:::)")
 
@@ -46,7 +48,7 @@ def whole(page: Path) -> str:
     text = relinked(page.read_text(encoding="utf-8"), page, page)
     text = INCLUDE.sub(lambda m: relinked((ROOT / m[1]).read_text(encoding="utf-8"), ROOT / m[1], page), text)
     text = OPTIONAL.sub(lambda m: m[0] if any(DOCS.glob(m[0] + ".md")) else "", text)
-    text = GENERATED.sub(lambda m: GENERATORS[m[1]](), text)
+    text = GENERATED.sub(lambda m: relinked(GENERATORS[m[1]](), page, page), text)
     siblings = sorted(other.stem for other in page.parent.glob("*.md") if other != page)
     if page.name == "README.md" and siblings:  # a folder's README leads to its pages
         text += "\n```{toctree}\n:hidden:\n" + "\n".join(siblings) + "\n```\n"
@@ -60,8 +62,16 @@ def relinked(text: str, source: Path, page: Path) -> str:
         mark = FENCE.match(line.lstrip())
         if mark and mark[1] != ":::" and fence in ("", mark[1]):
             fence = "" if fence else mark[1]
-        lines.append(line if fence else LINK.sub(lambda m: _link(m, source, page), line))
+        lines.append(line if fence else BESIDE.sub(lambda m: _beside(m[1], page), _linked(line, source, page)))
     return "\n".join(lines)
+
+
+def _beside(name: str, page: Path) -> str:
+    return f"[{name}]({name}.md)" if page.with_name(f"{name}.md").exists() else name
+
+
+def _linked(line: str, source: Path, page: Path) -> str:
+    return LINK.sub(lambda m: _link(m, source, page), line)
 
 
 def _link(match: re.Match[str], source: Path, page: Path) -> str:
