@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from annulus.numeric.arrays import Image
+from annulus.numeric.rounding import clock_face
 from annulus.report.bore import draw_lane
 from annulus.report.course import draw_course
 from annulus.report.feature_pictures import draw_features
@@ -35,7 +36,7 @@ from annulus.report.paper import (
     question,
     round_up,
 )
-from annulus.wall.defects import ALL_ROUND_DEG, Defect, Kind, clock_face
+from annulus.wall.defects import ALL_ROUND_DEG, Defect, Kind
 from annulus.wall.grid import Wall
 from annulus.wall.stations import OVALITY_NAME
 from annulus.wall.survey import Survey

@@ -8,10 +8,11 @@ from typing import Any
 
 import jinja2
 
+from annulus.numeric.rounding import clock_face
 from annulus.report.figures import Pictures
 from annulus.report.half_view import EXAGGERATION
 from annulus.report.paper import letter, question
-from annulus.wall.defects import ALL_ROUND_DEG, UNSURE, Defect, Kind, clock_face
+from annulus.wall.defects import ALL_ROUND_DEG, UNSURE, Defect, Kind
 from annulus.wall.features import Feature, FeatureKind, Measure
 from annulus.wall.lost import RING_LOST
 from annulus.wall.stations import NOT_ENOUGH
