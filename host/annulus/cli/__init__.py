@@ -20,6 +20,7 @@ from annulus.vocabulary import AnnulusError
 
 if TYPE_CHECKING:
     from annulus.job import JobSheet
+    from annulus.wall.conformity import Criteria
 
 app = typer.Typer(
     help="Acquire and reconstruct scans of plastic pipes.",
@@ -98,6 +99,9 @@ def reconstruct(
             help="Who, where, which pipe, over what the scan says: job.toml, or site='Elm St'.",
         ),
     ] = None,
+    limits: Annotated[
+        Path | None, typer.Option(help="limits.toml: what is accepted of the pipe; no verdict without it.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """From frames to the pipe wall: cloud, mesh, maps, stations, defects and a report.
@@ -107,10 +111,12 @@ def reconstruct(
     """
     from annulus.job import job_of
     from annulus.record.origin import origin_of
-    from annulus.report import Account, prepare_folder, write
-    from annulus.reprocess import Processes, fringes_on, open_job, reprocess
+    from annulus.report import Account, head_kind, prepare_folder, write
+    from annulus.reprocess import Processes, fringes_on, open_job, photographs, reprocess
+    from annulus.wall.conformity import judge
+    from annulus.wall.sections import worth_showing
 
-    sheet = job_of(job or ())
+    sheet, criteria = job_of(job or ()), _criteria(limits)
     wall = fringes_on(scan, calibration)
     if by is By.CAMERAS and wall != "plate":
         why = "projects no fringes" if wall is None else "lights a pipe"
@@ -125,8 +131,11 @@ def reconstruct(
             if given:
                 raise AnnulusError(f"{option} does not go with {calibration or scan}: its head projects fringes")
         if wall == "pipe" or calibration is None:
-            _reconstruct_fringe_pipe(scan, calibration, out, sheet, as_json)
+            _reconstruct_fringe_pipe(scan, calibration, out, sheet, criteria, as_json)
         else:
+            for option, said in (("--job", job), ("--limits", limits)):
+                if said:
+                    raise AnnulusError(f"{option} does not go with {scan}: a plate has no report of a pipe")
             _reconstruct_fringe(scan, calibration, out, by, as_json)
         return
     work = open_job(scan, calibration, colour=colour, reference=reference)
@@ -135,7 +144,13 @@ def reconstruct(
     with progress() as bars:
         done = reprocess(work, Processes(workers), bars)
         survey = done.survey(vibration=vibration_filter, fps=fps, progress=bars)
-    account = Account(str(scan), done.frames, done.drops, done.timing_ms, done.findings, origin=origin)
+    verdict = None if criteria is None else judge(survey, criteria)
+    shown = worth_showing(survey.defects, first=verdict.foremost if verdict else ())
+    account = Account(
+        str(scan), done.frames, done.drops, done.timing_ms, done.findings, origin=origin, verdict=verdict,
+        photographs=photographs(done.job, survey, shown), method=head_kind(work.calibration),
+        covariance_stated=work.calibration.covariance is not None,
+    )  # fmt: skip
     summary = write(survey, account, out)
     if as_json:
         print(json.dumps(summary))
@@ -143,12 +158,19 @@ def reconstruct(
         _print_summary(summary, out)
 
 
+def _criteria(limits: Path | None) -> "Criteria | None":
+    from annulus.record.limits_file import load_limits
+
+    return None if limits is None else load_limits(limits)
+
+
 def _reconstruct_fringe_pipe(
-    scan: Path, calibration: Path | None, out: Path, sheet: "JobSheet", as_json: bool
+    scan: Path, calibration: Path | None, out: Path, sheet: "JobSheet", criteria: "Criteria | None", as_json: bool
 ) -> None:  # fmt: skip
     from annulus.record.origin import origin_of
-    from annulus.report import Account, prepare_folder, write
+    from annulus.report import FRINGE, Account, prepare_folder, write
     from annulus.reprocess import open_fringe_pipe, reconstruct_fringe_pipe
+    from annulus.wall.conformity import judge
 
     job = open_fringe_pipe(scan, calibration)
     origin = origin_of(job.scan, calibration, sheet)
@@ -157,7 +179,10 @@ def _reconstruct_fringe_pipe(
         found = reconstruct_fringe_pipe(job, bars)
     counts = job.scan.counts()
     drops = {"frames_unknown": counts["unknown"]}
-    account = Account(str(scan), counts, drops, found.timing_ms, found.findings, origin=origin)
+    account = Account(
+        str(scan), counts, drops, found.timing_ms, found.findings, origin=origin, method=FRINGE,
+        verdict=None if criteria is None else judge(found.survey, criteria),
+    )  # fmt: skip
     seen = found.map
     depth = {
         "phi_deg": seen.phi_deg, "z_mm": seen.z_mm, "radius_mm": seen.radius_mm, "sigma_mm": seen.sigma_mm,
@@ -228,6 +253,10 @@ def _print_summary(data: Mapping[str, Any], out: Path) -> None:
     for f in data["features"]:
         where = "all round" if f["arc_deg"] >= 360 else f"clock {f['clock']}, {f['arc_deg']:.0f} deg"
         print(f"{f['kind']:<10} at {f['z_mm']:.0f} mm, {where}" + (f": {f['remark']}" if f["remark"] else ""))
+    if "conformity" in data:
+        print(f"verdict    {data['conformity']['decision']}: {data['conformity']['title'] or 'the limits named'}")
+        for remark in data["conformity"]["remarks"]:
+            print(f"           {remark}")
     for d in data["undecided"]:
         print(f"undecided  {d['depth_mm']:.2f} ± {_up(d['depth_k2_mm'])} mm at {d['z_mm']:.0f} mm, clock {d['clock']}")
     if "vibration" in data:

@@ -47,8 +47,9 @@ WORDS = {
 }  # where the name says too little
 
 
-def render_page(survey: Survey, summary: Mapping[str, Any], pictures: Pictures) -> str:
-    """The report as one HTML document: no script, no font and no picture from anywhere else."""
+def render_page(survey: Survey, summary: Mapping[str, Any], pictures: Pictures, **more: Any) -> str:
+    """The report as one HTML document: no script, no font and no picture from anywhere else. more : what further parts
+    of the page ask for, by name."""
     features = [_feature(letter(i), feature) for i, feature in enumerate(survey.features)]
     undecided = [
         {**_row(question(i), place, survey), "name": UNDECIDED[place.kind]}
@@ -57,8 +58,9 @@ def render_page(survey: Survey, summary: Mapping[str, Any], pictures: Pictures) 
     captions = {one["number"]: f"{one['number']}: {one['name'].lower()}" for one in (*features, *undecided)}
     text = resources.files("annulus.report").joinpath(TEMPLATE).read_text(encoding="utf-8")
     environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+        loader=jinja2.PackageLoader("annulus", "report"),
+    )  # fmt: skip
     return environment.from_string(text).render(
         s=summary,
         survey=survey,
@@ -80,6 +82,7 @@ def render_page(survey: Survey, summary: Mapping[str, Any], pictures: Pictures) 
         length=_length(summary["scanned_mm"]["length"]),
         distance_from=f"{summary['scanned_mm']['from'] / 1000:.3f}",
         distance_to=f"{summary['scanned_mm']['to'] / 1000:.3f}",
+        **more,
     )
 
 
