@@ -15,7 +15,7 @@ from annulus.report.account import Account
 from annulus.report.paper import DEVIATION, UNSEEN, WIDTH_IN, in_style, png, round_up
 from annulus.report.ply import write_ply
 from annulus.report.results import DEPTH, SUMMARY, staged
-from annulus.report.sheet import sheet
+from annulus.report.sheet import minute, sheet
 from annulus.report.summary import finite, versions
 from annulus.wall.plate import Plate
 
@@ -139,4 +139,7 @@ def _map(plate: Plate, values: FloatArray, colours: Any, ends: tuple[float, floa
 
 
 def _page(summary: dict[str, Any], pictures: dict[str, bytes]) -> str:
-    return sheet(TEMPLATE, pictures, s=summary)
+    return sheet(
+        TEMPLATE, pictures, s=summary, source=summary["source"], created=minute(summary["created"]),
+        version=summary["versions"]["annulus"], running=f"Plate inspection: {summary['source']}",
+    )  # fmt: skip
