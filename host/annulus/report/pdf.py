@@ -5,18 +5,24 @@ draws boxes. matplotlib brings DejaVu Sans, which has every sign that the page u
 """
 
 import importlib
+from enum import StrEnum
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from annulus.vocabulary import AnnulusError
 
-Paper = Literal["A4", "letter"]
+
+class Paper(StrEnum):
+    A4 = "A4"
+    LETTER = "letter"
+
+
 FACES = (("DejaVuSans.ttf", "normal"), ("DejaVuSans-Bold.ttf", "bold"))
 BOXES = ("top-left", "top-right", "bottom-left", "bottom-right")
 DPI = 220  # of pictures: more than they have
 
 
-def to_pdf(html: str, paper: Paper = "A4") -> bytes:
+def to_pdf(html: str, paper: Paper = Paper.A4) -> bytes:
     """A page of this room as PDF. Raises AnnulusError, one line, where WeasyPrint or what it loads is missing."""
     weasyprint = _weasyprint()
     fonts = weasyprint.text.fonts.FontConfiguration()
@@ -42,6 +48,11 @@ def _fonts() -> Path:
     import matplotlib
 
     return Path(matplotlib.get_data_path()) / "fonts/ttf"
+
+
+def check_pdf() -> None:
+    """Whether a PDF can be made here, asked before long work. Raises AnnulusError as `to_pdf` does."""
+    _weasyprint()
 
 
 def _weasyprint() -> Any:
