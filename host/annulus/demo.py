@@ -24,6 +24,7 @@ from annulus.daemon.pools import default_workers
 from annulus.daemon.run import ending
 from annulus.daemon.samples import open_sensors
 from annulus.daemon.session import Session
+from annulus.numeric.rounding import DISTANCE, MEASURE, PERCENT, said
 from annulus.record.calibration_file import save_calibration
 from annulus.record.origin import origin_of
 from annulus.report import FILES, Account, head_kind, prepare_folder, write
@@ -277,12 +278,14 @@ def _said(out: Path, pipe: Survey, truth: Mapping[str, Any], seconds: float) -> 
     """The end of the demo, for people: what was found, and where it is."""
     first, last = pipe.scanned_mm
     lines = [
-        f"wall       {pipe.points} points over {last - first:.0f} mm, "
-        f"rms {truth['rms_mm']:.3f} mm against the truth, {truth['gross_percent']:.3f} % off by more than 2 mm",
+        f"wall       {pipe.points} points over {said(last - first, DISTANCE)}, rms {said(truth['rms_mm'], MEASURE)} "
+        f"against the truth, {said(truth['gross_percent'], PERCENT)} off by more than 2 mm",
         f"defects    {truth['defects_found']} of {truth['defects_true']} found, {truth['defects_false']} false",
     ]
     lines += [
-        f"           {d.kind:<8} {d.depth_mm:4.1f} mm  at {d.z_mm:5.0f} mm, clock {d.clock}" for d in pipe.defects
+        f"           {d.kind:<8} {said(d.depth_mm, MEASURE, d.depth_k2_mm, at_least=not d.floor_seen)} at "
+        f"{said(d.z_mm, DISTANCE)}, clock {d.clock}"
+        for d in pipe.defects
     ]
     lines += [f"{'results' if i == 0 else '':<10} {out / name}" for i, name in enumerate(RESULTS)]
     lines.append(f"recording  {out / 'scan.mcap'}")

@@ -1,7 +1,6 @@
 """The one command, `annulus`. Parses, calls one door, prints; imports each room only when its command is called."""
 
 import json
-import math
 import os
 import sys
 from collections.abc import Mapping
@@ -227,42 +226,42 @@ def _reconstruct_fringe(scan: Path, calibration: Path, out: Path, by: By, as_jso
     print(f"report     {out / 'report.html'}")
 
 
-def _up(mm: float) -> str:
-    """An uncertainty is rounded up."""
-    return f"{max(math.ceil(100 * mm - 1e-9), 1) / 100:.2f}"
-
-
 def _print_summary(data: Mapping[str, Any], out: Path) -> None:
+    from annulus.numeric.rounding import ARC, DISTANCE, EXTENT, MEASURE, digits, said, span
+
+    def where(one: Mapping[str, Any]) -> str:
+        return f"at {said(one['z_mm'], DISTANCE)}, clock {one['clock']}"
+
     diameter = data["diameter_mm"]
     counts = ", ".join(f"{n} {label}" for label, n in data["frames"].items())
     print(f"frames     {counts}")
     if diameter["mean"] is not None:
-        k2 = f" ± {_up(diameter['k2'])}" if diameter.get("k2") is not None else ""
-        print(f"diameter   {diameter['mean']:.2f}{k2} mm mean (k=2), {diameter['min']:.2f}..{diameter['max']:.2f} mm")
+        between = span(diameter["min"], diameter["max"], MEASURE)
+        print(f"diameter   {said(diameter['mean'], MEASURE, diameter.get('k2'))} mean (k=2), {between}")
     print(f"points     {data['points']}")
     for d in data["defects"]:
-        k2 = f" ± {_up(d['depth_k2_mm'])}" if d.get("depth_k2_mm") is not None else ""
-        least = "" if d.get("floor_seen", True) else ">= "
-        print(
-            f"{d['kind']:<10} {least}{d['depth_mm']:.2f}{k2} mm at {d['z_mm']:.0f} mm, "
-            f"clock {d['clock']}, {d['length_mm']:.0f} mm long, {d['arc_deg']:.0f} deg"
-            + (f", {d['hidden_mm']:.0f} mm of it hidden" if d["hidden_mm"] >= 0.5 else "")
-        )
+        depth = said(d["depth_mm"], MEASURE, d.get("depth_k2_mm"), at_least=not d.get("floor_seen", True))
+        hidden = f", {said(d['hidden_mm'], EXTENT)} of it hidden" if d["hidden_mm"] >= 0.5 else ""
+        size = f"{said(d['length_mm'], EXTENT)} long, {said(d['arc_deg'], ARC)}"
+        print(f"{d['kind']:<10} {depth} {where(d)}, {size}{hidden}")
     if not data["defects"]:
         print("defects    none" + (" that is sure" if data["undecided"] else ""))
     for f in data["features"]:
-        where = "all round" if f["arc_deg"] >= 360 else f"clock {f['clock']}, {f['arc_deg']:.0f} deg"
-        print(f"{f['kind']:<10} at {f['z_mm']:.0f} mm, {where}" + (f": {f['remark']}" if f["remark"] else ""))
+        at = f"at {said(f['z_mm'], DISTANCE)}, all round"
+        if f["arc_deg"] < 360:
+            at = f"{where(f)}, {said(f['arc_deg'], ARC)}"
+        print(f"{f['kind']:<10} {at}" + (f": {f['remark']}" if f["remark"] else ""))
     if "conformity" in data:
         print(f"verdict    {data['conformity']['decision']}: {data['conformity']['title'] or 'the limits named'}")
         for remark in data["conformity"]["remarks"]:
             print(f"           {remark}")
     for d in data["undecided"]:
-        print(f"undecided  {d['depth_mm']:.2f} ± {_up(d['depth_k2_mm'])} mm at {d['z_mm']:.0f} mm, clock {d['clock']}")
+        print(f"undecided  {said(d['depth_mm'], MEASURE, d['depth_k2_mm'])} {where(d)}")
     if "vibration" in data:
         for line in data["vibration"]["lines"]:
-            hertz = "" if line["hertz"] is None else f" ({line['hertz']:.2f} Hz)"
-            print(f"vibration  {line['cycles_per_m']:.1f} cycles/m{hertz}, {line['amplitude_mm']:.3f} mm, taken out")
+            hertz = "" if line["hertz"] is None else f" ({digits(line['hertz'], MEASURE)} Hz)"
+            cycles = f"{digits(line['cycles_per_m'], MEASURE)} cycles/m{hertz}"
+            print(f"vibration  {cycles}, {said(line['amplitude_mm'], MEASURE)}, taken out")
         if not data["vibration"]["lines"]:
             print(f"vibration  {data['vibration']['note'] or 'none found'}")
     for warning in data["warnings"]:
