@@ -24,8 +24,10 @@ from annulus.daemon.pools import default_workers
 from annulus.daemon.run import ending
 from annulus.daemon.samples import open_sensors
 from annulus.daemon.session import Session
+from annulus.numeric.compiling import telling
 from annulus.numeric.rounding import DISTANCE, MEASURE, PERCENT, said
 from annulus.record.calibration_file import save_calibration
+from annulus.record.origin import origin_of
 from annulus.report import FILES, Account, prepare_folder, write
 from annulus.reprocess import Job, Processes, led_frames, measure, method_for, open_job, stage_medians, warm_up
 from annulus.stereo import CAMERA_MISSING
@@ -50,6 +52,7 @@ MM_PER_FRAME = 3.0  # aimed at; a slow machine scans longer for it, when nobody 
 MM_PER_FRAME_MAX = 6.0  # .. and less of the pipe, when somebody does
 START_PATIENCE_S = 60.0  # from lamps armed to the first labelled frame
 BAR_S = 0.1
+REMARK = "annulus demo: head and pipe are simulated, nothing of this was measured"  # in the recording, on the report
 SLOTS = 40  # a camera: frames are told apart late on a machine that draws them too
 RESULTS = ("report.html", *(name for name in FILES if name != "report.html"))  # what people open comes first
 
@@ -107,7 +110,7 @@ def _demo(wish_s: float | None, out: Path, world: World, interrupt: Interrupt, b
     begun = time.monotonic()
     prepare_folder(out)
     with interrupt.allowed():
-        with bars.spinning("measuring this machine (the first time it compiles for a minute)"):
+        with telling(bars.say), bars.spinning("measuring this machine"):
             pace = measure_pace(world)
         console.print(pace.why)
     seconds = wish_s or min(max(SECONDS, world.travel_mm / (MM_PER_FRAME * pace.fps)), SECONDS_MAX)
@@ -139,7 +142,7 @@ def _demo(wish_s: float | None, out: Path, world: World, interrupt: Interrupt, b
         with bars.spinning("building the wall, drawing the report"):
             pipe = survey(sorted(profiles, key=lambda one: one.frame), job.calibration, led_frames(job))
             truth = _truth(world, pipe)
-            write(pipe, _account(pipe, report, pace, late, truth), out)
+            write(pipe, _account(job, pipe, report, pace, late, truth), out)
     for line in _said(out, pipe, truth, time.monotonic() - begun):
         print(line)
 
@@ -162,7 +165,8 @@ def measure_pace(world: World) -> Pace:
 def demo_config(head: HeadHandle, world: World, out: Path) -> HeadConfig:
     """For the simulated head, by way of the files a real one has: head.toml and calibration.json, left in `out`."""
     save_calibration(out / "calibration.json", world.calibration())
-    here = f'\n[record]\nfolder = "."\n\n[workers]\nslots = {SLOTS * len(world.cameras)}\n'
+    told = f'\n[job]\npipe = "simulated"\nremarks = "{REMARK}"\n'
+    here = f'{told}\n[record]\nfolder = "."\n\n[workers]\nslots = {SLOTS * len(world.cameras)}\n'
     (out / "head.toml").write_text(head_toml(head, world, Path("calibration.json")) + here, encoding="utf-8")
     return load_config(out / "head.toml")
 
@@ -233,14 +237,15 @@ def _is_whole(job: Job, index: int) -> bool:
 
 
 def _account(
-    pipe: Survey, report: ScanReport, pace: Pace, late: Sequence[Profile], truth: Mapping[str, Any]
+    job: Job, pipe: Survey, report: ScanReport, pace: Pace, late: Sequence[Profile], truth: Mapping[str, Any]
 ) -> Account:  # fmt: skip
     frames = {label.value: report.frames.get(label.value, 0) for label in Label}
     drops = {**report.drops, "reconstructed_after_the_scan": len(late)}
     timing = {
         **stage_medians(pipe.profiles), "frame_to_profile": report.latency_ms, "frame_period": 1e3 / pace.fps
     }  # fmt: skip
-    return Account(f"annulus demo, simulated head, {pace.fps:g} fps", frames, drops, timing, truth=truth)
+    source, origin = f"annulus demo, simulated head, {pace.fps:g} fps", origin_of(job.scan)
+    return Account(source, frames, drops, timing, truth=truth, origin=origin)
 
 
 def _truth(world: World, pipe: Survey) -> dict[str, Any]:

@@ -5,17 +5,24 @@ import os
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from annulus.cli import bore, burst, calibrate, firmware, head, joint, pattern, record, tai, twin
 from annulus.cli import dogbones as dogbones  # its commands are of joint's group
+from annulus.cli.export import export
 from annulus.cli.fringe import BY, By
-from annulus.cli.show import Json, progress
+from annulus.cli.manual import docs
+from annulus.cli.sample import sample
+from annulus.cli.show import Json, progress, tell
 from annulus.cli.terminal import escaped
+from annulus.numeric.compiling import telling
 from annulus.untrusted import one_line
 from annulus.vocabulary import AnnulusError
+
+if TYPE_CHECKING:
+    from annulus.job import JobSheet
 
 app = typer.Typer(
     help="Acquire and reconstruct scans of plastic pipes.",
@@ -27,6 +34,10 @@ app = typer.Typer(
 )
 for _noun in (head, burst, calibrate, pattern, tai, joint, bore, firmware, twin, record):
     app.add_typer(_noun.app, name=_noun.__name__.rpartition(".")[2])
+app.command(epilog="Example: annulus export results --to xlsx --to laz -o hand-over")(export)
+
+app.command("docs", epilog="Example: annulus docs first-scan --no-open")(docs)
+app.command("sample", epilog="Example: annulus sample -o pipe.mcap && annulus reconstruct pipe.mcap -o results")(sample)
 
 
 @app.command(
@@ -87,6 +98,13 @@ def reconstruct(
         By, typer.Option(help="Heights of a plate under fringes: by the calibrated slide, or by two cameras alone.")
     ] = By.SLIDE,
     workers: Annotated[int | None, typer.Option(min=1, max=64, help="Processes; one a core if not given.")] = None,
+    job: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=TEXT|FILE",
+            help="Who, where, which pipe, over what the scan says: job.toml, or site='Elm St'.",
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """From frames to the pipe wall: cloud, mesh, maps, stations, defects and a report.
@@ -94,9 +112,12 @@ def reconstruct(
     The calibration's kind chooses the method. A head that projects fringes writes depth.npz beside the rest, its finest
     map; before a plate frames.csv has x_mm in place of z_mm.
     """
+    from annulus.job import job_of
+    from annulus.record.origin import origin_of
     from annulus.report import Account, prepare_folder, write
-    from annulus.reprocess import Processes, fringes_on, open_job, reprocess
+    from annulus.reprocess import Processes, fringes_on, make_ready, open_job, reprocess
 
+    sheet = job_of(job or ())
     wall = fringes_on(scan, calibration)
     if by is By.CAMERAS and wall != "plate":
         why = "projects no fringes" if wall is None else "lights a pipe"
@@ -111,32 +132,40 @@ def reconstruct(
             if given:
                 raise AnnulusError(f"{option} does not go with {calibration or scan}: its head projects fringes")
         if wall == "pipe" or calibration is None:
-            _reconstruct_fringe_pipe(scan, calibration, out, as_json)
+            _reconstruct_fringe_pipe(scan, calibration, out, sheet, as_json)
         else:
             _reconstruct_fringe(scan, calibration, out, by, as_json)
         return
-    job = open_job(scan, calibration, colour=colour, reference=reference)
+    work = open_job(scan, calibration, colour=colour, reference=reference)
+    origin = origin_of(work.scan, calibration, sheet)
     prepare_folder(out)
+    make_ready(work.calibration, tell)
     with progress() as bars:
-        done = reprocess(job, Processes(workers), bars)
+        done = reprocess(work, Processes(workers), bars)
         survey = done.survey(vibration=vibration_filter, fps=fps, progress=bars)
-    summary = write(survey, Account(str(scan), done.frames, done.drops, done.timing_ms, done.findings), out)
+    account = Account(str(scan), done.frames, done.drops, done.timing_ms, done.findings, origin=origin)
+    summary = write(survey, account, out)
     if as_json:
         print(json.dumps(summary))
     else:
         _print_summary(summary, out)
 
 
-def _reconstruct_fringe_pipe(scan: Path, calibration: Path | None, out: Path, as_json: bool) -> None:
+def _reconstruct_fringe_pipe(
+    scan: Path, calibration: Path | None, out: Path, sheet: "JobSheet", as_json: bool
+) -> None:  # fmt: skip
+    from annulus.record.origin import origin_of
     from annulus.report import Account, prepare_folder, write
     from annulus.reprocess import open_fringe_pipe, reconstruct_fringe_pipe
 
     job = open_fringe_pipe(scan, calibration)
+    origin = origin_of(job.scan, calibration, sheet)
     prepare_folder(out)
     with progress() as bars:
         found = reconstruct_fringe_pipe(job, bars)
     counts = job.scan.counts()
-    account = Account(str(scan), counts, {"frames_unknown": counts["unknown"]}, found.timing_ms, found.findings)
+    drops = {"frames_unknown": counts["unknown"]}
+    account = Account(str(scan), counts, drops, found.timing_ms, found.findings, origin=origin)
     seen = found.map
     depth = {
         "phi_deg": seen.phi_deg, "z_mm": seen.z_mm, "radius_mm": seen.radius_mm, "sigma_mm": seen.sigma_mm,
@@ -247,7 +276,7 @@ def daemon(
     log: Annotated[Path | None, typer.Option(help="Log file, in place of the one head.toml names.")] = None,
     job: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME=TEXT", help="Who, where, what, for the recording: --job where='Elm Street'."),
+        typer.Option(metavar="NAME=TEXT|FILE", help="Who, where, which pipe, for the recording: --job site='Elm St'."),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print what --check found as JSON.")] = False,
 ) -> None:
@@ -275,7 +304,7 @@ def _print_findings(config: Path, as_json: bool) -> None:
 
 def main() -> None:
     """Entry point: one clear line for what a user can mend, exit status 0 only for success."""
-    with escaped():
+    with escaped(), telling(tell):
         _run()
 
 

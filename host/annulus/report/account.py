@@ -1,9 +1,10 @@
 """What a reader is told of a scan besides the wall."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
+from annulus.job import Origin
 from annulus.vocabulary import Finding
 
 
@@ -13,7 +14,7 @@ class Account:
 
     source : what was scanned, for people. frames : how many by label. drops : everything that was lost, by kind.
     timing_ms : by step. findings : what is wrong with the frames, for people. truth : scores on the twin; passed
-    through, never looked at.
+    through, never looked at. origin : whose job it was, when, with which calibration.
     """
 
     source: str
@@ -22,3 +23,4 @@ class Account:
     timing_ms: Mapping[str, float]
     findings: tuple[Finding, ...] = ()
     truth: Mapping[str, Any] | None = None
+    origin: Origin = field(default_factory=Origin)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from annulus.job import Origin
 from annulus.numeric.rounding import stored, stored_k2
 from annulus.report.account import Account
 from annulus.wall.defects import Defect
@@ -29,6 +30,8 @@ def summarize(survey: Survey, account: Account, files_ms: float) -> dict[str, An
     out = {
         "format": "annulus-summary/1",
         "source": account.source,
+        "job": account.origin.job.to_dict(),
+        "origin": _origin(account.origin),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "frames": dict(account.frames),
         "points": survey.points,
@@ -86,6 +89,15 @@ def summarize(survey: Survey, account: Account, files_ms: float) -> dict[str, An
         out["truth"] = dict(account.truth)
     plain: dict[str, Any] = finite(out)
     return plain
+
+
+def _origin(origin: Origin) -> dict[str, Any]:
+    begun, ended = origin.utc
+    return {
+        "begun_utc": begun or None, "ended_utc": ended or None, "controller": dict(origin.controller),
+        "calibration": {"file": origin.calibration_file or None, **{k: dict(v) for k, v in origin.calibration.items()}},
+        "recorded_with": dict(origin.versions),
+    }  # fmt: skip
 
 
 def _vibration(found: Vibration) -> dict[str, Any]:
