@@ -14,6 +14,7 @@ from annulus.cli import dogbones as dogbones  # its commands are of joint's grou
 from annulus.cli.export import export
 from annulus.cli.fringe import BY, By
 from annulus.cli.manual import docs
+from annulus.cli.pdf import Sheet, on_paper
 from annulus.cli.sample import sample
 from annulus.cli.show import Json, progress, tell
 from annulus.cli.terminal import escaped
@@ -23,6 +24,7 @@ from annulus.vocabulary import AnnulusError
 
 if TYPE_CHECKING:
     from annulus.job import JobSheet
+    from annulus.report import Paper
 
 app = typer.Typer(
     help="Acquire and reconstruct scans of plastic pipes.",
@@ -105,6 +107,8 @@ def reconstruct(
             help="Who, where, which pipe, over what the scan says: job.toml, or site='Elm St'.",
         ),
     ] = None,
+    pdf: Annotated[bool, typer.Option("--pdf", help="Write report.pdf too; needs the extra pdf.")] = False,
+    paper: Annotated[Sheet, typer.Option(help="Of report.pdf.")] = Sheet.A4,
     as_json: Json = False,
 ) -> None:
     """From frames to the pipe wall: cloud, mesh, maps, stations, defects and a report.
@@ -118,6 +122,7 @@ def reconstruct(
     from annulus.reprocess import Processes, fringes_on, make_ready, open_job, reprocess
 
     sheet = job_of(job or ())
+    printed = on_paper(pdf, paper)
     wall = fringes_on(scan, calibration)
     if by is By.CAMERAS and wall != "plate":
         why = "projects no fringes" if wall is None else "lights a pipe"
@@ -132,9 +137,9 @@ def reconstruct(
             if given:
                 raise AnnulusError(f"{option} does not go with {calibration or scan}: its head projects fringes")
         if wall == "pipe" or calibration is None:
-            _reconstruct_fringe_pipe(scan, calibration, out, sheet, as_json)
+            _reconstruct_fringe_pipe(scan, calibration, out, sheet, printed, as_json)
         else:
-            _reconstruct_fringe(scan, calibration, out, by, as_json)
+            _reconstruct_fringe(scan, calibration, out, by, printed, as_json)
         return
     work = open_job(scan, calibration, colour=colour, reference=reference)
     origin = origin_of(work.scan, calibration, sheet)
@@ -144,7 +149,7 @@ def reconstruct(
         done = reprocess(work, Processes(workers), bars)
         survey = done.survey(vibration=vibration_filter, fps=fps, progress=bars)
     account = Account(str(scan), done.frames, done.drops, done.timing_ms, done.findings, origin=origin)
-    summary = write(survey, account, out)
+    summary = write(survey, account, out, paper=printed)
     if as_json:
         print(json.dumps(summary))
     else:
@@ -152,7 +157,7 @@ def reconstruct(
 
 
 def _reconstruct_fringe_pipe(
-    scan: Path, calibration: Path | None, out: Path, sheet: "JobSheet", as_json: bool
+    scan: Path, calibration: Path | None, out: Path, sheet: "JobSheet", printed: "Paper | None", as_json: bool
 ) -> None:  # fmt: skip
     from annulus.record.origin import origin_of
     from annulus.report import Account, prepare_folder, write
@@ -171,14 +176,17 @@ def _reconstruct_fringe_pipe(
         "phi_deg": seen.phi_deg, "z_mm": seen.z_mm, "radius_mm": seen.radius_mm, "sigma_mm": seen.sigma_mm,
         "at_least": seen.at_least, "light": seen.dc, "modulation": seen.modulation,
     }  # fmt: skip
-    summary = write(found.survey, account, out, depth=depth)
+    summary = write(found.survey, account, out, depth=depth, paper=printed)
     if as_json:
         print(json.dumps(summary))
     else:
         _print_summary(summary, out)
 
 
-def _reconstruct_fringe(scan: Path, calibration: Path, out: Path, by: By, as_json: bool) -> None:
+def _reconstruct_fringe(
+    scan: Path, calibration: Path, out: Path, by: By, printed: "Paper | None", as_json: bool
+) -> None:  # fmt: skip
+    from annulus.numeric.rounding import MEASURE, SHARE, off, said, span
     from annulus.report import Account, prepare_folder, write_plate
     from annulus.reprocess import open_fringe, reconstruct_fringe
 
@@ -187,9 +195,8 @@ def _reconstruct_fringe(scan: Path, calibration: Path, out: Path, by: By, as_jso
     with progress() as bars:
         plate = reconstruct_fringe(job, bars)
     counts = job.scan.counts()
-    summary = write_plate(
-        plate, Account(str(scan), counts, {"frames_unknown": counts["unknown"]}, plate.timing_ms), out
-    )
+    account = Account(str(scan), counts, {"frames_unknown": counts["unknown"]}, plate.timing_ms)
+    summary = write_plate(plate, account, out, paper=printed)
     if as_json:
         print(json.dumps(summary))
         return
@@ -197,12 +204,13 @@ def _reconstruct_fringe(scan: Path, calibration: Path, out: Path, by: By, as_jso
     height, sigma, places = (summary[key] for key in ("height_mm", "sigma_mm", "places"))
     print(f"frames     {', '.join(f'{n} {label}' for label, n in counts.items())}")
     print(
-        f"motion     {places['length_mm']:.2f} mm in {places['flashes']} flashes; x_mm up to "
-        f"{places['off_odometer_mm']:.3f} mm off what the frames say"
+        f"motion     {said(places['length_mm'], MEASURE)} in {places['flashes']} flashes; x_mm up to "
+        f"{said(places['off_odometer_mm'], MEASURE)} off what the frames say"
     )
-    print(f"points     {summary['points']}, {100 * summary['completeness']:.1f} % of what the slide lit")
-    print(f"height     {height['min']:.2f}..{height['max']:.2f} mm, median {height['median']:.3f}")
-    print(f"known to   ± {2 * sigma['p50']:.3f} mm (k=2, median), ± {2 * sigma['p95']:.3f} in the worst twentieth")
+    print(f"points     {summary['points']}, {said(100 * summary['completeness'], SHARE)} of what the slide lit")
+    print(f"height     {span(height['min'], height['max'], MEASURE)}, median {said(height['median'], MEASURE)}")
+    median, worst = (off(2 * sigma[name], MEASURE) for name in ("p50", "p95"))
+    print(f"known to   ± {median} (k=2, median), ± {worst} in the worst twentieth")
     for reason, cells in summary["untold"].items():
         print(f"not told   {cells} places: {reason}")
     for warning in summary["warnings"]:
