@@ -24,6 +24,7 @@ from annulus.daemon.pools import default_workers
 from annulus.daemon.run import ending
 from annulus.daemon.samples import open_sensors
 from annulus.daemon.session import Session
+from annulus.numeric.compiling import telling
 from annulus.numeric.rounding import DISTANCE, MEASURE, PERCENT, said
 from annulus.record.calibration_file import save_calibration
 from annulus.record.origin import origin_of
@@ -120,7 +121,7 @@ def _demo(wish_s: float | None, out: Path, world: World, interrupt: Interrupt, b
     begun = time.monotonic()
     prepare_folder(out)
     with interrupt.allowed():
-        with bars.spinning("measuring this machine (the first time it compiles for a minute)"):
+        with telling(bars.say), bars.spinning("measuring this machine"):
             pace = measure_pace(world)
         console.print(pace.why)
     seconds = wish_s or min(max(SECONDS, world.travel_mm / (MM_PER_FRAME * pace.fps)), SECONDS_MAX)

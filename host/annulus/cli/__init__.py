@@ -11,14 +11,20 @@ import typer
 
 from annulus.cli import bore, burst, calibrate, firmware, head, joint, pattern, record, tai, twin
 from annulus.cli import dogbones as dogbones  # its commands are of joint's group
+from annulus.cli.export import export
 from annulus.cli.fringe import BY, By
-from annulus.cli.show import Json, progress
+from annulus.cli.manual import docs
+from annulus.cli.pdf import Sheet, on_paper
+from annulus.cli.sample import sample
+from annulus.cli.show import Json, progress, tell
 from annulus.cli.terminal import escaped
+from annulus.numeric.compiling import telling
 from annulus.untrusted import one_line
 from annulus.vocabulary import AnnulusError
 
 if TYPE_CHECKING:
     from annulus.job import JobSheet
+    from annulus.report import Paper
     from annulus.wall.conformity import Criteria
 
 app = typer.Typer(
@@ -31,6 +37,10 @@ app = typer.Typer(
 )
 for _noun in (head, burst, calibrate, pattern, tai, joint, bore, firmware, twin, record):
     app.add_typer(_noun.app, name=_noun.__name__.rpartition(".")[2])
+app.command(epilog="Example: annulus export results --to xlsx --to laz -o hand-over")(export)
+
+app.command("docs", epilog="Example: annulus docs first-scan --no-open")(docs)
+app.command("sample", epilog="Example: annulus sample -o pipe.mcap && annulus reconstruct pipe.mcap -o results")(sample)
 
 
 @app.command(
@@ -101,6 +111,8 @@ def reconstruct(
     limits: Annotated[
         Path | None, typer.Option(help="limits.toml: what is accepted of the pipe; no verdict without it.")
     ] = None,
+    pdf: Annotated[bool, typer.Option("--pdf", help="Write report.pdf too; needs the extra pdf.")] = False,
+    paper: Annotated[Sheet, typer.Option(help="Of report.pdf.")] = Sheet.A4,
     as_json: Json = False,
 ) -> None:
     """From frames to the pipe wall: cloud, mesh, maps, stations, defects and a report.
@@ -111,11 +123,12 @@ def reconstruct(
     from annulus.job import job_of
     from annulus.record.origin import origin_of
     from annulus.report import Account, head_kind, prepare_folder, write
-    from annulus.reprocess import Processes, fringes_on, open_job, photographs, reprocess
+    from annulus.reprocess import Processes, fringes_on, make_ready, open_job, photographs, reprocess
     from annulus.wall.conformity import judge
     from annulus.wall.sections import worth_showing
 
     sheet, criteria = job_of(job or ()), _criteria(limits)
+    printed = on_paper(pdf, paper)
     wall = fringes_on(scan, calibration)
     if by is By.CAMERAS and wall != "plate":
         why = "projects no fringes" if wall is None else "lights a pipe"
@@ -130,16 +143,17 @@ def reconstruct(
             if given:
                 raise AnnulusError(f"{option} does not go with {calibration or scan}: its head projects fringes")
         if wall == "pipe" or calibration is None:
-            _reconstruct_fringe_pipe(scan, calibration, out, sheet, criteria, as_json)
+            _reconstruct_fringe_pipe(scan, calibration, out, sheet, criteria, printed, as_json)
         else:
-            for option, said in (("--job", job), ("--limits", limits)):
-                if said:
+            for option, told in (("--job", job), ("--limits", limits)):
+                if told:
                     raise AnnulusError(f"{option} does not go with {scan}: a plate has no report of a pipe")
-            _reconstruct_fringe(scan, calibration, out, by, as_json)
+            _reconstruct_fringe(scan, calibration, out, by, printed, as_json)
         return
     work = open_job(scan, calibration, colour=colour, reference=reference)
     origin = origin_of(work.scan, calibration, sheet)
     prepare_folder(out)
+    make_ready(work.calibration, tell)
     with progress() as bars:
         done = reprocess(work, Processes(workers), bars)
         survey = done.survey(vibration=vibration_filter, fps=fps, progress=bars)
@@ -150,7 +164,7 @@ def reconstruct(
         photographs=photographs(done.job, survey, shown), method=head_kind(work.calibration),
         covariance_stated=work.calibration.covariance is not None,
     )  # fmt: skip
-    summary = write(survey, account, out)
+    summary = write(survey, account, out, paper=printed)
     if as_json:
         print(json.dumps(summary))
     else:
@@ -164,7 +178,8 @@ def _criteria(limits: Path | None) -> "Criteria | None":
 
 
 def _reconstruct_fringe_pipe(
-    scan: Path, calibration: Path | None, out: Path, sheet: "JobSheet", criteria: "Criteria | None", as_json: bool
+    scan: Path, calibration: Path | None, out: Path, sheet: "JobSheet", criteria: "Criteria | None",
+    printed: "Paper | None", as_json: bool,
 ) -> None:  # fmt: skip
     from annulus.record.origin import origin_of
     from annulus.report import FRINGE, Account, prepare_folder, write
@@ -187,14 +202,17 @@ def _reconstruct_fringe_pipe(
         "phi_deg": seen.phi_deg, "z_mm": seen.z_mm, "radius_mm": seen.radius_mm, "sigma_mm": seen.sigma_mm,
         "at_least": seen.at_least, "light": seen.dc, "modulation": seen.modulation,
     }  # fmt: skip
-    summary = write(found.survey, account, out, depth=depth)
+    summary = write(found.survey, account, out, depth=depth, paper=printed)
     if as_json:
         print(json.dumps(summary))
     else:
         _print_summary(summary, out)
 
 
-def _reconstruct_fringe(scan: Path, calibration: Path, out: Path, by: By, as_json: bool) -> None:
+def _reconstruct_fringe(
+    scan: Path, calibration: Path, out: Path, by: By, printed: "Paper | None", as_json: bool
+) -> None:  # fmt: skip
+    from annulus.numeric.rounding import MEASURE, SHARE, off, said, span
     from annulus.report import Account, prepare_folder, write_plate
     from annulus.reprocess import open_fringe, reconstruct_fringe
 
@@ -203,9 +221,8 @@ def _reconstruct_fringe(scan: Path, calibration: Path, out: Path, by: By, as_jso
     with progress() as bars:
         plate = reconstruct_fringe(job, bars)
     counts = job.scan.counts()
-    summary = write_plate(
-        plate, Account(str(scan), counts, {"frames_unknown": counts["unknown"]}, plate.timing_ms), out
-    )
+    account = Account(str(scan), counts, {"frames_unknown": counts["unknown"]}, plate.timing_ms)
+    summary = write_plate(plate, account, out, paper=printed)
     if as_json:
         print(json.dumps(summary))
         return
@@ -213,12 +230,13 @@ def _reconstruct_fringe(scan: Path, calibration: Path, out: Path, by: By, as_jso
     height, sigma, places = (summary[key] for key in ("height_mm", "sigma_mm", "places"))
     print(f"frames     {', '.join(f'{n} {label}' for label, n in counts.items())}")
     print(
-        f"motion     {places['length_mm']:.2f} mm in {places['flashes']} flashes; x_mm up to "
-        f"{places['off_odometer_mm']:.3f} mm off what the frames say"
+        f"motion     {said(places['length_mm'], MEASURE)} in {places['flashes']} flashes; x_mm up to "
+        f"{said(places['off_odometer_mm'], MEASURE)} off what the frames say"
     )
-    print(f"points     {summary['points']}, {100 * summary['completeness']:.1f} % of what the slide lit")
-    print(f"height     {height['min']:.2f}..{height['max']:.2f} mm, median {height['median']:.3f}")
-    print(f"known to   ± {2 * sigma['p50']:.3f} mm (k=2, median), ± {2 * sigma['p95']:.3f} in the worst twentieth")
+    print(f"points     {summary['points']}, {said(100 * summary['completeness'], SHARE)} of what the slide lit")
+    print(f"height     {span(height['min'], height['max'], MEASURE)}, median {said(height['median'], MEASURE)}")
+    median, worst = (off(2 * sigma[name], MEASURE) for name in ("p50", "p95"))
+    print(f"known to   ± {median} (k=2, median), ± {worst} in the worst twentieth")
     for reason, cells in summary["untold"].items():
         print(f"not told   {cells} places: {reason}")
     for warning in summary["warnings"]:
@@ -324,7 +342,7 @@ def _print_findings(config: Path, as_json: bool) -> None:
 
 def main() -> None:
     """Entry point: one clear line for what a user can mend, exit status 0 only for success."""
-    with escaped():
+    with escaped(), telling(tell):
         _run()
 
 

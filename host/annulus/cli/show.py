@@ -47,6 +47,11 @@ def progress() -> Iterator[Callable[[str, int, int], None]]:
             bars.stop()
 
 
+def tell(line: str) -> None:
+    """A remark for who waits, not part of the answer."""
+    print(line, file=sys.stderr, flush=True)
+
+
 def print_fields(fields: dict[str, object], as_json: bool) -> None:
     if as_json:
         print(json.dumps(fields))

@@ -14,6 +14,7 @@ from annulus.daemon.camera_config import CAMERA_KINDS, CameraConfig, CameraKind
 from annulus.geometry.calibration import Calibration
 from annulus.job import BEFORE, WORDS, JobSheet, provenance
 from annulus.record.calibration_file import load_calibration, load_part, load_sections
+from annulus.record.codec import DEFAULT, Codec
 from annulus.rings.colour import ColourProfile
 from annulus.sensors.chips import CHIPS
 from annulus.sensors.i2c import bus_number
@@ -87,11 +88,13 @@ class LampConfig:
 class RecordConfig:
     """How a scan is recorded. 0: no such bound."""
 
+    codec: Codec = DEFAULT
     part_minutes: float = 60.0  # a new file when the one at hand is so old,
     part_gb: float = 0.0  # or so large
     sync_s: float = 5.0  # to the disk itself this often; 0: whenever the system likes
     min_free_gb: float = 2.0  # no scan begins with less,
     min_free_minutes: float = 0.0  # or with less than so many minutes of frames
+    expect_minutes: float = 0.0  # that a scan takes: one is begun with less room, but a warning given
     reserve_mb: float = 200.0  # a scan ends before the disk has less
 
 
@@ -317,12 +320,17 @@ def _lamps(content: Mapping[str, Any]) -> LampConfig:
 
 def _record(content: Mapping[str, Any]) -> RecordConfig:
     usual = RecordConfig()
+    codec = _text(content, "record", "codec", usual.codec)
+    if codec not in list(Codec):
+        raise ValueError(f"[record] codec is {shown(codec)}, expected one of {', '.join(Codec)}")
     return RecordConfig(
+        codec=Codec(codec),
         part_minutes=_bound(content, "record", "part_minutes", usual.part_minutes, 0.01, 1e5),
         part_gb=_bound(content, "record", "part_gb", usual.part_gb, 0.01, 1e5),
         sync_s=_bound(content, "record", "sync_s", usual.sync_s, 0.1, 3600.0),
         min_free_gb=_number(content, "record", "min_free_gb", usual.min_free_gb, 0.0, 1e5),
         min_free_minutes=_number(content, "record", "min_free_minutes", usual.min_free_minutes, 0.0, 1e5),
+        expect_minutes=_number(content, "record", "expect_minutes", usual.expect_minutes, 0.0, 1e5),
         reserve_mb=_number(content, "record", "reserve_mb", usual.reserve_mb, 0.0, 1e5),
     )
 

@@ -5,6 +5,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from annulus.daemon.service import Service
 from annulus.daemon.session import Session
 from annulus.daemon.state import State
 from annulus.job import job_of
+from annulus.reprocess.ahead import make_ready
 from annulus.stream.working import leave_uncollected
 from annulus.vocabulary import AnnulusError
 
@@ -72,6 +74,9 @@ def run_daemon(config_path: Path, log: Path | None = None, job: Sequence[str] = 
         if remark := raise_priority(config.realtime):
             listeners.event("priority", remark)
         try:
+            if config.calibration is not None:
+                say = partial(listeners.event, "compiling")
+                make_ready(config.calibration, say, lambda: interrupt.requested)
             sensors = open_sensors(config.sensors)
             session = Session(config, observer=listeners, sensors=sensors)
             leave_uncollected()

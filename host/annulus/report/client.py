@@ -4,7 +4,7 @@ Values for job.html.j2, verdict.html.j2, details.html.j2 and accuracy.html.j2; n
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -46,7 +46,7 @@ OVERALL = {
     Decision.UNDECIDED: ("Undecided", "look"),
     Decision.FAILS: ("Does not conform", ""),
 }
-SHEET_UNITS: Mapping[str, Quantity] = {"nominal_diameter_mm": Quantity("mm", 1), "sdr": Quantity("", 1)}
+SHEET_UNITS = {"nominal_diameter_mm": " mm", "sdr": ""}
 assert SHEET_UNITS.keys() == NUMBERS.keys()
 
 
@@ -69,7 +69,7 @@ def _job(origin: Origin) -> Iterator[tuple[str, str]]:
     for name, words in WORDS.items():
         value = told.get(name)
         if name in SHEET_UNITS and value is not None:
-            yield words, said(value, SHEET_UNITS[name])
+            yield words, f"{value:g}{SHEET_UNITS[name]}"
         elif name == "date" and value is None and origin.utc[0]:
             yield words, f"{origin.utc[0][:10]} (UTC, by the recorder's clock)"
         elif name != "remarks" or value:

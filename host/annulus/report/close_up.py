@@ -24,16 +24,16 @@ IntArray = NDArray[np.int64]
 GREY, PALE, SHADE = "#55606b", "#dde2e7", "#e6e9ec"
 COLOUR = {Kind.LOSS: LOSS_RED, Kind.BUMP: BUMP_BLUE, Kind.OVALITY: "#7c5100"}
 CIRCLE_PX, SWING_PX = 104.0, 44.0  # the mean circle, and what the largest departure is drawn as
-WIDE_PX, HIGH_PX = 520.0, 250.0
+WIDE_PX, HIGH_PX = 330.0, 320.0
 JPEG_QUALITY = 85
 MAP_PX = 420  # the longer side of a part of the map of colour
 
 
-def drawing(body: str, box: tuple[float, float, float, float], told: str) -> Markup:
+def drawing(body: str, box: tuple[float, float, float, float], told: str, type_px: float) -> Markup:
     x, y, width, height = box
     return Markup(
         f'<svg viewBox="{x:g} {y:g} {width:g} {height:g}" role="img" aria-label="{escape(told)}" '
-        f'font-family="sans-serif" font-size="11" fill="{INK}">{body}</svg>'
+        f'font-family="sans-serif" font-size="{type_px:g}" fill="{INK}">{body}</svg>'
     )
 
 
@@ -60,7 +60,7 @@ def across(section: Section, clock_deg: FloatArray, defect: Defect) -> tuple[Mar
         out.append(_line(ends, f'stroke="{GREY}" stroke-width="1"'))
     for hour in (0, 3, 6, 9):
         x, y = at(np.full(1, math.radians(30.0 * hour)), np.full(1, 1.55 * scale))[0]
-        out.append(f'<text x="{x:.1f}" y="{y + 4:.1f}" text-anchor="middle">{clock_face(30.0 * hour)}</text>')
+        out.append(f'<text x="{x:.1f}" y="{y + 5:.1f}" text-anchor="middle">{clock_face(30.0 * hour)}</text>')
     circle = f'<circle r="{CIRCLE_PX + SWING_PX / scale * section.nominal:.1f}" fill="none" stroke="{GREY}" '
     out.append(f'{circle}stroke-width="1" stroke-dasharray="5 4"/>' if abs(section.nominal) < 1.2 * scale else "")
     out.append(_shape(at(turn, section.datum), f'fill="none" stroke="{INK}" stroke-width="0.8"'))
@@ -79,13 +79,13 @@ def across(section: Section, clock_deg: FloatArray, defect: Defect) -> tuple[Mar
         f"{said(scale, MEASURE)} outwards and inwards"
     )
     high, wide = CIRCLE_PX + 1.75 * SWING_PX, CIRCLE_PX + 2.0 * SWING_PX
-    return drawing("".join(out), (-wide, -high, 2 * wide, 2 * high), told), scale
+    return drawing("".join(out), (-wide, -high, 2 * wide, 2 * high), told, 15), scale
 
 
 def along(section: Section, defect: Defect) -> Markup:
     """The line along the pipe through the deepest place, with k = 2 and the depth of the list."""
     colour = COLOUR[defect.kind]
-    left, right, top, bottom = 56.0, 12.0, 12.0, 40.0
+    left, right, top, bottom = 62.0, 8.0, 8.0, 46.0
     z, line, k2, datum = section.along_z, section.along, np.nan_to_num(section.along_k2), section.along_datum
     depth = (
         defect.depth_mm * (-1.0 if defect.kind is Kind.BUMP else 1.0) / (2.0 if defect.kind is Kind.OVALITY else 1.0)
@@ -133,7 +133,7 @@ def along(section: Section, defect: Defect) -> Markup:
         f"Line along the pipe at clock {clock_face(section.clock_deg)}: departure of the wall from the mean circle, "
         f"from {said(first, DISTANCE)} to {said(last, DISTANCE)}"
     )
-    return drawing("".join(out), (0, 0, WIDE_PX, HIGH_PX), told)
+    return drawing("".join(out), (0, 0, WIDE_PX, HIGH_PX), told, 13)
 
 
 def photograph(shown: Photograph) -> str:

@@ -4,12 +4,11 @@ WeasyPrint lays the page out by its print style. It asks the system for fonts, a
 draws boxes. matplotlib brings DejaVu Sans, which has every sign that the page uses, so that is what a PDF is set in.
 """
 
-import importlib
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-from annulus.vocabulary import AnnulusError
+from annulus.extras import need
 
 
 class Paper(StrEnum):
@@ -56,18 +55,6 @@ def check_pdf() -> None:
 
 
 def _weasyprint() -> Any:
-    try:
-        module = importlib.import_module("weasyprint")
-        importlib.import_module("weasyprint.text.fonts")
-        return module
-    except ModuleNotFoundError as error:
-        raise AnnulusError(
-            f"a PDF needs {error.name}, which is not installed: pip install 'annulus[pdf]', or print report.html from "
-            "a browser"
-        ) from None
-    except OSError as error:  # libraries of the system, loaded by name
-        what = str(error).partition(":")[0]
-        raise AnnulusError(
-            f"a PDF needs the library {what}, which this system lacks: apt install libpango-1.0-0 libpangoft2-1.0-0 "
-            "libharfbuzz-subset0, or print report.html from a browser"
-        ) from None
+    module = need("weasyprint")
+    need("weasyprint.text.fonts")
+    return module

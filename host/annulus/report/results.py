@@ -28,9 +28,11 @@ from annulus.wall.survey import Survey
 CLOUD_NOTE = "annulus point cloud, mm: x right, y down, z along the first straight pipe; sigma = of the radius, k = 1"
 MESH_NOTE = "annulus wall, mm, in the frame of the cloud; quality = deviation of the radius, mm"
 FILES = (
-    "cloud.ply", "mesh.ply", "unwrapped.png", "texture.png", "stations.csv", "centreline.json", "report.html",
-    "summary.json",
+    "cloud.ply", "mesh.ply", "unwrapped.png", "texture.png", "stations.csv", "wall.npz", "centreline.json",
+    "report.html", "summary.json",
 )  # fmt: skip
+WALL_FORMAT = "annulus-wall/1"
+NOT_SEEN_UM, UNKNOWN_UM = -32768, 65535  # of a deviation, of its sigma
 SUMMARY = "summary.json"
 DEPTH, PDF = "depth.npz", "report.pdf"  # of methods whose map is finer than the report's; where it is asked for
 
@@ -56,6 +58,7 @@ def write(
         (staging / "unwrapped.png").write_bytes(pictures.unwrapped)
         (staging / "texture.png").write_bytes(pictures.texture)
         _write_stations(staging / "stations.csv", survey.stations)
+        _write_wall(staging / "wall.npz", survey)
         (staging / "centreline.json").write_text(json.dumps(centreline(survey), indent=1) + "\n", encoding="utf-8")
         if depth is not None:
             np.savez(staging / DEPTH, **dict[str, Any](depth))
@@ -175,3 +178,30 @@ def _write_stations(path: Path, stations: Stations) -> None:
         )  # fmt: skip
         for row in columns:
             writer.writerow([f"{value:.4f}" if math.isfinite(value) else "" for value in row])
+
+
+def _write_wall(path: Path, survey: Survey) -> None:
+    """The wall map as plain arrays, rows along the pipe, columns clockwise from 12 o'clock looking forward.
+
+    deviation_um [z, clock] int16: the wall's distance from the pipe's axis less `radius_mm`, the nominal radius, by
+    which surveys of two years compare; -32768 where not seen, -32767 and 32767 for that or more. sigma_um [z, clock]
+    uint16: its standard deviation (k = 1), what a point may be off and the noise of the cell; 65535 where nobody knows.
+    shadowed [z, clock] bool: a step keeps the light from there. imu_roll_deg [z]: how far 12 o'clock is still turned:
+    0 where the head's roll was measured, and so taken out, NaN where no sensor gave it.
+    """
+    wall = survey.wall
+    nominal = survey.nominal_diameter_mm / 2
+    seen = np.isfinite(wall.radius_mm)
+    away = np.clip(np.rint(1e3 * (wall.radius_mm.astype(np.float64) - nominal)), NOT_SEEN_UM + 1, -NOT_SEEN_UM - 1)
+    sigma = 1e3 * np.hypot(wall.sigma_mm.astype(np.float64), wall.cell_noise_mm)
+    sigma = np.where(seen & np.isfinite(sigma), np.clip(np.ceil(sigma), 0, UNKNOWN_UM - 1), UNKNOWN_UM)
+    arrays: dict[str, Any] = {
+        "format": WALL_FORMAT,
+        "deviation_um": np.where(seen, away, NOT_SEEN_UM).astype(np.int16),
+        "sigma_um": sigma.astype(np.uint16),
+        "shadowed": survey.shadowed,
+        "z_mm": wall.z_mm, "z_step_mm": wall.z_step_mm, "clock_deg": wall.clock_deg,
+        "radius_mm": nominal, "radius_of": "nominal", "mean_radius_mm": wall.mean_radius_mm,
+        "imu_roll_deg": np.full(len(wall.z_mm), np.nan if survey.roll_range_deg is None else 0.0, np.float32),
+    }  # fmt: skip
+    np.savez_compressed(path, **arrays)

@@ -8,6 +8,7 @@ scan is decided before, and chunks are fixed. A scan under fringes has no profil
 >>> pipe = survey_of("scan.mcap")
 """
 
+from annulus.reprocess.ahead import make_ready
 from annulus.reprocess.engine import Reprocessed, led_frames, measure, reprocess, stage_medians, survey_of
 from annulus.reprocess.executors import Executor, Processes, in_process
 from annulus.reprocess.fringe import reconstruct_fringe
@@ -29,6 +30,7 @@ __all__ = [
     "fringes_on",
     "in_process",
     "led_frames",
+    "make_ready",
     "measure",
     "method_for",
     "open_fringe",
