@@ -53,7 +53,7 @@ tools/emulator/node_modules/.package-lock.json: tools/emulator/package.json tool
 wheels: setup-all
 	@tools/need.sh gcc-arm-none-eabi gcc-aarch64-linux-gnu
 	@if grep -q '^docs:' Makefile; then $(MAKE) --no-print-directory docs; fi
-	@for machine in x86_64 aarch64; do ANNULUS_MACHINE=$$machine $(BIN)/hatchling -q build -t wheel dist || exit 1; done
+	@for machine in x86_64 aarch64; do ANNULUS_MACHINE=$$machine $(BIN)/hatchling build -t wheel -d dist || exit 1; done
 	@ls -l dist/*.whl
 
 demo: setup
@@ -63,7 +63,7 @@ demo: setup
 test: export ANNULUS_NO_SKIPS := 1
 test: setup-all lint firmware emulator .tools/picamera2/.made
 	@tools/need.sh clang libclang-rt sigrok-cli qemu-system-x86 linux-image-amd64 busybox-static kmod \
-	  gcc-aarch64-linux-gnu chromium pango poppler-utils
+	  gcc-aarch64-linux-gnu systemd chromium pango poppler-utils
 	$(BIN)/pytest -n auto --dist loadfile -m "not slow" tests/unit tests/regression
 	$(BIN)/pytest -n auto --dist loadfile -m slow tests/unit tests/regression
 	$(BIN)/pytest -n auto --dist loadfile tests/scenes

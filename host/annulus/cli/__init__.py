@@ -10,10 +10,10 @@ from typing import Annotated, Any
 
 import typer
 
-from annulus.cli import bore, burst, calibrate, firmware, head, joint, pattern, record, tai, twin
+from annulus.cli import bore, burst, calibrate, doctor, firmware, head, joint, pattern, record, tai, twin
 from annulus.cli import dogbones as dogbones  # its commands are of joint's group
 from annulus.cli.fringe import BY, By
-from annulus.cli.show import Json, progress, tell
+from annulus.cli.show import Json, print_findings, progress, tell
 from annulus.cli.terminal import escaped
 from annulus.numeric.compiling import telling
 from annulus.untrusted import one_line
@@ -29,6 +29,20 @@ app = typer.Typer(
 )
 for _noun in (head, burst, calibrate, pattern, tai, joint, bore, firmware, twin, record):
     app.add_typer(_noun.app, name=_noun.__name__.rpartition(".")[2])
+
+
+@app.callback(invoke_without_command=True)
+def about(
+    version: Annotated[bool, typer.Option("--version", help="Print the version and the commit it is of.")] = False,
+) -> None:
+    """Acquire and reconstruct scans of plastic pipes."""
+    if version:
+        from importlib.metadata import version as version_of
+
+        from annulus.shipped import commit
+
+        print(f"annulus {version_of('annulus')}, commit {commit()}")
+        raise typer.Exit
 
 
 @app.command(
@@ -266,14 +280,10 @@ def daemon(
 def _print_findings(config: Path, as_json: bool) -> None:
     from annulus.daemon.check import check_head
 
-    found = check_head(config)
-    if as_json:
-        print(json.dumps([{"what": one.what, "ok": one.ok, "text": one.text} for one in found]))
-    else:
-        for one in found:
-            print(f"{ {True: 'ok', False: 'NOT OK', None: '-'}[one.ok]:<8}{one.what:<14}{one.text}")
-    if any(one.ok is False for one in found):
-        raise typer.Exit(1)
+    print_findings(check_head(config), as_json)
+
+
+app.command(epilog=doctor.EXAMPLE)(doctor.doctor)
 
 
 def main() -> None:
