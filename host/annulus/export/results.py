@@ -25,7 +25,7 @@ from annulus.vocabulary import AnnulusError
 
 FORMAT = "annulus-summary/1"
 JSON_MAX, CSV_MAX = 1 << 27, 1 << 28  # bytes
-PLACES_MAX, STATIONS_MAX, POINTS_MAX, PIECES_MAX = 100_000, 1_000_000, 1_000_000, 10_000
+PLACES_MAX, STATIONS_MAX, POINTS_MAX, PIECES_MAX = 100_000, 200_000, 1_000_000, 10_000
 TEXT_MAX = 2000
 MM_MAX = 1e8
 CLOUD_FIELDS = ("x", "y", "z", "red", "green", "blue", "radius", "frame", "ring", "sigma")
@@ -189,7 +189,7 @@ def _job(found: Any, above: str = "") -> dict[str, str]:
         name = text(name, "job's name", 200)
         if isinstance(value, Mapping) and not above:
             out |= _job(value, f"{name}.")
-        elif value is not None:
+        elif value not in (None, ""):
             many = value if isinstance(value, list) else [value]
             out[above + name] = text(", ".join(_plain(one) for one in many), f"job.{name}", TEXT_MAX)
     return out

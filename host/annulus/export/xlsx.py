@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from annulus.export.extra import load
 from annulus.export.results import STATION_COLUMNS, Results
 from annulus.export.tally import COLUMNS, EDITION, OURS, POF, Cell, tally
+from annulus.extras import need
+from annulus.job import WORDS
 
 CELL_MAX = 32_000  # characters; a cell of Excel holds 32 767
 ROWS_MAX = 1_048_575  # .. a sheet, below its heading
@@ -20,7 +21,7 @@ STATION_HEADINGS = (
 
 
 def write(results: Results, path: Path) -> None:
-    openpyxl = load("openpyxl", "export", "xlsx")
+    openpyxl = need("openpyxl")
     book = openpyxl.Workbook()
     sheet = book.active
     sheet.title = "Pipe tally"
@@ -87,7 +88,7 @@ def _about(results: Results) -> list[list[Cell]]:
         ["Scan", results.source], ["Results of", results.created], ["Made by", results.made_by],
         ["Scanned [m]", f"{first / 1000:.3f} to {last / 1000:.3f}"], ["Points", str(results.points)],
     ]  # fmt: skip
-    lines += [[f"Job: {name}", value] for name, value in results.job.items()]
+    lines += [[f"Job: {WORDS.get(name, name)}", value] for name, value in results.job.items()]
     lines += [[name, value] for name, value in results.figures.items()]
     lines += [["Warning", text] for text in results.warnings]
     return lines

@@ -32,7 +32,7 @@ def test_glb_is_the_mesh_in_metres_with_y_up(written: Written, folder: Path) -> 
     assert np.abs(255 * screen - ours).max() < 0.01
     assert np.array_equal(read.vertex_attributes["_DEVIATION"][:, 0], np.nan_to_num(vertices["quality"], nan=-9999))
     assert read.visual.material.doubleSided and read.visual.material.metallicFactor == 0
-    assert scene.metadata["unit"] == "m" and scene.metadata["job"]["pipe_id"] == "P-12"
+    assert scene.metadata["unit"] == "m" and scene.metadata["job"]["pipe"] == "P-12"
     assert read.vertices[:, 2].max() < 0  # who looks forward looks along -z
 
 
@@ -90,7 +90,7 @@ def test_defects_lie_on_the_plan_at_their_distance_and_arc(written: Written, fol
     assert len(boxes) == 3  # the one about 11 o'clock passes 12 and has two
     texts = [text.dxf.text for text in model.query("TEXT")]
     assert any(text.startswith("D1  loss 4.00 ± 0.11 mm (k=2) at 0.146 m, from 0.129 to 0.162 m") for text in texts)
-    assert any("bump >= 4.00 mm" in text for text in texts)
+    assert any("bump ≥ 4.00 mm" in text for text in texts)
     assert {"12:00", "1:00", "11:00"} <= set(texts)
 
 
