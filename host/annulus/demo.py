@@ -25,16 +25,28 @@ from annulus.daemon.run import ending
 from annulus.daemon.samples import open_sensors
 from annulus.daemon.session import Session
 from annulus.numeric.compiling import telling
+from annulus.numeric.rounding import DISTANCE, MEASURE, PERCENT, said
 from annulus.record.calibration_file import save_calibration
 from annulus.record.origin import origin_of
-from annulus.report import FILES, Account, prepare_folder, write
-from annulus.reprocess import Job, Processes, led_frames, measure, method_for, open_job, stage_medians, warm_up
+from annulus.report import FILES, Account, head_kind, prepare_folder, write
+from annulus.reprocess import (
+    Job,
+    Processes,
+    led_frames,
+    measure,
+    method_for,
+    open_job,
+    photographs,
+    stage_medians,
+    warm_up,
+)  # fmt: skip
 from annulus.stereo import CAMERA_MISSING
 from annulus.twin.head import HeadHandle, head_toml, start_head, sustainable_fps
 from annulus.twin.score import score
 from annulus.twin.worlds import World, demo_world, stereo_world
 from annulus.vocabulary import AnnulusError, Label
 from annulus.wall import Profile, Survey, survey
+from annulus.wall.sections import worth_showing
 
 FPS_MAX = 25.0
 FPS_MIN = 2.0
@@ -243,8 +255,11 @@ def _account(
     timing = {
         **stage_medians(pipe.profiles), "frame_to_profile": report.latency_ms, "frame_period": 1e3 / pace.fps
     }  # fmt: skip
-    source, origin = f"annulus demo, simulated head, {pace.fps:g} fps", origin_of(job.scan)
-    return Account(source, frames, drops, timing, truth=truth, origin=origin)
+    return Account(
+        f"annulus demo, simulated head, {pace.fps:g} fps", frames, drops, timing, truth=truth,
+        origin=origin_of(job.scan), photographs=photographs(job, pipe, worth_showing(pipe.defects)),
+        method=head_kind(job.calibration), covariance_stated=job.calibration.covariance is not None,
+    )  # fmt: skip
 
 
 def _truth(world: World, pipe: Survey) -> dict[str, Any]:
@@ -264,12 +279,14 @@ def _said(out: Path, pipe: Survey, truth: Mapping[str, Any], seconds: float) -> 
     """The end of the demo, for people: what was found, and where it is."""
     first, last = pipe.scanned_mm
     lines = [
-        f"wall       {pipe.points} points over {last - first:.0f} mm, "
-        f"rms {truth['rms_mm']:.3f} mm against the truth, {truth['gross_percent']:.3f} % off by more than 2 mm",
+        f"wall       {pipe.points} points over {said(last - first, DISTANCE)}, rms {said(truth['rms_mm'], MEASURE)} "
+        f"against the truth, {said(truth['gross_percent'], PERCENT)} off by more than 2 mm",
         f"defects    {truth['defects_found']} of {truth['defects_true']} found, {truth['defects_false']} false",
     ]
     lines += [
-        f"           {d.kind:<8} {d.depth_mm:4.1f} mm  at {d.z_mm:5.0f} mm, clock {d.clock}" for d in pipe.defects
+        f"           {d.kind:<8} {said(d.depth_mm, MEASURE, d.depth_k2_mm, at_least=not d.floor_seen)} at "
+        f"{said(d.z_mm, DISTANCE)}, clock {d.clock}"
+        for d in pipe.defects
     ]
     lines += [f"{'results' if i == 0 else '':<10} {out / name}" for i, name in enumerate(RESULTS)]
     lines.append(f"recording  {out / 'scan.mcap'}")

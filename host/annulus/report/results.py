@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus.report import figures
+from annulus.report import client, figures
 from annulus.report.account import Account
 from annulus.report.course import centreline
 from annulus.report.page import render_page
+from annulus.report.pdf import Paper, to_pdf
 from annulus.report.ply import write_ply
 from annulus.report.summary import summarize
 from annulus.vocabulary import AnnulusError
@@ -32,15 +33,17 @@ FILES = (
 )  # fmt: skip
 WALL_FORMAT = "annulus-wall/1"
 NOT_SEEN_UM, UNKNOWN_UM = -32768, 65535  # of a deviation, of its sigma
-SUMMARY, DEPTH = "summary.json", "depth.npz"  # the second: of methods whose map is finer than the report's
+SUMMARY = "summary.json"
+DEPTH, PDF = "depth.npz", "report.pdf"  # of methods whose map is finer than the report's; where it is asked for
 
 
 def write(
-    survey: Survey, account: Account, out: Path, *, depth: Mapping[str, NDArray[Any]] | None = None
-) -> dict[str, Any]:
+    survey: Survey, account: Account, out: Path, *, depth: Mapping[str, NDArray[Any]] | None = None,
+    paper: Paper | None = None,
+) -> dict[str, Any]:  # fmt: skip
     """Write every result file of a survey into the folder `out`. Returns what summary.json says.
 
-    depth : arrays of a finer map of the wall, for depth.npz; none without.
+    depth : arrays of a finer map of the wall, for depth.npz; none without. paper : of report.pdf; none without.
 
     Raises
     ------
@@ -60,10 +63,18 @@ def write(
         if depth is not None:
             np.savez(staging / DEPTH, **dict[str, Any](depth))
         summary = summarize(survey, account, 1e3 * (time.perf_counter() - started))
-        (staging / "report.html").write_text(render_page(survey, summary, pictures), encoding="utf-8")
+        page = render_page(survey, summary, pictures, **client.values(survey, account))
+        write_page(staging, page, paper)
         text = json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False)
         (staging / SUMMARY).write_text(text + "\n", encoding="utf-8")
     return summary
+
+
+def write_page(folder: Path, page: str, paper: Paper | None) -> None:
+    """report.html, and report.pdf where a paper is named."""
+    (folder / "report.html").write_text(page, encoding="utf-8")
+    if paper is not None:
+        (folder / PDF).write_bytes(to_pdf(page, paper))
 
 
 @contextlib.contextmanager
@@ -76,7 +87,8 @@ def staged(out: Path) -> Iterator[Path]:
         try:
             yield staging
             (out / SUMMARY).unlink(missing_ok=True)
-            (out / DEPTH).unlink(missing_ok=True)  # of a scan before
+            for name in (DEPTH, PDF):  # of a scan before
+                (out / name).unlink(missing_ok=True)
             for file in sorted(staging.iterdir(), key=lambda file: file.name == SUMMARY):
                 file.replace(out / file.name)
         finally:

@@ -9,7 +9,7 @@ from scipy import ndimage
 
 from annulus.numeric.arrays import Float32Array, FloatArray
 from annulus.numeric.robust import nan_median
-from annulus.numeric.rounding import clock_face
+from annulus.numeric.rounding import ARC, DISTANCE, MEASURE, clock_face, said, span
 from annulus.vocabulary import Finding
 from annulus.wall.grid import Wall
 from annulus.wall.indications import arc_of
@@ -88,13 +88,13 @@ def not_enough_seen(wall: Wall, features: "Sequence[Feature]" = ()) -> tuple[Fin
             start, known = arc_of(seen, wall.clock_step_deg) if seen.any() else (0.0, 0.0)
             middle = start + known + (360.0 - known) / 2
             why = next((f"lie below {f.kind}" for f in features if _below(f, first, last, middle)), "were not seen")
-            arc = f"{360.0 - known:.0f} degrees about clock {clock_face(middle)} {why}"
+            arc = f"{said(360.0 - known, ARC)} about clock {clock_face(middle)} {why}"
         what = "ovality" if not circle[rows].any() else "shape"
         out.append(
             Finding(
                 NOT_ENOUGH,
-                f"not enough seen from {first:.0f} to {last:.0f} mm: {arc}, so that the pipe's {what} is not known to "
-                f"{wall.shape_limit_mm:.2f} mm and nothing is measured from it there",
+                f"not enough seen from {span(first, last, DISTANCE)}: {arc}, so that the pipe's {what} is not known to "
+                f"{said(wall.shape_limit_mm, MEASURE)} and nothing is measured from it there",
             )
         )
     return tuple(out)
