@@ -7,9 +7,17 @@ BIN        := .venv/bin
 # Containers are often made with this set: then every process compiles all it imports anew, 3 s of each, and a scan has eight.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: setup demo test lint bench bench-metrology bench-thermoacoustic bench-joints bench-crossbore study native firmware emulator generated mutants docs sample clean
+# What `make setup` installs beside the base, of the extras in pyproject.toml: make setup EXTRAS="export pdf tai joints"
+EXTRAS ?= export pdf
 
-setup: .venv/.synced .venv/.kernels native
+.PHONY: setup setup-all wheels demo test lint bench bench-metrology bench-thermoacoustic bench-joints bench-crossbore study native firmware emulator generated mutants docs sample clean
+
+# What a user needs.
+setup: .venv/.synced native
+	@$(if $(filter command% environment%,$(origin EXTRAS)),$(UV) sync --frozen --inexact --no-dev $(EXTRAS:%=--extra %) --quiet)
+
+# .. and what only tests and checks do: all extras, all development tools.
+setup-all: .venv/.synced-all setup
 
 # uv in a private venv, so that nothing of the system's Python is touched.
 $(UV):
@@ -18,18 +26,17 @@ $(UV):
 	.tools/bin/pip install --quiet --disable-pip-version-check uv==$(UV_VERSION)
 
 .venv/.synced: pyproject.toml uv.lock | $(UV)
-	$(UV) sync --frozen --all-extras --all-groups --quiet
+	$(UV) sync --frozen --inexact --no-dev $(EXTRAS:%=--extra %) --quiet
 	@touch $@
 
-# numba's cache knows a kernel's own file, not those of the kernels it calls: after a pull, none of the old ones is left.
-.venv/.kernels: $(shell grep -rlE '@jit' host --include=*.py) | .venv/.synced
-	@find host \( -name '*.nbi' -o -name '*.nbc' \) -delete
-	@touch $@
+.venv/.synced-all: pyproject.toml uv.lock | $(UV)
+	$(UV) sync --frozen --all-extras --all-groups --quiet
+	@touch .venv/.synced $@
 
 native:
 	@$(MAKE) --silent -C firmware native
 
-# The image for the Pico: firmware/build/annulus.uf2 and .elf, budgets printed.
+# The image for the Pico: firmware/build/annulus.uf2 and .elf, budgets printed; the first also in host/annulus/shipped.
 firmware:
 	@tools/need.sh gcc-arm-none-eabi
 	@$(MAKE) --silent -C firmware image
@@ -42,13 +49,20 @@ tools/emulator/node_modules/.package-lock.json: tools/emulator/package.json tool
 	@cd tools/emulator && npm ci --silent --no-audit --no-fund
 	@touch $@
 
+# dist/: of both machines, with the library, the image and the manual inside. What they hold: tools/wheel/hook.py.
+wheels: setup-all docs
+	@tools/need.sh gcc-arm-none-eabi gcc-aarch64-linux-gnu
+	@for machine in x86_64 aarch64; do ANNULUS_MACHINE=$$machine $(BIN)/hatchling build -t wheel -d dist || exit 1; done
+	@ls -l dist/*.whl
+
 demo: setup
 	$(BIN)/annulus demo
 
 # Lint first: it fails fast. Firmware tests need clang's fuzzer and sanitizers, which need.sh installs. No skips: tests/conftest.py.
 test: export ANNULUS_NO_SKIPS := 1
-test: setup lint firmware emulator .tools/picamera2/.made
-	@tools/need.sh clang libclang-rt sigrok-cli qemu-system-x86 linux-image-amd64 busybox-static kmod
+test: setup-all lint firmware emulator .tools/picamera2/.made
+	@tools/need.sh clang libclang-rt sigrok-cli qemu-system-x86 linux-image-amd64 busybox-static kmod \
+	  gcc-aarch64-linux-gnu systemd chromium pango poppler-utils
 	$(BIN)/pytest -n auto --dist loadfile -m "not slow" tests/unit tests/regression
 	$(BIN)/pytest -n auto --dist loadfile -m slow tests/unit tests/regression
 	$(BIN)/pytest -n auto --dist loadfile tests/scenes
@@ -58,11 +72,11 @@ test: setup lint firmware emulator .tools/picamera2/.made
 	$(BIN)/pytest tests/guest
 
 # Picamera2's own code, which the tests run off a Pi; by itself, since what it depends on is only on a Pi.
-.tools/picamera2/.made: tests/unit/capture/picamera2.txt .venv/.synced
+.tools/picamera2/.made: tests/unit/capture/picamera2.txt .venv/.synced-all
 	@$(UV) pip install --quiet --no-deps --require-hashes --target $(@D) -r $<
 	@touch $@
 
-lint: setup generated
+lint: setup-all generated
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
@@ -72,41 +86,41 @@ lint: setup generated
 generated:
 	python3 protocol/generate.py --check
 
-bench: setup firmware emulator
+bench: setup-all firmware emulator
 	$(BIN)/python -m tools.bench speed
 
 # The table of tools/bench/metrology/RESULTS.md and its pictures, anew.
-bench-metrology: setup
+bench-metrology: setup-all
 	$(BIN)/python -m tools.bench metrology
 
-bench-thermoacoustic: setup
+bench-thermoacoustic: setup-all
 	$(BIN)/python -m tools.bench thermoacoustic
 
-bench-joints: setup
+bench-joints: setup-all
 	$(BIN)/python -m tools.bench joints
 
-bench-crossbore: setup
+bench-crossbore: setup-all
 	$(BIN)/python -m tools.bench crossbore
 
 # The source's figures and tables, simulated: pictures and numbers in build/study.
-study: setup
+study: setup-all
 	$(BIN)/python -m tools.study --out build/study
 
 # The manual, into host/annulus/shipped/manual; `annulus docs` opens it. Any warning fails it; nothing is fetched.
-docs: setup
+docs: setup-all
 	@$(BIN)/python -m tools.manual
 
 # A recording to try everything on, as a wheel of its own: dist/annulus_sample-*.whl, put into this checkout's environment
 # too, so that `annulus sample` finds it.
-sample: setup
+sample: setup-all
 	@$(BIN)/python -m tools.sample
 	@$(UV) build --quiet --wheel --out-dir dist tools/sample
 	@$(UV) pip install --quiet --no-deps --reinstall dist/annulus_sample-*.whl
 	@ls -l dist/annulus_sample-*.whl
 
 # Faults put into the firmware on purpose; the emulator's tests must catch every one.
-mutants: setup firmware emulator
+mutants: setup-all firmware emulator
 	$(BIN)/python tools/mutants.py
 
 clean:
-	rm -rf .venv .tools firmware/build tools/emulator/node_modules
+	rm -rf .venv .tools firmware/build tools/emulator/node_modules dist

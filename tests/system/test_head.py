@@ -22,11 +22,9 @@ from annulus.link.messages import Arm, ArmFlag, Commit, Edge, Stage, StatusCode
 from annulus.link.session import EventReceived
 from annulus.sensors.sample import Sample
 from annulus.twin.head import HeadHandle, head_timing, head_toml, start_head
-from annulus.twin.native import _LIBRARY
 from annulus.twin.worlds import demo_world
 from annulus.vocabulary import AnnulusError, Lamp
 
-pytestmark = pytest.mark.skipif(not _LIBRARY.is_file(), reason="native firmware not built")
 FPS = 25.0
 US = 100  # ticks
 

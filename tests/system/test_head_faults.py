@@ -14,11 +14,9 @@ from annulus.link.client import Client
 from annulus.link.messages import Ping
 from annulus.twin.faults import Faults
 from annulus.twin.head import start_head
-from annulus.twin.native import _LIBRARY
 from annulus.twin.worlds import demo_world
 from annulus.vocabulary import AnnulusError
 
-pytestmark = pytest.mark.skipif(not _LIBRARY.is_file(), reason="native firmware not built")
 WORLD = demo_world().scaled(208)
 PERIOD_NS = 40_000_000
 

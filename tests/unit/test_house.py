@@ -62,6 +62,18 @@ def test_the_floors_of_the_map_are_those_that_are_checked() -> None:
     assert {room: floor for room, floor in drawn.items() if "/" not in room} == floors
 
 
+def test_nothing_of_the_package_looks_for_a_file_by_a_parents_folder() -> None:
+    """An installed one has no such parents; `annulus.shipped` says where a file lies."""
+    looking = [
+        f"{path.relative_to(ROOT)}:{number}"
+        for path in sorted(ROOMS.rglob("*.py"))
+        if path != ROOMS / "shipped/__init__.py"
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
+        if re.search(r"\.parents\b|Path\(__file__|firmware/build/annulus\.uf2|tools/udev", line)
+    ]
+    assert not looking
+
+
 def test_no_circle_between_the_generators_files() -> None:
     """The firmware's are looked at where they are linked (tests/unit/firmware), the host's by import-linter."""
     text = {path.stem: path.read_text(encoding="utf-8") for path in (ROOT / "protocol/generator").glob("*.py")}

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Protocol
 
 from annulus.controller import TICKS_PER_US
+from annulus.shipped import IMAGE, shipped
 from annulus.twin.native import NativeBoard
 
 MS = 1000 * TICKS_PER_US
@@ -114,7 +115,7 @@ class Emulated:
     name, latency, stamp, round_max = "emulated", 9, 1, 2 * MS
 
     def __init__(self, image: Path | None = None) -> None:
-        command = ["node", str(ROOT / "tools/emulator/emulate.mjs"), str(image or ROOT / "firmware/build/annulus.uf2")]
+        command = ["node", str(ROOT / "tools/emulator/emulate.mjs"), str(image or shipped(IMAGE))]
         self._process = subprocess.Popen(
             [*command, "--drive"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )

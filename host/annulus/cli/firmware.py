@@ -8,11 +8,10 @@ from typing import Annotated
 import typer
 
 from annulus.cli.show import Json, group, print_fields, progress
+from annulus.shipped import IMAGE, shipped
 from annulus.vocabulary import AnnulusError
 
 app = group("Look at the controller's firmware, put it on a board, watch what it says.")
-
-BUILT = Path(__file__).resolve().parents[3] / "firmware/build/annulus.uf2"
 
 _Port = Annotated[
     str | None, typer.Option(help="Serial port on which firmware runs: /dev/ttyACM0, socket://host:port.")
@@ -20,14 +19,14 @@ _Port = Annotated[
 
 
 def _image_path(given: Path | None) -> Path:
-    if given is None and not BUILT.is_file():
-        raise AnnulusError(f"{BUILT}: not built. `make firmware` builds it, or name an image.")
-    return given or BUILT
+    return given or shipped(IMAGE)
 
 
 @app.command("info", epilog="Example: annulus firmware info --port /dev/ttyACM0")
 def info(
-    file: Annotated[Path | None, typer.Argument(help="A UF2 or ELF; the one built here if neither is given.")] = None,
+    file: Annotated[
+        Path | None, typer.Argument(help="A UF2 or ELF; the one that comes with annulus if neither is given.")
+    ] = None,
     port: _Port = None,
     as_json: Json = False,
 ) -> None:
@@ -54,7 +53,9 @@ def info(
 
 @app.command("flash", epilog="Example: annulus firmware flash --port /dev/ttyACM0")
 def flash(
-    file: Annotated[Path | None, typer.Argument(help="A UF2 or ELF. [default: firmware/build/annulus.uf2]")] = None,
+    file: Annotated[
+        Path | None, typer.Argument(help="A UF2 or ELF. The one that comes with annulus if not given.")
+    ] = None,
     port: _Port = None,
     serial: Annotated[
         str | None,

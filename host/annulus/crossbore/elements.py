@@ -18,6 +18,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.linalg import splu
 
+from annulus.extras import need
 from annulus.numeric.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from annulus.vocabulary import AnnulusError
 
@@ -48,14 +49,7 @@ class Grid:
 
 def needed() -> Any:
     """scikit-fem. AnnulusError, one line, where it is not installed."""
-    try:
-        import skfem
-    except ImportError:
-        raise AnnulusError(
-            "the field's finite elements need scikit-fem, which is not installed: pip install 'annulus[crossbore]', "
-            "or `make setup` in a checkout"
-        ) from None
-    return skfem
+    return need("skfem")
 
 
 def grid_of(axes: list[FloatArray], kind: str, place: Callable[[FloatArray], FloatArray] | None = None) -> Grid:

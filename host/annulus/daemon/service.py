@@ -48,6 +48,10 @@ class Service(Observer):
             lines.insert(0, "STOPPING=1")
         self._say(*lines)
 
+    def event(self, kind: str, text: str) -> None:
+        if not self._ready:  # what it waits for before it can begin; after that, its state is more to be known
+            self._say("STATUS=" + _plain(text))
+
     def health(self, health: Health) -> None:
         self._health = health
         failed = health.word is Word.FAILED and health.restart_helps

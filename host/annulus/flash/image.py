@@ -85,9 +85,7 @@ def read_image(path: Path) -> Image:
     try:
         content = path.read_bytes()
     except OSError as error:
-        raise AnnulusError(
-            f"{path}: cannot be read ({error.strerror}), expected a UF2 or ELF. See make firmware."
-        ) from None
+        raise AnnulusError(f"{path}: cannot be read ({error.strerror}), expected a UF2 or ELF.") from None
     return parse_image(content, str(path))
 
 
@@ -98,7 +96,7 @@ def parse_image(content: bytes, name: str) -> Image:
     elif content[:4] == struct.pack("<I", _MAGIC[0]):
         pages = _uf2_pages(content, name)
     else:
-        raise AnnulusError(f"{name}: neither UF2 nor ELF, expected firmware/build/annulus.uf2")
+        raise AnnulusError(f"{name}: neither UF2 nor ELF, expected an image such as annulus.uf2")
     data = _flash(pages, name)
     _require_bootable(data, name)
     image = Image(name, data, _identity(data))

@@ -24,11 +24,10 @@ import usb.core
 import usb.util
 
 from annulus.flash.image import FLASH_START, PAGE_BYTES, SECTOR_BYTES
+from annulus.shipped import UDEV, shipped
 from annulus.vocabulary import AnnulusError
 
 VENDOR, PRODUCT, PRODUCT_RP2350 = 0x2E8A, 0x0003, 0x000F
-UDEV_RULE = "tools/udev/99-annulus.rules"
-INSTALL_RULE = f"sudo cp {UDEV_RULE} /etc/udev/rules.d/ && sudo udevadm control --reload && sudo udevadm trigger"
 HOW_TO_BOOT = "Hold BOOTSEL while plugging the board in, or name the port of a running one."
 
 MAGIC = 0x431FD10B
@@ -41,6 +40,11 @@ _IN = 0x80  # of a command id and of an endpoint's address
 _EXCLUSIVE = 1
 _COMMAND_MS, _DATA_MS = 3_000, 10_000
 _REBOOT_DELAY_MS = 500  # time for the acknowledgement to get out
+
+
+def install_rule() -> str:
+    """The line for a shell that lets people use the boards without being root."""
+    return f"sudo cp {shipped(UDEV)} /etc/udev/rules.d/ && sudo udevadm control --reload && sudo udevadm trigger"
 
 
 class CommandId(IntEnum):
@@ -245,7 +249,7 @@ class PicoBoot:
         """What a user can do about it."""
         here = f"USB {self.place}"
         if error.errno == errno.EACCES:
-            return AnnulusError(f"{here}: no permission. Install the udev rule: {INSTALL_RULE}")
+            return AnnulusError(f"{here}: no permission. Install the udev rule: {install_rule()}")
         if error.errno == errno.EBUSY:
             return AnnulusError(f"{here}: another program has the boot loader (picotool?), expected it free")
         if error.errno in (errno.ENODEV, errno.ENOENT, errno.EIO):

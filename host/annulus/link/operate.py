@@ -133,7 +133,9 @@ def _crash_fields(client: Client) -> dict[str, object]:
 
 def _crash_line(last: CrashReply) -> str:
     doing = f", last command {COMMANDS[last.command].__name__.lower()}" if last.command in COMMANDS else ""
-    todo = f"; addr2line -fe firmware/build/annulus.elf {last.pc:#x} {last.lr & ~1:#x}" if last.pc else ""
+    todo = (
+        f"; in a checkout: addr2line -fe firmware/build/annulus.elf {last.pc:#x} {last.lr & ~1:#x}" if last.pc else ""
+    )
     return (
         f"{last.kind.name.lower().replace('_', ' ')} in boot {last.boot} of {last.boots},"
         f" {last.tick / TICK_HZ:.3f} s (modulo 42.9 s) after it began, part {last.part.name.lower()} of round"

@@ -1,10 +1,17 @@
 """How per-pixel loops are compiled, and the small things they share."""
 
+import hashlib
 import math
 from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
 from typing import Any, TypeVar, cast
 
 import numba
+import numpy as np
+from numba.core import event
+
+from annulus.numeric import compiling
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 Options = dict[str, Any]
@@ -18,17 +25,72 @@ def jit_with(options: Options) -> Callable[[Kernel], Kernel]:
     """Compile on first call, keep the machine code on disk: beside the module, or in the user's cache if that is
     read-only. Where nothing can be written the function still works, compiled anew in each process.
 
-    The code on disk is renewed with its own file only: after a change in a kernel that others call from another file,
-    `make setup` clears it.
+    The code on disk is used for as long as neither its own file nor what that one has of others (kernels, constants)
+    has changed: also after an upgrade, which leaves the files of old code where they were.
     """
 
     def compiled(function: Kernel) -> Kernel:
         try:
-            return cast(Kernel, numba.njit(cache=True, **options)(function))
+            kernel = cast(Kernel, numba.njit(cache=True, **options)(function))
         except RuntimeError:  # numba: "no locator available"
             return cast(Kernel, numba.njit(**options)(function))
+        _know_by_all_it_uses(kernel)
+        return kernel
 
     return compiled
+
+
+_stamps: dict[str, str] = {}  # by file: of its content and of all it uses from other files
+
+
+def _know_by_all_it_uses(kernel: Any) -> None:
+    """numba keeps code for as long as the kernel's own file is the same, and builds into it what it calls: the stamp it
+    compares is given all of that."""
+    kept = kernel._cache._cache_file
+    kept._source_stamp = (kept._source_stamp, stamp_of(kernel.py_func))
+
+
+def stamp_of(function: Callable[..., Any]) -> str:
+    """Of the file a kernel is in, as that stood when its first kernel was met: what it imports comes before."""
+    file = function.__code__.co_filename
+    if file not in _stamps:
+        digest = hashlib.sha256(_content(file))
+        for name, value in sorted(function.__globals__.items()):
+            if not name.startswith("__"):
+                digest.update(f"{name} {_used(value)}\n".encode())
+        _stamps[file] = digest.hexdigest()
+    return _stamps[file]
+
+
+def _used(value: object) -> str:
+    """What code that is compiled takes from a name of its module; empty for what it cannot take."""
+    if hasattr(value, "py_func"):  # another kernel
+        return _stamps.get(value.py_func.__code__.co_filename, "")
+    if isinstance(value, bool | int | float | str | tuple):
+        return repr(value)
+    if isinstance(value, np.ndarray):
+        return hashlib.sha256(value.tobytes()).hexdigest()
+    if isinstance(value, ModuleType) and value.__name__.startswith("annulus.") and value.__file__:
+        return hashlib.sha256(_content(value.__file__)).hexdigest()
+    return ""
+
+
+def _content(file: str) -> bytes:
+    try:
+        return Path(file).read_bytes()
+    except OSError:  # typed at a prompt
+        return b""
+
+
+class _Told(event.Listener):  # type: ignore[misc]
+    def on_start(self, event: object) -> None:
+        compiling.begins()
+
+    def on_end(self, event: object) -> None:
+        compiling.ends()
+
+
+event.register("numba:compile", _Told())
 
 
 jit = cast(Callable[[Callable[..., Any]], Callable[..., Any]], jit_with(OPTIONS))  # kernels without types of their own

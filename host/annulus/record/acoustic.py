@@ -10,10 +10,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from annulus.extras import need
 from annulus.record.arrays import require_plain_hdf5, require_plain_npz
 from annulus.record.whole import written_whole
 from annulus.vocabulary import AnnulusError
@@ -52,7 +52,7 @@ def save_acoustic(path: Path, record: AcousticRecord) -> None:
         if path.suffix == ".npz":
             np.savez(file, **_named(record))
         else:
-            with h5py.File(file, "w") as root:
+            with need("h5py").File(file, "w") as root:
                 _write_ipasc(root, record)
 
 
@@ -69,7 +69,7 @@ def load_acoustic(path: Path) -> AcousticRecord:
             with np.load(path, allow_pickle=False) as data:
                 return _from_npz(path, data)
         if path.suffix in (".h5", ".hdf5"):
-            with h5py.File(path, "r") as root:
+            with need("h5py").File(path, "r") as root:
                 require_plain_hdf5(root)
                 return _read_ipasc(path, root)
     except (
@@ -120,7 +120,7 @@ def _from_npz(path: Path, data: Mapping[str, Any]) -> AcousticRecord:
     )  # fmt: skip
 
 
-def _write_ipasc(root: h5py.File, record: AcousticRecord) -> None:
+def _write_ipasc(root: Any, record: AcousticRecord) -> None:
     positions, samples = record.signals.shape
     root.create_dataset(
         "binary_time_series_data", data=record.signals.astype(np.float32).reshape(positions, samples, 1, 1)
@@ -173,12 +173,12 @@ def _write_ipasc(root: h5py.File, record: AcousticRecord) -> None:
         root[f"{group}/pulse_width"] = float(record.chip_s)
 
 
-def _read_ipasc(path: Path, root: h5py.File) -> AcousticRecord:
+def _read_ipasc(path: Path, root: Any) -> AcousticRecord:
     for key in ("binary_time_series_data", "meta_data/ad_sampling_rate", "meta_data_device/detectors"):
         if key not in root:
             raise AnnulusError(f'{path}: "{key}" is missing; expected HDF5 in the IPASC format')
     data = root["binary_time_series_data"]
-    if not isinstance(data, h5py.Dataset) or data.ndim < 2 or data.size > VALUES_MAX:
+    if not isinstance(data, need("h5py").Dataset) or data.ndim < 2 or data.size > VALUES_MAX:
         raise AnnulusError(
             f"{path}: binary_time_series_data has shape {getattr(data, 'shape', None)}, "
             "expected (detectors, samples, ..)"

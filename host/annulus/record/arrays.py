@@ -11,24 +11,26 @@ import mmap
 import struct
 import zipfile
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
-import h5py
 import numpy as np
+
+from annulus.extras import need
 
 BYTES_MAX = 1 << 32  # of one array; a turn of 720 positions and a million samples has 3 GB
 NAMES_MAX = 200_000  # in one file; 8192 detectors have 5 each
 RATIO_MAX = 100  # of what is unpacked to what is packed; recorded sound is packed to a half
 UNPACKED_MAX = 1 << 26  # bytes that may be packed however tightly
-FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
+FILTERS = {1, 2, 3}  # deflate, shuffle, fletcher32: HDF5's own numbers, H5Z_FILTER_DEFLATE ..
 _HEAP, _HEAP_HEAD = b"GCOL\x01\0\0\0", 16  # how a collection of texts begins, and the bytes before its first
 _OBJECT = struct.Struct("<HHIQ")  # number, 0 for what is free; users; padding; bytes
 _HEAD_MAX = 10_000  # bytes of an array's head in .npy
 
 
-def require_plain_hdf5(root: h5py.File) -> None:
+def require_plain_hdf5(root: Any) -> None:
     """Every name in the file is a group or an array that lies in this file, of a size that may be read, and its texts
     are where reading ends."""
+    h5py = need("h5py")
     _require_heaps_that_end(root)
     waiting, seen, count = [root], set(), 0
     while waiting:
@@ -51,7 +53,7 @@ def require_plain_hdf5(root: h5py.File) -> None:
                 _require_plain(found)
 
 
-def _require_heaps_that_end(root: h5py.File) -> None:
+def _require_heaps_that_end(root: Any) -> None:
     """HDF5 keeps texts in collections of objects, and walks those by the size that each says it has: for ever where one
     says that it has none (libhdf5 2.0, H5HG__cache_heap_deserialize).
     """
@@ -75,7 +77,7 @@ def _require_heaps_that_end(root: h5py.File) -> None:
             begin = content.find(_HEAP, begin + 1)
 
 
-def _require_plain(data: h5py.Dataset) -> None:
+def _require_plain(data: Any) -> None:
     if data.external or data.is_virtual:
         raise ValueError(f"{data.name} lies in other files")
     size = math.prod(data.shape or ()) * data.dtype.itemsize

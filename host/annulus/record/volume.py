@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from annulus.extras import need
 from annulus.numeric.arrays import Float32Array
 from annulus.untrusted import mapping, number, numbers, parse_json, read_file, shown
 from annulus.vocabulary import AnnulusError
@@ -25,7 +26,6 @@ VOXEL_MM = (0.002, 5.0)  # the smallest and largest that a joint can be seen wit
 EVEN = 0.02  # of the slices' spacing: so far may one be off its place
 AGREE = 0.01  # a voxel's size in ct.json and in the DICOM headers
 TIFF, DICOM = (".tif", ".tiff"), (".dcm", ".dicom", ".ima", "")
-EXTRA = "pip install 'annulus[joints]', or `make setup` in a checkout"
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,12 +147,8 @@ def _npy(path: Path) -> _Opened:
 
 
 def _tifffile() -> Any:
-    try:
-        import imagecodecs  # noqa: F401, what TIFF's compressions need: told here, not at the first slice
-        import tifffile
-    except ModuleNotFoundError as error:
-        raise AnnulusError(f"TIFF volumes need {error.name}: {EXTRA}") from None
-    return tifffile
+    need("imagecodecs")  # what TIFF's compressions need: told here, not at the first slice
+    return need("tifffile")
 
 
 def _tiff(path: Path) -> _Opened:
@@ -212,10 +208,7 @@ def _is_dicom(path: Path) -> bool:
 
 
 def _dicom(folder: Path, files: list[Path]) -> _Opened:
-    try:
-        import pydicom
-    except ModuleNotFoundError as error:
-        raise AnnulusError(f"DICOM series need {error.name}: {EXTRA}") from None
+    pydicom = need("pydicom")
     slices = []
     for file in files:
         try:

@@ -7,6 +7,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from annulus.numeric.arrays import BoolArray
+from annulus.numeric.rounding import clock_face
 from annulus.report.paper import (
     BUMP_BLUE,
     DEVIATION,
@@ -22,7 +23,7 @@ from annulus.report.paper import (
     question,
     round_up,
 )
-from annulus.wall.defects import ALL_ROUND_DEG, clock_face
+from annulus.wall.defects import ALL_ROUND_DEG
 from annulus.wall.features import FeatureKind
 from annulus.wall.survey import Survey
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import jinja2
 
-from annulus.report.sheet import sheet
+from annulus.report.sheet import minute, sheet
 from annulus.report.summary import versions
 from annulus.untrusted import mapping, parse_json
 from annulus.vocabulary import AnnulusError
@@ -37,12 +37,14 @@ def write_joint_page(folder: Path) -> Path:
     if (folder / "transmission.json").exists():
         light = _json(folder / "transmission.json")
         pictures[WITH_LIGHT] = _bytes(folder / WITH_LIGHT)
+    name = folder.resolve().name
     try:
         flaws = [{**one, "kind": SEEN[one["kind"]]} for one in features["found"]]
         page = sheet(
-            "joint.html.j2", pictures, name=folder.resolve().name, s=features["summary"], flaws=flaws, scan=scan,
-            created=datetime.now(UTC).strftime("%Y-%m-%d %H:%M"), versions=versions(), relations=relations, light=light,
-            n=correlated.get("n"), said=_said(features["summary"], flaws, scan, relations),
+            "joint.html.j2", pictures, source=name, running=f"Butt-fusion joint: {name}", s=features["summary"],
+            created=minute(datetime.now(UTC).isoformat()), version=versions()["annulus"], versions=versions(),
+            flaws=flaws, scan=scan, relations=relations, light=light, n=correlated.get("n"),
+            said=_said(features["summary"], flaws, scan, relations),
         )  # fmt: skip
     except (KeyError, TypeError, ValueError, IndexError, jinja2.UndefinedError) as error:
         raise AnnulusError(f"{source}: {error}: expected what `annulus joint image` writes") from None

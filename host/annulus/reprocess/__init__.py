@@ -8,6 +8,7 @@ scan is decided before, and chunks are fixed. A scan under fringes has no profil
 >>> pipe = survey_of("scan.mcap")
 """
 
+from annulus.reprocess.ahead import make_ready
 from annulus.reprocess.engine import Reprocessed, led_frames, measure, reprocess, stage_medians, survey_of
 from annulus.reprocess.executors import Executor, Processes, in_process
 from annulus.reprocess.fringe import reconstruct_fringe
@@ -15,6 +16,7 @@ from annulus.reprocess.fringe_job import FringeJob, open_fringe
 from annulus.reprocess.fringe_pipe import FringePipeJob, MeasuredPipe, open_fringe_pipe, reconstruct_fringe_pipe
 from annulus.reprocess.job import Job, open_job
 from annulus.reprocess.method import Method, fringes_on, method_for, warm_up
+from annulus.reprocess.photographs import photographs
 
 __all__ = [
     "Executor",
@@ -28,11 +30,13 @@ __all__ = [
     "fringes_on",
     "in_process",
     "led_frames",
+    "make_ready",
     "measure",
     "method_for",
     "open_fringe",
     "open_fringe_pipe",
     "open_job",
+    "photographs",
     "reconstruct_fringe",
     "reconstruct_fringe_pipe",
     "reprocess",

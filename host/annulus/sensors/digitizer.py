@@ -20,6 +20,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from annulus.extras import need
 from annulus.vocabulary import AnnulusError
 
 ANSWER_S = 3.0
@@ -203,8 +204,8 @@ class ScopeDigitizer:
     # ---- the line ----
 
     def _open(self) -> None:
-        import pyvisa
-
+        pyvisa = need("pyvisa")
+        need("pyvisa_py")
         try:
             session = pyvisa.ResourceManager("@py").open_resource(self.resource, open_timeout=2000)
         except Exception as error:  # pyvisa-py raises plain Exceptions too
@@ -239,8 +240,7 @@ class ScopeDigitizer:
         return line.decode("ascii", "replace").strip()
 
     def _read_line(self) -> bytes:
-        from pyvisa.constants import StatusCode
-
+        StatusCode = need("pyvisa.constants").StatusCode
         session = self._session
         with session.read_termination_context("\n"), session.ignore_warning(StatusCode.success_max_count_read):
             line: bytes = session.visalib.read(session.session, LINE_MAX)[0]
@@ -285,13 +285,12 @@ class ScopeDigitizer:
         return _Preamble(int(points), x_step, x_origin, y_step, y_origin, y_reference)
 
     def _guarded(self, action: Any) -> Any:
-        from pyvisa.errors import Error
-
+        lost = need("pyvisa.errors").Error
         if self._session is None:
             raise DigitizerLostError(f"{self.resource}: gone, expected the digitizer")
         try:
             return action()
-        except (Error, OSError, ValueError, AttributeError) as error:  # pyvisa-py's broken sockets raise all of these
+        except (lost, OSError, ValueError, AttributeError) as error:  # pyvisa-py's broken sockets raise all of these
             raise DigitizerLostError(f"{self.resource}: no answer ({_reason(error)}), expected the digitizer") from None
 
 

@@ -10,6 +10,7 @@ import time
 from collections.abc import Mapping
 from typing import Any, Protocol
 
+from annulus.extras import need
 from annulus.sensors.remote import RemoteSensors
 from annulus.vocabulary import AnnulusError
 
@@ -49,8 +50,8 @@ class VisaProbe:
         return {name: self._asked(query) for name, query in self._queries.items()}
 
     def recover(self) -> None:
-        import pyvisa
-
+        pyvisa = need("pyvisa")
+        need("pyvisa_py")
         self.close()
         try:
             self._session = pyvisa.ResourceManager("@py").open_resource(self.resource, open_timeout=2000)
@@ -69,13 +70,12 @@ class VisaProbe:
         self._session = None
 
     def _asked(self, query: str) -> float:
-        from pyvisa.errors import Error
-
+        lost = need("pyvisa.errors").Error
         if self._session is None:
             raise ProbeLostError(f"{self.resource}: gone, expected the probe's detector")
         try:
             text = str(self._session.query(query))[:LINE_MAX].strip()
-        except (Error, OSError, ValueError, AttributeError) as error:
+        except (lost, OSError, ValueError, AttributeError) as error:
             raise ProbeLostError(f"{self.resource}: no answer to {query!r} ({_reason(error)})") from None
         try:
             volts = float(text.split(",")[0])

@@ -26,7 +26,7 @@ from annulus.controller import (
 )
 from annulus.testing.protocol_simulated import publish, withdraw
 from annulus.testing.scripted import BadLine, ScriptedController
-from annulus.twin.emulated import IMAGE, Board, EmulatedBoard, open_board
+from annulus.twin.emulated import Board, EmulatedBoard, open_board
 from annulus.twin.faults import Faults, LossyLine
 from annulus.twin.line import TcpLine
 from annulus.twin.profiles import load_faults
@@ -56,7 +56,7 @@ class SimulatedHead:
         wires: tuple[tuple[int, int], ...] = (),
     ) -> None:
         chosen = faults if isinstance(faults, Faults) else load_faults(faults)
-        self.board: Board = EmulatedBoard(image or IMAGE, vcd=vcd) if image or vcd else open_board(board)
+        self.board: Board = EmulatedBoard(image, vcd=vcd) if image or vcd else open_board(board)
         self._to_host = LossyLine(chosen, seed)
         self._to_head = BadLine(seed, chosen.bytes_flipped)
         self._waiting = bytearray()

@@ -16,6 +16,7 @@ import scipy.optimize
 from numpy.typing import NDArray
 from scipy.signal import gausspulse, resample
 
+from annulus.extras import need
 from annulus.thermoacoustic.codes import Chips, text
 from annulus.vocabulary import AnnulusError
 
@@ -237,8 +238,7 @@ def _solve(
         if answer.x is None:
             raise AnnulusError(f"no such template exists (the solver says {answer.message}): take more taps")
         return np.asarray(answer.x[:count])
-    import cvxpy  # a second to import, and only these designs need it
-
+    cvxpy = need("cvxpy")  # seconds to import, and only these designs need it
     variable, bound = cvxpy.Variable(count), cvxpy.Variable()
     held = [system[peak] @ variable == 1, cvxpy.norm(variable) <= 10 ** (-floor_db / 20) / single]
     if method == "least-squares":
@@ -248,8 +248,7 @@ def _solve(
 
 def _quietest(system: FloatArray, peak: int, guard: float, limit: float) -> FloatArray:
     """Of all templates with sidelobes up to `limit`, the one that lets the least noise through."""
-    import cvxpy
-
+    cvxpy = need("cvxpy")
     beside = system[np.abs(np.arange(len(system)) - peak) > guard]
     variable = cvxpy.Variable(system.shape[1])
     held = [system[peak] @ variable == 1, cvxpy.abs(beside @ variable) <= limit]
@@ -257,8 +256,7 @@ def _quietest(system: FloatArray, peak: int, guard: float, limit: float) -> Floa
 
 
 def _optimum(problem: Any, variable: Any) -> FloatArray:
-    import cvxpy
-
+    cvxpy = need("cvxpy")
     problem.solve(solver=cvxpy.CLARABEL)
     if problem.status not in ("optimal", "optimal_inaccurate"):
         raise AnnulusError(

@@ -25,14 +25,12 @@ import numpy.typing as npt
 from annulus.controller import INPUT_PINS
 from annulus.link.codec import Decoder, Frame
 from annulus.link.messages import Event
+from annulus.shipped import EMULATOR, IMAGE, of_checkout, shipped
 from annulus.twin.native import TRANSITION, NativeBoard
 from annulus.vocabulary import AnnulusError
 
 BOARDS = ("native", "emulated")
 
-_ROOT = Path(__file__).resolve().parents[3]
-IMAGE = _ROOT / "firmware/build/annulus.uf2"
-_EMULATOR = _ROOT / "tools/emulator/emulate.mjs"
 _BOOT_TICKS = 300_000  # boot ROM, clocks, first event
 
 
@@ -81,16 +79,21 @@ def open_board(kind: str) -> Board:
 class EmulatedBoard:
     """World ticks of 10 ns since its power came on."""
 
-    def __init__(self, image: Path = IMAGE, *, vcd: Path | None = None) -> None:
-        """Start the emulator. AnnulusError when the image, node or the emulator's packages are missing."""
+    def __init__(self, image: Path | None = None, *, vcd: Path | None = None) -> None:
+        """Start the emulator, with the image that comes with annulus if none is named.
+
+        AnnulusError when the image, node or the emulator's packages are missing, and outside a checkout.
+        """
+        emulator = of_checkout(EMULATOR)
         node = shutil.which("node")
         if node is None:
             raise AnnulusError("node: not found, expected Debian's nodejs to run the emulated board")
+        image = image or shipped(IMAGE)
         if not image.is_file():
             raise AnnulusError(f"{image}: the image is not built. `make firmware` builds it.")
-        if not (_EMULATOR.parent / "node_modules/rp2040js").is_dir():
-            raise AnnulusError(f"{_EMULATOR.parent}: the emulator is not set up. `make emulator` does it.")
-        command = [node, str(_EMULATOR), str(image), "--drive", *(["--vcd", str(vcd)] if vcd else [])]
+        if not (emulator.parent / "node_modules/rp2040js").is_dir():
+            raise AnnulusError(f"{emulator.parent}: the emulator is not set up. `make emulator` does it.")
+        command = [node, str(emulator), str(image), "--drive", *(["--vcd", str(vcd)] if vcd else [])]
         # a session of its own: Ctrl-C is for whoever uses the board, whose end of the pipe ends this one
         self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True, text=True

@@ -7,6 +7,8 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from annulus.shipped import NATIVE, shipped
+from annulus.untrusted import one_line
 from annulus.vocabulary import AnnulusError
 
 BYTE_TICKS = 1000  # 1 Mbaud, ten bits a byte
@@ -16,7 +18,6 @@ TRANSITION = np.dtype(
 )
 """One change of an output pin, at a world tick of 10 ns."""
 
-_LIBRARY = Path(__file__).resolve().parents[3] / "firmware/build/libannulus_native.so"
 _SIGNATURES: dict[str, tuple[object, tuple[object, ...]]] = {
     "native_begin": (None, ()),
     "native_power_on": (None, (ctypes.c_uint8, ctypes.c_uint8)),
@@ -39,7 +40,12 @@ _SIGNATURES: dict[str, tuple[object, tuple[object, ...]]] = {
 def _load(path: Path) -> ctypes.CDLL:
     if not path.is_file():
         raise AnnulusError(f"{path}: the native firmware is not built. `make setup` builds it.")
-    library = ctypes.CDLL(str(path))
+    try:
+        library = ctypes.CDLL(str(path))
+    except OSError as error:
+        raise AnnulusError(
+            f"{path}: cannot be loaded here ({one_line(str(error))}). Is it of this machine's kind?"
+        ) from None
     for name, (result, arguments) in _SIGNATURES.items():
         function = getattr(library, name)
         function.restype, function.argtypes = result, arguments
@@ -64,8 +70,8 @@ class NativeBoard:
 
     _current: ClassVar["NativeBoard | None"] = None
 
-    def __init__(self, library: Path = _LIBRARY) -> None:
-        self._c = _load(library)
+    def __init__(self, library: Path | None = None) -> None:
+        self._c = _load(library or shipped(NATIVE))
         NativeBoard._current = self
         self._c.native_begin()
         self._boot = 0

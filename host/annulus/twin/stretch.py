@@ -2,9 +2,6 @@
 
 One base and constant distances between the values are what lets LLVM prove that the loops over a stretch may run as
 vectors; a kernel reads `scratch[WX + u]` for pixel u. Rays, walls and lights are kernels over a `Stretch`.
-
-After a change here, in `rays`, `walls` or `lights`, `make setup` clears the compiled code of those that call (see
-numeric.jit).
 """
 
 from typing import Any, NamedTuple

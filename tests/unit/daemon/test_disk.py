@@ -41,7 +41,7 @@ def test_the_forecast_is_how_long_it_really_lasts() -> None:
         free, at_s = free - RATE, at_s + 1.0
     assert at_s == pytest.approx(90 * 60, abs=2.0)
     assert max(off) < 0.1
-    assert [line.split(", ")[1] for line in told] == [f"{minutes} min left" for minutes in MINUTES]
+    assert [line.split(", ")[1] for line in told] == [f"{minutes} min left at 50 MB/s" for minutes in MINUTES]
 
 
 def test_before_a_rate_is_measured_the_cameras_rate_counts_and_at_rest_nothing_is_foretold() -> None:

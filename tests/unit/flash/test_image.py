@@ -20,6 +20,7 @@ from annulus.flash.image import (
 )
 from annulus.flash.update import image_fields, to_uf2
 from annulus.link.messages import SCHEMA_HASH
+from annulus.shipped import IMAGE, shipped
 from annulus.vocabulary import AnnulusError
 
 BUILT = Path(__file__).resolve().parents[3] / "firmware/build"
@@ -165,6 +166,7 @@ def test_a_file_that_is_not_there_is_said(tmp_path: Path) -> None:
 @pytest.mark.skipif(not (BUILT / "annulus.uf2").is_file(), reason="image not built: make firmware")
 def test_the_image_built_here_passes_and_its_elf_is_the_same() -> None:
     image = read_image(BUILT / "annulus.uf2")
+    assert shipped(IMAGE).read_bytes() == (BUILT / "annulus.uf2").read_bytes()
     assert image.data == read_image(BUILT / "annulus.elf").data
     assert to_uf2(image) == (BUILT / "annulus.uf2").read_bytes()
     assert struct.unpack_from("<I", image.data, 252)[0] == crc32_boot2(image.data[:252])

@@ -20,6 +20,7 @@ from annulus.flash.picoboot import (
     parse_status,
     write_flash,
 )
+from annulus.shipped import UDEV, shipped
 from annulus.vocabulary import AnnulusError
 
 IMAGE = program(3 * SECTOR + 512, seed=4)
@@ -195,7 +196,7 @@ def test_a_board_that_is_gone_before_it_says_yes_to_the_restart_is_restarted() -
 def test_no_permission_names_the_rule_and_how_to_install_it() -> None:
     text = one_line(lambda: put(Board(open_error=errno.EACCES)))
     assert "USB 1-2: no permission" in text
-    assert "sudo cp tools/udev/99-annulus.rules /etc/udev/rules.d/ && sudo udevadm control --reload" in text
+    assert f"sudo cp {shipped(UDEV)} /etc/udev/rules.d/ && sudo udevadm control --reload" in text
 
 
 def test_a_boot_loader_in_use_is_told() -> None:

@@ -15,7 +15,6 @@ from test_client import far_end, serving
 from test_image import program, uf2
 from typer.testing import CliRunner
 
-from annulus.cli import firmware as cli_firmware
 from annulus.cli.firmware import app
 from annulus.flash import update
 from annulus.flash.image import Image, parse_image
@@ -353,6 +352,6 @@ def test_a_foreign_image_needs_force_and_no_file_says_how_to_build_one(
         annulus("flash", str(path))
     annulus("flash", str(path), "--force")
     assert flashed == [str(path)]
-    monkeypatch.setattr(cli_firmware, "BUILT", tmp_path / "none.uf2")
+    monkeypatch.setattr("annulus.shipped._HERE", tmp_path)
     with pytest.raises(AnnulusError, match="make firmware"):
         annulus("flash")

@@ -26,11 +26,10 @@ from annulus.link import messages
 from annulus.link.codec import Decoder, Frame, encode
 from annulus.link.messages import Arm, ArmFlag, Burst, BurstCode, BurstReply, Identify, Pattern, StatusCode
 from annulus.thermoacoustic.codes import Train, pattern, text
-from annulus.twin.native import _LIBRARY, NativeBoard
+from annulus.twin.native import NativeBoard
 from annulus.vocabulary import AnnulusError
 
 NAMES = {c.name.lower().replace("_", "-"): c for c in BurstCode if c is not BurstCode.UPLOADED}
-native = pytest.mark.skipif(not _LIBRARY.is_file(), reason="native firmware not built")
 
 
 class Controller:
@@ -71,7 +70,6 @@ class Controller:
         assert self.ask(Pattern(len(chips), packed)).status is StatusCode.OK
 
 
-@native
 @pytest.mark.parametrize("code", list(CODES))
 def test_the_controllers_pin_shows_the_pattern_edge_by_edge(code: str) -> None:
     controller = Controller()
@@ -159,7 +157,6 @@ def expected(train: Train) -> StatusCode:
     return StatusCode.PULSE_WIDTH if "pulse" in bad[0] else StatusCode.DUTY
 
 
-@native
 def test_the_controller_refuses_what_the_findings_refuse_and_nothing_else() -> None:
     controller = Controller()
     seen: set[StatusCode] = set()
@@ -216,7 +213,6 @@ LIMITS = [  # what is refused first, the chips; chip, repeat, period, offset jus
 ]
 
 
-@native
 @pytest.mark.parametrize(("what", "bits", "allowed", "beyond"), LIMITS)
 def test_command_line_host_and_controller_have_one_limit(
     what: str, bits: str, allowed: tuple[int, ...], beyond: tuple[int, ...], monkeypatch: pytest.MonkeyPatch

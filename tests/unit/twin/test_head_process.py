@@ -9,11 +9,8 @@ import pytest
 from annulus.twin import process
 from annulus.twin.faults import NO_FAULTS
 from annulus.twin.head import head_timing, run_head
-from annulus.twin.native import _LIBRARY
 from annulus.twin.worlds import demo_world
 from annulus.vocabulary import AnnulusError
-
-pytestmark = pytest.mark.skipif(not _LIBRARY.is_file(), reason="native firmware not built")
 
 
 @pytest.fixture

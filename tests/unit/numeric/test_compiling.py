@@ -1,0 +1,91 @@
+"""Compiled code is used for as long as nothing it was made of changed, and who waits for a compiler is told once."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from annulus.numeric import compiling
+
+CALLER = """
+from annulus.numeric.jit import jit
+from callee import WEIGHT, half
+
+@jit
+def weighed(x):
+    return WEIGHT * half(x)
+"""
+CALLEE = """
+from annulus.numeric.jit import jit
+WEIGHT = {weight}
+
+@jit
+def half(x):
+    return x / {divisor}
+"""
+RUN = """
+import sys
+sys.path.insert(0, {folder!r})
+from annulus.numeric import compiling
+compiling.MOMENT_S = {moment}
+from caller import weighed
+with compiling.telling(lambda line: print("told", line)):
+    print(weighed(12.0), len(weighed.stats.cache_hits))
+"""
+
+
+def run(folder: Path, monkeypatch: pytest.MonkeyPatch, moment: float = 60.0) -> list[str]:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(folder / "kept"))
+    monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")  # a file rewritten within its second is read anew
+    code = RUN.format(folder=str(folder), moment=moment)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return done.stdout.splitlines()
+
+
+def write(folder: Path, weight: float = 1.0, divisor: float = 2.0) -> None:
+    (folder / "caller.py").write_text(CALLER)
+    (folder / "callee.py").write_text(CALLEE.format(weight=weight, divisor=divisor))
+
+
+@pytest.mark.slow
+def test_a_kernel_is_compiled_anew_when_another_files_kernel_or_constant_in_it_changes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As an upgrade does: the caller's own file is the same to the byte."""
+    write(tmp_path)
+    assert run(tmp_path, monkeypatch) == ["6.0 0"]
+    assert run(tmp_path, monkeypatch) == ["6.0 1"]  # kept
+    write(tmp_path, divisor=4.0)
+    assert run(tmp_path, monkeypatch) == ["3.0 0"]
+    write(tmp_path, weight=5.0, divisor=4.0)
+    assert run(tmp_path, monkeypatch) == ["15.0 0"]
+    assert run(tmp_path, monkeypatch) == ["15.0 1"]
+
+
+@pytest.mark.slow
+def test_who_waits_is_told_once_and_not_when_nothing_is_compiled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write(tmp_path)
+    assert run(tmp_path, monkeypatch, moment=0.0) == [f"told {compiling.LINE}", "6.0 0"]
+    assert run(tmp_path, monkeypatch, moment=0.0) == ["6.0 1"]
+
+
+def test_the_note_holds_for_this_source_and_goes_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiling, "folder", lambda: tmp_path)
+    assert not compiling.is_ready("slits-1")
+    compiling.is_now_ready("slits-1")
+    compiling.is_now_ready("line-1")
+    assert compiling.is_ready("slits-1")
+    monkeypatch.setattr(compiling, "_state", lambda: "another source")
+    assert not compiling.is_ready("slits-1")
+    compiling.is_now_ready("slits-1")
+    assert len(list(tmp_path.glob("ahead-slits-1.*"))) == 1
+    assert len(list(tmp_path.glob("ahead-line-1.*"))) == 1
+
+
+def test_where_nothing_can_be_kept_nothing_is_ready(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiling, "folder", lambda: None)
+    compiling.is_now_ready("slits-1")
+    assert not compiling.is_ready("slits-1")

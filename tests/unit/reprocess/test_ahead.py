@@ -1,0 +1,71 @@
+"""What is compiled ahead is all that a scan calls, and a process that compiles says so before it is waited for."""
+
+import gc
+from pathlib import Path
+
+import pytest
+from numba.core.registry import CPUDispatcher
+
+from annulus.geometry.calibration import Calibration
+from annulus.numeric import compiling
+from annulus.reprocess import ahead, open_job, reprocess
+from annulus.reprocess.ahead import compile_all, make_ready, work_of
+from annulus.twin.scan import write_scan
+from annulus.twin.worlds import demo_world, stereo_world
+
+pytestmark = pytest.mark.slow
+
+
+def compiled() -> set[tuple[str, str]]:
+    """Kernels of this project that this process has, by name and types."""
+    kernels = [one for one in gc.get_objects() if isinstance(one, CPUDispatcher)]
+    ours = [one.py_func for one in kernels if one.py_func.__module__.startswith("annulus.")]
+    return {
+        (f"{one.py_func.__module__}.{one.py_func.__name__}", str(signature))
+        for one in kernels
+        if one.py_func in ours and not one.py_func.__module__.startswith("annulus.twin.")
+        for signature in one.signatures
+    }
+
+
+def late_but_for_what_no_drawn_frame_has(late: set[tuple[str, str]]) -> set[str]:
+    """Two cameras know a drawn wall too badly to keep a point: what looks beside points is left, half a second."""
+    return {name for name, _ in late} - {"annulus.stereo.points._beside"}
+
+
+@pytest.mark.parametrize("world", [demo_world(travel_mm=30.0), stereo_world(travel_mm=30.0)], ids=["ring", "stereo"])
+def test_a_scan_calls_nothing_that_was_not_compiled_ahead(
+    world: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(compiling, "is_now_ready", lambda _: None)
+    write_scan(world, tmp_path / "scan", 20)  # type: ignore[arg-type]
+    job = open_job(tmp_path / "scan", tmp_path / "scan/calibration.json")
+    compile_all(job.calibration)
+    ahead_of_it = compiled()
+    reprocess(job).survey()
+    assert len(ahead_of_it) > 20
+    late = compiled() - ahead_of_it
+    assert late_but_for_what_no_drawn_frame_has(late) == set()
+
+
+def test_what_is_ready_is_passed_by_in_silence_and_what_is_not_is_done_in_a_child(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    calibration: Calibration = demo_world().calibration()
+    ready: list[str] = []
+    said: list[str] = []
+    monkeypatch.setattr(compiling, "is_ready", ready.__contains__)
+    make_ready(calibration, said.append)  # loads, or compiles and says so
+    assert set(said) <= {compiling.LINE}
+    monkeypatch.setattr(ahead.multiprocessing, "get_context", pytest.fail)
+    ready.append(work_of(calibration))
+    make_ready(calibration, said.append)
+    monkeypatch.setattr(compiling, "folder", lambda: None)
+    ready.clear()
+    make_ready(calibration, said.append)
+    assert said[-1] == compiling.NOWHERE
+
+
+def test_who_is_interrupted_does_not_wait_for_the_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiling, "is_ready", lambda _: False)
+    make_ready(demo_world().calibration(), pytest.fail, stop=lambda: True)
