@@ -23,11 +23,14 @@ from annulus.daemon.config import HeadConfig
 from annulus.daemon.observer import Observer
 from annulus.daemon.session import Session
 from annulus.daemon.state import State
-from annulus.demo import demo_config
+from annulus.demo import REMARK, demo_config
+from annulus.job import JobSheet
 from annulus.link.client import Client
 from annulus.link.messages import StateFlag, Status
 from annulus.record.calibration_file import load_calibration
+from annulus.record.origin import origin_of
 from annulus.record.recording import Recording, open_part, open_recording
+from annulus.record.scan import open_scan
 from annulus.reprocess.relabel import Audit, audit
 from annulus.twin.faults import Faults
 from annulus.twin.head import HeadHandle, start_head
@@ -97,6 +100,8 @@ def test_a_scan_is_labelled_recorded_and_reconstructed(head: HeadHandle, tmp_pat
     again = audit(tmp_path / "scan.mcap")  # the labels follow from what the recording has of them
     assert again.frames >= len(recording.frames) and again.to_dict() | {"frames": 0} == Audit().to_dict()
     assert {"start", "end"} <= {note["why"] for note in recording.notes("/identity")}
+    told = origin_of(open_scan(tmp_path / "scan.mcap"))  # head.toml's job, and when it was
+    assert told.job == JobSheet(pipe="simulated", remarks=REMARK) and told.utc[0] < told.utc[1]
     assert frames_are_what_they_are_called(recording) == report.frames["projector"] + report.frames["led"] >= 40
     assert len(recording.frames) == sum(report.frames.values())
     # one LED frame in five, whatever was dropped; in an optical preamble any, and they have no place in the lamp cycle
