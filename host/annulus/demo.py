@@ -28,14 +28,25 @@ from annulus.numeric.compiling import telling
 from annulus.numeric.rounding import DISTANCE, MEASURE, PERCENT, said
 from annulus.record.calibration_file import save_calibration
 from annulus.record.origin import origin_of
-from annulus.report import FILES, Account, prepare_folder, write
-from annulus.reprocess import Job, Processes, led_frames, measure, method_for, open_job, stage_medians, warm_up
+from annulus.report import FILES, Account, head_kind, prepare_folder, write
+from annulus.reprocess import (
+    Job,
+    Processes,
+    led_frames,
+    measure,
+    method_for,
+    open_job,
+    photographs,
+    stage_medians,
+    warm_up,
+)  # fmt: skip
 from annulus.stereo import CAMERA_MISSING
 from annulus.twin.head import HeadHandle, head_toml, start_head, sustainable_fps
 from annulus.twin.score import score
 from annulus.twin.worlds import World, demo_world, stereo_world
 from annulus.vocabulary import AnnulusError, Label
 from annulus.wall import Profile, Survey, survey
+from annulus.wall.sections import worth_showing
 
 FPS_MAX = 25.0
 FPS_MIN = 2.0
@@ -244,8 +255,11 @@ def _account(
     timing = {
         **stage_medians(pipe.profiles), "frame_to_profile": report.latency_ms, "frame_period": 1e3 / pace.fps
     }  # fmt: skip
-    source, origin = f"annulus demo, simulated head, {pace.fps:g} fps", origin_of(job.scan)
-    return Account(source, frames, drops, timing, truth=truth, origin=origin)
+    return Account(
+        f"annulus demo, simulated head, {pace.fps:g} fps", frames, drops, timing, truth=truth,
+        origin=origin_of(job.scan), photographs=photographs(job, pipe, worth_showing(pipe.defects)),
+        method=head_kind(job.calibration), covariance_stated=job.calibration.covariance is not None,
+    )  # fmt: skip
 
 
 def _truth(world: World, pipe: Survey) -> dict[str, Any]:

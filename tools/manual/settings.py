@@ -6,11 +6,12 @@ What a key means, and what stands where it is left out, is said once, in the ann
 
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from annulus.daemon import config
+from annulus.job import BEFORE
 from annulus.sensors.chips import CHIPS
 from annulus.vocabulary import AnnulusError
 
@@ -85,9 +86,14 @@ def _plain(value: float) -> str:
     return f"{value:g}" if abs(value) < 1e6 else f"{value:.0f}"
 
 
+def _current(section: str, names: Sequence[str]) -> list[str]:
+    """Without those that are only read."""
+    return [name for name in names if section != "job" or name not in BEFORE]
+
+
 def missing() -> tuple[list[str], list[str]]:
     """Keys that the README does not show, and keys it shows that the reader does not know."""
-    keys = {(section, key) for section, names in config._SECTIONS.items() for key in names}
+    keys = {(section, key) for section, names in config._SECTIONS.items() for key in _current(section, names)}
     told = set(shown())
     return ([f"[{s}] {k}" for s, k in sorted(keys - told)], [f"[{s}] {k}" for s, k in sorted(told - keys)])
 
@@ -103,7 +109,7 @@ def page() -> str:
         if several:
             out.append(f"May come several times, each written `[[{section}]]`.\n")
         out.append("| key | takes | shown | |\n|---|---|---|---|")
-        for key in keys:
+        for key in _current(section, keys):
             one = told[section, key]
             value = f"`{one.value}`" if one.value else ""
             out.append(f"| `{key}` | {_cell(takes(section, key))} | {value} | {_cell(one.means)} |")

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from annulus.cli import bore, burst, calibrate, firmware, head, joint, pattern, record, tai, twin
+from annulus.cli import bore, burst, calibrate, doctor, firmware, head, joint, pattern, record, tai, twin
 from annulus.cli import dogbones as dogbones  # its commands are of joint's group
 from annulus.cli.export import export
 from annulus.cli.fringe import BY, By
 from annulus.cli.manual import docs
 from annulus.cli.pdf import Sheet, on_paper
 from annulus.cli.sample import sample
-from annulus.cli.show import Json, progress, tell
+from annulus.cli.show import Json, print_findings, progress, tell
 from annulus.cli.terminal import escaped
 from annulus.numeric.compiling import telling
 from annulus.untrusted import one_line
@@ -25,6 +25,7 @@ from annulus.vocabulary import AnnulusError
 if TYPE_CHECKING:
     from annulus.job import JobSheet
     from annulus.report import Paper
+    from annulus.wall.conformity import Criteria
 
 app = typer.Typer(
     help="Acquire and reconstruct scans of plastic pipes.",
@@ -40,6 +41,20 @@ app.command(epilog="Example: annulus export results --to xlsx --to laz -o hand-o
 
 app.command("docs", epilog="Example: annulus docs first-scan --no-open")(docs)
 app.command("sample", epilog="Example: annulus sample -o pipe.mcap && annulus reconstruct pipe.mcap -o results")(sample)
+
+
+@app.callback(invoke_without_command=True)
+def about(
+    version: Annotated[bool, typer.Option("--version", help="Print the version and the commit it is of.")] = False,
+) -> None:
+    """Acquire and reconstruct scans of plastic pipes."""
+    if version:
+        from importlib.metadata import version as version_of
+
+        from annulus.shipped import commit
+
+        print(f"annulus {version_of('annulus')}, commit {commit()}")
+        raise typer.Exit
 
 
 @app.command(
@@ -107,6 +122,9 @@ def reconstruct(
             help="Who, where, which pipe, over what the scan says: job.toml, or site='Elm St'.",
         ),
     ] = None,
+    limits: Annotated[
+        Path | None, typer.Option(help="limits.toml: what is accepted of the pipe; no verdict without it.")
+    ] = None,
     pdf: Annotated[bool, typer.Option("--pdf", help="Write report.pdf too; needs the extra pdf.")] = False,
     paper: Annotated[Sheet, typer.Option(help="Of report.pdf.")] = Sheet.A4,
     as_json: Json = False,
@@ -118,10 +136,12 @@ def reconstruct(
     """
     from annulus.job import job_of
     from annulus.record.origin import origin_of
-    from annulus.report import Account, prepare_folder, write
-    from annulus.reprocess import Processes, fringes_on, make_ready, open_job, reprocess
+    from annulus.report import Account, head_kind, prepare_folder, write
+    from annulus.reprocess import Processes, fringes_on, make_ready, open_job, photographs, reprocess
+    from annulus.wall.conformity import judge
+    from annulus.wall.sections import worth_showing
 
-    sheet = job_of(job or ())
+    sheet, criteria = job_of(job or ()), _criteria(limits)
     printed = on_paper(pdf, paper)
     wall = fringes_on(scan, calibration)
     if by is By.CAMERAS and wall != "plate":
@@ -137,8 +157,11 @@ def reconstruct(
             if given:
                 raise AnnulusError(f"{option} does not go with {calibration or scan}: its head projects fringes")
         if wall == "pipe" or calibration is None:
-            _reconstruct_fringe_pipe(scan, calibration, out, sheet, printed, as_json)
+            _reconstruct_fringe_pipe(scan, calibration, out, sheet, criteria, printed, as_json)
         else:
+            for option, told in (("--job", job), ("--limits", limits)):
+                if told:
+                    raise AnnulusError(f"{option} does not go with {scan}: a plate has no report of a pipe")
             _reconstruct_fringe(scan, calibration, out, by, printed, as_json)
         return
     work = open_job(scan, calibration, colour=colour, reference=reference)
@@ -148,7 +171,13 @@ def reconstruct(
     with progress() as bars:
         done = reprocess(work, Processes(workers), bars)
         survey = done.survey(vibration=vibration_filter, fps=fps, progress=bars)
-    account = Account(str(scan), done.frames, done.drops, done.timing_ms, done.findings, origin=origin)
+    verdict = None if criteria is None else judge(survey, criteria)
+    shown = worth_showing(survey.defects, first=verdict.foremost if verdict else ())
+    account = Account(
+        str(scan), done.frames, done.drops, done.timing_ms, done.findings, origin=origin, verdict=verdict,
+        photographs=photographs(done.job, survey, shown), method=head_kind(work.calibration),
+        covariance_stated=work.calibration.covariance is not None,
+    )  # fmt: skip
     summary = write(survey, account, out, paper=printed)
     if as_json:
         print(json.dumps(summary))
@@ -156,12 +185,20 @@ def reconstruct(
         _print_summary(summary, out)
 
 
+def _criteria(limits: Path | None) -> "Criteria | None":
+    from annulus.record.limits_file import load_limits
+
+    return None if limits is None else load_limits(limits)
+
+
 def _reconstruct_fringe_pipe(
-    scan: Path, calibration: Path | None, out: Path, sheet: "JobSheet", printed: "Paper | None", as_json: bool
+    scan: Path, calibration: Path | None, out: Path, sheet: "JobSheet", criteria: "Criteria | None",
+    printed: "Paper | None", as_json: bool,
 ) -> None:  # fmt: skip
     from annulus.record.origin import origin_of
-    from annulus.report import Account, prepare_folder, write
+    from annulus.report import FRINGE, Account, prepare_folder, write
     from annulus.reprocess import open_fringe_pipe, reconstruct_fringe_pipe
+    from annulus.wall.conformity import judge
 
     job = open_fringe_pipe(scan, calibration)
     origin = origin_of(job.scan, calibration, sheet)
@@ -170,7 +207,10 @@ def _reconstruct_fringe_pipe(
         found = reconstruct_fringe_pipe(job, bars)
     counts = job.scan.counts()
     drops = {"frames_unknown": counts["unknown"]}
-    account = Account(str(scan), counts, drops, found.timing_ms, found.findings, origin=origin)
+    account = Account(
+        str(scan), counts, drops, found.timing_ms, found.findings, origin=origin, method=FRINGE,
+        verdict=None if criteria is None else judge(found.survey, criteria),
+    )  # fmt: skip
     seen = found.map
     depth = {
         "phi_deg": seen.phi_deg, "z_mm": seen.z_mm, "radius_mm": seen.radius_mm, "sigma_mm": seen.sigma_mm,
@@ -243,6 +283,10 @@ def _print_summary(data: Mapping[str, Any], out: Path) -> None:
         if f["arc_deg"] < 360:
             at = f"{where(f)}, {said(f['arc_deg'], ARC)}"
         print(f"{f['kind']:<10} {at}" + (f": {f['remark']}" if f["remark"] else ""))
+    if "conformity" in data:
+        print(f"verdict    {data['conformity']['decision']}: {data['conformity']['title'] or 'the limits named'}")
+        for remark in data["conformity"]["remarks"]:
+            print(f"           {remark}")
     for d in data["undecided"]:
         print(f"undecided  {said(d['depth_mm'], MEASURE, d['depth_k2_mm'])} {where(d)}")
     if "vibration" in data:
@@ -300,14 +344,10 @@ def daemon(
 def _print_findings(config: Path, as_json: bool) -> None:
     from annulus.daemon.check import check_head
 
-    found = check_head(config)
-    if as_json:
-        print(json.dumps([{"what": one.what, "ok": one.ok, "text": one.text} for one in found]))
-    else:
-        for one in found:
-            print(f"{ {True: 'ok', False: 'NOT OK', None: '-'}[one.ok]:<8}{one.what:<14}{one.text}")
-    if any(one.ok is False for one in found):
-        raise typer.Exit(1)
+    print_findings(check_head(config), as_json)
+
+
+app.command(epilog=doctor.EXAMPLE)(doctor.doctor)
 
 
 def main() -> None:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus.report import figures
+from annulus.report import client, figures
 from annulus.report.account import Account
 from annulus.report.course import centreline
 from annulus.report.page import render_page
@@ -63,7 +63,8 @@ def write(
         if depth is not None:
             np.savez(staging / DEPTH, **dict[str, Any](depth))
         summary = summarize(survey, account, 1e3 * (time.perf_counter() - started))
-        write_page(staging, render_page(survey, summary, pictures), paper)
+        page = render_page(survey, summary, pictures, **client.values(survey, account))
+        write_page(staging, page, paper)
         text = json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False)
         (staging / SUMMARY).write_text(text + "\n", encoding="utf-8")
     return summary

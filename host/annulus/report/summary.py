@@ -13,6 +13,7 @@ import numpy as np
 from annulus.job import Origin
 from annulus.numeric.rounding import stored, stored_k2
 from annulus.report.account import Account
+from annulus.wall.conformity import RULE, Group, Verdict
 from annulus.wall.defects import Defect
 from annulus.wall.features import Feature
 from annulus.wall.stations import OVALITY_FORMULA, OVALITY_NAME
@@ -53,9 +54,16 @@ def summarize(survey: Survey, account: Account, files_ms: float) -> dict[str, An
             "shape_max_percent": stored(survey.shape_ovality_max_percent),
             "shape_median_percent": stored(survey.shape_ovality_median_percent),
         },
-        "defects": [_defect(defect) for defect in survey.defects],
-        "features": [_feature(feature) for feature in survey.features],
-        "undecided": [_defect(place) for place in survey.detection.undecided],
+        "defects": [
+            _defect(defect) | _severity(account.verdict, "defect", i) for i, defect in enumerate(survey.defects)
+        ],
+        "features": [
+            _feature(feature) | _severity(account.verdict, "feature", i) for i, feature in enumerate(survey.features)
+        ],
+        "undecided": [
+            _defect(place) | _severity(account.verdict, "undecided", i)
+            for i, place in enumerate(survey.detection.undecided)
+        ],
         "unsupported": survey.detection.unconfirmed,
         "limits": {
             "depth_mm": stored(survey.depth_limit_mm),
@@ -85,6 +93,8 @@ def summarize(survey: Survey, account: Account, files_ms: float) -> dict[str, An
         out["sectors"] = {"told": survey.lane.told, "places": [asdict(mark) for mark in survey.lane.marks]}
     if survey.vibration is not None:
         out["vibration"] = _vibration(survey.vibration)
+    if account.verdict is not None:
+        out["conformity"] = _conformity(account.verdict)
     if account.truth is not None:
         out["truth"] = dict(account.truth)
     plain: dict[str, Any] = finite(out)
@@ -97,6 +107,28 @@ def _origin(origin: Origin) -> dict[str, Any]:
         "begun_utc": begun or None, "ended_utc": ended or None, "controller": dict(origin.controller),
         "calibration": {"file": origin.calibration_file or None, **{k: dict(v) for k, v in origin.calibration.items()}},
         "recorded_with": dict(origin.versions),
+    }  # fmt: skip
+
+
+def _severity(verdict: Verdict | None, group: Group, index: int) -> dict[str, Any]:
+    """Of one thing, where limits were named for its kind: nothing otherwise, so that nobody reads a pass."""
+    one = None if verdict is None else verdict.worst_of(group, index)
+    return {} if one is None else {"severity": one.severity, "decision": str(one.decision)}
+
+
+def _conformity(verdict: Verdict) -> dict[str, Any]:
+    return {
+        "title": verdict.criteria.title, "accept_severity": verdict.criteria.accepted, "rule": RULE,
+        "decision": str(verdict.decision), "remarks": list(verdict.remarks),
+        "items": [
+            {
+                "of": one.group, "index": one.index, "kind": one.kind, "quantity": one.quantity,
+                "value": stored(one.value), "k2": stored_k2(one.k2), "at_least": one.at_least, "limit": one.limit,
+                "z_mm": stored(one.z_mm), "severity": one.severity, "severities": list(one.severities),
+                "decision": str(one.decision),
+            }
+            for one in verdict.items
+        ],
     }  # fmt: skip
 
 

@@ -176,6 +176,13 @@ class Verdict:
         mine = [one for one in self.items if (one.group, one.index) == (group, index)]
         return max(mine, key=lambda one: (_ORDER.index(one.decision), one.severity), default=None)
 
+    @property
+    def foremost(self) -> tuple[int, ...]:
+        """Defects that do not conform, then those that are undecided, the more severe first."""
+        bad = [one for one in self.items if one.group == "defect" and one.decision is not Decision.CONFORMS]
+        bad.sort(key=lambda one: (-_ORDER.index(one.decision), -one.severity))
+        return tuple(dict.fromkeys(one.index for one in bad))
+
 
 _ORDER = (Decision.CONFORMS, Decision.UNDECIDED, Decision.FAILS)
 

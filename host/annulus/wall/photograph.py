@@ -24,6 +24,7 @@ INSIDE = 0.98  # part of the outline in the picture, or the most there is where 
 INSIDE_LEAST = 0.5  # .. but not less
 SIDE_MAX_PX, SIDE_MIN_PX = 560, 160  # of a crop: what is larger is made smaller; what is smaller shows more around
 MARGIN = 0.35  # of the outline's larger side, left free about it
+CLOSED_MM = 6.0  # half of a gap in the outline that is a shadow's and not the defect's
 TICK_DEG = 15.0  # between clock ticks, half an hour
 POINTS_MAX = 400  # of an outline
 EVEN_PERCENT = (1.0, 99.5)  # of the crop's grey levels: what becomes black and white
@@ -145,14 +146,20 @@ def _outline(survey: Survey, index: int, shape: Float32Array) -> list[FloatArray
     part = mask[first : rows[-1] + 2]
     free = np.flatnonzero(~part.any(axis=0))
     turn = int(free[0]) if len(free) else 0  # cut open where nothing of it lies
-    part = np.pad(np.roll(part, -turn, axis=1), ((3, 3), (0, 0)))
-    part = (ndimage.gaussian_filter(part.astype(np.float32), 1.5, mode=("constant", "wrap")) > 0.5).astype(np.uint8)
+    cell = np.array([wall.z_step_mm, math.radians(wall.clock_step_deg) * wall.mean_radius_mm])
+    reach = np.maximum(np.round(CLOSED_MM / cell), 1).astype(int)
+    pad = 3 * int(reach.max())
+    part = np.pad(np.roll(part, -turn, axis=1), ((pad, pad), (pad, pad)))
+    y, x = np.ogrid[-reach[0] : reach[0] + 1, -reach[1] : reach[1] + 1]
+    disc = (y / (reach[0] + 0.5)) ** 2 + (x / (reach[1] + 0.5)) ** 2 <= 1
+    solid = ndimage.binary_fill_holes(ndimage.binary_closing(part, disc))  # for the eye
+    part = (ndimage.gaussian_filter(solid.astype(np.float32), reach / 3) > 0.5).astype(np.uint8)
     contours, _ = cv2.findContours(part, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     out = []
     for contour in contours:
         column, row = (contour[:, 0, k].astype(int) for k in (0, 1))
         keep = slice(None, None, max(1, len(row) // POINTS_MAX))
-        row, column = row[keep] + first - 3, (column[keep] + turn) % mask.shape[1]
+        row, column = row[keep] + first - pad, (column[keep] - pad + turn) % mask.shape[1]
         row = np.clip(row, 0, len(wall.z_mm) - 1)
         out.append(_points(wall.clock_deg[column], wall.z_mm[row], shape[row, column]))
     return out

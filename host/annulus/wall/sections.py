@@ -10,7 +10,7 @@ import numpy as np
 
 from annulus.numeric.arrays import BoolArray, FloatArray
 from annulus.wall.defects import Defect, Kind
-from annulus.wall.grid import smooth
+from annulus.wall.grid import Observations, Wall, smooth
 from annulus.wall.survey import Survey
 
 MOST = 20  # defects that are shown from close by: a page of 200 is read by nobody
@@ -51,41 +51,52 @@ def worth_showing(defects: Sequence[Defect], most: int = MOST, first: Sequence[i
 
 def cut(survey: Survey, indices: Sequence[int]) -> tuple[Section, ...]:
     """Sections of some of the survey's defects; of one that was seen nowhere there is none."""
-    if not indices:
-        return ()
-    wall = survey.wall
-    field = smooth(wall.weighed_residual_mm()).astype(np.float64)  # as find_defects measures depths
-    k2 = 2.0 * np.sqrt(
-        wall.sigma_mm.astype(np.float64) ** 2 + wall.cell_noise_mm.astype(np.float64) ** 2
-        + np.square(wall.shape_sigma_mm(), dtype=np.float64)
-    )  # fmt: skip
-    shape = wall.shape_radius_mm().astype(np.float64)
-    turn = np.radians(wall.clock_deg)
-    circle = np.stack([np.ones_like(turn), np.cos(turn), np.sin(turn)], axis=1)
     out = []
     for index in indices:
         defect = survey.defects[index]
-        place = _crossing(survey, index, field)
+        rows = _around(survey, defect, index)
+        wall = _stretch(survey.wall, rows)
+        field = smooth(wall.weighed_residual_mm()).astype(np.float64)  # as find_defects measures depths
+        place = _crossing(wall, defect, survey.detection.label[rows] == index + 1, field)
         if place is None:
             continue
         row, column = place
+        turn = np.radians(wall.clock_deg)
+        circle = np.stack([np.ones_like(turn), np.cos(turn), np.sin(turn)], axis=1)
+        shape = wall.shape_radius_mm().astype(np.float64)
+        parts = (wall.sigma_mm, wall.cell_noise_mm, wall.shape_sigma_mm())
+        k2 = 2.0 * np.linalg.norm([part.astype(np.float64) for part in parts], axis=0)
         datum = shape[row] - circle @ wall.shape_mm[row, :3]
-        rows = _around(survey, defect, row)
-        along_datum = shape[rows, column] - wall.shape_mm[rows, :3] @ circle[column]
+        along_datum = shape[:, column] - wall.shape_mm[:, :3] @ circle[column]
         mean = float(wall.shape_mm[row, 0])
         out.append(
             Section(
                 index, float(wall.z_mm[row]), float(wall.clock_deg[column]), mean, field[row] + datum, k2[row], datum,
-                wall.z_mm[rows], field[rows, column] + along_datum, k2[rows, column], along_datum,
+                wall.z_mm, field[:, column] + along_datum, k2[:, column], along_datum,
                 survey.nominal_diameter_mm / 2 - mean, float(field[row, column]),
             )
         )  # fmt: skip
     return tuple(out)
 
 
-def _crossing(survey: Survey, index: int, field: FloatArray) -> tuple[int, int] | None:
-    """Row and column of the cell that shows best how deep a defect is."""
-    wall, defect = survey.wall, survey.defects[index]
+def _stretch(wall: Wall, rows: slice) -> Wall:
+    """A part of the wall's rows, with its observations: a long pipe has twenty defects shown, and is not gone through
+    for them."""
+    seen, columns = wall.observations, len(wall.clock_deg)
+    mine = (seen.cell >= rows.start * columns) & (seen.cell < rows.stop * columns)
+    return Wall(
+        wall.z_mm[rows], wall.clock_deg, wall.radius_mm[rows], wall.count[rows], wall.shape_mm[rows],
+        wall.shape_covariance[rows], wall.noise_mm[rows], wall.cell_noise_mm[rows],
+        Observations(
+            seen.cell[mine] - rows.start * columns, seen.number[mine], seen.radius_mm[mine], seen.sigma_mm[mine],
+            seen.seen_by[mine],
+        ),
+        wall.sigma_mm[rows],
+    )  # fmt: skip
+
+
+def _crossing(wall: Wall, defect: Defect, mine: BoolArray, field: FloatArray) -> tuple[int, int] | None:
+    """Row and column of the cell that shows best how deep a defect is; `mine` are its cells."""
     if defect.kind is Kind.OVALITY:
         inside = np.flatnonzero((wall.z_mm >= defect.z_range_mm[0]) & (wall.z_mm <= defect.z_range_mm[1]))
         if not len(inside):
@@ -96,7 +107,7 @@ def _crossing(survey: Survey, index: int, field: FloatArray) -> tuple[int, int] 
         seen = np.isfinite(field[row])
         return (row, int(np.argmin(np.where(seen, away, np.inf)))) if seen.any() else None
     height = (1.0 if defect.kind is Kind.LOSS else -1.0) * field
-    cells = (survey.detection.label == index + 1) & np.isfinite(height)
+    cells = mine & np.isfinite(height)
     if not cells.any():
         return None
     off = np.abs(height - defect.depth_mm)
@@ -108,12 +119,17 @@ def _crossing(survey: Survey, index: int, field: FloatArray) -> tuple[int, int] 
     return int(rows[middle]), int(columns[middle])
 
 
-def _around(survey: Survey, defect: Defect, row: int) -> slice:
+def _around(survey: Survey, defect: Defect, index: int) -> slice:
+    """Rows of a defect, its cells' at least, and of as much before and behind it as is shown."""
     wall = survey.wall
     reach = AROUND_OF_RADIUS * wall.mean_radius_mm
     low, high = defect.z_range_mm
     first, last = np.searchsorted(wall.z_mm, (low - reach, high + reach))
-    return slice(min(int(first), row), max(int(last), row + 1))
+    mine = np.flatnonzero((survey.detection.label == index + 1).any(axis=1))
+    if len(mine):
+        first, last = min(first, mine[0]), max(last, mine[-1] + 1)
+    first = min(max(int(first), 0), len(wall.z_mm) - 2)
+    return slice(first, min(max(int(last), first + 2), len(wall.z_mm)))
 
 
 def _depth(defect: Defect) -> float:
