@@ -50,8 +50,8 @@ inside() {
 }
 step() { # words, command, what is said of it (a command)
 	begun=$(date +%s) status=0
-	inside "$2" >"$folder/last.log" 2>&1 || status=$?
-	cat "$folder/last.log" >>"$folder/$suite-$arch.log"
+	inside "$2" >"$folder/$suite-$arch.last" 2>&1 || status=$?
+	cat "$folder/$suite-$arch.last" >>"$folder/$suite-$arch.log"
 	row "$1" $(($(date +%s) - begun)) "status $status; $(inside "$3" 2>/dev/null | tail -1 | cut -c1-110)"
 }
 
@@ -65,5 +65,5 @@ step "annulus firmware flash" "annulus firmware flash" "annulus firmware flash 2
 step "annulus head selftest --port native://" "annulus head selftest --port native:// --yes --edges 20 -o selftest" "grep -o kept selftest/selftest.html | wc -l"
 for command in "$@"; do
 	step "annulus $command" "annulus $command" "tail -1 /dev/null"
-	tail -3 "$folder/last.log" | sed 's/^/    /'
+	tail -3 "$folder/$suite-$arch.last" | sed 's/^/    /'
 done

@@ -12,7 +12,7 @@ from annulus.capture.timing import FrameTiming
 from annulus.controller import HOST_TIMEOUT_DEFAULT_MS, HOST_TIMEOUT_MAX_MS, HOST_TIMEOUT_MIN_MS, PREAMBLE_MAX
 from annulus.daemon.camera_config import CAMERA_KINDS, CameraConfig, CameraKind
 from annulus.geometry.calibration import Calibration
-from annulus.job import BEFORE, WORDS, JobSheet, provenance
+from annulus.job import WORDS, JobSheet, provenance
 from annulus.record.calibration_file import load_calibration, load_part, load_sections
 from annulus.record.codec import DEFAULT, Codec
 from annulus.rings.colour import ColourProfile
@@ -176,7 +176,7 @@ _SECTIONS: Mapping[str, tuple[str, ...]] = {
     "odometer": ("mm_per_count", "max_speed_mm_s"),
     "calibration": ("file", "colour"),
     "record": ("folder", *(field.name for field in fields(RecordConfig))),
-    "job": (*WORDS, *BEFORE),
+    "job": tuple(WORDS),
     "publish": ("address", "key_file", "viewers"),
     "control": ("address", "key_file", "viewers", "autostart"),
     "sensor": (
@@ -260,7 +260,7 @@ def _check_names(section: str, content: object) -> None:
     for one in several:
         if not isinstance(one, dict):
             raise ValueError(f'"{section}" must be a section, written [{section}]')
-        for key in one:
+        for key in one if section != "job" else ():  # which has names of before, too
             if key not in _SECTIONS[section]:
                 raise ValueError(f"[{section}] {key} is not known, expected one of {', '.join(_SECTIONS[section])}")
 

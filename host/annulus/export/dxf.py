@@ -86,6 +86,7 @@ class _Plan:
         self.top = min(0.0, self.first - self.radius)  # below what stands in space
         self.middle = (self.first + self.last) / 2
         self.label = LABEL * self.height
+        self.taken: set[tuple[int, int]] = set()  # where numbers stand, in steps of a line
 
     def draw(self) -> None:
         self._draw_grid()
@@ -136,9 +137,22 @@ class _Plan:
         if place.kind == "ovality":  # its long axis
             for clock in (place.clock_deg, (place.clock_deg + 180.0) % 360.0):
                 self._line((first, self.y(clock)), (last, self.y(clock)), layer, "DASHED")
-        x, how = ((first + last) / 2, "centre") if last - first > len(name) * self.label else (last, "left")
+        wide = len(name) * self.label
+        x = (first + last) / 2 - wide / 2 if last - first > wide else last + self.label / 2
         y = self.y(0.0) - 1.5 * self.label if place.is_all_round else self.y(place.clock_deg) - self.label / 2
-        self._text(name if how == "centre" else f" {name}", x, y, layer, how)
+        self._text(name, x, self._free(x, y, wide), layer)
+
+    def _free(self, x: float, y: float, wide: float) -> float:
+        """The height nearest below at which no number stands yet, as far as the plan goes."""
+        step = 1.4 * self.label
+        columns = range(math.floor(x / step), math.floor((x + wide) / step) + 1)
+        for row in range(math.floor(y / step), math.floor((self.top - self.height) / step), -1):
+            if not any((column, row) in self.taken for column in columns):
+                break
+        else:
+            return y  # too many to be told apart: the list has them all
+        self.taken.update((column, row) for column in columns)
+        return row * step if row != math.floor(y / step) else y
 
     def _box(self, first: float, last: float, low: float, high: float, layer: str) -> None:
         corners = [(first, self.y(low)), (last, self.y(low)), (last, self.y(high)), (first, self.y(high))]

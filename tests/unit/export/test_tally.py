@@ -85,6 +85,7 @@ def test_job_and_severity_come_from_the_summary(table: Any, written: Written) ->
     assert line(table, "D1")["Severity"] == "major" and pandas.isna(line(table, "D2")["Severity"])
     about = {row[0].value: row[1].value for row in openpyxl.load_workbook(written("xlsx"))["Source"].rows}
     assert about["Job: Pipe"] == "P-12" and about["Job: operator.name"] == "A. B."
+    assert about["Recording: controller.serial"] == "@77"
     assert "edition 2016, appendix 6" in about["Column order"] and about["Warning"] == "one frame is dark"
 
 

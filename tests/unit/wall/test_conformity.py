@@ -10,10 +10,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from annulus.job import WORDS, JobSheet
 from annulus.record.limits_file import load_limits
 from annulus.untrusted import parse_toml
 from annulus.vocabulary import AnnulusError
-from annulus.wall.conformity import Criteria, Decision, decide, judge
+from annulus.wall.conformity import QUANTITIES, Criteria, Decision, decide, judge
 from annulus.wall.defects import Defect, Detection, Kind, Limits
 from annulus.wall.features import Feature, FeatureKind, Measure
 from annulus.wall.stations import Stations
@@ -202,3 +203,15 @@ def survey(
         "depth_limit_mm": 0.3, "size_limit_mm": 7.6, "seen_fraction": 0.92,
     }  # fmt: skip
     return cast(Survey, SimpleNamespace(**told))
+
+
+def test_the_manuals_examples_are_read() -> None:
+    manual = Path(__file__).resolve().parents[3] / "docs/manual"
+    told = load_limits(manual / "limits.toml")
+    assert told.accepted == 1 and told.limit("loss", "depth_percent_wall") == 10.0
+    assert math.isnan(told.limit("loss", "depth_mm")), "that class is accepted"
+    page = (manual / "limits.md").read_text(encoding="utf-8")
+    for kind, quantities in QUANTITIES.items():
+        assert f"`[[{kind}]]`" in page and all(f"`{name}`" in page for name in quantities)
+    job = JobSheet.from_dict(parse_toml(page.split("```toml\n")[1].split("```")[0].encode()))
+    assert job.to_dict().keys() == WORDS.keys()
