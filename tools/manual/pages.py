@@ -47,10 +47,15 @@ def pages() -> Mapping[Path, Path]:
     return found
 
 
-def whole(page: Path) -> str:
-    """A page's Markdown with all that belongs in it. Raises ValueError for a link that leads nowhere."""
+def included(page: Path) -> str:
+    """A page's Markdown with the files it includes. Raises ValueError for a link that leads nowhere."""
     text = relinked(page.read_text(encoding="utf-8"), page, page)
-    text = INCLUDE.sub(lambda m: relinked((ROOT / m[1]).read_text(encoding="utf-8"), ROOT / m[1], page), text)
+    return INCLUDE.sub(lambda m: relinked((ROOT / m[1]).read_text(encoding="utf-8"), ROOT / m[1], page), text)
+
+
+def whole(page: Path) -> str:
+    """The same with what is generated. Raises ValueError where that cannot be made."""
+    text = included(page)
     text = PICTURE.sub(lambda m: f"![{m[2]}]({os.path.relpath(pictures.FOLDER / m[1], page.parent)})", text)
     text = OPTIONAL.sub(lambda m: m[0] if any(DOCS.glob(m[0] + ".md")) else "", text)
     text = GENERATED.sub(lambda m: relinked(GENERATORS[m[1]](), page, page), text)
