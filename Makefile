@@ -52,7 +52,7 @@ tools/emulator/node_modules/.package-lock.json: tools/emulator/package.json tool
 # dist/: of both machines, with the library, the image and the manual inside. What they hold: tools/wheel/hook.py.
 wheels: setup-all docs
 	@tools/need.sh gcc-arm-none-eabi gcc-aarch64-linux-gnu
-	@for machine in x86_64 aarch64; do ANNULUS_MACHINE=$$machine $(BIN)/hatchling -q build -t wheel dist || exit 1; done
+	@for machine in x86_64 aarch64; do ANNULUS_MACHINE=$$machine $(BIN)/hatchling build -t wheel -d dist || exit 1; done
 	@ls -l dist/*.whl
 
 demo: setup
@@ -62,7 +62,7 @@ demo: setup
 test: export ANNULUS_NO_SKIPS := 1
 test: setup-all lint firmware emulator .tools/picamera2/.made
 	@tools/need.sh clang libclang-rt sigrok-cli qemu-system-x86 linux-image-amd64 busybox-static kmod \
-	  gcc-aarch64-linux-gnu chromium pango poppler-utils
+	  gcc-aarch64-linux-gnu systemd chromium pango poppler-utils
 	$(BIN)/pytest -n auto --dist loadfile -m "not slow" tests/unit tests/regression
 	$(BIN)/pytest -n auto --dist loadfile -m slow tests/unit tests/regression
 	$(BIN)/pytest -n auto --dist loadfile tests/scenes

@@ -19,7 +19,7 @@ from annulus.capture.photometry import Light, measure
 from annulus.capture.timing import FrameTiming
 from annulus.daemon.account import ScanReport
 from annulus.daemon.camera_config import CameraConfig
-from annulus.daemon.config import HeadConfig
+from annulus.daemon.config import HeadConfig, RecordConfig
 from annulus.daemon.observer import Observer
 from annulus.daemon.session import Session
 from annulus.daemon.state import State
@@ -28,6 +28,7 @@ from annulus.job import JobSheet
 from annulus.link.client import Client
 from annulus.link.messages import StateFlag, Status
 from annulus.record.calibration_file import load_calibration
+from annulus.record.codec import Codec
 from annulus.record.origin import origin_of
 from annulus.record.recording import Recording, open_part, open_recording
 from annulus.record.scan import open_scan
@@ -205,7 +206,7 @@ def test_a_controller_that_restarts_is_armed_again_and_no_label_is_wrong(tmp_pat
 def test_a_full_disk_costs_the_recording_and_not_the_labels(head: HeadHandle, tmp_path: Path) -> None:
     frame = WORLD.camera.width * WORLD.camera.height
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    rig = Rig(head, tmp_path, calibration=None, slots=30)
+    rig = Rig(head, tmp_path, calibration=None, slots=30, record=RecordConfig(codec=Codec.RAW))
     try:
         resource.setrlimit(resource.RLIMIT_FSIZE, (35 * frame, hard))  # the ring still fits, 50 frames on disk do not
         report = rig.run(lambda rig: rig.session.labelled >= 50)

@@ -9,12 +9,13 @@ import pytest
 import typer
 
 from tools.manual import commands, families, settings, topics
-from tools.manual.pages import DOCS, ROOT, pages, whole
+from tools.manual.pages import DOCS, ROOT, included, pages, whole
 
 pytestmark = pytest.mark.slow
 
 PAGES = sorted({*pages().values()})
 OWN = sorted(page for page in (DOCS / "manual").glob("*.md") if page.name != "changelog.md")
+INDENTED = re.compile(r"^    (annulus .*)$", re.M)
 FENCE = re.compile(r"^[ ]*```(?:sh|bash|console|text)?\n(.*?)^[ ]*```", re.M | re.S)
 
 
@@ -99,8 +100,9 @@ def parse(line: str) -> None:
 EXAMPLES = [(f"{name}: {line}", line) for name, line in commands.examples()]
 WRITTEN = [
     (f"{page.name}: {line}", line)
-    for page in [*OWN, ROOT / "README.md", *sorted((DOCS / "manual/rooms").glob("*.md"))]
-    for block in FENCE.findall(whole(page) if page.is_relative_to(DOCS) else page.read_text(encoding="utf-8"))
+    for page in [*OWN, *sorted((DOCS / "manual/rooms").glob("*.md")), ROOT / "README.md"]
+    for text in [page.read_text(encoding="utf-8") if page.name == "README.md" else included(page)]
+    for block in [*FENCE.findall(text), *INDENTED.findall(text)]
     for line in lines_of(block)
 ]
 
@@ -130,7 +132,7 @@ def test_an_example_that_cannot_is_found() -> None:
 def test_commands_named_in_passing_exist() -> None:
     known = dict(commands.tree())
     for page in OWN:
-        for words in re.findall(r"`(annulus [a-z][^`]*)`", whole(page)):
+        for words in re.findall(r"`(annulus [a-z][^`]*)`", included(page)):
             name = re.match(r"annulus(?: [a-z]+)+", words)
             parts = name[0].split() if name else []
             while parts and " ".join(parts) not in known:

@@ -19,6 +19,10 @@ def build(place: Path) -> None:
     try:
         command = [sys.executable, "-m", "sphinx", "-b", "html", "-W", "--keep-going", "-q", "-E", str(DOCS), str(new)]
         subprocess.run(command, cwd=ROOT, check=True)
+        for page in new.rglob("*.html"):  # Sphinx gives captions of the contents the role of a heading, and no level
+            page.write_text(
+                page.read_text("utf-8").replace('role="heading">', 'role="heading" aria-level="2">'), "utf-8"
+            )
         for name in USELESS:
             shutil.rmtree(new / name) if (new / name).is_dir() else (new / name).unlink(missing_ok=True)
         if place.exists():

@@ -14,7 +14,7 @@ PROGRAM = "annulus"
 
 
 def tree() -> Iterator[tuple[str, Any]]:
-    """Every command and group as it is typed, a group before its commands: ("annulus record check", the command)."""
+    """Every command and group as it is typed, a group before its commands: ("annulus record verify", the command)."""
     return _below(PROGRAM, typer.main.get_command(app))
 
 

@@ -1,4 +1,4 @@
-"""`python -m tools.sample [FOLDER]`: scan.mcap and truth.json of the demo's pipe, 42 frames at half size, in 3 s."""
+"""`python -m tools.sample [FOLDER]`: scan.mcap and truth.json of the demo's pipe, 64 frames at half size, in 5 s."""
 
 import json
 import sys
@@ -8,7 +8,7 @@ from annulus.twin.recorded import write_recording
 from annulus.twin.worlds import demo_world
 
 FOLDER = Path(__file__).parent / "annulus_sample"
-WIDTH, FRAMES = 832, 42  # half the camera's; every ring passes every defect, 8 mm a frame
+WIDTH, FRAMES = 832, 64  # half the camera's; every ring passes every defect, 5 mm a frame
 JOB = {"who": "the simulated head", "where": "a simulated pipe, 330 mm", "what": "DN 150 PVC with four known defects"}
 
 

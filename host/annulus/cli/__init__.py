@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from annulus.cli import bore, burst, calibrate, firmware, head, joint, pattern, record, tai, twin
+from annulus.cli import bore, burst, calibrate, doctor, firmware, head, joint, pattern, record, tai, twin
 from annulus.cli import dogbones as dogbones  # its commands are of joint's group
 from annulus.cli.export import export
 from annulus.cli.fringe import BY, By
 from annulus.cli.manual import docs
 from annulus.cli.pdf import Sheet, on_paper
 from annulus.cli.sample import sample
-from annulus.cli.show import Json, progress, tell
+from annulus.cli.show import Json, print_findings, progress, tell
 from annulus.cli.terminal import escaped
 from annulus.numeric.compiling import telling
 from annulus.untrusted import one_line
@@ -41,6 +41,20 @@ app.command(epilog="Example: annulus export results --to xlsx --to laz -o hand-o
 
 app.command("docs", epilog="Example: annulus docs first-scan --no-open")(docs)
 app.command("sample", epilog="Example: annulus sample -o pipe.mcap && annulus reconstruct pipe.mcap -o results")(sample)
+
+
+@app.callback(invoke_without_command=True)
+def about(
+    version: Annotated[bool, typer.Option("--version", help="Print the version and the commit it is of.")] = False,
+) -> None:
+    """Acquire and reconstruct scans of plastic pipes."""
+    if version:
+        from importlib.metadata import version as version_of
+
+        from annulus.shipped import commit
+
+        print(f"annulus {version_of('annulus')}, commit {commit()}")
+        raise typer.Exit
 
 
 @app.command(
@@ -330,14 +344,10 @@ def daemon(
 def _print_findings(config: Path, as_json: bool) -> None:
     from annulus.daemon.check import check_head
 
-    found = check_head(config)
-    if as_json:
-        print(json.dumps([{"what": one.what, "ok": one.ok, "text": one.text} for one in found]))
-    else:
-        for one in found:
-            print(f"{ {True: 'ok', False: 'NOT OK', None: '-'}[one.ok]:<8}{one.what:<14}{one.text}")
-    if any(one.ok is False for one in found):
-        raise typer.Exit(1)
+    print_findings(check_head(config), as_json)
+
+
+app.command(epilog=doctor.EXAMPLE)(doctor.doctor)
 
 
 def main() -> None:

@@ -45,6 +45,7 @@ def export(
     wall would be a bare mesh in it, which GLB is already.
     """
     from annulus.export import FORMS, available, open_results, write
+    from annulus.extras import EXTRA_OF, adds
 
     if not to:
         raise AnnulusError(f"say what to write: --to {' --to '.join(FORMS)}, or --to all")
@@ -60,4 +61,4 @@ def export(
     for file in files:
         print(f"{file.stat().st_size:>11} bytes  {file}")
     for name, form in skipped.items():
-        print(f"{name:<10} not written: pip install 'annulus[{form.extra}]'")
+        print(f"{name:<10} not written: {adds(EXTRA_OF[form.needs[0]])}")

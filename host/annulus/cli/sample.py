@@ -20,7 +20,7 @@ def sample(
     ] = Path("annulus-sample.mcap"),
     as_json: Json = False,
 ) -> None:
-    """Copy the sample recording: a simulated pipe with four known defects, 42 frames, 22 MB."""
+    """Copy the sample recording: a simulated pipe with four known defects, 64 frames, 20 MB."""
     recording, truth = _shipped("scan.mcap"), _shipped("truth.json")
     beside = out.with_name(f"{out.stem}-truth.json")
     for path in (out, beside):

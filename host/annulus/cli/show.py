@@ -2,9 +2,9 @@
 
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Annotated, Any
+from typing import Annotated, Any, Protocol
 
 import typer
 
@@ -45,6 +45,28 @@ def progress() -> Iterator[Callable[[str, int, int], None]]:
     finally:
         if tasks:
             bars.stop()
+
+
+class Found(Protocol):
+    """A row of what was looked at; `ok` None: there is nothing to be right or wrong."""
+
+    @property
+    def what(self) -> str: ...
+    @property
+    def ok(self) -> bool | None: ...
+    @property
+    def text(self) -> str: ...
+
+
+def print_findings(found: Sequence[Found], as_json: bool) -> None:
+    """Rows as a table, or as JSON. Status 1 where one is wrong."""
+    if as_json:
+        print(json.dumps([{"what": one.what, "ok": one.ok, "text": one.text} for one in found]))
+    else:
+        for one in found:
+            print(f"{ {True: 'ok', False: 'NOT OK', None: '-'}[one.ok]:<8}{one.what:<14}{one.text}")
+    if any(one.ok is False for one in found):
+        raise typer.Exit(1)
 
 
 def tell(line: str) -> None:

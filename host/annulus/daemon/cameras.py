@@ -1,12 +1,17 @@
 """The cameras that head.toml asks for."""
 
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from annulus.capture.camera import Camera
 from annulus.capture.picamera import configure
 from annulus.capture.remote import RemoteCamera
 from annulus.capture.v4l2 import NoSuchControl, V4L2Camera
 from annulus.daemon.camera_config import CameraConfig
+from annulus.extras import adds
+from annulus.untrusted import one_line
 from annulus.vocabulary import AnnulusError
 
 FRAME_WAIT_S = 0.2  # in one call: who waits for frames says so often enough that a hang is known from silence
@@ -44,7 +49,8 @@ def _open(wanted: CameraConfig, number: int) -> Camera:
             return _picamera(wanted)
 
 
-def _picamera(wanted: CameraConfig) -> Camera:
+def picamera2() -> Any:
+    """Picamera2's class. AnnulusError, one line, where it is not there or does not load."""
     try:
         from picamera2 import Picamera2
     except ImportError:
@@ -52,8 +58,17 @@ def _picamera(wanted: CameraConfig) -> Camera:
             "camera: picamera2 is not installed for this Python. On a Raspberry Pi: apt install python3-picamera2, "
             "and make the environment with --system-site-packages."
         ) from None
+    except ValueError as error:  # Debian 12's simplejpeg is built for numpy 1: "numpy.dtype size changed"
+        raise AnnulusError(
+            f"camera: picamera2 does not load beside numpy {np.__version__} ({one_line(str(error))}): the system's "
+            f"simplejpeg is built for an older one. {adds('pi')}"
+        ) from None
+    return Picamera2
+
+
+def _picamera(wanted: CameraConfig) -> Camera:
     try:
-        camera = Picamera2(int(wanted.device) if wanted.device.isdigit() else 0)
+        camera = picamera2()(int(wanted.device) if wanted.device.isdigit() else 0)
     except (RuntimeError, IndexError) as error:
         raise AnnulusError(f"camera: Picamera2 cannot open camera {wanted.device}: {error}") from None
     try:

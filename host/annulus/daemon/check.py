@@ -67,7 +67,7 @@ def check_head(path: Path) -> list[Finding]:
     for what, socket in (("publish", config.publish), ("control", config.control)):
         look(what, lambda socket=socket, what=what: _socket(what, socket), "" if socket else "none")  # type: ignore[misc]
     look("log", lambda: _log(config.log.file if config.log else Path()), "" if config.log else "none")
-    found.append(_priority(config.realtime))
+    found.append(priority(config.realtime))
     return found
 
 
@@ -165,7 +165,7 @@ def _sensors(config: HeadConfig) -> str:
 def _recording(config: HeadConfig) -> str:
     folder = config.record_folder
     assert folder is not None
-    rate = _bytes_per_s(config.cameras)
+    rate = bytes_per_s(config.cameras)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder) as file:
@@ -178,7 +178,7 @@ def _recording(config: HeadConfig) -> str:
     return f"{folder}: {state}"
 
 
-def _bytes_per_s(cameras: Sequence[CameraConfig]) -> float:
+def bytes_per_s(cameras: Sequence[CameraConfig]) -> float:
     """What they send at most, as colour pictures."""
     return sum(one.width * one.height * one.timing.fps for one in cameras) * max(CHANNELS.values())
 
@@ -205,12 +205,13 @@ def _log(file: Path) -> str:
     return str(file)
 
 
-def _priority(wanted: bool | None) -> Finding:
-    """Tried in a thread that ends with it."""
+def priority(wanted: bool | None) -> Finding:
+    """Whether a thread may be real-time. Tried in a thread that ends with it."""
     if wanted is False:
         return Finding("priority", None, "not wanted")
     remark: list[str] = []
     thread = threading.Thread(target=lambda: remark.append(raise_priority(True)))
     thread.start()
     thread.join()
-    return Finding("priority", not (wanted and remark[0]), (remark[0] or "real-time") + autogroup_remark())
+    ok = not remark[0] or (False if wanted else None)
+    return Finding("priority", ok, (remark[0] or "real-time") + autogroup_remark())

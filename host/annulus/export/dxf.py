@@ -14,10 +14,11 @@ import numpy as np
 
 from annulus.export.axes import z_up
 from annulus.export.course import Space, line, outline
-from annulus.export.extra import load
 from annulus.export.results import Place, Results
 from annulus.export.stations import radii_of_stations
-from annulus.export.tally import clock_time, figure, up
+from annulus.export.tally import clock_time
+from annulus.extras import need
+from annulus.numeric.rounding import ARC, DISTANCE, MEASURE, digits, said, span
 
 OUTLINES_MAX = 120  # stations drawn: evenly chosen, for a CAD program's sake
 LABEL = 0.024  # height of a text, of the circumference
@@ -32,7 +33,7 @@ _OF_KIND = {"loss": "PLAN-LOSS", "bump": "PLAN-BUMP", "ovality": "PLAN-OVALITY"}
 
 
 def write(results: Results, path: Path) -> None:
-    ezdxf = load("ezdxf", "export", "dxf")
+    ezdxf = need("ezdxf")
     document = ezdxf.new("R2010", setup=["linetypes"], units=ezdxf.units.MM)
     document.styles.add("ANNULUS", font="arial.ttf")
     for name, colour in LAYERS.items():
@@ -85,6 +86,7 @@ class _Plan:
         self.top = min(0.0, self.first - self.radius)  # below what stands in space
         self.middle = (self.first + self.last) / 2
         self.label = LABEL * self.height
+        self.taken: set[tuple[int, int]] = set()  # where numbers stand, in steps of a line
 
     def draw(self) -> None:
         self._draw_grid()
@@ -115,10 +117,10 @@ class _Plan:
             self._text(f"{hour or 12}:00", self.first - label, y - label / 2, "PLAN-TEXT", "right")
         self._box(self.first, self.last, 0.0, 360.0, "PLAN-FRAME")
         title = (
-            f"Unrolled wall, {_m(self.first)} to {_m(self.last)} m, inner diameter {results.nominal_mm:g} mm nominal"
+            f"Unrolled wall, {span(self.first, self.last, DISTANCE)}, inner diameter {results.nominal_mm:g} mm nominal"
         )
         self._text(title, self.first, self.top + 4 * label, "PLAN-TEXT", scale=1.4)
-        where = [text for key in ("client", "site", "pipe_id") if (text := results.job.get(key))]
+        where = [text for key in ("client", "site", "pipe") if (text := results.job.get(key))]
         self._text(
             ", ".join([*where, results.source]) + ". Clockwise looking forward; y is arc length at the nominal radius",
             self.first, self.top + 1.8 * label, "PLAN-TEXT",
@@ -135,9 +137,22 @@ class _Plan:
         if place.kind == "ovality":  # its long axis
             for clock in (place.clock_deg, (place.clock_deg + 180.0) % 360.0):
                 self._line((first, self.y(clock)), (last, self.y(clock)), layer, "DASHED")
-        x, how = ((first + last) / 2, "centre") if last - first > len(name) * self.label else (last, "left")
+        wide = len(name) * self.label
+        x = (first + last) / 2 - wide / 2 if last - first > wide else last + self.label / 2
         y = self.y(0.0) - 1.5 * self.label if place.is_all_round else self.y(place.clock_deg) - self.label / 2
-        self._text(name if how == "centre" else f" {name}", x, y, layer, how)
+        self._text(name, x, self._free(x, y, wide), layer)
+
+    def _free(self, x: float, y: float, wide: float) -> float:
+        """The height nearest below at which no number stands yet, as far as the plan goes."""
+        step = 1.4 * self.label
+        columns = range(math.floor(x / step), math.floor((x + wide) / step) + 1)
+        for row in range(math.floor(y / step), math.floor((self.top - self.height) / step), -1):
+            if not any((column, row) in self.taken for column in columns):
+                break
+        else:
+            return y  # too many to be told apart: the list has them all
+        self.taken.update((column, row) for column in columns)
+        return row * step if row != math.floor(y / step) else y
 
     def _box(self, first: float, last: float, low: float, high: float, layer: str) -> None:
         corners = [(first, self.y(low)), (last, self.y(low)), (last, self.y(high)), (first, self.y(high))]
@@ -167,20 +182,15 @@ def _within_circle(begin: float, arc: float) -> list[tuple[float, float]]:
     return [(begin, end)] if end <= 360.0 else [(begin, 360.0), (0.0, end - 360.0)]
 
 
-def _m(mm: float) -> str:
-    return figure(mm / 1000, 3)
-
-
 def _described(place: Place) -> str:
     out = place.kind
     if place.depth_mm is not None:
-        k2 = "" if place.depth_k2_mm is None else f" ± {up(place.depth_k2_mm, 2):.2f}"
-        out += f" {'' if place.floor_seen else '>= '}{figure(place.depth_mm, 2)}{k2} mm (k=2)"
-    out += f" at {_m(place.z_mm)} m, from {_m(place.z_from_mm)} to {_m(place.z_to_mm)} m"
+        out += f" {said(place.depth_mm, MEASURE, place.depth_k2_mm, at_least=not place.floor_seen)} (k=2)"
+    out += f" at {said(place.z_mm, DISTANCE)}, from {span(place.z_from_mm, place.z_to_mm, DISTANCE)}"
     if place.kind == "ovality":
         out += f", long axis at clock {clock_time(place.clock_deg):%H:%M}"
-    elif place.is_all_round:
+    elif place.is_all_round and place.kind != "bend":
         out += ", all round"
-    else:
-        out += f", clock {clock_time(place.clock_deg):%H:%M}, {place.arc_deg:.0f} degrees"
+    elif not place.is_all_round:
+        out += f", clock {clock_time(place.clock_deg):%H:%M}, {digits(place.arc_deg, ARC)} degrees"
     return ", ".join(text for text in (out, place.remark, place.severity) if text)

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from annulus.export.axes import in_space, z_up
-from annulus.export.extra import load
 from annulus.export.results import Results
+from annulus.extras import need
 
 CHUNK = 5_000_000  # points a scan; pye57 makes room for as many, however few there are
 
 
 def write(results: Results, path: Path) -> None:
-    pye57 = load("pye57", "e57", "e57")
+    pye57 = need("pye57")
     cloud = results.cloud.vertices
     with pye57.E57(str(path), mode="w") as file:
         for at in range(0, len(cloud), CHUNK):

@@ -4,10 +4,10 @@ import contextlib
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 
 from annulus.export import dxf, e57, glb, laz, pof_csv, radii, xlsx
-from annulus.export.extra import is_there
 from annulus.export.results import Results
 from annulus.vocabulary import AnnulusError
 
@@ -16,13 +16,12 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """file: its name. write(results, path): makes it. needs: packages of the extra."""
+    """file: its name. write(results, path): makes it. needs: packages of an extra."""
 
     name: str
     file: str
     what: str
     write: Callable[[Results, Path], None]
-    extra: str = ""
     needs: tuple[str, ...] = ()
     common: bool = True  # written when all are asked for
 
@@ -31,11 +30,11 @@ FORMS = {
     form.name: form
     for form in (
         Form("pof-csv", "pipe-tally.csv", "anomalies and features in the POF's column order", pof_csv.write),
-        Form("xlsx", "pipe-tally.xlsx", "the same as a workbook, with stations", xlsx.write, "export", ("openpyxl",)),
-        Form("laz", "cloud.laz", "the cloud, LAS 1.4", laz.write, "export", ("laspy", "lazrs")),
+        Form("xlsx", "pipe-tally.xlsx", "the same as a workbook, with stations", xlsx.write, ("openpyxl",)),
+        Form("laz", "cloud.laz", "the cloud, LAS 1.4", laz.write, ("laspy", "lazrs")),
         Form("glb", "mesh.glb", "the wall as a coloured surface, glTF 2.0", glb.write),
-        Form("dxf", "pipe.dxf", "stations, centre line and unrolled plan", dxf.write, "export", ("ezdxf",)),
-        Form("e57", "cloud.e57", "the cloud, ASTM E2807", e57.write, "e57", ("pye57",)),
+        Form("dxf", "pipe.dxf", "stations, centre line and unrolled plan", dxf.write, ("ezdxf",)),
+        Form("e57", "cloud.e57", "the cloud, ASTM E2807", e57.write, ("pye57",)),
         Form("radii", "radii.csv", "1080 radii a station", radii.write),
         Form("radii-gz", "radii.csv.gz", "the same, packed, of long pipes", radii.write, common=False),
     )
@@ -44,7 +43,7 @@ FORMS = {
 
 def available() -> tuple[str, ...]:
     """Names of the forms that `all` means here: those whose packages are there."""
-    return tuple(name for name, form in FORMS.items() if form.common and is_there(form.needs))
+    return tuple(name for name, form in FORMS.items() if form.common and all(map(find_spec, form.needs)))
 
 
 def write(results: Results, names: Sequence[str], out: Path, progress: Progress = lambda *_: None) -> list[Path]:

@@ -9,12 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from annulus.export.axes import in_space, z_up
-from annulus.export.extra import load
+from annulus.export.axes import Z_UP, in_space, z_up
 from annulus.export.results import Results
+from annulus.extras import need
 from annulus.vocabulary import AnnulusError
 
 CHUNK = 1 << 18  # points
+TEXT_AREA = 3  # LAS's number of a record of free text
 STEPS_MAX = 2.0e9  # of a coordinate, either way: a signed 32-bit number
 EXTRA = (  # name, kind, description of at most 31 characters
     ("radius_mm", "float32", "from the pipe's axis, mm"), ("sigma_mm", "float32", "of the radius, k=1, mm"),
@@ -24,8 +25,8 @@ EXTRA = (  # name, kind, description of at most 31 characters
 
 
 def write(results: Results, path: Path) -> None:
-    laspy = load("laspy", "export", "laz")
-    load("lazrs", "export", "laz")
+    laspy = need("laspy")
+    need("lazrs")
     cloud = results.cloud.vertices
     file = results.folder / "cloud.ply"
     parts = [slice(at, at + CHUNK) for at in range(0, len(cloud), CHUNK)]
@@ -44,6 +45,7 @@ def write(results: Results, path: Path) -> None:
         header.creation_date = None
     extra = [one for one in EXTRA if one[0] != "camera" or "camera" in (cloud.dtype.names or ())]
     header.add_extra_dims([laspy.ExtraBytesParams(name, kind, about) for name, kind, about in extra])
+    header.vlrs.append(laspy.VLR("LASF_Spec", TEXT_AREA, "what this is", _about(results)))
     with laspy.open(path, mode="w", header=header, do_compress=True) as out:
         for part in parts:
             records = np.asarray(cloud[part])
@@ -55,3 +57,12 @@ def write(results: Results, path: Path) -> None:
             for name, *_ in extra:
                 points[name] = records[name.removesuffix("_mm")]
             out.write_points(points)
+
+
+def _about(results: Results) -> bytes:
+    lines = [
+        f"metres; {Z_UP}; no coordinate reference system",
+        f"scan: {results.source}",
+        f"results: {results.created}",
+    ]
+    return "\n".join([*lines, *(f"{name}: {value}" for name, value in results.job.items())]).encode()[:60_000]

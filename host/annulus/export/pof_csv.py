@@ -5,7 +5,8 @@ from datetime import time
 from pathlib import Path
 
 from annulus.export.results import Results
-from annulus.export.tally import COLUMNS, Cell, Column, figure, tally
+from annulus.export.tally import COLUMNS, Cell, Column, tally
+from annulus.numeric.rounding import MEASURE, digits
 
 FORMULA = ("=", "+", "-", "@", "\t", "\r")  # what a spreadsheet begins to compute at, or looks behind
 
@@ -25,7 +26,7 @@ def _written(cell: Cell, column: Column) -> str:
         case time():
             return f"{cell:%H:%M}"
         case float():
-            return figure(cell, column.decimals)
+            return digits(cell, column.quantity or MEASURE)
         case int():
             return str(cell)
         case _:

@@ -24,8 +24,8 @@ HEADINGS = tuple(f"r_{angle:06.2f}" for angle in ANGLES_DEG)
 
 
 def write(results: Results, path: Path) -> None:
-    opened = gzip.open if path.suffix == ".gz" else open
-    with opened(path, "wt", newline="", encoding="ascii") as file:
+    packed = path.suffix == ".gz"
+    with gzip.open(path, "wt", 4, newline="", encoding="ascii") if packed else path.open("w", newline="") as file:
         table = csv.writer(file)
         table.writerow(["z_mm", *HEADINGS])
         for z, radius in radii_of_stations(results):

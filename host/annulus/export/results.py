@@ -25,7 +25,7 @@ from annulus.vocabulary import AnnulusError
 
 FORMAT = "annulus-summary/1"
 JSON_MAX, CSV_MAX = 1 << 27, 1 << 28  # bytes
-PLACES_MAX, STATIONS_MAX, POINTS_MAX, PIECES_MAX = 100_000, 1_000_000, 1_000_000, 10_000
+PLACES_MAX, STATIONS_MAX, POINTS_MAX, PIECES_MAX = 100_000, 200_000, 1_000_000, 10_000
 TEXT_MAX = 2000
 MM_MAX = 1e8
 CLOUD_FIELDS = ("x", "y", "z", "red", "green", "blue", "radius", "frame", "ring", "sigma")
@@ -77,10 +77,11 @@ class Results:
     created: str
     made_by: str
     job: Mapping[str, str]
+    origin: Mapping[str, str]  # of the recording: when, by which head and programs
     points: int
     scanned_mm: tuple[float, float]
     nominal_mm: float
-    figures: Mapping[str, str]  # of the whole pipe, for people: name with unit -> text
+    figures: Mapping[str, float]  # of the whole pipe, by their names in the summary
     defects: tuple[Place, ...]
     features: tuple[Place, ...]
     undecided: tuple[Place, ...]
@@ -170,7 +171,8 @@ def _summary(summary: Mapping[str, Any]) -> dict[str, Any]:
         "source": text(summary.get("source", ""), "source", TEXT_MAX),
         "created": text(summary.get("created", ""), "created", 100),
         "made_by": f"annulus {text(versions.get('annulus', 'of unknown version'), 'versions.annulus', 100)}",
-        "job": _job(summary.get("job")),
+        "job": _said(summary.get("job"), "job"),
+        "origin": _said(summary.get("origin"), "origin"),
         "points": int(within(summary.get("points"), "points", 0, 1e12)),
         "scanned_mm": (first, last),
         "nominal_mm": within(diameter.get("nominal"), "diameter_mm.nominal", 1.0, 1e5),
@@ -182,16 +184,16 @@ def _summary(summary: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _job(found: Any, above: str = "") -> dict[str, str]:
-    """Who, where, which pipe, as texts; what is none of text, number and list stands one level down: place.town."""
+def _said(found: Any, what: str, above: str = "") -> dict[str, str]:
+    """A section of texts and numbers, as texts; sections in it stand one level down: controller.board."""
     out: dict[str, str] = {}
-    for name, value in mapping({} if found is None else found, "job").items():
-        name = text(name, "job's name", 200)
+    for name, value in mapping({} if found is None else found, what).items():
+        name = text(name, f"a name in {what}", 200)
         if isinstance(value, Mapping) and not above:
-            out |= _job(value, f"{name}.")
-        elif value is not None:
+            out |= _said(value, what, f"{name}.")
+        elif value not in (None, ""):
             many = value if isinstance(value, list) else [value]
-            out[above + name] = text(", ".join(_plain(one) for one in many), f"job.{name}", TEXT_MAX)
+            out[above + name] = text(", ".join(_plain(one) for one in many), f"{what}.{name}", TEXT_MAX)
     return out
 
 
@@ -201,7 +203,7 @@ def _plain(value: Any) -> str:
     return value if isinstance(value, str) else f"{value:g}" if isinstance(value, float) else shown(value)
 
 
-def _figures(summary: Mapping[str, Any]) -> dict[str, str]:
+def _figures(summary: Mapping[str, Any]) -> dict[str, float]:
     """The whole pipe's figures that there are."""
     out = {}
     for group, names in (
@@ -212,10 +214,10 @@ def _figures(summary: Mapping[str, Any]) -> dict[str, str]:
         found = mapping(summary.get(group) or {}, group)
         for name in names:
             if found.get(name) is not None:
-                out[f"{group}.{name}"] = f"{number(found[name], f'{group}.{name}'):g}"
+                out[f"{group}.{name}"] = number(found[name], f"{group}.{name}")
     for name in ("seen_percent", "hidden_percent", "noise_mm"):
         if summary.get(name) is not None:
-            out[name] = f"{number(summary[name], name):g}"
+            out[name] = number(summary[name], name)
     return out
 
 
@@ -252,7 +254,7 @@ def _place(found: Mapping[str, Any], what: str) -> Place:
         depth_mm=maybe("depth_mm"), depth_k2_mm=maybe("depth_k2_mm"), area_mm2=maybe("area_mm2"),
         hidden_mm=maybe("hidden_mm"), floor_seen=found.get("floor_seen") is not False,
         remark=text(found.get("remark") or "", f"{what}.remark", TEXT_MAX),
-        severity="" if severity is None else ", ".join(_job({"severity": severity}).values()),
+        severity="" if severity is None else ", ".join(_said({"severity": severity}, what).values()),
         measures=tuple(_measures(found, what)),
     )  # fmt: skip
 

@@ -10,11 +10,23 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import time
-from decimal import ROUND_HALF_UP, Decimal
 
 import numpy as np
 
 from annulus.export.results import Place, Results
+from annulus.numeric.rounding import (
+    ARC,
+    AREA,
+    DISTANCE,
+    EXTENT,
+    MEASURE,
+    PERCENT,
+    Quantity,
+    clock_face,
+    digits,
+    digits_k2,
+    said,
+)  # fmt: skip
 
 EDITION = (
     "Pipeline Operators Forum, Specifications and requirements for in-line inspection of pipelines, edition 2016, "
@@ -25,65 +37,75 @@ Cell = str | float | int | time | None
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """heading: with its unit. form: how a spreadsheet shows its numbers. decimals: of the CSV."""
+    """heading: with its unit. quantity: how its numbers are rounded, None of texts, counts and times. form: how a
+    spreadsheet shows them."""
 
     heading: str
+    quantity: Quantity | None = None
     form: str = "@"
-    decimals: int = 0
+
+    @classmethod
+    def of(cls, heading: str, quantity: Quantity) -> "Column":
+        return cls(heading, quantity, f"0.{'0' * quantity.places}".rstrip("."))
 
 
-def _metres(heading: str) -> Column:
-    return Column(heading, "0.000", 3)
-
-
-def _mm(heading: str, decimals: int = 2) -> Column:
-    return Column(heading, f"0.{'0' * decimals}", decimals)
-
-
-def _clock(heading: str) -> Column:
-    return Column(heading, "hh:mm")
-
-
+METRES = Quantity("m", DISTANCE.places)  # a cell along the pipe is in metres already
 POF = (
-    _metres("Log distance [m]"), Column("Latitude"), Column("Longitude"), Column("Altitude [m]"),
-    Column("Feature type"), Column("Feature identification"), Column("Comment / Cluster ID"),
-    Column("Girth weld Nr", "0"), Column("Joint manufacturing type"), _metres("Joint / component length [m]"),
-    _mm("Internal diameter [mm]", 1), Column("Nominal thickness [mm]"), Column("Measured/reference thickness [mm]"),
-    _mm("Ovality [%]"), Column("Bend Y/N"), _metres("Abs. dist. to upstream weld [m]"),
-    _clock("Clock position seam weld / anomaly [hh:mm]"), Column("Surface location"), Column("Inward/outward"),
-    _mm("Depth / height [mm]"), Column("Size (length x width) [mm]"), Column("Mean depth [mm]"),
-    _mm("Max. depth [mm]"), _mm("Length [mm]", 1), _mm("Width [mm]", 1), Column("Anomaly dimension classification"),
-    Column("ERF (metal losses)"), Column("Reference table for performance"), Column("Comments"),
-)  # fmt: skip
+    Column.of("Log distance [m]", METRES),
+    Column("Latitude"),
+    Column("Longitude"),
+    Column("Altitude [m]"),
+    Column("Feature type"),
+    Column("Feature identification"),
+    Column("Comment / Cluster ID"),
+    Column("Girth weld Nr", form="0"),
+    Column("Joint manufacturing type"),
+    Column.of("Joint / component length [m]", METRES),
+    Column.of("Internal diameter [mm]", MEASURE),
+    Column("Nominal thickness [mm]"),
+    Column("Measured/reference thickness [mm]"),
+    Column.of("Ovality [%]", PERCENT),
+    Column("Bend Y/N"),
+    Column.of("Abs. dist. to upstream weld [m]", METRES),
+    Column("Clock position seam weld / anomaly [hh:mm]", form="hh:mm"),
+    Column("Surface location"),
+    Column("Inward/outward"),
+    Column.of("Depth / height [mm]", MEASURE),
+    Column("Size (length x width) [mm]"),
+    Column("Mean depth [mm]"),
+    Column.of("Max. depth [mm]", MEASURE),
+    Column.of("Length [mm]", EXTENT),
+    Column.of("Width [mm]", EXTENT),
+    Column("Anomaly dimension classification"),
+    Column("ERF (metal losses)"),
+    Column("Reference table for performance"),
+    Column("Comments"),
+)
 OURS = (
-    Column("No."), _mm("Depth k=2 [mm]"), Column("Depth is at least"), _metres("From [m]"), _metres("To [m]"),
-    _clock("Clock from [hh:mm]"), _clock("Clock to [hh:mm]"), _mm("Arc [deg]", 1), _mm("Area [mm2]", 1),
-    _mm("Hidden length [mm]", 1), Column("Severity"),
-)  # fmt: skip
+    Column("No."),
+    Column.of("Depth k=2 [mm]", MEASURE),
+    Column("Depth is at least"),
+    Column.of("From [m]", METRES),
+    Column.of("To [m]", METRES),
+    Column("Clock from [hh:mm]", form="hh:mm"),
+    Column("Clock to [hh:mm]", form="hh:mm"),
+    Column.of("Arc [deg]", ARC),
+    Column.of("Area [mm2]", AREA),
+    Column.of("Hidden length [mm]", EXTENT),
+    Column("Severity"),
+)
 COLUMNS = POF + OURS
-JOINTS = ("joint", "gap")  # what parts one length of pipe from the next
 _TYPES = {  # the POF's words where it has one
     "loss": ("Anomaly", "Wall loss"), "bump": ("Anomaly", "Bump"), "ovality": ("Anomaly", "Ovality"),
-    "joint": ("Weld", "Joint"), "gap": ("Weld", "Gap in a coupling"), "branch": ("Off take", "Branch"),
+    "joint": ("Joint", "Joint"), "gap": ("Joint", "Gap in a coupling"), "branch": ("Off take", "Branch"),
     "tee": ("Tee", "Tee"), "bend": ("Bend", "Bend"),
 }  # fmt: skip
 
 
 def clock_time(angle_deg: float) -> time:
-    """Clock position to the minute (half a degree), from 00:00 at the top: 100 -> 03:20, 359.9 -> 00:00."""
-    minutes = math.floor(angle_deg % 360.0 * 2.0 + 0.5) % 720
-    return time(minutes // 60, minutes % 60)
-
-
-def figure(value: float, decimals: int) -> str:
-    """A number with that many decimals; what stands on half goes up, as spreadsheets and people do it."""
-    return str(Decimal(repr(float(value))).quantize(Decimal(1).scaleb(-decimals), ROUND_HALF_UP))
-
-
-def up(value: float, decimals: int) -> float:
-    """An uncertainty is rounded up."""
-    steps = float(10**decimals)
-    return math.ceil(round(value * steps, 6)) / steps
+    """Clock position to 5 minutes of the dial, as the report has it, from 00:00 at the top: 100 -> 03:20."""
+    hours, minutes = map(int, clock_face(angle_deg).split(":"))
+    return time(hours % 12, minutes)
 
 
 def tally(results: Results) -> list[list[Cell]]:
@@ -99,6 +121,8 @@ def tally(results: Results) -> list[list[Cell]]:
 
 def _theirs(one: Place, note: str, results: Results, joints: Sequence[Place], bends: Sequence[Place]) -> list[Cell]:
     kind, identity = _TYPES.get(one.kind, (one.kind.capitalize(), one.kind.capitalize()))
+    if one.kind == "joint" and "fusion" in one.remark:
+        kind = "Weld"  # a socket's joint is none
     before = [joint for joint in joints if joint.z_mm < one.z_mm]
     number = joints.index(one) + 1 if one.kind == "joint" else None
     length = joints[number].z_mm - one.z_mm if number is not None and number < len(joints) else None
@@ -122,7 +146,7 @@ def _theirs(one: Place, note: str, results: Results, joints: Sequence[Place], be
     cells[17] = "Int" if loss or swelling else None
     cells[18] = "Inw" if swelling else None
     cells[19] = None if loss or not sized else one.depth_mm
-    cells[20] = f"{one.length_mm:.0f}x{width:.0f}" if swelling else None
+    cells[20] = f"{digits(one.length_mm, EXTENT)}x{digits(width, EXTENT)}" if swelling else None
     cells[22] = one.depth_mm if loss else None
     cells[23] = one.length_mm if sized or one.length_mm else None
     cells[24] = width if loss or swelling else None
@@ -132,16 +156,22 @@ def _theirs(one: Place, note: str, results: Results, joints: Sequence[Place], be
 
 def _measure(name: str, value: float, k2: float | None) -> str:
     what, _, unit = name.rpartition("_")
-    spread = "" if k2 is None else f" ± {up(k2, 2):.2f}"
-    return f"{what.replace('_', ' ')} {figure(value, 2)}{spread} {unit}"
+    return f"{what.replace('_', ' ')} {said(value, Quantity(unit, MEASURE.places), k2)}"
 
 
 def _own(name: str, one: Place) -> list[Cell]:
     half = one.arc_deg / 2
     known = not one.is_all_round
     return [
-        name, None if one.depth_k2_mm is None else up(one.depth_k2_mm, 2), None if one.floor_seen else "Y",
-        one.z_from_mm / 1000, one.z_to_mm / 1000, clock_time(one.clock_deg - half) if known else None,
-        clock_time(one.clock_deg + half) if known else None, one.arc_deg, one.area_mm2, one.hidden_mm,
+        name,
+        None if one.depth_k2_mm is None else float(digits_k2(one.depth_k2_mm, MEASURE)),
+        None if one.floor_seen else "Y",
+        one.z_from_mm / 1000,
+        one.z_to_mm / 1000,
+        clock_time(one.clock_deg - half) if known else None,
+        clock_time(one.clock_deg + half) if known else None,
+        one.arc_deg,
+        one.area_mm2,
+        one.hidden_mm,
         one.severity or None,
-    ]  # fmt: skip
+    ]

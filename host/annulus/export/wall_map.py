@@ -14,7 +14,7 @@ from annulus.untrusted import within
 
 FORMAT = "annulus-wall/1"
 NOT_SEEN_UM, BEYOND_UM = -32768, 32767  # a deviation of the second, either way, is that or more
-ROWS_MAX, COLUMNS_MAX, CELLS_MAX = 1_000_000, 7200, 1 << 28
+ROWS_MAX, COLUMNS_MAX, CELLS_MAX = 1_000_000, 3600, 1 << 28
 MM_MAX = 1e8  # 100 km
 
 

@@ -6,10 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from annulus.export.extra import load
 from annulus.export.results import STATION_COLUMNS, Results
 from annulus.export.tally import COLUMNS, EDITION, OURS, POF, Cell, tally
+from annulus.extras import need
+from annulus.job import WORDS
+from annulus.numeric.rounding import DISTANCE, span
 
+COUNTERS = {  # of a recording, for who mends the head
+    f"controller.{name}" for name in ("boot", "epoch", "level", "nonce", "configuration_crc", "schema", "protocol")
+}
 CELL_MAX = 32_000  # characters; a cell of Excel holds 32 767
 ROWS_MAX = 1_048_575  # .. a sheet, below its heading
 STATION_HEADINGS = (
@@ -20,7 +25,7 @@ STATION_HEADINGS = (
 
 
 def write(results: Results, path: Path) -> None:
-    openpyxl = load("openpyxl", "export", "xlsx")
+    openpyxl = need("openpyxl")
     book = openpyxl.Workbook()
     sheet = book.active
     sheet.title = "Pipe tally"
@@ -30,7 +35,7 @@ def write(results: Results, path: Path) -> None:
     headings, forms = zip(*STATION_HEADINGS, strict=True)
     _fill(book.create_sheet("Stations"), headings, forms, _stations(results))
     about = book.create_sheet("Source")
-    _fill(about, ["What", "Value"], ["@", "@"], _about(results))
+    _fill(about, ["What", "Value"], ["@", "General"], _about(results))
     about.column_dimensions["B"].width = 100
     for row in about.iter_rows(min_row=2, min_col=2, max_col=2):
         row[0].alignment = openpyxl.styles.Alignment(wrap_text=True, vertical="top")
@@ -85,9 +90,10 @@ def _about(results: Results) -> list[list[Cell]]:
          "95 %."],
         ["Severity", "As summary.json says; empty where no limits were named."],
         ["Scan", results.source], ["Results of", results.created], ["Made by", results.made_by],
-        ["Scanned [m]", f"{first / 1000:.3f} to {last / 1000:.3f}"], ["Points", str(results.points)],
+        ["Scanned [m]", span(first, last, DISTANCE, unit=False)], ["Points", results.points],
     ]  # fmt: skip
-    lines += [[f"Job: {name}", value] for name, value in results.job.items()]
+    lines += [[f"Job: {WORDS.get(name, name)}", value] for name, value in results.job.items()]
+    lines += [[f"Recording: {name}", value] for name, value in results.origin.items() if name not in COUNTERS]
     lines += [[name, value] for name, value in results.figures.items()]
     lines += [["Warning", text] for text in results.warnings]
     return lines

@@ -19,7 +19,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-LINE = "compiling the measuring loops for this machine, once: about a minute, some on a Raspberry Pi"
+LINE = "compiling the measuring loops, once: about a minute, longer on a Raspberry Pi"
 NOWHERE = "compiled loops cannot be kept, every process compiles anew: set NUMBA_CACHE_DIR to a folder of your own"
 MOMENT_S = 1.0  # of compiling that nobody needs to be told of: a rare loop, or one more type
 _DECORATORS = (b"@jit", b"jit_with")  # a file with one of these has kernels

@@ -338,8 +338,8 @@ def open_part(path: Path) -> Recording:
             told = os.fstat(file.fileno())
             if not stat.S_ISREG(told.st_mode) or file.read(len(MAGIC)) != MAGIC:
                 raise AnnulusError(f"{path}: not an MCAP recording.")
-            walk = Walk(file, told.st_size, _ATTACHED)
-            frames, labels, notes = _sorted_out(walk, file)
+            walk = Walk(file, told.st_size, _ATTACHED, LABEL_TOPIC)
+            frames, labels, notes = _sorted_out(walk)
     except ValueError as error:  # shorter than it was a moment ago
         raise AnnulusError(f"{path}: cannot be read ({error}). Is it still being written?") from None
     except OSError as error:
@@ -390,9 +390,7 @@ def camera_of_label(label: object) -> int:
 _Labels = dict[tuple[int, int], Mapping[str, Any]]  # by index and camera
 
 
-def _sorted_out(
-    walk: Walk, file: IO[bytes]
-) -> tuple[tuple[RecordedFrame, ...], _Labels, dict[str, tuple[Message, ...]]]:
+def _sorted_out(walk: Walk) -> tuple[tuple[RecordedFrame, ...], _Labels, dict[str, tuple[Message, ...]]]:
     """What was walked over as frames, their labels, and notes by topic."""
     images: dict[tuple[int, int], Message] = {}
     labels: _Labels = {}
@@ -412,7 +410,7 @@ def _sorted_out(
             notes.setdefault(topic, []).append(message)
             if topic == LABEL_TOPIC:
                 try:
-                    label = from_json(_peek(file, message))
+                    label = from_json(walk.content(message))
                     key = message.sequence, camera_of_label(label)
                     if key not in labels or walk.look_at(message.chunk):
                         labels[key], labelled[key] = label, message.chunk
@@ -425,12 +423,6 @@ def _sorted_out(
         for (index, camera), message in sorted(images.items())
     )
     return frames, labels, {topic: tuple(messages) for topic, messages in notes.items()}
-
-
-def _peek(file: IO[bytes], message: Message) -> bytes:
-    chunk = message.chunk
-    offset, length = message.offset, message.length
-    return piece(file, offset, length) if chunk is None else chunk.peek(file, offset, length)
 
 
 def _is_jpeg(walk: Walk, message: Message) -> bool:

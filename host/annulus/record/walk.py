@@ -116,9 +116,10 @@ class Channel:
 class Walk:
     """`walk = Walk(file, size)`: channels, messages in the file's order, attachments, what is damaged."""
 
-    def __init__(self, file: IO[bytes], size: int, wanted: tuple[str, ...]) -> None:
-        """`wanted`: attachments that are read."""
-        self._file, self._size, self._wanted = file, size, wanted
+    def __init__(self, file: IO[bytes], size: int, wanted: tuple[str, ...], kept: str = "") -> None:
+        """`wanted`: attachments that are read. `kept`: a topic whose messages are small and will be asked for."""
+        self._file, self._size, self._wanted, self._kept = file, size, wanted, kept
+        self._contents: dict[tuple[int, int], bytes] = {}  # of packed chunks, by where chunk and message lie
         self.channels: dict[int, Channel] = {}
         self.schemas: dict[int, str] = {}  # their names
         self.messages: list[Message] = []
@@ -162,6 +163,14 @@ class Walk:
         for what, written, found in zip(("messages", "attachments"), self._counted or here, here, strict=True):
             if written != found:
                 self._damaged(0, f"{written} {what} were written, {found} are here")
+
+    def content(self, message: Message) -> bytes:
+        """A message, believed; asked for once. ValueError where there is none."""
+        offset, length, chunk = message.offset, message.length, message.chunk
+        if chunk is None:
+            return piece(self._file, offset, length)
+        known = self._contents.pop((chunk.offset, offset), None)
+        return chunk.peek(self._file, offset, length) if known is None else known
 
     def look_at(self, chunk: Chunk | None) -> bool:
         """Whether a chunk is sound, read now for once because something in it is odd; if not, that is damage."""
@@ -293,7 +302,11 @@ class Walk:
                 elif length < _MESSAGE_HEAD.size:
                     break
                 else:
-                    messages.append(_place(source.piece(start, _MESSAGE_HEAD.size), start, length))
+                    place = _place(source.piece(start, _MESSAGE_HEAD.size), start, length)
+                    messages.append(place)
+                    known = self.channels.get(place[0])
+                    if chunk.size and length < _SIP and known is not None and known.topic == self._kept:
+                        self._contents[chunk.offset, place[3]] = source.piece(place[3], place[4])
                 at = start + length
         except (ValueError, struct.error):
             pass

@@ -17,7 +17,7 @@ from annulus.numeric.rounding import DISTANCE, span
 from annulus.report.bore import draw_lane
 from annulus.report.course import draw_course
 from annulus.report.feature_pictures import draw_features
-from annulus.report.halves import draw_halves, stretch_of
+from annulus.report.halves import draw_halves, ends_of, stretch_of
 from annulus.report.maps import (
     Stretch,
     draw_cameras,
@@ -38,7 +38,7 @@ SHEETS_MAX = 20
 SHORT_M = 3.3  # so much goes into one map without sheets
 ABOVE_MM = 17.0  # a map's title, legend and brackets
 MAP_MM = (60.0, 92.0)  # least and greatest height of a map
-SHEET_PANELS = ((17.0, 56.0), (14.0, 56.0), (10.0, 28.0), (9.0, 18.0), (3.5, 8.0))  # with what is above each
+SHEET_PANELS = ((17.0, 48.0), (17.0, 48.0), (10.0, 26.0), (9.0, 17.0), (5.5, 8.0))  # with what is above each
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +82,6 @@ def draw(survey: Survey) -> Pictures:
             )
             for k, (first, last) in enumerate(lengths, start=1)
         )
-        shown = survey.wall.z_mm[rows]
         return Pictures(
             _unwrapped(survey, whole, deviation, scale, marks, not long), _texture(survey, whole, marks, not long),
             _stations(survey, whole, marks), draw_halves(survey, rows, rgb, marks, scale), rgb, scale,
@@ -92,7 +91,7 @@ def draw(survey: Survey) -> Pictures:
             lengths[0][1] - lengths[0][0] if lengths else 0.0,
             _scales(survey, lengths[0][1] - lengths[0][0], SHEET_PANELS[0][1]) if lengths else "",
             _scales(survey, whole.length_mm, _height(survey, whole)),
-            (float(shown[0]), float(shown[-1])) if len(shown) < len(survey.wall.z_mm) else None,
+            ends_of(survey.wall, rows) if rows.stop - rows.start < len(survey.wall.z_mm) else None,
         )  # fmt: skip
 
 

@@ -20,7 +20,7 @@ from annulus.wall.survey import Survey
 SIZE_PX = (960, 560)  # of the view; below it a strip for the colour bar
 STRIP_PX = 84
 LABEL_PT = 11.5
-REACH_OF_RADIUS = 6.0  # of a long pipe: the stretch shown, to each side of its deepest defect
+REACH_OF_RADIUS = 4.5  # of a long pipe: the stretch shown, to each side of its deepest defect
 
 
 def stretch_of(survey: Survey) -> slice:
@@ -35,6 +35,12 @@ def stretch_of(survey: Survey) -> slice:
     return slice(*(int(k) for k in np.searchsorted(wall.z_mm, (middle - reach, middle + reach))))
 
 
+def ends_of(wall: Wall, rows: slice) -> tuple[float, float]:
+    """Where the stretch begins and ends, mm."""
+    half = wall.z_step_mm / 2
+    return float(wall.z_mm[rows][0]) - half, float(wall.z_mm[rows][-1]) + half
+
+
 def draw_halves(
     survey: Survey, rows: slice, rgb: Image, marks: Sequence[Mark], scale_mm: float
 ) -> tuple[tuple[str, bytes], ...]:
@@ -46,10 +52,9 @@ def draw_halves(
     out = []
     middle_deg = _best_cut(local)
     wall = survey.wall
-    first, last = wall.z_mm[rows][0] - wall.z_step_mm / 2, wall.z_mm[rows][-1] + wall.z_step_mm / 2
     for clock in (middle_deg, middle_deg + 180.0):
         begin, end = (clock_face(clock + offset) for offset in (-HALF_DEG, HALF_DEG))
-        caption = f"the half around {clock_face(clock)}, from {begin} to {end}, {span(first, last, DISTANCE)}"
+        caption = f"the half around {clock_face(clock)}, from {begin} to {end}, {span(*ends_of(wall, rows), DISTANCE)}"
         out.append((caption, _half(wall, rgb, rows, clock % 360, marks, scale_mm)))
     return tuple(out)
 

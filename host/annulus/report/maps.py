@@ -4,6 +4,7 @@ The picture is never finer than the paper: of a long stretch a map shows the far
 short defect is not lost between two dots, and the mean of the colours.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,6 +15,7 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from annulus.numeric.arrays import BoolArray, Float32Array
 from annulus.numeric.rounding import MEASURE, PERCENT, SHARE, said
@@ -36,6 +38,7 @@ from annulus.wall.survey import Survey
 
 DISTANCE_LABEL = "distance along the pipe, m"
 ROWS_MAX = 2400  # of a map: two a dot
+HUE_MM = 6.0  # over which a picture's hues are averaged
 NOT_SEEN: dict[str, Any] = {"fc": UNSEEN, "hatch": "////", "ec": "#aab1b9", "lw": 0}
 SHARED = "#3f8f5b"  # what several cameras saw, and what each did
 OWN = ("#e0912f", "#7a5aa6", "#2f79c4", "#b3261e", "#8a6d3b", "#4b2e83", "#0b7285", "#d6336c") * 2
@@ -137,8 +140,8 @@ def draw_colour(
         axes.text(0.5, 0.5, f"no usable frames in {survey.light}", transform=axes.transAxes, ha="center", fontsize=13)
     elif stretch.rows.start < stretch.rows.stop:
         axes.imshow(
-            mean_colour(survey.texture[stretch.rows]).swapaxes(0, 1), extent=stretch.extent_of(survey), aspect="auto",
-            interpolation="antialiased", zorder=2,
+            calm(mean_colour(survey.texture[stretch.rows]), _cell_mm(survey, stretch)).swapaxes(0, 1),
+            extent=stretch.extent_of(survey), aspect="auto", interpolation="antialiased", zorder=2,
         )  # fmt: skip
     axes.set_xlim(stretch.first_mm / 1000, stretch.last_mm / 1000)
     draw_marks(axes, marks, height_mm, names=names)
@@ -207,11 +210,13 @@ def draw_ovality(axes: Any, survey: Survey, stretch: Stretch, height_mm: float) 
     stations, limit = survey.stations, survey.detection.limits.ovality_percent
     part = _part(survey, stretch)
     z = stations.z_mm[part] / 1000
-    axes.plot(z, stations.ovality_percent[part], color=FAINT, lw=1.0, label="as measured, defects included")
+    axes.plot(
+        z, stations.ovality_percent[part], color=FAINT, lw=1.0, label=f"{OVALITY_NAME} as measured, defects included"
+    )
     axes.plot(z, stations.shape_ovality_percent[part], color=INK, lw=1.8, label="pipe's shape, defects left out")
     above = f"listed above {said(limit, PERCENT)}"
     axes.axhline(limit, color=LOSS_RED, lw=0.9, ls=(0, (5, 4)), label=above)
-    axes.set_ylabel(f"ovality, %\n({OVALITY_NAME})")
+    axes.set_ylabel("ovality, %")
     axes.set_ylim(bottom=0)
     _lay_curves(axes, survey, height_mm)
 
@@ -281,3 +286,27 @@ def mean_colour(rgba: NDArray[np.uint8]) -> NDArray[np.uint8]:
     alpha = mean[..., 3:]
     colour = np.clip(mean[..., :3] * 255 / np.maximum(alpha, 1), 0, 255)
     return np.concatenate([colour, np.where(alpha > 0, 255, 0)], axis=2).astype(np.uint8)
+
+
+def calm(rgba: NDArray[np.uint8], cell_mm: tuple[float, float]) -> NDArray[np.uint8]:
+    """The same with hues of the neighbourhood, `HUE_MM` wide, at each place's own lightness.
+
+    Where the light was weak a pixel's noise is most of its hue, and a wall far ahead is a rainbow; lightness has the
+    marks and the print. cell_mm : size of a cell along and round the pipe.
+    """
+    lab = cv2.cvtColor(np.ascontiguousarray(rgba[..., :3]), cv2.COLOR_RGB2LAB)
+    seen = (rgba[..., 3] > 0).astype(np.float32)
+    sigma = [HUE_MM / 2 / cell for cell in cell_mm]
+    weight = ndimage.gaussian_filter(seen, sigma, mode=("nearest", "wrap"))
+    for channel in (1, 2):
+        hue = (lab[..., channel].astype(np.float32) - 128.0) * seen
+        mean = ndimage.gaussian_filter(hue, sigma, mode=("nearest", "wrap")) / np.maximum(weight, 1e-6)
+        lab[..., channel] = np.clip(np.rint(mean) + 128.0, 0, 255).astype(np.uint8)
+    return np.dstack([cv2.cvtColor(lab, cv2.COLOR_LAB2RGB), rgba[..., 3]])
+
+
+def _cell_mm(survey: Survey, stretch: Stretch) -> tuple[float, float]:
+    """Of a map's cell, along and round the pipe."""
+    wall = survey.wall
+    rows = max(stretch.rows.stop - stretch.rows.start, 1)
+    return wall.z_step_mm * max(rows / ROWS_MAX, 1.0), math.radians(wall.clock_step_deg) * wall.mean_radius_mm

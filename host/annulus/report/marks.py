@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 from contourpy import contour_generator
 from matplotlib.patches import Rectangle
@@ -20,6 +21,7 @@ from annulus.wall.survey import Survey
 CLOSED_MM = 8.0  # half of what a gap may measure that is a rod's shadow and not the defect's shape
 BADGE_MM = 4.6  # on paper
 LETTER_MM = 1.9
+NAME_MM = 1.8  # a letter of a name above
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,9 +74,8 @@ def outline(wall: Wall, label: LabelArray, number: int, defect: Defect) -> tuple
     pad = 3 * int(reach.max())
     mask = np.pad(np.roll(mask, turn, axis=1), ((pad, pad), (0, 0)))
     mask = np.pad(mask, ((0, 0), (pad, pad)), mode="wrap")
-    y, x = np.ogrid[-reach[0] : reach[0] + 1, -reach[1] : reach[1] + 1]
-    disc = (y / (reach[0] + 0.5)) ** 2 + (x / (reach[1] + 0.5)) ** 2 <= 1
-    solid = ndimage.binary_fill_holes(ndimage.binary_closing(mask, disc))
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * int(reach[1]) + 1, 2 * int(reach[0]) + 1))
+    solid = ndimage.binary_fill_holes(cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, disc))
     blurred = ndimage.gaussian_filter(solid.astype(float), reach / 2)
     z = (wall.z_mm[0] + (first - pad + np.arange(len(mask))) * wall.z_step_mm) / 1000
     clock = (np.arange(mask.shape[1]) - pad - turn + 0.5) * wall.clock_step_deg
@@ -107,14 +108,14 @@ def draw_marks(axes: Any, marks: Sequence[Mark], height_mm: float, *, names: boo
         middle = sum(at) / 2
         spots: Iterator[tuple[float, float]]
         if mark.ovality:
-            _bracket(axes, first, last, -0.9 / height_mm * 360, INK)
             if names:
-                put_above(axes, mark, (first + last) / 2, height_mm)
+                _bracket(axes, first, last, -0.9 / height_mm * 360, INK)
+                badge(axes, (first + last) / 2, -0.9 / height_mm * 360, mark.name)
             continue
         for line in mark.lines:
             for turn in (-360, 0, 360):  # what reaches over 12 o'clock comes in again from the other edge
                 if line[:, 1].max() + turn > 0 and line[:, 1].min() + turn < 360:
-                    for width, colour in ((3.0, "white"), (1.3, INK)):
+                    for width, colour in ((3.0, "white"), (1.3, INK)) if names else ((0.5, INK),):
                         axes.plot(line[:, 0], line[:, 1] + turn, color=colour, lw=width, zorder=4)
         if mark.arc_deg >= ALL_ROUND_DEG:
             if not mark.lines:
@@ -142,33 +143,37 @@ def draw_marks(axes: Any, marks: Sequence[Mark], height_mm: float, *, names: boo
             put(mark, spots)
 
 
-def put_above(axes: Any, mark: Mark, x_m: float, height_mm: float) -> None:
-    badge(axes, x_m, -0.9 / height_mm * 360, mark.name, **mark.badge)
-
-
 def name_above(axes: Any, marks: Sequence[Mark]) -> None:
     """Names along the upper edge, where the things lie; those that would run into each other share a place."""
     low, high = axes.get_xlim()
-    groups: list[tuple[float, list[str]]] = []
-    here = [(sum(one.z_range_mm) / 2000, one.name) for one in marks if _reaches(one, low, high)]
-    for z, name in sorted(here):
-        at = float(np.clip((z - low) / (high - low), 0, 1)) * AXES_MM
-        if groups and at - groups[-1][0] < 2.5 + 0.9 * (len(_joined(groups[-1][1])) + len(name)):
-            groups[-1][1].append(name)
-        else:
-            groups.append((at, [name]))
-    for at, names in groups:
+    groups: list[list[tuple[float, str]]] = []
+    for mark in marks:
+        if mark.z_range_mm[1] / 1000 >= low and mark.z_range_mm[0] / 1000 <= high:
+            at = (sum(mark.z_range_mm) / 2000 - low) / (high - low)
+            groups.append([(float(np.clip(at, 0, 1)) * AXES_MM, mark.name)])
+    groups.sort()
+    apart = False
+    while not apart:
+        apart = True
+        for k in range(len(groups) - 1, 0, -1):
+            (end, room), (begin, more) = _place(groups[k - 1]), _place(groups[k])
+            if begin - end < (room + more) / 2 + NAME_MM:
+                groups[k - 1] += groups.pop(k)
+                apart = False
+    for group in groups:
         axes.text(
-            at / AXES_MM, 1.0, _joined(names), transform=axes.transAxes, ha="center", va="bottom", fontsize=9,
-            fontweight="bold",
+            _place(group)[0] / AXES_MM, 1.0, _joined(group), transform=axes.transAxes, ha="center", va="bottom",
+            fontsize=9, fontweight="bold",
         )  # fmt: skip
 
 
-def _reaches(mark: Mark, low: float, high: float) -> bool:
-    return mark.z_range_mm[1] / 1000 >= low and mark.z_range_mm[0] / 1000 <= high
+def _place(group: Sequence[tuple[float, str]]) -> tuple[float, float]:
+    """Middle and width of its text, mm on paper."""
+    return (group[0][0] + group[-1][0]) / 2, NAME_MM * len(_joined(group))
 
 
-def _joined(names: Sequence[str]) -> str:
+def _joined(group: Sequence[tuple[float, str]]) -> str:
+    names = [name for _, name in group]
     return ", ".join(names) if len(names) <= 3 else f"{names[0]} .. {names[-1]}"
 
 

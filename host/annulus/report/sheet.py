@@ -45,7 +45,7 @@ def _environment() -> jinja2.Environment:
     )  # fmt: skip
     environment.globals.update({name: getattr(rounding, name) for name in QUANTITIES})
     environment.filters.update(
-        said=rounding.said, digits=rounding.digits, off=rounding.off, clock=rounding.clock_face, css=_quoted
+        said=_unbroken, digits=rounding.digits, off=rounding.off, clock=rounding.clock_face, css=_quoted
     )
     environment.globals["span"] = rounding.span
     return environment
@@ -63,3 +63,8 @@ def _read(name: str) -> str:
 def _quoted(text: str) -> Markup:
     """Any text as a string of CSS, harmless inside a style element too."""
     return Markup('"{}"').format(Markup("".join(c if c in PLAIN else f"\\{ord(c):06x}" for c in text)))
+
+
+def _unbroken(value: float | None, quantity: rounding.Quantity, k2: float | None = None) -> str:
+    """As `rounding.said`, no line ending between a number and its unit."""
+    return rounding.said(value, quantity, k2).replace(" ", "\u00a0")

@@ -30,6 +30,7 @@ from annulus.wall.texture import LedFrame
 
 FRAMES, STEP_MM = 12, 3.0  # as many as a survey needs to do all its work
 GREY = 90
+USUAL = "slits-1"  # what a head needs that has one camera beside a slide of rings
 LOOK_S = 0.1
 
 

@@ -41,7 +41,7 @@ MM_PER_FRAME = 3.0
 READOUT_MAX_US = 28_000.0  # of the sensor at 1664x1232
 SLACK_US = 2_000.0  # exposure ends this much short of the frame period
 FLASH_AFTER_OPENING_US = 500.0
-_START_S = 90.0  # the first start of a fresh clone compiles the renderer
+_START_S = 300.0  # the first start of a fresh install compiles the renderer, on a small machine too
 HEADS: Mapping[str, Callable[[int], World]] = {  # by seed
     "ring": demo_world, "stereo": stereo_world, "fringe": series_world, "fringe-mirror": mirror_fringe_world,
 }  # fmt: skip
@@ -261,6 +261,10 @@ def run_head(
     if buried_m is not None:
         ground = some_ground(1000 * buried_m, seed, bores=int((buried_m / ROOM_M - 5) / 2), near=0)
         world = replace(world, travel_mm=1000 * buried_m)
+    for number in range(
+        len(world.cameras)
+    ):  # compiles here, where who waits can be told, and not in the head's process
+        Renderer(world, number).render(world.pose(0.0), 0.0, 1.0, rows=(0, 8))
     with start_head(world, fps, faults, seed=seed, board=board, ground=ground) as running:
         if out is None:
             print(head_toml(running, world), flush=True)

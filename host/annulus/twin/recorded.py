@@ -12,6 +12,7 @@ from pathlib import Path
 from annulus.capture.photometry import Photometry, measure
 from annulus.labelling.evidence import Row
 from annulus.numeric.arrays import Image
+from annulus.record.clock import Clock
 from annulus.record.writer import RecordingWriter
 from annulus.stream.frames import FrameHeader
 from annulus.twin.driver import Part
@@ -111,8 +112,9 @@ def _write(scan: _Scan, path: Path, headers: list[tuple[FrameHeader, Image]], jo
     cameras = [{**mode, "encoding": headers[0][0].encoding, "gives": [width, height]}]
     identity = {"cameras": cameras, "job": job, "versions": {"annulus": importlib.metadata.version("annulus")}}
     with RecordingWriter(
-        path, calibration=world.calibration().to_dict(), configuration={"job": job, "cameras": [mode]}, now_ns=first_ns
-    ) as writer:
+        path, calibration=world.calibration().to_dict(), configuration={"job": job, "cameras": [mode]}, now_ns=first_ns,
+        clock=Clock(first_ns, round(BEGAN.timestamp()) * 1_000_000_000),
+    ) as writer:  # fmt: skip
         utc = BEGAN.isoformat(timespec="milliseconds")
         writer.note("/identity", {"why": "start", "host_ns": first_ns, "utc": utc, **identity}, first_ns)
         for at in range(0, len(scan.rows), ROWS_A_NOTE):

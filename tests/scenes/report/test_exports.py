@@ -46,6 +46,14 @@ def test_the_wall_map_is_the_walls_radii_to_a_micrometre(made: Made) -> None:
     assert np.isnan(held["imu_roll_deg"]).all() and len(held["imu_roll_deg"]) == len(away)  # no sensor gave one
 
 
+def test_a_roll_that_a_sensor_gave_is_no_longer_in_the_map(made: Made, tmp_path: Path) -> None:
+    _, pipe = made
+    turned = tuple(replace(one, pose=one.pose and replace(one.pose, roll=0.2)) for one in pipe.profiles)
+    results._write_wall(tmp_path / "wall.npz", replace(pipe, profiles=turned))
+    with np.load(tmp_path / "wall.npz") as file:
+        assert set(file["imu_roll_deg"]) == {0.0}
+
+
 def test_a_deviation_beyond_what_the_map_holds_does_not_come_out_small(made: Made, tmp_path: Path) -> None:
     _, pipe = made
     for nominal in (20.0, 400.0):

@@ -111,6 +111,8 @@ def test_an_empty_file_is_a_camera_without_a_controller(tmp_path: Path) -> None:
         ("[record]\nmin_free_gb = nan", "min_free_gb"),
         ("[record]\nmin_free_minutes = -5", "min_free_minutes is -5"),
         ("[record]\nreserve_mb = true", "reserve_mb"),
+        ('[record]\ncodec = "h264"', "codec is 'h264', expected one of raw, zstd, jpeg"),
+        ("[record]\nexpect_minutes = -1", "expect_minutes is -1"),
         ("[log]\nmax_mb = 10", r"\[log\] file is missing"),
         ('[log]\nfile = "head.log"\nkeep = 0', "keep is 0"),
         ('[log]\nfile = "head.log"\nmax_mb = 0', "max_mb is 0"),

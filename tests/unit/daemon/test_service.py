@@ -54,6 +54,15 @@ def test_a_head_is_ready_when_it_is_up_and_says_when_it_ends(systemd: Systemd) -
     service.close()
 
 
+def test_what_it_waits_for_before_it_is_ready_is_its_status(systemd: Systemd) -> None:
+    service = systemd.service()
+    service.event("compiling", "compiling the measuring loops, once")
+    service.state(State.IDLE, "")
+    service.event("link", "line 0 fell silent")  # its state is more to be known
+    assert systemd.heard() == [["STATUS=compiling the measuring loops, once"], ["READY=1", "STATUS=idle"]]
+    service.close()
+
+
 def test_the_watchdog_is_fed_by_the_loop_and_only_where_there_is_one(systemd: Systemd) -> None:
     fed, unwatched = systemd.service(WATCHDOG_USEC="30000000"), systemd.service()
     fed.telemetry(NUMBERS)

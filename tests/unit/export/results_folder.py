@@ -36,7 +36,8 @@ SUMMARY = {
     "seen_percent": 98.0,
     "diameter_mm": {"mean": 152.4, "min": 151.0, "max": 155.0, "nominal": 152.4, "k2": 0.1},
     "ovality": {"max_percent": 1.2, "shape_max_percent": 1.0},
-    "job": {"client": "=HYPERLINK(\"x\")", "site": "Elm Street", "pipe_id": "P-12", "operator": {"name": "A. B."}},
+    "job": {"client": "=HYPERLINK(\"x\")", "site": "Elm Street", "pipe": "P-12", "operator": {"name": "A. B."}},
+    "origin": {"begun_utc": "2026-05-04T09:00:00+00:00", "controller": {"serial": "@77"}},
     "defects": [
         place("loss", 145.5, 32.5, 100.0, 26.0, **depth(3.998, 0.104), severity="major"),
         place("bump", 213.75, 21.5, 215.0, 18.0, **depth(4.0, None, floor_seen=False)),

@@ -34,6 +34,8 @@ def test_laz_is_the_cloud_in_metres_with_all_it_carries(written: Written, folder
         assert np.array_equal(read[name], cloud[name])
     assert np.array_equal(read["radius_mm"], cloud["radius"]) and np.array_equal(read["sigma_mm"], cloud["sigma"])
     assert np.abs(read.header.mins - points.min(axis=0)).max() < 1e-6
+    (said,) = (record for record in read.vlrs if record.record_id == 3)
+    assert b"z up" in said.record_data_bytes() and b"pipe: P-12" in said.record_data_bytes()
     assert read.header.parse_crs() is None and set(read.return_number) == set(read.number_of_returns) == {1}
 
 

@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 from annulus.cli import app
 from annulus.cli.export import To
 from annulus.export import FORMS, available, open_results, write
+from annulus.extras import EXTRA_OF, adds
 from annulus.vocabulary import AnnulusError
 
 FILES = {
@@ -70,12 +71,21 @@ def test_a_missing_package_is_one_line_with_the_command_that_adds_it(
     folder: Path, monkeypatch: pytest.MonkeyPatch, form: str, package: str, extra: str
 ) -> None:
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(AnnulusError, match=rf"{package}.*annulus\[{extra}\]"):
+    with pytest.raises(AnnulusError, match=rf"{package} is not installed: .* extra \"{extra}\""):
         write(open_results(folder), [form], folder / "export")
     assert form not in available()
     done = CliRunner().invoke(app, ["export", str(folder), "--to", "all"])
     assert done.exit_code == 0
-    assert f"annulus[{extra}]" in done.stdout and not (folder / "export" / FORMS[form].file).exists()
+    assert adds(extra) in done.stdout and not (folder / "export" / FORMS[form].file).exists()
+
+
+def test_without_a_single_extra_the_list_the_surface_and_the_radii_are_written(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for package in EXTRA_OF:
+        monkeypatch.setitem(sys.modules, package, None)
+    assert available() == ("pof-csv", "glb", "radii")
+    assert len(write(open_results(folder), available(), folder / "export")) == 4
 
 
 def test_help_says_why_not_pacp_and_not_ifc() -> None:

@@ -2,6 +2,7 @@
 
 import json
 import math
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -32,8 +33,26 @@ def test_glb_is_the_mesh_in_metres_with_y_up(written: Written, folder: Path) -> 
     assert np.abs(255 * screen - ours).max() < 0.01
     assert np.array_equal(read.vertex_attributes["_DEVIATION"][:, 0], np.nan_to_num(vertices["quality"], nan=-9999))
     assert read.visual.material.doubleSided and read.visual.material.metallicFactor == 0
-    assert scene.metadata["unit"] == "m" and scene.metadata["job"]["pipe_id"] == "P-12"
+    assert scene.metadata["unit"] == "m" and scene.metadata["job"]["pipe"] == "P-12"
     assert read.vertices[:, 2].max() < 0  # who looks forward looks along -z
+
+
+def test_glb_is_laid_out_as_gltf_2_asks(written: Written) -> None:
+    data = written("glb").read_bytes()
+    magic, version, length, head, kind = struct.unpack_from("<4sIII4s", data)
+    assert (magic, version, length, kind) == (b"glTF", 2, len(data), b"JSON") and head % 4 == 0
+    tree = json.loads(data[20 : 20 + head])
+    size, kind = struct.unpack_from("<I4s", data, 20 + head)
+    assert (size, kind) == (tree["buffers"][0]["byteLength"], b"BIN\0") and length == 28 + head + size
+    ends = [view["byteOffset"] + view["byteLength"] for view in tree["bufferViews"]]
+    assert [0, *ends[:-1]] == [view["byteOffset"] for view in tree["bufferViews"]] and ends[-1] == size
+    places, count = tree["accessors"][0], tree["accessors"][0]["count"]
+    points = np.frombuffer(data, "<f4", 3 * count, 28 + head).reshape(-1, 3)
+    assert points.min(axis=0).tolist() == places["min"] and points.max(axis=0).tolist() == places["max"]
+    corners = np.frombuffer(
+        data, "<u4", tree["accessors"][3]["count"], 28 + head + tree["bufferViews"][3]["byteOffset"]
+    )
+    assert corners.max() < count and len(corners) % 3 == 0
 
 
 def test_the_surfaces_normals_point_into_the_pipe_as_the_meshs_do(written: Written, folder: Path) -> None:
@@ -90,7 +109,7 @@ def test_defects_lie_on_the_plan_at_their_distance_and_arc(written: Written, fol
     assert len(boxes) == 3  # the one about 11 o'clock passes 12 and has two
     texts = [text.dxf.text for text in model.query("TEXT")]
     assert any(text.startswith("D1  loss 4.00 ± 0.11 mm (k=2) at 0.146 m, from 0.129 to 0.162 m") for text in texts)
-    assert any("bump >= 4.00 mm" in text for text in texts)
+    assert any("bump ≥ 4.00 mm" in text for text in texts)
     assert {"12:00", "1:00", "11:00"} <= set(texts)
 
 

@@ -373,7 +373,7 @@ def test_a_long_recording_costs_no_memory_and_keeps_its_index(tmp_path: Path) ->
 def test_a_recording_is_checked_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "scan.mcap"
     write(path, 40).close()
-    assert main_check(path, capsys) == (0, {"frames": 40, "torn": False, "damage": []})
+    assert main_check(path, capsys) == (0, {"frames": 40, "torn": False, "cut_frames_at_most": 0, "damage": []})
     whole = path.read_bytes()
     at = open_recording(path).frames[20].chunk.offset + 200
     path.write_bytes(whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :])
@@ -386,7 +386,7 @@ def test_a_recording_is_checked_from_the_command_line(tmp_path: Path, capsys: py
 
 def main_check(path: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, dict[str, Any]]:
     with (
-        patch.object(sys, "argv", ["annulus", "record", "check", str(path), "--json"]),
+        patch.object(sys, "argv", ["annulus", "record", "verify", str(path), "--json"]),
         pytest.raises(SystemExit) as ended,
     ):
         main()
