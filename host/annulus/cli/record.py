@@ -101,9 +101,8 @@ def recover_command(
     if as_json:
         print(json.dumps({"recording": str(new), **found.to_dict()}))
         return
-    print(
-        f"{found.copied.frames} frames and {found.copied.notes} notes are in {new}{_torn(found.torn, found.cut_frames)}"
-    )
+    print(f"{found.copied.frames} frames and {found.copied.notes} notes are in {new}")
+    print(f"of {scan} {len(found.damage)} places are damaged{_torn(found.torn, found.cut_frames)}")
     for one in found.damage:
         lost = f", {one.messages} messages lost" if one.messages else ""
         print(f"{one.offset:>14}  {one.text}{lost}")

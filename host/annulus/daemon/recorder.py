@@ -1,7 +1,7 @@
 """The recorder process. Run as `python -m annulus.daemon.recorder`.
 
 A process of its own, so that a slow disk stalls nothing but the recording, and nothing but itself can break it. It
-imports neither OpenCV nor numba: a spare one must be up at once. OpenCV, for previews, comes when the first frames do.
+imports neither OpenCV nor numba: a spare one must be up at once. OpenCV comes while it waits to be called.
 
 A frame that is there as soon as the one before it is done with, and others before it, says that frames come faster than
 they are written: then they are written as they are, which takes a third of the time, until there is a pause again.
@@ -30,6 +30,7 @@ from annulus.vocabulary import AnnulusError
 LOOK_S = 0.5  # between two looks at the file, and between two attempts to begin another
 HURRY_AFTER = CAMERAS_MAX + 1  # frames without a pause; so many of one flash come at once
 PAUSE_S = 0.002
+GET_OPENCV_S = 1.0  # after the start: at once it was up half a second later
 NOT_RECORDED = "frames are labelled but not recorded"
 
 
@@ -51,7 +52,6 @@ class RecorderJob:
         clock: Clock | None = None,
     ) -> None:
         """`scan`: what all parts of it have in common, drawn when empty; so is the `clock`."""
-        threading.Thread(target=_get_opencv, name="gets OpenCV", daemon=True).start()
         self._codec, self._clock = codec, clock or Clock.now()
         self._done_s, self._without_pause = 0.0, 0
         self._folder, self._name, self._calibration, self._configuration = folder, name, calibration, configuration
@@ -159,4 +159,7 @@ def _get_opencv() -> None:
 
 
 if __name__ == "__main__":
+    getting = threading.Timer(GET_OPENCV_S, _get_opencv)
+    getting.daemon = True
+    getting.start()
     serve(sys.argv[-1], _prepare)
