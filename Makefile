@@ -10,7 +10,7 @@ export PYTHONDONTWRITEBYTECODE :=
 # What `make setup` installs beside the base, of the extras in pyproject.toml: make setup EXTRAS="export pdf tai joints"
 EXTRAS ?= export pdf
 
-.PHONY: setup setup-all wheels demo test lint bench bench-metrology bench-thermoacoustic bench-joints bench-crossbore study native firmware emulator generated mutants clean
+.PHONY: setup setup-all wheels demo test lint bench bench-metrology bench-thermoacoustic bench-joints bench-crossbore study native firmware emulator generated mutants docs sample clean
 
 # What a user needs.
 setup: .venv/.synced native
@@ -50,9 +50,8 @@ tools/emulator/node_modules/.package-lock.json: tools/emulator/package.json tool
 	@touch $@
 
 # dist/: of both machines, with the library, the image and the manual inside. What they hold: tools/wheel/hook.py.
-wheels: setup-all
+wheels: setup-all docs
 	@tools/need.sh gcc-arm-none-eabi gcc-aarch64-linux-gnu
-	@if grep -q '^docs:' Makefile; then $(MAKE) --no-print-directory docs; fi
 	@for machine in x86_64 aarch64; do ANNULUS_MACHINE=$$machine $(BIN)/hatchling build -t wheel -d dist || exit 1; done
 	@ls -l dist/*.whl
 
@@ -106,6 +105,18 @@ bench-crossbore: setup-all
 # The source's figures and tables, simulated: pictures and numbers in build/study.
 study: setup-all
 	$(BIN)/python -m tools.study --out build/study
+
+# The manual, into host/annulus/shipped/manual; `annulus docs` opens it. Any warning fails it; nothing is fetched.
+docs: setup-all
+	@$(BIN)/python -m tools.manual
+
+# A recording to try everything on, as a wheel of its own: dist/annulus_sample-*.whl, put into this checkout's environment
+# too, so that `annulus sample` finds it.
+sample: setup-all
+	@$(BIN)/python -m tools.sample
+	@$(UV) build --quiet --wheel --out-dir dist tools/sample
+	@$(UV) pip install --quiet --no-deps --reinstall dist/annulus_sample-*.whl
+	@ls -l dist/annulus_sample-*.whl
 
 # Faults put into the firmware on purpose; the emulator's tests must catch every one.
 mutants: setup-all firmware emulator

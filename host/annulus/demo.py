@@ -25,15 +25,28 @@ from annulus.daemon.run import ending
 from annulus.daemon.samples import open_sensors
 from annulus.daemon.session import Session
 from annulus.numeric.compiling import telling
+from annulus.numeric.rounding import DISTANCE, MEASURE, PERCENT, said
 from annulus.record.calibration_file import save_calibration
-from annulus.report import FILES, Account, prepare_folder, write
-from annulus.reprocess import Job, Processes, led_frames, measure, method_for, open_job, stage_medians, warm_up
+from annulus.record.origin import origin_of
+from annulus.report import FILES, Account, head_kind, prepare_folder, write
+from annulus.reprocess import (
+    Job,
+    Processes,
+    led_frames,
+    measure,
+    method_for,
+    open_job,
+    photographs,
+    stage_medians,
+    warm_up,
+)  # fmt: skip
 from annulus.stereo import CAMERA_MISSING
 from annulus.twin.head import HeadHandle, head_toml, start_head, sustainable_fps
 from annulus.twin.score import score
 from annulus.twin.worlds import World, demo_world, stereo_world
 from annulus.vocabulary import AnnulusError, Label
 from annulus.wall import Profile, Survey, survey
+from annulus.wall.sections import worth_showing
 
 FPS_MAX = 25.0
 FPS_MIN = 2.0
@@ -50,6 +63,7 @@ MM_PER_FRAME = 3.0  # aimed at; a slow machine scans longer for it, when nobody 
 MM_PER_FRAME_MAX = 6.0  # .. and less of the pipe, when somebody does
 START_PATIENCE_S = 60.0  # from lamps armed to the first labelled frame
 BAR_S = 0.1
+REMARK = "annulus demo: head and pipe are simulated, nothing of this was measured"  # in the recording, on the report
 SLOTS = 40  # a camera: frames are told apart late on a machine that draws them too
 RESULTS = ("report.html", *(name for name in FILES if name != "report.html"))  # what people open comes first
 
@@ -139,7 +153,7 @@ def _demo(wish_s: float | None, out: Path, world: World, interrupt: Interrupt, b
         with bars.spinning("building the wall, drawing the report"):
             pipe = survey(sorted(profiles, key=lambda one: one.frame), job.calibration, led_frames(job))
             truth = _truth(world, pipe)
-            write(pipe, _account(pipe, report, pace, late, truth), out)
+            write(pipe, _account(job, pipe, report, pace, late, truth), out)
     for line in _said(out, pipe, truth, time.monotonic() - begun):
         print(line)
 
@@ -162,7 +176,8 @@ def measure_pace(world: World) -> Pace:
 def demo_config(head: HeadHandle, world: World, out: Path) -> HeadConfig:
     """For the simulated head, by way of the files a real one has: head.toml and calibration.json, left in `out`."""
     save_calibration(out / "calibration.json", world.calibration())
-    here = f'\n[record]\nfolder = "."\n\n[workers]\nslots = {SLOTS * len(world.cameras)}\n'
+    told = f'\n[job]\npipe = "simulated"\nremarks = "{REMARK}"\n'
+    here = f'{told}\n[record]\nfolder = "."\n\n[workers]\nslots = {SLOTS * len(world.cameras)}\n'
     (out / "head.toml").write_text(head_toml(head, world, Path("calibration.json")) + here, encoding="utf-8")
     return load_config(out / "head.toml")
 
@@ -233,14 +248,18 @@ def _is_whole(job: Job, index: int) -> bool:
 
 
 def _account(
-    pipe: Survey, report: ScanReport, pace: Pace, late: Sequence[Profile], truth: Mapping[str, Any]
+    job: Job, pipe: Survey, report: ScanReport, pace: Pace, late: Sequence[Profile], truth: Mapping[str, Any]
 ) -> Account:  # fmt: skip
     frames = {label.value: report.frames.get(label.value, 0) for label in Label}
     drops = {**report.drops, "reconstructed_after_the_scan": len(late)}
     timing = {
         **stage_medians(pipe.profiles), "frame_to_profile": report.latency_ms, "frame_period": 1e3 / pace.fps
     }  # fmt: skip
-    return Account(f"annulus demo, simulated head, {pace.fps:g} fps", frames, drops, timing, truth=truth)
+    return Account(
+        f"annulus demo, simulated head, {pace.fps:g} fps", frames, drops, timing, truth=truth,
+        origin=origin_of(job.scan), photographs=photographs(job, pipe, worth_showing(pipe.defects)),
+        method=head_kind(job.calibration), covariance_stated=job.calibration.covariance is not None,
+    )  # fmt: skip
 
 
 def _truth(world: World, pipe: Survey) -> dict[str, Any]:
@@ -260,12 +279,14 @@ def _said(out: Path, pipe: Survey, truth: Mapping[str, Any], seconds: float) -> 
     """The end of the demo, for people: what was found, and where it is."""
     first, last = pipe.scanned_mm
     lines = [
-        f"wall       {pipe.points} points over {last - first:.0f} mm, "
-        f"rms {truth['rms_mm']:.3f} mm against the truth, {truth['gross_percent']:.3f} % off by more than 2 mm",
+        f"wall       {pipe.points} points over {said(last - first, DISTANCE)}, rms {said(truth['rms_mm'], MEASURE)} "
+        f"against the truth, {said(truth['gross_percent'], PERCENT)} off by more than 2 mm",
         f"defects    {truth['defects_found']} of {truth['defects_true']} found, {truth['defects_false']} false",
     ]
     lines += [
-        f"           {d.kind:<8} {d.depth_mm:4.1f} mm  at {d.z_mm:5.0f} mm, clock {d.clock}" for d in pipe.defects
+        f"           {d.kind:<8} {said(d.depth_mm, MEASURE, d.depth_k2_mm, at_least=not d.floor_seen)} at "
+        f"{said(d.z_mm, DISTANCE)}, clock {d.clock}"
+        for d in pipe.defects
     ]
     lines += [f"{'results' if i == 0 else '':<10} {out / name}" for i, name in enumerate(RESULTS)]
     lines.append(f"recording  {out / 'scan.mcap'}")

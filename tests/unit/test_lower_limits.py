@@ -19,7 +19,7 @@ def test_a_lower_limit_says_so(capsys: pytest.CaptureFixture[str], tmp_path) -> 
     }  # fmt: skip
     _print_summary(summary, tmp_path)
     said = capsys.readouterr().out
-    assert "loss       >= 0.55 ± 0.14 mm at 140 mm, clock 12:30" in said
-    assert said.count(">=") == 1
+    assert "loss       ≥ 0.55 ± 0.14 mm at 0.140 m, clock 12:30" in said
+    assert said.count("≥") == 1
     told = Defect(Kind.LOSS, 140.0, 15.0, 4.0, 13.0, 0.55, 20.0, False, 0.14)
     assert _depth(told) == "≥ 0.55 ± 0.14 mm"

@@ -22,9 +22,11 @@ from annulus.numeric.arrays import Image
 from annulus.vocabulary import AnnulusError, CameraSequence
 
 BGR8 = "bgr8"  # (H, W, 3), as OpenCV keeps it
-BAYER_RGGB8 = "bayer_rggb8"  # (H, W), red at (0, 0)
 MONO8 = "mono8"  # (H, W)
-ENCODINGS = (BGR8, BAYER_RGGB8, MONO8)
+MOSAICS = {order: f"bayer_{order.lower()}8" for order in ("RGGB", "BGGR", "GRBG", "GBRG")}
+"""By the colours of the first two rows; (H, W)."""
+BAYER_RGGB8 = MOSAICS["RGGB"]
+ENCODINGS = (BGR8, *MOSAICS.values(), MONO8)
 
 SIDE_MAX = 16384  # pixels; a larger side is a broken header, not a camera
 

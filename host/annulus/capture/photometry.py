@@ -18,8 +18,10 @@ from hashlib import blake2b
 
 import numpy as np
 
+from annulus.capture.camera import MOSAICS
 from annulus.numeric.arrays import Float32Array, FloatArray, Image
 
+GREEN_FIRST = frozenset({MOSAICS["GRBG"], MOSAICS["GBRG"]})
 THUMBNAIL_SIDE = 96  # samples along the shorter side; stripes must not melt into one another
 NOISE_GREY = 5.0  # a channel below this says nothing of hue
 PEAK_SHARE = 0.99
@@ -93,12 +95,12 @@ class Photometry:
         return tuple(band in (Light.DARK, Light.UNCLEAR) for band in self.bands)
 
 
-def measure(image: Image) -> Photometry:
-    """Statistics of a frame, (H, W, 3) BGR or (H, W) raw RGGB mosaic.
+def measure(image: Image, green_first: bool = False) -> Photometry:
+    """Statistics of a frame, (H, W, 3) BGR or (H, W) raw mosaic, which may begin with green. Red and blue are alike.
 
     Samples single pixels (or 2x2 cells), never averages: an average over a stripe's edge is white.
     """
-    blue, green, red, sampled = _samples(image)
+    blue, green, red, sampled = _samples(image, green_first)
     fingerprint = _hashed(sampled, 8)
     top, bottom = (_hashed(row, 6) if np.ptp(row) >= BUSY_GREY else None for row in (sampled[0], sampled[-1]))
     brightest = np.maximum(np.maximum(blue, green), red)
@@ -191,7 +193,7 @@ def _striped_bands(bright: Float32Array, lit: FloatArray) -> tuple[Light, ...]:
     return tuple(bands)
 
 
-def _samples(image: Image) -> tuple[Float32Array, Float32Array, Float32Array, Image]:
+def _samples(image: Image, green_first: bool) -> tuple[Float32Array, Float32Array, Float32Array, Image]:
     """Blue, green and red of every so many pixels, and one of them as it came."""
     step = max(1, min(image.shape[:2]) // THUMBNAIL_SIDE)
     if image.ndim == 3:
@@ -201,6 +203,8 @@ def _samples(image: Image) -> tuple[Float32Array, Float32Array, Float32Array, Im
     step = max(2, step + step % 2)  # stay on the mosaic's 2x2 cells
     rows, columns = (side // 2 * 2 for side in image.shape)
     cells = image[:rows, :columns]
-    sampled = np.ascontiguousarray(cells[0::step, 1::step])
-    green = np.multiply(sampled.astype(np.float32) + cells[1::step, 0::step], np.float32(0.5))
-    return cells[1::step, 1::step].astype(np.float32), green, cells[0::step, 0::step].astype(np.float32), sampled
+    other, first = (0, 1) if green_first else (1, 0)  # columns: of the first row's green, of its other colour
+    sampled = np.ascontiguousarray(cells[0::step, other::step])
+    green = np.multiply(sampled.astype(np.float32) + cells[1::step, first::step], np.float32(0.5))
+    blue = cells[1::step, other::step].astype(np.float32)
+    return blue, green, cells[0::step, first::step].astype(np.float32), sampled

@@ -4,8 +4,9 @@ Picamera2 keeps one finished request for whoever asks, and gives the others back
 one without a word. So requests are taken where all of them pass, in `pre_callback`, and held here. Asking it waits for
 ever when the sensor falls silent; waiting is done here too, and a stop that its event loop does not answer is given up.
 
-The sensor's own mosaic is taken, not the ISP's picture: 2 MB a frame instead of 6, and nothing that mixes a frame with
-the one before it (a Pi 5's noise reduction does, and the one before it was lit by the other lamp).
+The sensor's own mosaic is taken, whichever colour it begins with, not the ISP's picture: 2 MB a frame instead of 6, and
+nothing that mixes a frame with the one before it (a Pi 5's noise reduction does, and the one before it was lit by the
+other lamp).
 
 Nothing of Picamera2 is imported here.
 """
@@ -20,7 +21,7 @@ from typing import Any, cast
 import cv2
 import numpy as np
 
-from annulus.capture.camera import BAYER_RGGB8, BGR8, OneRequest, Request
+from annulus.capture.camera import BGR8, MOSAICS, OneRequest, Request
 from annulus.numeric.arrays import Image
 from annulus.vocabulary import AnnulusError
 
@@ -35,7 +36,6 @@ TOLERANCES = {"ExposureTime": 0.01, "FrameDuration": 0.005, "AnalogueGain": 0.05
 READ_OF = {"FrameDurationLimits": "FrameDuration"}  # a control that reads back under another name
 EXPOSURE_STEP_US = 60.0  # exposures are whole lines of the sensor
 
-_DEMOSAIC = {"BGGR": cv2.COLOR_BayerBGGR2BGR, "GBRG": cv2.COLOR_BayerGBRG2BGR, "GRBG": cv2.COLOR_BayerGRBG2BGR}
 # Picamera2 names a format by its channels in a little-endian word, hence the swap: its "RGB888" is B, G, R in memory.
 _PICTURES = {"RGB888": None, "BGR888": cv2.COLOR_RGB2BGR, "XRGB8888": cv2.COLOR_BGRA2BGR,
              "XBGR8888": cv2.COLOR_RGBA2BGR, "YUV420": cv2.COLOR_YUV2BGR_I420}  # fmt: skip
@@ -53,7 +53,7 @@ class Mosaic:
     def named(cls, name: str) -> "Mosaic":
         pixels, _, packing = name.partition("_")
         order, bits = pixels[1:5], pixels[5:]
-        if pixels[:1] != "S" or order not in ("RGGB", *_DEMOSAIC) or bits not in ("8", "10", "12", "14", "16"):
+        if pixels[:1] != "S" or order not in MOSAICS or bits not in ("8", "10", "12", "14", "16"):
             raise AnnulusError(f"camera: raw format {name}, expected SRGGB8 to SBGGR16, unpacked or _CSI2P")
         if packing not in ("", "CSI2P") or (packing and bits not in ("10", "12")):
             raise AnnulusError(f"camera: raw format {name} is packed in a way that is not read, expected {pixels}")
@@ -61,20 +61,18 @@ class Mosaic:
 
     @property
     def encoding(self) -> str:
-        return BAYER_RGGB8 if self.order == "RGGB" else BGR8
+        return MOSAICS[self.order]
 
     def picture(self, rows: Image, width: int, height: int) -> Image:
-        """(H, stride) bytes to 8 bits a pixel, or to BGR where red does not come first. The lowest bits are dropped."""
+        """(H, stride) bytes to (H, W), 8 bits a pixel. The lowest bits are dropped."""
         if self.packed:
             group, kept = (5, 4) if self.bits == 10 else (3, 2)
             used = rows[:height, : width // kept * group].reshape(height, -1, group)
-            mosaic = np.ascontiguousarray(used[:, :, :kept]).reshape(height, width)
-        elif self.bits > 8:
+            return np.ascontiguousarray(used[:, :, :kept]).reshape(height, width)
+        if self.bits > 8:
             words = np.ascontiguousarray(rows[:height, : 2 * width]).view("<u2")
-            mosaic = (words >> (self.bits - 8)).astype(np.uint8)
-        else:
-            mosaic = np.ascontiguousarray(rows[:height, :width])
-        return mosaic if self.order == "RGGB" else cast(Image, cv2.cvtColor(mosaic, _DEMOSAIC[self.order]))
+            return (words >> (self.bits - 8)).astype(np.uint8)
+        return np.ascontiguousarray(rows[:height, :width])
 
 
 class PicameraCamera(OneRequest):

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.lib.stride_tricks import as_strided
 
 from annulus.capture import videodev
-from annulus.capture.camera import BAYER_RGGB8, BGR8, MONO8
+from annulus.capture.camera import BGR8, MONO8, MOSAICS
 from annulus.capture.pictures import decode
 from annulus.numeric.arrays import Image
 
@@ -23,12 +23,12 @@ _FAST = {
     "NV21": cv2.COLOR_YUV2BGR_NV21, "YUYV": cv2.COLOR_YUV2BGR_YUYV, "UYVY": cv2.COLOR_YUV2BGR_UYVY,
     "YVYU": cv2.COLOR_YUV2BGR_YVYU,
 }  # fmt: skip
-_MOSAICS = {"BA81": cv2.COLOR_BayerBGGR2BGR, "GBRG": cv2.COLOR_BayerGBRG2BGR, "GRBG": cv2.COLOR_BayerGRBG2BGR}
+_MOSAICS = {"RGGB": "RGGB", "BA81": "BGGR", "GBRG": "GBRG", "GRBG": "GRBG"}
 _JPEG = ("MJPG", "JPEG")
 
 ENCODINGS_OF = {
-    **dict.fromkeys((*_YUV, *_JPEG, "BGR3", "RGB3", *_MOSAICS), BGR8),
-    "RGGB": BAYER_RGGB8,  # as it is; the other mosaics begin with another colour, and are made BGR here
+    **dict.fromkeys((*_YUV, *_JPEG, "BGR3", "RGB3"), BGR8),
+    **{fourcc: MOSAICS[order] for fourcc, order in _MOSAICS.items()},  # as they are
     "GREY": MONO8,
 }
 """The fourcc that are read, and what they become."""
@@ -99,14 +99,12 @@ class Layout:
     def _converted(self, parts: list[Image]) -> Image:
         h, w = self.height, self.width
         match self.fourcc:
-            case "GREY" | "RGGB":
+            case "GREY" | "RGGB" | "BA81" | "GBRG" | "GRBG":
                 return parts[0].copy()
             case "BGR3":
                 return parts[0].reshape(h, w, 3).copy()
             case "RGB3":
                 return _cv(cv2.cvtColor(parts[0].reshape(h, w, 3), cv2.COLOR_RGB2BGR))
-            case mosaic if mosaic in _MOSAICS:
-                return _cv(cv2.cvtColor(parts[0], _MOSAICS[mosaic]))
         if self.encoding in (videodev.ENC_601, videodev.ENC_XV601) and not self.full:
             packed = self.fourcc in _PACKED
             whole = parts[0].reshape(h, w, 2) if packed else np.concatenate([part.ravel() for part in parts])

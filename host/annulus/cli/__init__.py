@@ -1,23 +1,31 @@
 """The one command, `annulus`. Parses, calls one door, prints; imports each room only when its command is called."""
 
 import json
-import math
 import os
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from annulus.cli import bore, burst, calibrate, doctor, firmware, head, joint, pattern, record, tai, twin
 from annulus.cli import dogbones as dogbones  # its commands are of joint's group
+from annulus.cli.export import export
 from annulus.cli.fringe import BY, By
+from annulus.cli.manual import docs
+from annulus.cli.pdf import Sheet, on_paper
+from annulus.cli.sample import sample
 from annulus.cli.show import Json, print_findings, progress, tell
 from annulus.cli.terminal import escaped
 from annulus.numeric.compiling import telling
 from annulus.untrusted import one_line
 from annulus.vocabulary import AnnulusError
+
+if TYPE_CHECKING:
+    from annulus.job import JobSheet
+    from annulus.report import Paper
+    from annulus.wall.conformity import Criteria
 
 app = typer.Typer(
     help="Acquire and reconstruct scans of plastic pipes.",
@@ -29,6 +37,10 @@ app = typer.Typer(
 )
 for _noun in (head, burst, calibrate, pattern, tai, joint, bore, firmware, twin, record):
     app.add_typer(_noun.app, name=_noun.__name__.rpartition(".")[2])
+app.command(epilog="Example: annulus export results --to xlsx --to laz -o hand-over")(export)
+
+app.command("docs", epilog="Example: annulus docs first-scan --no-open")(docs)
+app.command("sample", epilog="Example: annulus sample -o pipe.mcap && annulus reconstruct pipe.mcap -o results")(sample)
 
 
 @app.callback(invoke_without_command=True)
@@ -103,6 +115,18 @@ def reconstruct(
         By, typer.Option(help="Heights of a plate under fringes: by the calibrated slide, or by two cameras alone.")
     ] = By.SLIDE,
     workers: Annotated[int | None, typer.Option(min=1, max=64, help="Processes; one a core if not given.")] = None,
+    job: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=TEXT|FILE",
+            help="Who, where, which pipe, over what the scan says: job.toml, or site='Elm St'.",
+        ),
+    ] = None,
+    limits: Annotated[
+        Path | None, typer.Option(help="limits.toml: what is accepted of the pipe; no verdict without it.")
+    ] = None,
+    pdf: Annotated[bool, typer.Option("--pdf", help="Write report.pdf too; needs the extra pdf.")] = False,
+    paper: Annotated[Sheet, typer.Option(help="Of report.pdf.")] = Sheet.A4,
     as_json: Json = False,
 ) -> None:
     """From frames to the pipe wall: cloud, mesh, maps, stations, defects and a report.
@@ -110,9 +134,15 @@ def reconstruct(
     The calibration's kind chooses the method. A head that projects fringes writes depth.npz beside the rest, its finest
     map; before a plate frames.csv has x_mm in place of z_mm.
     """
-    from annulus.report import Account, prepare_folder, write
-    from annulus.reprocess import Processes, fringes_on, make_ready, open_job, reprocess
+    from annulus.job import job_of
+    from annulus.record.origin import origin_of
+    from annulus.report import Account, head_kind, prepare_folder, write
+    from annulus.reprocess import Processes, fringes_on, make_ready, open_job, photographs, reprocess
+    from annulus.wall.conformity import judge
+    from annulus.wall.sections import worth_showing
 
+    sheet, criteria = job_of(job or ()), _criteria(limits)
+    printed = on_paper(pdf, paper)
     wall = fringes_on(scan, calibration)
     if by is By.CAMERAS and wall != "plate":
         why = "projects no fringes" if wall is None else "lights a pipe"
@@ -127,46 +157,76 @@ def reconstruct(
             if given:
                 raise AnnulusError(f"{option} does not go with {calibration or scan}: its head projects fringes")
         if wall == "pipe" or calibration is None:
-            _reconstruct_fringe_pipe(scan, calibration, out, as_json)
+            _reconstruct_fringe_pipe(scan, calibration, out, sheet, criteria, printed, as_json)
         else:
-            _reconstruct_fringe(scan, calibration, out, by, as_json)
+            for option, told in (("--job", job), ("--limits", limits)):
+                if told:
+                    raise AnnulusError(f"{option} does not go with {scan}: a plate has no report of a pipe")
+            _reconstruct_fringe(scan, calibration, out, by, printed, as_json)
         return
-    job = open_job(scan, calibration, colour=colour, reference=reference)
+    work = open_job(scan, calibration, colour=colour, reference=reference)
+    origin = origin_of(work.scan, calibration, sheet)
     prepare_folder(out)
-    make_ready(job.calibration, tell)
+    make_ready(work.calibration, tell)
     with progress() as bars:
-        done = reprocess(job, Processes(workers), bars)
+        done = reprocess(work, Processes(workers), bars)
         survey = done.survey(vibration=vibration_filter, fps=fps, progress=bars)
-    summary = write(survey, Account(str(scan), done.frames, done.drops, done.timing_ms, done.findings), out)
+    verdict = None if criteria is None else judge(survey, criteria)
+    shown = worth_showing(survey.defects, first=verdict.foremost if verdict else ())
+    account = Account(
+        str(scan), done.frames, done.drops, done.timing_ms, done.findings, origin=origin, verdict=verdict,
+        photographs=photographs(done.job, survey, shown), method=head_kind(work.calibration),
+        covariance_stated=work.calibration.covariance is not None,
+    )  # fmt: skip
+    summary = write(survey, account, out, paper=printed)
     if as_json:
         print(json.dumps(summary))
     else:
         _print_summary(summary, out)
 
 
-def _reconstruct_fringe_pipe(scan: Path, calibration: Path | None, out: Path, as_json: bool) -> None:
-    from annulus.report import Account, prepare_folder, write
+def _criteria(limits: Path | None) -> "Criteria | None":
+    from annulus.record.limits_file import load_limits
+
+    return None if limits is None else load_limits(limits)
+
+
+def _reconstruct_fringe_pipe(
+    scan: Path, calibration: Path | None, out: Path, sheet: "JobSheet", criteria: "Criteria | None",
+    printed: "Paper | None", as_json: bool,
+) -> None:  # fmt: skip
+    from annulus.record.origin import origin_of
+    from annulus.report import FRINGE, Account, prepare_folder, write
     from annulus.reprocess import open_fringe_pipe, reconstruct_fringe_pipe
+    from annulus.wall.conformity import judge
 
     job = open_fringe_pipe(scan, calibration)
+    origin = origin_of(job.scan, calibration, sheet)
     prepare_folder(out)
     with progress() as bars:
         found = reconstruct_fringe_pipe(job, bars)
     counts = job.scan.counts()
-    account = Account(str(scan), counts, {"frames_unknown": counts["unknown"]}, found.timing_ms, found.findings)
+    drops = {"frames_unknown": counts["unknown"]}
+    account = Account(
+        str(scan), counts, drops, found.timing_ms, found.findings, origin=origin, method=FRINGE,
+        verdict=None if criteria is None else judge(found.survey, criteria),
+    )  # fmt: skip
     seen = found.map
     depth = {
         "phi_deg": seen.phi_deg, "z_mm": seen.z_mm, "radius_mm": seen.radius_mm, "sigma_mm": seen.sigma_mm,
         "at_least": seen.at_least, "light": seen.dc, "modulation": seen.modulation,
     }  # fmt: skip
-    summary = write(found.survey, account, out, depth=depth)
+    summary = write(found.survey, account, out, depth=depth, paper=printed)
     if as_json:
         print(json.dumps(summary))
     else:
         _print_summary(summary, out)
 
 
-def _reconstruct_fringe(scan: Path, calibration: Path, out: Path, by: By, as_json: bool) -> None:
+def _reconstruct_fringe(
+    scan: Path, calibration: Path, out: Path, by: By, printed: "Paper | None", as_json: bool
+) -> None:  # fmt: skip
+    from annulus.numeric.rounding import MEASURE, SHARE, off, said, span
     from annulus.report import Account, prepare_folder, write_plate
     from annulus.reprocess import open_fringe, reconstruct_fringe
 
@@ -175,9 +235,8 @@ def _reconstruct_fringe(scan: Path, calibration: Path, out: Path, by: By, as_jso
     with progress() as bars:
         plate = reconstruct_fringe(job, bars)
     counts = job.scan.counts()
-    summary = write_plate(
-        plate, Account(str(scan), counts, {"frames_unknown": counts["unknown"]}, plate.timing_ms), out
-    )
+    account = Account(str(scan), counts, {"frames_unknown": counts["unknown"]}, plate.timing_ms)
+    summary = write_plate(plate, account, out, paper=printed)
     if as_json:
         print(json.dumps(summary))
         return
@@ -185,12 +244,13 @@ def _reconstruct_fringe(scan: Path, calibration: Path, out: Path, by: By, as_jso
     height, sigma, places = (summary[key] for key in ("height_mm", "sigma_mm", "places"))
     print(f"frames     {', '.join(f'{n} {label}' for label, n in counts.items())}")
     print(
-        f"motion     {places['length_mm']:.2f} mm in {places['flashes']} flashes; x_mm up to "
-        f"{places['off_odometer_mm']:.3f} mm off what the frames say"
+        f"motion     {said(places['length_mm'], MEASURE)} in {places['flashes']} flashes; x_mm up to "
+        f"{said(places['off_odometer_mm'], MEASURE)} off what the frames say"
     )
-    print(f"points     {summary['points']}, {100 * summary['completeness']:.1f} % of what the slide lit")
-    print(f"height     {height['min']:.2f}..{height['max']:.2f} mm, median {height['median']:.3f}")
-    print(f"known to   ± {2 * sigma['p50']:.3f} mm (k=2, median), ± {2 * sigma['p95']:.3f} in the worst twentieth")
+    print(f"points     {summary['points']}, {said(100 * summary['completeness'], SHARE)} of what the slide lit")
+    print(f"height     {span(height['min'], height['max'], MEASURE)}, median {said(height['median'], MEASURE)}")
+    median, worst = (off(2 * sigma[name], MEASURE) for name in ("p50", "p95"))
+    print(f"known to   ± {median} (k=2, median), ± {worst} in the worst twentieth")
     for reason, cells in summary["untold"].items():
         print(f"not told   {cells} places: {reason}")
     for warning in summary["warnings"]:
@@ -198,38 +258,42 @@ def _reconstruct_fringe(scan: Path, calibration: Path, out: Path, by: By, as_jso
     print(f"report     {out / 'report.html'}")
 
 
-def _up(mm: float) -> str:
-    """An uncertainty is rounded up."""
-    return f"{max(math.ceil(100 * mm - 1e-9), 1) / 100:.2f}"
-
-
 def _print_summary(data: Mapping[str, Any], out: Path) -> None:
+    from annulus.numeric.rounding import ARC, DISTANCE, EXTENT, MEASURE, digits, said, span
+
+    def where(one: Mapping[str, Any]) -> str:
+        return f"at {said(one['z_mm'], DISTANCE)}, clock {one['clock']}"
+
     diameter = data["diameter_mm"]
     counts = ", ".join(f"{n} {label}" for label, n in data["frames"].items())
     print(f"frames     {counts}")
     if diameter["mean"] is not None:
-        k2 = f" ± {_up(diameter['k2'])}" if diameter.get("k2") is not None else ""
-        print(f"diameter   {diameter['mean']:.2f}{k2} mm mean (k=2), {diameter['min']:.2f}..{diameter['max']:.2f} mm")
+        between = span(diameter["min"], diameter["max"], MEASURE)
+        print(f"diameter   {said(diameter['mean'], MEASURE, diameter.get('k2'))} mean (k=2), {between}")
     print(f"points     {data['points']}")
     for d in data["defects"]:
-        k2 = f" ± {_up(d['depth_k2_mm'])}" if d.get("depth_k2_mm") is not None else ""
-        least = "" if d.get("floor_seen", True) else ">= "
-        print(
-            f"{d['kind']:<10} {least}{d['depth_mm']:.2f}{k2} mm at {d['z_mm']:.0f} mm, "
-            f"clock {d['clock']}, {d['length_mm']:.0f} mm long, {d['arc_deg']:.0f} deg"
-            + (f", {d['hidden_mm']:.0f} mm of it hidden" if d["hidden_mm"] >= 0.5 else "")
-        )
+        depth = said(d["depth_mm"], MEASURE, d.get("depth_k2_mm"), at_least=not d.get("floor_seen", True))
+        hidden = f", {said(d['hidden_mm'], EXTENT)} of it hidden" if d["hidden_mm"] >= 0.5 else ""
+        size = f"{said(d['length_mm'], EXTENT)} long, {said(d['arc_deg'], ARC)}"
+        print(f"{d['kind']:<10} {depth} {where(d)}, {size}{hidden}")
     if not data["defects"]:
         print("defects    none" + (" that is sure" if data["undecided"] else ""))
     for f in data["features"]:
-        where = "all round" if f["arc_deg"] >= 360 else f"clock {f['clock']}, {f['arc_deg']:.0f} deg"
-        print(f"{f['kind']:<10} at {f['z_mm']:.0f} mm, {where}" + (f": {f['remark']}" if f["remark"] else ""))
+        at = f"at {said(f['z_mm'], DISTANCE)}, all round"
+        if f["arc_deg"] < 360:
+            at = f"{where(f)}, {said(f['arc_deg'], ARC)}"
+        print(f"{f['kind']:<10} {at}" + (f": {f['remark']}" if f["remark"] else ""))
+    if "conformity" in data:
+        print(f"verdict    {data['conformity']['decision']}: {data['conformity']['title'] or 'the limits named'}")
+        for remark in data["conformity"]["remarks"]:
+            print(f"           {remark}")
     for d in data["undecided"]:
-        print(f"undecided  {d['depth_mm']:.2f} ± {_up(d['depth_k2_mm'])} mm at {d['z_mm']:.0f} mm, clock {d['clock']}")
+        print(f"undecided  {said(d['depth_mm'], MEASURE, d['depth_k2_mm'])} {where(d)}")
     if "vibration" in data:
         for line in data["vibration"]["lines"]:
-            hertz = "" if line["hertz"] is None else f" ({line['hertz']:.2f} Hz)"
-            print(f"vibration  {line['cycles_per_m']:.1f} cycles/m{hertz}, {line['amplitude_mm']:.3f} mm, taken out")
+            hertz = "" if line["hertz"] is None else f" ({digits(line['hertz'], MEASURE)} Hz)"
+            cycles = f"{digits(line['cycles_per_m'], MEASURE)} cycles/m{hertz}"
+            print(f"vibration  {cycles}, {said(line['amplitude_mm'], MEASURE)}, taken out")
         if not data["vibration"]["lines"]:
             print(f"vibration  {data['vibration']['note'] or 'none found'}")
     for warning in data["warnings"]:
@@ -264,7 +328,7 @@ def daemon(
     log: Annotated[Path | None, typer.Option(help="Log file, in place of the one head.toml names.")] = None,
     job: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME=TEXT", help="Who, where, what, for the recording: --job where='Elm Street'."),
+        typer.Option(metavar="NAME=TEXT|FILE", help="Who, where, which pipe, for the recording: --job site='Elm St'."),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print what --check found as JSON.")] = False,
 ) -> None:

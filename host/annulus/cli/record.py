@@ -1,4 +1,4 @@
-"""`annulus record`: what a recording says of itself, its labels said again, and a video made a scan."""
+"""`annulus record`: what a recording says of itself, what of it is whole, and it made something else."""
 
 import json
 import sys
@@ -10,14 +10,18 @@ import typer
 from annulus.cli.show import Json, group, print_fields, progress
 from annulus.vocabulary import AnnulusError
 
-app = group("Recordings: who made one, whether its labels follow from its evidence; videos made scan folders.")
+app = group("Recordings: what is in one, whether it is whole, its labels said again; to and from pictures and videos.")
 
 Scan = Annotated[Path, typer.Argument(help="A recording, .mcap.")]
 
 
-@app.command("show", epilog="Example: annulus record show scan.mcap")
-def show(scan: Scan, as_json: Json = False) -> None:
-    """Who, where, when and with what a recording was made, and how well its places are known."""
+@app.command("info", epilog="Example: annulus record info scan.mcap")
+def info(scan: Scan, as_json: Json = False) -> None:
+    """Who, where, when and with what a recording was made, how its pictures are kept, how well its places are known.
+
+    Of a torn one also how many frames it lacks at most: the one under way where a program was killed, those the disk
+    itself had not been told of where the power went.
+    """
     from annulus.reprocess.relabel import identity
 
     print_fields(identity(scan), as_json)
@@ -51,8 +55,8 @@ def relabel_command(
         raise typer.Exit(1)
 
 
-@app.command("check", epilog="Example: annulus record check scan.mcap")
-def check(scan: Scan, as_json: Json = False) -> None:
+@app.command("verify", epilog="Example: annulus record verify scan.mcap")
+def verify(scan: Scan, as_json: Json = False) -> None:
     """Read all of a recording, every part of it, and say what of it is damaged. Status 1 where something is.
 
     A torn file is one that nobody closed: what was written before is whole.
@@ -63,10 +67,12 @@ def check(scan: Scan, as_json: Json = False) -> None:
     damage = recording.check()
     if as_json:
         found = [{"offset": one.offset, "text": one.text, "messages": one.messages} for one in damage]
-        print(json.dumps({"frames": len(recording.frames), "torn": recording.torn, "damage": found}))
+        told = {"frames": len(recording.frames), "torn": recording.torn, "cut_frames_at_most": recording.cut_frames}
+        print(json.dumps({**told, "damage": found}))
     else:
-        torn = ", torn: it ends before it was closed" if recording.torn else ""
-        print(f"{len(recording.frames)} frames, {len(damage)} places damaged{torn}")
+        print(
+            f"{len(recording.frames)} frames, {len(damage)} places damaged{_torn(recording.torn, recording.cut_frames)}"
+        )
         for one in damage:
             lost = f", {one.messages} messages lost" if one.messages else ""
             print(f"{one.offset:>14}  {one.text}{lost}")
@@ -74,12 +80,93 @@ def check(scan: Scan, as_json: Json = False) -> None:
         raise typer.Exit(1)
 
 
+@app.command("recover", epilog="Example: annulus record recover torn.mcap -o whole.mcap")
+def recover_command(
+    scan: Scan,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="The new recording. [default: SCAN-recovered.mcap]")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Write a whole recording, with an index, of all that can be read of a torn or damaged one, and say what was lost.
+
+    Parts of a scan become one file. The original stays as it is.
+    """
+    from annulus.record.copy import recover
+    from annulus.record.recording import open_recording
+
+    new = out or scan.with_name(f"{scan.stem}-recovered.mcap")
+    with progress() as bars:
+        found = recover(open_recording(scan), new, bars)
+    if as_json:
+        print(json.dumps({"recording": str(new), **found.to_dict()}))
+        return
+    print(
+        f"{found.copied.frames} frames and {found.copied.notes} notes are in {new}{_torn(found.torn, found.cut_frames)}"
+    )
+    for one in found.damage:
+        lost = f", {one.messages} messages lost" if one.messages else ""
+        print(f"{one.offset:>14}  {one.text}{lost}")
+    for line in found.copied.damaged:
+        print(f"{'left out':>14}  {line}")
+
+
+@app.command(
+    "export", epilog="Example: annulus record export scan.mcap -o scan --as png && annulus reconstruct scan .."
+)
+def export_command(
+    scan: Scan,
+    out: Annotated[Path, typer.Option("-o", "--out", help="New folder, or new .mcap.")],
+    form: Annotated[
+        str | None, typer.Option("--as", help="Pictures of a folder: png, jpeg. [default: png]", show_default=False)
+    ] = None,
+    codec: Annotated[
+        str | None, typer.Option(help="Of a new recording: raw, zstd, jpeg. [default: as it is]", show_default=False)
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Make a scan folder of a recording, pictures and frames.csv; or a recording that keeps its pictures otherwise.
+
+    A folder's pictures are demosaiced, and frames whose place nobody knows are not in it.
+    """
+    from annulus.record.codec import Codec
+    from annulus.record.recording import open_recording
+
+    to_recording = out.suffix.lower() == ".mcap"
+    if codec is not None and (not to_recording or codec not in list(Codec)):
+        raise AnnulusError(f"--codec goes with a new .mcap and is one of {', '.join(Codec)}.")
+    if form is not None and to_recording:
+        raise AnnulusError("--as goes with a folder; a recording has --codec.")
+    recording = open_recording(scan)
+    with progress() as bars:
+        if to_recording:
+            from annulus.record.copy import copy
+
+            copied = copy(recording, out, codec=None if codec is None else Codec(codec), progress=bars)
+            frames, without_place, damaged = copied.frames, 0, copied.damaged
+        else:
+            from annulus.record.folder import export_folder
+
+            exported = export_folder(recording, out, form or "png", bars)
+            frames, without_place, damaged = exported.frames, exported.without_place, exported.damaged
+    print_fields(
+        {"out": str(out), "frames": frames, "without_place": without_place, "frames_damaged": len(damaged)}, as_json
+    )
+    for line in damaged:
+        print(f"annulus: {line}", file=sys.stderr)
+
+
 @app.command(
     "import",
     epilog="Example: annulus record import dvd.mp4 -o scan --chainage counter.csv && annulus reconstruct scan ..",
 )
 def import_command(
-    video: Annotated[Path, typer.Argument(help="A video of a profiler head whose light stays on: AVI, MP4, MKV ..")],
+    video: Annotated[
+        Path,
+        typer.Argument(
+            help="A video of a profiler head whose light stays on, AVI, MP4 ..; or a folder of its pictures, PNG .."
+        ),
+    ],
     out: Annotated[Path, typer.Option("-o", "--out", help="New folder for the scan.")],
     chainage: Annotated[
         Path | None,
@@ -99,7 +186,10 @@ def import_command(
     every: Annotated[int, typer.Option(min=1, help="Take every n-th frame.")] = 1,
     as_json: Json = False,
 ) -> None:
-    """Make a scan folder of a video: a picture a frame, and where it was taken."""
+    """Make a scan folder of a video, or of a folder of pictures: a picture a frame, and where it was taken.
+
+    Pictures of a folder are counted from 0 in the order of their names; 9 comes before 10.
+    """
     from annulus.record.video import UNITS_MM, import_video, read_chainage
 
     if (chainage is None) == (speed is None):
@@ -123,6 +213,15 @@ def import_command(
             "damaged in the middle frames after that have the place of later ones",
             file=sys.stderr,
         )
+
+
+def _torn(torn: bool, cut_frames: int | None) -> str:
+    if not torn:
+        return ""
+    if cut_frames == 0:
+        return "; torn: it ends before it was closed, and in no frame"
+    many = "an unknown number of frames" if cut_frames is None else f"{cut_frames} frame at most"
+    return f"; torn: it ends before it was closed, and {many} with it"
 
 
 def _print_table(found: dict[str, Any]) -> None:

@@ -35,7 +35,7 @@ import cv2
 import msgpack
 
 from annulus.capture.camera import Camera, CapturedFrame, EndOfFrames, grab
-from annulus.capture.photometry import measure
+from annulus.capture.photometry import GREEN_FIRST, measure
 from annulus.capture.timing import FrameTiming
 from annulus.daemon.camera_config import FILES, CameraConfig
 from annulus.daemon.camera_state import CameraEvent, CameraState, CameraWatch
@@ -251,7 +251,7 @@ class IntakeLoop:
 
 
 def _told(frame: CapturedFrame, place: Place | None) -> list[Any]:
-    picture = asdict(measure(frame.image))
+    picture = asdict(measure(frame.image, green_first=frame.encoding in GREEN_FIRST))
     where = [None, 0] if place is None else [place.slot, place.stamp]
     return [*where, frame.sequence, frame.timestamp_ns, frame.arrived_ns, picture, _plain(frame.metadata)]
 

@@ -12,7 +12,9 @@ from annulus.capture.timing import FrameTiming
 from annulus.controller import HOST_TIMEOUT_DEFAULT_MS, HOST_TIMEOUT_MAX_MS, HOST_TIMEOUT_MIN_MS, PREAMBLE_MAX
 from annulus.daemon.camera_config import CAMERA_KINDS, CameraConfig, CameraKind
 from annulus.geometry.calibration import Calibration
-from annulus.record.calibration_file import load_calibration, load_part
+from annulus.job import WORDS, JobSheet, provenance
+from annulus.record.calibration_file import load_calibration, load_part, load_sections
+from annulus.record.codec import DEFAULT, Codec
 from annulus.rings.colour import ColourProfile
 from annulus.sensors.chips import CHIPS
 from annulus.sensors.i2c import bus_number
@@ -86,11 +88,13 @@ class LampConfig:
 class RecordConfig:
     """How a scan is recorded. 0: no such bound."""
 
+    codec: Codec = DEFAULT
     part_minutes: float = 60.0  # a new file when the one at hand is so old,
     part_gb: float = 0.0  # or so large
     sync_s: float = 5.0  # to the disk itself this often; 0: whenever the system likes
     min_free_gb: float = 2.0  # no scan begins with less,
     min_free_minutes: float = 0.0  # or with less than so many minutes of frames
+    expect_minutes: float = 0.0  # that a scan takes: one is begun with less room, but a warning given
     reserve_mb: float = 200.0  # a scan ends before the disk has less
 
 
@@ -116,7 +120,8 @@ class HeadConfig:
     colour: ColourProfile | None = None  # of the pipe; each frame's own where None
     record_folder: Path | None = None
     record: RecordConfig = RecordConfig()
-    job: Mapping[str, str] = field(default_factory=dict)  # who scans what and where: free text, goes into the recording
+    job: JobSheet = field(default_factory=JobSheet)  # goes into the recording
+    provenance: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # of the calibration
     publish: SocketConfig | None = None
     control: SocketConfig | None = None
     autostart: bool = True  # False: idle until the control socket says start
@@ -145,13 +150,13 @@ class HeadConfig:
             "port": self.port,
             "mm_per_count": self.mm_per_count,
             "max_speed_mm_s": self.max_speed_mm_s,
-            "job": dict(self.job),
+            "job": self.job.to_dict(),
+            "calibration_provenance": {name: dict(made) for name, made in self.provenance.items()},
             "sectors": asdict(self.sectors),
             "sensors": [asdict(sensor) for sensor in self.sensors],
         }
 
 
-JOB = ("who", "where", "what")
 _LISTS = ("camera", "sensor")  # sections that may come several times, as [[camera]]
 _SECTIONS: Mapping[str, tuple[str, ...]] = {
     "controller": ("port",),
@@ -171,7 +176,7 @@ _SECTIONS: Mapping[str, tuple[str, ...]] = {
     "odometer": ("mm_per_count", "max_speed_mm_s"),
     "calibration": ("file", "colour"),
     "record": ("folder", *(field.name for field in fields(RecordConfig))),
-    "job": JOB,
+    "job": tuple(WORDS),
     "publish": ("address", "key_file", "viewers"),
     "control": ("address", "key_file", "viewers", "autostart"),
     "sensor": (
@@ -224,7 +229,8 @@ def _checked(data: Mapping[str, Any], folder: Path) -> HeadConfig:
         colour=None if paint is None else load_part(folder / paint, ColourProfile.from_dict, COLOUR_MAKER),
         record_folder=None if record is None else folder / record,
         record=_record(data.get("record", {})),
-        job={name: _text(data["job"], "job", name, "") for name in data.get("job", {})},
+        job=JobSheet.from_dict(data.get("job", {})),
+        provenance={} if calibration_file is None else provenance(load_sections(folder / calibration_file)),
         publish=_socket(data, "publish", folder),
         control=_socket(data, "control", folder),
         autostart=_flag(control, "control", "autostart", True),
@@ -247,17 +253,6 @@ def _checked(data: Mapping[str, Any], folder: Path) -> HeadConfig:
     return config
 
 
-def job_of(given: Sequence[str]) -> dict[str, str]:
-    """`name=text` each, as [job] has them. Raises AnnulusError for another name, or none."""
-    job = {}
-    for one in given:
-        name, _, text = one.partition("=")
-        if name not in JOB or not text:
-            raise AnnulusError(f"job {shown(one)}: expected NAME=TEXT, a name one of {', '.join(JOB)}")
-        job[name] = text
-    return job
-
-
 def _check_names(section: str, content: object) -> None:
     if section not in _SECTIONS:
         raise ValueError(f"section [{section}] is not known, expected one of {', '.join(_SECTIONS)}")
@@ -265,7 +260,7 @@ def _check_names(section: str, content: object) -> None:
     for one in several:
         if not isinstance(one, dict):
             raise ValueError(f'"{section}" must be a section, written [{section}]')
-        for key in one:
+        for key in one if section != "job" else ():  # which has names of before, too
             if key not in _SECTIONS[section]:
                 raise ValueError(f"[{section}] {key} is not known, expected one of {', '.join(_SECTIONS[section])}")
 
@@ -325,12 +320,17 @@ def _lamps(content: Mapping[str, Any]) -> LampConfig:
 
 def _record(content: Mapping[str, Any]) -> RecordConfig:
     usual = RecordConfig()
+    codec = _text(content, "record", "codec", usual.codec)
+    if codec not in list(Codec):
+        raise ValueError(f"[record] codec is {shown(codec)}, expected one of {', '.join(Codec)}")
     return RecordConfig(
+        codec=Codec(codec),
         part_minutes=_bound(content, "record", "part_minutes", usual.part_minutes, 0.01, 1e5),
         part_gb=_bound(content, "record", "part_gb", usual.part_gb, 0.01, 1e5),
         sync_s=_bound(content, "record", "sync_s", usual.sync_s, 0.1, 3600.0),
         min_free_gb=_number(content, "record", "min_free_gb", usual.min_free_gb, 0.0, 1e5),
         min_free_minutes=_number(content, "record", "min_free_minutes", usual.min_free_minutes, 0.0, 1e5),
+        expect_minutes=_number(content, "record", "expect_minutes", usual.expect_minutes, 0.0, 1e5),
         reserve_mb=_number(content, "record", "reserve_mb", usual.reserve_mb, 0.0, 1e5),
     )
 

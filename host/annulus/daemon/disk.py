@@ -50,7 +50,9 @@ class DiskState:
         if self.free_bytes is None:
             return "free space not known"
         free = f"{self.free_bytes / GB:.1f} GB free"
-        return free if self.minutes_left is None else f"{free}, {self.minutes_left:.0f} min left"
+        if self.minutes_left is None:
+            return free
+        return f"{free}, {self.minutes_left:.0f} min left at {self.bytes_per_s / MB:.0f} MB/s"
 
     def numbers(self) -> dict[str, float | None]:
         """For the telemetry."""
@@ -91,6 +93,19 @@ def require_room(folder: Path, limits: RecordConfig, expected_rate: float, free:
             f"{folder}: room for {room / expected_rate / 60:.0f} min at {expected_rate / MB:.0f} MB/s, expected at "
             f"least {limits.min_free_minutes:g} min ([record] min_free_minutes)"
         )
+
+
+def short_of(folder: Path, limits: RecordConfig, expected_rate: float, free: int) -> str:
+    """What to warn of before a scan that may begin: one line where it is expected to take longer than the disk lasts;
+    empty where it is not.
+    """
+    room = max(0.0, free - limits.reserve_mb * MB)
+    if expected_rate <= 0 or room >= limits.expect_minutes * 60 * expected_rate:
+        return ""
+    return (
+        f"{folder}: room for {room / expected_rate / 60:.0f} min at {expected_rate / MB:.0f} MB/s, the scan is to "
+        f"take {limits.expect_minutes:g} min: make room, or it ends before the pipe does"
+    )
 
 
 class Forecast:

@@ -1,4 +1,5 @@
-"""What a scan's labels followed from, and who and what made it, into the recording: `/evidence` and `/identity`.
+"""What a scan's labels followed from, who and what made it, and what was lost of it, into the recording: `/evidence`,
+`/identity`, `/drops`.
 
 Rows go out several at a time, for every message costs the recorder's index some memory. `first` counts them through,
 so that a reader knows what is missing. 17 to 35 kB/s at 25 fps, a thousandth of the frames.
@@ -20,7 +21,7 @@ from annulus.labelling.navigation import Navigation
 from annulus.link.head import HeadControl
 from annulus.link.messages import Configuration
 
-TOPIC, IDENTITY = "/evidence", "/identity"
+TOPIC, IDENTITY, DROPS = "/evidence", "/identity", "/drops"
 FLUSH_S = 0.25  # a kill costs so much
 ROWS_MAX = 200  # of one message
 IDENTITY_S = 60.0  # between two looks at the wall clock
@@ -59,6 +60,8 @@ class Evidence:
         self._next_flush_s = now_s + FLUSH_S
         drops = self._account.drops
         if drops != self._drops:
+            new = {kind: count - self._drops.get(kind, 0) for kind, count in drops.items()}
+            self._note(DROPS, {"new": {kind: count for kind, count in new.items() if count}, "all": drops})
             self._drops = drops
             self._navigation.journal.note("drops", host_ns=time.monotonic_ns(), **drops)
         if drops.get("recorders_replaced", 0) != self._recorders:
@@ -84,7 +87,7 @@ class Evidence:
         body = {
             "why": why, "host_ns": (before_ns + time.monotonic_ns()) // 2, "utc_ns": utc_ns,
             "utc": datetime.fromtimestamp(utc_ns / 1e9, UTC).isoformat(timespec="milliseconds"),
-            "controller": self._controller, "cameras": cameras, "job": dict(self._config.job),
+            "controller": self._controller, "cameras": cameras, "job": self._config.job.to_dict(),
             "versions": versions(),
         }  # fmt: skip
         self._note(IDENTITY, body)

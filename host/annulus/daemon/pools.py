@@ -27,6 +27,8 @@ from annulus.daemon.observer import Mark, Observer
 from annulus.daemon.reorder import ReorderBuffer
 from annulus.daemon.state import State
 from annulus.geometry.calibration import Calibration
+from annulus.record.clock import Clock
+from annulus.record.codec import DEFAULT, Codec
 from annulus.record.rotation import Bounds
 from annulus.rings.colour import ColourProfile
 from annulus.sensors.sample import Sample
@@ -176,6 +178,8 @@ class RecordingSetup:
     configuration: Mapping[str, Any]
     bounds: Bounds = field(default_factory=Bounds)
     scan: str = field(default_factory=lambda: uuid.uuid4().hex)  # whose parts belong together
+    codec: Codec = DEFAULT
+    clock: Clock = field(default_factory=Clock.now)  # one for all parts, whoever writes them
 
 
 class Recorder(Pool, Observer):
@@ -188,6 +192,7 @@ class Recorder(Pool, Observer):
         plain = {
             "folder": str(setup.folder.absolute()), "name": setup.name, "calibration": setup.calibration,
             "configuration": setup.configuration, "bounds": list(astuple(setup.bounds)), "scan": setup.scan,
+            "codec": setup.codec.value, "clock": setup.clock.to_dict(),
         }  # fmt: skip
         kind = WorkerKind("recorder", command, plain, 1, max(1, len(shared.ring) // 2), spares=1)
         super().__init__(kind, shared, account, observer)

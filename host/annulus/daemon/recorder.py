@@ -1,27 +1,35 @@
 """The recorder process. Run as `python -m annulus.daemon.recorder`.
 
 A process of its own, so that a slow disk stalls nothing but the recording, and nothing but itself can break it. It
-imports neither OpenCV nor numba: a spare one must be up at once.
+imports neither OpenCV nor numba: a spare one must be up at once. OpenCV, for previews, comes when the first frames do.
+
+A frame that is there as soon as the one before it is done with, and others before it, says that frames come faster than
+they are written: then they are written as they are, which takes a third of the time, until there is a pause again.
 
 A file that lost its name (it, or its folder, was removed) or is shorter than what was written into it is lost with all
 its frames. That is reported, and the recording goes on in a new file where one can be begun.
 """
 
 import sys
+import threading
 import time
 import uuid
 from pathlib import Path
 from typing import Any
 
 from annulus.numeric.arrays import Image
+from annulus.record.clock import Clock
+from annulus.record.codec import DEFAULT, Codec
 from annulus.record.parts import Part
 from annulus.record.rotation import UNBOUNDED, Bounds, RotatingWriter
 from annulus.record.writer import RecordingWriter
-from annulus.stream.frames import FrameHeader
+from annulus.stream.frames import CAMERAS_MAX, FrameHeader
 from annulus.stream.working import serve
 from annulus.vocabulary import AnnulusError
 
 LOOK_S = 0.5  # between two looks at the file, and between two attempts to begin another
+HURRY_AFTER = CAMERAS_MAX + 1  # frames without a pause; so many of one flash come at once
+PAUSE_S = 0.002
 NOT_RECORDED = "frames are labelled but not recorded"
 
 
@@ -32,9 +40,20 @@ class RecorderJob:
     """
 
     def __init__(
-        self, folder: Path, name: str, calibration: Any, configuration: Any, bounds: Bounds = UNBOUNDED, scan: str = ""
+        self,
+        folder: Path,
+        name: str,
+        calibration: Any,
+        configuration: Any,
+        bounds: Bounds = UNBOUNDED,
+        scan: str = "",
+        codec: Codec = DEFAULT,
+        clock: Clock | None = None,
     ) -> None:
-        """`scan`: what all parts of it have in common, drawn when empty."""
+        """`scan`: what all parts of it have in common, drawn when empty; so is the `clock`."""
+        threading.Thread(target=_get_opencv, name="gets OpenCV", daemon=True).start()
+        self._codec, self._clock = codec, clock or Clock.now()
+        self._done_s, self._without_pause = 0.0, 0
         self._folder, self._name, self._calibration, self._configuration = folder, name, calibration, configuration
         self._bounds, self._scan = bounds, scan or uuid.uuid4().hex
         self.path = folder
@@ -46,9 +65,14 @@ class RecorderJob:
         self._begin()
 
     def frame(self, header: FrameHeader, image: Image, extra: Any) -> Any:
+        paused = time.monotonic() - self._done_s >= PAUSE_S
+        self._without_pause = 0 if paused else self._without_pause + 1
         self._look()
         writer = self._writer
-        written = writer is not None and writer.frame(header.to_dict(), image, header.timestamp_ns)
+        written = writer is not None and writer.frame(
+            header.to_dict(), image, header.timestamp_ns, hurried=self._without_pause >= HURRY_AFTER
+        )
+        self._done_s = time.monotonic()
         if writer is not None and writer.path != self.path:  # another part
             self._tell(writer)
         return str(self.path) if written else ""
@@ -105,9 +129,10 @@ class RecorderJob:
         self._reports.append(self._state())
 
     def _part(self, path: Path, part: Part) -> RecordingWriter:
+        now_ns = self._clock.host_ns if part.number == 1 else time.monotonic_ns()  # the scan began before we were up
         return RecordingWriter(
-            path, calibration=self._calibration, configuration=self._configuration, now_ns=time.monotonic_ns(),
-            part=part,
+            path, calibration=self._calibration, configuration=self._configuration, now_ns=now_ns,
+            part=part, codec=self._codec, clock=self._clock,
         )  # fmt: skip
 
     def _state(self, gone: bool = False, problem: str = "") -> dict[str, Any]:
@@ -122,8 +147,15 @@ class RecorderJob:
 def _prepare(setup: Any) -> RecorderJob:
     return RecorderJob(
         Path(setup["folder"]), setup["name"], setup["calibration"], setup["configuration"], Bounds(*setup["bounds"]),
-        setup["scan"],
+        setup["scan"], Codec(setup["codec"]), Clock.from_dict(setup["clock"]),
     )  # fmt: skip
+
+
+def _get_opencv() -> None:
+    """50 ms and 40 MB, while nobody waits for it."""
+    import cv2
+
+    cv2.setNumThreads(1)  # others have use for the other cores
 
 
 if __name__ == "__main__":

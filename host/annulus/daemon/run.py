@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from annulus.daemon.account import ScanReport
-from annulus.daemon.config import LogConfig, job_of, load_config
+from annulus.daemon.config import LogConfig, load_config
 from annulus.daemon.health import Health, Word
 from annulus.daemon.interrupt import Interrupt
 from annulus.daemon.ledger import Status
@@ -21,6 +21,7 @@ from annulus.daemon.samples import open_sensors
 from annulus.daemon.service import Service
 from annulus.daemon.session import Session
 from annulus.daemon.state import State
+from annulus.job import job_of
 from annulus.reprocess.ahead import make_ready
 from annulus.stream.working import leave_uncollected
 from annulus.vocabulary import AnnulusError
@@ -56,11 +57,11 @@ def run_daemon(config_path: Path, log: Path | None = None, job: Sequence[str] = 
     """Until Ctrl-C or SIGTERM; every scan ends with what was made. Returns how the worst of them ended. Raises
     AnnulusError when it cannot begin.
 
-    log : in place of the one that head.toml names. job : `name=text` each, over what head.toml says of the job.
+    log : in place of the one that head.toml names. job : NAME=TEXT or a job.toml each, over what head.toml says of it.
     """
     with Interrupt() as interrupt, ExitStack() as stack:
         config = load_config(config_path)
-        config = replace(config, job={**config.job, **job_of(job)})
+        config = replace(config, job=config.job.under(job_of(job)))
         if log is not None:
             config = replace(config, log=replace(config.log or LogConfig(log), file=log))
         service = Service()

@@ -60,7 +60,9 @@ class Scan:
             calibration = None if config.calibration is None else config.calibration.to_dict()
             record = config.record
             bounds = Bounds(60.0 * record.part_minutes, GB * record.part_gb, record.sync_s)
-            setup = RecordingSetup(config.record_folder, name, calibration, config.to_dict(), bounds)
+            setup = RecordingSetup(
+                config.record_folder, name, calibration, config.to_dict(), bounds, codec=record.codec
+            )
             self.recorder = Recorder(setup, power.shared, account, observers)
             observers.all.insert(0, self.recorder)
             head = power.line.head if power.line is not None else None

@@ -5,10 +5,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from annulus.daemon.config import HeadConfig
-from annulus.daemon.disk import MB, Asker, DiskState, Forecast, require_room
+from annulus.daemon.disk import MB, Asker, DiskState, Forecast, require_room, short_of
 from annulus.daemon.health import Health, HealthFile, HealthWatch, Word, health_path
 from annulus.daemon.observer import Observer
 from annulus.daemon.priority import share_priority
+from annulus.record.codec import SHARE
 
 RESERVE_S = 3.0  # of frames at least: what is in hand when a scan ends must still find room
 FIRST_ANSWER_S = 1.0  # a disk that does not say what is free by then is none to record on
@@ -40,7 +41,7 @@ class Vitals:
     def __init__(self, config: HeadConfig, bytes_per_s: float, observer: Observer) -> None:
         """`bytes_per_s`: what the cameras send."""
         self._folder, self._limits, self._observer = config.record_folder, config.record, observer
-        self._rate = bytes_per_s
+        self._rate = bytes_per_s * SHARE[config.record.codec]
         self._forecast = Forecast(max(config.record.reserve_mb * MB, RESERVE_S * bytes_per_s))
         self._watch = HealthWatch(records=config.record_folder is not None)
         self._asker = None if config.record_folder is None else Asker(config.record_folder)
@@ -53,7 +54,10 @@ class Vitals:
     def require_space(self) -> None:
         """Before a scan. Raises AnnulusError, one line, when it must not begin."""
         if self._folder is not None and self._asker is not None:
-            require_room(self._folder, self._limits, self._rate, self._asker.free(FIRST_ANSWER_S))
+            free = self._asker.free(FIRST_ANSWER_S)
+            require_room(self._folder, self._limits, self._rate, free)
+            if short := short_of(self._folder, self._limits, self._rate, free):
+                self._observer.event("disk", short)
             self._forecast.restart()
 
     def numbers(self) -> dict[str, Any]:

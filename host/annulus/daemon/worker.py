@@ -10,7 +10,7 @@ import cv2
 from annulus.geometry.calibration import Calibration
 from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import Image
-from annulus.record.recording import to_bgr
+from annulus.record.codec import to_bgr
 from annulus.reprocess.method import method_for, warm_up
 from annulus.rings.colour import ColourProfile
 from annulus.stream.frames import FrameHeader

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable, Mapping
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -57,9 +58,9 @@ def update_calibration(
     """Replace these sections of the file and keep its others; a new file gets only these.
 
     A section given as None is taken out. `provenance`: how each section came about, kept under "provenance" by the
-    section's name; what was said of a section that is replaced by another goes. Returns the names of the sections that
-    were kept as they are. Raises AnnulusError when the file is there but is no calibration of one camera, or cannot be
-    written.
+    section's name, with the time; what was said of a section that is replaced by another goes. Returns the names of the
+    sections that were kept as they are. Raises AnnulusError when the file is there but is no calibration of one
+    camera, or cannot be written.
     """
     data = _read(path) if path.exists() else {}
     listed = "cameras" in sections  # a head that format 1 has no words for, though of one camera
@@ -71,7 +72,8 @@ def update_calibration(
     before = data.get("provenance")
     replaced = {key for key, section in sections.items() if data.get(key) != section}
     still = {key: made for key, made in (before if isinstance(before, dict) else {}).items() if key not in replaced}
-    origins = {**still, **(provenance or {})}
+    now = datetime.now(UTC).isoformat(timespec="seconds")
+    origins = {**still, **{key: {**made, "utc": now} for key, made in (provenance or {}).items()}}
     if listed:
         data.pop("camera", None)
     merged = {"format": None, **data, **sections, "provenance": origins or None}

@@ -1,11 +1,12 @@
 """A recording read back: one scan in one .mcap file or in parts of it, whatever a crash or a full disk left of it.
 
-Topics: `/frame/<camera>` (foxglove.RawImage, protobuf) and JSON `/label`, `/profile`, `/telemetry`, `/event`,
-`/sensor/<name>` and whatever else is noted. A frame and its label share the message sequence number, which is the
-frame's index; the label says which camera it is of, and lies before its frame in one uncompressed chunk. Frames of one
-index belong to one flash. Bytes inside JSON are {"base64": ".."}. Attachments: `calibration.json`,
-`configuration.json`, `part.json` (see parts.py). Recordings of before there was more than one camera have `/frame`:
-camera 0.
+Topics: `/frame/<camera>` (foxglove.RawImage or foxglove.CompressedImage, protobuf) and JSON `/label`, `/profile`,
+`/telemetry`, `/event`, `/sensor/<name>` and whatever else is noted; other protobuf is for viewers (viewers.py), and
+passed over. A frame and its label share the message sequence number, which is the frame's index; the label says which
+camera it is of, and lies before its frame in one chunk. Frames of one index belong to one flash. Bytes inside JSON are
+{"base64": ".."}. Attachments: `calibration.json`, `configuration.json`, `part.json` (parts.py) and `clock.json`
+(clock.py): messages have times of day, and what is given here are the monotonic ones they were made of. Recordings of
+before have those, and `/frame` for camera 0 where there was only one.
 
 Opening steps over images. A chunk's checksum is looked at when something in it is read, so an image or a note that
 comes out is what was written; `check` reads the whole file. What is damaged is told, and costs no more than its chunk.
@@ -20,14 +21,17 @@ import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import IO, Any
 
 import numpy as np
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from google.protobuf.message import DecodeError
 
 from annulus import untrusted
 from annulus.numeric.arrays import Image
+from annulus.record.clock import CLOCK_FILE, Clock
+from annulus.record.codec import to_bgr
 from annulus.record.parts import PART_FILE, Part, later_paths, part_of
 from annulus.record.walk import ATTACHMENT_MAX, MAGIC, Chunk, Damage, DamagedError, Message, Walk, piece
 from annulus.stream.frames import CHANNELS, SIDE_MAX
@@ -38,7 +42,8 @@ LABEL_TOPIC = "/label"
 CAMERA_ID_MAX = 255
 Z_MAX_MM = 1e8  # of a place; beyond is damage
 _JSON_MAX = 1 << 24
-_ATTACHED = ("calibration.json", "configuration.json", PART_FILE)
+_ATTACHED = ("calibration.json", "configuration.json", PART_FILE, CLOCK_FILE)
+_JPEG = CompressedImage.DESCRIPTOR.full_name
 
 
 def to_json(value: Any) -> bytes:
@@ -70,7 +75,7 @@ def from_json(data: bytes) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class RecordedFrame:
-    """One frame in a recording; `offset`, `length`: its protobuf message in the file."""
+    """One frame in a recording; `offset`, `length`: its protobuf message in the file or, of a packed chunk, in that."""
 
     index: int
     label: Label
@@ -84,6 +89,7 @@ class RecordedFrame:
     part: int = 0  # which of its recording's `parts` it is in
     z_bound_mm: float = 0.0  # how far z may be off; 0: it was counted
     segment: int = 0  # of z: within one, differences of z were counted
+    jpeg: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +113,8 @@ class Recording:
     _sound: dict[int, bool] = field(default_factory=dict, repr=False)  # by a chunk's offset, of those looked at
     part: Part | None = None  # of which scan; None before there were parts
     parts: "tuple[Recording, ...]" = ()
+    utc_offset_ns: int = 0  # what a message's time is later than the monotonic clock's
+    cut_frames: int | None = 0  # at most, that the file ends in the middle of; None: not known
 
     @property
     def cameras(self) -> tuple[int, ...]:
@@ -135,13 +143,24 @@ class Recording:
             yield from part.timed_notes(topic)
         if self.parts:
             return
+        held, data = None, b""  # the chunk that is unpacked, its records
         with self.path.open("rb") as file:
             for message in self._notes.get(topic, ()):
+                chunk = message.chunk
                 try:
-                    if self._is_sound(message.chunk, file):
-                        body = from_json(piece(file, message.offset, message.length))
-                        yield message.time_ns, message.sequence, body
-                except ValueError:
+                    if chunk is not None and chunk.size:
+                        if held != chunk.offset:
+                            held, data = chunk.offset, b""
+                            data = chunk.read(file)
+                        if not data:
+                            continue
+                        content = bytes(chunk.within(data, message.offset, message.length))
+                    elif self._is_sound(chunk, file):
+                        content = piece(file, message.offset, message.length)
+                    else:
+                        continue
+                    yield message.time_ns - self.utc_offset_ns, message.sequence, from_json(content)
+                except (ValueError, DamagedError):
                     continue
 
     def check(self) -> tuple[Damage, ...]:
@@ -160,6 +179,26 @@ class Recording:
                 found.append(Damage(0, "the checksum of all records is wrong"))
         return tuple(found)
 
+    def read_jpeg(self, frame: RecordedFrame) -> bytes:
+        """The picture of a frame that is `jpeg`, as it lies there. Raises as `read_raw` does."""
+        if self.parts:
+            return self.parts[frame.part].read_jpeg(frame)
+        data, where = self._message(frame)
+        return _compressed(data, where)
+
+    def _message(self, frame: RecordedFrame) -> tuple[memoryview, str]:
+        """A frame's message, and what the frame is called."""
+        where = f"{self.path}: {frame_name(frame.index, frame.camera)}"
+        try:
+            with self.path.open("rb") as file:
+                return _of_chunk(file, frame), where
+        except DamagedError as error:
+            raise DamagedError(f"{where} is damaged: {error}.") from None
+        except ValueError as error:
+            raise DamagedError(f"{where} is damaged: {error}.") from None
+        except OSError as error:
+            raise AnnulusError(f"{where} cannot be read ({error.strerror}).") from None
+
     def read_raw(self, frame: RecordedFrame) -> tuple[Image, str]:
         """The image as the camera gave it, and its encoding.
 
@@ -167,16 +206,9 @@ class Recording:
         """
         if self.parts:
             return self.parts[frame.part].read_raw(frame)
-        where = f"{self.path}: {frame_name(frame.index, frame.camera)}"
-        try:
-            with self.path.open("rb") as file:
-                data = _of_chunk(file, frame)
-        except DamagedError as error:
-            raise DamagedError(f"{where} is damaged: {error}.") from None
-        except ValueError as error:
-            raise DamagedError(f"{where} is damaged: {error}.") from None
-        except OSError as error:
-            raise AnnulusError(f"{where} cannot be read ({error.strerror}).") from None
+        data, where = self._message(frame)
+        if frame.jpeg:
+            return _decoded(data, where), "bgr8"
         raw = RawImage()
         try:
             raw.ParseFromString(data)
@@ -223,8 +255,26 @@ def _of_chunk(file: IO[bytes], frame: RecordedFrame) -> memoryview:
     """A frame's message, out of a chunk that is what was written."""
     if frame.chunk is None:
         return memoryview(piece(file, frame.offset, frame.length))
-    start = frame.offset - frame.chunk.offset
-    return memoryview(frame.chunk.read(file))[start : start + frame.length]
+    return frame.chunk.within(frame.chunk.read(file), frame.offset, frame.length)
+
+
+def _compressed(data: memoryview, where: str) -> bytes:
+    message = CompressedImage()
+    try:
+        message.ParseFromString(data)
+    except DecodeError:
+        raise DamagedError(f"{where} is damaged: not a foxglove.CompressedImage.") from None
+    return bytes(message.data)
+
+
+def _decoded(data: memoryview, where: str) -> Image:
+    """(H, W, 3) BGR."""
+    from annulus.capture.pictures import decode  # OpenCV: not by whom writes only
+
+    try:
+        return decode(_compressed(data, where))
+    except ValueError as error:
+        raise DamagedError(f"{where} is damaged: {error}.") from None
 
 
 def _crc_before(file: IO[bytes], end: int) -> int:
@@ -238,17 +288,6 @@ def _crc_before(file: IO[bytes], end: int) -> int:
 def frame_name(index: int, camera: int) -> str:
     """As messages name a frame."""
     return f"frame {index} of camera {camera}" if camera else f"frame {index}"
-
-
-def to_bgr(image: Image, encoding: str) -> Image:
-    """(H, W, 3) BGR from any encoding of CHANNELS. bayer_rggb8 has R at (0, 0)."""
-    import cv2  # not by whom writes only: a recorder has to be up at once
-
-    if encoding == "bayer_rggb8":
-        return cast(Image, cv2.cvtColor(image, cv2.COLOR_BayerRGGB2BGR))
-    if encoding == "mono8":
-        return cast(Image, cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
-    return image
 
 
 def open_recording(path: Path) -> Recording:
@@ -299,8 +338,8 @@ def open_part(path: Path) -> Recording:
             told = os.fstat(file.fileno())
             if not stat.S_ISREG(told.st_mode) or file.read(len(MAGIC)) != MAGIC:
                 raise AnnulusError(f"{path}: not an MCAP recording.")
-            walk = Walk(file, told.st_size, _ATTACHED)
-            frames, labels, notes = _sorted_out(walk, file)
+            walk = Walk(file, told.st_size, _ATTACHED, LABEL_TOPIC)
+            frames, labels, notes = _sorted_out(walk)
     except ValueError as error:  # shorter than it was a moment ago
         raise AnnulusError(f"{path}: cannot be read ({error}). Is it still being written?") from None
     except OSError as error:
@@ -310,13 +349,28 @@ def open_part(path: Path) -> Recording:
             f"{path}: its chunks are compressed with {walk.compression}. "
             "Decompress it first: mcap compress --compression none."
         )
-    if not any(topic == LABEL_TOPIC or _camera_of(topic) is not None for topic in walk.channels.values()):
+    topics = {channel.topic for channel in walk.channels.values()}
+    if not any(topic == LABEL_TOPIC or _camera_of(topic) is not None for topic in topics):
         raise AnnulusError(f"{path}: no {FRAME_TOPIC}/<camera> topic. Expected a recording made by annulus.")
-    calibration, configuration, part = (_attached(walk, name) for name in _ATTACHED)
+    calibration, configuration, part, clock = (_attached(walk, name) for name in _ATTACHED)
+    known = Clock.from_dict(clock)
+    offset_ns = _offset(frames, labels) if known is None else known.offset_ns
+    if offset_ns:
+        frames = tuple(replace(frame, timestamp_ns=frame.timestamp_ns - offset_ns) for frame in frames)
     return Recording(
         path, frames, calibration, configuration, not walk.ended, labels, notes, tuple(walk.damage),
-        tuple(walk.chunks), walk.data_crc, part=Part.from_dict(part),
+        tuple(walk.chunks), walk.data_crc, part=Part.from_dict(part), utc_offset_ns=offset_ns,
+        cut_frames=walk.cut_messages,
     )  # fmt: skip
+
+
+def _offset(frames: tuple[RecordedFrame, ...], labels: "_Labels") -> int:
+    """From labels, which say when their frames were, where no clock is attached any more; 0 of recordings of before."""
+    for frame in frames:
+        said = labels.get((frame.index, frame.camera), {}).get("timestamp_ns")
+        if type(said) is int:
+            return frame.timestamp_ns - said
+    return 0
 
 
 def _camera_of(topic: str) -> int | None:
@@ -336,17 +390,18 @@ def camera_of_label(label: object) -> int:
 _Labels = dict[tuple[int, int], Mapping[str, Any]]  # by index and camera
 
 
-def _sorted_out(
-    walk: Walk, file: IO[bytes]
-) -> tuple[tuple[RecordedFrame, ...], _Labels, dict[str, tuple[Message, ...]]]:
+def _sorted_out(walk: Walk) -> tuple[tuple[RecordedFrame, ...], _Labels, dict[str, tuple[Message, ...]]]:
     """What was walked over as frames, their labels, and notes by topic."""
     images: dict[tuple[int, int], Message] = {}
     labels: _Labels = {}
     labelled: dict[tuple[int, int], Chunk | None] = {}
     notes: dict[str, list[Message]] = {}
     for message in walk.messages:
-        topic = walk.channels.get(message.channel, "")
+        channel = walk.channels.get(message.channel)
+        topic = "" if channel is None else channel.topic
         camera = _camera_of(topic)
+        if channel is not None and channel.encoding != "json" and camera is None:
+            continue  # for viewers
         if camera is not None:
             before = images.setdefault((message.sequence, camera), message)
             if before is not message and not walk.look_at(before.chunk) and walk.look_at(message.chunk):
@@ -355,7 +410,7 @@ def _sorted_out(
             notes.setdefault(topic, []).append(message)
             if topic == LABEL_TOPIC:
                 try:
-                    label = from_json(piece(file, message.offset, message.length))
+                    label = from_json(walk.content(message))
                     key = message.sequence, camera_of_label(label)
                     if key not in labels or walk.look_at(message.chunk):
                         labels[key], labelled[key] = label, message.chunk
@@ -364,13 +419,18 @@ def _sorted_out(
     for key in labelled.keys() ^ images.keys():  # they are written together
         walk.look_at(labelled[key] if key in labelled else images[key].chunk)
     frames = tuple(
-        _frame(index, camera, message, labels.get((index, camera), {}))
+        _frame(index, camera, message, labels.get((index, camera), {}), _is_jpeg(walk, message))
         for (index, camera), message in sorted(images.items())
     )
     return frames, labels, {topic: tuple(messages) for topic, messages in notes.items()}
 
 
-def _frame(index: int, camera: int, image: Message, label: Mapping[str, Any]) -> RecordedFrame:
+def _is_jpeg(walk: Walk, message: Message) -> bool:
+    channel = walk.channels.get(message.channel)
+    return channel is not None and walk.schemas.get(channel.schema) == _JPEG
+
+
+def _frame(index: int, camera: int, image: Message, label: Mapping[str, Any], jpeg: bool) -> RecordedFrame:
     name, z, roll = label.get("label"), label.get("z_mm"), label.get("roll_deg")
     known = Label(name) if name in [one.value for one in Label] else Label.UNKNOWN
     z_mm = float(z) if isinstance(z, int | float) and not isinstance(z, bool) and abs(z) <= Z_MAX_MM else math.nan
@@ -382,6 +442,7 @@ def _frame(index: int, camera: int, image: Message, label: Mapping[str, Any]) ->
         roll if roll is None else float(roll), camera, image.chunk,
         z_bound_mm=float(bound) if isinstance(bound, int | float) and 0 < bound <= Z_MAX_MM else 0.0,
         segment=segment if type(segment) is int else 0,
+        jpeg=jpeg,
     )  # fmt: skip
 
 

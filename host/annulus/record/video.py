@@ -1,7 +1,9 @@
-"""A video of a profiler head as a scan folder: every frame a picture, its place from a table or an even speed.
+"""A video of a profiler head, or a folder of its pictures, as a scan folder: every frame a picture, its place from a
+table or an even speed.
 
-A frame is known by its number, counted from 0 as it is decoded: the number a table of chainage means. All frames are
-taken to be lit by the projector: such heads have a light that stays on.
+A frame is known by its number, counted from 0 as it is decoded, or in the order of the pictures' names, in which 10
+comes after 9: the number a table of chainage means. All frames are taken to be lit by the projector: such heads have a
+light that stays on.
 
 What a decoder would hide is looked for: FFmpeg scales pictures of another size to that of the first, and ends a
 truncated file as if it had been whole. The folder appears when all of it is written, or not at all.
@@ -25,11 +27,12 @@ from annulus.capture.camera import SIDE_MAX
 from annulus.capture.pictures import PIXELS_MAX, size_of
 from annulus.numeric.arrays import Image
 from annulus.record.recording import Z_MAX_MM
-from annulus.record.scan import COLUMNS, TABLE
+from annulus.record.scan import COLUMNS, TABLE, read_image
 from annulus.untrusted import read_file, shown
 from annulus.vocabulary import AnnulusError, Label
 
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4, "ft": 304.8}
+PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".pgm", ".ppm")
 CHAINAGE_MAX = 64 << 20  # bytes; a day at 25 fps has 40 MB
 FRAME_NUMBER_MAX = 1 << 31
 
@@ -143,7 +146,8 @@ def import_video(
     every: int = 1,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> Imported:
-    """Write frames first, first + every, .. up to last of a video into a new scan folder; index = frame number.
+    """Write frames first, first + every, .. up to last of a video, or of a folder of pictures, into a new scan folder;
+    index = frame number.
 
     Either `chainage` says where the frames were, or `speed_mm_s` at `fps` frames a second (the file's own if None).
     One frame is held at a time. Raises AnnulusError, one line, for a video that cannot be read, has no such frames, or
@@ -159,10 +163,10 @@ def import_video(
     try:
         if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
             raise AnnulusError(f"{folder}: is not empty, expected a new folder for the scan.")
-        source = _Video(video)
+        source = _Pictures(video) if video.is_dir() else _Video(video)
         rate = source.fps if fps is None else fps
         if chainage is None and not 0 < rate < math.inf:
-            raise AnnulusError(f"{video}: names no frame rate. Say how many frames a second it has.")
+            raise AnnulusError(f"{video}: names no frame rate. Say how many frames a second it has (--fps).")
         (partial / "frames").mkdir(parents=True)
         rows, without_place = [], 0
         for number in range(first, FRAME_NUMBER_MAX if last is None else last + 1, every):
@@ -194,6 +198,46 @@ def import_video(
     finally:
         shutil.rmtree(partial, ignore_errors=True)
     return Imported(len(rows), (float(rows[0][3]), float(rows[-1][3])), without_place, source.missing)
+
+
+class _Pictures:
+    """A folder of pictures as a video, in the order of their names."""
+
+    missing = 0
+    fps = 0.0  # nobody knows
+
+    def __init__(self, folder: Path) -> None:
+        """Raises AnnulusError, one line, where it has none."""
+        try:
+            files = [path for path in folder.iterdir() if path.suffix.lower() in PICTURES and path.is_file()]
+        except OSError as error:
+            raise AnnulusError(f"{folder}: cannot be read ({error.strerror}).") from None
+        if not files:
+            raise AnnulusError(f"{folder}: holds no pictures. Expected some of {', '.join(PICTURES)}, or a video.")
+        self._files = sorted(files, key=lambda path: _counted(path.name))
+        self.announced = len(files)
+        self.read, self.ended = 0, False
+        self._size: tuple[int, ...] = ()
+
+    def frame(self, number: int, decoded: bool = True) -> Image | None:
+        """As of a video; all are of one size."""
+        self.ended = number >= len(self._files)
+        self.read = min(number + 1, len(self._files))
+        if self.ended or not decoded:
+            return None
+        path = self._files[number]
+        image = read_image(path)
+        if self._size and image.shape != self._size:
+            (height, width, _), (before, wide, _) = image.shape, self._size
+            raise AnnulusError(f"{path}: a picture of {width}x{height}, those before are {wide}x{before}.")
+        self._size = image.shape
+        return np.ascontiguousarray(image[..., 0]) if (image == image[..., :1]).all() else image
+
+
+def _counted(name: str) -> list[tuple[int, str]]:
+    """To sort names by as people count: 9 before 10."""
+    parts = re.split(r"([0-9]{1,18})", name)
+    return [(int(part), "") if i % 2 else (-1, part) for i, part in enumerate(parts)]
 
 
 class _Video:

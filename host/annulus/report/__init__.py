@@ -5,7 +5,11 @@ Computes nothing and knows no method: what it writes is an attribute of `wall.Su
 """
 
 from annulus.report.account import Account
+from annulus.report.bench import FRINGE, head_kind
+from annulus.report.pdf import Paper, check_pdf
 from annulus.report.plate import write_plate
 from annulus.report.results import FILES, prepare_folder, write
 
-__all__ = ["FILES", "Account", "prepare_folder", "write", "write_plate"]
+__all__ = [
+    "FILES", "FRINGE", "Account", "Paper", "check_pdf", "head_kind", "prepare_folder", "write", "write_plate"
+]  # fmt: skip

@@ -1,10 +1,13 @@
 """What a reader is told of a scan besides the wall."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
+from annulus.job import Origin
 from annulus.vocabulary import Finding
+from annulus.wall.conformity import Verdict
+from annulus.wall.photograph import Photograph
 
 
 @dataclass(frozen=True, slots=True)
@@ -13,7 +16,9 @@ class Account:
 
     source : what was scanned, for people. frames : how many by label. drops : everything that was lost, by kind.
     timing_ms : by step. findings : what is wrong with the frames, for people. truth : scores on the twin; passed
-    through, never looked at.
+    through, never looked at. origin : whose job it was, when, with which calibration. verdict : against the limits that
+    somebody named. photographs : of defects, from LED frames. method : which of `report.bench` the head is; "" of none.
+    covariance_stated : whether the calibration says how well it is known, so that the points' sigma have it.
     """
 
     source: str
@@ -22,3 +27,8 @@ class Account:
     timing_ms: Mapping[str, float]
     findings: tuple[Finding, ...] = ()
     truth: Mapping[str, Any] | None = None
+    origin: Origin = field(default_factory=Origin)
+    verdict: Verdict | None = None
+    photographs: tuple[Photograph, ...] = ()
+    method: str = ""
+    covariance_stated: bool = False

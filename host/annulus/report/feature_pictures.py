@@ -7,6 +7,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from annulus.numeric.arrays import BoolArray
+from annulus.numeric.rounding import clock_face
+from annulus.report.maps import DISTANCE_LABEL
 from annulus.report.paper import (
     BUMP_BLUE,
     DEVIATION,
@@ -22,7 +24,7 @@ from annulus.report.paper import (
     question,
     round_up,
 )
-from annulus.wall.defects import ALL_ROUND_DEG, clock_face
+from annulus.wall.defects import ALL_ROUND_DEG
 from annulus.wall.features import FeatureKind
 from annulus.wall.survey import Survey
 
@@ -64,7 +66,7 @@ def _picture(survey: Survey, z_range: tuple[float, float], clock_deg: float, arc
 
 def _profile(axes: Any, survey: Survey, rows: BoolArray, z_range: tuple[float, float]) -> None:
     """The radius along the pipe: the middle over the clock, and from the least to the greatest."""
-    radius, z = survey.wall.radius_mm[rows].astype(float), survey.wall.z_mm[rows]
+    radius, z = survey.wall.radius_mm[rows].astype(float), survey.wall.z_mm[rows] / 1000
     enough = np.isfinite(radius).mean(axis=1) >= SEEN
     low, middle, high = (np.full(len(z), np.nan) for _ in range(3))
     if enough.any():
@@ -73,9 +75,9 @@ def _profile(axes: Any, survey: Survey, rows: BoolArray, z_range: tuple[float, f
     axes.plot(z, low, color=BUMP_BLUE, lw=0.8)
     axes.plot(z, high, color=LOSS_RED, lw=0.8)
     axes.plot(z, middle, color=INK, lw=1.6, label="middle over the clock")
-    axes.axvspan(*z_range, color=FEATURE, alpha=0.10, lw=0)
-    axes.set_xlim(z[0], z[-1] if len(z) > 1 else z[0] + 1.0)
-    axes.set_xlabel("distance along the pipe, mm")
+    axes.axvspan(z_range[0] / 1000, z_range[1] / 1000, color=FEATURE, alpha=0.10, lw=0)
+    axes.set_xlim(z[0], z[-1] if len(z) > 1 else z[0] + 0.001)
+    axes.set_xlabel(DISTANCE_LABEL)
     axes.set_ylabel("radius, mm")
     axes.ticklabel_format(axis="y", useOffset=False)
     axes.grid(color=INK, alpha=0.10, lw=0.6)
@@ -96,22 +98,21 @@ def _crop(
     deviation = wall.deviation_mm()[rows][:, columns]
     known = np.abs(deviation[np.isfinite(deviation)])
     scale = round_up(max(float(np.percentile(known, 98)) if len(known) else 0.0, 10 * survey.noise_mm, 0.5))
-    z = wall.z_mm[rows]
-    half = wall.z_step_mm / 2
+    z = wall.z_mm[rows] / 1000
+    half = wall.z_step_mm / 2000
     top, bottom = offset[0] - step / 2, offset[-1] + step / 2
     axes.set_facecolor(UNSEEN)
     image = axes.imshow(
         np.ma.masked_invalid(deviation.T), cmap=DEVIATION, vmin=-scale, vmax=scale, aspect="auto",
         extent=(z[0] - half, z[-1] + half, bottom, top), interpolation="nearest",
     )  # fmt: skip
-    axes.add_patch(
-        Rectangle((z_range[0], -arc_deg / 2), z_range[1] - z_range[0], arc_deg, fill=False, ec=FEATURE, lw=1.2)
-    )
+    first, last = (end / 1000 for end in z_range)
+    axes.add_patch(Rectangle((first, -arc_deg / 2), last - first, arc_deg, fill=False, ec=FEATURE, lw=1.2))
     ticks = np.linspace(-arc_deg / 2, arc_deg / 2, 3)
     axes.set_yticks(ticks, labels=[clock_face(clock_deg + tick) for tick in ticks])
     axes.set_xlim(z[0] - half, z[-1] + half)
     axes.set_ylim(bottom, top)
-    axes.set_xlabel("distance along the pipe, mm")
+    axes.set_xlabel(DISTANCE_LABEL)
     axes.tick_params(colors=INK, labelsize=9)
     bar = figure.colorbar(image, ax=axes, pad=0.02, fraction=0.06)
     bar.set_label("deviation, mm", fontsize=9)

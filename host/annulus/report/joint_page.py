@@ -6,7 +6,8 @@ from typing import Any
 
 import jinja2
 
-from annulus.report.sheet import sheet
+from annulus.numeric.rounding import ANGLE, MEASURE, PERCENT, said, span
+from annulus.report.sheet import minute, sheet
 from annulus.report.summary import versions
 from annulus.untrusted import mapping, parse_json
 from annulus.vocabulary import AnnulusError
@@ -37,12 +38,14 @@ def write_joint_page(folder: Path) -> Path:
     if (folder / "transmission.json").exists():
         light = _json(folder / "transmission.json")
         pictures[WITH_LIGHT] = _bytes(folder / WITH_LIGHT)
+    name = folder.resolve().name
     try:
         flaws = [{**one, "kind": SEEN[one["kind"]]} for one in features["found"]]
         page = sheet(
-            "joint.html.j2", pictures, name=folder.resolve().name, s=features["summary"], flaws=flaws, scan=scan,
-            created=datetime.now(UTC).strftime("%Y-%m-%d %H:%M"), versions=versions(), relations=relations, light=light,
-            n=correlated.get("n"), said=_said(features["summary"], flaws, scan, relations),
+            "joint.html.j2", pictures, source=name, running=f"Butt-fusion joint: {name}", s=features["summary"],
+            created=minute(datetime.now(UTC).isoformat()), version=versions()["annulus"], versions=versions(),
+            flaws=flaws, scan=scan, relations=relations, light=light, n=correlated.get("n"),
+            said=_said(features["summary"], flaws, scan, relations),
         )  # fmt: skip
     except (KeyError, TypeError, ValueError, IndexError, jinja2.UndefinedError) as error:
         raise AnnulusError(f"{source}: {error}: expected what `annulus joint image` writes") from None
@@ -65,23 +68,23 @@ def _said(
     hilo = summary["hilo_mm"]
     step, k2 = abs(hilo["greatest_outside"]), 2 * hilo["sigma"]
     out.append(
-        f"The ends are offset by {step:.2f} mm at most."
+        f"The ends are offset by {said(step, MEASURE)} at most."
         if step > k2
-        else f"No offset of the ends beyond {max(step, k2):.2f} mm."
+        else f"No offset of the ends beyond {said(max(step, k2), MEASURE)}."
     )
     zone = summary["zone_density_percent"]
     if zone["median"] is None:
         out.append("No heat-affected zone stands out of the wall's density.")
     else:
         out.append(
-            f"The heat-affected zone has {zone['median']:.2f} % of the plain wall's density, {zone['least']:.2f} to "
-            f"{zone['greatest']:.2f} % round the joint."
+            f"The heat-affected zone has {said(zone['median'], PERCENT)} of the plain wall's density, "
+            f"{span(zone['least'], zone['greatest'], PERCENT)} round the joint."
         )
     if scan is not None and not scan["accepted"]:
         out.append(f"The near-field scan could not be laid on this joint: {scan['why_not']}.")
     elif scan is not None:
         out.append(
-            f"The near-field scan lies {scan['shift_deg']:.1f} ± {2 * scan['shift_sigma_deg']:.1f}° (k = 2) from the "
+            f"The near-field scan lies {said(scan['shift_deg'], ANGLE, 2 * scan['shift_sigma_deg'])} (k = 2) from the "
             f"CT's zero, sense {scan['sense']}."
         )
     out += [

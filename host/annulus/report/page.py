@@ -1,17 +1,29 @@
 """report.html: one page that opens anywhere, prints, and says the result first."""
 
-import base64
 import math
-from collections.abc import Mapping
-from importlib import resources
+from collections.abc import Iterator, Mapping
 from typing import Any
 
-import jinja2
-
+from annulus.numeric.rounding import (
+    ANGLE,
+    ARC,
+    DISTANCE,
+    EXTENT,
+    MEASURE,
+    NOT_MEASURED,
+    PERCENT,
+    SHARE,
+    Quantity,
+    clock_face,
+    digits,
+    said,
+    span,
+)  # fmt: skip
 from annulus.report.figures import Pictures
 from annulus.report.half_view import EXAGGERATION
 from annulus.report.paper import letter, question
-from annulus.wall.defects import ALL_ROUND_DEG, UNSURE, Defect, Kind, clock_face
+from annulus.report.sheet import inline, minute, sheet
+from annulus.wall.defects import ALL_ROUND_DEG, UNSURE, Defect, Kind
 from annulus.wall.features import Feature, FeatureKind, Measure
 from annulus.wall.lost import RING_LOST
 from annulus.wall.stations import NOT_ENOUGH
@@ -37,7 +49,7 @@ FEATURES = {
     FeatureKind.REDUCER: "Reducer", FeatureKind.TAPER: "Taper", FeatureKind.BEND: "Bend",
     FeatureKind.CROSS_BORE: "Cross bore",
 }  # fmt: skip
-UNITS = {"deg": "°", "percent": "%", "ff": "fF"}
+UNITS = {"mm": MEASURE, "deg": ANGLE, "percent": PERCENT, "ff": Quantity("fF", 2)}
 WORDS = {
     "hilo": "hi-lo",
     "hilo clock": "hi-lo towards",
@@ -46,40 +58,74 @@ WORDS = {
 }  # where the name says too little
 
 
-def render_page(survey: Survey, summary: Mapping[str, Any], pictures: Pictures) -> str:
-    """The report as one HTML document: no script, no font and no picture from anywhere else."""
+PICTURES_TAKEN = {
+    "projector": "pictures under the rings, for the shape", "led": "pictures under plain light, for the colour",
+    "unknown": "pictures whose lamp is unknown, not used",
+}  # fmt: skip
+LOST = {  # in the client's words, by the account's kinds; several kinds that read the same are counted together
+    "profiles_without_pose": "pictures whose place in the pipe is unknown, not used",
+    "frames_damaged": "damaged pictures, not used",
+    "recording_torn": "recordings that end in the middle of a picture",
+} | dict.fromkeys(
+    ("camera", "camera_away", "no_slot", "recorder_busy", "recorder_absent", "disk", "recorder_failed", "recorder_died",
+     "recording_gone"), "pictures lost before they were kept",
+)  # fmt: skip
+OTHERWISE = "other incidents of the instrument, see summary.json"
+SAID_ABOVE = ("frames_unknown", "reconstructed_after_the_scan")
+
+
+def render_page(survey: Survey, summary: Mapping[str, Any], pictures: Pictures, **more: Any) -> str:
+    """The report as one HTML document: no script, no font and no picture from anywhere else. more : what further parts
+    of the page ask for, by name."""
     features = [_feature(letter(i), feature) for i, feature in enumerate(survey.features)]
     undecided = [
         {**_row(question(i), place, survey), "name": UNDECIDED[place.kind]}
         for i, place in enumerate(survey.detection.undecided)
     ]
     captions = {one["number"]: f"{one['number']}: {one['name'].lower()}" for one in (*features, *undecided)}
-    text = resources.files("annulus.report").joinpath(TEMPLATE).read_text(encoding="utf-8")
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    return environment.from_string(text).render(
-        s=summary,
-        survey=survey,
-        rows=[_row(str(number), defect, survey) for number, defect in enumerate(survey.defects, start=1)],
-        features=features,
-        undecided=undecided,
-        pictures=[(captions[name], _inline(data)) for name, data in pictures.features],
-        verdict=_verdict(survey),
-        look=_look(survey),
-        unsure=UNSURE,
-        unwrapped=_inline(pictures.unwrapped),
-        texture=_inline(pictures.texture),
-        cameras=None if pictures.cameras is None else _inline(pictures.cameras),
-        stations=_inline(pictures.stations),
-        lane=None if pictures.lane is None else _inline(pictures.lane),
-        course=None if pictures.course is None else _inline(pictures.course),
-        surface=[(caption, _inline(data)) for caption, data in pictures.surface],
-        exaggeration=EXAGGERATION,
-        length=_length(summary["scanned_mm"]["length"]),
-        distance_from=f"{summary['scanned_mm']['from'] / 1000:.3f}",
-        distance_to=f"{summary['scanned_mm']['to'] / 1000:.3f}",
-    )
+    inlined = {
+        name: None if data is None else inline(data)
+        for name in ("unwrapped", "texture", "cameras", "stations", "lane", "course")
+        for data in (getattr(pictures, name),)
+    }
+    values = {
+        "s": summary, "source": summary["source"], "created": minute(summary["created"]),
+        "version": summary["versions"]["annulus"], "running": f"Pipe wall inspection: {summary['source']}",
+        "rows": [_row(str(number), defect, survey) for number, defect in enumerate(survey.defects, start=1)],
+        "features": features, "undecided": undecided, "told": "" if survey.lane is None else survey.lane.told,
+        "pictures": [(captions[name], inline(data)) for name, data in pictures.features],
+        "verdict": _verdict(survey), "look": _look(survey), "unsure": said(100 * UNSURE, Quantity("%", 0)),
+        "surface": [(caption, inline(data)) for caption, data in pictures.surface],
+        "stretch": "" if pictures.stretch_mm is None else span(*pictures.stretch_mm, DISTANCE),
+        "exaggeration": f"{EXAGGERATION:g}",
+        "sheets": [(caption, inline(data)) for caption, data in pictures.sheets],
+        "sheet_length": said(pictures.sheet_mm, Quantity("m", 0, thousands=True)), "sheet_scale": pictures.sheet_scale,
+        "overview_scale": pictures.scale, "frames": _taken(summary["frames"]), "lost": list(_lost(summary["drops"])),
+        "truth": list(_truth(summary.get("truth", {}))),
+    }  # fmt: skip
+    return sheet(TEMPLATE, {}, **(values | inlined | more))
+
+
+def _taken(frames: Mapping[str, int]) -> list[tuple[str, int]]:
+    return [(PICTURES_TAKEN.get(label, f"pictures under {label}"), n) for label, n in frames.items()]
+
+
+def _lost(drops: Mapping[str, int]) -> Iterator[tuple[str, int]]:
+    """What was lost, in words for one who was not there, and how often."""
+    counts: dict[str, int] = {}
+    for kind, n in drops.items():
+        if n and kind not in SAID_ABOVE:
+            counts[LOST.get(kind, OTHERWISE)] = counts.get(LOST.get(kind, OTHERWISE), 0) + n
+    yield from counts.items()
+
+
+def _truth(truth: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    for name, value in truth.items():
+        stem, _, unit = name.rpartition("_")
+        if isinstance(value, float) and unit in UNITS:
+            yield stem.replace("_", " "), said(value, UNITS[unit])
+        elif isinstance(value, int | float | str):
+            yield name.replace("_", " "), str(value)
 
 
 def _verdict(survey: Survey) -> str:
@@ -95,23 +141,23 @@ def _verdict(survey: Survey) -> str:
     else:
         damage = (
             f"{damage}. Deepest: {_name(worst).lower()} of {_depth(worst)} (k=2) "
-            f"at {worst.z_mm / 1000:.3f} m, clock {worst.clock}."
+            f"at {said(worst.z_mm, DISTANCE)}, clock {worst.clock}."
         )
-    said = [damage]
+    told = [damage]
     named = [feature.kind for feature in survey.features]
     if named:
         counts = (_count(named.count(kind), *COUNTED[kind]) for kind in FeatureKind if kind in named)
-        said.append(f"Also in the pipe: {', '.join(counts)}.")
+        told.append(f"Also in the pipe: {', '.join(counts)}.")
     if undecided:
-        said.append(
+        told.append(
             f"{_count(undecided, 'place stands', 'places stand')} out and could not be decided: see below, look there."
         )
     missed = {finding.kind for finding in survey.findings}
     if NOT_ENOUGH in missed:
-        said.append("Not enough of it was seen to say what shape the pipe has: see below.")
+        told.append("Not enough of it was seen to say what shape the pipe has: see below.")
     if RING_LOST in missed:
-        said.append("A ring of the pattern was lost: see below.")
-    return " ".join(said)
+        told.append("A ring of the pattern was lost: see below.")
+    return " ".join(told)
 
 
 def _look(survey: Survey) -> str:
@@ -130,7 +176,6 @@ def _count(n: int, one: str, many: str) -> str:
 
 
 def _row(number: str, defect: Defect, survey: Survey) -> dict[str, Any]:
-    first, last = defect.z_range_mm
     mean = survey.nominal_diameter_mm if math.isnan(survey.diameter_mean_mm) else survey.diameter_mean_mm
     begin, end = defect.clock_range
     clock = width = "all round"
@@ -139,36 +184,36 @@ def _row(number: str, defect: Defect, survey: Survey) -> dict[str, Any]:
         remark = f"long axis {defect.clock} to {clock_face(defect.clock_deg + 180)}"
     elif not defect.is_all_round:
         clock = f"{begin} to {end}"
-        width = f"{defect.arc_deg * math.pi / 360 * mean:.0f} mm ({defect.arc_deg:.0f}°)"
+        width = f"{said(defect.arc_deg * math.pi / 360 * mean, EXTENT)} ({said(defect.arc_deg, ARC)})"
         remark = f"centre {defect.clock}"
     if defect.shadowed_mm >= 0.5:
         seen = max(defect.length_mm - defect.shadowed_mm, 0.0)
-        remark += f"{', ' if remark else ''}{defect.shadowed_mm:.0f} mm of the length hidden, {seen:.0f} mm seen"
+        hidden = f"{said(defect.shadowed_mm, EXTENT)} of the length hidden, {said(seen, EXTENT)} seen"
+        remark += f"{', ' if remark else ''}{hidden}"
     return {
         "number": number,
         "kind": str(defect.kind),
         "name": _name(defect),
-        "at": f"{defect.z_mm / 1000:.3f}",
-        "from_to": f"{first / 1000:.3f} to {last / 1000:.3f}",
+        "at": digits(defect.z_mm, DISTANCE),
+        "from_to": span(*defect.z_range_mm, DISTANCE, unit=False),
         "clock": clock,
-        "length": f"{defect.length_mm:.0f} mm",
+        "length": said(defect.length_mm, EXTENT),
         "width": width,
         "depth": _depth(defect),
-        "part": f"{100 * defect.depth_mm / mean:.1f} %",
+        "part": said(100 * defect.depth_mm / mean, SHARE),
         "remark": remark,
     }
 
 
 def _feature(name: str, feature: Feature) -> dict[str, Any]:
-    first, last = feature.z_range_mm
     begin, end = (clock_face(feature.clock_deg + side * feature.arc_deg / 2) for side in (-1, 1))
     return {
         "number": name,
         "name": FEATURES[feature.kind],
-        "at": f"{feature.z_mm / 1000:.3f}",
-        "from_to": f"{first / 1000:.3f} to {last / 1000:.3f}",
+        "at": digits(feature.z_mm, DISTANCE),
+        "from_to": span(*feature.z_range_mm, DISTANCE, unit=False),
         "clock": "all round" if feature.arc_deg >= ALL_ROUND_DEG else f"{begin} to {end}",
-        "length": f"{feature.length_mm:.0f} mm",
+        "length": said(feature.length_mm, EXTENT),
         "measures": [_words(one) for one in feature.measures],
         "remark": feature.remark,
     }
@@ -177,37 +222,13 @@ def _feature(name: str, feature: Feature) -> dict[str, Any]:
 def _words(one: Measure) -> tuple[str, str]:
     """What was measured, and its value with its expanded uncertainty and unit."""
     stem = one.name.removesuffix("_" + one.unit).replace("_", " ")
-    unit = UNITS.get(one.unit, one.unit)
-    if not math.isfinite(one.value):
-        text = "not measured"
-    elif stem.endswith("clock"):
-        text = clock_face(one.value)
-    elif math.isfinite(one.k2):
-        text = f"{one.value:.2f} ± {_up(one.k2)} {unit}"
+    if stem.endswith("clock"):
+        text = clock_face(one.value) if math.isfinite(one.value) else NOT_MEASURED
     else:
-        text = f"{one.value:.2f} {unit}"
+        along = stem == "start"  # where it begins: a place along the pipe, unlike what else is in mm
+        text = said(one.value, DISTANCE if along else UNITS.get(one.unit, Quantity(one.unit, 2)), one.k2)
     return WORDS.get(stem, stem), text
 
 
-def _up(k2: float) -> str:
-    """An uncertainty is rounded up, never 0.00."""
-    return f"{max(math.ceil(100 * k2 - 1e-9), 1) / 100:.2f}"
-
-
 def _depth(defect: Defect) -> str:
-    return f"{'' if defect.floor_seen else '≥ '}{_measured(defect.depth_mm, defect.depth_k2_mm)}"
-
-
-def _measured(mm: float, k2_mm: float) -> str:
-    """A length with its expanded uncertainty; the value alone where nobody knows how far it may be off."""
-    if not math.isfinite(k2_mm):
-        return f"{mm:.2f} mm"
-    return f"{mm:.2f} ± {_up(k2_mm)} mm"
-
-
-def _length(mm: float) -> str:
-    return f"{mm / 1000:.2f} m" if mm >= 1000 else f"{mm:.0f} mm"
-
-
-def _inline(png: bytes) -> str:
-    return "data:image/png;base64," + base64.b64encode(png).decode("ascii")
+    return said(defect.depth_mm, MEASURE, defect.depth_k2_mm, at_least=not defect.floor_seen)

@@ -1,17 +1,15 @@
 """What all of the report's pictures share: size, colours, type, and how a thing on the wall is marked."""
 
 import io
-from collections.abc import Iterator
+from collections.abc import Sequence
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 
-from annulus.wall.defects import ALL_ROUND_DEG
-from annulus.wall.survey import Survey
+from annulus.numeric.rounding import EXTENT, SHARE, digits
 
 DPI = 150
 WIDTH_IN = 11.0
@@ -25,7 +23,11 @@ STYLE = {
     "font.family": "DejaVu Sans", "font.size": 10, "axes.edgecolor": FAINT, "axes.labelcolor": INK, "text.color": INK,
     "xtick.color": INK, "ytick.color": INK, "axes.linewidth": 0.8, "hatch.linewidth": 0.5,
 }  # fmt: skip
-NEAR = 0.035  # part of a picture's width: marks closer than this share a place
+# A picture of the pipe along its length is as wide as A4 and Letter take beside their margins, and every one has the
+# same axis at the same place, so that what lies one above the other belongs together. Inches follow from that.
+PRINTED_MM, LEFT_MM, AXES_MM = 186.0, 17.0, 150.0
+SHEET_IN = 9.0
+IN_PER_MM = SHEET_IN / PRINTED_MM
 
 
 def in_style() -> Any:
@@ -62,38 +64,28 @@ def badge(axes: Any, x: float, y: float, name: str, *, colour: str = INK, shape:
     )  # fmt: skip
 
 
-def mark(axes: Any, survey: Survey, per_mm: float) -> None:
-    """Features by letter and what could not be decided by question mark, on a map of clock against distance."""
-    low, high = axes.get_xlim()
-    taken: list[float] = []
-    for name, (z0, z1), clock, arc in _marks(survey):
-        first, last = np.clip([z0 * per_mm, z1 * per_mm], low, high)
-        feature = not name.startswith("?")
-        style: dict[str, Any] = {"ec": FEATURE if feature else INK, "ls": "-" if feature else (0, (3, 2)), "lw": 1.3}
-        kind: dict[str, str] = {"colour": FEATURE, "shape": "round"} if feature else {}
-        x = float(np.clip((first + last) / 2, low + 0.015 * (high - low), high - 0.015 * (high - low)))
-        if arc >= ALL_ROUND_DEG:
-            for at in (first, last):
-                axes.axvline(at, color=style["ec"], lw=1.0, ls=style["ls"], zorder=4)
-            axes.annotate(
-                "", (first, 366), (last, 366), annotation_clip=False,
-                arrowprops={"arrowstyle": "|-|,widthA=0.3,widthB=0.3", "lw": 1.2, "color": style["ec"]},
-            )  # fmt: skip
-            row = sum(abs(x - other) < NEAR * (high - low) for other in taken)
-            taken.append(x)
-            badge(axes, x, 349 - 22 * row, name, **kind)
-            continue
-        top = (clock - arc / 2) % 360
-        for turn in (0, -360):  # what reaches over 12 o'clock comes in again from the other edge
-            axes.add_patch(Rectangle((first, top + turn), last - first, arc, fill=False, zorder=4, **style))
-        badge(
-            axes, x, float(np.clip(top + 12 if last - first > 0.06 * (high - low) else top - 11, 11, 349)), name, **kind
-        )
+def stack(panels: Sequence[tuple[float, float]], *, below_mm: float = 12.0) -> tuple[Figure, list[Any]]:
+    """A figure with axes one below the other, each (room above it, its height) in mm on paper."""
+    total = sum(above + height for above, height in panels) + below_mm
+    figure = Figure(figsize=(SHEET_IN, total * IN_PER_MM), dpi=DPI)
+    out, top = [], total
+    for above, height in panels:
+        top -= above + height
+        out.append(figure.add_axes((LEFT_MM / PRINTED_MM, top / total, AXES_MM / PRINTED_MM, height / total)))
+    return figure, out
 
 
-def _marks(survey: Survey) -> Iterator[tuple[str, tuple[float, float], float, float]]:
-    """Name, stretch (mm), clock and arc (deg)."""
-    for i, one in enumerate(survey.features):
-        yield letter(i), one.z_range_mm, one.clock_deg, one.arc_deg
-    for i, place in enumerate(survey.detection.undecided):
-        yield question(i), place.z_range_mm, place.clock_deg, place.arc_deg
+def bar_beside(figure: Figure, axes: Any, shown: Any, label: str, **more: Any) -> None:
+    """A colour bar in the margin, so that the axes keep their place."""
+    box = axes.get_position()
+    left = box.x1 + 3.0 / PRINTED_MM
+    bar = figure.colorbar(shown, cax=figure.add_axes((left, box.y0, 3.5 / PRINTED_MM, box.height)), **more)
+    bar.set_label(label, fontsize=9)
+    bar.ax.tick_params(labelsize=9)
+    bar.outline.set_edgecolor(FAINT)
+
+
+def scale_of(length_mm: float, on_paper_mm: float) -> str:
+    """1 : 20; with a decimal below 10."""
+    ratio = length_mm / on_paper_mm
+    return f"1 : {digits(ratio, SHARE if ratio < 10 else EXTENT)}"

@@ -13,9 +13,10 @@ from matplotlib.figure import Figure
 from annulus.numeric.arrays import FloatArray
 from annulus.report.account import Account
 from annulus.report.paper import DEVIATION, UNSEEN, WIDTH_IN, in_style, png, round_up
+from annulus.report.pdf import Paper
 from annulus.report.ply import write_ply
-from annulus.report.results import DEPTH, SUMMARY, staged
-from annulus.report.sheet import sheet
+from annulus.report.results import DEPTH, SUMMARY, staged, write_page
+from annulus.report.sheet import minute, sheet
 from annulus.report.summary import finite, versions
 from annulus.wall.plate import Plate
 
@@ -25,8 +26,8 @@ SCALE_PERCENTILES = (0.5, 99.5)  # of the heights, at the ends of the colour bar
 QUANTILES = (5, 50, 95)
 
 
-def write_plate(plate: Plate, account: Account, out: Path) -> dict[str, Any]:
-    """Write every result file of a plate into the folder `out`. Returns what summary.json says.
+def write_plate(plate: Plate, account: Account, out: Path, *, paper: Paper | None = None) -> dict[str, Any]:
+    """Write every result file of a plate into the folder `out`. Returns what summary.json says. paper : of report.pdf.
 
     Files are made in a folder beside and moved into place at the end, summary.json last, as those of a pipe are.
     AnnulusError when `out` cannot be written.
@@ -42,7 +43,7 @@ def write_plate(plate: Plate, account: Account, out: Path) -> dict[str, Any]:
         for name, data in pictures.items():
             (staging / name).write_bytes(data)
         summary = _summary(plate, account, 1e3 * (time.perf_counter() - started))
-        (staging / "report.html").write_text(_page(summary, pictures), encoding="utf-8")
+        write_page(staging, _page(summary, pictures), paper)
         text = json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False)
         (staging / SUMMARY).write_text(text + "\n", encoding="utf-8")
     return summary
@@ -139,4 +140,7 @@ def _map(plate: Plate, values: FloatArray, colours: Any, ends: tuple[float, floa
 
 
 def _page(summary: dict[str, Any], pictures: dict[str, bytes]) -> str:
-    return sheet(TEMPLATE, pictures, s=summary)
+    return sheet(
+        TEMPLATE, pictures, s=summary, source=summary["source"], created=minute(summary["created"]),
+        version=summary["versions"]["annulus"], running=f"Plate inspection: {summary['source']}",
+    )  # fmt: skip

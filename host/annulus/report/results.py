@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from annulus.report import figures
+from annulus.report import client, figures
 from annulus.report.account import Account
 from annulus.report.course import centreline
 from annulus.report.page import render_page
+from annulus.report.pdf import Paper, to_pdf
 from annulus.report.ply import write_ply
 from annulus.report.summary import summarize
 from annulus.vocabulary import AnnulusError
@@ -27,18 +28,22 @@ from annulus.wall.survey import Survey
 CLOUD_NOTE = "annulus point cloud, mm: x right, y down, z along the first straight pipe; sigma = of the radius, k = 1"
 MESH_NOTE = "annulus wall, mm, in the frame of the cloud; quality = deviation of the radius, mm"
 FILES = (
-    "cloud.ply", "mesh.ply", "unwrapped.png", "texture.png", "stations.csv", "centreline.json", "report.html",
-    "summary.json",
+    "cloud.ply", "mesh.ply", "unwrapped.png", "texture.png", "stations.csv", "wall.npz", "centreline.json",
+    "report.html", "summary.json",
 )  # fmt: skip
-SUMMARY, DEPTH = "summary.json", "depth.npz"  # the second: of methods whose map is finer than the report's
+WALL_FORMAT = "annulus-wall/1"
+NOT_SEEN_UM, UNKNOWN_UM = -32768, 65535  # of a deviation, of its sigma
+SUMMARY = "summary.json"
+DEPTH, PDF = "depth.npz", "report.pdf"  # of methods whose map is finer than the report's; where it is asked for
 
 
 def write(
-    survey: Survey, account: Account, out: Path, *, depth: Mapping[str, NDArray[Any]] | None = None
-) -> dict[str, Any]:
+    survey: Survey, account: Account, out: Path, *, depth: Mapping[str, NDArray[Any]] | None = None,
+    paper: Paper | None = None,
+) -> dict[str, Any]:  # fmt: skip
     """Write every result file of a survey into the folder `out`. Returns what summary.json says.
 
-    depth : arrays of a finer map of the wall, for depth.npz; none without.
+    depth : arrays of a finer map of the wall, for depth.npz; none without. paper : of report.pdf; none without.
 
     Raises
     ------
@@ -53,14 +58,23 @@ def write(
         (staging / "unwrapped.png").write_bytes(pictures.unwrapped)
         (staging / "texture.png").write_bytes(pictures.texture)
         _write_stations(staging / "stations.csv", survey.stations)
+        _write_wall(staging / "wall.npz", survey)
         (staging / "centreline.json").write_text(json.dumps(centreline(survey), indent=1) + "\n", encoding="utf-8")
         if depth is not None:
             np.savez(staging / DEPTH, **dict[str, Any](depth))
         summary = summarize(survey, account, 1e3 * (time.perf_counter() - started))
-        (staging / "report.html").write_text(render_page(survey, summary, pictures), encoding="utf-8")
+        page = render_page(survey, summary, pictures, **client.values(survey, account))
+        write_page(staging, page, paper)
         text = json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False)
         (staging / SUMMARY).write_text(text + "\n", encoding="utf-8")
     return summary
+
+
+def write_page(folder: Path, page: str, paper: Paper | None) -> None:
+    """report.html, and report.pdf where a paper is named."""
+    (folder / "report.html").write_text(page, encoding="utf-8")
+    if paper is not None:
+        (folder / PDF).write_bytes(to_pdf(page, paper))
 
 
 @contextlib.contextmanager
@@ -73,7 +87,8 @@ def staged(out: Path) -> Iterator[Path]:
         try:
             yield staging
             (out / SUMMARY).unlink(missing_ok=True)
-            (out / DEPTH).unlink(missing_ok=True)  # of a scan before
+            for name in (DEPTH, PDF):  # of a scan before
+                (out / name).unlink(missing_ok=True)
             for file in sorted(staging.iterdir(), key=lambda file: file.name == SUMMARY):
                 file.replace(out / file.name)
         finally:
@@ -150,13 +165,43 @@ def _write_stations(path: Path, stations: Stations) -> None:
         writer.writerow(
             [
                 "z_mm", "diameter_min_mm", "diameter_max_mm", "diameter_mean_mm", "ovality_f1216_percent",
-                "shape_ovality_f1216_percent", "valid_fraction", "diameter_k2_mm",
+                "shape_ovality_f1216_percent", "valid_fraction", "diameter_k2_mm", "diameter_x_mm", "diameter_y_mm",
+                "circumference_mm", "circumference_k2_mm", "area_mm2", "area_k2_mm2",
             ]
         )  # fmt: skip
         columns = zip(
             stations.z_mm, stations.diameter_min_mm, stations.diameter_max_mm, stations.diameter_mean_mm,
             stations.ovality_percent, stations.shape_ovality_percent, stations.valid_fraction, stations.diameter_k2_mm,
+            stations.diameter_x_mm, stations.diameter_y_mm, stations.circumference_mm, stations.circumference_k2_mm,
+            stations.area_mm2, stations.area_k2_mm2,
             strict=True,
         )  # fmt: skip
         for row in columns:
             writer.writerow([f"{value:.4f}" if math.isfinite(value) else "" for value in row])
+
+
+def _write_wall(path: Path, survey: Survey) -> None:
+    """The wall map as plain arrays, rows along the pipe, columns clockwise from 12 o'clock looking forward.
+
+    deviation_um [z, clock] int16: the wall's distance from the pipe's axis less `radius_mm`, the nominal radius, by
+    which surveys of two years compare; -32768 where not seen, -32767 and 32767 for that or more. sigma_um [z, clock]
+    uint16: its standard deviation (k = 1), what a point may be off and the noise of the cell; 65535 where nobody knows.
+    shadowed [z, clock] bool: a step keeps the light from there. imu_roll_deg [z]: how far 12 o'clock is still turned:
+    0 where the head's roll was measured, and so taken out, NaN where no sensor gave it.
+    """
+    wall = survey.wall
+    nominal = survey.nominal_diameter_mm / 2
+    seen = np.isfinite(wall.radius_mm)
+    away = np.clip(np.rint(1e3 * (wall.radius_mm.astype(np.float64) - nominal)), NOT_SEEN_UM + 1, -NOT_SEEN_UM - 1)
+    sigma = 1e3 * np.hypot(wall.sigma_mm.astype(np.float64), wall.cell_noise_mm)
+    sigma = np.where(seen & np.isfinite(sigma), np.clip(np.ceil(sigma), 0, UNKNOWN_UM - 1), UNKNOWN_UM)
+    arrays: dict[str, Any] = {
+        "format": WALL_FORMAT,
+        "deviation_um": np.where(seen, away, NOT_SEEN_UM).astype(np.int16),
+        "sigma_um": sigma.astype(np.uint16),
+        "shadowed": survey.shadowed,
+        "z_mm": wall.z_mm, "z_step_mm": wall.z_step_mm, "clock_deg": wall.clock_deg,
+        "radius_mm": nominal, "radius_of": "nominal", "mean_radius_mm": wall.mean_radius_mm,
+        "imu_roll_deg": np.full(len(wall.z_mm), np.nan if survey.roll_range_deg is None else 0.0, np.float32),
+    }  # fmt: skip
+    np.savez_compressed(path, **arrays)

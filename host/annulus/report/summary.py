@@ -10,7 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from annulus.job import Origin
+from annulus.numeric.rounding import stored, stored_k2
 from annulus.report.account import Account
+from annulus.wall.conformity import RULE, Group, Verdict
 from annulus.wall.defects import Defect
 from annulus.wall.features import Feature
 from annulus.wall.stations import OVALITY_FORMULA, OVALITY_NAME
@@ -28,44 +31,53 @@ def summarize(survey: Survey, account: Account, files_ms: float) -> dict[str, An
     out = {
         "format": "annulus-summary/1",
         "source": account.source,
+        "job": account.origin.job.to_dict(),
+        "origin": _origin(account.origin),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
         "frames": dict(account.frames),
         "points": survey.points,
-        "scanned_mm": {"from": round(start, 1), "to": round(end, 1), "length": round(end - start, 1)},
-        "seen_percent": round(100.0 * survey.seen_fraction, 2),
-        "hidden_percent": round(100.0 * survey.shadowed_fraction, 3),
-        "noise_mm": round(survey.noise_mm, 4),
+        "scanned_mm": {"from": stored(start), "to": stored(end), "length": stored(end - start)},
+        "seen_percent": stored(100.0 * survey.seen_fraction),
+        "hidden_percent": stored(100.0 * survey.shadowed_fraction),
+        "noise_mm": stored(survey.noise_mm),
         "diameter_mm": {
-            "mean": round(survey.diameter_mean_mm, 4),
-            "min": round(survey.diameter_min_mm, 4),
-            "max": round(survey.diameter_max_mm, 4),
+            "mean": stored(survey.diameter_mean_mm),
+            "min": stored(survey.diameter_min_mm),
+            "max": stored(survey.diameter_max_mm),
             "nominal": survey.nominal_diameter_mm,
-            "k2": round(survey.diameter_k2_mm, 4),
+            "k2": stored_k2(survey.diameter_k2_mm),
         },
         "ovality": {
             "definition": OVALITY_NAME,
             "formula": OVALITY_FORMULA,
-            "max_percent": round(survey.ovality_max_percent, 4),
-            "shape_max_percent": round(survey.shape_ovality_max_percent, 4),
-            "shape_median_percent": round(survey.shape_ovality_median_percent, 4),
+            "max_percent": stored(survey.ovality_max_percent),
+            "shape_max_percent": stored(survey.shape_ovality_max_percent),
+            "shape_median_percent": stored(survey.shape_ovality_median_percent),
         },
-        "defects": [_defect(defect) for defect in survey.defects],
-        "features": [_feature(feature) for feature in survey.features],
-        "undecided": [_defect(place) for place in survey.detection.undecided],
+        "defects": [
+            _defect(defect) | _severity(account.verdict, "defect", i) for i, defect in enumerate(survey.defects)
+        ],
+        "features": [
+            _feature(feature) | _severity(account.verdict, "feature", i) for i, feature in enumerate(survey.features)
+        ],
+        "undecided": [
+            _defect(place) | _severity(account.verdict, "undecided", i)
+            for i, place in enumerate(survey.detection.undecided)
+        ],
         "unsupported": survey.detection.unconfirmed,
         "limits": {
-            "depth_mm": round(survey.depth_limit_mm, 3),
-            "size_mm": round(survey.size_limit_mm, 2),
+            "depth_mm": stored(survey.depth_limit_mm),
+            "size_mm": stored(survey.size_limit_mm),
             "ovality_percent": survey.detection.limits.ovality_percent,
         },
         "drops": dict(account.drops),
         "rejected": dict(survey.rejected),
-        "timing_ms": {name: round(value, 3) for name, value in timing.items()},
+        "timing_ms": {name: stored(value) for name, value in timing.items()},
         "versions": versions(),
         "head_deg": {
-            "lean_sigma": round(survey.lean_sigma_deg, 4),
-            "roll_min": None if roll[0] is None else round(roll[0], 2),
-            "roll_max": None if roll[1] is None else round(roll[1], 2),
+            "lean_sigma": stored(survey.lean_sigma_deg),
+            "roll_min": None if roll[0] is None else stored(roll[0]),
+            "roll_max": None if roll[1] is None else stored(roll[1]),
         },
         "warnings": [
             {"kind": str(w.kind), "text": w.text, "frames": list(w.frames)}
@@ -74,17 +86,50 @@ def summarize(survey: Survey, account: Account, files_ms: float) -> dict[str, An
     }
     if len(survey.cameras) > 1:
         out["seen_by_percent"] = {
-            "several" if one is None else str(one): round(100.0 * part, 2)
+            "several" if one is None else str(one): stored(100.0 * part)
             for one, part in survey.seen_by_fraction().items()
         }
     if survey.lane is not None:
         out["sectors"] = {"told": survey.lane.told, "places": [asdict(mark) for mark in survey.lane.marks]}
     if survey.vibration is not None:
         out["vibration"] = _vibration(survey.vibration)
+    if account.verdict is not None:
+        out["conformity"] = _conformity(account.verdict)
     if account.truth is not None:
         out["truth"] = dict(account.truth)
     plain: dict[str, Any] = finite(out)
     return plain
+
+
+def _origin(origin: Origin) -> dict[str, Any]:
+    begun, ended = origin.utc
+    return {
+        "begun_utc": begun or None, "ended_utc": ended or None, "controller": dict(origin.controller),
+        "calibration": {"file": origin.calibration_file or None, **{k: dict(v) for k, v in origin.calibration.items()}},
+        "recorded_with": dict(origin.versions),
+    }  # fmt: skip
+
+
+def _severity(verdict: Verdict | None, group: Group, index: int) -> dict[str, Any]:
+    """Of one thing, where limits were named for its kind: nothing otherwise, so that nobody reads a pass."""
+    one = None if verdict is None else verdict.worst_of(group, index)
+    return {} if one is None else {"severity": one.severity, "decision": str(one.decision)}
+
+
+def _conformity(verdict: Verdict) -> dict[str, Any]:
+    return {
+        "title": verdict.criteria.title, "accept_severity": verdict.criteria.accepted, "rule": RULE,
+        "decision": str(verdict.decision), "remarks": list(verdict.remarks),
+        "items": [
+            {
+                "of": one.group, "index": one.index, "kind": one.kind, "quantity": one.quantity,
+                "value": stored(one.value), "k2": stored_k2(one.k2), "at_least": one.at_least, "limit": one.limit,
+                "z_mm": stored(one.z_mm), "severity": one.severity, "severities": list(one.severities),
+                "decision": str(one.decision),
+            }
+            for one in verdict.items
+        ],
+    }  # fmt: skip
 
 
 def _vibration(found: Vibration) -> dict[str, Any]:
@@ -112,12 +157,12 @@ def versions() -> dict[str, str]:
 def _defect(defect: Defect) -> dict[str, Any]:
     first, last = defect.z_range_mm
     return {
-        "kind": str(defect.kind), "z_mm": round(defect.z_mm, 2), "clock_deg": round(defect.clock_deg, 2),
-        "clock": defect.clock, "length_mm": round(defect.length_mm, 2), "arc_deg": round(defect.arc_deg, 2),
-        "depth_mm": round(defect.depth_mm, 3), "depth_k2_mm": round(defect.depth_k2_mm, 3),
-        "area_mm2": round(defect.area_mm2, 1), "all_round": defect.is_all_round, "floor_seen": defect.floor_seen,
-        "hidden_mm": round(defect.shadowed_mm, 1),
-        "z_from_mm": round(first, 2), "z_to_mm": round(last, 2), "clock_from_to": list(defect.clock_range),
+        "kind": str(defect.kind), "z_mm": stored(defect.z_mm), "clock_deg": stored(defect.clock_deg),
+        "clock": defect.clock, "length_mm": stored(defect.length_mm), "arc_deg": stored(defect.arc_deg),
+        "depth_mm": stored(defect.depth_mm), "depth_k2_mm": stored_k2(defect.depth_k2_mm),
+        "area_mm2": stored(defect.area_mm2), "all_round": defect.is_all_round, "floor_seen": defect.floor_seen,
+        "hidden_mm": stored(defect.shadowed_mm),
+        "z_from_mm": stored(first), "z_to_mm": stored(last), "clock_from_to": list(defect.clock_range),
     }  # fmt: skip
 
 
@@ -125,13 +170,13 @@ def _feature(feature: Feature) -> dict[str, Any]:
     """What was measured stands under its own name, its uncertainty beside it: height_mm, height_k2_mm."""
     first, last = feature.z_range_mm
     out: dict[str, Any] = {
-        "kind": str(feature.kind), "z_mm": round(feature.z_mm, 2), "clock_deg": round(feature.clock_deg, 2),
-        "clock": feature.clock, "length_mm": round(feature.length_mm, 2), "arc_deg": round(feature.arc_deg, 2),
-        "z_from_mm": round(first, 2), "z_to_mm": round(last, 2), "remark": feature.remark,
+        "kind": str(feature.kind), "z_mm": stored(feature.z_mm), "clock_deg": stored(feature.clock_deg),
+        "clock": feature.clock, "length_mm": stored(feature.length_mm), "arc_deg": stored(feature.arc_deg),
+        "z_from_mm": stored(first), "z_to_mm": stored(last), "remark": feature.remark,
     }  # fmt: skip
     for one in feature.measures:
-        out[one.name] = round(one.value, 3)
-        out[one.k2_name] = round(one.k2, 3)
+        out[one.name] = stored(one.value)
+        out[one.k2_name] = stored_k2(one.k2)
     return out
 
 

@@ -16,6 +16,7 @@ from annulus.reprocess.fringe_job import FringeJob, open_fringe
 from annulus.reprocess.fringe_pipe import FringePipeJob, MeasuredPipe, open_fringe_pipe, reconstruct_fringe_pipe
 from annulus.reprocess.job import Job, open_job
 from annulus.reprocess.method import Method, fringes_on, method_for, warm_up
+from annulus.reprocess.photographs import photographs
 
 __all__ = [
     "Executor",
@@ -35,6 +36,7 @@ __all__ = [
     "open_fringe",
     "open_fringe_pipe",
     "open_job",
+    "photographs",
     "reconstruct_fringe",
     "reconstruct_fringe_pipe",
     "reprocess",

@@ -14,6 +14,7 @@ import numpy as np
 
 from annulus import untrusted
 from annulus.crossbore import BORES, Account, Grid, Head, Indication, Passage, Run, detect, likely, on_grid
+from annulus.numeric.rounding import DISTANCE, said
 from annulus.record.recording import Recording
 from annulus.record.scan import Scan
 from annulus.sensors.fdc2214 import CHANNELS, LOSSES
@@ -134,9 +135,9 @@ def _lane(account: Account, grid: Grid, run: Run) -> Lane:
         for one in account.indications
     )  # fmt: skip
     blind = account.length_mm - account.water_told_mm
-    told = f"The first and last {account.ends_mm / 1000:.2f} m are not judged."
+    told = f"The first and last {said(account.ends_mm, DISTANCE)} are not judged."
     if blind > 100.0:
-        told += f" Water cannot be told on {blind / 1000:.1f} m."
+        told += f" Water cannot be told on {said(blind, DISTANCE)}."
     if account.wanders:
         told += " The head wandered: only what is alike all round is called a bore."
     lift = "taken out by the rings' poses" if grid.lift_ff_mm is not None else "left in: too few frames had a pose"

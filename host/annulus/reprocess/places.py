@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from itertools import groupby, pairwise
 
+from annulus.numeric.rounding import DISTANCE, off, said, span
 from annulus.record.scan import ScanFrame
 from annulus.vocabulary import Finding, Label
 
@@ -16,13 +17,13 @@ def place_findings(frames: Sequence[ScanFrame]) -> list[Finding]:
         if assumed:
             bound = max(frame.z_bound_mm for frame in assumed)
             text = (
-                f"place assumed from z {assumed[0].z_mm:.0f} mm on, to {assumed[-1].z_mm:.0f} mm, +- {bound:.1f} mm: "
+                f"place assumed from {span(assumed[0].z_mm, assumed[-1].z_mm, DISTANCE)}, ± {off(bound, DISTANCE)}: "
                 "nobody counted in a gap before"
             )
             out.append(Finding("place_assumed", text, tuple(frame.index for frame in assumed)))
     begun = [later for earlier, later in pairwise(placed) if later.segment != earlier.segment]
     if begun:
-        where = ", ".join(f"frame {frame.index} at {frame.z_mm:.0f} mm" for frame in begun[:5])
+        where = ", ".join(f"frame {frame.index} at {said(frame.z_mm, DISTANCE)}" for frame in begun[:5])
         text = (
             f"z has {len(begun) + 1} segments, begun anew at {where}{' and more' if len(begun) > 5 else ''}: between "
             "two of them distances were not counted"

@@ -6,18 +6,19 @@ whatever differs is listed. Relabelling gives frames that were labelled early, f
 A frame without evidence is unknown.
 """
 
-import heapq
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from annulus.labelling.evidence import LABEL, Row
 from annulus.labelling.replay import PATIENCE_NS, Replay
-from annulus.record.recording import LABEL_TOPIC, RecordedFrame, Recording, open_recording
-from annulus.record.writer import RecordingWriter
+from annulus.record.codec import Codec
+from annulus.record.copy import clock_of, copy
+from annulus.record.recording import RecordedFrame, Recording, open_recording
 from annulus.stream.frames import FrameHeader
 from annulus.vocabulary import AnnulusError, Label
 
@@ -79,9 +80,18 @@ def identity(path: Path) -> dict[str, Any]:
     first: Mapping[str, Any] = who[0] if who else {}
     last: Mapping[str, Any] = who[-1] if who else {}
     counted = Counter(frame.label.value for frame in recording.frames)
+    kept = Counter(_codec(frame).value for frame in recording.frames)
     assumed = [frame for frame in recording.frames if frame.z_bound_mm > 0.0]
+    parts = recording.parts or (recording,)
+    size = sum(part.path.stat().st_size for part in parts)
+    times = [frame.timestamp_ns for frame in recording.frames]
     return {
-        "recording": str(path), "torn": recording.torn, "frames": dict(counted),
+        "recording": str(path), "parts": len(parts), "bytes": size, "torn": recording.torn,
+        "cut_frames_at_most": recording.cut_frames, "power_cut_frames_at_most": _at_risk(recording),
+        "damage_seen": len(recording.damage), "frames": dict(counted), "codecs": dict(kept),
+        "first_frame": _of_day(recording, min(times, default=None)),
+        "last_frame": _of_day(recording, max(times, default=None)),
+        "seconds": round((max(times) - min(times)) / 1e9, 3) if times else 0.0,
         "from": first.get("utc"), "to": last.get("utc"), "job": last.get("job"),
         "controller": last.get("controller"), "cameras": last.get("cameras"), "versions": first.get("versions"),
         "segments": len({frame.segment for frame in recording.frames if frame.label is not Label.UNKNOWN}),
@@ -91,46 +101,49 @@ def identity(path: Path) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def _codec(frame: RecordedFrame) -> Codec:
+    if frame.jpeg:
+        return Codec.JPEG
+    return Codec.ZSTD if frame.chunk is not None and frame.chunk.size else Codec.RAW
+
+
+def _at_risk(recording: Recording) -> int | None:
+    """Of a torn one, how many frames at most had not been told to be on the disk itself, were it the power that went;
+    None where it was not torn, or that is not known. See [record] sync_s.
+    """
+    if not recording.torn or recording.configuration is None:
+        return None
+    try:
+        cameras = recording.configuration["cameras"]
+        sync_s, fps = float(recording.configuration["record"]["sync_s"]), float(cameras[0]["timing"]["fps"])
+    except (KeyError, IndexError, TypeError, ValueError):
+        return None
+    return math.ceil(2 * sync_s * fps) * len(cameras) if sync_s > 0 else None
+
+
+def _of_day(recording: Recording, time_ns: int | None) -> str | None:
+    """UTC; None where that is not known."""
+    clock = clock_of(recording)
+    if time_ns is None or not clock.offset_ns:
+        return None
+    try:
+        return datetime.fromtimestamp(clock.utc(time_ns) / 1e9, UTC).isoformat(timespec="milliseconds")
+    except (OverflowError, ValueError, OSError):
+        return None
+
+
 def relabel(path: Path, out: Path) -> Audit:
     """Write `out`, which must not exist: the same recording with the labels said again. The original stays as it is."""
     recording = open_recording(path)
-    if out.exists():
-        raise AnnulusError(f"{out}: is there already. Choose another name.")
     found = Audit()
     said = _said_again(recording, found, PATIENCE_NS)
-    begun = out.with_name(out.name + ".part")
-    begun.unlink(missing_ok=True)
-    try:
-        _copy(recording, said, found, begun)
-        begun.rename(out)
-    finally:
-        begun.unlink(missing_ok=True)
+    note = {"from": recording.path.name, "patience_ns": PATIENCE_NS, **found.to_dict()}
+
+    def label_of(frame: RecordedFrame) -> Mapping[str, Any]:
+        return _label(recording, frame, said.get((frame.index, frame.camera)))
+
+    found.damaged = len(copy(recording, out, first=(NOTE, note), label_of=label_of).damaged)
     return found
-
-
-def _copy(recording: Recording, said: "_Said", found: Audit, out: Path) -> None:
-    first_ns = min((frame.timestamp_ns for frame in recording.frames), default=0)
-    with RecordingWriter(
-        out, calibration=recording.calibration, configuration=recording.configuration or {}, now_ns=first_ns
-    ) as writer:
-        note = {"from": recording.path.name, "patience_ns": PATIENCE_NS, **found.to_dict()}
-        writer.note(NOTE, note, first_ns)
-        for time_ns, _, topic, content in heapq.merge(_notes(recording), _frames(recording), key=lambda one: one[:2]):
-            if not isinstance(content, RecordedFrame):
-                sequence, body = content
-                writer.note(topic, body, time_ns, sequence)
-                continue
-            try:
-                image, encoding = recording.read_raw(content)
-            except AnnulusError:
-                found.damaged += 1
-                continue
-            label = _label(recording, content, said.get((content.index, content.camera)))
-            shape = {"encoding": encoding, "width": image.shape[1], "height": image.shape[0]}
-            if not writer.frame({**label, **shape}, image, time_ns):
-                break
-    if writer.lost:
-        raise AnnulusError(f"{out}: cannot be written ({writer.problem}). The recording is as it was.")
 
 
 _Said = dict[tuple[int, int], FrameHeader | None]  # by index and camera, as the recording has them
@@ -195,20 +208,3 @@ def _label(recording: Recording, frame: RecordedFrame, now: FrameHeader | None) 
         return {**label, "label": Label.UNKNOWN.value, "reason": NO_EVIDENCE, "z_mm": None}
     said = now.to_dict()
     return {**label, **{name: said[name] for name in LABEL if name not in ("index", "camera")}}
-
-
-_Entry = tuple[int, int, str, Any]  # time, order among equals, topic, a frame or (sequence, body)
-
-
-def _notes(recording: Recording) -> Iterator[_Entry]:
-    """All that is neither label nor frame, by time."""
-
-    def of(topic: str) -> Iterator[_Entry]:
-        return ((time_ns, 0, topic, (sequence, body)) for time_ns, sequence, body in recording.timed_notes(topic))
-
-    streams = [of(topic) for topic in recording.topics if topic != LABEL_TOPIC]
-    return iter(heapq.merge(*streams, key=lambda one: one[0]))
-
-
-def _frames(recording: Recording) -> Iterator[_Entry]:
-    return ((frame.timestamp_ns, 1, "", frame) for frame in sorted(recording.frames, key=lambda one: one.timestamp_ns))

@@ -10,7 +10,14 @@ from annulus import untrusted
 from annulus.controller import PREAMBLE_MAX
 from annulus.vocabulary import CameraSequence, EdgeIndex, Label, Slot
 
-CHANNELS = {"bgr8": 3, "bayer_rggb8": 1, "mono8": 1}  # encoding -> bytes a pixel, as foxglove.RawImage names them
+CHANNELS = {
+    "bgr8": 3,
+    "bayer_rggb8": 1,
+    "bayer_bggr8": 1,
+    "bayer_grbg8": 1,
+    "bayer_gbrg8": 1,
+    "mono8": 1,
+}  # encoding -> bytes a pixel, as foxglove.RawImage names them
 SIDE_MAX = 16384  # pixels; a larger image is a damaged header
 CAMERAS_MAX = 8
 SEGMENT_MAX = 2**31 - 1

@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from annulus.record.recording import to_bgr
+from annulus.record.codec import to_bgr
 from annulus.record.scan import CAMERA, COLUMNS, ROLL, SLOT, TABLE
 from annulus.twin.render import Renderer
 from annulus.twin.worlds import WORLDS, World

@@ -48,7 +48,7 @@ TOLD_BEFORE = 50  # .. and nobody told, then or shortly before
 SHOWN_MAX = 20
 
 
-class _Waiting(NamedTuple):
+class Waiting(NamedTuple):
     seen: FrameSeen
     frame: Delivered
 
@@ -70,12 +70,20 @@ class SoakWorld:
     """`frame` with each number in turn, `finish`, then `report`. The board is the caller's to close."""
 
     def __init__(
-        self, frames: int, seed: int, faults: Faults, board: Board, without: frozenset[Witness], ratio: int = 4
+        self,
+        frames: int,
+        seed: int,
+        faults: Faults,
+        board: Board,
+        without: frozenset[Witness],
+        ratio: int = 4,
+        world: World | None = None,
     ) -> None:
+        """`world`: a clean pipe in small pictures where none is given."""
         self.frames, self.seed, self.faults = frames, seed, faults
         self.timing = FrameTiming(25.0, 38_000.0, 28_000.0)
         self.period = self.timing.period_us * TICKS_PER_US
-        self.world = clean_world(seed=seed).scaled(WIDTH)
+        self.world = world or clean_world(seed=seed).scaled(WIDTH)
         self.clock = HostClock(START_NS, drift_ppm=DRIFT_PPM)
         self.sensor = ImageSensor(
             replace(self.world, travel_mm=REACH_MM), self.timing, faults, seed=seed, clock=self.clock,
@@ -96,7 +104,7 @@ class SoakWorld:
         self.labelling = Labelling(mode, self.navigation, self._told, False, without=without)
         self.truth = Truth(self.period, self.world.mm_per_count, self.sensor.cable)
         self.on_the_way: deque[Delivered] = deque()
-        self.waiting: deque[_Waiting] = deque()
+        self.waiting: deque[Waiting] = deque()
         self.labels, self.reasons, self.verdicts = Counter[str](), Counter[str](), Counter[Verdict]()
         self.right: list[int] = []
         self.shown: list[dict[str, Any]] = []  # the first wrong ones
@@ -272,9 +280,9 @@ class SoakWorld:
             arrived_ns = self.clock.ns(frame.due_tick)
             seen = FrameSeen(frame.sequence, frame.timestamp_ns, arrived_ns, picture, {})
             self.labelling.saw(seen)
-            self.waiting.append(_Waiting(seen, frame))
+            self.waiting.append(Waiting(seen, frame))
 
-    def _label(self, one: _Waiting) -> None:
+    def _label(self, one: Waiting) -> None:
         header = self.labelling.header(one.seen)
         verdict = self.truth.verdict(header, one.frame)
         number = one.frame.number

@@ -5,10 +5,10 @@ import math
 import numpy as np
 
 from annulus.numeric.arrays import FloatArray
+from annulus.numeric.rounding import clock_face
 from annulus.wall.adjustment import CURVATURE, PIECE, START, TAPER
 from annulus.wall.axis import Axis, Begins
 from annulus.wall.features import Feature, FeatureKind, Measure
-from annulus.wall.stations import clock_face
 
 # What bends with known truth begin elsewhere than the adjustment says, and what their plane is off.
 UNMODELLED_MM, UNMODELLED_TURN = 0.2, 0.002  # mm; radians

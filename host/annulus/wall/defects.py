@@ -8,7 +8,7 @@ import numpy as np
 from scipy import ndimage
 
 from annulus.numeric.arrays import BoolArray, FloatArray
-from annulus.numeric.robust import nan_median
+from annulus.numeric.rounding import clock_face
 from annulus.wall.extent import with_shadow, without_scraps
 from annulus.wall.grid import Wall, smooth
 from annulus.wall.grooves import groove_floor
@@ -26,7 +26,7 @@ from annulus.wall.indications import (
     without_holes,
 )
 from annulus.wall.points import Points
-from annulus.wall.stations import clock_face, shape_ovality, swing_sigma
+from annulus.wall.stations import shape_ovality, swing_k2_mm
 
 __all__ = ["Defect", "Detection", "Kind", "Limits", "clock_face", "find_defects"]
 
@@ -235,6 +235,7 @@ def _oval_stretches(wall: Wall, limits: Limits) -> tuple[list[Defect], list[Defe
     percent = shape_ovality(wall)
     swing = 2.0 * np.hypot(wall.shape_mm[:, 3], wall.shape_mm[:, 4])  # of a diameter
     label, n = ndimage.label(np.nan_to_num(percent) > 0.7 * limits.ovality_percent)
+    k2s = swing_k2_mm(wall) if n else np.zeros(0)
     out: list[Defect] = []
     unsure: list[Defect] = []
     for i in range(1, n + 1):
@@ -246,12 +247,7 @@ def _oval_stretches(wall: Wall, limits: Limits) -> tuple[list[Defect], list[Defe
         ):
             continue
         # where a groove or a step drags the shape about, it is known badly, and looks more oval than the pipe is
-        stated = wall.seen[rows] & np.isfinite(wall.sigma_mm[rows])
-        parts = (part[rows] for part in (wall.sigma_mm, wall.cell_noise_mm, wall.shape_sigma_mm()))
-        points = [nan_median(np.where(stated, part, np.nan).T.astype(np.float64)) for part in parts]
-        k2 = 2.0 * np.linalg.norm(
-            [*(2.0 * one for one in points), 2.0 * swing_sigma(wall)[rows]], axis=0
-        )  # a diameter's
+        k2 = k2s[rows]
         worst = int(np.argmax(swing[rows] - np.nan_to_num(k2)))
         mean, _, _, even, odd = wall.shape_mm[rows[worst]]
         long_axis = np.degrees(np.arctan2(odd, even)) / 2 % 180.0

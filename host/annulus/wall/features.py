@@ -8,7 +8,7 @@ import math
 from dataclasses import dataclass
 from enum import StrEnum
 
-from annulus.wall.stations import clock_face
+from annulus.numeric.rounding import clock_face
 
 
 class FeatureKind(StrEnum):

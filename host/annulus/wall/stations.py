@@ -1,4 +1,4 @@
-"""Diameters and ovality, station by station along the pipe."""
+"""Diameters, ovality, circumference and area, station by station along the pipe."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,6 +8,8 @@ import numpy as np
 from scipy import ndimage
 
 from annulus.numeric.arrays import Float32Array, FloatArray
+from annulus.numeric.robust import nan_median
+from annulus.numeric.rounding import ARC, DISTANCE, MEASURE, clock_face, said, span
 from annulus.vocabulary import Finding
 from annulus.wall.grid import Wall
 from annulus.wall.indications import arc_of
@@ -21,6 +23,10 @@ OVALITY_FORMULA = "100 · max(Dmax − Dmean, Dmean − Dmin) / Dmean"
 NOT_ENOUGH = "not enough seen"  # kind of a finding
 STATION_MM = 5.0  # length of a station
 PAIRS_NEEDED = 0.5  # part of the diameters round the clock; with fewer a station has no figures
+# What is joined to a closed line; guarded by test_stations.py. A rod hides 6 degrees in most heads.
+GAP_MAX_DEG, GAPS_MAX = 20.0, 0.1  # the widest arc that nobody saw, and all of them together, part of the way round
+HAND_DEG = 2.5  # either side of an hour, in which both radii about the end of a diameter must lie
+EVEN_DEG = 5.0  # radii are evened out over so much before the line is measured: noise makes it longer, never shorter
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,9 +35,12 @@ class Stations:
 
     z_mm, diameter_min/max/mean_mm (as measured, local defects included), ovality_percent (ASTM F1216 from those three),
     shape_ovality_percent (ASTM F1216 of the pipe's fitted shape, local defects left out; NaN where too little was seen
-    for it), valid_fraction (of the wall
-    seen, 0..1), diameter_k2_mm (expanded uncertainty, k = 2, of one of those diameters; NaN where points say nothing of
-    theirs). All (S,) float64.
+    for it), valid_fraction (of the wall seen, 0..1), diameter_k2_mm (expanded uncertainty, k = 2, of one of those
+    diameters and of the next two; NaN where points say nothing of theirs). diameter_x_mm, diameter_y_mm: horizontal and
+    vertical, through the middle of the pipe's shape; they need their own four ends only. circumference_mm, area_mm2: of
+    the inner wall as measured, local defects included; NaN where an arc of more than 20 degrees, or a tenth of the way
+    round, was not seen, for narrower ones are crossed in the course of the pipe's shape. circumference_k2_mm,
+    area_k2_mm2: their expanded uncertainty; what may lie in an arc that nobody saw is not in it. All (S,) float64.
     """
 
     z_mm: FloatArray
@@ -42,6 +51,12 @@ class Stations:
     shape_ovality_percent: FloatArray
     valid_fraction: FloatArray
     diameter_k2_mm: FloatArray
+    diameter_x_mm: FloatArray
+    diameter_y_mm: FloatArray
+    circumference_mm: FloatArray
+    circumference_k2_mm: FloatArray
+    area_mm2: FloatArray
+    area_k2_mm2: FloatArray
 
 
 def f1216(largest: FloatArray, smallest: FloatArray, mean: FloatArray) -> FloatArray:
@@ -73,13 +88,13 @@ def not_enough_seen(wall: Wall, features: "Sequence[Feature]" = ()) -> tuple[Fin
             start, known = arc_of(seen, wall.clock_step_deg) if seen.any() else (0.0, 0.0)
             middle = start + known + (360.0 - known) / 2
             why = next((f"lie below {f.kind}" for f in features if _below(f, first, last, middle)), "were not seen")
-            arc = f"{360.0 - known:.0f} degrees about clock {clock_face(middle)} {why}"
+            arc = f"{said(360.0 - known, ARC)} about clock {clock_face(middle)} {why}"
         what = "ovality" if not circle[rows].any() else "shape"
         out.append(
             Finding(
                 NOT_ENOUGH,
-                f"not enough seen from {first:.0f} to {last:.0f} mm: {arc}, so that the pipe's {what} is not known to "
-                f"{wall.shape_limit_mm:.2f} mm and nothing is measured from it there",
+                f"not enough seen from {span(first, last, DISTANCE)}: {arc}, so that the pipe's {what} is not known to "
+                f"{said(wall.shape_limit_mm, MEASURE)} and nothing is measured from it there",
             )
         )
     return tuple(out)
@@ -93,12 +108,6 @@ def _below(feature: "Feature", first_mm: float, last_mm: float, clock_deg: float
     return feature.kind in ("water", "deposit") and most and away < 0.25 * feature.arc_deg
 
 
-def clock_face(angle_deg: float) -> str:
-    """Clock position of an angle, to 5 minutes of the dial (2.5 degrees): 90 -> "3:00", 0 -> "12:00"."""
-    ticks = round(angle_deg % 360.0 / 2.5) % 144
-    return f"{ticks // 12 or 12}:{ticks % 12 * 5:02d}"
-
-
 def swing_sigma(wall: Wall) -> FloatArray:
     """(Z,) mm, standard deviation of the long radius' excess over the mean, |(s3, s4)|, in its own direction."""
     even, odd = wall.shape_mm[:, 3], wall.shape_mm[:, 4]
@@ -110,16 +119,27 @@ def swing_sigma(wall: Wall) -> FloatArray:
     return np.where(np.isfinite(square), np.sqrt(np.maximum(square, 0.0)), np.inf)
 
 
+def swing_k2_mm(wall: Wall) -> FloatArray:
+    """(Z,) mm, expanded uncertainty (k = 2) of the departure of the long diameter from the mean one; NaN where points
+    say nothing of theirs. A diameter errs by what its points and the shape may be off at both ends."""
+    stated = wall.seen & np.isfinite(wall.sigma_mm)
+    parts = (wall.sigma_mm, wall.cell_noise_mm, wall.shape_sigma_mm())
+    points = [nan_median(np.where(stated, part, np.nan).T.astype(np.float64)) for part in parts]
+    return np.asarray(2.0 * np.linalg.norm([*(2.0 * one for one in points), 2.0 * swing_sigma(wall)], axis=0))
+
+
 def measure_stations(wall: Wall, station_mm: float = STATION_MM) -> Stations:
     """Cut the wall into slices of about `station_mm` and measure every slice's diameters.
 
     A diameter is the sum of two opposite radii, so a centre that is off by a little does not matter. Radii are medians
     over the slice and over three neighbouring degrees: extremes of noise are not diameters. Two opposite radii may err
-    alike, so the uncertainty of one counts twice; noise, which the extremes pick, is added as for independent ones.
+    alike, so the uncertainty of one counts twice; noise, which the extremes pick, is added as for independent ones. All
+    radii of a station may err alike, too, by that of one point: a circumference by 2 pi times as much, an area by the
+    circumference times as much.
     """
     rows = max(1, round(station_mm / wall.z_step_mm))
     columns = len(wall.clock_deg)
-    shape = shape_ovality(wall)
+    shape, fitted_mm = shape_ovality(wall), wall.shape_radius_mm()
     out = []
     for start in range(0, len(wall.z_mm), rows):
         part = slice(start, min(start + rows, len(wall.z_mm)))
@@ -131,13 +151,60 @@ def measure_stations(wall: Wall, station_mm: float = STATION_MM) -> Stations:
         k2 = 2.0 * np.sqrt((2.0 * error) ** 2 + 2.0 * float(wall.noise_mm[part].mean()) ** 2)
         z = float(wall.z_mm[part].mean())
         measured = diameter[np.isfinite(diameter)]
+        across = across_mm(radius, wall.shape_mm[part].mean(axis=0), wall.clock_deg)
+        length, area = around_mm(radius, fitted_mm[part].mean(axis=0, dtype=float))
+        sizes = (*across, length, 4 * np.pi * error if length > 0 else np.nan, area, 2 * length * error)
         if len(measured) < PAIRS_NEEDED * len(diameter):
-            out.append((z, np.nan, np.nan, np.nan, float(shape[part].mean()), valid, np.nan))
+            known = np.isfinite(across).any()
+            out.append((z, np.nan, np.nan, np.nan, float(shape[part].mean()), valid, k2 if known else np.nan, *sizes))
             continue
         low, high, mean = float(measured.min()), float(measured.max()), float(measured.mean())
-        out.append((z, low, high, mean, float(shape[part].mean()), valid, k2))
-    z_mm, smallest, largest, means, fitted, seen, k2s = np.array(out, dtype=float).T
-    return Stations(z_mm, smallest, largest, means, f1216(largest, smallest, means), fitted, seen, k2s)
+        out.append((z, low, high, mean, float(shape[part].mean()), valid, k2, *sizes))
+    z_mm, smallest, largest, means, fitted, seen, k2s, *more = np.array(out, dtype=float).T
+    return Stations(z_mm, smallest, largest, means, f1216(largest, smallest, means), fitted, seen, k2s, *more)
+
+
+def across_mm(radius_mm: FloatArray, shape_mm: FloatArray, clock_deg: FloatArray) -> tuple[float, float]:
+    """The horizontal and the vertical diameter through the shape's middle; NaN where one of its ends was not seen.
+
+    radius_mm (A,), NaN where not seen; shape_mm (5,), as `Wall.shape_mm`.
+    """
+    t = np.radians(clock_deg)
+    right, down = radius_mm * np.sin(t) - shape_mm[2], -radius_mm * np.cos(t) + shape_mm[1]
+    ends = []
+    for ahead, aside in ((-down, right), (right, down), (down, -right), (-right, -down)):  # 12, 3, 6 and 9 o'clock
+        off, reach = np.degrees(np.arctan2(aside, ahead)), np.hypot(ahead, aside)
+        near = np.flatnonzero(np.abs(off) <= HAND_DEG)  # NaN is not
+        before, after = near[off[near] <= 0], near[off[near] > 0]
+        if len(before) and len(after):
+            both = [before[np.argmax(off[before])], after[np.argmin(off[after])]]
+            ends.append(float(np.interp(0.0, off[both], reach[both])))
+        else:
+            ends.append(np.nan)
+    return ends[1] + ends[3], ends[0] + ends[2]
+
+
+def around_mm(radius_mm: FloatArray, shape_mm: FloatArray) -> tuple[float, float]:
+    """Length of the closed line of the wall, mm, and the area in it, mm^2; NaN where too wide an arc was not seen.
+
+    radius_mm (A,), NaN where not seen; shape_mm (A,) the pipe's radii, in whose course a narrow arc is crossed.
+    """
+    n = len(radius_mm)
+    seen = np.isfinite(radius_mm)
+    if seen.mean() < 1.0 - GAPS_MAX:
+        return np.nan, np.nan
+    known = np.flatnonzero(seen)
+    gaps = np.diff(known, append=known[0] + n) - 1
+    if gaps.max() * 360.0 / n > GAP_MAX_DEG:
+        return np.nan, np.nan
+    departure = np.interp(np.arange(n), known, (radius_mm - shape_mm)[known], period=n)
+    radius = ndimage.uniform_filter1d(shape_mm + departure, max(1, round(EVEN_DEG * n / 360.0)), mode="wrap")
+    turn = 2 * np.pi / n
+    ahead = np.roll(radius, -1)
+    # a chord is shorter than the arc that its two radii stand for: a circle of n corners is a circle again
+    arc = (turn / 2) / np.sin(turn / 2)
+    length = arc * np.sqrt(radius**2 + ahead**2 - 2 * radius * ahead * np.cos(turn)).sum()
+    return float(length), float(0.5 * turn * (radius**2).sum())
 
 
 def _column_median(rows: Float32Array) -> FloatArray:

@@ -128,6 +128,20 @@ def _surface(wall: Wall) -> FloatArray:
     return np.stack([radius * np.sin(t), -radius * np.cos(t), z], axis=-1)
 
 
+def pixels_of(
+    points: FloatArray, centreline: Centreline, calibration: Calibration, pose: Pose, z_mm: float, camera: int
+) -> FloatArray:
+    """Where points of the wall, (N, 3) mm in the pipe frame, lie in a frame that was taken with this pose at z_mm by
+    this camera (its id): (N, 2) pixels, NaN of what is not before it."""
+    seen = pose.to_camera(centreline.to_head(points, z_mm))
+    own = next((one for one in calibration.cameras if one.id == camera), calibration.cameras[0])
+    if calibration.others:
+        seen = seen @ np.array(own.rotation).T + own.translation_mm
+    pixels = own.camera.project(seen)
+    pixels[seen[:, 2] < 1.0] = np.nan
+    return pixels
+
+
 def _look(
     wall: Wall, points: FloatArray, centreline: Centreline, calibration: Calibration, pose: Pose, frame: LedFrame
 ) -> _Patch | None:
@@ -138,12 +152,7 @@ def _look(
     if first == last:
         return None
     part = points[first:last]
-    camera = pose.to_camera(centreline.to_head(part.reshape(-1, 3), frame.z_mm))
-    own = next((one for one in calibration.cameras if one.id == frame.camera), calibration.cameras[0])
-    if calibration.others:
-        camera = camera @ np.array(own.rotation).T + own.translation_mm
-    pixels = own.camera.project(camera)
-    pixels[camera[:, 2] < 1.0] = np.nan
+    pixels = pixels_of(part.reshape(-1, 3), centreline, calibration, pose, frame.z_mm, frame.camera)
     height, width = frame.image_bgr.shape[:2]
     inside = (
         (pixels[:, 0] >= 1) & (pixels[:, 0] <= width - 2) & (pixels[:, 1] >= 1) & (pixels[:, 1] <= height - 2)

@@ -12,7 +12,7 @@ from annulus.calibrate.pipe import LINES_REMARK, calibrate_pipe, save_pipe
 from annulus.geometry.calibration import camera_to_dict
 from annulus.geometry.pose import Pose
 from annulus.record.calibration_file import load_calibration
-from annulus.record.recording import to_bgr
+from annulus.record.codec import to_bgr
 from annulus.twin.render import Renderer
 from annulus.twin.worlds import World
 

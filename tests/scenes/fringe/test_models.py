@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from annulus.cli import app
 from annulus.numeric.arrays import FloatArray
-from annulus.record.recording import to_bgr
+from annulus.record.codec import to_bgr
 from annulus.twin.render import Renderer
 from annulus.twin.scan import write_scan
 from annulus.twin.worlds import World, mirror_fringe_world, modules_world, series_world

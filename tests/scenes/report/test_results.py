@@ -101,7 +101,7 @@ def test_stations_carry_units_and_the_named_ovality(written: tuple[Path, Survey,
 
 def test_the_report_stands_alone_and_quotes_its_source_safely(written: tuple[Path, Survey, list[Profile]]) -> None:
     page = (written[0] / "report.html").read_text()
-    assert "<script" not in page and "http" not in page and "a &lt;b&gt;pipe" in page
+    assert "<script" not in page and "://" not in page and "a &lt;b&gt;pipe" in page
     images = re.findall(r'src="(data:image/png;base64,[^"]+)"', page)
     assert len(images) == 5
     for image in images:

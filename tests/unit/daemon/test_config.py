@@ -14,7 +14,6 @@ from annulus.daemon.config import (
     RecordConfig,
     SensorConfig,
     SocketConfig,
-    job_of,
     load_config,
 )
 from annulus.daemon.controller_line import stage_of
@@ -112,6 +111,8 @@ def test_an_empty_file_is_a_camera_without_a_controller(tmp_path: Path) -> None:
         ("[record]\nmin_free_gb = nan", "min_free_gb"),
         ("[record]\nmin_free_minutes = -5", "min_free_minutes is -5"),
         ("[record]\nreserve_mb = true", "reserve_mb"),
+        ('[record]\ncodec = "h264"', "codec is 'h264', expected one of raw, zstd, jpeg"),
+        ("[record]\nexpect_minutes = -1", "expect_minutes is -1"),
         ("[log]\nmax_mb = 10", r"\[log\] file is missing"),
         ('[log]\nfile = "head.log"\nkeep = 0', "keep is 0"),
         ('[log]\nfile = "head.log"\nmax_mb = 0', "max_mb is 0"),
@@ -195,12 +196,23 @@ def test_colours_of_the_camera_and_of_the_pipe_come_from_the_file(tmp_path: Path
         load_config(path)
 
 
-def test_a_job_on_the_command_line() -> None:
-    assert job_of(["where=Elm Street = 4", "who=J. Doe"]) == {"where": "Elm Street = 4", "who": "J. Doe"}
-    for wrong in ("where", "where=", "when=now", "=x", "\x1b[2J=x"):
-        with pytest.raises(AnnulusError, match="expected NAME=TEXT, a name one of who, where, what") as told:
-            job_of([wrong])
-        assert "\x1b" not in str(told.value)
+def test_a_job_is_read_by_the_names_of_before_too(tmp_path: Path) -> None:
+    path = tmp_path / "head.toml"
+    path.write_text('[job]\nwho = "J. Doe"\nclient = "The Works"\nsdr = 11\ndate = 2026-11-25\n')
+    config = load_config(path)
+    told = {"client": "The Works", "sdr": 11.0, "operator": "J. Doe", "date": "2026-11-25"}
+    assert config.job.to_dict() == told == config.to_dict()["job"]
+    for wrong, match in (
+        ('whom = "J. Doe"', r"head.toml: \[job\] whom is not known, expected one of client"),
+        ('who = "a"\noperator = "b"', r"\[job\] operator is there twice"),
+        ("sdr = 1e9", r"\[job\] sdr is 1000000000.0, expected a number in 3..100"),
+        ('date = "25.11.26"', r"\[job\] date is '25.11.26', expected a day"),
+        (f'site = "{"x" * 301}"', r"\[job\] site must be a text of at most 300"),
+    ):
+        path.write_text(f"[job]\n{wrong}\n")
+        with pytest.raises(AnnulusError, match=match) as caught:
+            load_config(path)
+        assert "\n" not in str(caught.value)
 
 
 def test_the_calibrations_field_of_view_is_asked_of_the_camera(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from annulus.daemon.config import RecordConfig
-from annulus.daemon.disk import GB, MB, MINUTES, Asker, Forecast, require_space
+from annulus.daemon.disk import GB, MB, MINUTES, Asker, Forecast, require_room, require_space, short_of
 from annulus.vocabulary import AnnulusError
 
 RATE = 50 * MB
@@ -41,7 +41,7 @@ def test_the_forecast_is_how_long_it_really_lasts() -> None:
         free, at_s = free - RATE, at_s + 1.0
     assert at_s == pytest.approx(90 * 60, abs=2.0)
     assert max(off) < 0.1
-    assert [line.split(", ")[1] for line in told] == [f"{minutes} min left" for minutes in MINUTES]
+    assert [line.split(", ")[1] for line in told] == [f"{minutes} min left at 50 MB/s" for minutes in MINUTES]
 
 
 def test_before_a_rate_is_measured_the_cameras_rate_counts_and_at_rest_nothing_is_foretold() -> None:
@@ -115,3 +115,12 @@ def test_who_asks_before_a_scan_has_the_last_answer_at_once_or_the_disks_own_wor
     with pytest.raises(AnnulusError, match="Input/output error"):
         asker.free(20.0)
     asker.close()
+
+
+def test_a_scan_that_the_disk_would_end_is_warned_of_and_begun(tmp_path: Path) -> None:
+    limits = RecordConfig(min_free_gb=1, reserve_mb=0, expect_minutes=40)
+    require_room(tmp_path, limits, RATE, int(90 * GB))
+    assert short_of(tmp_path, limits, RATE, int(40 * 60 * RATE)) == short_of(tmp_path, limits, 0.0, 0) == ""
+    said = short_of(tmp_path, limits, RATE, int(30 * 60 * RATE))
+    assert "room for 30 min at 50 MB/s, the scan is to take 40 min" in said and "\n" not in said
+    assert short_of(tmp_path, RecordConfig(), RATE, 1) == ""

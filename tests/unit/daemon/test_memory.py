@@ -12,6 +12,7 @@ from faulty_head import Head
 from annulus.daemon.account import Account
 from annulus.daemon.config import HeadConfig
 from annulus.daemon.evidence import Evidence
+from annulus.job import JobSheet
 
 pytestmark = pytest.mark.slow
 
@@ -25,7 +26,7 @@ class Scan:
     def __init__(self) -> None:
         self.head, self.account, self.notes = Head(seed=5), Account(), 0
         self.head.begin()
-        config = cast(HeadConfig, SimpleNamespace(cameras=(), job={}))
+        config = cast(HeadConfig, SimpleNamespace(cameras=(), job=JobSheet()))
         self.evidence = Evidence(self._note, self.head.navigation, self.account, config, (), None)
 
     def _note(self, topic: str, body: Mapping[str, Any]) -> None:

@@ -11,11 +11,13 @@ import pytest
 
 from annulus.daemon import recorder
 from annulus.daemon.recorder import RecorderJob
+from annulus.record.clock import Clock
 from annulus.record.recording import open_recording
+from annulus.record.rotation import Bounds
 from annulus.stream.frames import FrameHeader
 from annulus.vocabulary import AnnulusError, Label
 
-IMAGE = np.zeros((6, 8), np.uint8)
+IMAGE = np.zeros((60, 80), np.uint8)
 
 
 @pytest.fixture(autouse=True)
@@ -24,7 +26,7 @@ def always_looking(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def frame(job: RecorderJob, index: int) -> str:
-    header = FrameHeader(index, None, 0, Label.LED, "", None, None, None, 0.0, "mono8", 8, 6)
+    header = FrameHeader(index, None, 0, Label.LED, "", None, None, None, 0.0, "mono8", 80, 60)
     return Path(job.frame(header, IMAGE, None)).name
 
 
@@ -73,6 +75,34 @@ def test_without_a_place_to_go_on_it_says_so_once_and_goes_on_when_there_is(tmp_
     folder.unlink()
     assert frame(job, 5) == "scan.mcap"
     assert [one["gone"] for one in job.close()] == [False]
+
+
+def test_frames_that_come_faster_than_they_are_written_are_not_packed_until_there_is_a_pause(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    job = RecorderJob(tmp_path, "scan", None, {})
+    monkeypatch.setattr(recorder, "PAUSE_S", 0.0)
+    for n in range(3):
+        frame(job, n)
+    monkeypatch.setattr(recorder, "PAUSE_S", 1e9)
+    for n in range(3, 20):
+        frame(job, n)
+    monkeypatch.setattr(recorder, "PAUSE_S", 0.0)
+    frame(job, 20)
+    job.close()
+    packed = [one.chunk is not None and one.chunk.size > 0 for one in open_recording(tmp_path / "scan.mcap").frames]
+    assert packed == [True] * 11 + [False] * 9 + [True]  # eight cameras' frames may come at once
+
+
+def test_all_parts_have_the_clock_of_the_scan(tmp_path: Path) -> None:
+    clock = Clock(1_000, 1_800_000_000_000_000_000)
+    job = RecorderJob(tmp_path, "scan", None, {}, Bounds(part_bytes=2000.0), clock=clock)
+    for n in range(12):
+        frame(job, n)
+    job.close()
+    recording = open_recording(tmp_path / "scan.mcap")
+    assert len(recording.parts) > 2 and {part.utc_offset_ns for part in recording.parts} == {clock.offset_ns}
+    assert [one.timestamp_ns for one in recording.frames] == [0] * 12
 
 
 def test_a_file_that_is_gone_at_the_end_is_said_too(tmp_path: Path) -> None:

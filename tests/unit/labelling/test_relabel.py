@@ -117,7 +117,7 @@ def test_an_audit_tells_programs_and_people(
     with pytest.raises(SystemExit) as ended:
         main()
     assert ended.value.code == 1 and "driver count disagrees -> agreed" in capsys.readouterr().out
-    monkeypatch.setattr("sys.argv", ["annulus", "record", "show", str(path), "--json"])
+    monkeypatch.setattr("sys.argv", ["annulus", "record", "info", str(path), "--json"])
     with pytest.raises(SystemExit):
         main()
     assert json.loads(capsys.readouterr().out)["job"] == {"where": "Elm Street"}

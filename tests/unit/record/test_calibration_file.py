@@ -3,6 +3,7 @@
 import json
 import os
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,11 @@ TWO = load_calibration(DATA / "calibration-2.json")
 
 
 def provenance(path: Path) -> dict:
-    return json.loads(path.read_text()).get("provenance", {})
+    """Without the times, each of which must be one of now."""
+    told = json.loads(path.read_text()).get("provenance", {})
+    for made in told.values():
+        assert abs((datetime.now(UTC) - datetime.fromisoformat(made.pop("utc"))).total_seconds()) < 60
+    return told
 
 
 def test_what_is_replaced_loses_its_provenance(tmp_path: Path) -> None:

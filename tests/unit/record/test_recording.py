@@ -24,8 +24,11 @@ from mcap.stream_reader import StreamReader
 from mcap_protobuf.decoder import DecoderFactory
 
 from annulus.cli import main
-from annulus.record.recording import from_json, open_recording, to_bgr, to_json
+from annulus.record.clock import Clock
+from annulus.record.codec import Codec, to_bgr
+from annulus.record.recording import from_json, open_recording, to_json
 from annulus.record.scan import open_scan
+from annulus.record.viewers import preview
 from annulus.record.writer import RecordingWriter
 from annulus.vocabulary import AnnulusError, Label
 
@@ -42,7 +45,8 @@ def label_of(index: int, label: str = "projector") -> dict:
 
 
 def image_of(index: int) -> np.ndarray:
-    return np.random.default_rng(index).integers(0, 256, (H, W), dtype=np.uint8)
+    """Noise of five bits: packed it is three quarters."""
+    return np.random.default_rng(index).integers(0, 32, (H, W), dtype=np.uint8)
 
 
 def write(path: Path, count: int, **more: object) -> RecordingWriter:
@@ -118,7 +122,9 @@ def test_pictures_of_any_size_are_foxgloves_message(size: tuple[int, int], tmp_p
     height, width = size  # their products lie about the lengths where one byte more tells them
     image = np.random.default_rng(height).integers(0, 256, (2 * height, 2 * width), dtype=np.uint8)[::2, ::2]
     label = label_of(3) | {"encoding": "mono8", "width": width, "height": height}
-    with RecordingWriter(tmp_path / "a.mcap", calibration=None, configuration={}, now_ns=5) as writer:
+    with RecordingWriter(
+        tmp_path / "a.mcap", calibration=None, configuration={}, now_ns=5, clock=Clock(0, 0)
+    ) as writer:
         writer.frame(label, image, 1_500_000_000)
     with (tmp_path / "a.mcap").open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
@@ -128,7 +134,16 @@ def test_pictures_of_any_size_are_foxgloves_message(size: tuple[int, int], tmp_p
     assert raw.data == image.tobytes()
 
 
-@pytest.mark.parametrize("encoding, red", [("bayer_rggb8", (0, 0)), ("mono8", None)])
+@pytest.mark.parametrize(
+    "encoding, red",
+    [
+        ("bayer_rggb8", (0, 0)),
+        ("bayer_bggr8", (1, 1)),
+        ("bayer_grbg8", (0, 1)),
+        ("bayer_gbrg8", (1, 0)),
+        ("mono8", None),
+    ],
+)
 def test_a_red_world_stays_red(encoding: str, red: tuple[int, int] | None) -> None:
     mosaic = np.zeros((H, W), np.uint8)
     if red is None:
@@ -138,6 +153,8 @@ def test_a_red_world_stays_red(encoding: str, red: tuple[int, int] | None) -> No
     mosaic[red[0] :: 2, red[1] :: 2] = 200
     blue, green, red_channel = cv2.split(to_bgr(mosaic, encoding)[4:-4, 4:-4])
     assert red_channel.min() == 200 and green.max() == 0 and blue.max() == 0
+    b, g, r = cv2.imdecode(preview(mosaic, encoding), cv2.IMREAD_COLOR).reshape(-1, 3).mean(0)
+    assert r > 190 and b < 10 and g < 10
 
 
 _CHILD = """
@@ -170,18 +187,27 @@ def test_every_frame_written_before_a_kill_is_readable(tmp_path: Path) -> None:
     assert seen == 40
 
 
-def test_a_recording_cut_at_any_byte_gives_the_frames_before_the_cut(tmp_path: Path) -> None:
+@pytest.mark.parametrize("codec", list(Codec))
+def test_a_recording_cut_at_any_byte_gives_the_frames_before_the_cut(tmp_path: Path, codec: Codec) -> None:
     path, cut = tmp_path / "a.mcap", tmp_path / "cut.mcap"
-    write(path, 6).close()
+    write(path, 6, codec=codec).close()
     whole = path.read_bytes()
-    ends = [f.offset + f.length for f in open_recording(path).frames]
-    first = ends[0] - (H * W)  # well after the channels
+    chunks = [f.chunk for f in open_recording(path).frames]
+    assert all((chunk.size > 0) is (codec is Codec.ZSTD) for chunk in chunks)
+    ends = [chunk.offset + chunk.length for chunk in chunks]
+    inside = [(chunk.offset, chunk.offset + chunk.length) for chunk in chunks]
+    first = chunks[0].offset  # well after the channels
     for at in np.random.default_rng(1).integers(first, len(whole), 60):
         cut.write_bytes(whole[:at])
         recording = open_recording(cut)
         assert [f.index for f in recording.frames] == [i for i, end in enumerate(ends) if end <= at]
+        assert recording.cut_frames in (0, 1) and (recording.cut_frames or all(not a < at < b for a, b in inside))
         for frame in recording.frames:
-            assert np.array_equal(recording.read_raw(frame)[0], image_of(frame.index))
+            image, encoding = recording.read_raw(frame)
+            if codec is Codec.JPEG:
+                assert encoding == "bgr8" and image.shape == (H, W, 3)
+            else:
+                assert np.array_equal(image, image_of(frame.index))
 
 
 @given(data=st.binary(max_size=300), at=st.integers(0, 20_000), seed=st.integers(0, 5))
@@ -340,27 +366,27 @@ def test_a_long_recording_costs_no_memory_and_keeps_its_index(tmp_path: Path) ->
     assert grown < 20_000, "bytes over 1500 frames; the indexes of chunks in memory were 900 000"
     with (tmp_path / "a.mcap").open("rb") as file:
         summary = make_reader(file).get_summary()
-    assert summary is not None and len(summary.chunk_indexes) == 2001
+    assert summary is not None and len(summary.chunk_indexes) == 4001  # a frame's, and what is beside it
     assert os.listdir(tmp_path) == ["a.mcap"]
 
 
 def test_a_recording_is_checked_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "scan.mcap"
     write(path, 40).close()
-    assert main_check(path, capsys) == (0, {"frames": 40, "torn": False, "damage": []})
+    assert main_check(path, capsys) == (0, {"frames": 40, "torn": False, "cut_frames_at_most": 0, "damage": []})
     whole = path.read_bytes()
-    at = open_recording(path).frames[20].offset + 200
+    at = open_recording(path).frames[20].chunk.offset + 200
     path.write_bytes(whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :])
     status, found = main_check(path, capsys)
-    assert status == 1 and any("checksum" in one["text"] for one in found["damage"])
+    assert status == 1 and any("checksum" in one["text"] or "unpacked" in one["text"] for one in found["damage"])
     path.write_bytes(whole[: len(whole) // 2])
     status, found = main_check(path, capsys)
-    assert status == 1 and found["torn"] and 10 <= found["frames"] <= 20
+    assert status == 1 and found["torn"] and 10 <= found["frames"] <= 22
 
 
 def main_check(path: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, dict[str, Any]]:
     with (
-        patch.object(sys, "argv", ["annulus", "record", "check", str(path), "--json"]),
+        patch.object(sys, "argv", ["annulus", "record", "verify", str(path), "--json"]),
         pytest.raises(SystemExit) as ended,
     ):
         main()

@@ -161,7 +161,7 @@ def test_what_is_no_video_is_one_line(video: Path, tmp_path: Path) -> None:
         "cut.mp4": "cut short",
         "pipe.avi": "not a file",
         "none.avi": "no such video",
-        ".": "not a file",
+        ".": "holds no pictures",
     }
     for name, says in bad.items():
         with pytest.raises(AnnulusError, match=says):

@@ -18,6 +18,6 @@ def test_assumed_places_and_what_does_not_hang_together_are_named() -> None:
     frames = [frame(0, 0.0), frame(1, 5.0, 80.0, 1), frame(2, 6.0, 80.5, 1), frame(3, 0.0, 0.0, 2)]
     assumed, segments = place_findings(frames)
     assert (assumed.kind, assumed.frames) == ("place_assumed", (1, 2))
-    assert assumed.text.startswith("place assumed from z 5 mm on, to 6 mm, +- 80.5 mm")
+    assert assumed.text.startswith("place assumed from 0.005 to 0.006 m, ± 0.081 m")
     assert (segments.kind, segments.frames) == ("place_segments", (1, 3))
-    assert "3 segments, begun anew at frame 1 at 5 mm, frame 3 at 0 mm" in segments.text
+    assert "3 segments, begun anew at frame 1 at 0.005 m, frame 3 at 0.000 m" in segments.text

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from annulus.geometry.cone import Cone
-from annulus.record.recording import to_bgr
+from annulus.record.codec import to_bgr
 from annulus.twin.render import Renderer
 from annulus.twin.worlds import World
 from annulus.twin.worlds.features import Feature

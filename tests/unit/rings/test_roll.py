@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from annulus.geometry.pose import Pose
-from annulus.record.recording import to_bgr
+from annulus.record.codec import to_bgr
 from annulus.record.scan import open_scan
 from annulus.reprocess.job import roll_filled
 from annulus.rings.reconstructor import Reconstructor

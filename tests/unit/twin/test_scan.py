@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from annulus.geometry.calibration import Calibration
-from annulus.record.recording import to_bgr
+from annulus.record.codec import to_bgr
 from annulus.record.scan import open_scan
 from annulus.rings.reconstructor import Reconstructor
 from annulus.twin.render import Renderer

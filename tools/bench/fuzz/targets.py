@@ -28,10 +28,8 @@ from annulus.link.head import HeadControl
 from annulus.link.stage import stage_from_us
 from annulus.record.acoustic import AcousticRecord, load_acoustic, save_acoustic
 from annulus.record.calibration_file import load_calibration, load_camera, load_part
-from annulus.record.recording import FRAME_TOPIC, LABEL_TOPIC, open_recording
 from annulus.record.replay import ScanFolderCamera
 from annulus.record.scan import open_scan
-from annulus.record.writer import RecordingWriter
 from annulus.rings.calibration.reference import Reference
 from annulus.rings.colour import ColourProfile
 from annulus.sensors.sample import Sample
@@ -40,16 +38,14 @@ from annulus.tai.decode import load_template
 from annulus.tai.design import load_transducer
 from annulus.testing.scripted import ScriptedController
 from annulus.vocabulary import AnnulusError
+from tools.bench.fuzz.found import Silent
 from tools.bench.fuzz.joint_files import joint_case, joint_read
 from tools.bench.fuzz.mutate import HOSTILE, UNWRITABLE, as_json, of_bytes, of_rows, of_toml, of_values
+from tools.bench.fuzz.recordings import mcap_case, mcap_read, packed_case
 
 ROOT = Path(__file__).parents[3]
 BEFORE = ROOT / "tests/data/before"
 FRAMES, H, W = 4, 24, 32
-
-
-class Silent(Exception):
-    """What came out is not what went in, and nothing was told."""
 
 
 @dataclass(frozen=True)
@@ -162,82 +158,6 @@ def _control_read(data: bytes, _: Path) -> None:
 def _must_be_a_line(text: str) -> None:
     if "\n" in text or len(text) > 1000:
         raise Silent(f"no line: {text[:100]!r}")
-
-
-# ---- recordings ----
-
-
-def _image(index: int) -> np.ndarray:
-    return np.random.default_rng(index).integers(0, 256, (H, W), dtype=np.uint8)
-
-
-def _label(index: int) -> dict[str, object]:
-    return {
-        "index": index,
-        "label": "led" if index % 5 == 4 else "projector",
-        "reason": "",
-        "z_mm": 2.5 * index,
-        "encoding": "mono8",
-        "width": W,
-        "height": H,
-        "roll_deg": 1.0,
-    }
-
-
-@cache
-def _recording() -> bytes:
-    return _written([json.dumps(_label(index)).encode() for index in range(FRAMES)])
-
-
-def _written(labels: list[bytes], calibration: object = None) -> bytes:
-    path, kept = Path("/dev/null"), io.BytesIO()
-    kept.close = lambda: None  # type: ignore[method-assign]
-    file: object = kept
-    with RecordingWriter(path, calibration={"a": 1}, configuration={"fps": 25}, now_ns=0, file=file) as writer:  # type: ignore[arg-type]
-        for index, label in enumerate(labels):
-            writer.note("/event", {"kind": "edge", "n": index}, index)
-            writer.frame(_label(index), _image(index), index)
-            if label != json.dumps(_label(index)).encode():
-                writer._add(LABEL_TOPIC, label, index, index)
-                writer._add(f"{FRAME_TOPIC}/0", label[:200], index, 90 + index, FRAME_TOPIC)
-                writer.flush()
-    return kept.getvalue()
-
-
-def _mcap_case(rng: Random) -> bytes:
-    if rng.random() < 0.8:
-        return b"B" + of_bytes(rng, _recording())
-    labels = [as_json(rng, of_values(rng, _label(i), HOSTILE + UNWRITABLE)) for i in range(FRAMES)]
-    return b"V" + _written(labels)
-
-
-def _mcap_read(data: bytes, folder: Path) -> None:
-    path = folder / "scan.mcap"
-    path.write_bytes(data[1:])
-    recording = open_recording(path)
-    told, right = recording.torn or bool(recording.damage), 0
-    for frame in recording.frames:
-        recording.label(frame)
-        try:
-            same = np.array_equal(recording.read_raw(frame)[0], _image(frame.index))
-            recording.read(frame)
-        except AnnulusError:
-            told = True
-            continue
-        if data[:1] == b"B":
-            written = _label(frame.index)
-            if not same or (
-                frame.label != "unknown" and (frame.label, frame.z_mm) != (written["label"], written["z_mm"])
-            ):
-                raise Silent(f"frame {frame.index} is another one's")
-            right += frame.label != "unknown"
-    if data[:1] == b"B" and not told and (right < FRAMES or recording.calibration != {"a": 1}):
-        raise Silent(f"{right} of {FRAMES} frames, calibration {recording.calibration}")
-    checked = recording.check()
-    notes = [note.get("n") if isinstance(note, dict) else None for note in recording.notes("/event")]
-    if data[:1] == b"B" and not (told or checked) and notes != [None, *range(FRAMES)]:
-        raise Silent(f"events {notes}")
-    open_scan(path)
 
 
 # ---- calibrations and the files beside them ----
@@ -467,7 +387,8 @@ def _transducer_read(data: bytes, folder: Path) -> None:
 TARGETS: dict[str, Target] = {
     "link": Target(_link_case, _link_read),
     "control": Target(_control_case, _control_read, (ValueError,)),
-    "mcap": Target(_mcap_case, _mcap_read),
+    "mcap": Target(mcap_case, mcap_read),
+    "packed": Target(packed_case, mcap_read),
     "calibration": Target(_calibration_case, _calibration_read),
     "scan": Target(_scan_case, _scan_read),
     "head": Target(_head_case, _head_read),

@@ -16,7 +16,7 @@ import matplotlib as mpl
 import numpy as np
 
 from annulus.numeric.arrays import FloatArray
-from annulus.record.recording import to_bgr
+from annulus.record.codec import to_bgr
 from annulus.rings.reconstructor import Reconstructor
 from annulus.twin.render import Renderer
 from annulus.twin.score import score_cloud

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus.geometry.calibration import Calibration
-from annulus.record.recording import to_bgr
+from annulus.record.codec import to_bgr
 from annulus.rings.calibration.autocalibration import calibrate
 from annulus.rings.calibration.contours import close_grid, follow, wide_grid
 from annulus.rings.calibration.observations import observe

@@ -24,7 +24,7 @@ from annulus.geometry.calibration import Calibration, HeadCamera
 from annulus.geometry.camera import Camera
 from annulus.geometry.cone import Cone, intersect_cone
 from annulus.geometry.pose import Pose
-from annulus.record.recording import to_bgr
+from annulus.record.codec import to_bgr
 from annulus.report import Account, write
 from annulus.reprocess import open_job, reprocess
 from annulus.rings.reconstructor import Reconstructor

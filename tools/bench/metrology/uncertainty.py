@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus.geometry.calibration import Calibration
-from annulus.record.recording import to_bgr
+from annulus.record.codec import to_bgr
 from annulus.rings.reconstructor import Reconstructor
 from annulus.twin.render import Renderer
 from annulus.twin.score import NEAR_EDGE_MM, _edge_distance

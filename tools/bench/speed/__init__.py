@@ -11,6 +11,7 @@ TABLE = Table(
         "rings": "One projector frame, one core",
         "twin": "The twin's renderer, one thread",
         "latency": "From a frame in hand to its label at a viewer, while recording",
+        "codecs": "How a recording keeps its pictures",
         "memory": "What each process of a scan keeps for good",
         "kills": "Every process of a scan killed and stopped in turn, with three others spinning",
         "soak": "Labels and places under faults, in virtual time",

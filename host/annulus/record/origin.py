@@ -1,0 +1,61 @@
+"""Where a scan came from, as far as it was written down: in a recording's identity, beside a scan folder, and in the
+calibration."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from annulus.job import JobSheet, Origin, provenance, read_job, recorded_provenance
+from annulus.record.calibration_file import load_sections
+from annulus.record.scan import Scan
+from annulus.untrusted import printable
+
+IDENTITY = "/identity"
+JOB_FILE = "job.toml"  # of a scan folder, beside frames.csv
+UTC_MAX = 40  # characters of a time
+
+
+def origin_of(scan: Scan, calibration: Path | None = None, job: JobSheet | None = None) -> Origin:
+    """What is known of a scan's origin. Raises AnnulusError where a scan folder's job.toml, or `calibration`, is none.
+
+    calibration : the file in place of the recording's own. job : goes over what the scan says.
+    """
+    over = job or JobSheet()
+    made = {} if calibration is None else provenance(load_sections(calibration))
+    recording = scan.recording
+    if recording is None:
+        beside = scan.path / JOB_FILE
+        own = read_job(beside) if beside.is_file() else JobSheet()
+        return Origin(own.under(over), calibration=made, calibration_file=_name(calibration))
+    who = [one for one in recording.notes(IDENTITY) if isinstance(one, dict)]
+    first: Mapping[str, Any] = who[0] if who else {}
+    last: Mapping[str, Any] = who[-1] if who else {}
+    configuration = recording.configuration or {}
+    own = JobSheet.recorded(configuration.get("job")).under(JobSheet.recorded(last.get("job")))
+    if calibration is None:
+        made = provenance(recording.calibration) or recorded_provenance(configuration)
+    return Origin(
+        own.under(over),
+        (_time(first.get("utc")), _time(last.get("utc"))),
+        _texts(last.get("controller")),
+        made,
+        "the recording's own" if calibration is None else _name(calibration),
+        _texts(first.get("versions")),
+    )
+
+
+def _name(calibration: Path | None) -> str:
+    return "" if calibration is None else printable(calibration.name)
+
+
+def _time(value: object) -> str:
+    return printable(value) if isinstance(value, str) and len(value) <= UTC_MAX else ""
+
+
+def _texts(value: object) -> dict[str, str]:
+    """Of a mapping its short values, as texts."""
+    return {
+        key: printable(str(one))
+        for key, one in (value.items() if isinstance(value, Mapping) else ())
+        if isinstance(key, str) and isinstance(one, str | int | float) and len(str(one)) <= UTC_MAX
+    }

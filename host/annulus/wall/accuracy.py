@@ -1,0 +1,64 @@
+"""How accurate a survey is, as far as the survey itself knows: tolerances at a certainty of 95 %.
+
+Each tolerance is an expanded uncertainty (k = 2) of what this scan measured: from what its points say they may be off,
+the noise of its map, and how well its shape is known. What it says nothing of is a tolerance of NaN.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import beta
+
+from annulus.numeric.arrays import FloatArray
+from annulus.wall.defects import Kind
+from annulus.wall.survey import Survey
+
+CONFIDENCE = 0.95  # of the least probability of detection that trials show
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerance:
+    """A quantity's expanded uncertainty (k = 2): the usual one, and the one that 19 of 20 places keep; in `unit`.
+    `n` : of so many places, stations or defects."""
+
+    what: str
+    unit: str
+    usual: float
+    most: float
+    n: int
+
+
+def tolerances(survey: Survey) -> Iterator[Tolerance]:
+    """Of a point of the wall, a departure on the map, the depths that are listed, and a station's sizes."""
+    wall, stations = survey.wall, survey.stations
+    sigma = wall.sigma_mm[np.isfinite(wall.sigma_mm)].astype(np.float64)
+    yield _of("radius of one point of the wall", "mm", 2.0 * sigma)
+    stated = np.isfinite(wall.sigma_mm)
+    parts = (wall.sigma_mm, wall.cell_noise_mm, wall.shape_sigma_mm())
+    cells = 2.0 * np.sqrt(sum(np.square(part[stated], dtype=np.float64) for part in parts))
+    yield _of("departure from the pipe's shape, one place of the map", "mm", np.asarray(cells))
+    for kind, words in ((Kind.LOSS, "depth of the listed losses"), (Kind.BUMP, "height of the listed bumps")):
+        listed = np.array([one.depth_k2_mm for one in survey.defects if one.kind is kind], dtype=np.float64)
+        if len(listed):
+            yield _of(words, "mm", listed)
+    yield _of("diameter of a station, any direction", "mm", stations.diameter_k2_mm)
+    yield _of("inner circumference of a station", "mm", stations.circumference_k2_mm)
+    yield _of("inner area of a station", "mm²", stations.area_k2_mm2)
+
+
+def least_detection(found: int, drawn: int, confidence: float = CONFIDENCE) -> float:
+    """The least probability of detection that so many found of so many drawn show at a confidence level (Clopper and
+    Pearson, one-sided); NaN of none drawn."""
+    if not 0 <= found <= drawn or drawn == 0:
+        return math.nan
+    return 0.0 if found == 0 else float(beta.ppf(1.0 - confidence, found, drawn - found + 1))
+
+
+def _of(what: str, unit: str, k2: FloatArray) -> Tolerance:
+    known = k2[np.isfinite(k2)]
+    if not len(known):
+        return Tolerance(what, unit, math.nan, math.nan, 0)
+    usual, most = (float(value) for value in np.percentile(known, (50, 95)))
+    return Tolerance(what, unit, usual, most, len(known))

@@ -1,0 +1,143 @@
+"""What a client signs, on a drawn pipe: job, verdict, pictures that say the listed depth, an honest statement."""
+
+import base64
+import csv
+import json
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from synthetic_pipe import CALIBRATION, bump, pocket, round_pipe, scan
+
+from annulus.job import JobSheet, Origin
+from annulus.numeric.rounding import MEASURE, said
+from annulus.report import Account, head_kind, write
+from annulus.report.close_up import CIRCLE_PX, SWING_PX, across
+from annulus.untrusted import parse_toml
+from annulus.wall import LedFrame, Survey, survey
+from annulus.wall.conformity import Criteria, judge
+from annulus.wall.defects import Kind
+from annulus.wall.photograph import Shot, best_views, crop
+from annulus.wall.sections import cut
+
+LIMITS = b'title = "<b>ours</b>"\n[[loss]]\nseverity = 4\ndepth_mm = 3\n[[bore]]\nseverity = 2\nsmallest_mm = 140\n'
+
+
+def account(**more: Any) -> Account:
+    return Account("a pipe", {"projector": 40}, {}, {"total": 5.0}, **more)
+
+
+@pytest.fixture(scope="module")
+def pipe() -> Survey:
+    seen = scan(pocket(bump(round_pipe, 200, 135, 14, 3.0), 90, 12, 120, 150, 4.0))
+    camera = CALIBRATION.camera
+    grey = np.random.default_rng(3).integers(60, 200, (camera.height, camera.width, 3), dtype=np.uint8)
+    seen = [replace(one, sigma_mm=np.full(len(one.ring), 0.03, np.float32)) for one in seen]
+    return survey(seen, CALIBRATION, [LedFrame(4, 40.0, grey), LedFrame(9, 70.0, grey)])
+
+
+@pytest.fixture(scope="module")
+def page(pipe: Survey, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, dict[str, Any], Path]:
+    out = tmp_path_factory.mktemp("client")
+    view = best_views(pipe, CALIBRATION, [Shot(0, 24, 60.0, 0)], [0])[0]
+    image = np.full((CALIBRATION.camera.height, CALIBRATION.camera.width, 3), 90, np.uint8)
+    made = {"rings": {"by": "annulus calibrate pipe", "held_out_mm": 0.117, "utc": "2026-11-01T00:00:00+00:00"}}
+    times = ("2026-11-25T06:00:00.000+00:00", "2026-11-25T06:10:00.000+00:00")
+    origin = Origin(JobSheet(client="The <i>Works</i>", sdr=11.0), times, {"serial": "E66"}, made, "head-7.json")
+    verdict = judge(pipe, Criteria.from_dict(parse_toml(LIMITS)))
+    told = account(
+        origin=origin, verdict=verdict, photographs=(crop(view, image),), method=head_kind(CALIBRATION),
+    )  # fmt: skip
+    summary = write(pipe, told, out)
+    return (out / "report.html").read_text("utf-8"), summary, out
+
+
+def text(page: str) -> str:
+    return re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", page))
+
+
+def test_the_job_is_on_the_page_and_what_nobody_said_is_not_made_up(page: tuple[str, dict[str, Any], Path]) -> None:
+    words = text(page[0])
+    assert "The &lt;i&gt;Works&lt;/i&gt;" in words and "SDR 11" in words and "Operator not recorded" in words
+    assert "2026-11-25 (UTC, by the recorder&#39;s clock)" in words and "Controller board E66" in words
+    assert "annulus calibrate pipe, 2026-11-01, held out 0.117 mm" in words
+    assert "Check against a reference section not checked" in words
+    assert page[1]["job"] == {"client": "The <i>Works</i>", "sdr": 11.0}
+    assert page[1] == json.loads((page[2] / "summary.json").read_text())
+    assert "Signature" in words
+
+
+def test_the_verdict_is_on_the_page_and_in_the_summary(page: tuple[str, dict[str, Any], Path]) -> None:
+    html, summary, _ = page
+    loss, dent = summary["defects"]
+    assert (loss["severity"], loss["decision"]) == (4, "does not conform")
+    assert "severity" not in dent and summary["conformity"]["decision"] == "does not conform"
+    bore = next(one for one in summary["conformity"]["items"] if one["kind"] == "bore")
+    assert bore["decision"] == "conforms" and bore["value"] - bore["k2"] > 140
+    words = text(html)
+    for said_ in ("&lt;b&gt;ours&lt;/b&gt;", "Does not conform", "guard band w = U", "no limit was named for: bump"):
+        assert said_ in words, said_
+
+
+def test_without_limits_nothing_passes_and_nothing_fails(pipe: Survey, tmp_path: Path) -> None:
+    summary = write(pipe, account(), tmp_path)
+    words = text((tmp_path / "report.html").read_text("utf-8"))
+    assert "makes no statement of conformity" in words
+    assert "conformity" not in summary and "severity" not in summary["defects"][0] and summary["job"] == {}
+    assert "Client not recorded" in words and "Date of the scan not recorded" in words
+    assert "no bench is kept for this kind of head" in words
+
+
+def test_every_defect_has_its_pictures_and_says_where_they_are_from(page: tuple[str, dict[str, Any], Path]) -> None:
+    html = page[0]
+    assert html.count("<svg") == 4 and "<script" not in html and "://" not in html
+    pictures = re.findall(r'src="data:image/jpeg;base64,([^"]+)"', html)
+    assert len(pictures) == 2
+    for one in pictures:
+        picture = cv2.imdecode(np.frombuffer(base64.b64decode(one), np.uint8), cv2.IMREAD_COLOR)
+        assert picture is not None and 20 <= max(picture.shape[:2]) <= 560
+    words = text(html)
+    assert "LED frame 24, taken" in words and "not a photograph: distance to the right" in words
+
+
+def test_the_dot_of_the_cross_section_lies_at_the_listed_depth(pipe: Survey) -> None:
+    for one in cut(pipe, range(2)):
+        defect = pipe.defects[one.index]
+        drawn, ring = across(one, pipe.wall.clock_deg, defect)
+        x, y = (float(v) for v in re.findall(r'<circle cx="([-\d.]+)" cy="([-\d.]+)" r="3"', drawn)[0])
+        departure = (math.hypot(x, y) - CIRCLE_PX) * ring / SWING_PX
+        sign = 1 if defect.kind is Kind.LOSS else -1
+        assert sign * departure == pytest.approx(
+            defect.depth_mm, abs=defect.depth_k2_mm + 0.05 * ring / SWING_PX + 0.01
+        )
+        assert math.degrees(math.atan2(x, -y)) % 360 == pytest.approx(one.clock_deg, abs=0.2)
+        assert "nan" not in drawn
+
+
+def test_what_the_scan_states_and_what_the_bench_measured_stand_apart(
+    page: tuple[str, dict[str, Any], Path], pipe: Survey
+) -> None:
+    words = text(page[0])
+    scan_part, bench = words.split("From this scan: sizing accuracy")[1].split("From the bench, not from this scan")
+    assert said(0.06, MEASURE) in scan_part and "94.1 %" not in scan_part and "not determined" in scan_part
+    assert "94.1 %" in bench and "of 3 defects drawn into simulated pipes 3 were found: at least 36 %" in bench
+    assert "calibration.json states no covariance" in bench and "not checked with this scan" in bench
+
+
+def test_stations_have_the_new_columns_at_the_end(page: tuple[str, dict[str, Any], Path], pipe: Survey) -> None:
+    with (page[2] / "stations.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0])[-6:] == [
+        "diameter_x_mm", "diameter_y_mm", "circumference_mm", "circumference_k2_mm", "area_mm2", "area_k2_mm2",
+    ]  # fmt: skip
+    known = [row for row in rows if row["area_mm2"]]
+    assert len(known) > 5
+    for row in known:
+        assert float(row["circumference_mm"]) == pytest.approx(math.pi * 152.4, abs=12)
+        assert float(row["area_k2_mm2"]) == pytest.approx(2 * float(row["circumference_mm"]) * 0.03, rel=0.02)
+    assert "smallest diameter" in text(page[0])

@@ -1,0 +1,117 @@
+"""Promises of a station's figures, on lines whose length and area are known."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.special import ellipe
+
+from annulus.wall.grid import Observations, Wall
+from annulus.wall.stations import across_mm, around_mm, measure_stations
+
+CLOCK = np.arange(360) + 0.5
+T = np.radians(CLOCK)
+ROUND = np.full(360, 76.2)
+CENTRED = np.array([76.2, 0.0, 0.0, 0.0, 0.0])
+
+
+def ellipse(a: float, b: float, turn_deg: float = 0.0) -> np.ndarray:
+    """Radii of an ellipse; `a` towards the clock angle `turn_deg`."""
+    t = T - math.radians(turn_deg)
+    return a * b / np.hypot(b * np.cos(t), a * np.sin(t))
+
+
+def off_centre(right: float, up: float, radius: float = 76.2) -> np.ndarray:
+    """Radii of a circle, from a point beside its middle."""
+    along = right * np.sin(T) + up * np.cos(T)
+    return along + np.sqrt(radius**2 - (right**2 + up**2 - along**2))
+
+
+def test_a_circle_has_its_diameters_length_and_area() -> None:
+    assert across_mm(ROUND, CENTRED, CLOCK) == pytest.approx((152.4, 152.4))
+    assert around_mm(ROUND, ROUND) == pytest.approx((math.pi * 152.4, math.pi * 76.2**2), rel=1e-9)
+
+
+@pytest.mark.parametrize("turn_deg", [0, 30, 90, 117])
+def test_an_ellipse_has_its_length_and_area(turn_deg: float) -> None:
+    a, b = 78.0, 74.0
+    line = ellipse(a, b, turn_deg)
+    length = 4 * a * ellipe(1 - (b / a) ** 2)
+    assert around_mm(line, line) == pytest.approx((length, math.pi * a * b), rel=2e-5)
+    x, y = across_mm(line, np.array([76.0, 0, 0, 2.0, 0]), CLOCK)
+    t = math.radians(turn_deg)
+    assert y == pytest.approx(2 * a * b / math.hypot(b * math.cos(t), a * math.sin(t)), abs=2e-3)
+    assert x == pytest.approx(2 * a * b / math.hypot(b * math.sin(t), a * math.cos(t)), abs=2e-3)
+
+
+def test_a_pipe_seen_from_beside_its_middle_is_as_large() -> None:
+    line = off_centre(2.0, -3.0)
+    shape = np.array([76.2, -3.0, 2.0, 0, 0])
+    assert across_mm(line, shape, CLOCK) == pytest.approx((152.4, 152.4), abs=2e-3)
+    assert around_mm(line, line) == pytest.approx((math.pi * 152.4, math.pi * 76.2**2), rel=1e-5)
+
+
+def test_a_rod_is_crossed_in_the_pipes_shape_and_a_wide_arc_is_not() -> None:
+    shape = ellipse(78.0, 74.0)
+    whole = around_mm(shape, shape)
+    rod, wide, many = (shape + 0.3 for _ in range(3))
+    rod[103:110] = np.nan
+    wide[100:125] = np.nan
+    many[::9] = np.nan
+    larger = around_mm(shape + 0.3, shape)
+    assert around_mm(rod, shape) == pytest.approx(larger, rel=1e-9) and larger[0] > whole[0] + 1.8
+    assert np.isnan(around_mm(wide, shape)).all() and np.isnan(around_mm(many, shape)).all()
+    rod[87:94] = np.nan
+    x, y = across_mm(rod, np.array([76.0, 0, 0, 2.0, 0]), CLOCK)
+    assert math.isnan(x) and y == pytest.approx(156.6, abs=3e-3)
+
+
+def test_noise_makes_a_line_hardly_longer() -> None:
+    noisy = ROUND + np.random.default_rng(1).normal(0, 0.05, 360)
+    assert around_mm(noisy, ROUND)[0] == pytest.approx(math.pi * 152.4, abs=0.1)
+
+
+def test_stations_know_their_sizes_as_far_as_their_points_do() -> None:
+    line = ellipse(78.0, 74.0)
+    stations = measure_stations(wall_of(np.tile(line, (20, 1))))
+    a, b = 78.0, 74.0
+    length = 4 * a * ellipe(1 - (b / a) ** 2)
+    for found, true, k2 in (
+        (stations.circumference_mm, length, stations.circumference_k2_mm),
+        (stations.area_mm2, math.pi * a * b, stations.area_k2_mm2),
+        (stations.diameter_x_mm, 2 * b, stations.diameter_k2_mm),
+        (stations.diameter_y_mm, 2 * a, stations.diameter_k2_mm),
+    ):
+        assert (np.abs(found - true) <= k2).all()
+    assert stations.circumference_k2_mm == pytest.approx(4 * math.pi * 0.03, rel=1e-6)
+    assert stations.area_k2_mm2 == pytest.approx(2 * length * 0.03, rel=1e-4)
+
+
+def test_half_a_pipe_under_water_has_a_width_and_no_height() -> None:
+    dark = np.tile(ROUND, (20, 1))
+    dark[:, 110:250] = np.nan
+    stations = measure_stations(wall_of(dark))
+    assert stations.diameter_x_mm == pytest.approx(152.4) and np.isfinite(stations.diameter_k2_mm).all()
+    for unknown in (stations.diameter_mean_mm, stations.diameter_y_mm, stations.circumference_mm, stations.area_mm2):
+        assert np.isnan(unknown).all()
+    assert np.isnan(stations.circumference_k2_mm).all() and np.isnan(stations.area_k2_mm2).all()
+
+
+def wall_of(radius: np.ndarray) -> Wall:
+    rows, columns = radius.shape
+    shape = np.zeros((rows, 5))
+    mean = np.nanmean(radius)
+    shape[:, 0], shape[:, 3] = mean, (radius[0, 0] - radius[0, 90]) / 2
+    none = np.zeros(0)
+    seen = Observations(
+        none.astype(np.int64), none.astype(np.int32), none.astype(np.float32), none.astype(np.float32),
+        none.astype(np.uint8),
+    )  # fmt: skip
+    sigma = np.where(np.isfinite(radius), 0.03, np.nan).astype(np.float32)
+    wall = Wall(
+        np.arange(rows) * 1.0, (np.arange(columns) + 0.5) * 360 / columns, radius.astype(np.float32),
+        np.isfinite(radius).astype(np.int32), shape, np.tile(1e-6 * np.eye(5), (rows, 1, 1)), np.full(rows, 0.01),
+        np.full(radius.shape, 0.01, np.float32), seen, sigma,
+    )  # fmt: skip
+    return replace(wall, shape_mm=np.nan_to_num(wall.shape_mm))

@@ -1,0 +1,1 @@
+"""The manual: what of it is generated from code, and what builds it (`make docs`)."""
