@@ -13,7 +13,7 @@ arch=$1 suite=$2 folder=$3
 shift 3
 case $arch in amd64) machine=x86_64 ;; arm64) machine=aarch64 ;; *) echo "fresh_root.sh: $arch: expected amd64 or arm64" >&2; exit 2 ;; esac
 here=$(cd "$(dirname "$0")/../.." && pwd)
-wheel=$(ls "$here"/dist/annulus-*"_$machine.whl") || { echo "fresh_root.sh: no wheel: make wheels" >&2; exit 1; }
+wheel=$(ls -t "$here"/dist/annulus-*"_$machine.whl" 2>/dev/null | head -1) && [ -n "$wheel" ] || { echo "fresh_root.sh: no wheel: make wheels" >&2; exit 1; }
 root=$folder/$suite-$arch
 mirror=${MIRROR:-http://deb.debian.org/debian}
 mkdir -p "$folder"

@@ -1,5 +1,7 @@
 """Compiled code is used for as long as nothing it was made of changed, and who waits for a compiler is told once."""
 
+import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -89,3 +91,27 @@ def test_where_nothing_can_be_kept_nothing_is_ready(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(compiling, "folder", lambda: None)
     compiling.is_now_ready("slits-1")
     assert not compiling.is_ready("slits-1")
+
+
+ALL = """
+import importlib, json, pkgutil, annulus
+names = [one.name for one in pkgutil.walk_packages(annulus.__path__, "annulus.") if ".shipped." not in one.name]
+for name in sorted(names, reverse={reverse}):
+    importlib.import_module(name)
+from annulus.numeric.jit import _stamps
+print(json.dumps(_stamps, sort_keys=True))
+"""
+
+
+@pytest.mark.slow
+def test_what_a_kernel_is_known_by_is_the_same_in_every_process() -> None:
+    """Whatever was imported first, and however texts are hashed there: else nothing compiled would be found again."""
+    said = [
+        subprocess.run(
+            [sys.executable, "-c", ALL.format(reverse=reverse)],
+            env=os.environ | {"PYTHONHASHSEED": seed}, capture_output=True, text=True, check=True,
+        ).stdout
+        for reverse, seed in ((False, "1"), (True, "2"))
+    ]  # fmt: skip
+    assert said[0] == said[1]
+    assert len(json.loads(said[0])) > 30
