@@ -19,15 +19,19 @@ from annulus.capture.photometry import Light, measure
 from annulus.capture.timing import FrameTiming
 from annulus.daemon.account import ScanReport
 from annulus.daemon.camera_config import CameraConfig
-from annulus.daemon.config import HeadConfig
+from annulus.daemon.config import HeadConfig, RecordConfig
 from annulus.daemon.observer import Observer
 from annulus.daemon.session import Session
 from annulus.daemon.state import State
-from annulus.demo import demo_config
+from annulus.demo import REMARK, demo_config
+from annulus.job import JobSheet
 from annulus.link.client import Client
 from annulus.link.messages import StateFlag, Status
 from annulus.record.calibration_file import load_calibration
+from annulus.record.codec import Codec
+from annulus.record.origin import origin_of
 from annulus.record.recording import Recording, open_part, open_recording
+from annulus.record.scan import open_scan
 from annulus.reprocess.relabel import Audit, audit
 from annulus.twin.faults import Faults
 from annulus.twin.head import HeadHandle, start_head
@@ -97,6 +101,8 @@ def test_a_scan_is_labelled_recorded_and_reconstructed(head: HeadHandle, tmp_pat
     again = audit(tmp_path / "scan.mcap")  # the labels follow from what the recording has of them
     assert again.frames >= len(recording.frames) and again.to_dict() | {"frames": 0} == Audit().to_dict()
     assert {"start", "end"} <= {note["why"] for note in recording.notes("/identity")}
+    told = origin_of(open_scan(tmp_path / "scan.mcap"))  # head.toml's job, and when it was
+    assert told.job == JobSheet(pipe="simulated", remarks=REMARK) and told.utc[0] < told.utc[1]
     assert frames_are_what_they_are_called(recording) == report.frames["projector"] + report.frames["led"] >= 40
     assert len(recording.frames) == sum(report.frames.values())
     # one LED frame in five, whatever was dropped; in an optical preamble any, and they have no place in the lamp cycle
@@ -200,7 +206,7 @@ def test_a_controller_that_restarts_is_armed_again_and_no_label_is_wrong(tmp_pat
 def test_a_full_disk_costs_the_recording_and_not_the_labels(head: HeadHandle, tmp_path: Path) -> None:
     frame = WORLD.camera.width * WORLD.camera.height
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    rig = Rig(head, tmp_path, calibration=None, slots=30)
+    rig = Rig(head, tmp_path, calibration=None, slots=30, record=RecordConfig(codec=Codec.RAW))
     try:
         resource.setrlimit(resource.RLIMIT_FSIZE, (35 * frame, hard))  # the ring still fits, 50 frames on disk do not
         report = rig.run(lambda rig: rig.session.labelled >= 50)

@@ -11,8 +11,9 @@ from pathlib import Path
 from annulus.daemon.check import Finding, check_head, priority
 from annulus.daemon.config import HeadConfig, load_config
 from annulus.doctor.drive import disk
+from annulus.doctor.eyes import cameras
 from annulus.doctor.lines import boards, libusb, ports, rule
-from annulus.doctor.machine import cameras, clock, kernels, memory, versions
+from annulus.doctor.machine import clock, kernels, memory, versions
 from annulus.reprocess import make_ready
 from annulus.twin.worlds import demo_world
 from annulus.vocabulary import AnnulusError

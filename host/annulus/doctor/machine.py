@@ -1,15 +1,13 @@
-"""The machine itself: what is installed, cameras, clock, memory, compiled loops."""
+"""The machine itself: what is installed, clock, memory, compiled loops."""
 
 import ctypes
 import importlib.metadata
-import os
 import platform
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 from annulus import shipped
-from annulus.daemon.cameras import picamera2
 from annulus.daemon.check import Finding
 from annulus.daemon.config import HeadConfig
 from annulus.flash import update
@@ -62,33 +60,6 @@ def kernels(calibration: Calibration | None = None) -> list[Finding]:
     return [Finding("compiled", None, f"not yet ({work}): the first scan waits for it, or have doctor compile it now")]
 
 
-def cameras(root: Path = Path("/")) -> list[Finding]:
-    """Cameras of Picamera2 with their modes, V4L2's, and whether a sensor puts out its frame sync."""
-    found = []
-    model = _text(root / "proc/device-tree/model").rstrip("\0")
-    try:
-        for number, one in enumerate(picamera2().global_camera_info()):
-            found.append(Finding("camera", True, f"{number}: {one.get('Model', 'unknown')} by Picamera2"))
-    except AnnulusError as error:
-        found.append(Finding("picamera2", False if "Raspberry" in model else None, str(error)))
-    found += [_v4l2(root, device) for device in sorted((root / "sys/class/video4linux").glob("video*"))]
-    for sensor in sorted((root / "sys/module").glob("imx*/parameters/trigger_mode")):
-        name, mode = sensor.parts[-3], _text(sensor).strip()
-        leads = "its XVS pad puts the frame sync out" if mode == "1" else "it does not lead; see the manual"
-        found.append(Finding("frame sync", mode == "1", f"{name}: trigger_mode {mode} in {sensor}: {leads}"))
-    if not any(one.what == "camera" for one in found):
-        found.append(Finding("camera", None, "none on this machine"))
-    return found
-
-
-def _v4l2(root: Path, device: Path) -> Finding:
-    node = root / "dev" / device.name
-    name = _text(device / "name").strip() or "no name"
-    if os.access(node, os.R_OK | os.W_OK):
-        return Finding("camera", True, f"/dev/{device.name}: {name}")
-    return Finding("camera", False, f"/dev/{device.name}: {name}: no permission: sudo usermod -aG video $USER")
-
-
 def clock(
     wall: Callable[[], int] = time.time_ns, even: Callable[[], int] = time.monotonic_ns,
     synchronised: Callable[[], bool | None] | None = None, look_s: float = LOOK_S,
@@ -126,7 +97,7 @@ def _synchronised() -> bool | None:
 def memory(root: Path = Path("/"), head: HeadConfig | None = None) -> list[Finding]:
     """Memory for frames in hand; they cross processes in a memfd, which counts as memory."""
     free = {}
-    for line in _text(root / "proc/meminfo").splitlines():
+    for line in text_of(root / "proc/meminfo").splitlines():
         name, _, value = line.partition(":")
         if value.split()[:1] and value.split()[0].isdigit():
             free[name] = int(value.split()[0]) * 1024
@@ -142,7 +113,8 @@ def memory(root: Path = Path("/"), head: HeadConfig | None = None) -> list[Findi
     return [Finding("memory", True, text)]
 
 
-def _text(path: Path) -> str:
+def text_of(path: Path) -> str:
+    """Of a file of the kernel's; empty where there is none."""
     try:
         return path.read_text(errors="replace")
     except OSError:

@@ -104,9 +104,16 @@ def _conformity(verdict: Verdict) -> dict[str, Any]:
     overall, look = OVERALL[verdict.decision]
     return {
         "title": verdict.criteria.title, "overall": overall, "look": look, "rule": RULE,
-        "accepted": verdict.criteria.accepted, "rows": [_judged(one) for one in verdict.items],
+        "accepted": verdict.criteria.accepted, "rows": [_judged(one) for one in _governing(verdict)],
         "remarks": list(verdict.remarks), "limits": list(_limits(verdict)),
     }  # fmt: skip
+
+
+def _governing(verdict: Verdict) -> Iterator[Judged]:
+    """Of each thing the quantity that decides; of the pipe as a whole every one."""
+    for one in verdict.items:
+        if one.group == "pipe" or one is verdict.worst_of(one.group, one.index):
+            yield one
 
 
 def _name(one: Judged) -> str:
@@ -122,8 +129,8 @@ def _judged(one: Judged) -> dict[str, str]:
     if least != most:
         severity += f" ({least or 'none'} to {most})"
     return {
-        "number": _name(one), "kind": one.kind, "what": one.of.words, "at": said(one.z_mm, DISTANCE)
-        if math.isfinite(one.z_mm) else "", "measured": said(one.value, unit, one.k2, at_least=one.at_least),
+        "number": _name(one), "kind": one.kind, "what": one.of.words, "at": _cell(one.z_mm, DISTANCE),
+        "measured": said(one.value, unit, one.k2, at_least=one.at_least),
         "limit": "none" if math.isnan(one.limit) else f"{'above' if one.of.lower else 'below'} {said(one.limit, unit)}",
         "severity": severity, "decision": str(one.decision), "group": one.group,
     }  # fmt: skip

@@ -6,6 +6,7 @@ from typing import Any
 
 import jinja2
 
+from annulus.numeric.rounding import ANGLE, MEASURE, PERCENT, said, span
 from annulus.report.sheet import minute, sheet
 from annulus.report.summary import versions
 from annulus.untrusted import mapping, parse_json
@@ -67,23 +68,23 @@ def _said(
     hilo = summary["hilo_mm"]
     step, k2 = abs(hilo["greatest_outside"]), 2 * hilo["sigma"]
     out.append(
-        f"The ends are offset by {step:.2f} mm at most."
+        f"The ends are offset by {said(step, MEASURE)} at most."
         if step > k2
-        else f"No offset of the ends beyond {max(step, k2):.2f} mm."
+        else f"No offset of the ends beyond {said(max(step, k2), MEASURE)}."
     )
     zone = summary["zone_density_percent"]
     if zone["median"] is None:
         out.append("No heat-affected zone stands out of the wall's density.")
     else:
         out.append(
-            f"The heat-affected zone has {zone['median']:.2f} % of the plain wall's density, {zone['least']:.2f} to "
-            f"{zone['greatest']:.2f} % round the joint."
+            f"The heat-affected zone has {said(zone['median'], PERCENT)} of the plain wall's density, "
+            f"{span(zone['least'], zone['greatest'], PERCENT)} round the joint."
         )
     if scan is not None and not scan["accepted"]:
         out.append(f"The near-field scan could not be laid on this joint: {scan['why_not']}.")
     elif scan is not None:
         out.append(
-            f"The near-field scan lies {scan['shift_deg']:.1f} ± {2 * scan['shift_sigma_deg']:.1f}° (k = 2) from the "
+            f"The near-field scan lies {said(scan['shift_deg'], ANGLE, 2 * scan['shift_sigma_deg'])} (k = 2) from the "
             f"CT's zero, sense {scan['sense']}."
         )
     out += [

@@ -4,6 +4,7 @@ WeasyPrint lays the page out by its print style. It asks the system for fonts, a
 draws boxes. matplotlib brings DejaVu Sans, which has every sign that the page uses, so that is what a PDF is set in.
 """
 
+import warnings
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
@@ -23,11 +24,13 @@ DPI = 220  # of pictures: more than they have
 
 def to_pdf(html: str, paper: Paper = Paper.A4) -> bytes:
     """A page of this room as PDF. Raises AnnulusError, one line, where WeasyPrint or what it loads is missing."""
-    weasyprint = _weasyprint()
-    fonts = weasyprint.text.fonts.FontConfiguration()
-    style = weasyprint.CSS(string=_style(paper), font_config=fonts)
-    document = weasyprint.HTML(string=html)
-    data: bytes = document.write_pdf(stylesheets=[style], font_config=fonts, pdf_tags=True, dpi=DPI)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "No fonts configured")  # of a system without: the page's are named below
+        weasyprint = _weasyprint()
+        fonts = weasyprint.text.fonts.FontConfiguration()
+        style = weasyprint.CSS(string=_style(paper), font_config=fonts)
+        document = weasyprint.HTML(string=html)
+        data: bytes = document.write_pdf(stylesheets=[style], font_config=fonts, pdf_tags=True, dpi=DPI)
     return data
 
 

@@ -49,10 +49,10 @@ QUANTITIES: Mapping[str, Mapping[str, Quantity]] = {
         "height_mm": Quantity("mm", "height"),
         "height_percent_diameter": Quantity("%", "height, of the diameter"),
     },
-    "ovality": {"percent": Quantity("%", "ovality of the pipe's shape, worst place")},
+    "ovality": {"percent": Quantity("%", "of the pipe's shape")},
     "bore": {
-        "smallest_mm": Quantity("mm", "smallest diameter of a station", lower=True),
-        "largest_mm": Quantity("mm", "largest diameter of a station"),
+        "smallest_mm": Quantity("mm", "smallest diameter", lower=True),
+        "largest_mm": Quantity("mm", "largest diameter"),
     },
     "joint": {
         "hilo_mm": Quantity("mm", "hi-lo"),

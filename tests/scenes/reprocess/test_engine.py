@@ -132,7 +132,8 @@ def test_damaged_frames_are_left_out_counted_and_named(job: Job, tmp_path: Path)
     data = bytearray(job.scan.path.read_bytes())
     for index in (0, 9, 12):  # the first of all, an LED frame, one in the middle
         frame = recording.frames[index]
-        data[frame.offset + frame.length // 2] ^= 0x40
+        assert frame.chunk is not None
+        data[frame.chunk.offset + frame.chunk.length // 2] ^= 0x40
     (tmp_path / "damaged.mcap").write_bytes(data)
     done = reprocess(open_job(tmp_path / "damaged.mcap"), Processes(2))
     assert done.drops == {"frames_unknown": 0, "profiles_without_pose": 0, "recording_torn": 0, "frames_damaged": 3}

@@ -17,8 +17,9 @@ from annulus.daemon import cameras as daemon_cameras
 from annulus.daemon.check import Finding
 from annulus.doctor import drive, lines, machine
 from annulus.doctor.drive import disk
+from annulus.doctor.eyes import cameras
 from annulus.doctor.lines import ports, rule, users
-from annulus.doctor.machine import cameras, clock, kernels, memory
+from annulus.doctor.machine import clock, kernels, memory
 from annulus.numeric import compiling
 from annulus.shipped import UDEV, shipped
 from annulus.vocabulary import AnnulusError
@@ -100,6 +101,42 @@ def test_a_sensor_that_does_not_lead_is_told(root: Path) -> None:
     assert ok is False and text.startswith("imx477: trigger_mode 0")
     (root / "sys/module/imx477/parameters/trigger_mode").write_text("1\n")
     assert rows(cameras(root))["frame sync"][0] is True
+
+
+class Picamera2:
+    """As much of it as is asked."""
+
+    sensor_modes = ({"size": (2028, 1520), "fps": 40.01}, {"size": (4056, 3040), "fps": 10.0})
+
+    @staticmethod
+    def global_camera_info() -> list[dict[str, str]]:
+        return [{"Model": "imx477"}, {"Model": "ov9281"}]
+
+    def __init__(self, number: int) -> None:
+        if number == 1:
+            raise RuntimeError("Failed to acquire camera: Device or resource busy")
+
+    def close(self) -> None:
+        pass
+
+
+def test_a_pis_cameras_say_their_modes_unless_another_program_has_them(tmp_path: Path) -> None:
+    free, taken = cameras(tmp_path, lambda: Picamera2)
+    assert free == Finding("camera", True, "0: imx477 by Picamera2: 2028x1520 at 40 fps, 4056x3040 at 10 fps")
+    assert taken.ok is None and "another program has it" in taken.text
+
+
+def test_on_a_pi_picamera2_must_be_there_and_its_own_stages_are_no_cameras(root: Path) -> None:
+    def none() -> Any:
+        raise AnnulusError("camera: picamera2 is not installed for this Python")
+
+    assert rows(cameras(root, none))["picamera2"][0] is None
+    (root / "proc/device-tree").mkdir()
+    (root / "proc/device-tree/model").write_text("Raspberry Pi 5 Model B Rev 1.0\0")
+    (root / "sys/class/video4linux/video0/name").write_text("rp1-cfe-csi2_ch0\n")
+    found = rows(cameras(root, none))
+    assert found["picamera2"][0] is False
+    assert found["camera"] == (None, "none on this machine")
 
 
 def test_picamera2_built_for_an_older_numpy_is_one_line_that_says_what_mends_it(
