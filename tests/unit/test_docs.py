@@ -2,12 +2,16 @@
 
 import re
 import shlex
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import typer
+import yaml
 
+from annulus.daemon.config import load_config
+from annulus.job import read_job
 from tools.manual import commands, families, settings, topics
 from tools.manual.pages import DOCS, ROOT, included, pages, whole
 
@@ -140,3 +144,29 @@ def test_commands_named_in_passing_exist() -> None:
             command = known[" ".join(parts)]
             unknown = commands.is_group(command) and len(words.split()) > len(parts)
             assert words in ("annulus COMMAND --help",) or (len(parts) > 1 and not unknown), (page, words)
+
+
+def test_the_citation_has_what_its_form_needs_and_this_version() -> None:
+    """Citation File Format 1.2.0: what is required of a file, of a person and of a thesis that it refers to."""
+    said = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert said["cff-version"] == "1.2.0" and {"message", "title", "authors"} <= said.keys()
+    assert said["version"] == tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    (thesis,) = said["references"]
+    assert {"type", "title", "authors"} <= thesis.keys() and thesis["authors"][0]["family-names"] == "Alzuhiri"
+
+
+def test_the_job_that_is_shown_can_be_read(tmp_path: Path) -> None:
+    shown = (DOCS / "manual/results.md").read_text(encoding="utf-8").split("```toml\n")[1].split("```")[0]
+    (tmp_path / "job.toml").write_text(shown)
+    assert read_job(tmp_path / "job.toml").client == "The Waterworks"
+
+
+def test_the_head_of_the_first_scan_is_one_that_is_taken(tmp_path: Path) -> None:
+    shown = (DOCS / "manual/first-scan.md").read_text(encoding="utf-8").split("```toml\n")[1].split("```")[0]
+    (tmp_path / "head.toml").write_text(shown)
+    head = load_config(tmp_path / "head.toml")
+    assert (
+        head.port
+        and head.cameras[0].kind == "picamera2"
+        and (head.timing.opens_us, head.timing.closes_us) == (2000, 15000)
+    )

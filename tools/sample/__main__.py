@@ -9,7 +9,7 @@ from annulus.twin.worlds import demo_world
 
 FOLDER = Path(__file__).parent / "annulus_sample"
 WIDTH, FRAMES = 832, 64  # half the camera's; every ring passes every defect, 5 mm a frame
-JOB = {"who": "the simulated head", "where": "a simulated pipe, 330 mm", "what": "DN 150 PVC with four known defects"}
+JOB = {"operator": "the simulated head", "site": "nowhere: simulated", "pipe": "DN 150 PVC with four known defects"}
 
 
 def write(folder: Path) -> None:
