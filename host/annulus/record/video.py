@@ -166,7 +166,7 @@ def import_video(
         source = _Pictures(video) if video.is_dir() else _Video(video)
         rate = source.fps if fps is None else fps
         if chainage is None and not 0 < rate < math.inf:
-            raise AnnulusError(f"{video}: names no frame rate. Say how many frames a second it has (--fps).")
+            raise AnnulusError(f"{video}: names no frame rate. Say how many frames a second it has.")
         (partial / "frames").mkdir(parents=True)
         rows, without_place = [], 0
         for number in range(first, FRAME_NUMBER_MAX if last is None else last + 1, every):

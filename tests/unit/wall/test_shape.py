@@ -73,7 +73,7 @@ def test_what_an_unseen_arc_leaves_open_is_said_and_not_measured() -> None:
     assert lost == 0
     pipe = survey(profiles, CALIBRATION)
     (finding,) = pipe.findings
-    assert "degrees about clock 6:00 were not seen" in finding.text
+    assert "° about clock 6:00 were not seen" in finding.text
     assert not [d for d in pipe.defects if d.kind is Kind.OVALITY]
     assert np.isnan(shape_ovality(pipe.wall)).all() and math.isnan(pipe.shape_ovality_max_percent)
     unsure = pipe.wall.shape_sigma_mm() > pipe.wall.shape_limit_mm
