@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +24,7 @@ from annulus.report.joint_page import write_joint_page
 from annulus.report.pdf import to_pdf
 from annulus.vocabulary import Finding
 from annulus.wall import LedFrame, survey
+from annulus.wall.conformity import Criteria, judge
 from annulus.wall.defects import Defect, Kind
 from annulus.wall.features import Feature, FeatureKind, Measure
 from annulus.wall.plate import Plate
@@ -36,6 +38,19 @@ PAPERS = {"A4": (595.3, 841.9), "Letter": (612.0, 792.0)}  # points
 JOINT = Feature(FeatureKind.JOINT, 90.0, 8.0, remark="butt fusion", measures=(Measure("height_mm", 3.4, 0.193),))
 OPENING = Feature(FeatureKind.BRANCH, 60.0, 25.0, 355.0, 20.0, (Measure("inner_d_mm", 25.2, 1.0),))
 PLACE = Defect(Kind.LOSS, 30.0, 60.0, 12.0, 20.0, 1.5, 200.0, False, 2.4)
+LIMITS = """
+title = "What the client named"
+accept_severity = 1
+[[loss]]
+severity = 3
+depth_mm = 2.0
+[[ovality]]
+severity = 2
+percent = 3
+[[bore]]
+severity = 5
+smallest_mm = 145
+"""
 LONG = 'a recording with </style> a name, as "long" as they get/' + "x" * 90 + ".mcap"
 
 
@@ -47,7 +62,10 @@ def write_pipes(out: Path) -> None:
     assert len(pipe.defects) == 2
     pipe = replace(pipe, features=(JOINT, OPENING), detection=replace(pipe.detection, undecided=(PLACE,)))
     findings = (Finding("dark", "one frame is dark: it says nothing", (7,)),)
-    account = Account(LONG, {"projector": 36, "led": 1, "unknown": 2}, {"camera": 3, "frames_unknown": 2}, {}, findings)
+    account = Account(
+        LONG, {"projector": 36, "led": 1, "unknown": 2}, {"camera": 3, "frames_unknown": 2}, {}, findings,
+        verdict=judge(pipe, Criteria.from_dict(tomllib.loads(LIMITS))),
+    )  # fmt: skip
     write(pipe, account, out / "damaged")
     plain = survey(scan(round_pipe, z_mm=[4.0 * i for i in range(20)]), CALIBRATION)
     assert not plain.defects
@@ -168,6 +186,14 @@ def test_report_pdf_has_every_column_page_numbers_letters_of_its_own_and_tags(
     assert reader.root_object["/MarkInfo"]["/Marked"] and reader.root_object["/Lang"] == "en"  # type: ignore[index]
     fonts = {str(f["/BaseFont"]) for one in reader.pages for f in one["/Resources"]["/Font"].values()}  # type: ignore[index]
     assert fonts and all("DejaVu" in name for name in fonts)
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_nothing_is_wider_than_the_paper(pages: Path, browser: Any, name: str) -> None:
+    """A4 between its margins is 186 mm, 703 px; what is wider would be cut off, tables first."""
+    with opened(browser, pages / name / "report.html", 703) as (tab, _):
+        tab.emulate_media(media="print")
+        assert tab.evaluate("document.documentElement.scrollWidth") == 703
 
 
 def test_the_pictures_on_paper_are_as_wide_as_their_scale_says(pages: Path, browser: Any) -> None:
