@@ -206,7 +206,7 @@ def _reconstruct_fringe_pipe(
     with progress() as bars:
         found = reconstruct_fringe_pipe(job, bars)
     counts = job.scan.counts()
-    drops = {"frames_unknown": counts["unknown"]}
+    drops = {**job.scan.lost(), "frames_unknown": counts["unknown"]}
     account = Account(
         str(scan), counts, drops, found.timing_ms, found.findings, origin=origin, method=FRINGE,
         verdict=None if criteria is None else judge(found.survey, criteria),
@@ -235,7 +235,8 @@ def _reconstruct_fringe(
     with progress() as bars:
         plate = reconstruct_fringe(job, bars)
     counts = job.scan.counts()
-    account = Account(str(scan), counts, {"frames_unknown": counts["unknown"]}, plate.timing_ms)
+    drops = {**job.scan.lost(), "frames_unknown": counts["unknown"]}
+    account = Account(str(scan), counts, drops, plate.timing_ms)
     summary = write_plate(plate, account, out, paper=printed)
     if as_json:
         print(json.dumps(summary))

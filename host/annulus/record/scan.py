@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 
+from annulus import untrusted
 from annulus.capture.pictures import decode
 from annulus.geometry.calibration import Calibration
 from annulus.numeric.arrays import Image
@@ -33,6 +34,8 @@ PLACE, STAGE, HEIGHT = "z_mm", "x_mm", "height_mm"  # the first may be missing w
 ASIDE = "tx_mm", "ty_mm"
 TABLE_MAX = 256 << 20  # bytes; a day at 25 fps has 100 MB
 FRAME_MAX = 256 << 20
+DROPS = "/drops"  # of a recording
+KIND_MAX, LOST_MAX = 40, 1 << 40  # characters of a kind, and of how many
 ROLL_MAX_DEG = 36e3  # a sensor may count turns
 
 
@@ -73,6 +76,20 @@ class Scan:
         """How many frames each label has."""
         counted = Counter(frame.label for frame in self.frames)
         return {label.value: counted[label] for label in Label}
+
+    def lost(self) -> dict[str, int]:
+        """What the head lost while it recorded, by kind, as its last sound `/drops` says; nothing where none is."""
+        told = [] if self.recording is None else list(self.recording.notes(DROPS))
+        for note in reversed(told):
+            try:
+                counts = untrusted.mapping(untrusted.mapping(note, DROPS).get("all"), DROPS)
+                return {
+                    untrusted.printable(untrusted.text(kind, DROPS, KIND_MAX)): untrusted.whole(n, DROPS, 0, LOST_MAX)
+                    for kind, n in counts.items()
+                }
+            except ValueError:
+                continue
+        return {}
 
     def same_flash(self, i: int) -> list[int]:
         """Numbers of all frames of the flash of frames[i], in their order."""

@@ -102,6 +102,7 @@ def reprocess(job: Job, executor: Executor = in_process, progress: Progress | No
         findings += reference_findings(job.reference, poses)
     counted = Counter(frame.label for frame in job.scan.frames)
     drops = {
+        **job.scan.lost(),
         "frames_unknown": counted[Label.UNKNOWN],
         "profiles_without_pose": sum(profile.pose is None for profile in profiles),
     }

@@ -57,6 +57,20 @@ def write(path: Path, count: int, **more: object) -> RecordingWriter:
     return writer
 
 
+def test_what_the_head_lost_is_read_back(tmp_path: Path) -> None:
+    """The last that is sound counts; what is none is passed over."""
+    with RecordingWriter(tmp_path / "a.mcap", calibration=None, configuration={}, now_ns=5) as writer:
+        writer.frame(label_of(0), image_of(0), 6)
+        writer.note("/drops", {"new": {"disk": 2}, "all": {"disk": 2}}, 10)
+        writer.note("/drops", {"new": {"disk": 1}, "all": {"disk": 3, "recorder_busy": 17}}, 20)
+        for bad in ({"all": {"disk": -1}}, {"all": [3]}, {"all": {"disk": True}}, {"all": {"x" * 41: 1}}, {}):
+            writer.note("/drops", bad, 30)
+    assert open_scan(tmp_path / "a.mcap").lost() == {"disk": 3, "recorder_busy": 17}
+    with RecordingWriter(tmp_path / "b.mcap", calibration=None, configuration={}, now_ns=5) as writer:
+        writer.frame(label_of(0), image_of(0), 6)
+    assert open_scan(tmp_path / "b.mcap").lost() == {}
+
+
 def test_what_was_written_is_read_back(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     write(path, 10).close()
