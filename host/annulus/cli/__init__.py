@@ -249,9 +249,12 @@ def _reconstruct_fringe(
         f"{said(places['off_odometer_mm'], MEASURE)} off what the frames say"
     )
     print(f"points     {summary['points']}, {said(100 * summary['completeness'], SHARE)} of what the slide lit")
-    print(f"height     {span(height['min'], height['max'], MEASURE)}, median {said(height['median'], MEASURE)}")
-    median, worst = (off(2 * sigma[name], MEASURE) for name in ("p50", "p95"))
-    print(f"known to   ± {median} (k=2, median), ± {worst} in the worst twentieth")
+    if height["median"] is None:
+        print("height     not measured: of no place could a height be told")
+    else:
+        print(f"height     {span(height['min'], height['max'], MEASURE)}, median {said(height['median'], MEASURE)}")
+        median, worst = (off(2 * sigma[name], MEASURE) for name in ("p50", "p95"))
+        print(f"known to   ± {median} (k=2, median), ± {worst} in the worst twentieth")
     for reason, cells in summary["untold"].items():
         print(f"not told   {cells} places: {reason}")
     for warning in summary["warnings"]:
