@@ -33,6 +33,7 @@ def known(merged: Merged, vertices: FloatArray, ways: FloatArray) -> tuple[NDArr
 def outwards(points: FloatArray, at: NDArray[np.int64], ways: FloatArray, pose: Pose) -> FloatArray:
     """(N,) how much of a step along its generator takes a point away from the pipe's axis."""
     out = np.empty(len(points))
+    at = np.ascontiguousarray(at)  # of one layout, so that one loop is compiled and not four
     _radial(points, at, ways, pose.rotation, pose.translation, np.zeros((4, 4)), np.zeros(0), out)
     return out
 
@@ -43,6 +44,7 @@ def radius_sigma(
 ) -> FloatArray:  # fmt: skip
     """(N,) mm of each point's radius: `along_mm` (N,) along its generator, and the pose by its covariance (4, 4)."""
     out = np.empty(len(points))
+    at, covariance = np.ascontiguousarray(at), np.ascontiguousarray(covariance)
     _radial(points, at, ways, pose.rotation, pose.translation, covariance, along_mm, out)
     return out
 
@@ -54,7 +56,7 @@ def beside(
 
     which : (K, J) its slit on each of its lines, -1 for none; a neighbouring line's will do.
     """
-    _beside(at, merged.heaviest, merged.line, camera, which, slits.inside, slits.outside, light)
+    _beside(np.ascontiguousarray(at), merged.heaviest, merged.line, camera, which, slits.inside, slits.outside, light)
 
 
 @jit
