@@ -59,7 +59,7 @@ def stamp_of(function: Callable[..., Any]) -> str:
     if file not in _stamps:
         digest = hashlib.sha256(_content(file))
         for name, value in sorted(function.__globals__.items()):
-            if not name.startswith("__"):
+            if name.isidentifier() and not name.startswith("__"):  # pytest puts "@pytest_ar" into modules that it reads
                 digest.update(f"{name} {_used(value)}\n".encode())
         _stamps[file] = digest.hexdigest()
     return _stamps[file]

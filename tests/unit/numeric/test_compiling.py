@@ -5,10 +5,11 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import FunctionType
 
 import pytest
 
-from annulus.numeric import compiling
+from annulus.numeric import compiling, jit
 
 CALLER = """
 from annulus.numeric.jit import jit
@@ -115,3 +116,18 @@ def test_what_a_kernel_is_known_by_is_the_same_in_every_process() -> None:
     ]  # fmt: skip
     assert said[0] == said[1]
     assert len(json.loads(said[0])) > 30
+
+
+def test_a_kernel_is_the_same_to_whoever_imports_it() -> None:
+    """pytest puts names of its own into the modules it reads. Code was then compiled anew by turns, and what one
+    process had compiled and another loaded was not the same to the bit."""
+    here = dict(vars(jit))
+    read_by_pytest = FunctionType(jit.cos_sin.py_func.__code__, {**here, "@pytest_ar": object()})
+    by_others = FunctionType(
+        jit.cos_sin.py_func.__code__, {name: value for name, value in here.items() if name.isidentifier()}
+    )
+    stamps = []
+    for function in (read_by_pytest, by_others):
+        jit._stamps.pop(function.__code__.co_filename, None)
+        stamps.append(jit.stamp_of(function))
+    assert stamps[0] == stamps[1]
