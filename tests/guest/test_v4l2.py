@@ -90,7 +90,11 @@ def test_every_format_gives_the_same_colours(vivid: Guest) -> None:
                 case "GREY":
                     meant = [0.2126 * red + 0.7152 * green + 0.0722 * blue]
                 case "RGGB":
-                    meant = [red]  # the cell that was looked at
+                    meant = [red]  # of a mosaic the cell that was looked at, the first
+                case "BA81":
+                    meant = [blue]
+                case "GBRG" | "GRBG":
+                    meant = [green]
                 case _:
                     meant = [blue, green, red]
             got = got if isinstance(got, list) else [got]
