@@ -20,8 +20,9 @@ from annulus.labelling.labelling import CameraMode
 from annulus.labelling.navigation import Navigation
 from annulus.link.head import HeadControl
 from annulus.link.messages import Configuration
+from annulus.record.recording import DROPS_TOPIC
 
-TOPIC, IDENTITY, DROPS = "/evidence", "/identity", "/drops"
+TOPIC, IDENTITY = "/evidence", "/identity"
 FLUSH_S = 0.25  # a kill costs so much
 ROWS_MAX = 200  # of one message
 IDENTITY_S = 60.0  # between two looks at the wall clock
@@ -61,7 +62,7 @@ class Evidence:
         drops = self._account.drops
         if drops != self._drops:
             new = {kind: count - self._drops.get(kind, 0) for kind, count in drops.items()}
-            self._note(DROPS, {"new": {kind: count for kind, count in new.items() if count}, "all": drops})
+            self._note(DROPS_TOPIC, {"new": {kind: count for kind, count in new.items() if count}, "all": drops})
             self._drops = drops
             self._navigation.journal.note("drops", host_ns=time.monotonic_ns(), **drops)
         if drops.get("recorders_replaced", 0) != self._recorders:

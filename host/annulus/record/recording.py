@@ -39,6 +39,7 @@ from annulus.vocabulary import AnnulusError, Label
 
 FRAME_TOPIC = "/frame"  # .. of camera 0 in old recordings; now followed by the camera's id
 LABEL_TOPIC = "/label"
+DROPS_TOPIC = "/drops"
 CAMERA_ID_MAX = 255
 Z_MAX_MM = 1e8  # of a place; beyond is damage
 _JSON_MAX = 1 << 24

@@ -23,7 +23,7 @@ from annulus.numeric.arrays import Image
 from annulus.record.imu import Motion, read_motion
 from annulus.record.numbers import number, whole
 from annulus.record.parts import first_paths
-from annulus.record.recording import CAMERA_ID_MAX, Z_MAX_MM, Recording, frame_name, open_recording
+from annulus.record.recording import CAMERA_ID_MAX, DROPS_TOPIC, Z_MAX_MM, Recording, frame_name, open_recording
 from annulus.untrusted import read_file, shown
 from annulus.vocabulary import AnnulusError, Label
 
@@ -34,7 +34,6 @@ PLACE, STAGE, HEIGHT = "z_mm", "x_mm", "height_mm"  # the first may be missing w
 ASIDE = "tx_mm", "ty_mm"
 TABLE_MAX = 256 << 20  # bytes; a day at 25 fps has 100 MB
 FRAME_MAX = 256 << 20
-DROPS = "/drops"  # of a recording
 KIND_MAX, LOST_MAX = 40, 1 << 40  # characters of a kind, and of how many
 ROLL_MAX_DEG = 36e3  # a sensor may count turns
 
@@ -79,12 +78,14 @@ class Scan:
 
     def lost(self) -> dict[str, int]:
         """What the head lost while it recorded, by kind, as its last sound `/drops` says; nothing where none is."""
-        told = [] if self.recording is None else list(self.recording.notes(DROPS))
+        told = [] if self.recording is None else list(self.recording.notes(DROPS_TOPIC))
         for note in reversed(told):
             try:
-                counts = untrusted.mapping(untrusted.mapping(note, DROPS).get("all"), DROPS)
+                counts = untrusted.mapping(untrusted.mapping(note, DROPS_TOPIC).get("all"), DROPS_TOPIC)
                 return {
-                    untrusted.printable(untrusted.text(kind, DROPS, KIND_MAX)): untrusted.whole(n, DROPS, 0, LOST_MAX)
+                    untrusted.printable(untrusted.text(kind, DROPS_TOPIC, KIND_MAX)): untrusted.whole(
+                        n, DROPS_TOPIC, 0, LOST_MAX
+                    )
                     for kind, n in counts.items()
                 }
             except ValueError:

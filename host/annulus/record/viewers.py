@@ -25,6 +25,7 @@ from mcap_protobuf.schema import build_file_descriptor_set
 from annulus.numeric.arrays import FloatArray, Image
 from annulus.record.codec import is_mosaic
 from annulus.record.container import Form
+from annulus.record.recording import DROPS_TOPIC
 
 PREVIEW_TOPIC, POINTS_TOPIC, TRANSFORMS_TOPIC, LOG_TOPIC = "/preview", "/points", "/tf", "/log"
 CALIBRATION_TOPIC, PREVIEW_CALIBRATION_TOPIC = "/calibration", "/preview_calibration"
@@ -68,7 +69,7 @@ def of_note(topic: str, body: Mapping[str, Any], utc_ns: int) -> Iterator[_Said]
     if topic == "/event" and isinstance(kind := body.get("kind"), str) and isinstance(text := body.get("text"), str):
         level = Log.Level.WARNING if kind in WARNINGS else Log.Level.INFO
         yield LOG_TOPIC, Log(timestamp=stamp(utc_ns), level=level, name=kind, message=text)
-    elif topic == "/drops" and isinstance(new := body.get("new"), Mapping):
+    elif topic == DROPS_TOPIC and isinstance(new := body.get("new"), Mapping):
         text = ", ".join(f"{count} {kind}" for kind, count in new.items())
         yield LOG_TOPIC, Log(timestamp=stamp(utc_ns), level=Log.Level.WARNING, name="drops", message=text)
     elif topic == "/mark" and isinstance(text := body.get("text"), str):
