@@ -23,6 +23,13 @@ SEND_BUFFER = 1 << 19  # bytes in the kernel for one connection: more is delay, 
 
 def serve(program: Program) -> None:
     """Until Ctrl-C or SIGTERM. Raises AnnulusError where it cannot listen."""
+    server, listening = prepared(program)
+    say(f"the console is at {replace(program.door, port=listening.getsockname()[1]).url}")
+    server.run(sockets=[listening])
+
+
+def prepared(program: Program) -> tuple[Any, socket.socket]:
+    """uvicorn's server, and the socket that it is to be run with."""
     door = program.door
     uvicorn = need("uvicorn")
     need("starlette")
@@ -39,10 +46,8 @@ def serve(program: Program) -> None:
     except (OSError, ssl.SSLError) as error:
         why = one_line(str(error))
         raise AnnulusError(f"{door.tls_cert}, {door.tls_key}: no certificate and its key ({why})") from None
-    listening = _listening(door.host, door.port)
     _let_many_in()
-    say(f"the console is at {replace(door, port=listening.getsockname()[1]).url}")
-    uvicorn.Server(config).run(sockets=[listening])
+    return uvicorn.Server(config), _listening(door.host, door.port)
 
 
 def _listening(host: str, port: int) -> socket.socket:

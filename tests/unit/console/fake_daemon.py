@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from collections import Counter, deque
+from functools import cache
 from typing import Any, Self
 
 import cv2
@@ -29,6 +30,7 @@ COMMAND_S = 10.0
 TOKENS = ("preview/0", "rows/0", "slits/0")
 
 
+@cache
 def jpeg(number: int, lamp: str, quality: int = 80, size: int = 38_000) -> bytes:
     """(H, W) picture of rings or of the lit wall, about `size` bytes."""
     y, x = np.mgrid[0:HEIGHT, 0:WIDTH].astype(np.float32)
