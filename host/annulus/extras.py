@@ -23,6 +23,8 @@ EXTRA_OF = {
     "simplejpeg": "pi",
     "tifffile": "joints", "imagecodecs": "joints", "pydicom": "joints",
     "skfem": "crossbore",
+    "starlette": "console", "uvicorn": "console", "websockets": "console",
+    "foxglove": "foxglove",
 }  # fmt: skip
 """By the name that is imported; where two extras have it, the one whose work is done more often."""
 

@@ -212,8 +212,8 @@ def test_lamps_that_somebody_switches_off_end_the_scan_and_stay_off_until_it_is_
         try:
             with ControlClient(config.control.address) as client:  # type: ignore[union-attr]
                 until(lambda: session.labelled >= 10)
-                assert session._line is not None
-                session._line.head.session.send(Arm(ArmFlag(0)))  # as another program on this line would
+                assert session.line is not None
+                session.line.head.session.send(Arm(ArmFlag(0)))  # as another program on this line would
                 until(lambda: session.state is State.IDLE)
                 time.sleep(1.5)
                 assert head.counters()["lamps_on"] == [] and session.state is State.IDLE

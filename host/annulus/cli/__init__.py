@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from annulus.cli import bore, burst, calibrate, doctor, firmware, head, joint, pattern, record, tai, twin
+from annulus.cli import console as console_page
 from annulus.cli import dogbones as dogbones  # its commands are of joint's group
 from annulus.cli.export import export
 from annulus.cli.fringe import BY, By
@@ -351,6 +352,7 @@ def _print_findings(config: Path, as_json: bool) -> None:
     print_findings(check_head(config), as_json)
 
 
+app.command(epilog=console_page.EXAMPLE)(console_page.console)
 app.command(epilog=doctor.EXAMPLE)(doctor.doctor)
 
 

@@ -1,8 +1,8 @@
-"""The control socket: a console starts, stops, marks and asks while the session runs. ZeroMQ ROUTER, one msgpack map a
+"""The control socket: consoles start, stop, mark, tune and ask while the session runs. ZeroMQ ROUTER, one msgpack map a
 request, one an answer.
 
-    {"do": "start" | "stop" | "mark" | "zero" | "state", "text": .., "clock_deg": ..}   (text and clock_deg: of a mark)
-    {"ok": true | false, "state": "idle", "health": "ok", "error": ""}
+    {"do": "start" | "stop" | "mark" | .., "text": .., "who": {"id": .., "name": ..}}    what there is: request.py
+    {"ok": true | false, "state": "idle", "health": "ok", "error": "", ..}
 
 Every request is answered once, a wrong one with what is wrong. Who may connect: as for viewers, see stream.access.
 """
@@ -11,56 +11,29 @@ import contextlib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Any, Self
 
 import msgpack
 import zmq
 
 from annulus import untrusted
+from annulus.daemon.command import Operator
+from annulus.daemon.request import HOLD_S, PHOTO_MAX, REQUEST_MAX, TEXT_MAX, Do, Request
 from annulus.daemon.state import State
+from annulus.job import JobSheet
 from annulus.stream.access import Doorkeeper, Keys
 from annulus.vocabulary import AnnulusError
 
-REQUEST_MAX = 4096  # bytes
+__all__ = [
+    "CARRIED_MAX", "PHOTO_MAX", "REQUEST_MAX", "TEXT_MAX", "ClientKeys", "ControlClient", "ControlSocket", "Do",
+    "Request",
+]  # fmt: skip
+
 PARTS_MAX = 3  # sender, delimiter, request
-CARRIED_MAX = 1 << 16  # bytes; what is larger ZeroMQ does not even take in
-TEXT_MAX = 500  # characters
+CARRIED_MAX = ANSWER_MAX = 1 << 16  # bytes; what is larger ZeroMQ does not even take in
 TAKEN_MAX = 16  # requests in one turn of the session
 ANSWERS_MAX = 100  # that wait for a client that does not read
 ANSWER_S = 30.0  # a stop waits for workers and recorder
-
-
-class Do(StrEnum):
-    START = "start"
-    STOP = "stop"
-    MARK = "mark"
-    ZERO = "zero"
-    STATE = "state"
-
-
-@dataclass(frozen=True, slots=True)
-class Request:
-    """What a client wants. `text` and `clock_deg` belong to a mark."""
-
-    do: Do
-    text: str = ""
-    clock_deg: float | None = None
-
-    @classmethod
-    def from_dict(cls, data: object) -> Self:
-        """Check and convert. Raises ValueError naming what is wrong."""
-        top = untrusted.mapping(data, "request")
-        unknown = top.keys() - {"do", "text", "clock_deg"}
-        do = top.get("do")
-        if not isinstance(do, str) or do not in set(Do):
-            raise ValueError(f"do is {str(do)[:40]!r}, expected one of {', '.join(Do)}")
-        if unknown or (do != Do.MARK and len(top) > 1):
-            raise ValueError(f"{do}: expected nothing more" + (", but text and clock_deg" if do == Do.MARK else ""))
-        clock_deg = top.get("clock_deg")
-        if clock_deg is not None:
-            clock_deg = untrusted.number(clock_deg, "clock_deg", 360.0)
-        return cls(Do(do), untrusted.text(top.get("text", ""), "text", TEXT_MAX), clock_deg)
 
 
 class ControlSocket:
@@ -75,10 +48,13 @@ class ControlSocket:
         self.address = doorkeeper.bind(self._socket, address, keys, "control", CARRIED_MAX)
 
     def poll(
-        self, obey: Callable[[Request], None], state: Callable[[], State], health: Callable[[], str] = lambda: ""
+        self,
+        obey: Callable[[Request], Mapping[str, Any] | None],
+        state: Callable[[], State],
+        health: Callable[[], str] = lambda: "",
     ) -> int:
-        """Have what was asked done, and answer. `obey` raises AnnulusError when it cannot be. Returns how many messages
-        were no requests.
+        """Have what was asked done, and answer. `obey` returns what the answer says besides, and raises AnnulusError
+        when it cannot be done. Returns how many messages were no requests.
         """
         malformed = 0
         for _ in range(TAKEN_MAX):
@@ -86,15 +62,16 @@ class ControlSocket:
                 parts = self._socket.recv_multipart(zmq.NOBLOCK)
             except zmq.Again:
                 break
-            error = ""
+            error, besides = "", None
             try:
-                obey(_parse(parts))
+                besides = obey(_parse(parts))
             except ValueError as wrong:
                 malformed += 1
                 error = str(wrong)
             except AnnulusError as refused:
                 error = str(refused)
-            answer = msgpack.packb({"ok": not error, "state": state().value, "health": health(), "error": error})
+            told = {"ok": not error, "state": state().value, "health": health(), "error": error}
+            answer = msgpack.packb({**(besides or {}), **told})
             with contextlib.suppress(zmq.ZMQError):  # it asks and does not listen
                 self._socket.send_multipart([*parts[: 1 + (len(parts) > 1 and not parts[1])], answer], zmq.NOBLOCK)
         return malformed
@@ -107,7 +84,7 @@ def _parse(parts: list[bytes]) -> Request:
     """The sender, an empty delimiter where it is a REQ socket, the request."""
     if not 2 <= len(parts) <= PARTS_MAX or (len(parts) == PARTS_MAX and parts[1]):
         raise ValueError(f"a request of {len(parts) - 1} parts, expected one")
-    return Request.from_dict(untrusted.unpack(parts[-1], REQUEST_MAX))
+    return Request.unpack(parts[-1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,8 +105,9 @@ class ControlClient:
         head.stop()
     """
 
-    def __init__(self, address: str, keys: ClientKeys | None = None) -> None:
-        self.address, self._keys = address, keys
+    def __init__(self, address: str, keys: ClientKeys | None = None, who: Operator | None = None) -> None:
+        """`who` asks, where several do; every request says so."""
+        self.address, self._keys, self._who = address, keys, who
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._socket = self._connect()
 
@@ -137,13 +115,30 @@ class ControlClient:
         """Begin a scan. Each request returns the state after it, and raises AnnulusError with the daemon's reason."""
         return self.ask({"do": "start"})
 
+    def trial(self, hold_s: float = HOLD_S) -> State:
+        """Lamps and cameras on, nothing recorded, until nobody asked for more (`hold`) for so long."""
+        return self.ask({"do": "start", "record": False, "hold_s": hold_s})
+
+    def hold(self, hold_s: float = HOLD_S) -> State:
+        """The trial goes on for so long."""
+        return self.ask({"do": "hold", "hold_s": hold_s})
+
     def stop(self) -> State:
-        """End the scan that is under way; returns when its recording is closed."""
+        """End the scan, or the trial, that is under way; returns when its recording is closed."""
         return self.ask({"do": "stop"})
 
-    def mark(self, text: str, clock_deg: float | None = None) -> State:
-        """Have this place recorded; clock_deg around the pipe, 0 = 12 o'clock, clockwise looking forward."""
-        return self.ask({"do": "mark", "text": text, "clock_deg": clock_deg})
+    def pause(self) -> State:
+        """Lamps dark, no frames; the recording stays open, and the place is counted on."""
+        return self.ask({"do": "pause"})
+
+    def resume(self) -> State:
+        """The scan that was paused goes on, in the same recording."""
+        return self.ask({"do": "resume"})
+
+    def mark(self, text: str, clock_deg: float | None = None, photo: bytes = b"") -> State:
+        """Have this place recorded; clock_deg around the pipe, 0 = 12 o'clock, clockwise looking forward; a JPEG."""
+        asked: dict[str, Any] = {"do": "mark", "text": text, "clock_deg": clock_deg}
+        return self.ask({**asked, "photo": photo} if photo else asked)
 
     def zero(self) -> State:
         """The head's place is z = 0 from now on."""
@@ -152,21 +147,45 @@ class ControlClient:
     def state(self) -> State:
         return self.ask({"do": "state"})
 
+    def about(self) -> Mapping[str, Any]:
+        """What the head is: cameras, window, lamps, job, calibration, controller. See README.md."""
+        return untrusted.mapping(self.answer({"do": "about"}).get("about"), "about")
+
+    def job(self, sheet: JobSheet) -> State:
+        """Who asked for the scan, where, which pipe: what is said here goes over what was known, from now on."""
+        return self.ask({"do": "job", "job": sheet.to_dict()})
+
+    def lamps(self, *, commit: bool, trial: bool = False, **changed: float) -> Mapping[str, Any]:
+        """Flashes, in microseconds after the falling edge: `projector_delay_us=..`. Returns all of them as they would
+        be, or, with `commit`, as they are; `trial`: until the trial ends, and outside the window too.
+        """
+        asked = {"do": "lamps", "lamps": changed, "commit": commit, "trial": trial}
+        return untrusted.mapping(self.answer(asked).get("lamps"), "lamps")
+
+    def command(self, take: bool = False) -> State:
+        """Begin to command, or go on; `take` it from another."""
+        return self.ask({"do": "command", "take": take})
+
+    def release(self) -> State:
+        return self.ask({"do": "release"})
+
     def health(self) -> str:
         """How the head is: "ok", "degraded: why", "failed: why"."""
-        return untrusted.text(self._answer({"do": "state"}).get("health", ""), "health", REQUEST_MAX)
+        return untrusted.text(self.answer({"do": "state"}).get("health", ""), "health", REQUEST_MAX)
 
     def ask(self, request: Mapping[str, Any], timeout_s: float = ANSWER_S) -> State:
         """Any request. Raises AnnulusError when it is refused, or nobody answers in time."""
-        return State(untrusted.text(self._answer(request, timeout_s).get("state"), "state", 32))
+        return State(untrusted.text(self.answer(request, timeout_s).get("state"), "state", 32))
 
-    def _answer(self, request: Mapping[str, Any], timeout_s: float = ANSWER_S) -> Mapping[str, Any]:
-        self._socket.send(msgpack.packb(dict(request)))
+    def answer(self, request: Mapping[str, Any], timeout_s: float = ANSWER_S) -> Mapping[str, Any]:
+        """Any request, and all that is said to it. Raises AnnulusError as `ask`."""
+        who = {} if self._who is None else {"who": {"id": self._who.id, "name": self._who.name}}
+        self._socket.send(msgpack.packb({**who, **request}))
         if not self._socket.poll(math.ceil(timeout_s * 1000)):
             self._socket.close(0)
             self._socket = self._connect()  # an answer that comes late must not be taken for the next one's
             raise AnnulusError(f"{self.address}: no answer within {timeout_s:g} s. Is a daemon with [control] running?")
-        answer = untrusted.mapping(untrusted.unpack(self._socket.recv(), REQUEST_MAX), "answer")
+        answer = untrusted.mapping(untrusted.unpack(self._socket.recv(), ANSWER_MAX), "answer")
         if answer.get("ok") is not True:
             raise AnnulusError(untrusted.text(answer.get("error"), "error", REQUEST_MAX))
         return answer

@@ -3,11 +3,12 @@
 import time
 from dataclasses import replace
 
+from annulus.controller import LAMP_DUTY_MAX_PERMILLE, LAMP_WIDTH_MAX_TICKS, TICKS_PER_US
 from annulus.daemon.account import Account
 from annulus.daemon.config import HeadConfig
 from annulus.daemon.observer import Observer
 from annulus.link.head import HeadControl, HeadEvent, Phase, PhaseChanged
-from annulus.link.messages import Fault, Preamble, Stage, SyncFound, SyncLost, TurntableStopped
+from annulus.link.messages import Fault, Preamble, Stage, StateFlag, SyncFound, SyncLost, TurntableStopped
 from annulus.link.operate import why_it_stopped
 from annulus.link.port import Opening, Port
 from annulus.link.preamble import preamble_of
@@ -21,6 +22,8 @@ REST_S = 0.02  # at most between two looks at one that can: pings, repeats and k
 IDENTIFY_S = 1.0
 REOPEN_S = 1.0
 DISARM_S = 0.5
+CONFIGURE_S = 1.0
+TOLERANCE_PERMILLE = 100  # of the frame period, in which an edge is taken for one
 CONFIRMED = (Phase.IDLE, Phase.STOPPED)  # that it is dark
 DARK = (*CONFIRMED, Phase.REFUSED, Phase.MISMATCH)
 TROUBLED = (Phase.SEARCHING, Phase.CLEARING, Phase.REFUSED, Phase.MISMATCH)
@@ -114,6 +117,31 @@ class ControllerLine:
         """Who made it dark, when it was not us: it stays so until `arm`. Empty else."""
         return f"{self.url}: {self.head.problem}" if self.head.phase is Phase.STOPPED else ""
 
+    def configure(self, stage: Stage, preamble: Preamble | None) -> list[HeadEvent]:
+        """Other lamps, read back, and armed again where they were; what was heard until then. `refusal` says whether
+        the controller took them. Not for a scan under way: it waits, and it is dark in between.
+        """
+        self.head.preambles.wanted = preamble
+        self.head.configure(stage)
+        heard: list[HeadEvent] = []
+        end = time.monotonic() + CONFIGURE_S
+        while not self.settled and not self.refusal and self._port is not None and time.monotonic() < end:
+            heard += self.pump(TURN_S)
+        return heard
+
+    @property
+    def refusal(self) -> str:
+        """Why the controller does not take the lamps asked for, one line; empty when it does, or was not asked yet."""
+        return self.head.problem or self.head.phase.value if self.head.phase in (Phase.REFUSED, Phase.MISMATCH) else ""
+
+    @property
+    def interlock(self) -> str:
+        """ "closed", "open", or "unknown" where the controller has not been heard."""
+        status = self.head.status
+        if self._port is None or status is None:
+            return "unknown"
+        return "open" if status.state & StateFlag.INTERLOCK_OPEN else "closed"
+
     def disarm(self) -> list[HeadEvent]:
         """Lamps off, and kept off; what was heard until the controller said so. Tells when it does not."""
         self._armed = False
@@ -184,13 +212,40 @@ class ControllerLine:
         return heard
 
 
-def stage_of(config: HeadConfig) -> Stage:
-    """The lamp configuration that head.toml asks for."""
+def check_lamps(config: HeadConfig, *, window: bool) -> None:
+    """What head.toml, or somebody who tries lamps out, asks for. Raises AnnulusError when a flash leaves the window in
+    which all rows expose (`window`), or what the controller lets a lamp do at all.
+    """
+    lamps, timing = config.lamps, config.timing
+    if window:
+        lamps.check(timing)
+    longest = min(LAMP_WIDTH_MAX_TICKS / TICKS_PER_US, LAMP_DUTY_MAX_PERMILLE / 1e3 * _shortest_us(timing.period_us))
+    for lamp, delay, width in (
+        ("projector flash", lamps.projector_delay_us, lamps.projector_width_us),
+        ("LED flash", lamps.led_delay_us, lamps.led_width_us),
+    ):
+        if width > longest:
+            raise AnnulusError(f"{lamp} of {width:g} us: the controller fires no longer than {longest:g} us")
+        if delay + width > _shortest_us(timing.period_us):
+            raise AnnulusError(f"{lamp} {delay:g}..{delay + width:g} us reaches into the next frame")
+
+
+def _shortest_us(period_us: float) -> float:
+    """From one edge to the next that the controller takes for one."""
+    return period_us * (1 - TOLERANCE_PERMILLE / 1000)
+
+
+def stage_of(config: HeadConfig, *, window: bool = True) -> Stage:
+    """The lamp configuration that head.toml asks for. Without `window` flashes may lie where not all rows expose, as
+    they must to find out where all do: then the controller is told of a camera whose rows are open all the time. Its
+    limits of width and duty hold as ever.
+    """
     timing, lamps = config.timing, config.lamps
     stage = stage_from_us(
-        ratio=lamps.ratio, period_us=timing.period_us, exposure_us=timing.exposure_us, readout_us=timing.readout_us,
+        ratio=lamps.ratio, period_us=timing.period_us,
+        exposure_us=timing.exposure_us if window else timing.period_us, readout_us=timing.readout_us if window else 0.0,
         projector_us=(lamps.projector_delay_us, lamps.projector_width_us),
-        led_us=(lamps.led_delay_us, lamps.led_width_us), tolerance_permille=100,
+        led_us=(lamps.led_delay_us, lamps.led_width_us), tolerance_permille=TOLERANCE_PERMILLE,
     )  # fmt: skip
     return replace(stage, host_timeout=lamps.host_timeout_ms)
 
@@ -207,6 +262,7 @@ def line_numbers(line: ControllerLine | None) -> dict[str, object]:
     """For the telemetry; also of a head without a controller."""
     head = line.head if line is not None else None
     return {
+        "interlock": line.interlock if line is not None else "unknown",
         "phase": head.phase.value if head is not None else "none",
         "problem": head.problem if head is not None else "",
         "link": head.session.counters.as_dict() if head is not None else {},

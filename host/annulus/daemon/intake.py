@@ -45,6 +45,12 @@ class Intake:
         """Take no more; what was taken can still be labelled."""
         self._late = self._feed.rest(CAMERA_END_S)
 
+    def go_on(self) -> None:
+        """Frames again after a `stop`, of the same scan: nothing of before says which they are, and none was missed."""
+        self._last, self._began = None, False
+        self.labelling.restarted()
+        self.start()
+
     @property
     def is_open(self) -> bool:
         """Whether frames come, or came."""

@@ -6,9 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from annulus.daemon.account import ScanReport
+from annulus.daemon.account import Account, ScanReport
 from annulus.daemon.health import Health
 from annulus.daemon.state import State
+from annulus.job import JobSheet
 from annulus.numeric.arrays import Image
 from annulus.sensors.sample import Sample
 from annulus.stream.frames import FrameHeader
@@ -23,13 +24,20 @@ class Mark:
     z_mm: float | None  # of the head; None before an edge was heard
     text: str
     clock_deg: float | None  # around the pipe, 0 = 12 o'clock, clockwise looking forward; None: all around
+    photo: bytes = b""  # a JPEG of the operator's
+    frame: int | None = None  # the newest one lit by the LED ring when it was made, ..
+    camera: int = 0  # .. of this camera
 
     def to_dict(self) -> dict[str, Any]:
-        return asdict(self)
+        """Plain types; without a photo where there is none."""
+        return {name: value for name, value in asdict(self).items() if name != "photo" or value}
 
 
 class Observer:
     """Override what is of interest. All is called from the session's thread: be quick, and do not raise."""
+
+    def begun(self, scan: int) -> None:
+        """A scan, or a trial, begins; a number drawn for it, 32 bits."""
 
     def state(self, state: State, why: str) -> None:
         """The head is now in this state."""
@@ -49,6 +57,9 @@ class Observer:
     def mark(self, mark: Mark) -> None:
         """The operator marked a place."""
 
+    def job(self, sheet: JobSheet) -> None:
+        """What is known of the job from now on."""
+
     def telemetry(self, numbers: Mapping[str, Any]) -> None:
         """Once a second: every counter there is, as plain types."""
 
@@ -64,6 +75,10 @@ class Observers(Observer):
 
     def __init__(self, observers: Sequence[Observer]) -> None:
         self.all = list(observers)
+
+    def begun(self, scan: int) -> None:
+        for one in self.all:
+            one.begun(scan)
 
     def state(self, state: State, why: str) -> None:
         for one in self.all:
@@ -89,6 +104,10 @@ class Observers(Observer):
         for one in self.all:
             one.mark(mark)
 
+    def job(self, sheet: JobSheet) -> None:
+        for one in self.all:
+            one.job(sheet)
+
     def telemetry(self, numbers: Mapping[str, Any]) -> None:
         for one in self.all:
             one.telemetry(numbers)
@@ -100,3 +119,13 @@ class Observers(Observer):
     def ended(self, report: ScanReport) -> None:
         for one in self.all:
             one.ended(report)
+
+
+class Remember(Observer):
+    """Keeps the last events for the report."""
+
+    def __init__(self, account: Account) -> None:
+        self._account = account
+
+    def event(self, kind: str, text: str) -> None:
+        self._account.events.append(text)

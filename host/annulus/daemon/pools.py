@@ -27,6 +27,7 @@ from annulus.daemon.observer import Mark, Observer
 from annulus.daemon.reorder import ReorderBuffer
 from annulus.daemon.state import State
 from annulus.geometry.calibration import Calibration
+from annulus.job import JobSheet
 from annulus.record.clock import Clock
 from annulus.record.codec import DEFAULT, Codec
 from annulus.record.rotation import Bounds
@@ -256,6 +257,9 @@ class Recorder(Pool, Observer):
 
     def mark(self, mark: Mark) -> None:
         self.note("/mark", mark.to_dict())
+
+    def job(self, sheet: JobSheet) -> None:
+        self.note("/job", sheet.to_dict())
 
     def telemetry(self, numbers: Mapping[str, Any]) -> None:
         self.note("/telemetry", numbers)

@@ -11,7 +11,7 @@ from annulus.daemon.observer import Observer
 from annulus.labelling.navigation import Navigation
 from annulus.sensors.chips import CHIPS
 from annulus.sensors.i2c import I2cSensors, bus_number, open_bus
-from annulus.sensors.odometer import Place
+from annulus.sensors.odometer import Odometer, Place
 from annulus.sensors.remote import RemoteSensors
 from annulus.sensors.sample import Sample, Sensor
 from annulus.vocabulary import AnnulusError
@@ -140,3 +140,13 @@ def place_numbers(here: Place | None) -> dict[str, Any]:
         "z_assumed": here.assumed if here is not None else False,
         "segment": here.segment if here is not None else 0,
     }
+
+
+def tell_place(odometer: Odometer, observer: Observer) -> None:
+    """What people should know of the odometer since the last call."""
+    if odometer.zeroed_mm is not None:
+        observer.event("odometer", f"odometer zeroed at {odometer.zeroed_mm:.1f} mm; z begins again there")
+        odometer.zeroed_mm = None
+    if odometer.gap is not None:
+        observer.event("odometer", str(odometer.gap))
+        odometer.gap = None

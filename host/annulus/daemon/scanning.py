@@ -49,6 +49,7 @@ class Scan:
         self.recorder: Recorder | None = None
         self.intakes: list[Intake] = []  # none before the cameras run
         self.armed = False  # the controller has confirmed
+        self.paused = False
         self._evidence: Evidence | None = None
         self._power, self._account = power, account
         self._observers, self._navigation = observers, navigation
@@ -114,6 +115,21 @@ class Scan:
                 why = line.head.problem or f"still {line.head.phase.value} after {ARM_S:g} s"
                 return f"{line.url}: the lamps cannot be armed: {why}"
         return ""
+
+    def pause(self) -> None:
+        """Cameras rest; lamps are off already. What they brought is still to be labelled."""
+        for intake in self.intakes:
+            intake.stop()
+            intake.take(self._account)
+        self.armed = self._lit = False
+        self.paused = True
+
+    def resume(self) -> None:
+        """Cameras, then lamps, as at the start."""
+        self.paused = False
+        self._start_by = time.monotonic() + OPEN_S
+        for intake in self.intakes:
+            intake.go_on()
 
     def take_in(self) -> None:
         """What the cameras brought, into the ring."""

@@ -11,10 +11,12 @@ is what lies between start and stop, and has a recording and an account of its o
 """
 
 import math
+import secrets
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from typing import Any
 
 import zmq
@@ -24,15 +26,15 @@ from annulus.daemon.account import Account, ScanReport
 from annulus.daemon.bores import Bores
 from annulus.daemon.camera_feed import CameraFeed
 from annulus.daemon.config import HeadConfig, require_size
-from annulus.daemon.control import Do, Request
 from annulus.daemon.controller_line import REST_S, ControllerLine, line_numbers
 from annulus.daemon.intake import RESERVE, InSlot
 from annulus.daemon.ledger import Status
-from annulus.daemon.observer import Mark, Observer, Observers
+from annulus.daemon.observer import Observer, Observers, Remember
+from annulus.daemon.operating import Operating
 from annulus.daemon.pools import Reconstruction, Recorder, default_workers
 from annulus.daemon.power import Power, power_up
 from annulus.daemon.publishing import Publishing
-from annulus.daemon.samples import Samples, place_numbers
+from annulus.daemon.samples import Samples, place_numbers, tell_place
 from annulus.daemon.scanning import DRAIN_S, START_S, Scan
 from annulus.daemon.state import Event, State, next_state
 from annulus.daemon.vitals import Turns, Vitals
@@ -66,13 +68,14 @@ class Session:
         if config.calibration is not None:
             sizes = [(camera.width, camera.height) for camera in cameras or config.cameras]
             require_size(config.calibration, sizes)
-        self._config, self._cameras, self._sensors, self._name = config, cameras, sensors, name
+        self.config, self._cameras, self._sensors, self._name = config, cameras, sensors, name
         self._state = State.OFF
         self._account = Account()
-        self._observers = Observers([_Remember(self._account), *([observer] if observer is not None else [])])
-        self._bores = Bores(config.sectors, self._observers)
-        self._navigation = Navigation(config.mm_per_count, config.max_speed_mm_s)
-        self._samples = Samples(sensors, self._navigation, self._account, self._observers)
+        self.observers = Observers([Remember(self._account), *([observer] if observer is not None else [])])
+        self._operating = Operating(self)
+        self._bores = Bores(config.sectors, self.observers)
+        self.navigation = Navigation(config.mm_per_count, config.max_speed_mm_s)
+        self._samples = Samples(sensors, self.navigation, self._account, self.observers)
         self._vitals: Vitals | None = None
         self._trouble = ""  # why the head is in fault
         self._power: Power | None = None
@@ -82,6 +85,8 @@ class Session:
         self._turns = Turns()
         self._told: deque[tuple[FrameHeader, InSlot]] = deque()  # labelled, each in its slot, and not handed out yet
         self._report: ScanReport | None = None  # of the last scan
+        self._number = 0  # of the scan under way, or the last
+        self.newest_led: int | None = None  # index, of camera 0: what an operator saw when he marked a place
         self._problem = ""  # why the session cannot go on
         self.status = Status.FINE  # how the worst scan so far ended
 
@@ -101,8 +106,8 @@ class Session:
                 self._power_up(stack)
                 if self._become_ready(stop):
                     self._enter(Event.READY)
-                    if self._config.autostart:
-                        self._start()
+                    if self.config.autostart:
+                        self.start()
                 while not (stop() or self._problem or self._is_over):
                     self._turn()
             finally:
@@ -123,11 +128,6 @@ class Session:
     def labelled(self) -> int:
         """Frames of this scan with a label that is not unknown."""
         return self._account.labelled
-
-    @property
-    def recorded(self) -> int:
-        """Frames of this scan that a recorder has written."""
-        return self._account.recorded
 
     @property
     def seconds(self) -> float:
@@ -170,11 +170,15 @@ class Session:
         pools = {"workers": self._reconstruction, "recorder": self.recorder, "publisher": self._publishing}
         return {
             "state": self._state.value,
+            **self._operating.numbers(),
+            "scan": self._number,
+            "seconds": round(self.seconds, 1),
+            "recording": str(self._account.recordings[-1]) if self.has_scan and self._account.recordings else "",
             **self._turns.numbers(),
             **self._account.numbers(),
-            **line_numbers(self._line),
-            "place_gaps": self._navigation.odometer.gaps,
-            **place_numbers(self._navigation.odometer.here),
+            **line_numbers(self.line),
+            "place_gaps": self.navigation.odometer.gaps,
+            **place_numbers(self.navigation.odometer.here),
             "cameras": cameras,
             "intakes": [feed.numbers() for feed in self._feeds],
             "sensors": self._samples.numbers(),
@@ -187,12 +191,12 @@ class Session:
 
     def _power_up(self, stack: ExitStack) -> None:
         """Acquire everything; `stack` gives it back in reverse order."""
-        config = self._config
+        config = self.config
         self._power = power = power_up(
-            config, self._cameras, self._sensors, self._account, self._observers, self._navigation, stack
+            config, self._cameras, self._sensors, self._account, self.observers, self.navigation, stack
         )
         frames = sum(mode.width * mode.height * CHANNELS[mode.encoding] for mode in power.modes)
-        self._vitals = Vitals(config, frames * config.timing.fps, self._observers)
+        self._vitals = Vitals(config, frames * config.timing.fps, self.observers)
         stack.callback(self._vitals.close)
         stack.callback(self._stop_pools)
         if config.autostart:
@@ -200,7 +204,7 @@ class Session:
         if config.calibration is not None and config.calibration.frame_by_frame:
             self._reconstruction = Reconstruction(
                 config.calibration, config.colour, config.workers or default_workers(), config.timing.period_us,
-                power.shared, self._account, self._observers,
+                power.shared, self._account, self.observers,
             )  # fmt: skip
 
     def _become_ready(self, stop: Callable[[], bool]) -> bool:
@@ -225,33 +229,57 @@ class Session:
 
     # ---- one scan ----
 
-    def _prepare_scan(self, power: Power) -> Scan:
+    def _prepare_scan(self, power: Power, record: bool = True) -> Scan:
         """Raises AnnulusError when there is no room for a recording."""
-        if self._vitals is not None:
+        if self._vitals is not None and record:
             self._vitals.require_space()
-        self._scan = Scan(self._config, power, self._account, self._observers, self._navigation, self._name)
+        config = self.config if record else replace(self.config, record_folder=None)
+        self._scan = Scan(config, power, self._account, self.observers, self.navigation, self._name)
         return self._scan
 
-    def _start(self) -> None:
+    def start(self, record: bool = True) -> None:
         """Idle to armed; raises AnnulusError when that cannot be. Lamps and cameras follow once the recorder is up."""
         next_state(self._state, Event.START)
         assert self._power is not None  # no state but off and powering is without
-        scan = self._scan or self._prepare_scan(self._power)
+        scan = self._scan or self._prepare_scan(self._power, record)
+        self._number, self.newest_led = secrets.randbits(32), None
+        self.observers.begun(self._number)
         self._enter(Event.START)
         scan.start()
 
+    def pause(self) -> None:
+        """Lamps off, then the cameras; the recording stays open. Raises AnnulusError when no scan is under way."""
+        next_state(self._state, Event.PAUSE)
+        scan = self._scan
+        assert scan is not None
+        if self.line is not None:
+            for event in self.line.disarm():
+                self.navigation.heard(event)
+        scan.pause()
+        for header, frame in scan.labelled(final=True):
+            self._tell(header, frame)
+        self._enter(Event.PAUSE)
+
+    def resume(self) -> None:
+        """Cameras and lamps again. Raises AnnulusError when the scan is not paused."""
+        next_state(self._state, Event.RESUME)
+        assert self._scan is not None
+        self._enter(Event.RESUME)
+        self._scan.resume()
+
     def _fail(self, why: str) -> None:
         """The scan cannot go on. A session that can be told to start again does, another ends."""
-        if self._config.control is None:
+        if self.config.control is None:
             self._problem = why
             return
-        self._observers.event("scan", why)
-        self._stop()
+        self.observers.event("scan", why)
+        self.stop()
 
-    def _stop(self) -> None:
+    def stop(self) -> None:
         """The scan ends, the session does not."""
         self._end_scan()
         self._enter(Event.STOP)
+        self._operating.ended()
 
     @property
     def _is_bursting(self) -> bool:
@@ -265,7 +293,8 @@ class Session:
         return self._power.publishing if self._power is not None else None
 
     @property
-    def _line(self) -> ControllerLine | None:
+    def line(self) -> ControllerLine | None:
+        """To the controller."""
         return self._power.line if self._power is not None else None
 
     @property
@@ -273,22 +302,23 @@ class Session:
         return self._power.feeds if self._power is not None else ()
 
     @property
-    def _has_scan(self) -> bool:
+    def has_scan(self) -> bool:
+        """Whether one, or a trial, is under way."""
         return self._scan is not None and self._scan.started
 
     @property
     def _is_over(self) -> bool:
-        return self._config.control is None and self._scan is not None and self._scan.ended
+        return self.config.control is None and self._scan is not None and self._scan.ended
 
     def _end_scan(self) -> None:
         """Lamps off first. Then everything in hand goes where it belongs, and the recording is closed."""
         scan = self._scan
         with self._whatever_happens("disarm"):
-            if self._line is not None:
+            if self.line is not None:
                 self._account.dark = False
-                for event in self._line.disarm():
-                    self._navigation.heard(event)
-                self._account.dark = self._line.dark
+                for event in self.line.disarm():
+                    self.navigation.heard(event)
+                self._account.dark = self.line.dark
         if not self._account.dark:
             self.status = Status.NOT_DARK
         for intake in scan.intakes if scan is not None else []:
@@ -312,15 +342,15 @@ class Session:
             return
         self._bores.look(final=True)
         telemetry = self.telemetry()
-        self._observers.telemetry(telemetry)
+        self.observers.telemetry(telemetry)
         with self._whatever_happens("recorder"):
             self._scan.close_recording()
         self._report = self._account.report({**telemetry, **self._account.numbers()})
         for finding in self._report.findings:
             self.status = max(self.status, finding.status)
             if finding.status is Status.UNBALANCED:
-                self._observers.event("ledger", finding.text)
-        self._observers.ended(self._report)
+                self.observers.event("ledger", finding.text)
+        self.observers.ended(self._report)
         self._scan = None
 
     def _finish_reconstruction(self) -> None:
@@ -341,7 +371,7 @@ class Session:
         try:
             yield
         except Exception as error:
-            self._observers.event("ending", f"ending, {step}: {type(error).__name__}: {error}")
+            self.observers.event("ending", f"ending, {step}: {type(error).__name__}: {error}")
 
     # ---- one turn ----
 
@@ -372,21 +402,22 @@ class Session:
 
     def _do_chores(self, now: float) -> None:
         """What can wait for some turns."""
-        self._samples.poll(time.monotonic_ns(), lit=self._line is not None and self._state is State.SCANNING)
+        self._samples.poll(time.monotonic_ns(), lit=self.line is not None and self._state is State.SCANNING)
         self._watch()
+        self._operating.turn()
         power = self._power
         if power is not None:
             power.doorkeeper.admit()
             if power.control is not None:
                 self._account.lose(
-                    "control_malformed", power.control.poll(self._obey, lambda: self._state, self._how_it_is)
+                    "control_malformed", power.control.poll(self._operating.obey, lambda: self._state, self._how_it_is)
                 )
         if now >= self._next_telemetry:
             self._next_telemetry = now + TELEMETRY_S
             telemetry = self.telemetry()
-            self._observers.telemetry(telemetry)
+            self.observers.telemetry(telemetry)
             self._turns.restart()
-            if self._vitals is not None and (why := self._vitals.look(telemetry, self._trouble, self._has_scan)):
+            if self._vitals is not None and (why := self._vitals.look(telemetry, self._trouble, self.has_scan)):
                 self._fail(why)
 
     def _sleep(self) -> None:
@@ -395,30 +426,26 @@ class Session:
         """
         wait_s = min(REST_S, max(0.0, self._next_chores - time.monotonic()))
         sources: list[Any] = [feed.waitable for feed in self._feeds if feed.waitable is not None]
-        if self._line is not None:
-            wait_s = min(wait_s, self._line.patience_s)
-            sources += [] if self._line.waitable is None else [self._line.waitable]
+        if self.line is not None:
+            wait_s = min(wait_s, self.line.patience_s)
+            sources += [] if self.line.waitable is None else [self.line.waitable]
         sources += [] if self._reconstruction is None else [self._reconstruction.waitable]
         zmq.zmq_poll([(source, zmq.POLLIN) for source in sources], math.ceil(wait_s * 1000))
 
     def _listen(self) -> None:
         """What the controller has said."""
-        line = self._line
+        line = self.line
         if line is None:
             return
         for event in line.pump():
-            self._navigation.heard(event)
-        odometer = self._navigation.odometer
-        if odometer.zeroed_mm is not None:
-            self._observers.event("odometer", f"odometer zeroed at {odometer.zeroed_mm:.1f} mm; z begins again there")
-            odometer.zeroed_mm = None
-        if odometer.gap is not None:
-            self._observers.event("odometer", str(odometer.gap))
-            odometer.gap = None
+            self.navigation.heard(event)
+        tell_place(self.navigation.odometer, self.observers)
 
     def _tell(self, header: FrameHeader, frame: InSlot) -> None:
         """Its label goes to viewers at once: that takes no slot from anybody."""
         self._account.label(header)
+        if header.label is Label.LED and header.camera == 0:
+            self.newest_led = header.index
         if self._state is State.ARMED and header.label is not Label.UNKNOWN:
             self._enter(Event.LABELLED)
         if self._publishing is not None:
@@ -435,66 +462,38 @@ class Session:
             self._reconstruction.take(header, frame)
         assert self._power is not None  # frames lie in its ring
         ring = self._power.shared.ring
-        self._observers.frame(header, ring.view(header, frame.place))
+        self.observers.frame(header, ring.view(header, frame.place))
         ring.release(frame.place)
 
     # ---- states ----
 
     def _enter(self, event: Event, why: str = "") -> None:
         self._state = next_state(self._state, event)
-        self._observers.state(self._state, why)
+        self.observers.state(self._state, why)
 
     def _watch(self) -> None:
         """From what controller and cameras are like to what state the head is in."""
         scan = self._scan
-        if scan is not None and scan.started and not scan.armed and (why := scan.come_up()):
+        if scan is not None and scan.started and not (scan.armed or scan.paused) and (why := scan.come_up()):
             self._fail(why)
             scan = self._scan
-        trouble = (self._line.trouble if self._line is not None else "") or (scan.trouble if scan is not None else "")
+        trouble = (self.line.trouble if self.line is not None else "") or (scan.trouble if scan is not None else "")
         self._trouble = trouble
         if trouble and self._state in (State.IDLE, State.ARMED, State.SCANNING):
             self._enter(Event.FAULT, trouble)
-        elif self._state is State.FAULT and not trouble and (self._line is None or self._line.settled):
-            self._enter(Event.RUNNING if self._has_scan else Event.CLEARED)
-        stopped = self._line.stopped if self._line is not None and scan is not None and scan.armed else ""
+        elif self._state is State.FAULT and not trouble and (self.line is None or self.line.settled):
+            self._enter(Event.RUNNING if self.has_scan else Event.CLEARED)
+        stopped = self.line.stopped if self.line is not None and scan is not None and scan.armed else ""
         problem = stopped or (scan.problem if scan is not None else "")
         if problem:
             self._fail(problem)
-        elif self._config.control is not None and scan is not None and scan.ended:
-            self._stop()
-
-    def _obey(self, request: Request) -> None:
-        """A request of the control socket. Raises AnnulusError when it cannot be done now."""
-        match request.do:
-            case Do.START:
-                self._start()
-            case Do.STOP:
-                self._need_scan()
-                self._stop()
-            case Do.MARK:
-                self._need_scan()
-                z_mm = self._navigation.odometer.here_mm
-                self._observers.mark(Mark(time.monotonic_ns(), z_mm, request.text, request.clock_deg))
-            case Do.ZERO:
-                if self._line is None:
-                    raise AnnulusError("there is no controller, and so no odometer to zero")
-                self._navigation.zero()
-            case Do.STATE:
-                pass
+        elif self.config.control is not None and scan is not None and scan.ended and not scan.paused:
+            self.stop()
 
     def _how_it_is(self) -> str:
         return str(self._vitals.health) if self._vitals is not None else ""
 
-    def _need_scan(self) -> None:
-        if not self._has_scan:
+    def require_scan(self) -> None:
+        """Raises AnnulusError when there is none."""
+        if not self.has_scan:
             raise AnnulusError(f"no scan is under way, the head is {self._state}")
-
-
-class _Remember(Observer):
-    """Keeps the last events for the report."""
-
-    def __init__(self, account: Account) -> None:
-        self._account = account
-
-    def event(self, kind: str, text: str) -> None:
-        self._account.events.append(text)

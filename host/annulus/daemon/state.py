@@ -3,6 +3,7 @@
     off -power-> powering -ready-> idle -start-> armed -labelled-> scanning
                                      ^            |  ^               |
                                      +----stop----+--|------stop-----+
+    armed, scanning, fault -pause-> paused -resume-> armed;  paused -stop-> idle
     any of idle, armed, scanning -fault-> fault -running-> armed, when a scan is under way
                                                 -cleared-> idle, when none is
     anything but off and ending -end-> ending -ended-> off
@@ -23,6 +24,7 @@ class State(StrEnum):
     IDLE = "idle"  # all is up, lamps dark, nothing is recorded
     ARMED = "armed"  # a scan is under way: recorder, camera and lamps come on; no frame has a label yet
     SCANNING = "scanning"  # frames have labels
+    PAUSED = "paused"  # a scan is under way: lamps dark, no frames, its recording open
     FAULT = "fault"  # the controller, its line or a camera is not as it should be
     ENDING = "ending"  # lamps off, what is in hand goes where it belongs
 
@@ -35,6 +37,8 @@ class Event(StrEnum):
     FAULT = "fault"
     RUNNING = "running"  # all is well again, and a scan is under way
     CLEARED = "cleared"  # all is well again, and none is
+    PAUSE = "pause"
+    RESUME = "resume"
     STOP = "stop"  # the scan ends, the session does not
     END = "end"
     ENDED = "ended"
@@ -54,6 +58,12 @@ TRANSITIONS: Mapping[tuple[State, Event], State] = {
     (State.SCANNING, Event.FAULT): State.FAULT,
     (State.SCANNING, Event.STOP): State.IDLE,
     (State.SCANNING, Event.END): State.ENDING,
+    (State.ARMED, Event.PAUSE): State.PAUSED,
+    (State.SCANNING, Event.PAUSE): State.PAUSED,
+    (State.FAULT, Event.PAUSE): State.PAUSED,
+    (State.PAUSED, Event.RESUME): State.ARMED,
+    (State.PAUSED, Event.STOP): State.IDLE,
+    (State.PAUSED, Event.END): State.ENDING,
     (State.FAULT, Event.RUNNING): State.ARMED,
     (State.FAULT, Event.CLEARED): State.IDLE,
     (State.FAULT, Event.STOP): State.IDLE,

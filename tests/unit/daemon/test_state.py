@@ -10,9 +10,10 @@ TABLE = {
     "off": {"power": "powering"},
     "powering": {"ready": "idle", "end": "ending"},
     "idle": {"start": "armed", "fault": "fault", "end": "ending"},
-    "armed": {"labelled": "scanning", "fault": "fault", "stop": "idle", "end": "ending"},
-    "scanning": {"fault": "fault", "stop": "idle", "end": "ending"},
-    "fault": {"running": "armed", "cleared": "idle", "stop": "idle", "end": "ending"},
+    "armed": {"labelled": "scanning", "fault": "fault", "pause": "paused", "stop": "idle", "end": "ending"},
+    "scanning": {"fault": "fault", "pause": "paused", "stop": "idle", "end": "ending"},
+    "paused": {"resume": "armed", "stop": "idle", "end": "ending"},
+    "fault": {"running": "armed", "cleared": "idle", "pause": "paused", "stop": "idle", "end": "ending"},
     "ending": {"ended": "off"},
 }
 

@@ -1,0 +1,1 @@
+"""The page from which a head is run, and the program that serves it. See README.md."""

@@ -1,0 +1,130 @@
+"""What the daemon publishes, as it comes: subscribed to, taken apart, counted; how old the last word is.
+
+libzmq's file descriptor is watched by the event loop itself: no thread, no future for each message.
+"""
+
+import asyncio
+import time
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+import zmq
+
+from annulus.daemon.control import ClientKeys
+from annulus.stream.publish import parse
+from annulus.vocabulary import AnnulusError
+
+ALWAYS = (
+    "telemetry",
+    "state",
+    "health",
+    "event",
+    "mark",
+    "ended",
+    "defects",
+    "closeup",
+    "wall",
+    "profile",
+    "sensor/",
+    "label",
+)
+ON_DEMAND = {"pictures": "preview/", "rows": "rows/", "slits": "slits/"}  # by what viewers want
+WORD_MAX = 1 << 24  # bytes of one part; a wall's slice has 1.5 MB
+QUEUE = 200  # messages that wait for this process when it is busy
+TURN_MAX = 100  # messages in one turn of the loop
+UNREAD = "label"  # says no more than that the daemon is there
+COUNTED_MAX = 64  # topics whose holes are counted
+
+Heard = Callable[[str, Any, bytes], None]
+Context = zmq.Context[zmq.Socket[bytes]]
+
+
+def connected(context: Context, kind: int, address: str, keys: ClientKeys | None) -> "zmq.Socket[bytes]":
+    """A client's socket. Raises AnnulusError when the address is none."""
+    socket = context.socket(kind)
+    socket.setsockopt(zmq.LINGER, 0)
+    socket.setsockopt(zmq.MAXMSGSIZE, WORD_MAX)
+    if keys is not None:
+        socket.curve_serverkey = keys.server.encode()
+        socket.curve_publickey, socket.curve_secretkey = keys.public.encode(), keys.secret.encode()
+    try:
+        socket.connect(address)
+    except zmq.ZMQError as error:
+        socket.close()
+        raise AnnulusError(f"{address}: {error.strerror}, expected tcp://ADDRESS:PORT of a daemon") from None
+    return socket
+
+
+class Feed:
+    """One daemon's published words."""
+
+    def __init__(self, context: Context, address: str, keys: ClientKeys | None = None) -> None:
+        self.address = address
+        self.lost: Counter[str] = Counter()  # messages missed, by topic
+        self.malformed = 0
+        self.heard_s: float | None = None  # monotonic; the daemon's last word
+        self.on_word: Heard = lambda topic, body, part: None
+        self.on_restart: Callable[[], None] = lambda: None
+        self._numbers: dict[str, int] = {}
+        self._wanted: frozenset[str] = frozenset()
+        self._socket = connected(context, zmq.SUB, address, keys)
+        self._socket.setsockopt(zmq.RCVHWM, QUEUE)
+        self._descriptor = int(self._socket.getsockopt(zmq.FD))
+        for topic in ALWAYS:
+            self._socket.subscribe(topic.encode())
+
+    def want(self, wants: frozenset[str]) -> None:
+        """What viewers want of what is made on demand only."""
+        for what, topic in ON_DEMAND.items():
+            if (what in wants) != (what in self._wanted):
+                (self._socket.subscribe if what in wants else self._socket.unsubscribe)(topic.encode())
+                for known in [one for one in self._numbers if one.startswith(topic)]:
+                    del self._numbers[known]  # what was not asked for is not lost
+        self._wanted = wants
+
+    def age_s(self) -> float | None:
+        return None if self.heard_s is None else time.monotonic() - self.heard_s
+
+    def run(self, loop: asyncio.AbstractEventLoop) -> None:
+        """Begin to listen, on this loop."""
+        self._loop = loop
+        loop.add_reader(self._descriptor, self.listen)
+        self.listen()
+
+    def listen(self) -> None:
+        """Take what is there. Also to be called now and then: libzmq's descriptor tells of a change only."""
+        for _ in range(TURN_MAX):
+            try:
+                parts = self._socket.recv_multipart(zmq.NOBLOCK)
+            except zmq.Again:
+                return
+            self._take(parts)
+        self._loop.call_soon(self.listen)
+
+    def close(self) -> None:
+        if hasattr(self, "_loop") and not self._loop.is_closed():
+            self._loop.remove_reader(self._descriptor)
+        self._socket.close(0)
+
+    def _take(self, parts: list[bytes]) -> None:
+        if parts[0] == UNREAD.encode():
+            self.heard_s = time.monotonic()
+            return
+        try:
+            topic, number, body, part = parse(parts)
+            self._count(topic, number)
+            self.heard_s = time.monotonic()
+            self.on_word(topic, body, part)
+        except ValueError:
+            self.malformed += 1
+
+    def _count(self, topic: str, number: int) -> None:
+        last = self._numbers.get(topic)
+        if last is not None and number > last + 1:
+            self.lost[topic] += number - last - 1
+        if topic == "telemetry" and last is not None and number <= last:
+            self._numbers.clear()
+            self.on_restart()
+        if topic in self._numbers or len(self._numbers) < COUNTED_MAX:
+            self._numbers[topic] = number

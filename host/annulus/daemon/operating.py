@@ -1,0 +1,151 @@
+"""What operators ask of a session, done: who commands, the job, lamps tried out and put in force, trials that end by
+themselves.
+
+A **trial** has cameras and lamps on, and records nothing. It ends `hold_s` after the last request that asked for more,
+whoever asked and whatever became of them: a head does not stay armed because a browser once armed it.
+"""
+
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from annulus.daemon.about import about
+from annulus.daemon.command import Command
+from annulus.daemon.config import HeadConfig, LampConfig
+from annulus.daemon.controller_line import check_lamps, preamble_for, stage_of
+from annulus.daemon.observer import Mark
+from annulus.daemon.request import COMMANDED, Do, Request, lamp_numbers, with_lamps
+from annulus.vocabulary import AnnulusError
+
+if TYPE_CHECKING:
+    from annulus.daemon.session import Session
+
+
+class Operating:
+    """Of one session, whose thread calls everything here."""
+
+    def __init__(self, session: "Session") -> None:
+        self._session = session
+        self._command = Command()
+        self._trial_until_s: float | None = None  # monotonic
+        self._before: LampConfig | None = None  # the lamps that come back when the trial ends
+
+    def obey(self, request: Request) -> Mapping[str, Any] | None:
+        """Do what is asked; what the answer says besides. Raises AnnulusError when it cannot be done now."""
+        now_s = time.monotonic()
+        if request.do in COMMANDED:
+            self._command.require(request.who, now_s)
+        session = self._session
+        match request.do:
+            case Do.START:
+                self._start(request, now_s)
+            case Do.STOP:
+                session.require_scan()
+                session.stop()
+            case Do.PAUSE:
+                if self._trial_until_s is not None:
+                    raise AnnulusError("a trial cannot be paused, only ended")
+                session.pause()
+            case Do.RESUME:
+                session.resume()
+            case Do.HOLD:
+                if self._trial_until_s is None:
+                    raise AnnulusError("no trial is under way that could be held")
+                self._trial_until_s = now_s + request.hold_s
+            case Do.MARK:
+                session.require_scan()
+                z_mm, said = session.navigation.odometer.here_mm, (request.text, request.clock_deg, request.photo)
+                session.observers.mark(Mark(time.monotonic_ns(), z_mm, *said, session.newest_led))
+            case Do.ZERO:
+                if session.line is None:
+                    raise AnnulusError("there is no controller, and so no odometer to zero")
+                session.navigation.zero()
+            case Do.ABOUT:
+                return {"about": about(session.config, session.line)}
+            case Do.JOB:
+                assert request.job is not None
+                session.config = replace(session.config, job=session.config.job.under(request.job))
+                session.observers.job(session.config.job)
+            case Do.LAMPS:
+                return {"lamps": lamp_numbers(self._lamps(request))}
+            case Do.COMMAND:
+                self._tell(self._command.ask(request.who, now_s, take=request.take))
+            case Do.RELEASE:
+                self._tell(self._command.release(request.who, now_s))
+        return None
+
+    def turn(self) -> None:
+        """Now and then: a trial that nobody holds is over."""
+        if self._trial_until_s is not None and time.monotonic() > self._trial_until_s:
+            self._session.observers.event("trial", "the trial is over, lamps off: nobody asked for more")
+            self._session.stop()
+
+    def ended(self) -> None:
+        """The scan, or the trial, is over: lamps that were tried are the former ones again."""
+        self._trial_until_s = None
+        before, self._before = self._before, None
+        if before is not None:
+            self._put_in_force(replace(self._session.config, lamps=before), window=True)
+
+    def numbers(self) -> dict[str, Any]:
+        """For the telemetry."""
+        now_s, config = time.monotonic(), self._session.config
+        left = None if self._trial_until_s is None else round(max(0.0, self._trial_until_s - now_s), 1)
+        return {
+            "command": self._command.numbers(now_s), "trial": left, "lamps": lamp_numbers(config.lamps),
+            "job": config.job.to_dict(),
+        }  # fmt: skip
+
+    def _start(self, request: Request, now_s: float) -> None:
+        if not request.record and self._session.line is None:
+            raise AnnulusError("there is no controller, and so no lamps to try")
+        self._session.start(record=request.record)
+        if not request.record:
+            self._trial_until_s = now_s + request.hold_s
+
+    def _lamps(self, request: Request) -> LampConfig:
+        """As they would be, or, when that is asked, as they are from now on."""
+        session = self._session
+        trying = request.trial and request.commit
+        if trying and self._trial_until_s is None:
+            raise AnnulusError("no trial is under way in which lamps could be tried")
+        wanted = replace(session.config, lamps=with_lamps(session.config.lamps, request.lamps))
+        check_lamps(wanted, window=not request.trial)
+        if not request.commit:
+            return wanted.lamps
+        if session.line is None:
+            raise AnnulusError("there is no controller, and so no lamps to set")
+        if session.has_scan and self._trial_until_s is None:
+            raise AnnulusError("a scan is under way: end it before you set lamps")
+        former = session.config
+        try:
+            self._put_in_force(wanted, window=not request.trial)
+        except AnnulusError:
+            self._put_in_force(former, window=self._before is None)
+            raise
+        if trying:
+            self._before = self._before or former.lamps
+        else:
+            self._before = None
+            session.observers.event("lamps", f"lamps set: {_said(wanted.lamps)}")
+        return wanted.lamps
+
+    def _put_in_force(self, config: HeadConfig, window: bool) -> None:
+        session = self._session
+        session.config = config
+        if session.line is None:
+            return
+        for event in session.line.configure(stage_of(config, window=window), preamble_for(config)):
+            session.navigation.heard(event)
+        if problem := session.line.refusal:
+            raise AnnulusError(f"{session.line.url}: {problem}")
+
+    def _tell(self, text: str) -> None:
+        if text:
+            self._session.observers.event("command", text)
+
+
+def _said(lamps: LampConfig) -> str:
+    projector = f"projector {lamps.projector_delay_us:g} us, {lamps.projector_width_us:g} us long"
+    return f"{projector}; LED {lamps.led_delay_us:g} us, {lamps.led_width_us:g} us long; {lamps.ratio}:1"

@@ -1,0 +1,122 @@
+"""Promises of what operators do between start and stop: trials, lamps, pauses. The simulated head in real time."""
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from test_control import WORLD, Bystander, frames_are_what_they_are_called, head, until  # noqa: F401
+
+from annulus.daemon.config import SocketConfig
+from annulus.daemon.control import ControlClient
+from annulus.daemon.session import Session
+from annulus.daemon.state import State
+from annulus.demo import demo_config
+from annulus.job import JobSheet
+from annulus.record.recording import open_recording
+from annulus.reprocess.relabel import audit
+from annulus.twin.head import HeadHandle
+from annulus.vocabulary import AnnulusError, Label
+
+pytestmark = pytest.mark.system
+
+
+def operated(
+    head: HeadHandle, folder: Path, operate: Callable[[ControlClient, Session], None]  # noqa: F811
+) -> Bystander:  # fmt: skip
+    """A session that somebody runs by its control socket, from idle to the end of what he does."""
+    config = replace(
+        demo_config(head, WORLD, folder), calibration=None, autostart=False,
+        control=SocketConfig(f"ipc://{folder}/control"),
+    )  # fmt: skip
+    seen, failed = Bystander(), []
+    session = Session(config, observer=seen, name="scan")
+    done = threading.Event()
+
+    def work() -> None:
+        try:
+            with ControlClient(f"ipc://{folder}/control") as client:
+                until(lambda: session.state is State.IDLE)
+                operate(client, session)
+        except BaseException as error:
+            failed.append(error)
+        finally:
+            done.set()
+
+    operator = threading.Thread(target=work)
+    operator.start()
+    session.run(done.is_set)
+    operator.join()
+    if failed:
+        raise failed[0]
+    return seen
+
+
+def test_a_trial_that_nobody_holds_is_dark_and_its_lamps_are_the_former_ones(
+    head: HeadHandle, tmp_path: Path  # noqa: F811
+) -> None:  # fmt: skip
+    def operate(client: ControlClient, session: Session) -> None:
+        before = dict(client.about()["lamps"])
+        with pytest.raises(AnnulusError, match="leaves the window"):
+            client.lamps(commit=False, projector_delay_us=1.0)
+        with pytest.raises(AnnulusError, match="no longer than"):
+            client.lamps(commit=True, led_width_us=21_000.0)
+        with pytest.raises(AnnulusError, match="no trial"):
+            client.hold()
+        client.trial(hold_s=2.0)
+        until(lambda: session.state is State.SCANNING)
+        tried = client.lamps(commit=True, trial=True, projector_delay_us=1.0, projector_width_us=900.0)
+        assert tried["projector_delay_us"] == 1.0, "a trial may look outside the window"
+        client.hold(2.0)
+        held = time.monotonic()
+        until(lambda: session.labelled > 12)
+        until(lambda: session.state is State.IDLE)
+        assert 1.9 <= time.monotonic() - held <= 4.0
+        assert head.counters()["lamps_on"] == [] and not list(tmp_path.glob("*.mcap"))
+        assert dict(client.about()["lamps"]) == before
+        client.lamps(commit=True, projector_width_us=4000.0)  # and these stay
+        assert client.about()["lamps"]["projector_width_us"] == 4000.0
+
+    seen = operated(head, tmp_path, operate)
+    assert any("nobody asked for more" in text for text in seen.told)
+
+
+def test_a_paused_scan_goes_on_in_its_recording_and_every_label_is_right(
+    head: HeadHandle, tmp_path: Path  # noqa: F811
+) -> None:  # fmt: skip
+    def operate(client: ControlClient, session: Session) -> None:
+        client.job(JobSheet(client="The Waterworks"))
+        client.start()
+        until(lambda: session.labelled >= 15)
+        assert client.pause() is State.PAUSED
+        assert head.counters()["lamps_on"] == []
+        at, z_mm = session.labelled, session.telemetry()["z_mm"]
+        with pytest.raises(AnnulusError, match="only while it is"):
+            client.pause()
+        with pytest.raises(AnnulusError, match="only while it is"):
+            client.start()
+        with pytest.raises(AnnulusError, match="a scan is under way"):
+            client.lamps(commit=True, led_width_us=900.0)
+        time.sleep(2.5)
+        assert session.labelled == at and client.health() == "ok", "a pause is no trouble"
+        assert session.telemetry()["z_mm"] > z_mm + 10.0, "the cable is counted on"
+        assert client.resume() is State.ARMED
+        client.job(JobSheet(site="Elm Street"))
+        until(lambda: session.labelled >= at + 25)
+        client.pause()
+        assert client.stop() is State.IDLE
+
+    seen = operated(head, tmp_path, operate)
+    report = seen.reports[0]
+    assert not report.findings and report.ledger.taken == report.ledger.labelled == report.ledger.recorded
+    assert not report.drops.get("camera") and not report.drops.get("camera_away"), "nothing was missed"
+    recording = open_recording(tmp_path / "scan.mcap")
+    assert frames_are_what_they_are_called(recording) >= 35
+    known = [frame for frame in recording.frames if frame.label is not Label.UNKNOWN]
+    assert len(known) >= 0.6 * len(recording.frames)
+    assert not audit(tmp_path / "scan.mcap").changed, "the evidence says the same over a pause"
+    told = list(recording.notes("/job"))
+    assert [one.get("site") for one in told] == ["Elm Street"]
+    assert told[0]["client"] == "The Waterworks"
