@@ -1,4 +1,4 @@
-"""A simulated head and a daemon for it, as child processes, for `annulus console --demo`."""
+"""A simulated head and a daemon for it, as child processes, for The console with a simulated head."""
 
 import contextlib
 import os
