@@ -12,7 +12,7 @@ from annulus.vocabulary import AnnulusError
 
 if TYPE_CHECKING:
     from annulus.console.program import Daemon, Door
-    from annulus.daemon.control import ClientKeys
+    from annulus.stream.access import ClientKeys
 
 EXAMPLE = "Example: annulus console --config head.toml --surveys scans"
 PARTS = 2

@@ -12,7 +12,7 @@ from typing import Any
 
 import zmq
 
-from annulus.daemon.control import ClientKeys
+from annulus.stream.access import ClientKeys
 from annulus.stream.publish import parse
 from annulus.vocabulary import AnnulusError
 

@@ -16,13 +16,13 @@ from annulus.console.hub import STATUS, Hub, Viewer
 from annulus.console.kept import CLOSEUPS_MAX, Bounded, CloseUp, Frames, WallPart, WallRows
 from annulus.numeric.palette import DEVIATION_LIVE_MM, deviation_table
 from annulus.stream.frames import CAMERAS_MAX
-from annulus.wall.profile import POINTS_MAX
 
 LOST_S = 1.5  # without a word the daemon is taken for lost
 KEPT = 100  # events and marks told to who comes later
 LATEST = ("telemetry", "state", "health", "ended", "defects")  # topics of which the last word holds
 BLOCK = 20_000  # points; 300 kB
 JPEG_MAX = 1 << 20
+POINTS_MAX = 64 * 4096  # of a profile; wall.profile says so too, and would bring all of the wall
 _NO_POINTS, _NO_COLOURS = np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8)
 
 

@@ -21,8 +21,8 @@ from annulus.console.commands import RENEW_S, Commands, Lease
 from annulus.console.feed import Feed
 from annulus.console.hub import STATUS, Hub, Viewer
 from annulus.console.live import LOST_S, Live
-from annulus.daemon.control import ClientKeys
 from annulus.numeric.palette import DEVIATION, DEVIATION_LIVE_MM
+from annulus.stream.access import ClientKeys
 
 ALIVE_S = 0.5
 ABOUT_S = 30.0  # asked again, where nothing told that it changed
