@@ -39,7 +39,7 @@ def prepared(program: Program) -> tuple[Any, socket.socket]:
         log_config=None, log_level="critical", access_log=False, server_header=False, proxy_headers=False,
         ws_max_size=SAID_MAX, ws_per_message_deflate=False, ws_ping_interval=PING_S, ws_ping_timeout=3 * PING_S,
         timeout_keep_alive=30, timeout_graceful_shutdown=1, h11_max_incomplete_event_size=16 << 10,
-        ssl_certfile=door.tls_cert, ssl_keyfile=door.tls_key, backlog=128,
+        ssl_certfile=door.tls_cert, ssl_keyfile=door.tls_key, backlog=1024,
     )  # fmt: skip
     try:
         config.load()
