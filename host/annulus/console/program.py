@@ -88,7 +88,7 @@ class Program:
 
     async def do(self, asked: Mapping[str, Any], session: Session) -> Mapping[str, Any]:
         """A request of the control socket in this session's name. Raises Refusal."""
-        who = {"id": session.id, "name": session.name}
+        who = {"id": session.id, "name": session.name or f"browser {session.id[:4]}"}
         answer = await self.commands.ask({**asked, "who": who})
         self.lease.heard(str(asked.get("do")), who)
         self.look()

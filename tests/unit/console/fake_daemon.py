@@ -296,6 +296,8 @@ class FakeDaemon:
         do = asked["do"]
         if self.command is not None and now > self.command[3]:
             self.command = None
+        if "who" in asked and not (who.get("id") and who.get("name")):
+            raise ValueError("who: expected an id and a name that are not empty")
         other = self.command is not None and self.command[0] != who.get("id")
         if other and do in ("start", "resume", "zero", "job", "lamps", "hold"):
             assert self.command is not None
