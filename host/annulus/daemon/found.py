@@ -26,6 +26,7 @@ SAME_OF_DIAMETER = 0.1  # apart along the pipe at least, of two that do not touc
 ALONG_MAX = 2000  # numbers of a line along the pipe
 SECTION_MM = 2.5  # to both sides of a defect's place, of which its section is the median
 UNSEEN_GREY, PICTURE_MAX, PICTURE_PX_MM = 150, 640, 2.0
+COLOURS = 49  # of a picture: more are noise, and make it twice as large
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -172,7 +173,7 @@ def _picture(defect: Defect, wall: Wall, diameter_mm: float) -> tuple[bytes, tup
     middle = int(defect.clock_deg / wall.clock_step_deg)
     deviation = wall.deviation_mm()[rows][:, (middle + np.arange(-half, half)) % columns].T
     ends = max(DEVIATION_LIVE_MM, defect.depth_mm)
-    table = deviation_table()
+    table = deviation_table(COLOURS)
     at = np.clip((np.nan_to_num(deviation) / ends + 1.0) / 2 * (len(table) - 1), 0, len(table) - 1).astype(int)
     pixels: NDArray[np.uint8] = table[at][..., ::-1].copy()
     pixels[~np.isfinite(deviation)] = UNSEEN_GREY
