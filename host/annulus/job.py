@@ -1,4 +1,5 @@
-"""The job a scan was made for: who asked, where, which pipe, who scanned it; and where a calibration came from.
+"""The job a scan was made for: who asked, where, which pipe, who scanned it and what they marked; and where a
+calibration came from.
 
 A value that the daemon writes into a recording, and that a report, an export and a console read out of it. Whatever is
 not known stays empty: nothing here is ever guessed.
@@ -97,12 +98,34 @@ assert tuple(WORDS) == tuple(one.name for one in fields(JobSheet))
 
 
 @dataclass(frozen=True, slots=True)
+class Observation:
+    """What an operator marked during a scan.
+
+    z_mm : of the head at that moment, along the pipe; NaN where nobody knew. clock_deg : clockwise from 12 o'clock,
+    looking forward; None: of no one place round the pipe. utc : ISO, "" where no clock was kept. picture : a JPEG, b""
+    where there is none; shows : whether it is the operator's "photo" or the LED "frame" taken then, that of `camera`.
+    photo_unread : there was a photo, but none that can be shown.
+    """
+
+    z_mm: float
+    text: str = ""
+    clock_deg: float | None = None
+    utc: str = ""
+    picture: bytes = b""
+    shows: str = ""
+    frame: int | None = None
+    camera: int = 0
+    photo_unread: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class Origin:
     """Where a scan came from, as far as that was written down.
 
     utc : of its first and last moment, ISO; "" where no clock was kept. controller : what it said of itself.
     calibration : "provenance" of its calibration.json, section by section; empty where none is known. versions : of
-    the program that recorded.
+    the program that recorded. observations : what was marked, by distance; marks_left_out : how much more was, but
+    cannot be read, or is too many to show.
     """
 
     job: JobSheet = field(default_factory=JobSheet)
@@ -111,6 +134,8 @@ class Origin:
     calibration: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     calibration_file: str = ""
     versions: Mapping[str, str] = field(default_factory=dict)
+    observations: tuple[Observation, ...] = ()
+    marks_left_out: int = 0
 
 
 def provenance(calibration: object) -> dict[str, dict[str, Any]]:

@@ -2,7 +2,9 @@
 
 import datetime
 import json
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -102,6 +104,14 @@ def test_a_recording_gives_back_job_times_and_provenance(tmp_path: Path) -> None
     assert origin.calibration == {"rings": {k: v for k, v in made["rings"].items() if k != "all"}}
 
 
+def test_what_was_told_during_the_scan_goes_over_what_was_configured(tmp_path: Path) -> None:
+    """Field by field, the last word counting; what is malformed is passed over."""
+    path = tmp_path / "told.mcap"
+    told = [{"client": "B", "operator": "R. Roe"}, {"client": "C", "sdr": "wide", "host_ns": 3}, "none", {"pipe": 7}]
+    write(path, {"job": {"operator": "J. Doe", "site": "Elm Street"}}, [{"job": {"client": "A"}}], told)
+    assert origin_of(open_scan(path)).job == JobSheet(client="C", operator="R. Roe", site="Elm Street", pipe="7")
+
+
 def test_provenance_of_a_stranger_is_bounded() -> None:
     huge = {"provenance": {str(i): {str(j): "x" * 1000 for j in range(100)} for i in range(1000)}}
     assert sum(len(one) for one in provenance(huge).values()) == 0 and len(provenance(huge)) <= 32
@@ -121,12 +131,16 @@ def test_a_day_may_be_toml_s_own() -> None:
     assert JobSheet.from_dict({"date": datetime.date(2026, 11, 25)}).date == "2026-11-25"
 
 
-def write(path: Path, configuration: dict[str, object], notes: list[dict[str, object]]) -> None:
+def write(
+    path: Path, configuration: dict[str, object], notes: list[dict[str, object]], told: Sequence[Any] = ()
+) -> None:
     import numpy as np
 
     with RecordingWriter(path, calibration=None, configuration=configuration, now_ns=1) as writer:
         for at, note in enumerate(notes):
             writer.note("/identity", note, 2 + at)
+        for note in told:
+            writer.note("/job", note if isinstance(note, dict) else {"job": note}, 3)
         header = {
             "index": 0,
             "camera": 0,

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 from annulus.daemon.about import about
 from annulus.daemon.command import Command
 from annulus.daemon.config import HeadConfig, LampConfig
-from annulus.daemon.controller_line import check_lamps, preamble_for, stage_of
+from annulus.daemon.controller_line import check_lamps, lamp_numbers, preamble_for, stage_of, with_lamps
 from annulus.daemon.observer import Mark
-from annulus.daemon.request import COMMANDED, Do, Request, lamp_numbers, with_lamps
+from annulus.daemon.request import COMMANDED, Do, Request
 from annulus.vocabulary import AnnulusError
 
 if TYPE_CHECKING:

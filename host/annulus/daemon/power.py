@@ -82,7 +82,8 @@ def power_up(
     stack.callback(doorkeeper.close)
     shared, publishing = Shared(ring, ours, folder), None
     if config.publish is not None:
-        publishing = Publishing(config.publish, shared, account, observers, config.realtime)
+        live = config.calibration if config.calibration is not None and config.calibration.frame_by_frame else None
+        publishing = Publishing(config.publish, shared, account, observers, config.realtime, live)
         stack.callback(publishing.stop, PUBLISHED_S)
         observers.all.append(publishing)
         stack.callback(observers.all.remove, publishing)

@@ -12,6 +12,8 @@ from annulus.daemon.health import Health
 from annulus.daemon.observer import Mark, Observer
 from annulus.daemon.pools import Pool
 from annulus.daemon.state import State
+from annulus.geometry.calibration import Calibration
+from annulus.job import JobSheet
 from annulus.sensors.sample import Sample
 from annulus.stream.frames import FrameHeader
 from annulus.stream.orphan import child
@@ -28,14 +30,16 @@ class Publishing(Pool, Observer):
     """
 
     def __init__(
-        self, config: SocketConfig, shared: Shared, account: Account, observer: Observer, realtime: bool | None = False
-    ) -> None:
-        """`realtime` as head.toml says."""
+        self, config: SocketConfig, shared: Shared, account: Account, observer: Observer, realtime: bool | None = False,
+        calibration: Calibration | None = None,
+    ) -> None:  # fmt: skip
+        """`realtime` as head.toml says; `calibration` of the head, where slits are decoded live."""
         keys = config.keys
         plain = None if keys is None else {
             "public": keys.public, "secret": keys.secret, "viewers": sorted(keys.viewers)
         }  # fmt: skip
         self._setup: dict[str, Any] = {"address": config.address, "keys": plain, "realtime": realtime}
+        self._setup["calibration"] = None if calibration is None else calibration.to_dict()
         self._sent: Counter[str] = Counter()
         self._floods = self._notes_dropped = 0
         command = child("annulus.daemon.publisher")
@@ -56,6 +60,9 @@ class Publishing(Pool, Observer):
         if not self._pool.offer(header, place, self._number(f"frame/{header.camera}")):
             self._account.lose("publisher_busy")
 
+    def begun(self, scan: int) -> None:
+        self._send("begun", {"scan": scan})
+
     def state(self, state: State, why: str) -> None:
         self._send("state", {"state": state.value, "why": why})
 
@@ -70,6 +77,9 @@ class Publishing(Pool, Observer):
 
     def mark(self, mark: Mark) -> None:
         self._send("mark", mark.to_dict())
+
+    def job(self, sheet: JobSheet) -> None:
+        self._send("job", sheet.to_dict())
 
     def telemetry(self, numbers: Mapping[str, Any]) -> None:
         self._send("telemetry", numbers)

@@ -13,7 +13,6 @@ from typing import Any, Self
 
 from annulus import untrusted
 from annulus.daemon.command import ID_MAX, NAME_MAX, Operator
-from annulus.daemon.config import LampConfig
 from annulus.job import JobSheet
 
 REQUEST_MAX = 4096  # bytes
@@ -107,18 +106,6 @@ class Request:
             take=_flag(top, "take", False),
             who=_who(top.get("who")),
         )
-
-
-def with_lamps(lamps: LampConfig, asked: Mapping[str, float]) -> LampConfig:
-    """A configuration with some of its times another."""
-    values: dict[str, Any] = {name: getattr(lamps, name) for name in LampConfig.__dataclass_fields__}
-    values.update({name: int(value) if name == "ratio" else value for name, value in asked.items()})
-    return LampConfig(**values)
-
-
-def lamp_numbers(lamps: LampConfig) -> dict[str, float]:
-    """What of it a request may change."""
-    return {name: getattr(lamps, name) for name in LAMP_KEYS}
 
 
 def _listed(names: tuple[str, ...]) -> str:

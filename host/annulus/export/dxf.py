@@ -14,7 +14,7 @@ import numpy as np
 
 from annulus.export.axes import z_up
 from annulus.export.course import Space, line, outline
-from annulus.export.results import Place, Results
+from annulus.export.results import Marked, Place, Results
 from annulus.export.stations import radii_of_stations
 from annulus.export.tally import clock_time
 from annulus.extras import need
@@ -27,7 +27,7 @@ STEP_LABELS = 7.0  # heights of a text between two lines of the grid, at least
 LINES_MAX = 400  # .. of the grid
 LAYERS = {  # colours of AutoCAD's index; 7 is black on white and white on black
     "CENTRE-LINE": 1, "STATIONS": 7, "PLAN-FRAME": 7, "PLAN-GRID": 9, "PLAN-TEXT": 7, "PLAN-LOSS": 1, "PLAN-BUMP": 5,
-    "PLAN-OVALITY": 6, "PLAN-UNDECIDED": 30, "PLAN-FEATURES": 94, "PLAN-LIST": 7,
+    "PLAN-OVALITY": 6, "PLAN-UNDECIDED": 30, "PLAN-FEATURES": 94, "PLAN-OBSERVATIONS": 130, "PLAN-LIST": 7,
 }  # fmt: skip
 _OF_KIND = {"loss": "PLAN-LOSS", "bump": "PLAN-BUMP", "ovality": "PLAN-OVALITY"}
 
@@ -95,9 +95,16 @@ class _Plan:
         named += [(f"F{i + 1}", one, "PLAN-FEATURES") for i, one in enumerate(self.results.features)]
         for name, place, layer in named:
             self._draw_place(name, place, layer)
+        for one in self.results.observations:
+            self._draw_mark(one)
         below = self.top - self.height - 5 * self.label
         for row, (name, place, _) in enumerate(named):
             self._text(f"{name}  {_described(place)}", self.first, below - 1.8 * row * self.label, "PLAN-LIST")
+        for row, one in enumerate(self.results.observations, start=len(named)):
+            at = "" if one.z_mm is None else f" head at {said(one.z_mm, DISTANCE)}"
+            clock = "" if one.clock_deg is None else f", clock {clock_time(one.clock_deg):%H:%M}"
+            text = f"{one.name}  marked by the operator,{at}{clock}: {one.text}"
+            self._text(text, self.first, below - 1.8 * row * self.label, "PLAN-LIST")
 
     def y(self, clock_deg: float) -> float:
         """Of a clock angle in 0..360: 360 is the lower edge."""
@@ -141,6 +148,20 @@ class _Plan:
         x = (first + last) / 2 - wide / 2 if last - first > wide else last + self.label / 2
         y = self.y(0.0) - 1.5 * self.label if place.is_all_round else self.y(place.clock_deg) - self.label / 2
         self._text(name, x, self._free(x, y, wide), layer)
+
+    def _draw_mark(self, one: Marked) -> None:
+        """A cross where the head stood, at its clock; a line all down the plan where none was said."""
+        if one.z_mm is None or not self.first <= one.z_mm <= self.last:
+            return
+        layer, arm = "PLAN-OBSERVATIONS", self.label / 2
+        y = self.y(one.clock_deg or 0.0)
+        if one.clock_deg is None:
+            self._line((one.z_mm, self.top), (one.z_mm, self.y(360.0)), layer, "DASHED")
+        else:
+            self._line((one.z_mm - arm, y - arm), (one.z_mm + arm, y + arm), layer)
+            self._line((one.z_mm - arm, y + arm), (one.z_mm + arm, y - arm), layer)
+        x = one.z_mm + self.label
+        self._text(one.name, x, self._free(x, y - arm, len(one.name) * self.label), layer)
 
     def _free(self, x: float, y: float, wide: float) -> float:
         """The height nearest below at which no number stands yet, as far as the plan goes."""

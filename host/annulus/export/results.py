@@ -68,6 +68,17 @@ class Place:
         return self.arc_deg >= 360.0
 
 
+@dataclass(frozen=True, slots=True)
+class Marked:
+    """What an operator marked. z_mm: of the head at that moment; None where the file says null."""
+
+    name: str
+    z_mm: float | None
+    clock_deg: float | None
+    text: str
+    utc: str
+
+
 @dataclass(frozen=True)
 class Results:
     """One folder. z_mm along the pipe; clock angles clockwise from 12 looking forward; space x right, y down."""
@@ -85,6 +96,7 @@ class Results:
     defects: tuple[Place, ...]
     features: tuple[Place, ...]
     undecided: tuple[Place, ...]
+    observations: tuple[Marked, ...]
     warnings: tuple[str, ...]
     stations: Mapping[str, FloatArray]  # column -> (S,), NaN where empty
 
@@ -180,6 +192,7 @@ def _summary(summary: Mapping[str, Any]) -> dict[str, Any]:
         "defects": _places(summary, "defects"),
         "features": _places(summary, "features"),
         "undecided": _places(summary, "undecided"),
+        "observations": _observations(summary.get("observations") or []),
         "warnings": _warnings(summary.get("warnings", [])),
     }
 
@@ -225,6 +238,26 @@ def _warnings(found: Any) -> tuple[str, ...]:
     if not isinstance(found, list) or len(found) > PLACES_MAX:
         raise ValueError("warnings must be a list")
     return tuple(text(mapping(one, "a warning").get("text", ""), "a warning's text", TEXT_MAX) for one in found)
+
+
+def _observations(found: Any) -> tuple[Marked, ...]:
+    """Summaries of before have none."""
+    if not isinstance(found, list) or len(found) > PLACES_MAX:
+        raise ValueError(f"observations must be a list of at most {PLACES_MAX}")
+    return tuple(
+        _marked(mapping(one, f"observations, entry {i + 1},"), f"observations[{i}]") for i, one in enumerate(found)
+    )
+
+
+def _marked(found: Mapping[str, Any], what: str) -> Marked:
+    z, clock = found.get("z_mm"), found.get("clock_deg")
+    return Marked(
+        name=text(found.get("mark") or "", f"{what}.mark", 100),
+        z_mm=None if z is None else number(z, f"{what}.z_mm", MM_MAX),
+        clock_deg=None if clock is None else within(clock, f"{what}.clock_deg", -360.0, 360.0) % 360.0,
+        text=text(found.get("text") or "", f"{what}.text", TEXT_MAX),
+        utc=text(found.get("utc") or "", f"{what}.utc", 100),
+    )
 
 
 def _places(summary: Mapping[str, Any], name: str) -> tuple[Place, ...]:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from annulus.export.results import STATION_COLUMNS, Results
-from annulus.export.tally import COLUMNS, EDITION, OURS, POF, Cell, tally
+from annulus.export.tally import COLUMNS, EDITION, OURS, POF, Cell, clock_time, tally
 from annulus.extras import need
 from annulus.job import WORDS
 from annulus.numeric.rounding import DISTANCE, span
@@ -23,6 +23,11 @@ STATION_HEADINGS = (
     ("Ovality of the shape, F1216 [%]", "0.00"), ("Seen [%]", "0.0"), ("Diameter k=2 [mm]", "0.00"),
 )  # fmt: skip
 
+OBSERVED_HEADINGS = (
+    ("Mark", "@"), ("Head at [m]", "0.000"), ("Clock position [hh:mm]", "hh:mm"), ("What was said", "@"),
+    ("When [UTC]", "@"),
+)  # fmt: skip
+
 
 def write(results: Results, path: Path) -> None:
     openpyxl = need("openpyxl")
@@ -34,6 +39,9 @@ def write(results: Results, path: Path) -> None:
         cell.fill = openpyxl.styles.PatternFill("solid", fgColor="E7EEF5")  # columns that are not the POF's
     headings, forms = zip(*STATION_HEADINGS, strict=True)
     _fill(book.create_sheet("Stations"), headings, forms, _stations(results))
+    if results.observations:
+        headings, forms = zip(*OBSERVED_HEADINGS, strict=True)
+        _fill(book.create_sheet("Observations"), headings, forms, _observations(results))
     about = book.create_sheet("Source")
     _fill(about, ["What", "Value"], ["@", "General"], _about(results))
     about.column_dimensions["B"].width = 100
@@ -77,6 +85,17 @@ def _stations(results: Results) -> list[list[Cell]]:
     return [[float(value) if np.isfinite(value) else None for value in row] for row in table]
 
 
+def _observations(results: Results) -> list[list[Cell]]:
+    """What the operator marked, by where the head stood."""
+    return [
+        [
+            one.name, None if one.z_mm is None else one.z_mm / 1000,
+            None if one.clock_deg is None else clock_time(one.clock_deg), one.text or None, one.utc or None,
+        ]
+        for one in results.observations
+    ]  # fmt: skip
+
+
 def _about(results: Results) -> list[list[Cell]]:
     first, last = results.scanned_mm
     lines: list[list[Cell]] = [
@@ -88,6 +107,8 @@ def _about(results: Results) -> list[list[Cell]]:
         ["Clock position", "Looking forward, 00:00 up. Of an ovality: its long axis."],
         ["Depth", "Greatest departure of the inner wall from the pipe's fitted shape. k=2: expanded uncertainty, about "
          "95 %."],
+        ["Observations", "Where there are any: what the operator marked, in their words, at the place where the head "
+         "stood then. Nothing of it was measured."],
         ["Severity", "As summary.json says; empty where no limits were named."],
         ["Scan", results.source], ["Results of", results.created], ["Made by", results.made_by],
         ["Scanned [m]", span(first, last, DISTANCE, unit=False)], ["Points", results.points],

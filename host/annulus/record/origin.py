@@ -7,10 +7,13 @@ from typing import Any
 
 from annulus.job import JobSheet, Origin, provenance, read_job, recorded_provenance
 from annulus.record.calibration_file import load_sections
+from annulus.record.marks import observations_of
+from annulus.record.recording import Recording
 from annulus.record.scan import Scan
 from annulus.untrusted import printable
 
-IDENTITY = "/identity"
+IDENTITY, JOB_TOPIC = "/identity", "/job"
+JOBS_MAX = 1000  # sheets of one scan that are read; an operator types a dozen
 JOB_FILE = "job.toml"  # of a scan folder, beside frames.csv
 UTC_MAX = 40  # characters of a time
 
@@ -31,17 +34,30 @@ def origin_of(scan: Scan, calibration: Path | None = None, job: JobSheet | None 
     first: Mapping[str, Any] = who[0] if who else {}
     last: Mapping[str, Any] = who[-1] if who else {}
     configuration = recording.configuration or {}
-    own = JobSheet.recorded(configuration.get("job")).under(JobSheet.recorded(last.get("job")))
+    observations, left_out = observations_of(scan)
     if calibration is None:
         made = provenance(recording.calibration) or recorded_provenance(configuration)
     return Origin(
-        own.under(over),
+        job_told(recording).under(over),
         (_time(first.get("utc")), _time(last.get("utc"))),
         _texts(last.get("controller")),
         made,
         "the recording's own" if calibration is None else _name(calibration),
         _texts(first.get("versions")),
+        observations,
+        left_out,
     )
+
+
+def job_told(recording: Recording) -> JobSheet:
+    """The job as the scan's operators knew it in the end, field by field: what was configured, over it what the
+    recorder said of itself, over that what was told during the scan (`/job`), the last word counting."""
+    sheet = JobSheet.recorded((recording.configuration or {}).get("job"))
+    who = [one for one in recording.notes(IDENTITY) if isinstance(one, dict)]
+    sheet = sheet.under(JobSheet.recorded(who[-1].get("job") if who else None))
+    for note, _ in zip(recording.notes(JOB_TOPIC), range(JOBS_MAX), strict=False):
+        sheet = sheet.under(JobSheet.recorded(note))
+    return sheet
 
 
 def _name(calibration: Path | None) -> str:

@@ -138,6 +138,10 @@ class Recording:
         """That have JSON records."""
         return tuple(dict.fromkeys([*self._notes, *(topic for part in self.parts for topic in part.topics)]))
 
+    def count(self, topic: str) -> int:
+        """How many records a JSON topic has, readable or not."""
+        return len(self._notes.get(topic, ())) + sum(part.count(topic) for part in self.parts)
+
     def timed_notes(self, topic: str) -> Iterator[tuple[int, int, Any]]:
         """The same with host time, ns, and sequence number."""
         for part in self.parts:

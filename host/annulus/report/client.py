@@ -3,13 +3,14 @@
 Values for job.html.j2, verdict.html.j2, details.html.j2 and accuracy.html.j2; numbers as `numeric.rounding` says them.
 """
 
+import base64
 import math
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
-from annulus.job import NUMBERS, WORDS, Origin
+from annulus.job import NUMBERS, WORDS, Observation, Origin
 from annulus.numeric.rounding import (
     ANGLE,
     AREA,
@@ -29,7 +30,7 @@ from annulus.numeric.rounding import (
 from annulus.report.account import Account
 from annulus.report.bench import BENCH, TRIALS
 from annulus.report.close_up import across, along, part_of_map, photograph
-from annulus.report.paper import letter, question
+from annulus.report.paper import letter, marked, question
 from annulus.wall.accuracy import CONFIDENCE, least_detection, tolerances
 from annulus.wall.conformity import QUANTITIES, RULE, Decision, Judged, Verdict
 from annulus.wall.defects import Kind
@@ -58,6 +59,8 @@ def values(survey: Survey, account: Account) -> dict[str, Any]:
         "calibrated": list(_calibrated(account.origin)),
         "conformity": None if verdict is None else _conformity(verdict),
         "details": _details(survey, account),
+        "observations": [_observed(i, one) for i, one in enumerate(account.origin.observations)],
+        "marks_left_out": account.origin.marks_left_out,
         "station_rows": list(_stations(survey)),
         "accuracy": _accuracy(survey, account),
     }
@@ -98,6 +101,27 @@ def _calibrated(origin: Origin) -> Iterator[tuple[str, str]]:
     if not origin.calibration:
         yield "Calibrated when, and how", NOT_RECORDED
     yield "Check against a reference section", "not checked"
+
+
+def _observed(index: int, one: Observation) -> dict[str, str]:
+    """What an operator marked, as it was said; a picture says whose it is."""
+    name = marked(index)
+    camera = f" of camera {one.camera}" if one.camera else ""
+    captions = {
+        "photo": f"{name}: photo by the operator.",
+        "frame": f"{name}: LED frame {one.frame}{camera}, taken there, looking forward; brightness stretched.",
+    }
+    return {
+        "number": name, "at": digits(one.z_mm, DISTANCE) if math.isfinite(one.z_mm) else "not known",
+        "clock": "" if one.clock_deg is None else clock_face(one.clock_deg), "text": one.text,
+        "when": _second(one.utc), "caption": captions.get(one.shows, ""),
+        "picture": f"data:image/jpeg;base64,{base64.b64encode(one.picture).decode()}" if one.picture else "",
+        "remark": "its photo cannot be read" if one.photo_unread else "",
+    }  # fmt: skip
+
+
+def _second(utc: str) -> str:
+    return utc[:19].replace("T", " ")
 
 
 def _conformity(verdict: Verdict) -> dict[str, Any]:

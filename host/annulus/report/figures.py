@@ -6,12 +6,14 @@ pipe is.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.colors import Normalize, to_rgb
 from numpy.typing import NDArray
 
+from annulus.job import Observation
 from annulus.numeric.arrays import Float32Array, Image
 from annulus.numeric.rounding import DISTANCE, span
 from annulus.report.bore import draw_lane
@@ -62,14 +64,14 @@ class Pictures:
     stretch_mm: tuple[float, float] | None = None  # what `surface` shows of a long pipe
 
 
-def draw(survey: Survey) -> Pictures:
-    """Every picture of one report."""
+def draw(survey: Survey, observations: Sequence[Observation] = ()) -> Pictures:
+    """Every picture of one report. observations : what an operator marked, put on the maps."""
     deviation = survey.wall.deviation_mm()
     scale = _scale(survey, deviation)
     filled = np.nan_to_num(deviation, nan=0.0)
     rgb = (DEVIATION(Normalize(-scale, scale)(filled))[..., :3] * 255).astype(np.uint8)
     rgb[~np.isfinite(deviation)] = np.round(255 * np.array(to_rgb(UNSEEN)))  # seen, but beside no circle that is known
-    marks = marks_of(survey)
+    marks = marks_of(survey, observations)
     whole = Stretch.of(survey, *survey.wall.extent[:2])
     long = whole.length_mm > 1000 * SHORT_M
     lengths = sheets_of(*survey.wall.extent[:2]) if long else []

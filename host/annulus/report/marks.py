@@ -1,6 +1,7 @@
-"""What is marked on a map of clock position against distance: defects by outline and number, features by letter and
-undecided places by question mark."""
+"""What is marked on a map of clock position against distance: defects by outline and number, features by letter,
+undecided places by question mark, and by M what an operator marked: where the head stood, for nobody measured more."""
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,8 +12,9 @@ from contourpy import contour_generator
 from matplotlib.patches import Rectangle
 from scipy import ndimage
 
+from annulus.job import Observation
 from annulus.numeric.arrays import FloatArray
-from annulus.report.paper import AXES_MM, FEATURE, INK, badge, letter, question
+from annulus.report.paper import AXES_MM, FEATURE, INK, OBSERVED, badge, letter, marked, question
 from annulus.wall.defects import ALL_ROUND_DEG, Defect, Kind
 from annulus.wall.grid import Wall
 from annulus.wall.indications import LabelArray
@@ -33,31 +35,40 @@ class Mark:
     clock_deg: float
     arc_deg: float
     ovality: bool = False
+    point: bool = False  # of no extent that anybody knows; round the pipe neither where arc_deg is 360
     lines: tuple[FloatArray, ...] = ()
 
     @property
     def style(self) -> dict[str, Any]:
+        if self.point:
+            return {"ec": OBSERVED, "ls": (0, (1, 2)), "lw": 1.3}
         if self.name[0] == "?":
             return {"ec": INK, "ls": (0, (3, 2)), "lw": 1.3}
         return {"ec": FEATURE, "ls": "-", "lw": 1.3}
 
     @property
     def badge(self) -> dict[str, Any]:
+        if self.point:
+            return {"colour": OBSERVED, "shape": "round"}
         return {"colour": FEATURE, "shape": "round"} if self.name.isalpha() else {}
 
 
-def marks_of(survey: Survey) -> tuple[Mark, ...]:
+def marks_of(survey: Survey, observations: Sequence[Observation] = ()) -> tuple[Mark, ...]:
     """Everything that has a name in the page's tables."""
     out = [
         Mark(
             str(i), one.z_range_mm, one.clock_deg, one.arc_deg, one.kind is Kind.OVALITY,
-            () if one.kind is Kind.OVALITY else outline(survey.wall, survey.detection.label, i, one),
+            lines=() if one.kind is Kind.OVALITY else outline(survey.wall, survey.detection.label, i, one),
         )
         for i, one in enumerate(survey.defects, start=1)
     ]  # fmt: skip
     out += [Mark(letter(i), one.z_range_mm, one.clock_deg, one.arc_deg) for i, one in enumerate(survey.features)]
     for i, place in enumerate(survey.detection.undecided):
         out.append(Mark(question(i), place.z_range_mm, place.clock_deg, place.arc_deg))
+    for i, one in enumerate(observations):
+        if math.isfinite(one.z_mm):
+            arc = 360.0 if one.clock_deg is None else 0.0
+            out.append(Mark(marked(i), (one.z_mm, one.z_mm), one.clock_deg or 0.0, arc, point=True))
     return tuple(out)
 
 
@@ -117,8 +128,15 @@ def draw_marks(axes: Any, marks: Sequence[Mark], height_mm: float, *, names: boo
                 if line[:, 1].max() + turn > 0 and line[:, 1].min() + turn < 360:
                     for width, colour in ((3.0, "white"), (1.3, INK)) if names else ((0.5, INK),):
                         axes.plot(line[:, 0], line[:, 1] + turn, color=colour, lw=width, zorder=4)
-        if mark.arc_deg >= ALL_ROUND_DEG:
-            if not mark.lines:
+        if mark.point and mark.arc_deg < ALL_ROUND_DEG:
+            y = mark.clock_deg % 360
+            axes.plot(first, y, "D", ms=4.5, mfc=OBSERVED, mec="white", mew=0.9, zorder=5)
+            beside = y / 360 * height_mm
+            spots = ((middle + dx, beside + dy) for dy in (-4.5, 4.5, 0, -9, 9) for dx in (0, 6, -6))
+        elif mark.arc_deg >= ALL_ROUND_DEG:
+            if mark.point:
+                axes.axvline(first, color=OBSERVED, lw=1.2, ls=mark.style["ls"], zorder=4)
+            elif not mark.lines:
                 for x in (first, last):
                     axes.axvline(x, color=mark.style["ec"], lw=1.0, ls=mark.style["ls"], zorder=4)
                 _bracket(axes, first, last, 360 + 0.9 / height_mm * 360, mark.style["ec"])

@@ -9,16 +9,14 @@ import numpy as np
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
+from annulus.numeric import palette
 from annulus.numeric.rounding import EXTENT, SHARE, digits
 
 DPI = 150
 WIDTH_IN = 11.0
 INK, FAINT, UNSEEN, HIDDEN = "#1c2733", "#6b7885", "#c9ced4", "#59626c"
-LOSS_RED, BUMP_BLUE, FEATURE = "#b3261e", "#1d5fa8", "#4b2e83"
-# Outwards red, sound wall near white, inwards blue; readable in every common colour vision, and grey means not seen.
-DEVIATION = LinearSegmentedColormap.from_list(
-    "deviation", ["#0b3c7d", "#2f79c4", "#a9cdea", "#f7f7f5", "#f6c3a4", "#d9583b", "#86101b"]
-)
+LOSS_RED, BUMP_BLUE, FEATURE, OBSERVED = "#b3261e", "#1d5fa8", "#4b2e83", "#0b6170"
+DEVIATION = LinearSegmentedColormap.from_list("deviation", palette.DEVIATION)
 STYLE = {
     "font.family": "DejaVu Sans", "font.size": 10, "axes.edgecolor": FAINT, "axes.labelcolor": INK, "text.color": INK,
     "xtick.color": INK, "ytick.color": INK, "axes.linewidth": 0.8, "hatch.linewidth": 0.5,
@@ -55,6 +53,11 @@ def letter(number: int) -> str:
 def question(number: int) -> str:
     """?1, ?2 ..: the name of the number-th place that could not be decided, from 0."""
     return f"?{number + 1}"
+
+
+def marked(number: int) -> str:
+    """M1, M2 ..: the name of the number-th thing that an operator marked, from 0."""
+    return f"M{number + 1}"
 
 
 def badge(axes: Any, x: float, y: float, name: str, *, colour: str = INK, shape: str = "circle") -> None:

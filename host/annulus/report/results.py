@@ -53,7 +53,7 @@ def write(
     started = time.perf_counter()
     with staged(out) as staging:
         _write_cloud(staging / "cloud.ply", survey)
-        pictures = figures.draw(survey)
+        pictures = figures.draw(survey, account.origin.observations)
         _write_mesh(staging / "mesh.ply", survey, pictures.deviation_rgb)
         (staging / "unwrapped.png").write_bytes(pictures.unwrapped)
         (staging / "texture.png").write_bytes(pictures.texture)

@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from annulus.job import Origin
-from annulus.numeric.rounding import stored, stored_k2
+from annulus.job import Observation, Origin
+from annulus.numeric.rounding import clock_face, stored, stored_k2
 from annulus.report.account import Account
+from annulus.report.paper import marked
 from annulus.wall.conformity import RULE, Group, Verdict
 from annulus.wall.defects import Defect
 from annulus.wall.features import Feature
@@ -64,6 +65,8 @@ def summarize(survey: Survey, account: Account, files_ms: float) -> dict[str, An
             _defect(place) | _severity(account.verdict, "undecided", i)
             for i, place in enumerate(survey.detection.undecided)
         ],
+        "observations": [_observation(i, one) for i, one in enumerate(account.origin.observations)],
+        "marks_left_out": account.origin.marks_left_out,
         "unsupported": survey.detection.unconfirmed,
         "limits": {
             "depth_mm": stored(survey.depth_limit_mm),
@@ -178,6 +181,16 @@ def _feature(feature: Feature) -> dict[str, Any]:
         out[one.name] = stored(one.value)
         out[one.k2_name] = stored_k2(one.k2)
     return out
+
+
+def _observation(index: int, one: Observation) -> dict[str, Any]:
+    """z_mm: of the head at that moment. picture: whose the report shows."""
+    return {
+        "mark": marked(index), "z_mm": stored(one.z_mm),
+        "clock_deg": None if one.clock_deg is None else stored(one.clock_deg),
+        "clock": None if one.clock_deg is None else clock_face(one.clock_deg), "text": one.text, "utc": one.utc or None,
+        "picture": one.shows or None, "frame": one.frame, "camera": one.camera,
+    }  # fmt: skip
 
 
 def finite(value: Any) -> Any:

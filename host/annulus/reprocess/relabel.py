@@ -18,6 +18,8 @@ from annulus.labelling.evidence import LABEL, Row
 from annulus.labelling.replay import PATIENCE_NS, Replay
 from annulus.record.codec import Codec
 from annulus.record.copy import clock_of, copy
+from annulus.record.marks import read_marks
+from annulus.record.origin import job_told
 from annulus.record.recording import RecordedFrame, Recording, open_recording
 from annulus.stream.frames import FrameHeader
 from annulus.vocabulary import AnnulusError, Label
@@ -85,6 +87,7 @@ def identity(path: Path) -> dict[str, Any]:
     parts = recording.parts or (recording,)
     size = sum(part.path.stat().st_size for part in parts)
     times = [frame.timestamp_ns for frame in recording.frames]
+    marks = read_marks(recording)
     return {
         "recording": str(path), "parts": len(parts), "bytes": size, "torn": recording.torn,
         "cut_frames_at_most": recording.cut_frames, "power_cut_frames_at_most": _at_risk(recording),
@@ -92,12 +95,12 @@ def identity(path: Path) -> dict[str, Any]:
         "first_frame": _of_day(recording, min(times, default=None)),
         "last_frame": _of_day(recording, max(times, default=None)),
         "seconds": round((max(times) - min(times)) / 1e9, 3) if times else 0.0,
-        "from": first.get("utc"), "to": last.get("utc"), "job": last.get("job"),
+        "from": first.get("utc"), "to": last.get("utc"), "job": job_told(recording).to_dict() or None,
         "controller": last.get("controller"), "cameras": last.get("cameras"), "versions": first.get("versions"),
         "segments": len({frame.segment for frame in recording.frames if frame.label is not Label.UNKNOWN}),
         "frames_of_assumed_place": len(assumed),
         "z_bound_mm": max((frame.z_bound_mm for frame in assumed), default=0.0),
-        "evidence": TOPIC in recording.topics,
+        "evidence": TOPIC in recording.topics, "marks": len(marks.of) + marks.left_out, "marks_unread": marks.unread,
     }  # fmt: skip
 
 

@@ -26,7 +26,10 @@ BODY_MAX = 1 << 24
 CARRIED_MAX = 512  # bytes of anything a viewer sends; a CURVE handshake takes 400
 STRANGE_MAX = 1 << 16  # bytes of subscriptions to topics that there are not, of all viewers
 STANDING_MAX = 1 << 16  # bytes of those to topics that there may be, and that stand
-TOPICS = (b"frame/", b"label", b"profile", b"sensor/", b"mark", b"state", b"telemetry", b"event", b"ended", b"health")
+TOPICS = (
+    b"frame/", b"label", b"profile", b"sensor/", b"mark", b"job", b"state", b"telemetry", b"event", b"begun", b"ended",
+    b"health", b"preview/", b"rows/", b"slits/", b"wall", b"defects", b"closeup",
+)  # fmt: skip
 
 
 class Publisher:

@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 from synthetic_pipe import CALIBRATION, bump, pocket, round_pipe, scan
 
-from annulus.job import JobSheet, Origin
+from annulus.job import JobSheet, Observation, Origin
 from annulus.numeric.rounding import MEASURE, said
 from annulus.report import Account, head_kind, write
 from annulus.report.close_up import CIRCLE_PX, SWING_PX, across
+from annulus.report.marks import marks_of
 from annulus.untrusted import parse_toml
 from annulus.wall import LedFrame, Survey, survey
 from annulus.wall.conformity import Criteria, judge
@@ -70,6 +71,34 @@ def test_the_job_is_on_the_page_and_what_nobody_said_is_not_made_up(page: tuple[
     assert page[1]["job"] == {"client": "The <i>Works</i>", "sdr": 11.0}
     assert page[1] == json.loads((page[2] / "summary.json").read_text())
     assert "Signature" in words
+
+
+def test_what_the_operator_marked_is_on_the_page_the_maps_and_in_the_summary(pipe: Survey, tmp_path: Path) -> None:
+    photo = bytes(cv2.imencode(".jpg", np.full((30, 40, 3), 90, np.uint8))[1])
+    marks = (
+        Observation(130.0, "<script>alert(1)</script>", 95.0, "2026-11-25T06:01:02+00:00", photo, "photo"),
+        Observation(145.0, "ring of rust", picture=photo, shows="frame", frame=24, camera=1),
+        Observation(math.nan, "", photo_unread=True),
+    )
+    plain = write(pipe, account(), tmp_path / "plain")
+    summary = write(pipe, account(origin=Origin(observations=marks, marks_left_out=3)), tmp_path / "marked")
+    html = (tmp_path / "marked/report.html").read_text("utf-8")
+    words = text(html)
+    assert "<script" not in html and "&lt;script&gt;alert(1)" in words and html.count("data:image/jpeg") >= 2
+    for told in (
+        "M1 0.130 3:10", "2026-11-25 06:01:02", "M2 0.145 not said ring of rust not recorded", "3 further marks",
+        "M3 not known not said nothing not recorded its photo cannot be read", "M1: photo by the operator.",
+        "M2: LED frame 24 of camera 1, taken there", "where the head stood at that moment",
+    ):  # fmt: skip
+        assert told in words, told
+    assert html.index('id="defects"') < html.index('id="details"') < html.index('id="observations"')
+    first = {"mark": "M1", "z_mm": 130.0, "clock_deg": 95.0, "clock": "3:10", "text": "<script>alert(1)</script>",
+             "utc": "2026-11-25T06:01:02+00:00", "picture": "photo", "frame": None, "camera": 0}  # fmt: skip
+    assert summary["observations"][0] == first and summary["observations"][2]["z_mm"] is None
+    assert summary["marks_left_out"] == 3 and plain["observations"] == []
+    assert "Observations" not in text((tmp_path / "plain/report.html").read_text("utf-8"))
+    assert (tmp_path / "marked/unwrapped.png").read_bytes() != (tmp_path / "plain/unwrapped.png").read_bytes()
+    assert [one.name for one in marks_of(pipe, marks)][-2:] == ["M1", "M2"]  # of no place, no mark
 
 
 def test_the_verdict_is_on_the_page_and_in_the_summary(page: tuple[str, dict[str, Any], Path]) -> None:

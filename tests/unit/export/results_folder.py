@@ -52,6 +52,10 @@ SUMMARY = {
         place("cross bore", 270.0, 8.0, 180.0, 30.0, remark="+a sewer"),
         place("joint", 290.0, 6.0, 0.0, 360.0, remark="coupling"),
     ],
+    "observations": [
+        {"mark": "M1", "z_mm": 151.0, "clock_deg": 91.2, "text": "=1+1 weeps", "utc": "2026-05-04T09:02:00+00:00"},
+        {"mark": "M2", "z_mm": None, "clock_deg": None, "text": "", "utc": None},
+    ],
     "versions": {"annulus": "0.1.0"},
     "warnings": [{"kind": "dark", "text": "one frame is dark", "frames": [1]}],
 }  # fmt: skip

@@ -6,6 +6,7 @@ from datetime import time
 from pathlib import Path
 from typing import Any
 
+import ezdxf
 import openpyxl
 import pandas
 import pytest
@@ -109,6 +110,15 @@ def test_the_workbooks_stations_are_those_of_the_results(written: Written, folde
     assert (1000 * theirs["Distance [m]"] - ours["z_mm"]).abs().max() < 1e-9
     assert (theirs["Mean diameter [mm]"] - ours["diameter_mean_mm"]).abs().max() < 1e-9
     assert theirs["Mean diameter [mm]"].isna().sum() == 1  # a station that says nothing
+
+
+def test_what_the_operator_marked_has_a_sheet_and_a_cross_in_the_plan(written: Written) -> None:
+    rows = list(openpyxl.load_workbook(written("xlsx"))["Observations"].iter_rows(min_row=2, values_only=True))
+    assert rows[0] == ("M1", 0.151, time(3, 0), "=1+1 weeps", "2026-05-04T09:02:00+00:00")
+    assert rows[1] == ("M2", None, None, None, None)
+    plan = [one for one in ezdxf.readfile(written("dxf")).modelspace() if one.dxf.layer == "PLAN-OBSERVATIONS"]
+    assert sorted(one.dxftype() for one in plan) == ["LINE", "LINE", "TEXT"]
+    assert [one.dxf.start.x + one.dxf.end.x for one in plan if one.dxftype() == "LINE"] == pytest.approx([302.0] * 2)
 
 
 def test_no_text_becomes_a_formula(written: Written) -> None:

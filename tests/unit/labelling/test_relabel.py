@@ -120,4 +120,4 @@ def test_an_audit_tells_programs_and_people(
     monkeypatch.setattr("sys.argv", ["annulus", "record", "info", str(path), "--json"])
     with pytest.raises(SystemExit):
         main()
-    assert json.loads(capsys.readouterr().out)["job"] == {"where": "Elm Street"}
+    assert json.loads(capsys.readouterr().out)["job"] == {"site": "Elm Street"}
