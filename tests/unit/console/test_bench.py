@@ -1,5 +1,5 @@
-"""Promises of what Bench and Job ask the console itself: numbers are those of `annulus timing` and `burst show`; a sheet
-is checked field by field before the daemon sees it.
+"""Promises of what Bench and Job ask the console itself: numbers are those of `annulus timing` and `burst show`; a
+sheet is checked field by field before the daemon sees it.
 """
 
 import asyncio
