@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
 import pytest
 from starlette.applications import Starlette
 from starlette.testclient import TestClient
@@ -15,6 +16,7 @@ from starlette.testclient import TestClient
 from annulus.capture.timing import FrameTiming
 from annulus.console.answers import Refusal, refused
 from annulus.console.bench import burst_arguments, frame_timing, job_errors, job_fields, routes
+from annulus.console.light import light
 from annulus.job import WORDS
 from annulus.vocabulary import AnnulusError
 
@@ -127,3 +129,13 @@ def test_every_field_of_a_sheet_is_asked_for(web: TestClient) -> None:
     assert [one["name"] for one in fields] == list(WORDS) and fields == json.loads(json.dumps(job_fields()))
     assert {one["kind"] for one in fields} == {"text", "number", "date", "long"}
     assert web.post("/api/job/check", json={"job": {"sdr": 1}}).json()["errors"].keys() == {"sdr"}
+
+
+def test_banding_is_the_spread_of_the_bands_and_unknown_in_the_dark() -> None:
+    bands = np.full(64, 100.0, "<f4")
+    bands[:8] = 60.0
+    said = light(0, "projector", 7, bands.tobytes())
+    assert (said["mean"], said["banding_percent"]) == (95.0, 42.1)
+    assert light(0, "led", 8, np.zeros(64, "<f4").tobytes())["banding_percent"] is None
+    assert light(0, "led", 8, np.full(64, np.nan, "<f4").tobytes())["mean"] == 0.0
+    assert light(0, "led", 8, b"")["mean"] == 0.0
