@@ -23,7 +23,7 @@ from mcap.records import Statistics
 from annulus import untrusted
 from annulus.job import JobSheet
 from annulus.record.clock import CLOCK_FILE, Clock
-from annulus.record.origin import IDENTITY
+from annulus.record.origin import IDENTITY, JOB_TOPIC
 from annulus.record.parts import PART_FILE, later_paths, part_of
 from annulus.record.recording import FRAME_TOPIC, LABEL_TOPIC, Z_MAX_MM, from_json
 from annulus.record.walk import ATTACHMENT_MAX, MAGIC, Channel, DamagedError, Walk, piece
@@ -31,7 +31,6 @@ from annulus.vocabulary import AnnulusError
 
 HEAD = 64 << 20  # bytes, stepped over: attachments, what was said at the start, the first label with a place
 TAIL = 8 << 20  # bytes before the index: four frames as they are, and the identity that ends a recording
-JOB = "/job"  # what an operator said of it while it was recorded
 NAMES = 1 << 16  # bytes of the index that name channels and count messages
 CONFIGURATION_FILE = "configuration.json"
 CALIBRATION_FILE = "calibration.json"
@@ -140,7 +139,7 @@ def _seen(file: IO[bytes], size: int, changed_s: float) -> _File:
     times = [one.time_ns for one in (*head.messages, *tail.messages)]
     configuration, calibration = (_attached(head, name) for name in (CONFIGURATION_FILE, CALIBRATION_FILE))
     who = _last(tail, channels, IDENTITY) or _last(head, channels, IDENTITY)
-    told = _last(tail, channels, JOB) or _last(head, channels, JOB)
+    told = _last(tail, channels, JOB_TOPIC) or _last(head, channels, JOB_TOPIC)
     return _File(
         size,
         changed_s,
