@@ -148,9 +148,7 @@ def _seen(file: IO[bytes], size: int, changed_s: float) -> _File:
         Clock.from_dict(_attached(head, CLOCK_FILE)),
         (next((z for z in first if z is not None), None), next((z for z in last if z is not None), None)),
         frames,
-        JobSheet.recorded(_section(configuration, "job"))
-        .under(JobSheet.recorded(who.get("job")))
-        .under(JobSheet.recorded(told)),
+        JobSheet.recorded(_section(configuration, "job")).under(JobSheet.recorded(who.get("job"))).over_told(told),
         calibration,
     )
 

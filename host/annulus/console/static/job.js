@@ -100,7 +100,6 @@ export function mount(root, app) {
     const job = Object.fromEntries(names.map((name) => [name, value(fields.get(name))]));
     try {
       const { errors } = await app.post("/api/job/check", { job });
-      for (const name of names) if (job[name] === "") errors[name] = t("job.kept");
       for (const [name, field] of fields) complain(field, errors[name] ?? "");
       const first = names.find((name) => name in errors);
       if (first !== undefined) {
