@@ -37,7 +37,7 @@ export class Board {
     this.from = from;
     this.to = to;
     this.height = height;
-    this.left = this.width < 500 ? 66 : LEFT;
+    this.left = this.width < 500 ? 80 : LEFT;
     set(this.svg, { viewBox: `0 0 ${this.width} ${height}`, width: this.width, height });
     const inside = unique("inside");
     const frame = svg("rect", { x: this.left, y: 0, width: this.width - this.left - RIGHT, height });
