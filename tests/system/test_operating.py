@@ -137,7 +137,7 @@ def test_three_operators_who_ask_at_random_break_nothing(head: HeadHandle, tmp_p
                         mine.start, mine.start, lambda: mine.trial(2.0), mine.hold, mine.stop, mine.pause, mine.resume,
                         mine.zero, mine.about, mine.state, lambda: mine.mark("x", 90.0, b"\xff\xd8\xff" + bytes(1000)),
                         lambda: mine.command(take=rng.random() < 0.3), mine.release,
-                        lambda: mine.lamps(commit=True, trial=rng.random() < 0.5, led_width_us=rng.choice((900.0, 5e4))),
+                        lambda: mine.lamps(commit=True, trial=rng.random() < 0.5, led_width_us=rng.choice((9e2, 5e4))),
                         lambda: mine.job(JobSheet(client=str(rng.random()))), lambda: time.sleep(2 * rng.random()),
                     ]  # fmt: skip
                     while time.monotonic() < end:
