@@ -13,7 +13,11 @@ from annulus.extras import EXTRA_OF, adds, need, requirements
 from annulus.vocabulary import AnnulusError
 
 ROOT = Path(__file__).resolve().parents[2]
-IMPORTED = {"scikit-fem": "skfem", "pyvisa-py": "pyvisa_py"}  # as; by their own names otherwise
+IMPORTED = {
+    "scikit-fem": "skfem",
+    "pyvisa-py": "pyvisa_py",
+    "foxglove-sdk": "foxglove",
+}  # as; by their own names otherwise
 BLOCKED = f"""
 import sys
 class Nobody:

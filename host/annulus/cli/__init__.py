@@ -17,7 +17,7 @@ from annulus.cli.fringe import BY, By
 from annulus.cli.manual import docs
 from annulus.cli.pdf import Sheet, on_paper
 from annulus.cli.sample import sample
-from annulus.cli.show import Json, print_findings, progress, tell
+from annulus.cli.show import Bars, Json, print_findings, progress, tell
 from annulus.cli.terminal import escaped
 from annulus.numeric.compiling import telling
 from annulus.untrusted import one_line
@@ -128,6 +128,10 @@ def reconstruct(
     ] = None,
     pdf: Annotated[bool, typer.Option("--pdf", help="Write report.pdf too; needs the extra pdf.")] = False,
     paper: Annotated[Sheet, typer.Option(help="Of report.pdf.")] = Sheet.A4,
+    told: Annotated[
+        Bars,
+        typer.Option("--progress", help='How progress is told: a bar, or {"what", "done", "total"} a line of stderr.'),
+    ] = Bars.BAR,
     as_json: Json = False,
 ) -> None:
     """From frames to the pipe wall: cloud, mesh, maps, stations, defects and a report.
@@ -158,18 +162,18 @@ def reconstruct(
             if given:
                 raise AnnulusError(f"{option} does not go with {calibration or scan}: its head projects fringes")
         if wall == "pipe" or calibration is None:
-            _reconstruct_fringe_pipe(scan, calibration, out, sheet, criteria, printed, as_json)
+            _reconstruct_fringe_pipe(scan, calibration, out, sheet, criteria, printed, told, as_json)
         else:
-            for option, told in (("--job", job), ("--limits", limits)):
-                if told:
+            for option, named in (("--job", job), ("--limits", limits)):
+                if named:
                     raise AnnulusError(f"{option} does not go with {scan}: a plate has no report of a pipe")
-            _reconstruct_fringe(scan, calibration, out, by, printed, as_json)
+            _reconstruct_fringe(scan, calibration, out, by, printed, told, as_json)
         return
     work = open_job(scan, calibration, colour=colour, reference=reference)
     origin = origin_of(work.scan, calibration, sheet)
     prepare_folder(out)
     make_ready(work.calibration, tell)
-    with progress() as bars:
+    with progress(told) as bars:
         done = reprocess(work, Processes(workers), bars)
         survey = done.survey(vibration=vibration_filter, fps=fps, progress=bars)
     verdict = None if criteria is None else judge(survey, criteria)
@@ -194,7 +198,7 @@ def _criteria(limits: Path | None) -> "Criteria | None":
 
 def _reconstruct_fringe_pipe(
     scan: Path, calibration: Path | None, out: Path, sheet: "JobSheet", criteria: "Criteria | None",
-    printed: "Paper | None", as_json: bool,
+    printed: "Paper | None", told: Bars, as_json: bool,
 ) -> None:  # fmt: skip
     from annulus.record.origin import origin_of
     from annulus.report import FRINGE, Account, prepare_folder, write
@@ -204,7 +208,7 @@ def _reconstruct_fringe_pipe(
     job = open_fringe_pipe(scan, calibration)
     origin = origin_of(job.scan, calibration, sheet)
     prepare_folder(out)
-    with progress() as bars:
+    with progress(told) as bars:
         found = reconstruct_fringe_pipe(job, bars)
     counts = job.scan.counts()
     drops = {**job.scan.lost(), "frames_unknown": counts["unknown"]}
@@ -225,7 +229,7 @@ def _reconstruct_fringe_pipe(
 
 
 def _reconstruct_fringe(
-    scan: Path, calibration: Path, out: Path, by: By, printed: "Paper | None", as_json: bool
+    scan: Path, calibration: Path, out: Path, by: By, printed: "Paper | None", told: Bars, as_json: bool,
 ) -> None:  # fmt: skip
     from annulus.numeric.rounding import MEASURE, SHARE, off, said, span
     from annulus.report import Account, prepare_folder, write_plate
@@ -233,7 +237,7 @@ def _reconstruct_fringe(
 
     job = open_fringe(scan, calibration, "cameras" if by is By.CAMERAS else "slide")
     prepare_folder(out)
-    with progress() as bars:
+    with progress(told) as bars:
         plate = reconstruct_fringe(job, bars)
     counts = job.scan.counts()
     drops = {**job.scan.lost(), "frames_unknown": counts["unknown"]}

@@ -1,38 +1,133 @@
 """`annulus console`: the page from which a head is run."""
 
 import contextlib
-import sys
 import tempfile
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from annulus.cli.show import tell
 from annulus.vocabulary import AnnulusError
 
-EXAMPLE = "Example: annulus console --demo"
+if TYPE_CHECKING:
+    from annulus.console.program import Daemon, Door
+    from annulus.stream.access import ClientKeys
+
+EXAMPLE = "Example: annulus console --config head.toml --surveys scans"
+PARTS = 2
 
 
 def console(
-    daemon: Annotated[str | None, typer.Option(metavar="PUBLISH,CONTROL", help="The daemon's two addresses.")] = None,
+    daemon: Annotated[
+        str | None,
+        typer.Option(metavar="PUBLISH,CONTROL", help="The daemon's two addresses, as head.toml has them."),
+    ] = None,
+    config: Annotated[Path | None, typer.Option(help="The daemon's head.toml, where it is on this machine.")] = None,
     demo: Annotated[bool, typer.Option("--demo", help="Start a simulated head and a daemon for it.")] = False,
-    host: Annotated[str, typer.Option(help="Address to serve the page at.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port to serve the page at.")] = 8600,
-    out: Annotated[Path | None, typer.Option("-o", "--out", help="Folder for what --demo writes; kept.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Folder for what --demo writes; a temporary one if not given.")
+    ] = None,
+    fps: Annotated[float, typer.Option(min=1.0, max=60.0, help="Frames per second of --demo.")] = 10.0,
+    key_file: Annotated[
+        Path | None, typer.Option(help="This console's secret CURVE key, as head.toml's key_file is the daemon's.")
+    ] = None,
+    daemon_key: Annotated[
+        str | None,
+        typer.Option(metavar="KEY[,KEY]", help="The daemon's public CURVE key, or those of its two sockets."),
+    ] = None,
+    host: Annotated[str, typer.Option(help="Address to serve the page at; any but loopback needs TLS.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port to serve the page at; 0: any.")] = 8600,
+    tls_cert: Annotated[Path | None, typer.Option(help="Certificate, PEM.")] = None,
+    tls_key: Annotated[Path | None, typer.Option(help="Its key, PEM.")] = None,
+    name: Annotated[list[str] | None, typer.Option(help="A name by which browsers reach this machine.")] = None,
+    login: Annotated[bool, typer.Option("--login", help="Ask for the password on loopback, too.")] = False,
+    new_password: Annotated[bool, typer.Option("--new-password", help="Make and print another password.")] = False,
+    surveys: Annotated[
+        list[Path] | None, typer.Option(help="Folder of recordings and results to show; may be repeated.")
+    ] = None,
 ) -> None:
     """Serve the page from which a head is run, until Ctrl-C."""
     from annulus.console.demo import simulated
-    from annulus.console.web import State, serve
+    from annulus.console.program import Daemon, Program
+    from annulus.console.serving import serve
+    from annulus.extras import need
 
+    if sum((daemon is not None, config is not None, demo)) != 1:
+        raise AnnulusError("expected one of --demo, --config head.toml and --daemon PUBLISH,CONTROL")
+    for needed in ("uvicorn", "starlette", "websockets"):
+        need(needed)
+    door = _door(host, port, tls_cert, tls_key, tuple(name or ()), login or new_password, new_password)
+    folders = list(surveys or ())
     with contextlib.ExitStack() as stack:
         if demo:
             folder = out or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="annulus-console-")))
-            folder.mkdir(parents=True, exist_ok=True)
-            print("starting a simulated head and its daemon", file=sys.stderr, flush=True)
-            publish, control = stack.enter_context(simulated(folder))
-        elif daemon is not None and daemon.count(",") == 1:
-            publish, control = daemon.split(",")
+            tell(f"a simulated head and its daemon come up; what they say is in {folder / 'demo.log'}")
+            where = Daemon(*stack.enter_context(simulated(folder, fps)))
+            folders.append(folder / "scans")
+        elif config is not None:
+            where = _configured(config, key_file)
         else:
-            raise AnnulusError("expected --daemon PUBLISH,CONTROL or --demo")
-        print(f"http://{host}:{port}/", flush=True)
-        serve(State(publish, control, demo=demo), host, port)
+            where = _named(daemon or "", key_file, daemon_key)
+        serve(Program(where, door, demo=demo, surveys=folders))
+
+
+def _door(
+    host: str, port: int, tls_cert: Path | None, tls_key: Path | None, names: tuple[str, ...], login: bool, new: bool
+) -> "Door":
+    from annulus.console.access import Password, is_loopback, password_file
+    from annulus.console.program import Door
+
+    if (tls_cert is None) != (tls_key is None):
+        raise AnnulusError("--tls-cert and --tls-key belong together: give both or neither")
+    if not is_loopback(host) and tls_cert is None:
+        raise AnnulusError(f"--host {host} is reached from outside: it needs --tls-cert and --tls-key")
+    password = None
+    if login or not is_loopback(host):
+        password = Password(password_file())
+        if new or not password.is_there:
+            print(f"password   {password.made()}", flush=True)
+            tell(f"it is shown this once; its hash is kept in {password.path}, --new-password makes another")
+    return Door(host, port, tls_cert, tls_key, names, password)
+
+
+def _configured(config: Path, key_file: Path | None) -> "Daemon":
+    from annulus.console.program import Daemon
+    from annulus.daemon.config import load_config
+
+    head = load_config(config)
+    for section, one in (("publish", head.publish), ("control", head.control)):
+        if one is None:
+            raise AnnulusError(
+                f"{config}: [{section}] is missing, expected its address: without it no console hears or asks"
+            )
+    assert head.publish is not None and head.control is not None
+    publish, control = (
+        None if one.keys is None else _keys(key_file, one.keys.public) for one in (head.publish, head.control)
+    )
+    return Daemon(head.publish.address, head.control.address, publish, control)
+
+
+def _named(daemon: str, key_file: Path | None, daemon_key: str | None) -> "Daemon":
+    from annulus.console.program import Daemon
+
+    addresses = daemon.split(",")
+    if len(addresses) != PARTS or not all("://" in one for one in addresses):
+        raise AnnulusError(f"--daemon {daemon}: expected two addresses, tcp://127.0.0.1:5601,tcp://127.0.0.1:5602")
+    if daemon_key is None:
+        if key_file is not None:
+            raise AnnulusError("--key-file goes with --daemon-key, the daemon's public key")
+        return Daemon(addresses[0], addresses[1])
+    servers = daemon_key.split(",") * (1 if "," in daemon_key else PARTS)
+    if len(servers) != PARTS:
+        raise AnnulusError(f"--daemon-key: {len(servers)} keys, expected one or two")
+    publish, control = (_keys(key_file, server) for server in servers)
+    return Daemon(addresses[0], addresses[1], publish, control)
+
+
+def _keys(key_file: Path | None, server: str) -> "ClientKeys":
+    from annulus.console.access import client_keys
+
+    if key_file is None:
+        raise AnnulusError("the daemon wants keys: --key-file names this console's secret CURVE key")
+    return client_keys(key_file, server)

@@ -2,8 +2,10 @@
 
 import json
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from enum import StrEnum
 from typing import Annotated, Any, Protocol
 
 import typer
@@ -18,6 +20,15 @@ ChipUs = Annotated[
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print the answer as JSON.")]
 
+SAID_S = 0.2  # between two lines of one kind of progress
+
+
+class Bars(StrEnum):
+    """How progress is told on stderr."""
+
+    BAR = "bar"
+    JSON = "json"
+
 
 def group(help: str) -> typer.Typer:
     """A noun with verbs below it."""
@@ -25,13 +36,19 @@ def group(help: str) -> typer.Typer:
 
 
 @contextmanager
-def progress() -> Iterator[Callable[[str, int, int], None]]:
-    """A progress bar on stderr, fed with (what, done, total)."""
+def progress(how: Bars = Bars.BAR) -> Iterator[Callable[[str, int, int], None]]:
+    """A progress bar on stderr, or lines of JSON, fed with (what, done, total)."""
+    if how is Bars.JSON:
+        yield _lines()
+        return
+    from rich import progress as rich
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    columns = (TextColumn("{task.description:<24}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    bars = Progress(*columns, console=Console(file=as_it_is(sys.stderr)))
+    columns = (
+        rich.TextColumn("{task.description:<24}"), rich.BarColumn(), rich.MofNCompleteColumn(),
+        rich.TimeRemainingColumn(),
+    )  # fmt: skip
+    bars = rich.Progress(*columns, console=Console(file=as_it_is(sys.stderr)))
     tasks: dict[str, Any] = {}
 
     def report(what: str, done: int, total: int) -> None:
@@ -45,6 +62,19 @@ def progress() -> Iterator[Callable[[str, int, int], None]]:
     finally:
         if tasks:
             bars.stop()
+
+
+def _lines() -> Callable[[str, int, int], None]:
+    """The first, the last, and now and then one between."""
+    said: dict[str, float] = {}
+
+    def report(what: str, done: int, total: int) -> None:
+        now = time.monotonic()
+        if done >= total or now - said.get(what, -SAID_S) >= SAID_S:
+            said[what] = now
+            tell(json.dumps({"what": what, "done": done, "total": total}))
+
+    return report
 
 
 class Found(Protocol):

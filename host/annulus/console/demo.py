@@ -1,4 +1,4 @@
-"""A simulated head and a daemon for it, as child processes, for `annulus console --demo`."""
+"""A simulated head and a daemon for it, as child processes, for The console with a simulated head."""
 
 import contextlib
 import os
@@ -12,7 +12,6 @@ from pathlib import Path
 
 from annulus.vocabulary import AnnulusError
 
-FPS = 10.0
 REMARK = "annulus console, demonstration: head and pipe are simulated, nothing of this was measured"
 UP_S = 300.0  # a fresh install compiles the renderer first
 END_S = 15.0
@@ -25,17 +24,21 @@ _RUN = (
 
 
 @contextlib.contextmanager
-def simulated(out: Path, fps: float = FPS, log: Path | None = None) -> Iterator[tuple[str, str]]:
-    """A head and its daemon, idle; where it publishes and is controlled. `out` holds what they write."""
+def simulated(out: Path, fps: float) -> Iterator[tuple[str, str]]:
+    """A head and its daemon, which come up; where it publishes and is controlled. `out` holds what they write."""
     publish, control = (f"tcp://127.0.0.1:{port}" for port in _free_ports(2))
     toml = out / "head.toml"
     children: list[subprocess.Popen[bytes]] = []
-    with (log or out / "demo.log").open("ab") as said:
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        said = (out / "demo.log").open("wb")
+    except OSError as error:
+        raise AnnulusError(f"{out}: cannot be written ({error.strerror})") from None
+    with said:
         try:
             toml.unlink(missing_ok=True)
             children.append(_child(["twin", "run", "--fps", f"{fps:g}", "-o", str(out)], said.fileno()))
-            _wait(children, toml.is_file, out)
-            time.sleep(0.1)
+            _wait(children, out)
             with toml.open("a") as file:
                 file.write(
                     f'\n[publish]\naddress = "{publish}"\n\n[control]\naddress = "{control}"\nautostart = false\n'
@@ -64,11 +67,11 @@ def _end(child: "subprocess.Popen[bytes]") -> None:
         child.wait()
 
 
-def _wait(children: list["subprocess.Popen[bytes]"], done: "object", out: Path) -> None:
+def _wait(children: Sequence["subprocess.Popen[bytes]"], out: Path) -> None:
     end = time.monotonic() + UP_S
-    while not done():  # type: ignore[operator]
+    while "head.toml is what" not in (log := (out / "demo.log").read_text(errors="replace")):
         if any(child.poll() is not None for child in children) or time.monotonic() > end:
-            last = (out / "demo.log").read_text(errors="replace").strip().splitlines()[-1:]
+            last = log.strip().splitlines()[-1:]
             raise AnnulusError(f"the simulated head did not come up: {''.join(last)}")
         time.sleep(0.1)
 

@@ -1,21 +1,30 @@
-"""What is known of the head now: the daemon's words, passed on to viewers, and kept for who comes later."""
+"""What is known of the head now: the daemon's words, checked, passed on to viewers, and kept for who comes later."""
 
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from annulus import untrusted
 from annulus.console import wire
+from annulus.console.cloud import Cloud
 from annulus.console.feed import Feed
-from annulus.console.hub import Hub, Viewer
+from annulus.console.hub import STATUS, Hub, Viewer
+from annulus.console.kept import CLOSEUPS_MAX, Bounded, CloseUp, Frames, WallPart, WallRows
+from annulus.console.light import light
+from annulus.numeric.palette import DEVIATION_LIVE_MM, deviation_table
+from annulus.stream.frames import CAMERAS_MAX
 
-LOST_S = 1.5
-KEPT = 50  # events and marks told to who comes later
-NO_POINTS, NO_COLOURS = np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8)
-STATUS = ("telemetry", "state", "health", "ended", "defects")
+LOST_S = 1.5  # without a word the daemon is taken for lost
+KEPT = 100  # events and marks told to who comes later
+LATEST = ("telemetry", "state", "health", "ended", "defects")  # topics of which the last word holds
+BLOCK = 20_000  # points; 300 kB
+JPEG_MAX = 1 << 20
+POINTS_MAX = 64 * 4096  # of a profile; wall.profile says so too, and would bring all of the wall
+_NO_POINTS, _NO_COLOURS = np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8)
 
 
 class Live:
@@ -23,64 +32,186 @@ class Live:
 
     def __init__(self, feed: Feed, hub: Hub) -> None:
         self.feed, self.hub = feed, hub
-        self._last: dict[str, bytes] = {}
+        self.frames, self.closeups = Frames(), Bounded(CLOSEUPS_MAX)
+        self.defects: Mapping[str, Any] = {}
+        self.cameras: list[Any] = []
+        self.nominal_radius_mm: float | None = None
+        self._cloud = Cloud()
+        self._walls = {of: WallRows(of) for of in wire.WALLS}
+        self._latest: dict[str, bytes] = {}
         self._told: deque[bytes] = deque(maxlen=KEPT)
-        feed.on_word = self.hear
+        self._table = deviation_table()
+        self._scan: int | None = None  # whose points and wall these are
+        self._state = ""
+        feed.on_word = self._hear
         feed.on_restart = self.begin_anew
         hub.on_wants = feed.want
 
-    def welcome(self, viewer: Viewer) -> None:
-        """Everything that one who comes now must know."""
-        for message in (*self._last.values(), *self._told):
-            viewer.tell("status", message)
-
-    def begin_anew(self) -> None:
-        self._last.clear()
-        self._told.clear()
-        self.hub.send("points", wire.points(wire.ANEW | wire.LAST, 0, NO_POINTS, NO_COLOURS))
-
-    def alive(self) -> Mapping[str, Any]:
+    def alive(self) -> dict[str, Any]:
         age = self.feed.age_s()
         return {
-            "daemon": age is not None and age <= LOST_S,
-            "age_s": age,
-            "viewers": len(self.hub.viewers),
+            "daemon": age is not None and age <= LOST_S, "age_s": age, "viewers": len(self.hub.viewers),
             "lost": dict(self.feed.lost),
-        }
+        }  # fmt: skip
 
-    def hear(self, topic: str, body: Any, part: bytes) -> None:
-        """One word of the daemon's. ValueError when it is not as README.md says."""
-        kind, _, which = topic.partition("/")
-        if kind == "preview":
-            header = untrusted.mapping(body, "preview")
-            index, camera = int(header["index"]), int(which)
-            message = wire.picture(
-                camera, wire.LABELS[header["label"]], index, header["z_mm"], header.get("published", time.time()), part
-            )
-            self.hub.newest(("picture", camera), "pictures", message)
-        elif kind == "rows":
-            header = untrusted.mapping(body, "rows")
-            self.hub.newest(
-                ("rows", which), "rows", wire.rows(int(which), wire.LABELS[header["label"]], int(header["index"]), part)
-            )
-        elif kind == "slits":
-            header = untrusted.mapping(body, "slits")
-            self.hub.newest(("slits", which), "slits", wire.slits(int(which), int(header["index"]), part))
-        elif kind == "wall":
-            w = untrusted.mapping(body, "wall")
-            size = 2 * w["columns"]
-            lines = [part[i : i + size] for i in range(0, len(part), size)]
-            message = wire.wall(w["of"], w["first"], w["step_mm"], w["radius_mm"], w["scan"], w["columns"], lines)
-            self.hub.send("wall", message)
-        elif kind == "profile":
-            points = np.frombuffer(body["points"], "<f4").reshape(-1, 3)
-            colour = np.frombuffer(body["colour"], np.uint8).reshape(-1, 3)
-            self.hub.send("points", wire.points(0, body["frame"], points, colour))
-        elif kind != "closeup":
-            message = wire.status(topic, body)
-            if topic in STATUS or kind == "sensor":
-                self._last[topic] = message
-                self.hub.newest(topic, "status", message) if kind == "sensor" else self.hub.send("status", message)
+    def welcome(self, viewer: Viewer) -> None:
+        """All status that one who comes now must know."""
+        for message in (*self._latest.values(), *self._told):
+            viewer.tell(STATUS, message)
+
+    def latest(self, topic: str, body: Any) -> None:
+        """Status of which the last word holds, to all viewers and to who comes later."""
+        self._latest[topic] = message = wire.status(topic, body)
+        self.hub.send(STATUS, message)
+
+    def begin_anew(self) -> None:
+        """Another daemon, or the same one from its beginning."""
+        self._latest.clear()
+        self._told.clear()
+        self._state = ""
+        self._forget(None)
+
+    def catch_up(self, what: frozenset[str]) -> Iterator[bytes]:
+        """The points so far and the wall, made while they are asked for."""
+        while "points" in what:
+            generation, at, flags = self._cloud.generation, 0, wire.ANEW
+            while self._cloud.generation == generation:
+                xyz, rgb = self._cloud.block(at, BLOCK)
+                at += len(xyz)
+                if at >= len(self._cloud):
+                    yield wire.points(flags | wire.LAST, 0, xyz, rgb)
+                    what = what - {"points"}
+                    break
+                yield wire.points(flags, 0, xyz, rgb)
+                flags = 0
+        if "wall" in what:
+            for wall in self._walls.values():
+                yield from wall.messages()
+
+    def _forget(self, scan: int | None) -> None:
+        """What was of the scan before."""
+        self._scan = scan
+        self._cloud.clear()
+        self.frames.clear()
+        self.closeups.clear()
+        self.defects = {}
+        self._latest.pop("defects", None)
+        for wall in self._walls.values():
+            wall.clear()
+        self.hub.send("points", wire.points(wire.ANEW | wire.LAST, 0, _NO_POINTS, _NO_COLOURS))
+
+    def _of_scan(self, number: object) -> None:
+        if isinstance(number, int) and number != self._scan:
+            if self._scan is None:
+                self._scan = number
             else:
-                self._told.append(message)
-                self.hub.send("status", message)
+                self._forget(number)
+
+    def _hear(self, topic: str, body: Any, part: bytes) -> None:
+        """One word of the daemon's. ValueError when it is not as the daemon's README says."""
+        kind = topic.partition("/")[0]
+        hears = {
+            "preview": self._preview, "rows": self._rows, "slits": self._slits, "wall": self._wall,
+            "profile": self._profile, "closeup": self._closeup,
+        }.get(kind)  # fmt: skip
+        if hears is not None:
+            hears(body, part)
+            return
+        said = untrusted.mapping(body, kind)
+        if topic == "state":
+            state = said.get("state")
+            if state == "armed" and self._state == "idle":  # before a second has passed, and telemetry tells
+                self._forget(None)
+            self._state = str(state)
+        elif topic in ("telemetry", "defects"):
+            self._of_scan(said.get("scan"))
+        if topic == "defects":
+            self._defects(said)
+        if kind == "sensor":
+            self._latest[topic] = message = wire.status(topic, body)
+            self.hub.newest(topic, STATUS, message)
+        elif topic in LATEST:
+            self.latest(topic, body)
+        else:
+            self._told.append(message := wire.status(topic, body))
+            self.hub.send(STATUS, message)
+
+    def _preview(self, body: Any, part: bytes) -> None:
+        camera, label, index, header = _header(body, "preview")
+        z = header.get("z_mm")
+        z_mm = None if z is None else untrusted.number(z, "preview: z_mm", 1e9)
+        published = untrusted.number(header.get("published", time.time()), "preview: published", 1e12)
+        if len(part) > JPEG_MAX or part[:2] != b"\xff\xd8":
+            raise ValueError(f"preview: {len(part)} bytes, expected a JPEG of at most {JPEG_MAX}")
+        self.frames.put(camera, index, part)
+        message = wire.picture(camera, label, index, z_mm, published, part)
+        self.hub.newest(("picture", camera), "pictures", message)
+
+    def _rows(self, body: Any, part: bytes) -> None:
+        camera, label, index, _ = _header(body, "rows")
+        if len(part) % 4 or len(part) > 4096:
+            raise ValueError(f"rows: {len(part)} bytes, expected float32")
+        self.hub.newest(("rows", camera, label), "rows", wire.rows(camera, label, index, part))
+        told = light(camera, str(body.get("label")), index, part)
+        self.hub.newest(("light", camera, label), "rows", wire.status("light", told))
+
+    def _slits(self, body: Any, part: bytes) -> None:
+        camera, _, index, _ = _header(body, "slits")
+        if len(part) % 5 or len(part) > 5 * 65535:
+            raise ValueError(f"slits: {len(part)} bytes, expected five a point")
+        self.hub.newest(("slits", camera), "slits", wire.slits(camera, index, part))
+
+    def _wall(self, body: Any, part: bytes) -> None:
+        wall = WallPart.parse(body, part)
+        self._of_scan(wall.scan)
+        self.nominal_radius_mm = wall.radius_mm
+        self._walls[wall.of].put(wall)
+        self.hub.send("wall", wall.message())
+
+    def _profile(self, body: Any, part: bytes) -> None:
+        told = untrusted.mapping(body, "profile")
+        frame = untrusted.whole(told.get("frame"), "profile: frame", 0, 2**63 - 1)
+        data = told.get("points", b"")
+        if not isinstance(data, bytes) or len(data) % 12 or len(data) > 12 * POINTS_MAX:
+            raise ValueError("profile: points must be three float32 each")
+        xyz = np.frombuffer(data, "<f4").reshape(-1, 3)
+        if not np.isfinite(xyz).all():
+            raise ValueError("profile: points must be finite")
+        if len(xyz):
+            rgb = self._coloured(xyz)
+            self._cloud.add(xyz, rgb)
+            self.hub.send("points", wire.points(0, frame, xyz, rgb))
+
+    def _coloured(self, xyz: NDArray[np.float32]) -> NDArray[np.uint8]:
+        """(N, 3) by how far each point's radius is from the nominal, or from the usual one where that is not known."""
+        radius = np.hypot(xyz[:, 0], xyz[:, 1])
+        if self.nominal_radius_mm is None:
+            self.nominal_radius_mm = float(np.median(radius))
+        at = (radius - np.float32(self.nominal_radius_mm)) * np.float32(127.5 / DEVIATION_LIVE_MM) + np.float32(128.0)
+        return np.asarray(self._table[np.clip(at, 0, 255).astype(np.uint8)])
+
+    def _closeup(self, body: Any, part: bytes) -> None:
+        closeup = CloseUp.parse(body, part)
+        key = closeup.numbers["scan"], closeup.numbers["id"]
+        self.closeups.put(key, closeup, len(part) + 4000)
+
+    def _defects(self, said: Mapping[str, Any]) -> None:
+        self.defects = said
+        found = said.get("defects")
+        for one in found if isinstance(found, list) else ():
+            frames = one.get("frames") if isinstance(one, Mapping) else None
+            if isinstance(frames, list):
+                self.frames.keep(
+                    [index for index in frames if isinstance(index, int)], range(max(1, len(self.cameras)))
+                )
+
+
+def _header(body: Any, what: str) -> tuple[int, int, int, Mapping[str, Any]]:
+    """camera, label, index, all of it."""
+    header = untrusted.mapping(body, what)
+    return (
+        untrusted.whole(header.get("camera", 0), f"{what}: camera", 0, CAMERAS_MAX - 1),
+        wire.LABELS.get(str(header.get("label")), 0),
+        untrusted.whole(header.get("index"), f"{what}: index", 0, 2**32 - 1),
+        header,
+    )

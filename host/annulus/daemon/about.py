@@ -8,8 +8,7 @@ from typing import Any
 
 from annulus.controller import LAMP_DUTY_MAX_PERMILLE, LAMP_WIDTH_MAX_TICKS, TICKS_PER_US
 from annulus.daemon.config import HeadConfig
-from annulus.daemon.controller_line import ControllerLine
-from annulus.daemon.request import lamp_numbers
+from annulus.daemon.controller_line import ControllerLine, lamp_numbers
 from annulus.untrusted import printable
 
 NAMES_MAX = 32  # sections of a provenance, and names in one

@@ -1,12 +1,15 @@
 """The controller and its line, in service: identified, opened again when it breaks, and what it says told to people."""
 
 import time
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from typing import Any
 
 from annulus.controller import LAMP_DUTY_MAX_PERMILLE, LAMP_WIDTH_MAX_TICKS, TICKS_PER_US
 from annulus.daemon.account import Account
-from annulus.daemon.config import HeadConfig
+from annulus.daemon.config import HeadConfig, LampConfig
 from annulus.daemon.observer import Observer
+from annulus.daemon.request import LAMP_KEYS
 from annulus.link.head import HeadControl, HeadEvent, Phase, PhaseChanged
 from annulus.link.messages import Fault, Preamble, Stage, StateFlag, SyncFound, SyncLost, TurntableStopped
 from annulus.link.operate import why_it_stopped
@@ -210,6 +213,18 @@ class ControllerLine:
             self._told_of_preambles = True
             tell("preamble", too_old(Preamble))
         return heard
+
+
+def with_lamps(lamps: LampConfig, asked: Mapping[str, float]) -> LampConfig:
+    """A configuration with some of its times another."""
+    values: dict[str, Any] = dict(asdict(lamps))
+    values.update({name: int(value) if name == "ratio" else value for name, value in asked.items()})
+    return LampConfig(**values)
+
+
+def lamp_numbers(lamps: LampConfig) -> dict[str, float]:
+    """What of it a request may change."""
+    return {name: getattr(lamps, name) for name in LAMP_KEYS}
 
 
 def check_lamps(config: HeadConfig, *, window: bool) -> None:

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 from annulus.daemon.about import about
 from annulus.daemon.command import Command
 from annulus.daemon.config import HeadConfig, LampConfig
-from annulus.daemon.controller_line import check_lamps, preamble_for, stage_of
+from annulus.daemon.controller_line import check_lamps, lamp_numbers, preamble_for, stage_of, with_lamps
 from annulus.daemon.observer import Mark
-from annulus.daemon.request import COMMANDED, Do, Request, lamp_numbers, with_lamps
+from annulus.daemon.request import COMMANDED, Do, Request
 from annulus.vocabulary import AnnulusError
 
 if TYPE_CHECKING:
@@ -65,7 +65,9 @@ class Operating:
                 return {"about": about(session.config, session.line)}
             case Do.JOB:
                 assert request.job is not None
-                session.config = replace(session.config, job=session.config.job.under(request.job))
+                session.config = replace(
+                    session.config, job=session.config.job.under(request.job).without(request.emptied)
+                )
                 session.observers.job(session.config.job)
             case Do.LAMPS:
                 return {"lamps": lamp_numbers(self._lamps(request))}

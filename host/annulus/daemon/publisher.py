@@ -6,17 +6,22 @@ as notes; what viewers do not take in time is dropped, see stream/publish.py.
 
 import sys
 import time
+from collections import Counter
 from typing import Any
 
 import zmq
 
+from annulus.daemon.live_wall import LiveWall
+from annulus.daemon.pictures import preview, rows, slits
 from annulus.daemon.priority import Allowance, prompt
+from annulus.geometry.calibration import Calibration
 from annulus.numeric.arrays import Image
 from annulus.stream.access import Doorkeeper, Keys
 from annulus.stream.frames import FrameHeader
 from annulus.stream.publish import Publisher
 from annulus.stream.working import serve
 from annulus.vocabulary import AnnulusError
+from annulus.wall.profile import Profile
 
 FREED_S = 1.0  # the address of one that was killed stays taken until the kernel has ended it
 REST_MS = 20  # at most, between two looks at who knocks and what viewers ask for
@@ -26,10 +31,19 @@ class PublisherJob:
     """A Publisher as a job. A frame's `extra` is its running number; a note's body its own and what it says. Reports
     where it is bound, and each time it had to close everybody's connection.
 
-    Labels are to be there at once, so it has real-time priority where that is allowed, but within limits (Allowance).
+    What is made of frames and profiles for somebody (pictures.py), and the wall, is made and numbered here. Labels are
+    to be there at once, so it has real-time priority where that is allowed, but within limits (Allowance).
     """
 
-    def __init__(self, address: str, keys: Keys | None, realtime: bool | None = False) -> None:
+    def __init__(
+        self, address: str, keys: Keys | None, realtime: bool | None = False, calibration: Calibration | None = None,
+        scan: int | None = None,
+    ) -> None:  # fmt: skip
+        """`scan`: number of the one under way, of which this one has seen nothing yet: it takes over."""
+        self._calibration = calibration
+        self._under_way = scan is not None
+        self._wall = None if calibration is None else LiveWall(calibration, scan or 0)
+        self._made: Counter[str] = Counter()  # by topic
         self._allowance = Allowance(realtime)
         self._context: zmq.Context[zmq.Socket[bytes]] = prompt(zmq.Context())
         self._doorkeeper = Doorkeeper(self._context)
@@ -44,14 +58,36 @@ class PublisherJob:
         topic = f"frame/{header.camera}"
         if self._publisher.wanted(topic):  # 2 MB copied for nobody otherwise
             self._publisher.send(topic, extra, header.to_dict(), image.data)
+        for topic, make in ((f"preview/{header.camera}", preview), (f"rows/{header.camera}", rows)):
+            if self._publisher.wanted(topic):
+                self._send(topic, *make(header, image))
 
     def note(self, kind: str, body: Any) -> None:
-        number, said = body
-        self._publisher.send(kind, number, said)
+        number, said, *part = body
+        self._publisher.send(kind, number, said, *part)
+        if kind in ("begun", "ended"):
+            self._under_way = kind == "begun"
+            if self._under_way and self._wall is not None:
+                self._wall.begin(said["scan"])
+        if kind == "profile" and self._calibration is not None and self._wall is not None:
+            profile = Profile.from_dict(said)
+            self._wall.add(profile)
+            topic = f"slits/{said['camera']}"
+            if self._publisher.wanted(topic) and (found := slits(profile, self._calibration)):
+                self._send(topic, *found)
+
+    def _send(self, topic: str, body: Any, part: bytes) -> None:
+        self._publisher.send(topic, self._made[topic], body, part)
+        self._made[topic] += 1
 
     def idle(self) -> Any:
         self._doorkeeper.admit()
-        self._publisher.listen()
+        asked = self._publisher.listen()
+        if self._wall is not None and self._publisher.wanted("wall"):
+            if any(b"wall".startswith(prefix) for prefix in asked):
+                self._wall.say_again()
+            for said in self._wall.say(time.monotonic(), in_turn=self._under_way):
+                self._send("wall", *said)
         self._allowance.look()
         report = [self._publisher.address, self._publisher.floods]
         if report == self._reported:
@@ -66,10 +102,11 @@ class PublisherJob:
 def _prepare(setup: Any) -> PublisherJob:
     keys = setup["keys"]
     known = None if keys is None else Keys(keys["public"], keys["secret"], frozenset(keys["viewers"]))
+    calibration = None if setup["calibration"] is None else Calibration.from_dict(setup["calibration"])
     end = time.monotonic() + FREED_S
     while True:
         try:
-            return PublisherJob(setup["address"], known, setup["realtime"])
+            return PublisherJob(setup["address"], known, setup["realtime"], calibration, setup["scan"])
         except AnnulusError:
             if time.monotonic() > end:
                 raise

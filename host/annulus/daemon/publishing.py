@@ -12,6 +12,8 @@ from annulus.daemon.health import Health
 from annulus.daemon.observer import Mark, Observer
 from annulus.daemon.pools import Pool
 from annulus.daemon.state import State
+from annulus.geometry.calibration import Calibration
+from annulus.job import JobSheet
 from annulus.sensors.sample import Sample
 from annulus.stream.frames import FrameHeader
 from annulus.stream.orphan import child
@@ -28,14 +30,17 @@ class Publishing(Pool, Observer):
     """
 
     def __init__(
-        self, config: SocketConfig, shared: Shared, account: Account, observer: Observer, realtime: bool | None = False
-    ) -> None:
-        """`realtime` as head.toml says."""
+        self, config: SocketConfig, shared: Shared, account: Account, observer: Observer, realtime: bool | None = False,
+        calibration: Calibration | None = None,
+    ) -> None:  # fmt: skip
+        """`realtime` as head.toml says; `calibration` of the head, where slits are decoded live."""
         keys = config.keys
         plain = None if keys is None else {
             "public": keys.public, "secret": keys.secret, "viewers": sorted(keys.viewers)
         }  # fmt: skip
         self._setup: dict[str, Any] = {"address": config.address, "keys": plain, "realtime": realtime}
+        self._setup["calibration"] = None if calibration is None else calibration.to_dict()
+        self._setup["scan"] = None  # under way, for one that takes over
         self._sent: Counter[str] = Counter()
         self._floods = self._notes_dropped = 0
         command = child("annulus.daemon.publisher")
@@ -56,6 +61,10 @@ class Publishing(Pool, Observer):
         if not self._pool.offer(header, place, self._number(f"frame/{header.camera}")):
             self._account.lose("publisher_busy")
 
+    def begun(self, scan: int) -> None:
+        self._setup["scan"] = scan
+        self._send("begun", {"scan": scan})
+
     def state(self, state: State, why: str) -> None:
         self._send("state", {"state": state.value, "why": why})
 
@@ -71,6 +80,9 @@ class Publishing(Pool, Observer):
     def mark(self, mark: Mark) -> None:
         self._send("mark", mark.to_dict())
 
+    def job(self, sheet: JobSheet) -> None:
+        self._send("job", sheet.to_dict())
+
     def telemetry(self, numbers: Mapping[str, Any]) -> None:
         self._send("telemetry", numbers)
 
@@ -78,14 +90,19 @@ class Publishing(Pool, Observer):
         self._send("health", health.to_dict())
 
     def ended(self, report: ScanReport) -> None:
+        self._setup["scan"] = None
         self._send("ended", {"seconds": report.seconds, "recordings": [str(path) for path in report.recordings]})
 
-    def _send(self, topic: str, body: Mapping[str, Any]) -> None:
+    def made(self, topic: str, body: Mapping[str, Any], part: bytes = b"") -> None:
+        """What another process made of the scan: the surveyor's topics."""
+        self._send(topic, body, part)
+
+    def _send(self, topic: str, body: Mapping[str, Any], part: bytes = b"") -> None:
         number = self._number(topic)
         if not self._pool.alive:
             self._account.lose("publisher_notes")
             return
-        self._pool.tell(topic, [number, dict(body)])
+        self._pool.tell(topic, [number, dict(body), part])
         dropped = self._pool.counts["notes_dropped"]
         self._account.lose("publisher_notes", dropped - self._notes_dropped)
         self._notes_dropped = dropped

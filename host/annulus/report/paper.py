@@ -9,16 +9,14 @@ import numpy as np
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
+from annulus.numeric import palette
 from annulus.numeric.rounding import EXTENT, SHARE, digits
 
 DPI = 150
 WIDTH_IN = 11.0
 INK, FAINT, UNSEEN, HIDDEN = "#1c2733", "#6b7885", "#c9ced4", "#59626c"
 LOSS_RED, BUMP_BLUE, FEATURE, OBSERVED = "#b3261e", "#1d5fa8", "#4b2e83", "#0b6170"
-# Outwards red, sound wall near white, inwards blue; readable in every common colour vision, and grey means not seen.
-DEVIATION = LinearSegmentedColormap.from_list(
-    "deviation", ["#0b3c7d", "#2f79c4", "#a9cdea", "#f7f7f5", "#f6c3a4", "#d9583b", "#86101b"]
-)
+DEVIATION = LinearSegmentedColormap.from_list("deviation", palette.DEVIATION)
 STYLE = {
     "font.family": "DejaVu Sans", "font.size": 10, "axes.edgecolor": FAINT, "axes.labelcolor": INK, "text.color": INK,
     "xtick.color": INK, "ytick.color": INK, "axes.linewidth": 0.8, "hatch.linewidth": 0.5,
