@@ -25,7 +25,7 @@ import zmq
 from zmq.utils import z85
 
 from annulus import untrusted
-from annulus.daemon.control import ClientKeys
+from annulus.stream.access import ClientKeys
 from annulus.vocabulary import AnnulusError
 
 SESSIONS_MAX = 256

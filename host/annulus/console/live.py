@@ -14,15 +14,16 @@ from annulus.console.cloud import Cloud
 from annulus.console.feed import Feed
 from annulus.console.hub import STATUS, Hub, Viewer
 from annulus.console.kept import CLOSEUPS_MAX, Bounded, CloseUp, Frames, WallPart, WallRows
+from annulus.console.light import light
 from annulus.numeric.palette import DEVIATION_LIVE_MM, deviation_table
 from annulus.stream.frames import CAMERAS_MAX
-from annulus.wall.profile import POINTS_MAX
 
 LOST_S = 1.5  # without a word the daemon is taken for lost
 KEPT = 100  # events and marks told to who comes later
 LATEST = ("telemetry", "state", "health", "ended", "defects")  # topics of which the last word holds
 BLOCK = 20_000  # points; 300 kB
 JPEG_MAX = 1 << 20
+POINTS_MAX = 64 * 4096  # of a profile; wall.profile says so too, and would bring all of the wall
 _NO_POINTS, _NO_COLOURS = np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8)
 
 
@@ -151,6 +152,8 @@ class Live:
         if len(part) % 4 or len(part) > 4096:
             raise ValueError(f"rows: {len(part)} bytes, expected float32")
         self.hub.newest(("rows", camera, label), "rows", wire.rows(camera, label, index, part))
+        told = light(camera, str(body.get("label")), index, part)
+        self.hub.newest(("light", camera, label), "rows", wire.status("light", told))
 
     def _slits(self, body: Any, part: bytes) -> None:
         camera, _, index, _ = _header(body, "slits")

@@ -23,6 +23,13 @@ SEND_BUFFER = 1 << 19  # bytes in the kernel for one connection: more is delay, 
 
 def serve(program: Program) -> None:
     """Until Ctrl-C or SIGTERM. Raises AnnulusError where it cannot listen."""
+    server, listening = prepared(program)
+    say(f"the console is at {replace(program.door, port=listening.getsockname()[1]).url}")
+    server.run(sockets=[listening])
+
+
+def prepared(program: Program) -> tuple[Any, socket.socket]:
+    """uvicorn's server, and the socket that it is to be run with."""
     door = program.door
     uvicorn = need("uvicorn")
     need("starlette")
@@ -32,17 +39,15 @@ def serve(program: Program) -> None:
         log_config=None, log_level="critical", access_log=False, server_header=False, proxy_headers=False,
         ws_max_size=SAID_MAX, ws_per_message_deflate=False, ws_ping_interval=PING_S, ws_ping_timeout=3 * PING_S,
         timeout_keep_alive=30, timeout_graceful_shutdown=1, h11_max_incomplete_event_size=16 << 10,
-        ssl_certfile=door.tls_cert, ssl_keyfile=door.tls_key, backlog=128,
+        ssl_certfile=door.tls_cert, ssl_keyfile=door.tls_key, backlog=1024,
     )  # fmt: skip
     try:
         config.load()
     except (OSError, ssl.SSLError) as error:
         why = one_line(str(error))
         raise AnnulusError(f"{door.tls_cert}, {door.tls_key}: no certificate and its key ({why})") from None
-    listening = _listening(door.host, door.port)
     _let_many_in()
-    say(f"the console is at {replace(door, port=listening.getsockname()[1]).url}")
-    uvicorn.Server(config).run(sockets=[listening])
+    return uvicorn.Server(config), _listening(door.host, door.port)
 
 
 def _listening(host: str, port: int) -> socket.socket:

@@ -10,7 +10,6 @@ Every request is answered once, a wrong one with what is wrong. Who may connect:
 import contextlib
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any, Self
 
 import msgpack
@@ -21,7 +20,7 @@ from annulus.daemon.command import Operator
 from annulus.daemon.request import HOLD_S, PHOTO_MAX, REQUEST_MAX, TEXT_MAX, Do, Request
 from annulus.daemon.state import State
 from annulus.job import JobSheet
-from annulus.stream.access import Doorkeeper, Keys
+from annulus.stream.access import ClientKeys, Doorkeeper, Keys
 from annulus.vocabulary import AnnulusError
 
 __all__ = [
@@ -85,15 +84,6 @@ def _parse(parts: list[bytes]) -> Request:
     if not 2 <= len(parts) <= PARTS_MAX or (len(parts) == PARTS_MAX and parts[1]):
         raise ValueError(f"a request of {len(parts) - 1} parts, expected one")
     return Request.unpack(parts[-1])
-
-
-@dataclass(frozen=True, slots=True)
-class ClientKeys:
-    """CURVE, Z85 text: the daemon's public key, and the client's own pair."""
-
-    server: str
-    public: str
-    secret: str
 
 
 class ControlClient:

@@ -31,6 +31,15 @@ class Keys:
                 raise AnnulusError("a CURVE key must be 40 characters of Z85, as `zmq.curve_keypair()` makes them")
 
 
+@dataclass(frozen=True, slots=True)
+class ClientKeys:
+    """CURVE, Z85 text: the daemon's public key, and the client's own pair."""
+
+    server: str
+    public: str
+    secret: str
+
+
 class Doorkeeper:
     """Binds sockets under the one rule, and answers for who knocks."""
 

@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from collections import Counter, deque
+from functools import cache
 from typing import Any, Self
 
 import cv2
@@ -29,6 +30,7 @@ COMMAND_S = 10.0
 TOKENS = ("preview/0", "rows/0", "slits/0")
 
 
+@cache
 def jpeg(number: int, lamp: str, quality: int = 80, size: int = 38_000) -> bytes:
     """(H, W) picture of rings or of the lit wall, about `size` bytes."""
     y, x = np.mgrid[0:HEIGHT, 0:WIDTH].astype(np.float32)
@@ -294,6 +296,8 @@ class FakeDaemon:
         do = asked["do"]
         if self.command is not None and now > self.command[3]:
             self.command = None
+        if "who" in asked and not (who.get("id") and who.get("name")):
+            raise ValueError("who: expected an id and a name that are not empty")
         other = self.command is not None and self.command[0] != who.get("id")
         if other and do in ("start", "resume", "zero", "job", "lamps", "hold"):
             assert self.command is not None
