@@ -72,7 +72,7 @@ def console(
             where = _configured(config, key_file)
         else:
             where = _named(daemon or "", key_file, daemon_key)
-        program = Program(where, door, demo=demo, surveys=folders)
+        program = stack.enter_context(Program(where, door, demo=demo, surveys=folders))
         if foxglove:
             program.open_to_foxglove()
             tell("Foxglove's viewer connects to ws://127.0.0.1:8765; whatever page runs in a browser here may, too")

@@ -73,6 +73,7 @@ class Feed:
         self._numbers: dict[str, int] = {}
         self._sensor_due: dict[bytes, float] = {}
         self._wanted: frozenset[str] = frozenset()
+        self._loop: asyncio.AbstractEventLoop | None = None
         self._socket = connected(context, zmq.SUB, address, keys)
         self._socket.setsockopt(zmq.RCVHWM, QUEUE)
         self._descriptor = int(self._socket.getsockopt(zmq.FD))
@@ -99,16 +100,20 @@ class Feed:
 
     def listen(self) -> None:
         """Take what is there. Also to be called now and then: libzmq's descriptor tells of a change only."""
+        if self._socket.closed:
+            return
         for _ in range(TURN_MAX):
             try:
                 parts = self._socket.recv_multipart(zmq.NOBLOCK)
             except zmq.Again:
                 return
             self._take(parts)
-        self._loop.call_soon(self.listen)
+        if self._loop is not None:
+            self._loop.call_soon(self.listen)
 
     def close(self) -> None:
-        if hasattr(self, "_loop") and not self._loop.is_closed():
+        """Safe to call twice."""
+        if self._loop is not None and not self._loop.is_closed() and not self._socket.closed:
             self._loop.remove_reader(self._descriptor)
         self._socket.close(0)
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import zmq
 
@@ -140,13 +140,21 @@ class Program:
             group.create_task(self._follow())
 
     def close(self) -> None:
+        """Safe to call twice."""
         for task in list(self._tasks):
             task.cancel()
         if self.foxglove is not None:
             self.foxglove.close()
+            self.foxglove = None
         self.feed.close()
         self.commands.close()
         self._context.destroy(linger=0)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     def answers(self, session: str) -> bool:
         """Whether a page of it is there, and awake."""
