@@ -19,6 +19,7 @@ from annulus.console.access import Password, Places, Session, Sessions
 from annulus.console.answers import Refusal
 from annulus.console.commands import RENEW_S, Commands, Lease
 from annulus.console.feed import Feed
+from annulus.console.foxglove import Foxglove
 from annulus.console.hub import STATUS, Hub, Viewer
 from annulus.console.live import LOST_S, Live
 from annulus.numeric.palette import DEVIATION, DEVIATION_LIVE_MM
@@ -75,6 +76,7 @@ class Program:
         self.sessions.in_use = lambda session: any(viewer.session == session.id for viewer in self.hub.viewers)
         self.cookie = f"{'__Host-' if door.tls_cert else ''}annulus-{door.port}"
         self.about: Mapping[str, Any] | None = None
+        self.foxglove: Foxglove | None = None
         self.stuck: dict[Viewer, tuple[float, Any]] = {}  # since when one is being sent to, and what ends it
         self._tasks: set[asyncio.Task[None]] = set()
         self._ask_about = asyncio.Event()
@@ -93,6 +95,18 @@ class Program:
         self.lease.heard(str(asked.get("do")), who)
         self.look()
         return answer
+
+    def open_to_foxglove(self) -> None:
+        """A second server, on loopback, for Foxglove's viewer. Raises AnnulusError."""
+        self.foxglove = foxglove = Foxglove(self.feed)
+        live, wants = self.feed.on_word, self.hub.on_wants
+
+        def both(topic: str, body: Any, part: bytes) -> None:
+            foxglove.hear(topic, body, part)
+            live(topic, body, part)
+
+        self.feed.on_word = both
+        self.hub.on_wants = lambda wanted: wants(wanted | foxglove.wants)
 
     @staticmethod
     def who(session: Session) -> dict[str, str]:
@@ -128,6 +142,8 @@ class Program:
     def close(self) -> None:
         for task in list(self._tasks):
             task.cancel()
+        if self.foxglove is not None:
+            self.foxglove.close()
         self.feed.close()
         self.commands.close()
         self._context.destroy(linger=0)
@@ -141,6 +157,8 @@ class Program:
         was_there = True
         while True:
             self.feed.listen()
+            if self.foxglove is not None:
+                self.hub.changed()
             alive = self.live.alive()
             if alive["daemon"] != was_there:
                 say("the daemon is there" if alive["daemon"] else f"nothing is heard of the daemon for {LOST_S:g} s")

@@ -166,7 +166,9 @@ def test_lamps_come_on_after_a_second_step_only(console: Browser, head: FakeDaem
 def test_a_browser_cannot_say_that_it_is_another(console: Browser, head: FakeDaemon) -> None:
     mine = console.session()["id"]
     console.do("command", who={"id": "another", "name": "the chief"})
-    assert [asked["who"] for asked in head.asked if asked["do"] == "command"] == [{"id": mine, "name": f"browser {mine[:4]}"}]
+    assert [asked["who"] for asked in head.asked if asked["do"] == "command"] == [
+        {"id": mine, "name": f"browser {mine[:4]}"}
+    ]
 
 
 def test_a_script_in_a_name_stays_a_text(console: Browser, head: FakeDaemon) -> None:
