@@ -40,6 +40,7 @@ class Console:
     url: str  # with the slash at its end
     pid: int
     head: int  # pid of who talks
+    publish: str  # where that one does
 
 
 @contextmanager
@@ -116,7 +117,7 @@ def _free_port() -> int:
 def console_at_work(fps: float = 25.0) -> Iterator[Console]:
     with talking(fps) as (head, daemon), serving(daemon) as (pid, url):
         time.sleep(2.0)
-        yield Console(url, pid, head)
+        yield Console(url, pid, head, daemon.partition(",")[0])
 
 
 def session_of(url: str) -> tuple[str, str]:
