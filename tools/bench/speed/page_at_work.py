@@ -180,8 +180,8 @@ def _filled(tab: Any, began: float) -> list[Row]:
     rate = (tab.evaluate("() => window.annulus.stats.drawn") - drawn) / (time.monotonic() - since)
     held = tab.evaluate("() => window.annulus.stats.points")
     text = (
-        f"{most / 1e6:.2f} million after {since - began:.0f} s, {held / 1e6:.2f} held 5 s later, slices drawn {rate:.1f} "
-        "times a second"
+        f"{most / 1e6:.2f} million after {since - began:.0f} s, {held / 1e6:.2f} held 5 s later; {rate:.1f} slices "
+        "a second"
     )
     memory = f"heap {heap_mb(tab):.0f} MB, the page's process {renderer_mb():.0f} MB of its own"
     return [
