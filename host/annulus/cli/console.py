@@ -43,6 +43,9 @@ def console(
     name: Annotated[list[str] | None, typer.Option(help="A name by which browsers reach this machine.")] = None,
     login: Annotated[bool, typer.Option("--login", help="Ask for the password on loopback, too.")] = False,
     new_password: Annotated[bool, typer.Option("--new-password", help="Make and print another password.")] = False,
+    foxglove: Annotated[
+        bool, typer.Option("--foxglove", help="Serve Foxglove's viewer, too, on loopback; needs the extra foxglove.")
+    ] = False,
     surveys: Annotated[
         list[Path] | None, typer.Option(help="Folder of recordings and results to show; may be repeated.")
     ] = None,
@@ -69,7 +72,11 @@ def console(
             where = _configured(config, key_file)
         else:
             where = _named(daemon or "", key_file, daemon_key)
-        serve(Program(where, door, demo=demo, surveys=folders))
+        program = Program(where, door, demo=demo, surveys=folders)
+        if foxglove:
+            program.open_to_foxglove()
+            tell("Foxglove's viewer connects to ws://127.0.0.1:8765; whatever page runs in a browser here may, too")
+        serve(program)
 
 
 def _door(

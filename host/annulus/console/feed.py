@@ -66,6 +66,7 @@ class Feed:
         self.address = address
         self.lost: Counter[str] = Counter()  # messages missed, by topic
         self.malformed = 0
+        self.reads_labels = False
         self.heard_s: float | None = None  # monotonic; the daemon's last word
         self.on_word: Heard = lambda topic, body, part: None
         self.on_restart: Callable[[], None] = lambda: None
@@ -113,7 +114,7 @@ class Feed:
 
     def _take(self, parts: list[bytes]) -> None:
         now = time.monotonic()
-        if parts[0] == UNREAD:
+        if parts[0] == UNREAD and not self.reads_labels:
             self.heard_s = now
             return
         if parts[0].startswith(SENSOR):

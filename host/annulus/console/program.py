@@ -19,6 +19,7 @@ from annulus.console.access import Password, Places, Session, Sessions
 from annulus.console.answers import Refusal
 from annulus.console.commands import RENEW_S, Commands, Lease
 from annulus.console.feed import Feed
+from annulus.console.foxglove import Foxglove
 from annulus.console.hub import STATUS, Hub, Viewer
 from annulus.console.live import LOST_S, Live
 from annulus.numeric.palette import DEVIATION, DEVIATION_LIVE_MM
@@ -62,19 +63,20 @@ class Program:
 
     def __init__(self, daemon: Daemon, door: Door, *, demo: bool = False, surveys: Sequence[Path] = ()) -> None:
         """surveys : folders whose recordings and results are shown. Raises AnnulusError when an address is none."""
-        self.door, self.demo, self.surveys = door, demo, tuple(surveys)
+        self.daemon, self.door, self.demo, self.surveys = daemon, door, demo, tuple(surveys)
         self.static = Path(str(files("annulus.console"))) / "static"
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self.feed = Feed(self._context, daemon.publish, daemon.publish_keys)
         self.hub = Hub()
         self.live = Live(self.feed, self.hub)
         self.commands = Commands(self._context, daemon.control, daemon.control_keys)
-        self.lease = Lease(self.commands, self._answers)
+        self.lease = Lease(self.commands, self.answers)
         self.places = Places(door.host, door.tls_cert is not None, door.names)
         self.sessions = Sessions(door.password is not None)
         self.sessions.in_use = lambda session: any(viewer.session == session.id for viewer in self.hub.viewers)
         self.cookie = f"{'__Host-' if door.tls_cert else ''}annulus-{door.port}"
         self.about: Mapping[str, Any] | None = None
+        self.foxglove: Foxglove | None = None
         self.stuck: dict[Viewer, tuple[float, Any]] = {}  # since when one is being sent to, and what ends it
         self._tasks: set[asyncio.Task[None]] = set()
         self._ask_about = asyncio.Event()
@@ -88,11 +90,28 @@ class Program:
 
     async def do(self, asked: Mapping[str, Any], session: Session) -> Mapping[str, Any]:
         """A request of the control socket in this session's name. Raises Refusal."""
-        who = {"id": session.id, "name": session.name or f"browser {session.id[:4]}"}
+        who = self.who(session)
         answer = await self.commands.ask({**asked, "who": who})
         self.lease.heard(str(asked.get("do")), who)
         self.look()
         return answer
+
+    def open_to_foxglove(self) -> None:
+        """A second server, on loopback, for Foxglove's viewer. Raises AnnulusError."""
+        self.foxglove = foxglove = Foxglove(self.feed)
+        live, wants = self.feed.on_word, self.hub.on_wants
+
+        def both(topic: str, body: Any, part: bytes) -> None:
+            foxglove.hear(topic, body, part)
+            live(topic, body, part)
+
+        self.feed.on_word = both
+        self.hub.on_wants = lambda wanted: wants(wanted | foxglove.wants)
+
+    @staticmethod
+    def who(session: Session) -> dict[str, str]:
+        """As the daemon is told who asks."""
+        return {"id": session.id, "name": session.name or f"browser {session.id[:4]}"}
 
     def look(self) -> None:
         """What the daemon is about may have changed."""
@@ -123,11 +142,14 @@ class Program:
     def close(self) -> None:
         for task in list(self._tasks):
             task.cancel()
+        if self.foxglove is not None:
+            self.foxglove.close()
         self.feed.close()
         self.commands.close()
         self._context.destroy(linger=0)
 
-    def _answers(self, session: str) -> bool:
+    def answers(self, session: str) -> bool:
+        """Whether a page of it is there, and awake."""
         now = time.monotonic()
         return any(one.session == session and now - one.answered_s < ANSWERS_S for one in self.hub.viewers)
 
@@ -135,6 +157,8 @@ class Program:
         was_there = True
         while True:
             self.feed.listen()
+            if self.foxglove is not None:
+                self.hub.changed()
             alive = self.live.alive()
             if alive["daemon"] != was_there:
                 say("the daemon is there" if alive["daemon"] else f"nothing is heard of the daemon for {LOST_S:g} s")

@@ -7,6 +7,7 @@ as notes; what viewers do not take in time is dropped, see stream/publish.py.
 import sys
 import time
 from collections import Counter
+from contextlib import suppress
 from typing import Any
 
 import zmq
@@ -70,11 +71,12 @@ class PublisherJob:
             if self._under_way and self._wall is not None:
                 self._wall.begin(said["scan"])
         if kind == "profile" and self._calibration is not None and self._wall is not None:
-            profile = Profile.from_dict(said)
-            self._wall.add(profile)
-            topic = f"slits/{said['camera']}"
-            if self._publisher.wanted(topic) and (found := slits(profile, self._calibration)):
-                self._send(topic, *found)
+            with suppress(ValueError):  # one that is none must not cost what is there
+                profile = Profile.from_dict(said)
+                self._wall.add(profile)
+                topic = f"slits/{profile.camera}"
+                if self._publisher.wanted(topic) and (found := slits(profile, self._calibration)):
+                    self._send(topic, *found)
 
     def _send(self, topic: str, body: Any, part: bytes) -> None:
         self._publisher.send(topic, self._made[topic], body, part)

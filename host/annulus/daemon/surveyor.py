@@ -9,6 +9,7 @@ import sys
 import threading
 from collections import deque
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 from annulus.daemon.found import Findings, Found
@@ -113,7 +114,8 @@ class SurveyorJob:
             self._ended = True
         elif kind == "profile":
             self._heard += 1
-            self._window.add(Profile.from_dict(body))
+            with suppress(ValueError):  # one that is none must not cost what is there
+                self._window.add(Profile.from_dict(body))
 
     def idle(self) -> Any:
         said: list[list[Any]] = []

@@ -34,7 +34,7 @@ def profile(z_mm: float, wrong_mm: dict[int, float] | None = None, seen_deg: flo
     points = np.stack([radius * np.sin(angle), -radius * np.cos(angle), z], axis=1).astype(np.float32)
     n = len(clock)
     colour, direction = np.zeros((n, 3), np.uint8), np.zeros(n, np.uint16)
-    return Profile(int(z_mm), z_mm, Pose(0.0, 0.0, 0.0, 0.0), points, colour, ring.astype(np.uint8), direction)
+    return Profile(int(z_mm), z_mm, Pose(0.0, 0.0, 0.0, 0.0), points, colour, ring.astype(np.uint8), direction, 0.02)
 
 
 def told(wall: LiveWall, seconds: float, missed: float = 0.0, begin_s: float = 0.0) -> dict[str, dict[int, np.ndarray]]:

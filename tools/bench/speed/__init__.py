@@ -11,6 +11,7 @@ TABLE = Table(
         "rings": "One projector frame, one core",
         "twin": "The twin's renderer, one thread",
         "latency": "From a frame in hand to its label at a viewer, while recording",
+        "pictures": "What viewers see of a frame, in the publisher's process, one core",
         "codecs": "How a recording keeps its pictures",
         "memory": "What each process of a scan keeps for good",
         "kills": "Every process of a scan killed and stopped in turn, with three others spinning",

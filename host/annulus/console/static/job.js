@@ -162,7 +162,8 @@ function remembered() {
 export function age(app, days) {
   const { t } = app;
   if (typeof days !== "number") return t("job.age.unknown");
-  return days < 1 ? t("job.age.today") : t("job.age", { days: said(days, { ...EXTENT, unit: "" }) });
+  const whole = said(days, { ...EXTENT, unit: "" });
+  return days < 1 ? t("job.age.today") : t(whole === "1" ? "job.age.one" : "job.age", { days: whole });
 }
 
 function tellHead(app, about, head, made) {

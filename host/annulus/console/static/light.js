@@ -8,6 +8,7 @@ const ROWS = 5; // the message's kind
 const LABELS = { 1: "projector", 2: "led" };
 const DRAW_MS = 200;
 const HEIGHT = 220;
+const BANDS = 64;
 
 export function mountLight(app) {
   const { t } = app;
@@ -24,16 +25,20 @@ export function mountLight(app) {
   let wanted = false;
   let visible = false;
 
-  const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim() || "#777";
+  const probe = el("span", { hidden: true });
+  const colour = (name) => {
+    probe.className = `ink-${name}`;
+    return getComputedStyle(probe).color; // as a canvas takes it, whatever the style sheet calls it
+  };
   const make = () => {
     plot?.destroy();
-    const axis = { stroke: colour("--text"), grid: { stroke: colour("--line") }, ticks: { stroke: colour("--line") } };
+    const axis = { stroke: colour("text"), grid: { stroke: colour("line") }, ticks: { stroke: colour("line") } };
     plot = new uPlot(
       {
         width: Math.max(200, place.clientWidth), height: HEIGHT, cursor: { show: false }, legend: { show: false },
-        scales: { x: { time: false }, y: { range: [0, 255] } },
+        scales: { x: { time: false, range: [0, BANDS - 1] }, y: { range: [0, 255] } },
         axes: [{ ...axis, label: t("light.rows"), labelSize: 20 }, { ...axis, label: t("light.level"), labelSize: 20, size: 44 }],
-        series: [{}, { stroke: colour("--projector"), width: 2, spanGaps: false }, { stroke: colour("--led"), width: 2, dash: [6, 3] }],
+        series: [{}, { stroke: colour("projector"), width: 2, spanGaps: false }, { stroke: colour("led"), width: 2, dash: [6, 3] }],
       },
       data(), place,
     );
@@ -78,7 +83,7 @@ export function mountLight(app) {
     soon();
   });
   return {
-    root: el("div", {}, place, said, el("p", { class: "faint" }, t("light.note"))),
+    root: el("div", {}, probe, place, said, el("p", { class: "faint" }, t("light.note"))),
     show: () => {
       visible = true;
       soon();

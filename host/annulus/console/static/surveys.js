@@ -138,7 +138,7 @@ function row(app, one, again) {
   }
   if (one.verdict) found.push(el("b", {}, app.word("verdict", one.verdict)));
   const length = [said(one.length_mm, DISTANCE), typeof one.frames === "number" ? t("surveys.frames", { n: one.frames }) : null];
-  const state = [one.state === "whole" ? null : el("b", { class: one.state === "torn" ? "warn" : "" }, t(`surveys.state.${one.state}`)), one.kind === "result" ? null : el("span", {}, one.calibrated ? age(app, one.age_days) : t("surveys.uncalibrated"))];
+  const state = [one.state === "whole" ? null : el("b", { class: one.state === "torn" ? "warn" : "" }, t(`surveys.state.${one.state}`)), one.kind === "result" ? null : el("span", {}, one.calibrated ? t("surveys.calibrated", { age: age(app, one.age_days) }) : t("surveys.uncalibrated"))];
   const size = [bytes(one.size), one.parts > 1 ? t("surveys.parts", { n: one.parts }) : null].filter(Boolean).join(", ");
   const press = [];
   if (one.files?.includes("report.html")) {
@@ -152,7 +152,7 @@ function row(app, one, again) {
   }
   return el(
     "tr", { role: "row" }, what, cell("length", length.filter(Boolean).map((line) => el("span", {}, line))), cell("found", found),
-    cell("state", state, el("span", { class: "faint" }, size)), cell("do", press),
+    cell("state", state, el("span", { class: "faint" }, size)), cell("do", el("div", { class: "row" }, press)),
   );
 }
 

@@ -1,6 +1,6 @@
 // Drawings over time as SVG: an axis in microseconds, bands, bars, pulses. What they draw the console has computed.
 
-import { el, set, svg } from "./dom.js";
+import { el, set, svg, unique } from "./dom.js";
 import { digits } from "./rounding.js";
 
 const LEFT = 92; // px for names
@@ -37,13 +37,16 @@ export class Board {
     this.from = from;
     this.to = to;
     this.height = height;
-    this.left = this.width < 500 ? 66 : LEFT;
+    this.left = this.width < 500 ? 80 : LEFT;
     set(this.svg, { viewBox: `0 0 ${this.width} ${height}`, width: this.width, height });
+    const inside = unique("inside");
+    const frame = svg("rect", { x: this.left, y: 0, width: this.width - this.left - RIGHT, height });
+    this.svg.append(svg("defs", {}, svg("clipPath", { id: inside }, frame)));
+    this.inside = this.add("g", { "clip-path": `url(#${inside})` }); // what reaches beyond is cut off, not bent
   }
 
   x(time) {
-    const inside = Math.min(Math.max(time, this.from), this.to);
-    return this.left + ((inside - this.from) / (this.to - this.from)) * (this.width - this.left - RIGHT);
+    return this.left + ((time - this.from) / (this.to - this.from)) * (this.width - this.left - RIGHT);
   }
 
   add(tag, attributes, ...children) {
@@ -54,20 +57,25 @@ export class Board {
 
   band(from, to, top, bottom, kind) {
     if (to < this.from || from > this.to || to < from) return;
-    this.add("rect", { class: kind, x: this.x(from), y: top, width: Math.max(1, this.x(to) - this.x(from)), height: bottom - top });
+    const [x, width] = [this.x(from), Math.max(1, this.x(to) - this.x(from))];
+    this.inside.append(svg("rect", { class: kind, x, y: top, width, height: bottom - top }));
   }
 
   shape(points, kind) {
-    this.add("polygon", { class: kind, points: points.map(([time, y]) => `${this.x(time).toFixed(1)},${y}`).join(" ") });
+    this.inside.append(svg("polygon", { class: kind, points: this.joined(points) }));
   }
 
   line(points, kind) {
-    this.add("polyline", { class: kind, points: points.map(([time, y]) => `${this.x(time).toFixed(1)},${y}`).join(" ") });
+    this.inside.append(svg("polyline", { class: kind, points: this.joined(points) }));
+  }
+
+  joined(points) {
+    return points.map(([time, y]) => `${this.x(time).toFixed(1)},${y}`).join(" ");
   }
 
   upright(time, top, bottom, kind) {
     if (time < this.from || time > this.to) return;
-    this.add("line", { class: kind, x1: this.x(time), x2: this.x(time), y1: top, y2: bottom });
+    this.inside.append(svg("line", { class: kind, x1: this.x(time), x2: this.x(time), y1: top, y2: bottom }));
   }
 
   name(text, y) {

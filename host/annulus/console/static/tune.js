@@ -5,6 +5,7 @@ import { us } from "./timeline.js";
 
 export function mountTune(app, stage) {
   const { t } = app;
+  const lamp = el("select", { id: "tune-lamp" }, ["projector", "led"].map((name) => el("option", { value: name }, t(`label.${name}`))));
   const go = el("button", { type: "button", class: "big", id: "tune-go" }, t("tune.go"));
   const cancel = el("button", { type: "button", class: "big", id: "tune-cancel", hidden: true }, t("cancel"));
   const apply = el("button", { type: "button", class: "big primary", id: "tune-apply", hidden: true }, t("tune.apply"));
@@ -16,7 +17,7 @@ export function mountTune(app, stage) {
     const confirm = await app.confirmLamps(t("arm.tune"));
     if (confirm === null) return;
     try {
-      await app.post("/api/tune", { confirm });
+      await app.post("/api/tune", { confirm, lamp: lamp.value });
     } catch (error) {
       app.wrong(error);
     }
@@ -31,6 +32,7 @@ export function mountTune(app, stage) {
     const running = now.state === "running";
     cancel.hidden = bar.hidden = !running;
     go.hidden = running;
+    lamp.disabled = running;
     go.disabled = !app.live || (app.latest.state?.state ?? app.latest.telemetry?.state) !== "idle";
     if (running) {
       bar.max = Math.max(1, now.total ?? 1);
@@ -50,5 +52,5 @@ export function mountTune(app, stage) {
   };
   for (const topic of ["tune", "state", "telemetry", "link"]) app.on(topic, show);
   show();
-  return { root: el("div", {}, el("p", { class: "faint" }, t("tune.note")), el("div", { class: "row" }, go, cancel, apply), bar, words, found) };
+  return { root: el("div", {}, el("p", { class: "faint" }, t("tune.note")), el("div", { class: "row" }, el("label", { for: "tune-lamp" }, t("tune.lamp")), lamp, go, cancel, apply), bar, words, found) };
 }
