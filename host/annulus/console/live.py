@@ -145,7 +145,7 @@ class Live:
             raise ValueError(f"preview: {len(part)} bytes, expected a JPEG of at most {JPEG_MAX}")
         self.frames.put(camera, index, part)
         message = wire.picture(camera, label, index, z_mm, published, part)
-        self.hub.newest(("picture", camera), "pictures", message)
+        self.hub.newest(("picture", camera, label), "pictures", message)
 
     def _rows(self, body: Any, part: bytes) -> None:
         camera, label, index, _ = _header(body, "rows")
