@@ -270,7 +270,7 @@ class FakeDaemon:
             along = radius_at(one["z_mm"] + np.arange(-60.0, 60.0, 2.0), np.full(60, np.pi / 2)).astype("<f4")
             body = {
                 "scan": self.scan, "id": one["id"], "section_mm": section.tobytes(), "along_mm": along.tobytes(),
-                "along_from_mm": one["z_mm"] - 60.0, "along_step_mm": 2.0, "nominal_mm": 2 * RADIUS_MM,
+                "along_from_mm": one["z_mm"] - 60.0, "along_step_mm": 2.0, "nominal_mm": RADIUS_MM,
             }  # fmt: skip
             picture = np.full((120, 240, 3), 128, np.uint8)
             cv2.circle(picture, (120, 60), 30, (40, 40, 200), -1)

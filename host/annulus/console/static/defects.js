@@ -47,7 +47,7 @@ export function mountDefects(app) {
     const shut = el("button", { type: "button", class: "big" }, t("close"));
     shut.addEventListener("click", () => panel.close());
     const inside = [
-      el("h2", { id: "defect-title" }, describe(app, defect)),
+      el("div", { class: "panel-top" }, el("h2", { id: "defect-title" }, describe(app, defect)), shut),
       el("dl", { class: "readouts" }, [
         [t("defect.depth"), `${said(defect.depth_mm, MEASURE, defect.depth_k2_mm, defect.floor_seen === false) ?? t("unmeasured")} (k = 2)`],
         [t("defect.size"), `${said(defect.length_mm, EXTENT) ?? "–"} × ${said(defect.arc_deg, ARC) ?? "–"}`],
@@ -66,7 +66,7 @@ export function mountDefects(app) {
       );
       if (frames.length === 0) inside.push(el("p", { class: "faint" }, t("defect.frames.gone")));
     }
-    panel.replaceChildren(...inside, el("div", { class: "row end" }, shut));
+    panel.replaceChildren(...inside);
     if (!panel.open) panel.showModal();
     for (const one of plots) one.draw();
     shut.focus();
