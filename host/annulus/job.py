@@ -8,7 +8,7 @@ not known stays empty: nothing here is ever guessed.
 import contextlib
 import datetime
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -89,12 +89,31 @@ class JobSheet:
         """What is known of it."""
         return {name: getattr(self, name) for name in WORDS if getattr(self, name) not in ("", None)}
 
+    def to_whole(self) -> dict[str, Any]:
+        """All of it, None what nobody said: what is written over by this is emptied where this is empty."""
+        return {name: self.to_dict().get(name) for name in WORDS}
+
     def under(self, other: "JobSheet") -> "JobSheet":
         """Itself with what the other says written over it."""
         return JobSheet(**{**self.to_dict(), **other.to_dict()})
 
+    def without(self, names: Iterable[str]) -> "JobSheet":
+        """Itself with these fields empty."""
+        gone = {BEFORE.get(name, name) for name in names}
+        return JobSheet(**{name: value for name, value in self.to_dict().items() if name not in gone})
+
+    def over_told(self, data: object) -> "JobSheet":
+        """Itself with what a recording says written over it; what that says is empty is."""
+        return self.under(JobSheet.recorded(data)).without(emptied(data))
+
 
 assert tuple(WORDS) == tuple(one.name for one in fields(JobSheet))
+
+
+def emptied(data: object) -> frozenset[str]:
+    """The fields of a sheet that it says are empty."""
+    told = data if isinstance(data, Mapping) else {}
+    return frozenset(name for name, value in told.items() if isinstance(name, str) and value in ("", None))
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,5 +1,7 @@
 """Promises of what operators do between start and stop: trials, lamps, pauses. The simulated head in real time."""
 
+import contextlib
+import random
 import threading
 import time
 from collections.abc import Callable
@@ -9,6 +11,7 @@ from pathlib import Path
 import pytest
 from test_control import WORLD, Bystander, frames_are_what_they_are_called, head, until  # noqa: F401
 
+from annulus.daemon.command import Operator
 from annulus.daemon.config import SocketConfig
 from annulus.daemon.control import ControlClient
 from annulus.daemon.session import Session
@@ -120,3 +123,39 @@ def test_a_paused_scan_goes_on_in_its_recording_and_every_label_is_right(
     told = list(recording.notes("/job"))
     assert [one.get("site") for one in told] == ["Elm Street"]
     assert told[0]["client"] == "The Waterworks"
+
+
+def test_three_operators_who_ask_at_random_break_nothing(head: HeadHandle, tmp_path: Path) -> None:  # noqa: F811
+    def operate(client: ControlClient, session: Session) -> None:
+        wrong: list[BaseException] = []
+
+        def ask(number: int) -> None:
+            rng, end = random.Random(number), time.monotonic() + 15.0
+            try:
+                with ControlClient(client.address, who=Operator(f"id{number}", f"operator {number}")) as mine:
+                    asks: list[Callable[[], object]] = [
+                        mine.start, mine.start, lambda: mine.trial(2.0), mine.hold, mine.stop, mine.pause, mine.resume,
+                        mine.zero, mine.about, mine.state, lambda: mine.mark("x", 90.0, b"\xff\xd8\xff" + bytes(1000)),
+                        lambda: mine.command(take=rng.random() < 0.3), mine.release,
+                        lambda: mine.lamps(commit=True, trial=rng.random() < 0.5, led_width_us=rng.choice((9e2, 5e4))),
+                        lambda: mine.job(JobSheet(client=str(rng.random()))), lambda: time.sleep(2 * rng.random()),
+                    ]  # fmt: skip
+                    while time.monotonic() < end:
+                        with contextlib.suppress(AnnulusError):
+                            rng.choice(asks)()
+                        time.sleep(0.3 * rng.random())
+            except BaseException as error:
+                wrong.append(error)
+
+        operators = [threading.Thread(target=ask, args=(number,)) for number in range(3)]
+        for one in operators:
+            one.start()
+        for one in operators:
+            one.join()
+        assert not wrong
+        until(lambda: client.state() is State.IDLE or bool(client.stop()))
+        assert head.counters()["lamps_on"] == []
+
+    seen = operated(head, tmp_path, operate)
+    assert seen.reports and not [finding.text for report in seen.reports for finding in report.findings]
+    assert not any(text.startswith("ending,") for text in seen.told), seen.told

@@ -151,3 +151,11 @@ def write(
             "height": 4,
         }
         assert writer.frame(header, np.zeros((4, 4), np.uint8), 1)
+
+
+def test_what_is_told_to_be_empty_is_and_what_is_not_told_stays() -> None:
+    sheet = JobSheet(client="A", site="Elm Street", sdr=11.0)
+    assert sheet.over_told({"client": "", "sdr": None}) == JobSheet(site="Elm Street")
+    assert sheet.over_told({"site": "Oak Street"}) == JobSheet(client="A", site="Oak Street", sdr=11.0)
+    assert sheet.over_told(JobSheet(pipe="P-1").to_whole()) == JobSheet(pipe="P-1")
+    assert sheet.over_told(None) == sheet

@@ -9,7 +9,7 @@ import tokenize
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from annulus.daemon import pictures, publishing
+from annulus.daemon import found, live_wall, pictures, publishing
 from annulus.daemon.control import REQUEST_MAX, TEXT_MAX, Do
 from annulus.daemon.health import Health
 from annulus.daemon.observer import Mark, Observer
@@ -19,12 +19,16 @@ from annulus.sensors.sample import Sample
 from annulus.stream.frames import FrameHeader
 from annulus.wall.profile import Profile
 
-MADE = (pictures.preview, pictures.rows, pictures.slits)  # of a frame or a profile, in the publisher's process
+# of frames and profiles, in the publisher's process
+MADE = (pictures.preview, pictures.rows, pictures.slits, live_wall.word)
+FOUND = {"defects": found.Findings.to_dict, "closeup": found.closeup}  # by the surveyor's
 BYTES = {
     "frame/<camera>": "the image, row by row",
     "preview/<camera>": "the JPEG",
     "rows/<camera>": f"{pictures.BANDS} float32",
     "slits/<camera>": "x y of each point, int16, and then its ring, uint8",
+    "closeup": "a PNG of the deviation around it, along the pipe to the right, clock downwards",
+    "wall": "int16 rows x columns, 0.01 mm, -32768 not seen",
 }
 NOTES = {"frame/<camera>": "A labelled frame with its image.", "label": "The label of every frame, without its image."}
 ORDER = ("frame/<camera>", "label", "profile")  # these first, the others as the code has them
@@ -42,12 +46,12 @@ def topics() -> dict[str, str]:
                 topic = _text(call.args[0])
                 if topic:
                     found.setdefault(topic, method.name)
-    return found | {_made(make): make.__name__ for make in MADE}
+    return found | {_made(make): make.__name__ for make in MADE} | {topic: topic for topic in FOUND}
 
 
 def _made(make: Callable[..., Any]) -> str:
     """The topic that its docstring names."""
-    named = re.search(r"topic ([a-z]+/<camera>)", inspect.getdoc(make) or "")
+    named = re.search(r"topic ([a-z]+(?:/<camera>)?)", inspect.getdoc(make) or "")
     assert named is not None, make
     return named[1]
 
@@ -105,6 +109,9 @@ BODIES: Mapping[str, Callable[[], list[tuple[str, str]]]] = {
     "preview/<camera>": lambda: [*fields_of(FrameHeader), ("preview", "width, height"), ("published", "Unix time, s")],
     "rows/<camera>": lambda: keys_of(pictures.rows),
     "slits/<camera>": lambda: keys_of(pictures.slits),
+    "wall": lambda: keys_of(live_wall.word),
+    "defects": lambda: keys_of(found.Findings.to_dict),
+    "closeup": lambda: [("scan", ""), *keys_of(found.closeup)],
     "state": lambda: keys_of(publishing.Publishing.state),
     "event": lambda: keys_of(publishing.Publishing.event),
     "health": lambda: keys_of(Health.to_dict),
@@ -116,7 +123,8 @@ BODIES: Mapping[str, Callable[[], list[tuple[str, str]]]] = {
 def page() -> str:
     out = []
     for topic, method in sorted(topics().items(), key=lambda one: ORDER.index(one[0]) if one[0] in ORDER else 99):
-        told = getattr(Observer, method, None) or getattr(pictures, method, None)
+        rooms = (Observer, pictures, live_wall)
+        told = FOUND.get(topic) or next((getattr(room, method) for room in rooms if hasattr(room, method)), None)
         what = NOTES.get(topic) or (inspect.getdoc(told) if told else "") or ""
         out.append(f"\n### {topic.replace('<', '&lt;').replace('>', '&gt;')}\n\n{what}\n")
         if topic == "label":

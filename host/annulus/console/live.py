@@ -14,6 +14,7 @@ from annulus.console.cloud import Cloud
 from annulus.console.feed import Feed
 from annulus.console.hub import STATUS, Hub, Viewer
 from annulus.console.kept import CLOSEUPS_MAX, Bounded, CloseUp, Frames, WallPart, WallRows
+from annulus.console.light import light
 from annulus.numeric.palette import DEVIATION_LIVE_MM, deviation_table
 from annulus.stream.frames import CAMERAS_MAX
 
@@ -151,6 +152,8 @@ class Live:
         if len(part) % 4 or len(part) > 4096:
             raise ValueError(f"rows: {len(part)} bytes, expected float32")
         self.hub.newest(("rows", camera, label), "rows", wire.rows(camera, label, index, part))
+        told = light(camera, str(body.get("label")), index, part)
+        self.hub.newest(("light", camera, label), "rows", wire.status("light", told))
 
     def _slits(self, body: Any, part: bytes) -> None:
         camera, _, index, _ = _header(body, "slits")

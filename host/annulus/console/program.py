@@ -63,14 +63,14 @@ class Program:
 
     def __init__(self, daemon: Daemon, door: Door, *, demo: bool = False, surveys: Sequence[Path] = ()) -> None:
         """surveys : folders whose recordings and results are shown. Raises AnnulusError when an address is none."""
-        self.door, self.demo, self.surveys = door, demo, tuple(surveys)
+        self.daemon, self.door, self.demo, self.surveys = daemon, door, demo, tuple(surveys)
         self.static = Path(str(files("annulus.console"))) / "static"
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self.feed = Feed(self._context, daemon.publish, daemon.publish_keys)
         self.hub = Hub()
         self.live = Live(self.feed, self.hub)
         self.commands = Commands(self._context, daemon.control, daemon.control_keys)
-        self.lease = Lease(self.commands, self._answers)
+        self.lease = Lease(self.commands, self.answers)
         self.places = Places(door.host, door.tls_cert is not None, door.names)
         self.sessions = Sessions(door.password is not None)
         self.sessions.in_use = lambda session: any(viewer.session == session.id for viewer in self.hub.viewers)
@@ -90,7 +90,7 @@ class Program:
 
     async def do(self, asked: Mapping[str, Any], session: Session) -> Mapping[str, Any]:
         """A request of the control socket in this session's name. Raises Refusal."""
-        who = {"id": session.id, "name": session.name or f"browser {session.id[:4]}"}
+        who = self.who(session)
         answer = await self.commands.ask({**asked, "who": who})
         self.lease.heard(str(asked.get("do")), who)
         self.look()
@@ -107,6 +107,11 @@ class Program:
 
         self.feed.on_word = both
         self.hub.on_wants = lambda wanted: wants(wanted | foxglove.wants)
+
+    @staticmethod
+    def who(session: Session) -> dict[str, str]:
+        """As the daemon is told who asks."""
+        return {"id": session.id, "name": session.name or f"browser {session.id[:4]}"}
 
     def look(self) -> None:
         """What the daemon is about may have changed."""
@@ -151,7 +156,8 @@ class Program:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _answers(self, session: str) -> bool:
+    def answers(self, session: str) -> bool:
+        """Whether a page of it is there, and awake."""
         now = time.monotonic()
         return any(one.session == session and now - one.answered_s < ANSWERS_S for one in self.hub.viewers)
 

@@ -9,6 +9,7 @@ from collections.abc import AsyncIterator, Callable, Sequence
 from typing import Any
 
 from annulus import untrusted
+from annulus.console import bench, surveys, tuning
 from annulus.console.access import CONFIRM_S, LOGINS, LOGINS_OF_ALL, PASSWORD_MAX, Bucket, Rates, Session, named
 from annulus.console.answers import Refusal, asked_for, refused, said
 from annulus.console.commands import LIT
@@ -17,7 +18,7 @@ from annulus.console.program import Program, say
 from annulus.console.viewing import cut_off, view
 from annulus.vocabulary import AnnulusError
 
-PARTS: Sequence[Callable[[Program], Sequence[Any]]] = ()
+PARTS: Sequence[Callable[[Program], Sequence[Any]]] = (surveys.routes, bench.routes, tuning.routes)
 """Each gives a list of Starlette's routes; what a part's endpoint raises is answered as in answers.py."""
 
 

@@ -23,7 +23,9 @@ WINDOW_S = 10.0
 UNKNOWN_SHARE = 0.1  # of the frames of the window; a soak of every fault at once stays below 0.025
 FRAMES_LEAST = 50  # in the window, before a share says anything
 DISK_MINUTES = 10.0
-HARMLESS = frozenset({"worker_busy", "worker_late", "control_malformed", "sensor_malformed", "sensor_fault"})
+HARMLESS = frozenset(
+    {"worker_busy", "worker_late", "surveyor_notes", "control_malformed", "sensor_malformed", "sensor_fault"}
+)
 WHY_MAX = 3  # reasons in one line
 
 

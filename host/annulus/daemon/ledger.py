@@ -23,7 +23,8 @@ LIVE = (
 )  # fmt: skip
 NO_FRAMES = (
     "camera_missing",
-    "recorder_notes", "publisher_notes", "workers_replaced", "recorders_replaced", "publishers_replaced", "edge_events",
+    "recorder_notes", "publisher_notes", "workers_replaced", "recorders_replaced", "publishers_replaced",
+    "surveyors_replaced", "surveyor_notes", "surveyor_failed", "edge_events",
     "line_broken", "camera_silent", "camera_gone", "cameras_replaced", "sensor_silent", "sensor_malformed",
     "sensor_fault", "sensor_dropped", "supply_fault",
     "control_malformed",

@@ -65,7 +65,9 @@ class Operating:
                 return {"about": about(session.config, session.line)}
             case Do.JOB:
                 assert request.job is not None
-                session.config = replace(session.config, job=session.config.job.under(request.job))
+                session.config = replace(
+                    session.config, job=session.config.job.under(request.job).without(request.emptied)
+                )
                 session.observers.job(session.config.job)
             case Do.LAMPS:
                 return {"lamps": lamp_numbers(self._lamps(request))}

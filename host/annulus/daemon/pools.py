@@ -259,7 +259,7 @@ class Recorder(Pool, Observer):
         self.note("/mark", mark.to_dict())
 
     def job(self, sheet: JobSheet) -> None:
-        self.note("/job", sheet.to_dict())
+        self.note("/job", sheet.to_whole())
 
     def telemetry(self, numbers: Mapping[str, Any]) -> None:
         self.note("/telemetry", numbers)

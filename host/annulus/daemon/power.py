@@ -14,9 +14,10 @@ from annulus.daemon.config import HeadConfig
 from annulus.daemon.control import ControlSocket
 from annulus.daemon.controller_line import ControllerLine, preamble_for, stage_of
 from annulus.daemon.observer import Observers
-from annulus.daemon.pools import socket_folder
+from annulus.daemon.pools import Pool, socket_folder
 from annulus.daemon.priority import prompt
 from annulus.daemon.publishing import Publishing
+from annulus.daemon.surveying import Surveying
 from annulus.labelling.labelling import CameraMode
 from annulus.labelling.navigation import Navigation
 from annulus.sensors.sample import Sensor
@@ -37,8 +38,14 @@ class Power:
     doorkeeper: Doorkeeper
     control: ControlSocket | None
     publishing: Publishing | None
+    surveying: Surveying | None
     feeds: tuple[CameraFeed, ...]  # of the cameras, in the order of head.toml
     modes: tuple[CameraMode, ...]
+
+    @property
+    def pools(self) -> dict[str, Pool | None]:
+        """Of processes that are there for viewers."""
+        return {"publisher": self.publishing, "surveyor": self.surveying}
 
 
 def power_up(
@@ -80,18 +87,23 @@ def power_up(
         feed.join(ring, max(1, config.slots // len(feeds)))
     doorkeeper = Doorkeeper(strangers)
     stack.callback(doorkeeper.close)
-    shared, publishing = Shared(ring, ours, folder), None
+    shared, publishing, surveying = Shared(ring, ours, folder), None, None
     if config.publish is not None:
         live = config.calibration if config.calibration is not None and config.calibration.frame_by_frame else None
         publishing = Publishing(config.publish, shared, account, observers, config.realtime, live)
         stack.callback(publishing.stop, PUBLISHED_S)
         observers.all.append(publishing)
         stack.callback(observers.all.remove, publishing)
+        if live is not None:
+            surveying = Surveying(live, shared, account, observers, publishing)
+            stack.callback(surveying.stop, 0.0)
+            observers.all.append(surveying)
+            stack.callback(observers.all.remove, surveying)
     control = None
     if config.control is not None:
         control = ControlSocket(doorkeeper, config.control.address, config.control.keys)
         stack.callback(control.close)
-    return Power(line, shared, doorkeeper, control, publishing, tuple(feeds), modes)
+    return Power(line, shared, doorkeeper, control, publishing, surveying, tuple(feeds), modes)
 
 
 def _mode(feed: CameraFeed) -> CameraMode:

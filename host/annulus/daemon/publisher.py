@@ -7,10 +7,12 @@ as notes; what viewers do not take in time is dropped, see stream/publish.py.
 import sys
 import time
 from collections import Counter
+from contextlib import suppress
 from typing import Any
 
 import zmq
 
+from annulus.daemon.live_wall import LiveWall
 from annulus.daemon.pictures import preview, rows, slits
 from annulus.daemon.priority import Allowance, prompt
 from annulus.geometry.calibration import Calibration
@@ -30,14 +32,18 @@ class PublisherJob:
     """A Publisher as a job. A frame's `extra` is its running number; a note's body its own and what it says. Reports
     where it is bound, and each time it had to close everybody's connection.
 
-    What is made of frames and profiles for somebody (pictures.py) is made here, and numbered here. Labels are to be
-    there at once, so it has real-time priority where that is allowed, but within limits (Allowance).
+    What is made of frames and profiles for somebody (pictures.py), and the wall, is made and numbered here. Labels are
+    to be there at once, so it has real-time priority where that is allowed, but within limits (Allowance).
     """
 
     def __init__(
-        self, address: str, keys: Keys | None, realtime: bool | None = False, calibration: Calibration | None = None
-    ) -> None:
+        self, address: str, keys: Keys | None, realtime: bool | None = False, calibration: Calibration | None = None,
+        scan: int | None = None,
+    ) -> None:  # fmt: skip
+        """`scan`: number of the one under way, of which this one has seen nothing yet: it takes over."""
         self._calibration = calibration
+        self._under_way = scan is not None
+        self._wall = None if calibration is None else LiveWall(calibration, scan or 0)
         self._made: Counter[str] = Counter()  # by topic
         self._allowance = Allowance(realtime)
         self._context: zmq.Context[zmq.Socket[bytes]] = prompt(zmq.Context())
@@ -58,12 +64,19 @@ class PublisherJob:
                 self._send(topic, *make(header, image))
 
     def note(self, kind: str, body: Any) -> None:
-        number, said = body
-        self._publisher.send(kind, number, said)
-        if kind == "profile" and self._calibration is not None:
-            topic = f"slits/{said['camera']}"
-            if self._publisher.wanted(topic) and (found := slits(Profile.from_dict(said), self._calibration)):
-                self._send(topic, *found)
+        number, said, *part = body
+        self._publisher.send(kind, number, said, *part)
+        if kind in ("begun", "ended"):
+            self._under_way = kind == "begun"
+            if self._under_way and self._wall is not None:
+                self._wall.begin(said["scan"])
+        if kind == "profile" and self._calibration is not None and self._wall is not None:
+            with suppress(ValueError):  # one that is none must not cost what is there
+                profile = Profile.from_dict(said)
+                self._wall.add(profile)
+                topic = f"slits/{profile.camera}"
+                if self._publisher.wanted(topic) and (found := slits(profile, self._calibration)):
+                    self._send(topic, *found)
 
     def _send(self, topic: str, body: Any, part: bytes) -> None:
         self._publisher.send(topic, self._made[topic], body, part)
@@ -71,7 +84,12 @@ class PublisherJob:
 
     def idle(self) -> Any:
         self._doorkeeper.admit()
-        self._publisher.listen()
+        asked = self._publisher.listen()
+        if self._wall is not None and self._publisher.wanted("wall"):
+            if any(b"wall".startswith(prefix) for prefix in asked):
+                self._wall.say_again()
+            for said in self._wall.say(time.monotonic(), in_turn=self._under_way):
+                self._send("wall", *said)
         self._allowance.look()
         report = [self._publisher.address, self._publisher.floods]
         if report == self._reported:
@@ -90,7 +108,7 @@ def _prepare(setup: Any) -> PublisherJob:
     end = time.monotonic() + FREED_S
     while True:
         try:
-            return PublisherJob(setup["address"], known, setup["realtime"], calibration)
+            return PublisherJob(setup["address"], known, setup["realtime"], calibration, setup["scan"])
         except AnnulusError:
             if time.monotonic() > end:
                 raise

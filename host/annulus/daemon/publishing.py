@@ -40,6 +40,7 @@ class Publishing(Pool, Observer):
         }  # fmt: skip
         self._setup: dict[str, Any] = {"address": config.address, "keys": plain, "realtime": realtime}
         self._setup["calibration"] = None if calibration is None else calibration.to_dict()
+        self._setup["scan"] = None  # under way, for one that takes over
         self._sent: Counter[str] = Counter()
         self._floods = self._notes_dropped = 0
         command = child("annulus.daemon.publisher")
@@ -61,6 +62,7 @@ class Publishing(Pool, Observer):
             self._account.lose("publisher_busy")
 
     def begun(self, scan: int) -> None:
+        self._setup["scan"] = scan
         self._send("begun", {"scan": scan})
 
     def state(self, state: State, why: str) -> None:
@@ -88,14 +90,19 @@ class Publishing(Pool, Observer):
         self._send("health", health.to_dict())
 
     def ended(self, report: ScanReport) -> None:
+        self._setup["scan"] = None
         self._send("ended", {"seconds": report.seconds, "recordings": [str(path) for path in report.recordings]})
 
-    def _send(self, topic: str, body: Mapping[str, Any]) -> None:
+    def made(self, topic: str, body: Mapping[str, Any], part: bytes = b"") -> None:
+        """What another process made of the scan: the surveyor's topics."""
+        self._send(topic, body, part)
+
+    def _send(self, topic: str, body: Mapping[str, Any], part: bytes = b"") -> None:
         number = self._number(topic)
         if not self._pool.alive:
             self._account.lose("publisher_notes")
             return
-        self._pool.tell(topic, [number, dict(body)])
+        self._pool.tell(topic, [number, dict(body), part])
         dropped = self._pool.counts["notes_dropped"]
         self._account.lose("publisher_notes", dropped - self._notes_dropped)
         self._notes_dropped = dropped

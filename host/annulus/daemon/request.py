@@ -13,7 +13,7 @@ from typing import Any, Self
 
 from annulus import untrusted
 from annulus.daemon.command import ID_MAX, NAME_MAX, Operator
-from annulus.job import JobSheet
+from annulus.job import WORDS, JobSheet, emptied
 
 REQUEST_MAX = 4096  # bytes
 PHOTO_MAX = 48 << 10  # bytes of a JPEG
@@ -62,6 +62,7 @@ class Request:
     record: bool = True  # False: a trial, which ends `hold_s` after nobody asked for more
     hold_s: float = HOLD_S
     job: JobSheet | None = None
+    emptied: frozenset[str] = frozenset()  # fields of the job that are to be empty
     lamps: Mapping[str, float] = field(default_factory=dict)  # of LAMP_KEYS, what is to be another
     commit: bool = False  # put them in force
     trial: bool = False  # .. until the trial ends, and whatever rows are open
@@ -91,7 +92,9 @@ class Request:
         allowed = FIELDS.get(do, ())
         if top.keys() - {"do", "who", *allowed}:
             raise ValueError(f"{do}: expected nothing more" + (f", but {_listed(allowed)}" if allowed else ""))
-        clock_deg = top.get("clock_deg")
+        clock_deg, job, gone = top.get("clock_deg"), top.get("job"), emptied(top.get("job"))
+        if isinstance(job, Mapping):
+            job = {name: value for name, value in job.items() if name not in gone or name not in WORDS}
         return cls(
             do,
             text=untrusted.text(top.get("text", ""), "text", TEXT_MAX),
@@ -99,7 +102,8 @@ class Request:
             photo=_photo(top.get("photo", b"")),
             record=_flag(top, "record", True),
             hold_s=untrusted.within(top.get("hold_s", HOLD_S), "hold_s", 1.0, HOLD_MAX_S),
-            job=JobSheet.from_dict(top.get("job"), "job") if do is Do.JOB else None,
+            job=JobSheet.from_dict(job, "job") if do is Do.JOB else None,
+            emptied=gone,
             lamps=_lamps(top.get("lamps", {})),
             commit=_flag(top, "commit", False),
             trial=_flag(top, "trial", False),

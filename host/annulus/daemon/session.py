@@ -151,7 +151,8 @@ class Session:
     @property
     def processes(self) -> dict[str, list[int]]:
         """Process ids of those that are up, by what they do."""
-        pools = {"recorder": self.recorder, "worker": self._reconstruction, "publisher": self._publishing}
+        viewed = self._power.pools if self._power else {}
+        pools = {"recorder": self.recorder, "worker": self._reconstruction, **viewed}
         up = {name: pool.pids for name, pool in pools.items() if pool is not None and pool.ready}
         spares = {f"{name} spare": pool.spare_pids for name, pool in pools.items() if pool is not None}
         spares["camera spare"] = [feed.spare_pid for feed in self._feeds if feed.spare_pid is not None]
@@ -167,7 +168,7 @@ class Session:
         power = self._power
         intakes = self._scan.intakes if self._scan is not None else []
         cameras = [{**one.labelling.numbers(), **self._account.of_camera(i)} for i, one in enumerate(intakes)]
-        pools = {"workers": self._reconstruction, "recorder": self.recorder, "publisher": self._publishing}
+        pools = {"workers": self._reconstruction, "recorder": self.recorder, **(power.pools if power else {})}
         return {
             "state": self._state.value,
             **self._operating.numbers(),

@@ -56,7 +56,7 @@ def job_told(recording: Recording) -> JobSheet:
     who = [one for one in recording.notes(IDENTITY) if isinstance(one, dict)]
     sheet = sheet.under(JobSheet.recorded(who[-1].get("job") if who else None))
     for note, _ in zip(recording.notes(JOB_TOPIC), range(JOBS_MAX), strict=False):
-        sheet = sheet.under(JobSheet.recorded(note))
+        sheet = sheet.over_told(note)
     return sheet
 
 

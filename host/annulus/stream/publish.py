@@ -51,18 +51,24 @@ class Publisher:
             header = msgpack.packb({"n": number, "body": body})
             self._socket.send_multipart([topic.encode(), header, part], zmq.NOBLOCK, copy=True)
 
-    def listen(self) -> None:
-        """See what viewers ask for. Call regularly; does not wait."""
+    def listen(self) -> frozenset[bytes]:
+        """See what viewers ask for. Call regularly; does not wait. Returns what prefixes of topics somebody has asked
+        for since the last call, also such as others had asked for before.
+        """
         if self._socket is None:
             with contextlib.suppress(AnnulusError):  # libzmq has not quite let go of the address: the next time
                 self._socket = self._bound()
-            return
+            return frozenset()
+        asked = set()
         with contextlib.suppress(zmq.Again):
             while not self._flooded:
-                self._heard(self._socket.recv(zmq.NOBLOCK))
+                said = self._socket.recv(zmq.NOBLOCK)
+                if self._heard(said):
+                    asked.add(said[1:])
         if self._flooded:
             self.floods += 1
             self.close()
+        return frozenset(asked)
 
     def wanted(self, topic: str) -> bool:
         """Whether some viewer has asked for it, as far as `listen` has heard."""
@@ -78,23 +84,28 @@ class Publisher:
     def _flooded(self) -> bool:
         return self._strange > STRANGE_MAX or self._standing_bytes > STANDING_MAX
 
-    def _heard(self, said: bytes) -> None:
-        """libzmq tells of the first who asks for a prefix, and when nobody does any more."""
+    def _heard(self, said: bytes) -> bool:
+        """libzmq tells of each who asks for a prefix, and when nobody does any more. Returns whether it was one that
+        asks for something there may be.
+        """
         prefix = said[1:]
         if not _is_known(prefix):
             self._strange += len(said)
-        elif said[:1] == b"\1" and prefix not in self._standing:
+            return False
+        if said[:1] == b"\1" and prefix not in self._standing:
             self._standing.add(prefix)
             self._standing_bytes += len(said)
         elif said[:1] == b"\0" and prefix in self._standing:
             self._standing.remove(prefix)
             self._standing_bytes -= len(said)
+        return said[:1] == b"\1"
 
     def _bound(self) -> zmq.Socket[bytes]:
         self._strange = self._standing_bytes = 0
         self._standing.clear()
         socket = self._doorkeeper.context.socket(zmq.XPUB)
         socket.setsockopt(zmq.SNDHWM, VIEWER_QUEUE)
+        socket.setsockopt(zmq.XPUB_VERBOSE, 1)  # who comes later is told of, too
         socket.setsockopt(zmq.RCVHWM, 1)
         socket.setsockopt(zmq.LINGER, 0)
         self.address = self._doorkeeper.bind(socket, self.address, self._keys, "publish", CARRIED_MAX)

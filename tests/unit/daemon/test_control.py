@@ -21,6 +21,7 @@ from annulus.daemon.control import (
     Request,
 )
 from annulus.daemon.state import State
+from annulus.job import JobSheet
 from annulus.stream.access import Doorkeeper, Keys
 from annulus.vocabulary import AnnulusError
 
@@ -189,3 +190,8 @@ def test_outside_needs_keys_and_only_those_known_are_served() -> None:
 def test_the_health_is_told_to_who_asks(daemon: Daemon) -> None:
     with ControlClient(daemon.socket.address) as head:
         assert head.health() == "ok"
+
+
+def test_a_field_of_the_job_is_emptied_where_it_is_told_to_be() -> None:
+    request = Request.unpack(msgpack.packb({"do": "job", "job": {"client": "B", "site": "", "sdr": None}}))
+    assert request.job == JobSheet(client="B") and request.emptied == {"site", "sdr"}

@@ -19,16 +19,18 @@ from annulus.stream.publish import parse
 from annulus.stream.ring import FrameRing
 from annulus.stream.workers import Shared
 from annulus.vocabulary import Label
+from tests.unit.daemon.test_live_wall import CALIBRATION, profile
 
 pytestmark = pytest.mark.slow
 
 
 class Stand:
-    def __init__(self, folder: Path, address: str = "tcp://127.0.0.1:*") -> None:
+    def __init__(self, folder: Path, address: str = "tcp://127.0.0.1:*", calibration=None) -> None:
         self.context, self.ring, self.account, self.index = zmq.Context(), FrameRing(8, 1200), Account(), 0
         self.publishing = Publishing(
-            SocketConfig(address, None), Shared(self.ring, self.context, folder), self.account, Observer()
-        )
+            SocketConfig(address, None), Shared(self.ring, self.context, folder), self.account, Observer(),
+            calibration=calibration,
+        )  # fmt: skip
         self.viewer = self.context.socket(zmq.SUB)
         self.viewer.subscribe(b"")
 
@@ -124,3 +126,35 @@ def test_an_address_that_is_taken_is_one_clear_line(stand: Stand, tmp_path: Path
     with pytest.raises(AssertionError, match=r"cannot publish on tcp://.*Expected"):
         other.until(lambda: False)
     other.close()
+
+
+def test_pictures_are_made_while_somebody_looks_and_a_wall_for_who_comes_late(tmp_path: Path) -> None:
+    stand = Stand(tmp_path, calibration=CALIBRATION)
+    try:
+        stand.until(lambda: stand.publishing.ready and not stand.publishing.address.endswith("*"))
+        stand.viewer.unsubscribe(b"")
+        stand.viewer.subscribe(b"label")
+        stand.viewer.connect(stand.publishing.address)
+        stand.receive("label")
+        stand.publishing.begun(77)
+        for z in range(0, 400, 2):
+            stand.publishing.profile(profile(float(z)))
+            stand.publishing.poll()
+        stand.receive("label")
+        for topic in (b"preview/0", b"rows/0", b"slits/0", b"wall"):
+            stand.viewer.subscribe(topic)
+        number, body, jpeg = stand.receive("preview/0")
+        assert number < 3 and body["preview"] == {"width": 20, "height": 15} and jpeg[:2] == b"\xff\xd8"
+        assert len(stand.receive("rows/0")[2]) == 4 * 64
+        rows: set[int] = set()
+        end = time.monotonic() + 3.0
+        while len(rows) < 110 and time.monotonic() < end:
+            _, body, part = stand.receive("wall")
+            assert body["scan"] == 77 and len(part) == 2 * 360 * body["rows"]
+            rows |= set(range(body["first"], body["first"] + body["rows"])) if body["of"] == "whole" else set()
+        assert len(rows) >= 110
+        stand.publishing.profile(profile(402.0))
+        _, body, part = stand.receive("slits/0")
+        assert body == {"index": 402, "camera": 0} and len(part) % 5 == 0
+    finally:
+        stand.close()

@@ -14,6 +14,8 @@ TABLE = Table(
         "codecs": "How a recording keeps its pictures",
         "memory": "What each process of a scan keeps for good",
         "kills": "Every process of a scan killed and stopped in turn, with three others spinning",
+        "console": "The console: what it costs, how soon a viewer has a picture, and a page shows it",
+        "console_faults": "What console, network and viewers can do to a scan",
         "soak": "Labels and places under faults, in virtual time",
         "emulator": "The shipped image over 200 000 edges, on its pins",
     },
