@@ -46,7 +46,7 @@ def opened(browser: Any, page: Path, width: int) -> Iterator[tuple[Any, list[str
 
 def faults(tab: Any) -> list[str]:
     """What axe-core finds wrong, of any kind, and what it cannot decide; the contrast of text within a drawing, which
-    it does not decide, is measured here against the paper."""
+    it does not decide, is measured here against what is behind it."""
     import axe_core_python
 
     tab.evaluate(next(Path(axe_core_python.__file__).parent.rglob("axe.min.js")).read_text(encoding="utf-8"))
@@ -57,12 +57,26 @@ def faults(tab: Any) -> list[str]:
         if not (kind == "incomplete" and one["id"] == "color-contrast" and node["html"].startswith("<text"))
     ]  # fmt: skip
     out = [f"{name}: {html[:120]}" for name, html in nodes]
-    fills = tab.evaluate("[...new Set([...document.querySelectorAll('svg text')].map(t => getComputedStyle(t).fill))]")
-    return out + [f"text in a drawing: {fill}" for fill in fills if _contrast(fill) < 4.5]
+    drawn = tab.evaluate(_DRAWN)
+    return out + [f"text in a drawing: {ink} on {paper}" for ink, paper in drawn if _contrast(ink, paper) < 4.5]
 
 
-def _contrast(fill: str) -> float:
-    """WCAG's, of "rgb(r, g, b)" against white."""
-    parts = [int(part) / 255 for part in re.findall(r"\d+", fill)[:3]]
+# [fill, the paper behind it] of every text in a drawing
+_DRAWN = """[...new Set([...document.querySelectorAll('svg text')].map((text) => {
+  let at = text;
+  while (at && /^(transparent|rgba\\(.*, 0\\))$/.test(getComputedStyle(at).backgroundColor)) at = at.parentElement;
+  const paper = at ? getComputedStyle(at).backgroundColor : 'rgb(255, 255, 255)';
+  return JSON.stringify([getComputedStyle(text).fill, paper]);
+}))].map((one) => JSON.parse(one))"""
+
+
+def _contrast(ink: str, paper: str) -> float:
+    """WCAG's, of two "rgb(r, g, b)"."""
+    light, dark = sorted((_luminance(ink), _luminance(paper)), reverse=True)
+    return (light + 0.05) / (dark + 0.05)
+
+
+def _luminance(colour: str) -> float:
+    parts = [int(part) / 255 for part in re.findall(r"\d+", colour)[:3]]
     linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts]
-    return 1.05 / (0.05 + 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2])
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]

@@ -38,7 +38,7 @@ def console(head: Any, surveys: Path) -> Iterator[str]:
 def page(browser: Any, url: str, tab: str, width: int = 1400, theme: str = "light") -> Iterator[Any]:
     context = browser.new_context(viewport={"width": width, "height": 900}, locale="en", color_scheme=theme)
     opened = context.new_page()
-    opened.set_default_timeout(8000)
+    opened.set_default_timeout(30_000)
     wrong: list[str] = []
     asked: list[str] = []
     opened.on("pageerror", lambda error: wrong.append(str(error)))
@@ -53,7 +53,7 @@ def page(browser: Any, url: str, tab: str, width: int = 1400, theme: str = "ligh
         context.close()
 
 
-def until(what: Callable[[], object], seconds: float = 8.0) -> None:
+def until(what: Callable[[], object], seconds: float = 30.0) -> None:
     end = time.monotonic() + seconds
     while not what():
         assert time.monotonic() < end, "not in time"

@@ -1,6 +1,6 @@
 """Where a flash lights all rows alike, found from how brightly it lit them at several delays.
 
-    proposal = find(readings, timing, delay_us=2100, width_us=500)     # AnnulusError: why nothing can be proposed
+    proposal = find(readings, timing, delay_us=2100, width_us=500, height=1232)   # AnnulusError: why there is none
 
 Row r of N (from 0 to 1) exposes from opens - readout * (1 - r) to closes + readout * r after the sync edge, and sees of
 a flash the share that falls in between; what falls behind its end it sees in the next frame. So a flash that lies
@@ -26,7 +26,7 @@ DARK = 1.5  # of 255: an image that varies by less over all rows and delays show
 SATURATED_MAX = 0.02  # of the pixels: more, and light says nothing of a share
 CHANGED_MAX = 0.05  # between two readings with the same flash
 MISFIT_MAX = 0.08  # of the light, root mean square: no rolling shutter looks like that
-BANDING_MAX, BANDING_NOISES = 0.02, 4.0  # of the light; and as many times the noise
+BANDING_MAX, BANDING_NOISES = 0.02, 4.0  # of the light; and as many times the band's noise
 LIT = 0.1  # of the brightest band: darker ones say nothing of evenness
 MARGIN_US = 50.0  # from either edge, at least
 SURE_US = 500.0  # an edge known no better was not seen
@@ -54,7 +54,7 @@ class Proposal:
     width_us: float
     opens_us: float
     closes_us: float
-    opens_k2_us: float | None  # None: that edge was not seen, the plateau reaches at least that far
+    opens_k2_us: float | None  # None: that edge was not seen, it is as head.toml says
     closes_k2_us: float | None
     readout_us: float | None  # as measured, where an edge was seen
     widest_us: float
@@ -62,35 +62,39 @@ class Proposal:
     why: str
     full: Array = field(repr=False, compare=False)  # (B,) light of a flash that is seen whole, without black
     black: float  # 0..255
-    noise: float  # of a band's light, relative
+    noise: Array = field(repr=False, compare=False)  # (B,) of the readings' light, relative to `full`
     banding: float | None = None  # of the proposed flash, once it was tried: largest deviation of a band from `full`
     light: float | None = None  # its mean, 0..255
     saturated: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Plain types, without the bands."""
-        return {name: getattr(self, name) for name in self.__dataclass_fields__ if name != "full"}
+        return {name: getattr(self, name) for name in self.__dataclass_fields__ if name not in ("full", "noise")}
 
 
-def shares(readings: Sequence[Reading], opens: float, closes: float, readout: float, period: float) -> Array:
-    """(readings, bands) part of each flash that a band's rows saw, 0..1."""
+def shares(
+    readings: Sequence[Reading], opens: float, closes: float, readout: float, period: float, height: int
+) -> Array:
+    """(readings, bands) part of each flash that a band's rows saw, 0..1, of a picture of `height` rows."""
     bands = len(readings[0].light)
-    rows = (np.arange(bands * ROWS_A_BAND) + 0.5) / (bands * ROWS_A_BAND)
+    first = np.linspace(0, height, bands + 1).astype(int)  # as the bands are made
+    within = (np.arange(ROWS_A_BAND) + 0.5) / ROWS_A_BAND
+    rows = (first[:-1, None] + np.diff(first)[:, None] * within - 0.5).ravel() / max(height - 1, 1)
     begins, ends = opens - readout * (1 - rows), closes + readout * rows
     delay = np.array([one.delay_us for one in readings])[:, None]
     width = np.array([one.width_us for one in readings])[:, None]
     own = np.array([one.follows_itself for one in readings])[:, None]
 
     def seen(at: Array) -> Array:
-        return np.clip(np.minimum(at + width, ends) - np.maximum(at, begins), 0.0, None) / width
+        return np.asarray(np.clip(np.minimum(at + width, ends) - np.maximum(at, begins), 0.0, None) / width)
 
     share = seen(delay) + np.where(own, seen(delay - period), 0.0)
     return np.asarray(share.reshape(len(readings), bands, ROWS_A_BAND).mean(axis=2))
 
 
-def find(readings: Sequence[Reading], timing: FrameTiming, delay_us: float, width_us: float) -> Proposal:
-    """delay_us, width_us : of the flash in force, which is proposed again where it fits. Raises AnnulusError with why
-    there is nothing to propose.
+def find(readings: Sequence[Reading], timing: FrameTiming, delay_us: float, width_us: float, height: int) -> Proposal:
+    """delay_us, width_us : of the flash in force, which is proposed again where it fits. height : of the picture, in
+    rows. Raises AnnulusError with why there is nothing to propose.
     """
     if len(readings) < READINGS_MIN:
         raise AnnulusError(f"tune: {len(readings)} readings, expected at least {READINGS_MIN}")
@@ -106,7 +110,7 @@ def find(readings: Sequence[Reading], timing: FrameTiming, delay_us: float, widt
             f"tune: saturated, at best {min(one.saturated for one in readings):.0%} of the pixels: shorten the flash"
         )
     _same(readings)
-    fit = _Fit(readings, light, timing)
+    fit = _Fit(readings, light, timing, height)
     if fit.misfit > MISFIT_MAX:
         raise AnnulusError(
             f"tune: the light does not follow the delay as in a rolling shutter ({fit.misfit:.0%} besides):"
@@ -130,14 +134,15 @@ def find(readings: Sequence[Reading], timing: FrameTiming, delay_us: float, widt
         (timing.opens_us, timing.closes_us),
         f"{seen_us}, {said}: " + ("the flash in force fits" if kept else "the flash in force does not fit"
         if wide == width_us else f"no flash longer than {widest:.0f} us fits"),
-        fit.full, fit.black, fit.misfit,
+        fit.full, fit.black, fit.noise,
     )  # fmt: skip
 
 
 def confirmed(proposal: Proposal, tried: Reading) -> Proposal:
     """With what the proposed flash did when it was tried. Raises AnnulusError when it bands, or saturates."""
-    uneven = banding(tried.light - proposal.black, proposal.full)
-    if uneven > max(BANDING_MAX, BANDING_NOISES * proposal.noise):
+    off = deviations(tried.light - proposal.black, proposal.full)
+    uneven = float(off.max())
+    if (off > BANDING_MAX + BANDING_NOISES * proposal.noise).any():
         raise AnnulusError(
             f"tune: tried, the flash at {proposal.delay_us:.0f} us leaves bands of {uneven:.1%}: is the head at rest?"
         )
@@ -146,11 +151,11 @@ def confirmed(proposal: Proposal, tried: Reading) -> Proposal:
     return replace(proposal, banding=uneven, light=float(tried.light.mean()), saturated=tried.saturated)
 
 
-def banding(light: Array, reference: Array) -> float:
-    """Largest deviation of a band from the reference (B,), both without black, beyond what all bands have in common."""
+def deviations(light: Array, reference: Array) -> Array:
+    """(B,) of bands from the reference, both without black, beyond what all have in common; of dark ones 0."""
     lit = reference > LIT * reference.max()
-    ratio = light[lit] / reference[lit]
-    return float(np.max(np.abs(ratio / max(float(np.median(ratio)), 1e-6) - 1.0)))
+    ratio = light / np.maximum(reference, 1e-6)
+    return np.asarray(np.where(lit, np.abs(ratio / max(float(np.median(ratio[lit])), 1e-6) - 1.0), 0.0))
 
 
 def _margin(k2_us: float | None) -> float:
@@ -172,8 +177,8 @@ def _same(readings: Sequence[Reading]) -> None:
 class _Fit:
     """opens, closes and readout that explain the readings best; light of a whole flash and black besides."""
 
-    def __init__(self, readings: Sequence[Reading], light: Array, timing: FrameTiming) -> None:
-        self._readings, self._period = readings, timing.period_us
+    def __init__(self, readings: Sequence[Reading], light: Array, timing: FrameTiming, height: int) -> None:
+        self._readings, self._period, self._height, self._timing = readings, timing.period_us, height, timing
         width = np.array([one.width_us for one in readings])[:, None]
         self._relative = width / width.max()  # light grows with the width
         self._light = light
@@ -190,28 +195,35 @@ class _Fit:
         residual = self._residual(found.x)
         self.misfit = float(np.sqrt(np.mean(residual**2)))
         self.black, self.readout = float(found.x[3]), float(found.x[2])
-        self.full = self._full(shares(readings, *found.x[:3], self._period) * self._relative, self.black)
+        self.full = self._full(self._share(found.x), self.black)
+        spread = np.sqrt(np.mean((residual / self._weight) ** 2, axis=0))
+        self.noise = np.asarray(spread / np.maximum(np.abs(self.full), 1e-6))
         self._sigma = self._uncertainty(residual)
 
     @property
     def opens(self) -> tuple[float, float | None]:
-        """With k = 2, None where nothing was cut there: then the earliest flash that was seen whole."""
+        """With k = 2; None where no lit row was cut: then head.toml is believed, as far as flashes were tried."""
         if self._sigma[0] * 2 < SURE_US:
             return max(float(self._x[0]), 0.0), max(2 * float(self._sigma[0]), 1.0)
-        return min(one.delay_us for one in self._readings), None
+        return max(self._timing.opens_us, min(one.delay_us for one in self._readings)), None
 
     @property
     def closes(self) -> tuple[float, float | None]:
         if self._sigma[1] * 2 < SURE_US:
             return float(self._x[1]), max(2 * float(self._sigma[1]), 1.0)
-        return max(one.delay_us + one.width_us for one in self._readings), None
+        return min(self._timing.closes_us, max(one.delay_us + one.width_us for one in self._readings)), None
 
     def _full(self, share: Array, black: float) -> Array:
         weight = (share**2).sum(axis=0)
         return np.asarray(((self._light - black) * share).sum(axis=0) / np.maximum(weight, 1e-9))
 
+    def _share(self, x: Array) -> Array:
+        opens, closes, readout = (float(one) for one in x[:3])
+        share = shares(self._readings, opens, closes, readout, self._period, self._height)
+        return np.asarray(share * self._relative)
+
     def _residual(self, x: Array) -> Array:
-        share = shares(self._readings, *x[:3], self._period) * self._relative
+        share = self._share(x)
         return np.asarray((self._light - x[3] - self._full(share, float(x[3])) * share) * self._weight)
 
     def _begin(self, timing: FrameTiming) -> Array:

@@ -19,6 +19,8 @@ from annulus.cli.pdf import Sheet, on_paper
 from annulus.cli.sample import sample
 from annulus.cli.show import Bars, Json, print_findings, progress, tell
 from annulus.cli.terminal import escaped
+from annulus.cli.tune import EXAMPLE as TUNE_EXAMPLE
+from annulus.cli.tune import tune
 from annulus.numeric.compiling import telling
 from annulus.untrusted import one_line
 from annulus.vocabulary import AnnulusError
@@ -358,6 +360,7 @@ def _print_findings(config: Path, as_json: bool) -> None:
 
 app.command(epilog=console_page.EXAMPLE)(console_page.console)
 app.command(epilog=doctor.EXAMPLE)(doctor.doctor)
+app.command(epilog=TUNE_EXAMPLE)(tune)
 
 
 def main() -> None:

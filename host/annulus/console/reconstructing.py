@@ -6,6 +6,7 @@ until it is whole, and does not outlive this program.
 
 import asyncio
 import contextlib
+import glob
 import os
 import shutil
 import signal
@@ -222,7 +223,7 @@ def _put(partial: Path, scan: Path) -> Path:
 
 def _sweep(scan: Path) -> None:
     """What a console left that was killed."""
-    for path in scan.parent.glob(f".{_stem(scan)}.*.part"):
+    for path in scan.parent.glob(f".{glob.escape(_stem(scan))}.*.part"):
         number = path.name.rsplit(".", 2)[1]
         if number.isdigit() and int(number) != os.getpid() and not Path(f"/proc/{number}").exists():
             shutil.rmtree(path, ignore_errors=True)

@@ -74,6 +74,12 @@ class Listing:
     left_out: int = 0  # that were too many
     by_id: Mapping[str, Entry] = field(default_factory=dict)
 
+    @property
+    def stamp(self) -> str:
+        """Another where anything of it is."""
+        told = [(one.id, one.changed_s, sorted(one.told.items(), key=str)) for one in self.by_id.values()]
+        return hashlib.sha256(f"{told} {self.left_out}".encode("utf-8", "replace")).hexdigest()[:16]
+
 
 class Shelf:
     """What lies in the folders. One thread at a time calls `look`."""

@@ -7,7 +7,7 @@ there is nothing; near its trailing end what was known before holds; and of its 
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -31,12 +31,15 @@ COLOURS = 49  # of a picture: more are noise, and make it twice as large
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """A defect with the number that stays with it, the frames that saw it, and what is shown of it from close by."""
+    """A defect with the number that stays with it and the frames that saw it.
+
+    closeup : what is shown of it from close by, 50 to 150 kB; empty where it is kept for long.
+    """
 
     id: int
     defect: Defect
     frames: tuple[int, ...]
-    closeup: tuple[dict[str, Any], bytes]
+    closeup: tuple[dict[str, Any], bytes] = field(default_factory=lambda: ({}, b""))
 
     def to_dict(self) -> dict[str, Any]:
         one = self.defect
@@ -66,7 +69,7 @@ class Findings:
                 Kind(one["kind"]), one["z_mm"], one["clock_deg"], one["length_mm"], one["arc_deg"], one["depth_mm"],
                 math.nan, one["floor_seen"], k2,
             )  # fmt: skip
-            self.known.append(Found(one["id"], defect, tuple(one["frames"]), ({}, b"")))
+            self.known.append(Found(one["id"], defect, tuple(one["frames"])))
         self._number = 1 + max((one.id for one in self.known), default=0)
         looked = told.get("looked_mm")
         self.looked_mm = (looked[0], looked[1]) if looked else None
@@ -95,19 +98,20 @@ class Findings:
             same = [one for one in (*open_, *left) if is_same(one.defect, defect, self._diameter_mm)]
             old = min(same, key=lambda one: abs(one.defect.z_mm - defect.z_mm), default=None)
             if old is not None and _says_the_same(old.defect, defect):
-                continue_with = replace(old, defect=defect)
+                goes_on = replace(old, defect=defect)
             else:
                 number = self._number if old is None else old.id
                 self._number += old is None
                 frames = frames_of(defect, survey.profiles)
-                continue_with = Found(number, defect, frames, closeup(number, defect, survey))
-                new.append(continue_with)
+                goes_on = Found(number, defect, frames)
+                new.append(replace(goes_on, closeup=closeup(number, defect, survey)))
             open_ = [one for one in open_ if one is not old]
             left = [one for one in left if one is not old]
-            left.append(continue_with)
+            left.append(goes_on)
         self.known = sorted(left, key=lambda one: -one.defect.depth_mm)[:LISTED_MAX]
         self.known.sort(key=lambda one: (one.defect.z_mm, one.defect.clock_deg))
-        return [one for one in new if one in self.known]
+        listed = {one.id for one in self.known}
+        return [one for one in new if one.id in listed]
 
     def to_dict(self, scan: int) -> dict[str, Any]:
         """Body of topic defects: every defect found so far, and the pipe's diameter in the last window."""

@@ -33,6 +33,11 @@ class Surveying(Pool, Observer):
         kind = WorkerKind("surveyor", command, self._setup, 1, 1)
         super().__init__(kind, shared, account, observer)
 
+    @property
+    def unheard(self) -> int:
+        """Profiles on their way."""
+        return self._sent - self._heard
+
     def begun(self, scan: int) -> None:
         self._setup["under_way"] = {"scan": scan, "defects": []}
         self._at_mm = math.nan
@@ -42,7 +47,7 @@ class Surveying(Pool, Observer):
         if abs(profile.z_mm - self._at_mm) < self._spacing_mm or profile.pose is None:
             return
         self.poll()
-        if not self._pool.alive or self._sent - self._heard >= UNHEARD_MAX:
+        if not self._pool.alive or self.unheard >= UNHEARD_MAX:
             self._account.lose("surveyor_notes")
             return
         self._at_mm = profile.z_mm

@@ -9,7 +9,7 @@ daemon does both HOLD_S later.
 
 import contextlib
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -25,11 +25,12 @@ from annulus.vocabulary import AnnulusError, Label
 LAMPS = {"projector": Label.PROJECTOR, "led": Label.LED}
 STEPS = 14
 FRAMES = 3  # of each setting; their median is the reading
-BEYOND = 0.25  # of the readout, past both ends of the window that head.toml predicts
+BEYOND = 0.35  # of the readout, past both ends of the window that head.toml predicts
 HOLD_S, RENEW_S = 5.0, 1.5
 UP_S = 30.0  # until the first frames of the lamp
 PATIENCE_PERIODS = 60  # for the frames of one setting, and ..
 PATIENCE_S = 2.0
+WRONG_US = 100.0  # by which head.toml may differ before somebody is told
 SKIPPED = 2  # edges after the newest one known, whose frames are on their way
 QUEUE = 1000
 MESSAGE_MAX = 1 << 20
@@ -62,10 +63,16 @@ class Tuned:
         """For people: what was found, a line each."""
         one = self.proposal
         edges = (
-            f"{word} {at:.0f} us" + (f" +- {k2:.0f} us" if k2 is not None else " or beyond: this edge was not seen")
+            f"{word} {at:.0f}" + (f" +- {k2:.0f} us" if k2 is not None else " or beyond: this edge was not seen")
             for word, at, k2 in (("opens", one.opens_us, one.opens_k2_us), ("closes", one.closes_us, one.closes_k2_us))
         )
         lines = [f"{self.lamp}: {one.why}", "; ".join(edges) + f"; the widest flash is {one.widest_us:.0f} us"]
+        for key, k2, more in (
+            ("exposure_us", one.opens_k2_us, one.predicted_us[0] - one.opens_us),
+            ("readout_us", one.closes_k2_us, one.predicted_us[1] - one.closes_us),
+        ):
+            if k2 is not None and abs(more) > max(k2, WRONG_US):
+                lines.append(f"head.toml: {key} is {abs(more):.0f} us too {'small' if more > 0.0 else 'large'}")
         if one.banding is not None and one.light is not None and one.saturated is not None:
             lines.append(
                 f"tried: bands of {one.banding:.1%}, light {one.light:.1f} of 255, {one.saturated:.1%} saturated"
@@ -105,7 +112,7 @@ def tune(
         for n, at in enumerate([*settings, settings[len(settings) // 2]]):
             readings += work.read(at, width)
             progress(f"{lamp} at {at:.0f} us", n + 1, total)
-        proposal = find(readings, timing, delay, width)
+        proposal = find(readings, timing, delay, width, watch.height)
         tried = work.read(proposal.delay_us, proposal.width_us)
         progress("proposed flash", total, total)
         proposal = confirmed(proposal, tried[-1])
@@ -174,6 +181,7 @@ class _Watch:
         self._camera, self._label = camera, label
         self._labels: dict[int, Label] = {}
         self._newest = -1  # edge
+        self.height = 1  # rows of the picture
         self._rows: list[tuple[int, np.ndarray[tuple[int], np.dtype[np.float64]], float]] = []
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._socket = self._context.socket(zmq.SUB)
@@ -240,12 +248,14 @@ class _Watch:
                 topic, _, body, part = parse(self._socket.recv_multipart())
                 self._take(topic, untrusted.mapping(body, topic), part)
 
-    def _take(self, topic: str, body: "untrusted.Mapping[str, object]", part: bytes) -> None:
+    def _take(self, topic: str, body: Mapping[str, object], part: bytes) -> None:
         edge = body.get("edge")
         if body.get("camera", 0) != self._camera or not isinstance(edge, int):
             return
         label = Label(untrusted.text(body.get("label"), "label", 32))
         self._labels[edge] = label
+        if topic == "label":
+            self.height = untrusted.whole(body.get("height"), "height", 1, 1 << 16)
         self._newest = max(self._newest, edge)
         while len(self._labels) > QUEUE:
             del self._labels[next(iter(self._labels))]

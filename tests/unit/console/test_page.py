@@ -17,6 +17,7 @@ from annulus.numeric.rounding import Quantity
 
 STATIC = Path(annulus.console.__file__).with_name("static")
 OWN = sorted(path for path in STATIC.rglob("*") if path.is_file() and "vendor" not in path.parts)
+MODULES = [path for path in OWN if path.suffix == ".js"]
 QUANTITIES = {
     name: quantity for name in ("DISTANCE", "MEASURE", "EXTENT", "ANGLE", "ARC", "PERCENT", "SHARE")
     if isinstance(quantity := getattr(rounding, name), Quantity)
@@ -24,6 +25,31 @@ QUANTITIES = {
 SEED = 18
 ELSEWHERE = re.compile(rb"https?://[^\s\"'`)>]+|[\"'`]//[a-z]")
 NAMESPACES = (b"http://www.w3.org/2000/svg", b"http://www.w3.org/1999/xhtml")
+
+
+def strings(language: str) -> dict[str, str]:
+    return dict(json.loads((STATIC / f"strings/{language}.json").read_text(encoding="utf-8")))
+
+
+def test_every_language_has_every_string_and_the_same_blanks_in_it() -> None:
+    english = strings("en")
+    for path in (STATIC / "strings").glob("*.json"):
+        other = strings(path.stem)
+        assert other.keys() == english.keys(), path.name
+        assert not [key for key, text in other.items() if not text.strip() and not key.startswith("unit.")], path.name
+        blanks = {key: sorted(re.findall(r"{\w+}", text)) for key, text in other.items()}
+        assert blanks == {key: sorted(re.findall(r"{\w+}", text)) for key, text in english.items()}, path.name
+
+
+def test_every_string_that_a_module_asks_for_is_there() -> None:
+    english = strings("en")
+    asked = {
+        key for path in (*MODULES, STATIC / "index.html")
+        for line in path.read_text(encoding="utf-8").splitlines() if not line.lstrip().startswith("//")
+        for key in re.findall(r"(?:\bt\(|data-t=|data-t-label=)\"([\w.-]+)\"", line)
+    }  # fmt: skip
+    assert asked
+    assert sorted(asked - english.keys()) == []
 
 
 def test_nothing_of_the_page_names_another_machine() -> None:

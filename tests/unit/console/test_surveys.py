@@ -177,6 +177,15 @@ def test_what_did_not_change_is_not_looked_at_again(tmp_path: Path, monkeypatch:
     assert looked[3:] == ["d.mcap"]
 
 
+def test_who_knows_the_list_is_not_sent_it_again(tmp_path: Path, client: Any) -> None:
+    result(tmp_path / "a-results")
+    web, _ = client(tmp_path)
+    stamp = web.get("/api/surveys").json()["stamp"]
+    assert web.get(f"/api/surveys?known={stamp}").json() == {"ok": True, "same": True, "stamp": stamp, "jobs": []}
+    result(tmp_path / "b-results")
+    assert len(web.get(f"/api/surveys?known={stamp}").json()["entries"]) == 2
+
+
 def test_the_list_is_bounded_and_newest_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(room, "ENTRIES_MAX", 3)
     for age, name in enumerate(("new", "newer", "old", "older", "oldest")):

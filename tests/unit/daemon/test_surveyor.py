@@ -3,19 +3,32 @@ missed is counted, and one that takes over goes on.
 """
 
 import math
+import os
+import signal
+import time
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
+import pytest
+import zmq
 
 from annulus.daemon import found
+from annulus.daemon.account import Account
 from annulus.daemon.found import Findings, frames_of, is_same
+from annulus.daemon.observer import Observer
+from annulus.daemon.publishing import Publishing
+from annulus.daemon.surveying import UNHEARD_MAX, Surveying
 from annulus.daemon.surveyor import OVERLAP, STEP, WAITING, WINDOW, Window
 from annulus.geometry.pose import Pose
+from annulus.stream.ring import FrameRing
+from annulus.stream.workers import Shared
 from annulus.wall.defects import Defect, Kind
 from annulus.wall.profile import Profile
 from annulus.wall.survey import Survey
+from tests.unit.daemon import test_live_wall as live
 
 D = 150.0
 DENT = Defect(Kind.BUMP, 500.0, 90.0, 30.0, 40.0, 3.0, 900.0, True, 0.2)
@@ -141,3 +154,61 @@ def test_where_the_place_was_set_anew_a_window_begins() -> None:
     profiles, _, begins, _ = window.take(final=False) or ([], 0, False, False)
     assert [profile.frame for profile in profiles] == list(range(20, 60)) and begins
     assert window.missed == 20
+
+
+@pytest.mark.slow
+def test_a_dent_is_told_of_while_the_scan_is_under_way_and_keeps_its_number_when_the_surveyor_is_killed(
+    tmp_path: Path,
+) -> None:
+    """However long it takes: it has the lowest priority."""
+
+    def dent(clock: Any, z: Any) -> Any:
+        return np.where((np.abs(clock - 90.0) < 20.0) & (np.abs(z - 520.0) < 20.0), -4.0, 0.0)
+
+    context, ring, account, events = zmq.Context(), FrameRing(2, 1200), Account(), []
+    shared, heard = Shared(ring, context, tmp_path), []
+    told = SimpleNamespace(made=lambda topic, body, part: heard.append((topic, body, part)))
+    observer = SimpleNamespace(event=lambda kind, text: events.append(kind))
+    surveying = Surveying(live.CALIBRATION, shared, account, cast(Observer, observer), cast(Publishing, told))
+
+    def until(done: Any) -> None:
+        end = time.monotonic() + 300.0
+        while not done():
+            assert time.monotonic() < end and not surveying.broken, (events, surveying.broken)
+            surveying.poll()
+            time.sleep(0.02)
+
+    try:
+        surveying.begun(77)
+        until(lambda: surveying.ready)
+        for z in np.arange(0.0, 600.0, 1.0):
+            surveying.profile(live.profile(float(z), bump=dent))
+            until(lambda: surveying.unheard < 50)
+        assert surveying.pids
+        until(lambda: any(topic == "closeup" for topic, _, _ in heard))
+        surveying.ended(cast(Any, None))
+        lists = [body for topic, body, _ in heard if topic == "defects"]
+        (one,) = lists[-1]["defects"]
+        assert one["kind"] == "bump" and abs(one["depth_mm"] - 4.0) < 0.3 and one["clock"] == "3:00" and one["id"] == 1
+        assert abs(one["z_mm"] - 520.0) < 5.0 and 1 <= len(one["frames"]) <= 12 and lists[-1]["scan"] == 77
+        body, png = next((body, part) for topic, body, part in heard if topic == "closeup")
+        section = np.frombuffer(body["section_mm"], "<f4")
+        assert png[:4] == b"\x89PNG" and len(section) == 360 and abs(section[90] - (live.RADIUS_MM - 4.0)) < 0.3
+        pids = surveying.pids
+        os.kill(pids[0], signal.SIGKILL)
+        until(lambda: surveying.ready and surveying.pids != pids)
+        assert account.drops["surveyors_replaced"] == 1 and "surveyor_died" in events
+        heard.clear()
+        until(lambda: any(topic == "defects" for topic, _, _ in heard))
+        assert [one["id"] for one in heard[0][1]["defects"]] == [1]
+        surveying.profile(live.profile(700.0))
+        os.kill(surveying.pids[0], signal.SIGSTOP)
+        began = time.monotonic()
+        for z in np.arange(700.0, 1300.0, 3.5):
+            surveying.profile(live.profile(float(z)))
+        assert time.monotonic() - began < 2.0, "nobody waits for it"
+        assert account.drops["surveyor_notes"] >= 171 - UNHEARD_MAX
+    finally:
+        surveying.stop(0.0)
+        context.destroy(linger=0)
+        ring.close()

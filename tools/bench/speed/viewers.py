@@ -1,7 +1,7 @@
 """A console at work for a benchmark, each part in a process of its own: a daemon that only talks
 (tests/unit/console/fake_daemon.py), the console, and viewers on real WebSockets.
 
-    python -m tools.bench.speed.viewers talk FPS       prints PUBLISH,CONTROL
+    python -m tools.bench.speed.viewers talk FPS       prints PUBLISH,CONTROL; with a second number so many times faster
     python -m tools.bench.speed.viewers look URL N S   N viewers for S seconds; prints what they saw as JSON
     python -m tools.bench.speed.viewers stare URL      one that wants everything and never reads
 """
@@ -40,6 +40,7 @@ class Console:
     url: str  # with the slash at its end
     pid: int
     head: int  # pid of who talks
+    publish: str  # where that one does
 
 
 @contextmanager
@@ -79,9 +80,9 @@ def _told(running: "subprocess.Popen[str]", stream: Any, pattern: str) -> str:
 
 
 @contextmanager
-def talking(fps: float) -> Iterator[tuple[int, str]]:
-    """A daemon that only talks: its pid, and PUBLISH,CONTROL."""
-    with child([sys.executable, "-m", "tools.bench.speed.viewers", "talk", f"{fps:g}"]) as head:
+def talking(fps: float, faster: float = 1.0) -> Iterator[tuple[int, str]]:
+    """A daemon that only talks: its pid, and PUBLISH,CONTROL. faster : than the time it talks of."""
+    with child([sys.executable, "-m", "tools.bench.speed.viewers", "talk", f"{fps:g}", f"{faster:g}"]) as head:
         yield head.pid, _told(head, head.stdout, r"tcp://\S+,tcp://\S+")
 
 
@@ -113,10 +114,10 @@ def _free_port() -> int:
 
 
 @contextmanager
-def console_at_work(fps: float = 25.0) -> Iterator[Console]:
-    with talking(fps) as (head, daemon), serving(daemon) as (pid, url):
+def console_at_work(fps: float = 25.0, faster: float = 1.0) -> Iterator[Console]:
+    with talking(fps, faster) as (head, daemon), serving(daemon) as (pid, url):
         time.sleep(2.0)
-        yield Console(url, pid, head)
+        yield Console(url, pid, head, daemon.partition(",")[0])
 
 
 def session_of(url: str) -> tuple[str, str]:
@@ -216,11 +217,47 @@ def numbered(head: Any) -> None:
         head._jpegs[lamp] = made
 
 
-def talk(fps: float) -> None:
+def hurried(head: Any, faster: float) -> None:
+    """Hours in minutes: all that it says in a second of its own, in the same order, `faster` times a second. Profiles
+    are some of the first, moved on along the pipe."""
+    import fake_daemon
+    import numpy as np
+
+    some = [fake_daemon.profile(k, 0.0) for k in range(20)]
+    points = [np.frombuffer(one["points"], "<f4").reshape(-1, 3) for one in some]
+
+    def profile(index: int, z_mm: float) -> dict[str, Any]:
+        which = index % len(some)
+        at = points[which] + np.array([0.0, 0.0, z_mm], "<f4")
+        return {**some[which], "frame": index, "z_mm": z_mm, "points": at.astype("<f4").tobytes()}
+
+    fake_daemon.profile = profile
+    fps = int(head.fps)
+
+    def run() -> None:
+        due = time.monotonic()
+        while not head._ended.is_set():
+            head._listen()
+            head._answer()
+            head._frame()
+            if head.index % (fps // 2) == 0:
+                head._wall()
+            if head.index % fps == 0:
+                head._second(time.monotonic())
+            due = max(due + 1.0 / (fps * faster), time.monotonic() - 0.05)
+            time.sleep(max(0.0, due - time.monotonic()))
+
+    head._run = run
+    head._thread = threading.Thread(target=run, daemon=True)
+
+
+def talk(fps: float, faster: float) -> None:
     from fake_daemon import FakeDaemon
 
     head = FakeDaemon(fps, scanning=True)
     numbered(head)
+    if faster > 1.0:
+        hurried(head, faster)
     with head:
         print(f"{head.publish},{head.control}", flush=True)
         signal.sigwait([signal.SIGINT, signal.SIGTERM])
@@ -229,7 +266,7 @@ def talk(fps: float) -> None:
 def main(what: str, *given: str) -> None:
     if what == "talk":
         signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT, signal.SIGTERM])
-        talk(float(given[0]))
+        talk(float(given[0]), float(given[1]) if given[1:] else 1.0)
     elif what == "stare":
         stare(given[0])
     else:

@@ -222,7 +222,7 @@ function mountTrial(app) {
   let timer = 0; // while this page holds a trial
   let begun = 0;
 
-  const let_go = () => {
+  const letGo = () => {
     clearInterval(timer);
     timer = 0;
   };
@@ -231,19 +231,19 @@ function mountTrial(app) {
     try {
       await app.post("/api/do", { do: "hold", hold_s: HOLD_S });
     } catch (error) {
-      let_go();
+      letGo();
       app.wrong(error);
     }
   };
   const end = () => {
-    let_go();
+    letGo();
     return app.ask({ do: "stop" });
   };
   on.addEventListener("click", async () => {
     const confirm = await app.confirmLamps(t("arm.trial"));
     if (confirm === null || !(await app.ask({ do: "start", record: false, hold_s: HOLD_S, confirm }))) return;
     begun = performance.now();
-    let_go();
+    letGo();
     timer = setInterval(hold, HOLD_MS);
     if (app.tab !== "bench") end();
   });
@@ -251,7 +251,7 @@ function mountTrial(app) {
   const show = () => {
     const now = app.latest.telemetry ?? {};
     const going = typeof now.trial === "number" && app.live;
-    if (timer && !going && performance.now() - begun > HOLD_MS) let_go();
+    if (timer && !going && performance.now() - begun > HOLD_MS) letGo();
     const had = document.activeElement;
     off.hidden = !going;
     on.hidden = going;

@@ -1,12 +1,21 @@
 // From where the wall is looked at: turned, tilted, nearer, along the pipe; by mouse, touch, keys, or the buttons beside it.
 
-import { el } from "./dom.js";
+import { el, svg } from "./dom.js";
 
 const TURN = 0.1; // radians a key press
 const NEARER = 0.85;
 const ALONG = 0.15; // of the distance
 const [NEAREST_MM, FARTHEST_MM] = [40, 20_000];
 const STRIDE = 0.12; // of the distance: where drawing is slow, the head is followed in strides
+
+const BUTTONS = [ // what, its key, its sign
+  ["left", "ArrowLeft", "M15 15A7 7 0 1 0 4 8M4 3v5h5"],
+  ["right", "ArrowRight", "M5 15A7 7 0 1 1 16 8M16 3v5h-5"],
+  ["nearer", "+", "M4 10h12M10 4v12"],
+  ["farther", "-", "M4 10h12"],
+  ["back", "PageDown", "M12 4l-6 6 6 6"],
+  ["ahead", "PageUp", "M8 4l6 6-6 6"],
+];
 
 export class Eye {
   constructor(canvas, tools, app, changed) {
@@ -22,12 +31,9 @@ export class Eye {
       this.following = !this.following;
       this.moved();
     });
-    const acts = {
-      left: ["⟲", "ArrowLeft"], right: ["⟳", "ArrowRight"], nearer: ["+", "+"], farther: ["−", "-"],
-      back: ["◂", "PageDown"], ahead: ["▸", "PageUp"],
-    };
-    for (const [name, [sign, key]] of Object.entries(acts)) {
-      const button = el("button", { type: "button", class: "quiet", "aria-label": t(`cloud.${name}`), title: t(`cloud.${name}`) }, sign);
+    for (const [name, key, path] of BUTTONS) {
+      const sign = svg("svg", { viewBox: "0 0 20 20", width: 20, height: 20, "aria-hidden": "true" }, svg("path", { d: path }));
+      const button = el("button", { type: "button", class: "quiet sign", "aria-label": t(`cloud.${name}`), title: t(`cloud.${name}`) }, sign);
       button.addEventListener("click", () => this.press(key));
       tools.append(button);
     }

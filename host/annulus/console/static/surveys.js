@@ -35,7 +35,8 @@ export function mount(root, app) {
   const look = async () => {
     if (!app.session) return;
     try {
-      listing = await app.get("/api/surveys");
+      const heard = await app.get(`/api/surveys?known=${listing?.stamp ?? ""}`);
+      listing = heard.same ? { ...listing, jobs: heard.jobs } : heard;
     } catch (error) {
       if (app.tab === "surveys") write(count, error.message || t("lost.console.short"));
       return;
@@ -82,7 +83,10 @@ export function mount(root, app) {
       if (line.show(one)) look();
       if (line.root.parentNode !== jobs) jobs.prepend(line.root);
     }
-    for (const [id, line] of lines) if (!recent.some((one) => one.id === id)) line.root.remove();
+    for (const [id, line] of lines) {
+      if (!recent.some((one) => one.id === id)) line.root.remove();
+      if (!all.some((one) => one.id === id)) lines.delete(id);
+    }
     jobsBox.hidden = jobs.children.length === 0;
   };
 

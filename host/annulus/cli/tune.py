@@ -1,0 +1,75 @@
+"""`annulus tune`: where a flash lights all rows alike, measured on the running head."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from annulus.cli.console import _configured, _named
+from annulus.cli.show import Bars, Json, progress, tell
+from annulus.vocabulary import AnnulusError
+
+if TYPE_CHECKING:
+    from annulus.daemon.tuning import Tuned
+
+EXAMPLE = "Example: annulus tune --config head.toml --lamp led"
+COLUMNS = 40
+
+
+def tune(
+    config: Annotated[Path | None, typer.Option(help="The daemon's head.toml, where it is on this machine.")] = None,
+    daemon: Annotated[
+        str | None,
+        typer.Option(metavar="PUBLISH,CONTROL", help="The daemon's two addresses, as head.toml has them."),
+    ] = None,
+    lamp: Annotated[str, typer.Option(help="projector, led or both.")] = "both",
+    camera: Annotated[int, typer.Option(min=0, max=7, help="The camera that looks.")] = 0,
+    apply: Annotated[bool, typer.Option("--apply", help="Put what is found in force on the running head.")] = False,
+    json_: Json = False,
+    key_file: Annotated[Path | None, typer.Option(help="This machine's secret CURVE key.")] = None,
+    daemon_key: Annotated[
+        str | None,
+        typer.Option(metavar="KEY[,KEY]", help="The daemon's public CURVE key, or those of its two sockets."),
+    ] = None,
+) -> None:
+    """Find where a flash lights all rows alike, on a running head at rest. Lamps flash meanwhile."""
+    from annulus.daemon.control import ControlClient
+    from annulus.daemon.tuning import LAMPS
+    from annulus.daemon.tuning import tune as tuned
+
+    if (daemon is None) == (config is None):
+        raise AnnulusError("expected one of --config head.toml and --daemon PUBLISH,CONTROL")
+    if lamp not in {*LAMPS, "both"}:
+        raise AnnulusError(f"--lamp {lamp}: expected projector, led or both")
+    where = _configured(config, key_file) if config is not None else _named(daemon or "", key_file, daemon_key)
+    found: list[Tuned] = []
+    with ControlClient(where.control, where.control_keys) as client, progress(Bars.BAR) as report:
+        found += [
+            tuned(client, where.publish, one, keys=where.publish_keys, camera=camera, progress=report)
+            for one in (LAMPS if lamp == "both" else (lamp,))
+        ]
+        proposed = {key: value for one in found for key, value in one.proposed.items()}
+        if apply:
+            client.lamps(commit=True, trial=False, **proposed)
+    if json_:
+        print(json.dumps({"lamps": proposed, "applied": apply,
+                          "found": {one.lamp: one.proposal.to_dict() for one in found}}))  # fmt: skip
+        return
+    for one in found:
+        print("\n".join([*one.remarks, "", *picture(one), ""]))
+    print("\n".join(["[lamps]", *(f"{key} = {value:g}" for key, value in proposed.items())]))
+    if apply:
+        tell("in force on the running head until it restarts: head.toml keeps them")
+
+
+def picture(found: "Tuned") -> list[str]:
+    """Light of all rows, and of the band that got the least of its own, against delay."""
+    proposal = found.proposal
+    lit = proposal.full > 0.1 * proposal.full.max()
+    lines = ["  delay us   light  least band"]
+    for one in sorted(found.readings, key=lambda reading: reading.delay_us):
+        least = float(((one.light - proposal.black)[lit] / proposal.full[lit]).min())
+        bar = "#" * round(COLUMNS * min(max(least, 0.0), 1.0))
+        lines.append(f"{one.delay_us:>10.0f} {one.light.mean():>7.1f} {least:>10.0%}  {bar}")
+    return lines
