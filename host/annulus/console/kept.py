@@ -14,7 +14,8 @@ ROWS_MAX = {"recent": 2400, "whole": 2048}  # the daemon has 2000 and 2048
 ROWS_AT_ONCE = 128  # 92 kB
 COLUMNS_MAX = 720
 CLOSEUPS_MAX = 16 << 20  # bytes
-RECENT_MAX, SEEN_MAX = 32 << 20, 16 << 20  # bytes of pictures: the latest, and those that saw a defect
+SEEN_MAX = 16 << 20  # bytes of pictures that saw a defect
+BUDGET = 56 << 20  # bytes of both and of the latest pictures, which make room: what is kept is soon all it will ever be
 SEEN_EACH = 4  # frames of a defect
 FRAMES_EACH = 12
 
@@ -23,19 +24,19 @@ class Bounded:
     """Bytes by key; of more than there is room for the oldest go."""
 
     def __init__(self, limit: int) -> None:
-        self._limit, self._size = limit, 0
+        self.limit, self.size = limit, 0
         self._kept: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()
 
     def put(self, key: Hashable, value: Any, size: int) -> None:
         self.drop(key)
         self._kept[key] = value, size
-        self._size += size
-        while self._size > self._limit and self._kept:
-            self._size -= self._kept.popitem(last=False)[1][1]
+        self.size += size
+        while self.size > self.limit and self._kept:
+            self.size -= self._kept.popitem(last=False)[1][1]
 
     def drop(self, key: Hashable) -> None:
         if key in self._kept:
-            self._size -= self._kept.pop(key)[1]
+            self.size -= self._kept.pop(key)[1]
 
     def get(self, key: Hashable) -> Any:
         found = self._kept.get(key)
@@ -43,7 +44,7 @@ class Bounded:
 
     def clear(self) -> None:
         self._kept.clear()
-        self._size = 0
+        self.size = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,12 +146,13 @@ class CloseUp:
 
 
 class Frames:
-    """Pictures of half size: the latest, and those that saw a defect."""
+    """Pictures of half size: the latest, and those that saw a defect. They share their room with `closeups`."""
 
-    def __init__(self) -> None:
-        self._recent, self._seen = Bounded(RECENT_MAX), Bounded(SEEN_MAX)
+    def __init__(self, closeups: Bounded) -> None:
+        self._recent, self._seen, self._closeups = Bounded(BUDGET), Bounded(SEEN_MAX), closeups
 
     def put(self, camera: int, index: int, jpeg: bytes) -> None:
+        self._recent.limit = BUDGET - self._seen.size - self._closeups.size
         self._recent.put((camera, index), jpeg, len(jpeg))
 
     def keep(self, indices: list[int], cameras: range) -> None:

@@ -32,7 +32,8 @@ class Live:
 
     def __init__(self, feed: Feed, hub: Hub) -> None:
         self.feed, self.hub = feed, hub
-        self.frames, self.closeups = Frames(), Bounded(CLOSEUPS_MAX)
+        self.closeups = Bounded(CLOSEUPS_MAX)
+        self.frames = Frames(self.closeups)
         self.defects: Mapping[str, Any] = {}
         self.cameras: list[Any] = []
         self.nominal_radius_mm: float | None = None

@@ -195,13 +195,27 @@ def test_the_wall_that_is_kept_is_bounded_and_of_one_step(head: Head) -> None:
 
 
 def test_frames_that_saw_a_defect_outlast_the_others(head: Head) -> None:
-    for index in range(40):
+    for index in range(70):
         head.say("preview/0", {"index": index, "label": "led", "camera": 0}, b"\xff\xd8" + bytes([index]) * 1_000_000)
         if index == 10:
             head.say("defects", {"scan": 1, "defects": [{"id": 1, "frames": [2, 3, 4, 5, 6, 7, 8, 9]}]})
     frames = head.live.frames
-    assert all(frames.get(0, index) for index in (2, 4, 6, 8, 38, 39))
+    assert all(frames.get(0, index) for index in (2, 4, 6, 8, 68, 69))
     assert not frames.get(0, 0) and not frames.get(0, 3)
+
+
+def test_what_is_kept_of_defects_takes_the_room_of_the_latest_pictures(head: Head) -> None:
+    """So that memory is flat from the first minutes on, however many are found."""
+    frames, closeups = head.live.frames, head.live.closeups
+    sizes = []
+    for index in range(300):
+        head.say("preview/0", {"index": index, "label": "led", "camera": 0}, b"\xff\xd8" + bytes(500_000))
+        if index % 5 == 0:
+            head.say("defects", {"scan": 1, "defects": [{"id": index, "frames": [index]}]})
+            head.say("closeup", {"scan": 1, "id": index, "section_mm": bytes(1440)}, bytes(200_000))
+        sizes.append(frames._recent.size + frames._seen.size + closeups.size)
+    assert max(sizes) - min(sizes[150:]) < 2_000_000 and max(sizes) <= 57 << 20
+    assert frames.get(0, 299) and head.live.closeups.get((1, 295))
 
 
 WRONG = [
