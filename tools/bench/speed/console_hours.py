@@ -17,7 +17,7 @@ import zmq
 
 from annulus.stream.publish import parse
 from tools.bench.speed.page_at_work import chromium_at, heap_mb, renderer_mb
-from tools.bench.speed.viewers import Console, console_at_work, rss_mb
+from tools.bench.speed.viewers import Console, console_at_work, foremost, rss_mb
 from tools.bench.table import Row
 
 HOURS, FASTER = 1.0, 12.0
@@ -90,7 +90,7 @@ def watched(console: Console, hours: float) -> tuple[dict[str, Kept], dict[str, 
 
 
 def rows(hours: float = HOURS, faster: float = FASTER) -> list[Row]:
-    with console_at_work(FPS, faster) as console:
+    with foremost(), console_at_work(FPS, faster) as console:
         began = time.monotonic()
         kept, said = watched(console, hours)
         took = time.monotonic() - began
