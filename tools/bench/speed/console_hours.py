@@ -29,7 +29,8 @@ SCAN_H = 8.0
 
 NOTE = (
     f"{FPS:g} frames a second of scan, 3000 points each, pictures, wall, rows, slits, defects and status, said faster "
-    "than they would be. What is not run to its end is called a slope, and nothing else."
+    "than they would be. The list of defects and their close-ups fill for the first hour, at one every half "
+    "metre: the slope of a shorter run is none of 8 h."
 )
 
 

@@ -161,7 +161,7 @@ def _shown(tab: Any, labels: Labels, said: str, renderer: str, console: Console)
     cpu = 100 * (cpu_s(console.pid) - before) / took
     text = (
         f"p50 {cuts[49]:.0f}, p95 {cuts[94]:.0f}, p99 {cuts[98]:.0f} ms of {len(delays)} pictures, "
-        f"{len(delays) / took:.1f} updates a second on the screen, {(stats['pictures'] - pictures) / took:.1f} drawn; by the "
+        f"{len(delays) / took:.1f} updates a second seen, {(stats['pictures'] - pictures) / took:.1f} drawn; by the "
         f"page's own count p95 {own:.0f} ms; "
         f"cloud drawn {(stats['drawn'] - drawn) / took:.1f} times a second by {renderer}; console {cpu:.1f} %, load "
         f"{os.getloadavg()[0]:.1f}"
