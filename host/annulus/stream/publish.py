@@ -1,8 +1,8 @@
 """Frames, labels, profiles and telemetry to viewers over ZeroMQ. A slow viewer loses messages, never the scan.
 
 Every message is [topic, header, part]: header is msgpack {"n": running number within the topic, "body": ...}, part is
-raw bytes or empty. What a viewer's queue (two messages) has no room for is dropped silently: the holes in "n" are how
-the viewer knows.
+raw bytes or empty. What a viewer's queue (two messages) has no room for within a moment is dropped silently: the holes
+in "n" are how the viewer knows.
 
 libzmq files every subscription in the sender's thread and memory, 60 bytes for each of its own: 20 MB of them took a
 gigabyte and 20 s. So none may be longer than CARRIED_MAX, few wait (the more wait, the longer libzmq is at them before
@@ -11,6 +11,7 @@ STANDING_MAX, has everybody's connections closed: that frees the memory, and vie
 """
 
 import contextlib
+import time
 from collections.abc import Collection
 from typing import Any
 
@@ -22,6 +23,8 @@ from annulus.stream.access import Doorkeeper, Keys
 from annulus.vocabulary import AnnulusError
 
 VIEWER_QUEUE = 2  # messages per viewer
+PATIENCE_S = 0.005  # that words wait for room in them; guarded by test_no_word_is_lost_to_who_reads
+STUCK_S = 1.0  # without patience, after a viewer who does not read
 BODY_MAX = 1 << 24
 CARRIED_MAX = 512  # bytes of anything a viewer sends; a CURVE handshake takes 400
 STRANGE_MAX = 1 << 16  # bytes of subscriptions to topics that there are not, of all viewers
@@ -40,16 +43,34 @@ class Publisher:
         self.floods = 0  # times that everybody's connection was closed
         self._doorkeeper, self._keys = doorkeeper, keys
         self._strange = 0
+        self._impatient_until_s = 0.0
         self._standing: set[bytes] = set()  # what viewers ask for
         self._standing_bytes = 0
         self.address = address
         self._socket: zmq.Socket[bytes] | None = self._bound()
 
     def send(self, topic: str, number: int, body: Any, part: Any = b"") -> None:
-        """`body` is plain types and bytes; `part` is any buffer, copied by libzmq before this returns."""
-        if self._socket is not None:
-            header = msgpack.packb({"n": number, "body": body})
-            self._socket.send_multipart([topic.encode(), header, part], zmq.NOBLOCK, copy=True)
+        """`body` is plain types and bytes; `part` is any buffer, copied by libzmq before this returns.
+
+        Whole frames are dropped where there is no room at once. Anything else waits a moment for libzmq's own thread to
+        empty the queues of those who read: words come in bursts of more than a queue holds, and a state that a viewer
+        missed it would not hear again. Who does not read costs PATIENCE_S once in STUCK_S, whoever many there are.
+        """
+        if self._socket is None:
+            return
+        parts = [topic.encode(), msgpack.packb({"n": number, "body": body}), part]
+        now = time.monotonic()
+        if not topic.startswith("frame/") and now >= self._impatient_until_s:
+            self._socket.setsockopt(zmq.XPUB_NODROP, 1)
+            while time.monotonic() - now < PATIENCE_S:
+                try:
+                    self._socket.send_multipart(parts, zmq.NOBLOCK, copy=True)
+                    return
+                except zmq.Again:
+                    time.sleep(PATIENCE_S / 50)
+            self._impatient_until_s = now + STUCK_S
+        self._socket.setsockopt(zmq.XPUB_NODROP, 0)
+        self._socket.send_multipart(parts, zmq.NOBLOCK, copy=True)
 
     def listen(self) -> frozenset[bytes]:
         """See what viewers ask for. Call regularly; does not wait. Returns what prefixes of topics somebody has asked

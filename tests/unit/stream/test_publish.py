@@ -225,3 +225,44 @@ def test_what_viewers_may_ask_for_is_no_flood(context, door) -> None:
     assert greet(door, publisher, viewers[0])
     assert publisher.floods == 0 and publisher._strange == 0
     publisher.close()
+
+
+def test_no_word_is_lost_to_who_reads_and_who_does_not_costs_next_to_nothing(context, door) -> None:
+    publisher = Publisher(door, "tcp://127.0.0.1:*")
+    elsewhere = zmq.Context()
+    reader = elsewhere.socket(zmq.SUB)
+    reader.rcvhwm = 1000
+    reader.subscribe(b"")
+    reader.connect(publisher.address)
+    assert greet(door, publisher, reader)
+    heard: list[int] = []
+
+    def read() -> None:
+        while reader.poll(1000):
+            topic, number, _, _ = parse(reader.recv_multipart())
+            if topic == "state":
+                heard.append(number)
+            if topic == "ended":
+                return
+
+    thread = threading.Thread(target=read)
+    thread.start()
+    for burst in range(40):  # as after a frame: much at once, then nothing
+        for number in range(8):
+            publisher.send("preview/0", 8 * burst + number, None, bytes(40_000))
+        publisher.send("state", burst, {"state": "scanning"})
+        time.sleep(0.01)
+    publisher.send("ended", 0, None)
+    thread.join(10.0)
+    assert heard == list(range(40))
+
+    sleeper = viewer(elsewhere, publisher.address)
+    time.sleep(0.2)
+    began = time.monotonic()
+    for number in range(2000):
+        publisher.send("state", number, {"state": "x" * 5000})
+    assert time.monotonic() - began < 1.0, "s, for 2000 words that nobody takes"
+    for socket_ in (reader, sleeper):
+        socket_.close(0)
+    elsewhere.term()
+    publisher.close()
