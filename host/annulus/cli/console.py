@@ -64,19 +64,28 @@ def console(
     folders = list(surveys or ())
     with contextlib.ExitStack() as stack:
         if demo:
+            _compiled()
             folder = out or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="annulus-console-")))
             tell(f"a simulated head and its daemon come up; what they say is in {folder / 'demo.log'}")
             where = Daemon(*stack.enter_context(simulated(folder, fps)))
             folders.append(folder / "scans")
         elif config is not None:
-            where = _configured(config, key_file)
+            where = configured(config, key_file)
         else:
-            where = _named(daemon or "", key_file, daemon_key)
+            where = named_by(daemon or "", key_file, daemon_key)
         program = stack.enter_context(Program(where, door, demo=demo, surveys=folders))
         if foxglove:
             program.open_to_foxglove()
             tell("Foxglove's viewer connects to ws://127.0.0.1:8765; whatever page runs in a browser here may, too")
         serve(program)
+
+
+def _compiled() -> None:
+    """Loops that the simulated head's daemon would have to wait for, while nobody could see why."""
+    from annulus.reprocess.ahead import make_ready
+    from annulus.twin.worlds import demo_world
+
+    make_ready(demo_world().calibration(), tell)
 
 
 def _door(
@@ -98,7 +107,7 @@ def _door(
     return Door(host, port, tls_cert, tls_key, names, password)
 
 
-def _configured(config: Path, key_file: Path | None) -> "Daemon":
+def configured(config: Path, key_file: Path | None) -> "Daemon":
     from annulus.console.program import Daemon
     from annulus.daemon.config import load_config
 
@@ -115,7 +124,7 @@ def _configured(config: Path, key_file: Path | None) -> "Daemon":
     return Daemon(head.publish.address, head.control.address, publish, control)
 
 
-def _named(daemon: str, key_file: Path | None, daemon_key: str | None) -> "Daemon":
+def named_by(daemon: str, key_file: Path | None, daemon_key: str | None) -> "Daemon":
     from annulus.console.program import Daemon
 
     addresses = daemon.split(",")

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from annulus.cli.console import _configured, _named
+from annulus.cli.console import configured, named_by
 from annulus.cli.show import Bars, Json, progress, tell
 from annulus.vocabulary import AnnulusError
 
@@ -42,7 +42,7 @@ def tune(
         raise AnnulusError("expected one of --config head.toml and --daemon PUBLISH,CONTROL")
     if lamp not in {*LAMPS, "both"}:
         raise AnnulusError(f"--lamp {lamp}: expected projector, led or both")
-    where = _configured(config, key_file) if config is not None else _named(daemon or "", key_file, daemon_key)
+    where = configured(config, key_file) if config is not None else named_by(daemon or "", key_file, daemon_key)
     found: list[Tuned] = []
     with ControlClient(where.control, where.control_keys) as client, progress(Bars.BAR) as report:
         found += [

@@ -226,7 +226,9 @@ class Password:
         """Takes 0.1 s, on purpose. Raises AnnulusError when the file is not as it was made."""
         try:
             if self.path.stat().st_mode & 0o077:
-                raise AnnulusError(f"{self.path}: others may read it, expected mode 600. Make another: --new-password.")
+                raise AnnulusError(
+                    f"{self.path}: others may read it, expected mode 600. Make another with `annulus console`."
+                )
             kept = untrusted.mapping(untrusted.parse_json(untrusted.read_file(self.path, 4096), 4096), "password")
             salt, known = (base64.b64decode(untrusted.text(kept.get(name), name, 200)) for name in ("salt", "hash"))
         except (OSError, ValueError) as error:

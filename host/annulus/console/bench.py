@@ -92,9 +92,14 @@ def burst_arguments(asked: Mapping[str, Any]) -> list[str]:
     repeat = asked.get("repeat", 1)
     if isinstance(repeat, bool) or not isinstance(repeat, int) or abs(repeat) > NUMBER_MAX:
         raise Refusal(400, f"repeat is {untrusted.shown(repeat)}, expected a whole number")
-    times = [f"--{name.replace('_', '-')}={_number(asked, name):.9g}" for name in ("chip_us", "period_us")]
-    offset = _number({"trigger_offset_us": 0.0, **asked}, "trigger_offset_us")
-    return ["burst", "show", f"--repeat={repeat}", *times, f"--trigger-offset-us={offset:.9g}", "--json", "--", code]
+    chip, period, offset = (
+        f"{_number({'trigger_offset_us': 0.0, **asked}, name):.9g}"
+        for name in ("chip_us", "period_us", "trigger_offset_us")
+    )
+    return [
+        "burst", "show", "--repeat", str(repeat), "--chip-us", chip, "--period-us", period,
+        "--trigger-offset-us", offset, "--json", "--", code,
+    ]  # fmt: skip
 
 
 def job_fields() -> list[dict[str, Any]]:

@@ -24,7 +24,15 @@ UNKNOWN_SHARE = 0.1  # of the frames of the window; a soak of every fault at onc
 FRAMES_LEAST = 50  # in the window, before a share says anything
 DISK_MINUTES = 10.0
 HARMLESS = frozenset(
-    {"worker_busy", "worker_late", "surveyor_notes", "control_malformed", "sensor_malformed", "sensor_fault"}
+    {
+        "worker_busy",
+        "publisher_busy",
+        "worker_late",
+        "surveyor_notes",
+        "control_malformed",
+        "sensor_malformed",
+        "sensor_fault",
+    }
 )
 WHY_MAX = 3  # reasons in one line
 
@@ -87,7 +95,8 @@ class HealthWatch:
         if telemetry["state"] == "fault":
             found.append(why_fault or "the head is in fault")
         helps = False
-        scanning = self._records and telemetry["state"] in ("armed", "scanning", "fault")
+        tried = telemetry.get("trial") is not None
+        scanning = self._records and not tried and telemetry["state"] in ("armed", "scanning", "fault")
         grows = now.frames == then.frames or now.recorded > then.recorded
         if scanning and not grows and now.at_s - then.at_s >= WINDOW_S:
             found.append(f"{now.frames - then.frames} frames in {now.at_s - then.at_s:.0f} s and none recorded")
