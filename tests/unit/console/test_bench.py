@@ -79,8 +79,8 @@ def test_an_impossible_mode_is_refused_by_the_one_who_knows() -> None:
 def test_a_burst_is_what_annulus_burst_show_says(web: TestClient) -> None:
     answer = web.post("/api/burst", json=BURST).json()
     assert answer["burst"]["argv"] == [
-        "burst", "show", "--repeat", "3", "--chip-us", "0.5", "--period-us", "1000", "--trigger-offset-us", "-2", "--json", "--",
-        "101",
+        "burst", "show", "--repeat", "3", "--chip-us", "0.5", "--period-us", "1000", "--trigger-offset-us", "-2",
+        "--json", "--", "101",
     ]  # fmt: skip
     assert answer["why"] == ""
 
