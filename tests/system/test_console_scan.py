@@ -99,7 +99,7 @@ def _scan(browser: Any, url: str) -> None:
     page.click("#tab-surveys")
     page.get_by_role("button", name=re.compile("^Reconstruct")).first.click()
     page.click("dialog button.primary")
-    report = page.get_by_role("link", name=re.compile("^Report"))
+    report = page.get_by_role("link", name=re.compile("^Open the report"))
     report.first.wait_for(timeout=120_000)
     with context.expect_page() as opening:
         report.first.click()

@@ -77,7 +77,8 @@ def console(
         if foxglove:
             program.open_to_foxglove()
             tell("Foxglove's viewer connects to ws://127.0.0.1:8765; whatever page runs in a browser here may, too")
-        serve(program)
+        with contextlib.suppress(KeyboardInterrupt):  # that is how it ends
+            serve(program)
 
 
 def _compiled() -> None:
