@@ -124,7 +124,18 @@ class CloseUp:
     """A defect from close by. Lengths in mm, None where nothing was seen."""
 
     numbers: Mapping[str, Any]
+    lines: Mapping[str, bytes]  # float32: as lists they would take eight times the room
     picture: bytes  # PNG
+
+    @property
+    def size(self) -> int:
+        """Bytes, about."""
+        return len(self.picture) + sum(map(len, self.lines.values())) + 1000
+
+    def told(self) -> dict[str, Any]:
+        """For a page; not a number where nothing was seen."""
+        lines = {name: np.frombuffer(data, "<f4").tolist() for name, data in self.lines.items()}
+        return {**self.numbers, **{name: [round(value, 3) for value in line] for name, line in lines.items()}}
 
     @classmethod
     def parse(cls, body: Any, part: bytes) -> "CloseUp":
@@ -134,15 +145,16 @@ class CloseUp:
             "scan": untrusted.whole(told.get("scan"), "closeup: scan", 0, 2**32 - 1),
             "id": untrusted.whole(told.get("id"), "closeup: id", 0, 2**32 - 1),
         }
+        lines = {}
         for name in ("section_mm", "along_mm"):
             data = told.get(name, b"")
             if not isinstance(data, bytes) or len(data) % 4 or len(data) > 4 * 4096:
                 raise ValueError(f"closeup: {name} must be at most 4096 float32")
-            numbers[name] = [round(value, 3) for value in np.frombuffer(data, "<f4").tolist()]
+            lines[name] = data
         for name in ("along_from_mm", "along_step_mm", "nominal_mm"):
             value = told.get(name)
             numbers[name] = None if value is None else untrusted.number(value, f"closeup: {name}", 1e9)
-        return cls(numbers, part)
+        return cls(numbers, lines, part)
 
 
 class Frames:

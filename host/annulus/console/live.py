@@ -194,7 +194,7 @@ class Live:
     def _closeup(self, body: Any, part: bytes) -> None:
         closeup = CloseUp.parse(body, part)
         key = closeup.numbers["scan"], closeup.numbers["id"]
-        self.closeups.put(key, closeup, len(part) + 4000)
+        self.closeups.put(key, closeup, closeup.size)
 
     def _defects(self, said: Mapping[str, Any]) -> None:
         self.defects = said

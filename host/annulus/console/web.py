@@ -107,7 +107,7 @@ def application(program: Program) -> Any:
             for camera in range(max(1, len(program.cameras)))
             if isinstance(index, int) and program.live.frames.get(camera, index) is not None
         ]
-        return said(**closeup.numbers, defect=found, frames=frames, picture=bool(closeup.picture))
+        return said(**closeup.told(), defect=found, frames=frames, picture=bool(closeup.picture))
 
     async def defect_picture(request: Request) -> Response:
         closeup = _closeup(program, request)
