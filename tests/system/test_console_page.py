@@ -279,7 +279,7 @@ def test_pictures_are_drawn_in_time_while_the_wall_grows_in_3d(console: Console,
     late = float(np.percentile(shown, 95))
     assert stats["renderer"]
     assert len(shown) > 4 * 15
-    assert 5 <= stats["drawn"] <= 45  # it was drawn, ten times a second at most
+    assert 5 <= stats["drawn"] <= 80  # slices, of ten pictures a second at most
     assert late <= LATENCY_MS, f"{late:.0f} ms, drawn by {stats['renderer']}"
 
 
