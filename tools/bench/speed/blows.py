@@ -161,7 +161,7 @@ class Course:
         scene = self._scene
         needed = self._left[0].needs if self._left else ""
         there = all(processes.get(role) for role in (*ROLES, needed) if role)
-        works = scene.session.recorded > 0 and scene.seen_ns > 0 and scene.profiles > 0
+        works = scene.session.telemetry()["recorded"] > 0 and scene.seen_ns > 0 and scene.profiles > 0
         return there and works and scene.session.labelled >= 10 and scene.session.state is State.SCANNING
 
     def _recovers(self, struck: Struck, processes: dict[str, list[int]], now: float) -> bool:
@@ -173,7 +173,7 @@ class Course:
             struck.over_ns = time.monotonic_ns() if blow.lasts_s else round(struck.at_s * 1e9)
         there = processes.get(blow.replaces, [])
         if struck.recorded < 0 and (not blow.replaces or (there and struck.victim not in there)):
-            struck.recorded, struck.profiles = scene.session.recorded, scene.profiles
+            struck.recorded, struck.profiles = scene.session.telemetry()["recorded"], scene.profiles
         took_s = now - struck.over_ns / 1e9
         if struck.recorded >= 0 and scene.labelled_ns > struck.over_ns and blow.works(scene, struck):
             self.took_s[blow.name].append(took_s)
@@ -227,7 +227,7 @@ def _signal(role: str, number: signal.Signals) -> Callable[[Scene], None]:
 
 
 def _records(scene: Scene, struck: Struck) -> bool:
-    return scene.session.recorded > struck.recorded
+    return scene.session.telemetry()["recorded"] > struck.recorded
 
 
 def _is_seen(scene: Scene, struck: Struck) -> bool:
