@@ -14,6 +14,7 @@ from test_control import WORLD, Bystander, frames_are_what_they_are_called, head
 from annulus.daemon.command import Operator
 from annulus.daemon.config import SocketConfig
 from annulus.daemon.control import ControlClient
+from annulus.daemon.controller_line import ControllerLine
 from annulus.daemon.session import Session
 from annulus.daemon.state import State
 from annulus.demo import demo_config
@@ -159,3 +160,26 @@ def test_three_operators_who_ask_at_random_break_nothing(head: HeadHandle, tmp_p
     seen = operated(head, tmp_path, operate)
     assert seen.reports and not [finding.text for report in seen.reports for finding in report.findings]
     assert not any(text.startswith("ending,") for text in seen.told), seen.told
+
+
+def test_lamps_that_nobody_confirms_are_refused_and_the_trial_of_them_ends_dark(
+    head: HeadHandle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch  # noqa: F811
+) -> None:  # fmt: skip
+    def operate(client: ControlClient, session: Session) -> None:
+        before = dict(client.about()["lamps"])
+        client.trial(hold_s=3.0)
+        until(lambda: session.state is State.SCANNING)
+        client.lamps(commit=True, trial=True, projector_delay_us=1.0, projector_width_us=900.0)
+        with monkeypatch.context() as patched:
+            patched.setattr(ControllerLine, "refusal", "not now")
+            until(lambda: session.state is State.IDLE)
+            assert client.state() is State.IDLE, "the session goes on, whatever the controller says of its lamps"
+        assert dict(client.about()["lamps"]) == before and head.counters()["lamps_on"] == []
+        with monkeypatch.context() as patched:
+            patched.setattr(ControllerLine, "settled", False)
+            with pytest.raises(AnnulusError, match="did not confirm"):
+                client.lamps(commit=True, led_width_us=900.0)
+            assert dict(client.about()["lamps"]) == before
+
+    seen = operated(head, tmp_path, operate)
+    assert any("not confirmed yet: " in text for text in seen.told)

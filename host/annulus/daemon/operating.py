@@ -88,7 +88,10 @@ class Operating:
         self._trial_until_s = None
         before, self._before = self._before, None
         if before is not None:
-            self._put_in_force(replace(self._session.config, lamps=before), window=True)
+            try:
+                self._put_in_force(replace(self._session.config, lamps=before), window=True)
+            except AnnulusError as error:  # the head keeps what it was asked for, and has it before it is armed again
+                self._session.observers.event("lamps", f"the lamps of before the trial are not confirmed yet: {error}")
 
     def numbers(self) -> dict[str, Any]:
         """For the telemetry."""
@@ -142,6 +145,8 @@ class Operating:
             session.navigation.heard(event)
         if problem := session.line.refusal:
             raise AnnulusError(f"{session.line.url}: {problem}")
+        if not session.line.settled:
+            raise AnnulusError(f"{session.line.url}: the controller did not confirm these lamps")
 
     def _tell(self, text: str) -> None:
         if text:
