@@ -8,7 +8,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import msgpack
 import pytest
+import zmq
 from test_control import WORLD, Bystander, frames_are_what_they_are_called, head, until  # noqa: F401
 
 from annulus.daemon.command import Operator
@@ -183,3 +185,38 @@ def test_lamps_that_nobody_confirms_are_refused_and_the_trial_of_them_ends_dark(
 
     seen = operated(head, tmp_path, operate)
     assert any("not confirmed yet: " in text for text in seen.told)
+
+
+def test_photos_as_fast_as_twenty_clients_can_send_cost_the_scan_nothing(
+    head: HeadHandle, tmp_path: Path  # noqa: F811
+) -> None:  # fmt: skip
+    photo, seconds = b"\xff\xd8\xff" + random.Random(3).randbytes(48_000), 5.0
+
+    def operate(client: ControlClient, session: Session) -> None:
+        client.start()
+        until(lambda: session.labelled >= 15)
+        sent, end = 0, time.monotonic() + seconds
+        with zmq.Context() as context:
+            flood = [context.socket(zmq.DEALER) for _ in range(20)]
+            for one in flood:
+                one.setsockopt(zmq.LINGER, 0)
+                one.setsockopt(zmq.SNDHWM, 2)
+                one.connect(client.address)
+            while time.monotonic() < end:
+                for one in flood:
+                    with contextlib.suppress(zmq.Again):
+                        one.send(msgpack.packb({"do": "mark", "text": "x", "photo": photo}), zmq.NOBLOCK)
+                        sent += 1
+                asked = time.monotonic()
+                client.state()
+                assert time.monotonic() - asked < 0.5, "others are answered"
+            for one in flood:
+                one.close(0)
+        assert sent > 1000
+        client.stop()
+
+    seen = operated(head, tmp_path, operate)
+    report = seen.reports[0]
+    assert 1 <= len(seen.marks) <= seconds + 3
+    assert not report.findings and report.ledger.labelled == report.ledger.recorded
+    assert not report.drops.get("recorder_notes") and not report.drops.get("recorder_busy")
