@@ -8,12 +8,15 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import msgpack
 import pytest
+import zmq
 from test_control import WORLD, Bystander, frames_are_what_they_are_called, head, until  # noqa: F401
 
 from annulus.daemon.command import Operator
 from annulus.daemon.config import SocketConfig
 from annulus.daemon.control import ControlClient
+from annulus.daemon.controller_line import ControllerLine
 from annulus.daemon.session import Session
 from annulus.daemon.state import State
 from annulus.demo import demo_config
@@ -159,3 +162,61 @@ def test_three_operators_who_ask_at_random_break_nothing(head: HeadHandle, tmp_p
     seen = operated(head, tmp_path, operate)
     assert seen.reports and not [finding.text for report in seen.reports for finding in report.findings]
     assert not any(text.startswith("ending,") for text in seen.told), seen.told
+
+
+def test_lamps_that_nobody_confirms_are_refused_and_the_trial_of_them_ends_dark(
+    head: HeadHandle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch  # noqa: F811
+) -> None:  # fmt: skip
+    def operate(client: ControlClient, session: Session) -> None:
+        before = dict(client.about()["lamps"])
+        client.trial(hold_s=3.0)
+        until(lambda: session.state is State.SCANNING)
+        client.lamps(commit=True, trial=True, projector_delay_us=1.0, projector_width_us=900.0)
+        with monkeypatch.context() as patched:
+            patched.setattr(ControllerLine, "refusal", "not now")
+            until(lambda: session.state is State.IDLE)
+            assert client.state() is State.IDLE, "the session goes on, whatever the controller says of its lamps"
+        assert dict(client.about()["lamps"]) == before and head.counters()["lamps_on"] == []
+        with monkeypatch.context() as patched:
+            patched.setattr(ControllerLine, "settled", False)
+            with pytest.raises(AnnulusError, match="did not confirm"):
+                client.lamps(commit=True, led_width_us=900.0)
+            assert dict(client.about()["lamps"]) == before
+
+    seen = operated(head, tmp_path, operate)
+    assert any("not confirmed yet: " in text for text in seen.told)
+
+
+def test_photos_as_fast_as_twenty_clients_can_send_cost_the_scan_nothing(
+    head: HeadHandle, tmp_path: Path  # noqa: F811
+) -> None:  # fmt: skip
+    photo, seconds = b"\xff\xd8\xff" + random.Random(3).randbytes(48_000), 5.0
+
+    def operate(client: ControlClient, session: Session) -> None:
+        client.start()
+        until(lambda: session.labelled >= 15)
+        sent, end = 0, time.monotonic() + seconds
+        with zmq.Context() as context:
+            flood = [context.socket(zmq.DEALER) for _ in range(20)]
+            for one in flood:
+                one.setsockopt(zmq.LINGER, 0)
+                one.setsockopt(zmq.SNDHWM, 2)
+                one.connect(client.address)
+            while time.monotonic() < end:
+                for one in flood:
+                    with contextlib.suppress(zmq.Again):
+                        one.send(msgpack.packb({"do": "mark", "text": "x", "photo": photo}), zmq.NOBLOCK)
+                        sent += 1
+                asked = time.monotonic()
+                client.state()
+                assert time.monotonic() - asked < 0.5, "others are answered"
+            for one in flood:
+                one.close(0)
+        assert sent > 1000
+        client.stop()
+
+    seen = operated(head, tmp_path, operate)
+    report = seen.reports[0]
+    assert 1 <= len(seen.marks) <= seconds + 3
+    assert not report.findings and report.ledger.labelled == report.ledger.recorded
+    assert not report.drops.get("recorder_notes") and not report.drops.get("recorder_busy")

@@ -31,6 +31,7 @@ __all__ = [
 PARTS_MAX = 3  # sender, delimiter, request
 CARRIED_MAX = ANSWER_MAX = 1 << 16  # bytes; what is larger ZeroMQ does not even take in
 TAKEN_MAX = 16  # requests in one turn of the session
+REQUESTS_MAX = 4  # of one connection, beside what its socket holds: each may be 64 KiB
 ANSWERS_MAX = 100  # that wait for a client that does not read
 ANSWER_S = 30.0  # a stop waits for workers and recorder
 
@@ -41,7 +42,7 @@ class ControlSocket:
     def __init__(self, doorkeeper: Doorkeeper, address: str, keys: Keys | None) -> None:
         """Raises AnnulusError when the address is taken, is not one, or is remote and there are no keys."""
         self._socket = doorkeeper.context.socket(zmq.ROUTER)
-        self._socket.setsockopt(zmq.RCVHWM, ANSWERS_MAX)
+        self._socket.setsockopt(zmq.RCVHWM, REQUESTS_MAX)
         self._socket.setsockopt(zmq.SNDHWM, ANSWERS_MAX)
         self._socket.setsockopt(zmq.LINGER, 500)  # the answer to the request that ended us
         self.address = doorkeeper.bind(self._socket, address, keys, "control", CARRIED_MAX)

@@ -21,6 +21,8 @@ from annulus.vocabulary import AnnulusError
 if TYPE_CHECKING:
     from annulus.daemon.session import Session
 
+PHOTO_S = 1.0  # from one photo to the next at least
+
 
 class Operating:
     """Of one session, whose thread calls everything here."""
@@ -30,6 +32,7 @@ class Operating:
         self._command = Command()
         self._trial_until_s: float | None = None  # monotonic
         self._before: LampConfig | None = None  # the lamps that come back when the trial ends
+        self._photo_s = -PHOTO_S  # monotonic, of the last mark with a photo
 
     def obey(self, request: Request) -> Mapping[str, Any] | None:
         """Do what is asked; what the answer says besides. Raises AnnulusError when it cannot be done now."""
@@ -55,6 +58,7 @@ class Operating:
                 self._trial_until_s = now_s + request.hold_s
             case Do.MARK:
                 session.require_scan()
+                self._bound_photos(request, now_s)
                 z_mm, said = session.navigation.odometer.here_mm, (request.text, request.clock_deg, request.photo)
                 session.observers.mark(Mark(time.monotonic_ns(), z_mm, *said, session.newest_led))
             case Do.ZERO:
@@ -88,7 +92,10 @@ class Operating:
         self._trial_until_s = None
         before, self._before = self._before, None
         if before is not None:
-            self._put_in_force(replace(self._session.config, lamps=before), window=True)
+            try:
+                self._put_in_force(replace(self._session.config, lamps=before), window=True)
+            except AnnulusError as error:  # the head keeps what it was asked for, and has it before it is armed again
+                self._session.observers.event("lamps", f"the lamps of before the trial are not confirmed yet: {error}")
 
     def numbers(self) -> dict[str, Any]:
         """For the telemetry."""
@@ -142,6 +149,15 @@ class Operating:
             session.navigation.heard(event)
         if problem := session.line.refusal:
             raise AnnulusError(f"{session.line.url}: {problem}")
+        if not session.line.settled:
+            raise AnnulusError(f"{session.line.url}: the controller did not confirm these lamps")
+
+    def _bound_photos(self, request: Request, now_s: float) -> None:
+        """A client that sends photos as fast as it can would fill the disk of the scan."""
+        if request.photo:
+            if now_s - self._photo_s < PHOTO_S:
+                raise AnnulusError(f"a mark with a photo came less than {PHOTO_S:g} s ago; wait, or mark without one")
+            self._photo_s = now_s
 
     def _tell(self, text: str) -> None:
         if text:

@@ -127,7 +127,7 @@ class Scan:
     def resume(self) -> None:
         """Cameras, then lamps, as at the start."""
         self.paused = False
-        self._start_by = time.monotonic() + OPEN_S
+        self._start_by = time.monotonic() + (OPEN_S if self.intakes else START_S)  # paused before the recorder was up
         for intake in self.intakes:
             intake.go_on()
 
