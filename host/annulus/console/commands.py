@@ -16,15 +16,15 @@ import zmq
 
 from annulus import untrusted
 from annulus.console.answers import Refusal
-from annulus.console.feed import Context, connected
-from annulus.stream.access import ClientKeys
+from annulus.console.feed import Context
+from annulus.daemon.command import COMMAND_S
+from annulus.stream.access import ClientKeys, connected
 
 ANSWER_MAX = 1 << 16  # bytes
 ANSWER_S: Mapping[str, float] = {"stop": 35.0, "start": 15.0, "resume": 15.0}  # a stop waits for workers and recorder
 USUAL_S = 5.0
 AT_ONCE = 8
 RENEW_S = 3.0
-LAPSED_S = 10.0  # the daemon takes the command back after so long, see its README
 LIT = ("start", "resume")  # what lights the lamps wants the second step
 
 
@@ -54,7 +54,7 @@ class Commands:
         self._threads.shutdown(wait=False, cancel_futures=True)
 
     def _ask(self, request: Mapping[str, Any], timeout_s: float) -> Mapping[str, Any]:
-        socket = connected(self._context, zmq.DEALER, self.address, self._keys)
+        socket = connected(self._context, zmq.DEALER, self.address, self._keys, ANSWER_MAX)
         try:
             socket.send(msgpack.packb(dict(request)), zmq.NOBLOCK)
             if not socket.poll(int(1000 * timeout_s)):
@@ -94,7 +94,7 @@ class Lease:
         holder = self._holder
         if holder is None:
             return
-        if time.monotonic() - self._renewed_s > LAPSED_S:
+        if time.monotonic() - self._renewed_s > COMMAND_S:
             self._holder = None
         elif self._answers(str(holder["id"])):
             asked = time.monotonic()

@@ -12,9 +12,8 @@ from typing import Any
 
 import zmq
 
-from annulus.stream.access import ClientKeys
+from annulus.stream.access import ClientKeys, connected
 from annulus.stream.publish import parse
-from annulus.vocabulary import AnnulusError
 
 ALWAYS = (
     "telemetry",
@@ -22,6 +21,8 @@ ALWAYS = (
     "health",
     "event",
     "mark",
+    "job",
+    "begun",
     "ended",
     "defects",
     "closeup",
@@ -43,22 +44,6 @@ Heard = Callable[[str, Any, bytes], None]
 Context = zmq.Context[zmq.Socket[bytes]]
 
 
-def connected(context: Context, kind: int, address: str, keys: ClientKeys | None) -> "zmq.Socket[bytes]":
-    """A client's socket. Raises AnnulusError when the address is none."""
-    socket = context.socket(kind)
-    socket.setsockopt(zmq.LINGER, 0)
-    socket.setsockopt(zmq.MAXMSGSIZE, WORD_MAX)
-    if keys is not None:
-        socket.curve_serverkey = keys.server.encode()
-        socket.curve_publickey, socket.curve_secretkey = keys.public.encode(), keys.secret.encode()
-    try:
-        socket.connect(address)
-    except zmq.ZMQError as error:
-        socket.close()
-        raise AnnulusError(f"{address}: {error.strerror}, expected tcp://ADDRESS:PORT of a daemon") from None
-    return socket
-
-
 class Feed:
     """One daemon's published words."""
 
@@ -74,7 +59,7 @@ class Feed:
         self._sensor_due: dict[bytes, float] = {}
         self._wanted: frozenset[str] = frozenset()
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._socket = connected(context, zmq.SUB, address, keys)
+        self._socket = connected(context, zmq.SUB, address, keys, WORD_MAX)
         self._socket.setsockopt(zmq.RCVHWM, QUEUE)
         self._descriptor = int(self._socket.getsockopt(zmq.FD))
         for topic in ALWAYS:

@@ -20,7 +20,7 @@ from annulus.daemon.command import Operator
 from annulus.daemon.request import HOLD_S, PHOTO_MAX, REQUEST_MAX, TEXT_MAX, Do, Request
 from annulus.daemon.state import State
 from annulus.job import JobSheet
-from annulus.stream.access import ClientKeys, Doorkeeper, Keys
+from annulus.stream.access import ClientKeys, Doorkeeper, Keys, connected
 from annulus.vocabulary import AnnulusError
 
 __all__ = [
@@ -185,13 +185,7 @@ class ControlClient:
         self._context.destroy(linger=0)
 
     def _connect(self) -> "zmq.Socket[bytes]":
-        socket = self._context.socket(zmq.REQ)
-        socket.setsockopt(zmq.LINGER, 0)
-        if self._keys is not None:
-            socket.curve_serverkey = self._keys.server.encode()
-            socket.curve_publickey, socket.curve_secretkey = self._keys.public.encode(), self._keys.secret.encode()
-        socket.connect(self.address)
-        return socket
+        return connected(self._context, zmq.REQ, self.address, self._keys, ANSWER_MAX)
 
     def __enter__(self) -> Self:
         return self

@@ -18,7 +18,8 @@ import zmq
 from annulus import untrusted
 from annulus.capture.plateau import Proposal, Reading, confirmed, find
 from annulus.capture.timing import FrameTiming
-from annulus.daemon.control import ClientKeys, ControlClient
+from annulus.daemon.control import ControlClient
+from annulus.stream.access import ClientKeys, connected
 from annulus.stream.publish import parse
 from annulus.vocabulary import AnnulusError, Label
 
@@ -184,18 +185,11 @@ class _Watch:
         self.height = 1  # rows of the picture
         self._rows: list[tuple[int, np.ndarray[tuple[int], np.dtype[np.float64]], float]] = []
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
-        self._socket = self._context.socket(zmq.SUB)
-        self._socket.setsockopt(zmq.LINGER, 0)
-        self._socket.setsockopt(zmq.RCVHWM, QUEUE)
-        self._socket.setsockopt(zmq.MAXMSGSIZE, MESSAGE_MAX)
-        if keys is not None:
-            self._socket.curve_serverkey = keys.server.encode()
-            self._socket.curve_publickey, self._socket.curve_secretkey = keys.public.encode(), keys.secret.encode()
         try:
-            self._socket.connect(address)
-        except zmq.ZMQError as error:
+            self._socket = connected(self._context, zmq.SUB, address, keys, MESSAGE_MAX)
+        except AnnulusError:
             self._context.destroy(linger=0)
-            raise AnnulusError(f"{address}: {error.strerror}, expected tcp://ADDRESS:PORT of a daemon") from None
+            raise
         self._socket.subscribe(b"label")
         self._socket.subscribe(f"rows/{camera}".encode())
 

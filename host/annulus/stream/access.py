@@ -40,6 +40,26 @@ class ClientKeys:
     secret: str
 
 
+def connected(
+    context: zmq.Context[zmq.Socket[bytes]], kind: int, address: str, keys: ClientKeys | None, carried_max: int
+) -> zmq.Socket[bytes]:
+    """A client's socket; what is longer than `carried_max` bytes ends the connection. Raises AnnulusError when the
+    address is none.
+    """
+    socket = context.socket(kind)
+    socket.setsockopt(zmq.LINGER, 0)
+    socket.setsockopt(zmq.MAXMSGSIZE, carried_max)
+    if keys is not None:
+        socket.curve_serverkey = keys.server.encode()
+        socket.curve_publickey, socket.curve_secretkey = keys.public.encode(), keys.secret.encode()
+    try:
+        socket.connect(address)
+    except zmq.ZMQError as error:
+        socket.close()
+        raise AnnulusError(f"{address}: {error.strerror}, expected tcp://ADDRESS:PORT of a daemon") from None
+    return socket
+
+
 class Doorkeeper:
     """Binds sockets under the one rule, and answers for who knocks."""
 

@@ -166,7 +166,7 @@ def test_what_lapsed_is_not_taken_again_by_itself(told: Told, monkeypatch: pytes
     lease.heard("command", ME)
     told.refuses = Refusal(504, "no answer")
     assert renewed(told, lease) == 1 and lease.holder == "me"
-    monkeypatch.setattr(commands_module, "LAPSED_S", -1.0)
+    monkeypatch.setattr(commands_module, "COMMAND_S", -1.0)
     assert renewed(told, lease) == 0 and lease.holder is None
 
 
