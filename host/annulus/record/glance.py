@@ -7,8 +7,6 @@ Nothing here is checked against its checksum but what `Walk` checks: it is for a
 """
 
 import io
-import os
-import stat
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -25,7 +23,7 @@ from annulus.job import JobSheet
 from annulus.record.clock import CLOCK_FILE, Clock
 from annulus.record.origin import IDENTITY, JOB_TOPIC
 from annulus.record.parts import PART_FILE, later_paths, part_of
-from annulus.record.recording import FRAME_TOPIC, LABEL_TOPIC, Z_MAX_MM, from_json
+from annulus.record.recording import FRAME_TOPIC, LABEL_TOPIC, Z_MAX_MM, from_json, opened
 from annulus.record.walk import ATTACHMENT_MAX, MAGIC, Channel, DamagedError, Walk, piece
 from annulus.vocabulary import AnnulusError
 
@@ -105,16 +103,8 @@ def glance(first: Path) -> Glance:
 
 
 def _look(path: Path) -> _File:
-    try:
-        with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
-            told = os.fstat(file.fileno())
-            if not stat.S_ISREG(told.st_mode) or file.read(len(MAGIC)) != MAGIC:
-                raise AnnulusError(f"{path}: not an MCAP recording.")
-            return _seen(file, told.st_size, told.st_mtime)
-    except ValueError as error:
-        raise AnnulusError(f"{path}: cannot be read ({error}). Is it still being written?") from None
-    except OSError as error:
-        raise AnnulusError(f"{path}: cannot be read ({error.strerror}). Expected a recording.") from None
+    with opened(path) as (file, told):
+        return _seen(file, told.st_size, told.st_mtime)
 
 
 def _seen(file: IO[bytes], size: int, changed_s: float) -> _File:

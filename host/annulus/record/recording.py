@@ -19,6 +19,7 @@ import os
 import stat
 import zlib
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import IO, Any
@@ -336,19 +337,26 @@ def _named(found: list[tuple[Recording, tuple[Damage, ...]]]) -> tuple[Damage, .
     return tuple(replace(one, text=f"of {part.path.name}: {one.text}") for part, damage in found for one in damage)
 
 
-def open_part(path: Path) -> Recording:
-    """One file alone, whichever part it is. Raises AnnulusError when it is no recording."""
+@contextmanager
+def opened(path: Path) -> Iterator[tuple[IO[bytes], os.stat_result]]:
+    """The file of a recording, behind its first bytes. Raises AnnulusError when it is none, or cannot be read."""
     try:
         with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
             told = os.fstat(file.fileno())
             if not stat.S_ISREG(told.st_mode) or file.read(len(MAGIC)) != MAGIC:
                 raise AnnulusError(f"{path}: not an MCAP recording.")
-            walk = Walk(file, told.st_size, _ATTACHED, LABEL_TOPIC)
-            frames, labels, notes = _sorted_out(walk)
+            yield file, told
     except ValueError as error:  # shorter than it was a moment ago
         raise AnnulusError(f"{path}: cannot be read ({error}). Is it still being written?") from None
     except OSError as error:
         raise AnnulusError(f"{path}: cannot be read ({error.strerror}). Expected a recording.") from None
+
+
+def open_part(path: Path) -> Recording:
+    """One file alone, whichever part it is. Raises AnnulusError when it is no recording."""
+    with opened(path) as (file, told):
+        walk = Walk(file, told.st_size, _ATTACHED, LABEL_TOPIC)
+        frames, labels, notes = _sorted_out(walk)
     if walk.compression:
         raise AnnulusError(
             f"{path}: its chunks are compressed with {walk.compression}. "
