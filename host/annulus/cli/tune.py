@@ -1,12 +1,11 @@
 """`annulus tune`: where a flash lights all rows alike, measured on the running head."""
 
 import json
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from annulus.cli.console import configured, named_by
+from annulus.cli.running import At, Config, DaemonKey, KeyFile, configured, named_by
 from annulus.cli.show import Bars, Json, progress, tell
 from annulus.vocabulary import AnnulusError
 
@@ -18,20 +17,14 @@ COLUMNS = 40
 
 
 def tune(
-    config: Annotated[Path | None, typer.Option(help="The daemon's head.toml, where it is on this machine.")] = None,
-    daemon: Annotated[
-        str | None,
-        typer.Option(metavar="PUBLISH,CONTROL", help="The daemon's two addresses, as head.toml has them."),
-    ] = None,
+    config: Config = None,
+    daemon: At = None,
     lamp: Annotated[str, typer.Option(help="projector, led or both.")] = "both",
     camera: Annotated[int, typer.Option(min=0, max=7, help="The camera that looks.")] = 0,
     apply: Annotated[bool, typer.Option("--apply", help="Put what is found in force on the running head.")] = False,
     json_: Json = False,
-    key_file: Annotated[Path | None, typer.Option(help="This machine's secret CURVE key.")] = None,
-    daemon_key: Annotated[
-        str | None,
-        typer.Option(metavar="KEY[,KEY]", help="The daemon's public CURVE key, or those of its two sockets."),
-    ] = None,
+    key_file: KeyFile = None,
+    daemon_key: DaemonKey = None,
 ) -> None:
     """Find where a flash lights all rows alike, on a running head at rest. Lamps flash meanwhile."""
     from annulus.daemon.control import ControlClient
