@@ -43,7 +43,6 @@ class Live:
         self._told: deque[bytes] = deque(maxlen=KEPT)
         self._table = deviation_table()
         self._scan: int | None = None  # whose points and wall these are
-        self._state = ""
         feed.on_word = self._hear
         feed.on_restart = self.begin_anew
         hub.on_wants = feed.want
@@ -69,7 +68,6 @@ class Live:
         """Another daemon, or the same one from its beginning."""
         self._latest.clear()
         self._told.clear()
-        self._state = ""
         self._forget(None)
 
     def catch_up(self, what: frozenset[str]) -> Iterator[bytes]:
@@ -119,12 +117,7 @@ class Live:
             hears(body, part)
             return
         said = untrusted.mapping(body, kind)
-        if topic == "state":
-            state = said.get("state")
-            if state == "armed" and self._state == "idle":  # before a second has passed, and telemetry tells
-                self._forget(None)
-            self._state = str(state)
-        elif topic in ("telemetry", "defects"):
+        if topic in ("begun", "telemetry", "defects"):  # who came after the first has it of the others
             self._of_scan(said.get("scan"))
         if topic == "defects":
             self._defects(said)

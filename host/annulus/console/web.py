@@ -129,7 +129,13 @@ def application(program: Program) -> Any:
 
     def told(mine: Session) -> Response:
         who: dict[str, Any] = {"token": mine.token, "name": mine.name, "id": mine.id}
-        return said(**who, needs_login=not mine.allowed, languages=program.languages(), demo=program.demo)
+        return said(
+            **who,
+            needs_login=not mine.allowed,
+            password=program.door.password is not None,
+            languages=program.languages(),
+            demo=program.demo,
+        )
 
     def with_cookie(answer: Response, mine: Session) -> Response:
         tls = program.door.tls_cert is not None

@@ -11,7 +11,7 @@ from annulus.daemon.observer import Observer
 from annulus.labelling.navigation import Navigation
 from annulus.sensors.chips import CHIPS
 from annulus.sensors.i2c import I2cSensors, bus_number, open_bus
-from annulus.sensors.odometer import Odometer, Place
+from annulus.sensors.odometer import Odometer
 from annulus.sensors.remote import RemoteSensors
 from annulus.sensors.sample import Sample, Sensor
 from annulus.vocabulary import AnnulusError
@@ -132,9 +132,11 @@ class Samples:
                 self._observer.event("sensor", text)
 
 
-def place_numbers(here: Place | None) -> dict[str, Any]:
+def place_numbers(odometer: Odometer) -> dict[str, Any]:
     """For the telemetry."""
+    here = odometer.here
     return {
+        "speed_mm_s": odometer.speed_mm_s if here is not None else None,
         "z_mm": here.z_mm if here is not None else None,
         "z_bound_mm": here.bound_mm if here is not None else None,  # 0: counted
         "z_assumed": here.assumed if here is not None else False,

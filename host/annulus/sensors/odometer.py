@@ -199,7 +199,7 @@ class Odometer:
         self._lost = 0
         last_ns, last_mm = self._recent[-1]
         gap_ns, counted_mm = self._uncounted(flash, host_ns, last_ns)
-        travel_mm = self._speed() * min(gap_ns, EXPECT_NS) / 1e9
+        travel_mm = self.speed_mm_s * min(gap_ns, EXPECT_NS) / 1e9
         bound_mm = before.bound_mm + abs(travel_mm) + self._max_speed * gap_ns / 1e9
         place = Place(last_mm + travel_mm + counted_mm, before.number + 1, bound_mm)
         self.gaps += 1
@@ -219,8 +219,11 @@ class Odometer:
             return whole_ns, 0.0
         return max(BOOT_SLACK_NS, gap_ns), self._moved(flash)
 
-    def _speed(self) -> float:
-        """mm/s, of late; 0 at rest, and never faster than the winch."""
+    @property
+    def speed_mm_s(self) -> float:
+        """Of late; 0 at rest, and never faster than the winch."""
+        if not self._recent:
+            return 0.0
         (first_ns, first), (last_ns, last) = self._recent[0], self._recent[-1]
         if last_ns <= first_ns or abs(last - first) <= REST_COUNTS * abs(self._mm_per_count):
             return 0.0

@@ -316,6 +316,7 @@ class FakeDaemon:
             self.index, self.z_mm, self.scan = 0, 0.0, self.scan + 1
             if asked.get("record") is False:
                 self.trial_until = now + min(HOLD_S, asked.get("hold_s", HOLD_S))
+            self.say("begun", {"scan": self.scan})
             self._become("armed")
             self._become("scanning")
         elif do == "hold":

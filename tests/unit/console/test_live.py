@@ -145,6 +145,7 @@ def test_a_new_scan_begins_with_nothing(head: Head) -> None:
 def test_points_before_the_first_telemetry_of_a_scan_are_not_lost(head: Head) -> None:
     head.say("state", {"state": "idle", "why": ""})
     head.say("telemetry", {"scan": 1, "state": "idle"})
+    head.say("begun", {"scan": 2})
     head.say("state", {"state": "armed", "why": ""})
     head.say("profile", profile(1, 0.0))
     head.say("telemetry", {"scan": 2, "state": "scanning"})

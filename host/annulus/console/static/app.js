@@ -9,7 +9,7 @@ import { mountState } from "./state.js";
 const TABS = ["scan", "job", "bench", "surveys"];
 const TOASTS_MAX = 4;
 const TOAST_MS = 8000;
-const THEMES = ["auto", "light", "dark"];
+const THEMES = { auto: "(prefers-color-scheme: dark)", light: "not all", dark: "all" }; // the medium of dark.css
 const { t } = i18n;
 
 class App {
@@ -236,14 +236,15 @@ function theme() {
   const button = document.getElementById("theme");
   const show = () => {
     const now = localStorage.getItem("theme") ?? "auto";
-    document.documentElement.dataset.theme = now;
+    document.getElementById("dark").media = THEMES[now] ?? THEMES.auto;
     write(button, t(`theme.${now}`));
     button.setAttribute("aria-label", t("theme.label", { now: t(`theme.${now}`) }));
     app.emit("theme", now);
   };
   button.addEventListener("click", () => {
-    const at = THEMES.indexOf(localStorage.getItem("theme") ?? "auto");
-    localStorage.setItem("theme", THEMES[(at + 1) % THEMES.length]);
+    const names = Object.keys(THEMES);
+    const at = names.indexOf(localStorage.getItem("theme") ?? "auto");
+    localStorage.setItem("theme", names[(at + 1) % names.length]);
     show();
   });
   show();

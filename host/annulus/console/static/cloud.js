@@ -122,8 +122,7 @@ export function mountCloud(app) {
   document.addEventListener("visibilitychange", () => (anew = true));
   const preferred = matchMedia("(prefers-color-scheme: dark)");
   const paint = () => {
-    const theme = document.documentElement.dataset.theme;
-    const now = theme === "dark" || (theme !== "light" && preferred.matches) ? "dark" : "light";
+    const now = matchMedia(document.getElementById("dark").media).matches ? "dark" : "light";
     renderer.setClearColor(PAPER[now]);
     rings.material.color.setHex(INK[now]);
     anew = true;

@@ -8,7 +8,6 @@ import { mountPictures } from "./pictures.js";
 import { DISTANCE, said } from "./rounding.js";
 
 const EVENTS_MAX = 100;
-const SPEED_S = 3; // over which the speed is said
 const PHOTO_MAX = 46 << 10; // bytes
 const PHOTO_SIDES = [960, 720, 480, 320];
 
@@ -58,18 +57,11 @@ function mountReadouts(app) {
   const frames = el("dl", { class: "readouts" });
   const lost = el("div", { class: "lost" });
   counts.append(frames, lost);
-  const places = []; // [s, z], for the speed
 
   app.on("telemetry", (now) => {
     const z = now.z_mm;
     put("place", z === null || z === undefined ? t("unknown") : said(z, DISTANCE) + (now.z_assumed ? ` ± ${said(now.z_bound_mm, DISTANCE)} ${t("assumed")}` : ""), now.z_assumed ? "warn" : "");
-    if (typeof z === "number") {
-      const at = performance.now() / 1000;
-      places.push([at, z]);
-      while (places.length > 2 && at - places[1][0] >= SPEED_S) places.shift();
-      const [first, last] = [places[0], places[places.length - 1]];
-      if (last[0] > first[0]) put("speed", `${((last[1] - first[1]) / (last[0] - first[0])).toFixed(0)} mm/s`);
-    }
+    put("speed", typeof now.speed_mm_s === "number" ? `${now.speed_mm_s.toFixed(0)} mm/s` : t("unknown"));
     put("interlock", t(`interlock.${now.interlock ?? "unknown"}`), now.interlock === "open" ? "bad" : now.interlock === "closed" ? "good" : "");
     put("recording", now.recording ? now.recording.split("/").pop() : t("none"));
     const minutes = now.disk?.minutes_left;
@@ -103,7 +95,7 @@ function mountReadouts(app) {
       if (typeof value !== "number") continue;
       const key = `${topic}.${name}`;
       const unit = body.units?.[name] ?? "";
-      const one = row(head, key, `${body.sensor} ${app.word("sensor", name.replace(/_[a-z0-9]+$/, ""))}`);
+      const one = row(head, key, `${body.sensor} ${app.word("sensor", withoutUnit(name, unit))}`);
       write(one.value, `${value.toFixed(unit === "deg" || unit === "V" ? 1 : 2)} ${unit === "deg" ? "°" : unit === "degC" ? "°C" : unit}`);
     }
   });
@@ -116,6 +108,12 @@ async function zero(app) {
     if (await app.ask({ do: "zero" })) app.say(t("said.zeroed"));
   }
 }
+
+// "roll_rate_deg_s", "deg/s" -> "roll_rate": names say their unit, and the number has it already.
+const withoutUnit = (name, unit) => {
+  const end = `_${{ degC: "c", A: "a", V: "v" }[unit] ?? unit.toLowerCase().replaceAll("/", "_")}`;
+  return name.endsWith(end) ? name.slice(0, -end.length) : name;
+};
 
 const clock = (seconds) => {
   const s = Math.floor(seconds);
