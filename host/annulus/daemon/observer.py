@@ -2,7 +2,8 @@
 through this one protocol.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -129,3 +130,12 @@ class Remember(Observer):
 
     def event(self, kind: str, text: str) -> None:
         self._account.events.append(text)
+
+
+@contextmanager
+def whatever_happens(observer: Observer, step: str) -> Iterator[None]:
+    """A step of the ending that fails does not keep the next ones from being done."""
+    try:
+        yield
+    except Exception as error:
+        observer.event("ending", f"ending, {step}: {type(error).__name__}: {error}")

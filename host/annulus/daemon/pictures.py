@@ -11,11 +11,11 @@ import numpy as np
 
 from annulus.geometry.calibration import Calibration
 from annulus.numeric.arrays import Float32Array, Image
-from annulus.stream.frames import CHANNELS, FrameHeader
+from annulus.stream.frames import FrameHeader
 from annulus.wall.profile import Profile
 
 BANDS = 64  # of rows, whose light is told
-COLUMN_STEP = 7  # every seventh column: odd, so that all colours of a mosaic have their share; .2 ms, tools.bench speed
+COLUMN_STEP = 7  # every seventh column: odd, so that all colours of a mosaic have their share
 SATURATED = 250  # of 255
 SUBPIXELS = 8  # of a pixel of the picture of half the size
 ON_PICTURE = 16_000  # pixels that 16 bits hold
@@ -64,6 +64,3 @@ def slits(profile: Profile, calibration: Calibration) -> tuple[dict[str, Any], b
     seen = np.isfinite(half).all(axis=1) & (np.abs(half) * SUBPIXELS < ON_PICTURE).all(axis=1)
     told = np.rint(half[seen] * SUBPIXELS).astype("<i2")
     return {"index": profile.frame, "camera": profile.camera}, told.tobytes() + ring[seen].tobytes()
-
-
-assert all(channels in (1, 3) for channels in CHANNELS.values())

@@ -14,8 +14,8 @@ import math
 import secrets
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from typing import Any
 
@@ -29,7 +29,7 @@ from annulus.daemon.config import HeadConfig, require_size
 from annulus.daemon.controller_line import REST_S, ControllerLine, line_numbers
 from annulus.daemon.intake import RESERVE, InSlot
 from annulus.daemon.ledger import Status
-from annulus.daemon.observer import Observer, Observers, Remember
+from annulus.daemon.observer import Observer, Observers, Remember, whatever_happens
 from annulus.daemon.operating import Operating
 from annulus.daemon.pools import Reconstruction, Recorder, default_workers
 from annulus.daemon.power import Power, power_up
@@ -113,7 +113,7 @@ class Session:
             finally:
                 self._enter(Event.END)
                 self._end_scan()
-                with self._whatever_happens("workers"):
+                with whatever_happens(self.observers, "workers"):
                     if self._reconstruction is not None:
                         self._reconstruction.stop(0.0 if self._reconstruction.in_hand else DRAIN_S)
         if self._problem:
@@ -151,8 +151,11 @@ class Session:
     @property
     def processes(self) -> dict[str, list[int]]:
         """Process ids of those that are up, by what they do."""
-        viewed = self._power.pools if self._power else {}
-        pools = {"recorder": self.recorder, "worker": self._reconstruction, **viewed}
+        pools = {
+            "recorder": self.recorder,
+            "worker": self._reconstruction,
+            **(self._power.pools if self._power else {}),
+        }
         up = {name: pool.pids for name, pool in pools.items() if pool is not None and pool.ready}
         spares = {f"{name} spare": pool.spare_pids for name, pool in pools.items() if pool is not None}
         spares["camera spare"] = [feed.spare_pid for feed in self._feeds if feed.spare_pid is not None]
@@ -179,7 +182,7 @@ class Session:
             **self._account.numbers(),
             **line_numbers(self.line),
             "place_gaps": self.navigation.odometer.gaps,
-            **place_numbers(self.navigation.odometer.here),
+            **place_numbers(self.navigation.odometer),
             "cameras": cameras,
             "intakes": [feed.numbers() for feed in self._feeds],
             "sensors": self._samples.numbers(),
@@ -253,9 +256,7 @@ class Session:
         next_state(self._state, Event.PAUSE)
         scan = self._scan
         assert scan is not None
-        if self.line is not None:
-            for event in self.line.disarm():
-                self.navigation.heard(event)
+        self._go_dark()
         scan.pause()
         for header, frame in scan.labelled(final=True):
             self._tell(header, frame)
@@ -295,7 +296,6 @@ class Session:
 
     @property
     def line(self) -> ControllerLine | None:
-        """To the controller."""
         return self._power.line if self._power is not None else None
 
     @property
@@ -314,20 +314,16 @@ class Session:
     def _end_scan(self) -> None:
         """Lamps off first. Then everything in hand goes where it belongs, and the recording is closed."""
         scan = self._scan
-        with self._whatever_happens("disarm"):
-            if self.line is not None:
-                self._account.dark = False
-                for event in self.line.disarm():
-                    self.navigation.heard(event)
-                self._account.dark = self.line.dark
+        with whatever_happens(self.observers, "disarm"):
+            self._go_dark()
         if not self._account.dark:
             self.status = Status.NOT_DARK
         for intake in scan.intakes if scan is not None else []:
-            with self._whatever_happens("camera"):
+            with whatever_happens(self.observers, "camera"):
                 intake.stop()
                 intake.take(self._account)
         self._account.end()
-        with self._whatever_happens("labels"):
+        with whatever_happens(self.observers, "labels"):
             if scan is not None:
                 for header, frame in scan.labelled(final=True):
                     self._tell(header, frame)
@@ -336,7 +332,7 @@ class Session:
                     while scan.recorder is not None and scan.recorder.absorbs:
                         scan.recorder.waitable.poll(10)
                         scan.recorder.poll()
-        with self._whatever_happens("workers"):
+        with whatever_happens(self.observers, "workers"):
             self._finish_reconstruction()
         self._scan = None if scan is None or (scan.recorder is None and not scan.intakes) else scan
         if self._scan is None:
@@ -344,7 +340,7 @@ class Session:
         self._bores.look(final=True)
         telemetry = self.telemetry()
         self.observers.telemetry(telemetry)
-        with self._whatever_happens("recorder"):
+        with whatever_happens(self.observers, "recorder"):
             self._scan.close_recording()
         self._report = self._account.report({**telemetry, **self._account.numbers()})
         for finding in self._report.findings:
@@ -353,6 +349,14 @@ class Session:
                 self.observers.event("ledger", finding.text)
         self.observers.ended(self._report)
         self._scan = None
+
+    def _go_dark(self) -> None:
+        """Lamps off; whether that is certain stands in the account."""
+        if self.line is not None:
+            self._account.dark = False
+            for event in self.line.disarm():
+                self.navigation.heard(event)
+            self._account.dark = self.line.dark
 
     def _finish_reconstruction(self) -> None:
         """What waits for a worker still gets one, if they are quick."""
@@ -365,14 +369,6 @@ class Session:
             self._listen()
             self._reconstruction.turn()
         self._reconstruction.end_scan()
-
-    @contextmanager
-    def _whatever_happens(self, step: str) -> Iterator[None]:
-        """A step of the ending that fails does not keep the next ones from being done."""
-        try:
-            yield
-        except Exception as error:
-            self.observers.event("ending", f"ending, {step}: {type(error).__name__}: {error}")
 
     # ---- one turn ----
 
