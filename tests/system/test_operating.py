@@ -14,7 +14,7 @@ import zmq
 from test_control import WORLD, Bystander, frames_are_what_they_are_called, head, until  # noqa: F401
 
 from annulus.daemon.command import Operator
-from annulus.daemon.config import SocketConfig
+from annulus.daemon.config import HeadConfig, SocketConfig
 from annulus.daemon.control import ControlClient
 from annulus.daemon.controller_line import ControllerLine
 from annulus.daemon.session import Session
@@ -32,18 +32,25 @@ pytestmark = pytest.mark.system
 def operated(
     head: HeadHandle, folder: Path, operate: Callable[[ControlClient, Session], None]  # noqa: F811
 ) -> Bystander:  # fmt: skip
-    """A session that somebody runs by its control socket, from idle to the end of what he does."""
+    """The simulated head, run by its control socket."""
     config = replace(
         demo_config(head, WORLD, folder), calibration=None, autostart=False,
         control=SocketConfig(f"ipc://{folder}/control"),
     )  # fmt: skip
-    seen, failed = Bystander(), []
+    return run(config, operate)
+
+
+def run(config: HeadConfig, operate: Callable[[ControlClient, Session], None]) -> Bystander:
+    """A session that somebody runs, from idle to the end of what he does."""
+    assert config.control is not None
+    address, failed = config.control.address, []
+    seen = Bystander()
     session = Session(config, observer=seen, name="scan")
     done = threading.Event()
 
     def work() -> None:
         try:
-            with ControlClient(f"ipc://{folder}/control") as client:
+            with ControlClient(address) as client:
                 until(lambda: session.state is State.IDLE)
                 operate(client, session)
         except BaseException as error:

@@ -1,14 +1,13 @@
 """Promises of tuning: the simulated head in real time, whose head.toml says a readout that is 3 ms too long."""
 
-import threading
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from test_control import Bystander, until
+from test_control import until
+from test_operating import run
 
-from annulus.daemon.config import HeadConfig, LampConfig, SocketConfig, load_config
+from annulus.daemon.config import LampConfig, SocketConfig, load_config
 from annulus.daemon.control import ControlClient
 from annulus.daemon.session import Session
 from annulus.daemon.state import State
@@ -66,25 +65,4 @@ def test_the_true_window_is_found_and_lamps_come_back(tmp_path: Path) -> None:
             until(lambda: session.state is State.IDLE, 6.0)
             assert session.config.lamps == former and head.counters()["lamps_on"] == []
 
-        _operated(config, tmp_path, operate)
-
-
-def _operated(config: HeadConfig, folder: Path, operate: Callable[[ControlClient, Session], None]) -> None:
-    session, failed, done = Session(config, observer=Bystander(), name="scan"), [], threading.Event()
-
-    def work() -> None:
-        try:
-            with ControlClient(f"ipc://{folder}/control") as client:
-                until(lambda: session.state is State.IDLE)
-                operate(client, session)
-        except BaseException as error:
-            failed.append(error)
-        finally:
-            done.set()
-
-    operator = threading.Thread(target=work)
-    operator.start()
-    session.run(done.is_set)
-    operator.join()
-    if failed:
-        raise failed[0]
+        run(config, operate)
