@@ -8,7 +8,7 @@ BIN        := .venv/bin
 export PYTHONDONTWRITEBYTECODE :=
 
 # What `make setup` installs beside the base, of the extras in pyproject.toml: make setup EXTRAS="export pdf tai joints"
-EXTRAS ?= export pdf console
+EXTRAS ?= export pdf console archive
 
 .PHONY: setup setup-all wheels demo test lint bench bench-metrology bench-thermoacoustic bench-joints bench-crossbore study native firmware emulator generated mutants docs sample clean
 

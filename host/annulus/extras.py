@@ -25,6 +25,8 @@ EXTRA_OF = {
     "skfem": "crossbore",
     "starlette": "console", "uvicorn": "console", "websockets": "console",
     "foxglove": "foxglove",
+    "duckdb": "archive", "pyarrow": "archive",
+    "distributed": "cluster", "fsspec": "cluster", "s3fs": "cluster", "gcsfs": "cluster", "paramiko": "cluster",
 }  # fmt: skip
 """By the name that is imported; where two extras have it, the one whose work is done more often."""
 
