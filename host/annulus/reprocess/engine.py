@@ -16,6 +16,7 @@ from annulus.reprocess.executors import Executor, Failed, in_process
 from annulus.reprocess.job import Job, Measured, open_job, turns_of
 from annulus.reprocess.method import examined
 from annulus.reprocess.places import place_findings
+from annulus.reprocess.ranges import CHUNK
 from annulus.rings.diagnosis import exposure_findings, reference_findings
 from annulus.stereo import CAMERA_MISSING, TWO_WALLS
 from annulus.vocabulary import AnnulusError, Finding, Label, first_few
@@ -29,8 +30,6 @@ Progress = Callable[[str, int, int], None]  # stage, done, total
 LOOKED_AT = 4  # frames examined for what may be wrong with all of them
 DAMAGED, MISSING, APART = "damaged", "camera-missing", "flashes-apart"  # kinds of finding
 APART_MOST = 0.25  # of the flashes: where more are not of one, their frames are paired wrongly
-CHUNK = 8  # consecutive frames one worker does in a row, each seeded by the one before; fixed, so that results
-# do not depend on the number of workers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
