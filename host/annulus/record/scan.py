@@ -12,6 +12,7 @@ import csv
 import io
 import math
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path, PurePosixPath
@@ -102,6 +103,13 @@ class Scan:
         for i, frame in enumerate(self.frames):
             out.setdefault(frame.index, []).append(i)
         return out
+
+    def part(self, numbers: Sequence[int]) -> "Scan":
+        """The same with some of its frames only, numbers into `frames`."""
+        recording = self.recording
+        if recording is not None:
+            recording = replace(recording, frames=tuple(recording.frames[i] for i in numbers))
+        return replace(self, frames=tuple(self.frames[i] for i in numbers), recording=recording)
 
     def only(self) -> "Scan":
         """Itself, for a method that knows one camera. Raises AnnulusError, one line, where there are more."""
