@@ -97,6 +97,18 @@ def measured(job: Job, method: Method, chunk: Sequence[int]) -> list[Measured]:
     return out
 
 
+def stage_medians(profiles: Sequence[Profile]) -> dict[str, float]:
+    """Median ms of every stage over the frames, and `total`: of their sum."""
+    stages = {name: None for profile in profiles for name in profile.timing_ms}
+    out = {
+        name: float(np.median([p.timing_ms[name] for p in profiles if name in p.timing_ms])) for name in stages
+    }  # fmt: skip
+    if "total" not in out:
+        sums = [sum(p.timing_ms.values()) for p in profiles if p.timing_ms]
+        out["total"] = float(np.median(sums)) if sums else 0.0
+    return out
+
+
 def open_job(
     scan: Path, calibration: Path | None = None, *, colour: Path | None = None, reference: Path | None = None
 ) -> Job:

@@ -14,14 +14,17 @@ import hashlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
+from annulus.geometry.pose import Pose
 from annulus.record.recording import RecordedFrame, Recording
 from annulus.record.scan import FRAME_MAX, Scan
 from annulus.record.storage import Place
 from annulus.record.walk import DamagedError
+from annulus.reprocess.ahead import make_ready_beside
 from annulus.reprocess.executors import Executor, Failed
-from annulus.reprocess.job import Job, measured
+from annulus.reprocess.job import Job, measured, stage_medians
 from annulus.reprocess.method import method_for
 from annulus.reprocess.profile_file import packed, unpacked
 from annulus.reprocess.versions import address, measured_with, processor
@@ -55,10 +58,11 @@ class Range:
 class Facts:
     """What is known of a range without its profiles. Frames are told by their index.
 
-    name : its file in the place. lights : of every frame that was read. damaged : frames that could not be.
-    without_pose : that show no pipe. apart : whose cameras see two walls; pairs : flashes that all cameras saw.
-    rejected : slits seen and not used, by reason. z_mm : of its points, the least and the largest; of its frames where
-    there are none. made : it was measured now, not found. timing_ms : medians of this kind of worker.
+    name : its file in the place. lights : of every frame that was read. damaged : frames that could not be. poses : of
+    the frames that show a pipe, in their order; without_pose : those that do not. apart : whose cameras see two walls;
+    pairs : flashes that all cameras saw. rejected : slits seen and not used, by reason. z_mm : of its points, the least
+    and the largest; of its frames where there are none. made : it was measured now, not found. timing_ms : of every
+    stage the median over its frames, and of their sum. processor : that it was measured on.
     """
 
     number: int
@@ -67,12 +71,14 @@ class Facts:
     last: int
     lights: tuple[tuple[int, Exposure], ...]
     damaged: tuple[int, ...]
+    poses: tuple[Pose, ...]
     without_pose: tuple[int, ...]
     apart: tuple[int, ...]
     pairs: int
     points: int
     rejected: Mapping[str, int]
     z_mm: tuple[float, float]
+    timing_ms: Mapping[str, float]
     made: bool
     processor: str
 
@@ -113,11 +119,16 @@ def _part(scan: Scan, kept: Sequence[int]) -> Scan:
         told = tuple(recording.frames[i] for i in kept)
         needed = {frame.part for frame in told}
         parts = tuple(
-            replace(_bare(part), path=part.path if n in needed else recording.path)
+            replace(_bare(part), path=_found(part.path if n in needed else recording.path))
             for n, part in enumerate(recording.parts)
         )
-        recording = replace(_bare(recording), frames=told, parts=parts)
-    return Scan(scan.path, tuple(scan.frames[i] for i in kept), None, recording)
+        recording = replace(_bare(recording), path=_found(recording.path), frames=told, parts=parts)
+    return Scan(_found(scan.path), tuple(scan.frames[i] for i in kept), None, recording)
+
+
+def _found(path: Path) -> Path:
+    """From wherever a worker begins; URLs are whole."""
+    return path.absolute() if isinstance(path, Path) else path
 
 
 def _bare(recording: Recording) -> Recording:
@@ -136,6 +147,7 @@ class Measuring:
     place: Place
 
     def ready(self) -> Callable[[Range], Facts]:
+        make_ready_beside(self.job.calibration)
         method = method_for(self.job.calibration, self.job.colour)
         given = address(measured_with(), self.job.calibration, self.job.colour)
 
@@ -185,11 +197,12 @@ def facts_of(
         one.number, name, one.indices[0], one.indices[-1],
         tuple((frame, Exposure(*light)) for frame, light in zip(frames, lights or (), strict=True)),
         tuple(frame for frame in one.indices if frame not in set(frames)),
+        tuple(p.pose for p in profiles if p.pose is not None),
         tuple(p.frame for p in profiles if p.pose is None),
         tuple(p.frame for p in profiles if TWO_WALLS in p.rejected),
         sum(CAMERA_MISSING not in p.rejected for p in profiles),
         sum(len(p.points_mm) for p in profiles), dict(rejected),
-        (min(low for low, _ in ends), max(high for _, high in ends)), made, str(told),
+        (min(low for low, _ in ends), max(high for _, high in ends)), stage_medians(profiles), made, str(told),
     )  # fmt: skip
 
 
