@@ -231,19 +231,18 @@ class _Desk:
         except queue.Empty:
             pass
         told = [(number, future) for number, future in told if self.at.get(number) is future]  # not of a lost one
-        done = [(number, future) for number, future in told if future.status == "finished"]
+        done = [one for one in told if one[1].status == "finished"]
+        others = [one for one in told if one not in done]
         out: list[tuple[int, Any]] = []
         for (number, _), data in zip(done, self.client.gather([future for _, future in done]), strict=True):
             self._forget(number)
             self._sort(number, pickle.loads(data), todo, out)
-        for number, future in told:
-            if future.status == "finished":
-                continue
+        for number, future in others:
+            error = future.exception(timeout=ANSWER_S) if future.status == "error" else None
             self._forget(number)
-            if future.status != "error":
+            if error is None:
                 todo.appendleft(number)
                 continue
-            error = future.exception(timeout=ANSWER_S)
             self.given_up[number] += 1
             if isinstance(error, distributed.KilledWorker) and self.given_up[number] < LOST_MOST:
                 todo.append(number)
