@@ -1,5 +1,6 @@
 """A dask scheduler and workers as programs on loopback, one thread each, as a cluster would have them."""
 
+import ctypes
 import os
 import signal
 import socket
@@ -78,4 +79,10 @@ class Cluster:
     def _program(self, kind: str, *arguments: str) -> "subprocess.Popen[bytes]":
         command = [sys.executable, "-m", f"distributed.cli.dask_{kind}", *arguments, *self.tls]
         environment = {**os.environ, **ONE_THREAD, **self.environment}
-        return subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        quiet = subprocess.DEVNULL
+        return subprocess.Popen(command, env=environment, stdout=quiet, stderr=quiet, preexec_fn=_with_parent)
+
+
+def _with_parent() -> None:
+    """Never outlive the program that began it."""
+    ctypes.CDLL(None).prctl(1, signal.SIGKILL)
