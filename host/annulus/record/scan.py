@@ -20,10 +20,11 @@ from annulus import untrusted
 from annulus.capture.pictures import decode
 from annulus.geometry.calibration import Calibration
 from annulus.numeric.arrays import Image
+from annulus.record.frames import CAMERA_ID_MAX, DROPS_TOPIC, Z_MAX_MM, frame_name
 from annulus.record.imu import Motion, read_motion
 from annulus.record.numbers import number, whole
 from annulus.record.parts import first_paths
-from annulus.record.recording import CAMERA_ID_MAX, DROPS_TOPIC, Z_MAX_MM, Recording, frame_name, open_recording
+from annulus.record.recording import Recording, open_recording
 from annulus.untrusted import read_file, shown
 from annulus.vocabulary import AnnulusError, Label
 
