@@ -9,7 +9,7 @@ from their names: each has an attachment `part.json`, {"scan": .., "part": ..}, 
 import json
 import re
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -62,9 +62,14 @@ def later_paths(first: Path) -> list[tuple[int, Path]]:
 
 def first_paths(folder: Path) -> list[Path]:
     """The first, or only, files of the recordings in a folder, by their names."""
-    stems = {path.stem for path in folder.glob("*.mcap")}
+    return [folder / name for name in first_names(path.name for path in folder.glob("*.mcap"))]
+
+
+def first_names(names: Iterable[str]) -> list[str]:
+    """The same out of the names of all files of a folder."""
+    stems = {name.removesuffix(".mcap") for name in names if name.endswith(".mcap")}
     later = {stem for stem in stems if (named := _LATER.fullmatch(stem)) and named[1] in stems}
-    return [folder / f"{stem}.mcap" for stem in sorted(stems - later)]
+    return [f"{stem}.mcap" for stem in sorted(stems - later)]
 
 
 @dataclass(frozen=True, slots=True)

@@ -203,6 +203,7 @@ class Recording:
                     records, data = b"", memoryview(piece(file, frame.offset, frame.length))
                 else:
                     records = frame.chunk.read(file)
+                    self._sound[frame.chunk.offset] = True
                     data = frame.chunk.within(records, frame.offset, frame.length)
                 if self.index is not None:
                     self.index.hold(file, frame, records, self.label(frame), self.utc_offset_ns)

@@ -115,6 +115,9 @@ class Url:
         folder = rest.rpartition("/")[0]
         return Url(f"{scheme}://{folder}") if folder else self
 
+    def resolve(self) -> "Url":
+        return self
+
     def with_name(self, name: str) -> "Url":
         return self.parent / name
 
