@@ -154,9 +154,11 @@ def rows(surveys: int = SURVEYS) -> list[Row]:
 
 
 def measured(archive: Path, surveys: int = SURVEYS) -> list[Row]:
-    putting, packing, mb = build(archive, surveys)
-    told = f"{1e3 * putting:.0f} ms each, {packing:.0f} s for all packs, {mb:.0f} MB"
-    out = [Row(f"{surveys} surveys put and packed", "-", "-", told)]
+    out = []
+    if not archive.is_dir():  # else as it was made before
+        putting, packing, mb = build(archive, surveys)
+        told = f"{1e3 * putting:.0f} ms each, {packing:.0f} s for all packs, {mb:.0f} MB"
+        out.append(Row(f"{surveys} surveys put and packed", "-", "-", told))
     for question in ("worst-ovality", "year-on-year"):
         one = asked(archive, question)
         text = f"{one.cold_s:.2f} s ({one.cold_cpu_s:.2f}), then {one.warm_s:.2f} s ({one.warm_cpu_s:.2f}); "
