@@ -4,8 +4,9 @@ otherwise.
 Year on year: each pipe's newest survey against the one nearest to a year before it, from half a year to one and a half.
 Each station of the newer is held against the nearest of the older by its distance along the pipe. Stations belong to
 the one of two neighbours that is nearer: an older station's reach begins half way to the one before it, so that one
-ordered join finds it; pairs are numbered, for an ordered join by names costs half as much again. Odometers differ by 1 %, so near the far end of 100 m the same place is 1 m off: a change of a
-slowly varying figure is told, a defect's growth is not (`annulus archive compare` lays two surveys over each other).
+ordered join finds it; pairs are numbered, for the same join by names costs half as much again. Odometers differ by 1 %,
+so near the far end of 100 m the same place is 1 m off: a change of a slowly varying figure is told, a defect's growth
+is not (`annulus archive compare` lays two surveys over each other).
 """
 
 from collections.abc import Mapping

@@ -40,8 +40,8 @@ places = st.lists(
         },
         optional={
             "depth_mm": figure(0) | st.none(), "depth_k2_mm": figure(0), "area_mm2": figure(0), "hidden_mm": figure(0),
-            "floor_seen": st.booleans(), "severity": texts() | st.integers(0, 9), "decision": texts(), "remark": texts(),
-            "hilo_mm": figure(), "hilo_k2_mm": figure(0), "angle_deg": figure(),
+            "floor_seen": st.booleans(), "severity": texts() | st.integers(0, 9), "decision": texts(),
+            "remark": texts(), "hilo_mm": figure(), "hilo_k2_mm": figure(0), "angle_deg": figure(),
         },
     ),
     max_size=4,
@@ -51,8 +51,8 @@ summaries = st.fixed_dictionaries(
     {
         "job": st.dictionaries(st.sampled_from(["pipe", "site", "client", "operator", "remarks"]), texts()),
         "origin": st.fixed_dictionaries({"begun_utc": moments, "ended_utc": moments}),
-        "created": moments, "defects": places, "undecided": places, "features": places, "points": st.integers(0, 10**12),
-        "seen_percent": figure(0, 100) | st.none(),
+        "created": moments, "defects": places, "undecided": places, "features": places,
+        "points": st.integers(0, 10**12), "seen_percent": figure(0, 100) | st.none(),
     }
 )  # fmt: skip
 
