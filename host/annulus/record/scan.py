@@ -109,6 +109,13 @@ class Scan:
             out.setdefault(frame.index, []).append(i)
         return out
 
+    def part(self, numbers: Sequence[int]) -> "Scan":
+        """The same with some of its frames only, numbers into `frames`."""
+        recording = self.recording
+        if recording is not None:
+            recording = replace(recording, frames=tuple(recording.frames[i] for i in numbers))
+        return replace(self, frames=tuple(self.frames[i] for i in numbers), recording=recording)
+
     def only(self) -> "Scan":
         """Itself, for a method that knows one camera. Raises AnnulusError, one line, where there are more."""
         if len(self.cameras) > 1:

@@ -10,7 +10,7 @@ scan is decided before, and chunks are fixed. A scan under fringes has no profil
 
 from annulus.reprocess.ahead import make_ready
 from annulus.reprocess.engine import Reprocessed, led_frames, measure, reprocess, stage_medians, survey_of
-from annulus.reprocess.executors import Executor, Processes, in_process
+from annulus.reprocess.executors import Executor, Failed, Processes, Work, in_process
 from annulus.reprocess.fringe import reconstruct_fringe
 from annulus.reprocess.fringe_job import FringeJob, open_fringe
 from annulus.reprocess.fringe_pipe import FringePipeJob, MeasuredPipe, open_fringe_pipe, reconstruct_fringe_pipe
@@ -20,6 +20,7 @@ from annulus.reprocess.photographs import photographs
 
 __all__ = [
     "Executor",
+    "Failed",
     "FringeJob",
     "FringePipeJob",
     "Job",
@@ -27,6 +28,7 @@ __all__ = [
     "Method",
     "Processes",
     "Reprocessed",
+    "Work",
     "fringes_on",
     "in_process",
     "led_frames",

@@ -12,7 +12,7 @@ import numpy as np
 from annulus.numeric.arrays import Image
 from annulus.record.walk import DamagedError
 from annulus.reprocess.bores import with_bores
-from annulus.reprocess.executors import Executor, in_process
+from annulus.reprocess.executors import Executor, Failed, in_process
 from annulus.reprocess.job import Job, Measured, open_job, turns_of
 from annulus.reprocess.method import examined
 from annulus.reprocess.places import place_findings
@@ -123,6 +123,8 @@ def measure(
     report("frames", 0, len(which))
     done: dict[int, list[Measured]] = {}
     for number, measured in executor(job, chunks):
+        if isinstance(measured, Failed):
+            raise measured.raised()
         done[number] = measured
         report("frames", sum(map(len, done.values())), len(which))
     return [one for number in sorted(done) for one in done[number]]

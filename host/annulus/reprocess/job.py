@@ -73,7 +73,7 @@ class Job:
             raise damage
         return out
 
-    def worker(self) -> Callable[[Sequence[int]], list[Measured]]:
+    def ready(self) -> Callable[[Sequence[int]], list[Measured]]:
         """Does chunks of frame numbers; in a chunk every frame is seeded with the pose of the one before.
 
         A frame of a recording that is damaged has no profile.
