@@ -7,7 +7,7 @@
         store.requests, store.given
         store.fault = lambda number, asked: "cut" if number % 3 == 0 else None
 
-Faults: "500", "503" (nothing is done), "slow" (`slow_s` before the answer), "cut" (the line is cut in the middle of an
+Faults: "500", "503", "403" (nothing is done), "slow" (`slow_s` before the answer), "cut" (the line is cut in the middle of an
 answer), "half" (half of the answer, which says that it is whole), "flipped" (one bit is another).
 """
 
@@ -30,6 +30,7 @@ _NAMED = {
     "AWS_ACCESS_KEY_ID": "testing", "AWS_SECRET_ACCESS_KEY": "testing", "AWS_DEFAULT_REGION": "us-east-1",
     "AWS_EC2_METADATA_DISABLED": "true",
 }  # fmt: skip
+_CODES = {"500": "InternalError", "503": "SlowDown", "403": "AccessDenied"}
 _HOP = {"connection", "keep-alive", "transfer-encoding", "content-length", "date", "server"}
 
 
@@ -136,8 +137,8 @@ class ObjectStore:
                     number, store._number = store._number, store._number + 1
                     fault = store.fault(number, asked)
                 time.sleep(store.delay_s + (store.slow_s if fault == "slow" else 0.0))
-                if fault in ("500", "503"):
-                    code = "InternalError" if fault == "500" else "SlowDown"
+                if fault in _CODES:
+                    code = _CODES[fault]
                     self._answer(int(fault), [], f"<Error><Code>{code}</Code><Message>busy</Message></Error>".encode())
                     store._count(Asked(self.command, self.path, int(fault), 0, fault))
                     return

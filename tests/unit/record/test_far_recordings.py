@@ -170,3 +170,66 @@ def test_a_folder_in_a_store_may_hold_one_recording(store: ObjectStore, tmp_path
     store.put("one/other.mcap", path)
     with pytest.raises(AnnulusError, match="holds 2 recordings"):
         open_scan(store.url("one"))
+
+
+def torn(path: Path, keep: float = 0.7) -> Path:
+    data = path.read_bytes()
+    path.write_bytes(data[: int(keep * len(data))])
+    return path
+
+
+@pytest.mark.parametrize("codec", [Codec.ZSTD, Codec.RAW])
+def test_a_torn_recording_is_walked_once_and_the_walk_is_kept_beside_it(
+    store: ObjectStore, tmp_path: Path, codec: Codec
+) -> None:
+    path = torn(write(tmp_path / "scan.mcap", count=200, codec=codec))
+    size, url = path.stat().st_size, store.put(f"torn-{codec}/scan.mcap", path)
+    first = open_recording(url)
+    assert first.torn and store.given <= 1.2 * size and store.requests < 12, (store.given / size, store.requests)
+    store.asked.clear()
+    again = open_recording(url)
+    assert store.given < 0.1 * size and store.requests <= 6, (store.given / size, store.asked)
+    here = open_recording(path)
+    for one in (first, again):
+        assert (one.torn, one.damage, one.cut_frames) == (here.torn, here.damage, here.cut_frames)
+        assert same(one, here)
+    store.put(f"torn-{codec}/scan.mcap", torn(path, 0.9))
+    assert len(open_recording(url).frames) == len(open_recording(path).frames) < len(here.frames)
+
+
+def test_a_walk_is_kept_in_a_cache_where_nobody_may_write_beside(store: ObjectStore, tmp_path: Path) -> None:
+    path = torn(write(tmp_path / "scan.mcap"))
+    url = store.put("read-only/scan.mcap", path)
+    store.fault = lambda number, asked: "403" if asked.method == "PUT" else None
+    open_recording(url)
+    kept = list((tmp_path / "cache" / "annulus").iterdir())
+    assert len(kept) == 1
+    store.asked.clear()
+    assert same(open_recording(url), open_recording(path)) and store.given < 1.1 * path.stat().st_size
+
+
+def test_what_is_kept_of_a_walk_is_checked(store: ObjectStore, tmp_path: Path) -> None:
+    path = torn(write(tmp_path / "scan.mcap", count=10))
+    url = store.put("mended/scan.mcap", path)
+    open_recording(url)
+    kept = store.get("mended/scan.mcap.index")
+    for broken in (b"", kept[:100], kept[:-20], kept[:50] + b"x" + kept[51:], kept[:-1] + b"x"):
+        store.put("mended/scan.mcap.index", broken)
+        assert same(open_recording(url), open_recording(path))
+
+
+def test_a_long_local_walk_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = torn(write(tmp_path / "scan.mcap"))
+    open_recording(path)
+    assert not path.with_name("scan.mcap.index").exists()
+    monkeypatch.setattr("annulus.record.kept.KEEP_S", 0.0)
+    before = open_recording(path)
+    assert path.with_name("scan.mcap.index").exists()
+    monkeypatch.setattr("annulus.record.recording.Walk", None)
+    assert same(open_recording(path), before)
+
+
+def test_a_far_recording_is_checked_whole(store: ObjectStore, tmp_path: Path) -> None:
+    path = write(tmp_path / "scan.mcap", count=30)
+    recording = open_recording(store.put("checked/scan.mcap", path))
+    assert recording.check() == ()
