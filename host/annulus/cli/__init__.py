@@ -9,13 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from annulus.cli import bore, burst, calibrate, doctor, firmware, head, joint, pattern, record, tai, twin
+from annulus.cli import archive, bore, burst, calibrate, doctor, firmware, head, joint, pattern, record, tai, twin
 from annulus.cli import console as console_page
 from annulus.cli import dogbones as dogbones  # its commands are of joint's group
 from annulus.cli.export import export
 from annulus.cli.fringe import BY, By
 from annulus.cli.manual import docs
 from annulus.cli.pdf import Sheet, on_paper
+from annulus.cli.reprocess import EXAMPLE as REPROCESS_EXAMPLE
+from annulus.cli.reprocess import reprocess
 from annulus.cli.sample import sample
 from annulus.cli.show import Bars, Json, print_findings, progress, tell
 from annulus.cli.terminal import escaped
@@ -38,10 +40,11 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for _noun in (head, burst, calibrate, pattern, tai, joint, bore, firmware, twin, record):
+for _noun in (head, burst, calibrate, pattern, tai, joint, bore, archive, firmware, twin, record):
     app.add_typer(_noun.app, name=_noun.__name__.rpartition(".")[2])
 app.command(epilog="Example: annulus export results --to xlsx --to laz -o hand-over")(export)
 
+app.command(epilog=REPROCESS_EXAMPLE)(reprocess)
 app.command("docs", epilog="Example: annulus docs first-scan --no-open")(docs)
 app.command("sample", epilog="Example: annulus sample -o pipe.mcap && annulus reconstruct pipe.mcap -o results")(sample)
 
@@ -144,7 +147,8 @@ def reconstruct(
     from annulus.job import job_of
     from annulus.record.origin import origin_of
     from annulus.report import Account, head_kind, prepare_folder, write
-    from annulus.reprocess import Processes, fringes_on, make_ready, open_job, photographs, reprocess
+    from annulus.reprocess import Processes, fringes_on, make_ready, open_job, photographs
+    from annulus.reprocess import reprocess as measured
     from annulus.wall.conformity import judge
     from annulus.wall.sections import worth_showing
 
@@ -176,7 +180,7 @@ def reconstruct(
     prepare_folder(out)
     make_ready(work.calibration, tell)
     with progress(told) as bars:
-        done = reprocess(work, Processes(workers), bars)
+        done = measured(work, Processes(workers), bars)
         survey = done.survey(vibration=vibration_filter, fps=fps, progress=bars)
     verdict = None if criteria is None else judge(survey, criteria)
     shown = worth_showing(survey.defects, first=verdict.foremost if verdict else ())

@@ -12,7 +12,7 @@ from annulus.record.calibration_file import load_calibration, load_part
 from annulus.record.scan import Scan, ScanFrame, open_scan
 from annulus.record.storage import Where, where
 from annulus.record.walk import DamagedError
-from annulus.reprocess.method import method_for
+from annulus.reprocess.method import Method, method_for
 from annulus.rings.calibration.reference import Reference
 from annulus.rings.colour import ColourProfile
 from annulus.rings.diagnosis import Exposure, diagnose
@@ -74,27 +74,40 @@ class Job:
         return out
 
     def ready(self) -> Callable[[Sequence[int]], list[Measured]]:
-        """Does chunks of frame numbers; in a chunk every frame is seeded with the pose of the one before.
-
-        A frame of a recording that is damaged has no profile.
-        """
+        """Does chunks of frame numbers; see `measured`."""
         method = method_for(self.calibration, self.colour)
+        return lambda chunk: measured(self, method, chunk)
 
-        def work(chunk: Sequence[int]) -> list[Measured]:
-            out: list[Measured] = []
-            seed = None
-            self.scan.plan([j for i in chunk for j in self.scan.same_flash(i)])
-            for i in chunk:
-                try:
-                    images = self.read_flash(i)
-                except DamagedError:
-                    continue
-                profile = method(self.scan.frames[i], images, seed)
-                seed = profile.pose
-                out.append((profile, max(map(diagnose, images.values()), key=lambda light: light.lost)))
-            return out
 
-        return work
+def measured(job: Job, method: Method, chunk: Sequence[int]) -> list[Measured]:
+    """Profile and light of consecutive frames, each seeded with the pose of the one before.
+
+    A frame of a recording that is damaged has no profile.
+    """
+    out: list[Measured] = []
+    seed = None
+    job.scan.plan([j for i in chunk for j in job.scan.same_flash(i)])
+    for i in chunk:
+        try:
+            images = job.read_flash(i)
+        except DamagedError:
+            continue
+        profile = method(job.scan.frames[i], images, seed)
+        seed = profile.pose
+        out.append((profile, max(map(diagnose, images.values()), key=lambda light: light.lost)))
+    return out
+
+
+def stage_medians(profiles: Sequence[Profile]) -> dict[str, float]:
+    """Median ms of every stage over the frames, and `total`: of their sum."""
+    stages = {name: None for profile in profiles for name in profile.timing_ms}
+    out = {
+        name: float(np.median([p.timing_ms[name] for p in profiles if name in p.timing_ms])) for name in stages
+    }  # fmt: skip
+    if "total" not in out:
+        sums = [sum(p.timing_ms.values()) for p in profiles if p.timing_ms]
+        out["total"] = float(np.median(sums)) if sums else 0.0
+    return out
 
 
 def open_job(

@@ -18,6 +18,7 @@ TABLE = Table(
         "console": "The console: what it costs, how soon a viewer has a picture, and a page shows it",
         "console_hours": "What console and page keep of a long scan",
         "console_faults": "What console, network and viewers can do to a scan",
+        "catalogue": "A catalogue of four million stations, asked, added to, listed",
         "soak": "Labels and places under faults, in virtual time",
         "emulator": "The shipped image over 200 000 edges, on its pins",
     },
