@@ -7,7 +7,7 @@ with it. Where it is not, the frame is damaged: an error line, and never a wrong
 
 import struct
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import IO, Any
 
 from annulus.record.frames import (
@@ -37,6 +37,10 @@ class Followed:
     channels: Mapping[int, Channel]
     notes: Notes
     apart: Mapping[tuple[int, int], Message]  # labels that lie in another chunk than their frame: other programs' files
+
+    def bare(self) -> "Followed":
+        """What frames are held against, without the notes."""
+        return replace(self, notes=Notes({}))
 
     def hold(
         self, file: IO[bytes], frame: RecordedFrame, records: bytes, label: Mapping[str, Any], offset_ns: int

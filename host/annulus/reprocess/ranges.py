@@ -18,9 +18,10 @@ from pathlib import Path
 from typing import Any
 
 from annulus.geometry.pose import Pose
-from annulus.record.recording import RecordedFrame, Recording
+from annulus.record.frames import RecordedFrame
+from annulus.record.recording import Recording
 from annulus.record.scan import FRAME_MAX, Scan
-from annulus.record.storage import Place
+from annulus.record.storage import Place, Where, read_whole
 from annulus.record.walk import DamagedError
 from annulus.reprocess.ahead import make_ready_beside
 from annulus.reprocess.executors import Executor, Failed
@@ -30,7 +31,6 @@ from annulus.reprocess.profile_file import packed, unpacked
 from annulus.reprocess.versions import address, measured_with, processor
 from annulus.rings.diagnosis import Exposure
 from annulus.stereo import CAMERA_MISSING, TWO_WALLS
-from annulus.untrusted import read_file
 from annulus.vocabulary import AnnulusError, Label
 from annulus.wall.profile import Profile
 
@@ -119,14 +119,16 @@ def _part(scan: Scan, kept: Sequence[int]) -> Scan:
         told = tuple(recording.frames[i] for i in kept)
         needed = {frame.part for frame in told}
         parts = tuple(
-            replace(_bare(part), path=_found(part.path if n in needed else recording.path))
+            _bare(replace(part, path=_found(part.path)))
+            if n in needed
+            else replace(_bare(part), path=_found(recording.path), index=None)
             for n, part in enumerate(recording.parts)
         )
         recording = replace(_bare(recording), path=_found(recording.path), frames=told, parts=parts)
     return Scan(_found(scan.path), tuple(scan.frames[i] for i in kept), None, recording)
 
 
-def _found(path: Path) -> Path:
+def _found(path: Where) -> Where:
     """From wherever a worker begins; URLs are whole."""
     return path.absolute() if isinstance(path, Path) else path
 
@@ -136,6 +138,7 @@ def _bare(recording: Recording) -> Recording:
     return replace(
         recording, frames=(), calibration=None, configuration=None, _labels={}, _notes={}, damage=(), _chunks=(),
         _data_crc=None, _sound={}, part=None, parts=(),
+        index=None if recording.index is None else recording.index.bare(),
     )  # fmt: skip
 
 
@@ -222,7 +225,7 @@ def identity(part: Scan) -> tuple[Any, ...]:
 def _of_file(part: Scan, name: str) -> str:
     path = part.path / name
     try:
-        return hashlib.sha256(read_file(path, FRAME_MAX)).hexdigest()
+        return hashlib.sha256(read_whole(path, FRAME_MAX)).hexdigest()
     except (OSError, ValueError):
         return "unread"  # what is wrong with it is said when it is measured, and no file is written then
 
