@@ -7,13 +7,23 @@ with it. Where it is not, the frame is damaged: an error line, and never a wrong
 
 import struct
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import IO, Any
 
-from annulus.record.frames import LABEL_TOPIC, Labels, RecordedFrame, camera_of, camera_of_label, from_json
+from annulus.record.frames import (
+    LABEL_TOPIC,
+    Labels,
+    RecordedFrame,
+    camera_of,
+    camera_of_label,
+    from_json,
+    place_of,
+    placed_of,
+)
 from annulus.record.index import Notes
 from annulus.record.indexed import Indexed
 from annulus.record.walk import Channel, DamagedError, Message, piece
+from annulus.vocabulary import Label
 
 _HEAD = struct.Struct("<BQHIQQ")  # of a message: opcode, length, channel, sequence, log time, publish time
 _RECORD = struct.Struct("<BQ")
@@ -28,10 +38,17 @@ class Followed:
     notes: Notes
     apart: Mapping[tuple[int, int], Message]  # labels that lie in another chunk than their frame: other programs' files
 
+    def bare(self) -> "Followed":
+        """What frames are held against, without the notes."""
+        return replace(self, notes=Notes({}))
+
     def hold(
         self, file: IO[bytes], frame: RecordedFrame, records: bytes, label: Mapping[str, Any], offset_ns: int
     ) -> None:
-        """Raises DamagedError where the frame's own chunk says otherwise. `records`: of that chunk."""
+        """Raises DamagedError where the frame's own chunk says otherwise.
+
+        records : of that chunk. label : what was said of the frame; empty where only the frame is at hand.
+        """
         labelled = seen = False
         if frame.chunk is None:
             seen = self._is_frame(piece(file, frame.offset - _HEAD.size, _HEAD.size), frame, offset_ns)
@@ -53,7 +70,7 @@ class Followed:
             )  # fmt: skip
             head = _HEAD.pack(_MESSAGE, _HEAD.size - 9 + apart.length, apart.channel, apart.sequence, 0, 0)
             labelled = self._is_label(head, content, frame, label)
-        if not seen or labelled is not bool(label):
+        if not seen or not (labelled or frame.label is Label.UNKNOWN):
             raise DamagedError("the index says otherwise than the records")
 
     def _is_frame(self, head: bytes, frame: RecordedFrame, offset_ns: int) -> bool:
@@ -80,7 +97,7 @@ class Followed:
                 return False
         except ValueError:
             return False
-        if said != label:
+        if place_of(said) != placed_of(frame) or (label and said != label):
             raise DamagedError("the index says otherwise of its label than the records")
         return True
 

@@ -142,16 +142,34 @@ def _is_jpeg(walk: Contents, message: Message) -> bool:
 
 
 def _frame(index: int, camera: int, image: Message, label: Mapping[str, Any], jpeg: bool) -> RecordedFrame:
+    known, z_mm, roll_deg, bound_mm, segment = place_of(label)
+    return RecordedFrame(
+        index, known, math.nan if z_mm is None else z_mm, image.time_ns, image.offset, image.length, roll_deg, camera,
+        image.chunk, z_bound_mm=bound_mm, segment=segment, jpeg=jpeg,
+    )  # fmt: skip
+
+
+_Place = tuple[Label, float | None, float | None, float, int]
+
+
+def place_of(label: Mapping[str, Any]) -> _Place:
+    """What a label says of a frame: what lit it, z (mm) and roll (degrees) where they are known, z's bound, segment."""
     name, z, roll = label.get("label"), label.get("z_mm"), label.get("roll_deg")
     known = Label(name) if name in [one.value for one in Label] else Label.UNKNOWN
-    z_mm = float(z) if isinstance(z, int | float) and not isinstance(z, bool) and abs(z) <= Z_MAX_MM else math.nan
+    placed = isinstance(z, int | float) and not isinstance(z, bool) and abs(z) <= Z_MAX_MM
     if isinstance(roll, bool) or not isinstance(roll, int | float):
         roll = None
     bound, segment = label.get("z_bound_mm"), label.get("segment")
-    return RecordedFrame(
-        index, known if math.isfinite(z_mm) else Label.UNKNOWN, z_mm, image.time_ns, image.offset, image.length,
-        roll if roll is None else float(roll), camera, image.chunk,
-        z_bound_mm=float(bound) if isinstance(bound, int | float) and 0 < bound <= Z_MAX_MM else 0.0,
-        segment=segment if type(segment) is int else 0,
-        jpeg=jpeg,
-    )  # fmt: skip
+    return (
+        known if placed else Label.UNKNOWN,
+        float(z) if placed else None,  # type: ignore[arg-type]
+        roll if roll is None else float(roll),
+        float(bound) if isinstance(bound, int | float) and 0 < bound <= Z_MAX_MM else 0.0,
+        segment if type(segment) is int else 0,
+    )
+
+
+def placed_of(frame: RecordedFrame) -> _Place:
+    """The same of a frame."""
+    z_mm = frame.z_mm if math.isfinite(frame.z_mm) else None
+    return frame.label, z_mm, frame.roll_deg, frame.z_bound_mm, frame.segment

@@ -19,6 +19,7 @@ A recording may lie in a store: its path is a URL then (storage.py). It is a pla
 import contextlib
 import os
 import stat
+import time
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -47,6 +48,7 @@ from annulus.record.frames import (
     sorted_out,
 )
 from annulus.record.indexed import HEAD, Indexed, read_index
+from annulus.record.kept import is_kept, keep, kept_walk, stamp_of
 from annulus.record.parts import PART_FILE, Part, later_parts, part_of
 from annulus.record.remote import RemoteFile, Told, UnreachableError, Url, remote_file
 from annulus.record.storage import Where, opened_file, where
@@ -394,10 +396,18 @@ def open_part(place: Where | str, known: Told | None = None) -> Recording:
 
 def _walked(path: Where, known: Told | None, opened_by_index: Recording | None = None) -> Recording:
     """By a walk, as it was kept or anew. `opened_by_index`: the same, which is damaged where it is another."""
-    if isinstance(path, Url):
-        known = remote_file(path, known).told
+    begun = time.monotonic()
+    with opened_place(path, known) as (file, size, known):
+        stamp = stamp_of(path, file, size, known)
+        found = kept_walk(path, file, stamp) if opened_by_index is None else None
+        if found is not None and (recording := _recorded(path, found, known)) is not None:
+            return recording
     with opened_place(path, known, WALKED) as (file, size, known):
-        walk = Walk(file, size, _ATTACHED, LABEL_TOPIC)
+        walk = Walk(file, size, _ATTACHED, LABEL_TOPIC, isinstance(path, Url))
+        if opened_by_index is None and not walk.compression and is_kept(path, time.monotonic() - begun):
+            found = keep(path, file, stamp, walk)
+            if found is not None and (recording := _recorded(path, found, known)) is not None:
+                return recording
         recording = _recorded(path, walk, known)
     assert recording is not None
     if opened_by_index is not None and not _same(recording, opened_by_index):

@@ -127,7 +127,7 @@ class Url:
 
 def told(url: Url) -> Told:
     """What the store says of a file now. FileNotFoundError, PermissionError; AnnulusError where it does not answer."""
-    return _told(_asked(url, "info", lambda store, path: store.info(path)), url)
+    return _told(_asked(url, "info", lambda store, path: _in_time(store, store.info, path)), url)
 
 
 def _told(info: Any, url: Url) -> Told:
@@ -147,8 +147,8 @@ def listed(folder: Url, prefix: str = "") -> dict[str, Told]:
         if prefix and folder.scheme in ("s3", "s3a"):  # a bucket's folder may have a season's scans
             from fsspec.asyn import sync
 
-            return sync(store.loop, store._lsdir, path, prefix=prefix, timeout=PATIENCE.answer_s)
-        return store.ls(path, detail=True)
+            return sync(store.loop, store._lsdir, path, prefix=prefix, timeout=_bound_s(0))
+        return _in_time(store, store.ls, path, detail=True)
 
     try:
         found = _asked(folder, "list", ask)
@@ -165,7 +165,7 @@ def listed(folder: Url, prefix: str = "") -> dict[str, Told]:
 def found_below(folder: Url) -> list[str]:
     """Names of all files in a folder and its folders, with slashes, sorted."""
     try:
-        found = _asked(folder, "list", lambda store, path: (path, store.find(path)))
+        found = _asked(folder, "list", lambda store, path: (path, _in_time(store, store.find, path, pages=1000)))
     except FileNotFoundError:
         return []
     path, names = found
@@ -206,15 +206,15 @@ def write_remote(url: Url, content: "bytes | Path") -> None:
 
 def _put(store: Any, path: str, content: "bytes | Path") -> None:
     if isinstance(content, bytes):
-        store.pipe_file(path, content)
+        _in_time(store, store.pipe_file, path, content, length=len(content))
     else:
-        store.put_file(str(content), path)
+        _in_time(store, store.put_file, str(content), path, length=content.stat().st_size)
 
 
 def remove_remote(url: Url) -> None:
     """What is not there is removed."""
     with contextlib.suppress(FileNotFoundError):
-        _asked(url, "remove", lambda store, path: store.rm_file(path))
+        _asked(url, "remove", lambda store, path: _in_time(store, store.rm_file, path))
 
 
 def fetched(url: Url, start: int, end: int, known: Told) -> bytes:
@@ -233,7 +233,7 @@ def fetched(url: Url, start: int, end: int, known: Told) -> bytes:
 
 def _ranged(store: Any, url: Url, path: str, start: int, end: int, tag: str) -> Any:
     if url.scheme not in ("s3", "s3a"):
-        return store.cat_file(path, start=start, end=end)
+        return _in_time(store, store.cat_file, path, start=start, end=end, length=end - start)
     from fsspec.asyn import sync
 
     bucket, key, _ = store.split_path(path)
@@ -247,6 +247,13 @@ def _ranged(store: Any, url: Url, path: str, start: int, end: int, tag: str) -> 
             answer["Body"].close()
 
     return sync(store.loop, get, timeout=_bound_s(end - start))
+
+
+def _in_time(store: Any, ask: Callable[..., Any], *args: Any, length: int = 0, pages: int = 1, **more: Any) -> Any:
+    """What a store answers within the bound for so many bytes, or pages of a list."""
+    if getattr(store, "async_impl", False):
+        more["timeout"] = _bound_s(length) + (pages - 1)
+    return ask(*args, **more)
 
 
 def _bound_s(length: int) -> float:

@@ -122,7 +122,9 @@ def _part(scan: Scan, kept: Sequence[int]) -> Scan:
         told = tuple(recording.frames[i] for i in kept)
         needed = {frame.part for frame in told}
         parts = tuple(
-            replace(_bare(part), path=_found(part.path if n in needed else recording.path))
+            _bare(replace(part, path=_found(part.path)))
+            if n in needed
+            else replace(_bare(part), path=_found(recording.path), index=None)
             for n, part in enumerate(recording.parts)
         )
         recording = replace(_bare(recording), path=_found(recording.path), frames=told, parts=parts)
@@ -139,6 +141,7 @@ def _bare(recording: Recording) -> Recording:
     return replace(
         recording, frames=(), calibration=None, configuration=None, _labels={}, _notes={}, damage=(), _chunks=(),
         _data_crc=None, _sound={}, part=None, parts=(),
+        index=None if recording.index is None else recording.index.bare(),
     )  # fmt: skip
 
 

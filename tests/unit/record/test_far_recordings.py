@@ -31,11 +31,11 @@ def running() -> Iterator[ObjectStore]:
 
 @pytest.fixture
 def store(running: ObjectStore, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[ObjectStore]:
-    monkeypatch.setattr(remote, "PATIENCE", Patience(attempts=8, answer_s=1.0, wait_s=0.02, connect_s=1.0))
+    monkeypatch.setattr(remote, "PATIENCE", Patience(attempts=9, answer_s=20.0, wait_s=0.02))
     monkeypatch.setattr(remote, "_KEPT", remote._Kept())
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     running.slow_s = 3.0
-    running.asked.clear()
+    running.forget()
     yield running
     running.fault = lambda number, asked: None
 
@@ -85,7 +85,7 @@ def test_a_range_moves_no_more_than_its_chunks(store: ObjectStore, tmp_path: Pat
     assert scan.recording is not None
     which = [i for i in range(40, 120) if i % 5]
     needed = sum(scan.recording.frames[i].chunk.length for i in which)  # type: ignore[union-attr]
-    store.asked.clear()
+    store.forget()
     scan.plan(which)
     for i in which:
         scan.read(i)
@@ -103,10 +103,15 @@ def uncalibrated(path: Path) -> Path:
 
 
 @pytest.mark.parametrize("fault", ["500", "slow", "cut", "half"])
-def test_faults_of_a_store_leave_the_same_bits(store: ObjectStore, tmp_path: Path, fault: str) -> None:
+def test_faults_of_a_store_leave_the_same_bits(
+    store: ObjectStore, tmp_path: Path, fault: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = write(tmp_path / "scan.mcap", count=20)
     url = store.put(f"faults/{fault}.mcap", path)
     store.fault = lambda number, asked: fault if number % 3 else None
+    if fault == "slow":
+        store.fault = lambda number, asked: fault if number % 3 == 0 else None
+        monkeypatch.setattr(remote, "PATIENCE", Patience(attempts=9, answer_s=2.0, wait_s=0.02))
     assert same(open_recording(url), open_recording(path))
     assert any(one.fault for one in store.asked)
 
@@ -127,7 +132,7 @@ def test_a_worker_reads_with_what_it_is_handed(store: ObjectStore, tmp_path: Pat
     recording = open_recording(store.put("w/scan.mcap", write(tmp_path / "scan.mcap")))
     handed = pickle.dumps(recording)
     remote._KEPT.files.clear()
-    store.asked.clear()
+    store.forget()
     again = pickle.loads(handed)
     assert np.array_equal(again.read_raw(again.frames[7])[0], image_of(7)) and store.requests == 1
 
@@ -170,3 +175,66 @@ def test_a_folder_in_a_store_may_hold_one_recording(store: ObjectStore, tmp_path
     store.put("one/other.mcap", path)
     with pytest.raises(AnnulusError, match="holds 2 recordings"):
         open_scan(store.url("one"))
+
+
+def torn(path: Path, keep: float = 0.7) -> Path:
+    data = path.read_bytes()
+    path.write_bytes(data[: int(keep * len(data))])
+    return path
+
+
+@pytest.mark.parametrize("codec", [Codec.ZSTD, Codec.RAW])
+def test_a_torn_recording_is_walked_once_and_the_walk_is_kept_beside_it(
+    store: ObjectStore, tmp_path: Path, codec: Codec
+) -> None:
+    path = torn(write(tmp_path / "scan.mcap", count=200, codec=codec))
+    size, url = path.stat().st_size, store.put(f"torn-{codec}/scan.mcap", path)
+    first = open_recording(url)
+    assert first.torn and store.given <= 1.2 * size and store.requests < 12, (store.given / size, store.requests)
+    store.forget()
+    again = open_recording(url)
+    assert store.given < 0.1 * size and store.requests <= 6, (store.given / size, store.asked)
+    here = open_recording(path)
+    for one in (first, again):
+        assert (one.torn, one.damage, one.cut_frames) == (here.torn, here.damage, here.cut_frames)
+        assert same(one, here)
+    store.put(f"torn-{codec}/scan.mcap", torn(path, 0.9))
+    assert len(open_recording(url).frames) == len(open_recording(path).frames) < len(here.frames)
+
+
+def test_a_walk_is_kept_in_a_cache_where_nobody_may_write_beside(store: ObjectStore, tmp_path: Path) -> None:
+    path = torn(write(tmp_path / "scan.mcap"))
+    url = store.put("read-only/scan.mcap", path)
+    store.fault = lambda number, asked: "403" if asked.method == "PUT" else None
+    open_recording(url)
+    kept = list((tmp_path / "cache" / "annulus").iterdir())
+    assert len(kept) == 1
+    store.forget()
+    assert same(open_recording(url), open_recording(path)) and store.given < 1.1 * path.stat().st_size
+
+
+def test_what_is_kept_of_a_walk_is_checked(store: ObjectStore, tmp_path: Path) -> None:
+    path = torn(write(tmp_path / "scan.mcap", count=10))
+    url = store.put("mended/scan.mcap", path)
+    open_recording(url)
+    kept = store.get("mended/scan.mcap.index")
+    for broken in (b"", kept[:100], kept[:-20], kept[:50] + b"x" + kept[51:], kept[:-1] + b"x"):
+        store.put("mended/scan.mcap.index", broken)
+        assert same(open_recording(url), open_recording(path))
+
+
+def test_a_long_local_walk_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = torn(write(tmp_path / "scan.mcap"))
+    open_recording(path)
+    assert not path.with_name("scan.mcap.index").exists()
+    monkeypatch.setattr("annulus.record.kept.KEEP_S", 0.0)
+    before = open_recording(path)
+    assert path.with_name("scan.mcap.index").exists()
+    monkeypatch.setattr("annulus.record.recording.Walk", None)
+    assert same(open_recording(path), before)
+
+
+def test_a_far_recording_is_checked_whole(store: ObjectStore, tmp_path: Path) -> None:
+    path = write(tmp_path / "scan.mcap", count=30)
+    recording = open_recording(store.put("checked/scan.mcap", path))
+    assert recording.check() == ()

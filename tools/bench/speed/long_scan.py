@@ -72,7 +72,9 @@ def drawn_scan(folder: Path, frames: int, scale: float = 1.0) -> None:
     lines = ["index,file,light,z_mm"]
     for i in range(frames):
         led = i % (RATIO + 1) == RATIO
-        lines.append(f"{i},{'led.jpg' if led else f'rings-{i % PICTURES}.jpg'},{'led' if led else 'projector'},{STEP_MM * i}")
+        lines.append(
+            f"{i},{'led.jpg' if led else f'rings-{i % PICTURES}.jpg'},{'led' if led else 'projector'},{STEP_MM * i}"
+        )
     (folder / "frames.csv").write_text("\n".join(lines) + "\n")
 
 
