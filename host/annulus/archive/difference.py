@@ -5,6 +5,7 @@ Taken out of every row is what is the head's or the whole pipe's: orders 0 to 2.
 what place and roll may be off where the wall is steep, and what lies between rows where it is bent: beads and edges.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,7 @@ from scipy.ndimage import gaussian_filter, median_filter
 
 from annulus.archive.alignment import Alignment
 from annulus.archive.detail import drawn, on_columns, smoothed, waves_of
+from annulus.archive.floors import Floor
 from annulus.archive.wall_map import WallMap
 from annulus.numeric.arrays import ComplexArray, Float32Array, FloatArray
 from annulus.numeric.robust import SIGMA_OF_MAD
@@ -19,6 +21,7 @@ from annulus.numeric.robust import SIGMA_OF_MAD
 BLOCK_MM = 160.0  # over which noise is one, along and round
 BEND = 0.2  # of the second difference along: what a straight line between rows misses at most is an eighth, or a bead's
 SIGMA_LEAST_MM = 1e-3
+OF_FLOOR = 0.02  # of its depth: where less is left a floor does not reach
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,29 +58,87 @@ class Difference:
         return np.where(np.isfinite(field), np.float32(usual / np.sqrt(2)), np.float32(np.nan))
 
 
-def lay(first: WallMap, second: WallMap, alignment: Alignment) -> Difference:
+@dataclass(frozen=True, slots=True)
+class Laid:
+    """Both walls on the first's grid, (Z, A) mm as their heads saw them; share of a cell's variance that interpolation
+    keeps in the second; (Z,) sigma of place, mm, and roll, degrees."""
+
+    first: Float32Array
+    second: Float32Array
+    share: Float32Array
+    sigma_z: FloatArray
+    sigma_roll: FloatArray
+    z_mm: FloatArray
+    step_mm: float
+    radius_mm: float
+
+    def difference(self, floors: Sequence[Floor] = ()) -> Difference:
+        """What differs. floors: places known to stand out, which have no say in what is the whole row's."""
+        columns = self.first.shape[1]
+        away = self.second - self.first
+        free = np.ones(self.first.shape, np.float32)
+        clock = 360.0 / columns * np.arange(columns)
+        for one in floors:
+            rows = np.flatnonzero(np.abs(self.z_mm - one.z_mm) < one.length_mm)
+            free[rows] *= one.shape(self.z_mm[rows], clock) < OF_FLOOR
+        weight = free / (1.0 + self.share)
+        waves = waves_of(away, weight)
+        grown = away - drawn(waves, columns)
+        noise = self._noise(grown / np.sqrt(1.0 + self.share))
+        steep, aside, bent = (
+            np.fmax(one, two) for one, two in zip(self._slopes(self.first), self._slopes(self.second), strict=True)
+        )
+        sigma = np.sqrt(
+            noise**2 * (1.0 + self.share)
+            + (steep * self.sigma_z[:, None].astype(np.float32)) ** 2
+            + (aside * self.sigma_roll[:, None].astype(np.float32) * np.float32(columns / 360.0)) ** 2
+            + (BEND * bent) ** 2
+        )
+        walls = [wall - drawn(waves_of(wall, free), columns) for wall in (self.first, self.second)]
+        return Difference(
+            grown, np.where(np.isfinite(grown), np.maximum(sigma, SIGMA_LEAST_MM), np.nan).astype(np.float32),
+            walls[0], walls[1], waves[:, 2], self.z_mm, self.step_mm, self.radius_mm,
+        )  # fmt: skip
+
+    def _noise(self, scaled: Float32Array) -> Float32Array:
+        """(Z, A) mm sigma of one scan's cell, by blocks; never less than half the whole map's."""
+        size = np.abs(scaled)
+        seen = np.isfinite(size)
+        if not seen.any():
+            return np.ones_like(scaled)
+        whole = SIGMA_OF_MAD * float(np.median(size[seen]))
+        rows = max(round(BLOCK_MM / self.step_mm), 4)
+        cells = max(round(BLOCK_MM / (np.radians(360.0 / scaled.shape[1]) * self.radius_mm)), 4)
+        blocks = np.full([-(-n // k) for n, k in zip(scaled.shape, (rows, cells), strict=True)], whole)
+        for i, j in np.ndindex(*blocks.shape):
+            part = size[i * rows : (i + 1) * rows, j * cells : (j + 1) * cells]
+            part = part[np.isfinite(part)]
+            if part.size > rows * cells / 4:
+                blocks[i, j] = SIGMA_OF_MAD * float(np.median(part))
+        blocks = median_filter(np.pad(blocks, ((1, 1), (0, 0)), "edge"), (3, 3), mode="wrap")[1:-1]
+        blocks = np.maximum(blocks, whole / 2)
+        spread = np.repeat(np.repeat(blocks, rows, axis=0), cells, axis=1)[: scaled.shape[0], : scaled.shape[1]]
+        return np.asarray(gaussian_filter(spread, (rows / 4, cells / 4), mode=("nearest", "wrap")).astype(np.float32))
+
+    def _slopes(self, field: Float32Array) -> tuple[Float32Array, Float32Array, Float32Array]:
+        """(Z, A) how steep along, mm a mm; round, mm a column; and the second difference along, mm. 0 where not seen."""
+        calm = smoothed(field, (1.0, 2.0))
+        steep = np.abs(np.gradient(calm, axis=0)) / np.float32(self.step_mm)
+        aside = np.abs(np.roll(calm, -1, axis=1) - np.roll(calm, 1, axis=1)) / 2
+        fine = smoothed(field, (0.0, 3.0))
+        bent = np.zeros_like(fine)
+        bent[1:-1] = np.abs(fine[2:] - 2 * fine[1:-1] + fine[:-2])
+        known = bent[np.isfinite(bent)]
+        bent = np.maximum(bent - (3 * np.median(known) if known.size else 0), 0)
+        return np.nan_to_num(steep), np.nan_to_num(aside), np.nan_to_num(bent)
+
+
+def lay(first: WallMap, second: WallMap, alignment: Alignment) -> Laid:
     columns = first.deviation_mm.shape[1]
     mine = on_columns(first.deviation_mm, first.first_deg, columns)
     theirs, share, sigma_z, sigma_roll = _taken(first, second, alignment, columns)
-    away = theirs - mine
-    turned = np.maximum(share, 0.25)
-    waves = waves_of(away, 1.0 / (1.0 + turned))
-    grown = away - drawn(waves, columns)
-    noise = _noise(grown / np.sqrt(1.0 + turned), first)
-    steep, aside, bent = _slopes(mine, first.step_mm)
-    other = _slopes(theirs, first.step_mm)
-    steep, aside, bent = (np.fmax(one, two) for one, two in zip((steep, aside, bent), other, strict=True))
-    sigma = np.sqrt(
-        noise**2 * (1.0 + turned)
-        + (steep * sigma_z[:, None]) ** 2
-        + (aside * sigma_roll[:, None] * columns / 360.0) ** 2
-        + (BEND * bent) ** 2
-    )
-    return Difference(
-        grown, np.where(np.isfinite(grown), np.maximum(sigma, SIGMA_LEAST_MM), np.nan).astype(np.float32),
-        mine - drawn(waves_of(mine), columns), theirs - drawn(waves_of(theirs), columns), waves[:, 2], first.z_mm,
-        first.step_mm, first.radius_mm,
-    )  # fmt: skip
+    share = np.maximum(share, np.float32(0.25))
+    return Laid(mine, theirs, share, sigma_z, sigma_roll, first.z_mm, first.step_mm, first.radius_mm)
 
 
 def _taken(
@@ -127,39 +188,3 @@ def _taken(
     known = np.isfinite(sigmas[0])
     sigma_z, sigma_roll = (np.interp(np.where(seen, at, 0.0), spread[known], one[known]) for one in sigmas)
     return out, share, sigma_z, sigma_roll
-
-
-def _noise(scaled: Float32Array, first: WallMap) -> Float32Array:
-    """(Z, A) mm sigma of one scan's cell, by blocks; never less than half the whole map's."""
-    size = np.abs(scaled)
-    seen = np.isfinite(size)
-    if not seen.any():
-        return np.ones_like(scaled)
-    whole = SIGMA_OF_MAD * float(np.median(size[seen]))
-    rows = max(round(BLOCK_MM / first.step_mm), 4)
-    cells = max(round(BLOCK_MM / (np.radians(360.0 / scaled.shape[1]) * first.radius_mm)), 4)
-    low = [np.arange(0, n, k) for n, k in zip(scaled.shape, (rows, cells), strict=True)]
-    blocks = np.full((len(low[0]), len(low[1])), whole)
-    for i, row in enumerate(low[0]):
-        for j, column in enumerate(low[1]):
-            part = size[row : row + rows, column : column + cells]
-            part = part[np.isfinite(part)]
-            if part.size > rows * cells / 4:
-                blocks[i, j] = SIGMA_OF_MAD * float(np.median(part))
-    blocks = np.maximum(median_filter(np.pad(blocks, ((1, 1), (0, 0)), "edge"), (3, 3), mode="wrap")[1:-1], whole / 2)
-    spread = np.repeat(np.repeat(blocks, rows, axis=0), cells, axis=1)[: scaled.shape[0], : scaled.shape[1]]
-    return np.asarray(gaussian_filter(spread, (rows / 4, cells / 4), mode=("nearest", "wrap")).astype(np.float32))
-
-
-def _slopes(field: Float32Array, step_mm: float) -> tuple[Float32Array, Float32Array, Float32Array]:
-    """(Z, A) how steep along, mm a mm; round, mm a column; and the second difference along, mm. 0 where not seen."""
-    calm = smoothed(field, (1.0, 2.0))
-    steep = np.abs(np.gradient(calm, axis=0)) / step_mm
-    aside = np.abs(np.roll(calm, -1, axis=1) - np.roll(calm, 1, axis=1)) / 2
-    fine = smoothed(field, (0.01, 3.0))
-    bent = np.zeros_like(fine)
-    bent[1:-1] = np.abs(fine[2:] - 2 * fine[1:-1] + fine[:-2])
-    noise = np.nanmedian(bent, axis=1, keepdims=True) if np.isfinite(bent).any() else 0.0
-    usual = float(np.nanmedian(noise)) if np.isfinite(noise).any() else 0.0
-    bent = np.maximum(bent - 3 * usual, 0.0)
-    return np.nan_to_num(steep), np.nan_to_num(aside), np.nan_to_num(bent)

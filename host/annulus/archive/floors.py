@@ -5,9 +5,11 @@ sigma of what the same bell finds all over the map, so that texture and misfits 
 is fitted with a floor that may be a bowl or a pan, taken out, and the rest is looked at again.
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import least_squares
 
@@ -52,71 +54,72 @@ class Floor:
 class Search:
     """One map (Z, A) mm with the sigma of its cells, from which floors are taken."""
 
-    def __init__(self, field: Float32Array, sigma: Float32Array, z_mm: FloatArray, column_mm: float) -> None:
+    def __init__(
+        self, field: Float32Array, sigma: Float32Array, z_mm: FloatArray, column_mm: float,
+        bells_mm: tuple[float, ...] = BELLS_MM,
+    ) -> None:  # fmt: skip
         self.seen = np.isfinite(field) & np.isfinite(sigma)
         self.left = np.where(self.seen, field, 0.0).astype(np.float32)
         self.weight = np.where(self.seen, 1.0 / np.square(np.where(self.seen, sigma, 1.0)), 0.0).astype(np.float32)
         self.z_mm, self.step_mm, self.column_mm = z_mm, float(z_mm[1] - z_mm[0]), column_mm
         self.column_deg = 360.0 / field.shape[1]
         self.clock = self.column_deg * np.arange(field.shape[1])
-        self.bells = [(max(a / self.step_mm, 0.7), max(b / column_mm, 0.7)) for a in BELLS_MM for b in BELLS_MM]
-        self.usual = np.ones(len(self.bells))
-        self.least_mm: Float32Array = np.full(field.shape, np.inf, np.float32)
-        self._measure()
+        self.bells = [(max(a / self.step_mm, 0.7), max(b / column_mm, 0.7)) for a in bells_mm for b in bells_mm]
+        self.wide = 4 * max(bells_mm)
+        self.usual: list[float] = []
+        # every place's furthest bell: how far it stands out, how high it is, which bell
+        self.stands, self.height, self.which, self.least_mm = self._looked(slice(None))
 
-    def _measure(self) -> None:
-        self.stands = np.zeros_like(self.left)
-        self.which = np.zeros(self.left.shape, np.int8)
-        for k in range(len(self.bells)):
-            stands, sigma = self._bell(k, slice(None))
-            there = stands[stands != 0]
-            self.usual[k] = max(robust_sigma(there.astype(np.float64)), 1.0) if there.size else 1.0
-            stands /= self.usual[k]
-            better = np.abs(stands) > np.abs(self.stands)
-            self.stands[better], self.which[better] = stands[better], k
+    def _looked(self, rows: slice) -> tuple[Float32Array, Float32Array, NDArray[np.int8], Float32Array]:
+        weight, seen = self.weight[rows], self.seen[rows].astype(np.float32)
+        product = weight * self.left[rows]
+        most = np.zeros_like(product), np.zeros_like(product), np.zeros(product.shape, np.int8)
+        least = np.full_like(product, np.inf)
+        measured = not self.usual
+        before: float = 0.0
+        narrow = math.sqrt(0.5)
+        for k, (along, round_) in enumerate(self.bells):
+            if along != before:
+                down = _blur(product, along, 0), _blur(weight, along * narrow, 0), _blur(seen, along, 0)
+                before = along
+            top, square, share = (
+                _blur(down[0], round_, 1),
+                _blur(down[1], round_ * narrow, 1),
+                _blur(down[2], round_, 1),
+            )
+            square /= np.float32(4 * np.pi * along * round_)  # blurs have sums of 1: the bell itself, and its square
+            ok = (share > SEEN_MIN) & (square > 0)
+            sigma = 1.0 / np.sqrt(np.where(ok, square, np.float32(1)))
+            stands = np.where(ok, top * sigma, np.float32(0))
+            if measured:
+                there = stands[ok]
+                self.usual.append(max(robust_sigma(there.astype(np.float64)), 1.0) if there.size else 1.0)
+            sigma /= np.float32(2 * np.pi * along * round_)
+            height = stands * sigma
+            stands /= np.float32(self.usual[k])
+            better = np.abs(stands) > np.abs(most[0])
+            for kept, new in zip(most, (stands, height, np.full(stands.shape, k, np.int8)), strict=True):
+                np.copyto(kept, new, where=better)
             if k == len(self.bells) // 2:
-                self.least_mm = BAR_SIGMA * sigma * self.usual[k]
-
-    def _bell(self, k: int, rows: slice) -> tuple[Float32Array, Float32Array]:
-        """How far each place stands out, and sigma of a floor like the bell there, mm (infinite where too little was
-        seen)."""
-        along, round_ = self.bells[k]
-
-        def blur(part: Float32Array, by: float) -> Float32Array:
-            out = gaussian_filter1d(part, along * by, axis=0, mode="constant", truncate=3.5)
-            return np.asarray(gaussian_filter1d(out, round_ * by, axis=1, mode="wrap", truncate=3.5))
-
-        weight = self.weight[rows]
-        top = blur(weight * self.left[rows], 1.0)
-        narrow = np.sqrt(0.5)
-        per = 4 * np.pi * along * round_  # the blurs have sums of 1: of the bell itself, and of its square
-        square = blur(weight, narrow) / per
-        share = blur(self.seen[rows].astype(np.float32), 1.0)
-        ok = (share > SEEN_MIN) & (square > 0)
-        stands = np.where(ok, top / np.sqrt(np.where(ok, square, 1.0)), 0.0)
-        sigma = np.where(ok, 1.0 / np.sqrt(np.where(ok, square, 1.0)) / (2 * np.pi * along * round_), np.inf)
-        return stands.astype(np.float32), sigma.astype(np.float32)
+                least = np.where(ok, np.float32(BAR_SIGMA * self.usual[k]) * sigma, np.float32(np.inf))
+        return *most, least
 
     def _again(self, floor: Floor) -> None:
         """Measure anew where a floor was taken out."""
-        reach = floor.length_mm + 8 * max(BELLS_MM)
-        inner = np.flatnonzero(np.abs(self.z_mm - floor.z_mm) < reach)
-        edge = int(4 * max(BELLS_MM) / self.step_mm) + 1
+        inner = np.flatnonzero(np.abs(self.z_mm - floor.z_mm) < floor.length_mm + self.wide)
+        edge = int(self.wide / self.step_mm) + 1
         rows = slice(max(int(inner[0]) - edge, 0), int(inner[-1]) + 1 + edge)
         keep = slice(int(inner[0]) - rows.start, int(inner[-1]) + 1 - rows.start)
-        part, kind = np.zeros_like(self.left[inner]), np.zeros(self.left[inner].shape, np.int8)
-        for k in range(len(self.bells)):
-            stands = self._bell(k, rows)[0][keep] / self.usual[k]
-            better = np.abs(stands) > np.abs(part)
-            part[better], kind[better] = stands[better], k
-        self.stands[inner], self.which[inner] = part, kind
+        anew = self._looked(rows)
+        for kept, new in zip((self.stands, self.height, self.which), anew[:3], strict=True):
+            kept[inner] = new[keep]
 
     def floors(self, least_mm: float) -> list[Floor]:
         """All that stand out by BAR_SIGMA and are `least_mm` deep, the surest first."""
         found: list[Floor] = []
         barred = np.zeros(self.left.shape, bool)
         for _ in range(2 * MOST):
-            size = np.where(barred, 0.0, np.abs(self.stands))
+            size = np.where(barred | (np.abs(self.height) < least_mm / 2), np.float32(0), np.abs(self.stands))
             i, c = np.unravel_index(int(np.argmax(size)), size.shape)
             if size[i, c] < BAR_SIGMA or len(found) >= MOST:
                 break
@@ -124,9 +127,10 @@ class Search:
             near = [o for o in found if o.holds(self.z_mm[i], float(self.clock[c]), 1.6)]
             part = [o for o in near if abs(one.height_mm) < PART_OF * abs(o.height_mm)] if one is not None else near
             if one is None or part or abs(one.height_mm) < least_mm or self._seen(one) < SEEN_MIN:
-                rows = np.abs(self.z_mm - self.z_mm[i]) < 1.5 * max(BELLS_MM[0], self.step_mm)
+                along, round_ = self.bells[int(self.which[i, c])]
+                rows = np.flatnonzero(np.abs(np.arange(len(size)) - i) <= 1.5 * along)
                 off = np.abs((self.clock - self.clock[c] + 180) % 360 - 180)
-                barred |= rows[:, None] & (off < 4 * self.column_deg)[None]
+                barred[np.ix_(rows, np.flatnonzero(off <= 1.5 * round_ * self.column_deg))] = True
                 continue
             found.append(one)
             self._take(one, -1)
@@ -170,7 +174,15 @@ class Search:
             float(self.z_mm[i]), float(self.clock[c]), length, arc, height, SHAPE, np.nan, float(abs(self.stands[i, c]))
         )
         first = self._refitted(start)
-        return first if first is None else self._refitted(first)
+        return first if first is None or not self._outgrew(start, first) else self._refitted(first)
+
+    @staticmethod
+    def _outgrew(start: Floor, fitted: Floor) -> bool:
+        """Whether it needs a larger box, or was fitted in one that is too large."""
+        return any(
+            not 0.6 < one / other < 1.5
+            for one, other in ((fitted.length_mm, start.length_mm), (fitted.arc_deg, start.arc_deg))
+        )
 
     def _refitted(self, start: Floor) -> Floor | None:
         rows, columns = self._box(start, 2.2)
@@ -207,9 +219,13 @@ class Search:
         )
         x = np.clip(x, low + 1e-6, high - 1e-6)
         scale = np.array([0.1, 4.0, 4.0, 0.2, 0.2, 0.3, 0.02])
-        done = least_squares(off, x, bounds=(low, high), x_scale=scale, loss="soft_l1", f_scale=3.0, max_nfev=40)
+        done = least_squares(off, x, bounds=(low, high), x_scale=scale, loss="soft_l1", f_scale=3.0, max_nfev=25)
         normal = done.jac.T @ done.jac + 1e-9 * np.eye(len(x)) / scale**2
         spread = max(2 * float(done.cost) / max(len(value) - len(x), 1), 1.0)
         variance = float(np.linalg.inv(normal)[0, 0]) * spread
         fitted = floor(done.x)
         return replace(fitted, clock_deg=fitted.clock_deg % 360.0, sigma_mm=float(np.sqrt(max(variance, 0.0))))
+
+
+def _blur(field: Float32Array, sigma: float, axis: int) -> Float32Array:
+    return np.asarray(gaussian_filter1d(field, sigma, axis=axis, mode="wrap" if axis else "constant", truncate=3.0))

@@ -11,11 +11,12 @@ from enum import StrEnum
 
 import numpy as np
 
-from annulus.archive.difference import Difference
+from annulus.archive.difference import Difference, Laid
 from annulus.archive.floors import BAR_SIGMA, Floor, Search
 from annulus.numeric.arrays import Float32Array
 
 LEAST_MM = 0.1  # two heads, calibrated apart, and what lies between rows, make up to this much; benchmark `growth`
+DEFECT_BELLS_MM = (8.0, 20.0)
 DEFECT_MM = 0.3  # from which on what stands out of one map is listed as a defect
 SHARED_MM, SHARED_PART = 0.015, 0.02  # k = 1: of calibrations and of a floor's shape, whatever the noise
 SEEN_MIN = 0.5  # of a defect, in both
@@ -64,14 +65,20 @@ class Growth:
     seen_fraction: float
 
 
-def grown(difference: Difference, progress: Callable[[str, int, int], None]) -> Growth:
+def grown(laid: Laid, progress: Callable[[str, int, int], None]) -> tuple[Growth, Difference]:
+    """Everything that two scans laid together say, and the difference it was read from."""
     what = "measuring growth"
-    progress(what, 0, 4)
+    progress(what, 0, 5)
+    difference = laid.difference()
     z, column = difference.z_mm, difference.column_mm
+    rough = Search(difference.grown, difference.sigma, z, column).floors(LEAST_MM)
+    progress(what, 1, 5)
+    if rough:  # what grew has taken part in what each row was said to have on the whole
+        difference = laid.difference(rough)
     search = Search(difference.grown, difference.sigma, z, column)
     least = np.maximum(search.least_mm, LEAST_MM).astype(np.float32)
     changed = search.floors(LEAST_MM)
-    progress(what, 1, 4)
+    progress(what, 2, 5)
     changes = []
     for floor in changed:
         k2 = _k2(floor.sigma_mm, floor.height_mm)
@@ -82,18 +89,17 @@ def grown(difference: Difference, progress: Callable[[str, int, int], None]) -> 
         changes.append(_change(floor, before, after, floor.height_mm, k2, _verdict(before, after)))
     told = [floor for floor in changed]
     for k, field in enumerate((difference.second, difference.first)):
-        for floor in Search(field, difference.sigma_of(k), z, column).floors(DEFECT_MM):
+        for floor in Search(field, difference.sigma_of(k), z, column, DEFECT_BELLS_MM).floors(DEFECT_MM):
             if any(one.holds(floor.z_mm, floor.clock_deg) or floor.holds(one.z_mm, one.clock_deg) for one in told):
                 continue
             told.append(floor)
             changes.append(_unchanged(difference, floor, k))
-        progress(what, 2 + k, 4)
+        progress(what, 3 + k, 5)
     seen = np.isfinite(difference.grown)
     known = least[np.isfinite(least) & seen]
-    progress(what, 4, 4)
     median, p95 = (float(np.percentile(known, q)) for q in (50, 95)) if known.size else (np.nan, np.nan)
     changes.sort(key=lambda one: one.z_mm)
-    return Growth(tuple(changes), least, median, p95, float(seen.mean()))
+    return Growth(tuple(changes), least, median, p95, float(seen.mean())), difference
 
 
 def _k2(sigma_mm: float, height_mm: float) -> float:
