@@ -20,6 +20,7 @@ TABLE = Table(
         "console_faults": "What console, network and viewers can do to a scan",
         "catalogue": "A catalogue of four million stations, asked, added to, listed",
         "soak": "Labels and places under faults, in virtual time",
+        "cluster": "A cluster: what a task costs, and a scan in ranges against the serial run",
         "emulator": "The shipped image over 200 000 edges, on its pins",
     },
     Path(__file__).parent,
