@@ -7,6 +7,7 @@ Memory and time are bounded; nothing is spilled to disk.
 
 import json
 import threading
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -75,9 +76,8 @@ class Catalogue:
 
     def _views(self, pieces: Pieces) -> None:
         run = self.connection.execute
-        run(
-            f"CREATE OR REPLACE VIEW surveys AS SELECT {_names(SURVEYS)} FROM all_surveys WHERE {SUPERSEDED.name} IS NULL"
-        )
+        counts = f"FROM all_surveys WHERE {SUPERSEDED.name} IS NULL"
+        run(f"CREATE OR REPLACE VIEW surveys AS SELECT {_names(SURVEYS)} {counts}")
         old = run(f"SELECT survey FROM all_surveys WHERE {SUPERSEDED.name} IS NOT NULL").fetchall()
         superseded = [str(row[0]) for row in old]
         for table in ("stations", "defects", "features"):
@@ -176,7 +176,9 @@ class Answer:
     def batches(self) -> Any:
         """The rows as Arrow's reader of record batches."""
         named = "to_arrow_reader" if hasattr(self.result, "to_arrow_reader") else "fetch_record_batch"  # DuckDB 1
-        return getattr(self.result, named)(ROWS_AT_ONCE)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # that rows are copied once more
+            return getattr(self.result, named)(ROWS_AT_ONCE)
 
 
 @contextmanager
