@@ -94,6 +94,8 @@ def find(connection: Any, root: Path, without: frozenset[Path] = frozenset()) ->
     packs: list[Pack] = []
     covered: set[str] = set()
     for count, folder in pack_folders(root):
+        if packs and count > len(ids) - len(covered):
+            continue  # what a larger one has taken in
         found = _pack(connection, folder, count, ids, without, damage)
         if found is not None and found.members and not found.members & covered:
             packs.append(found)

@@ -33,6 +33,7 @@ from annulus.rings.diagnosis import Exposure
 from annulus.stereo import CAMERA_MISSING, TWO_WALLS
 from annulus.vocabulary import AnnulusError, Label
 from annulus.wall.profile import Profile
+from annulus.wall.windows import Reach
 
 CHUNK = 8  # consecutive frames one worker does in a row, each seeded by the one before; fixed, so that results
 # do not depend on the number of workers
@@ -62,7 +63,8 @@ class Facts:
     the frames that show a pipe, in their order; without_pose : those that do not. apart : whose cameras see two walls;
     pairs : flashes that all cameras saw. rejected : slits seen and not used, by reason. z_mm : of its points, the least
     and the largest; of its frames where there are none. made : it was measured now, not found. timing_ms : of every
-    stage the median over its frames, and of their sum. processor : that it was measured on.
+    stage the median over its frames, and of their sum. processor : that it was measured on. reaches : of every frame
+    that was read, where its points lie.
     """
 
     number: int
@@ -81,6 +83,7 @@ class Facts:
     timing_ms: Mapping[str, float]
     made: bool
     processor: str
+    reaches: tuple[Reach | None, ...]
 
     @property
     def frames(self) -> tuple[int, ...]:
@@ -206,6 +209,7 @@ def facts_of(
         sum(CAMERA_MISSING not in p.rejected for p in profiles),
         sum(len(p.points_mm) for p in profiles), dict(rejected),
         (min(low for low, _ in ends), max(high for _, high in ends)), stage_medians(profiles), made, str(told),
+        tuple(map(Reach.of, profiles)),
     )  # fmt: skip
 
 

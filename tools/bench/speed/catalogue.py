@@ -41,8 +41,8 @@ TIMES = 3
 NOTE = f"{SURVEYS} surveys of {STATIONS} stations, {YEARS} years of each pipe."
 
 
-def results(folder: Path, pipe: str, begun: datetime, stations: int = STATIONS, seed: int = 0) -> Path:
-    """A folder of results, as far as a catalogue reads one."""
+def results(folder: Path, pipe: str, begun: datetime, stations: int = STATIONS, seed: int = 0, **over: Any) -> Path:
+    """A folder of results, as far as a catalogue reads one. over: fields of summary.json."""
     folder.mkdir(parents=True, exist_ok=True)
     draw = np.random.default_rng(seed)
     table = _stations(draw, stations)
@@ -59,7 +59,7 @@ def results(folder: Path, pipe: str, begun: datetime, stations: int = STATIONS, 
         "ovality": {"max_percent": 1.0, "shape_max_percent": float(table["shape_ovality_f1216_percent"].max())},
         "defects": [{"kind": "loss", **place}], "undecided": [], "features": [{"kind": "joint", **joint}],
     }  # fmt: skip
-    (folder / "summary.json").write_text(json.dumps(summary))
+    (folder / "summary.json").write_text(json.dumps(summary | over))
     np.savetxt(folder / "stations.csv", np.column_stack(list(table.values())), "%.4f", ",",
                header=",".join(table), comments="")  # fmt: skip
     return folder
@@ -154,9 +154,11 @@ def rows(surveys: int = SURVEYS) -> list[Row]:
 
 
 def measured(archive: Path, surveys: int = SURVEYS) -> list[Row]:
-    putting, packing, mb = build(archive, surveys)
-    told = f"{1e3 * putting:.0f} ms each, {packing:.0f} s for all packs, {mb:.0f} MB"
-    out = [Row(f"{surveys} surveys put and packed", "-", "-", told)]
+    out = []
+    if not archive.is_dir():  # else as it was made before
+        putting, packing, mb = build(archive, surveys)
+        told = f"{1e3 * putting:.0f} ms each, {packing:.0f} s for all packs, {mb:.0f} MB"
+        out.append(Row(f"{surveys} surveys put and packed", "-", "-", told))
     for question in ("worst-ovality", "year-on-year"):
         one = asked(archive, question)
         text = f"{one.cold_s:.2f} s ({one.cold_cpu_s:.2f}), then {one.warm_s:.2f} s ({one.warm_cpu_s:.2f}); "
