@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from annulus.cli.compare import EXAMPLE as COMPARE_EXAMPLE
+from annulus.cli.compare import compare
 from annulus.cli.show import Json, group, progress, tell
 from annulus.vocabulary import AnnulusError
 
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
     from annulus.archive.catalogue_query import Answer
 
 app = group("Surveys of many pipes over the years: a catalogue of them, and questions to it.")
+app.command(epilog=COMPARE_EXAMPLE)(compare)
 
 Archive = Annotated[Path, typer.Option("--archive", "-a", help="Folder of the catalogue.")]
 HERE = Path("archive")
