@@ -2,13 +2,13 @@
 
     with ObjectStore() as store:                  # bucket "scans" is there, and the environment names the store
         store.put("a/scan.mcap", path)
-        store.asked.clear()
+        store.forget()
         ..                                        # s3://scans/a/scan.mcap
         store.requests, store.given
         store.fault = lambda number, asked: "cut" if number % 3 == 0 else None
 
-Faults: "500", "503" (nothing is done), "slow" (`slow_s` before the answer), "cut" (the line is cut in the middle of an
-answer), "half" (half of the answer, which says that it is whole), "flipped" (one bit is another).
+Faults: "500", "503", "403" (nothing is done), "slow" (`slow_s` before the answer), "cut" (the line is cut in the
+middle of an answer), "half" (half of the answer, which says that it is whole), "flipped" (one bit is another).
 """
 
 import contextlib
@@ -30,6 +30,7 @@ _NAMED = {
     "AWS_ACCESS_KEY_ID": "testing", "AWS_SECRET_ACCESS_KEY": "testing", "AWS_DEFAULT_REGION": "us-east-1",
     "AWS_EC2_METADATA_DISABLED": "true",
 }  # fmt: skip
+_CODES = {"500": "InternalError", "503": "SlowDown", "403": "AccessDenied"}
 _HOP = {"connection", "keep-alive", "transfer-encoding", "content-length", "date", "server"}
 
 
@@ -52,11 +53,12 @@ class ObjectStore:
 
         self.asked: list[Asked] = []
         self.fault: Callable[[int, Asked], str | None] = lambda number, asked: None
+        self.faults = 0  # that were made
         self.slow_s = 2.0
         self.delay_s = 0.0  # of every answer, as of a store that is far
         self._behind = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
         self._lock = threading.Lock()
-        self._number = 0
+        self._number = self._since = 0  # requests that came; before the first that is counted
         self._before: dict[str, str | None] = {}
 
     @property
@@ -67,6 +69,13 @@ class ObjectStore:
     def given(self) -> int:
         """That were given by GET."""
         return sum(one.bytes for one in self.asked if one.method == "GET")
+
+    def forget(self) -> None:
+        """Count anew; what is still under way is not counted."""
+        with self._lock:
+            self.asked.clear()
+            self.faults = 0
+            self._since = self._number
 
     def url(self, key: str, bucket: str = BUCKET) -> str:
         return f"s3://{bucket}/{key}"
@@ -135,11 +144,12 @@ class ObjectStore:
                 with store._lock:
                     number, store._number = store._number, store._number + 1
                     fault = store.fault(number, asked)
+                    store.faults += fault is not None
                 time.sleep(store.delay_s + (store.slow_s if fault == "slow" else 0.0))
-                if fault in ("500", "503"):
-                    code = "InternalError" if fault == "500" else "SlowDown"
+                if fault in _CODES:
+                    code = _CODES[fault]
                     self._answer(int(fault), [], f"<Error><Code>{code}</Code><Message>busy</Message></Error>".encode())
-                    store._count(Asked(self.command, self.path, int(fault), 0, fault))
+                    store._count(number, Asked(self.command, self.path, int(fault), 0, fault))
                     return
                 line = http.client.HTTPConnection("127.0.0.1", store._port, timeout=60)
                 try:
@@ -158,7 +168,7 @@ class ObjectStore:
                     data = data[: sent // 2]
                 if data and fault == "flipped":
                     data = data[: sent // 2] + bytes([data[sent // 2] ^ 1]) + data[sent // 2 + 1 :]
-                store._count(Asked(self.command, self.path, got.status, len(data), fault))
+                store._count(number, Asked(self.command, self.path, got.status, len(data), fault))
                 self._answer(got.status, kept, data, cut=fault == "cut")
 
             def _chunks(self) -> bytes:
@@ -192,9 +202,10 @@ class ObjectStore:
 
         return Handler
 
-    def _count(self, asked: Asked) -> None:
+    def _count(self, number: int, asked: Asked) -> None:
         with self._lock:
-            self.asked.append(asked)
+            if number >= self._since:
+                self.asked.append(asked)
 
 
 def _forget_stores() -> None:

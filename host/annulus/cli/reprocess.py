@@ -1,10 +1,7 @@
 """`annulus reprocess`: many scans, in ranges, on this machine or on the machines of a cluster."""
 
 import json
-import tempfile
-import time
 from collections.abc import Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -16,8 +13,6 @@ from annulus.cli.show import Bars, Json, progress, tell
 from annulus.vocabulary import AnnulusError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from annulus.record.storage import Place
     from annulus.reprocess import Executor
 
@@ -168,45 +163,24 @@ def _one(scan: str, place: "Place", executor: "Executor", given: _With, bars: An
 
 
 def _reprocessed(scan: str, place: "Place", executor: "Executor", given: _With, bars: Any) -> dict[str, Any]:
+    from annulus.cli.results import Told, WindowFiles, write_results
     from annulus.record.origin import origin_of
     from annulus.record.storage import where
-    from annulus.report import Account, head_kind, write
-    from annulus.reprocess import fringes_on, make_ready, open_job, photographs
-    from annulus.reprocess.gather import gathered, in_ranges
-    from annulus.wall.sections import worth_showing
+    from annulus.report import prepare_folder
+    from annulus.reprocess import fringes_on, make_ready, open_job, surveyed
 
-    started, path = time.perf_counter(), cast(Path, where(scan))
+    path = cast(Path, where(scan))
     if fringes_on(path, given.calibration):
         raise AnnulusError(f"{scan}: its head projects fringes, which are not measured frame by frame: reconstruct it")
     work = open_job(path, given.calibration, colour=given.colour, reference=given.reference)
     origin = origin_of(work.scan, given.calibration)
     make_ready(work.calibration, tell)
-    ranged = in_ranges(work, place, executor, bars)
-    done = gathered(ranged, place, started)
-    survey = done.survey(progress=bars)
-    account = Account(
-        scan, done.frames, done.drops, done.timing_ms, done.findings, origin=origin,
-        photographs=photographs(done.job, survey, worth_showing(survey.defects)), method=head_kind(work.calibration),
-        covariance_stated=work.calibration.covariance is not None,
-    )  # fmt: skip
-    with _folder(place) as out:
-        write(survey, account, out)
-    lost = len(ranged.left_out)
-    return {
-        "ok": not lost, "results": str(place), "ranges": len(ranged.facts), "made": ranged.made, "left_out": lost,
-        "why": f"{scan}: {done.findings[0].text}" if lost else None,
-    }  # fmt: skip
-
-
-@contextmanager
-def _folder(place: "Place") -> "Iterator[Path]":
-    """A folder of this machine whose files are the place's when the block ends well."""
     if place.local is not None:
-        place.local.mkdir(parents=True, exist_ok=True)
-        yield place.local
-        return
-    with tempfile.TemporaryDirectory(prefix="annulus-") as name:
-        yield Path(name)
-        for file in sorted(Path(name).rglob("*")):
-            if file.is_file():
-                place.write(file.relative_to(name).as_posix(), file.read_bytes())
+        prepare_folder(place.local)
+    told = Told(scan, origin)
+    done = surveyed(work, place, executor, WindowFiles(told, place), bars, keep=True)
+    write_results(done, told, place)
+    return {
+        "ok": not done.left_out, "results": str(place), "ranges": done.ranges, "made": done.made,
+        "left_out": done.left_out, "why": f"{scan}: {done.findings[0].text}" if done.left_out else None,
+    }  # fmt: skip

@@ -36,7 +36,9 @@ PACKAGES = {"s3": "s3fs", "s3a": "s3fs", "gs": "gcsfs", "gcs": "gcsfs", "sftp": 
 
 JOINED_MAX = 16 << 20  # bytes of one request: at 1 Gbit/s 0.13 s, against 0.02 to 0.1 s until the first comes
 GAP_SHARE = 20  # neighbours are joined where what lies between is at most this part of them: 1/20 too much is read
-FILES_MAX = 8  # opened files that a thread keeps, each with one answer
+FILES_MAX = 8  # opened files that a thread keeps ..
+ANSWERS_MAX = 4  # .. each with as many answers ..
+HELD_MAX = 2 * JOINED_MAX  # .. or bytes of them
 
 _Answer = TypeVar("_Answer")
 
@@ -113,6 +115,9 @@ class Url:
         folder = rest.rpartition("/")[0]
         return Url(f"{scheme}://{folder}") if folder else self
 
+    def resolve(self) -> "Url":
+        return self
+
     def with_name(self, name: str) -> "Url":
         return self.parent / name
 
@@ -122,7 +127,7 @@ class Url:
 
 def told(url: Url) -> Told:
     """What the store says of a file now. FileNotFoundError, PermissionError; AnnulusError where it does not answer."""
-    return _told(_asked(url, "info", lambda store, path: store.info(path)), url)
+    return _told(_asked(url, "info", lambda store, path: _in_time(store, store.info, path)), url)
 
 
 def _told(info: Any, url: Url) -> Told:
@@ -142,8 +147,8 @@ def listed(folder: Url, prefix: str = "") -> dict[str, Told]:
         if prefix and folder.scheme in ("s3", "s3a"):  # a bucket's folder may have a season's scans
             from fsspec.asyn import sync
 
-            return sync(store.loop, store._lsdir, path, prefix=prefix, timeout=PATIENCE.answer_s)
-        return store.ls(path, detail=True)
+            return sync(store.loop, store._lsdir, path, prefix=prefix, timeout=_bound_s(0))
+        return _in_time(store, store.ls, path, detail=True)
 
     try:
         found = _asked(folder, "list", ask)
@@ -160,7 +165,7 @@ def listed(folder: Url, prefix: str = "") -> dict[str, Told]:
 def found_below(folder: Url) -> list[str]:
     """Names of all files in a folder and its folders, with slashes, sorted."""
     try:
-        found = _asked(folder, "list", lambda store, path: (path, store.find(path)))
+        found = _asked(folder, "list", lambda store, path: (path, _in_time(store, store.find, path, pages=1000)))
     except FileNotFoundError:
         return []
     path, names = found
@@ -201,15 +206,15 @@ def write_remote(url: Url, content: "bytes | Path") -> None:
 
 def _put(store: Any, path: str, content: "bytes | Path") -> None:
     if isinstance(content, bytes):
-        store.pipe_file(path, content)
+        _in_time(store, store.pipe_file, path, content, length=len(content))
     else:
-        store.put_file(str(content), path)
+        _in_time(store, store.put_file, str(content), path, length=content.stat().st_size)
 
 
 def remove_remote(url: Url) -> None:
     """What is not there is removed."""
     with contextlib.suppress(FileNotFoundError):
-        _asked(url, "remove", lambda store, path: store.rm_file(path))
+        _asked(url, "remove", lambda store, path: _in_time(store, store.rm_file, path))
 
 
 def fetched(url: Url, start: int, end: int, known: Told) -> bytes:
@@ -228,7 +233,7 @@ def fetched(url: Url, start: int, end: int, known: Told) -> bytes:
 
 def _ranged(store: Any, url: Url, path: str, start: int, end: int, tag: str) -> Any:
     if url.scheme not in ("s3", "s3a"):
-        return store.cat_file(path, start=start, end=end)
+        return _in_time(store, store.cat_file, path, start=start, end=end, length=end - start)
     from fsspec.asyn import sync
 
     bucket, key, _ = store.split_path(path)
@@ -242,6 +247,13 @@ def _ranged(store: Any, url: Url, path: str, start: int, end: int, tag: str) -> 
             answer["Body"].close()
 
     return sync(store.loop, get, timeout=_bound_s(end - start))
+
+
+def _in_time(store: Any, ask: Callable[..., Any], *args: Any, length: int = 0, pages: int = 1, **more: Any) -> Any:
+    """What a store answers within the bound for so many bytes, or pages of a list."""
+    if getattr(store, "async_impl", False):
+        more["timeout"] = _bound_s(length) + (pages - 1)
+    return ask(*args, **more)
 
 
 def _bound_s(length: int) -> float:
@@ -340,8 +352,8 @@ def _forget(url: Url, error: Exception) -> None:
 class RemoteFile:
     """A file in a store, for reading, with what a binary file has that a recording's readers use.
 
-    Holds one answer. What is asked for is fetched as it is asked for, unless `plan` was told more, or `ahead` bytes
-    are to be fetched at least: of a walk, which looks at little pieces one behind the other.
+    Holds its last few answers. What is asked for is fetched as it is asked for, unless `plan` was told more, or `ahead`
+    bytes are to be fetched at least: of a walk, which looks at little pieces one behind the other.
     """
 
     def __init__(self, url: Url, known: Told | None = None, ahead: int = 0) -> None:
@@ -353,7 +365,7 @@ class RemoteFile:
             known = now
         self.url, self.told, self.ahead = url, known, ahead
         self._at = 0
-        self._start, self._held = 0, b""
+        self._held: list[tuple[int, bytes]] = []  # from where on, the last one last
         self._planned: list[tuple[int, int]] = []
 
     @property
@@ -363,10 +375,6 @@ class RemoteFile:
     def plan(self, ranges: Iterable[tuple[int, int]]) -> None:
         """Which bytes, from and to, will be asked for; each is fetched once, neighbours in one request."""
         self._planned = joined(ranges)
-
-    def hold(self, start: int, data: bytes) -> None:
-        """Bytes from there on are known already."""
-        self._start, self._held = start, data
 
     def seek(self, offset: int, whence: int = SEEK_SET) -> int:
         self._at = {SEEK_SET: 0, SEEK_CUR: self._at, SEEK_END: self.size}[whence] + offset
@@ -380,21 +388,29 @@ class RemoteFile:
         start = self._at
         if start >= end:
             return b""
-        if not (self._start <= start and end <= self._start + len(self._held)):
-            self._fetch(start, end)
         self._at = end
-        return self._held[start - self._start : end - self._start]
+        for begin, data in reversed(self._held):
+            if begin <= start and end <= begin + len(data):
+                return data[start - begin : end - begin]
+        return self._fetched(start, end)[: end - start]
 
-    def _fetch(self, start: int, end: int) -> None:
+    def _fetched(self, start: int, end: int) -> bytes:
         last = max(end, min(self.size, start + self.ahead))
         for begin, stop in self._planned:
             if begin <= start < stop:
                 last = max(last, stop)
         kept = b""
-        if self._start <= start < self._start + len(self._held):  # its beginning is here
-            kept = self._held[start - self._start :]
-        rest = fetched(self.url, start + len(kept), last, self.told)
-        self._start, self._held = start, kept + rest if kept else rest
+        for begin, data in reversed(self._held):
+            if begin <= start < begin + len(data):  # its beginning is here
+                kept = data[start - begin :]
+                break
+        data = kept + fetched(self.url, start + len(kept), last, self.told)
+        self._held.append((start, data))
+        while len(self._held) > ANSWERS_MAX or (
+            len(self._held) > 1 and sum(len(one) for _, one in self._held) > HELD_MAX
+        ):
+            del self._held[0]
+        return data
 
     def __enter__(self) -> "RemoteFile":
         return self

@@ -15,11 +15,10 @@ import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
-from typing import IO, TypeAlias
+from typing import IO, TypeAlias, cast
 
 from annulus import untrusted
 from annulus.record.remote import (
-    RemoteFile,
     Told,
     Url,
     found_below,
@@ -67,9 +66,9 @@ def is_file(place: Where) -> bool:
     return True
 
 
-def opened_file(place: Where, known: Told | None = None) -> "IO[bytes] | RemoteFile":
+def opened_file(place: Where, known: Told | None = None) -> IO[bytes]:
     """For reading; `known`: what a store said of it when somebody opened it. OSError as it comes."""
-    return place.open("rb") if isinstance(place, Path) else remote_file(place, known)
+    return place.open("rb") if isinstance(place, Path) else cast(IO[bytes], remote_file(place, known))
 
 
 @dataclass(frozen=True)

@@ -38,24 +38,34 @@ def window_folder(out: Path, number: int) -> Path:
     return out / WINDOWS / f"{number + 1:04d}"
 
 
-def begin_whole(out: Path) -> None:
-    """Without the windows and the summary of a scan before."""
-    (out / SUMMARY).unlink(missing_ok=True)
-    shutil.rmtree(out / WINDOWS, ignore_errors=True)
+def keep_windows(out: Path, numbers: Sequence[int] = ()) -> None:
+    """Without windows of a scan before, but those that are this one's."""
+    kept = {window_folder(out, number) for number in numbers}
+    for folder in (out / WINDOWS).glob("*"):
+        if folder not in kept:
+            shutil.rmtree(folder, ignore_errors=True)
+    if not kept:
+        shutil.rmtree(out / WINDOWS, ignore_errors=True)
 
 
 def write_window(survey: Survey, account: Account, out: Path, number: int) -> None:
-    """One window's results, all that a short scan has."""
+    """One window's results, all that a short scan has. A summary of the whole that is there is of another scan, or of
+    what the window was: it goes."""
+    (out / SUMMARY).unlink(missing_ok=True)
     write(survey, account, window_folder(out, number))
 
 
-def write_whole(pipe: Joined, account: Account, out: Path, *, paper: Paper | None = None) -> dict[str, Any]:
-    """What all windows together say, beside their folders, which must be there. Returns what summary.json says.
+def write_whole(
+    pipe: Joined, account: Account, out: Path, numbers: Sequence[int], *, paper: Paper | None = None
+) -> dict[str, Any]:
+    """What all windows together say, beside their folders, which must be there; others go. Returns what summary.json
+    says.
 
     Raises AnnulusError when `out` cannot be written.
     """
     started = time.perf_counter()
-    folders = sorted(one for one in (out / WINDOWS).iterdir() if (one / SUMMARY).is_file())
+    keep_windows(out, numbers)
+    folders = [window_folder(out, number) for number in sorted(numbers)]
     with staged(out) as staging:
         pictures = figures.draw(pipe, account.origin.observations)
         (staging / "unwrapped.png").write_bytes(pictures.unwrapped)

@@ -17,6 +17,7 @@ from annulus.reprocess.fringe_pipe import FringePipeJob, MeasuredPipe, open_frin
 from annulus.reprocess.job import Job, open_job, stage_medians
 from annulus.reprocess.method import Method, fringes_on, method_for, warm_up
 from annulus.reprocess.photographs import photographs
+from annulus.reprocess.whole import Surveyed, surveyed
 
 __all__ = [
     "Executor",
@@ -28,6 +29,7 @@ __all__ = [
     "Method",
     "Processes",
     "Reprocessed",
+    "Surveyed",
     "Work",
     "fringes_on",
     "in_process",
@@ -44,5 +46,6 @@ __all__ = [
     "reprocess",
     "stage_medians",
     "survey_of",
+    "surveyed",
     "warm_up",
 ]  # fmt: skip

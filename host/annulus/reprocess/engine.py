@@ -59,7 +59,7 @@ def survey_of(scan: str | Path, calibration: str | Path | None = None) -> Survey
 
     Raises AnnulusError, one line, for any input that is missing, damaged or does not belong together.
     """
-    return reprocess(open_job(Path(scan), None if calibration is None else Path(calibration))).survey()
+    return reprocess(open_job(scan, calibration)).survey()
 
 
 def reprocess(job: Job, executor: Executor = in_process, progress: Progress | None = None) -> Reprocessed:

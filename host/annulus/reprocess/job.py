@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -11,6 +10,7 @@ from annulus.geometry.calibration import Calibration
 from annulus.numeric.arrays import Image
 from annulus.record.calibration_file import load_calibration, load_part
 from annulus.record.scan import Scan, ScanFrame, open_scan
+from annulus.record.storage import Where, where
 from annulus.record.walk import DamagedError
 from annulus.reprocess.method import Method, method_for
 from annulus.rings.calibration.reference import Reference
@@ -86,6 +86,7 @@ def measured(job: Job, method: Method, chunk: Sequence[int]) -> list[Measured]:
     """
     out: list[Measured] = []
     seed = None
+    job.scan.plan([j for i in chunk for j in job.scan.same_flash(i)])
     for i in chunk:
         try:
             images = job.read_flash(i)
@@ -110,28 +111,34 @@ def stage_medians(profiles: Sequence[Profile]) -> dict[str, float]:
 
 
 def open_job(
-    scan: Path, calibration: Path | None = None, *, colour: Path | None = None, reference: Path | None = None
+    scan: Where | str,
+    calibration: Where | str | None = None,
+    *,
+    colour: Where | str | None = None,
+    reference: Where | str | None = None,
 ) -> Job:
-    """Open a scan folder or recording with the files of its calibration.
+    """Open a scan folder or recording with the files of its calibration: paths, or URLs of a store.
 
     calibration : a recording's own is used when None. colour, reference : files of `annulus calibrate colour` and
     `reference`. Raises AnnulusError, one line, for what is missing, damaged or does not belong together.
     """
-    opened = roll_filled(open_scan(scan))
-    known = load_calibration(calibration) if calibration is not None else opened.calibration
+    place = where(scan)
+    opened = roll_filled(open_scan(place))
+    known = load_calibration(where(calibration)) if calibration is not None else opened.calibration
     if known is None:
-        raise AnnulusError(f"{scan}: carries no calibration. Give the calibration file of its head.")
-    pattern = None if reference is None else load_part(reference, Reference.from_dict, "annulus calibrate reference")
+        raise AnnulusError(f"{place}: carries no calibration. Give the calibration file of its head.")
+    made_by = "annulus calibrate reference"
+    pattern = None if reference is None else load_part(where(reference), Reference.from_dict, made_by)
     if pattern is not None:
         try:
             known = pattern.applied(known)
         except ValueError as error:
             raise AnnulusError(f"{reference}: {error}. Make it with this calibration.") from None
-    paint = None if colour is None else load_part(colour, ColourProfile.from_dict, "annulus calibrate colour")
+    paint = None if colour is None else load_part(where(colour), ColourProfile.from_dict, "annulus calibrate colour")
     _belong_together(opened, known)
     if any(math.isnan(frame.z_mm) and frame.x_mm is not None for frame in opened.frames):
         raise AnnulusError(
-            f"{scan}: says x_mm, no z_mm: a scan of a plate. Expected the calibration of a head that projects fringes."
+            f"{place}: says x_mm, no z_mm: a scan of a plate. Expected the calibration of a head that projects fringes."
         )
     return Job(opened, known, paint, pattern)
 

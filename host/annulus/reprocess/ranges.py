@@ -18,9 +18,10 @@ from pathlib import Path
 from typing import Any
 
 from annulus.geometry.pose import Pose
-from annulus.record.recording import RecordedFrame, Recording
+from annulus.record.frames import RecordedFrame
+from annulus.record.recording import Recording
 from annulus.record.scan import FRAME_MAX, Scan
-from annulus.record.storage import Place
+from annulus.record.storage import Place, Where, read_whole
 from annulus.record.walk import DamagedError
 from annulus.reprocess.ahead import make_ready_beside
 from annulus.reprocess.executors import Executor, Failed
@@ -30,9 +31,9 @@ from annulus.reprocess.profile_file import packed, unpacked
 from annulus.reprocess.versions import address, measured_with, processor
 from annulus.rings.diagnosis import Exposure
 from annulus.stereo import CAMERA_MISSING, TWO_WALLS
-from annulus.untrusted import read_file
 from annulus.vocabulary import AnnulusError, Label
 from annulus.wall.profile import Profile
+from annulus.wall.windows import Reach
 
 CHUNK = 8  # consecutive frames one worker does in a row, each seeded by the one before; fixed, so that results
 # do not depend on the number of workers
@@ -62,7 +63,8 @@ class Facts:
     the frames that show a pipe, in their order; without_pose : those that do not. apart : whose cameras see two walls;
     pairs : flashes that all cameras saw. rejected : slits seen and not used, by reason. z_mm : of its points, the least
     and the largest; of its frames where there are none. made : it was measured now, not found. timing_ms : of every
-    stage the median over its frames, and of their sum. processor : that it was measured on.
+    stage the median over its frames, and of their sum. processor : that it was measured on. reaches : of every frame
+    that was read, where its points lie.
     """
 
     number: int
@@ -81,6 +83,7 @@ class Facts:
     timing_ms: Mapping[str, float]
     made: bool
     processor: str
+    reaches: tuple[Reach | None, ...]
 
     @property
     def frames(self) -> tuple[int, ...]:
@@ -119,14 +122,16 @@ def _part(scan: Scan, kept: Sequence[int]) -> Scan:
         told = tuple(recording.frames[i] for i in kept)
         needed = {frame.part for frame in told}
         parts = tuple(
-            replace(_bare(part), path=_found(part.path if n in needed else recording.path))
+            _bare(replace(part, path=_found(part.path)))
+            if n in needed
+            else replace(_bare(part), path=_found(recording.path), index=None)
             for n, part in enumerate(recording.parts)
         )
         recording = replace(_bare(recording), path=_found(recording.path), frames=told, parts=parts)
     return Scan(_found(scan.path), tuple(scan.frames[i] for i in kept), None, recording)
 
 
-def _found(path: Path) -> Path:
+def _found(path: Where) -> Where:
     """From wherever a worker begins; URLs are whole."""
     return path.absolute() if isinstance(path, Path) else path
 
@@ -136,6 +141,7 @@ def _bare(recording: Recording) -> Recording:
     return replace(
         recording, frames=(), calibration=None, configuration=None, _labels={}, _notes={}, damage=(), _chunks=(),
         _data_crc=None, _sound={}, part=None, parts=(),
+        index=None if recording.index is None else recording.index.bare(),
     )  # fmt: skip
 
 
@@ -203,6 +209,7 @@ def facts_of(
         sum(CAMERA_MISSING not in p.rejected for p in profiles),
         sum(len(p.points_mm) for p in profiles), dict(rejected),
         (min(low for low, _ in ends), max(high for _, high in ends)), stage_medians(profiles), made, str(told),
+        tuple(map(Reach.of, profiles)),
     )  # fmt: skip
 
 
@@ -222,7 +229,7 @@ def identity(part: Scan) -> tuple[Any, ...]:
 def _of_file(part: Scan, name: str) -> str:
     path = part.path / name
     try:
-        return hashlib.sha256(read_file(path, FRAME_MAX)).hexdigest()
+        return hashlib.sha256(read_whole(path, FRAME_MAX)).hexdigest()
     except (OSError, ValueError):
         return "unread"  # what is wrong with it is said when it is measured, and no file is written then
 

@@ -44,6 +44,8 @@ class WindowWork:
     profiles: Profiles
     plan: Plan
     write: Write
+    vibration: bool = False
+    fps: float | None = None
 
     def ready(self) -> Callable[[int], "Abstract | Finding"]:
         return self._do
@@ -54,7 +56,13 @@ class WindowWork:
         job = _about(self.job, profiles)
         try:
             whole = survey(
-                profiles, job.calibration, led_frames(job), turns=turns_of(self.job.scan), z_step_mm=self.plan.z_step_mm
+                profiles,
+                job.calibration,
+                led_frames(job),
+                turns=turns_of(self.job.scan),
+                vibration=self.vibration,
+                fps=self.fps,
+                z_step_mm=self.plan.z_step_mm,
             )
             kept = between(whole, window)
             if not len(kept.wall.z_mm):
@@ -75,8 +83,8 @@ def _about(job: Job, profiles: Sequence[Profile]) -> Job:
 
 def survey_windows(
     work: WindowWork, executor: Executor = in_process, progress: Progress | None = None
-) -> tuple[Joined, Mapping[str, float]]:
-    """All windows surveyed and written, and what they say together; and ms that it took, by step.
+) -> tuple[Joined, tuple[int, ...], Mapping[str, float]]:
+    """All windows surveyed and written: what they say together, which of them were measured, and ms that it took.
 
     Raises AnnulusError where not one of them could be measured, or a worker could not do one.
     """
@@ -98,7 +106,7 @@ def survey_windows(
         raise AnnulusError(f"{work.job.scan.path}: {findings[0].text}.")
     told = [*(findings[number] for number in sorted(findings)), *_thinned(work.plan.windows)]
     pipe = joined([parts[number] for number in sorted(parts)], told)
-    return pipe, {"windows": 1e3 * (time.perf_counter() - began)}
+    return pipe, tuple(sorted(parts)), {"windows": 1e3 * (time.perf_counter() - began)}
 
 
 def _thinned(windows: Sequence[Window]) -> Iterator[Finding]:
@@ -119,13 +127,3 @@ def _where(window: Window) -> str:
 def names_of(plan: Plan) -> list[str]:
     """Folders of the windows' results, in the order of the pipe."""
     return [f"windows/{number:04d}" for number in range(1, len(plan.windows) + 1)]
-
-
-@dataclass(frozen=True, slots=True)
-class Held:
-    """Profiles of a scan that can be held."""
-
-    profiles: tuple[Profile | None, ...]
-
-    def of(self, numbers: Sequence[int]) -> list[Profile]:
-        return [one for one in (self.profiles[i] for i in numbers) if one is not None]

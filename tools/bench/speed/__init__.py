@@ -18,6 +18,8 @@ TABLE = Table(
         "console": "The console: what it costs, how soon a viewer has a picture, and a page shows it",
         "console_hours": "What console and page keep of a long scan",
         "console_faults": "What console, network and viewers can do to a scan",
+        "catalogue": "A catalogue of four million stations, asked, added to, listed",
+        "storage": "Recordings in an object store, and their index: requests, bytes, time",
         "soak": "Labels and places under faults, in virtual time",
         "cluster": "A cluster: what a task costs, and a scan in ranges against the serial run",
         "emulator": "The shipped image over 200 000 edges, on its pins",

@@ -1,0 +1,161 @@
+"""What a wall map has of the wall, apart from what it has of the head.
+
+A head sits off the axis, shakes, and its scale is another every year: that is even round the pipe (order 0), one wave
+(order 1) or, with the pipe's own ovality, two (order 2), and changes slowly along it. What is left when it is taken
+out, texture, defects and beads, is the wall's own and says where along the pipe and how turned a row is; ovality says
+how turned it is, but for 180 degrees.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.ndimage import gaussian_filter, gaussian_filter1d, median_filter
+
+from annulus.archive.wall_map import WallMap
+from annulus.numeric.arrays import ComplexArray, Float32Array, FloatArray
+from annulus.numeric.robust import SIGMA_OF_MAD, TUKEY, biweight
+
+ORDERS = 3  # 0, 1 and 2
+COLUMNS = 180  # at most, of what is laid over each other
+EVEN_MM, WAVES_MM = 60.0, 240.0  # medians of order 0, which leaves a bead alone, and of orders 1 and 2
+IMU_MM = 200.0  # median of the roll: 0.3 degrees a row are 0.05, and a jump stays one
+SEEN_MIN = 0.5  # of a row, for waves to be fitted to it
+NEAR_CELLS, DOUBT = 4.0, 1.5  # over which a map shows something; times its noise that nothing may have
+_ROUNDS, _CHUNK = 6, 4096
+
+
+@dataclass(frozen=True, slots=True)
+class Detail:
+    """Of one map, on N columns from 12 o'clock on.
+
+    own (Z, N) mm: the wall less what is slow in orders 0 to 2. plain (Z, N) mm: less all of them, row by row, so that
+    beads are gone too. oval (Z,) mm: order 2, slow, as the c of Re(c exp(2i clock)). roll_deg (Z,): the sensor's, calm;
+    None where it said nothing.
+    """
+
+    own: Float32Array
+    plain: Float32Array
+    oval: ComplexArray
+    roll_deg: FloatArray | None
+
+
+def detail_of(wall: WallMap, columns: int) -> Detail:
+    field = on_columns(wall.deviation_mm, wall.first_deg, columns)
+    waves = waves_of(field)
+    plain = field - drawn(waves, columns)
+    slow = np.stack(
+        [_calm(waves[:, order], EVEN_MM if order == 0 else WAVES_MM, wall.step_mm) for order in range(ORDERS)], axis=1
+    )
+    return Detail(field - drawn(slow, columns), plain, slow[:, 2], calm_roll(wall.imu_roll_deg, wall.step_mm))
+
+
+def on_columns(field: Float32Array, first_deg: float, columns: int) -> Float32Array:
+    """(Z, A) to (Z, columns) with a column's middle at 0: means over what of each cell lies in it; NaN where less than
+    half of it was seen."""
+    count = field.shape[1]
+    from_deg = first_deg + (np.arange(count) - 0.5) * 360.0 / count
+    begin = (np.arange(columns) - 0.5) * 360.0 / columns
+    share = np.zeros((count, columns), np.float32)
+    for turn in (-720, -360, 0, 360, 720):
+        low = np.maximum(from_deg[:, None] + turn, begin[None])
+        high = np.minimum(from_deg[:, None] + 360.0 / count + turn, begin[None] + 360.0 / columns)
+        share += np.maximum(high - low, 0.0).astype(np.float32) * columns / 360.0
+    seen = np.isfinite(field)
+    weight = seen.astype(np.float32) @ share
+    total = np.where(seen, field, np.float32(0)) @ share
+    return np.where(weight >= SEEN_MIN - 1e-4, total / np.maximum(weight, 1e-6), np.float32(np.nan))
+
+
+def waves_of(field: Float32Array, weight: Float32Array | None = None) -> ComplexArray:
+    """(Z, ORDERS) c of Re(c exp(i order clock)) in each row, defects left out (Tukey); NaN of a row half unseen."""
+    columns = field.shape[1]
+    clock = 2 * np.pi * np.arange(columns) / columns
+    design = np.stack([np.ones(columns), np.cos(clock), -np.sin(clock), np.cos(2 * clock), -np.sin(2 * clock)], axis=1)
+    out = np.full((len(field), ORDERS), np.nan, np.complex128)
+    for begin in range(0, len(field), _CHUNK):
+        part = slice(begin, begin + _CHUNK)
+        given = None if weight is None else weight[part].astype(np.float64)
+        fitted = _rows_fitted(field[part].astype(np.float64), design, given)
+        out[part, 0] = fitted[:, 0]
+        out[part, 1] = fitted[:, 1] + 1j * fitted[:, 2]
+        out[part, 2] = fitted[:, 3] + 1j * fitted[:, 4]
+    return out
+
+
+def _rows_fitted(rows: FloatArray, design: FloatArray, given: FloatArray | None) -> FloatArray:
+    seen = np.isfinite(rows)
+    value = np.where(seen, rows, 0.0)
+    base = seen.astype(np.float64) if given is None else np.where(seen, given, 0.0)
+    weight: Any = base
+    products = (design[:, :, None] * design[:, None, :]).reshape(len(design), -1)
+    ridge = 1e-9 * np.eye(design.shape[1])
+    fitted = np.zeros((len(rows), design.shape[1]))
+    for _ in range(_ROUNDS):
+        normal = (weight @ products).reshape(len(rows), *ridge.shape) + ridge * max(float(base.max(initial=1)), 1e-9)
+        fitted = np.linalg.solve(normal, ((weight * value) @ design)[..., None])[..., 0]
+        left = value - fitted @ design.T
+        size = np.where(seen, np.abs(left), np.nan)
+        ordered = np.sort(size, axis=1)
+        middle = np.maximum(seen.sum(axis=1) - 1, 0) // 2
+        sigma = np.maximum(SIGMA_OF_MAD * np.nan_to_num(ordered[np.arange(len(rows)), middle]), 1e-6)
+        weight = base * biweight(left / (TUKEY * sigma[:, None]))
+    fitted[seen.mean(axis=1) < SEEN_MIN] = np.nan
+    return fitted
+
+
+def drawn(waves: ComplexArray, columns: int) -> Float32Array:
+    """(Z, columns) mm of `waves_of`."""
+    clock = 2 * np.pi * np.arange(columns) / columns
+    turning = np.exp(1j * np.arange(ORDERS)[:, None] * clock[None])
+    return np.asarray((waves.real @ turning.real - waves.imag @ turning.imag).astype(np.float32))
+
+
+def _calm(series: ComplexArray, median_mm: float, step_mm: float) -> ComplexArray:
+    whole = _filled(series.real) + 1j * _filled(series.imag)
+    rows = max(2 * round(median_mm / step_mm / 2) + 1, 3)
+    parts = [
+        gaussian_filter1d(median_filter(part, rows, mode="nearest"), rows / 6, mode="nearest")
+        for part in (whole.real, whole.imag)
+    ]
+    return np.asarray(parts[0] + 1j * parts[1])
+
+
+def calm_roll(roll_deg: FloatArray, step_mm: float) -> FloatArray | None:
+    """(Z,) the sensor's roll without its noise, continuous over 180 degrees. None where less than half was said."""
+    known = np.isfinite(roll_deg)
+    if known.mean() < SEEN_MIN:
+        return None
+    rolled = np.full(len(roll_deg), np.nan)
+    rolled[known] = np.unwrap(roll_deg[known], period=360.0)
+    rows = max(2 * round(IMU_MM / step_mm / 2) + 1, 3)
+    return np.asarray(median_filter(_filled(rolled), rows, mode="nearest"))
+
+
+def _filled(series: FloatArray) -> FloatArray:
+    known = np.isfinite(series)
+    if not known.any():
+        return np.zeros(len(series))
+    return np.asarray(np.interp(np.arange(len(series)), np.flatnonzero(known), series[known]))
+
+
+def smoothed(field: Float32Array, sigma: tuple[float, float]) -> Float32Array:
+    """A field with NaN, smoothed by a normal curve over rows and, round the pipe, columns; NaN of what was unseen."""
+    seen = np.isfinite(field)
+    mode = ("nearest", "wrap")
+    weight = gaussian_filter(seen.astype(np.float32), sigma, mode=mode)
+    total = gaussian_filter(np.where(seen, field, np.float32(0)), sigma, mode=mode)
+    return np.where(weight > SEEN_MIN, total / np.maximum(weight, 1e-6), np.float32(np.nan))
+
+
+def believed(calm: Float32Array, raw: Float32Array, alike_cells: float) -> Float32Array:
+    """The smoothed map shrunk where it is no more than its noise: what has nothing to show must not vote.
+
+    raw: before the smoothing, which makes one of `alike_cells` cells; its noise is what neighbours round the pipe differ
+    by.
+    """
+    bends = np.roll(raw, 1, axis=1) - 2 * raw + np.roll(raw, -1, axis=1)
+    bends = bends[np.isfinite(bends)]
+    noise = SIGMA_OF_MAD * float(np.median(np.abs(bends))) / np.sqrt(6.0 * alike_cells) if bends.size else 0.0
+    power = gaussian_filter(np.square(np.nan_to_num(calm)), (NEAR_CELLS, NEAR_CELLS), mode=("nearest", "wrap"))
+    return np.asarray(calm * np.maximum(1 - np.float32(DOUBT * noise**2) / np.maximum(power, 1e-12), 0), np.float32)

@@ -1,0 +1,160 @@
+"""What grew between two scans, place by place, with what it may be off (k = 2), and where no growth can be told.
+
+Growth is the height of a floor fitted to the difference of both maps; a place is listed as grown where it stands out of
+everything that differs for other reasons and is more than LEAST_MM. A defect of either year without such a floor gets
+the growth of its own shape, and the verdict that no change can be told, or that one of the scans did not see it.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from annulus.archive.difference import Difference, Laid
+from annulus.archive.floors import BAR_SIGMA, Floor, Search
+from annulus.numeric.arrays import Float32Array
+
+LEAST_MM = 0.1  # two heads, calibrated apart, and what lies between rows, make up to this much; benchmark `growth`
+DEFECT_BELLS_MM = (8.0, 20.0)
+DEFECT_MM = 0.3  # from which on what stands out of one map is listed as a defect
+SHARED_MM, SHARED_PART = 0.015, 0.02  # k = 1: of calibrations and of a floor's shape, whatever the noise
+SEEN_MIN = 0.5  # of a defect, in both
+ABSENT_MM, ABSENT_PART = 0.15, 0.2  # a depth below either is none: of a new defect before, of one that is gone after
+
+
+class Verdict(StrEnum):
+    """What two scans say of one place."""
+
+    NEW = "new"
+    GROWN = "grown"
+    LESS = "less"
+    GONE = "gone"
+    SAME = "no change that can be told"
+    UNSEEN = "not seen in both"
+
+
+CHANGED = (Verdict.NEW, Verdict.GROWN, Verdict.LESS, Verdict.GONE)
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """One place, in the first's z and clock. Depths and growth outwards positive: a loss is positive, a dent negative,
+    and both grow away from 0. length and arc: at 1/e of the depth. NaN where nobody knows."""
+
+    z_mm: float
+    clock_deg: float
+    length_mm: float
+    arc_deg: float
+    depth_first_mm: float
+    depth_second_mm: float
+    growth_mm: float
+    growth_k2_mm: float
+    verdict: Verdict
+
+
+@dataclass(frozen=True, slots=True)
+class Growth:
+    """changes: every defect of either year, along the pipe. least_mm (Z, A): the smallest growth that could be told of
+    a place of 25 mm there; infinite where one did not see. Its median and worst twentieth over what both saw."""
+
+    changes: tuple[Change, ...]
+    least_mm: Float32Array
+    least_median_mm: float
+    least_p95_mm: float
+    seen_fraction: float
+
+
+def grown(laid: Laid, progress: Callable[[str, int, int], None]) -> tuple[Growth, Difference]:
+    """Everything that two scans laid together say, and the difference it was read from."""
+    what = "measuring growth"
+    progress(what, 0, 5)
+    difference = laid.difference()
+    z, column = difference.z_mm, difference.column_mm
+    rough = Search(difference.grown, difference.sigma, z, column).floors(LEAST_MM)
+    progress(what, 1, 5)
+    if rough:  # what grew has taken part in what each row was said to have on the whole
+        difference = laid.difference(rough)
+    search = Search(difference.grown, difference.sigma, z, column)
+    least = np.maximum(search.least_mm, LEAST_MM).astype(np.float32)
+    changed = search.floors(LEAST_MM)
+    progress(what, 2, 5)
+    changes = []
+    for floor in changed:
+        k2 = _k2(floor.sigma_mm, floor.height_mm)
+        if abs(floor.height_mm) <= max(LEAST_MM, k2):
+            continue
+        before = _height(difference.first, difference, floor)
+        after = before + floor.height_mm
+        changes.append(_change(floor, before, after, floor.height_mm, k2, _verdict(before, after)))
+    told = [floor for floor in changed]
+    for k, field in enumerate((difference.second, difference.first)):
+        for floor in Search(field, difference.sigma_of(k), z, column, DEFECT_BELLS_MM).floors(DEFECT_MM):
+            if any(one.holds(floor.z_mm, floor.clock_deg) or floor.holds(one.z_mm, one.clock_deg) for one in told):
+                continue
+            told.append(floor)
+            changes.append(_unchanged(difference, floor, k))
+        progress(what, 3 + k, 5)
+    seen = np.isfinite(difference.grown)
+    known = least[np.isfinite(least) & seen]
+    median, p95 = (float(np.percentile(known, q)) for q in (50, 95)) if known.size else (np.nan, np.nan)
+    changes.sort(key=lambda one: one.z_mm)
+    return Growth(tuple(changes), least, median, p95, float(seen.mean())), difference
+
+
+def _k2(sigma_mm: float, height_mm: float) -> float:
+    return float(2 * np.sqrt(sigma_mm**2 + SHARED_MM**2 + (SHARED_PART * height_mm) ** 2))
+
+
+def _change(floor: Floor, before: float, after: float, growth: float, k2: float, verdict: Verdict) -> Change:
+    return Change(
+        floor.z_mm, floor.clock_deg, floor.length_mm, floor.arc_deg, before, after, growth, k2, verdict
+    )  # fmt: skip
+
+
+def _verdict(before: float, after: float) -> Verdict:
+    if abs(before) < max(ABSENT_MM, ABSENT_PART * abs(after)):
+        return Verdict.NEW
+    if abs(after) < max(ABSENT_MM, ABSENT_PART * abs(before)):
+        return Verdict.GONE
+    return Verdict.GROWN if abs(after) > abs(before) else Verdict.LESS
+
+
+def _unchanged(difference: Difference, floor: Floor, year: int) -> Change:
+    """A defect of the second (year 0) or the first alone: what its own shape says of growth."""
+    growth, sigma, share = _along(difference.grown, difference.sigma, difference, floor)
+    other = _height(difference.first if year == 0 else difference.second, difference, floor)
+    before, after = (other, floor.height_mm) if year == 0 else (floor.height_mm, other)
+    if share < SEEN_MIN:
+        before, after = (np.nan, floor.height_mm) if year == 0 else (floor.height_mm, np.nan)
+        return _change(floor, before, after, np.nan, np.nan, Verdict.UNSEEN)
+    k2 = max(_k2(sigma, growth), abs(growth))  # it does not stand out, so it may be nothing
+    return _change(floor, before, after, growth, k2, Verdict.SAME)
+
+
+def _height(field: Float32Array, difference: Difference, floor: Floor) -> float:
+    return _along(field, np.ones_like(difference.sigma), difference, floor)[0]
+
+
+def _along(
+    field: Float32Array, sigma: Float32Array, difference: Difference, floor: Floor
+) -> tuple[float, float, float]:
+    """Height of a floor's shape in a field, its sigma, and the share of the shape that was seen. NaN of none."""
+    z, clock = difference.z_mm, np.asarray(difference.column_deg * np.arange(field.shape[1]), np.float64)
+    rows = np.flatnonzero(np.abs(z - floor.z_mm) <= floor.length_mm)
+    columns = np.flatnonzero(np.abs((clock - floor.clock_deg + 180) % 360 - 180) <= min(floor.arc_deg, 180.0))
+    at = np.ix_(rows, columns)
+    shape = floor.shape(z[rows], clock[columns])
+    value = field[at].astype(np.float64)
+    seen = np.isfinite(value) & np.isfinite(sigma[at])
+    share = float((shape * seen).sum() / max(shape.sum(), 1e-9))
+    if seen.sum() < 6:
+        return np.nan, np.nan, share
+    weight = 1.0 / np.square(sigma[at][seen].astype(np.float64))
+    design = np.stack([shape[seen], np.ones(int(seen.sum()))], axis=1)
+    normal = design.T @ (weight[:, None] * design) + 1e-9 * weight.mean() * np.eye(2)
+    solved = np.linalg.solve(normal, design.T @ (weight * value[seen]))
+    return float(solved[0]), float(np.sqrt(np.linalg.inv(normal)[0, 0])), share
+
+
+__all__ = ["BAR_SIGMA", "CHANGED", "Change", "Growth", "Verdict", "grown"]
