@@ -188,10 +188,15 @@ class _Laying:
         at(steps)
         return Alignment(
             z,
-            np.where(inside, (self.roll + 180.0) % 360.0 - 180.0, np.nan), np.where(inside, sigma_z, np.nan),
-            np.where(inside, sigma_roll, np.nan), tuple(int(row) for row in np.flatnonzero(self.slips)), self.scale, False,
-            self._sure() if len(rows) >= 8 else 0.0, self.sigma,
-        )  # fmt: skip
+            np.where(inside, (self.roll + 180.0) % 360.0 - 180.0, np.nan),
+            np.where(inside, sigma_z, np.nan),
+            np.where(inside, sigma_roll, np.nan),
+            tuple(int(row) for row in np.flatnonzero(self.slips)),
+            self.scale,
+            False,
+            self._sure() if len(rows) >= 8 else 0.0,
+            self.sigma,
+        )
 
     def _firsts_roll(self) -> FloatArray:
         assert self.mine.roll_deg is not None
@@ -214,7 +219,7 @@ class _Laying:
         return np.asarray((cost - count * usual) / ALIKE_CELLS)
 
     def _chain_of_places(self, base: FloatArray, low: FloatArray, high: FloatArray, step: float) -> None:
-        """low, high (Z,) mm beside base between which each row lies: else a chain slips away from what grew or is gone."""
+        """low, high (Z,) mm beside base, between which a row lies: else a chain slips away from what is new or gone."""
         least, most = float(low.min()), float(high.max())
         step *= max(1.0, (most - least) / step / STATES_MAX)
         offsets = np.arange(least, most + step / 2, step)

@@ -30,8 +30,9 @@ _ROUNDS, _CHUNK = 6, 4096
 class Detail:
     """Of one map, on N columns from 12 o'clock on.
 
-    plain (Z, N) mm: the wall less orders 0 to 2, row by row. own (Z, N) mm: with beads, which are order 0, put back. oval (Z,) mm: order 2, slow, as the c of Re(c exp(2i clock)). roll_deg (Z,): the sensor's, calm;
-    None where it said nothing.
+    plain (Z, N) mm: the wall less orders 0 to 2, row by row. own (Z, N) mm: with beads, which are order 0, put back.
+    oval (Z,) mm: order 2, slow, as the c of Re(c exp(2i clock)). roll_deg (Z,): the sensor's, calm; None where it said
+    nothing.
     """
 
     own: Float32Array
@@ -47,7 +48,7 @@ def detail_of(wall: WallMap, columns: int) -> Detail:
     bump = waves[:, 0].real - _calm(waves[:, 0], EVEN_MM, wall.step_mm).real
     bump = np.where(np.abs(bump) > BEAD_MM, bump, 0.0).astype(np.float32)
     oval = _calm(waves[:, 2], WAVES_MM, wall.step_mm)
-    return Detail(plain + bump[:, None], plain, oval, calm_roll(wall.imu_roll_deg, wall.step_mm))
+    return Detail((plain + bump[:, None]).astype(np.float32), plain, oval, calm_roll(wall.imu_roll_deg, wall.step_mm))
 
 
 def on_columns(field: Float32Array, first_deg: float, columns: int) -> Float32Array:
@@ -151,8 +152,8 @@ def smoothed(field: Float32Array, sigma: tuple[float, float]) -> Float32Array:
 def believed(calm: Float32Array, raw: Float32Array, alike_cells: float) -> Float32Array:
     """The smoothed map shrunk where it is no more than its noise: what has nothing to show must not vote.
 
-    raw: before the smoothing, which makes one of `alike_cells` cells; its noise is what neighbours round the pipe differ
-    by.
+    raw: before the smoothing, which makes one of `alike_cells` cells; its noise is what neighbours round the
+    pipe differ by.
     """
     bends = np.roll(raw, 1, axis=1) - 2 * raw + np.roll(raw, -1, axis=1)
     bends = bends[np.isfinite(bends)]
