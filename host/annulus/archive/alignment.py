@@ -15,13 +15,14 @@ from scipy.ndimage import gaussian_filter1d, median_filter
 from annulus.archive.chain import joined, likeliest, row_costs
 from annulus.archive.detail import COLUMNS, Detail, believed, detail_of, smoothed
 from annulus.archive.wall_map import WallMap
-from annulus.archive.whereabouts import Stretch, find
+from annulus.archive.whereabouts import STRETCH_MM, Stretch, find
 from annulus.numeric.arrays import BoolArray, Float32Array, FloatArray
 from annulus.numeric.robust import robust_sigma
 from annulus.vocabulary import AnnulusError
 
 RADII_ALIKE = 0.1  # of the radius: by more two nominal radii are not of one pipe
-COARSE_MM, FINE_MM, ABOUT_MM, NEAR_MM = 2.0, 0.5, 60.0, 16.0  # steps and reach of the chains of places
+COARSE_MM, FINE_MM, NEAR_MM = 2.0, 0.5, 16.0  # steps and reach of the chains of places
+ABOUT_MM, FAR_MM, OUTSIDE = 24.0, 60.0, 100.0  # reach beside stretches that were found, without any; cost beyond
 STATES_MAX = 600
 ROLL_STEP_DEG, ROLL_NEAR_DEG, ROLL_FREE_DEG = 0.25, 4.0, 10.0
 STEP_COST, SLIP_COST, TURN_COST = 3.0, 14.0, 16.0  # of log-likelihood: a slip shorter than 2 mm is no slip but drift
@@ -131,7 +132,15 @@ class _Laying:
         beside = place - slope * own
         self.scale = slope
         self.place = slope * self.z + np.interp(self.z, own, beside)
-        self.low, self.high = float(beside.min()), float(beside.max())
+        near = np.abs(self.z[:, None] - own[None]) <= STRETCH_MM
+        alone = ~near.any(axis=1)
+        line = np.interp(self.z, own, beside)
+        self.low = np.where(alone, line, np.where(near, beside[None], np.inf).min(axis=1)) - np.where(
+            alone, FAR_MM, ABOUT_MM
+        )
+        self.high = np.where(alone, line, np.where(near, beside[None], -np.inf).max(axis=1)) + np.where(
+            alone, FAR_MM, ABOUT_MM
+        )
         self.beside = np.interp(self.z, own, beside)
         self.with_sensor = mine.roll_deg is not None and theirs.roll_deg is not None
         turn = np.unwrap(roll, period=360.0)
@@ -154,12 +163,13 @@ class _Laying:
 
         at(0)
         base = self.place - self.beside
-        self._chain_of_places(base, self.low - ABOUT_MM, self.high + ABOUT_MM, COARSE_MM)
+        self._chain_of_places(base, self.low, self.high, COARSE_MM)
         at(1)
         self._chain_of_rolls()
         at(2)
         self.sigma = max(robust_sigma(self._left().ravel()), 1e-4)
-        self._chain_of_places(self._evened(), -NEAR_MM, NEAR_MM, FINE_MM)
+        near = np.full(len(self.z), NEAR_MM)
+        self._chain_of_places(self._evened(), -near, near, FINE_MM)
         self._evened()
         self.slips = self._slips()
         at(3)
@@ -178,10 +188,15 @@ class _Laying:
         at(steps)
         return Alignment(
             z,
-            np.where(inside, (self.roll + 180.0) % 360.0 - 180.0, np.nan), np.where(inside, sigma_z, np.nan),
-            np.where(inside, sigma_roll, np.nan), tuple(int(row) for row in np.flatnonzero(self.slips)), self.scale, False,
-            self._sure() if len(rows) >= 8 else 0.0, self.sigma,
-        )  # fmt: skip
+            np.where(inside, (self.roll + 180.0) % 360.0 - 180.0, np.nan),
+            np.where(inside, sigma_z, np.nan),
+            np.where(inside, sigma_roll, np.nan),
+            tuple(int(row) for row in np.flatnonzero(self.slips)),
+            self.scale,
+            False,
+            self._sure() if len(rows) >= 8 else 0.0,
+            self.sigma,
+        )
 
     def _firsts_roll(self) -> FloatArray:
         assert self.mine.roll_deg is not None
@@ -191,7 +206,7 @@ class _Laying:
         return np.asarray((self.place - self.first.first_mm) / self.first.step_mm)
 
     def _costs(self, places: FloatArray, rolls: FloatArray) -> FloatArray:
-        """(Z, K) of each row, less what a cell costs on the whole, so that cells that were not seen neither draw nor
+        """(Z, K) of each row, less what its cells cost anywhere, so that cells that were not seen neither draw nor
         repel."""
         row_at = (places - self.first.first_mm) / self.first.step_mm
         rows = len(self.first.deviation_mm)
@@ -200,12 +215,16 @@ class _Laying:
         cost, count = row_costs(
             self.theirs_calm, self.calm, *(row_at + 0 * rolls, rolls * self.columns / 360.0 + 0 * row_at), self.sigma
         )
-        return np.asarray((cost - count * (cost.sum() / max(count.sum(), 1.0))) / ALIKE_CELLS)
+        usual = cost.sum(axis=1, keepdims=True) / np.maximum(count.sum(axis=1, keepdims=True), 1.0)
+        return np.asarray((cost - count * usual) / ALIKE_CELLS)
 
-    def _chain_of_places(self, base: FloatArray, low: float, high: float, step: float) -> None:
-        step *= max(1.0, (high - low) / step / STATES_MAX)
-        offsets = np.arange(low, high + step / 2, step)
+    def _chain_of_places(self, base: FloatArray, low: FloatArray, high: FloatArray, step: float) -> None:
+        """low, high (Z,) mm beside base, between which a row lies: else a chain slips away from what is new or gone."""
+        least, most = float(low.min()), float(high.max())
+        step *= max(1.0, (most - least) / step / STATES_MAX)
+        offsets = np.arange(least, most + step / 2, step)
         cost = self._costs(base[:, None] + offsets[None], self.roll[:, None])
+        cost[(offsets[None] < low[:, None] - step) | (offsets[None] > high[:, None] + step)] += OUTSIDE
         chain = likeliest(cost, STEP_COST * step / FINE_MM / 4 + STEP_COST / 2, SLIP_COST)
         moved = offsets[chain]
         self.place = base + moved

@@ -18,7 +18,8 @@ from annulus.numeric.robust import SIGMA_OF_MAD, TUKEY, biweight
 
 ORDERS = 3  # 0, 1 and 2
 COLUMNS = 180  # at most, of what is laid over each other
-EVEN_MM, WAVES_MM = 60.0, 240.0  # medians of order 0, which leaves a bead alone, and of orders 1 and 2
+EVEN_MM, WAVES_MM = 60.0, 240.0  # medians of order 0, which leaves a bead alone, and of ovality
+BEAD_MM = 0.1  # of order 0 in a row: less may be the head that shakes, and would lay its shaking on the other year's
 IMU_MM = 200.0  # median of the roll: 0.3 degrees a row are 0.05, and a jump stays one
 SEEN_MIN = 0.5  # of a row, for waves to be fitted to it
 NEAR_CELLS, DOUBT = 4.0, 1.5  # over which a map shows something; times its noise that nothing may have
@@ -29,9 +30,9 @@ _ROUNDS, _CHUNK = 6, 4096
 class Detail:
     """Of one map, on N columns from 12 o'clock on.
 
-    own (Z, N) mm: the wall less what is slow in orders 0 to 2. plain (Z, N) mm: less all of them, row by row, so that
-    beads are gone too. oval (Z,) mm: order 2, slow, as the c of Re(c exp(2i clock)). roll_deg (Z,): the sensor's, calm;
-    None where it said nothing.
+    plain (Z, N) mm: the wall less orders 0 to 2, row by row. own (Z, N) mm: with beads, which are order 0, put back.
+    oval (Z,) mm: order 2, slow, as the c of Re(c exp(2i clock)). roll_deg (Z,): the sensor's, calm; None where it said
+    nothing.
     """
 
     own: Float32Array
@@ -44,10 +45,10 @@ def detail_of(wall: WallMap, columns: int) -> Detail:
     field = on_columns(wall.deviation_mm, wall.first_deg, columns)
     waves = waves_of(field)
     plain = field - drawn(waves, columns)
-    slow = np.stack(
-        [_calm(waves[:, order], EVEN_MM if order == 0 else WAVES_MM, wall.step_mm) for order in range(ORDERS)], axis=1
-    )
-    return Detail(field - drawn(slow, columns), plain, slow[:, 2], calm_roll(wall.imu_roll_deg, wall.step_mm))
+    bump = waves[:, 0].real - _calm(waves[:, 0], EVEN_MM, wall.step_mm).real
+    bump = np.where(np.abs(bump) > BEAD_MM, bump, 0.0).astype(np.float32)
+    oval = _calm(waves[:, 2], WAVES_MM, wall.step_mm)
+    return Detail((plain + bump[:, None]).astype(np.float32), plain, oval, calm_roll(wall.imu_roll_deg, wall.step_mm))
 
 
 def on_columns(field: Float32Array, first_deg: float, columns: int) -> Float32Array:
@@ -151,8 +152,8 @@ def smoothed(field: Float32Array, sigma: tuple[float, float]) -> Float32Array:
 def believed(calm: Float32Array, raw: Float32Array, alike_cells: float) -> Float32Array:
     """The smoothed map shrunk where it is no more than its noise: what has nothing to show must not vote.
 
-    raw: before the smoothing, which makes one of `alike_cells` cells; its noise is what neighbours round the pipe differ
-    by.
+    raw: before the smoothing, which makes one of `alike_cells` cells; its noise is what neighbours round the
+    pipe differ by.
     """
     bends = np.roll(raw, 1, axis=1) - 2 * raw + np.roll(raw, -1, axis=1)
     bends = bends[np.isfinite(bends)]
