@@ -188,12 +188,13 @@ def build_wall(
     used = [p for p in profiles if p.pose is not None and len(p.points_mm)]
     if not used:
         raise AnnulusError("no wall: not one of the frames gave a point. Do calibration and scan belong together?")
-    points = np.concatenate([p.points_mm for p in used]).astype(np.float64)
+    points = np.concatenate([p.points_mm for p in used])
     finite = np.isfinite(points).all(axis=1)
-    points = points[finite]
-    x, y, z = points.T
+    x, y, z = (points[finite, axis].astype(np.float64) for axis in range(3))
+    points_given = len(z)
     radius = np.hypot(x, y)
     clock = np.degrees(np.arctan2(x, -y)) % 360.0
+    del points, x, y  # on a window of two million points each array is what a worker has no room for
     low, high = np.percentile(z, [0.05, 99.95])  # a stray point far away must not stretch the grid
     span = float(high - low)
     step = z_step_mm or z_step_of(len(z), span, ROWS_MAX)
@@ -201,6 +202,7 @@ def build_wall(
     first = int(np.floor(low / step))
     rows = int(np.floor(high / step)) - first + 1
     row = np.floor(z / step).astype(np.int64) - first
+    del z
     inside = (row >= 0) & (row < rows)
     radius, row = radius[inside], row[inside]
     cell = row * columns + np.minimum((clock[inside] / ANGLE_STEP_DEG).astype(np.int64), columns - 1)
@@ -232,7 +234,7 @@ def build_wall(
     if not len(ends):
         most = 360.0 * float(np.isfinite(grid).mean(axis=1).max())
         raise AnnulusError(
-            f"no wall: {len(points)} points are too few to make one station of the pipe; of none more than {most:.0f} "
+            f"no wall: {points_given} points are too few to make one station of the pipe; of none more than {most:.0f} "
             f"of 360 degrees was seen, expected {360 * STATION_SEEN:.0f}"
         )
     grid, count = grid[ends[0] : ends[-1] + 1], count[ends[0] : ends[-1] + 1]

@@ -67,7 +67,7 @@ def drawn_scan(folder: Path, frames: int, scale: float = 1.0) -> None:
     for n in range(PICTURES):
         image = draw(cal, Pose(0.004 * n, -0.003 * n, 0.3 * n, -0.2 * n), paint=Paint(supersample=1, noise=2.0), seed=n)
         cv2.imwrite(str(folder / f"rings-{n}.jpg"), image, [cv2.IMWRITE_JPEG_QUALITY, 95])
-    height, width = image.shape[:2]
+    width = image.shape[1]
     cv2.imwrite(str(folder / "led.jpg"), cv2.GaussianBlur(image, (0, 0), width / 8) // 2 + 60)
     lines = ["index,file,light,z_mm"]
     for i in range(frames):
