@@ -46,6 +46,7 @@ def results(folder: Path, pipe: str, begun: datetime, stations: int = STATIONS, 
     folder.mkdir(parents=True, exist_ok=True)
     draw = np.random.default_rng(seed)
     table = _stations(draw, stations)
+    worst = float(table["shape_ovality_f1216_percent"].max(initial=0.0))
     place = {
         "z_mm": 500.0, "length_mm": 30.0, "clock_deg": 90.0, "arc_deg": 20.0, "depth_mm": 1.2, "depth_k2_mm": 0.1,
         "area_mm2": 100.0, "floor_seen": True, "hidden_mm": 0.0,
@@ -56,7 +57,7 @@ def results(folder: Path, pipe: str, begun: datetime, stations: int = STATIONS, 
         "job": {"pipe": pipe, "site": "Elm Street"}, "versions": {"annulus": "0.1.0"},
         "origin": {"begun_utc": f"{begun}+00:00", "controller": {"serial": "77"}}, "points": 1000 * stations,
         "scanned_mm": {"from": 0.0, "to": STEP_MM * stations}, "diameter_mm": {"nominal": 152.4, "mean": 152.5},
-        "ovality": {"max_percent": 1.0, "shape_max_percent": float(table["shape_ovality_f1216_percent"].max())},
+        "ovality": {"max_percent": 1.0, "shape_max_percent": worst},
         "defects": [{"kind": "loss", **place}], "undecided": [], "features": [{"kind": "joint", **joint}],
     }  # fmt: skip
     (folder / "summary.json").write_text(json.dumps(summary | over))
