@@ -155,6 +155,16 @@ def test_what_is_not_there_is_one_line(store: ObjectStore, url: str) -> None:
     assert store.requests <= 6
 
 
+def test_no_permission_is_one_line(store: ObjectStore, tmp_path: Path) -> None:
+    url = store.put("secret/scan.mcap", write(tmp_path / "scan.mcap", count=5))
+    store.fault = lambda number, asked: "403"
+    with pytest.raises(AnnulusError, match="no permission"):
+        open_scan(url)
+    assert store.requests <= 4
+    store.fault = lambda number, asked: "403" if "list-type" in asked.path else None  # may read, and not list
+    assert len(open_recording(url).frames) == 5
+
+
 def test_a_scan_folder_may_lie_in_a_store(store: ObjectStore, tmp_path: Path) -> None:
     import cv2
 
