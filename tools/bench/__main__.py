@@ -10,7 +10,7 @@ import sys
 
 from tools.bench.table import Table
 
-TABLES = ("metrology", "thermoacoustic", "joints", "crossbore", "speed")
+TABLES = ("metrology", "thermoacoustic", "joints", "crossbore", "archive", "speed")
 
 
 def main(arguments: list[str]) -> int:

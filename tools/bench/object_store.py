@@ -53,6 +53,7 @@ class ObjectStore:
 
         self.asked: list[Asked] = []
         self.fault: Callable[[int, Asked], str | None] = lambda number, asked: None
+        self.faults = 0  # that were made
         self.slow_s = 2.0
         self.delay_s = 0.0  # of every answer, as of a store that is far
         self._behind = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
@@ -73,6 +74,7 @@ class ObjectStore:
         """Count anew; what is still under way is not counted."""
         with self._lock:
             self.asked.clear()
+            self.faults = 0
             self._since = self._number
 
     def url(self, key: str, bucket: str = BUCKET) -> str:
@@ -142,6 +144,7 @@ class ObjectStore:
                 with store._lock:
                     number, store._number = store._number, store._number + 1
                     fault = store.fault(number, asked)
+                    store.faults += fault is not None
                 time.sleep(store.delay_s + (store.slow_s if fault == "slow" else 0.0))
                 if fault in _CODES:
                     code = _CODES[fault]

@@ -13,21 +13,22 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d, median_filter
 
 from annulus.archive.chain import joined, likeliest, row_costs
-from annulus.archive.detail import COLUMNS, Detail, detail_of, smoothed
+from annulus.archive.detail import COLUMNS, Detail, believed, detail_of, smoothed
 from annulus.archive.wall_map import WallMap
-from annulus.archive.whereabouts import Stretch, find
+from annulus.archive.whereabouts import STRETCH_MM, Stretch, find
 from annulus.numeric.arrays import BoolArray, Float32Array, FloatArray
 from annulus.numeric.robust import robust_sigma
 from annulus.vocabulary import AnnulusError
 
 RADII_ALIKE = 0.1  # of the radius: by more two nominal radii are not of one pipe
-COARSE_MM, FINE_MM, ABOUT_MM, NEAR_MM = 2.0, 0.5, 60.0, 16.0  # steps and reach of the chains of places
+COARSE_MM, FINE_MM, NEAR_MM = 2.0, 0.5, 16.0  # steps and reach of the chains of places
+ABOUT_MM, FAR_MM, OUTSIDE = 24.0, 60.0, 100.0  # reach beside stretches that were found, without any; cost beyond
 STATES_MAX = 600
 ROLL_STEP_DEG, ROLL_NEAR_DEG, ROLL_FREE_DEG = 0.25, 4.0, 10.0
 STEP_COST, SLIP_COST, TURN_COST = 3.0, 14.0, 16.0  # of log-likelihood: a slip shorter than 2 mm is no slip but drift
-SLIP_MM = 1.9  # from which on it counts as a slip; ..
+SLIP_MM = 2.5  # from which on it counts as a slip; ..
 SCALE_MM = 1000.0  # over which the cable's scale is measured
-SLIP_ROWS = 3
+SLIP_ROWS, SLIP_ROWS_MAX, SLIP_SURE = 3, 400, 5.0  # beside a slip that may be of either side; log-likelihood
 STAYS_MM = 60.0  # .. before and after which it must stay so long
 JUMP_DEG = 0.7
 CABLE_MM, HEAD_DEG = 1.0, 0.3  # random walk a root of a metre: cable beside its scale, head beside its sensor
@@ -38,6 +39,10 @@ MISFIT = 1.5  # by which errors are larger than the costs say: neighbouring cell
 CALM = 1.0  # sigma of the smoothing of both, rows and columns: blurs both alike, and noise to a quarter
 ALIKE_CELLS = 4 * math.pi * CALM**2  # .. after which so many say one thing
 ROUNDS = 3
+DRIFT_Z, ALONE_MM = (
+    0.005,
+    200.0,
+)  # mm a mm that a cable may be off between rows that know where they are; so far it is not
 SURE, SHIFTS = 8.0, 24  # sigma by which the detail must agree better here than turned elsewhere
 STRETCHES_MIN, GAIN_MIN = 1, 20.0
 
@@ -118,7 +123,7 @@ class _Laying:
     ) -> None:  # fmt: skip
         self.first, self.second, self.mine, self.theirs = first, second, mine, theirs
         self.progress = progress
-        self.calm: Float32Array = smoothed(mine.own, (CALM, CALM))
+        self.calm: Float32Array = believed(smoothed(mine.own, (CALM, CALM)), mine.own, ALIKE_CELLS)
         self.theirs_calm: Float32Array = smoothed(theirs.own, (CALM, CALM))
         self.columns = mine.own.shape[1]
         self.z = second.z_mm
@@ -127,7 +132,15 @@ class _Laying:
         beside = place - slope * own
         self.scale = slope
         self.place = slope * self.z + np.interp(self.z, own, beside)
-        self.low, self.high = float(beside.min()), float(beside.max())
+        near = np.abs(self.z[:, None] - own[None]) <= STRETCH_MM
+        alone = ~near.any(axis=1)
+        line = np.interp(self.z, own, beside)
+        self.low = np.where(alone, line, np.where(near, beside[None], np.inf).min(axis=1)) - np.where(
+            alone, FAR_MM, ABOUT_MM
+        )
+        self.high = np.where(alone, line, np.where(near, beside[None], -np.inf).max(axis=1)) + np.where(
+            alone, FAR_MM, ABOUT_MM
+        )
         self.beside = np.interp(self.z, own, beside)
         self.with_sensor = mine.roll_deg is not None and theirs.roll_deg is not None
         turn = np.unwrap(roll, period=360.0)
@@ -150,12 +163,13 @@ class _Laying:
 
         at(0)
         base = self.place - self.beside
-        self._chain_of_places(base, self.low - ABOUT_MM, self.high + ABOUT_MM, COARSE_MM)
+        self._chain_of_places(base, self.low, self.high, COARSE_MM)
         at(1)
         self._chain_of_rolls()
         at(2)
         self.sigma = max(robust_sigma(self._left().ravel()), 1e-4)
-        self._chain_of_places(self._evened(), -NEAR_MM, NEAR_MM, FINE_MM)
+        near = np.full(len(self.z), NEAR_MM)
+        self._chain_of_places(self._evened(), -near, near, FINE_MM)
         self._evened()
         self.slips = self._slips()
         at(3)
@@ -166,20 +180,23 @@ class _Laying:
             sigma_roll = self._smooth_rolls()
             at(5 + k)
         self.sigma = max(robust_sigma(self._left().ravel()), 1e-4)
-        for row in np.flatnonzero(self.slips):  # between which rows it slipped is known to a few
-            near = slice(max(row - SLIP_ROWS, 0), row + SLIP_ROWS)
-            leap = self.place[row] - self.place[row - 1] - self.scale * self.second.step_mm
-            sigma_z[near] = np.hypot(sigma_z[near], leap / 2)
+        sigma_z = np.hypot(sigma_z, self._unsure())
         inside = (self._row() >= 0) & (self._row() <= len(self.first.deviation_mm) - 1)
         z = np.where(inside, self.place, np.nan)
         seen = np.isfinite(self.theirs.own).any(axis=1)
         rows = np.flatnonzero(inside & seen)
         at(steps)
         return Alignment(
-            z, np.where(inside, (self.roll + 180.0) % 360.0 - 180.0, np.nan), np.where(inside, sigma_z, np.nan),
-            np.where(inside, sigma_roll, np.nan), tuple(int(row) for row in np.flatnonzero(self.slips)), self.scale, False,
-            self._sure() if len(rows) >= 8 else 0.0, self.sigma,
-        )  # fmt: skip
+            z,
+            np.where(inside, (self.roll + 180.0) % 360.0 - 180.0, np.nan),
+            np.where(inside, sigma_z, np.nan),
+            np.where(inside, sigma_roll, np.nan),
+            tuple(int(row) for row in np.flatnonzero(self.slips)),
+            self.scale,
+            False,
+            self._sure() if len(rows) >= 8 else 0.0,
+            self.sigma,
+        )
 
     def _firsts_roll(self) -> FloatArray:
         assert self.mine.roll_deg is not None
@@ -189,7 +206,7 @@ class _Laying:
         return np.asarray((self.place - self.first.first_mm) / self.first.step_mm)
 
     def _costs(self, places: FloatArray, rolls: FloatArray) -> FloatArray:
-        """(Z, K) of each row, less what a cell costs on the whole, so that cells that were not seen neither draw nor
+        """(Z, K) of each row, less what its cells cost anywhere, so that cells that were not seen neither draw nor
         repel."""
         row_at = (places - self.first.first_mm) / self.first.step_mm
         rows = len(self.first.deviation_mm)
@@ -198,18 +215,22 @@ class _Laying:
         cost, count = row_costs(
             self.theirs_calm, self.calm, *(row_at + 0 * rolls, rolls * self.columns / 360.0 + 0 * row_at), self.sigma
         )
-        return np.asarray((cost - count * (cost.sum() / max(count.sum(), 1.0))) / ALIKE_CELLS)
+        usual = cost.sum(axis=1, keepdims=True) / np.maximum(count.sum(axis=1, keepdims=True), 1.0)
+        return np.asarray((cost - count * usual) / ALIKE_CELLS)
 
-    def _chain_of_places(self, base: FloatArray, low: float, high: float, step: float) -> None:
-        step *= max(1.0, (high - low) / step / STATES_MAX)
-        offsets = np.arange(low, high + step / 2, step)
+    def _chain_of_places(self, base: FloatArray, low: FloatArray, high: FloatArray, step: float) -> None:
+        """low, high (Z,) mm beside base, between which a row lies: else a chain slips away from what is new or gone."""
+        least, most = float(low.min()), float(high.max())
+        step *= max(1.0, (most - least) / step / STATES_MAX)
+        offsets = np.arange(least, most + step / 2, step)
         cost = self._costs(base[:, None] + offsets[None], self.roll[:, None])
+        cost[(offsets[None] < low[:, None] - step) | (offsets[None] > high[:, None] + step)] += OUTSIDE
         chain = likeliest(cost, STEP_COST * step / FINE_MM / 4 + STEP_COST / 2, SLIP_COST)
         moved = offsets[chain]
         self.place = base + moved
 
     def _evened(self) -> FloatArray:
-        """(Z,) the places without their steps, once the cable's scale is known from stretches that slips leave alone."""
+        """(Z,) the places without their steps, and the cable's scale from stretches that slips leave alone."""
         rows = min(max(round(SCALE_MM / self.second.step_mm), 8), len(self.place) // 2)
         slopes = np.sort((self.place[rows:] - self.place[:-rows]) / (rows * self.second.step_mm))
         self.scale = float(slopes[len(slopes) // 5 : -(len(slopes) // 5) or None].mean())
@@ -226,6 +247,25 @@ class _Laying:
             before, after = beside[max(i - rows, 0) : i], beside[i : i + rows]
             stays = abs(float(np.median(after) - np.median(before)))
             out[i] = stays > SLIP_MM and abs(beside[i] - beside[i - 1]) > 0.4 * stays
+        return out
+
+    def _unsure(self) -> FloatArray:
+        """(Z,) mm by which rows beside a slip may be off, as far as they fit either side of it."""
+        out, rows = np.zeros(len(self.place)), np.flatnonzero(self.slips)
+        if not len(rows):
+            return out
+        leaps = self.place[rows] - self.place[rows - 1] - self.scale * self.second.step_mm
+        every = np.arange(len(out))
+        middles = (rows[1:] + rows[:-1]) // 2
+        mine = np.searchsorted(middles, every, side="right")
+        other = self.place + np.where(every < rows[mine], leaps[mine], -leaps[mine])
+        costs = self._costs(np.stack([self.place, other], axis=1), self.roll[:, None])
+        against = costs[:, 1] - costs[:, 0]
+        for k, row in enumerate(rows):
+            for side in (every[row:][:SLIP_ROWS_MAX], every[:row][::-1][:SLIP_ROWS_MAX]):
+                sure = np.flatnonzero(np.cumsum(against[side]) > SLIP_SURE)
+                reach = max(int(sure[0]) if len(sure) else len(side), SLIP_ROWS)
+                out[side[:reach]] = np.maximum(out[side[:reach]], abs(leaps[k]) / 2)
         return out
 
     def _chain_of_rolls(self) -> None:
@@ -252,7 +292,7 @@ class _Laying:
         costs = self._costs(self.place[:, None] + np.array([-h, 0.0, h])[None], self.roll[:, None])
         even = self.scale * self.second.step_mm * np.arange(len(self.z))
         tie = np.where(self.slips[1:], 0.0, 1000.0 / (CABLE_MM**2 * self.second.step_mm))
-        moved, sigma = self._newton(costs, h, self.place - even, tie)
+        moved, sigma = self._newton(costs, h, self.place - even, tie, DRIFT_Z)
         self.place = self.place + np.clip(moved, -2.0, 2.0)
         return sigma
 
@@ -262,11 +302,13 @@ class _Laying:
         costs = self._costs(self.place[:, None], at) + self._oval_cost(at)
         walk = HEAD_DEG if self.with_sensor else HEAD_FREE_DEG
         tie = np.where(self.jumps[1:], 0.0, 1000.0 / (walk**2 * self.second.step_mm))
-        moved, sigma = self._newton(costs, h, self.roll - self.sensor, tie)
+        moved, sigma = self._newton(costs, h, self.roll - self.sensor, tie, 0.0)
         self.roll = self.roll + np.clip(moved, -2.0, 2.0)
         return sigma
 
-    def _newton(self, costs: FloatArray, h: float, now: FloatArray, tie: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _newton(
+        self, costs: FloatArray, h: float, now: FloatArray, tie: FloatArray, drift: float
+    ) -> tuple[FloatArray, FloatArray]:
         """One step towards the least of all rows' costs and of a random walk of `now`; and what is left unknown."""
         pull = -(costs[:, 2] - costs[:, 0]) / (2 * h)
         bent = (costs[:, 2] - 2 * costs[:, 1] + costs[:, 0]) / h**2
@@ -276,7 +318,17 @@ class _Laying:
         held[:-1] += gap
         held[1:] -= gap
         moved, variance = joined(weight, pull + held, tie)
-        return moved, MISFIT * np.sqrt(variance)
+        return moved, MISFIT * np.sqrt(variance + np.square(self._lost(weight, drift)))
+
+    def _lost(self, weight: FloatArray, drift: float) -> FloatArray:
+        """(Z,) how far a row may have drifted from the nearest that knows where it is; drift: a mm."""
+        known = np.flatnonzero(weight > 0.2 * np.percentile(weight, 95))
+        if not len(known):
+            return np.full(len(weight), np.inf)
+        rows = np.arange(len(weight))
+        k = np.clip(np.searchsorted(known, rows), 1, max(len(known) - 1, 1))
+        near = np.minimum(np.abs(rows - known[k - 1]), np.abs(rows - known[np.minimum(k, len(known) - 1)]))
+        return np.asarray(drift * np.maximum(near * self.second.step_mm - ALONE_MM, 0.0))
 
     def _left(self) -> FloatArray:
         """Differences of seen cells, (n,) mm."""

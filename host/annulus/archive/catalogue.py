@@ -19,7 +19,7 @@ from annulus.archive.catalogue_store import make, put, read_back, require, surve
 from annulus.archive.catalogue_survey import Row, digest, read_survey
 from annulus.extras import need
 from annulus.job import WORDS, JobSheet
-from annulus.untrusted import one_line, shown
+from annulus.untrusted import one_line, printable, shown
 from annulus.vocabulary import AnnulusError
 
 Told = Callable[[str, int, int], None]
@@ -111,7 +111,7 @@ def listed(
     """Rows of surveys by pipe and date, with superseded_by; how many superseded ones are not shown; what is damaged."""
     names = [one.name for one in SURVEYS] + [SUPERSEDED.name]
     where, values = ["true"], list[Any]()
-    for condition, value in (("pipe = ?", pipe), ("date >= ?", since)):
+    for condition, value in (("pipe = ?", None if pipe is None else printable(pipe)), ("date >= ?", since)):
         if value is not None:
             where.append(condition)
             values.append(value)
@@ -163,7 +163,8 @@ _TOLD = frozenset(WORDS) - {"nominal_diameter_mm"} | {"date_of", "job_diameter_m
 
 def _found(root: Path, name: str) -> Row:
     """The one survey of that name."""
-    columns = [one.name for one in SURVEYS]
+    columns, told = [one.name for one in SURVEYS], shown(name)
+    name = printable(name)  # as texts are kept
     with open_catalogue(root) as catalogue:
         ask = catalogue.connection.execute
 
@@ -184,13 +185,13 @@ def _found(root: Path, name: str) -> Row:
             found = rows(f"pipe = ? AND starts_with(date::VARCHAR, ?) AND {counts}", pipe, day)
     if not found:
         raise AnnulusError(
-            f"{shown(name)}: no such survey in {root}, expected an identity, PIPE or PIPE@DATE; "
+            f"{told}: no such survey in {root}, expected an identity, PIPE or PIPE@DATE; "
             "`annulus archive list` has them"
         )
     newest = max(one["date"] or date.min for one in found)
     found = [one for one in found if (one["date"] or date.min) == newest]
     if len(found) > 1:
-        raise AnnulusError(f"{shown(name)}: {len(found)} surveys of that day ({_some(found)}), expected one's identity")
+        raise AnnulusError(f"{told}: {len(found)} surveys of that day ({_some(found)}), expected one's identity")
     return found[0]
 
 

@@ -7,6 +7,7 @@ Memory and time are bounded; nothing is spilled to disk.
 
 import json
 import threading
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -39,7 +40,6 @@ class Catalogue:
         self.connection = session(memory_mb)
         self.pieces = self._opened(without)
         self.damage: Sequence[Damage] = self.pieces.damage
-        self._views()
         self._lock()
 
     def close(self) -> None:
@@ -52,14 +52,15 @@ class Catalogue:
         self.close()
 
     def _opened(self, without: frozenset[Path]) -> Pieces:
-        """The pieces, and the table all_surveys of them."""
-        for _ in range(2):
+        """The pieces, and table and views of them."""
+        for _ in range(3):
             pieces = find(self.connection, self.root, without)
             try:
                 self._load(pieces)
+                self._views(pieces)
                 return pieces
             except need("duckdb").Error as error:
-                more = frozenset(broken(self.connection, pieces, ["surveys"])) - without
+                more = frozenset(broken(self.connection, pieces)) - without
                 if not more:
                     raise AnnulusError(f"{self.root}: cannot be read: {_said(error)}") from None
                 without |= more
@@ -73,22 +74,23 @@ class Catalogue:
             f"survey) AS {SUPERSEDED.name} FROM ({pieces.relation('surveys')}) ORDER BY pipe, date, survey"
         )
 
-    def _views(self) -> None:
+    def _views(self, pieces: Pieces) -> None:
         run = self.connection.execute
-        run(f"CREATE VIEW surveys AS SELECT {_names(SURVEYS)} FROM all_surveys WHERE {SUPERSEDED.name} IS NULL")
+        counts = f"FROM all_surveys WHERE {SUPERSEDED.name} IS NULL"
+        run(f"CREATE OR REPLACE VIEW surveys AS SELECT {_names(SURVEYS)} {counts}")
         old = run(f"SELECT survey FROM all_surveys WHERE {SUPERSEDED.name} IS NOT NULL").fetchall()
         superseded = [str(row[0]) for row in old]
         for table in ("stations", "defects", "features"):
-            run(f"CREATE VIEW all_{table} AS {self.pieces.relation(table)}")
+            run(f"CREATE OR REPLACE VIEW all_{table} AS {pieces.relation(table)}")
             whole = "features" if table == "features" else f"current_{table}" if table == "defects" else table
-            run(f"CREATE VIEW {whole} AS {self.pieces.relation(table, superseded)}")
+            run(f"CREATE OR REPLACE VIEW {whole} AS {pieces.relation(table, superseded)}")
         places = ", ".join(one.name for one in TABLES["defects"] if one.name != "sure")
-        run(f"CREATE VIEW defects AS SELECT {places} FROM current_defects WHERE sure")
-        run(f"CREATE VIEW undecided AS SELECT {places} FROM current_defects WHERE NOT sure")
+        run(f"CREATE OR REPLACE VIEW defects AS SELECT {places} FROM current_defects WHERE sure")
+        run(f"CREATE OR REPLACE VIEW undecided AS SELECT {places} FROM current_defects WHERE NOT sure")
         own = ", ".join(one.name for one in TABLES["features"] if one.kind != "measures")
         sizes = ", ".join(f"measures[{quoted(name)}] AS {name}" for name in JOINT_MEASURES)
         kinds = ", ".join(map(quoted, JOINT_KINDS))
-        run(f"CREATE VIEW joints AS SELECT {own}, {sizes} FROM features WHERE kind IN ({kinds})")
+        run(f"CREATE OR REPLACE VIEW joints AS SELECT {own}, {sizes} FROM features WHERE kind IN ({kinds})")
 
     def _lock(self) -> None:
         files = [quoted(str(path)) for table in TABLES for path in self.pieces.files(table)]
@@ -122,13 +124,15 @@ class Catalogue:
 
     def _answer(self, sql: str) -> "Answer":
         duckdb = need("duckdb")
-        of_files = (
-            duckdb.IOException, duckdb.InvalidInputException, duckdb.SerializationException, duckdb.InternalException,
-            duckdb.FatalException, duckdb.OutOfRangeException,
+        not_of_files = (
+            duckdb.ParserException, duckdb.BinderException, duckdb.CatalogException, duckdb.ConversionException,
+            duckdb.PermissionException, duckdb.OutOfMemoryException, duckdb.InterruptException,
         )  # fmt: skip
         try:
             return Answer(self.connection.execute(sql))
-        except of_files as error:
+        except not_of_files:
+            raise
+        except duckdb.Error as error:
             if not self._mended():
                 raise error from None
         return Answer(self.connection.execute(sql))
@@ -172,7 +176,9 @@ class Answer:
     def batches(self) -> Any:
         """The rows as Arrow's reader of record batches."""
         named = "to_arrow_reader" if hasattr(self.result, "to_arrow_reader") else "fetch_record_batch"  # DuckDB 1
-        return getattr(self.result, named)(ROWS_AT_ONCE)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # that rows are copied once more
+            return getattr(self.result, named)(ROWS_AT_ONCE)
 
 
 @contextmanager

@@ -36,6 +36,7 @@ HEAD_MAX = 10_000  # bytes
 SURVEYS, PACKS = "surveys", "packs"
 ID = re.compile(r"[0-9a-f]{12}")
 PACK = re.compile(r"[0-9a-f]{12}-(\d{1,9})")
+URL = re.compile(r"[a-z][a-z0-9+.-]+:/")  # as a path has it, which makes one of two slashes
 MAGIC = b"PAR1"  # a Parquet file's first and last bytes
 PLACES_MAX = 1_000_000  # rows of one survey's defects
 LEFT_S = 3600.0  # after which what was begun and never renamed is of somebody who died, and an old pack has no reader
@@ -43,7 +44,7 @@ LEFT_S = 3600.0  # after which what was begun and never renamed is of somebody w
 
 def require(root: Path) -> Path:
     """The absolute path of a catalogue's folder. AnnulusError for what is none, or is of a newer annulus."""
-    if "://" in str(root):
+    if URL.match(str(root)):
         raise AnnulusError(f"{root}: a catalogue lies in a folder of this computer, expected a path")
     root = root.absolute()
     try:
@@ -62,7 +63,7 @@ def require(root: Path) -> Path:
 
 def make(root: Path) -> Path:
     """The same, made where there is nothing or an empty folder."""
-    if (root / HEAD).exists() or "://" in str(root):
+    if (root / HEAD).exists() or URL.match(str(root)):
         return require(root)
     try:
         root.mkdir(parents=True, exist_ok=True)

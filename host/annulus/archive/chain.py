@@ -93,7 +93,7 @@ def _likeliest(cost, step, slip, came):  # type: ignore[no-untyped-def]
 
 
 def likeliest(cost: FloatArray, step: float, slip: float) -> IntArray:
-    """(Z,) the states of the cheapest chain through cost (Z, K): a neighbouring state costs `step`, any other `slip`."""
+    """(Z,) the states of the cheapest chain through cost (Z, K): a neighbour costs `step`, any other `slip`."""
     came = np.zeros(cost.shape, np.int32)
     chain = np.zeros(len(cost), np.int64)
     chain[-1] = _likeliest(np.ascontiguousarray(cost), step, slip, came)

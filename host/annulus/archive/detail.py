@@ -7,6 +7,7 @@ how turned it is, but for 180 degrees.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import gaussian_filter, gaussian_filter1d, median_filter
@@ -17,9 +18,11 @@ from annulus.numeric.robust import SIGMA_OF_MAD, TUKEY, biweight
 
 ORDERS = 3  # 0, 1 and 2
 COLUMNS = 180  # at most, of what is laid over each other
-EVEN_MM, WAVES_MM = 60.0, 240.0  # medians of order 0, which leaves a bead alone, and of orders 1 and 2
+EVEN_MM, WAVES_MM = 60.0, 240.0  # medians of order 0, which leaves a bead alone, and of ovality
+BEAD_MM = 0.1  # of order 0 in a row: less may be the head that shakes, and would lay its shaking on the other year's
 IMU_MM = 200.0  # median of the roll: 0.3 degrees a row are 0.05, and a jump stays one
 SEEN_MIN = 0.5  # of a row, for waves to be fitted to it
+NEAR_CELLS, DOUBT = 4.0, 1.5  # over which a map shows something; times its noise that nothing may have
 _ROUNDS, _CHUNK = 6, 4096
 
 
@@ -27,9 +30,9 @@ _ROUNDS, _CHUNK = 6, 4096
 class Detail:
     """Of one map, on N columns from 12 o'clock on.
 
-    own (Z, N) mm: the wall less what is slow in orders 0 to 2. plain (Z, N) mm: less all of them, row by row, so that
-    beads are gone too. oval (Z,) mm: order 2, slow, as the c of Re(c exp(2i clock)). roll_deg (Z,): the sensor's, calm;
-    None where it said nothing.
+    plain (Z, N) mm: the wall less orders 0 to 2, row by row. own (Z, N) mm: with beads, which are order 0, put back.
+    oval (Z,) mm: order 2, slow, as the c of Re(c exp(2i clock)). roll_deg (Z,): the sensor's, calm; None where it said
+    nothing.
     """
 
     own: Float32Array
@@ -42,10 +45,10 @@ def detail_of(wall: WallMap, columns: int) -> Detail:
     field = on_columns(wall.deviation_mm, wall.first_deg, columns)
     waves = waves_of(field)
     plain = field - drawn(waves, columns)
-    slow = np.stack(
-        [_calm(waves[:, order], EVEN_MM if order == 0 else WAVES_MM, wall.step_mm) for order in range(ORDERS)], axis=1
-    )
-    return Detail(field - drawn(slow, columns), plain, slow[:, 2], calm_roll(wall.imu_roll_deg, wall.step_mm))
+    bump = waves[:, 0].real - _calm(waves[:, 0], EVEN_MM, wall.step_mm).real
+    bump = np.where(np.abs(bump) > BEAD_MM, bump, 0.0).astype(np.float32)
+    oval = _calm(waves[:, 2], WAVES_MM, wall.step_mm)
+    return Detail((plain + bump[:, None]).astype(np.float32), plain, oval, calm_roll(wall.imu_roll_deg, wall.step_mm))
 
 
 def on_columns(field: Float32Array, first_deg: float, columns: int) -> Float32Array:
@@ -66,7 +69,7 @@ def on_columns(field: Float32Array, first_deg: float, columns: int) -> Float32Ar
 
 
 def waves_of(field: Float32Array, weight: Float32Array | None = None) -> ComplexArray:
-    """(Z, ORDERS) c of Re(c exp(i order clock)) in each row, defects left out (Tukey); NaN where half a row is unseen."""
+    """(Z, ORDERS) c of Re(c exp(i order clock)) in each row, defects left out (Tukey); NaN of a row half unseen."""
     columns = field.shape[1]
     clock = 2 * np.pi * np.arange(columns) / columns
     design = np.stack([np.ones(columns), np.cos(clock), -np.sin(clock), np.cos(2 * clock), -np.sin(2 * clock)], axis=1)
@@ -85,7 +88,7 @@ def _rows_fitted(rows: FloatArray, design: FloatArray, given: FloatArray | None)
     seen = np.isfinite(rows)
     value = np.where(seen, rows, 0.0)
     base = seen.astype(np.float64) if given is None else np.where(seen, given, 0.0)
-    weight = base
+    weight: Any = base
     products = (design[:, :, None] * design[:, None, :]).reshape(len(design), -1)
     ridge = 1e-9 * np.eye(design.shape[1])
     fitted = np.zeros((len(rows), design.shape[1]))
@@ -138,9 +141,22 @@ def _filled(series: FloatArray) -> FloatArray:
 
 
 def smoothed(field: Float32Array, sigma: tuple[float, float]) -> Float32Array:
-    """A field with NaN, smoothed by a normal curve over rows and, round the pipe, columns; NaN where little was seen."""
+    """A field with NaN, smoothed by a normal curve over rows and, round the pipe, columns; NaN of what was unseen."""
     seen = np.isfinite(field)
     mode = ("nearest", "wrap")
     weight = gaussian_filter(seen.astype(np.float32), sigma, mode=mode)
     total = gaussian_filter(np.where(seen, field, np.float32(0)), sigma, mode=mode)
     return np.where(weight > SEEN_MIN, total / np.maximum(weight, 1e-6), np.float32(np.nan))
+
+
+def believed(calm: Float32Array, raw: Float32Array, alike_cells: float) -> Float32Array:
+    """The smoothed map shrunk where it is no more than its noise: what has nothing to show must not vote.
+
+    raw: before the smoothing, which makes one of `alike_cells` cells; its noise is what neighbours round the
+    pipe differ by.
+    """
+    bends = np.roll(raw, 1, axis=1) - 2 * raw + np.roll(raw, -1, axis=1)
+    bends = bends[np.isfinite(bends)]
+    noise = SIGMA_OF_MAD * float(np.median(np.abs(bends))) / np.sqrt(6.0 * alike_cells) if bends.size else 0.0
+    power = gaussian_filter(np.square(np.nan_to_num(calm)), (NEAR_CELLS, NEAR_CELLS), mode=("nearest", "wrap"))
+    return np.asarray(calm * np.maximum(1 - np.float32(DOUBT * noise**2) / np.maximum(power, 1e-12), 0), np.float32)

@@ -21,6 +21,7 @@ from annulus.numeric.robust import SIGMA_OF_MAD
 BLOCK_MM = 160.0  # over which noise is one, along and round
 BEND = 0.2  # of the second difference along: what a straight line between rows misses at most is an eighth, or a bead's
 SIGMA_LEAST_MM = 1e-3
+LOST_MM = 8.0  # sigma of a row's place, from which on it is not compared
 OF_FLOOR = 0.02  # of its depth: where less is left a floor does not reach
 
 
@@ -44,7 +45,7 @@ class Difference:
 
     @property
     def column_deg(self) -> float:
-        return 360.0 / self.grown.shape[1]
+        return 360.0 / int(self.grown.shape[1])
 
     @property
     def column_mm(self) -> float:
@@ -121,7 +122,7 @@ class Laid:
         return np.asarray(gaussian_filter(spread, (rows / 4, cells / 4), mode=("nearest", "wrap")).astype(np.float32))
 
     def _slopes(self, field: Float32Array) -> tuple[Float32Array, Float32Array, Float32Array]:
-        """(Z, A) how steep along, mm a mm; round, mm a column; and the second difference along, mm. 0 where not seen."""
+        """(Z, A) how steep along, mm a mm; round, mm a column; and the second difference along, mm. 0 unseen."""
         calm = smoothed(field, (1.0, 2.0))
         steep = np.abs(np.gradient(calm, axis=0)) / np.float32(self.step_mm)
         aside = np.abs(np.roll(calm, -1, axis=1) - np.roll(calm, 1, axis=1)) / 2
@@ -138,6 +139,7 @@ def lay(first: WallMap, second: WallMap, alignment: Alignment) -> Laid:
     mine = on_columns(first.deviation_mm, first.first_deg, columns)
     theirs, share, sigma_z, sigma_roll = _taken(first, second, alignment, columns)
     share = np.maximum(share, np.float32(0.25))
+    theirs[sigma_z > LOST_MM] = np.nan  # nobody knows what lies on what there
     return Laid(mine, theirs, share, sigma_z, sigma_roll, first.z_mm, first.step_mm, first.radius_mm)
 
 

@@ -6,14 +6,14 @@ is fitted with a floor that may be a bowl or a pan, taken out, and the rest is l
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
-from scipy.optimize import least_squares
 
-from annulus.numeric.arrays import Float32Array, FloatArray
+from annulus.numeric.arrays import Float32Array, FloatArray, IntArray
 from annulus.numeric.robust import robust_sigma
 
 BELLS_MM = (5.0, 12.0, 25.0)  # sigma
@@ -23,6 +23,8 @@ MOST = 400  # floors of one map
 LENGTH_MM, ARC_MM = (6.0, 400.0), (6.0, 200.0)
 EXPONENT = (1.5, 8.0)  # 2: a bowl, large: a pan
 SHAPE, SHAPE_WIDE = 3.0, 0.5  # .. what is expected, in its logarithm
+WILD = 3.0  # sigma from which on a cell weighs less
+STEPS_MAX = 20
 PART_OF = 0.4  # of a floor's depth: less beside or in it is what the floor's shape misses
 
 
@@ -98,8 +100,9 @@ class Search:
             height = stands * sigma
             stands /= np.float32(self.usual[k])
             better = np.abs(stands) > np.abs(most[0])
-            for kept, new in zip(most, (stands, height, np.full(stands.shape, k, np.int8)), strict=True):
-                np.copyto(kept, new, where=better)
+            np.copyto(most[0], stands, where=better)
+            np.copyto(most[1], height, where=better)
+            most[2][better] = k
             if k == len(self.bells) // 2:
                 least = np.where(ok, np.float32(BAR_SIGMA * self.usual[k]) * sigma, np.float32(np.inf))
         return *most, least
@@ -111,8 +114,7 @@ class Search:
         rows = slice(max(int(inner[0]) - edge, 0), int(inner[-1]) + 1 + edge)
         keep = slice(int(inner[0]) - rows.start, int(inner[-1]) + 1 - rows.start)
         anew = self._looked(rows)
-        for kept, new in zip((self.stands, self.height, self.which), anew[:3], strict=True):
-            kept[inner] = new[keep]
+        self.stands[inner], self.height[inner], self.which[inner] = (new[keep] for new in anew[:3])
 
     def floors(self, least_mm: float) -> list[Floor]:
         """All that stand out by BAR_SIGMA and are `least_mm` deep, the surest first."""
@@ -143,7 +145,7 @@ class Search:
             self._take(found[k], -1)
         return found
 
-    def _box(self, one: Floor, more: float) -> tuple[FloatArray, FloatArray]:
+    def _box(self, one: Floor, more: float) -> tuple[IntArray, IntArray]:
         half = more * one.length_mm / 2 + 3 * self.step_mm
         arc = min(more * one.arc_deg / 2 + 3 * self.column_deg, 180.0)
         rows = np.flatnonzero(np.abs(self.z_mm - one.z_mm) <= half)
@@ -219,12 +221,45 @@ class Search:
         )
         x = np.clip(x, low + 1e-6, high - 1e-6)
         scale = np.array([0.1, 4.0, 4.0, 0.2, 0.2, 0.3, 0.02])
-        done = least_squares(off, x, bounds=(low, high), x_scale=scale, loss="soft_l1", f_scale=3.0, max_nfev=25)
-        normal = done.jac.T @ done.jac + 1e-9 * np.eye(len(x)) / scale**2
-        spread = max(2 * float(done.cost) / max(len(value) - len(x), 1), 1.0)
-        variance = float(np.linalg.inv(normal)[0, 0]) * spread
-        fitted = floor(done.x)
+        found, normal, cost = _least_squares(off, x, low, high, scale)
+        spread = max(cost / max(len(value) - len(x), 1), 1.0)
+        variance = float(np.linalg.inv(normal + 1e-9 * np.diag(1 / scale**2))[0, 0]) * spread
+        fitted = floor(found)
         return replace(fitted, clock_deg=fitted.clock_deg % 360.0, sigma_mm=float(np.sqrt(max(variance, 0.0))))
+
+
+def _least_squares(
+    off: Callable[[FloatArray], FloatArray], x: FloatArray, low: FloatArray, high: FloatArray, scale: FloatArray
+) -> tuple[FloatArray, FloatArray, float]:
+    """Levenberg and Marquardt's steps within bounds, wild cells weighing less: x, its normal matrix, sum of squares.
+
+    Written out: a box has thousands of cells and seven unknowns, and the general solver takes most of its time for an
+    SVD of all of them.
+    """
+
+    def lost(rest: FloatArray) -> float:
+        return float((2 * WILD**2 * (np.sqrt(1 + (rest / WILD) ** 2) - 1)).sum())
+
+    rest, damping = off(x), 1e-3
+    cost, normal = lost(rest), np.eye(len(x))
+    for _ in range(STEPS_MAX):
+        bent = np.stack([(off(x + step) - rest) / step[k] for k, step in enumerate(np.diag(1e-3 * scale))], axis=1)
+        weight = 1 / np.sqrt(1 + (rest / WILD) ** 2)
+        normal, pull = bent.T @ (weight[:, None] * bent), bent.T @ (weight * rest)
+        for _ in range(5):
+            held = normal + damping * np.diag(np.diag(normal) + 1e-6 / scale**2)
+            there = np.clip(x - np.linalg.solve(held, pull), low, high)
+            ahead = off(there)
+            better = lost(ahead)
+            if better < cost:
+                break
+            damping *= 6
+        else:
+            break
+        gain, x, rest, cost, damping = cost - better, there, ahead, better, damping / 6
+        if gain < 1e-3 + 1e-4 * cost:
+            break
+    return x, normal, cost
 
 
 def _blur(field: Float32Array, sigma: float, axis: int) -> Float32Array:

@@ -140,7 +140,7 @@ def _along(
     field: Float32Array, sigma: Float32Array, difference: Difference, floor: Floor
 ) -> tuple[float, float, float]:
     """Height of a floor's shape in a field, its sigma, and the share of the shape that was seen. NaN of none."""
-    z, clock = difference.z_mm, difference.column_deg * np.arange(field.shape[1])
+    z, clock = difference.z_mm, np.asarray(difference.column_deg * np.arange(field.shape[1]), np.float64)
     rows = np.flatnonzero(np.abs(z - floor.z_mm) <= floor.length_mm)
     columns = np.flatnonzero(np.abs((clock - floor.clock_deg + 180) % 360 - 180) <= min(floor.arc_deg, 180.0))
     at = np.ix_(rows, columns)

@@ -48,11 +48,11 @@ class WallMap:
     @property
     def z_mm(self) -> FloatArray:
         """(Z,) places of the rows."""
-        return self.first_mm + self.step_mm * np.arange(len(self.deviation_mm))
+        return np.asarray(self.first_mm + self.step_mm * np.arange(len(self.deviation_mm)), np.float64)
 
     @property
     def column_deg(self) -> float:
-        return 360.0 / self.deviation_mm.shape[1]
+        return 360.0 / int(self.deviation_mm.shape[1])
 
     def turned_about(self) -> "WallMap":
         """The same wall as a head would have it that went the other way: rows from the far end, columns clockwise

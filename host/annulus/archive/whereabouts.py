@@ -14,7 +14,7 @@ from scipy.ndimage import maximum_filter
 
 from annulus.archive.detail import Detail
 from annulus.archive.wall_map import WallMap
-from annulus.numeric.arrays import ComplexArray, Float32Array, FloatArray
+from annulus.numeric.arrays import ComplexArray, Float32Array, FloatArray, IntArray
 from annulus.numeric.robust import robust_sigma
 
 BIN_MM = 8.0  # a third of what texture is alike over
@@ -26,7 +26,7 @@ MOST = 80.0  # that one stretch may say
 OVAL_MM, OVAL_MOST = 0.1, 40.0  # by which ovality may differ between years; what it may say against a place
 SCALE, SLACK_MM, SLIP_MM = 0.015, 12.0, 500.0  # odometers differ by 1 %; between two stretches
 TURNED_DEG, TURNED_FREE_DEG = 4.0, 40.0  # between two stretches, with a sensor for the roll and without
-SLIP_COST = 8.0
+SLIP_COST, SLIP_USUAL_MM = 8.0, 8.0  # a slip is the less likely the longer
 LOOK_BACK = 30  # stretches
 SEEDS = 60  # stretches that are looked for everywhere; of a longer scan the others near the line through them
 NEAR_MM = 3000.0
@@ -105,7 +105,7 @@ def _binned(wall: WallMap, part: Detail, size: float, with_sensor: bool) -> _Bin
     cells = total / np.maximum(weight, 1) / max(usual, 1e-6) * np.sqrt(np.median(count))
     cells = np.clip(cells, -CUT_SIGMA, CUT_SIGMA).astype(np.float32)
     mean = np.add.reduceat(oval, begins) / count
-    return _Binned(cells, mean, (weight > 0).mean(axis=1))
+    return _Binned(cells, np.asarray(mean, np.complex128), (weight > 0).mean(axis=1))
 
 
 def _candidates(
@@ -151,7 +151,7 @@ def _candidates(
     return out
 
 
-def _against(one: ComplexArray, other: ComplexArray, lags: FloatArray, columns: int) -> FloatArray:
+def _against(one: ComplexArray, other: ComplexArray, lags: IntArray, columns: int) -> FloatArray:
     """(lags, turns) what ovality has against each place; second's waves are the first's times exp(2i roll)."""
     rows = len(other)
     size = fft.next_fast_len(len(one) + rows)
@@ -183,7 +183,9 @@ def _chain(told: Sequence[Sequence[Stretch]], with_sensor: bool) -> list[Stretch
         off = np.abs(place[i] - place[before] - gap)
         turn = np.abs((roll[i] - roll[before] + 180) % 360 - 180)
         free = SCALE * gap + SLACK_MM
-        cost = np.where(off > free, SLIP_COST, 0.0) + np.where(turn > turned, SLIP_COST, 0.0)
+        cost = np.where(off > free, SLIP_COST + (off - free) / SLIP_USUAL_MM, 0.0) + np.where(
+            turn > turned, SLIP_COST, 0.0
+        )
         cost[(off > free + SLIP_MM) | (turn > 45.0)] = np.inf
         best = int(np.argmax(total[before] - cost))
         joined = total[before[best]] - cost[best]

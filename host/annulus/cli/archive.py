@@ -201,7 +201,7 @@ def _named(name: str, show: bool) -> str | None:
         raise AnnulusError(f"--named {name}: expected one of {', '.join(QUESTIONS)}, or list")
     question = QUESTIONS[name]
     if show:
-        print(f"-- {question.asks}\n{question.sql.strip()}")
+        print(f"/* {question.asks} */\n{question.sql.strip()}")  # -- would be an option, given back
         return None
     return question.sql
 

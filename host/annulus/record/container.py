@@ -353,6 +353,7 @@ class Container:
         if self._contents is None:
             return
         time_ns, begin = (self._times or (0, 0))[1], self._whole.end
+        before = [[one.name, one.offset, one.length] for one in self._attachments]
         channels = {one.id: walked.Channel(one.topic, one.message_encoding, one.schema_id)
                     for one in self._channels.values()}  # fmt: skip
         schemas = {one.id: one.name for one in self._schemas.values()}
@@ -363,7 +364,14 @@ class Container:
         except (OSError, struct.error):
             return
         head = index.head_of(
-            channels, schemas, self._chunks, self._contents.rows, begin=begin, at=self._whole.end, loose=False
+            channels,
+            schemas,
+            self._chunks,
+            self._contents.rows,
+            begin=begin,
+            at=self._whole.end,
+            loose=False,
+            attached=before,
         )
         self.attach(time_ns, index.NAME, index.pack(head), _PACKED)
 

@@ -226,8 +226,11 @@ def _read(file: IO[bytes], size: int, wanted: Sequence[str], label_topic: str) -
     head = unpack(attached(data[places[0] - begin :])[1])
     if head.get("begin") != first or head.get("at") != places[0]:
         return None
-    kept = {name: place for name, place in listed.items() if name in wanted and sum(place) <= first}
-    if any(length > ATTACHMENT_MAX for _, length in kept.values()):
+    told = [(name, (offset, length)) for name, offset, length in rows_of(head, "attached", 3)]
+    kept = {name: place for name, place in told if name in wanted}
+    if any(listed.get(name) != place for name, place in kept.items()):  # the list has no checksum
+        return None
+    if any(sum(place) > first or place[1] > ATTACHMENT_MAX for place in kept.values()):
         return None
     plan(file, [(offset, offset + length) for offset, length in kept.values()])
     attachments = {name: attached(piece(file, *place), name)[1] for name, place in kept.items()}

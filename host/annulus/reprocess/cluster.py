@@ -40,6 +40,7 @@ DEEP = 2  # tasks a thread of a worker: one that is worked at, one that waits th
 LEAST = 4  # in flight, while no worker has come
 LOST_MOST = 2  # times that a scheduler gives an item up: each time it had killed four workers
 KEPT = 4  # works that a worker keeps ready
+LOST = OSError, TimeoutError, RuntimeError, CancelledError, Cancelled  # what a client raises without its scheduler
 QUIET_S = 10.0  # without any worker before it is said
 
 
@@ -140,10 +141,12 @@ class _Desk:
             try:
                 if self.client is None:
                     self._connect(distributed)
+                elif self.client.status != "running":
+                    raise OSError("its line is closed")
                 self._look(todo)
                 self._send(todo)
                 said = self._hear(distributed, todo)
-            except (OSError, TimeoutError, RuntimeError, CancelledError, Cancelled) as error:
+            except (*LOST, distributed.client.ClosedClientError) as error:
                 self._lost(error, todo)
             yield from said
 
@@ -231,19 +234,18 @@ class _Desk:
         except queue.Empty:
             pass
         told = [(number, future) for number, future in told if self.at.get(number) is future]  # not of a lost one
-        done = [(number, future) for number, future in told if future.status == "finished"]
+        done = [one for one in told if one[1].status == "finished"]
+        others = [one for one in told if one not in done]
         out: list[tuple[int, Any]] = []
         for (number, _), data in zip(done, self.client.gather([future for _, future in done]), strict=True):
             self._forget(number)
             self._sort(number, pickle.loads(data), todo, out)
-        for number, future in told:
-            if future.status == "finished":
-                continue
+        for number, future in others:
+            error = future.exception(timeout=ANSWER_S) if future.status == "error" else None
             self._forget(number)
-            if future.status != "error":
+            if error is None:
                 todo.appendleft(number)
                 continue
-            error = future.exception(timeout=ANSWER_S)
             self.given_up[number] += 1
             if isinstance(error, distributed.KilledWorker) and self.given_up[number] < LOST_MOST:
                 todo.append(number)
@@ -276,7 +278,7 @@ class _Desk:
     def leave(self) -> None:
         """Nothing of ours is done any more, and nobody waits for it."""
         if self.client is not None and self.at:
-            with contextlib.suppress(OSError, TimeoutError, RuntimeError):
+            with contextlib.suppress(Exception):  # of whatever state it is in
                 self.client.cancel([*self.at.values()], force=True)
         self._close()
 
@@ -285,7 +287,7 @@ class _Desk:
         self.at.clear()
         self.only.clear()
         if client is not None:
-            with contextlib.suppress(OSError, TimeoutError, RuntimeError):
+            with contextlib.suppress(Exception):  # of whatever state it is in
                 client.close(timeout=CLOSE_S)
 
 

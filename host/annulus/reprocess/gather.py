@@ -3,12 +3,13 @@
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from annulus.record.storage import Place
 from annulus.reprocess.engine import Progress, Reprocessed, Seen, account, decisions
 from annulus.reprocess.executors import Executor, Failed
 from annulus.reprocess.job import Job, stage_medians
-from annulus.reprocess.ranges import Facts, clear, measure_ranges, profiles_of
+from annulus.reprocess.ranges import CHUNKS, Facts, clear, measure_ranges, profiles_of
 from annulus.vocabulary import Finding
 
 LEFT_OUT, PROCESSORS = "left-out", "processors"  # kinds of finding
@@ -32,14 +33,17 @@ class Ranged:
         return sum(one.made for one in self.facts)
 
 
-def in_ranges(job: Job, place: Place, executor: Executor, progress: Progress | None = None) -> Ranged:
-    """Every range of a scan measured, its profiles in the place. Raises AnnulusError, one line, where nothing can be
-    measured; a range that cannot is left out, and told."""
+def in_ranges(
+    job: Job, place: Place, executor: Executor, progress: Progress | None = None, chunks: int = CHUNKS
+) -> Ranged:
+    """Every range of a scan measured, its profiles in the place; one that cannot be is left out, and told.
+
+    chunks : of a range. Raises AnnulusError, one line, where nothing can be measured."""
     job, which, decided = decisions(job)
     report = progress or (lambda stage, done, total: None)
     facts: list[Facts] = []
     failed: list[tuple[Sequence[int], Failed]] = []
-    for one, outcome in measure_ranges(job, place, executor, lambda done, total: report("frames", done, total)):
+    for one, outcome in measure_ranges(job, place, executor, partial(report, "frames"), chunks):
         if isinstance(outcome, Failed):
             failed.append((one.indices, outcome))
         else:

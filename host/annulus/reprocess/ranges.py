@@ -254,10 +254,14 @@ def profiles_of(place: Place, facts: Facts) -> tuple[Profile, ...]:
 
 
 def measure_ranges(
-    job: Job, place: Place, executor: Executor, report: Callable[[int, int], None] = lambda done, total: None
+    job: Job,
+    place: Place,
+    executor: Executor,
+    report: Callable[[int, int], None] = lambda done, total: None,
+    chunks: int = CHUNKS,
 ) -> Iterator[tuple[Range, Facts | Failed]]:
     """Every range with what became of it, in any order. report : (frames done, frames in all)."""
-    ranges = Ranges(job)
+    ranges = Ranges(job, chunks=chunks)
     total = len(job.flashes(Label.PROJECTOR))
     done = 0
     report(done, total)

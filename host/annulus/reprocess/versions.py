@@ -29,7 +29,7 @@ def measured_with() -> Mapping[str, str]:
     told |= {name: str(import_module(name).__version__) for name in PACKAGES}
     told["python"] = ".".join(platform.python_version_tuple()[:2])
     told["machine"] = platform.machine()
-    told["numba flags"] = f"opt {numba.config.OPT}{', no jit' if numba.config.DISABLE_JIT else ''}"
+    told["numba flags"] = f"opt {int(numba.config.OPT)}{', no jit' if numba.config.DISABLE_JIT else ''}"
     return told
 
 

@@ -31,7 +31,7 @@ from annulus.vocabulary import Finding, Label
 from annulus.wall.joined import Joined
 from annulus.wall.profile import Profile
 from annulus.wall.survey import Survey
-from annulus.wall.windows import Reach, plan
+from annulus.wall.windows import POINTS_MAX, Reach, plan
 
 FRAMES_HELD = 600  # flashes: so many have no more points than a window may, and are never written
 WINDOW_MB = 1000  # that a worker holds at its window, and reads in; test_whole, tools/bench/speed/long_scan.py
@@ -93,18 +93,19 @@ class Held:
 
 def surveyed(
     job: Job, place: Place, executor: Executor, write: Write, progress: Progress | None = None, *,
-    vibration: bool = False, fps: float | None = None, keep: bool = False,
+    vibration: bool = False, fps: float | None = None, keep: bool = False, points_max: int = POINTS_MAX,
 ) -> Surveyed:  # fmt: skip
     """Everything a scan says of its pipe.
 
     place : where ranges and windows' results go. write : makes a window's files; not called for a scan of one window.
-    keep : ranges are written however short the scan is, and stay, so that the same work again finds them.
+    keep : ranges are written however short the scan is, and stay, so that the same work again finds them. points_max :
+    of a window.
     Raises AnnulusError, one line, where nothing can be measured.
     """
     started = time.perf_counter()
     if not keep and len(job.flashes(Label.PROJECTOR)) <= FRAMES_HELD:
         done = reprocess(job, executor, progress)
-        cut = plan([Reach.of(one) for one in done.profiles], job.calibration.pipe_radius_mm)
+        cut = plan([Reach.of(one) for one in done.profiles], job.calibration.pipe_radius_mm, points_max)
         if len(cut.windows) == 1:
             survey = done.survey(vibration=vibration, fps=fps, progress=progress)
             return Surveyed(done.job, survey, done.findings, done.frames, done.drops, done.timing_ms)
@@ -116,7 +117,7 @@ def surveyed(
     with _ranges_in(place, keep):
         ranged = in_ranges(job, place, executor, progress)
         counts = len(ranged.facts), ranged.made, len(ranged.left_out)
-        cut = plan([one for facts in ranged.facts for one in facts.reaches], job.calibration.pipe_radius_mm)
+        cut = plan([one for facts in ranged.facts for one in facts.reaches], job.calibration.pipe_radius_mm, points_max)
         if len(cut.windows) == 1:
             done = gathered(ranged, place, started)
             survey = done.survey(vibration=vibration, fps=fps, progress=progress)

@@ -77,21 +77,15 @@ def plan(reaches: Sequence[Reach | None], radius_mm: float, points_max: int = PO
     if total <= points_max:
         return Plan((Window(-math.inf, math.inf, tuple(range(len(reaches)))),), math.nan, math.nan)
     begin, end = float(known.low_mm[0]), float(known.farthest_mm[-1])
-    step = z_step_of(total, end - begin)
+    first = known.windows(begin, end, radius_mm, CUT_MM, points_max)
+    used = sum(len(frames) for _, _, frames, _ in first) / sum(len(frames) + more for _, _, frames, more in first)
+    step = z_step_of(round(total * used), end - begin)
     whole = next(
         (s for s in (step, *ROW_STEPS_MM) if s % step == 0.0 and (end - begin) / s <= WHOLE_ROWS_MAX), ROW_STEPS_MM[-1]
     )
-    cut_mm = max(CUT_MM, whole)
-    halo, least = HALO_OF_RADIUS * radius_mm, max(CORE_OF_RADIUS * radius_mm, cut_mm)
-    cuts, place = [-math.inf], begin
-    while (place := known.farthest_cut(place, halo, least, cut_mm, points_max)) + least <= end:
-        cuts.append(place)
-    windows = []
-    for first, last in pairwise([*cuts, math.inf]):
-        inside = np.sort(known.between(first - halo, last + halo))
-        kept = _thinned(inside, known.own_points, points_max)
-        windows.append(Window(first, last, tuple(int(i) for i in at[kept]), len(inside) - len(kept)))
-    return Plan(tuple(windows), step, float(whole))
+    cuts = first if whole <= CUT_MM else known.windows(begin, end, radius_mm, whole, points_max)
+    windows = tuple(Window(a, b, tuple(int(i) for i in at[frames]), more) for a, b, frames, more in cuts)
+    return Plan(windows, step, float(whole))
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +106,21 @@ class _Frames:
         order = np.argsort(low, kind="stable")
         high = high[order]
         return cls(points, order, points[order], low[order], high, np.maximum.accumulate(high) if len(high) else high)
+
+    def windows(
+        self, begin: float, end: float, radius_mm: float, cut_mm: float, most: int
+    ) -> list[tuple[float, float, IntArray, int]]:
+        """From, to, frames and how many more were left out, of every window between cuts at multiples of `cut_mm`."""
+        halo, least = HALO_OF_RADIUS * radius_mm, max(CORE_OF_RADIUS * radius_mm, cut_mm)
+        cuts, place = [-math.inf], begin
+        while (place := self.farthest_cut(place, halo, least, cut_mm, most)) + least <= end:
+            cuts.append(place)
+        out = []
+        for first, last in pairwise([*cuts, math.inf]):
+            inside = np.sort(self.between(first - halo, last + halo))
+            kept = _thinned(inside, self.own_points, most)
+            out.append((first, last, kept, len(inside) - len(kept)))
+        return out
 
     def between(self, first_mm: float, last_mm: float) -> IntArray:
         """Those that have points there, as they came."""

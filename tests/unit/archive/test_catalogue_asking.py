@@ -26,7 +26,7 @@ MAY = datetime(2026, 5, 4, 8)
 @pytest.fixture(scope="module")
 def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("season")
-    made = [results(folder / f"{i}", f"P-{i // 2}", MAY.replace(year=2025 + i % 2), 20, i) for i in range(6)]
+    made = [results(folder / f"{i}", f"P-{i // 2}", MAY.replace(year=2025 + i % 2, minute=i), 20, i) for i in range(6)]
     add(folder / "archive", made)
     return folder / "archive"
 

@@ -244,3 +244,12 @@ def test_two_frames_of_one_name_are_told_apart_by_a_walk(tmp_path: Path) -> None
 def test_json_is_the_same_by_either_way() -> None:
     said = {"a": [1, 2.5, None, {"b": b"\0\1"}], "z": "ä"}
     assert from_json(to_json(said)) == said
+
+
+def test_a_list_of_attachments_that_lost_one_loses_none(tmp_path: Path) -> None:
+    """Found by fuzzing: the summary's list has no checksum that is looked at, and the index its own."""
+    path = write(tmp_path / "a.mcap", count=4)
+    data = bytearray(path.read_bytes())
+    data[data.rindex(b"calibration.json")] ^= 1
+    path.write_bytes(data)
+    assert open_recording(path).calibration == {"a": 1}
