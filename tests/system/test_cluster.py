@@ -6,6 +6,7 @@ the first death (four by default), so that few workers have to die.
 
 import hashlib
 import os
+import subprocess
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +20,7 @@ from annulus.record.storage import Place
 from annulus.record.writer import RecordingWriter
 from annulus.report import Account, write
 from annulus.reprocess import Processes, Reprocessed, in_process, make_ready, open_job, reprocess
-from annulus.reprocess.cluster import Dask
+from annulus.reprocess.cluster import Dask, Tls
 from annulus.reprocess.executors import Failed
 from annulus.reprocess.gather import gathered, in_ranges
 from annulus.reprocess.job import Job
@@ -27,7 +28,7 @@ from annulus.reprocess.ranges import FOLDER
 from annulus.stream.frames import FrameHeader
 from annulus.twin.render import Renderer
 from annulus.twin.worlds import Feature, clean_world
-from annulus.vocabulary import Label
+from annulus.vocabulary import AnnulusError, Label
 from annulus.wall.profile import Profile
 from tools.bench.dask_processes import Cluster
 
@@ -161,3 +162,31 @@ def test_what_kills_every_worker_is_given_up_and_the_rest_is_done(cluster: Clust
     failed = told.pop(5)
     assert isinstance(failed, Failed) and "died" in failed.why
     assert told == {n: n * n for n in range(12) if n != 5}
+
+
+def test_over_tls_both_sides_are_known_by_their_certificates(tmp_path: Path) -> None:
+    key, cert = tmp_path / "key.pem", tmp_path / "cert.pem"
+    made = [
+        "openssl",
+        "req",
+        "-x509",
+        "-newkey",
+        "ec",
+        "-pkeyopt",
+        "ec_paramgen_curve:prime256v1",
+        "-nodes",
+        "-days",
+        "2",
+    ]
+    subprocess.run(
+        [*made, "-keyout", key, "-out", cert, "-subj", "/CN=127.0.0.1", "-addext", "subjectAltName=IP:127.0.0.1"],
+        check=True, capture_output=True,
+    )  # fmt: skip
+    files = ("--tls-ca-file", os.fspath(cert), "--tls-cert", os.fspath(cert), "--tls-key", os.fspath(key))
+    with Cluster(files, environment={"PYTHONPATH": os.fspath(Path(__file__).parent)}) as cluster:
+        cluster.hire(1)
+        (tmp_path / "work").mkdir()
+        told = dict(Dask(cluster.url, Tls(cert, cert, key))(Toil(tmp_path / "work"), range(5)))
+        assert told == {n: n * n for n in range(5)}
+        with pytest.raises(AnnulusError, match="no scheduler answers"):
+            dict(Dask(cluster.url.replace("tls", "tcp"), patience_s=1.0)(Toil(tmp_path / "work"), range(5)))

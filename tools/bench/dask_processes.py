@@ -43,6 +43,7 @@ class Cluster:
     def begin(self) -> None:
         """A scheduler where the last one was."""
         where = ("--host", "127.0.0.1", "--port", str(self.port), "--no-dashboard", "--no-show")
+        where = (*where, "--protocol", "tls" if self.tls else "tcp")
         self.scheduler = self._program("scheduler", *where)
         until = time.monotonic() + BEGIN_S
         while True:
