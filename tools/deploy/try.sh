@@ -2,10 +2,10 @@
 # The image built and run where no registry is: on a base of debootstrap, by buildah; then a scheduler, two workers and
 # a client of it in a network of their own, each as user 10001 on a root that cannot be written.
 #
-#   sudo tools/deploy/try.sh /var/tmp/image                     # 5 minutes on two idle cores, 4 GB; remove FOLDER after
+#   sudo tools/deploy/try.sh /var/tmp/image                     # downloads 700 MB, takes 4 GB; remove FOLDER after
 #   sudo tools/deploy/try.sh /var/tmp/image SCAN                # a scan folder, reprocessed by them as well
 #
-# As root; needs debootstrap, buildah, iproute2 and openssl. Not part of `make test`: it downloads some 700 MB.
+# As root; needs debootstrap, buildah, iproute2 and openssl. Not part of `make test`.
 set -euo pipefail
 here=$(cd "$(dirname "$0")/../.." && pwd)
 [ $# -ge 1 ] || { sed -n '2,8s/^# \{0,1\}//p' "$0" >&2; exit 2; }
