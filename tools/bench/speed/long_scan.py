@@ -33,7 +33,7 @@ def rows(frames: int = FRAMES) -> list[Row]:
         drawn_scan(folder / "scan", frames)
         before = {int(one.name) for one in Path("/proc").iterdir() if one.name.isdigit()}
         began = time.monotonic()
-        command = [sys.executable, "-m", "annulus.cli", "reconstruct", str(folder / "scan"), "-o", str(folder / "out"),
+        command = [str(Path(sys.executable).with_name("annulus")), "reconstruct", str(folder / "scan"), "-o", str(folder / "out"),
                    "--calibration", str(folder / "scan/calibration.json"), "--json"]  # fmt: skip
         with (folder / "told").open("w") as told:
             running = subprocess.Popen(command, stdout=told, stderr=subprocess.DEVNULL)
