@@ -1,7 +1,13 @@
-"""Under `make test` a skip is a failure: all that tests need is part of set-up, and what did not run proves nothing."""
+"""Under `make test` a skip is a failure: all that tests need is part of set-up, and what did not run proves nothing.
+
+`stalls` knows whether this machine stood still: a bound in seconds that is a promise holds only where it did not.
+"""
 
 import os
-from collections.abc import Generator
+import threading
+import time
+from collections import deque
+from collections.abc import Generator, Iterator
 
 import pytest
 
@@ -26,3 +32,39 @@ def pytest_make_collect_report() -> Generator[None, pytest.CollectReport, pytest
     report = yield
     _strict(report)
     return report
+
+
+class Stalls:
+    """A thread that wants to go on every 2 ms, and remembers how late it was let."""
+
+    EVERY_S = 0.002
+
+    def __init__(self) -> None:
+        self._late: deque[tuple[float, float]] = deque(maxlen=100_000)  # when, and by how many seconds
+        self._last, self._over = time.monotonic(), threading.Event()
+        self._thread = threading.Thread(target=self._watch, daemon=True)
+        self._thread.start()
+
+    def _watch(self) -> None:
+        while not self._over.wait(self.EVERY_S):
+            now = time.monotonic()
+            if (late := now - self._last - self.EVERY_S) > self.EVERY_S:
+                self._late.append((now, late))
+            self._last = now
+
+    def since(self, begun: float) -> float:
+        """The longest since then (monotonic), s; one that is still going on counts."""
+        now = time.monotonic()
+        return max([now - self._last, *(late for when, late in self._late.copy() if when >= begun)])
+
+    def close(self) -> None:
+        self._over.set()
+        self._thread.join()
+
+
+@pytest.fixture
+def stalls() -> Iterator[Stalls]:
+    """For bounds on real time: `if stalls.since(begun) < 0.05: assert took_s < 1.0`."""
+    one = Stalls()
+    yield one
+    one.close()

@@ -204,10 +204,18 @@ def job_of(given: Sequence[str]) -> JobSheet:
 def read_job(path: Path) -> JobSheet:
     """A job.toml: the names of [job], in that section or in none. Raises AnnulusError naming file and field."""
     try:
-        data = parse_toml(read_file(path, TOML_MAX))
-        return JobSheet.from_dict(data["job"] if set(data) == {"job"} else data, "[job]")
+        return parse_job(read_file(path, TOML_MAX), path)
     except OSError as error:
         raise AnnulusError(f"{path}: cannot be read ({error.strerror}). Expected a job.toml.") from None
+    except ValueError as error:
+        raise AnnulusError(f"{path}: {error}.") from None
+
+
+def parse_job(content: bytes, path: object) -> JobSheet:
+    """The same of what is in the file; `path` is how an error names it."""
+    try:
+        data = parse_toml(content)
+        return JobSheet.from_dict(data["job"] if set(data) == {"job"} else data, "[job]")
     except ValueError as error:
         raise AnnulusError(f"{path}: {error}.") from None
 

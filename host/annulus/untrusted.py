@@ -124,6 +124,8 @@ def sane(value: Any, finite: bool = True) -> Any:
     for _ in range(DEPTH_MAX + 1):
         below: list[Any] = []
         for one in level:
+            if one is None or type(one) is str:  # most, and a recording has labels by the hundred thousand
+                continue
             if isinstance(one, dict):
                 below.extend(one.values())
             elif isinstance(one, list | tuple):

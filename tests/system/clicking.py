@@ -31,7 +31,7 @@ def console(head: Any, surveys: Path) -> Iterator[str]:
         yield found[0]
     finally:
         child.terminate()
-        child.wait(10.0)
+        child.wait(60.0)
 
 
 @contextlib.contextmanager

@@ -90,7 +90,7 @@ def test_killed_interrupted_resumed_and_imaged(traces, tmp_path: Path) -> None:
         assert positions(out) == 40
     finally:
         bench.send_signal(signal.SIGINT)
-        bench.wait(20)
+        bench.wait(60)
     assert traces.left() == {}
 
     imaged = run(

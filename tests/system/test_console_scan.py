@@ -61,7 +61,7 @@ def test_from_the_job_to_the_report(tmp_path: Path) -> None:
 def _scan(browser: Any, url: str) -> None:
     context = browser.new_context(viewport={"width": 1400, "height": 900}, locale="en")
     page = context.new_page()
-    page.set_default_timeout(15_000)
+    page.set_default_timeout(60_000)
     asked: list[str] = []
     wrong: list[str] = []
     context.on("request", lambda request: asked.append(request.url))
@@ -74,7 +74,7 @@ def _scan(browser: Any, url: str) -> None:
     page.get_by_label("Client", exact=True).fill("The Waterworks")
     page.get_by_label("Site", exact=True).fill("Elm Street")
     page.click("#job-save")
-    until(lambda: not page.locator("#job-save").is_enabled(), 10.0)
+    until(lambda: not page.locator("#job-save").is_enabled(), 60.0)
 
     page.click("#tab-scan")
     page.click("#do-start")
@@ -85,7 +85,7 @@ def _scan(browser: Any, url: str) -> None:
     page.get_by_label("Clock", exact=True).select_option(label="6:00")
     page.click("text=Mark this place")
     page.click("#do-pause")
-    until(lambda: state.inner_text() == "Paused", 15.0)
+    until(lambda: state.inner_text() == "Paused", 60.0)
     page.click("#do-resume")
     page.click("#confirm-yes")
     until(lambda: page.evaluate(f"(f => f.projector + f.led)({latest}.telemetry.frames)") >= FRAMES, 90.0)
@@ -94,7 +94,7 @@ def _scan(browser: Any, url: str) -> None:
     assert not faults(page)
     page.click("#do-stop")
     page.click("#confirm-yes")
-    until(lambda: state.inner_text() == "Ready", 40.0)
+    until(lambda: state.inner_text() == "Ready", 60.0)
 
     page.click("#tab-surveys")
     page.get_by_role("button", name=re.compile("^Reconstruct")).first.click()

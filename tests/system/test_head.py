@@ -92,7 +92,7 @@ def test_timestamps_are_the_sync_edges_on_this_machines_clock(head: HeadHandle) 
     numbers = np.array([int(f.sequence or 0) for f in frames])
     period = np.polyfit(numbers, stamps, 1)[0]
     assert period == pytest.approx(40e6 * (1 - 30e-6), abs=1)  # the head's crystal runs 30 ppm fast
-    assert 0 < time.monotonic_ns() - stamps[-1] < 2e9
+    assert 0 < time.monotonic_ns() - stamps[-1] < 60e9
     camera.stop()
     camera.close()
     again = RemoteCamera(head.camera_address)  # a camera that was closed can be opened again
@@ -117,14 +117,14 @@ def test_its_sensors_are_heard_fall_silent_and_come_back(head: HeadHandle) -> No
     context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
     socket = context.socket(zmq.SUB)
     socket.subscribe(b"")
-    socket.setsockopt(zmq.RCVTIMEO, 5000)
+    socket.setsockopt(zmq.RCVTIMEO, 30_000)
     socket.connect(head.sensor_address)
 
     def heard() -> Sample:
         name, body = socket.recv_multipart()
         sample = Sample.from_dict(untrusted.unpack(body, 16384))
         assert name == sample.sensor.encode()
-        assert abs(time.monotonic_ns() - sample.host_ns) < 2e9
+        assert abs(time.monotonic_ns() - sample.host_ns) < 60e9  # of this machine's clock
         return sample
 
     first = [heard() for _ in range(40)]
@@ -134,11 +134,15 @@ def test_its_sensors_are_heard_fall_silent_and_come_back(head: HeadHandle) -> No
     while (lit := heard()).sensor != "supply" or lit.values["current_a"] < dark.values["current_a"] + 0.05:
         client.keep_alive()
     client.close()
-    head.silence("imu", 1.0)
-    asked_ns = time.monotonic_ns()
-    while (sample := heard()).sensor != "imu" or sample.host_ns < asked_ns:
+    while (before := heard()).sensor != "imu":
         pass
-    assert sample.host_ns > asked_ns + 0.9e9
+    head.silence("imu", 1.0)
+    end_ns, longest_ns = time.monotonic_ns() + 30_000_000_000, 0
+    while longest_ns <= 0.9e9:
+        sample = heard()
+        assert sample.host_ns < end_ns
+        if sample.sensor == "imu":
+            longest_ns, before = max(longest_ns, sample.host_ns - before.host_ns), sample
     with pytest.raises(AnnulusError, match="expected one of imu, supply"):
         head.silence("sonar", 1.0)
     context.destroy(linger=0)

@@ -7,6 +7,7 @@ import resource
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -27,6 +28,7 @@ from annulus.wall.features import FeatureKind
 
 pytestmark = pytest.mark.system
 
+STALL_S = 0.25  # a machine that stood still for longer may lose frames, and counts them
 FPS, SPEED_MM_S, TRAVEL_MM = 8.0, 120.0, 2300.0
 WORLD = replace(demo_world(travel_mm=TRAVEL_MM + 200.0), wobble_mm=0.2).scaled(416)  # on skids: a frame every 15 mm
 BORE_MM, RADIUS_MM = 1150.0, 76.0
@@ -42,7 +44,7 @@ class Listener(Observer):
         self.told.append((kind, text))
 
 
-def test_rings_led_sectors_supply_and_attitude_at_once_and_nothing_lost(tmp_path: Path) -> None:
+def test_rings_led_sectors_supply_and_attitude_at_once_and_nothing_lost(tmp_path: Path, stalls: Any) -> None:
     listener = Listener()
     with start_head(WORLD, FPS, seed=5, speed_mm_s=SPEED_MM_S, ground=GROUND) as head:
         bus = HeadBus(head.sensor_address, Tank(), 10.0)
@@ -57,15 +59,17 @@ def test_rings_led_sectors_supply_and_attitude_at_once_and_nothing_lost(tmp_path
             assert time.monotonic() < end, listener.told
             return head.counters()["z_mm"] > TRAVEL_MM if session.labelled > 30 else False
 
+        begun = time.monotonic()
         report = session.run(done)
+        stood_still_s = stalls.since(begun)
         spent = resource.getrusage(resource.RUSAGE_SELF)
     lost = {name: count for name, count in report.drops.items() if count}
-    assert not lost, (lost, listener.told)
+    assert not lost or stood_still_s > STALL_S, (lost, listener.told)
     assert report.frames["projector"] > 80 and report.frames["led"] > 20
     seconds = session.seconds
     recording = open_recording(tmp_path / "scan.mcap")
     read = {name: sum(1 for _ in recording.notes(f"/sensor/{name}")) for name in CHIPS}
-    assert min(read.values()) > 25 * seconds, read  # every 25 ms, or what a reading takes
+    assert min(read.values()) > 25 * seconds or stood_still_s > STALL_S, read  # every 25 ms, or what a reading takes
     cpu = (spent.ru_utime + spent.ru_stime - began.ru_utime - began.ru_stime) / seconds
     print(f"daemon's own process: {100 * cpu:.0f} % of a core over {seconds:.0f} s; samples {read}")
     assert cpu < 0.6

@@ -22,7 +22,8 @@ from mcap_protobuf.decoder import DecoderFactory
 from annulus.geometry.pose import Pose
 from annulus.record.clock import Clock
 from annulus.record.codec import Codec
-from annulus.record.recording import LABEL_TOPIC, open_recording
+from annulus.record.frames import LABEL_TOPIC
+from annulus.record.recording import open_recording
 from annulus.record.writer import RecordingWriter
 from annulus.wall.profile import Profile
 

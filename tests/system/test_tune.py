@@ -62,7 +62,7 @@ def test_the_true_window_is_found_and_lamps_come_back(tmp_path: Path) -> None:
             client.trial(2.0)
             client.lamps(commit=True, trial=True, led_delay_us=0.0)
             assert session.config.lamps != former
-            until(lambda: session.state is State.IDLE, 6.0)
+            until(lambda: session.state is State.IDLE)
             assert session.config.lamps == former and head.counters()["lamps_on"] == []
 
         run(config, operate)

@@ -6,7 +6,8 @@
 No ABI of Python's is touched, so one wheel a machine serves every version: py3-none. The native library is held to
 what glibc had in version 2.17 (manylinux_2_17), the image is of the same commit, and a manual made by `make docs` goes
 in where there is one. Who installs a wheel needs no compiler; who builds one needs gcc, for aarch64 on another machine
-gcc-aarch64-linux-gnu, and gcc-arm-none-eabi.
+gcc-aarch64-linux-gnu, and gcc-arm-none-eabi. A machine that flashes no controller needs no image: ANNULUS_IMAGE=no
+leaves it out. ANNULUS_COMMIT says the commit where the source is without its repository.
 """
 
 import json
@@ -42,8 +43,9 @@ class WheelHook(BuildHookInterface):  # type: ignore[type-arg, misc]
         about = {"version": self.metadata.version, "commit": commit, "machine": machine}
         (build / "build.json").write_text(json.dumps(about) + "\n")
         made = {build / "build.json": "build.json", native(root, machine, build): "libannulus_native.so"}
-        _run("make", "--silent", "-C", str(root / "firmware"), "image")
-        made[root / "firmware/build/annulus.uf2"] = "annulus.uf2"
+        if os.environ.get("ANNULUS_IMAGE") != "no":
+            _run("make", "--silent", "-C", str(root / "firmware"), "image")
+            made[root / "firmware/build/annulus.uf2"] = "annulus.uf2"
         manual = root / "host/annulus/shipped/manual"
         if manual.is_dir():
             made[manual] = "manual"
@@ -71,6 +73,8 @@ def glibc_needed(library: Path) -> tuple[int, ...]:
 
 
 def _commit(root: Path) -> str:
+    if told := os.environ.get("ANNULUS_COMMIT"):
+        return told
     if shutil.which("git") is None or not (root / ".git").exists():
         return "unknown"
     return _run("git", "-C", str(root), "rev-parse", "--short=8", "HEAD").strip()

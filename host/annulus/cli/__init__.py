@@ -16,6 +16,8 @@ from annulus.cli.export import export
 from annulus.cli.fringe import BY, By
 from annulus.cli.manual import docs
 from annulus.cli.pdf import Sheet, on_paper
+from annulus.cli.reprocess import EXAMPLE as REPROCESS_EXAMPLE
+from annulus.cli.reprocess import reprocess
 from annulus.cli.sample import sample
 from annulus.cli.show import Bars, Json, print_findings, progress, tell
 from annulus.cli.terminal import escaped
@@ -38,10 +40,11 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for _noun in (head, burst, calibrate, pattern, tai, joint, bore, firmware, twin, record, archive):
+for _noun in (head, burst, calibrate, pattern, tai, joint, bore, archive, firmware, twin, record):
     app.add_typer(_noun.app, name=_noun.__name__.rpartition(".")[2])
 app.command(epilog="Example: annulus export results --to xlsx --to laz -o hand-over")(export)
 
+app.command(epilog=REPROCESS_EXAMPLE)(reprocess)
 app.command("docs", epilog="Example: annulus docs first-scan --no-open")(docs)
 app.command("sample", epilog="Example: annulus sample -o pipe.mcap && annulus reconstruct pipe.mcap -o results")(sample)
 
@@ -141,12 +144,12 @@ def reconstruct(
     The calibration's kind chooses the method. A head that projects fringes writes depth.npz beside the rest, its finest
     map; before a plate frames.csv has x_mm in place of z_mm.
     """
+    from annulus.cli.results import Told, WindowFiles, write_results
     from annulus.job import job_of
     from annulus.record.origin import origin_of
-    from annulus.report import Account, head_kind, prepare_folder, write
-    from annulus.reprocess import Processes, fringes_on, make_ready, open_job, photographs, reprocess
-    from annulus.wall.conformity import judge
-    from annulus.wall.sections import worth_showing
+    from annulus.record.storage import Place
+    from annulus.report import prepare_folder
+    from annulus.reprocess import Processes, fringes_on, make_ready, open_job, surveyed
 
     sheet, criteria = job_of(job or ()), _criteria(limits)
     printed = on_paper(pdf, paper)
@@ -176,16 +179,11 @@ def reconstruct(
     prepare_folder(out)
     make_ready(work.calibration, tell)
     with progress(told) as bars:
-        done = reprocess(work, Processes(workers), bars)
-        survey = done.survey(vibration=vibration_filter, fps=fps, progress=bars)
-    verdict = None if criteria is None else judge(survey, criteria)
-    shown = worth_showing(survey.defects, first=verdict.foremost if verdict else ())
-    account = Account(
-        str(scan), done.frames, done.drops, done.timing_ms, done.findings, origin=origin, verdict=verdict,
-        photographs=photographs(done.job, survey, shown), method=head_kind(work.calibration),
-        covariance_stated=work.calibration.covariance is not None,
-    )  # fmt: skip
-    summary = write(survey, account, out, paper=printed)
+        place, beside = Place(out.absolute()), Told(str(scan), origin, criteria)
+        done = surveyed(
+            work, place, Processes(workers), WindowFiles(beside, place), bars, vibration=vibration_filter, fps=fps
+        )
+    summary = write_results(done, beside, place, printed)
     if as_json:
         print(json.dumps(summary))
     else:

@@ -39,6 +39,7 @@ UNREAD = b"label"  # says no more than that the daemon is there
 SENSOR = b"sensor/"
 SENSOR_S = 0.2  # a page shows numbers, which nobody reads faster; an IMU speaks a hundred times a second
 COUNTED_MAX = 64  # topics whose holes are counted
+LOST_S = 1.5  # without a word the daemon is taken for lost
 
 Heard = Callable[[str, Any, bytes], None]
 Context = zmq.Context[zmq.Socket[bytes]]
@@ -55,6 +56,7 @@ class Feed:
         self.heard_s: float | None = None  # monotonic; the daemon's last word
         self.on_word: Heard = lambda topic, body, part: None
         self.on_restart: Callable[[], None] = lambda: None
+        self.on_return: Callable[[], None] = lambda: None  # from a silence of LOST_S: it may be another
         self._numbers: dict[str, int] = {}
         self._sensor_due: dict[bytes, float] = {}
         self._wanted: frozenset[str] = frozenset()
@@ -104,6 +106,9 @@ class Feed:
 
     def _take(self, parts: list[bytes]) -> None:
         now = time.monotonic()
+        if self.heard_s is not None and now - self.heard_s > LOST_S:
+            self.heard_s = now
+            self.on_return()
         if parts[0] == UNREAD and not self.reads_labels:
             self.heard_s = now
             return

@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 from annulus import untrusted
 from annulus.console import wire
 from annulus.console.cloud import Cloud
-from annulus.console.feed import Feed
+from annulus.console.feed import LOST_S, Feed
 from annulus.console.hub import STATUS, Hub, Viewer
 from annulus.console.kept import CLOSEUPS_MAX, Bounded, CloseUp, Frames, WallPart, WallRows
 from annulus.console.light import light
 from annulus.numeric.palette import DEVIATION_LIVE_MM, deviation_table
 from annulus.stream.frames import CAMERAS_MAX
 
-LOST_S = 1.5  # without a word the daemon is taken for lost
 KEPT = 100  # events and marks told to who comes later
 LATEST = ("telemetry", "state", "health", "ended", "defects")  # topics of which the last word holds
 BLOCK = 20_000  # points; 300 kB
@@ -45,6 +44,7 @@ class Live:
         self._scan: int | None = None  # whose points and wall these are
         feed.on_word = self._hear
         feed.on_restart = self.begin_anew
+        feed.on_return = self._returned
         hub.on_wants = feed.want
 
     def alive(self) -> dict[str, Any]:
@@ -69,6 +69,11 @@ class Live:
         self._latest.clear()
         self._told.clear()
         self._forget(None)
+
+    def _returned(self) -> None:
+        """Points that came before anybody said of which scan they are cannot be told from another daemon's."""
+        if self._scan is None:
+            self._forget(None)
 
     def catch_up(self, what: frozenset[str]) -> Iterator[bytes]:
         """The points so far and the wall, made while they are asked for."""

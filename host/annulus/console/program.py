@@ -18,10 +18,10 @@ from annulus.console import wire
 from annulus.console.access import Password, Places, Session, Sessions
 from annulus.console.answers import Refusal
 from annulus.console.commands import RENEW_S, Commands, Lease
-from annulus.console.feed import Feed
+from annulus.console.feed import LOST_S, Feed
 from annulus.console.foxglove import Foxglove
 from annulus.console.hub import STATUS, Hub, Viewer
-from annulus.console.live import LOST_S, Live
+from annulus.console.live import Live
 from annulus.numeric.palette import DEVIATION, DEVIATION_LIVE_MM
 from annulus.stream.access import ClientKeys
 

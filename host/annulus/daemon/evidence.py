@@ -20,7 +20,7 @@ from annulus.labelling.labelling import CameraMode
 from annulus.labelling.navigation import Navigation
 from annulus.link.head import HeadControl
 from annulus.link.messages import Configuration
-from annulus.record.recording import DROPS_TOPIC
+from annulus.record.frames import DROPS_TOPIC
 
 TOPIC, IDENTITY = "/evidence", "/identity"
 FLUSH_S = 0.25  # a kill costs so much

@@ -5,8 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from annulus.export.results import MM_MAX, Results
+from annulus.export.results import Results
 from annulus.numeric.arrays import FloatArray
+from annulus.record.results_folder import MM_MAX
 from annulus.untrusted import mapping, number, numbers, one_line
 from annulus.vocabulary import AnnulusError
 

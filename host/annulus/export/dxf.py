@@ -14,11 +14,12 @@ import numpy as np
 
 from annulus.export.axes import z_up
 from annulus.export.course import Space, line, outline
-from annulus.export.results import Marked, Place, Results
+from annulus.export.results import Marked, Results
 from annulus.export.stations import radii_of_stations
 from annulus.export.tally import clock_time
 from annulus.extras import need
 from annulus.numeric.rounding import ARC, DISTANCE, MEASURE, digits, said, span
+from annulus.record.results_folder import Place
 
 OUTLINES_MAX = 120  # stations drawn: evenly chosen, for a CAD program's sake
 LABEL = 0.024  # height of a text, of the circumference

@@ -13,7 +13,7 @@ from datetime import time
 
 import numpy as np
 
-from annulus.export.results import Place, Results
+from annulus.export.results import Results
 from annulus.numeric.rounding import (
     ARC,
     AREA,
@@ -27,11 +27,13 @@ from annulus.numeric.rounding import (
     digits_k2,
     said,
 )  # fmt: skip
+from annulus.record.results_folder import Place
 
 EDITION = (
     "Pipeline Operators Forum, Specifications and requirements for in-line inspection of pipelines, edition 2016, "
     "appendix 6 (example of a pipe tally)"
 )
+
 Cell = str | float | int | time | None
 
 

@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from annulus.export.results import STATION_COLUMNS, Results
+from annulus.export.results import Results
 from annulus.export.tally import COLUMNS, EDITION, OURS, POF, Cell, clock_time, tally
 from annulus.extras import need
 from annulus.job import WORDS
 from annulus.numeric.rounding import DISTANCE, span
+from annulus.record.results_folder import STATION_COLUMNS
 
 COUNTERS = {  # of a recording, for who mends the head
     f"controller.{name}" for name in ("boot", "epoch", "level", "nonce", "configuration_crc", "schema", "protocol")

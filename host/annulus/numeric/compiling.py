@@ -100,6 +100,7 @@ def _note(kept: Path, what: str) -> Path:
 def _state() -> str:
     """Of all that compiled code depends on, in 16 digits: the kernels' sources, numba, Python, the processor."""
     from llvmlite import binding
+    from numba import config
 
     digest = hashlib.sha256()
     for path in sorted(Path(str(resources.files("annulus"))).rglob("*.py")):
@@ -107,7 +108,10 @@ def _state() -> str:
         if any(word in content for word in _DECORATORS):
             digest.update(content)
     versions = [importlib.metadata.version(name) for name in ("numba", "llvmlite", "numpy")]
-    features: Any = binding.get_host_cpu_features()
-    about = (*versions, sys.implementation.cache_tag, binding.get_host_cpu_name(), features.flatten())
+    name, features = config.CPU_NAME, config.CPU_FEATURES  # NUMBA_CPU_NAME: code for one kind, on machines of many
+    if name is None or features is None:
+        here: Any = binding.get_host_cpu_features()
+        name, features = name or binding.get_host_cpu_name(), features or here.flatten()
+    about = (*versions, sys.implementation.cache_tag, name, features)
     digest.update(repr(about).encode())
     return digest.hexdigest()[:16]

@@ -8,8 +8,9 @@ from typing import Any, TypeVar
 
 from annulus.geometry.calibration import CAMERAS, ONE_CAMERA, Calibration, camera_alone, several_cameras
 from annulus.geometry.camera import Camera
+from annulus.record.storage import Where, read_whole
 from annulus.record.whole import written_whole
-from annulus.untrusted import parse_json, read_file
+from annulus.untrusted import parse_json
 from annulus.vocabulary import AnnulusError
 
 Part = TypeVar("Part")
@@ -17,7 +18,7 @@ Part = TypeVar("Part")
 SIZE_MAX = 4 << 20  # per-direction fine-tuning of a dozen rings stays far below
 
 
-def load_calibration(path: Path) -> Calibration:
+def load_calibration(path: Where) -> Calibration:
     """The calibration in a file of format annulus-calibration/1 or /2. Raises AnnulusError naming file and key."""
     data = _read(path)
     try:
@@ -26,7 +27,7 @@ def load_calibration(path: Path) -> Calibration:
         raise AnnulusError(f"{path}: {error}.") from None
 
 
-def load_sections(path: Path) -> dict[str, Any]:
+def load_sections(path: Where) -> dict[str, Any]:
     """All sections of a calibration that may be in the making, unchecked. Raises AnnulusError naming the file."""
     data = _read(path)
     if not isinstance(data, dict):
@@ -95,7 +96,7 @@ def save_calibration(path: Path, calibration: Calibration) -> None:
     _write(path, calibration.to_dict())
 
 
-def load_part(path: Path, parse: Callable[[object], Part], made_by: str) -> Part:
+def load_part(path: Where, parse: Callable[[object], Part], made_by: str) -> Part:
     """A file beside the calibration (a pipe's colours, a reference), parsed by what raises ValueError naming the key.
 
     made_by: the command that makes such files. Raises AnnulusError naming file and key.
@@ -112,9 +113,9 @@ def save_part(path: Path, data: Mapping[str, Any]) -> None:
     _write(path, data)
 
 
-def _read(path: Path, expected: str = "the calibration.json of the head that scanned") -> Any:
+def _read(path: Where, expected: str = "the calibration.json of the head that scanned") -> Any:
     try:
-        return parse_json(read_file(path, SIZE_MAX), SIZE_MAX)
+        return parse_json(read_whole(path, SIZE_MAX), SIZE_MAX)
     except FileNotFoundError:
         raise AnnulusError(f"{path}: no such file. Expected {expected}.") from None
     except IsADirectoryError:

@@ -12,7 +12,8 @@ from typing import Any
 
 from annulus.record.clock import Clock
 from annulus.record.codec import DEFAULT, Codec
-from annulus.record.recording import LABEL_TOPIC, RecordedFrame, Recording
+from annulus.record.frames import LABEL_TOPIC, RecordedFrame
+from annulus.record.recording import Recording
 from annulus.record.walk import Damage
 from annulus.record.writer import RecordingWriter
 from annulus.vocabulary import AnnulusError

@@ -17,7 +17,8 @@ import cv2
 
 from annulus.numeric.arrays import Image
 from annulus.record.codec import jpeg, to_bgr
-from annulus.record.recording import RecordedFrame, Recording
+from annulus.record.frames import RecordedFrame
+from annulus.record.recording import Recording
 from annulus.record.scan import CAMERA, COLUMNS, ROLL, SLOT, TABLE
 from annulus.vocabulary import AnnulusError
 

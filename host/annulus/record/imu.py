@@ -11,13 +11,12 @@ import io
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from annulus.geometry.pose import composed
 from annulus.record.numbers import number, whole
-from annulus.untrusted import read_file
+from annulus.record.storage import Where, read_whole
 from annulus.vocabulary import AnnulusError
 
 TABLE = "imu.csv"
@@ -39,11 +38,11 @@ class Motion:
     gravity_g: Three | None = None
 
 
-def read_motion(folder: Path, listed: Iterable[int]) -> Mapping[int, Motion]:
+def read_motion(folder: Where, listed: Iterable[int]) -> Mapping[int, Motion]:
     """Of every listed frame index, what imu.csv says; empty without that file. Raises AnnulusError naming the line."""
     table = folder / TABLE
     try:
-        data = read_file(table, TABLE_MAX)
+        data = read_whole(table, TABLE_MAX)
     except FileNotFoundError:
         return {}
     except OSError as error:
@@ -53,7 +52,7 @@ def read_motion(folder: Path, listed: Iterable[int]) -> Mapping[int, Motion]:
     return _since_listed(_rows(table, data), sorted(set(listed)))
 
 
-def _rows(table: Path, data: bytes) -> dict[int, Motion]:
+def _rows(table: Where, data: bytes) -> dict[int, Motion]:
     try:
         rows = csv.DictReader(io.StringIO(data.decode("utf-8-sig"), newline=""), strict=True)
         columns = [name.strip() for name in rows.fieldnames or ()]

@@ -17,7 +17,8 @@ import numpy as np
 from annulus import untrusted
 from annulus.job import Observation
 from annulus.numeric.arrays import Image
-from annulus.record.recording import CAMERA_ID_MAX, Z_MAX_MM, Recording
+from annulus.record.frames import CAMERA_ID_MAX, Z_MAX_MM
+from annulus.record.recording import Recording
 from annulus.record.scan import Scan
 from annulus.vocabulary import AnnulusError, Label
 

@@ -5,12 +5,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from annulus.job import JobSheet, Origin, provenance, read_job, recorded_provenance
+from annulus.job import JobSheet, Origin, parse_job, provenance, read_job, recorded_provenance
 from annulus.record.calibration_file import load_sections
 from annulus.record.marks import observations_of
 from annulus.record.recording import Recording
 from annulus.record.scan import Scan
-from annulus.untrusted import printable
+from annulus.record.storage import Where, read_whole
+from annulus.untrusted import TOML_MAX, printable
+from annulus.vocabulary import AnnulusError
 
 IDENTITY, JOB_TOPIC = "/identity", "/job"
 JOBS_MAX = 1000  # sheets of one scan that are read; an operator types a dozen
@@ -27,8 +29,7 @@ def origin_of(scan: Scan, calibration: Path | None = None, job: JobSheet | None 
     made = {} if calibration is None else provenance(load_sections(calibration))
     recording = scan.recording
     if recording is None:
-        beside = scan.path / JOB_FILE
-        own = read_job(beside) if beside.is_file() else JobSheet()
+        own = _job_beside(scan.path)
         return Origin(own.under(over), calibration=made, calibration_file=_name(calibration))
     who = [one for one in recording.notes(IDENTITY) if isinstance(one, dict)]
     first: Mapping[str, Any] = who[0] if who else {}
@@ -47,6 +48,18 @@ def origin_of(scan: Scan, calibration: Path | None = None, job: JobSheet | None 
         observations,
         left_out,
     )
+
+
+def _job_beside(folder: Where) -> JobSheet:
+    beside = folder / JOB_FILE
+    if isinstance(beside, Path):
+        return read_job(beside) if beside.is_file() else JobSheet()
+    try:
+        return parse_job(read_whole(beside, TOML_MAX), beside)
+    except FileNotFoundError:
+        return JobSheet()
+    except (OSError, ValueError) as error:
+        raise AnnulusError(f"{beside}: cannot be read ({error}). Expected a job.toml.") from None
 
 
 def job_told(recording: Recording) -> JobSheet:

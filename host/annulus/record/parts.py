@@ -9,10 +9,14 @@ from their names: each has an attachment `part.json`, {"scan": .., "part": ..}, 
 import json
 import re
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from annulus.record.remote import Told, Url, listed, told
+from annulus.record.storage import Where, opened_file
+from annulus.vocabulary import AnnulusError
 
 PART_FILE = "part.json"
 PARTS_MAX = 999
@@ -58,15 +62,67 @@ def later_paths(first: Path) -> list[tuple[int, Path]]:
 
 def first_paths(folder: Path) -> list[Path]:
     """The first, or only, files of the recordings in a folder, by their names."""
-    stems = {path.stem for path in folder.glob("*.mcap")}
+    return [folder / name for name in first_names(path.name for path in folder.glob("*.mcap"))]
+
+
+def first_names(names: Iterable[str]) -> list[str]:
+    """The same out of the names of all files of a folder."""
+    stems = {name.removesuffix(".mcap") for name in names if name.endswith(".mcap")}
     later = {stem for stem in stems if (named := _LATER.fullmatch(stem)) and named[1] in stems}
-    return [folder / f"{stem}.mcap" for stem in sorted(stems - later)]
+    return [f"{stem}.mcap" for stem in sorted(stems - later)]
 
 
-def part_of(path: Path) -> Part | None:
+@dataclass(frozen=True, slots=True)
+class Later:
+    """The files that are parts after a first one by their names: number, place, what a store says of it."""
+
+    first: Told | None  # what it says of the first
+    others: tuple[tuple[int, Where, Told | None], ...]
+
+
+def later_parts(first: Where) -> Later:
+    """Raises AnnulusError where a store does not answer, or has no such file."""
+    if isinstance(first, Path):
+        return Later(None, tuple((number, path, None) for number, path in later_paths(first)))
+    try:
+        there = listed(first.parent, first.stem)
+    except PermissionError:  # who may read may not list
+        there = _asked_for(first)
+    except OSError as error:
+        raise AnnulusError(f"{first}: cannot be read ({error.strerror}). Expected a recording.") from None
+    if first.name not in there:
+        raise AnnulusError(f"{first}: no such recording.")
+    others = sorted((number, name) for name in there if (number := _number_of(name, first.stem)))
+    return Later(there[first.name], tuple((number, first.with_name(name), there[name]) for number, name in others))
+
+
+def _asked_for(first: Url) -> dict[str, Told]:
+    """One by one, as long as there is a next."""
+    found: dict[str, Told] = {}
+    for number in range(1, PARTS_MAX + 1):
+        name = first.name if number == 1 else f"{first.stem}-{number:03d}.mcap"
+        try:
+            found[name] = told(first.with_name(name))
+        except FileNotFoundError:
+            break
+        except OSError as error:
+            if number > 1:
+                break  # a store that does not let us list may say this of what is not there
+            raise AnnulusError(f"{first}: cannot be read ({error.strerror}). Expected a recording.") from None
+    return found
+
+
+def _number_of(name: str, stem: str) -> int:
+    """Which part of that scan a file is by its name; 0: none after the first."""
+    named = _LATER.fullmatch(name.removesuffix(".mcap")) if name.endswith(".mcap") else None
+    return int(named[2]) if named and named[1] == stem and int(named[2]) > 1 else 0
+
+
+def part_of(path: Where, known: Told | None = None) -> Part | None:
     """Which part a file says it is, from its first records; None where it does not, or cannot be read."""
     try:
-        with path.open("rb") as file:
+        with opened_file(path, known) as file:
+            file.seek(0)
             head = file.read(_HEAD_MAX)
         for content in _attachments(head):
             (length,) = struct.unpack_from("<I", content, 16)

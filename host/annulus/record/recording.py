@@ -8,21 +8,24 @@ camera it is of, and lies before its frame in one chunk. Frames of one index bel
 (clock.py): messages have times of day, and what is given here are the monotonic ones they were made of. Recordings of
 before have those, and `/frame` for camera 0 where there was only one.
 
-Opening steps over images. A chunk's checksum is looked at when something in it is read, so an image or a note that
-comes out is what was written; `check` reads the whole file. What is damaged is told, and costs no more than its chunk.
+A closed recording is opened by the index at its end (index.py); what was made before has none, and a torn one neither:
+it is walked over, stepping over images, and where that takes long the walk is kept beside it (kept.py). A chunk's
+checksum is looked at when something in it is read, so an image that comes out is what was written, and its label what
+its own chunk says; `check` reads the whole file. What is damaged is told, and costs no more than its chunk.
+
+A recording may lie in a store: its path is a URL then (storage.py). It is a plain value, and opens its file itself.
 """
 
-import base64
-import json
-import math
+import contextlib
 import os
 import stat
+import time
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, cast
 
 import numpy as np
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
@@ -33,65 +36,28 @@ from annulus import untrusted
 from annulus.numeric.arrays import Image
 from annulus.record.clock import CLOCK_FILE, Clock
 from annulus.record.codec import to_bgr
-from annulus.record.parts import PART_FILE, Part, later_paths, part_of
+from annulus.record.followed import Followed, followed
+from annulus.record.frames import (
+    FRAME_TOPIC,
+    LABEL_TOPIC,
+    RecordedFrame,
+    camera_of,
+    frame_name,
+    from_json,
+    offset_of,
+    sorted_out,
+)
+from annulus.record.indexed import HEAD, Indexed, read_index
+from annulus.record.kept import is_kept, keep, kept_walk, stamp_of
+from annulus.record.parts import PART_FILE, Part, later_parts, part_of
+from annulus.record.remote import RemoteFile, Told, UnreachableError, Url, remote_file
+from annulus.record.storage import Where, opened_file, where
 from annulus.record.walk import ATTACHMENT_MAX, MAGIC, Chunk, Damage, DamagedError, Message, Walk, piece
 from annulus.stream.frames import CHANNELS, SIDE_MAX
-from annulus.vocabulary import AnnulusError, Label
+from annulus.vocabulary import AnnulusError
 
-FRAME_TOPIC = "/frame"  # .. of camera 0 in old recordings; now followed by the camera's id
-LABEL_TOPIC = "/label"
-DROPS_TOPIC = "/drops"
-CAMERA_ID_MAX = 255
-Z_MAX_MM = 1e8  # of a place; beyond is damage
-_JSON_MAX = 1 << 24
+WALKED = 8 << 20  # bytes of one request of a walk over a store: all are moved, in the time that they take
 _ATTACHED = ("calibration.json", "configuration.json", PART_FILE, CLOCK_FILE)
-_JPEG = CompressedImage.DESCRIPTOR.full_name
-
-
-def to_json(value: Any) -> bytes:
-    """Compact JSON; bytes become {"base64": ".."}, what is not a number becomes null."""
-    return json.dumps(_plain(value), separators=(",", ":"), allow_nan=False).encode()
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, bytes):
-        return {"base64": base64.b64encode(value).decode()}
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
-
-
-def from_json(data: bytes) -> Any:
-    """The inverse of `to_json`. ValueError on anything else."""
-
-    def bytes_again(item: dict[str, Any]) -> Any:
-        packed = item.get("base64")
-        return base64.b64decode(packed) if len(item) == 1 and isinstance(packed, str) else item
-
-    return untrusted.parse_json(data, _JSON_MAX, bytes_again)
-
-
-@dataclass(frozen=True, slots=True)
-class RecordedFrame:
-    """One frame in a recording; `offset`, `length`: its protobuf message in the file or, of a packed chunk, in that."""
-
-    index: int
-    label: Label
-    z_mm: float  # NaN where not known
-    timestamp_ns: int
-    offset: int
-    length: int
-    roll_deg: float | None = None  # of the head, clockwise looking forward, where its label says so
-    camera: int = 0
-    chunk: Chunk | None = None  # what its checksum is of
-    part: int = 0  # which of its recording's `parts` it is in
-    z_bound_mm: float = 0.0  # how far z may be off; 0: it was counted
-    segment: int = 0  # of z: within one, differences of z were counted
-    jpeg: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +68,7 @@ class Recording:
     recording of each; this one joins them, and `path` is the first one's.
     """
 
-    path: Path
+    path: Where
     frames: tuple[RecordedFrame, ...]  # by index, then camera
     calibration: Mapping[str, Any] | None
     configuration: Mapping[str, Any] | None
@@ -117,6 +83,8 @@ class Recording:
     parts: "tuple[Recording, ...]" = ()
     utc_offset_ns: int = 0  # what a message's time is later than the monotonic clock's
     cut_frames: int | None = 0  # at most, that the file ends in the middle of; None: not known
+    known: Told | None = None  # what a store said of the file
+    index: Followed | None = field(default=None, repr=False)  # None: walked over
 
     @property
     def cameras(self) -> tuple[int, ...]:
@@ -150,7 +118,17 @@ class Recording:
         if self.parts:
             return
         held, data = None, b""  # the chunk that is unpacked, its records
-        with self.path.open("rb") as file:
+        with self._open() as file:
+            if self.index is not None and topic != LABEL_TOPIC:
+                try:
+                    kept = self.index.notes.of(topic, file)
+                except ValueError:
+                    kept = None  # they are in their chunks, too
+                if kept is not None:
+                    for sequence, time_ns, content in kept:
+                        with contextlib.suppress(ValueError):
+                            yield time_ns - self.utc_offset_ns, sequence, from_json(content)
+                    return
             for message in self._notes.get(topic, ()):
                 chunk = message.chunk
                 try:
@@ -169,12 +147,38 @@ class Recording:
                 except (ValueError, DamagedError):
                     continue
 
+    @property
+    def size(self) -> int:
+        """Bytes of all its files. OSError where one is gone."""
+        if self.parts:
+            return sum(part.size for part in self.parts)
+        if isinstance(self.path, Path):
+            return self.path.stat().st_size
+        return 0 if self.known is None else self.known.size
+
+    def _open(self) -> IO[bytes]:
+        return opened_file(self.path, self.known)
+
+    def plan(self, which: Iterable[RecordedFrame]) -> None:
+        """These frames will be read: of what lies in a store their chunks are fetched together, each once."""
+        ranges: dict[int, list[tuple[int, int]]] = {}
+        for frame in which:
+            chunk = frame.chunk
+            place = (frame.offset, frame.length) if chunk is None else (chunk.offset, chunk.length)
+            ranges.setdefault(frame.part, []).append(place)
+        for number, places in ranges.items():
+            part = self.parts[number] if self.parts else self
+            if isinstance(part.path, Url):
+                remote_file(part.path, part.known).plan((offset, offset + length) for offset, length in places)
+
     def check(self) -> tuple[Damage, ...]:
         """Everything that is damaged, by reading the whole file (1 GB/s and what the disk gives)."""
         if self.parts:
             return _named([(part, part.check()) for part in self.parts])
+        if self.index is not None:
+            return _walked(self.path, self.known, self).check()
         found = list(self.damage)
-        with self.path.open("rb") as file:
+        with self._open() as file:
             for chunk in self._chunks:
                 try:
                     if not self._is_sound(chunk, file) and all(one.offset != chunk.offset for one in self.damage):
@@ -196,8 +200,16 @@ class Recording:
         """A frame's message, and what the frame is called."""
         where = f"{self.path}: {frame_name(frame.index, frame.camera)}"
         try:
-            with self.path.open("rb") as file:
-                return _of_chunk(file, frame), where
+            with self._open() as file:
+                if frame.chunk is None:
+                    records, data = b"", memoryview(piece(file, frame.offset, frame.length))
+                else:
+                    records = frame.chunk.read(file)
+                    self._sound[frame.chunk.offset] = True
+                    data = frame.chunk.within(records, frame.offset, frame.length)
+                if self.index is not None:
+                    self.index.hold(file, frame, records, self.label(frame), self.utc_offset_ns)
+                return data, where
         except DamagedError as error:
             raise DamagedError(f"{where} is damaged: {error}.") from None
         except ValueError as error:
@@ -240,7 +252,7 @@ class Recording:
         if self.parts:
             return self.parts[frame.part].is_sound(frame)
         try:
-            with self.path.open("rb") as file:
+            with self._open() as file:
                 return self._is_sound(frame.chunk, file)
         except (OSError, ValueError):
             return False
@@ -255,13 +267,6 @@ class Recording:
             except DamagedError:
                 self._sound[chunk.offset] = False
         return self._sound[chunk.offset]
-
-
-def _of_chunk(file: IO[bytes], frame: RecordedFrame) -> memoryview:
-    """A frame's message, out of a chunk that is what was written."""
-    if frame.chunk is None:
-        return memoryview(piece(file, frame.offset, frame.length))
-    return frame.chunk.within(frame.chunk.read(file), frame.offset, frame.length)
 
 
 def _compressed(data: memoryview, where: str) -> bytes:
@@ -291,29 +296,28 @@ def _crc_before(file: IO[bytes], end: int) -> int:
     return crc
 
 
-def frame_name(index: int, camera: int) -> str:
-    """As messages name a frame."""
-    return f"frame {index} of camera {camera}" if camera else f"frame {index}"
-
-
-def open_recording(path: Path) -> Recording:
-    """Index a recording by walking its records; needs no footer. Given the first part of a scan, all of them as one.
+def open_recording(place: Where | str) -> Recording:
+    """Open a recording, whole or torn. Given the first part of a scan, all of them as one.
 
     Raises AnnulusError when it is none.
     """
-    first = open_part(path)
+    path = where(place)
+    later = later_parts(path)
+    first = open_part(path, later.first)
     if first.part is None or first.part.number != 1:
         return first
     parts, torn, expected = [first], first.torn, 2
-    for number, later in later_paths(path):
-        known = part_of(later)
-        if known is not None and known.scan != first.part.scan:
+    for number, other, known in later.others:
+        part = part_of(other, known)
+        if part is not None and part.scan != first.part.scan:
             continue  # of another scan
         torn |= number != expected
         expected = number + 1
         try:
-            parts.append(open_part(later))
+            parts.append(open_part(other, known))
             torn |= parts[-1].torn
+        except UnreachableError:
+            raise
         except AnnulusError:  # cut off before anything was in it
             torn = True
     return first if len(parts) == 1 and torn == first.torn else _joined(parts, torn)
@@ -338,6 +342,31 @@ def _named(found: list[tuple[Recording, tuple[Damage, ...]]]) -> tuple[Damage, .
 
 
 @contextmanager
+def opened_place(
+    path: Where, known: Told | None, ahead: int = 0
+) -> Iterator[tuple[IO[bytes], int, Told | None]]:  # fmt: skip
+    """The file of a recording here or in a store, its bytes, and what the store says of it. Raises as `opened` does.
+
+    ahead : bytes of a file that is far which are fetched at once, in place of those that are asked for.
+    """
+    if isinstance(path, Path):
+        with opened(path) as (file, status):
+            yield file, status.st_size, None
+        return
+    try:
+        far = RemoteFile(path, known, ahead) if ahead else remote_file(path, known)
+        far.plan([(0, HEAD)])
+        far.seek(0)
+        if far.read(len(MAGIC)) != MAGIC:
+            raise AnnulusError(f"{path}: not an MCAP recording.")
+        yield cast(IO[bytes], far), far.size, far.told
+    except ValueError as error:
+        raise AnnulusError(f"{path}: cannot be read ({error}).") from None
+    except OSError as error:
+        raise AnnulusError(f"{path}: cannot be read ({error.strerror}). Expected a recording.") from None
+
+
+@contextmanager
 def opened(path: Path) -> Iterator[tuple[IO[bytes], os.stat_result]]:
     """The file of a recording, behind its first bytes. Raises AnnulusError when it is none, or cannot be read."""
     try:
@@ -352,114 +381,76 @@ def opened(path: Path) -> Iterator[tuple[IO[bytes], os.stat_result]]:
         raise AnnulusError(f"{path}: cannot be read ({error.strerror}). Expected a recording.") from None
 
 
-def open_part(path: Path) -> Recording:
-    """One file alone, whichever part it is. Raises AnnulusError when it is no recording."""
-    with opened(path) as (file, told):
-        walk = Walk(file, told.st_size, _ATTACHED, LABEL_TOPIC)
-        frames, labels, notes = _sorted_out(walk)
-    if walk.compression:
+def open_part(place: Where | str, known: Told | None = None) -> Recording:
+    """One file alone, whichever part it is. `known`: what a store said of it a moment ago.
+
+    Raises AnnulusError when it is no recording.
+    """
+    path = where(place)
+    with opened_place(path, known) as (file, size, known):
+        found = read_index(file, size, _ATTACHED, LABEL_TOPIC)
+        if found is not None and (recording := _recorded(path, found, known)) is not None:
+            return recording
+    return _walked(path, known)
+
+
+def _walked(path: Where, known: Told | None, opened_by_index: Recording | None = None) -> Recording:
+    """By a walk, as it was kept or anew. `opened_by_index`: the same, which is damaged where it is another."""
+    begun = time.monotonic()
+    with opened_place(path, known) as (file, size, known):
+        stamp = stamp_of(path, file, size, known)
+        found = kept_walk(path, file, stamp) if opened_by_index is None else None
+        if found is not None and (recording := _recorded(path, found, known)) is not None:
+            return recording
+    with opened_place(path, known, WALKED) as (file, size, known):
+        walk = Walk(file, size, _ATTACHED, LABEL_TOPIC, isinstance(path, Url))
+        if opened_by_index is None and not walk.compression and is_kept(path, time.monotonic() - begun):
+            found = keep(path, file, stamp, walk)
+            if found is not None and (recording := _recorded(path, found, known)) is not None:
+                return recording
+        recording = _recorded(path, walk, known)
+    assert recording is not None
+    if opened_by_index is not None and not _same(recording, opened_by_index):
+        damage = (*recording.damage, Damage(0, "the index at the end says otherwise than the records"))
+        return replace(recording, damage=damage)
+    return recording
+
+
+def _same(one: Recording, other: Recording) -> bool:
+    return one.frames == other.frames and one._labels == other._labels and one._notes == other._notes
+
+
+def _recorded(path: Where, found: Walk | Indexed, known: Told | None) -> Recording | None:
+    """Out of a file's contents. None where an index has more than one frame or label of a name: only a walk says which
+    of them counts. Raises AnnulusError for what is no recording.
+    """
+    frames, labels, notes = sorted_out(found)
+    if found.compression:
         raise AnnulusError(
-            f"{path}: its chunks are compressed with {walk.compression}. "
+            f"{path}: its chunks are compressed with {found.compression}. "
             "Decompress it first: mcap compress --compression none."
         )
-    topics = {channel.topic for channel in walk.channels.values()}
-    if not any(topic == LABEL_TOPIC or _camera_of(topic) is not None for topic in topics):
+    topics = {channel.topic for channel in found.channels.values()}
+    if not any(topic == LABEL_TOPIC or camera_of(topic) is not None for topic in topics):
         raise AnnulusError(f"{path}: no {FRAME_TOPIC}/<camera> topic. Expected a recording made by annulus.")
-    calibration, configuration, part, clock = (_attached(walk, name) for name in _ATTACHED)
-    known = Clock.from_dict(clock)
-    offset_ns = _offset(frames, labels) if known is None else known.offset_ns
+    index = None
+    if isinstance(found, Indexed):
+        index = followed(found, frames, labels, notes)
+        if index is None:
+            return None
+    calibration, configuration, part, clock = (_attached(found, name) for name in _ATTACHED)
+    told = Clock.from_dict(clock)
+    offset_ns = offset_of(frames, labels) if told is None else told.offset_ns
     if offset_ns:
         frames = tuple(replace(frame, timestamp_ns=frame.timestamp_ns - offset_ns) for frame in frames)
     return Recording(
-        path, frames, calibration, configuration, not walk.ended, labels, notes, tuple(walk.damage),
-        tuple(walk.chunks), walk.data_crc, part=Part.from_dict(part), utc_offset_ns=offset_ns,
-        cut_frames=walk.cut_messages,
+        path, frames, calibration, configuration, not found.ended, labels, notes, tuple(found.damage),
+        tuple(found.chunks), found.data_crc, part=Part.from_dict(part), utc_offset_ns=offset_ns,
+        cut_frames=found.cut_messages, known=known, index=index,
     )  # fmt: skip
 
 
-def _offset(frames: tuple[RecordedFrame, ...], labels: "_Labels") -> int:
-    """From labels, which say when their frames were, where no clock is attached any more; 0 of recordings of before."""
-    for frame in frames:
-        said = labels.get((frame.index, frame.camera), {}).get("timestamp_ns")
-        if type(said) is int:
-            return frame.timestamp_ns - said
-    return 0
-
-
-def _camera_of(topic: str) -> int | None:
-    """Whose frames come on a topic; None for one of something else."""
-    if topic == FRAME_TOPIC:
-        return 0
-    name = topic.removeprefix(f"{FRAME_TOPIC}/")
-    known = name != topic and name.isascii() and name.isdigit() and len(name) < 4 and int(name) <= CAMERA_ID_MAX
-    return int(name) if known else None
-
-
-def camera_of_label(label: object) -> int:
-    """Which camera's frame a label is of; 0 where none is named. Raises ValueError for what is no label."""
-    return untrusted.whole(untrusted.mapping(label, "label").get("camera", 0), "label: camera", 0, CAMERA_ID_MAX)
-
-
-_Labels = dict[tuple[int, int], Mapping[str, Any]]  # by index and camera
-
-
-def _sorted_out(walk: Walk) -> tuple[tuple[RecordedFrame, ...], _Labels, dict[str, tuple[Message, ...]]]:
-    """What was walked over as frames, their labels, and notes by topic."""
-    images: dict[tuple[int, int], Message] = {}
-    labels: _Labels = {}
-    labelled: dict[tuple[int, int], Chunk | None] = {}
-    notes: dict[str, list[Message]] = {}
-    for message in walk.messages:
-        channel = walk.channels.get(message.channel)
-        topic = "" if channel is None else channel.topic
-        camera = _camera_of(topic)
-        if channel is not None and channel.encoding != "json" and camera is None:
-            continue  # for viewers
-        if camera is not None:
-            before = images.setdefault((message.sequence, camera), message)
-            if before is not message and not walk.look_at(before.chunk) and walk.look_at(message.chunk):
-                images[message.sequence, camera] = message
-        elif topic:
-            notes.setdefault(topic, []).append(message)
-            if topic == LABEL_TOPIC:
-                try:
-                    label = from_json(walk.content(message))
-                    key = message.sequence, camera_of_label(label)
-                    if key not in labels or walk.look_at(message.chunk):
-                        labels[key], labelled[key] = label, message.chunk
-                except ValueError:
-                    walk.look_at(message.chunk)
-    for key in labelled.keys() ^ images.keys():  # they are written together
-        walk.look_at(labelled[key] if key in labelled else images[key].chunk)
-    frames = tuple(
-        _frame(index, camera, message, labels.get((index, camera), {}), _is_jpeg(walk, message))
-        for (index, camera), message in sorted(images.items())
-    )
-    return frames, labels, {topic: tuple(messages) for topic, messages in notes.items()}
-
-
-def _is_jpeg(walk: Walk, message: Message) -> bool:
-    channel = walk.channels.get(message.channel)
-    return channel is not None and walk.schemas.get(channel.schema) == _JPEG
-
-
-def _frame(index: int, camera: int, image: Message, label: Mapping[str, Any], jpeg: bool) -> RecordedFrame:
-    name, z, roll = label.get("label"), label.get("z_mm"), label.get("roll_deg")
-    known = Label(name) if name in [one.value for one in Label] else Label.UNKNOWN
-    z_mm = float(z) if isinstance(z, int | float) and not isinstance(z, bool) and abs(z) <= Z_MAX_MM else math.nan
-    if isinstance(roll, bool) or not isinstance(roll, int | float):
-        roll = None
-    bound, segment = label.get("z_bound_mm"), label.get("segment")
-    return RecordedFrame(
-        index, known if math.isfinite(z_mm) else Label.UNKNOWN, z_mm, image.time_ns, image.offset, image.length,
-        roll if roll is None else float(roll), camera, image.chunk,
-        z_bound_mm=float(bound) if isinstance(bound, int | float) and 0 < bound <= Z_MAX_MM else 0.0,
-        segment=segment if type(segment) is int else 0,
-        jpeg=jpeg,
-    )  # fmt: skip
-
-
-def _attached(walk: Walk, name: str) -> Mapping[str, Any] | None:
+def _attached(walk: Walk | Indexed, name: str) -> Mapping[str, Any] | None:
     try:
         content = untrusted.parse_json(walk.attachments[name], ATTACHMENT_MAX)
     except (KeyError, ValueError):

@@ -12,19 +12,24 @@ import csv
 import io
 import math
 from collections import Counter
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path, PurePosixPath
+from typing import TypeVar
 
 from annulus import untrusted
 from annulus.capture.pictures import decode
 from annulus.geometry.calibration import Calibration
 from annulus.numeric.arrays import Image
+from annulus.record.frames import CAMERA_ID_MAX, DROPS_TOPIC, Z_MAX_MM, frame_name
 from annulus.record.imu import Motion, read_motion
 from annulus.record.numbers import number, whole
-from annulus.record.parts import first_paths
-from annulus.record.recording import CAMERA_ID_MAX, DROPS_TOPIC, Z_MAX_MM, Recording, frame_name, open_recording
-from annulus.untrusted import read_file, shown
+from annulus.record.parts import first_names, first_paths
+from annulus.record.recording import Recording, open_recording
+from annulus.record.remote import Url, found_below, listed
+from annulus.record.storage import Where, read_whole, where
+from annulus.untrusted import shown
 from annulus.vocabulary import AnnulusError, Label
 
 TABLE = "frames.csv"
@@ -35,6 +40,7 @@ ASIDE = "tx_mm", "ty_mm"
 TABLE_MAX = 256 << 20  # bytes; a day at 25 fps has 100 MB
 FRAME_MAX = 256 << 20
 KIND_MAX, LOST_MAX = 40, 1 << 40  # characters of a kind, and of how many
+_Either = TypeVar("_Either", Path, Url)
 ROLL_MAX_DEG = 36e3  # a sensor may count turns
 
 
@@ -61,7 +67,7 @@ class ScanFrame:
 class Scan:
     """A scan opened for reading; plain data, so that worker processes can be handed one."""
 
-    path: Path
+    path: Where
     frames: tuple[ScanFrame, ...]
     calibration: Calibration | None  # what a recording carries; a folder carries none
     recording: Recording | None = None
@@ -103,6 +109,13 @@ class Scan:
             out.setdefault(frame.index, []).append(i)
         return out
 
+    def part(self, numbers: Sequence[int]) -> "Scan":
+        """The same with some of its frames only, numbers into `frames`."""
+        recording = self.recording
+        if recording is not None:
+            recording = replace(recording, frames=tuple(recording.frames[i] for i in numbers))
+        return replace(self, frames=tuple(self.frames[i] for i in numbers), recording=recording)
+
     def only(self) -> "Scan":
         """Itself, for a method that knows one camera. Raises AnnulusError, one line, where there are more."""
         if len(self.cameras) > 1:
@@ -112,6 +125,11 @@ class Scan:
             )
         return self
 
+    def plan(self, which: Sequence[int]) -> None:
+        """These frames will be read: of a recording in a store their chunks are fetched together, each once."""
+        if self.recording is not None:
+            self.recording.plan(self.recording.frames[i] for i in which)
+
     def read(self, i: int) -> Image:
         """The image of frames[i], (H, W, 3) uint8 BGR. Raises AnnulusError when missing, truncated or damaged."""
         if self.recording is not None:
@@ -119,24 +137,46 @@ class Scan:
         return read_image(self.path / self.frames[i].where)
 
 
-def open_scan(path: Path) -> Scan:
+def open_scan(place: Where | str) -> Scan:
     """A scan folder, an .mcap recording (all parts of the scan when it is the first), or a folder with one recording.
 
-    Raises AnnulusError saying what is wrong, and in which line.
+    place : a path, or a URL of a store. Raises AnnulusError saying what is wrong, and in which line.
     """
+    path = where(place)
     try:
-        if path.is_dir():
+        if isinstance(path, Url):
+            if path.suffix.lower() != ".mcap":
+                return _open_far_folder(path)
+        elif path.is_dir():
             recordings = [] if (path / TABLE).exists() else first_paths(path)
             if not recordings:
                 return Scan(path, read_table(path), None)
-            if len(recordings) > 1:
-                names = ", ".join(one.name for one in recordings[:5]) + (", .." if len(recordings) > 5 else "")
-                raise AnnulusError(f"{path}: holds {len(recordings)} recordings, expected one. Name one: {names}.")
-            path = recordings[0]
-        if not path.exists():
+            path = _only(path, recordings)
+        elif not path.exists():
             raise AnnulusError(f"{path}: no such scan. Expected a scan folder or an .mcap recording.")
     except PermissionError:
         raise AnnulusError(f"{path}: no permission to read it.") from None
+    return _open_recorded(path)
+
+
+def _open_far_folder(folder: Url) -> Scan:
+    there = listed(folder)
+    if TABLE in there:
+        return Scan(folder, read_table(folder), None)
+    names = first_names(there)
+    if not names:
+        raise AnnulusError(f"{folder}: no such scan. Expected a scan folder or an .mcap recording.")
+    return _open_recorded(_only(folder, [folder / name for name in names]))
+
+
+def _only(folder: Where, recordings: Sequence[_Either]) -> _Either:
+    if len(recordings) > 1:
+        names = ", ".join(one.name for one in recordings[:5]) + (", .." if len(recordings) > 5 else "")
+        raise AnnulusError(f"{folder}: holds {len(recordings)} recordings, expected one. Name one: {names}.")
+    return recordings[0]
+
+
+def _open_recorded(path: Where) -> Scan:
     if path.suffix.lower() != ".mcap":
         raise AnnulusError(f"{path}: not a scan. Expected a folder with {TABLE} or an .mcap recording.")
     recording = open_recording(path)
@@ -163,10 +203,10 @@ def open_scan(path: Path) -> Scan:
     return Scan(path, frames, calibration, recording)
 
 
-def read_image(path: Path) -> Image:
+def read_image(path: Where) -> Image:
     """A picture's file as (H, W, 3) uint8 BGR, whole or not at all; see `capture.pictures`. Raises AnnulusError."""
     try:
-        return decode(read_file(path, FRAME_MAX))
+        return decode(read_whole(path, FRAME_MAX))
     except FileNotFoundError:
         raise AnnulusError(f"{path}: no such frame file, though {TABLE} lists it.") from None
     except OSError as error:
@@ -176,14 +216,14 @@ def read_image(path: Path) -> Image:
         raise AnnulusError(f"{path}: {error}.{again}") from None
 
 
-def read_table(folder: Path) -> tuple[ScanFrame, ...]:
+def read_table(folder: Where) -> tuple[ScanFrame, ...]:
     """What the frames.csv of a scan folder lists, in its order. Raises AnnulusError naming the line."""
     table = folder / TABLE
     try:
-        data = read_file(table, TABLE_MAX)
+        data = read_whole(table, TABLE_MAX)
     except FileNotFoundError:
         try:
-            empty = not any(folder.iterdir())
+            empty = isinstance(folder, Path) and not any(folder.iterdir())
         except OSError as error:
             raise AnnulusError(f"{folder}: cannot be read ({error.strerror}).") from None
         what = "the folder is empty" if empty else f"not a scan, there is no {TABLE}"
@@ -194,6 +234,7 @@ def read_table(folder: Path) -> tuple[ScanFrame, ...]:
         raise AnnulusError(f"{table}: {error}.") from None
     try:
         inside: dict[PurePosixPath, bool] = {}
+        there = None if isinstance(folder, Path) else set(found_below(folder))
         rows = csv.DictReader(io.StringIO(data.decode("utf-8-sig"), newline=""), strict=True)
         columns = [name.strip() for name in rows.fieldnames or ()]
         if len(set(columns)) < len(columns):
@@ -207,7 +248,7 @@ def read_table(folder: Path) -> tuple[ScanFrame, ...]:
         known: set[tuple[int, int]] = set()
         for row in rows:
             try:
-                frame = _frame(row, folder, inside)
+                frame = _frame(row, folder, inside, there)
                 if (frame.index, frame.camera) in known:
                     of = f" of camera {frame.camera}" if frame.camera else ""
                     raise ValueError(f"index {frame.index}{of} was there before")
@@ -225,8 +266,10 @@ def read_table(folder: Path) -> tuple[ScanFrame, ...]:
     return tuple(replace(f, motion=motions[f.index]) if f.index in motions else f for f in frames)
 
 
-def _frame(row: dict[str, str | None], folder: Path, inside: dict[PurePosixPath, bool]) -> ScanFrame:
-    """`inside`: of folders of images, whether they are in the scan's own; filled here."""
+def _frame(
+    row: dict[str, str | None], folder: Where, inside: dict[PurePosixPath, bool], there: Collection[str] | None
+) -> ScanFrame:
+    """`inside`: of folders of images, whether they are in the scan's own; filled here. `there`: names in a store."""
     if None in row:
         raise ValueError("more fields than line 1 has columns")
     index, file, light, z_text = ((row.get(name) or "").strip() for name in COLUMNS)
@@ -238,11 +281,14 @@ def _frame(row: dict[str, str | None], folder: Path, inside: dict[PurePosixPath,
     place = PurePosixPath(file)
     if not file or len(file) > 1024 or place.is_absolute() or ".." in place.parts or "\\" in file or "\0" in file:
         raise ValueError(f"file is {shown(file)}, expected the path of an image inside the scan folder")
-    if not (folder / file).is_file():
+    if not isinstance(folder, Path):
+        if there is not None and str(place) not in there:
+            raise ValueError(f"{file} is not there")
+    elif not (folder / file).is_file():
         raise ValueError(f"{file} is not there")
-    if place.parent not in inside:
+    elif place.parent not in inside:
         inside[place.parent] = (folder / place.parent).resolve().is_relative_to(folder.resolve())
-    if not inside[place.parent] or (folder / file).is_symlink():
+    if isinstance(folder, Path) and (not inside[place.parent] or (folder / file).is_symlink()):
         raise ValueError(f"file {shown(file)} is or lies behind a link, expected an image inside the scan folder")
     camera = whole((row.get(CAMERA) or "").strip() or "0", CAMERA)
     if camera > CAMERA_ID_MAX:

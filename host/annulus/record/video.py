@@ -26,7 +26,7 @@ import numpy as np
 from annulus.capture.camera import SIDE_MAX
 from annulus.capture.pictures import PIXELS_MAX, size_of
 from annulus.numeric.arrays import Image
-from annulus.record.recording import Z_MAX_MM
+from annulus.record.frames import Z_MAX_MM
 from annulus.record.scan import COLUMNS, TABLE, read_image
 from annulus.untrusted import read_file, shown
 from annulus.vocabulary import AnnulusError, Label

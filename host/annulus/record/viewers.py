@@ -25,7 +25,7 @@ from mcap_protobuf.schema import build_file_descriptor_set
 from annulus.numeric.arrays import FloatArray, Image
 from annulus.record.codec import is_mosaic
 from annulus.record.container import Form
-from annulus.record.recording import DROPS_TOPIC
+from annulus.record.frames import DROPS_TOPIC
 
 PREVIEW_TOPIC, POINTS_TOPIC, TRANSFORMS_TOPIC, LOG_TOPIC = "/preview", "/points", "/tf", "/log"
 CALIBRATION_TOPIC, PREVIEW_CALIBRATION_TOPIC = "/calibration", "/preview_calibration"

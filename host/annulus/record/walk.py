@@ -113,13 +113,19 @@ class Channel:
     schema: int
 
 
+_NONE = Channel("", "", 0)
+
+
 class Walk:
     """`walk = Walk(file, size)`: channels, messages in the file's order, attachments, what is damaged."""
 
-    def __init__(self, file: IO[bytes], size: int, wanted: tuple[str, ...], kept: str = "") -> None:
-        """`wanted`: attachments that are read. `kept`: a topic whose messages are small and will be asked for."""
-        self._file, self._size, self._wanted, self._kept = file, size, wanted, kept
-        self._contents: dict[tuple[int, int], bytes] = {}  # of packed chunks, by where chunk and message lie
+    def __init__(
+        self, file: IO[bytes], size: int, wanted: tuple[str, ...], kept: str = "", far: bool = False
+    ) -> None:  # fmt: skip
+        """`wanted`: attachments that are read. `kept`: a topic whose messages are small and will be asked for. `far`:
+        all JSON will be, and going back for it costs more than keeping it."""
+        self._file, self._size, self._wanted, self._kept, self._far = file, size, wanted, kept, far
+        self._contents: dict[tuple[int, int], bytes] = {}  # by where chunk and message lie
         self.channels: dict[int, Channel] = {}
         self.schemas: dict[int, str] = {}  # their names
         self.messages: list[Message] = []
@@ -167,9 +173,9 @@ class Walk:
     def content(self, message: Message) -> bytes:
         """A message, believed; asked for once. ValueError where there is none."""
         offset, length, chunk = message.offset, message.length, message.chunk
+        known = self._contents.pop((0 if chunk is None else chunk.offset, offset), None)
         if chunk is None:
-            return piece(self._file, offset, length)
-        known = self._contents.pop((chunk.offset, offset), None)
+            return piece(self._file, offset, length) if known is None else known
         return chunk.peek(self._file, offset, length) if known is None else known
 
     def look_at(self, chunk: Chunk | None) -> bool:
@@ -304,8 +310,8 @@ class Walk:
                 else:
                     place = _place(source.piece(start, _MESSAGE_HEAD.size), start, length)
                     messages.append(place)
-                    known = self.channels.get(place[0])
-                    if chunk.size and length < _SIP and known is not None and known.topic == self._kept:
+                    known = channels.get(place[0]) or self.channels.get(place[0])
+                    if length < _SIP and known is not None and self._is_kept(known, chunk):
                         self._contents[chunk.offset, place[3]] = source.piece(place[3], place[4])
                 at = start + length
         except (ValueError, struct.error):
@@ -315,7 +321,13 @@ class Walk:
     def _message(self, start: int, length: int) -> None:
         if length < _MESSAGE_HEAD.size:
             raise ValueError("too short for a message")
-        self.messages.append(Message(*_place(piece(self._file, start, _MESSAGE_HEAD.size), start, length), None))
+        message = Message(*_place(piece(self._file, start, _MESSAGE_HEAD.size), start, length), None)
+        self.messages.append(message)
+        if self._far and length < _SIP and self.channels.get(message.channel, _NONE).encoding == "json":
+            self._contents[0, message.offset] = piece(self._file, message.offset, message.length)
+
+    def _is_kept(self, channel: Channel, chunk: Chunk) -> bool:
+        return (self._far and channel.encoding == "json") or (chunk.size > 0 and channel.topic == self._kept)
 
     def _attachment(self, start: int, length: int) -> None:
         self._attached += 1

@@ -19,8 +19,8 @@ from annulus.record import viewers
 from annulus.record.clock import CLOCK_FILE, Clock
 from annulus.record.codec import DEFAULT, Codec, is_mosaic, jpeg
 from annulus.record.container import Container, Form, Piece
+from annulus.record.frames import FRAME_TOPIC, LABEL_TOPIC, camera_of_label, to_json
 from annulus.record.parts import PART_FILE, Part
-from annulus.record.recording import FRAME_TOPIC, LABEL_TOPIC, camera_of_label, to_json
 from annulus.stream.frames import CHANNELS
 from annulus.vocabulary import AnnulusError
 
@@ -65,7 +65,7 @@ class RecordingWriter:
             self._file = path.open("xb", buffering=0) if file is None else file
         except OSError as error:
             raise AnnulusError(f"{path}: cannot be written ({error.strerror}). Choose another folder.") from None
-        self._container = Container(self._file, path.parent)
+        self._container = Container(self._file, path.parent, (LABEL_TOPIC, FRAME_TOPIC))
         done = self._container.begun
         attached = {
             PART_FILE: None if part is None else part.to_dict(),  # first: it is looked for at the beginning of the file

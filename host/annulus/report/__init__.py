@@ -9,7 +9,9 @@ from annulus.report.bench import FRINGE, head_kind
 from annulus.report.pdf import Paper, check_pdf
 from annulus.report.plate import write_plate
 from annulus.report.results import FILES, prepare_folder, write
+from annulus.report.whole import keep_windows, write_whole, write_window
 
 __all__ = [
-    "FILES", "FRINGE", "Account", "Paper", "check_pdf", "head_kind", "prepare_folder", "write", "write_plate"
+    "FILES", "FRINGE", "Account", "Paper", "check_pdf", "head_kind", "keep_windows", "prepare_folder", "write",
+    "write_plate", "write_whole", "write_window",
 ]  # fmt: skip

@@ -33,7 +33,7 @@ FILES = (
 )  # fmt: skip
 WALL_FORMAT = "annulus-wall/1"
 NOT_SEEN_UM, UNKNOWN_UM = -32768, 65535  # of a deviation, of its sigma
-SUMMARY = "summary.json"
+SUMMARY, WALL = "summary.json", "wall.npz"
 DEPTH, PDF = "depth.npz", "report.pdf"  # of methods whose map is finer than the report's; where it is asked for
 
 
@@ -57,13 +57,13 @@ def write(
         _write_mesh(staging / "mesh.ply", survey, pictures.deviation_rgb)
         (staging / "unwrapped.png").write_bytes(pictures.unwrapped)
         (staging / "texture.png").write_bytes(pictures.texture)
-        _write_stations(staging / "stations.csv", survey.stations)
-        _write_wall(staging / "wall.npz", survey)
+        write_stations(staging / "stations.csv", survey.stations)
+        _write_wall(staging / WALL, survey)
         (staging / "centreline.json").write_text(json.dumps(centreline(survey), indent=1) + "\n", encoding="utf-8")
         if depth is not None:
             np.savez(staging / DEPTH, **dict[str, Any](depth))
         summary = summarize(survey, account, 1e3 * (time.perf_counter() - started))
-        page = render_page(survey, summary, pictures, **client.values(survey, account))
+        page = render_page(survey, summary, pictures, **client.values(survey, account), windows=[])
         write_page(staging, page, paper)
         text = json.dumps(summary, indent=1, ensure_ascii=False, allow_nan=False)
         (staging / SUMMARY).write_text(text + "\n", encoding="utf-8")
@@ -159,7 +159,8 @@ def _write_mesh(path: Path, survey: Survey, fallback: NDArray[np.uint8]) -> None
     )
 
 
-def _write_stations(path: Path, stations: Stations) -> None:
+def write_stations(path: Path, stations: Stations) -> None:
+    """stations.csv, one line a station; an empty field where nothing could be measured."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(

@@ -9,17 +9,19 @@ scan is decided before, and chunks are fixed. A scan under fringes has no profil
 """
 
 from annulus.reprocess.ahead import make_ready
-from annulus.reprocess.engine import Reprocessed, led_frames, measure, reprocess, stage_medians, survey_of
-from annulus.reprocess.executors import Executor, Processes, in_process
+from annulus.reprocess.engine import Reprocessed, led_frames, measure, reprocess, survey_of
+from annulus.reprocess.executors import Executor, Failed, Processes, Work, in_process
 from annulus.reprocess.fringe import reconstruct_fringe
 from annulus.reprocess.fringe_job import FringeJob, open_fringe
 from annulus.reprocess.fringe_pipe import FringePipeJob, MeasuredPipe, open_fringe_pipe, reconstruct_fringe_pipe
-from annulus.reprocess.job import Job, open_job
+from annulus.reprocess.job import Job, open_job, stage_medians
 from annulus.reprocess.method import Method, fringes_on, method_for, warm_up
 from annulus.reprocess.photographs import photographs
+from annulus.reprocess.whole import Surveyed, surveyed
 
 __all__ = [
     "Executor",
+    "Failed",
     "FringeJob",
     "FringePipeJob",
     "Job",
@@ -27,6 +29,8 @@ __all__ = [
     "Method",
     "Processes",
     "Reprocessed",
+    "Surveyed",
+    "Work",
     "fringes_on",
     "in_process",
     "led_frames",
@@ -42,5 +46,6 @@ __all__ = [
     "reprocess",
     "stage_medians",
     "survey_of",
+    "surveyed",
     "warm_up",
 ]  # fmt: skip

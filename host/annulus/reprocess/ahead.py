@@ -8,9 +8,13 @@ workers that start together would each compile the same.
 
 import contextlib
 import ctypes
+import fcntl
+import json
 import multiprocessing
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from multiprocessing.connection import Connection
@@ -23,7 +27,7 @@ from annulus.numeric import compiling
 from annulus.record.scan import ScanFrame
 from annulus.reprocess.method import method_for
 from annulus.reprocess.warmup import warmup_frame
-from annulus.vocabulary import Label
+from annulus.vocabulary import AnnulusError, Label
 from annulus.wall import survey
 from annulus.wall.profile import Profile
 from annulus.wall.texture import LedFrame
@@ -70,6 +74,28 @@ def make_ready(calibration: Calibration, say: Callable[[str], None], stop: Calla
         here.close()
 
 
+def make_ready_beside(calibration: Calibration) -> None:
+    """The same for a worker of a cluster, of which several may begin on one machine: one of them has it compiled, in a
+    program of its own, and the others wait.
+
+    A loop that was compiled in this very process may call what it uses as that was compiled by itself, not as it was
+    built into it: the last bit of a pose is then another. Loops that come from where they are kept are all the same.
+    Raises AnnulusError where they cannot be kept.
+    """
+    if not calibration.frame_by_frame:
+        return
+    kept = compiling.folder()
+    if kept is None:
+        raise AnnulusError(compiling.NOWHERE)
+    if is_ready(calibration):
+        return
+    with (kept / f"ahead-{work_of(calibration)}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not is_ready(calibration):
+            program = [sys.executable, "-c", "from annulus.reprocess.ahead import _beside; _beside()", str(os.getpid())]
+            subprocess.run(program, input=json.dumps(calibration.to_dict()), text=True, check=False)
+
+
 def compile_all(calibration: Calibration) -> None:
     """In this process: a drawn scan to its survey."""
     profiles = _drawn_scan(calibration)
@@ -103,3 +129,9 @@ def _in_a_child(calibration: Calibration, out: Connection, parent: int) -> None:
         os._exit(1)
     with compiling.telling(out.send), contextlib.suppress(Exception):  # what is wrong, the scan itself will say
         compile_all(calibration)
+
+
+def _beside() -> None:
+    ctypes.CDLL(None).prctl(1, signal.SIGKILL)
+    if os.getppid() == int(sys.argv[1]):
+        compile_all(Calibration.from_dict(json.load(sys.stdin)))

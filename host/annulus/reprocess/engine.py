@@ -3,20 +3,20 @@
 import contextlib
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
+from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import Image
 from annulus.record.walk import DamagedError
 from annulus.reprocess.bores import with_bores
-from annulus.reprocess.executors import Executor, in_process
-from annulus.reprocess.job import Job, Measured, open_job, turns_of
+from annulus.reprocess.executors import Executor, Failed, in_process
+from annulus.reprocess.job import Job, Measured, open_job, stage_medians, turns_of
 from annulus.reprocess.method import examined
 from annulus.reprocess.places import place_findings
-from annulus.rings.diagnosis import exposure_findings, reference_findings
+from annulus.reprocess.ranges import CHUNK
+from annulus.rings.diagnosis import Exposure, exposure_findings, reference_findings
 from annulus.stereo import CAMERA_MISSING, TWO_WALLS
 from annulus.vocabulary import AnnulusError, Finding, Label, first_few
 from annulus.wall import survey
@@ -29,8 +29,6 @@ Progress = Callable[[str, int, int], None]  # stage, done, total
 LOOKED_AT = 4  # frames examined for what may be wrong with all of them
 DAMAGED, MISSING, APART = "damaged", "camera-missing", "flashes-apart"  # kinds of finding
 APART_MOST = 0.25  # of the flashes: where more are not of one, their frames are paired wrongly
-CHUNK = 8  # consecutive frames one worker does in a row, each seeded by the one before; fixed, so that results
-# do not depend on the number of workers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,7 +59,7 @@ def survey_of(scan: str | Path, calibration: str | Path | None = None) -> Survey
 
     Raises AnnulusError, one line, for any input that is missing, damaged or does not belong together.
     """
-    return reprocess(open_job(Path(scan), None if calibration is None else Path(calibration))).survey()
+    return reprocess(open_job(scan, calibration)).survey()
 
 
 def reprocess(job: Job, executor: Executor = in_process, progress: Progress | None = None) -> Reprocessed:
@@ -70,11 +68,27 @@ def reprocess(job: Job, executor: Executor = in_process, progress: Progress | No
     progress : called with (stage, done, total). Raises AnnulusError, one line, where nothing can be measured.
     """
     started = time.perf_counter()
+    job, which, decided = decisions(job)
+    measured = measure(job, which, executor, progress)
+    profiles = tuple(profile for profile, _ in measured)
+    seen = Seen(
+        [(profile.frame, light) for profile, light in measured],
+        [profile.pose for profile in profiles if profile.pose is not None],
+        [profile.frame for profile in profiles if TWO_WALLS in profile.rejected],
+        sum(CAMERA_MISSING not in profile.rejected for profile in profiles),
+    )
+    findings, frames, drops = account(job, which, decided, seen)
+    timing = {**stage_medians(profiles), "scan_to_profiles": (time.perf_counter() - started) * 1e3}
+    return Reprocessed(job, profiles, findings, frames, drops, timing)
+
+
+def decisions(job: Job) -> tuple[Job, list[int], tuple[Finding, ...]]:
+    """What must be decided once for a scan, from a few of its frames: the job with it in it, the flashes to measure,
+    and what is wrong with all of them. Raises AnnulusError, one line, where nothing can be measured."""
     which = job.flashes(Label.PROJECTOR)
-    path = job.scan.path
     if not which:
         raise AnnulusError(
-            f"{path}: none of its {len(job.scan.frames)} frames is labelled projector, nothing to measure."
+            f"{job.scan.path}: none of its {len(job.scan.frames)} frames is labelled projector, nothing to measure."
         )
     spread = sorted({which[k * (len(which) - 1) // (LOOKED_AT - 1)] for k in range(LOOKED_AT)})
     looked_at = []
@@ -84,34 +98,50 @@ def reprocess(job: Job, executor: Executor = in_process, progress: Progress | No
     if not looked_at:
         job.read(which[0])  # says what is wrong
     colour, decided = examined(job.calibration, job.colour, looked_at)
-    job = replace(job, colour=colour)
-    measured = measure(job, which, executor, progress)
-    profiles = tuple(profile for profile, _ in measured)
-    damaged = damaged_frames(job, which, profiles)
+    return replace(job, colour=colour), which, decided
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What of a scan's profiles its account is made of. lights : (frame, light) of every frame that was read; poses :
+    of those that show a pipe; apart : frames whose cameras see two walls; pairs : flashes that all cameras saw;
+    left_out : frames nobody could measure, and why stands in a finding."""
+
+    lights: Sequence[tuple[int, Exposure]]
+    poses: Sequence[Pose]
+    apart: Sequence[int]
+    pairs: int
+    left_out: Sequence[int] = ()
+
+
+def account(
+    job: Job, which: Sequence[int], decided: Sequence[Finding], seen: Seen
+) -> tuple[tuple[Finding, ...], dict[str, int], dict[str, int]]:
+    """What is wrong with a scan's frames, how many there are by label, and what was lost, by kind.
+
+    Raises AnnulusError, one line, where nothing was measured and it is known why."""
+    damaged = damaged_frames(job, which, {*(frame for frame, _ in seen.lights), *seen.left_out})
     findings = [*decided]
     if job.calibration.kind == "slits":  # a bright line is a small part of a dark picture, and has no colour to lose
-        findings[:0] = exposure_findings([(profile.frame, exposure) for profile, exposure in measured])
+        findings[:0] = exposure_findings(seen.lights)
     findings += damage_findings(job, damaged)
-    if findings and all(profile.pose is None for profile in profiles):
-        raise AnnulusError(f"{path}: {findings[0].text}.")
+    if findings and not seen.poses:
+        raise AnnulusError(f"{job.scan.path}: {findings[0].text}.")
     findings += missing_findings(job, which)
-    findings += apart_findings(job, profiles)
+    findings += apart_findings(job, tuple(seen.apart), seen.pairs)
     findings += place_findings(job.scan.frames)
     if job.reference is not None:
-        poses = [profile.pose for profile in profiles if profile.pose is not None]
-        findings += reference_findings(job.reference, poses)
+        findings += reference_findings(job.reference, seen.poses)
     counted = Counter(frame.label for frame in job.scan.frames)
     drops = {
         **job.scan.lost(),
         "frames_unknown": counted[Label.UNKNOWN],
-        "profiles_without_pose": sum(profile.pose is None for profile in profiles),
+        "profiles_without_pose": len(seen.lights) - len(seen.poses),
     }
     if job.scan.recording is not None:
         drops["recording_torn"] = int(job.scan.recording.torn)
         drops["frames_damaged"] = len(damaged)
-    timing = {**stage_medians(profiles), "scan_to_profiles": (time.perf_counter() - started) * 1e3}
-    frames = {label.value: counted[label] for label in Label}
-    return Reprocessed(job, profiles, tuple(findings), frames, drops, timing)
+    return tuple(findings), {label.value: counted[label] for label in Label}, drops
 
 
 def measure(
@@ -123,6 +153,8 @@ def measure(
     report("frames", 0, len(which))
     done: dict[int, list[Measured]] = {}
     for number, measured in executor(job, chunks):
+        if isinstance(measured, Failed):
+            raise measured.raised()
         done[number] = measured
         report("frames", sum(map(len, done.values())), len(which))
     return [one for number in sorted(done) for one in done[number]]
@@ -145,13 +177,13 @@ def _intact(job: Job, which: Sequence[int]) -> Iterator[tuple[int, Image]]:
             yield i, job.read(i)
 
 
-def damaged_frames(job: Job, which: Sequence[int], profiles: Sequence[Profile]) -> tuple[int, ...]:
-    """Indices of the frames of a recording that are not what was written: projector frames that made no profile, and
-    LED frames whose checksum is wrong."""
+def damaged_frames(job: Job, which: Sequence[int], read: Set[int]) -> tuple[int, ...]:
+    """Indices of the frames of a recording that are not what was written: projector frames that were not read, and LED
+    frames whose checksum is wrong."""
     recording = job.scan.recording
     if recording is None:
         return ()
-    lost = {job.scan.frames[i].index for i in which} - {profile.frame for profile in profiles}
+    lost = {job.scan.frames[i].index for i in which} - read
     led = (i for i in job.which(Label.LED) if not recording.is_sound(recording.frames[i]))
     return tuple(sorted({*lost, *(job.scan.frames[i].index for i in led)}))
 
@@ -169,10 +201,8 @@ def missing_findings(job: Job, which: Sequence[int]) -> list[Finding]:
     return out
 
 
-def apart_findings(job: Job, profiles: Sequence[Profile]) -> list[Finding]:
+def apart_findings(job: Job, apart: tuple[int, ...], pairs: int) -> list[Finding]:
     """What is told of flashes left out because their cameras see two walls. Raises AnnulusError where most are."""
-    apart = tuple(profile.frame for profile in profiles if TWO_WALLS in profile.rejected)
-    pairs = sum(CAMERA_MISSING not in profile.rejected for profile in profiles)
     if not apart:
         return []
     text = (
@@ -197,16 +227,4 @@ def damage_findings(job: Job, damaged: Sequence[int]) -> list[Finding]:
         first = recording.damage[0]
         more = f", and {len(recording.damage) - 1} more" if len(recording.damage) > 1 else ""
         out.append(Finding(DAMAGED, f"the recording is damaged: at byte {first.offset} {first.text}{more}"))
-    return out
-
-
-def stage_medians(profiles: Sequence[Profile]) -> dict[str, float]:
-    """Median ms of every stage over the frames, and `total`: of their sum."""
-    stages = {name: None for profile in profiles for name in profile.timing_ms}
-    out = {
-        name: float(np.median([p.timing_ms[name] for p in profiles if name in p.timing_ms])) for name in stages
-    }  # fmt: skip
-    if "total" not in out:
-        sums = [sum(p.timing_ms.values()) for p in profiles if p.timing_ms]
-        out["total"] = float(np.median(sums)) if sums else 0.0
     return out

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -11,8 +10,9 @@ from annulus.geometry.calibration import Calibration
 from annulus.numeric.arrays import Image
 from annulus.record.calibration_file import load_calibration, load_part
 from annulus.record.scan import Scan, ScanFrame, open_scan
+from annulus.record.storage import Where, where
 from annulus.record.walk import DamagedError
-from annulus.reprocess.method import method_for
+from annulus.reprocess.method import Method, method_for
 from annulus.rings.calibration.reference import Reference
 from annulus.rings.colour import ColourProfile
 from annulus.rings.diagnosis import Exposure, diagnose
@@ -73,52 +73,72 @@ class Job:
             raise damage
         return out
 
-    def worker(self) -> Callable[[Sequence[int]], list[Measured]]:
-        """Does chunks of frame numbers; in a chunk every frame is seeded with the pose of the one before.
-
-        A frame of a recording that is damaged has no profile.
-        """
+    def ready(self) -> Callable[[Sequence[int]], list[Measured]]:
+        """Does chunks of frame numbers; see `measured`."""
         method = method_for(self.calibration, self.colour)
+        return lambda chunk: measured(self, method, chunk)
 
-        def work(chunk: Sequence[int]) -> list[Measured]:
-            out: list[Measured] = []
-            seed = None
-            for i in chunk:
-                try:
-                    images = self.read_flash(i)
-                except DamagedError:
-                    continue
-                profile = method(self.scan.frames[i], images, seed)
-                seed = profile.pose
-                out.append((profile, max(map(diagnose, images.values()), key=lambda light: light.lost)))
-            return out
 
-        return work
+def measured(job: Job, method: Method, chunk: Sequence[int]) -> list[Measured]:
+    """Profile and light of consecutive frames, each seeded with the pose of the one before.
+
+    A frame of a recording that is damaged has no profile.
+    """
+    out: list[Measured] = []
+    seed = None
+    job.scan.plan([j for i in chunk for j in job.scan.same_flash(i)])
+    for i in chunk:
+        try:
+            images = job.read_flash(i)
+        except DamagedError:
+            continue
+        profile = method(job.scan.frames[i], images, seed)
+        seed = profile.pose
+        out.append((profile, max(map(diagnose, images.values()), key=lambda light: light.lost)))
+    return out
+
+
+def stage_medians(profiles: Sequence[Profile]) -> dict[str, float]:
+    """Median ms of every stage over the frames, and `total`: of their sum."""
+    stages = {name: None for profile in profiles for name in profile.timing_ms}
+    out = {
+        name: float(np.median([p.timing_ms[name] for p in profiles if name in p.timing_ms])) for name in stages
+    }  # fmt: skip
+    if "total" not in out:
+        sums = [sum(p.timing_ms.values()) for p in profiles if p.timing_ms]
+        out["total"] = float(np.median(sums)) if sums else 0.0
+    return out
 
 
 def open_job(
-    scan: Path, calibration: Path | None = None, *, colour: Path | None = None, reference: Path | None = None
+    scan: Where | str,
+    calibration: Where | str | None = None,
+    *,
+    colour: Where | str | None = None,
+    reference: Where | str | None = None,
 ) -> Job:
-    """Open a scan folder or recording with the files of its calibration.
+    """Open a scan folder or recording with the files of its calibration: paths, or URLs of a store.
 
     calibration : a recording's own is used when None. colour, reference : files of `annulus calibrate colour` and
     `reference`. Raises AnnulusError, one line, for what is missing, damaged or does not belong together.
     """
-    opened = roll_filled(open_scan(scan))
-    known = load_calibration(calibration) if calibration is not None else opened.calibration
+    place = where(scan)
+    opened = roll_filled(open_scan(place))
+    known = load_calibration(where(calibration)) if calibration is not None else opened.calibration
     if known is None:
-        raise AnnulusError(f"{scan}: carries no calibration. Give the calibration file of its head.")
-    pattern = None if reference is None else load_part(reference, Reference.from_dict, "annulus calibrate reference")
+        raise AnnulusError(f"{place}: carries no calibration. Give the calibration file of its head.")
+    made_by = "annulus calibrate reference"
+    pattern = None if reference is None else load_part(where(reference), Reference.from_dict, made_by)
     if pattern is not None:
         try:
             known = pattern.applied(known)
         except ValueError as error:
             raise AnnulusError(f"{reference}: {error}. Make it with this calibration.") from None
-    paint = None if colour is None else load_part(colour, ColourProfile.from_dict, "annulus calibrate colour")
+    paint = None if colour is None else load_part(where(colour), ColourProfile.from_dict, "annulus calibrate colour")
     _belong_together(opened, known)
     if any(math.isnan(frame.z_mm) and frame.x_mm is not None for frame in opened.frames):
         raise AnnulusError(
-            f"{scan}: says x_mm, no z_mm: a scan of a plate. Expected the calibration of a head that projects fringes."
+            f"{place}: says x_mm, no z_mm: a scan of a plate. Expected the calibration of a head that projects fringes."
         )
     return Job(opened, known, paint, pattern)
 

@@ -18,9 +18,10 @@ from annulus.labelling.evidence import LABEL, Row
 from annulus.labelling.replay import PATIENCE_NS, Replay
 from annulus.record.codec import Codec
 from annulus.record.copy import clock_of, copy
+from annulus.record.frames import RecordedFrame
 from annulus.record.marks import read_marks
 from annulus.record.origin import job_told
-from annulus.record.recording import RecordedFrame, Recording, open_recording
+from annulus.record.recording import Recording, open_recording
 from annulus.stream.frames import FrameHeader
 from annulus.vocabulary import AnnulusError, Label
 
@@ -85,7 +86,7 @@ def identity(path: Path) -> dict[str, Any]:
     kept = Counter(_codec(frame).value for frame in recording.frames)
     assumed = [frame for frame in recording.frames if frame.z_bound_mm > 0.0]
     parts = recording.parts or (recording,)
-    size = sum(part.path.stat().st_size for part in parts)
+    size = recording.size
     times = [frame.timestamp_ns for frame in recording.frames]
     marks = read_marks(recording)
     return {

@@ -12,6 +12,10 @@ from zmq.utils import z85
 
 from annulus.vocabulary import AnnulusError
 
+HEARTBEAT_S = 2.0  # a client asks whether its daemon is there so often, ..
+UNANSWERED_S = 10.0  # .. and connects again after so long without a word: a machine that lost its power tells nobody
+CONNECT_S = 5.0  # for one try: the kernel would go on with the same for two minutes, ever more rarely
+
 
 @dataclass(frozen=True, slots=True)
 class Keys:
@@ -43,12 +47,15 @@ class ClientKeys:
 def connected(
     context: zmq.Context[zmq.Socket[bytes]], kind: int, address: str, keys: ClientKeys | None, carried_max: int
 ) -> zmq.Socket[bytes]:
-    """A client's socket; what is longer than `carried_max` bytes ends the connection. Raises AnnulusError when the
-    address is none.
+    """A client's socket; what is longer than `carried_max` bytes ends the connection, and so does a daemon that does
+    not answer: libzmq then connects again by itself. Raises AnnulusError when the address is none.
     """
     socket = context.socket(kind)
     socket.setsockopt(zmq.LINGER, 0)
     socket.setsockopt(zmq.MAXMSGSIZE, carried_max)
+    socket.setsockopt(zmq.HEARTBEAT_IVL, round(1000 * HEARTBEAT_S))
+    socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, round(1000 * UNANSWERED_S))
+    socket.setsockopt(zmq.CONNECT_TIMEOUT, round(1000 * CONNECT_S))
     if keys is not None:
         socket.curve_serverkey = keys.server.encode()
         socket.curve_publickey, socket.curve_secretkey = keys.public.encode(), keys.secret.encode()

@@ -89,14 +89,20 @@ class Detection:
     what a defect hides is part of it).
 
     undecided : places that stand out, large and looked at many times, but less surely than a defect must: no claim that
-    there is one, and none that there is not. unconfirmed : how many more only one look or a few speak for.
+    there is one, and none that there is not. unconfirmed_mm : where along the pipe are more that only one look or a few
+    speak for.
     """
 
     defects: tuple[Defect, ...]
     label: LabelArray
     limits: Limits
-    unconfirmed: int = 0
+    unconfirmed_mm: tuple[float, ...] = ()
     undecided: tuple[Defect, ...] = ()
+
+    @property
+    def unconfirmed(self) -> int:
+        """How many they are."""
+        return len(self.unconfirmed_mm)
 
 
 def find_defects(
@@ -164,7 +170,7 @@ def find_defects(
         elif area >= scale.mm(LARGE_OF_RADIUS) ** 2 and _looks(core, wall) >= LOOKS:
             undecided.append(defect)
         else:
-            unconfirmed += 1
+            unconfirmed.append(defect.z_mm)
     oval, unsure = _oval_stretches(wall, limits)
     found += [(defect, np.zeros(unseen.shape, dtype=bool)) for defect in oval]
     undecided = sorted([*undecided, *unsure], key=lambda one: (one.z_mm, one.clock_deg))
@@ -172,7 +178,7 @@ def find_defects(
     label = np.zeros(unseen.shape, dtype=np.int32)
     for i, (_, place) in enumerate(found):
         label[place] = i + 1
-    return Detection(tuple(defect for defect, _ in found), label, limits, unconfirmed, tuple(undecided))
+    return Detection(tuple(defect for defect, _ in found), label, limits, tuple(unconfirmed), tuple(undecided))
 
 
 def _is_groove(one: Defect, scale: Scale) -> bool:

@@ -4,6 +4,7 @@ Grid rows are stations along the pipe, columns are clock angles (0 = 12 o'clock,
 nobody saw is NaN, for ever: the only cells filled in lie between two measured ones no farther apart than the sampling.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -24,7 +25,7 @@ from annulus.wall.shape import fit_shape, harmonics, spread
 ANGLE_STEP_DEG = 1.0  # a column
 Z_STEPS_MM = (0.5, 1.0, 2.0, 2.5, 5.0, 10.0, 20.0, 50.0)  # what a row may be, the first that is dense enough
 POINTS_A_CELL = 1.5  # points wanted on average: fewer leave holes by chance, more waste resolution
-ROWS_MAX = 40_000  # rows; bounds memory on very long scans: 40 000 x 360 cells
+ROWS_MAX = 40_000  # rows of one grid, 40 000 x 360 cells: bounds memory where points lie far apart
 BRIDGE_OF_RADIUS = 0.08  # of the radius: longest sampling gap interpolated over (6 mm in a 6-inch pipe)
 STATION_SEEN = 0.5  # part of the circle seen where the scan starts and ends: tilted rings leave ragged ends
 BRIDGE_STEP_MM = 0.75  # a greater step in radius across a gap is an edge, not a sampling gap
@@ -187,19 +188,21 @@ def build_wall(
     used = [p for p in profiles if p.pose is not None and len(p.points_mm)]
     if not used:
         raise AnnulusError("no wall: not one of the frames gave a point. Do calibration and scan belong together?")
-    points = np.concatenate([p.points_mm for p in used]).astype(np.float64)
+    points = np.concatenate([p.points_mm for p in used])
     finite = np.isfinite(points).all(axis=1)
-    points = points[finite]
-    x, y, z = points.T
+    x, y, z = (points[finite, axis].astype(np.float64) for axis in range(3))
+    points_given = len(z)
     radius = np.hypot(x, y)
     clock = np.degrees(np.arctan2(x, -y)) % 360.0
+    del points, x, y  # on a window of two million points each array is what a worker has no room for
     low, high = np.percentile(z, [0.05, 99.95])  # a stray point far away must not stretch the grid
     span = float(high - low)
-    step = z_step_mm or _z_step(len(z), span)
+    step = z_step_mm or z_step_of(len(z), span, ROWS_MAX)
     columns = round(360.0 / ANGLE_STEP_DEG)
     first = int(np.floor(low / step))
     rows = int(np.floor(high / step)) - first + 1
     row = np.floor(z / step).astype(np.int64) - first
+    del z
     inside = (row >= 0) & (row < rows)
     radius, row = radius[inside], row[inside]
     cell = row * columns + np.minimum((clock[inside] / ANGLE_STEP_DEG).astype(np.int64), columns - 1)
@@ -231,7 +234,7 @@ def build_wall(
     if not len(ends):
         most = 360.0 * float(np.isfinite(grid).mean(axis=1).max())
         raise AnnulusError(
-            f"no wall: {len(points)} points are too few to make one station of the pipe; of none more than {most:.0f} "
+            f"no wall: {points_given} points are too few to make one station of the pipe; of none more than {most:.0f} "
             f"of 360 degrees was seen, expected {360 * STATION_SEEN:.0f}"
         )
     grid, count = grid[ends[0] : ends[-1] + 1], count[ends[0] : ends[-1] + 1]
@@ -276,10 +279,11 @@ def smooth(field: Float32Array, rows: int = 3) -> Float32Array:
     return np.where(np.isfinite(field), out, np.float32(np.nan))
 
 
-def _z_step(points: int, span_mm: float) -> float:
+def z_step_of(points: int, span_mm: float, rows_max: float = math.inf) -> float:
+    """Length of a row, mm, of a wall of so many points over so much of its length."""
     density = points / max(span_mm, 1.0) / (360.0 / ANGLE_STEP_DEG)
-    enough = [s for s in Z_STEPS_MM if s * density >= POINTS_A_CELL and span_mm / s <= ROWS_MAX]
-    return enough[0] if enough else max(5.0, span_mm / ROWS_MAX)
+    enough = [s for s in Z_STEPS_MM if s * density >= POINTS_A_CELL and span_mm / s <= rows_max]
+    return enough[0] if enough else max(5.0, span_mm / rows_max)
 
 
 def _sampling_gap(profiles: Sequence[Profile], step: float, radius: float) -> float:

@@ -89,8 +89,11 @@ class Scale:
         return of_radius * self.radius_mm
 
 
-def find_indications(wall: Wall, scale: Scale, features: BoolArray | None = None) -> tuple[list[Indication], int]:
-    """Every place that stands out of the pipe's shape, whole, and how many more only one observation speaks for.
+def find_indications(
+    wall: Wall, scale: Scale, features: BoolArray | None = None
+) -> tuple[list[Indication], list[float]]:
+    """Every place that stands out of the pipe's shape, whole, and where along it (mm) are more that only one
+    observation speaks for.
 
     Hysteresis: cores beyond the seed limit grow over the rim limit. What only lines the rim of a larger place is no
     indication of its own, and what no sound wall parts is one band. Cells of `features` (Z, A) are neither sound nor
@@ -104,14 +107,14 @@ def find_indications(wall: Wall, scale: Scale, features: BoolArray | None = None
         sure &= ~features
     sigma = np.hypot(wall.cell_noise_mm, np.nan_to_num(wall.sigma_mm))
     found: list[Indication] = []
-    unconfirmed = 0
+    unconfirmed: list[float] = []
     for kind, height in ((Kind.LOSS, residual), (Kind.BUMP, -residual)):
         height = np.where(wall.seen & sure, height, np.float32(-np.inf))
         for mask in _cells_of(height, ~wall.seen, seed, rim, scale):
             if _agreeing_observations(mask, kind, wall, rim) >= limits.observations:
                 found.append(Indication(kind, mask, height, wall.cell_noise_mm, sigma))
             else:
-                unconfirmed += 1
+                unconfirmed.append(float(wall.z_mm[mask.any(axis=1)].mean()))
     sound = wall.seen & sure & (np.abs(residual) < rim)
     return _across_gaps(_without_edges(found, wall.seen, scale), sound, scale), unconfirmed
 

@@ -25,17 +25,19 @@ WORTH_MM = 0.04  # what a correction must do to most of a frame's points; less i
 SHIFT_OF_RADIUS = 0.05  # of the radius; .. and so is one that wants a longer shift than this
 
 
-def register(profiles: Sequence[Profile], rounds: int = ROUNDS) -> tuple[Profile, ...]:
+def register(
+    profiles: Sequence[Profile], rounds: int = ROUNDS, *, z_step_mm: float | None = None
+) -> tuple[Profile, ...]:
     """The same profiles, every frame's pose corrected so that its points fit the shape of the pipe all frames share.
 
     Each round fits the pipe's shape (mean circle, centre, ovality along the pipe) to all points, then every frame's
     two shifts and two tilts to that shape with redescending weights, so that defects do not count. Points move rigidly
     with their frame. Profiles without a pose, or with too few points, come back unchanged. Raises AnnulusError when
-    there is no point at all.
+    there is no point at all. z_step_mm : of the wall's rows, as `build_wall` has it.
     """
     current = tuple(profiles)
     for _ in range(rounds):
-        wall = build_wall(current)
+        wall = build_wall(current, z_step_mm=z_step_mm)
         current = tuple(_aligned(profile, wall) for profile in current)
     return current
 

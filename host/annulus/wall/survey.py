@@ -73,6 +73,8 @@ class Survey:
     cameras: tuple[int, ...]
     light: str = "LED light"  # that `texture` shows the wall in
     lane: Lane | None = None  # of sectors that look through the wall
+    rings_lost: tuple[Finding, ...] = ()  # of the pattern
+    no_wall: BoolArray | None = None  # (Z, A) cells of openings, which no diameter has its ends in; None: none
 
     @property
     def defects(self) -> tuple[Defect, ...]:
@@ -88,7 +90,7 @@ class Survey:
     def findings(self) -> tuple[Finding, ...]:
         """Where too little was seen to say what shape the pipe has; which rings of the pattern were lost; what of the
         sensors was not believed."""
-        return *not_enough_seen(self.wall, self.features), *lost_rings(self.profiles), *self.disbelieved
+        return *not_enough_seen(self.wall, self.features), *self.rings_lost, *self.disbelieved
 
     @property
     def points(self) -> int:
@@ -193,6 +195,7 @@ def survey(
     turns: Turns = NO_TURNS,
     vibration: bool = False,
     fps: float | None = None,
+    z_step_mm: float | None = None,
 ) -> Survey:
     """Everything a scan's profiles say of the pipe. Opens no file and changes none of its arguments.
 
@@ -201,6 +204,7 @@ def survey(
     profiles : of the projector frames, any order. led_frames : for the colour; read once, one at a time.
     turns : how far the head turned since the frame before, as a gyroscope said; of every frame of the scan.
     vibration : take out what shakes periodically along the pipe; fps : frames a second, only to name it in hertz.
+    z_step_mm : length of the wall's rows; by the density of the points if not given.
 
     Raises
     ------
@@ -221,7 +225,7 @@ def survey(
     axis = find_axis(above, calibration.rings, turns)
     done("axis")
     # a chain's heads have been adjusted with it; on a straight pipe they follow its shape, too
-    aligned = register(above) if axis.adjusted is None else axis.profiles
+    aligned = register(above, z_step_mm=z_step_mm) if axis.adjusted is None else axis.profiles
     measured = without_inconsistent(aligned)
     done("alignment")
     shaken = None
@@ -230,13 +234,13 @@ def survey(
         done("vibration")
     measured = with_revised_sigma(measured, axis.centreline)
     done("sigma")
-    wall = build_wall(measured, rise=widest, centreline=axis.centreline)
+    wall = build_wall(measured, z_step_mm=z_step_mm, rise=widest, centreline=axis.centreline)
     done("wall")
     joints = find_joints(wall, measured, axis, 1.0 / rises)
     seen = without_hidden(measured, joints, 1.0 / widest)
     if any(a is not b for a, b in zip(seen, measured, strict=True)):
         measured = seen
-        wall = build_wall(measured, rise=widest, centreline=axis.centreline)
+        wall = build_wall(measured, z_step_mm=z_step_mm, rise=widest, centreline=axis.centreline)
     below = covered(levels, wall.clock_deg, wall.z_mm[:, None])
     openings, no_wall = find_openings(wall, aligned, calibration)
     explained = taken(wall, joints, 1.0 / narrowest) | below | no_wall
@@ -246,7 +250,7 @@ def survey(
         points=cache(lambda: Points.of(wall, measured, 1.0 / rises)),
     )  # fmt: skip
     done("defects")
-    stations = measure_stations(replace(wall, radius_mm=np.where(no_wall, np.float32(np.nan), wall.radius_mm)))
+    stations = stations_of(wall, no_wall)
     dark = shadowed(wall.radius_mm.astype(np.float64), wall.z_step_mm, narrowest)
     done("stations")
     texture = paint(wall, axis.centreline, calibration, measured, led_frames)
@@ -260,8 +264,15 @@ def survey(
     nominal = 2 * calibration.pipe_radius_mm
     return Survey(
         measured, wall, dark, detection, stations, texture, shaken, tuple(features), axis.centreline, axis.findings,
-        nominal, timing, tuple(one.id for one in calibration.cameras),
+        nominal, timing, tuple(one.id for one in calibration.cameras), rings_lost=lost_rings(measured), no_wall=no_wall,
     )  # fmt: skip
+
+
+def stations_of(wall: Wall, no_wall: BoolArray | None) -> Stations:
+    """The wall's, no diameter ending in an opening."""
+    if no_wall is None:
+        return measure_stations(wall)
+    return measure_stations(replace(wall, radius_mm=np.where(no_wall, np.float32(np.nan), wall.radius_mm)))
 
 
 def _over(of: Any, values: FloatArray) -> float:

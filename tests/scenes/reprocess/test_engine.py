@@ -57,7 +57,7 @@ def job(folder: Path) -> Job:
 def backwards(job: Job, chunks: Sequence[Sequence[int]]) -> Iterator[tuple[int, list[Measured]]]:
     """A cluster's way: chunks as they come, each on a machine of its own."""
     for number in reversed(range(len(chunks))):
-        yield number, job.worker()(chunks[number])
+        yield number, job.ready()(chunks[number])
 
 
 def same(one: Profile, other: Profile) -> bool:

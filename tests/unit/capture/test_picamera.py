@@ -70,9 +70,8 @@ def exposed(sensor: libcamera_stub.Sensor, frames: int) -> None:
     """One after the other, each once Picamera2 has passed the last one on."""
     for _ in range(frames):
         sensor.expose()
-        for _ in range(200):
-            if not sensor.ready:
-                break
+        end = time.monotonic() + 30.0
+        while sensor.ready and time.monotonic() < end:
             time.sleep(0.001)
         time.sleep(0.003)
 

@@ -56,11 +56,11 @@ def running(program: Program) -> Iterator[str]:
         yield "{}:{}".format(*listening.getsockname()[:2])
     finally:
         server.should_exit = True
-        thread.join(10.0)
+        thread.join(30.0)
         assert not thread.is_alive()
 
 
-def wait_for(what: Callable[[], object], seconds: float = 10.0) -> None:
+def wait_for(what: Callable[[], object], seconds: float = 30.0) -> None:
     end = time.monotonic() + seconds
     while not what():
         assert time.monotonic() < end, f"not within {seconds:g} s"

@@ -2,6 +2,7 @@
 
 import json
 import time
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -9,6 +10,7 @@ from browsing import ORIGIN, Browser
 from fake_daemon import FakeDaemon
 from starlette.websockets import WebSocketDisconnect
 
+from annulus.console import gate, web
 from annulus.console.gate import FILES_POLICY, POLICY
 
 PATHS = [
@@ -144,9 +146,20 @@ def test_a_large_request_is_not_taken_in(console: Browser, head: FakeDaemon) -> 
     assert did(head) == []
 
 
-def test_who_asks_too_often_is_told_so(console: Browser, head: FakeDaemon) -> None:
-    answers = [console.post("/api/arm").status_code for _ in range(100)]
-    assert answers[0] == 200 and answers[-1] == 429 and 35 <= answers.count(200) <= 60
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """What the routes take for the time, s: it stands still."""
+    now = [time.monotonic()]
+    for room in (gate, web):
+        monkeypatch.setattr(room, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    return now
+
+
+def test_who_asks_too_often_is_told_so(console: Browser, head: FakeDaemon, clock: list[float]) -> None:
+    clock[0] += 10.0
+    assert [console.post("/api/arm").status_code for _ in range(60)] == [200] * 40 + [429] * 20
+    clock[0] += 0.501
+    assert [console.post("/api/arm").status_code for _ in range(20)] == [200] * 10 + [429] * 10
     assert did(head) == []
 
 
@@ -205,13 +218,13 @@ def test_a_viewer_that_says_too_much_is_shown_out(console: Browser) -> None:
 
 def closed(socket: Any) -> int:
     """What the connection was ended with."""
-    end = time.monotonic() + 5.0
+    end = time.monotonic() + 30.0
     while time.monotonic() < end:
         try:
             socket.receive_bytes()
         except WebSocketDisconnect as ended:
             return ended.code
-    raise AssertionError("not within 5 s")
+    raise AssertionError("not within 30 s")
 
 
 def test_a_photograph_is_a_jpeg_or_nothing(console: Browser, head: FakeDaemon) -> None:
@@ -255,10 +268,10 @@ def test_who_logs_in_is_let_in_with_another_cookie_and_who_logs_out_is_not(locke
     error_of(browser.do("state"), 401)
 
 
-def test_a_password_is_not_guessed_by_trying(locked: tuple[Browser, str]) -> None:
+def test_a_password_is_not_guessed_by_trying(locked: tuple[Browser, str], clock: list[float]) -> None:
     browser, word = locked
     answers = [browser.post("/api/login", {"password": f"guess-{number}"}).status_code for number in range(10)]
-    assert answers[:5] == [401] * 5 and answers[6:] == [429] * 4
+    assert answers == [401] * 5 + [429] * 5
     assert browser.post("/api/login", {"password": word}).status_code == 429  # nor by the right one, for a while
 
 

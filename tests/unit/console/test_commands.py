@@ -22,7 +22,7 @@ from annulus.stream.access import ClientKeys
 ME, OTHER = {"id": "me", "name": "J. Doe"}, {"id": "other", "name": "A. N. Other"}
 
 
-def ask(head: FakeDaemon, request: Mapping[str, Any], timeout_s: float = 2.0) -> Mapping[str, Any]:
+def ask(head: FakeDaemon, request: Mapping[str, Any], timeout_s: float = 30.0) -> Mapping[str, Any]:
     commands = Commands(zmq.Context.instance(), head.control)
     try:
         return asyncio.run(commands.ask(request, timeout_s))
@@ -37,12 +37,15 @@ def test_an_answer_is_the_daemons(head: FakeDaemon) -> None:
     assert refused.value.status == 409
 
 
-def test_a_daemon_that_says_nothing_is_no_daemon(head: FakeDaemon) -> None:
+def test_a_daemon_that_says_nothing_is_no_daemon(head: FakeDaemon, stalls: Any) -> None:
     head.silent = True
     begun = time.monotonic()
     with pytest.raises(Refusal, match=r"no answer from the daemon within 0\.2 s") as refused:
         ask(head, {"do": "state"}, 0.2)
-    assert refused.value.status == 504 and time.monotonic() - begun < 2.0
+    took_s = time.monotonic() - begun
+    assert refused.value.status == 504
+    if stalls.since(begun) < 0.1:
+        assert took_s < 2.0
 
 
 def test_an_answer_that_comes_late_is_nobodys(head: FakeDaemon) -> None:
@@ -54,7 +57,7 @@ def test_an_answer_that_comes_late_is_nobodys(head: FakeDaemon) -> None:
         with pytest.raises(Refusal):
             await commands.ask({"do": "about"}, 0.1)
         head.silent = False
-        return await commands.ask({"do": "state"}, 5.0)
+        return await commands.ask({"do": "state"}, 30.0)
 
     assert "about" not in asyncio.run(both())
     commands.close()
@@ -102,7 +105,7 @@ def test_a_daemon_elsewhere_is_spoken_to_with_keys(tmp_path: Path) -> None:
         commands = Commands(context, address, keys)
 
         async def go() -> Mapping[str, Any]:
-            asked = asyncio.create_task(commands.ask({"do": "state"}, 5.0))
+            asked = asyncio.create_task(commands.ask({"do": "state"}, 30.0))
             who, _ = await asyncio.to_thread(router.recv_multipart)
             router.send_multipart([who, b"\x81\xa2ok\xc3"])
             return await asked
@@ -189,15 +192,16 @@ def test_a_page_that_sleeps_lets_its_command_go(quick: None, console: Browser, h
             if topic == "alive":
                 said = dict(body)
                 page.send_text('{"here": true}')
-        for _ in range(20):
-            if renewals() < 3:
-                page.send_text('{"here": true}')
-                time.sleep(0.15)
-        assert renewals() >= 3
-        time.sleep(0.5)  # its browser is suspended: the connection stands, and says nothing
-        before = renewals()
-        time.sleep(0.3)
-        assert renewals() == before
+        end = time.monotonic() + 30.0
+        while renewals() < 3:
+            assert time.monotonic() < end
+            page.send_text('{"here": true}')
+            time.sleep(0.15)
+        before = -1
+        while renewals() != before:  # its browser is suspended: the connection stands, and says nothing
+            assert time.monotonic() < end + 30.0
+            before = renewals()
+            time.sleep(1.0)
 
 
 def test_of_two_operators_the_other_is_told_who(console: Browser, program: Program, head: FakeDaemon) -> None:

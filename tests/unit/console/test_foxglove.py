@@ -32,7 +32,7 @@ def viewer(server: Foxglove) -> ClientConnection:
 def channels(page: ClientConnection, least: int) -> dict[str, int]:
     found: dict[str, int] = {}
     while len(found) < least:
-        said = page.recv(5.0)
+        said = page.recv(30.0)
         if isinstance(said, str) and (told := json.loads(said))["op"] == "advertise":
             found |= {one["topic"]: one["id"] for one in told["channels"]}
     return found
@@ -40,7 +40,7 @@ def channels(page: ClientConnection, least: int) -> dict[str, int]:
 
 def message(page: ClientConnection) -> tuple[int, bytes]:
     while True:
-        said = page.recv(5.0)
+        said = page.recv(30.0)
         if isinstance(said, bytes) and said[0] == 1:
             return struct.unpack_from("<I", said, 1)[0], said[13:]
 
@@ -68,7 +68,7 @@ def test_pictures_are_asked_for_while_a_viewer_looks_and_points_come_as_a_cloud(
 
 def test_it_takes_no_commands(server: Foxglove) -> None:
     with viewer(server) as page:
-        told = json.loads(page.recv(5.0))
+        told = json.loads(page.recv(30.0))
         assert told["op"] == "serverInfo" and told.get("capabilities", []) == []
 
 

@@ -1,6 +1,7 @@
 """What is known of the head now: passed on, kept for who comes later, begun anew where it must be."""
 
 import struct
+from types import SimpleNamespace
 from typing import Any
 
 import msgpack
@@ -12,7 +13,7 @@ from fake_daemon import RADIUS_MM, profile, wall_rows
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from annulus.console import wire
+from annulus.console import feed, wire
 from annulus.console.feed import Feed
 from annulus.console.hub import Hub, Viewer
 from annulus.console.live import POINTS_MAX, Live
@@ -173,6 +174,27 @@ def test_a_daemon_that_began_again_is_begun_anew(head: Head) -> None:
     head.say("profile", profile(1, 0.0), n=0)
     assert head.feed.lost == {}
     assert {status(one)[0] for one in taken(head.viewer()) if one[0] == wire.STATUS} == {"telemetry"}
+
+
+def test_points_of_a_scan_that_nobody_named_do_not_outlast_a_silence(
+    head: Head, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another daemon's telemetry made them its own, where the first had gone before it said which scan it was."""
+    now = [100.0]
+    monkeypatch.setattr(feed, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    head.say("profile", profile(1, 0.0))
+    now[0] += feed.LOST_S - 0.1
+    head.say("state", {"state": "scanning", "why": ""})
+    viewer = head.viewer()
+    shown = taken(viewer)
+    assert cloud_of(shown) > 1000
+    now[0] += feed.LOST_S + 0.1
+    head.say("telemetry", {"scan": 9, "state": "idle"}, n=1)
+    assert cloud_of(shown + taken(viewer)) == 0 == cloud_of(taken(head.viewer()))
+    head.say("profile", profile(1, 0.0))
+    now[0] += feed.LOST_S + 0.1
+    head.say("telemetry", {"scan": 9, "state": "scanning"})  # the same, after all
+    assert cloud_of(taken(head.viewer())) > 1000
 
 
 def test_what_was_missed_is_counted_by_topic(head: Head) -> None:

@@ -16,12 +16,16 @@ from websockets.sync.client import ClientConnection, connect
 
 from annulus.console import program as program_module
 from annulus.console import wire
+from annulus.console.feed import LOST_S
 from annulus.console.hub import BACKLOG_MAX
 from annulus.console.program import Daemon, Door, Program
 from annulus.console.serving import CONNECTIONS_MAX
 from annulus.vocabulary import AnnulusError
 
 pytestmark = [pytest.mark.slow, pytest.mark.system]
+
+PATIENCE_S = 30.0  # for what will come, however little of the machine we get
+STALL_S = 0.1  # a machine that stood still for longer keeps no promise in seconds
 
 
 @pytest.fixture
@@ -38,17 +42,25 @@ def served(scanning: FakeDaemon) -> Iterator[tuple[str, Program]]:
 
 
 def viewer(address: str, **more: Any) -> ClientConnection:
-    return connect(f"ws://{address}/ws", origin=f"http://{address}", compression=None, max_size=None, **more)  # type: ignore[arg-type]
+    return connect(
+        f"ws://{address}/ws",
+        origin=f"http://{address}",
+        compression=None,
+        max_size=None,
+        open_timeout=PATIENCE_S,
+        **more,
+    )  # type: ignore[arg-type]
 
 
 def raw(address: str) -> socket.socket:
     host, port = address.split(":")
-    return socket.create_connection((host, int(port)), timeout=10.0)
+    return socket.create_connection((host, int(port)), timeout=PATIENCE_S)
 
 
-def answer_to(address: str, request: bytes) -> bytes:
+def answer_to(address: str, request: bytes, seconds: float = PATIENCE_S) -> bytes:
+    """Until the connection is closed, or nothing came for so long."""
     with raw(address) as line:
-        line.settimeout(2.0)
+        line.settimeout(seconds)
         line.sendall(request)
         data = b""
         with contextlib.suppress(TimeoutError, ConnectionResetError):
@@ -61,25 +73,28 @@ def is_up(address: str) -> bool:
     return b"200 OK" in answer_to(address, f"GET / HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n".encode())
 
 
-def test_pictures_and_points_come_at_once(served: tuple[str, Program]) -> None:
+def test_pictures_and_points_come_at_once(served: tuple[str, Program], stalls: Any) -> None:
     address, _ = served
     late, frames = [], []
     with viewer(address) as page:
-        end = time.monotonic() + 3.0
-        while time.monotonic() < end:
-            message = page.recv(5.0)
+        begun = time.monotonic()
+        end = begun + 2 * PATIENCE_S
+        while time.monotonic() < end and not (len(late) > 60 and len(frames) > 48):
+            message = page.recv(PATIENCE_S)
             assert isinstance(message, bytes)
             if message[0] == wire.PICTURE:
                 late.append(1e3 * (time.time() - struct.unpack_from("<d", message, 12)[0]))
             elif message[0] == wire.POINTS and not message[1]:
                 frames.append(struct.unpack_from("<I", message, 4)[0])
-    assert len(late) > 60
-    assert sorted(late)[len(late) // 2] < 5.0  # ms; 0.8 are measured
-    assert len(frames) > 48 and frames == [f for f in range(frames[0], frames[-1] + 1) if f % 5 != 4]  # none is missing
+    assert len(late) > 60 and len(frames) > 48
+    if stalls.since(begun) < STALL_S:
+        assert time.monotonic() - begun < 4.0
+        assert sorted(late)[len(late) // 2] < 5.0  # ms; 0.8 are measured
+    assert frames == [f for f in range(frames[0], frames[-1] + 1) if f % 5 != 4]  # none is missing
 
 
 def test_one_that_never_reads_is_cut_off_and_costs_the_others_nothing(
-    served: tuple[str, Program], monkeypatch: pytest.MonkeyPatch
+    served: tuple[str, Program], monkeypatch: pytest.MonkeyPatch, stalls: Any
 ) -> None:
     monkeypatch.setattr(program_module, "STUCK_S", 2.0)
     address, program = served
@@ -91,15 +106,17 @@ def test_one_that_never_reads_is_cut_off_and_costs_the_others_nothing(
             "Sec-WebSocket-Version: 13\r\n\r\n".encode()
         )
         wait_for(lambda: len(program.hub.viewers) == 2)
-        pictures, most, end = 0, 0, time.monotonic() + 15.0
-        begun = time.monotonic()
+        pictures, most, begun = 0, 0, time.monotonic()
+        end = begun + 2 * PATIENCE_S
         while time.monotonic() < end and len(program.hub.viewers) == 2:
-            message = page.recv(5.0)
+            message = page.recv(PATIENCE_S)
             pictures += message[:1] == bytes([wire.PICTURE])
             most = max(most, *(one.backlog for one in program.hub.viewers))
         seconds = time.monotonic() - begun
     assert len(program.hub.viewers) < 2 and most <= BACKLOG_MAX
-    assert pictures > 20 * seconds
+    assert pictures
+    if stalls.since(begun) < STALL_S:
+        assert pictures > 20 * seconds
 
 
 def test_a_slow_one_is_told_what_it_missed_and_the_cloud_anew(
@@ -108,12 +125,12 @@ def test_a_slow_one_is_told_what_it_missed_and_the_cloud_anew(
     from annulus.console import hub
 
     monkeypatch.setattr(hub, "BACKLOG_MAX", 200_000)
-    address, _ = served
+    address, program = served
     with viewer(address, max_queue=1) as page:
-        time.sleep(4.0)  # it reads nothing for so long
-        end, dropped, anew = time.monotonic() + 6.0, 0, 0
+        wait_for(lambda: any(one.dropped for one in program.hub.viewers))  # it reads nothing for so long
+        end, dropped, anew = time.monotonic() + PATIENCE_S, 0, 0
         while time.monotonic() < end and not (dropped and anew > 1):
-            message = page.recv(5.0)
+            message = page.recv(PATIENCE_S)
             assert isinstance(message, bytes)
             if message[0] == wire.STATUS and status(message)[0] == "alive":
                 dropped = status(message)[1]["you"]["dropped"]
@@ -121,27 +138,33 @@ def test_a_slow_one_is_told_what_it_missed_and_the_cloud_anew(
     assert dropped > 0 and anew > 1
 
 
-def test_a_thousand_connections_are_bounded_and_the_page_is_there_after(served: tuple[str, Program]) -> None:
+def is_open(line: socket.socket) -> bool:
+    line.settimeout(0.001)
+    try:
+        return line.recv(1) != b""
+    except TimeoutError:
+        return True
+    except OSError:
+        return False
+
+
+def test_a_thousand_connections_are_bounded_and_the_page_is_there_after(
+    served: tuple[str, Program], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from annulus.console import serving
+
+    monkeypatch.setattr(serving, "REQUEST_S", 300.0)  # none of them is closed because it says nothing
     address, program = served
     with viewer(address) as page:
-        lines = []
         with contextlib.ExitStack() as stack:
+            lines = []
             for _ in range(1000):
                 with contextlib.suppress(OSError):
                     lines.append(stack.enter_context(raw(address)))
-            open_now = 0
-            for line in lines:
-                line.settimeout(0.001)
-                try:
-                    open_now += line.recv(1) != b""
-                except TimeoutError:
-                    open_now += 1
-                except OSError:
-                    pass
-            assert open_now <= CONNECTIONS_MAX
-            assert page.recv(2.0)
+            wait_for(lambda: sum(map(is_open, lines)) <= CONNECTIONS_MAX)
+            assert page.recv(PATIENCE_S)
         wait_for(lambda: is_up(address))
-        assert program.live.alive()["daemon"]
+        wait_for(lambda: program.live.alive()["daemon"])
 
 
 def test_so_many_pages_and_no_more(served: tuple[str, Program]) -> None:
@@ -163,7 +186,7 @@ def test_a_message_of_over_512_bytes_ends_the_connection(served: tuple[str, Prog
         page.send("[" + " " * 600 + "]")
         with pytest.raises(ConnectionClosed) as closed:
             while True:
-                page.recv(5.0)
+                page.recv(PATIENCE_S)
         assert closed.value.rcvd is not None and closed.value.rcvd.code == 1009
 
 
@@ -179,7 +202,7 @@ BYTES = [
 def test_bytes_that_are_no_request_are_refused(served: tuple[str, Program]) -> None:
     address, _ = served
     for sent in BYTES:
-        answer = answer_to(address, sent)
+        answer = answer_to(address, sent, 2.0)  # to some of them it waits for more
         assert answer == b"" or answer.split(b" ")[1] in (b"400", b"403", b"401", b"404", b"431"), sent[:40]
     assert is_up(address)
 
@@ -219,7 +242,7 @@ def test_nobody_looks_and_the_daemon_makes_no_pictures(served: tuple[str, Progra
 
 def alive(page: ClientConnection) -> dict[str, Any]:
     while True:
-        message = page.recv(5.0)
+        message = page.recv(PATIENCE_S)
         assert isinstance(message, bytes)
         if message[0] == wire.STATUS:
             topic, body = status(message)
@@ -228,35 +251,40 @@ def alive(page: ClientConnection) -> dict[str, Any]:
 
 
 def test_a_daemon_that_hangs_is_lost_within_two_seconds_and_found_again(
-    served: tuple[str, Program], scanning: FakeDaemon
+    served: tuple[str, Program], scanning: FakeDaemon, stalls: Any
 ) -> None:
     address, _ = served
     with viewer(address) as page:
         while not alive(page)["daemon"]:
             pass
         scanning.silent, begun = True, time.monotonic()
-        while alive(page)["daemon"]:
-            pass
-        assert 1.4 < time.monotonic() - begun < 2.2
+        while (told := alive(page))["daemon"]:
+            assert told["age_s"] <= LOST_S
+        assert told["age_s"] > LOST_S
+        if stalls.since(begun) < STALL_S:
+            assert 1.4 < time.monotonic() - begun < 2.2
         scanning.silent, begun = False, time.monotonic()
         while not alive(page)["daemon"]:
             pass
-        assert time.monotonic() - begun < 1.5
+        if stalls.since(begun) < STALL_S:
+            assert time.monotonic() - begun < 1.5
 
 
 def test_a_daemon_that_goes_and_comes_back_is_another(served: tuple[str, Program], scanning: FakeDaemon) -> None:
+    """Whatever was heard of the first: also when it had no time to say which scan it was."""
     address, program = served
     where = f"{scanning.publish},{scanning.control}"
     with viewer(address) as page:
         wait_for(lambda: len(program.live._cloud) > 2000)
         scanning.__exit__()
+        wait_for(lambda: not program.live.alive()["daemon"])
         while alive(page)["daemon"]:
             pass
         with FakeDaemon(scan=99, address=where):
             while not alive(page)["daemon"]:
                 pass
             wait_for(lambda: len(program.live._cloud) == 0)
-            scanning._ended.set()
+            wait_for(lambda: program.live._scan == 99)
 
 
 def test_an_address_that_is_taken_is_said_in_a_line(served: tuple[str, Program]) -> None:

@@ -124,7 +124,7 @@ def by_name(client: TestClient, name: str) -> dict[str, Any]:
 
 
 def settled(client: TestClient, number: str, state: str) -> dict[str, Any]:
-    end = time.monotonic() + 10.0
+    end = time.monotonic() + 30.0
     while time.monotonic() < end:
         job = next(one for one in client.get("/api/surveys").json()["jobs"] if one["id"] == number)
         if job["state"] == state:

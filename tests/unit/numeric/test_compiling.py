@@ -88,6 +88,25 @@ def test_the_note_holds_for_this_source_and_goes_with_it(tmp_path: Path, monkeyp
     assert len(list(tmp_path.glob("ahead-line-1.*"))) == 1
 
 
+def test_the_note_goes_by_the_processor_that_is_compiled_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An image is compiled once, for one kind of processor, and its note holds on whatever machine it runs."""
+    from llvmlite import binding
+    from numba import config
+
+    def state() -> str:
+        return compiling._state.__wrapped__()
+
+    here = state()
+    monkeypatch.setattr(config, "CPU_NAME", "x86-64-v3")
+    monkeypatch.setattr(config, "CPU_FEATURES", "+avx2,+fma")
+    image = state()
+    monkeypatch.setattr(binding, "get_host_cpu_name", lambda: "another")
+    assert state() == image != here
+    monkeypatch.setattr(config, "CPU_NAME", None)
+    monkeypatch.setattr(config, "CPU_FEATURES", None)
+    assert state() not in (image, here)
+
+
 def test_where_nothing_can_be_kept_nothing_is_ready(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compiling, "folder", lambda: None)
     compiling.is_now_ready("slits-1")

@@ -26,7 +26,8 @@ from mcap_protobuf.decoder import DecoderFactory
 from annulus.cli import main
 from annulus.record.clock import Clock
 from annulus.record.codec import Codec, to_bgr
-from annulus.record.recording import from_json, open_recording, to_json
+from annulus.record.frames import from_json, to_json
+from annulus.record.recording import open_recording
 from annulus.record.scan import open_scan
 from annulus.record.viewers import preview
 from annulus.record.writer import RecordingWriter

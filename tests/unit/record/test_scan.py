@@ -146,7 +146,7 @@ def test_an_unreadable_folder_is_one_clear_line(folder: Path, monkeypatch: pytes
     def refuse(*_args: object, **_named: object) -> None:
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr("annulus.record.scan.read_file", refuse)
+    monkeypatch.setattr("annulus.record.scan.read_whole", refuse)
     with pytest.raises(AnnulusError, match="Permission denied"):
         open_scan(folder)
 

@@ -52,7 +52,16 @@ def served(scope: Scope, volts: float | None = 0.1) -> Iterator[str]:
 
 
 def opened(resource: str) -> ScopeDigitizer:
-    return ScopeDigitizer(resource, settle_s=0.0, answer_s=0.25)
+    return ScopeDigitizer(resource, settle_s=0.0, answer_s=30.0)
+
+
+@contextlib.contextmanager
+def impatient(scope: ScopeDigitizer) -> Iterator[None]:
+    """While an answer is asked for that will not come."""
+    scope._answer_s, scope._session.timeout = 0.25, 250
+    yield
+    scope._answer_s = 30.0  # .. of the session that `recover` opens
+    scope._session.timeout = 30_000
 
 
 def test_volts_rate_and_time_are_those_of_the_signal() -> None:
@@ -96,7 +105,10 @@ def test_triggers_that_never_come_are_one_clear_line_and_it_can_be_used_again() 
     with served(Scope({0: "deaf"})) as resource, opened(resource) as scope:
         scope.configure(WANTED)
         scope.arm()
-        with pytest.raises(TriggerLostError, match=r"waits for a trigger 0\.25 s after the last of 4 was sent"):
+        with (
+            impatient(scope),
+            pytest.raises(TriggerLostError, match=r"waits for a trigger 0\.25 s after the last of 4 was sent"),
+        ):
             scope.read()
         scope.recover()
         scope.arm()
@@ -117,7 +129,7 @@ def test_a_scope_that_misbehaves_is_one_line_and_comes_back(fault: str, error: t
     with served(Scope({0: fault})) as resource, opened(resource) as scope:
         scope.configure(WANTED)
         scope.arm()
-        with pytest.raises(error, match=says) as raised:
+        with impatient(scope), pytest.raises(error, match=says) as raised:
             scope.read()
         assert "\n" not in str(raised.value)
         scope.recover()

@@ -12,7 +12,8 @@ import numpy as np
 import zstandard
 
 from annulus.record.codec import Codec
-from annulus.record.recording import FRAME_TOPIC, LABEL_TOPIC, open_recording
+from annulus.record.frames import FRAME_TOPIC, LABEL_TOPIC
+from annulus.record.recording import open_recording
 from annulus.record.scan import open_scan
 from annulus.record.writer import RecordingWriter
 from annulus.vocabulary import AnnulusError

@@ -38,6 +38,7 @@ from annulus.tai.decode import load_template
 from annulus.tai.design import load_transducer
 from annulus.testing.scripted import ScriptedController
 from annulus.vocabulary import AnnulusError
+from tools.bench.fuzz.catalogue_files import catalogue_case, catalogue_read
 from tools.bench.fuzz.found import Silent
 from tools.bench.fuzz.joint_files import joint_case, joint_read
 from tools.bench.fuzz.mutate import HOSTILE, UNWRITABLE, as_json, of_bytes, of_rows, of_toml, of_values
@@ -395,4 +396,5 @@ TARGETS: dict[str, Target] = {
     "acoustic": Target(_acoustic_case, _acoustic_read),
     "transducer": Target(_transducer_case, _transducer_read),
     "joint": Target(joint_case, joint_read),
+    "catalogue": Target(catalogue_case, catalogue_read),
 }

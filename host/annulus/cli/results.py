@@ -1,0 +1,110 @@
+"""From what a scan says to result files, for every command that makes them: of a short scan at once, of a long one
+window by window."""
+
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from annulus.job import Origin
+from annulus.record.storage import Place
+from annulus.report import Account, head_kind, keep_windows, write, write_whole, write_window
+from annulus.report.whole import WINDOWS, window_folder
+from annulus.reprocess import Job, photographs
+from annulus.wall.conformity import Criteria, judge
+from annulus.wall.joined import Joined
+from annulus.wall.sections import worth_showing
+from annulus.wall.survey import Survey
+
+if TYPE_CHECKING:
+    from annulus.report import Paper
+    from annulus.reprocess import Surveyed
+
+SUMMARY = "summary.json"
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """What a report is told beside the survey. source : what was scanned, for people. limits : of a verdict."""
+
+    source: str
+    origin: Origin
+    limits: Criteria | None = None
+
+    def account(self, job: Job, survey: Survey, **counted: Any) -> Account:
+        """counted : what of an Account is the scan's own."""
+        verdict = None if self.limits is None else judge(survey, self.limits)
+        shown = worth_showing(survey.defects, first=verdict.foremost if verdict else ())
+        pictures = () if isinstance(survey, Joined) else photographs(job, survey, shown)  # its windows have them
+        return Account(
+            self.source, origin=self.origin, verdict=verdict, photographs=pictures, method=head_kind(job.calibration),
+            covariance_stated=job.calibration.covariance is not None, **counted,
+        )  # fmt: skip
+
+    def within(self, first_mm: float, last_mm: float) -> "Told":
+        """The same of a stretch: what an operator marked elsewhere is left out."""
+        marked = tuple(one for one in self.origin.observations if first_mm <= one.z_mm < last_mm)
+        return replace(self, origin=replace(self.origin, observations=marked))
+
+
+@dataclass(frozen=True, slots=True)
+class WindowFiles:
+    """Writes windows' results below a place, wherever the worker is."""
+
+    told: Told
+    place: Place
+
+    def __call__(self, number: int, survey: Survey, job: Job) -> None:
+        first, last, *_ = survey.wall.extent
+        nothing: Mapping[str, Any] = {}
+        account = self.told.within(first, last).account(
+            job, survey, frames=job.scan.counts(), drops=nothing, timing_ms=nothing
+        )
+        if self.place.local is not None:
+            write_window(survey, account, self.place.local, number)
+            return
+        self.place.remove(SUMMARY)
+        with tempfile.TemporaryDirectory(prefix="annulus-") as made:
+            write_window(survey, account, Path(made), number)
+            _upload(Path(made), self.place)
+
+
+def write_results(done: "Surveyed", told: Told, place: Place, paper: "Paper | None" = None) -> dict[str, Any]:
+    """All result files of a scan; of its windows there are some already. Returns what summary.json says."""
+    if place.local is not None:
+        return _written(done, told, place.local, paper)
+    with tempfile.TemporaryDirectory(prefix="annulus-") as made:
+        folder = Path(made)
+        for number in done.windows:
+            own = window_folder(folder, number)
+            own.mkdir(parents=True)
+            for name in (SUMMARY, "wall.npz"):
+                (own / name).write_bytes(place.read(f"{WINDOWS}/{own.name}/{name}") or b"")
+        summary = _written(done, told, folder, paper)
+        kept = {window_folder(folder, number).name for number in done.windows}
+        for name in place.names(f"{WINDOWS}/"):
+            if name.split("/")[1] not in kept:
+                place.remove(name)
+        _upload(folder, place, leave_out=WINDOWS)
+    return summary
+
+
+def _written(done: "Surveyed", told: Told, out: Path, paper: "Paper | None") -> dict[str, Any]:
+    account = told.account(
+        done.job, done.survey, frames=done.frames, drops=done.drops, timing_ms=done.timing_ms, findings=done.findings
+    )
+    if isinstance(done.survey, Joined):
+        return write_whole(done.survey, account, out, done.windows, paper=paper)
+    summary = write(done.survey, account, out, paper=paper)
+    keep_windows(out)
+    return summary
+
+
+def _upload(folder: Path, place: Place, leave_out: str = "") -> None:
+    """All files of a folder into a place, summary.json last."""
+    files = [file for file in folder.rglob("*") if file.is_file()]
+    for file in sorted(files, key=lambda file: (file.name == SUMMARY, file)):
+        name = file.relative_to(folder).as_posix()
+        if not (leave_out and name.startswith(f"{leave_out}/")):
+            place.write(name, file.read_bytes())

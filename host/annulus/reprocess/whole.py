@@ -1,0 +1,189 @@
+"""From a scan to its survey, however long it is: at once where its points can be held, else range by range and window
+by window, with nobody holding all of it.
+
+    done = surveyed(job, place, executor, write)     # done.survey: of the whole, be it of one window or of many
+
+A short scan's profiles go from worker to command. A long one's are written into the place as they are measured; where
+windows are cut follows from them alone, and each window is then surveyed wherever there is room. The same scan gives
+the same results, whichever way its frames went.
+"""
+
+import bisect
+import contextlib
+import math
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import accumulate
+from pathlib import Path
+
+import numpy as np
+
+from annulus.record.storage import Place
+from annulus.reprocess.bores import with_bores
+from annulus.reprocess.engine import Progress, reprocess
+from annulus.reprocess.executors import Executor, Processes, in_process
+from annulus.reprocess.gather import Ranged, gathered, in_ranges
+from annulus.reprocess.job import Job
+from annulus.reprocess.ranges import FOLDER, Facts, profiles_of
+from annulus.reprocess.windows import WindowWork, Write, survey_windows
+from annulus.vocabulary import Finding, Label
+from annulus.wall.joined import Joined
+from annulus.wall.profile import Profile
+from annulus.wall.survey import Survey
+from annulus.wall.windows import POINTS_MAX, Reach, plan
+
+FRAMES_HELD = 600  # flashes: so many have no more points than a window may, and are never written
+WINDOW_MB = 1000  # that a worker holds at its window, and reads in; test_whole, tools/bench/speed/long_scan.py
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surveyed:
+    """job : as it was done. survey : a `Joined` where there were windows, whose files were written. findings, frames,
+    drops, timing_ms : as `Reprocessed` has them. ranges, made, left_out : how many, how many of them new, frames.
+    windows : which were measured and written, numbers from 0."""
+
+    job: Job
+    survey: Survey
+    findings: tuple[Finding, ...]
+    frames: Mapping[str, int]
+    drops: Mapping[str, int]
+    timing_ms: Mapping[str, float]
+    ranges: int = 0
+    made: int = 0
+    left_out: int = 0
+    windows: tuple[int, ...] = ()
+
+    @property
+    def in_windows(self) -> bool:
+        return isinstance(self.survey, Joined)
+
+
+@dataclass(frozen=True, slots=True)
+class Filed:
+    """The profiles of a scan where its ranges lie. files : of each range, in their order; ends : of how many frames
+    there are up to the end of each."""
+
+    place: Place
+    facts: tuple[Facts, ...]
+    ends: tuple[int, ...]
+
+    def of(self, numbers: Sequence[int]) -> list[Profile]:
+        """Those of some frames that were read, counted from 0 over all ranges; rising."""
+        out: list[Profile] = []
+        held, profiles = -1, tuple[Profile, ...]()
+        for number in numbers:
+            own = bisect.bisect_right(self.ends, number)
+            if own != held:
+                held, profiles = own, profiles_of(self.place, self.facts[own])
+            out.append(profiles[number - (self.ends[own - 1] if own else 0)])
+        return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Held:
+    """The profiles of a scan that is short enough for this process to hold."""
+
+    profiles: tuple[Profile, ...]
+
+    def of(self, numbers: Sequence[int]) -> list[Profile]:
+        """Those of some frames that were read, counted from 0."""
+        return [self.profiles[number] for number in numbers]
+
+
+def surveyed(
+    job: Job, place: Place, executor: Executor, write: Write, progress: Progress | None = None, *,
+    vibration: bool = False, fps: float | None = None, keep: bool = False, points_max: int = POINTS_MAX,
+) -> Surveyed:  # fmt: skip
+    """Everything a scan says of its pipe.
+
+    place : where ranges and windows' results go. write : makes a window's files; not called for a scan of one window.
+    keep : ranges are written however short the scan is, and stay, so that the same work again finds them. points_max :
+    of a window.
+    Raises AnnulusError, one line, where nothing can be measured.
+    """
+    started = time.perf_counter()
+    if not keep and len(job.flashes(Label.PROJECTOR)) <= FRAMES_HELD:
+        done = reprocess(job, executor, progress)
+        cut = plan([Reach.of(one) for one in done.profiles], job.calibration.pipe_radius_mm, points_max)
+        if len(cut.windows) == 1:
+            survey = done.survey(vibration=vibration, fps=fps, progress=progress)
+            return Surveyed(done.job, survey, done.findings, done.frames, done.drops, done.timing_ms)
+        work = WindowWork(done.job, Held(done.profiles), cut, write, vibration, fps)
+        pipe, numbers, timing = survey_windows(work, in_process, progress)
+        told = with_bores(done.job.scan, done.profiles, pipe)
+        timing_ms = {**done.timing_ms, **timing}
+        return Surveyed(done.job, told, done.findings, done.frames, done.drops, timing_ms, windows=numbers)
+    with _ranges_in(place, keep):
+        ranged = in_ranges(job, place, executor, progress)
+        counts = len(ranged.facts), ranged.made, len(ranged.left_out)
+        cut = plan([one for facts in ranged.facts for one in facts.reaches], job.calibration.pipe_radius_mm, points_max)
+        if len(cut.windows) == 1:
+            done = gathered(ranged, place, started)
+            survey = done.survey(vibration=vibration, fps=fps, progress=progress)
+            return Surveyed(done.job, survey, done.findings, done.frames, done.drops, done.timing_ms, *counts)
+        measured_ms = 1e3 * (time.perf_counter() - started)
+        work = WindowWork(ranged.job, _filed(ranged, place), cut, write, vibration, fps)
+        pipe, numbers, timing = survey_windows(work, _fewer(executor), progress)
+    told = with_bores(ranged.job.scan, _poses(ranged), pipe)
+    timing_ms = {**_timing(ranged), "scan_to_profiles": measured_ms, **timing}
+    return Surveyed(ranged.job, told, ranged.findings, ranged.frames, ranged.drops, timing_ms, *counts, numbers)
+
+
+@contextlib.contextmanager
+def _ranges_in(place: Place, keep: bool) -> Iterator[None]:
+    """Ranges that are not to stay are taken away again, however the work ends."""
+    try:
+        yield
+    finally:
+        if not keep:
+            for name in place.names(f"{FOLDER}/"):
+                place.remove(name)
+            if place.local is not None:
+                with contextlib.suppress(OSError):
+                    (place.local / FOLDER).rmdir()
+
+
+def _filed(ranged: Ranged, place: Place) -> Filed:
+    bare = tuple(replace(one, lights=(), poses=(), reaches=()) for one in ranged.facts)
+    return Filed(place, bare, tuple(accumulate(len(one.reaches) for one in ranged.facts)))
+
+
+def _fewer(executor: Executor) -> Executor:
+    """As many workers as have room for a window each; a cluster's have what they were given."""
+    if not isinstance(executor, Processes):
+        return executor
+    room = max(1, int(_free_mb() // WINDOW_MB))
+    return replace(executor, workers=min(executor.workers or room, room), apart=True)
+
+
+def _free_mb() -> float:
+    """Memory that is free to this process: of the machine, or what is left of a control group's."""
+    free = math.inf
+    with contextlib.suppress(OSError, ValueError, IndexError), open("/proc/meminfo", encoding="ascii") as file:
+        free = next(int(line.split()[1]) / 1024 for line in file if line.startswith("MemAvailable:"))
+    with contextlib.suppress(OSError, ValueError, IndexError):
+        with open("/proc/self/cgroup", encoding="ascii") as file:
+            group = "/sys/fs/cgroup" + file.readline().strip().rpartition(":")[2].rstrip("/")
+        limit, used = (Path(group, f"memory.{what}").read_text(encoding="ascii") for what in ("max", "current"))
+        free = min(free, (int(limit) - int(used)) / 2**20)  # ValueError where there is none: "max"
+    return free
+
+
+def _poses(ranged: Ranged) -> list[Profile]:
+    """Where the head was, frame by frame, without the points."""
+    z = {frame.index: frame.z_mm for frame in ranged.job.scan.frames}
+    out = []
+    nothing = np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8), np.zeros(0, np.uint8), np.zeros(0, np.uint16)
+    for facts in ranged.facts:
+        without = set(facts.without_pose)
+        frames = [frame for frame in facts.frames if frame not in without]
+        out += [Profile(frame, z[frame], pose, *nothing) for frame, pose in zip(frames, facts.poses, strict=True)]
+    return out
+
+
+def _timing(ranged: Ranged) -> dict[str, float]:
+    names = {name: None for facts in ranged.facts for name in facts.timing_ms}
+    return {
+        name: float(np.median([one.timing_ms[name] for one in ranged.facts if name in one.timing_ms])) for name in names
+    }

@@ -1,0 +1,176 @@
+"""What a cluster costs: a task in scheduler, client and worker, its bytes, and a scan against the serial run.
+
+    python -m tools.bench speed cluster
+
+Scheduler and workers are dask's programs on loopback, one thread each, BLAS and OpenCV too. Processor time is what
+counts: it is the same on a machine that others use, while the clock is not. A frame is 832 pixels wide, a quarter of
+the head's pixels, so that what is not measuring weighs four times as much here.
+"""
+
+import os
+import pickle
+import resource
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from annulus.record.storage import Place
+from annulus.record.writer import RecordingWriter
+from annulus.reprocess import Executor, Processes, in_process, make_ready, measure, open_job
+from annulus.reprocess.cluster import Dask
+from annulus.reprocess.executors import Failed
+from annulus.reprocess.job import Job
+from annulus.reprocess.ranges import CHUNK, Facts, Range, Ranges, measuring
+from annulus.reprocess.versions import measured_with
+from annulus.stream.frames import FrameHeader
+from annulus.twin.render import Renderer
+from annulus.twin.worlds import clean_world
+from annulus.vocabulary import Label
+from tools.bench.dask_processes import Cluster
+from tools.bench.table import ROOT, Row
+
+TASKS, TASK_MS = 500, 10.0
+DRAWN, TIMES = 24, 6  # pictures, and how often each is in the scan
+CHUNKS = 3  # of a range here: 24 flashes
+OVERHEAD = 0.10  # of the serial run's processor
+NOTE = (
+    "Processor time of all processes that have a part. A task that does nothing carries the row of a real range of 128 "
+    "frames and gives back its facts. Serial: `measure` in one process, no files."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Nothing:
+    """Work that only travels."""
+
+    facts: Facts
+
+    def ready(self) -> Callable[[Range], Facts]:
+        return lambda one: self.facts
+
+
+@dataclass(frozen=True, slots=True)
+class Same:
+    """One range, as often as one likes."""
+
+    one: Range
+    times: int
+
+    def __len__(self) -> int:
+        return self.times
+
+    def __getitem__(self, number: int) -> Range:
+        if number >= self.times:
+            raise IndexError(number)
+        return self.one
+
+
+def rows() -> list[Row]:
+    with tempfile.TemporaryDirectory() as name, Cluster(environment={"PYTHONPATH": str(ROOT)}) as cluster:
+        folder = Path(name)
+        cluster.hire(2)
+        job = _scan(folder / "scan.mcap")
+        make_ready(job.calibration, print)
+        return [*_tasks(job, folder, cluster), *_scans(job, folder, cluster)]
+
+
+def _scan(path: Path) -> Job:
+    world = clean_world(travel_mm=60.0).scaled(832)
+    renderer, size = Renderer(world), (world.camera.width, world.camera.height)
+    places = np.linspace(0.0, world.travel_mm, DRAWN)
+    raws = [renderer.render(world.pose(z), z, 1.0, 0.0, seed=i) for i, z in enumerate(places)]
+    with RecordingWriter(path, calibration=world.calibration().to_dict(), configuration={}, now_ns=0) as writer:
+        for i in range(DRAWN * TIMES):
+            z = float(places[i % DRAWN] + (i // DRAWN) * 60.0)
+            header = FrameHeader(
+                i, None, i * 10**7, Label.PROJECTOR, "", None, None, None, z, "bayer_rggb8", *size, None
+            )  # fmt: skip
+            writer.frame(header.to_dict(), raws[i % DRAWN], i * 10**7)
+    return open_job(path)
+
+
+def _tasks(job: Job, folder: Path, cluster: Cluster) -> Iterator[Row]:
+    one = Ranges(job)[0]
+    facts = measuring(job, Place(folder / "one")).ready()(one)
+    work, many = Nothing(facts), Same(one, TASKS)
+    list(Dask(cluster.url)(work, Same(one, 20)))  # workers there, and all imported
+    assert cluster.scheduler is not None
+    before, client, clock = _spent(cluster), time.process_time(), time.perf_counter()
+    done = sum(not isinstance(outcome, Failed) for _, outcome in Dask(cluster.url)(work, many))  # type: ignore[arg-type]
+    wall, client = time.perf_counter() - clock, time.process_time() - client
+    scheduler, *workers = ((b - a) / TASKS * 1e3 for a, b in zip(before, _spent(cluster), strict=True))
+    worker, client = sum(workers), client / TASKS * 1e3
+    whole = scheduler + client + worker
+    there = len(pickle.dumps(work)) - len(pickle.dumps(facts)) + len(pickle.dumps(measuring(job, Place(folder))))
+    item, back = len(pickle.dumps((measured_with(), one))), len(pickle.dumps(facts))
+    ok, load = whole <= TASK_MS and done == TASKS, os.getloadavg()[0]
+    yield Row("a task: processor in all", "-", f"<= {TASK_MS:g} ms", f"{whole:.2f} ms", ok)
+    yield Row("a task: in scheduler, client, worker", "-", "-", f"{scheduler:.2f}, {client:.2f}, {worker:.2f} ms")
+    yield Row("a task: by the clock, two workers", "-", "-", f"{wall / TASKS * 1e3:.1f} ms, load {load:.0f}")
+    yield Row("one scheduler's core", "-", "-", f"{1e3 / scheduler:.0f} tasks/s; one client's {1e3 / client:.0f}")
+    yield Row(
+        "a task: bytes there (work, range of 128 frames), back", "-", "-", f"{there + item} ({there}, {item}), {back}"
+    )
+
+
+def _scans(job: Job, folder: Path, cluster: Cluster) -> Iterator[Row]:
+    which = job.flashes(Label.PROJECTOR)
+    measure(job, which[:CHUNK])
+    start, clock = time.process_time(), time.perf_counter()
+    measure(job, which)
+    serial, took = time.process_time() - start, time.perf_counter() - clock
+    said = f"{serial / len(which) * 1e3:.1f} ms a frame ({len(which)} frames, {took:.0f} s by the clock)"
+    yield Row("serial", "-", "-", said)
+
+    def row(what: str, spent: float, clock: float, ok: bool | None) -> Row:
+        over = spent / serial - 1
+        return Row(
+            what, "-", "-" if ok is None else f"<= {OVERHEAD:.0%} over", f"{over:+.1%}, {clock:.0f} s by the clock", ok
+        )
+
+    start, took = time.process_time(), _ranges(job, folder / "here", in_process)
+    spent = time.process_time() - start
+    yield row("in ranges, in process", spent, took, spent <= (1 + OVERHEAD) * serial)
+    files = [file.stat().st_size for file in (folder / "here").rglob("*.parquet")]
+    yield Row("profiles of a frame in their file", "-", "-", f"{sum(files) / len(which) / 1e3:.0f} kB")
+    start, took = time.process_time(), _ranges(job, folder / "here", in_process)
+    spent = time.process_time() - start
+    yield Row("found again, not measured", "-", "-", f"{spent / serial:.1%} of serial")
+    for workers in (2,):
+        before = _children()
+        start, took = time.process_time(), _ranges(job, folder / f"p{workers}", Processes(workers, apart=True))
+        spent = time.process_time() - start + _children() - before
+        yield row(f"Processes({workers}), their start with it", spent, took, None)
+    list(Dask(cluster.url)(measuring(job, Place(folder / "warm")), [*Ranges(job, which[: 8 * CHUNK], 1)]))
+    for workers in (2, 1):
+        if workers == 1:
+            cluster.kill(1)
+        before, start = sum(_spent(cluster)), time.process_time()
+        took = _ranges(job, folder / f"d{workers}", Dask(cluster.url))
+        spent = time.process_time() - start + sum(_spent(cluster)) - before
+        yield row(
+            f"dask, {workers} workers, scheduler and client with it", spent, took, spent <= (1 + OVERHEAD) * serial
+        )
+
+
+def _ranges(job: Job, folder: Path, executor: Executor) -> float:
+    """By the clock, s."""
+    began = time.perf_counter()
+    outcomes = [outcome for _, outcome in executor(measuring(job, Place(folder)), Ranges(job, chunks=CHUNKS))]
+    assert all(isinstance(outcome, Facts) for outcome in outcomes)
+    return time.perf_counter() - began
+
+
+def _spent(cluster: Cluster) -> list[float]:
+    """Processor of scheduler and workers that live, s."""
+    assert cluster.scheduler is not None
+    return [cluster.processor_s(one) for one in (cluster.scheduler, *cluster.workers) if one.poll() is None]
+
+
+def _children() -> float:
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
