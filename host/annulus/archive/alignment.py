@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import gaussian_filter1d, median_filter
 
 from annulus.archive.chain import joined, likeliest, row_costs
@@ -25,7 +26,7 @@ COARSE_MM, FINE_MM, NEAR_MM = 2.0, 0.5, 16.0  # steps and reach of the chains of
 ABOUT_MM, FAR_MM, OUTSIDE = 24.0, 60.0, 100.0  # reach beside stretches that were found, without any; cost beyond
 STATES_MAX = 600
 ROLL_STEP_DEG, ROLL_NEAR_DEG, ROLL_FREE_DEG = 0.25, 4.0, 10.0
-STEP_COST, SLIP_COST, TURN_COST = 3.0, 14.0, 16.0  # of log-likelihood: a slip shorter than 2 mm is no slip but drift
+STEP_COST, SLIP_COST, TURN_COST = 3.0, 24.0, 16.0  # of log-likelihood: a slip shorter than 2 mm is no slip but drift
 SLIP_MM = 2.5  # from which on it counts as a slip; ..
 SCALE_MM = 1000.0  # over which the cable's scale is measured
 SLIP_ROWS, SLIP_ROWS_MAX, SLIP_SURE = 3, 400, 5.0  # beside a slip that may be of either side; log-likelihood
@@ -170,7 +171,7 @@ class _Laying:
         self.sigma = max(robust_sigma(self._left().ravel()), 1e-4)
         near = np.full(len(self.z), NEAR_MM)
         self._chain_of_places(self._evened(), -near, near, FINE_MM)
-        self._evened()
+        self.place = self._evened()
         self.slips = self._slips()
         at(3)
         self._chain_of_rolls()
@@ -241,12 +242,21 @@ class _Laying:
     def _slips(self) -> BoolArray:
         """Rows before which the place leaps and stays so: what leaps and comes back is a misfit."""
         beside = self.place - self.scale * self.second.step_mm * np.arange(len(self.place))
-        rows = max(round(STAYS_MM / self.second.step_mm), 3)
+        rows = min(max(round(STAYS_MM / self.second.step_mm), 3), len(beside) // 4)
+        middle = np.median(sliding_window_view(beside, rows), axis=1)
+        leap = np.zeros(len(beside))
+        leap[rows : len(beside) - rows + 1] = np.abs(middle[rows:] - middle[:-rows])
+        at_once = np.zeros(len(beside))
+        at_once[SLIP_ROWS : -SLIP_ROWS + 1] = np.abs(beside[2 * SLIP_ROWS - 1 :] - beside[: -2 * SLIP_ROWS + 1])
+        step = np.abs(np.diff(beside, prepend=beside[0]))
+        leap = np.where(at_once > 0.6 * leap, leap, 0.0)
         out = np.zeros(len(beside), bool)
-        for i in np.flatnonzero(np.abs(np.diff(beside)) > SLIP_MM / 2) + 1:
-            before, after = beside[max(i - rows, 0) : i], beside[i : i + rows]
-            stays = abs(float(np.median(after) - np.median(before)))
-            out[i] = stays > SLIP_MM and abs(beside[i] - beside[i - 1]) > 0.4 * stays
+        while leap.max() > SLIP_MM:
+            i = int(np.argmax(leap))
+            near = slice(max(i - SLIP_ROWS, 0), i + SLIP_ROWS + 1)
+            out[near.start + int(np.argmax(step[near]))] = True
+            leap[max(i - rows, 0) : i + rows + 1] = 0.0
+        out[0] = False
         return out
 
     def _unsure(self) -> FloatArray:

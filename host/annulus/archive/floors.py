@@ -17,6 +17,7 @@ from annulus.numeric.arrays import Float32Array, FloatArray, IntArray
 from annulus.numeric.robust import robust_sigma
 
 BELLS_MM = (5.0, 12.0, 25.0)  # sigma
+PART_MIN = 0.35  # of a floor that must have been seen
 SEEN_MIN = 0.5  # of a bell's weight that must lie on what was seen
 BAR_SIGMA = 6.0  # a map of 100 m has 1e7 places and 9 bells: chance passes once in 10 such maps at 5.8
 MOST = 400  # floors of one map
@@ -128,7 +129,7 @@ class Search:
             one = self._fitted(int(i), int(c))
             near = [o for o in found if o.holds(self.z_mm[i], float(self.clock[c]), 1.6)]
             part = [o for o in near if abs(one.height_mm) < PART_OF * abs(o.height_mm)] if one is not None else near
-            if one is None or part or abs(one.height_mm) < least_mm or self._seen(one) < SEEN_MIN:
+            if one is None or part or abs(one.height_mm) < least_mm or self._seen(one) < PART_MIN:
                 along, round_ = self.bells[int(self.which[i, c])]
                 rows = np.flatnonzero(np.abs(np.arange(len(size)) - i) <= 1.5 * along)
                 off = np.abs((self.clock - self.clock[c] + 180) % 360 - 180)
@@ -166,12 +167,7 @@ class Search:
     def _fitted(self, i: int, c: int) -> Floor | None:
         along, round_ = self.bells[int(self.which[i, c])]
         length, arc = 2.6 * along * self.step_mm, 2.6 * round_ * self.column_deg
-        rows = slice(max(i - 1, 0), i + 2)
-        columns = np.arange(c - 1, c + 2) % len(self.clock)
-        weight = self.weight[rows][:, columns]
-        height = float((weight * self.left[rows][:, columns]).sum() / max(float(weight.sum()), 1e-9))
-        if height * self.stands[i, c] <= 0:
-            height = float(np.sign(self.stands[i, c])) * 0.05
+        height = 1.3 * float(self.height[i, c])  # a bell is wider than what it finds
         start = Floor(
             float(self.z_mm[i]), float(self.clock[c]), length, arc, height, SHAPE, np.nan, float(abs(self.stands[i, c]))
         )
@@ -246,7 +242,7 @@ def _least_squares(
         bent = np.stack([(off(x + step) - rest) / step[k] for k, step in enumerate(np.diag(1e-3 * scale))], axis=1)
         weight = 1 / np.sqrt(1 + (rest / WILD) ** 2)
         normal, pull = bent.T @ (weight[:, None] * bent), bent.T @ (weight * rest)
-        for _ in range(5):
+        for _ in range(8):
             held = normal + damping * np.diag(np.diag(normal) + 1e-6 / scale**2)
             there = np.clip(x - np.linalg.solve(held, pull), low, high)
             ahead = off(there)

@@ -16,10 +16,11 @@ from annulus.archive.floors import BAR_SIGMA, Floor, Search
 from annulus.numeric.arrays import Float32Array
 
 LEAST_MM = 0.1  # two heads, calibrated apart, and what lies between rows, make up to this much; benchmark `growth`
+OWN_SHAPE_MM = 0.2  # .. by the shape of a defect that is there: its steep sides take part in what lies between rows
 DEFECT_BELLS_MM = (8.0, 20.0)
 DEFECT_MM = 0.3  # from which on what stands out of one map is listed as a defect
 SHARED_MM, SHARED_PART = 0.015, 0.02  # k = 1: of calibrations and of a floor's shape, whatever the noise
-SEEN_MIN = 0.5  # of a defect, in both
+SEEN_MIN = 0.35  # of a defect, in both
 ABSENT_MM, ABSENT_PART = 0.15, 0.2  # a depth below either is none: of a new defect before, of one that is gone after
 
 
@@ -128,8 +129,10 @@ def _unchanged(difference: Difference, floor: Floor, year: int) -> Change:
     if share < SEEN_MIN:
         before, after = (np.nan, floor.height_mm) if year == 0 else (floor.height_mm, np.nan)
         return _change(floor, before, after, np.nan, np.nan, Verdict.UNSEEN)
-    k2 = max(_k2(sigma, growth), abs(growth))  # it does not stand out, so it may be nothing
-    return _change(floor, before, after, growth, k2, Verdict.SAME)
+    k2 = _k2(sigma, growth)
+    if abs(growth) > max(OWN_SHAPE_MM, 3 * k2):  # where a floor of its own could not be fitted
+        return _change(floor, before, after, growth, k2, _verdict(before, after))
+    return _change(floor, before, after, growth, max(k2, abs(growth)), Verdict.SAME)  # it may be nothing
 
 
 def _height(field: Float32Array, difference: Difference, floor: Floor) -> float:

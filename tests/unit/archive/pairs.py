@@ -168,8 +168,8 @@ def _pipe(rng: np.random.Generator, scene: Scene) -> _Pipe:
         elif kind == "gone":
             growth = -depth
         one = Defect(
-            rng.uniform(300, scene.length_mm - 300), rng.uniform(0, 360), rng.uniform(18, 80), rng.uniform(9, 40), depth,
-            growth, float(rng.choice(scene.exponents)),
+            rng.uniform(300, scene.length_mm - 300), rng.uniform(0, 360), rng.uniform(18, 80), rng.uniform(9, 40),
+            depth, growth, float(rng.choice(scene.exponents)),
         )  # fmt: skip
         if all(abs(one.z_mm - other.z_mm) > 90 or _apart(one, other) > 50 for other in defects):
             defects.append(one)
