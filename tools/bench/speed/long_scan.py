@@ -33,8 +33,10 @@ def rows(frames: int = FRAMES) -> list[Row]:
         drawn_scan(folder / "scan", frames)
         before = {int(one.name) for one in Path("/proc").iterdir() if one.name.isdigit()}
         began = time.monotonic()
-        command = [str(Path(sys.executable).with_name("annulus")), "reconstruct", str(folder / "scan"), "-o", str(folder / "out"),
-                   "--calibration", str(folder / "scan/calibration.json"), "--json"]  # fmt: skip
+        command = [
+            str(Path(sys.executable).with_name("annulus")), "reconstruct", str(folder / "scan"), "--json",
+            "-o", str(folder / "out"), "--calibration", str(folder / "scan/calibration.json"),
+        ]  # fmt: skip
         with (folder / "told").open("w") as told:
             running = subprocess.Popen(command, stdout=told, stderr=subprocess.DEVNULL)
             most = largest = 0.0
