@@ -33,7 +33,7 @@ class Ply:
 def open_ply(path: Path, fields: tuple[str, ...]) -> Ply:
     """Map a little-endian PLY of vertices with at least these scalar properties, and triangles."""
     if not path.is_file():
-        raise ValueError("is not there" if not path.exists() else "not a file")
+        raise ValueError(_why_not(path))
     with path.open("rb") as file:
         head = file.read(HEAD_MAX)
     end = head.find(b"end_header\n")
@@ -93,3 +93,11 @@ def _counts(lines: list[str]) -> tuple[int, int, np.dtype[np.void]]:
     if len({name for name, _ in properties}) < len(properties) or len(properties) > 100:
         raise ValueError("names a property twice, or more than 100")
     return count["vertex"], count["face"], np.dtype(properties)
+
+
+def _why_not(path: Path) -> str:
+    if path.exists():
+        return "not a file"
+    if (path.parent / "windows").is_dir():
+        return "is not there: of a long pipe each folder in windows has its own, to be exported by itself"
+    return "is not there"
