@@ -20,6 +20,7 @@ OWN_SHAPE_MM = 0.2  # .. by the shape of a defect that is there: its steep sides
 DEFECT_BELLS_MM = (8.0, 20.0)
 DEFECT_MM = 0.3  # from which on what stands out of one map is listed as a defect
 SHARED_MM, SHARED_PART = 0.015, 0.02  # k = 1: of calibrations and of a floor's shape, whatever the noise
+SKIRT_PART = 0.4  # of the higher one's height
 ROWS_LEAST, SIDE_PART = 2.5, 0.2  # rows that growth must be long; of a defect's depth, where it lies at its side
 SEEN_MIN = 0.35  # of a defect, in both
 ABSENT_MM, ABSENT_PART = 0.15, 0.2  # a depth below either is none: of a new defect before, of one that is gone after
@@ -82,7 +83,7 @@ def grown(laid: Laid, progress: Callable[[str, int, int], None]) -> tuple[Growth
     rough = Search(difference.grown, difference.sigma, z, column).floors(LEAST_MM)
     progress(what, 3, 5)
     if rough or defects:
-        difference = laid.difference([*rough, *(floor for _, floor in defects)])
+        difference = laid.difference(_standing([*rough, *(floor for _, floor in defects)]))
     search = Search(difference.grown, difference.sigma, z, column)
     least = np.maximum(search.least_mm, LEAST_MM).astype(np.float32)
     changed = search.floors(LEAST_MM)
@@ -106,6 +107,20 @@ def grown(laid: Laid, progress: Callable[[str, int, int], None]) -> tuple[Growth
     median, p95 = (float(np.percentile(known, q)) for q in (50, 95)) if known.size else (np.nan, np.nan)
     changes.sort(key=lambda one: one.z_mm)
     return Growth(tuple(changes), least, median, p95, float(seen.mean())), difference
+
+
+def _standing(floors: list[Floor]) -> list[Floor]:
+    """Without those that a higher one in the same rows may have made, by what it took part in."""
+    return [
+        one
+        for one in floors
+        if not any(
+            abs(one.height_mm) < SKIRT_PART * abs(other.height_mm)
+            and abs(one.z_mm - other.z_mm) < (one.length_mm + other.length_mm) / 2
+            and not other.holds(one.z_mm, one.clock_deg)
+            for other in floors
+        )
+    ]
 
 
 def _between_rows(floor: Floor, defects: list[tuple[int, Floor]], step_mm: float) -> bool:
