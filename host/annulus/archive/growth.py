@@ -91,6 +91,11 @@ def grown(laid: Laid, progress: Callable[[str, int, int], None]) -> tuple[Growth
     changes = []
     for floor in changed:
         k2 = _k2(floor.sigma_mm, floor.height_mm)
+        against = [
+            o for o in changed if o.height_mm * floor.height_mm < 0 and abs(o.height_mm) > 2 * abs(floor.height_mm)
+        ]
+        if any(abs(o.z_mm - floor.z_mm) < o.length_mm / 2 for o in against):
+            continue  # may be what its row was left with when the whole row was taken out
         if abs(floor.height_mm) <= max(LEAST_MM, k2) or _between_rows(floor, defects, difference.step_mm):
             continue
         before = _height(difference.first, difference, floor)
