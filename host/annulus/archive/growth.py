@@ -105,7 +105,8 @@ def grown(laid: Laid, progress: Callable[[str, int, int], None]) -> tuple[Growth
     for year, floor in defects:
         if not any(one.holds(floor.z_mm, floor.clock_deg) or floor.holds(one.z_mm, one.clock_deg) for one in told):
             told.append(floor)
-            changes.append(_unchanged(difference, floor, year))
+            alone = all(abs(one.z_mm - floor.z_mm) > one.length_mm / 2 for one in changed)
+            changes.append(_unchanged(difference, floor, year, alone))
     progress(what, 5, 5)
     seen = np.isfinite(difference.grown)
     known = least[np.isfinite(least) & seen]
@@ -158,7 +159,7 @@ def _verdict(before: float, after: float) -> Verdict:
     return Verdict.GROWN if abs(after) > abs(before) else Verdict.LESS
 
 
-def _unchanged(difference: Difference, floor: Floor, year: int) -> Change:
+def _unchanged(difference: Difference, floor: Floor, year: int, alone: bool) -> Change:
     """A defect of the second (year 0) or the first alone: what its own shape says of growth."""
     growth, sigma, share = _along(difference.grown, difference.sigma, difference, floor)
     before, after = _height(difference.first, difference, floor), _height(difference.second, difference, floor)
@@ -166,7 +167,7 @@ def _unchanged(difference: Difference, floor: Floor, year: int) -> Change:
         before, after = (np.nan, floor.height_mm) if year == 0 else (floor.height_mm, np.nan)
         return _change(floor, before, after, np.nan, np.nan, Verdict.UNSEEN)
     k2 = _k2(sigma, growth)
-    if abs(growth) > max(OWN_SHAPE_MM, 3 * k2):  # where a floor of its own could not be fitted
+    if alone and abs(growth) > max(OWN_SHAPE_MM, 3 * k2):  # where a floor of its own could not be fitted
         return _change(floor, before, after, growth, k2, _verdict(before, after))
     return _change(floor, before, after, growth, max(k2, abs(growth)), Verdict.SAME)  # it may be nothing
 
