@@ -274,7 +274,7 @@ class _Laying:
         for k, row in enumerate(rows):
             for side in (every[row:][:SLIP_ROWS_MAX], every[:row][::-1][:SLIP_ROWS_MAX]):
                 sure = np.flatnonzero(np.cumsum(against[side]) > SLIP_SURE)
-                reach = max(int(sure[0]) if len(sure) else len(side), SLIP_ROWS)
+                reach = max(int(sure[0]) if len(sure) else len(side), 1)
                 out[side[:reach]] = np.maximum(out[side[:reach]], abs(leaps[k]) / 2)
         return out
 

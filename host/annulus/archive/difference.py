@@ -21,7 +21,7 @@ from annulus.numeric.robust import SIGMA_OF_MAD
 BLOCK_MM = 160.0  # over which noise is one, along and round
 BEND = 0.2  # of the second difference along: what a straight line between rows misses at most is an eighth, or a bead's
 SIGMA_LEAST_MM = 1e-3
-LOST_MM = 8.0  # sigma of a row's place, from which on it is not compared
+LOST_MM = 12.0  # sigma of a row's place, from which on it is not compared
 OF_FLOOR = 0.02  # of its depth: where less is left a floor does not reach
 
 

@@ -20,6 +20,8 @@ OWN_SHAPE_MM = 0.2  # .. by the shape of a defect that is there: its steep sides
 DEFECT_BELLS_MM = (8.0, 20.0)
 DEFECT_MM = 0.3  # from which on what stands out of one map is listed as a defect
 SHARED_MM, SHARED_PART = 0.015, 0.02  # k = 1: of calibrations and of a floor's shape, whatever the noise
+SKIRT_PART = 0.4  # of the higher one's height
+ROWS_LEAST, SIDE_PART = 2.5, 0.2  # rows that growth must be long; of a defect's depth, where it lies at its side
 SEEN_MIN = 0.35  # of a defect, in both
 ABSENT_MM, ABSENT_PART = 0.15, 0.2  # a depth below either is none: of a new defect before, of one that is gone after
 
@@ -72,35 +74,71 @@ def grown(laid: Laid, progress: Callable[[str, int, int], None]) -> tuple[Growth
     progress(what, 0, 5)
     difference = laid.difference()
     z, column = difference.z_mm, difference.column_mm
+    defects: list[tuple[int, Floor]] = []
+    for year, field in enumerate((difference.second, difference.first)):
+        found = Search(field, difference.sigma_of(year), z, column, DEFECT_BELLS_MM).floors(DEFECT_MM)
+        defects += [(year, floor) for floor in found]
+        progress(what, 1 + year, 5)
+    # what grew, and where it may have, has taken part in what each row was said to have on the whole
     rough = Search(difference.grown, difference.sigma, z, column).floors(LEAST_MM)
-    progress(what, 1, 5)
-    if rough:  # what grew has taken part in what each row was said to have on the whole
-        difference = laid.difference(rough)
+    progress(what, 3, 5)
+    if rough or defects:
+        difference = laid.difference(_standing([*rough, *(floor for _, floor in defects)]))
     search = Search(difference.grown, difference.sigma, z, column)
     least = np.maximum(search.least_mm, LEAST_MM).astype(np.float32)
     changed = search.floors(LEAST_MM)
-    progress(what, 2, 5)
+    progress(what, 4, 5)
     changes = []
     for floor in changed:
         k2 = _k2(floor.sigma_mm, floor.height_mm)
-        if abs(floor.height_mm) <= max(LEAST_MM, k2):
+        against = [
+            o for o in changed if o.height_mm * floor.height_mm < 0 and abs(o.height_mm) > 2 * abs(floor.height_mm)
+        ]
+        if any(abs(o.z_mm - floor.z_mm) < o.length_mm / 2 for o in against):
+            continue  # may be what its row was left with when the whole row was taken out
+        if abs(floor.height_mm) <= max(LEAST_MM, k2) or _between_rows(floor, defects, difference.step_mm):
             continue
         before = _height(difference.first, difference, floor)
         after = before + floor.height_mm
         changes.append(_change(floor, before, after, floor.height_mm, k2, _verdict(before, after)))
     told = [floor for floor in changed]
-    for k, field in enumerate((difference.second, difference.first)):
-        for floor in Search(field, difference.sigma_of(k), z, column, DEFECT_BELLS_MM).floors(DEFECT_MM):
-            if any(one.holds(floor.z_mm, floor.clock_deg) or floor.holds(one.z_mm, one.clock_deg) for one in told):
-                continue
+    for year, floor in defects:
+        if not any(one.holds(floor.z_mm, floor.clock_deg) or floor.holds(one.z_mm, one.clock_deg) for one in told):
             told.append(floor)
-            changes.append(_unchanged(difference, floor, k))
-        progress(what, 3 + k, 5)
+            alone = all(abs(one.z_mm - floor.z_mm) > one.length_mm / 2 for one in changed)
+            changes.append(_unchanged(difference, floor, year, alone))
+    progress(what, 5, 5)
     seen = np.isfinite(difference.grown)
     known = least[np.isfinite(least) & seen]
     median, p95 = (float(np.percentile(known, q)) for q in (50, 95)) if known.size else (np.nan, np.nan)
     changes.sort(key=lambda one: one.z_mm)
     return Growth(tuple(changes), least, median, p95, float(seen.mean())), difference
+
+
+def _standing(floors: list[Floor]) -> list[Floor]:
+    """Without those that a higher one in the same rows may have made, by what it took part in."""
+    return [
+        one
+        for one in floors
+        if not any(
+            abs(one.height_mm) < SKIRT_PART * abs(other.height_mm)
+            and abs(one.z_mm - other.z_mm) < (one.length_mm + other.length_mm) / 2
+            and not other.holds(one.z_mm, one.clock_deg)
+            for other in floors
+        )
+    ]
+
+
+def _between_rows(floor: Floor, defects: list[tuple[int, Floor]], step_mm: float) -> bool:
+    """Whether it may be no more than what lies between rows: of a bead, or at a steep defect's side."""
+    if floor.length_mm < ROWS_LEAST * step_mm:
+        return True
+    return any(
+        one.holds(floor.z_mm, floor.clock_deg, 1.8)
+        and abs(floor.height_mm) < SIDE_PART * abs(one.height_mm)
+        and (floor.length_mm < one.length_mm / 2 or floor.arc_deg < one.arc_deg / 2)
+        for _, one in defects
+    )
 
 
 def _k2(sigma_mm: float, height_mm: float) -> float:
@@ -121,16 +159,15 @@ def _verdict(before: float, after: float) -> Verdict:
     return Verdict.GROWN if abs(after) > abs(before) else Verdict.LESS
 
 
-def _unchanged(difference: Difference, floor: Floor, year: int) -> Change:
+def _unchanged(difference: Difference, floor: Floor, year: int, alone: bool) -> Change:
     """A defect of the second (year 0) or the first alone: what its own shape says of growth."""
     growth, sigma, share = _along(difference.grown, difference.sigma, difference, floor)
-    other = _height(difference.first if year == 0 else difference.second, difference, floor)
-    before, after = (other, floor.height_mm) if year == 0 else (floor.height_mm, other)
+    before, after = _height(difference.first, difference, floor), _height(difference.second, difference, floor)
     if share < SEEN_MIN:
         before, after = (np.nan, floor.height_mm) if year == 0 else (floor.height_mm, np.nan)
         return _change(floor, before, after, np.nan, np.nan, Verdict.UNSEEN)
     k2 = _k2(sigma, growth)
-    if abs(growth) > max(OWN_SHAPE_MM, 3 * k2):  # where a floor of its own could not be fitted
+    if alone and abs(growth) > max(OWN_SHAPE_MM, 3 * k2):  # where a floor of its own could not be fitted
         return _change(floor, before, after, growth, k2, _verdict(before, after))
     return _change(floor, before, after, growth, max(k2, abs(growth)), Verdict.SAME)  # it may be nothing
 
