@@ -176,7 +176,11 @@ class Recording:
         if self.parts:
             return _named([(part, part.check()) for part in self.parts])
         if self.index is not None:
-            return _walked(self.path, self.known, self).check()
+            try:
+                walked = _walked(self.path, self.known, self)
+            except AnnulusError as error:  # a chunk whose compression's name is another now, or nothing to walk
+                return (*self.damage, Damage(0, str(error).removeprefix(f"{self.path}: ").rstrip(".")))
+            return walked.check()
         found = list(self.damage)
         with self._open() as file:
             for chunk in self._chunks:
