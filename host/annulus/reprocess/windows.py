@@ -112,8 +112,8 @@ def survey_windows(
 def _thinned(windows: Sequence[Window]) -> Iterator[Finding]:
     for one in windows:
         if one.thinned:
-            text = f"{one.thinned} of {one.thinned + len(one.frames)} frames are left out {_where(one)}: the head stood"
-            yield Finding(THINNED, f"{text} there, and all saw the same")
+            text = f"{one.thinned} of {one.thinned + len(one.frames)} frames are left out {_where(one)}, evenly:"
+            yield Finding(THINNED, f"{text} they have more points than can be held, and others beside saw the same")
 
 
 def _where(window: Window) -> str:

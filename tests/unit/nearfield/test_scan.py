@@ -90,7 +90,7 @@ def test_killed_interrupted_and_resumed_nothing_is_lost_or_measured_twice(tmp_pa
     out = tmp_path / "raster.npz"
     command = [
         str(Path(sys.executable).with_name("annulus")), "joint", "scan", "--twin", "--angles", "6", "--step-mm", "4",
-        "--averages", "1", "--settle-ms", "100", "-o", str(out), "--resume",
+        "--averages", "1", "--settle-ms", "300", "-o", str(out), "--resume",  # slow: it must not end first
     ]  # fmt: skip
     points = log_of(out)
     for how in (signal.SIGKILL, signal.SIGINT):

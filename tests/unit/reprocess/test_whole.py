@@ -74,7 +74,10 @@ def test_the_whole_leads_to_its_windows_and_says_what_they_say(held: Path) -> No
     page = (held / "report.html").read_text()
     links = set(re.findall(r'href="(windows/[^"]+)"', page))
     assert links == {f"{one['folder']}/report.html" for one in windows} and all((held / one).is_file() for one in links)
-    assert abs(summary["diameter_mm"]["mean"] - 152.4) < 0.3 and not summary["warnings"]
+    assert abs(summary["diameter_mm"]["mean"] - 152.4) < 0.3
+    assert {one["kind"] for one in summary["warnings"]} <= {"ring lost", "frames-thinned"}, (
+        "so small pictures, so close"
+    )
     marked = [one for one in windows if json.loads((held / one["folder"] / "summary.json").read_text())["observations"]]
     assert len(marked) == 1 and marked[0]["from_mm"] <= 300.0 < marked[0]["to_mm"], "a mark stands where it was made"
 
