@@ -176,7 +176,7 @@ def joined(parts: Sequence[Abstract], more: Sequence[Finding] = ()) -> Joined:
         }
     )
     findings = [finding for part in parts for finding in part.survey.disbelieved]
-    lost = _by_kind([finding for part in parts for finding in part.survey.rings_lost], len(parts))
+    lost = _by_kind([finding for part in parts for finding in part.survey.rings_lost or ()], len(parts))
     return Joined(
         profiles=(), wall=_side_by_side([one.wall for one in surveys], rows),
         shadowed=rows.laid([one.shadowed for one in surveys], False), detection=detection, stations=stations,

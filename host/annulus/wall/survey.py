@@ -73,7 +73,7 @@ class Survey:
     cameras: tuple[int, ...]
     light: str = "LED light"  # that `texture` shows the wall in
     lane: Lane | None = None  # of sectors that look through the wall
-    rings_lost: tuple[Finding, ...] = ()  # of the pattern
+    rings_lost: tuple[Finding, ...] | None = None  # of the pattern; None: as `profiles` show
     no_wall: BoolArray | None = None  # (Z, A) cells of openings, which no diameter has its ends in; None: none
 
     @property
@@ -90,7 +90,8 @@ class Survey:
     def findings(self) -> tuple[Finding, ...]:
         """Where too little was seen to say what shape the pipe has; which rings of the pattern were lost; what of the
         sensors was not believed."""
-        return *not_enough_seen(self.wall, self.features), *self.rings_lost, *self.disbelieved
+        lost = lost_rings(self.profiles) if self.rings_lost is None else self.rings_lost
+        return *not_enough_seen(self.wall, self.features), *lost, *self.disbelieved
 
     @property
     def points(self) -> int:
@@ -264,7 +265,7 @@ def survey(
     nominal = 2 * calibration.pipe_radius_mm
     return Survey(
         measured, wall, dark, detection, stations, texture, shaken, tuple(features), axis.centreline, axis.findings,
-        nominal, timing, tuple(one.id for one in calibration.cameras), rings_lost=lost_rings(measured), no_wall=no_wall,
+        nominal, timing, tuple(one.id for one in calibration.cameras), no_wall=no_wall,
     )  # fmt: skip
 
 

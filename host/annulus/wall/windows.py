@@ -17,6 +17,7 @@ import numpy as np
 
 from annulus.numeric.arrays import FloatArray, IntArray
 from annulus.wall.grid import Observations, Wall, z_step_of
+from annulus.wall.lost import lost_rings
 from annulus.wall.profile import Profile
 from annulus.wall.survey import Survey, stations_of
 
@@ -171,6 +172,7 @@ def between(survey: Survey, window: Window) -> Survey:
         wall=part, shadowed=survey.shadowed[a:b], detection=detection, stations=stations_of(part, no_wall),
         texture=None if survey.texture is None else survey.texture[a:b], no_wall=no_wall,
         features=tuple(one for one in survey.features if _touches(one.z_range_mm, first, last)),
+        rings_lost=lost_rings(survey.profiles),  # of whole frames: at a cut only some of their rings are kept
     )  # fmt: skip
 
 

@@ -138,7 +138,6 @@ def test_damaged_frames_are_left_out_counted_and_named(job: Job, tmp_path: Path)
     done = reprocess(open_job(tmp_path / "damaged.mcap"), Processes(2))
     assert done.drops == {"frames_unknown": 0, "profiles_without_pose": 0, "recording_torn": 0, "frames_damaged": 3}
     assert [profile.frame for profile in done.profiles] == [i for i in range(1, FRAMES) if i % 5 != 4 and i != 12]
-    finding, opened = done.findings
+    (finding,) = done.findings
     assert finding.frames == (0, 9, 12) and "3 frames are damaged and left out" in finding.text
-    assert "the recording is damaged: at byte" in opened.text  # frame 0 lies with what says whose frames these are
     assert done.survey().wall.seen.any()
