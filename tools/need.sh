@@ -21,7 +21,8 @@ for need in "$@"; do
 	kmod) want kmod 'PATH=$PATH:/usr/sbin:/sbin command -v modprobe' ;;
 	linux-image-amd64) want linux-image-amd64 'ls /boot/vmlinuz-*-amd64 | sed s,/boot/vmlinuz-,, | while read -r release; do
 		find "/lib/modules/$release" -name "vivid.ko*" | grep . && break; done | grep .' ;; # the cloud kernel has no drivers
-	gcc-aarch64-linux-gnu) want gcc-aarch64-linux-gnu 'command -v aarch64-linux-gnu-gcc' ;; # wheels for a Pi
+	gcc-aarch64-linux-gnu) want gcc-aarch64-linux-gnu 'command -v aarch64-linux-gnu-gcc' # wheels for a Pi
+		want libc6-dev-arm64-cross 'ls /usr/aarch64-linux-gnu/include/string.h' ;;
 	systemd) want systemd 'command -v systemd-analyze' ;;
 	chromium) want chromium 'command -v chromium' ;;
 	pango) want libpangoft2-1.0-0 'ldconfig -p | grep libpangoft2' ;; # WeasyPrint's
