@@ -28,13 +28,12 @@ from annulus.reprocess.job import Job
 from annulus.reprocess.ranges import FOLDER, Facts, profiles_of
 from annulus.reprocess.windows import WindowWork, Write, survey_windows
 from annulus.vocabulary import Finding, Label
-from annulus.wall.joined import Joined
 from annulus.wall.profile import Profile
 from annulus.wall.survey import Survey
 from annulus.wall.windows import POINTS_MAX, Reach, plan
 
-FRAMES_HELD = 600  # flashes: so many have no more points than a window may, and are never written
-WINDOW_MB = 1000  # that a worker holds at its window, and reads in; test_whole, tools/bench/speed/long_scan.py
+FRAMES_HELD = 600  # flashes whose profiles this process holds: of the usual head, two million points
+WINDOW_MB = 1000  # that a worker holds at its window; tools/bench/speed/long_scan.py
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,14 +53,10 @@ class Surveyed:
     left_out: int = 0
     windows: tuple[int, ...] = ()
 
-    @property
-    def in_windows(self) -> bool:
-        return isinstance(self.survey, Joined)
-
 
 @dataclass(frozen=True, slots=True)
 class Filed:
-    """The profiles of a scan where its ranges lie. files : of each range, in their order; ends : of how many frames
+    """The profiles of a scan where its ranges lie. facts : of each range, in their order; ends : of how many frames
     there are up to the end of each."""
 
     place: Place

@@ -122,8 +122,3 @@ def _where(window: Window) -> str:
     if math.isinf(window.last_mm):
         return f"behind {said(window.first_mm, DISTANCE)}"
     return f"from {span(window.first_mm, window.last_mm, DISTANCE)}"
-
-
-def names_of(plan: Plan) -> list[str]:
-    """Folders of the windows' results, in the order of the pipe."""
-    return [f"windows/{number:04d}" for number in range(1, len(plan.windows) + 1)]

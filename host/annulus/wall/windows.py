@@ -24,7 +24,7 @@ from annulus.wall.survey import Survey, stations_of
 HALO_OF_RADIUS = 4.0  # of the nominal radius: two diameters, beside either end
 CORE_OF_RADIUS = 4.0  # .. and the least that a window keeps
 CUT_MM = 100.0  # a cut lies at a multiple: a whole number of rows and of stations of every grid
-POINTS_MAX = 2_000_000  # of a window: 300 bytes a point while it is surveyed; tools/bench/speed/windows.py
+POINTS_MAX = 2_000_000  # of a window: 300 bytes a point while it is surveyed; tools/bench/speed/long_scan.py
 STRAY = 1.0  # percent of a frame's points that may lie anywhere
 WHOLE_ROWS_MAX = 10_000  # of the map of the whole
 ROW_STEPS_MM = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000)  # of that map, where rows are to be joined
