@@ -19,6 +19,7 @@ TABLE = Table(
         "console_hours": "What console and page keep of a long scan",
         "console_faults": "What console, network and viewers can do to a scan",
         "catalogue": "A catalogue of four million stations, asked, added to, listed",
+        "long_scan": "A scan of 20 GB on one machine: memory of all its processes, time",
         "storage": "Recordings in an object store, and their index: requests, bytes, time",
         "soak": "Labels and places under faults, in virtual time",
         "cluster": "A cluster: what a task costs, and a scan in ranges against the serial run",
