@@ -112,10 +112,10 @@ class Ranges(Sequence[Range]):
         which = self._which[number * self._of : (number + 1) * self._of]
         kept = which if self._alone else sorted({j for i in which for j in self._scan.same_flash(i)})
         where = {i: k for k, i in enumerate(kept)}
-        return Range(number, _part(self._scan, kept), tuple(where[i] for i in which))
+        return Range(number, part_of(self._scan, kept), tuple(where[i] for i in which))
 
 
-def _part(scan: Scan, kept: Sequence[int]) -> Scan:
+def part_of(scan: Scan, kept: Sequence[int]) -> Scan:
     """Those frames of a scan, with what it takes to read them."""
     recording = scan.recording
     if recording is not None:
@@ -182,7 +182,11 @@ class Measuring:
 
 def measuring(job: Job, place: Place) -> Measuring:
     """`job`: its colour decided."""
-    return Measuring(replace(job, scan=replace(job.scan, frames=(), calibration=None, recording=None)), place)
+    return Measuring(without_frames(job), place)
+
+
+def without_frames(job: Job) -> Job:
+    return replace(job, scan=replace(job.scan, frames=(), calibration=None, recording=None))
 
 
 def facts_of(

@@ -11,6 +11,7 @@ the same results, whichever way its frames went.
 import bisect
 import contextlib
 import math
+import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -26,14 +27,15 @@ from annulus.reprocess.executors import Executor, Processes, in_process
 from annulus.reprocess.gather import Ranged, gathered, in_ranges
 from annulus.reprocess.job import Job
 from annulus.reprocess.ranges import FOLDER, Facts, profiles_of
-from annulus.reprocess.windows import WindowWork, Write, survey_windows
+from annulus.reprocess.windows import Write, survey_windows
 from annulus.vocabulary import Finding, Label
 from annulus.wall.profile import Profile
 from annulus.wall.survey import Survey
 from annulus.wall.windows import POINTS_MAX, Reach, plan
 
 FRAMES_HELD = 600  # flashes whose profiles this process holds: of the usual head, two million points
-WINDOW_MB = 1000  # that a worker holds at its window; tools/bench/speed/long_scan.py
+WINDOW_MB = 800  # that a worker holds at its window; tools/bench/speed/long_scan.py
+WINDOWS_AT_ONCE = 2  # unless more workers are asked for: the command and they hold 2 GB, whatever the machine has
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,23 +58,35 @@ class Surveyed:
 
 @dataclass(frozen=True, slots=True)
 class Filed:
-    """The profiles of a scan where its ranges lie. facts : of each range, in their order; ends : of how many frames
-    there are up to the end of each."""
+    """The profiles of a scan where its ranges lie. facts : of each range, in their order; first : the number of each
+    one's first frame, counted over all that were read."""
 
     place: Place
     facts: tuple[Facts, ...]
-    ends: tuple[int, ...]
+    first: tuple[int, ...]
 
     def of(self, numbers: Sequence[int]) -> list[Profile]:
-        """Those of some frames that were read, counted from 0 over all ranges; rising."""
         out: list[Profile] = []
         held, profiles = -1, tuple[Profile, ...]()
         for number in numbers:
-            own = bisect.bisect_right(self.ends, number)
+            own, within = self._at(number)
             if own != held:
                 held, profiles = own, profiles_of(self.place, self.facts[own])
-            out.append(profiles[number - (self.ends[own - 1] if own else 0)])
+            out.append(profiles[within])
         return out
+
+    def part(self, numbers: Sequence[int]) -> "Filed":
+        kept = sorted({self._at(number)[0] for number in numbers})
+        return Filed(self.place, tuple(self.facts[i] for i in kept), tuple(self.first[i] for i in kept))
+
+    def frame(self, number: int) -> int:
+        own, within = self._at(number)
+        return self.facts[own].frames[within]
+
+    def _at(self, number: int) -> tuple[int, int]:
+        """Which range, and which of its frames."""
+        own = bisect.bisect_right(self.first, number) - 1
+        return own, number - self.first[own]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,8 +96,13 @@ class Held:
     profiles: tuple[Profile, ...]
 
     def of(self, numbers: Sequence[int]) -> list[Profile]:
-        """Those of some frames that were read, counted from 0."""
         return [self.profiles[number] for number in numbers]
+
+    def part(self, numbers: Sequence[int]) -> "Held":
+        return self
+
+    def frame(self, number: int) -> int:
+        return self.profiles[number].frame
 
 
 def surveyed(
@@ -104,8 +123,9 @@ def surveyed(
         if len(cut.windows) == 1:
             survey = done.survey(vibration=vibration, fps=fps, progress=progress)
             return Surveyed(done.job, survey, done.findings, done.frames, done.drops, done.timing_ms)
-        work = WindowWork(done.job, Held(done.profiles), cut, write, vibration, fps)
-        pipe, numbers, timing = survey_windows(work, in_process, progress)
+        pipe, numbers, timing = survey_windows(
+            done.job, Held(done.profiles), cut, write, in_process, progress, vibration=vibration, fps=fps
+        )
         told = with_bores(done.job.scan, done.profiles, pipe)
         timing_ms = {**done.timing_ms, **timing}
         return Surveyed(done.job, told, done.findings, done.frames, done.drops, timing_ms, windows=numbers)
@@ -118,8 +138,9 @@ def surveyed(
             survey = done.survey(vibration=vibration, fps=fps, progress=progress)
             return Surveyed(done.job, survey, done.findings, done.frames, done.drops, done.timing_ms, *counts)
         measured_ms = 1e3 * (time.perf_counter() - started)
-        work = WindowWork(ranged.job, _filed(ranged, place), cut, write, vibration, fps)
-        pipe, numbers, timing = survey_windows(work, _fewer(executor), progress)
+        pipe, numbers, timing = survey_windows(
+            ranged.job, _filed(ranged, place), cut, write, _fewer(executor), progress, vibration=vibration, fps=fps
+        )
     told = with_bores(ranged.job.scan, _poses(ranged), pipe)
     timing_ms = {**_timing(ranged), "scan_to_profiles": measured_ms, **timing}
     return Surveyed(ranged.job, told, ranged.findings, ranged.frames, ranged.drops, timing_ms, *counts, numbers)
@@ -140,16 +161,18 @@ def _ranges_in(place: Place, keep: bool) -> Iterator[None]:
 
 
 def _filed(ranged: Ranged, place: Place) -> Filed:
-    bare = tuple(replace(one, lights=(), poses=(), reaches=()) for one in ranged.facts)
-    return Filed(place, bare, tuple(accumulate(len(one.reaches) for one in ranged.facts)))
+    ends = accumulate((len(one.reaches) for one in ranged.facts), initial=0)
+    bare = tuple(replace(one, poses=(), reaches=()) for one in ranged.facts)
+    return Filed(place, bare, tuple(ends)[:-1])
 
 
 def _fewer(executor: Executor) -> Executor:
     """As many workers as have room for a window each; a cluster's have what they were given."""
     if not isinstance(executor, Processes):
         return executor
-    room = max(1, int(_free_mb() // WINDOW_MB))
-    return replace(executor, workers=min(executor.workers or room, room), apart=True)
+    wanted = executor.workers or min(os.cpu_count() or 1, WINDOWS_AT_ONCE)
+    room = max(1.0, min(wanted, _free_mb() // WINDOW_MB))
+    return replace(executor, workers=int(room), apart=True)
 
 
 def _free_mb() -> float:

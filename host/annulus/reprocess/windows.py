@@ -8,12 +8,14 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 from annulus.numeric.rounding import DISTANCE, said, span
+from annulus.record.scan import Scan
 from annulus.reprocess.engine import Progress, led_frames
 from annulus.reprocess.executors import Executor, Failed, in_process
 from annulus.reprocess.job import Job, turns_of
+from annulus.reprocess.ranges import part_of, without_frames
 from annulus.vocabulary import AnnulusError, Finding
 from annulus.wall import survey
 from annulus.wall.joined import Abstract, Joined, abstract, joined
@@ -28,7 +30,15 @@ class Profiles(Protocol):
     """Where the profiles of a scan's flashes are; a small value that can be pickled."""
 
     def of(self, numbers: Sequence[int]) -> list[Profile]:
-        """Those of some flashes, numbers into the scan's projector flashes, rising; a damaged one has none."""
+        """Those of some flashes, numbers into the scan's projector flashes that were read, rising."""
+        ...
+
+    def part(self, numbers: Sequence[int]) -> "Profiles":
+        """What it takes to know those, and no more."""
+        ...
+
+    def frame(self, number: int) -> int:
+        """Index of that flash's frame."""
         ...
 
 
@@ -37,53 +47,74 @@ Write = Callable[[int, Survey, Job], None]
 
 
 @dataclass(frozen=True, slots=True)
+class Piece:
+    """One window, with what is needed of the scan for it. part : the frames that were taken where the window's were."""
+
+    number: int
+    window: Window
+    part: Scan
+    profiles: Profiles
+
+
+class Pieces(Sequence[Piece]):
+    """A scan's windows, cut as they are asked for."""
+
+    def __init__(self, scan: Scan, profiles: Profiles, plan: Plan) -> None:
+        self._scan, self._profiles, self._windows = scan, profiles, plan.windows
+        self._z_mm = {frame.index: frame.z_mm for frame in scan.frames}
+
+    def __len__(self) -> int:
+        return len(self._windows)
+
+    def __getitem__(self, number: Any) -> Any:
+        if isinstance(number, slice):
+            return [self[one] for one in range(*number.indices(len(self)))]
+        window = self._windows[number]
+        z = [self._z_mm[self._profiles.frame(i)] for i in window.frames]
+        low, high = (min(z), max(z)) if z else (math.inf, -math.inf)
+        kept = [i for i, frame in enumerate(self._scan.frames) if low <= frame.z_mm <= high]
+        return Piece(number, window, part_of(self._scan, kept), self._profiles.part(window.frames))
+
+
+@dataclass(frozen=True, slots=True)
 class WindowWork:
-    """Work on the windows of a plan, by their numbers."""
+    """Work on a plan's windows. job : its scan's frames left out; z_step_mm, whole_step_mm : the plan's."""
 
     job: Job
-    profiles: Profiles
-    plan: Plan
+    z_step_mm: float
+    whole_step_mm: float
     write: Write
     vibration: bool = False
     fps: float | None = None
 
-    def ready(self) -> Callable[[int], "Abstract | Finding"]:
+    def ready(self) -> "Callable[[Piece], Abstract | Finding]":
         return self._do
 
-    def _do(self, number: int) -> "Abstract | Finding":
-        window = self.plan.windows[number]
-        profiles = self.profiles.of(window.frames)
-        job = _about(self.job, profiles)
+    def _do(self, piece: Piece) -> "Abstract | Finding":
+        window, job = piece.window, replace(self.job, scan=piece.part)
         try:
             whole = survey(
-                profiles,
+                piece.profiles.of(window.frames),
                 job.calibration,
                 led_frames(job),
-                turns=turns_of(self.job.scan),
+                turns=turns_of(job.scan),
                 vibration=self.vibration,
                 fps=self.fps,
-                z_step_mm=self.plan.z_step_mm,
+                z_step_mm=self.z_step_mm,
             )
             kept = between(whole, window)
             if not len(kept.wall.z_mm):
                 raise AnnulusError("no wall between its cuts")
         except AnnulusError as error:
             return Finding(NOT_MEASURED, f"nothing is measured {_where(window)}: {error}")
-        self.write(number, kept, job)
-        return abstract(kept, window, self.plan.whole_step_mm)
-
-
-def _about(job: Job, profiles: Sequence[Profile]) -> Job:
-    """The job of the frames that were taken where the head was while these profiles were."""
-    z = [profile.z_mm for profile in profiles]
-    low, high = (min(z), max(z)) if z else (math.inf, -math.inf)
-    keep = [i for i, frame in enumerate(job.scan.frames) if low <= frame.z_mm <= high]
-    return replace(job, scan=job.scan.part(keep))
+        self.write(piece.number, kept, job)
+        return abstract(kept, window, self.whole_step_mm)
 
 
 def survey_windows(
-    work: WindowWork, executor: Executor = in_process, progress: Progress | None = None
-) -> tuple[Joined, tuple[int, ...], Mapping[str, float]]:
+    job: Job, profiles: Profiles, plan: Plan, write: Write, executor: Executor = in_process,
+    progress: Progress | None = None, *, vibration: bool = False, fps: float | None = None,
+) -> tuple[Joined, tuple[int, ...], Mapping[str, float]]:  # fmt: skip
     """All windows surveyed and written: what they say together, which of them were measured, and ms that it took.
 
     Raises AnnulusError where not one of them could be measured, or a worker could not do one.
@@ -91,20 +122,21 @@ def survey_windows(
     began = time.perf_counter()
     parts: dict[int, Abstract] = {}
     findings: dict[int, Finding] = {}
-    count = len(work.plan.windows)
+    pieces = Pieces(job.scan, profiles, plan)
+    work = WindowWork(without_frames(job), plan.z_step_mm, plan.whole_step_mm, write, vibration, fps)
     report = progress or (lambda stage, done, total: None)
-    report("wall", 0, count)
-    for number, outcome in executor(work, range(count)):
+    report("wall", 0, len(pieces))
+    for number, outcome in executor(work, pieces):
         if isinstance(outcome, Failed):
             raise outcome.raised()
         if isinstance(outcome, Finding):
             findings[number] = outcome
         else:
             parts[number] = outcome
-        report("wall", len(parts) + len(findings), count)
+        report("wall", len(parts) + len(findings), len(pieces))
     if not parts:
-        raise AnnulusError(f"{work.job.scan.path}: {findings[0].text}.")
-    told = [*(findings[number] for number in sorted(findings)), *_thinned(work.plan.windows)]
+        raise AnnulusError(f"{job.scan.path}: {findings[0].text}.")
+    told = [*(findings[number] for number in sorted(findings)), *_thinned(plan.windows)]
     pipe = joined([parts[number] for number in sorted(parts)], told)
     return pipe, tuple(sorted(parts)), {"windows": 1e3 * (time.perf_counter() - began)}
 
