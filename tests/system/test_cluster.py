@@ -7,6 +7,7 @@ the first death (four by default), so that few workers have to die.
 import hashlib
 import os
 import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -150,6 +151,32 @@ def test_one_hash_with_a_worker_killed_and_the_scheduler_begun_anew(
     assert written(done, tmp_path / "here") == written(whole, tmp_path / "there")
     again = in_ranges(job, place, Dask(cluster.url), chunks=1)
     assert again.made == 0 and digest(gathered(again, place, 0.0).profiles) == digest(whole.profiles)
+
+
+def test_the_commands_make_one_hash_with_one_two_and_five_workers_here_and_of_a_cluster(
+    cluster: Cluster, scan: Path, tmp_path: Path
+) -> None:
+    living = [n for n, worker in enumerate(cluster.workers) if worker.poll() is None]
+    for number in living[1:]:
+        cluster.kill(number)
+    if not living:
+        cluster.hire(1)
+    command("reconstruct", scan, "-o", tmp_path / "reference", "--workers", 1)
+    hashes = {"reconstruct": results_hash(tmp_path / "reference")}
+    for workers, more in ((1, 0), (2, 1), (5, 3)):
+        cluster.hire(more)
+        for engine in (("--workers", workers), ("--engine", "dask", "--scheduler", cluster.url)):
+            out = tmp_path / f"{engine[-1]}-{workers}".replace("/", "-")
+            command("reprocess", scan, "-o", out, *engine)
+            hashes[out.name] = results_hash(out / "scan")
+    assert len(hashes) == 7 and len(set(hashes.values())) == 1, hashes
+
+
+def command(*arguments: object) -> None:
+    done = subprocess.run(
+        [Path(sys.executable).with_name("annulus"), *map(str, arguments)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
 
 
 def test_what_kills_every_worker_is_given_up_and_the_rest_is_done(cluster: Cluster, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""A dask scheduler and workers as programs on loopback, one thread each, as a cluster would have them."""
+"""A dask scheduler and workers as programs on loopback, as those of tools/deploy are begun."""
 
 import ctypes
 import os
@@ -10,7 +10,10 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
+AS_DEPLOYED = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")} | {
+    "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
+    "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "500ms",
+}  # as tools/deploy/Dockerfile has them
 BEGIN_S = 120.0  # for a scheduler to listen, on a machine that is busy
 
 
@@ -79,7 +82,7 @@ class Cluster:
 
     def _program(self, kind: str, *arguments: str) -> "subprocess.Popen[bytes]":
         command = [sys.executable, "-m", f"distributed.cli.dask_{kind}", *arguments, *self.tls]
-        environment = {**os.environ, **ONE_THREAD, **self.environment}
+        environment = {**os.environ, **AS_DEPLOYED, **self.environment}
         quiet = subprocess.DEVNULL
         return subprocess.Popen(command, env=environment, stdout=quiet, stderr=quiet, preexec_fn=_with_parent)
 

@@ -34,8 +34,8 @@ from tools.bench.dask_processes import Cluster
 from tools.bench.table import ROOT, Row
 
 TASKS, TASK_MS = 500, 10.0
-DRAWN, TIMES = 24, 6  # pictures, and how often each is in the scan
-CHUNKS = 3  # of a range here: 24 flashes
+DRAWN, TIMES = 16, 32  # pictures, and how often each is in the scan
+CHUNKS = 16  # of a range: 128 flashes, as everywhere
 OVERHEAD = 0.10  # of the serial run's processor
 NOTE = (
     "Processor time of all processes that have a part. A task that does nothing carries the row of a real range of 128 "
@@ -79,7 +79,7 @@ def rows() -> list[Row]:
 
 
 def _scan(path: Path) -> Job:
-    world = clean_world(travel_mm=60.0).scaled(832)
+    world = clean_world(travel_mm=60.0)
     renderer, size = Renderer(world), (world.camera.width, world.camera.height)
     places = np.linspace(0.0, world.travel_mm, DRAWN)
     raws = [renderer.render(world.pose(z), z, 1.0, 0.0, seed=i) for i, z in enumerate(places)]
