@@ -4,7 +4,7 @@
 
 The frames are few pictures under many places: 10 000 rows of frames.csv, 2.05 MB of mosaic each as a head sends them,
 25 m of clean pipe in steps of 2.5 mm. What is read, measured, surveyed and written is all of it. Memory is what /proc
-says of the command and all its children together, every tenth of a second: resident, what they share counted once.
+says of the command and all its children together, every half second: resident, what they share counted once.
 """
 
 import json
@@ -24,7 +24,7 @@ FRAMES, STEP_MM, RATIO = 10_000, 2.5, 4
 PICTURES = 4
 MOSAIC_MB = 1664 * 1232 / 1e6
 MOST_MB = 2000.0
-LOOK_S = 0.1
+LOOK_S = 0.5  # a look stops what is looked at for some ms
 
 
 def rows(frames: int = FRAMES) -> list[Row]:
@@ -37,8 +37,8 @@ def rows(frames: int = FRAMES) -> list[Row]:
             str(Path(sys.executable).with_name("annulus")), "reconstruct", str(folder / "scan"), "--json",
             "-o", str(folder / "out"), "--calibration", str(folder / "scan/calibration.json"),
         ]  # fmt: skip
-        with (folder / "told").open("w") as told:
-            running = subprocess.Popen(command, stdout=told, stderr=subprocess.DEVNULL)
+        with (folder / "told").open("w") as told, (folder / "said").open("w") as said:
+            running = subprocess.Popen(command, stdout=told, stderr=said)
             most = largest = 0.0
             while running.poll() is None:
                 held = [_pss_mb(pid) for pid in _family(running.pid, before)]
@@ -46,7 +46,7 @@ def rows(frames: int = FRAMES) -> list[Row]:
                 time.sleep(LOOK_S)
         took = time.monotonic() - began
         if running.returncode:
-            return [Row("reconstruct", "-", "status 0", f"status {running.returncode}", False)]
+            return [Row("reconstruct", "-", "status 0", f"status {running.returncode}: {_last(folder)}", False)]
         summary = json.loads((folder / "told").read_text())
         size = sum(one.stat().st_size for one in (folder / "out").rglob("*") if one.is_file()) / 1e6
     length = summary["scanned_mm"]["length"]
@@ -59,6 +59,10 @@ def rows(frames: int = FRAMES) -> list[Row]:
         Row("time", "-", "-", f"{took:.0f} s, {1e3 * took / frames:.0f} ms a frame"),
         Row("results", "-", "-", f"{size:.0f} MB"),
     ]
+
+
+def _last(folder: Path) -> str:
+    return (folder / "said").read_text().strip().rpartition("\n")[2]
 
 
 def drawn_scan(folder: Path, frames: int, scale: float = 1.0) -> None:
