@@ -3,8 +3,8 @@
     python -m tools.bench speed cluster
 
 Scheduler and workers are dask's programs on loopback, one thread each, BLAS and OpenCV too. Processor time is what
-counts: it is the same on a machine that others use, while the clock is not. A frame is 832 pixels wide, a quarter of
-the head's pixels, so that what is not measuring weighs four times as much here.
+counts: it is the same on a machine that others use, while the clock is not. Frames are the head's own, ranges those of
+every scan. The last rows are arithmetic, not measured: how many workers one core of each kind would keep busy.
 """
 
 import os
@@ -36,6 +36,7 @@ from tools.bench.table import ROOT, Row
 TASKS, TASK_MS = 500, 10.0
 DRAWN, TIMES = 16, 32  # pictures, and how often each is in the scan
 CHUNKS = 16  # of a range: 128 flashes, as everywhere
+READ_MB = 16.0  # of a request at most, record/remote.py
 OVERHEAD = 0.10  # of the serial run's processor
 NOTE = (
     "Processor time of all processes that have a part. A task that does nothing carries the row of a real range of 128 "
@@ -69,13 +70,26 @@ class Same:
         return self.one
 
 
+@dataclass(slots=True)
+class _Task:
+    """What one costs, ms of processor, and what one range's frames do."""
+
+    scheduler_ms: float = 0.0
+    client_ms: float = 0.0
+    worker_ms: float = 0.0
+    frame_ms: float = 0.0
+    kept_kb: float = 0.0
+
+
 def rows() -> list[Row]:
     with tempfile.TemporaryDirectory() as name, Cluster(environment={"PYTHONPATH": str(ROOT)}) as cluster:
         folder = Path(name)
         cluster.hire(2)
         job = _scan(folder / "scan.mcap")
         make_ready(job.calibration, print)
-        return [*_tasks(job, folder, cluster), *_scans(job, folder, cluster)]
+        spent = _Task()
+        tasks, scans = [*_tasks(job, folder, cluster, spent)], [*_scans(job, folder, cluster, spent)]
+        return [*tasks, *scans, *_model(job, spent)]
 
 
 def _scan(path: Path) -> Job:
@@ -93,7 +107,7 @@ def _scan(path: Path) -> Job:
     return open_job(path)
 
 
-def _tasks(job: Job, folder: Path, cluster: Cluster) -> Iterator[Row]:
+def _tasks(job: Job, folder: Path, cluster: Cluster, told: _Task) -> Iterator[Row]:
     one = Ranges(job)[0]
     facts = measuring(job, Place(folder / "one")).ready()(one)
     work, many = Nothing(facts), Same(one, TASKS)
@@ -105,6 +119,7 @@ def _tasks(job: Job, folder: Path, cluster: Cluster) -> Iterator[Row]:
     scheduler, *workers = ((b - a) / TASKS * 1e3 for a, b in zip(before, _spent(cluster), strict=True))
     worker, client = sum(workers), client / TASKS * 1e3
     whole = scheduler + client + worker
+    told.scheduler_ms, told.client_ms, told.worker_ms = scheduler, client, worker
     there = len(pickle.dumps(work)) - len(pickle.dumps(facts)) + len(pickle.dumps(measuring(job, Place(folder))))
     item, back = len(pickle.dumps((measured_with(), one))), len(pickle.dumps(facts))
     ok, load = whole <= TASK_MS and done == TASKS, os.getloadavg()[0]
@@ -117,13 +132,14 @@ def _tasks(job: Job, folder: Path, cluster: Cluster) -> Iterator[Row]:
     )
 
 
-def _scans(job: Job, folder: Path, cluster: Cluster) -> Iterator[Row]:
+def _scans(job: Job, folder: Path, cluster: Cluster, told: _Task) -> Iterator[Row]:
     which = job.flashes(Label.PROJECTOR)
     measure(job, which[:CHUNK])
     start, clock = time.process_time(), time.perf_counter()
     measure(job, which)
     serial, took = time.process_time() - start, time.perf_counter() - clock
-    said = f"{serial / len(which) * 1e3:.1f} ms a frame ({len(which)} frames, {took:.0f} s by the clock)"
+    told.frame_ms = serial / len(which) * 1e3
+    said = f"{told.frame_ms:.1f} ms a frame ({len(which)} frames, {took:.0f} s by the clock)"
     yield Row("serial", "-", "-", said)
 
     def row(what: str, spent: float, clock: float, ok: bool | None) -> Row:
@@ -136,7 +152,8 @@ def _scans(job: Job, folder: Path, cluster: Cluster) -> Iterator[Row]:
     spent = time.process_time() - start
     yield row("in ranges, in process", spent, took, spent <= (1 + OVERHEAD) * serial)
     files = [file.stat().st_size for file in (folder / "here").rglob("*.parquet")]
-    yield Row("profiles of a frame in their file", "-", "-", f"{sum(files) / len(which) / 1e3:.0f} kB")
+    told.kept_kb = sum(files) / len(which) / 1e3
+    yield Row("profiles of a frame in their file", "-", "-", f"{told.kept_kb:.0f} kB")
     start, took = time.process_time(), _ranges(job, folder / "here", in_process)
     spent = time.process_time() - start
     yield Row("found again, not measured", "-", "-", f"{spent / serial:.1%} of serial")
@@ -155,6 +172,23 @@ def _scans(job: Job, folder: Path, cluster: Cluster) -> Iterator[Row]:
         yield row(
             f"dask, {workers} workers, scheduler and client with it", spent, took, spent <= (1 + OVERHEAD) * serial
         )
+
+
+def _model(job: Job, one: _Task) -> Iterator[Row]:
+    """Ranges come as fast as N workers measure them; a core is full where each costs it as long as the next takes to
+    come. Frames of the head are read at their own size."""
+    frames = CHUNKS * CHUNK
+    range_ms = frames * one.frame_ms + one.worker_ms
+    mb = job.calibration.camera.width * job.calibration.camera.height / 1e6 * 5 / 4  # an LED frame lies between four
+    yield Row("model: one core of the client keeps busy", "-", "-", f"{range_ms / one.client_ms:.0f} workers")
+    yield Row("model: one core of the scheduler keeps busy", "-", "-", f"{range_ms / one.scheduler_ms:.0f} workers")
+    for workers in (100, 1000):
+        tasks = workers / range_ms * 1e3
+        reads = tasks * frames * mb
+        text = f"{tasks:.0f} tasks/s; client {tasks * one.client_ms / 10:.0f} %, scheduler "
+        text += f"{tasks * one.scheduler_ms / 10:.0f} % of a core; read {reads / 1e3:.1f} GB/s ({reads / READ_MB:.0f} "
+        text += f"requests/s), written {tasks * frames * one.kept_kb / 1e3:.0f} MB/s"
+        yield Row(f"model: {workers} workers", "-", "-", text)
 
 
 def _ranges(job: Job, folder: Path, executor: Executor) -> float:
