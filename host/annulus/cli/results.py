@@ -1,6 +1,7 @@
 """From what a scan says to result files, for every command that makes them: of a short scan at once, of a long one
 window by window."""
 
+import hashlib
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from annulus.reprocess import Surveyed
 
 SUMMARY = "summary.json"
+ABSTRACT = "abstract.npz"  # of a window: what the whole is told from, for another run that has it from the same
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +70,24 @@ class WindowFiles:
         with tempfile.TemporaryDirectory(prefix="annulus-") as made:
             write_window(survey, account, Path(made), number)
             _upload(Path(made), self.place)
+
+    def made_from(self) -> str:
+        return repr(self.told)
+
+    def digests(self, number: int) -> dict[str, str]:
+        own = f"{WINDOWS}/{window_folder(Path(), number).name}/"
+        names = [name for name in self.place.names(own) if name != own + ABSTRACT]
+        return {name: hashlib.sha256(self.place.read(name) or b"").hexdigest() for name in names}
+
+    def keep(self, number: int, told: bytes) -> None:
+        self.place.write(self._abstract(number), told)
+
+    def kept(self, number: int) -> bytes | None:
+        return self.place.read(self._abstract(number))
+
+    @staticmethod
+    def _abstract(number: int) -> str:
+        return f"{WINDOWS}/{window_folder(Path(), number).name}/{ABSTRACT}"
 
 
 def write_results(done: "Surveyed", told: Told, place: Place, paper: "Paper | None" = None) -> dict[str, Any]:

@@ -8,7 +8,7 @@ import enum
 import functools
 import hashlib
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from importlib import import_module, resources
 from pathlib import Path, PurePath
 from typing import Any
@@ -48,10 +48,22 @@ def differing(one: Mapping[str, str], other: Mapping[str, str]) -> str:
     return ", ".join(f"{name} {other.get(name, 'unknown')} for {one.get(name, 'unknown')}" for name in names)
 
 
+@functools.cache
+def made_with() -> Mapping[str, str]:
+    """The same of whole results: of all rooms, and what draws and writes."""
+    root = Path(str(resources.files("annulus")))
+    told = {name: str(import_module(name).__version__) for name in ("matplotlib", "PIL")}
+    return {**measured_with(), **told, "annulus": _digest(root, root.rglob("*.py"))}
+
+
 def _sources() -> str:
     root = Path(str(resources.files("annulus")))
+    return _digest(root, [root / name for name in FILES] + [p for room in ROOMS for p in (root / room).rglob("*.py")])
+
+
+def _digest(root: Path, paths: Iterable[Path]) -> str:
     digest = hashlib.sha256()
-    for path in sorted([root / name for name in FILES] + [p for room in ROOMS for p in (root / room).rglob("*.py")]):
+    for path in sorted(paths):
         digest.update(f"{path.relative_to(root).as_posix()} ".encode() + path.read_bytes())
     return digest.hexdigest()[:16]
 

@@ -1,7 +1,7 @@
 """From a scan to its survey, however long it is: at once where its points can be held, else range by range and window
 by window, with nobody holding all of it.
 
-    done = surveyed(job, place, executor, write)     # done.survey: of the whole, be it of one window or of many
+    done = surveyed(job, place, executor, files)     # done.survey: of the whole, be it of one window or of many
 
 A short scan's profiles go from worker to command. A long one's are written into the place as they are measured; where
 windows are cut follows from them alone, and each window is then surveyed wherever there is room. The same scan gives
@@ -27,7 +27,7 @@ from annulus.reprocess.executors import Executor, Processes, in_process
 from annulus.reprocess.gather import Ranged, gathered, in_ranges
 from annulus.reprocess.job import Job
 from annulus.reprocess.ranges import FOLDER, Facts, profiles_of
-from annulus.reprocess.windows import Write, survey_windows
+from annulus.reprocess.windows import Files, survey_windows
 from annulus.vocabulary import Finding, Label
 from annulus.wall.profile import Profile
 from annulus.wall.survey import Survey
@@ -79,6 +79,9 @@ class Filed:
         kept = sorted({self._at(number)[0] for number in numbers})
         return Filed(self.place, tuple(self.facts[i] for i in kept), tuple(self.first[i] for i in kept))
 
+    def made_from(self) -> tuple[str, ...]:
+        return tuple(one.name for one in self.facts)
+
     def frame(self, number: int) -> int:
         own, within = self._at(number)
         return self.facts[own].frames[within]
@@ -101,17 +104,20 @@ class Held:
     def part(self, numbers: Sequence[int]) -> "Held":
         return self
 
+    def made_from(self) -> None:
+        return None
+
     def frame(self, number: int) -> int:
         return self.profiles[number].frame
 
 
 def surveyed(
-    job: Job, place: Place, executor: Executor, write: Write, progress: Progress | None = None, *,
+    job: Job, place: Place, executor: Executor, files: Files, progress: Progress | None = None, *,
     vibration: bool = False, fps: float | None = None, keep: bool = False, points_max: int = POINTS_MAX,
 ) -> Surveyed:  # fmt: skip
     """Everything a scan says of its pipe.
 
-    place : where ranges and windows' results go. write : makes a window's files; not called for a scan of one window.
+    place : where ranges and windows' results go. files : of windows; not asked of a scan of one.
     keep : ranges are written however short the scan is, and stay, so that the same work again finds them. points_max :
     of a window.
     Raises AnnulusError, one line, where nothing can be measured.
@@ -124,7 +130,7 @@ def surveyed(
             survey = done.survey(vibration=vibration, fps=fps, progress=progress)
             return Surveyed(done.job, survey, done.findings, done.frames, done.drops, done.timing_ms)
         pipe, numbers, timing = survey_windows(
-            done.job, Held(done.profiles), cut, write, in_process, progress, vibration=vibration, fps=fps
+            done.job, Held(done.profiles), cut, files, in_process, progress, vibration=vibration, fps=fps
         )
         told = with_bores(done.job.scan, done.profiles, pipe)
         timing_ms = {**done.timing_ms, **timing}
@@ -139,7 +145,7 @@ def surveyed(
             return Surveyed(done.job, survey, done.findings, done.frames, done.drops, done.timing_ms, *counts)
         measured_ms = 1e3 * (time.perf_counter() - started)
         pipe, numbers, timing = survey_windows(
-            ranged.job, _filed(ranged, place), cut, write, _fewer(executor), progress, vibration=vibration, fps=fps
+            ranged.job, _filed(ranged, place), cut, files, _fewer(executor), progress, vibration=vibration, fps=fps
         )
     told = with_bores(ranged.job.scan, _poses(ranged), pipe)
     timing_ms = {**_timing(ranged), "scan_to_profiles": measured_ms, **timing}

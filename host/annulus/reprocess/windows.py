@@ -1,7 +1,7 @@
 """The windows of a long pipe, worked on wherever there is room: each from its frames' profiles to its own results.
 
 Nobody holds a scan: a worker holds one window's points, and hands back what the whole is told from
-(`wall.joined.Abstract`). What files a window's results become is the caller's: `write`.
+(`wall.joined.Abstract`). What a window's results become is the caller's: `Files`.
 """
 
 import math
@@ -12,10 +12,12 @@ from typing import Any, Protocol
 
 from annulus.numeric.rounding import DISTANCE, said, span
 from annulus.record.scan import Scan
+from annulus.reprocess.abstract_file import packed, unpacked
 from annulus.reprocess.engine import Progress, led_frames
 from annulus.reprocess.executors import Executor, Failed, in_process
 from annulus.reprocess.job import Job, turns_of
-from annulus.reprocess.ranges import part_of, without_frames
+from annulus.reprocess.ranges import identity, part_of, without_frames
+from annulus.reprocess.versions import address, made_with
 from annulus.vocabulary import AnnulusError, Finding
 from annulus.wall import survey
 from annulus.wall.joined import Abstract, Joined, abstract, joined
@@ -41,13 +43,35 @@ class Profiles(Protocol):
         """Index of that flash's frame."""
         ...
 
+    def made_from(self) -> tuple[str, ...] | None:
+        """Addresses of what they follow from; None where they were only just measured."""
+        ...
 
-# (which window, from 0; its survey, what lies beyond its cuts left out; the job of its frames) -> its files
-Write = Callable[[int, Survey, Job], None]
+
+class Files(Protocol):
+    """What becomes of a window's survey, and stays; windows are numbered from 0. A small value that can be pickled."""
+
+    def __call__(self, number: int, survey: Survey, job: Job) -> None:
+        """Write them. survey : what lies beyond the window's cuts left out; job : of its frames."""
+        ...
+
+    def made_from(self) -> str:
+        """All that they follow from beside survey and job."""
+        ...
+
+    def digests(self, number: int) -> Mapping[str, str]:
+        """SHA-256 of each file that is there now, by name."""
+        ...
+
+    def keep(self, number: int, told: bytes) -> None:
+        """Beside them, what the whole is told from."""
+        ...
+
+    def kept(self, number: int) -> bytes | None: ...
 
 
 @dataclass(frozen=True, slots=True)
-class Piece:
+class Portion:
     """One window, with what is needed of the scan for it. part : the frames that were taken where the window's were."""
 
     number: int
@@ -56,7 +80,7 @@ class Piece:
     profiles: Profiles
 
 
-class Pieces(Sequence[Piece]):
+class Portions(Sequence[Portion]):
     """A scan's windows, cut as they are asked for."""
 
     def __init__(self, scan: Scan, profiles: Profiles, plan: Plan) -> None:
@@ -73,28 +97,33 @@ class Pieces(Sequence[Piece]):
         z = [self._z_mm[self._profiles.frame(i)] for i in window.frames]
         low, high = (min(z), max(z)) if z else (math.inf, -math.inf)
         kept = [i for i, frame in enumerate(self._scan.frames) if low <= frame.z_mm <= high]
-        return Piece(number, window, part_of(self._scan, kept), self._profiles.part(window.frames))
+        return Portion(number, window, part_of(self._scan, kept), self._profiles.part(window.frames))
 
 
 @dataclass(frozen=True, slots=True)
 class WindowWork:
-    """Work on a plan's windows. job : its scan's frames left out; z_step_mm, whole_step_mm : the plan's."""
+    """Work on a plan's windows, each found where it was done before. job : its scan's frames left out; z_step_mm,
+    whole_step_mm : the plan's."""
 
     job: Job
     z_step_mm: float
     whole_step_mm: float
-    write: Write
+    files: Files
     vibration: bool = False
     fps: float | None = None
 
-    def ready(self) -> "Callable[[Piece], Abstract | Finding]":
+    def ready(self) -> "Callable[[Portion], Abstract | Finding]":
         return self._do
 
-    def _do(self, piece: Piece) -> "Abstract | Finding":
-        window, job = piece.window, replace(self.job, scan=piece.part)
+    def _do(self, portion: Portion) -> "Abstract | Finding":
+        made_from = self._made_from(portion)
+        there = self._found(portion.number, made_from)
+        if there is not None:
+            return there
+        window, job = portion.window, replace(self.job, scan=portion.part)
         try:
             whole = survey(
-                piece.profiles.of(window.frames),
+                portion.profiles.of(window.frames),
                 job.calibration,
                 led_frames(job),
                 turns=turns_of(job.scan),
@@ -107,12 +136,38 @@ class WindowWork:
                 raise AnnulusError("no wall between its cuts")
         except AnnulusError as error:
             return Finding(NOT_MEASURED, f"nothing is measured {_where(window)}: {error}")
-        self.write(piece.number, kept, job)
-        return abstract(kept, window, self.whole_step_mm)
+        self.files(portion.number, kept, job)
+        told = abstract(kept, window, self.whole_step_mm)
+        if made_from is not None:
+            about = {"made_from": made_from, "files": self.files.digests(portion.number)}
+            self.files.keep(portion.number, packed(told, about))
+        return told
+
+    def _made_from(self, portion: Portion) -> str | None:
+        """Address of all that a window's files and its abstract follow from; None where that is not known."""
+        profiles = portion.profiles.made_from()
+        if profiles is None:
+            return None
+        job, more = self.job, (self.z_step_mm, self.whole_step_mm, self.vibration, self.fps)
+        return address(
+            made_with(), job.calibration, job.colour, job.reference, more, self.files.made_from(), portion.window,
+            profiles, identity(portion.part),
+        )  # fmt: skip
+
+    def _found(self, number: int, made_from: str | None) -> "Abstract | None":
+        there = None if made_from is None else self.files.kept(number)
+        if there is None:
+            return None
+        try:
+            told, about = unpacked(there, f"window {number + 1}")
+        except AnnulusError:  # half of it, or another's: made anew
+            return None
+        sound = about.get("made_from") == made_from and about.get("files") == self.files.digests(number)
+        return told if sound else None
 
 
 def survey_windows(
-    job: Job, profiles: Profiles, plan: Plan, write: Write, executor: Executor = in_process,
+    job: Job, profiles: Profiles, plan: Plan, files: Files, executor: Executor = in_process,
     progress: Progress | None = None, *, vibration: bool = False, fps: float | None = None,
 ) -> tuple[Joined, tuple[int, ...], Mapping[str, float]]:  # fmt: skip
     """All windows surveyed and written: what they say together, which of them were measured, and ms that it took.
@@ -122,18 +177,18 @@ def survey_windows(
     began = time.perf_counter()
     parts: dict[int, Abstract] = {}
     findings: dict[int, Finding] = {}
-    pieces = Pieces(job.scan, profiles, plan)
-    work = WindowWork(without_frames(job), plan.z_step_mm, plan.whole_step_mm, write, vibration, fps)
+    portions = Portions(job.scan, profiles, plan)
+    work = WindowWork(without_frames(job), plan.z_step_mm, plan.whole_step_mm, files, vibration, fps)
     report = progress or (lambda stage, done, total: None)
-    report("wall", 0, len(pieces))
-    for number, outcome in executor(work, pieces):
+    report("wall", 0, len(portions))
+    for number, outcome in executor(work, portions):
         if isinstance(outcome, Failed):
             raise outcome.raised()
         if isinstance(outcome, Finding):
             findings[number] = outcome
         else:
             parts[number] = outcome
-        report("wall", len(parts) + len(findings), len(pieces))
+        report("wall", len(parts) + len(findings), len(portions))
     if not parts:
         raise AnnulusError(f"{job.scan.path}: {findings[0].text}.")
     told = [*(findings[number] for number in sorted(findings)), *_thinned(plan.windows)]

@@ -59,8 +59,14 @@ def test_the_same_bits_held_or_by_files_by_one_or_by_two_and_again(scan: Path, h
     assert hashed(tmp_path / "a") == hashed(held) and len(hashed(held)) == 5 + 7 * len(first.windows)
     (stale := tmp_path / "a/windows/0099").mkdir()
     (stale / "summary.json").write_text("{}")
+    clouds = [tmp_path / f"a/windows/{n + 1:04d}/cloud.ply" for n in first.windows]
+    before = [one.stat().st_mtime_ns for one in clouds]
+    altered = tmp_path / "a/windows/0002/wall.npz"
+    altered.write_bytes(altered.read_bytes()[:-1] + b"?")
     again = reconstructed(scan, tmp_path / "a", keep=True)
     assert again.ranges == 2 and again.made == 0, "what was measured is found"
+    written = [one.stat().st_mtime_ns != was for one, was in zip(clouds, before, strict=True)]
+    assert written == [number == 1 for number in again.windows], "a window is found, and what was altered made anew"
     assert hashed(tmp_path / "a") == hashed(held) and not stale.exists(), "windows of a scan before do not stay"
 
 

@@ -1,0 +1,75 @@
+"""What goes to the worker of one window of a long scan, and how many windows there are at a time."""
+
+import pickle
+from pathlib import Path
+
+import pytest
+
+from annulus.geometry.pose import Pose
+from annulus.record.scan import Scan, ScanFrame
+from annulus.record.storage import Place
+from annulus.reprocess import Processes, whole
+from annulus.reprocess.cluster import Dask, packed
+from annulus.reprocess.ranges import Facts
+from annulus.reprocess.whole import Filed
+from annulus.reprocess.windows import Portions
+from annulus.rings.diagnosis import Exposure
+from annulus.vocabulary import Label
+from annulus.wall.windows import Plan, Window
+
+OF = 100  # frames of a range, and of a window, whose halo has 20 of each neighbour
+PORTION_MOST = 60_000  # bytes; about 24 000
+
+
+def portions(ranges: int) -> Portions:
+    count = OF * ranges
+    frames = tuple(ScanFrame(i, Label.PROJECTOR, 2.5 * i, f"rings-{i}.jpg") for i in range(count))
+    facts = tuple(
+        Facts(
+            n, f"ranges/{n:06d}.parquet", OF * n, OF * n + OF - 1,
+            tuple((i, Exposure(200.0, 0.0, 0.0)) for i in range(OF * n, OF * n + OF)), (), (), (), (), OF, 1000, {},
+            (0.0, 1.0), {}, True, "a processor", (),
+        )
+        for n in range(ranges)
+    )  # fmt: skip
+    windows = tuple(
+        Window(250.0 * n, 250.0 * (n + 1), tuple(range(max(0, OF * n - 20), min(count, OF * (n + 1) + 20))))
+        for n in range(ranges)
+    )
+    filed = Filed(Place("season"), facts, tuple(range(0, count, OF)))
+    return Portions(Scan(Path("scan"), frames, None, None), filed, Plan(windows, 2.0, 2.0))
+
+
+def test_what_a_window_is_sent_does_not_grow_with_its_scan() -> None:
+    short, long = portions(4), portions(200)
+    assert [frame.index for frame in long[2].part.frames] == list(range(180, 320))
+    assert [facts.number for facts in long[2].profiles.facts] == [1, 2, 3]
+    assert long[2].profiles.frame(185) == long[2].profiles.facts[0].frames[85] == 185
+    assert len(packed(long[2])) == len(packed(short[2])) < PORTION_MOST
+    assert pickle.loads(packed(long[2])) == long[2]
+
+
+def test_what_is_packed_comes_out_as_it_went_in() -> None:
+    for value in (
+        Pose(0.1, -0.2, 3.0, 4.0, None),
+        Exposure(1.0, 0.5, float("inf")),
+        Place("s3://bucket/x"),
+        Processes(3),
+    ):
+        assert pickle.loads(packed(value)) == value and type(pickle.loads(packed(value))) is type(value)
+
+
+@pytest.mark.parametrize(
+    ("free_mb", "cores", "workers", "at_once"),
+    [(64_000.0, 32, None, 2), (64_000.0, 1, None, 1), (64_000.0, 2, 5, 5), (1700.0, 8, None, 2), (900.0, 8, 8, 1),
+     (100.0, 8, 8, 1)],
+)  # fmt: skip
+def test_so_many_windows_at_a_time_as_there_is_room_for_and_two_where_nobody_asks_for_more(
+    monkeypatch: pytest.MonkeyPatch, free_mb: float, cores: int, workers: int | None, at_once: int
+) -> None:
+    """22 at a time of a scan of 25 m, where a machine has the memory, were eleven times what is promised."""
+    monkeypatch.setattr(whole, "_free_mb", lambda: free_mb)
+    monkeypatch.setattr("os.cpu_count", lambda: cores)
+    assert whole._fewer(Processes(workers)) == Processes(at_once, apart=True)
+    dask = Dask("tcp://127.0.0.1:8786")
+    assert whole._fewer(dask) is dask
