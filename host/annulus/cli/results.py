@@ -57,7 +57,7 @@ class WindowFiles:
     told: Told
     place: Place
 
-    def __call__(self, number: int, survey: Survey, job: Job) -> None:
+    def __call__(self, number: int, survey: Survey, job: Job) -> dict[str, str]:
         first, last, *_ = survey.wall.extent
         nothing: Mapping[str, Any] = {}
         account = self.told.within(first, last).account(
@@ -65,11 +65,12 @@ class WindowFiles:
         )
         if self.place.local is not None:
             write_window(survey, account, self.place.local, number)
-            return
+            return self.digests(number)
         self.place.remove(SUMMARY)
         with tempfile.TemporaryDirectory(prefix="annulus-") as made:
             write_window(survey, account, Path(made), number)
             _upload(Path(made), self.place)
+            return replace(self, place=Place(made)).digests(number)
 
     def made_from(self) -> str:
         return repr(self.told)

@@ -40,7 +40,7 @@ from annulus.vocabulary import AnnulusError
 LOOK_S = 2.0  # between two looks whether the scheduler is there, and who works
 ANSWER_S = 15.0  # for a scheduler to say who it is
 CLOSE_S = 2.0
-DEEP, LOW = 3, 2  # tasks a thread of a worker: it is given more, some at a time, when there are so few
+DEEP, LOW = 4, 2  # tasks a thread of a worker: it is given more, some at a time, when there are so few
 LINGER_S = 0.05  # after a first outcome, for others to be fetched with it
 LEAST = 4  # in flight, while no worker has come
 LOST_MOST = 2  # times that a scheduler gives an item up: each time it had killed four workers
@@ -141,6 +141,7 @@ class _Desk:
     strangers: dict[str, str] = field(default_factory=dict)
     tried: Counter[int] = field(default_factory=Counter)
     given_up: Counter[int] = field(default_factory=Counter)
+    outcomes: list[tuple[int, Any]] = field(default_factory=list)
     heard: "queue.SimpleQueue[tuple[int, Any]]" = field(default_factory=queue.SimpleQueue)
 
     def work(self) -> Iterator[tuple[int, Any]]:
@@ -149,16 +150,16 @@ class _Desk:
             logging.getLogger(name).setLevel(logging.CRITICAL)  # what its end of a line says, we say ourselves
         todo = deque(range(len(self.items)))
         while todo or self.at:
-            said: list[tuple[int, Any]] = []
             try:
                 if self.client is None:
                     self._connect(distributed)
                 self._alive()
                 self._look(todo)
                 self._send(todo)
-                said = self._hear(distributed, todo)
+                self._hear(distributed, todo)
             except (*LOST, distributed.client.ClosedClientError) as error:
                 self._lost(error, todo)
+            said, self.outcomes = self.outcomes, []  # also what was heard before the line was lost
             yield from said
 
     def _connect(self, distributed: Any) -> None:
@@ -237,8 +238,8 @@ class _Desk:
                 self.only[number] = mine
             future.add_done_callback(lambda one, number=number: self.heard.put((number, one)))
 
-    def _hear(self, distributed: Any, todo: "deque[int]") -> list[tuple[int, Any]]:
-        """Outcomes of what has been done; waits a moment for the first one, and for those that come with it."""
+    def _hear(self, distributed: Any, todo: "deque[int]") -> None:
+        """What has been done; waits a moment for the first one, and for those that come with it."""
         told: list[tuple[int, Any]] = []
         try:
             told.append(self.heard.get(timeout=LOOK_S))
@@ -250,10 +251,20 @@ class _Desk:
         told = [(number, future) for number, future in told if self.at.get(number) is future]  # not of a lost one
         done = [one for one in told if one[1].status == "finished"]
         others = [one for one in told if one not in done]
-        out: list[tuple[int, Any]] = []
-        for (number, _), data in zip(done, self._fetched([future for _, future in done], todo), strict=True):
+        try:
+            fetched = self._fetched([future for _, future in done], todo)
+        except LOST:
+            raise
+        except Exception:  # one went with its worker, and killed others since: by now its own state says so
+            others += [one for one in done if one[1].status != "finished"]
+            for one in [one for one in done if one not in others]:
+                self.heard.put(one)
+            done, fetched = [], []
+        for (number, future), data in zip(done, fetched, strict=True):
+            if self.at.get(number) is not future:  # its workers were gone, and it is sent again
+                continue
             self._forget(number)
-            self._sort(number, pickle.loads(data), todo, out)
+            self._sort(number, pickle.loads(data), todo)
         for number, future in others:
             error = future.exception(timeout=ANSWER_S) if future.status == "error" else None
             self._forget(number)
@@ -264,10 +275,9 @@ class _Desk:
             if isinstance(error, distributed.KilledWorker) and self.given_up[number] < LOST_MOST:
                 todo.append(number)
             elif isinstance(error, distributed.KilledWorker):
-                out.append((number, Failed("every worker that it was given to died", self.given_up[number])))
+                self.outcomes.append((number, Failed("every worker that it was given to died", self.given_up[number])))
             else:  # not raised by the work: that comes as an outcome
-                out.append((number, failure(error, self.given_up[number])))
-        return out
+                self.outcomes.append((number, failure(error, self.given_up[number])))
 
     def _fetched(self, futures: Sequence[Any], todo: "deque[int]") -> list[bytes]:
         """What came of them. A worker that died with an outcome has it made again; a scheduler that died has not, and a
@@ -286,7 +296,7 @@ class _Desk:
         if self.client.status != "running":
             raise OSError("its line is closed")
 
-    def _sort(self, number: int, outcome: Any, todo: "deque[int]", out: list[tuple[int, Any]]) -> None:
+    def _sort(self, number: int, outcome: Any, todo: "deque[int]") -> None:
         if isinstance(outcome, _Stranger):
             if outcome.worker not in self.strangers:
                 self.to.say(f"{outcome.worker}: refused, it has {outcome.why}")
@@ -298,9 +308,9 @@ class _Desk:
             if self.tried[number] < self.to.tries:
                 todo.append(number)
             else:
-                out.append((number, replace(outcome, tries=self.tried[number])))
+                self.outcomes.append((number, replace(outcome, tries=self.tried[number])))
         else:
-            out.append((number, outcome))
+            self.outcomes.append((number, outcome))
 
     def _forget(self, number: int) -> None:
         self.at.pop(number).release()

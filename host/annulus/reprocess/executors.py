@@ -216,7 +216,8 @@ def _work(job: Work[Any, Any], line: Connection, parent: int) -> None:
     """A worker's life."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # what is half written is cleared away
-    ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG: never outlive the command
+    libc = ctypes.CDLL(None)
+    libc.prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG: never outlive the command
     if os.getppid() != parent:
         os._exit(1)
     cv2.setNumThreads(1)
@@ -231,6 +232,8 @@ def _work(job: Work[Any, Any], line: Connection, parent: int) -> None:
             except Exception as error:
                 told = replace(failure(error, 1), error=_portable(error))
             line.send((number, told))
+            del told, item
+            libc.malloc_trim(0)  # a window's memory goes back before the next takes its own
 
 
 def _portable(error: Exception) -> Exception:

@@ -51,8 +51,9 @@ class Profiles(Protocol):
 class Files(Protocol):
     """What becomes of a window's survey, and stays; windows are numbered from 0. A small value that can be pickled."""
 
-    def __call__(self, number: int, survey: Survey, job: Job) -> None:
-        """Write them. survey : what lies beyond the window's cuts left out; job : of its frames."""
+    def __call__(self, number: int, survey: Survey, job: Job) -> Mapping[str, str]:
+        """Write them; SHA-256 of each, by name. survey : what lies beyond the window's cuts left out; job : of its
+        frames."""
         ...
 
     def made_from(self) -> str:
@@ -60,7 +61,7 @@ class Files(Protocol):
         ...
 
     def digests(self, number: int) -> Mapping[str, str]:
-        """SHA-256 of each file that is there now, by name."""
+        """The same of what is there now."""
         ...
 
     def keep(self, number: int, told: bytes) -> None:
@@ -136,10 +137,10 @@ class WindowWork:
                 raise AnnulusError("no wall between its cuts")
         except AnnulusError as error:
             return Finding(NOT_MEASURED, f"nothing is measured {_where(window)}: {error}")
-        self.files(portion.number, kept, job)
+        digests = self.files(portion.number, kept, job)
         told = abstract(kept, window, self.whole_step_mm)
         if made_from is not None:
-            about = {"made_from": made_from, "files": self.files.digests(portion.number)}
+            about = {"made_from": made_from, "files": digests}
             self.files.keep(portion.number, packed(told, about))
         return told
 
@@ -155,15 +156,18 @@ class WindowWork:
         )  # fmt: skip
 
     def _found(self, number: int, made_from: str | None) -> "Abstract | None":
-        there = None if made_from is None else self.files.kept(number)
-        if there is None:
+        kept = None if made_from is None else self.files.kept(number)
+        if kept is None:
             return None
         try:
-            told, about = unpacked(there, f"window {number + 1}")
+            told, about = unpacked(kept, f"window {number + 1}")
         except AnnulusError:  # half of it, or another's: made anew
             return None
-        sound = about.get("made_from") == made_from and about.get("files") == self.files.digests(number)
-        return told if sound else None
+        written = about.get("files")
+        if about.get("made_from") != made_from or not isinstance(written, dict):
+            return None
+        there = self.files.digests(number)
+        return told if all(there.get(name) == digest for name, digest in written.items()) else None
 
 
 def survey_windows(
