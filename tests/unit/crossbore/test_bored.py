@@ -7,7 +7,7 @@ from annulus.crossbore.bored import Bored, bored, changes, source_cases
 from annulus.crossbore.field import AIR, WATER, Section
 from annulus.numeric.arrays import FloatArray
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.slow(seconds=80)
 
 CASE = Section()
 AIR_CASES, WATER_CASES = (source_cases(76.0, CASE.pipe.outer_mm, fill) for fill in (AIR, WATER))
