@@ -1,5 +1,8 @@
 """Under `make test` a skip is a failure: all that tests need is part of set-up, and what did not run proves nothing.
 
+Files that take longest begin first, so that no worker is left with one while the others have nothing to do: a file says
+so by `pytest.mark.slow(seconds=..)`, of processor, roughly. Workers inherit that BLAS has one thread.
+
 `stalls` knows whether this machine stood still: a bound in seconds that is a promise holds only where it did not.
 """
 
@@ -8,6 +11,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Generator, Iterator
+from pathlib import Path
 
 import pytest
 
@@ -18,6 +22,9 @@ def _strict(report: pytest.TestReport | pytest.CollectReport) -> None:
     why = report.longrepr[2] if isinstance(report.longrepr, tuple) else str(report.longrepr)
     if "ANNULUS_NO_SKIPS" in os.environ and report.skipped and not any(word in why for word in ALLOWED):
         report.outcome, report.longrepr = "failed", f"make test takes no skips: {why}"
+
+
+ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 
 
 @pytest.hookimpl(wrapper=True)
@@ -32,6 +39,25 @@ def pytest_make_collect_report() -> Generator[None, pytest.CollectReport, pytest
     report = yield
     _strict(report)
     return report
+
+
+PATIENT = "patient: runs several processes and asks nothing of them in seconds: others may have the machine too"
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line("markers", PATIENT)
+    config.option.loadscopereorder = False  # xdist's own order: files of few tests last, and those take longest
+    if config.getoption("numprocesses", None):  # one process a core: threads would only fight over them
+        os.environ.update(ONE_THREAD)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    seconds: dict[Path, float] = {}
+    for item in items:
+        mark = item.get_closest_marker("slow")
+        told = float(mark.kwargs.get("seconds", 0.0)) if mark else 0.0
+        seconds[item.path] = max(told, seconds.get(item.path, 0.0))
+    items.sort(key=lambda item: -seconds[item.path])  # files stay whole, and in their order
 
 
 class Stalls:

@@ -33,7 +33,7 @@ from annulus.vocabulary import AnnulusError, Label
 from annulus.wall.profile import Profile
 from tools.bench.dask_processes import Cluster
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.system, pytest.mark.patient, pytest.mark.slow(seconds=250), pytest.mark.timeout(900)]
 FRAMES = 60  # 48 of the projector: six ranges of one chunk
 RANGES = 6
 

@@ -13,7 +13,7 @@ sys.path.append(str(ROOT / "tests/unit/console"))
 
 from fake_daemon import FakeDaemon  # noqa: E402
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.patient]
 
 
 def test_a_real_reconstruction_is_watched_and_given_up(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from toil import Toil
 from annulus.reprocess.executors import Failed, Processes, in_process
 from annulus.vocabulary import AnnulusError
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.patient]
 ITEMS = tuple(range(12))
 SQUARES = {n: n * n for n in ITEMS}
 

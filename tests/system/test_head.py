@@ -25,6 +25,8 @@ from annulus.twin.head import HeadHandle, head_timing, head_toml, start_head
 from annulus.twin.worlds import demo_world
 from annulus.vocabulary import AnnulusError, Lamp
 
+pytestmark = pytest.mark.system
+
 FPS = 25.0
 US = 100  # ticks
 

@@ -18,6 +18,8 @@ from annulus.twin.head import start_head
 from annulus.twin.worlds import demo_world
 from annulus.vocabulary import AnnulusError
 
+pytestmark = pytest.mark.system
+
 WORLD = demo_world().scaled(208)
 PERIOD_NS = 40_000_000
 

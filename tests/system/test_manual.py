@@ -21,7 +21,7 @@ from tools.manual.__main__ import build
 from tools.manual.pages import DOCS
 from tools.sample.__main__ import write as write_sample
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.patient, pytest.mark.slow(seconds=120), pytest.mark.timeout(900)]
 
 AXED = ("index", "manual/first-scan", "manual/troubleshooting", "manual/head-toml", "manual/python")
 LOOKED_AT = (*AXED, "manual/commands", "manual/messages", "manual/topics", "manual/gallery", "manual/rooms/daemon",

@@ -4,6 +4,7 @@ import pytest
 
 from annulus.twin.soak import soak
 
+pytestmark = [pytest.mark.system, pytest.mark.patient]
 FRAMES = 50_000
 
 

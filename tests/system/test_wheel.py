@@ -20,6 +20,7 @@ from annulus.shipped import UNIT, shipped
 from tools.wheel.hook import GLIBC, MACHINES, glibc_needed, native
 
 ROOT = Path(__file__).resolve().parents[2]
+pytestmark = [pytest.mark.system, pytest.mark.patient]
 Run = Callable[..., "subprocess.CompletedProcess[str]"]
 
 

@@ -45,7 +45,21 @@ def bored(case: Section) -> Bored:
     """Differential readings of all sectors, the bore's place along the pipe being its own. `fine` 1 takes some seconds.
     AnnulusError of a head outside its pipe, or where iterations do not converge."""
     check(case)
-    grid, conductors, far = _head(case)
+    return _read(case, *_head(case))
+
+
+def changes(case: Section, bores: list[Bore | None]) -> tuple[FloatArray, FloatArray]:
+    """(bores, 3) fF and fF of loss that each changes the sectors by, from the same head with no bore."""
+    check(case)
+    head = _head(case)
+    plain, *found = [_read(replace(case, bore=bore), *head) for bore in (None, *bores)]
+    return (
+        np.array([1000 * (one.pf - plain.pf) for one in found]),
+        np.array([one.loss_ff - plain.loss_ff for one in found]),
+    )
+
+
+def _read(case: Section, grid: Grid, conductors: list[BoolArray], far: BoolArray) -> Bored:
     drives = np.zeros((SECTORS, len(conductors)))
     for k in range(SECTORS):
         drives[k, 4 * k : 4 * k + 2] = 0.5, -0.5
@@ -54,16 +68,6 @@ def bored(case: Section) -> Bored:
     found = solve(grid, eps, conductors, far, drives.tolist())
     both = np.array([(found.pf[k, 4 * k] - found.pf[k, 4 * k + 1]) / 2 for k in range(SECTORS)])
     return Bored(both.real, -1000 * both.imag, len(grid.axes))
-
-
-def changes(case: Section, bores: list[Bore | None]) -> tuple[FloatArray, FloatArray]:
-    """(bores, 3) fF and fF of loss that each changes the sectors by, from the same head with no bore."""
-    plain = bored(replace(case, bore=None))
-    found = [bored(replace(case, bore=bore)) for bore in bores]
-    return (
-        np.array([1000 * (one.pf - plain.pf) for one in found]),
-        np.array([one.loss_ff - plain.loss_ff for one in found]),
-    )
 
 
 def _head(case: Section) -> tuple[Grid, list[BoolArray], BoolArray]:

@@ -36,11 +36,11 @@ def permittivity(eps: float, sigma_s_m: float = 0.0, hertz: float = HERTZ) -> co
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """mesh : of scikit-fem, mm. seam : (nodes,) which node each is. middle : (elements, dim) in (rho, phi, z) or what
+    """basis : of scikit-fem, mm. seam : (nodes,) which node each is. middle : (elements, dim) in (rho, phi, z) or what
     there is of it. axes : nodes' own rho, phi, z likewise (nodes, dim). around : True where z is the second axis and
     the field turns about it: the weight is 2 pi rho."""
 
-    mesh: Any
+    basis: Any
     seam: IntArray
     axes: FloatArray
     middle: FloatArray
@@ -63,14 +63,17 @@ def grid_of(axes: list[FloatArray], kind: str, place: Callable[[FloatArray], Flo
         turn = axes[1][-1] - axes[1][0]
         if abs(turn - 2 * np.pi) > 1e-9:
             raise AnnulusError(f"angles over {np.degrees(turn):.6g} deg, expected 360")
-        order = {tuple(np.round(row, 9)): k for k, row in enumerate(own)}
-        for k in np.flatnonzero(own[:, 1] > axes[1][-1] - 1e-9):
-            first = own[k].copy()
-            first[1] = axes[1][0]
-            seam[k] = order[tuple(np.round(first, 9))]
+        at = tuple(np.searchsorted(axis, column) for axis, column in zip(axes, own.T, strict=True))
+        number = np.empty([len(axis) for axis in axes], int)
+        number[at] = seam
+        last = at[1] == len(axes[1]) - 1
+        seam[last] = number[(at[0][last], 0, *(along[last] for along in at[2:]))]
     middle = np.asarray(own[tensor.t].mean(axis=0))
     moved = own if kind == "rz" else (place or polar)(own)
-    return Grid(type(tensor)(np.ascontiguousarray(moved.T), tensor.t), seam, own, middle, kind == "rz")
+    mesh = type(tensor)(np.ascontiguousarray(moved.T), tensor.t)
+    solid = kind == "rpz"
+    element = skfem.ElementHex1() if solid else skfem.ElementQuad1()
+    return Grid(skfem.Basis(mesh, element, intorder=2 if solid else 6), seam, own, middle, kind == "rz")
 
 
 def polar(own: FloatArray) -> FloatArray:
@@ -88,7 +91,6 @@ class Field:
     grid: Grid
     volts: ComplexArray
     pf: ComplexArray
-    basis: Any
     eps: ComplexArray  # (elements, points)
 
     def share(self, one: FloatArray | list[float], other: FloatArray | list[float]) -> ComplexArray:
@@ -97,20 +99,24 @@ class Field:
         slopes = []
         for mixture in (one, other):
             u = np.asarray(mixture, float) @ self.volts
-            real, imag = (np.asarray(self.basis.interpolate(np.ascontiguousarray(w)).grad) for w in (u.real, u.imag))
+            real, imag = (
+                np.asarray(self.grid.basis.interpolate(np.ascontiguousarray(w)).grad) for w in (u.real, u.imag)
+            )
             slopes.append(real + 1j * imag)
-        product = (slopes[0] * slopes[1]).sum(axis=0) * self.eps * _weight(self.grid, self.basis) * self.basis.dx
+        product = (slopes[0] * slopes[1]).sum(axis=0) * self.eps * _weight(self.grid) * self.grid.basis.dx
         return np.asarray(EPS0_PF_PER_MM * product.sum(axis=1))
 
     def strength(self, mixture: FloatArray | list[float]) -> FloatArray:
         """(elements,) |E| of a mixture of ways, V/mm, mean over each element."""
         u = np.asarray(mixture, float) @ self.volts
-        squares = [(np.asarray(self.basis.interpolate(np.ascontiguousarray(w)).grad) ** 2) for w in (u.real, u.imag)]
+        squares = [
+            (np.asarray(self.grid.basis.interpolate(np.ascontiguousarray(w)).grad) ** 2) for w in (u.real, u.imag)
+        ]
         return np.asarray(np.sqrt((squares[0] + squares[1]).sum(axis=0)).mean(axis=1))
 
 
-def _weight(grid: Grid, basis: Any) -> FloatArray | float:
-    return 2 * np.pi * np.asarray(basis.global_coordinates()[0]) if grid.around else 1.0
+def _weight(grid: Grid) -> FloatArray | float:
+    return 2 * np.pi * np.asarray(grid.basis.global_coordinates()[0]) if grid.around else 1.0
 
 
 def solve(
@@ -125,12 +131,10 @@ def solve(
     conductor at a time. AnnulusError where a conductor
     has no node or two share one, or where iterations do not converge."""
     skfem = needed()
-
-    solid = grid.axes.shape[1] == 3
-    basis = skfem.Basis(grid.mesh, skfem.ElementHex1() if solid else skfem.ElementQuad1(), intorder=2 if solid else 6)
+    basis, solid = grid.basis, grid.axes.shape[1] == 3
     points = np.asarray(basis.global_coordinates())
     value = np.broadcast_to(eps(grid.middle, points), points.shape[1:]).astype(complex)
-    weight = _weight(grid, basis)
+    weight = _weight(grid)
     lossless = not value.imag.any()
     kind = float if lossless else complex
 
@@ -167,7 +171,7 @@ def solve(
     own = grid.seam == np.arange(nodes)
     flux = (whole @ volts.T).T * own
     charge = np.stack([flux[:, (owner == k) & own].sum(axis=1) for k in range(len(conductors))], axis=1)
-    return Field(grid, volts[:, grid.seam].astype(complex), charge.astype(complex), basis, value)
+    return Field(grid, volts[:, grid.seam].astype(complex), charge.astype(complex), value)
 
 
 def _conjugate(matrix: csr_matrix, right: ComplexArray, tolerance: float = 1e-7) -> ComplexArray:

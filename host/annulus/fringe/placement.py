@@ -419,24 +419,25 @@ def _normal(
     frames, count = rest.shape
     width = columns.shape[2]
     extra = 2 if told is not None else 0  # rows: a height is the radius; a light does not drift
+    share = np.zeros(count) if told is None else np.sqrt(cauchy(told / (CAUCHY * freedom.wall_mm))) / freedom.wall_mm
     for turn in range(3):
         own = np.zeros((count, frames + extra, width))
         own[:, :frames] = (columns * root[..., None]).transpose(1, 0, 2)
         r = np.zeros((count, frames + extra))
         r[:, :frames] = (rest * root).T
-        everyone = np.zeros((count, frames + extra, common.shape[2]))
-        everyone[:, :frames] = (common * root[..., None]).transpose(1, 0, 2)
         if told is not None:
-            share = np.sqrt(cauchy(told / (CAUCHY * freedom.wall_mm))) / freedom.wall_mm
             own[:, frames, 2] = share
             r[:, frames] = told * share
-            everyone[:, frames, head.shading[:, 1:].size + 1] = -share
             if width > 3:
                 own[:, frames + 1, 3] = 1 / freedom.drift
         q = np.linalg.qr(own)[0]
         left = r - np.einsum("pni,pi->pn", q, np.einsum("pni,pn->pi", q, r))
         if turn < 2:
             root = root * np.sqrt(cauchy(left[:, :frames].T / CAUCHY))
+    everyone = np.zeros((count, frames + extra, common.shape[2]))
+    everyone[:, :frames] = (common * root[..., None]).transpose(1, 0, 2)
+    if told is not None:
+        everyone[:, frames, head.shading[:, 1:].size + 1] = -share
     d = poses * root[..., None]  # (N, P, POSE)
     light, size = head.shading[:, 1:].size, head.poses.size
     order = np.argsort(head.flash, kind="stable")

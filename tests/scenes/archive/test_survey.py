@@ -13,8 +13,9 @@ from annulus.cli import app
 
 SURVEY = Path(__file__).resolve().parents[4] / "shared" / "survey"
 pytestmark = [
-    pytest.mark.skipif(not (SURVEY / "truth.json").is_file(), reason="no scenes here (../shared)"), pytest.mark.slow
-]  # fmt: skip
+    pytest.mark.skipif(not (SURVEY / "truth.json").is_file(), reason="no scenes here (../shared)"),
+    pytest.mark.slow(seconds=40),
+]
 
 
 def test_all_growth_is_found_and_none_made_up(tmp_path: Path) -> None:

@@ -17,7 +17,9 @@ from annulus.numeric.arrays import FloatArray
 SCENES = Path(__file__).resolve().parents[4] / "shared" / "scenes"
 PLATE = SCENES / "fringe-a"
 TRUTH = PLATE / "truth" / "truth.json"
-pytestmark = pytest.mark.skipif(not PLATE.is_dir(), reason="needs ../shared/scenes")
+pytestmark = [
+    pytest.mark.skipif(not PLATE.is_dir(), reason="needs ../shared/scenes"), pytest.mark.slow(seconds=150)
+]  # fmt: skip
 
 
 def scorer() -> ModuleType:

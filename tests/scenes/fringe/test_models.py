@@ -18,6 +18,8 @@ from annulus.twin.render import Renderer
 from annulus.twin.scan import write_scan
 from annulus.twin.worlds import World, mirror_fringe_world, modules_world, series_world
 
+pytestmark = pytest.mark.slow(seconds=250)
+
 EDGE_MM = 1.5  # nearer to a step the truth jumps
 
 

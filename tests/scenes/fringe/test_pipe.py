@@ -4,7 +4,9 @@ import pytest
 
 from tools.bench.metrology.fringe_pipe import PIPE, judged
 
-pytestmark = pytest.mark.skipif(not PIPE.is_dir(), reason="needs ../shared/scenes")
+pytestmark = [
+    pytest.mark.skipif(not PIPE.is_dir(), reason="needs ../shared/scenes"), pytest.mark.slow(seconds=60)
+]  # fmt: skip
 
 
 def test_the_pipe() -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.slow(seconds=20)
 
 FIRMWARE = Path(__file__).resolve().parents[3] / "firmware"
 GCOVR = shutil.which("gcovr") or str(FIRMWARE.parent / ".venv/bin/gcovr")

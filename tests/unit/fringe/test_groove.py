@@ -6,7 +6,7 @@ from bores import LENS, RADIUS_MM, SLIDE, drawn
 
 from annulus.fringe import Eye, PipeMap, Shots, find_scratches, measure_pipe
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.slow(seconds=70)
 
 Z = np.arange(12) * 1.7
 ARC_DEG = 12.0

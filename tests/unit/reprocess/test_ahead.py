@@ -13,7 +13,7 @@ from annulus.reprocess.ahead import compile_all, make_ready, work_of
 from annulus.twin.scan import write_scan
 from annulus.twin.worlds import demo_world, stereo_world
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.slow(seconds=40)
 
 
 def compiled() -> set[tuple[str, str]]:

@@ -15,7 +15,7 @@ from annulus.reprocess import Executor, Processes, Surveyed, in_process, open_jo
 from annulus.wall.joined import Joined
 from tools.bench.speed.long_scan import STEP_MM, drawn_scan
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.slow(seconds=70)
 
 FRAMES = 300  # 0.75 m
 MOST = 300_000  # points of a window: there are half a million

@@ -10,7 +10,7 @@ from annulus.wall.defects import Kind
 from annulus.wall.joined import Abstract, Joined, abstract, joined
 from annulus.wall.windows import Plan, Reach, between, plan
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.slow(seconds=40)
 
 MOST = 230_000  # points of a window
 FRAMES = [3.5 * i for i in range(440) if i % 5 != 4]
