@@ -24,6 +24,7 @@ def _strict(report: pytest.TestReport | pytest.CollectReport) -> None:
         report.outcome, report.longrepr = "failed", f"make test takes no skips: {why}"
 
 
+SCENES = Path(__file__).with_name("scenes")  # whole methods: slow, all of them
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 
 
@@ -55,6 +56,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     seconds: dict[Path, float] = {}
     for item in items:
         mark = item.get_closest_marker("slow")
+        if mark is None and SCENES in item.path.parents:
+            item.add_marker("slow")
         told = float(mark.kwargs.get("seconds", 0.0)) if mark else 0.0
         seconds[item.path] = max(told, seconds.get(item.path, 0.0))
     items.sort(key=lambda item: -seconds[item.path])  # files stay whole, and in their order
