@@ -64,9 +64,8 @@ test: setup-all lint firmware emulator .tools/picamera2/.made
 	@tools/need.sh clang libclang-rt sigrok-cli qemu-system-x86 linux-image-amd64 busybox-static kmod \
 	  gcc-aarch64-linux-gnu systemd chromium pango poppler-utils
 	$(BIN)/pytest -n auto --dist loadfile -m "not slow" tests/unit tests/regression
-	$(BIN)/pytest -n auto --dist loadfile -m slow tests/unit tests/regression
-	$(BIN)/pytest -n auto --dist loadfile tests/scenes
-	$(BIN)/pytest tests/system
+	$(BIN)/pytest -n auto --dist loadfile -m "slow or patient" tests/unit tests/regression tests/scenes tests/system
+	$(BIN)/pytest -m "not patient" tests/system
 	$(BIN)/pytest -n auto tests/emulator
 	$(BIN)/pytest -n auto tests/hil
 	$(BIN)/pytest tests/guest
