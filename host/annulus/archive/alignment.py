@@ -49,6 +49,7 @@ SLIPS_A_M, SLIP_USUAL_MM = 0.25, 12.0  # slips that nothing shows: how many a me
 ASTRAY_MM = 60.0  # as far as a row may lie from where it was put
 SURE, SHIFTS = 8.0, 24  # sigma by which the detail must agree better here than turned elsewhere
 STRETCHES_MIN, GAIN_MIN = 1, 20.0
+_CHUNK = 4096
 
 
 @dataclass(frozen=True, slots=True)
@@ -318,11 +319,16 @@ class _Laying:
 
     def _oval_cost(self, places: FloatArray, rolls: FloatArray) -> FloatArray:
         """(Z, K) of each row, by what ovality differs by there, in units of what it differs by all along."""
-        mine = self._ovality(places)
-        off = np.abs(self.theirs.oval[:, None] - mine * np.exp(2j * np.radians(rolls))) ** 2
         share = self.second.step_mm / self.oval_alike_mm
-        inside = (places >= self.first.z_mm[0]) & (places <= self.first.z_mm[-1])
-        return np.asarray(np.where(inside, 0.5 * share * np.minimum(off / self.oval_mm**2, OVAL_CUT), 0.0))
+        first, last = self.first.z_mm[[0, -1]]
+        out = np.zeros(np.broadcast_shapes(places.shape, rolls.shape))
+        for begin in range(0, len(out), _CHUNK):  # complex, and several of them: not of a long scan at once
+            part = slice(begin, begin + _CHUNK)
+            mine = self._ovality(places[part]) * np.exp(2j * np.radians(rolls[part]))
+            off = np.abs(self.theirs.oval[part, None] - mine) ** 2
+            inside = (places[part] >= first) & (places[part] <= last)
+            out[part] = np.where(inside, 0.5 * share * np.minimum(off / self.oval_mm**2, OVAL_CUT), 0.0)
+        return out
 
     def _ovality(self, places: FloatArray) -> ComplexArray:
         oval, z = self.mine.oval, self.first.z_mm
