@@ -13,11 +13,11 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import gaussian_filter1d, median_filter
 
-from annulus.archive.chain import joined, likeliest, row_costs
+from annulus.archive.chain import believed_states, joined, likeliest, row_costs
 from annulus.archive.detail import COLUMNS, Detail, believed, detail_of, smoothed
 from annulus.archive.wall_map import WallMap
-from annulus.archive.whereabouts import STRETCH_MM, Stretch, find
-from annulus.numeric.arrays import BoolArray, Float32Array, FloatArray
+from annulus.archive.whereabouts import SCALE, STRETCH_MM, Stretch, find
+from annulus.numeric.arrays import BoolArray, ComplexArray, Float32Array, FloatArray
 from annulus.numeric.robust import robust_sigma
 from annulus.vocabulary import AnnulusError
 
@@ -28,24 +28,28 @@ STATES_MAX = 600
 ROLL_STEP_DEG, ROLL_NEAR_DEG, ROLL_FREE_DEG = 0.25, 4.0, 10.0
 STEP_COST, SLIP_COST, TURN_COST = 3.0, 24.0, 16.0  # of log-likelihood: a slip shorter than 2 mm is no slip but drift
 SLIP_MM = 2.5  # from which on it counts as a slip; ..
-SCALE_MM = 1000.0  # over which the cable's scale is measured
-SLIP_ROWS, SLIP_ROWS_MAX, SLIP_SURE = 3, 400, 5.0  # beside a slip that may be of either side; log-likelihood
+AGREE_MM = 1.0  # by which two rows without a slip between them are off
+KNOWN, KNOWN_MOST, KNOWN_LEAST = 1.0, 400, 10  # log-likelihood by which a row was found again; rows asked; pairs
+APART_MM = (300.0, 2000.0)  # that two of them lie apart, for a cable's scale
+SLIP_ROWS = 3  # over which it takes place
 STAYS_MM = 60.0  # .. before and after which it must stay so long
 JUMP_DEG = 0.7
 CABLE_MM, HEAD_DEG = 1.0, 0.3  # random walk a root of a metre: cable beside its scale, head beside its sensor
 HEAD_FREE_DEG = 4.0  # .. of a head whose roll no sensor said
-OVAL_MM, OVAL_ALIKE_MM = 0.03, 400.0  # of ovality between years; over which its error is alike
+OVAL_MM, OVAL_ALIKE_MM = 0.03, 240.0  # of ovality between years, until it is measured; over which its error is alike ..
+OVAL_LEAST_MM, OVAL_FAR_MM, OVAL_CUT = 0.002, 4000.0, 25.0  # .. at least, and at most; sigma squared
 IMU_DEG, IMU_ALIKE_MM = 0.15, 400.0
+BARE, BARE_MISFIT = 0.5, 1.5  # share of rows found again below which a wall is bare; its defects' growth misleads
 MISFIT = 1.5  # by which errors are larger than the costs say: neighbouring cells are alike
 CALM = 1.0  # sigma of the smoothing of both, rows and columns: blurs both alike, and noise to a quarter
 ALIKE_CELLS = 4 * math.pi * CALM**2  # .. after which so many say one thing
+GONE_COST = 0.05  # of log-likelihood a mm: what is gone, or new, is no reason to be elsewhere; what is still there is
 ROUNDS = 3
-DRIFT_Z, ALONE_MM = (
-    0.005,
-    200.0,
-)  # mm a mm that a cable may be off between rows that know where they are; so far it is not
+SLIPS_A_M, SLIP_USUAL_MM = 0.25, 12.0  # slips that nothing shows: how many a metre, and how far (falling off with it)
+ASTRAY_MM = 60.0  # as far as a row may lie from where it was put
 SURE, SHIFTS = 8.0, 24  # sigma by which the detail must agree better here than turned elsewhere
 STRETCHES_MIN, GAIN_MIN = 1, 20.0
+_CHUNK = 4096
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +60,7 @@ class Alignment:
     no row. sigma_z_mm, sigma_roll_deg (Z2,), k = 1. slips: rows before which the cable slipped. scale: mm of the first
     a mm of the second, between slips. reversed: the second's head went the other way, its rows are counted from the far
     end and its clock runs the other way: column c lies at roll_deg - c. sure: sigma by which the wall's detail agrees.
+    found: the share of rows that were found again by their own detail; of a bare pipe few.
     """
 
     z_mm: FloatArray
@@ -67,6 +72,7 @@ class Alignment:
     reversed: bool
     sure: float
     noise_mm: float
+    found: float
 
 
 def align(
@@ -104,7 +110,7 @@ def align(
     return Alignment(
         laid.z_mm[::-1].copy(), laid.roll_deg[::-1].copy(), laid.sigma_z_mm[::-1].copy(),
         laid.sigma_roll_deg[::-1].copy(), tuple(sorted(rows - row for row in laid.slips)), laid.scale, True, laid.sure,
-        laid.noise_mm,
+        laid.noise_mm, laid.found,
     )  # fmt: skip
 
 
@@ -129,20 +135,9 @@ class _Laying:
         self.columns = mine.own.shape[1]
         self.z = second.z_mm
         own, place, roll, _ = np.array([[s.z_mm, s.first_mm, s.roll_deg, s.gain] for s in found]).T
-        slope = _slope(own, place)
-        beside = place - slope * own
-        self.scale = slope
-        self.place = slope * self.z + np.interp(self.z, own, beside)
-        near = np.abs(self.z[:, None] - own[None]) <= STRETCH_MM
-        alone = ~near.any(axis=1)
-        line = np.interp(self.z, own, beside)
-        self.low = np.where(alone, line, np.where(near, beside[None], np.inf).min(axis=1)) - np.where(
-            alone, FAR_MM, ABOUT_MM
-        )
-        self.high = np.where(alone, line, np.where(near, beside[None], -np.inf).max(axis=1)) + np.where(
-            alone, FAR_MM, ABOUT_MM
-        )
-        self.beside = np.interp(self.z, own, beside)
+        self.stretches: tuple[FloatArray, FloatArray] = own, place
+        self.scale = _slope(own, place)
+        self.place: FloatArray = self.scale * self.z + np.interp(self.z, own, place - self.scale * own)
         self.with_sensor = mine.roll_deg is not None and theirs.roll_deg is not None
         turn = np.unwrap(roll, period=360.0)
         if self.with_sensor:
@@ -152,6 +147,7 @@ class _Laying:
             assert theirs.roll_deg is not None
             self.sensor = self.sensor + theirs.roll_deg - self._firsts_roll()
         self.roll = self.sensor
+        self.oval_mm, self.oval_alike_mm = OVAL_MM, OVAL_ALIKE_MM
         self.slips: BoolArray = np.zeros(len(self.z), bool)  # before this row
         self.jumps: BoolArray = np.zeros(len(self.z), bool)
         self.sigma = robust_sigma(np.asarray(self.theirs_calm[np.isfinite(self.theirs_calm)], np.float64))
@@ -163,11 +159,16 @@ class _Laying:
             self.progress("laying them together", k, steps)
 
         at(0)
-        base = self.place - self.beside
-        self._chain_of_places(base, self.low, self.high, COARSE_MM)
+        self._measure_ovality()
+        self._chain_of_places(*self._by_stretches(), COARSE_MM)
         at(1)
         self._chain_of_rolls()
+        self._measure_scale()
+        self._measure_ovality()
+        self._chain_of_places(*self._by_stretches(), COARSE_MM)
+        self._measure_scale()
         at(2)
+        self._measure_ovality()
         self.sigma = max(robust_sigma(self._left().ravel()), 1e-4)
         near = np.full(len(self.z), NEAR_MM)
         self._chain_of_places(self._evened(), -near, near, FINE_MM)
@@ -176,16 +177,20 @@ class _Laying:
         at(3)
         self._chain_of_rolls()
         at(4)
+        self._measure_ovality()
         for k in range(ROUNDS):
             sigma_z = self._smooth_places()
             sigma_roll = self._smooth_rolls()
             at(5 + k)
         self.sigma = max(robust_sigma(self._left().ravel()), 1e-4)
-        sigma_z = np.hypot(sigma_z, self._unsure())
+        sigma_z = np.hypot(sigma_z, self._astray())
         inside = (self._row() >= 0) & (self._row() <= len(self.first.deviation_mm) - 1)
         z = np.where(inside, self.place, np.nan)
         seen = np.isfinite(self.theirs.own).any(axis=1)
         rows = np.flatnonzero(inside & seen)
+        found = float(self._known()[rows].mean()) if len(rows) else 0.0
+        if found < BARE:
+            sigma_z = BARE_MISFIT * sigma_z
         at(steps)
         return Alignment(
             z,
@@ -197,6 +202,7 @@ class _Laying:
             False,
             self._sure() if len(rows) >= 8 else 0.0,
             self.sigma,
+            found,
         )
 
     def _firsts_roll(self) -> FloatArray:
@@ -207,34 +213,60 @@ class _Laying:
         return np.asarray((self.place - self.first.first_mm) / self.first.step_mm)
 
     def _costs(self, places: FloatArray, rolls: FloatArray) -> FloatArray:
-        """(Z, K) of each row, less what its cells cost anywhere, so that cells that were not seen neither draw nor
-        repel."""
+        """(Z, K) of each row's detail; what is gone, or new, costs little wherever the row lies."""
         row_at = (places - self.first.first_mm) / self.first.step_mm
         rows = len(self.first.deviation_mm)
         edge = (row_at > rows - 1 - 1e-6) & (row_at < rows - 1 + 0.5)
         row_at = np.where(edge, rows - 1 - 1e-6, np.where((row_at < 0) & (row_at > -0.5), 0.0, row_at))
-        cost, count = row_costs(
+        cost = row_costs(
             self.theirs_calm, self.calm, *(row_at + 0 * rolls, rolls * self.columns / 360.0 + 0 * row_at), self.sigma
         )
-        usual = cost.sum(axis=1, keepdims=True) / np.maximum(count.sum(axis=1, keepdims=True), 1.0)
-        return np.asarray((cost - count * usual) / ALIKE_CELLS)
+        return np.minimum(cost / ALIKE_CELLS, GONE_COST * self.second.step_mm)
 
     def _chain_of_places(self, base: FloatArray, low: FloatArray, high: FloatArray, step: float) -> None:
         """low, high (Z,) mm beside base, between which a row lies: else a chain slips away from what is new or gone."""
         least, most = float(low.min()), float(high.max())
         step *= max(1.0, (most - least) / step / STATES_MAX)
         offsets = np.arange(least, most + step / 2, step)
-        cost = self._costs(base[:, None] + offsets[None], self.roll[:, None])
+        places = base[:, None] + offsets[None]
+        cost = self._costs(places, self.roll[:, None]) + self._oval_cost(places, self.roll[:, None])
         cost[(offsets[None] < low[:, None] - step) | (offsets[None] > high[:, None] + step)] += OUTSIDE
         chain = likeliest(cost, STEP_COST * step / FINE_MM / 4 + STEP_COST / 2, SLIP_COST)
         moved = offsets[chain]
         self.place = base + moved
 
+    def _by_stretches(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """(Z,) places by the cable's scale alone, and from where to where beside them a row may lie, mm."""
+        own, place = self.stretches
+        beside = place - self.scale * own
+        line = np.interp(self.z, own, beside)
+        near = np.abs(self.z[:, None] - own[None]) <= STRETCH_MM
+        alone = ~near.any(axis=1)
+        low = np.where(alone, line - FAR_MM, np.where(near, beside[None], np.inf).min(axis=1) - ABOUT_MM)
+        high = np.where(alone, line + FAR_MM, np.where(near, beside[None], -np.inf).max(axis=1) + ABOUT_MM)
+        return self.scale * self.z, low, high
+
+    def _known(self) -> BoolArray:
+        """(Z,) whether a row was found again."""
+        return np.asarray(self._costs(self.place[:, None], self.roll[:, None])[:, 0] < -KNOWN)
+
+    def _measure_scale(self) -> None:
+        """By all pairs of rows that were found again: what most of them agree in, for some have a slip between them."""
+        known = np.flatnonzero(self._known())
+        known = known[:: len(known) // KNOWN_MOST + 1]
+        i, j = np.triu_indices(len(known), 1)
+        apart = (known[j] - known[i]) * self.second.step_mm
+        some = (apart > APART_MM[0]) & (apart < APART_MM[1])
+        if some.sum() < KNOWN_LEAST:
+            return
+        beside, apart = (self.place[known[j]] - self.place[known[i]])[some] - apart[some], apart[some]
+        for half, agree_mm in ((SCALE, 3 * AGREE_MM), (3 * AGREE_MM / APART_MM[1], AGREE_MM)):
+            tried = np.linspace(self.scale - half, self.scale + half, 41)
+            off = (beside[None] - (tried[:, None] - 1) * apart[None]) / agree_mm
+            self.scale = float(tried[np.argmax(np.exp(-0.5 * off**2).sum(axis=1))])
+
     def _evened(self) -> FloatArray:
-        """(Z,) the places without their steps, and the cable's scale from stretches that slips leave alone."""
-        rows = min(max(round(SCALE_MM / self.second.step_mm), 8), len(self.place) // 2)
-        slopes = np.sort((self.place[rows:] - self.place[:-rows]) / (rows * self.second.step_mm))
-        self.scale = float(slopes[len(slopes) // 5 : -(len(slopes) // 5) or None].mean())
+        """(Z,) the places without their steps."""
         even = self.scale * self.second.step_mm * np.arange(len(self.place))
         half = max(round(STAYS_MM / self.second.step_mm), 3)
         return np.asarray(even + median_filter(self.place - even, 2 * half + 1, mode="nearest"))
@@ -259,66 +291,87 @@ class _Laying:
         out[0] = False
         return out
 
-    def _unsure(self) -> FloatArray:
-        """(Z,) mm by which rows beside a slip may be off, as far as they fit either side of it."""
-        out, rows = np.zeros(len(self.place)), np.flatnonzero(self.slips)
-        if not len(rows):
-            return out
-        leaps = self.place[rows] - self.place[rows - 1] - self.scale * self.second.step_mm
-        every = np.arange(len(out))
-        middles = (rows[1:] + rows[:-1]) // 2
-        mine = np.searchsorted(middles, every, side="right")
-        other = self.place + np.where(every < rows[mine], leaps[mine], -leaps[mine])
-        costs = self._costs(np.stack([self.place, other], axis=1), self.roll[:, None])
-        against = costs[:, 1] - costs[:, 0]
-        for k, row in enumerate(rows):
-            for side in (every[row:][:SLIP_ROWS_MAX], every[:row][::-1][:SLIP_ROWS_MAX]):
-                sure = np.flatnonzero(np.cumsum(against[side]) > SLIP_SURE)
-                reach = max(int(sure[0]) if len(sure) else len(side), 1)
-                out[side[:reach]] = np.maximum(out[side[:reach]], abs(leaps[k]) / 2)
-        return out
+    def _astray(self) -> FloatArray:
+        """(Z,) mm, k = 1: how far rows may lie from their place by all chains that were not chosen: slips before or
+        after where they were put, slips that nothing showed, drift between rows that know where they are."""
+        offsets = np.arange(-ASTRAY_MM, ASTRAY_MM + COARSE_MM / 2, COARSE_MM)
+        at = self.place[:, None] + offsets[None]
+        costs = (self._costs(at, self.roll[:, None]) + self._oval_cost(at, self.roll[:, None])) / MISFIT**2
+        leaps = np.zeros(len(self.place))
+        rows = np.flatnonzero(self.slips)
+        leaps[rows] = self.place[rows] - self.place[rows - 1] - self.scale * self.second.step_mm
+        metres = self.second.step_mm / 1000
+        drift = min(CABLE_MM**2 * metres / (2 * COARSE_MM**2), 0.2)
+        slip = min(SLIPS_A_M * metres, 0.2)
+        likely = believed_states(
+            costs, np.rint(leaps / COARSE_MM).astype(np.int64), drift, slip, math.exp(-COARSE_MM / SLIP_USUAL_MM)
+        )
+        return np.asarray(np.sqrt(likely @ np.square(offsets)))
 
     def _chain_of_rolls(self) -> None:
         reach = ROLL_NEAR_DEG if self.with_sensor else ROLL_FREE_DEG
         rolls = np.arange(-reach, reach + ROLL_STEP_DEG / 2, ROLL_STEP_DEG)
-        cost = self._costs(self.place[:, None], self.sensor[:, None] + rolls[None]) + self._oval_cost(
-            self.sensor[:, None] + rolls[None]
-        )
+        at = self.sensor[:, None] + rolls[None]
+        cost = self._costs(self.place[:, None], at) + self._oval_cost(self.place[:, None], at)
         chain = likeliest(cost, STEP_COST, TURN_COST)
         self.roll = self.sensor + rolls[chain]
         self.jumps = np.abs(np.diff(rolls[chain], prepend=rolls[chain[0]])) > JUMP_DEG
 
-    def _oval_cost(self, rolls: FloatArray) -> FloatArray:
-        mine = np.interp(self.place, self.first.z_mm, self.mine.oval.real) + 1j * np.interp(
-            self.place, self.first.z_mm, self.mine.oval.imag
-        )
-        inside = (self._row() >= 0) & (self._row() <= len(self.first.deviation_mm) - 1)
-        off = np.abs(self.theirs.oval[:, None] - mine[:, None] * np.exp(2j * np.radians(rolls))) ** 2
-        share = self.second.step_mm / OVAL_ALIKE_MM
-        return np.asarray(np.where(inside[:, None], 0.5 * share * np.minimum(off / OVAL_MM**2, 9.0), 0.0))
+    def _oval_cost(self, places: FloatArray, rolls: FloatArray) -> FloatArray:
+        """(Z, K) of each row, by what ovality differs by there, in units of what it differs by all along."""
+        share = self.second.step_mm / self.oval_alike_mm
+        first, last = self.first.z_mm[[0, -1]]
+        out = np.zeros(np.broadcast_shapes(places.shape, rolls.shape))
+        for begin in range(0, len(out), _CHUNK):  # complex, and several of them: not of a long scan at once
+            part = slice(begin, begin + _CHUNK)
+            mine = self._ovality(places[part]) * np.exp(2j * np.radians(rolls[part]))
+            off = np.abs(self.theirs.oval[part, None] - mine) ** 2
+            inside = (places[part] >= first) & (places[part] <= last)
+            out[part] = np.where(inside, 0.5 * share * np.minimum(off / self.oval_mm**2, OVAL_CUT), 0.0)
+        return out
+
+    def _ovality(self, places: FloatArray) -> ComplexArray:
+        oval, z = self.mine.oval, self.first.z_mm
+        return np.asarray(np.interp(places, z, oval.real) + 1j * np.interp(places, z, oval.imag))
+
+    def _measure_ovality(self) -> None:
+        """By how much ovality differs where rows lie now, and over how far that is alike: what changed along metres
+        says nothing of where a row lies, what is the same but for noise says a lot."""
+        off = self.theirs.oval * np.exp(-2j * np.radians(self.roll)) - self._ovality(self.place)
+        off = off[(self.place >= self.first.z_mm[0]) & (self.place <= self.first.z_mm[-1])]
+        if len(off) < 8:
+            return
+        self.oval_mm = max(robust_sigma(np.stack([off.real, off.imag])), OVAL_LEAST_MM)
+        off = off / np.maximum(np.abs(off) / (3 * self.oval_mm), 1.0)
+        most = min(len(off) // 2, round(OVAL_FAR_MM / self.second.step_mm))
+        alike = np.array([np.mean(off[k:].real * off[: len(off) - k].real + off[k:].imag * off[: len(off) - k].imag)
+                          for k in range(most)])  # fmt: skip
+        fallen = np.flatnonzero(alike <= 0)
+        upto = int(fallen[0]) if len(fallen) else most
+        whole = self.second.step_mm * (2 * float(alike[:upto].sum()) / max(float(alike[0]), 1e-12) - 1)
+        self.oval_alike_mm = max(whole, OVAL_ALIKE_MM)
 
     def _smooth_places(self) -> FloatArray:
         h = 0.4 * self.first.step_mm
-        costs = self._costs(self.place[:, None] + np.array([-h, 0.0, h])[None], self.roll[:, None])
+        at = self.place[:, None] + np.array([-h, 0.0, h])[None]
+        costs = self._costs(at, self.roll[:, None]) + self._oval_cost(at, self.roll[:, None])
         even = self.scale * self.second.step_mm * np.arange(len(self.z))
         tie = np.where(self.slips[1:], 0.0, 1000.0 / (CABLE_MM**2 * self.second.step_mm))
-        moved, sigma = self._newton(costs, h, self.place - even, tie, DRIFT_Z)
+        moved, sigma = self._newton(costs, h, self.place - even, tie)
         self.place = self.place + np.clip(moved, -2.0, 2.0)
         return sigma
 
     def _smooth_rolls(self) -> FloatArray:
         h = 0.4 * 360.0 / self.columns
         at = self.roll[:, None] + np.array([-h, 0.0, h])[None]
-        costs = self._costs(self.place[:, None], at) + self._oval_cost(at)
+        costs = self._costs(self.place[:, None], at) + self._oval_cost(self.place[:, None], at)
         walk = HEAD_DEG if self.with_sensor else HEAD_FREE_DEG
         tie = np.where(self.jumps[1:], 0.0, 1000.0 / (walk**2 * self.second.step_mm))
-        moved, sigma = self._newton(costs, h, self.roll - self.sensor, tie, 0.0)
+        moved, sigma = self._newton(costs, h, self.roll - self.sensor, tie)
         self.roll = self.roll + np.clip(moved, -2.0, 2.0)
         return sigma
 
-    def _newton(
-        self, costs: FloatArray, h: float, now: FloatArray, tie: FloatArray, drift: float
-    ) -> tuple[FloatArray, FloatArray]:
+    def _newton(self, costs: FloatArray, h: float, now: FloatArray, tie: FloatArray) -> tuple[FloatArray, FloatArray]:
         """One step towards the least of all rows' costs and of a random walk of `now`; and what is left unknown."""
         pull = -(costs[:, 2] - costs[:, 0]) / (2 * h)
         bent = (costs[:, 2] - 2 * costs[:, 1] + costs[:, 0]) / h**2
@@ -328,17 +381,7 @@ class _Laying:
         held[:-1] += gap
         held[1:] -= gap
         moved, variance = joined(weight, pull + held, tie)
-        return moved, MISFIT * np.sqrt(variance + np.square(self._lost(weight, drift)))
-
-    def _lost(self, weight: FloatArray, drift: float) -> FloatArray:
-        """(Z,) how far a row may have drifted from the nearest that knows where it is; drift: a mm."""
-        known = np.flatnonzero(weight > 0.2 * np.percentile(weight, 95))
-        if not len(known):
-            return np.full(len(weight), np.inf)
-        rows = np.arange(len(weight))
-        k = np.clip(np.searchsorted(known, rows), 1, max(len(known) - 1, 1))
-        near = np.minimum(np.abs(rows - known[k - 1]), np.abs(rows - known[np.minimum(k, len(known) - 1)]))
-        return np.asarray(drift * np.maximum(near * self.second.step_mm - ALONE_MM, 0.0))
+        return moved, MISFIT * np.sqrt(variance)
 
     def _left(self) -> FloatArray:
         """Differences of seen cells, (n,) mm."""

@@ -2,18 +2,21 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from annulus.archive.alignment import Alignment, align
-from annulus.archive.difference import Difference, lay
+from annulus.archive.difference import LOST_MM, Difference, lay
 from annulus.archive.growth import CHANGED, Change, Growth, Verdict, grown
+from annulus.archive.listed import laid_out, named, read_listed
+from annulus.archive.ovality import Ovality, ovality
 from annulus.archive.wall_map import WallMap, read_map
 from annulus.numeric.arrays import FloatArray
-from annulus.numeric.rounding import DISTANCE, MEASURE, off, said, span
+from annulus.numeric.rounding import DISTANCE, MEASURE, PERCENT, off, said, span
+from annulus.record.results_folder import Place
 
 FORMAT = "annulus-growth/1"
 Progress = Callable[[str, int, int], None]
@@ -21,13 +24,14 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """first, second as read; alignment of the second on the first; growth; difference on the first's grid."""
+    """first, second as read; alignment of the second on the first; growth; difference on the first's grid; ovality."""
 
     first: WallMap
     second: WallMap
     alignment: Alignment
     growth: Growth
     difference: Difference
+    ovality: Ovality
 
     @property
     def changed(self) -> list[Change]:
@@ -50,6 +54,17 @@ class Comparison:
         counted = ", ".join(f"{kinds.count(kind)} {kind}" for kind in CHANGED if kind in kinds)
         return f"{len(kinds)} place{'s' if len(kinds) > 1 else ''} changed ({counted}); {least}."
 
+    def ovality_sentence(self) -> str:
+        """Where ovality changed most."""
+        oval, at = self.ovality, self.ovality.worst
+        if at is None:
+            return "Ovality: no station was seen by both."
+        told = " and that is no more than may be off" if abs(oval.change[at]) <= oval.change_k2[at] else ""
+        return (
+            f"Ovality changed most at {said(oval.z_mm[at], DISTANCE)}, from {said(oval.first[at], PERCENT)} to "
+            f"{said(oval.second[at], PERCENT)}, by {said(oval.change[at], PERCENT, oval.change_k2[at])}{told}."
+        )
+
     def remarks(self) -> list[str]:
         """What a reader must know beside: short overlap, direction, places that one did not see."""
         out = []
@@ -65,6 +80,12 @@ class Comparison:
         unseen = sum(one.verdict is Verdict.UNSEEN for one in self.growth.changes)
         if unseen:
             out.append(f"{unseen} defect{'s' if unseen > 1 else ''} that one scan has lie where the other did not see.")
+        undecided = sum(one.verdict is Verdict.UNDECIDED for one in self.growth.changes)
+        if undecided:
+            out.append(
+                f"{undecided} defect{'s are' if undecided > 1 else ' is'} undecided: nothing says to "
+                f"{LOST_MM:.0f} mm where in the other scan to look, or it goes all round, which is not compared."
+            )
         return out
 
     def to_dict(self) -> dict[str, Any]:
@@ -88,6 +109,15 @@ class Comparison:
             "roll_k2_median_deg": _number(2 * _median(one.sigma_roll_deg)),
             "growth": [_told(change) for change in self.changed],
             "unchanged": [_told(change) for change in size.changes if change.verdict not in CHANGED],
+            "ovality": {
+                "definition": "ASTM F1216, of the pipe's shape without defects",
+                "says": self.ovality_sentence(),
+                "z_mm": _numbers(self.ovality.z_mm),
+                "first_percent": _numbers(self.ovality.first),
+                "second_percent": _numbers(self.ovality.second),
+                "change_percent": _numbers(self.ovality.change),
+                "change_k2_percent": _numbers(self.ovality.change_k2),
+            },
             "limits": {
                 "least_growth_median_mm": _number(size.least_median_mm),
                 "least_growth_p95_mm": _number(size.least_p95_mm),
@@ -104,9 +134,17 @@ class Comparison:
         out = [
             f"{one.verdict:<10} {said(one.growth_mm, MEASURE, one.growth_k2_mm)} at {said(one.z_mm, DISTANCE)}, clock "
             f"{one.clock_deg:.0f}°: {said(one.depth_first_mm, MEASURE)} then, {said(one.depth_second_mm, MEASURE)} now"
+            f"{one.called and f'; {one.called}'}"
             for one in self.changed
         ]
+        out += [
+            f"{'listed':<10} {one.called} at {said(one.z_mm, DISTANCE)}, clock {one.clock_deg:.0f}°: {one.verdict}"
+            + (f", within ± {off(one.growth_k2_mm, MEASURE)}" if one.verdict is Verdict.SAME else "")
+            for one in self.growth.changes
+            if one.called and one.verdict not in CHANGED
+        ]
         out.append(f"says       {self.sentence()}")
+        out.append(f"ovality    {self.ovality_sentence().removeprefix('Ovality ')}")
         out.append(
             f"aligned    ± {2 * _median(self.alignment.sigma_z_mm):.1f} mm along, "
             f"± {2 * _median(self.alignment.sigma_roll_deg):.2f}° round (k=2, median); second's mm are "
@@ -120,14 +158,23 @@ def compare(first: Path, second: Path, progress: Progress = lambda what, done, t
 
     Raises AnnulusError, one line, for what is no wall map and for scans that do not belong together.
     """
-    return compare_maps(read_map(first), read_map(second), progress)
+    lists = read_listed(first), read_listed(second)
+    return compare_maps(read_map(first), read_map(second), progress, lists)
 
 
-def compare_maps(first: WallMap, second: WallMap, progress: Progress = lambda what, done, total: None) -> Comparison:
-    """The same of maps that were read."""
+def compare_maps(
+    first: WallMap, second: WallMap, progress: Progress = lambda what, done, total: None,
+    lists: tuple[Sequence[Place], Sequence[Place]] = ((), ()),
+) -> Comparison:  # fmt: skip
+    """The same of maps that were read. lists: the defects that a report of each lists."""
     alignment = align(first, second, progress)
-    growth, difference = grown(lay(first, second, alignment), progress)
-    return Comparison(first, second, alignment, growth, difference)
+    listed = laid_out(*lists, second, alignment)
+    laid = lay(first, second, alignment)
+    there = [(1 - one.year, one.floor) for one in listed if one.inside and not one.all_round]
+    growth, difference = grown(laid, progress, there)
+    oval = ovality(difference, laid)
+    growth = replace(growth, changes=named(growth.changes, listed, oval, first.radius_mm))
+    return Comparison(first, second, alignment, growth, difference, oval)
 
 
 def _about(wall: WallMap) -> dict[str, Any]:
@@ -144,7 +191,8 @@ def _told(one: Change) -> dict[str, Any]:
         "z_mm": _number(one.z_mm, 1), "clock_deg": _number(one.clock_deg, 1), "growth_mm": _number(one.growth_mm),
         "growth_k2_mm": _number(one.growth_k2_mm), "depth_first_mm": _number(one.depth_first_mm),
         "depth_second_mm": _number(one.depth_second_mm), "length_mm": _number(one.length_mm, 1),
-        "arc_deg": _number(one.arc_deg, 1), "verdict": str(one.verdict),
+        "arc_deg": _number(one.arc_deg, 1), "verdict": str(one.verdict), "listed_first": one.first.split(),
+        "listed_second": one.second.split(),
     }  # fmt: skip
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, gaussian_filter1d, median_filter
 
 from annulus.archive.wall_map import WallMap
-from annulus.numeric.arrays import ComplexArray, Float32Array, FloatArray
+from annulus.numeric.arrays import BoolArray, ComplexArray, Float32Array, FloatArray
 from annulus.numeric.robust import SIGMA_OF_MAD, TUKEY, biweight
 
 ORDERS = 3  # 0, 1 and 2
@@ -44,10 +44,12 @@ class Detail:
 def detail_of(wall: WallMap, columns: int) -> Detail:
     field = on_columns(wall.deviation_mm, wall.first_deg, columns)
     waves = waves_of(field)
+    slow = np.stack([calmed(waves[:, k], WAVES_MM, wall.step_mm) for k in (1, 2)], axis=1)
+    waves = waves_of(field, slow=slow)
     plain = field - drawn(waves, columns)
-    bump = waves[:, 0].real - _calm(waves[:, 0], EVEN_MM, wall.step_mm).real
+    bump = waves[:, 0].real - calmed(waves[:, 0], EVEN_MM, wall.step_mm).real
     bump = np.where(np.abs(bump) > BEAD_MM, bump, 0.0).astype(np.float32)
-    oval = _calm(waves[:, 2], WAVES_MM, wall.step_mm)
+    oval = calmed(waves[:, 2], WAVES_MM, wall.step_mm)
     return Detail((plain + bump[:, None]).astype(np.float32), plain, oval, calm_roll(wall.imu_roll_deg, wall.step_mm))
 
 
@@ -68,8 +70,12 @@ def on_columns(field: Float32Array, first_deg: float, columns: int) -> Float32Ar
     return np.where(weight >= SEEN_MIN - 1e-4, total / np.maximum(weight, 1e-6), np.float32(np.nan))
 
 
-def waves_of(field: Float32Array, weight: Float32Array | None = None) -> ComplexArray:
-    """(Z, ORDERS) c of Re(c exp(i order clock)) in each row, defects left out (Tukey); NaN of a row half unseen."""
+def waves_of(field: Float32Array, weight: Float32Array | None = None, slow: ComplexArray | None = None) -> ComplexArray:
+    """(Z, ORDERS) c of Re(c exp(i order clock)) in each row, defects left out (Tukey); NaN of a row half unseen.
+
+    weight (Z, columns): how much a cell says. slow (Z, 2): orders 1 and 2 to begin with, from the rows around: two deep
+    defects across from each other are nearly a wave of order 2, and of themselves draw their row's fit after them.
+    """
     columns = field.shape[1]
     clock = 2 * np.pi * np.arange(columns) / columns
     design = np.stack([np.ones(columns), np.cos(clock), -np.sin(clock), np.cos(2 * clock), -np.sin(2 * clock)], axis=1)
@@ -77,32 +83,45 @@ def waves_of(field: Float32Array, weight: Float32Array | None = None) -> Complex
     for begin in range(0, len(field), _CHUNK):
         part = slice(begin, begin + _CHUNK)
         given = None if weight is None else weight[part].astype(np.float64)
-        fitted = _rows_fitted(field[part].astype(np.float64), design, given)
+        start = None
+        if slow is not None:
+            start = np.stack([slow[part, 0].real, slow[part, 0].imag, slow[part, 1].real, slow[part, 1].imag], axis=1)
+        fitted = _rows_fitted(field[part].astype(np.float64), design, given, start)
         out[part, 0] = fitted[:, 0]
         out[part, 1] = fitted[:, 1] + 1j * fitted[:, 2]
         out[part, 2] = fitted[:, 3] + 1j * fitted[:, 4]
     return out
 
 
-def _rows_fitted(rows: FloatArray, design: FloatArray, given: FloatArray | None) -> FloatArray:
+def _rows_fitted(
+    rows: FloatArray, design: FloatArray, given: FloatArray | None, start: FloatArray | None
+) -> FloatArray:
     seen = np.isfinite(rows)
     value = np.where(seen, rows, 0.0)
     base = seen.astype(np.float64) if given is None else np.where(seen, given, 0.0)
+    has_say = base > 0
     weight: Any = base
     products = (design[:, :, None] * design[:, None, :]).reshape(len(design), -1)
-    ridge = 1e-9 * np.eye(design.shape[1])
+    ridge = 1e-9 * max(float(base.max(initial=1)), 1e-9) * np.eye(design.shape[1])
     fitted = np.zeros((len(rows), design.shape[1]))
-    for _ in range(_ROUNDS):
-        normal = (weight @ products).reshape(len(rows), *ridge.shape) + ridge * max(float(base.max(initial=1)), 1e-9)
-        fitted = np.linalg.solve(normal, ((weight * value) @ design)[..., None])[..., 0]
+    for k in range(_ROUNDS):
+        if k == 0 and start is not None:
+            fitted[:, 1:] = start
+            fitted[:, 0] = _medians(value - start @ design[:, 1:].T, has_say)
+        else:
+            normal = (weight @ products).reshape(len(rows), *ridge.shape) + ridge
+            fitted = np.linalg.solve(normal, ((weight * value) @ design)[..., None])[..., 0]
         left = value - fitted @ design.T
-        size = np.where(seen, np.abs(left), np.nan)
-        ordered = np.sort(size, axis=1)
-        middle = np.maximum(seen.sum(axis=1) - 1, 0) // 2
-        sigma = np.maximum(SIGMA_OF_MAD * np.nan_to_num(ordered[np.arange(len(rows)), middle]), 1e-6)
+        sigma = np.maximum(SIGMA_OF_MAD * _medians(np.abs(left), has_say), 1e-6)
         weight = base * biweight(left / (TUKEY * sigma[:, None]))
     fitted[seen.mean(axis=1) < SEEN_MIN] = np.nan
     return fitted
+
+
+def _medians(rows: FloatArray, counted: BoolArray) -> FloatArray:
+    """(Z,) of what is counted in each row; 0 where nothing is."""
+    ordered = np.sort(np.where(counted, rows, np.nan), axis=1)
+    return np.asarray(np.nan_to_num(ordered[np.arange(len(rows)), np.maximum(counted.sum(axis=1) - 1, 0) // 2]))
 
 
 def drawn(waves: ComplexArray, columns: int) -> Float32Array:
@@ -112,7 +131,7 @@ def drawn(waves: ComplexArray, columns: int) -> Float32Array:
     return np.asarray((waves.real @ turning.real - waves.imag @ turning.imag).astype(np.float32))
 
 
-def _calm(series: ComplexArray, median_mm: float, step_mm: float) -> ComplexArray:
+def calmed(series: ComplexArray, median_mm: float, step_mm: float) -> ComplexArray:
     whole = _filled(series.real) + 1j * _filled(series.imag)
     rows = max(2 * round(median_mm / step_mm / 2) + 1, 3)
     parts = [

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter, median_filter
 
-from annulus.archive.alignment import Alignment
-from annulus.archive.detail import drawn, on_columns, smoothed, waves_of
+from annulus.archive.alignment import BARE, Alignment
+from annulus.archive.detail import WAVES_MM, calmed, drawn, on_columns, smoothed, waves_of
 from annulus.archive.floors import Floor
 from annulus.archive.wall_map import WallMap
-from annulus.numeric.arrays import ComplexArray, Float32Array, FloatArray
+from annulus.numeric.arrays import BoolArray, ComplexArray, Float32Array, FloatArray
 from annulus.numeric.robust import SIGMA_OF_MAD
 
 BLOCK_MM = 160.0  # over which noise is one, along and round
@@ -30,8 +30,7 @@ class Difference:
     """On the first's grid, column 0 at clock 0: all (Z, A) mm, NaN where one of the two did not see.
 
     grown: second less first, outwards positive, less orders 0 to 2 of each row. sigma: its, k = 1. first, second: the
-    two walls, each less its own orders 0 to 2. oval: (Z,) of the ovality, by how much its c of Re(c exp(2i clock))
-    differs, mm.
+    two walls, each less its own orders 0 to 2. oval (2, Z): the ovality of both, c of Re(c exp(2i clock)), mm.
     """
 
     grown: Float32Array
@@ -62,7 +61,8 @@ class Difference:
 @dataclass(frozen=True, slots=True)
 class Laid:
     """Both walls on the first's grid, (Z, A) mm as their heads saw them; share of a cell's variance that interpolation
-    keeps in the second; (Z,) sigma of place, mm, and roll, degrees."""
+    keeps in the second; (Z,) sigma of place, mm, and roll, degrees. torn_mm: places of slips on a bare wall, which may
+    as well lie a little before or after."""
 
     first: Float32Array
     second: Float32Array
@@ -72,34 +72,47 @@ class Laid:
     z_mm: FloatArray
     step_mm: float
     radius_mm: float
+    torn_mm: tuple[float, ...] = ()
+
+    @property
+    def lost(self) -> BoolArray:
+        """(Z,) rows of which nobody knows what lies on what."""
+        return np.asarray(self.sigma_z > LOST_MM)
 
     def difference(self, floors: Sequence[Floor] = ()) -> Difference:
         """What differs. floors: places known to stand out, which have no say in what is the whole row's."""
         columns = self.first.shape[1]
         away = self.second - self.first
+        away[self.lost] = np.nan
         free = np.ones(self.first.shape, np.float32)
         clock = 360.0 / columns * np.arange(columns)
         for one in floors:
             rows = np.flatnonzero(np.abs(self.z_mm - one.z_mm) < one.length_mm)
             free[rows] *= one.shape(self.z_mm[rows], clock) < OF_FLOOR
         weight = free / (1.0 + self.share)
-        waves = waves_of(away, weight)
+        waves = self._waves(away, weight)
         grown = away - drawn(waves, columns)
         noise = self._noise(grown / np.sqrt(1.0 + self.share))
         steep, aside, bent = (
             np.fmax(one, two) for one, two in zip(self._slopes(self.first), self._slopes(self.second), strict=True)
         )
         sigma = np.sqrt(
-            noise**2 * (1.0 + self.share)
+            2.0 * noise**2  # neighbours that were taken from the same two rows are alike: their mean is no surer
             + (steep * self.sigma_z[:, None].astype(np.float32)) ** 2
             + (aside * self.sigma_roll[:, None].astype(np.float32) * np.float32(columns / 360.0)) ** 2
             + (BEND * bent) ** 2
         )
-        walls = [wall - drawn(waves_of(wall, free), columns) for wall in (self.first, self.second)]
+        own = [self._waves(wall, free) for wall in (self.first, self.second)]
+        walls = [wall - drawn(one, columns) for wall, one in zip((self.first, self.second), own, strict=True)]
         return Difference(
             grown, np.where(np.isfinite(grown), np.maximum(sigma, SIGMA_LEAST_MM), np.nan).astype(np.float32),
-            walls[0], walls[1], waves[:, 2], self.z_mm, self.step_mm, self.radius_mm,
+            walls[0], walls[1], np.stack([one[:, 2] for one in own]), self.z_mm, self.step_mm, self.radius_mm,
         )  # fmt: skip
+
+    def _waves(self, field: Float32Array, weight: Float32Array) -> ComplexArray:
+        """Of each row, begun from what the rows around say."""
+        waves = waves_of(field, weight)
+        return waves_of(field, weight, np.stack([calmed(waves[:, k], WAVES_MM, self.step_mm) for k in (1, 2)], axis=1))
 
     def _noise(self, scaled: Float32Array) -> Float32Array:
         """(Z, A) mm sigma of one scan's cell, by blocks; never less than half the whole map's."""
@@ -139,8 +152,11 @@ def lay(first: WallMap, second: WallMap, alignment: Alignment) -> Laid:
     mine = on_columns(first.deviation_mm, first.first_deg, columns)
     theirs, share, sigma_z, sigma_roll = _taken(first, second, alignment, columns)
     share = np.maximum(share, np.float32(0.25))
-    theirs[sigma_z > LOST_MM] = np.nan  # nobody knows what lies on what there
-    return Laid(mine, theirs, share, sigma_z, sigma_roll, first.z_mm, first.step_mm, first.radius_mm)
+    torn = alignment.slips if alignment.found < BARE else ()
+    return Laid(
+        mine, theirs, share, sigma_z, sigma_roll, first.z_mm, first.step_mm, first.radius_mm,
+        tuple(float(alignment.z_mm[row]) for row in torn),
+    )  # fmt: skip
 
 
 def _taken(
@@ -155,14 +171,15 @@ def _taken(
     rows = len(place)
     slips = [rows - row for row in reversed(alignment.slips)] if alignment.reversed else list(alignment.slips)
     z = first.z_mm
-    at = np.full(len(z), np.nan)
+    at, unsure = np.full(len(z), np.nan), np.full(len(z), np.inf)
     for begin, end in zip([0, *slips], [*slips, rows], strict=True):
         known = begin + np.flatnonzero(np.isfinite(place[begin:end]))
         if len(known) < 2:
             continue
         rising = np.maximum.accumulate(place[known])
-        inside = (z >= rising[0]) & (z <= rising[-1]) & np.isnan(at)
-        at[inside] = np.interp(z[inside], rising, known)
+        sigma = np.interp(z, rising, sigmas[0][known])
+        surer = (z >= rising[0]) & (z <= rising[-1]) & (sigma < unsure)  # where a cable slipped back rows lie twice
+        at[surer], unsure[surer] = np.interp(z[surer], rising, known), sigma[surer]
     seen = np.isfinite(at)
     low = np.minimum(np.where(seen, at, 0).astype(np.int64), rows - 2)
     part = np.clip(np.where(seen, at - low, 0.0), 0.0, 1.0)

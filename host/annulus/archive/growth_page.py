@@ -17,9 +17,10 @@ from matplotlib.patches import Patch, Rectangle
 
 from annulus.archive.comparison import Comparison
 from annulus.archive.growth import CHANGED, Change
+from annulus.archive.ovality import Ovality
 from annulus.numeric import palette
-from annulus.numeric.arrays import Float32Array
 from annulus.numeric.rounding import ARC, DISTANCE, EXTENT, MEASURE, SHARE, clock_face, digits_k2, off, said, span
+from annulus.numeric.thinning import farthest
 from annulus.untrusted import printable
 from annulus.vocabulary import AnnulusError
 
@@ -29,7 +30,7 @@ STYLE = {
     "font.family": "DejaVu Sans", "font.size": 10, "axes.edgecolor": FAINT, "axes.labelcolor": INK, "text.color": INK,
     "xtick.color": INK, "ytick.color": INK, "axes.linewidth": 0.8, "hatch.linewidth": 0.5,
 }  # fmt: skip
-SIZE_IN, DPI = (9.0, 3.9), 150
+SIZE_IN, OVALITY_IN, DPI = (9.0, 3.9), (9.0, 2.2), 150
 ROWS_MAX = 2400  # of the picture: two a dot
 SCALE_LEAST_MM = 0.25  # ends of the colours where nothing grew
 BLUR = 1.0  # cells, so that noise does not hide what grew
@@ -39,7 +40,7 @@ def draw(comparison: Comparison) -> bytes:
     """The growth map as PNG: distance against clock, outwards red, grey where one of the two did not see."""
     difference, changed = comparison.difference, comparison.changed
     scale = max([SCALE_LEAST_MM, *(abs(one.growth_mm) for one in changed)])
-    field = _farthest(difference.grown)
+    field = farthest(difference.grown, ROWS_MAX)
     z = difference.z_mm / 1000
     half = difference.step_mm / 2000
     with mpl.rc_context(STYLE):
@@ -74,6 +75,27 @@ def draw(comparison: Comparison) -> bytes:
     return out.getvalue()
 
 
+def draw_ovality(oval: Ovality) -> bytes:
+    """Ovality of both along the pipe, as PNG."""
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=OVALITY_IN, dpi=DPI)
+        axes = figure.add_axes((0.085, 0.22, 0.79, 0.70))
+        z = oval.z_mm / 1000
+        axes.fill_between(
+            z, oval.second - oval.change_k2, oval.second + oval.change_k2, color=palette.DEVIATION[4], lw=0
+        )
+        axes.plot(z, oval.first, color=palette.DEVIATION[1], lw=1.4, label="first scan")
+        axes.plot(z, oval.second, color=palette.DEVIATION[6], lw=1.4, label="second scan")
+        axes.set_ylim(bottom=0)
+        axes.set_ylabel("ovality, %")
+        axes.set_xlabel("distance along the pipe in the first scan, m")
+        axes.ticklabel_format(axis="x", useOffset=False)
+        axes.legend(frameon=False, fontsize=8.5, loc="upper left", ncols=2)
+        out = io.BytesIO()
+        figure.savefig(out, format="png", facecolor="white")
+    return out.getvalue()
+
+
 def _mark(axes: Any, one: Change, number: int) -> None:
     length, arc = one.length_mm / 1000, min(one.arc_deg, 360.0)
     for turn in (-360.0, 0.0, 360.0):
@@ -83,17 +105,6 @@ def _mark(axes: Any, one: Change, number: int) -> None:
         one.z_mm / 1000, max(one.clock_deg - 0.75 * arc - 3, 12), str(number), ha="center", va="bottom", fontsize=8,
         fontweight="bold", zorder=4, clip_on=True,
     )  # fmt: skip
-
-
-def _farthest(field: Float32Array) -> Float32Array:
-    """At most ROWS_MAX rows, each the value farthest from 0 of those it stands for; NaN where all are."""
-    every = -(-len(field) // ROWS_MAX)
-    if every <= 1:
-        return field
-    whole = np.pad(field, ((0, -len(field) % every), (0, 0)), constant_values=np.nan)
-    blocks = whole.reshape(-1, every, field.shape[1])
-    at = np.argmax(np.nan_to_num(np.abs(blocks), nan=-1.0), axis=1)
-    return np.asarray(np.take_along_axis(blocks, at[:, None], axis=1)[:, 0])
 
 
 def render(comparison: Comparison) -> str:
@@ -110,6 +121,8 @@ def render(comparison: Comparison) -> str:
         first=printable(comparison.first.name), second=printable(comparison.second.name), says=comparison.sentence(),
         remarks=comparison.remarks(), picture=base64.b64encode(draw(comparison)).decode(), changed=len(changed),
         rows=[_row(one, numbers.get(id(one))) for one in size.changes],
+        listed=any(one.called for one in size.changes), ovality=comparison.ovality_sentence(),
+        ovality_picture=base64.b64encode(draw_ovality(comparison.ovality)).decode(),
         z_k2=f"± {_typical(2 * aligned.sigma_z_mm):.1f} mm", roll_k2=f"± {_typical(2 * aligned.sigma_roll_deg):.2f}°",
         z_worst=f"{_worst(2 * aligned.sigma_z_mm):.1f} mm", roll_worst=f"{_worst(2 * aligned.sigma_roll_deg):.2f}°",
         scale=f"{aligned.scale:.4f}", slips=len(aligned.slips), sure=f"{aligned.sure:.0f}",
@@ -127,7 +140,7 @@ def _row(one: Change, number: int | None) -> dict[str, object]:
         "number": number or "", "z": said(one.z_mm, DISTANCE), "clock": clock_face(one.clock_deg), "growth": growth,
         "then": said(one.depth_first_mm, MEASURE), "now": said(one.depth_second_mm, MEASURE),
         "size": f"{said(one.length_mm, EXTENT)} × {said(one.arc_deg, ARC)}", "verdict": str(one.verdict),
-        "changed": one.verdict in CHANGED,
+        "changed": one.verdict in CHANGED, "first": one.first, "second": one.second,
     }  # fmt: skip
 
 

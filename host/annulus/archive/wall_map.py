@@ -21,9 +21,12 @@ from annulus.untrusted import shown, within
 from annulus.vocabulary import AnnulusError
 
 FORMAT = "annulus-wall/1"
-NOT_SEEN_UM = -32768
-BEYOND_UM = 32767  # a deviation of it, either way, is that or more: no measure
+BEYOND_UM = 32767  # a deviation of it, either way, is that or more: no measure; -32768 is not seen
 ROWS_MIN, ROWS_MAX, COLUMNS_MIN, COLUMNS_MAX, CELLS_MAX = 16, 200_000, 16, 3600, 1 << 27
+MOST = {  # bytes of each array that is read
+    "format": 4 * 200, "deviation_um": 2 * CELLS_MAX, "shadowed": CELLS_MAX, "z_step_mm": 8, "radius_mm": 8,
+    "z_mm": 8 * ROWS_MAX, "clock_deg": 8 * COLUMNS_MAX, "imu_roll_deg": 8 * ROWS_MAX,
+}  # fmt: skip
 STEP_MM, RADIUS_MM, PLACE_MM, ROLL_DEG = (0.05, 100.0), (5.0, 5000.0), 1e8, 1e6
 EVEN = 0.01  # of a step: by so much rows may lie beside an even grid
 
@@ -73,23 +76,16 @@ def read_map(path: Path) -> WallMap:
     try:
         if not file.is_file():
             raise ValueError("not a file")
-        require_plain_npz(file)
+        require_plain_npz(file, MOST)
         with np.load(file, allow_pickle=False) as archive:
-            names = (
-                "format",
-                "deviation_um",
-                "z_step_mm",
-                "radius_mm",
-                "z_mm",
-                "clock_deg",
-                "imu_roll_deg",
-                "shadowed",
-            )
-            arrays = {name: archive[name] for name in names if name in archive.files}
+            arrays = {name: archive[name] for name in MOST if name in archive.files}
         return _believed(str(path), arrays)
     except OSError as error:
         raise AnnulusError(f"{path}: cannot be read ({error.strerror or error})") from None
-    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, KeyError):
+    except (
+        zipfile.BadZipFile, zlib.error, EOFError, ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError,
+        SystemError,  # of numpy, for text of no characters
+    ):  # fmt: skip
         raise AnnulusError(f"{path}: no whole .npz, expected a wall map (deviation_um, z_step_mm, radius_mm)") from None
     except ValueError as error:
         raise AnnulusError(f"{path}: {error}; expected a wall map (deviation_um, z_step_mm, radius_mm)") from None
@@ -112,7 +108,7 @@ def _believed(name: str, arrays: Mapping[str, NDArray[Any]]) -> WallMap:
         )
     step = _one(arrays["z_step_mm"], "z_step_mm", *STEP_MM)
     radius = _one(arrays["radius_mm"], "radius_mm", *RADIUS_MM)
-    unknown = (deviation == NOT_SEEN_UM) | (np.abs(deviation.astype(np.int32)) >= BEYOND_UM)
+    unknown = (deviation <= -BEYOND_UM) | (deviation >= BEYOND_UM)
     if "shadowed" in arrays:
         shadowed = arrays["shadowed"]
         if shadowed.shape != deviation.shape or shadowed.dtype != np.bool_:
@@ -135,21 +131,26 @@ def _believed(name: str, arrays: Mapping[str, NDArray[Any]]) -> WallMap:
     roll = np.full(rows, np.nan)
     if "imu_roll_deg" in arrays:
         said = arrays["imu_roll_deg"]
-        if said.shape != (rows,) or said.dtype.kind != "f":
+        if said.shape != (rows,) or said.dtype.kind != "f" or said.dtype.itemsize > 8:
             raise ValueError("imu_roll_deg is not a number a row")
-        roll = said.astype(np.float64)
+        with np.errstate(invalid="ignore"):  # a NaN that signals
+            roll = said.astype(np.float64)
         roll[~(np.abs(roll) < ROLL_DEG)] = np.nan
-    away = np.where(unknown, np.float32(np.nan), deviation.astype(np.float32) / np.float32(1000))
+    away = deviation.astype(np.float32)
+    away /= np.float32(1000)
+    away[unknown] = np.nan
     return WallMap(name, away, first, step, radius, roll, first_deg)
 
 
 def _one(value: NDArray[Any], name: str, low: float, high: float) -> float:
-    if value.shape or value.dtype.kind not in "fiu":
+    if value.shape or value.dtype.kind not in "fiu" or value.dtype.itemsize > 8:
         raise ValueError(f"{name} is not one number")
     return within(float(value), name, low, high)
 
 
 def _axis(value: NDArray[Any], name: str, count: int) -> FloatArray:
-    if value.shape != (count,) or value.dtype.kind not in "fiu" or not np.isfinite(value).all():
+    if value.shape != (count,) or value.dtype.kind not in "fiu" or value.dtype.itemsize > 8:
+        raise ValueError(f"{name} is not {count} numbers")
+    if not np.isfinite(value).all():
         raise ValueError(f"{name} is not {count} numbers")
     return value.astype(np.float64)

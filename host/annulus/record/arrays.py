@@ -10,6 +10,7 @@ import math
 import mmap
 import struct
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -92,8 +93,9 @@ def _require_plain(data: Any) -> None:
         raise ValueError(f"{data.name} would become {size} bytes from {stored}")
 
 
-def require_plain_npz(path: Path | BinaryIO) -> None:
-    """Every member is an array that may be read, and is no larger than its head says."""
+def require_plain_npz(path: Path | BinaryIO, most: Mapping[str, int] | None = None) -> None:
+    """Every member is an array that may be read, and is no larger than its head says. most: bytes that an array of that
+    name may have; of others, which nobody reads, BYTES_MAX."""
     with zipfile.ZipFile(path) as archive:
         members = archive.infolist()
         if len(members) > NAMES_MAX:
@@ -101,7 +103,8 @@ def require_plain_npz(path: Path | BinaryIO) -> None:
         for member in members:
             if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
                 raise ValueError(f"{member.filename} is packed otherwise than NumPy does")
-            if member.file_size > min(BYTES_MAX, max(UNPACKED_MAX, RATIO_MAX * member.compress_size)):
+            limit = (most or {}).get(member.filename.removesuffix(".npy"), BYTES_MAX) + _HEAD_MAX
+            if member.file_size > min(limit, max(UNPACKED_MAX, RATIO_MAX * member.compress_size)):
                 raise ValueError(f"{member.filename} would become {member.file_size} bytes")
             with archive.open(member) as file:
                 held = _size_of_array(file.read(_HEAD_MAX))

@@ -19,6 +19,7 @@ from scipy import ndimage
 
 from annulus.numeric.arrays import BoolArray, Float32Array
 from annulus.numeric.rounding import MEASURE, PERCENT, SHARE, said
+from annulus.numeric.thinning import farthest
 from annulus.report.marks import Mark, draw_marks, name_above
 from annulus.report.paper import (
     BUMP_BLUE,
@@ -114,8 +115,8 @@ def draw_shape(
     if stretch.rows.start < stretch.rows.stop:
         extent = stretch.extent_of(survey)
         shown = axes.imshow(
-            np.ma.masked_invalid(farthest(deviation[stretch.rows]).T), cmap=DEVIATION, vmin=-scale, vmax=scale,
-            extent=extent, aspect="auto", interpolation="nearest", zorder=2,
+            np.ma.masked_invalid(farthest(deviation[stretch.rows], ROWS_MAX).T), cmap=DEVIATION, vmin=-scale,
+            vmax=scale, extent=extent, aspect="auto", interpolation="nearest", zorder=2,
         )  # fmt: skip
         hidden = _draw_hidden(axes, survey, stretch)
         bar_beside(figure, axes, shown, "deviation, mm\n− inwards    outwards +")
@@ -265,17 +266,6 @@ def _draw_hidden(axes: Any, survey: Survey, stretch: Stretch) -> bool:
         aspect="auto", interpolation="nearest", zorder=3,
     )  # fmt: skip
     return bool(hidden.any())
-
-
-def farthest(field: Float32Array) -> Float32Array:
-    """At most ROWS_MAX rows of it, each the value farthest from 0 of those it stands for; NaN where all are."""
-    every = -(-len(field) // ROWS_MAX)
-    if every <= 1:
-        return field
-    whole = np.pad(field, ((0, -len(field) % every), (0, 0)), constant_values=np.nan)
-    blocks = whole.reshape(-1, every, field.shape[1])
-    at = np.argmax(np.nan_to_num(np.abs(blocks), nan=-1.0), axis=1)
-    return np.asarray(np.take_along_axis(blocks, at[:, None], axis=1)[:, 0])
 
 
 def mean_colour(rgba: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from synthetic_pipe import CALIBRATION, bump, pocket, round_pipe, scan
 from tiled_survey import tiled
 
+from annulus.numeric.thinning import farthest
 from annulus.report import figures
-from annulus.report.maps import ROWS_MAX, calm, farthest, mean_colour
+from annulus.report.maps import ROWS_MAX, calm, mean_colour
 from annulus.report.marks import marks_of, outline
 from annulus.wall import LedFrame, Survey, survey
 
@@ -76,7 +77,7 @@ def test_a_short_defect_of_a_long_pipe_is_not_lost_between_two_dots() -> None:
     field = np.full((50_001, 3), np.nan, np.float32)
     field[:, 0] = 0.01
     field[12_345, 0], field[30_000, 1] = -3.0, 2.0
-    seen = farthest(field)
+    seen = farthest(field, ROWS_MAX)
     assert len(seen) <= ROWS_MAX and np.nanmin(seen) == -3.0 and np.nanmax(seen) == 2.0
     assert np.isnan(seen[:, 2]).all() and (np.isfinite(seen[:, 1])).sum() == 1
 

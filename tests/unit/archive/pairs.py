@@ -5,7 +5,7 @@ round floors. A survey of it is rows at places that a cable of another scale cou
 sits off centre and shakes, noise, and places it did not see.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.ndimage import gaussian_filter, gaussian_filter1d, map_coordinates
@@ -48,6 +48,8 @@ class Scene:
     spots: int = 300  # unseen
     gaps_mm: tuple[float, ...] = ()  # lengths never seen by the second
     least_growth_mm: float = 0.25
+    crowded: bool = False  # defects may lie on each other
+    oval_growth: float = 0.0  # of ovality, as a part of it: over all of the pipe
 
 
 @dataclass(frozen=True)
@@ -76,11 +78,35 @@ class Pair:
     z_of_second: FloatArray
     roll_of_second: FloatArray
     defects: tuple[Defect, ...]
+    oval_mm: FloatArray  # (n, 2): places on the first, and by how much ovality's wave grew there
     joints: FloatArray = field(default_factory=lambda: np.empty(0))
 
     @property
     def grown(self) -> list[Defect]:
         return [one for one in self.defects if one.growth_mm]
+
+    def oval_growth_mm(self, z: FloatArray) -> FloatArray:
+        return np.interp(z, self.oval_mm[:, 0], self.oval_mm[:, 1])
+
+    def seen(self, one: Defect) -> float:
+        """The share of a defect that both saw: of the one that saw less."""
+        shares = []
+        turned = np.zeros_like(self.first.z_mm)
+        for wall, z, roll in (
+            (self.first, self.first.z_mm, turned),
+            (self.second, self.z_of_second, self.roll_of_second),
+        ):
+            clock = wall.column_deg * np.arange(wall.deviation_mm.shape[1])[None] + roll[:, None]
+            shape = replace(one, depth_mm=1.0).at(z[:, None], clock, 0)
+            whole = self._whole(one) / (wall.step_mm * wall.column_deg)
+            shares.append(float(shape[np.isfinite(wall.deviation_mm)].sum() / whole))
+        return min(shares)
+
+    @staticmethod
+    def _whole(one: Defect) -> float:
+        """mm times degrees: of a defect of depth 1."""
+        z, clock = one.z_mm + np.arange(-120.0, 120.0, 0.5), one.clock_deg + np.arange(-90.0, 90.0, 0.5)
+        return float(replace(one, depth_mm=1.0).at(z[:, None], clock[None], 0).sum() * 0.25)
 
 
 def draw(seed: int, scene: Scene | None = None, pipe: int | None = None) -> Pair:
@@ -111,7 +137,9 @@ def draw(seed: int, scene: Scene | None = None, pipe: int | None = None) -> Pair
     second = WallMap(
         second.name, second.deviation_mm, 0.0, scene.step_second_mm, scene.radius_second_mm, imu, second.first_deg
     )
-    return Pair(first, second, z2, roll, wall.defects, wall.joints)
+    places = wall.begin_mm + FINE_MM * np.arange(len(wall.oval))
+    oval = np.stack([places, scene.oval_growth * np.abs(wall.oval)], axis=1)
+    return Pair(first, second, z2, roll, wall.defects, oval, wall.joints)
 
 
 @dataclass(frozen=True)
@@ -122,6 +150,7 @@ class _Pipe:
     heights: FloatArray
     defects: tuple[Defect, ...]
     begin_mm: float
+    oval_growth: float
 
     def deviation(self, z: FloatArray, clock: FloatArray, year: int) -> FloatArray:
         """(Z, A) mm at z (Z, 1) and clock (Z, A)."""
@@ -131,7 +160,7 @@ class _Pipe:
         oval = np.interp(row[:, 0], np.arange(len(self.oval)), self.oval.real) + 1j * np.interp(
             row[:, 0], np.arange(len(self.oval)), self.oval.imag
         )
-        out += (oval[:, None] * np.exp(2j * np.radians(clock))).real
+        out += (1 + year * self.oval_growth) * (oval[:, None] * np.exp(2j * np.radians(clock))).real
         for joint, height in zip(self.joints, self.heights, strict=True):
             out -= height * np.exp(-(((z - joint) / 4.5) ** 2)) * (1 + 0.1 * np.cos(np.radians(clock - 40)))
         for one in self.defects:
@@ -171,9 +200,9 @@ def _pipe(rng: np.random.Generator, scene: Scene) -> _Pipe:
             rng.uniform(300, scene.length_mm - 300), rng.uniform(0, 360), rng.uniform(18, 80), rng.uniform(9, 40),
             depth, growth, float(rng.choice(scene.exponents)),
         )  # fmt: skip
-        if all(abs(one.z_mm - other.z_mm) > 90 or _apart(one, other) > 50 for other in defects):
+        if scene.crowded or all(abs(one.z_mm - other.z_mm) > 90 or _apart(one, other) > 50 for other in defects):
             defects.append(one)
-    return _Pipe(texture, oval, joints, rng.uniform(1.0, 2.0, len(joints)), tuple(defects), begin)
+    return _Pipe(texture, oval, joints, rng.uniform(1.0, 2.0, len(joints)), tuple(defects), begin, scene.oval_growth)
 
 
 def _apart(one: Defect, other: Defect) -> float:

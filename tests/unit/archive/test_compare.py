@@ -66,6 +66,20 @@ def test_what_is_said_of_places_holds_for_95_percent() -> None:
     assert known.mean() > 0.9
 
 
+def test_a_bare_pipe_says_how_unsure_its_places_are_and_nothing_is_made_up() -> None:
+    shares, sizes = [], []
+    for seed in (6, 7, 8):
+        pair = draw(seed, replace(SHORT, texture_rms_mm=0.0, unchanged=3, gone=1))
+        found = compare_maps(pair.first, pair.second)
+        off = np.abs(found.alignment.z_mm - pair.z_of_second)
+        known = np.isfinite(off)
+        shares.append(np.mean(off[known] <= 2 * found.alignment.sigma_z_mm[known]))
+        sizes.append(np.median(found.alignment.sigma_z_mm[known]))
+        assert growths(pair, found)[1] == 0
+        assert found.alignment.found < 0.5
+    assert np.mean(shares) > 0.85 and max(sizes) < 20.0
+
+
 def test_a_pipe_that_did_not_change_has_no_growth_and_the_limit_is_said() -> None:
     pair = draw(5, replace(SHORT, grown=0, new=0, unchanged=4))
     found = compare_maps(pair.first, pair.second)
@@ -150,5 +164,5 @@ def test_the_command_writes_json_a_page_and_says_what_grew(tmp_path: Path) -> No
     assert len(told["z_of_second"]) == len(told["roll_of_second"]) == len(pair.second.deviation_mm)
     assert len(told["growth"]) == len(there.changed)
     text = page.read_text()
-    assert text.count("data:image/png;base64,") == 1 and "<script" not in text and "http" not in text
+    assert text.count("data:image/png;base64,") == 2 and "<script" not in text and "http" not in text
     assert told["says"] in text

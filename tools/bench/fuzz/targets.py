@@ -20,6 +20,7 @@ import msgpack
 import numpy as np
 
 from annulus import untrusted
+from annulus.archive.wall_map import read_map
 from annulus.calibrate.both import placement_from_dict
 from annulus.daemon.config import load_config
 from annulus.daemon.control import REQUEST_MAX, Request
@@ -313,14 +314,15 @@ _ARRAYS: tuple[object, ...] = (
 
 def _acoustic_case(rng: Random) -> bytes:
     kind = rng.choice(("npz", "hdf5"))
-    wrong = of_bytes(rng, _sound(kind)) if rng.random() < 0.5 else (_npz if kind == "npz" else _hdf5)(rng)
+    sample = _sound(kind)
+    wrong = of_bytes(rng, sample) if rng.random() < 0.5 else _npz(rng, sample) if kind == "npz" else _hdf5(rng)
     return kind.encode().ljust(4) + wrong
 
 
-def _npz(rng: Random) -> bytes:
+def _npz(rng: Random, sample: bytes) -> bytes:
     out = io.BytesIO()
     with (
-        zipfile.ZipFile(io.BytesIO(_sound("npz"))) as archive,
+        zipfile.ZipFile(io.BytesIO(sample)) as archive,
         zipfile.ZipFile(out, "w", rng.choice((0, 8, 12, 14))) as other,
     ):
         names = archive.namelist()
@@ -375,6 +377,26 @@ def _acoustic_read(data: bytes, folder: Path) -> None:
     load_acoustic(path)
 
 
+@cache
+def _wall() -> bytes:
+    out = io.BytesIO()
+    cells = np.random.default_rng(0).integers(-200, 200, (20, 24)).astype(np.int16)
+    np.savez_compressed(
+        out, format="annulus-wall/1", deviation_um=cells, shadowed=cells > 190, z_step_mm=4.0, radius_mm=76.2,
+        z_mm=100 + 4.0 * np.arange(20), clock_deg=15.0 * np.arange(24), imu_roll_deg=np.zeros(20, np.float32),
+    )  # fmt: skip
+    return out.getvalue()
+
+
+def _wall_case(rng: Random) -> bytes:
+    return of_bytes(rng, _wall()) if rng.random() < 0.5 else _npz(rng, _wall())
+
+
+def _wall_read(data: bytes, folder: Path) -> None:
+    (folder / "wall.npz").write_bytes(data)
+    read_map(folder)
+
+
 def _transducer_case(rng: Random) -> bytes:
     table = "time_us,amplitude\n" + "".join(f"{0.1 * i:.1f},{(-0.8) ** i:.4f}\n" for i in range(20))
     return of_bytes(rng, table.encode()) if rng.random() < 0.4 else of_rows(rng, table).encode("utf-8", "surrogatepass")
@@ -396,5 +418,6 @@ TARGETS: dict[str, Target] = {
     "acoustic": Target(_acoustic_case, _acoustic_read),
     "transducer": Target(_transducer_case, _transducer_read),
     "joint": Target(joint_case, joint_read),
+    "wall": Target(_wall_case, _wall_read),
     "catalogue": Target(catalogue_case, catalogue_read),
 }
