@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from annulus.record.arrays import require_plain_npz
-from annulus.vocabulary import AnnulusError
 from annulus.wall.centreline import Centreline
 from annulus.wall.joined import Abstract
 
@@ -39,8 +38,8 @@ def packed(abstract: Abstract, about: Mapping[str, Any]) -> bytes:
     return out.getvalue()
 
 
-def unpacked(data: bytes, name: str) -> tuple[Abstract, Mapping[str, Any]]:
-    """Raises AnnulusError where it is not what was written. name : as the message names it."""
+def unpacked(data: bytes) -> tuple[Abstract, Mapping[str, Any]]:
+    """ValueError, one line, where it is not what was written."""
     try:
         require_plain_npz(io.BytesIO(data))
         with np.load(io.BytesIO(data), allow_pickle=False) as archive:
@@ -53,7 +52,7 @@ def unpacked(data: bytes, name: str) -> tuple[Abstract, Mapping[str, Any]]:
         if not isinstance(value, Abstract) or not isinstance(whole["about"], dict):
             raise ValueError("of another format")
     except Exception as error:  # of whatever it is instead
-        raise AnnulusError(f"{name}: not what was written of a window ({error}).") from None
+        raise ValueError(f"not what was written of a window: {error}") from None
     return value, whole["about"]
 
 

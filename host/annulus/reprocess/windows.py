@@ -160,8 +160,8 @@ class WindowWork:
         if kept is None:
             return None
         try:
-            told, about = unpacked(kept, f"window {number + 1}")
-        except AnnulusError:  # half of it, or another's: made anew
+            told, about = unpacked(kept)
+        except ValueError:  # half of it, or another's: made anew
             return None
         written = about.get("files")
         if about.get("made_from") != made_from or not isinstance(written, dict):
