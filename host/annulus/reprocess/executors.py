@@ -33,6 +33,7 @@ Result = TypeVar("Result")
 ResultOut = TypeVar("ResultOut", covariant=True)
 
 STILLBORN_MOST = 3  # workers in a row that end before they can be given anything: the fault is no item's
+M_MMAP_THRESHOLD, GIVEN_BACK = -3, 1 << 21  # mallopt(3): arrays of so many bytes go back as they end; long_scan.py
 LEAVE_S = 5.0  # for a worker to clear away what it has begun
 
 
@@ -217,6 +218,7 @@ def _work(job: Work[Any, Any], line: Connection, parent: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # what is half written is cleared away
     libc = ctypes.CDLL(None)
+    libc.mallopt(M_MMAP_THRESHOLD, GIVEN_BACK)
     libc.prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG: never outlive the command
     if os.getppid() != parent:
         os._exit(1)
