@@ -76,19 +76,19 @@ class WindowFiles:
         return repr(self.told)
 
     def digests(self, number: int) -> dict[str, str]:
-        own = f"{WINDOWS}/{window_folder(Path(), number).name}/"
-        names = [name for name in self.place.names(own) if name != own + ABSTRACT]
+        names = [name for name in self.place.names(f"{_folder(number)}/") if not name.endswith(f"/{ABSTRACT}")]
         return {name: hashlib.sha256(self.place.read(name) or b"").hexdigest() for name in names}
 
     def keep(self, number: int, told: bytes) -> None:
-        self.place.write(self._abstract(number), told)
+        self.place.write(f"{_folder(number)}/{ABSTRACT}", told)
 
     def kept(self, number: int) -> bytes | None:
-        return self.place.read(self._abstract(number))
+        return self.place.read(f"{_folder(number)}/{ABSTRACT}")
 
-    @staticmethod
-    def _abstract(number: int) -> str:
-        return f"{WINDOWS}/{window_folder(Path(), number).name}/{ABSTRACT}"
+
+def _folder(number: int) -> str:
+    """Of a window, as a place names it."""
+    return window_folder(Path(), number).as_posix()
 
 
 def write_results(done: "Surveyed", told: Told, place: Place, paper: "Paper | None" = None) -> dict[str, Any]:
@@ -101,7 +101,7 @@ def write_results(done: "Surveyed", told: Told, place: Place, paper: "Paper | No
             own = window_folder(folder, number)
             own.mkdir(parents=True)
             for name in (SUMMARY, "wall.npz"):
-                (own / name).write_bytes(place.read(f"{WINDOWS}/{own.name}/{name}") or b"")
+                (own / name).write_bytes(place.read(f"{_folder(number)}/{name}") or b"")
         summary = _written(done, told, folder, paper)
         kept = {window_folder(folder, number).name for number in done.windows}
         for name in place.names(f"{WINDOWS}/"):

@@ -186,6 +186,7 @@ def measuring(job: Job, place: Place) -> Measuring:
 
 
 def without_frames(job: Job) -> Job:
+    """What goes with the work once; frames go with each item."""
     return replace(job, scan=replace(job.scan, frames=(), calibration=None, recording=None))
 
 

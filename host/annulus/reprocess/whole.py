@@ -34,7 +34,7 @@ from annulus.wall.survey import Survey
 from annulus.wall.windows import POINTS_MAX, Reach, plan
 
 FRAMES_HELD = 600  # flashes whose profiles this process holds: of the usual head, two million points
-WINDOW_MB = 800  # that a worker holds at its window; tools/bench/speed/long_scan.py
+WINDOW_MB = 1000  # that a worker holds at its window; tools/bench/speed/long_scan.py
 WINDOWS_AT_ONCE = 2  # unless more workers are asked for: the command and they hold 2 GB, whatever the machine has
 
 

@@ -18,7 +18,7 @@ from annulus.reprocess.executors import Executor, Failed, in_process
 from annulus.reprocess.job import Job, turns_of
 from annulus.reprocess.ranges import identity, part_of, without_frames
 from annulus.reprocess.versions import address, made_with
-from annulus.vocabulary import AnnulusError, Finding
+from annulus.vocabulary import AnnulusError, Finding, Label
 from annulus.wall import survey
 from annulus.wall.joined import Abstract, Joined, abstract, joined
 from annulus.wall.profile import Profile
@@ -150,9 +150,11 @@ class WindowWork:
         if profiles is None:
             return None
         job, more = self.job, (self.z_step_mm, self.whole_step_mm, self.vibration, self.fps)
+        part = portion.part
+        pictures = part.part([i for i, frame in enumerate(part.frames) if frame.label is Label.LED])  # in no range
         return address(
             made_with(), job.calibration, job.colour, job.reference, more, self.files.made_from(), portion.window,
-            profiles, identity(portion.part),
+            profiles, identity(pictures),
         )  # fmt: skip
 
     def _found(self, number: int, made_from: str | None) -> "Abstract | None":

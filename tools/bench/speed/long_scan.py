@@ -8,6 +8,7 @@ says of the command and all its children together, every half second: resident, 
 """
 
 import json
+import resource
 import subprocess
 import sys
 import tempfile
@@ -45,6 +46,8 @@ def rows(frames: int = FRAMES) -> list[Row]:
                 most, largest = max(most, sum(held)), max(largest, *held, 0.0)
                 time.sleep(LOOK_S)
         took = time.monotonic() - began
+        used = resource.getrusage(resource.RUSAGE_CHILDREN)
+        worked = used.ru_utime + used.ru_stime
         if running.returncode:
             return [Row("reconstruct", "-", "status 0", f"status {running.returncode}: {_last(folder)}", False)]
         summary = json.loads((folder / "told").read_text())
@@ -57,6 +60,7 @@ def rows(frames: int = FRAMES) -> list[Row]:
         Row("windows", "-", "-", f"{len(summary.get('windows', []))}, {length / 1000:.1f} m of pipe"),
         Row("points", "-", "-", f"{summary['points'] / 1e6:.1f} million, {len(summary['defects'])} defects"),
         Row("time", "-", "-", f"{took:.0f} s, {1e3 * took / frames:.0f} ms a frame"),
+        Row("processor, all processes", "-", "-", f"{worked:.0f} s, {1e3 * worked / length:.0f} s a metre"),
         Row("results", "-", "-", f"{size:.0f} MB"),
     ]
 
