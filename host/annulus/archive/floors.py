@@ -50,8 +50,12 @@ class Floor:
 
     def holds(self, z_mm: float, clock_deg: float, more: float = 1.0) -> bool:
         """Whether a place lies on it, or so many times its size."""
-        off = abs((clock_deg - self.clock_deg + 180.0) % 360.0 - 180.0)
-        return abs(z_mm - self.z_mm) <= more * self.length_mm / 2 and off <= more * self.arc_deg / 2
+        along, round_it = more * self.length_mm / 2, more * self.arc_deg / 2
+        return abs(z_mm - self.z_mm) <= along and self.off_deg(clock_deg) <= round_it
+
+    def off_deg(self, clock_deg: float) -> float:
+        """How far round its middle is from there, whichever way is shorter."""
+        return abs((clock_deg - self.clock_deg + 180.0) % 360.0 - 180.0)
 
 
 class Search:

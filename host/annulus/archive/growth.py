@@ -161,10 +161,9 @@ def _pairs(defects: list[tuple[int, Floor]]) -> list[tuple[Floor, Floor]]:
     second, first = ([floor for k, floor in defects if k == year] for year in (0, 1))
 
     def alike(one: Floor, other: Floor) -> bool:
-        off = abs((one.clock_deg - other.clock_deg + 180.0) % 360.0 - 180.0)
         sizes = one.length_mm / other.length_mm, one.arc_deg / other.arc_deg
         return (
-            one.height_mm * other.height_mm > 0 and off < (one.arc_deg + other.arc_deg) / 8
+            one.height_mm * other.height_mm > 0 and one.off_deg(other.clock_deg) < (one.arc_deg + other.arc_deg) / 8
             and abs(one.z_mm - other.z_mm) < (one.length_mm + other.length_mm) / 2
             and all(1 / SAME_SIZE < size < SAME_SIZE for size in sizes)
         )  # fmt: skip

@@ -39,10 +39,9 @@ class Listed:
         return self.floor.arc_deg >= 360.0
 
     def lies_at(self, one: Change) -> bool:
-        off = abs((one.clock_deg - self.floor.clock_deg + 180.0) % 360.0 - 180.0)
         return (
             abs(one.z_mm - self.floor.z_mm) <= max(one.length_mm, self.floor.length_mm) / 2 + self.slack_mm
-            and off <= max(one.arc_deg, self.floor.arc_deg) / 2 + SLACK_DEG
+            and self.floor.off_deg(one.clock_deg) <= max(one.arc_deg, self.floor.arc_deg) / 2 + SLACK_DEG
         )
 
 
