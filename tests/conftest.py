@@ -42,11 +42,7 @@ def pytest_make_collect_report() -> Generator[None, pytest.CollectReport, pytest
     return report
 
 
-PATIENT = "patient: runs several processes and asks nothing of them in seconds: others may have the machine too"
-
-
 def pytest_configure(config: pytest.Config) -> None:
-    config.addinivalue_line("markers", PATIENT)
     config.option.loadscopereorder = False  # xdist's own order: files of few tests last, and those take longest
     if config.getoption("numprocesses", None):  # one process a core: threads would only fight over them
         os.environ.update(ONE_THREAD)
