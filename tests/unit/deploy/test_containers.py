@@ -14,6 +14,8 @@ from distributed.cli import dask_scheduler, dask_worker
 from distributed.comm import listen
 from distributed.security import Security
 
+from tools.bench.dask_processes import AS_DEPLOYED
+
 ROOT = Path(__file__).parents[3]
 DEPLOY = ROOT / "tools/deploy"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -208,3 +210,8 @@ def test_a_machines_file_makes_one_arithmetic() -> None:
     for machine in ("x86_64", "aarch64"):
         said = (DEPLOY / f"processor-{machine}").read_text(encoding="utf-8")
         assert all(f"{name}=" in said for name in ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES", "OPENBLAS_CORETYPE"))
+
+
+def test_what_is_measured_of_a_cluster_is_begun_as_the_image_begins_it() -> None:
+    said = (DEPLOY / "Dockerfile").read_text(encoding="utf-8").split()
+    assert not [f"{name}={value}" for name, value in AS_DEPLOYED.items() if f"{name}={value}" not in said]

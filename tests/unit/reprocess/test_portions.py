@@ -61,8 +61,8 @@ def test_what_is_packed_comes_out_as_it_went_in() -> None:
 
 @pytest.mark.parametrize(
     ("free_mb", "cores", "workers", "at_once"),
-    [(64_000.0, 32, None, 2), (64_000.0, 1, None, 1), (64_000.0, 2, 5, 5), (2100.0, 8, None, 2), (1700.0, 8, None, 1), (900.0, 8, 8, 1),
-     (100.0, 8, 8, 1)],
+    [(64_000.0, 32, None, 2), (64_000.0, 1, None, 1), (64_000.0, 2, 5, 5), (2100.0, 8, None, 2), (1700.0, 8, None, 1),
+     (900.0, 8, 8, 1), (100.0, 8, 8, 1)],
 )  # fmt: skip
 def test_so_many_windows_at_a_time_as_there_is_room_for_and_two_where_nobody_asks_for_more(
     monkeypatch: pytest.MonkeyPatch, free_mb: float, cores: int, workers: int | None, at_once: int
