@@ -10,7 +10,7 @@ export PYTHONDONTWRITEBYTECODE :=
 # What `make setup` installs beside the base, of the extras in pyproject.toml: make setup EXTRAS="export pdf tai joints"
 EXTRAS ?= export pdf console archive
 
-.PHONY: setup setup-all wheels demo test lint bench bench-metrology bench-thermoacoustic bench-joints bench-crossbore study native firmware emulator generated mutants docs sample clean
+.PHONY: setup setup-all wheels demo test test-deep tested durations lint bench bench-metrology bench-thermoacoustic bench-joints bench-crossbore study native firmware emulator generated mutants docs sample clean
 
 # What a user needs.
 setup: .venv/.synced native
@@ -58,17 +58,32 @@ wheels: setup-all docs
 demo: setup
 	$(BIN)/annulus demo
 
-# Lint first: it fails fast. Firmware tests need clang's fuzzer and sanitizers, which need.sh installs. No skips: tests/conftest.py.
-test: export ANNULUS_NO_SKIPS := 1
-test: setup-all lint firmware emulator .tools/picamera2/.made
+# The gate: one case of every promise. Lint first: it fails fast. One queue, dearest files first (tests/durations.json);
+# those that promise something in seconds by themselves at the end. No skips: tests/conftest.py.
+# `make test ROOM=wall`: lint, types and the gate's tests of that room, and nothing else.
+GATE := not deep
+ifdef ROOM
+test: .venv/.synced-all native
+	@$(BIN)/python -m tools.room $(ROOM)
+else
+test: tested
+endif
+
+# The gate and all other sizes, seeds and parameters.
+test-deep: GATE := deep or not deep
+test-deep: tested
+
+# What each test file costs, measured anew into tests/durations.json: `make durations` of the gate, `make durations GATE=deep`.
+durations: RENEW := --renew-durations
+durations: tested
+
+tested: export ANNULUS_NO_SKIPS := 1
+tested: setup-all lint firmware emulator .tools/picamera2/.made
 	@tools/need.sh clang libclang-rt sigrok-cli qemu-system-x86 linux-image-amd64 busybox-static kmod \
 	  gcc-aarch64-linux-gnu systemd chromium pango poppler-utils
-	$(BIN)/pytest -n auto --dist loadfile -m "not slow" tests/unit tests/regression
-	$(BIN)/pytest -n auto --dist loadfile -m "slow or patient" tests/unit tests/regression tests/scenes tests/system
-	$(BIN)/pytest -m "not patient" tests/system
-	$(BIN)/pytest -n auto tests/emulator
-	$(BIN)/pytest -n auto tests/hil
-	$(BIN)/pytest tests/guest
+	$(BIN)/python -m tools.kernels
+	$(BIN)/pytest -n auto --dist loadfile $(RENEW) -m "($(GATE)) and not alone" tests
+	$(BIN)/pytest $(RENEW) -m "($(GATE)) and alone" tests
 
 # Picamera2's own code, which the tests run off a Pi; by itself, since what it depends on is only on a Pi.
 .tools/picamera2/.made: tests/unit/capture/picamera2.txt .venv/.synced-all

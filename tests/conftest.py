@@ -1,31 +1,38 @@
-"""Under `make test` a skip is a failure: all that tests need is part of set-up, and what did not run proves nothing.
+"""Two tiers, what a test costs, and no skips under `make test`.
 
-Files that take longest begin first, so that no worker is left with one while the others have nothing to do: a file says
-so by `pytest.mark.slow(seconds=..)`, of processor, roughly. Workers inherit that BLAS has one thread.
+Every promise has one case in the gate, `make test`. Its other sizes, seeds and parameters are `deep`, `make test-deep`:
+
+    @pytest.mark.deep(but=1)             # of a parametrized test the first case stays in the gate; but="id": that one
+    @pytest.mark.deep(gate="tests/unit/wall/test_axis.py::test_a_bend_is_named")    # who keeps this promise in the gate
+    pytest.param(8.0, marks=pytest.mark.deep)                            # one case of a test that has others
+
+`tests/unit/test_house.py` fails for a deep case that no gate test stands for, and for a file that costs more than its
+budget: durations.json, which `make durations` renews. Files that cost most begin first, so that no worker is left with
+one while the others have nothing to do.
 
 `stalls` knows whether this machine stood still: a bound in seconds that is a promise holds only where it did not.
 """
 
 import os
+import resource
 import threading
 import time
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Generator, Iterator
-from pathlib import Path
 
 import pytest
+import tiers
 
 ALLOWED = ("../shared", "too busy")  # scenes that only the authors have; a machine that cannot emulate in real time
+ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+
+COSTS = pytest.StashKey[dict[str, dict[str, float]]]()  # by file, then "gate" or "deep": processor seconds
 
 
 def _strict(report: pytest.TestReport | pytest.CollectReport) -> None:
     why = report.longrepr[2] if isinstance(report.longrepr, tuple) else str(report.longrepr)
     if "ANNULUS_NO_SKIPS" in os.environ and report.skipped and not any(word in why for word in ALLOWED):
         report.outcome, report.longrepr = "failed", f"make test takes no skips: {why}"
-
-
-SCENES = Path(__file__).with_name("scenes")  # whole methods: slow, all of them
-ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 
 
 @pytest.hookimpl(wrapper=True)
@@ -42,21 +49,56 @@ def pytest_make_collect_report() -> Generator[None, pytest.CollectReport, pytest
     return report
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--renew-durations", action="store_true", help="write what each file cost into durations.json")
+
+
 def pytest_configure(config: pytest.Config) -> None:
+    config.stash[COSTS] = defaultdict(lambda: {"gate": 0.0, "deep": 0.0})
     config.option.loadscopereorder = False  # xdist's own order: files of few tests last, and those take longest
     if config.getoption("numprocesses", None):  # one process a core: threads would only fight over them
         os.environ.update(ONE_THREAD)
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    seconds: dict[Path, float] = {}
-    for item in items:
-        mark = item.get_closest_marker("slow")
-        if mark is None and SCENES in item.path.parents:
-            item.add_marker("slow")
-        told = float(mark.kwargs.get("seconds", 0.0)) if mark else 0.0
-        seconds[item.path] = max(told, seconds.get(item.path, 0.0))
-    items.sort(key=lambda item: -seconds[item.path])  # files stay whole, and in their order
+@pytest.hookimpl(tryfirst=True)  # before -m and -k look at the marks
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    tiers.part(items)
+    whole = not any("::" in argument for argument in config.args)
+    config.stash[tiers.UNSPOKEN] = tiers.unspoken(items) if whole else []
+    costs, ran = tiers.read_durations(), ["gate"] if "not deep" in config.option.markexpr else ["gate", "deep"]
+    cost = {
+        path: sum(costs[path][tier] for tier in ran) if path in costs else 0.0 for path in map(tiers.file_of, items)
+    }
+    items.sort(key=lambda item: -cost[tiers.file_of(item)])  # files stay whole, and in their order
+
+
+def _processor_s() -> float:
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(one.ru_utime + one.ru_stime for one in used)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
+    began = _processor_s()
+    done = yield
+    tier = "deep" if item.get_closest_marker("deep") else "gate"
+    item.config.stash[COSTS][tiers.file_of(item)][tier] += _processor_s() - began
+    return done
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    if (output := getattr(session.config, "workeroutput", None)) is not None:  # one of xdist's workers
+        output["costs"] = {name: dict(cost) for name, cost in session.config.stash[COSTS].items()}
+    elif session.config.getoption("--renew-durations"):
+        tiers.renew(session.config.stash[COSTS])
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: object, error: object) -> None:
+    output = getattr(node, "workeroutput", {})
+    for name, cost in output.get("costs", {}).items():
+        for tier, seconds in cost.items():
+            node.config.stash[COSTS][name][tier] += seconds  # type: ignore[attr-defined]
 
 
 class Stalls:

@@ -67,6 +67,7 @@ def stage(*, generation: int = 1, ratio: int = 4, timeout_ms: int = 0, width: in
     )  # fmt: skip
 
 
+@pytest.mark.deep(but=1)
 def test_it_says_the_limits_this_host_was_made_for(bench: Bench) -> None:
     who = bench.client.identity
     assert who.tick_hz == TICK_HZ
@@ -74,6 +75,7 @@ def test_it_says_the_limits_this_host_was_made_for(bench: Bench) -> None:
     assert (who.pulse_min, who.pulse_max) == (MICROWAVE_PULSE_MIN_TICKS, MICROWAVE_PULSE_MAX_TICKS)
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize(
     ("wrong", "status"),
     [
@@ -93,6 +95,7 @@ def test_what_is_beyond_a_limit_is_refused(bench: Bench, wrong: Stage, status: S
     assert bench.status_of(wrong) is status
 
 
+@pytest.mark.deep(but=1)
 def test_a_configuration_is_in_force_only_once_committed(bench: Bench) -> None:
     answer = bench.client.request(stage(generation=7, readout=PERIOD // 5))
     assert isinstance(answer, StageReply)
@@ -105,12 +108,14 @@ def test_a_configuration_is_in_force_only_once_committed(bench: Bench) -> None:
     assert bench.scope.status().generation == 7
 
 
+@pytest.mark.deep(but=1)
 def test_nothing_is_armed_before_it_may_be(firing: Bench) -> None:
     assert firing.status_of(Arm(ArmFlag.LAMPS)) is StatusCode.BAD_STATE  # nothing configured
     closed = interlock_closed(firing.scope)
     assert firing.status_of(Arm(ArmFlag.MICROWAVE)) is (StatusCode.OK if closed else StatusCode.UNSAFE)
 
 
+@pytest.mark.deep(but=1)
 def test_the_tick_goes_on_at_its_rate(bench: Bench) -> None:
     first = bench.client.request(Ping())
     began = bench.client.now_s()
@@ -122,6 +127,7 @@ def test_the_tick_goes_on_at_its_rate(bench: Bench) -> None:
     assert (second.tick - first.tick) % 2**32 == pytest.approx(took * TICK_HZ, abs=5 * MS)  # both round trips
 
 
+@pytest.mark.deep(but=1)
 def test_edges_are_told_without_a_gap_at_their_period_and_in_the_lamps_order(jumpered: Bench) -> None:
     jumpered.configure(stage())
     jumpered.client.request(Arm(ArmFlag.LAMPS))
@@ -137,6 +143,7 @@ def test_edges_are_told_without_a_gap_at_their_period_and_in_the_lamps_order(jum
     assert abs(gaps[0] - PERIOD) <= 4
 
 
+@pytest.mark.deep(but=1)
 def test_the_last_events_can_be_asked_for_again(jumpered: Bench) -> None:
     jumpered.scope.run_steps(70, PERIOD)
     following = jumpered.scope.status().events
@@ -146,6 +153,7 @@ def test_the_last_events_can_be_asked_for_again(jumpered: Bench) -> None:
     assert not [h for h in jumpered.client.poll(0.1) if isinstance(h, EventsLost)]
 
 
+@pytest.mark.deep(but=1)
 def test_a_flash_follows_its_edge_by_a_constant(jumpered: Bench) -> None:
     """By its own measurement: delay and width to the tick."""
     jumpered.configure(stage(ratio=0, width=120))
@@ -163,6 +171,7 @@ def test_a_flash_follows_its_edge_by_a_constant(jumpered: Bench) -> None:
     jumpered.scope.stand(1.0)
 
 
+@pytest.mark.deep(but=1)
 def test_a_silent_host_leaves_it_dark_and_a_latched_fault_wants_clearing(jumpered: Bench) -> None:
     jumpered.configure(stage(ratio=0, timeout_ms=50))
     jumpered.scope.heard.clear()
@@ -185,6 +194,7 @@ def test_a_silent_host_leaves_it_dark_and_a_latched_fault_wants_clearing(jumpere
     jumpered.scope.stand(1.0)
 
 
+@pytest.mark.deep(but=1)
 def test_a_reset_forgets_everything_and_says_so(bench: Bench) -> None:
     bench.configure(stage(generation=5))
     before = bench.client.identity
@@ -197,6 +207,7 @@ def test_a_reset_forgets_everything_and_says_so(bench: Bench) -> None:
     assert not status.state & (StateFlag.LAMPS_ARMED | StateFlag.MICROWAVE_ARMED)
 
 
+@pytest.mark.deep(but=1)
 def test_bursts_are_counted_and_stopped_between_two(firing: Bench) -> None:
     if not interlock_closed(firing.scope):
         pytest.skip("needs the interlock closed: GP7 (pin 10) to ground (pin 13)")
@@ -222,6 +233,7 @@ def test_bursts_are_counted_and_stopped_between_two(firing: Bench) -> None:
     assert done.fault is FaultCode.NONE
 
 
+@pytest.mark.deep(but=1)
 def test_nothing_measured_breaks_a_promise(jumpered: Bench) -> None:
     """The self-test, short: what it measures of this head it would also print."""
     board = jumpered.client.identity.board.rstrip(b"\0").decode()

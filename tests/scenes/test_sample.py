@@ -24,6 +24,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.deep(gate="tests/scenes/test_sample.py::test_the_four_known_defects_are_found_and_no_other")
 def test_the_same_bytes_are_made_again(folder: Path, tmp_path: Path) -> None:
     write(tmp_path)
     for name in ("scan.mcap", "truth.json"):

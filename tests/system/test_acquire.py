@@ -12,7 +12,10 @@ import pytest
 
 from annulus.record.acoustic import load_acoustic
 
-pytestmark = pytest.mark.system
+pytestmark = [
+    pytest.mark.alone,
+    pytest.mark.deep(gate="tests/unit/tai/test_acquire.py::test_an_interrupted_sweep_goes_on_where_it_was"),
+]
 
 ANNULUS = [sys.executable, "-c", "from annulus.cli import main; main()"]
 RADIUS_MM, STEPS = 9.0, 40

@@ -23,7 +23,7 @@ from annulus.daemon.state import State
 from annulus.record.recording import open_recording
 from annulus.twin.camera_server import CameraServer
 
-pytestmark = pytest.mark.system
+pytestmark = pytest.mark.alone
 
 FPS = 50.0
 SIDES = {"width": 96, "height": 64}
@@ -143,6 +143,7 @@ def test_a_camera_pulled_out_and_put_back_costs_its_frames_and_nothing_else(tmp_
     assert any("camera 0 is gone" in text for text in watched.told) and any("is back after" in t for t in watched.told)
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
 def test_an_intake_that_is_killed_or_stopped_is_replaced_and_its_slots_come_back(how: int, tmp_path: Path) -> None:
     times = 3

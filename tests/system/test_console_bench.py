@@ -19,7 +19,7 @@ sys.path.append(str(ROOT / "tests/unit/console"))
 
 from fake_daemon import FakeDaemon  # noqa: E402
 
-pytestmark = pytest.mark.system
+pytestmark = pytest.mark.alone
 
 WIDTHS = (1400, 1024, 390)
 
@@ -77,6 +77,9 @@ def shelf(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.deep(
+    gate="tests/system/test_console_bench.py::test_scans_are_listed_filtered_and_a_report_opens_kept_apart"
+)
 def test_a_job_is_checked_beside_its_fields_and_saved(browser: Any, url: str, head: FakeDaemon) -> None:
     with page(browser, url, "job") as tab:
         tab.get_by_label("Client").fill("Gas AG")
@@ -93,6 +96,7 @@ def test_a_job_is_checked_beside_its_fields_and_saved(browser: Any, url: str, he
         tab.wait_for_selector("text=All of it is saved")
 
 
+@pytest.mark.deep(gate="tests/system/test_console_bench.py::test_times_are_staged_judged_and_put_in_force")
 def test_what_is_being_written_survives_tabs_and_another_operator(browser: Any, url: str, head: FakeDaemon) -> None:
     head.job = {"site": "Elm Street"}
     with page(browser, url, "job") as tab:
@@ -131,6 +135,9 @@ def test_times_are_staged_judged_and_put_in_force(browser: Any, url: str, head: 
         tab.wait_for_selector("text=These times are in force.")
 
 
+@pytest.mark.deep(
+    gate="tests/system/test_console_bench.py::test_scans_are_listed_filtered_and_a_report_opens_kept_apart"
+)
 def test_a_trial_takes_two_steps_is_held_while_it_is_seen_and_ends_with_the_page(
     browser: Any, url: str, head: FakeDaemon
 ) -> None:
@@ -155,6 +162,9 @@ def test_a_trial_takes_two_steps_is_held_while_it_is_seen_and_ends_with_the_page
         assert len(asked(head, "hold")) == held
 
 
+@pytest.mark.deep(
+    gate="tests/system/test_console_bench.py::test_scans_are_listed_filtered_and_a_report_opens_kept_apart"
+)
 def test_a_burst_is_drawn_and_what_the_controller_refuses_is_said(browser: Any, url: str) -> None:
     with page(browser, url, "bench") as tab:
         tab.wait_for_selector("text=The controller takes it: 50 chips, 11 on, 25 µs.")
@@ -182,6 +192,7 @@ def test_scans_are_listed_filtered_and_a_report_opens_kept_apart(browser: Any, u
         until(lambda: report.title() == "kept out")
 
 
+@pytest.mark.deep(gate="tests/system/test_console_bench.py::test_times_are_staged_judged_and_put_in_force")
 @pytest.mark.parametrize("theme", ["light", "dark"])
 def test_every_page_is_usable_by_all(browser: Any, url: str, head: FakeDaemon, theme: str) -> None:
     with page(browser, url, "job", theme=theme) as tab:

@@ -6,7 +6,10 @@ import pytest
 
 from tools.bench.speed import console_faults as faults
 
-pytestmark = pytest.mark.system
+pytestmark = [
+    pytest.mark.alone,
+    pytest.mark.deep(gate="tests/unit/console/test_serving.py::test_a_daemon_that_goes_and_comes_back_is_another"),
+]
 
 
 def test_a_scan_goes_on_whatever_becomes_of_console_network_and_viewers() -> None:

@@ -21,7 +21,7 @@ import pytest
 from browser import chromium, faults
 from fake_daemon import FakeDaemon
 
-pytestmark = pytest.mark.system
+pytestmark = pytest.mark.alone
 
 WIDTHS = (1400, 1024, 390)
 THEMES = ("light", "dark")
@@ -141,6 +141,9 @@ def kept(page: Any, name: str) -> None:
         page.screenshot(path=Path(folder) / f"{name}.png", full_page=True)
 
 
+@pytest.mark.deep(
+    gate="tests/system/test_console_page.py::test_whatever_is_pressed_on_a_tablet_is_large_enough_for_a_finger"
+)
 @pytest.mark.parametrize("width", WIDTHS)
 @pytest.mark.parametrize("theme", THEMES)
 def test_no_screen_has_a_fault_or_is_wider_than_its_window(
@@ -170,6 +173,7 @@ def test_no_screen_has_a_fault_or_is_wider_than_its_window(
     assert wrong == []
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("width", WIDTHS[1:])
 def test_whatever_is_pressed_on_a_tablet_is_large_enough_for_a_finger(
     console: Console, browser: Any, width: int
@@ -235,6 +239,9 @@ def test_a_scan_is_begun_by_keys_alone_and_only_by_the_second_of_two_different_p
     assert head.state == "idle"
 
 
+@pytest.mark.deep(
+    gate="tests/system/test_console_page.py::test_a_scan_is_begun_by_keys_alone_and_only_by_the_second_of_two_different_presses"
+)
 def test_a_page_that_hears_no_more_of_the_daemon_says_so_within_2_s(console: Console, page: Any, stalls: Any) -> None:
     put(console, "scanning")
     pictures(page)
@@ -250,6 +257,9 @@ def test_a_page_that_hears_no_more_of_the_daemon_says_so_within_2_s(console: Con
     assert took <= LOST_S or stood_still > STALL_S
 
 
+@pytest.mark.deep(
+    gate="tests/system/test_console_page.py::test_a_scan_is_begun_by_keys_alone_and_only_by_the_second_of_two_different_presses"
+)
 def test_a_page_that_hears_no_more_of_the_console_says_so_within_2_s_and_finds_it_again(
     console: Console, page: Any, stalls: Any
 ) -> None:
@@ -267,6 +277,9 @@ def test_a_page_that_hears_no_more_of_the_console_says_so_within_2_s_and_finds_i
     assert took <= LOST_S or stood_still > STALL_S
 
 
+@pytest.mark.deep(
+    gate="tests/system/test_console_page.py::test_a_scan_is_begun_by_keys_alone_and_only_by_the_second_of_two_different_presses"
+)
 def test_pictures_are_drawn_in_time_while_the_wall_grows_in_3d(console: Console, page: Any) -> None:
     put(console, "idle")
     put(console, "scanning")
@@ -323,6 +336,9 @@ def test_five_million_points_are_held_and_what_comes_anew_takes_their_place_at_o
     assert told["last"] == 3 * 30011 - 1
 
 
+@pytest.mark.deep(
+    gate="tests/system/test_console_page.py::test_whatever_is_pressed_on_a_tablet_is_large_enough_for_a_finger"
+)
 def test_an_observation_goes_out_with_its_clock_position_and_a_photograph_that_is_small_enough(
     console: Console, page: Any, tmp_path: Path
 ) -> None:
@@ -347,6 +363,9 @@ def test_an_observation_goes_out_with_its_clock_position_and_a_photograph_that_i
     assert page.locator(".events b").count() == 0
 
 
+@pytest.mark.deep(
+    gate="tests/system/test_console_page.py::test_a_scan_is_begun_by_keys_alone_and_only_by_the_second_of_two_different_presses"
+)
 def test_every_word_of_the_page_is_of_the_language_chosen(console: Console, browser: Any) -> None:
     put(console, "scanning")
     with at(console, browser, language="de-DE") as page:
@@ -357,6 +376,9 @@ def test_every_word_of_the_page_is_of_the_language_chosen(console: Console, brow
     assert not re.findall(r"\b(?:scan|state|next|do|head|map|cloud|counts|pictures)\.[a-z]+\b", text)
 
 
+@pytest.mark.deep(
+    gate="tests/system/test_console_page.py::test_a_scan_is_begun_by_keys_alone_and_only_by_the_second_of_two_different_presses"
+)
 def test_no_page_asked_anything_of_another_machine_or_complained(console: Console) -> None:
     """Of all pages of this file; the last one."""
     assert len(console.asked) > 100

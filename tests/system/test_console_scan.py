@@ -18,7 +18,11 @@ from browser import chromium, faults
 from annulus.record.recording import open_recording
 from annulus.vocabulary import Label
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
+pytestmark = [
+    pytest.mark.alone,
+    pytest.mark.timeout(240),
+    pytest.mark.deep(gate="tests/unit/console/test_serving.py::test_pictures_and_points_come_at_once"),
+]
 
 FPS = 8
 FRAMES = 60  # labelled, before it is ended: 140 mm of the pipe

@@ -13,7 +13,9 @@ sys.path.append(str(ROOT / "tests/unit/console"))
 
 from fake_daemon import FakeDaemon  # noqa: E402
 
-pytestmark = [pytest.mark.system, pytest.mark.patient]
+pytestmark = pytest.mark.deep(
+    gate="tests/unit/console/test_surveys.py::test_a_reconstruction_is_watched_and_lies_beside_its_scan"
+)
 
 
 def test_a_real_reconstruction_is_watched_and_given_up(tmp_path: Path) -> None:

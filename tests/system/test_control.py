@@ -23,7 +23,7 @@ from annulus.twin.head import HeadHandle, start_head
 from annulus.twin.worlds import demo_world
 from annulus.vocabulary import AnnulusError, Label
 
-pytestmark = pytest.mark.system
+pytestmark = pytest.mark.alone
 
 WORLD = demo_world(travel_mm=330.0).scaled(208)
 
@@ -93,6 +93,7 @@ def frames_are_what_they_are_called(recording: Recording) -> int:
     return len(known)
 
 
+@pytest.mark.deep(gate="tests/system/test_control.py::test_a_scan_that_cannot_begin_is_told_and_the_daemon_stays")
 def test_started_marked_zeroed_stopped_and_started_again(head: HeadHandle, tmp_path: Path) -> None:
     config = replace(
         demo_config(head, WORLD, tmp_path), calibration=None, autostart=False,
@@ -199,6 +200,7 @@ def test_a_scan_that_cannot_begin_is_told_and_the_daemon_stays(head: HeadHandle,
     assert head.counters()["lamps_on"] == []
 
 
+@pytest.mark.deep(gate="tests/system/test_control.py::test_a_scan_that_cannot_begin_is_told_and_the_daemon_stays")
 def test_lamps_that_somebody_switches_off_end_the_scan_and_stay_off_until_it_is_started_again(
     head: HeadHandle, tmp_path: Path
 ) -> None:

@@ -13,11 +13,11 @@ from toil import Toil
 from annulus.reprocess.executors import Failed, Processes, in_process
 from annulus.vocabulary import AnnulusError
 
-pytestmark = [pytest.mark.system, pytest.mark.patient]
 ITEMS = tuple(range(12))
 SQUARES = {n: n * n for n in ITEMS}
 
 
+@pytest.mark.deep(gate="tests/system/test_executors.py::test_what_raises_here_fails_after_its_tries")
 def test_local_workers_do_all_but_what_always_fails(tmp_path: Path) -> None:
     """3 kills once, 5 always; 4 (a bug) and 9 (a known error) always raise."""
     passing, lasting = tmp_path / "passing", tmp_path / "lasting"
@@ -49,6 +49,7 @@ def test_what_raises_here_fails_after_its_tries(tmp_path: Path) -> None:
     assert dict(executor(Toil(tmp_path / "again", raises=frozenset({4, 9}), for_times=2), ITEMS)) == SQUARES
 
 
+@pytest.mark.deep(gate="tests/system/test_executors.py::test_what_raises_here_fails_after_its_tries")
 def test_who_stops_asking_leaves_no_process_behind(tmp_path: Path) -> None:
     told = Processes(2)(Toil(tmp_path), ITEMS)
     next(told)

@@ -25,7 +25,7 @@ from annulus.twin.head import HeadHandle, head_timing, head_toml, start_head
 from annulus.twin.worlds import demo_world
 from annulus.vocabulary import AnnulusError, Lamp
 
-pytestmark = pytest.mark.system
+pytestmark = pytest.mark.alone
 
 FPS = 25.0
 US = 100  # ticks
@@ -86,6 +86,7 @@ def test_lamps_that_fire_show_in_the_frames_and_a_disarmed_head_is_dark(head: He
     camera.close()
 
 
+@pytest.mark.deep(gate="tests/system/test_head.py::test_lamps_that_fire_show_in_the_frames_and_a_disarmed_head_is_dark")
 def test_timestamps_are_the_sync_edges_on_this_machines_clock(head: HeadHandle) -> None:
     camera = RemoteCamera(head.camera_address)
     camera.start()
@@ -103,6 +104,7 @@ def test_timestamps_are_the_sync_edges_on_this_machines_clock(head: HeadHandle) 
     again.close()
 
 
+@pytest.mark.deep(gate="tests/system/test_head.py::test_lamps_that_fire_show_in_the_frames_and_a_disarmed_head_is_dark")
 def test_a_slow_host_costs_frames_that_show_as_holes_and_never_old_pictures(head: HeadHandle) -> None:
     camera = RemoteCamera(head.camera_address)
     camera.start()
@@ -115,6 +117,7 @@ def test_a_slow_host_costs_frames_that_show_as_holes_and_never_old_pictures(head
     camera.close()
 
 
+@pytest.mark.deep(gate="tests/system/test_head.py::test_lamps_that_fire_show_in_the_frames_and_a_disarmed_head_is_dark")
 def test_its_sensors_are_heard_fall_silent_and_come_back(head: HeadHandle) -> None:
     context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
     socket = context.socket(zmq.SUB)
@@ -150,6 +153,7 @@ def test_its_sensors_are_heard_fall_silent_and_come_back(head: HeadHandle) -> No
     context.destroy(linger=0)
 
 
+@pytest.mark.deep(gate="tests/system/test_head.py::test_lamps_that_fire_show_in_the_frames_and_a_disarmed_head_is_dark")
 def test_the_head_toml_it_prints_names_all_its_addresses(head: HeadHandle) -> None:
     said = tomllib.loads(head_toml(head, demo_world().scaled(208), Path("a b.json")))
     assert said["controller"]["port"] == head.port_url
@@ -162,6 +166,7 @@ def test_the_head_toml_it_prints_names_all_its_addresses(head: HeadHandle) -> No
     assert said["calibration"]["file"] == "a b.json"
 
 
+@pytest.mark.deep(gate="tests/system/test_head.py::test_lamps_that_fire_show_in_the_frames_and_a_disarmed_head_is_dark")
 def test_the_head_ends_with_its_handle_ignores_ctrl_c_and_leaves_nothing() -> None:
     before = set(os.listdir("/dev/shm"))
     head = start_head(demo_world().scaled(64), FPS)

@@ -18,7 +18,7 @@ from annulus.twin.head import start_head
 from annulus.twin.worlds import demo_world
 from annulus.vocabulary import AnnulusError
 
-pytestmark = pytest.mark.system
+pytestmark = pytest.mark.alone
 
 WORLD = demo_world().scaled(208)
 PERIOD_NS = 40_000_000
@@ -28,6 +28,9 @@ def frames(camera: RemoteCamera, count: int) -> list[CapturedFrame]:
     return [grab(camera) for _ in range(count)]
 
 
+@pytest.mark.deep(
+    gate="tests/system/test_head_faults.py::test_a_camera_that_is_unplugged_hangs_up_lets_nobody_in_and_counts_from_zero_when_it_is_back"
+)
 def test_pictures_repeat_and_tear_and_stamps_step_as_the_driver_says_it_did() -> None:
     faults = Faults(frames_repeated=0.1, frames_torn=0.1, stamp_steps=((60, 5),), count_jumps=((80, 7),))
     with start_head(WORLD, 25.0, faults, seed=4) as head:
@@ -70,6 +73,9 @@ def test_a_camera_that_is_unplugged_hangs_up_lets_nobody_in_and_counts_from_zero
         camera.close()
 
 
+@pytest.mark.deep(
+    gate="tests/system/test_head_faults.py::test_a_camera_that_is_unplugged_hangs_up_lets_nobody_in_and_counts_from_zero_when_it_is_back"
+)
 def test_a_line_that_is_pulled_is_silent_and_a_controller_that_lost_power_has_the_boot_byte_it_had(stalls: Any) -> None:
     faults = Faults(disconnects=((50, 400.0),), power_losses=(90,))
     with start_head(WORLD, 25.0, faults, seed=4) as head, Client(head.port_url) as client:

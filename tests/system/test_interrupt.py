@@ -16,7 +16,7 @@ from annulus.record.recording import open_recording
 from annulus.twin.head import head_toml, start_head
 from annulus.twin.worlds import demo_world
 
-pytestmark = pytest.mark.system
+pytestmark = pytest.mark.alone
 
 DEMO = [sys.executable, str(Path(__file__).with_name("interrupted_demo.py"))]
 RNG = random.Random(20261121)
@@ -33,6 +33,7 @@ MOMENTS = [
 ]
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("says, after_s, number, times", MOMENTS, ids=[f"{m[0]}-{m[2].name}" for m in MOMENTS])
 def test_broken_off_at_any_moment(
     says: str, after_s: float, number: signal.Signals, times: int, traces, tmp_path: Path
@@ -84,6 +85,7 @@ def test_broken_off_at_any_moment(
         assert "running" not in told or told.index("running") < len(told) - 1
 
 
+@pytest.mark.deep(gate="tests/system/test_interrupt.py::test_broken_off_at_any_moment")
 def test_a_killed_demo_leaves_a_readable_recording_and_nothing_else(traces, tmp_path: Path) -> None:
     demo = subprocess.Popen([*DEMO, str(tmp_path), "20"], env=traces.environment, stderr=subprocess.PIPE, text=True)
     assert demo.stderr is not None
@@ -102,6 +104,7 @@ def test_a_killed_demo_leaves_a_readable_recording_and_nothing_else(traces, tmp_
         opened.read(frame)
 
 
+@pytest.mark.deep(gate="tests/system/test_interrupt.py::test_broken_off_at_any_moment")
 def test_the_daemon_runs_a_head_from_its_file_until_ctrl_c(traces, tmp_path: Path) -> None:
     world = demo_world(travel_mm=330.0).scaled(416)
     save_calibration(tmp_path / "head-7.json", world.calibration())

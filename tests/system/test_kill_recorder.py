@@ -21,7 +21,7 @@ from annulus.stream.ring import FrameRing
 from annulus.stream.workers import Done, Shared, WorkerKind, WorkerPool
 from annulus.vocabulary import Label
 
-pytestmark = [pytest.mark.system, pytest.mark.patient]
+pytestmark = pytest.mark.deep(gate="tests/unit/daemon/test_recorder.py::test_all_parts_have_the_clock_of_the_scan")
 
 KILLS, H, W, DEPTH = 20, 616, 832, 4
 RNG = random.Random(20261125)

@@ -6,7 +6,12 @@ import pytest
 
 from tools.bench.speed import blows, daemons
 
-pytestmark = pytest.mark.system
+pytestmark = [
+    pytest.mark.alone,
+    pytest.mark.deep(
+        gate="tests/system/test_camera_gone.py::test_an_intake_that_is_killed_or_stopped_is_replaced_and_its_slots_come_back"
+    ),
+]
 
 SOON_S = 2.0  # measured at a load of 12: 0.7
 

@@ -26,7 +26,10 @@ from annulus.twin.i2c_chips import HeadBus
 from annulus.twin.worlds import demo_world
 from annulus.wall.features import FeatureKind
 
-pytestmark = pytest.mark.system
+pytestmark = [
+    pytest.mark.alone,
+    pytest.mark.deep(gate="tests/system/test_scan.py::test_a_scan_is_labelled_recorded_and_reconstructed"),
+]
 
 STALL_S = 0.25  # a machine that stood still for longer may lose frames, and counts them
 FPS, SPEED_MM_S, TRAVEL_MM = 8.0, 120.0, 2300.0

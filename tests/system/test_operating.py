@@ -27,7 +27,10 @@ from annulus.reprocess.relabel import audit
 from annulus.twin.head import HeadHandle
 from annulus.vocabulary import AnnulusError, Label
 
-pytestmark = pytest.mark.system
+pytestmark = [
+    pytest.mark.alone,
+    pytest.mark.deep(gate="tests/system/test_control.py::test_a_scan_that_cannot_begin_is_told_and_the_daemon_stays"),
+]
 
 STALL_S = 0.1  # a machine that stood still for longer keeps no promise in seconds
 

@@ -27,8 +27,6 @@ from annulus.record.recording import open_recording
 from annulus.record.writer import RecordingWriter
 from annulus.wall.profile import Profile
 
-pytestmark = [pytest.mark.system, pytest.mark.patient]
-
 FRAMES, H, W, PERIOD_NS = 20, 96, 128, 40_000_000
 RERUN = Path(sys.executable).with_name("rerun")
 CALIBRATION = {

@@ -39,7 +39,7 @@ from annulus.twin.worlds import World, demo_world
 from annulus.vocabulary import AnnulusError, Label
 from annulus.wall.profile import Profile
 
-pytestmark = pytest.mark.system
+pytestmark = pytest.mark.alone
 
 FPS = 8.0
 WORLD = demo_world(travel_mm=330.0).scaled(416)
@@ -128,6 +128,7 @@ def test_a_scan_is_labelled_recorded_and_reconstructed(head: HeadHandle, tmp_pat
         assert StateFlag.LAMPS_ARMED not in client.request(Status()).state  # type: ignore[attr-defined]
 
 
+@pytest.mark.deep(gate="tests/system/test_scan.py::test_a_scan_is_labelled_recorded_and_reconstructed")
 def test_a_worker_killed_in_mid_scan_costs_its_frames_and_they_are_reported(head: HeadHandle, tmp_path: Path) -> None:
     rig = Rig(head, tmp_path, workers=1)
     victim: list[int] = []
@@ -159,6 +160,7 @@ def last_lost(told: list[str]) -> int:
     return max((int(t.split()[1].rstrip(":")) for t in told if t.startswith("frame ") and "SIGKILL" in t), default=0)
 
 
+@pytest.mark.deep(gate="tests/system/test_scan.py::test_a_scan_is_labelled_recorded_and_reconstructed")
 def test_a_recorder_killed_in_mid_scan_is_replaced_and_both_files_are_readable(
     head: HeadHandle, tmp_path: Path
 ) -> None:
@@ -183,6 +185,7 @@ def test_a_recorder_killed_in_mid_scan_is_replaced_and_both_files_are_readable(
     assert report.drops["recorders_replaced"] == 1
 
 
+@pytest.mark.deep(gate="tests/system/test_scan.py::test_a_scan_is_labelled_recorded_and_reconstructed")
 def test_a_controller_that_restarts_is_armed_again_and_no_label_is_wrong(tmp_path: Path) -> None:
     faults = Faults(events_lost=0.01, frames_dropped=0.02, resets=(100,))
     with start_head(WORLD, FPS, faults, seed=6, speed_mm_s=25.0) as head:
@@ -203,6 +206,7 @@ def test_a_controller_that_restarts_is_armed_again_and_no_label_is_wrong(tmp_pat
         assert head.counters()["lamps_on"] == []
 
 
+@pytest.mark.deep(gate="tests/system/test_scan.py::test_a_scan_is_labelled_recorded_and_reconstructed")
 def test_a_full_disk_costs_the_recording_and_not_the_labels(head: HeadHandle, tmp_path: Path) -> None:
     frame = WORLD.camera.width * WORLD.camera.height
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)

@@ -4,7 +4,9 @@ import pytest
 
 from annulus.twin.soak import soak
 
-pytestmark = [pytest.mark.system, pytest.mark.patient]
+pytestmark = pytest.mark.deep(
+    gate="tests/unit/twin/test_soak.py::test_no_label_is_wrong_under_drops_lost_events_jitter_and_two_resets"
+)
 FRAMES = 50_000
 
 

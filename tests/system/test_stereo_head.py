@@ -18,7 +18,12 @@ from annulus.twin.worlds import stereo_world
 from annulus.vocabulary import Label
 from annulus.wall import Profile
 
-pytestmark = pytest.mark.system
+pytestmark = [
+    pytest.mark.alone,
+    pytest.mark.deep(
+        gate="tests/unit/daemon/test_flashes.py::test_no_pair_is_wrong_and_no_frame_is_lost_however_frames_drop_and_lag"
+    ),
+]
 
 WORLD = stereo_world().scaled(832)
 PROFILES = 30

@@ -16,7 +16,10 @@ from annulus.demo import demo_config
 from annulus.twin.head import start_head
 from annulus.twin.worlds import demo_world
 
-pytestmark = pytest.mark.system
+pytestmark = [
+    pytest.mark.alone,
+    pytest.mark.deep(gate="tests/unit/console/test_tuning.py::test_what_is_proposed_is_told_to_all"),
+]
 
 WORLD = demo_world(travel_mm=330.0).scaled(208)
 WRONG_US = 3000.0

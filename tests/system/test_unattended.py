@@ -26,7 +26,7 @@ from annulus.twin.head import HeadHandle, head_toml, start_head
 from annulus.twin.worlds import demo_world
 from annulus.vocabulary import AnnulusError
 
-pytestmark = pytest.mark.system
+pytestmark = pytest.mark.alone
 
 WORLD = demo_world(travel_mm=330.0).scaled(208)
 
@@ -55,6 +55,7 @@ def session_of(head: HeadHandle, folder: Path, record: RecordConfig) -> tuple[Se
     return Session(config, [RemoteCamera(head.camera_address)], told, name="scan"), told
 
 
+@pytest.mark.deep(gate="tests/system/test_unattended.py::test_the_check_finds_a_head_in_order_and_leaves_it_dark")
 def test_a_scan_in_parts_loses_nothing_between_them_and_is_read_as_one(head: HeadHandle, tmp_path: Path) -> None:
     session, told = session_of(head, tmp_path, RecordConfig(part_minutes=1 / 60, sync_s=0.5, min_free_gb=0))
     report = session.run(lambda: session.seconds > 6.5)
@@ -72,6 +73,7 @@ def test_a_scan_in_parts_loses_nothing_between_them_and_is_read_as_one(head: Hea
     assert json.loads((tmp_path / "health.json").read_text())["pid"] == os.getpid()
 
 
+@pytest.mark.deep(gate="tests/system/test_unattended.py::test_the_check_finds_a_head_in_order_and_leaves_it_dark")
 def test_no_scan_begins_without_room_and_lamps_stay_dark(head: HeadHandle, tmp_path: Path) -> None:
     session, _ = session_of(head, tmp_path, RecordConfig(min_free_gb=1e5))
     with pytest.raises(AnnulusError, match=r"GB free, expected at least 100000 GB \(\[record\] min_free_gb\)"):
@@ -79,6 +81,7 @@ def test_no_scan_begins_without_room_and_lamps_stay_dark(head: HeadHandle, tmp_p
     assert head.counters()["lamps_on"] == [] and not list(tmp_path.rglob("*.mcap"))
 
 
+@pytest.mark.deep(gate="tests/system/test_unattended.py::test_the_check_finds_a_head_in_order_and_leaves_it_dark")
 def test_a_scan_ends_and_its_recording_is_closed_before_the_disk_is_full(
     head: HeadHandle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -101,6 +104,7 @@ def test_the_check_finds_a_head_in_order_and_leaves_it_dark(head: HeadHandle, tm
     assert head.counters()["lamps_on"] == []
 
 
+@pytest.mark.deep(gate="tests/system/test_unattended.py::test_the_check_finds_a_head_in_order_and_leaves_it_dark")
 def test_a_service_is_ready_fed_and_stopped_and_its_port_is_its_own(head: HeadHandle, tmp_path: Path) -> None:
     toml, log = tmp_path / "head.toml", tmp_path / "head.log"
     more = f'[record]\nfolder = "scans"\nmin_free_gb = 0\n[log]\nfile = "{log}"\n'

@@ -15,8 +15,6 @@ from annulus.job import read_job
 from tools.manual import commands, families, settings, topics
 from tools.manual.pages import DOCS, ROOT, included, pages, whole
 
-pytestmark = pytest.mark.slow
-
 PAGES = sorted({*pages().values()})
 OWN = sorted(page for page in (DOCS / "manual").glob("*.md") if page.name != "changelog.md")
 INDENTED = re.compile(r"^    (annulus .*)$", re.M)
@@ -72,6 +70,7 @@ def test_topics_of_the_manual_are_those_that_are_sent_and_those_of_the_readme() 
     assert sent == set(re.findall(r"^\| `([a-z]+(?:/<\w+>)?)` \|", table, re.M))
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(DOCS).as_posix())
 def test_links_lead_somewhere_and_generated_pages_can_be_made(page: Path) -> None:
     text = whole(page)
@@ -116,6 +115,7 @@ def test_every_command_has_an_example() -> None:
     assert len(EXAMPLES) > 50 and len(WRITTEN) > 60
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize(("what", "line"), [*EXAMPLES, *WRITTEN], ids=lambda one: one[:60])
 def test_examples_can_be_typed(what: str, line: str) -> None:
     parse(line)

@@ -61,6 +61,7 @@ print("all")
     assert run.stdout.startswith("all")
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize(
     "command",
     [["--help"], ["reconstruct", "--help"], ["demo", "--help"], ["daemon", "--config", "none.toml", "--check"]],
@@ -72,6 +73,9 @@ def test_what_a_field_machine_does_needs_no_extra(command: list[str]) -> None:
     assert run.returncode == ("--check" in command)
 
 
+@pytest.mark.deep(
+    gate="tests/unit/test_extras.py::test_one_that_does_not_load_is_told_apart_from_one_that_is_not_there"
+)
 def test_work_that_needs_one_says_which_and_how_to_add_it(tmp_path: Path) -> None:
     (tmp_path / "raw.hdf5").write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(100))
     code = "from annulus.cli import main\nmain()"

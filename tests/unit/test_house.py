@@ -7,6 +7,9 @@ import tomllib
 from graphlib import TopologicalSorter
 from pathlib import Path
 
+import pytest
+import tiers
+
 ROOT = Path(__file__).resolve().parents[2]
 ROOMS = ROOT / "host/annulus"
 MAP = (ROOT / "docs/ARCHITECTURE.md").read_text(encoding="utf-8")
@@ -109,3 +112,27 @@ def test_pages_link_to_files_that_are_there() -> None:
     ]
     assert links
     assert not [f"{page.relative_to(ROOT)}: {to}" for page, to in links if not (page.parent / to).exists()]
+
+
+FILE_S = 6.0  # of processor, of one test file in the gate: that long it may hold up who waits for the last worker
+GATE_S = 1500.0  # of all of them: 12.5 minutes on two cores
+WHOLE_HEADS = {"tests/system/test_scan.py": 25.0}  # the gate's one whole scan: five processes
+
+
+def test_every_deep_case_has_one_in_the_gate(request: pytest.FixtureRequest) -> None:
+    assert request.config.stash[tiers.UNSPOKEN] == []
+
+
+def test_the_gate_costs_what_was_agreed() -> None:
+    """`make durations` measures anew. What is over its budget: fewer or smaller cases, the others `deep`."""
+    gate = {name: cost["gate"] for name, cost in tiers.read_durations().items()}
+    dear = {name: cost for name, cost in gate.items() if cost > WHOLE_HEADS.get(name, FILE_S)}
+    assert not dear
+    assert sum(gate.values()) <= GATE_S
+
+
+def test_every_test_file_has_a_measured_cost() -> None:
+    files = {path.relative_to(ROOT).as_posix() for path in (ROOT / "tests").rglob("test_*.py")}
+    held = {name for name in files if name.startswith("tests/held/")}  # they run where ../shared is
+    assert files - held <= tiers.read_durations().keys(), "`make durations` measures them"
+    assert tiers.read_durations().keys() <= files

@@ -10,8 +10,6 @@ import pytest
 from annulus.cli import main
 from annulus.cli.terminal import as_it_is, escaped
 
-pytestmark = pytest.mark.slow
-
 HOSTILE = "\x1b[2J\x1b]0;owned\x07\u202egnp.\x9b31m\r\x08"
 
 

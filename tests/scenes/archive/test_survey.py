@@ -14,7 +14,6 @@ from annulus.cli import app
 SURVEY = Path(__file__).resolve().parents[4] / "shared" / "survey"
 pytestmark = [
     pytest.mark.skipif(not (SURVEY / "truth.json").is_file(), reason="no scenes here (../shared)"),
-    pytest.mark.slow(seconds=40),
 ]
 
 

@@ -61,6 +61,9 @@ def off(placed: Placed) -> np.ndarray:
     return np.concatenate([Rotation.from_matrix(placed.rotation @ TURN.T).as_rotvec(), placed.centre_mm - CENTRE])
 
 
+@pytest.mark.deep(
+    gate="tests/scenes/calibrate/test_both.py::test_it_makes_no_difference_from_which_corner_a_target_is_counted"
+)
 def test_the_second_camera_is_found_as_well_as_it_says() -> None:
     found = [place_second(*fitted(seed), [Moment(i, i, True) for i in range(COUNT)]) for seed in range(5)]
     assert all(np.linalg.norm(off(one)[3:]) < 0.3 and np.degrees(np.linalg.norm(off(one)[:3])) < 0.15 for one in found)
@@ -99,6 +102,9 @@ def test_photographs_of_different_moments_are_left_out_or_refused() -> None:
         place_second(*fitted(2), [Moment(0, 0, True), Moment(1, 1, True)])
 
 
+@pytest.mark.deep(
+    gate="tests/scenes/calibrate/test_both.py::test_it_makes_no_difference_from_which_corner_a_target_is_counted"
+)
 def test_real_pairs_give_what_opencv_finds() -> None:
     """Same corners, same lenses; which way each target is counted is not told."""
     start = Camera("pinhole", 640, 480, 535.0, 535.0, 335.0, 240.0, (-0.28, 0.0, 0.0, 0.0, 0.0))
@@ -128,6 +134,9 @@ def test_real_pairs_give_what_opencv_finds() -> None:
     assert np.abs(placed.centre_mm + (turn.T @ shift)[:, 0]).max() < 1e-3
 
 
+@pytest.mark.deep(
+    gate="tests/scenes/calibrate/test_both.py::test_how_the_rings_agree_with_the_target_is_said_in_sigmas"
+)
 def test_both_folders_become_one_file_with_both_cameras(tmp_path: Path) -> None:
     for i, (rotation, middle) in enumerate(poses(FIRST, TARGET, 4, fill=0.6, off=0.3, seed=4)):
         for name, camera, pose in (("a", FIRST, (rotation, middle)), ("b", SECOND, from_second(rotation, middle))):

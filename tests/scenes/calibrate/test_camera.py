@@ -41,6 +41,9 @@ def write(folder: Path, images: tuple[np.ndarray, ...]) -> list[Path]:
     return image_files([folder])
 
 
+@pytest.mark.deep(
+    gate="tests/scenes/calibrate/test_camera.py::test_how_well_a_ray_is_known_is_said_where_targets_were_and_nowhere_else"
+)
 def test_real_photographs_calibrate_cold_and_none_is_thrown_away_to_look_good() -> None:
     result = calibrate_camera(sorted(STEREO.glob("left*.jpg"))[:6], model="pinhole")  # the bench takes all 13 pairs
     assert len(result.intrinsics.residuals) == 6
@@ -50,6 +53,7 @@ def test_real_photographs_calibrate_cold_and_none_is_thrown_away_to_look_good() 
     assert not result.target_was_given
 
 
+@pytest.mark.deep(gate="tests/scenes/calibrate/test_camera.py::test_the_command_tells_a_program_all")
 @pytest.mark.parametrize("camera", [PINHOLE, FISHEYE], ids=["pinhole", "fisheye"])
 def test_the_lens_is_measured_from_nothing_but_photographs(camera: Camera) -> None:
     result = calibrated(camera)
@@ -67,6 +71,7 @@ def test_the_lens_is_measured_from_nothing_but_photographs(camera: Camera) -> No
     assert np.all(np.abs(truth - [fitted.fx, fitted.fy, fitted.cx, fitted.cy]) < 4 * sigma[:4])
 
 
+@pytest.mark.deep(gate="tests/scenes/calibrate/test_camera.py::test_a_target_miscounted_by_its_owner_is_pointed_out")
 def test_which_lens_it_is_is_found_out(tmp_path: Path) -> None:
     assert calibrate_camera(write(tmp_path, album(FISHEYE, PLAIN)[::2])).camera.model == "fisheye"
 
@@ -84,6 +89,7 @@ def test_markers_between_the_corners_do_not_move_them(tmp_path: Path) -> None:
     assert np.sqrt(np.mean(nearest**2)) < 0.12
 
 
+@pytest.mark.deep(gate="tests/scenes/calibrate/test_camera.py::test_a_target_miscounted_by_its_owner_is_pointed_out")
 def test_a_bad_photograph_is_left_out_and_named(tmp_path: Path) -> None:
     images = list(album(PINHOLE, PLAIN))
     images[1] = cv2.GaussianBlur(images[1], (0, 0), 4.0)

@@ -27,6 +27,7 @@ def off_in_sigmas(fit: Intrinsics, truth: Camera) -> FloatArray:
     return (numbers(fit.camera) - numbers(truth)) / np.sqrt(np.diag(fit.covariance))
 
 
+@pytest.mark.deep(gate="tests/scenes/calibrate/test_intrinsics.py::test_halves_of_a_real_album_differ_by_what_they_say")
 @pytest.mark.parametrize(
     ("camera", "count", "shared"),
     [(PINHOLE, 12, 0.0), (PINHOLE, 6, 0.1), (PINHOLE, 12, 0.1), (FISHEYE, 8, 0.1)],

@@ -52,6 +52,7 @@ def test_no_first_corner_is_made_up() -> None:
     assert not from_colours(view, 7, 4).own_origin
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize(("spin_deg", "aside"), [(0.0, 0.0), (90.0, 0.0), (200.0, 0.3), (20.0, -0.4)])
 def test_markers_number_the_corners_of_a_target_seen_in_part(spin_deg: float, aside: float) -> None:
     target = DrawnTarget(8, 6, markers="6X6")

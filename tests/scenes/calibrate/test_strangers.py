@@ -49,6 +49,7 @@ def named(views: dict[str, TargetObservation]) -> dict[str, str]:
     return {list(views)[i]: why for i, why in strangers(fit, list(views.values()), list(views)).items()}
 
 
+@pytest.mark.deep(gate="tests/scenes/calibrate/test_strangers.py::test_a_drawn_album_of_one_camera_has_no_strangers")
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_a_real_album_of_one_camera_has_no_strangers(side: str) -> None:
     assert not named(of(side))
@@ -62,6 +63,7 @@ def test_a_drawn_album_of_one_camera_has_no_strangers() -> None:
         assert not named({str(i): view for i, view in enumerate(views)})
 
 
+@pytest.mark.deep(gate="tests/scenes/calibrate/test_strangers.py::test_a_lot_of_turned_photographs_is_left_out_by_name")
 def test_photographs_of_two_cameras_in_equal_number_are_refused_by_name() -> None:
     with pytest.raises(AnnulusError, match=r"1[0-3] photographs are another camera's") as caught:
         named(of("left") | of("right"))
@@ -71,6 +73,7 @@ def test_photographs_of_two_cameras_in_equal_number_are_refused_by_name() -> Non
     assert ("left" in said) != ("right" in said)
 
 
+@pytest.mark.deep(gate="tests/scenes/calibrate/test_strangers.py::test_a_lot_of_turned_photographs_is_left_out_by_name")
 def test_a_few_photographs_of_another_camera_are_left_out_by_name() -> None:
     for some in (of("right", 0, 4), of("right", 8, 4), of("right", 6, 2)):
         why = named(of("left") | some)
@@ -78,6 +81,7 @@ def test_a_few_photographs_of_another_camera_are_left_out_by_name() -> None:
         assert all("another camera's" in one for one in why.values())
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize(
     ("x", "y", "said"), [(-1, -1, "turned by 180"), (-1, 1, "mirrored left"), (1, -1, "mirrored top")]
 )
@@ -94,6 +98,7 @@ def test_a_lot_of_turned_photographs_is_left_out_by_name() -> None:
     assert all("turned by 180" in one for one in why.values())
 
 
+@pytest.mark.deep(gate="tests/scenes/calibrate/test_strangers.py::test_a_lot_of_turned_photographs_is_left_out_by_name")
 def test_photographs_on_their_side_and_mirrored_markers_are_named(tmp_path: Path) -> None:
     target = DrawnTarget(8, 6, markers="6X6")
     for i, pose in enumerate(poses(PINHOLE, target, 6, fill=0.7, off=0.4, seed=2)):

@@ -18,7 +18,7 @@ SCENES = Path(__file__).resolve().parents[4] / "shared" / "scenes"
 PLATE = SCENES / "fringe-a"
 TRUTH = PLATE / "truth" / "truth.json"
 pytestmark = [
-    pytest.mark.skipif(not PLATE.is_dir(), reason="needs ../shared/scenes"), pytest.mark.slow(seconds=150)
+    pytest.mark.skipif(not PLATE.is_dir(), reason="needs ../shared/scenes")
 ]  # fmt: skip
 
 

@@ -18,7 +18,7 @@ from annulus.twin.render import Renderer
 from annulus.twin.scan import write_scan
 from annulus.twin.worlds import World, mirror_fringe_world, modules_world, series_world
 
-pytestmark = pytest.mark.slow(seconds=250)
+pytestmark = pytest.mark.deep(gate="tests/unit/fringe/test_calibration.py::test_the_slide_is_found_within_its_sigma")
 
 EDGE_MM = 1.5  # nearer to a step the truth jumps
 

@@ -5,7 +5,7 @@ import pytest
 from tools.bench.metrology.fringe_pipe import PIPE, judged
 
 pytestmark = [
-    pytest.mark.skipif(not PIPE.is_dir(), reason="needs ../shared/scenes"), pytest.mark.slow(seconds=60)
+    pytest.mark.skipif(not PIPE.is_dir(), reason="needs ../shared/scenes")
 ]  # fmt: skip
 
 

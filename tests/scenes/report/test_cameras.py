@@ -22,6 +22,9 @@ def looked_at(profile: Profile) -> Profile:
     return replace(profile, seen_by=by).without((clock > 330) & (clock < 350), "hidden")
 
 
+@pytest.mark.deep(
+    gate="tests/scenes/report/test_cameras.py::test_a_frame_that_another_camera_took_counts_as_seen_by_more_than_one"
+)
 def test_a_survey_of_two_cameras_says_which_of_them_saw_each_place(tmp_path: Path) -> None:
     profiles = [looked_at(one) for one in scan(round_pipe, z_mm=[3.0 * i for i in range(20)])]
     pipe = survey(profiles, TWO)

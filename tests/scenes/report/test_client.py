@@ -62,6 +62,7 @@ def text(page: str) -> str:
     return re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", page))
 
 
+@pytest.mark.deep(gate="tests/scenes/report/test_client.py::test_the_verdict_is_on_the_page_and_in_the_summary")
 def test_the_job_is_on_the_page_and_what_nobody_said_is_not_made_up(page: tuple[str, dict[str, Any], Path]) -> None:
     words = text(page[0])
     assert "The &lt;i&gt;Works&lt;/i&gt;" in words and "SDR 11" in words and "Operator not recorded" in words
@@ -73,6 +74,7 @@ def test_the_job_is_on_the_page_and_what_nobody_said_is_not_made_up(page: tuple[
     assert "Signature" in words
 
 
+@pytest.mark.deep(gate="tests/scenes/report/test_client.py::test_the_verdict_is_on_the_page_and_in_the_summary")
 def test_what_the_operator_marked_is_on_the_page_the_maps_and_in_the_summary(pipe: Survey, tmp_path: Path) -> None:
     photo = bytes(cv2.imencode(".jpg", np.full((30, 40, 3), 90, np.uint8))[1])
     marks = (

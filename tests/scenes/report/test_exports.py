@@ -29,6 +29,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
     return out, pipe
 
 
+@pytest.mark.deep(gate="tests/scenes/report/test_exports.py::test_the_radii_at_a_station_are_the_walls")
 def test_the_wall_map_is_the_walls_radii_to_a_micrometre(made: Made) -> None:
     out, pipe = made
     with np.load(out / "wall.npz", allow_pickle=False) as file:

@@ -42,6 +42,9 @@ def verdict(page: str) -> str:
     return f"{found[1]}: {' '.join(found[2].split())}"
 
 
+@pytest.mark.deep(
+    gate="tests/scenes/report/test_features.py::test_a_ring_that_was_lost_is_said_in_the_verdict_the_warnings_and_the_summary"
+)
 def test_a_page_is_green_only_where_nothing_at_all_is_listed(sound: Survey, tmp_path: Path) -> None:
     none = "No defect above the listing limits on the wall that was seen."
     assert verdict(written(sound, tmp_path)[1]) == f"sound: {none}"
@@ -68,6 +71,9 @@ def test_a_ring_that_was_lost_is_said_in_the_verdict_the_warnings_and_the_summar
     assert "ring 2 of 5" in warning["text"] and "ring 2 of 5" in page
 
 
+@pytest.mark.deep(
+    gate="tests/scenes/report/test_features.py::test_a_ring_that_was_lost_is_said_in_the_verdict_the_warnings_and_the_summary"
+)
 def test_every_feature_has_its_row_its_letter_and_its_picture(sound: Survey, tmp_path: Path) -> None:
     pipe = replace(
         sound, features=(JOINT, OPENING, BEYOND), detection=replace(sound.detection, undecided=(PLACE,))
@@ -88,6 +94,9 @@ def test_every_feature_has_its_row_its_letter_and_its_picture(sound: Survey, tmp
     assert (place["kind"], place["z_mm"], place["depth_k2_mm"]) == ("loss", 140.0, 2.4)
 
 
+@pytest.mark.deep(
+    gate="tests/scenes/report/test_features.py::test_a_ring_that_was_lost_is_said_in_the_verdict_the_warnings_and_the_summary"
+)
 def test_marks_change_the_maps_and_not_the_stations(sound: Survey, tmp_path: Path) -> None:
     written(sound, tmp_path / "plain")
     written(replace(sound, features=(JOINT, OPENING)), tmp_path / "marked")
@@ -96,6 +105,9 @@ def test_marks_change_the_maps_and_not_the_stations(sound: Survey, tmp_path: Pat
         assert (files[0] == files[1]) is same, name
 
 
+@pytest.mark.deep(
+    gate="tests/scenes/report/test_features.py::test_a_ring_that_was_lost_is_said_in_the_verdict_the_warnings_and_the_summary"
+)
 def test_a_loss_all_round_is_called_a_groove(sound: Survey, tmp_path: Path) -> None:
     groove = replace(PLACE, arc_deg=360.0, clock_deg=0.0, depth_mm=1.5, depth_k2_mm=0.2, floor_seen=True)
     for place, depth in ((groove, "1.50"), (replace(groove, floor_seen=False), "≥ 1.50")):

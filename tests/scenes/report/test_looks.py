@@ -29,8 +29,6 @@ from annulus.wall.defects import Defect, Kind
 from annulus.wall.features import Feature, FeatureKind, Measure
 from annulus.wall.plate import Plate
 
-pytestmark = pytest.mark.slow
-
 PAGES = ("damaged", "sound", "plate", "joint")
 WIDTHS = (1400, 1024, 390)
 MOST = [("damaged", 10), ("sound", 7), ("plate", 3), ("joint", 3)]  # pages on paper
@@ -118,6 +116,9 @@ def browser() -> Iterator[Any]:
         yield one
 
 
+@pytest.mark.deep(
+    gate="tests/scenes/report/test_looks.py::test_report_pdf_has_every_column_page_numbers_letters_of_its_own_and_tags"
+)
 @pytest.mark.parametrize("width", WIDTHS)
 @pytest.mark.parametrize("name", PAGES)
 def test_a_page_fits_every_window_asks_for_nothing_and_has_no_fault(
@@ -160,6 +161,7 @@ def check_print(data: bytes, paper: str, wanted: list[str], most: int) -> None:
         assert "".join(one.split()) in plain, one
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("paper", PAPERS)
 @pytest.mark.parametrize(("name", "most"), MOST)
 def test_a_browser_prints_every_column_with_page_numbers(
@@ -172,6 +174,7 @@ def test_a_browser_prints_every_column_with_page_numbers(
     check_print(data, paper, wanted, most)
 
 
+@pytest.mark.deep(but="joint-3-Letter")
 @pytest.mark.parametrize("paper", PAPERS)
 @pytest.mark.parametrize(("name", "most"), MOST)
 def test_report_pdf_has_every_column_page_numbers_letters_of_its_own_and_tags(
@@ -204,6 +207,7 @@ def test_the_pictures_on_paper_are_as_wide_as_their_scale_says(pages: Path, brow
     assert len(wide) == 3 and wide == pytest.approx([186 / 25.4 * 96] * 3, abs=0.5)
 
 
+@pytest.mark.deep(gate="tests/scenes/report/test_looks.py::test_a_browser_prints_every_column_with_page_numbers")
 def test_a_system_without_fonts_writes_letters_all_the_same(pages: Path, tmp_path: Path) -> None:
     """A fresh Debian has none; fontconfig then gives nothing, and WeasyPrint alone draws boxes."""
     empty = tmp_path / "fonts.conf"

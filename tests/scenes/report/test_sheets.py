@@ -17,7 +17,6 @@ from annulus.report.maps import ROWS_MAX, calm, mean_colour
 from annulus.report.marks import marks_of, outline
 from annulus.wall import LedFrame, Survey, survey
 
-pytestmark = pytest.mark.slow
 AXIS_BGR = (0x85, 0x78, 0x6B)
 
 
@@ -57,6 +56,9 @@ def frame_of(png: bytes) -> tuple[int, int, int]:
     return picture.shape[1], *best
 
 
+@pytest.mark.deep(
+    gate="tests/scenes/report/test_sheets.py::test_sheets_cover_the_pipe_without_a_gap_and_are_never_too_many"
+)
 def test_every_picture_along_the_pipe_has_the_same_axis_and_a_page_has_its_overview_and_sheets(short: Survey) -> None:
     assert len(short.defects) == 2
     pipe = tiled(short, math.ceil(7000 / (len(short.wall.z_mm) * short.wall.z_step_mm)))

@@ -65,6 +65,7 @@ def same(one: Profile, other: Profile) -> bool:
     return replace(one, timing_ms={}).to_dict() == replace(other, timing_ms={}).to_dict()
 
 
+@pytest.mark.deep(gate="tests/scenes/reprocess/test_engine.py::test_the_account_counts_what_the_recording_holds")
 @pytest.mark.parametrize("executor", [Processes(2), Processes(3), backwards])
 def test_profiles_are_the_same_to_the_bit_wherever_they_are_made(job: Job, executor) -> None:
     which = job.which(Label.PROJECTOR)
@@ -104,6 +105,7 @@ def test_the_account_counts_what_the_recording_holds(job: Job) -> None:
     assert done.findings == () and done.timing_ms["total"] > 0
 
 
+@pytest.mark.deep(gate="tests/scenes/reprocess/test_engine.py::test_the_account_counts_what_the_recording_holds")
 def test_the_readmes_ten_lines_do_what_they_say(folder: Path) -> None:
     section = README.read_text().split("### In Python, no file written")[1]
     found = re.search(r"```python\n(.*?)```", section, re.DOTALL)
@@ -126,6 +128,7 @@ def test_the_readmes_ten_lines_do_what_they_say(folder: Path) -> None:
     assert int(cells) == survey_of(folder / "scan.mcap").wall.seen.sum()
 
 
+@pytest.mark.deep(gate="tests/scenes/reprocess/test_engine.py::test_a_frame_live_and_on_disk_has_one_profile")
 def test_damaged_frames_are_left_out_counted_and_named(job: Job, tmp_path: Path) -> None:
     recording = job.scan.recording
     assert recording is not None

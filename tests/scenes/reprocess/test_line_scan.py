@@ -14,6 +14,8 @@ from annulus.reprocess import survey_of
 from annulus.twin.worlds.features import Feature
 from annulus.wall.defects import Kind
 
+pytestmark = pytest.mark.deep(gate="tests/unit/record/test_video.py::test_a_video_becomes_a_scan_of_the_same_pictures")
+
 FRAMES, STEP_MM, OVAL_MM = 16, 4.0, 3.05
 
 

@@ -68,6 +68,9 @@ def test_a_stripe_that_goes_on_beyond_the_last_slit_stays_lit_beside_it() -> Non
     assert after[100, 180].max() <= 2 and after[100, 190:205, 1].min() > 140
 
 
+@pytest.mark.deep(
+    gate="tests/scenes/rings/test_pedestal.py::test_a_stripe_that_goes_on_beyond_the_last_slit_stays_lit_beside_it"
+)
 def test_a_frame_without_such_light_stays_as_it_is() -> None:
     for light in (1.0, 0.4):
         image = (frame(WHITE, 0.0) * light).astype(np.uint8)

@@ -51,6 +51,7 @@ def test_a_clean_pipe_is_found_and_measured(plain):
         assert abs(z - (PIPE_MM / np.tan(cone.half_angle) + cone.vertex_mm[2])) < 2.0
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize(
     ("model", "pattern", "slit_px"),
     [("fisheye", {}, 5.0), ("barrel", ELEVEN, 3.5)],
@@ -66,6 +67,7 @@ def test_an_oval_dented_pipe_is_measured_through_any_lens(model, pattern, slit_p
     assert (np.abs(error) > 2.0).sum() == 0
 
 
+@pytest.mark.deep(gate="tests/scenes/rings/test_reconstructor.py::test_a_clean_pipe_is_found_and_measured")
 def test_a_yellow_pipe_that_swallows_blue_is_measured():
     cal = calibration(scale=0.5)
     yellow = Paint(light=((200, 12, 1), (14, 160, 6), (2, 14, 36)), supersample=2, noise=1.5, bayer=True)

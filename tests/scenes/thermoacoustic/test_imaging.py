@@ -45,6 +45,7 @@ def quality(image):
     return 10 * np.log10(truth.max() ** 2 / np.mean((found - truth) ** 2)), np.corrcoef(found, truth)[0, 1]
 
 
+@pytest.mark.deep(gate="tests/scenes/thermoacoustic/test_imaging.py::test_a_region_of_the_image_is_the_image_there")
 def test_fifty_positions_make_a_faithful_image(sweep):
     psnr, correlation = quality(time_reversal(sweep, pixel=0.2))
     assert psnr >= 31
@@ -60,6 +61,7 @@ def test_refinement_fills_in_for_a_missing_half(sweep):
     assert refined.misfit[-1] < 0.5 * refined.misfit[0]
 
 
+@pytest.mark.deep(gate="tests/scenes/thermoacoustic/test_imaging.py::test_the_pulse_that_couples_in_is_not_sound")
 def test_refinement_that_does_not_help_is_not_kept(sweep):
     once, more = (time_reversal(sweep, pixel=0.3, refinements=n) for n in (0, 3))
     assert quality(more)[0] >= quality(once)[0] - 0.1

@@ -21,8 +21,6 @@ from annulus.job import JobSheet
 from annulus.vocabulary import AnnulusError
 from tools.bench.speed.catalogue import results
 
-pytestmark = pytest.mark.slow
-
 MAY = datetime(2026, 5, 4, 8)
 
 
@@ -95,6 +93,7 @@ def test_a_clock_that_was_never_set_gives_no_date(tmp_path: Path) -> None:
     assert one(add(tmp_path / "archive", [folder])).row["date"] is None
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("name", ["P-9", "P-0@2025", "ffff", "P-0@x", "", "'; DROP TABLE surveys", "\udc80"])
 def test_a_survey_that_there_is_not_is_one_line(tmp_path: Path, name: str) -> None:
     add(tmp_path / "archive", season(tmp_path, 1))
@@ -122,6 +121,7 @@ def rewritten(folder: Path, name: str, text: str) -> Path:
     return folder
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize(
     ("make", "told"),
     [
@@ -187,6 +187,7 @@ def test_packs_say_the_same_as_the_surveys_own_files(tmp_path: Path) -> None:
         assert len(catalogue.connection.execute(ask).fetchall()) == len(loose) - 5
 
 
+@pytest.mark.deep(gate="tests/unit/archive/test_catalogue_adding.py::test_packs_say_the_same_as_the_surveys_own_files")
 def test_packs_stay_few(tmp_path: Path) -> None:
     archive, made = tmp_path / "archive", season(tmp_path, 24, stations=2)
     for i in range(0, 24, 3):
@@ -207,7 +208,7 @@ def _add_all(archive: Path, folders: list[Path], go: Any) -> None:
     add(archive, folders)
 
 
-@pytest.mark.system
+@pytest.mark.deep(gate="tests/unit/archive/test_catalogue_adding.py::test_a_disk_that_fills_up_leaves_nothing_half")
 def test_two_who_add_at_once_lose_nothing(tmp_path: Path) -> None:
     context = multiprocessing.get_context("spawn")
     made, go = season(tmp_path, 20), context.Event()
@@ -225,7 +226,7 @@ def test_two_who_add_at_once_lose_nothing(tmp_path: Path) -> None:
     assert not list((tmp_path / "archive").rglob(".new-*"))
 
 
-@pytest.mark.system
+@pytest.mark.deep(gate="tests/unit/archive/test_catalogue_adding.py::test_a_disk_that_fills_up_leaves_nothing_half")
 def test_who_is_killed_while_adding_leaves_nothing_half(tmp_path: Path) -> None:
     context = multiprocessing.get_context("spawn")
     archive, made, go = tmp_path / "archive", season(tmp_path, 40), context.Event()
@@ -246,6 +247,7 @@ def test_who_is_killed_while_adding_leaves_nothing_half(tmp_path: Path) -> None:
     assert len(listed(archive)[0]) == 40 and not list(archive.rglob(".new-*"))
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("stage", ["_write", "_to_disk"])
 def test_a_disk_that_fills_up_leaves_nothing_half(tmp_path: Path, stage: str, monkeypatch: pytest.MonkeyPatch) -> None:
     archive, made = tmp_path / "archive", season(tmp_path, 2)
@@ -286,6 +288,9 @@ def test_a_file_of_another_survey_is_no_survey_of_this_one(tmp_path: Path) -> No
     assert second in line and "not those that were added" in line
 
 
+@pytest.mark.deep(
+    gate="tests/unit/archive/test_catalogue_adding.py::test_scans_that_say_no_time_are_never_taken_for_one_another"
+)
 def test_names_that_are_sql_or_markup_do_no_harm(tmp_path: Path) -> None:
     archive = tmp_path / "archi've [1]*?"
     hostile = ["P'; DROP TABLE surveys; --", 'P"', "<script>", "[red]P[/red]", "P\\", "$(rm -rf /)"]

@@ -18,8 +18,6 @@ from annulus.archive.catalogue_store import pack_folders, survey_folder
 from annulus.vocabulary import AnnulusError
 from tools.bench.speed.catalogue import results
 
-pytestmark = pytest.mark.slow
-
 MAY = datetime(2026, 5, 4, 8)
 
 
@@ -102,6 +100,7 @@ def test_year_on_year_holds_each_station_against_the_nearest_of_the_year_before(
     assert row[8:] == (pytest.approx(wider[widest]), pytest.approx(0.06 * 2**0.5), now["z_mm"][widest])
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize(
     ("sql", "told"),
     [
@@ -187,6 +186,7 @@ def no_foot(file: Path) -> None:
     file.write_bytes(data)
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("harm", [cut, emptied, gone, scrambled, no_foot])
 @pytest.mark.parametrize("table", ["surveys", "stations", "features"])
 def test_a_damaged_file_costs_its_own_rows_and_is_told(tmp_path: Path, table: str, harm: Any) -> None:
@@ -205,6 +205,7 @@ def test_a_damaged_file_costs_its_own_rows_and_is_told(tmp_path: Path, table: st
         assert damage.lost
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("harm", [cut, gone, scrambled, no_foot])
 @pytest.mark.parametrize("table", ["surveys", "stations"])
 def test_a_damaged_pack_costs_nothing_and_is_told(tmp_path: Path, table: str, harm: Any) -> None:

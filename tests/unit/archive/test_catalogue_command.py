@@ -18,8 +18,6 @@ from annulus.vocabulary import AnnulusError
 from tools.bench.speed.catalogue import results
 from tools.manual.pages import DOCS
 
-pytestmark = pytest.mark.slow
-
 MAY = datetime(2026, 5, 4, 8)
 PAGE = (DOCS / "manual/archive.md").read_text(encoding="utf-8")
 
@@ -84,6 +82,9 @@ def test_answers_in_every_form_are_the_same(archive: Path, tmp_path: Path) -> No
     assert len(many) == 202 and "--csv prints all" in many[-1]
 
 
+@pytest.mark.deep(
+    gate="tests/unit/archive/test_catalogue_command.py::test_the_list_has_units_and_says_what_it_does_not_show"
+)
 def test_questions_are_kept_shown_and_asked(archive: Path) -> None:
     listed = run("query", "--named", "list").stdout
     for name in QUESTIONS:

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -16,8 +15,6 @@ from annulus.archive.catalogue_pieces import find, session
 from annulus.archive.catalogue_store import read_back, survey_folder
 from annulus.archive.catalogue_survey import read_survey
 from tools.bench.speed.catalogue import results
-
-pytestmark = pytest.mark.slow
 
 MAY = datetime(2026, 5, 4, 8)
 

@@ -15,7 +15,6 @@ from annulus.cli import app
 from annulus.vocabulary import AnnulusError
 from tests.unit.archive.pairs import Pair, Scene, draw
 
-pytestmark = pytest.mark.slow
 SHORT = Scene(length_mm=3000, slips_mm=(15.0,), grown=2, unchanged=2, new=1, spots=80, zero_mm=-80)
 
 
@@ -50,6 +49,9 @@ def growths(pair: Pair, found: Comparison) -> tuple[int, int, list[float], list[
     return len(used), len(found.changed) - len(used), errors, parts
 
 
+@pytest.mark.deep(
+    gate="tests/unit/archive/test_compare.py::test_a_pipe_that_did_not_change_has_no_growth_and_the_limit_is_said"
+)
 def test_rows_find_their_place_and_growth_is_found_with_none_made_up() -> None:
     pair, found = short()
     assert places_mm(pair, found) < 1.5 and roll_deg(pair, found) < 0.25
@@ -66,6 +68,9 @@ def test_what_is_said_of_places_holds_for_95_percent() -> None:
     assert known.mean() > 0.9
 
 
+@pytest.mark.deep(
+    gate="tests/unit/archive/test_compare.py::test_a_pipe_that_did_not_change_has_no_growth_and_the_limit_is_said"
+)
 def test_a_bare_pipe_says_how_unsure_its_places_are_and_nothing_is_made_up() -> None:
     shares, sizes = [], []
     for seed in (6, 7, 8):
@@ -88,6 +93,7 @@ def test_a_pipe_that_did_not_change_has_no_growth_and_the_limit_is_said() -> Non
     assert 0.05 < found.growth.least_median_mm < 0.25
 
 
+@pytest.mark.deep(gate="tests/unit/archive/test_compare.py::test_what_is_said_of_places_holds_for_95_percent")
 def test_swapped_scans_shrink_what_grew() -> None:
     pair, there = short()
     back = compare_maps(pair.second, pair.first)
@@ -97,6 +103,9 @@ def test_swapped_scans_shrink_what_grew() -> None:
     )
 
 
+@pytest.mark.deep(
+    gate="tests/unit/archive/test_compare.py::test_a_pipe_that_did_not_change_has_no_growth_and_the_limit_is_said"
+)
 def test_a_scan_from_the_other_end_is_turned_about_and_said_so() -> None:
     pair, there = short()
     found = compare_maps(pair.first, pair.second.turned_about())
@@ -127,6 +136,9 @@ def test_stretches_that_do_not_overlap_do_not_match() -> None:
         compare_maps(first, second)
 
 
+@pytest.mark.deep(
+    gate="tests/unit/archive/test_compare.py::test_a_pipe_that_did_not_change_has_no_growth_and_the_limit_is_said"
+)
 def test_other_steps_columns_and_nominal_radii_are_one_pipe() -> None:
     pair = draw(8, replace(SHORT, step_second_mm=5.0, columns_second=288, radius_second_mm=76.0))
     found = compare_maps(pair.first, pair.second)
@@ -135,6 +147,9 @@ def test_other_steps_columns_and_nominal_radii_are_one_pipe() -> None:
     assert (hit, false) == (len(pair.grown), 0)
 
 
+@pytest.mark.deep(
+    gate="tests/unit/archive/test_compare.py::test_a_pipe_that_did_not_change_has_no_growth_and_the_limit_is_said"
+)
 def test_nothing_grew_where_one_of_the_two_did_not_see() -> None:
     pair, _ = short()
     one = pair.grown[0]
@@ -145,6 +160,9 @@ def test_nothing_grew_where_one_of_the_two_did_not_see() -> None:
     assert len(found.changed) == len(pair.grown) - 1
 
 
+@pytest.mark.deep(
+    gate="tests/unit/archive/test_compare.py::test_a_pipe_that_did_not_change_has_no_growth_and_the_limit_is_said"
+)
 def test_the_command_writes_json_a_page_and_says_what_grew(tmp_path: Path) -> None:
     pair, there = short()
     files = []

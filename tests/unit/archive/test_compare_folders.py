@@ -15,7 +15,6 @@ from annulus.cli import app
 from annulus.vocabulary import AnnulusError
 from tests.unit.archive.pairs import Pair, Scene, draw
 
-pytestmark = pytest.mark.slow
 SHORT = Scene(length_mm=3000, slips_mm=(15.0,), grown=2, unchanged=2, new=1, gone=1, spots=80, zero_mm=-80)
 
 
@@ -67,6 +66,7 @@ def test_every_listed_defect_comes_out_once_with_its_growth(tmp_path: Path) -> N
     assert oval.first and oval.second and oval.verdict is Verdict.GROWN
 
 
+@pytest.mark.deep(gate="tests/unit/archive/test_compare_folders.py::test_a_summary_that_is_none_is_one_line")
 def test_ovality_that_grew_by_a_third_is_told_within_its_k2() -> None:
     pair = draw(4, replace(SHORT, oval_growth=0.3))
     found = compare_maps(pair.first, pair.second)
@@ -74,6 +74,7 @@ def test_ovality_that_grew_by_a_third_is_told_within_its_k2() -> None:
     assert "changed most" in found.ovality_sentence() and "no more than" not in found.ovality_sentence()
 
 
+@pytest.mark.deep(gate="tests/unit/archive/test_compare_folders.py::test_a_summary_that_is_none_is_one_line")
 def test_ovality_that_stayed_is_said_to_be_no_more_than_may_be_off() -> None:
     pair = draw(4, SHORT)
     found = compare_maps(pair.first, pair.second)
@@ -90,6 +91,7 @@ def within_k2(pair: Pair, found: Comparison) -> float:
     return float(np.mean(np.abs(oval.change - true)[known] <= oval.change_k2[known]))
 
 
+@pytest.mark.deep(gate="tests/unit/archive/test_compare_folders.py::test_a_summary_that_is_none_is_one_line")
 def test_what_one_year_lists_beyond_the_others_ends_was_not_seen(tmp_path: Path) -> None:
     pair = draw(3, SHORT)
     first, second = (folder(tmp_path / str(year), pair, year) for year in (0, 1))
@@ -113,6 +115,9 @@ def test_a_summary_that_is_none_is_one_line(tmp_path: Path) -> None:
         compare(first, second)
 
 
+@pytest.mark.deep(
+    gate="tests/unit/archive/test_compare_folders.py::test_every_listed_defect_comes_out_once_with_its_growth"
+)
 def test_terminal_and_page_name_what_is_listed(tmp_path: Path) -> None:
     pair = draw(3, SHORT)
     folders = [str(folder(tmp_path / str(year), pair, year)) for year in (0, 1)]

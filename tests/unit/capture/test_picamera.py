@@ -16,8 +16,6 @@ from annulus.capture.camera import BAYER_RGGB8, BGR8, Camera, grab, plug
 from annulus.capture.picamera import HELD_MAX, Mosaic, configure, on_monotonic, require_controls
 from annulus.vocabulary import AnnulusError
 
-pytestmark = pytest.mark.slow
-
 PACKAGE = Path(__file__).parents[3] / ".tools/picamera2"
 SIZE = (1664, 1232)
 MODES = [("SRGGB10", SIZE), ("SRGGB12", SIZE), ("SRGGB10", (1640, 1232)), ("SRGGB8", (640, 480))]

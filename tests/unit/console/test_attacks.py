@@ -99,6 +99,7 @@ def test_the_cookie_is_kept_from_scripts_and_other_sites(console: Browser, locke
     assert tls.startswith("__Host-") and "; secure" in tls.lower() and "path=/" in tls.lower()
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("path", PATHS)
 def test_no_path_leads_out(path: str, console: Browser) -> None:
     answer = console.client.get(path)
@@ -127,6 +128,7 @@ MALFORMED = [
 ]  # fmt: skip
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("body", MALFORMED, ids=lambda body: body[:12].decode("latin-1"))
 def test_what_is_no_request_is_answered_in_a_line(body: bytes, console: Browser, head: FakeDaemon) -> None:
     error_of(console.post("/api/do", body), 400)

@@ -252,6 +252,7 @@ WRONG = [
 ]  # fmt: skip
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize(("topic", "body", "part"), WRONG)
 def test_what_is_not_as_it_should_be_is_counted_and_not_passed_on(
     topic: str, body: Any, part: bytes, head: Head
@@ -297,6 +298,7 @@ BODIES = st.dictionaries(
 )
 
 
+@pytest.mark.deep(gate="tests/unit/console/test_live.py::test_no_bytes_of_a_daemon_do_harm")
 @settings(max_examples=300, deadline=None)
 @given(st.sampled_from(TOPICS), BODIES | SIMPLE, st.binary(max_size=40))
 def test_no_body_of_a_daemon_does_harm(topic: str, body: Any, part: bytes) -> None:

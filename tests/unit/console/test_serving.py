@@ -22,8 +22,6 @@ from annulus.console.program import Daemon, Door, Program
 from annulus.console.serving import CONNECTIONS_MAX
 from annulus.vocabulary import AnnulusError
 
-pytestmark = [pytest.mark.slow, pytest.mark.system]
-
 PATIENCE_S = 30.0  # for what will come, however little of the machine we get
 STALL_S = 0.1  # a machine that stood still for longer keeps no promise in seconds
 
@@ -167,6 +165,7 @@ def test_a_thousand_connections_are_bounded_and_the_page_is_there_after(
         wait_for(lambda: program.live.alive()["daemon"])
 
 
+@pytest.mark.deep(gate="tests/unit/console/test_serving.py::test_nobody_looks_and_the_daemon_makes_no_pictures")
 def test_so_many_pages_and_no_more(served: tuple[str, Program]) -> None:
     address, program = served
     with contextlib.ExitStack() as stack:

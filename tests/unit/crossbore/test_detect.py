@@ -28,6 +28,7 @@ def only(ground: Ground, seed: int = 1) -> Indication:
     return one
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("seed", range(8))
 def test_pipe_a_is_found_with_air_pipe_b_with_its_side_and_pipe_c_never(seed: int) -> None:
     """The three pipes of Figure 10.6: an 8-inch sewer that a pipe passes through, half into, and beside."""
@@ -42,6 +43,7 @@ def test_pipe_a_is_found_with_air_pipe_b_with_its_side_and_pipe_c_never(seed: in
         assert not found(replace(PLAIN, bores=(Bore(3000.0, 101.0, 145.5 + clear, phi),)), seed).bores
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("eps", [4.0, 9.0, 15.0, 24.0])
 @pytest.mark.parametrize("pose", [False, True])
 def test_a_coupling_is_called_one_in_any_soil(eps: float, pose: bool) -> None:
@@ -49,6 +51,7 @@ def test_a_coupling_is_called_one_in_any_soil(eps: float, pose: bool) -> None:
     assert one.kind is Kind.COUPLING and one.odometer_mm == pytest.approx(3006, abs=15)
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("seed", range(6))
 def test_a_couplings_transient_says_how_fast_the_head_was(seed: int) -> None:
     """Its length is known: the transient says the same of a head whose odometer counts a fifth too much."""
@@ -63,6 +66,7 @@ def test_a_couplings_transient_says_how_fast_the_head_was(seed: int) -> None:
         assert transient == pytest.approx(true, rel=0.25) and odometer == pytest.approx(scale * true, rel=0.1)
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("seed", range(4))
 def test_a_head_that_wanders_by_millimetres_gives_a_coupling_no_side_and_nothing_odds(seed: int) -> None:
     """1 mm off the axis adds 85 fF to one sector: by itself that is a sewer on one side. Nobody counted odds so."""
@@ -146,6 +150,7 @@ HEAD = "t_s,odometer_mm,c1_pf,c2_pf,c3_pf,cref_pf,roll_deg\n"
 ROW = "0.1,10,4.8,4.8,4.8,4.7,0\n"
 
 
+@pytest.mark.deep(but="t_s,odometer_mm,c1_pf,c2_pf,c3_pf,cref_pf,roll_deg\\n-no rows")
 @pytest.mark.parametrize(
     ("text", "word"),
     [

@@ -75,6 +75,9 @@ def test_where_nobody_looked_is_not_seen() -> None:
     assert rows[0] * step > AHEAD_MM[-1] - step
 
 
+@pytest.mark.deep(
+    gate="tests/unit/daemon/test_live_wall.py::test_who_misses_a_third_of_the_words_has_all_of_ten_metres_in_four_minutes"
+)
 def test_the_whole_has_a_scan_of_any_length_in_rows_that_grow() -> None:
     def bump(clock, z):
         return np.where((np.abs(clock - 90.0) < 20.0) & (z > 20_000.0) & (z < 21_000.0), -4.0, 0.0)
@@ -90,6 +93,7 @@ def test_the_whole_has_a_scan_of_any_length_in_rows_that_grow() -> None:
     assert step == 5.0 and len(rows) <= RECENT_ROWS and (rows[-1] + 1) * step >= 59_960.0 + AHEAD_MM[0]
 
 
+@pytest.mark.deep(gate="tests/unit/daemon/test_live_wall.py::test_what_changed_is_told_within_a_second_and_little_else")
 def test_a_head_that_goes_back_below_zero_and_forth_again_is_told_where_it_is() -> None:
     wall = LiveWall(CALIBRATION, 7)
     for z in [*np.arange(0.0, -3000.0, -5.0), *np.arange(-3000.0, 500.0, 5.0)]:
@@ -141,7 +145,7 @@ def test_another_scan_begins_with_nothing_seen() -> None:
     assert not len(wall.deviation_mm("whole")[1]) and not any(told(wall, 2.0).values())
 
 
-@pytest.mark.slow
+@pytest.mark.deep(gate="tests/unit/daemon/test_live_wall.py::test_what_changed_is_told_within_a_second_and_little_else")
 def test_memory_is_flat_from_the_first_scan_on_whatever_the_length() -> None:
     """Ten hours at 100 mm/s are 3.6 km; as few frames of them as need every row."""
 

@@ -14,7 +14,9 @@ from annulus.daemon.config import HeadConfig
 from annulus.daemon.evidence import Evidence
 from annulus.job import JobSheet
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.deep(
+    gate="tests/unit/daemon/test_live_wall.py::test_memory_is_flat_from_the_first_scan_on_whatever_the_length"
+)
 
 WARM, FRAMES = 2_000, 3_000  # of each camera
 KEPT_MAX = 40_000  # bytes, of which 20 000 come and go; one header kept of each frame would be 2 MB, one number 200 000

@@ -22,7 +22,7 @@ def header(encoding: str, width: int, height: int) -> FrameHeader:
     return FrameHeader(5, None, 0, Label.PROJECTOR, "", None, None, None, 2.0, encoding, width, height)
 
 
-@pytest.mark.slow
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("model", ["pinhole", "fisheye"])
 def test_slits_lie_on_the_dark_lines_of_the_picture(model: str) -> None:
     cal = calibration(model)
@@ -56,6 +56,7 @@ def across(image: Image, at: FloatArray, centre: FloatArray) -> FloatArray:
     return found
 
 
+@pytest.mark.deep(gate="tests/unit/daemon/test_pictures.py::test_slits_lie_on_the_dark_lines_of_the_picture")
 def test_a_frame_without_the_pipe_has_no_slits() -> None:
     cal = calibration()
     nothing = np.zeros((cal.camera.height, cal.camera.width, 3), np.uint8)

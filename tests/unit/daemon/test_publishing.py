@@ -22,8 +22,6 @@ from annulus.stream.workers import Shared
 from annulus.vocabulary import Label
 from tests.unit.daemon.test_live_wall import CALIBRATION, profile
 
-pytestmark = pytest.mark.slow
-
 
 class Stand:
     def __init__(self, folder: Path, address: str = "tcp://127.0.0.1:*", calibration=None) -> None:
@@ -94,6 +92,9 @@ def stand(tmp_path: Path) -> Iterator[Stand]:
         stand.close()
 
 
+@pytest.mark.deep(
+    gate="tests/unit/daemon/test_publishing.py::test_pictures_are_made_while_somebody_looks_and_a_wall_for_who_comes_late"
+)
 def test_frames_and_labels_reach_a_viewer_and_one_that_takes_over_numbers_on(stand: Stand) -> None:
     number, body, pixels = stand.receive("frame/0")
     assert pixels == bytes([body["index"] % 256]) * 1200 and number == body["index"]
@@ -113,6 +114,9 @@ def test_frames_and_labels_reach_a_viewer_and_one_that_takes_over_numbers_on(sta
     assert {"publisher_busy", "publisher_died", "publishers_replaced"} >= set(account.drops)
 
 
+@pytest.mark.deep(
+    gate="tests/unit/daemon/test_publishing.py::test_pictures_are_made_while_somebody_looks_and_a_wall_for_who_comes_late"
+)
 def test_a_publisher_that_stands_still_holds_its_share_and_nobody_up(stand: Stand, stalls) -> None:
     os.kill(stand.publishing.pids[0], signal.SIGSTOP)
     begun = time.monotonic()
@@ -134,6 +138,7 @@ def test_frames_that_nobody_asked_for_are_not_copied(stand: Stand) -> None:
     assert stand.receive("frame/0")[2]
 
 
+@pytest.mark.deep(gate="tests/unit/daemon/test_publishing.py::test_frames_that_nobody_asked_for_are_not_copied")
 def test_an_address_that_is_taken_is_one_clear_line(stand: Stand, tmp_path: Path) -> None:
     (folder := tmp_path / "other").mkdir()
     other = Stand(folder, stand.publishing.address)

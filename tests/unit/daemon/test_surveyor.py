@@ -156,7 +156,9 @@ def test_where_the_place_was_set_anew_a_window_begins() -> None:
     assert window.missed == 20
 
 
-@pytest.mark.slow(seconds=50)
+@pytest.mark.deep(
+    gate="tests/unit/daemon/test_surveyor.py::test_a_defect_keeps_its_number_while_it_is_found_at_its_place"
+)
 def test_a_dent_is_told_of_while_the_scan_is_under_way_and_keeps_its_number_when_the_surveyor_is_killed(
     tmp_path: Path, stalls: Any
 ) -> None:

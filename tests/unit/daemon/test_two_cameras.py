@@ -19,8 +19,6 @@ from annulus.twin.soak_world import MS_TICKS, SoakWorld
 from annulus.twin.truth import Verdict
 from annulus.vocabulary import Label
 
-pytestmark = pytest.mark.slow
-
 FRAMES = 1200
 LATE_NS = 9_000_000  # the second camera's driver stamps so much later
 BEHIND_FRAMES = 2  # and keeps so many frames more

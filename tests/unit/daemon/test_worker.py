@@ -2,6 +2,8 @@
 
 import math
 
+import pytest
+
 from annulus.daemon.worker import ReconstructionJob
 from annulus.geometry.calibration import Calibration
 from annulus.geometry.camera import Camera
@@ -10,6 +12,8 @@ from annulus.reprocess.warmup import warmup_frame
 from annulus.stream.frames import FrameHeader
 from annulus.vocabulary import Label
 from annulus.wall.profile import Profile
+
+pytestmark = pytest.mark.deep(gate="tests/system/test_scan.py::test_a_scan_is_labelled_recorded_and_reconstructed")
 
 
 def test_warming_up_goes_through_the_whole_method() -> None:

@@ -97,7 +97,6 @@ print(peak_kb() - before, time.process_time() - began)
 """
 
 
-@pytest.mark.slow
 def test_a_million_points_take_bounded_memory_and_seconds(large: Path) -> None:
     """Memory above what Python and the packages have; the file itself is mapped and has 29 MB, which count."""
     done = subprocess.run([sys.executable, "-c", RUN, str(large)], capture_output=True, text=True, check=True)

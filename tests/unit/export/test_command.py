@@ -62,6 +62,7 @@ def test_nothing_asked_for_a_foreign_folder_and_a_file_in_the_way_are_one_line(f
         assert done.stderr.startswith("annulus: ") and done.stderr.count("\n") == 1
 
 
+@pytest.mark.deep(but="dxf-ezdxf-export")
 @pytest.mark.parametrize(
     ("form", "package", "extra"),
     [("laz", "laspy", "export"), ("laz", "lazrs", "export"), ("xlsx", "openpyxl", "export"), ("dxf", "ezdxf", "export"),

@@ -16,7 +16,6 @@ from results_folder import RADIUS_MM
 from annulus.export import open_results, write
 from annulus.export.dxf import runs
 
-pytestmark = pytest.mark.slow
 Written = Callable[[str], Path]
 
 
@@ -72,6 +71,7 @@ def test_glb_is_the_same_whatever_its_parts(folder: Path, monkeypatch: pytest.Mo
     assert whole.read_bytes() == parts.read_bytes()
 
 
+@pytest.mark.deep(gate="tests/unit/export/test_drawn.py::test_in_a_bend_outlines_follow_the_centre_line")
 def test_dxf_opens_without_a_complaint_in_millimetres_with_its_layers(written: Written) -> None:
     drawing = ezdxf.readfile(written("dxf"))
     audit = drawing.audit()
@@ -81,6 +81,7 @@ def test_dxf_opens_without_a_complaint_in_millimetres_with_its_layers(written: W
     assert used == {layer.dxf.name for layer in drawing.layers} - {"0", "Defpoints"}
 
 
+@pytest.mark.deep(gate="tests/unit/export/test_drawn.py::test_in_a_bend_outlines_follow_the_centre_line")
 def test_stations_stand_in_space_where_the_map_has_them(written: Written) -> None:
     drawing = ezdxf.readfile(written("dxf"))
     lines = drawing.modelspace().query('POLYLINE[layer=="STATIONS"]')
@@ -96,6 +97,7 @@ def test_stations_stand_in_space_where_the_map_has_them(written: Written) -> Non
     assert np.allclose([point.xyz for point in course.points()], [(0, 100, 0), (0, 300, 0)])
 
 
+@pytest.mark.deep(gate="tests/unit/export/test_drawn.py::test_outlines_are_cut_at_gaps_and_nowhere_else")
 def test_defects_lie_on_the_plan_at_their_distance_and_arc(written: Written, folder: Path) -> None:
     defects = json.loads((folder / "summary.json").read_text())["defects"]
     model = ezdxf.readfile(written("dxf")).modelspace()

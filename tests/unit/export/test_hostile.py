@@ -14,7 +14,6 @@ import pytest
 from annulus.export import FORMS, open_results, write
 from annulus.vocabulary import AnnulusError
 
-pytestmark = pytest.mark.slow
 Change = Callable[[Any], Any]
 
 
@@ -43,6 +42,7 @@ def first_defect(**more: Any) -> Change:
     return lambda data: data | {"defects": [data["defects"][0] | more, *data["defects"][1:]]}
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize(
     "file", ["summary.json", "stations.csv", "centreline.json", "wall.npz", "cloud.ply", "mesh.ply"]
 )
@@ -67,6 +67,7 @@ def test_what_is_no_folder_of_results_is_said(tmp_path: Path) -> None:
     refused(tmp_path, "summary.json")
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize(
     "how",
     [
@@ -100,6 +101,7 @@ def test_what_may_be_absent_may_be_absent(folder: Path) -> None:
     assert len(export(folder)) == len(FORMS) + 2  # radii.json, twice
 
 
+@pytest.mark.deep(gate="tests/unit/export/test_hostile.py::test_a_face_that_has_no_corner_is_one_line")
 def test_texts_that_terminals_spreadsheets_or_drawings_obey_do_no_harm(folder: Path) -> None:
     evil = "=1+1\n0\nEOF\x1b[2J\x00\u202e\ud800 %%u \\P {\\H9;"
     change(folder / "summary.json", lambda data: data | {"source": evil, "job": {evil: evil, "client": evil}})
@@ -157,6 +159,7 @@ def test_a_face_that_has_no_corner_is_one_line(folder: Path) -> None:
         refused(folder, "mesh.ply", "glb")
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize(
     "more",
     [
@@ -209,6 +212,7 @@ def test_stations_that_are_none_are_one_line(folder: Path, old: str, new: str) -
     refused(folder, "stations.csv", "radii")
 
 
+@pytest.mark.deep(gate="tests/unit/export/test_hostile.py::test_a_face_that_has_no_corner_is_one_line")
 def test_no_change_of_a_value_or_a_byte_is_more_than_one_line(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """150 folders with one value of summary.json or centreline.json changed, or some bytes of any file."""
     monkeypatch.setattr("annulus.export.dxf.OUTLINES_MAX", 2)

@@ -11,8 +11,6 @@ import pytest
 
 from tools.attack.__main__ import attack
 
-pytestmark = pytest.mark.slow
-
 ROOT = Path(__file__).resolve().parents[3]
 MUTANTS = {
     "the other lamp's delay": ("core/sequencer.c", "led ? self->config.led_delay", "!led ? self->config.led_delay"),
@@ -64,6 +62,7 @@ SOON = {  # a seed whose scenes find it within a second or two; 3 finds each wit
 }
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("seed", [2, 3])
 def test_no_promise_breaks_in_five_thousand_edges(seed: int) -> None:
     outcome = attack("native", seed, 5_000)
@@ -71,6 +70,7 @@ def test_no_promise_breaks_in_five_thousand_edges(seed: int) -> None:
     assert outcome.edges >= 5_000
 
 
+@pytest.mark.deep(gate="tests/unit/firmware/test_attack.py::test_no_promise_breaks_in_five_thousand_edges")
 @pytest.mark.parametrize("name", MUTANTS)
 def test_a_fault_put_into_the_core_is_found(name: str, tmp_path: Path) -> None:
     file, right, wrong = MUTANTS[name]

@@ -9,8 +9,6 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = pytest.mark.slow(seconds=20)
-
 FIRMWARE = Path(__file__).resolve().parents[3] / "firmware"
 GCOVR = shutil.which("gcovr") or str(FIRMWARE.parent / ".venv/bin/gcovr")
 
@@ -25,12 +23,18 @@ def make(*arguments: str) -> str:
     return run.stdout
 
 
+@pytest.mark.deep(
+    gate="tests/unit/firmware/test_firmware_builds.py::test_the_core_includes_nothing_of_a_board_but_board_h"
+)
 def test_every_promise_of_the_c_tests_holds_under_sanitizers_and_the_corpus_runs_clean() -> None:
     said = make("check")
     assert " 0 failures" in said
     assert " inputs" in said
 
 
+@pytest.mark.deep(
+    gate="tests/unit/firmware/test_firmware_builds.py::test_the_core_includes_nothing_of_a_board_but_board_h"
+)
 @pytest.mark.skipif(not Path(GCOVR).is_file(), reason="gcovr is not installed")
 def test_95_percent_of_the_cores_branches_are_taken() -> None:
     make("coverage", f"GCOVR={GCOVR}", "COVERAGE_MIN=95")
@@ -39,6 +43,9 @@ def test_95_percent_of_the_cores_branches_are_taken() -> None:
     assert {Path(entry["filename"]).name for entry in summary["files"]} >= {"link.c", "sequencer.c", "safety.c"}
 
 
+@pytest.mark.deep(
+    gate="tests/unit/firmware/test_firmware_builds.py::test_the_core_includes_nothing_of_a_board_but_board_h"
+)
 @pytest.mark.skipif(not (shutil.which("clang-14") or shutil.which("clang")), reason="libFuzzer needs clang")
 def test_a_short_fuzz_of_the_link_with_a_fixed_seed_finds_nothing(tmp_path: Path) -> None:
     make("build/fuzz")
@@ -69,6 +76,7 @@ def test_the_core_includes_nothing_of_a_board_but_board_h() -> None:
             assert "malloc" not in line
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize(("board", "prefix"), [("native", ""), ("rp2040", "arm-none-eabi-")])
 def test_no_file_needs_one_that_needs_it(board: str, prefix: str, tmp_path: Path) -> None:
     """By what the linker sees, so no header hides it: core on either board is a graph without circles."""

@@ -42,8 +42,6 @@ from annulus.link.messages import (
 from annulus.testing.scripted import ScriptedController
 from annulus.vocabulary import AnnulusError
 
-pytestmark = pytest.mark.slow
-
 SIZE = 3000
 
 

@@ -10,8 +10,6 @@ from annulus.fringe import FringeHead, FringeProjector, ReferencePlate, Transfer
 from annulus.geometry.calibration import HeadCamera
 from annulus.vocabulary import AnnulusError
 
-pytestmark = pytest.mark.slow
-
 HEIGHTS = (-4.0, 0.0, 3.0, 8.0)
 
 

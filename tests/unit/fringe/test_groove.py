@@ -6,7 +6,7 @@ from bores import LENS, RADIUS_MM, SLIDE, drawn
 
 from annulus.fringe import Eye, PipeMap, Shots, find_scratches, measure_pipe
 
-pytestmark = pytest.mark.slow(seconds=70)
+pytestmark = pytest.mark.deep(gate="tests/unit/fringe/test_calibration.py::test_the_slide_is_found_within_its_sigma")
 
 Z = np.arange(12) * 1.7
 ARC_DEG = 12.0

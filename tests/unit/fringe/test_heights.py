@@ -12,8 +12,6 @@ from annulus.geometry.camera import Camera
 from annulus.numeric.arrays import FloatArray
 from annulus.vocabulary import AnnulusError
 
-pytestmark = pytest.mark.slow
-
 EVEN = np.arange(8) * 1.0
 UNEVEN = np.array([0.0, 0.46, 1.16, 2.62, 3.79, 4.27, 5.23, 6.25])
 GRID = Points.plate(np.arange(0.0, 30.0, 0.5), np.arange(-12.0, 12.0, 0.5), DISTANCE_MM)

@@ -6,8 +6,6 @@ from plates import DISTANCE_MM, LEFT, RIGHT, SLIDE, drawn
 
 from annulus.fringe import Points, View, spline, told_elsewhere
 
-pytestmark = pytest.mark.slow
-
 MOVED = np.array([0.0, 0.9, 2.1, 3.2])
 GRID = Points.plate(np.arange(-8.0, 38.0, 0.6), np.arange(-14.0, 14.0, 0.6), DISTANCE_MM)
 FRINGE_MM = DISTANCE_MM * (1 - 1 / 1.2)  # of height: 20 mm / (0.04 (100 - h)) is one more than 5

@@ -11,8 +11,6 @@ from annulus.fringe.projector import HARMONICS_MAX
 from annulus.numeric.arrays import FloatArray
 from annulus.vocabulary import AnnulusError
 
-pytestmark = pytest.mark.slow
-
 EYE = Eye(LENS, SLIDE)
 UNEVEN = np.array([0.0, 1.1, 3.3, 4.2, 6.9, 8.0, 10.6, 12.1, 13.0, 15.4])
 LEAN = np.array([0.004, -0.003, 0.0, 0.9, -0.6, 0.0])
@@ -26,6 +24,7 @@ def poses(z: FloatArray) -> FloatArray:
     return out
 
 
+@pytest.mark.deep(gate="tests/unit/fringe/test_pipe.py::test_a_clean_pipe_calibrates_the_projector")
 def test_a_pipe_with_a_groove_by_a_leaning_head_and_uneven_steps() -> None:
     images = drawn(poses(UNEVEN), groove=GROOVE)
     seen = measure_pipe([EYE], Shots.single(images), UNEVEN, RADIUS_MM, cell_mm=0.8)

@@ -12,8 +12,6 @@ from annulus.cli.pattern import app
 from annulus.fringe import FringeProjector, ring_slide
 from annulus.vocabulary import AnnulusError
 
-pytestmark = pytest.mark.slow
-
 GIVEN = (101.6, 8.0, 60.0, (22.0, 38.0), 12.0)
 
 

@@ -12,7 +12,7 @@ from annulus.twin.render import Renderer
 from annulus.twin.worlds import World, series_world
 from annulus.twin.worlds.sensor_head import Fringes
 
-pytestmark = pytest.mark.slow(seconds=40)
+pytestmark = pytest.mark.deep(gate="tests/unit/fringe/test_steps.py::test_a_slip_is_said_where_it_was")
 
 Z = np.arange(20) * 1.9
 

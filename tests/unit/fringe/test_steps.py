@@ -18,6 +18,7 @@ def found(odometer: FloatArray, texture: float = 0.3, sigma_mm: float = 0.1) -> 
     return find_steps(LEFT, SLIDE, odometer, ahead, images, GRID, odometer_sigma_mm=sigma_mm)
 
 
+@pytest.mark.deep(gate="tests/unit/fringe/test_steps.py::test_a_slip_is_said_where_it_was")
 def test_a_coarse_odometer_is_mended() -> None:
     steps = found(np.round(TRUE / 0.2) * 0.2)
     np.testing.assert_allclose(steps.place_mm, TRUE, atol=0.01)

@@ -7,8 +7,6 @@ from plates import DISTANCE_MM, LEFT, SLIDE, drawn
 from annulus.fringe import Points, find_steps, spline
 from annulus.numeric.arrays import FloatArray
 
-pytestmark = pytest.mark.slow
-
 TRUE = np.array([0.0, 0.46, 1.16, 2.62, 3.79, 4.27, 5.23, 6.25])
 GRID = Points.plate(np.arange(0.0, 30.0, 0.5), np.arange(-14.0, 14.0, 0.5), DISTANCE_MM)
 AHEAD, ODOMETER_MM, SCANS = np.array([1.0, 0.0, 0.0]), 0.1, 8
@@ -28,6 +26,7 @@ def found(texture: float, drift: float) -> tuple[FloatArray, FloatArray]:
     return np.concatenate(off), np.concatenate(sigma)
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("drift", [0.0, 0.1])
 @pytest.mark.parametrize("texture", [0.0, 0.01, 0.3])
 def test_sigma_is_how_far_positions_are_off(texture: float, drift: float) -> None:

@@ -4,14 +4,11 @@ import tracemalloc
 from collections.abc import Iterator
 
 import numpy as np
-import pytest
 from plates import DISTANCE_MM, LEFT, SLIDE, drawn
 
 from annulus.fringe import Points, View, heights, spline, stream
 from annulus.fringe.track import GOOD
 from annulus.numeric.arrays import Float32Array, FloatArray
-
-pytestmark = pytest.mark.slow
 
 STEP_MM = 9.0
 AHEAD = np.array([1.0, 0.0, 0.0])

@@ -32,6 +32,7 @@ def joints(rng: np.random.Generator, count: int, share: float) -> tuple[np.ndarr
     return np.concatenate(values), np.concatenate(good), np.repeat(np.arange(count), 8), np.tile(ANGLES, count)
 
 
+@pytest.mark.deep(gate="tests/unit/joints/test_clusters.py::test_one_joint_is_never_told_by_itself")
 def test_a_relation_is_told_and_chance_is_not() -> None:
     rng = np.random.default_rng(1)
     found = leave_one_out(*joints(rng, 8, 0.9))

@@ -14,8 +14,6 @@ from annulus.joints.zone import Shape, _model
 from annulus.numeric.arrays import FloatArray
 from annulus.vocabulary import AnnulusError
 
-pytestmark = pytest.mark.slow
-
 SCENE = Scene()
 
 
@@ -29,6 +27,7 @@ def rms(off: FloatArray) -> float:
     return float(np.sqrt(np.mean(off**2)))
 
 
+@pytest.mark.deep(gate="tests/unit/joints/test_image.py::test_sides_that_do_not_meet_take_nothing_from_the_thickness")
 def test_the_axis_leans_as_the_pipe_does_and_runs_between_two_that_do_not_meet(joint: JointImage) -> None:
     axis = joint.found.axis
     assert axis.lean_x == pytest.approx(SCENE.lean[0], abs=1e-3)

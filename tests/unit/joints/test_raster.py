@@ -12,8 +12,6 @@ from annulus.joints.raster import Raster, at_joint, place
 from annulus.record.raster import read_raster
 from annulus.vocabulary import AnnulusError
 
-pytestmark = pytest.mark.slow
-
 
 @pytest.mark.parametrize("seed", [0, 3])
 def test_a_raster_lies_where_it_was_taken_whichever_way_round(seed: int) -> None:

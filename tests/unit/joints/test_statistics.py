@@ -25,6 +25,7 @@ def round_the_pipe(rng: np.random.Generator, alike_deg: float) -> FloatArray:
     return np.asarray(np.fft.irfft(wave, 360))
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("alike_deg", [0.0, 40.0])
 def test_chance_is_believed_as_often_as_is_said_and_the_ordinary_p_far_more_often(alike_deg: float) -> None:
     rng = np.random.default_rng(5)
@@ -40,6 +41,7 @@ def test_chance_is_believed_as_often_as_is_said_and_the_ordinary_p_far_more_ofte
     assert np.mean(np.array(ordinary) < 0.05) > 0.3
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize(("shift", "sense"), [(20.0, 1), (-30.0, -1)])
 def test_what_follows_the_feature_is_found_where_it_is(shift: float, sense: int) -> None:
     rng = np.random.default_rng(2)
@@ -99,6 +101,9 @@ print(json.dumps([[float(dcor.u_distance_correlation_sqr(np.array(one), np.array
 """  # in a process of its own: it launches numba's threads, and then nobody may say how many
 
 
+@pytest.mark.deep(
+    gate="tests/unit/joints/test_statistics.py::test_a_feature_that_is_one_wave_can_tell_nothing_when_the_zero_is_unknown"
+)
 def test_the_distance_correlation_is_that_of_dcor() -> None:
     cases = []
     for n in (5, 8, 16):
@@ -150,6 +155,7 @@ def joint(tmp_path: Path) -> Path:
 GOOD = "angle_deg,energy_j,result\n" + "".join(f"{a:g},{20 + (a * 7) % 11:g},good\n" for a in ANGLES)
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize(
     ("text", "word"),
     [

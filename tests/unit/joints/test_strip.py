@@ -27,6 +27,7 @@ def both(scene: Scene) -> tuple[float, float]:
     return float(scene.width_at(np.zeros(1))[0]), scene.wall + 1.8 * (1 - scene.notch) * scene.bead[1]
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("sawn", [5.6, 8.0, 12.0])
 @pytest.mark.parametrize("hilo", [0.0, 0.3])
 def test_w_and_t_of_a_strip_lie_within_three_sigma_of_what_was_drawn(sawn: float, hilo: float) -> None:
@@ -46,6 +47,7 @@ def test_a_strip_without_zone_has_a_thickness_and_no_width() -> None:
     assert np.isnan(found.w_mm) and np.isfinite(found.t_mm)
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize(
     ("grey", "word"),
     [

@@ -10,9 +10,8 @@ from annulus.link.session import EventReceived
 from annulus.record.frames import from_json, to_json
 from annulus.vocabulary import EdgeFlag, Label, Lamp
 
-pytestmark = pytest.mark.slow
 
-
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("seed", range(8))
 def test_what_was_said_is_said_again(seed: int) -> None:
     head = Head(seed)

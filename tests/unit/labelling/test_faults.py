@@ -9,8 +9,6 @@ from bench_of_faults import PERIOD, Bench, Faults, Score
 from annulus.capture.proof import State, Witness
 from annulus.vocabulary import Lamp
 
-pytestmark = pytest.mark.slow
-
 NOBODY_COUNTS: Callable[[int], int | None] = lambda k: None  # noqa: E731
 COUNTS = pytest.mark.parametrize("count", [lambda k: 1000 + k, NOBODY_COUNTS], ids=["counted", "uncounted"])
 AT = 150  # the frame at which a thing happens that happens once
@@ -50,6 +48,7 @@ def test_without_a_fault_every_frame_but_the_first_is_known(count: Callable[[int
     assert run(Faults(count=count)).unknown == [0]
 
 
+@pytest.mark.deep(but=1)
 @COUNTS
 @pytest.mark.parametrize(
     "frames", [1, -1, 2, -2, 3, -3, 5, -5, 10, -10, 12, -12, 0.25, -0.3, 0.5, -0.5, 0.75, -0.75, 1.5]
@@ -69,6 +68,7 @@ def test_a_driver_that_always_stamps_whole_frames_off_is_right_from_the_start(
     assert run(Faults(count=count), offset_ms=-28.0 + frames * FRAME_MS).unknown == [0]
 
 
+@pytest.mark.deep(but=1)
 @COUNTS
 @pytest.mark.parametrize("frames", [1, 3, 5, -1, -5, 0.5])
 def test_one_stamp_in_37_that_is_off_costs_two_frames(count: Callable[[int], int | None], frames: float) -> None:
@@ -76,6 +76,7 @@ def test_one_stamp_in_37_that_is_off_costs_two_frames(count: Callable[[int], int
     assert score.share(AT) <= 2.2 / 37
 
 
+@pytest.mark.deep(but=1)
 @COUNTS
 @pytest.mark.parametrize(("ppm", "minutes"), [(200, 3), (-200, 3)])
 def test_stamps_may_drift_for_ever(count: Callable[[int], int | None], ppm: int, minutes: int) -> None:
@@ -158,6 +159,7 @@ def test_over_a_restart_of_the_controller_frames_keep_their_numbers(count: Calla
     assert len(score.unknown) == 9
 
 
+@pytest.mark.deep(but=1)
 @COUNTS
 @pytest.mark.parametrize("ratio", [0, 1, 4])
 @pytest.mark.parametrize("frames", [1, -1, 5, -5, 0.5])
@@ -239,6 +241,7 @@ def at_random(seed: int, frames: int, counted: bool) -> Faults:
     )
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("counted", [True, False])
 def test_no_mixture_of_faults_makes_a_wrong_label(seed: int, counted: bool) -> None:
@@ -246,6 +249,7 @@ def test_no_mixture_of_faults_makes_a_wrong_label(seed: int, counted: bool) -> N
     assert score.share() < (0.06 if counted else 0.12)
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize(
     ("witness", "faults"),
     [

@@ -15,8 +15,6 @@ from annulus.reprocess.relabel import audit, identity, relabel
 from annulus.stream.frames import FrameHeader
 from annulus.vocabulary import AnnulusError, Label
 
-pytestmark = pytest.mark.slow
-
 Changed = dict[int, dict[str, Any]]  # by number of the frame
 
 
@@ -58,6 +56,7 @@ def known(headers: list[FrameHeader]) -> list[int]:
     return [n for n, header in enumerate(headers) if header.label is not Label.UNKNOWN and n % 11]
 
 
+@pytest.mark.deep(gate="tests/unit/labelling/test_relabel.py::test_a_recording_of_which_nothing_is_wrong_audits_clean")
 def test_a_label_or_a_place_that_does_not_follow_is_found_and_mended(head: Head, tmp_path: Path) -> None:
     lamp, place, hidden = known(head.headers)[100:103]
     other = {"label": "led" if head.headers[lamp].label is Label.PROJECTOR else "projector"}

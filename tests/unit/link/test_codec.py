@@ -11,8 +11,6 @@ from hypothesis import strategies as st
 from annulus.link.codec import TO_CONTROLLER, TO_HOST, Corrupt, Decoder, Frame, Why, crc16, encode
 from annulus.link.messages import EVENTS, MAX_WIRE, MESSAGES, Message, Notice
 
-pytestmark = pytest.mark.slow
-
 VECTORS = Path(__file__).parents[3] / "protocol" / "vectors.json"
 
 

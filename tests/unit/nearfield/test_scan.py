@@ -25,8 +25,6 @@ from annulus.twin.nearfield import NOISE_MV, QUERIES, GrblStage, NearFieldRig, j
 from annulus.twin.real_time import serving
 from annulus.vocabulary import AnnulusError
 
-pytestmark = pytest.mark.slow
-
 PLAN = Plan(angles=5, first_mm=10.0, last_mm=30.0, step_mm=4.0, averages=2, settle_ms=0.0)
 FEED = 60_000.0
 
@@ -86,6 +84,9 @@ def test_a_stage_that_stands_still_or_goes_too_far_ends_it(tmp_path: Path) -> No
         assert stage.position() == pytest.approx(10.0, abs=0.01)
 
 
+@pytest.mark.deep(
+    gate="tests/unit/nearfield/test_scan.py::test_a_meter_that_misses_a_query_is_asked_again_and_one_that_is_gone_ends_it"
+)
 def test_killed_interrupted_and_resumed_nothing_is_lost_or_measured_twice(tmp_path: Path) -> None:
     out = tmp_path / "raster.npz"
     command = [

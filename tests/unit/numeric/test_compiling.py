@@ -51,7 +51,7 @@ def write(folder: Path, weight: float = 1.0, divisor: float = 2.0) -> None:
     (folder / "callee.py").write_text(CALLEE.format(weight=weight, divisor=divisor))
 
 
-@pytest.mark.slow
+@pytest.mark.deep(gate="tests/unit/numeric/test_compiling.py::test_a_kernel_is_the_same_to_whoever_imports_it")
 def test_a_kernel_is_compiled_anew_when_another_files_kernel_or_constant_in_it_changes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -66,7 +66,6 @@ def test_a_kernel_is_compiled_anew_when_another_files_kernel_or_constant_in_it_c
     assert run(tmp_path, monkeypatch) == ["15.0 1"]
 
 
-@pytest.mark.slow
 def test_who_waits_is_told_once_and_not_when_nothing_is_compiled(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -123,7 +122,7 @@ print(json.dumps(_stamps, sort_keys=True))
 """
 
 
-@pytest.mark.slow
+@pytest.mark.deep(gate="tests/unit/numeric/test_compiling.py::test_a_kernel_is_the_same_to_whoever_imports_it")
 def test_what_a_kernel_is_known_by_is_the_same_in_every_process() -> None:
     """Whatever was imported first, and however texts are hashed there: else nothing compiled would be found again."""
     said = [

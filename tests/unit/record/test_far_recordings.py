@@ -18,8 +18,6 @@ from annulus.record.writer import RecordingWriter
 from annulus.vocabulary import AnnulusError
 from tools.bench.object_store import ObjectStore
 
-pytestmark = pytest.mark.slow
-
 FRAMES, H, W = 60, 120, 160
 
 
@@ -71,6 +69,9 @@ def label_of(recording: Recording, frame: RecordedFrame) -> object:
     return frame, recording.label(frame)
 
 
+@pytest.mark.deep(
+    gate="tests/unit/record/test_far_recordings.py::test_a_torn_recording_is_walked_once_and_the_walk_is_kept_beside_it"
+)
 @pytest.mark.parametrize("codec", [Codec.ZSTD, Codec.RAW])
 def test_the_index_of_a_closed_recording_is_four_requests(store: ObjectStore, tmp_path: Path, codec: Codec) -> None:
     path = write(tmp_path / "scan.mcap", count=300, codec=codec)
@@ -102,6 +103,7 @@ def uncalibrated(path: Path) -> Path:
     return out
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("fault", ["500", "slow", "cut", "half"])
 def test_faults_of_a_store_leave_the_same_bits(
     store: ObjectStore, tmp_path: Path, fault: str, monkeypatch: pytest.MonkeyPatch
@@ -193,6 +195,7 @@ def torn(path: Path, keep: float = 0.7) -> Path:
     return path
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("codec", [Codec.ZSTD, Codec.RAW])
 def test_a_torn_recording_is_walked_once_and_the_walk_is_kept_beside_it(
     store: ObjectStore, tmp_path: Path, codec: Codec

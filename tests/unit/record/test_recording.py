@@ -33,8 +33,6 @@ from annulus.record.viewers import preview
 from annulus.record.writer import RecordingWriter
 from annulus.vocabulary import AnnulusError, Label
 
-pytestmark = pytest.mark.slow
-
 H, W = 48, 64
 
 
@@ -202,6 +200,7 @@ def test_every_frame_written_before_a_kill_is_readable(tmp_path: Path) -> None:
     assert seen == 40
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("codec", list(Codec))
 def test_a_recording_cut_at_any_byte_gives_the_frames_before_the_cut(tmp_path: Path, codec: Codec) -> None:
     path, cut = tmp_path / "a.mcap", tmp_path / "cut.mcap"

@@ -12,8 +12,6 @@ from annulus.record.storage import Place, where, writer
 from annulus.vocabulary import AnnulusError
 from tools.bench.object_store import ObjectStore
 
-pytestmark = pytest.mark.slow
-
 PATIENT = Patience(attempts=5, answer_s=20.0, wait_s=0.02)  # also where the machine is busy
 HASTY = Patience(attempts=9, answer_s=2.0, wait_s=0.02)
 

@@ -14,8 +14,6 @@ from annulus.record.scan import open_scan
 from annulus.record.video import Chainage, Imported, import_video, read_chainage
 from annulus.vocabulary import AnnulusError, Label
 
-pytestmark = pytest.mark.slow
-
 FRAMES, WIDTH, HEIGHT = 12, 64, 48
 
 
@@ -176,6 +174,7 @@ def test_what_is_no_video_is_one_line(video: Path, tmp_path: Path) -> None:
     )  # nobody else speaks
 
 
+@pytest.mark.deep(gate="tests/unit/record/test_video.py::test_what_is_no_video_is_one_line")
 def test_the_command_says_what_it_made(tmp_path: Path) -> None:
     whole = made(tmp_path / "whole.avi", "MJPG").read_bytes()
     (tmp_path / "cut.avi").write_bytes(whole[: len(whole) * 8 // 10])

@@ -16,7 +16,6 @@ from annulus.wall import survey
 from annulus.wall.joined import Abstract, abstract
 from annulus.wall.windows import Reach, Window, plan
 
-pytestmark = pytest.mark.slow
 ABOUT = {"made_from": "0123", "files": {"windows/0001/cloud.ply": "ab"}}
 
 

@@ -13,8 +13,6 @@ from annulus.reprocess.ahead import compile_all, make_ready, work_of
 from annulus.twin.scan import write_scan
 from annulus.twin.worlds import demo_world, stereo_world
 
-pytestmark = pytest.mark.slow(seconds=40)
-
 
 def compiled() -> set[tuple[str, str]]:
     """Kernels of this project that this process has, by name and types."""
@@ -28,6 +26,9 @@ def compiled() -> set[tuple[str, str]]:
     }
 
 
+@pytest.mark.deep(
+    gate="tests/unit/reprocess/test_ahead.py::test_what_is_ready_is_passed_by_in_silence_and_what_is_not_is_done_in_a_child"
+)
 @pytest.mark.parametrize("world", [demo_world(travel_mm=30.0), stereo_world(travel_mm=30.0)], ids=["ring", "stereo"])
 def test_a_scan_calls_nothing_that_was_not_compiled_ahead(
     world: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

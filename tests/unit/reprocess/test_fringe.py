@@ -22,8 +22,6 @@ from annulus.reprocess import fringes_on, open_fringe, open_job, reconstruct_fri
 from annulus.vocabulary import AnnulusError
 from annulus.wall.plate import Plate
 
-pytestmark = pytest.mark.slow
-
 PLACES = (0.0, 1.0, 2.1, 3.0, 3.9, 5.2, 6.1, 7.0)
 
 
@@ -72,6 +70,7 @@ def scan(
     return folder
 
 
+@pytest.mark.deep(gate="tests/unit/reprocess/test_fringe.py::test_a_plate_a_fringe_from_where_it_was_told_is_refused")
 def test_a_plate_is_calibrated_and_measured(tmp_path: Path) -> None:
     reference = scan(tmp_path / "reference", (0.0,) * 4, (-4.0, 0.0, 3.0, 8.0), texture=0.0)
     result = calibrate_fringe(reference, calibration(tmp_path, pattern=None))
@@ -95,6 +94,7 @@ def test_a_plate_is_calibrated_and_measured(tmp_path: Path) -> None:
     assert "counter(pages)" in page and "size:" not in page.replace("font-size:", "")
 
 
+@pytest.mark.deep(gate="tests/unit/reprocess/test_fringe.py::test_a_motion_told_too_long_is_said")
 def test_a_long_scan_holds_one_window_of_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "WINDOW", 6)
     held = []
@@ -116,6 +116,7 @@ def test_a_long_scan_holds_one_window_of_frames(tmp_path: Path, monkeypatch: pyt
     assert np.isfinite(inner).mean() > 0.95  # no seam between windows
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize(
     ("places", "changes", "text"),
     [
@@ -154,6 +155,7 @@ def test_a_plate_a_fringe_from_where_it_was_told_is_refused(tmp_path: Path) -> N
         reconstruct_fringe(open_fringe(folder, calibration(tmp_path)))
 
 
+@pytest.mark.deep(gate="tests/unit/reprocess/test_fringe.py::test_another_slide_is_no_height")
 def test_two_cameras_need_no_calibrated_slide(tmp_path: Path) -> None:
     """Phase a third of a wave off, period 3 %, the light 1 mm aside: no matter."""
     folder = scan(tmp_path / "scan", texture=0.0, specks=0.2)
@@ -170,6 +172,7 @@ def test_two_cameras_need_no_calibrated_slide(tmp_path: Path) -> None:
     assert "By two cameras" in (tmp_path / "out" / "report.html").read_text()
 
 
+@pytest.mark.deep(gate="tests/unit/reprocess/test_fringe.py::test_a_motion_told_too_long_is_said")
 def test_by_cameras_a_long_scan_goes_in_windows_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "WINDOW", 6)
     folder = scan(tmp_path / "scan", tuple(np.arange(14) * 1.1), texture=0.0, specks=0.2)
@@ -248,10 +251,12 @@ def right(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Plate]:
     return path, reconstruct_fringe(open_fringe(path, calibration(folder)))
 
 
+@pytest.mark.deep(gate="tests/unit/reprocess/test_fringe.py::test_cameras_that_differ_are_said_and_sigma_has_it")
 def test_cameras_that_agree_are_not_accused(right: tuple[Path, Plate]) -> None:
     assert not [one for one in right[1].findings if one.kind == "cameras-apart"]
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize(
     "changes", [slide(phase0=SLIDE.phase0 + 0.3), {"cameras": turned(RIGHT, 0.2)}], ids=["slide", "camera"]
 )
@@ -279,6 +284,7 @@ def test_another_slide_is_no_height(tmp_path: Path) -> None:
         reconstruct_fringe(job)
 
 
+@pytest.mark.deep(gate="tests/unit/reprocess/test_fringe.py::test_cameras_that_differ_are_said_and_sigma_has_it")
 def test_saturated_frames_are_said_and_not_told(tmp_path: Path) -> None:
     plate = reconstruct_fringe(open_fringe(scan(tmp_path / "scan", gain=1.7), calibration(tmp_path)))
     assert any(finding.kind == "saturated" for finding in plate.findings)

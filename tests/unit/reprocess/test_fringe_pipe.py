@@ -21,8 +21,6 @@ from annulus.reprocess import open_fringe_pipe, reconstruct_fringe_pipe
 from annulus.vocabulary import AnnulusError
 from annulus.wall.defects import Kind
 
-pytestmark = pytest.mark.slow
-
 STEP = RADIUS_MM / 200
 HEAD = {"id": 0, **camera_to_dict(LENS.camera), "rotation": LENS.rotation, "translation_mm": LENS.translation_mm}
 
@@ -114,6 +112,9 @@ def test_a_pipe_whose_frames_do_not_fit_is_one_line(tmp_path: Path, monkeypatch:
             assert calibrate_fringe_pipe(aside, calibration(tmp_path)).found is found
 
 
+@pytest.mark.deep(
+    gate="tests/unit/reprocess/test_fringe_pipe.py::test_darkness_a_glare_and_anothers_frames_are_one_line"
+)
 def test_windows_of_a_long_scan_are_one_wall(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each sees 80 mm; the groove lies where two meet. What a window says where another is nearer is not taken."""
     held = []

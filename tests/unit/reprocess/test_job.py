@@ -13,8 +13,6 @@ from annulus.record.calibration_file import save_calibration
 from annulus.reprocess import Processes, Reprocessed, in_process, method_for, open_job, reprocess
 from annulus.vocabulary import AnnulusError
 
-pytestmark = pytest.mark.slow
-
 FRAMES = 20
 
 
@@ -61,6 +59,7 @@ def test_a_frame_of_another_size_anywhere_is_named(scan: Path) -> None:
     assert "13.jpg" in said(scan)
 
 
+@pytest.mark.deep(gate="tests/unit/reprocess/test_job.py::test_a_frame_of_another_size_anywhere_is_named")
 def test_a_truncated_frame_is_named_even_from_a_worker_process(scan: Path) -> None:
     data = (scan / "17.jpg").read_bytes()
     (scan / "17.jpg").write_bytes(data[: len(data) // 2])

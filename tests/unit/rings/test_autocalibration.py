@@ -17,8 +17,6 @@ from annulus.rings.calibration.observations import Observations, observe
 from annulus.rings.polar import ring_pixels
 from annulus.vocabulary import AnnulusError
 
-pytestmark = pytest.mark.slow
-
 CAMERA = Camera("pinhole", 1664, 1232, 470.0, 470.0, 832.0, 616.0)
 FISHEYE = Camera("fisheye", 1664, 1232, 520.0, 520.0, 810.0, 630.0, (0.02, -0.01, 0.002, 0.0))
 RADIUS = 76.2

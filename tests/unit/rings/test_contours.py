@@ -1,13 +1,10 @@
 """Rings followed round an image: what is left out before they calibrate anything."""
 
 import numpy as np
-import pytest
 from drawn import calibration, draw
 
 from annulus.geometry.pose import Pose
 from annulus.rings.calibration.contours import follow, wide_grid
-
-pytestmark = pytest.mark.slow
 
 
 def test_slits_beside_over_exposed_stripes_go_where_enough_of_their_ring_is_left() -> None:

@@ -50,6 +50,9 @@ def profiles(pocketed: World) -> list[Profile]:
     return out
 
 
+@pytest.mark.deep(
+    gate="tests/unit/rings/test_roll.py::test_a_head_turned_clockwise_sees_three_o_clock_where_its_own_up_is"
+)
 def test_a_pocket_is_at_its_own_clock_position_however_the_head_is_turned(pocketed, profiles):
     assert np.ptp([p.pose.roll for p in profiles]) > np.radians(20)
     for profile in profiles:

@@ -15,8 +15,6 @@ from annulus.twin.acoustic.scope import Scope
 from annulus.twin.line import TcpLine
 from annulus.vocabulary import AnnulusError
 
-pytestmark = pytest.mark.slow
-
 WANTED = Acquisition(rate_hz=10e6, duration_s=64e-6, range_v=0.4, averages=4, delay_s=2e-6)
 
 

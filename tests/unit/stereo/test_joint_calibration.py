@@ -13,8 +13,6 @@ from annulus.rings.calibration.observations import Observations, joined, observe
 from annulus.rings.polar import ring_pixels
 from annulus.vocabulary import AnnulusError
 
-pytestmark = pytest.mark.slow
-
 LEAN = math.radians(11.0)
 WAYS = ((1, 1, 12, 12), (-1, -1, -12, -12), (1, -1, 12, -12), (-1, 1, -12, 12), (0, 1.2, 0, 15), (1.2, 0, 15, 0))
 POSES = [Pose(a * LEAN, b * LEAN, -8.1 + c, -7.6 + d) for a, b, c, d in WAYS]

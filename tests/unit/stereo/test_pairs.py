@@ -14,8 +14,6 @@ from annulus.record.calibration_file import load_calibration, save_calibration
 from annulus.reprocess import open_job, reprocess
 from annulus.vocabulary import AnnulusError
 
-pytestmark = pytest.mark.slow
-
 POSES = [Pose(0.01, 0.0, -8.0, -7.0), Pose(0.0, -0.02, -9.0, -8.0)]
 FLASHES = 6
 
@@ -55,6 +53,7 @@ def edit(scan: Path, old: str, new: str) -> None:
     table.write_text(text.replace(old, new))
 
 
+@pytest.mark.deep(gate="tests/unit/stereo/test_pairs.py::test_a_pair_of_two_flashes_is_refused")
 def test_a_flash_is_measured_once_by_both(tmp_path: Path, drawn: list[dict[int, np.ndarray]]) -> None:
     done = reprocess(open_job(write(tmp_path / "scan", drawn), tmp_path / "calibration.json"))
     assert [p.frame for p in done.profiles] == list(range(FLASHES))

@@ -12,8 +12,6 @@ from annulus.stereo import TWO_WALLS, StereoReconstructor, swapped
 from annulus.vocabulary import AnnulusError
 from annulus.wall.profile import Profile
 
-pytestmark = pytest.mark.slow
-
 POSE = Pose(0.02, -0.03, -6.9, -9.1)
 Images = dict[int, NDArray[np.uint8]]
 
@@ -38,6 +36,7 @@ def errors_mm(profile: Profile) -> NDArray[np.float64]:
     return np.hypot(*profile.points_mm[:, :2].T.astype(float)) - RADIUS_MM
 
 
+@pytest.mark.deep(gate="tests/unit/stereo/test_stereo.py::test_frames_of_two_flashes_contradict_each_other")
 def test_every_direction_of_a_clean_pipe_is_measured(both: Profile, stereo: StereoReconstructor) -> None:
     assert len(both.ring) == 7 * stereo.directions
     error = errors_mm(both)

@@ -30,8 +30,6 @@ from annulus.stream.workers import (
 )
 from annulus.vocabulary import AnnulusError, Label
 
-pytestmark = pytest.mark.slow
-
 WORKER = [sys.executable, str(Path(__file__).with_name("worker_for_tests.py"))]
 
 
@@ -113,6 +111,7 @@ def test_every_frame_comes_back_with_its_own_answer(yard: Yard) -> None:
         assert done.body == [1200 * done.header.index, done.header.index]
 
 
+@pytest.mark.deep(gate="tests/unit/stream/test_workers.py::test_notes_reach_every_worker_and_last_words_come_back")
 def test_frames_of_one_flash_come_to_one_worker_and_their_slots_back_whatever_it_does(tmp_path: Path) -> None:
     yard = Yard(tmp_path, "flashes").all_ready()
     for extra in (None, "raise", "die"):
@@ -146,6 +145,9 @@ def test_a_job_of_single_frames_refuses_several(yard: Yard) -> None:
     assert "a job that takes one" in yard.of(Failed)[0].why
 
 
+@pytest.mark.deep(
+    gate="tests/unit/stream/test_workers.py::test_a_hang_is_twenty_times_what_frames_usually_take_and_a_second_at_least"
+)
 def test_busy_workers_say_no_and_it_is_counted(yard: Yard) -> None:
     taken = [yard.hand_out("hang") for _ in range(6)]
     assert taken == [True] * 4 + [False] * 2
@@ -163,6 +165,9 @@ def test_a_frame_the_method_cannot_take_costs_that_frame_only(yard: Yard) -> Non
     assert yard.pool.counts["died"] == 0
 
 
+@pytest.mark.deep(
+    gate="tests/unit/stream/test_workers.py::test_a_stopped_worker_is_replaced_and_one_that_goes_on_in_time_is_not"
+)
 def test_a_killed_worker_is_replaced_and_its_frames_are_reported(yard: Yard) -> None:
     yard.hand_out("die")
     yard.until(lambda: yard.of(Died))
@@ -176,12 +181,18 @@ def test_a_killed_worker_is_replaced_and_its_frames_are_reported(yard: Yard) -> 
     yard.until(lambda: len(yard.of(Done)) == 4)
 
 
+@pytest.mark.deep(
+    gate="tests/unit/stream/test_workers.py::test_a_stopped_worker_is_replaced_and_one_that_goes_on_in_time_is_not"
+)
 def test_a_worker_told_to_end_by_a_stranger_is_replaced_too(yard: Yard) -> None:
     os.kill(yard.pool.pids[0], signal.SIGTERM)
     yard.until(lambda: yard.of(Died))
     yard.all_ready()
 
 
+@pytest.mark.deep(
+    gate="tests/unit/stream/test_workers.py::test_a_stopped_worker_ends_in_order_when_its_owner_is_killed"
+)
 def test_a_hung_worker_is_killed_and_its_frames_are_reported(tmp_path: Path) -> None:
     now = [0.0]
     yard = Yard(tmp_path, count=1, clock=lambda: now[0], hung_s=10.0).all_ready(1)
@@ -346,6 +357,9 @@ def test_a_stopped_worker_is_replaced_and_one_that_goes_on_in_time_is_not(tmp_pa
     yard.all_ready(1).close()
 
 
+@pytest.mark.deep(
+    gate="tests/unit/stream/test_workers.py::test_a_hang_is_twenty_times_what_frames_usually_take_and_a_second_at_least"
+)
 def test_a_spare_takes_over_and_another_spare_is_made(tmp_path: Path) -> None:
     now = [0.0]
     yard = Yard(tmp_path, count=1, spares=1, clock=lambda: now[0]).all_ready(1)
@@ -366,6 +380,9 @@ def test_a_spare_takes_over_and_another_spare_is_made(tmp_path: Path) -> None:
     yard.close()
 
 
+@pytest.mark.deep(
+    gate="tests/unit/stream/test_workers.py::test_a_hang_is_twenty_times_what_frames_usually_take_and_a_second_at_least"
+)
 def test_an_eager_spare_is_ready_at_once(tmp_path: Path) -> None:
     yard = Yard(tmp_path, count=1, spares=1, eager=True).all_ready(1)
     yard.until(lambda: yard.pool.spare_pids)
@@ -380,6 +397,9 @@ def test_an_eager_spare_is_ready_at_once(tmp_path: Path) -> None:
     yard.close()
 
 
+@pytest.mark.deep(
+    gate="tests/unit/stream/test_workers.py::test_a_worker_that_cannot_live_is_given_up_not_started_for_ever"
+)
 def test_those_given_up_can_be_started_again(tmp_path: Path) -> None:
     yard = Yard(tmp_path, setup="broken", count=2)
     yard.until(lambda: yard.pool.alive == 0)

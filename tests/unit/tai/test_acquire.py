@@ -29,8 +29,6 @@ from annulus.twin.native import NativeBoard
 from annulus.twin.real_time import serving
 from annulus.vocabulary import AnnulusError
 
-pytestmark = pytest.mark.slow
-
 SAMPLE = (Disc(0.0, 0.0, 5.0, 0.4), Disc(2.0, 1.0, 1.0, 1.0), Disc(-3.0, 2.0, 0.7, 0.8))
 PLAN = Plan(positions=5, averages=2, radius_mm=9.0, range_v=0.08, steps_per_turn=40, step_us=100.0, period_us=500.0)
 

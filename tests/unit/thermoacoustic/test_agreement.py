@@ -14,8 +14,6 @@ from annulus.thermoacoustic.imaging import Region, back_projection
 from annulus.thermoacoustic.sweep import Sweep, band_passed
 from annulus.vocabulary import AnnulusError
 
-pytestmark = pytest.mark.slow
-
 C, RADIUS, RATE = 1478.0, 25.0, 25e6
 ANGLES = np.arange(50) * 7.2
 SMALL = np.array([[6.0, 2.0, 0.2, 1.2, 1.0], [-4.0, 5.0, -0.3, 0.8, 0.8], [-2.0, -7.0, 0.1, 1.0, 0.6],

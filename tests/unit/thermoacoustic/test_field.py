@@ -8,8 +8,6 @@ from scipy.special import j0
 from annulus.thermoacoustic.field import Grid, Medium, Solver, receivers, rim, time_step_s
 from annulus.vocabulary import AnnulusError
 
-pytestmark = pytest.mark.slow
-
 C = 1500.0
 
 

@@ -14,8 +14,6 @@ from annulus.thermoacoustic.search import best_on_off, least_peak_sidelobe, on_o
 from annulus.thermoacoustic.templates import Transducer, decode, decode_pair, design, pair_correlation
 from annulus.vocabulary import AnnulusError
 
-pytestmark = pytest.mark.slow
-
 CHIP = 0.5e-6
 
 

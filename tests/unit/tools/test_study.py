@@ -18,8 +18,6 @@ from tools.study.images import full_width, switched_on
 from tools.study.microwaves import peak, under_gaussian
 from tools.study.wires import RAYLEIGH, dip, places_mm
 
-pytestmark = pytest.mark.slow
-
 # everything eight times as long as in the study, so that an image is small
 SMALL = Setup(chip_s=4e-6, radius_mm=17.0, positions=32, sampling_rate_hz=2.5e6, transducer=(0.28125e6, 0.7))
 

@@ -19,8 +19,6 @@ from annulus.twin.worlds import World, mirror_fringe_world, modules_world, serie
 from annulus.twin.worlds.sensor_head import Fringes
 from annulus.vocabulary import Label
 
-pytestmark = pytest.mark.slow
-
 MODELS = pytest.mark.parametrize("make", [series_world, modules_world, mirror_fringe_world])
 
 
@@ -48,6 +46,7 @@ def seen_places(world: World, number: int, z_mm: float) -> FloatArray:
     return np.asarray(pose.to_camera(wall)).reshape(*u.shape, 3)
 
 
+@pytest.mark.deep(gate="tests/unit/twin/test_fringe_worlds.py::test_a_scan_of_slides_in_turn_says_the_slot")
 @MODELS
 def test_every_camera_sees_the_phase_of_its_slide(make: Callable[[], World]) -> None:
     world, z_mm = clean(make), 11.0

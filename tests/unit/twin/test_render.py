@@ -12,8 +12,6 @@ from annulus.geometry.pose import Pose
 from annulus.twin.render import Renderer
 from annulus.twin.worlds import Feature, World, clean_world, demo_world, fisheye_camera
 
-pytestmark = pytest.mark.slow
-
 CLEAN = replace(clean_world(), rods=()).scaled(832)
 
 
@@ -64,6 +62,7 @@ def test_red_is_at_the_first_pixel_of_the_mosaic(clean: Renderer) -> None:
     assert np.median(green[:, 1]) > 80 > 28 > np.median(green[:, ::2])
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("camera", ["pinhole", "fisheye"])
 def test_every_slits_dark_line_lies_on_its_cone_and_the_wall(camera: str) -> None:
     world = clean_world(camera=fisheye_camera()) if camera == "fisheye" else clean_world()
@@ -116,6 +115,9 @@ def radius_seen(world: World, direction: float) -> float:
     return float(radius[near][np.argmin(seen[near])])
 
 
+@pytest.mark.deep(
+    gate="tests/unit/twin/test_render.py::test_a_bump_throws_its_shadow_down_the_pipe_and_a_lamp_at_the_lens_none"
+)
 def test_a_pocket_and_an_oval_move_the_rings_by_their_depth() -> None:
     base = replace(clean_world(), rods=(), radius_mm=76.2)
     pocket = Feature("pocket", z_mm=100.0, length_mm=70.0, depth_mm=3.0, clock_deg=90.0, arc_deg=40.0)

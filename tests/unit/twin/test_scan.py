@@ -17,8 +17,6 @@ from annulus.twin.score import score_cloud
 from annulus.twin.worlds import World, mirror_world
 from annulus.vocabulary import AnnulusError, Label
 
-pytestmark = pytest.mark.slow
-
 
 @pytest.fixture(scope="module")
 def small() -> World:
@@ -32,6 +30,7 @@ def folder(small: World, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.deep(gate="tests/unit/twin/test_scan.py::test_a_scan_is_not_written_over_another")
 def test_a_written_scan_opens_like_one_of_a_camera(small: World, folder: Path) -> None:
     scan = open_scan(folder)
     assert [f.label for f in scan.frames] == [Label.PROJECTOR] * 4 + [Label.LED]

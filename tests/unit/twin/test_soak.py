@@ -6,8 +6,6 @@ from annulus.twin.faults import Faults
 from annulus.twin.soak import soak
 from annulus.vocabulary import AnnulusError
 
-pytestmark = pytest.mark.slow
-
 
 def test_no_label_is_wrong_under_drops_lost_events_jitter_and_two_resets() -> None:
     result = soak(300, seed=5)
@@ -26,6 +24,9 @@ def test_no_label_is_wrong_on_a_rough_line_with_missing_and_doubled_sync_edges()
     assert result["projector"] > 120
 
 
+@pytest.mark.deep(
+    gate="tests/unit/twin/test_soak.py::test_no_label_is_wrong_on_a_rough_line_with_missing_and_doubled_sync_edges"
+)
 def test_a_soak_of_several_worlds_is_the_same_on_any_number_of_processes() -> None:
     alone, shared = (soak(240, seed=2, faults="rough", jobs=jobs, world_frames=120) for jobs in (1, 2))
     assert alone.pop("seconds") and shared.pop("seconds")

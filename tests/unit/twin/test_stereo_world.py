@@ -16,8 +16,6 @@ from annulus.twin.scan import world_named, write_scan
 from annulus.twin.worlds import World, stereo_world
 from annulus.vocabulary import AnnulusError, Label
 
-pytestmark = pytest.mark.slow
-
 
 def places(world: World, ring: int, around: float, off: np.ndarray) -> np.ndarray:
     """(N, 3) in the first camera's frame: where the wall of a clean pipe is met `off` (rad) beside the ring's cone."""
@@ -34,6 +32,7 @@ def places(world: World, ring: int, around: float, off: np.ndarray) -> np.ndarra
     return pose.to_camera(vertex + s[:, None] * ways)
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("radius_mm", [76.2, 38.1])
 @pytest.mark.parametrize("camera", [0, 1])
 def test_every_slit_is_seen_by_both_cameras_where_its_cone_meets_the_wall(camera: int, radius_mm: float) -> None:
@@ -58,6 +57,9 @@ def test_every_slit_is_seen_by_both_cameras_where_its_cone_meets_the_wall(camera
     assert worst < 0.35  # px, half a pixel of mosaic either way; 0.2 measured
 
 
+@pytest.mark.deep(
+    gate="tests/unit/twin/test_stereo_world.py::test_every_slit_is_seen_by_both_cameras_where_its_cone_meets_the_wall"
+)
 def test_the_wall_is_lit_alike_for_both_cameras() -> None:
     """One LED for both: a place on the wall is as bright in either picture."""
     world = replace(stereo_world(), features=(), texture=False)

@@ -5,13 +5,12 @@ import pytest
 from annulus.capture.proof import Witness
 from annulus.twin.witnesses import CASES, Case, compared
 
-pytestmark = pytest.mark.slow
-
 
 def test_every_witness_has_a_case() -> None:
     assert {case.witness for case in CASES} == set(Witness)
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("case", CASES, ids=[str(case.witness) for case in CASES])
 def test_nothing_is_wrong_until_the_witness_is_silent(case: Case) -> None:
     row = compared(case)

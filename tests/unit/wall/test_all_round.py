@@ -9,8 +9,6 @@ from synthetic_pipe import SHADOW_RATIO, oval, pocket, round_pipe, scan
 from annulus.wall.defects import Defect, Kind, find_defects
 from annulus.wall.grid import build_wall
 
-pytestmark = pytest.mark.slow
-
 
 def only_loss(half_deg: float, hidden_deg: float, percent: float = 0.0) -> Defect:
     """A groove 20 mm long and 1.2 mm deep over twice `half_deg` about 6 o'clock, part of it hidden about 12."""

@@ -14,8 +14,6 @@ from annulus.wall.features import FeatureKind
 from annulus.wall.profile import Profile
 from annulus.wall.survey import survey
 
-pytestmark = pytest.mark.slow
-
 R = 76.2
 STATIONS = [4.0 * i for i in range(25) if i % 5 != 4]
 
@@ -38,6 +36,7 @@ HILO_AND_KINK = ((1.2, -0.9), (0.0105, -0.014), 0.0)
 STEP = ((-0.6, 0.3), (0.0, 0.0), -0.75)
 
 
+@pytest.mark.deep(gate="tests/unit/wall/test_axis.py::test_a_narrower_pipe_is_no_gap")
 @pytest.mark.parametrize(("offset", "turn", "step"), [HILO_AND_KINK, STEP])
 def test_a_joint_is_measured(offset: tuple[float, float], turn: tuple[float, float], step: float) -> None:
     line = Centreline([Piece(0.0, R), Piece(170.0, R + step, offset, turn)])
@@ -56,6 +55,7 @@ def test_a_joint_is_measured(offset: tuple[float, float], turn: tuple[float, flo
     assert loss.clock_deg == pytest.approx(120.0, abs=4.0)
 
 
+@pytest.mark.deep(gate="tests/unit/wall/test_axis.py::test_a_narrower_pipe_is_no_gap")
 def test_slits_that_a_beads_shadow_cuts_in_half_do_not_widen_it() -> None:
     """Behind it they seem to stand as high as it does, and say how little they know."""
     line = Centreline([Piece(0.0, R), Piece(170.0, R, *HILO_AND_KINK[:2])])
@@ -79,6 +79,7 @@ def test_a_narrower_pipe_is_no_gap() -> None:
     assert not pipe.defects
 
 
+@pytest.mark.deep(gate="tests/unit/wall/test_axis.py::test_a_narrower_pipe_is_no_gap")
 def test_a_wider_pipe_is_no_gap() -> None:
     """What its lip hides, 14 mm even of the widest ring's light, is no room between two ends."""
     pipe = survey(frames(Centreline([Piece(0.0, R), Piece(160.0, R + 8.0)]), STATIONS), CALIBRATION)
@@ -88,6 +89,7 @@ def test_a_wider_pipe_is_no_gap() -> None:
     assert not pipe.defects
 
 
+@pytest.mark.deep(gate="tests/unit/wall/test_axis.py::test_a_narrower_pipe_is_no_gap")
 def test_a_bend_is_measured_in_space() -> None:
     radius = 3.0 * 2 * R
     arc = radius * np.pi / 2
@@ -107,6 +109,7 @@ def test_a_bend_is_measured_in_space() -> None:
     assert loss.z_mm == pytest.approx(510.0, abs=6.0)
 
 
+@pytest.mark.deep(gate="tests/unit/wall/test_axis.py::test_a_narrower_pipe_is_no_gap")
 def test_a_taper_is_measured() -> None:
     line = Centreline([Piece(0.0, R), Piece(120.0, R, taper=-0.02), Piece(220.0, R - 2.0)])
     pipe = survey(frames(line, STATIONS), CALIBRATION)
@@ -117,6 +120,7 @@ def test_a_taper_is_measured() -> None:
     assert not pipe.defects
 
 
+@pytest.mark.deep(gate="tests/unit/wall/test_axis.py::test_a_narrower_pipe_is_no_gap")
 @pytest.mark.parametrize("seed", [1])
 def test_what_is_said_of_a_bend_holds(seed: int) -> None:
     line = Centreline([Piece(0.0, R), Piece(140.0, R, curvature=(-1 / 700.0, 0.0))])

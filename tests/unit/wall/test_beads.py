@@ -7,8 +7,6 @@ from even_wall import RADIUS_MM, even_wall
 from annulus.wall.beads import Bead, measure_bead
 from annulus.wall.points import Points
 
-pytestmark = pytest.mark.slow
-
 AT_MM = 172.0
 RATIOS = np.array([2.9, 2.6, 2.3, 2.0, 1.8])
 

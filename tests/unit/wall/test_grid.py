@@ -11,8 +11,6 @@ from annulus.wall.profile import Profile
 from annulus.wall.stations import f1216, measure_stations
 from annulus.wall.texture import LedFrame, paint, pose_at
 
-pytestmark = pytest.mark.slow
-
 
 def defects_of(wall: Wall) -> tuple[Defect, ...]:
     return find_defects(wall, shadow_ratio=SHADOW_RATIO).defects
@@ -68,6 +66,7 @@ def test_three_defects_at_once_come_out_where_they_are() -> None:
     assert abs(a.length_mm - 35) < 2.5, "the floor hidden behind the near rim belongs to the loss"
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize(
     ("clock", "half", "z0", "z1", "depth"),
@@ -88,6 +87,7 @@ def test_a_loss_cut_by_a_rods_shadow_is_one_loss() -> None:
     assert abs(found.clock_deg - 107) < 1.5 and abs(found.arc_deg - 30) < 2.5
 
 
+@pytest.mark.deep(gate="tests/unit/wall/test_grid.py::test_two_bumps_whose_feet_touch_are_two_bumps")
 def test_two_pockets_side_by_side_are_two_losses() -> None:
     pipe = pocket(pocket(round_pipe, 0, 8, 150, 170, 1.5), 25, 8, 150, 170, 3.0)
     found = sorted(defects_of(build_wall(scan(pipe))), key=lambda d: d.depth_mm)

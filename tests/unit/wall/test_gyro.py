@@ -25,8 +25,6 @@ from annulus.wall.centreline import Centreline, Piece
 from annulus.wall.gyro import GYRO, Turns, weigh
 from annulus.wall.profile import Profile
 
-pytestmark = pytest.mark.slow
-
 R, RADIUS, ANGLE = 76.2, 457.2, 45.0
 STATIONS = list(np.arange(-70.0, 690.0, 20.0))
 BIAS = (0.05, -0.06, 0.03)  # degrees a frame

@@ -22,8 +22,6 @@ from annulus.wall.levels import covered, without_levels
 from annulus.wall.refraction import WATER
 from annulus.wall.stations import not_enough_seen
 
-pytestmark = pytest.mark.slow
-
 LIMITS = {FeatureKind.WATER: 0.1, FeatureKind.DEPOSIT: 0.05}  # mm; asked are 1 and 0.3
 
 
@@ -36,6 +34,7 @@ def off(feature: Feature, level_mm: float) -> float:
     return abs(feature.measured("level_mm") - level_mm)
 
 
+@pytest.mark.deep(gate="tests/unit/wall/test_levels.py::test_half_a_pipe_is_not_measured")
 @pytest.mark.parametrize(("index", "kind"), [(WATER, FeatureKind.WATER), (None, FeatureKind.DEPOSIT)])
 @pytest.mark.parametrize("level_mm", [73.0, 66.0, 45.0, 30.0])
 def test_a_level_is_found_told_and_measured(level_mm: float, index: float | None, kind: FeatureKind) -> None:
@@ -52,6 +51,7 @@ def test_a_level_is_found_told_and_measured(level_mm: float, index: float | None
     assert found.arc_deg == pytest.approx(2 * math.degrees(math.acos(level_mm / RADIUS_MM)), abs=0.5)
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("index", [WATER, None])
 def test_what_lies_below_is_no_wall(index: float | None) -> None:
     """No bump, no loss, no ovality, no point; and each point that went is counted."""
@@ -77,6 +77,7 @@ def test_poses_are_fitted_without_what_lies_below() -> None:
     assert off(level.feature, 45.0) < 0.03
 
 
+@pytest.mark.deep(gate="tests/unit/wall/test_levels.py::test_half_a_pipe_is_not_measured")
 @pytest.mark.parametrize("index", [WATER, None])
 def test_a_head_that_is_turned_finds_the_middle(index: float | None) -> None:
     for roll, told, clock in ((20.0, False, 160.0), (-15.0, False, 195.0), (-15.0, True, 180.0)):
@@ -85,6 +86,7 @@ def test_a_head_that_is_turned_finds_the_middle(index: float | None) -> None:
         assert off(found, 66.0) < 0.1
 
 
+@pytest.mark.deep(gate="tests/unit/wall/test_levels.py::test_a_bottom_nobody_saw_is_no_level")
 def test_a_slope_is_followed_and_an_uneven_bottom_said() -> None:
     sloped = only(scan(lambda x, z: 66.0 + 0.01 * z + 0.0 * x, index=WATER))
     assert sloped.kind is FeatureKind.WATER and sloped.remark == "flat"
@@ -94,6 +96,7 @@ def test_a_slope_is_followed_and_an_uneven_bottom_said() -> None:
     assert off(uneven, 66.0) < 0.3
 
 
+@pytest.mark.deep(gate="tests/unit/wall/test_levels.py::test_half_a_pipe_is_not_measured")
 def test_a_level_of_a_part_of_the_pipe_ends_where_it_ends() -> None:
     def heap(x: np.ndarray, z: np.ndarray) -> np.ndarray:
         return 68.0 + 0.25 * np.maximum(110.0 - z, 0.0) + 0.2 * np.maximum(z - 200.0, 0.0) + 0.0 * x
@@ -109,6 +112,7 @@ def fewer(**changes: Any) -> Calibration:
     return dataclasses.replace(CALIBRATION, **changes)
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("index", [WATER, None])
 @pytest.mark.parametrize(
     ("calibration", "how"),
@@ -127,6 +131,7 @@ def test_where_nobody_can_tell_both_are_within_k2(calibration: Calibration, how:
     assert found.kind is (FeatureKind.WATER if told and index else FeatureKind.DEPOSIT)
 
 
+@pytest.mark.deep(gate="tests/unit/wall/test_levels.py::test_half_a_pipe_is_not_measured")
 def test_a_level_in_an_oval_pipe_leaves_the_ovality() -> None:
     pipe = survey(scan(still(66.0), wall=lambda c: RADIUS_MM * (1 + 0.03 * np.cos(2 * np.radians(c)))), CALIBRATION)
     (found,) = pipe.features
@@ -135,6 +140,7 @@ def test_a_level_in_an_oval_pipe_leaves_the_ovality() -> None:
     assert defect.kind == "ovality" and abs(defect.depth_mm - 0.06 * RADIUS_MM) < defect.depth_k2_mm
 
 
+@pytest.mark.deep(gate="tests/unit/wall/test_levels.py::test_half_a_pipe_is_not_measured")
 def test_rods_before_the_level_do_not_hide_it() -> None:
     for rod in (180.0, 150.0):
         assert off(only(scan(still(66.0), index=WATER, rods_deg=(rod, rod + 120, rod + 240))), 66.0) < 0.1
@@ -176,6 +182,7 @@ def stepped(clock: np.ndarray, z: np.ndarray) -> np.ndarray:
     return round_pipe(clock, z) - (z > 150.0) * (3.0 + 5.0 * np.cos(np.radians(clock - 180.0)))
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize(
     "wall",
     [
@@ -190,6 +197,7 @@ def test_a_wall_is_no_level(wall: RadiusMap) -> None:
     assert levels == () and all(a is b for a, b in zip(above, profiles, strict=True))
 
 
+@pytest.mark.deep(gate="tests/unit/wall/test_levels.py::test_a_bottom_nobody_saw_is_no_level")
 def test_an_arc_below_a_level_is_said_to_be_that() -> None:
     pipe = survey(scan(still(45.0), noise=3.0), CALIBRATION)
     (found,) = pipe.features

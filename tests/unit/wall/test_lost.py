@@ -16,8 +16,6 @@ from annulus.rings.reconstructor import Reconstructor
 from annulus.wall.lost import RING_LOST, lost_rings
 from annulus.wall.profile import Profile
 
-pytestmark = pytest.mark.slow
-
 POSES = [Pose(), Pose(0.012, -0.01, 1.0, -1.5), Pose(-0.01, 0.0, -1.0, 0.5)]
 
 
@@ -34,6 +32,7 @@ def thinned(profiles: Sequence[Profile], ring: int, kept: float) -> list[Profile
     return [p.without((p.ring == ring) & (p.direction >= kept * 720), "rod") for p in profiles]
 
 
+@pytest.mark.deep(gate="tests/unit/wall/test_lost.py::test_a_part_of_a_ring_is_no_ring_lost")
 def test_a_ring_whose_contrast_is_gone_is_named_with_its_frames() -> None:
     cal = calibration()
     reconstructor = Reconstructor(cal, 360)

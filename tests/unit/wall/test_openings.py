@@ -9,8 +9,6 @@ from synthetic_pipe import CALIBRATION, RADIUS_MM, RadiusMap, bump, opening, ova
 from annulus.wall import Profile, Survey, survey
 from annulus.wall.features import Feature, FeatureKind
 
-pytestmark = pytest.mark.slow
-
 STATIONS = tuple(3.0 * i for i in range(32) if i % 5 != 4)
 Z_MM = 155.0
 
@@ -31,6 +29,7 @@ def k2(feature: Feature, name: str) -> float:
 
 
 # Clock angles: in sound wall, at the seam of the grid, beside a rod's shadow (107 degrees).
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize(("clock_deg", "diameter_mm"), [(30.0, 25.0), (0.0, 40.0), (116.0, 25.0), (200.0, 18.0)])
 def test_a_branch_is_found_where_it_is(clock_deg: float, diameter_mm: float) -> None:
     pipe = surveyed(opening(round_pipe, clock_deg, Z_MM, diameter_mm))
@@ -50,6 +49,7 @@ def test_what_a_bore_shows_inside_is_no_diameter_of_the_pipe() -> None:
     assert pipe.diameter_max_mm < 2 * RADIUS_MM + 0.3
 
 
+@pytest.mark.deep(gate="tests/unit/wall/test_openings.py::test_what_a_bore_shows_inside_is_no_diameter_of_the_pipe")
 @pytest.mark.parametrize(
     ("inner_mm", "outer_mm", "stands_mm", "clock_deg"), [(22.0, 34.0, 6.0, 30.0), (30.0, 42.0, 8.0, 227.0)]
 )
@@ -67,6 +67,7 @@ def test_a_coarse_and_noisy_scan_shows_a_branch_too() -> None:
     assert branch.measured("inner_d_mm") == pytest.approx(25.0, abs=0.2)
 
 
+@pytest.mark.deep(gate="tests/unit/wall/test_openings.py::test_what_a_bore_shows_inside_is_no_diameter_of_the_pipe")
 def test_an_oval_pipe_with_a_pocket_beside_it_keeps_both() -> None:
     pipe = surveyed(pocket(opening(oval(round_pipe, 30, 0.01), 30, Z_MM, 25.0), 130, 10, 140, 165, 3.0))
     assert [feature.kind for feature in pipe.features] == [FeatureKind.BRANCH]
@@ -83,6 +84,7 @@ def pit(clock_deg: float, diameter_mm: float, depth_mm: float) -> RadiusMap:
     return radius
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize(
     "radius",
     [
@@ -100,6 +102,7 @@ def test_shadows_and_floors_are_no_openings(radius: RadiusMap) -> None:
     assert surveyed(radius).features == ()
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("shape", ["disc", "square", "band", "streak"])
 def test_wall_that_swallows_all_light_is_not_called_open(shape: str) -> None:
     """Black dirt, a dead patch of the picture, a gap all round: nothing is seen there, and nothing is claimed."""

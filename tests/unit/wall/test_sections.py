@@ -12,7 +12,6 @@ from annulus.wall.defects import Defect, Kind
 from annulus.wall.photograph import SIDE_MAX_PX, Shot, View, best_views, crop
 from annulus.wall.sections import MOST, cut, worth_showing
 
-pytestmark = pytest.mark.slow
 KINDS = [Kind.LOSS, Kind.BUMP, Kind.LOSS]
 PLACES = [Shot(n, n, 2.4 * n, 0) for n in range(50) if n % 5 == 4]
 

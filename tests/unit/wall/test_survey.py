@@ -14,8 +14,6 @@ from annulus.wall.defects import Kind
 from annulus.wall.grid import build_wall
 from annulus.wall.surface import triangulate
 
-pytestmark = pytest.mark.slow
-
 STATIONS = [3.0 * i for i in range(26)]
 
 
@@ -37,6 +35,9 @@ def test_the_worst_defect_is_the_deepest_and_says_how_well_it_is_known(pipe: Sur
     assert math.isnan(worst.depth_k2_mm), "drawn points state no sigma, so nothing is claimed"
 
 
+@pytest.mark.deep(
+    gate="tests/unit/wall/test_survey.py::test_the_worst_defect_is_the_deepest_and_says_how_well_it_is_known"
+)
 def test_an_oval_stretch_is_worst_only_where_there_is_nothing_else() -> None:
     out_of_round = survey(scan(oval(round_pipe, 30, 0.03), z_mm=STATIONS), CALIBRATION)
     assert out_of_round.worst is not None and out_of_round.worst.kind is Kind.OVALITY
