@@ -10,7 +10,7 @@ export PYTHONDONTWRITEBYTECODE :=
 # What `make setup` installs beside the base, of the extras in pyproject.toml: make setup EXTRAS="export pdf tai joints"
 EXTRAS ?= export pdf console archive
 
-.PHONY: setup setup-all wheels demo test test-deep tested durations lint bench bench-metrology bench-thermoacoustic bench-joints bench-crossbore study native firmware emulator generated mutants docs sample clean
+.PHONY: setup setup-all wheels demo test test-deep test-held tested durations lint bench bench-metrology bench-thermoacoustic bench-joints bench-crossbore study native firmware emulator generated mutants docs sample clean
 
 # What a user needs.
 setup: .venv/.synced native
@@ -82,8 +82,12 @@ tested: setup-all lint firmware emulator .tools/picamera2/.made
 	@tools/need.sh clang libclang-rt sigrok-cli qemu-system-x86 linux-image-amd64 busybox-static kmod \
 	  gcc-aarch64-linux-gnu systemd chromium pango poppler-utils
 	$(BIN)/python -m tools.kernels
-	$(BIN)/pytest -n auto --dist loadfile $(RENEW) -m "($(GATE)) and not alone" tests
-	$(BIN)/pytest $(RENEW) -m "($(GATE)) and alone" tests
+	$(BIN)/pytest -n auto --dist loadfile $(RENEW) -m "($(GATE)) and not alone" tests --ignore tests/held
+	$(BIN)/pytest $(RENEW) -m "($(GATE)) and alone" tests --ignore tests/held
+
+# Whole methods on scenes that other programs drew: they lie in ../shared, which only the authors have.
+test-held: setup-all
+	$(BIN)/pytest -n auto --dist loadfile tests/held
 
 # Picamera2's own code, which the tests run off a Pi; by itself, since what it depends on is only on a Pi.
 .tools/picamera2/.made: tests/unit/capture/picamera2.txt .venv/.synced-all

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from emulated import BOOTED, EmulatedBoard, made_image, made_image_of
+from emulated import BOOTED, EmulatedBoard, end_idle, made_image, made_image_of
 
 
 @pytest.fixture(scope="session")
@@ -28,3 +28,10 @@ def board(image: Path) -> Iterator[EmulatedBoard]:
     board.run(BOOTED)
     yield board
     board.close()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def emulators() -> Iterator[None]:
+    """A process is one module's: what it cost is then known by that module."""
+    yield
+    end_idle()

@@ -74,15 +74,31 @@ class EmulatorFault(Exception):
     """The image did what silicon would not forgive."""
 
 
+_idle: list[subprocess.Popen[str]] = []  # emulators whose board is done with: the next board is built anew in them
+
+
+def end(process: subprocess.Popen[str]) -> None:
+    assert process.stdin is not None
+    process.stdin.close()
+    process.wait(30)
+
+
+def end_idle() -> None:
+    while _idle:
+        end(_idle.pop())
+
+
 class EmulatedBoard:
     """Ticks of 10 ns since power came on. `rises`, `falls` and `transitions` keep everything the pins ever did."""
 
     def __init__(self, image: Path = IMAGE, vcd: Path | None = None, flash_id: str | None = None) -> None:
         self._image = image
         self._functions: dict[str, int] = {}
+        self._keep = vcd is None  # the process, for another board
+        taken = _idle.pop() if self._keep and _idle else None
         command = ["node", str(EMULATOR), str(image), "--drive", *(["--vcd", str(vcd)] if vcd else [])]
         command += ["--flash-id", flash_id] if flash_id else []
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        self._process = taken or subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         self.now = 0
         self.transitions: list[tuple[int, int, int]] = []
         self.sent: list[tuple[int, int]] = []
@@ -105,11 +121,14 @@ class EmulatedBoard:
         self._usb_decoder = Decoder()
         self._decoder = Decoder()
         self._sequence = itertools.count()
+        if taken:
+            self._do(op="anew", image=str(image), **({"flash_id": flash_id} if flash_id else {}))
 
     def close(self) -> None:
-        assert self._process.stdin is not None
-        self._process.stdin.close()
-        self._process.wait(10)
+        if self._keep:
+            _idle.append(self._process)
+        else:
+            end(self._process)
 
     def _do(self, **op: Any) -> None:
         assert self._process.stdin is not None
@@ -118,9 +137,11 @@ class EmulatedBoard:
         self._process.stdin.flush()
         line = self._process.stdout.readline()
         if not line:
+            self._keep = False
             raise EmulatorFault("the emulator ended")
         answer = json.loads(line)
         if "fault" in answer:
+            self._keep = False
             raise EmulatorFault(f"{answer['fault']} (tick {answer['now']})")
         self.now, self.resets, self.stack = answer["now"], answer["resets"], answer["stack"]
         self.origin, self.bootloader = answer["origin"], answer["bootloader"]
@@ -194,6 +215,7 @@ class EmulatedBoard:
 
     def serve_usbip(self) -> int:
         """Plug it into a host that offers it over USB/IP, on this port of localhost. Its kernel commands it."""
+        self._keep = False
         self._do(op="usbip", port=0)
         self.usb_do("attach")
         while self.usb["state"] != "offered":

@@ -105,6 +105,9 @@ def test_a_record_outlives_resets_but_not_the_power(board: EmulatedBoard) -> Non
     assert (gone.kind, gone.crashes, gone.boots, gone.pc) == (CrashKind.NONE, 0, 1, 0)
 
 
+@pytest.mark.deep(
+    gate="tests/emulator/test_boot.py::test_after_a_short_loss_of_power_the_ram_still_tells_the_boot_byte_apart"
+)
 def test_boot_bytes_of_power_ups_are_spread_though_the_ring_oscillator_is_not_fair(board: EmulatedBoard) -> None:
     """Eight of its bits in a row made 00h and FFh only, 24 power-ups long: the next boot looked like the last."""
     boots = set()
@@ -129,6 +132,9 @@ def test_after_a_short_loss_of_power_the_ram_still_tells_the_boot_byte_apart(boa
         assert (gone.kind, gone.crashes, gone.boots) == (CrashKind.NONE, 0, 1)
 
 
+@pytest.mark.deep(
+    gate="tests/emulator/test_boot.py::test_after_a_short_loss_of_power_the_ram_still_tells_the_boot_byte_apart"
+)
 def test_no_boot_has_the_nonce_of_another(board: EmulatedBoard) -> None:
     nonces = set()
     for _ in range(24):
@@ -138,6 +144,7 @@ def test_no_boot_has_the_nonce_of_another(board: EmulatedBoard) -> None:
     assert len(nonces) == 24
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("cause", ["reset", "watchdog"])
 def test_a_reset_always_changes_the_boot_byte_and_the_nonce(board: EmulatedBoard, cause: str) -> None:
     before, nonce = board.identify().boot, info_of(board).nonce

@@ -40,6 +40,7 @@ def worst_duty(board: EmulatedBoard) -> float:
     )
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("seed", range(3))
 def test_single_bursts_in_a_row_keep_the_duty_limit_whatever_happens_between_them(
     board: EmulatedBoard, seed: int
@@ -134,6 +135,7 @@ STOPPED = [
 ]
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize(("bits", "chip", "period", "offset"), STOPPED)
 def test_a_train_stopped_at_any_moment_ends_with_a_whole_burst_and_nothing_waits(
     board: EmulatedBoard, bits: str, chip: int, period: int, offset: int

@@ -89,6 +89,7 @@ def test_budgets_hold_and_the_stack_has_room(image: Path, board: EmulatedBoard) 
     assert board.stack <= 2048
 
 
+@pytest.mark.deep(gate="tests/emulator/test_image.py::test_the_turntable_makes_its_steps_and_lets_go")
 def test_the_same_source_makes_the_same_bytes(tmp_path: Path) -> None:
     made = []
     for name in ("one", "two"):
@@ -114,6 +115,7 @@ def test_an_image_with_a_damaged_second_stage_does_not_start(image: Path, tmp_pa
 # ---- sync and lamps ----
 
 
+@pytest.mark.deep(gate="tests/emulator/test_image.py::test_it_boots_through_its_second_stage_and_says_who_it_is")
 def test_a_lamp_follows_its_edge_by_its_delay_and_one_constant(board: EmulatedBoard) -> None:
     arm(board, ratio=0, delay=300_000, width=123_457)
     edges = edges_from(board, 50)
@@ -125,6 +127,7 @@ def test_a_lamp_follows_its_edge_by_its_delay_and_one_constant(board: EmulatedBo
     assert {fall - rise for fall, rise in zip(falls, rises, strict=True)} == {123_457}
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize(("delay", "width"), [(0, 2), (0, 1_000_000), (1, 3), (50_000, 100), (1_234_567, 2_000_000)])
 def test_delays_and_widths_are_exact(board: EmulatedBoard, delay: int, width: int) -> None:
     arm(board, ratio=1, period=8_000_000, delay=delay, width=width)
@@ -138,6 +141,7 @@ def test_delays_and_widths_are_exact(board: EmulatedBoard, delay: int, width: in
     assert [fall - rise for fall, rise in zip(falls, rises, strict=True)] == [width] * 6
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("ratio", [0, 1, 4, 15])
 def test_lamps_come_in_their_order(board: EmulatedBoard, ratio: int) -> None:
     arm(board, ratio=ratio, width=100_000, led_width=50_000)
@@ -154,6 +158,7 @@ def test_lamps_come_in_their_order(board: EmulatedBoard, ratio: int) -> None:
         assert set(board.widths(pin)) <= {width}
 
 
+@pytest.mark.deep(gate="tests/emulator/test_image.py::test_the_odometer_is_exact_at_every_edge")
 def test_an_edge_is_stamped_to_the_tick_or_the_next(board: EmulatedBoard) -> None:
     arm(board)
     edges = edges_from(board, 40)
@@ -164,6 +169,7 @@ def test_an_edge_is_stamped_to_the_tick_or_the_next(board: EmulatedBoard) -> Non
     assert errors <= {0, 1}
 
 
+@pytest.mark.deep(gate="tests/emulator/test_image.py::test_delays_and_widths_are_exact")
 def test_glitches_and_double_pulses_are_refused_counted_and_change_nothing(board: EmulatedBoard) -> None:
     arm(board, ratio=1, tolerance=100)
     edges = edges_from(board, 12)
@@ -184,6 +190,7 @@ def test_glitches_and_double_pulses_are_refused_counted_and_change_nothing(board
     assert status.rejected == refused
 
 
+@pytest.mark.deep(gate="tests/emulator/test_image.py::test_disarming_ends_the_flash_being_timed")
 def test_the_hold_off_ends_where_it_is_said_to(board: EmulatedBoard) -> None:
     arm(board, ratio=0, period=400_000, tolerance=100, delay=50_000, width=20_000)
     edge = board.now + 2 * MS
@@ -211,6 +218,7 @@ def test_disarming_ends_the_flash_being_timed(board: EmulatedBoard) -> None:
     assert len(board.rises(PIN_LED)) == 1
 
 
+@pytest.mark.deep(gate="tests/emulator/test_image.py::test_delays_and_widths_are_exact")
 def test_a_stalled_processor_costs_a_dark_frame_and_never_a_wrong_one(board: EmulatedBoard) -> None:
     arm(board, ratio=1, period=400_000, delay=50_000, width=20_000)
     edges = edges_from(board, 40, 400_000, jitter=1)
@@ -236,8 +244,10 @@ def test_a_stalled_processor_costs_a_dark_frame_and_never_a_wrong_one(board: Emu
     assert 1 <= late <= 3
 
 
-@pytest.mark.timeout(900)  # 40 virtual seconds, both directions busy: a minute and a half of a free core
-@pytest.mark.parametrize("edge_count", [20_000])
+# 250 edges have every phase of the state machines' clock and all slots, fifty times; 20 000 are 40 virtual seconds.
+@pytest.mark.deep(gate="tests/emulator/test_image.py::test_delays_and_widths_are_exact")
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("edge_count", [250, pytest.param(20_000, marks=pytest.mark.deep)])
 def test_no_jitter_under_a_flood_and_a_burst_train(board: EmulatedBoard, edge_count: int) -> None:
     period, delay, width = 200_000, 30_000, 20_000  # 500 Hz, the fastest
     arm(board, ArmFlag.LAMPS | ArmFlag.MICROWAVE, ratio=4, period=period, delay=delay, width=width)
@@ -327,6 +337,7 @@ def test_a_ping_returns_the_time_its_last_byte_was_taken(board: EmulatedBoard) -
     assert 0 <= reply.tick + board.origin - arrived <= 20_000
 
 
+@pytest.mark.deep(gate="tests/emulator/test_image.py::test_delays_and_widths_are_exact")
 def test_event_sequences_have_no_gap(board: EmulatedBoard) -> None:
     arm(board)
     for edge in edges_from(board, 6):

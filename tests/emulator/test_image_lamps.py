@@ -63,6 +63,9 @@ def limit_faults(board: EmulatedBoard) -> list[int]:
     return [fault.detail for fault in board.heard(Fault) if fault.fault == FaultCode.LIMIT]
 
 
+@pytest.mark.deep(
+    gate="tests/emulator/test_image_lamps.py::test_an_edge_while_a_flash_is_loaded_is_not_given_the_next_ones"
+)
 def test_a_core_that_checks_nothing_gets_no_flash_over_the_duty_limit(image: Path, tmp_path: Path) -> None:
     line = "const uint32_t next_edge = holdoff_ticks(config);"
     careless = image_with(image, tmp_path, "core/sequencer.c", line, "const uint32_t next_edge = config->frame_period;")
@@ -81,6 +84,9 @@ def test_a_core_that_checks_nothing_gets_no_flash_over_the_duty_limit(image: Pat
     board.close()
 
 
+@pytest.mark.deep(
+    gate="tests/emulator/test_image_lamps.py::test_no_edge_is_accepted_while_a_lamp_is_on_whatever_was_configured_before"
+)
 def test_a_hold_off_that_holds_nothing_off_gets_no_lamp_over_its_duty(image: Path, tmp_path: Path) -> None:
     line = "(ticks > HOLDOFF_OVERHEAD) ? (ticks - HOLDOFF_OVERHEAD) / 2U : 0U"
     leaky = image_with(image, tmp_path, "rp2040/lamps.c", line, "(ticks > HOLDOFF_OVERHEAD) ? 100U : 0U")
@@ -123,6 +129,9 @@ def test_no_edge_is_accepted_while_a_lamp_is_on_whatever_was_configured_before(b
     assert limit_faults(board) == []
 
 
+@pytest.mark.deep(
+    gate="tests/emulator/test_image_lamps.py::test_an_edge_while_a_flash_is_loaded_is_not_given_the_next_ones"
+)
 @pytest.mark.timeout(300)  # half of the tick counter's turn is waited for: 20 s of a free core
 def test_the_first_flash_after_a_pause_of_22_seconds_is_whole(board: EmulatedBoard) -> None:
     """The tick of the load was compared across half of the counter's turn: it was cut and called late."""
@@ -142,6 +151,9 @@ def test_the_first_flash_after_a_pause_of_22_seconds_is_whole(board: EmulatedBoa
 # ---- what is said of the edges ----
 
 
+@pytest.mark.deep(
+    gate="tests/emulator/test_image_lamps.py::test_an_edge_while_a_flash_is_loaded_is_not_given_the_next_ones"
+)
 def test_an_edge_in_the_middle_of_a_round_is_no_lost_sync(board: EmulatedBoard) -> None:
     """An edge stamped after the round's own tick was read seemed 43 s old: one in 200, every 8 s at 25 fps."""
     period = 2 * MS
@@ -173,6 +185,9 @@ def flashes_told(board: EmulatedBoard, edges: list[int], delay: int) -> list[tup
     return told
 
 
+@pytest.mark.deep(
+    gate="tests/emulator/test_image_lamps.py::test_an_edge_while_a_flash_is_loaded_is_not_given_the_next_ones"
+)
 @pytest.mark.parametrize(("delay", "width", "every"), [(0, 1_000, 2), (0, 2, 5), (30, 20, 5)])
 def test_an_edge_while_a_flash_is_taken_back_takes_it_whole_or_not_at_all(
     board: EmulatedBoard, delay: int, width: int, every: int
@@ -225,6 +240,9 @@ def test_an_edge_while_a_flash_is_loaded_is_not_given_the_next_ones(board: Emula
     assert {on for _, on, _ in told[1::3]} == {0, width}
 
 
+@pytest.mark.deep(
+    gate="tests/emulator/test_image_lamps.py::test_an_edge_while_a_flash_is_loaded_is_not_given_the_next_ones"
+)
 def test_an_edge_while_the_lamps_are_armed_or_disarmed_is_told_as_it_was(board: EmulatedBoard) -> None:
     delay, width = 0, 700
     arm(board, ratio=0, period=FRAME, tolerance=500, delay=delay, width=width, readout=0)

@@ -53,6 +53,7 @@ def played(board: EmulatedBoard, chip0: int, chip: int, length: int) -> str:
     return "".join(bits)
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("code", list(CODES), ids=lambda code: code.name)
 @pytest.mark.parametrize("offset", [0, 1, -1, 123, -777])
 def test_a_code_is_played_as_it_is_written(board: EmulatedBoard, code: BurstCode, offset: int) -> None:
@@ -94,6 +95,7 @@ def test_mpsl25_against_its_template_has_its_peak_and_the_sidelobes_of_theory(bo
     assert max(abs(value) for lag, value in zip(LAGS, correlation, strict=True) if lag) == 4  # ratio 2.75
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize(("chip", "width"), [(30, 30), (3_000, 3_000)])
 def test_the_shortest_and_the_longest_pulse(board: EmulatedBoard, chip: int, width: int) -> None:
     arm(board, ArmFlag.MICROWAVE)
@@ -142,6 +144,7 @@ def test_stopping_lets_the_burst_being_sent_end(board: EmulatedBoard) -> None:
     assert len(board.falls(PIN_MICROWAVE)) == 7 * done.done
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize(("period", "offset"), [(11_000, 0), (11_000, -5_000), (50_000, 600), (300_000, -777)])
 def test_a_train_stopped_at_any_moment_sends_whole_bursts_and_says_how_many(
     board: EmulatedBoard, period: int, offset: int
@@ -169,6 +172,9 @@ def test_a_train_stopped_at_any_moment_sends_whole_bursts_and_says_how_many(
     assert done == 10  # the last one had run out before it was stopped
 
 
+@pytest.mark.deep(
+    gate="tests/emulator/test_image_microwave.py::test_the_last_pulse_of_a_train_that_fills_its_period_ends_by_itself"
+)
 def test_a_train_cut_by_the_interlock_counts_exactly_the_bursts_that_were_sent(board: EmulatedBoard) -> None:
     arm(board)
     rng = random.Random(12)
@@ -188,6 +194,7 @@ def test_a_train_cut_by_the_interlock_counts_exactly_the_bursts_that_were_sent(b
         assert board.request(Clear()).status == StatusCode.OK
 
 
+@pytest.mark.deep(gate="tests/emulator/test_image_microwave.py::test_microwave_cannot_be_armed_with_the_interlock_open")
 def test_an_open_interlock_cuts_within_one_chip_until_cleared_a_thousand_times(board: EmulatedBoard) -> None:
     arm(board)
     rng = random.Random(5)
@@ -232,6 +239,7 @@ def test_the_last_pulse_of_a_train_that_fills_its_period_ends_by_itself(board: E
     assert board.widths(PIN_TRIGGER) == [100] * 4
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("call", range(24))
 def test_a_main_loop_held_anywhere_counts_no_burst_the_guard_kept_dark(board: EmulatedBoard, call: int) -> None:
     """Held between the look at the guard and the look at the clock it told 7 bursts where 3 were sent."""
@@ -247,6 +255,7 @@ def test_a_main_loop_held_anywhere_counts_no_burst_the_guard_kept_dark(board: Em
     assert done.done == len(board.widths(PIN_MICROWAVE))
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("part", range(4))
 def test_a_train_disarmed_at_any_tick_counts_every_burst_that_was_whole(board: EmulatedBoard, part: int) -> None:
     """The count was made first and the guard cut 100 ticks later: 31 told, 32 sent, and the trigger of the 34th."""

@@ -120,6 +120,7 @@ def test_what_a_stalled_processor_could_not_follow_is_counted_and_said(board: Em
     assert [edge.lamp for edge in board.heard(Edge)] == [Lamp.LED]  # and nothing is disarmed by it
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("late", [8_000, 10_000, 12_000, 16_000])
 def test_what_is_overwritten_while_it_is_read_is_counted(board: EmulatedBoard, late: int) -> None:
     """440 up wait to be decoded; while they are, 500 down come at 12.5 MHz: 755 off and 53 counted."""

@@ -71,6 +71,7 @@ def test_a_stuck_processor_is_reset_by_the_watchdog_with_all_outputs_low(board: 
 STARVED = 4 * MS  # from the processor's last round to microwave and trigger low, at most
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("seed", range(6))
 def test_a_stuck_processor_leaves_outputs_low_in_four_ms_and_through_the_reset(board: EmulatedBoard, seed: int) -> None:
     rng = random.Random(seed)
@@ -142,6 +143,9 @@ def attach_usb(board: EmulatedBoard) -> None:
     board.run(board.now + 300 * MS)
 
 
+@pytest.mark.deep(
+    gate="tests/emulator/test_image_safety.py::test_a_stuck_processor_is_reset_by_the_watchdog_with_all_outputs_low"
+)
 def test_the_boot_loader_is_entered_only_with_a_usb_host_whichever_line_asks(board: EmulatedBoard) -> None:
     """The boot ROM speaks USB only: over the UART alone `bootloader` was acknowledged, and the head silent for good."""
     board.identify()
@@ -162,6 +166,9 @@ def test_the_boot_loader_is_entered_only_with_a_usb_host_whichever_line_asks(boa
     assert board.bootloader is not None
 
 
+@pytest.mark.deep(
+    gate="tests/emulator/test_image_safety.py::test_a_stuck_processor_is_reset_by_the_watchdog_with_all_outputs_low"
+)
 def test_the_boot_loader_is_entered_by_its_rom_call_with_every_output_low(board: EmulatedBoard) -> None:
     arm(board, ArmFlag.LAMPS | ArmFlag.MICROWAVE, ratio=0, width=2_000_000, period=8_000_000)
     before = board.identify().boot

@@ -2,6 +2,7 @@
 
 import random
 
+import pytest
 from emulated import LATENCY, MS, EmulatedBoard, configuration, edges_from
 
 from annulus.controller import PIN_LED, PIN_PROJECTOR
@@ -56,6 +57,7 @@ def follows_the_sequence(told: list[Edge]) -> bool:
     return False
 
 
+@pytest.mark.deep(gate="tests/emulator/test_preamble.py::test_disarming_ends_a_preamble_and_a_commit_waits_for_its_end")
 def test_a_preamble_comes_on_arming_and_after_every_interval_and_the_pins_follow_its_sequence(
     board: EmulatedBoard,
 ) -> None:
@@ -69,6 +71,7 @@ def test_a_preamble_comes_on_arming_and_after_every_interval_and_the_pins_follow
     assert [fault for fault in board.heard(Fault) if fault.fault != FaultCode.ODOMETER] == []
 
 
+@pytest.mark.deep(gate="tests/emulator/test_preamble.py::test_whoever_identifies_has_no_preamble")
 def test_an_order_at_any_moment_of_a_frame_disturbs_no_flash(board: EmulatedBoard) -> None:
     """The flash of the next edge is loaded already, and this edge's may still be waited for: taking it back then left
     both dark.
@@ -109,6 +112,7 @@ def test_disarming_ends_a_preamble_and_a_commit_waits_for_its_end(board: Emulate
     assert all(edge.flags & ~EdgeFlag.IRREGULAR == EdgeFlag.DISARMED and edge.lamp == Lamp.DARK for edge in told)
 
 
+@pytest.mark.deep(gate="tests/emulator/test_preamble.py::test_whoever_identifies_has_no_preamble")
 def test_with_ratio_0_the_projector_takes_no_part(board: EmulatedBoard) -> None:
     arm_with(board, Preamble(31, 0, 0), ratio=0)
     told = watch(board, edges_from(board, 31))

@@ -46,6 +46,9 @@ def whole(image: Path) -> Iterator[SelfTest]:
     yield selftest_of(image, STEP_TO_SYNC)
 
 
+@pytest.mark.deep(
+    gate="tests/emulator/test_selftest.py::test_a_selftest_without_wires_says_what_it_needs_and_breaks_nothing"
+)
 def test_a_selftest_finds_what_the_readme_promises(whole: SelfTest) -> None:
     readme = (ROOT / "firmware/README.md").read_text(encoding="utf-8")
     (latency,) = re.findall(r"falling edge of GP2 to lamp \| delay \+ \*\*(\d+) ticks\*\*", readme)
@@ -80,6 +83,9 @@ def test_a_selftest_without_wires_says_what_it_needs_and_breaks_nothing(image: P
     assert row(bare, "Microwave pulse 0.3 us").verdict is Verdict.KEPT  # ground is all it wants
 
 
+@pytest.mark.deep(
+    gate="tests/emulator/test_selftest.py::test_a_selftest_without_wires_says_what_it_needs_and_breaks_nothing"
+)
 @pytest.mark.parametrize(
     ("mutant", "broken"),
     [

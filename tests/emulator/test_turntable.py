@@ -83,6 +83,7 @@ def forget(board: EmulatedBoard) -> None:
     board.events.clear()
 
 
+@pytest.mark.deep(gate="tests/emulator/test_turntable.py::test_without_a_ramp_the_period_is_what_was_asked_at_once")
 @pytest.mark.parametrize("target", [3_000, -3_000, 700, 5, 1, 0])
 def test_a_move_speeds_up_and_slows_down_step_by_step_and_is_never_faster_than_asked(
     board: EmulatedBoard, target: int
@@ -115,6 +116,7 @@ def test_without_a_ramp_the_period_is_what_was_asked_at_once(board: EmulatedBoar
     assert set(intervals(board)) <= set(range(FAST - MET, FAST + MET + 1))
 
 
+@pytest.mark.deep(gate="tests/emulator/test_turntable.py::test_a_processor_that_stands_still_leaves_it_without_power")
 @pytest.mark.parametrize("how", ["turntable_stop", "disarm"])
 @pytest.mark.parametrize("seed", range(3))
 def test_a_stop_brakes_along_the_ramp_and_tells_where_it_stands(board: EmulatedBoard, how: str, seed: int) -> None:
@@ -145,6 +147,7 @@ def test_a_stop_brakes_along_the_ramp_and_tells_where_it_stands(board: EmulatedB
     assert board.heard(Fault) == []
 
 
+@pytest.mark.deep(but="True-1-12-3")
 @pytest.mark.parametrize(("sign", "pin", "cause"), [
     (1, PIN_END_HIGH, StopCause.END_HIGH), (-1, PIN_END_LOW, StopCause.END_LOW),
 ])  # fmt: skip
@@ -197,6 +200,9 @@ def test_switches_that_are_not_there_are_not_looked_at(board: EmulatedBoard) -> 
     assert board.heard(TurntableStopped) == []
 
 
+@pytest.mark.deep(
+    gate="tests/emulator/test_turntable.py::test_an_end_switch_stops_motion_towards_it_however_short_the_touch"
+)
 @pytest.mark.parametrize("ramp", [False, True])
 @pytest.mark.parametrize("seed", range(3))
 def test_an_opened_interlock_ends_it_at_once_and_takes_its_power_away(
@@ -235,6 +241,7 @@ def test_an_opened_interlock_ends_it_at_once_and_takes_its_power_away(
     assert start(board, 0).status == StatusCode.UNSAFE
 
 
+@pytest.mark.deep(gate="tests/emulator/test_turntable.py::test_a_processor_that_stands_still_leaves_it_without_power")
 def test_a_host_that_falls_silent_while_it_moves_ends_it(board: EmulatedBoard) -> None:
     ready(board)
     assert start(board, 100_000).status == StatusCode.OK
@@ -259,6 +266,9 @@ def test_a_processor_that_stands_still_leaves_it_without_power(board: EmulatedBo
     assert [level for _, pin, level in board.transitions if pin == PIN_ENABLE][-1] == 1
 
 
+@pytest.mark.deep(
+    gate="tests/emulator/test_turntable.py::test_an_end_switch_stops_motion_towards_it_however_short_the_touch"
+)
 def test_positions_beyond_the_limits_are_refused_from_wherever_it_stands(board: EmulatedBoard) -> None:
     """A move to 1 431 655 766 wrapped three words a step round 2^32 and never ended."""
     board.identify()
@@ -289,6 +299,7 @@ def test_positions_beyond_the_limits_are_refused_from_wherever_it_stands(board: 
     assert board.transitions == [] or PIN_DIRECTION not in {pin for _, pin, _ in board.transitions}
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("part", range(4))
 def test_no_step_rises_without_power_however_close_to_the_cut(board: EmulatedBoard, part: int) -> None:
     """ENABLE went first, and the machine 5 ticks later: a step between was counted that no driver made."""

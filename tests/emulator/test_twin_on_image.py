@@ -86,6 +86,9 @@ def test_what_is_missing_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 # ---- pairing ----
 
 
+@pytest.mark.deep(
+    gate="tests/emulator/test_twin_on_image.py::test_a_board_that_hangs_on_purpose_restarts_by_its_watchdog"
+)
 @pytest.mark.parametrize("faults, frames", [("standard", 600), ("rough", 600)])  # each of three armings has a preamble
 def test_no_label_is_wrong_on_the_image_under_faults(image: Path, faults: str, frames: int) -> None:
     result = soak(frames, seed=3, faults=faults, board="emulated")
@@ -102,6 +105,7 @@ def test_no_label_is_wrong_on_the_image_under_faults(image: Path, faults: str, f
 # ---- the daemon ----
 
 
+@pytest.mark.deep(gate="tests/emulator/test_twin_on_image.py::test_the_board_has_the_verbs_of_the_native_one")
 def test_the_daemon_scans_with_the_image_over_tcp(image: Path, tmp_path: Path) -> None:
     world = demo_world(travel_mm=330.0).scaled(416)
     save_calibration(tmp_path / "head-7.json", world.calibration())
@@ -192,6 +196,7 @@ def pulses(changes: list[tuple[int, int]]) -> list[tuple[int, int]]:
     return [(rise, fall - rise) for rise, fall in zip(rises, falls, strict=True)]
 
 
+@pytest.mark.deep(gate="tests/emulator/test_twin_on_image.py::test_the_board_has_the_verbs_of_the_native_one")
 def test_head_commands_do_to_the_pins_what_they_say(served: Served) -> None:
     who = json.loads(served.annulus("head", "status", "--json"))
     assert (who["board"], who["fault"]) == ("rp2040", "none")
@@ -242,6 +247,9 @@ def test_head_commands_do_to_the_pins_what_they_say(served: Served) -> None:
     assert {width for _, width in trigger} == {100}
 
 
+@pytest.mark.deep(
+    gate="tests/emulator/test_twin_on_image.py::test_a_board_that_hangs_on_purpose_restarts_by_its_watchdog"
+)
 def test_the_command_updates_a_head_through_its_uart(served: Served, other: Path) -> None:
     before = json.loads(served.annulus("firmware", "info", "--json"))
     done = json.loads(served.annulus("firmware", "flash", str(other), "--json"))

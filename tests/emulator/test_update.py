@@ -84,6 +84,7 @@ def who(board: EmulatedBoard) -> str:
     return board.identify().git.decode()
 
 
+@pytest.mark.deep(gate="tests/emulator/test_update.py::test_without_a_whole_application_the_board_waits_on_usb")
 def test_a_whole_update_over_the_uart_then_runs(board: EmulatedBoard, new: Application, ours: str) -> None:
     before = board.identify()
     began = board.now
@@ -109,6 +110,9 @@ def test_a_whole_update_over_the_uart_then_runs(board: EmulatedBoard, new: Appli
     assert board.flash == writes  # the loader had nothing more to do
 
 
+@pytest.mark.deep(
+    gate="tests/emulator/test_update.py::test_chunks_out_of_order_or_repeated_are_harmless_and_a_broken_update_goes_on"
+)
 def test_an_update_over_usb_as_well(board: EmulatedBoard, new: Application) -> None:
     board.plug_in()
     stage(board, new)
@@ -136,6 +140,7 @@ def pair(image: Path, new: Application, ours: str) -> list[tuple[str, Applicatio
     return [(ours, application(read_image(image))), ("0therone", new)]
 
 
+@pytest.mark.deep(gate="tests/emulator/test_update.py::test_without_a_whole_application_the_board_waits_on_usb")
 def test_power_lost_while_staging_leaves_the_old_one_running(
     board: EmulatedBoard, pair: list[tuple[str, Application]]
 ) -> None:
@@ -157,6 +162,7 @@ def test_power_lost_while_staging_leaves_the_old_one_running(
     assert until_it_answers(board) == "0therone"
 
 
+@pytest.mark.deep(gate="tests/emulator/test_update.py::test_without_a_whole_application_the_board_waits_on_usb")
 @pytest.mark.parametrize("seed", range(2))
 def test_power_lost_while_the_loader_works_only_delays_it(
     board: EmulatedBoard, pair: list[tuple[str, Application]], seed: int
@@ -182,6 +188,9 @@ def test_power_lost_while_the_loader_works_only_delays_it(
         assert board.flash["erased"] > 0
 
 
+@pytest.mark.deep(
+    gate="tests/emulator/test_update.py::test_chunks_out_of_order_or_repeated_are_harmless_and_a_broken_update_goes_on"
+)
 def test_power_lost_around_the_record_starts_one_or_the_other(
     board: EmulatedBoard, pair: list[tuple[str, Application]]
 ) -> None:
@@ -228,6 +237,9 @@ def test_wrong_board_size_or_state_is_refused(board: EmulatedBoard, new: Applica
     board.over_usb = False
 
 
+@pytest.mark.deep(
+    gate="tests/emulator/test_update.py::test_chunks_out_of_order_or_repeated_are_harmless_and_a_broken_update_goes_on"
+)
 def test_nothing_is_armed_or_moved_while_an_update_is_under_way(board: EmulatedBoard, new: Application) -> None:
     arm(board)
     board.request(Arm(ArmFlag(0)))
@@ -268,6 +280,9 @@ def test_chunks_out_of_order_or_repeated_are_harmless_and_a_broken_update_goes_o
     assert until_it_answers(board) == "0therone"
 
 
+@pytest.mark.deep(
+    gate="tests/emulator/test_update.py::test_chunks_out_of_order_or_repeated_are_harmless_and_a_broken_update_goes_on"
+)
 @pytest.mark.parametrize("what", ["bit", "truncated", "crc", "foreign"])
 def test_a_damaged_or_foreign_one_is_never_started(
     board: EmulatedBoard, new: Application, ours: str, what: str
@@ -298,6 +313,7 @@ def test_a_damaged_or_foreign_one_is_never_started(
 # ---- the loader, USB and time ----
 
 
+@pytest.mark.deep(gate="tests/emulator/test_update.py::test_without_a_whole_application_the_board_waits_on_usb")
 def test_a_staged_one_that_rots_before_the_copy_is_ignored(board: EmulatedBoard, new: Application, ours: str) -> None:
     stage(board, new)
     assert end(board) == (StatusCode.OK, 0)
@@ -317,6 +333,9 @@ def test_without_a_whole_application_the_board_waits_on_usb(board: EmulatedBoard
     assert until_it_answers(board) == ours
 
 
+@pytest.mark.deep(
+    gate="tests/emulator/test_update.py::test_chunks_out_of_order_or_repeated_are_harmless_and_a_broken_update_goes_on"
+)
 @pytest.mark.parametrize(("after_ms", "same"), [(3, False), (70, False), (130, True), (250, False)])
 def test_what_was_flashed_over_usb_is_not_overwritten_by_an_update_left_pending(
     board: EmulatedBoard, image: Path, third: Path, new: Application, ours: str, after_ms: int, same: bool

@@ -101,6 +101,7 @@ def test_it_enumerates_and_its_descriptors_are_those_of_a_cdc_acm_port(board: Em
     assert ends[0][5] >= 1
 
 
+@pytest.mark.deep(gate="tests/emulator/test_usb.py::test_it_enumerates_and_its_descriptors_are_those_of_a_cdc_acm_port")
 def test_every_board_has_a_serial_number_of_its_own(board: EmulatedBoard, image: Path) -> None:
     board.plug_in()
     another = EmulatedBoard(image, flash_id="e660583883265b21")
@@ -170,14 +171,16 @@ def test_standard_and_class_requests_are_answered(board: EmulatedBoard) -> None:
 # ---- data ----
 
 
-def test_a_megabyte_to_the_controller_arrives_whole(board: EmulatedBoard) -> None:
+@pytest.mark.deep(gate="tests/emulator/test_usb.py::test_a_reset_over_usb_is_acknowledged_and_the_port_comes_back")
+@pytest.mark.parametrize("size", [60_000, pytest.param(1_000_000, marks=pytest.mark.deep)])
+def test_many_bytes_to_the_controller_arrives_whole(board: EmulatedBoard, size: int) -> None:
     board.plug_in()
     board.identify()
     rng = random.Random(1)
     board.replies.clear()
     begun = board.now
     written = sent = 0
-    while written < 1_000_000:
+    while written < size:
         frames = []
         for _ in range(1000):
             chips = rng.getrandbits(256) | 1
@@ -199,7 +202,9 @@ def test_a_megabyte_to_the_controller_arrives_whole(board: EmulatedBoard) -> Non
     assert status.bad_frames == board.bad == 0
 
 
-def test_a_megabyte_from_the_controller_arrives_whole(board: EmulatedBoard) -> None:
+@pytest.mark.deep(gate="tests/emulator/test_usb.py::test_a_reset_over_usb_is_acknowledged_and_the_port_comes_back")
+@pytest.mark.parametrize("size", [60_000, pytest.param(1_000_000, marks=pytest.mark.deep)])
+def test_many_bytes_from_the_controller_arrives_whole(board: EmulatedBoard, size: int) -> None:
     board.plug_in()
     board.identify()
     for i in range(70):
@@ -211,7 +216,7 @@ def test_a_megabyte_from_the_controller_arrives_whole(board: EmulatedBoard) -> N
     board.event_sequences.clear()
     begun, began = board.usb_bytes, board.now
     rounds = 0
-    while board.usb_bytes - begun < 1_000_000:
+    while board.usb_bytes - begun < size:
         board.send(Reread(first=first, count=64))
         rounds += 1
         while len(board.events) < 64 * rounds:
@@ -224,6 +229,7 @@ def test_a_megabyte_from_the_controller_arrives_whole(board: EmulatedBoard) -> N
     assert board.bad == 0
 
 
+@pytest.mark.deep(gate="tests/emulator/test_usb.py::test_a_reset_over_usb_is_acknowledged_and_the_port_comes_back")
 def test_what_fills_its_last_packet_is_not_kept_waiting_for_more(board: EmulatedBoard) -> None:
     """The host's driver waits for two packets or a short one: an empty one has to follow a whole one if it is last."""
     board.plug_in()
@@ -255,6 +261,7 @@ def test_what_fills_its_last_packet_is_not_kept_waiting_for_more(board: Emulated
         assert len(board.events) == count
 
 
+@pytest.mark.deep(gate="tests/emulator/test_usb.py::test_a_reset_over_usb_is_acknowledged_and_the_port_comes_back")
 def test_no_jitter_while_usb_is_busy_both_ways_and_a_train_runs(board: EmulatedBoard) -> None:
     board.plug_in()
     period, delay, width = 200_000, 30_000, 20_000
@@ -288,6 +295,7 @@ def test_no_jitter_while_usb_is_busy_both_ways_and_a_train_runs(board: EmulatedB
     assert (status.edges, status.late, status.bad_frames) == (len(edges), 0, 0)
 
 
+@pytest.mark.deep(gate="tests/emulator/test_usb.py::test_it_enumerates_and_its_descriptors_are_those_of_a_cdc_acm_port")
 def test_a_train_begins_when_its_reply_says_however_busy_the_lines_are(board: EmulatedBoard) -> None:
     board.identify()
     board.plug_in()
@@ -312,6 +320,7 @@ def test_a_train_begins_when_its_reply_says_however_busy_the_lines_are(board: Em
 # ---- plug, bus, and the other line ----
 
 
+@pytest.mark.deep(gate="tests/emulator/test_usb.py::test_a_reset_over_usb_is_acknowledged_and_the_port_comes_back")
 def test_unplugged_while_armed_it_goes_dark_and_is_back_in_under_a_second(board: EmulatedBoard) -> None:
     board.plug_in()
     arm(board, ArmFlag.LAMPS | ArmFlag.MICROWAVE, ratio=0, period=1_000_000, delay=100_000, width=400_000, readout=0)
@@ -358,6 +367,7 @@ def test_a_closed_port_is_a_gone_host(board: EmulatedBoard) -> None:
     assert status.fault == FaultCode.HOST_TIMEOUT
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("how", ["reset", "suspend"])
 def test_the_bus_may_be_reset_or_suspended_amid_a_transfer(board: EmulatedBoard, how: str) -> None:
     board.plug_in()

@@ -58,6 +58,7 @@ def come_back(board: EmulatedBoard) -> None:
         board.run(board.now + 5 * MS)
 
 
+@pytest.mark.deep(gate="tests/emulator/test_usb_frames.py::test_a_hang_leaves_what_the_other_line_commands_alone")
 def test_bulk_in_is_never_handed_over_late_in_a_frame(board: EmulatedBoard) -> None:
     """Answers due at every age of a frame. The old image handed over at any: the emulator stopped it at the first.
 
@@ -81,6 +82,7 @@ def test_bulk_in_is_never_handed_over_late_in_a_frame(board: EmulatedBoard) -> N
     assert 750 * TICKS_PER_US < latest < 790 * TICKS_PER_US  # as late as it may, and with a reserve for interrupts
 
 
+@pytest.mark.deep(gate="tests/emulator/test_usb_frames.py::test_a_hang_leaves_what_the_other_line_commands_alone")
 def test_a_late_round_does_not_take_a_frame_for_a_young_one(board: EmulatedBoard) -> None:
     """The frame number is new after a pause of the processor, but nobody saw when it became so."""
     board.plug_in()
@@ -94,6 +96,7 @@ def test_a_late_round_does_not_take_a_frame_for_a_young_one(board: EmulatedBoard
     assert board.identify().status == StatusCode.OK
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("busy", [False, True], ids=["quiet", "flooded"])
 def test_when_the_usb_block_hangs_all_goes_dark_and_the_port_comes_back(board: EmulatedBoard, busy: bool) -> None:
     """The old image stayed deaf until its power was taken away, and armed until the host's timeout."""
@@ -141,6 +144,7 @@ def test_a_hang_leaves_what_the_other_line_commands_alone(board: EmulatedBoard) 
     assert status.fault == FaultCode.NONE
 
 
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("asleep", [10, 21, 35, 500], ids=lambda ms: f"{ms}ms")
 def test_a_suspended_bus_and_its_slow_awakening_are_no_hang(board: EmulatedBoard, asleep: int) -> None:
     """No frames come while the bus sleeps, nor for the 40 ms in which a host wakes it."""
@@ -154,6 +158,7 @@ def test_a_suspended_bus_and_its_slow_awakening_are_no_hang(board: EmulatedBoard
     assert attached(board) == 1
 
 
+@pytest.mark.deep(gate="tests/emulator/test_usb_frames.py::test_a_suspended_bus_and_its_slow_awakening_are_no_hang")
 def test_neither_a_missing_host_nor_a_bus_reset_is_a_hang(board: EmulatedBoard) -> None:
     board.run(BOOTED + 300 * MS)  # plugged into nothing
     board.plug_in()

@@ -128,6 +128,7 @@ def test_it_lists_one_device_and_gives_it_to_one_client(board: EmulatedBoard, po
     assert Kernel(board, port).imports(b"1-1") != 0
 
 
+@pytest.mark.deep(gate="tests/emulator/test_usbip.py::test_the_other_line_works_on")
 def test_control_requests_reach_the_firmware(kernel: Kernel) -> None:
     status, device = kernel.ask(1, struct.pack("<BBHHH", 0x80, 6, 0x0100, 0, 64))
     assert (status, len(device), device[8:12]) == (OK, 18, b"\x8a\x2e\x0a\x00")

@@ -7,7 +7,8 @@
 
 The guest's root is the host's, over 9p and read-only: the same .venv, the same checkout at the same path. /tmp, /run
 and /dev/shm are its own memory, and nothing done in the guest reaches the host. The host's localhost is 10.0.2.2 there.
-QEMU translates every instruction (TCG), so that any machine will do; the guest is some ten times slower than the host.
+Where /dev/kvm may be used it is; elsewhere QEMU translates every instruction (TCG), and any machine will do; the
+guest is then some ten times slower than the host.
 """
 
 import gzip
@@ -32,6 +33,8 @@ IMPORTED = "annulus.daemon.run, annulus.daemon.recorder, annulus.daemon.control,
 HOST = "10.0.2.2"  # as the guest sees it
 BOOT_S = 200.0  # 9 s on an idle machine
 SLACK_S = 30.0  # for an answer to come back after its command's time was up
+KVM = ("-accel", "kvm", "-cpu", "host")
+TCG = ("-accel", "tcg,thread=multi", "-cpu", "max")
 NEEDED = ("vhci-hcd", "cdc-acm", "vivid", "i2c-stub", "9p")  # what the cloud kernel has not
 FIRST = ("virtio_pci", "virtio_console", "virtio_net", "9pnet_virtio", "9p")  # to reach the host at all
 
@@ -202,7 +205,7 @@ class Guest:
 def _command(release: str, folder: Path, port: int) -> list[str]:
     return [
         "qemu-system-x86_64", "-nodefaults", "-no-user-config", "-display", "none", "-no-reboot",
-        "-accel", "tcg,thread=multi", "-cpu", "max", "-smp", "2", "-m", "1536",
+        *(KVM if os.access("/dev/kvm", os.R_OK | os.W_OK) else TCG), "-smp", "2", "-m", "1536",
         "-kernel", f"/boot/vmlinuz-{release}", "-initrd", str(folder / "initramfs"),
         "-append", "console=ttyS0 rdinit=/init panic=-1 mitigations=off random.trust_cpu=on loglevel=6",
         "-serial", f"file:{folder / 'console'}",

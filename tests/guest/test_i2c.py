@@ -4,6 +4,7 @@ The stub takes word and byte commands and holds each register's word as it came,
 there the way the bus sends it: low byte first.
 """
 
+import pytest
 from machine import Guest
 
 SCRIPT = """
@@ -23,6 +24,7 @@ with SMBus(int(buses[0].name[4:])) as bus:
 """
 
 
+@pytest.mark.deep(gate="tests/guest/test_machine.py::test_it_runs_the_checkouts_own_python_on_debians_kernel")
 def test_registers_of_a_stub_are_written_and_read_and_nobody_else_answers(guest: Guest) -> None:
     guest.modprobe("i2c-dev")
     guest.modprobe("i2c-stub", "chip_addr=0x68")
@@ -79,6 +81,7 @@ except I2cError as error:
 """
 
 
+@pytest.mark.deep(gate="tests/guest/test_machine.py::test_it_runs_the_checkouts_own_python_on_debians_kernel")
 def test_drivers_read_their_chips_and_say_what_is_wrong(guest: Guest) -> None:
     guest.modprobe("i2c-dev")
     guest.run(["modprobe", "-r", "i2c-stub"])  # another test's, with another's addresses

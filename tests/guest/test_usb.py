@@ -55,6 +55,7 @@ def assert_dark_after(served: Served, since: int, what: bytes) -> None:
     assert last < tick + DARK
 
 
+@pytest.mark.deep(gate="tests/guest/test_usb.py::test_our_host_configures_arms_and_fires_through_cdc_acm")
 def test_the_kernel_finds_what_the_device_says_it_is(attached: dict[str, Any]) -> None:
     assert attached == {
         "manufacturer": "annulus",
@@ -80,6 +81,7 @@ def test_our_host_configures_arms_and_fires_through_cdc_acm(guest: Guest, served
     assert all(one != other for one, other in pairwise(lamps))  # ratio 1: in turn
 
 
+@pytest.mark.deep(gate="tests/guest/test_usb.py::test_our_host_configures_arms_and_fires_through_cdc_acm")
 @pytest.mark.usefixtures("attached")
 def test_two_thousand_pipelined_commands_are_answered_once_and_in_order(guest: Guest) -> None:
     found = on_guest(guest, "pipeline", 2000)
@@ -87,6 +89,7 @@ def test_two_thousand_pipelined_commands_are_answered_once_and_in_order(guest: G
     assert (found["damaged"], found["after"]["bad_frames"]) == (0, found["before"]["bad_frames"])
 
 
+@pytest.mark.deep(gate="tests/guest/test_usb.py::test_our_host_configures_arms_and_fires_through_cdc_acm")
 @pytest.mark.usefixtures("attached")
 def test_half_a_megabyte_of_noise_leaves_it_answering(guest: Guest, served: Served) -> None:
     found = on_guest(guest, "noise", 500_000)
@@ -95,6 +98,7 @@ def test_half_a_megabyte_of_noise_leaves_it_answering(guest: Guest, served: Serv
     assert served.resets == []
 
 
+@pytest.mark.deep(gate="tests/guest/test_usb.py::test_our_host_configures_arms_and_fires_through_cdc_acm")
 @pytest.mark.usefixtures("attached")
 def test_a_port_closed_while_armed_goes_dark_at_once(guest: Guest, served: Served) -> None:
     since = served.now
@@ -102,6 +106,7 @@ def test_a_port_closed_while_armed_goes_dark_at_once(guest: Guest, served: Serve
     assert_dark_after(served, since, LINE_STATE_OFF)
 
 
+@pytest.mark.deep(gate="tests/guest/test_usb.py::test_our_host_configures_arms_and_fires_through_cdc_acm")
 @pytest.mark.usefixtures("attached")
 def test_a_host_killed_while_armed_leaves_it_dark(guest: Guest, served: Served) -> None:
     since = served.now
@@ -110,6 +115,7 @@ def test_a_host_killed_while_armed_leaves_it_dark(guest: Guest, served: Served) 
     assert on_guest(guest, "identify")["fault"] == FaultCode.HOST_TIMEOUT
 
 
+@pytest.mark.deep(gate="tests/guest/test_usb.py::test_our_host_configures_arms_and_fires_through_cdc_acm")
 @pytest.mark.usefixtures("attached")
 def test_a_driver_unbound_while_armed_leaves_it_dark(guest: Guest, served: Served) -> None:
     since = served.now
@@ -119,6 +125,7 @@ def test_a_driver_unbound_while_armed_leaves_it_dark(guest: Guest, served: Serve
     assert found["after"]["fault"] == FaultCode.HOST_TIMEOUT
 
 
+@pytest.mark.deep(gate="tests/guest/test_usb.py::test_our_host_configures_arms_and_fires_through_cdc_acm")
 @pytest.mark.usefixtures("attached")
 def test_the_kernels_reset_of_the_device_is_survived(guest: Guest, served: Served) -> None:
     found = on_guest(guest, "bus_reset")
@@ -126,6 +133,7 @@ def test_the_kernels_reset_of_the_device_is_survived(guest: Guest, served: Serve
     assert served.resets == []
 
 
+@pytest.mark.deep(gate="tests/guest/test_usb.py::test_our_host_configures_arms_and_fires_through_cdc_acm")
 @pytest.mark.usefixtures("attached")
 def test_a_detached_device_goes_dark_and_can_be_attached_again(guest: Guest, served: Served) -> None:
     since = served.now
@@ -134,6 +142,7 @@ def test_a_detached_device_goes_dark_and_can_be_attached_again(guest: Guest, ser
     assert found["fault"] == FaultCode.HOST_TIMEOUT
 
 
+@pytest.mark.deep(gate="tests/guest/test_usb.py::test_our_host_configures_arms_and_fires_through_cdc_acm")
 @pytest.mark.usefixtures("attached")
 def test_a_restarted_controller_is_found_again(guest: Guest, served: Served) -> None:
     found = on_guest(guest, "reset", served.port)

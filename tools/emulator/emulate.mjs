@@ -12,6 +12,7 @@
 //   | {"op": "wires", "wires": [[from, to], ..]} | {"op": "leave-bootloader"} | {"op": "trap", "at": ADDRESS, "what": "hang" | "fault"}
 //   | {"op": "power-cycle", "short": true | false} | {"op": "bootsel"} (the same, and that button held) | {"op": "copy-uf2", "file": PATH}
 //   | {"op": "flash", "erase_ticks": N} (of a sector) | {"op": "flash", "at": N, "hex": ".."} (bits that rot)
+//   | {"op": "anew", "image": PATH, "flash_id": HEX or nothing} (another board in place of this one)
 //   | {"op": "usb", "do": "attach" | "detach" | "reset" | "suspend" | "resume" | "hang" | "open" | "close" | "write" (hex)
 //   | "control" (setup, data: hex)} | {"op": "usbip", "port": N} (0: any; usb then tells it). The answer always has now, pins [[tick, pin, level], ..], sent
 // [[tick, byte], ..], resets, stack (bytes used at most), bootloader (what the image told the boot ROM, or null), usb (what its host
@@ -72,16 +73,29 @@ function answer(machine, op) {
       if (op.erase_ticks !== undefined) machine.flashChip.eraseTicks = op.erase_ticks;
       if (op.hex !== undefined) spoilFlash(machine, op.at, Buffer.from(op.hex, 'hex'));
       break;
+    case 'anew': break;
     default: throw new Fault(`no such op: ${op.op}`);
   }
   return { now: machine.now, pins: machine.pins(), sent: machine.read_serial(), resets: machine.resets, stack: stackUsed(machine.ramView), bootloader: machine.bootloader ?? null, usb: op.op === 'usb' || machine.host.state !== 'detached' || machine.host.received?.length ? machine.host.report() : null, origin: machine.tickOrigin ?? 0, round: machine.loop.take(), overruns: machine.uart.overruns, flash: { erased: machine.flashChip.erased, programmed: machine.flashChip.programmed } };
+}
+
+// A board just switched on, its interlock closed.
+function powered(image, flashId, missTicks) {
+  const machine = new Machine(readFileSync(image), flashId, missTicks);
+  machine.input(0, PIN.INTERLOCK, 0);
+  return machine;
 }
 
 function drive(machine, vcd) {
   createInterface({ input: process.stdin }).on('close', () => { vcd?.end(machine.now); machine.host.close?.(); }).on('line', (line) => {
     let reply;
     try {
-      reply = answer(machine, JSON.parse(line));
+      const op = JSON.parse(line);
+      if (op.op === 'anew') { // nothing of a board outlives it: all its state is the machine's
+        machine.host.close?.();
+        machine = powered(op.image, op.flash_id, 0);
+      }
+      reply = answer(machine, op);
       vcd?.write(reply.pins, reply.sent, reply.now);
     } catch (error) {
       reply = { fault: error instanceof Fault ? error.message : error.stack, now: machine.now, pc: machine.chip.core.PC };
@@ -152,12 +166,11 @@ function serve(machine, given, vcd) {
 const given = options(process.argv.slice(2));
 let machine;
 try {
-  machine = new Machine(readFileSync(given.image), given['flash-id'], given.waits ? MISS_TICKS : 0);
+  machine = powered(given.image, given['flash-id'], given.waits ? MISS_TICKS : 0);
 } catch (error) {
   process.stderr.write(`emulate.mjs: ${given.image}: ${error.message}\n`);
   process.exit(1);
 }
-machine.input(0, PIN.INTERLOCK, 0); // closed
 if (given.wires) machine.setWires(given.wires.split(',').map((wire) => wire.split('-').map(Number)));
 const vcd = given.vcd && new VcdWriter(createWriteStream(given.vcd));
 if (given.drive) drive(machine, vcd);

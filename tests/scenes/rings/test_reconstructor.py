@@ -1,22 +1,16 @@
 """Frames with known truth through the whole method."""
 
-import json
-import runpy
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
 from drawn import PIPE_MM, Paint, calibration, draw
 
-from annulus.geometry.calibration import Calibration
 from annulus.geometry.pose import Pose
 from annulus.rings.reconstructor import Reconstructor
 from annulus.vocabulary import AnnulusError
 
 POSE = Pose(np.radians(1.7), np.radians(-1.2), 2.0, -1.5)
 ELEVEN = {"colours": "RRGBRBBGGRGB", "theta_deg": tuple(np.linspace(37.0, 60.0, 11))}
-PIPE_A = Path(__file__).resolve().parents[4] / "shared" / "scenes" / "pipe-a"
 
 
 def oval_with_dent(phi, z):
@@ -124,29 +118,3 @@ def test_the_same_frame_gives_the_same_profile(plain):
     cal, image = plain
     a, b = (Reconstructor(cal).profile(image, frame=0, z_mm=0.0) for _ in range(2))
     assert (a.points_mm == b.points_mm).all() and a.pose == b.pose
-
-
-@pytest.mark.skipif(not PIPE_A.is_dir(), reason="../shared is not here")
-def test_the_ray_traced_pipe_is_measured_as_promised(tmp_path):
-    score = runpy.run_path(str(PIPE_A.parent / "score.py"))["score"]
-    reconstructor = Reconstructor(Calibration.from_dict(json.loads((PIPE_A / "calibration.json").read_text())))
-    pose, rows = None, []
-    for line in (PIPE_A / "frames.csv").read_text().split()[1:]:
-        index, name, light, z_mm = line.split(",")
-        if light == "projector":
-            image = np.asarray(cv2.imread(str(PIPE_A / name)))
-            profile = reconstructor.profile(image, frame=int(index), z_mm=float(z_mm), seed=pose)
-            pose = profile.pose
-            rows.append(np.column_stack([profile.points_mm, profile.ring]).astype("<f4"))
-    cloud = np.concatenate(rows)
-    header = "".join(f"property float {name}\n" for name in ("x", "y", "z", "ring"))
-    ply = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(cloud)}\n{header}end_header\n"
-    (tmp_path / "cloud.ply").write_bytes(ply.encode() + cloud.tobytes())
-    result = score(str(tmp_path / "cloud.ply"), str(PIPE_A / "truth.json"))
-    assert result["rms_mm"] <= 0.10
-    assert result["gross_over_2mm_percent"] <= 0.01
-    assert result["points_per_slit_direction"] >= 0.94
-    pocket, bump, groove = result["defects"]
-    assert abs(pocket["measured_mm"] - pocket["true_mm"]) < 0.05
-    assert abs(bump["measured_mm"] - bump["true_mm"]) < 0.1
-    assert abs(groove["measured_mm"] - groove["true_mm"]) < 0.05

@@ -21,7 +21,7 @@ from annulus.reprocess import open_job, reprocess
 from annulus.vocabulary import AnnulusError
 from annulus.wall.defects import Kind
 
-SCENES = Path(__file__).resolve().parents[4] / "shared" / "scenes"
+SCENES = Path(__file__).resolve().parents[3] / "shared" / "scenes"
 pytestmark = pytest.mark.skipif(not (SCENES / "stereo-a").is_dir(), reason="needs ../shared/scenes/stereo-a")
 
 

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from annulus.cli import app
 from annulus.vocabulary import AnnulusError
 
-JOINTS = Path(__file__).resolve().parents[4] / "shared" / "joints"
+JOINTS = Path(__file__).resolve().parents[3] / "shared" / "joints"
 TRUTH = JOINTS / "joint-a-truth" / "truth.json"
 pytestmark = pytest.mark.skipif(not TRUTH.is_file(), reason="no scenes here (../shared)")
 

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from annulus.cli import app
 
-SURVEY = Path(__file__).resolve().parents[4] / "shared" / "survey"
+SURVEY = Path(__file__).resolve().parents[3] / "shared" / "survey"
 pytestmark = [
     pytest.mark.skipif(not (SURVEY / "truth.json").is_file(), reason="no scenes here (../shared)"),
 ]

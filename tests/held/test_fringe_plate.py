@@ -25,7 +25,7 @@ from annulus.geometry.calibration import HeadCamera
 from annulus.geometry.camera import Camera
 from annulus.numeric.arrays import Float32Array, FloatArray
 
-SCENES = Path(__file__).resolve().parents[4] / "shared" / "scenes"
+SCENES = Path(__file__).resolve().parents[3] / "shared" / "scenes"
 PLATE = SCENES / "fringe-a"
 AHEAD = np.array([1.0, 0.0, 0.0])
 DRIFT = 0.1  # vignetting along half a track

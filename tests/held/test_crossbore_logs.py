@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from annulus.cli import app
 
-LOGS = Path(__file__).resolve().parents[4] / "shared" / "crossbore"
+LOGS = Path(__file__).resolve().parents[3] / "shared" / "crossbore"
 pytestmark = pytest.mark.skipif(not (LOGS / "score.py").is_file(), reason="no scenes here (../shared)")
 
 

@@ -14,7 +14,7 @@ from annulus.cli import app
 from annulus.fringe import FringeProjector
 from annulus.numeric.arrays import FloatArray
 
-SCENES = Path(__file__).resolve().parents[4] / "shared" / "scenes"
+SCENES = Path(__file__).resolve().parents[3] / "shared" / "scenes"
 PLATE = SCENES / "fringe-a"
 TRUTH = PLATE / "truth" / "truth.json"
 pytestmark = [

@@ -8,7 +8,7 @@ import pytest
 from annulus.reprocess import survey_of
 from annulus.wall.features import FeatureKind
 
-PIPES = Path(__file__).resolve().parents[4] / "shared" / "scenes" / "pipes"
+PIPES = Path(__file__).resolve().parents[3] / "shared" / "scenes" / "pipes"
 OPENINGS = (FeatureKind.BRANCH, FeatureKind.TEE)
 SCENES = ("s00a-control", "s02a-coupling", "s06a-dirt", "s07a-leak", "s09a-branch")
 

@@ -8,7 +8,7 @@ import pytest
 from annulus.reprocess import survey_of
 from annulus.wall.features import FeatureKind
 
-SCENE = Path(__file__).resolve().parents[4] / "shared" / "scenes" / "pipes" / "s05a-water"
+SCENE = Path(__file__).resolve().parents[3] / "shared" / "scenes" / "pipes" / "s05a-water"
 
 
 @pytest.mark.skipif(not SCENE.is_dir(), reason="../shared is not here")
