@@ -34,6 +34,7 @@ HOST = "10.0.2.2"  # as the guest sees it
 BOOT_S = 200.0  # 9 s on an idle machine
 SLACK_S = 30.0  # for an answer to come back after its command's time was up
 KVM = ("-accel", "kvm", "-cpu", "host")
+KVM_S = 2.0  # by then a QEMU that cannot use it has ended: 0.1 s on an idle machine
 TCG = ("-accel", "tcg,thread=multi", "-cpu", "max")
 NEEDED = ("vhci-hcd", "cdc-acm", "vivid", "i2c-stub", "9p")  # what the cloud kernel has not
 FIRST = ("virtio_pci", "virtio_console", "virtio_net", "9pnet_virtio", "9p")  # to reach the host at all
@@ -205,7 +206,7 @@ class Guest:
 def _command(release: str, folder: Path, port: int) -> list[str]:
     return [
         "qemu-system-x86_64", "-nodefaults", "-no-user-config", "-display", "none", "-no-reboot",
-        *(KVM if os.access("/dev/kvm", os.R_OK | os.W_OK) else TCG), "-smp", "2", "-m", "1536",
+        *(KVM if has_kvm() else TCG), "-smp", "2", "-m", "1536",
         "-kernel", f"/boot/vmlinuz-{release}", "-initrd", str(folder / "initramfs"),
         "-append", "console=ttyS0 rdinit=/init panic=-1 mitigations=off random.trust_cpu=on loglevel=6",
         "-serial", f"file:{folder / 'console'}",
@@ -214,6 +215,18 @@ def _command(release: str, folder: Path, port: int) -> list[str]:
         "-netdev", "user,id=net", "-device", "virtio-net-pci,netdev=net,romfile=",
         "-virtfs", "local,path=/,mount_tag=host,security_model=none,readonly=on,multidevs=remap",
     ]  # fmt: skip
+
+
+def has_kvm() -> bool:
+    """Whether QEMU runs on this machine's own processor. A nested one may offer it and end QEMU all the same."""
+    if not os.access("/dev/kvm", os.R_OK | os.W_OK):
+        return False
+    paused = ["qemu-system-x86_64", "-nodefaults", "-display", "none", *KVM, "-m", "64", "-S"]
+    try:
+        subprocess.run(paused, stdin=subprocess.DEVNULL, capture_output=True, timeout=KVM_S, check=False)
+    except subprocess.TimeoutExpired:  # it stands there, as it was asked to
+        return True
+    return False
 
 
 def _listed(release: str) -> dict[str, list[str]]:

@@ -60,7 +60,7 @@ def controller() -> Iterator[Controller]:
     controller.join()
 
 
-@pytest.mark.deep(gate="tests/guest/test_machine.py::test_it_runs_the_checkouts_own_python_on_debians_kernel")
+@pytest.mark.deep(gate="tests/guest/test_usb.py::test_our_host_configures_arms_and_fires_through_cdc_acm")
 @pytest.mark.timeout(600)  # half of it is the daemon's imports
 def test_drops_are_counted_and_a_camera_that_goes_and_comes_back_is_used_again(
     guest: Guest, controller: Controller

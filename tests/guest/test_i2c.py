@@ -24,7 +24,7 @@ with SMBus(int(buses[0].name[4:])) as bus:
 """
 
 
-@pytest.mark.deep(gate="tests/guest/test_machine.py::test_it_runs_the_checkouts_own_python_on_debians_kernel")
+@pytest.mark.deep(gate="tests/guest/test_usb.py::test_our_host_configures_arms_and_fires_through_cdc_acm")
 def test_registers_of_a_stub_are_written_and_read_and_nobody_else_answers(guest: Guest) -> None:
     guest.modprobe("i2c-dev")
     guest.modprobe("i2c-stub", "chip_addr=0x68")
@@ -81,7 +81,7 @@ except I2cError as error:
 """
 
 
-@pytest.mark.deep(gate="tests/guest/test_machine.py::test_it_runs_the_checkouts_own_python_on_debians_kernel")
+@pytest.mark.deep(gate="tests/guest/test_usb.py::test_our_host_configures_arms_and_fires_through_cdc_acm")
 def test_drivers_read_their_chips_and_say_what_is_wrong(guest: Guest) -> None:
     guest.modprobe("i2c-dev")
     guest.run(["modprobe", "-r", "i2c-stub"])  # another test's, with another's addresses

@@ -55,7 +55,6 @@ def assert_dark_after(served: Served, since: int, what: bytes) -> None:
     assert last < tick + DARK
 
 
-@pytest.mark.deep(gate="tests/guest/test_usb.py::test_our_host_configures_arms_and_fires_through_cdc_acm")
 def test_the_kernel_finds_what_the_device_says_it_is(attached: dict[str, Any]) -> None:
     assert attached == {
         "manufacturer": "annulus",

@@ -47,7 +47,7 @@ def going(vivid: Guest) -> dict[str, Any]:
     return chapter(vivid, "going")
 
 
-@pytest.mark.deep(gate="tests/guest/test_machine.py::test_it_runs_the_checkouts_own_python_on_debians_kernel")
+@pytest.mark.deep(gate="tests/guest/test_usb.py::test_our_host_configures_arms_and_fires_through_cdc_acm")
 @pytest.mark.parametrize(
     ("what", "said"),
     {
@@ -72,12 +72,12 @@ def test_what_cannot_be_used_says_why_in_one_line(refusals: dict[str, str], what
     assert said in refusals[what] and "\n" not in refusals[what]
 
 
-@pytest.mark.deep(gate="tests/guest/test_machine.py::test_it_runs_the_checkouts_own_python_on_debians_kernel")
+@pytest.mark.deep(gate="tests/guest/test_usb.py::test_our_host_configures_arms_and_fires_through_cdc_acm")
 def test_a_refusal_leaves_nothing_behind(refusals: dict[str, str]) -> None:
     assert refusals["afterwards"] == "(360, 640, 3)"
 
 
-@pytest.mark.deep(gate="tests/guest/test_machine.py::test_it_runs_the_checkouts_own_python_on_debians_kernel")
+@pytest.mark.deep(gate="tests/guest/test_usb.py::test_our_host_configures_arms_and_fires_through_cdc_acm")
 def test_every_format_gives_the_same_colours(vivid: Guest) -> None:
     facts = chapter(vivid, "formats")
     bars = facts["bars"]
@@ -106,7 +106,7 @@ def test_every_format_gives_the_same_colours(vivid: Guest) -> None:
     assert not wrong
 
 
-@pytest.mark.deep(gate="tests/guest/test_machine.py::test_it_runs_the_checkouts_own_python_on_debians_kernel")
+@pytest.mark.deep(gate="tests/guest/test_usb.py::test_our_host_configures_arms_and_fires_through_cdc_acm")
 def test_our_size_and_rate_from_a_signal_in_television_colours(vivid: Guest) -> None:
     facts = chapter(vivid, "our_size")
     assert facts["shape"] == [1232, 1664, 3]
@@ -123,14 +123,14 @@ def in_step(facts: dict[str, Any]) -> None:
     assert stamps[-1] < facts["now"] + PERIOD
 
 
-@pytest.mark.deep(gate="tests/guest/test_machine.py::test_it_runs_the_checkouts_own_python_on_debians_kernel")
+@pytest.mark.deep(gate="tests/guest/test_usb.py::test_our_host_configures_arms_and_fires_through_cdc_acm")
 def test_frames_are_counted_and_stamped_by_the_driver_on_the_monotonic_clock(streaming: dict[str, Any]) -> None:
     plain = streaming["plain"]
     in_step(plain)
     assert plain["began"] <= plain["stamps"][0]
 
 
-@pytest.mark.deep(gate="tests/guest/test_machine.py::test_it_runs_the_checkouts_own_python_on_debians_kernel")
+@pytest.mark.deep(gate="tests/guest/test_usb.py::test_our_host_configures_arms_and_fires_through_cdc_acm")
 def test_frames_that_waited_in_a_pause_keep_their_own_stamps(streaming: dict[str, Any]) -> None:
     paused = streaming["after a pause"]
     in_step(paused)
@@ -139,21 +139,21 @@ def test_frames_that_waited_in_a_pause_keep_their_own_stamps(streaming: dict[str
     assert paused["counts"][len(old)] - paused["counts"][len(old) - 1] > 10  # and the hole behind them is counted
 
 
-@pytest.mark.deep(gate="tests/guest/test_machine.py::test_it_runs_the_checkouts_own_python_on_debians_kernel")
+@pytest.mark.deep(gate="tests/guest/test_usb.py::test_our_host_configures_arms_and_fires_through_cdc_acm")
 def test_after_a_stop_nothing_old_comes(streaming: dict[str, Any]) -> None:
     again = streaming["after a stop"]
     in_step(again)
     assert again["began"] <= again["stamps"][0]
 
 
-@pytest.mark.deep(gate="tests/guest/test_machine.py::test_it_runs_the_checkouts_own_python_on_debians_kernel")
+@pytest.mark.deep(gate="tests/guest/test_usb.py::test_our_host_configures_arms_and_fires_through_cdc_acm")
 def test_dropped_frames_are_holes_in_the_count(streaming: dict[str, Any]) -> None:
     dropped = streaming["half dropped"]
     in_step(dropped)
     assert dropped["counts"][-1] - dropped["counts"][0] >= len(dropped["counts"])
 
 
-@pytest.mark.deep(gate="tests/guest/test_machine.py::test_it_runs_the_checkouts_own_python_on_debians_kernel")
+@pytest.mark.deep(gate="tests/guest/test_usb.py::test_our_host_configures_arms_and_fires_through_cdc_acm")
 def test_a_silent_camera_times_out_at_rest_and_goes_on(streaming: dict[str, Any]) -> None:
     silent = streaming["all dropped"]
     assert silent["said"] == "TimeoutError: /dev/video0: no whole frame within 2000 ms"
@@ -161,18 +161,18 @@ def test_a_silent_camera_times_out_at_rest_and_goes_on(streaming: dict[str, Any]
     in_step(streaming["mended"])
 
 
-@pytest.mark.deep(gate="tests/guest/test_machine.py::test_it_runs_the_checkouts_own_python_on_debians_kernel")
+@pytest.mark.deep(gate="tests/guest/test_usb.py::test_our_host_configures_arms_and_fires_through_cdc_acm")
 def test_stamps_of_another_clock_are_refused(streaming: dict[str, Any]) -> None:
     assert "ahead of CLOCK_MONOTONIC" in streaming["other clock"]["said"]
 
 
-@pytest.mark.deep(gate="tests/guest/test_machine.py::test_it_runs_the_checkouts_own_python_on_debians_kernel")
+@pytest.mark.deep(gate="tests/guest/test_usb.py::test_our_host_configures_arms_and_fires_through_cdc_acm")
 def test_a_rate_that_is_not_the_one_promised_is_found_out(streaming: dict[str, Any]) -> None:
     said = streaming["another rate"]["said"]
     assert re.fullmatch(r"AnnulusError: /dev/video0: frames come at 1[45]\.\d fps, expected 25", said)
 
 
-@pytest.mark.deep(gate="tests/guest/test_machine.py::test_it_runs_the_checkouts_own_python_on_debians_kernel")
+@pytest.mark.deep(gate="tests/guest/test_usb.py::test_our_host_configures_arms_and_fires_through_cdc_acm")
 def test_controls_are_read_back(streaming: dict[str, Any]) -> None:
     said = streaming["controls"]
     assert (said["automatic off"], said["automatic read"]) == ("", "0")  # its own gain would wander
@@ -185,7 +185,7 @@ def test_controls_are_read_back(streaming: dict[str, Any]) -> None:
     assert "frame rate is 30, expected 27.027" in said["no such rate"]
 
 
-@pytest.mark.deep(gate="tests/guest/test_machine.py::test_it_runs_the_checkouts_own_python_on_debians_kernel")
+@pytest.mark.deep(gate="tests/guest/test_usb.py::test_our_host_configures_arms_and_fires_through_cdc_acm")
 def test_a_device_that_breaks_or_goes_is_one_error_at_once_and_its_return_is_a_start(going: dict[str, Any]) -> None:
     assert going["broken"]["said"] == "AnnulusError: /dev/video0: stopped streaming (Input/output error)"
     in_step(going["started again"])

@@ -31,6 +31,7 @@ def test_the_same_bytes_are_made_again(folder: Path, tmp_path: Path) -> None:
         assert (tmp_path / name).read_bytes() == (folder / name).read_bytes()
 
 
+@pytest.mark.deep(gate="tests/scenes/test_sample.py::test_the_four_known_defects_are_found_and_no_other")
 def test_it_is_small_whole_and_every_label_follows_from_its_evidence(folder: Path) -> None:
     recording = open_recording(folder / "scan.mcap")
     assert len(recording.frames) == FRAMES and not recording.torn and not recording.check()

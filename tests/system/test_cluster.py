@@ -33,7 +33,12 @@ from annulus.vocabulary import AnnulusError, Label
 from annulus.wall.profile import Profile
 from tools.bench.dask_processes import Cluster
 
-pytestmark = pytest.mark.timeout(900)
+pytestmark = [
+    pytest.mark.timeout(900),
+    pytest.mark.deep(
+        gate="tests/unit/reprocess/test_desk.py::test_every_item_comes_back_once_whatever_asking_for_some_of_them_raises"
+    ),
+]
 FRAMES = 60  # 48 of the projector: six ranges of one chunk
 RANGES = 6
 
@@ -89,7 +94,6 @@ def written(done: Reprocessed, folder: Path) -> str:
     return results_hash(folder)
 
 
-@pytest.mark.deep(gate="tests/system/test_cluster.py::test_what_kills_every_worker_is_given_up_and_the_rest_is_done")
 def test_local_workers_make_the_same_bits_and_resume_what_is_sound(
     job: Job, whole: Reprocessed, tmp_path: Path
 ) -> None:
@@ -108,7 +112,6 @@ def test_local_workers_make_the_same_bits_and_resume_what_is_sound(
     assert digest(gathered(again, place, 0.0).profiles) == digest(whole.profiles)
 
 
-@pytest.mark.deep(gate="tests/system/test_cluster.py::test_what_kills_every_worker_is_given_up_and_the_rest_is_done")
 def test_what_cannot_be_done_is_left_out_and_a_worker_with_other_libraries_is_refused(
     cluster: Cluster, tmp_path: Path
 ) -> None:
@@ -130,7 +133,6 @@ def test_what_cannot_be_done_is_left_out_and_a_worker_with_other_libraries_is_re
     cluster.kill(2)
 
 
-@pytest.mark.deep(gate="tests/system/test_cluster.py::test_what_kills_every_worker_is_given_up_and_the_rest_is_done")
 def test_one_hash_with_a_worker_killed_and_the_scheduler_begun_anew(
     cluster: Cluster, job: Job, whole: Reprocessed, tmp_path: Path
 ) -> None:
@@ -156,7 +158,6 @@ def test_one_hash_with_a_worker_killed_and_the_scheduler_begun_anew(
     assert again.made == 0 and digest(gathered(again, place, 0.0).profiles) == digest(whole.profiles)
 
 
-@pytest.mark.deep(gate="tests/system/test_cluster.py::test_what_kills_every_worker_is_given_up_and_the_rest_is_done")
 def test_the_commands_make_one_hash_with_one_two_and_five_workers_here_and_of_a_cluster(
     cluster: Cluster, scan: Path, tmp_path: Path
 ) -> None:
@@ -195,7 +196,6 @@ def test_what_kills_every_worker_is_given_up_and_the_rest_is_done(cluster: Clust
     assert told == {n: n * n for n in range(12) if n != 5}
 
 
-@pytest.mark.deep(gate="tests/system/test_cluster.py::test_what_kills_every_worker_is_given_up_and_the_rest_is_done")
 def test_over_tls_both_sides_are_known_by_their_certificates(tmp_path: Path) -> None:
     key, cert = tmp_path / "key.pem", tmp_path / "cert.pem"
     made = [

@@ -21,7 +21,7 @@ from tools.manual.__main__ import build
 from tools.manual.pages import DOCS
 from tools.sample.__main__ import write as write_sample
 
-pytestmark = pytest.mark.timeout(900)
+pytestmark = [pytest.mark.timeout(900), pytest.mark.deep(gate="tests/unit/test_docs.py::test_examples_can_be_typed")]
 
 AXED = ("index", "manual/first-scan", "manual/troubleshooting", "manual/head-toml", "manual/python")
 LOOKED_AT = (*AXED, "manual/commands", "manual/messages", "manual/topics", "manual/gallery", "manual/rooms/daemon",
@@ -43,7 +43,6 @@ def page(manual: Path) -> Iterator[Page]:
         yield browser.new_page(viewport={"width": 1400, "height": 1000})
 
 
-@pytest.mark.deep(gate="tests/system/test_manual.py::test_no_page_is_wider_than_its_window")
 def test_it_is_small_whole_and_put_in_place_of_the_old_one(manual: Path) -> None:
     size = sum(file.stat().st_size for file in manual.rglob("*") if file.is_file())
     assert size < 10e6 and not list(manual.parent.glob(".manual-*"))
@@ -55,7 +54,6 @@ def test_it_is_small_whole_and_put_in_place_of_the_old_one(manual: Path) -> None
     ]
 
 
-@pytest.mark.deep(gate="tests/system/test_manual.py::test_what_a_page_says_to_type_runs")
 def test_searching_it_from_a_folder_finds_pages_and_fetches_nothing(manual: Path, page: Page) -> None:
     left, wrong = [], []
     page.on(
@@ -72,7 +70,6 @@ def test_searching_it_from_a_folder_finds_pages_and_fetches_nothing(manual: Path
     assert page.url.startswith("file:") and not left and not wrong
 
 
-@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("width", [1400, 390])
 def test_no_page_is_wider_than_its_window(manual: Path, page: Page, width: int) -> None:
     page.set_viewport_size({"width": width, "height": 900})
@@ -84,7 +81,6 @@ def test_no_page_is_wider_than_its_window(manual: Path, page: Page, width: int) 
     assert not {name: over for name, over in wide.items() if over > 0}
 
 
-@pytest.mark.deep(gate="tests/system/test_manual.py::test_no_page_is_wider_than_its_window")
 def test_axe_finds_nothing_serious(manual: Path, page: Page) -> None:
     axe, found = Axe(), []
     for name in AXED:
@@ -116,7 +112,6 @@ def said_by(name: str, folder: Path, environment: dict[str, str]) -> str:
     return "".join(run(line, folder, environment) for block in blocks for line in block.strip().splitlines())
 
 
-@pytest.mark.deep(but="tune.md-every row sees all of it")
 @pytest.mark.parametrize(
     ("name", "what"), [("calibrate.md", "poses      good"), ("tune.md", "every row sees all of it")]
 )
@@ -124,7 +119,6 @@ def test_what_a_page_says_to_type_runs(name: str, what: str, typed: dict[str, st
     assert what in said_by(name, tmp_path, typed)
 
 
-@pytest.mark.deep(gate="tests/system/test_manual.py::test_what_a_page_says_to_type_runs")
 def test_four_defects_are_found_as_the_first_page_says(typed: dict[str, str], tmp_path: Path) -> None:
     said = said_by("first-scan.md", tmp_path, typed)
     assert "0 change" in said and "0 places damaged" in said
@@ -137,14 +131,12 @@ def test_every_block_marked_to_be_run_is_run() -> None:
     assert marked == {"calibrate.md", "tune.md", "first-scan.md"}
 
 
-@pytest.mark.deep(gate="tests/system/test_manual.py::test_every_block_marked_to_be_run_is_run")
 def test_examples_of_help_run_where_they_need_nothing(typed: dict[str, str], tmp_path: Path) -> None:
     lines = {name: line for name, line in reversed([*commands.examples()])}  # the first of each
     for name in ALONE:
         run(lines[f"annulus {name}"], tmp_path, typed)
 
 
-@pytest.mark.deep(gate="tests/system/test_manual.py::test_what_a_page_says_to_type_runs")
 def test_without_the_sample_or_the_manual_one_line_says_how_to_get_them(tmp_path: Path) -> None:
     for command, what in (("sample", "make sample"), ("docs", "make docs")):
         code = f"import sys; sys.modules['annulus_sample'] = None; sys.argv = ['annulus', {command!r}]; "

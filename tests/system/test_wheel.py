@@ -19,6 +19,10 @@ import pytest
 from annulus.shipped import UNIT, shipped
 from tools.wheel.hook import GLIBC, MACHINES, glibc_needed, native
 
+pytestmark = pytest.mark.deep(
+    gate="tests/unit/test_extras.py::test_every_room_and_command_is_imported_without_any_extra"
+)
+
 ROOT = Path(__file__).resolve().parents[2]
 Run = Callable[..., "subprocess.CompletedProcess[str]"]
 
@@ -54,7 +58,6 @@ def annulus(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
     return run
 
 
-@pytest.mark.deep(gate="tests/system/test_wheel.py::test_what_only_a_checkout_has_is_one_line")
 def test_it_holds_what_a_head_needs_and_no_source_of_what_it_is_made_of(wheel: Path) -> None:
     names = set(zipfile.ZipFile(wheel).namelist())
     shipped_files = ("libannulus_native.so", "annulus.uf2", "99-annulus.rules", "annulus.service", "build.json")
@@ -67,7 +70,6 @@ def test_it_holds_what_a_head_needs_and_no_source_of_what_it_is_made_of(wheel: P
     assert wheel.name.endswith(f"-py3-none-manylinux_2_17_{platform.machine()}.whl")
 
 
-@pytest.mark.deep(gate="tests/system/test_wheel.py::test_the_firmwares_own_code_runs_in_virtual_time")
 @pytest.mark.parametrize("machine", MACHINES)
 def test_the_library_runs_where_glibc_is_of_2_17(machine: str, tmp_path: Path) -> None:
     library = native(ROOT, machine, tmp_path)
@@ -76,7 +78,6 @@ def test_the_library_runs_where_glibc_is_of_2_17(machine: str, tmp_path: Path) -
     assert (head[:4], head[18]) == (b"\x7fELF", {"x86_64": 62, "aarch64": 183}[machine])
 
 
-@pytest.mark.deep(gate="tests/system/test_wheel.py::test_what_only_a_checkout_has_is_one_line")
 def test_it_says_which_commit_it_is_and_so_does_its_image(annulus: Run) -> None:
     commit = subprocess.run(["git", "rev-parse", "--short=8", "HEAD"], cwd=ROOT, capture_output=True, text=True)
     assert commit.stdout.strip() in annulus("--version").stdout
@@ -106,7 +107,6 @@ def test_what_only_a_checkout_has_is_one_line(annulus: Run) -> None:
     assert emulated.stderr.count("\n") == 1
 
 
-@pytest.mark.deep(gate="tests/system/test_wheel.py::test_what_only_a_checkout_has_is_one_line")
 def test_doctor_says_what_is_installed_and_where_the_rule_is(annulus: Run) -> None:
     where = Path(annulus("doctor", "--where").stdout.strip())
     assert (where / "99-annulus.rules").is_file() and (where / "annulus.service").is_file()

@@ -53,7 +53,7 @@ def test_real_photographs_calibrate_cold_and_none_is_thrown_away_to_look_good() 
     assert not result.target_was_given
 
 
-@pytest.mark.deep(gate="tests/scenes/calibrate/test_camera.py::test_the_command_tells_a_program_all")
+@pytest.mark.deep(gate="tests/scenes/calibrate/test_camera.py::test_the_camera_joins_what_the_file_already_has")
 @pytest.mark.parametrize("camera", [PINHOLE, FISHEYE], ids=["pinhole", "fisheye"])
 def test_the_lens_is_measured_from_nothing_but_photographs(camera: Camera) -> None:
     result = calibrated(camera)
@@ -165,6 +165,7 @@ def test_a_target_miscounted_by_its_owner_is_pointed_out(tmp_path: Path) -> None
         calibrate_camera(write(tmp_path, album(PINHOLE, PLAIN)), target="6x4")
 
 
+@pytest.mark.deep(gate="tests/scenes/calibrate/test_camera.py::test_the_camera_joins_what_the_file_already_has")
 def test_the_command_tells_a_program_all(tmp_path: Path) -> None:
     write(tmp_path, album(PINHOLE, PLAIN)[:3])
     out = tmp_path / "head.json"

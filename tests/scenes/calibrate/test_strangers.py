@@ -81,7 +81,7 @@ def test_a_few_photographs_of_another_camera_are_left_out_by_name() -> None:
         assert all("another camera's" in one for one in why.values())
 
 
-@pytest.mark.deep(but=1)
+@pytest.mark.deep(gate="tests/scenes/calibrate/test_strangers.py::test_a_drawn_album_of_one_camera_has_no_strangers")
 @pytest.mark.parametrize(
     ("x", "y", "said"), [(-1, -1, "turned by 180"), (-1, 1, "mirrored left"), (1, -1, "mirrored top")]
 )

@@ -41,6 +41,9 @@ def test_rings_are_measured_on_targets_and_the_file_reconstructs(scan: Path, tmp
     assert np.linalg.eigvalsh(np.array(again.covariance)).min() > -1e-12
 
 
+@pytest.mark.deep(
+    gate="tests/scenes/calibrate/test_target.py::test_rings_are_measured_on_targets_and_the_file_reconstructs"
+)
 def test_a_target_that_moved_between_its_two_frames_is_left_out(scan: Path, tmp_path: Path) -> None:
     for file in scan.iterdir():
         (tmp_path / file.name).write_bytes(file.read_bytes())

@@ -115,6 +115,7 @@ def test_the_verdict_is_on_the_page_and_in_the_summary(page: tuple[str, dict[str
         assert said_ in words, said_
 
 
+@pytest.mark.deep(gate="tests/scenes/report/test_client.py::test_the_verdict_is_on_the_page_and_in_the_summary")
 def test_without_limits_nothing_passes_and_nothing_fails(pipe: Survey, tmp_path: Path) -> None:
     summary = write(pipe, account(), tmp_path)
     words = text((tmp_path / "report.html").read_text("utf-8"))

@@ -161,7 +161,9 @@ def check_print(data: bytes, paper: str, wanted: list[str], most: int) -> None:
         assert "".join(one.split()) in plain, one
 
 
-@pytest.mark.deep(but=1)
+@pytest.mark.deep(
+    gate="tests/scenes/report/test_looks.py::test_report_pdf_has_every_column_page_numbers_letters_of_its_own_and_tags"
+)
 @pytest.mark.parametrize("paper", PAPERS)
 @pytest.mark.parametrize(("name", "most"), MOST)
 def test_a_browser_prints_every_column_with_page_numbers(
@@ -207,7 +209,9 @@ def test_the_pictures_on_paper_are_as_wide_as_their_scale_says(pages: Path, brow
     assert len(wide) == 3 and wide == pytest.approx([186 / 25.4 * 96] * 3, abs=0.5)
 
 
-@pytest.mark.deep(gate="tests/scenes/report/test_looks.py::test_a_browser_prints_every_column_with_page_numbers")
+@pytest.mark.deep(
+    gate="tests/scenes/report/test_looks.py::test_report_pdf_has_every_column_page_numbers_letters_of_its_own_and_tags"
+)
 def test_a_system_without_fonts_writes_letters_all_the_same(pages: Path, tmp_path: Path) -> None:
     """A fresh Debian has none; fontconfig then gives nothing, and WeasyPrint alone draws boxes."""
     empty = tmp_path / "fonts.conf"

@@ -114,6 +114,7 @@ def test_the_report_stands_alone_and_quotes_its_source_safely(written: tuple[Pat
         assert words in page, words
 
 
+@pytest.mark.deep(gate="tests/scenes/report/test_results.py::test_the_summary_says_what_the_page_promises")
 def test_an_oval_pipe_makes_a_report_even_without_led_frames(tmp_path: Path) -> None:
     out = tmp_path / "new" / "folder"
     pipe = survey(scan(oval(round_pipe, 30, 0.03), z_mm=[4.0 * i for i in range(8)]), CALIBRATION)

@@ -52,6 +52,7 @@ def test_fifty_positions_make_a_faithful_image(sweep):
     assert correlation >= 0.997
 
 
+@pytest.mark.deep(gate="tests/scenes/thermoacoustic/test_imaging.py::test_the_speed_of_sound_is_found_in_noise")
 def test_refinement_fills_in_for_a_missing_half(sweep):
     half = sweep.only(sweep.angles_deg <= 180)
     assert gaps_deg(half.angles_deg) == [(180.0, 360.0)]

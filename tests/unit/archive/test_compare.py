@@ -60,6 +60,9 @@ def test_rows_find_their_place_and_growth_is_found_with_none_made_up() -> None:
     assert np.sqrt(np.mean(np.square(errors))) < 0.08 and max(parts) < 2.0
 
 
+@pytest.mark.deep(
+    gate="tests/unit/archive/test_compare.py::test_a_pipe_that_did_not_change_has_no_growth_and_the_limit_is_said"
+)
 def test_what_is_said_of_places_holds_for_95_percent() -> None:
     pair, found = short()
     off = np.abs(found.alignment.z_mm - pair.z_of_second)
@@ -93,7 +96,9 @@ def test_a_pipe_that_did_not_change_has_no_growth_and_the_limit_is_said() -> Non
     assert 0.05 < found.growth.least_median_mm < 0.25
 
 
-@pytest.mark.deep(gate="tests/unit/archive/test_compare.py::test_what_is_said_of_places_holds_for_95_percent")
+@pytest.mark.deep(
+    gate="tests/unit/archive/test_compare.py::test_a_pipe_that_did_not_change_has_no_growth_and_the_limit_is_said"
+)
 def test_swapped_scans_shrink_what_grew() -> None:
     pair, there = short()
     back = compare_maps(pair.second, pair.first)

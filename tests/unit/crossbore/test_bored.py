@@ -7,6 +7,10 @@ from annulus.crossbore.bored import Bored, bored, changes, source_cases
 from annulus.crossbore.field import AIR, WATER, Section
 from annulus.numeric.arrays import FloatArray
 
+pytestmark = pytest.mark.deep(
+    gate="tests/unit/crossbore/test_detect.py::test_water_is_told_in_dry_soil_or_by_its_loss_and_where_it_cannot_be_that_is_said"
+)
+
 CASE = Section()
 AIR_CASES, WATER_CASES = (source_cases(76.0, CASE.pipe.outer_mm, fill) for fill in (AIR, WATER))
 ASKED = [*AIR_CASES.values(), WATER_CASES["through"], WATER_CASES["50 mm clear"]]
@@ -24,9 +28,6 @@ def soil() -> Bored:
     return bored(CASE)
 
 
-@pytest.mark.deep(
-    gate="tests/unit/crossbore/test_bored.py::test_water_in_the_bore_raises_what_air_lowers_and_loses_more"
-)
 def test_bores_change_the_sectors_as_in_a_prototypes_field(changed: tuple[FloatArray, FloatArray]) -> None:
     """-243 fF through a bore on all sectors, -91/-220/-2 half in it, -7 at 10 mm clear, 0 at 50 mm. The electrodes
     were chosen with these in view, and the bore's side to suit them: this guards, it does not confirm."""
@@ -45,9 +46,6 @@ def test_water_in_the_bore_raises_what_air_lowers_and_loses_more(changed: tuple[
     assert np.abs(change[1]).max() < 1
 
 
-@pytest.mark.deep(
-    gate="tests/unit/crossbore/test_bored.py::test_water_in_the_bore_raises_what_air_lowers_and_loses_more"
-)
 def test_a_millimetre_off_the_axis_is_three_tenths_of_the_swing(soil: Bored) -> None:
     air, off = bored(Section(soil=AIR)).pf, bored(Section(off_mm=(1.0, 0.0))).pf
     assert np.ptp(soil.pf) < 1e-5 * soil.pf[0]
@@ -55,9 +53,6 @@ def test_a_millimetre_off_the_axis_is_three_tenths_of_the_swing(soil: Bored) -> 
     assert off[1] == pytest.approx(off[2], rel=1e-4)
 
 
-@pytest.mark.deep(
-    gate="tests/unit/crossbore/test_bored.py::test_water_in_the_bore_raises_what_air_lowers_and_loses_more"
-)
 def test_a_finer_mesh_moves_reading_and_change_little(changed: tuple[FloatArray, FloatArray], soil: Bored) -> None:
     fine = bored(Section(fine=1.6))
     half = bored(Section(fine=1.6, bore=AIR_CASES["half"]))

@@ -14,9 +14,7 @@ from annulus.daemon.config import HeadConfig
 from annulus.daemon.evidence import Evidence
 from annulus.job import JobSheet
 
-pytestmark = pytest.mark.deep(
-    gate="tests/unit/daemon/test_live_wall.py::test_memory_is_flat_from_the_first_scan_on_whatever_the_length"
-)
+pytestmark = pytest.mark.deep(gate="tests/unit/fringe/test_stream.py::test_memory_does_not_grow_with_the_scan")
 
 WARM, FRAMES = 2_000, 3_000  # of each camera
 KEPT_MAX = 40_000  # bytes, of which 20 000 come and go; one header kept of each frame would be 2 MB, one number 200 000

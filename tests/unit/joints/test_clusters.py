@@ -63,6 +63,7 @@ def test_too_few_is_said() -> None:
         leave_one_out(values, good, pipe, angle)
 
 
+@pytest.mark.deep(gate="tests/unit/joints/test_clusters.py::test_one_joint_is_never_told_by_itself")
 def test_the_command_from_folders_to_a_verdict(tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
     values, good, pipe, angle = joints(rng, 6, 1.0)

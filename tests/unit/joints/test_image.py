@@ -27,7 +27,7 @@ def rms(off: FloatArray) -> float:
     return float(np.sqrt(np.mean(off**2)))
 
 
-@pytest.mark.deep(gate="tests/unit/joints/test_image.py::test_sides_that_do_not_meet_take_nothing_from_the_thickness")
+@pytest.mark.deep(gate="tests/unit/joints/test_image.py::test_hilo_is_known_to_a_twentieth_of_a_millimetre")
 def test_the_axis_leans_as_the_pipe_does_and_runs_between_two_that_do_not_meet(joint: JointImage) -> None:
     axis = joint.found.axis
     assert axis.lean_x == pytest.approx(SCENE.lean[0], abs=1e-3)
@@ -86,6 +86,7 @@ def test_features_have_a_value_for_every_angle(joint: JointImage) -> None:
     assert named["ro"].shape == (2, len(joint.phi))
 
 
+@pytest.mark.deep(gate="tests/unit/joints/test_image.py::test_hilo_is_known_to_a_twentieth_of_a_millimetre")
 def test_sides_that_do_not_meet_take_nothing_from_the_thickness() -> None:
     scene = Scene(bead=(8.0, 2.2), hilo=0.4, plane=18.0, centre=(22.0, 22.0), shape=(110, 150, 150))
     found = image(ArrayVolume(joint_scene.volume(scene), VOXEL))

@@ -81,6 +81,7 @@ def test_the_index_of_a_closed_recording_is_four_requests(store: ObjectStore, tm
     assert same(recording, open_recording(path))
 
 
+@pytest.mark.deep(gate="tests/unit/record/test_far_recordings.py::test_a_far_recording_is_checked_whole")
 def test_a_range_moves_no_more_than_its_chunks(store: ObjectStore, tmp_path: Path) -> None:
     scan = open_scan(store.put("b/scan.mcap", uncalibrated(write(tmp_path / "scan.mcap", count=200))))
     assert scan.recording is not None

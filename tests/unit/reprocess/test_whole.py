@@ -15,6 +15,10 @@ from annulus.reprocess import Executor, Processes, Surveyed, in_process, open_jo
 from annulus.wall.joined import Joined
 from tools.bench.speed.long_scan import STEP_MM, drawn_scan
 
+pytestmark = pytest.mark.deep(
+    gate="tests/unit/reprocess/test_desk.py::test_every_item_comes_back_once_whatever_asking_for_some_of_them_raises"
+)
+
 FRAMES = 300  # 0.75 m
 MOST = 300_000  # points of a window: there are half a million
 CONTENT = ("cloud.ply", "mesh.ply", "stations.csv", "wall.npz", "unwrapped.png", "texture.png", "centreline.json")
@@ -51,7 +55,6 @@ def held(scan: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-@pytest.mark.deep(gate="tests/unit/reprocess/test_whole.py::test_the_whole_leads_to_its_windows_and_says_what_they_say")
 def test_the_same_bits_held_or_by_files_by_one_or_by_two_and_again(scan: Path, held: Path, tmp_path: Path) -> None:
     first = reconstructed(scan, tmp_path / "a", Processes(2), keep=True)
     assert first.ranges == first.made == 2

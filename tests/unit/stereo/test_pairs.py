@@ -62,6 +62,7 @@ def test_a_flash_is_measured_once_by_both(tmp_path: Path, drawn: list[dict[int, 
         assert {0, 1, 2} == set(profile.seen_by.tolist())
 
 
+@pytest.mark.deep(gate="tests/unit/stereo/test_pairs.py::test_cameras_exchanged_are_told")
 def test_frames_lost_at_random_cost_no_wrong_point_and_are_told(
     tmp_path: Path, drawn: list[dict[int, np.ndarray]]
 ) -> None:

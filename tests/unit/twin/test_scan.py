@@ -41,6 +41,7 @@ def test_a_written_scan_opens_like_one_of_a_camera(small: World, folder: Path) -
     assert json.loads((folder / "truth.json").read_text())["radius_mm"] == 38.1
 
 
+@pytest.mark.deep(gate="tests/unit/twin/test_scan.py::test_rings_in_reversed_order_are_told_apart")
 def test_the_wall_of_a_3_inch_pipe_is_measured_in_the_mirror(small: World, folder: Path) -> None:
     scan = open_scan(folder)
     reconstructor = Reconstructor(Calibration.from_dict(json.loads((folder / "calibration.json").read_text())))

@@ -10,6 +10,8 @@ from annulus.wall.defects import Kind
 from annulus.wall.joined import Abstract, Joined, abstract, joined
 from annulus.wall.windows import Plan, Reach, between, plan
 
+pytestmark = pytest.mark.deep(gate="tests/unit/wall/test_survey.py::test_every_figure_is_an_attribute")
+
 MOST = 230_000  # points of a window
 FRAMES = [3.5 * i for i in range(440) if i % 5 != 4]
 
@@ -50,7 +52,6 @@ def at_once(profiles: list[Profile], cut: Plan) -> Survey:
     return survey(profiles, CALIBRATION, z_step_mm=cut.z_step_mm)
 
 
-@pytest.mark.deep(gate="tests/unit/wall/test_windows.py::test_a_coarser_map_of_the_whole_still_shows_where_things_are")
 def test_the_wall_has_no_seam(parts: list[Survey], at_once: Survey, cut: Plan) -> None:
     z = np.concatenate([one.wall.z_mm for one in parts])
     radius = np.concatenate([one.wall.radius_mm for one in parts])
