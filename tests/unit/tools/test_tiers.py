@@ -1,0 +1,75 @@
+"""What is in the gate and what is deep, and which deep tests a change calls for."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import tiers
+
+from tools import room, touched
+
+
+def item(nodeid: str, *marks: pytest.MarkDecorator) -> Any:
+    """Of what pytest collects, as much as the tiers look at."""
+    one = SimpleNamespace(nodeid=nodeid, own_markers=[mark.mark for mark in marks])
+    one.iter_markers = lambda name: [mark for mark in one.own_markers if mark.name == name]
+    one.get_closest_marker = lambda name: next(iter(one.iter_markers(name)), None)
+    return one
+
+
+def deep(items: list[Any]) -> list[str]:
+    return [one.nodeid.partition("::")[2] for one in items if one.get_closest_marker("deep")]
+
+
+def test_the_first_case_or_the_one_that_is_named_stays_in_the_gate() -> None:
+    first, named = pytest.mark.deep(but=1), pytest.mark.deep(but="b")
+    items = [item(f"tests/unit/a.py::test_x[{case}]", first) for case in "abc"]
+    items += [item(f"tests/unit/a.py::test_y[{case}]", named) for case in "abc"]
+    tiers.part(items)
+    assert deep(items) == ["test_x[b]", "test_x[c]", "test_y[a]", "test_y[c]"]
+    assert tiers.unspoken(items) == []
+
+
+def test_a_deep_test_that_nothing_in_the_gate_stands_for_is_named() -> None:
+    gate = item("tests/unit/a.py::test_gate")
+    by = pytest.mark.deep(gate="tests/unit/a.py::test_gate")
+    by_a_deep_one = pytest.mark.deep(gate="tests/unit/a.py::test_held")
+    by_none = pytest.mark.deep(gate="tests/unit/a.py::test_gone")
+    items = [gate, item("tests/unit/a.py::test_held", by)]
+    assert tiers.unspoken(items) == []
+    wrong = [item("tests/unit/a.py::test_p", by_a_deep_one), item("tests/unit/a.py::test_q", by_none)]
+    wrong.append(item("tests/unit/a.py::test_r[1]", pytest.mark.deep))
+    assert [line.partition(":: ")[0].split("::")[1].split(":")[0] for line in tiers.unspoken(items + wrong)] == [
+        "test_p", "test_q", "test_r",
+    ]  # fmt: skip
+
+
+COSTS = {
+    "tests/unit/wall/test_axis.py": {"gate": 1.0, "deep": 20.0},
+    "tests/unit/report/test_page.py": {"gate": 1.0, "deep": 30.0},
+    "tests/unit/geometry/test_pose.py": {"gate": 1.0, "deep": 5.0},
+    "tests/unit/rings/test_slits.py": {"gate": 1.0, "deep": 0.0},
+    "tests/system/test_scan.py": {"gate": 17.0, "deep": 50.0},
+    "tests/emulator/test_usb.py": {"gate": 4.0, "deep": 60.0},
+}
+
+
+@pytest.fixture
+def costs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tiers, "read_durations", lambda: COSTS)
+
+
+def test_a_change_calls_for_its_own_room_first_then_those_above_and_never_those_below(costs: None) -> None:
+    far = touched.touched(["host/annulus/wall/axis.py"], touched.floors())
+    assert sorted(far, key=far.__getitem__) == [
+        "tests/unit/wall/test_axis.py", "tests/unit/report/test_page.py", "tests/system/test_scan.py",
+    ]  # fmt: skip
+    assert touched.fitting(far, 51.0) == ["tests/unit/wall/test_axis.py", "tests/unit/report/test_page.py"]
+    assert touched.touched(["README.md"], touched.floors()) == {}
+    assert "tests/emulator/test_usb.py" in touched.touched(["firmware/core/safety.c"], touched.floors())
+
+
+def test_a_room_that_is_none_is_one_line_with_those_there_are() -> None:
+    with pytest.raises(ValueError, match=r"no room 'walls'\. There are: .*wall"):
+        room.steps("walls")
+    assert any("tests/unit/wall" in word for command in room.steps("wall") for word in command)
