@@ -54,7 +54,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    config.stash[COSTS] = defaultdict(lambda: {"gate": 0.0, "deep": 0.0})
+    config.stash[COSTS] = defaultdict(lambda: defaultdict(float))
     config.option.loadscopereorder = False  # xdist's own order: files of few tests last, and those take longest
     if config.getoption("numprocesses", None):  # one process a core: threads would only fight over them
         os.environ.update(ONE_THREAD)
@@ -63,6 +63,9 @@ def pytest_configure(config: pytest.Config) -> None:
 @pytest.hookimpl(tryfirst=True)  # before -m and -k look at the marks
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     tiers.part(items)
+    gate = {tiers.file_of(item) for item in items if item.get_closest_marker("deep") is None}
+    for name in {tiers.file_of(item) for item in items} - gate:  # a file that left the gate costs it nothing any more
+        config.stash[COSTS][name]["gate"] = 0.0
     whole = not any("::" in argument for argument in config.args)
     config.stash[tiers.UNSPOKEN] = tiers.unspoken(items) if whole else []
     costs, ran = tiers.read_durations(), ["gate"] if "not deep" in config.option.markexpr else ["gate", "deep"]

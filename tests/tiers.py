@@ -57,7 +57,7 @@ def renew(measured: dict[str, dict[str, float]]) -> None:
     """What ran is renewed, what did not stays, and files that are gone go."""
     costs = {name: cost for name, cost in read_durations().items() if (ROOT / name).is_file()}
     for name, new in measured.items():
-        ran = {tier: round(seconds, 1) for tier, seconds in new.items() if seconds > 0.0}
+        ran = {tier: round(seconds, 1) for tier, seconds in new.items()}
         costs[name] = {"gate": 0.0, "deep": 0.0} | costs.get(name, {}) | ran
     rows = ",\n".join(f'  "{name}": {json.dumps(cost)}' for name, cost in sorted(costs.items()))
     DURATIONS.write_text(f"{{\n{rows}\n}}\n", encoding="utf-8")

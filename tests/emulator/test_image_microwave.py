@@ -95,7 +95,9 @@ def test_mpsl25_against_its_template_has_its_peak_and_the_sidelobes_of_theory(bo
     assert max(abs(value) for lag, value in zip(LAGS, correlation, strict=True) if lag) == 4  # ratio 2.75
 
 
-@pytest.mark.deep(but=1)
+@pytest.mark.deep(
+    gate="tests/emulator/test_image_microwave.py::test_mpsl25_against_its_template_has_its_peak_and_the_sidelobes_of_theory"
+)
 @pytest.mark.parametrize(("chip", "width"), [(30, 30), (3_000, 3_000)])
 def test_the_shortest_and_the_longest_pulse(board: EmulatedBoard, chip: int, width: int) -> None:
     arm(board, ArmFlag.MICROWAVE)
@@ -239,7 +241,7 @@ def test_the_last_pulse_of_a_train_that_fills_its_period_ends_by_itself(board: E
     assert board.widths(PIN_TRIGGER) == [100] * 4
 
 
-@pytest.mark.deep(but=1)
+@pytest.mark.deep(gate="tests/emulator/test_image_microwave.py::test_stopping_lets_the_burst_being_sent_end")
 @pytest.mark.parametrize("call", range(24))
 def test_a_main_loop_held_anywhere_counts_no_burst_the_guard_kept_dark(board: EmulatedBoard, call: int) -> None:
     """Held between the look at the guard and the look at the clock it told 7 bursts where 3 were sent."""
@@ -255,7 +257,9 @@ def test_a_main_loop_held_anywhere_counts_no_burst_the_guard_kept_dark(board: Em
     assert done.done == len(board.widths(PIN_MICROWAVE))
 
 
-@pytest.mark.deep(but=1)
+@pytest.mark.deep(
+    gate="tests/emulator/test_image_microwave.py::test_a_train_stopped_at_any_moment_sends_whole_bursts_and_says_how_many"
+)
 @pytest.mark.parametrize("part", range(4))
 def test_a_train_disarmed_at_any_tick_counts_every_burst_that_was_whole(board: EmulatedBoard, part: int) -> None:
     """The count was made first and the guard cut 100 ticks later: 31 told, 32 sent, and the trigger of the 34th."""

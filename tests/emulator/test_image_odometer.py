@@ -151,6 +151,9 @@ def test_lines_that_change_together_are_counted_and_said_but_not_in_a_flood(boar
     assert status(board).odometer == 0
 
 
+@pytest.mark.deep(
+    gate="tests/emulator/test_image_odometer.py::test_any_motion_is_exact_at_every_edge_while_the_host_asks_and_asks"
+)
 def test_the_count_of_transitions_begins_anew_after_two_thousand_million(board: EmulatedBoard) -> None:
     """The channel that counts them ended for good after 2^32 - 1 transfers: the odometer stood still."""
     board.identify()

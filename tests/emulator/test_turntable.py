@@ -147,7 +147,7 @@ def test_a_stop_brakes_along_the_ramp_and_tells_where_it_stands(board: EmulatedB
     assert board.heard(Fault) == []
 
 
-@pytest.mark.deep(but="True-1-12-3")
+@pytest.mark.deep(gate="tests/emulator/test_turntable.py::test_no_step_rises_without_power_however_close_to_the_cut")
 @pytest.mark.parametrize(("sign", "pin", "cause"), [
     (1, PIN_END_HIGH, StopCause.END_HIGH), (-1, PIN_END_LOW, StopCause.END_LOW),
 ])  # fmt: skip
@@ -200,9 +200,7 @@ def test_switches_that_are_not_there_are_not_looked_at(board: EmulatedBoard) -> 
     assert board.heard(TurntableStopped) == []
 
 
-@pytest.mark.deep(
-    gate="tests/emulator/test_turntable.py::test_an_end_switch_stops_motion_towards_it_however_short_the_touch"
-)
+@pytest.mark.deep(gate="tests/emulator/test_turntable.py::test_no_step_rises_without_power_however_close_to_the_cut")
 @pytest.mark.parametrize("ramp", [False, True])
 @pytest.mark.parametrize("seed", range(3))
 def test_an_opened_interlock_ends_it_at_once_and_takes_its_power_away(
@@ -266,9 +264,7 @@ def test_a_processor_that_stands_still_leaves_it_without_power(board: EmulatedBo
     assert [level for _, pin, level in board.transitions if pin == PIN_ENABLE][-1] == 1
 
 
-@pytest.mark.deep(
-    gate="tests/emulator/test_turntable.py::test_an_end_switch_stops_motion_towards_it_however_short_the_touch"
-)
+@pytest.mark.deep(gate="tests/emulator/test_turntable.py::test_no_step_rises_without_power_however_close_to_the_cut")
 def test_positions_beyond_the_limits_are_refused_from_wherever_it_stands(board: EmulatedBoard) -> None:
     """A move to 1 431 655 766 wrapped three words a step round 2^32 and never ended."""
     board.identify()

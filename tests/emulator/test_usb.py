@@ -171,7 +171,7 @@ def test_standard_and_class_requests_are_answered(board: EmulatedBoard) -> None:
 # ---- data ----
 
 
-@pytest.mark.deep(gate="tests/emulator/test_usb.py::test_a_reset_over_usb_is_acknowledged_and_the_port_comes_back")
+@pytest.mark.deep(gate="tests/emulator/test_usb.py::test_it_enumerates_and_its_descriptors_are_those_of_a_cdc_acm_port")
 @pytest.mark.parametrize("size", [60_000, pytest.param(1_000_000, marks=pytest.mark.deep)])
 def test_many_bytes_to_the_controller_arrives_whole(board: EmulatedBoard, size: int) -> None:
     board.plug_in()
@@ -202,7 +202,7 @@ def test_many_bytes_to_the_controller_arrives_whole(board: EmulatedBoard, size: 
     assert status.bad_frames == board.bad == 0
 
 
-@pytest.mark.deep(gate="tests/emulator/test_usb.py::test_a_reset_over_usb_is_acknowledged_and_the_port_comes_back")
+@pytest.mark.deep(gate="tests/emulator/test_usb.py::test_it_enumerates_and_its_descriptors_are_those_of_a_cdc_acm_port")
 @pytest.mark.parametrize("size", [60_000, pytest.param(1_000_000, marks=pytest.mark.deep)])
 def test_many_bytes_from_the_controller_arrives_whole(board: EmulatedBoard, size: int) -> None:
     board.plug_in()
@@ -229,7 +229,7 @@ def test_many_bytes_from_the_controller_arrives_whole(board: EmulatedBoard, size
     assert board.bad == 0
 
 
-@pytest.mark.deep(gate="tests/emulator/test_usb.py::test_a_reset_over_usb_is_acknowledged_and_the_port_comes_back")
+@pytest.mark.deep(gate="tests/emulator/test_usb.py::test_it_enumerates_and_its_descriptors_are_those_of_a_cdc_acm_port")
 def test_what_fills_its_last_packet_is_not_kept_waiting_for_more(board: EmulatedBoard) -> None:
     """The host's driver waits for two packets or a short one: an empty one has to follow a whole one if it is last."""
     board.plug_in()
@@ -261,7 +261,7 @@ def test_what_fills_its_last_packet_is_not_kept_waiting_for_more(board: Emulated
         assert len(board.events) == count
 
 
-@pytest.mark.deep(gate="tests/emulator/test_usb.py::test_a_reset_over_usb_is_acknowledged_and_the_port_comes_back")
+@pytest.mark.deep(gate="tests/emulator/test_usb.py::test_it_enumerates_and_its_descriptors_are_those_of_a_cdc_acm_port")
 def test_no_jitter_while_usb_is_busy_both_ways_and_a_train_runs(board: EmulatedBoard) -> None:
     board.plug_in()
     period, delay, width = 200_000, 30_000, 20_000
@@ -320,7 +320,7 @@ def test_a_train_begins_when_its_reply_says_however_busy_the_lines_are(board: Em
 # ---- plug, bus, and the other line ----
 
 
-@pytest.mark.deep(gate="tests/emulator/test_usb.py::test_a_reset_over_usb_is_acknowledged_and_the_port_comes_back")
+@pytest.mark.deep(gate="tests/emulator/test_usb.py::test_it_enumerates_and_its_descriptors_are_those_of_a_cdc_acm_port")
 def test_unplugged_while_armed_it_goes_dark_and_is_back_in_under_a_second(board: EmulatedBoard) -> None:
     board.plug_in()
     arm(board, ArmFlag.LAMPS | ArmFlag.MICROWAVE, ratio=0, period=1_000_000, delay=100_000, width=400_000, readout=0)
@@ -367,7 +367,7 @@ def test_a_closed_port_is_a_gone_host(board: EmulatedBoard) -> None:
     assert status.fault == FaultCode.HOST_TIMEOUT
 
 
-@pytest.mark.deep(but=1)
+@pytest.mark.deep(gate="tests/emulator/test_usb.py::test_it_enumerates_and_its_descriptors_are_those_of_a_cdc_acm_port")
 @pytest.mark.parametrize("how", ["reset", "suspend"])
 def test_the_bus_may_be_reset_or_suspended_amid_a_transfer(board: EmulatedBoard, how: str) -> None:
     board.plug_in()
@@ -414,6 +414,7 @@ def test_both_lines_work_at_once_and_one_of_them_commands(board: EmulatedBoard) 
     assert board.request(identify).status == StatusCode.OK
 
 
+@pytest.mark.deep(gate="tests/emulator/test_usb.py::test_it_enumerates_and_its_descriptors_are_those_of_a_cdc_acm_port")
 def test_a_reset_over_usb_is_acknowledged_and_the_port_comes_back(board: EmulatedBoard) -> None:
     board.plug_in()
     before = board.identify().boot

@@ -58,7 +58,7 @@ def come_back(board: EmulatedBoard) -> None:
         board.run(board.now + 5 * MS)
 
 
-@pytest.mark.deep(gate="tests/emulator/test_usb_frames.py::test_a_hang_leaves_what_the_other_line_commands_alone")
+@pytest.mark.deep(gate="tests/emulator/test_usb_frames.py::test_a_suspended_bus_and_its_slow_awakening_are_no_hang")
 def test_bulk_in_is_never_handed_over_late_in_a_frame(board: EmulatedBoard) -> None:
     """Answers due at every age of a frame. The old image handed over at any: the emulator stopped it at the first.
 
@@ -82,7 +82,7 @@ def test_bulk_in_is_never_handed_over_late_in_a_frame(board: EmulatedBoard) -> N
     assert 750 * TICKS_PER_US < latest < 790 * TICKS_PER_US  # as late as it may, and with a reserve for interrupts
 
 
-@pytest.mark.deep(gate="tests/emulator/test_usb_frames.py::test_a_hang_leaves_what_the_other_line_commands_alone")
+@pytest.mark.deep(gate="tests/emulator/test_usb_frames.py::test_a_suspended_bus_and_its_slow_awakening_are_no_hang")
 def test_a_late_round_does_not_take_a_frame_for_a_young_one(board: EmulatedBoard) -> None:
     """The frame number is new after a pause of the processor, but nobody saw when it became so."""
     board.plug_in()
@@ -128,6 +128,7 @@ def test_when_the_usb_block_hangs_all_goes_dark_and_the_port_comes_back(board: E
     assert board.resets == []  # the controller itself ran on
 
 
+@pytest.mark.deep(gate="tests/emulator/test_usb_frames.py::test_a_suspended_bus_and_its_slow_awakening_are_no_hang")
 def test_a_hang_leaves_what_the_other_line_commands_alone(board: EmulatedBoard) -> None:
     board.plug_in()
     board.over_usb = False

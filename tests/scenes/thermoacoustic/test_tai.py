@@ -48,6 +48,9 @@ def test_a_decoded_code_is_what_one_pulse_would_have_been_heard_as(coded, single
     assert np.linalg.norm(found - expected) < 0.1 * np.linalg.norm(expected)
 
 
+@pytest.mark.deep(
+    gate="tests/scenes/thermoacoustic/test_tai.py::test_a_bad_receiver_hum_and_a_wrong_speed_are_put_right"
+)
 def test_a_coded_sweep_becomes_an_image(coded, tmp_path):
     save_acoustic(tmp_path / "raw.hdf5", coded)
     result = make_image(tmp_path / "raw.hdf5", tmp_path / "out", ImageSettings(pixel_mm=0.25))
@@ -109,6 +112,7 @@ def test_nothing_left_to_image_is_one_line(coded, tmp_path):
         make_image(tmp_path / "raw.npz", tmp_path / "out")
 
 
+@pytest.mark.deep(gate="tests/scenes/thermoacoustic/test_tai.py::test_a_record_that_names_the_wrong_code_is_heard_out")
 def test_the_commands_do_it_all(tmp_path):
     run = CliRunner()
     raw, folder, template = tmp_path / "raw.hdf5", tmp_path / "out", tmp_path / "t.json"

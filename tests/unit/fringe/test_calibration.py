@@ -34,6 +34,7 @@ def test_the_slide_is_found_within_its_sigma() -> None:
     assert found.camera_rad < 0.01
 
 
+@pytest.mark.deep(gate="tests/unit/fringe/test_calibration.py::test_a_curve_is_undone_and_saturation_is_not_told")
 def test_harmonics_are_found_and_a_gamma_is_named() -> None:
     bent = [replace(one, light=np.float32(255 * (np.maximum(one.light, 0) / 255) ** 1.1)) for one in plates((LEFT,))]
     found = calibrate_plate(bent)

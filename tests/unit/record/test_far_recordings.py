@@ -70,7 +70,7 @@ def label_of(recording: Recording, frame: RecordedFrame) -> object:
 
 
 @pytest.mark.deep(
-    gate="tests/unit/record/test_far_recordings.py::test_a_torn_recording_is_walked_once_and_the_walk_is_kept_beside_it"
+    gate="tests/unit/record/test_far_recordings.py::test_a_walk_is_kept_in_a_cache_where_nobody_may_write_beside"
 )
 @pytest.mark.parametrize("codec", [Codec.ZSTD, Codec.RAW])
 def test_the_index_of_a_closed_recording_is_four_requests(store: ObjectStore, tmp_path: Path, codec: Codec) -> None:
@@ -81,7 +81,7 @@ def test_the_index_of_a_closed_recording_is_four_requests(store: ObjectStore, tm
     assert same(recording, open_recording(path))
 
 
-@pytest.mark.deep(gate="tests/unit/record/test_far_recordings.py::test_a_far_recording_is_checked_whole")
+@pytest.mark.deep(gate="tests/unit/record/test_far_recordings.py::test_a_recording_that_is_replaced_is_told")
 def test_a_range_moves_no_more_than_its_chunks(store: ObjectStore, tmp_path: Path) -> None:
     scan = open_scan(store.put("b/scan.mcap", uncalibrated(write(tmp_path / "scan.mcap", count=200))))
     assert scan.recording is not None
@@ -196,7 +196,9 @@ def torn(path: Path, keep: float = 0.7) -> Path:
     return path
 
 
-@pytest.mark.deep(but=1)
+@pytest.mark.deep(
+    gate="tests/unit/record/test_far_recordings.py::test_a_walk_is_kept_in_a_cache_where_nobody_may_write_beside"
+)
 @pytest.mark.parametrize("codec", [Codec.ZSTD, Codec.RAW])
 def test_a_torn_recording_is_walked_once_and_the_walk_is_kept_beside_it(
     store: ObjectStore, tmp_path: Path, codec: Codec
@@ -227,6 +229,9 @@ def test_a_walk_is_kept_in_a_cache_where_nobody_may_write_beside(store: ObjectSt
     assert same(open_recording(url), open_recording(path)) and store.given < 1.1 * path.stat().st_size
 
 
+@pytest.mark.deep(
+    gate="tests/unit/record/test_far_recordings.py::test_a_walk_is_kept_in_a_cache_where_nobody_may_write_beside"
+)
 def test_what_is_kept_of_a_walk_is_checked(store: ObjectStore, tmp_path: Path) -> None:
     path = torn(write(tmp_path / "scan.mcap", count=10))
     url = store.put("mended/scan.mcap", path)
@@ -248,6 +253,7 @@ def test_a_long_local_walk_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert same(open_recording(path), before)
 
 
+@pytest.mark.deep(gate="tests/unit/record/test_far_recordings.py::test_a_recording_that_is_replaced_is_told")
 def test_a_far_recording_is_checked_whole(store: ObjectStore, tmp_path: Path) -> None:
     path = write(tmp_path / "scan.mcap", count=30)
     recording = open_recording(store.put("checked/scan.mcap", path))

@@ -364,6 +364,7 @@ def test_json_has_no_nan() -> None:
     assert json.loads(to_json({"a": float("nan"), "b": (1.5, float("inf"))})) == {"a": None, "b": [1.5, None]}
 
 
+@pytest.mark.deep(gate="tests/unit/record/test_recording.py::test_a_recording_is_checked_from_the_command_line")
 def test_a_long_recording_costs_no_memory_and_keeps_its_index(tmp_path: Path) -> None:
     image = np.zeros((6, 8), np.uint8)
     label = {"index": 0, "label": "led", "z_mm": 0.0, "encoding": "mono8", "width": 8, "height": 6}

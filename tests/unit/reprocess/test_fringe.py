@@ -251,12 +251,12 @@ def right(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Plate]:
     return path, reconstruct_fringe(open_fringe(path, calibration(folder)))
 
 
-@pytest.mark.deep(gate="tests/unit/reprocess/test_fringe.py::test_scans_and_calibrations_that_do_not_belong_together")
+@pytest.mark.deep(gate="tests/unit/reprocess/test_fringe.py::test_a_curve_that_nobody_told_is_found_by_the_wave")
 def test_cameras_that_agree_are_not_accused(right: tuple[Path, Plate]) -> None:
     assert not [one for one in right[1].findings if one.kind == "cameras-apart"]
 
 
-@pytest.mark.deep(gate="tests/unit/reprocess/test_fringe.py::test_scans_and_calibrations_that_do_not_belong_together")
+@pytest.mark.deep(gate="tests/unit/reprocess/test_fringe.py::test_a_curve_that_nobody_told_is_found_by_the_wave")
 @pytest.mark.parametrize(
     "changes", [slide(phase0=SLIDE.phase0 + 0.3), {"cameras": turned(RIGHT, 0.2)}], ids=["slide", "camera"]
 )
@@ -284,7 +284,7 @@ def test_another_slide_is_no_height(tmp_path: Path) -> None:
         reconstruct_fringe(job)
 
 
-@pytest.mark.deep(gate="tests/unit/reprocess/test_fringe.py::test_scans_and_calibrations_that_do_not_belong_together")
+@pytest.mark.deep(gate="tests/unit/reprocess/test_fringe.py::test_a_curve_that_nobody_told_is_found_by_the_wave")
 def test_saturated_frames_are_said_and_not_told(tmp_path: Path) -> None:
     plate = reconstruct_fringe(open_fringe(scan(tmp_path / "scan", gain=1.7), calibration(tmp_path)))
     assert any(finding.kind == "saturated" for finding in plate.findings)
@@ -311,6 +311,7 @@ def test_a_missing_camera_is_said(tmp_path: Path) -> None:
     assert reconstruct_fringe(job).points > 1000
 
 
+@pytest.mark.deep(gate="tests/unit/reprocess/test_fringe.py::test_a_curve_that_nobody_told_is_found_by_the_wave")
 def test_scans_and_calibrations_that_do_not_belong_together(tmp_path: Path) -> None:
     path = calibration(tmp_path)
     with pytest.raises(AnnulusError, match="has no x_mm"):

@@ -36,7 +36,7 @@ def errors_mm(profile: Profile) -> NDArray[np.float64]:
     return np.hypot(*profile.points_mm[:, :2].T.astype(float)) - RADIUS_MM
 
 
-@pytest.mark.deep(gate="tests/unit/stereo/test_stereo.py::test_frames_of_two_flashes_contradict_each_other")
+@pytest.mark.deep(gate="tests/unit/stereo/test_stereo.py::test_no_threshold_is_needed_where_one_camera_is_tangent")
 def test_every_direction_of_a_clean_pipe_is_measured(both: Profile, stereo: StereoReconstructor) -> None:
     assert len(both.ring) == 7 * stereo.directions
     error = errors_mm(both)
@@ -78,6 +78,7 @@ def test_cameras_exchanged_are_told(stereo: StereoReconstructor, images: Images)
     assert "exchanged" in found[0].text
 
 
+@pytest.mark.deep(gate="tests/unit/stereo/test_stereo.py::test_no_threshold_is_needed_where_one_camera_is_tangent")
 def test_frames_of_two_flashes_contradict_each_other(stereo: StereoReconstructor, images: Images) -> None:
     calibration = stereo.calibration
     other = draw(calibration, calibration.cameras[1], replace(POSE, tx=POSE.tx + 3.0), seed=9)

@@ -58,6 +58,7 @@ def test_a_pulse_of_any_shape_is_the_same_as_its_convolution():
     assert error(heard, expected) < 1e-10
 
 
+@pytest.mark.deep(gate="tests/unit/thermoacoustic/test_field.py::test_a_gaussian_sounds_as_theory_says")
 def test_a_denser_slower_layer_reflects_as_impedances_say():
     """Plane pulse on a step of rho c: (Z2 - Z1) / (Z2 + Z1)."""
     grid = Grid((48, 640), 0.1)
