@@ -14,12 +14,12 @@ def image() -> Path:
 
 @pytest.fixture(scope="session")
 def other(image: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return made_image_of(tmp_path_factory.mktemp("other"), "0therone")
+    return made_image_of(image, tmp_path_factory.mktemp("other"), "0therone")
 
 
 @pytest.fixture(scope="session")
 def third(image: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return made_image_of(tmp_path_factory.mktemp("third"), "athird00")
+    return made_image_of(image, tmp_path_factory.mktemp("third"), "athird00")
 
 
 @pytest.fixture

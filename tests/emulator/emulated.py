@@ -4,11 +4,14 @@ import itertools
 import json
 import os
 import shutil
+import struct
 import subprocess
+import zlib
 from pathlib import Path
 from typing import Any, TypeVar
 
 from annulus.controller import PIN_LED, PIN_MICROWAVE, PIN_PROJECTOR, PIN_SYNC, PIN_TRIGGER, TICKS_PER_US
+from annulus.flash.image import APPLICATION_AT, application, read_image
 from annulus.link.codec import Decoder, Frame, encode
 from annulus.link.messages import (
     LEVEL,
@@ -60,14 +63,25 @@ def made_image() -> Path:
     return IMAGE
 
 
-def made_image_of(folder: Path, git: str) -> Path:
-    """As if built at another commit."""
-    subprocess.run(
-        ["make", "--silent", "-C", str(ROOT / "firmware"), "image", f"BUILD={folder}", f"GIT={git}"],
-        check=True,
-        stdout=subprocess.DEVNULL,
-    )
-    return folder / "annulus.uf2"
+def made_image_of(image: Path, folder: Path, git: str) -> Path:
+    """As if built at another commit: its identity and its CRC are the bytes in which that differs."""
+    old = read_image(image)
+    assert old.identity is not None
+    if len(git) != len(old.identity.git):  # made outside of a checkout
+        make = ["make", "--silent", "-C", str(ROOT / "firmware"), "image", f"BUILD={folder}", f"GIT={git}"]
+        subprocess.run(make, check=True, stdout=subprocess.DEVNULL)
+        return folder / "annulus.uf2"
+    blocks = [bytearray(block) for (block,) in struct.iter_unpack("512s", image.read_bytes())]
+    flash = b"".join(block[32:288] for block in blocks)
+    assert old.data == flash
+    flash = flash.replace(old.identity.git.encode(), git.encode())
+    end = APPLICATION_AT + len(application(old).data)
+    flash = flash[: end - 4] + struct.pack("<I", zlib.crc32(flash[APPLICATION_AT : end - 4])) + flash[end:]
+    for i, block in enumerate(blocks):
+        block[32:288] = flash[256 * i : 256 * i + 256]
+    made = folder / "annulus.uf2"
+    made.write_bytes(b"".join(blocks))
+    return made
 
 
 class EmulatorFault(Exception):
@@ -122,7 +136,11 @@ class EmulatedBoard:
         self._decoder = Decoder()
         self._sequence = itertools.count()
         if taken:
-            self._do(op="anew", image=str(image), **({"flash_id": flash_id} if flash_id else {}))
+            try:
+                self._do(op="anew", image=str(image), **({"flash_id": flash_id} if flash_id else {}))
+            except EmulatorFault:
+                self.close()
+                raise
 
     def close(self) -> None:
         if self._keep:

@@ -123,7 +123,7 @@ def test_after_a_short_loss_of_power_the_ram_still_tells_the_boot_byte_apart(boa
     board.trap("query_ping", "hang")
     board.send(Ping())
     board.run(board.now + 110 * MS)
-    for _ in range(4):
+    for _ in range(2):
         before = board.identify().boot
         board.power_cycle(short=True)
         board.run(board.now + BOOTED)

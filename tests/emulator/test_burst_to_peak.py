@@ -29,6 +29,7 @@ def board(image: Path) -> Iterator[EmulatedBoard]:
         yield board
 
 
+@pytest.mark.deep(but="mpsl25")
 @pytest.mark.parametrize("code", CODES)
 def test_the_burst_is_the_designed_pattern_and_its_peak_stands_at_the_time_of_flight(
     board: EmulatedBoard, code: str

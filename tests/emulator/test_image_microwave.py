@@ -95,20 +95,25 @@ def test_mpsl25_against_its_template_has_its_peak_and_the_sidelobes_of_theory(bo
     assert max(abs(value) for lag, value in zip(LAGS, correlation, strict=True) if lag) == 4  # ratio 2.75
 
 
-@pytest.mark.deep(
-    gate="tests/emulator/test_image_microwave.py::test_mpsl25_against_its_template_has_its_peak_and_the_sidelobes_of_theory"
+@pytest.mark.parametrize(
+    ("chip", "width", "count"),
+    [
+        (30, 30, 40),
+        (3_000, 3_000, 40),
+        pytest.param(30, 30, 1_000, marks=pytest.mark.deep),
+        pytest.param(3_000, 3_000, 1_000, marks=pytest.mark.deep),
+    ],
 )
-@pytest.mark.parametrize(("chip", "width"), [(30, 30), (3_000, 3_000)])
-def test_the_shortest_and_the_longest_pulse(board: EmulatedBoard, chip: int, width: int) -> None:
+def test_the_shortest_and_the_longest_pulse(board: EmulatedBoard, chip: int, width: int, count: int) -> None:
     arm(board, ArmFlag.MICROWAVE)
-    reply = board.request(Burst(code=BurstCode.SINGLE, chip=chip, repeat=1000, period=100_000, trigger_offset=0))
+    reply = board.request(Burst(code=BurstCode.SINGLE, chip=chip, repeat=count, period=100_000, trigger_offset=0))
     assert reply.status == StatusCode.OK
-    board.run_alive(board.now + 1010 * MS, every=100 * MS)
+    board.run_alive(board.now + (count + 10) * MS, every=100 * MS)
     rises, falls = board.rises(PIN_MICROWAVE), board.falls(PIN_MICROWAVE)
-    assert len(rises) == 1000
+    assert len(rises) == count
     assert {fall - rise for fall, rise in zip(falls, rises, strict=True)} == {width}
     assert {later - earlier for earlier, later in itertools.pairwise(rises)} == {100_000}
-    assert [done.done for done in board.heard(BurstDone)] == [1000]
+    assert [done.done for done in board.heard(BurstDone)] == [count]
 
 
 def test_uploaded_patterns_are_played_chip_by_chip(board: EmulatedBoard) -> None:
@@ -174,13 +179,13 @@ def test_a_train_stopped_at_any_moment_sends_whole_bursts_and_says_how_many(
     assert done == 10  # the last one had run out before it was stopped
 
 
-@pytest.mark.deep(
-    gate="tests/emulator/test_image_microwave.py::test_the_last_pulse_of_a_train_that_fills_its_period_ends_by_itself"
-)
-def test_a_train_cut_by_the_interlock_counts_exactly_the_bursts_that_were_sent(board: EmulatedBoard) -> None:
+@pytest.mark.parametrize("times", [6, pytest.param(100, marks=pytest.mark.deep)])
+def test_a_train_cut_by_the_interlock_counts_exactly_the_bursts_that_were_sent(
+    board: EmulatedBoard, times: int
+) -> None:
     arm(board)
     rng = random.Random(12)
-    for _ in range(100):
+    for _ in range(times):
         assert board.request(Arm(outputs=ArmFlag.MICROWAVE)).status == StatusCode.OK
         board.transitions.clear()
         board.events.clear()
@@ -196,13 +201,13 @@ def test_a_train_cut_by_the_interlock_counts_exactly_the_bursts_that_were_sent(b
         assert board.request(Clear()).status == StatusCode.OK
 
 
-@pytest.mark.deep(gate="tests/emulator/test_image_microwave.py::test_microwave_cannot_be_armed_with_the_interlock_open")
-def test_an_open_interlock_cuts_within_one_chip_until_cleared_a_thousand_times(board: EmulatedBoard) -> None:
+@pytest.mark.parametrize("times", [30, pytest.param(1_000, marks=pytest.mark.deep)])
+def test_an_open_interlock_cuts_within_one_chip_until_cleared(board: EmulatedBoard, times: int) -> None:
     arm(board)
     rng = random.Random(5)
     chip = 30
     worst = 0
-    for _ in range(1000):
+    for _ in range(times):
         assert board.request(Arm(outputs=ArmFlag.MICROWAVE)).status == StatusCode.OK
         burst = Burst(code=BurstCode.SINGLE, chip=3_000, repeat=2000, period=60_000, trigger_offset=0)
         assert board.request(burst).status == StatusCode.OK
@@ -241,7 +246,7 @@ def test_the_last_pulse_of_a_train_that_fills_its_period_ends_by_itself(board: E
     assert board.widths(PIN_TRIGGER) == [100] * 4
 
 
-@pytest.mark.deep(gate="tests/emulator/test_image_microwave.py::test_stopping_lets_the_burst_being_sent_end")
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("call", range(24))
 def test_a_main_loop_held_anywhere_counts_no_burst_the_guard_kept_dark(board: EmulatedBoard, call: int) -> None:
     """Held between the look at the guard and the look at the clock it told 7 bursts where 3 were sent."""
@@ -257,9 +262,7 @@ def test_a_main_loop_held_anywhere_counts_no_burst_the_guard_kept_dark(board: Em
     assert done.done == len(board.widths(PIN_MICROWAVE))
 
 
-@pytest.mark.deep(
-    gate="tests/emulator/test_image_microwave.py::test_a_train_stopped_at_any_moment_sends_whole_bursts_and_says_how_many"
-)
+@pytest.mark.deep(but=1)
 @pytest.mark.parametrize("part", range(4))
 def test_a_train_disarmed_at_any_tick_counts_every_burst_that_was_whole(board: EmulatedBoard, part: int) -> None:
     """The count was made first and the guard cut 100 ticks later: 31 told, 32 sent, and the trigger of the 34th."""

@@ -46,6 +46,11 @@ def whole(image: Path) -> Iterator[SelfTest]:
     yield selftest_of(image, STEP_TO_SYNC)
 
 
+@pytest.fixture(scope="module")
+def bare(image: Path) -> Iterator[SelfTest]:
+    yield selftest_of(image, moves=False)
+
+
 @pytest.mark.deep(
     gate="tests/emulator/test_selftest.py::test_a_selftest_without_wires_says_what_it_needs_and_breaks_nothing"
 )
@@ -74,8 +79,7 @@ def test_a_selftest_finds_what_the_readme_promises(whole: SelfTest) -> None:
     assert longest - shortest <= 1
 
 
-def test_a_selftest_without_wires_says_what_it_needs_and_breaks_nothing(image: Path) -> None:
-    bare = selftest_of(image, moves=False)
+def test_a_selftest_without_wires_says_what_it_needs_and_breaks_nothing(bare: SelfTest) -> None:
     assert bare.broken == 0
     assert row(bare, "Falling edge of sync to LED").verdict is Verdict.NOT_WIRED
     assert row(bare, "Falling edge of sync to LED").why == "needs GP8 (pin 11) to GP2 (pin 4)"
@@ -113,11 +117,13 @@ def test_a_selftest_of_a_board_that_breaks_a_promise_says_which(
     assert [r.what for r in test.rows if r.verdict is Verdict.BROKEN] == broken
 
 
-def test_the_page_and_the_table_say_the_same(whole: SelfTest) -> None:
-    page, table = html.unescape(render_page(whole)), render_table(whole.rows)
-    assert verdict_line(whole) in page
-    for r in whole.rows:
+@pytest.mark.parametrize("of", ["bare", pytest.param("whole", marks=pytest.mark.deep)])
+def test_the_page_and_the_table_say_the_same(request: pytest.FixtureRequest, of: str) -> None:
+    test: SelfTest = request.getfixturevalue(of)
+    page, table = html.unescape(render_page(test)), render_table(test.rows)
+    assert verdict_line(test) in page
+    for r in test.rows:
         assert r.what in page
         assert r.what in table
     assert not re.search(r"(src|href)=|<script", page)
-    assert json.loads(json.dumps(whole.to_dict()))["broken"] == 0
+    assert json.loads(json.dumps(test.to_dict()))["broken"] == 0

@@ -84,7 +84,9 @@ def who(board: EmulatedBoard) -> str:
     return board.identify().git.decode()
 
 
-@pytest.mark.deep(gate="tests/emulator/test_update.py::test_without_a_whole_application_the_board_waits_on_usb")
+@pytest.mark.deep(
+    gate="tests/emulator/test_update.py::test_chunks_out_of_order_or_repeated_are_harmless_and_a_broken_update_goes_on"
+)
 def test_a_whole_update_over_the_uart_then_runs(board: EmulatedBoard, new: Application, ours: str) -> None:
     before = board.identify()
     began = board.now
@@ -140,7 +142,9 @@ def pair(image: Path, new: Application, ours: str) -> list[tuple[str, Applicatio
     return [(ours, application(read_image(image))), ("0therone", new)]
 
 
-@pytest.mark.deep(gate="tests/emulator/test_update.py::test_without_a_whole_application_the_board_waits_on_usb")
+@pytest.mark.deep(
+    gate="tests/emulator/test_update.py::test_chunks_out_of_order_or_repeated_are_harmless_and_a_broken_update_goes_on"
+)
 def test_power_lost_while_staging_leaves_the_old_one_running(
     board: EmulatedBoard, pair: list[tuple[str, Application]]
 ) -> None:
@@ -162,7 +166,9 @@ def test_power_lost_while_staging_leaves_the_old_one_running(
     assert until_it_answers(board) == "0therone"
 
 
-@pytest.mark.deep(gate="tests/emulator/test_update.py::test_without_a_whole_application_the_board_waits_on_usb")
+@pytest.mark.deep(
+    gate="tests/emulator/test_update.py::test_chunks_out_of_order_or_repeated_are_harmless_and_a_broken_update_goes_on"
+)
 @pytest.mark.parametrize("seed", range(2))
 def test_power_lost_while_the_loader_works_only_delays_it(
     board: EmulatedBoard, pair: list[tuple[str, Application]], seed: int
@@ -260,6 +266,7 @@ def test_nothing_is_armed_or_moved_while_an_update_is_under_way(board: EmulatedB
 def test_chunks_out_of_order_or_repeated_are_harmless_and_a_broken_update_goes_on(
     board: EmulatedBoard, new: Application
 ) -> None:
+    board.erase_takes(2 * MS)
     board.identify()
     begin(board, new)
     reply = board.request(chunk(new.data, 64))
@@ -313,7 +320,9 @@ def test_a_damaged_or_foreign_one_is_never_started(
 # ---- the loader, USB and time ----
 
 
-@pytest.mark.deep(gate="tests/emulator/test_update.py::test_without_a_whole_application_the_board_waits_on_usb")
+@pytest.mark.deep(
+    gate="tests/emulator/test_update.py::test_chunks_out_of_order_or_repeated_are_harmless_and_a_broken_update_goes_on"
+)
 def test_a_staged_one_that_rots_before_the_copy_is_ignored(board: EmulatedBoard, new: Application, ours: str) -> None:
     stage(board, new)
     assert end(board) == (StatusCode.OK, 0)

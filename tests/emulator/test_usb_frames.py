@@ -58,8 +58,8 @@ def come_back(board: EmulatedBoard) -> None:
         board.run(board.now + 5 * MS)
 
 
-@pytest.mark.deep(gate="tests/emulator/test_usb_frames.py::test_a_suspended_bus_and_its_slow_awakening_are_no_hang")
-def test_bulk_in_is_never_handed_over_late_in_a_frame(board: EmulatedBoard) -> None:
+@pytest.mark.parametrize("count", [10, pytest.param(400, marks=pytest.mark.deep)])
+def test_bulk_in_is_never_handed_over_late_in_a_frame(board: EmulatedBoard, count: int) -> None:
     """Answers due at every age of a frame. The old image handed over at any: the emulator stopped it at the first.
 
     A later one looked at the clock up to the very end of its time, and was late by what passes from there to the
@@ -68,21 +68,22 @@ def test_bulk_in_is_never_handed_over_late_in_a_frame(board: EmulatedBoard) -> N
     board.plug_in()
     board.identify()
     rng = random.Random(15)
-    for _ in range(400):
+    for _ in range(count):
         board.run(board.now + rng.randrange(2 * MS))
         asked = board.now
         board.request(Ping(), within=2 * MS)
         assert board.now <= asked + 2 * MS
-    board.write(b"".join(encode(Frame(Status(), i & 0xFF)) for i in range(1000)))
+    board.write(b"".join(encode(Frame(Status(), i & 0xFF)) for i in range(5 * count // 2)))
     while board.usb["waiting"]:
         board.run(board.now + MS)
     assert attached(board) == 1
     latest = board.usb["latest"]
     print(f"handed over latest {latest / TICKS_PER_US:.1f} us into a frame")
-    assert 750 * TICKS_PER_US < latest < 790 * TICKS_PER_US  # as late as it may, and with a reserve for interrupts
+    assert latest < 790 * TICKS_PER_US  # as late as it may, and with a reserve for interrupts
+    assert count < 400 or latest > 750 * TICKS_PER_US
 
 
-@pytest.mark.deep(gate="tests/emulator/test_usb_frames.py::test_a_suspended_bus_and_its_slow_awakening_are_no_hang")
+@pytest.mark.deep(gate="tests/emulator/test_usb_frames.py::test_bulk_in_is_never_handed_over_late_in_a_frame")
 def test_a_late_round_does_not_take_a_frame_for_a_young_one(board: EmulatedBoard) -> None:
     """The frame number is new after a pause of the processor, but nobody saw when it became so."""
     board.plug_in()
@@ -97,12 +98,14 @@ def test_a_late_round_does_not_take_a_frame_for_a_young_one(board: EmulatedBoard
 
 
 @pytest.mark.deep(but=1)
-@pytest.mark.parametrize("busy", [False, True], ids=["quiet", "flooded"])
-def test_when_the_usb_block_hangs_all_goes_dark_and_the_port_comes_back(board: EmulatedBoard, busy: bool) -> None:
+@pytest.mark.parametrize(("busy", "turns"), [(True, 1), (True, 3), (False, 3)])
+def test_when_the_usb_block_hangs_all_goes_dark_and_the_port_comes_back(
+    board: EmulatedBoard, busy: bool, turns: int
+) -> None:
     """The old image stayed deaf until its power was taken away, and armed until the host's timeout."""
     board.plug_in()
     rng = random.Random(17)
-    for turn in range(3):
+    for turn in range(turns):
         arm(board, ArmFlag.LAMPS | ArmFlag.MICROWAVE, ratio=0, period=1_000_000, delay=100_000, width=400_000,
             readout=0, host_timeout=5000)  # fmt: skip
         train = Burst(code=BurstCode.SINGLE, chip=100, repeat=60_000, period=10_000, trigger_offset=0)
@@ -128,13 +131,12 @@ def test_when_the_usb_block_hangs_all_goes_dark_and_the_port_comes_back(board: E
     assert board.resets == []  # the controller itself ran on
 
 
-@pytest.mark.deep(gate="tests/emulator/test_usb_frames.py::test_a_suspended_bus_and_its_slow_awakening_are_no_hang")
 def test_a_hang_leaves_what_the_other_line_commands_alone(board: EmulatedBoard) -> None:
     board.plug_in()
     board.over_usb = False
     arm(board, ratio=0, period=1_000_000, delay=100_000, width=100_000)
     hang(board)
-    edges = [board.now + MS + i * 1_000_000 for i in range(30)]
+    edges = [board.now + MS + i * 1_000_000 for i in range(30)]  # it is back when they are over
     for edge in edges:
         board.pulse(edge)
     board.run_alive(edges[-1] + 10 * MS)

@@ -116,7 +116,9 @@ def kernel(board: EmulatedBoard, port: int) -> Iterator[Kernel]:
     kernel.close()
 
 
-def test_it_lists_one_device_and_gives_it_to_one_client(board: EmulatedBoard, port: int) -> None:
+def test_it_lists_one_device_gives_it_to_one_client_and_hangs_up_on_who_speaks_nonsense(
+    board: EmulatedBoard, port: int
+) -> None:
     listed = Kernel(board, port).devices()
     assert struct.unpack(">HHII", listed[:12]) == (0x0111, 5, 0, 1)
     assert listed[12 + 256 :][:32].rstrip(b"\0") == b"1-1"
@@ -124,26 +126,29 @@ def test_it_lists_one_device_and_gives_it_to_one_client(board: EmulatedBoard, po
     assert numbers == (1, 2, 2, 0x2E8A, 0x000A, 0x0100, 0xEF, 2, 1, 0, 1, 2)
     assert listed[12 + 312 :] == bytes((2, 2, 0, 0, 10, 0, 0, 0))  # communications, data
     assert Kernel(board, port).imports(b"2-1") != 0
-    assert Kernel(board, port).imports(b"1-1") == 0
+    kernel = Kernel(board, port)
+    assert kernel.imports(b"1-1") == 0
     assert Kernel(board, port).imports(b"1-1") != 0
+    stranger = Kernel(board, port)
+    stranger._line.sendall(b"GET / HTTP/1.1\r\n\r\n")
+    assert stranger.ended()
+    kernel._line.sendall(bytes(48))
+    assert kernel.ended()
 
 
-@pytest.mark.deep(gate="tests/emulator/test_usbip.py::test_the_other_line_works_on")
-def test_control_requests_reach_the_firmware(kernel: Kernel) -> None:
+def test_requests_and_bytes_go_both_ways_and_what_is_not_wanted_any_more_is_taken_back(
+    board: EmulatedBoard, kernel: Kernel
+) -> None:
     status, device = kernel.ask(1, struct.pack("<BBHHH", 0x80, 6, 0x0100, 0, 64))
     assert (status, len(device), device[8:12]) == (OK, 18, b"\x8a\x2e\x0a\x00")
     assert kernel.ask(2, struct.pack("<BBHHH", 0x80, 6, 0x0600, 0, 10)) == (EPIPE, b"")
     assert kernel.ask(3, SET_CONFIGURATION) == (OK, b"")
     assert kernel.ask(4, struct.pack("<BBHHH", 0x80, 8, 0, 0, 1)) == (OK, b"\1")
-
-
-def test_bytes_go_both_ways_and_what_is_not_wanted_any_more_is_taken_back(kernel: Kernel) -> None:
-    kernel.ask(1, SET_CONFIGURATION)
-    kernel.submit(2, IN, NOTICE, 8)
-    kernel.submit(3, IN, DATA, 128)
-    kernel.unlink(4, 3)
-    assert kernel.answer(4) == (RET_UNLINK, ECONNRESET, b"")
-    kernel.ask(5, struct.pack("<BBHHH", 0x21, 0x22, 3, 0, 0))
+    kernel.submit(5, IN, NOTICE, 8)
+    kernel.submit(6, IN, DATA, 128)
+    kernel.unlink(7, 6)
+    assert kernel.answer(7) == (RET_UNLINK, ECONNRESET, b"")
+    kernel.ask(8, struct.pack("<BBHHH", 0x21, 0x22, 3, 0, 0))
     for number in range(10, 40, 2):
         kernel.submit(number, IN, DATA, 128)
         kernel.submit(number + 1, OUT, DATA, encode(Frame(Ping(), number)))
@@ -151,9 +156,11 @@ def test_bytes_go_both_ways_and_what_is_not_wanted_any_more_is_taken_back(kernel
         kind, status, data = kernel.answer(number)
         assert (kind, status) == (RET_SUBMIT, OK)
         assert 0 < len(data) < 64
-    assert 3 not in kernel.replies
-    kernel.unlink(6, 10)  # has ended long ago
-    assert kernel.answer(6) == (RET_UNLINK, OK, b"")
+    assert 6 not in kernel.replies
+    kernel.unlink(9, 10)  # has ended long ago
+    assert kernel.answer(9) == (RET_UNLINK, OK, b"")
+    board.usb_do("detach")
+    assert kernel.ended()  # a device that leaves the bus ends the connection
 
 
 def test_a_client_that_goes_away_is_a_bus_reset_and_the_next_one_is_welcome(
@@ -170,11 +177,7 @@ def test_a_client_that_goes_away_is_a_bus_reset_and_the_next_one_is_welcome(
     assert another.ask(1, struct.pack("<BBHHH", 0x80, 8, 0, 0, 1)) == (OK, b"\0")
 
 
-def test_a_device_that_leaves_the_bus_ends_the_connection(board: EmulatedBoard, kernel: Kernel) -> None:
-    board.usb_do("detach")
-    assert kernel.ended()
-
-
+@pytest.mark.deep(gate="tests/emulator/test_usb.py::test_both_lines_work_at_once_and_one_of_them_commands")
 def test_the_other_line_works_on(board: EmulatedBoard, kernel: Kernel) -> None:
     kernel.ask(1, SET_CONFIGURATION)
     arm(board, ratio=0, period=1_000_000, delay=100_000, width=100_000)
@@ -182,11 +185,3 @@ def test_the_other_line_works_on(board: EmulatedBoard, kernel: Kernel) -> None:
     kernel.close()
     board.run_alive(board.now + 5 * MS)
     assert len(board.rises(PIN_LED)) == 1
-
-
-def test_a_client_that_speaks_nonsense_is_hung_up_on(board: EmulatedBoard, port: int, kernel: Kernel) -> None:
-    stranger = Kernel(board, port)
-    stranger._line.sendall(b"GET / HTTP/1.1\r\n\r\n")
-    assert stranger.ended()
-    kernel._line.sendall(bytes(48))
-    assert kernel.ended()
