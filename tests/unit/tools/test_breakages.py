@@ -74,6 +74,13 @@ def bench(tmp_path: Path) -> Bench:
     return Bench(tmp_path, 60.0, env, workers=())
 
 
+def test_the_house_is_not_asked_and_no_test_of_the_room_twice(bench: Bench) -> None:
+    stages = {name: arguments for name, arguments, _ in bench.stages("a", room_only=False, deep=True)}
+    assert list(stages) == ["room", "gate", "deep"]
+    assert "--ignore=tests/unit/a" in stages["gate"] and "--ignore=tests/unit/a" not in stages["deep"]
+    assert all("--ignore=tests/unit/test_house.py" in stages[name] for name in ("gate", "deep"))
+
+
 TWO, WRONG = "tests/unit/a/test_a.py::test_two", "tests/unit/a/test_a.py::test_wrong"
 
 
