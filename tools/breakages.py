@@ -107,15 +107,13 @@ class Bench:
     def stages(self, room: str, *, room_only: bool, deep: bool) -> list[tuple[str, list[str], float]]:
         gate = ["-m", "not deep and not alone"]
         own = [name for name in (f"tests/unit/{room}", f"tests/unit/test_{room}.py") if (self.other / name).exists()]
-        rest = [name for name in GATE if (self.other / name).is_dir()]
+        rest = [name for name in GATE if (self.other / name).is_dir()] + [f"--ignore={HOUSE}"]
         stages = [("room", [*own, *gate], self.timeout_s)] if own else []
         if not room_only:
-            past = [f"--ignore={name}" for name in (*own, HOUSE)]
+            past = [f"--ignore={name}" for name in own]
             stages.append(("gate", [*rest, *past, *gate], self.timeout_s))
         if deep:
-            stages.append(
-                ("deep", [*rest, f"--ignore={HOUSE}", "-m", "deep and not alone"], DEEP_TIMES * self.timeout_s)
-            )
+            stages.append(("deep", [*rest, "-m", "deep and not alone"], DEEP_TIMES * self.timeout_s))
         return stages
 
     def judged(self, fault: Breakage, *, room_only: bool = False, deep: bool = False) -> tuple[str, str]:
