@@ -102,6 +102,7 @@ def sheets_of(first_mm: float, last_mm: float) -> list[tuple[float, float]]:
     for metres in (*SHEET_M, math.inf):
         length = 1000 * metres if math.isfinite(metres) else (last_mm - first_mm) / (SHEETS_MAX - 1)
         begin = math.floor(first_mm / length)
+        begin -= begin * length > first_mm  # the quotient was rounded up to a whole number
         count = math.ceil(last_mm / length) - begin
         if count <= SHEETS_MAX:
             return [((begin + k) * length, (begin + k + 1) * length) for k in range(count)]

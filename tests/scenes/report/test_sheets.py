@@ -6,7 +6,7 @@ from itertools import pairwise
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from synthetic_pipe import CALIBRATION, bump, pocket, round_pipe, scan
 from tiled_survey import tiled
@@ -29,6 +29,7 @@ def short() -> Survey:
 
 
 @given(st.floats(-1e5, 1e5), st.floats(0.1, 2e6))
+@example(-5e-324, 1.0)  # over the length of a sheet it is -0.0
 def test_sheets_cover_the_pipe_without_a_gap_and_are_never_too_many(first: float, length: float) -> None:
     sheets = figures.sheets_of(first, first + length)
     assert 1 <= len(sheets) <= figures.SHEETS_MAX
