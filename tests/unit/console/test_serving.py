@@ -85,9 +85,9 @@ def test_pictures_and_points_come_at_once(served: tuple[str, Program], stalls: A
             elif message[0] == wire.POINTS and not message[1]:
                 frames.append(struct.unpack_from("<I", message, 4)[0])
     assert len(late) > 60 and len(frames) > 48
-    if stalls.since(begun) < STALL_S:
+    if (stalled_s := stalls.since(begun)) < STALL_S:
         assert time.monotonic() - begun < 4.0
-        assert sorted(late)[len(late) // 2] < 5.0  # ms; 0.8 are measured
+        assert sorted(late)[len(late) // 2] < 5.0 + 1e3 * stalled_s  # ms; 0.8 are measured on a quiet machine
     assert frames == [f for f in range(frames[0], frames[-1] + 1) if f % 5 != 4]  # none is missing
 
 

@@ -63,10 +63,11 @@ class Relay:
             data = b""
         if not data:
             for one in (line, other):
-                if one in self._watched.get_map():
+                if one.fileno() >= 0 and one in self._watched.get_map():
                     self._watched.unregister(one)
                 one.close()
-                self._lines.remove(one)
+                if one in self._lines:  # its other end may have gone in this very round
+                    self._lines.remove(one)
 
 
 @pytest.fixture

@@ -22,6 +22,7 @@ def only_loss(half_deg: float, hidden_deg: float, percent: float = 0.0) -> Defec
     return loss
 
 
+@pytest.mark.deep(but="40.0-3.0")
 @pytest.mark.parametrize("percent", [0.0, 3.0])
 @pytest.mark.parametrize("hidden_deg", [0.0, 10.0, 40.0])
 def test_a_groove_goes_all_round_whatever_hides_some_of_it(hidden_deg: float, percent: float) -> None:

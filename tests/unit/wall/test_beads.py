@@ -45,6 +45,7 @@ def _measured(height: float, width: float, half_slit: float, rng: np.random.Gene
     return measure_bead(even_wall(), points, (AT_MM - width / 2 - 2, AT_MM + width / 2 + 12))
 
 
+@pytest.mark.deep(but=4)
 @pytest.mark.parametrize(("height", "width"), [(2.5, 7.0), (3.5, 8.0), (3.5, 12.0), (4.8, 10.5)])
 @pytest.mark.parametrize("half_slit", [1.0, 2.2])
 def test_a_bead_is_as_high_and_as_wide_as_it_is(height: float, width: float, half_slit: float) -> None:

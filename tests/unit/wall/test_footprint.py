@@ -34,6 +34,7 @@ def slopes_of(line: Centreline, head: Pose, angles: np.ndarray, vertex_z: float,
     return np.interp(angles, angle[seen], SLOPES[seen], left=np.nan, right=np.nan)
 
 
+@pytest.mark.deep(but=2)
 @pytest.mark.parametrize("clock", [1.2, 2.2, math.pi, 4.0])
 def test_a_slit_on_a_bent_wall_is_where_its_middle_is(clock: float) -> None:
     """Midway between the images of two edges, mended for a straight pipe, is off by hundredths of a millimetre."""

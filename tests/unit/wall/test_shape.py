@@ -54,6 +54,7 @@ def one_ring(
     return out, lost
 
 
+@pytest.mark.deep(but=2)
 @pytest.mark.parametrize(("guess", "axis_deg"), [(1.03, 30.0), (0.97, 30.0), (1.03, 90.0), (0.97, 135.0)])
 def test_a_dented_pipe_of_one_ring_and_an_unseen_arc(guess: float, axis_deg: float) -> None:
     profiles, lost = one_ring(guess, axis_deg=axis_deg)
