@@ -17,6 +17,7 @@ from annulus.record.codec import to_bgr
 from annulus.twin.render import Renderer
 from annulus.twin.scan import write_scan
 from annulus.twin.worlds import World, mirror_fringe_world, modules_world, series_world
+from tests import kept
 
 pytestmark = pytest.mark.deep(gate="tests/unit/fringe/test_calibration.py::test_the_slide_is_found_within_its_sigma")
 
@@ -45,7 +46,7 @@ def errors(world: World, depth: Any) -> tuple[FloatArray, FloatArray]:
 )
 def test_a_head_of_the_twin_measures_its_pipe(world: World, frames: int, rms_mm: float, tmp_path: Path) -> None:
     scan, out = tmp_path / "scan", tmp_path / "out"
-    write_scan(world, scan, frames)
+    kept.folder(lambda new: write_scan(world, new, frames), scan, world, frames)
     words = ["reconstruct", str(scan), "--calibration", str(scan / "calibration.json"), "-o", str(out), "--json"]
     done = CliRunner().invoke(app, words, catch_exceptions=False)
     assert done.exit_code == 0, done.output

@@ -11,7 +11,8 @@ from annulus.numeric import compiling
 from annulus.reprocess import ahead, open_job, reprocess
 from annulus.reprocess.ahead import compile_all, make_ready, work_of
 from annulus.twin.scan import write_scan
-from annulus.twin.worlds import demo_world, stereo_world
+from annulus.twin.worlds import World, demo_world, stereo_world
+from tests import kept
 
 
 def compiled() -> set[tuple[str, str]]:
@@ -31,10 +32,10 @@ def compiled() -> set[tuple[str, str]]:
 )
 @pytest.mark.parametrize("world", [demo_world(travel_mm=30.0), stereo_world(travel_mm=30.0)], ids=["ring", "stereo"])
 def test_a_scan_calls_nothing_that_was_not_compiled_ahead(
-    world: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    world: World, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(compiling, "is_now_ready", lambda _: None)
-    write_scan(world, tmp_path / "scan", 20)  # type: ignore[arg-type]
+    kept.folder(lambda new: write_scan(world, new, 20), tmp_path / "scan", world, 20)
     job = open_job(tmp_path / "scan", tmp_path / "scan/calibration.json")
     compile_all(job.calibration)
     ahead_of_it = compiled()

@@ -14,6 +14,7 @@ from annulus.geometry.camera import Camera
 from annulus.geometry.cone import Cone
 from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import FloatArray
+from tests import kept
 
 PIPE_MM = 76.2
 Radius = Callable[[FloatArray, FloatArray], FloatArray]  # (clock-free angle atan2(y, x), z mm) -> wall radius mm
@@ -66,7 +67,19 @@ def draw(
     lit: Callable[[FloatArray], NDArray[np.bool_]] | None = None,
 ) -> NDArray[np.uint8]:
     """One projector frame (H, W, 3) BGR. `radius`: the wall (star-shaped, no shadows); `lit`: (N, 3) pipe points."""
-    paint = paint or Paint()
+    parts = (cal, pose, radius, paint or Paint(), slit_px, seed, lit)
+    return kept.picture(lambda: _drawn(*parts), *parts)
+
+
+def _drawn(
+    cal: Calibration,
+    pose: Pose,
+    radius: Radius | None,
+    paint: Paint,
+    slit_px: float,
+    seed: int,
+    lit: Callable[[FloatArray], NDArray[np.bool_]] | None,
+) -> NDArray[np.uint8]:
     camera, n = cal.camera, paint.supersample
     half = _half_angles(cal, slit_px)
     # A lens is smooth: its rays are worked out every sixth pixel and splined, or drawing would be all undistortion.
