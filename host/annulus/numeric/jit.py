@@ -44,13 +44,13 @@ _stamps: dict[str, str] = {}  # by file: of its content and of all it uses from 
 
 
 def _know_by_all_it_uses(kernel: Any) -> None:
-    """numba keeps code for as long as the kernel's own file is the same, and builds into it what it calls: the stamp it
-    compares is given all of that."""
+    """numba keeps code for as long as the kernel's own file has its time and size, and builds into it what it calls: the
+    stamp it compares becomes the content of all of that."""
     kept: Any = getattr(getattr(kernel, "_cache", None), "_cache_file", None)
     if hasattr(
         kept, "_source_stamp"
     ):  # else a numba that has it elsewhere: it looks at the own file alone, a test tells
-        kept._source_stamp = (kept._source_stamp, stamp_of(kernel.py_func))
+        kept._source_stamp = stamp_of(kernel.py_func)  # not the file's time: a checkout and back changes nothing
 
 
 def stamp_of(function: Callable[..., Any]) -> str:
