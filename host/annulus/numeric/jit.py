@@ -44,8 +44,8 @@ _stamps: dict[str, str] = {}  # by file: of its content and of all it uses from 
 
 
 def _know_by_all_it_uses(kernel: Any) -> None:
-    """numba keeps code for as long as the kernel's own file has its time and size, and builds into it what it calls: the
-    stamp it compares becomes the content of all of that."""
+    """numba keeps code for as long as the kernel's own file has its time and size, and builds into it what it calls:
+    the stamp it compares becomes the content of all of that."""
     kept: Any = getattr(getattr(kernel, "_cache", None), "_cache_file", None)
     if hasattr(
         kept, "_source_stamp"
