@@ -15,6 +15,7 @@ one while the others have nothing to do.
 
 import os
 import resource
+import signal
 import threading
 import time
 from collections import defaultdict, deque
@@ -54,6 +55,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # begun by a shell with `&`: our children would ignore Ctrl-C
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     config.stash[COSTS] = defaultdict(lambda: defaultdict(float))
     config.option.loadscopereorder = False  # xdist's own order: files of few tests last, and those take longest
     if config.getoption("numprocesses", None):  # one process a core: threads would only fight over them

@@ -12,6 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from annulus.cli import app
+from annulus.fringe import pipe
 from annulus.numeric.arrays import FloatArray
 from annulus.record.codec import to_bgr
 from annulus.twin.render import Renderer
@@ -19,7 +20,7 @@ from annulus.twin.scan import write_scan
 from annulus.twin.worlds import World, mirror_fringe_world, modules_world, series_world
 from tests import kept
 
-pytestmark = pytest.mark.deep(gate="tests/unit/fringe/test_calibration.py::test_the_slide_is_found_within_its_sigma")
+COARSE = "tests/scenes/fringe/test_models.py::test_model_c_measures_its_pipe_on_a_coarse_grid"
 
 EDGE_MM = 1.5  # nearer to a step the truth jumps
 
@@ -35,6 +36,33 @@ def errors(world: World, depth: Any) -> tuple[FloatArray, FloatArray]:
     return told, told / depth["sigma_mm"][away]
 
 
+def measured(world: World, frames: int, folder: Path) -> tuple[Path, dict[str, Any]]:
+    """Its scan, reconstructed by the command; where the results are, and their summary."""
+    scan, out = folder / "scan", folder / "out"
+    kept.folder(lambda new: write_scan(world, new, frames), scan, world, frames)
+    words = ["reconstruct", str(scan), "--calibration", str(scan / "calibration.json"), "-o", str(out), "--json"]
+    done = CliRunner().invoke(app, words, catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    summary: dict[str, Any] = json.loads(done.stdout)
+    return out, summary
+
+
+def test_model_c_measures_its_pipe_on_a_coarse_grid(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A quarter of the pixels, a tenth of the cells: what all of C, and A and B, are held to is deep."""
+    monkeypatch.setattr(pipe, "CELL_OF_RADIUS", 1 / 60)
+    monkeypatch.setattr(pipe, "SOME", 1000)
+    world = mirror_fringe_world(travel_mm=22.0).scaled(320)
+    out, summary = measured(world, 15, tmp_path)
+    with np.load(out / "depth.npz") as depth:
+        off, in_sigma = errors(world, depth)
+    assert len(off) > 20_000 and np.sqrt(np.mean(off**2)) < 0.02  # 0.009 measured
+    assert 0.93 <= np.mean(np.abs(in_sigma) < 2) <= 1.0
+    pocket = world.features[0]
+    loss = min(summary["defects"], key=lambda one: abs(one["clock_deg"] - pocket.clock_deg))
+    assert loss["kind"] == "loss" and abs(loss["depth_mm"] - pocket.depth_mm) < 0.05
+
+
+@pytest.mark.deep(gate=COARSE)
 @pytest.mark.parametrize(
     ("world", "frames", "rms_mm"),
     [
@@ -45,12 +73,7 @@ def errors(world: World, depth: Any) -> tuple[FloatArray, FloatArray]:
     ids=["A", "B", "C"],
 )
 def test_a_head_of_the_twin_measures_its_pipe(world: World, frames: int, rms_mm: float, tmp_path: Path) -> None:
-    scan, out = tmp_path / "scan", tmp_path / "out"
-    kept.folder(lambda new: write_scan(world, new, frames), scan, world, frames)
-    words = ["reconstruct", str(scan), "--calibration", str(scan / "calibration.json"), "-o", str(out), "--json"]
-    done = CliRunner().invoke(app, words, catch_exceptions=False)
-    assert done.exit_code == 0, done.output
-    summary = json.loads(done.stdout)
+    out, summary = measured(world, frames, tmp_path)
     assert {one.name for one in out.iterdir()} >= {"depth.npz", "cloud.ply", "mesh.ply", "report.html", "stations.csv"}
     with np.load(out / "depth.npz") as depth:
         off, in_sigma = errors(world, depth)
@@ -68,6 +91,7 @@ def test_a_head_of_the_twin_measures_its_pipe(world: World, frames: int, rms_mm:
         assert abs(got["depth_mm"] - want["depth_mm"]) < max(0.05, 0.2 * want["depth_mm"])
 
 
+@pytest.mark.deep(gate="tests/unit/fringe/test_pipe.py::test_a_clean_pipe_calibrates_the_projector")
 @pytest.mark.parametrize(
     ("make", "place_mm"), [(series_world, 0.2), (mirror_fringe_world, 0.4)], ids=["A", "C"]
 )  # measured: 0.08, 0.20
