@@ -13,6 +13,7 @@ one while the others have nothing to do.
 `stalls` knows whether this machine stood still: a bound in seconds that is a promise holds only where it did not.
 """
 
+import contextlib
 import os
 import resource
 import signal
@@ -20,12 +21,15 @@ import threading
 import time
 from collections import defaultdict, deque
 from collections.abc import Generator, Iterator
+from pathlib import Path
 
 import pytest
 import tiers
 
 ALLOWED = ("../shared", "too busy")  # scenes that only the authors have; a machine that cannot emulate in real time
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+
+CLOCK_HZ = os.sysconf("SC_CLK_TCK")  # of /proc
 
 COSTS = pytest.StashKey[dict[str, dict[str, float]]]()  # by file, then "gate" or "deep": processor seconds
 
@@ -79,8 +83,20 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def _processor_s() -> float:
+    """Ours, that of children that ended, and of those that live: an emulator outlives the test that it worked for."""
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(one.ru_utime + one.ru_stime for one in used)
+    return sum(one.ru_utime + one.ru_stime for one in used) + _living_s("self")
+
+
+def _living_s(pid: str) -> float:
+    """Of all that descend from a process and have not ended, with what they waited for."""
+    seconds = 0.0
+    for task in Path(f"/proc/{pid}/task").glob("*/children"):
+        with contextlib.suppress(OSError):  # one that ends just now
+            for child in task.read_text().split():
+                times = Path(f"/proc/{child}/stat").read_text().rpartition(")")[2].split()[11:15]
+                seconds += sum(map(int, times)) / CLOCK_HZ + _living_s(child)
+    return seconds
 
 
 @pytest.hookimpl(wrapper=True)
