@@ -254,6 +254,20 @@ def test_nothing_is_concluded_from_frames_that_all_had_waited() -> None:
         calibrate_offset(frames, history_of(60), PERIOD)
 
 
+@pytest.mark.parametrize("lag_ms", [6, 22])
+def test_stamps_that_step_by_a_frame_are_followed_however_long_a_frame_is_under_way(lag_ms: int) -> None:
+    """Only the arrival and the pictures know: the camera does not count."""
+    pairing = pairing_with(range(300))
+    right = 0
+    for number in range(1, 290):
+        stamp = at(number) - 28 * MS + (PERIOD if number >= 100 else 0)
+        shown = LIGHT[lamp_of(number - 1)]
+        label = pairing.label(seen(stamp, shown, arrived=at(number) + lag_ms * MS)).label
+        assert label in (LABEL[lamp_of(number - 1)], Label.UNKNOWN)
+        right += number >= 190 and label is not Label.UNKNOWN
+    assert right == 100
+
+
 def test_history_is_bounded() -> None:
     history = EdgeHistory()
     pairing = pairing_with(range(5000), history=history)
