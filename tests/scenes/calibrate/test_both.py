@@ -190,3 +190,20 @@ def test_how_the_rings_agree_with_the_target_is_said_in_sigmas() -> None:
     assert turned is not None and turned.turned_deg == pytest.approx(0.5)
     assert turned.sigmas == pytest.approx(np.radians(0.5) / np.sqrt(placed.covariance[0, 0]), rel=1e-3)
     assert disagreement(target, 2, 0, rings(0.0, 0.0)) is None
+
+
+def test_where_a_target_put_the_second_camera_is_read_again_and_what_is_no_place_is_refused() -> None:
+    turn, moved = Rotation.from_rotvec([0.0, 0.3, 0.1]).as_matrix(), np.array([62.0, 0.5, -1.0])
+    cover = np.diag([1e-8, 1e-8, 1e-8, 1e-4, 1e-4, 1e-4])
+    good = {"camera": 1, "rotation": turn.tolist(), "translation_mm": moved.tolist(), "covariance": cover.tolist()}
+    placed = placement_from_dict({"target_placement": good})
+    assert placed is not None and placed.camera == 1
+    np.testing.assert_allclose(turn @ placed.centre_mm + moved, 0.0, atol=1e-12)
+    np.testing.assert_array_equal(placed.covariance, cover)
+    skew = cover + 1e-6 * np.eye(6, k=1)
+    wrong = {"rotation": [2 * turn, -turn, turn[:2]], "covariance": [skew, 0 * cover, -cover], "camera": [256]}
+    for key, values in wrong.items():
+        for value in values:
+            with pytest.raises(ValueError, match=f"target_placement.{key}"):
+                placement_from_dict({"target_placement": good | {key: np.asarray(value).tolist()}})
+    assert placement_from_dict({}) is None

@@ -13,8 +13,9 @@ from tiled_survey import tiled
 
 from annulus.numeric.thinning import farthest
 from annulus.report import figures
-from annulus.report.maps import ROWS_MAX, calm, mean_colour
+from annulus.report.maps import ROWS_MAX, Stretch, calm, draw_shape, lay, mean_colour
 from annulus.report.marks import marks_of, outline
+from annulus.report.paper import stack
 from annulus.wall import LedFrame, Survey, survey
 
 AXIS_BGR = (0x85, 0x78, 0x6B)
@@ -43,6 +44,18 @@ def test_thirty_metres_are_sheets_of_three_at_one_to_twenty() -> None:
     assert len(sheets) == 10 and sheets[3] == (9000.0, 12000.0)
     assert len(figures.sheets_of(0.0, 60_000.0)) == 20 and len(figures.sheets_of(0.0, 60_001.0)) == 11
     assert figures.scale_of(3000.0, figures.AXES_MM) == "1 : 20"
+
+
+@pytest.mark.parametrize("names", [True, False])
+def test_a_map_names_each_thing_once_beside_it_or_along_its_edge(short: Survey, names: bool) -> None:
+    marks = marks_of(short)
+    figure, (axes,) = stack([(9.0, 60.0)])
+    whole = Stretch.of(short, *short.wall.extent[:2])
+    lay([axes], whole)
+    draw_shape(figure, axes, short, whole, short.wall.deviation_mm(), 3.0, marks, 60.0, names=names)
+    said = [name.strip() for text in axes.texts for name in text.get_text().split(",")]
+    assert len(marks) >= 2
+    assert [said.count(mark.name) for mark in marks] == [1] * len(marks)
 
 
 def frame_of(png: bytes) -> tuple[int, int, int]:
