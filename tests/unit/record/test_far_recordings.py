@@ -196,9 +196,7 @@ def torn(path: Path, keep: float = 0.7) -> Path:
     return path
 
 
-@pytest.mark.deep(
-    gate="tests/unit/record/test_far_recordings.py::test_a_walk_is_kept_in_a_cache_where_nobody_may_write_beside"
-)
+@pytest.mark.deep(but="raw")
 @pytest.mark.parametrize("codec", [Codec.ZSTD, Codec.RAW])
 def test_a_torn_recording_is_walked_once_and_the_walk_is_kept_beside_it(
     store: ObjectStore, tmp_path: Path, codec: Codec
