@@ -93,31 +93,29 @@ def test_one_deep_sector_in_both_is_never_called_related_where_the_zero_is_unkno
     assert np.mean(told) > 0.1  # what the phases alone would have believed
 
 
+GOLDEN = Path(__file__).resolve().parents[2] / "data/dcor.json"  # made by the test that asks dcor itself
 DCOR = """
 import json, sys
 import dcor, numpy as np
-print(json.dumps([[float(dcor.u_distance_correlation_sqr(np.array(one), np.array(values))) for one in many]
-                  for values, many in json.load(sys.stdin)]))
+asked = [(np.array(case["values"]), np.array(case["many"])) for case in json.load(sys.stdin)]
+print(json.dumps([[float(dcor.u_distance_correlation_sqr(one, values)) for one in many] for values, many in asked]))
 """  # in a process of its own: it launches numba's threads, and then nobody may say how many
 
 
-@pytest.mark.deep(
-    gate="tests/unit/joints/test_statistics.py::test_a_feature_that_is_one_wave_can_tell_nothing_when_the_zero_is_unknown"
-)
 def test_the_distance_correlation_is_that_of_dcor() -> None:
-    cases = []
-    for n in (5, 8, 16):
-        rng = np.random.default_rng(n)
-        values, many = rng.normal(size=n), rng.normal(size=(6, n))
-        many[0], many[1], many[2] = 3 - 2 * values, values**2, 7.0
-        cases.append((values, many))
-    asked = json.dumps([(values.tolist(), many.tolist()) for values, many in cases])
-    ran = subprocess.run([sys.executable, "-c", DCOR], input=asked, capture_output=True, text=True, check=False)
+    for case in json.loads(GOLDEN.read_text(encoding="utf-8")):
+        ours = distance_correlation(np.array(case["many"]), np.array(case["values"]))
+        assert ours == pytest.approx(np.array(case["dcor"]), abs=1e-9)
+        assert ours[0] == pytest.approx(1) and ours[2] == 0  # a straight line, and what never changes
+
+
+@pytest.mark.deep(gate="tests/unit/joints/test_statistics.py::test_the_distance_correlation_is_that_of_dcor")
+def test_dcor_still_says_what_is_kept_of_it() -> None:
+    cases = GOLDEN.read_text(encoding="utf-8")
+    ran = subprocess.run([sys.executable, "-c", DCOR], input=cases, capture_output=True, text=True, check=False)
     assert ran.returncode == 0, ran.stderr
-    for (values, many), theirs in zip(cases, json.loads(ran.stdout), strict=True):
-        ours = distance_correlation(many, values)
-        assert ours == pytest.approx(np.array(theirs), abs=1e-9)
-        assert ours[0] == pytest.approx(1) and ours[2] == 0
+    for case, theirs in zip(json.loads(cases), json.loads(ran.stdout), strict=True):
+        assert case["dcor"] == pytest.approx(theirs, abs=1e-12)
 
 
 def test_a_bent_relation_is_seen_by_distance_and_chance_by_neither() -> None:
