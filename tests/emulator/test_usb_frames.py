@@ -98,7 +98,7 @@ def test_a_late_round_does_not_take_a_frame_for_a_young_one(board: EmulatedBoard
 
 
 @pytest.mark.deep(but=1)
-@pytest.mark.parametrize(("busy", "turns"), [(True, 1), (True, 3), (False, 3)])
+@pytest.mark.parametrize(("busy", "turns"), [(True, 1), (True, 3), (False, 3)], ids=["once", "flooded", "quiet"])
 def test_when_the_usb_block_hangs_all_goes_dark_and_the_port_comes_back(
     board: EmulatedBoard, busy: bool, turns: int
 ) -> None:
