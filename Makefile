@@ -62,9 +62,9 @@ demo: setup
 # those that promise something in seconds by themselves at the end. No skips: tests/conftest.py.
 # `make test ROOM=wall`: lint, types and the gate's tests of that room, and nothing else.
 GATE := not deep
-ifdef ROOM
+ifeq ($(origin ROOM),command line)
 test: .venv/.synced-all native
-	@$(BIN)/python -m tools.room $(ROOM)
+	@$(BIN)/python -m tools.room "$(ROOM)"
 else
 test: tested
 endif

@@ -67,6 +67,12 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ.update(ONE_THREAD)
 
 
+def _tiers_of(expression: str) -> list[str]:
+    if "deep or not deep" in expression or "deep" not in expression:
+        return ["gate", "deep"]
+    return ["gate"] if "not deep" in expression else ["deep"]
+
+
 @pytest.hookimpl(tryfirst=True)  # before -m and -k look at the marks
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     tiers.part(items)
@@ -75,7 +81,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         config.stash[COSTS][name]["gate"] = 0.0
     whole = not any("::" in argument for argument in config.args)
     config.stash[tiers.UNSPOKEN] = tiers.unspoken(items) if whole else []
-    costs, ran = tiers.read_durations(), ["gate"] if "not deep" in config.option.markexpr else ["gate", "deep"]
+    costs, ran = tiers.read_durations(), _tiers_of(config.option.markexpr)
     cost = {
         path: sum(costs[path][tier] for tier in ran) if path in costs else 0.0 for path in map(tiers.file_of, items)
     }

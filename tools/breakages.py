@@ -132,6 +132,8 @@ class Bench:
                     return stage, by
                 if not by:
                     break
+                if by in self.excused:
+                    raise SystemExit(f"tools.breakages: {by} fails without any fault and cannot be left out")
                 self.excused.append(by)
                 print(f"       {by} fails without any fault, and is left out", file=sys.stderr, flush=True)
         return "nobody", ""
@@ -158,6 +160,8 @@ def main() -> int:
     )
     parser.add_argument("--timeout", type=float, default=900.0, metavar="S", help=stage_help)
     asked = parser.parse_args()
+    if not 0 < asked.count <= 10_000 or not 0.0 < asked.timeout < 1e6:
+        parser.error("expected --count from 1 to 10000, --timeout above 0 s")
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # pytest and the copy go with us
     faults = drawn(host_sources(), asked.seed, asked.count)
     if asked.list:

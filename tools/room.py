@@ -3,6 +3,7 @@
 python -m tools.room wall        what `make test ROOM=wall` does
 """
 
+import re
 import subprocess
 import sys
 import time
@@ -15,7 +16,12 @@ BIN = Path(sys.executable).parent
 
 def steps(room: str) -> list[list[str]]:
     """The commands, each to end with 0. Raises ValueError naming the rooms there are."""
-    code = next((path for path in (ROOMS / room, ROOMS / f"{room}.py") if path.exists()), None)
+    code = None
+    if re.fullmatch(r"[a-z]\w*(/[a-z]\w*)*", room):
+        code = next(
+            (one for one in (ROOMS / room, ROOMS / f"{room}.py") if (one / "__init__.py").is_file() or one.is_file()),
+            None,
+        )
     tests = [ROOT / "tests/unit" / room, ROOT / f"tests/unit/test_{room}.py"]
     tests = [path for path in tests if path.exists()]
     if code is None:

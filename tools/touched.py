@@ -28,7 +28,9 @@ def git(*words: str) -> str:
 
 
 def last_base() -> str:
-    tagged = subprocess.run(["git", "describe", "--tags", "--abbrev=0"], cwd=ROOT, capture_output=True, text=True)
+    tagged = subprocess.run(
+        ["git", "describe", "--tags", "--abbrev=0", "HEAD~1"], cwd=ROOT, capture_output=True, text=True
+    )
     return tagged.stdout.strip() if tagged.returncode == 0 else "HEAD~1"
 
 
@@ -48,6 +50,7 @@ def touched(changed: list[str], floor: dict[str, int]) -> dict[str, int]:
     rooms = {Path(name).parts[2].removesuffix(".py") for name in changed if name.startswith("host/annulus/")}
     rooms &= floor.keys()
     tested = {name for name in changed if name.startswith("tests/")}
+    helped = {Path(name).parent for name in tested if not Path(name).name.startswith("test_") and name.endswith(".py")}
     firmware = any(name.startswith(FIRMWARE) for name in changed)
     far: dict[str, int] = {}
     for name, cost in tiers.read_durations().items():
@@ -55,7 +58,9 @@ def touched(changed: list[str], floor: dict[str, int]) -> dict[str, int]:
         above = [floor[one] - floor[room] for one in rooms if room in floor and floor[room] <= floor[one]]
         if cost["deep"] <= 0.0:
             continue
-        if name in tested or room in rooms or (firmware and kind in ("emulator", "hil")):
+        beside = any(Path(name).parent.is_relative_to(folder) for folder in helped)
+        silicon = firmware and (kind in ("emulator", "hil", "guest") or room == "firmware")
+        if name in tested or room in rooms or silicon or beside:
             far[name] = 0
         elif kind in FOLDERS and above and min(above) > 0:  # rooms beside it on a floor do not know it
             far[name] = min(above)
@@ -81,11 +86,16 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=8.0, help="bound of time, of this machine left to itself")
     parser.add_argument("--list", action="store_true", help="say what would run, and run nothing")
     asked = parser.parse_args()
+    if not 0.0 < asked.minutes < 1e6:
+        parser.error(f"--minutes {asked.minutes:g}: expected more than 0")
     base = asked.base or last_base()
     try:
-        changed = git("diff", "--name-only", base, "--").splitlines()
-    except subprocess.CalledProcessError as wrong:
-        print(f"tools.touched: {base}: {wrong.stderr.strip().splitlines()[0]}", file=sys.stderr)
+        commit = git("rev-parse", "--verify", "--end-of-options", f"{base}^{{commit}}")
+        changed = git("diff", "--name-only", "--no-renames", "-z", commit, "--").split("\0")
+        changed += git("ls-files", "-zo", "--exclude-standard").split("\0")
+    except (OSError, subprocess.CalledProcessError) as wrong:
+        why = str(getattr(wrong, "stderr", "") or wrong).strip().splitlines()[0]
+        print(f"tools.touched: {base}: {why}", file=sys.stderr)
         return 2
     far = touched(changed, floors())
     cores = os.cpu_count() or 1
@@ -98,8 +108,12 @@ def main() -> int:
     pytest = [sys.executable, "-m", "pytest"]
     beside = [*pytest, "-n", "auto", "--dist", "loadfile", "-m", "deep and not alone", *chosen]
     alone = [*pytest, "-m", "deep and alone", *chosen]
-    results = [subprocess.run(command, cwd=ROOT, check=False).returncode for command in (beside, alone)]
-    return next((status for status in results if status not in (0, 5)), 0)  # 5: none of that kind was among them
+    strict = {**os.environ, "ANNULUS_NO_SKIPS": "1"}
+    results = [subprocess.run(command, cwd=ROOT, env=strict, check=False).returncode for command in (beside, alone)]
+    if all(status == 5 for status in results):  # 5: none of that kind was among them
+        print("tools.touched: none of these files has a deep test: `make durations GATE=deep`", file=sys.stderr)
+        return 1
+    return next((status for status in results if status not in (0, 5)), 0)
 
 
 if __name__ == "__main__":

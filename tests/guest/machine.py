@@ -208,7 +208,7 @@ def _command(release: str, folder: Path, port: int) -> list[str]:
         "qemu-system-x86_64", "-nodefaults", "-no-user-config", "-display", "none", "-no-reboot",
         *(KVM if has_kvm() else TCG), "-smp", "2", "-m", "1536",
         "-kernel", f"/boot/vmlinuz-{release}", "-initrd", str(folder / "initramfs"),
-        "-append", "console=ttyS0 rdinit=/init panic=-1 mitigations=off random.trust_cpu=on loglevel=6",
+        "-append", "console=ttyS0 rdinit=/init panic=-1 mitigations=off no_timer_check random.trust_cpu=on loglevel=6",
         "-serial", f"file:{folder / 'console'}",
         "-device", "virtio-serial-pci", "-chardev", f"socket,id=agent,fd={port}",
         "-device", "virtserialport,chardev=agent,name=annulus",
