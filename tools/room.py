@@ -16,12 +16,8 @@ BIN = Path(sys.executable).parent
 
 def steps(room: str) -> list[list[str]]:
     """The commands, each to end with 0. Raises ValueError naming the rooms there are."""
-    code = None
-    if re.fullmatch(r"[a-z]\w*(/[a-z]\w*)*", room):
-        code = next(
-            (one for one in (ROOMS / room, ROOMS / f"{room}.py") if (one / "__init__.py").is_file() or one.is_file()),
-            None,
-        )
+    named = (ROOMS / room, ROOMS / f"{room}.py") if re.fullmatch(r"[a-z]\w*(/[a-z]\w*)*", room) else ()
+    code = next((path for path in named if path.exists()), None)
     tests = [ROOT / "tests/unit" / room, ROOT / f"tests/unit/test_{room}.py"]
     tests = [path for path in tests if path.exists()]
     if code is None:

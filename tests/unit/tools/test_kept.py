@@ -42,3 +42,16 @@ def test_a_kept_folder_may_be_changed_by_who_took_it(tmp_path: Path) -> None:
         kept.folder(write, tmp_path / name, "a scan")
         assert (tmp_path / name / "frames.csv").read_text() == "whole"
         (tmp_path / name / "frames.csv").write_text("changed")
+
+
+def test_a_change_of_anything_that_a_drawer_uses_is_another_shelf(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A twin's slide is drawn by fringe/, which lies in no room of the twin's own."""
+    used = tmp_path / "host/annulus/fringe/projector.py"
+    used.parent.mkdir(parents=True)
+    used.write_text("PHASE0 = 0.0\n")
+    monkeypatch.setattr(kept, "ROOT", tmp_path)
+    before = kept._digest()
+    used.write_text("PHASE0 = 1.0\n")
+    assert kept._digest() != before

@@ -1,5 +1,8 @@
 """What is in the gate and what is deep, and which deep tests a change calls for."""
 
+import subprocess
+import sys
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -7,6 +10,8 @@ import pytest
 import tiers
 
 from tools import room, touched
+
+ROOT = Path(__file__).resolve().parents[3]
 
 
 def item(nodeid: str, *marks: pytest.MarkDecorator) -> Any:
@@ -67,9 +72,33 @@ def test_a_change_calls_for_its_own_room_first_then_those_above_and_never_those_
     assert touched.fitting(far, 51.0) == ["tests/unit/wall/test_axis.py", "tests/unit/report/test_page.py"]
     assert touched.touched(["README.md"], touched.floors()) == {}
     assert "tests/emulator/test_usb.py" in touched.touched(["firmware/core/safety.c"], touched.floors())
+    by_a_helper = touched.touched(["tests/emulator/emulated.py"], touched.floors())
+    assert list(by_a_helper) == ["tests/emulator/test_usb.py"]
+
+
+def test_the_firmwares_own_attack_and_real_drivers_are_called_for_by_a_change_of_it() -> None:
+    called = touched.touched(["firmware/core/safety.c"], touched.floors())
+    assert {"tests/unit/firmware/test_attack.py", "tests/guest/test_v4l2.py"} <= called.keys()
+
+
+@pytest.mark.parametrize("asked", [["no-such-commit"], ["--minutes", "-1"], ["--minutes", "nan"]])
+def test_touched_refuses_what_it_cannot_use(asked: list[str]) -> None:
+    ran = subprocess.run([sys.executable, "-m", "tools.touched", *asked], cwd=ROOT, capture_output=True, text=True)
+    assert ran.returncode == 2 and "Traceback" not in ran.stderr and ran.stderr.strip()
+
+
+def test_a_gate_test_that_is_misspelt_or_never_runs_stands_for_nothing() -> None:
+    misspelt = pytest.mark.deep(gate="tests/untis/wall/test_axis.py::test_a_narrower_pipe_is_no_gap")
+    skipped = item("tests/unit/a.py::test_gate", pytest.mark.skip(reason="too busy"))
+    by = pytest.mark.deep(gate="tests/unit/a.py::test_gate")
+    items = [skipped, item("tests/unit/a.py::test_p", misspelt), item("tests/unit/a.py::test_q", by)]
+    assert len(tiers.unspoken(items)) == 2
 
 
 def test_a_room_that_is_none_is_one_line_with_those_there_are() -> None:
     with pytest.raises(ValueError, match=r"no room 'walls'\. There are: .*wall"):
         room.steps("walls")
+    for outside in ("", "..", "../../tests", "wall/axis.py", "Wall"):
+        with pytest.raises(ValueError, match="There are"):
+            room.steps(outside)
     assert any("tests/unit/wall" in word for command in room.steps("wall") for word in command)
