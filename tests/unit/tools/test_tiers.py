@@ -102,3 +102,11 @@ def test_a_room_that_is_none_is_one_line_with_those_there_are() -> None:
         with pytest.raises(ValueError, match="There are"):
             room.steps(outside)
     assert any("tests/unit/wall" in word for command in room.steps("wall") for word in command)
+
+
+@pytest.mark.parametrize("broken", ["exit 3", "kill -9 $$"])
+def test_a_room_fails_if_any_of_its_checks_does(broken: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(room, "steps", lambda _: [["sh", "-c", broken], ["true"]])
+    assert room.main(["wall"]) != 0
+    monkeypatch.setattr(room, "steps", lambda _: [["true"], ["true"]])
+    assert room.main(["wall"]) == 0
