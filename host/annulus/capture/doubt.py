@@ -19,7 +19,7 @@ from statistics import median
 from annulus.capture.history import EdgeHistory
 from annulus.capture.offset import LAG_PERIODS_MAX, LAG_PERIODS_MIN, LIGHTS, WINDOW
 from annulus.capture.photometry import Light
-from annulus.capture.proof import News
+from annulus.capture.proof import SUSPICIONS, News
 from annulus.vocabulary import CameraSequence, Lamp
 
 GLIMPSES_KEPT = 16
@@ -63,15 +63,20 @@ class Doubt:
     def __init__(self, history: EdgeHistory, period_ns: int) -> None:
         self._history, self._period_ns = history, period_ns
         self._glimpses: deque[Glimpse] = deque(maxlen=GLIMPSES_KEPT)
-        self._stamps_impossible = False
+        self._stamps_impossible = self._by_pictures = False
         self._taken: int | None = None
+        self.suspected = False
         self.frames = 0
         self.pictures = 0  # that contradicted
 
-    def begin(self, news: News, taken: int | None) -> None:
-        """`taken`: the last edge that had its frame; None where it is not known, or not asked."""
+    def begin(self, news: News, taken: int | None, by_pictures: bool) -> None:
+        """`taken`: the last edge that had its frame; None where it is not known, or not asked. `by_pictures`: pictures
+        have to speak as well, for the others are one witness or were not asked.
+        """
         self._glimpses.clear()
         self._taken = taken
+        self.suspected = news in SUSPICIONS
+        self._by_pictures = by_pictures or self.suspected
         self._stamps_impossible = news in (News.EARLY, News.ORDER, News.BETWEEN)
         self.frames, self.pictures = 0, int(news is News.PICTURE)
 
@@ -81,13 +86,19 @@ class Doubt:
 
     def agreed(self) -> Agreed | None:
         """Whether the last frames prove their edges, the latest included."""
-        long = PICTURES_RUN if self.pictures else 0
+        long = PICTURES_RUN if self.pictures else MOVED_RUN if self._by_pictures else 0
+        passed = _on_time if self._stamps_impossible else _all
         for way, run, shown, why in (
-            (_all, max(PASSED_RUN, long), bool(self.pictures), "all witnesses agree again"),
+            (passed, max(PASSED_RUN, long), bool(self.pictures), "all witnesses agree again"),
             (_stamp_alone, max(PICTURES_RUN, long), True, "pictures agree"),
             (_arrival_and_count, max(MOVED_RUN, long), True, "timestamps have moved"),
             (_arrival_alone if self._stamps_impossible else _nobody, ALONE_RUN, True, "timestamps have moved"),
-            (_stamp_and_arrival, max(MOVED_RUN, long), True, "the driver counts anew"),
+            (
+                _nobody if self._stamps_impossible else _stamp_and_arrival,
+                max(MOVED_RUN, long),
+                True,
+                "the driver counts anew",
+            ),
             (_stamp_and_count, ALONE_RUN, True, "frames come sooner than they did"),
         ):
             agreed = self._run(way, run, shown, why)
@@ -119,25 +130,33 @@ class Doubt:
                 told += flash is not None and glimpse.light is not None and flash.lamp is not Lamp.PROJECTOR
         if len(run) < length:
             return None
+        if self._by_pictures:
+            alone = self._fits_nowhere_else(run, self._history.cycle // 2)  # pairing: what moved by more is adrift
+            return self._what_it_says(run[::-1], way, why) if alone else None
         if (
             shown
             and not told
             and self._other_lamp_before(run[0][1])
-            and not (way in _TWO and self._fits_nowhere_else(run))
+            and not (way in _TWO and self._fits_nowhere_else(run, ELSEWHERE))
+            and not (way is _stamp_and_arrival and self._counts_no_edge(run))
         ):
             return None
         return self._what_it_says(run[::-1], way, why)
 
-    def _fits_nowhere_else(self, run: list[tuple[Glimpse, int]]) -> bool:
-        """Whether these pictures are of no other edges nearby: in a preamble a stretch of the projector alone may be as
-        telling as the LED. Where they really belong they always fit, so a wrong place is never the only one.
+    def _fits_nowhere_else(self, run: list[tuple[Glimpse, int]], frames: int) -> bool:
+        """Whether these pictures are of no other edges so near: a stretch of the projector alone may be as telling as
+        the LED. Where they really belong they always fit, so a wrong place is never the only one.
         """
         latest = self._history.edges[-1].ordinal
         return not any(
             run[0][1] + off <= latest and all(self._may_be_of(glimpse, ordinal + off) for glimpse, ordinal in run)
-            for off in range(-ELSEWHERE, ELSEWHERE + 1)
+            for off in range(-frames, frames + 1)
             if off
         )
+
+    def _counts_no_edge(self, run: list[tuple[Glimpse, int]]) -> bool:
+        """Whether what the driver counts are no edges of these seconds."""
+        return all(g.by_count is not None and self._history.numbered(g.by_count) is None for g, _ in run)
 
     def _may_be_of(self, glimpse: Glimpse, ordinal: int) -> bool:
         flash = self._history.lit(ordinal)
@@ -186,6 +205,11 @@ def _all(glimpse: Glimpse) -> int | None:
     if glimpse.by_arrival == edge:
         return edge
     return edge if glimpse.by_count is not None and (glimpse.waited or glimpse.lag_ns is None) else None
+
+
+def _on_time(glimpse: Glimpse) -> int | None:
+    """.. and nobody had to wait: a stamp that was impossible may take the count with it, and they seem a backlog."""
+    return None if glimpse.waited else _all(glimpse)
 
 
 def _stamp_alone(glimpse: Glimpse) -> int | None:

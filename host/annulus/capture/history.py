@@ -21,9 +21,11 @@ PLACED_NS = 4_000_000  # how well an edge is placed in host time, at worst
 CLOCKS = 20e-6  # by how much controller and host change their pace
 SOUND_WITHIN = 8  # edges back
 BASE_EDGES = 4096  # the period is measured over one to two times as many
+CYCLE = 5  # frames: four projector flashes to one of the LED, until a cycle was seen
 LEAP = 1 << 24  # frames; 8 days at 25 fps
 
 _IRREGULAR = int(EdgeFlag.IRREGULAR)  # as plain numbers: asked for every frame
+_PREAMBLE = int(EdgeFlag.PREAMBLE)
 _NO_FLASH = int(EdgeFlag.LATE_LOAD) | _IRREGULAR
 _NO_INTERVAL = _IRREGULAR | int(EdgeFlag.FIRST)
 
@@ -51,6 +53,8 @@ class EdgeHistory:
         self._times: list[int] = []  # theirs
         self._by_index: dict[tuple[int, int], PlacedEdge] = {}
         self._by_ordinal: dict[int, PlacedEdge] = {}
+        self.preambled = False  # whether a flash of a preamble was ever among them
+        self.cycle = CYCLE  # frames after which the lamps repeat themselves
         self._period_ns: float | None = None  # as measured
         self._base: PlacedEdge | None = None  # where that measurement begins ..
         self._next_base: PlacedEdge | None = None  # .. and where it will
@@ -63,6 +67,12 @@ class EdgeHistory:
     def edge(self, flash: Flash, host_ns: int, boot_epoch: int) -> None:
         """An edge was heard. Order does not matter: edges that had to be read again come late."""
         index = int(flash.edge)
+        if int(flash.flags) & _PREAMBLE:
+            self.preambled = True
+        elif int(flash.slot) == 0:
+            before = self._by_index.get((boot_epoch, index - 1))
+            if before is not None and not int(before.flash.flags) & _PREAMBLE:
+                self.cycle = int(before.flash.slot) + 1
         at = bisect_right(self._times, host_ns)
         edge = PlacedEdge(host_ns, boot_epoch, index, flash, self._ordinal(host_ns, boot_epoch, index, at))
         self._edges.insert(at, edge)

@@ -1,9 +1,12 @@
 """A camera's timestamp offset: found from pictures, then followed, with its rate.
 
 `calibrate_offset` finds it. The fraction of a period is the circular mean of the frames' phases. Which whole periods,
-pictures say: under all but one, they and the flashes disagree. A lamp cycle looks like itself a cycle on, so what
-fits must also be possible: no frame is in hand before its edge, and no driver keeps one for LAG_PERIODS_MAX unless a
-preamble proves that this one does.
+pictures say: each shift that is possible is an hypothesis, each picture agrees with the flash that it names or does
+not, and one is proved when all others together are less likely than CHANCE. Frames whose stamp is off by itself are
+reckoned with, and cost time, not truth.
+
+A lamp cycle looks like itself a cycle on. So how long a driver may keep a frame has a say (a prior), and where flashes
+of a preamble are to be had, nothing is proved before they have spoken.
 
 `OffsetTrack` follows it: a line fitted to what the frames were off, which forgets after TRACKED frames.
 """
@@ -12,6 +15,10 @@ import math
 from collections import Counter, deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from annulus.capture.history import EdgeHistory
 from annulus.capture.photometry import Light
@@ -20,12 +27,20 @@ from annulus.vocabulary import AnnulusError, EdgeFlag, Lamp
 
 WINDOW = 0.25  # of a period: how far a frame may be from its edge
 LAG_PERIODS_MIN = -0.1  # of a period: how early a frame may seem, for an edge is placed only so well
-LAG_PERIODS_MAX = 4.9  # a driver that keeps a frame longer must be proved to
+LAG_PERIODS_MAX = 4.9  # a driver with four buffers, as we ask for, keeps no frame longer
+LAG_PERIODS_DEEP = 8.9  # .. one with eight
 LAG_PERIODS_PROVED_MAX = 63.9  # and longer than that none is looked for
+DEEP = 1e-4  # how likely a driver is to keep a frame longer than LAG_PERIODS_MAX, against that it does not
+DEEPEST = 1e-11  # .. and longer than LAG_PERIODS_DEEP, as long as no picture speaks for it: less than CHANCE for all
+AS_BEFORE = 1e3  # how much likelier a camera that began anew is to stamp and deliver as before than otherwise
+CHANCE = 1e-9  # of a wrong proof, a search; tests/unit/capture/test_offset.py counts them
+ODD_MAX = (
+    0.15  # of the pictures that contradict, as where one stamp in four is off by a frame. Beyond nothing is proved
+)
+SOUND, SOUND_MAX = 0.9, 0.01  # nine cameras in ten have fewer odd frames than that
 LAG_SPREAD = 0.5  # of a period: what comes later than the quickest frames by more had to wait
 SHIFTS_TRIED = (-2, -1, 0, 1)  # whole periods, where nobody looks at when the frames came
 CALIBRATION_FRAMES_MIN = 12
-CALIBRATION_MISMATCH_MAX = 0.05
 RATE_MAX = 1e-3  # no clock is further off
 TRACKED = 500  # frames: 2 ms of jitter then leave the rate uncertain by 15 ppm
 TRACKED_MIN = 16
@@ -34,6 +49,11 @@ STEP = 0.1  # of a period: how far
 
 LIGHTS = {Lamp.PROJECTOR: Light.PROJECTOR, Lamp.LED: Light.LED, Lamp.DARK: Light.DARK}
 CLEAR = frozenset(LIGHTS.values())
+
+_CODES = {light: code for code, light in enumerate(Light)}
+_NO_FLASH = -1
+_ODD = np.concatenate([np.linspace(0.0, SOUND_MAX, 9)[1:], np.linspace(0.0, ODD_MAX, 65)[1:]])  # shares of odd frames
+_PRIOR = np.repeat([SOUND / 8, (1 - SOUND) / 64], [8, 64])  # .. and how likely each is
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,8 +64,17 @@ class Offset:
     jitter_ns: int  # one sigma
     frames: int  # whose picture was compared
     mismatches: int
+    chance: float  # that it is another
     lags_ns: tuple[int, ...] = ()  # of these frames: when it was in hand, minus the end of its readout
     count: int | None = None  # driver's count minus ordinal of the closing edge; None where the driver does not count
+    off_ns: tuple[int, ...] = ()  # of the frames of `lags_ns`: how far the stamp was from where the offset puts it
+
+
+class Before(NamedTuple):
+    """What was proved before the camera began anew."""
+
+    offset_ns: float
+    lag_ns: int | None
 
 
 class OffsetTrack:
@@ -112,11 +141,20 @@ def telling(frames: Iterable[FrameSeen]) -> list[FrameSeen]:
 
 
 def calibrate_offset(
-    frames: Iterable[FrameSeen], history: EdgeHistory, period_ns: int, *, arrivals: bool = True, preamble: bool = True
+    frames: Iterable[FrameSeen],
+    history: EdgeHistory,
+    period_ns: int,
+    *,
+    arrivals: bool = True,
+    preamble: bool = True,
+    before: Before | None = None,
+    adrift: bool = False,
 ) -> Offset:
     """The camera's offset from frames whose pictures show what lit them, and the edges of the same seconds.
 
     arrivals : whether to look at when the frames came. preamble : whether flashes of a preamble are looked at.
+    before : what the camera did until it began anew. adrift : frames may have been kept or lost by whole lamp cycles,
+    so that only a preamble proves anything, whether or not there is one.
 
     AnnulusError when too little was seen, or when nothing or more than one offset agrees.
     """
@@ -133,48 +171,49 @@ def calibrate_offset(
         if abs(frame.timestamp_ns - phase - edge.host_ns) <= WINDOW * period_ns:
             placed.append((frame, edge.ordinal))
     lag = _usual_lag(seen, phase, period_ns) if arrivals else None
-    verdicts = _compared(placed, history, _shifts(lag, preamble), preamble)
-    fitting = [v for v in verdicts if v[0] <= CALIBRATION_MISMATCH_MAX]
-    if not fitting:
-        best = min(verdicts, default=(1.0, 0, 0, 0))
-        raise AnnulusError(
-            f"camera offset: pictures and flashes agree under no offset (best: {best[1]} of {best[2]} disagree),"
-            " expected projector and LED frames in the cycle that was configured"
-        )
-    if lag is not None:  # what only a preamble could prove gives way to what is usual
-        fitting = [v for v in fitting if lag + v[3] <= LAG_PERIODS_MAX] or fitting
-    if len(fitting) > 1:
-        found = ", ".join(f"{(phase + v[3] * period_ns) / 1e6:.1f}" for v in fitting)
-        raise AnnulusError(
-            f"camera offset: {found} ms fit equally well, expected one. Calibrate with a ratio of 4 or more"
-            " and LED frames in view"
-        )
-    _, mismatches, compared, shift = fitting[0]
-    lags, counts = [], Counter[int]()
+    shifts = _shifts(lag, (preamble and history.preambled) or adrift)
+    weights = [_weight(lag, shift, phase, period_ns, before) for shift in shifts]
+    best = _proved(placed, history, shifts, weights, preamble)
+    if best.chance > CHANCE:
+        raise AnnulusError(_unproved(best, phase, period_ns))
+    shift = shifts[best.at]
+    lags, off, counts = [], [], Counter[int]()
     for frame, ordinal in placed:
         closing = history.numbered(ordinal - shift)
         if closing is None:
             continue
-        if arrivals:
+        if lag is not None and frame.arrived_ns - closing.host_ns >= (lag + shift - LAG_SPREAD) * period_ns:
             lags.append(frame.arrived_ns - closing.host_ns)
+            off.append(frame.timestamp_ns - closing.host_ns - phase - shift * period_ns)
         if frame.sequence is not None:
             counts[frame.sequence - closing.ordinal] += 1
     count, times = counts.most_common(1)[0] if counts else (None, 0)
     return Offset(
-        phase + shift * period_ns, jitter, compared, mismatches, tuple(lags), count if 2 * times > len(placed) else None
+        phase + shift * period_ns,
+        jitter,
+        best.compared,
+        best.mismatches,
+        best.chance,
+        tuple(lags),
+        count if 2 * times > len(placed) else None,
+        tuple(off),
     )
 
 
 def _usual_lag(seen: Sequence[FrameSeen], phase: int, period_ns: int) -> float:
-    """From edge to having the frame, in periods, if the offset had no whole periods."""
+    """From edge to having the frame, in periods, if the offset had no whole periods: of most frames, for single stamps
+    may be off, and single frames have waited.
+    """
     lags = sorted(frame.arrived_ns - frame.timestamp_ns + phase for frame in seen)
-    usual = lags[len(lags) // 8]
-    if sum(abs(lag - usual) <= LAG_SPREAD * period_ns for lag in lags) * 2 < len(lags):
+    spread_ns = LAG_SPREAD * period_ns
+    many, first = max((sum(0 <= lag - low <= 2 * spread_ns for lag in lags[i:]), -i) for i, low in enumerate(lags))
+    usual = lags[-first + many // 8]
+    if sum(abs(lag - usual) <= spread_ns for lag in lags) * 2 < len(lags):
         raise AnnulusError("camera offset: frames come in bursts, expected one a period. Is the host overloaded?")
     return usual / period_ns
 
 
-def _shifts(lag: float | None, preamble: bool) -> Iterable[int]:
+def _shifts(lag: float | None, preamble: bool) -> Sequence[int]:
     """Whole periods that are possible: of frames that came when they came."""
     if lag is None:
         return SHIFTS_TRIED
@@ -182,26 +221,96 @@ def _shifts(lag: float | None, preamble: bool) -> Iterable[int]:
     return range(math.ceil(LAG_PERIODS_MIN - lag), math.floor(longest - lag) + 1)
 
 
-def _compared(
-    placed: Sequence[tuple[FrameSeen, int]], history: EdgeHistory, shifts: Iterable[int], preamble: bool
-) -> list[tuple[float, int, int, int]]:
-    """Of each shift under which enough frames have a flash: share of mismatches, mismatches, compared, shift."""
-    flashes = {edge.ordinal: history.lit(edge.ordinal) for edge in history.edges}
-    hopeless = max(CALIBRATION_MISMATCH_MAX * len(placed), 1)
-    verdicts = []
-    for shift in shifts:
-        compared = mismatches = 0
-        for frame, ordinal in placed:
-            flash = flashes.get(ordinal - shift)
-            if flash is None or not (preamble or EdgeFlag.PREAMBLE not in flash.flags):
-                continue
-            compared += 1
-            mismatches += LIGHTS[flash.lamp] is not frame.picture.light
-            if mismatches > hopeless:
-                break
-        if compared >= CALIBRATION_FRAMES_MIN // 2:
-            verdicts.append((mismatches / compared, mismatches, compared, shift))
-    return verdicts
+def _weight(lag: float | None, shift: int, phase: int, period_ns: int, before: Before | None) -> float:
+    """How likely a shift is before any picture was looked at, against one that is usual."""
+    if lag is None:
+        return 1.0
+    periods = lag + shift
+    weight = DEEP if periods > LAG_PERIODS_MAX else 1.0
+    if periods > LAG_PERIODS_DEEP:
+        weight = DEEPEST
+    if before is None or before.lag_ns is None:
+        return weight
+    same_stamp = abs(phase + shift * period_ns - before.offset_ns) <= WINDOW * period_ns
+    same_lag = abs(periods - before.lag_ns / period_ns) <= LAG_SPREAD
+    return AS_BEFORE if same_stamp and same_lag else weight
+
+
+class _Best(NamedTuple):
+    """The likeliest shift, and how likely all others are together against it."""
+
+    at: int  # in the list of shifts
+    chance: float
+    compared: int
+    mismatches: int
+    rivals: tuple[int, ...] = ()  # shifts that keep it from being proved, the likeliest first
+
+
+def _proved(
+    placed: Sequence[tuple[FrameSeen, int]],
+    history: EdgeHistory,
+    shifts: Sequence[int],
+    weights: Sequence[float],
+    preamble: bool,
+) -> _Best:
+    """Two shifts are compared on the frames that have a flash under both: alike, a frame more or less in one of them
+    does not count.
+    """
+    lamps = {
+        edge.ordinal: _CODES[LIGHTS[flash.lamp]]
+        for edge in history.edges
+        if (flash := history.lit(edge.ordinal)) is not None and (preamble or EdgeFlag.PREAMBLE not in flash.flags)
+    }
+    named = np.array([[lamps.get(ordinal - shift, _NO_FLASH) for _, ordinal in placed] for shift in shifts], dtype=int)
+    pictures = np.array([_CODES[frame.picture.light] for frame, _ in placed], dtype=int)
+    if named.size == 0:
+        return _Best(0, 1.0, 0, 0)
+    known, differs = named != _NO_FLASH, (named != _NO_FLASH) & (named != pictures)
+    compared, mismatches = known.sum(axis=1), differs.sum(axis=1)
+    best = _Best(0, math.inf, 0, 0)
+    for at in map(int, np.flatnonzero((compared >= CALIBRATION_FRAMES_MIN) & (mismatches <= ODD_MAX * compared))):
+        both = known & known[at]
+        n = both.sum(axis=1)
+        log_odds = _log_likelihood(n, (both & differs).sum(axis=1)) - _log_likelihood(
+            n, (both & differs[at]).sum(axis=1)
+        )
+        rivals = np.asarray(weights) / max(weights[at], DEEP)
+        if weights[at] > DEEPEST:
+            rivals[np.asarray(weights) == DEEPEST] = DEEPEST
+        odds = np.exp(log_odds) * rivals
+        odds[at] = 0.0
+        chance = float(odds.sum())
+        if chance < best.chance:
+            left = tuple(shifts[i] for i in np.argsort(-odds)[:3] if odds[i] > CHANCE)
+            best = _Best(at, chance, int(compared[at]), int(mismatches[at]), left)
+    if math.isinf(best.chance):  # none is possible: the least bad, for the message
+        at = int(np.argmin(mismatches / np.maximum(compared, 1) + (compared == 0)))
+        return _Best(at, math.inf, int(compared[at]), int(mismatches[at]))
+    return best
+
+
+def _log_likelihood(frames: NDArray[np.int_], mismatches: NDArray[np.int_]) -> NDArray[np.float64]:
+    """Of so many mismatches in so many frames, whatever the share of odd frames is."""
+    logs = mismatches[:, None] * np.log(_ODD) + (frames - mismatches)[:, None] * np.log1p(-_ODD)
+    top = logs.max(axis=1)
+    found: NDArray[np.float64] = top + np.log(np.exp(logs - top[:, None]) @ _PRIOR)
+    return found
+
+
+def _unproved(best: _Best, phase: int, period_ns: int) -> str:
+    """Why no offset is proved, for the operator."""
+    if not best.rivals:
+        return (
+            "camera offset: pictures and flashes agree under no offset (best:"
+            f" {best.mismatches} of {best.compared} disagree), expected projector and LED frames in the cycle that was"
+            " configured"
+        )
+    rivals = ", ".join(f"{(phase + shift * period_ns) / 1e6:.1f}" for shift in best.rivals)
+    return (
+        f"camera offset: {rivals} ms may fit as well, as far as {best.compared} frames tell, expected one."
+        " More frames may tell, or a preamble ([lamps] preamble_frames), or a ratio of 4 or more with LED frames in"
+        " view"
+    )
 
 
 def _phase(stamps: Sequence[int], history: EdgeHistory, period_ns: int) -> tuple[int, int]:

@@ -8,7 +8,9 @@ in hand before its edge, each edge has one frame and they rise, the driver count
 and the picture shows that lamp, in all its bands, and was not shown before. Nothing is counted by arrival.
 
 A witness that contradicts costs the frame its label and withdraws the proof (proof.py): labels stay unknown until a
-run of frames gives it back (doubt.py), or a search from nothing does (offset.py).
+run of frames gives it back (doubt.py), or a search from nothing does (offset.py). Where frames may have been kept, lost
+or shown anew by a whole lamp cycle (a silence that no count spans, a camera that began anew, pictures that come again)
+no run does: pictures of a preamble have to tell.
 
     pairing = Pairing(period_ns, history=history)             # history is fed with edges as they come, in any order
     pairing.believe(calibrate_offset(frames, history, period_ns))
@@ -22,17 +24,20 @@ from typing import NamedTuple
 
 from annulus.capture.doubt import Agreed, Doubt, Glimpse
 from annulus.capture.history import EdgeHistory, PlacedEdge
-from annulus.capture.offset import CLEAR, LIGHTS, WINDOW, Offset, OffsetTrack
+from annulus.capture.offset import CLEAR, LIGHTS, WINDOW, Before, Offset, OffsetTrack
 from annulus.capture.photometry import Light
 from annulus.capture.proof import CONTRADICTIONS, News, Reason, State, Witness, next_state
 from annulus.capture.seen import FrameSeen
-from annulus.capture.witnesses import Arrivals, Count, Pictures
+from annulus.capture.witnesses import Arrivals, Count, Delivery, Pictures
 from annulus.vocabulary import CameraSequence, EdgeFlag, Flash, Label, Lamp
 
 INTERVAL_TOLERANCE = 0.1  # of a period: between opening and closing edge
 HURRIED = 0.5  # of a period: frames that come so soon one after the other were in a queue
 SETTLE_PERIODS = 3.0  # how long a frame waits for an edge that has to be read again
+SILENCE = 0.75  # of a period, more than half a lamp cycle: frames that came so long after the last may be of another
+SPANNED_WITHIN = 3  # frames after a silence, in which one stamp may be off by itself, or its edge be lost
 DOUBT_FRAMES_MAX = 32  # without agreement, before all is searched anew ..
+SUSPECTED_FRAMES_MAX = 8  # before a mere suspicion calls for a preamble
 DOUBT_PICTURES_MAX = 3  # .. and pictures that contradict
 
 _LABELS = {Lamp.PROJECTOR: Label.PROJECTOR, Lamp.LED: Label.LED}
@@ -82,6 +87,11 @@ class Pairing:
         self._state = State.SEARCHING
         self._track = OffsetTrack(0, period_ns)
         self._arrivals, self._count, self._pictures = Arrivals(period_ns), Count(), Pictures()
+        self._delivery = Delivery()
+        self.before: Before | None = None  # what was proved before the camera began anew
+        self.adrift = False  # frames may have been kept or lost by whole lamp cycles since
+        self._unspanned = 0  # frames within which a count has to agree, after a silence
+        self._hurried_on = self._shown_again = 0  # frames that came in a rush; that were shown before, in one doubt
         self._doubt = Doubt(self.history, period_ns)
         self._last: int | None = None  # ordinal of the last frame's closing edge
         self._latest_ns = 0  # timestamp ..
@@ -116,6 +126,11 @@ class Pairing:
         return self._state is not State.PROVED
 
     @property
+    def passing(self) -> bool:
+        """In doubt, but the next pictures of the lamp cycle will do: a preamble is not worth its dark frames."""
+        return self._state is State.DOUBTED and self._doubt.suspected and self._doubt.frames < SUSPECTED_FRAMES_MAX
+
+    @property
     def _window_ns(self) -> int:
         return round(WINDOW * self._period_ns)
 
@@ -123,6 +138,7 @@ class Pairing:
         """What a search has just found."""
         self._begin(offset.offset_ns)
         self._arrivals.believe(offset.lags_ns)
+        self._delivery.believe(offset.off_ns, offset.lags_ns)
         self._count.believe(offset.count)
         self._move(News.FOUND, f"{offset.offset_ns / 1e6:+.2f} ms fits {offset.frames} frames")
 
@@ -131,6 +147,10 @@ class Pairing:
         self._period_ns = period_ns
         self._begin(offset_ns)
         self._move(News.FOUND if proved or Witness.LAMP in self._without else News.GIVEN, "told so")
+
+    def restarted(self) -> None:
+        """The camera began anew. It may keep more frames than before, or stamp them otherwise."""
+        self._adrift("the camera began anew")
 
     def settled(self, frame: FrameSeen, now_ns: int) -> bool:
         """Whether waiting longer can still help. True once both edges are held, or after SETTLE_PERIODS."""
@@ -141,11 +161,17 @@ class Pairing:
         near = self.history.near(moment, self._window_ns)
         return len(near) == 1 and self.history.opening(near[0]) is not None
 
+    def parted(self, frame: FrameSeen, last: FrameSeen, again: int) -> bool:
+        """Whether half a lamp cycle may be missing between two frames, in time or in pictures (`again`: so many were
+        shown before): what those before it prove, those after it need not obey.
+        """
+        half = self.history.cycle / 2
+        return again >= half or frame.arrived_ns - last.arrived_ns >= (half + SILENCE) * self._period_ns
+
     def label(self, frame: FrameSeen) -> Labelled:
         """The verdict on a frame. Frames in the order of capture."""
         if self._state is State.SEARCHING:
-            self.counters[Reason.OFFSET] += 1
-            return Labelled(Label.UNKNOWN, None, Reason.OFFSET, None)
+            return self.passed(frame)
         self._latest_ns = frame.timestamp_ns
         met = self._pictures.met(frame.picture)
         repeated = met is Witness.REPEATED and Witness.REPEATED not in self._without
@@ -153,11 +179,17 @@ class Pairing:
         light = None if repeated or torn or Witness.LAMP in self._without else frame.picture.light
         judged = self._judge(frame)
         reason = self._look(judged, light)
-        contradicts = self._contradiction(reason, light)
+        contradicts = self._contradiction(reason, light) or self._suspicion(reason, repeated)
         if contradicts is not None:
             self.contradictions[contradicts.value] += 1
             self._doubt.pictures += contradicts is News.PICTURE
             self._move(contradicts)
+        adrift = self._may_have_lost_a_cycle(frame, judged, repeated)
+        if adrift:
+            self._adrift(adrift)
+            self._arrived_ns = frame.arrived_ns
+            self.counters[Reason.OFFSET] += 1
+            return Labelled(Label.UNKNOWN, None, Reason.OFFSET, None)
         if self.doubtful and self._given_back(frame, judged, light):
             judged = self._judge(frame)
             reason = self._look(judged, light)
@@ -170,6 +202,12 @@ class Pairing:
         self.counters[reason] += 1
         self._arrived_ns = frame.arrived_ns
         return self._labelled(frame, judged, reason)
+
+    def passed(self, frame: FrameSeen) -> Labelled:
+        """The verdict on a frame of which the offset that is known says nothing."""
+        self._pictures.met(frame.picture)
+        self.counters[Reason.OFFSET] += 1
+        return Labelled(Label.UNKNOWN, None, Reason.OFFSET, None)
 
     # ---- the verdict ----
 
@@ -229,7 +267,10 @@ class Pairing:
         lag = self._lag(frame, closing)
         if lag is not None and (self._hurried(frame) or self._arrivals.waited(lag)):
             return Reason.LATER if self._arrivals.for_good else Reason.WAITED
-        skipped = self._last is not None and closing.ordinal != self._last + 1
+        first = (
+            self._delivery.pairs > 0 and self._one_witness
+        )  # of those that a search looked at: it may be the late one
+        skipped = first if self._last is None else closing.ordinal != self._last + 1
         return Reason.SKIPPED if skipped and Witness.ORDER not in self._without else Reason.AGREED
 
     def _look(self, judged: _Judged, light: Light | None) -> Reason:
@@ -246,6 +287,37 @@ class Pairing:
         if reason is Reason.PICTURE and light not in (Light.PROJECTOR, Light.LED):
             return None
         return News(reason.value) if reason.value in CONTRADICTIONS else None
+
+    def _suspicion(self, reason: Reason, repeated: bool) -> News | None:
+        """What contradicts nobody, but may be the first of frames that are not what they seem."""
+        if repeated and reason in _TIMED:
+            return News.REPEATED
+        return News.SKIPPED if reason is Reason.SKIPPED and self._last is not None and self._one_witness else None
+
+    def _may_have_lost_a_cycle(self, frame: FrameSeen, judged: _Judged, repeated: bool) -> str:
+        """Why nothing but a preamble can tell now which frame this is; empty where something else does."""
+        if Witness.PREAMBLE in self._without or Witness.ARRIVAL in self._without:
+            return ""
+        periods = 0.0 if self._arrived_ns is None else (frame.arrived_ns - self._arrived_ns) / self._period_ns
+        half, count = self.history.cycle / 2, self._counted(frame.sequence)
+        counted = count is not None and judged.closing is not None and count == judged.closing.ordinal
+        silence = f"no frame came for {periods - 1:.0f} periods" if periods >= half + SILENCE else ""
+        if silence and (self._one_witness or (count is None and self.history.preambled)):
+            return silence  # where no preamble can tell, two that are not one have to do
+        if silence and count is not None:
+            self._unspanned = SPANNED_WITHIN
+        if self._unspanned and not counted:
+            self._unspanned -= 1
+            return "" if self._unspanned else "no count spans a silence"
+        self._unspanned = 0
+        self._hurried_on = self._hurried_on + 1 if self._arrived_ns is not None and periods < HURRIED else 0
+        pictures = self._one_witness or self.history.preambled
+        if self._hurried_on >= half and not counted and pictures:
+            return f"{self._hurried_on} frames came in a rush"
+        self._shown_again += repeated
+        if self._shown_again >= half and pictures:
+            return f"{self._shown_again} pictures were shown before"
+        return ""
 
     def _labelled(self, frame: FrameSeen, judged: _Judged, reason: Reason) -> Labelled:
         if judged.closing is None:
@@ -278,7 +350,7 @@ class Pairing:
             )
         )
         agreed = self._doubt.agreed()
-        if agreed is not None:
+        if agreed is not None and not self._unspanned:
             self._restore(frame, agreed)
             return True
         if self._doubt.frames > DOUBT_FRAMES_MAX or self._doubt.pictures >= DOUBT_PICTURES_MAX:
@@ -301,9 +373,11 @@ class Pairing:
         if int(closing.flash.flags) & _IRREGULAR:
             return
         stamp = frame.timestamp_ns
-        self._track.follow(stamp, stamp - self._track.at(stamp) - closing.host_ns)
+        off_ns = stamp - self._track.at(stamp) - closing.host_ns
+        self._track.follow(stamp, off_ns)
         lag, sequence = self._lag(frame, closing), self._sequence(frame)
         if lag is not None:
+            self._delivery.learn(round(off_ns), lag)
             self._arrivals.learn(lag, self._counted(frame.sequence) is not None)
         if sequence is not None:
             self._count.learn(sequence, closing.ordinal)
@@ -311,19 +385,34 @@ class Pairing:
     def _begin(self, offset_ns: int) -> None:
         self._track = OffsetTrack(offset_ns, self._period_ns)
         self._arrivals, self._count = Arrivals(self._period_ns), Count()
-        self._doubt = Doubt(self.history, self._period_ns)
-        self._last = None
+        self._doubt, self._delivery = Doubt(self.history, self._period_ns), Delivery()
+        self._last = self._arrived_ns = self.before = None
+        self.adrift, self._unspanned, self._hurried_on, self._shown_again = False, 0, 0, 0
+
+    def _adrift(self, why: str) -> None:
+        if self._state in (State.PROVED, State.DOUBTED):
+            self.before = Before(self._track.at(self._latest_ns), self._arrivals.usual_ns)
+        self.adrift = True
+        self._move(News.ADRIFT, why)
 
     def _move(self, news: News, why: str = "") -> None:
         before, self._state = self._state, next_state(self._state, news)
         if self._state is before:
             return
         if self._state in (State.DOUBTED, State.TENTATIVE):
-            self._doubt.begin(news, None if Witness.ORDER in self._without else self._last)
+            taken = None if Witness.ORDER in self._without else self._last
+            self._doubt.begin(news, taken, Witness.ARRIVAL not in self._without and self._one_witness)
+        elif self._state is State.PROVED:
+            self._shown_again = 0
         if self._tell is not None:
             self._tell(f"labels were {before}, now {self._state}: {why or news}")
 
     # ---- who says what ----
+
+    @property
+    def _one_witness(self) -> bool:
+        """Whether stamp and arrival are, or may be, one."""
+        return self._delivery.stamps is not False
 
     def _sequence(self, frame: FrameSeen) -> CameraSequence | None:
         return None if Witness.COUNT in self._without else frame.sequence

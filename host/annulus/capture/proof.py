@@ -1,9 +1,11 @@
 """How far a camera's labels are to be believed, as a table: (state, what a frame said) -> state.
 
     searching -found-> proved -contradiction-> doubted -agreed again-> proved
-        ^                                         |
-        +-----------------given up----------------+
+        ^                |                        |
+        +----adrift------+--------given up--------+
     given (an offset of another day) -> tentative -agreed-> proved, -contradiction-> searching
+
+Adrift: frames may have been kept or lost by whole lamp cycles, which only the pictures of a preamble can tell.
 
 A label is given in PROVED only, and never to the frame that contradicts. What says nothing of the offset (an edge that
 was not heard, a torn picture) costs that frame its label and changes nothing.
@@ -70,10 +72,14 @@ class News(StrEnum):
     BETWEEN = Reason.BETWEEN
     LATER = Reason.LATER
     PICTURE = Reason.PICTURE
+    SKIPPED = Reason.SKIPPED  # where stamps are made on delivery
+    REPEATED = Reason.REPEATED
     GIVEN_UP = "given up"  # too long in doubt, or three pictures against it
+    ADRIFT = "adrift"
 
 
 CONTRADICTIONS = frozenset({News.EARLY, News.ORDER, News.SEQUENCE, News.BETWEEN, News.LATER, News.PICTURE})
+SUSPICIONS = frozenset({News.SKIPPED, News.REPEATED})  # contradict nobody, and withdraw the proof all the same
 
 TRANSITIONS: Mapping[tuple[State, News], State] = {
     (State.SEARCHING, News.FOUND): State.PROVED,
@@ -87,9 +93,10 @@ TRANSITIONS: Mapping[tuple[State, News], State] = {
     (State.DOUBTED, News.GIVEN): State.TENTATIVE,
     (State.DOUBTED, News.AGREED): State.PROVED,
     (State.DOUBTED, News.GIVEN_UP): State.SEARCHING,
-    **{(State.TENTATIVE, news): State.SEARCHING for news in CONTRADICTIONS},
-    **{(State.PROVED, news): State.DOUBTED for news in CONTRADICTIONS},
-    **{(State.DOUBTED, news): State.DOUBTED for news in CONTRADICTIONS},
+    **{(state, News.ADRIFT): State.SEARCHING for state in State},
+    **{(State.TENTATIVE, news): State.SEARCHING for news in CONTRADICTIONS | SUSPICIONS},
+    **{(State.PROVED, news): State.DOUBTED for news in CONTRADICTIONS | SUSPICIONS},
+    **{(State.DOUBTED, news): State.DOUBTED for news in CONTRADICTIONS | SUSPICIONS},
 }
 
 

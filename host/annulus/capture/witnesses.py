@@ -3,8 +3,11 @@
 None of them learns from a frame that another contradicts.
 """
 
+import math
 from collections import deque
 from collections.abc import Iterable
+
+import numpy as np
 
 from annulus.capture.photometry import Light, Photometry
 from annulus.capture.proof import Witness
@@ -12,6 +15,9 @@ from annulus.vocabulary import CameraSequence
 
 LAGS_KEPT = 64
 LATE_KEPT = 32
+PAIRS_MIN, PAIRS_KEPT = 16, 256  # frames in which stamps and arrivals are compared
+FOLLOWS = 0.75  # of a late arrival: stamps that move by less are not made when frames are handed over ..
+SIGMAS = 2.0  # .. as sure as that
 LAGS_MIN = 8  # before the usual lag is spoken of
 LAG_RANK = 20  # one in so many may be quicker than the usual, by chance
 QUICKER = 0.25  # of a period: what comes so much sooner than usual cannot be that frame
@@ -75,6 +81,46 @@ class Arrivals:
     def _judge(self) -> None:
         if len(self._lags) >= LAGS_MIN:
             self.usual_ns = sorted(self._lags)[len(self._lags) // LAG_RANK]
+
+
+class Delivery:
+    """Whether a camera's stamps are made when its frames are handed over. Stamp and arrival are one witness then: a
+    driver that keeps frames moves both.
+    """
+
+    def __init__(self) -> None:
+        self._pairs: deque[tuple[int, int]] = deque(maxlen=PAIRS_KEPT)
+
+    def believe(self, off_ns: Iterable[int], lags_ns: Iterable[int]) -> None:
+        """Forget what was; these are frames of the same seconds."""
+        self._pairs.clear()
+        self._pairs.extend(zip(off_ns, lags_ns, strict=True))
+
+    def learn(self, off_ns: int, lag_ns: int) -> None:
+        """Of a frame that nobody contradicts: its stamp's distance from where it should be, and its lag."""
+        self._pairs.append((off_ns, lag_ns))
+
+    @property
+    def pairs(self) -> int:
+        return len(self._pairs)
+
+    @property
+    def stamps(self) -> bool | None:
+        """None where nobody can tell: few frames, or stamps that vary so much by themselves, or arrivals so little."""
+        if len(self._pairs) < PAIRS_MIN:
+            return None
+        off, lag = np.array(self._pairs, dtype=np.float64).T
+        off, lag = off - off.mean(), lag - lag.mean()
+        if (varies := float(lag @ lag)) == 0.0:
+            return None
+        slope = (
+            float(off @ lag) / varies
+        )  # 1: a frame that comes later is stamped later; 0: its stamp knows nothing of it
+        rest = off - slope * lag
+        error = SIGMAS * math.sqrt(float(rest @ rest) / (len(off) - 2) / varies)
+        if slope + error < FOLLOWS:
+            return False
+        return True if slope - error > 1.0 - FOLLOWS else None
 
 
 class Count:

@@ -31,6 +31,10 @@ START_S = 200.0  # on a fresh machine workers compile first
 ARM_S = 5.0
 OPEN_S = 20.0  # for the cameras to stream
 DRAIN_S = 8.0
+NO_PREAMBLE = (
+    "[lamps] preamble_frames = 0: after a camera that began anew or fell silent nothing tells which flash lit which"
+    " frame, and frames may stay unknown for the rest of the scan. 15 is usual"
+)
 
 
 class Scan:
@@ -52,6 +56,7 @@ class Scan:
         self.paused = False
         self._evidence: Evidence | None = None
         self._power, self._account = power, account
+        self._blind = config.lamps.preamble_frames == 0
         self._observers, self._navigation = observers, navigation
         self._start_by = 0.0  # when recorder, cameras, or lamps, must be up
         self._lit = False  # lamps were asked for
@@ -90,6 +95,8 @@ class Scan:
 
     def start(self) -> None:
         """Lamps and cameras follow once the recorder is up."""
+        if self._power.line is not None and self._blind:
+            self._observers.event("labels", NO_PREAMBLE)
         self._start_by = time.monotonic() + START_S
 
     def come_up(self) -> str:

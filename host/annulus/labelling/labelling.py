@@ -15,17 +15,19 @@ from typing import Any
 
 from annulus.capture.offset import calibrate_offset
 from annulus.capture.pairing import Labelled, Pairing
+from annulus.capture.photometry import Light
 from annulus.capture.proof import State, Witness
 from annulus.capture.seen import FrameSeen as FrameSeen
+from annulus.capture.witnesses import PICTURES_KEPT
 from annulus.controller import TICK_NS
 from annulus.labelling.navigation import Navigation
 from annulus.stream.frames import FrameHeader
 from annulus.vocabulary import AnnulusError, EdgeFlag, Flash, Label
 
 OFFSET_FRAMES = 15  # seen before the camera's offset is tried ..
-OFFSET_FRAMES_KEPT = 64  # .. and looked at
-GIVE_UP_S = 20.0  # without an offset the operator is told, each time this has passed
-TRY_PERIODS = 3.0  # between two attempts
+OFFSET_FRAMES_KEPT = 96  # .. and looked at: enough where one stamp in four is off by itself
+UNLABELLED_S = 30.0  # without a label the operator is told, each time this has passed
+TRY_PERIODS = 1.0  # between two attempts
 NOT_KNOWN = "timestamp offset not known yet"
 NO_CONTROLLER = "no controller"
 
@@ -63,7 +65,13 @@ class Labelling:
             mode.period_ns, history=navigation.edges, without=without, tell=lambda text: tell("labels", text)
         )
         self._seen: deque[FrameSeen] = deque(maxlen=OFFSET_FRAMES_KEPT)  # since labels were last believed
-        self._looking_since: float | None = None
+        self._shown: deque[int] = deque(maxlen=PICTURES_KEPT)  # fingerprints of the last pictures ..
+        self._again = 0  # .. and how many that were shown before came one after the other
+        self._proved_from_ns = (
+            0  # arrival of the first frame that the search looked at: of frames before it knows nothing
+        )
+        self._labelled_s: float | None = None  # when a frame last had a label, or the operator was told that none has
+        self._unproved = ""  # what the last search said
         self._next_look = 0.0
 
     @property
@@ -74,7 +82,7 @@ class Labelling:
     @property
     def wants_preamble(self) -> bool:
         """Which frame is which is in doubt: an order of lamps that does not repeat would tell."""
-        return not self._alone and self._pairing.doubtful
+        return not self._alone and self._pairing.doubtful and not self._pairing.passing
 
     @property
     def state(self) -> State:
@@ -97,14 +105,20 @@ class Labelling:
         self._navigation.journal.saw(
             self._mode.camera, frame.sequence, frame.timestamp_ns, frame.arrived_ns, frame.picture, frame.metadata
         )
-        self._seen.append(frame)
+        if frame.picture.light is not Light.DARK and frame.picture.fingerprint is not None:
+            self._again = self._again + 1 if frame.picture.fingerprint in self._shown else 0
+            self._shown.append(frame.picture.fingerprint)
+        if not self.offset_known and self._seen and self._pairing.parted(frame, self._seen[-1], self._again):
+            self._seen.clear()
+        if not self._again:  # a picture of before says nothing of now
+            self._seen.append(frame)
 
     def restarted(self) -> None:
         """The camera began anew, and its stamps may be off by something else; what came before has its label."""
         self._navigation.journal.note("restarted", camera=self._mode.camera)
-        self._offset_known = self._alone
+        self._pairing.restarted()
         self._seen.clear()
-        self._looking_since, self._next_look = None, 0.0
+        self._next_look = 0.0
 
     def look_for_offset(self, now_s: float) -> None:
         """At the start, and again whenever doubt did not end. Until it is found, frames are unknown."""
@@ -112,25 +126,22 @@ class Labelling:
             return
         if not self._navigation.journal.looks(self._mode.camera, now_s):
             return
-        if self._looking_since is None:
-            self._looking_since = now_s
         self._next_look = now_s + TRY_PERIODS * self._mode.period_ns / 1e9
         try:
             offset = calibrate_offset(
                 self._seen, self._navigation.edges, self._mode.period_ns,
                 arrivals=Witness.ARRIVAL not in self._without, preamble=Witness.PREAMBLE not in self._without,
+                before=self._pairing.before, adrift=self._pairing.adrift,
             )  # fmt: skip
         except AnnulusError as error:
-            if now_s - self._looking_since > GIVE_UP_S:
-                self._looking_since = now_s
-                self._tell("offset", f"still no timestamp offset, frames stay unknown: {error}")
+            self._unproved = str(error)
             return
-        self._looking_since = None
         self._tell(
             "offset",
             f"camera timestamps are {offset.offset_ns / 1e6:+.2f} ms from the end of readout "
             f"(+-{offset.jitter_ns / 1e6:.2f} ms, {offset.frames} frames)",
         )
+        self._proved_from_ns = self._seen[0].arrived_ns
         self._pairing.believe(offset)
 
     def settled(self, frame: FrameSeen, now_ns: int) -> bool:
@@ -142,7 +153,8 @@ class Labelling:
         if self._alone:
             blank = self._blank(frame, "", frame.sequence)
             return self._said(_brought_along(blank, frame.metadata))
-        if not self.offset_known:
+        if not self.offset_known or frame.arrived_ns < self._proved_from_ns:
+            self._pairing.passed(frame)
             return self._said(self._blank(frame, NOT_KNOWN))
         said = self._verdict(frame)
         if said.label is Label.UNKNOWN or said.flash is None or said.opened_ns is None:
@@ -181,6 +193,15 @@ class Labelling:
 
     def _said(self, header: FrameHeader) -> FrameHeader:
         self._navigation.journal.said(header)
+        now_s = (header.arrived_ns or 0) / 1e9
+        if header.label is not Label.UNKNOWN or self._labelled_s is None or self._alone:
+            self._labelled_s = now_s
+        elif now_s - self._labelled_s > UNLABELLED_S:
+            self._labelled_s = now_s
+            why = self._unproved if not self.offset_known and self._unproved else header.reason
+            self._tell(
+                "unlabelled", f"no frame of camera {self._mode.camera} had a label for {UNLABELLED_S:.0f} s: {why}"
+            )
         return header
 
 

@@ -5,8 +5,7 @@ from dataclasses import dataclass, replace
 from annulus.controller import TICK_HZ, TICK_NS
 from annulus.link.messages import Preamble, Stage
 
-ORDER_NS = 2_000_000_000  # between two orders at least: most doubts end within one preamble
-ORDER_LENGTHS = 4  # and so many lengths of one: a doubt that lasts leaves most frames to the lamp cycle
+ORDER_NS = 500_000_000  # between two orders at least, and the length of one: frames that wait hear the next one speak
 CYCLES_MAX = 0xFFFF
 
 
@@ -19,8 +18,8 @@ def preamble_of(stage: Stage, frames: int, interval_s: float) -> Preamble:
 
 @dataclass(slots=True)
 class PreambleOrders:
-    """Orders beside the preambles that come by themselves: not more often than ORDER_NS and ORDER_LENGTHS let, and one
-    at a time.
+    """Orders beside the preambles that come by themselves: one at a time, not more often than ORDER_NS and their length
+    let.
     """
 
     wanted: Preamble | None
@@ -45,7 +44,7 @@ class PreambleOrders:
     def sent(self, ticket: int, now: int) -> None:
         length_ns = self.wanted.length * self.period_ticks * TICK_NS if self.wanted is not None else 0
         self.count += 1
-        self._asked, self._ticket, self._next_ns = False, ticket, now + max(ORDER_NS, ORDER_LENGTHS * length_ns)
+        self._asked, self._ticket, self._next_ns = False, ticket, now + max(ORDER_NS, length_ns)
 
     def ended(self, ticket: int) -> None:
         """Answered, or not: one that does not come is no trouble, the next doubt asks again."""

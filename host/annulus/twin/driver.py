@@ -8,7 +8,7 @@ what goes wrong there. No clock: exposures in, deliveries out.
 """
 
 import math
-from collections import Counter
+from collections import Counter, deque
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +23,9 @@ from annulus.vocabulary import CameraSequence
 LAG_US = 1500.0  # end of readout -> frame in the host's hands, at least ..
 LAG_SPREAD_US = 400.0  # .. and as much more on the average
 LATE_MAX_S = 0.5
-BUFFERS = 4  # of the driver: what it keeps while nobody asks
+BUFFERS = 8  # of the driver: what it keeps while nobody asks
+QUEUED_MAX = 10.0  # frames that it keeps back for good: two lamp cycles of a head with four to one
+BEHIND_MAX = 16  # frames by which its pictures may be older than what it says of them
 _DRAWN_AT_ONCE = 1024
 _DRAWS = 8
 
@@ -67,6 +69,9 @@ class Driver:
         self._held = False  # the last frame came late, or had to wait behind one that did
         self._steps = sorted(faults.stamp_steps)
         self._stepped = 0.0  # frames
+        self._past: deque[Exposure] = deque(maxlen=BEHIND_MAX + 1)
+        self._turned = sorted(faults.pictures_behind)
+        self._behind = 0  # frames
         self._deepened = sorted(faults.queue_steps)
         self._queued = 0.0  # frames
         self._jumps = sorted(
@@ -81,6 +86,7 @@ class Driver:
 
     def take(self, exposure: Exposure) -> Delivered | None:
         number = int(exposure.sequence)
+        self._past.append(exposure)
         draws = self._draws()
         self._changes(number)
         if self.absent(number):
@@ -121,8 +127,11 @@ class Driver:
             self._stepped += self._steps.pop(0)[1]
             self._lost("stamp_step", number - 1)
         while self._deepened and self._deepened[0][0] <= number:
-            self._queued = min(max(self._queued + self._deepened.pop(0)[1], 0.0), float(BUFFERS))
+            self._queued = min(max(self._queued + self._deepened.pop(0)[1], 0.0), QUEUED_MAX)
             self._lost("queue_step", number - 1)
+        while self._turned and self._turned[0][0] <= number:
+            self._behind = min(max(self._behind + int(self._turned.pop(0)[1]), 0), BEHIND_MAX)
+            self._lost("pictures_behind", number - 1)
         while self._jumps and self._jumps[0][0] <= number:
             by = self._jumps.pop(0)[1]
             self._counted_from = number if by is None else self._counted_from - int(by)
@@ -143,6 +152,8 @@ class Driver:
     # ---- one frame ----
 
     def _pictured(self, exposure: Exposure, number: int, draws: list[float]) -> tuple[Part, ...]:
+        if self._behind:
+            exposure = self._past[max(0, len(self._past) - 1 - self._behind)]
         if self._picture:
             if self._frozen and self._frozen[0][0] <= number:
                 self.counts["frozen"] += 1
@@ -164,6 +175,9 @@ class Driver:
             self._lost("stamp_late", number)
             much = 0.1 + 2.9 * draws[4]
             frames += max(1, round(much)) if draws[5] < 0.5 else much
+        elif draws[3] >= 1.0 - faults.stamps_odd:
+            self._lost("stamp_odd", number)
+            frames += 1 if draws[5] < 0.5 else -1
         passed_s = (exposure.edge_tick - self._start) * TICK_S
         drifted_s = _accumulated_s(passed_s, faults.stamp_drift_turn_s) * faults.stamp_drift_ppm * 1e-6
         return exposure.timestamp_ns + round(frames * self._period * TICK_NS + drifted_s * 1e9)

@@ -17,8 +17,8 @@ Placed = tuple[tuple[int, float], ...]
 """(frame, how much): from that frame on, or for so long."""
 
 _SHARES = (
-    "frames_dropped", "frames_repeated", "frames_torn", "frames_late", "stamps_late", "events_lost", "bytes_flipped",
-    "sync_missing", "sync_glitches", "flashes_failed",
+    "frames_dropped", "frames_repeated", "frames_torn", "frames_late", "stamps_late", "stamps_odd", "events_lost",
+    "bytes_flipped", "sync_missing", "sync_glitches", "flashes_failed",
 )  # fmt: skip
 _WHETHER = ("uncounted", "stamped_when_handed_over")
 _AMOUNTS = {
@@ -32,13 +32,14 @@ _FRAMES = ("resets", "power_losses", "count_resets")
 _PLACED = {  # what the second number may be
     "stamp_steps": (-1000.0, 1000.0),
     "queue_steps": (-100.0, 100.0),
+    "pictures_behind": (-16.0, 16.0),
     "count_jumps": (-1e6, 1e6),
     "frozen": (1.0, 1e6),
     "unplugged": (1.0, 1e6),
     "disconnects": (1.0, 1e6),
     "stalls": (0.0, 1000.0),
 }
-_WHOLE = ("count_jumps", "frozen", "unplugged")
+_WHOLE = ("count_jumps", "frozen", "unplugged", "pictures_behind")
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +75,8 @@ class Faults:
     flashes_failed: float = 0.0  # the gate opens, and the lamp stays dark: a loose contact
     uncounted: bool = False  # the driver does not number its frames
     stamped_when_handed_over: bool = False  # a frame that is late has a late stamp, too
+    stamps_odd: float = 0.0  # single stamps, by exactly one frame, earlier or later; nothing else is off
+    pictures_behind: Placed = ()  # frame, by how many more its pictures are older from there on, and nothing else is
     queue_steps: Placed = ()  # frame, by how many more its driver keeps frames back from there on; stamps with them
 
     def __post_init__(self) -> None:

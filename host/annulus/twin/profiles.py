@@ -37,11 +37,16 @@ _DRAWN: Mapping[str, Callable[[np.random.Generator], tuple[str, float | None]]] 
     "unheard restarts": lambda rng: ("disconnects", 60_000.0),  # .. of the controller, in the middle of an outage
     "reckoned jumps": lambda rng: ("stamp_steps", int(rng.choice([-5, 5]))),  # .. and the count's
     "queue steps": lambda rng: ("queue_steps", int(rng.choice([-3, -2, -1, 1, 2, 3]))),
+    "queue cycles": lambda rng: ("queue_steps", int(rng.choice([-10, -5, 5, 10]))),
+    "pictures behind": lambda rng: ("pictures_behind", int(rng.choice([1, 5]))),
+    "deeper restarts": lambda rng: ("unplugged", _AWAY),  # and from then on it keeps a lamp cycle more
 }
+_AWAY = 12  # frames
 _UNHEARD = 50  # frames that the line is away before
 _ALSO: Mapping[str, Callable[[int, float | None], tuple[str, Any]]] = {  # what comes with it
     "unheard restarts": lambda at, much: ("resets", at + _UNHEARD),
     "reckoned jumps": lambda at, much: ("count_jumps", (at, much)),
+    "deeper restarts": lambda at, much: ("queue_steps", (at + _AWAY, 5)),
 }
 
 
@@ -135,6 +140,22 @@ PROFILES = {
         "the driver keeps one to three frames more, or fewer, and stamps what it hands over",
         per_million={"queue steps": 2000},
     ),
+    "queue-cycles": Profile(
+        "the driver keeps one or two lamp cycles more, or fewer, and its stamps do not know",
+        Faults(timestamp_jitter_us=200.0), {"queue cycles": 1000},
+    ),
+    "queue-cycles-alone": Profile(
+        ".. and it does not count, and stamps what it hands over",
+        Faults(uncounted=True, stamped_when_handed_over=True), {"queue cycles": 1000},
+    ),
+    "deeper-restarts": Profile(
+        "the camera begins anew, its driver keeps a lamp cycle more from then on", per_million={"deeper restarts": 500}
+    ),
+    "pictures-behind": Profile(
+        "pictures of one frame before, or of five more, come with what is said of today's",
+        per_million={"pictures behind": 1000},
+    ),
+    "stamps-odd": Profile("one stamp in ten is off by a frame, by itself", Faults(stamps_odd=0.1)),
     "handed-over": Profile(
         "a driver that does not count stamps what it hands over; one frame in 50 is late",
         Faults(frames_late=0.02, uncounted=True, stamped_when_handed_over=True),

@@ -33,7 +33,7 @@ MS_TICKS = 1000 * TICKS_PER_US
 STEP_TICKS = MS_TICKS // 2  # between two looks at the line while an answer is awaited
 IDLE_TICKS = 20 * MS_TICKS
 TURN_TICKS = 4 * MS_TICKS  # after an edge: its event is over the line, and its frame in the host's hands
-WAITING_MAX = 20  # frames that wait while the offset is being found: the daemon's slots but its reserve
+WAITING_MAX = 28  # frames that wait while the offset is being found: the daemon's slots but its reserve
 START_NS = 4_000_000_000_000  # the host has been up for a while
 DRIFT_PPM = 35.0  # of the head's crystal against the host's
 REACH_MM = 3000.0  # the winch goes no further
@@ -107,6 +107,7 @@ class SoakWorld:
         self.waiting: deque[Waiting] = deque()
         self.labels, self.reasons, self.verdicts = Counter[str](), Counter[str](), Counter[Verdict]()
         self.right: list[int] = []
+        self.dark: list[int] = []  # frames that no lamp lit
         self.shown: list[dict[str, Any]] = []  # the first wrong ones
         self.disturbed: list[tuple[str, int]] = []  # kind, first frame after its end
         self.events_lost_seen = self.bytes_flipped_seen = self.events_lost_for_good = 0
@@ -114,6 +115,7 @@ class SoakWorld:
         self.last_told = 0
         self.untold = self.unlit = 0
         self.number = 0
+        self._begun = 0  # times that the camera began anew
         self._zero_at, self._zeroing = -1, False
         self._unplugged_until = -1  # world tick
         self._rng = np.random.default_rng([seed, 6])
@@ -143,6 +145,11 @@ class SoakWorld:
             delivered = self.driver.take(exposure)
             if delivered is not None:
                 self.on_the_way.append(delivered)
+        if self.driver.counts["unplug"] > self._begun:  # as the daemon does: what came before has its label
+            self._begun = self.driver.counts["unplug"]
+            while self.waiting:
+                self._label(self.waiting.popleft())
+            self.labelling.restarted()
         if self.line.events_lost > self.events_lost_seen:
             self.events_lost_seen = self.line.events_lost
             self.disturbed.append(("event_lost", number + 1))
@@ -292,7 +299,9 @@ class SoakWorld:
             self.reasons[header.reason] += 1
         if verdict is Verdict.UNKNOWN:
             self.unknown_since = number if self.unknown_since is None else self.unknown_since
-            self.unlit += not any(part.exposure.lamps for part in one.frame.parts)
+            if not any(part.exposure.lamps for part in one.frame.parts):
+                self.unlit += 1
+                self.dark.append(number)
             told = self.last_told >= self.unknown_since - TOLD_BEFORE
             self.untold += not told and number - self.unknown_since > QUIET_FRAMES
             return
@@ -345,7 +354,7 @@ class SoakWorld:
             "reasons": dict(sorted(self.reasons.items())),
             "relocks": [
                 {"world": self.seed, **asdict(relock)}
-                for relock in relocks(sorted(disturbed, key=lambda d: d[1]), self.right, self.frames)
+                for relock in relocks(sorted(disturbed, key=lambda d: d[1]), self.right, self.frames, self.dark)
             ],
             "disturbances": {
                 **self.driver.counts,

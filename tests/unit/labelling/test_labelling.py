@@ -6,10 +6,10 @@ import pytest
 
 from annulus.capture.photometry import Light, Photometry
 from annulus.labelling.labelling import (
-    GIVE_UP_S,
     NO_CONTROLLER,
     NOT_KNOWN,
     OFFSET_FRAMES,
+    UNLABELLED_S,
     CameraMode,
     FrameSeen,
     Labelling,
@@ -78,14 +78,14 @@ def test_before_the_offset_is_known_frames_are_not_settled_and_unknown() -> None
 
 def test_pictures_that_fit_no_flash_give_no_label_and_the_operator_is_told() -> None:
     clock = Clockwork(0)
-    for k in range(1, round(2.5 * GIVE_UP_S * 25)):
+    for k in range(1, round(2.5 * UNLABELLED_S * 25)):
         frame = clock.frame(k)
         clock.labelling.saw(replace(frame, picture=picture(Light.LED if k % 3 else Light.PROJECTOR)))
         clock.labelling._seen.pop(), clock.labelling._seen.pop()
         clock.labelling.saw(replace(frame, picture=picture(Light.LED if k % 3 else Light.PROJECTOR)))
         assert clock.labelling.header(frame).label is Label.UNKNOWN
-    assert [kind for kind, _ in clock.told] == ["offset", "offset"]
-    assert all("frames stay unknown" in text for _, text in clock.told)
+    assert [kind for kind, _ in clock.told] == ["unlabelled", "unlabelled"]
+    assert all("had a label for 30 s: camera offset: " in text for _, text in clock.told)
 
 
 def test_a_camera_that_changes_its_mind_is_unknown_until_its_new_offset_is_found() -> None:
