@@ -1,12 +1,16 @@
 """Frames, labels and notes of a recording, out of the messages of its file, whoever says what those are.
 
 What the topics hold: recording.py.
+
+Frames go by index and camera. Two scans that somebody joined in one file (`mcap merge`) have the same, and would give
+each other their labels while every chunk is as it was written. So what lies there twice in sound chunks, or was
+measured on two clocks, is no recording of one scan. Parts of one scan may be joined: they share numbers and clock.
 """
 
 import base64
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,16 +19,21 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from annulus import untrusted
 from annulus.record.index import Contents
 from annulus.record.walk import Chunk, Message
-from annulus.vocabulary import Label
+from annulus.vocabulary import AnnulusError, Label
 
 FRAME_TOPIC = "/frame"  # .. of camera 0 in old recordings; now followed by the camera's id
 LABEL_TOPIC = "/label"
 DROPS_TOPIC = "/drops"
+IDENTITY = "/identity"
 CAMERA_ID_MAX = 255
 Z_MAX_MM = 1e8  # of a place; beyond is damage
 _JSON_MAX = 1 << 24
 _JPEG = CompressedImage.DESCRIPTOR.full_name
 Labels = dict[tuple[int, int], Mapping[str, Any]]  # by index and camera
+
+
+class TwoScansError(AnnulusError):
+    """A file holds more than one scan; the text says by what that is seen."""
 
 
 def to_json(value: Any) -> bytes:
@@ -102,7 +111,7 @@ def camera_of_label(label: object) -> int:
 
 
 def sorted_out(walk: Contents) -> tuple[tuple[RecordedFrame, ...], Labels, dict[str, tuple[Message, ...]]]:
-    """What was walked over as frames, their labels, and notes by topic."""
+    """What was walked over as frames, their labels, and notes by topic. Raises TwoScansError."""
     images: dict[tuple[int, int], Message] = {}
     labels: Labels = {}
     labelled: dict[tuple[int, int], Chunk | None] = {}
@@ -115,7 +124,9 @@ def sorted_out(walk: Contents) -> tuple[tuple[RecordedFrame, ...], Labels, dict[
             continue  # for viewers
         if camera is not None:
             before = images.setdefault((message.sequence, camera), message)
-            if before is not message and not walk.look_at(before.chunk) and walk.look_at(message.chunk):
+            if before is not message and walk.look_at(message.chunk):
+                if walk.look_at(before.chunk):
+                    raise TwoScansError(f"{frame_name(message.sequence, camera)} is there twice")
                 images[message.sequence, camera] = message
         elif topic:
             notes.setdefault(topic, []).append(message)
@@ -123,17 +134,55 @@ def sorted_out(walk: Contents) -> tuple[tuple[RecordedFrame, ...], Labels, dict[
                 try:
                     label = from_json(walk.content(message))
                     key = message.sequence, camera_of_label(label)
+                    if key in labels and label != labels[key] and _both_sound(walk, labelled[key], message.chunk):
+                        raise TwoScansError(f"{frame_name(*key)} has two labels")
                     if key not in labels or walk.look_at(message.chunk):
                         labels[key], labelled[key] = label, message.chunk
                 except ValueError:
                     walk.look_at(message.chunk)
     for key in labelled.keys() ^ images.keys():  # they are written together
         walk.look_at(labelled[key] if key in labelled else images[key].chunk)
+    shared = [key for key in images if key in labels]
+    for witness, what in ((_later, "their labels are of two clocks"), (_shift, "labels name other frames")):
+        _check_one(walk, witness, what, shared, images, labels, labelled)
     frames = tuple(
         _frame(index, camera, message, labels.get((index, camera), {}), _is_jpeg(walk, message))
         for (index, camera), message in sorted(images.items())
     )
     return frames, labels, {topic: tuple(messages) for topic, messages in notes.items()}
+
+
+def _both_sound(walk: Contents, one: Chunk | None, other: Chunk | None) -> bool:
+    return walk.look_at(one) and walk.look_at(other)
+
+
+def _later(message: Message, label: Mapping[str, Any]) -> int | None:
+    """What a frame's message is later than its label says, ns: of one scan always the same. None: not known."""
+    said = label.get("timestamp_ns")
+    return message.time_ns - said if type(said) is int and message.time_ns else None  # 0: before 1970, cut off
+
+
+def _shift(message: Message, label: Mapping[str, Any]) -> int | None:
+    said = label.get("index")
+    return message.sequence - said if type(said) is int else None
+
+
+def _check_one(
+    walk: Contents, witness: Callable[[Message, Mapping[str, Any]], int | None], what: str,
+    keys: list[tuple[int, int]], images: Mapping[tuple[int, int], Message], labels: Labels,
+    labelled: Mapping[tuple[int, int], Chunk | None],
+) -> None:  # fmt: skip
+    """Raises TwoScansError where sound frames say more than one thing of what one scan has one of."""
+    said = {key: value for key in keys if (value := witness(images[key], labels[key])) is not None}
+    if len(set(said.values())) < 2:
+        return
+    sound: dict[int, tuple[int, int]] = {}
+    for key, value in said.items():
+        if value not in sound and _both_sound(walk, images[key].chunk, labelled[key]):
+            sound[value] = key
+    if len(sound) > 1:
+        names = [frame_name(*key) for key in sound.values()]
+        raise TwoScansError(f"{names[0]} and {names[1]}: {what}")
 
 
 def _is_jpeg(walk: Contents, message: Message) -> bool:

@@ -21,8 +21,8 @@ from mcap.records import Statistics
 from annulus import untrusted
 from annulus.job import JobSheet
 from annulus.record.clock import CLOCK_FILE, Clock
-from annulus.record.frames import FRAME_TOPIC, LABEL_TOPIC, Z_MAX_MM, from_json
-from annulus.record.origin import IDENTITY, JOB_TOPIC
+from annulus.record.frames import FRAME_TOPIC, IDENTITY, LABEL_TOPIC, Z_MAX_MM, from_json
+from annulus.record.origin import JOB_TOPIC
 from annulus.record.parts import PART_FILE, later_paths, part_of
 from annulus.record.recording import opened
 from annulus.record.walk import ATTACHMENT_MAX, MAGIC, Channel, DamagedError, Walk, piece

@@ -61,7 +61,7 @@ class Indexed:
         notes: tuple[tuple[int, int], ...] | tuple[bytes, ...] = (),
     ) -> None:
         """`notes`: blocks, or where they lie."""
-        self._file, self.attachments = file, attachments
+        self.file, self.attachments = file, attachments
         self.channels = {count_of(one[0], 1 << 16): _channel(one) for one in rows_of(head, "channels", 4)}
         self.schemas = {count_of(one[0], 1 << 16): untrusted.text(one[1], "schema", 256)
                         for one in rows_of(head, "schemas", 2)}  # fmt: skip
@@ -157,15 +157,15 @@ class Indexed:
         if known is not None:
             return known
         if chunk is None:
-            return piece(self._file, message.offset, message.length)
-        return chunk.peek(self._file, message.offset, message.length)
+            return piece(self.file, message.offset, message.length)
+        return chunk.peek(self.file, message.offset, message.length)
 
     def look_at(self, chunk: Chunk | None) -> bool:
         if chunk is None:
             return True
         if chunk.offset not in self._looked_at:
             try:
-                chunk.read(self._file)
+                chunk.read(self.file)
                 self._looked_at[chunk.offset] = True
             except DamagedError as error:
                 self._looked_at[chunk.offset] = False

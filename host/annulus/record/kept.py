@@ -25,7 +25,7 @@ from annulus.vocabulary import AnnulusError
 
 KEEP_S = 2.0  # a walk over a local file that takes longer is kept; every one over a store
 KEPT_MAX = 1 << 30  # bytes of what is kept: of a scan of 100 000 frames 10 MB
-_BEGINS = b"annulus walk 1\n"
+_BEGINS = b"annulus walk 2\n"  # 1: kept of files of two scans, too
 _LENGTH = struct.Struct("<Q")
 
 Stamp = list[Any]

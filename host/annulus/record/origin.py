@@ -7,6 +7,7 @@ from typing import Any
 
 from annulus.job import JobSheet, Origin, parse_job, provenance, read_job, recorded_provenance
 from annulus.record.calibration_file import load_sections
+from annulus.record.frames import IDENTITY
 from annulus.record.marks import observations_of
 from annulus.record.recording import Recording
 from annulus.record.scan import Scan
@@ -14,7 +15,7 @@ from annulus.record.storage import Where, read_whole
 from annulus.untrusted import TOML_MAX, printable
 from annulus.vocabulary import AnnulusError
 
-IDENTITY, JOB_TOPIC = "/identity", "/job"
+JOB_TOPIC = "/job"
 JOBS_MAX = 1000  # sheets of one scan that are read; an operator types a dozen
 JOB_FILE = "job.toml"  # of a scan folder, beside frames.csv
 UTC_MAX = 40  # characters of a time

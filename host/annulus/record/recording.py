@@ -41,6 +41,7 @@ from annulus.record.frames import (
     FRAME_TOPIC,
     LABEL_TOPIC,
     RecordedFrame,
+    TwoScansError,
     camera_of,
     frame_name,
     from_json,
@@ -49,6 +50,7 @@ from annulus.record.frames import (
 )
 from annulus.record.indexed import HEAD, Indexed, read_index
 from annulus.record.kept import is_kept, keep, kept_walk, stamp_of
+from annulus.record.one_scan import check_clock, check_one_scan
 from annulus.record.parts import PART_FILE, Part, later_parts, part_of
 from annulus.record.remote import RemoteFile, Told, UnreachableError, Url, remote_file
 from annulus.record.storage import Where, opened_file, where
@@ -320,7 +322,7 @@ def open_recording(place: Where | str) -> Recording:
         try:
             parts.append(open_part(other, known))
             torn |= parts[-1].torn
-        except UnreachableError:
+        except (UnreachableError, TwoScansError):
             raise
         except AnnulusError:  # cut off before anything was in it
             torn = True
@@ -408,7 +410,8 @@ def _walked(path: Where, known: Told | None, opened_by_index: Recording | None =
             return recording
     with opened_place(path, known, WALKED) as (file, size, known):
         walk = Walk(file, size, _ATTACHED, LABEL_TOPIC, isinstance(path, Url))
-        if opened_by_index is None and not walk.compression and is_kept(path, time.monotonic() - begun):
+        lasting = opened_by_index is None and not walk.compression and not walk.disagreeing
+        if lasting and is_kept(path, time.monotonic() - begun):
             found = keep(path, file, stamp, walk)
             if found is not None and (recording := _recorded(path, found, known)) is not None:
                 return recording
@@ -425,10 +428,22 @@ def _same(one: Recording, other: Recording) -> bool:
 
 
 def _recorded(path: Where, found: Walk | Indexed, known: Told | None) -> Recording | None:
-    """Out of a file's contents. None where an index has more than one frame or label of a name: only a walk says which
-    of them counts. Raises AnnulusError for what is no recording.
+    """Out of a file's contents. None where an index has more than one frame or label of a name, or of two scans: only
+    a walk says what counts. Raises AnnulusError for what is no recording, TwoScansError for what is two.
     """
-    frames, labels, notes = sorted_out(found)
+    try:
+        frames, labels, notes = sorted_out(found)
+        told = Clock.from_dict(_attached(found, CLOCK_FILE))
+        check_one_scan(found)
+        if told is not None:
+            check_clock(found, frames, labels, told)
+    except TwoScansError as error:
+        if isinstance(found, Indexed):
+            return None
+        raise TwoScansError(
+            f"{path}: holds more than one scan ({error}). Expected one: open the files that it was joined from, or "
+            "part it by time (mcap filter)."
+        ) from None
     if found.compression:
         raise AnnulusError(
             f"{path}: its chunks are compressed with {found.compression}. "
@@ -442,8 +457,7 @@ def _recorded(path: Where, found: Walk | Indexed, known: Told | None) -> Recordi
         index = followed(found, frames, labels, notes)
         if index is None:
             return None
-    calibration, configuration, part, clock = (_attached(found, name) for name in _ATTACHED)
-    told = Clock.from_dict(clock)
+    calibration, configuration, part = (_attached(found, name) for name in _ATTACHED if name != CLOCK_FILE)
     offset_ns = offset_of(frames, labels) if told is None else told.offset_ns
     if offset_ns:
         frames = tuple(replace(frame, timestamp_ns=frame.timestamp_ns - offset_ns) for frame in frames)

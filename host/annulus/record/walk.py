@@ -131,6 +131,7 @@ class Walk:
         self.messages: list[Message] = []
         self.chunks: list[Chunk] = []
         self.attachments: dict[str, bytes] = {}
+        self.disagreeing: dict[str, bytes] = {}  # by a name that is there twice: another that is sound, too
         self.damage: list[Damage] = []
         self._looked_at: dict[int, bool] = {}  # by a chunk's offset, whether it is sound
         self.compression = ""
@@ -348,7 +349,10 @@ class Walk:
         (media_length,) = struct.unpack_from("<I", data, at)
         at += 4 + media_length
         (size,) = struct.unpack_from("<Q", data, at)
-        self.attachments[name] = data[at + 8 : at + 8 + size]
+        content = data[at + 8 : at + 8 + size]
+        if self.attachments.get(name, content) != content:
+            self.disagreeing[name] = self.attachments[name]
+        self.attachments[name] = content
         if not crc:
             self._unchecked[name] = start
 

@@ -231,14 +231,26 @@ def test_bytes_of_nobody_are_no_index(tmp_path: Path) -> None:
             assert len(sorted_out(found)[0]) == 8
 
 
-def test_two_frames_of_one_name_are_told_apart_by_a_walk(tmp_path: Path) -> None:
+def test_two_frames_of_one_name_are_no_scan(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with RecordingWriter(path, calibration=None, configuration={}, now_ns=0) as writer:
         for z in (1.0, 2.0):
             label = {"index": 7, "label": "led", "z_mm": z, "encoding": "mono8", "width": W, "height": H}
             writer.frame(label, image_of(7), 7)
-    recording = open_recording(path)
-    assert recording.index is None and len(recording.frames) == 1
+    with pytest.raises(AnnulusError, match=r"a\.mcap: holds more than one scan \(frame 7 "):
+        open_recording(path)
+
+
+def test_of_two_frames_of_one_name_the_sound_one_counts(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mcap", Codec.RAW, count=3)
+    honest = open_recording(path)
+    second = next(frame for frame in honest.frames if (frame.index, frame.camera) == (1, 0))
+    data = bytearray(path.read_bytes())
+    struct.pack_into("<I", data, second.offset - 20, 2)  # its number, in a chunk whose checksum then is wrong
+    path.write_bytes(data[: data.index(b"annulus.notes/0") - 100])
+    found = open_recording(path)
+    (third,) = [frame for frame in found.frames if (frame.index, frame.camera) == (2, 0)]
+    assert np.array_equal(found.read_raw(third)[0], image_of(4)) and found.label(third)["z_mm"] == 1.0
 
 
 def test_json_is_the_same_by_either_way() -> None:
