@@ -246,10 +246,9 @@ def _write_parquet(answer: "Answer", path: Path) -> None:
     from annulus.record.whole import written_whole
 
     pq, rows = need("pyarrow.parquet"), 0
-    reader = answer.batches()
     try:
-        with written_whole(path) as file, pq.ParquetWriter(file, reader.schema, compression="zstd") as writer:
-            for batch in reader:
+        with written_whole(path) as file, pq.ParquetWriter(file, answer.schema, compression="zstd") as writer:
+            for batch in answer.batches():
                 writer.write_batch(batch)
                 rows += batch.num_rows
     except OSError as error:

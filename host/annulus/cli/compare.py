@@ -25,7 +25,7 @@ def compare(
     row is, whatever cables and heads did. Depths and growth are positive outwards, in mm. Places that do not stand out
     are listed as unchanged, and the smallest growth that could be told is said.
     """
-    from annulus.archive import compare as compared
+    from annulus.archive.comparison import compare as compared
     from annulus.archive.growth_page import write_page
 
     with progress() as bars:
