@@ -3,6 +3,8 @@
 A TIFF or NPY volume has no size of its own that can be believed: a `ct.json` beside it says
 `{"voxel_mm": [z, y, x], "pipe": {"outer_diameter_mm": .., "wall_mm": ..}}` (`pipe` may be left out; it is what the
 volume is checked against). A DICOM series is ordered by where its slices lie, never by name or number.
+
+A packed slice says how large it is before it is unpacked, and is held to it (slices.py).
 """
 
 import json
@@ -17,6 +19,7 @@ import numpy as np
 
 from annulus.extras import need
 from annulus.numeric.arrays import Float32Array
+from annulus.record.slices import dicom_pixels, dicom_tags, tiff_page, tiff_size
 from annulus.untrusted import mapping, number, numbers, parse_json, read_file, shown
 from annulus.vocabulary import AnnulusError
 
@@ -171,7 +174,8 @@ def _tiff(path: Path) -> _Opened:
                 f"{path}: a compressed volume in one page ({_why(error)}); expected a page a slice"
             ) from None
         return (shape[0], shape[1], shape[2]), "TIFF stack", lambda z: whole[z], None
-    return (shape[0], shape[1], shape[2]), "TIFF stack", lambda z: pages[z].asarray(), None
+    size = (shape[1], shape[2])
+    return (shape[0], *size), "TIFF stack", lambda z: tiff_page(pages[z], size), None
 
 
 def _tiffs(folder: Path, files: list[Path]) -> _Opened:
@@ -190,13 +194,17 @@ def _tiffs(folder: Path, files: list[Path]) -> _Opened:
     if holes:
         raise AnnulusError(f"{folder}: slice {holes[0]} is missing between {order[0]} and {order[-1]}")
     try:
-        first = tifffile.imread(counted[order[0]])
+        with tifffile.TiffFile(counted[order[0]]) as tiff:
+            size = tiff_size(tiff)
     except Exception as error:
         raise AnnulusError(f"{counted[order[0]]}: cannot be read as TIFF ({_why(error)})") from None
-    if first.ndim != 2:
-        raise AnnulusError(f"{counted[order[0]]}: {first.shape}; expected one grey slice")
-    shape = (len(order), first.shape[0], first.shape[1])
-    return shape, "TIFF slices", lambda z: tifffile.imread(counted[order[z]]), None
+
+    def read(z: int) -> Any:
+        with tifffile.TiffFile(counted[order[z]]) as tiff:
+            tiff_size(tiff)
+            return tiff_page(tiff.pages[0], size)
+
+    return (len(order), *size), "TIFF slices", read, None
 
 
 def _is_dicom(path: Path) -> bool:
@@ -208,11 +216,11 @@ def _is_dicom(path: Path) -> bool:
 
 
 def _dicom(folder: Path, files: list[Path]) -> _Opened:
-    pydicom = need("pydicom")
+    need("pydicom")
     slices = []
     for file in files:
         try:
-            slices.append((_head(pydicom.dcmread(file, stop_before_pixels=True)), file))
+            slices.append((_head(dicom_tags(file)), file))
         except AnnulusError as error:
             raise AnnulusError(f"{file}: {error}") from None
         except Exception as error:
@@ -252,7 +260,7 @@ def _dicom(folder: Path, files: list[Path]) -> _Opened:
 
     def read(z: int) -> Any:
         _, head, file = placed[z]
-        return pydicom.dcmread(file).pixel_array * np.float32(head.slope) + np.float32(head.intercept)
+        return dicom_pixels(file, head.size) * np.float32(head.slope) + np.float32(head.intercept)
 
     return (len(at), *first.size), "DICOM series", read, (step, *first.spacing)
 
