@@ -8,6 +8,7 @@ from typing import IO, Any
 import numpy as np
 
 from annulus import untrusted
+from annulus.record.allowance import Allowance
 from annulus.record.index import (
     CHUNK_COLUMNS,
     NAME,
@@ -73,6 +74,7 @@ class Indexed:
         self.messages: list[Message] = []
         self._contents: dict[tuple[int, int], bytes] = {}
         self._looked_at: dict[int, bool] = {}
+        self._allowed = Allowance()
         self._labels = [number for number, one in self.channels.items() if one.topic == label_topic]
         self._end = end
         self._loose = head.get("loose") is True  # a file without chunks
@@ -165,7 +167,7 @@ class Indexed:
             return True
         if chunk.offset not in self._looked_at:
             try:
-                chunk.read(self.file)
+                chunk.read(self.file, self._allowed)
                 self._looked_at[chunk.offset] = True
             except DamagedError as error:
                 self._looked_at[chunk.offset] = False

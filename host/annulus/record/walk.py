@@ -16,6 +16,7 @@ from typing import IO, cast
 
 import zstandard
 
+from annulus.record.allowance import Allowance
 from annulus.vocabulary import AnnulusError
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -62,8 +63,10 @@ class Chunk:
     messages: int
     size: int = 0  # of the records where they are packed; else 0
 
-    def read(self, file: IO[bytes]) -> bytes:
-        """The records. Raises DamagedError where they are not what was written."""
+    def read(self, file: IO[bytes], allowed: Allowance | None = None) -> bytes:
+        """The records. Raises DamagedError where they are not what was written, or more than is allowed."""
+        if allowed is not None and not allowed.take(self.size, self.length):
+            raise DamagedError(f"the chunk at byte {self.offset} unpacks to {self.size} bytes, one too many of such")
         data = piece(file, self.offset, self.length)
         if self.size:
             try:
@@ -134,6 +137,7 @@ class Walk:
         self.disagreeing: dict[str, bytes] = {}  # by a name that is there twice: another that is sound, too
         self.damage: list[Damage] = []
         self._looked_at: dict[int, bool] = {}  # by a chunk's offset, whether it is sound
+        self._allowed = Allowance()
         self.compression = ""
         self._counted: tuple[int, int] | None = None  # messages and attachments, by the summary
         self._attached = self._attached_with_crc = 0
@@ -185,7 +189,7 @@ class Walk:
             return True
         if chunk.offset not in self._looked_at:
             try:
-                chunk.read(self._file)
+                chunk.read(self._file, self._allowed)
                 self._looked_at[chunk.offset] = True
             except DamagedError as error:
                 self._damaged(chunk.offset, str(error), chunk.messages or None)
@@ -262,6 +266,9 @@ class Walk:
         known = crc if end <= self._size and not (crc == 0 and self._without) else None
         chunk = Chunk(first, min(end, self._size) - first, known, 0, size if packed else 0)
         messages, channels, schemas, sound = self._inside(chunk)
+        if not sound and self._allowed.of(chunk.size, chunk.length) < chunk.size:
+            self.look_at(chunk)  # which says that it is one too many: nobody reads it again
+            return end
         chunk = Chunk(chunk.offset, chunk.length, known, len(messages), chunk.size)
         if channels or schemas or not sound:
             if not self.look_at(chunk):
@@ -292,7 +299,8 @@ class Walk:
         messages: list[_Place] = []
         channels: dict[int, Channel] = {}
         schemas: dict[int, str] = {}
-        source: _Packed | _Plain = _Packed(self._file, chunk) if chunk.size else _Plain(self._file)
+        allowed = self._allowed.of(chunk.size, chunk.length)
+        source: _Packed | _Plain = _Packed(self._file, chunk, allowed) if chunk.size else _Plain(self._file)
         at, end = (0, chunk.size) if chunk.size else (chunk.offset, chunk.offset + chunk.length)
         try:
             while at + _RECORD.size <= end:
@@ -317,6 +325,8 @@ class Walk:
                 at = start + length
         except (ValueError, struct.error):
             pass
+        if isinstance(source, _Packed):
+            self._allowed.took(chunk.size, chunk.length, source.unpacked)
         return messages, channels, schemas, at == end
 
     def _message(self, start: int, length: int) -> None:
@@ -399,13 +409,20 @@ class _Stretch:
 class _Packed:
     """Records of a packed chunk from the first on, unpacked as far as somebody looks, and not kept."""
 
-    def __init__(self, file: IO[bytes], chunk: Chunk) -> None:
+    def __init__(self, file: IO[bytes], chunk: Chunk, most: int = PACKED_MAX) -> None:
+        self._most = most  # bytes that are unpacked
         source = cast(IO[bytes], _Stretch(file, chunk))
         self._stream = _unpacker().stream_reader(source, read_size=_SIP, read_across_frames=True)
         self._held, self._before = b"", 0  # bytes, and how many came before them
 
+    @property
+    def unpacked(self) -> int:
+        return self._before + len(self._held)
+
     def piece(self, at: int, length: int) -> bytes:
-        """Rising `at`. ValueError where there is no such piece."""
+        """Rising `at`. ValueError where there is no such piece, or it is too far."""
+        if at + length > self._most:
+            raise ValueError("more than may be unpacked")
         while self._before + len(self._held) < at + length:
             if at >= self._before + len(self._held):
                 self._before, self._held = self._before + len(self._held), b""
