@@ -5,11 +5,13 @@
     listing.by_id["3ced0ec47a28d2f58da2"].path
 
 Whoever asks names things by their `id`, never by a path: what is not on the list is not there. Nothing is read whole
-but tables, summaries and calibrations, none of them large; links are not followed.
+but tables, summaries and calibrations, none of them large; links are not followed, and nothing is opened but files.
+One look takes a bounded time, and whatever lies there costs nothing but its own place on the list.
 """
 
 import csv
 import hashlib
+import io
 import math
 import os
 import time
@@ -22,14 +24,16 @@ from typing import Any
 from annulus import untrusted
 from annulus.job import JobSheet, provenance, read_job
 from annulus.record.glance import glance
-from annulus.record.parts import first_paths
+from annulus.record.parts import grouped
 from annulus.record.scan import TABLE
 from annulus.vocabulary import AnnulusError
 
 ENTRIES_MAX = 1000
 CALIBRATIONS_MAX = 200
 DEPTH_MAX = 3  # of folders in folders
-SEEN_MAX = 20_000  # names in all folders
+SEEN_MAX = 20_000  # names in a folder of the list, and below it ..
+COUNTED_MAX = 1_000_000  # .. and that are counted, no more than that: 0.5 s
+LOOK_S = 2.0  # for what is new or has changed, in one look; a recording takes 5 ms
 SMALL_MAX = 4 << 20  # bytes of a summary or calibration
 TABLE_MAX = 16 << 20  # .. of a frames.csv: 300 000 frames
 OPEN_S = 15.0  # a recording without an end that changed since is being made
@@ -71,14 +75,28 @@ class Listing:
 
     entries: Sequence[Entry] = ()
     calibrations: Sequence[Entry] = ()
-    left_out: int = 0  # that were too many
+    left_out: int = 0  # at least so many more: entries that were too many, names that were not looked at
+    waiting: int = 0  # that there was no time for in this look
     by_id: Mapping[str, Entry] = field(default_factory=dict)
 
     @property
     def stamp(self) -> str:
         """Another where anything of it is."""
         told = [(one.id, one.changed_s, sorted(one.told.items(), key=str)) for one in self.by_id.values()]
-        return hashlib.sha256(f"{told} {self.left_out}".encode("utf-8", "replace")).hexdigest()[:16]
+        return hashlib.sha256(f"{told} {self.left_out} {self.waiting}".encode("utf-8", "replace")).hexdigest()[:16]
+
+
+@dataclass(frozen=True, slots=True)
+class _Thing:
+    """What may be one entry. stamp : another when it has changed."""
+
+    kind: str
+    path: Path
+    stamp: tuple[tuple[str, int, int], ...]  # its files: name, time of change in ns, bytes
+
+    @property
+    def changed_ns(self) -> int:
+        return max((changed for _, changed, _ in self.stamp), default=0)
 
 
 class Shelf:
@@ -90,24 +108,38 @@ class Shelf:
         self._known: dict[tuple[str, Path], tuple[object, Entry | None]] = {}
 
     def look(self) -> Listing:
-        found: dict[str, Entry] = {}
-        left = [SEEN_MAX]
         known, self._known = self._known, {}
+        fresh: list[_Thing] = []
+        unseen = 0
         for folder in self.folders:
-            for kind, path, stamp in _things(folder, left):
-                before = known.get((kind, path))
-                if before is None or before[0] != stamp or _is_open(before[1]):
-                    before = stamp, _entry(kind, path)
-                self._known[kind, path] = before
-                if before[1] is not None:
-                    found[before[1].id] = before[1]
+            left = _Left(SEEN_MAX)
+            for one in _things(folder, left):
+                before = known.get((one.kind, one.path))
+                if before is not None:
+                    self._known[one.kind, one.path] = before
+                if before is None or before[0] != one.stamp or _is_open(before[1]):
+                    fresh.append(one)
+            unseen += left.unseen
+        waiting = self._look_at(fresh)
+        found = {entry.id: entry for _, entry in self._known.values() if entry is not None}
         newest = sorted(found.values(), key=lambda one: -one.changed_s)
         entries = [one for one in newest if one.kind != "calibration"]
-        calibrations = [one for one in newest if one.kind == "calibration"][:CALIBRATIONS_MAX]
-        kept = entries[:ENTRIES_MAX]
-        by_id = {one.id: one for one in (*kept, *calibrations)}
-        self.listing = Listing(kept, calibrations, len(entries) - len(kept), by_id)
+        calibrations = [one for one in newest if one.kind == "calibration"]
+        over = max(0, len(entries) - ENTRIES_MAX) + max(0, len(calibrations) - CALIBRATIONS_MAX)
+        kept = entries[:ENTRIES_MAX], calibrations[:CALIBRATIONS_MAX]
+        by_id = {one.id: one for some in kept for one in some}
+        self.listing = Listing(*kept, over + unseen, waiting, by_id)
         return self.listing
+
+    def _look_at(self, fresh: Sequence[_Thing]) -> int:
+        """Newest first, until the time is over; how many are left. What was known of them stays on the list."""
+        end = time.monotonic() + LOOK_S
+        ordered = sorted(fresh, key=lambda one: -one.changed_ns)
+        for number, one in enumerate(ordered):
+            if number and time.monotonic() > end:
+                return len(ordered) - number
+            self._known[one.kind, one.path] = one.stamp, _entry(one)
+        return 0
 
 
 def _is_open(entry: Entry | None) -> bool:
@@ -115,12 +147,12 @@ def _is_open(entry: Entry | None) -> bool:
     return entry is not None and entry.told.get("state") == "open"
 
 
-def _entry(kind: str, path: Path) -> Entry | None:
+def _entry(one: _Thing) -> Entry | None:
     try:
-        changed_s, told = _TELLS[kind](path)
-    except (AnnulusError, OSError, ValueError):
+        changed_s, told = _TELLS[one.kind](one)
+    except Exception:  # whatever a file has in it, it never takes the list of the others from everybody
         return None
-    return Entry(identity(kind, path), kind, path, changed_s, told)
+    return Entry(identity(one.kind, one.path), one.kind, one.path, changed_s, told)
 
 
 def identity(kind: str, path: Path) -> str:
@@ -128,34 +160,61 @@ def identity(kind: str, path: Path) -> str:
     return hashlib.sha256(kind.encode() + b"\0" + os.fsencode(path)).hexdigest()[:20]
 
 
-def _things(folder: Path, left: list[int], depth: int = 0) -> Iterator[tuple[str, Path, object]]:
-    """(kind, path, what changes when it does) of all in a folder and those below. `left`: names that may be looked
-    at."""
-    names: dict[str, os.DirEntry[str]] = {}
+@dataclass(slots=True)
+class _Left:
+    """Names that may be looked at yet, and how many were not."""
+
+    names: int
+    unseen: int = 0
+
+
+def _things(folder: Path, left: _Left, depth: int = 0) -> Iterator[_Thing]:
+    """All in a folder and those below."""
+    files, folders = _names(folder, left)
+    if "summary.json" in files and "report.html" in files:
+        yield _Thing("result", folder, _stamp([files["summary.json"], files["report.html"]]))
+    if TABLE in files:
+        yield _Thing("scan", folder, _stamp([files[TABLE]]))
+    for first, later in grouped(files).items():
+        stamp = _stamp([files[first], *(files[name] for name in later)])
+        yield _Thing("recording", folder / first, stamp)
+    for name, one in files.items():
+        if name.endswith(".json") and name not in ("summary.json", "centreline.json"):
+            yield _Thing("calibration", folder / name, _stamp([one]))
+    if depth < DEPTH_MAX and TABLE not in files:
+        for name in folders:
+            yield from _things(folder / name, left, depth + 1)
+
+
+def _names(folder: Path, left: _Left) -> "tuple[dict[str, os.DirEntry[str]], list[str]]":
+    """Its files and folders. Nothing else has a place on the list: who opens a pipe waits for ever."""
+    files: dict[str, os.DirEntry[str]] = {}
+    folders: list[str] = []
     try:
         with os.scandir(folder) as scanned:
             for one in scanned:
-                if left[0] <= 0:
-                    break
-                left[0] -= 1
-                if not one.name.startswith(".") and not one.is_symlink():
-                    names[one.name] = one
+                if left.names <= 0:
+                    left.unseen += 1
+                    if left.unseen >= COUNTED_MAX:
+                        break
+                    continue
+                left.names -= 1
+                if one.name.startswith("."):
+                    continue
+                if _is_folder(one):
+                    folders.append(one.name)
+                elif _is_file(one):
+                    files[one.name] = one
     except OSError:
-        return
-    if "summary.json" in names and "report.html" in names:
-        yield "result", folder, _stamp([names["summary.json"], names["report.html"]])
-    if TABLE in names:
-        yield "scan", folder, _stamp([names[TABLE]])
-    recordings = [name for name in names if name.endswith(".mcap")]
-    for first in first_paths(folder) if recordings else ():
-        if first.name in names:
-            parts = [names[name] for name in recordings if name.startswith(f"{first.stem}-") or name == first.name]
-            yield "recording", first, _stamp(parts)
-    for name, one in names.items():
-        if name.endswith(".json") and name not in ("summary.json", "centreline.json"):
-            yield "calibration", folder / name, _stamp([one])
-        elif depth < DEPTH_MAX and TABLE not in names and _is_folder(one):
-            yield from _things(folder / name, left, depth + 1)
+        pass
+    return files, folders
+
+
+def _is_file(one: "os.DirEntry[str]") -> bool:
+    try:
+        return one.is_file(follow_symlinks=False)
+    except OSError:
+        return False
 
 
 def _is_folder(one: "os.DirEntry[str]") -> bool:
@@ -165,7 +224,7 @@ def _is_folder(one: "os.DirEntry[str]") -> bool:
         return False
 
 
-def _stamp(found: "Sequence[os.DirEntry[str]]") -> object:
+def _stamp(found: "Sequence[os.DirEntry[str]]") -> tuple[tuple[str, int, int], ...]:
     out = []
     for one in found:
         try:
@@ -176,8 +235,8 @@ def _stamp(found: "Sequence[os.DirEntry[str]]") -> object:
     return tuple(sorted(out))
 
 
-def _recording(path: Path) -> tuple[float, dict[str, Any]]:
-    seen = glance(path)
+def _recording(one: _Thing) -> tuple[float, dict[str, Any]]:
+    seen = glance(one.path)
     going_on = not seen.whole and time.time() - seen.changed_s < OPEN_S
     length = None if seen.from_mm is None or seen.to_mm is None else abs(seen.to_mm - seen.from_mm)
     seconds = None if seen.begun is None or seen.ended is None else (seen.ended - seen.begun).total_seconds()
@@ -190,24 +249,17 @@ def _recording(path: Path) -> tuple[float, dict[str, Any]]:
     }  # fmt: skip
 
 
-def _scan(folder: Path) -> tuple[float, dict[str, Any]]:
-    table = folder / TABLE
-    told = table.stat()
-    frames, places = None, []
-    if told.st_size <= TABLE_MAX:
-        with table.open(newline="", encoding="utf-8", errors="replace") as file:
-            rows = csv.DictReader(file)
-            frames = 0
-            for row in rows:
-                frames += 1
-                places += _number(row.get("z_mm") or row.get("x_mm"))
+def _scan(one: _Thing) -> tuple[float, dict[str, Any]]:
+    folder = one.path
+    ((_, changed_ns, size),) = one.stamp
+    frames, places = _rows(folder / TABLE) if size <= TABLE_MAX else (None, [])
     try:
         job = read_job(folder / "job.toml") if (folder / "job.toml").is_file() else JobSheet()
     except AnnulusError:
         job = JobSheet()
     ends = (min(places), max(places)) if places else (None, None)
     own = folder / "calibration.json"
-    return told.st_mtime, {
+    return changed_ns / 1e9, {
         "utc": None, "seconds": None, "job": job.to_dict(), "from_mm": ends[0], "to_mm": ends[1],
         "length_mm": max(places) - min(places) if places else None, "frames": frames, "size": None, "parts": 1,
         "state": "whole", "calibrated": own.is_file(),
@@ -215,18 +267,32 @@ def _scan(folder: Path) -> tuple[float, dict[str, Any]]:
     }  # fmt: skip
 
 
-def _result(folder: Path) -> tuple[float, dict[str, Any]]:
+def _rows(table: Path) -> tuple[int | None, list[float]]:
+    """How many frames a table lists, and where they were; None and nothing where that cannot be read."""
+    rows = csv.DictReader(io.StringIO(untrusted.read_file(table, TABLE_MAX).decode("utf-8", "replace"), newline=""))
+    frames, places = 0, list[float]()
+    try:
+        for row in rows:
+            frames += 1
+            places += _number(row.get("z_mm") or row.get("x_mm"))
+    except csv.Error:  # a field beyond 128 KiB; it is no ValueError
+        return None, []
+    return frames, places
+
+
+def _result(one: _Thing) -> tuple[float, dict[str, Any]]:
+    folder = one.path
     summary = _small(folder / "summary.json")
     if not str(summary.get("format", "")).startswith("annulus-"):
         raise ValueError("no summary of annulus")
     origin, diameter, scanned = (_section(summary, name) for name in ("origin", "diameter_mm", "scanned_mm"))
-    defects = [one for one in _list(summary, "defects") if isinstance(one, Mapping)]
-    depths = [depth for one in defects for depth in _number(one.get("depth_mm"))]
+    defects = [item for item in _list(summary, "defects") if isinstance(item, Mapping)]
+    depths = [depth for item in defects for depth in _number(item.get("depth_mm"))]
     decision = _section(summary, "conformity").get("decision")
     begun, created = origin.get("begun_utc"), summary.get("created")
     files = [name for name in FILES if (folder / name).is_file() and not (folder / name).is_symlink()]
     return (folder / "summary.json").stat().st_mtime, {
-        "utc": next((one for one in (begun, created) if _is_time(one)), None),
+        "utc": next((time for time in (begun, created) if _is_time(time)), None),
         "created": created if _is_time(created) else None,
         "job": JobSheet.recorded(summary.get("job")).to_dict(),
         "of": untrusted.printable(Path(str(summary.get("source", ""))).name)[:200],
@@ -240,7 +306,8 @@ def _result(folder: Path) -> tuple[float, dict[str, Any]]:
     }  # fmt: skip
 
 
-def _calibration(path: Path) -> tuple[float, dict[str, Any]]:
+def _calibration(one: _Thing) -> tuple[float, dict[str, Any]]:
+    path = one.path
     data = _small(path)
     if not str(data.get("format", "")).startswith("annulus-calibration/"):
         raise ValueError("no calibration")
@@ -252,7 +319,7 @@ def _calibration(path: Path) -> tuple[float, dict[str, Any]]:
     }  # fmt: skip
 
 
-_TELLS: Mapping[str, Callable[[Path], tuple[float, dict[str, Any]]]] = {
+_TELLS: Mapping[str, Callable[[_Thing], tuple[float, dict[str, Any]]]] = {
     "recording": _recording, "scan": _scan, "result": _result, "calibration": _calibration,
 }  # fmt: skip
 

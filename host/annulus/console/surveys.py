@@ -72,6 +72,7 @@ def routes(program: Host, command: Sequence[str] | None = None) -> list[Any]:
             entries=[one.to_dict() for one in listing.entries],
             calibrations=[one.to_dict() for one in listing.calibrations],
             left_out=listing.left_out,
+            waiting=listing.waiting,
             jobs=jobs,
         )
 

@@ -7,6 +7,7 @@ from their names: each has an attachment `part.json`, {"scan": .., "part": ..}, 
 """
 
 import json
+import os
 import re
 import struct
 from collections.abc import Iterable, Iterator, Mapping
@@ -52,12 +53,12 @@ def part_path(first: Path, number: int) -> Path:
 
 def later_paths(first: Path) -> list[tuple[int, Path]]:
     """Files that are parts after that first one by their names, by their numbers."""
-    found = []
-    for path in first.parent.glob("*.mcap"):
-        named = _LATER.fullmatch(path.stem)
-        if named and named[1] == first.stem and int(named[2]) > 1:
-            found.append((int(named[2]), path))
-    return sorted(found)
+    try:
+        names = os.listdir(first.parent)  # not glob: 0.3 ms for 1600 names in place of 13
+    except OSError:
+        return []
+    like = (name for name in names if name.startswith(f"{first.stem}-"))
+    return sorted((number, first.with_name(name)) for name in like if (number := _number_of(name, first.stem)))
 
 
 def first_paths(folder: Path) -> list[Path]:
@@ -67,9 +68,25 @@ def first_paths(folder: Path) -> list[Path]:
 
 def first_names(names: Iterable[str]) -> list[str]:
     """The same out of the names of all files of a folder."""
+    return list(grouped(names))
+
+
+def grouped(names: Iterable[str]) -> dict[str, list[str]]:
+    """Of the names of all files of a folder those of recordings' first files, in order, and by each those of its later
+    ones."""
     stems = {name.removesuffix(".mcap") for name in names if name.endswith(".mcap")}
-    later = {stem for stem in stems if (named := _LATER.fullmatch(stem)) and named[1] in stems}
-    return [f"{stem}.mcap" for stem in sorted(stems - later)]
+    first: dict[str, list[str]] = {}
+    later: list[tuple[str, str]] = []
+    for stem in sorted(stems):
+        named = _LATER.fullmatch(stem)
+        if named and named[1] in stems:
+            later.append((f"{named[1]}.mcap", f"{stem}.mcap"))
+        else:
+            first[f"{stem}.mcap"] = []
+    for of, name in later:
+        if of in first:
+            first[of].append(name)
+    return first
 
 
 @dataclass(frozen=True, slots=True)

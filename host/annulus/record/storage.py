@@ -9,8 +9,10 @@ Both are plain values: a worker that is handed one opens the file itself.
 """
 
 import contextlib
+import errno
 import os
 import re
+import stat
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -67,8 +69,15 @@ def is_file(place: Where) -> bool:
 
 
 def opened_file(place: Where, known: Told | None = None) -> IO[bytes]:
-    """For reading; `known`: what a store said of it when somebody opened it. OSError as it comes."""
-    return place.open("rb") if isinstance(place, Path) else cast(IO[bytes], remote_file(place, known))
+    """For reading; `known`: what a store said of it when somebody opened it. OSError as it comes, and for what is no
+    file: a pipe would keep us waiting for ever."""
+    if not isinstance(place, Path):
+        return cast(IO[bytes], remote_file(place, known))
+    file = open(place, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK))  # noqa: SIM115 given out
+    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        file.close()
+        raise OSError(errno.EINVAL, "not a file", str(place))
+    return file
 
 
 @dataclass(frozen=True)

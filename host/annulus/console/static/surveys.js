@@ -52,7 +52,8 @@ export function mount(root, app) {
       return words.every((word) => all.includes(word));
     });
     const none = listing.folders.length === 0 ? t("surveys.folders.none") : t("surveys.none");
-    const left = listing.left_out > 0 ? ` ${t("surveys.left", { n: listing.left_out })}` : "";
+    const left = (listing.left_out > 0 ? ` ${t("surveys.left", { n: listing.left_out })}` : "")
+      + (listing.waiting > 0 ? ` ${t("surveys.waiting", { n: listing.waiting })}` : "");
     write(count, (listing.entries.length === 0 ? none : t("surveys.count", { n: found.length, of: listing.entries.length })) + left);
     more.hidden = found.length <= shown;
     table.hidden = found.length === 0;
