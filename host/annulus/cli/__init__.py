@@ -20,7 +20,7 @@ from annulus.cli.reprocess import EXAMPLE as REPROCESS_EXAMPLE
 from annulus.cli.reprocess import reprocess
 from annulus.cli.sample import sample
 from annulus.cli.show import Bars, Json, print_findings, progress, tell
-from annulus.cli.terminal import escaped
+from annulus.cli.terminal import OutputError, end_of_output, escaped
 from annulus.cli.tune import EXAMPLE as TUNE_EXAMPLE
 from annulus.cli.tune import tune
 from annulus.numeric.compiling import telling
@@ -364,7 +364,13 @@ app.command(epilog=TUNE_EXAMPLE)(tune)
 def main() -> None:
     """Entry point: one clear line for what a user can mend, exit status 0 only for success."""
     with escaped(), telling(tell):
-        _run()
+        try:
+            try:
+                _run()
+            finally:
+                sys.stdout.flush()
+        except OutputError as error:
+            sys.exit(end_of_output(error))
 
 
 def _run() -> None:
@@ -376,9 +382,8 @@ def _run() -> None:
     except KeyboardInterrupt:
         print("annulus: interrupted", file=sys.stderr)
         sys.exit(130)
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(141)
+    except OutputError:
+        raise
     except Exception as error:
         if os.environ.get("ANNULUS_DEBUG"):
             raise
