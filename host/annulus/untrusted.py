@@ -30,6 +30,7 @@ _DOTS_MAX = 500  # in a line of TOML: the time for a.b.c.d = 1 grows with their 
 # what a terminal obeys, or shows otherwise than it stands: C0, DEL, C1, Unicode's line ends, turned and unseen signs,
 # halves of surrogates (in names of files that are not UTF-8)
 _UNSEEN = re.compile("[\x00-\x1f\x7f-\x9f\xad\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ud800-\udfff]")
+_HALF = re.compile("[\ud800-\udfff]")
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 60
 _SHORT.maxlevel = 2
@@ -92,6 +93,20 @@ def parse_json(
         raise ValueError(f"line {error.lineno}: not JSON ({error.msg})") from None
     except RecursionError:
         raise ValueError(f"nested deeper than {DEPTH_MAX}") from None
+
+
+def sayable(value: Any) -> Any:
+    """The value itself, whose texts can be passed on: JSON may say half a sign ("\\ud800"), which no encoding has."""
+    level: list[Any] = [value]
+    while level:
+        one = level.pop()
+        if isinstance(one, dict):
+            level += [*one.keys(), *one.values()]
+        elif isinstance(one, list):
+            level += one
+        elif isinstance(one, str) and not one.isascii() and _HALF.search(one):
+            raise ValueError(f"{shown(one)} has half a sign in it, expected whole ones")
+    return value
 
 
 def parse_toml(data: bytes) -> dict[str, Any]:

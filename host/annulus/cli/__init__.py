@@ -149,7 +149,7 @@ def reconstruct(
     from annulus.record.origin import origin_of
     from annulus.record.storage import Place
     from annulus.report import prepare_folder
-    from annulus.reprocess import Processes, fringes_on, make_ready, open_job, surveyed
+    from annulus.reprocess import Processes, fringes_on, look_at, make_ready, open_job, surveyed
 
     sheet, criteria = job_of(job or ()), _criteria(limits)
     printed = on_paper(pdf, paper)
@@ -176,6 +176,7 @@ def reconstruct(
         return
     work = open_job(scan, calibration, colour=colour, reference=reference)
     origin = origin_of(work.scan, calibration, sheet)
+    look_at(work)  # what is refused is refused before loops are compiled
     prepare_folder(out)
     make_ready(work.calibration, tell)
     with progress(told) as bars:

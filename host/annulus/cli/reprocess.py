@@ -167,13 +167,14 @@ def _reprocessed(scan: str, place: "Place", executor: "Executor", given: _With, 
     from annulus.record.origin import origin_of
     from annulus.record.storage import where
     from annulus.report import prepare_folder
-    from annulus.reprocess import fringes_on, make_ready, open_job, surveyed
+    from annulus.reprocess import fringes_on, look_at, make_ready, open_job, surveyed
 
     path = cast(Path, where(scan))
     if fringes_on(path, given.calibration):
         raise AnnulusError(f"{scan}: its head projects fringes, which are not measured frame by frame: reconstruct it")
     work = open_job(path, given.calibration, colour=given.colour, reference=given.reference)
     origin = origin_of(work.scan, given.calibration)
+    look_at(work)  # what is refused is refused before loops are compiled
     make_ready(work.calibration, tell)
     if place.local is not None:
         prepare_folder(place.local)

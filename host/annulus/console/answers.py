@@ -41,7 +41,8 @@ def refused(error: str, status: int = 409) -> "Response":
 async def asked_for(request: "Request") -> Mapping[str, Any]:
     """The JSON object that was sent."""
     try:
-        return untrusted.mapping(untrusted.parse_json(await request.body(), ASKED_MAX), "what is asked")
+        said = untrusted.sayable(untrusted.parse_json(await request.body(), ASKED_MAX))
+        return untrusted.mapping(said, "what is asked")
     except ValueError as error:
         raise Refusal(400, str(error)) from None
 

@@ -54,9 +54,13 @@ class Commands:
         self._threads.shutdown(wait=False, cancel_futures=True)
 
     def _ask(self, request: Mapping[str, Any], timeout_s: float) -> Mapping[str, Any]:
+        try:
+            packed = msgpack.packb(dict(request))
+        except (ValueError, TypeError, OverflowError) as error:
+            raise Refusal(400, f"what is asked cannot be passed on: {untrusted.one_line(str(error))}") from None
         socket = connected(self._context, zmq.DEALER, self.address, self._keys, ANSWER_MAX)
         try:
-            socket.send(msgpack.packb(dict(request)), zmq.NOBLOCK)
+            socket.send(packed, zmq.NOBLOCK)
             if not socket.poll(int(1000 * timeout_s)):
                 raise Refusal(504, f"no answer from the daemon within {timeout_s:g} s. Is it running, with [control]?")
             return untrusted.mapping(untrusted.unpack(socket.recv(), ANSWER_MAX), "answer")

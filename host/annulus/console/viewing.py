@@ -93,7 +93,9 @@ def parse(text: str | None) -> tuple[frozenset[str] | None, bool | None]:
     """What a page says: (wants, hidden), None each where it does not say. Raises ValueError."""
     if text is None:
         raise ValueError("bytes, expected a text")
-    said: Mapping[str, Any] = untrusted.mapping(untrusted.parse_json(text, SAID_MAX), "what a page says")
+    said: Mapping[str, Any] = untrusted.mapping(
+        untrusted.sayable(untrusted.parse_json(text, SAID_MAX)), "what a page says"
+    )
     strange = said.keys() - {"want", "hidden", "here"}
     if strange:
         raise ValueError(f"{untrusted.shown(min(strange))} is unknown, expected want, hidden or here")

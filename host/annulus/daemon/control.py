@@ -171,7 +171,11 @@ class ControlClient:
     def answer(self, request: Mapping[str, Any], timeout_s: float = ANSWER_S) -> Mapping[str, Any]:
         """Any request, and all that is said to it. Raises AnnulusError as `ask`."""
         who = {} if self._who is None else {"who": {"id": self._who.id, "name": self._who.name}}
-        self._socket.send(msgpack.packb({**who, **request}))
+        try:
+            packed = msgpack.packb({**who, **request})
+        except UnicodeEncodeError as error:
+            raise AnnulusError(f"{self.address}: {error.object[error.start]!r} is half a sign") from None
+        self._socket.send(packed)
         if not self._socket.poll(math.ceil(timeout_s * 1000)):
             self._socket.close(0)
             self._socket = self._connect()  # an answer that comes late must not be taken for the next one's

@@ -82,9 +82,10 @@ def reprocess(job: Job, executor: Executor = in_process, progress: Progress | No
     return Reprocessed(job, profiles, findings, frames, drops, timing)
 
 
-def decisions(job: Job) -> tuple[Job, list[int], tuple[Finding, ...]]:
-    """What must be decided once for a scan, from a few of its frames: the job with it in it, the flashes to measure,
-    and what is wrong with all of them. Raises AnnulusError, one line, where nothing can be measured."""
+def look_at(job: Job) -> tuple[list[int], list[tuple[int, dict[int, Image]]]]:
+    """The flashes to measure, and images of a few of them spread over the scan, by frame index. It takes a moment, so
+    ask before what takes a minute. Raises AnnulusError, one line, where nothing can be measured: no flash of the
+    projector, pictures of another size than the calibration's camera, none that is whole."""
     which = job.flashes(Label.PROJECTOR)
     if not which:
         raise AnnulusError(
@@ -97,6 +98,13 @@ def decisions(job: Job) -> tuple[Job, list[int], tuple[Finding, ...]]:
             looked_at.append((job.scan.frames[i].index, job.read_flash(i)))
     if not looked_at:
         job.read(which[0])  # says what is wrong
+    return which, looked_at
+
+
+def decisions(job: Job) -> tuple[Job, list[int], tuple[Finding, ...]]:
+    """What must be decided once for a scan, from a few of its frames: the job with it in it, the flashes to measure,
+    and what is wrong with all of them. Raises AnnulusError as `look_at` does."""
+    which, looked_at = look_at(job)
     colour, decided = examined(job.calibration, job.colour, looked_at)
     return replace(job, colour=colour), which, decided
 
