@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from annulus.archive.catalogue_engine import Engine, too_much
-from annulus.archive.catalogue_pieces import MEMORY_MB, Damage
+from annulus.archive.catalogue_pieces import MEMORY_MB, Damage, Pieces
 from annulus.archive.catalogue_store import require
 from annulus.extras import need
 from annulus.stream.orphan import child
@@ -57,6 +57,10 @@ class Catalogue:
     @property
     def connection(self) -> Any:
         return self.engine.connection
+
+    @property
+    def pieces(self) -> Pieces:
+        return self.engine.pieces
 
     @property
     def damage(self) -> Sequence[Damage]:

@@ -178,7 +178,7 @@ def test_packs_say_the_same_as_the_surveys_own_files(tmp_path: Path) -> None:
         loose = catalogue.connection.execute(ask).fetchall()
     assert pack(archive, at=5) is not None and pack(archive, at=5) is None
     with open_catalogue(archive) as catalogue:
-        assert len(catalogue.engine.pieces.packs) == 1 and not catalogue.pieces.loose
+        assert len(catalogue.pieces.packs) == 1 and not catalogue.pieces.loose
         assert catalogue.connection.execute(ask).fetchall() == loose
         first = catalogue.connection.execute("SELECT survey FROM surveys ORDER BY survey").fetchone()
     shutil.rmtree(survey_folder(archive, first[0]))
@@ -194,7 +194,7 @@ def test_packs_stay_few(tmp_path: Path) -> None:
         add(archive, made[i : i + 3])
         assert pack(archive, at=3) is not None
         with open_catalogue(archive) as catalogue:
-            sizes = [len(one.members) for one in catalogue.engine.pieces.packs]
+            sizes = [len(one.members) for one in catalogue.pieces.packs]
             assert sum(sizes) == i + 3 and len(sizes) <= 1 + math.log2(i + 3)
     young = len(pack_folders(archive))
     for _, folder in pack_folders(archive):
