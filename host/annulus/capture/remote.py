@@ -43,6 +43,7 @@ class RemoteCamera(OneRequest):
         self.address, self._timeout_s = address, timeout_s
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._socket.settimeout(FRAME_WAIT_S)
+        self._stopped = False  # frames of a stream that is over may wait
         self._lock = threading.Lock()  # requests may be released in another thread than waits for the next
         descriptor = -1
         try:
@@ -71,10 +72,13 @@ class RemoteCamera(OneRequest):
 
     def start(self) -> None:
         """Begin to stream; frames lit before the call are not delivered."""
+        if self._stopped:
+            self._drop_waiting()
         self._say({"do": "start"})
 
     def stop(self) -> None:
         """Stop streaming; frames on their way are dropped by `start`."""
+        self._stopped = True
         self._say({"do": "stop"})
 
     def close(self) -> None:
@@ -111,6 +115,16 @@ class RemoteCamera(OneRequest):
             for have, want in zip(fixed.get(name, ()), wanted, strict=False):
                 if abs(have - float(want)) > 0.01 * have:
                     raise AnnulusError(f"{self.address}: {name} is {have:g} us, expected {float(want):g}")
+
+    def _drop_waiting(self) -> None:
+        """What was on its way when the stream was stopped: taken for the first frame of the next, it would show all
+        that the camera did not send in between as missing.
+        """
+        with contextlib.suppress(OSError):  # nothing waits; one that is gone shows when it is told to start
+            while told := self._socket.recv(MESSAGE_MAX, socket.MSG_DONTWAIT):
+                with contextlib.suppress(ValueError):
+                    frame = untrusted.mapping(untrusted.parse_json(told, MESSAGE_MAX), "frame")
+                    self._say({"do": "release", "slot": frame.get("slot")})
 
     def _say(self, what: Mapping[str, Any]) -> None:
         try:

@@ -13,7 +13,10 @@ talk over a socket of packets, each msgpack [kind, body], `camera_feed.CameraFee
     said:   up                      once, before all else
             is [width, height, encoding]; refused [why]      the answers to look
             frame [slot or nil, stamp, sequence, timestamp_ns, arrived_ns, picture, metadata]; nil: no slot was free
-            state [state, why, entered]; remark [text]; alive; ended [problem]
+            state [state, why, entered, since_ns]; remark [text]; alive; ended [problem]
+
+`since_ns` is when the stream was begun, host monotonic, before which its camera made no frame of it; 0 of a film, whose
+frames are older than that.
 
 Nothing is kept back here: a frame is told at once, or is the driver's. The end of the socket is the end of the intake.
 """
@@ -90,6 +93,7 @@ class IntakeLoop:
         self._slots: deque[Place] = deque()
         self._wanted = False
         self._due_s = 0.0  # when the next frame is overdue
+        self._since_ns = 0
         self._over = False
 
     def run(self) -> None:
@@ -147,7 +151,7 @@ class IntakeLoop:
     def _happened(self, event: CameraEvent, why: str = "") -> None:
         if self._watch.happened(event, time.monotonic(), why):
             entered = {state.value: count for state, count in self._watch.entered.items()}
-            self._say("state", self._watch.state.value, why, entered)
+            self._say("state", self._watch.state.value, why, entered, self._since_ns)
 
     # ---- the camera ----
 
@@ -206,6 +210,7 @@ class IntakeLoop:
 
     def _start(self) -> None:
         camera = self._open()
+        self._since_ns = time.monotonic_ns() if self._source.live else 0
         camera.start()
         for remark in apply_controls(camera, self._source.config):
             self._say("remark", remark)

@@ -67,6 +67,8 @@ class Arrived:
 class Began:
     """The camera begins to stream: it counts from the beginning, and what it missed it does not know."""
 
+    since_ns: int  # it made no frame before; 0 where nobody can say
+
 
 Happened = Arrived | Began
 
@@ -117,7 +119,7 @@ class CameraFeed:
         self._share = 0
         self._lent: dict[int, Place] = {}  # by stamp
         self._wanted = self._opened = False  # opened since it is wanted
-        self._heeded = False  # somebody takes what comes
+        self._heeded = False  # what comes is of the stream that is wanted: it has begun
         self._since_s, self._troubled = 0.0, CameraState.CLOSED  # the trouble: since when, and of which kind
         self._entered: Counter[str] = Counter()  # by processes that are no more
         self._entered_now: Mapping[str, int] = {}
@@ -179,7 +181,7 @@ class CameraFeed:
 
     def stream(self) -> None:
         """Frames from now on; `poll` brings them."""
-        self._wanted = self._heeded = True
+        self._wanted = True
         self._opened, self.ended, self.problem, self.refused = False, False, "", ""
         self._heard_s = time.monotonic()
         self._say("stream")
@@ -377,7 +379,7 @@ class CameraFeed:
                 case "frame":
                     happened += self._frame(*body)
                 case "state":
-                    happened += self._is_now(CameraState(body[0]), str(body[1]), body[2])
+                    happened += self._is_now(CameraState(body[0]), str(body[1]), body[2], body[3])
                 case "remark":
                     self._observer.event("camera", str(body[0]))
                 case "ended":
@@ -392,9 +394,10 @@ class CameraFeed:
         if slot is not None and self._ring is not None:
             place = self._lent.pop(stamp)
             self._ring.filled(place)
-            if not self._heeded:
+        if not self._heeded:  # of a stream that was stopped
+            if place is not None and self._ring is not None:
                 self._ring.release(place)
-                return []
+            return []
         self._fruitful = True
         self._back_off.succeeded()
         if self.trouble:
@@ -406,11 +409,12 @@ class CameraFeed:
         measured = Photometry(**{**picture, "bands": bands})
         return [Arrived(place, number, timestamp_ns, arrived_ns, measured, metadata)]
 
-    def _is_now(self, state: CameraState, why: str, entered: Mapping[str, int]) -> list[Happened]:
+    def _is_now(self, state: CameraState, why: str, entered: Mapping[str, int], since_ns: int) -> list[Happened]:
         before, self.state, self._entered_now = self.state, state, entered
         if before is CameraState.OPENING and state is CameraState.STREAMING:
             self._opened, self.refused = True, ""
-            return [Began()]
+            self._heeded = self._wanted
+            return [Began(since_ns)]
         if state is CameraState.GONE and not self._opened:
             self.refused = why
         elif state in (CameraState.GONE, CameraState.SILENT):

@@ -36,6 +36,7 @@ class Intake:
         self._out: list[tuple[FrameHeader, InSlot]] = []  # labelled before the camera began anew
         self._last: Arrived | None = None
         self._began = False  # anew: its count from before says nothing of the next frame
+        self._since_ns = 0  # the stream that comes was begun
 
     def start(self) -> None:
         """Its frames from now on."""
@@ -76,8 +77,10 @@ class Intake:
         happened, self._late = [*self._late, *self._feed.poll()], []
         for one in happened:
             match one:
-                case Began() if self._last is not None:
-                    self._begin_anew()
+                case Began(since_ns):
+                    self._since_ns = since_ns
+                    if self._last is not None:
+                        self._begin_anew()
                 case Arrived():
                     self._arrived(one, account)
 
@@ -121,12 +124,20 @@ class Intake:
         return waited or self.labelling.settled(frame.seen, now)
 
     def _holes(self, frame: Arrived) -> int:
-        """What was missed before this frame: holes in the driver's count, or in time where that says nothing."""
+        """What was missed before this frame: holes in the driver's count, or in time where that says nothing.
+
+        No more can be missing than the camera had time for since it was started. Where more seems to be, the frame
+        before was a late one of an earlier stream, before a pause: then nothing says what is missing.
+        """
         last, self._last = self._last, frame
         began, self._began = self._began, False
         if last is None:
             return 0
-        if frame.sequence is not None and last.sequence is not None and not began:
-            return max(0, frame.sequence - last.sequence - 1)
-        since_ns = frame.arrived_ns - last.arrived_ns if began else frame.timestamp_ns - last.timestamp_ns
-        return max(0, round(since_ns / self._mode.period_ns) - 1)
+        period_ns = self._mode.period_ns
+        if began:
+            return max(0, round((frame.arrived_ns - last.arrived_ns) / period_ns) - 1)
+        missed = [round((frame.timestamp_ns - last.timestamp_ns) / period_ns) - 1]
+        if frame.sequence is not None and last.sequence is not None:
+            missed.insert(0, frame.sequence - last.sequence - 1)
+        had_time_ns = frame.arrived_ns - self._since_ns
+        return max(0, next((count for count in missed if count * period_ns <= had_time_ns), 0))
