@@ -20,6 +20,7 @@ from annulus.stream.frames import CAMERAS_MAX
 
 KEPT = 100  # events and marks told to who comes later
 LATEST = ("telemetry", "state", "health", "ended", "defects")  # topics of which the last word holds
+HAPPENS = ("event", "mark", "ended")  # at a moment, which who comes later is told too
 BLOCK = 20_000  # points; 300 kB
 JPEG_MAX = 1 << 20
 POINTS_MAX = 64 * 4096  # of a profile; wall.profile says so too, and would bring all of the wall
@@ -122,6 +123,8 @@ class Live:
             hears(body, part)
             return
         said = untrusted.mapping(body, kind)
+        if topic in HAPPENS:
+            said = body = {"utc_s": time.time(), **said}  # an older daemon does not say when
         if topic in ("begun", "telemetry", "defects"):  # who came after the first has it of the others
             self._of_scan(said.get("scan"))
         if topic == "defects":

@@ -2,6 +2,7 @@
 Observer.
 """
 
+import time
 from collections import Counter
 from collections.abc import Mapping
 from typing import Any
@@ -43,6 +44,7 @@ class Publishing(Pool, Observer):
         self._setup["scan"] = None  # under way, for one that takes over
         self._sent: Counter[str] = Counter()
         self._floods = self._notes_dropped = 0
+        self._was_up = False  # before, nobody could listen: what is said then is lost to nobody
         command = child("annulus.daemon.publisher")
         kind = WorkerKind("publisher", command, self._setup, 1, PUBLISHER_SHARE, spares=1)
         super().__init__(kind, shared, account, observer)
@@ -69,7 +71,7 @@ class Publishing(Pool, Observer):
         self._send("state", {"state": state.value, "why": why})
 
     def event(self, kind: str, text: str) -> None:
-        self._send("event", {"kind": kind, "text": text})
+        self._send("event", {"kind": kind, "text": text, "utc_s": time.time()})
 
     def profile(self, profile: Profile) -> None:
         self._send("profile", profile.to_dict())
@@ -78,7 +80,7 @@ class Publishing(Pool, Observer):
         self._send(f"sensor/{sample.sensor}", sample.to_dict())
 
     def mark(self, mark: Mark) -> None:
-        self._send("mark", mark.to_dict())
+        self._send("mark", {**mark.to_dict(), "utc_s": time.time()})
 
     def job(self, sheet: JobSheet) -> None:
         self._send("job", sheet.to_dict())
@@ -91,13 +93,16 @@ class Publishing(Pool, Observer):
 
     def ended(self, report: ScanReport) -> None:
         self._setup["scan"] = None
-        self._send("ended", {"seconds": report.seconds, "recordings": [str(path) for path in report.recordings]})
+        recordings = [str(path) for path in report.recordings]
+        self._send("ended", {"seconds": report.seconds, "recordings": recordings, "utc_s": time.time()})
 
     def made(self, topic: str, body: Mapping[str, Any], part: bytes = b"") -> None:
         """What another process made of the scan: the surveyor's topics."""
         self._send(topic, body, part)
 
     def _send(self, topic: str, body: Mapping[str, Any], part: bytes = b"") -> None:
+        if not self._was_up:
+            return
         number = self._number(topic)
         if not self._pool.alive:
             self._account.lose("publisher_notes")
@@ -110,6 +115,10 @@ class Publishing(Pool, Observer):
     def _number(self, topic: str) -> int:
         self._sent[topic] += 1
         return self._sent[topic] - 1
+
+    def _came_up(self) -> None:
+        self._was_up = True
+        super()._came_up()
 
     def _done(self, header: FrameHeader, body: Any) -> None:
         pass

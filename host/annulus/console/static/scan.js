@@ -3,11 +3,11 @@
 import { mountCloud } from "./cloud.js";
 import { mountDefects } from "./defects.js";
 import { el, unique, write } from "./dom.js";
+import { events } from "./events.js";
 import { mountMap } from "./map.js";
 import { mountPictures } from "./pictures.js";
 import { DISTANCE, said } from "./rounding.js";
 
-const EVENTS_MAX = 100;
 const PHOTO_MAX = 46 << 10; // bytes
 const PHOTO_SIDES = [960, 720, 480, 320];
 
@@ -167,20 +167,3 @@ async function smaller(file) {
   }
   throw new Error("");
 }
-
-function events(app) {
-  const { t } = app;
-  const list = el("ol", { class: "plain events", tabindex: 0, "aria-label": t("scan.events") });
-  const none = el("p", { class: "faint" }, t("events.none"));
-  const add = (text, kind) => {
-    none.hidden = true;
-    const now = new Date().toLocaleTimeString([], { hour12: false });
-    list.prepend(el("li", { class: kind }, el("time", {}, now), " ", text));
-    while (list.children.length > EVENTS_MAX) list.lastElementChild.remove();
-  };
-  app.on("event", (event) => add(event.text, event.kind === "fault" ? "bad" : ""));
-  app.on("mark", (mark) => add(`${t("events.mark")}: ${mark.text}${typeof mark.z_mm === "number" ? `, ${said(mark.z_mm, DISTANCE)}` : ""}`, "mark"));
-  app.on("ended", (ended) => add(t("events.ended", { s: ended.seconds?.toFixed?.(1) ?? "?" }), ""));
-  return el("div", {}, none, list);
-}
-
