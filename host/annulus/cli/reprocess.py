@@ -1,5 +1,6 @@
 """`annulus reprocess`: many scans, in ranges, on this machine or on the machines of a cluster."""
 
+import contextlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -134,6 +135,7 @@ def _executor(
                 raise AnnulusError(f"{option} goes with --engine dask")
         return Processes(workers, tries=3, apart=True)
     from annulus.reprocess.cluster import Dask, Tls
+    from annulus.stream.access import require_secret
 
     if workers is not None:
         raise AnnulusError("--workers goes with --engine local: a cluster has the workers it has")
@@ -142,6 +144,9 @@ def _executor(
     files = [one for one in (ca, cert, key) if one is not None]
     if len(files) not in (0, 3):
         raise AnnulusError("--tls-ca, --tls-cert and --tls-key go together")
+    if key is not None:
+        with contextlib.suppress(OSError):  # it is not there: Dask says so
+            require_secret(key)
     return Dask(scheduler, Tls(*files) if files else None, say=tell)
 
 

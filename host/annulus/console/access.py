@@ -21,11 +21,10 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import zmq
 from zmq.utils import z85
 
 from annulus import untrusted
-from annulus.stream.access import ClientKeys
+from annulus.stream.access import SECRET_MAX, ClientKeys, curve_pair, read_secret
 from annulus.vocabulary import AnnulusError
 
 SESSIONS_MAX = 256
@@ -225,11 +224,7 @@ class Password:
     def check(self, word: str) -> bool:
         """Takes 0.1 s, on purpose. Raises AnnulusError when the file is not as it was made."""
         try:
-            if self.path.stat().st_mode & 0o077:
-                raise AnnulusError(
-                    f"{self.path}: others may read it, expected mode 600. Make another with `annulus console`."
-                )
-            kept = untrusted.mapping(untrusted.parse_json(untrusted.read_file(self.path, 4096), 4096), "password")
+            kept = untrusted.mapping(untrusted.parse_json(read_secret(self.path), SECRET_MAX), "password")
             salt, known = (base64.b64decode(untrusted.text(kept.get(name), name, 200)) for name in ("salt", "hash"))
         except (OSError, ValueError) as error:
             raise AnnulusError(f"{self.path}: no password can be read there ({error})") from None
@@ -249,13 +244,7 @@ def _hash(word: str, salt: bytes) -> bytes:
 
 def client_keys(path: Path, server: str) -> ClientKeys:
     """For a daemon whose public key is `server`; the file holds our secret key, 40 characters of Z85, nothing else."""
-    try:
-        secret = untrusted.read_file(path, 4096).decode("ascii").strip()
-        public = zmq.curve_public(secret.encode()).decode()
-    except OSError as error:
-        raise AnnulusError(f"{path}: cannot be read ({error.strerror}), expected the console's secret key") from None
-    except (ValueError, zmq.ZMQError):
-        raise AnnulusError(f"{path}: not a CURVE secret key, expected 40 characters of Z85") from None
+    public, secret = curve_pair(path, "the console's")
     try:
         known = len(server) == 40 and len(z85.decode(server.encode())) == 32
     except (KeyError, ValueError):

@@ -3,7 +3,6 @@
 import asyncio
 import resource
 import socket
-import ssl
 from dataclasses import replace
 from typing import Any
 
@@ -11,6 +10,7 @@ from annulus.console.program import Program, say
 from annulus.console.viewing import SAID_MAX
 from annulus.console.web import application
 from annulus.extras import need
+from annulus.stream.access import require_secret
 from annulus.untrusted import one_line
 from annulus.vocabulary import AnnulusError
 
@@ -42,8 +42,10 @@ def prepared(program: Program) -> tuple[Any, socket.socket]:
         ssl_certfile=door.tls_cert, ssl_keyfile=door.tls_key, backlog=1024,
     )  # fmt: skip
     try:
+        if door.tls_key is not None:
+            require_secret(door.tls_key)
         config.load()
-    except (OSError, ssl.SSLError) as error:
+    except (OSError, ValueError) as error:  # ssl.SSLError is an OSError
         why = one_line(str(error))
         raise AnnulusError(f"{door.tls_cert}, {door.tls_key}: no certificate and its key ({why})") from None
     _let_many_in()

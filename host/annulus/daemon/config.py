@@ -6,8 +6,6 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, cast
 
-import zmq
-
 from annulus.capture.timing import FrameTiming
 from annulus.controller import HOST_TIMEOUT_DEFAULT_MS, HOST_TIMEOUT_MAX_MS, HOST_TIMEOUT_MIN_MS, PREAMBLE_MAX
 from annulus.daemon.camera_config import CAMERA_KINDS, CameraConfig, CameraKind
@@ -20,7 +18,7 @@ from annulus.sensors.chips import CHIPS
 from annulus.sensors.i2c import bus_number
 from annulus.sensors.odometer import MAX_SPEED_MM_S
 from annulus.sensors.remote import NAME
-from annulus.stream.access import Keys
+from annulus.stream.access import Keys, curve_pair
 from annulus.stream.frames import CAMERAS_MAX
 from annulus.untrusted import TOML_MAX, parse_toml, read_file, shown
 from annulus.vocabulary import AnnulusError
@@ -430,13 +428,7 @@ def _keys(content: Mapping[str, Any], section: str, folder: Path) -> Keys | None
     if "key_file" not in content:
         return None
     path = folder / _text(content, section, "key_file", "")
-    try:
-        secret = read_file(path, 4096).decode("ascii").strip()
-        public = zmq.curve_public(secret.encode()).decode()
-    except OSError as error:
-        raise AnnulusError(f"{path}: cannot be read ({error.strerror}). Expected the daemon's secret key.") from None
-    except (ValueError, zmq.ZMQError):
-        raise AnnulusError(f"{path}: not a CURVE secret key. Expected 40 characters of Z85.") from None
+    public, secret = curve_pair(path, "the daemon's")
     viewers = content.get("viewers", [])
     if not isinstance(viewers, list) or not all(isinstance(key, str) for key in viewers):
         raise ValueError(f"[{section}] viewers must be a list of public keys")

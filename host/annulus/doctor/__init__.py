@@ -8,12 +8,13 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
+from annulus.console.access import password_file
 from annulus.daemon.check import Finding, check_head, priority
 from annulus.daemon.config import HeadConfig, load_config
 from annulus.doctor.drive import disk
 from annulus.doctor.eyes import cameras
 from annulus.doctor.lines import boards, libusb, ports, rule
-from annulus.doctor.machine import clock, kernels, memory, versions
+from annulus.doctor.machine import clock, kernels, memory, secrets, versions
 from annulus.reprocess import make_ready
 from annulus.twin.worlds import demo_world
 from annulus.vocabulary import AnnulusError
@@ -48,6 +49,7 @@ def examine(config: Path | None = None, folder: Path | None = None, root: Path =
         lambda: disk(where, head),
         lambda: clock(),
         lambda: memory(root, head),
+        lambda: secrets([password_file()]),
     )
     found = [finding for look in looks for finding in look()]
     if config is None:

@@ -4,7 +4,8 @@ import ctypes
 import importlib.metadata
 import platform
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from annulus import shipped
@@ -15,6 +16,7 @@ from annulus.flash.image import read_image
 from annulus.geometry.calibration import Calibration
 from annulus.numeric import compiling
 from annulus.reprocess import ahead
+from annulus.stream.access import require_secret
 from annulus.vocabulary import AnnulusError
 
 PACKAGES = ("numpy", "opencv-python-headless", "scipy", "numba", "mcap", "pyzmq", "simplejpeg")
@@ -58,6 +60,19 @@ def kernels(calibration: Calibration | None = None) -> list[Finding]:
     if ready:
         return [Finding("compiled", True, f"the measuring loops ({work}), in {kept}")]
     return [Finding("compiled", None, f"not yet ({work}): the first scan waits for it, or have doctor compile it now")]
+
+
+def secrets(files: Sequence[Path]) -> list[Finding]:
+    """Whether nobody else may read or change them; those of head.toml are looked at when it is read."""
+    found = []
+    for path in files:
+        with suppress(FileNotFoundError):
+            try:
+                require_secret(path)
+                found.append(Finding("secret", True, f"{path}: this user's alone"))
+            except (AnnulusError, ValueError) as error:
+                found.append(Finding("secret", False, str(error)))
+    return found
 
 
 def clock(

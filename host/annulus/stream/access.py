@@ -1,10 +1,13 @@
-"""Who may connect: from this machine anybody, from outside only known CURVE keys.
+"""Who may connect: from this machine anybody, from outside only known CURVE keys. And what a secret's file must be.
 
 One Doorkeeper serves all sockets of a ZeroMQ context: libzmq asks it (ZAP, RFC 27) before it lets anyone in.
 """
 
 import ipaddress
+import os
+import stat
 from dataclasses import dataclass
+from pathlib import Path
 from urllib.parse import urlsplit
 
 import zmq
@@ -12,9 +15,55 @@ from zmq.utils import z85
 
 from annulus.vocabulary import AnnulusError
 
+SECRET_MAX = 4096  # bytes of a key's or a password's file
 HEARTBEAT_S = 2.0  # a client asks whether its daemon is there so often, ..
 UNANSWERED_S = 10.0  # .. and connects again after so long without a word: a machine that lost its power tells nobody
 CONNECT_S = 5.0  # for one try: the kernel would go on with the same for two minutes, ever more rarely
+
+
+def read_secret(path: Path, limit: int = SECRET_MAX) -> bytes:
+    """A file that holds a secret. What others may read is none any more, and what they own or may write is theirs:
+    AnnulusError. OSError and ValueError as `untrusted.read_file` raises them.
+    """
+    with open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
+        _require(path, os.fstat(file.fileno()))  # of what is read, whatever the name stands for a moment later
+        data = file.read(limit + 1)
+    if len(data) > limit:
+        raise ValueError(f"larger than {limit} bytes")
+    return data
+
+
+def require_secret(path: Path) -> None:
+    """For what another library reads. Raises AnnulusError, one line with what mends it; OSError where it is not there."""
+    _require(path, path.stat())
+
+
+def _require(path: Path, file: os.stat_result) -> None:
+    if not stat.S_ISREG(file.st_mode):
+        raise ValueError("not a file")
+    if file.st_uid not in (os.geteuid(), 0):
+        raise AnnulusError(
+            f"{path}: belongs to user {file.st_uid}, who can change it, expected this user's or root's: it is a secret"
+        )
+    if file.st_mode & 0o077:
+        may = "read" if file.st_mode & 0o044 else "change"
+        raise AnnulusError(
+            f"{path}: others may {may} it, expected mode 600 and not {stat.S_IMODE(file.st_mode):03o}: it is a secret. "
+            f"chmod 600 {path}, and make another where somebody may have read it"
+        )
+
+
+def curve_pair(path: Path, whose: str) -> tuple[str, str]:
+    """Public and secret key (Z85) of a file that holds the secret one, 40 characters, and nothing else. `whose` it is,
+    for people. Raises AnnulusError, one line.
+    """
+    try:
+        secret = read_secret(path).decode("ascii").strip()
+        return zmq.curve_public(secret.encode()).decode(), secret
+    except OSError as error:
+        raise AnnulusError(f"{path}: cannot be read ({error.strerror}). Expected {whose} secret key.") from None
+    except (ValueError, zmq.ZMQError):
+        raise AnnulusError(f"{path}: not a CURVE secret key. Expected 40 characters of Z85.") from None
 
 
 @dataclass(frozen=True, slots=True)

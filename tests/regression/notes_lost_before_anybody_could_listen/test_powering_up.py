@@ -14,7 +14,9 @@ from annulus.stream.workers import Ready, Shared
 
 def test_what_is_said_before_the_first_publisher_is_up_is_no_loss(tmp_path: Path) -> None:
     context, ring, account = zmq.Context(), FrameRing(4, 48), Account()
-    publishing = Publishing(SocketConfig("tcp://127.0.0.1:*", None), Shared(ring, context, tmp_path), account, Observer())
+    publishing = Publishing(
+        SocketConfig("tcp://127.0.0.1:*", None), Shared(ring, context, tmp_path), account, Observer()
+    )
     try:
         for _ in range(5000):  # its process, not up yet, takes none of them
             publishing.event("sensor", "of a start that takes its time")

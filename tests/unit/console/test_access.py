@@ -202,11 +202,13 @@ def test_keys_of_a_daemon_elsewhere(tmp_path: Path) -> None:
     server, _ = (key.decode() for key in zmq.curve_keypair())
     public, secret = (key.decode() for key in zmq.curve_keypair())
     (tmp_path / "console.key").write_text(secret + "\n")
+    (tmp_path / "console.key").chmod(0o600)
     keys = client_keys(tmp_path / "console.key", server)
     assert (keys.server, keys.public, keys.secret) == (server, public, secret)
     with pytest.raises(AnnulusError, match="no public CURVE key"):
         client_keys(tmp_path / "console.key", "x" * 40 + "\n")
     (tmp_path / "bad.key").write_text("secret")
+    (tmp_path / "bad.key").chmod(0o600)
     with pytest.raises(AnnulusError, match="not a CURVE secret key"):
         client_keys(tmp_path / "bad.key", server)
     with pytest.raises(AnnulusError, match="cannot be read"):

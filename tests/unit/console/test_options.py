@@ -84,6 +84,8 @@ def test_a_head_toml_says_where_its_daemon_is(made: list[Any], tmp_path: Path) -
     server, mine = zmq.curve_keypair(), zmq.curve_keypair()
     (tmp_path / "publish.key").write_text(server[1].decode())
     (tmp_path / "console.key").write_text(mine[1].decode())
+    for name in ("publish.key", "console.key"):
+        (tmp_path / name).chmod(0o600)
     sockets = (
         f'[publish]\naddress = "tcp://127.0.0.1:5701"\nkey_file = "publish.key"\nviewers = ["{mine[0].decode()}"]\n'
     )
@@ -123,6 +125,7 @@ def test_over_tls_a_page_is_served_and_the_password_asked_for(head: FakeDaemon, 
 
 def test_a_certificate_that_is_none_is_said_in_a_line(head: FakeDaemon, tmp_path: Path) -> None:
     (tmp_path / "cert.pem").write_text("no certificate")
+    (tmp_path / "cert.pem").chmod(0o600)
     for cert in ("cert.pem", "none.pem"):
         door = Door(port=0, tls_cert=tmp_path / cert, tls_key=tmp_path / cert)
         with (

@@ -55,6 +55,7 @@ def test_the_example_in_the_readme_is_valid(tmp_path: Path) -> None:
     example = readme.read_text().split("```toml\n")[1].split("```")[0]
     secret = zmq.curve_keypair()[1].decode()
     (tmp_path / "publish.key").write_text(secret + "\n")
+    (tmp_path / "publish.key").chmod(0o600)
     (tmp_path / "head-7.json").write_text(
         json.dumps({**CALIBRATION, "camera": {**CALIBRATION["camera"], "width": 1664, "height": 1232}})
     )
@@ -149,6 +150,7 @@ def test_an_empty_file_is_a_camera_without_a_controller(tmp_path: Path) -> None:
 )  # fmt: skip
 def test_what_is_wrong_is_named(tmp_path: Path, text: str, says: str) -> None:
     (tmp_path / "c.json").write_text(json.dumps(CALIBRATION))
+    (tmp_path / "c.json").chmod(0o600)  # one row takes it for a key
     cropped = {**CALIBRATION, "camera": {**CALIBRATION["camera"], "sensor_crop": [0, -2, 3280, 2464]}}
     (tmp_path / "crop.json").write_text(json.dumps(cropped))
     (tmp_path / "two.json").write_text(json.dumps(TWO_CAMERAS))
