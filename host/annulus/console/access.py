@@ -75,7 +75,9 @@ class Rates:
 
 @dataclass(slots=True)
 class Session:
-    """One browser. `id` is what others may know of it, `cookie` and `token` are its own."""
+    """One browser. `id` is what others may know of it, `cookie` and `token` are its own; `lease`, by which the daemon
+    knows who commands, is told to nobody but the daemon.
+    """
 
     allowed: bool  # logged in, or nobody has to
     seen_s: float
@@ -83,6 +85,8 @@ class Session:
     id: str = field(default_factory=lambda: secrets.token_hex(8))
     cookie: str = field(default_factory=lambda: secrets.token_urlsafe(32))
     token: str = field(default_factory=lambda: secrets.token_urlsafe(32))
+    lease: str = field(default_factory=lambda: secrets.token_hex(16), repr=False)
+    address: str = ""  # where its last request came from
     confirms: dict[str, float] = field(default_factory=dict)  # and until when
 
     def is_token(self, given: str) -> bool:

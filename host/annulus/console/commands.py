@@ -78,19 +78,19 @@ class Lease:
 
     def __init__(self, commands: Commands, answers: Callable[[str], bool]) -> None:
         self._commands, self._answers = commands, answers
-        self._holder: Mapping[str, Any] | None = None
+        self._holder: tuple[str, Mapping[str, Any]] | None = None  # the session's id, and as the daemon knows it
         self._renewed_s = 0.0
 
     @property
     def holder(self) -> str | None:
         """The id of the session; None when none of ours."""
-        return None if self._holder is None else str(self._holder["id"])
+        return None if self._holder is None else self._holder[0]
 
-    def heard(self, do: str, who: Mapping[str, Any]) -> None:
+    def heard(self, do: str, session: str, who: Mapping[str, Any]) -> None:
         """The daemon said yes to this session's request."""
         if do == "command":
-            self._holder, self._renewed_s = who, time.monotonic()
-        elif do == "release" and self.holder == who["id"]:
+            self._holder, self._renewed_s = (session, who), time.monotonic()
+        elif do == "release" and self.holder == session:
             self._holder = None
 
     async def renew(self) -> None:
@@ -100,10 +100,10 @@ class Lease:
             return
         if time.monotonic() - self._renewed_s > COMMAND_S:
             self._holder = None
-        elif self._answers(str(holder["id"])):
+        elif self._answers(holder[0]):
             asked = time.monotonic()
             try:
-                await self._commands.ask({"do": "command", "who": dict(holder)})
+                await self._commands.ask({"do": "command", "who": dict(holder[1])})
                 self._renewed_s = asked
             except Refusal as refusal:
                 if refusal.status == 409 and self._holder is holder:  # another took it

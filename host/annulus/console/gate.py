@@ -8,7 +8,7 @@ from collections.abc import Awaitable, Callable, Iterable, MutableMapping
 from http.cookies import CookieError, SimpleCookie
 from typing import Any
 
-from annulus.console.access import GETS, POSTS, Places, Rates, Session, Sessions
+from annulus.console.access import GETS, NAME_MAX, POSTS, Places, Rates, Session, Sessions
 from annulus.console.answers import ASKED_MAX, Refusal, refused
 
 Message = MutableMapping[str, Any]
@@ -76,6 +76,8 @@ class Gate:
         if not (self._posts if method == "POST" else self._gets).take(peer, now):
             raise Refusal(429, "too many requests, expected fewer a second")
         session = self._sessions.of(_cookie(headers.all("cookie"), self._cookie), now)
+        if session is not None:
+            session.address = peer[:NAME_MAX]
         if method == "POST" or kind == "websocket":
             origin = headers.one("origin")
             if origin is None or not self._places.is_same(origin, host):

@@ -92,7 +92,7 @@ class Program:
         """A request of the control socket in this session's name. Raises Refusal."""
         who = self.who(session)
         answer = await self.commands.ask({**asked, "who": who})
-        self.lease.heard(str(asked.get("do")), who)
+        self.lease.heard(str(asked.get("do")), session.id, who)
         self.look()
         return answer
 
@@ -111,7 +111,8 @@ class Program:
     @staticmethod
     def who(session: Session) -> dict[str, str]:
         """As the daemon is told who asks."""
-        return {"id": session.id, "name": session.name or f"browser {session.id[:4]}"}
+        said = {"id": session.lease, "name": session.name or f"browser {session.id[:4]}"}
+        return {**said, "from": session.address} if session.address else said
 
     def look(self) -> None:
         """What the daemon is about may have changed."""

@@ -87,7 +87,9 @@ class Tuning:
 
         daemon = self._program.daemon
         who = self._program.who(session)
-        with ControlClient(daemon.control, daemon.control_keys, Operator(who["id"], who["name"])) as client:
+        with ControlClient(
+            daemon.control, daemon.control_keys, Operator(who["id"], who["name"], who.get("from", ""))
+        ) as client:
             return tune(
                 client, daemon.publish, lamp, keys=daemon.publish_keys, progress=progress, cancelled=cancelled.is_set
             )

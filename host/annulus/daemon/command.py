@@ -2,22 +2,34 @@
 
 A lease, kept by the daemon, which is the only one that all of them talk to. It ends by itself: an operator whose
 machine is gone commands nothing. Where nobody commands, everybody may, as programs do that know of no command.
+
+Who brings the holder's id is the holder, so it is a secret between him and the daemon. Everybody else knows him by
+another, which a key drawn for this daemon makes of it: not even a short id can be guessed from that.
 """
 
-from dataclasses import dataclass
+import hashlib
+import hmac
+import secrets
+from dataclasses import dataclass, field
 
 from annulus.vocabulary import AnnulusError
 
 COMMAND_S = 10.0  # from one renewal to the next at most; guarded by test_command.py
-ID_MAX, NAME_MAX = 40, 60  # characters
+ID_MAX, NAME_MAX, ADDRESS_MAX = 40, 60, 60  # characters
 
 
 @dataclass(frozen=True, slots=True)
 class Operator:
-    """Who asks: `id` tells two of one name apart, `name` is for people."""
+    """Who asks. `id` is his secret, drawn at random: who brings it is him. `name` is for people, `address` where he
+    says he sits, behind a console.
+    """
 
-    id: str
+    id: str = field(repr=False)
     name: str
+    address: str = ""
+
+    def is_same(self, other: "Operator") -> bool:
+        return hmac.compare_digest(self.id.encode("utf-8", "replace"), other.id.encode("utf-8", "replace"))
 
 
 class Command:
@@ -26,6 +38,11 @@ class Command:
     def __init__(self) -> None:
         self._holder: Operator | None = None
         self._since_s = self._until_s = 0.0
+        self._key = secrets.token_bytes(16)
+
+    def public_id(self, who: Operator) -> str:
+        """What others may know him by: the same for as long as this daemon runs."""
+        return hmac.new(self._key, who.id.encode("utf-8", "replace"), hashlib.sha256).hexdigest()[:16]
 
     def holder(self, now_s: float) -> Operator | None:
         """Who commands now."""
@@ -42,9 +59,9 @@ class Command:
         if who is None:
             raise AnnulusError("command: expected who asks, an id and a name")
         before = self.holder(now_s)
-        if before is not None and before.id != who.id and not take:
+        if before is not None and not before.is_same(who) and not take:
             raise AnnulusError(f"{before.name} commands; take the command to change things yourself")
-        fresh = before is None or before.id != who.id
+        fresh = before is None or not before.is_same(who)
         if fresh:
             self._since_s = now_s
         self._holder, self._until_s = who, now_s + COMMAND_S
@@ -55,7 +72,7 @@ class Command:
     def release(self, who: Operator | None, now_s: float) -> str:
         """Nobody commands any more, where it was them."""
         before = self.holder(now_s)
-        if before is None or who is None or before.id != who.id:
+        if before is None or who is None or not before.is_same(who):
             return ""
         self._holder = None
         return f"{who.name} does not command any more"
@@ -63,7 +80,7 @@ class Command:
     def require(self, who: Operator | None, now_s: float) -> None:
         """Raises AnnulusError when somebody else commands."""
         holder = self.holder(now_s)
-        if holder is not None and (who is None or who.id != holder.id):
+        if holder is not None and (who is None or not who.is_same(holder)):
             raise AnnulusError(f"{holder.name} commands; take the command to change things yourself")
 
     def numbers(self, now_s: float) -> dict[str, object] | None:
@@ -72,5 +89,5 @@ class Command:
         return (
             None
             if holder is None
-            else {"name": holder.name, "id": holder.id, "since_s": round(now_s - self._since_s, 1)}
+            else {"name": holder.name, "id": self.public_id(holder), "since_s": round(now_s - self._since_s, 1)}
         )

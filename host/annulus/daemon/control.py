@@ -10,6 +10,7 @@ Every request is answered once, a wrong one with what is wrong. Who may connect:
 import contextlib
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, Self
 
 import msgpack
@@ -59,12 +60,13 @@ class ControlSocket:
         malformed = 0
         for _ in range(TAKEN_MAX):
             try:
-                parts = self._socket.recv_multipart(zmq.NOBLOCK)
+                frames = self._socket.recv_multipart(zmq.NOBLOCK, copy=False)
             except zmq.Again:
                 break
+            parts = [frame.bytes for frame in frames]
             error, besides = "", None
             try:
-                besides = obey(_parse(parts))
+                besides = obey(replace(_parse(parts), peer=_peer(frames[-1])))
             except ValueError as wrong:
                 malformed += 1
                 error = str(wrong)
@@ -78,6 +80,13 @@ class ControlSocket:
 
     def close(self) -> None:
         self._socket.close()
+
+
+def _peer(frame: zmq.Frame) -> str:
+    """The address at the other end; one that is on this machine, and not by TCP, has none."""
+    with contextlib.suppress(zmq.ZMQError, KeyError):
+        return str(frame.get("Peer-Address"))
+    return "this machine"
 
 
 def _parse(parts: list[bytes]) -> Request:
@@ -170,7 +179,10 @@ class ControlClient:
 
     def answer(self, request: Mapping[str, Any], timeout_s: float = ANSWER_S) -> Mapping[str, Any]:
         """Any request, and all that is said to it. Raises AnnulusError as `ask`."""
-        who = {} if self._who is None else {"who": {"id": self._who.id, "name": self._who.name}}
+        who = {}
+        if self._who is not None:
+            where = {"from": self._who.address} if self._who.address else {}
+            who = {"who": {"id": self._who.id, "name": self._who.name, **where}}
         try:
             packed = msgpack.packb({**who, **request})
         except UnicodeEncodeError as error:

@@ -18,7 +18,7 @@ from typing import Any
 from annulus.daemon.account import ScanReport
 from annulus.daemon.config import LogConfig
 from annulus.daemon.health import Health, Word
-from annulus.daemon.observer import Observer
+from annulus.daemon.observer import Commanded, Observer
 from annulus.daemon.state import State
 from annulus.vocabulary import AnnulusError
 
@@ -69,6 +69,9 @@ class LogFile(Observer):
 
     def event(self, kind: str, text: str) -> None:
         self.say(LEVELS.get(kind, logging.INFO), kind, text)
+
+    def commanded(self, what: Commanded) -> None:
+        self.say(logging.INFO, "asked", str(what))
 
     def health(self, health: Health) -> None:
         if health.word is not self._word[0]:

@@ -18,6 +18,30 @@ from annulus.wall.profile import Profile
 
 
 @dataclass(frozen=True, slots=True)
+class Commanded:
+    """What an operator asked for that changes something, and what became of it."""
+
+    host_ns: int
+    name: str  # as he says; empty where nobody said who asks
+    id: str  # by which the daemon tells two of one name apart; not his own, which is secret
+    peer: str  # the address that asked
+    address: str  # where he says he sits, behind a console
+    asked: Mapping[str, Any]
+    outcome: str  # "done", or why not
+    left_out: int = 0  # requests before it that came too fast to be written down
+
+    def __str__(self) -> str:
+        details = ", ".join(f"{key} {value}" for key, value in self.asked.items() if key != "do")
+        who = f"{self.name} ({self.id})" if self.name else "somebody"
+        where = f"{self.address} by {self.peer}" if self.address else self.peer
+        more = f"; {self.left_out} before it left out" if self.left_out else ""
+        return f"{self.asked['do']}{f' ({details})' if details else ''}, {who} from {where}: {self.outcome}{more}"
+
+    def to_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+@dataclass(frozen=True, slots=True)
 class Mark:
     """What the operator wants to find again."""
 
@@ -57,6 +81,9 @@ class Observer:
 
     def mark(self, mark: Mark) -> None:
         """The operator marked a place."""
+
+    def commanded(self, what: Commanded) -> None:
+        """Somebody asked for something. Never published: who looks on need not know from where."""
 
     def job(self, sheet: JobSheet) -> None:
         """What is known of the job from now on."""
@@ -104,6 +131,10 @@ class Observers(Observer):
     def mark(self, mark: Mark) -> None:
         for one in self.all:
             one.mark(mark)
+
+    def commanded(self, what: Commanded) -> None:
+        for one in self.all:
+            one.commanded(what)
 
     def job(self, sheet: JobSheet) -> None:
         for one in self.all:

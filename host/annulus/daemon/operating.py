@@ -14,7 +14,7 @@ from annulus.daemon.about import about
 from annulus.daemon.command import Command
 from annulus.daemon.config import HeadConfig, LampConfig
 from annulus.daemon.controller_line import check_lamps, lamp_numbers, preamble_for, stage_of, with_lamps
-from annulus.daemon.observer import Mark
+from annulus.daemon.observer import Commanded, Mark
 from annulus.daemon.request import COMMANDED, Do, Request
 from annulus.vocabulary import AnnulusError
 
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from annulus.daemon.session import Session
 
 PHOTO_S = 1.0  # from one photo to the next at least
+WRITTEN_MAX = 20  # requests written down in one second; test_operating_audit: a flood fills neither recording nor log
+ASKS = frozenset({Do.STATE, Do.ABOUT, Do.HOLD})  # change nothing, or only go on
 
 
 class Operating:
@@ -33,9 +35,47 @@ class Operating:
         self._trial_until_s: float | None = None  # monotonic
         self._before: LampConfig | None = None  # the lamps that come back when the trial ends
         self._photo_s = -PHOTO_S  # monotonic, of the last mark with a photo
+        self._second, self._written, self._left_out = 0, 0, 0  # of what is written down: in which second, how much
 
     def obey(self, request: Request) -> Mapping[str, Any] | None:
-        """Do what is asked; what the answer says besides. Raises AnnulusError when it cannot be done now."""
+        """Do what is asked, and write down who asked; what the answer says besides. Raises AnnulusError when it cannot
+        be done now.
+        """
+        renewal = request.do is Do.COMMAND and self._holds(request)
+        quiet = request.do in ASKS or renewal or (request.do is Do.LAMPS and not request.commit)
+        ending = request.do is Do.STOP and self._session.has_scan  # written down while its recording is open
+        if ending:
+            self._write_down(request, "done")
+        try:
+            answer = self._obey(request)
+        except AnnulusError as refused:
+            if not renewal:
+                self._write_down(request, str(refused))
+            raise
+        if not (quiet or ending):
+            self._write_down(request, "done")
+        return answer
+
+    def _holds(self, request: Request) -> bool:
+        holder = self._command.holder(time.monotonic())
+        return holder is not None and request.who is not None and holder.is_same(request.who)
+
+    def _write_down(self, request: Request, outcome: str) -> None:
+        """Bounded: a client that asks as fast as it can fills neither the recording nor the log."""
+        now_ns, who = time.monotonic_ns(), request.who
+        second = now_ns // 1_000_000_000
+        if second != self._second:
+            self._second, self._written = second, 0
+        self._written += 1
+        if self._written > WRITTEN_MAX:
+            self._left_out += 1
+            return
+        name, own, address = ("", "", "") if who is None else (who.name, self._command.public_id(who), who.address)
+        left_out, self._left_out = self._left_out, 0
+        said = Commanded(now_ns, name, own, request.peer, address, request.told(), outcome, left_out)
+        self._session.observers.commanded(said)
+
+    def _obey(self, request: Request) -> Mapping[str, Any] | None:
         now_s = time.monotonic()
         if request.do in COMMANDED:
             self._command.require(request.who, now_s)

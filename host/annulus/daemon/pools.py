@@ -23,7 +23,7 @@ from annulus.daemon.account import Account
 from annulus.daemon.flashes import Flashes, Gathered
 from annulus.daemon.health import Health
 from annulus.daemon.intake import RESERVE, InSlot
-from annulus.daemon.observer import Mark, Observer
+from annulus.daemon.observer import Commanded, Mark, Observer
 from annulus.daemon.reorder import ReorderBuffer
 from annulus.daemon.state import State
 from annulus.geometry.calibration import Calibration
@@ -257,6 +257,9 @@ class Recorder(Pool, Observer):
 
     def mark(self, mark: Mark) -> None:
         self.note("/mark", mark.to_dict())
+
+    def commanded(self, what: Commanded) -> None:
+        self.note("/command", what.to_dict())
 
     def job(self, sheet: JobSheet) -> None:
         self.note("/job", sheet.to_whole())

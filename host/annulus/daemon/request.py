@@ -1,6 +1,6 @@
 """What a client of the control socket may ask, checked field by field.
 
-    {"do": "start", "record": true, "hold_s": 10.0, "who": {"id": .., "name": ..}}
+    {"do": "start", "record": true, "hold_s": 10.0, "who": {"id": .., "name": .., "from": ..}}
 
 Every request may say who asks; what else one may have is in FIELDS. Whatever is not known is refused: a client that
 misspells a key must not be taken to have asked for something else.
@@ -12,7 +12,7 @@ from enum import StrEnum
 from typing import Any, Self
 
 from annulus import untrusted
-from annulus.daemon.command import ID_MAX, NAME_MAX, Operator
+from annulus.daemon.command import ADDRESS_MAX, ID_MAX, NAME_MAX, Operator
 from annulus.job import WORDS, JobSheet, emptied
 
 REQUEST_MAX = 4096  # bytes
@@ -68,6 +68,21 @@ class Request:
     trial: bool = False  # .. until the trial ends, and whatever rows are open
     take: bool = False
     who: Operator | None = None
+    peer: str = field(default="", compare=False)  # where it came from, as its socket has it
+
+    def told(self) -> dict[str, Any]:
+        """What is asked, for people and recordings: no photo, nobody's words but where they are nowhere else."""
+        said: dict[str, Any] = {"do": self.do.value}
+        match self.do:
+            case Do.START:
+                said |= {"record": self.record}
+            case Do.LAMPS:
+                said |= {"lamps": dict(self.lamps), "commit": self.commit, "trial": self.trial}
+            case Do.JOB if self.job is not None:
+                said |= {"job": sorted({*self.job.to_dict(), *self.emptied})}
+            case Do.COMMAND:
+                said |= {"take": self.take}
+        return said
 
     @classmethod
     def unpack(cls, packed: bytes) -> Self:
@@ -144,10 +159,11 @@ def _who(value: object) -> Operator | None:
     if value is None:
         return None
     who = untrusted.mapping(value, "who")
-    if set(who) != {"id", "name"}:
-        raise ValueError("who: expected an id and a name")
+    if {*who, "from"} != {"id", "name", "from"}:
+        raise ValueError("who: expected an id and a name, and perhaps from where")
     name = untrusted.printable(untrusted.text(who["name"], "who: name", NAME_MAX)).strip()
     own = untrusted.text(who["id"], "who: id", ID_MAX)
     if not name or not own:
         raise ValueError("who: expected an id and a name that are not empty")
-    return Operator(own, name)
+    address = untrusted.printable(untrusted.text(who.get("from", ""), "who: from", ADDRESS_MAX)).strip()
+    return Operator(own, name, address)

@@ -15,7 +15,7 @@ from annulus.daemon.health import Health, Word
 from annulus.daemon.interrupt import Interrupt
 from annulus.daemon.ledger import Status
 from annulus.daemon.logfile import LogFile
-from annulus.daemon.observer import Observer, Observers
+from annulus.daemon.observer import Commanded, Observer, Observers
 from annulus.daemon.priority import raise_priority
 from annulus.daemon.samples import open_sensors
 from annulus.daemon.service import Service
@@ -44,6 +44,9 @@ class Console(Observer):
 
     def event(self, kind: str, text: str) -> None:
         _say(text)
+
+    def commanded(self, what: Commanded) -> None:
+        _say(f"asked: {what}")
 
     def telemetry(self, numbers: Mapping[str, Any]) -> None:
         _say(one_line(numbers))

@@ -181,9 +181,9 @@ def test_lamps_come_on_after_a_second_step_only(console: Browser, head: FakeDaem
 def test_a_browser_cannot_say_that_it_is_another(console: Browser, head: FakeDaemon) -> None:
     mine = console.session()["id"]
     console.do("command", who={"id": "another", "name": "the chief"})
-    assert [asked["who"] for asked in head.asked if asked["do"] == "command"] == [
-        {"id": mine, "name": f"browser {mine[:4]}"}
-    ]
+    (who,) = [asked["who"] for asked in head.asked if asked["do"] == "command"]
+    assert (who["name"], who["from"]) == (f"browser {mine[:4]}", "testclient")
+    assert who["id"] not in ("another", mine) and who["id"] not in console.client.get("/api/session").text
 
 
 def test_a_script_in_a_name_stays_a_text(console: Browser, head: FakeDaemon) -> None:

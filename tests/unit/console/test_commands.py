@@ -143,21 +143,21 @@ def test_a_command_is_renewed_while_its_page_answers(told: Told) -> None:
     there = True
     lease = Lease(told, lambda session: there and session == "me")  # type: ignore[arg-type]
     assert renewed(told, lease) == 0 and lease.holder is None
-    lease.heard("command", ME)
+    lease.heard("command", "me", ME)
     assert renewed(told, lease) == 1 and told.asked == [{"do": "command", "who": ME}]
     there = False
     assert renewed(told, lease) == 0
     there = True
     assert renewed(told, lease) == 1
-    lease.heard("release", OTHER)
+    lease.heard("release", "other", OTHER)
     assert lease.holder == "me"
-    lease.heard("release", ME)
+    lease.heard("release", "me", ME)
     assert renewed(told, lease) == 0 and lease.holder is None
 
 
 def test_what_another_took_is_not_taken_back(told: Told) -> None:
     lease = Lease(told, lambda session: True)  # type: ignore[arg-type]
-    lease.heard("command", ME)
+    lease.heard("command", "me", ME)
     told.refuses = Refusal(409, "A. N. Other commands")
     assert renewed(told, lease) == 1 and lease.holder is None
     told.refuses = None
@@ -166,7 +166,7 @@ def test_what_another_took_is_not_taken_back(told: Told) -> None:
 
 def test_what_lapsed_is_not_taken_again_by_itself(told: Told, monkeypatch: pytest.MonkeyPatch) -> None:
     lease = Lease(told, lambda session: True)  # type: ignore[arg-type]
-    lease.heard("command", ME)
+    lease.heard("command", "me", ME)
     told.refuses = Refusal(504, "no answer")
     assert renewed(told, lease) == 1 and lease.holder == "me"
     monkeypatch.setattr(commands_module, "COMMAND_S", -1.0)

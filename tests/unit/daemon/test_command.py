@@ -18,7 +18,7 @@ def test_whoever_commands_is_named_to_the_others() -> None:
     command.require(ANNA, 1.0)
     with pytest.raises(AnnulusError, match="Anna commands"):
         command.ask(BEN, 1.0, take=False)
-    assert command.numbers(4.0) == {"name": "Anna", "id": "a", "since_s": 4.0}
+    assert command.numbers(4.0) == {"name": "Anna", "id": command.public_id(ANNA), "since_s": 4.0}
 
 
 def test_it_ends_by_itself_and_lasts_while_it_is_renewed() -> None:
