@@ -1,4 +1,4 @@
-"""Files that come with the package and are no Python: the native library, the Pico's image, udev rule, unit, manual.
+"""Files that come with the package and are no Python: the native library, the Pico's image, udev rule, units, manual.
 
 They lie in this folder, in a wheel and in a checkout alike: a build puts what it makes here (git ignores it), and
 nothing looks for it by a parent's folder. What only a checkout has is asked for here too.
@@ -11,9 +11,8 @@ from pathlib import Path
 
 from annulus.vocabulary import AnnulusError
 
-NATIVE, IMAGE, UDEV, UNIT, MANUAL = (
-    "libannulus_native.so", "annulus.uf2", "99-annulus.rules", "annulus.service", "manual",
-)  # fmt: skip
+NATIVE, IMAGE, UDEV, MANUAL = "libannulus_native.so", "annulus.uf2", "99-annulus.rules", "manual"
+UNIT, CONSOLE_UNIT = "annulus.service", "annulus-console.service"
 BUILD = "build.json"  # which version, commit and machine a wheel is of; only a wheel has it
 EMULATOR = "tools/emulator/emulate.mjs"
 _MADE_BY = {NATIVE: "make setup", IMAGE: "make firmware", MANUAL: "make docs"}
