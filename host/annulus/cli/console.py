@@ -24,7 +24,10 @@ def console(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Folder for what --demo writes; a temporary one if not given.")
     ] = None,
-    fps: Annotated[float, typer.Option(min=1.0, max=60.0, help="Frames per second of --demo.")] = 10.0,
+    fps: Annotated[
+        float | None,
+        typer.Option(min=1.0, max=60.0, help="Frames per second of --demo; measured if not given: what holds here."),
+    ] = None,
     key_file: KeyFile = None,
     daemon_key: DaemonKey = None,
     host: Annotated[str, typer.Option(help="Address to serve the page at; any but loopback needs TLS.")] = "127.0.0.1",
@@ -55,7 +58,7 @@ def console(
     folders = list(surveys or ())
     with contextlib.ExitStack() as stack:
         if demo:
-            _compiled()
+            fps = fps or _paced()
             folder = out or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="annulus-console-")))
             tell(f"a simulated head and its daemon come up; what they say is in {folder / 'demo.log'}")
             where = Daemon(*stack.enter_context(simulated(folder, fps)))
@@ -72,12 +75,20 @@ def console(
             serve(program)
 
 
-def _compiled() -> None:
-    """Loops that the simulated head's daemon would have to wait for, while nobody could see why."""
+def _paced() -> float:
+    """What this machine holds, as `annulus demo` measures it; loops are compiled before, which the simulated head's
+    daemon would have to wait for while nobody could see why.
+    """
+    from annulus.demo import measure_pace
     from annulus.reprocess.ahead import make_ready
     from annulus.twin.worlds import demo_world
 
-    make_ready(demo_world().calibration(), tell)
+    world = demo_world()
+    make_ready(world.calibration(), tell)
+    tell("measuring this machine")
+    pace = measure_pace(world)
+    tell(pace.why)
+    return pace.fps
 
 
 def _door(

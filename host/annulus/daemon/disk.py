@@ -4,6 +4,7 @@ The rate is what free space really lost over the last half minute, whoever wrote
 cameras will send. Free space is asked for in a thread of its own, once a second: a disk that hangs hangs nobody else.
 """
 
+import errno
 import os
 import threading
 import time
@@ -65,11 +66,27 @@ class DiskState:
 
 def free_bytes(folder: Path, statvfs: StatVfs = os.statvfs) -> int:
     """Of the disk that the folder is on, or will be. Raises OSError."""
+    space = statvfs(str(_there(folder)))
+    return space.f_bavail * space.f_frsize
+
+
+def require_writable(folder: Path) -> None:
+    """Raises OSError where nothing can be written into it, or it cannot be made: a disk mounted read-only above all."""
+    there = _there(folder)
+    if not there.is_dir():
+        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
+    if not os.access(there, os.W_OK | os.X_OK):
+        read_only = bool(os.statvfs(there).f_flag & os.ST_RDONLY)
+        number = errno.EROFS if read_only else errno.EACCES
+        raise OSError(number, os.strerror(number))
+
+
+def _there(folder: Path) -> Path:
+    """As much of it as there is."""
     there = folder.absolute()
     while not there.exists() and there != there.parent:
         there = there.parent
-    space = statvfs(str(there))
-    return space.f_bavail * space.f_frsize
+    return there
 
 
 def require_space(folder: Path, limits: RecordConfig, expected_rate: float, statvfs: StatVfs = os.statvfs) -> None:
@@ -194,6 +211,13 @@ class Asker:
         """Whether nobody has answered for HANGS_S."""
         return time.monotonic() - (self._answer or (self._began_s,))[0] > HANGS_S
 
+    @property
+    def problem(self) -> str:
+        """Why nothing could be recorded there, as of the last answer; empty where it could, or nobody has answered."""
+        if self.hangs:
+            return f"{self._folder}: does not say what is free. Is the disk still there?"
+        return self._problem
+
     def close(self) -> None:
         self._done = True
         self._wake.set()
@@ -203,6 +227,7 @@ class Asker:
             self._wake.clear()
             try:
                 self._answer = time.monotonic(), free_bytes(self._folder, self._statvfs)
+                require_writable(self._folder)
                 self._problem = ""
             except OSError as error:  # the last answer grows old
                 self._problem = _refused(self._folder, error)

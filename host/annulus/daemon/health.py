@@ -113,7 +113,9 @@ class HealthWatch:
         left = disk.get("minutes_left")
         if left is not None and left < DISK_MINUTES:
             found.append(f"disk: {left:.0f} min left")
-        if disk.get("hangs"):
+        if disk.get("refuses"):
+            found.append(f"no scan can begin: {disk['refuses']}")
+        elif disk.get("hangs"):
             found.append("disk: does not say what is free")
         return found
 

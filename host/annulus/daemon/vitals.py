@@ -10,6 +10,7 @@ from annulus.daemon.health import Health, HealthFile, HealthWatch, Word, health_
 from annulus.daemon.observer import Observer
 from annulus.daemon.priority import share_priority
 from annulus.record.codec import SHARE
+from annulus.vocabulary import AnnulusError
 
 RESERVE_S = 3.0  # of frames at least: what is in hand when a scan ends must still find room
 FIRST_ANSWER_S = 1.0  # a disk that does not say what is free by then is none to record on
@@ -49,7 +50,7 @@ class Vitals:
         self.health = Health(Word.OK)  # as of the last look
         path = health_path(config.record_folder)
         self._file = None if path is None else HealthFile(path)
-        self._told = ""
+        self._told = self._refuses = ""
 
     def require_space(self) -> None:
         """Before a scan. Raises AnnulusError, one line, when it must not begin."""
@@ -64,7 +65,18 @@ class Vitals:
         """Of the disk, for the telemetry."""
         if self._asker is None:
             return {}
-        return {**self._disk.numbers(), "hangs": self._asker.hangs}
+        return {**self._disk.numbers(), "hangs": self._asker.hangs, "refuses": self._refuses}
+
+    def _refusal(self, free: int | None) -> str:
+        """Why a scan would not begin now, as `require_space` would say; empty where it would."""
+        assert self._asker is not None and self._folder is not None
+        if free is None or self._asker.problem:
+            return self._asker.problem
+        try:
+            require_room(self._folder, self._limits, self._rate, free)
+        except AnnulusError as error:
+            return str(error)
+        return ""
 
     def look(self, telemetry: Mapping[str, Any], why_fault: str, scanning: bool) -> str:
         """Once a second. Returns why the scan under way must end, one line; empty when it need not."""
@@ -79,6 +91,7 @@ class Vitals:
                 if self._told:
                     self._observer.event("health", self._told)
         free = self._asker.latest() if self._asker is not None else None
+        self._refuses = "" if scanning or self._asker is None else self._refusal(free)
         if free is None:
             self._disk = DiskState()
             return ""

@@ -68,10 +68,12 @@ export function mountState(root, app) {
     const beingTried = trial !== null && ["armed", "scanning"].includes(state);
     if (link !== "live") state = `lost-${link}`;
     else if (beingTried) state = "trial";
+    else if (state === "idle" && telemetry.disk?.refuses) state = "blocked"; // Start would be refused
     root.dataset.state = state;
     write(word, t(`state.${state}`));
     let hint = t(`next.${state}`, { s: trial === null ? "" : Math.ceil(trial) });
-    if (state === "fault") hint = t("next.fault", { why: app.latest.state?.why || telemetry.problem || health.why || "" });
+    if (state === "blocked") hint = t("next.blocked", { why: telemetry.disk.refuses });
+    else if (state === "fault") hint = t("next.fault", { why: app.latest.state?.why || telemetry.problem || health.why || "" });
     else if (link === "live" && health.health && health.health !== "ok") hint = `${app.word("health", health.health)}: ${health.why}`;
     write(next, hint);
     root.dataset.health = link === "live" ? (health.health ?? "") : "";
