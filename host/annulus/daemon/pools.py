@@ -181,6 +181,7 @@ class RecordingSetup:
     scan: str = field(default_factory=lambda: uuid.uuid4().hex)  # whose parts belong together
     codec: Codec = DEFAULT
     clock: Clock = field(default_factory=Clock.now)  # one for all parts, whoever writes them
+    realtime: bool | None = False  # as head.toml says
 
 
 class Recorder(Pool, Observer):
@@ -193,7 +194,7 @@ class Recorder(Pool, Observer):
         plain = {
             "folder": str(setup.folder.absolute()), "name": setup.name, "calibration": setup.calibration,
             "configuration": setup.configuration, "bounds": list(astuple(setup.bounds)), "scan": setup.scan,
-            "codec": setup.codec.value, "clock": setup.clock.to_dict(),
+            "codec": setup.codec.value, "clock": setup.clock.to_dict(), "realtime": setup.realtime,
         }  # fmt: skip
         kind = WorkerKind("recorder", command, plain, 1, max(1, len(shared.ring) // 2), spares=1)
         super().__init__(kind, shared, account, observer)

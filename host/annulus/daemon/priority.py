@@ -1,8 +1,9 @@
 """Real-time priority for a thread that must be in time, where the system allows it.
 
 SCHED_FIFO comes before everything that is not real-time, and before nothing of the kernel that frames and bytes need.
-Who is started by such a thread is not real-time: recorder and workers must not hold up the loop that feeds them. The
-system's own limit (950 ms in each second) keeps a loop gone wild from taking the machine with it.
+Who is started by such a thread is not real-time, and raises itself where it must be: a camera's intake as the loop, the
+recorder below them, so that it holds up nobody who feeds it, the publisher below that. Workers, whose work can be done
+later, are never. The system's own limit (950 ms in each second) keeps a loop gone wild from taking the machine with it.
 
 A thread is in time only with those that it waits for. Others of its interpreter hold the lock that it needs, and one
 that is not let run while it holds it stops the loop (50 ms and more at load 3): `share_priority`. What it sends to
@@ -20,6 +21,7 @@ from pathlib import Path
 import zmq
 
 LEVEL = 10  # of 1..99; a kernel's interrupt threads run at 50
+RECORDER_LEVEL = 7  # after the loop and the cameras' intakes, which feed it; before who only looks on
 PUBLISHER_LEVEL = 5  # of one that strangers talk to: after the loop, before what is not real-time
 ALLOWED = 0.3  # of one core, within a second, that such a one may need; it usually needs 0.05
 ALLOWED_RUN_US = 400_000  # .. and at one stretch, before the kernel ends it
@@ -29,7 +31,7 @@ _REALTIME = (os.SCHED_FIFO, os.SCHED_RR)
 
 
 def raise_priority(wanted: bool | None = None, level: int = LEVEL) -> str:
-    """SCHED_FIFO for the calling thread. `wanted` as head.toml says: False does nothing, None is content when refused.
+    """SCHED_FIFO for the calling thread. `wanted` as head.toml says: False does nothing, None takes what is allowed.
 
     Returns a remark for people: what was refused, and what would allow it; empty when there is nothing to say.
     """
@@ -38,13 +40,20 @@ def raise_priority(wanted: bool | None = None, level: int = LEVEL) -> str:
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(level))
     except OSError as error:
-        if wanted is None:
-            return ""
         return (
-            f"no real-time priority ({error.strerror}): frames may be late when the machine is busy. "
-            "Allow it with LimitRTPRIO=20 in the unit, or rtprio in /etc/security/limits.conf."
+            f"no real-time priority ({error.strerror}): frames may be late, and not be recorded, when the machine is "
+            "busy. Allow it with LimitRTPRIO=20 in the unit, or rtprio in /etc/security/limits.conf; "
+            "[daemon] realtime = false does without."
         )
     return ""
+
+
+def raise_process(wanted: bool | None, level: int) -> bool:
+    """SCHED_FIFO for the calling thread and those of libzmq, which hand it what it works on. Whether it was given."""
+    if wanted is False or raise_priority(wanted, level):
+        return False
+    _set(_tasks(), os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(level))
+    return True
 
 
 def autogroup_remark() -> str:
@@ -94,11 +103,11 @@ class Allowance:
         self._now_s, self._used_s = now_s, used_s
         self._looked_s, self._used = now_s(), used_s()
         self._raised = False
-        self._allowed = wanted is not False and not raise_priority(True, PUBLISHER_LEVEL)
+        self._allowed = raise_process(wanted, PUBLISHER_LEVEL)
         if self._allowed:
             with suppress(OSError, ValueError):
                 resource.setrlimit(_RLIMIT_RTTIME, (ALLOWED_RUN_US, ALLOWED_RUN_US))
-            self._raise()
+            self._raised = True
 
     @property
     def raised(self) -> bool:
@@ -113,15 +122,11 @@ class Allowance:
         share = (used - self._used) / (now_s - self._looked_s)
         self._looked_s, self._used = now_s, used
         if share <= ALLOWED:
-            self._raise()  # threads that are new, too
+            self._raised = raise_process(True, PUBLISHER_LEVEL)  # threads that are new, too
         elif self._raised:
             self._raised = False
             self.exceeded += 1
             _set(_tasks(), os.SCHED_OTHER, os.sched_param(0))
-
-    def _raise(self) -> None:
-        self._raised = True
-        _set(_tasks(), os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(PUBLISHER_LEVEL))
 
 
 def _tasks() -> list[int]:

@@ -5,6 +5,11 @@ imports neither OpenCV nor numba: a spare one must be up at once. OpenCV comes w
 
 A frame that is there as soon as the one before it is done with, and others before it, says that frames come faster than
 they are written: then they are written as they are, which takes a third of the time, until there is a pause again.
+While more wait than one flash has cameras no small picture is made of them: it is most of a raw frame's work, and
+nobody needs it.
+
+Recording comes before reconstructing, and before whatever else this machine does: it has real-time priority where that
+is allowed, below who feeds it.
 
 A file that lost its name (it, or its folder, was removed) or is shorter than what was written into it is lost with all
 its frames. That is reported, and the recording goes on in a new file where one can be begun.
@@ -17,6 +22,7 @@ import uuid
 from pathlib import Path
 from typing import Any
 
+from annulus.daemon.priority import RECORDER_LEVEL, raise_process, share_priority
 from annulus.numeric.arrays import Image
 from annulus.record.clock import Clock
 from annulus.record.codec import DEFAULT, Codec
@@ -54,6 +60,7 @@ class RecorderJob:
         """`scan`: what all parts of it have in common, drawn when empty; so is the `clock`."""
         self._codec, self._clock = codec, clock or Clock.now()
         self._done_s, self._without_pause = 0.0, 0
+        self._cameras: set[int] = set()  # whose frames have come
         self._folder, self._name, self._calibration, self._configuration = folder, name, calibration, configuration
         self._bounds, self._scan = bounds, scan or uuid.uuid4().hex
         self.path = folder
@@ -67,11 +74,13 @@ class RecorderJob:
     def frame(self, header: FrameHeader, image: Image, extra: Any) -> Any:
         paused = time.monotonic() - self._done_s >= PAUSE_S
         self._without_pause = 0 if paused else self._without_pause + 1
+        self._cameras.add(header.camera)
         self._look()
         writer = self._writer
         written = writer is not None and writer.frame(
-            header.to_dict(), image, header.timestamp_ns, hurried=self._without_pause >= HURRY_AFTER
-        )
+            header.to_dict(), image, header.timestamp_ns, hurried=self._without_pause >= HURRY_AFTER,
+            preview=self._without_pause < len(self._cameras),
+        )  # fmt: skip
         self._done_s = time.monotonic()
         if writer is not None and writer.path != self.path:  # another part
             self._tell(writer)
@@ -107,6 +116,7 @@ class RecorderJob:
         if now < self._next_look:
             return
         self._next_look = now + LOOK_S
+        share_priority()  # with those that bring parts to the disk: they share the interpreter's lock
         if self._writer is not None and (why := self._writer.gone()):
             self._writer.abandon()
             self._writer = None
@@ -145,6 +155,7 @@ class RecorderJob:
 
 
 def _prepare(setup: Any) -> RecorderJob:
+    raise_process(setup["realtime"], RECORDER_LEVEL)  # what is refused the daemon has told of itself
     return RecorderJob(
         Path(setup["folder"]), setup["name"], setup["calibration"], setup["configuration"], Bounds(*setup["bounds"]),
         setup["scan"], Codec(setup["codec"]), Clock.from_dict(setup["clock"]),

@@ -87,13 +87,17 @@ class RotatingWriter:
     def waiting_s(self) -> float:
         return self._writer.waiting_s
 
-    def frame(self, label: Mapping[str, Any], image: Image, time_ns: int, hurried: bool = False) -> bool:
-        """A frame with its label; False when it was lost. `hurried`: as it is, others wait."""
+    def frame(
+        self, label: Mapping[str, Any], image: Image, time_ns: int, hurried: bool = False, preview: bool = True
+    ) -> bool:  # fmt: skip
+        """A frame with its label; False when it was lost. `hurried`: as it is, others wait. `preview`: with a small
+        picture beside it, where it is a mosaic.
+        """
         now_s = self._now_s()
         if self._is_due(now_s):
             self._rotate(now_s, time_ns)
         self._writer.hurried = hurried
-        done = self._writer.frame(label, image, time_ns)
+        done = self._writer.frame(label, image, time_ns, preview=preview)
         self.problem = self._writer.problem or self.problem
         if self._bounds.sync_s and now_s - self._synced_s >= self._bounds.sync_s:
             self._sync(now_s)

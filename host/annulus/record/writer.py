@@ -87,12 +87,15 @@ class RecordingWriter:
             why = self.problem or _reason(self._container.failure)
             raise AnnulusError(f"{path}: cannot be written ({why}). Is the disk full?")
 
-    def frame(self, label: Mapping[str, Any], image: Image, time_ns: int, as_jpeg: bytes | None = None) -> bool:
+    def frame(
+        self, label: Mapping[str, Any], image: Image, time_ns: int, as_jpeg: bytes | None = None, *,
+        preview: bool = True,
+    ) -> bool:  # fmt: skip
         """A frame with its label; False when it was lost.
 
         `label` must hold index, label, z_mm, encoding, width, height, and camera unless it is 0; it is written to
         /label as it is. `time_ns`: the frame's timestamp, host monotonic. `as_jpeg`: the picture where it is one
-        already, to be kept as it is.
+        already, to be kept as it is. `preview`: False leaves a mosaic's small picture out.
         """
         index, camera, encoding = int(label["index"]), camera_of_label(label), str(label["encoding"])
         utc_ns, frame_id = self._clock.utc(time_ns), viewers.of_camera(camera)
@@ -100,7 +103,8 @@ class RecordingWriter:
             self._say(topic, said, time_ns)
         if self._codec is Codec.JPEG and as_jpeg is None:
             as_jpeg = jpeg(image, encoding)
-        if as_jpeg is None and is_mosaic(encoding) and self._previews and not self.hurried and min(image.shape) > 1:
+        preview = preview and self._previews and not self.hurried
+        if as_jpeg is None and is_mosaic(encoding) and preview and min(image.shape) > 1:
             small = viewers.preview(image, encoding)
             picture = viewers.jpeg_message(small.tobytes(), viewers.of_camera(camera, viewers.PREVIEW), utc_ns)
             self._say(f"{viewers.PREVIEW_TOPIC}/{camera}", picture, time_ns, index)

@@ -34,7 +34,7 @@ def read_secret(path: Path, limit: int = SECRET_MAX) -> bytes:
 
 
 def require_secret(path: Path) -> None:
-    """For what another library reads. Raises AnnulusError, one line with what mends it; OSError where it is not there."""
+    """For what another library reads. Raises AnnulusError, one line; OSError where it is not there."""
     _require(path, path.stat())
 
 

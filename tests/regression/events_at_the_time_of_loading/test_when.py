@@ -1,4 +1,4 @@
-"""The page showed every event with the time at which it was loaded, and a page that connected again showed each twice."""
+"""The page showed every event with the time at which it was loaded, and each twice when it connected again."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""CURVE secret keys of mode 666, or of another user, were taken without a word; the console's password was looked at."""
+"""CURVE secret keys of mode 666, or of another user, were taken without a word; only the password was looked at."""
 
 import os
 from collections.abc import Callable
