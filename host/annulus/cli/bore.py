@@ -33,7 +33,8 @@ def detect_command(
     """Where a log shows a sewer: air, water or half of each, with direction and length; and what else stands out.
 
     Water reads like moist soil: it is told in dry soil, or where the log has loss columns, and how much of the log that
-    is is said. The head's pose (off_x_mm, off_y_mm), where there, takes lift-off out.
+    is is said. What no wall can give (a chip that froze, a loose wire) is no reading: such stretches are listed, and no
+    bore is called there. The head's pose (off_x_mm, off_y_mm), where there, takes lift-off out.
     """
     from dataclasses import replace
 
@@ -48,7 +49,7 @@ def detect_command(
         head = replace(head, coupling_ff=coupling_ff)
     rows = Log(*read_bore_log(log))
     try:
-        grid = on_grid(rows)
+        grid = on_grid(rows, head)
         account = detect(grid, head, joints_mm=joint_mm or ())
     except AnnulusError as error:
         raise AnnulusError(f"{log}: {error}") from None
@@ -59,6 +60,10 @@ def detect_command(
         "log": str(log), "length_mm": account.length_mm, "unseen_mm": account.unseen_mm, "ends_mm": account.ends_mm,
         "water_told_mm": account.water_told_mm, "wanders": account.wanders,
         "rows_without_reading": grid.unread, "spikes": grid.spikes,
+        "gaps": [
+            {"sectors": list(gap.sectors), "from_mm": gap.from_mm, "to_mm": gap.to_mm, "why": str(gap.why)}
+            for gap in account.gaps
+        ],
         "lift_off_ff_per_mm": grid.lift_ff_mm, "bores": bores, "others": others, "files": [str(f) for f in files],
     }  # fmt: skip
     if as_json:
@@ -73,6 +78,8 @@ def detect_command(
     print(f"lift-off   {lift}")
     if account.wanders:
         print("wanders    the head stood off the axis by millimetres: only what is alike all round is called a bore")
+    for gap in account.gaps:
+        print(f"no reading {gap}")
     for one in account.indications:
         sure = f", {100 * likely(one):.0f} %" if one.odds else ""
         way = "all round" if not math.isfinite(one.phi_deg) else (

@@ -7,11 +7,12 @@ Chapter 10 of the source, and what its section 11.2 leaves undone. Angles: atan2
 Proven on simulated logs only.
 """
 
-from annulus.crossbore.detect import BORES, Account, Head, Indication, Kind, Limits, detect, likely
+from annulus.crossbore.detect import BORES, Account, Indication, Kind, Limits, detect, likely
 from annulus.crossbore.grid import Grid, Log, on_grid
 from annulus.crossbore.passage import Passage, Run
+from annulus.crossbore.readings import Gap, Head, Why
 
 __all__ = [
-    "BORES", "Account", "Grid", "Head", "Indication", "Kind", "Limits", "Log", "Passage", "Run", "detect", "likely",
-    "on_grid",
+    "BORES", "Account", "Gap", "Grid", "Head", "Indication", "Kind", "Limits", "Log", "Passage", "Run", "Why", "detect",
+    "likely", "on_grid",
 ]  # fmt: skip

@@ -19,8 +19,9 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
-from annulus.crossbore.grid import SECTORS, STEP_MM, Grid
+from annulus.crossbore.grid import NARROW_MM, STEP_MM, Grid
 from annulus.crossbore.odds import odds
+from annulus.crossbore.readings import HEAD, SECTORS, Gap, Head
 from annulus.numeric.arrays import FloatArray
 from annulus.numeric.robust import robust_sigma
 
@@ -65,20 +66,6 @@ BORES = (Kind.AIR, Kind.PART, Kind.WATER)
 
 
 @dataclass(frozen=True, slots=True)
-class Head:
-    """What a head reads, told once on the bench. Those of the simulated 2.4-inch head in a 3-inch pipe of SDR 11.
-
-    air_ff : a sector's reading in a pipe in air. sector_deg : how wide a sector looks. coupling_ff, coupling_mm : what
-    a coupling takes off every sector, and over what length at half of that.
-    """
-
-    air_ff: float = 4575.0
-    sector_deg: float = 110.0
-    coupling_ff: float = 113.0
-    coupling_mm: float = 130.0
-
-
-@dataclass(frozen=True, slots=True)
 class Limits:
     """What is listed: lengths at half the change, mm; changes of the sectors' mean, fF, or as a part of soil to air."""
 
@@ -96,7 +83,7 @@ class Limits:
     coupling_off_mm: float = 20.0
 
 
-HEAD, LIMITS = Head(), Limits()
+LIMITS = Limits()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,6 +122,7 @@ class Account:
     water_told_mm: float
     ends_mm: float = ENDS_MM
     wanders: bool = False
+    gaps: tuple[Gap, ...] = ()
 
     @property
     def bores(self) -> list[Indication]:
@@ -189,6 +177,7 @@ def detect(grid: Grid, head: Head = HEAD, limits: Limits = LIMITS, joints_mm: Se
     if _wanders(grid):
         found = [_all_round_or_unknown(one) for one in found]
     found = [_explained(one, joints_mm, head, limits) for one in found]
+    found = [_unknown(one) if _cut(grid, one) else one for one in found]
     found += _beads(grid)
     kept = [one for one in found if grid.seen[int(np.argmin(np.abs(grid.z_mm - one.odometer_mm)))]]
     kept = [replace(one, speed_mm_s=_speed(grid, one, head)) if one.kind is Kind.COUPLING else one for one in kept]
@@ -201,13 +190,22 @@ def detect(grid: Grid, head: Head = HEAD, limits: Limits = LIMITS, joints_mm: Se
         ]
     )
     unseen = float(STEP_MM * np.count_nonzero(~grid.seen))
-    return Account(listed, float(np.ptp(grid.z_mm)), unseen, told, wanders=_wanders(grid))
+    return Account(listed, float(np.ptp(grid.z_mm)), unseen, told, wanders=_wanders(grid), gaps=grid.gaps)
 
 
 def _all_round_or_unknown(one: Indication) -> Indication:
     """What a log says whose head wandered, nobody knows where: it lifts off one side, and a little off the mean."""
     told = one.kind not in BORES or math.isfinite(one.loss_ff) or (one.kind is Kind.AIR and math.isnan(one.phi_deg))
-    return one if told else replace(one, kind=Kind.UNKNOWN, phi_deg=math.nan, phi_sigma_deg=math.nan, arc_deg=360.0)
+    return one if told else _unknown(one)
+
+
+def _unknown(one: Indication) -> Indication:
+    return replace(one, kind=Kind.UNKNOWN, phi_deg=math.nan, phi_sigma_deg=math.nan, arc_deg=360.0)
+
+
+def _cut(grid: Grid, one: Indication) -> bool:
+    """Whether a part of it, or what its edges are told by, was not seen: how long and how deep it is nobody knows."""
+    return not grid.seen[np.abs(grid.z_mm - one.odometer_mm) <= 0.5 * one.extent_mm + NARROW_MM].all()
 
 
 def _explained(one: Indication, joints_mm: Sequence[float], head: Head, limits: Limits) -> Indication:

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from annulus.crossbore.grid import ROWS_MIN, SECTORS, SPAN_MM, Log
+from annulus.crossbore.grid import ROWS_MIN, SPAN_MM, Log
+from annulus.crossbore.readings import SECTORS
 from annulus.numeric.arrays import BoolArray, FloatArray
 
 JUMP_MM, JUMP_MM_S = 20.0, 1000.0  # faster than any winch
@@ -51,8 +52,8 @@ class Passage:
 
     def read(self, t_s: float, c_pf: Sequence[float], loss_ff: Sequence[float] = ()) -> None:
         """c_pf : the three sectors and the reference, NaN for one that failed."""
-        sound = (value if 0.0 < value < PF_MAX else math.nan for value in c_pf)
-        self._rows.append((t_s, *sound, *(loss_ff or (math.nan,) * SECTORS)))
+        numbers = (value if abs(value) <= PF_MAX else math.nan for value in c_pf)  # which are readings the grid knows
+        self._rows.append((t_s, *numbers, *(loss_ff or (math.nan,) * SECTORS)))
 
     def place(self, t_s: float, z_mm: float) -> None:
         if not abs(z_mm) < Z_MAX_MM:
@@ -93,10 +94,10 @@ class Passage:
             return None
         z = _between(rows[:, 0], places)
         placed = np.isfinite(z)
-        sound = placed & np.isfinite(rows[:, 1:5]).all(axis=1)
+        sound = placed & (rows[:, 1:5] > 0).all(axis=1)
         if np.count_nonzero(sound) < max(ROWS_MIN, 0.5 * np.count_nonzero(placed)):
             return None
-        rows, z = rows[sound], z[sound]
+        rows, z = rows[placed], z[placed]
         if not SPAN_MM[0] <= np.ptp(z) <= SPAN_MM[1]:
             return None
         roll, rolled = np.zeros(len(rows)), np.zeros(len(rows), bool)

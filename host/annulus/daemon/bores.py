@@ -7,7 +7,7 @@ head is past it by what it is held against, so that it does not change its name.
 from collections.abc import Mapping
 from typing import Any
 
-from annulus.crossbore import BORES, Head, Indication, Passage, detect, likely, on_grid
+from annulus.crossbore import BORES, Gap, Head, Indication, Passage, detect, likely, on_grid
 from annulus.crossbore.detect import BESIDE_MM, MERGED_MM
 from annulus.daemon.config import SectorsConfig
 from annulus.daemon.observer import Observer, Observers
@@ -35,6 +35,7 @@ class Bores(Observer):
     def _begin(self) -> None:
         self._passage = Passage(self._sectors.ahead_mm, KEEP_MM)
         self._told: list[Indication] = []
+        self._gaps: list[Gap] = []
         self._here_mm = self._looked_mm = float("nan")
         self._reads = self._broke = False
 
@@ -61,7 +62,14 @@ class Bores(Observer):
             return []
         self._looked_mm = self._here_mm
         new: list[Indication] = []
-        for one in self._bores():
+        found, gaps = self._found()
+        for gap in gaps:
+            behind = abs(self._here_mm + self._sectors.ahead_mm - gap.to_mm) >= PAST_MM
+            known = any(old.from_mm - MERGED_MM < gap.to_mm < old.to_mm + MERGED_MM for old in self._gaps)
+            if (behind or final) and not known:
+                self._gaps.append(gap)
+                self._observers.event("bore", f"no bore can be told: no readings of {gap}")
+        for one in found:
             past = abs(self._here_mm + self._sectors.ahead_mm - one.odometer_mm) >= PAST_MM
             known = any(abs(old.odometer_mm - one.odometer_mm) < MERGED_MM for old in (*self._told, *new))
             if (past or final) and not known:
@@ -70,16 +78,17 @@ class Bores(Observer):
         self._told += new
         return new
 
-    def _bores(self) -> list[Indication]:
+    def _found(self) -> tuple[list[Indication], list[Gap]]:
         """Of all that is kept. What goes wrong here costs bores, never the scan; it is said once."""
         try:
-            return [one for run in self._passage.runs() for one in detect(on_grid(run.log), self._head).bores]
+            accounts = [detect(on_grid(run.log, self._head), self._head) for run in self._passage.runs()]
+            return [one for each in accounts for one in each.bores], [gap for each in accounts for gap in each.gaps]
         except Exception as error:
             if not self._broke:
                 self._broke = True
                 why = str(error) if isinstance(error, AnnulusError) else f"{type(error).__name__}: {error}"
                 self._observers.event("bore", f"cross bores cannot be told: {why}")
-            return []
+            return [], []
 
 
 def told(one: Indication) -> str:

@@ -51,13 +51,17 @@ def with_bores(scan: Scan, profiles: Sequence[Profile], survey: Survey) -> Surve
     runs = passage.runs()
     joints = [f.z_mm for f in survey.features if f.kind in (FeatureKind.JOINT, FeatureKind.GAP)]
     lane, features, findings = None, list(survey.features), list(survey.disbelieved)
+    if not runs:
+        why = "no stretch of pipe with a place where more than half of the rows hold readings of all sectors"
+        findings.append(Finding("sectors", f"capacitive sectors: {why}; cross bores were not looked for"))
     for run in runs:
         try:
-            grid = on_grid(run.log)
+            grid = on_grid(run.log, head)
             account = detect(grid, head, joints_mm=joints)
         except AnnulusError as error:  # the wall is told all the same
             findings.append(Finding("sectors", f"capacitive sectors: {error}"))
             continue
+        findings += [Finding("sectors", f"capacitive sectors: no readings of {gap}") for gap in account.gaps]
         features += [_feature(one, grid, run.rolled_at(one.odometer_mm)) for one in account.bores]
         more = _lane(account, grid, run)
         lane = more if lane is None else lane.joined(more)

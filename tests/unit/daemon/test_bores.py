@@ -81,7 +81,7 @@ def test_a_head_without_sectors_is_never_looked_at() -> None:
 
 
 def test_what_goes_wrong_costs_bores_and_is_said_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(log: object) -> None:
+    def broken(*_: object) -> None:
         raise ZeroDivisionError("at last")
 
     monkeypatch.setattr("annulus.daemon.bores.on_grid", broken)
