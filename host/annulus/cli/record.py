@@ -174,7 +174,7 @@ def import_command(
         ),
     ] = None,
     unit: Annotated[
-        str | None, typer.Option(help="Of the chainage, where its heading names none: mm, cm, m, in, ft. [default: mm]")
+        str | None, typer.Option(help="Of the chainage, where its heading names none: mm, cm, m, in, ft.")
     ] = None,
     speed: Annotated[float | None, typer.Option(help="Of an even pull, mm/s, where no chainage is known.")] = None,
     fps: Annotated[
@@ -204,8 +204,14 @@ def import_command(
         )
     print_fields(
         {"scan": str(out), "frames": made.frames, "z_mm": list(made.z_mm), "without_place": made.without_place,
-         "missing": made.missing}, as_json,
+         "missing": made.missing, "pixel_aspect": made.aspect}, as_json,
     )  # fmt: skip
+    if made.aspect != 1.0:
+        print(
+            f"annulus: {video}: its pixels are {made.aspect:.4g} times as wide as high; the pictures were stretched to "
+            "square ones, and the calibration must be of such pictures too",
+            file=sys.stderr,
+        )
     if made.missing:
         print(
             f"annulus: {video}: ends {made.missing} frames before it says; it is cut short or damaged, and where it is "

@@ -26,6 +26,7 @@ import numpy as np
 from annulus.capture.camera import SIDE_MAX
 from annulus.capture.pictures import PIXELS_MAX, size_of
 from annulus.numeric.arrays import Image
+from annulus.record.fields import TWO_FIELDS, combed, two_fields
 from annulus.record.frames import Z_MAX_MM
 from annulus.record.scan import COLUMNS, TABLE, read_image
 from annulus.untrusted import read_file, shown
@@ -35,6 +36,7 @@ UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4, "ft": 304.8}
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".pgm", ".ppm")
 CHAINAGE_MAX = 64 << 20  # bytes; a day at 25 fps has 40 MB
 FRAME_NUMBER_MAX = 1 << 31
+ASPECT_MOST = 4.0  # of a pixel; a DVD's are 16:15 to 64:45
 
 _HEADING = re.compile(r"chainage[\s_\[(]*(mm|cm|m|in|ft)?[\])]?", re.IGNORECASE)
 
@@ -65,12 +67,14 @@ class Imported:
     z_mm: tuple[float, float]  # of the first frame and the last
     without_place: int  # frames the table of chainage does not reach; left out
     missing: int  # frames the file announces and does not have
+    aspect: float = 1.0  # of the video's pixels, width to height; the pictures' are square
 
 
 def read_chainage(path: Path, unit: str | None = None) -> Chainage:
     """A CSV with the columns `frame` and `chainage`, one row a frame that is known; others are passed over.
 
-    unit : of UNITS_MM, where the heading (`chainage_m`, `chainage [ft]`) names none; mm if neither does.
+    unit : of UNITS_MM, where the heading (`chainage_m`, `chainage [ft]`) names none; where neither
+    does it is asked for, since counters show metres or feet, and a guess would be wrong by 1000 in silence.
     Raises AnnulusError naming the line.
     """
     try:
@@ -123,7 +127,12 @@ def _columns(header: list[str], unit: str | None) -> tuple[int, int, float]:
     named = found[1].lower() if found[1] else None
     if unit and named and unit != named:
         raise ValueError(f"line 1: {names[at]} is in {named}, but {unit} was asked for")
-    return frames[0], at, UNITS_MM[named or unit or "mm"]
+    if not named and not unit:
+        raise ValueError(
+            f"line 1: {names[at]} has no unit, expected one of {', '.join(UNITS_MM)} in its heading, "
+            "such as chainage_m, or told beside it"
+        )
+    return frames[0], at, UNITS_MM[named or unit or ""]
 
 
 def _number(text: str) -> float:
@@ -168,7 +177,7 @@ def import_video(
         if chainage is None and not 0 < rate < math.inf:
             raise AnnulusError(f"{video}: names no frame rate. Say how many frames a second it has.")
         (partial / "frames").mkdir(parents=True)
-        rows, without_place = [], 0
+        rows, without_place, combs = [], 0, 0
         for number in range(first, FRAME_NUMBER_MAX if last is None else last + 1, every):
             z = chainage.at(number) if chainage is not None else (speed_mm_s or 0.0) * number / rate
             image = source.frame(number, decoded=z is not None)
@@ -179,12 +188,15 @@ def import_video(
             if image is None or z is None:
                 without_place += 1
                 continue
+            combs += combed(image)
             name = f"frames/{number:06d}.png"
             data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1]
             (partial / name).write_bytes(data.tobytes())
             rows.append((number, name, Label.PROJECTOR.value, f"{z:.4f}"))
         if source.missing and rows and rows[-1][0] == source.read - 1:
             (partial / rows.pop()[1]).unlink()  # the last picture before the file breaks off may be half of one
+        if two_fields(combs, len(rows)):
+            raise AnnulusError(f"{video}: {combs} of {len(rows)} pictures {TWO_FIELDS}")
         if not rows:
             if without_place:
                 raise AnnulusError(f"{video}: the table of chainage reaches none of its {without_place} frames.")
@@ -197,7 +209,7 @@ def import_video(
         raise AnnulusError(f"{folder}: cannot be written ({error.strerror}).") from None
     finally:
         shutil.rmtree(partial, ignore_errors=True)
-    return Imported(len(rows), (float(rows[0][3]), float(rows[-1][3])), without_place, source.missing)
+    return Imported(len(rows), (float(rows[0][3]), float(rows[-1][3])), without_place, source.missing, source.aspect)
 
 
 class _Pictures:
@@ -205,6 +217,7 @@ class _Pictures:
 
     missing = 0
     fps = 0.0  # nobody knows
+    aspect = 1.0
 
     def __init__(self, folder: Path) -> None:
         """Raises AnnulusError, one line, where it has none."""
@@ -260,6 +273,10 @@ class _Video:
         width, height = (self._capture.get(side) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
         if not (0 < width <= SIDE_MAX and 0 < height <= SIDE_MAX and width * height <= PIXELS_MAX):
             raise AnnulusError(f"{path}: pictures of {width:.0f}x{height:.0f}, expected sides of at most {SIDE_MAX}.")
+        wide, high = (self._capture.get(part) for part in (cv2.CAP_PROP_SAR_NUM, cv2.CAP_PROP_SAR_DEN))
+        self.aspect = float(wide / high) if wide > 0 and high > 0 else 1.0  # of a pixel, width to height
+        if not 1 / ASPECT_MOST <= self.aspect <= ASPECT_MOST:
+            raise AnnulusError(f"{path}: pixels {wide:.0f}:{high:.0f} wide, expected 1:1 or near it.")
         self.fps = float(self._capture.get(cv2.CAP_PROP_FPS))  # 0 or NaN where the file does not say
         announced = self._capture.get(cv2.CAP_PROP_FRAME_COUNT)
         self.announced = int(announced) if 0 < announced < FRAME_NUMBER_MAX else 0  # 0: it does not say
@@ -282,8 +299,8 @@ class _Video:
         if not whole or image is None or image.dtype != np.uint8:
             raise AnnulusError(f"{self._path}: frame {number} cannot be decoded to 8 bits a colour.")
         if image.ndim == 3 and (image == image[..., :1]).all():
-            return np.ascontiguousarray(image[..., 0])
-        return np.asarray(image)
+            image = np.ascontiguousarray(image[..., 0])
+        return _square(np.asarray(image), self.aspect)
 
     def _end(self) -> None:
         """No more frames. Too few only where they end too early too: of an uneven rate the number is a guess."""
@@ -292,6 +309,15 @@ class _Video:
             period = 1000.0 / self.fps
             if self.read == 0 or not self._span_ms[1] - self._span_ms[0] > (self.announced - 1.5) * period:
                 self.missing = self.announced - self.read
+
+
+def _square(image: Image, aspect: float) -> Image:
+    """The same with pixels as wide as high: the shorter side is stretched, so that no row or column is lost."""
+    if aspect == 1.0:
+        return image
+    height, width = image.shape[:2]
+    size = (round(width * aspect), height) if aspect > 1 else (width, round(height / aspect))
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_CUBIC))
 
 
 def _opened(path: Path, *parameters: int) -> cv2.VideoCapture:

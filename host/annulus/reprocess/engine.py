@@ -9,6 +9,7 @@ from pathlib import Path
 
 from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import Image
+from annulus.record.fields import TWO_FIELDS, combed, two_fields
 from annulus.record.walk import DamagedError
 from annulus.reprocess.bores import with_bores
 from annulus.reprocess.executors import Executor, Failed, in_process
@@ -98,6 +99,10 @@ def look_at(job: Job) -> tuple[list[int], list[tuple[int, dict[int, Image]]]]:
             looked_at.append((job.scan.frames[i].index, job.read_flash(i)))
     if not looked_at:
         job.read(which[0])  # says what is wrong
+    if job.calibration.kind == "line":  # light that stays on: a video's, and perhaps an interlaced one's
+        combs = sum(any(combed(image) for image in images.values()) for _, images in looked_at)
+        if two_fields(combs, len(looked_at)):
+            raise AnnulusError(f"{job.scan.path}: {combs} of {len(looked_at)} pictures looked at {TWO_FIELDS}")
     return which, looked_at
 
 

@@ -74,7 +74,7 @@ def test_a_range_and_a_stride_keep_the_frames_numbers(video: Path, tmp_path: Pat
 
 @pytest.mark.parametrize(
     ("heading", "unit", "mm"),
-    [("chainage", None, 1), ("chainage_m", None, 1000), ("Chainage [ft]", "ft", 304.8), ("chainage", "in", 25.4),
+    [("chainage", "mm", 1), ("chainage_m", None, 1000), ("Chainage [ft]", "ft", 304.8), ("chainage", "in", 25.4),
      (" chainage (cm)", None, 10)],
 )  # fmt: skip
 def test_places_come_from_a_table_even_between_its_rows(
@@ -95,16 +95,17 @@ def test_places_come_from_a_table_even_between_its_rows(
         ("frame,place\n1,2\n", None, "line 1 is 'frame,place', expected one column frame and one chainage"),
         ("frame,chainage,chainage_m\n1,2,3\n", None, "expected one column frame and one chainage"),
         ("frame,chainage_m\n1,2\n", "ft", "line 1: chainage_m is in m, but ft was asked for"),
-        ("frame,chainage\n", None, "has no rows"),
-        ("frame,chainage\n1,2\n1,3\n", None, "line 3: frame 1 after 1, expected a rising order"),
-        ("frame,chainage\n1.5,2\n", None, "line 2: frame is '1.5', expected a whole number"),
-        ("frame,chainage\n-1,2\n", None, "line 2: frame is '-1', expected a whole number"),
-        ("frame,chainage\n1,far\n", None, "line 2: chainage is 'far', expected a number"),
-        ("frame,chainage\n1,nan\n", None, "line 2: chainage is 'nan'"),
-        ("frame,chainage\n1,1e300\n", None, "line 2: chainage is '1e300'"),
-        ("frame,chainage\n1\n", None, "line 2: fewer fields than line 1 has columns"),
-        ('frame,chainage\n1,"2\n', None, "line 2: unexpected end of data"),
-        ("frame,chainage\n1,\udcff\n", None, "not a text file"),
+        ("frame,chainage\n1,2\n", None, "line 1: chainage has no unit, expected one of mm, cm, m, in, ft"),
+        ("frame,chainage\n", "m", "has no rows"),
+        ("frame,chainage\n1,2\n1,3\n", "m", "line 3: frame 1 after 1, expected a rising order"),
+        ("frame,chainage\n1.5,2\n", "m", "line 2: frame is '1.5', expected a whole number"),
+        ("frame,chainage\n-1,2\n", "m", "line 2: frame is '-1', expected a whole number"),
+        ("frame,chainage\n1,far\n", "m", "line 2: chainage is 'far', expected a number"),
+        ("frame,chainage\n1,nan\n", "m", "line 2: chainage is 'nan'"),
+        ("frame,chainage\n1,1e300\n", "m", "line 2: chainage is '1e300'"),
+        ("frame,chainage\n1\n", "m", "line 2: fewer fields than line 1 has columns"),
+        ('frame,chainage\n1,"2\n', "m", "line 2: unexpected end of data"),
+        ("frame,chainage\n1,\udcff\n", "m", "not a text file"),
     ],
 )
 def test_a_table_that_is_none_is_one_line(text: str, unit: str | None, says: str, tmp_path: Path) -> None:
