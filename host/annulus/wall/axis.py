@@ -65,6 +65,8 @@ FRAMES_FINE = 1000  # .. as long as there are no more frames; bounds memory
 BLOCK = 64  # places looked at before it is asked whether something began
 SIGHTINGS_LEAST = 20  # of a frame
 RINGS_LEAST = 3  # fewer do not tell how a pipe goes on within one frame
+ROUND_LEAST = 0.6  # of the circle seen before and behind a place, for anything to begin there: an arc misleads poses
+ROUND_OF_RADIUS = 0.5  # of the radius: so far before and behind it
 
 
 class Begins(StrEnum):
@@ -213,12 +215,13 @@ def _pruned(seen: Sightings, found: Adjusted, begins: list[Begins]) -> tuple[Adj
     while i < len(begins):
         fewer = [*begins[:i], *begins[i + 1 :]]
         short = _lengths(found)[i] < SHORTEST_OF_RADIUS * seen.radius_mm
-        if not short and _begins_something(found, i, begins[i], seen.radius_mm):
+        round_it = _seen_round(seen, found, found.state.pieces[i : i + 1, START])[0]
+        if round_it and not short and _begins_something(found, i, begins[i], seen.radius_mm):
             i += 1
             continue
         without = adjust(seen, _less(found.state, i), _free(fewer), scales_mm=(5.0, 2.0, 1.0, 0.5))
         flank = short and begins[i] in (Begins.BEND, Begins.TAPER)  # a bead's: no pipe bends or tapers so shortly
-        if short and not flank and without.cost > found.cost + SHOWN:
+        if round_it and short and not flank and without.cost > found.cost + SHOWN:
             i += 1
             continue
         found, begins, i = without, fewer, 1
@@ -279,6 +282,7 @@ def _search(seen: Sightings) -> tuple[Adjusted, list[Begins]]:
     while len(begins) < PIECES_MOST:
         low, high = np.percentile(now.where.chainage_mm, [1, 99]) + np.array([2 * step, -2 * step])
         places = np.arange(max(low, since), high, step)
+        places = places[_seen_round(seen, now, places)]
         if not len(places):
             break
         needed = [ENDS if begins[-1] is kind and kind is not Begins.JOINT else SHOWN for kind in KINDS]
@@ -294,6 +298,20 @@ def _search(seen: Sightings) -> tuple[Adjusted, list[Begins]]:
         now = adjust(seen, began[0], np.zeros((len(begins), PIECE), np.bool_), scales_mm=(5.0, 2.0))
         since = float(now.state.pieces[-1, START]) + step
     return now, begins
+
+
+def _seen_round(seen: Sightings, now: Adjusted, at_mm: FloatArray) -> BoolArray:
+    """(G,) whether enough of the circle was seen both before and behind each of some places."""
+    z, (right, down) = now.where.chainage_mm, now.where.direction.T
+    sector = np.floor(np.arctan2(right, -down) * (COARSE / (2 * np.pi))).astype(np.intp) % COARSE
+    reach = ROUND_OF_RADIUS * seen.radius_mm
+    order = np.argsort(z)
+    z, sector = z[order], sector[order]
+    out = np.empty(len(at_mm), np.bool_)
+    for i, at in enumerate(at_mm):
+        a, b, c = np.searchsorted(z, [at - reach, at, at + reach])
+        out[i] = min(len(np.unique(sector[a:b])), len(np.unique(sector[b:c]))) >= ROUND_LEAST * COARSE
+    return out
 
 
 def _first(seen: Sightings, now: Adjusted, places: FloatArray, needed: FloatArray) -> float | None:

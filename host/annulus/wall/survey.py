@@ -31,6 +31,7 @@ from annulus.wall.openings import find_openings
 from annulus.wall.points import Points
 from annulus.wall.profile import Profile
 from annulus.wall.registration import register
+from annulus.wall.rests import without_rests
 from annulus.wall.shadow import shadowed
 from annulus.wall.stations import Stations, measure_stations, not_enough_seen
 from annulus.wall.surface import Mesh, triangulate
@@ -221,7 +222,7 @@ def survey(
 
     rises = np.array([math.tan(ring.half_angle) for ring in calibration.rings])
     narrowest, widest = float(rises[0]), float(rises[-1])
-    above, levels = without_levels(profiles, calibration)
+    above, levels = without_levels(without_rests(profiles), calibration)
     done("levels")
     axis = find_axis(above, calibration.rings, turns)
     done("axis")
