@@ -75,6 +75,10 @@ SURVEYS: Sequence[Column] = [
         "text", scan="what tells its scan from all others; versions of one scan have one",
         replaces="the survey it was said to replace", digest="SHA-256 of the contents",
     ),
+    *_columns(
+        "text",
+        not_established="where its verdict is open, JSON: limits, z_from_mm, z_to_mm, clock_deg, arc_deg, reason",
+    ),
 ]  # fmt: skip
 
 STATIONS: Sequence[Column] = [

@@ -21,6 +21,7 @@ from annulus.job import JobSheet
 from annulus.numeric.arrays import FloatArray
 from annulus.record.results_folder import (
     LATER_COLUMNS,
+    MM_MAX,
     PLACES_MAX,
     SUMMARY,
     TEXT_MAX,
@@ -41,6 +42,7 @@ ID_DIGITS = 12  # hexadecimal; of 100 000 surveys two would share them once in 5
 CLOCK_SINCE = date(2020, 1, 1)  # a computer without a battery starts in 1970: no day of a scan before this
 YEARS = (1900, 2200)  # of a date that somebody typed
 CALIBRATED_MAX = 20_000  # characters
+KINDS_MAX, OPEN_MAX = 20, 200  # limits of a place that a verdict leaves open; such places that are kept
 OUTSIDE = frozenset({"survey", "digest", "scan", "replaces", "results", "created_utc", "added_utc"})  # of the contents
 
 Row = Mapping[str, Any]
@@ -156,10 +158,37 @@ def _summary(summary: Mapping[str, Any], over: JobSheet) -> tuple[dict[str, Any]
         "ovality_limit_percent": known.get("limits.ovality_percent"),
         "limits": _text(conformity.get("title"), "conformity.title"),
         "decision": _text(conformity.get("decision"), "conformity.decision"),
+        "not_established": _open_places(conformity.get("not_established")),
         "defect_count": len(sure), "undecided_count": len(undecided), "feature_count": len(found),
         "warning_count": _count(summary.get("warnings")),
     }  # fmt: skip
     return row, defects, [_feature(i, one) for i, one in enumerate(found, 1)]
+
+
+def _open_places(found: object) -> str | None:
+    """Those that leave a verdict open, as JSON; NULL of a verdict that has none."""
+    if found is None:
+        return None
+    if not isinstance(found, list) or len(found) > PLACES_MAX:
+        raise ValueError(f"conformity.not_established must be a list of at most {PLACES_MAX}")
+    out = []
+    for i, one in enumerate(found):
+        what = f"conformity.not_established[{i}]"
+        place = mapping(one, what)
+        if place.get("usual"):
+            continue
+        limits = place.get("limits")
+        if not isinstance(limits, list) or len(limits) > KINDS_MAX:
+            raise ValueError(f"{what}.limits must be a list of at most {KINDS_MAX}")
+        numbers = ("z_from_mm", "z_to_mm", "clock_deg", "arc_deg")
+        out.append(
+            {
+                "limits": [_text(kind, f"{what}.limits") for kind in limits],
+                **{name: within(place.get(name), f"{what}.{name}", -MM_MAX, MM_MAX) for name in numbers},
+                "reason": _text(place.get("reason"), f"{what}.reason"),
+            }
+        )
+    return printable(json.dumps(out[:OPEN_MAX])) if out else None
 
 
 def _place(number: int, one: Place) -> dict[str, Any]:

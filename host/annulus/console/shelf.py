@@ -288,7 +288,8 @@ def _result(one: _Thing) -> tuple[float, dict[str, Any]]:
     origin, diameter, scanned = (_section(summary, name) for name in ("origin", "diameter_mm", "scanned_mm"))
     defects = [item for item in _list(summary, "defects") if isinstance(item, Mapping)]
     depths = [depth for item in defects for depth in _number(item.get("depth_mm"))]
-    decision = _section(summary, "conformity").get("decision")
+    conformity = _section(summary, "conformity")
+    decision = conformity.get("decision")
     begun, created = origin.get("begun_utc"), summary.get("created")
     files = [name for name in FILES if (folder / name).is_file() and not (folder / name).is_symlink()]
     return (folder / "summary.json").stat().st_mtime, {
@@ -301,6 +302,7 @@ def _result(one: _Thing) -> tuple[float, dict[str, Any]]:
         "defects": len(defects) if "defects" in summary else None, "worst_mm": max(depths, default=None),
         "diameter_mm": _one(diameter.get("mean")), "k2_mm": _one(diameter.get("k2")),
         "verdict": untrusted.printable(decision)[:60] if isinstance(decision, str) else None,
+        "open": sum(isinstance(one, Mapping) and not one.get("usual") for one in _list(conformity, "not_established")),
         "warnings": len(_list(summary, "warnings")), "files": files,
         "size": sum((folder / name).stat().st_size for name in files), "state": "whole",
     }  # fmt: skip

@@ -36,14 +36,17 @@ from annulus.wall.conformity import QUANTITIES, RULE, Decision, Judged, Verdict
 from annulus.wall.defects import Kind
 from annulus.wall.sections import MOST, cut, worth_showing
 from annulus.wall.survey import Survey
+from annulus.wall.unjudged import Unjudged
 
 NOT_RECORDED = "not recorded"
 STATIONS_MAX = 24  # rows of the table, the worst ones beside
+PLACES_MAX = 60  # of the table of what is not established; summary.json has all
 UNITS = {"mm": MEASURE, "%": PERCENT, "°": ANGLE}
 TOLERANCES = {"mm": MEASURE, "mm²": AREA}
 WHOLE_PERCENT = Quantity("%", 0)
 OVERALL = {
-    Decision.CONFORMS: ("Conforms, as far as it was seen", "sound"),
+    Decision.CONFORMS: ("Conforms", "sound"),
+    Decision.SEEN: ("Conforms where seen", "sound"),
     Decision.UNDECIDED: ("Undecided", "look"),
     Decision.FAILS: ("Does not conform", ""),
 }
@@ -57,7 +60,7 @@ def values(survey: Survey, account: Account) -> dict[str, Any]:
     return {
         "job": list(_job(account.origin)),
         "calibrated": list(_calibrated(account.origin)),
-        "conformity": None if verdict is None else _conformity(verdict),
+        "conformity": None if verdict is None else _conformity(verdict, survey.seen_fraction),
         "details": _details(survey, account),
         "observations": [_observed(i, one) for i, one in enumerate(account.origin.observations)],
         "marks_left_out": account.origin.marks_left_out,
@@ -124,12 +127,24 @@ def _second(utc: str) -> str:
     return utc[:19].replace("T", " ")
 
 
-def _conformity(verdict: Verdict) -> dict[str, Any]:
+def _conformity(verdict: Verdict, seen: float) -> dict[str, Any]:
     overall, look = OVERALL[verdict.decision]
+    if verdict.decision is Decision.SEEN:
+        overall += f" ({said(math.floor(1000.0 * seen) / 10.0, SHARE)} of the wall)"
     return {
         "title": verdict.criteria.title, "overall": overall, "look": look, "rule": RULE,
         "accepted": verdict.criteria.accepted, "rows": [_judged(one) for one in _governing(verdict)],
         "remarks": list(verdict.remarks), "limits": list(_limits(verdict)),
+        "places": [_place(one) for one in verdict.not_established[:PLACES_MAX]],
+        "places_left_out": max(len(verdict.not_established) - PLACES_MAX, 0),
+    }  # fmt: skip
+
+
+def _place(one: Unjudged) -> dict[str, str]:
+    return {
+        "at": span(one.z_from_mm, one.z_to_mm, DISTANCE, unit=False),
+        "clock": "all round" if one.arc_deg >= 360.0 else " to ".join(one.clock_range), "limits": ", ".join(one.kinds),
+        "why": one.reason, "open": "no" if one.usual else "yes",
     }  # fmt: skip
 
 

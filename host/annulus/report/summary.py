@@ -123,6 +123,14 @@ def _conformity(verdict: Verdict) -> dict[str, Any]:
     return {
         "title": verdict.criteria.title, "accept_severity": verdict.criteria.accepted, "rule": RULE,
         "decision": str(verdict.decision), "remarks": list(verdict.remarks),
+        "not_established": [
+            {
+                "limits": list(one.kinds), "z_from_mm": stored(one.z_from_mm), "z_to_mm": stored(one.z_to_mm),
+                "clock_deg": stored(one.clock_deg), "arc_deg": stored(one.arc_deg),
+                "clock_from_to": list(one.clock_range), "reason": one.reason, "usual": one.usual,
+            }
+            for one in verdict.not_established
+        ],
         "items": [
             {
                 "of": one.group, "index": one.index, "kind": one.kind, "quantity": one.quantity,

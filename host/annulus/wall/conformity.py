@@ -4,6 +4,9 @@ The words are JCGM 106:2012's. A limit is a tolerance limit T; with the expanded
 either side of it, what is measured conforms by guarded acceptance where y + U < T, does not conform by guarded
 rejection where y - U >= T, and is undecided in between. A value that is a lower limit itself, or whose uncertainty
 nobody knows, is never accepted. Severities are the client's: of a class is what is measured at its start or beyond.
+
+A limit is kept where it was judged, and nowhere else: the places where it was not (`unjudged`) are named with the
+verdict. Where one is such as every scan has, the pipe conforms where it was seen; any other leaves it undecided.
 """
 
 import math
@@ -17,9 +20,10 @@ import numpy as np
 from annulus import untrusted
 from annulus.untrusted import shown
 from annulus.wall.defects import Defect, Kind
-from annulus.wall.features import Feature, FeatureKind
+from annulus.wall.features import NOT_TOLD, Feature, FeatureKind
 from annulus.wall.stations import shape_ovality, swing_k2_mm
 from annulus.wall.survey import Survey
+from annulus.wall.unjudged import Unjudged
 
 RULE = (
     "Decision rule (JCGM 106:2012): guarded acceptance and guarded rejection, guard band w = U, the expanded "
@@ -73,6 +77,7 @@ class Decision(StrEnum):
     """In the words of summary.json."""
 
     CONFORMS = "conforms"
+    SEEN = "conforms where seen"
     UNDECIDED = "undecided"
     FAILS = "does not conform"
 
@@ -164,12 +169,14 @@ class Judged:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Everything judged, the decision about the pipe as far as it was seen, and what is not in it, for people."""
+    """Everything judged, the decision about the pipe as far as it was seen, what is not in it, for people, and the
+    places where a limit that was named may be broken unseen, those that every scan has last."""
 
     criteria: Criteria
     items: tuple[Judged, ...]
     decision: Decision
     remarks: tuple[str, ...]
+    not_established: tuple[Unjudged, ...] = ()
 
     def worst_of(self, group: Group, index: int) -> Judged | None:
         """What governs one thing: the decision against it, then its severity."""
@@ -184,7 +191,7 @@ class Verdict:
         return tuple(dict.fromkeys(one.index for one in bad))
 
 
-_ORDER = (Decision.CONFORMS, Decision.UNDECIDED, Decision.FAILS)
+_ORDER = (Decision.CONFORMS, Decision.SEEN, Decision.UNDECIDED, Decision.FAILS)
 
 
 def decide(value: float, k2: float, limit: float, *, lower: bool = False, at_least: bool = False) -> Decision:
@@ -207,9 +214,24 @@ def judge(survey: Survey, criteria: Criteria) -> Verdict:
     items = list(_judged(survey, criteria))
     remarks = list(_open(survey, criteria))
     decision = max((one.decision for one in items), key=_ORDER.index, default=Decision.CONFORMS)
-    if remarks and decision is Decision.CONFORMS:
-        decision = Decision.UNDECIDED
-    return Verdict(criteria, tuple(items), decision, (*remarks, *_unseen(survey, criteria)))
+    places = [one for one in survey.unjudged if _is_open(one, survey, criteria)]
+    if decision is Decision.CONFORMS:
+        unusual = any(not one.usual for one in places)
+        decision = Decision.UNDECIDED if remarks or unusual else Decision.SEEN if places else decision
+    remarks += _unseen(survey, criteria)
+    return Verdict(criteria, tuple(items), decision, tuple(remarks), tuple(sorted(places, key=lambda one: one.usual)))
+
+
+def _is_open(place: Unjudged, survey: Survey, criteria: Criteria) -> bool:
+    """Whether a limit that does not conform may be broken at a place where it was not judged."""
+    for kind in place.kinds:
+        for quantity in _limited(criteria, kind):
+            limit = criteria.limit(kind, quantity)
+            if kind in _LISTED:
+                limit = _in_mm(limit, quantity, survey, criteria)
+            if place.may_reach(kind, limit):
+                return True
+    return False
 
 
 def _judged(survey: Survey, criteria: Criteria) -> Iterator[Judged]:
@@ -244,7 +266,8 @@ def _of_feature(index: int, feature: Feature, criteria: Criteria) -> Iterator[Ju
     for quantity in _limited(criteria, feature.kind):
         name = _MEASURED.get(quantity, quantity)
         found = next((one for one in feature.measures if one.name == name), None)
-        if found is None and feature.kind is FeatureKind.JOINT and quantity in _MEASURED:
+        told = not feature.remark.startswith(NOT_TOLD)
+        if found is None and feature.kind is FeatureKind.JOINT and quantity in _MEASURED and told:
             continue  # a coupling has no bead
         value, k2 = (math.nan, math.nan) if found is None else (abs(found.value), found.k2)
         yield _item(criteria, "feature", index, feature.kind, quantity, value, k2, feature.z_mm)
@@ -293,15 +316,18 @@ def _diameter_mm(survey: Survey, criteria: Criteria) -> float:
     )
 
 
+def _in_mm(limit: float, quantity: str, survey: Survey, criteria: Criteria) -> float:
+    """A limit of depth or height, whatever it is a part of."""
+    if quantity.endswith("_percent_wall"):
+        return limit * (criteria.wall_mm or math.nan) / 100.0
+    return limit * _diameter_mm(survey, criteria) / 100.0 if quantity.endswith("_percent_diameter") else limit
+
+
 def _open(survey: Survey, criteria: Criteria) -> Iterator[str]:
     """Why nobody can say that all conforms, even where all that was listed does."""
     for kind in _LISTED:
         for quantity in _limited(criteria, kind):
-            limit = criteria.limit(kind, quantity)
-            if quantity.endswith("_percent_wall"):
-                limit *= (criteria.wall_mm or math.nan) / 100.0
-            elif quantity.endswith("_percent_diameter"):
-                limit *= _diameter_mm(survey, criteria) / 100.0
+            limit = _in_mm(criteria.limit(kind, quantity), quantity, survey, criteria)
             if limit <= survey.depth_limit_mm:
                 yield (
                     f"the limit of {kind}, {limit:.2f} mm, lies below the least depth that is listed, "

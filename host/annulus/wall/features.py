@@ -10,6 +10,8 @@ from enum import StrEnum
 
 from annulus.numeric.rounding import clock_face
 
+NOT_TOLD = "kind not told"  # how a joint's remark begins of which too little was seen
+
 
 class FeatureKind(StrEnum):
     """In the words of summary.json."""

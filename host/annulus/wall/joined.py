@@ -22,6 +22,7 @@ from annulus.wall.features import Feature, FeatureKind, Measure
 from annulus.wall.grid import Observations, Wall
 from annulus.wall.stations import Stations
 from annulus.wall.survey import Survey
+from annulus.wall.unjudged import in_one
 from annulus.wall.windows import Window
 
 TOUCH_MM = 1.0  # of two findings of neighbours that are one: what may lie between their ends, beside a row
@@ -184,6 +185,7 @@ def joined(parts: Sequence[Abstract], more: Sequence[Finding] = ()) -> Joined:
         vibration=None, features=tuple(features), centreline=centreline_of(parts), disbelieved=(*findings, *more),
         nominal_diameter_mm=first.nominal_diameter_mm, timing_ms=dict(timing), cameras=first.cameras, light=first.light,
         rings_lost=lost, sums=sums,
+        unjudged=in_one([one for survey in surveys for one in survey.unjudged], TOUCH_MM + step),
     )  # fmt: skip
 
 

@@ -16,7 +16,7 @@ from annulus.numeric.robust import SIGMA_OF_MAD
 from annulus.wall.adjustment import OFFSET, RADIUS, TURN
 from annulus.wall.axis import Axis, Begins
 from annulus.wall.beads import measure_bead
-from annulus.wall.features import Feature, FeatureKind, Measure
+from annulus.wall.features import NOT_TOLD, Feature, FeatureKind, Measure
 from annulus.wall.grid import Wall
 from annulus.wall.indications import Limits
 from annulus.wall.points import ROW_MM, SECTORS, SOUND, Points
@@ -201,7 +201,7 @@ def _joint(
     if is_gap:
         measures.append(Measure("gap_mm", gap, gap_k2))
         length = gap
-    remark = "butt fusion" if is_bead else "coupling" if is_gap else "kind not told: too little of it was seen"
+    remark = "butt fusion" if is_bead else "coupling" if is_gap else f"{NOT_TOLD}: too little of it was seen"
     if piece is not None and axis.adjusted is not None:
         measures += _of_line(axis, piece, middle)
         step = axis.adjusted.state.pieces[piece, RADIUS]

@@ -75,13 +75,14 @@ class _Bore:
 
 
 def find_openings(
-    wall: Wall, profiles: Sequence[Profile], calibration: Calibration
+    wall: Wall, profiles: Sequence[Profile], calibration: Calibration, seen: tuple[Points, Looks] | None = None
 ) -> tuple[tuple[Feature, ...], BoolArray]:
     """Branches and tees, and (Z, A) the cells of the wall they explain: inside there is no wall.
 
     Parameters
     ----------
-    profiles : aligned, all their points: what other frames contradict is, in an opening, its face.
+    profiles : aligned, all their points: what other frames contradict is, in an opening, its face. seen : their
+        `looks_of`, where it is known already.
 
     Notes
     -----
@@ -91,7 +92,7 @@ def find_openings(
     explained = np.zeros(wall.radius_mm.shape, dtype=bool)
     if not len(calibration.rings) or not any(p.pose is not None and len(p.points_mm) for p in profiles):
         return (), explained
-    points, looks = looks_of(profiles, wall, calibration)
+    points, looks = looks_of(profiles, wall, calibration) if seen is None else seen
     found: list[_Bore] = []
     size = wall.mean_radius_mm
     for stands in STARTS:

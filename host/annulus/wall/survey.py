@@ -26,6 +26,7 @@ from annulus.wall.gyro import NO_TURNS, Turns
 from annulus.wall.joints import find_joints, taken, without_hidden
 from annulus.wall.lane import Lane
 from annulus.wall.levels import covered, without_levels
+from annulus.wall.looks import looks_of
 from annulus.wall.lost import lost_rings
 from annulus.wall.openings import find_openings
 from annulus.wall.points import Points
@@ -36,6 +37,7 @@ from annulus.wall.shadow import shadowed
 from annulus.wall.stations import Stations, measure_stations, not_enough_seen
 from annulus.wall.surface import Mesh, triangulate
 from annulus.wall.texture import LedFrame, paint
+from annulus.wall.unjudged import Unjudged, find_unjudged
 from annulus.wall.vibration import Vibration, without_vibration
 
 
@@ -76,6 +78,7 @@ class Survey:
     lane: Lane | None = None  # of sectors that look through the wall
     rings_lost: tuple[Finding, ...] | None = None  # of the pattern; None: as `profiles` show
     no_wall: BoolArray | None = None  # (Z, A) cells of openings, which no diameter has its ends in; None: none
+    unjudged: tuple[Unjudged, ...] = ()  # where a limit may be broken although nothing listed breaks it
 
     @property
     def defects(self) -> tuple[Defect, ...]:
@@ -244,8 +247,10 @@ def survey(
         measured = seen
         wall = build_wall(measured, z_step_mm=z_step_mm, rise=widest, centreline=axis.centreline)
     below = covered(levels, wall.clock_deg, wall.z_mm[:, None])
-    openings, no_wall = find_openings(wall, aligned, calibration)
-    explained = taken(wall, joints, 1.0 / narrowest) | below | no_wall
+    lit = looks_of(aligned, wall, calibration)
+    openings, no_wall = find_openings(wall, aligned, calibration, lit)
+    of_joints = taken(wall, joints, 1.0 / narrowest)
+    explained = of_joints | below | no_wall
     done("features")
     detection = find_defects(
         wall, shadow_ratio=1.0 / narrowest, least_shadow_ratio=1.0 / widest, features=explained,
@@ -254,6 +259,10 @@ def survey(
     done("defects")
     stations = stations_of(wall, no_wall)
     dark = shadowed(wall.radius_mm.astype(np.float64), wall.z_step_mm, narrowest)
+    unjudged = find_unjudged(
+        wall, detection, explained=explained, joints=np.asarray(of_joints.any(axis=1)), shadowed=dark, no_wall=no_wall,
+        looks=lit[1], rings=len(rises),
+    )  # fmt: skip
     done("stations")
     texture = paint(wall, axis.centreline, calibration, measured, led_frames)
     if texture is not None:
@@ -266,7 +275,7 @@ def survey(
     nominal = 2 * calibration.pipe_radius_mm
     return Survey(
         measured, wall, dark, detection, stations, texture, shaken, tuple(features), axis.centreline, axis.findings,
-        nominal, timing, tuple(one.id for one in calibration.cameras), no_wall=no_wall,
+        nominal, timing, tuple(one.id for one in calibration.cameras), no_wall=no_wall, unjudged=unjudged,
     )  # fmt: skip
 
 

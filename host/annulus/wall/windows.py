@@ -172,6 +172,11 @@ def between(survey: Survey, window: Window) -> Survey:
         wall=part, shadowed=survey.shadowed[a:b], detection=detection, stations=stations_of(part, no_wall),
         texture=None if survey.texture is None else survey.texture[a:b], no_wall=no_wall,
         features=tuple(one for one in survey.features if _touches(one.z_range_mm, first, last)),
+        unjudged=tuple(
+            replace(one, z_from_mm=max(one.z_from_mm, first), z_to_mm=min(one.z_to_mm, last))
+            for one in survey.unjudged
+            if one.z_to_mm > first and one.z_from_mm < last
+        ),
         rings_lost=lost_rings(survey.profiles),  # of whole frames: at a cut only some of their rings are kept
     )  # fmt: skip
 

@@ -19,6 +19,7 @@ from annulus.wall.defects import Defect, Detection, Kind, Limits
 from annulus.wall.features import Feature, FeatureKind, Measure
 from annulus.wall.stations import Stations
 from annulus.wall.survey import Survey
+from annulus.wall.unjudged import Unjudged
 
 QUICK = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow], max_examples=200)
 ANY = st.floats(-1e3, 1e3) | st.just(math.nan) | st.just(math.inf)
@@ -182,8 +183,9 @@ def joint(hilo: float, k2: float) -> Feature:
 
 
 def survey(
-    defects: tuple[Defect, ...] = (), undecided: tuple[Defect, ...] = (), features: tuple[Feature, ...] = ()
-) -> Survey:
+    defects: tuple[Defect, ...] = (), undecided: tuple[Defect, ...] = (), features: tuple[Feature, ...] = (),
+    unjudged: tuple[Unjudged, ...] = (),
+) -> Survey:  # fmt: skip
     """As much of one as is asked."""
     n = 4
     shape = np.tile([76.0, 0, 0, 0.1, 0], (n, 1))
@@ -200,7 +202,7 @@ def survey(
         "wall": wall, "stations": stations,
         "detection": Detection(defects, np.zeros((n, 36), np.int32), Limits(), (), undecided),
         "features": features, "defects": defects, "diameter_mean_mm": 152.0, "nominal_diameter_mm": 152.4,
-        "depth_limit_mm": 0.3, "size_limit_mm": 7.6, "seen_fraction": 0.92,
+        "depth_limit_mm": 0.3, "size_limit_mm": 7.6, "seen_fraction": 0.92, "unjudged": unjudged,
     }  # fmt: skip
     return cast(Survey, SimpleNamespace(**told))
 

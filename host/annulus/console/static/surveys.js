@@ -142,6 +142,7 @@ function row(app, one, again) {
     if (typeof one.diameter_mm === "number") found.push(el("span", {}, t("surveys.diameter", { d: said(one.diameter_mm, MEASURE, one.k2_mm) })));
   }
   if (one.verdict) found.push(el("b", {}, app.word("verdict", one.verdict)));
+  if (one.verdict && one.open) found.push(el("span", {}, t("surveys.open_places", { n: one.open })));
   const length = [said(one.length_mm, DISTANCE), typeof one.frames === "number" ? t("surveys.frames", { n: one.frames }) : null];
   const state = [one.state === "whole" ? null : el("b", { class: one.state === "torn" ? "warn" : "" }, t(`surveys.state.${one.state}`)), one.kind === "result" ? null : el("span", {}, one.calibrated ? t("surveys.calibrated", { age: age(app, one.age_days) }) : t("surveys.uncalibrated"))];
   const size = [bytes(one.size), one.parts > 1 ? t("surveys.parts", { n: one.parts }) : null].filter(Boolean).join(", ");

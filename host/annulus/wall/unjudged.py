@@ -1,0 +1,362 @@
+"""Where a limit may be broken although nothing listed breaks it: what was not seen, and what nothing was concluded of.
+
+A limit is kept where it was judged, and nowhere else. So every place where it was not is named: a hole in the map that
+is larger than the smallest defect, a place that stands out and was not confirmed, a defect that goes on where nobody
+saw, a stretch whose shape or diameters are not known, a joint's own zone.
+
+Some of them every scan has: a rod hides a strip, rings end raggedly, a step throws a shadow. They are `usual`: a
+verdict speaks of what was seen beside them, and says so. Of all others it says that nothing is established there.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import ndimage
+
+from annulus.numeric.arrays import BoolArray, FloatArray
+from annulus.numeric.robust import nan_median
+from annulus.numeric.rounding import DISTANCE, clock_face, span
+from annulus.wall.defects import Defect, Detection, Kind
+from annulus.wall.grid import Wall, smooth
+from annulus.wall.indications import Scale, arc_of, label_around
+from annulus.wall.looks import COLUMNS, Looks
+from annulus.wall.stations import GAP_MAX_DEG, STATION_MM, shape_ovality, swing_k2_mm
+
+# Held by test_never_flattered.py, constants found on its even draws.
+END_OF_RADIUS = 0.2  # of the radius: how far from an end of the scan rings may end raggedly
+ROUND_LEAST = 0.6  # of the circle: of rows that show less a joint or a level is not told
+SWALLOWED = 0.5  # part of a hole's cells where light should have come back: no rod's shadow but a hole or a steep place
+SHADOW_PART = 0.8  # part of a hole that a step's shadow explains
+BESIDE_MM = 4.0  # a place that ends so near to a hole goes on in it
+RIPPLE_PART = 0.6  # of the depth of what is listed beside it: less is that one's own rim
+LISTED_MAX = 100  # places of a kind and reason; more are told as one
+OF_WALL = ("loss", "bump")
+OF_ROWS = ("joint", "gap", "water", "deposit")
+
+
+@dataclass(frozen=True, slots=True)
+class Unjudged:
+    """One place. kinds : of limits (sections of limits.toml) that were not judged there. clock_deg : its middle. most :
+    what there may be, mm of depth or percent of ovality; infinite where nothing says. usual : every scan has such."""
+
+    kinds: tuple[str, ...]
+    reason: str
+    z_from_mm: float
+    z_to_mm: float
+    clock_deg: float = 0.0
+    arc_deg: float = 360.0
+    most: float = math.inf
+    usual: bool = False
+
+    @property
+    def clock_range(self) -> tuple[str, str]:
+        """From-to, clockwise; the whole circle is 12:00 to 12:00."""
+        if self.arc_deg >= 360.0:
+            return "12:00", "12:00"
+        return clock_face(self.clock_deg - self.arc_deg / 2), clock_face(self.clock_deg + self.arc_deg / 2)
+
+    @property
+    def words(self) -> str:
+        """Where, and why: for one line."""
+        clock = "all round" if self.arc_deg >= 360.0 else "clock {} to {}".format(*self.clock_range)
+        return f"{span(self.z_from_mm, self.z_to_mm, DISTANCE)}, {clock}: {self.reason}"
+
+    def may_reach(self, kind: str, limit: float) -> bool:
+        """Whether a limit of a kind (mm, percent) may be broken there; NaN, where none is named, never is."""
+        return kind in self.kinds and self.most >= limit
+
+
+def find_unjudged(
+    wall: Wall, detection: Detection, *, explained: BoolArray, joints: BoolArray, shadowed: BoolArray,
+    no_wall: BoolArray | None, looks: Looks | None, rings: int,
+) -> tuple[Unjudged, ...]:  # fmt: skip
+    """Every such place of a wall, in order of distance.
+
+    Parameters
+    ----------
+    explained : (Z, A) cells of joints, openings and levels, where no defect was looked for. joints : (Z,) their rows.
+    shadowed : (Z, A) what steps hide. no_wall : (Z, A) cells of openings. looks : where light passed the wall, None
+    where nobody knows. rings : of the pattern; fewer than three tell no joint.
+    """
+    scale = Scale.of(wall, detection.limits)
+    sure = wall.shape_sigma_mm() <= wall.shape_limit_mm
+    listed = detection.label > 0
+    unseen = ~wall.seen & ~explained & ~listed
+    holes = _wider(unseen, scale)
+    found = [*_holes(wall, holes, shadowed, looks, listed | explained, scale)]
+    doubtful = _wider(wall.seen & ~sure & ~explained, scale)
+    found += _parts(
+        wall, doubtful, OF_WALL, "the pipe's own shape is not known there, so that nothing stands out of it"
+    )
+    dark = holes & ~shadowed
+    found += _standing(wall, detection, explained & ~joints[:, None], joints, sure, dark, scale)
+    found += _going_on(wall, detection, dark, scale)
+    found += _parts(
+        wall, explained, OF_WALL, "a joint, an opening or a level: no defect is looked for in it", usual=True
+    )
+    found += _ovality(wall, detection, no_wall, scale)
+    found += _bore(wall, no_wall)
+    found += _rows(wall, rings, scale)
+    return _bounded(found)
+
+
+def in_one(parts: Sequence[Unjudged], touch_mm: float) -> tuple[Unjudged, ...]:
+    """Those of several stretches of a pipe, one after the other: what goes on over a cut is one place."""
+    out: list[Unjudged] = []
+    for one in sorted(parts, key=lambda one: one.z_from_mm):
+        for i in range(len(out) - 1, -1, -1):
+            was = out[i]
+            aside = abs((one.clock_deg - was.clock_deg + 180.0) % 360.0 - 180.0)
+            if (
+                (was.kinds, was.reason, was.usual) == (one.kinds, one.reason, one.usual)
+                and one.z_from_mm - was.z_to_mm <= touch_mm
+                and aside <= min(one.arc_deg, was.arc_deg) / 2
+            ):
+                out[i] = replace(
+                    was, z_to_mm=max(was.z_to_mm, one.z_to_mm), arc_deg=max(was.arc_deg, one.arc_deg),
+                    most=max(was.most, one.most),
+                )  # fmt: skip
+                break
+        else:
+            out.append(one)
+    return _bounded(out)
+
+
+def _cells(mm: float, size: float) -> int:
+    return max(1, math.ceil(mm / size))
+
+
+def _wider(mask: BoolArray, scale: Scale) -> BoolArray:
+    """What of a mask is as large as the smallest defect, both ways."""
+    box = np.ones([_cells(scale.mm(scale.limits.size_of_radius), size) for size in scale.cell_mm], bool)
+    far = box.shape[1]
+    wide = np.pad(np.pad(mask, ((0, 0), (far, far)), mode="wrap"), ((far, far), (0, 0)), mode="edge")
+    return np.asarray(ndimage.binary_opening(wide, box)[far:-far, far:-far])
+
+
+def _runs(mask: BoolArray) -> FloatArray:
+    """(Z, A) columns of the run round the pipe that each marked cell lies in; 0 elsewhere."""
+    out = np.zeros(mask.shape)
+    for row in np.flatnonzero(mask.any(axis=1)):
+        line = mask[row]
+        if line.all():
+            out[row] = len(line)
+            continue
+        start = int(np.argmin(line))
+        label, _n = ndimage.label(np.roll(line, -start))
+        out[row] = np.roll(np.append(0, np.bincount(label)[1:])[label], start)
+    return out
+
+
+def _span(wall: Wall, part: BoolArray) -> tuple[float, float, float, float]:
+    rows = np.flatnonzero(part.any(axis=1))
+    start, arc = arc_of(np.asarray(part.any(axis=0)), wall.clock_step_deg)
+    half = wall.z_step_mm / 2
+    clock = 0.0 if arc >= 360.0 else (start + arc / 2) % 360.0
+    return float(wall.z_mm[rows[0]]) - half, float(wall.z_mm[rows[-1]]) + half, clock, arc
+
+
+def _pieces(mask: BoolArray) -> Iterator[BoolArray]:
+    label, n = label_around(mask)
+    for i in range(1, n + 1):
+        yield label == i
+
+
+def _parts(
+    wall: Wall, mask: BoolArray, kinds: tuple[str, ...], reason: str, *, usual: bool = False
+) -> Iterator[Unjudged]:
+    for part in _pieces(mask):
+        yield Unjudged(kinds, reason, *_span(wall, part), usual=usual)
+
+
+def _holes(
+    wall: Wall, holes: BoolArray, shadowed: BoolArray, looks: Looks | None, known: BoolArray, scale: Scale
+) -> Iterator[Unjudged]:
+    """Holes in the map: narrow strips as rods throw them, ends and shadows of steps are usual."""
+    kinds = (*OF_WALL, "bore", "tee")
+    narrow = holes & (_runs(holes) * wall.clock_step_deg <= GAP_MAX_DEG)
+    swallowed = None if looks is None else _swallowed(wall, looks)
+    end = scale.mm(END_OF_RADIUS)
+    first, last = wall.extent[:2]
+    for is_narrow, mask in ((True, narrow), (False, holes & ~narrow)):
+        for part in _pieces(mask):
+            where = _span(wall, part)
+            usual, reason = is_narrow, "not seen: a strip as a rod hides one"
+            if swallowed is not None and (part & swallowed).sum() > SWALLOWED * part.sum():
+                usual, reason = False, "light that should have come back from there did not"
+            elif (part & shadowed).sum() > SHADOW_PART * part.sum():
+                # behind a joint or a bump; a loss that only its own rim's shadow shows is none that every scan has
+                usual, reason = bool((_reaching(part, scale, BESIDE_MM) & known).any()), "not seen: behind a step"
+            elif where[1] <= first + end or where[0] >= last - end:
+                usual, reason = True, "not seen: at an end of the scan"
+            elif not is_narrow:
+                reason = "not seen"
+            yield Unjudged(kinds, reason, *where, usual=usual)
+
+
+def _swallowed(wall: Wall, looks: Looks) -> BoolArray:
+    """(Z, A) cells that a ring's light reached in a column where it usually comes back, and did not."""
+    row = np.floor((looks.z_mm - wall.extent[0]) / wall.z_step_mm)
+    inside = looks.lit & ~np.isfinite(looks.departure_mm) & (row >= 0) & (row < len(wall.z_mm))
+    out = np.zeros(wall.radius_mm.shape, bool)
+    column = np.broadcast_to(np.arange(COLUMNS) * len(wall.clock_deg) // COLUMNS, inside.shape)
+    out[row[inside].astype(np.intp), column[inside]] = True
+    return out
+
+
+def _reaching(mask: BoolArray, scale: Scale, mm: float) -> BoolArray:
+    half = [_cells(mm, size) for size in scale.cell_mm]
+    wide = np.pad(mask, ((0, 0), (half[1], half[1])), mode="wrap")
+    box = np.ones((2 * half[0] + 1, 2 * half[1] + 1), bool)
+    return np.asarray(ndimage.binary_dilation(wide, box)[:, half[1] : -half[1]])
+
+
+def _standing(
+    wall: Wall, detection: Detection, left_out: BoolArray, joints: BoolArray, sure: BoolArray, dark: BoolArray,
+    scale: Scale,
+) -> Iterator[Unjudged]:  # fmt: skip
+    """What stands out and became no defect: too few looks, too unsure, too small as far as it was seen."""
+    limits, residual = scale.limits, smooth(wall.residual_mm()).astype(np.float64)
+    if joints.any():  # a bead stands out all round
+        residual[joints] -= nan_median(residual[joints].T)[:, None]
+    seed = np.maximum(limits.seed_noise * wall.cell_noise_mm, scale.mm(limits.seed_of_radius))
+    unsure = np.hypot(np.hypot(wall.cell_noise_mm, np.nan_to_num(wall.sigma_mm)), wall.shape_sigma_mm())
+    size = scale.mm(limits.size_of_radius)
+    depths = np.array([0.0, *(one.depth_mm for one in detection.defects)])
+    for kind, height in (("loss", residual), ("bump", -residual)):
+        with np.errstate(invalid="ignore"):
+            core = wall.seen & sure & ~left_out & (detection.label == 0) & (height > seed)
+        for part in _pieces(core):
+            rows = slice(*np.flatnonzero(part.any(axis=1))[[0, -1]] + [0, 1])
+            around = _reaching(part, scale, scale.mm(limits.edge_of_radius))
+            highest = float(height[part].max())
+            if highest < RIPPLE_PART * float(depths[detection.label[around]].max()):
+                continue
+            beside = _reaching(part, scale, BESIDE_MM) & dark
+            whole = part | beside
+            long = np.count_nonzero(whole.any(axis=1)) * scale.cell_mm[0]
+            wide = np.count_nonzero(whole.any(axis=0)) * scale.cell_mm[1]
+            if min(long, wide) < size or rows.stop <= rows.start:
+                continue
+            most = math.inf if beside.any() else highest + 2.0 * float(np.median(unsure[part]))
+            reason = "stands out where too few looked, or too unsurely, to call it a defect"
+            yield Unjudged((kind,), reason, *_span(wall, part), most)
+
+
+def _going_on(wall: Wall, detection: Detection, dark: BoolArray, scale: Scale) -> Iterator[Unjudged]:
+    """Defects and undecided places that end where nobody saw: what is deepest of them may lie there."""
+    size = scale.mm(scale.limits.size_of_radius)
+    listed = [(one, detection.label == i) for i, one in enumerate(detection.defects, 1)]
+    listed += [(one, _box(wall, one)) for one in detection.undecided]
+    for one, cells in listed:
+        if one.kind is Kind.OVALITY or not cells.any():
+            continue
+        beside = _reaching(cells, scale, BESIDE_MM) & dark
+        if np.count_nonzero(beside.any(axis=1)) * scale.cell_mm[0] < size:
+            continue
+        reason = f"the {one.kind} there goes on where nobody saw, and may be deeper"
+        yield Unjudged((str(one.kind),), reason, *_span(wall, cells | beside))
+
+
+def _box(wall: Wall, one: Defect) -> BoolArray:
+    first, last = one.z_range_mm
+    away = np.abs((wall.clock_deg - one.clock_deg + 180.0) % 360.0 - 180.0)
+    return np.asarray(((wall.z_mm >= first) & (wall.z_mm <= last))[:, None] & (away <= one.arc_deg / 2)[None, :])
+
+
+def _stretches(
+    wall: Wall, rows: BoolArray, kinds: tuple[str, ...], reason: str, least_mm: float, end_mm: float = 0.0
+) -> Iterator[Unjudged]:
+    """Runs of rows, shorter ones than `least_mm` left out; such as lie within `end_mm` of an end are usual."""
+    label, n = ndimage.label(rows)
+    half = wall.z_step_mm / 2
+    for i in range(1, n + 1):
+        mine = np.flatnonzero(label == i)
+        first, last = float(wall.z_mm[mine[0]]) - half, float(wall.z_mm[mine[-1]]) + half
+        if last - first >= least_mm:
+            usual = last <= wall.extent[0] + end_mm or first >= wall.extent[1] - end_mm
+            yield Unjudged(kinds, reason, first, last, usual=usual)
+
+
+def _ovality(wall: Wall, detection: Detection, no_wall: BoolArray | None, scale: Scale) -> Iterator[Unjudged]:
+    """Where the shape is not known, and where diameters themselves are farther out of round than it."""
+    limits = detection.limits
+    percent = shape_ovality(wall)
+    long = scale.mm(limits.ovality_length_of_radius)
+    yield from _stretches(wall, ~np.isfinite(percent), ("ovality",), "the pipe's shape is not known there", long)
+    sound = wall.seen & (detection.label == 0)
+    if no_wall is not None:
+        sound &= ~no_wall
+    own = np.nan_to_num(percent) + np.nan_to_num(50.0 * swing_k2_mm(wall) / wall.shape_mm[:, 0])
+    rows = max(1, round(STATION_MM / wall.z_step_mm))
+    half = len(wall.clock_deg) // 2
+    said = np.zeros(len(wall.z_mm))
+    for start in range(0, len(said), rows):
+        part = slice(start, start + rows)
+        radius = np.where(sound[part], wall.radius_mm[part], np.nan)
+        line = _even(nan_median(radius))
+        across = line[:half] + line[half:]
+        known = across[np.isfinite(across)]
+        if len(known) < half / 4:
+            continue
+        mean = 2.0 * float(np.median(wall.shape_mm[part, 0]))
+        noise = 400.0 * float(np.median(wall.noise_mm[part])) / mean
+        said[part] = 100.0 * max(known.max() - mean, mean - known.min()) / mean + noise
+    label, n = ndimage.label(said > own)
+    for i in range(1, n + 1):
+        mine = np.flatnonzero(label == i)
+        step = wall.z_step_mm / 2
+        if len(mine) * wall.z_step_mm >= long:
+            yield Unjudged(
+                ("ovality",), "diameters there are farther out of round than the oval that was fitted",
+                float(wall.z_mm[mine[0]]) - step, float(wall.z_mm[mine[-1]]) + step, most=float(said[mine].max()),
+            )  # fmt: skip
+
+
+def _even(line: FloatArray) -> FloatArray:
+    """(A,) median over five neighbouring columns, round the clock; NaN where not seen."""
+    around = nan_median(np.stack([np.roll(line, shift) for shift in range(-2, 3)]))
+    return np.where(np.isfinite(line), around, np.nan)
+
+
+def _bore(wall: Wall, no_wall: BoolArray | None) -> Iterator[Unjudged]:
+    """Where so wide an arc was not seen that the least or the greatest diameter may end in it."""
+    unseen = ~wall.seen if no_wall is None else ~wall.seen & ~no_wall
+    rows = _runs(unseen).max(axis=1) * wall.clock_step_deg > GAP_MAX_DEG
+    end = END_OF_RADIUS * wall.mean_radius_mm
+    yield from _stretches(wall, rows, ("bore",), "too wide an arc was not seen for its diameters", STATION_MM, end)
+
+
+def _rows(wall: Wall, rings: int, scale: Scale) -> Iterator[Unjudged]:
+    """Where too little of the circle was seen for what goes all round."""
+    if rings < 3:
+        yield Unjudged(("joint",), "fewer than three rings tell no joint's step or angle", *wall.extent[:2])
+    few = wall.seen.mean(axis=1) < ROUND_LEAST
+    least, end = scale.mm(scale.limits.edge_of_radius), scale.mm(END_OF_RADIUS)
+    yield from _stretches(wall, few, OF_ROWS, "too little of the circle was seen", least, end)
+
+
+def _bounded(found: Sequence[Unjudged]) -> tuple[Unjudged, ...]:
+    """In order of distance; of what is too much of one sort the largest, and one place that has the rest."""
+    sorts: dict[tuple[tuple[str, ...], str, bool], list[Unjudged]] = {}
+    for one in found:
+        sorts.setdefault((one.kinds, one.reason, one.usual), []).append(one)
+    out = []
+    for many in sorts.values():
+        many.sort(key=lambda one: -(one.z_to_mm - one.z_from_mm) * one.arc_deg)
+        out += many[:LISTED_MAX]
+        if rest := many[LISTED_MAX:]:
+            out.append(
+                replace(
+                    rest[0],
+                    reason=f"{rest[0].reason}; {len(rest)} more such",
+                    clock_deg=0.0,
+                    arc_deg=360.0,
+                    z_from_mm=min(one.z_from_mm for one in rest),
+                    z_to_mm=max(one.z_to_mm for one in rest),
+                    most=max(one.most for one in rest),
+                )
+            )
+    return tuple(sorted(out, key=lambda one: (one.z_from_mm, one.clock_deg)))

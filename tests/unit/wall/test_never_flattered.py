@@ -1,0 +1,49 @@
+"""A pipe with something over its limit never conforms, and a sound one that was seen well does.
+
+Constants were found on even draws; these are odd ones. "Conforms where seen" is said with the places that were not.
+"""
+
+import numpy as np
+import pytest
+from over_limit import LIMITS, Drawn, draw
+from synthetic_pipe import CALIBRATION
+
+from annulus.untrusted import parse_toml
+from annulus.wall import survey
+from annulus.wall.conformity import Criteria, Decision, Verdict, judge
+from annulus.wall.profile import Profile
+
+
+def verdict(drawn: Drawn, profiles: list[Profile]) -> Verdict:
+    return judge(survey(profiles, CALIBRATION), Criteria.from_dict(parse_toml(LIMITS[drawn.kind].encode())))
+
+
+def in_sight(drawn: Drawn, told: Verdict) -> float:
+    """Part of what is over the limit that lies in no place of which the verdict says that it was not judged."""
+    z, clock = np.arange(70.0, 300.0, 0.5)[:, None], np.arange(0.25, 360.0, 0.5)[None, :]
+    over = np.asarray(drawn.over(clock, z)) & (z > 82.0) & (z < 282.0)
+    left = over.copy()
+    for one in told.not_established:
+        away = np.abs((clock - one.clock_deg + 180.0) % 360.0 - 180.0)
+        left &= ~((z >= one.z_from_mm - 3.0) & (z <= one.z_to_mm + 3.0) & (away <= one.arc_deg / 2 + 2.0))
+    return float(left.sum() / max(over.sum(), 1))
+
+
+@pytest.mark.deep(but=4)
+@pytest.mark.parametrize("seed", range(1, 401, 2))
+def test_what_is_over_its_limit_never_conforms(seed: int) -> None:
+    drawn = draw(seed)
+    told = verdict(drawn, drawn.pipe())
+    assert told.decision is not Decision.CONFORMS, str(drawn)
+    if told.decision is Decision.SEEN:
+        assert in_sight(drawn, told) < 0.1, str(drawn)
+
+
+@pytest.mark.deep(but=2)
+@pytest.mark.parametrize("seed", range(1, 81, 2))
+def test_a_sound_pipe_is_not_called_bad(seed: int) -> None:
+    drawn = draw(seed)
+    told = verdict(drawn, drawn.sound_pipe())
+    assert told.decision is not Decision.FAILS, str(drawn)
+    if drawn.way == "well" and not (drawn.kind == "joint" and drawn.place == "beside a joint"):
+        assert told.decision in (Decision.CONFORMS, Decision.SEEN), str(drawn)
