@@ -297,7 +297,10 @@ def _print_summary(data: Mapping[str, Any], out: Path) -> None:
         print(f"verdict    {data['conformity']['decision']}: {data['conformity']['title'] or 'the limits named'}")
         for remark in data["conformity"]["remarks"]:
             print(f"           {remark}")
-        for place in data["conformity"].get("not_established", []):
+        places = data["conformity"].get("not_established", [])
+        if usual := sum(place["usual"] for place in places):
+            print(f"           not seen as in every scan (strips, ends, joints' zones), see the report: {usual} places")
+        for place in (place for place in places if not place["usual"]):
             clock = "all round" if place["arc_deg"] >= 360 else f"clock {' to '.join(place['clock_from_to'])}"
             where_to = f"{span(place['z_from_mm'], place['z_to_mm'], DISTANCE)}, {clock}"
             print(f"           not established: {', '.join(place['limits'])} {where_to}: {place['reason']}")

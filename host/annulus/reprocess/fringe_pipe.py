@@ -31,6 +31,7 @@ from annulus.wall.indications import Limits
 from annulus.wall.profile import Profile
 from annulus.wall.stations import measure_stations
 from annulus.wall.survey import Survey
+from annulus.wall.unjudged import find_unjudged
 
 Progress = Callable[[str, int, int], None]
 
@@ -247,10 +248,14 @@ def _survey(job: FringePipeJob, seen: PipeMap) -> Survey:
     for n, one in enumerate(defects, start=1):
         label[_cells(wall, one)] = n
     timing = {"wall": 1e3 * (built - began), "defects": 1e3 * (time.perf_counter() - built)}
+    none, detection = np.zeros(wall.radius_mm.shape, bool), Detection(tuple(defects), label, limits)
+    unjudged = find_unjudged(
+        wall, detection, explained=none, joints=none[:, 0], shadowed=none, no_wall=None, looks=None, rings=1
+    )
     return Survey(
-        tuple(profiles), wall, np.zeros(wall.radius_mm.shape, bool), Detection(tuple(defects), label, limits),
+        tuple(profiles), wall, none, detection,
         measure_stations(wall), _light_map(wall, seen), None, (), line, (), 2 * job.radius_mm, timing,
-        tuple(sorted(set(job.ids))), LIGHT,
+        tuple(sorted(set(job.ids))), LIGHT, unjudged=unjudged,
     )  # fmt: skip
 
 

@@ -25,7 +25,7 @@ from annulus.wall.looks import COLUMNS, Looks
 from annulus.wall.stations import GAP_MAX_DEG, STATION_MM, shape_ovality, swing_k2_mm
 
 # Held by test_never_flattered.py, constants found on its even draws.
-END_OF_RADIUS = 0.2  # of the radius: how far from an end of the scan rings may end raggedly
+END_OF_RADIUS = 0.3  # of the radius: how far from an end of the scan rings may end raggedly
 ROUND_LEAST = 0.6  # of the circle: of rows that show less a joint or a level is not told
 SWALLOWED = 0.5  # part of a hole's cells where light should have come back: no rod's shadow but a hole or a steep place
 SHADOW_PART = 0.8  # part of a hole that a step's shadow explains
@@ -181,7 +181,8 @@ def _holes(
     end = scale.mm(END_OF_RADIUS)
     first, last = wall.extent[:2]
     for is_narrow, mask in ((True, narrow), (False, holes & ~narrow)):
-        for part in _pieces(mask):
+        for near in _pieces(_reaching(mask, scale, BESIDE_MM)):  # ragged pieces of one hole are one place
+            part = near & mask
             where = _span(wall, part)
             usual, reason = is_narrow, "not seen: a strip as a rod hides one"
             if swallowed is not None and (part & swallowed).sum() > SWALLOWED * part.sum():
