@@ -12,6 +12,8 @@ from annulus.vocabulary import AnnulusError
 
 app = group("Recordings: what is in one, whether it is whole, its labels said again; to and from pictures and videos.")
 
+LINES_MAX = 100  # of what is missing, as a note has them
+
 Scan = Annotated[Path, typer.Argument(help="A recording, .mcap.")]
 
 
@@ -38,20 +40,22 @@ def relabel_command(
 ) -> None:
     """Say the labels and places of a recording again, from its evidence. The original stays as it is.
 
-    An audit ends with status 1 where something differs, or evidence is missing.
+    Ends with status 1 where something is missing, of the evidence or of the rest; an audit also where something
+    differs.
     """
     from annulus.reprocess.relabel import audit as audit_of
     from annulus.reprocess.relabel import relabel
 
     new = out or scan.with_name(f"{scan.stem}-relabelled.mcap")
-    found = (audit_of(scan) if audit else relabel(scan, new)).to_dict()
+    found = audit_of(scan) if audit else relabel(scan, new)
     if as_json:
-        print(json.dumps(found))
+        print(json.dumps(found.to_dict()))
     else:
-        _print_table(found)
+        _print_table(found.to_dict())
         if not audit:
             print(f"recording  {new}")
-    if audit and (found["changed"] or found["without_evidence"]):
+    _print_missing(scan, found.lacks)
+    if found.lacks or found.without_evidence or (audit and found.changed):
         raise typer.Exit(1)
 
 
@@ -59,16 +63,18 @@ def relabel_command(
 def verify(scan: Scan, as_json: Json = False) -> None:
     """Read all of a recording, every part of it, and say what of it is damaged. Status 1 where something is.
 
-    A torn file is one that nobody closed: what was written before is whole.
+    A torn file is one that nobody closed: what was written before is whole. A recording that was written from a damaged
+    one is whole itself, and what it lacks is said.
     """
+    from annulus.record.missing import missing_told
     from annulus.record.recording import open_recording
 
     recording = open_recording(scan)
-    damage = recording.check()
+    damage, missing = recording.check(), missing_told(recording)
     if as_json:
         found = [{"offset": one.offset, "text": one.text, "messages": one.messages} for one in damage]
         told = {"frames": len(recording.frames), "torn": recording.torn, "cut_frames_at_most": recording.cut_frames}
-        print(json.dumps({**told, "damage": found}))
+        print(json.dumps({**told, "damage": found, **({"missing": missing} if missing else {})}))
     else:
         print(
             f"{len(recording.frames)} frames, {len(damage)} places damaged{_torn(recording.torn, recording.cut_frames)}"
@@ -76,6 +82,8 @@ def verify(scan: Scan, as_json: Json = False) -> None:
         for one in damage:
             lost = f", {one.messages} messages lost" if one.messages else ""
             print(f"{one.offset:>14}  {one.text}{lost}")
+        for line in missing:
+            print(f"{'missing':>14}  {line}")
     if damage or recording.torn:
         raise typer.Exit(1)
 
@@ -90,7 +98,7 @@ def recover_command(
 ) -> None:
     """Write a whole recording, with an index, of all that can be read of a torn or damaged one, and say what was lost.
 
-    Parts of a scan become one file. The original stays as it is.
+    Parts of a scan become one file. The original stays as it is. Ends with status 1 where something was lost.
     """
     from annulus.record.copy import recover
     from annulus.record.recording import open_recording
@@ -100,14 +108,12 @@ def recover_command(
         found = recover(open_recording(scan), new, bars)
     if as_json:
         print(json.dumps({"recording": str(new), **found.to_dict()}))
-        return
-    print(f"{found.copied.frames} frames and {found.copied.notes} notes are in {new}")
-    print(f"of {scan} {len(found.damage)} places are damaged{_torn(found.torn, found.cut_frames)}")
-    for one in found.damage:
-        lost = f", {one.messages} messages lost" if one.messages else ""
-        print(f"{one.offset:>14}  {one.text}{lost}")
-    for line in found.copied.damaged:
-        print(f"{'left out':>14}  {line}")
+    else:
+        print(f"{found.copied.frames} frames and {found.copied.notes} notes are in {new}")
+        print(f"of {scan} {len(found.damage)} places are damaged{_torn(found.torn, found.cut_frames)}")
+    _print_missing(scan, found.missing)
+    if found.missing:
+        raise typer.Exit(1)
 
 
 @app.command(
@@ -142,7 +148,7 @@ def export_command(
             from annulus.record.copy import copy
 
             copied = copy(recording, out, codec=None if codec is None else Codec(codec), progress=bars)
-            frames, without_place, damaged = copied.frames, 0, copied.damaged
+            frames, without_place, damaged = copied.frames, 0, [f"{scan}: {line}" for line in copied.damaged]
         else:
             from annulus.record.folder import export_folder
 
@@ -229,12 +235,16 @@ def _torn(torn: bool, cut_frames: int | None) -> str:
     return f"; torn: it ends before it was closed, and {many} with it"
 
 
+def _print_missing(scan: Path, lines: list[str]) -> None:
+    """What was written and cannot be read any more."""
+    for line in lines[:LINES_MAX]:
+        print(f"annulus: {scan}: {line}", file=sys.stderr)
+    if len(lines) > LINES_MAX:
+        print(f"annulus: {scan}: and {len(lines) - LINES_MAX} places more", file=sys.stderr)
+
+
 def _print_table(found: dict[str, Any]) -> None:
     print(f"{found['frames']} frames, {found['changed']} change, {found['without_evidence']} without evidence")
-    if found["rows_missing"] or found["rows_malformed"]:
-        print(f"of the evidence {found['rows_missing']} rows are missing, {found['rows_malformed']} damaged")
-    if found["frames_damaged"]:
-        print(f"{found['frames_damaged']} frames cannot be read and are left out")
     for row in found["changes"]:
         label = row["was"] if row["was"] == row["now"] else f"{row['was']} -> {row['now']}"
         print(f"{row['frames']:>8}  {row['what']:<6} {label:<24} {row['why']}")

@@ -40,6 +40,19 @@ class Navigation:
                 self.journal.edge(EdgeSeen(edge.flash, edge.host_ns, 0, edge.boot_epoch))
             self.journal.cameras()
 
+    def remember(self) -> None:
+        """Where z stands, and whose frames are labelled: for a reader who lacks some of what was before."""
+        with self.journal.known():
+            self.journal.note("odometer", again=True, **self.odometer.remembered())
+            self.journal.cameras()
+
+    def cut(self, which: int) -> None:
+        """Some of what came is missing, for the `which`-th time: edges before are no guide, nor is z. Labellings that
+        have these edges have to be made anew.
+        """
+        self.edges = EdgeHistory()
+        self.odometer.cut(which)
+
     def zero(self) -> None:
         """z is 0 at the next edge."""
         self.journal.note("zero")

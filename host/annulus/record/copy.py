@@ -5,7 +5,7 @@ out and counted. The original stays as it is, and the copy appears when all of i
 """
 
 import heapq
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,12 +13,12 @@ from typing import Any
 from annulus.record.clock import Clock
 from annulus.record.codec import DEFAULT, Codec
 from annulus.record.frames import LABEL_TOPIC, RecordedFrame
+from annulus.record.missing import RECOVERED, missing_note
 from annulus.record.recording import Recording
 from annulus.record.walk import Damage
 from annulus.record.writer import RecordingWriter
 from annulus.vocabulary import AnnulusError
 
-RECOVERED = "/recovered"
 LabelOf = Callable[[RecordedFrame], Mapping[str, Any]]
 Progress = Callable[[str, int, int], None]
 
@@ -35,6 +35,9 @@ class Copied:
         return {"frames": self.frames, "notes": self.notes, "frames_damaged": len(self.damaged)}
 
 
+Last = Callable[[Copied], tuple[str, Mapping[str, Any]]]
+
+
 @dataclass(frozen=True, slots=True)
 class Recovered:
     """`cut_frames`: at most, that the file ended in the middle of; None: not known."""
@@ -43,6 +46,11 @@ class Recovered:
     torn: bool
     cut_frames: int | None
     damage: tuple[Damage, ...]
+
+    @property
+    def missing(self) -> list[str]:
+        """What was written of the old one and is not in the new one, and where; a line each."""
+        return missing_of(self.torn, self.cut_frames, self.damage) + self.copied.damaged
 
     def to_dict(self) -> dict[str, Any]:
         damage = [{"offset": one.offset, "text": one.text, "messages": one.messages} for one in self.damage]
@@ -56,22 +64,22 @@ def copy(
     out: Path,
     *,
     codec: Codec | None = None,
-    first: tuple[str, Mapping[str, Any]] | None = None,
+    last: Last | None = None,
     label_of: LabelOf | None = None,
     progress: Progress | None = None,
 ) -> Copied:
     """Write `out`, which must not exist.
 
     codec : of the new one; where None, pictures that are JPEGs stay what they are, byte for byte, others are packed.
-    first : a note to begin with, by its topic. label_of : what to say of a frame, all but its form and size; what was
-    said before by default. Raises AnnulusError, one line.
+    last : topic and body of a note to end with, which says what became of the rest. label_of : what to say of a frame,
+    all but its form and size; what was said before by default. Raises AnnulusError, one line.
     """
     if out.exists():
         raise AnnulusError(f"{out}: is there already. Choose another name.")
     begun = out.with_name(out.name + ".part")
     begun.unlink(missing_ok=True)
     try:
-        copied = _copied(recording, begun, codec, first, label_of or recording.label, progress)
+        copied = _copied(recording, begun, codec, last, label_of or recording.label, progress)
         begun.rename(out)
     except OSError as error:
         raise AnnulusError(f"{out}: cannot be written ({error.strerror}).") from None
@@ -84,11 +92,24 @@ def recover(recording: Recording, out: Path, progress: Progress | None = None) -
     """A whole recording with an index, of all that can be read of a torn or damaged one: its parts in one file."""
     damage = recording.check()
     torn, cut = recording.torn, recording.cut_frames
-    body = {
-        "from": recording.path.name, "torn": torn, "cut_frames_at_most": cut,
-        "damage": [one.text for one in damage[:100]],
-    }  # fmt: skip
-    return Recovered(copy(recording, out, first=(RECOVERED, body), progress=progress), torn, cut, damage)
+
+    def last(copied: Copied) -> tuple[str, Mapping[str, Any]]:
+        missing = Recovered(copied, torn, cut, damage).missing
+        return RECOVERED, {
+            "from": recording.path.name, "torn": torn, "cut_frames_at_most": cut,
+            "damage": [one.text for one in damage[:100]], **missing_note(missing),
+        }  # fmt: skip
+
+    return Recovered(copy(recording, out, last=last, progress=progress), torn, cut, damage)
+
+
+def missing_of(torn: bool, cut_frames: int | None, damage: Sequence[Damage]) -> list[str]:
+    """Of a file: the places where what was written cannot be read, a line each."""
+    lines = [f"{one.text}, at byte {one.offset}" for one in damage]
+    if torn and cut_frames != 0:
+        many = "an unknown number of frames" if cut_frames is None else f"{cut_frames} frame at most"
+        lines.append(f"its end: it was not closed, and {many} with it")
+    return lines
 
 
 def clock_of(recording: Recording) -> Clock:
@@ -103,7 +124,7 @@ def _copied(
     recording: Recording,
     out: Path,
     codec: Codec | None,
-    first: tuple[str, Mapping[str, Any]] | None,
+    last: Last | None,
     label_of: LabelOf,
     progress: Progress | None,
 ) -> Copied:
@@ -113,8 +134,6 @@ def _copied(
         out, calibration=recording.calibration, configuration=recording.configuration or {}, now_ns=first_ns,
         codec=codec or DEFAULT, clock=clock_of(recording),
     ) as writer:  # fmt: skip
-        if first is not None:
-            writer.note(*first, first_ns)
         for time_ns, _, topic, content in heapq.merge(_notes(recording), _frames(recording), key=lambda one: one[:2]):
             if not isinstance(content, RecordedFrame):
                 sequence, body = content
@@ -126,7 +145,7 @@ def _copied(
                 image, encoding = recording.read_raw(content)
                 kept = recording.read_jpeg(content) if content.jpeg and codec in (None, Codec.JPEG) else None
             except AnnulusError as error:
-                copied.damaged.append(str(error))
+                copied.damaged.append(str(error).removeprefix(f"{recording.path}: "))
                 continue
             shape = {"encoding": encoding, "width": image.shape[1], "height": image.shape[0]}
             named = {"index": content.index, "camera": content.camera}
@@ -135,6 +154,8 @@ def _copied(
             copied.frames += 1
             if progress is not None:
                 progress("frames", copied.frames, len(recording.frames))
+        if last is not None:
+            writer.note(*last(copied), max((frame.timestamp_ns for frame in recording.frames), default=first_ns))
     if writer.lost:
         raise AnnulusError(f"{out}: cannot be written ({writer.problem}). The recording is as it was.")
     return copied

@@ -208,14 +208,21 @@ def place_of(label: Mapping[str, Any]) -> _Place:
     placed = isinstance(z, int | float) and not isinstance(z, bool) and abs(z) <= Z_MAX_MM
     if isinstance(roll, bool) or not isinstance(roll, int | float):
         roll = None
-    bound, segment = label.get("z_bound_mm"), label.get("segment")
+    segment = label.get("segment")
     return (
         known if placed else Label.UNKNOWN,
         float(z) if placed else None,  # type: ignore[arg-type]
         roll if roll is None else float(roll),
-        float(bound) if isinstance(bound, int | float) and 0 < bound <= Z_MAX_MM else 0.0,
+        _bound(label.get("z_bound_mm"), label.get("z_assumed") is True),
         segment if type(segment) is int else 0,
     )
+
+
+def _bound(bound_mm: object, assumed: bool) -> float:
+    """0 where it was counted. A bound that is none, of an assumed place, is as far as any pipe: not 0."""
+    if isinstance(bound_mm, int | float) and not isinstance(bound_mm, bool) and bound_mm > 0:
+        return float(min(bound_mm, Z_MAX_MM))
+    return Z_MAX_MM if assumed else 0.0
 
 
 def placed_of(frame: RecordedFrame) -> _Place:

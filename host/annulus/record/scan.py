@@ -24,6 +24,7 @@ from annulus.geometry.calibration import Calibration
 from annulus.numeric.arrays import Image
 from annulus.record.frames import CAMERA_ID_MAX, DROPS_TOPIC, Z_MAX_MM, frame_name
 from annulus.record.imu import Motion, read_motion
+from annulus.record.missing import missing_told
 from annulus.record.numbers import number, whole
 from annulus.record.parts import first_names, first_paths
 from annulus.record.recording import Recording, open_recording
@@ -83,8 +84,16 @@ class Scan:
         return {label.value: counted[label] for label in Label}
 
     def lost(self) -> dict[str, int]:
-        """What the head lost while it recorded, by kind, as its last sound `/drops` says; nothing where none is."""
-        told = [] if self.recording is None else list(self.recording.notes(DROPS_TOPIC))
+        """What was lost, by kind: while the head recorded, and since, in how many places."""
+        if self.recording is None:
+            return {}
+        places = len(missing_told(self.recording))
+        return {**self._dropped(self.recording), **({"recording_incomplete": places} if places else {})}
+
+    @staticmethod
+    def _dropped(recording: Recording) -> dict[str, int]:
+        """As the last sound `/drops` says; nothing where none is."""
+        told = list(recording.notes(DROPS_TOPIC))
         for note in reversed(told):
             try:
                 counts = untrusted.mapping(untrusted.mapping(note, DROPS_TOPIC).get("all"), DROPS_TOPIC)

@@ -65,6 +65,7 @@ PICTURES_TAKEN = {
 LOST = {  # in the client's words, by the account's kinds; several kinds that read the same are counted together
     "profiles_without_pose": "pictures whose place in the pipe is unknown, not used",
     "frames_damaged": "damaged pictures, not used",
+    "recording_incomplete": "places where the recording lacks what was written",
     "recording_torn": "recordings that end in the middle of a picture",
 } | dict.fromkeys(
     ("camera", "camera_away", "no_slot", "recorder_busy", "recorder_absent", "disk", "recorder_failed", "recorder_died",

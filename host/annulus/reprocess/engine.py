@@ -15,7 +15,7 @@ from annulus.reprocess.bores import with_bores
 from annulus.reprocess.executors import Executor, Failed, in_process
 from annulus.reprocess.job import Job, Measured, open_job, stage_medians, turns_of
 from annulus.reprocess.method import examined
-from annulus.reprocess.places import place_findings
+from annulus.reprocess.places import incomplete_findings, place_findings
 from annulus.reprocess.ranges import CHUNK
 from annulus.rings.diagnosis import Exposure, exposure_findings, reference_findings
 from annulus.stereo import CAMERA_MISSING, TWO_WALLS
@@ -142,7 +142,7 @@ def account(
         raise AnnulusError(f"{job.scan.path}: {findings[0].text}.")
     findings += missing_findings(job, which)
     findings += apart_findings(job, tuple(seen.apart), seen.pairs)
-    findings += place_findings(job.scan.frames)
+    findings += place_findings(job.scan.frames) + incomplete_findings(job.scan)
     if job.reference is not None:
         findings += reference_findings(job.reference, seen.poses)
     counted = Counter(frame.label for frame in job.scan.frames)

@@ -4,8 +4,22 @@ from collections.abc import Sequence
 from itertools import groupby, pairwise
 
 from annulus.numeric.rounding import DISTANCE, off, said, span
-from annulus.record.scan import ScanFrame
+from annulus.record.frames import Z_MAX_MM
+from annulus.record.missing import missing_told
+from annulus.record.scan import Scan, ScanFrame
 from annulus.vocabulary import Finding, Label
+
+LINES_MAX = 3  # of what a recording lacks, in one finding
+
+
+def incomplete_findings(scan: Scan) -> list[Finding]:
+    """One, where the recording was written from another that had lost something."""
+    lines = [] if scan.recording is None else missing_told(scan.recording)
+    if not lines:
+        return []
+    more = f"; and {len(lines) - LINES_MAX} places more" if len(lines) > LINES_MAX else ""
+    text = f"the recording was written from one that lacks something: {'; '.join(lines[:LINES_MAX])}{more}"
+    return [Finding("recording_incomplete", text)]
 
 
 def place_findings(frames: Sequence[ScanFrame]) -> list[Finding]:
@@ -17,7 +31,8 @@ def place_findings(frames: Sequence[ScanFrame]) -> list[Finding]:
         if assumed:
             bound = max(frame.z_bound_mm for frame in assumed)
             text = (
-                f"place assumed from {span(assumed[0].z_mm, assumed[-1].z_mm, DISTANCE)}, ± {off(bound, DISTANCE)}: "
+                f"place assumed from {span(assumed[0].z_mm, assumed[-1].z_mm, DISTANCE)}, "
+                f"{'by any distance off' if bound >= Z_MAX_MM else f'± {off(bound, DISTANCE)}'}: "
                 "nobody counted in a gap before"
             )
             out.append(Finding("place_assumed", text, tuple(frame.index for frame in assumed)))

@@ -3,29 +3,31 @@
 
 An audit asks every label when the head asked it: what this program says of the same evidence is what that one said, and
 whatever differs is listed. Relabelling gives frames that were labelled early, for want of room, the time they lacked.
-A frame without evidence is unknown.
+A frame without evidence is unknown. Where evidence is missing, what follows is said again from what comes behind the
+hole (labelling/replay.py); what is missing is said by whoever asked, and in the new recording.
 """
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from annulus.labelling.evidence import LABEL, Row
+from annulus.labelling.evidence import LABEL
 from annulus.labelling.replay import PATIENCE_NS, Replay
 from annulus.record.codec import Codec
-from annulus.record.copy import clock_of, copy
-from annulus.record.frames import RecordedFrame
+from annulus.record.copy import Copied, clock_of, copy, missing_of
+from annulus.record.frames import RecordedFrame, frame_name
 from annulus.record.marks import read_marks
+from annulus.record.missing import RELABELLED, missing_note, missing_told
 from annulus.record.origin import job_told
 from annulus.record.recording import Recording, open_recording
+from annulus.reprocess.evidence import TOPIC, Evidence, Hole
 from annulus.stream.frames import FrameHeader
 from annulus.vocabulary import AnnulusError, Label
 
-TOPIC, NOTE = "/evidence", "/relabelled"
 SAME_MM = 1e-3
 NO_EVIDENCE = "no evidence"
 
@@ -42,18 +44,28 @@ class Change:
 
 @dataclass(slots=True)
 class Audit:
-    """frames: those with a label, recorded or not. missing: rows of evidence that are not in the recording."""
+    """frames: those with a label, recorded or not. holes: of the evidence. lacks: a line for all that is missing."""
 
     frames: int = 0
     changes: Counter[Change] = field(default_factory=Counter)
     without_evidence: int = 0
-    missing: int = 0
-    malformed: int = 0
+    holes: list[Hole] = field(default_factory=list)
+    lacks: list[str] = field(default_factory=list)
     damaged: int = 0  # frames whose picture cannot be read, and is not in the new recording
 
     @property
     def changed(self) -> int:
         return self.changes.total()
+
+    @property
+    def missing(self) -> int:
+        """Rows of evidence that are not in the recording, as far as it is known how many."""
+        return sum(hole.rows or 0 for hole in self.holes if not hole.malformed)
+
+    @property
+    def malformed(self) -> int:
+        """Rows that are there and cannot be read."""
+        return sum(hole.rows or 0 for hole in self.holes if hole.malformed)
 
     def to_dict(self) -> dict[str, Any]:
         rows = [
@@ -63,7 +75,7 @@ class Audit:
         return {
             "frames": self.frames, "changed": self.changed, "without_evidence": self.without_evidence,
             "rows_missing": self.missing, "rows_malformed": self.malformed, "frames_damaged": self.damaged,
-            "changes": rows,
+            "changes": rows, **missing_note(self.lacks),
         }  # fmt: skip
 
 
@@ -71,8 +83,9 @@ def audit(path: Path) -> Audit:
     """Whether the labels of a recording follow from its evidence. Raises AnnulusError where it has none."""
     recording = open_recording(path)
     found = Audit()
-    patience_ns = max((int(note["patience_ns"]) for note in recording.notes(NOTE)), default=0)
+    patience_ns = max((int(note["patience_ns"]) for note in recording.notes(RELABELLED)), default=0)
     _said_again(recording, found, patience_ns)
+    found.lacks += missing_of(recording.torn, recording.cut_frames, recording.damage)
     return found
 
 
@@ -102,6 +115,7 @@ def identity(path: Path) -> dict[str, Any]:
         "frames_of_assumed_place": len(assumed),
         "z_bound_mm": max((frame.z_bound_mm for frame in assumed), default=0.0),
         "evidence": TOPIC in recording.topics, "marks": len(marks.of) + marks.left_out, "marks_unread": marks.unread,
+        "missing": missing_told(recording),
     }  # fmt: skip
 
 
@@ -141,12 +155,17 @@ def relabel(path: Path, out: Path) -> Audit:
     recording = open_recording(path)
     found = Audit()
     said = _said_again(recording, found, PATIENCE_NS)
-    note = {"from": recording.path.name, "patience_ns": PATIENCE_NS, **found.to_dict()}
+    found.lacks += missing_of(recording.torn, recording.cut_frames, recording.check())
 
     def label_of(frame: RecordedFrame) -> Mapping[str, Any]:
         return _label(recording, frame, said.get((frame.index, frame.camera)))
 
-    found.damaged = len(copy(recording, out, first=(NOTE, note), label_of=label_of).damaged)
+    def last(copied: Copied) -> tuple[str, Mapping[str, Any]]:
+        found.damaged = len(copied.damaged)
+        found.lacks += copied.damaged
+        return RELABELLED, {"from": recording.path.name, "patience_ns": PATIENCE_NS, **found.to_dict()}
+
+    copy(recording, out, last=last, label_of=label_of)
     return found
 
 
@@ -156,10 +175,10 @@ _Said = dict[tuple[int, int], FrameHeader | None]  # by index and camera, as the
 def _said_again(recording: Recording, found: Audit, patience_ns: int) -> _Said:
     """What differs goes into `found`."""
     recorded = {(frame.index, frame.camera): frame for frame in recording.frames}
-    replay = Replay(patience_ns)
+    evidence = Evidence(recording)
     out: _Said = {}
     any_row = False
-    for was, now in _replayed(recording, replay, found):
+    for was, now in evidence.said_again(Replay(patience_ns)):
         any_row = True
         frame = recorded.get((was.get("index", -1), was.get("camera", 0)))
         told: Mapping[str, Any] = recording.label(frame) if frame is not None else was
@@ -170,27 +189,21 @@ def _said_again(recording: Recording, found: Audit, patience_ns: int) -> _Said:
             found.without_evidence += 1
         elif (change := _change(told or was, now)) is not None:
             found.changes[change] += 1
-    if not any_row:
+    found.holes = evidence.holes
+    if not any_row and not found.holes:
         raise AnnulusError(f"{recording.path}: has no evidence to label it from. Expected a recording that keeps some.")
-    for one in recorded.keys() - out.keys():
+    lost = sorted(recorded.keys() - out.keys())
+    for one in lost:
         found.frames += 1
         found.without_evidence += 1
         out[one] = None
-    found.malformed = replay.malformed
+    found.lacks += [str(hole) for hole in evidence.holes]
+    if lost:
+        found.lacks.append(
+            f"of {len(lost)} frames there is no evidence, they are unknown: the first is {frame_name(*lost[0])}, the "
+            f"last {frame_name(*lost[-1])}"
+        )
     return out
-
-
-def _replayed(recording: Recording, replay: Replay, found: Audit) -> Iterator[tuple[Row, FrameHeader | None]]:
-    expected = 0
-    for body in recording.notes(TOPIC):
-        if not isinstance(body, dict) or not isinstance(body.get("rows"), list) or type(body.get("first")) is not int:
-            found.malformed += 1
-            continue
-        found.missing += max(0, body["first"] - expected)
-        expected = body["first"] + len(body["rows"])
-        for row in body["rows"]:
-            yield from replay.feed(row)
-    yield from replay.finish()
 
 
 def _change(was: Mapping[str, Any], now: FrameHeader) -> Change | None:

@@ -4,6 +4,10 @@ Counts begin at zero with every boot of the controller; the pipe does not. Withi
 edges are lost: an edge brings the whole count. Across a boot nobody counted. The head is then taken to have moved on at
 the speed it had, a new segment of z begins, and its places are marked as assumed, with a bound that holds as long as
 nothing pulls faster than `max_speed_mm_s`. Only `zero` ends the assumption.
+
+Who reads a recording may lack some of what the head heard (`cut`). Then the counts of a boot go on, but from which zero
+nobody knows: places are assumed, with no bound but ANYWHERE_MM, until a `zero`, or until one who counted through says
+where an edge was (`counted_on`).
 """
 
 from collections import deque
@@ -22,6 +26,9 @@ SEGMENTS_KEPT = 16
 MAX_SPEED_MM_S = 500.0  # of the winch, where nobody says
 REST_COUNTS = 1.5  # in SPEED_SPAN_NS: a head at rest trembles between two counts
 BOOT_SLACK_NS = 20_000_000  # clock maps differ: by so much a boot may seem to be before the last edge of the one before
+ANYWHERE_MM = 1e8  # a bound that says nothing: no pipe is longer, and what is written for readers stays a number
+CUT_SEGMENT = 1 << 30  # numbers of segments behind the first cut begin here: the head's own never get so far
+CUT_SEGMENTS, CUTS_MAX = 1 << 10, 1 << 20  # numbers behind one cut: restarts and zeros until it is mended; cuts
 LOST_EDGES = 16  # a loss of counts is told 0.1 s late at most: so many edges may have been before
 
 
@@ -67,6 +74,14 @@ class _Segment:
     nonce: int | None = None  # of the boot, where the controller told it
 
 
+def _segment(data: Mapping[str, Any]) -> _Segment:
+    nonce = data["nonce"]
+    return _Segment(
+        int(data["epoch"]), int(data["first_edge"]), float(data["start_mm"]), int(data["number"]),
+        float(data["bound_mm"]), None if nonce is None else int(nonce),
+    )  # fmt: skip
+
+
 class Odometer:
     """Also a Sensor: counts and z_mm. `gaps` counts how often z was assumed to have gone on."""
 
@@ -83,6 +98,8 @@ class Odometer:
         self._last_edge = 0
         self._lost = 0  # counts, in this boot, as the controller says
         self._zero_next = False
+        self._cut = False  # and no edge was heard since
+        self._heard_from: tuple[int, int] | None = None  # epoch and number of the first edge behind the last cut
         self._samples: list[Sample] = []
         self._next_sample_ns = 0
 
@@ -109,6 +126,8 @@ class Odometer:
             self._another_boot(flash, host_ns, nonce)
         elif self._recent and host_ns <= self._recent[-1][0]:
             return
+        if self._cut:
+            self._cut, self._heard_from = False, (flash.epoch, flash.edge)
         place = self._place(flash)
         if self._zero_next:
             self._zero_next, self.zeroed_mm = False, place.z_mm
@@ -136,11 +155,35 @@ class Odometer:
         if self._segments and more > 0:
             now = self._segments[-1]
             first = max(now.first_edge, self._last_edge - LOST_EDGES)
-            self._segments.append(replace(now, first_edge=first, bound_mm=now.bound_mm + more))
+            self._segments.append(replace(now, first_edge=first, bound_mm=min(now.bound_mm + more, ANYWHERE_MM)))
+
+    def cut(self, which: int) -> None:
+        """What comes next is missing: edges, a restart, a loss of counts, a `zero`. `which`: of cuts, from 0."""
+        self._cut, self._heard_from, self._zero_next = True, None, False
+        last = self._segments[-1] if self._segments else _Segment(0, 0, 0.0)
+        self._segments.clear()
+        number = CUT_SEGMENT + min(which, CUTS_MAX - 1) * CUT_SEGMENTS
+        self._segments.append(replace(last, number=number, bound_mm=ANYWHERE_MM))
+
+    def counted_on(self, edge: int, counts: int, place: Place) -> Place | None:
+        """Behind a cut: where an edge of this boot was, by one who counted through it. Its place, where it tells ours.
+
+        It does where that edge was heard behind the cut, and nothing but edges since: then no `zero` is between.
+        """
+        if len(self._segments) != 1 or self._heard_from is None or edge < self._heard_from[1]:
+            return None
+        here = self._segments[0]
+        if here.bound_mm < ANYWHERE_MM:
+            return None
+        start_mm = place.z_mm - counts * self._mm_per_count
+        self._recent = deque((host_ns, z_mm + start_mm - here.start_mm) for host_ns, z_mm in self._recent)
+        self._segments[0] = replace(here, start_mm=start_mm, number=place.segment, bound_mm=place.bound_mm)
+        return place
 
     def place(self, flash: Flash) -> Place | None:
-        """Of a frame, from its flash; None when that boot's edges were never heard, or too long ago."""
-        return self._place(flash) if self._knows(flash) else None
+        """Of a frame, from its flash; None when that boot's edges were never heard, too long ago, or before a cut."""
+        before_cut = self._heard_from is not None and self._heard_from > (flash.epoch, flash.edge)
+        return None if self._cut or before_cut or not self._knows(flash) else self._place(flash)
 
     def remembered(self) -> dict[str, Any]:
         """All that later places follow from, as plain types; `recalled` is the inverse."""
@@ -154,8 +197,10 @@ class Odometer:
     def recalled(cls, data: Mapping[str, Any]) -> "Odometer":
         """Raises KeyError, TypeError or ValueError on anything but what `remembered` gave."""
         odometer = cls(float(data["mm_per_count"]), float(data["max_speed_mm_s"]))
-        odometer._segments.extend(_Segment(**segment) for segment in data["segments"])
+        odometer._segments.extend(_segment(segment) for segment in data["segments"])
         odometer._recent.extend((int(host_ns), float(z_mm)) for host_ns, z_mm in data["recent"])
+        if bool(odometer._segments) != bool(odometer._recent):
+            raise ValueError("an odometer that heard edges, and none")
         odometer._last_edge, odometer._lost = int(data["last_edge"]), int(data["lost"])
         odometer._zero_next = bool(data["zero_next"])
         return odometer
@@ -197,10 +242,13 @@ class Odometer:
             self._begin(replace(before, epoch=flash.epoch, first_edge=flash.edge))
             return
         self._lost = 0
-        last_ns, last_mm = self._recent[-1]
+        last_ns, last_mm = self._recent[-1] if self._recent else (host_ns, 0.0)
         gap_ns, counted_mm = self._uncounted(flash, host_ns, last_ns)
         travel_mm = self.speed_mm_s * min(gap_ns, EXPECT_NS) / 1e9
-        bound_mm = before.bound_mm + abs(travel_mm) + self._max_speed * gap_ns / 1e9
+        bound_mm = min(before.bound_mm + abs(travel_mm) + self._max_speed * gap_ns / 1e9, ANYWHERE_MM)
+        if before.bound_mm >= ANYWHERE_MM:  # what was before says nothing of this boot: it may yet be told by itself
+            self._segments.clear()
+            self._cut = True
         place = Place(last_mm + travel_mm + counted_mm, before.number + 1, bound_mm)
         self.gaps += 1
         self.gap = Gap(host_ns, gap_ns / 1e9, last_mm, place)

@@ -29,6 +29,13 @@ class Head:
         self.headers: list[FrameHeader] = []
         self.boot, self.since, self.waiting = 1, 0, []
         self.labellings = []
+        self.moved_ns = 0  # the first camera's stamps, since it began anew
+
+    def restart(self, moved_ns: int) -> None:
+        """The first camera begins anew, and its stamps are off by something else."""
+        self.moved_ns = moved_ns
+        self.waiting = [one for one in self.waiting if one[0]]
+        self.labellings[0].restarted()
 
     def begin(self) -> None:
         self.navigation.write_down(lambda row: self.rows.append(from_json(to_json(row))))
@@ -64,7 +71,8 @@ class Head:
                     continue
                 picture = replace(LED if (k - 1) % 5 == 4 else PROJECTOR, fingerprint=rng.getrandbits(64))
                 jitter = rng.choice([0, 0, 0, 0, 9_000_000]) + camera * 500
-                frame = FrameSeen(CameraSequence(k), now + jitter, now + jitter + 3_000_000 + camera, picture, {})
+                stamp = now + jitter + (0 if camera else self.moved_ns)
+                frame = FrameSeen(CameraSequence(k), stamp, now + jitter + 3_000_000 + camera, picture, {})
                 labelling.saw(frame)
                 self.waiting.append((camera, frame))
             for camera, labelling in enumerate(self.labellings):
