@@ -121,7 +121,7 @@ def restarted(seed: int, moved_ns: int) -> Head:
 
 
 CASES: dict[str, tuple[Callable[[], Head], Callable[[Head], Damage]]] = {
-    "a zero": (lambda: scanned(5), lambda head: lose(at(head, "zero"))),
+    "a zero": (lambda: scanned(9), lambda head: lose(at(head, "zero"))),
     "two": (lambda: scanned(6, 300), lambda head: lose(3, 9)),
     "two side by side": (lambda: scanned(6, 300), lambda head: lose(5, 6)),
     "a restart of the controller": (lambda: scanned(7, 300), lambda head: lose(at(head, "rebooted"))),
@@ -132,26 +132,26 @@ CASES: dict[str, tuple[Callable[[], Head], Callable[[Head], Damage]]] = {
     "a restart of the camera, a frame off": (
         lambda: restarted(8, 40_000_000), lambda head: lose(at(head, "restarted")),
     ),
-    "the start": (lambda: scanned(5), lambda head: lose(0)),
-    "the start, and the odometer comes later": (lambda: scanned(5, 300, remember=100), lambda head: lose(0, 1)),
-    "the end": (lambda: scanned(5), lambda head: lose(-1)),
-    "all but the end": (lambda: scanned(5, 300, remember=75), lambda head: lose(*range(10))),
-    "rows that are none": (lambda: scanned(5), lambda head: garble(at(head, "zero"), lambda row: {})),
-    "rows that are no rows": (lambda: scanned(5), lambda head: garble(at(head, "zero"), lambda row: None)),
+    "the start": (lambda: scanned(9), lambda head: lose(0)),
+    "the start, and the odometer comes later": (lambda: scanned(9, 300, remember=100), lambda head: lose(0, 1)),
+    "the end": (lambda: scanned(9), lambda head: lose(-1)),
+    "all but the end": (lambda: scanned(9, 300, remember=75), lambda head: lose(*range(10))),
+    "rows that are none": (lambda: scanned(9), lambda head: garble(at(head, "zero"), lambda row: {})),
+    "rows that are no rows": (lambda: scanned(9), lambda head: garble(at(head, "zero"), lambda row: None)),
     "rows of unknown kinds": (
-        lambda: scanned(5), lambda head: garble(at(head, "zero"), lambda row: {**row, "what": row["what"] + "s"}),
+        lambda: scanned(9), lambda head: garble(at(head, "zero"), lambda row: {**row, "what": row["what"] + "s"}),
     ),
     "rows of texts": (
-        lambda: scanned(5),
+        lambda: scanned(9),
         lambda head: garble(at(head, "zero"), lambda row: {key: str(value) for key, value in row.items()}),
     ),
     "rows without their numbers": (
-        lambda: scanned(5),
+        lambda: scanned(9),
         lambda head: garble(at(head, "zero"), lambda row: {"what": row["what"] if row["what"] != "zero" else "Zero"}),
     ),
-    "records in another order": (lambda: scanned(5), lambda head: swapped(at(head, "zero"))),
-    "a record that counts from elsewhere": (lambda: scanned(5), lambda head: renumbered(at(head, "zero"), 1 << 40)),
-    "a record that counts from the start": (lambda: scanned(5), lambda head: renumbered(at(head, "zero"), 0)),
+    "records in another order": (lambda: scanned(9), lambda head: swapped(at(head, "zero"))),
+    "a record that counts from elsewhere": (lambda: scanned(9), lambda head: renumbered(at(head, "zero"), 1 << 40)),
+    "a record that counts from the start": (lambda: scanned(9), lambda head: renumbered(at(head, "zero"), 0)),
 }  # fmt: skip
 
 
@@ -192,10 +192,10 @@ def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
 @pytest.mark.deep(
     gate="tests/regression/hole_in_the_evidence/test_hole.py::test_nothing_that_follows_a_hole_is_wrong_and_the_hole_is_said"
 )
-@pytest.mark.parametrize("seed", [5, 7])
+@pytest.mark.parametrize("seed", [9, 18])
 def test_z_is_anywhere_behind_a_zero_that_is_lost_until_the_odometer_is_read(seed: int, tmp_path: Path) -> None:
     """The head had no label to help: it labelled nothing behind the hole."""
-    head = scanned(seed, 240, remember=120)
+    head = scanned(seed, 320, remember=160)
     honest = open_recording(record(tmp_path / "honest.mcap", head, batches(head)))
     gone = at(head, "zero")
     for number in range(gone * BATCH, len(head.rows)):
@@ -211,7 +211,7 @@ def test_z_is_anywhere_behind_a_zero_that_is_lost_until_the_odometer_is_read(see
 def test_a_recording_that_lacks_nothing_is_relabelled_as_ever(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Odometer rows that are there for others change nothing."""
     for remember in (0, 20):
-        head = scanned(5, 60, remember)
+        head = scanned(9, 60, remember)
         path = record(tmp_path / f"{remember}.mcap", head, batches(head))
         assert run(monkeypatch, "relabel", path, "--audit") == 0
         assert run(monkeypatch, "relabel", path, "-o", tmp_path / f"{remember}-new.mcap") == 0
@@ -225,7 +225,7 @@ def test_a_recording_that_lacks_nothing_is_relabelled_as_ever(tmp_path: Path, mo
 def test_a_damaged_chunk_ends_recovering_and_relabelling_with_status_1(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    head = scanned(5, 30)
+    head = scanned(9, 60)
     path = record(tmp_path / "a.mcap", head, batches(head))
     chunk = open_recording(path).frames[40].chunk
     assert chunk is not None
@@ -242,7 +242,7 @@ def test_a_damaged_chunk_ends_recovering_and_relabelling_with_status_1(
 
 
 def test_the_odometer_is_written_down_every_minute_and_how_many_rows_there_are() -> None:
-    head, notes = scanned(5, 10), list[tuple[str, Mapping[str, Any]]]()
+    head, notes = scanned(9, 10), list[tuple[str, Mapping[str, Any]]]()
     config = cast(HeadConfig, SimpleNamespace(cameras=(), job=JobSheet()))
     evidence = Evidence(lambda topic, body: notes.append((topic, body)), head.navigation, Account(), config, (), None)
     for minute in (0.0, 3.0, 6.0, 9.0):  # of a monotonic clock that is none of this test's

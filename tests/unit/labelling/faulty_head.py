@@ -23,7 +23,7 @@ class Head:
     """Two cameras on one sync, ratio 4, under faults drawn from a seed; edges get through late or not at all."""
 
     def __init__(self, seed: int) -> None:
-        self.rng = random.Random(seed)
+        self.rng, self.haste = random.Random(seed), random.Random(seed + 1)  # what happens does not hang on labels
         self.navigation = Navigation(0.05)
         self.rows: list[Row] = []
         self.headers: list[FrameHeader] = []
@@ -79,7 +79,7 @@ class Head:
                 for _ in range(rng.choice([1, 1, 3])):
                     labelling.look_for_offset(now / 1e9)
                 for one in [one for one in self.waiting if one[0] == camera]:
-                    if labelling.settled(one[1], now) or rng.random() < 0.02:
+                    if labelling.settled(one[1], now) or self.haste.random() < 0.02:
                         self.waiting.remove(one)
                         self.headers.append(labelling.header(one[1]))
                     else:

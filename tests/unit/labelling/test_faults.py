@@ -258,7 +258,7 @@ def test_no_mixture_of_faults_makes_a_wrong_label(seed: int, counted: bool) -> N
     [
         (Witness.TORN, Faults(torn=lambda k: k % 9 == 4)),
         (Witness.REPEATED, Faults(pictured=lambda k: k - (k % 9 == 4))),
-        (Witness.LAMP, Faults(pictured=lambda k: k - (k >= AT))),
+        (Witness.LAMP, Faults(pictured=lambda k: k - (k >= AT), dropped=lambda k: k == AT - 1)),
         (Witness.ORDER, Faults(count=lambda k: 1000 + k - (k % 50 == 7), stamp_ms=lambda k: -FRAME_MS * (k % 50 == 7))),
         (Witness.ARRIVAL, Faults(count=NOBODY_COUNTS, stamp_ms=lambda k: 5 * FRAME_MS * (k >= AT))),
         (
