@@ -178,7 +178,8 @@ class Asker:
         self._folder, self._statvfs = folder, statvfs
         self._done = False
         self._wake = threading.Event()  # somebody wants to know now
-        self._asked = threading.Event()  # since somebody wanted to
+        self._turn = threading.Condition()
+        self._wanted = self._served = 0  # times that somebody wanted to know, and did
         self._answer: tuple[float, int] | None = None
         self._problem = ""
         self._began_s = time.monotonic()
@@ -194,9 +195,12 @@ class Asker:
 
         Only the first answer is waited for. Raises AnnulusError, one line, when none came.
         """
-        self._asked.clear()
-        self._wake.set()
-        self._asked.wait(patience_s if self._answer is None else min(FRESH_S, patience_s))
+        with self._turn:
+            self._wanted += 1
+            wanted = self._wanted
+            self._wake.set()
+            patience_s = patience_s if self._answer is None else min(FRESH_S, patience_s)
+            self._turn.wait_for(lambda: self._served >= wanted, patience_s)
         free = self.latest()
         if self._problem:
             raise AnnulusError(self._problem)
@@ -222,14 +226,26 @@ class Asker:
         self._done = True
         self._wake.set()
 
+    def _read_only(self) -> str:
+        """Why nothing can be written there; empty where something can."""
+        try:
+            require_writable(self._folder)
+        except OSError as error:
+            return _refused(self._folder, error)
+        return ""
+
     def _ask(self) -> None:
         while not self._done:
-            self._wake.clear()
+            with self._turn:
+                self._wake.clear()
+                serves = self._wanted  # who wants to know later is not served by this answer
             try:
-                self._answer = time.monotonic(), free_bytes(self._folder, self._statvfs)
-                require_writable(self._folder)
-                self._problem = ""
+                free = free_bytes(self._folder, self._statvfs)
+                self._problem = self._read_only()  # first: who has the answer has this, too
+                self._answer = time.monotonic(), free
             except OSError as error:  # the last answer grows old
                 self._problem = _refused(self._folder, error)
-            self._asked.set()
+            with self._turn:
+                self._served = serves
+                self._turn.notify_all()
             self._wake.wait(ASK_S)

@@ -101,6 +101,7 @@ def test_a_disk_on_which_start_is_refused_is_a_state_of_its_own(
             vitals.require_space()
     finally:
         vitals.close()
+        monkeypatch.undo()
     word, hint, start_hidden = page({"disk": numbers})
     assert (word, start_hidden) == ("Cannot record", True) and numbers["refuses"] in hint and "Make room" in hint
 
