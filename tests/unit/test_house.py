@@ -137,6 +137,7 @@ LARGE = {
     "tests/scenes/test_sample.py": 10.0,
     "tests/system/test_console_bench.py": 10.0,
     "tests/system/test_console_page.py": 11.0,
+    "tests/scenes/fringe/test_models.py": 9.0,
     "tests/system/test_scan.py": 22.0,  # the gate's one whole scan: five processes, each with its imports
     "tests/unit/archive/test_compare.py": 11.0,
     "tests/unit/stereo/test_pairs.py": 14.0,
