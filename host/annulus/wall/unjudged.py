@@ -24,7 +24,7 @@ from annulus.wall.indications import Scale, arc_of, label_around
 from annulus.wall.looks import COLUMNS, Looks
 from annulus.wall.stations import GAP_MAX_DEG, STATION_MM, shape_ovality, swing_k2_mm
 
-# Held by test_never_flattered.py, constants found on its even draws.
+# Held by test_never_flattered.py. Set with its draws 1 to 61 and 301 to 325 in view; the others are held out.
 END_OF_RADIUS = 0.3  # of the radius: how far from an end of the scan rings may end raggedly
 ROUND_LEAST = 0.6  # of the circle: of rows that show less a joint or a level is not told
 SWALLOWED = 0.5  # part of a hole's cells where light should have come back: no rod's shadow but a hole or a steep place
