@@ -119,7 +119,7 @@ def head(out: Path) -> Iterator[tuple[Plug, Watched]]:
 def accounted(watched: Watched, report: ScanReport, out: Path) -> None:
     """Every frame is somewhere, and no slot was left behind."""
     assert not any(report.telemetry["in_hand"].values())
-    assert watched.session._power is not None and watched.session._power.shared.ring.free == 24
+    assert watched.session._power is not None and watched.session._power.shared.ring.free == 32
     assert len(open_recording(out / "scan.mcap").frames) == sum(report.frames.values())
 
 
