@@ -269,7 +269,7 @@ def test_without_a_controller_frames_bring_their_labels_or_are_unknown(tmp_path:
 
 def test_a_folder_that_cannot_be_written_is_one_clear_line(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(AnnulusError, match="cannot be made") as caught:
+    with pytest.raises(AnnulusError, match="Not a directory") as caught:
         Session(config(None, tmp_path / "file"), [Still(3)]).run(lambda: False)  # type: ignore[list-item]
     assert "\n" not in str(caught.value)
 

@@ -22,7 +22,7 @@ from annulus.capture.photometry import Light
 from annulus.capture.proof import SUSPICIONS, News
 from annulus.vocabulary import CameraSequence, Lamp
 
-GLIMPSES_KEPT = 16
+GLIMPSES_KEPT = 40  # as long as a doubt lasts: pictures that were against a way count to its end
 PASSED_RUN = 2  # frames on which all agree, after a doubt about time
 MOVED_RUN = 4  # on which two agree
 PICTURES_RUN = 5  # after a doubt about pictures, and where nobody but pictures can say
@@ -92,7 +92,12 @@ class Doubt:
             (passed, max(PASSED_RUN, long), bool(self.pictures), "all witnesses agree again"),
             (_stamp_alone, max(PICTURES_RUN, long), True, "pictures agree"),
             (_arrival_and_count, max(MOVED_RUN, long), True, "timestamps have moved"),
-            (_arrival_alone if self._stamps_impossible else _nobody, ALONE_RUN, True, "timestamps have moved"),
+            (
+                _arrival_alone if self._stamps_impossible and not self._history.preambled else _nobody,
+                ALONE_RUN,
+                True,
+                "timestamps have moved",
+            ),
             (
                 _nobody if self._stamps_impossible else _stamp_and_arrival,
                 max(MOVED_RUN, long),

@@ -35,6 +35,8 @@ INTERVAL_TOLERANCE = 0.1  # of a period: between opening and closing edge
 HURRIED = 0.5  # of a period: frames that come so soon one after the other were in a queue
 SETTLE_PERIODS = 3.0  # how long a frame waits for an edge that has to be read again
 SILENCE = 0.75  # of a period, more than half a lamp cycle: frames that came so long after the last may be of another
+SOON = 0.1  # of a period: what comes sooner by more is no jitter
+VOUCHED_MIN = 10  # frames of a preamble
 SPANNED_WITHIN = 3  # frames after a silence, in which one stamp may be off by itself, or its edge be lost
 DOUBT_FRAMES_MAX = 32  # without agreement, before all is searched anew ..
 SUSPECTED_FRAMES_MAX = 8  # before a mere suspicion calls for a preamble
@@ -91,7 +93,9 @@ class Pairing:
         self.before: Before | None = None  # what was proved before the camera began anew
         self.adrift = False  # frames may have been kept or lost by whole lamp cycles since
         self._unspanned = 0  # frames within which a count has to agree, after a silence
-        self._hurried_on = self._shown_again = 0  # frames that came in a rush; that were shown before, in one doubt
+        self._hurried_on = 0.0  # periods by which frames came sooner, one after the other
+        self._skipped = self._vouched = 0  # frames missing without a count; of a preamble that agreed since
+        self._shown_again = 0  # pictures shown before, in one doubt
         self._doubt = Doubt(self.history, period_ns)
         self._last: int | None = None  # ordinal of the last frame's closing edge
         self._latest_ns = 0  # timestamp ..
@@ -161,12 +165,11 @@ class Pairing:
         near = self.history.near(moment, self._window_ns)
         return len(near) == 1 and self.history.opening(near[0]) is not None
 
-    def parted(self, frame: FrameSeen, last: FrameSeen, again: int) -> bool:
-        """Whether half a lamp cycle may be missing between two frames, in time or in pictures (`again`: so many were
-        shown before): what those before it prove, those after it need not obey.
+    def parted(self, missing: int, again: int) -> bool:
+        """Whether half a lamp cycle may be missing among frames, in time (`missing` periods without one) or in pictures
+        (`again` were shown before): what those before it prove, those after it need not obey.
         """
-        half = self.history.cycle / 2
-        return again >= half or frame.arrived_ns - last.arrived_ns >= (half + SILENCE) * self._period_ns
+        return max(missing, again) >= self.history.cycle / 2
 
     def label(self, frame: FrameSeen) -> Labelled:
         """The verdict on a frame. Frames in the order of capture."""
@@ -292,7 +295,7 @@ class Pairing:
         """What contradicts nobody, but may be the first of frames that are not what they seem."""
         if repeated and reason in _TIMED:
             return News.REPEATED
-        return News.SKIPPED if reason is Reason.SKIPPED and self._last is not None and self._one_witness else None
+        return News.SKIPPED if reason is Reason.SKIPPED and self._last is not None else None
 
     def _may_have_lost_a_cycle(self, frame: FrameSeen, judged: _Judged, repeated: bool) -> str:
         """Why nothing but a preamble can tell now which frame this is; empty where something else does."""
@@ -310,10 +313,13 @@ class Pairing:
             self._unspanned -= 1
             return "" if self._unspanned else "no count spans a silence"
         self._unspanned = 0
-        self._hurried_on = self._hurried_on + 1 if self._arrived_ns is not None and periods < HURRIED else 0
+        early = 1.0 - periods if self._arrived_ns is not None else 0.0
+        self._hurried_on = self._hurried_on + early if early > SOON else max(0.0, self._hurried_on - SOON)
         pictures = self._one_witness or self.history.preambled
         if self._hurried_on >= half and not counted and pictures:
-            return f"{self._hurried_on} frames came in a rush"
+            return f"frames came sooner by {self._hurried_on:.0f} periods"
+        if self._skipped >= half and pictures:
+            return f"{self._skipped} frames are missing, and the driver does not count"
         self._shown_again += repeated
         if self._shown_again >= half and pictures:
             return f"{self._shown_again} pictures were shown before"
@@ -350,6 +356,10 @@ class Pairing:
             )
         )
         agreed = self._doubt.agreed()
+        if agreed is not None and self._last is not None and self._counted(frame.sequence) is None:
+            self._skipped += max(0, agreed.ordinals[-1] - self._last - self._doubt.frames)
+            if self._skipped >= self.history.cycle / 2 and (self._one_witness or self.history.preambled):
+                return False  # the next frame finds them adrift
         if agreed is not None and not self._unspanned:
             self._restore(frame, agreed)
             return True
@@ -369,7 +379,14 @@ class Pairing:
 
     def _learn(self, frame: FrameSeen, closing: PlacedEdge) -> None:
         """From a frame that nobody contradicts."""
+        if self._last is not None and self._counted(frame.sequence) is None:
+            self._skipped += max(0, closing.ordinal - self._last - 1)
         self._last = closing.ordinal
+        opening = self.history.opening(closing)
+        if opening is not None and EdgeFlag.PREAMBLE in opening.flash.flags:
+            self._vouched += 1
+            if self._vouched >= VOUCHED_MIN:  # .. of a preamble: whatever was missing, it is the same frame as ever
+                self._skipped = self._vouched = 0
         if int(closing.flash.flags) & _IRREGULAR:
             return
         stamp = frame.timestamp_ns
@@ -387,7 +404,8 @@ class Pairing:
         self._arrivals, self._count = Arrivals(self._period_ns), Count()
         self._doubt, self._delivery = Doubt(self.history, self._period_ns), Delivery()
         self._last = self._arrived_ns = self.before = None
-        self.adrift, self._unspanned, self._hurried_on, self._shown_again = False, 0, 0, 0
+        self.adrift, self._unspanned, self._hurried_on, self._shown_again = False, 0, 0.0, 0
+        self._skipped = self._vouched = 0
 
     def _adrift(self, why: str) -> None:
         if self._state in (State.PROVED, State.DOUBTED):

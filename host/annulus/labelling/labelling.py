@@ -66,6 +66,7 @@ class Labelling:
         )
         self._seen: deque[FrameSeen] = deque(maxlen=OFFSET_FRAMES_KEPT)  # since labels were last believed
         self._shown: deque[int] = deque(maxlen=PICTURES_KEPT)  # fingerprints of the last pictures ..
+        self._missing = 0  # periods without a frame since the search began, that no count spans
         self._again = 0  # .. and how many that were shown before came one after the other
         self._proved_from_ns = (
             0  # arrival of the first frame that the search looked at: of frames before it knows nothing
@@ -108,10 +109,20 @@ class Labelling:
         if frame.picture.light is not Light.DARK and frame.picture.fingerprint is not None:
             self._again = self._again + 1 if frame.picture.fingerprint in self._shown else 0
             self._shown.append(frame.picture.fingerprint)
-        if not self.offset_known and self._seen and self._pairing.parted(frame, self._seen[-1], self._again):
-            self._seen.clear()
+        if not self.offset_known and self._seen:
+            self._missing += self._missed(frame, self._seen[-1])
+            if self._pairing.parted(self._missing, self._again):
+                self._seen.clear()
+        self._missing = self._missing if self._seen else 0
         if not self._again:  # a picture of before says nothing of now
             self._seen.append(frame)
+
+    def _missed(self, frame: FrameSeen, last: FrameSeen) -> int:
+        """Periods without a frame between two, where the driver did not count as many."""
+        periods = round((frame.arrived_ns - last.arrived_ns) / self._mode.period_ns)
+        counted = None if frame.sequence is None or last.sequence is None else frame.sequence - last.sequence
+        half = self._navigation.edges.cycle / 2  # a longer silence parts them whatever the count says
+        return 0 if counted == periods and periods <= half else max(0, periods - 1)
 
     def restarted(self) -> None:
         """The camera began anew, and its stamps may be off by something else; what came before has its label."""

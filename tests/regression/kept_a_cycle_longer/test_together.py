@@ -39,3 +39,20 @@ def test_no_place_is_a_lamp_cycle_off(faults: str, seed: int) -> None:
 @pytest.mark.parametrize("faults", [*PROFILES, "stamps-odd", "queue-steps", "handed-over", "reckoned", "unplugged"])
 def test_nor_in_fifty_thousand_frames(faults: str) -> None:
     assert soak(50_000, 5, faults=faults, jobs=None, world_frames=25_000)["wrong"] == 0
+
+
+def drip(at: int, count: int, gap: int) -> list[int]:
+    """Frames that are dropped one by one while a queue grows by one frame each time."""
+    return [at + n * gap for n in range(count)]
+
+
+@pytest.mark.parametrize("gap", [2, 3])
+def test_nor_does_a_queue_that_grows_frame_by_frame_hide_a_cycle(gap: int) -> None:
+    """Each hole is less than half a cycle, and no count spans it; stamps move with the queue."""
+    grown = drip(AT, 5, gap)
+    behind = [sum(k > at for at in grown) for k in range(700)]
+    faults = Faults(
+        lamp=lamp, preamble=lambda k: k % EVERY < LENGTH, count=lambda k: None, dropped=lambda k: k in grown,
+        pictured=lambda k: k - behind[min(k, 699)],
+    )  # fmt: skip
+    assert Bench(faults).run(700).wrong == []

@@ -118,7 +118,8 @@ def test_a_hostile_question_keeps_to_its_time_and_memory(sql: str, archive: Path
     took_s = time.monotonic() - began
     if stalls.since(began) < 0.05:
         assert took_s < SECONDS * OVER + 2 * begin_s + 0.5
-    assert largest_child_mb() <= max(before_mb, MEMORY_MB * OVER + OWN_MB)  # other tests' children were larger
+    own_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024  # a child begins with its parent's
+    assert largest_child_mb() <= max(before_mb, own_mb, MEMORY_MB * OVER + OWN_MB)  # other tests' children were larger
 
 
 def test_a_question_within_its_bounds_is_answered_after_a_hostile_one(archive: Path) -> None:

@@ -92,7 +92,7 @@ def test_stamps_may_drift_for_ever(count: Callable[[int], int | None], ppm: int,
 def test_a_drift_is_known_well_enough_for_a_camera_that_pauses(count: Callable[[int], int | None]) -> None:
     """A minute of silence at 200 ppm is 12 ms: more than the window."""
     score = run(Faults(count=count, stamp_ms=lambda k: k * FRAME_MS * 2e-4, dropped=lambda k: 1500 <= k < 3000), 3100)
-    assert score.relock(3000) <= 2
+    assert score.relock(3000) <= (2 if count(0) is not None else 5), "without a count pictures have to agree"
 
 
 @COUNTS
