@@ -29,6 +29,7 @@ FIRST_SCALE_PX = 1.5  # of the look that tells how wide lines are
 SCALE_LEAST_PX, SCALE_MOST_PX = 1.0, 8.0
 LEAST_PART = 0.2  # of the frame's usual line: what is fainter is a reflection or dirt
 LEAST_SIGMA = 5.0  # times what noise makes of a ridge
+NOISE_LEAST = 0.3  # grey levels: of rounding alone
 SKIP, STRONG = 0.5, 2.0  # prices: of leaving one out, and against that of full strength; ..
 PLACE = 6.0  # .. of a wall that is off by the whole tolerance
 MOSAIC_PX, DRAWN_OF_WIDTH = 0.05, 0.01  # px; of a line's width: standard deviations, see `line_bias`
@@ -43,9 +44,8 @@ def find_lines(image: NDArray[np.uint8], grid: PolarGrid) -> tuple[Slits, FloatA
     plane = np.ascontiguousarray(image.max(axis=2))
     lines = cv2.remap(plane, grid.map_xy, grid.map_part, cv2.INTER_LINEAR)
     top = np.asarray(cv2.GaussianBlur(lines.astype(np.float32), (1, 3), sigmaX=1.0, sigmaY=ACROSS)[1:-1])
-    step = np.diff(top, axis=1)
-    noise = max(SIGMA_OF_MAD / math.sqrt(2) * float(np.median(np.abs(step[step != 0]))) if step.any() else 0.0, 0.3)
     stop = np.minimum(grid.stop, top.shape[1])
+    noise = _noise(top, stop)
     found, wide, _ = _at_scale(top, stop, FIRST_SCALE_PX, noise)
     if len(found):
         strong = found[:, 2] > 0.5 * np.percentile(found[:, 2], 90)
@@ -66,6 +66,15 @@ def find_lines(image: NDArray[np.uint8], grid: PolarGrid) -> tuple[Slits, FloatA
         int(np.count_nonzero(~kept)), crowded,
     )  # fmt: skip
     return slits, strength
+
+
+def _noise(top: NDArray[np.float32], stop: NDArray[np.int64]) -> float:
+    """Standard deviation of the dark between lines, grey levels. Where most of it does not change at all (drawn, or a
+    codec's black), what changes is the lines."""
+    step = np.abs(np.diff(top, axis=1))[np.arange(1, top.shape[1]) < stop[:, None]]
+    changes = step[step != 0]
+    usual = float(np.median(changes)) if len(changes) > 0.5 * len(step) else 0.0
+    return max(SIGMA_OF_MAD / math.sqrt(2) * usual, NOISE_LEAST)
 
 
 def _at_scale(
