@@ -10,6 +10,7 @@ import contextlib
 import ctypes
 import fcntl
 import json
+import math
 import multiprocessing
 import os
 import signal
@@ -22,6 +23,8 @@ from multiprocessing.connection import Connection
 import numpy as np
 
 from annulus.geometry.calibration import Calibration
+from annulus.geometry.camera import Camera
+from annulus.geometry.cone import Cone
 from annulus.geometry.pose import Pose
 from annulus.numeric import compiling
 from annulus.record.scan import ScanFrame
@@ -97,7 +100,25 @@ def make_ready_beside(calibration: Calibration) -> None:
 
 
 def compile_all(calibration: Calibration) -> None:
-    """In this process: a drawn scan to its survey."""
+    """In this process: a drawn scan to its survey. Of a head whose own cannot be drawn, or make no wall, that of one of
+    its kind, which calls the same loops: what is wrong with a calibration is the scan's to say, not the warm-up's."""
+    try:
+        _compile(calibration)
+    except AnnulusError:
+        _compile(_usual(calibration.kind))
+    compiling.is_now_ready(work_of(calibration))
+
+
+def _usual(kind: str) -> Calibration:
+    """A head of one camera that can be drawn, with a slide of rings or one bright ring."""
+    camera = Camera("pinhole", 1664, 1232, 470.0, 470.0, 831.5, 615.5)
+    rings = tuple(Cone(math.radians(full / 2), (0.0, 0.0, 1.0), (0.0, 0.0, -56.0)) for full in (38, 42, 47, 53, 58))
+    if kind == "line":
+        return Calibration(camera, "", rings[2:3], 76.2, pattern={"kind": kind})
+    return Calibration(camera, "RRGBGR", rings, 76.2)
+
+
+def _compile(calibration: Calibration) -> None:
     profiles = _drawn_scan(calibration)
     if not any(len(profile.points_mm) for profile in profiles):  # two cameras know a drawn wall too badly to keep it
         profiles = _drawn_scan(replace(calibration, others=()))
@@ -107,7 +128,6 @@ def compile_all(calibration: Calibration) -> None:
         for one in calibration.cameras
     ]
     survey(profiles, calibration, iter(lit))
-    compiling.is_now_ready(work_of(calibration))
 
 
 def _drawn_scan(calibration: Calibration) -> list[Profile]:
