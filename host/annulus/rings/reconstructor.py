@@ -27,6 +27,7 @@ from annulus.numeric.jit import jit
 from annulus.rings.colour import ColourProfile
 from annulus.rings.decode import NONE, UNKNOWN, classify, decode, readings
 from annulus.rings.lines import find_lines, line_bias, name_lines
+from annulus.rings.objects import without_objects
 from annulus.rings.order import Placed, by_order
 from annulus.rings.outliers import reject_outliers
 from annulus.rings.pedestal import without_pedestal
@@ -137,6 +138,10 @@ class Reconstructor:
         step = STEP * pipe + STEP_PX * self._optics.mm_per_px
         outliers, wider = reject_outliers(ring, slits, pipe * (1.0 + deviation), step, self.directions)
         rejected |= outliers
+        if self.calibration.kind == "line":
+            rejected["object"] = without_objects(
+                ring, slits.direction, pipe * (1.0 + deviation), self._optics.mm_per_px, self.directions
+            )
         marks.append(("outliers", clock()))
         fitted = self._fit(points, ring, fitted.pose) or fitted
         pose = replace(fitted.pose, roll=None if roll_deg is None else math.radians(roll_deg))

@@ -8,6 +8,7 @@ from annulus.vocabulary import Finding
 from annulus.wall.profile import Profile
 
 RING_LOST = "ring lost"  # kind of a finding
+OBJECT, OBJECT_POINTS = "object", 20  # kind of a finding, and of `rejected`; points of a frame that are more than dirt
 # Parts of what the middle one of the rings gives; an image whose edge cuts the outermost ring leaves it two thirds.
 # Guarded both ways by test_lost.py.
 FEW = 0.5  # of the points over the scan: a ring with fewer is lost ..
@@ -40,3 +41,15 @@ def lost_rings(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
         )
         out.append(Finding(RING_LOST, text, tuple(int(frame) for frame in frames[none[:, k]])))
     return tuple(out)
+
+
+def objects_before_the_wall(profiles: Sequence[Profile]) -> tuple[Finding, ...]:
+    """One line where something stands in the ring that is no wall."""
+    frames = tuple(p.frame for p in profiles if p.rejected.get(OBJECT, 0) >= OBJECT_POINTS)
+    if not frames:
+        return ()
+    text = (
+        f"in {len(frames)} of {len(profiles)} frames something stands in the ring before the wall (a crawler's leg, "
+        "stones): it is no wall, and the wall behind it is unseen"
+    )
+    return (Finding(OBJECT, text, frames),)

@@ -27,7 +27,7 @@ from annulus.wall.joints import find_joints, taken, without_hidden
 from annulus.wall.lane import Lane
 from annulus.wall.levels import covered, without_levels
 from annulus.wall.looks import looks_of
-from annulus.wall.lost import lost_rings
+from annulus.wall.lost import lost_rings, objects_before_the_wall
 from annulus.wall.openings import find_openings
 from annulus.wall.points import Points
 from annulus.wall.profile import Profile
@@ -92,10 +92,15 @@ class Survey:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Where too little was seen to say what shape the pipe has; which rings of the pattern were lost; what of the
-        sensors was not believed."""
+        """Where too little was seen to say what shape the pipe has; which rings of the pattern were lost; what stands
+        before the wall; what of the sensors was not believed."""
         lost = lost_rings(self.profiles) if self.rings_lost is None else self.rings_lost
-        return *not_enough_seen(self.wall, self.features), *lost, *self.disbelieved
+        return (
+            *not_enough_seen(self.wall, self.features),
+            *lost,
+            *objects_before_the_wall(self.profiles),
+            *self.disbelieved,
+        )
 
     @property
     def points(self) -> int:
