@@ -34,9 +34,7 @@ DEEP = 1e-4  # how likely a driver is to keep a frame longer than LAG_PERIODS_MA
 DEEPEST = 1e-11  # .. and longer than LAG_PERIODS_DEEP, as long as no picture speaks for it: less than CHANCE for all
 AS_BEFORE = 1e3  # how much likelier a camera that began anew is to stamp and deliver as before than otherwise
 CHANCE = 1e-9  # of a wrong proof, a search; tests/unit/capture/test_offset.py counts them
-ODD_MAX = (
-    0.15  # of the pictures that contradict, as where one stamp in four is off by a frame. Beyond nothing is proved
-)
+ODD_MAX = 0.15  # of the pictures: contradict, as where one stamp in four is off by a frame. Beyond nothing is proved
 SOUND, SOUND_MAX = 0.9, 0.01  # nine cameras in ten have fewer odd frames than that
 LAG_SPREAD = 0.5  # of a period: what comes later than the quickest frames by more had to wait
 SHIFTS_TRIED = (-2, -1, 0, 1)  # whole periods, where nobody looks at when the frames came
@@ -172,7 +170,7 @@ def calibrate_offset(
             placed.append((frame, edge.ordinal))
     lag = _usual_lag(seen, phase, period_ns) if arrivals else None
     shifts = _shifts(lag, (preamble and history.preambled) or adrift)
-    weights = [_weight(lag, shift, phase, period_ns, before) for shift in shifts]
+    weights = np.array([_weight(lag, shift, phase, period_ns, before) for shift in shifts])
     best = _proved(placed, history, shifts, weights, preamble)
     if best.chance > CHANCE:
         raise AnnulusError(_unproved(best, phase, period_ns))
@@ -250,7 +248,7 @@ def _proved(
     placed: Sequence[tuple[FrameSeen, int]],
     history: EdgeHistory,
     shifts: Sequence[int],
-    weights: Sequence[float],
+    weights: NDArray[np.float64],
     preamble: bool,
 ) -> _Best:
     """Two shifts are compared on the frames that have a flash under both: alike, a frame more or less in one of them
@@ -265,19 +263,18 @@ def _proved(
     pictures = np.array([_CODES[frame.picture.light] for frame, _ in placed], dtype=int)
     if named.size == 0:
         return _Best(0, 1.0, 0, 0)
-    known, differs = named != _NO_FLASH, (named != _NO_FLASH) & (named != pictures)
+    known = named != _NO_FLASH
+    differs = known & (named != pictures)
     compared, mismatches = known.sum(axis=1), differs.sum(axis=1)
     best = _Best(0, math.inf, 0, 0)
     for at in map(int, np.flatnonzero((compared >= CALIBRATION_FRAMES_MIN) & (mismatches <= ODD_MAX * compared))):
         both = known & known[at]
         n = both.sum(axis=1)
-        log_odds = _log_likelihood(n, (both & differs).sum(axis=1)) - _log_likelihood(
-            n, (both & differs[at]).sum(axis=1)
-        )
-        rivals = np.asarray(weights) / max(weights[at], DEEP)
+        theirs, ours = ((both & differs[rows]).sum(axis=1) for rows in (slice(None), at))
+        rivals = weights / max(weights[at], DEEP)
         if weights[at] > DEEPEST:
-            rivals[np.asarray(weights) == DEEPEST] = DEEPEST
-        odds = np.exp(log_odds) * rivals
+            rivals[weights == DEEPEST] = DEEPEST
+        odds = np.exp(_log_likelihood(n, theirs) - _log_likelihood(n, ours)) * rivals
         odds[at] = 0.0
         chance = float(odds.sum())
         if chance < best.chance:

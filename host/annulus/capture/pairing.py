@@ -22,6 +22,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+from annulus.capture.continuity import Continuity
 from annulus.capture.doubt import Agreed, Doubt, Glimpse
 from annulus.capture.history import EdgeHistory, PlacedEdge
 from annulus.capture.offset import CLEAR, LIGHTS, WINDOW, Before, Offset, OffsetTrack
@@ -34,10 +35,6 @@ from annulus.vocabulary import CameraSequence, EdgeFlag, Flash, Label, Lamp
 INTERVAL_TOLERANCE = 0.1  # of a period: between opening and closing edge
 HURRIED = 0.5  # of a period: frames that come so soon one after the other were in a queue
 SETTLE_PERIODS = 3.0  # how long a frame waits for an edge that has to be read again
-SILENCE = 0.75  # of a period, more than half a lamp cycle: frames that came so long after the last may be of another
-SOON = 0.1  # of a period: what comes sooner by more is no jitter
-VOUCHED_MIN = 10  # frames of a preamble
-SPANNED_WITHIN = 3  # frames after a silence, in which one stamp may be off by itself, or its edge be lost
 DOUBT_FRAMES_MAX = 32  # without agreement, before all is searched anew ..
 SUSPECTED_FRAMES_MAX = 8  # before a mere suspicion calls for a preamble
 DOUBT_PICTURES_MAX = 3  # .. and pictures that contradict
@@ -92,10 +89,7 @@ class Pairing:
         self._delivery = Delivery()
         self.before: Before | None = None  # what was proved before the camera began anew
         self.adrift = False  # frames may have been kept or lost by whole lamp cycles since
-        self._unspanned = 0  # frames within which a count has to agree, after a silence
-        self._hurried_on = 0.0  # periods by which frames came sooner, one after the other
-        self._skipped = self._vouched = 0  # frames missing without a count; of a preamble that agreed since
-        self._shown_again = 0  # pictures shown before, in one doubt
+        self._continuity = Continuity(self.history, self._delivery)
         self._doubt = Doubt(self.history, period_ns)
         self._last: int | None = None  # ordinal of the last frame's closing edge
         self._latest_ns = 0  # timestamp ..
@@ -165,12 +159,6 @@ class Pairing:
         near = self.history.near(moment, self._window_ns)
         return len(near) == 1 and self.history.opening(near[0]) is not None
 
-    def parted(self, missing: int, again: int) -> bool:
-        """Whether half a lamp cycle may be missing among frames, in time (`missing` periods without one) or in pictures
-        (`again` were shown before): what those before it prove, those after it need not obey.
-        """
-        return max(missing, again) >= self.history.cycle / 2
-
     def label(self, frame: FrameSeen) -> Labelled:
         """The verdict on a frame. Frames in the order of capture."""
         if self._state is State.SEARCHING:
@@ -190,9 +178,7 @@ class Pairing:
         adrift = self._may_have_lost_a_cycle(frame, judged, repeated)
         if adrift:
             self._adrift(adrift)
-            self._arrived_ns = frame.arrived_ns
-            self.counters[Reason.OFFSET] += 1
-            return Labelled(Label.UNKNOWN, None, Reason.OFFSET, None)
+            return self._nothing()
         if self.doubtful and self._given_back(frame, judged, light):
             judged = self._judge(frame)
             reason = self._look(judged, light)
@@ -209,6 +195,9 @@ class Pairing:
     def passed(self, frame: FrameSeen) -> Labelled:
         """The verdict on a frame of which the offset that is known says nothing."""
         self._pictures.met(frame.picture)
+        return self._nothing()
+
+    def _nothing(self) -> Labelled:
         self.counters[Reason.OFFSET] += 1
         return Labelled(Label.UNKNOWN, None, Reason.OFFSET, None)
 
@@ -270,10 +259,10 @@ class Pairing:
         lag = self._lag(frame, closing)
         if lag is not None and (self._hurried(frame) or self._arrivals.waited(lag)):
             return Reason.LATER if self._arrivals.for_good else Reason.WAITED
-        first = (
-            self._delivery.pairs > 0 and self._one_witness
-        )  # of those that a search looked at: it may be the late one
-        skipped = first if self._last is None else closing.ordinal != self._last + 1
+        if self._last is None:  # the first of those that a search looked at: it may be the late one
+            skipped = self._delivery.pairs > 0 and self._delivery.one_witness
+        else:
+            skipped = closing.ordinal != self._last + 1
         return Reason.SKIPPED if skipped and Witness.ORDER not in self._without else Reason.AGREED
 
     def _look(self, judged: _Judged, light: Light | None) -> Reason:
@@ -301,29 +290,10 @@ class Pairing:
         """Why nothing but a preamble can tell now which frame this is; empty where something else does."""
         if Witness.PREAMBLE in self._without or Witness.ARRIVAL in self._without:
             return ""
-        periods = 0.0 if self._arrived_ns is None else (frame.arrived_ns - self._arrived_ns) / self._period_ns
-        half, count = self.history.cycle / 2, self._counted(frame.sequence)
-        counted = count is not None and judged.closing is not None and count == judged.closing.ordinal
-        silence = f"no frame came for {periods - 1:.0f} periods" if periods >= half + SILENCE else ""
-        if silence and (self._one_witness or (count is None and self.history.preambled)):
-            return silence  # where no preamble can tell, two that are not one have to do
-        if silence and count is not None:
-            self._unspanned = SPANNED_WITHIN
-        if self._unspanned and not counted:
-            self._unspanned -= 1
-            return "" if self._unspanned else "no count spans a silence"
-        self._unspanned = 0
-        early = 1.0 - periods if self._arrived_ns is not None else 0.0
-        self._hurried_on = self._hurried_on + early if early > SOON else max(0.0, self._hurried_on - SOON)
-        pictures = self._one_witness or self.history.preambled
-        if self._hurried_on >= half and not counted and pictures:
-            return f"frames came sooner by {self._hurried_on:.0f} periods"
-        if self._skipped >= half and pictures:
-            return f"{self._skipped} frames are missing, and the driver does not count"
-        self._shown_again += repeated
-        if self._shown_again >= half and pictures:
-            return f"{self._shown_again} pictures were shown before"
-        return ""
+        periods = None if self._arrived_ns is None else (frame.arrived_ns - self._arrived_ns) / self._period_ns
+        count = self._counted(frame.sequence)
+        counted = None if count is None else judged.closing is not None and count == judged.closing.ordinal
+        return self._continuity.broken(periods, counted, repeated)
 
     def _labelled(self, frame: FrameSeen, judged: _Judged, reason: Reason) -> Labelled:
         if judged.closing is None:
@@ -357,10 +327,10 @@ class Pairing:
         )
         agreed = self._doubt.agreed()
         if agreed is not None and self._last is not None and self._counted(frame.sequence) is None:
-            self._skipped += max(0, agreed.ordinals[-1] - self._last - self._doubt.frames)
-            if self._skipped >= self.history.cycle / 2 and (self._one_witness or self.history.preambled):
+            self._continuity.missed(agreed.ordinals[-1] - self._last - self._doubt.frames)
+            if self._continuity.lost:
                 return False  # the next frame finds them adrift
-        if agreed is not None and not self._unspanned:
+        if agreed is not None and not self._continuity.unspanned:
             self._restore(frame, agreed)
             return True
         if self._doubt.frames > DOUBT_FRAMES_MAX or self._doubt.pictures >= DOUBT_PICTURES_MAX:
@@ -380,13 +350,11 @@ class Pairing:
     def _learn(self, frame: FrameSeen, closing: PlacedEdge) -> None:
         """From a frame that nobody contradicts."""
         if self._last is not None and self._counted(frame.sequence) is None:
-            self._skipped += max(0, closing.ordinal - self._last - 1)
+            self._continuity.missed(closing.ordinal - self._last - 1)
         self._last = closing.ordinal
         opening = self.history.opening(closing)
         if opening is not None and EdgeFlag.PREAMBLE in opening.flash.flags:
-            self._vouched += 1
-            if self._vouched >= VOUCHED_MIN:  # .. of a preamble: whatever was missing, it is the same frame as ever
-                self._skipped = self._vouched = 0
+            self._continuity.vouched()
         if int(closing.flash.flags) & _IRREGULAR:
             return
         stamp = frame.timestamp_ns
@@ -404,8 +372,8 @@ class Pairing:
         self._arrivals, self._count = Arrivals(self._period_ns), Count()
         self._doubt, self._delivery = Doubt(self.history, self._period_ns), Delivery()
         self._last = self._arrived_ns = self.before = None
-        self.adrift, self._unspanned, self._hurried_on, self._shown_again = False, 0, 0.0, 0
-        self._skipped = self._vouched = 0
+        self._continuity = Continuity(self.history, self._delivery)
+        self.adrift = False
 
     def _adrift(self, why: str) -> None:
         if self._state in (State.PROVED, State.DOUBTED):
@@ -419,18 +387,13 @@ class Pairing:
             return
         if self._state in (State.DOUBTED, State.TENTATIVE):
             taken = None if Witness.ORDER in self._without else self._last
-            self._doubt.begin(news, taken, Witness.ARRIVAL not in self._without and self._one_witness)
+            self._doubt.begin(news, taken, Witness.ARRIVAL not in self._without and self._delivery.one_witness)
         elif self._state is State.PROVED:
-            self._shown_again = 0
+            self._continuity.proved()
         if self._tell is not None:
             self._tell(f"labels were {before}, now {self._state}: {why or news}")
 
     # ---- who says what ----
-
-    @property
-    def _one_witness(self) -> bool:
-        """Whether stamp and arrival are, or may be, one."""
-        return self._delivery.stamps is not False
 
     def _sequence(self, frame: FrameSeen) -> CameraSequence | None:
         return None if Witness.COUNT in self._without else frame.sequence

@@ -105,6 +105,11 @@ class Delivery:
         return len(self._pairs)
 
     @property
+    def one_witness(self) -> bool:
+        """Whether stamp and arrival are one, or may be."""
+        return self.stamps is not False
+
+    @property
     def stamps(self) -> bool | None:
         """None where nobody can tell: few frames, or stamps that vary so much by themselves, or arrivals so little."""
         if len(self._pairs) < PAIRS_MIN:

@@ -68,9 +68,7 @@ class Labelling:
         self._shown: deque[int] = deque(maxlen=PICTURES_KEPT)  # fingerprints of the last pictures ..
         self._missing = 0  # periods without a frame since the search began, that no count spans
         self._again = 0  # .. and how many that were shown before came one after the other
-        self._proved_from_ns = (
-            0  # arrival of the first frame that the search looked at: of frames before it knows nothing
-        )
+        self._proved_from_ns = 0  # arrival of the first frame that the search looked at: it knows of none before
         self._labelled_s: float | None = None  # when a frame last had a label, or the operator was told that none has
         self._unproved = ""  # what the last search said
         self._next_look = 0.0
@@ -111,8 +109,8 @@ class Labelling:
             self._shown.append(frame.picture.fingerprint)
         if not self.offset_known and self._seen:
             self._missing += self._missed(frame, self._seen[-1])
-            if self._pairing.parted(self._missing, self._again):
-                self._seen.clear()
+            if max(self._missing, self._again) >= self._navigation.edges.cycle / 2:
+                self._seen.clear()  # what those before prove, those from here on need not obey
         self._missing = self._missing if self._seen else 0
         if not self._again:  # a picture of before says nothing of now
             self._seen.append(frame)

@@ -148,8 +148,7 @@ def sorted_out(walk: Contents) -> tuple[tuple[RecordedFrame, ...], Labels, dict[
         walk.look_at(labelled[key] if key in labelled else images[key].chunk)
     shared = [key for key in images if key in labels]
     cameras = [[key for key in shared if key[1] == camera] for camera in {key[1] for key in shared}]
-    for keys in (*cameras, [keys[0] for keys in cameras]):
-        apart_ns = 0 if keys in cameras else CLOCKS_APART_NS
+    for keys, apart_ns in (*((keys, 0) for keys in cameras), ([keys[0] for keys in cameras], CLOCKS_APART_NS)):
         _check_one(walk, _later, "their labels are of two clocks", keys, images, labels, labelled, apart_ns)
     _check_one(walk, _shift, "labels name other frames", shared, images, labels, labelled)
     frames = tuple(

@@ -1,0 +1,81 @@
+"""Whether a camera's frames may have been kept, lost or shown anew by a whole lamp cycle.
+
+Then stamp, arrival, count and picture may have moved together, and only a preamble tells which frame is which.
+
+What is looked for, each by half a cycle: a silence that no count spans, holes without a count that add up, frames that
+come sooner one after the other, pictures that were shown before.
+"""
+
+from annulus.capture.history import EdgeHistory
+from annulus.capture.witnesses import Delivery
+
+SILENCE = 0.75  # of a period, more than half a lamp cycle: frames that came so long after the last may be of another
+SOON = 0.1  # of a period: what comes sooner by more is no jitter
+SPANNED_WITHIN = 3  # frames after a silence, in which one stamp may be off by itself, or its edge be lost
+VOUCHED_MIN = 10  # frames of a preamble: whatever was missing before, they are what they seem
+
+
+class Continuity:
+    """From one proof to the next."""
+
+    def __init__(self, history: EdgeHistory, delivery: Delivery) -> None:
+        self._history, self._delivery = history, delivery
+        self.unspanned = 0  # frames within which a count has to agree, after a silence
+        self._sooner = 0.0  # periods by which frames came sooner, one after the other
+        self._missing = self._vouched = 0  # frames missing without a count; of a preamble that agreed since
+        self._shown_again = 0  # pictures shown before, in one doubt
+
+    @property
+    def _half(self) -> float:
+        return self._history.cycle / 2
+
+    @property
+    def _is_asked(self) -> bool:
+        """Without a preamble to tell, two witnesses that are not one have to do."""
+        return self._history.preambled or self._delivery.one_witness
+
+    @property
+    def lost(self) -> bool:
+        """Whether holes without a count have added up."""
+        return self._missing >= self._half and self._is_asked
+
+    def missed(self, frames: int) -> None:
+        """So many are missing before this one, and the driver does not count."""
+        self._missing += max(0, frames)
+
+    def vouched(self) -> None:
+        """A frame of a preamble that nobody contradicts."""
+        self._vouched += 1
+        if self._vouched >= VOUCHED_MIN:
+            self._missing = self._vouched = 0
+
+    def proved(self) -> None:
+        """A doubt has ended."""
+        self._shown_again = 0
+
+    def broken(self, periods: float | None, counted: bool | None, repeated: bool) -> str:
+        """Why nothing but a preamble tells now which frame this is; empty where something else does.
+
+        periods : since the last frame came; None, it is the first. counted : whether the driver's count names the edge
+        that the stamp does; None, there is no count.
+        """
+        after = 1.0 if periods is None else periods
+        silence = f"no frame came for {after - 1:.0f} periods" if after >= self._half + SILENCE else ""
+        if silence and (self._delivery.one_witness or (counted is None and self._history.preambled)):
+            return silence
+        if silence and counted is not None:
+            self.unspanned = SPANNED_WITHIN
+        if self.unspanned and not counted:
+            self.unspanned -= 1
+            return "" if self.unspanned else "no count spans a silence"
+        self.unspanned = 0
+        sooner = 1.0 - after
+        self._sooner = self._sooner + sooner if sooner > SOON else max(0.0, self._sooner - SOON)
+        if self._sooner >= self._half and not counted and self._is_asked:
+            return f"frames came sooner by {self._sooner:.0f} periods"
+        if self.lost:
+            return f"{self._missing} frames are missing, and the driver does not count"
+        self._shown_again += repeated
+        if self._shown_again >= self._half and self._is_asked:
+            return f"{self._shown_again} pictures were shown before"
+        return ""
