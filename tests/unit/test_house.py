@@ -163,3 +163,9 @@ def test_every_test_file_has_a_measured_cost() -> None:
     held = {name for name in files if name.startswith("tests/held/")}  # they run where ../shared is
     assert files - held <= tiers.read_durations().keys(), "`make durations` measures them"
     assert tiers.read_durations().keys() <= files
+
+
+def test_every_regression_has_its_row() -> None:
+    folders = {path.parent.name for path in (ROOT / "tests/regression").glob("*/test_*.py")}
+    table = (ROOT / "tests/regression/README.md").read_text(encoding="utf-8")
+    assert folders == set(re.findall(r"^\| (\w+) \| .{20,} \| [0-9a-f]{7}", table, re.M))
