@@ -110,11 +110,11 @@ class Engine:
         again = Engine(self.root, self.memory_mb, self.pieces.left_out | frozenset(found))
         self.connection.close()
         self.connection, self.pieces = again.connection, again.pieces
-        told = {one.path: one for one in self.damage}
+        by_path = {one.path: one for one in self.damage}
         for one in again.damage:
             why = found.get(one.path, one.why)
-            told.setdefault(one.path, Damage(one.path, why, one.lost))
-        self.damage = list(told.values())
+            by_path.setdefault(one.path, Damage(one.path, why, one.lost))
+        self.damage = list(by_path.values())
         return True
 
     def told(self, error: Exception) -> str:
@@ -138,8 +138,8 @@ def require_select(connection: Any, sql: str) -> None:
     duckdb = need("duckdb")
     try:
         sql.encode()
-        told = connection.execute("SELECT json_serialize_sql(?::VARCHAR)", [sql]).fetchone()[0]
-        tree = json.loads(told)
+        serialized = connection.execute("SELECT json_serialize_sql(?::VARCHAR)", [sql]).fetchone()[0]
+        tree = json.loads(serialized)
     except (duckdb.Error, UnicodeEncodeError, RecursionError) as error:
         raise AnnulusError(f"query: {_said(error)}") from None
     if tree.get("error"):

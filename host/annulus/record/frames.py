@@ -171,13 +171,13 @@ def _later(message: Message, label: Mapping[str, Any]) -> int | None:
     """What a frame's message is later than its label says, ns: of one camera's frames always the same. None: not
     known.
     """
-    said = label.get("timestamp_ns")
-    return message.time_ns - said if type(said) is int and message.time_ns else None  # 0: before 1970, cut off
+    stamp_ns = label.get("timestamp_ns")
+    return message.time_ns - stamp_ns if type(stamp_ns) is int and message.time_ns else None  # 0: before 1970, cut off
 
 
 def _shift(message: Message, label: Mapping[str, Any]) -> int | None:
-    said = label.get("index")
-    return message.sequence - said if type(said) is int else None
+    labelled = label.get("index")
+    return message.sequence - labelled if type(labelled) is int else None
 
 
 def _check_one(
@@ -186,11 +186,11 @@ def _check_one(
     labelled: Mapping[tuple[int, int], Chunk | None], apart: int = 0,
 ) -> None:  # fmt: skip
     """Raises TwoScansError where sound frames say more than one thing, `apart` or more, of what one scan has one of."""
-    said = {key: value for key in keys if (value := witness(images[key], labels[key])) is not None}
-    if not said or max(said.values()) - min(said.values()) <= apart:
+    differences = {key: value for key in keys if (value := witness(images[key], labels[key])) is not None}
+    if not differences or max(differences.values()) - min(differences.values()) <= apart:
         return
     sound: dict[int, tuple[int, int]] = {}
-    for key, value in said.items():
+    for key, value in differences.items():
         if value not in sound and _both_sound(walk, images[key].chunk, labelled[key]):
             sound[value] = key
     if len(sound) > 1:

@@ -29,8 +29,8 @@ def check_one_scan(found: Walk | Indexed) -> None:
 def check_clock(found: Walk | Indexed, frames: tuple[RecordedFrame, ...], labels: Labels, clock: Clock) -> None:
     """The clock that is attached is the one that the labels are of. frames : times as they are written. Raises
     TwoScansError."""
-    said = (labels.get((frame.index, frame.camera), {}).get("timestamp_ns") for frame in frames)
-    timed = [(frame, value) for frame, value in zip(frames, said, strict=True) if type(value) is int]
+    stamps = (labels.get((frame.index, frame.camera), {}).get("timestamp_ns") for frame in frames)
+    timed = [(frame, value) for frame, value in zip(frames, stamps, strict=True) if type(value) is int]
     later = {frame.timestamp_ns - value for frame, value in timed if frame.timestamp_ns}
     if later and clock.offset_ns not in later and any(found.look_at(frame.chunk) for frame, _ in timed):
         raise TwoScansError(f"{CLOCK_FILE} is not of the labels")
@@ -41,8 +41,8 @@ def _beginnings(found: Walk | Indexed) -> list[Chunk | None]:
     and is not asked; of a walk that was kept the chunks are not known."""
     if isinstance(found, Indexed):
         try:
-            said = found.notes.of(IDENTITY, found.file) if found.notes.blocks else iter(())
-            return [None for _, _, content in said if _begins(content)]
+            identities = found.notes.of(IDENTITY, found.file) if found.notes.blocks else iter(())
+            return [None for _, _, content in identities if _begins(content)]
         except ValueError:
             raise TwoScansError("it cannot be seen who recorded it") from None  # and it is walked over again
     numbers = {number for number, one in found.channels.items() if one.topic == IDENTITY}
@@ -57,10 +57,10 @@ def _beginnings(found: Walk | Indexed) -> list[Chunk | None]:
 
 def _begins(content: bytes) -> bool:
     try:
-        said = from_json(content)
+        identity = from_json(content)
     except ValueError:
         return False
-    return isinstance(said, dict) and said.get("why") == "start"
+    return isinstance(identity, dict) and identity.get("why") == "start"
 
 
 def _scan_of(content: bytes) -> str | None:

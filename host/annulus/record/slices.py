@@ -54,9 +54,9 @@ def dicom_tags(path: Path) -> Any:
 def dicom_pixels(path: Path, size: tuple[int, int]) -> Any:
     """Its pixels, (rows, columns). ValueError where it is no slice of that size."""
     tags = _dicom(path, TAGS_MAX + size[0] * size[1] * PIXEL_BYTES, pixels=True)
-    told = int(tags.Rows), int(tags.Columns), int(tags.get("NumberOfFrames", 1) or 1), int(tags.SamplesPerPixel)
-    if told != (*size, 1, 1):
-        raise ValueError(f"{' x '.join(map(str, told))}, expected one grey slice of {size[0]} x {size[1]}")
+    shape = int(tags.Rows), int(tags.Columns), int(tags.get("NumberOfFrames", 1) or 1), int(tags.SamplesPerPixel)
+    if shape != (*size, 1, 1):
+        raise ValueError(f"{' x '.join(map(str, shape))}, expected one grey slice of {size[0]} x {size[1]}")
     return tags.pixel_array
 
 

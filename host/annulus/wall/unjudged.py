@@ -293,8 +293,8 @@ def _ovality(wall: Wall, detection: Detection, no_wall: BoolArray | None, scale:
     own = np.nan_to_num(percent) + np.nan_to_num(50.0 * swing_k2_mm(wall) / wall.shape_mm[:, 0])
     rows = max(1, round(STATION_MM / wall.z_step_mm))
     half = len(wall.clock_deg) // 2
-    said = np.zeros(len(wall.z_mm))
-    for start in range(0, len(said), rows):
+    across_percent = np.zeros(len(wall.z_mm))
+    for start in range(0, len(across_percent), rows):
         part = slice(start, start + rows)
         radius = np.where(sound[part], wall.radius_mm[part], np.nan)
         line = _even(nan_median(radius))
@@ -304,16 +304,15 @@ def _ovality(wall: Wall, detection: Detection, no_wall: BoolArray | None, scale:
             continue
         mean = 2.0 * float(np.median(wall.shape_mm[part, 0]))
         noise = 400.0 * float(np.median(wall.noise_mm[part])) / mean
-        said[part] = 100.0 * max(known.max() - mean, mean - known.min()) / mean + noise
-    label, n = ndimage.label(said > own)
+        across_percent[part] = 100.0 * max(known.max() - mean, mean - known.min()) / mean + noise
+    label, n = ndimage.label(across_percent > own)
     for i in range(1, n + 1):
         mine = np.flatnonzero(label == i)
         step = wall.z_step_mm / 2
         if len(mine) * wall.z_step_mm >= long:
-            yield Unjudged(
-                ("ovality",), "diameters there are farther out of round than the oval that was fitted",
-                float(wall.z_mm[mine[0]]) - step, float(wall.z_mm[mine[-1]]) + step, most=float(said[mine].max()),
-            )  # fmt: skip
+            first, last = float(wall.z_mm[mine[0]]) - step, float(wall.z_mm[mine[-1]]) + step
+            reason = "diameters there are farther out of round than the oval that was fitted"
+            yield Unjudged(("ovality",), reason, first, last, most=float(across_percent[mine].max()))
 
 
 def _even(line: FloatArray) -> FloatArray:
