@@ -135,7 +135,7 @@ def _conformity(verdict: Verdict, seen: float) -> dict[str, Any]:
         "title": verdict.criteria.title, "overall": overall, "look": look, "rule": RULE,
         "accepted": verdict.criteria.accepted, "rows": [_judged(one) for one in _governing(verdict)],
         "remarks": list(verdict.remarks), "limits": list(_limits(verdict)),
-        "places": [_place(one) for one in verdict.not_established[:PLACES_MAX]],
+        "places": [_place(one) for one in sorted(verdict.not_established, key=lambda one: one.usual)[:PLACES_MAX]],
         "places_left_out": max(len(verdict.not_established) - PLACES_MAX, 0),
     }  # fmt: skip
 

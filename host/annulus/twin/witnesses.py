@@ -1,7 +1,7 @@
 """What each witness of a label is good for: a soak in which all are asked, and one in which it alone is not.
 
-Each row has faults that happen to real heads and that no other witness sees in time. `annulus twin soak --witnesses`
-prints the rows.
+Each row has faults that happen to real heads and that no other witness sees in time, or that cost most labels without
+it: where nobody counts, a frame that came late is unknown. `annulus twin soak --witnesses` prints the rows.
 """
 
 from collections.abc import Callable
@@ -25,7 +25,7 @@ class Case:
 CASES = (
     Case(Witness.ARRIVAL, "reckoned"),
     Case(Witness.ORDER, "handed-over"),
-    Case(Witness.COUNT, "queue-steps"),
+    Case(Witness.COUNT, "late"),
     Case(Witness.LAMP, "flashes-fail"),
     Case(Witness.TORN, "torn"),
     Case(Witness.REPEATED, "repeated"),

@@ -266,7 +266,7 @@ def survey(
     dark = shadowed(wall.radius_mm.astype(np.float64), wall.z_step_mm, narrowest)
     unjudged = find_unjudged(
         wall, detection, explained=explained, joints=np.asarray(of_joints.any(axis=1)), shadowed=dark, no_wall=no_wall,
-        looks=lit[1], rings=len(rises),
+        looks=lit[1], rings=len(rises), profiles=aligned,
     )  # fmt: skip
     done("stations")
     texture = paint(wall, axis.centreline, calibration, measured, led_frames)

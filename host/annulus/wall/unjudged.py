@@ -1,15 +1,17 @@
 """Where a limit may be broken although nothing listed breaks it: what was not seen, and what nothing was concluded of.
 
 A limit is kept where it was judged, and nowhere else. So every place where it was not is named: a hole in the map that
-is larger than the smallest defect, a place that stands out and was not confirmed, a defect that goes on where nobody
-saw, a stretch whose shape or diameters are not known, a joint's own zone.
+is larger than the smallest defect, one as large between rings that the map goes over, a place that stands out and was
+not confirmed, a defect that goes on where nobody saw, a stretch whose shape or diameters are not known, a joint's own
+zone.
 
-Some of them every scan has: a rod hides a strip, rings end raggedly, a step throws a shadow. They are `usual`: a
-verdict speaks of what was seen beside them, and says so. Of all others it says that nothing is established there.
+Some of them every scan has: a rod hides a strip, rings end raggedly and lie apart, a step throws a shadow. They are
+`usual`: a verdict speaks of what was seen beside them, and says so. Of all others it says that nothing is established
+there.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,9 +21,10 @@ from annulus.numeric.arrays import BoolArray, FloatArray
 from annulus.numeric.robust import nan_median
 from annulus.numeric.rounding import DISTANCE, clock_face, span
 from annulus.wall.defects import Defect, Detection, Kind
-from annulus.wall.grid import Wall, smooth
+from annulus.wall.grid import BRIDGE_OF_RADIUS, Wall, smooth
 from annulus.wall.indications import Scale, arc_of, label_around
 from annulus.wall.looks import COLUMNS, Looks
+from annulus.wall.profile import Profile
 from annulus.wall.stations import GAP_MAX_DEG, STATION_MM, shape_ovality, swing_k2_mm
 
 # Held by test_never_flattered.py. Set with its draws 1 to 61 and 301 to 325 in view; the others are held out.
@@ -31,6 +34,8 @@ SWALLOWED = 0.5  # part of a hole's cells where light should have come back: no 
 SHADOW_PART = 0.8  # part of a hole that a step's shadow explains
 BESIDE_MM = 4.0  # a place that ends so near to a hole goes on in it
 RIPPLE_PART = 0.6  # of the depth of what is listed beside it: less is that one's own rim
+SAMPLES = 3  # steps in the smallest defect: finer would find no larger patch
+FINE_ROWS_MAX = 40_000  # bounds memory
 LISTED_MAX = 100  # places of a kind and reason; more are told as one
 OF_WALL = ("loss", "bump")
 OF_ROWS = ("joint", "gap", "water", "deposit")
@@ -70,7 +75,7 @@ class Unjudged:
 
 def find_unjudged(
     wall: Wall, detection: Detection, *, explained: BoolArray, joints: BoolArray, shadowed: BoolArray,
-    no_wall: BoolArray | None, looks: Looks | None, rings: int,
+    no_wall: BoolArray | None, looks: Looks | None, rings: int, profiles: Iterable[Profile] = (),
 ) -> tuple[Unjudged, ...]:  # fmt: skip
     """Every such place of a wall, in order of distance.
 
@@ -78,7 +83,8 @@ def find_unjudged(
     ----------
     explained : (Z, A) cells of joints, openings and levels, where no defect was looked for. joints : (Z,) their rows.
     shadowed : (Z, A) what steps hide. no_wall : (Z, A) cells of openings. looks : where light passed the wall, None
-    where nobody knows. rings : of the pattern; fewer than three tell no joint.
+    where nobody knows. rings : of the pattern; fewer than three tell no joint. profiles : whose points the wall is of;
+    none where every pixel measures.
     """
     scale = Scale.of(wall, detection.limits)
     sure = wall.shape_sigma_mm() <= wall.shape_limit_mm
@@ -90,6 +96,7 @@ def find_unjudged(
     found += _parts(
         wall, doubtful, OF_WALL, "the pipe's own shape is not known there, so that nothing stands out of it"
     )
+    found += _between_rings(wall, profiles, unseen | explained | listed, scale)
     dark = holes & ~shadowed
     found += _standing(wall, detection, explained & ~joints[:, None], joints, sure, dark, scale)
     found += _going_on(wall, detection, dark, scale)
@@ -195,6 +202,36 @@ def _holes(
             elif not is_narrow:
                 reason = "not seen"
             yield Unjudged(kinds, reason, *where, usual=usual)
+
+
+def _between_rings(wall: Wall, profiles: Iterable[Profile], besides: BoolArray, scale: Scale) -> Iterator[Unjudged]:
+    """Patches as large as the smallest defect that no point lies in, and over which the map was interpolated."""
+    size = scale.mm(scale.limits.size_of_radius)
+    first, last = wall.extent[:2]
+    fine = max(size / SAMPLES, (last - first) / FINE_ROWS_MAX)  # mm
+    columns = len(wall.clock_deg)
+    hit = np.ones((math.ceil((last - first) / fine), columns), bool)
+    for n, one in enumerate(profiles):
+        if not n:
+            hit[:] = False
+        x, y, z = one.points_mm.T
+        row = np.floor((z - first) / fine)
+        inside = (row >= 0) & (row < len(hit))
+        column = np.floor(np.degrees(np.arctan2(x, -y))[inside] / wall.clock_step_deg).astype(np.intp) % columns
+        hit[row[inside].astype(np.intp), column] = True
+    if hit.all():
+        return
+    box = np.ones((max(1, round(size / fine)), _cells(size, scale.cell_mm[1])), bool)
+    wide = np.pad(~hit, ((0, 0), (columns // 8, columns // 8)), mode="wrap")
+    empty = np.asarray(ndimage.binary_opening(wide, box)[:, columns // 8 : -(columns // 8)])
+    at = np.minimum(((np.arange(len(hit)) + 0.5) * fine / wall.z_step_mm).astype(np.intp), len(wall.z_mm) - 1)
+    label, _ = label_around(empty & ~besides[at])
+    reason = "the map goes on between rings there, and a small defect may lie between them"
+    for i, (rows, _) in enumerate(ndimage.find_objects(label), 1):
+        start, arc = arc_of((label[rows] == i).any(axis=0), wall.clock_step_deg)
+        usual = (rows.stop - rows.start) * fine <= BRIDGE_OF_RADIUS * wall.mean_radius_mm
+        clock = 0.0 if arc >= 360.0 else (start + arc / 2) % 360.0
+        yield Unjudged(OF_WALL, reason, first + rows.start * fine, first + rows.stop * fine, clock, arc, usual=usual)
 
 
 def _swallowed(wall: Wall, looks: Looks) -> BoolArray:

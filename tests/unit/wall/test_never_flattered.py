@@ -52,3 +52,12 @@ def test_a_sound_pipe_is_not_called_bad(seed: int) -> None:
     assert told.decision is not Decision.FAILS, str(drawn)
     if drawn.way == "well" and not (drawn.kind == "joint" and drawn.place == "beside a joint"):
         assert told.decision in (Decision.CONFORMS, Decision.SEEN), str(drawn)
+
+
+def test_what_no_ring_landed_in_is_no_sound_wall() -> None:
+    """A pocket 3 mm deep and 9.5 mm long, whose floor lay between two rings 8.8 mm apart: the map went over it."""
+    drawn = draw(293)
+    told, _ = verdict(drawn, drawn.pipe())
+    assert told.decision is Decision.UNDECIDED
+    between = [one for one in told.not_established if one.z_from_mm <= 205.0 and one.z_to_mm >= 210.0 and not one.usual]
+    assert between and all("between rings" in one.reason for one in between)
