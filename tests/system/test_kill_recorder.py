@@ -36,7 +36,7 @@ def killed(folder: Path, codec: Codec, after_frames: int, after_s: float) -> tup
     """Frames that were answered for, and how many were handed out; then the recorder was killed."""
     setup = {
         "folder": str(folder), "name": "scan", "calibration": None, "configuration": {}, "bounds": [0.0, 0.0, 0.0],
-        "scan": "x", "codec": codec.value, "clock": Clock.now().to_dict(),
+        "scan": "x", "realtime": False, "codec": codec.value, "clock": Clock.now().to_dict(),
     }  # fmt: skip
     context, ring = zmq.Context(), FrameRing(2 * DEPTH, H * W)
     sockets = folder / "sockets"

@@ -166,10 +166,12 @@ def test_over_a_restart_of_the_controller_frames_keep_their_numbers(count: Calla
 @pytest.mark.parametrize("ratio", [0, 1, 4])
 @pytest.mark.parametrize("frames", [1, -1, 5, -5, 0.5])
 def test_any_ratio_comes_back_after_a_doubt(count: Callable[[int], int | None], ratio: int, frames: float) -> None:
-    """At ratio 0 and 1 a preamble has to say which frame is which at first; then arrival or count can."""
+    """At ratio 0 and 1 a preamble has to say which frame is which at first; then the count can. Arrival alone overrules
+    no stamp where there are preambles: all is searched anew."""
     faults = Faults(count=count, **with_preamble(ratio), stamp_ms=lambda k: frames * FRAME_MS * (k >= AT))
     score = run(faults, ratio=ratio)
-    assert score.relock(AT) <= 8 and score.share(AT + 8) == 0
+    soon = 50 if count is NOBODY_COUNTS else 8
+    assert score.relock(AT) <= soon and score.share(AT + soon) == 0
 
 
 @pytest.mark.parametrize("ratio", [0, 1])
@@ -260,16 +262,17 @@ def test_no_mixture_of_faults_makes_a_wrong_label(seed: int, counted: bool) -> N
         (Witness.REPEATED, Faults(pictured=lambda k: k - (k % 9 == 4))),
         (Witness.LAMP, Faults(pictured=lambda k: k - (k >= AT), dropped=lambda k: k == AT - 1)),
         (Witness.ORDER, Faults(count=lambda k: 1000 + k - (k % 50 == 7), stamp_ms=lambda k: -FRAME_MS * (k % 50 == 7))),
-        (Witness.ARRIVAL, Faults(count=NOBODY_COUNTS, stamp_ms=lambda k: 5 * FRAME_MS * (k >= AT))),
         (
-            Witness.COUNT,
-            Faults(stamp_ms=lambda k: FRAME_MS * (k > AT), stall_until=lambda k: (k + 1) * (k > AT)),
+            Witness.ARRIVAL,
+            Faults(count=lambda k: 1000 + k + 5 * (k >= AT), stamp_ms=lambda k: 5 * FRAME_MS * (k >= AT)),
         ),
+        (Witness.COUNT, Faults(stall_until=lambda k: (k + 9) * (k % 50 == 7))),
     ],
 )
 def test_every_witness_is_needed(witness: Witness, faults: Faults) -> None:
-    run(faults)
-    assert Bench(faults, without=frozenset({witness})).run(FRAMES).wrong
+    """Without it labels are wrong, or most of them gone."""
+    asked, unasked = run(faults), Bench(faults, without=frozenset({witness})).run(FRAMES)
+    assert unasked.wrong or unasked.share() > 5 * asked.share()
 
 
 def test_without_the_preambles_witness_a_long_lag_is_a_wrong_place() -> None:
