@@ -159,6 +159,11 @@ def test_requests_and_bytes_go_both_ways_and_what_is_not_wanted_any_more_is_take
     assert 6 not in kernel.replies
     kernel.unlink(9, 10)  # has ended long ago
     assert kernel.answer(9) == (RET_UNLINK, OK, b"")
+    kernel.unlink(51, 50)  # on its way is taken back before it comes, as a kernel does
+    kernel.submit(50, IN, DATA, 64)
+    assert kernel.answer(51) == (RET_UNLINK, ECONNRESET, b"")
+    kernel.ask(52, struct.pack("<BBHHH", 0x21, 0x22, 3, 0, 0))
+    assert 50 not in kernel.replies, "it has been given back: an answer would end the connection"
     board.usb_do("detach")
     assert kernel.ended()  # a device that leaves the bus ends the connection
 

@@ -36,6 +36,8 @@ export class UsbIp extends UsbHost {
     this.client = undefined;
     this.queues = new Map(); // endpoint => {urbs, busy}: the first of them is being worked on
     this.toggle = [];        // by endpoint
+    this.submitted = 0;      // the latest
+    this.unborn = new Map(); // URB => who took it back before it came
   }
 
   close() {
@@ -120,6 +122,12 @@ export class UsbIp extends UsbHost {
   }
 
   submit(endpoint, urb) {
+    this.submitted = urb.id;
+    if (this.unborn.has(urb.id)) {
+      this.unlinked(this.unborn.get(urb.id), ECONNRESET);
+      this.unborn.delete(urb.id);
+      return;
+    }
     const queue = this.queues.get(endpoint) ?? { urbs: [], busy: false };
     this.queues.set(endpoint, queue);
     queue.urbs.push(urb);
@@ -144,17 +152,22 @@ export class UsbIp extends UsbHost {
     this.client?.write(Buffer.concat([words(RET_SUBMIT, id, 0, 0, 0, status, actual, 0, 0, 0, 0, 0), Buffer.from(inward ? data : [])]));
   }
 
-  // One that has ended already was answered by its end.
+  // One that has ended already was answered by its end. One that is yet to come: the kernel looks through what it has to
+  // submit first, and what is added and taken back right after that look is taken back before it is submitted. Whoever
+  // answered both would have the kernel drop the connection.
   unlink(id, which) {
     let status = 0;
+    if (which > this.submitted) { this.unborn.set(which, id); return; }
     for (const { urbs } of this.queues.values()) {
       const at = urbs.findIndex((urb) => urb.id === which);
       if (at < 0) continue;
       status = ECONNRESET;
       urbs.splice(at, 1)[0].gone = true;
     }
-    this.client.write(words(RET_UNLINK, id, 0, 0, 0, status, 0, 0, 0, 0, 0, 0));
+    this.unlinked(id, status);
   }
+
+  unlinked(id, status) { this.client.write(words(RET_UNLINK, id, 0, 0, 0, status, 0, 0, 0, 0, 0, 0)); }
 
   *controlled(urb) {
     this.requests.push({ tick: this.now, setup: Buffer.from(urb.setup).toString('hex') });
