@@ -3,7 +3,8 @@
 Then stamp, arrival, count and picture may have moved together, and only a preamble tells which frame is which.
 
 What is looked for, each by half a cycle: a silence that no count spans, holes without a count that add up, frames that
-come sooner one after the other, pictures that were shown before.
+come sooner one after the other, pictures that were shown before. And a whole cycle of blank pictures: buffers that
+nothing was written into, and all that come behind them are late.
 """
 
 from annulus.capture.history import EdgeHistory
@@ -24,6 +25,7 @@ class Continuity:
         self._sooner = 0.0  # periods by which frames came sooner, one after the other
         self._missing = self._vouched = 0  # frames missing without a count; of a preamble that agreed since
         self._shown_again = 0  # pictures shown before, in one doubt
+        self._blank = 0  # pictures one after the other in which no lamp is seen, of any
 
     @property
     def _half(self) -> float:
@@ -53,11 +55,11 @@ class Continuity:
         """A doubt has ended."""
         self._shown_again = 0
 
-    def broken(self, periods: float | None, counted: bool | None, repeated: bool) -> str:
+    def broken(self, periods: float | None, counted: bool | None, repeated: bool, blank: bool) -> str:
         """Why nothing but a preamble tells now which frame this is; empty where something else does.
 
         periods : since the last frame came; None, it is the first. counted : whether the driver's count names the edge
-        that the stamp does; None, there is no count.
+        that the stamp does; None, there is no count. blank : its flash was fired, and the picture is dark.
         """
         after = 1.0 if periods is None else periods
         silence = f"no frame came for {after - 1:.0f} periods" if after >= self._half + SILENCE else ""
@@ -75,6 +77,9 @@ class Continuity:
             return f"frames came sooner by {self._sooner:.0f} periods"
         if self.lost:
             return f"{self._missing} frames are missing, and the driver does not count"
+        self._blank = self._blank + 1 if blank else 0
+        if self._blank >= self._history.cycle and self._is_asked:
+            return f"{self._blank} pictures were blank"
         self._shown_again += repeated
         if self._shown_again >= self._half and self._is_asked:
             return f"{self._shown_again} pictures were shown before"

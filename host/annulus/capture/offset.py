@@ -15,6 +15,7 @@ import math
 from collections import Counter, deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -37,6 +38,7 @@ CHANCE = 1e-9  # of a wrong proof, a search; tests/unit/capture/test_offset.py c
 ODD_MAX = 0.15  # of the pictures: contradict, as where one stamp in four is off by a frame. Beyond nothing is proved
 SOUND, SOUND_MAX = 0.9, 0.01  # nine cameras in ten have fewer odd frames than that
 LAG_SPREAD = 0.5  # of a period: what comes later than the quickest frames by more had to wait
+HOLE = 1.5  # periods between two frames: one is missing
 SHIFTS_TRIED = (-2, -1, 0, 1)  # whole periods, where nobody looks at when the frames came
 CALIBRATION_FRAMES_MIN = 12
 RATE_MAX = 1e-3  # no clock is further off
@@ -66,6 +68,8 @@ class Offset:
     lags_ns: tuple[int, ...] = ()  # of these frames: when it was in hand, minus the end of its readout
     count: int | None = None  # driver's count minus ordinal of the closing edge; None where the driver does not count
     off_ns: tuple[int, ...] = ()  # of the frames of `lags_ns`: how far the stamp was from where the offset puts it
+    last: int | None = None  # ordinal of the closing edge of the last frame
+    holed: bool = False  # frames are missing among these, and no count spans them: the last may be of another offset
 
 
 class Before(NamedTuple):
@@ -152,10 +156,11 @@ def calibrate_offset(
 
     arrivals : whether to look at when the frames came. preamble : whether flashes of a preamble are looked at.
     before : what the camera did until it began anew. adrift : frames may have been kept or lost by whole lamp cycles,
-    so that only a preamble proves anything, whether or not there is one.
+    any number of them, so that only a preamble proves anything, whether or not there is one.
 
     AnnulusError when too little was seen, or when nothing or more than one offset agrees.
     """
+    frames = list(frames)
     seen = telling(frames)
     if len(seen) < CALIBRATION_FRAMES_MIN or len(history.edges) < 2:
         raise AnnulusError(
@@ -170,7 +175,7 @@ def calibrate_offset(
             placed.append((frame, edge.ordinal))
     lag = _usual_lag(seen, phase, period_ns) if arrivals else None
     shifts = _shifts(lag, (preamble and history.preambled) or adrift)
-    weights = np.array([_weight(lag, shift, phase, period_ns, before) for shift in shifts])
+    weights = np.array([_weight(lag, shift, phase, period_ns, before, adrift) for shift in shifts])
     best = _proved(placed, history, shifts, weights, preamble)
     if best.chance > CHANCE:
         raise AnnulusError(_unproved(best, phase, period_ns))
@@ -195,6 +200,11 @@ def calibrate_offset(
         tuple(lags),
         count if 2 * times > len(placed) else None,
         tuple(off),
+        history.nearest(frames[-1].timestamp_ns - phase).ordinal - shift,
+        any(
+            later.sequence is None and later.timestamp_ns - frame.timestamp_ns > HOLE * period_ns
+            for frame, later in pairwise(frames)
+        ),
     )
 
 
@@ -219,13 +229,14 @@ def _shifts(lag: float | None, preamble: bool) -> Sequence[int]:
     return range(math.ceil(LAG_PERIODS_MIN - lag), math.floor(longest - lag) + 1)
 
 
-def _weight(lag: float | None, shift: int, phase: int, period_ns: int, before: Before | None) -> float:
-    """How likely a shift is before any picture was looked at, against one that is usual."""
+def _weight(lag: float | None, shift: int, phase: int, period_ns: int, before: Before | None, adrift: bool) -> float:
+    """How likely a shift is before any picture was looked at, against one that is usual. A driver that has been seen to
+    keep more frames may keep any number."""
     if lag is None:
         return 1.0
     periods = lag + shift
     weight = DEEP if periods > LAG_PERIODS_MAX else 1.0
-    if periods > LAG_PERIODS_DEEP:
+    if periods > LAG_PERIODS_DEEP and not adrift:
         weight = DEEPEST
     if before is None or before.lag_ns is None:
         return weight

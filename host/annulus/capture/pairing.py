@@ -91,7 +91,8 @@ class Pairing:
         self.adrift = False  # frames may have been kept or lost by whole lamp cycles since
         self._continuity = Continuity(self.history, self._delivery)
         self._doubt = Doubt(self.history, period_ns)
-        self._last: int | None = None  # ordinal of the last frame's closing edge
+        self._last: int | None = None  # ordinal of the last frame's closing edge ..
+        self._searched_to: int | None = None  # .. and of the last that the search looked at
         self._latest_ns = 0  # timestamp ..
         self._arrived_ns: int | None = None  # .. and arrival, of the last frame
 
@@ -138,7 +139,10 @@ class Pairing:
         self._arrivals.believe(offset.lags_ns)
         self._delivery.believe(offset.off_ns, offset.lags_ns)
         self._count.believe(offset.count)
+        self._searched_to = offset.last
         self._move(News.FOUND, f"{offset.offset_ns / 1e6:+.2f} ms fits {offset.frames} frames")
+        if offset.holed and self.history.preambled and Witness.ORDER not in self._without:
+            self._move(News.SKIPPED)
 
     def recalibrate(self, period_ns: int, offset_ns: int, *, proved: bool = True) -> None:
         """Another frame rate or offset. False: the offset is from another day, pictures have to prove it."""
@@ -259,6 +263,8 @@ class Pairing:
         lag = self._lag(frame, closing)
         if lag is not None and (self._hurried(frame) or self._arrivals.waited(lag)):
             return Reason.LATER if self._arrivals.for_good else Reason.WAITED
+        if self._last is None and self._searched_to is not None and closing.ordinal > self._searched_to:
+            self._last = self._searched_to
         if self._last is None:  # the first of those that a search looked at: it may be the late one
             skipped = self._delivery.pairs > 0 and self._delivery.one_witness
         else:
@@ -288,12 +294,18 @@ class Pairing:
 
     def _may_have_lost_a_cycle(self, frame: FrameSeen, judged: _Judged, repeated: bool) -> str:
         """Why nothing but a preamble can tell now which frame this is; empty where something else does."""
-        if Witness.PREAMBLE in self._without or Witness.ARRIVAL in self._without:
+        if not self._asks_preambles:
             return ""
         periods = None if self._arrived_ns is None else (frame.arrived_ns - self._arrived_ns) / self._period_ns
         count = self._counted(frame.sequence)
         counted = None if count is None else judged.closing is not None and count == judged.closing.ordinal
-        return self._continuity.broken(periods, counted, repeated)
+        lit = judged.opening is not None and judged.opening.flash.lamp in _LABELS and judged.reason is Reason.PICTURE
+        blank = lit and frame.picture.light is Light.DARK
+        return self._continuity.broken(periods, counted, repeated, blank)
+
+    @property
+    def _asks_preambles(self) -> bool:
+        return Witness.PREAMBLE not in self._without and Witness.ARRIVAL not in self._without
 
     def _labelled(self, frame: FrameSeen, judged: _Judged, reason: Reason) -> Labelled:
         if judged.closing is None:
@@ -334,8 +346,15 @@ class Pairing:
             self._restore(frame, agreed)
             return True
         if self._doubt.frames > DOUBT_FRAMES_MAX or self._doubt.pictures >= DOUBT_PICTURES_MAX:
-            self._move(News.GIVEN_UP)
+            self._give_up()
         return False
+
+    def _give_up(self) -> None:
+        """What nothing explained for so long may be frames that are kept by cycles, a few at a time."""
+        if self._asks_preambles and self.history.preambled:
+            self._adrift("given up")
+        else:
+            self._move(News.GIVEN_UP, "given up")
 
     def _restore(self, frame: FrameSeen, agreed: Agreed) -> None:
         self._last = agreed.ordinals[-2]
@@ -371,7 +390,7 @@ class Pairing:
         self._track = OffsetTrack(offset_ns, self._period_ns)
         self._arrivals, self._count = Arrivals(self._period_ns), Count()
         self._doubt, self._delivery = Doubt(self.history, self._period_ns), Delivery()
-        self._last = self._arrived_ns = self.before = None
+        self._last = self._searched_to = self._arrived_ns = self.before = None
         self._continuity = Continuity(self.history, self._delivery)
         self.adrift = False
 
