@@ -26,6 +26,7 @@ LEAP = 1 << 24  # frames; 8 days at 25 fps
 
 _IRREGULAR = int(EdgeFlag.IRREGULAR)  # as plain numbers: asked for every frame
 _PREAMBLE = int(EdgeFlag.PREAMBLE)
+_NO_CYCLE = _PREAMBLE | int(EdgeFlag.DISARMED)  # a controller that is not armed stays at slot 0
 _NO_FLASH = int(EdgeFlag.LATE_LOAD) | _IRREGULAR
 _NO_INTERVAL = _IRREGULAR | int(EdgeFlag.FIRST)
 
@@ -69,9 +70,9 @@ class EdgeHistory:
         index = int(flash.edge)
         if int(flash.flags) & _PREAMBLE:
             self.preambled = True
-        elif int(flash.slot) == 0:
+        elif int(flash.slot) == 0 and not int(flash.flags) & _NO_CYCLE:
             before = self._by_index.get((boot_epoch, index - 1))
-            if before is not None and not int(before.flash.flags) & _PREAMBLE:
+            if before is not None and not int(before.flash.flags) & _NO_CYCLE:
                 self.cycle = int(before.flash.slot) + 1
         at = bisect_right(self._times, host_ns)
         edge = PlacedEdge(host_ns, boot_epoch, index, flash, self._ordinal(host_ns, boot_epoch, index, at))

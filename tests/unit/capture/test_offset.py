@@ -78,3 +78,15 @@ def test_a_cycle_more_in_the_drivers_queue_is_told_by_the_preamble_only() -> Non
 
 def test_where_there_are_no_preambles_a_driver_is_taken_to_keep_less_than_a_cycle() -> None:
     assert proved(range(8), kept=3, frames=60, every=0) == 8
+
+
+def test_an_idle_controller_says_nothing_of_the_lamp_cycle() -> None:
+    """It stays at slot 0: taken for a cycle of one frame, any hole was half of one, and a search never ended."""
+    history = EdgeHistory()
+    for k in range(20):
+        flash = Flash(EdgeIndex(k), Tick(0), Slot(0), Lamp.DARK, 3, 0, 0, 1, 1, EdgeFlag.DISARMED)
+        history.edge(flash, k * PERIOD, 1)
+    assert history.cycle == 5
+    for k in range(20, 30):
+        history.edge(Flash(EdgeIndex(k), Tick(0), Slot(k % 3), Lamp.LED, 3, 5, 0, 1, 1, EdgeFlag(0)), k * PERIOD, 1)
+    assert history.cycle == 3
