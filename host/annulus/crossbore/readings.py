@@ -6,6 +6,7 @@ And what leaves its neighbours again and again comes of a loose wire. What is no
 neighbours with it: a chip that fails, or a wire that comes loose, does so some readings before it is plain.
 """
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -109,9 +110,14 @@ def doubted(values: FloatArray, z_mm: FloatArray, low: float, high: float, noise
 
 
 def spikes(c: FloatArray, noise_most: float = NOISE_MOST_FF) -> BoolArray:
-    """(N, K): a reading that stands alone; where all rise it is a bead. c : fF."""
+    """(N, K): a reading that stands alone; where all rise it is a bead. c : fF.
+
+    What readings usually scatter by is also what they differ by one after the other: a head that swings between the
+    walls leaves its median at the ends of each swing only.
+    """
     off = c - median_filter(c, (2 * SPIKE_ROWS + 1, 1), mode="nearest")
-    least = OFF * min(max(robust_sigma(off), 0.3, *(_step(column) for column in c.T)), noise_most)
+    usual = max(robust_sigma(off), robust_sigma(np.diff(c, axis=0)) / math.sqrt(2.0), 0.3)
+    least = OFF * min(max(usual, *(_step(column) for column in c.T)), noise_most)
     bead = (off > least).all(axis=1) if c.shape[1] > 1 else np.zeros(len(c), bool)
     return np.asarray((np.abs(off) > least) & ~bead[:, None])
 
@@ -158,6 +164,8 @@ def jumps(smooth: FloatArray, seen: BoolArray, step_mm: float, uneven_ff: float)
     least = JUMP_FF + uneven_ff + OFF * min(robust_sigma(change), NOISE_MOST_FF)
     edge = np.abs(change) > np.maximum(least, EDGE_PART * np.minimum(height[over:], height[:-over]))
     edge &= seen[over:] & seen[:-over]
+    end = near // 2  # of a log: how high the edge is there nobody knows yet
+    edge[:end] = edge[max(len(edge) - end, 0) :] = False
     out = np.zeros(smooth.shape, bool)
     for k in range(over + 1):
         out[k : len(out) - over + k] |= edge

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from annulus.crossbore import Indication, Kind, Passage, detect, likely, on_grid
+from annulus.crossbore.grid import Log
 from annulus.crossbore.odds import COUNTED, odds
 from annulus.twin.capacitance import Bore, Drawn, Ground, log
 
@@ -132,3 +133,16 @@ def test_odds_are_of_everything_and_never_certain(kind: Kind, part: float, side:
 def test_what_nobody_counted_has_no_probability() -> None:
     assert math.isnan(likely(Indication(0.0, Kind.UNKNOWN, 100.0, math.nan, math.nan, np.zeros(3))))
     assert all(sum(counts) > 10 for counts in COUNTED.values())
+
+
+def test_a_head_that_swings_between_the_walls_has_no_loose_wire_and_does_not_jump() -> None:
+    """Its median differs from a reading at the ends of each swing only; and it swings from the moment it moves."""
+    drawn = log(Ground(3000.0), 1)
+    rows = np.arange(600)
+    z = np.maximum(0.0, 3.0 * (rows - 100))
+    phase = 2 * np.pi * np.maximum(rows - 100, 0)[:, None] / np.array([11.0, 13.0, 9.0])
+    noise = np.random.default_rng(5).normal(0.0, 0.4, (600, 3))
+    c_pf = drawn.rows().c_pf[:1] + (15.0 * np.sin(phase) + noise) / 1000
+    for far in (290, 400, 600):
+        part = Log(0.025 * rows[:far], z[:far], c_pf[:far], np.full(far, 4.7) + noise[:far, 0] / 1000, np.zeros(far))
+        assert on_grid(part).gaps == ()
