@@ -11,6 +11,7 @@ import pytest
 from annulus.capture.camera import Camera, HeldRequest, OneRequest, Request
 from annulus.capture.photometry import Light, measure
 from annulus.capture.remote import RemoteCamera
+from annulus.daemon.config import SLOTS
 from annulus.daemon.session import Session
 from annulus.demo import demo_config
 from annulus.record.recording import open_recording
@@ -76,7 +77,9 @@ def test_two_cameras_are_labelled_recorded_and_paired_by_their_flash(tmp_path: P
         cameras: list[Camera] = [first, Second(first)]
         config = demo_config(head, WORLD, tmp_path)
         sizes = [replace(config.cameras[0], width=camera.width, height=camera.height) for camera in cameras]
-        session = Session(replace(config, cameras=tuple(sizes), calibration=None), cameras, name="scan")
+        session = Session(
+            replace(config, cameras=tuple(sizes), calibration=None, slots=2 * SLOTS), cameras, name="scan"
+        )
         end = time.monotonic() + 60.0
         report = session.run(lambda: session.labelled >= 80 or time.monotonic() > end)
         assert head.counters()["lamps_on"] == []

@@ -132,14 +132,16 @@ def test_a_scan_is_labelled_recorded_and_reconstructed(head: HeadHandle, tmp_pat
 def test_a_worker_killed_in_mid_scan_costs_its_frames_and_they_are_reported(head: HeadHandle, tmp_path: Path) -> None:
     rig = Rig(head, tmp_path, workers=1)
     victim: list[int] = []
+    held: list[int] = []
 
     def until(rig: Rig) -> bool:
+        pool = rig.session.reconstruction
+        if victim and not held and pool is not None and pool.in_hand:
+            held.append(pool.in_hand)
+            os.kill(victim[0], signal.SIGKILL)
         if not victim and len(rig.profiles) >= 5:
             victim.append(rig.worker_pids[0])
-            os.kill(victim[0], signal.SIGSTOP)  # so that it certainly has frames in its hands
-        pool = rig.session.reconstruction
-        if victim and pool is not None and pool.in_hand == 2 and victim[0] in pool.pids:
-            os.kill(victim[0], signal.SIGKILL)
+            os.kill(victim[0], signal.SIGSTOP)  # so that what it has at the next look stays in its hands
         died = next(
             (i for i, text in enumerate(rig.told) if "killed by SIGKILL" in text and "takes over" in text), None
         )
@@ -147,7 +149,7 @@ def test_a_worker_killed_in_mid_scan_costs_its_frames_and_they_are_reported(head
 
     report = rig.run(until)
     lost = [text for text in rig.told if text.startswith("frame ") and "SIGKILL" in text]
-    assert report.drops["worker_died"] == len(lost) == 2
+    assert report.drops["worker_died"] == len(lost) == held[0] >= 1
     assert report.drops["workers_replaced"] == 1
     recording = open_recording(tmp_path / "scan.mcap")
     assert frames_are_what_they_are_called(recording) >= 10

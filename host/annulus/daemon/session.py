@@ -327,6 +327,8 @@ class Session:
             if scan is not None:
                 for header, frame in scan.labelled(final=True):
                     self._tell(header, frame)
+                if scan.recorder is not None:
+                    scan.recorder.poll()  # what it gave back while cameras were stopped
                 while self._told:
                     self._hand_out(*self._told.popleft())
                     while scan.recorder is not None and scan.recorder.absorbs:
