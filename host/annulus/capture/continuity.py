@@ -25,7 +25,6 @@ class Continuity:
         self._sooner = 0.0  # periods by which frames came sooner, one after the other
         self._missing = self._vouched = 0  # frames missing without a count; of a preamble that agreed since
         self._shown_again = 0  # pictures shown before, in one doubt
-        self._blank = 0  # pictures one after the other in which no lamp is seen, of any
 
     @property
     def _half(self) -> float:
@@ -55,11 +54,12 @@ class Continuity:
         """A doubt has ended."""
         self._shown_again = 0
 
-    def broken(self, periods: float | None, counted: bool | None, repeated: bool, blank: bool) -> str:
+    def broken(self, periods: float | None, counted: bool | None, repeated: bool, blanks: int) -> str:
         """Why nothing but a preamble tells now which frame this is; empty where something else does.
 
         periods : since the last frame came; None, it is the first. counted : whether the driver's count names the edge
-        that the stamp does; None, there is no count. blank : its flash was fired, and the picture is dark.
+        that the stamp does; None, there is no count. blanks : pictures one after the
+        other whose flash was fired, and that are dark.
         """
         after = 1.0 if periods is None else periods
         silence = f"no frame came for {after - 1:.0f} periods" if after >= self._half + SILENCE else ""
@@ -77,9 +77,8 @@ class Continuity:
             return f"frames came sooner by {self._sooner:.0f} periods"
         if self.lost:
             return f"{self._missing} frames are missing, and the driver does not count"
-        self._blank = self._blank + 1 if blank else 0
-        if self._blank >= self._history.cycle and self._is_asked:
-            return f"{self._blank} pictures were blank"
+        if blanks >= self._history.cycle and self._is_asked:
+            return f"{blanks} pictures were blank"
         self._shown_again += repeated
         if self._shown_again >= self._half and self._is_asked:
             return f"{self._shown_again} pictures were shown before"

@@ -33,6 +33,7 @@ from annulus.capture.witnesses import Arrivals, Count, Delivery, Pictures
 from annulus.vocabulary import CameraSequence, EdgeFlag, Flash, Label, Lamp
 
 INTERVAL_TOLERANCE = 0.1  # of a period: between opening and closing edge
+BLANK_RUN = 2  # blank pictures one after the other: of a lamp that fails, or buffers that nothing was written into
 HURRIED = 0.5  # of a period: frames that come so soon one after the other were in a queue
 SETTLE_PERIODS = 3.0  # how long a frame waits for an edge that has to be read again
 DOUBT_FRAMES_MAX = 32  # without agreement, before all is searched anew ..
@@ -95,6 +96,7 @@ class Pairing:
         self._searched_to: int | None = None  # .. and of the last that the search looked at
         self._latest_ns = 0  # timestamp ..
         self._arrived_ns: int | None = None  # .. and arrival, of the last frame
+        self._blanks = 0  # pictures one after the other
 
     @property
     def state(self) -> State:
@@ -174,6 +176,7 @@ class Pairing:
         light = None if repeated or torn or Witness.LAMP in self._without else frame.picture.light
         judged = self._judge(frame)
         reason = self._look(judged, light)
+        self._blanks = self._blanks + 1 if reason is Reason.BLANK else 0
         contradicts = self._contradiction(reason, light) or self._suspicion(reason, repeated)
         if contradicts is not None:
             self.contradictions[contradicts.value] += 1
@@ -278,6 +281,8 @@ class Pairing:
         flash = judged.opening.flash
         if light is LIGHTS[flash.lamp] or (Witness.PREAMBLE in self._without and EdgeFlag.PREAMBLE in flash.flags):
             return judged.reason
+        if light is Light.DARK:
+            return Reason.BLANK
         return Reason.UNCLEAR if light is Light.UNCLEAR else Reason.PICTURE
 
     def _contradiction(self, reason: Reason, light: Light | None) -> News | None:
@@ -290,6 +295,8 @@ class Pairing:
         """What contradicts nobody, but may be the first of frames that are not what they seem."""
         if repeated and reason in _TIMED:
             return News.REPEATED
+        if self._blanks >= BLANK_RUN:
+            return News.BLANK
         return News.SKIPPED if reason is Reason.SKIPPED and self._last is not None else None
 
     def _may_have_lost_a_cycle(self, frame: FrameSeen, judged: _Judged, repeated: bool) -> str:
@@ -299,9 +306,7 @@ class Pairing:
         periods = None if self._arrived_ns is None else (frame.arrived_ns - self._arrived_ns) / self._period_ns
         count = self._counted(frame.sequence)
         counted = None if count is None else judged.closing is not None and count == judged.closing.ordinal
-        lit = judged.opening is not None and judged.opening.flash.lamp in _LABELS and judged.reason is Reason.PICTURE
-        blank = lit and frame.picture.light is Light.DARK
-        return self._continuity.broken(periods, counted, repeated, blank)
+        return self._continuity.broken(periods, counted, repeated, self._blanks)
 
     @property
     def _asks_preambles(self) -> bool:

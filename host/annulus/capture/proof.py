@@ -54,6 +54,7 @@ class Reason(StrEnum):
     ORDER = "edge already had its frame"
     SEQUENCE = "driver count disagrees"
     PICTURE = "picture disagrees"
+    BLANK = "picture blank"
     UNCLEAR = "picture unclear"
     TORN = "picture of two exposures"
     REPEATED = "picture was shown before"
@@ -74,12 +75,15 @@ class News(StrEnum):
     PICTURE = Reason.PICTURE
     SKIPPED = Reason.SKIPPED  # where stamps are made on delivery
     REPEATED = Reason.REPEATED
+    BLANK = Reason.BLANK
     GIVEN_UP = "given up"  # too long in doubt, or three pictures against it
     ADRIFT = "adrift"
 
 
 CONTRADICTIONS = frozenset({News.EARLY, News.ORDER, News.SEQUENCE, News.BETWEEN, News.LATER, News.PICTURE})
-SUSPICIONS = frozenset({News.SKIPPED, News.REPEATED})  # contradict nobody, and withdraw the proof all the same
+SUSPICIONS = frozenset(
+    {News.SKIPPED, News.REPEATED, News.BLANK}
+)  # contradict nobody, and withdraw the proof all the same
 
 TRANSITIONS: Mapping[tuple[State, News], State] = {
     (State.SEARCHING, News.FOUND): State.PROVED,

@@ -46,13 +46,25 @@ def drip(at: int, count: int, gap: int) -> list[int]:
     return [at + n * gap for n in range(count)]
 
 
-@pytest.mark.parametrize("gap", [2, 3])
-def test_nor_does_a_queue_that_grows_frame_by_frame_hide_a_cycle(gap: int) -> None:
-    """Each hole is less than half a cycle, and no count spans it; stamps move with the queue."""
-    grown = drip(AT, 5, gap)
-    behind = [sum(k > at for at in grown) for k in range(700)]
+@pytest.mark.deep(but=3)
+@pytest.mark.parametrize(("gap", "by", "count"), [(2, 1, 5), (5, 1, 9), (16, 3, 3), (3, 1, 5), (7, 2, 9), (25, 1, 3)])
+def test_nor_does_a_queue_that_grows_bit_by_bit_hide_a_cycle(gap: int, by: int, count: int) -> None:
+    """Each hole is less than half a cycle, and no count spans it; stamps move with the queue. It may go on growing
+    while a search is under way."""
+    grown = [at + more for at in drip(AT, count, gap) for more in range(by)]
+    behind = [sum(k > at for at in grown) for k in range(900)]
     faults = Faults(
         lamp=lamp, preamble=lambda k: k % EVERY < LENGTH, count=lambda k: None, dropped=lambda k: k in grown,
-        pictured=lambda k: k - behind[min(k, 699)],
+        pictured=lambda k: k - behind[min(k, 899)],
+    )  # fmt: skip
+    assert Bench(faults).run(900).wrong == []
+
+
+@pytest.mark.parametrize("blank", [2, 5])
+def test_nor_do_buffers_that_nothing_was_written_into(blank: int) -> None:
+    """They are handed over first, and what comes behind them is late from then on."""
+    faults = Faults(
+        lamp=lamp, preamble=lambda k: k % EVERY < LENGTH, blank=lambda k: AT <= k < AT + blank,
+        pictured=lambda k: k - blank * (k >= AT),
     )  # fmt: skip
     assert Bench(faults).run(700).wrong == []

@@ -39,6 +39,7 @@ class Faults:
     edge_late: Callable[[int], bool] = lambda k: False
     stall_until: Callable[[int], int] = lambda k: 0  # nothing is taken before this frame's edge
     pictured: Callable[[int], int] = lambda k: k  # whose picture this frame brings
+    blank: Callable[[int], bool] = lambda k: False  # nothing was written into its buffer
     torn: Callable[[int], bool] = lambda k: False
     reset: Callable[[int], bool] = lambda k: False  # the controller restarts before this edge, three edges are missed
     lamp: Callable[[int], Lamp] | None = None  # after edge k; else the cycle
@@ -129,6 +130,8 @@ class Bench:
         self.taken_ns = came
         shown = self.faults.pictured(k)
         light = {Lamp.LED: Light.LED, Lamp.PROJECTOR: Light.PROJECTOR, Lamp.DARK: Light.DARK}[self.lamp(shown - 1)]
+        if self.faults.blank(k):
+            light, shown = Light.DARK, -k
         bands = (Light.BOTH,) + (light,) * 7 if self.faults.torn(k) else (light,) * 8
         count = self.faults.count(k)
         sequence = None if count is None else CameraSequence(count)
