@@ -29,6 +29,7 @@ from annulus.wall.stations import GAP_MAX_DEG, STATION_MM, shape_ovality, swing_
 
 # Held by test_never_flattered.py. Set with its draws 1 to 61 and 301 to 325 in view; the others are held out.
 END_OF_RADIUS = 0.3  # of the radius: how far from an end of the scan rings may end raggedly
+ASIDE_OF_RADIUS = 0.08  # nearer to an end of the scan a joint has wall on one side only: 6 mm of a 6-inch pipe
 ROUND_LEAST = 0.6  # of the circle: of rows that show less a joint or a level is not told
 SWALLOWED = 0.5  # part of a hole's cells where light should have come back: no rod's shadow but a hole or a steep place
 SHADOW_PART = 0.8  # part of a hole that a step's shadow explains
@@ -370,6 +371,12 @@ def _rows(wall: Wall, rings: int, scale: Scale) -> Iterator[Unjudged]:
     """Where too little of the circle was seen for what goes all round."""
     if rings < 3:
         yield Unjudged(("joint",), "fewer than three rings tell no joint's step or angle", *wall.extent[:2])
+    first, last = wall.extent[:2]
+    side = scale.mm(ASIDE_OF_RADIUS)
+    for start, stop in ((first, min(first + side, last)), (max(last - side, first), last)):
+        yield Unjudged(
+            ("joint",), "an end of the scan: a joint shows with wall on both sides of it", start, stop, usual=True
+        )
     few = wall.seen.mean(axis=1) < ROUND_LEAST
     least, end = scale.mm(scale.limits.edge_of_radius), scale.mm(END_OF_RADIUS)
     yield from _stretches(wall, few, OF_ROWS, "too little of the circle was seen", least, end)
