@@ -17,8 +17,9 @@ from annulus.record.codec import Codec
 from annulus.record.recording import Recording, open_recording
 from annulus.stream.frames import FrameHeader
 from annulus.stream.orphan import child
+from annulus.stream.pool_events import Done
 from annulus.stream.ring import FrameRing
-from annulus.stream.workers import Done, Shared, WorkerKind, WorkerPool
+from annulus.stream.workers import Shared, WorkerKind, WorkerPool
 from annulus.vocabulary import Label
 
 pytestmark = pytest.mark.deep(gate="tests/unit/daemon/test_recorder.py::test_all_parts_have_the_clock_of_the_scan")

@@ -37,7 +37,7 @@ from annulus.daemon.camera_state import BackOff, CameraState
 from annulus.daemon.observer import Observer
 from annulus.stream.orphan import child
 from annulus.stream.ring import FrameRing, Place
-from annulus.stream.workers import process_state
+from annulus.stream.workers import cannot_start, process_state
 from annulus.vocabulary import AnnulusError, CameraSequence
 
 LOOK_S = 30.0  # to open a camera for the first time
@@ -45,8 +45,9 @@ OPEN_S = 15.0  # to open it again; some drivers take seconds to find their senso
 THREAD_SILENT_S = 2.5  # without a word of a camera of the caller's, which may wait so long by itself
 HUNG_S = 1.0  # without a word, where one comes every 0.2 s
 STOPPED_S = 0.4  # without a word, before the kernel is asked whether it is stopped, and between two questions
-SPARE_S = 1.0  # between two starts of spares
-RESTART_LAST_S = 5.0  # between two starts of intakes that die with their camera, each half a second of processor
+SPARE_S, SPARE_LAST_S = 1.0, 60.0  # between two starts of spares; of spares that die as they start
+RESTART_LAST_S = 5.0  # between two starts of intakes that die as they start, each half a second of processor
+FRUITFUL_S = 0.5  # of frames, and an intake has not died as it started
 STALL_S = 0.1  # longer between two polls than this and it was us who did not listen
 SEND_BYTES = 1 << 20  # of packets that wait for us, if the system lets them
 
@@ -123,7 +124,8 @@ class CameraFeed:
         self._since_s, self._troubled = 0.0, CameraState.CLOSED  # the trouble: since when, and of which kind
         self._entered: Counter[str] = Counter()  # by processes that are no more
         self._entered_now: Mapping[str, int] = {}
-        self._back_off, self._fruitful = BackOff(RESTART_LAST_S), True  # whether the intake brought a frame
+        self._back_off, self._fruitful = BackOff(RESTART_LAST_S), True  # whether the intake brought frames for a while
+        self._first_s = 0.0  # when it brought the first; 0: none yet
         self._link: socket.socket | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self._thread: threading.Thread | None = None
@@ -132,7 +134,7 @@ class CameraFeed:
         self._starting = True  # it has not said a word yet
         self._looked_s = 0.0  # whether it is stopped
         self._spare: _Spare | None = None
-        self._spare_s = 0.0  # when it is looked after next
+        self._spare_s, self._spare_back_off = 0.0, BackOff(SPARE_LAST_S)  # when it is looked after next
         self._start()
         self._say("look")
 
@@ -207,10 +209,7 @@ class CameraFeed:
             self._heard_s = now
         self._polled_s = now
         if self._start_s is not None and now >= self._start_s:
-            self._start()
-            self._hand_over()
-            if self._wanted:
-                self._say("stream")
+            self._start_again(now)
         happened, over = self._receive()
         silent_s = now - self._heard_s
         if over:
@@ -260,8 +259,24 @@ class CameraFeed:
         one, self._spare = self._spare or self._spawn(), None
         self._link, self._process = one.link, one.process
 
+    def _start_again(self, now: float) -> None:
+        """A machine without a process or a descriptor left may have one later: until then the camera is gone."""
+        try:
+            self._start()
+        except AnnulusError as error:
+            self._start_s = now + self._back_off.wait_s()
+            if self._wanted:
+                self._is_troubled(CameraState.GONE, str(error))
+            return
+        self._hand_over()
+        if self._wanted:
+            self._say("stream")
+
     def _spawn(self) -> _Spare:
-        link, theirs = _link()
+        try:
+            link, theirs = _link()
+        except OSError as error:
+            raise cannot_start(sys.executable, error) from None
         order = {
             "fd": theirs.fileno(), "parent": os.getpid(), "number": self.number, "camera": asdict(self.config),
             "realtime": self._realtime,
@@ -276,18 +291,23 @@ class CameraFeed:
                     process_group=0,  # the terminal's Ctrl-C is for the daemon
                     env=os.environ | one_thread,
                 )
-            except OSError as error:
+            except (OSError, MemoryError) as error:
                 link.close()
-                raise AnnulusError(f"cannot start {sys.executable}: {error.strerror}") from None
+                raise cannot_start(sys.executable, error) from None
         return _Spare(link, process)
 
     def _keep_spare(self, now: float) -> None:
         self._spare_s = now + SPARE_S
-        if self._spare is not None and not self._spare.look():
-            self._drop_spare()
-        elif self._spare is None:
+        if self._spare is None:
             with contextlib.suppress(AnnulusError):  # no more processes: it does without
                 self._spare = self._spawn()
+            return
+        was_up = self._spare.is_up
+        if not self._spare.look():
+            self._drop_spare()
+            self._spare_s = now + max(SPARE_S, self._spare_back_off.wait_s())
+        elif was_up:  # and is, a look later
+            self._spare_back_off.succeeded()
 
     def _drop_spare(self) -> None:
         if self._spare is not None:
@@ -313,7 +333,7 @@ class CameraFeed:
         self._observer.event("camera_died", f"the intake of camera {self.number} is replaced: {why}")
         now = time.monotonic()
         self._start_s = now if self._fruitful else now + self._back_off.wait_s()
-        self._fruitful = False
+        self._fruitful, self._first_s = False, 0.0
         self._entered += Counter(dict(self._entered_now))
         self._entered_now = {}
         if self._wanted:
@@ -398,8 +418,10 @@ class CameraFeed:
             if place is not None and self._ring is not None:
                 self._ring.release(place)
             return []
-        self._fruitful = True
-        self._back_off.succeeded()
+        self._first_s = self._first_s or self._polled_s
+        self._fruitful = self._fruitful or self._polled_s - self._first_s > FRUITFUL_S
+        if self._fruitful:
+            self._back_off.succeeded()
         if self.trouble:
             after_s = time.monotonic() - self._since_s
             self.trouble = ""

@@ -35,19 +35,9 @@ from annulus.rings.colour import ColourProfile
 from annulus.sensors.sample import Sample
 from annulus.stream.frames import FrameHeader
 from annulus.stream.orphan import child
+from annulus.stream.pool_events import Died, Done, Failed, FrameLost, PoolEvent, Ready, Report
 from annulus.stream.ring import Place
-from annulus.stream.workers import (
-    Died,
-    Done,
-    Failed,
-    FrameLost,
-    PoolEvent,
-    Ready,
-    Report,
-    Shared,
-    WorkerKind,
-    WorkerPool,
-)
+from annulus.stream.workers import Shared, WorkerKind, WorkerPool
 from annulus.vocabulary import AnnulusError, Label
 from annulus.wall.profile import Profile
 
@@ -75,12 +65,15 @@ def socket_folder() -> Path:
 
 
 class Pool:
-    """Workers of one kind whose losses are counted and told. Given up, they are tried again: later each time."""
+    """Workers of one kind whose losses are counted and told. One that is given up is tried again: later each time,
+    until it has stayed up.
+    """
 
     def __init__(self, kind: WorkerKind, shared: Shared, account: Account, observer: Observer) -> None:
         self._account = account
         self.broken = ""  # why there are no workers any more, one line
         self._who, self._ring, self._observer = kind.name, shared.ring, observer
+        self._given_up = ""  # why some are, or were until a moment ago; told once
         self._retry_s, self._retry_at = RETRY_S, 0.0
         self._pool = WorkerPool(kind, shared)
 
@@ -110,8 +103,13 @@ class Pool:
     def poll(self) -> None:
         """Hear what happened since the last call. Never waits."""
         self._happened(self._pool.poll())
-        if self.broken and not self._pool.alive and time.monotonic() > self._retry_at:
-            self._retry_s = min(2 * self._retry_s, RETRY_MOST_S)
+        if not self._given_up:
+            return
+        if self._pool.settled:
+            self._given_up, self._retry_s = "", RETRY_S
+            self._observer.event(f"{self._who}_back", f"the {self._who} is back")
+        elif time.monotonic() > self._retry_at:
+            self._wait_longer()
             with suppress(AnnulusError):  # as broken as before
                 self._pool.revive()
 
@@ -135,6 +133,9 @@ class Pool:
                     self._lost(header, "failed", why)
                 case FrameLost(header=header, why=why):
                     self._lost(header, "died", why)
+                case Died(why=why, spare=True):
+                    text = f"spares of the {self._who} die as they start: {why}; they are tried ever more rarely"
+                    self._observer.event(f"{self._who}_spares", text)
                 case Died(why=why, replaced=replaced):
                     self._died(why, replaced)
                 case Report(worker, body) if isinstance(body, list):
@@ -147,20 +148,22 @@ class Pool:
 
     def _died(self, why: str, replaced: bool) -> None:
         self._account.lose(f"{self._who}s_replaced", replaced)
-        given_up = not replaced and not self._pool.alive
+        nothing_new = not replaced and why == self._given_up
+        after = "another takes over"
+        if not replaced:
+            after = f"it is given up; tried again in {self._retry_s:g} s"
+            self._given_up, self._retry_at = why, time.monotonic() + self._retry_s
+            if not self._pool.alive:
+                self.broken = why if ": " in why else f"the {self._who} process cannot be started: {why}"
+        if not nothing_new:
+            self._observer.event(f"{self._who}_died", f"{self._who} ended: {why}; {after}")
+
+    def _wait_longer(self) -> None:
+        self._retry_s = min(2 * self._retry_s, RETRY_MOST_S)
         self._retry_at = time.monotonic() + self._retry_s
-        if given_up and self.broken:
-            return  # nothing new
-        after = "another takes over" if replaced else f"it is given up; tried again in {self._retry_s:g} s"
-        self._observer.event(f"{self._who}_died", f"{self._who} ended: {why}; {after}")
-        if given_up:
-            self.broken = why if ": " in why else f"the {self._who} process cannot be started: {why}"
 
     def _came_up(self) -> None:
-        self._retry_s = RETRY_S
-        if self.broken:
-            self.broken = ""
-            self._observer.event(f"{self._who}_back", f"the {self._who} is back")
+        self.broken = ""
 
     def _done(self, header: FrameHeader, body: Any) -> None:
         raise NotImplementedError

@@ -6,6 +6,10 @@ when everybody is busy.
 
 A worker that died, is stopped, or takes far longer over a frame than frames usually take is killed and replaced: by a
 spare, where its kind has any, which has done all but what its setup asks for, or that too where its kind is `eager`.
+
+A start costs seconds of processor, so they do not go on for ever: a worker that is never up, dies within YOUNG_S of it,
+or over its first frame, died in vain. Who replaces it carries the count, whatever the others do meanwhile; after
+STARTS_MAX nobody does until the owner asks (`revive`). Spares that die in vain are started ever more rarely.
 """
 
 import contextlib
@@ -26,11 +30,13 @@ import zmq
 
 from annulus import untrusted
 from annulus.stream.frames import FrameHeader
+from annulus.stream.pool_events import Died, Done, Failed, FrameLost, PoolEvent, Ready, Report
 from annulus.stream.ring import FrameRing, Place
 from annulus.vocabulary import AnnulusError
 
 MESSAGE_MAX = 1 << 26  # bytes; a profile is below 1 MB
-STARTS_MAX = 3  # times in a row a worker may die without having done anything
+STARTS_MAX = 3  # times in a row a worker may die in vain and be replaced
+YOUNG_S = 1.0  # after it was up a worker's death is not in vain; a blow every second is still replaced (bench kills)
 HUNG_S = 20.0  # longer on one frame than this and the worker is replaced; also while it waits for a disk
 HUNG_TIMES = 20.0  # as long as frames usually take, likewise, ..
 HUNG_LEAST_S = 1.0  # .. but not sooner than this: a busy machine is no hang
@@ -40,61 +46,11 @@ START_S = 180.0  # compiling for the first time included
 WARM_START_S = 5.0  # for a spare that is called up: it has only its setup to do
 NOT_HUNG = ("R", "D")  # not let run, or waiting for a disk: the next one would be no better off
 LOOK_S = 0.02  # between two looks at who is still there
-SPARE_S = 1.0  # between two starts of spares
+SPARE_S, SPARE_MOST_S = 1.0, 60.0  # between two starts of spares; twice as long for each that died in vain
 KILL_S = 2.0  # the kernel has for ending a killed process
 UNREADY_S = 1.0  # to leave, for one that was not ready yet
 
 Socket = zmq.Socket[bytes]
-
-
-@dataclass(frozen=True, slots=True)
-class Ready:
-    """A worker has prepared itself and takes frames."""
-
-    worker: int
-
-
-@dataclass(frozen=True, slots=True)
-class Done:
-    worker: int
-    header: FrameHeader
-    body: Any
-
-
-@dataclass(frozen=True, slots=True)
-class Failed:
-    """The worker says it cannot do this frame; it lives on."""
-
-    worker: int
-    header: FrameHeader
-    why: str
-
-
-@dataclass(frozen=True, slots=True)
-class FrameLost:
-    """The worker died, or was killed because it hung, with this frame in its hands."""
-
-    worker: int
-    header: FrameHeader
-    why: str
-
-
-@dataclass(frozen=True, slots=True)
-class Died:
-    """A worker ended unasked. `replaced` is False when it said it cannot work, or when its kind dies too often."""
-
-    worker: int
-    why: str
-    replaced: bool
-
-
-@dataclass(frozen=True, slots=True)
-class Report:
-    """A worker's own words: what its job reported, or its last words (`final`)."""
-
-    worker: int
-    body: Any
-    final: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,9 +76,6 @@ class Shared:
     folder: Path
 
 
-PoolEvent = Ready | Done | Failed | FrameLost | Died | Report
-
-
 @dataclass(slots=True)
 class _InHand:
     header: FrameHeader
@@ -137,6 +90,8 @@ class _Worker:
     tasks: Socket
     address: Path
     started: float
+    in_vain: int = 0  # who had its place before it and died in vain, in a row
+    up: float | None = None  # since when it takes frames, or could be called up
     answered: float = 0.0  # when it last gave a frame back
     waited: float = float("-inf")  # when it was last seen waiting for a disk
     start_s: float = START_S  # until it must be ready
@@ -161,8 +116,7 @@ class WorkerPool:
         self._kind, self._ring, self._context, self._folder = kind, shared.ring, shared.context, shared.folder
         self._clock = clock
         self._numbers = 0
-        self._barren = 0  # deaths since the last frame that came back
-        self._next_spare = 0.0
+        self._next_spare, self._spares_in_vain = 0.0, 0
         self._looked = -LOOK_S, -LOOK_S  # when, by the system's clock and ours
         self._took_s: deque[float] = deque(maxlen=USUAL_FRAMES)  # over the last frames
         self._dying: list[subprocess.Popen[bytes]] = []  # killed, and not gone yet: a disk may hold them
@@ -189,6 +143,11 @@ class WorkerPool:
     def alive(self) -> int:
         """Workers, without spares."""
         return len(self._active)
+
+    @property
+    def settled(self) -> bool:
+        """Whether as many as there should be take frames, and have for a while."""
+        return sum(w.up is not None and self._clock() - w.up >= YOUNG_S for w in self._active) == self._kind.count
 
     @property
     def in_hand(self) -> int:
@@ -267,16 +226,22 @@ class WorkerPool:
             if not why:
                 continue
             happened += self._receive()  # what it sent before it died still counts
+            in_vain = worker.in_vain + 1 if _died_in_vain(worker, now) else 0
             happened += self._bury(worker, why)
             if worker.spare:
                 self.counts["spares_died"] += 1
+                self._spares_in_vain = self._spares_in_vain + 1 if in_vain else 0
+                if self._spares_in_vain == STARTS_MAX + 1:
+                    happened.append(Died(worker.number, worker.broken or why, False, spare=True))
                 continue
-            self._barren += 1
-            replace = not worker.broken and self._barren <= STARTS_MAX
+            replace = not worker.broken and in_vain <= STARTS_MAX
             self.counts["died"] += 1
+            try:
+                if replace:
+                    self._start(in_vain)
+            except AnnulusError as error:  # a machine that has no process or descriptor left may have one later
+                why, replace = str(error), False
             happened.append(Died(worker.number, worker.broken or why, replace))
-            if replace:
-                self._start()
         happened += self._called
         self._called = []
         self._keep_spares(now)
@@ -284,10 +249,9 @@ class WorkerPool:
         return happened
 
     def revive(self) -> None:
-        """Start those again that were not replaced."""
-        self._barren = 0
+        """Start those again that were not replaced. Who dies in vain once more is not replaced at once."""
         for _ in range(self._kind.count - self.alive):
-            self._start()
+            self._start(STARTS_MAX)
 
     def _failing(self, worker: _Worker, now: float) -> str:
         """Why this worker cannot stay; empty when it can."""
@@ -347,14 +311,19 @@ class WorkerPool:
     def _keep_spares(self, now: float) -> None:
         """Once all are ready: until then they need the processors themselves."""
         spares = sum(worker.spare for worker in self._workers.values())
-        if spares < self._kind.spares and now >= self._next_spare and self.ready == self._kind.count:
+        longer_s = min(SPARE_S * (2 ** min(self._spares_in_vain, 10) - 1), SPARE_MOST_S)
+        if spares < self._kind.spares and now >= self._next_spare + longer_s and self.ready == self._kind.count:
             self._next_spare = now + SPARE_S
-            worker = self._spawn()
+            try:
+                worker = self._spawn()
+            except AnnulusError:  # it does without
+                self._spares_in_vain += 1
+                return
             worker.spare = True
             if self._kind.eager:
                 self._set_up(worker)
 
-    def _start(self) -> None:
+    def _start(self, in_vain: int = 0) -> None:
         """One more worker: a spare, if there is one that is not stopped itself."""
         spares = sorted(
             (w for w in self._workers.values() if w.spare and not w.stopped),
@@ -362,7 +331,8 @@ class WorkerPool:
             reverse=True,
         )
         worker = spares[0] if spares else self._spawn()
-        worker.spare, worker.started = False, self._clock()
+        worker.spare, worker.started, worker.in_vain = False, self._clock(), in_vain
+        worker.up = worker.started if worker.ready else None
         if worker.ready:
             self._called.append(Ready(worker.number))
         if worker.set_up:
@@ -381,7 +351,10 @@ class WorkerPool:
     def _spawn(self) -> _Worker:
         number, self._numbers = self._numbers, self._numbers + 1
         address = self._folder / f"{self._kind.name}-{number}"
-        tasks = self._context.socket(zmq.PUSH)
+        try:
+            tasks = self._context.socket(zmq.PUSH)
+        except zmq.ZMQError as error:
+            raise cannot_start(self._kind.command[0], error) from None
         tasks.setsockopt(zmq.SNDHWM, 1000)
         tasks.setsockopt(zmq.LINGER, 0)
         tasks.connect(f"ipc://{address}")  # the worker binds: a connecting PUSH queues at once, a bound one does not
@@ -398,10 +371,10 @@ class WorkerPool:
                 process_group=0,  # the terminal's Ctrl-C is for the owner, who ends the workers in order
                 env=os.environ | one_thread,
             )
-        except OSError as error:
+        except (OSError, MemoryError) as error:
             tasks.close(0)
             address.unlink(missing_ok=True)
-            raise AnnulusError(f"cannot start {self._kind.command[0]}: {error.strerror}") from None
+            raise cannot_start(self._kind.command[0], error) from None
         worker = self._workers[number] = _Worker(number, process, tasks, address, self._clock())
         return worker
 
@@ -418,8 +391,9 @@ class WorkerPool:
                 self.counts["late"] += 1  # from one already buried; its frames were reported lost
             elif kind == "warm":
                 worker.warm = True
+                worker.up = self._clock() if worker.spare and not self._kind.eager else None
             elif kind == "ready":
-                worker.ready = True
+                worker.ready, worker.up = True, self._clock()
                 if not worker.spare:
                     happened.append(Ready(number))
             elif kind in ("done", "failed"):
@@ -429,7 +403,6 @@ class WorkerPool:
                     continue
                 self._let_go(task)
                 self.counts[kind] += 1
-                self._barren = 0
                 now = self._clock()
                 self._took_s.append(now - max(task.since, worker.answered))
                 worker.answered = now
@@ -459,6 +432,15 @@ class WorkerPool:
             self._let_go(task)
         self.counts["lost"] += len(worker.in_hand)
         return [FrameLost(worker.number, task.header, why) for task in worker.in_hand.values()]
+
+
+def _died_in_vain(worker: _Worker, now: float) -> bool:
+    return worker.up is None or now - worker.up < YOUNG_S or (bool(worker.in_hand) and not worker.answered)
+
+
+def cannot_start(command: str, error: BaseException) -> AnnulusError:
+    """One line for a system that has no process, no descriptor or no memory left."""
+    return AnnulusError(f"cannot start {command}: {getattr(error, 'strerror', None) or 'no memory'}")
 
 
 def process_state(pid: int) -> str:

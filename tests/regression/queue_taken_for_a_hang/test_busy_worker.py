@@ -8,8 +8,9 @@ import numpy as np
 import zmq
 
 from annulus.stream.frames import FrameHeader
+from annulus.stream.pool_events import Died, Done, PoolEvent
 from annulus.stream.ring import FrameRing
-from annulus.stream.workers import Died, Done, PoolEvent, Shared, WorkerKind, WorkerPool
+from annulus.stream.workers import Shared, WorkerKind, WorkerPool
 from annulus.vocabulary import Label
 
 SLEEPER = """

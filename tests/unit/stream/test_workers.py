@@ -14,20 +14,9 @@ import zmq
 
 from annulus.stream import workers
 from annulus.stream.frames import FrameHeader
+from annulus.stream.pool_events import Died, Done, Failed, FrameLost, PoolEvent, Ready, Report
 from annulus.stream.ring import FrameRing
-from annulus.stream.workers import (
-    HUNG_S,
-    Died,
-    Done,
-    Failed,
-    FrameLost,
-    PoolEvent,
-    Ready,
-    Report,
-    Shared,
-    WorkerKind,
-    WorkerPool,
-)
+from annulus.stream.workers import HUNG_S, Shared, WorkerKind, WorkerPool
 from annulus.vocabulary import AnnulusError, Label
 
 WORKER = [sys.executable, str(Path(__file__).with_name("worker_for_tests.py"))]
