@@ -1,7 +1,9 @@
 """`annulus tune`: where a flash lights all rows alike, measured on the running head."""
 
+import contextlib
 import json
-from typing import TYPE_CHECKING, Annotated
+import secrets
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -26,7 +28,10 @@ def tune(
     key_file: KeyFile = None,
     daemon_key: DaemonKey = None,
 ) -> None:
-    """Find where a flash lights all rows alike, on a running head at rest. Lamps flash meanwhile."""
+    """Find where a flash lights all rows alike, on a running head at rest. Lamps flash meanwhile; nobody else changes
+    them, for this program commands.
+    """
+    from annulus.daemon.command import Operator
     from annulus.daemon.control import ControlClient
     from annulus.daemon.tuning import LAMPS
     from annulus.daemon.tuning import tune as tuned
@@ -37,22 +42,44 @@ def tune(
         raise AnnulusError(f"--lamp {lamp}: expected projector, led or both")
     where = configured(config, key_file) if config is not None else named_by(daemon or "", key_file, daemon_key)
     found: list[Tuned] = []
-    with ControlClient(where.control, where.control_keys) as client, progress(Bars.BAR) as report:
-        found += [
-            tuned(client, where.publish, one, keys=where.publish_keys, camera=camera, progress=report)
-            for one in (LAMPS if lamp == "both" else (lamp,))
-        ]
-        proposed = {key: value for one in found for key, value in one.proposed.items()}
-        if apply:
-            client.lamps(commit=True, trial=False, **proposed)
+    applied, problem = False, None
+    me = Operator(secrets.token_hex(16), "annulus tune")
+    with ControlClient(where.control, where.control_keys, me) as client, progress(Bars.BAR) as report:
+        client.command()
+        try:
+            found.extend(  # one by one: when the second cannot be found, the first is shown
+                tuned(client, where.publish, one, keys=where.publish_keys, camera=camera, progress=report)
+                for one in (LAMPS if lamp == "both" else (lamp,))
+            )
+            if apply:
+                client.lamps(commit=True, trial=False, **_proposed(found))
+                applied = True
+        except AnnulusError as error:  # what is found by then is shown all the same
+            problem = error
+        finally:
+            with contextlib.suppress(AnnulusError):  # it lapses
+                client.release()
+    _show(found, applied, json_)
+    if problem is not None:
+        raise problem
+
+
+def _proposed(found: "list[Tuned]") -> dict[str, Any]:
+    return {key: value for one in found for key, value in one.proposed.items()}
+
+
+def _show(found: "list[Tuned]", applied: bool, json_: bool) -> None:
+    proposed = _proposed(found)
+    if not found:
+        return
     if json_:
-        print(json.dumps({"lamps": proposed, "applied": apply,
+        print(json.dumps({"lamps": proposed, "applied": applied,
                           "found": {one.lamp: one.proposal.to_dict() for one in found}}))  # fmt: skip
         return
     for one in found:
         print("\n".join([*one.remarks, "", *picture(one), ""]))
     print("\n".join(["[lamps]", *(f"{key} = {value:g}" for key, value in proposed.items())]))
-    if apply:
+    if applied:
         tell("in force on the running head until it restarts: head.toml keeps them")
 
 

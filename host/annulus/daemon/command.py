@@ -78,10 +78,12 @@ class Command:
         return f"{who.name} does not command any more"
 
     def require(self, who: Operator | None, now_s: float) -> None:
-        """Raises AnnulusError when somebody else commands."""
+        """Raises AnnulusError when somebody else commands. Who does and changes things is there: it goes on for him."""
         holder = self.holder(now_s)
         if holder is not None and (who is None or not who.is_same(holder)):
             raise AnnulusError(f"{holder.name} commands; take the command to change things yourself")
+        if holder is not None:
+            self._until_s = now_s + COMMAND_S
 
     def numbers(self, now_s: float) -> dict[str, object] | None:
         """For the telemetry."""

@@ -18,7 +18,7 @@ import zmq
 
 from annulus import untrusted
 from annulus.daemon.command import Operator
-from annulus.daemon.request import HOLD_S, PHOTO_MAX, REQUEST_MAX, TEXT_MAX, Do, Request
+from annulus.daemon.request import HOLD_S, PHOTO_MAX, REQUEST_MAX, SCAN_MAX, TEXT_MAX, Do, Request
 from annulus.daemon.state import State
 from annulus.job import JobSheet
 from annulus.stream.access import ClientKeys, Doorkeeper, Keys, connected
@@ -108,24 +108,25 @@ class ControlClient:
     def __init__(self, address: str, keys: ClientKeys | None = None, who: Operator | None = None) -> None:
         """`who` asks, where several do; every request says so."""
         self.address, self._keys, self._who = address, keys, who
+        self.scan: int | None = None  # the number of what this client began last
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._socket = self._connect()
 
     def start(self) -> State:
         """Begin a scan. Each request returns the state after it, and raises AnnulusError with the daemon's reason."""
-        return self.ask({"do": "start"})
+        return self._begin({})
 
     def trial(self, hold_s: float = HOLD_S) -> State:
         """Lamps and cameras on, nothing recorded, until nobody asked for more (`hold`) for so long."""
-        return self.ask({"do": "start", "record": False, "hold_s": hold_s})
+        return self._begin({"record": False, "hold_s": hold_s})
 
-    def hold(self, hold_s: float = HOLD_S) -> State:
-        """The trial goes on for so long."""
-        return self.ask({"do": "hold", "hold_s": hold_s})
+    def hold(self, hold_s: float = HOLD_S, scan: int | None = None) -> State:
+        """The trial goes on for so long. `scan`: if it is that one; so with all requests that have it."""
+        return self.ask({"do": "hold", "hold_s": hold_s, "scan": scan})
 
-    def stop(self) -> State:
+    def stop(self, scan: int | None = None) -> State:
         """End the scan, or the trial, that is under way; returns when its recording is closed."""
-        return self.ask({"do": "stop"})
+        return self.ask({"do": "stop", "scan": scan})
 
     def pause(self) -> State:
         """Lamps dark, no frames; the recording stays open, and the place is counted on."""
@@ -155,11 +156,13 @@ class ControlClient:
         """Who asked for the scan, where, which pipe: what is said here goes over what was known, from now on."""
         return self.ask({"do": "job", "job": sheet.to_dict()})
 
-    def lamps(self, *, commit: bool, trial: bool = False, **changed: float) -> Mapping[str, Any]:
+    def lamps(
+        self, *, commit: bool, trial: bool = False, scan: int | None = None, **changed: float
+    ) -> Mapping[str, Any]:  # fmt: skip
         """Flashes, in microseconds after the falling edge: `projector_delay_us=..`. Returns all of them as they would
         be, or, with `commit`, as they are; `trial`: until the trial ends, and outside the window too.
         """
-        asked = {"do": "lamps", "lamps": changed, "commit": commit, "trial": trial}
+        asked = {"do": "lamps", "lamps": changed, "commit": commit, "trial": trial, "scan": scan}
         return untrusted.mapping(self.answer(asked).get("lamps"), "lamps")
 
     def command(self, take: bool = False) -> State:
@@ -199,6 +202,12 @@ class ControlClient:
 
     def close(self) -> None:
         self._context.destroy(linger=0)
+
+    def _begin(self, how: Mapping[str, Any]) -> State:
+        answer = self.answer({"do": "start", **how})
+        scan = answer.get("scan")
+        self.scan = None if scan is None else untrusted.whole(scan, "scan", 0, SCAN_MAX)
+        return State(untrusted.text(answer.get("state"), "state", 32))
 
     def _connect(self) -> "zmq.Socket[bytes]":
         return connected(self._context, zmq.REQ, self.address, self._keys, ANSWER_MAX)

@@ -43,8 +43,9 @@ class Operating:
         """
         renewal = request.do is Do.COMMAND and self._holds(request)
         quiet = request.do in ASKS or renewal or (request.do is Do.LAMPS and not request.commit)
-        ending = request.do is Do.STOP and self._session.has_scan  # written down while its recording is open
-        if ending:
+        under_way = self._session.scan
+        ending = request.do is Do.STOP and under_way is not None and request.scan in (None, under_way)
+        if ending:  # written down while its recording is open
             self._write_down(request, "done")
         try:
             answer = self._obey(request)
@@ -80,9 +81,12 @@ class Operating:
         if request.do in COMMANDED:
             self._command.require(request.who, now_s)
         session = self._session
+        if request.scan is not None and request.scan != session.scan:
+            raise AnnulusError("the scan or trial that this is about is over")
         match request.do:
             case Do.START:
                 self._start(request, now_s)
+                return {"scan": session.scan}
             case Do.STOP:
                 session.require_scan()
                 session.stop()

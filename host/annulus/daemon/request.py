@@ -2,6 +2,9 @@
 
     {"do": "start", "record": true, "hold_s": 10.0, "who": {"id": .., "name": .., "from": ..}}
 
+Who began a scan, or a trial, is told its number. A request that names one is about that scan and no other: whoever was
+away for a moment neither ends nor changes what somebody else has begun since.
+
 Every request may say who asks; what else one may have is in FIELDS. Whatever is not known is refused: a client that
 misspells a key must not be taken to have asked for something else.
 """
@@ -22,6 +25,7 @@ TEXT_MAX = 500  # characters
 HOLD_S, HOLD_MAX_S = 10.0, 30.0  # that lamps stay on in a trial which nobody renews
 LAMP_KEYS = ("ratio", "projector_delay_us", "projector_width_us", "led_delay_us", "led_width_us")
 LAMP_MAX_US = 1e6
+SCAN_MAX = (1 << 32) - 1  # the largest number of a scan
 
 
 class Do(StrEnum):
@@ -42,10 +46,11 @@ class Do(StrEnum):
 
 FIELDS: Mapping[Do, tuple[str, ...]] = {
     Do.START: ("record", "hold_s"),
-    Do.HOLD: ("hold_s",),
+    Do.STOP: ("scan",),
+    Do.HOLD: ("hold_s", "scan"),
     Do.MARK: ("text", "clock_deg", "photo"),
     Do.JOB: ("job",),
-    Do.LAMPS: ("lamps", "commit", "trial"),
+    Do.LAMPS: ("lamps", "commit", "trial", "scan"),
     Do.COMMAND: ("take",),
 }
 COMMANDED = frozenset({Do.START, Do.RESUME, Do.HOLD, Do.ZERO, Do.JOB, Do.LAMPS})  # refused while somebody else commands
@@ -61,6 +66,7 @@ class Request:
     photo: bytes = field(default=b"", repr=False)  # a JPEG
     record: bool = True  # False: a trial, which ends `hold_s` after nobody asked for more
     hold_s: float = HOLD_S
+    scan: int | None = None  # the one that is meant; None: whichever is under way
     job: JobSheet | None = None
     emptied: frozenset[str] = frozenset()  # fields of the job that are to be empty
     lamps: Mapping[str, float] = field(default_factory=dict)  # of LAMP_KEYS, what is to be another
@@ -117,6 +123,7 @@ class Request:
             photo=_photo(top.get("photo", b"")),
             record=_flag(top, "record", True),
             hold_s=untrusted.within(top.get("hold_s", HOLD_S), "hold_s", 1.0, HOLD_MAX_S),
+            scan=None if top.get("scan") is None else untrusted.whole(top["scan"], "scan", 0, SCAN_MAX),
             job=JobSheet.from_dict(job, "job") if do is Do.JOB else None,
             emptied=gone,
             lamps=_lamps(top.get("lamps", {})),

@@ -308,6 +308,11 @@ class Session:
         return self._scan is not None and self._scan.started
 
     @property
+    def scan(self) -> int | None:
+        """The number of the one, or the trial, under way."""
+        return self._number if self.has_scan else None
+
+    @property
     def _is_over(self) -> bool:
         return self.config.control is None and self._scan is not None and self._scan.ended
 

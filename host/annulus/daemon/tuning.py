@@ -105,8 +105,8 @@ def tune(
         raise AnnulusError(f"tune: the {lamp} has no flash, {lamp}_width_us is 0: give it a width first")
     settings = delays(timing, width, steps)
     total = len(settings) + 3
-    with _Watch(publish, keys, camera, LAMPS[lamp]) as watch, _trial(client):
-        work = _Work(client, watch, lamp, frames, timing.period_us, cancelled)
+    with _Watch(publish, keys, camera, LAMPS[lamp]) as watch, _trial(client) as trial:
+        work = _Work(client, trial, watch, lamp, frames, timing.period_us, cancelled)
         progress("waiting for frames", 0, total)
         watch.first(work.turn)
         readings = []
@@ -131,22 +131,25 @@ def delays(timing: FrameTiming, width_us: float, steps: int) -> list[float]:
 
 
 @contextlib.contextmanager
-def _trial(client: ControlClient) -> Iterator[None]:
-    """Lamps on. Ended whatever happens: the daemon has the former lamps then."""
+def _trial(client: ControlClient) -> Iterator[int | None]:
+    """Lamps on; its number. Ended whatever happens: the daemon has the former lamps then. No other is ended: somebody
+    may have ended this one, and have begun a scan since.
+    """
     client.trial(HOLD_S)
+    trial = client.scan
     try:
-        yield
+        yield trial
     finally:
         with contextlib.suppress(AnnulusError):  # it ended by itself
-            client.stop()
+            client.stop(scan=trial)
 
 
 class _Work:
     def __init__(
-        self, client: ControlClient, watch: "_Watch", lamp: str, frames: int, period_us: float,
+        self, client: ControlClient, trial: int | None, watch: "_Watch", lamp: str, frames: int, period_us: float,
         cancelled: Callable[[], bool],
     ) -> None:  # fmt: skip
-        self._client, self._watch, self._lamp, self._frames = client, watch, lamp, frames
+        self._client, self._trial, self._watch, self._lamp, self._frames = client, trial, watch, lamp, frames
         self._patience_s = PATIENCE_S + PATIENCE_PERIODS * period_us * 1e-6
         self._cancelled = cancelled
         self._renew_s = 0.0
@@ -156,15 +159,16 @@ class _Work:
         if self._cancelled():
             raise Cancelled("tune: cancelled, the lamps are as they were")
         if time.monotonic() > self._renew_s:
-            self._client.hold(HOLD_S)
+            self._client.hold(HOLD_S, scan=self._trial)
             self._renew_s = time.monotonic() + RENEW_S
 
     def read(self, delay_us: float, width_us: float) -> list[Reading]:
         """Of a setting: one reading of frames that follow another of the lamp, or one of those that do not."""
         self.turn()
         self._client.lamps(
-            commit=True, trial=True, **{f"{self._lamp}_delay_us": delay_us, f"{self._lamp}_width_us": width_us}
-        )
+            commit=True, trial=True, scan=self._trial,
+            **{f"{self._lamp}_delay_us": delay_us, f"{self._lamp}_width_us": width_us},
+        )  # fmt: skip
         seen = self._watch.gather(self._frames, self._patience_s, self.turn)
         if seen is None:
             raise AnnulusError(

@@ -319,6 +319,7 @@ class FakeDaemon:
             self.say("begun", {"scan": self.scan})
             self._become("armed")
             self._become("scanning")
+            return {"scan": self.scan}
         elif do == "hold":
             if self.trial_until is None:
                 raise ValueError("no trial is under way")

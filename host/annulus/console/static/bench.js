@@ -221,6 +221,7 @@ function mountTrial(app) {
   const left = el("p", { class: "note", role: "timer" });
   let timer = 0; // while this page holds a trial
   let begun = 0;
+  let mine = null; // its number
 
   const letGo = () => {
     clearInterval(timer);
@@ -229,7 +230,7 @@ function mountTrial(app) {
   const hold = async () => {
     if (document.hidden || app.tab !== "bench") return;
     try {
-      await app.post("/api/do", { do: "hold", hold_s: HOLD_S });
+      await app.post("/api/do", { do: "hold", hold_s: HOLD_S, scan: mine });
     } catch (error) {
       letGo();
       app.wrong(error);
@@ -239,13 +240,20 @@ function mountTrial(app) {
     letGo();
     return app.ask({ do: "stop" });
   };
+  // Who leaves ends what he began; when that is over, another may have begun something since.
+  const leave = () => {
+    letGo();
+    return app.post("/api/do", { do: "stop", scan: mine }).catch(() => null);
+  };
   on.addEventListener("click", async () => {
     const confirm = await app.confirmLamps(t("arm.trial"));
-    if (confirm === null || !(await app.ask({ do: "start", record: false, hold_s: HOLD_S, confirm }))) return;
+    const told = confirm === null ? null : await app.ask({ do: "start", record: false, hold_s: HOLD_S, confirm });
+    if (!told) return;
+    mine = told.scan ?? null;
     begun = performance.now();
     letGo();
     timer = setInterval(hold, HOLD_MS);
-    if (app.tab !== "bench") end();
+    if (app.tab !== "bench") leave();
   });
   off.addEventListener("click", end);
   const show = () => {
@@ -261,5 +269,5 @@ function mountTrial(app) {
     write(left, going ? t(timer ? "bench.trial.held" : "bench.trial.left", { s: Math.ceil(now.trial) }) : t("bench.trial.none"));
   };
   for (const topic of ["telemetry", "state", "link"]) app.on(topic, show);
-  return { root: el("div", { class: "trial" }, el("div", { class: "row" }, on, off), left), leave: () => timer && end() };
+  return { root: el("div", { class: "trial" }, el("div", { class: "row" }, on, off), left), leave: () => timer && leave() };
 }
