@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 from annulus.capture import videodev
+from annulus.daemon import run_daemon
 from annulus.daemon.control import ControlClient
-from annulus.daemon.run import run_daemon
 from annulus.daemon.state import State
 from annulus.record.recording import open_recording
 from annulus.vocabulary import AnnulusError

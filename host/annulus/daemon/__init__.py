@@ -6,6 +6,13 @@ from pathlib import Path
 
 def run_daemon(config: Path, log: Path | None = None, job: Sequence[str] = ()) -> int:
     """`annulus daemon`: scan until Ctrl-C."""
-    from annulus.daemon.run import run_daemon as run  # late: worker processes live in this package and need none of it
+    from annulus.daemon.claims import claimed  # late: worker processes live in this package and need none of it
+    from annulus.daemon.config import load_config
 
-    return run(config, log, job)
+    head = load_config(config)
+    with claimed(head):
+        from annulus.daemon.run import (
+            run_daemon as run,  # later still: it takes a second, and a second daemon ends here
+        )
+
+        return run(head, log, job)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from annulus.daemon.account import ScanReport
-from annulus.daemon.config import LogConfig, load_config
+from annulus.daemon.config import HeadConfig, LogConfig
 from annulus.daemon.health import Health, Word
 from annulus.daemon.interrupt import Interrupt
 from annulus.daemon.ledger import Status
@@ -56,14 +56,13 @@ class Console(Observer):
             _say(line)
 
 
-def run_daemon(config_path: Path, log: Path | None = None, job: Sequence[str] = ()) -> Status:
+def run_daemon(config: HeadConfig, log: Path | None = None, job: Sequence[str] = ()) -> Status:
     """Until Ctrl-C or SIGTERM; every scan ends with what was made. Returns how the worst of them ended. Raises
     AnnulusError when it cannot begin.
 
     log : in place of the one that head.toml names. job : NAME=TEXT or a job.toml each, over what head.toml says of it.
     """
     with Interrupt() as interrupt, ExitStack() as stack:
-        config = load_config(config_path)
         config = replace(config, job=config.job.under(job_of(job)))
         if log is not None:
             config = replace(config, log=replace(config.log or LogConfig(log), file=log))
