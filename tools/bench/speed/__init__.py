@@ -21,6 +21,7 @@ TABLE = Table(
         "catalogue": "A catalogue of four million stations, asked, added to, listed",
         "long_scan": "A scan of 20 GB on one machine: memory of all its processes, time",
         "storage": "Recordings in an object store, and their index: requests, bytes, time",
+        "endurance": "A crowd, death loops, no memory, a day of cycles, a second daemon, lamps tuned meanwhile",
         "soak": "Labels and places under faults, in virtual time",
         "cluster": "A cluster: what a task costs, and a scan in ranges against the serial run",
         "emulator": "The shipped image over 200 000 edges, on its pins",

@@ -9,7 +9,6 @@ import os
 import random
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -40,6 +39,7 @@ from annulus.stream.publish import parse
 from annulus.twin.head import HeadHandle, start_head
 from annulus.twin.worlds import demo_world
 from annulus.vocabulary import Label
+from tools.bench.speed.viewers import free_port
 
 FPS = 12.5
 WORLD = demo_world(travel_mm=330.0).scaled(416)
@@ -64,9 +64,7 @@ class Scene(Observer):
         self.told: list[str] = []
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._viewer = self._context.socket(zmq.SUB)
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            self.address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
+        self.address = f"tcp://127.0.0.1:{free_port()}"
         self._viewer.subscribe(b"label")
         self._viewer.connect(self.address)
 

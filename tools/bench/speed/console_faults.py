@@ -5,13 +5,11 @@ network that can be cut, ten viewers of which one never reads.
 """
 
 import os
-import random
 import signal
 import socket
 import statistics
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections import Counter
@@ -21,19 +19,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import zmq
-
-from annulus.capture.photometry import Light, measure
-from annulus.daemon.control import ControlClient
-from annulus.daemon.state import State
-from annulus.record.calibration_file import save_calibration
-from annulus.record.recording import Recording, open_recording
-from annulus.stream.publish import parse
-from annulus.twin.head import head_toml, start_head
+from annulus.record.recording import open_recording
 from annulus.twin.worlds import demo_world
-from annulus.vocabulary import AnnulusError, Label
+from tools.bench.speed.at_work import Ear, at_work, recordings
 from tools.bench.speed.live import children_of
-from tools.bench.speed.viewers import ROOT, child, cpu_s, looked, serving
+from tools.bench.speed.viewers import child, cpu_s, looked, serving
 from tools.bench.table import Row
 
 FPS = 12.5
@@ -43,8 +33,6 @@ CALM, LOOKED_AT, SUSPENDED, CUT, KILLED, AFTER = (
     "no console", "ten viewers, one never reads", "viewers suspended", "network cut", "console killed, another one",
     "no console again",
 )  # fmt: skip
-UP_S = 120.0
-SETTLED_S = 3.0  # until its spares are up, and all lamps known
 SAME_PERCENT, SAME_SHARE = 2.0, 0.35  # of a core: how far two measures of one thing lie apart on a shared machine
 UNKNOWN_MORE = 0.01  # of frames: the twin too is late with a flash where the machine is too busy
 SAME_MS = 8.0  # of a turn, in the median
@@ -113,91 +101,38 @@ class Wire:
                 end.shutdown(socket.SHUT_RDWR)
 
 
-class Ear:
-    """A viewer at the daemon itself: every label, and telemetry, as they come."""
-
-    def __init__(self, address: str) -> None:
-        self.labels: dict[int, Mapping[str, Any]] = {}
-        self.phase: Phase | None = None
-        self.begin = 0  # what was said up to this frame, while everything came up, is nobody's promise
-        self.turns: list[float] = []
-        self.telemetry: Mapping[str, Any] = {}
-        self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
-        self._socket = self._context.socket(zmq.SUB)
-        self._socket.setsockopt(zmq.RCVHWM, 0)
-        for topic in (b"label", b"telemetry"):
-            self._socket.subscribe(topic)
-        self._socket.connect(address)
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._listen, daemon=True)
-        self._thread.start()
-
-    def close(self) -> None:
-        self._ended.set()
-        self._thread.join()
-        self._context.destroy(linger=0)
-
-    def _listen(self) -> None:
-        while not self._ended.is_set():
-            if not self._socket.poll(100):
-                continue
-            topic, _, body, _ = parse(self._socket.recv_multipart())
-            if topic == "telemetry":
-                self.telemetry = body
-                self.turns.append(float(body.get("turn_ms") or 0.0))
-            elif topic == "label":
-                self.labels[body["index"]] = body
-                if self.phase is not None:
-                    self.phase.frames[body["label"]] += 1
-
-
 def struck(calm_s: float, suspended_s: float, cut_s: float) -> Outcome:
     """One scan in which all of it happens, one after the other."""
     outcome = Outcome()
-    with ExitStack() as stack:
-        out = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="annulus-console-faults-")))
-        head = stack.enter_context(start_head(WORLD, FPS, seed=random.randrange(1 << 16), speed_mm_s=2.0))
-        ports = [_free_port() for _ in range(2)]
-        publish, control = (f"tcp://127.0.0.1:{port}" for port in ports)
-        save_calibration(out / "calibration.json", WORLD.calibration())
-        (out / "head.toml").write_text(
-            head_toml(head, WORLD, Path("calibration.json")) + '\n[workers]\ncount = 1\n[record]\nfolder = "scans"\n'
-            f'min_free_gb = 0\n[publish]\naddress = "{publish}"\n[control]\naddress = "{control}"\nautostart = false\n'
-        )
-        daemon = stack.enter_context(_daemon(out))
-        ear = Ear(publish)
-        stack.callback(ear.close)
-        client = stack.enter_context(ControlClient(control))
-        _until_idle(client)
-        client.start()
-        _until_labelled(ear)
-        ear.begin = max(ear.labels)
+    with at_work(WORLD, FPS, judge=False) as work:
+        ear = work.ear
 
         @contextmanager
         def phase(name: str) -> Iterator[None]:
-            ear.phase = one = outcome.phases[name] = Phase()
-            ear.turns, began = [], time.monotonic()
-            before = _cpu(daemon.pid)
+            one = outcome.phases[name] = Phase()
+            ear.counted, ear.turns, began = one.frames, [], time.monotonic()
+            before = _cpu(work.pid)
             yield
             one.seconds = time.monotonic() - began
-            ear.phase = None
-            own, others = (100.0 * (b - a) / one.seconds for a, b in zip(before, _cpu(daemon.pid), strict=True))
+            ear.counted = None
+            own, others = (100.0 * (b - a) / one.seconds for a, b in zip(before, _cpu(work.pid), strict=True))
             one.daemon_percent, one.children_percent = own, others
             one.turn_ms = statistics.median(ear.turns[1:] or [0.0])
 
         with phase(CALM):
             time.sleep(calm_s)
-        wires = [Wire(port) for port in ports]
-        for wire in wires:
-            stack.callback(wire.close)
-        _looked_at(",".join(f"tcp://127.0.0.1:{wire.port}" for wire in wires), wires, phase, outcome,
-                   (calm_s, suspended_s, cut_s))  # fmt: skip
+        wires = [Wire(int(address.rpartition(":")[2])) for address in work.both.split(",")]
+        try:
+            _looked_at(",".join(f"tcp://127.0.0.1:{wire.port}" for wire in wires), wires, phase, outcome,
+                       (calm_s, suspended_s, cut_s))  # fmt: skip
+        finally:
+            for wire in wires:
+                wire.close()
         with phase(AFTER):
             time.sleep(calm_s)
-        client.stop()
-        _until_idle(client)
-        time.sleep(0.5)
-        _compare(outcome, ear, out / "scans")
+        work.end()
+        outcome.recorded, outcome.problems = work.recorded, outcome.problems + work.problems
+        _compare(outcome, ear, work.out / "scans")
     return outcome
 
 
@@ -236,12 +171,8 @@ def _looked_at(
 def _compare(outcome: Outcome, ear: Ear, folder: Path) -> None:
     """Labels heard, labels recorded, pictures: frame by frame."""
     problems = outcome.problems
-    (path,) = [one for one in folder.glob("*.mcap") if "health" not in one.name]
+    (path,) = recordings(folder)
     recording = open_recording(path)
-    outcome.recorded = len(recording.frames)
-    problems += [f"damaged: {one.text}" for one in recording.check()]
-    if recording.torn:
-        problems.append("the recording is torn")
     recorded = {frame.index: recording.label(frame).get("label") for frame in recording.frames}
     heard = {index: body["label"] for index, body in ear.labels.items()}
     first = ear.begin + 1
@@ -252,29 +183,15 @@ def _compare(outcome: Outcome, ear: Ear, folder: Path) -> None:
     other = [index for index in range(first, last + 1) if heard.get(index) != recorded.get(index)]
     if other:
         problems.append(f"heard and recorded differ in {len(other)} frames, first {other[:5]}")
-    problems += [f"frame {index} is called {label}, and is not" for index, label in _misnamed(recording)]
     calm, looked_at = Counter[str](), Counter[str]()
     for name, phase in outcome.phases.items():
         (calm if name in (CALM, AFTER) else looked_at).update(phase.frames)
     if _unknown(looked_at) > _unknown(calm) + UNKNOWN_MORE:
         problems.append(f"without a label: {_unknown(looked_at):.1%} of frames, {_unknown(calm):.1%} without a console")
-    ledger = next(iter(reversed(list(recording.notes("/summary")))), {})
-    lost = {k: v for k, v in {**ledger.get("before", {}), **ledger.get("after", {})}.items() if v}
-    if not ledger or ledger.get("recorded") != outcome.recorded:
-        problems.append(f"the ledger says {ledger.get('recorded')} recorded, the file has {outcome.recorded}")
-    if lost:
-        problems.append(f"lost: {lost}")
 
 
 def _unknown(frames: Counter[str]) -> float:
     return frames["unknown"] / max(1, frames.total())
-
-
-def _misnamed(recording: Recording) -> Iterator[tuple[int, str]]:
-    expected = {Label.PROJECTOR: Light.PROJECTOR, Label.LED: Light.LED}
-    for frame in recording.frames:
-        if frame.label in expected and measure(recording.read_raw(frame)[0]).light is not expected[frame.label]:
-            yield frame.index, frame.label.value
 
 
 def unlike(outcome: Outcome) -> list[str]:
@@ -309,55 +226,12 @@ def rows(calm_s: float = 20.0, suspended_s: float = 30.0, cut_s: float = 60.0) -
     return out
 
 
-@contextmanager
-def _daemon(out: Path) -> Iterator["subprocess.Popen[bytes]"]:
-    code = "from annulus.cli import main; main()"
-    with (out / "daemon.log").open("wb") as log:
-        daemon = subprocess.Popen(
-            [sys.executable, "-c", code, "daemon", "--config", str(out / "head.toml")], stderr=log, stdout=log, cwd=ROOT
-        )
-        try:
-            yield daemon
-        finally:
-            daemon.send_signal(signal.SIGINT)
-            try:
-                daemon.wait(30.0)
-            except subprocess.TimeoutExpired:
-                daemon.kill()
-                daemon.wait()
-
-
 def _cpu(pid: int) -> tuple[float, float]:
     others = 0.0
     for _, one in children_of(pid):
         with suppress(OSError):
             others += cpu_s(one)
     return cpu_s(pid), others
-
-
-def _free_port() -> int:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return int(free.getsockname()[1])
-
-
-def _until_idle(client: ControlClient) -> None:
-    end = time.monotonic() + UP_S
-    while time.monotonic() < end:
-        with suppress(AnnulusError):
-            if client.state() is State.IDLE:
-                return
-        time.sleep(0.1)
-    raise RuntimeError("the daemon is not idle")
-
-
-def _until_labelled(ear: Ear) -> None:
-    end = time.monotonic() + UP_S
-    while not any(body["label"] != "unknown" for body in ear.labels.values()):
-        if time.monotonic() > end:
-            raise RuntimeError("no label came")
-        time.sleep(0.05)
-    time.sleep(SETTLED_S)
 
 
 if __name__ == "__main__":

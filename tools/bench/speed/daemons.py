@@ -6,7 +6,6 @@ import os
 import queue
 import random
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -16,6 +15,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import zmq
 
@@ -26,8 +26,10 @@ from annulus.record.calibration_file import save_calibration
 from annulus.record.recording import open_recording
 from annulus.stream.publish import parse
 from annulus.twin.head import HeadHandle, head_toml, start_head
+from annulus.twin.worlds.world import World
 from annulus.vocabulary import AnnulusError
 from tools.bench.speed.blows import FPS, MARK, WORLD, Disk, is_alive, left, lit, processes_of, shared
+from tools.bench.speed.viewers import free_port
 
 HOST_TIMEOUT_S = 0.5
 DARK_S = HOST_TIMEOUT_S + 0.1 + 1.0 / FPS  # .., the last word before the blow, and a flash that has begun
@@ -51,13 +53,17 @@ class Outcome:
 class Daemon:
     """A process, what it says on stderr, and a viewer of its labels."""
 
-    def __init__(self, out: Path, head: HeadHandle, more: str) -> None:
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
-        save_calibration(out / "calibration.json", WORLD.calibration())
-        here = f'\n[publish]\naddress = "{address}"\n[workers]\ncount = 1\n'
-        (out / "head.toml").write_text(head_toml(head, WORLD, Path("calibration.json")) + here + more)
+    def __init__(
+        self, out: Path, head: HeadHandle, more: str, world: World = WORLD, workers: str = "count = 1",
+        flash_us: float | None = None,
+    ) -> None:  # fmt: skip
+        self.publish = address = f"tcp://127.0.0.1:{free_port()}"
+        save_calibration(out / "calibration.json", world.calibration())
+        here = f'\n[publish]\naddress = "{address}"\n[workers]\n{workers}\n'
+        toml = head_toml(head, world, Path("calibration.json")) + here + more
+        if flash_us is not None:
+            toml = toml.replace("_width_us = ", f"_width_us = {flash_us:.0f} # ")
+        (out / "head.toml").write_text(toml)
         (sockets := out / "tmp").mkdir(exist_ok=True)
         self.sockets, self.mark = sockets, str(out)
         code = "from annulus.cli import main; main()"
@@ -117,10 +123,10 @@ class Daemon:
 
 
 @contextmanager
-def _daemon(
-    out: Path, head: HeadHandle, more: str = '[record]\nfolder = "scans"\nmin_free_gb = 0\n'
+def running(
+    out: Path, head: HeadHandle, more: str = '[record]\nfolder = "scans"\nmin_free_gb = 0\n', **how: Any
 ) -> Iterator[Daemon]:
-    daemon = Daemon(out, head, more)
+    daemon = Daemon(out, head, more, **how)
     try:
         yield daemon
     finally:
@@ -142,7 +148,7 @@ def killed(times: int, stop_children: bool = False, seed: int = 1) -> Outcome:
     with _stage(seed) as (out, head):
         for _ in range(times):
             before = shared()
-            with _daemon(out, head) as daemon:
+            with running(out, head) as daemon:
                 daemon.labelled(time.monotonic_ns(), UP_S)
                 time.sleep(chance.uniform(0.3, 1.1))
                 children = daemon.children()
@@ -150,7 +156,7 @@ def killed(times: int, stop_children: bool = False, seed: int = 1) -> Outcome:
                     for pid in children:
                         os.kill(pid, signal.SIGSTOP)
                 daemon.process.kill()
-                outcome.dark_s.append(_dark_after(head, time.monotonic()))
+                outcome.dark_s.append(dark_after(head, time.monotonic()))
                 daemon.process.wait()
                 outcome.problems += daemon.left(before)
                 outcome.problems += [f"left: process {pid}" for pid in children if is_alive(pid)]
@@ -165,14 +171,14 @@ def stopped(times: int, lasts_s: float, seed: int = 1) -> Outcome:
     outcome, chance = Outcome(), random.Random(seed)
     with _stage(seed) as (out, head):
         before = shared()
-        with _daemon(out, head) as daemon:
+        with running(out, head) as daemon:
             for _ in range(times):
                 daemon.labelled(time.monotonic_ns(), UP_S)
                 time.sleep(chance.uniform(0.3, 1.1))
                 began = time.monotonic()
                 daemon.process.send_signal(signal.SIGSTOP)
                 if lasts_s > HOST_TIMEOUT_S:
-                    outcome.dark_s.append(_dark_after(head, began, lasts_s))
+                    outcome.dark_s.append(dark_after(head, began, lasts_s))
                 time.sleep(max(0.0, began + lasts_s - time.monotonic()))
                 daemon.process.send_signal(signal.SIGCONT)
                 over_ns = time.monotonic_ns()
@@ -192,15 +198,15 @@ def filled(times: int, seed: int = 1) -> Outcome:
             before = shared()
             control = f'[control]\naddress = "ipc://{out}/control"\nautostart = false\n'
             record = f'[record]\nfolder = "disk/scans"\nmin_free_gb = 0\nreserve_mb = {RESERVE_MB}\n'
-            with _daemon(out, head, record + control) as daemon, ControlClient(f"ipc://{out}/control") as client:
-                _until(lambda: client.state() is State.IDLE, "the daemon is not idle")
+            with running(out, head, record + control) as daemon, ControlClient(f"ipc://{out}/control") as client:
+                until(lambda: client.state() is State.IDLE, "the daemon is not idle")
                 for _ in range(times):
                     client.start()
                     daemon.labelled(time.monotonic_ns())
                     time.sleep(chance.uniform(1.0, 2.0))
                     _fill(disk.folder / "filler")
                     full_s = time.monotonic()
-                    _until(lambda: client.state() is State.IDLE, "the scan on a full disk does not end")
+                    until(lambda: client.state() is State.IDLE, "the scan on a full disk does not end")
                     outcome.ended_s.append(time.monotonic() - full_s)
                     outcome.problems += [f"{lamp} is on" for lamp in head.counters()["lamps_on"]]
                     (disk.folder / "filler").unlink()
@@ -237,7 +243,7 @@ def _end(daemon: Daemon, outcome: Outcome, before: set[str]) -> None:
         outcome.problems.append("it showed no ledger")
 
 
-def _dark_after(head: HeadHandle, began: float, watched_s: float = 1.5) -> float:
+def dark_after(head: HeadHandle, began: float, watched_s: float = 1.5) -> float:
     """How long after `began` a lamp was last on, looked at for so many seconds."""
     time.sleep(max(0.0, began + watched_s - time.monotonic()))
     dark_s = head.counters()["dark_s"]
@@ -252,7 +258,7 @@ def _fill(path: Path) -> None:
                     pass
 
 
-def _until(true: Callable[[], bool], otherwise: str) -> None:
+def until(true: Callable[[], bool], otherwise: str) -> None:
     end = time.monotonic() + UP_S
     while True:
         with suppress(AnnulusError):

@@ -16,12 +16,12 @@ import sys
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from annulus.twin.worlds import clean_world
 from tools.bench.speed.hops import Stamps
 from tools.bench.speed.live import children_of, daemon_at_work, following, spinning, touch_memory
+from tools.bench.speed.viewers import cpu_s
 from tools.bench.table import Row
 
 FPS, SECONDS, WARM_S = 25.0, 40.0, 4.0
@@ -109,15 +109,10 @@ def _by_hop(seen: list[Seen], stamps: Stamps) -> dict[str, list[float]]:
 
 def _cpu_s(pid: int) -> dict[str, float]:
     """CPU seconds of the daemon and each of its children, by what they are."""
-    found = {"daemon": _spent_s(pid)}
+    found = {"daemon": cpu_s(pid)}
     for name, child in children_of(pid):
-        found[name] = found.get(name, 0.0) + _spent_s(child)
+        found[name] = found.get(name, 0.0) + cpu_s(child)
     return found
-
-
-def _spent_s(pid: int) -> float:
-    words = Path(f"/proc/{pid}/stat").read_text().rsplit(") ", 1)[1].split()
-    return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def at(ordered: list[float], share: float) -> float:

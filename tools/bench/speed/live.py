@@ -11,7 +11,7 @@ import sys
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -24,7 +24,7 @@ from annulus.stream.publish import parse
 from annulus.twin import head as twin_head
 from annulus.twin import process as twin_process
 from annulus.twin.render import Renderer
-from annulus.twin.worlds import clean_world
+from annulus.twin.worlds import clean_world, stereo_world
 from annulus.twin.worlds.world import World
 from tools.bench.speed.hops import ENVIRONMENT
 
@@ -55,10 +55,9 @@ class Drawn(Renderer):
         return out
 
 
-def serve(width: int, tty: bool) -> None:
-    """The head's process; its camera is so many pixels wide, its line a tty or a socket."""
-    world = clean_world().scaled(width)
-    Drawn.start = world.pose(0.0)  # type: ignore[attr-defined]
+def serve(cameras: int, tty: bool) -> None:
+    """The head's process; it has so many cameras, its line is a tty or a socket."""
+    Drawn.start = plain_world(cameras).pose(0.0)  # type: ignore[attr-defined]
     _raised(TWIN_LEVEL)
     line = twin_process.PtyLine if tty else twin_process.TcpLine
     with patch.multiple(twin_process, Renderer=Drawn, PtyLine=line):
@@ -68,6 +67,27 @@ def serve(width: int, tty: bool) -> None:
 def _raised(level: int) -> None:
     with suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(level))
+
+
+def plain_world(cameras: int = 1) -> World:
+    """Of one camera, or of a head of two whose second is there more than once."""
+    if cameras == 1:
+        return clean_world()
+    world = stereo_world()
+    return replace(world, others=tuple(replace(world.others[0], id=number) for number in range(1, cameras)))
+
+
+@contextmanager
+def drawn(world: World, tty: bool = True) -> Iterator[None]:
+    """Heads that are started meanwhile, of a `plain_world`, draw each picture once."""
+    ours = f"from tools.bench.speed.live import serve; serve({len(world.cameras)}, {tty})"
+    run = subprocess.Popen
+
+    def popen(command: list[str], **how: Any) -> Any:
+        return run([*command[:2], ours] if command[2:] == [START] else command, **how)
+
+    with patch.object(twin_head.subprocess, "Popen", popen):
+        yield
 
 
 @contextmanager
@@ -99,13 +119,7 @@ def daemon_at_work(
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="annulus-bench-", dir=".")))
         stamps = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="annulus-bench-", dir=MEMORY)))
-        run = subprocess.Popen
-
-        def popen(command: list[str], **how: Any) -> Any:
-            ours = f"from tools.bench.speed.live import serve; serve({world.camera.width}, {tty})"
-            return run([*command[:2], ours] if command[2:] == [START] else command, **how)
-
-        with patch.object(twin_head.subprocess, "Popen", popen):
+        with drawn(world, tty):
             head = stack.enter_context(twin_head.start_head(world, fps, timing=timing, speed_mm_s=0.0))
         extra = f'[record]\nfolder = "."\n[publish]\naddress = "ipc://{folder.absolute()}/labels"\n'
         toml = twin_head.head_toml(head, world) + extra
@@ -114,7 +128,7 @@ def daemon_at_work(
         (folder / "head.toml").write_text(toml)
         viewer = stack.enter_context(_viewer(f"ipc://{folder.absolute()}/labels"))
         command = [sys.executable, "-m", "tools.bench.speed.hops", "annulus.cli", "daemon", "--config"]
-        daemon = run(
+        daemon = subprocess.Popen(
             [*command, str(folder / "head.toml")], stderr=None if os.environ.get("BENCH_DEBUG") else subprocess.DEVNULL,
             env=os.environ | {ENVIRONMENT: str(stamps)},
         )  # fmt: skip
@@ -128,7 +142,10 @@ def children_of(pid: int) -> list[tuple[str, int]]:
     """A daemon's processes, by what they do, the oldest first."""
     found = []
     for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
-        command = Path(f"/proc/{child}/cmdline").read_bytes().split(b"\0")
+        try:
+            command = Path(f"/proc/{child}/cmdline").read_bytes().split(b"\0")
+        except OSError:  # gone by now
+            continue
         name = next((word.decode() for word in command if word.startswith(b"annulus.")), child)
         found.append((name.rsplit(".", 1)[-1], int(child)))
     return found

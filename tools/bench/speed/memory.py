@@ -12,13 +12,13 @@ import sys
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 
 from annulus.capture.timing import FrameTiming
 from annulus.twin.worlds import clean_world
 from tools.bench.speed.live import children_of, daemon_at_work, following
+from tools.bench.speed.viewers import rss_mb
 from tools.bench.table import Row
 
 FPS, WIDTH = 150.0, 208
@@ -67,15 +67,10 @@ def measure(seconds: float = SECONDS, fps: float = FPS) -> tuple[dict[str, Kept]
             for name, pid in {**dict(reversed(children_of(live.pid))), "daemon": live.pid}.items():  # no spares
                 one = kept.setdefault(name, Kept())
                 one.frames.append(frames)
-                one.mb.append(_own_mb(pid))
+                one.mb.append(rss_mb(pid))
         ledger, labels = telemetry["ledger"], telemetry["frames"]
         assert isinstance(ledger, Mapping) and isinstance(labels, Mapping)
         return kept, labels, float(telemetry["recorded"]) / max(1, ledger["taken"])  # type: ignore[arg-type]
-
-
-def _own_mb(pid: int) -> float:
-    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
-    return next(int(line.split()[1]) / 1000.0 for line in lines if line.startswith("RssAnon"))
 
 
 def rows(seconds: float = SECONDS, fps: float = FPS) -> list[Row]:

@@ -11,6 +11,7 @@ import json
 import os
 import re
 import signal
+import socket
 import statistics
 import struct
 import subprocess
@@ -91,7 +92,7 @@ def talking(fps: float, faster: float = 1.0) -> Iterator[tuple[int, str]]:
 def serving(daemon: str) -> Iterator[tuple[int, str]]:
     """A console of that daemon: its pid and address."""
     command = [sys.executable, "-c", "from annulus.cli import main; main()", "console"]
-    command += ["--daemon", daemon, "--port", str(_free_port())]
+    command += ["--daemon", daemon, "--port", str(free_port())]
     with child(command, stderr=subprocess.STDOUT) as console:
         url = _told(console, console.stdout, r"https?://[\w.:\[\]]+/")
         end = time.monotonic() + UP_S
@@ -106,9 +107,7 @@ def serving(daemon: str) -> Iterator[tuple[int, str]]:
         yield console.pid, url
 
 
-def _free_port() -> int:
-    import socket
-
+def free_port() -> int:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         return int(free.getsockname()[1])
