@@ -488,8 +488,7 @@ class Session:
         elif self._state is State.FAULT and not trouble and (self.line is None or self.line.settled):
             self._enter(Event.RUNNING if self.has_scan else Event.CLEARED)
         stopped = self.line.stopped if self.line is not None and scan is not None and scan.armed else ""
-        problem = stopped or (scan.problem if scan is not None else "")
-        if problem:
+        if problem := stopped or (scan.problem if scan is not None else ""):
             self._fail(problem)
         elif self.config.control is not None and scan is not None and scan.ended and not scan.paused:
             self.stop()
