@@ -37,7 +37,7 @@ from annulus.daemon.camera_state import BackOff, CameraState
 from annulus.daemon.observer import Observer
 from annulus.stream.orphan import child
 from annulus.stream.ring import FrameRing, Place
-from annulus.stream.workers import cannot_start, process_state
+from annulus.stream.workers import cannot_start, how_it_ended, process_state
 from annulus.vocabulary import AnnulusError, CameraSequence
 
 LOOK_S = 30.0  # to open a camera for the first time
@@ -324,7 +324,7 @@ class CameraFeed:
         if self._process is None:
             return "its thread ended"
         code = self._process.wait()  # its socket closes a moment before it is gone
-        return f"its process was killed by signal {-code}" if code < 0 else f"its process ended with status {code}"
+        return f"its process ended: {how_it_ended(code)}"
 
     def _replace(self, why: str) -> list[Happened]:
         """What it had said before it ended still counts."""

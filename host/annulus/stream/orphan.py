@@ -15,6 +15,7 @@ import sys
 import threading
 from pathlib import Path
 
+NO_MEMORY = 71  # exit status of a child that was refused memory
 _PR_SET_PDEATHSIG = 1
 
 
@@ -28,7 +29,10 @@ def run() -> None:
     module, argument = sys.argv[1:]
     end_with_parent(json.loads(argument)["parent"], signal.SIGKILL)
     sys.argv[:] = [module, argument]
-    runpy.run_module(module, run_name="__main__", alter_sys=True)
+    try:
+        runpy.run_module(module, run_name="__main__", alter_sys=True)
+    except MemoryError:  # whatever could be closed is; its owner says so, in one line, which needs memory too
+        os._exit(NO_MEMORY)
 
 
 def end_with_parent(parent: int, by: signal.Signals = signal.SIGTERM) -> None:

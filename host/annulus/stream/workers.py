@@ -30,6 +30,7 @@ import zmq
 
 from annulus import untrusted
 from annulus.stream.frames import FrameHeader
+from annulus.stream.orphan import NO_MEMORY
 from annulus.stream.pool_events import Died, Done, Failed, FrameLost, PoolEvent, Ready, Report
 from annulus.stream.ring import FrameRing, Place
 from annulus.vocabulary import AnnulusError
@@ -257,7 +258,7 @@ class WorkerPool:
         """Why this worker cannot stay; empty when it can."""
         code = worker.process.poll()
         if code is not None:
-            return f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit status {code}"
+            return how_it_ended(code)
         oldest = min((task.since for task in worker.in_hand.values()), default=now)
         busy_s = now - max(oldest, worker.answered)  # the oldest may have waited behind others that were done
         if busy_s > self.hung_s and self._hangs(worker, busy_s, now):
@@ -441,6 +442,13 @@ def _died_in_vain(worker: _Worker, now: float) -> bool:
 def cannot_start(command: str, error: BaseException) -> AnnulusError:
     """One line for a system that has no process, no descriptor or no memory left."""
     return AnnulusError(f"cannot start {command}: {getattr(error, 'strerror', None) or 'no memory'}")
+
+
+def how_it_ended(code: int) -> str:
+    """A child, for people."""
+    if code == NO_MEMORY:
+        return "no memory was left for it"
+    return f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit status {code}"
 
 
 def process_state(pid: int) -> str:
