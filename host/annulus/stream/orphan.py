@@ -29,10 +29,17 @@ def run() -> None:
     module, argument = sys.argv[1:]
     end_with_parent(json.loads(argument)["parent"], signal.SIGKILL)
     sys.argv[:] = [module, argument]
+    sys.unraisablehook = _unraisable
     try:
         runpy.run_module(module, run_name="__main__", alter_sys=True)
     except MemoryError:  # whatever could be closed is; its owner says so, in one line, which needs memory too
         os._exit(NO_MEMORY)
+
+
+def _unraisable(what: "sys.UnraisableHookArgs") -> None:
+    """Without memory the interpreter itself has much to say that nobody can use."""
+    if not isinstance(what.exc_value, MemoryError) and what.exc_type is not MemoryError:
+        sys.__unraisablehook__(what)
 
 
 def end_with_parent(parent: int, by: signal.Signals = signal.SIGTERM) -> None:
