@@ -329,16 +329,15 @@ class Session:
                 intake.take(self._account)
         self._account.end()
         with whatever_happens(self.observers, "labels"):
-            if scan is not None:
-                for header, frame in scan.labelled(final=True):
-                    self._tell(header, frame)
-                if scan.recorder is not None:
-                    scan.recorder.poll()  # what it gave back while cameras were stopped
-                while self._told:
-                    self._hand_out(*self._told.popleft())
-                    while scan.recorder is not None and scan.recorder.absorbs:
+            for header, frame in scan.labelled(final=True) if scan is not None else ():
+                self._tell(header, frame)
+            while self._told:
+                if scan is not None and scan.recorder is not None:
+                    scan.recorder.poll()  # also what it gave back while cameras were stopped
+                    if scan.recorder.absorbs:
                         scan.recorder.waitable.poll(10)
-                        scan.recorder.poll()
+                        continue
+                self._hand_out(*self._told.popleft())
         with whatever_happens(self.observers, "workers"):
             self._finish_reconstruction()
         self._scan = None if scan is None or (scan.recorder is None and not scan.intakes) else scan
