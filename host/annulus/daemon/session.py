@@ -286,9 +286,8 @@ class Session:
     @property
     def _is_bursting(self) -> bool:
         """More frames than the recorder may hold have their labels at once, and there is room to let some wait."""
-        return self.recorder is not None and self.recorder.absorbs and self._power is not None and (
-            self._power.shared.ring.free >= RESERVE
-        )  # fmt: skip
+        has_room = self._power is not None and self._power.shared.ring.free >= RESERVE
+        return self.recorder is not None and self.recorder.absorbs and has_room
 
     @property
     def _publishing(self) -> Publishing | None:
