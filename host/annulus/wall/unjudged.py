@@ -227,12 +227,23 @@ def _between_rings(wall: Wall, profiles: Iterable[Profile], besides: BoolArray, 
     empty = np.asarray(ndimage.binary_opening(wide, box)[:, columns // 8 : -(columns // 8)])
     at = np.minimum(((np.arange(len(hit)) + 0.5) * fine / wall.z_step_mm).astype(np.intp), len(wall.z_mm) - 1)
     label, _ = label_around(empty & ~besides[at])
+    tall = np.array([0.0, *((rows.stop - rows.start) * fine for rows, _ in ndimage.find_objects(label))])
     reason = "the map goes on between rings there, and a small defect may lie between them"
-    for i, (rows, _) in enumerate(ndimage.find_objects(label), 1):
-        start, arc = arc_of((label[rows] == i).any(axis=0), wall.clock_step_deg)
-        usual = (rows.stop - rows.start) * fine <= BRIDGE_OF_RADIUS * wall.mean_radius_mm
-        clock = 0.0 if arc >= 360.0 else (start + arc / 2) % 360.0
-        yield Unjudged(OF_WALL, reason, first + rows.start * fine, first + rows.stop * fine, clock, arc, usual=usual)
+    is_usual = tall <= BRIDGE_OF_RADIUS * wall.mean_radius_mm
+    beside = round(BESIDE_MM / fine)
+    for usual in (False, True):
+        patches = (label > 0) & (is_usual[label] == usual)
+        along, _ = ndimage.label(
+            ndimage.binary_dilation(patches.any(axis=1), iterations=beside)
+        )  # one place for people
+        for (rows,) in ndimage.find_objects(along):
+            part = patches[rows]
+            mine = rows.start + np.flatnonzero(part.any(axis=1))
+            start, arc = arc_of(part.any(axis=0), wall.clock_step_deg)
+            clock = 0.0 if arc >= 360.0 else (start + arc / 2) % 360.0
+            yield Unjudged(
+                OF_WALL, reason, first + mine[0] * fine, first + (mine[-1] + 1) * fine, clock, arc, usual=usual
+            )
 
 
 def _swallowed(wall: Wall, looks: Looks) -> BoolArray:
