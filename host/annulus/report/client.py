@@ -5,7 +5,7 @@ Values for job.html.j2, verdict.html.j2, details.html.j2 and accuracy.html.j2; n
 
 import base64
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -131,12 +131,13 @@ def _conformity(verdict: Verdict, seen: float) -> dict[str, Any]:
     overall, look = OVERALL[verdict.decision]
     if verdict.decision is Decision.SEEN:
         overall += f" ({said(math.floor(1000.0 * seen) / 10.0, SHARE)} of the wall)"
+    still_open = [one for one in verdict.not_established if not one.usual]
     return {
         "title": verdict.criteria.title, "overall": overall, "look": look, "rule": RULE,
         "accepted": verdict.criteria.accepted, "rows": [_judged(one) for one in _governing(verdict)],
         "remarks": list(verdict.remarks), "limits": list(_limits(verdict)),
-        "places": [_place(one) for one in sorted(verdict.not_established, key=lambda one: one.usual)[:PLACES_MAX]],
-        "places_left_out": max(len(verdict.not_established) - PLACES_MAX, 0),
+        "places": [*map(_place, still_open[:PLACES_MAX]), *_usual(verdict.not_established)],
+        "places_left_out": max(len(still_open) - PLACES_MAX, 0),
     }  # fmt: skip
 
 
@@ -146,6 +147,20 @@ def _place(one: Unjudged) -> dict[str, str]:
         "clock": "all round" if one.arc_deg >= 360.0 else " to ".join(one.clock_range), "limits": ", ".join(one.kinds),
         "why": one.reason, "open": "no" if one.usual else "yes",
     }  # fmt: skip
+
+
+def _usual(places: Sequence[Unjudged]) -> Iterator[dict[str, str]]:
+    """What every scan has, one row a sort: they leave no verdict open, and summary.json has each."""
+    sorts: dict[tuple[tuple[str, ...], str], list[Unjudged]] = {}
+    for one in places:
+        if one.usual:
+            sorts.setdefault((one.kinds, one.reason), []).append(one)
+    for many in sorts.values():
+        row = _place(many[0])
+        if len(many) > 1:
+            first, last = min(one.z_from_mm for one in many), max(one.z_to_mm for one in many)
+            row |= {"at": span(first, last, DISTANCE, unit=False), "clock": f"{len(many)} places"}
+        yield row
 
 
 def _governing(verdict: Verdict) -> Iterator[Judged]:
