@@ -242,7 +242,13 @@ def _between_rings(wall: Wall, profiles: Iterable[Profile], besides: BoolArray, 
             start, arc = arc_of(part.any(axis=0), wall.clock_step_deg)
             clock = 0.0 if arc >= 360.0 else (start + arc / 2) % 360.0
             yield Unjudged(
-                OF_WALL, reason, first + mine[0] * fine, first + (mine[-1] + 1) * fine, clock, arc, usual=usual
+                OF_WALL,
+                reason,
+                first + int(mine[0]) * fine,
+                first + (int(mine[-1]) + 1) * fine,
+                clock,
+                arc,
+                usual=usual,
             )
 
 

@@ -45,7 +45,7 @@ class Told(Observer):
 class Idle:
     """As much of a session as these requests need."""
 
-    line, has_scan, state = None, False, State.IDLE
+    line, has_scan, scan, state = None, False, None, State.IDLE
 
     def __init__(self, *more: Observer) -> None:
         self.config, self.told = HeadConfig(), Told()
