@@ -82,7 +82,7 @@ tested: setup-all lint firmware emulator .tools/picamera2/.made
 	@tools/need.sh clang libclang-rt sigrok-cli qemu-system-x86 linux-image-amd64 busybox-static kmod \
 	  gcc-aarch64-linux-gnu systemd chromium pango poppler-utils
 	$(BIN)/python -m tools.kernels
-	$(BIN)/pytest -n auto --dist loadfile $(RENEW) -m "($(GATE)) and not alone" tests --ignore tests/held
+	$(BIN)/pytest -n auto --dist loadfile --max-worker-restart 0 $(RENEW) -m "($(GATE)) and not alone" tests --ignore tests/held
 	$(BIN)/pytest $(RENEW) -m "($(GATE)) and alone" tests --ignore tests/held
 
 # Whole methods on scenes that other programs drew: they lie in ../shared, which only the authors have.
