@@ -29,8 +29,8 @@ from annulus.stream.publish import parse
 from annulus.twin.faults import NO_FAULTS, Faults
 from annulus.twin.head import HeadHandle, start_head
 from annulus.twin.worlds.world import World
-from annulus.vocabulary import AnnulusError, Label
-from tools.bench.speed.daemons import Daemon, running
+from annulus.vocabulary import Label
+from tools.bench.speed.daemons import Daemon, running, until
 from tools.bench.speed.live import children_of, drawn
 from tools.bench.speed.viewers import cpu_s, free_port, rss_mb
 
@@ -192,18 +192,6 @@ def at_work(
         yield work
         if scan and judge:
             work.end()
-
-
-def until(true: Any, otherwise: str, patience_s: float = UP_S) -> None:
-    """Raises AnnulusError with `otherwise` when it does not come true in time."""
-    end = time.monotonic() + patience_s
-    while True:
-        with suppress(AnnulusError):
-            if true():
-                return
-        if time.monotonic() > end:
-            raise AnnulusError(otherwise)
-        time.sleep(0.05)
 
 
 def recordings(folder: Path) -> list[Path]:

@@ -258,8 +258,9 @@ def _fill(path: Path) -> None:
                     pass
 
 
-def until(true: Callable[[], bool], otherwise: str) -> None:
-    end = time.monotonic() + UP_S
+def until(true: Callable[[], object], otherwise: str, patience_s: float = UP_S) -> None:
+    """Raises AnnulusError with `otherwise` when it does not come true in time."""
+    end = time.monotonic() + patience_s
     while True:
         with suppress(AnnulusError):
             if true():
