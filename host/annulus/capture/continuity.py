@@ -58,8 +58,8 @@ class Continuity:
         """Why nothing but a preamble tells now which frame this is; empty where something else does.
 
         periods : since the last frame came; None, it is the first. counted : whether the driver's count names the edge
-        that the stamp does; None, there is no count. blanks : pictures one after the
-        other whose flash was fired, and that are dark.
+        that the stamp does; None, there is no count. blanks : pictures one after the other that are dark, though their
+        flash was fired.
         """
         after = 1.0 if periods is None else periods
         silence = f"no frame came for {after - 1:.0f} periods" if after >= self._half + SILENCE else ""

@@ -81,9 +81,8 @@ class News(StrEnum):
 
 
 CONTRADICTIONS = frozenset({News.EARLY, News.ORDER, News.SEQUENCE, News.BETWEEN, News.LATER, News.PICTURE})
-SUSPICIONS = frozenset(
-    {News.SKIPPED, News.REPEATED, News.BLANK}
-)  # contradict nobody, and withdraw the proof all the same
+# What contradicts nobody, and withdraws the proof all the same.
+SUSPICIONS = frozenset({News.SKIPPED, News.REPEATED, News.BLANK})
 
 TRANSITIONS: Mapping[tuple[State, News], State] = {
     (State.SEARCHING, News.FOUND): State.PROVED,
