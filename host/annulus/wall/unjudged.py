@@ -11,7 +11,7 @@ there.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -76,7 +76,7 @@ class Unjudged:
 
 def find_unjudged(
     wall: Wall, detection: Detection, *, explained: BoolArray, joints: BoolArray, shadowed: BoolArray,
-    no_wall: BoolArray | None, looks: Looks | None, rings: int, profiles: Iterable[Profile] = (),
+    no_wall: BoolArray | None, looks: Looks | None, rings: int, profiles: Sequence[Profile] = (),
 ) -> tuple[Unjudged, ...]:  # fmt: skip
     """Every such place of a wall, in order of distance.
 
@@ -97,7 +97,8 @@ def find_unjudged(
     found += _parts(
         wall, doubtful, OF_WALL, "the pipe's own shape is not known there, so that nothing stands out of it"
     )
-    found += _between_rings(wall, profiles, unseen | explained | listed, scale)
+    if profiles:
+        found += _between_rings(wall, profiles, unseen | explained | listed, scale)
     dark = holes & ~shadowed
     found += _standing(wall, detection, explained & ~joints[:, None], joints, sure, dark, scale)
     found += _going_on(wall, detection, dark, scale)
@@ -160,10 +161,14 @@ def _runs(mask: BoolArray) -> FloatArray:
 
 def _span(wall: Wall, part: BoolArray) -> tuple[float, float, float, float]:
     rows = np.flatnonzero(part.any(axis=1))
-    start, arc = arc_of(np.asarray(part.any(axis=0)), wall.clock_step_deg)
     half = wall.z_step_mm / 2
-    clock = 0.0 if arc >= 360.0 else (start + arc / 2) % 360.0
-    return float(wall.z_mm[rows[0]]) - half, float(wall.z_mm[rows[-1]]) + half, clock, arc
+    return float(wall.z_mm[rows[0]]) - half, float(wall.z_mm[rows[-1]]) + half, *_around(wall, part)
+
+
+def _around(wall: Wall, part: BoolArray) -> tuple[float, float]:
+    """Middle and length, degrees, of the arc that holds all marked columns."""
+    start, arc = arc_of(np.asarray(part.any(axis=0)), wall.clock_step_deg)
+    return 0.0 if arc >= 360.0 else (start + arc / 2) % 360.0, arc
 
 
 def _pieces(mask: BoolArray) -> Iterator[BoolArray]:
@@ -205,23 +210,19 @@ def _holes(
             yield Unjudged(kinds, reason, *where, usual=usual)
 
 
-def _between_rings(wall: Wall, profiles: Iterable[Profile], besides: BoolArray, scale: Scale) -> Iterator[Unjudged]:
+def _between_rings(wall: Wall, profiles: Sequence[Profile], besides: BoolArray, scale: Scale) -> Iterator[Unjudged]:
     """Patches as large as the smallest defect that no point lies in, and over which the map was interpolated."""
     size = scale.mm(scale.limits.size_of_radius)
     first, last = wall.extent[:2]
     fine = max(size / SAMPLES, (last - first) / FINE_ROWS_MAX)  # mm
     columns = len(wall.clock_deg)
-    hit = np.ones((math.ceil((last - first) / fine), columns), bool)
-    for n, one in enumerate(profiles):
-        if not n:
-            hit[:] = False
+    hit = np.zeros((math.ceil((last - first) / fine), columns), bool)
+    for one in profiles:
         x, y, z = one.points_mm.T
         row = np.floor((z - first) / fine)
         inside = (row >= 0) & (row < len(hit))
         column = np.floor(np.degrees(np.arctan2(x, -y))[inside] / wall.clock_step_deg).astype(np.intp) % columns
         hit[row[inside].astype(np.intp), column] = True
-    if hit.all():
-        return
     box = np.ones((max(1, round(size / fine)), _cells(size, scale.cell_mm[1])), bool)
     wide = np.pad(~hit, ((0, 0), (columns // 8, columns // 8)), mode="wrap")
     empty = np.asarray(ndimage.binary_opening(wide, box)[:, columns // 8 : -(columns // 8)])
@@ -230,26 +231,14 @@ def _between_rings(wall: Wall, profiles: Iterable[Profile], besides: BoolArray, 
     tall = np.array([0.0, *((rows.stop - rows.start) * fine for rows, _ in ndimage.find_objects(label))])
     reason = "the map goes on between rings there, and a small defect may lie between them"
     is_usual = tall <= BRIDGE_OF_RADIUS * wall.mean_radius_mm
-    beside = round(BESIDE_MM / fine)
     for usual in (False, True):
         patches = (label > 0) & (is_usual[label] == usual)
-        along, _ = ndimage.label(
-            ndimage.binary_dilation(patches.any(axis=1), iterations=beside)
-        )  # one place for people
-        for (rows,) in ndimage.find_objects(along):
-            part = patches[rows]
-            mine = rows.start + np.flatnonzero(part.any(axis=1))
-            start, arc = arc_of(part.any(axis=0), wall.clock_step_deg)
-            clock = 0.0 if arc >= 360.0 else (start + arc / 2) % 360.0
-            yield Unjudged(
-                OF_WALL,
-                reason,
-                first + int(mine[0]) * fine,
-                first + (int(mine[-1]) + 1) * fine,
-                clock,
-                arc,
-                usual=usual,
-            )
+        rows = ndimage.binary_dilation(patches.any(axis=1), iterations=_cells(BESIDE_MM, fine))
+        for (near,) in ndimage.find_objects(ndimage.label(rows)[0]):  # one place for people
+            part = patches[near]
+            mine = near.start + np.flatnonzero(part.any(axis=1))
+            begins, ends = first + int(mine[0]) * fine, first + (int(mine[-1]) + 1) * fine
+            yield Unjudged(OF_WALL, reason, begins, ends, *_around(wall, part), usual=usual)
 
 
 def _swallowed(wall: Wall, looks: Looks) -> BoolArray:

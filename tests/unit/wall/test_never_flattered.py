@@ -6,8 +6,8 @@ with the places that were not.
 
 import numpy as np
 import pytest
-from over_limit import LIMITS, Drawn, draw
-from synthetic_pipe import CALIBRATION
+from over_limit import LIMITS, Drawn, draw, scanned
+from synthetic_pipe import CALIBRATION, round_pipe
 
 from annulus.untrusted import parse_toml
 from annulus.wall import survey
@@ -61,3 +61,13 @@ def test_what_no_ring_landed_in_is_no_sound_wall() -> None:
     assert told.decision is Decision.UNDECIDED
     between = [one for one in told.not_established if one.z_from_mm <= 205.0 and one.z_to_mm >= 210.0 and not one.usual]
     assert between and all("between rings" in one.reason for one in between)
+
+
+def test_at_an_end_of_a_scan_no_joint_is_judged() -> None:
+    """Hi-lo 3 mm where the wall of the scan begins: there is no other pipe to hold it against."""
+    pipe = survey(scanned(lambda c, z: round_pipe(c, z) + 3.0 * np.cos(np.radians(c)) * (z > 84.0)), CALIBRATION)
+    told = judge(pipe, Criteria.from_dict(parse_toml(LIMITS["joint"].encode())))
+    first, last = pipe.wall.extent[:2]
+    assert told.decision is Decision.SEEN
+    ends = [(one.z_from_mm, one.z_to_mm) for one in told.not_established if one.kinds == ("joint",)]
+    assert ends[0][0] == first <= 84.0 < ends[0][1] and ends[-1][1] == last
