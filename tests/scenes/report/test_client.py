@@ -5,6 +5,7 @@ import csv
 import json
 import math
 import re
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -113,6 +114,10 @@ def test_the_verdict_is_on_the_page_and_in_the_summary(page: tuple[str, dict[str
     words = text(html)
     for said_ in ("&lt;b&gt;ours&lt;/b&gt;", "Does not conform", "guard band w = U", "no limit was named for: bump"):
         assert said_ in words, said_
+    usual = Counter((one["reason"], *one["limits"]) for one in summary["conformity"]["not_established"] if one["usual"])
+    (reason, *_), many = usual.most_common(1)[0]
+    assert many > 1 and f"{many} places" in words, "what every scan has is one row a sort"
+    assert words.count(reason) < many
 
 
 @pytest.mark.deep(gate="tests/scenes/report/test_client.py::test_the_verdict_is_on_the_page_and_in_the_summary")
