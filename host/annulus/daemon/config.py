@@ -27,7 +27,7 @@ SENSOR_KINDS = ("remote", *CHIPS)
 COLOUR_MAKER = "annulus calibrate colour"
 HOST_TIMEOUT_LEAST_MS = max(HOST_TIMEOUT_MIN_MS, 200)  # twice what lies between two words of the daemon, PING_NS
 PERIOD_MS = 25.0  # of the chips of a bus
-SLOTS = 32  # in shared memory, for a head of one camera: what waits while the offset is proved, and intake.RESERVE
+SLOTS = 36  # in shared memory, of one camera: 28 that wait while the offset is proved, and intake.BURST_RESERVE
 
 
 @dataclass(frozen=True, slots=True)

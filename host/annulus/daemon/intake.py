@@ -12,6 +12,7 @@ from annulus.stream.frames import FrameHeader
 from annulus.stream.ring import FrameRing, Place
 
 RESERVE = 4  # free slots below which frames that cannot be labelled yet, or reconstructed, make way for new ones
+BURST_RESERVE = 2 * RESERVE  # .. while an offset is searched for: when it is found all that waited go out at once
 CAMERA_END_S = 2.5
 LABEL_PERIODS = 12  # a frame waits no longer for its edges, whatever its stamp says
 
@@ -116,7 +117,7 @@ class Intake:
 
     @property
     def _crowded(self) -> bool:
-        return not self.labelling.offset_known and self._ring.free < RESERVE
+        return not self.labelling.offset_known and self._ring.free < BURST_RESERVE
 
     def _settled(self, frame: InSlot) -> bool:
         now = time.monotonic_ns()
