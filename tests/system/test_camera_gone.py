@@ -16,7 +16,7 @@ import pytest
 from annulus.capture.timing import FrameTiming
 from annulus.daemon.account import ScanReport
 from annulus.daemon.camera_config import CameraConfig
-from annulus.daemon.config import HeadConfig
+from annulus.daemon.config import SLOTS, HeadConfig
 from annulus.daemon.observer import Observer
 from annulus.daemon.session import Session
 from annulus.daemon.state import State
@@ -119,7 +119,7 @@ def head(out: Path) -> Iterator[tuple[Plug, Watched]]:
 def accounted(watched: Watched, report: ScanReport, out: Path) -> None:
     """Every frame is somewhere, and no slot was left behind."""
     assert not any(report.telemetry["in_hand"].values())
-    assert watched.session._power is not None and watched.session._power.shared.ring.free == 32
+    assert watched.session._power is not None and watched.session._power.shared.ring.free == SLOTS
     assert len(open_recording(out / "scan.mcap").frames) == sum(report.frames.values())
 
 
