@@ -54,12 +54,15 @@ class Continuity:
         """A doubt has ended."""
         self._shown_again = 0
 
-    def broken(self, periods: float | None, counted: bool | None, repeated: bool, blanks: int) -> str:
+    def broken(
+        self, periods: float | None, counted: bool | None, repeated: bool, blanks: int, edgeless: bool = False
+    ) -> str:
         """Why nothing but a preamble tells now which frame this is; empty where something else does.
 
         periods : since the last frame came; None, it is the first. counted : whether the driver's count names the edge
         that the stamp does; None, there is no count. blanks : pictures one after the other that are dark, though their
-        flash was fired.
+        flash was fired. edgeless : whether neither stamp nor count names an edge that is known: the board kept fewer
+        than came while nobody listened. Such a frame has no label, and says nothing for or against.
         """
         after = 1.0 if periods is None else periods
         silence = f"no frame came for {after - 1:.0f} periods" if after >= self._half + SILENCE else ""
@@ -67,13 +70,14 @@ class Continuity:
             return silence
         if silence and counted is not None:
             self.unspanned = SPANNED_WITHIN
-        if self.unspanned and not counted:
+        if self.unspanned and not counted and not edgeless:
             self.unspanned -= 1
             return "" if self.unspanned else "no count spans a silence"
-        self.unspanned = 0
+        if counted:  # whoever came late and then sooner, none is missing
+            self.unspanned, self._sooner = 0, 0.0
         sooner = 1.0 - after
         self._sooner = self._sooner + sooner if sooner > SOON else max(0.0, self._sooner - SOON)
-        if self._sooner >= self._half and not counted and self._is_asked:
+        if self._sooner >= self._half and not counted and not edgeless and self._is_asked:
             return f"frames came sooner by {self._sooner:.0f} periods"
         if self.lost:
             return f"{self._missing} frames are missing, and the driver does not count"

@@ -306,7 +306,8 @@ class Pairing:
         periods = None if self._arrived_ns is None else (frame.arrived_ns - self._arrived_ns) / self._period_ns
         count = self._counted(frame.sequence)
         counted = None if count is None else judged.closing is not None and count == judged.closing.ordinal
-        return self._continuity.broken(periods, counted, repeated, self._blanks)
+        edgeless = count is not None and judged.reason is Reason.NO_EDGE
+        return self._continuity.broken(periods, counted, repeated, self._blanks, edgeless)
 
     @property
     def _asks_preambles(self) -> bool:

@@ -120,6 +120,23 @@ def test_where_it_does_not_count_only_the_frames_that_waited_are_unknown(seconds
     assert set(score.unknown) <= {0, *range(AT, AT + stalled + 4 + stalled // 15)}
 
 
+def test_one_odd_stamp_after_a_stall_costs_two_frames() -> None:
+    """Those that had waited came sooner one after the other, and the count missed none of them."""
+    faults = Faults(**with_preamble(4), stamp_ms=lambda k: 3 * FRAME_MS * (k == AT + 15))
+    faults.stall_until = lambda k: (AT + 6) * (AT <= k < AT + 6)
+    score = run(faults)
+    assert score.unknown == [0, AT + 15, AT + 16]
+
+
+def test_edges_lost_with_a_stall_say_nothing_against_the_count() -> None:
+    """The board keeps fewer edges than come in 3.6 s: frames of the stall have none, and no label."""
+    faults = Faults(**with_preamble(4), edge_lost=lambda k: AT - 1 <= k < AT + 80)
+    faults.stall_until = lambda k: (AT + 90) * (AT <= k < AT + 90)
+    faults.dropped = lambda k: AT + 8 <= k < AT + 90
+    score = run(faults)
+    assert score.relock(AT + 90) <= 2 and score.share(AT + 92) == 0
+
+
 @COUNTS
 @pytest.mark.parametrize("frames", [5, -5, 1, -1])
 def test_stamps_that_step_while_the_host_stalls_are_caught(count: Callable[[int], int | None], frames: int) -> None:
