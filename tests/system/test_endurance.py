@@ -14,6 +14,6 @@ pytestmark = [
 ]
 
 
-def test_dying_workers_a_second_daemon_and_operators_cost_a_scan_nothing_that_is_not_told() -> None:
-    rows = endurance.rows(["loops", "second", "tune"], short=True)
+def test_dying_workers_no_memory_a_second_daemon_and_operators_cost_a_scan_nothing_that_is_not_told() -> None:
+    rows = endurance.rows(["loops", "memory", "second", "tune"], short=True)
     assert [f"{row.what}: {row.measured}" for row in rows if row.ok is False] == []

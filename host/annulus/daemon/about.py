@@ -3,12 +3,12 @@
 from collections.abc import Mapping
 from dataclasses import asdict
 from datetime import UTC, datetime
-from importlib.metadata import version
 from typing import Any
 
 from annulus.controller import LAMP_DUTY_MAX_PERMILLE, LAMP_WIDTH_MAX_TICKS, TICKS_PER_US
 from annulus.daemon.config import HeadConfig
 from annulus.daemon.controller_line import ControllerLine, lamp_numbers
+from annulus.daemon.evidence import versions
 from annulus.untrusted import printable
 
 NAMES_MAX = 32  # sections of a provenance, and names in one
@@ -19,7 +19,7 @@ def about(config: HeadConfig, line: ControllerLine | None) -> dict[str, Any]:
     timing, calibration = config.timing, config.calibration
     identity = line.head.identity if line is not None else None
     return {
-        "version": version("annulus"),
+        "version": versions()["annulus"],
         "cameras": [
             {
                 "number": n,

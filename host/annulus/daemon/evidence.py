@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
+from functools import cache
 from typing import Any
 
 from annulus.daemon.account import Account
@@ -134,8 +135,9 @@ def controller_identity(head: HeadControl | None) -> dict[str, Any] | None:
     return out
 
 
+@cache
 def versions() -> dict[str, str]:
-    """Of what runs here."""
+    """Of what runs here, whatever is installed meanwhile, and where no file can be opened any more."""
     return {
         "annulus": importlib.metadata.version("annulus"), "python": platform.python_version(),
         "kernel": platform.release(), "machine": platform.machine(),

@@ -123,11 +123,9 @@ class WorkerPool:
         self._dying: list[subprocess.Popen[bytes]] = []  # killed, and not gone yet: a disk may hold them
         self._workers: dict[int, _Worker] = {}
         self._called: list[PoolEvent] = []  # spares that were ready when they were called up
-        self._results_path = shared.folder / f"{kind.name}-results"
         self.results = shared.context.socket(zmq.PULL)
         self.results.setsockopt(zmq.RCVHWM, 1000)
         self.results.setsockopt(zmq.MAXMSGSIZE, MESSAGE_MAX)
-        self.results.bind(f"ipc://{self._results_path}")
         try:
             for _ in range(kind.count):
                 self._start()
@@ -289,12 +287,12 @@ class WorkerPool:
                 worker.tasks.send_multipart([b"stop", b""], zmq.NOBLOCK)
         begun = time.monotonic()  # real time whatever clock the tests use: processes are real
         while self._workers and (waited := time.monotonic() - begun) < patience_s:
+            ended = [worker for worker in self._workers.values() if worker.process.poll() is not None]
             self.results.poll(20)
             happened += self._receive()
             if waited > UNREADY_S and not self.ready:
                 break  # still compiling, and with nothing in hand
-            for worker in [w for w in self._workers.values() if w.process.poll() is not None]:
-                happened += self._receive()
+            for worker in ended:
                 happened += self._bury(worker, "ended")
         for worker in list(self._workers.values()):
             self.counts["killed"] += 1
@@ -306,7 +304,6 @@ class WorkerPool:
                 process.wait(KILL_S)
         if not self.results.closed:
             self.results.close(0)
-        self._results_path.unlink(missing_ok=True)
         return happened
 
     def _keep_spares(self, now: float) -> None:
@@ -358,11 +355,13 @@ class WorkerPool:
             raise cannot_start(self._kind.command[0], error) from None
         tasks.setsockopt(zmq.SNDHWM, 1000)
         tasks.setsockopt(zmq.LINGER, 0)
-        tasks.connect(f"ipc://{address}")  # the worker binds: a connecting PUSH queues at once, a bound one does not
-        link = {
+        link: dict[str, Any] = {
             "worker": number, "parent": os.getpid(), "ring_fd": self._ring.fd, "frame_bytes": self._ring.frame_bytes,
-            "tasks": f"ipc://{address}", "results": f"ipc://{self._results_path}",
+            "tasks": f"ipc://{address}", "results": f"ipc://{address}-results",
         }  # fmt: skip
+        # The worker binds both. A connecting PUSH queues at once, a bound one does not; and libzmq ends a process that
+        # has no descriptor left for who connects to it over ipc (4.3.5, ipc_listener.cpp:297).
+        tasks.connect(link["tasks"])
         one_thread = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
         try:
             process = subprocess.Popen(
@@ -374,8 +373,8 @@ class WorkerPool:
             )
         except (OSError, MemoryError) as error:
             tasks.close(0)
-            address.unlink(missing_ok=True)
             raise cannot_start(self._kind.command[0], error) from None
+        self.results.connect(link["results"])
         worker = self._workers[number] = _Worker(number, process, tasks, address, self._clock())
         return worker
 
@@ -427,7 +426,9 @@ class WorkerPool:
             worker.process.kill()
             self._dying.append(worker.process)
         worker.tasks.close(0)
-        worker.address.unlink(missing_ok=True)
+        self.results.disconnect(f"ipc://{worker.address}-results")
+        for path in (worker.address, worker.address.with_name(f"{worker.address.name}-results")):
+            path.unlink(missing_ok=True)
         del self._workers[worker.number]
         for task in worker.in_hand.values():
             self._let_go(task)

@@ -69,7 +69,7 @@ def serve(argument: str, prepare: Callable[[Any], Job], rest_ms: int = REST_MS) 
     tasks.setsockopt(zmq.RCVHWM, 1)
     results.setsockopt(zmq.LINGER, 2000)
     tasks.bind(link["tasks"])
-    results.connect(link["results"])
+    results.bind(link["results"])
 
     def answer(kind: str, body: Any) -> None:
         results.send(msgpack.packb([link["worker"], kind, body]))
@@ -108,8 +108,10 @@ def serve(argument: str, prepare: Callable[[Any], Job], rest_ms: int = REST_MS) 
                     answer("report", report)
     finally:
         _ignore_ends()
-        answer("bye", None if job is None else job.close())
+        last = None if job is None else job.close()
         alone = is_dead(link["parent"])  # it was killed: nobody reads the answers, or removes the sockets
+        if not alone:
+            answer("bye", last)
         results.close(0 if alone else 2000)
         context.destroy(linger=0 if alone else 2000)
         if alone:

@@ -33,6 +33,30 @@ serve(sys.argv[-1], lambda setup: Idle())
 """
 
 
+NO_DESCRIPTOR = """
+import resource, sys, zmq
+from pathlib import Path
+from annulus.daemon.evidence import versions
+from annulus.stream.ring import FrameRing
+from annulus.stream.workers import Shared, WorkerKind, WorkerPool
+
+known = versions()
+context, ring = zmq.Context(), FrameRing(2, 1200)
+kind = WorkerKind("idle", [sys.executable, "-c", sys.argv[1]], None, count=1, depth=1)
+pool = WorkerPool(kind, Shared(ring, context, Path(sys.argv[2])))
+usual = resource.getrlimit(resource.RLIMIT_NOFILE)
+resource.setrlimit(resource.RLIMIT_NOFILE, (3, usual[1]))
+pool.results.poll(500)
+assert versions() == known and pool.alive == 1
+resource.setrlimit(resource.RLIMIT_NOFILE, usual)
+while not pool.ready:
+    pool.results.poll(20)
+    pool.poll()
+pool.stop(5.0)
+ring.close()
+"""
+
+
 def refused(number: int) -> Any:
     def fail(*_: Any, **__: Any) -> Any:
         raise OSError(number, os.strerror(number)) if number != errno.ENOMEM else MemoryError
@@ -62,6 +86,13 @@ def test_a_worker_that_cannot_be_started_now_is_started_later(
         pool.stop(0.0)
         context.destroy(linger=0)
         ring.close()
+
+
+def test_a_worker_that_comes_up_where_no_descriptor_is_left_waits_for_one(tmp_path: Path) -> None:
+    """libzmq ends the process that is connected to over ipc and has none left: workers were started, connected, and
+    the daemon was gone with SIGABRT. Nor could it look up its own version for the next file of a recording."""
+    owner = [sys.executable, "-c", NO_DESCRIPTOR, IDLE, str(tmp_path)]
+    assert subprocess.run(owner, timeout=60).returncode == 0
 
 
 def test_an_intake_that_cannot_be_started_now_is_a_camera_that_is_gone(monkeypatch: pytest.MonkeyPatch) -> None:
