@@ -13,6 +13,7 @@ include one that is not the projector's, a picture must have shown it.
 
 from collections import deque
 from collections.abc import Callable
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from statistics import median
 
@@ -60,8 +61,9 @@ class Agreed:
 class Doubt:
     """The frames since labels were last believed."""
 
-    def __init__(self, history: EdgeHistory, period_ns: int) -> None:
-        self._history, self._period_ns = history, period_ns
+    def __init__(self, history: EdgeHistory, period_ns: int, failing: AbstractSet[Lamp] = frozenset()) -> None:
+        """`failing`: lamps whose flashes lit nothing of late; it changes while the doubt lasts."""
+        self._history, self._period_ns, self._failing = history, period_ns, failing
         self._glimpses: deque[Glimpse] = deque(maxlen=GLIMPSES_KEPT)
         self._stamps_impossible = self._by_pictures = False
         self._taken: int | None = None
@@ -76,9 +78,14 @@ class Doubt:
         self._glimpses.clear()
         self._taken = taken
         self.suspected = news in SUSPICIONS
-        self._by_pictures = by_pictures or self.suspected
+        self._by_pictures = by_pictures or self.suspected or news is News.ORDER  # two of one edge: one may be too soon
         self._stamps_impossible = news in (News.EARLY, News.ORDER, News.BETWEEN)
         self.frames, self.pictures = 0, int(news is News.PICTURE)
+
+    def suspect(self) -> None:
+        """A suspicion came to it: from here on, pictures have to speak."""
+        self._glimpses.clear()
+        self.suspected = self._by_pictures = True
 
     def add(self, glimpse: Glimpse) -> None:
         self.frames += 1
@@ -138,6 +145,8 @@ class Doubt:
         if self._by_pictures:
             alone = self._fits_nowhere_else(run, self._history.cycle // 2)  # pairing: what moved by more is adrift
             return self._what_it_says(run[::-1], way, why) if alone else None
+        if way in _MOVED and self._may_be_right(run):
+            return None
         if (
             shown
             and not told
@@ -159,13 +168,30 @@ class Doubt:
             if off
         )
 
+    def _may_be_right(self, run: list[tuple[Glimpse, int]]) -> bool:
+        """Whether a preamble had better say that stamps have moved: a driver that gave away a lamp cycle of frames at
+        once is sooner by that, and its own count goes on.
+        """
+        if not self._history.preambled:
+            return False
+        return all(
+            g.by_stamp is not None and self._is_free(g, g.by_stamp) and self._may_be_of(g, g.by_stamp) for g, _ in run
+        )
+
+    def _is_free(self, glimpse: Glimpse, ordinal: int) -> bool:
+        """Whether that edge may be the frame's for all that time says."""
+        in_time = glimpse.lag_ns is not None and glimpse.lag_ns >= LAG_PERIODS_MIN * self._period_ns
+        return in_time and (self._taken is None or ordinal > self._taken)
+
     def _counts_no_edge(self, run: list[tuple[Glimpse, int]]) -> bool:
         """Whether what the driver counts are no edges of these seconds."""
         return all(g.by_count is not None and self._history.numbered(g.by_count) is None for g, _ in run)
 
     def _may_be_of(self, glimpse: Glimpse, ordinal: int) -> bool:
         flash = self._history.lit(ordinal)
-        return flash is None or glimpse.light is None or glimpse.light is LIGHTS[flash.lamp]
+        if flash is None or glimpse.light is None or glimpse.light is LIGHTS[flash.lamp]:
+            return True
+        return glimpse.light is Light.DARK and flash.lamp in self._failing
 
     def _stepped(self, way: Callable[..., int | None], one: tuple[Glimpse, int], last: tuple[Glimpse, int]) -> bool:
         """Whether timestamps that have moved had not moved there yet, or that one was off by itself."""

@@ -47,14 +47,15 @@ class EdgeHistory:
     one.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, preambled: bool = False) -> None:
+        """`preambled`: there are preambles, as far as is known from before."""
         self.invalid: deque[tuple[int, int]] = deque(maxlen=SPANS_KEPT)
         self._sound_from_ns = 0  # no span is after this
         self._edges: list[PlacedEdge] = []  # by host time
         self._times: list[int] = []  # theirs
         self._by_index: dict[tuple[int, int], PlacedEdge] = {}
         self._by_ordinal: dict[int, PlacedEdge] = {}
-        self.preambled = False  # whether a flash of a preamble was ever among them
+        self.preambled = preambled  # whether a flash of a preamble was ever among them
         self.cycle = CYCLE  # frames after which the lamps repeat themselves
         self._period_ns: float | None = None  # as measured
         self._base: PlacedEdge | None = None  # where that measurement begins ..

@@ -27,13 +27,12 @@ from annulus.capture.doubt import Agreed, Doubt, Glimpse
 from annulus.capture.history import EdgeHistory, PlacedEdge
 from annulus.capture.offset import CLEAR, LIGHTS, WINDOW, Before, Offset, OffsetTrack
 from annulus.capture.photometry import Light
-from annulus.capture.proof import CONTRADICTIONS, News, Reason, State, Witness, next_state
+from annulus.capture.proof import CONTRADICTIONS, SUSPICIONS, News, Reason, State, Witness, next_state
 from annulus.capture.seen import FrameSeen
 from annulus.capture.witnesses import Arrivals, Count, Delivery, Pictures
 from annulus.vocabulary import CameraSequence, EdgeFlag, Flash, Label, Lamp
 
 INTERVAL_TOLERANCE = 0.1  # of a period: between opening and closing edge
-BLANK_RUN = 2  # blank pictures one after the other: of a lamp that fails, or buffers that nothing was written into
 HURRIED = 0.5  # of a period: frames that come so soon one after the other were in a queue
 SETTLE_PERIODS = 3.0  # how long a frame waits for an edge that has to be read again
 DOUBT_FRAMES_MAX = 32  # without agreement, before all is searched anew ..
@@ -43,6 +42,10 @@ DOUBT_PICTURES_MAX = 3  # .. and pictures that contradict
 _LABELS = {Lamp.PROJECTOR: Label.PROJECTOR, Lamp.LED: Label.LED}
 _IRREGULAR, _LATE_LOAD, _DISARMED = (  # as plain numbers: asked for every frame
     int(flag) for flag in (EdgeFlag.IRREGULAR, EdgeFlag.LATE_LOAD, EdgeFlag.DISARMED)
+)
+_MISPLACED = frozenset({Reason.EARLY, Reason.ORDER, Reason.SEQUENCE})  # the edge may be another frame's
+_UNLIT = frozenset(  # no flash, or one that may not have been fired
+    {Reason.DARK, Reason.DISARMED, Reason.CUT, Reason.IRREGULAR, Reason.LATE}
 )
 _TIMED = frozenset({Reason.AGREED, Reason.DARK})  # nothing but the picture can speak against it
 
@@ -91,12 +94,15 @@ class Pairing:
         self.before: Before | None = None  # what was proved before the camera began anew
         self.adrift = False  # frames may have been kept or lost by whole lamp cycles since
         self._continuity = Continuity(self.history, self._delivery)
-        self._doubt = Doubt(self.history, period_ns)
+        self._failing: set[Lamp] = set()  # lamps whose last flash lit no picture
+        self._doubt = Doubt(self.history, period_ns, self._failing)
         self._last: int | None = None  # ordinal of the last frame's closing edge ..
         self._searched_to: int | None = None  # .. and of the last that the search looked at
         self._latest_ns = 0  # timestamp ..
         self._arrived_ns: int | None = None  # .. and arrival, of the last frame
-        self._blanks = 0  # pictures one after the other
+        self._dark = 0  # pictures whose flash is not known yet, one after the other
+        self._lit_in: int | None = None  # the controller's life in which a flash was last known
+        self._odd = False  # the last picture was blank, or shown before
 
     @property
     def state(self) -> State:
@@ -176,17 +182,20 @@ class Pairing:
         light = None if repeated or torn or Witness.LAMP in self._without else frame.picture.light
         judged = self._judge(frame)
         reason = self._look(judged, light)
-        self._blanks = self._blanks + 1 if reason is Reason.BLANK else 0
-        contradicts = self._contradiction(reason, light) or self._suspicion(reason, repeated)
-        if contradicts is not None:
-            self.contradictions[contradicts.value] += 1
-            self._doubt.pictures += contradicts is News.PICTURE
-            self._move(contradicts)
-        adrift = self._may_have_lost_a_cycle(frame, judged, repeated)
+        blanks = self._blank(frame, judged, light)
+        self._odd = repeated or blanks > 0 or self._dark > 0
+        for news in (self._contradiction(reason, light), self._suspicion(reason, repeated, blanks)):
+            if news is not None:
+                self.contradictions[news.value] += 1
+                self._doubt.pictures += news is News.PICTURE
+                self._move(news)
+        edge = None if judged.closing is None else judged.closing.ordinal
+        one_more = judged.reason is Reason.ORDER and self._counted(frame.sequence) in (None, edge)
+        adrift = self._may_have_lost_a_cycle(frame, judged, repeated + blanks + one_more)
         if adrift:
             self._adrift(adrift)
             return self._nothing()
-        if self.doubtful and self._given_back(frame, judged, light):
+        if self.doubtful and self._given_back(frame, judged, None if blanks else light):
             judged = self._judge(frame)
             reason = self._look(judged, light)
         if judged.closing is not None and self._contradiction(reason, None) is None and not self.doubtful:
@@ -195,6 +204,8 @@ class Pairing:
             reason = Reason.REPEATED if repeated else Reason.TORN
         if reason is Reason.AGREED and self.doubtful:
             reason = Reason.OFFSET
+        shows = judged.opening.flash.lamp if judged.opening is not None and light is not None else None
+        self._continuity.agreed(shows if reason is Reason.AGREED else None)
         self.counters[reason] += 1
         self._arrived_ns = frame.arrived_ns
         return self._labelled(frame, judged, reason)
@@ -291,15 +302,37 @@ class Pairing:
             return None
         return News(reason.value) if reason.value in CONTRADICTIONS else None
 
-    def _suspicion(self, reason: Reason, repeated: bool) -> News | None:
+    def _blank(self, frame: FrameSeen, judged: _Judged, light: Light | None) -> int:
+        """Pictures, this one included, that are dark though a flash was fired, and no lamp known to fail: of buffers
+        that nothing was written into. Where no edge tells of a flash, the next that does says whether lamps were on.
+        """
+        flash = judged.opening.flash if judged.opening is not None and judged.reason not in _MISPLACED else None
+        if flash is None:
+            counted = self._counted(frame.sequence)
+            ordinal = self._arrival_says(frame) if counted is None else counted
+            flash = None if ordinal is None else self.history.lit(ordinal)
+        if flash is None:
+            self._dark += light is Light.DARK
+            return 0
+        dark, self._dark = self._dark if self._lit_in == flash.epoch else 0, 0
+        self._lit_in = flash.epoch
+        if light is Light.DARK and judged.reason not in _UNLIT and flash.width_ticks and not flash.flags & _DISARMED:
+            new = self._odd or flash.lamp not in self._failing
+            self._failing.add(flash.lamp)
+            return dark + new
+        if light is LIGHTS[flash.lamp]:
+            self._failing.discard(flash.lamp)
+        return dark
+
+    def _suspicion(self, reason: Reason, repeated: bool, blanks: int) -> News | None:
         """What contradicts nobody, but may be the first of frames that are not what they seem."""
-        if repeated and reason in _TIMED:
+        if repeated:
             return News.REPEATED
-        if self._blanks >= BLANK_RUN:
+        if blanks:
             return News.BLANK
         return News.SKIPPED if reason is Reason.SKIPPED and self._last is not None else None
 
-    def _may_have_lost_a_cycle(self, frame: FrameSeen, judged: _Judged, repeated: bool) -> str:
+    def _may_have_lost_a_cycle(self, frame: FrameSeen, judged: _Judged, moved: int) -> str:
         """Why nothing but a preamble can tell now which frame this is; empty where something else does."""
         if not self._asks_preambles:
             return ""
@@ -307,7 +340,7 @@ class Pairing:
         count = self._counted(frame.sequence)
         counted = None if count is None else judged.closing is not None and count == judged.closing.ordinal
         edgeless = count is not None and judged.reason is Reason.NO_EDGE
-        return self._continuity.broken(periods, counted, repeated, self._blanks, edgeless)
+        return self._continuity.broken(periods, counted, moved, edgeless)
 
     @property
     def _asks_preambles(self) -> bool:
@@ -395,9 +428,10 @@ class Pairing:
     def _begin(self, offset_ns: int) -> None:
         self._track = OffsetTrack(offset_ns, self._period_ns)
         self._arrivals, self._count = Arrivals(self._period_ns), Count()
-        self._doubt, self._delivery = Doubt(self.history, self._period_ns), Delivery()
+        self._doubt, self._delivery = Doubt(self.history, self._period_ns, self._failing), Delivery()
         self._last = self._searched_to = self._arrived_ns = self.before = None
         self._continuity = Continuity(self.history, self._delivery)
+        self._dark = 0
         self.adrift = False
 
     def _adrift(self, why: str) -> None:
@@ -409,12 +443,13 @@ class Pairing:
     def _move(self, news: News, why: str = "") -> None:
         before, self._state = self._state, next_state(self._state, news)
         if self._state is before:
+            again = news is News.SKIPPED and self._doubt.suspected  # a hole is met again with every frame behind it
+            if self._state is State.DOUBTED and news in SUSPICIONS and not again:
+                self._doubt.suspect()
             return
         if self._state in (State.DOUBTED, State.TENTATIVE):
             taken = None if Witness.ORDER in self._without else self._last
             self._doubt.begin(news, taken, Witness.ARRIVAL not in self._without and self._delivery.one_witness)
-        elif self._state is State.PROVED:
-            self._continuity.proved()
         if self._tell is not None:
             self._tell(f"labels were {before}, now {self._state}: {why or news}")
 

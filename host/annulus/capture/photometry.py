@@ -32,6 +32,7 @@ LIT_EVERYWHERE = 0.5  # of the samples: stripes alone never light that many
 LIT_OF_PEAK = 0.2  # a sample brighter than this share of the peak is lit
 STRIPED_MIN, PLAIN_MAX = 0.12, 0.06  # difference over sum of neighbouring samples: of fringes, of the LED
 STRIPED_PEAK = 2 * DARK_GREY  # in less light noise is striped
+EVEN_GREY = 1  # a picture whose samples differ by less than this in no channel is of no lens: an empty buffer's
 BANDS = 8
 ROW_SPREAD_MAX = 2 * LED_SPREAD_MAX  # a row alone is noisier than a picture
 BUSY_GREY = 3  # a row whose samples differ by less may be any picture's
@@ -105,6 +106,8 @@ def measure(image: Image, green_first: bool = False) -> Photometry:
     top, bottom = (_hashed(row, 6) if np.ptp(row) >= BUSY_GREY else None for row in (sampled[0], sampled[-1]))
     brightest = np.maximum(np.maximum(blue, green), red)
     peak = _percentile(brightest, PEAK_SHARE)
+    if all(np.ptp(channel) < EVEN_GREY for channel in (blue, green, red)):
+        return Photometry(0.0, 0.0, 0.0, (Light.DARK,) * BANDS, fingerprint)
     row = np.ones(brightest.shape[1], np.float32)
     lit = ((brightest > LIT_OF_PEAK * peak).astype(np.float32) @ row).astype(np.float64) / len(row)
     # Of each row and channel: the light, and the light weighted with its share. What is too dark has no hue.

@@ -167,7 +167,9 @@ class Scan:
         self._start_by = time.monotonic() + OPEN_S
         for feed, mode in zip(self._power.feeds, self._power.modes, strict=True):
             alone = self._power.line is None
-            labelling = Labelling(mode, self._navigation, self._observers.event, alone=alone)
+            labelling = Labelling(
+                mode, self._navigation, self._observers.event, alone, preambles=not (alone or self._blind)
+            )
             self.intakes.append(Intake(feed, mode, labelling, self._power.shared.ring))
             self.intakes[-1].start()
         self._account.begin()

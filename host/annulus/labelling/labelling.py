@@ -53,13 +53,15 @@ class Labelling:
         tell: Callable[[str, str], None],
         alone: bool,
         *,
+        preambles: bool = False,
         without: frozenset[Witness] = frozenset(),
     ) -> None:
-        """`alone`: there is no controller; labels are those the frames bring, or unknown. `without`: witnesses that are
-        not asked, to show what they are good for.
+        """`alone`: there is no controller; labels are those the frames bring, or unknown. `preambles`: the controller
+        makes some, and one who reads the evidence from the middle has to know. `without`: witnesses that are not asked,
+        to show what they are good for.
         """
         self._mode, self._navigation, self._alone = mode, navigation, alone
-        navigation.journal.camera(alone, **asdict(mode))
+        navigation.journal.camera(alone, **asdict(mode), preambles=preambles)
         self._tell, self._without = tell, without
         self._pairing = Pairing(
             mode.period_ns, history=navigation.edges, without=without, tell=lambda text: tell("labels", text)

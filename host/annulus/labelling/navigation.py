@@ -50,7 +50,7 @@ class Navigation:
         """Some of what came is missing, for the `which`-th time: edges before are no guide, nor is z. Labellings that
         have these edges have to be made anew.
         """
-        self.edges = EdgeHistory()
+        self.edges = EdgeHistory(self.edges.preambled)
         self.odometer.cut(which)
 
     def zero(self) -> None:

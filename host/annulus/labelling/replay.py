@@ -42,13 +42,21 @@ CUT_PERIODS = 3.0  # so long after it a cut of the lamps may be heard of, as an 
 
 
 class _Camera:
-    def __init__(self, mode: CameraMode, navigation: Navigation, alone: bool, looks: bool) -> None:
-        """`looks`: for an offset, with every frame; else when a row says that the head did."""
-        self.mode, self.alone, self.looks = mode, alone, looks
+    def __init__(self, mode: CameraMode, navigation: Navigation, alone: bool, looks: bool, preambles: bool) -> None:
+        """`looks`: for an offset, with every frame; else when a row says that the head did. `preambles`: there are."""
+        self.mode, self.alone, self.looks, self.preambles = mode, alone, looks, preambles
         self.labelling = Labelling(mode, navigation, lambda *_: None, alone)
         self.seen: deque[FrameSeen] = deque()  # and no label was said of it
         self.due: deque[tuple[Row, FrameSeen]] = deque()  # a label was said of it, and may be said better
         self.now_ns = 0
+
+    def in_the_dark(self, navigation: Navigation) -> None:
+        """It begins behind a hole, in which the driver may have kept frames by whole lamp cycles, or always had: where
+        there are preambles, one has to tell.
+        """
+        navigation.edges.preambled |= self.preambles
+        if navigation.edges.preambled:
+            self.labelling.restarted()
 
 
 class Replay:
@@ -85,7 +93,9 @@ class Replay:
         self._cuts += 1
         self._begun = self._wants_odometer = self._in_hole = True
         for camera in self._cameras.values():
-            self._cameras[camera.mode.camera] = _Camera(camera.mode, self._navigation, camera.alone, looks=True)
+            began = _Camera(camera.mode, self._navigation, camera.alone, True, camera.preambles)
+            began.in_the_dark(self._navigation)
+            self._cameras[camera.mode.camera] = began
         return said
 
     def finish(self) -> list[Said]:
@@ -111,7 +121,11 @@ class Replay:
                 mode = _mode(row)
                 if self._placed and not (again and mode.camera in self._cameras):
                     looks = self._cuts > 0 or self._patience_ns > 0
-                    self._cameras[mode.camera] = _Camera(mode, navigation, bool(row["alone"]), looks)
+                    preambles = bool(row.get("preambles", False))  # recordings before 2026-11-27 do not say
+                    began = _Camera(mode, navigation, bool(row["alone"]), looks, preambles)
+                    self._cameras[mode.camera] = began
+                    if self._cuts:
+                        began.in_the_dark(navigation)
             case "edge" | "cut" if again:
                 pass
             case "edge":

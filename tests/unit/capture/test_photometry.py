@@ -59,10 +59,16 @@ def test_both_lamps_are_never_taken_for_one() -> None:
         assert measure(picture(wall, 1.0, 0.8)).light in (Light.BOTH, Light.UNCLEAR)
 
 
-@pytest.mark.parametrize("shape", [(78, 104), (77, 103), (2, 2), (1232, 1664)])
+@pytest.mark.parametrize("shape", [(78, 104), (77, 103), (4, 4), (1232, 1664)])
 def test_any_size_is_measured(shape: tuple[int, int]) -> None:
-    assert measure(np.full((*shape, 3), 90, np.uint8)).light is Light.LED
-    assert measure(np.full(shape, 90, np.uint8)).light is Light.LED
+    grey = np.random.default_rng(5).integers(88, 93, shape).astype(np.uint8)
+    assert measure(grey).light is measure(np.repeat(grey[..., None], 3, axis=2)).light is Light.LED
+
+
+@pytest.mark.parametrize("colour", [(0, 0, 0), (0, 135, 0), (90, 90, 90), (255, 255, 255)])
+def test_a_picture_without_any_noise_is_no_lamps(colour: tuple[int, int, int]) -> None:
+    """A buffer that nothing was written into; of zeros, YUV makes it green."""
+    assert measure(np.full((78, 104, 3), colour, np.uint8)).light is Light.DARK
 
 
 @pytest.mark.parametrize("wall", WALLS)

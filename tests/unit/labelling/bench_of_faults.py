@@ -41,6 +41,7 @@ class Faults:
     pictured: Callable[[int], int] = lambda k: k  # whose picture this frame brings
     blank: Callable[[int], bool] = lambda k: False  # nothing was written into its buffer
     torn: Callable[[int], bool] = lambda k: False
+    kept: Callable[[int], int] = lambda k: 0  # frames in the driver's hands before this one is given away
     reset: Callable[[int], bool] = lambda k: False  # the controller restarts before this edge, three edges are missed
     lamp: Callable[[int], Lamp] | None = None  # after edge k; else the cycle
     preamble: Callable[[int], bool] = lambda k: False  # whether that lamp is of a preamble
@@ -125,7 +126,9 @@ class Bench:
         ends = START + k * PERIOD
         jitter = self.random.gauss(0, self.jitter_ms)
         stamp = ends + round((self.offset_ms + jitter + self.faults.stamp_ms(k)) * MS)
-        came = ends + round((self.lag_ms + self.random.expovariate(1 / self.late_ms)) * MS)
+        came = (
+            ends + round((self.lag_ms + self.random.expovariate(1 / self.late_ms)) * MS) + self.faults.kept(k) * PERIOD
+        )
         came = max(came, START + self.faults.stall_until(k) * PERIOD + 6 * MS, self.taken_ns + 2 * MS)
         self.taken_ns = came
         shown = self.faults.pictured(k)
