@@ -78,7 +78,7 @@ class Doubt:
         self._glimpses.clear()
         self._taken = taken
         self.suspected = news in SUSPICIONS
-        self._by_pictures = by_pictures or self.suspected or news is News.ORDER  # two of one edge: one may be too soon
+        self._by_pictures = by_pictures or self.suspected
         self._stamps_impossible = news in (News.EARLY, News.ORDER, News.BETWEEN)
         self.frames, self.pictures = 0, int(news is News.PICTURE)
 

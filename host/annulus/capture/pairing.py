@@ -97,6 +97,7 @@ class Pairing:
         self._failing: set[Lamp] = set()  # lamps whose last flash lit no picture
         self._doubt = Doubt(self.history, period_ns, self._failing)
         self._last: int | None = None  # ordinal of the last frame's closing edge ..
+        self._since = 0  # frames since that one
         self._searched_to: int | None = None  # .. and of the last that the search looked at
         self._latest_ns = 0  # timestamp ..
         self._arrived_ns: int | None = None  # .. and arrival, of the last frame
@@ -184,13 +185,15 @@ class Pairing:
         reason = self._look(judged, light)
         blanks = self._blank(frame, judged, light)
         self._odd = repeated or blanks > 0 or self._dark > 0
-        for news in (self._contradiction(reason, light), self._suspicion(reason, repeated, blanks)):
+        self._since += 1
+        for news in (self._contradiction(reason, light), self._suspicion(judged, reason, repeated, blanks)):
             if news is not None:
                 self.contradictions[news.value] += 1
                 self._doubt.pictures += news is News.PICTURE
                 self._move(news)
-        edge = None if judged.closing is None else judged.closing.ordinal
-        one_more = judged.reason is Reason.ORDER and self._counted(frame.sequence) in (None, edge)
+        one_more = judged.reason is Reason.ORDER and self._hurried(frame)
+        if one_more:  # of an edge that had its frame: one of the two may be a picture too soon
+            self._doubt.suspect()
         adrift = self._may_have_lost_a_cycle(frame, judged, repeated + blanks + one_more)
         if adrift:
             self._adrift(adrift)
@@ -324,13 +327,16 @@ class Pairing:
             self._failing.discard(flash.lamp)
         return dark
 
-    def _suspicion(self, reason: Reason, repeated: bool, blanks: int) -> News | None:
+    def _suspicion(self, judged: _Judged, reason: Reason, repeated: bool, blanks: int) -> News | None:
         """What contradicts nobody, but may be the first of frames that are not what they seem."""
         if repeated:
             return News.REPEATED
         if blanks:
             return News.BLANK
-        return News.SKIPPED if reason is Reason.SKIPPED and self._last is not None else None
+        if reason is not Reason.SKIPPED or self._last is None or judged.closing is None:
+            return None
+        none_missing = self._state is State.DOUBTED and judged.closing.ordinal - self._last <= self._since
+        return None if none_missing else News.SKIPPED
 
     def _may_have_lost_a_cycle(self, frame: FrameSeen, judged: _Judged, moved: int) -> str:
         """Why nothing but a preamble can tell now which frame this is; empty where something else does."""
@@ -396,7 +402,7 @@ class Pairing:
             self._move(News.GIVEN_UP, "given up")
 
     def _restore(self, frame: FrameSeen, agreed: Agreed) -> None:
-        self._last = agreed.ordinals[-2]
+        self._last, self._since = agreed.ordinals[-2], 1
         if agreed.offset_ns is not None:
             self._track.moved(frame.timestamp_ns, agreed.offset_ns)
         if agreed.ahead is not None:
@@ -409,7 +415,7 @@ class Pairing:
         """From a frame that nobody contradicts."""
         if self._last is not None and self._counted(frame.sequence) is None:
             self._continuity.missed(closing.ordinal - self._last - 1)
-        self._last = closing.ordinal
+        self._last, self._since = closing.ordinal, 0
         opening = self.history.opening(closing)
         if opening is not None and EdgeFlag.PREAMBLE in opening.flash.flags:
             self._continuity.vouched()
