@@ -13,6 +13,7 @@ from annulus.numeric.rounding import ARC, DISTANCE, MEASURE, clock_face, said, s
 from annulus.vocabulary import Finding
 from annulus.wall.grid import Wall
 from annulus.wall.indications import arc_of
+from annulus.wall.shape import harmonics
 
 if TYPE_CHECKING:  # features' clock faces are from here
     from annulus.wall.features import Feature
@@ -33,11 +34,14 @@ EVEN_DEG = 5.0  # radii are evened out over so much before the line is measured:
 class Stations:
     """One entry a station; NaN where less than half of its diameters was measured.
 
-    z_mm, diameter_min/max/mean_mm (as measured, local defects included), ovality_percent (ASTM F1216 from those three),
-    shape_ovality_percent (ASTM F1216 of the pipe's fitted shape, local defects left out; NaN where too little was seen
-    for it), valid_fraction (of the wall seen, 0..1), diameter_k2_mm (expanded uncertainty, k = 2, of one of those
-    diameters and of the next two; NaN where points say nothing of theirs). diameter_x_mm, diameter_y_mm: horizontal and
-    vertical, through the middle of the pipe's shape; they need their own four ends only. circumference_mm, area_mm2: of
+    z_mm; diameter_min/max_mm, of those that were seen, local defects included; diameter_mean_mm, the length of the
+    pipe's fitted shape over pi, as a tape has it, and what the seen wall departs from it on the average: never a mean
+    of what happened to be seen. ovality_percent (ASTM F1216 from those three: at least so much, where an arc was not
+    seen), shape_ovality_percent (ASTM F1216 of the pipe's fitted shape, local defects left out; NaN where too little
+    was seen for it), valid_fraction (of the wall seen, 0..1), diameter_k2_mm (expanded uncertainty, k = 2, of one of
+    those diameters, with what the shape may be off where nobody saw, and of the next two; NaN where points say nothing
+    of theirs). diameter_x_mm, diameter_y_mm: horizontal and vertical, through the middle of the pipe's shape; they need
+    their own four ends only. circumference_mm, area_mm2: of
     the inner wall as measured, local defects included; NaN where an arc of more than 20 degrees, or a tenth of the way
     round, was not seen, for narrower ones are crossed in the course of the pipe's shape. circumference_k2_mm,
     area_k2_mm2: their expanded uncertainty; what may lie in an arc that nobody saw is not in it. All (S,) float64.
@@ -139,7 +143,9 @@ def measure_stations(wall: Wall, station_mm: float = STATION_MM) -> Stations:
     """
     rows = max(1, round(station_mm / wall.z_step_mm))
     columns = len(wall.clock_deg)
-    shape, fitted_mm = shape_ovality(wall), wall.shape_radius_mm()
+    shape, fitted_mm, basis = shape_ovality(wall), wall.shape_radius_mm(), harmonics(wall.clock_deg)
+    # by so much an ellipse, or a pipe between plates, departs from a shape of two waves
+    bent = (wall.shape_mm[:, 3] ** 2 + wall.shape_mm[:, 4] ** 2) / np.maximum(wall.shape_mm[:, 0], 1.0)
     out = []
     for start in range(0, len(wall.z_mm), rows):
         part = slice(start, min(start + rows, len(wall.z_mm)))
@@ -148,17 +154,23 @@ def measure_stations(wall: Wall, station_mm: float = STATION_MM) -> Stations:
         valid = float(wall.seen[part].mean())
         stated = wall.sigma_mm[part][np.isfinite(wall.sigma_mm[part])]
         error = float(np.median(stated)) if len(stated) else np.nan
-        k2 = 2.0 * np.sqrt((2.0 * error) ** 2 + 2.0 * float(wall.noise_mm[part].mean()) ** 2)
+        outline = fitted_mm[part].mean(axis=0, dtype=float)
+        of_unseen = (basis * ~np.isfinite(radius)[:, None]).mean(axis=0)
+        middle = wall.shape_covariance[start + (part.stop - start) // 2]
+        guessed = 2.0 * np.sqrt(max(of_unseen @ middle @ of_unseen, 0.0)) if of_unseen.any() else 0.0
+        guessed += 2.0 * of_unseen[0] * float(bent[part].mean())
+        k2 = 2.0 * np.sqrt((2.0 * error) ** 2 + 2.0 * float(wall.noise_mm[part].mean()) ** 2 + guessed**2)
         z = float(wall.z_mm[part].mean())
         measured = diameter[np.isfinite(diameter)]
         across = across_mm(radius, wall.shape_mm[part].mean(axis=0), wall.clock_deg)
-        length, area = around_mm(radius, fitted_mm[part].mean(axis=0, dtype=float))
+        length, area = around_mm(radius, outline)
         sizes = (*across, length, 4 * np.pi * error if length > 0 else np.nan, area, 2 * length * error)
         if len(measured) < PAIRS_NEEDED * len(diameter):
             known = np.isfinite(across).any()
             out.append((z, np.nan, np.nan, np.nan, float(shape[part].mean()), valid, k2 if known else np.nan, *sizes))
             continue
-        low, high, mean = float(measured.min()), float(measured.max()), float(measured.mean())
+        low, high = float(measured.min()), float(measured.max())
+        mean = _closed(outline)[0] / np.pi + 2.0 * float(np.nan_to_num(radius - outline).mean())
         out.append((z, low, high, mean, float(shape[part].mean()), valid, k2, *sizes))
     z_mm, smallest, largest, means, fitted, seen, k2s, *more = np.array(out, dtype=float).T
     return Stations(z_mm, smallest, largest, means, f1216(largest, smallest, means), fitted, seen, k2s, *more)
@@ -198,7 +210,13 @@ def around_mm(radius_mm: FloatArray, shape_mm: FloatArray) -> tuple[float, float
     if gaps.max() * 360.0 / n > GAP_MAX_DEG:
         return np.nan, np.nan
     departure = np.interp(np.arange(n), known, (radius_mm - shape_mm)[known], period=n)
-    radius = ndimage.uniform_filter1d(shape_mm + departure, max(1, round(EVEN_DEG * n / 360.0)), mode="wrap")
+    return _closed(shape_mm + departure)
+
+
+def _closed(radius_mm: FloatArray) -> tuple[float, float]:
+    """Length, mm, and area, mm^2, of the line through radii (A,) all the way round, noise evened out."""
+    n = len(radius_mm)
+    radius = ndimage.uniform_filter1d(radius_mm, max(1, round(EVEN_DEG * n / 360.0)), mode="wrap")
     turn = 2 * np.pi / n
     ahead = np.roll(radius, -1)
     # a chord is shorter than the arc that its two radii stand for: a circle of n corners is a circle again
