@@ -31,8 +31,8 @@ from annulus.record.origin import origin_of
 from annulus.report import FILES, Account, head_kind, prepare_folder, write
 from annulus.reprocess import (
     Job,
+    LedFrames,
     Processes,
-    led_frames,
     measure,
     method_for,
     open_job,
@@ -151,7 +151,7 @@ def _demo(wish_s: float | None, out: Path, world: World, interrupt: Interrupt, b
         again = {profile.frame for profile in late}
         profiles = [profile for profile in profiles if profile.frame not in again] + late
         with bars.spinning("building the wall, drawing the report"):
-            pipe = survey(sorted(profiles, key=lambda one: one.frame), job.calibration, led_frames(job))
+            pipe = survey(sorted(profiles, key=lambda one: one.frame), job.calibration, LedFrames(job))
             truth = _truth(world, pipe)
             write(pipe, _account(job, pipe, report, pace, late, truth), out)
     for line in _said(out, pipe, truth, time.monotonic() - begun):

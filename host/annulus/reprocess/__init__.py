@@ -9,7 +9,7 @@ scan is decided before, and chunks are fixed. A scan under fringes has no profil
 """
 
 from annulus.reprocess.ahead import make_ready
-from annulus.reprocess.engine import Reprocessed, led_frames, look_at, measure, reprocess, survey_of
+from annulus.reprocess.engine import LedFrames, Reprocessed, look_at, measure, reprocess, survey_of
 from annulus.reprocess.executors import Executor, Failed, Processes, Work, in_process
 from annulus.reprocess.fringe import reconstruct_fringe
 from annulus.reprocess.fringe_job import FringeJob, open_fringe
@@ -25,6 +25,7 @@ __all__ = [
     "FringeJob",
     "FringePipeJob",
     "Job",
+    "LedFrames",
     "MeasuredPipe",
     "Method",
     "Processes",
@@ -33,7 +34,6 @@ __all__ = [
     "Work",
     "fringes_on",
     "in_process",
-    "led_frames",
     "look_at",
     "make_ready",
     "measure",

@@ -17,7 +17,7 @@ from annulus.reprocess.job import Job, Measured, open_job, stage_medians, turns_
 from annulus.reprocess.method import examined
 from annulus.reprocess.places import incomplete_findings, place_findings
 from annulus.reprocess.ranges import CHUNK
-from annulus.rings.diagnosis import Exposure, exposure_findings, reference_findings
+from annulus.rings.diagnosis import Exposure, diagnose, exposure_findings, lamp_findings, reference_findings
 from annulus.stereo import CAMERA_MISSING, TWO_WALLS
 from annulus.vocabulary import AnnulusError, Finding, Label, first_few
 from annulus.wall import survey
@@ -49,9 +49,10 @@ class Reprocessed:
 
     def survey(self, *, vibration: bool = False, fps: float | None = None, progress: Progress | None = None) -> Survey:
         """What profiles, LED frames and capacitive sectors say of the pipe; see `wall.survey`, `with_bores`."""
-        leds = led_frames(self.job, progress)
+        leds = LedFrames(self.job, progress)
         turns = turns_of(self.job.scan)
         pipe = survey(self.profiles, self.job.calibration, leds, turns=turns, vibration=vibration, fps=fps)
+        pipe = replace(pipe, disbelieved=(*pipe.disbelieved, *leds.findings()))
         return with_bores(self.job.scan, self.profiles, pipe)
 
 
@@ -137,6 +138,9 @@ def account(
     findings = [*decided]
     if job.calibration.kind == "slits":  # a bright line is a small part of a dark picture, and has no colour to lose
         findings[:0] = exposure_findings(seen.lights)
+        if of_hues(job):
+            of_led = [frame for frame, light in seen.lights if light.of_led]
+            findings += lamp_findings(of_led, len(seen.lights), Label.LED, Label.PROJECTOR)
     findings += damage_findings(job, damaged)
     if findings and not seen.poses:
         raise AnnulusError(f"{job.scan.path}: {findings[0].text}.")
@@ -173,14 +177,33 @@ def measure(
     return [one for number in sorted(done) for one in done[number]]
 
 
-def led_frames(job: Job, progress: Progress | None = None) -> Iterator[LedFrame]:
-    """The scan's LED frames, read one at a time."""
-    which = job.which(Label.LED)
-    for done, (i, image) in enumerate(_intact(job, which)):
-        frame = job.scan.frames[i]
-        yield LedFrame(frame.index, frame.z_mm, image, frame.camera)
-        if progress is not None:
-            progress("texture", done + 1, len(which))
+def of_hues(job: Job) -> bool:
+    """Whether the light of the projector is known by its colours."""
+    return job.calibration.kind == "slits" and len(set(job.calibration.colours)) > 1
+
+
+class LedFrames:
+    """The scan's LED frames, read one at a time; then, what is said of those that show another lamp's light."""
+
+    def __init__(self, job: Job, progress: Progress | None = None) -> None:
+        self._job, self._progress = job, progress
+        self._which = job.which(Label.LED)
+        self._others: list[int] = []
+
+    def __iter__(self) -> Iterator[LedFrame]:
+        self._others.clear()
+        several = of_hues(self._job)
+        for done, (i, image) in enumerate(_intact(self._job, self._which)):
+            frame = self._job.scan.frames[i]
+            if several and diagnose(image).of_projector:
+                self._others.append(frame.index)
+            else:
+                yield LedFrame(frame.index, frame.z_mm, image, frame.camera)
+            if self._progress is not None:
+                self._progress("texture", done + 1, len(self._which))
+
+    def findings(self) -> tuple[Finding, ...]:
+        return lamp_findings(self._others, len(self._which), Label.PROJECTOR, Label.LED)
 
 
 def _intact(job: Job, which: Sequence[int]) -> Iterator[tuple[int, Image]]:

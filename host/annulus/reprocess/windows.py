@@ -13,7 +13,7 @@ from typing import Any, Protocol
 from annulus.numeric.rounding import DISTANCE, said, span
 from annulus.record.scan import Scan
 from annulus.reprocess.abstract_file import packed, unpacked
-from annulus.reprocess.engine import Progress, led_frames
+from annulus.reprocess.engine import LedFrames, Progress
 from annulus.reprocess.executors import Executor, Failed, in_process
 from annulus.reprocess.job import Job, turns_of
 from annulus.reprocess.ranges import identity, part_of, without_frames
@@ -122,17 +122,18 @@ class WindowWork:
         if there is not None:
             return there
         window, job = portion.window, replace(self.job, scan=portion.part)
+        leds = LedFrames(job)
         try:
             whole = survey(
                 portion.profiles.of(window.frames),
                 job.calibration,
-                led_frames(job),
+                leds,
                 turns=turns_of(job.scan),
                 vibration=self.vibration,
                 fps=self.fps,
                 z_step_mm=self.z_step_mm,
             )
-            kept = between(whole, window)
+            kept = between(replace(whole, disbelieved=(*whole.disbelieved, *leds.findings())), window)
             if not len(kept.wall.z_mm):
                 raise AnnulusError("no wall between its cuts")
         except AnnulusError as error:

@@ -27,6 +27,8 @@ LIT_OF_BRIGHT = 0.25  # a pixel with this part of the frame's bright level is st
 CLIPPED = 250  # grey level: JPEG moves full scale about by a few
 CLIPPED_MOST = 0.25  # of the stripes may have their own channel at full scale: edges stay where they are ..
 LOST_MOST = 0.05  # .. but where a second one is, the colour is gone
+ONE_HUE_MOST, HUES_LEAST = 0.015, 0.18  # variance of chromaticity: of the LED's light at most, of stripes at least
+FAINT = 5  # grey level: a channel below says nothing of hue
 NAMES_MOST = 4  # frames named in one line
 RADIUS_OFF = 0.01  # of the radius; less is within what pipes of one size differ by
 SUSPECT = 0.0015  # of the radius; points that scatter more about a cylinder are looked at flipped, too
@@ -49,16 +51,19 @@ class Trouble(StrEnum):
     COLOURS = "colours"
     PAINT = "paint"
     REFERENCE = "reference"
+    LAMP = "lamp"
 
 
 @dataclass(frozen=True, slots=True)
 class Exposure:
     """How one frame is lit. `bright`: grey level of the brightest channel that one pixel in two hundred exceeds.
-    `clipped`: share of the lit pixels with a channel at full scale; `lost`: with two, so that no colour is left."""
+    `clipped`: share of the lit pixels with a channel at full scale; `lost`: with two, so that no colour is left.
+    `hues`: variance of chromaticity, 0..2/3: 0.3 to 0.4 of stripes, below 0.01 of a white lamp on one wall."""
 
     bright: float
     clipped: float
     lost: float
+    hues: float
 
     @property
     def dark(self) -> bool:
@@ -67,6 +72,15 @@ class Exposure:
     @property
     def over_exposed(self) -> bool:
         return self.clipped > CLIPPED_MOST or self.lost > LOST_MOST
+
+    @property
+    def of_led(self) -> bool:
+        """Whether one hue is all there is: no stripes of a slide of several colours."""
+        return not self.dark and self.hues <= ONE_HUE_MOST
+
+    @property
+    def of_projector(self) -> bool:
+        return not self.dark and self.hues >= HUES_LEAST
 
 
 def diagnose(image_bgr: NDArray[np.uint8]) -> Exposure:
@@ -78,7 +92,17 @@ def diagnose(image_bgr: NDArray[np.uint8]) -> Exposure:
     above, lost = (np.cumsum(np.bincount(np.ravel(c), minlength=256)[::-1])[::-1] for c in (top, second))
     bright = int(np.flatnonzero(above > 0.005 * above[0])[-1])
     lit = max(int(above[int(max(LIT_OF_BRIGHT * bright, 1))]), 1)
-    return Exposure(float(bright), float(above[CLIPPED]) / lit, float(lost[CLIPPED]) / lit)
+    return Exposure(float(bright), float(above[CLIPPED]) / lit, float(lost[CLIPPED]) / lit, _hues(some))
+
+
+def _hues(image_bgr: NDArray[np.uint8]) -> float:
+    """Variance of chromaticity over a picture, weighted with brightness."""
+    light = np.where(image_bgr > FAINT, image_bgr, 0).reshape(-1, 3).astype(np.float32)
+    total = np.maximum(light.sum(axis=1), 1.0)
+    weight = max(float(light.sum()), 1.0)
+    return max(
+        0.0, float((light**2 / total[:, None]).sum()) / weight - float(((light.sum(axis=0) / weight) ** 2).sum())
+    )
 
 
 def reference_findings(reference: Reference, poses: Sequence[Pose]) -> tuple[Finding, ...]:
@@ -126,6 +150,17 @@ def exposure_findings(exposures: Sequence[tuple[int, Exposure]]) -> tuple[Findin
             )
         )
     return tuple(out)
+
+
+def lamp_findings(frames: Sequence[int], many: int, shown: str, labelled: str) -> tuple[Finding, ...]:
+    """What is said of frames whose picture shows another lamp than their label, of so many with that label."""
+    if not frames:
+        return ()
+    text = (
+        f"{len(frames)} of {many} frames labelled {labelled} show the light of the {shown} ({_named(frames)}): their "
+        "labels are wrong, and where each was taken may be, too; left out"
+    )
+    return (Finding(Trouble.LAMP, text, tuple(frames)),)
 
 
 def _named(frames: Sequence[int]) -> str:

@@ -56,7 +56,7 @@ class Survey:
     vibration : what shook periodically and was taken out; None where nobody asked.
     features : joints, openings, levels and the like, in order of distance; none of them is a defect.
     centreline : pipe coordinates, in which all of this is, and the way to space.
-    disbelieved : what of the sensors the rings contradict.
+    disbelieved : what of the sensors the rings contradict, and of the labels the pictures.
     nominal_diameter_mm : of the calibration. cameras : of the head, their ids.
     timing_ms : of every step.
     """

@@ -105,6 +105,15 @@ def test_the_account_counts_what_the_recording_holds(job: Job) -> None:
     assert done.findings == () and done.timing_ms["total"] > 0
 
 
+def test_frames_whose_picture_shows_another_lamp_are_said_and_left_out(job: Job) -> None:
+    """Four wrong labels in a table were passed without a word; two pictures of rings stood in the wall's texture."""
+    wrong = {4: Label.PROJECTOR, 9: Label.PROJECTOR, 12: Label.LED, 13: Label.LED}
+    frames = tuple(replace(one, label=wrong.get(one.index, one.label)) for one in job.scan.frames)
+    done = reprocess(replace(job, scan=replace(job.scan, frames=frames)))
+    assert [one.frames for one in done.findings if one.kind == "lamp"] == [(4, 9)]
+    assert [one.frames for one in done.survey().findings if one.kind == "lamp"] == [(12, 13)]
+
+
 @pytest.mark.deep(gate="tests/scenes/reprocess/test_engine.py::test_the_account_counts_what_the_recording_holds")
 def test_the_readmes_ten_lines_do_what_they_say(folder: Path) -> None:
     section = README.read_text().split("### In Python, no file written")[1]

@@ -27,8 +27,8 @@ def portions(ranges: int) -> Portions:
     facts = tuple(
         Facts(
             n, f"ranges/{n:06d}.parquet", OF * n, OF * n + OF - 1,
-            tuple((i, Exposure(200.0, 0.0, 0.0)) for i in range(OF * n, OF * n + OF)), (), (), (), (), OF, 1000, {},
-            (0.0, 1.0), {}, True, "a processor", (),
+            tuple((i, Exposure(200.0, 0.0, 0.0, 0.35)) for i in range(OF * n, OF * n + OF)), (), (), (), (), OF,
+            1000, {}, (0.0, 1.0), {}, True, "a processor", (),
         )
         for n in range(ranges)
     )  # fmt: skip
@@ -52,7 +52,7 @@ def test_what_a_window_is_sent_does_not_grow_with_its_scan() -> None:
 def test_what_is_packed_comes_out_as_it_went_in() -> None:
     for value in (
         Pose(0.1, -0.2, 3.0, 4.0, None),
-        Exposure(1.0, 0.5, float("inf")),
+        Exposure(1.0, 0.5, float("inf"), 0.35),
         Place("s3://bucket/x"),
         Processes(3),
     ):

@@ -13,14 +13,14 @@ from annulus.rings.diagnosis import Exposure, reference_findings
 
 @pytest.mark.parametrize(("bright", "dark"), [(13.5, True), (14.5, False)])
 def test_a_frame_is_dark_below_what_any_stripe_has(bright: float, dark: bool) -> None:
-    assert Exposure(bright, 0.0, 0.0).dark is dark
+    assert Exposure(bright, 0.0, 0.0, 0.35).dark is dark
 
 
 @pytest.mark.parametrize(
     ("clipped", "lost", "over"), [(0.24, 0.0, False), (0.26, 0.0, True), (0.2, 0.048, False), (0.2, 0.052, True)]
 )
 def test_a_frame_is_over_exposed_where_colours_go(clipped: float, lost: float, over: bool) -> None:
-    assert Exposure(255.0, clipped, lost).over_exposed is over
+    assert Exposure(255.0, clipped, lost, 0.35).over_exposed is over
 
 
 @pytest.mark.parametrize(("lean_deg", "shift_mm", "far"), [(2.4, 3.6, False), (2.6, 0.0, True), (0.0, 4.0, True)])
