@@ -102,7 +102,7 @@ class Pairing:
         self._latest_ns = 0  # timestamp ..
         self._arrived_ns: int | None = None  # .. and arrival, of the last frame
         self._dark = 0  # pictures whose flash is not known yet, one after the other
-        self._lit_in: int | None = None  # the controller's life in which a flash was last known
+        self._lit: PlacedEdge | None = None  # the last edge whose flash is known
         self._odd = False  # the last picture was blank, or shown before
 
     @property
@@ -309,16 +309,20 @@ class Pairing:
         """Pictures, this one included, that are dark though a flash was fired, and no lamp known to fail: of buffers
         that nothing was written into. Where no edge tells of a flash, the next that does says whether lamps were on.
         """
-        flash = judged.opening.flash if judged.opening is not None and judged.reason not in _MISPLACED else None
-        if flash is None:
+        opening = judged.opening if judged.reason not in _MISPLACED else None
+        if opening is None:
             counted = self._counted(frame.sequence)
             ordinal = self._arrival_says(frame) if counted is None else counted
-            flash = None if ordinal is None else self.history.lit(ordinal)
-        if flash is None:
+            closing = None if ordinal is None else self.history.numbered(ordinal)
+            opening = None if closing is None else self.history.opening(closing)
+        if opening is None:
             self._dark += light is Light.DARK
             return 0
-        dark, self._dark = self._dark if self._lit_in == flash.epoch else 0, 0
-        self._lit_in = flash.epoch
+        flash, before = opening.flash, self._lit
+        alight = (
+            before is not None and before.boot_epoch == opening.boot_epoch and not self.history.cut(before, opening)
+        )
+        dark, self._dark, self._lit = self._dark if alight else 0, 0, opening
         if light is Light.DARK and judged.reason not in _UNLIT and flash.width_ticks and not flash.flags & _DISARMED:
             new = self._odd or flash.lamp not in self._failing
             self._failing.add(flash.lamp)
