@@ -61,6 +61,9 @@ class Drawing:
         while (job := self._jobs.get()) is not None:
             slot = self._slots[job.slot]
             for part in job.frame.parts:  # of a torn picture more than one
+                if part.bottom <= part.top:
+                    slot[:] = 0
+                    continue
                 exposure = part.exposure
                 whole = self._renderer.render(
                     exposure.pose, exposure.z_mm, exposure.projector, exposure.led, seed=exposure.sequence,

@@ -31,7 +31,7 @@ _DRAWS = 8
 
 
 class Part(NamedTuple):
-    """Rows of a picture, from one share of its height to another, that one exposure left there."""
+    """Rows of a picture, from one share of its height to another, that one exposure left there. None: blank."""
 
     exposure: Exposure
     top: float
@@ -72,6 +72,7 @@ class Driver:
         self._past: deque[Exposure] = deque(maxlen=BEHIND_MAX + 1)
         self._turned = sorted(faults.pictures_behind)
         self._behind = 0  # frames
+        self._hiccups = sorted(faults.hiccups)
         self._deepened = sorted(faults.queue_steps)
         self._queued = 0.0  # frames
         self._jumps = sorted(
@@ -95,11 +96,18 @@ class Driver:
         if self._dropped(exposure):
             self._lost("dropped", number)
             return None
+        hiccup = self._hiccup(number, draws)
+        if hiccup == "lost":
+            return None
         due = self._due_tick(exposure, draws)
         if due is None:
             self.counts["dropped_in_stall"] += 1
             return None
         picture = self._pictured(exposure, number, draws)
+        if hiccup == "again" and self._picture:
+            picture = self._picture
+        elif hiccup:
+            picture = (Part(exposure, 0.0, 0.0),)
         self._picture, self._due = picture, due
         count = None if self._faults.uncounted else CameraSequence(max(0, number - self._counted_from))
         stamp = self._stamp(exposure, number, draws)
@@ -167,6 +175,17 @@ class Driver:
                 below = [Part(p.exposure, max(p.top, tear), p.bottom) for p in self._picture if p.bottom > tear]
                 return (Part(exposure, 0.0, tear), *below)
         return (Part(exposure, 0.0, 1.0),)
+
+    def _hiccup(self, number: int, draws: list[float]) -> str:
+        """What comes in place of a picture that is kept: "again", "blank", or "lost" where nobody counts."""
+        while self._hiccups and sum(self._hiccups[0]) <= number:
+            self._hiccups.pop(0)
+            self._lost("hiccup", number - 1)
+        if not self._hiccups or self._hiccups[0][0] > number or self._behind >= BEHIND_MAX:
+            return ""
+        self._behind += 1
+        kinds = ("again", "blank", "lost") if self._faults.uncounted else ("again", "blank")
+        return kinds[int(len(kinds) * draws[2])]
 
     def _stamp(self, exposure: Exposure, number: int, draws: list[float]) -> int:
         faults = self._faults

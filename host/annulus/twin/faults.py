@@ -33,13 +33,14 @@ _PLACED = {  # what the second number may be
     "stamp_steps": (-1000.0, 1000.0),
     "queue_steps": (-100.0, 100.0),
     "pictures_behind": (-16.0, 16.0),
+    "hiccups": (1.0, 16.0),
     "count_jumps": (-1e6, 1e6),
     "frozen": (1.0, 1e6),
     "unplugged": (1.0, 1e6),
     "disconnects": (1.0, 1e6),
     "stalls": (0.0, 1000.0),
 }
-_WHOLE = ("count_jumps", "frozen", "unplugged", "pictures_behind")
+_WHOLE = ("count_jumps", "frozen", "unplugged", "pictures_behind", "hiccups")
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +78,7 @@ class Faults:
     stamped_when_handed_over: bool = False  # a frame that is late has a late stamp, too
     stamps_odd: float = 0.0  # single stamps, by exactly one frame, earlier or later; nothing else is off
     pictures_behind: Placed = ()  # frame, by how many more its pictures are older from there on, and nothing else is
+    hiccups: Placed = ()  # .. and those before show the last again, nothing, or are lost uncounted, by chance
     queue_steps: Placed = ()  # frame, by how many more its driver keeps frames back from there on; stamps with them
 
     def __post_init__(self) -> None:

@@ -33,9 +33,12 @@ class Pictures:
         self._renderer = Renderer(world)
         self._kept: dict[tuple[bool, bool, int, int], tuple[Image, Photometry]] = {}
         self._odd: OrderedDict[int, Image] = OrderedDict()
+        self._blank = measure(np.zeros((world.camera.height, world.camera.width), np.uint8))
 
     def measured(self, parts: tuple[Part, ...]) -> Photometry:
         """What photometry says of a picture."""
+        if parts[0].bottom <= parts[0].top:
+            return self._blank
         if len(parts) == 1:
             exposure = parts[0].exposure
             lit = _lit(exposure)

@@ -39,6 +39,7 @@ _DRAWN: Mapping[str, Callable[[np.random.Generator], tuple[str, float | None]]] 
     "queue steps": lambda rng: ("queue_steps", int(rng.choice([-3, -2, -1, 1, 2, 3]))),
     "queue cycles": lambda rng: ("queue_steps", int(rng.choice([-10, -5, 5, 10]))),
     "pictures behind": lambda rng: ("pictures_behind", int(rng.choice([1, 5]))),
+    "hiccups": lambda rng: ("hiccups", int(rng.integers(1, 7))),
     "deeper restarts": lambda rng: ("unplugged", _AWAY),  # and from then on it keeps a lamp cycle more
 }
 _AWAY = 12  # frames
@@ -154,6 +155,12 @@ PROFILES = {
     "pictures-behind": Profile(
         "pictures of one frame before, or of five more, come with what is said of today's",
         per_million={"pictures behind": 1000},
+    ),
+    "hiccups": Profile(
+        "the driver shows pictures again and blank ones, and those behind are late", per_million={"hiccups": 1000}
+    ),
+    "hiccups-alone": Profile(
+        ".. and loses some, and does not count", Faults(uncounted=True, events_lost=0.01), {"hiccups": 1000}
     ),
     "stamps-odd": Profile("one stamp in ten is off by a frame, by itself", Faults(stamps_odd=0.1)),
     "handed-over": Profile(

@@ -82,7 +82,7 @@ class Truth:
         if header.label is Label.UNKNOWN:
             return Verdict.UNKNOWN
         parts, lamp = frame.parts, LAMPS[header.label]
-        if not all([_lit_evenly(part, lamp) for part in parts]):
+        if not all([part.bottom > part.top and _lit_evenly(part, lamp) for part in parts]):
             return Verdict.WRONG_LAMP
         if not any([self._is_of(header, part) for part in parts]):
             return Verdict.WRONG_PLACE

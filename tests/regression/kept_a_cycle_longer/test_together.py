@@ -9,7 +9,7 @@ from bench_of_faults import Bench, Faults
 from annulus.twin.soak import soak
 from annulus.vocabulary import Lamp
 
-PROFILES = ("deeper-restarts", "pictures-behind", "queue-cycles", "queue-cycles-alone")
+PROFILES = ("hiccups", "hiccups-alone", "deeper-restarts", "pictures-behind", "queue-cycles", "queue-cycles-alone")
 EVERY, LENGTH, AT = 200, 15, 305  # frames
 
 
