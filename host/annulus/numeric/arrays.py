@@ -1,4 +1,4 @@
-"""Names of the array types that travel between rooms."""
+"""Names of the array types that travel between rooms, and the arc that columns round the clock lie on."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,3 +9,12 @@ ComplexArray = NDArray[np.complex128]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
 Image = NDArray[np.uint8]  # (H, W) or (H, W, C)
+
+
+def arc_of(columns: BoolArray, step_deg: float) -> tuple[float, float]:
+    """Start and length (deg) of the smallest arc that holds all marked columns: the circle less its widest gap."""
+    marked = np.flatnonzero(columns)
+    gaps = np.diff(np.append(marked, marked[0] + len(columns)))
+    widest = int(np.argmax(gaps))
+    start = marked[(widest + 1) % len(marked)]
+    return float(start * step_deg), float((len(columns) - gaps[widest] + 1) * step_deg)

@@ -172,7 +172,7 @@ class Measuring:
             chunks = [one.which[k : k + CHUNK] for k in range(0, len(one.which), CHUNK)]
             done = [each for chunk in chunks for each in measured(job, method, chunk)]
             profiles = tuple(profile for profile, _ in done)
-            lights = [[light.bright, light.clipped, light.lost, light.hues] for _, light in done]
+            lights = [[light.bright, light.clipped, light.lost, light.hues, light.glare] for _, light in done]
             about = {"lights": lights, "processor": processor()}
             self.place.write(name, packed(profiles, about))
             return facts_of(one, name, profiles, about, True)
@@ -219,7 +219,7 @@ def facts_of(
 
 
 def _is_light(value: object) -> bool:
-    return isinstance(value, list) and len(value) == 4 and all(type(one) is float for one in value)
+    return isinstance(value, list) and [type(one) for one in value] == [float] * 4 + [int]
 
 
 def identity(part: Scan) -> tuple[Any, ...]:

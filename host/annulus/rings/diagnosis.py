@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -11,7 +12,8 @@ from numpy.typing import NDArray
 
 from annulus.geometry.calibration import Calibration
 from annulus.geometry.pose import Pose
-from annulus.numeric.arrays import FloatArray
+from annulus.numeric.arrays import FloatArray, arc_of
+from annulus.numeric.rounding import clock_face
 from annulus.rings.calibration.reference import ANGLE_FAR, SHIFT_FAR, Reference
 from annulus.rings.colour import ColourProfile, differs, stripes
 from annulus.rings.order import Placed
@@ -29,6 +31,9 @@ CLIPPED_MOST = 0.25  # of the stripes may have their own channel at full scale: 
 LOST_MOST = 0.05  # .. but where a second one is, the colour is gone
 ONE_HUE_MOST, HUES_LEAST = 0.015, 0.18  # variance of chromaticity: of the LED's light at most, of stripes at least
 FAINT = 5  # grey level: a channel below says nothing of hue
+SECTORS = 24  # round the image's middle: 15 degrees each
+GLARE = 0.5  # of a sector's stripes at full scale, in one frame ..
+GLARE_FRAMES = 0.25  # .. and of the frames, before it is said: a bead that shines is not a band
 NAMES_MOST = 4  # frames named in one line
 RADIUS_OFF = 0.01  # of the radius; less is within what pipes of one size differ by
 SUSPECT = 0.0015  # of the radius; points that scatter more about a cylinder are looked at flipped, too
@@ -64,6 +69,7 @@ class Exposure:
     clipped: float
     lost: float
     hues: float
+    glare: int = 0  # sectors, one a bit, clockwise from the top, in which most of the stripes are at full scale
 
     @property
     def dark(self) -> bool:
@@ -91,8 +97,25 @@ def diagnose(image_bgr: NDArray[np.uint8]) -> Exposure:
     top, second = cv2.max(larger, red), cv2.max(smaller, cv2.min(larger, red))
     above, lost = (np.cumsum(np.bincount(np.ravel(c), minlength=256)[::-1])[::-1] for c in (top, second))
     bright = int(np.flatnonzero(above > 0.005 * above[0])[-1])
-    lit = max(int(above[int(max(LIT_OF_BRIGHT * bright, 1))]), 1)
-    return Exposure(float(bright), float(above[CLIPPED]) / lit, float(lost[CLIPPED]) / lit, _hues(some))
+    least = int(max(LIT_OF_BRIGHT * bright, 1))
+    lit = max(int(above[least]), 1)
+    return Exposure(
+        float(bright), float(above[CLIPPED]) / lit, float(lost[CLIPPED]) / lit, _hues(some), _glare(top, least)
+    )
+
+
+def _glare(top: NDArray[np.uint8], least: int) -> int:
+    sector = _sectors(top.shape[0], top.shape[1])
+    lit, clipped = (np.bincount(sector[top >= level], minlength=SECTORS) for level in (least, CLIPPED))
+    return int(sum(1 << int(i) for i in np.flatnonzero(clipped > GLARE * np.maximum(lit, 1))))
+
+
+@lru_cache(maxsize=4)
+def _sectors(rows: int, columns: int) -> NDArray[np.uint8]:
+    """(H, W) which sector a pixel lies in, clockwise from the top."""
+    y, x = np.mgrid[:rows, :columns] - 0.5 * np.array([rows - 1, columns - 1])[:, None, None]
+    turn = np.arctan2(x, -y) / (2 * np.pi) % 1.0
+    return np.asarray(np.minimum(turn * SECTORS, SECTORS - 1), np.uint8)
 
 
 def _hues(image_bgr: NDArray[np.uint8]) -> float:
@@ -149,6 +172,15 @@ def exposure_findings(exposures: Sequence[tuple[int, Exposure]]) -> tuple[Findin
                 frames,
             )
         )
+    often = [sum(e.glare >> i & 1 for _, e in exposures) > GLARE_FRAMES * len(exposures) for i in range(SECTORS)]
+    if any(often) and not all(often):
+        start, arc = arc_of(np.array(often), 360.0 / SECTORS)
+        where = f"{clock_face(start)} to {clock_face(start + arc)}"
+        text = (
+            f"a band is over-exposed as the camera sees it, clock {where}: most stripes there are at full scale in "
+            f"more than {GLARE_FRAMES:.0%} of the projector frames, edges are drawn outwards and colours may be misread"
+        )
+        out.append(Finding(Trouble.OVER_EXPOSED, text))
     return tuple(out)
 
 

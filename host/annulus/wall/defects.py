@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import ndimage
 
-from annulus.numeric.arrays import BoolArray, FloatArray
+from annulus.numeric.arrays import BoolArray, FloatArray, arc_of
 from annulus.numeric.rounding import clock_face
 from annulus.wall.extent import with_shadow, without_scraps
 from annulus.wall.grid import Wall, smooth
@@ -20,7 +20,6 @@ from annulus.wall.indications import (
     LabelArray,
     Limits,
     Scale,
-    arc_of,
     depth_of,
     find_indications,
     without_holes,

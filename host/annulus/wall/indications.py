@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from annulus.numeric.arrays import BoolArray, Float32Array, FloatArray
+from annulus.numeric.arrays import BoolArray, Float32Array, FloatArray, arc_of
 from annulus.numeric.robust import SIGMA_OF_MAD
 from annulus.wall.grid import SHAPE_UNSURE_OF_RADIUS, Wall, smooth
 
@@ -433,12 +433,3 @@ def _floor(place: Indication, cells: BoolArray, scale: Scale) -> float | None:
         return None
     pits, n = label_around(cells & (place.height - 2.0 * place.sigma > middle + PLATEAU_NOISE / 2 * noise))
     return None if any(_is_resolved(pits == i, scale, 1.0) for i in range(1, n + 1)) else middle
-
-
-def arc_of(columns: BoolArray, step_deg: float) -> tuple[float, float]:
-    """Start and length (deg) of the smallest arc that holds all marked columns: the circle less its widest gap."""
-    marked = np.flatnonzero(columns)
-    gaps = np.diff(np.append(marked, marked[0] + len(columns)))
-    widest = int(np.argmax(gaps))
-    start = marked[(widest + 1) % len(marked)]
-    return float(start * step_deg), float((len(columns) - gaps[widest] + 1) * step_deg)

@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import ndimage
 
-from annulus.numeric.arrays import Float32Array, FloatArray
+from annulus.numeric.arrays import Float32Array, FloatArray, arc_of
 from annulus.numeric.robust import nan_median
 from annulus.numeric.rounding import ARC, DISTANCE, MEASURE, clock_face, said, span
 from annulus.vocabulary import Finding
 from annulus.wall.grid import Wall
-from annulus.wall.indications import arc_of
 from annulus.wall.shape import harmonics
 
 if TYPE_CHECKING:  # features' clock faces are from here

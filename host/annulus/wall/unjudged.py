@@ -17,12 +17,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import ndimage
 
-from annulus.numeric.arrays import BoolArray, FloatArray
+from annulus.numeric.arrays import BoolArray, FloatArray, arc_of
 from annulus.numeric.robust import nan_median
 from annulus.numeric.rounding import DISTANCE, clock_face, span
 from annulus.wall.defects import Defect, Detection, Kind
 from annulus.wall.grid import BRIDGE_OF_RADIUS, Wall, smooth
-from annulus.wall.indications import Scale, arc_of, label_around
+from annulus.wall.indications import Scale, label_around
 from annulus.wall.looks import COLUMNS, Looks
 from annulus.wall.profile import Profile
 from annulus.wall.stations import GAP_MAX_DEG, STATION_MM, shape_ovality, swing_k2_mm

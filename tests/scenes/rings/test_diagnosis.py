@@ -71,6 +71,16 @@ def test_another_pipe_than_the_profiles_is_said(frame):
     assert set(troubles(cal, yellow, profile)) == {Trouble.PAINT}
 
 
+def test_a_band_that_is_over_exposed_is_said_with_where(frame):
+    _, image = frame
+    y, x = np.mgrid[: image.shape[0], : image.shape[1]] - 0.5 * np.array(image.shape[:2])[:, None, None]
+    band = np.abs((np.degrees(np.arctan2(x, -y)) - 120.0 + 180.0) % 360.0 - 180.0) < 25.0  # clock 3:10 to 4:50
+    glare = np.where(band[..., None], np.clip(image * 3.0, 0, 255), image).astype(np.uint8)
+    (said,) = exposure_findings([(i, diagnose(glare)) for i in range(4)])
+    assert "clock 3:00 to 5:00" in said.text
+    assert exposure_findings([(0, diagnose(glare)), *((i, diagnose(image)) for i in range(1, 5))]) == ()
+
+
 def test_dark_and_over_exposed_frames_are_named_with_how_much(frame):
     _, image = frame
     cap = np.random.default_rng(1).normal(3, 1.5, image.shape).clip(0, 255).astype(np.uint8)
