@@ -71,6 +71,18 @@ def read_file(path: Path, limit: int) -> bytes:
     return data
 
 
+def require_replaceable(path: Path) -> None:
+    """ValueError where something else than a file stands there: renaming onto a device or a pipe would take it away,
+    and who reads from it would hear nothing. OSError as it comes."""
+    try:
+        mode = path.stat().st_mode
+    except FileNotFoundError:
+        return
+    if not stat.S_ISREG(mode):
+        kinds = {stat.S_IFDIR: "folder", stat.S_IFIFO: "pipe", stat.S_IFSOCK: "socket"}
+        raise ValueError(f"is a {kinds.get(stat.S_IFMT(mode), 'device')}, expected a file's name")
+
+
 def parse_json(
     data: bytes | str, limit: int, restore: Callable[[dict[str, Any]], Any] = lambda members: members
 ) -> Any:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from annulus.export import dxf, e57, glb, laz, pof_csv, radii, xlsx
 from annulus.export.results import Results
+from annulus.untrusted import require_replaceable
 from annulus.vocabulary import AnnulusError
 
 Progress = Callable[[str, int, int], None]
@@ -69,9 +70,17 @@ def _in_place(out: Path, made: list[Path]) -> Iterator[Path]:
         with tempfile.TemporaryDirectory(prefix=".annulus-", dir=out) as staging:
             yield Path(staging)
             for file in sorted(Path(staging).iterdir()):
+                _require_replaceable(out / file.name)
                 file.replace(out / file.name)
                 made.append(out / file.name)
     except (FileExistsError, NotADirectoryError):
         raise AnnulusError(f"{out}: is a file, or lies below one. Expected a folder for the exports.") from None
     except OSError as error:
         raise AnnulusError(f"{out}: cannot be written to ({error.strerror or error}).") from None
+
+
+def _require_replaceable(path: Path) -> None:
+    try:
+        require_replaceable(path)
+    except ValueError as error:
+        raise AnnulusError(f"{path}: {error}.") from None

@@ -21,6 +21,7 @@ import numpy as np
 from annulus.numeric.arrays import FloatArray
 from annulus.record.raster import BYTES_MAX, CHANNELS
 from annulus.record.strength import read_bounded
+from annulus.record.whole import written_whole
 from annulus.untrusted import mapping, parse_json, shown
 from annulus.vocabulary import AnnulusError
 
@@ -99,12 +100,10 @@ def write_raster(path: Path, log: RasterLog, angle_deg: FloatArray, z_mm: FloatA
     for (i, j), values in log.points.items():
         for name, value in zip(log.channels, values, strict=True):
             arrays[name][i, j] = value
-    part = path.with_name(path.name + ".part")
     try:
-        with part.open("wb") as file:
+        with written_whole(path) as file:
             np.savez(file, angle_deg=angle_deg, z_mm=z_mm, **arrays)  # type: ignore[arg-type]
             file.flush()
             os.fsync(file.fileno())
-        part.replace(path)
     except OSError as error:
         raise AnnulusError(f"{path}: cannot be written ({error.strerror}); the points are in {log.path}") from None

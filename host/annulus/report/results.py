@@ -21,6 +21,7 @@ from annulus.report.page import render_page
 from annulus.report.pdf import Paper, to_pdf
 from annulus.report.ply import write_ply
 from annulus.report.summary import summarize
+from annulus.untrusted import require_replaceable
 from annulus.vocabulary import AnnulusError
 from annulus.wall.stations import Stations
 from annulus.wall.survey import Survey
@@ -86,6 +87,8 @@ def staged(out: Path) -> Iterator[Path]:
         staging = Path(tempfile.mkdtemp(prefix=".annulus-", dir=out))
         try:
             yield staging
+            for file in staging.iterdir():
+                _require_replaceable(out / file.name)
             (out / SUMMARY).unlink(missing_ok=True)
             for name in (DEPTH, PDF):  # of a scan before
                 (out / name).unlink(missing_ok=True)
@@ -95,6 +98,13 @@ def staged(out: Path) -> Iterator[Path]:
             shutil.rmtree(staging, ignore_errors=True)
     except OSError as error:
         raise AnnulusError(f"{out}: results cannot be written ({error.strerror or error}).") from None
+
+
+def _require_replaceable(path: Path) -> None:
+    try:
+        require_replaceable(path)
+    except ValueError as error:
+        raise AnnulusError(f"{path}: {error}.") from None
 
 
 def prepare_folder(out: Path) -> None:
