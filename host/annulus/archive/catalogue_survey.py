@@ -76,7 +76,7 @@ def read_survey(folder: Path, job: JobSheet | None = None, replaces: Row | None 
     except (OSError, ValueError) as error:
         raise told(folder / SUMMARY, error) from None
     try:
-        stations = read_stations(folder, LATER_COLUMNS)
+        stations = read_stations(folder, summary, LATER_COLUMNS)
     except (OSError, ValueError) as error:
         raise told(folder / STATIONS_FILE, error) from None
     row["station_count"] = len(stations["z_mm"])
@@ -117,6 +117,8 @@ def _scan(row: Row) -> str:
 
 
 def _summary(summary: Mapping[str, Any], over: JobSheet) -> tuple[dict[str, Any], list[Row], list[Row]]:
+    texts(summary.get("job"), "job")  # too long a text, which the sheet would cut, is refused as exports refuse it
+    texts(summary.get("origin"), "origin")
     job = JobSheet.recorded(summary.get("job")).under(over)
     origin = mapping(summary.get("origin") or {}, "origin")
     who = texts(origin.get("controller"), "origin.controller")

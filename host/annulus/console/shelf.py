@@ -24,6 +24,7 @@ from typing import Any
 from annulus import untrusted
 from annulus.job import JobSheet, provenance, read_job
 from annulus.record.glance import glance
+from annulus.record.numbers import require_cells
 from annulus.record.parts import grouped
 from annulus.record.scan import TABLE
 from annulus.vocabulary import AnnulusError
@@ -273,9 +274,10 @@ def _rows(table: Path) -> tuple[int | None, list[float]]:
     frames, places = 0, list[float]()
     try:
         for row in rows:
+            require_cells(row, len(set(rows.fieldnames or ())))
             frames += 1
             places += _number(row.get("z_mm") or row.get("x_mm"))
-    except csv.Error:  # a field beyond 128 KiB; it is no ValueError
+    except (csv.Error, ValueError):  # a field beyond 128 KiB; a row of other cells than the heading's
         return None, []
     return frames, places
 

@@ -116,11 +116,12 @@ class Results:
 def open_results(folder: Path) -> Results:
     """Raises AnnulusError, one line, for what is no folder of a pipe's results, or a damaged one."""
     try:
-        found = _summary(read_summary(folder))
+        summary = read_summary(folder)
+        found = _summary(summary)
     except (OSError, ValueError) as error:
         raise told(folder / SUMMARY, error) from None
     try:
-        stations = read_stations(folder)
+        stations = read_stations(folder, summary)
     except (OSError, ValueError) as error:
         raise told(folder / STATIONS, error) from None
     return Results(folder=folder, stations=stations, **found)

@@ -8,11 +8,15 @@ import csv
 import gzip
 import io
 import zlib
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from annulus.numeric.arrays import FloatArray
+from annulus.record.numbers import require_cells
+from annulus.record.storage import opened_file
 from annulus.untrusted import shown
 from annulus.vocabulary import AnnulusError
 
@@ -43,8 +47,8 @@ def read_bore_log(path: Path) -> Columns:
         wanted = [*NEEDED, *(name for group in (LOSS, OFFSET) if set(group) <= set(head) for name in group)]
         at = [head.index(name) for name in wanted]
         table = [
-            [_number(path, rows.line_num, head[k], row[k] if k < len(row) else "") for k in at]
-            for row in rows
+            [_number(path, rows.line_num, head[k], row[k]) for k in at]
+            for row in _whole(path, rows, len(head))
             if any(cell.strip() for cell in row)
         ]
     except csv.Error as error:
@@ -73,6 +77,16 @@ def _check(path: Path, column: dict[str, FloatArray], c: FloatArray) -> None:
             raise AnnulusError(f"{path}: {name} is {middle:g} in the middle, expected pF, 0 to {PF_MAX:g}")
 
 
+def _whole(path: Path, rows: Any, columns: int) -> Iterator[list[str]]:
+    for row in rows:
+        try:
+            if any(cell.strip() for cell in row):
+                require_cells(row, columns)
+        except ValueError as error:
+            raise AnnulusError(f"{path}: line {rows.line_num}: {error}") from None
+        yield row
+
+
 def _number(path: Path, line: int, name: str, cell: str) -> float:
     cell = cell.strip()
     if not cell:
@@ -88,10 +102,10 @@ def _number(path: Path, line: int, name: str, cell: str) -> float:
 
 def _text(path: Path) -> str:
     try:
-        with path.open("rb") as raw:
-            packed = raw.read(2) == b"\x1f\x8b"
-        with gzip.open(path) if packed else path.open("rb") as file:
-            data = file.read(BYTES_MAX + 1)
+        with opened_file(path) as file:
+            packed = file.read(2) == b"\x1f\x8b"
+            file.seek(0)
+            data = (gzip.GzipFile(fileobj=file) if packed else file).read(BYTES_MAX + 1)
     except (OSError, EOFError, zlib.error) as error:
         reason = getattr(error, "strerror", None) or str(error) or "cut short"
         raise AnnulusError(f"{path}: cannot be read ({reason}), expected a head's log, .csv or .csv.gz") from None

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from annulus.geometry.pose import composed
-from annulus.record.numbers import number, whole
+from annulus.record.numbers import number, require_cells, whole
 from annulus.record.storage import Where, read_whole
 from annulus.vocabulary import AnnulusError
 
@@ -66,8 +66,7 @@ def _rows(table: Where, data: bytes) -> dict[int, Motion]:
         last = -1
         for row in rows:
             try:
-                if None in row:
-                    raise ValueError("more fields than line 1 has columns")
+                require_cells(row, len(columns))
                 index = whole((row["index"] or "").strip(), "index")
                 if index <= last:
                     raise ValueError(f"index {index} comes after {last}, expected rising ones")

@@ -1,6 +1,21 @@
-"""Numbers in the fields of a table that somebody wrote by hand or program."""
+"""Rows and numbers of a table that somebody wrote by hand or program."""
 
 import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+
+def require_cells(row: Sequence[str] | Mapping[Any, Any], columns: int) -> None:
+    """ValueError for a row of another number of cells than line 1 has: it was cut short, or a decimal comma parts its
+    numbers, and every cell behind would stand for another column.
+
+    row : of csv.reader, or of csv.DictReader as it is by default.
+    """
+    cells = len(row)
+    if isinstance(row, Mapping):
+        cells = sum(cell is not None for name, cell in row.items() if name is not None) + len(row.get(None, ()))
+    if cells != columns:
+        raise ValueError(f"{cells} cell{'s' * (cells != 1)}, expected {columns} as line 1 has")
 
 
 def whole(text: str, column: str) -> int:

@@ -16,7 +16,8 @@ import numpy as np
 
 from annulus.numeric.arrays import FloatArray
 from annulus.record.numbers import number as parsed
-from annulus.untrusted import mapping, number, one_line, parse_json, printable, read_file, shown, within
+from annulus.record.numbers import require_cells
+from annulus.untrusted import mapping, number, one_line, parse_json, printable, read_file, shown, whole, within
 from annulus.untrusted import text as raw_text
 from annulus.vocabulary import AnnulusError
 
@@ -26,6 +27,9 @@ JSON_MAX, CSV_MAX = 1 << 27, 1 << 28  # bytes
 PLACES_MAX, STATIONS_MAX = 100_000, 2_000_000  # stations: CSV_MAX of them; 4 mm apart they are 8 km
 TEXT_MAX = 2000
 MM_MAX = 1e8
+# Of a scan's length: so much more than a station's may be missing at an end, for the map of a long pipe, whose ends the
+# summary has, is coarser than its stations. Guarded by tests/regression/table_cut_short.
+END_PART = 0.001
 STATION_COLUMNS = (
     "z_mm", "diameter_min_mm", "diameter_max_mm", "diameter_mean_mm", "ovality_f1216_percent",
     "shape_ovality_f1216_percent", "valid_fraction", "diameter_k2_mm",
@@ -87,14 +91,18 @@ def scanned(summary: Mapping[str, Any]) -> tuple[float, float]:
     return first, last
 
 
-def read_stations(folder: Path, optional: Sequence[str] = ()) -> dict[str, FloatArray]:
+def read_stations(
+    folder: Path, summary: Mapping[str, Any], optional: Sequence[str] = ()
+) -> dict[str, FloatArray]:  # fmt: skip
     """stations.csv: column -> (S,), NaN where empty; z_mm rises. `optional` columns are all NaN where the file has them
-    not. Raises OSError and ValueError."""
+    not. summary : of the same folder. Raises OSError and ValueError, also where stations are missing."""
     try:
-        rows = csv.reader(
-            io.StringIO(read_file(folder / STATIONS, CSV_MAX).decode("utf-8-sig"), newline=""), strict=True
-        )
-        return _columns(rows, optional)
+        text = read_file(folder / STATIONS, CSV_MAX).decode("utf-8-sig")
+        columns = _columns(csv.reader(io.StringIO(text, newline=""), strict=True), optional)
+        if not text.endswith(("\n", "\r")):  # the last number may be half of one
+            raise ValueError("its last line has no end: it was cut short")
+        _require_all(columns["z_mm"], summary)
+        return columns
     except UnicodeDecodeError:
         raise ValueError("not a text file") from None
     except csv.Error as error:
@@ -111,17 +119,37 @@ def _columns(rows: Any, optional: Sequence[str]) -> dict[str, FloatArray]:
     for count, row in enumerate((row for row in rows if row), start=1):
         if count > STATIONS_MAX:
             raise ValueError(f"has more than {STATIONS_MAX} rows")
-        values.extend(parsed(row[i]) if i < len(row) else math.nan for i in at)
+        try:
+            require_cells(row, len(head))
+        except ValueError as error:
+            raise ValueError(f"line {rows.line_num}: {error}") from None
+        values.extend(parsed(row[i]) for i in at)
         z = values[-len(at)]
         if not math.isfinite(z) or abs(z) > MM_MAX:
-            told = row[at[0]] if at[0] < len(row) else ""
-            raise ValueError(f"line {rows.line_num}: z_mm is {shown(told)}, expected a number")
+            raise ValueError(f"line {rows.line_num}: z_mm is {shown(row[at[0]])}, expected a number")
     table = np.frombuffer(values, dtype=np.float64).reshape(-1, len(at)).copy()
     table[~(np.abs(table) <= MM_MAX)] = np.nan
     if (np.diff(table[:, 0]) <= 0).any():
         raise ValueError("z_mm does not rise from row to row")
     empty = np.full(len(table), np.nan)
     return {**dict.fromkeys(optional, empty), **dict(zip(names, table.T, strict=True))}
+
+
+def _require_all(z_mm: FloatArray, summary: Mapping[str, Any]) -> None:
+    """ValueError where these are not all stations that the summary is of."""
+    count = summary.get("stations")
+    if count is not None:
+        if whole(count, "stations", 0, STATIONS_MAX) != len(z_mm):
+            raise ValueError(f"has {len(z_mm)} stations, expected {count} as {SUMMARY} says")
+        return
+    # Of before it said so: they reach from end to end, half a station short of either.
+    first, last = scanned(summary)
+    length = (float(np.diff(z_mm).max()) if len(z_mm) > 1 else last - first) + END_PART * (last - first)
+    if not len(z_mm) and last == first:
+        return
+    if not len(z_mm) or z_mm[0] - first > length or last - z_mm[-1] > length:
+        reach = f"reach from {z_mm[0]:g} to {z_mm[-1]:g} mm" if len(z_mm) else "are none"
+        raise ValueError(f"its stations {reach}, expected {first:g} to {last:g} mm as {SUMMARY} says")
 
 
 def texts(found: Any, what: str, above: str = "") -> dict[str, str]:

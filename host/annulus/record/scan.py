@@ -25,7 +25,7 @@ from annulus.numeric.arrays import Image
 from annulus.record.frames import CAMERA_ID_MAX, DROPS_TOPIC, Z_MAX_MM, frame_name
 from annulus.record.imu import Motion, read_motion
 from annulus.record.missing import missing_told
-from annulus.record.numbers import number, whole
+from annulus.record.numbers import number, require_cells, whole
 from annulus.record.parts import first_names, first_paths
 from annulus.record.recording import Recording, open_recording
 from annulus.record.remote import Url, found_below, listed
@@ -257,6 +257,7 @@ def read_table(folder: Where) -> tuple[ScanFrame, ...]:
         known: set[tuple[int, int]] = set()
         for row in rows:
             try:
+                require_cells(row, len(columns))
                 frame = _frame(row, folder, inside, there)
                 if (frame.index, frame.camera) in known:
                     of = f" of camera {frame.camera}" if frame.camera else ""
@@ -279,8 +280,6 @@ def _frame(
     row: dict[str, str | None], folder: Where, inside: dict[PurePosixPath, bool], there: Collection[str] | None
 ) -> ScanFrame:
     """`inside`: of folders of images, whether they are in the scan's own; filled here. `there`: names in a store."""
-    if None in row:
-        raise ValueError("more fields than line 1 has columns")
     index, file, light, z_text = ((row.get(name) or "").strip() for name in COLUMNS)
     if light not in {label.value for label in Label}:
         raise ValueError(f'light is "{light[:40]}", expected projector, led or unknown')

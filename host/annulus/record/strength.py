@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from annulus.numeric.arrays import BoolArray, FloatArray
+from annulus.record.numbers import number as parsed
+from annulus.record.numbers import require_cells
 from annulus.untrusted import mapping, parse_json, read_file, shown
 from annulus.vocabulary import AnnulusError
 
@@ -34,7 +36,7 @@ def read_strengths(path: Path) -> tuple[FloatArray, FloatArray]:
             )
         places = [head.index(name) for name in COLUMNS]
         found.extend(
-            [_number(path, rows.line_num, row, place, head[place]) for place in places]
+            [_number(path, rows.line_num, row, head, place) for place in places]
             for row in rows
             if any(cell.strip() for cell in row)
         )
@@ -54,7 +56,7 @@ def read_transmission(path: Path) -> tuple[FloatArray, FloatArray, FloatArray]:
         if head[:1] != ["z_mm"] or not angles:
             raise AnnulusError(f"{path}: columns {shown(','.join(head))}, expected z_mm, dogbone_<degrees>, ..")
         found.extend(
-            [_number(path, rows.line_num, row, place, name) for place, name in enumerate(head)]
+            [_number(path, rows.line_num, row, head, place) for place in range(len(head))]
             for row in rows
             if any(cell.strip() for cell in row)
         )
@@ -82,10 +84,10 @@ def read_results(path: Path) -> tuple[list[str], FloatArray, BoolArray]:
         for row in rows:
             if not any(cell.strip() for cell in row):
                 continue
-            said = row[result].strip() if result < len(row) else ""
+            angles.append(_number(path, rows.line_num, row, head, angle))
+            said = row[result].strip()
             if said not in ("good", "bad"):
                 raise AnnulusError(f"{path}: line {rows.line_num}: result is {shown(said)}, expected good or bad")
-            angles.append(_number(path, rows.line_num, row, angle, "angle_deg"))
             joints.append(row[joint].strip())
             good.append(said == "good")
     except csv.Error as error:
@@ -134,14 +136,14 @@ def read_bounded(path: Path, limit: int) -> bytes:
         raise AnnulusError(f"{path}: {error}") from None
 
 
-def _number(path: Path, line: int, row: Sequence[str], place: int, name: str) -> float:
-    said = row[place].strip() if place < len(row) else ""
+def _number(path: Path, line: int, row: Sequence[str], head: Sequence[str], place: int) -> float:
     try:
-        value = float(said)
-    except ValueError:
-        value = np.nan
+        require_cells(row, len(head))
+    except ValueError as error:
+        raise AnnulusError(f"{path}: line {line}: {error}") from None
+    value = parsed(row[place].strip())
     if not np.isfinite(value):
-        raise AnnulusError(f"{path}: line {line}: {name} is {shown(said)}, expected a number")
+        raise AnnulusError(f"{path}: line {line}: {head[place]} is {shown(row[place].strip())}, expected a number")
     return value
 
 

@@ -28,6 +28,7 @@ from annulus.capture.pictures import PIXELS_MAX, size_of
 from annulus.numeric.arrays import Image
 from annulus.record.fields import TWO_FIELDS, combed, two_fields
 from annulus.record.frames import Z_MAX_MM
+from annulus.record.numbers import require_cells
 from annulus.record.scan import COLUMNS, TABLE, read_image
 from annulus.untrusted import read_file, shown
 from annulus.vocabulary import AnnulusError, Label
@@ -80,16 +81,18 @@ def read_chainage(path: Path, unit: str | None = None) -> Chainage:
     try:
         text = read_file(path, CHAINAGE_MAX).decode("utf-8-sig")
         table = csv.reader(io.StringIO(text, newline=""), strict=True)
-        frame_at, place_at, factor = _columns(next(table, []), unit)
+        header = next(table, [])
+        frame_at, place_at, factor = _columns(header, unit)
         frames: list[int] = []
         places: list[float] = []
         for row in table:
             if not any(field.strip() for field in row):
                 continue
             try:
-                frame, place = row[frame_at].strip(), row[place_at].strip()
-            except IndexError:
-                raise ValueError(f"line {table.line_num}: fewer fields than line 1 has columns") from None
+                require_cells(row, len(header))
+            except ValueError as error:
+                raise ValueError(f"line {table.line_num}: {error}") from None
+            frame, place = row[frame_at].strip(), row[place_at].strip()
             if not (frame.isascii() and frame.isdigit()) or len(frame) > 18 or int(frame) >= FRAME_NUMBER_MAX:
                 raise ValueError(f"line {table.line_num}: frame is {shown(frame)}, expected a whole number")
             if frames and int(frame) <= frames[-1]:

@@ -38,6 +38,7 @@ def summarize(survey: Survey, account: Account, files_ms: float) -> dict[str, An
         "frames": dict(account.frames),
         "points": survey.points,
         "scanned_mm": {"from": stored(start), "to": stored(end), "length": stored(end - start)},
+        "stations": len(survey.stations.z_mm),
         "seen_percent": stored(100.0 * survey.seen_fraction),
         "hidden_percent": stored(100.0 * survey.shadowed_fraction),
         "noise_mm": stored(survey.noise_mm),

@@ -1,18 +1,21 @@
 """`annulus burst design`: a template, its file, its picture, and the comparison that keeps it honest."""
 
 import csv
+import io
 import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from annulus.record.numbers import require_cells
+from annulus.record.strength import read_bounded
 from annulus.tai.decode import code_name, save_template, template_to_dict
 from annulus.thermoacoustic.codes import pattern
 from annulus.thermoacoustic.templates import Method, Template, Transducer, design
 from annulus.vocabulary import AnnulusError
 
-ROWS_MAX = 1_000_000  # of a transducer's file. Unguarded: only keeps a wrong file from filling the memory
+CSV_MAX = 64 << 20  # bytes of a transducer's file. Unguarded: only keeps a wrong file from filling the memory
 
 
 def design_template(
@@ -59,19 +62,22 @@ def load_transducer(path: Path) -> Transducer:
     """CSV with a heading: time_us, amplitude, evenly spaced. Raises AnnulusError naming the row."""
     times, values = [], []
     try:
-        with path.open(newline="") as file:
-            for number, row in enumerate(csv.DictReader(file), start=2):
-                if number > ROWS_MAX:
-                    raise AnnulusError(f"{path}: more than {ROWS_MAX} rows")
-                try:
-                    times.append(float(row["time_us"]))
-                    values.append(float(row["amplitude"]))
-                except (KeyError, TypeError, ValueError):
-                    raise AnnulusError(f"{path}: row {number}: expected numbers in time_us and amplitude") from None
-    except FileNotFoundError:
-        raise AnnulusError(f"{path}: no such file") from None
+        text = read_bounded(path, CSV_MAX).decode("utf-8-sig")
+        rows = csv.DictReader(io.StringIO(text, newline=""))
+        for number, row in enumerate(rows, start=2):
+            try:
+                require_cells(row, len(set(rows.fieldnames or ())))
+            except ValueError as error:
+                raise AnnulusError(f"{path}: row {number}: {error}") from None
+            try:
+                times.append(float(row["time_us"]))
+                values.append(float(row["amplitude"]))
+            except (KeyError, ValueError):
+                raise AnnulusError(f"{path}: row {number}: expected numbers in time_us and amplitude") from None
     except UnicodeDecodeError:
         raise AnnulusError(f"{path}: not a CSV file of time_us and amplitude") from None
+    except csv.Error as error:
+        raise AnnulusError(f"{path}: line {rows.line_num}: {error}") from None
     at, pulse = np.array(times), np.array(values)
     if len(at) < 8 or not (np.isfinite(at).all() and np.isfinite(pulse).all()):
         raise AnnulusError(f"{path}: {len(at)} rows, expected at least 8 finite ones")

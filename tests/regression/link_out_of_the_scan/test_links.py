@@ -18,7 +18,7 @@ from annulus.vocabulary import AnnulusError
         ("", "0,away/0.png,led,0", "line 2: file 'away/0.png' is or lies behind a link"),
         ("", "0,0.png,led,1_000", 'line 2: z_mm is "1_000"'),
         ("", "0,0.png,led,\N{ARABIC-INDIC DIGIT ONE}", "line 2: z_mm is"),
-        ("", "0,0.png,led,0,0,0,0", "line 2: more fields than line 1 has columns"),
+        ("", "0,0.png,led,0,0,0,0", "line 2: 7 cells, expected 4 as line 1 has"),
         (",z_mm", "0,0.png,led,0,5", "line 1: a column is there twice"),
     ],
 )

@@ -63,7 +63,7 @@ def test_a_row_between_that_does_not_know_leaves_the_listed_one_unknown(tmp_path
         ("", "line 1: no column index, dtheta_x_deg"),
         ("index,dtheta_x_deg,dtheta_y_deg\n", "line 1: no column dtheta_z_deg"),
         (HEADER.replace("ax_g", "index"), "line 1: a column is there twice"),
-        (HEADER + "0,0,0,0,0,0,0,0\n", "line 2: more fields than line 1 has columns"),
+        (HEADER + "0,0,0,0,0,0,0,0\n", "line 2: 8 cells, expected 7 as line 1 has"),
         (HEADER + "x,0,0,0,0,0,0\n", 'line 2: index is "x", expected a whole number'),
         (HEADER + "1,0,0,0,0,0,0\n1,0,0,0,0,0,0\n", "line 3: index 1 comes after 1, expected rising ones"),
         (HEADER + "0,0,0,0,0,far,0\n", 'line 2: dtheta_y_deg is "far", expected degrees within 180'),

@@ -79,7 +79,7 @@ def test_a_camera_that_is_none_is_named(folder: Path, row: str, says: str) -> No
         ("3,frames/0.jpg,projector,far", 'line 5: z_mm is "far"'),
         ("3,frames/0.jpg,projector,nan", "line 5: z_mm"),
         ("3,frames/0.jpg,projector,inf", "line 5: z_mm"),
-        ("3,frames/0.jpg,projector", "line 5: z_mm"),
+        ("3,frames/0.jpg,projector", "line 5: 3 cells, expected 4 as line 1 has"),
         ("3,,projector,0", "line 5: file"),
         ("3,../../secret.jpg,projector,0", "line 5: file"),
         ("3,/etc/passwd,projector,0", "line 5: file"),

@@ -103,7 +103,7 @@ def test_places_come_from_a_table_even_between_its_rows(
         ("frame,chainage\n1,far\n", "m", "line 2: chainage is 'far', expected a number"),
         ("frame,chainage\n1,nan\n", "m", "line 2: chainage is 'nan'"),
         ("frame,chainage\n1,1e300\n", "m", "line 2: chainage is '1e300'"),
-        ("frame,chainage\n1\n", "m", "line 2: fewer fields than line 1 has columns"),
+        ("frame,chainage\n1\n", "m", "line 2: 1 cell, expected 2 as line 1 has"),
         ('frame,chainage\n1,"2\n', "m", "line 2: unexpected end of data"),
         ("frame,chainage\n1,\udcff\n", "m", "not a text file"),
     ],
@@ -182,7 +182,7 @@ def test_the_command_says_what_it_made(tmp_path: Path) -> None:
     (tmp_path / "z.csv").write_text("frame,chainage\n0,0\n100,1\n")
     ended = command("cut.avi", "-o", "scan", "--chainage", "z.csv", "--unit", "m", "--json", folder=tmp_path)
     said = json.loads(ended.stdout)
-    assert ended.returncode == 0 and said["z_mm"] == [0.0, 10.0 * (said["frames"] - 1)]
+    assert ended.returncode == 1 and said["z_mm"] == [0.0, 10.0 * (said["frames"] - 1)]
     assert f"cut.avi: ends {said['missing']} frames before it says" in ended.stderr
     for options in ([], ["--speed", "1", "--chainage", "z.csv"], ["--chainage", "z.csv", "--fps", "5"]):
         assert command("whole.avi", "-o", "other", *options, folder=tmp_path).returncode == 1
