@@ -132,9 +132,12 @@ def export_command(
 ) -> None:
     """Make a scan folder of a recording, pictures and frames.csv; or a recording that keeps its pictures otherwise.
 
-    A folder's pictures are demosaiced, and frames whose place nobody knows are not in it.
+    A folder's pictures are demosaiced, and frames whose place nobody knows are not in it. Ends with status 1 where the
+    recording is torn or damaged, and says what was lost.
     """
     from annulus.record.codec import Codec
+    from annulus.record.copy import missing_of
+    from annulus.record.missing import missing_told
     from annulus.record.recording import open_recording
 
     to_recording = out.suffix.lower() == ".mcap"
@@ -143,22 +146,26 @@ def export_command(
     if form is not None and to_recording:
         raise AnnulusError("--as goes with a folder; a recording has --codec.")
     recording = open_recording(scan)
+    lacks = missing_of(recording.torn, recording.cut_frames, recording.check())
     with progress() as bars:
         if to_recording:
             from annulus.record.copy import copy
 
             copied = copy(recording, out, codec=None if codec is None else Codec(codec), progress=bars)
-            frames, without_place, damaged = copied.frames, 0, [f"{scan}: {line}" for line in copied.damaged]
+            frames, without_place, damaged = copied.frames, 0, copied.damaged
         else:
             from annulus.record.folder import export_folder
 
             exported = export_folder(recording, out, form or "png", bars)
             frames, without_place, damaged = exported.frames, exported.without_place, exported.damaged
     print_fields(
-        {"out": str(out), "frames": frames, "without_place": without_place, "frames_damaged": len(damaged)}, as_json
-    )
-    for line in damaged:
-        print(f"annulus: {line}", file=sys.stderr)
+        {"out": str(out), "frames": frames, "without_place": without_place, "frames_damaged": len(damaged),
+         "torn": recording.torn}, as_json,
+    )  # fmt: skip
+    lacks += damaged
+    _print_missing(scan, lacks + missing_told(recording))
+    if lacks or recording.torn:
+        raise typer.Exit(1)
 
 
 @app.command(
@@ -193,7 +200,8 @@ def import_command(
 ) -> None:
     """Make a scan folder of a video, or of a folder of pictures: a picture a frame, and where it was taken.
 
-    Pictures of a folder are counted from 0 in the order of their names; 9 comes before 10.
+    Pictures of a folder are counted from 0 in the order of their names; 9 comes before 10. Ends with status 1 where the
+    video ends before it says.
     """
     from annulus.record.video import UNITS_MM, import_video, read_chainage
 
@@ -224,6 +232,7 @@ def import_command(
             "damaged in the middle frames after that have the place of later ones",
             file=sys.stderr,
         )
+        raise typer.Exit(1)
 
 
 def _torn(torn: bool, cut_frames: int | None) -> str:

@@ -55,7 +55,7 @@ def export_folder(
             try:
                 data = _picture(recording, frame, form)
             except AnnulusError as error:
-                exported.damaged.append(str(error))
+                exported.damaged.append(str(error).removeprefix(f"{recording.path}: "))
                 continue
             camera = f"-{frame.camera}" if frame.camera else ""
             name = f"frames/{frame.index:06d}{camera}.{'jpg' if form == 'jpeg' else form}"

@@ -240,14 +240,15 @@ def _read(file: IO[bytes], size: int, wanted: Sequence[str], label_topic: str) -
 
 
 def _group(offsets: bytes) -> tuple[int, int] | None:
-    """Where the summary lists attachments: offset, length."""
-    for at in range(0, len(offsets) - _SUMMARY_OFFSET.size + 1, _SUMMARY_OFFSET.size):
-        opcode, _, group, start, length = _SUMMARY_OFFSET.unpack_from(offsets, at)
+    """Where the summary lists attachments: offset, length. None also where there is anything else: of two files in one
+    the second's footer points into the first, and all between the two would be passed over."""
+    found = None
+    for opcode, _, group, start, length in _SUMMARY_OFFSET.iter_unpack(offsets):
         if opcode != _SUMMARY:
             return None
-        if group == _ATTACHMENT_INDEX:
-            return start, length
-    return None
+        if group == _ATTACHMENT_INDEX and found is None:
+            found = start, length
+    return found
 
 
 def _listed(data: bytes) -> dict[str, tuple[int, int]]:

@@ -155,6 +155,8 @@ class Walk:
                 self.cut_messages = self._cut_at(at)
                 break  # torn
             at = end
+        if self.ended and (behind := size - at - len(MAGIC)) > 0:  # two files in one, or another's bytes
+            self._damaged(at + len(MAGIC), f"{behind} bytes behind its end, which are not read")
         loose = sum(message.chunk is None for message in self.messages)
         if self.chunks and loose:
             self.messages = [message for message in self.messages if message.chunk is not None]

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from itertools import groupby, pairwise
 
 from annulus.numeric.rounding import DISTANCE, off, said, span
+from annulus.record.copy import missing_of
 from annulus.record.frames import Z_MAX_MM
 from annulus.record.missing import missing_told
 from annulus.record.scan import Scan, ScanFrame
@@ -13,13 +14,18 @@ LINES_MAX = 3  # of what a recording lacks, in one finding
 
 
 def incomplete_findings(scan: Scan) -> list[Finding]:
-    """One, where the recording was written from another that had lost something."""
-    lines = [] if scan.recording is None else missing_told(scan.recording)
-    if not lines:
+    """One where the recording is torn or damaged, one where the one that it was written from had lost something."""
+    recording = scan.recording
+    if recording is None:
         return []
+    own = missing_of(recording.torn, recording.cut_frames, recording.damage)
+    both = (("lacks something", own), ("was written from one that lacks something", missing_told(recording)))
+    return [Finding("recording_incomplete", f"the recording {how}: {_some(lines)}") for how, lines in both if lines]
+
+
+def _some(lines: Sequence[str]) -> str:
     more = f"; and {len(lines) - LINES_MAX} places more" if len(lines) > LINES_MAX else ""
-    text = f"the recording was written from one that lacks something: {'; '.join(lines[:LINES_MAX])}{more}"
-    return [Finding("recording_incomplete", text)]
+    return "; ".join(lines[:LINES_MAX]) + more
 
 
 def place_findings(frames: Sequence[ScanFrame]) -> list[Finding]:
