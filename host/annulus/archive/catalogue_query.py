@@ -15,8 +15,11 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import timedelta
+from itertools import count
 from pathlib import Path
 from typing import IO, Any
+
+import numpy as np
 
 from annulus.archive.catalogue_engine import Engine, too_much
 from annulus.archive.catalogue_pieces import MEMORY_MB, Damage, Pieces
@@ -31,7 +34,7 @@ ASKING = "annulus.archive.catalogue_asking"
 BLOCK_MAX = 64 << 20  # bytes of rows that come at once; one row has no more
 READY, DAMAGE, REFUSED, BLOCK, END = b"R", b"D", b"E", b"B", b"Z"  # what a message of the process is
 HEAD = struct.Struct("<cQ")  # kind, bytes that follow
-_NS_A_DAY = 86_400_000_000_000
+_DAYS_MAX, _TICKS_MAX = (1 << 31) - 1, (1 << 63) - 1  # of a date, of a moment
 
 
 class Catalogue:
@@ -179,7 +182,7 @@ def _read(pipe: IO[bytes]) -> tuple[bytes, bytes]:
 
 
 class Answer:
-    """What a question gave: `columns`, their names, Arrow's `schema`, and the rows, read once."""
+    """What a question gave: `columns`, their names, no two alike, Arrow's `schema`, and the rows, read once."""
 
     def __init__(self, asking: _Asking) -> None:
         self._batches = _batches(asking)
@@ -200,19 +203,64 @@ def _batches(asking: _Asking) -> Iterator[Any]:
     pyarrow = need("pyarrow")
     for block in asking.blocks():
         with pyarrow.ipc.open_stream(block) as stream:
-            yield from stream
+            names = _apart(stream.schema.names)
+            yield from (batch.rename_columns(names) for batch in stream)
+
+
+def _apart(names: Sequence[str]) -> list[str]:
+    """No two alike, whatever their case, as DuckDB names the columns of a table: a second "a" is "a_1"."""
+    out: list[str] = []
+    taken: set[str] = set()
+    for name in names:
+        fresh = next(one for i in count() if (one := f"{name}_{i}" if i else name).lower() not in taken)
+        taken.add(fresh.lower())
+        out.append(fresh)
+    return out
 
 
 def _values(column: Any) -> list[Any]:
-    """As Python has them: maps as dictionaries, whole numbers of any size as int, spans as timedelta."""
+    """As Python has them: maps as dictionaries, whole numbers of any size as int, spans as timedelta; moments that
+    Python has none of (before our era, after 9999, infinity) as texts."""
     pyarrow = need("pyarrow")
     kind = column.type
-    if pyarrow.types.is_interval(kind):
-        return [None if one is None else timedelta(30 * one[0] + one[1], one[2] / 1e9) for one in column.to_pylist()]
-    values = column.to_pylist(maps_as_pydicts="strict") if pyarrow.types.is_nested(kind) else column.to_pylist()
+    try:
+        if pyarrow.types.is_interval(kind):
+            return [None if one is None else _span(one) for one in column.to_pylist()]
+        values = column.to_pylist(maps_as_pydicts="strict") if pyarrow.types.is_nested(kind) else column.to_pylist()
+    except (OverflowError, ValueError):
+        return [_value(pyarrow, one) for one in column]
     if pyarrow.types.is_decimal(kind) and kind.scale == 0:
         return [None if one is None else int(one) for one in values]
     return list(values)
+
+
+def _span(one: Any) -> timedelta:
+    return timedelta(30 * one[0] + one[1], one[2] / 1e9)
+
+
+def _value(pyarrow: Any, one: Any) -> Any:
+    """Of one of Arrow's scalars, whatever is in it."""
+    if not one.is_valid:
+        return None
+    kinds = pyarrow.types
+    if kinds.is_struct(one.type):
+        return {name: _value(pyarrow, one[name]) for name in one}
+    if kinds.is_map(one.type):
+        return {str(_value(pyarrow, pair["key"])): _value(pyarrow, pair["value"]) for pair in one.values}
+    if kinds.is_union(one.type):
+        return _value(pyarrow, one.value)
+    if kinds.is_nested(one.type):
+        return [_value(pyarrow, item) for item in one.values]
+    try:
+        return _span(one.as_py()) if kinds.is_interval(one.type) else one.as_py()
+    except (OverflowError, ValueError):
+        if kinds.is_interval(one.type):
+            return "{} months {} days {} ns".format(*one.as_py())
+        is_date = kinds.is_date32(one.type)
+        if (is_date or kinds.is_timestamp(one.type)) and abs(one.value) == (_DAYS_MAX if is_date else _TICKS_MAX):
+            return "infinity" if one.value > 0 else "-infinity"  # as DuckDB writes it
+        said = str(one.cast(pyarrow.string())).replace(" ", "T", 1)
+        return str(np.datetime64(one.value, one.type.unit)) if said.startswith("<") else said  # beyond the year 32767
 
 
 @contextmanager
