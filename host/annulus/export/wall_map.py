@@ -37,6 +37,8 @@ class WallMap:
 
 def read_wall(path: Path) -> WallMap:
     """The map as `reconstruct` wrote it."""
+    if path.exists() and not path.is_file():
+        raise ValueError("not a file")
     if not path.is_file():
         raise ValueError("is not there; were these results made by an older annulus? `annulus reconstruct` writes it")
     try:

@@ -16,11 +16,13 @@ from pathlib import Path
 
 from annulus.controller import UPDATE_MAX_BYTES
 from annulus.link.messages import PROTOCOL_VERSION, SCHEMA_HASH
+from annulus.untrusted import read_file
 from annulus.vocabulary import AnnulusError
 
 BOARD = "rp2040"
 FLASH_START = 0x10000000
 FLASH_BYTES = 2 * 1024 * 1024  # of a Raspberry Pi Pico
+FILE_MAX = 64 << 20  # bytes; a UF2 of the whole flash has 4 MiB, an ELF carries what debuggers want beside it
 PAGE_BYTES, SECTOR_BYTES = 256, 4096
 BOOT2_BYTES = 256
 APPLICATION_AT, APPLICATION_SIZE_AT = 0x1000, 192  # in flash; in the application
@@ -83,9 +85,11 @@ class Application:
 def read_image(path: Path) -> Image:
     """The image in a UF2 or ELF file, checked. AnnulusError says what is wrong with it."""
     try:
-        content = path.read_bytes()
+        content = read_file(path, FILE_MAX)
     except OSError as error:
         raise AnnulusError(f"{path}: cannot be read ({error.strerror}), expected a UF2 or ELF.") from None
+    except ValueError as error:
+        raise AnnulusError(f"{path}: {error}, expected a UF2 or ELF.") from None
     return parse_image(content, str(path))
 
 

@@ -62,7 +62,7 @@ def load_acoustic(path: Path) -> AcousticRecord:
     Raises AnnulusError naming file and key for a missing, cut short, foreign or senseless file.
     """
     if not path.is_file():
-        raise AnnulusError(f"{path}: no such file")
+        raise AnnulusError(f"{path}: {'not a file' if path.exists() else 'no such file'}")
     try:
         if path.suffix == ".npz":
             require_plain_npz(path)

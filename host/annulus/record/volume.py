@@ -8,6 +8,7 @@ A packed slice says how large it is before it is unpacked, and is held to it (sl
 """
 
 import json
+import logging
 import math
 import re
 from collections.abc import Callable
@@ -71,6 +72,8 @@ def open_volume(path: Path, voxel_mm: tuple[float, float, float] | None = None) 
     """
     if not path.exists():
         raise AnnulusError(f"{path}: no such file or folder")
+    if not (path.is_file() or path.is_dir()):
+        raise AnnulusError(f"{path}: not a file; expected a volume in .tif or .npy, or a folder of one")
     folder = path if path.is_dir() else path.parent
     said = _said(folder / "ct.json") if (folder / "ct.json").is_file() else {}
     pipe = mapping(said.get("pipe", {}), "pipe") if said else {}
@@ -151,6 +154,7 @@ def _npy(path: Path) -> _Opened:
 
 def _tifffile() -> Any:
     need("imagecodecs")  # what TIFF's compressions need: told here, not at the first slice
+    logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # what it says of a damaged file is no line of ours
     return need("tifffile")
 
 
