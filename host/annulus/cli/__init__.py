@@ -1,5 +1,6 @@
 """The one command, `annulus`. Parses, calls one door, prints; imports each room only when its command is called."""
 
+import errno
 import json
 import os
 import sys
@@ -381,6 +382,14 @@ def main() -> None:
             sys.exit(end_of_output(error))
 
 
+def _is_short_of_memory(error: Exception) -> bool:
+    """Whether this is how Python, the system or the loader of libraries says that there is no memory left."""
+    if isinstance(error, OSError):
+        return error.errno == errno.ENOMEM
+    said = {RuntimeError: "can't start new thread", ImportError: "cannot allocate memory"}
+    return isinstance(error, MemoryError) or said.get(type(error), "\0") in str(error).lower()
+
+
 def _run() -> None:
     try:
         app()
@@ -393,6 +402,9 @@ def _run() -> None:
     except OutputError:
         raise
     except Exception as error:
+        if _is_short_of_memory(error):
+            print(f"annulus: not enough memory ({one_line(str(error)) or 'none left'}).", file=sys.stderr)
+            sys.exit(1)
         if os.environ.get("ANNULUS_DEBUG"):
             raise
         what = f"{type(error).__name__}: {one_line(str(error))}"
