@@ -15,7 +15,7 @@ from annulus.reprocess.bores import with_bores
 from annulus.reprocess.executors import Executor, Failed, in_process
 from annulus.reprocess.job import Job, Measured, open_job, stage_medians, turns_of
 from annulus.reprocess.method import examined
-from annulus.reprocess.places import incomplete_findings, place_findings
+from annulus.reprocess.places import incomplete_findings, place_findings, require_near
 from annulus.reprocess.ranges import CHUNK
 from annulus.rings.diagnosis import Exposure, diagnose, exposure_findings, lamp_findings, reference_findings
 from annulus.stereo import CAMERA_MISSING, TWO_WALLS
@@ -93,6 +93,7 @@ def look_at(job: Job) -> tuple[list[int], list[tuple[int, dict[int, Image]]]]:
         raise AnnulusError(
             f"{job.scan.path}: none of its {len(job.scan.frames)} frames is labelled projector, nothing to measure."
         )
+    require_near(job.scan.path, [job.scan.frames[i].z_mm for i in which])
     spread = sorted({which[k * (len(which) - 1) // (LOOKED_AT - 1)] for k in range(LOOKED_AT)})
     looked_at = []
     for i in spread:

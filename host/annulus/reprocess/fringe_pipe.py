@@ -23,6 +23,7 @@ from annulus.numeric.arrays import BoolArray, Float32Array, Image
 from annulus.record.calibration_file import load_part
 from annulus.record.scan import Scan, open_scan
 from annulus.reprocess.job import roll_filled
+from annulus.reprocess.places import require_near
 from annulus.vocabulary import AnnulusError, Finding, Label, first_few
 from annulus.wall.centreline import Centreline, Piece
 from annulus.wall.defects import Defect, Detection
@@ -154,6 +155,7 @@ def _moved(
             out.append(flash)
             last.update(dict.fromkeys(eyes, z))
     places = [opened.frames[flash[0][1]].z_mm for flash in out]
+    require_near(scan, places)
     if len(flashes) > 2 and np.ptp(places) < step_mm:
         raise AnnulusError(
             f"{scan}: z_mm is {places[0]:g} throughout: the head did not move, nothing shifted the phase"

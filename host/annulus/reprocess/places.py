@@ -1,5 +1,6 @@
 """What is wrong with the places of a scan's frames: stretches of z that nobody counted, or that begin anew."""
 
+import math
 from collections.abc import Sequence
 from itertools import groupby, pairwise
 
@@ -8,9 +9,27 @@ from annulus.record.copy import missing_of
 from annulus.record.frames import Z_MAX_MM
 from annulus.record.missing import missing_told
 from annulus.record.scan import Scan, ScanFrame
-from annulus.vocabulary import Finding, Label
+from annulus.record.storage import Where
+from annulus.vocabulary import AnnulusError, Finding, Label
 
 LINES_MAX = 3  # of what a recording lacks, in one finding
+# mm from flash to flash, over a whole scan: rings reach a few diameters ahead, and a head of a large pipe a metre. More
+# is another unit, whose kilometres of empty map took minutes. Guarded by tests/regression/places_in_another_unit.
+APART_MAX_MM = 2000.0
+
+
+def require_near(path: Where, places_mm: Sequence[float]) -> None:
+    """AnnulusError, one line, where flashes lie so far apart that their places cannot be mm."""
+    known = [z for z in places_mm if math.isfinite(z)]
+    if len(known) < 2:
+        return
+    length = max(known) - min(known)
+    apart = length / (len(known) - 1)
+    if apart > APART_MAX_MM:
+        raise AnnulusError(
+            f"{path}: z_mm of its {len(known)} flashes goes over {length:.0f} mm, {apart:.0f} mm from one to the next, "
+            f"expected at most {APART_MAX_MM:.0f}: are these mm?"
+        )
 
 
 def incomplete_findings(scan: Scan) -> list[Finding]:
