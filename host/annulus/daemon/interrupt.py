@@ -1,11 +1,13 @@
 """Ctrl-C and SIGTERM at any moment: asked for once, obeyed where it is safe."""
 
 import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType, TracebackType
 from typing import Any
 
+AGAIN_S = 0.01  # after which a signal comes again that met native code calling back
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
@@ -45,6 +47,17 @@ class Interrupt:
 
     def _hear(self, number: int, frame: FrameType | None) -> None:
         self.requested = True
-        if self._allowed:
+        if self._allowed and _is_called_back(frame):
+            threading.Timer(AGAIN_S, signal.pthread_kill, (threading.main_thread().ident, number)).start()
+        elif self._allowed:
             self._allowed = False  # once: what follows is cleaning up
             raise KeyboardInterrupt
+
+
+def _is_called_back(frame: FrameType | None) -> bool:
+    """Whether LLVM waits for this code: an exception would not reach it, and it would go on with half an object."""
+    while frame is not None:
+        if frame.f_code.co_name.startswith("_raw_object_cache"):
+            return True
+        frame = frame.f_back
+    return False

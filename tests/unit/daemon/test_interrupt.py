@@ -36,3 +36,19 @@ def test_work_that_may_be_broken_off_is_not_begun_after_ctrl_c() -> None:
         press()
         with pytest.raises(KeyboardInterrupt), interrupt.allowed():
             pytest.fail("began")
+
+
+def test_code_that_llvm_calls_back_is_let_finish_first() -> None:
+    """An exception there is swallowed by ctypes, and LLVM goes on with half an object: Ctrl-C while machine code was
+    loaded ended in a segmentation fault."""
+    done = []
+
+    def _raw_object_cache_getbuffer() -> None:
+        signal.raise_signal(signal.SIGINT)
+        done.append(True)
+
+    with Interrupt() as interrupt:
+        with pytest.raises(KeyboardInterrupt), interrupt.allowed():
+            _raw_object_cache_getbuffer()
+            signal.sigtimedwait([], 60.0)
+        assert done == [True]
