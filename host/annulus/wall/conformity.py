@@ -263,14 +263,16 @@ def _of_place(group: Group, index: int, place: Defect, survey: Survey, criteria:
 
 
 def _of_feature(index: int, feature: Feature, criteria: Criteria) -> Iterator[Judged]:
-    for quantity in _limited(criteria, feature.kind):
-        name = _MEASURED.get(quantity, quantity)
-        found = next((one for one in feature.measures if one.name == name), None)
-        told = not feature.remark.startswith(NOT_TOLD)
-        if found is None and feature.kind is FeatureKind.JOINT and quantity in _MEASURED and told:
-            continue  # a coupling has no bead
-        value, k2 = (math.nan, math.nan) if found is None else (abs(found.value), found.k2)
-        yield _item(criteria, "feature", index, feature.kind, quantity, value, k2, feature.z_mm)
+    told = not feature.remark.startswith(NOT_TOLD)
+    # two pipes whose ends stand apart are a joint as well: they may lie aside of one another
+    for kind in (feature.kind, FeatureKind.JOINT) if feature.kind is FeatureKind.GAP else (feature.kind,):
+        for quantity in _limited(criteria, kind):
+            name = _MEASURED.get(quantity, quantity)
+            found = next((one for one in feature.measures if one.name == name), None)
+            if found is None and kind is FeatureKind.JOINT and quantity in _MEASURED and told:
+                continue  # a coupling has no bead
+            value, k2 = (math.nan, math.nan) if found is None else (abs(found.value), found.k2)
+            yield _item(criteria, "feature", index, kind, quantity, value, k2, feature.z_mm)
 
 
 def _of_pipe(survey: Survey, criteria: Criteria) -> Iterator[Judged]:
