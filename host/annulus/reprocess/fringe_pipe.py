@@ -25,6 +25,7 @@ from annulus.record.scan import Scan, open_scan
 from annulus.reprocess.job import roll_filled
 from annulus.reprocess.places import require_near
 from annulus.vocabulary import AnnulusError, Finding, Label, first_few
+from annulus.wall.apart import sound_wall_apart
 from annulus.wall.centreline import Centreline, Piece
 from annulus.wall.defects import Defect, Detection
 from annulus.wall.grid import Wall, build_wall
@@ -252,7 +253,15 @@ def _survey(job: FringePipeJob, seen: PipeMap) -> Survey:
     timing = {"wall": 1e3 * (built - began), "defects": 1e3 * (time.perf_counter() - built)}
     none, detection = np.zeros(wall.radius_mm.shape, bool), Detection(tuple(defects), label, limits)
     unjudged = find_unjudged(
-        wall, detection, explained=none, joints=none[:, 0], shadowed=none, no_wall=None, looks=None, rings=1
+        wall,
+        detection,
+        explained=none,
+        joints=none[:, 0],
+        shadowed=none,
+        no_wall=None,
+        looks=None,
+        rings=1,
+        apart=sound_wall_apart(wall, None),
     )
     return Survey(
         tuple(profiles), wall, none, detection,

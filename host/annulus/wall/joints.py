@@ -37,12 +37,18 @@ STANDS = 0.5  # part of a joint's points that stand inwards, for a bead
 
 @dataclass(frozen=True, slots=True)
 class Joint:
-    """A feature, and the rows of the wall it takes."""
+    """A feature, and the rows of the wall it takes. hidden_mm : of those, behind its step outwards, from every ring."""
 
     feature: Feature
     from_mm: float
     to_mm: float
     is_gap: bool
+    hidden_mm: float = 0.0
+
+    @property
+    def tells_gap(self) -> bool:
+        """Whether it says how wide a gap is: of a bead, that there is none."""
+        return self.is_gap or not math.isnan(self.feature.measured("height_mm"))
 
 
 def find_joints(wall: Wall, profiles: Sequence[Profile], axis: Axis, shadow_ratios: FloatArray) -> tuple[Joint, ...]:
@@ -209,7 +215,7 @@ def _joint(
             remark = "socket"
     kind = FeatureKind.GAP if is_gap else FeatureKind.JOINT
     length = max(length, 2 * wall.z_step_mm)
-    return Joint(Feature(kind, middle, length, measures=tuple(measures), remark=remark), first, last, is_gap)
+    return Joint(Feature(kind, middle, length, measures=tuple(measures), remark=remark), first, last, is_gap, hidden)
 
 
 def _gap(wall: Wall, points: Points, zone: tuple[float, float]) -> tuple[float, float]:

@@ -14,6 +14,7 @@ import numpy as np
 from annulus.geometry.calibration import Calibration
 from annulus.numeric.arrays import BoolArray, FloatArray, Image
 from annulus.vocabulary import Finding
+from annulus.wall.apart import sound_wall_apart
 from annulus.wall.axis import find_axis
 from annulus.wall.bends import find_bends
 from annulus.wall.centreline import Centreline
@@ -266,7 +267,7 @@ def survey(
     dark = shadowed(wall.radius_mm.astype(np.float64), wall.z_step_mm, narrowest)
     unjudged = find_unjudged(
         wall, detection, explained=explained, joints=np.asarray(of_joints.any(axis=1)), shadowed=dark, no_wall=no_wall,
-        looks=lit[1], rings=len(rises), profiles=aligned,
+        looks=lit[1], rings=len(rises), profiles=aligned, apart=sound_wall_apart(wall, lit[0], joints, 1.0 / narrowest),
     )  # fmt: skip
     done("stations")
     texture = paint(wall, axis.centreline, calibration, measured, led_frames)

@@ -20,6 +20,7 @@ from scipy import ndimage
 from annulus.numeric.arrays import BoolArray, FloatArray, arc_of
 from annulus.numeric.robust import nan_median
 from annulus.numeric.rounding import DISTANCE, clock_face, span
+from annulus.wall.apart import Apart
 from annulus.wall.defects import Defect, Detection, Kind
 from annulus.wall.grid import BRIDGE_OF_RADIUS, Wall, smooth
 from annulus.wall.indications import Scale, label_around
@@ -76,7 +77,8 @@ class Unjudged:
 
 def find_unjudged(
     wall: Wall, detection: Detection, *, explained: BoolArray, joints: BoolArray, shadowed: BoolArray,
-    no_wall: BoolArray | None, looks: Looks | None, rings: int, profiles: Sequence[Profile] = (),
+    no_wall: BoolArray | None, looks: Looks | None, rings: int, apart: Sequence[Apart],
+    profiles: Sequence[Profile] = (),
 ) -> tuple[Unjudged, ...]:  # fmt: skip
     """Every such place of a wall, in order of distance.
 
@@ -84,8 +86,8 @@ def find_unjudged(
     ----------
     explained : (Z, A) cells of joints, openings and levels, where no defect was looked for. joints : (Z,) their rows.
     shadowed : (Z, A) what steps hide. no_wall : (Z, A) cells of openings. looks : where light passed the wall, None
-    where nobody knows. rings : of the pattern; fewer than three tell no joint. profiles : whose points the wall is of;
-    none where every pixel measures.
+    where nobody knows. rings : of the pattern; fewer than three tell no joint. apart : where no sound
+    wall goes all round. profiles : whose points the wall is of; none where every pixel measures.
     """
     scale = Scale.of(wall, detection.limits)
     sure = wall.shape_sigma_mm() <= wall.shape_limit_mm
@@ -108,6 +110,7 @@ def find_unjudged(
     found += _ovality(wall, detection, no_wall, scale)
     found += _bore(wall, no_wall)
     found += _rows(wall, rings, scale)
+    found += _gaps(apart, wall.z_mm[joints])
     return _bounded(found)
 
 
@@ -386,6 +389,25 @@ def _rows(wall: Wall, rings: int, scale: Scale) -> Iterator[Unjudged]:
     few = wall.seen.mean(axis=1) < ROUND_LEAST
     least, end = scale.mm(scale.limits.edge_of_radius), scale.mm(END_OF_RADIUS)
     yield from _stretches(wall, few, OF_ROWS, "too little of the circle was seen", least, end)
+
+
+def _gaps(apart: Sequence[Apart], joints_mm: FloatArray) -> Iterator[Unjudged]:
+    """Where a gap may be that no joint tells, and how wide at most. Where one was found it may be a groove instead, and
+    where none was, two pipes may meet as they like."""
+    plain = max((one.most_mm for one in apart if one.is_plain), default=0.0)
+    for one in apart:
+        where = one.from_mm, one.to_mm
+        if one.is_plain:
+            reason = "a gap so short may lie between two rings"
+            yield Unjudged(("gap",), reason, *where, most=one.most_mm, usual=True)
+            continue
+        found = ((joints_mm > one.from_mm) & (joints_mm < one.to_mm)).any()
+        reason = "no sound wall goes all round there: how wide a gap it may be was not told"
+        yield Unjudged(("gap",), reason, *where, most=one.most_mm)
+        if not found and math.isfinite(one.most_mm):  # at an end of the scan no joint is judged anyhow
+            yield Unjudged(("joint",), "whether two pipes meet there was not told", *where)
+        elif one.most_mm - one.hidden_mm > plain:
+            yield Unjudged(("loss",), "a joint there is not told from a groove", *where)
 
 
 def _bounded(found: Sequence[Unjudged]) -> tuple[Unjudged, ...]:
