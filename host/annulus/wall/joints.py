@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from annulus.numeric.arrays import BoolArray, FloatArray
-from annulus.numeric.robust import SIGMA_OF_MAD
+from annulus.numeric.robust import SIGMA_OF_MAD, nan_median
 from annulus.wall.adjustment import OFFSET, RADIUS, TURN
 from annulus.wall.axis import Axis, Begins
 from annulus.wall.beads import measure_bead
@@ -32,6 +32,9 @@ SEEN = 0.3  # part of the circle, for a row to say anything
 ASIDE_OF_RADIUS = 0.08  # before and behind a gap: sound wall
 GAP_SECTORS, GAP_POINTS = 12, 3  # each with its own ends, and points of a row of one that say something
 SLIT_KNOWN = 0.5  # of half a slit: how well it is known where on an edge its light is lost
+ROUND_LEAST = 0.6  # of the circle, for a row to say where the pipe's axis is: as `axis` asks before it begins a piece
+BESIDE_OF_RADIUS = 1.0  # of the radius: so far beside a joint the line is held against the wall ..
+BESIDE_LEAST = 0.15  # .. and so much of that must be sound: over less an axis turns as the errors of its rings will
 STANDS = 0.5  # part of a joint's points that stand inwards, for a bead
 
 
@@ -49,6 +52,12 @@ class Joint:
     def tells_gap(self) -> bool:
         """Whether it says how wide a gap is: of a bead, that there is none."""
         return self.is_gap or not math.isnan(self.feature.measured("height_mm"))
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether the line surely jumps, turns or steps there, or nobody knows."""
+        of_line = [one for one in self.feature.measures if one.name in ("hilo_mm", "angle_deg", "step_mm")]
+        return not of_line or any(abs(one.value) > one.k2 for one in of_line)
 
 
 def find_joints(wall: Wall, profiles: Sequence[Profile], axis: Axis, shadow_ratios: FloatArray) -> tuple[Joint, ...]:
@@ -74,12 +83,13 @@ def find_joints(wall: Wall, profiles: Sequence[Profile], axis: Axis, shadow_rati
     if not zones and not welds and not beads:
         return ()
     points, least_shadow_ratio = Points.of(wall, profiles, shadow_ratios), float(shadow_ratios.min())
-    found = [_joint(wall, points, zone, limit, axis, i, least_shadow_ratio) for zone, i in zones]
-    found += [_joint(wall, points, zone, limit, axis, None, least_shadow_ratio) for zone in welds]
+    found = [_joint(wall, points, rows, zone, limit, axis, i, least_shadow_ratio) for zone, i in zones]
+    found = [joint for joint in found if rows.disturbed(joint.feature.z_mm) or joint.is_sure]
+    found += [_joint(wall, points, rows, zone, limit, axis, None, least_shadow_ratio) for zone in welds]
     for start, end in beads:
         if all(not joint.from_mm - end < 0 < joint.to_mm - start for joint in found):
             zone = rows.zone((start + end) / 2)
-            found.append(_joint(wall, points, zone, limit, axis, None, least_shadow_ratio))
+            found.append(_joint(wall, points, rows, zone, limit, axis, None, least_shadow_ratio))
     return tuple(sorted(found, key=lambda joint: joint.from_mm))
 
 
@@ -121,6 +131,15 @@ def without_hidden(
     return tuple(out)
 
 
+@dataclass(frozen=True, slots=True)
+class _Off:
+    """How far the wall beside a joint is off the line: of the offset, mm, the turn, radians, the radius, mm."""
+
+    offset_mm: float
+    turn: float
+    radius_mm: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Rows:
     """What each row of the wall is: sound, and how it departs all round (mm, NaN where it does not)."""
@@ -129,6 +148,7 @@ class _Rows:
     step_mm: float
     radius_mm: float
     sound: BoolArray
+    round: BoolArray  # enough of it was seen to say where the axis is
     off: BoolArray  # some of it departs
     inwards: BoolArray
 
@@ -143,7 +163,8 @@ class _Rows:
             inwards = (height < -limit).sum(axis=1) / count
             off = (np.abs(height) > limit).sum(axis=1) >= OFF_COLUMNS
         inwards = (inwards >= ROUND) & (count >= OFF_COLUMNS)
-        return cls(wall.z_mm, wall.z_step_mm, wall.mean_radius_mm, enough & (near >= SOUND), off, inwards)
+        sound, all_round = enough & (near >= SOUND), seen.mean(axis=1) >= ROUND_LEAST
+        return cls(wall.z_mm, wall.z_step_mm, wall.mean_radius_mm, sound, all_round, off, inwards)
 
     def zone(self, at_mm: float) -> tuple[float, float]:
         """From the last sound row before to the first one after a place, no farther than a joint reaches."""
@@ -171,6 +192,40 @@ class _Rows:
         near = np.abs(self.z_mm - at_mm) <= NEAR_OF_RADIUS * self.radius_mm
         return bool((near & self.off).any())
 
+    def line_off(
+        self, wall: Wall, axis: Axis, piece: int, zone: tuple[float, float], middle_mm: float, length_mm: float
+    ) -> _Off | None:
+        """What sound wall on both sides of a joint says otherwise than the line; None where there is too little of it.
+
+        Each piece is held against its own wall, what is next to the joint and what is farther off: between two joints
+        that are near each other, or where what rings have in common is taken for a turn, there is no line to go by. Nor
+        is it known where in the joint's zone, beside its bead or gap, the line turns.
+        """
+        pieces, reach = axis.centreline.pieces, BESIDE_OF_RADIUS * self.radius_mm
+        first = max(pieces[piece - 1].start_mm, zone[0] - reach)
+        last = min(pieces[piece + 1].start_mm if piece + 1 < len(pieces) else math.inf, zone[1] + reach)
+        good, offs = self.sound & self.round, []
+        for side in ((self.z_mm > first) & (self.z_mm < zone[0]), (self.z_mm > zone[1]) & (self.z_mm < last)):
+            at = np.flatnonzero(side & good)
+            if len(at) < 2 or len(at) * self.step_mm < BESIDE_LEAST * self.radius_mm:
+                return None
+            radius = wall.radius_mm[at] - axis.centreline.radius_at(self.z_mm[at])[:, None]
+            off = np.column_stack([wall.shape_mm[at, 1:3], nan_median(np.where(wall.seen[at], radius, np.nan).T)])
+            split = min(math.ceil(BESIDE_LEAST * self.radius_mm / self.step_mm), len(at) // 2)
+            near, far = np.split(off if self.z_mm[at[0]] > zone[1] else off[::-1], [split])
+            length = float(self.z_mm[at[-1]] - self.z_mm[at[0]]) / 2
+            offs.append((np.median(near, axis=0), (np.median(far, axis=0) - np.median(near, axis=0)) / length))
+        (before, back), (after, ahead) = offs
+        jump, turn = after - before, ahead + back  # ahead of the joint farther off is forward, before it back
+        # a radius that goes on changing along its own pipe makes a step of what is none
+        grows = reach / 2 * math.hypot(ahead[2], back[2])
+        # somewhere in its zone it turns, and not surely in its bead
+        away = max(abs(pieces[piece].start_mm - middle_mm), (zone[1] - zone[0] - length_mm) / 2)
+        astray = away * float(np.hypot(*pieces[piece].turn))
+        return _Off(
+            float(np.hypot(np.hypot(*jump[:2]), astray)), float(np.hypot(*turn[:2])), math.hypot(jump[2], grows)
+        )
+
     def beads(self) -> list[tuple[float, float]]:
         """Runs of rows that stand inwards all round, short enough for a joint."""
         marked = np.flatnonzero(self.inwards)
@@ -182,7 +237,7 @@ class _Rows:
 
 
 def _joint(
-    wall: Wall, points: Points, zone: tuple[float, float], limit: float, axis: Axis, piece: int | None,
+    wall: Wall, points: Points, rows: _Rows, zone: tuple[float, float], limit: float, axis: Axis, piece: int | None,
     least_shadow_ratio: float,
 ) -> Joint:  # fmt: skip
     first, last = points.trimmed(zone, limit)
@@ -209,7 +264,9 @@ def _joint(
         length = gap
     remark = "butt fusion" if is_bead else "coupling" if is_gap else f"{NOT_TOLD}: too little of it was seen"
     if piece is not None and axis.adjusted is not None:
-        measures += _of_line(axis, piece, middle)
+        off = rows.line_off(wall, axis, piece, (first, last), middle, length)
+        if off is not None:
+            measures += _of_line(axis, piece, middle, off)
         step = axis.adjusted.state.pieces[piece, RADIUS]
         if not is_bead and not is_gap and abs(step) > 0.02 * wall.mean_radius_mm:
             remark = "socket"
@@ -253,19 +310,21 @@ def _outwards(axis: Axis, piece: int | None, at_mm: float) -> float:
     return max(float(row[RADIUS]) + hilo, 0.0)
 
 
-def _of_line(axis: Axis, piece: int, at_mm: float) -> list[Measure]:
-    """Hi-lo, its clock, angle, step of diameter and the radius after, with the adjustment's uncertainty."""
+def _of_line(axis: Axis, piece: int, at_mm: float, off: _Off) -> list[Measure]:
+    """Hi-lo, its clock, angle, step of diameter and the radius after, with the adjustment's uncertainty, and what the
+    wall beside the joint is off the line."""
     assert axis.adjusted is not None
     row, start = axis.adjusted.state.pieces[piece], axis.centreline.pieces[piece].start_mm
     offset = row[OFFSET] + (at_mm - start) * row[TURN]
     hilo, angle = float(np.hypot(*offset)), math.degrees(float(np.hypot(*row[TURN])))
     sigma = [axis.adjusted.sigma(piece, k) for k in range(4)]
-    turn_sigma = math.hypot(sigma[2], sigma[3])
+    turn_sigma = math.hypot(sigma[2], sigma[3], off.turn)
+    radius_sigma = math.hypot(axis.adjusted.sigma(piece, RADIUS), off.radius_mm)
     return [
-        Measure("hilo_mm", hilo, 2.0 * math.hypot(sigma[0], sigma[1], 3.0 * turn_sigma)),
+        Measure("hilo_mm", hilo, 2.0 * math.hypot(sigma[0], sigma[1], 3.0 * turn_sigma, off.offset_mm)),
         Measure("hilo_clock_deg", math.degrees(math.atan2(offset[0], -offset[1])) % 360.0),
         Measure("angle_deg", angle, 2.0 * math.degrees(turn_sigma)),
         Measure("angle_clock_deg", math.degrees(math.atan2(row[TURN][0], -row[TURN][1])) % 360.0),
-        Measure("step_mm", 2.0 * float(row[RADIUS]), 4.0 * axis.adjusted.sigma(piece, RADIUS)),
-        Measure("radius_after_mm", axis.centreline.pieces[piece].radius_mm, 2.0 * axis.adjusted.sigma(piece, RADIUS)),
+        Measure("step_mm", 2.0 * float(row[RADIUS]), 4.0 * radius_sigma),
+        Measure("radius_after_mm", axis.centreline.pieces[piece].radius_mm, 2.0 * radius_sigma),
     ]
