@@ -35,11 +35,12 @@ class Stations:
 
     z_mm; diameter_min/max_mm, of those that were seen, local defects included; diameter_mean_mm, the length of the
     pipe's fitted shape over pi, as a tape has it, and what the seen wall departs from it on the average: never a mean
-    of what happened to be seen. ovality_percent (ASTM F1216 from those three: at least so much, where an arc was not
-    seen), shape_ovality_percent (ASTM F1216 of the pipe's fitted shape, local defects left out; NaN where too little
-    was seen for it), valid_fraction (of the wall seen, 0..1), diameter_k2_mm (expanded uncertainty, k = 2, of one of
-    those diameters, with what the shape may be off where nobody saw, and of the next two; NaN where points say nothing
-    of theirs). diameter_x_mm, diameter_y_mm: horizontal and vertical, through the middle of the pipe's shape; they need
+    of what happened to be seen, NaN where the shape is not known. ovality_percent (ASTM F1216 from those three: at
+    least so much, where an arc was not seen), shape_ovality_percent (ASTM F1216 of the pipe's fitted shape, local
+    defects left out; NaN where too little was seen for it), valid_fraction (of the wall seen, 0..1), diameter_k2_mm
+    (expanded uncertainty, k = 2, of one of those diameters, with what the shape may be off where nobody saw, and of the
+    next two; NaN where points say nothing of theirs). diameter_x_mm, diameter_y_mm: horizontal and vertical, through
+    the middle of the pipe's shape; they need
     their own four ends only. circumference_mm, area_mm2: of
     the inner wall as measured, local defects included; NaN where an arc of more than 20 degrees, or a tenth of the way
     round, was not seen, for narrower ones are crossed in the course of the pipe's shape. circumference_k2_mm,
@@ -156,7 +157,8 @@ def measure_stations(wall: Wall, station_mm: float = STATION_MM) -> Stations:
         outline = fitted_mm[part].mean(axis=0, dtype=float)
         of_unseen = (basis * ~np.isfinite(radius)[:, None]).mean(axis=0)
         middle = wall.shape_covariance[start + (part.stop - start) // 2]
-        guessed = 2.0 * np.sqrt(max(of_unseen @ middle @ of_unseen, 0.0)) if of_unseen.any() else 0.0
+        is_known = bool(np.isfinite(middle).all()) or not of_unseen.any()
+        guessed = 2.0 * np.sqrt(max(of_unseen @ middle @ of_unseen, 0.0)) if is_known and of_unseen.any() else 0.0
         guessed += 2.0 * of_unseen[0] * float(bent[part].mean())
         k2 = 2.0 * np.sqrt((2.0 * error) ** 2 + 2.0 * float(wall.noise_mm[part].mean()) ** 2 + guessed**2)
         z = float(wall.z_mm[part].mean())
@@ -169,7 +171,7 @@ def measure_stations(wall: Wall, station_mm: float = STATION_MM) -> Stations:
             out.append((z, np.nan, np.nan, np.nan, float(shape[part].mean()), valid, k2 if known else np.nan, *sizes))
             continue
         low, high = float(measured.min()), float(measured.max())
-        mean = _closed(outline)[0] / np.pi + 2.0 * float(np.nan_to_num(radius - outline).mean())
+        mean = _closed(outline)[0] / np.pi + 2.0 * float(np.nan_to_num(radius - outline).mean()) if is_known else np.nan
         out.append((z, low, high, mean, float(shape[part].mean()), valid, k2, *sizes))
     z_mm, smallest, largest, means, fitted, seen, k2s, *more = np.array(out, dtype=float).T
     return Stations(z_mm, smallest, largest, means, f1216(largest, smallest, means), fitted, seen, k2s, *more)
