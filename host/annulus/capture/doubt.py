@@ -142,11 +142,11 @@ class Doubt:
                 told += flash is not None and glimpse.light is not None and flash.lamp is not Lamp.PROJECTOR
         if len(run) < length:
             return None
+        if way in _MOVED and self._may_be_right(run):
+            return None
         if self._by_pictures:
             alone = self._fits_nowhere_else(run, self._history.cycle // 2)  # pairing: what moved by more is adrift
             return self._what_it_says(run[::-1], way, why) if alone else None
-        if way in _MOVED and self._may_be_right(run):
-            return None
         if (
             shown
             and not told
@@ -174,8 +174,9 @@ class Doubt:
         """
         if not self._history.preambled:
             return False
-        return all(
-            g.by_stamp is not None and self._is_free(g, g.by_stamp) and self._may_be_of(g, g.by_stamp) for g, _ in run
+        shown = [glimpse for glimpse, _ in run if glimpse.light is not None]  # a blank one says nothing of its stamp
+        return bool(shown) and all(
+            g.by_stamp is not None and self._is_free(g, g.by_stamp) and self._may_be_of(g, g.by_stamp) for g in shown
         )
 
     def _is_free(self, glimpse: Glimpse, ordinal: int) -> bool:

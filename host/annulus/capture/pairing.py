@@ -33,6 +33,7 @@ from annulus.capture.witnesses import Arrivals, Count, Delivery, Pictures
 from annulus.vocabulary import CameraSequence, EdgeFlag, Flash, Label, Lamp
 
 INTERVAL_TOLERANCE = 0.1  # of a period: between opening and closing edge
+CROWDED = 0.8  # of a period: two frames of one edge that come so soon one after the other are one too many
 HURRIED = 0.5  # of a period: frames that come so soon one after the other were in a queue
 SETTLE_PERIODS = 3.0  # how long a frame waits for an edge that has to be read again
 DOUBT_FRAMES_MAX = 32  # without agreement, before all is searched anew ..
@@ -184,17 +185,18 @@ class Pairing:
         judged = self._judge(frame)
         reason = self._look(judged, light)
         blanks = self._blank(frame, judged, light)
-        self._odd = repeated or blanks > 0 or self._dark > 0
+        garbage = light in (Light.BOTH, Light.UNCLEAR)
+        self._odd = repeated or torn or garbage or blanks + self._dark > 0 or (self._odd and light is Light.DARK)
         self._since += 1
-        for news in (self._contradiction(reason, light), self._suspicion(judged, reason, repeated, blanks)):
+        for news in (self._contradiction(reason, light), self._suspicion(judged, reason, repeated, blanks, garbage)):
             if news is not None:
                 self.contradictions[news.value] += 1
                 self._doubt.pictures += news is News.PICTURE
                 self._move(news)
-        one_more = judged.reason is Reason.ORDER and self._hurried(frame)
+        one_more = judged.reason is Reason.ORDER and self._hurried(frame, CROWDED)
         if one_more:  # of an edge that had its frame: one of the two may be a picture too soon
             self._doubt.suspect()
-        adrift = self._may_have_lost_a_cycle(frame, judged, repeated + blanks + one_more)
+        adrift = self._may_have_lost_a_cycle(frame, judged, repeated + blanks + one_more + torn + garbage)
         if adrift:
             self._adrift(adrift)
             return self._nothing()
@@ -331,12 +333,14 @@ class Pairing:
             self._failing.discard(flash.lamp)
         return dark
 
-    def _suspicion(self, judged: _Judged, reason: Reason, repeated: bool, blanks: int) -> News | None:
+    def _suspicion(self, judged: _Judged, reason: Reason, repeated: bool, blanks: int, garbage: bool) -> News | None:
         """What contradicts nobody, but may be the first of frames that are not what they seem."""
         if repeated:
             return News.REPEATED
         if blanks:
             return News.BLANK
+        if garbage:
+            return News.UNCLEAR
         if reason is not Reason.SKIPPED or self._last is None or judged.closing is None:
             return None
         none_missing = self._state is State.DOUBTED and judged.closing.ordinal - self._last <= self._since
@@ -348,7 +352,8 @@ class Pairing:
             return ""
         periods = None if self._arrived_ns is None else (frame.arrived_ns - self._arrived_ns) / self._period_ns
         count = self._counted(frame.sequence)
-        counted = None if count is None else judged.closing is not None and count == judged.closing.ordinal
+        named = judged.closing is not None and judged.reason is not Reason.ORDER
+        counted = None if count is None else named and judged.closing is not None and count == judged.closing.ordinal
         edgeless = count is not None and judged.reason is Reason.NO_EDGE
         return self._continuity.broken(periods, counted, moved, edgeless)
 
@@ -387,7 +392,8 @@ class Pairing:
             )
         )
         agreed = self._doubt.agreed()
-        if agreed is not None and self._last is not None and self._counted(frame.sequence) is None:
+        overruled = agreed is not None and agreed.ahead not in (None, self._count.ahead)
+        if agreed is not None and self._last is not None and (overruled or self._counted(frame.sequence) is None):
             self._continuity.missed(agreed.ordinals[-1] - self._last - self._doubt.frames)
             if self._continuity.lost:
                 return False  # the next frame finds them adrift
@@ -477,10 +483,10 @@ class Pairing:
     def _lag(self, frame: FrameSeen, closing: PlacedEdge) -> int | None:
         return None if Witness.ARRIVAL in self._without else frame.arrived_ns - closing.host_ns
 
-    def _hurried(self, frame: FrameSeen) -> bool:
+    def _hurried(self, frame: FrameSeen, periods: float = HURRIED) -> bool:
         """Whether it came on the heels of the one before: both had waited, and its time says less than it seems to."""
         before = self._arrived_ns
-        return before is not None and frame.arrived_ns - before < HURRIED * self._period_ns
+        return before is not None and frame.arrived_ns - before < periods * self._period_ns
 
     def _arrival_says(self, frame: FrameSeen) -> int | None:
         """The ordinal of the edge that the frame's arrival names, where it did not have to wait."""

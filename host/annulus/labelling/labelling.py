@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from annulus.capture.offset import calibrate_offset
+from annulus.capture.offset import Offset, calibrate_offset
 from annulus.capture.pairing import Labelled, Pairing
 from annulus.capture.photometry import Light
 from annulus.capture.proof import State, Witness
@@ -22,7 +22,7 @@ from annulus.capture.witnesses import PICTURES_KEPT
 from annulus.controller import TICK_NS
 from annulus.labelling.navigation import Navigation
 from annulus.stream.frames import FrameHeader
-from annulus.vocabulary import AnnulusError, EdgeFlag, Flash, Label
+from annulus.vocabulary import AnnulusError, EdgeFlag, Flash, Label, Lamp
 
 OFFSET_FRAMES = 15  # seen before the camera's offset is tried ..
 OFFSET_FRAMES_KEPT = 96  # .. and looked at: enough where one stamp in four is off by itself
@@ -70,6 +70,7 @@ class Labelling:
         self._shown: deque[int] = deque(maxlen=PICTURES_KEPT)  # fingerprints of the last pictures ..
         self._missing = 0  # periods without a frame since the search began, that no count spans
         self._again = 0  # .. and how many that were shown before came one after the other
+        self._sound_from_ns = 0  # arrival of the first frame behind the last that may have moved pictures
         self._proved_from_ns = 0  # arrival of the first frame that the search looked at: it knows of none before
         self._labelled_s: float | None = None  # when a frame last had a label, or the operator was told that none has
         self._unproved = ""  # what the last search said
@@ -114,6 +115,10 @@ class Labelling:
             if max(self._missing, self._again) >= self._navigation.edges.cycle / 2:
                 self._seen.clear()  # what those before prove, those from here on need not obey
         self._missing = self._missing if self._seen else 0
+        if self._again or (frame.picture.light in (Light.BOTH, Light.UNCLEAR) and not frame.picture.torn):
+            self._sound_from_ns = frame.arrived_ns + 1
+        elif self._seen and frame.sequence is None and self._missed(frame, self._seen[-1]):
+            self._sound_from_ns = frame.arrived_ns
         if not self._again:  # a picture of before says nothing of now
             self._seen.append(frame)
 
@@ -152,8 +157,17 @@ class Labelling:
             f"camera timestamps are {offset.offset_ns / 1e6:+.2f} ms from the end of readout "
             f"(+-{offset.jitter_ns / 1e6:.2f} ms, {offset.frames} frames)",
         )
-        self._proved_from_ns = self._seen[0].arrived_ns
+        self._proved_from_ns = max(self._seen[0].arrived_ns, self._sound_from_ns, self._unlit_until_ns(offset))
         self._pairing.believe(offset)
+
+    def _unlit_until_ns(self, offset: Offset) -> int:
+        """Of the frames that a search looked at: behind the last that is dark though its flash was fired."""
+        edges, last = self._navigation.edges, 0
+        for frame in self._seen:
+            if frame.picture.light is Light.DARK:
+                flash = edges.lit(edges.nearest(frame.timestamp_ns - offset.offset_ns).ordinal)
+                last = frame.arrived_ns + 1 if flash is not None and flash.lamp is not Lamp.DARK else last
+        return last
 
     def settled(self, frame: FrameSeen, now_ns: int) -> bool:
         """Whether this frame's label can get no better by waiting."""

@@ -22,11 +22,14 @@ def lamp(k: int, ratio: int = 4) -> Lamp:
 
 
 def hiccup(signs: str, counted: bool, at: int = AT, ratio: int = 4) -> Faults:
-    """From `at` on a frame each: b blank, r shown again, s missing, n new; behind them pictures are late by as many."""
+    """From `at` on a frame each: b blank, r shown again, s missing, t torn, u garbage, n new; behind them pictures are
+    late by as many.
+    """
     sign = dict(zip(range(at, at + len(signs)), signs, strict=True))
     late = [sum(sign.get(i, "n") != "n" for i in range(at, k + 1)) for k in range(900)]
     return Faults(
         lamp=lambda k: lamp(k, ratio), preamble=lambda k: k % EVERY < LENGTH, blank=lambda k: sign.get(k) == "b",
+        torn=lambda k: sign.get(k) == "t", garbage=lambda k: sign.get(k) == "u",
         dropped=lambda k: sign.get(k) == "s", pictured=lambda k: k - late[min(k, 899)],
         count=(lambda k: 1000 + k) if counted else lambda k: None,
     )  # fmt: skip
@@ -66,6 +69,36 @@ def test_also_in_a_doubt_that_began_otherwise(signs: str, shift: int, counted: b
     faults = hiccup(signs, counted, AT + shift)
     faults.stamp_ms = lambda k: 120.0 * (k >= AT + shift - 1 if stepped else k == AT + shift - 1)
     scored(faults)
+
+
+@pytest.mark.deep(but=2)
+@COUNTS
+@pytest.mark.parametrize("signs", ["bbuuu", "rrttt", "ttttt", "uuuuu", "rruuu", "nnbuttr"])
+def test_also_pictures_that_are_none(signs: str, counted: bool) -> None:
+    """A buffer that was written in part, or with something else."""
+    scored(hiccup(signs, counted))
+
+
+@pytest.mark.deep(but=1)
+@pytest.mark.parametrize("signs", ["sbsbs", "ssbss", "sbssb"])
+@pytest.mark.parametrize("handed_over", [True, False])
+def test_also_where_stamps_are_true_or_the_count_is_of_what_is_handed_over(signs: str, handed_over: bool) -> None:
+    faults = hiccup(signs, True)
+    missing = [AT + i for i, sign in enumerate(signs) if sign == "s"]
+    late = lambda k: k - faults.pictured(k)  # noqa: E731
+    if handed_over:
+        faults.count = lambda k: 1000 + k - sum(one <= k for one in missing)
+    else:
+        faults.stamp_ms = lambda k: -40.0 * late(k)
+    scored(faults)
+
+
+@pytest.mark.deep(but=1)
+@COUNTS
+@pytest.mark.parametrize("signs", ["rrrnnnnr", "bbbnnnb", "bbbnnnnbb"])
+def test_also_while_a_search_is_under_way(signs: str, counted: bool) -> None:
+    """What it proves holds behind the last sign, not for the frames before."""
+    scored(hiccup(signs, counted))
 
 
 def test_a_driver_that_gives_a_cycle_of_frames_away_is_not_one_whose_stamps_have_moved() -> None:

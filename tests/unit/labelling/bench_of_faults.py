@@ -20,7 +20,7 @@ PERIOD = 40 * MS
 START = 10**12
 MODE = CameraMode(0, 64, 48, "mono8", PERIOD)
 WAITING_MAX = 28  # frames there are slots for
-SPREAD = {Light.DARK: 0.0, Light.LED: 0.001, Light.PROJECTOR: 0.38}
+SPREAD = {Light.DARK: 0.0, Light.LED: 0.001, Light.BOTH: 0.1, Light.PROJECTOR: 0.38}
 
 
 def picture(light: Light, fingerprint: int | None = None, **bands: Any) -> Photometry:
@@ -41,6 +41,7 @@ class Faults:
     pictured: Callable[[int], int] = lambda k: k  # whose picture this frame brings
     blank: Callable[[int], bool] = lambda k: False  # nothing was written into its buffer
     torn: Callable[[int], bool] = lambda k: False
+    garbage: Callable[[int], bool] = lambda k: False  # something was written into its buffer that is no picture
     kept: Callable[[int], int] = lambda k: 0  # frames in the driver's hands before this one is given away
     reset: Callable[[int], bool] = lambda k: False  # the controller restarts before this edge, three edges are missed
     lamp: Callable[[int], Lamp] | None = None  # after edge k; else the cycle
@@ -135,6 +136,8 @@ class Bench:
         light = {Lamp.LED: Light.LED, Lamp.PROJECTOR: Light.PROJECTOR, Lamp.DARK: Light.DARK}[self.lamp(shown - 1)]
         if self.faults.blank(k):
             light, shown = Light.DARK, -k
+        if self.faults.garbage(k):
+            light, shown = Light.BOTH, -k
         bands = (Light.BOTH,) + (light,) * 7 if self.faults.torn(k) else (light,) * 8
         count = self.faults.count(k)
         sequence = None if count is None else CameraSequence(count)
@@ -165,5 +168,6 @@ class Bench:
                 header.odometer != self.faults.pictured(k) - 1
                 or header.label.value != self.lamp(self.faults.pictured(k) - 1).name.lower()
                 or self.faults.torn(k)
+                or self.faults.garbage(k)
             ):
                 self.score.wrong.append(k)
