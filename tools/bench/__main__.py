@@ -3,6 +3,7 @@
 A whole table writes its RESULTS.md and pictures; topics named are run alone, and only printed. Ends with status 1 if a
 row misses its target or a topic breaks, with 2 for a name that there is not. `python -m tools.bench fuzz` feeds the
 readers with what nobody would write; see fuzz/. `python -m tools.bench scenes` scores ray-traced scans; see scenes/.
+`python -m tools.bench blind` draws pipes of its own from a seed; see blind/.
 """
 
 import importlib
@@ -15,7 +16,7 @@ TABLES = ("metrology", "thermoacoustic", "joints", "crossbore", "archive", "spee
 
 def main(arguments: list[str]) -> int:
     name, *topics = arguments or [""]
-    if name in ("fuzz", "scenes"):
+    if name in ("fuzz", "scenes", "blind"):
         return int(importlib.import_module(f"tools.bench.{name}.run").main(topics))
     if name not in TABLES:
         print(f"table {name!r}: expected one of {', '.join(TABLES)}, and then its topics, if not all", file=sys.stderr)

@@ -10,8 +10,10 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from annulus.record.limits_file import load_limits
 from annulus.report import Account, write
 from annulus.reprocess import method_for, open_job, reprocess, warm_up
+from annulus.wall.conformity import judge
 from tools.bench.scenes import __doc__ as purpose
 from tools.bench.scenes.blind import FRAMES, blind_checks, draw
 from tools.bench.scenes.elbow import ELBOW, elbow_checks
@@ -103,11 +105,14 @@ def load(path: Path) -> ModuleType:
     return module
 
 
-def measure(scene: Path, out: Path) -> float:
-    """Every result file of a scene in `out`; CPU seconds, pictures and page included."""
+def measure(scene: Path, out: Path, limits: Path | None = None) -> float:
+    """Every result file of a scene in `out`, its verdict too where there are limits; CPU seconds, page included."""
     began = time.process_time()
     done = reprocess(open_job(scene, scene / "calibration.json"))
-    write(done.survey(), Account(scene.name, done.frames, done.drops, done.timing_ms, done.findings), out)
+    survey = done.survey()
+    verdict = None if limits is None else judge(survey, load_limits(limits))
+    account = Account(scene.name, done.frames, done.drops, done.timing_ms, done.findings, verdict=verdict)
+    write(survey, account, out)
     return time.process_time() - began
 
 

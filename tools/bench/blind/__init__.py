@@ -1,0 +1,13 @@
+"""Pipes that nobody has seen: drawn from a seed, photographed by POV-Ray, surveyed, and the survey held to its word.
+
+`python -m tools.bench blind --seed N [--pipes K | --pipes SEED,SEED] [--jobs 2] [--keep FOLDER] [--score-only]`
+
+A pipe's own seed is N * 1000 + i. It draws the pipe (`draw`), whose wall is one analytic radius r(clock, chainage)
+about a centre line (`surface`); that wall is meshed (`mesh`) and lit by a slide projector in POV-Ray (`pov`), the light
+is taken by a sensor (`sensor`), and what lies in the folder then is a scan like any other (`scan`). Its results are
+read (`results`), held against r (`score`, `cloud`), and summed up (`table`). No line of optics or geometry is shared
+with the twin or with what is tested.
+
+Even seeds are for setting constants by; the table is made on odd ones, once: a seed that was looked at is blind no
+more. Needs POV-Ray 3.7 (`apt-get install povray`).
+"""

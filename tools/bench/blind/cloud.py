@@ -1,0 +1,94 @@
+"""Points of the cloud against the true wall: how many lie within twice their sigma, by place."""
+
+from collections import defaultdict
+
+import numpy as np
+
+from tools.bench.blind.pipe import Scene
+from tools.bench.blind.places import BREAKS, END_OF_RADIUS, JOINT_OF_RADIUS, ROD_DEG
+from tools.bench.blind.surface import NO_WALL, Array, Surface, away_deg
+
+POINTS_MOST = 20_000  # of a pipe
+SLICE_OF_RADIUS = 0.1  # whose middle is taken from its own points: the pipe's axis is nobody's but the survey's
+ASIDE_OF_RADIUS = 0.01  # beside a step a point may be on either side of it
+STEP_OF_RADIUS = 0.004  # what is more than that within ASIDE is a step
+
+
+def cloud_coverage(scene: Scene, points: Array, sigma: Array, seen: tuple[float, float]) -> dict[str, tuple[int, int]]:
+    """Place -> (points, those within 2 sigma). Points where there is no wall are left out."""
+    surface, radius = Surface(scene.pipe), scene.pipe.radius_mm
+    known = np.isfinite(sigma)
+    keep = np.flatnonzero(known)[:: max(1, int(known.sum()) // POINTS_MOST)]
+    clock, z, r = surface.from_space(points[keep])
+    error = errors(surface, clock, z, r)
+    error = centred(clock, z, error, SLICE_OF_RADIUS * radius)
+    wall = np.ones(len(z), bool)
+    for thing in scene.pipe.things:
+        if thing.kind in NO_WALL:
+            off = np.abs(away_deg(clock, thing.clock_deg))
+            round_it = np.full(len(z), thing.kind == "cable") | (off <= thing.arc_deg / 2 + 4.0)
+            wall &= ~(round_it & (np.abs(z - thing.z_mm) <= thing.length_mm / 2 + 0.05 * radius))
+    within = np.abs(error) <= 2.0 * sigma[keep]
+    out: dict[str, tuple[int, int]] = {}
+    for place, mine in _places(scene, clock, z, seen).items():
+        mine = mine & wall
+        if mine.any():
+            out[place] = int(mine.sum()), int(within[mine].sum())
+    return out
+
+
+def errors(surface: Surface, clock: Array, z: Array, r: Array) -> Array:
+    """(N,) mm, how far points are outside the wall; at a step, of the range of its two sides."""
+    radius = surface.pipe.radius_mm
+    aside = ASIDE_OF_RADIUS * radius
+    near = [
+        surface.radius(clock + np.degrees(da / radius), z + dz)
+        for da, dz in ((0, 0), (aside, 0), (-aside, 0), (0, aside), (0, -aside))
+    ]
+    low, high = np.min(near, axis=0), np.max(near, axis=0)
+    plain = r - near[0]
+    stepped = r - np.clip(r, low, high)
+    return np.asarray(np.where(high - low > STEP_OF_RADIUS * radius, stepped, plain))
+
+
+def centred(clock: Array, z: Array, error: Array, slice_mm: float) -> Array:
+    """The same after the best shift of every slice along the pipe: which axis is the pipe's, nobody can say better."""
+    out = error.copy()
+    which = np.floor(z / slice_mm).astype(int)
+    for k in np.unique(which):
+        mine = np.flatnonzero(which == k)
+        if len(mine) < 30:
+            continue
+        t = np.radians(clock[mine])
+        basis = np.stack([np.cos(t), np.sin(t)], axis=1)
+        sound = np.ones(len(mine), bool)
+        for _ in range(3):
+            shift = np.linalg.lstsq(basis[sound], error[mine][sound], rcond=None)[0]
+            left = error[mine] - basis @ shift
+            spread = 1.4826 * np.median(np.abs(left - np.median(left))) + 1e-3
+            sound = np.abs(left - np.median(left)) < 4.0 * spread
+        out[mine] = error[mine] - basis @ shift
+    return out
+
+
+def _places(scene: Scene, clock: Array, z: Array, seen: tuple[float, float]) -> dict[str, Array]:
+    """Masks by place, as `places` has them for one thing, but shadows of steps."""
+    if scene.change.any:
+        return {"in drift": np.ones(len(z), bool)}
+    radius = scene.pipe.radius_mm
+    masks: dict[str, Array] = defaultdict(lambda: np.zeros(len(z), bool))
+    for one in scene.pipe.things:
+        first, last = one.span_mm
+        if one.kind == "bend":
+            masks["in a bend"] |= (z >= first) & (z <= last)
+        elif one.kind in BREAKS:
+            masks["beside a joint"] |= (z >= first - JOINT_OF_RADIUS * radius) & (z <= last + JOINT_OF_RADIUS * radius)
+    masks["at an end"] = (z < seen[0] + END_OF_RADIUS * radius) | (z > seen[1] - END_OF_RADIUS * radius)
+    for rod, _, _ in scene.head.rods:
+        masks["behind a step or rod"] |= np.abs(away_deg(clock, rod)) <= ROD_DEG
+    left = np.ones(len(z), bool)
+    out = {}
+    for place in ("in a bend", "at an end", "beside a joint", "behind a step or rod"):
+        out[place] = masks[place] & left
+        left = left & ~masks[place]
+    return {**out, "plain wall": left}

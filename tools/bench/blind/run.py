@@ -1,0 +1,132 @@
+"""Draws pipes, surveys them, scores them: `python -m tools.bench blind --help`."""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+from annulus.vocabulary import AnnulusError
+from tools.bench.blind.draw import draw
+from tools.bench.blind.pipe import Scene
+from tools.bench.blind.pov import need_povray
+from tools.bench.blind.results import read_results
+from tools.bench.blind.scan import TRUTH, write_scan
+from tools.bench.blind.score import Score, score
+from tools.bench.blind.table import markdown, totals
+from tools.bench.scenes.run import measure
+
+PIPES = 60
+PER_SEED = 1000  # pipes that one seed can have
+EPILOG = """Even seeds are for setting constants by. Odd seeds make the table, once: a seed that was looked at is
+blind no more, and what was set on it says nothing of the next pipe."""
+
+
+def main(arguments: list[str]) -> int:
+    asked = _asked(arguments)
+    seeds = seeds_of(asked.seed, asked.pipes)
+    use = "even: for setting constants by" if asked.seed % 2 == 0 else "odd: for the table, once"
+    print(f"seed {asked.seed} ({use}), {len(seeds)} pipes", flush=True)
+    try:
+        if not asked.score_only:
+            need_povray()
+    except AnnulusError as error:
+        print(error, file=sys.stderr)
+        return 2
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = asked.keep or Path(scratch)
+        scores, failed, began = [], {}, time.monotonic()
+        for seed, one, spent in _each(seeds, folder, asked.score_only, asked.jobs):
+            if isinstance(one, str):
+                failed[seed] = one
+            else:
+                scores.append(one)
+            print(f"{seed}: {one if isinstance(one, str) else _line(one)} ({spent:.0f} s)", flush=True)
+        took = time.monotonic() - began
+        head = f"# Blind, seed {asked.seed} ({use})\n\nMade by `{_command(asked)}` in {took / 60:.1f} minutes."
+        text = markdown(scores, failed, head)
+        print(f"\n{text}", end="")
+        if asked.keep:
+            (folder / "table.md").write_text(text, encoding="utf-8")
+            plain = json.dumps(totals(scores, failed), indent=1)
+            (folder / "table.json").write_text(plain, encoding="utf-8")
+    return 1 if failed else 0
+
+
+def _asked(arguments: list[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="python -m tools.bench blind", epilog=EPILOG,
+        description="Pipes drawn from a seed, photographed by POV-Ray, surveyed and held against their truth.",
+    )  # fmt: skip
+    parser.add_argument("--seed", type=int, required=True, metavar="N", help="even: to set constants; odd: the table")
+    parser.add_argument(
+        "--pipes", default=str(PIPES), metavar="K",
+        help=f"how many, {PIPES} if not given; or the seeds of single ones, 2003,2007 (2003, for one alone)",
+    )  # fmt: skip
+    parser.add_argument("--jobs", type=int, default=2, help="pipes worked on at a time")
+    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="keeps scans, results, table.md and table.json")
+    parser.add_argument("--score-only", action="store_true", help="of what --keep has; nothing is drawn or surveyed")
+    asked = parser.parse_args(arguments)
+    if asked.score_only and asked.keep is None:
+        parser.error("--score-only needs --keep FOLDER, where the pipes are")
+    try:
+        seeds_of(asked.seed, asked.pipes)
+    except ValueError as error:
+        parser.error(str(error))
+    return asked
+
+
+def seeds_of(seed: int, pipes: str) -> list[int]:
+    """Of so many pipes, or of those that are named. Raises ValueError."""
+    try:
+        numbers = [int(one) for one in pipes.split(",") if one]
+    except ValueError:
+        raise ValueError(f"--pipes {pipes}: expected how many, or seeds with commas between") from None
+    if "," not in pipes and len(numbers) == 1 and 0 < numbers[0] <= PER_SEED and seed:
+        return [seed * PER_SEED + i for i in range(numbers[0])]
+    if not numbers or any(one // PER_SEED != seed for one in numbers):
+        raise ValueError(f"--pipes {pipes}: expected 1 to {PER_SEED}, or seeds from {seed * PER_SEED} on")
+    return numbers
+
+
+def _each(seeds: list[int], folder: Path, score_only: bool, jobs: int) -> Iterator[tuple[int, Score | str, float]]:
+    if jobs <= 1 or len(seeds) == 1:
+        for seed in seeds:
+            yield one_pipe(seed, folder, score_only)
+        return
+    with ProcessPoolExecutor(jobs) as pool:
+        yield from pool.map(one_pipe, seeds, [folder] * len(seeds), [score_only] * len(seeds))
+
+
+def one_pipe(seed: int, folder: Path, score_only: bool) -> tuple[int, Score | str, float]:
+    """Draws, surveys and scores one; what is there of it is kept. A line in place of a score where it breaks."""
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    began = time.monotonic()
+    scan, out = folder / str(seed), folder / f"{seed}-results"
+    try:
+        if not score_only:
+            if not (scan / TRUTH).is_file():
+                write_scan(draw(seed), scan)
+            if not (out / "summary.json").is_file():
+                measure(scan, out, scan / "limits.toml")
+        truth = json.loads((scan / TRUTH).read_text(encoding="utf-8"))
+        return seed, score(Scene.from_dict(truth), read_results(out)), time.monotonic() - began
+    except Exception as error:  # must not cost the other pipes
+        reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        return seed, reason, time.monotonic() - began
+
+
+def _line(one: Score) -> str:
+    states = [outcome.state for outcome in one.outcomes]
+    counts = ", ".join(f"{states.count(name)} {name}" for name in dict.fromkeys(states))
+    return f"{one.bore_mm:.0f} mm, {one.material}: {counts}; {len(one.false)} false; {one.decision}"
+
+
+def _command(asked: argparse.Namespace) -> str:
+    done = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
+    return f"python -m tools.bench blind --seed {asked.seed} --pipes {asked.pipes}` at `{done.stdout.strip()}"
