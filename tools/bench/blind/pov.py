@@ -25,7 +25,7 @@ SOFT = 0.15  # of a slit's width: its edges
 BRIGHT = 0.5  # of white: the wall before the outermost stripe
 LED_ASIDE_OF_RADIUS, LEDS = 0.12, 3
 HEADER = "#version 3.7;\nglobal_settings { assumed_gamma 1.0 max_trace_level 4 }\n"
-LEAST_S = 600  # of a frame; one takes 2
+MOST_S = 1800  # of a frame; one takes 2 on a free core
 
 
 def need_povray() -> None:
@@ -47,6 +47,7 @@ def pipe_text(scene: Scene, last_mm: float) -> str:
     points, faces = mesh(surface, -BEHIND_OF_RADIUS * radius, last_mm + AHEAD_OF_RADIUS * radius)
     corners = ",".join(f"<{x:.4f},{y:.4f},{z:.4f}>" for x, y, z in points.tolist())
     triangles = ",".join(f"<{a},{b},{c}>" for a, b, c in faces.tolist())
+    vertices = f"vertex_vectors {{ {len(points)},{corners} }}"
     holes, rest = [], []
     for thing in scene.pipe.things:
         hole, more = _object(surface, thing, radius)
@@ -56,8 +57,8 @@ def pipe_text(scene: Scene, last_mm: float) -> str:
     clip = clip and f"clipped_by {{ {clip} }}"
     return (
         f"#declare Plastic = texture {{ {_texture(scene.pipe.material, radius)} }}\n"
-        f"mesh2 {{ vertex_vectors {{ {len(points)},{corners} }} face_indices {{ {len(faces)},{triangles} }}\n"
-        f"{clip} texture {{ Plastic }} }}\n" + "\n".join(rest) + "\n"
+        f"#declare Wall = mesh2 {{ {vertices} face_indices {{ {len(faces)},{triangles} }}\n"
+        f"{clip} texture {{ Plastic }} }}\nobject {{ Wall }}\n" + "\n".join(rest) + "\n"
     )
 
 
@@ -234,7 +235,7 @@ def run_povray(text: Path, options: Sequence[str]) -> None:
     need_povray()
     command = [PROGRAM, f"+I{text}", "-D", "+WT1", "-GA", "-P", *options]
     done = subprocess.run(
-        command, cwd=text.parent, capture_output=True, text=True, timeout=LEAST_S, check=False,
+        command, cwd=text.parent, capture_output=True, text=True, timeout=MOST_S, check=False,
         env={**os.environ, "HOME": str(text.parent)},
     )  # fmt: skip
     if done.returncode:
