@@ -100,7 +100,7 @@ def test_triangles_lie_on_the_true_wall() -> None:
     middles = points[faces].mean(axis=1)
     clock, z, r = surface.from_space(middles)
     wedge = np.abs(z - 280.0) < 0.6  # where the joint turns, both pieces have a right to the same place
-    assert np.abs(errors(surface, clock, z, r))[~wedge].max() < 0.01
+    assert np.abs(errors(surface, clock, z, r))[~wedge].max() < 0.02
 
 
 def test_a_station_is_what_its_pipe_is() -> None:

@@ -16,7 +16,7 @@ from tools.bench.blind.surface import RINGED, Array, Surface, away_deg
 
 BLOCK_DEG, BLOCK_OF_RADIUS = 6.0, 0.1
 COARSE_DEG, COARSE_PARTS = 1.5, 2  # of a block without a thing; 0.007 mm from the arc at 76 mm
-FINE_DEG, FINE_PARTS = 0.5, 12
+FINE_DEG, FINE_PARTS = 0.75, 4  # of one with a thing, whose own lines are cut beside
 EDGE_MM = 1e-3  # the wall on both sides of a jump
 
 

@@ -20,7 +20,10 @@ from tools.bench.blind.pipe import Head, Material, Scene, Stand, Thing
 from tools.bench.blind.surface import BOTTOMS, Array, Surface, out
 
 PROGRAM = "povray"
-AHEAD_OF_RADIUS, BEHIND_OF_RADIUS = 3.0, 1.2  # wall beyond what the rings reach, and behind the first camera
+AHEAD_OF_RADIUS, FIRST_OF_RADIUS = (
+    1.2,
+    0.2,
+)  # wall beyond what the rings reach; and where it begins, for no lens sees before
 SOFT = 0.15  # of a slit's width: its edges
 BRIGHT = 0.5  # of white: the wall before the outermost stripe
 LED_ASIDE_OF_RADIUS, LEDS = 0.12, 3
@@ -44,7 +47,7 @@ def vector(values: Iterable[float]) -> str:
 def pipe_text(scene: Scene, last_mm: float) -> str:
     """Everything that is not the head, as far as `last_mm` of the rings' light."""
     surface, radius = Surface(scene.pipe), scene.pipe.radius_mm
-    points, faces = mesh(surface, -BEHIND_OF_RADIUS * radius, last_mm + AHEAD_OF_RADIUS * radius)
+    points, faces = mesh(surface, FIRST_OF_RADIUS * radius, last_mm + AHEAD_OF_RADIUS * radius)
     corners = ",".join(f"<{x:.4f},{y:.4f},{z:.4f}>" for x, y, z in points.tolist())
     triangles = ",".join(f"<{a},{b},{c}>" for a, b, c in faces.tolist())
     vertices = f"vertex_vectors {{ {len(points)},{corners} }}"
