@@ -3,7 +3,6 @@
 import csv
 import json
 import math
-import time
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +18,8 @@ SMOOTH = ("+A0.03", "+AM1", "+R2", "-J")  # four rays a pixel, more than that of
 TRUTH = "truth.json"
 
 
-def write_scan(scene: Scene, folder: Path) -> float:
-    """Draw every frame of a scene into `folder`. Seconds it took. A folder that has a truth.json is whole."""
-    began = time.monotonic()
+def write_scan(scene: Scene, folder: Path) -> None:
+    """Draw every frame of a scene into `folder`. A folder that has a truth.json is whole."""
     frames, work = folder / "frames", folder / "pov"
     for one in (frames, work):
         one.mkdir(parents=True, exist_ok=True)
@@ -46,9 +44,7 @@ def write_scan(scene: Scene, folder: Path) -> float:
     for one in work.iterdir():
         one.unlink()
     work.rmdir()
-    spent = time.monotonic() - began
-    (folder / TRUTH).write_text(json.dumps({"drawn_s": spent, **scene.to_dict()}, indent=1), encoding="utf-8")
-    return spent
+    (folder / TRUTH).write_text(json.dumps(scene.to_dict(), indent=1), encoding="utf-8")
 
 
 def _light(scene: Scene, stand: Stand, work: Path, stood: dict[tuple[Any, ...], Array]) -> Array:
