@@ -24,7 +24,9 @@ ACCEPTS = {
 WALL_THINGS = ("pocket", "groove", "bump")  # a survey states a limit of detection for these
 BESIDE_OF_RADIUS, BESIDE_DEG = 0.06, 8.0  # what is listed so near to a thing is that thing
 INSIDE = 0.6  # of a thing's length must have been scanned, or nobody could list it
-LOCAL = 4.0  # times a thing's area: a larger place at which nothing is established does not speak of that thing
+# A place at which nothing is established speaks of a thing if it is no more than LOCAL times as long and as wide, or
+# than what an inspector looks at in one go.
+LOCAL, LOOK_OF_RADIUS, LOOK_DEG = 4.0, 0.5, 60.0
 COVERED = 0.5  # of a thing's area that such places must cover
 OVAL_LEAST = 0.4  # of what is listed: a pipe that is less oval than that is none
 SURE = 3.0  # times k = 2: a depth that is off by more is wrong, whatever coverage is
@@ -178,13 +180,13 @@ def is_not_established(thing: Thing, results: Results, radius: float) -> bool:
     kinds = {"pocket": "loss", "groove": "loss", "dent": "bump", "branch": "bump", "cable": "bump", "hose": "bump",
              "silt": "deposit", "bend": "ovality", "reducer": "bore", "taper": "bore"}  # fmt: skip
     kind = kinds.get(thing.kind, thing.kind)
-    area = thing.length_mm * thing.arc_deg
+    longest, widest = max(LOCAL * thing.length_mm, LOOK_OF_RADIUS * radius), max(LOCAL * thing.arc_deg, LOOK_DEG)
     z = np.linspace(*thing.span_mm, 24)[:, None]
     clock = thing.clock_deg + thing.arc_deg * np.linspace(-0.5, 0.5, 24)[None, :]
     covered = np.zeros((24, 24), bool)
     for place in results.places:
         first, last, arc = place["z_from_mm"], place["z_to_mm"], place["arc_deg"]
-        if kind in place["limits"] and (last - first) * arc <= max(LOCAL * area, 0.5 * radius * 30.0):
+        if kind in place["limits"] and last - first <= longest and arc <= widest:
             around = np.abs(away_deg(clock, place["clock_deg"])) <= arc / 2 + 1.0
             covered |= (z >= first - 1.0) & (z <= last + 1.0) & around
     return bool(covered.mean() >= COVERED)
