@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tools.bench.__main__ import main
-from tools.bench.blind.cloud import errors
+from tools.bench.blind.cloud import centred, errors
 from tools.bench.blind.draw import draw, limited
 from tools.bench.blind.head import reach_of
 from tools.bench.blind.mesh import mesh
@@ -103,6 +103,17 @@ def test_triangles_lie_on_the_true_wall() -> None:
     assert np.abs(errors(surface, clock, z, r))[~wedge].max() < 0.02
 
 
+def test_points_off_the_axis_of_an_oval_pipe_are_still_on_its_wall() -> None:
+    scene = scene_with(SMALL)
+    surface = Surface(replace(scene.pipe, oval=0.06, oval_clock_deg=30.0))
+    rng = np.random.default_rng(3)
+    clock, z = rng.uniform(0.0, 360.0, 4000), rng.uniform(150.0, 250.0, 4000)
+    points = surface.to_space(clock, z, surface.radius(clock, z)) + (1.5, -2.0, 0.0)
+    moved = surface.from_space(points)
+    assert np.percentile(np.abs(errors(surface, *moved)), 50) > 0.5
+    assert np.percentile(np.abs(errors(surface, *centred(surface, *moved, 7.0))), 98) < 0.02
+
+
 def test_a_station_is_what_its_pipe_is() -> None:
     scene = scene_with()
     oval = Surface(replace(scene.pipe, oval=0.05, oval_clock_deg=0.0))
@@ -128,6 +139,13 @@ def test_a_station_is_what_its_pipe_is() -> None:
 def test_a_thing_is_found_misnamed_or_missed(listed: tuple[Listed, ...], state: str, false: int) -> None:
     one = score(scene_with(SMALL), results(*listed))
     assert [outcome.state for outcome in one.outcomes] == [state] and len(one.false) == false
+
+
+def test_a_line_that_is_of_two_things_has_the_depth_of_the_deeper_one() -> None:
+    other = replace(SMALL, z_mm=230.0, depth_mm=1.0)
+    one = score(scene_with(SMALL, other), results(loss(z_mm=215.0, length_mm=52.0)))
+    assert [outcome.state for outcome in one.outcomes] == ["found", "found"]
+    assert [(number.what, number.true, number.right) for number in one.numbers] == [("depth", 2.0, True)]
 
 
 def test_what_is_too_small_or_was_not_scanned_is_not_missed() -> None:

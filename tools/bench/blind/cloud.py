@@ -6,10 +6,10 @@ import numpy as np
 
 from tools.bench.blind.pipe import Scene
 from tools.bench.blind.places import BREAKS, END_OF_RADIUS, JOINT_OF_RADIUS, ROD_DEG
-from tools.bench.blind.surface import NO_WALL, Array, Surface, away_deg
+from tools.bench.blind.surface import NO_WALL, Array, Surface, away_deg, out
 
 POINTS_MOST = 20_000  # of a pipe
-SLICE_OF_RADIUS = 0.1  # whose middle is taken from its own points: the pipe's axis is nobody's but the survey's
+SLICE_OF_RADIUS, SLICE_POINTS, SHIFTS = 0.1, 30, 4  # a slice along the pipe, its least points; times it is shifted
 ASIDE_OF_RADIUS = 0.01  # beside a step a point may be on either side of it
 STEP_OF_RADIUS = 0.004  # what is more than that within ASIDE is a step
 
@@ -19,9 +19,8 @@ def cloud_coverage(scene: Scene, points: Array, sigma: Array, seen: tuple[float,
     surface, radius = Surface(scene.pipe), scene.pipe.radius_mm
     known = np.isfinite(sigma)
     keep = np.flatnonzero(known)[:: max(1, int(known.sum()) // POINTS_MOST)]
-    clock, z, r = surface.from_space(points[keep])
+    clock, z, r = centred(surface, *surface.from_space(points[keep]), SLICE_OF_RADIUS * radius)
     error = errors(surface, clock, z, r)
-    error = centred(clock, z, error, SLICE_OF_RADIUS * radius)
     wall = np.ones(len(z), bool)
     for thing in scene.pipe.things:
         if thing.kind in NO_WALL:
@@ -29,12 +28,11 @@ def cloud_coverage(scene: Scene, points: Array, sigma: Array, seen: tuple[float,
             round_it = np.full(len(z), thing.kind == "cable") | (off <= thing.arc_deg / 2 + 4.0)
             wall &= ~(round_it & (np.abs(z - thing.z_mm) <= thing.length_mm / 2 + 0.05 * radius))
     within = np.abs(error) <= 2.0 * sigma[keep]
-    out: dict[str, tuple[int, int]] = {}
+    counts = {}
     for place, mine in _places(scene, clock, z, seen).items():
-        mine = mine & wall
-        if mine.any():
-            out[place] = int(mine.sum()), int(within[mine].sum())
-    return out
+        if (mine & wall).any():
+            counts[place] = int((mine & wall).sum()), int(within[mine & wall].sum())
+    return counts
 
 
 def errors(surface: Surface, clock: Array, z: Array, r: Array) -> Array:
@@ -51,24 +49,24 @@ def errors(surface: Surface, clock: Array, z: Array, r: Array) -> Array:
     return np.asarray(np.where(high - low > STEP_OF_RADIUS * radius, stepped, plain))
 
 
-def centred(clock: Array, z: Array, error: Array, slice_mm: float) -> Array:
-    """The same after the best shift of every slice along the pipe: which axis is the pipe's, nobody can say better."""
-    out = error.copy()
+def centred(surface: Surface, clock: Array, z: Array, r: Array, slice_mm: float) -> tuple[Array, Array, Array]:
+    """The same after the best shift of every slice along the pipe: sigma is of a radius about the axis that the survey
+    found, and how far that is off is another number. Clocks turn with the shift: an oval pipe knows the difference."""
+    t = np.radians(clock)
+    x, y = r * np.sin(t), -r * np.cos(t)
     which = np.floor(z / slice_mm).astype(int)
-    for k in np.unique(which):
-        mine = np.flatnonzero(which == k)
-        if len(mine) < 30:
-            continue
-        t = np.radians(clock[mine])
-        basis = np.stack([np.cos(t), np.sin(t)], axis=1)
-        sound = np.ones(len(mine), bool)
-        for _ in range(3):
-            shift = np.linalg.lstsq(basis[sound], error[mine][sound], rcond=None)[0]
-            left = error[mine] - basis @ shift
-            spread = 1.4826 * np.median(np.abs(left - np.median(left))) + 1e-3
-            sound = np.abs(left - np.median(left)) < 4.0 * spread
-        out[mine] = error[mine] - basis @ shift
-    return out
+    slices = [mine for mine in (np.flatnonzero(which == k) for k in np.unique(which)) if len(mine) >= SLICE_POINTS]
+    for _ in range(SHIFTS):
+        error = errors(surface, clock, z, r)
+        for mine in slices:
+            way = out(clock[mine])
+            off = np.abs(error[mine] - np.median(error[mine]))
+            sound = off < 4.0 * (1.4826 * np.median(off) + 1e-3)
+            shift = np.linalg.lstsq(way[sound], error[mine][sound], rcond=None)[0]
+            x[mine] -= shift[0]
+            y[mine] -= shift[1]
+        clock, r = np.degrees(np.arctan2(x, -y)) % 360.0, np.hypot(x, y)
+    return clock, z, r
 
 
 def _places(scene: Scene, clock: Array, z: Array, seen: tuple[float, float]) -> dict[str, Array]:
@@ -87,8 +85,8 @@ def _places(scene: Scene, clock: Array, z: Array, seen: tuple[float, float]) -> 
     for rod, _, _ in scene.head.rods:
         masks["behind a step or rod"] |= np.abs(away_deg(clock, rod)) <= ROD_DEG
     left = np.ones(len(z), bool)
-    out = {}
+    parts = {}
     for place in ("in a bend", "at an end", "beside a joint", "behind a step or rod"):
-        out[place] = masks[place] & left
+        parts[place] = masks[place] & left
         left = left & ~masks[place]
-    return {**out, "plain wall": left}
+    return {**parts, "plain wall": left}

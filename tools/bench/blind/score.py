@@ -115,6 +115,7 @@ def score(scene: Scene, results: Results) -> Score:
         results.decision, tuple(name for name, _ in over),
         results.decision.startswith("conforms") and any(not hidden for _, hidden in over),
     )  # fmt: skip
+    named: dict[int, tuple[Listed, list[tuple[Thing, str]]]] = {}
     for thing in scene.pipe.things:
         state, best, others = judged(thing, scene, results, listed)
         where = place_of(scene, thing.span_mm, thing.clock_deg, thing.arc_deg, seen)
@@ -123,7 +124,9 @@ def score(scene: Scene, results: Results) -> Score:
             Outcome(thing.kind, thing.z_mm, thing.clock_deg, thing.depth_mm, thing.beside, where, state, said)
         )
         if best is not None:
-            out.numbers += thing_numbers(thing, best, where, surface, seen)
+            named.setdefault(id(best), (best, []))[1].append((thing, where))
+    for line, things in named.values():
+        out.numbers += line_numbers(line, things, surface, seen)
     for one in listed:
         if one.kind == "ovality":
             true = departure_mm(surface, one.z_mm - one.length_mm / 2, one.z_mm + one.length_mm / 2)
@@ -205,6 +208,15 @@ def overlap(thing: Thing, one: Listed, radius: float) -> bool:
 
 def span(one: Listed) -> tuple[float, float]:
     return one.z_mm - one.length_mm / 2, one.z_mm + one.length_mm / 2
+
+
+def line_numbers(
+    line: Listed, things: Sequence[tuple[Thing, str]], surface: Surface, seen: tuple[float, float]
+) -> list[Number]:
+    """What a line measured. One that is of several things has the depth of the deepest, and no more is asked."""
+    thing, where = max(things, key=lambda one: one[0].depth_mm)
+    numbers = list(thing_numbers(thing, line, where, surface, seen))
+    return numbers if len(things) == 1 else [one for one in numbers if one.what == "depth"]
 
 
 def thing_numbers(
