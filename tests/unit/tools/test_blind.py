@@ -150,10 +150,10 @@ def test_a_line_that_is_of_two_things_has_the_depth_of_the_deeper_one() -> None:
 
 def test_what_is_too_small_or_was_not_scanned_is_not_missed() -> None:
     shallow, short = replace(SMALL, depth_mm=0.4), replace(SMALL, length_mm=3.0)
-    states = [
-        score(scene_with(one), results()).outcomes[0].state for one in (shallow, short, replace(SMALL, z_mm=420.0))
-    ]
-    assert states == ["below the limit", "below the limit", "outside"]
+    dome = Thing("bump", 200.0, 20.0, 90.0, 16.0, 0.52)  # 4 mm of it stand over 0.5 mm
+    things = (shallow, short, dome, replace(dome, depth_mm=1.0), replace(SMALL, z_mm=420.0))
+    states = [score(scene_with(one), results()).outcomes[0].state for one in things]
+    assert states == ["below the limit", "below the limit", "below the limit", "missed", "outside"]
 
 
 def test_a_place_speaks_of_a_thing_only_where_it_speaks_of_little_else() -> None:

@@ -169,9 +169,18 @@ def judged(
 
 
 def is_below(thing: Thing, results: Results, radius: float) -> bool:
-    """Whether a survey's own limits say that it need not list this."""
-    least = min(thing.length_mm, math.radians(min(thing.arc_deg, 360.0)) * radius)
-    return thing.depth_mm <= results.depth_limit_mm or least <= results.size_limit_mm
+    """Whether a survey's own limits say that it need not list this: what of it is deeper than the one is no larger than
+    the other."""
+    part = results.depth_limit_mm / thing.depth_mm
+    if part >= 1.0:
+        return True
+    length, width = thing.length_mm, math.radians(thing.arc_deg) * radius
+    if thing.kind == "bump":  # a dome
+        length, width = (math.sqrt(1.0 - math.sqrt(part)) * one for one in (length, width))
+    else:
+        ramps = 2.0 * thing.ramp_mm * part
+        length, width = length - ramps, width - (0.0 if thing.arc_deg >= 360.0 else ramps)
+    return min(length, width) <= results.size_limit_mm
 
 
 def is_not_established(thing: Thing, results: Results, radius: float) -> bool:
