@@ -108,7 +108,7 @@ def test_points_off_the_axis_of_an_oval_pipe_are_still_on_its_wall() -> None:
     surface = Surface(replace(scene.pipe, oval=0.06, oval_clock_deg=30.0))
     rng = np.random.default_rng(3)
     clock, z = rng.uniform(0.0, 360.0, 4000), rng.uniform(150.0, 250.0, 4000)
-    points = surface.to_space(clock, z, surface.radius(clock, z)) + (1.5, -2.0, 0.0)
+    points = surface.to_space(clock, z, surface.radius(clock, z)) + np.array([1.5, -2.0, 0.0])
     moved = surface.from_space(points)
     assert np.percentile(np.abs(errors(surface, *moved)), 50) > 0.5
     assert np.percentile(np.abs(errors(surface, *centred(surface, *moved, 7.0))), 98) < 0.02

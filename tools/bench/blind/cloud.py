@@ -3,11 +3,13 @@
 from collections import defaultdict
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tools.bench.blind.pipe import Scene
 from tools.bench.blind.places import BREAKS, END_OF_RADIUS, JOINT_OF_RADIUS, ROD_DEG
 from tools.bench.blind.surface import NO_WALL, Array, Surface, away_deg, out
 
+Mask = NDArray[np.bool_]
 POINTS_MOST = 20_000  # of a pipe
 SLICE_OF_RADIUS, SLICE_POINTS, SHIFTS = 0.1, 30, 4  # a slice along the pipe, its least points; times it is shifted
 ASIDE_OF_RADIUS = 0.01  # beside a step a point may be on either side of it
@@ -69,12 +71,12 @@ def centred(surface: Surface, clock: Array, z: Array, r: Array, slice_mm: float)
     return clock, z, r
 
 
-def _places(scene: Scene, clock: Array, z: Array, seen: tuple[float, float]) -> dict[str, Array]:
+def _places(scene: Scene, clock: Array, z: Array, seen: tuple[float, float]) -> dict[str, Mask]:
     """Masks by place, as `places` has them for one thing, but shadows of steps."""
     if scene.change.any:
         return {"in drift": np.ones(len(z), bool)}
     radius = scene.pipe.radius_mm
-    masks: dict[str, Array] = defaultdict(lambda: np.zeros(len(z), bool))
+    masks: dict[str, Mask] = defaultdict(lambda: np.zeros(len(z), bool))
     for one in scene.pipe.things:
         first, last = one.span_mm
         if one.kind == "bend":
