@@ -141,6 +141,12 @@ def test_a_thing_is_found_misnamed_or_missed(listed: tuple[Listed, ...], state: 
     assert [outcome.state for outcome in one.outcomes] == [state] and len(one.false) == false
 
 
+def test_a_bend_that_is_named_excuses_nothing_that_is_listed_in_it() -> None:
+    bend = Thing("bend", 200.0, 120.0, numbers={"start_mm": 140.0, "radius_mm": 400.0, "angle_deg": 17.0})
+    named, joint = loss(group="feature", kind="bend", length_mm=110.0), loss(group="feature", kind="joint")
+    assert [len(score(scene_with(bend), results(*lines)).false) for lines in ((named,), (named, joint))] == [0, 1]
+
+
 def test_a_line_that_is_of_two_things_has_the_depth_of_the_deeper_one() -> None:
     other = replace(SMALL, z_mm=230.0, depth_mm=1.0)
     one = score(scene_with(SMALL, other), results(loss(z_mm=215.0, length_mm=52.0)))

@@ -48,8 +48,10 @@ def main(arguments: list[str]) -> int:
                 scores.append(one)
             worked_s += spent
             print(f"{seed}: {one if isinstance(one, str) else _line(one)} ({spent:.0f} s)", flush=True)
-        took = f"{(time.monotonic() - began) / 60:.1f} minutes, {worked_s / len(seeds):.0f} s of processor a pipe"
-        head = f"# Blind, seed {asked.seed} ({use})\n\nMade by `{_command(asked)}` in {took}."
+        took = f" in {(time.monotonic() - began) / 60:.1f} minutes, {worked_s / len(seeds):.0f} s of processor a pipe"
+        if asked.score_only:
+            took = ", scored again"
+        head = f"# Blind, seed {asked.seed} ({use})\n\nMade by `{_command(asked)}`{took}."
         text = markdown(scores, failed, head)
         print(f"\n{text}", end="")
         if asked.keep:

@@ -22,6 +22,7 @@ ACCEPTS = {
     "hose": ("object", "bump", "deposit"), "silt": ("deposit", "water"), "water": ("water", "deposit"),
 }  # fmt: skip
 WALL_THINGS = ("pocket", "groove", "bump")  # a survey states a limit of detection for these
+STRETCHES = ("bend", "taper", "reducer")
 BESIDE_OF_RADIUS, BESIDE_DEG = 0.06, 8.0  # what is listed so near to a thing is that thing
 INSIDE = 0.6  # of a thing's length must have been scanned, or nobody could list it
 # A place at which nothing is established speaks of a thing if it is no more than LOCAL times as long and as wide, or
@@ -134,7 +135,7 @@ def score(scene: Scene, results: Results) -> Score:
             out.numbers.append(Number("ovality", where, *one.numbers["depth_mm"], true))
             if true < OVAL_LEAST * one.numbers["depth_mm"][0]:
                 out.false.append(one.said)
-        elif not any(overlap(thing, one, scene.pipe.radius_mm) for thing in scene.pipe.things):
+        elif is_false(one, scene, out.outcomes):
             out.false.append(one.said)
     out.numbers += [Number(*one) for one in station_numbers(scene, results, surface)]
     for item in results.items:
@@ -202,6 +203,17 @@ def is_not_established(thing: Thing, results: Results, radius: float) -> bool:
             around = np.abs(away_deg(clock, place["clock_deg"])) <= arc / 2 + 1.0
             covered |= (z >= first - 1.0) & (z <= last + 1.0) & around
     return bool(covered.mean() >= COVERED)
+
+
+def is_false(line: Listed, scene: Scene, outcomes: Sequence[Outcome]) -> bool:
+    """Whether there is nothing where something is listed. A stretch that bends or tapers, and is called so, is nothing:
+    what else is listed there must be there."""
+    for thing, outcome in zip(scene.pipe.things, outcomes, strict=True):
+        if overlap(thing, line, scene.pipe.radius_mm):
+            is_stretch = thing.kind in STRETCHES and outcome.state != "misnamed"
+            if not is_stretch or line.kind in ACCEPTS[thing.kind]:
+                return False
+    return True
 
 
 def overlap(thing: Thing, one: Listed, radius: float) -> bool:
