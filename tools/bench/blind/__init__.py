@@ -10,4 +10,8 @@ with the twin or with what is tested.
 
 Even seeds are for setting constants by; the table is made on odd ones, once: a seed that was looked at is blind no
 more. Needs POV-Ray 3.7 (`apt-get install povray`).
+
+What is not as in a pipe: light goes straight from the slide to the wall and from the wall to the lens, none from wall
+to wall or within the wall; lenses have no distortion; nothing moves while a lamp is lit; the head does not roll; water
+is muddy. How far a survey's axis is off is no error of the cloud, which is held about that axis.
 """

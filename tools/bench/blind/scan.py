@@ -55,7 +55,8 @@ def _light(scene: Scene, stand: Stand, work: Path, stood: dict[tuple[Any, ...], 
         text.write_text(frame_text(scene, stand) + '#include "pipe.inc"\n', encoding="utf-8")
         if len(stood) > 2:
             stood.pop(next(iter(stood)))
-        stood[key] = render(text, work / "frame.png", scene.head.width, scene.head.height, SMOOTH)
+        smooth = SMOOTH if stand.lamp == "projector" else ()  # the LED's light is for colour
+        stood[key] = render(text, work / "frame.png", scene.head.width, scene.head.height, smooth)
     return stood[key]
 
 
