@@ -134,6 +134,7 @@ def test_a_station_is_what_its_pipe_is() -> None:
         ((loss(group="undecided"),), "not established", 0),
         ((loss(), loss(z_mm=300.0)), "found", 1),
         ((loss(), loss(clock_deg=200.0)), "found", 1),
+        ((loss(group="feature", kind="joint", arc_deg=360.0),), "missed", 1),
     ],
 )
 def test_a_thing_is_found_misnamed_or_missed(listed: tuple[Listed, ...], state: str, false: int) -> None:

@@ -22,6 +22,7 @@ ACCEPTS = {
     "hose": ("object", "bump", "deposit"), "silt": ("deposit", "water"), "water": ("water", "deposit"),
 }  # fmt: skip
 WALL_THINGS = ("pocket", "groove", "bump")  # a survey states a limit of detection for these
+ALL_ROUND = ("joint", "gap", "bend", "taper", "reducer")  # no name of a thing on a part of the wall
 STRETCHES = ("bend", "taper", "reducer")
 BESIDE_OF_RADIUS, BESIDE_DEG = 0.06, 8.0  # what is listed so near to a thing is that thing
 INSIDE = 0.6  # of a thing's length must have been scanned, or nobody could list it
@@ -161,7 +162,8 @@ def judged(
         return "found", min(right, key=lambda one: _away(thing, one, radius)), []
     if "object" in ACCEPTS[thing.kind] and results.objects:
         return "found", None, []
-    others = [one for one in near if one.kind != "ovality" and not _is_of_another(one, thing, scene)]
+    names = [one for one in near if one.kind not in ALL_ROUND or thing.arc_deg >= 360.0]
+    others = [one for one in names if one.kind != "ovality" and not _is_of_another(one, thing, scene)]
     if thing.kind in WALL_THINGS and is_below(thing, results, radius):
         return "below the limit", None, others
     if not others and is_not_established(thing, results, radius):
@@ -210,6 +212,8 @@ def is_false(line: Listed, scene: Scene, outcomes: Sequence[Outcome]) -> bool:
     what else is listed there must be there."""
     for thing, outcome in zip(scene.pipe.things, outcomes, strict=True):
         if overlap(thing, line, scene.pipe.radius_mm):
+            if line.kind in ALL_ROUND and thing.arc_deg < 360.0:
+                continue
             is_stretch = thing.kind in STRETCHES and outcome.state != "misnamed"
             if not is_stretch or line.kind in ACCEPTS[thing.kind]:
                 return False
