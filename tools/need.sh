@@ -26,7 +26,7 @@ for need in "$@"; do
 	systemd) want systemd 'command -v systemd-analyze' ;;
 	chromium) want chromium 'command -v chromium' ;;
 	pango) want libpangoft2-1.0-0 'ldconfig -p | grep libpangoft2' ;; # WeasyPrint's
-	povray) want povray 'command -v povray' ;; # of `python -m tools.bench blind` only
+	povray) want povray 'command -v povray' ;; # of `python -m tools.bench blind`
 	poppler-utils) want poppler-utils 'command -v pdftoppm' ;;
 	*) echo "need.sh: unknown need '$need'" >&2; exit 2 ;;
 	esac

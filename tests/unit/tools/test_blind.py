@@ -226,7 +226,6 @@ def test_without_povray_it_says_in_one_line_what_to_install(
     assert said.err.count("\n") == 1 and "tools/need.sh povray" in said.err and "for setting constants" in said.out
 
 
-@pytest.mark.skipif(shutil.which("povray") is None, reason="needs povray (tools/need.sh povray)")
 @pytest.mark.deep(gate="tests/unit/tools/test_blind.py::test_triangles_lie_on_the_true_wall")
 @pytest.mark.parametrize("model", ["pinhole", "fisheye"])
 def test_what_povray_sees_is_the_true_wall_to_0_02_mm(model: str, tmp_path: Path) -> None:
