@@ -266,7 +266,7 @@ def _joint(
     if piece is not None and axis.adjusted is not None:
         off = rows.line_off(wall, axis, piece, (first, last), middle, length)
         if off is not None:
-            measures += _of_line(axis, piece, middle, off)
+            measures += _of_line(axis, piece, middle, off, _common_mm(wall, last))
         step = axis.adjusted.state.pieces[piece, RADIUS]
         if not is_bead and not is_gap and abs(step) > 0.02 * wall.mean_radius_mm:
             remark = "socket"
@@ -310,9 +310,16 @@ def _outwards(axis: Axis, piece: int | None, at_mm: float) -> float:
     return max(float(row[RADIUS]) + hilo, 0.0)
 
 
-def _of_line(axis: Axis, piece: int, at_mm: float, off: _Off) -> list[Measure]:
+def _common_mm(wall: Wall, behind_mm: float) -> float:
+    """What the points of the wall behind a place may all be off alike, in the median; 0 where nobody says."""
+    stated = wall.sigma_mm[wall.z_mm > behind_mm]
+    stated = stated[np.isfinite(stated)]
+    return float(np.median(stated)) if len(stated) else 0.0
+
+
+def _of_line(axis: Axis, piece: int, at_mm: float, off: _Off, common_mm: float) -> list[Measure]:
     """Hi-lo, its clock, angle, step of diameter and the radius after, with the adjustment's uncertainty, and what the
-    wall beside the joint is off the line."""
+    wall beside the joint is off the line. common_mm : what all radii may be off alike, which a step has nothing of."""
     assert axis.adjusted is not None
     row, start = axis.adjusted.state.pieces[piece], axis.centreline.pieces[piece].start_mm
     offset = row[OFFSET] + (at_mm - start) * row[TURN]
@@ -326,5 +333,5 @@ def _of_line(axis: Axis, piece: int, at_mm: float, off: _Off) -> list[Measure]:
         Measure("angle_deg", angle, 2.0 * math.degrees(turn_sigma)),
         Measure("angle_clock_deg", math.degrees(math.atan2(row[TURN][0], -row[TURN][1])) % 360.0),
         Measure("step_mm", 2.0 * float(row[RADIUS]), 4.0 * radius_sigma),
-        Measure("radius_after_mm", axis.centreline.pieces[piece].radius_mm, 2.0 * radius_sigma),
+        Measure("radius_after_mm", axis.centreline.pieces[piece].radius_mm, 2.0 * math.hypot(radius_sigma, common_mm)),
     ]
