@@ -12,8 +12,7 @@ include one that is not the projector's, a picture must have shown it.
 """
 
 from collections import deque
-from collections.abc import Callable
-from collections.abc import Set as AbstractSet
+from collections.abc import Callable, Container
 from dataclasses import dataclass
 from statistics import median
 
@@ -61,7 +60,7 @@ class Agreed:
 class Doubt:
     """The frames since labels were last believed."""
 
-    def __init__(self, history: EdgeHistory, period_ns: int, failing: AbstractSet[Lamp] = frozenset()) -> None:
+    def __init__(self, history: EdgeHistory, period_ns: int, failing: Container[Lamp] = frozenset()) -> None:
         """`failing`: lamps whose flashes lit nothing of late; it changes while the doubt lasts."""
         self._history, self._period_ns, self._failing = history, period_ns, failing
         self._glimpses: deque[Glimpse] = deque(maxlen=GLIMPSES_KEPT)

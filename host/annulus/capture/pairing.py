@@ -34,6 +34,8 @@ from annulus.vocabulary import CameraSequence, EdgeFlag, Flash, Label, Lamp
 
 INTERVAL_TOLERANCE = 0.1  # of a period: between opening and closing edge
 CROWDED = 0.8  # of a period: two frames of one edge that come so soon one after the other are one too many
+SPOILT_RUN = 3  # torn pictures or no lamp's, one after the other: of buffers. Fewer are of a flash that lies in two
+SOUND_AGAIN = 3  # pictures of a lamp that failed: one that flickers is no hiccup each time
 HURRIED = 0.5  # of a period: frames that come so soon one after the other were in a queue
 SETTLE_PERIODS = 3.0  # how long a frame waits for an edge that has to be read again
 DOUBT_FRAMES_MAX = 32  # without agreement, before all is searched anew ..
@@ -95,7 +97,7 @@ class Pairing:
         self.before: Before | None = None  # what was proved before the camera began anew
         self.adrift = False  # frames may have been kept or lost by whole lamp cycles since
         self._continuity = Continuity(self.history, self._delivery)
-        self._failing: set[Lamp] = set()  # lamps whose last flash lit no picture
+        self._failing: dict[Lamp, int] = {}  # lamps that lit no picture; by how many they are sound again
         self._doubt = Doubt(self.history, period_ns, self._failing)
         self._last: int | None = None  # ordinal of the last frame's closing edge ..
         self._since = 0  # frames since that one
@@ -104,6 +106,7 @@ class Pairing:
         self._arrived_ns: int | None = None  # .. and arrival, of the last frame
         self._dark = 0  # pictures whose flash is not known yet, one after the other
         self._lit: PlacedEdge | None = None  # the last edge whose flash is known
+        self._spoilt = 0  # torn pictures or no lamp's, one after the other
         self._odd = False  # the last picture was blank, or shown before
 
     @property
@@ -184,11 +187,14 @@ class Pairing:
         light = None if repeated or torn or Witness.LAMP in self._without else frame.picture.light
         judged = self._judge(frame)
         reason = self._look(judged, light)
-        blanks = self._blank(frame, judged, light)
         garbage = light in (Light.BOTH, Light.UNCLEAR)
-        self._odd = repeated or torn or garbage or blanks + self._dark > 0 or (self._odd and light is Light.DARK)
+        blanks = self._blank(frame, judged, light)
+        self._odd = repeated or blanks + self._dark > 0 or (self._odd and light is Light.DARK)
+        self._spoilt = self._spoilt + 1 if torn or garbage else self._spoilt if self._odd else 0
+        spoilt = SPOILT_RUN if self._spoilt == SPOILT_RUN else int(self._spoilt > SPOILT_RUN and (torn or garbage))
         self._since += 1
-        for news in (self._contradiction(reason, light), self._suspicion(judged, reason, repeated, blanks, garbage)):
+        suspicion = self._suspicion(judged, reason, repeated, blanks + spoilt > 0)
+        for news in (self._contradiction(reason, light), suspicion):
             if news is not None:
                 self.contradictions[news.value] += 1
                 self._doubt.pictures += news is News.PICTURE
@@ -196,7 +202,7 @@ class Pairing:
         one_more = judged.reason is Reason.ORDER and self._hurried(frame, CROWDED)
         if one_more:  # of an edge that had its frame: one of the two may be a picture too soon
             self._doubt.suspect()
-        adrift = self._may_have_lost_a_cycle(frame, judged, repeated + blanks + one_more + torn + garbage)
+        adrift = self._may_have_lost_a_cycle(frame, judged, repeated + blanks + one_more + spoilt)
         if adrift:
             self._adrift(adrift)
             return self._nothing()
@@ -320,27 +326,24 @@ class Pairing:
         if opening is None:
             self._dark += light is Light.DARK
             return 0
-        flash, before = opening.flash, self._lit
-        alight = (
-            before is not None and before.boot_epoch == opening.boot_epoch and not self.history.cut(before, opening)
-        )
+        flash, was = opening.flash, self._lit
+        alight = was is not None and was.boot_epoch == opening.boot_epoch and not self.history.cut(was, opening)
         dark, self._dark, self._lit = self._dark if alight else 0, 0, opening
-        if light is Light.DARK and judged.reason not in _UNLIT and flash.width_ticks and not flash.flags & _DISARMED:
+        fired = judged.reason not in _UNLIT and flash.width_ticks and not flash.flags & _DISARMED
+        if fired and light is Light.DARK:
             new = self._odd or flash.lamp not in self._failing
-            self._failing.add(flash.lamp)
+            self._failing[flash.lamp] = SOUND_AGAIN
             return dark + new
-        if light is LIGHTS[flash.lamp]:
-            self._failing.discard(flash.lamp)
+        if light is LIGHTS[flash.lamp] and (left := self._failing.pop(flash.lamp, 1) - 1):
+            self._failing[flash.lamp] = left
         return dark
 
-    def _suspicion(self, judged: _Judged, reason: Reason, repeated: bool, blanks: int, garbage: bool) -> News | None:
+    def _suspicion(self, judged: _Judged, reason: Reason, repeated: bool, blank: bool) -> News | None:
         """What contradicts nobody, but may be the first of frames that are not what they seem."""
         if repeated:
             return News.REPEATED
-        if blanks:
+        if blank:
             return News.BLANK
-        if garbage:
-            return News.UNCLEAR
         if reason is not Reason.SKIPPED or self._last is None or judged.closing is None:
             return None
         none_missing = self._state is State.DOUBTED and judged.closing.ordinal - self._last <= self._since
@@ -354,8 +357,7 @@ class Pairing:
         count = self._counted(frame.sequence)
         named = judged.closing is not None and judged.reason is not Reason.ORDER
         counted = None if count is None else named and judged.closing is not None and count == judged.closing.ordinal
-        edgeless = count is not None and judged.reason is Reason.NO_EDGE
-        return self._continuity.broken(periods, counted, moved, edgeless)
+        return self._continuity.broken(periods, counted, moved, count is not None and judged.reason is Reason.NO_EDGE)
 
     @property
     def _asks_preambles(self) -> bool:

@@ -76,14 +76,13 @@ class News(StrEnum):
     SKIPPED = Reason.SKIPPED  # where stamps are made on delivery
     REPEATED = Reason.REPEATED
     BLANK = Reason.BLANK
-    UNCLEAR = Reason.UNCLEAR
     GIVEN_UP = "given up"  # too long in doubt, or three pictures against it
     ADRIFT = "adrift"
 
 
 CONTRADICTIONS = frozenset({News.EARLY, News.ORDER, News.SEQUENCE, News.BETWEEN, News.LATER, News.PICTURE})
 # What contradicts nobody, and withdraws the proof all the same.
-SUSPICIONS = frozenset({News.SKIPPED, News.REPEATED, News.BLANK, News.UNCLEAR})
+SUSPICIONS = frozenset({News.SKIPPED, News.REPEATED, News.BLANK})
 
 TRANSITIONS: Mapping[tuple[State, News], State] = {
     (State.SEARCHING, News.FOUND): State.PROVED,

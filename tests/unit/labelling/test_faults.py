@@ -296,3 +296,10 @@ def test_without_the_preambles_witness_a_long_lag_is_a_wrong_place() -> None:
     faults = Faults(**with_preamble(4))
     run(faults, lag_ms=5.6 * FRAME_MS)
     assert Bench(faults, lag_ms=5.6 * FRAME_MS, without=frozenset({Witness.PREAMBLE})).run(FRAMES).wrong
+
+
+def test_a_lamp_whose_pictures_are_always_torn_costs_its_own_frames_only() -> None:
+    """Its flash lies in two frames, as while a flash is tuned: the projector's frames keep their labels."""
+    faults = Faults(**with_preamble(4), torn=lambda k: k > AT and k % 5 == 0)
+    score = run(faults, 400)
+    assert all(k % 5 == 0 for k in score.unknown if k > AT + 20)
