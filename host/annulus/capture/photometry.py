@@ -20,14 +20,14 @@ import numpy as np
 
 from annulus.capture.camera import MOSAICS
 from annulus.numeric.arrays import Float32Array, FloatArray, Image
+from annulus.numeric.chroma import LED_SPREAD_MAX, PROJECTOR_SPREAD_MIN
+from annulus.numeric.chroma import spread as spread_of
 
 GREEN_FIRST = frozenset({MOSAICS["GRBG"], MOSAICS["GBRG"]})
 THUMBNAIL_SIDE = 96  # samples along the shorter side; stripes must not melt into one another
 NOISE_GREY = 5.0  # a channel below this says nothing of hue
 PEAK_SHARE = 0.99
 DARK_GREY = 20.0  # brightest percentile of an unlit frame stays below
-LED_SPREAD_MAX = 0.015
-PROJECTOR_SPREAD_MIN = 0.18
 LIT_EVERYWHERE = 0.5  # of the samples: stripes alone never light that many
 LIT_OF_PEAK = 0.2  # a sample brighter than this share of the peak is lit
 STRIPED_MIN, PLAIN_MAX = 0.12, 0.06  # difference over sum of neighbouring samples: of fringes, of the LED
@@ -118,7 +118,7 @@ def measure(image: Image, green_first: bool = False) -> Photometry:
         chromaticity = channel * share_of
         light[i] = (channel * (brightest > NOISE_GREY)) @ row
         pure[i] = np.einsum("ij,ij->i", channel, chromaticity)
-    spread = float(_spread(light.sum(1), pure.sum(1)))
+    spread = float(spread_of(light.sum(1), pure.sum(1)))
     bands, contrast = (Light.DARK,) * BANDS, 0.0
     one_hue = spread <= LED_SPREAD_MAX
     if one_hue and peak >= STRIPED_PEAK:
@@ -126,7 +126,7 @@ def measure(image: Image, green_first: bool = False) -> Photometry:
     if contrast >= STRIPED_MIN:
         bands = _striped_bands(brightest, lit)
     elif peak >= DARK_GREY:
-        bands = _bands(lit, _spread(light, pure), _off_hue(light) if one_hue else np.ones(len(lit)))
+        bands = _bands(lit, spread_of(light, pure), _off_hue(light) if one_hue else np.ones(len(lit)))
     return Photometry(peak, float(lit.mean()), spread, bands, fingerprint, top, bottom, contrast)
 
 
@@ -141,13 +141,6 @@ def _percentile(values: Float32Array, share: float) -> float:
     high = min(low + 1, values.size - 1)
     ordered = np.partition(values, (low, high), axis=None)
     return float(ordered[low] + (at - low) * (ordered[high] - ordered[low]))
-
-
-def _spread(light: FloatArray, pure: FloatArray) -> FloatArray:
-    """Brightness-weighted variance of chromaticity from sums over pixels, one a column; 0 where there is no light."""
-    weight = np.maximum(light.sum(0), 1e-9)
-    spread: FloatArray = np.maximum((pure / weight).sum(0) - ((light / weight) ** 2).sum(0), 0.0)
-    return spread
 
 
 def _off_hue(light: FloatArray) -> FloatArray:

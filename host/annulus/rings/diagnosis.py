@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from annulus.geometry.calibration import Calibration
 from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import FloatArray, arc_of
+from annulus.numeric.chroma import LED_SPREAD_MAX, PROJECTOR_SPREAD_MIN, spread
 from annulus.numeric.rounding import clock_face
 from annulus.rings.calibration.reference import ANGLE_FAR, SHIFT_FAR, Reference
 from annulus.rings.colour import ColourProfile, differs, stripes
@@ -29,7 +30,6 @@ LIT_OF_BRIGHT = 0.25  # a pixel with this part of the frame's bright level is st
 CLIPPED = 250  # grey level: JPEG moves full scale about by a few
 CLIPPED_MOST = 0.25  # of the stripes may have their own channel at full scale: edges stay where they are ..
 LOST_MOST = 0.05  # .. but where a second one is, the colour is gone
-ONE_HUE_MOST, HUES_LEAST = 0.015, 0.18  # variance of chromaticity: of the LED's light at most, of stripes at least
 FAINT = 5  # grey level: a channel below says nothing of hue
 SECTORS = 24  # round the image's middle: 15 degrees each
 GLARE = 0.5  # of a sector's stripes at full scale, in one frame ..
@@ -82,11 +82,11 @@ class Exposure:
     @property
     def of_led(self) -> bool:
         """Whether one hue is all there is: no stripes of a slide of several colours."""
-        return not self.dark and self.hues <= ONE_HUE_MOST
+        return not self.dark and self.hues <= LED_SPREAD_MAX
 
     @property
     def of_projector(self) -> bool:
-        return not self.dark and self.hues >= HUES_LEAST
+        return not self.dark and self.hues >= PROJECTOR_SPREAD_MIN
 
 
 def diagnose(image_bgr: NDArray[np.uint8]) -> Exposure:
@@ -120,12 +120,9 @@ def _sectors(rows: int, columns: int) -> NDArray[np.uint8]:
 
 def _hues(image_bgr: NDArray[np.uint8]) -> float:
     """Variance of chromaticity over a picture, weighted with brightness."""
-    light = np.where(image_bgr > FAINT, image_bgr, 0).reshape(-1, 3).astype(np.float32)
-    total = np.maximum(light.sum(axis=1), 1.0)
-    weight = max(float(light.sum()), 1.0)
-    return max(
-        0.0, float((light**2 / total[:, None]).sum()) / weight - float(((light.sum(axis=0) / weight) ** 2).sum())
-    )
+    light = np.where(image_bgr > FAINT, image_bgr, 0).reshape(-1, 3).astype(np.float64)
+    pure = light * (light / np.maximum(light.sum(axis=1, keepdims=True), 1.0))
+    return float(spread(light.sum(axis=0), pure.sum(axis=0)))
 
 
 def reference_findings(reference: Reference, poses: Sequence[Pose]) -> tuple[Finding, ...]:
