@@ -55,8 +55,8 @@ def sound_wall_apart(
     row = np.minimum(((z[inside] - first) / ROW_MM).astype(np.intp), rows - 1)
     key = (clock[inside] * GAP_SECTORS / 360.0).astype(np.intp) % GAP_SECTORS * rows + row
     own = np.minimum(((np.arange(rows) + 0.5) * ROW_MM / wall.z_step_mm).astype(np.intp), len(wall.z_mm) - 1)
-    told = np.asarray(taken(wall, [one for one in joints if one.tells_gap], shadow_ratio).any(axis=1))[own]
-    way, broken, known = _ways(key, z[inside] - first, np.abs(departure[inside]) < limit, told)
+    measured = np.asarray(taken(wall, [one for one in joints if one.measures_gap], shadow_ratio).any(axis=1))[own]
+    way, broken, known = _ways(key, z[inside] - first, np.abs(departure[inside]) < limit, measured)
     if not known.any():
         return ()
     way, broken = np.median(way[known], axis=0), broken[known].mean(axis=0) >= MOST_OF
@@ -76,28 +76,28 @@ def sound_wall_apart(
 
 
 def _ways(
-    key: IntArray, z_mm: FloatArray, sound: BoolArray, told: BoolArray
+    key: IntArray, z_mm: FloatArray, sound: BoolArray, measured: BoolArray
 ) -> tuple[FloatArray, BoolArray, BoolArray]:
     """(S, R) of each row of each sector from sound wall before it to sound wall after it, mm, 0 where it is sound
-    itself or told; whether something that is no sound wall lies between; (S,) whether the sector saw sound wall.
+    itself or measured; whether something that is no sound wall lies between; (S,) whether the sector saw sound wall.
 
     key : (N,) sector * R + row of each point. z_mm : from the first row on.
     """
-    shape = GAP_SECTORS, len(told)
-    size = GAP_SECTORS * len(told)
+    shape = GAP_SECTORS, len(measured)
+    size = GAP_SECTORS * len(measured)
     count, good = np.bincount(key, minlength=size), np.bincount(key[sound], minlength=size)
     shown = (good >= ROW_POINTS) & (good > MOST_OF * count)
     broken = (count - good >= ROW_POINTS) & ~shown
     low, high = np.full(size, np.inf), np.full(size, -np.inf)
     np.minimum.at(low, key[sound], z_mm[sound])
     np.maximum.at(high, key[sound], z_mm[sound])
-    at = np.arange(len(told))
-    is_sound = shown.reshape(shape) | told
-    low = np.where(told, np.minimum(low.reshape(shape), at * ROW_MM), low.reshape(shape))
-    high = np.where(told, np.maximum(high.reshape(shape), (at + 1) * ROW_MM), high.reshape(shape))
+    at = np.arange(len(measured))
+    is_sound = shown.reshape(shape) | measured
+    low = np.where(measured, np.minimum(low.reshape(shape), at * ROW_MM), low.reshape(shape))
+    high = np.where(measured, np.maximum(high.reshape(shape), (at + 1) * ROW_MM), high.reshape(shape))
     before = np.maximum.accumulate(np.where(is_sound, at, -1), axis=1)
-    after = np.minimum.accumulate(np.where(is_sound, at, len(told))[:, ::-1], axis=1)[:, ::-1]
-    a, b = before.clip(0), after.clip(max=len(told) - 1)
+    after = np.minimum.accumulate(np.where(is_sound, at, len(measured))[:, ::-1], axis=1)[:, ::-1]
+    a, b = before.clip(0), after.clip(max=len(measured) - 1)
     way = np.take_along_axis(low, b, axis=1) - np.take_along_axis(high, a, axis=1)
     way[(before < 0) | (after > b)] = np.inf
     odd = np.cumsum(broken.reshape(shape), axis=1)

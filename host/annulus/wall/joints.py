@@ -49,7 +49,7 @@ class Joint:
     hidden_mm: float = 0.0
 
     @property
-    def tells_gap(self) -> bool:
+    def measures_gap(self) -> bool:
         """Whether it says how wide a gap is: of a bead, that there is none."""
         return self.is_gap or not math.isnan(self.feature.measured("height_mm"))
 

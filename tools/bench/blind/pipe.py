@@ -100,7 +100,7 @@ class Stand:
     index: int
     lamp: str  # projector | led
     z_mm: float
-    said_mm: float  # what the odometer says
+    reported_mm: float  # what the odometer says
     rx: float
     ry: float
     tx_mm: float

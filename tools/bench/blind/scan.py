@@ -35,7 +35,7 @@ def write_scan(scene: Scene, folder: Path) -> None:
         image = expose(light, factor, scene.sensor, np.random.default_rng([scene.seed, stand.index]))
         name = f"frames/{stand.index:06d}.jpg"
         (folder / name).write_bytes(as_jpeg(image, scene.sensor.jpeg))
-        rows.append((stand.index, name, stand.lamp, f"{stand.said_mm:.4f}"))
+        rows.append((stand.index, name, stand.lamp, f"{stand.reported_mm:.4f}"))
     with (folder / "frames.csv").open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows([("index", "file", "light", "z_mm"), *rows])
     radius = _calibrated_mm(scene)
