@@ -20,9 +20,9 @@ from annulus.wall.adjustment import (
     BIAS,
     CURVATURE,
     OFFSET,
-    OVAL,
     PIECE,
     RADIUS,
+    SHAPE,
     START,
     TAPER,
     TURN,
@@ -395,7 +395,7 @@ def _with(
     """One more piece from a place on, adjusted with the one before it."""
     last = state.pieces[-1]
     row = np.zeros(PIECE)
-    row[START], row[OVAL] = at_mm, last[OVAL]
+    row[START], row[SHAPE] = at_mm, last[SHAPE]
     if kind is Begins.JOINT:
         row[OFFSET], row[TURN], row[RADIUS] = size[0:2], size[2:4], size[6]
     elif kind is Begins.BEND:
@@ -413,7 +413,7 @@ def _free(begins: Sequence[Begins]) -> BoolArray:
     """(P, PIECE) which numbers of each piece may change. A joint's place is not among them: beads hide it."""
     free = np.zeros((len(begins), PIECE), np.bool_)
     free[0, RADIUS] = True
-    free[:, OVAL] = True
+    free[:, SHAPE] = True
     for i, kind in enumerate(begins):
         if kind is Begins.JOINT:
             free[i, OFFSET] = free[i, TURN] = free[i, RADIUS] = True

@@ -6,6 +6,7 @@ from chained_pipe import frames
 from synthetic_pipe import CALIBRATION
 
 from annulus.wall.adjustment import PIECE, State, adjust, sightings
+from annulus.wall.adjustment import START as START_OF_PIECE
 from annulus.wall.axis import Begins, _ended, _free
 from annulus.wall.centreline import Centreline, Piece
 
@@ -19,12 +20,12 @@ def test_a_turn_shortly_before_a_bends_end_is_its_end(hilo: float, ends: Begins)
     seen = sightings(frames(line, np.arange(-40.0, 160.0, 33.0)), CALIBRATION.rings, 24)
     assert seen is not None
     pieces = np.zeros((3, PIECE))
-    pieces[:, 10], pieces[0, 6], pieces[1, 4] = (0.0, START, END - 5.0), R, 1 / BEND
+    pieces[:, START_OF_PIECE], pieces[0, 6], pieces[1, 4] = (0.0, START, END - 5.0), R, 1 / BEND
     begins = [Begins.STRAIGHT, Begins.BEND, Begins.JOINT]
     start = State(pieces, np.zeros((seen.rings, 3)), seen.heads)
     found = adjust(seen, start, _free(begins), scales_mm=(1.0, 0.5))
     found, begins = _ended(seen, found, begins)
     assert begins[2] is ends
     if ends is Begins.STRAIGHT:
-        assert found.state.pieces[2, 10] == pytest.approx(END, abs=0.5)
+        assert found.state.pieces[2, START_OF_PIECE] == pytest.approx(END, abs=0.5)
         assert found.state.pieces[1, 4] == pytest.approx(1 / BEND, rel=0.005)
