@@ -9,7 +9,7 @@ seen by nobody here: that share stays as it was.
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations_with_replacement
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,8 @@ from annulus.wall.profile import Profile
 # All by test_crosscheck.py and the benchmark `scenes` (93 to 97 % of true radii inside k = 2).
 STEPS = (1, 2)  # a spot's observations are compared with the next one and the one after; bounds what a long scan costs
 PAIRS_LEAST = 40  # of two rings; fewer say nothing
+TOGETHER = 10  # spots beside one another err as one, round the clock: so many pairs tell what a single one would
+ALIKE = 0.5  # of the usual scale, as a square: standard deviation of the scale of one ring's noise
 OFTEN, NORMAL = 95.45, 2.0  # per cent of differences that are less, and in how many sigma of a normal error those lie
 
 
@@ -36,9 +38,10 @@ class _Pairs:
     apart_mm: FloatArray
 
     def of_rings(self, ring: NDArray[np.intp], rings: int) -> Iterator[tuple[int, int, BoolArray]]:
-        """Which pairs are of rings i <= k, where there are enough."""
+        """Which pairs are of rings i < k, where there are enough. One ring sees a spot twice only from one place: what
+        draws its edge there draws it both times, and the two agree though both are off."""
         kind = ring[self.a] * rings + ring[self.b]
-        for i, k in combinations_with_replacement(range(rings), 2):
+        for i, k in combinations(range(rings), 2):
             these = kind == i * rings + k
             if np.count_nonzero(these) >= PAIRS_LEAST:
                 yield i, k, these
@@ -151,25 +154,24 @@ def _noises(pairs: _Pairs, ring: NDArray[np.intp], own: FloatArray, usual: Float
     nothing is to be scaled.
     """
     rings = len(usual)
-    rows, most = [], np.full(rings, np.inf)
+    rows, right, seen = [], [], np.zeros(rings, bool)
     for i, k, these in pairs.of_rings(ring, rings):
         expected = np.sqrt(own[pairs.a[these]] + own[pairs.b[these]])
         apart = np.abs(pairs.apart_mm[these] - bias[i] + bias[k]) / expected
-        both = (float(np.percentile(apart, OFTEN)) / NORMAL) ** 2 * (usual[i] ** 2 + usual[k] ** 2)
+        both = (float(np.percentile(apart, OFTEN)) / NORMAL) ** 2
         trust = math.sqrt(len(apart)) / max(both, 1e-12)
-        row = np.zeros(rings + 1)
-        row[i] += trust
-        row[k] += trust
-        row[-1] = trust * both
-        rows.append(row)
-        most[[i, k]] = np.minimum(most[[i, k]], both / (2 if i == k else 1))
+        row = np.zeros(rings)
+        row[[i, k]] = usual[[i, k]] ** 2 / (usual[i] ** 2 + usual[k] ** 2)
+        rows.append(trust * row)
+        right.append(trust * both)
+        seen[[i, k]] = True
     if not rows:
         return np.full(rings, np.nan)
     table = np.array(rows)
-    scale = np.nan_to_num(usual, nan=1.0) ** 2
-    square = optimize.nnls(table[:, :-1] * scale, table[:, -1])[0] * scale
-    square = np.where(square > 0, square, most)  # nothing was left for it: it has no more than its best pair
-    return np.where(np.isfinite(most), np.sqrt(square), np.nan)
+    all_alike = float(table.sum(axis=1) @ right) / float(np.square(table.sum(axis=1)).sum())
+    prior = np.eye(rings) * math.sqrt(TOGETHER) / (ALIKE * all_alike)
+    square = optimize.nnls(np.vstack([table, prior]), np.append(right, prior.sum(axis=1) * all_alike))[0]
+    return np.where(seen, usual * np.sqrt(square), np.nan)
 
 
 def _half_of_95(bias: FloatArray, noise: FloatArray) -> FloatArray:
