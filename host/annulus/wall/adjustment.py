@@ -41,7 +41,7 @@ HEAD_STEPS = (1e-5, 1e-5, 1e-3, 1e-3, 1e-5)  # radians, mm: of the derivatives
 PIECE_STEPS = (1e-3, 1e-3, 1e-5, 1e-5, 1e-8, 1e-8, 1e-3, 1e-6, 1e-3, 1e-3, 1e-3, 1e-3, 1e-2)
 OFFSET, TURN, CURVATURE, RADIUS, TAPER = slice(0, 2), slice(2, 4), slice(4, 6), 6, 7
 # A circle aside of its place in an oval pipe shows a threefold wave. Were the wall's own not free, rings of an oval
-# pipe would move aside to make it, and all heads lean with them: by a degree, in a 4-inch pipe of 4 % with .08 mm of it.
+# pipe would move aside to make it, and all heads lean with them: a degree, in a 4-inch pipe of 4 % with .08 mm of it.
 SHAPE, START = slice(8, 12), 12  # two waves round the clock and three; where the piece begins
 
 
