@@ -19,7 +19,7 @@ from annulus.wall.axis import find_axis
 from annulus.wall.bends import find_bends
 from annulus.wall.centreline import Centreline
 from annulus.wall.consistency import without_inconsistent
-from annulus.wall.crosscheck import with_revised_sigma
+from annulus.wall.crosscheck import with_edges, with_revised_sigma
 from annulus.wall.defects import Defect, Detection, Kind, find_defects
 from annulus.wall.features import Feature
 from annulus.wall.grid import Wall, build_wall
@@ -280,8 +280,9 @@ def survey(
     features.sort(key=lambda one: (one.z_mm, one.clock_deg))
     nominal = 2 * calibration.pipe_radius_mm
     return Survey(
-        measured, wall, dark, detection, stations, texture, shaken, tuple(features), axis.centreline, axis.findings,
-        nominal, timing, tuple(one.id for one in calibration.cameras), no_wall=no_wall, unjudged=unjudged,
+        with_edges(measured, wall), wall, dark, detection, stations, texture, shaken, tuple(features), axis.centreline,
+        axis.findings, nominal, timing, tuple(one.id for one in calibration.cameras),
+        no_wall=no_wall, unjudged=unjudged,
     )  # fmt: skip
 
 

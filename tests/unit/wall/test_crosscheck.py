@@ -8,7 +8,8 @@ import pytest
 from synthetic_pipe import NOISE_MM, RADIUS_MM, RadiusMap, bump, pocket, round_pipe, scan
 
 from annulus.wall.centreline import Centreline, Piece
-from annulus.wall.crosscheck import with_revised_sigma
+from annulus.wall.crosscheck import with_edges, with_revised_sigma
+from annulus.wall.grid import build_wall
 from annulus.wall.profile import Profile
 
 STATIONS = [4.0 * i for i in range(20)]
@@ -120,3 +121,28 @@ def test_points_that_knew_how_bad_they_are_do_not_make_the_others_unsure() -> No
     after = with_revised_sigma(before, STRAIGHT)
     said_now, said_then = (np.concatenate([p.sigma_mm for p in scan_]) for scan_ in (after, before))
     assert np.all(np.abs(said_now / said_then - 1) < 0.15), np.percentile(said_now / said_then, [0, 50, 100])
+
+
+def test_points_beside_an_edge_are_no_surer_than_on_which_side_of_it_they_are() -> None:
+    def smeared(profiles: Sequence[Profile]) -> list[Profile]:
+        """What a picture makes of an edge: of the points within 2 mm of it, some stand on the other side."""
+        out = []
+        for one in profiles:
+            points = one.points_mm.astype(float)
+            points[:, 2] += np.random.default_rng(one.frame).uniform(-2.0, 2.0, len(points))
+            out.append(replace(one, points_mm=points.astype(np.float32)))
+        return out
+
+    wall = pocket(round_pipe, 90, 30, 120, 190, 4.0)
+    before = smeared(said(scan(wall, z_mm=STATIONS)))
+    pipe = build_wall(before)
+    after = with_edges(before, pipe)
+    x, y, z = np.concatenate([p.points_mm for p in after]).astype(float).T
+    clock = np.degrees(np.arctan2(x, -y)) % 360
+    beside = (np.abs(np.abs(z - 155.0) - 35.0) < 2.0) & (np.abs(clock - 90.0) < 25.0)
+    far = np.abs(z - 155.0) > 45.0
+    off = np.abs(np.hypot(x, y) - wall(clock, z))
+    sigmas = [np.concatenate([p.sigma_mm for p in profiles]).astype(float) for profiles in (before, after)]
+    assert (off <= 2 * sigmas[0])[beside].mean() < 0.8  # half of them are on the other side
+    assert (off <= 2 * sigmas[1])[beside].mean() > 0.93
+    assert np.median(sigmas[1][far] / sigmas[0][far]) < 1.05
