@@ -30,6 +30,7 @@ from annulus.wall.levels import covered, without_levels
 from annulus.wall.looks import looks_of
 from annulus.wall.lost import lost_rings, objects_before_the_wall
 from annulus.wall.openings import find_openings
+from annulus.wall.pace import Pace
 from annulus.wall.points import Points
 from annulus.wall.profile import Profile
 from annulus.wall.registration import register
@@ -270,7 +271,8 @@ def survey(
         looks=lit[1], rings=len(rises), profiles=aligned, apart=sound_wall_apart(wall, lit[0], joints, 1.0 / narrowest),
     )  # fmt: skip
     done("stations")
-    texture = paint(wall, axis.centreline, calibration, measured, led_frames)
+    pace = Pace(wall, axis.centreline, calibration, measured)
+    texture = paint(wall, axis.centreline, calibration, measured, pace.watched(led_frames))
     if texture is not None:
         texture[dark | below] = 0  # the radius there is not known, so neither is what was seen of it
     done("texture")
@@ -281,7 +283,7 @@ def survey(
     nominal = 2 * calibration.pipe_radius_mm
     return Survey(
         with_edges(measured, wall), wall, dark, detection, stations, texture, shaken, tuple(features), axis.centreline,
-        axis.findings, nominal, timing, tuple(one.id for one in calibration.cameras),
+        (*axis.findings, *pace.findings()), nominal, timing, tuple(one.id for one in calibration.cameras),
         no_wall=no_wall, unjudged=unjudged,
     )  # fmt: skip
 
