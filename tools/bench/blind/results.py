@@ -2,7 +2,7 @@
 
 import csv
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from tools.bench.blind.surface import Array
 
+NOT_SEEN_UM = -32768  # of wall.npz
 TYPES = {"float": "<f4", "double": "<f8", "uchar": "u1", "ushort": "<u2", "uint": "<u4", "int": "<i4", "short": "<i2"}
 
 
@@ -52,6 +53,8 @@ class Results:
     stations: dict[str, Array]
     points_mm: Array  # (N, 3)
     sigma_mm: Array  # (N,)
+    seen: Array = field(default_factory=lambda: np.zeros((0, 0)))  # (Z, A) bool, of the map; none where there is none
+    seen_z_mm: Array = field(default_factory=lambda: np.zeros(0))
 
 
 def read_results(folder: Path) -> Results:
@@ -60,12 +63,14 @@ def read_results(folder: Path) -> Results:
     groups = (("defects", "defect"), ("features", "feature"), ("undecided", "undecided"))
     listed = tuple(listed_of(one, group) for name, group in groups for one in summary[name])
     points, sigma = read_cloud(folder / "cloud.ply")
+    with np.load(folder / "wall.npz") as wall:
+        seen, seen_z = wall["deviation_um"] != NOT_SEEN_UM, np.array(wall["z_mm"])
     return Results(
         listed, tuple(verdict.get("not_established", ())), str(verdict.get("decision", "")),
         tuple(verdict.get("items", ())), summary["scanned_mm"]["from"], summary["scanned_mm"]["to"],
         summary["limits"]["depth_mm"] or np.inf, summary["limits"]["size_mm"] or np.inf,
         any(one["kind"] == "object" for one in summary["warnings"]), read_stations(folder / "stations.csv"),
-        points, sigma,
+        points, sigma, seen, seen_z,
     )  # fmt: skip
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 
 import numpy as np
+from scipy import ndimage
 
 from tools.bench.blind.pipe import Scene
 from tools.bench.blind.places import place_of
@@ -10,6 +11,7 @@ from tools.bench.blind.results import Results
 from tools.bench.blind.surface import NO_WALL, Array, Surface
 
 CLOCK = np.arange(360.0)
+EVEN_DEG = 5  # circumference and area are those of a line evened out over so much; a tape is stiffer
 COLUMNS = {
     "diameter_mean_mm": ("diameter, mean", "diameter_k2_mm"),
     "diameter_min_mm": ("diameter, least", "diameter_k2_mm"),
@@ -30,7 +32,7 @@ def station_numbers(scene: Scene, results: Results, surface: Surface) -> Iterato
     for i, z in enumerate(table["z_mm"]):
         if any(one.kind in NO_WALL and abs(one.z_mm - z) < one.length_mm / 2 + 2 * half for one in scene.pipe.things):
             continue
-        true = station(surface, z - half, z + half)
+        true = station(surface, z - half, z + half, seen_columns(results, z - half, z + half))
         where = place_of(scene, (z - half, z + half), 0.0, 360.0, seen)
         for name, (what, k2_name) in COLUMNS.items():
             said, k2 = float(table[name][i]), float(table[k2_name][i])
@@ -38,20 +40,33 @@ def station_numbers(scene: Scene, results: Results, surface: Surface) -> Iterato
                 yield what, where, said, k2, true[name]
 
 
-def station(surface: Surface, first: float, last: float) -> dict[str, float]:
-    """The true numbers of one station, by the names of stations.csv."""
+def seen_columns(results: Results, first: float, last: float) -> Array:
+    """(360,) bool, of CLOCK: which clocks of a station the map has a wall at, in any row."""
+    rows = (results.seen_z_mm >= first) & (results.seen_z_mm <= last)
+    if not rows.any():
+        return np.ones(len(CLOCK), bool)
+    seen = results.seen[rows].any(axis=0)
+    return np.asarray(seen[(CLOCK * len(seen) / len(CLOCK)).astype(int)])
+
+
+def station(surface: Surface, first: float, last: float, seen: Array | None = None) -> dict[str, float]:
+    """The true numbers of one station, by the names of stations.csv: the least and greatest diameter of those that were
+    `seen`, (360,) bool, and the line with radii evened out over EVEN_DEG, as both are said to be."""
     z = np.linspace(first, last, 7)[1:-1]
     rows = surface.radius(CLOCK[None, :], z[:, None])
     radius = np.median(rows, axis=0)
     hands = np.median(np.stack([np.roll(radius, k) for k in (-1, 0, 1)]), axis=0)  # as it is measured: no needle
     diameter = hands[:180] + hands[180:]
+    both = np.ones(180, bool) if seen is None else seen[:180] & seen[180:]
+    ends = diameter[both] if both.any() else diameter
     turn = np.radians(1.0)
-    ahead = np.roll(radius, -1)
+    even = ndimage.uniform_filter1d(radius, EVEN_DEG, mode="wrap")
+    ahead = np.roll(even, -1)
     arc = (turn / 2) / np.sin(turn / 2)
-    line = arc * np.sqrt(radius**2 + ahead**2 - 2 * radius * ahead * np.cos(turn)).sum()
+    line = arc * np.sqrt(even**2 + ahead**2 - 2 * even * ahead * np.cos(turn)).sum()
     return {
-        "diameter_mean_mm": float(diameter.mean()), "diameter_min_mm": float(diameter.min()),
-        "diameter_max_mm": float(diameter.max()), "diameter_x_mm": float(radius[90] + radius[270]),
+        "diameter_mean_mm": float(diameter.mean()), "diameter_min_mm": float(ends.min()),
+        "diameter_max_mm": float(ends.max()), "diameter_x_mm": float(radius[90] + radius[270]),
         "diameter_y_mm": float(radius[0] + radius[180]), "circumference_mm": float(line),
         "area_mm2": float(0.5 * turn * (radius**2).sum()),
     }  # fmt: skip
