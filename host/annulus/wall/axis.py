@@ -58,6 +58,7 @@ BACK_OF_RADIUS = 6.0  # of the radius: heads this far back see what is decided
 GROSS_OF_RADIUS, JOINT_OF_RADIUS = 0.01, 0.15  # of the radius: off both walls; how far a joint reaches each way
 JOINT_STEP_MM = 1.0  # between places tried for a joint
 SHORTEST_OF_RADIUS = 0.5  # of the radius: a bend or taper
+OVER_OF_RADIUS = 0.03  # of the radius: what a reducer changes it by at least; a flank comes back to within a step
 NUMBER_COST = 10.0  # chi-square that one more number must explain
 PIECES_MOST = 256
 COARSE, FINE = 24, 72  # sectors of a ring, to search with and to measure with ..
@@ -220,7 +221,8 @@ def _pruned(seen: Sightings, found: Adjusted, begins: list[Begins]) -> tuple[Adj
             i += 1
             continue
         without = adjust(seen, _less(found.state, i), _free(fewer), scales_mm=(5.0, 2.0, 1.0, 0.5))
-        flank = short and begins[i] in (Begins.BEND, Begins.TAPER)  # a bead's: no pipe bends or tapers so shortly
+        # a bead's, which comes back; a reducer does not, and no pipe bends so shortly
+        flank = short and (begins[i] is Begins.BEND or (begins[i] is Begins.TAPER and not _goes_over(found, i)))
         if round_it and short and not flank and without.cost > found.cost + SHOWN:
             i += 1
             continue
@@ -245,6 +247,13 @@ def _ended(seen: Sightings, found: Adjusted, begins: list[Begins]) -> tuple[Adju
 
 def _lengths(found: Adjusted) -> FloatArray:
     return np.append(np.diff(found.state.pieces[:, START]), np.inf)
+
+
+def _goes_over(found: Adjusted, i: int) -> bool:
+    """Whether the radius behind a piece stays another one than before it, by more than two pipes of one size differ."""
+    line, begins, ends = found.state.centreline(), *np.cumsum([found.state.pieces[i, START], _lengths(found)[i]])
+    radius = line.radius_at(np.array([begins, ends + SHORTEST_OF_RADIUS * line.pieces[i].radius_mm]))
+    return bool(abs(radius[1] - radius[0]) > OVER_OF_RADIUS * radius[0])
 
 
 def _begins_something(found: Adjusted, i: int, kind: Begins, radius: float) -> bool:
@@ -278,6 +287,15 @@ def _search(seen: Sightings) -> tuple[Adjusted, list[Begins]]:
     row[0, RADIUS], row[0, START] = seen.radius_mm, seen.chainage_mm[0] - seen.radius_mm
     begins = [Begins.STRAIGHT]
     now = adjust(seen, State(row, np.zeros((seen.rings, BIAS)), seen.heads), _free(begins))
+    near_mm = float(np.percentile(now.where.chainage_mm, 1)) + ROUND_OF_RADIUS * seen.radius_mm
+    part, heads = _up_to(seen, now, near_mm)
+    near = adjust(part, replace(now.state, heads=now.state.heads[heads]), _free(begins))
+    if abs(near.state.pieces[0, RADIUS] - now.state.pieces[0, RADIUS]) > OVER_OF_RADIUS * seen.radius_mm:
+        # most of the scan shows another pipe than it began in: from the near end on, as all else
+        everywhere = now.state.heads.copy()
+        everywhere[heads] = near.state.heads
+        state = replace(near.state, heads=everywhere)
+        now = adjust(seen, state, np.zeros((1, PIECE), np.bool_), scales_mm=(5.0, 2.0))
     since = -np.inf
     while len(begins) < PIECES_MOST:
         low, high = np.percentile(now.where.chainage_mm, [1, 99]) + np.array([2 * step, -2 * step])

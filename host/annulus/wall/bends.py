@@ -1,4 +1,8 @@
-"""Bends, tapers and reducers: pieces of the centre line in the words of an inspector."""
+"""Bends, tapers and reducers: pieces of the centre line in the words of an inspector.
+
+A piece that is not surely bent or tapered stands for something all the same: the line is another one behind it. It may
+be a joint that nothing shows; then it has no name, and neither has a joint that ends it.
+"""
 
 import math
 
@@ -13,6 +17,7 @@ from annulus.wall.features import Feature, FeatureKind, Measure
 # What bends with known truth begin elsewhere than the adjustment says, and what their plane is off.
 UNMODELLED_MM, UNMODELLED_TURN = 0.2, 0.002  # mm; radians
 REDUCER = 0.05  # of the radius: what changes by more within a diameter is a reducer, a fitting; less is a pipe's taper
+SURE = 2.0  # times k = 2, as `axis` asks of a joint: what turns or narrows less surely has no name
 
 
 def find_bends(axis: Axis, scanned_mm: tuple[float, float]) -> tuple[Feature, ...]:
@@ -33,6 +38,16 @@ def find_bends(axis: Axis, scanned_mm: tuple[float, float]) -> tuple[Feature, ..
     return tuple(out)
 
 
+def is_told(axis: Axis, i: int) -> bool:
+    """Whether a piece that bends or tapers surely does so; of others, True."""
+    if axis.adjusted is None or i + 1 == len(axis.centreline.pieces):
+        return True
+    piece, begin, end = axis.centreline.pieces[i], *(one.start_mm for one in axis.centreline.pieces[i : i + 2])
+    if piece.is_bent:
+        return _bend(axis, i, begin, end, last=False).kind is FeatureKind.BEND
+    return piece.taper == 0.0 or _taper(axis, i, begin, end, last=False).kind is not FeatureKind.UNTOLD
+
+
 def _bend(axis: Axis, i: int, start: float, end: float, last: bool) -> Feature:
     assert axis.adjusted is not None
     piece, diameter = axis.centreline.pieces[i], 2.0 * axis.centreline.pieces[i].radius_mm
@@ -50,6 +65,11 @@ def _bend(axis: Axis, i: int, start: float, end: float, last: bool) -> Feature:
     radius_k2, angle_k2, plane_k2 = _k2(axis, by)
     angle = math.degrees(k * length)
     plane = math.degrees(math.atan2(way[1], way[0]))
+    if angle < SURE * math.degrees(angle_k2):
+        turns = (Measure("angle_deg", angle, math.degrees(angle_k2)),)
+        return Feature(
+            FeatureKind.UNTOLD, (start + end) / 2, length, measures=turns, remark="a bend, a joint or neither"
+        )
     toward = clock_face(plane + 90.0)
     remark = f"{1 / k / diameter:.1f} D, {angle:.0f} degrees, to {toward.removesuffix(':00')}"
     measures = (
@@ -70,6 +90,9 @@ def _taper(axis: Axis, i: int, start: float, end: float, last: bool) -> Feature:
     if not last:
         by[0, (i + 1) * PIECE + START] = piece.taper
     (change_k2,) = _k2(axis, by)
+    if abs(after - before) < SURE * change_k2:
+        remark = "a taper, a joint or neither"
+        return Feature(FeatureKind.UNTOLD, (start + end) / 2, end - start, remark=remark)
     short = end - start < 2.0 * piece.radius_mm and abs(after - before) > REDUCER * piece.radius_mm
     measures = (
         Measure("radius_before_mm", before, change_k2),

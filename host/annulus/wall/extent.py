@@ -109,7 +109,8 @@ def _straight(rim: FloatArray, columns: FloatArray, around: int) -> FloatArray:
 
 def _behind(whole: BoolArray, place: Indication, unseen: BoolArray) -> None:
     """What lies unseen just behind a bump is its shadow, taken as far as the bump is long before its crest."""
-    crest = np.flatnonzero((place.mask & (place.height >= 0.9 * place.height[place.mask].max())).any(axis=1)).mean()
+    top = float(place.height[place.mask].max())  # below 0 where what was weighed stands less far in than what was not
+    crest = np.flatnonzero((place.mask & (place.height >= min(0.9 * top, top))).any(axis=1)).mean()
     mirrored = round(2 * crest) - int(np.flatnonzero(place.mask.any(axis=1))[0])
     for column in np.flatnonzero(place.mask.any(axis=0)):
         last = int(np.flatnonzero(place.mask[:, column])[-1])

@@ -10,7 +10,7 @@ from enum import StrEnum
 
 from annulus.numeric.rounding import clock_face
 
-NOT_TOLD = "kind not told"  # how a joint's remark begins of which too little was seen
+NOT_TOLD = "kind not established"  # how a joint's remark begins of which too little was seen
 
 
 class FeatureKind(StrEnum):
@@ -25,6 +25,7 @@ class FeatureKind(StrEnum):
     REDUCER = "reducer"
     TAPER = "taper"
     BEND = "bend"
+    UNTOLD = "not established"  # something goes all round, and whether it is a joint, a bend or a reducer is not known
     CROSS_BORE = "cross bore"  # a sewer that the pipe was drilled through, behind the wall
 
 

@@ -3,19 +3,27 @@
 The centre line tells hi-lo, angle and step; the wall whether a bead stands in between, a gap gapes, or nothing shows. A
 bead that neither jumps nor turns is a joint, too. The sensor looks forward: it sees a bead's near flank and crest, and
 its far flank hardly ever.
+
+A name needs its form. A bead stands inwards of the wall on both sides of it, all round; a gap lies outwards of both;
+what lies between the two goes over from one radius to the other: a reducer, where they differ by more than two pipes of
+one size do. A line that surely jumps without any of these is a joint whose kind is not established. One that only
+turns, and by more than pipes that were joined straight, may be a short bend: that has no name, nor has what too little
+was seen of.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 
 from annulus.numeric.arrays import BoolArray, FloatArray
 from annulus.numeric.robust import SIGMA_OF_MAD, nan_median
 from annulus.wall.adjustment import OFFSET, RADIUS, TURN
-from annulus.wall.axis import Axis, Begins
+from annulus.wall.axis import OFFSET_OF_RADIUS, RADIUS_STEP, Axis, Begins
 from annulus.wall.beads import measure_bead
+from annulus.wall.bends import REDUCER, SURE, is_told
 from annulus.wall.features import NOT_TOLD, Feature, FeatureKind, Measure
 from annulus.wall.grid import Wall
 from annulus.wall.indications import Limits
@@ -35,7 +43,14 @@ SLIT_KNOWN = 0.5  # of half a slit: how well it is known where on an edge its li
 ROUND_LEAST = 0.6  # of the circle, for a row to say where the pipe's axis is: as `axis` asks before it begins a piece
 BESIDE_OF_RADIUS = 1.0  # of the radius: so far beside a joint the line is held against the wall ..
 BESIDE_LEAST = 0.15  # .. and so much of that must be sound: over less an axis turns as the errors of its rings will
-STANDS = 0.5  # part of a joint's points that stand inwards, for a bead
+# Of the sectors that show anything but wall: so many show a bead, or a gap, all round; in fewer it is something else.
+# Guarded by tests/regression/{reducer_called_butt_fusion,narrow_bead_called_a_gap,pocket_called_a_weld}.
+SHOWS = 0.7
+JUMPS = ("hilo_mm", "step_mm", "angle_deg")  # of a line: what no groove makes
+SOCKET_OF_RADIUS = 0.02  # and by less than this, two pipes of one size
+# A turn alone is a joint up to here: what turns more within half a radius may be a short bend as well. Pipes that are
+# joined straight lie within 2 degrees of each other; an elbow of 1 D has 14 degrees on half a radius.
+KINK_MOST = math.radians(3.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,12 +67,6 @@ class Joint:
     def measures_gap(self) -> bool:
         """Whether it says how wide a gap is: of a bead, that there is none."""
         return self.is_gap or not math.isnan(self.feature.measured("height_mm"))
-
-    @property
-    def is_sure(self) -> bool:
-        """Whether the line surely jumps, turns or steps there, or nobody knows."""
-        of_line = [one for one in self.feature.measures if one.name in ("hilo_mm", "angle_deg", "step_mm")]
-        return not of_line or any(abs(one.value) > one.k2 for one in of_line)
 
 
 def find_joints(wall: Wall, profiles: Sequence[Profile], axis: Axis, shadow_ratios: FloatArray) -> tuple[Joint, ...]:
@@ -83,13 +92,14 @@ def find_joints(wall: Wall, profiles: Sequence[Profile], axis: Axis, shadow_rati
     if not zones and not welds and not beads:
         return ()
     points, least_shadow_ratio = Points.of(wall, profiles, shadow_ratios), float(shadow_ratios.min())
-    found = [_joint(wall, points, rows, zone, limit, axis, i, least_shadow_ratio) for zone, i in zones]
-    found = [joint for joint in found if rows.disturbed(joint.feature.z_mm) or joint.is_sure]
-    found += [_joint(wall, points, rows, zone, limit, axis, None, least_shadow_ratio) for zone in welds]
+    tried = [_joint(wall, points, rows, zone, limit, axis, i, least_shadow_ratio) for zone, i in zones]
+    tried += [_joint(wall, points, rows, zone, limit, axis, None, least_shadow_ratio) for zone in welds]
+    found = [joint for joint in tried if joint is not None]
     for start, end in beads:
         if all(not joint.from_mm - end < 0 < joint.to_mm - start for joint in found):
             zone = rows.zone((start + end) / 2)
-            found.append(_joint(wall, points, rows, zone, limit, axis, None, least_shadow_ratio))
+            joint = _joint(wall, points, rows, zone, limit, axis, None, least_shadow_ratio)
+            found += [] if joint is None else [joint]
     return tuple(sorted(found, key=lambda joint: joint.from_mm))
 
 
@@ -100,7 +110,7 @@ def taken(wall: Wall, joints: Sequence[Joint], shadow_ratio: float) -> BoolArray
     """
     out = np.zeros(wall.radius_mm.shape, np.bool_)
     margin = SLIT_OF_RADIUS * wall.mean_radius_mm
-    for joint in joints:
+    for joint in (one for one in joints if one.feature.kind is not FeatureKind.UNTOLD):
         height = joint.feature.measured("height_mm")
         height = 0.0 if math.isnan(height) else height
         end = max(joint.to_mm, joint.feature.z_range_mm[1] + height * shadow_ratio) + margin
@@ -171,8 +181,9 @@ class _Rows:
         reach = REACH_OF_RADIUS * self.radius_mm
         near = np.abs(self.z_mm - at_mm) <= reach
         unsound = np.flatnonzero(near & ~self.sound)
-        if not len(unsound):
-            return at_mm, at_mm
+        if not len(unsound):  # rows may be longer than what disturbs them; its points tell where it ends
+            near_mm = NEAR_OF_RADIUS * self.radius_mm if self.disturbed(at_mm) else 0.0
+            return at_mm - near_mm, at_mm + near_mm
         middle = unsound[np.argmin(np.abs(self.z_mm[unsound] - at_mm))]
         gap = max(2, round(0.04 * self.radius_mm / self.step_mm))  # a sound row or two within a joint are chance
         first = last = middle
@@ -239,40 +250,108 @@ class _Rows:
 def _joint(
     wall: Wall, points: Points, rows: _Rows, zone: tuple[float, float], limit: float, axis: Axis, piece: int | None,
     least_shadow_ratio: float,
-) -> Joint:  # fmt: skip
+) -> Joint | None:  # fmt: skip
+    """What a zone shows, and the line in it where it begins a `piece` there; None where that is no joint."""
+    form = _form(wall, points, zone, limit)
     first, last = points.trimmed(zone, limit)
-    inside = (points.z_mm >= first) & (points.z_mm <= last)
-    height = points.height_mm[inside]
     measures: list[Measure] = []
-    is_bead = len(height) > 0 and bool((height > limit).mean() >= STANDS)
     middle, length = (first + last) / 2, last - first
-    if is_bead:
+    if form is _Form.BEAD:
         bead = measure_bead(wall, points, (first, last))
         measures.append(Measure("height_mm", bead.height_mm, bead.height_k2_mm))
         measures.append(Measure("width_mm", bead.width_mm, bead.width_k2_mm))
         end = bead.start_mm + bead.width_mm
         first, last = min(first, bead.start_mm), max(last, end)
         middle, length = (bead.start_mm + end) / 2, bead.width_mm
-    slit = SLIT_OF_RADIUS * wall.mean_radius_mm
-    hidden = least_shadow_ratio * _outwards(axis, piece, middle)
-    is_gap = piece is not None and not is_bead and length - hidden > 2.0 * slit
-    if is_gap:
-        gap, gap_k2 = _gap(wall, points, (first, last))
-        is_gap = gap > gap_k2  # what may be none is not called one: slits about a step read as much
-    if is_gap:
-        measures.append(Measure("gap_mm", gap, gap_k2))
-        length = gap
-    remark = "butt fusion" if is_bead else "coupling" if is_gap else f"{NOT_TOLD}: too little of it was seen"
+    of_line: list[Measure] = []
     if piece is not None and axis.adjusted is not None:
         off = rows.line_off(wall, axis, piece, (first, last), middle, length)
         if off is not None:
-            measures += _of_line(axis, piece, middle, off, _common_mm(wall, last))
-        step = axis.adjusted.state.pieces[piece, RADIUS]
-        if not is_bead and not is_gap and abs(step) > 0.02 * wall.mean_radius_mm:
-            remark = "socket"
-    kind = FeatureKind.GAP if is_gap else FeatureKind.JOINT
+            of_line = _of_line(axis, piece, middle, off, _common_mm(wall, last))
+    hidden = least_shadow_ratio * _outwards(axis, piece, middle)
+    gap, gap_k2 = 0.0, math.inf
+    is_open = piece is not None and form in (_Form.GAP, _Form.UNSEEN)
+    if is_open and length - hidden > 2.0 * SLIT_OF_RADIUS * wall.mean_radius_mm:
+        gap, gap_k2 = _gap(wall, points, (first, last))
+    if form is _Form.BEAD:
+        kind, remark = FeatureKind.JOINT, "butt fusion"
+    elif gap > gap_k2 and not any(_is_sure(one) for one in of_line if one.name in JUMPS):
+        kind, remark = FeatureKind.UNTOLD, "a gap between two pipes, or a groove"
+        of_line = []
+    elif gap > gap_k2:  # what may be none is not called one: slits about a step read as much
+        kind, remark, length = FeatureKind.GAP, "coupling", gap
+        measures.append(Measure("gap_mm", gap, gap_k2))
+    elif piece is None or not is_told(axis, piece - 1):  # where a line without a name ends is no more sure
+        return None
+    else:
+        named = _of_what_line(of_line, wall.mean_radius_mm, rows.disturbed(middle))
+        if named is None:
+            return None
+        kind, remark = named
+        if kind is FeatureKind.REDUCER:
+            of_line = _of_reducer(of_line)
+        elif kind is FeatureKind.UNTOLD:
+            of_line = [one for one in of_line if one.name == "angle_deg" and _is_sure(one)]
     length = max(length, 2 * wall.z_step_mm)
-    return Joint(Feature(kind, middle, length, measures=tuple(measures), remark=remark), first, last, is_gap, hidden)
+    feature = Feature(kind, middle, length, measures=(*measures, *of_line), remark=remark)
+    return Joint(feature, first, last, kind is FeatureKind.GAP, hidden)
+
+
+class _Form(Enum):
+    """What stands in a zone between two pipes, all round."""
+
+    BEAD = "inwards of both"
+    GAP = "outwards of both"
+    BETWEEN = "neither"
+    UNSEEN = "hardly anything but wall"
+
+
+def _form(wall: Wall, points: Points, zone: tuple[float, float], limit: float) -> _Form:
+    """Sector by sector, by most of the points that lie on neither wall."""
+    points = points.between(*zone)
+    aside = wall.z_step_mm
+    either = np.stack([points.over(wall, zone[0] - aside), points.over(wall, zone[1] + aside)])
+    least, most = either.min(axis=0), either.max(axis=0)
+    inwards, outwards, off = (
+        np.bincount(points.sector, weights=which, minlength=SECTORS)
+        for which in (least > limit, most < -limit, np.abs(either).min(axis=0) > limit)
+    )
+    says = off >= GAP_POINTS
+    if np.count_nonzero(says) < SEEN * SECTORS:
+        return _Form.UNSEEN
+    if (inwards > 0.5 * off)[says].mean() >= SHOWS:
+        return _Form.BEAD
+    return _Form.GAP if (outwards > 0.5 * off)[says].mean() >= SHOWS else _Form.BETWEEN
+
+
+def _is_sure(one: Measure) -> bool:
+    """Of the line, as surely as `axis` asks before it begins a piece."""
+    return abs(one.value) > SURE * one.k2
+
+
+def _of_what_line(of_line: Sequence[Measure], radius_mm: float, disturbed: bool) -> tuple[FeatureKind, str] | None:
+    """What a line that jumps, turns or steps is where the wall shows neither bead nor gap; None where it is nothing."""
+    if not of_line:
+        return FeatureKind.UNTOLD, "a joint, or what else changes the pipe's line: too little wall was seen beside it"
+    least = {"hilo_mm": OFFSET_OF_RADIUS * radius_mm, "step_mm": 2.0 * RADIUS_STEP * radius_mm, "angle_deg": 0.0}
+    sure = {one.name: one.value for one in of_line if _is_sure(one) and abs(one.value) > least.get(one.name, math.inf)}
+    step = abs(sure.get("step_mm", 0.0)) / 2.0
+    if step > REDUCER * radius_mm:
+        return FeatureKind.REDUCER, ""
+    if step > SOCKET_OF_RADIUS * radius_mm:
+        return FeatureKind.JOINT, "socket"
+    if step or "hilo_mm" in sure or 0.0 < sure.get("angle_deg", 0.0) <= math.degrees(KINK_MOST):
+        return FeatureKind.JOINT, f"{NOT_TOLD}: neither a bead nor a gap was seen"
+    if sure:
+        return FeatureKind.UNTOLD, "a joint or a short bend"
+    return (FeatureKind.UNTOLD, "a joint, or nothing") if disturbed else None
+
+
+def _of_reducer(of_line: Sequence[Measure]) -> list[Measure]:
+    """A reducer's measures, of those of the line at it."""
+    step, after = (next(one for one in of_line if one.name == name) for name in ("step_mm", "radius_after_mm"))
+    before_k2 = math.hypot(after.k2, step.k2 / 2.0)
+    return [Measure("radius_before_mm", after.value - step.value / 2.0, before_k2), after]
 
 
 def _gap(wall: Wall, points: Points, zone: tuple[float, float]) -> tuple[float, float]:

@@ -39,7 +39,7 @@ from annulus.wall.shadow import shadowed
 from annulus.wall.stations import Stations, measure_stations, not_enough_seen
 from annulus.wall.surface import Mesh, triangulate
 from annulus.wall.texture import LedFrame, paint
-from annulus.wall.unjudged import Unjudged, find_unjudged
+from annulus.wall.unjudged import Unjudged, find_unjudged, nameless
 from annulus.wall.vibration import Vibration, without_vibration
 
 
@@ -279,6 +279,7 @@ def survey(
     timing = {name: 1e3 * (after - before) for (_, before), (name, after) in pairwise(marks)}
     features = [level.feature for level in levels]
     features += [*(joint.feature for joint in joints), *find_bends(axis, wall.extent[:2]), *openings]
+    unjudged = (*unjudged, *nameless(features))
     features.sort(key=lambda one: (one.z_mm, one.clock_deg))
     nominal = 2 * calibration.pipe_radius_mm
     return Survey(

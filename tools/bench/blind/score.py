@@ -11,7 +11,7 @@ from tools.bench.blind.cloud import cloud_coverage
 from tools.bench.blind.draw import limited
 from tools.bench.blind.pipe import Scene, Thing
 from tools.bench.blind.places import place_of
-from tools.bench.blind.results import Listed, Results
+from tools.bench.blind.results import UNTOLD, Listed, Results
 from tools.bench.blind.stations import departure_mm, station_numbers, worst_ovality
 from tools.bench.blind.surface import Surface, away_deg
 
@@ -188,10 +188,9 @@ def is_below(thing: Thing, results: Results, radius: float) -> bool:
 
 def is_not_established(thing: Thing, results: Results, radius: float) -> bool:
     """Whether it is listed as undecided, or places that the verdict leaves open cover it and speak of little else."""
-    if any(
-        one.group == "undecided" and one.kind != "ovality" and overlap(thing, one, radius) for one in results.listed
-    ):
-        return True
+    undecided = [one for one in results.listed if one.group == "undecided" and one.kind != "ovality"]
+    if any((one.kind != UNTOLD or thing.kind in ALL_ROUND) and overlap(thing, one, radius) for one in undecided):
+        return True  # a place without a name speaks of what goes all round, and of nothing on a part of the wall
     kinds = {"pocket": "loss", "groove": "loss", "dent": "bump", "branch": "bump", "cable": "bump", "hose": "bump",
              "silt": "deposit", "bend": "ovality", "reducer": "bore", "taper": "bore"}  # fmt: skip
     kind = kinds.get(thing.kind, thing.kind)

@@ -1,0 +1,50 @@
+"""A bead narrower than a slit was listed as a gap of 8.4 mm in a coupling: most points beside its few high ones lay on
+the wall, so it was no bead, and what is no bead was measured as a gap. Fails with a gap that may be where nothing lies
+outwards."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from annulus.wall.joints import _Form, _form
+from annulus.wall.points import SECTORS, Points
+
+BEFORE_MM, AFTER_MM = 50.0, 50.8  # radii of the two pipes
+WALL: Any = SimpleNamespace(
+    z_step_mm=2.0, z_mm=np.array([150.0, 152.0, 154.0, 156.0, 158.0]),
+    shape_mm=np.array([[radius, 0.0, 0.0, 0.0, 0.0] for radius in (50.0, 50.0, 50.0, 50.8, 50.8)]),
+)  # fmt: skip
+
+
+def points(radius_mm: float, off: int, sound: int, sectors: int = SECTORS) -> Points:
+    """In each sector so many at that radius, and so many on the wall."""
+    radius = np.tile(np.repeat([radius_mm, AFTER_MM], [off, sound]), SECTORS)
+    sector = np.repeat(np.arange(SECTORS), off + sound)
+    radius = np.where(sector < sectors, radius, AFTER_MM)
+    count = len(sector)
+    none = np.zeros(count)
+    return Points(
+        np.full(count, 154.0), sector, BEFORE_MM - radius, none, none, none, radius, (sector + 0.5) * 360.0 / SECTORS
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("there", "form"),
+    [
+        (points(49.0, 4, 12), _Form.BEAD),
+        (points(52.0, 4, 12), _Form.GAP),
+        (points(49.0, 4, 12, sectors=SECTORS // 2), _Form.BEAD),  # what was seen of it, all round as far as it was
+        (points(49.0, 4, 12, sectors=4), _Form.UNSEEN),
+        (points(50.8, 0, 12), _Form.UNSEEN),
+    ],
+)
+def test_a_joint_is_what_its_points_say_that_lie_on_neither_wall(there: Points, form: _Form) -> None:
+    assert _form(WALL, there, (153.0, 155.0), 0.3) is form
+
+
+def test_what_goes_over_from_one_wall_to_the_other_is_neither_bead_nor_gap() -> None:
+    shape = WALL.shape_mm + np.array([[0.0], [0.0], [0.0], [4.0], [4.0]]) * [1.0, 0.0, 0.0, 0.0, 0.0]
+    wall: Any = SimpleNamespace(**{**vars(WALL), "shape_mm": shape})
+    assert _form(wall, points(52.5, 6, 6), (153.0, 155.0), 0.3) is _Form.BETWEEN
