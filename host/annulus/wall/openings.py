@@ -10,7 +10,7 @@ circle within a tenth of a millimetre. The sides and the near half are where rin
 near side rings end early or late: by how much, the same for all of them, is fitted with the circle.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy import ndimage, optimize
 
 from annulus.geometry.calibration import Calibration
-from annulus.numeric.arrays import BoolArray, FloatArray
+from annulus.numeric.arrays import BoolArray, FloatArray, arc_of
 from annulus.numeric.robust import robust_sigma
 from annulus.wall.features import Feature, FeatureKind, Measure
 from annulus.wall.grid import Wall
@@ -41,10 +41,15 @@ SIZE_LEAST, SIZE_MOST = 0.12, 1.6  # of a patch and of a diameter: less is a sli
 GATES = 0.08, 0.06, 0.04, 0.03  # how far from the circle a face may lie, in one round of the fit after the other
 SLIT = 0.04  # half a slit's width on the wall: how early or late rings may end, standard deviation
 RIM_WIDTH = 0.15  # of a tee's rim, at most
+RIMS = 0.04, 0.08, 0.12  # widths of a rim, to start from
+RIM_LEAST = 0.03  # of a rim's height, to start from it: lower ones hide too little to lead a patch astray
 EDGE_MM, FACE_MM, RIM_MM = 1.0, 0.1, 0.05  # standard deviations: where a ring ends; at least, a face and a rim's height
 ROUND = 0.01  # a face that is farther from its circle is none, rms
 OPEN_LEAST = 0.6  # of the looks inside, part that found nothing
-FLOOR_MOST = 0.05  # points inside for each look inside: with more it has a floor
+FLOOR_MOST = 0.05  # points inside for each look inside: with more it has a floor ..
+FLOOR_LOOKS = (
+    0.35  # .. if so large a part of the looks has any: a floor sends all of them back; and no face tells a bore
+)
 SOUND_LEAST = 0.6  # of the looks about it, part that found wall, in three of four of its sides
 FACE_LOOKS, FACE_ARC_DEG = 2, 60.0  # what makes a face: looks that saw it, arc of the circle it covers
 RIM_SIDES = 0.5  # part of the sides at which a rim stands, for a tee
@@ -95,23 +100,54 @@ def find_openings(
     points, looks = looks_of(profiles, wall, calibration) if seen is None else seen
     found: list[_Bore] = []
     size = wall.mean_radius_mm
-    for stands in STARTS:
-        for start in _patches(looks, wall, stands * size):
-            if any(_within(start, bore) for bore in found):
+    for start, begins, by_rim in _starts(wall, looks, size):
+        if any(_within(start, bore) for bore in found):
+            continue
+        seen = _about(start, points, looks, size)
+        for begin in begins:
+            bore = _fitted(begin, *seen, size)
+            if bore is None or any(_within(bore, other) for other in found):
                 continue
-            seen = _about(start, points, looks, size)
-            for part in SMALLER:
-                shorter = (1.0 - part) * start.radius_mm if stands else 0.0  # the flank lies before the bore
-                begin = replace(start, z_mm=start.z_mm + shorter, radius_mm=part * start.radius_mm)
-                bore = _fitted(begin, *seen, size)
-                if bore is None or any(_within(bore, other) for other in found):
-                    continue
-                if _is_open(bore, *seen, size):
-                    found.append(bore)
-                    break
+            if _is_open(bore, *seen, size, face_only=by_rim):
+                found.append(bore)
+                break
     for bore in found:
         explained |= _cells(bore, wall)
     return tuple(_feature(bore) for bore in found), explained
+
+
+def _starts(wall: Wall, looks: Looks, size: float) -> Iterator[tuple[_Bore, list[_Bore], bool]]:
+    """Where an opening may be, the bores to begin with there, and whether it is what stands in, which may be a rim."""
+    for stands in STARTS:
+        for start in _patches(looks, wall, stands * size):
+            begins = []
+            for part in SMALLER:
+                shorter = (1.0 - part) * start.radius_mm if stands else 0.0  # the flank lies before the bore
+                begins.append(replace(start, z_mm=start.z_mm + shorter, radius_mm=part * start.radius_mm))
+            yield start, begins, False
+    for start in _standing(wall, size):
+        yield start, [replace(start, radius_mm=start.radius_mm - rim * size) for rim in RIMS], True
+
+
+def _standing(wall: Wall, size: float) -> Iterator[_Bore]:
+    """What stands in, as the outside of a rim. A high rim's own shadow makes a patch far longer than its bore; its
+    sides and its near end are what is seen of it."""
+    high = wall.seen & (-wall.residual_mm() > RIM_LEAST * size)
+    cells = [max(1, round(RIM_WIDTH * size / one)) for one in (wall.z_step_mm, np.radians(wall.clock_step_deg) * size)]
+    label, n = label_around(ndimage.binary_dilation(high, np.ones([2 * (one // 2) + 1 for one in cells], bool)))
+    for i in range(1, n + 1):
+        rows, columns = np.nonzero(high & (label == i))
+        if not len(rows):
+            continue
+        start, arc = arc_of(np.bincount(columns, minlength=high.shape[1]) > 0, wall.clock_step_deg)
+        outside = size * float(np.sin(np.radians(min(arc, 180.0) / 2)))
+        if not SIZE_LEAST * size < 2 * outside < SIZE_MOST * size:
+            continue
+        middle, clock = float(wall.z_mm[rows.min()]) - wall.z_step_mm / 2 + outside, (start + arc / 2) % 360.0
+        shape = np.array([np.interp(middle, wall.z_mm, part) for part in wall.shape_mm.T])
+        radius = float((shape * harmonics(np.array([clock]))[0]).sum())
+        stands = float(np.percentile(-wall.residual_mm()[rows, columns], 75))
+        yield _Bore(clock, middle, outside, radius, stands)
 
 
 def _within(bore: _Bore, other: _Bore) -> bool:
@@ -298,8 +334,9 @@ def _ends(bore: _Bore, points: Points, looks: Looks, size: float) -> FloatArray:
     return found[found[:, 1] < 0.1 * bore.radius_mm]
 
 
-def _is_open(bore: _Bore, points: Points, looks: Looks, size: float) -> bool:
-    """Whether nothing is inside, sound wall or rim about it, and a round face or a rim to show for it."""
+def _is_open(bore: _Bore, points: Points, looks: Looks, size: float, *, face_only: bool = False) -> bool:
+    """Whether nothing is inside, sound wall or rim about it, and a round face or a rim to show for it. face_only : what
+    it was begun with stands in anyhow, as a bump or a heap of silt does, whose shadow is dark as well."""
     across, along, missed, known = _passing(bore, looks, size)
     away = np.hypot(across, along)
     # what passes just before the face meets it at the level of the wall
@@ -311,7 +348,10 @@ def _is_open(bore: _Bore, points: Points, looks: Looks, size: float) -> bool:
         return False
     angle = bore.aside(points.clock_deg)
     within = np.hypot(points.radius_mm * np.sin(angle), points.z_mm - bore.z_mm) < bore.radius_mm - 0.05 * size
-    if np.count_nonzero(within & (np.cos(angle) > 0)) > FLOOR_MOST * passed:
+    within &= np.cos(angle) > 0
+    by_looks = len(np.unique(points.look[within])) / np.count_nonzero(inside.any(axis=1))
+    has_floor = np.count_nonzero(within) > FLOOR_MOST * passed
+    if has_floor and by_looks > FLOOR_LOOKS:
         return False
     about = known & (away > bore.radius_mm + 0.06 * size) & (away < bore.radius_mm + 0.25 * size)
     wide = np.broadcast_to(across, away.shape)
@@ -320,7 +360,7 @@ def _is_open(bore: _Bore, points: Points, looks: Looks, size: float) -> bool:
     if sum(sound) < 0.75 * SIDES:
         return False
     face = bore.looks >= FACE_LOOKS and bore.arc_deg >= FACE_ARC_DEG and bore.scatter_mm < ROUND * size
-    return bool(face or bore.stands_mm)
+    return bool(face or (bore.stands_mm and not (face_only or has_floor)))
 
 
 def _feature(bore: _Bore) -> Feature:
