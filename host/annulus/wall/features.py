@@ -12,6 +12,8 @@ from annulus.numeric.rounding import clock_face
 
 NOT_TOLD = "kind not established"  # how a joint's remark begins of which too little was seen
 
+GAP_OR_GROOVE = "a gap between two pipes, or a groove"  # remark of a place without a name that explains its loss
+
 
 class FeatureKind(StrEnum):
     """In the words of summary.json."""

@@ -24,7 +24,7 @@ from annulus.wall.adjustment import OFFSET, RADIUS, TURN
 from annulus.wall.axis import OFFSET_OF_RADIUS, RADIUS_STEP, Axis, Begins
 from annulus.wall.beads import measure_bead
 from annulus.wall.bends import REDUCER, SURE, is_told
-from annulus.wall.features import NOT_TOLD, Feature, FeatureKind, Measure
+from annulus.wall.features import GAP_OR_GROOVE, NOT_TOLD, Feature, FeatureKind, Measure
 from annulus.wall.grid import Wall
 from annulus.wall.indications import Limits
 from annulus.wall.points import ROW_MM, SECTORS, SOUND, Points
@@ -110,7 +110,9 @@ def taken(wall: Wall, joints: Sequence[Joint], shadow_ratio: float) -> BoolArray
     """
     out = np.zeros(wall.radius_mm.shape, np.bool_)
     margin = SLIT_OF_RADIUS * wall.mean_radius_mm
-    for joint in (one for one in joints if one.feature.kind is not FeatureKind.UNTOLD):
+    for joint in joints:
+        if joint.feature.kind is FeatureKind.UNTOLD and joint.feature.remark != GAP_OR_GROOVE:
+            continue
         height = joint.feature.measured("height_mm")
         height = 0.0 if math.isnan(height) else height
         end = max(joint.to_mm, joint.feature.z_range_mm[1] + height * shadow_ratio) + margin
@@ -276,7 +278,7 @@ def _joint(
     if form is _Form.BEAD:
         kind, remark = FeatureKind.JOINT, "butt fusion"
     elif gap > gap_k2 and not any(_is_sure(one) for one in of_line if one.name in JUMPS):
-        kind, remark = FeatureKind.UNTOLD, "a gap between two pipes, or a groove"
+        kind, remark = FeatureKind.UNTOLD, GAP_OR_GROOVE
         of_line = []
     elif gap > gap_k2:  # what may be none is not called one: slits about a step read as much
         kind, remark, length = FeatureKind.GAP, "coupling", gap

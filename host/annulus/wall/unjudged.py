@@ -22,7 +22,7 @@ from annulus.numeric.robust import nan_median
 from annulus.numeric.rounding import DISTANCE, clock_face, span
 from annulus.wall.apart import Apart
 from annulus.wall.defects import Defect, Detection, Kind
-from annulus.wall.features import Feature, FeatureKind
+from annulus.wall.features import GAP_OR_GROOVE, Feature, FeatureKind
 from annulus.wall.grid import BRIDGE_OF_RADIUS, Wall, smooth
 from annulus.wall.indications import Scale, label_around
 from annulus.wall.looks import COLUMNS, Looks
@@ -116,9 +116,14 @@ def find_unjudged(
 
 
 def nameless(features: Sequence[Feature]) -> tuple[Unjudged, ...]:
-    """Places where something goes all round that was not told: a joint or a gap there was held against no limit."""
+    """Places where something goes all round that was not told: a joint, a gap or a groove there was held against no
+    limit."""
     return tuple(
-        Unjudged(("joint", "gap"), f"{one.remark}: not told", *one.z_range_mm)
+        Unjudged(
+            ("joint", "gap", "loss") if one.remark == GAP_OR_GROOVE else ("joint", "gap"),
+            f"{one.remark}: not told",
+            *one.z_range_mm,
+        )
         for one in features
         if one.kind is FeatureKind.UNTOLD
     )

@@ -2,14 +2,17 @@
 the wall, so it was no bead, and what is no bead was measured as a gap. Fails with a gap that may be where nothing lies
 outwards."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from annulus.wall.joints import _Form, _form
+from annulus.wall.features import GAP_OR_GROOVE, Feature, FeatureKind
+from annulus.wall.joints import Joint, _Form, _form, taken
 from annulus.wall.points import SECTORS, Points
+from annulus.wall.unjudged import nameless
 
 BEFORE_MM, AFTER_MM = 50.0, 50.8  # radii of the two pipes
 WALL: Any = SimpleNamespace(
@@ -48,3 +51,14 @@ def test_what_goes_over_from_one_wall_to_the_other_is_neither_bead_nor_gap() -> 
     shape = WALL.shape_mm + np.array([[0.0], [0.0], [0.0], [4.0], [4.0]]) * [1.0, 0.0, 0.0, 0.0, 0.0]
     wall: Any = SimpleNamespace(**{**vars(WALL), "shape_mm": shape})
     assert _form(wall, points(52.5, 6, 6), (153.0, 155.0), 0.3) is _Form.BETWEEN
+
+
+def test_a_gap_or_a_groove_opens_the_limits_of_both() -> None:
+    """A groove of 0.6 mm all round was a gap of 7 mm: its line did not jump."""
+    place = Feature(FeatureKind.UNTOLD, 154.0, 6.0, remark=GAP_OR_GROOVE)
+    (open_,) = nameless([place])
+    assert open_.kinds == ("joint", "gap", "loss")
+    wall: Any = SimpleNamespace(**vars(WALL), radius_mm=np.zeros((5, 8)), mean_radius_mm=50.0)
+    for remark, explains in ((GAP_OR_GROOVE, True), ("a joint or a short bend", False)):
+        joint = Joint(replace(place, remark=remark), 151.0, 157.0, is_gap=False)
+        assert taken(wall, [joint], 1.0).any() == explains

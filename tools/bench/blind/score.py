@@ -189,7 +189,7 @@ def is_below(thing: Thing, results: Results, radius: float) -> bool:
 def is_not_established(thing: Thing, results: Results, radius: float) -> bool:
     """Whether it is listed as undecided, or places that the verdict leaves open cover it and speak of little else."""
     undecided = [one for one in results.listed if one.group == "undecided" and one.kind != "ovality"]
-    if any((one.kind != UNTOLD or thing.kind in ALL_ROUND) and overlap(thing, one, radius) for one in undecided):
+    if any((one.kind != UNTOLD or thing.arc_deg >= 360.0) and overlap(thing, one, radius) for one in undecided):
         return True  # a place without a name speaks of what goes all round, and of nothing on a part of the wall
     kinds = {"pocket": "loss", "groove": "loss", "dent": "bump", "branch": "bump", "cable": "bump", "hose": "bump",
              "silt": "deposit", "bend": "ovality", "reducer": "bore", "taper": "bore"}  # fmt: skip
