@@ -10,11 +10,8 @@ import numpy as np
 
 from tools.bench.blind.surface import Array
 
-<<<<<<< HEAD
 NOT_SEEN_UM = -32768  # of wall.npz
-=======
 UNTOLD = "not established"  # kind of a feature: something goes all round, and it has no name
->>>>>>> 2cc10ec6 (joints: a name needs its form, and what has none is "not established")
 TYPES = {"float": "<f4", "double": "<f8", "uchar": "u1", "ushort": "<u2", "uint": "<u4", "int": "<i4", "short": "<i2"}
 
 
