@@ -117,7 +117,6 @@ class Adjusted:
     covariance: FloatArray
     follow: FloatArray
     head_covariance: FloatArray
-    alike: float  # observations that err as one
 
     def sigma(self, piece: int, number: int) -> float:
         """Standard deviation of one number of a piece; 0 where it was held."""
@@ -255,8 +254,7 @@ def adjust(
     cost = math.inf
     for i, scale in enumerate(scales):
         weight, unit = _weights(where.residual_mm, seen.sigma_mm, scale)
-        alike = _alike(seen, where.residual_mm * np.sqrt(weight) / unit)
-        step = _step(seen, state, where, weight, unit * math.sqrt(alike), columns)
+        step = _step(seen, state, where, weight, unit, columns)
         flat = state.pieces.ravel().copy()
         flat[columns] += step.pieces
         pieces = flat.reshape(state.pieces.shape)
@@ -278,8 +276,8 @@ def adjust(
     weight, unit = _weights(where.residual_mm, seen.sigma_mm, 0.0)
     alike = _alike(seen, where.residual_mm * np.sqrt(weight) / unit)
     return Adjusted(
-        state, where, weight, unit, cost_of(where.residual_mm, seen.sigma_mm), columns, step.covariance, step.follow,
-        step.head_covariance, alike,
+        state, where, weight, unit, cost_of(where.residual_mm, seen.sigma_mm), columns, alike * step.covariance,
+        step.follow, alike * step.head_covariance,
     )  # fmt: skip
 
 
@@ -291,8 +289,7 @@ def unmodelled(seen: Sightings, found: Adjusted) -> FloatArray:
         return np.zeros_like(found.covariance)
     own = found.state.centreline().piece_of(found.where.chainage_mm)
     each = np.where(bent[own][:, None], _by_bias(seen, found.state, found.where), 0.0)
-    unit = found.unit * math.sqrt(found.alike)
-    step = _step(seen, found.state, found.where, found.weight, unit, found.free, each)
+    step = _step(seen, found.state, found.where, found.weight, found.unit, found.free, each)
     scatter = np.zeros(seen.rings)
     for k in np.unique(seen.ring):
         scatter[k] = SIGMA_OF_MAD * float(np.median(np.abs(found.where.residual_mm[seen.ring == k])))
@@ -323,8 +320,8 @@ def cost_of(residual: FloatArray, sigma: FloatArray) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Step:
-    """Steps of heads (F, HEAD), free numbers of the pieces (n,), biases (R * BIAS,); the rest as `Adjusted` has it.
-    `answers` (n, m): how the free numbers answer to each residual asked about."""
+    """Steps of heads (F, HEAD), free numbers of the pieces (n,), biases (R * BIAS,); the rest as `Adjusted` has it, of
+    points that count as one each. `answers` (n, m): how the free numbers answer to each residual asked about."""
 
     heads: FloatArray
     pieces: FloatArray
@@ -339,8 +336,7 @@ def _step(
     seen: Sightings, state: State, where: Where, weight: FloatArray, unit: float, columns: NDArray[np.intp],
     asked: FloatArray | None = None,
 ) -> _Step:  # fmt: skip
-    """One step of Gauss-Newton. unit : robust sigma of residual over sigma, times the root of how many observations err
-    as one: so little do they know beside a prior. asked : (N, m) residuals, mm, to which the answers are wanted."""
+    """One step of Gauss-Newton. asked : (N, m) residuals, mm, to which the answers are wanted."""
     heads_do = by_head(seen, state, where)
     by_line = np.concatenate([_by_pieces(seen, state, where, columns), _by_bias(seen, state, where)], axis=1)
     f, n = len(seen.first), by_line.shape[1]
