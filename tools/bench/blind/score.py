@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -187,14 +187,17 @@ def is_below(thing: Thing, results: Results, radius: float) -> bool:
 
 
 def is_not_established(thing: Thing, results: Results, radius: float) -> bool:
-    """Whether it is listed as undecided, or places that the verdict leaves open cover it and speak of little else."""
-    undecided = [one for one in results.listed if one.group == "undecided" and one.kind != "ovality"]
-    if any((one.kind != UNTOLD or thing.arc_deg >= 360.0) and overlap(thing, one, radius) for one in undecided):
-        return True  # a place without a name speaks of what goes all round, and of nothing on a part of the wall
+    """Whether it is listed as undecided, or places that the verdict leaves open cover it; either speaking of little
+    else."""
     kinds = {"pocket": "loss", "groove": "loss", "dent": "bump", "branch": "bump", "cable": "bump", "hose": "bump",
              "silt": "deposit", "bend": "ovality", "reducer": "bore", "taper": "bore"}  # fmt: skip
     kind = kinds.get(thing.kind, thing.kind)
     longest, widest = max(LOCAL * thing.length_mm, LOOK_OF_RADIUS * radius), max(LOCAL * thing.arc_deg, LOOK_DEG)
+    undecided = [one for one in results.listed if one.group == "undecided" and one.kind != "ovality"]
+    if thing.arc_deg < 360.0:  # a place without a name speaks of what goes all round, and of nothing on a part of it
+        undecided = [one for one in undecided if one.kind != UNTOLD and one.arc_deg <= widest]
+    if any(one.length_mm <= longest and overlap(thing, one, radius) for one in undecided):
+        return True
     z = np.linspace(*thing.span_mm, 24)[:, None]
     clock = thing.clock_deg + thing.arc_deg * np.linspace(-0.5, 0.5, 24)[None, :]
     covered = np.zeros((24, 24), bool)
@@ -239,8 +242,17 @@ def line_numbers(
 ) -> list[Number]:
     """What a line measured. One that is of several things has the depth of the deepest, and no more is asked."""
     thing, where = max(things, key=lambda one: one[0].depth_mm)
-    numbers = list(thing_numbers(thing, line, where, surface, seen))
+    depth = max(true_depth_mm(one, surface) for one, _ in things) if thing.kind in WALL_THINGS else thing.depth_mm
+    numbers = list(thing_numbers(replace(thing, depth_mm=depth), line, where, surface, seen))
     return numbers if len(things) == 1 else [one for one in numbers if one.what == "depth"]
+
+
+def true_depth_mm(thing: Thing, surface: Surface) -> float:
+    """How far the wall departs where the thing lies: one that another crosses is as deep there as both together, and
+    that is what a survey sees."""
+    z, clock = np.linspace(*thing.span_mm, 81)[:, None], thing.clock_deg + thing.arc_deg * np.linspace(-0.5, 0.5, 81)
+    departure = surface.radius(clock, z, bottoms=False) - surface.shape(clock, z)
+    return float((-departure if thing.kind == "bump" else departure).max())
 
 
 def thing_numbers(
