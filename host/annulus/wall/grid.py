@@ -17,6 +17,7 @@ from annulus.numeric.robust import SIGMA_OF_MAD, nan_median
 from annulus.vocabulary import AnnulusError
 from annulus.wall.centreline import Centreline
 from annulus.wall.profile import Profile
+from annulus.wall.rests import places_of
 from annulus.wall.shadow import STEP_MM, between_levels
 from annulus.wall.shape import fit_shape, harmonics, spread
 
@@ -37,8 +38,8 @@ OBSERVATION_SMOOTHED = 0.7  # part of a ring's noise that smoothing over three d
 
 @dataclass(frozen=True, slots=True)
 class Observations:
-    """Every point of the wall with who measured it: one ring in one frame is one observation, wrong
-    or right as a whole.
+    """Every point of the wall with who measured it: one ring from one place is one observation, wrong or right as a
+    whole, in however many frames.
 
     cell (N,): index into the flattened grid. number (N,): the same for all points of one
     observation. sigma_mm (N,): what each point said it may be off; NaN where nobody said. seen_by (N,): as
@@ -206,9 +207,9 @@ def build_wall(
     inside = (row >= 0) & (row < rows)
     radius, row = radius[inside], row[inside]
     cell = row * columns + np.minimum((clock[inside] / ANGLE_STEP_DEG).astype(np.int64), columns - 1)
-    frame = np.repeat(np.arange(len(used)), [len(p.points_mm) for p in used])
+    place = np.repeat(places_of(used, float(np.median(radius))), [len(p.points_mm) for p in used])
     rings = 1 + max(int(p.ring.max()) for p in used)
-    number = (frame * rings + np.concatenate([p.ring for p in used]))[finite][inside].astype(np.int32)
+    number = (place * rings + np.concatenate([p.ring for p in used]))[finite][inside].astype(np.int32)
 
     grid, count = cell_medians(cell, radius, (rows, columns))
     keep = _supported(grid, cell, radius)

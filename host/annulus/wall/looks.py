@@ -16,6 +16,7 @@ from annulus.numeric.arrays import BoolArray, FloatArray
 from annulus.numeric.robust import SIGMA_OF_MAD, TUKEY, biweight, nan_median
 from annulus.wall.grid import Wall
 from annulus.wall.profile import Profile
+from annulus.wall.rests import places_of
 from annulus.wall.shape import harmonics
 
 COLUMNS = 360  # round the clock
@@ -24,7 +25,7 @@ SEEN_LEAST = 0.4  # part of the circle: of less of a ring its place all round is
 SCATTER_OF_RADIUS = 0.02  # of the radius: and a ring that is farther from so smooth a line is none to go by
 SURFACE_OF_RADIUS = 0.05  # of the radius: points this near the shape tell where a ring runs
 DARK = 0.5  # of the usual part of looks that arrive: columns with less are a rod's, a cable's or dead
-PLACE_LEAST_MM = 0.05  # a ring's place is not known better
+PLACE_LEAST_OF_RADIUS = 0.0007  # of the radius: a ring's place is not known better (0.05 mm in a 6-inch pipe)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,12 +44,14 @@ class Points:
 class Looks:
     """Every ring of every frame, (L, A) over the clock: z_mm, where its light passes the pipe's shape; run, how far it
     goes along the pipe for each mm outwards; departure_mm of what it met, NaN where nothing came back; lit, where
-    it ought to have been seen."""
+    it ought to have been seen; view (L,), the same number where one ring looks from one place again: frames of a head
+    at rest, or nearly, are one look."""
 
     z_mm: FloatArray
     run: FloatArray
     departure_mm: FloatArray
     lit: BoolArray
+    view: NDArray[np.int64]
 
 
 def looks_of(profiles: Sequence[Profile], wall: Wall, calibration: Calibration) -> tuple[Points, Looks]:
@@ -79,7 +82,8 @@ def looks_of(profiles: Sequence[Profile], wall: Wall, calibration: Calibration) 
     )
     turned = np.array([np.degrees(p.pose.roll or 0.0) if p.pose is not None else 0.0 for p in used])
     lit = sure[:, None] & ~_dark(np.isfinite(met), sure, np.repeat(turned, rings))
-    return points, Looks(passed, (passed - source[:, None]) / size, met, lit)
+    view = (places_of(used, size)[:, None] * rings + np.arange(rings)).ravel()
+    return points, Looks(passed, (passed - source[:, None]) / size, met, lit, view)
 
 
 def _smooth(z: FloatArray, usable: BoolArray, radius: float) -> tuple[FloatArray, BoolArray]:
@@ -98,7 +102,7 @@ def _smooth(z: FloatArray, usable: BoolArray, radius: float) -> tuple[FloatArray
         line = np.linalg.solve(normal, ((weight * value) @ basis)[..., None])[..., 0] @ basis.T
         off = np.where(known, np.abs(value - line), np.nan)
         scatter = np.nan_to_num(SIGMA_OF_MAD * nan_median(off.T), nan=np.inf)
-        weight = known * biweight(off / (TUKEY * np.maximum(scatter, PLACE_LEAST_MM))[:, None])
+        weight = known * biweight(off / (TUKEY * np.maximum(scatter, PLACE_LEAST_OF_RADIUS * radius))[:, None])
     return line, enough & (scatter < SCATTER_OF_RADIUS * radius)
 
 

@@ -43,7 +43,7 @@ SLIT = 0.04  # half a slit's width on the wall: how early or late rings may end,
 RIM_WIDTH = 0.15  # of a tee's rim, at most
 RIMS = 0.04, 0.08, 0.12  # widths of a rim, to start from
 RIM_LEAST = 0.03  # of a rim's height, to start from it: lower ones hide too little to lead a patch astray
-EDGE_MM, FACE_MM, RIM_MM = 1.0, 0.1, 0.05  # standard deviations: where a ring ends; at least, a face and a rim's height
+EDGE, FACE, RIM = 0.013, 0.0013, 0.0007  # standard deviations: where a ring ends; at least, a face and a rim's height
 ROUND = 0.01  # a face that is farther from its circle is none, rms
 OPEN_LEAST = 0.6  # of the looks inside, part that found nothing
 FLOOR_MOST = 0.05  # points inside for each look inside: with more it has a floor ..
@@ -165,7 +165,7 @@ def _about(bore: _Bore, points: Points, looks: Looks, size: float) -> tuple[Poin
     some &= near[points.look]
     number = number[points.look[some]]
     kept = Points(points.radius_mm[some], points.clock_deg[some], points.z_mm[some], points.departure_mm[some], number)
-    return kept, Looks(looks.z_mm[near], looks.run[near], looks.departure_mm[near], looks.lit[near])
+    return kept, Looks(looks.z_mm[near], looks.run[near], looks.departure_mm[near], looks.lit[near], looks.view[near])
 
 
 def _patches(looks: Looks, wall: Wall, stands_mm: float) -> list[_Bore]:
@@ -177,8 +177,16 @@ def _patches(looks: Looks, wall: Wall, stands_mm: float) -> list[_Bore]:
     inside = looks.lit & (row >= 0) & (row < rows)
     cell = np.floor(row).astype(np.int64) * COLUMNS + np.arange(COLUMNS)
 
+    part = 1.0 / np.bincount(looks.view)[looks.view]
+
     def around(which: BoolArray) -> FloatArray:
-        count = np.bincount(cell[inside & which], minlength=rows * COLUMNS).reshape(rows, COLUMNS).astype(np.float64)
+        some = inside & which
+        # frames from one place look once: each counts for its part of that look
+        count = (
+            np.bincount(cell[some], np.broadcast_to(part[:, None], some.shape)[some], rows * COLUMNS)
+            .reshape(rows, COLUMNS)
+            .astype(np.float64)
+        )
         wide = np.pad(count, ((0, 0), (1, 1)), mode="wrap")
         return np.asarray(ndimage.convolve(wide, np.ones((3, 3)), mode="constant")[:, 1:-1])
 
@@ -217,7 +225,7 @@ def _patches(looks: Looks, wall: Wall, stands_mm: float) -> list[_Bore]:
 def _fitted(bore: _Bore, points: Points, looks: Looks, size: float) -> _Bore | None:
     """The circle through faces and ends of rings; None where it runs away."""
     for gate in GATES:
-        rim = _rim(bore, points, size)
+        rim = _rim(bore, points, looks, size)
         bore = rim if rim.stands_mm or gate < GATES[0] else bore
         ends = _ends(bore, points, looks, size)
         angle = bore.aside(points.clock_deg)
@@ -227,10 +235,10 @@ def _fitted(bore: _Bore, points: Points, looks: Looks, size: float) -> _Bore | N
         face &= points.departure_mm > _level(bore, angle) + LEVEL * size
         if bore.stands_mm:  # the wall beside a narrow rim is no face
             face &= np.abs(points.departure_mm) > LEVEL * size
-        across, along, number = across[face], along[face], points.look[face]
+        across, along, number = across[face], along[face], looks.view[points.look[face]]
         if len(ends) + len(across) < 8:
             return None
-        scatter = max(robust_sigma(off[face] - np.median(off[face])), FACE_MM) if face.any() else FACE_MM
+        scatter = max(robust_sigma(off[face] - np.median(off[face])), FACE * size) if face.any() else FACE * size
         each = scatter * np.sqrt(max(len(number) / max(len(np.unique(number)), 1), 1.0))  # one look errs as one
 
         def left(
@@ -238,7 +246,7 @@ def _fitted(bore: _Bore, points: Points, looks: Looks, size: float) -> _Bore | N
         ) -> FloatArray:
             at = np.maximum(np.abs(ends[:, 1] - v[0]) + v[3], 0.0)
             return np.concatenate([
-                (np.hypot(ends[:, 0] - v[1], at) - v[2]) / EDGE_MM,
+                (np.hypot(ends[:, 0] - v[1], at) - v[2]) / (EDGE * size),
                 (np.hypot(x - v[1], z - v[0]) - v[2]) / each,
                 [v[3] / (SLIT * size)],
             ])  # fmt: skip
@@ -266,7 +274,7 @@ def _level(bore: _Bore, angle: FloatArray) -> FloatArray:
     return np.asarray(np.minimum((bore.wall_mm - bore.stands_mm) / np.maximum(np.cos(angle), 0.2) - bore.wall_mm, 0.0))
 
 
-def _rim(bore: _Bore, points: Points, size: float) -> _Bore:
+def _rim(bore: _Bore, points: Points, looks: Looks, size: float) -> _Bore:
     """The bore with the rim that stands about it, or without.
 
     Its height is taken at the sides, where it runs along the pipe and a slit's width blurs nothing.
@@ -283,7 +291,9 @@ def _rim(bore: _Bore, points: Points, size: float) -> _Bore:
         return replace(bore, stands_mm=0.0, rim_mm=0.0)
     height = bore.wall_mm - points.radius_mm * np.cos(angle)
     high = beside & (height > 0.85 * np.percentile(height[beside], 75))
-    sigma = robust_sigma(height[high] - np.median(height[high])) / np.sqrt(len(np.unique(points.look[high])))
+    sigma = robust_sigma(height[high] - np.median(height[high])) / np.sqrt(
+        len(np.unique(looks.view[points.look[high]]))
+    )
     outside = float(np.percentile(away[high], 97))
     return replace(bore, stands_mm=float(np.median(height[high])), stands_sigma_mm=float(sigma), rim_mm=outside)
 
@@ -344,7 +354,11 @@ def _is_open(bore: _Bore, points: Points, looks: Looks, size: float, *, face_onl
         np.hypot(across, np.maximum(along, along + 0.05 * size * (along > 0))) < bore.radius_mm - 0.05 * size
     )
     passed = np.count_nonzero(inside)
-    if passed < 10 or np.count_nonzero(inside.any(axis=1)) < LOOKS_LEAST or missed[inside].mean() < OPEN_LEAST:
+    if (
+        passed < 10
+        or len(np.unique(looks.view[inside.any(axis=1)])) < LOOKS_LEAST
+        or missed[inside].mean() < OPEN_LEAST
+    ):
         return False
     angle = bore.aside(points.clock_deg)
     within = np.hypot(points.radius_mm * np.sin(angle), points.z_mm - bore.z_mm) < bore.radius_mm - 0.05 * size
@@ -368,7 +382,9 @@ def _feature(bore: _Bore) -> Feature:
     arc = 2 * float(np.degrees(np.arcsin(min(reach / bore.wall_mm, 1.0))))
     measures = [Measure("inner_d_mm", 2 * bore.radius_mm, 2 * 2 * bore.sigma_mm)]
     if bore.stands_mm:
-        measures.append(Measure("protrusion_mm", bore.stands_mm, 2 * float(np.hypot(bore.stands_sigma_mm, RIM_MM))))
+        measures.append(
+            Measure("protrusion_mm", bore.stands_mm, 2 * float(np.hypot(bore.stands_sigma_mm, RIM * bore.wall_mm)))
+        )
     kind = FeatureKind.TEE if bore.stands_mm else FeatureKind.BRANCH
     return Feature(kind, bore.z_mm, 2 * reach, bore.clock_deg, arc, tuple(measures))
 

@@ -5,10 +5,12 @@ two hundred looks they outvote the frames beside them, and a joint was told wher
 one place only those are kept that show something of the pipe that the others do not.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from annulus.numeric.arrays import BoolArray
 from annulus.wall.profile import Profile
@@ -44,6 +46,19 @@ def without_rests(profiles: Sequence[Profile]) -> tuple[Profile, ...]:
             group = []
         group.append(i)
     return tuple(one for one in out if one is not None)
+
+
+def places_of(profiles: Sequence[Profile], radius_mm: float) -> NDArray[np.intp]:
+    """(N,) the same number for frames that look from one place, turned alike: what a ring says there it says once."""
+    near = PLACE_OF_RADIUS * radius_mm
+    rolls = [0.0 if one.pose is None else math.degrees(one.pose.roll or 0.0) for one in profiles]
+    turned = [round(roll / TURN_DEG) for roll in rolls]
+    out, place, first = np.zeros(len(profiles), np.intp), -1, -1
+    for i in sorted(range(len(profiles)), key=lambda i: (profiles[i].camera, turned[i], profiles[i].z_mm)):
+        if first < 0 or turned[i] != turned[first] or not _is_one_place(profiles[first], profiles[i], near):
+            first, place = i, place + 1
+        out[i] = place
+    return out
 
 
 def _is_one_place(one: Profile, other: Profile, near_mm: float) -> bool:
