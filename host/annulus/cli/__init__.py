@@ -269,6 +269,9 @@ def _reconstruct_fringe(
     print(f"report     {out / 'report.html'}")
 
 
+HOLES_PRINTED = 10  # the largest; the report has all
+
+
 def _print_summary(data: Mapping[str, Any], out: Path) -> None:
     from annulus.numeric.rounding import ARC, DISTANCE, EXTENT, MEASURE, digits, said, span
 
@@ -306,7 +309,15 @@ def _print_summary(data: Mapping[str, Any], out: Path) -> None:
             where_to = f"{span(place['z_from_mm'], place['z_to_mm'], DISTANCE)}, {clock}"
             print(f"           not established: {', '.join(place['limits'])} {where_to}: {place['reason']}")
     for d in data["undecided"]:
-        print(f"undecided  {said(d['depth_mm'], MEASURE, d['depth_k2_mm'])} {where(d)}")
+        print(f"undecided  {said(d['depth_mm'], MEASURE, d['depth_k2_mm'])} {where(d)}: {d['why']}")
+    # with limits they stand among what is not established
+    holes = [] if "conformity" in data else [hole for hole in data["not_seen"] if not hole["usual"]]
+    holes.sort(key=lambda one: -one["arc_deg"] * (one["z_to_mm"] - one["z_from_mm"]))
+    for hole in holes[:HOLES_PRINTED]:
+        clock = "all round" if hole["arc_deg"] >= 360 else f"clock {' to '.join(hole['clock_from_to'])}"
+        print(f"not seen   {span(hole['z_from_mm'], hole['z_to_mm'], DISTANCE)}, {clock}: {hole['reason']}")
+    if len(holes) > HOLES_PRINTED:
+        print(f"not seen   {len(holes) - HOLES_PRINTED} smaller places, see the report")
     if "vibration" in data:
         for line in data["vibration"]["lines"]:
             hertz = "" if line["hertz"] is None else f" ({digits(line['hertz'], MEASURE)} Hz)"

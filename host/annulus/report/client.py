@@ -13,6 +13,7 @@ import numpy as np
 from annulus.job import NUMBERS, WORDS, Observation, Origin
 from annulus.numeric.rounding import (
     ANGLE,
+    ARC,
     AREA,
     DISTANCE,
     EXTENT,
@@ -40,6 +41,8 @@ from annulus.wall.unjudged import Unjudged
 
 NOT_RECORDED = "not recorded"
 STATIONS_MAX = 24  # rows of the table, the worst ones beside
+HOLE_OF_SIZE = 3.0  # times the smallest size listed, both ways: smaller holes of one cause are told in one row
+CLOCKS_MAX = 8  # named in such a row
 PLACES_MAX = 60  # of the table of what is not established; summary.json has all
 UNITS = {"mm": MEASURE, "%": PERCENT, "°": ANGLE}
 TOLERANCES = {"mm": MEASURE, "mm²": AREA}
@@ -61,6 +64,8 @@ def values(survey: Survey, account: Account) -> dict[str, Any]:
         "job": list(_job(account.origin)),
         "calibrated": list(_calibrated(account.origin)),
         "conformity": None if verdict is None else _conformity(verdict, survey.seen_fraction),
+        "holes": list(_holes(survey)),
+        "least_hole": said(survey.size_limit_mm, EXTENT),
         "details": _details(survey, account),
         "observations": [_observed(i, one) for i, one in enumerate(account.origin.observations)],
         "marks_left_out": account.origin.marks_left_out,
@@ -131,12 +136,12 @@ def _conformity(verdict: Verdict, seen: float) -> dict[str, Any]:
     overall, look = OVERALL[verdict.decision]
     if verdict.decision is Decision.SEEN:
         overall += f" ({said(math.floor(1000.0 * seen) / 10.0, SHARE)} of the wall)"
-    still_open = [one for one in verdict.not_established if not one.usual]
+    still_open = [one for one in verdict.not_established if not one.usual and not one.is_hole]
     return {
         "title": verdict.criteria.title, "overall": overall, "look": look, "rule": RULE,
         "accepted": verdict.criteria.accepted, "rows": [_judged(one) for one in _governing(verdict)],
         "remarks": list(verdict.remarks), "limits": list(_limits(verdict)),
-        "places": [*map(_place, still_open[:PLACES_MAX]), *_usual(verdict.not_established)],
+        "places": [*map(_place, still_open[:PLACES_MAX]), *_folded(verdict.not_established)],
         "places_left_out": max(len(still_open) - PLACES_MAX, 0),
     }  # fmt: skip
 
@@ -149,12 +154,38 @@ def _place(one: Unjudged) -> dict[str, str]:
     }  # fmt: skip
 
 
-def _usual(places: Sequence[Unjudged]) -> Iterator[dict[str, str]]:
-    """What every scan has, one row a sort: they leave no verdict open, and summary.json has each."""
-    sorts: dict[tuple[tuple[str, ...], str], list[Unjudged]] = {}
-    for one in places:
-        if one.usual:
-            sorts.setdefault((one.kinds, one.reason), []).append(one)
+def _holes(survey: Survey) -> Iterator[dict[str, str]]:
+    """Holes in the map, the larger ones a row each; of the small ones of a cause, and of those that every scan has, one
+    row that says at which clocks."""
+    radius = survey.wall.mean_radius_mm
+    large = HOLE_OF_SIZE * survey.size_limit_mm
+    sorts: dict[tuple[bool, bool, str], list[Unjudged]] = {}
+    for one in survey.unjudged:
+        if one.is_hole:
+            wide = one.usual or min(one.z_to_mm - one.z_from_mm, math.radians(one.arc_deg) * radius) >= large
+            sorts.setdefault((one.usual, not wide, one.reason), []).append(one)
+    for (usual, small, _), many in sorted(sorts.items(), key=lambda sort: sort[0][:2]):
+        many.sort(key=lambda one: one.z_from_mm)
+        each = [[one] for one in many[:PLACES_MAX]] if not usual and not small else [many]
+        for some in each:
+            first, last = min(one.z_from_mm for one in some), max(one.z_to_mm for one in some)
+            row = {**_place(some[0]), "at": span(first, last, DISTANCE, unit=False)}
+            if len(some) > 1:
+                clocks = sorted({round(one.clock_deg / 5.0) * 5.0 for one in some})
+                near = ", ".join(clock_face(clock) for clock in clocks) if len(clocks) <= CLOCKS_MAX else "all about"
+                row["clock"] = f"{len(some)} places: {near}"
+            length = max(one.z_to_mm - one.z_from_mm for one in some)
+            arc = max(one.arc_deg for one in some)
+            size = f"{said(length, EXTENT)}, {said(arc, ARC)}"
+            yield row | {"size": size if len(some) == 1 else f"up to {size}"}
+
+
+def _folded(places: Sequence[Unjudged]) -> Iterator[dict[str, str]]:
+    """Holes, which have a table of their own, and what every scan has, one row a sort; summary.json has each."""
+    sorts: dict[tuple[tuple[str, ...], str, bool], list[Unjudged]] = {}
+    for one in sorted(places, key=lambda one: one.usual):
+        if one.usual or one.is_hole:
+            sorts.setdefault((one.kinds, one.reason, one.usual), []).append(one)
     for many in sorts.values():
         row = _place(many[0])
         if len(many) > 1:

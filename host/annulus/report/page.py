@@ -81,7 +81,7 @@ def render_page(survey: Survey, summary: Mapping[str, Any], pictures: Pictures, 
     of the page ask for, by name."""
     features = [_feature(letter(i), feature) for i, feature in enumerate(survey.features)]
     undecided = [
-        {**_row(question(i), place, survey), "name": UNDECIDED[place.kind]}
+        {**_row(question(i), place, survey), "name": UNDECIDED[place.kind], "why": place.why}
         for i, place in enumerate(survey.detection.undecided)
     ]
     captions = {one["number"]: f"{one['number']}: {one['name'].lower()}" for one in (*features, *undecided)}
@@ -154,6 +154,10 @@ def _verdict(survey: Survey) -> str:
         told.append(
             f"{_count(undecided, 'place stands', 'places stand')} out and could not be decided: see below, look there."
         )
+    if holes := sum(one.is_hole and not one.usual for one in survey.unjudged):
+        told.append(
+            f"{_count(holes, 'place of the wall was', 'places of the wall were')} not seen: see below, where and why."
+        )
     missed = {finding.kind for finding in survey.findings}
     if NOT_ENOUGH in missed:
         told.append("Not enough of it was seen to say what shape the pipe has: see below.")
@@ -166,7 +170,8 @@ def _look(survey: Survey) -> str:
     """Class of the first sentence: sound (green) only where nothing at all is listed; look where no damage is."""
     if survey.defects:
         return ""
-    return "look" if survey.features or survey.detection.undecided or survey.findings else "sound"
+    unseen = any(one.is_hole and not one.usual for one in survey.unjudged)
+    return "look" if survey.features or survey.detection.undecided or survey.findings or unseen else "sound"
 
 
 def _name(defect: Defect) -> str:

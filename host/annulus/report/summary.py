@@ -17,8 +17,10 @@ from annulus.report.paper import marked
 from annulus.wall.conformity import RULE, Group, Verdict
 from annulus.wall.defects import Defect
 from annulus.wall.features import Feature
+from annulus.wall.standing import FEW
 from annulus.wall.stations import OVALITY_FORMULA, OVALITY_NAME
 from annulus.wall.survey import Survey
+from annulus.wall.unjudged import Unjudged
 from annulus.wall.vibration import Vibration
 
 
@@ -63,12 +65,13 @@ def summarize(survey: Survey, account: Account, files_ms: float) -> dict[str, An
             _feature(feature) | _severity(account.verdict, "feature", i) for i, feature in enumerate(survey.features)
         ],
         "undecided": [
-            _defect(place) | _severity(account.verdict, "undecided", i)
+            _defect(place) | {"why": place.why} | _severity(account.verdict, "undecided", i)
             for i, place in enumerate(survey.detection.undecided)
         ],
+        "not_seen": [_hole(place) for place in survey.unjudged if place.is_hole],
         "observations": [_observation(i, one) for i, one in enumerate(account.origin.observations)],
         "marks_left_out": account.origin.marks_left_out,
-        "unsupported": survey.detection.unconfirmed,
+        "unsupported": sum(place.why == FEW for place in survey.detection.undecided),
         "limits": {
             "depth_mm": stored(survey.depth_limit_mm),
             "size_mm": stored(survey.size_limit_mm),
@@ -141,6 +144,15 @@ def _conformity(verdict: Verdict) -> dict[str, Any]:
             }
             for one in verdict.items
         ],
+    }  # fmt: skip
+
+
+def _hole(place: Unjudged) -> dict[str, Any]:
+    """usual: every scan has such, a rod's strip or an end."""
+    return {
+        "z_from_mm": stored(place.z_from_mm), "z_to_mm": stored(place.z_to_mm), "clock_deg": stored(place.clock_deg),
+        "arc_deg": stored(place.arc_deg), "clock_from_to": list(place.clock_range), "reason": place.reason,
+        "usual": place.usual,
     }  # fmt: skip
 
 

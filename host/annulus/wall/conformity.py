@@ -346,9 +346,6 @@ def _unseen(survey: Survey, criteria: Criteria) -> Iterator[str]:
         yield f"{max(missed, 0.1):.1f} % of the wall was not seen: nothing is claimed there"
     if any(kind in criteria.grades for kind in _LISTED):
         yield f"a place smaller than {survey.size_limit_mm:.1f} mm along or across the pipe is not judged"
-    if survey.detection.unconfirmed:
-        n = survey.detection.unconfirmed
-        yield f"places that only one look or a few speak for, none surely, are not judged: {n}"
     for kind, values in (
         ("ovality", shape_ovality(survey.wall)),
         ("bore", survey.stations.diameter_mean_mm),

@@ -7,14 +7,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import ndimage
 
-from annulus.numeric.arrays import BoolArray, FloatArray, arc_of
+from annulus.numeric.arrays import BoolArray, Float32Array, FloatArray, arc_of
 from annulus.numeric.rounding import clock_face
-from annulus.wall.extent import with_shadow, without_scraps
+from annulus.wall.extent import as_large, with_shadow, without_scraps
 from annulus.wall.grid import Wall, smooth
 from annulus.wall.grooves import groove_floor
 from annulus.wall.indications import (
     BAND_ASPECT,
     BAND_EDGES,
+    CORNERS,
+    OBSERVATION_POINTS,
     Indication,
     Kind,
     LabelArray,
@@ -25,6 +27,8 @@ from annulus.wall.indications import (
     without_holes,
 )
 from annulus.wall.points import Points
+from annulus.wall.shadow import shadowed
+from annulus.wall.standing import END_WHY, FEW, NOISE_WHY, UNSURE_WHY, depth_limit_mm, left_standing
 from annulus.wall.stations import shape_ovality, swing_k2_mm
 
 __all__ = ["Defect", "Detection", "Kind", "Limits", "clock_face", "find_defects"]
@@ -34,8 +38,10 @@ ALL_ROUND_DEG = 345.0  # an arc longer than this goes all round ..
 MOST_ROUND_DEG = 270.0  # .. or one longer than this with sound wall in no more directions than that leaves
 UNSURE = 0.6  # part of a depth: a place whose k = 2 uncertainty is larger is not known to be a defect
 DEEP = 0.8  # part of its depth: the cells of a place that show how deep it is
-# A place that is not known to be a defect, but so large, and seen by so many rings of so many frames, is told of.
-LARGE_OF_RADIUS, LOOKS = 0.1, 8  # side of a square of its area, part of the radius; observations with points in it
+BORDERING = 0.6  # part of those cells that border on unknown wall: more, and what is deepest may lie where nobody saw
+MANY = 6  # places near each other of which nothing is known but that rings differ: more are told in one line
+CUT_OFF = 0.5  # part of a side of them that is lined by what was not seen: as much, and the floor may go on there
+AGREED_OF = 0.1  # part of a look's points in a place: what is deeper of them is noise
 WIDE_ENOUGH = 0.15  # part of its widest row: a row of a place that counts for its length
 
 
@@ -48,6 +54,7 @@ class Defect:
     is False the bottom of a loss (or a bump's crest) lies in shadow or is too small, and depth_mm is a lower limit.
     depth_k2_mm is its expanded uncertainty, k = 2 (about 95 %); NaN where the points say nothing of theirs.
     shadowed_mm is how much of length_mm, typically, nobody saw: a rim or a crest keeps the light away (Eq. 3.24).
+    why is said of an undecided place only: for what reason it is not surely a defect.
     """
 
     kind: Kind
@@ -60,6 +67,7 @@ class Defect:
     floor_seen: bool = True
     depth_k2_mm: float = math.nan
     shadowed_mm: float = 0.0
+    why: str = ""
 
     @property
     def clock(self) -> str:
@@ -87,21 +95,14 @@ class Detection:
     """Defects in order of distance, and which cell of the wall's grid belongs to which (0 none, i + 1 defects[i];
     what a defect hides is part of it).
 
-    undecided : places that stand out, large and looked at many times, but less surely than a defect must: no claim that
-    there is one, and none that there is not. unconfirmed_mm : where along the pipe are more that only one look or a few
-    speak for.
+    undecided : all else that stands out over the limits, less surely than a defect must, each with why: no claim that
+    there is one, and none that there is not.
     """
 
     defects: tuple[Defect, ...]
     label: LabelArray
     limits: Limits
-    unconfirmed_mm: tuple[float, ...] = ()
     undecided: tuple[Defect, ...] = ()
-
-    @property
-    def unconfirmed(self) -> int:
-        """How many they are."""
-        return len(self.unconfirmed_mm)
 
 
 def find_defects(
@@ -111,6 +112,7 @@ def find_defects(
     least_shadow_ratio: float | None = None,
     limits: Limits | None = None,
     features: BoolArray | None = None,
+    joints: BoolArray | None = None,
     points: Callable[[], Points] | None = None,
 ) -> Detection:
     """Losses, bumps and out-of-round stretches of the wall.
@@ -121,7 +123,8 @@ def find_defects(
     shadow_ratio : length hidden behind a step over the step's height, cot of the smallest ring half-angle
         (Alzuhiri 2022, Eq. 3.24). least_shadow_ratio : the same for the largest one; shadow_ratio if not given.
     limits : what counts; the defaults hold for any pipe.
-    features : (Z, A) cells that a joint, an opening or the like explains; no defect is looked for there.
+    features : (Z, A) cells that a joint, an opening or the like explains; no defect is looked for there. joints : (Z,)
+        rows of joints; what stands out of them is undecided.
     points : gives the wall's, asked only where there is a groove, to tell its floor from its rims; without them its
         cells must do.
 
@@ -133,51 +136,164 @@ def find_defects(
     """
     scale = Scale.of(wall, limits or Limits())
     limits = scale.limits
-    unseen = ~wall.seen
-    found: list[tuple[Defect, BoolArray]] = []
-    undecided: list[Defect] = []
-    indications, unconfirmed = find_indications(wall, scale, features)
+    ratios = (shadow_ratio if least_shadow_ratio is None else least_shadow_ratio, shadow_ratio)
     measured = wall.weighed_residual_mm()
     fine = smooth(measured)
     # a median over more than two slits' widths along the pipe takes the top off a crest
     coarse = 3 * wall.z_step_mm > 2 * scale.mm(limits.edge_of_radius)
     crests = smooth(measured, 1) if coarse else None
-    for indication in indications:
+    dark = as_large(~wall.seen, scale) & ~shadowed(wall.radius_mm.astype(np.float64), wall.z_step_mm, 1 / shadow_ratio)
+    if joints is not None:  # what comes back from there is the joint's
+        dark |= joints[:, None]
+    found: list[tuple[Defect, BoolArray]] = []
+    doubted: list[tuple[Defect, BoolArray]] = []
+    indications, few = find_indications(wall, scale, features)
+    for i, indication in enumerate((*indications, *few)):
         known, way = np.isfinite(indication.height), np.float32(1 if indication.kind is Kind.LOSS else -1)
         one = replace(indication, height=np.where(known, way * fine, np.float32(-np.inf)))
-        depth, floor_seen, cells, flat = depth_of(one, scale, None if crests is None else way * crests)
-        edge = (limits.extent_of_floor if flat else limits.extent_of_depth) * depth
-        sound = known & (indication.height < limits.extent_of_depth * depth)
-        core = without_scraps(without_holes(one.mask & (indication.height >= edge)), sound)
-        deepest = depth if floor_seen else scale.mm(limits.unseen_depth_of_radius)
-        ratios = (shadow_ratio if least_shadow_ratio is None else least_shadow_ratio, shadow_ratio)
-        whole = with_shadow(replace(one, mask=core), unseen, ratios, scale, deepest)
-        dark = (whole & unseen).sum(axis=0)[whole.any(axis=0)] * wall.z_step_mm
-        footprint = [max(1, round(scale.mm(limits.edge_of_radius) / size)) for size in scale.cell_mm]
-        form = max(depth - _over_footprint(one, cells, footprint), 0.0)
-        k2 = math.hypot(_expanded(wall, cells & (one.height >= DEEP * depth)), 2.0 * form)
-        position = _extent(whole, sound, wall)
-        area = float(np.count_nonzero(whole) * scale.cell_mm[0] * scale.cell_mm[1])
-        defect = Defect(one.kind, *position, depth, area, floor_seen, k2, float(np.median(dark)))
-        if points is not None and _is_groove(defect, scale):
-            floor = groove_floor(wall, points(), defect.z_range_mm, defect.clock_deg, defect.arc_deg, depth)
-            if floor is not None:
-                depth, k2 = floor
-                defect = replace(defect, depth_mm=depth, depth_k2_mm=k2, floor_seen=True)
-        if not k2 > UNSURE * depth:  # nor where nobody says
-            found.append((defect, whole))
-        elif area >= scale.mm(LARGE_OF_RADIUS) ** 2 and _looks(core, wall) >= LOOKS:
-            undecided.append(defect)
+        crest = None if crests is None else way * crests
+        defect, whole = _measured(indication, one, wall, scale, ratios, dark, crest, points)
+        if i >= len(indications) or defect.why:
+            doubted.append((replace(defect, why=FEW), whole))
+        elif _only_at_an_end(indication.mask, scale):
+            doubted.append((replace(defect, why=END_WHY), whole))
+        elif defect.depth_k2_mm > UNSURE * defect.depth_mm:  # nor where nobody says
+            doubted.append((replace(defect, why=UNSURE_WHY), whole))
         else:
-            unconfirmed.append(defect.z_mm)
+            found.append((defect, whole))
+    told = []
+    for defect, whole in (*found, *doubted):  # as far as its line says
+        first, last = defect.z_range_mm
+        told.append((defect.depth_mm, whole & ((wall.z_mm > first) & (wall.z_mm < last))[:, None]))
+    for one, why in left_standing(wall, scale, told, features, joints):
+        defect, whole = _measured(one, one, wall, scale, ratios, dark, None, None)
+        doubted.append((replace(defect, why=why), whole))
+    doubted = _folded(doubted, wall, scale)
     oval, unsure = _oval_stretches(wall, limits)
-    found += [(defect, np.zeros(unseen.shape, dtype=bool)) for defect in oval]
-    undecided = sorted([*undecided, *unsure], key=lambda one: (one.z_mm, one.clock_deg))
+    found += [(defect, np.zeros(wall.seen.shape, dtype=bool)) for defect in oval]
+    undecided = sorted([*(defect for defect, _ in doubted), *unsure], key=lambda one: (one.z_mm, one.clock_deg))
     found.sort(key=lambda item: (item[0].z_mm, item[0].clock_deg))
-    label = np.zeros(unseen.shape, dtype=np.int32)
+    label = np.zeros(wall.seen.shape, dtype=np.int32)
     for i, (_, place) in enumerate(found):
         label[place] = i + 1
-    return Detection(tuple(defect for defect, _ in found), label, limits, tuple(unconfirmed), tuple(undecided))
+    return Detection(tuple(defect for defect, _ in found), label, limits, tuple(undecided))
+
+
+def _measured(
+    indication: Indication, one: Indication, wall: Wall, scale: Scale, ratios: tuple[float, float],
+    dark: BoolArray, crests: Float32Array | None, points: Callable[[], Points] | None,
+) -> tuple[Defect, BoolArray]:  # fmt: skip
+    """A place as a line of the list, and its cells (Z, A) with what it hides. one : the same with its cells weighed by
+    what they may be off, for measuring. ratios : of shadows, the widest ring's and the narrowest's. dark : (Z, A)
+    what was not seen and no rim's shadow explains."""
+    limits, unseen, known = scale.limits, ~wall.seen, np.isfinite(indication.height)
+    depth, floor_seen, cells, flat, fitted = depth_of(one, scale, crests)
+    edge = (limits.extent_of_floor if flat else limits.extent_of_depth) * depth
+    sound = known & (indication.height < limits.extent_of_depth * depth)
+    core = without_scraps(without_holes(one.mask & (indication.height >= edge)), sound)
+    deepest = depth if floor_seen else scale.mm(limits.unseen_depth_of_radius)
+    whole = with_shadow(replace(one, mask=core), unseen, ratios, scale, deepest)
+    hidden = (whole & unseen).sum(axis=0)[whole.any(axis=0)] * wall.z_step_mm
+    deepest_cells = one.mask & (one.height >= DEEP * depth)
+    edge_only = _is_cut_off(deepest_cells, one.kind, dark, scale) or _borders(deepest_cells, ~known) > BORDERING
+    footprint = [max(1, round(scale.mm(limits.edge_of_radius) / size)) for size in scale.cell_mm]
+    form = max(depth - _over_footprint(one, cells, footprint), 0.0)
+    k2 = math.hypot(_expanded(wall, cells & (one.height >= DEEP * depth)), 2.0 * form)
+    agreed = math.inf if fitted or one is indication else _agreed(indication, wall, limits.observations)
+    why = FEW if agreed < depth_limit_mm(wall, scale) else ""
+    if depth > agreed and not why:
+        depth, edge_only = agreed, True  # a lower limit, which what one look says does not make less sure
+    position = _extent(whole, sound, wall)
+    area = float(np.count_nonzero(whole) * scale.cell_mm[0] * scale.cell_mm[1])
+    seen = floor_seen and not edge_only
+    defect = Defect(one.kind, *position, max(depth, 0.0), area, seen, k2, float(np.median(hidden)), why)
+    if points is not None and _is_groove(defect, scale):
+        floor = groove_floor(wall, points(), defect.z_range_mm, defect.clock_deg, defect.arc_deg, depth)
+        if floor is not None:
+            depth, k2 = floor
+            defect = replace(defect, depth_mm=max(depth, 0.0), depth_k2_mm=k2, floor_seen=True)
+    return defect, whole
+
+
+def _folded(doubted: Sequence[tuple[Defect, BoolArray]], wall: Wall, scale: Scale) -> list[tuple[Defect, BoolArray]]:
+    """The undecided places; of many of a kind near each other whose k = 2 is all of their depth, one line: where rings
+    differ by so much there are always some."""
+    out = [(one, place) for one, place in doubted if not one.depth_k2_mm > one.depth_mm]
+    apart = scale.mm(scale.limits.shadow_of_radius)
+    for kind in (Kind.LOSS, Kind.BUMP):
+        left = sorted(
+            (pair for pair in doubted if pair[0].kind is kind and pair[0].depth_k2_mm > pair[0].depth_mm),
+            key=lambda pair: pair[0].z_mm,
+        )
+        while left:
+            many = 1
+            while many < len(left) and left[many][0].z_mm - left[many - 1][0].z_mm <= apart:
+                many += 1
+            near, left = left[:many], left[many:]
+            if many <= MANY:
+                out += near
+                continue
+            cells = np.logical_or.reduce([place for _, place in near])
+            deepest = max((one for one, _ in near), key=lambda one: one.depth_mm)
+            z, clock, length, arc = _extent(cells, np.zeros_like(cells), wall, part=0.0)
+            area = sum(one.area_mm2 for one, _ in near)
+            why = f"{many} places up to so much: {NOISE_WHY}"
+            one = replace(
+                deepest, z_mm=z, clock_deg=clock, length_mm=length, arc_deg=arc, area_mm2=area, floor_seen=True, why=why
+            )
+            out.append((one, cells))
+    return out
+
+
+def _only_at_an_end(place: BoolArray, scale: Scale) -> bool:
+    """Whether a place lies within a slit's width of an end of the scan, or in its last row: no wall beyond holds a ring
+    there to the pipe's shape."""
+    last = max(1, math.ceil(scale.mm(scale.limits.edge_of_radius) / scale.cell_mm[0]))
+    rows = np.flatnonzero(place.any(axis=1))
+    return bool(rows[-1] < last or rows[0] >= len(place) - last)
+
+
+def _is_cut_off(deepest: BoolArray, kind: Kind, dark: BoolArray, scale: Scale) -> bool:
+    """Whether the deepest cells of a place are lined by dark ones along most of a side, over the smallest defect. Not
+    where its own rim throws its shadow: before a loss, behind a bump."""
+    size = scale.mm(scale.limits.size_of_radius)
+    far = [max(1, math.ceil(size / 2 / cell)) for cell in scale.cell_mm]
+    ahead = np.zeros((2 * far[0] + 1, 1), bool)
+    ahead[far[0] :] = True
+    around = np.pad(deepest, ((0, 0), (far[1], far[1])), mode="wrap")
+    beside = ndimage.binary_dilation(around, np.ones((1, 2 * far[1] + 1), bool))[:, far[1] : -far[1]]
+    beyond = ndimage.binary_dilation(deepest, ahead if kind is Kind.LOSS else ahead[::-1])
+    for axis, lining in ((0, beside), (1, beyond)):
+        long = deepest.any(axis=1 - axis)
+        lined = np.count_nonzero(long & (lining & dark & ~deepest).any(axis=1 - axis))
+        if lined * scale.cell_mm[axis] >= size and lined > CUT_OFF * np.count_nonzero(long):
+            return True
+    return False
+
+
+def _borders(deepest: BoolArray, unknown: BoolArray) -> float:
+    """Part of the deepest cells of a place that border on cells where nothing is known, or on an end of the scan."""
+    wide = np.pad(np.pad(unknown, ((0, 0), (1, 1)), mode="wrap"), ((1, 1), (0, 0)), constant_values=True)
+    near = ndimage.binary_dilation(wide, CORNERS)[1:-1, 1:-1]
+    return float(near[deepest].mean()) if deepest.any() else 0.0
+
+
+def _agreed(place: Indication, wall: Wall, observations: int) -> float:
+    """mm, the depth of a place that so many looks reach, each by most of its deepest points; what but one of them says
+    is deeper may be that one's error."""
+    seen = wall.observations
+    here = np.flatnonzero(place.mask.ravel()[seen.cell])
+    if not len(here):
+        return math.inf
+    departure = seen.radius_mm[here] - wall.shape_radius_mm().ravel()[seen.cell[here]]
+    _, own = np.unique(seen.number[here], return_inverse=True)
+    height = departure if place.kind is Kind.LOSS else -departure
+    order = np.lexsort((height, own))
+    ends = np.cumsum(np.bincount(own))
+    counts = np.bincount(own)
+    deepest = height[order][ends - 1 - np.round(AGREED_OF * (counts - 1)).astype(np.intp)]
+    deepest = np.sort(deepest[counts >= OBSERVATION_POINTS])
+    return float(deepest[-observations]) if len(deepest) >= observations else math.inf
 
 
 def _is_groove(one: Defect, scale: Scale) -> bool:
@@ -186,11 +302,6 @@ def _is_groove(one: Defect, scale: Scale) -> bool:
         return False
     short = one.length_mm <= BAND_EDGES * scale.mm(scale.limits.edge_of_radius)
     return one.is_all_round or (short and math.radians(one.arc_deg) * scale.radius_mm >= BAND_ASPECT * one.length_mm)
-
-
-def _looks(place: BoolArray, wall: Wall) -> int:
-    """How many observations have a point in a place."""
-    return len(np.unique(wall.observations.number[place.ravel()[wall.observations.cell]]))
 
 
 def _over_footprint(place: Indication, cells: BoolArray, footprint: Sequence[int]) -> float:
@@ -218,11 +329,13 @@ def _expanded(wall: Wall, cells: BoolArray) -> float:
     return 2.0 * math.hypot(*(float(np.median(part[stated])) for part in parts))
 
 
-def _extent(whole: BoolArray, sound: BoolArray, wall: Wall) -> tuple[float, float, float, float]:
+def _extent(
+    whole: BoolArray, sound: BoolArray, wall: Wall, part: float = WIDE_ENOUGH
+) -> tuple[float, float, float, float]:
     """z_mm, clock_deg, length_mm and arc_deg of the cells of a defect; it goes all round where hardly a direction in
     its stations shows sound wall, however many a rod or its own rim hides."""
     wide = whole.sum(axis=1)
-    rows = np.flatnonzero(wide >= WIDE_ENOUGH * wide.max())
+    rows = np.flatnonzero(wide >= max(part * float(wide.max()), 1.0))
     z0, z1 = wall.z_mm[rows[0]] - wall.z_step_mm / 2, wall.z_mm[rows[-1]] + wall.z_step_mm / 2
     start, arc = arc_of(np.asarray(whole.any(axis=0)), wall.clock_step_deg)
     middle = wide >= 0.5 * wide.max()
@@ -259,5 +372,8 @@ def _oval_stretches(wall: Wall, limits: Limits) -> tuple[list[Defect], list[Defe
         depth, z = float(swing[rows[worst]]), float(wall.z_mm[rows].mean())
         area = 2 * np.pi * float(mean) * length
         one = Defect(Kind.OVALITY, z, float(long_axis), length, 360.0, depth, area, True, float(k2[worst]))
-        (unsure if k2[worst] > UNSURE * depth else out).append(one)
+        if k2[worst] > UNSURE * depth:
+            unsure.append(replace(one, why=UNSURE_WHY))
+        else:
+            out.append(one)
     return out, unsure

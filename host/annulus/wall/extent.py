@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from annulus.numeric.arrays import BoolArray, FloatArray
 from annulus.wall.indications import Indication, Kind, Scale, label_around
@@ -39,6 +40,21 @@ def _first(mask: BoolArray) -> IntArray:
 
 def _last(mask: BoolArray) -> IntArray:
     return np.asarray(len(mask) - 1 - mask[::-1].argmax(axis=0))
+
+
+def goes_on(place: BoolArray, dark: BoolArray, scale: Scale) -> BoolArray:
+    """(Z, A) cells beside a place in which it may go on: dark ones, where they line it over the smallest defect."""
+    beside = scale.around(place, scale.mm(scale.limits.join_of_radius)) & dark & ~place
+    long = np.count_nonzero(beside.any(axis=1)) * scale.cell_mm[0]
+    return beside if long >= scale.mm(scale.limits.size_of_radius) else np.zeros_like(beside)
+
+
+def as_large(mask: BoolArray, scale: Scale) -> BoolArray:
+    """What of a mask is as large as the smallest defect, both ways."""
+    box = np.ones([max(1, math.ceil(scale.mm(scale.limits.size_of_radius) / size)) for size in scale.cell_mm], bool)
+    far = box.shape[1]
+    wide = np.pad(np.pad(mask, ((0, 0), (far, far)), mode="wrap"), ((far, far), (0, 0)), mode="edge")
+    return np.asarray(ndimage.binary_opening(wide, box)[far:-far, far:-far])
 
 
 def with_shadow(
@@ -109,8 +125,9 @@ def _straight(rim: FloatArray, columns: FloatArray, around: int) -> FloatArray:
 
 def _behind(whole: BoolArray, place: Indication, unseen: BoolArray) -> None:
     """What lies unseen just behind a bump is its shadow, taken as far as the bump is long before its crest."""
-    top = float(place.height[place.mask].max())  # below 0 where what was weighed stands less far in than what was not
-    crest = np.flatnonzero((place.mask & (place.height >= min(0.9 * top, top))).any(axis=1)).mean()
+    if place.height[place.mask].max() <= 0.0:  # weighed by what its points may be off nothing stands out
+        return
+    crest = np.flatnonzero((place.mask & (place.height >= 0.9 * place.height[place.mask].max())).any(axis=1)).mean()
     mirrored = round(2 * crest) - int(np.flatnonzero(place.mask.any(axis=1))[0])
     for column in np.flatnonzero(place.mask.any(axis=0)):
         last = int(np.flatnonzero(place.mask[:, column])[-1])

@@ -4,6 +4,7 @@ A place stands out when it departs from the shape by more than the noise of this
 about; both limits are written into every report. Nothing here knows which defects to expect.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -88,33 +89,44 @@ class Scale:
     def mm(self, of_radius: float) -> float:
         return of_radius * self.radius_mm
 
+    def seed_and_rim(self, wall: Wall) -> tuple[FloatArray, FloatArray]:
+        """(Z, A) mm: by how much a defect's core departs there at least, and how far down it reaches."""
+        limits = self.limits
+        noise = wall.cell_noise_mm.astype(np.float64)
+        seed = np.maximum(limits.seed_noise * noise, self.mm(limits.seed_of_radius))
+        return seed, np.maximum(limits.rim_noise * noise, limits.rim_of_seed * seed)
+
+    def around(self, mask: BoolArray, mm: float) -> BoolArray:
+        """A mask of the grid with all that lies so near to it, both ways."""
+        half = [max(1, math.ceil(mm / size)) for size in self.cell_mm]
+        wide = np.pad(mask, ((0, 0), (half[1], half[1])), mode="wrap")
+        box = np.ones((2 * half[0] + 1, 2 * half[1] + 1), bool)
+        return np.asarray(ndimage.binary_dilation(wide, box)[:, half[1] : -half[1]])
+
 
 def find_indications(
     wall: Wall, scale: Scale, features: BoolArray | None = None
-) -> tuple[list[Indication], list[float]]:
-    """Every place that stands out of the pipe's shape, whole, and where along it (mm) are more that only one
-    observation speaks for.
+) -> tuple[list[Indication], list[Indication]]:
+    """Every place that stands out of the pipe's shape, whole, and more that too few observations speak for.
 
     Hysteresis: cores beyond the seed limit grow over the rim limit. What only lines the rim of a larger place is no
     indication of its own, and what no sound wall parts is one band. Cells of `features` (Z, A) are neither sound nor
     part of a place.
     """
     limits, residual = scale.limits, smooth(wall.residual_mm()).astype(np.float32)
-    seed = np.maximum(limits.seed_noise * wall.cell_noise_mm, scale.mm(limits.seed_of_radius))
-    rim = np.maximum(limits.rim_noise * wall.cell_noise_mm, limits.rim_of_seed * seed)
+    seed, rim = scale.seed_and_rim(wall)
     sure = wall.shape_sigma_mm() <= wall.shape_limit_mm  # beside a shape that is not known nothing stands out
     if features is not None:
         sure &= ~features
     sigma = np.hypot(wall.cell_noise_mm, np.nan_to_num(wall.sigma_mm))
     found: list[Indication] = []
-    unconfirmed: list[float] = []
+    unconfirmed: list[Indication] = []
     for kind, height in ((Kind.LOSS, residual), (Kind.BUMP, -residual)):
         height = np.where(wall.seen & sure, height, np.float32(-np.inf))
         for mask in _cells_of(height, ~wall.seen, seed, rim, scale):
-            if _agreeing_observations(mask, kind, wall, rim) >= limits.observations:
-                found.append(Indication(kind, mask, height, wall.cell_noise_mm, sigma))
-            else:
-                unconfirmed.append(float(wall.z_mm[mask.any(axis=1)].mean()))
+            one = Indication(kind, mask, height, wall.cell_noise_mm, sigma)
+            enough = agreeing_observations(mask, kind, wall, rim) >= limits.observations
+            (found if enough else unconfirmed).append(one)
     sound = wall.seen & sure & (np.abs(residual) < rim)
     return _across_gaps(_without_edges(found, wall.seen, scale), sound, scale), unconfirmed
 
@@ -168,7 +180,7 @@ def _cells_of(
     return out
 
 
-def _agreeing_observations(place: BoolArray, kind: Kind, wall: Wall, rim: FloatArray) -> int:
+def agreeing_observations(place: BoolArray, kind: Kind, wall: Wall, rim: FloatArray) -> int:
     """How many observations see a place: half of their points there depart its way, beyond the limit of its rim."""
     here = place.ravel()[wall.observations.cell]
     cell = wall.observations.cell[here]
@@ -357,12 +369,14 @@ def _is_ripple(small: Indication, large: Indication, scale: Scale) -> bool:
 
 
 class Depth(NamedTuple):
-    """Depth of a place, whether its floor or crest was seen, in which cells it shows, whether that floor is flat."""
+    """Depth of a place, whether its floor or crest was seen, in which cells it shows, whether that floor is flat, and
+    whether many cells say so together, a floor's or a crest's, or but the highest."""
 
     mm: float
     floor_seen: bool
     cells: BoolArray
     flat: bool
+    fitted: bool
 
 
 def depth_of(place: Indication, scale: Scale, crests: Float32Array | None = None) -> Depth:
@@ -388,7 +402,7 @@ def depth_of(place: Indication, scale: Scale, crests: Float32Array | None = None
     cells = calm if floor_seen else measured
     floor = _floor(place, cells, scale) if floor_seen else None
     if floor is not None:
-        return Depth(floor, True, cells, True)
+        return Depth(floor, True, cells, True, True)
     values = place.height[cells]
     highest = float(np.percentile(values, 98)) if len(values) >= 50 else float(np.sort(values)[-2:].mean())
     plateau = PLATEAU_NOISE * float(np.median(place.noise[cells]))
@@ -396,8 +410,8 @@ def depth_of(place: Indication, scale: Scale, crests: Float32Array | None = None
     crest = _crest(place, upper, highest, scale)
     if crest is not None:
         sharper = None if crests is None else _crest(replace(place, height=crests), upper, highest, scale)
-        return Depth(crest if sharper is None else sharper, bool(floor_seen), cells, False)
-    return Depth(float(np.median(values[values >= highest - plateau])), bool(floor_seen), cells, False)
+        return Depth(crest if sharper is None else sharper, bool(floor_seen), cells, False, True)
+    return Depth(float(np.median(values[values >= highest - plateau])), bool(floor_seen), cells, False, False)
 
 
 def _crest(place: Indication, cells: BoolArray, highest: float, scale: Scale) -> float | None:

@@ -162,7 +162,6 @@ def joined(parts: Sequence[Abstract], more: Sequence[Finding] = ()) -> Joined:
         sums = sums.plus(part.sums)
     detection = Detection(
         tuple(defects), label, surveys[0].detection.limits,
-        tuple(z for one in surveys for z in one.detection.unconfirmed_mm),
         tuple(place for one in surveys for place in one.detection.undecided),
     )  # fmt: skip
     timing: Counter[str] = Counter()

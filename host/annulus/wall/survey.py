@@ -24,6 +24,7 @@ from annulus.wall.defects import Defect, Detection, Kind, find_defects
 from annulus.wall.features import Feature
 from annulus.wall.grid import Wall, build_wall
 from annulus.wall.gyro import NO_TURNS, Turns
+from annulus.wall.indications import Scale
 from annulus.wall.joints import find_joints, taken, without_hidden
 from annulus.wall.lane import Lane
 from annulus.wall.levels import covered, without_levels
@@ -36,6 +37,7 @@ from annulus.wall.profile import Profile
 from annulus.wall.registration import register
 from annulus.wall.rests import without_rests
 from annulus.wall.shadow import shadowed
+from annulus.wall.standing import depth_limit_mm
 from annulus.wall.stations import Stations, measure_stations, not_enough_seen
 from annulus.wall.surface import Mesh, triangulate
 from annulus.wall.texture import LedFrame, paint
@@ -167,8 +169,7 @@ class Survey:
     @property
     def depth_limit_mm(self) -> float:
         """Smallest depth listed."""
-        limits = self.detection.limits
-        return max(limits.seed_noise * self.noise_mm, limits.seed_of_radius * self.wall.mean_radius_mm)
+        return depth_limit_mm(self.wall, Scale.of(self.wall, self.detection.limits))
 
     @property
     def size_limit_mm(self) -> float:
@@ -261,6 +262,7 @@ def survey(
     done("features")
     detection = find_defects(
         wall, shadow_ratio=1.0 / narrowest, least_shadow_ratio=1.0 / widest, features=explained,
+        joints=np.asarray(of_joints.any(axis=1)),
         points=cache(lambda: Points.of(wall, measured, 1.0 / rises)),
     )  # fmt: skip
     done("defects")

@@ -22,25 +22,23 @@ from annulus.numeric.robust import nan_median
 from annulus.numeric.rounding import DISTANCE, clock_face, span
 from annulus.wall.apart import Apart
 from annulus.wall.defects import Defect, Detection, Kind
+from annulus.wall.extent import as_large, goes_on
 from annulus.wall.features import GAP_OR_GROOVE, Feature, FeatureKind
-from annulus.wall.grid import BRIDGE_OF_RADIUS, Wall, smooth
+from annulus.wall.grid import BRIDGE_OF_RADIUS, Wall
 from annulus.wall.indications import Scale, label_around
-from annulus.wall.looks import COLUMNS, Looks
+from annulus.wall.looks import Looks
 from annulus.wall.profile import Profile
 from annulus.wall.stations import GAP_MAX_DEG, STATION_MM, shape_ovality, swing_k2_mm
+from annulus.wall.unseen import END_OF_RADIUS, find_holes, runs
 
 # Held by test_never_flattered.py. Set with its draws 1 to 61 and 301 to 325 in view; the others are held out.
-END_OF_RADIUS = 0.3  # of the radius: how far from an end of the scan rings may end raggedly
 ASIDE_OF_RADIUS = 0.08  # nearer to an end of the scan a joint has wall on one side only: 6 mm of a 6-inch pipe
 ROUND_LEAST = 0.6  # of the circle: of rows that show less a joint or a level is not told
-SWALLOWED = 0.5  # part of a hole's cells where light should have come back: no rod's shadow but a hole or a steep place
-SHADOW_PART = 0.8  # part of a hole that a step's shadow explains
-BESIDE_MM = 4.0  # a place that ends so near to a hole goes on in it
-RIPPLE_PART = 0.6  # of the depth of what is listed beside it: less is that one's own rim
 SAMPLES = 3  # steps in the smallest defect: finer would find no larger patch
 FINE_ROWS_MAX = 40_000  # bounds memory
 LISTED_MAX = 100  # places of a kind and reason; more are told as one
 OF_WALL = ("loss", "bump")
+OF_HOLES = (*OF_WALL, "bore", "tee")
 OF_ROWS = ("joint", "gap", "water", "deposit")
 
 
@@ -57,6 +55,11 @@ class Unjudged:
     arc_deg: float = 360.0
     most: float = math.inf
     usual: bool = False
+
+    @property
+    def is_hole(self) -> bool:
+        """Whether it is a hole in the map, where nothing was seen."""
+        return self.kinds == OF_HOLES
 
     @property
     def clock_range(self) -> tuple[str, str]:
@@ -94,16 +97,19 @@ def find_unjudged(
     sure = wall.shape_sigma_mm() <= wall.shape_limit_mm
     listed = detection.label > 0
     unseen = ~wall.seen & ~explained & ~listed
-    holes = _wider(unseen, scale)
-    found = [*_holes(wall, holes, shadowed, looks, listed | explained, scale)]
-    doubtful = _wider(wall.seen & ~sure & ~explained, scale)
+    hidden = ~wall.seen & ~listed & (~explained | joints[:, None])
+    holes = as_large(unseen, scale)
+    found = [
+        Unjudged(OF_HOLES, reason, *_span(wall, part), usual=usual)
+        for part, reason, usual in find_holes(wall, hidden, shadowed, looks, listed | explained, joints, scale)
+    ]
+    doubtful = as_large(wall.seen & ~sure & ~explained, scale)
     found += _parts(
         wall, doubtful, OF_WALL, "the pipe's own shape is not known there, so that nothing stands out of it"
     )
     if profiles:
         found += _between_rings(wall, profiles, unseen | explained | listed, scale)
     dark = holes & ~shadowed
-    found += _standing(wall, detection, explained & ~joints[:, None], joints, sure, dark, scale)
     found += _going_on(wall, detection, dark, scale)
     found += _parts(
         wall, explained, OF_WALL, "a joint, an opening or a level: no defect is looked for in it", usual=True
@@ -121,7 +127,7 @@ def nameless(features: Sequence[Feature]) -> tuple[Unjudged, ...]:
     return tuple(
         Unjudged(
             ("joint", "gap", "loss") if one.remark == GAP_OR_GROOVE else ("joint", "gap"),
-            f"{one.remark}: not told",
+            f"{one.remark}: not established",
             *one.z_range_mm,
         )
         for one in features
@@ -155,28 +161,6 @@ def _cells(mm: float, size: float) -> int:
     return max(1, math.ceil(mm / size))
 
 
-def _wider(mask: BoolArray, scale: Scale) -> BoolArray:
-    """What of a mask is as large as the smallest defect, both ways."""
-    box = np.ones([_cells(scale.mm(scale.limits.size_of_radius), size) for size in scale.cell_mm], bool)
-    far = box.shape[1]
-    wide = np.pad(np.pad(mask, ((0, 0), (far, far)), mode="wrap"), ((far, far), (0, 0)), mode="edge")
-    return np.asarray(ndimage.binary_opening(wide, box)[far:-far, far:-far])
-
-
-def _runs(mask: BoolArray) -> FloatArray:
-    """(Z, A) columns of the run round the pipe that each marked cell lies in; 0 elsewhere."""
-    out = np.zeros(mask.shape)
-    for row in np.flatnonzero(mask.any(axis=1)):
-        line = mask[row]
-        if line.all():
-            out[row] = len(line)
-            continue
-        start = int(np.argmin(line))
-        label, _n = ndimage.label(np.roll(line, -start))
-        out[row] = np.roll(np.append(0, np.bincount(label)[1:])[label], start)
-    return out
-
-
 def _span(wall: Wall, part: BoolArray) -> tuple[float, float, float, float]:
     rows = np.flatnonzero(part.any(axis=1))
     half = wall.z_step_mm / 2
@@ -202,32 +186,6 @@ def _parts(
         yield Unjudged(kinds, reason, *_span(wall, part), usual=usual)
 
 
-def _holes(
-    wall: Wall, holes: BoolArray, shadowed: BoolArray, looks: Looks | None, known: BoolArray, scale: Scale
-) -> Iterator[Unjudged]:
-    """Holes in the map: narrow strips as rods throw them, ends and shadows of steps are usual."""
-    kinds = (*OF_WALL, "bore", "tee")
-    narrow = holes & (_runs(holes) * wall.clock_step_deg <= GAP_MAX_DEG)
-    swallowed = None if looks is None else _swallowed(wall, looks)
-    end = scale.mm(END_OF_RADIUS)
-    first, last = wall.extent[:2]
-    for is_narrow, mask in ((True, narrow), (False, holes & ~narrow)):
-        for near in _pieces(_reaching(mask, scale, BESIDE_MM)):  # ragged pieces of one hole are one place
-            part = near & mask
-            where = _span(wall, part)
-            usual, reason = is_narrow, "not seen: a strip as a rod hides one"
-            if swallowed is not None and (part & swallowed).sum() > SWALLOWED * part.sum():
-                usual, reason = False, "light that should have come back from there did not"
-            elif (part & shadowed).sum() > SHADOW_PART * part.sum():
-                # behind a joint or a bump; a loss that only its own rim's shadow shows is none that every scan has
-                usual, reason = bool((_reaching(part, scale, BESIDE_MM) & known).any()), "not seen: behind a step"
-            elif where[1] <= first + end or where[0] >= last - end:
-                usual, reason = True, "not seen: at an end of the scan"
-            elif not is_narrow:
-                reason = "not seen"
-            yield Unjudged(kinds, reason, *where, usual=usual)
-
-
 def _between_rings(wall: Wall, profiles: Sequence[Profile], besides: BoolArray, scale: Scale) -> Iterator[Unjudged]:
     """Patches as large as the smallest defect that no point lies in, and over which the map was interpolated."""
     size = scale.mm(scale.limits.size_of_radius)
@@ -251,7 +209,9 @@ def _between_rings(wall: Wall, profiles: Sequence[Profile], besides: BoolArray, 
     is_usual = tall <= BRIDGE_OF_RADIUS * wall.mean_radius_mm
     for usual in (False, True):
         patches = (label > 0) & (is_usual[label] == usual)
-        rows = ndimage.binary_dilation(patches.any(axis=1), iterations=_cells(BESIDE_MM, fine))
+        rows = ndimage.binary_dilation(
+            patches.any(axis=1), iterations=_cells(scale.mm(scale.limits.join_of_radius), fine)
+        )
         for (near,) in ndimage.find_objects(ndimage.label(rows)[0]):  # one place for people
             part = patches[near]
             mine = near.start + np.flatnonzero(part.any(axis=1))
@@ -259,65 +219,15 @@ def _between_rings(wall: Wall, profiles: Sequence[Profile], besides: BoolArray, 
             yield Unjudged(OF_WALL, reason, begins, ends, *_around(wall, part), usual=usual)
 
 
-def _swallowed(wall: Wall, looks: Looks) -> BoolArray:
-    """(Z, A) cells that a ring's light reached in a column where it usually comes back, and did not."""
-    row = np.floor((looks.z_mm - wall.extent[0]) / wall.z_step_mm)
-    inside = looks.lit & ~np.isfinite(looks.departure_mm) & (row >= 0) & (row < len(wall.z_mm))
-    out = np.zeros(wall.radius_mm.shape, bool)
-    column = np.broadcast_to(np.arange(COLUMNS) * len(wall.clock_deg) // COLUMNS, inside.shape)
-    out[row[inside].astype(np.intp), column[inside]] = True
-    return out
-
-
-def _reaching(mask: BoolArray, scale: Scale, mm: float) -> BoolArray:
-    half = [_cells(mm, size) for size in scale.cell_mm]
-    wide = np.pad(mask, ((0, 0), (half[1], half[1])), mode="wrap")
-    box = np.ones((2 * half[0] + 1, 2 * half[1] + 1), bool)
-    return np.asarray(ndimage.binary_dilation(wide, box)[:, half[1] : -half[1]])
-
-
-def _standing(
-    wall: Wall, detection: Detection, left_out: BoolArray, joints: BoolArray, sure: BoolArray, dark: BoolArray,
-    scale: Scale,
-) -> Iterator[Unjudged]:  # fmt: skip
-    """What stands out and became no defect: too few looks, too unsure, too small as far as it was seen."""
-    limits, residual = scale.limits, smooth(wall.residual_mm()).astype(np.float64)
-    if joints.any():  # a bead stands out all round
-        residual[joints] -= nan_median(residual[joints].T)[:, None]
-    seed = np.maximum(limits.seed_noise * wall.cell_noise_mm, scale.mm(limits.seed_of_radius))
-    unsure = np.hypot(np.hypot(wall.cell_noise_mm, np.nan_to_num(wall.sigma_mm)), wall.shape_sigma_mm())
-    size = scale.mm(limits.size_of_radius)
-    depths = np.array([0.0, *(one.depth_mm for one in detection.defects)])
-    for kind, height in (("loss", residual), ("bump", -residual)):
-        with np.errstate(invalid="ignore"):
-            core = wall.seen & sure & ~left_out & (detection.label == 0) & (height > seed)
-        for part in _pieces(core):
-            rows = slice(*np.flatnonzero(part.any(axis=1))[[0, -1]] + [0, 1])
-            around = _reaching(part, scale, scale.mm(limits.edge_of_radius))
-            highest = float(height[part].max())
-            if highest < RIPPLE_PART * float(depths[detection.label[around]].max()):
-                continue
-            beside = _reaching(part, scale, BESIDE_MM) & dark
-            whole = part | beside
-            long = np.count_nonzero(whole.any(axis=1)) * scale.cell_mm[0]
-            wide = np.count_nonzero(whole.any(axis=0)) * scale.cell_mm[1]
-            if min(long, wide) < size or rows.stop <= rows.start:
-                continue
-            most = math.inf if beside.any() else highest + 2.0 * float(np.median(unsure[part]))
-            reason = "stands out where too few looked, or too unsurely, to call it a defect"
-            yield Unjudged((kind,), reason, *_span(wall, part), most)
-
-
 def _going_on(wall: Wall, detection: Detection, dark: BoolArray, scale: Scale) -> Iterator[Unjudged]:
     """Defects and undecided places that end where nobody saw: what is deepest of them may lie there."""
-    size = scale.mm(scale.limits.size_of_radius)
     listed = [(one, detection.label == i) for i, one in enumerate(detection.defects, 1)]
     listed += [(one, _box(wall, one)) for one in detection.undecided]
     for one, cells in listed:
         if one.kind is Kind.OVALITY or not cells.any():
             continue
-        beside = _reaching(cells, scale, BESIDE_MM) & dark
-        if np.count_nonzero(beside.any(axis=1)) * scale.cell_mm[0] < size:
+        beside = goes_on(cells, dark, scale)
+        if not beside.any():
             continue
         reason = f"the {one.kind} there goes on where nobody saw, and may be deeper"
         yield Unjudged((str(one.kind),), reason, *_span(wall, cells | beside))
@@ -386,7 +296,7 @@ def _even(line: FloatArray) -> FloatArray:
 def _bore(wall: Wall, no_wall: BoolArray | None) -> Iterator[Unjudged]:
     """Where so wide an arc was not seen that the least or the greatest diameter may end in it."""
     unseen = ~wall.seen if no_wall is None else ~wall.seen & ~no_wall
-    rows = _runs(unseen).max(axis=1) * wall.clock_step_deg > GAP_MAX_DEG
+    rows = runs(unseen).max(axis=1) * wall.clock_step_deg > GAP_MAX_DEG
     end = END_OF_RADIUS * wall.mean_radius_mm
     yield from _stretches(wall, rows, ("bore",), "too wide an arc was not seen for its diameters", STATION_MM, end)
 

@@ -162,7 +162,6 @@ def between(survey: Survey, window: Window) -> Survey:
     found = survey.detection
     detection = replace(
         found, defects=tuple(survey.defects[i] for i in kept), label=number[found.label[a:b]],
-        unconfirmed_mm=tuple(z for z in found.unconfirmed_mm if first <= z < last),
         undecided=tuple(one for one in found.undecided if first <= one.z_mm < last),
     )  # fmt: skip
     no_wall = None if survey.no_wall is None else survey.no_wall[a:b]

@@ -39,7 +39,7 @@ def test_a_dented_pipe_is_measured_from_a_video(guess: float, tmp_path: Path) ->
     assert all(profile.pose is not None for profile in pipe.profiles) and len(pipe.profiles) == FRAMES
     for d in pipe.defects:
         print(d)
-    print(pipe.findings, pipe.detection.unconfirmed, pipe.wall.shape_sigma_mm().max())
+    print(pipe.findings, pipe.detection.undecided, pipe.wall.shape_sigma_mm().max())
     (found,) = pipe.defects
     assert found.kind is Kind.OVALITY, "no defect is invented"
     assert abs(found.depth_mm - 2 * OVAL_MM) < found.depth_k2_mm < 1.5

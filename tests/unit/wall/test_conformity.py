@@ -200,7 +200,7 @@ def survey(
     stations = Stations(wall.z_mm, low, steady, steady, none, none, none + 1, k2, *[steady] * 6)
     told: dict[str, Any] = {
         "wall": wall, "stations": stations,
-        "detection": Detection(defects, np.zeros((n, 36), np.int32), Limits(), (), undecided),
+        "detection": Detection(defects, np.zeros((n, 36), np.int32), Limits(), undecided),
         "features": features, "defects": defects, "diameter_mean_mm": 152.0, "nominal_diameter_mm": 152.4,
         "depth_limit_mm": 0.3, "size_limit_mm": 7.6, "seen_fraction": 0.92, "unjudged": unjudged,
     }  # fmt: skip

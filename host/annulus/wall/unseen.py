@@ -1,0 +1,128 @@
+"""Why a part of the wall was not seen: a rod's shadow, a step's, an end of the scan, no ring, or light that was lost.
+
+Where every ring's light passed is known (`looks`), whether or not it came back. Columns in which hardly a ring of the
+whole scan comes back are the head's own: a rod hides so much, and every scan has it. A wider one is no rod: something
+covers the camera there, or the picture is over-exposed.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy import ndimage
+
+from annulus.numeric.arrays import BoolArray, FloatArray
+from annulus.wall.extent import as_large
+from annulus.wall.grid import BRIDGE_OF_RADIUS, Wall
+from annulus.wall.indications import Scale, label_around
+from annulus.wall.looks import COLUMNS, Looks
+from annulus.wall.stations import GAP_MAX_DEG
+
+# Held by tests/regression/hole_in_the_map_that_nobody_mentions and test_never_flattered.py.
+END_OF_RADIUS = 0.3  # of the radius: how far from an end of the scan rings may end raggedly
+SWALLOWED = 0.5  # part of a hole's cells where light should have come back: no rod's shadow but a hole or a steep place
+MOSTLY = 0.5  # of the looks that pass a place, or of a hole's cells: what tells its cause
+SHADOW_PART = 0.8  # part of a hole that a step's shadow explains
+RODS = "not seen: a strip as a rod hides one"
+BAND = (
+    "not seen: hardly a ring's light comes back from this strip all along the scan, and it is wider than a rod's: "
+    "over-exposed, too dark, or something stands before it"
+)
+LOST = "light that should have come back from there did not: a hole, a steep place, dirt, glare"
+JOINT = "not seen: in a joint, or in its shadow"
+STEP = "not seen: behind a step"
+END = "not seen: at an end of the scan"
+NONE = "not seen: no ring's light passed there; frames are missing, or lie too far apart"
+DOUBTED = "not seen: what came back from there was not believed"
+UNTOLD = "not seen"
+
+
+def find_holes(
+    wall: Wall,
+    unseen: BoolArray,
+    shadowed: BoolArray,
+    looks: Looks | None,
+    known: BoolArray,
+    joints: BoolArray,
+    scale: Scale,
+) -> Iterator[tuple[BoolArray, str, bool]]:
+    """Cells (Z, A) of each hole as large as the smallest defect, why, and whether every scan has such.
+
+    known : (Z, A) what is listed or explained; what a step beside it hides is as usual as it is. joints : (Z,) rows of
+    joints; what is hidden there from most of the circle every joint hides, and no less than that is usual.
+    """
+    near = scale.mm(scale.limits.join_of_radius)
+    holes = as_large(unseen, scale)
+    if looks is None:
+        band = holes & (runs(holes) * wall.clock_step_deg <= GAP_MAX_DEG)
+        passed = lost = None
+    else:
+        passed, band, lost = _passed(wall, looks, scale)
+    width = runs(band) * wall.clock_step_deg
+    label, n = label_around(scale.around(band, near))
+    for i in range(1, n + 1):
+        part = band & (label == i)
+        if (part & holes).any():
+            usual = bool(np.median(width[part]) <= GAP_MAX_DEG)
+            yield part & holes, RODS if usual else BAND, usual
+    round_it = joints & (unseen.mean(axis=1) > MOSTLY)
+    if (common := unseen & ~band & round_it[:, None]).any():
+        label, n = ndimage.label(round_it)
+        for i in range(1, n + 1):
+            if (part := common & (label == i)[:, None]).any():
+                yield part, JOINT, True
+    rest = as_large(unseen & ~band & ~round_it[:, None], scale)
+    first, last = wall.extent[:2]
+    end = scale.mm(END_OF_RADIUS)
+    label, n = label_around(scale.around(rest, near))  # ragged pieces of one hole are one place
+    for i in range(1, n + 1):
+        part = rest & (label == i)
+        rows = wall.z_mm[part.any(axis=1)]
+        of = np.count_nonzero(part)
+        if lost is not None and (part & lost).sum() > SWALLOWED * of:
+            yield part, LOST, False
+        elif (part & shadowed).sum() > SHADOW_PART * of:
+            # behind a joint or a bump; a loss that only its own rim's shadow shows is none that every scan has
+            yield part, STEP, bool((scale.around(part, near) & known).any())
+        elif rows[-1] <= first + end or rows[0] >= last - end:
+            yield part, END, True
+        elif passed is None:
+            yield part, UNTOLD, False
+        else:
+            yield part, NONE if (passed[part] == 0).mean() > MOSTLY else DOUBTED, False
+
+
+def runs(mask: BoolArray) -> FloatArray:
+    """(Z, A) columns of the run round the pipe that each marked cell lies in; 0 elsewhere."""
+    out = np.zeros(mask.shape)
+    for row in np.flatnonzero(mask.any(axis=1)):
+        line = mask[row]
+        if line.all():
+            out[row] = len(line)
+            continue
+        start = int(np.argmin(line))
+        label, _n = ndimage.label(np.roll(line, -start))
+        out[row] = np.roll(np.append(0, np.bincount(label)[1:])[label], start)
+    return out
+
+
+def _passed(wall: Wall, looks: Looks, scale: Scale) -> tuple[FloatArray, BoolArray, BoolArray]:
+    """(Z, A) how many looks pass there; whether most that pass no farther away than the map is bridged over are in
+    columns that are dark all along the scan; whether a ring's light reached it in any other, and did not come back."""
+    shape = wall.radius_mm.shape
+    row = np.floor((looks.z_mm - wall.extent[0]) / wall.z_step_mm)
+    inside = (row >= 0) & (row < shape[0])
+    sure = np.asarray(looks.lit.any(axis=1))[:, None]  # of the others it is not known where they ran
+    column = np.broadcast_to(np.arange(COLUMNS) * shape[1] // COLUMNS, row.shape)
+
+    def count(which: BoolArray) -> FloatArray:
+        at = row[which].astype(np.intp) * shape[1] + column[which]
+        return np.bincount(at, minlength=shape[0] * shape[1]).reshape(shape).astype(np.float64)
+
+    rows = 2 * round(scale.mm(BRIDGE_OF_RADIUS) / wall.z_step_mm) + 1
+    every, hidden = count(inside & sure), count(inside & sure & ~looks.lit)
+    near, dark = (ndimage.uniform_filter1d(one, rows, axis=0, mode="constant") for one in (every, hidden))
+    return (
+        every,
+        dark > MOSTLY * np.maximum(near, 1e-9),
+        count(inside & looks.lit & ~np.isfinite(looks.departure_mm)) > 0,
+    )
