@@ -13,6 +13,8 @@ from pathlib import Path
 
 from annulus.vocabulary import AnnulusError
 from tools.bench.blind.draw import draw
+from tools.bench.blind.others import KINDS
+from tools.bench.blind.others.run import run as others
 from tools.bench.blind.pipe import Scene
 from tools.bench.blind.pov import need_povray
 from tools.bench.blind.results import read_results
@@ -21,7 +23,7 @@ from tools.bench.blind.score import Score, score
 from tools.bench.blind.table import markdown, totals
 from tools.bench.scenes.run import measure
 
-PIPES = 60
+PIPES, CASES = 60, 10
 PER_SEED = 1000  # pipes that one seed can have
 EPILOG = """Even seeds are for setting constants by. Odd seeds make the table, once: a seed that was looked at is
 blind no more, and what was set on it says nothing of the next pipe."""
@@ -31,7 +33,9 @@ def main(arguments: list[str]) -> int:
     asked = _asked(arguments)
     seeds = seeds_of(asked.seed, asked.pipes)
     use = "even: for setting constants by" if asked.seed % 2 == 0 else "odd: for the table, once"
-    print(f"seed {asked.seed} ({use}), {len(seeds)} pipes", flush=True)
+    print(f"seed {asked.seed} ({use}), {len(seeds)} {'pipes' if asked.of == 'rings' else asked.of}", flush=True)
+    if asked.of != "rings":
+        return others(asked, seeds, use)
     try:
         if not asked.score_only:
             need_povray()
@@ -66,15 +70,20 @@ def _asked(arguments: list[str]) -> argparse.Namespace:
         prog="python -m tools.bench blind", epilog=EPILOG,
         description="Pipes drawn from a seed, photographed by POV-Ray, surveyed and held against their truth.",
     )  # fmt: skip
+    kinds = "; ".join(f"{name}: {what}" for name, what in KINDS.items())
+    parser.add_argument("--of", choices=("rings", *KINDS), default="rings", help=f"rings: pipes as above; {kinds}")
     parser.add_argument("--seed", type=int, required=True, metavar="N", help="even: to set constants; odd: the table")
     parser.add_argument(
-        "--pipes", default=str(PIPES), metavar="K",
-        help=f"how many, {PIPES} if not given; or the seeds of single ones, 2003,2007 (2003, for one alone)",
+        "--pipes", default=None, metavar="K",
+        help=f"how many, {PIPES} of rings and {CASES} of others; or single seeds, 2003,2007 (2003, for one alone)",
     )  # fmt: skip
     parser.add_argument("--jobs", type=int, default=2, help="pipes worked on at a time")
     parser.add_argument("--keep", type=Path, metavar="FOLDER", help="keeps scans, results, table.md and table.json")
     parser.add_argument("--score-only", action="store_true", help="of what --keep has; nothing is drawn or surveyed")
     asked = parser.parse_args(arguments)
+    asked.pipes = asked.pipes or str(PIPES if asked.of == "rings" else CASES)
+    if asked.score_only and asked.of != "rings":
+        parser.error("--score-only is for rings; other cases are drawn and measured in one")
     if asked.score_only and asked.keep is None:
         parser.error("--score-only needs --keep FOLDER, where the pipes are")
     try:

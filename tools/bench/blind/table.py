@@ -47,7 +47,7 @@ def markdown(scores: Sequence[Score], failed: Mapping[int, str], head: str) -> s
     lines = [head, ""]
     lines += _sums(scores, failed)
     lines += _coverage_table(scores)
-    lines += _without_k2(scores)
+    lines += without_k2(scores)
     lines += _by_kind([one for score in scores for one in score.outcomes])
     lines += _rows(scores, failed)
     lines += _details(scores)
@@ -91,12 +91,12 @@ def _coverage_table(scores: Sequence[Score]) -> list[str]:
     ]  # fmt: skip
     for kind in kinds:
         whole = [sum(counts.get((kind, place), (0, 0))[k] for place in PLACES) for k in (0, 1)]
-        cells = [_cell(*whole), *(_cell(*counts.get((kind, place), (0, 0))) for place in PLACES)]
+        cells = [cell(*whole), *(cell(*counts.get((kind, place), (0, 0))) for place in PLACES)]
         lines.append(f"| {kind} | {' | '.join(cells)} |")
     return [*lines, ""]
 
 
-def _cell(right: int, of: int) -> str:
+def cell(right: int, of: int) -> str:
     if not of:
         return ""
     low, high = interval(right, of)
@@ -104,7 +104,7 @@ def _cell(right: int, of: int) -> str:
     return f"**{text}**" if high < ASKED[0] or low > ASKED[1] else text
 
 
-def _without_k2(scores: Sequence[Score]) -> list[str]:
+def without_k2(scores: Sequence[Score]) -> list[str]:
     """Numbers for which a survey says no uncertainty: how far off they are."""
     off: dict[str, list[float]] = defaultdict(list)
     for score in scores:
