@@ -132,14 +132,15 @@ def on_grid(log: Log, head: Head = HEAD) -> Grid:
         c_grid, lift = _without_lift_off(c_grid, off, roll)
     half = round(NARROW_MM / STEP_MM)
     smooth = median_filter(c_grid, (2 * half + 1, 1), mode="nearest")
-    wide = uniform_filter1d((~seen.all(axis=1)).astype(float), max(1, round(BRIDGED_MM / STEP_MM)), mode="nearest")
+    # Each sector by itself: a head that reads every 12 mm leaves no place with readings of all three.
+    blank = uniform_filter1d((~seen).astype(float), max(1, round(BRIDGED_MM / STEP_MM)), axis=0, mode="nearest")
     apart = smooth - smooth.mean(axis=1, keepdims=True)
     uneven = robust_sigma(apart - gaussian_filter1d(apart, LONG_MM / STEP_MM / 6, axis=0, mode="nearest"))
     # With what was taken for spikes: beside a jump on a slope readings look like some, and a step less is left of it.
     whole = np.stack([_binned(z, place[k][sound[:, k]], c[sound[:, k], k]) for k in range(SECTORS)], axis=1)
     rough = median_filter(np.stack([_filled(column) for column in whole.T], axis=1), (2 * half + 1, 1), mode="nearest")
     lifted = _between_jumps(jumps(rough, np.isfinite(whole), STEP_MM, uneven))
-    unseen = (wide > 1 - 1e-9) | lifted.any(axis=1)
+    unseen = (blank > 1 - 1e-9).any(axis=1) | lifted.any(axis=1)
     gaps += joined([gap for gap in stretches(why, log.odometer_mm) if _leaves_unseen(gap, z, unseen)])
     gaps += stretches(np.where(lifted, 1 + list(Why).index(Why.JUMP), 0), z)
     raised = c_grid - smooth
