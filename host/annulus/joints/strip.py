@@ -16,7 +16,7 @@ from scipy.stats import theilslopes
 from annulus.joints.axis import Axis, fit_axis
 from annulus.joints.density import air_level, density_map, relative_density, wall_samples
 from annulus.joints.find import two_greys
-from annulus.joints.image import BEAD_MAX, HILO_LEFT, NOTCH_BLUR, UNEVEN, Parts, Progress, bead_over
+from annulus.joints.image import BEAD_MAX, HILO_LEFT, NOTCH_BLUR, NOTCH_CUSP, UNEVEN, Parts, Progress, bead_over
 from annulus.joints.surface import edges, noise_along, plain_planes, sides_of
 from annulus.joints.unwrap import Volume, trilinear
 from annulus.joints.zone import zone_of
@@ -101,10 +101,11 @@ def strip(volume: Volume, parts: Parts = WHOLE, progress: Progress = lambda what
     own = float(np.mean(sides[0].at_mm - sides[1].at_mm))
     noise = math.hypot(*(noise_along(face[plain]) for face in faces))
     blur = math.sqrt(2) * NOTCH_BLUR * min(dz, own)
+    finer = NOTCH_CUSP * float(np.nansum([bead.cusp[0] for bead in both]))
     left = HILO_LEFT * 0.5 * float(sides[0].hilo_mm[0] + sides[1].hilo_mm[0])
     zone = _zone(block, rho, z_mm, surface, plain, air_grey, joint, fusion, beads, own, voxel, parts)
     return StripImage(
-        float(zone[0]), float(zone[1]), own + float(sum(bead.notch[0] for bead in both)), math.hypot(noise, blur, left),
+        float(zone[0]), float(zone[1]), own + float(sum(bead.notch[0] for bead in both)), math.hypot(noise, blur, left, finer),
         own, pose.width, float(1 - zone[2]), float(zone[3]), pose.axis.lean_deg,
         z_mm, rho, block.mean(axis=1), float(fusion[0]),
     )  # fmt: skip

@@ -23,6 +23,10 @@ FOOT = 0.25  # of the crest: below it a flank is blurred into the wall
 SMOOTH_MM = 1.0  # along the circumference: standard deviation of what beads are smoothed with
 STEP_BLUR = 0.7  # of a voxel along z: standard deviation of what a step in a surface is seen with
 SLOPE_ORDERS = 3  # of the angle, that a side's slope along z has
+# Two planes from a notch's floor its rolls stand so many times as high as one plane from it, or more, where the floor is
+# as wide as a voxel; less where the rolls meet in a cusp. Half ellipses and blurs of 0.4 to 0.8 voxels: 3.0 to 10, and
+# 1.7 to 2.7.
+FLOOR_RATIO, CUSP_RATIO = 3.0, 2.6
 CLEAR = 0.35  # of the wall: so far from a bead's foot is the wall plain
 
 
@@ -163,6 +167,7 @@ class Bead:
     height: FloatArray  # mean of the two rolls' crests over the plain wall
     notch: FloatArray  # height over the plain wall in the valley between the rolls
     notch_z: FloatArray
+    cusp: FloatArray  # how high the rolls stand beside a notch whose floor no plane has to itself; 0 of a wide floor
     rolls: FloatArray  # (2, P) each roll's crest over the plain wall of its own side
 
 
@@ -186,6 +191,10 @@ def _roll(height: FloatArray, z_mm: FloatArray, foot_up: bool) -> tuple[float, f
     return float(z0 + foot), float(np.sqrt(max(c - b * b / (4 * a), 0.0)))
 
 
+def _beside(column: FloatArray, index: int, planes: int) -> float:
+    return 0.5 * float(column[max(index - planes, 0)] + column[min(index + planes, len(column) - 1)])
+
+
 def bead_of(over: FloatArray, offset: FloatArray, z_mm: FloatArray, span: tuple[float, float], least_mm: float) -> Bead:
     """The bead that stands over the plain wall.
 
@@ -195,7 +204,7 @@ def bead_of(over: FloatArray, offset: FloatArray, z_mm: FloatArray, span: tuple[
     wide = 2.0 * least_mm + abs(z_mm[1] - z_mm[0])
     here = np.flatnonzero((z_mm >= span[0] - wide) & (z_mm <= span[1] + wide))
     z, count = z_mm[here], over.shape[1]
-    width, height, notch, notch_z = (np.full(count, np.nan) for _ in range(4))
+    width, height, notch, notch_z, cusp = (np.full(count, np.nan) for _ in range(5))
     rolls = np.full((2, count), np.nan)
     middle = 0.5 * (span[0] + span[1])
     for j in range(count):
@@ -215,10 +224,13 @@ def bead_of(over: FloatArray, offset: FloatArray, z_mm: FloatArray, span: tuple[
         shift = float(np.clip(0.5 * (before - after) / bend, -1, 1)) if bend > 1e-9 else 0.0
         notch_z[j] = z[valley] + shift * (z[1] - z[0])
         notch[j] = at - 0.25 * (before - after) * shift
+        near, far = (_beside(column, valley, planes) - at for planes in (1, 2))
+        sharp = (FLOOR_RATIO - far / max(near, 1e-9)) / (FLOOR_RATIO - CUSP_RATIO)
+        cusp[j] = float(np.clip(sharp, 0.0, 1.0)) * max(far, 0.0)
         own = column - np.where(z > notch_z[j], offset[1, j], offset[0, j])
         left, crest_left = _roll(own[: valley + 1], z[: valley + 1], True)
         right, crest_right = _roll(own[valley:], z[valley:], False)
         width[j] = right - left
         rolls[:, j] = crest_left, crest_right
         height[j] = 0.5 * (crest_left + crest_right + offset[0, j] + offset[1, j])
-    return Bead(width, height, notch, notch_z, rolls)
+    return Bead(width, height, notch, notch_z, cusp, rolls)
