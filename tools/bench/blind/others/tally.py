@@ -15,6 +15,7 @@ STATES = ("found", "misnamed", "missed", "not established", "below the limit")
 class Case:
     """marks : what makes it hard. things : (kind, state, what was said). false : of what is not there, a line each.
 
+    odds : (what it was called, how probable that was said to be, whether it was so).
     unsaid : numbers that were not established, by kind. refused : the one line with which all of it was refused.
     """
 
@@ -23,6 +24,7 @@ class Case:
     things: list[tuple[str, str, str]] = field(default_factory=list)
     false: list[str] = field(default_factory=list)
     numbers: list[Number] = field(default_factory=list)
+    odds: list[tuple[str, float, bool]] = field(default_factory=list)
     unsaid: Counter[str] = field(default_factory=Counter)
     refused: str = ""
 
@@ -52,7 +54,7 @@ def markdown(cases: Sequence[Case], failed: Mapping[int, str], head: str) -> str
         f"over the limit of detection: found {part(states['found'], asked)}, misnamed "
         f"{part(states['misnamed'], asked)}, missed {part(states['missed'], asked)}, said not established "
         f"{part(states['not established'], asked)}. False: {sum(len(case.false) for case in cases)}.", "",
-        *_coverage(done), *without_k2(done), *_things(cases), *_rows(cases, failed), *_details(done),
+        *_coverage(done), *without_k2(done), *_odds(done), *_things(cases), *_rows(cases, failed), *_details(done),
     ]  # fmt: skip
     return "\n".join(lines) + "\n"
 
@@ -69,6 +71,20 @@ def _coverage(cases: Sequence[Case]) -> list[str]:
     ]  # fmt: skip
     lines += [f"| {what} | {where} | {cell(*of)} | |" for (what, where), of in sorted(counts.items())]
     lines += [f"| {what} | | | {count} |" for what, count in sorted(unsaid.items())]
+    return [*lines, ""]
+
+
+def _odds(cases: Sequence[Case]) -> list[str]:
+    odds = [one for case in cases for one in case.odds]
+    if not odds:
+        return []
+    lines = ["| called | times | said to be right | right |", "|---|---|---|---|"]
+    for kind in sorted({kind for kind, _, _ in odds}):
+        said = [(value, right) for one, value, right in odds if one == kind]
+        mean = sum(value for value, _ in said) / len(said)
+        lines.append(
+            f"| {kind} | {len(said)} | {100 * mean:.1f} % | {part(sum(right for _, right in said), len(said))} |"
+        )
     return [*lines, ""]
 
 
