@@ -8,4 +8,5 @@ and says what came of it (`tally.Case`). Even and odd seeds as for the pipes: se
 KINDS = {
     "joints": "CT volumes of butt-fusion joints, of any grey scale",
     "crossbore": "logs of other capacitive heads through other ground",
+    "calibration": "photographs of chessboards through lenses of other families",
 }

@@ -105,7 +105,7 @@ def draw(rng: np.random.Generator) -> Joint:
     wall, across = 2 * radius / sdr, int(rng.integers(140, 221))
     x = 2.5 * radius / across
     z, y = x * rng.uniform(0.6, 1.8), x * (rng.uniform(0.95, 1.05) if rng.random() < 0.3 else 1.0)
-    tall, wide = wall * rng.uniform(0.25, 0.6), wall * rng.uniform(0.6, 1.2)
+    tall, wide = wall * rng.uniform(0.2, 0.5), wall * rng.uniform(0.6, 1.2)
     inner = rng.uniform(0.7, 1.1)
     rolls = [
         (tall * part * rng.uniform(0.85, 1.15), wide * part * rng.uniform(0.85, 1.15),
@@ -154,7 +154,6 @@ def density(joint: Joint) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     x, y = (x - (columns - 1) / 2) * dx - joint.centre[0], (y - (rows - 1) / 2) * dy - joint.centre[1]
     grey, mapped = (np.zeros(joint.shape, np.float32) for _ in range(2))
     radii = np.empty((2, slices))
-    mean = joint.radius - joint.wall, joint.radius
     for k in range(slices):
         height = (k - (slices - 1) / 2) * dz
         z = x * along[0] + y * along[1] + height * along[2]
@@ -174,8 +173,10 @@ def density(joint: Joint) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             one += flaw.contrast * solid * inside(flaw, rho, phi, z, (dx, dz))
         grey[k] = one
         radii[:, k] = inner.mean(), outer.mean()
-        mapped[k] = np.where(depth < 0, mean[0] + rho - inner, np.where(
-            depth > 1, mean[1] + rho - outer, mean[0] + depth * joint.wall))  # fmt: skip
+        low, high = radii[:, k]
+        mapped[k] = np.where(
+            depth < 0, low + rho - inner, np.where(depth > 1, high + rho - outer, low + depth * (high - low))
+        )
     return grey, mapped, radii
 
 
