@@ -30,14 +30,17 @@ from annulus.vocabulary import AnnulusError
 Progress = Callable[[str, int, int], None]
 ANGLES_MIN, ANGLES_MAX = 360, 1440
 NOTCH_BLUR = 0.1  # of a voxel: a groove's floor is seen so much too high or too low
-# Of how high the rolls stand beside a cusp, two planes off: what lies under the floor that is seen. Drawn joints of five
-# pipes and voxels: 0.15 to 0.55, the median of each.
+# Of how high the rolls stand beside a cusp, two planes off: what lies under the floor that is seen. Drawn joints of
+# five pipes and voxels: 0.15 to 0.55, the median of each.
 NOTCH_CUSP = 0.3
 HILO_LEFT = 0.15  # of the hi-lo: rms of what its step leaves in T (drawn joints with 0.4 and 0.8 mm of it)
 UNEVEN = 0.025  # of a voxel: rings and strips leave a surface so far off in every slice
+# Of a wall's density, in a slice with twice the plastic: paths of 80 mm at 60 kV without a filter.
+HARDENED = 0.1
 BANDS = 5  # of depth, in which the zone's flare is seen
 BEAD_MAX = 1.0  # of the wall: no bead stands higher
-BORE = (0.6, 1.3)  # of the wall: from the inner surface inwards, where the bore's air is taken
+BORE = (0.6, 1.3)  # of the wall: from the inner surface inwards, where the bore's air is taken ..
+CLEAR_OF_BEAD = 0.2  # .. and not so near to the bead inside, which is plastic and no air
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,8 +134,11 @@ def image(volume: Volume, parts: Parts = Parts(), progress: Progress = lambda wh
     bore = rho < max(found.radius_mm - (1 + BORE[0]) * wall, rho[0] + 2 * step)
     for start, block in planes(volume, axis, z_mm, phi, rho):
         stop = start + len(block)
-        edges(block, rho, found.level, surface[0][start:stop], surface[1][start:stop])
-        air[start:stop] = block[:, :, bore].mean(axis=2)
+        inner_part = surface[1][start:stop]
+        edges(block, rho, found.level, surface[0][start:stop], inner_part)
+        open_bore = bore & (rho < np.nan_to_num(inner_part, nan=np.inf)[:, :, None] - CLEAR_OF_BEAD * wall)
+        air[start:stop] = np.where(open_bore, block, 0.0).sum(axis=2) / np.maximum(open_bore.sum(axis=2), 1)
+        air[start:stop][~open_bore.any(axis=2)] = np.nan
         progress("surfaces", stop, len(z_mm))
     outer, inner = surface
     plain, beads = plain_planes(outer, inner, z_mm, found.joint_mm, wall, voxel)
@@ -155,13 +161,20 @@ def image(volume: Volume, parts: Parts = Parts(), progress: Progress = lambda wh
     depths = np.linspace(skin, 1 - skin, BANDS + 1)
     sound = density_map(relative, skin, 1 - skin, mask)
     bands = np.stack([density_map(relative, a, b, mask) for a, b in pairwise(depths)], axis=2)
-    shade /= found.plastic - air_grey
-    zone, share = zone_of(sound, bands, shade, z_mm, fusion, beads, wall, voxel)
-    density = 1 + density_map(relative, skin, 1 - skin, np.zeros_like(mask)) - share * shade
+    hardened = hardening(outer, inner, plain)
+    zone, share = zone_of(sound, bands, hardened, z_mm, fusion, beads, wall, voxel)
+    density = 1 + density_map(relative, skin, 1 - skin, np.zeros_like(mask)) - share * hardened
     progress("zone and flaws", 3, 3)
     return JointImage(
         found, phi, z_mm, outer, inner, density, plain, sides_out, sides_in, bead_out, bead_in, fusion, zone, flaws
     )
+
+
+def hardening(outer: FloatArray, inner: FloatArray, plain: BoolArray) -> FloatArray:
+    """(Z, P) the most by which beads harden the beam that passes the wall: a part of the plastic that they add."""
+    wall = np.nan_to_num(outer - inner)
+    added = wall.mean(axis=1) / float(np.median(wall[plain].mean(axis=1))) - 1
+    return np.repeat(np.where(plain, 0.0, -HARDENED * added)[:, None], wall.shape[1], axis=1)
 
 
 def bead_over(surface: FloatArray, sides: Sides, sign: int, z_mm: FloatArray, span: tuple[float, float], voxel: float,

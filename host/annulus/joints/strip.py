@@ -105,7 +105,8 @@ def strip(volume: Volume, parts: Parts = WHOLE, progress: Progress = lambda what
     left = HILO_LEFT * 0.5 * float(sides[0].hilo_mm[0] + sides[1].hilo_mm[0])
     zone = _zone(block, rho, z_mm, surface, plain, air_grey, joint, fusion, beads, own, voxel, parts)
     return StripImage(
-        float(zone[0]), float(zone[1]), own + float(sum(bead.notch[0] for bead in both)), math.hypot(noise, blur, left, finer),
+        float(zone[0]), float(zone[1]), own + float(sum(bead.notch[0] for bead in both)),
+        math.hypot(noise, blur, left, finer),
         own, pose.width, float(1 - zone[2]), float(zone[3]), pose.axis.lean_deg,
         z_mm, rho, block.mean(axis=1), float(fusion[0]),
     )  # fmt: skip

@@ -5,10 +5,10 @@ error function). Columns round an angle are averaged first, for one alone is all
 in the fusion plane, which is narrow, is no floor. Sigma is the fit's own, times what plain wall beside it really
 differs by, neighbouring planes being alike.
 
-Beads shade: the scatter of their plastic lowers wall and air alike, and hardening lowers the wall a little more. What
-the air shows of it is taken out before (`density`); what part of the same shape is left in the wall is fitted here,
-one number for the volume, for beads are wider than the zone and the shape tells them apart. Without it the zone comes
-out 0.2 mm narrow and a tenth too deep.
+Beads shade: the scatter of their plastic lowers wall and air alike, and hardening lowers the wall more, by how much
+plastic their slice has besides the wall. What the air shows is taken out before (`density`); how much of the second is
+in the wall is fitted here, one number for the volume: the rolls' shape, with its valley, tells it from the zone. How
+well it does is a part of every width's and depth's sigma, alike at all angles.
 """
 
 import math
@@ -25,7 +25,7 @@ from annulus.numeric.robust import robust_sigma
 ROUND_DEG = 6.0  # standard deviation of what columns are averaged with round the pipe
 EVERY_DEG = 3.0  # an angle is fitted: half of that deviation loses nothing
 BESIDE = 0.9  # of the wall's thickness: plain wall fitted with the zone, on either side of the beads
-SHADE_MAX = 1.0  # of the air's own change: more stands in the wall of no scatter
+SHADE_MAX = 1.0  # of the shade that is handed in, which is the most there may be
 RIM_MAX = 1.0  # of the drop
 TOLD = 3.0  # sigma: a shallower zone is not told from plain wall
 
@@ -43,11 +43,12 @@ class Zone:
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """What all angles share: each depth's width over the mean, the rim's height over the drop, the air's share."""
+    """What all angles share: each depth's width over the mean, the rim's height over the drop, the shade's part."""
 
     flare: FloatArray  # (B,) about 1
     rim: float
     share: float
+    share_sigma: float = 0.0
 
 
 def _model(p: FloatArray, z: FloatArray, shape: Shape) -> tuple[FloatArray, FloatArray]:
@@ -87,8 +88,17 @@ def _shape_of(bands: FloatArray, dark: FloatArray, t: FloatArray, start: FloatAr
     high = np.concatenate([[t[-1], start[2] + 2, 1, 1, 1, RIM_MAX, SHADE_MAX], np.full(count, 3 * wide)])
     q[5] = 0.01
     scale = np.concatenate([[1, 0.5, 0.01, 0.01, 0.001, 0.1, 1], np.ones(count)])
-    q = least_squares(model, q, bounds=(low, high), loss="cauchy", f_scale=2.5, x_scale=scale, max_nfev=100).x
-    return Shape(q[7:] / q[7:].mean(), float(q[5]), float(q[6]))
+    done = least_squares(model, q, bounds=(low, high), loss="cauchy", f_scale=2.5, x_scale=scale, max_nfev=100)
+    q = done.x
+    spread = _spread(model(q).reshape(bands.shape))
+    share_sigma = spread * math.sqrt(max(float(np.linalg.pinv(done.jac.T @ done.jac)[6, 6]), 0.0))
+    return Shape(q[7:] / q[7:].mean(), float(q[5]), float(q[6]), share_sigma)
+
+
+def _spread(residual: FloatArray) -> float:
+    """Standard deviation of residuals along the last axis, enlarged by how alike neighbours are: they share voxels."""
+    alike = float(np.sum(residual[..., 1:] * residual[..., :-1]) / max(np.sum(residual**2), 1e-20))
+    return robust_sigma(residual) * math.sqrt((1 + max(alike, 0)) / max(1 - max(alike, 0), 0.1))
 
 
 def zone_of(density: FloatArray, bands: FloatArray | None, shade: FloatArray, z_mm: FloatArray, centre_mm: FloatArray,
@@ -96,8 +106,8 @@ def zone_of(density: FloatArray, bands: FloatArray | None, shade: FloatArray, z_
     """The zone at every angle, and how much of `shade` the density has.
 
     density : (Z, P) relative to plain wall, less one; NaN where not known. bands : (Z, P, B) the same at B depths;
-    without them an edge has no flare, no rim and no shade. shade : (Z, P) how the air's level changed, in the same
-    unit. centre_mm : (P,) where the fusion plane is believed; columns are brought to it before they are
+    without them an edge has no flare, no rim and no shade. shade : (Z, P) the most that beads may shade, in the
+    same unit. centre_mm : (P,) where the fusion plane is believed; columns are brought to it before they are
     averaged. beads : where along z they begin and end.
     """
     count = density.shape[1]
@@ -122,20 +132,26 @@ def zone_of(density: FloatArray, bands: FloatArray | None, shade: FloatArray, z_
         least = max(robust_sigma(np.diff(turned, axis=1)) / math.sqrt(2), 1e-5)
         shape = _shape_of(turned, np.median(dark, axis=1), t, start, least)
     mean = mean - shape.share * dark
+    by_shade = _by_shade(np.median(mean, axis=1), np.median(dark, axis=1), t, start, shape, noise, low, high)
     for i, j in enumerate(fitted):
         p = _fit(start, t, mean[:, j], shape, noise, low, high)
         model, jac = _model(p, t, shape)
         residual = mean[:, j] - model
-        # Neighbouring planes share voxels: an effective count from the residual's own correlation.
-        alike = float(np.sum(residual[1:] * residual[:-1]) / max(np.sum(residual**2), 1e-20))
-        inflated = robust_sigma(residual) * math.sqrt((1 + max(alike, 0)) / max(1 - max(alike, 0), 0.1))
-        covariance = np.linalg.pinv(jac.T @ jac) * inflated**2
-        drop_sigma = math.sqrt(max(covariance[3, 3], 0))
+        covariance = np.linalg.pinv(jac.T @ jac) * _spread(residual) ** 2
+        drop_sigma = math.hypot(math.sqrt(max(covariance[3, 3], 0)), by_shade[1])
         if p[3] < TOLD * drop_sigma or p[1] - p[0] < voxel_mm:
             continue
         variance = covariance[0, 0] + covariance[1, 1] - 2 * covariance[0, 1]
-        found[:, i] = p[1] - p[0], math.sqrt(max(variance, 0)), 0.5 * (p[0] + p[1]) + centre_mm[j], p[3], drop_sigma
+        width_sigma = math.hypot(math.sqrt(max(variance, 0)), by_shade[0])
+        found[:, i] = p[1] - p[0], width_sigma, 0.5 * (p[0] + p[1]) + centre_mm[j], p[3], drop_sigma
     return Zone(*(_round_again(row, fitted, count) for row in found)), shape.share
+
+
+def _by_shade(mean: FloatArray, dark: FloatArray, t: FloatArray, start: FloatArray, shape: Shape, noise: float,
+              low: FloatArray, high: FloatArray) -> tuple[float, float]:  # fmt: skip
+    """What the shade's sigma makes of a width, mm, and of a drop: alike at all angles."""
+    more, less = (_fit(start, t, mean + way * shape.share_sigma * dark, shape, noise, low, high) for way in (1.0, -1.0))
+    return 0.5 * abs(float(more[1] - more[0] - less[1] + less[0])), 0.5 * abs(float(more[3] - less[3]))
 
 
 def _brought(values: FloatArray, z_mm: FloatArray, centre_mm: FloatArray, t: FloatArray) -> FloatArray:
