@@ -9,4 +9,6 @@ KINDS = {
     "joints": "CT volumes of butt-fusion joints, of any grey scale",
     "crossbore": "logs of other capacitive heads through other ground",
     "calibration": "photographs of chessboards through lenses of other families",
+    "stereo": "one flash of two cameras, other baselines, lenses and walls",
+    "fringe": "plates under slides that a lens distorts, from the reference plate on",
 }

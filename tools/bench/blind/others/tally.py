@@ -9,6 +9,7 @@ from tools.bench.blind.score import Number
 from tools.bench.blind.table import ASKED, cell, coverage, interval, part, without_k2
 
 STATES = ("found", "misnamed", "missed", "not established", "below the limit")
+SAID_MOST = 4  # lines of a case's worst numbers
 
 
 @dataclass(slots=True)
@@ -118,11 +119,13 @@ def _details(cases: Sequence[Case]) -> list[str]:
             if state in ("misnamed", "missed")
         ]
         lines += [f"- {case.seed}: false: {one}" for one in case.false]
+        far = [one for one in case.numbers if one.far_off]
         lines += [
             f"- {case.seed}: {one.what} {one.said:.3f} +- {one.k2:.3f}, is {one.true:.3f}: over 3 k2"
-            for one in case.numbers
-            if one.far_off
+            for one in far[:SAID_MOST]
         ]
+        if len(far) > SAID_MOST:
+            lines.append(f"- {case.seed}: {len(far) - SAID_MOST} more numbers over 3 k2")
     return lines
 
 
