@@ -1,5 +1,6 @@
 """A camera from photographs of a flat target: cold start, all poses and the lens together, and what they are worth."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -37,7 +38,7 @@ class Intrinsics:
 
     `rotations` (V, 3, 3) and `translations` (V, 3) mm: target to camera. `residuals`: (N, 2) pixels of each view, seen
     less modelled; `views`: as given. `information` (V, P, P), `pulls` (V, P): what each view says of fx, fy,
-    cx, cy and the distortion past its own pose: normal matrix and gradient.
+    cx, cy and the distortion past its own pose: normal matrix and gradient. `bow` (P, P): see `covariance`.
     """
 
     camera: Camera
@@ -47,6 +48,7 @@ class Intrinsics:
     residuals: tuple[FloatArray, ...]
     information: FloatArray
     pulls: FloatArray
+    bow: FloatArray
 
     @property
     def seen(self) -> tuple[FloatArray, ...]:
@@ -60,15 +62,16 @@ class Intrinsics:
 
     @cached_property
     def covariance(self) -> FloatArray:
-        """(P, P) of the lens' numbers, from how they move when one view is left out.
+        """(P, P) of the lens' numbers, from how they move when one view is left out, and from the target's bow.
 
-        Corner errors of one view belong together (its blur, its light, the target's bend), so a view is one
-        observation. Without it the lens moves by (sum of A - its A)^-1 its s; (V - 1) / V times the sum of these moves'
-        squares is Efron's jackknife, in one step: the sandwich of MacKinnon & White 1985 (HC3) by groups (Bell &
-        McCaffrey 2002). Somewhat large for few views, which is what two of it need to hold for 95 % there; two or
-        three views leave next to nothing when one is gone.
+        Corner errors of one view belong together (its blur, its light), so a view is one observation. Without it the
+        lens moves by (sum of A - its A)^-1 its s; (V - 1) / V times the sum of these moves' squares is Efron's
+        jackknife, in one step: the sandwich of MacKinnon & White 1985 (HC3) by groups (Bell & McCaffrey 2002).
+        Somewhat large for few views, which is what two of it need to hold for 95 % there; two or three views leave
+        next to nothing when one is gone. A target that is not flat is so in all views, and no view that is left out
+        shows it: `bow` is what it makes of the lens (`_bow`).
         """
-        return np.asarray((len(self.moves) - 1) / len(self.moves) * self.moves.T @ self.moves)
+        return np.asarray((len(self.moves) - 1) / len(self.moves) * self.moves.T @ self.moves + self.bow)
 
     @property
     def rms_px(self) -> float:
@@ -146,8 +149,9 @@ def fit_intrinsics(
         camera, rotations, translations = _adjust(camera, rotations, translations, views, None, robust=False)
     rows = [target_rows(camera, *one) for one in zip(views, rotations, translations, strict=True)]
     information, pulls = (np.array(part) for part in zip(*map(_past_pose, rows), strict=True))
+    bow = _bow(rows, views, rotations)
     return Intrinsics(
-        camera, rotations, translations, tuple(views), tuple(off for off, _, _ in rows), information, pulls
+        camera, rotations, translations, tuple(views), tuple(off for off, _, _ in rows), information, pulls, bow
     )
 
 
@@ -335,6 +339,35 @@ def _past_pose(rows: Rows) -> tuple[FloatArray, FloatArray]:
     lens, pose = by_lens.reshape(2 * len(off), -1), by_pose.reshape(-1, 6)
     lens = lens - pose @ np.linalg.lstsq(pose, lens, rcond=None)[0]
     return lens.T @ lens, lens.T @ off.ravel()
+
+
+def _bow(rows: Sequence[Rows], views: Sequence[TargetObservation], rotations: FloatArray) -> FloatArray:
+    """(P, P) of the lens' numbers: how far a target that is not flat may have moved them.
+
+    A bow is of second order over the target, x x, x y and y y, the same in every view. One step of a fit that had it
+    too says how large it is, and how well; the lens, which was fitted without, is off by what goes with it.
+    """
+    whole = np.concatenate([view.target_mm for view in views])
+    middle, half = 0.5 * (whole.min(axis=0) + whole.max(axis=0)), 0.5 * float(np.ptp(whole, axis=0).max())
+    normal, pull = np.zeros((0, 0)), np.zeros(0)
+    squares, count = 0.0, 0
+    for (off, by_lens, by_pose), view, rotation in zip(rows, views, rotations, strict=True):
+        x, y = ((view.target_mm - middle) / half).T
+        rise = by_pose[:, :, 3:] @ rotation[:, 2]
+        bows = rise[:, :, None] * np.stack([x * x, x * y, y * y], axis=1)[:, None]
+        own, towards = _past_pose((off, np.concatenate([by_lens, bows], axis=2), by_pose))
+        normal, pull = (own, towards) if not count else (normal + own, pull + towards)
+        squares += float((off**2).sum())
+        count += off.size - 6
+    unit = 1 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    numbers = len(normal) - 3
+    normal = np.outer(unit, unit) * normal + 1e-12 * np.eye(len(unit))
+    by_bow = -np.linalg.solve(normal[:numbers, :numbers], normal[:numbers, numbers:])
+    left = np.linalg.inv(normal[numbers:, numbers:] + normal[numbers:, :numbers] @ by_bow)
+    size = left @ (unit * pull)[numbers:]
+    spread = squares / max(count - len(normal), 1) * left
+    moved = unit[:numbers, None] * by_bow
+    return np.asarray(moved @ (np.outer(size, size) + spread) @ moved.T)
 
 
 def target_rows(camera: Camera, view: TargetObservation, rotation: FloatArray, translation: FloatArray) -> Rows:
