@@ -122,7 +122,7 @@ def test_a_joint_that_the_rings_saw_explains_what_is_alike_all_round() -> None:
 @given(st.sampled_from(list(Kind)), st.floats(0.0, 1.2), st.booleans(), st.sampled_from([math.nan, -30.0]))
 def test_odds_are_of_everything_and_never_certain(kind: Kind, part: float, side: bool, loss: float) -> None:
     found = odds(str(kind), part, side, loss)
-    if kind is Kind.UNKNOWN:
+    if kind in (Kind.UNKNOWN, Kind.VOID):
         assert found == {}
         return
     assert sum(found.values()) == pytest.approx(1.0) and min(found.values()) > 0 and max(found.values()) < 1
