@@ -3,7 +3,7 @@
 A whole table writes its RESULTS.md and pictures; topics named are run alone, and only printed. Ends with status 1 if a
 row misses its target or a topic breaks, with 2 for a name that there is not. `python -m tools.bench fuzz` feeds the
 readers with what nobody would write; see fuzz/. `python -m tools.bench scenes` scores ray-traced scans; see scenes/.
-`python -m tools.bench blind` draws pipes of its own from a seed; see blind/.
+`python -m tools.bench blind` draws pipes of its own from a seed, with `--of` what other methods look at; see blind/.
 """
 
 import importlib

@@ -8,6 +8,8 @@ is taken by a sensor (`sensor`), and what lies in the folder then is a scan like
 read (`results`), held against r (`score`, `cloud`), and summed up (`table`). No line of optics or geometry is shared
 with the twin or with what is tested.
 
+`--of joints|crossbore|calibration|stereo|fringe` draws for the other methods: see `others`.
+
 Even seeds are for setting constants by; the table is made on odd ones, once: a seed that was looked at is blind no
 more. Needs POV-Ray 3.7 (`apt-get install povray`).
 
