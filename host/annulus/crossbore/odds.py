@@ -4,7 +4,8 @@
 counts them again). They are odds of that world: four sewers and two near misses in 30 m, and nothing that the twin
 does not know. What is UNKNOWN has none. Nor has a VOID: a sewer's own wall of clay or plastic looks like one in wet
 soil, where its water does not show, and the twin's sewers have no walls. It counted 97 % without a sewer; in pipes of a
-second drawer, even seeds, there was none in 11 of 15. `make bench-crossbore` holds the odds against other pipes of the twin.
+second drawer, even seeds, there was none in 11 of 15. `make bench-crossbore` holds the odds against other pipes of the
+twin.
 """
 
 import math

@@ -81,7 +81,7 @@ def find(volume: Volume, progress: Callable[[str, int, int], None] = lambda what
     if seen.mean() < 0.5:
         raise AnnulusError(
             f"no cylinder in the volume: a hollow circle in {int(seen.sum())} of {len(seen)} slices looked at; "
-            "expected a whole pipe, its axis within 10 degrees of the slices' normal"
+            "expected a whole pipe, brighter than its air, its axis within 10 degrees of the slices' normal"
         )
     usual = float(np.median(area[seen]))
     z_mm = looks * dz
