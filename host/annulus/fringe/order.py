@@ -39,7 +39,7 @@ def told_elsewhere(
         for order in ORDERS:
             start = _there(view, points, h, order)
             other = heights(view, images, points, start, drift_sigma=drift_sigma)
-            with np.errstate(invalid="ignore"):
+            with np.errstate(divide="ignore", invalid="ignore"):
                 spacing = 2 * np.pi / np.abs(view.radians_per_mm(points, start))
                 there = (other.flag == GOOD) & (np.abs(other.height_mm - start) < NEAR * spacing)
             one[order] = (other.height_mm, _dc(other.dc, there, points))
