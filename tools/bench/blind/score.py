@@ -29,6 +29,7 @@ INSIDE = 0.6  # of a thing's length must have been scanned, or nobody could list
 # A place at which nothing is established speaks of a thing if it is no more than LOCAL times as long and as wide, or
 # than what an inspector looks at in one go.
 LOCAL, LOOK_OF_RADIUS, LOOK_DEG = 4.0, 0.5, 60.0
+NOT_SEEN = "not seen"  # in the reason of a place that is a hole in the map
 COVERED = 0.5  # of a thing's area that such places must cover
 OVAL_LEAST = 0.4  # of what is listed: a pipe that is less oval than that is none
 SURE = 3.0  # times k = 2: a depth that is off by more is wrong, whatever coverage is
@@ -203,7 +204,10 @@ def is_not_established(thing: Thing, results: Results, radius: float) -> bool:
     covered = np.zeros((24, 24), bool)
     for place in results.places:
         first, last, arc = place["z_from_mm"], place["z_to_mm"], place["arc_deg"]
-        if kind in place["limits"] and last - first <= longest and arc <= widest:
+        is_short, is_narrow = last - first <= longest, arc <= widest
+        # of what was not seen at all it says so: all round behind a bead, or along a rod's whole shadow
+        is_local = is_short or is_narrow if NOT_SEEN in place.get("reason", "") else is_short and is_narrow
+        if kind in place["limits"] and is_local:
             around = np.abs(away_deg(clock, place["clock_deg"])) <= arc / 2 + 1.0
             covered |= (z >= first - 1.0) & (z <= last + 1.0) & around
     return bool(covered.mean() >= COVERED)
