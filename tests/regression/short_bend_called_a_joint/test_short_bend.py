@@ -31,7 +31,7 @@ def test_a_joint_or_a_bend_has_no_name_and_conforms_to_nothing() -> None:
     (place,) = pipe.features
     assert place.kind is FeatureKind.UNTOLD
     assert abs(place.measured("angle_deg") - 8.0) < 1.0
-    (open_,) = (one for one in pipe.unjudged if "not told" in one.reason)
+    (open_,) = (one for one in pipe.unjudged if "not established" in one.reason)
     assert open_.kinds == ("joint", "gap") and open_.z_from_mm < place.z_mm < open_.z_to_mm
 
 
