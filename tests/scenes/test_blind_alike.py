@@ -85,7 +85,8 @@ def turned(of: Scan) -> Scan:
 
     rings = [one | {"axis": way(*one["axis"]), "vertex_mm": way(*one["vertex_mm"])} for one in calibration["rings"]]
     things = tuple(replace(one, clock_deg=(one.clock_deg - 90.0) % 360.0) for one in truth.pipe.things)
-    pipe = replace(truth.pipe, things=things, oval_clock_deg=truth.pipe.oval_clock_deg - 90.0)
+    lobes = tuple((part, clock - 90.0) for part, clock in truth.pipe.lobes)
+    pipe = replace(truth.pipe, things=things, oval_clock_deg=truth.pipe.oval_clock_deg - 90.0, lobes=lobes)
     return seen, calibration | {"camera": turn, "rings": rings}, replace(truth, pipe=pipe)
 
 
