@@ -1,6 +1,7 @@
 """Pipes that nobody has seen: drawn from a seed, photographed by POV-Ray, surveyed, and the survey held to its word.
 
-`python -m tools.bench blind --seed N [--pipes K | --pipes SEED,SEED] [--jobs 2] [--keep FOLDER] [--score-only]`
+`python -m tools.bench blind --seed N [--pipes K | --pipes SEED,SEED] [--light mitsuba] [--jobs 2] [--keep FOLDER]
+[--score-only]`
 
 A pipe's own seed is N * 1000 + i. It draws the pipe (`draw`), whose wall is one analytic radius r(clock, chainage)
 about a centre line (`surface`); that wall is meshed (`mesh`) and lit by a slide projector in POV-Ray (`pov`), the light
@@ -11,9 +12,10 @@ with the twin or with what is tested.
 `--of joints|crossbore|calibration|stereo|fringe` draws for the other methods: see `others`.
 
 Even seeds are for setting constants by; the table is made on odd ones, once: a seed that was looked at is blind no
-more. Needs POV-Ray 3.7 (`apt-get install povray`).
+more. Needs POV-Ray 3.7 (`apt-get install povray`). With `--light mitsuba` the same pipes are photographed by another
+program, with what light does in a real pipe (tools/light), by a sensor of 512 pixels a row.
 
-What is not as in a pipe: light goes straight from the slide to the wall and from the wall to the lens, none from wall
-to wall or within the wall; lenses have no distortion; nothing moves while a lamp is lit; the head does not roll; water
-is muddy. How far a survey's axis is off is no error of the cloud, which is held about that axis.
+What is not as in a pipe, by POV-Ray: light goes straight from the slide to the wall and from the wall to the lens, none
+from wall to wall or within the wall. By either: lenses have no distortion; nothing moves while a lamp is lit; the head
+does not roll; water is muddy. How far a survey's axis is off is no error of the cloud, which is held about that axis.
 """

@@ -18,7 +18,7 @@ from tools.bench.blind.others.run import run as others
 from tools.bench.blind.pipe import Scene
 from tools.bench.blind.pov import need_povray
 from tools.bench.blind.results import read_results
-from tools.bench.blind.scan import TRUTH, write_scan
+from tools.bench.blind.scan import LIGHTS, TRUTH, write_scan
 from tools.bench.blind.score import Score, score
 from tools.bench.blind.table import markdown, totals
 from tools.bench.scenes.run import measure
@@ -37,7 +37,7 @@ def main(arguments: list[str]) -> int:
     if asked.of != "rings":
         return others(asked, seeds, use)
     try:
-        if not asked.score_only:
+        if not asked.score_only and asked.light == "povray":
             need_povray()
     except AnnulusError as error:
         print(error, file=sys.stderr)
@@ -45,7 +45,7 @@ def main(arguments: list[str]) -> int:
     with tempfile.TemporaryDirectory() as scratch:
         folder = asked.keep or Path(scratch)
         scores, failed, began, worked_s = [], {}, time.monotonic(), 0.0
-        for seed, one, spent in _each(seeds, folder, asked.score_only, asked.jobs):
+        for seed, one, spent in _each(seeds, folder, asked.score_only, asked.light, asked.jobs):
             if isinstance(one, str):
                 failed[seed] = one
             else:
@@ -68,7 +68,7 @@ def main(arguments: list[str]) -> int:
 def _asked(arguments: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="python -m tools.bench blind", epilog=EPILOG,
-        description="Pipes drawn from a seed, photographed by POV-Ray, surveyed and held against their truth.",
+        description="Pipes drawn from a seed, photographed by POV-Ray or Mitsuba, surveyed, held against their truth.",
     )  # fmt: skip
     kinds = "; ".join(f"{name}: {what}" for name, what in KINDS.items())
     parser.add_argument("--of", choices=("rings", *KINDS), default="rings", help=f"rings: pipes as above; {kinds}")
@@ -77,6 +77,7 @@ def _asked(arguments: list[str]) -> argparse.Namespace:
         "--pipes", default=None, metavar="K",
         help=f"how many, {PIPES} of rings and {CASES} of others; or single seeds, 2003,2007 (2003, for one alone)",
     )  # fmt: skip
+    parser.add_argument("--light", choices=LIGHTS, default=LIGHTS[0], help="who draws, and as light goes there")
     parser.add_argument("--jobs", type=int, default=2, help="pipes worked on at a time")
     parser.add_argument("--keep", type=Path, metavar="FOLDER", help="keeps scans, results, table.md and table.json")
     parser.add_argument("--score-only", action="store_true", help="of what --keep has; nothing is drawn or surveyed")
@@ -106,16 +107,18 @@ def seeds_of(seed: int, pipes: str) -> list[int]:
     return numbers
 
 
-def _each(seeds: list[int], folder: Path, score_only: bool, jobs: int) -> Iterator[tuple[int, Score | str, float]]:
+def _each(
+    seeds: list[int], folder: Path, score_only: bool, light: str, jobs: int
+) -> Iterator[tuple[int, Score | str, float]]:
     if jobs <= 1 or len(seeds) == 1:
         for seed in seeds:
-            yield one_pipe(seed, folder, score_only)
+            yield one_pipe(seed, folder, score_only, light)
         return
     with ProcessPoolExecutor(jobs) as pool:
-        yield from pool.map(one_pipe, seeds, [folder] * len(seeds), [score_only] * len(seeds))
+        yield from pool.map(one_pipe, seeds, *([one] * len(seeds) for one in (folder, score_only, light)))
 
 
-def one_pipe(seed: int, folder: Path, score_only: bool) -> tuple[int, Score | str, float]:
+def one_pipe(seed: int, folder: Path, score_only: bool, light: str = LIGHTS[0]) -> tuple[int, Score | str, float]:
     """Draws, surveys and scores one; what is there of it is kept. A line in place of a score where it breaks."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     began = _worked_s()
@@ -123,7 +126,7 @@ def one_pipe(seed: int, folder: Path, score_only: bool) -> tuple[int, Score | st
     try:
         if not score_only:
             if not (scan / TRUTH).is_file():
-                write_scan(draw(seed), scan)
+                write_scan(draw(seed), scan, light)
             if not (out / "summary.json").is_file():
                 measure(scan, out, scan / "limits.toml")
         truth = json.loads((scan / TRUTH).read_text(encoding="utf-8"))
@@ -146,4 +149,5 @@ def _line(one: Score) -> str:
 
 def _command(asked: argparse.Namespace) -> str:
     done = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
-    return f"python -m tools.bench blind --seed {asked.seed} --pipes {asked.pipes}` at `{done.stdout.strip()}"
+    light = "" if asked.light == LIGHTS[0] else f" --light {asked.light}"
+    return f"python -m tools.bench blind --seed {asked.seed} --pipes {asked.pipes}{light}` at `{done.stdout.strip()}"
