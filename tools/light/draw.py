@@ -9,7 +9,7 @@ from tools.bench.blind.pipe import Scene
 from tools.light.effects import Effects, Tube
 
 BOUNCES = 4
-WIDTH = 512  # of a picture, pixels
+WIDTH, MOST = 512, 30  # pixels of a picture's row; frames of a scan
 WET = (0.07, 0.25)  # roughness of a wet wall's skin, least and most; of a dry one's
 DRY = (0.25, 0.5)
 TUBE_ODDS = 0.3
@@ -39,10 +39,12 @@ def effects_of(scene: Scene) -> Effects:
 
 
 def smaller(scene: Scene) -> Scene:
-    """The same scene by a sensor of WIDTH pixels a row, if its own is wider: path tracing costs by the pixel."""
+    """The same scene by a sensor of WIDTH pixels a row, if its own is wider, and without every third frame, if there
+    are more than MOST: path tracing costs by the pixel."""
     head = scene.head
     scale = min(1.0, WIDTH / head.width)
-    return replace(scene, head=replace(
+    stands = tuple(one for one in scene.stands if one.index % 3 != 1 or len(scene.stands) <= MOST)
+    return replace(scene, stands=stands, head=replace(
         head, width=round(scale * head.width), height=round(scale * head.height), focal_px=scale * head.focal_px,
         centre_px=(scale * (head.centre_px[0] + 0.5) - 0.5, scale * (head.centre_px[1] + 0.5) - 0.5),
     ))  # fmt: skip

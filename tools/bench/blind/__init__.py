@@ -13,7 +13,8 @@ with the twin or with what is tested.
 
 Even seeds are for setting constants by; the table is made on odd ones, once: a seed that was looked at is blind no
 more. Needs POV-Ray 3.7 (`apt-get install povray`). With `--light mitsuba` the same pipes are photographed by another
-program, with what light does in a real pipe (tools/light), by a sensor of 512 pixels a row.
+program, with what light does in a real pipe (tools/light), by a sensor of 512 pixels a row, without
+every third frame of the longer scans.
 
 What is not as in a pipe, by POV-Ray: light goes straight from the slide to the wall and from the wall to the lens, none
 from wall to wall or within the wall. By either: lenses have no distortion; nothing moves while a lamp is lit; the head
