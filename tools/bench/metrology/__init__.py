@@ -15,6 +15,7 @@ TABLE = Table(
         "stabilisation": "Pose of the head (§3.4.3)",
         "few_rings": "Two rings, one ring, damaged rings",
         "uncertainty": "Uncertainty of a point",
+        "light": "Another light: what a real pipe does with it",
         "diameter": "Diameter over repeated scans",
         "colour": "Pipes of other colours",
         "artefacts": "Artefacts, vibration, blind zones",
