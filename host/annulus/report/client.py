@@ -29,7 +29,7 @@ from annulus.numeric.rounding import (
     span,
 )  # fmt: skip
 from annulus.report.account import Account
-from annulus.report.bench import BENCH, TRIALS
+from annulus.report.bench import BENCH, LEFT_OPEN, TRIALS
 from annulus.report.close_up import across, along, part_of_map, photograph
 from annulus.report.paper import letter, marked, question
 from annulus.wall.accuracy import CONFIDENCE, least_detection, tolerances
@@ -347,6 +347,8 @@ def _not_covered(survey: Survey, account: Account) -> Iterator[str]:
             "the calibration's own uncertainty: calibration.json states no covariance, and an error of the head's "
             "calibration is in none of the tolerances"
         )
+    for row in LEFT_OPEN.get(account.method, ()):
+        yield f"{row.words}: on the bench it puts the radius off by {row.value}"
     yield "the head against a reference section of known diameter: not checked with this scan"
     yield "distance along the pipe: what the odometer's wheel or cable is off"
     yield f"what nobody saw: {said(100 * (1 - survey.seen_fraction), SHARE)} of the wall"

@@ -164,6 +164,7 @@ def test_what_the_scan_states_and_what_the_bench_measured_stand_apart(
     assert said(0.06, MEASURE) in scan_part and "94.1 %" not in scan_part and "not determined" in scan_part
     assert "94.1 %" in bench and "of 3 defects drawn into simulated pipes 3 were found: at least 36 %" in bench
     assert "calibration.json states no covariance" in bench and "not checked with this scan" in bench
+    assert "a translucent wall" in bench and "puts the radius off by +0.169 mm" in bench
 
 
 def test_stations_have_the_new_columns_at_the_end(page: tuple[str, dict[str, Any], Path], pipe: Survey) -> None:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from annulus.report.bench import BENCH, TRIALS
+from annulus.report.bench import BENCH, LEFT_OPEN, TRIALS, BenchRow
 from annulus.wall.accuracy import least_detection
 
 RESULTS = Path(__file__).resolve().parents[3] / "tools/bench/metrology/RESULTS.md"
@@ -17,6 +17,12 @@ QUOTED += [(one.title, one.value) for one in TRIALS.values()]
 def test_a_row_that_is_quoted_is_in_the_table(title: str, value: str) -> None:
     (row,) = [cells for cells in ROWS if cells[0].removeprefix("| ") == title]
     assert any(cell == value or cell.startswith((f"{value} ", f"{value} (")) for cell in row[1:])
+
+
+@pytest.mark.parametrize("one", [one for kind in LEFT_OPEN.values() for one in kind])
+def test_what_is_left_open_is_in_the_table(one: BenchRow) -> None:
+    (row,) = [cells for cells in ROWS if cells[0].removeprefix("| ") == one.title]
+    assert one.value in row[3]
 
 
 def test_a_probability_of_detection_is_the_least_that_trials_show() -> None:
