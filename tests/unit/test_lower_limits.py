@@ -13,7 +13,7 @@ def test_a_lower_limit_says_so(capsys: pytest.CaptureFixture[str], tmp_path) -> 
         "arc_deg": 13.0, "hidden_mm": 0.0,
     }  # fmt: skip
     summary = {
-        "frames": {"projector": 24}, "diameter_mm": {"mean": None}, "points": 9, "features": [], "undecided": [],
+        "frames": {"projector": 24}, "diameter_mm": {"mean": None}, "points": 9, "features": [], "undecided": [], "not_seen": [],
         "warnings": [],
         "defects": [{**loss, "floor_seen": False}, {**loss, "floor_seen": True}],
     }  # fmt: skip
