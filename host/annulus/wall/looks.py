@@ -81,7 +81,7 @@ def looks_of(profiles: Sequence[Profile], wall: Wall, calibration: Calibration) 
         mean(z - departure * (z - source[look]) / radius), np.abs(met) < SURFACE_OF_RADIUS * size, size
     )
     turned = np.array([np.degrees(p.pose.roll or 0.0) if p.pose is not None else 0.0 for p in used])
-    lit = sure[:, None] & ~_dark(np.isfinite(met), sure, np.repeat(turned, rings))
+    lit = sure[:, None] & ~dark_columns(np.isfinite(met), sure, np.repeat(turned, rings))
     view = (places_of(used, size)[:, None] * rings + np.arange(rings)).ravel()
     return points, Looks(passed, (passed - source[:, None]) / size, met, lit, view)
 
@@ -106,7 +106,7 @@ def _smooth(z: FloatArray, usable: BoolArray, radius: float) -> tuple[FloatArray
     return line, enough & (scatter < SCATTER_OF_RADIUS * radius)
 
 
-def _dark(found: BoolArray, sure: BoolArray, turned_deg: FloatArray) -> BoolArray:
+def dark_columns(found: BoolArray, sure: BoolArray, turned_deg: FloatArray) -> BoolArray:
     """(L, A) columns in which hardly a ring of the scan arrives. What keeps light away there turns with the head."""
     shift = np.rint(turned_deg).astype(np.int64)
     column = (np.arange(COLUMNS) + shift[:, None]) % COLUMNS  # of the pipe, by column of the head

@@ -16,6 +16,7 @@ from annulus.numeric.arrays import BoolArray, FloatArray, Image
 from annulus.vocabulary import Finding
 from annulus.wall.apart import sound_wall_apart
 from annulus.wall.axis import find_axis
+from annulus.wall.before import Standing, find_objects
 from annulus.wall.bends import find_bends
 from annulus.wall.centreline import Centreline
 from annulus.wall.consistency import without_inconsistent
@@ -83,6 +84,7 @@ class Survey:
     rings_lost: tuple[Finding, ...] | None = None  # of the pattern; None: as `profiles` show
     no_wall: BoolArray | None = None  # (Z, A) cells of openings, which no diameter has its ends in; None: none
     unjudged: tuple[Unjudged, ...] = ()  # where a limit may be broken although nothing listed breaks it
+    standing: tuple[Standing, ...] = ()  # in the bore, before the wall
 
     @property
     def defects(self) -> tuple[Defect, ...]:
@@ -103,6 +105,7 @@ class Survey:
             *not_enough_seen(self.wall, self.features),
             *lost,
             *objects_before_the_wall(self.profiles),
+            *(one.finding for one in self.standing),
             *self.disbelieved,
         )
 
@@ -281,13 +284,14 @@ def survey(
     timing = {name: 1e3 * (after - before) for (_, before), (name, after) in pairwise(marks)}
     features = [level.feature for level in levels]
     features += [*(joint.feature for joint in joints), *find_bends(axis, wall.extent[:2]), *openings]
-    unjudged = (*unjudged, *nameless(features))
+    standing = find_objects(wall, aligned, calibration, lit[1], explained)
+    unjudged = (*unjudged, *nameless(features), *(one.place for one in standing))
     features.sort(key=lambda one: (one.z_mm, one.clock_deg))
     nominal = 2 * calibration.pipe_radius_mm
     return Survey(
         with_edges(measured, wall), wall, dark, detection, stations, texture, shaken, tuple(features), axis.centreline,
         (*axis.findings, *pace.findings()), nominal, timing, tuple(one.id for one in calibration.cameras),
-        no_wall=no_wall, unjudged=unjudged,
+        no_wall=no_wall, unjudged=unjudged, standing=standing,
     )  # fmt: skip
 
 

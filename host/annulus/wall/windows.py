@@ -176,6 +176,11 @@ def between(survey: Survey, window: Window) -> Survey:
             for one in survey.unjudged
             if one.z_to_mm > first and one.z_from_mm < last
         ),
+        # told once, by the window that it begins in
+        disbelieved=(
+            *survey.disbelieved, *(one.finding for one in survey.standing if first <= one.z_from_mm < last)
+        ),
+        standing=(),
         rings_lost=lost_rings(survey.profiles),  # of whole frames: at a cut only some of their rings are kept
     )  # fmt: skip
 
