@@ -13,8 +13,8 @@ def test_a_lower_limit_says_so(capsys: pytest.CaptureFixture[str], tmp_path) -> 
         "arc_deg": 13.0, "hidden_mm": 0.0,
     }  # fmt: skip
     summary = {
-        "frames": {"projector": 24}, "diameter_mm": {"mean": None}, "points": 9, "features": [], "undecided": [], "not_seen": [],
-        "warnings": [],
+        "frames": {"projector": 24}, "diameter_mm": {"mean": None}, "points": 9, "features": [], "undecided": [],
+        "warnings": [], "not_seen": [],
         "defects": [{**loss, "floor_seen": False}, {**loss, "floor_seen": True}],
     }  # fmt: skip
     _print_summary(summary, tmp_path)

@@ -290,8 +290,36 @@ def _of_pipe(survey: Survey, criteria: Criteria) -> Iterator[Judged]:
             yield _item(criteria, "pipe", 0, kind, quantity, math.nan, math.nan, math.nan)
             continue
         each = [_item(criteria, "pipe", 0, kind, quantity, float(values[i]), float(k2s[i]), float(z[i])) for i in known]
+        if kind == "bore":
+            what = Kind.BUMP if QUANTITIES[kind][quantity].lower else Kind.LOSS
+            each += [_item(criteria, "pipe", 0, kind, quantity, *end) for end in _through(survey, what)]
         sign = -1.0 if QUANTITIES[kind][quantity].lower else 1.0
         yield max(each, key=lambda one: (_ORDER.index(one.decision), sign * one.value))
+
+
+def _through(survey: Survey, kind: Kind) -> Iterator[tuple[float, float, float, bool]]:
+    """Diameter, k2, place, whether it may be any way beyond: through every bump or loss, and what lies opposite. A
+    station's own least and greatest are medians over its rows, and know nothing of a crest that is shorter."""
+    wall, sign = survey.wall, -1.0 if kind is Kind.BUMP else 1.0
+    places = [(one, True) for one in survey.defects if one.kind is kind]
+    places += [(one, False) for one in survey.detection.undecided if one.kind is kind]
+    for one, is_listed in places:
+        row = int(np.argmin(np.abs(wall.z_mm - one.z_mm)))
+        t = math.radians(one.clock_deg)
+        _, _, _, even, odd = wall.shape_mm[row]
+        across = 2.0 * (wall.shape_mm[row, 0] + even * math.cos(2 * t) + odd * math.sin(2 * t))
+        both = [one, *(other for other, listed in places if listed and _is_opposite(one, other))]
+        k2s = [2.0 * float(np.nan_to_num(wall.shape_sigma_mm()[row].mean())), *(each.depth_k2_mm for each in both)]
+        least = is_listed and not all(each.floor_seen for each in both)
+        yield float(across + sign * sum(each.depth_mm for each in both)), math.hypot(*k2s), one.z_mm, least
+
+
+def _is_opposite(one: Defect, other: Defect) -> bool:
+    """Whether a diameter has its ends on both."""
+    off = abs((one.clock_deg + 180.0 - other.clock_deg + 180.0) % 360.0 - 180.0)
+    return (
+        off <= (one.arc_deg + other.arc_deg) / 2 and abs(one.z_mm - other.z_mm) <= (one.length_mm + other.length_mm) / 2
+    )
 
 
 def _item(
