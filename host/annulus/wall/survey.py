@@ -42,7 +42,7 @@ from annulus.wall.standing import depth_limit_mm
 from annulus.wall.stations import Stations, measure_stations, not_enough_seen
 from annulus.wall.surface import Mesh, triangulate
 from annulus.wall.texture import LedFrame, paint
-from annulus.wall.unjudged import Unjudged, find_unjudged, nameless
+from annulus.wall.unjudged import Unjudged, find_unjudged, nameless, wider
 from annulus.wall.vibration import Vibration, without_vibration
 
 
@@ -285,7 +285,7 @@ def survey(
     features = [level.feature for level in levels]
     features += [*(joint.feature for joint in joints), *find_bends(axis, wall.extent[:2]), *openings]
     standing = find_objects(wall, aligned, calibration, lit[1], explained)
-    unjudged = (*unjudged, *nameless(features), *(one.place for one in standing))
+    unjudged = (*unjudged, *nameless(features), *wider(features, *wall.extent[:2]), *(one.place for one in standing))
     features.sort(key=lambda one: (one.z_mm, one.clock_deg))
     nominal = 2 * calibration.pipe_radius_mm
     return Survey(

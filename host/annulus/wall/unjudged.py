@@ -135,6 +135,24 @@ def nameless(features: Sequence[Feature]) -> tuple[Unjudged, ...]:
     )
 
 
+def wider(features: Sequence[Feature], first_mm: float, last_mm: float) -> tuple[Unjudged, ...]:
+    """Stretches wider than the pipe on the other side of a joint, up to the next one or an end of the scan: another
+    pipe, a socket, or a loss all round whose other end was not seen. Nothing tells which."""
+    joints = [one for one in features if one.kind in (FeatureKind.JOINT, FeatureKind.GAP, FeatureKind.UNTOLD)]
+    joints.sort(key=lambda one: one.z_mm)
+    ends = [first_mm, *(one.z_mm for one in joints), last_mm]
+    out = []
+    for i, joint in enumerate(joints):
+        step = next((one for one in joint.measures if one.name == "step_mm"), None)
+        if step is None or not math.isfinite(step.value):
+            continue
+        stretch = (joint.z_mm, ends[i + 2]) if step.value > 0 else (ends[i], joint.z_mm)
+        most = (abs(step.value) + float(np.nan_to_num(step.k2))) / 2
+        reason = "wider than the pipe on the other side of a joint: another pipe, or a loss all round to where it ends"
+        out.append(Unjudged(("loss",), reason, *stretch, most=most))
+    return tuple(out)
+
+
 def in_one(parts: Sequence[Unjudged], touch_mm: float) -> tuple[Unjudged, ...]:
     """Those of several stretches of a pipe, one after the other: what goes on over a cut is one place."""
     out: list[Unjudged] = []
