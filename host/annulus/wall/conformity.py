@@ -191,6 +191,7 @@ class Verdict:
         return tuple(dict.fromkeys(one.index for one in bad))
 
 
+UNSEEN_AGAIN = 1.0  # of what a bump or loss was seen to depart by: as much may be hidden; test_bore.py
 _ORDER = (Decision.CONFORMS, Decision.SEEN, Decision.UNDECIDED, Decision.FAILS)
 
 
@@ -290,28 +291,34 @@ def _of_pipe(survey: Survey, criteria: Criteria) -> Iterator[Judged]:
             yield _item(criteria, "pipe", 0, kind, quantity, math.nan, math.nan, math.nan)
             continue
         each = [_item(criteria, "pipe", 0, kind, quantity, float(values[i]), float(k2s[i]), float(z[i])) for i in known]
-        if kind == "bore":
-            what = Kind.BUMP if QUANTITIES[kind][quantity].lower else Kind.LOSS
-            each += [_item(criteria, "pipe", 0, kind, quantity, *end) for end in _through(survey, what)]
         sign = -1.0 if QUANTITIES[kind][quantity].lower else 1.0
+        if kind == "bore":
+            each += _through(survey, criteria, quantity)
         yield max(each, key=lambda one: (_ORDER.index(one.decision), sign * one.value))
 
 
-def _through(survey: Survey, kind: Kind) -> Iterator[tuple[float, float, float, bool]]:
-    """Diameter, k2, place, whether it may be any way beyond: through every bump or loss, and what lies opposite. A
-    station's own least and greatest are medians over its rows, and know nothing of a crest that is shorter."""
-    wall, sign = survey.wall, -1.0 if kind is Kind.BUMP else 1.0
-    places = [(one, True) for one in survey.defects if one.kind is kind]
-    places += [(one, False) for one in survey.detection.undecided if one.kind is kind]
-    for one, is_listed in places:
+def _through(survey: Survey, criteria: Criteria, quantity: str) -> Iterator[Judged]:
+    """The diameter through every bump or loss, and what lies opposite, against a limit of the bore. A station's own
+    least and greatest are medians over its rows, and know nothing of a crest that is shorter."""
+    wall, lower = survey.wall, QUANTITIES["bore"][quantity].lower
+    kind, sign = (Kind.BUMP, -1.0) if lower else (Kind.LOSS, 1.0)
+    listed = [one for one in survey.defects if one.kind is kind]
+    for one in (*listed, *(place for place in survey.detection.undecided if place.kind is kind)):
         row = int(np.argmin(np.abs(wall.z_mm - one.z_mm)))
         t = math.radians(one.clock_deg)
         _, _, _, even, odd = wall.shape_mm[row]
-        across = 2.0 * (wall.shape_mm[row, 0] + even * math.cos(2 * t) + odd * math.sin(2 * t))
-        both = [one, *(other for other, listed in places if listed and _is_opposite(one, other))]
-        k2s = [2.0 * float(np.nan_to_num(wall.shape_sigma_mm()[row].mean())), *(each.depth_k2_mm for each in both)]
-        least = is_listed and not all(each.floor_seen for each in both)
-        yield float(across + sign * sum(each.depth_mm for each in both)), math.hypot(*k2s), one.z_mm, least
+        across = 2.0 * float(wall.shape_mm[row, 0] + even * math.cos(2 * t) + odd * math.sin(2 * t))
+        both = [one, *(other for other in listed if _is_opposite(one, other))]
+        k2 = math.hypot(2.0 * float(wall.shape_sigma_mm()[row].mean()), *(each.depth_k2_mm for each in both))
+        departs = sign * sum(each.depth_mm for each in both)
+        judged = _item(criteria, "pipe", 0, "bore", quantity, across + departs, k2, one.z_mm)
+        if judged.decision is Decision.CONFORMS and not all(each.floor_seen for each in both):
+            unseen = across + (1.0 + UNSEEN_AGAIN) * departs
+            if _item(criteria, "pipe", 0, "bore", quantity, unseen, k2, one.z_mm).decision is not Decision.CONFORMS:
+                judged = replace(judged, decision=Decision.UNDECIDED)
+        if judged.decision is Decision.FAILS and one not in listed:  # there may be nothing at all
+            judged = replace(judged, decision=Decision.UNDECIDED)
+        yield judged
 
 
 def _is_opposite(one: Defect, other: Defect) -> bool:
