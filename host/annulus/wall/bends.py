@@ -20,8 +20,9 @@ REDUCER = 0.05  # of the radius: what changes by more within a diameter is a red
 SURE = 2.0  # times k = 2, as `axis` asks of a joint: what turns or narrows less surely has no name
 
 
-def find_bends(axis: Axis, scanned_mm: tuple[float, float]) -> tuple[Feature, ...]:
-    """Every bend and taper, in order of distance; one that goes on where the scan ends, ends there."""
+def find_bends(axis: Axis, scanned_mm: tuple[float, float], common_mm: float = 0.0) -> tuple[Feature, ...]:
+    """Every bend and taper, in order of distance; one that goes on where the scan ends, ends there. common_mm : what
+    all radii may be off alike, which a change of them has nothing of."""
     if axis.adjusted is None:
         return ()
     out = []
@@ -34,7 +35,7 @@ def find_bends(axis: Axis, scanned_mm: tuple[float, float]) -> tuple[Feature, ..
         if piece.is_bent:
             out.append(_bend(axis, i, start, end, last))
         if piece.taper != 0.0 and axis.begins[i] is Begins.TAPER:
-            out.append(_taper(axis, i, start, end, last))
+            out.append(_taper(axis, i, start, end, last, common_mm))
     return tuple(out)
 
 
@@ -45,7 +46,7 @@ def is_told(axis: Axis, i: int) -> bool:
     piece, begin, end = axis.centreline.pieces[i], *(one.start_mm for one in axis.centreline.pieces[i : i + 2])
     if piece.is_bent:
         return _bend(axis, i, begin, end, last=False).kind is FeatureKind.BEND
-    return piece.taper == 0.0 or _taper(axis, i, begin, end, last=False).kind is not FeatureKind.UNTOLD
+    return piece.taper == 0.0 or _taper(axis, i, begin, end, last=False, common_mm=0.0).kind is not FeatureKind.UNTOLD
 
 
 def _bend(axis: Axis, i: int, start: float, end: float, last: bool) -> Feature:
@@ -81,7 +82,7 @@ def _bend(axis: Axis, i: int, start: float, end: float, last: bool) -> Feature:
     return Feature(FeatureKind.BEND, (start + end) / 2, length, measures=measures, remark=f"{remark} o'clock")
 
 
-def _taper(axis: Axis, i: int, start: float, end: float, last: bool) -> Feature:
+def _taper(axis: Axis, i: int, start: float, end: float, last: bool, common_mm: float) -> Feature:
     piece = axis.centreline.pieces[i]
     before, after = (piece.radius_mm + piece.taper * (z - piece.start_mm) for z in (start, end))
     by = np.zeros((1, len(axis.centreline.pieces) * PIECE))
@@ -95,8 +96,8 @@ def _taper(axis: Axis, i: int, start: float, end: float, last: bool) -> Feature:
         return Feature(FeatureKind.UNTOLD, (start + end) / 2, end - start, remark=remark)
     short = end - start < 2.0 * piece.radius_mm and abs(after - before) > REDUCER * piece.radius_mm
     measures = (
-        Measure("radius_before_mm", before, change_k2),
-        Measure("radius_after_mm", after, change_k2),
+        Measure("radius_before_mm", before, math.hypot(change_k2, 2.0 * common_mm)),
+        Measure("radius_after_mm", after, math.hypot(change_k2, 2.0 * common_mm)),
         Measure("taper_percent", 100.0 * piece.taper, 100.0 * change_k2 / (end - start)),
     )
     kind = FeatureKind.REDUCER if short else FeatureKind.TAPER

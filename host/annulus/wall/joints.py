@@ -269,7 +269,7 @@ def _joint(
     if piece is not None and axis.adjusted is not None:
         off = rows.line_off(wall, axis, piece, (first, last), middle, length)
         if off is not None:
-            of_line = _of_line(axis, piece, middle, off, _common_mm(wall, last))
+            of_line = _of_line(axis, piece, middle, off, common_mm(wall, last))
     hidden = least_shadow_ratio * _outwards(axis, piece, middle)
     gap, gap_k2 = 0.0, math.inf
     is_open = piece is not None and form in (_Form.GAP, _Form.UNSEEN)
@@ -391,7 +391,7 @@ def _outwards(axis: Axis, piece: int | None, at_mm: float) -> float:
     return max(float(row[RADIUS]) + hilo, 0.0)
 
 
-def _common_mm(wall: Wall, behind_mm: float) -> float:
+def common_mm(wall: Wall, behind_mm: float = -math.inf) -> float:
     """What the points of the wall behind a place may all be off alike, in the median; 0 where nobody says."""
     stated = wall.sigma_mm[wall.z_mm > behind_mm]
     stated = stated[np.isfinite(stated)]

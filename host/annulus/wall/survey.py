@@ -26,7 +26,7 @@ from annulus.wall.features import Feature
 from annulus.wall.grid import Wall, build_wall
 from annulus.wall.gyro import NO_TURNS, Turns
 from annulus.wall.indications import Scale
-from annulus.wall.joints import find_joints, taken, without_hidden
+from annulus.wall.joints import common_mm, find_joints, taken, without_hidden
 from annulus.wall.lane import Lane
 from annulus.wall.levels import covered, without_levels
 from annulus.wall.looks import looks_of
@@ -283,7 +283,7 @@ def survey(
     done("texture")
     timing = {name: 1e3 * (after - before) for (_, before), (name, after) in pairwise(marks)}
     features = [level.feature for level in levels]
-    features += [*(joint.feature for joint in joints), *find_bends(axis, wall.extent[:2]), *openings]
+    features += [*(joint.feature for joint in joints), *find_bends(axis, wall.extent[:2], common_mm(wall)), *openings]
     standing = find_objects(wall, aligned, calibration, lit[1], explained)
     unjudged = (*unjudged, *nameless(features), *wider(features, *wall.extent[:2]), *(one.place for one in standing))
     features.sort(key=lambda one: (one.z_mm, one.clock_deg))
