@@ -27,7 +27,7 @@ READS_LOW = 0.4  # of how far half a slit reaches up a flank: so much lower is t
 LOW = 0.3  # of a bead's height: what is lower is wall
 BESIDE = 0.5  # of half a slit: so far past the shadow's edge its middle is, when the wall has the brighter part of it
 BESIDE_SIGMA = 0.25  # of half a slit, how well that is known
-FORM_SIGMA = 0.05  # of a width: how far a bead is from two rolls alike
+FORM_SIGMA = 0.25  # of a width: how far a bead is from two rolls alike; caps and wide ones are (blind, even seeds)
 QUARTERS = 0.006 * np.arange(1.0, 17.0, 0.1)  # of the radius: a quarter of the width of any bead, from least to most
 ALIKE, ALIKE_POINTS = 1.1, 5  # times as many points in the wrong place, and so many more: a width as good as the best
 
