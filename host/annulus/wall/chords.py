@@ -25,8 +25,7 @@ CAP_OF_RADIUS = 0.15  # of the radius: a cell that is farther off than this is j
 AS_IT_LOOKS = (1.0, 0.8, 0.6)  # parts of its depth that what lies below a level may seem cut off: less, through water
 EXPLAINED, EXPLAINED_USUAL = 0.65, 0.8  # part of what a slab departs from the wall: each slab's, and the median's
 SEEN_LEAST = 0.2  # part of a level's arc, each side of its middle, that has cells: deep down no ring is believed
-LENGTH_OF_RADIUS = 0.7  # of the radius: a shorter one is a heap, a bump or the rim of a tee, of which most are shorter
-UNSEEN_OF_RADIUS = 1.0  # of the radius: so far before an end of the scan a level may be lost from sight and go on to it
+LENGTH_OF_RADIUS = 1.0  # of the radius: a shorter one is a heap, a bump or the rim of a tee
 STEP_OF_RADIUS = 0.05  # of the radius: a level goes on if the next slab's is so near
 END_SLABS = 5  # whose arc is held against the slabs beyond them
 INNER = 0.8  # part of a level's arc that shows whether it goes on
@@ -140,11 +139,9 @@ def _cornered(slabs: Slabs, inwards: FloatArray, radius: FloatArray, clock: floa
 
 
 def _left_by(forms: FloatArray, value: FloatArray) -> float:
-    """What the best of forms (F, N), each scaled and moved as it likes, leaves of values (N,): the sum of absolute
-    values. Moved: the wall beside a level may itself be off the shape, as after a knock."""
-    middle, about = forms.mean(axis=1, keepdims=True), value - value.mean()
-    scale = ((forms - middle) * about).sum(axis=1) / np.maximum(((forms - middle) ** 2).sum(axis=1), 1e-9)
-    return float(np.abs(about - scale[:, None] * (forms - middle)).sum(axis=1).min())
+    """What the best of forms (F, N), each scaled as it likes, leaves of values (N,): the sum of absolute values."""
+    scale = (forms * value).sum(axis=1) / np.maximum((forms**2).sum(axis=1), 1e-9)
+    return float(np.abs(value - scale[:, None] * forms).sum(axis=1).min())
 
 
 def _goes_on(
@@ -166,7 +163,7 @@ def _goes_on(
             return last
         if judged.any():
             last = i
-    return i if abs(i - last) * slabs.z_step_mm <= UNSEEN_OF_RADIUS * radius[last].mean() else last
+    return i if abs(i - last) * slabs.z_step_mm <= LENGTH_OF_RADIUS * radius[last].mean() else last
 
 
 def _best(slabs: Slabs, inwards: FloatArray, radius: FloatArray, off_deg: float) -> tuple[float, float, float] | None:

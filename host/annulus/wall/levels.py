@@ -33,7 +33,6 @@ COLUMN_DEG = 2.0
 OFF_DEG, OFF_ROLL_KNOWN_DEG = 24.0, 6.0  # a level's middle off the bottom: a head turns, and sensors err
 MARGIN_OF_RADIUS = 0.01  # of the radius: this far above the level there is no surface left
 FLAT_OF_RADIUS = 0.01  # of the radius: half of the range of heights, 5 to 95 %, of what is called flat
-HALF_OF_RANGE = 1.645  # standard deviations from the middle to 95 %
 UNEVEN_MOST = 0.4  # of its depth: what is more uneven is no level
 MIDDLE, CORNER_DEG = 0.75, 8.0  # part of a level's arc that it is measured on, or all but its corners, partly wall
 POINTS_MOST = 120  # of a frame and ring that a level is measured with
@@ -155,11 +154,10 @@ def _level(chord: Chord, slabs: Slabs, profiles: Sequence[Profile], calibration:
     by_slab = nan_median(heights.T)
     known = np.isfinite(by_slab)
     course = np.asarray(np.polynomial.Polynomial.fit(z_mm[known], by_slab[known], 1)(z_mm))
-    about = heights - course[:, None]
-    uneven = HALF_OF_RANGE * robust_sigma(about[np.isfinite(about)])  # a burnt band's columns are no surface
-    if uneven > UNEVEN_MOST * (bottom - level) or not math.isfinite(error + chord.radius_sigma_mm):
+    low, high = np.nanpercentile(heights - course[:, None], [5, 95])
+    if (high - low) / 2 > UNEVEN_MOST * (bottom - level) or not math.isfinite(error + chord.radius_sigma_mm):
         return None
-    flat = uneven <= FLAT_OF_RADIUS * size
+    flat = (high - low) / 2 <= FLAT_OF_RADIUS * size
     if not flat:  # nowhere above what was seen of it
         course = ndimage.minimum_filter1d(np.interp(z_mm, z_mm[known], by_slab[known]), 3, mode="nearest")
     half = _half_deg(course - MARGIN_OF_RADIUS * size - 2.0 * error, chord.radius_mm)
@@ -167,7 +165,7 @@ def _level(chord: Chord, slabs: Slabs, profiles: Sequence[Profile], calibration:
     reach = edges[0] - step if begins else -math.inf, edges[1] + step if ends else math.inf
     first = edges[0] if begins else float(slabs.z_mm[0] - step / 2)
     last = edges[1] if ends else float(slabs.z_mm[-1] + step / 2)
-    remark = "flat" if flat else f"uneven by {uneven:.1f} mm up and down"
+    remark = "flat" if flat else f"uneven by {(high - low) / 2:.1f} mm up and down"
     measures = (
         Measure("level_mm", level, 2.0 * error),
         Measure("depth_mm", bottom - level, 2.0 * math.hypot(error, chord.radius_sigma_mm)),
