@@ -161,7 +161,7 @@ GOOD = "angle_deg,energy_j,result\n" + "".join(f"{a:g},{20 + (a * 7) % 11:g},goo
         ("angle_deg,result\n0,good\n", "no column energy_j"),
         (GOOD.replace("90,", "nan,"), "line 4: angle_deg is 'nan', expected a number"),
         (GOOD.replace("45,", "forty,"), "line 3: angle_deg is 'forty', expected a number"),
-        (GOOD + "12\n", "line 10: energy_j is '', expected a number"),
+        (GOOD + "12\n", "line 10: 1 cell, expected 3 as line 1 has"),
         ("\n".join(GOOD.split("\n")[:2]), "1 dogbones, expected at least 5"),
         ("\n".join(GOOD.split("\n")[:3]), "2 dogbones, expected at least 5"),
         (GOOD.replace("315,", "415,"), "angle 415, expected degrees from 0 to 360"),

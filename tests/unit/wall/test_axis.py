@@ -84,8 +84,9 @@ def test_a_wider_pipe_is_no_gap() -> None:
     """What its lip hides, 14 mm even of the widest ring's light, is no room between two ends."""
     pipe = survey(frames(Centreline([Piece(0.0, R), Piece(160.0, R + 8.0)]), STATIONS), CALIBRATION)
     (joint,) = pipe.features
-    assert joint.kind is FeatureKind.JOINT
-    assert joint.measured("step_mm") == pytest.approx(16.0, abs=0.06)
+    assert joint.kind is FeatureKind.REDUCER  # a tenth of the radius is another size of pipe
+    before, after = (joint.measured(name) for name in ("radius_before_mm", "radius_after_mm"))
+    assert after - before == pytest.approx(8.0, abs=0.03)
     assert not pipe.defects
 
 
