@@ -2,16 +2,13 @@
 
 import argparse
 import json
-import os
-import subprocess
 import sys
 import tempfile
-import time
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 
 from annulus.vocabulary import AnnulusError
+from tools.bench.blind.cases import guarded, run_all
 from tools.bench.blind.draw import draw
 from tools.bench.blind.others import KINDS
 from tools.bench.blind.others.run import run as others
@@ -42,27 +39,21 @@ def main(arguments: list[str]) -> int:
     except AnnulusError as error:
         print(error, file=sys.stderr)
         return 2
+    light = "" if asked.light == LIGHTS[0] else f" --light {asked.light}"
+    again = ", scored again" if asked.score_only else ""
     with tempfile.TemporaryDirectory() as scratch:
         folder = asked.keep or Path(scratch)
-        scores, failed, began, worked_s = [], {}, time.monotonic(), 0.0
-        for seed, one, spent in _each(seeds, folder, asked.score_only, asked.light, asked.jobs):
-            if isinstance(one, str):
-                failed[seed] = one
-            else:
-                scores.append(one)
-            worked_s += spent
-            print(f"{seed}: {one if isinstance(one, str) else _line(one)} ({spent:.0f} s)", flush=True)
-        took = f" in {(time.monotonic() - began) / 60:.1f} minutes, {worked_s / len(seeds):.0f} s of processor a pipe"
-        if asked.score_only:
-            took = ", scored again"
-        head = f"# Blind, seed {asked.seed} ({use})\n\nMade by `{_command(asked)}`{took}."
-        text = markdown(scores, failed, head)
-        print(f"\n{text}", end="")
-        if asked.keep:
-            (folder / "table.md").write_text(text, encoding="utf-8")
-            plain = json.dumps(totals(scores, failed), indent=1)
-            (folder / "table.json").write_text(plain, encoding="utf-8")
-    return 1 if failed else 0
+        return run_all(
+            partial(one_pipe, folder=folder, score_only=asked.score_only, light=asked.light),
+            seeds,
+            asked.jobs,
+            title=f"Blind, seed {asked.seed} ({use}){again}",
+            command=f"python -m tools.bench blind --seed {asked.seed} --pipes {asked.pipes}{light}",
+            line=_line,
+            markdown=markdown,
+            totals=totals,
+            keep=asked.keep,
+        )
 
 
 def _asked(arguments: list[str]) -> argparse.Namespace:
@@ -107,47 +98,23 @@ def seeds_of(seed: int, pipes: str) -> list[int]:
     return numbers
 
 
-def _each(
-    seeds: list[int], folder: Path, score_only: bool, light: str, jobs: int
-) -> Iterator[tuple[int, Score | str, float]]:
-    if jobs <= 1 or len(seeds) == 1:
-        for seed in seeds:
-            yield one_pipe(seed, folder, score_only, light)
-        return
-    with ProcessPoolExecutor(jobs) as pool:
-        yield from pool.map(one_pipe, seeds, *([one] * len(seeds) for one in (folder, score_only, light)))
-
-
 def one_pipe(seed: int, folder: Path, score_only: bool, light: str = LIGHTS[0]) -> tuple[int, Score | str, float]:
     """Draws, surveys and scores one; what is there of it is kept. A line in place of a score where it breaks."""
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
-    began = _worked_s()
     scan, out = folder / str(seed), folder / f"{seed}-results"
-    try:
+
+    def scored() -> Score:
         if not score_only:
             if not (scan / TRUTH).is_file():
                 write_scan(draw(seed), scan, light)
             if not (out / "summary.json").is_file():
                 measure(scan, out, scan / "limits.toml")
         truth = json.loads((scan / TRUTH).read_text(encoding="utf-8"))
-        return seed, score(Scene.from_dict(truth), read_results(out)), _worked_s() - began
-    except Exception as error:  # must not cost the other pipes
-        reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
-        return seed, reason, _worked_s() - began
+        return score(Scene.from_dict(truth), read_results(out))
 
-
-def _worked_s() -> float:
-    """Seconds of processor so far, POV-Ray's among them."""
-    return sum(os.times()[:4])
+    return guarded(seed, scored)
 
 
 def _line(one: Score) -> str:
     states = [outcome.state for outcome in one.outcomes]
     counts = ", ".join(f"{states.count(name)} {name}" for name in dict.fromkeys(states))
     return f"{one.bore_mm:.0f} mm, {one.material}: {counts}; {len(one.false)} false; {one.decision}"
-
-
-def _command(asked: argparse.Namespace) -> str:
-    done = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
-    light = "" if asked.light == LIGHTS[0] else f" --light {asked.light}"
-    return f"python -m tools.bench blind --seed {asked.seed} --pipes {asked.pipes}{light}` at `{done.stdout.strip()}"

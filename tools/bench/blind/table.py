@@ -185,13 +185,17 @@ def _details(scores: Sequence[Score]) -> list[str]:
     return lines
 
 
+def coverage_rows(numbers: Iterable[Number]) -> list[dict[str, Any]]:
+    """Coverage by what and where, for programs."""
+    return [
+        {"what": what, "where": where, "right": right, "of": of, "interval": interval(right, of)}
+        for (what, where), (right, of) in sorted(coverage(numbers).items())
+    ]
+
+
 def totals(scores: Sequence[Score], failed: Mapping[int, str]) -> dict[str, Any]:
     """The same for programs."""
-    counts = coverage(one for score in scores for one in score.numbers)
     return {
         "pipes": [score.to_dict() for score in scores], "broke": {str(seed): why for seed, why in failed.items()},
-        "coverage": [
-            {"what": what, "where": where, "right": right, "of": of, "interval": interval(right, of)}
-            for (what, where), (right, of) in sorted(counts.items())
-        ],
+        "coverage": coverage_rows(one for score in scores for one in score.numbers),
     }  # fmt: skip

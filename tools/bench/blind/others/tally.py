@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from tools.bench.blind.score import Number
-from tools.bench.blind.table import ASKED, cell, coverage, interval, part, without_k2
+from tools.bench.blind.table import ASKED, cell, coverage, coverage_rows, part, without_k2
 
 STATES = ("found", "misnamed", "missed", "not established", "below the limit")
 SAID_MOST = 4  # lines of a case's worst numbers
@@ -131,11 +131,7 @@ def _details(cases: Sequence[Case]) -> list[str]:
 
 def totals(cases: Sequence[Case], failed: Mapping[int, str]) -> dict[str, Any]:
     """The same for programs."""
-    counts = coverage(one for case in cases for one in case.numbers)
     return {
         "cases": [case.to_dict() for case in cases], "broke": {str(seed): why for seed, why in failed.items()},
-        "coverage": [
-            {"what": what, "where": where, "right": right, "of": of, "interval": interval(right, of)}
-            for (what, where), (right, of) in sorted(counts.items())
-        ],
+        "coverage": coverage_rows(one for case in cases for one in case.numbers),
     }  # fmt: skip
