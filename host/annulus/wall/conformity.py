@@ -303,13 +303,14 @@ def _through(survey: Survey, criteria: Criteria, quantity: str) -> Iterator[Judg
     wall, lower = survey.wall, QUANTITIES["bore"][quantity].lower
     kind, sign = (Kind.BUMP, -1.0) if lower else (Kind.LOSS, 1.0)
     listed = [one for one in survey.defects if one.kind is kind]
+    shape_sigma_mm = wall.shape_sigma_mm().mean(axis=1)
     for one in (*listed, *(place for place in survey.detection.undecided if place.kind is kind)):
         row = int(np.argmin(np.abs(wall.z_mm - one.z_mm)))
         t = math.radians(one.clock_deg)
         _, _, _, even, odd = wall.shape_mm[row]
         across = 2.0 * float(wall.shape_mm[row, 0] + even * math.cos(2 * t) + odd * math.sin(2 * t))
         both = [one, *(other for other in listed if _is_opposite(one, other))]
-        k2 = math.hypot(2.0 * float(wall.shape_sigma_mm()[row].mean()), *(each.depth_k2_mm for each in both))
+        k2 = math.hypot(2.0 * float(shape_sigma_mm[row]), *(each.depth_k2_mm for each in both))
         departs = sign * sum(each.depth_mm for each in both)
         judged = _item(criteria, "pipe", 0, "bore", quantity, across + departs, k2, one.z_mm)
         if judged.decision is Decision.CONFORMS and not all(each.floor_seen for each in both):

@@ -8,7 +8,8 @@ marks looks alike under every shift, and says nothing.
 Assumed: the focal length and the pipe's radius are right to better than the error that is reported.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
 
 import cv2
 import numpy as np
@@ -35,7 +36,8 @@ FAR_LEAST = 0.15  # of the radius: frames nearer to one another tell no distance
 ALIKE = 0.35  # correlation: less is chance
 SECTORS_LEAST, PAIRS_LEAST = 8, 4  # of a pair; of a scan
 PIXELS_LEAST = 500  # of a sector's overlap
-PAIRS_MOST = 200  # bounds what a long scan costs
+PAIRS_MOST = 60  # the first ones; bounds what a long scan costs
+SCATTER_LEAST = 0.004  # part of the distance: fewer pairs than tell a scatter may agree by chance
 OFF_LEAST, SURE = 0.02, 4.0  # part of the distance, and standard deviations, from which on the odometer is contradicted
 
 ODOMETER = "odometer"  # kind of a finding
@@ -49,7 +51,7 @@ class Pace:
         wall: Wall,
         centreline: Centreline,
         calibration: Calibration,
-        profiles: list[Profile] | tuple[Profile, ...],
+        profiles: Sequence[Profile],
     ) -> None:
         self._wall, self._centreline, self._calibration = wall, centreline, calibration
         self._profiles = profiles
@@ -73,7 +75,7 @@ class Pace:
         errors = np.array(self._errors)
         middle = float(np.median(errors))
         scatter = SIGMA_OF_MAD * float(np.median(np.abs(errors - middle)))
-        return middle, max(scatter, ROW) * float(np.sqrt(np.pi / 2 / len(errors)))
+        return middle, max(scatter, SCATTER_LEAST) * float(np.sqrt(np.pi / 2 / len(errors)))
 
     def findings(self) -> tuple[Finding, ...]:
         measured = self.error()
@@ -150,16 +152,12 @@ def _shift(first_a: int, a: Float32Array, first_b: int, b: Float32Array) -> floa
     if rows <= reach:
         return None
     part = a[start - first_a :][:rows]
-    wide, shifts, turns = COLUMNS // SECTORS, [], []
-    for sector in range(SECTORS):
-        columns = slice(sector * wide, (sector + 1) * wide)
-        alike = np.array([
-            _correlation(part[:, columns], b[start - first_b + k :][:rows, columns]) for k in range(-reach, reach + 1)
-        ])  # fmt: skip
-        best = int(np.argmax(alike))
-        if alike[best] < ALIKE or not 0 < best < 2 * reach:
+    alike = np.stack([_correlations(part, b[start - first_b + k :][:rows]) for k in range(-reach, reach + 1)])
+    shifts, turns = [], []
+    for sector, best in enumerate(alike.argmax(axis=0)):
+        if alike[best, sector] < ALIKE or not 0 < best < 2 * reach:
             continue
-        low, top, high = alike[best - 1 : best + 2]
+        low, top, high = alike[best - 1 : best + 2, sector]
         shifts.append(best - reach + 0.5 * (low - high) / (low - 2 * top + high))
         turns.append((sector + 0.5) * 2 * np.pi / SECTORS)
     if len(shifts) < SECTORS_LEAST:
@@ -167,13 +165,18 @@ def _shift(first_a: int, a: Float32Array, first_b: int, b: Float32Array) -> floa
     return _even_part(np.array(shifts), np.array(turns))
 
 
-def _correlation(a: Float32Array, b: Float32Array) -> float:
+def _correlations(a: Float32Array, b: Float32Array) -> FloatArray:
+    """(SECTORS,) of two strips alike in size, sector by sector; -1 where too little of one was seen."""
     both = np.isfinite(a) & np.isfinite(b)
-    if np.count_nonzero(both) < PIXELS_LEAST:
-        return -1.0
-    x, y = a[both], b[both]
-    x, y = x - x.mean(), y - y.mean()
-    return float(x @ y / np.sqrt(max(float((x @ x) * (y @ y)), 1e-12)))
+
+    def total(of: NDArray[Any]) -> FloatArray:
+        return np.asarray(of.sum(axis=0, dtype=np.float64).reshape(SECTORS, -1).sum(axis=1))
+
+    x, y, n = np.where(both, a, 0.0), np.where(both, b, 0.0), total(both)
+    each = np.maximum(n, 1.0)
+    across = total(x * y) - total(x) * total(y) / each
+    size = (total(x * x) - total(x) ** 2 / each) * (total(y * y) - total(y) ** 2 / each)
+    return np.where(n < PIXELS_LEAST, -1.0, across / np.sqrt(np.maximum(size, 1e-12)))
 
 
 def _even_part(shifts: FloatArray, turns: FloatArray) -> float:

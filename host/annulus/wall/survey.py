@@ -276,6 +276,9 @@ def survey(
         looks=lit[1], rings=len(rises), profiles=aligned, apart=sound_wall_apart(wall, lit[0], joints, 1.0 / narrowest),
     )  # fmt: skip
     done("stations")
+    standing = find_objects(wall, aligned, calibration, lit[1], explained)
+    cloud = with_edges(measured, wall)
+    done("objects and edges")
     pace = Pace(wall, axis.centreline, calibration, measured)
     texture = paint(wall, axis.centreline, calibration, measured, pace.watched(led_frames))
     if texture is not None:
@@ -284,12 +287,11 @@ def survey(
     timing = {name: 1e3 * (after - before) for (_, before), (name, after) in pairwise(marks)}
     features = [level.feature for level in levels]
     features += [*(joint.feature for joint in joints), *find_bends(axis, wall.extent[:2], common_mm(wall)), *openings]
-    standing = find_objects(wall, aligned, calibration, lit[1], explained)
     unjudged = (*unjudged, *nameless(features), *wider(features, *wall.extent[:2]), *(one.place for one in standing))
     features.sort(key=lambda one: (one.z_mm, one.clock_deg))
     nominal = 2 * calibration.pipe_radius_mm
     return Survey(
-        with_edges(measured, wall), wall, dark, detection, stations, texture, shaken, tuple(features), axis.centreline,
+        cloud, wall, dark, detection, stations, texture, shaken, tuple(features), axis.centreline,
         (*axis.findings, *pace.findings()), nominal, timing, tuple(one.id for one in calibration.cameras),
         no_wall=no_wall, unjudged=unjudged, standing=standing,
     )  # fmt: skip
