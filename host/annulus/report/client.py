@@ -41,7 +41,7 @@ from annulus.wall.unjudged import Unjudged
 
 NOT_RECORDED = "not recorded"
 STATIONS_MAX = 24  # rows of the table, the worst ones beside
-HOLE_OF_SIZE = 3.0  # times the smallest size listed, both ways: smaller holes of one cause are told in one row
+HOLE_OF_SIZE = 3.0  # times the smallest size listed, both ways: smaller holes of one cause share one row
 CLOCKS_MAX = 8  # named in such a row
 PLACES_MAX = 60  # of the table of what is not established; summary.json has all
 UNITS = {"mm": MEASURE, "%": PERCENT, "°": ANGLE}

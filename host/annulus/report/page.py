@@ -42,13 +42,13 @@ COUNTED: Mapping[Kind | FeatureKind, tuple[str, str]] = {  # one of them, and ma
     FeatureKind.DEPOSIT: ("deposit", "deposits"), FeatureKind.REDUCER: ("reducer", "reducers"),
     FeatureKind.TAPER: ("taper", "tapers"), FeatureKind.BEND: ("bend", "bends"),
     FeatureKind.CROSS_BORE: ("cross bore", "cross bores"),
-    FeatureKind.UNTOLD: ("place without a name", "places without a name"),
+    FeatureKind.NAMELESS: ("place without a name", "places without a name"),
 }  # fmt: skip
 FEATURES = {
     FeatureKind.JOINT: "Joint", FeatureKind.GAP: "Gap in a coupling", FeatureKind.BRANCH: "Opening, branch",
     FeatureKind.TEE: "Opening, rim stands in", FeatureKind.WATER: "Water", FeatureKind.DEPOSIT: "Deposit",
     FeatureKind.REDUCER: "Reducer", FeatureKind.TAPER: "Taper", FeatureKind.BEND: "Bend",
-    FeatureKind.CROSS_BORE: "Cross bore", FeatureKind.UNTOLD: "Not established",
+    FeatureKind.CROSS_BORE: "Cross bore", FeatureKind.NAMELESS: "Not established",
 }  # fmt: skip
 UNITS = {"mm": MEASURE, "deg": ANGLE, "percent": PERCENT, "ff": Quantity("fF", 2)}
 WORDS = {

@@ -69,9 +69,13 @@ class Standing:
     def place(self) -> Unjudged:
         """What of the wall it leaves open."""
         return Unjudged(
-            ("loss", "bump", "deposit", "bore"), "something stands before the wall there: not established",
-            self.z_from_mm, self.z_to_mm, self.clock_deg, self.arc_deg,
-        )  # fmt: skip
+            ("loss", "bump", "deposit", "bore"),
+            "something stands before the wall there: not established",
+            self.z_from_mm,
+            self.z_to_mm,
+            self.clock_deg,
+            self.arc_deg,
+        )
 
 
 def find_objects(
@@ -136,8 +140,9 @@ class _Cells:
         ways = (0, 1) if len(calibration.cameras) == 1 and calibration.camera.central else (1,)  # else rays start apart
         starts = [
             (p.pose.to_pipe(np.zeros((rings, 3)), p.z_mm), p.pose.to_pipe(vertex, p.z_mm))
-            for p in used if p.pose is not None
-        ]  # fmt: skip
+            for p in used
+            if p.pose is not None
+        ]
         middle = (np.arange(SECTORS) + 0.5) * 360.0 / SECTORS
         z = looks.z_mm.reshape(len(looks.z_mm), SECTORS, -1).mean(axis=2)
         shape = np.stack([np.interp(z, wall.z_mm, column) for column in wall.shape_mm.T], axis=-1)
@@ -181,9 +186,14 @@ class _Cells:
 
 
 def _object(
-    label: LabelArray, number: int, taken: BoolArray, gone: FloatArray, cells: _Cells, used: Sequence[Profile],
+    label: LabelArray,
+    number: int,
+    taken: BoolArray,
+    gone: FloatArray,
+    cells: _Cells,
+    used: Sequence[Profile],
     looks: Looks,
-) -> Standing | None:  # fmt: skip
+) -> Standing | None:
     """What one part of the bore holds; None where too little light tells of it."""
     mine = taken & (label == number)
     if np.count_nonzero(mine) < CELLS_LEAST:

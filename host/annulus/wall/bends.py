@@ -39,14 +39,14 @@ def find_bends(axis: Axis, scanned_mm: tuple[float, float], common_mm: float = 0
     return tuple(out)
 
 
-def is_told(axis: Axis, i: int) -> bool:
+def is_sure(axis: Axis, i: int) -> bool:
     """Whether a piece that bends or tapers surely does so; of others, True."""
     if axis.adjusted is None or i + 1 == len(axis.centreline.pieces):
         return True
     piece, begin, end = axis.centreline.pieces[i], *(one.start_mm for one in axis.centreline.pieces[i : i + 2])
     if piece.is_bent:
         return _bend(axis, i, begin, end, last=False).kind is FeatureKind.BEND
-    return piece.taper == 0.0 or _taper(axis, i, begin, end, last=False, common_mm=0.0).kind is not FeatureKind.UNTOLD
+    return piece.taper == 0.0 or _taper(axis, i, begin, end, last=False, common_mm=0.0).kind is not FeatureKind.NAMELESS
 
 
 def _bend(axis: Axis, i: int, start: float, end: float, last: bool) -> Feature:
@@ -69,7 +69,7 @@ def _bend(axis: Axis, i: int, start: float, end: float, last: bool) -> Feature:
     if angle < SURE * math.degrees(angle_k2):
         turns = (Measure("angle_deg", angle, math.degrees(angle_k2)),)
         return Feature(
-            FeatureKind.UNTOLD, (start + end) / 2, length, measures=turns, remark="a bend, a joint or neither"
+            FeatureKind.NAMELESS, (start + end) / 2, length, measures=turns, remark="a bend, a joint or neither"
         )
     toward = clock_face(plane + 90.0)
     remark = f"{1 / k / diameter:.1f} D, {angle:.0f} degrees, to {toward.removesuffix(':00')}"
@@ -93,7 +93,7 @@ def _taper(axis: Axis, i: int, start: float, end: float, last: bool, common_mm: 
     (change_k2,) = _k2(axis, by)
     if abs(after - before) < SURE * change_k2:
         remark = "a taper, a joint or neither"
-        return Feature(FeatureKind.UNTOLD, (start + end) / 2, end - start, remark=remark)
+        return Feature(FeatureKind.NAMELESS, (start + end) / 2, end - start, remark=remark)
     short = end - start < 2.0 * piece.radius_mm and abs(after - before) > REDUCER * piece.radius_mm
     measures = (
         Measure("radius_before_mm", before, math.hypot(change_k2, 2.0 * common_mm)),

@@ -389,7 +389,7 @@ def _unseen(survey: Survey, criteria: Criteria) -> Iterator[str]:
         unknown = float(np.mean(~np.isfinite(values)))
         if kind in criteria.grades and unknown > 0:
             yield f"{kind} is not known on {max(100.0 * unknown, 0.1):.1f} % of the length"
-    named = [feature for feature in survey.features if feature.kind is not FeatureKind.UNTOLD]
+    named = [feature for feature in survey.features if feature.kind is not FeatureKind.NAMELESS]
     found = {*(str(feature.kind) for feature in named), *(str(place.kind) for place in survey.defects)}
     if unlimited := sorted(found - criteria.grades.keys()):
         yield f"no limit was named for: {', '.join(unlimited)}"

@@ -39,7 +39,7 @@ MOST_ROUND_DEG = 270.0  # .. or one longer than this with sound wall in no more 
 UNSURE = 0.6  # part of a depth: a place whose k = 2 uncertainty is larger is not known to be a defect
 DEEP = 0.8  # part of its depth: the cells of a place that show how deep it is
 BORDERING = 0.6  # part of those cells that border on unknown wall: more, and what is deepest may lie where nobody saw
-MANY = 6  # places near each other of which nothing is known but that rings differ: more are told in one line
+MANY = 6  # places near each other of which nothing is known but that rings differ: more share one line
 CUT_OFF = 0.5  # part of a side of them that is lined by what was not seen: as much, and the floor may go on there
 AGREED_OF = 0.1  # part of a look's points in a place: what is deeper of them is noise
 WIDE_ENOUGH = 0.15  # part of its widest row: a row of a place that counts for its length
@@ -161,11 +161,11 @@ def find_defects(
             doubted.append((replace(defect, why=UNSURE_WHY), whole))
         else:
             found.append((defect, whole))
-    told = []
+    listed = []
     for defect, whole in (*found, *doubted):  # as far as its line says
         first, last = defect.z_range_mm
-        told.append((defect.depth_mm, whole & ((wall.z_mm > first) & (wall.z_mm < last))[:, None]))
-    for one, why in left_standing(wall, scale, told, features, joints):
+        listed.append((defect.depth_mm, whole & ((wall.z_mm > first) & (wall.z_mm < last))[:, None]))
+    for one, why in left_standing(wall, scale, listed, features, joints):
         defect, whole = _measured(one, one, wall, scale, ratios, dark, None, None)
         doubted.append((replace(defect, why=why), whole))
     doubted = _folded(doubted, wall, scale)

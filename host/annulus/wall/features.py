@@ -27,7 +27,9 @@ class FeatureKind(StrEnum):
     REDUCER = "reducer"
     TAPER = "taper"
     BEND = "bend"
-    UNTOLD = "not established"  # something goes all round, and whether it is a joint, a bend or a reducer is not known
+    NAMELESS = (
+        "not established"  # something goes all round, and whether it is a joint, a bend or a reducer is not known
+    )
     CROSS_BORE = "cross bore"  # a sewer that the pipe was drilled through, behind the wall
 
 

@@ -23,7 +23,7 @@ from annulus.numeric.robust import SIGMA_OF_MAD, nan_median
 from annulus.wall.adjustment import OFFSET, RADIUS, TURN
 from annulus.wall.axis import OFFSET_OF_RADIUS, RADIUS_STEP, Axis, Begins
 from annulus.wall.beads import measure_bead
-from annulus.wall.bends import REDUCER, SURE, is_told
+from annulus.wall.bends import REDUCER, SURE, is_sure
 from annulus.wall.features import GAP_OR_GROOVE, NOT_TOLD, Feature, FeatureKind, Measure
 from annulus.wall.grid import Wall
 from annulus.wall.indications import Limits
@@ -111,7 +111,7 @@ def taken(wall: Wall, joints: Sequence[Joint], shadow_ratio: float) -> BoolArray
     out = np.zeros(wall.radius_mm.shape, np.bool_)
     margin = SLIT_OF_RADIUS * wall.mean_radius_mm
     for joint in joints:
-        if joint.feature.kind is FeatureKind.UNTOLD and joint.feature.remark != GAP_OR_GROOVE:
+        if joint.feature.kind is FeatureKind.NAMELESS and joint.feature.remark != GAP_OR_GROOVE:
             continue
         height = joint.feature.measured("height_mm")
         height = 0.0 if math.isnan(height) else height
@@ -278,12 +278,12 @@ def _joint(
     if form is _Form.BEAD:
         kind, remark = FeatureKind.JOINT, "butt fusion"
     elif gap > gap_k2 and not any(_is_sure(one) for one in of_line if one.name in JUMPS):
-        kind, remark = FeatureKind.UNTOLD, GAP_OR_GROOVE
+        kind, remark = FeatureKind.NAMELESS, GAP_OR_GROOVE
         of_line = []
     elif gap > gap_k2:  # what may be none is not called one: slits about a step read as much
         kind, remark, length = FeatureKind.GAP, "coupling", gap
         measures.append(Measure("gap_mm", gap, gap_k2))
-    elif piece is None or not is_told(axis, piece - 1):  # where a line without a name ends is no more sure
+    elif piece is None or not is_sure(axis, piece - 1):  # where a line without a name ends is no more sure
         return None
     else:
         named = _of_what_line(of_line, wall.mean_radius_mm, rows.disturbed(middle))
@@ -292,7 +292,7 @@ def _joint(
         kind, remark = named
         if kind is FeatureKind.REDUCER:
             of_line = _of_reducer(of_line)
-        elif kind is FeatureKind.UNTOLD:
+        elif kind is FeatureKind.NAMELESS:
             of_line = [one for one in of_line if one.name == "angle_deg" and _is_sure(one)]
     length = max(length, 2 * wall.z_step_mm)
     feature = Feature(kind, middle, length, measures=(*measures, *of_line), remark=remark)
@@ -334,7 +334,7 @@ def _is_sure(one: Measure) -> bool:
 def _of_what_line(of_line: Sequence[Measure], radius_mm: float, disturbed: bool) -> tuple[FeatureKind, str] | None:
     """What a line that jumps, turns or steps is where the wall shows neither bead nor gap; None where it is nothing."""
     if not of_line:
-        return FeatureKind.UNTOLD, "a joint, or what else changes the pipe's line: too little wall was seen beside it"
+        return FeatureKind.NAMELESS, "a joint, or what else changes the pipe's line: too little wall was seen beside it"
     least = {"hilo_mm": OFFSET_OF_RADIUS * radius_mm, "step_mm": 2.0 * RADIUS_STEP * radius_mm, "angle_deg": 0.0}
     sure = {one.name: one.value for one in of_line if _is_sure(one) and abs(one.value) > least.get(one.name, math.inf)}
     step = abs(sure.get("step_mm", 0.0)) / 2.0
@@ -345,8 +345,8 @@ def _of_what_line(of_line: Sequence[Measure], radius_mm: float, disturbed: bool)
     if step or "hilo_mm" in sure or 0.0 < sure.get("angle_deg", 0.0) <= math.degrees(KINK_MOST):
         return FeatureKind.JOINT, f"{NOT_TOLD}: neither a bead nor a gap was seen"
     if sure:
-        return FeatureKind.UNTOLD, "a joint or a short bend"
-    return (FeatureKind.UNTOLD, "a joint, or nothing") if disturbed else None
+        return FeatureKind.NAMELESS, "a joint or a short bend"
+    return (FeatureKind.NAMELESS, "a joint, or nothing") if disturbed else None
 
 
 def _of_reducer(of_line: Sequence[Measure]) -> list[Measure]:

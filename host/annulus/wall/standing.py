@@ -1,4 +1,4 @@
-"""What of the map stands out over the limit of listing and belongs to nothing that is told of: found last, with why.
+"""What of the map stands out over the limit of listing and belongs to nothing that is listed: sought last, with why.
 
 Whoever looks at the map sees every patch of it. So whatever is over the limit that a report prints, and as large both
 ways as the size that it prints, stands in the list or among the undecided places; or it is the rim of something that
@@ -16,12 +16,12 @@ from annulus.wall.grid import Wall, smooth
 from annulus.wall.indications import Indication, Kind, Scale, agreeing_observations, label_around
 
 # Held by tests/regression/dark_red_on_the_map_and_in_no_list.
-RIM_PART = 0.6  # of the depth of what is told of beside it: a lower patch within a slit's width is that one's own rim
+RIM_PART = 0.6  # of the depth of what is listed beside it: a lower patch within a slit's width is that one's own rim
 FEW = "fewer than two looks agree on it"
 UNSURE_WHY = "its depth is known too little"
 NOISE_WHY = "rings differ there by as much"
 END_WHY = "only the last rows of the scan show it"
-JOINT_WHY = "a joint's bead or edge and damage of it are not told apart"
+JOINT_WHY = "a joint's bead or edge and damage of it are not distinguished"
 EDGE_WHY = "it lines the edge of something larger"
 
 
@@ -32,16 +32,19 @@ def depth_limit_mm(wall: Wall, scale: Scale) -> float:
 
 
 def left_standing(
-    wall: Wall, scale: Scale, told: Sequence[tuple[float, BoolArray]], features: BoolArray | None,
+    wall: Wall,
+    scale: Scale,
+    listed: Sequence[tuple[float, BoolArray]],
+    features: BoolArray | None,
     joints: BoolArray | None,
-) -> Iterator[tuple[Indication, str]]:  # fmt: skip
+) -> Iterator[tuple[Indication, str]]:
     """Every patch over the limit that nothing accounts for, and why it is no defect.
 
     Parameters
     ----------
-    told : depth (mm) and cells (Z, A) of each place that is told of. features : (Z, A) cells where no defect is looked
-        for. joints : (Z,) rows of joints: their bead stands out all round, so there a patch is what stands out of it,
-        and the limit is that of the noise there.
+    listed : depth (mm) and cells (Z, A) of each defect and undecided place. features : (Z, A) cells where no defect is
+        looked for. joints : (Z,) rows of joints: their bead stands out all round, so there a patch is what stands out
+        of it, and the limit is that of the noise there.
     """
     limits, size = scale.limits, scale.mm(scale.limits.size_of_radius)
     seed, rim = scale.seed_and_rim(wall)
@@ -55,7 +58,7 @@ def left_standing(
     known &= wall.shape_sigma_mm() <= wall.shape_limit_mm  # beside a shape that is not known nothing stands out
     cells = np.zeros(wall.radius_mm.shape, bool)
     deepest = np.zeros(wall.radius_mm.shape)
-    for depth, place in told:
+    for depth, place in listed:
         cells |= place
         beside = scale.around(place, scale.mm(limits.edge_of_radius))
         deepest[beside] = np.maximum(deepest[beside], depth)
@@ -86,9 +89,14 @@ def left_standing(
 
 
 def _why(
-    mask: BoolArray, kind: Kind, height: Float32Array, wall: Wall, seed: FloatArray, rim: FloatArray,
+    mask: BoolArray,
+    kind: Kind,
+    height: Float32Array,
+    wall: Wall,
+    seed: FloatArray,
+    rim: FloatArray,
     observations: int,
-) -> str:  # fmt: skip
+) -> str:
     if agreeing_observations(mask, kind, wall, rim) < observations:
         return FEW
     return NOISE_WHY if (height[mask] <= seed[mask]).mean() >= 0.5 else EDGE_WHY

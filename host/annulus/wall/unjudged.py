@@ -122,7 +122,7 @@ def find_unjudged(
 
 
 def nameless(features: Sequence[Feature]) -> tuple[Unjudged, ...]:
-    """Places where something goes all round that was not told: a joint, a gap or a groove there was held against no
+    """Places where something goes all round that has no name: a joint, a gap or a groove there was held against no
     limit."""
     return tuple(
         Unjudged(
@@ -131,14 +131,14 @@ def nameless(features: Sequence[Feature]) -> tuple[Unjudged, ...]:
             *one.z_range_mm,
         )
         for one in features
-        if one.kind is FeatureKind.UNTOLD
+        if one.kind is FeatureKind.NAMELESS
     )
 
 
 def wider(features: Sequence[Feature], first_mm: float, last_mm: float) -> tuple[Unjudged, ...]:
     """Stretches wider than the pipe on the other side of a joint, up to the next one or an end of the scan: another
     pipe, a socket, or a loss all round whose other end was not seen. Nothing tells which."""
-    joints = [one for one in features if one.kind in (FeatureKind.JOINT, FeatureKind.GAP, FeatureKind.UNTOLD)]
+    joints = [one for one in features if one.kind in (FeatureKind.JOINT, FeatureKind.GAP, FeatureKind.NAMELESS)]
     joints.sort(key=lambda one: one.z_mm)
     ends = [first_mm, *(one.z_mm for one in joints), last_mm]
     out = []

@@ -33,7 +33,7 @@ STEP = "not seen: behind a step"
 END = "not seen: at an end of the scan"
 NONE = "not seen: no ring's light passed there; frames are missing, or lie too far apart"
 DOUBTED = "not seen: what came back from there was not believed"
-UNTOLD = "not seen"
+UNKNOWN = "not seen"
 
 
 def find_holes(
@@ -86,7 +86,7 @@ def find_holes(
         elif rows[-1] <= first + end or rows[0] >= last - end:
             yield part, END, True
         elif passed is None:
-            yield part, UNTOLD, False
+            yield part, UNKNOWN, False
         else:
             yield part, NONE if (passed[part] == 0).mean() > MOSTLY else DOUBTED, False
 

@@ -176,7 +176,7 @@ def between(survey: Survey, window: Window) -> Survey:
             for one in survey.unjudged
             if one.z_to_mm > first and one.z_from_mm < last
         ),
-        # told once, by the window that it begins in
+        # reported once, by the window that it begins in
         disbelieved=(
             *survey.disbelieved, *(one.finding for one in survey.standing if first <= one.z_from_mm < last)
         ),

@@ -16,9 +16,10 @@ from annulus.wall.unjudged import nameless
 
 BEFORE_MM, AFTER_MM = 50.0, 50.8  # radii of the two pipes
 WALL: Any = SimpleNamespace(
-    z_step_mm=2.0, z_mm=np.array([150.0, 152.0, 154.0, 156.0, 158.0]),
+    z_step_mm=2.0,
+    z_mm=np.array([150.0, 152.0, 154.0, 156.0, 158.0]),
     shape_mm=np.array([[radius, 0.0, 0.0, 0.0, 0.0] for radius in (50.0, 50.0, 50.0, 50.8, 50.8)]),
-)  # fmt: skip
+)
 
 
 def points(radius_mm: float, off: int, sound: int, sectors: int = SECTORS) -> Points:
@@ -30,7 +31,7 @@ def points(radius_mm: float, off: int, sound: int, sectors: int = SECTORS) -> Po
     none = np.zeros(count)
     return Points(
         np.full(count, 154.0), sector, BEFORE_MM - radius, none, none, none, radius, (sector + 0.5) * 360.0 / SECTORS
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize(
@@ -55,7 +56,7 @@ def test_what_goes_over_from_one_wall_to_the_other_is_neither_bead_nor_gap() -> 
 
 def test_a_gap_or_a_groove_opens_the_limits_of_both() -> None:
     """A groove of 0.6 mm all round was a gap of 7 mm: its line did not jump."""
-    place = Feature(FeatureKind.UNTOLD, 154.0, 6.0, remark=GAP_OR_GROOVE)
+    place = Feature(FeatureKind.NAMELESS, 154.0, 6.0, remark=GAP_OR_GROOVE)
     (open_,) = nameless([place])
     assert open_.kinds == ("joint", "gap", "loss")
     wall: Any = SimpleNamespace(**vars(WALL), radius_mm=np.zeros((5, 8)), mean_radius_mm=50.0)

@@ -29,7 +29,7 @@ def bent(degrees: float) -> Centreline:
 def test_a_joint_or_a_bend_has_no_name_and_conforms_to_nothing() -> None:
     pipe = survey(frames(bent(8.0), STATIONS), CALIBRATION)
     (place,) = pipe.features
-    assert place.kind is FeatureKind.UNTOLD
+    assert place.kind is FeatureKind.NAMELESS
     assert abs(place.measured("angle_deg") - 8.0) < 1.0
     (open_,) = (one for one in pipe.unjudged if "not established" in one.reason)
     assert open_.kinds == ("joint", "gap") and open_.z_from_mm < place.z_mm < open_.z_to_mm
@@ -45,4 +45,4 @@ def test_what_does_not_surely_bend_is_no_bend() -> None:
     unsure = (bend.measured("angle_deg") / next(one.k2 for one in bend.measures if one.name == "angle_deg")) ** 2
     vague = replace(axis, adjusted=replace(axis.adjusted, covariance=np.asarray(unsure * axis.adjusted.covariance)))
     assert bend.kind is FeatureKind.BEND
-    assert [one.kind for one in find_bends(vague, (100.0, 300.0))] == [FeatureKind.UNTOLD]
+    assert [one.kind for one in find_bends(vague, (100.0, 300.0))] == [FeatureKind.NAMELESS]
