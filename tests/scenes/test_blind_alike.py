@@ -76,9 +76,13 @@ def turned(of: Scan) -> Scan:
     camera = calibration["camera"]
     width, height = camera["width"], camera["height"]
     turn = camera | {
-        "width": height, "height": width, "fx": camera["fy"], "fy": camera["fx"], "cx": camera["cy"],
+        "width": height,
+        "height": width,
+        "fx": camera["fy"],
+        "fy": camera["fx"],
+        "cx": camera["cy"],
         "cy": width - 1 - camera["cx"],
-    }  # fmt: skip
+    }
 
     def way(x: float, y: float, z: float) -> list[float]:
         return [y, -x, z]
@@ -120,11 +124,14 @@ def smaller(of: Scan) -> Scan:
     less = calibration | {"rings": rings, "pipe": {"radius_mm": SMALL * calibration["pipe"]["radius_mm"]}}
     things = tuple(
         replace(
-            one, z_mm=SMALL * one.z_mm, length_mm=SMALL * one.length_mm, depth_mm=SMALL * one.depth_mm,
+            one,
+            z_mm=SMALL * one.z_mm,
+            length_mm=SMALL * one.length_mm,
+            depth_mm=SMALL * one.depth_mm,
             ramp_mm=SMALL * one.ramp_mm,
         )
         for one in truth.pipe.things
-    )  # fmt: skip
+    )
     pipe = replace(truth.pipe, pieces=(Piece(-200.0 * SMALL, 70.0 * SMALL),), things=things)
     limits = {
         name: of if name == "ovality" else {key: SMALL * value for key, value in of.items()}
@@ -186,7 +193,7 @@ def assert_depth(line: Listed, thing: Thing, most: float) -> None:
     depth, k2 = line.numbers["depth_mm"]
     assert math.isfinite(k2)
     off = depth - thing.depth_mm if line.at_least else abs(depth - thing.depth_mm)
-    assert off <= most * k2, (line.said, thing.depth_mm)
+    assert off <= most * k2, (line.reported, thing.depth_mm)
 
 
 def assert_covered(one: Score) -> None:

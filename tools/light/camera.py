@@ -44,9 +44,7 @@ class Camera:
         self.light = transmission(head, self.angles)
         if effects.scatter_mm:
             albedo = np.array(scene.pipe.material.albedo)
-            self.light = smeared(
-                self.angles, self.light, radius, lambda t: kernel.parts(t, albedo, effects.scatter_mm)
-            )  # fmt: skip
+            self.light = smeared(self.angles, self.light, radius, lambda t: kernel.parts(t, albedo, effects.scatter_mm))
         self.half_angle = OPEN * (head.slits[-1][1] + head.margin_rad)
         self._slides: dict[float, list[tuple[float, Any]]] = {}
 
@@ -96,11 +94,14 @@ class Camera:
         power = BRIGHT / max(self.scene.pipe.material.albedo) * (radius / math.sin(self.half_angle)) ** 2
         return [
             {
-                "type": "projector", "irradiance": bitmap, "fov": 2.0 * math.degrees(self.half_angle), "scale": power,
+                "type": "projector",
+                "irradiance": bitmap,
+                "fov": 2.0 * math.degrees(self.half_angle),
+                "scale": power,
                 "to_world": _placed(vertex - back * ahead, np.stack([np.cross(up, ahead), up, ahead], 1)),
             }
             for back, bitmap in self._slide(1.0 + part * change.angles)
-        ]  # fmt: skip
+        ]
 
     def _slide(self, scale: float) -> list[tuple[float, Any]]:
         """(how far back, its picture) of every projector; `scale` : of the slide's angles since the calibration."""
@@ -127,11 +128,12 @@ class Camera:
         turns = 2.0 * math.pi * np.arange(LEDS) / LEDS
         return [
             {
-                "type": "point", "intensity": {"type": "rgb", "value": power},
+                "type": "point",
+                "intensity": {"type": "rgb", "value": power},
                 "position": list(at + axes @ (LED_ASIDE_OF_RADIUS * radius * np.array([math.cos(t), math.sin(t), 0]))),
             }
             for t in turns
-        ]  # fmt: skip
+        ]
 
     # ---- pictures --------------------------------------------------------------------------------------------------
     def _sensor(self, at: Array, axes: Array, focal: float) -> Any:
@@ -147,30 +149,50 @@ class Camera:
 
         def sensor(coarser: int) -> Any:
             film = {
-                "type": "hdrfilm", "width": round(wide / coarser), "height": round(high / coarser),
-                "pixel_format": "rgb", "component_format": "float32", "rfilter": {"type": "box"},
-            }  # fmt: skip
+                "type": "hdrfilm",
+                "width": round(wide / coarser),
+                "height": round(high / coarser),
+                "pixel_format": "rgb",
+                "component_format": "float32",
+                "rfilter": {"type": "box"},
+            }
             return {
-                "type": "perspective", "fov": 2.0 * math.degrees(math.atan(wide / 2.0 / focal)), "fov_axis": "x",
-                "principal_point_offset_x": offset[0], "principal_point_offset_y": offset[1], "near_clip": 0.1,
-                "far_clip": 1e5, "to_world": _placed(at, axes), "film": film,
-            }  # fmt: skip
+                "type": "perspective",
+                "fov": 2.0 * math.degrees(math.atan(wide / 2.0 / focal)),
+                "fov_axis": "x",
+                "principal_point_offset_x": offset[0],
+                "principal_point_offset_y": offset[1],
+                "near_clip": 0.1,
+                "far_clip": 1e5,
+                "to_world": _placed(at, axes),
+                "film": film,
+            }
 
         return sensor
 
     def _render(
-        self, lamps: list[dict[str, Any]], held: dict[str, Any], sensor: dict[str, Any], depth: int, samples: int,
+        self,
+        lamps: list[dict[str, Any]],
+        held: dict[str, Any],
+        sensor: dict[str, Any],
+        depth: int,
+        samples: int,
         seed: int,
-    ) -> Array:  # fmt: skip
+    ) -> Array:
         """Sum over the lamps, each drawn alone: one that is picked by lot makes noise."""
         total: Array | None = None
         each = max(2, samples // len(lamps)) if len(lamps) > 1 else samples
         for k, lamp in enumerate(lamps):
-            scene = mi.load_dict({
-                "type": "scene", "integrator": {"type": "path", "max_depth": depth, "rr_depth": 64},
-                "sensor": {**sensor, "sampler": {"type": "multijitter", "sample_count": each}},
-                "lamp": lamp, **held, **self.shapes,
-            })  # fmt: skip
+            scene = mi.load_dict(
+                {
+                    "type": "scene",
+                    "integrator": {"type": "path", "max_depth": depth, "rr_depth": 64},
+                    "sensor": {**sensor, "sampler": {"type": "multijitter", "sample_count": each}},
+                    "lamp": lamp,
+                    **held,
+                    **self.shapes,
+                }
+            )
             image = np.array(mi.render(scene, seed=seed * 16 + k), dtype=np.float64)
             total = image if total is None else total + image
         assert total is not None

@@ -31,11 +31,17 @@ def effects_of(scene: Scene) -> Effects:
     has_tube = rng.random() < TUBE_ODDS
     red, blue = rng.normal(0.0, 4e-4, 2)
     return Effects(
-        bounces=BOUNCES, alpha=alpha, index=1.33 if wet else 1.5, scatter_mm=scatter if clear else 0.0,
-        tube=tube if has_tube else None, curvature_px=float(rng.uniform(0.0, 1.2) * scene.head.height / 616),
-        lateral=(float(red), float(blue)), dust=int(rng.integers(0, 40)), ghost=float(rng.uniform(0.0, 0.01)),
+        bounces=BOUNCES,
+        alpha=alpha,
+        index=1.33 if wet else 1.5,
+        scatter_mm=scatter if clear else 0.0,
+        tube=tube if has_tube else None,
+        curvature_px=float(rng.uniform(0.0, 1.2) * scene.head.height / 616),
+        lateral=(float(red), float(blue)),
+        dust=int(rng.integers(0, 40)),
+        ghost=float(rng.uniform(0.0, 0.01)),
         veil=float(rng.uniform(0.0, 0.04)),
-    )  # fmt: skip
+    )
 
 
 def smaller(scene: Scene) -> Scene:
@@ -44,7 +50,14 @@ def smaller(scene: Scene) -> Scene:
     head = scene.head
     scale = min(1.0, WIDTH / head.width)
     stands = tuple(one for one in scene.stands if one.index % 3 != 1 or len(scene.stands) <= MOST)
-    return replace(scene, stands=stands, head=replace(
-        head, width=round(scale * head.width), height=round(scale * head.height), focal_px=scale * head.focal_px,
-        centre_px=(scale * (head.centre_px[0] + 0.5) - 0.5, scale * (head.centre_px[1] + 0.5) - 0.5),
-    ))  # fmt: skip
+    return replace(
+        scene,
+        stands=stands,
+        head=replace(
+            head,
+            width=round(scale * head.width),
+            height=round(scale * head.height),
+            focal_px=scale * head.focal_px,
+            centre_px=(scale * (head.centre_px[0] + 0.5) - 0.5, scale * (head.centre_px[1] + 0.5) - 0.5),
+        ),
+    )

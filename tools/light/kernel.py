@@ -95,37 +95,56 @@ def measure(albedo: float, half_angle: float, samples: int = SAMPLES, seed: int 
     texels = LINE * math.cos(into) / far / SPREAD * TEXELS
     line[:, round((TEXELS - texels) / 2) : round((TEXELS + texels) / 2)] = 1.0
     up = [0.0, 1.0, 0.0]
-    scene = mi.load_dict({
-        "type": "scene",
-        "integrator": {"type": "volpath", "max_depth": 400, "rr_depth": 60},
-        "wall": {
-            "type": "cube", "to_world": mi.ScalarTransform4f().translate([0, 0, -40]).scale([80, 80, 40]),
-            "bsdf": {"type": "null"},
-            "interior": {
-                "type": "homogeneous", "albedo": {"type": "rgb", "value": albedo}, "sigma_t": 1.0,
-                "phase": {"type": "isotropic"},
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "volpath", "max_depth": 400, "rr_depth": 60},
+            "wall": {
+                "type": "cube",
+                "to_world": mi.ScalarTransform4f().translate([0, 0, -40]).scale([80, 80, 40]),
+                "bsdf": {"type": "null"},
+                "interior": {
+                    "type": "homogeneous",
+                    "albedo": {"type": "rgb", "value": albedo},
+                    "sigma_t": 1.0,
+                    "phase": {"type": "isotropic"},
+                },
             },
-        },
-        "lamp": {
-            "type": "projector", "irradiance": {
-                "type": "bitmap", "bitmap": mi.Bitmap(line), "raw": True, "filter_type": "nearest",
-                "wrap_mode": "clamp",
+            "lamp": {
+                "type": "projector",
+                "irradiance": {
+                    "type": "bitmap",
+                    "bitmap": mi.Bitmap(line),
+                    "raw": True,
+                    "filter_type": "nearest",
+                    "wrap_mode": "clamp",
+                },
+                "fov": math.degrees(2.0 * math.atan(SPREAD / 2)),
+                "scale": far**2,
+                "to_world": mi.ScalarTransform4f().look_at(list(lamp), [0.0, 0.0, 0.0], up),
             },
-            "fov": math.degrees(2.0 * math.atan(SPREAD / 2)), "scale": far**2,
-            "to_world": mi.ScalarTransform4f().look_at(list(lamp), [0.0, 0.0, 0.0], up),
-        },
-        "camera": {
-            "type": "orthographic", "near_clip": 1.0, "far_clip": 1000.0,
-            "to_world": mi.ScalarTransform4f().look_at(list(eye), [0.0, 0.0, 0.0], up)
-            @ mi.ScalarTransform4f().scale([wide / 2, wide / 2, 1.0]),
-            "sampler": {"type": "independent", "sample_count": samples},
-            "film": {
-                "type": "hdrfilm", "width": BINS, "height": BINS, "crop_width": BINS, "crop_height": ROWS,
-                "crop_offset_x": 0, "crop_offset_y": (BINS - ROWS) // 2, "pixel_format": "rgb",
-                "component_format": "float32", "rfilter": {"type": "box"},
+            "camera": {
+                "type": "orthographic",
+                "near_clip": 1.0,
+                "far_clip": 1000.0,
+                "to_world": mi.ScalarTransform4f().look_at(list(eye), [0.0, 0.0, 0.0], up)
+                @ mi.ScalarTransform4f().scale([wide / 2, wide / 2, 1.0]),
+                "sampler": {"type": "independent", "sample_count": samples},
+                "film": {
+                    "type": "hdrfilm",
+                    "width": BINS,
+                    "height": BINS,
+                    "crop_width": BINS,
+                    "crop_height": ROWS,
+                    "crop_offset_x": 0,
+                    "crop_offset_y": (BINS - ROWS) // 2,
+                    "pixel_format": "rgb",
+                    "component_format": "float32",
+                    "rfilter": {"type": "box"},
+                },
             },
-        },
-    })  # fmt: skip
+        }
+    )
     row = np.array(mi.render(scene, seed=seed))[..., 0].mean(axis=0, dtype=np.float64)
     return np.asarray(row / row.sum())
 

@@ -62,9 +62,12 @@ def _about(light: Array, centre: tuple[float, float], scale: float) -> tuple[Arr
 
 def _moved(light: Array, x: Array, y: Array) -> Array:
     moved = cv2.remap(
-        light.astype(np.float32), x.astype(np.float32), y.astype(np.float32), cv2.INTER_CUBIC,
+        light.astype(np.float32),
+        x.astype(np.float32),
+        y.astype(np.float32),
+        cv2.INTER_CUBIC,
         borderMode=cv2.BORDER_CONSTANT,
-    )  # fmt: skip
+    )
     return np.maximum(moved.astype(np.float64), 0.0)
 
 

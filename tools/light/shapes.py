@@ -51,9 +51,13 @@ def skin(colour: Any, effects: Effects, matt: bool = False) -> dict[str, Any]:
     """A wall of a colour under a rough dielectric, if there is one; seen from both sides."""
     if effects.alpha and not matt:
         inside = {
-            "type": "roughplastic", "distribution": "beckmann", "alpha": effects.alpha, "int_ior": effects.index,
-            "nonlinear": True, "diffuse_reflectance": colour,
-        }  # fmt: skip
+            "type": "roughplastic",
+            "distribution": "beckmann",
+            "alpha": effects.alpha,
+            "int_ior": effects.index,
+            "nonlinear": True,
+            "diffuse_reflectance": colour,
+        }
     else:
         inside = {"type": "diffuse", "reflectance": colour}
     return {"type": "twosided", "bsdf": inside}
@@ -166,10 +170,14 @@ def _object(surface: Surface, thing: Thing, radius: float, material: Material, e
     if thing.kind in BOTTOMS:
         level, wide = thing.numbers["level_mm"], 1.2 * radius
         wet = Effects(alpha=0.05, index=1.33) if thing.kind == "water" else Effects()
-        corners = np.array([
-            origin + x * across + y * ahead + z * way
-            for z in (level, wide) for y in (-half, half) for x in (-wide, wide)
-        ])  # fmt: skip
+        corners = np.array(
+            [
+                origin + x * across + y * ahead + z * way
+                for z in (level, wide)
+                for y in (-half, half)
+                for x in (-wide, wide)
+            ]
+        )
         quads = ((0, 1, 3, 2), (0, 1, 5, 4), (2, 3, 7, 6))  # its top and both its ends
         faces = np.array([[q[i] for i in tri] for q in quads for tri in ((0, 1, 2), (0, 2, 3))])
         return [triangles(corners, faces, skin(rgb(MUD), wet))]
@@ -199,9 +207,12 @@ def _strip(one: Array, other: Array) -> tuple[Array, Faces]:
 
 def _rod(first: Array, last: Array, thick: float, colour: Iterable[float]) -> dict[str, Any]:
     return {
-        "type": "cylinder", "p0": list(first), "p1": list(last), "radius": thick,
+        "type": "cylinder",
+        "p0": list(first),
+        "p1": list(last),
+        "radius": thick,
         "bsdf": skin(rgb(colour), Effects()),
-    }  # fmt: skip
+    }
 
 
 def rods(head_rods: Iterable[tuple[float, float, float]], at: Array, axes: Array, back_mm: float) -> dict[str, Any]:

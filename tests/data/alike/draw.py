@@ -21,9 +21,13 @@ def scene() -> Scene:
     base = next(one for one in map(draw, range(200)) if one.head.model == "pinhole" and one.head.width == 640)
     grow = 70.0 / base.pipe.radius_mm
     pipe = replace(
-        base.pipe, pieces=(Piece(-200.0, 70.0),), things=(POCKET, BUMP, SHALLOW), oval=0.01, swell=0.0,
+        base.pipe,
+        pieces=(Piece(-200.0, 70.0),),
+        things=(POCKET, BUMP, SHALLOW),
+        oval=0.01,
+        swell=0.0,
         material=replace(base.pipe.material, name="white", albedo=(0.78, 0.77, 0.74), gloss=0.05, mirror=0.0),
-    )  # fmt: skip
+    )
     head = replace(base.head, vertex_mm=tuple(grow * one for one in base.head.vertex_mm), rods=())
     stands = []
     for number in range(FRAMES):
@@ -32,10 +36,16 @@ def scene() -> Scene:
         z = STEP_MM * number
         stands.append(
             replace(
-                stand, index=number, lamp=lamp, z_mm=z, reported_mm=z, drift=0.0, tx_mm=grow * stand.tx_mm,
+                stand,
+                index=number,
+                lamp=lamp,
+                z_mm=z,
+                reported_mm=z,
+                drift=0.0,
+                tx_mm=grow * stand.tx_mm,
                 ty_mm=grow * stand.ty_mm,
             )
-        )  # fmt: skip
+        )
     sensor = replace(base.sensor, exposure=0.8, jpeg=85, veil=0.0, burnt=1.0)
     limits = {"loss": {"depth_mm": 1.2}, "bump": {"height_mm": 2.0}, "ovality": {"percent": 4.0}}
     return Scene(0, pipe, head, tuple(stands), sensor, Change(), limits, ())

@@ -16,8 +16,13 @@ EVERY = 4  # rows of 40 a second at 150 mm a second: one each 15 mm
 def test_each_sector_is_seen_by_its_own_readings(seed: int) -> None:
     drawn = log(Ground(8000.0, bores=(Bore(4000.0, 76.0),)), seed)
     rows = drawn.rows()
-    few = Log(rows.t_s[::EVERY], rows.odometer_mm[::EVERY], rows.c_pf[::EVERY], rows.reference_pf[::EVERY],
-              rows.roll_deg[::EVERY])  # fmt: skip
+    few = Log(
+        rows.t_s[::EVERY],
+        rows.odometer_mm[::EVERY],
+        rows.c_pf[::EVERY],
+        rows.reference_pf[::EVERY],
+        rows.roll_deg[::EVERY],
+    )
     grid = on_grid(few)
     assert np.mean(grid.seen) > 0.97
     assert [one.kind for one in detect(grid).bores] == [Kind.AIR]

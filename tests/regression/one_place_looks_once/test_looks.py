@@ -49,10 +49,11 @@ def test_a_small_pipe_is_the_same_pipe() -> None:
     small = branch(
         [replace(p, z_mm=size * p.z_mm, points_mm=np.float32(size) * p.points_mm) for p in profiles],
         replace(
-            CALIBRATION, pipe_radius_mm=size * CALIBRATION.pipe_radius_mm,
+            CALIBRATION,
+            pipe_radius_mm=size * CALIBRATION.pipe_radius_mm,
             rings=tuple(replace(ring, vertex_mm=tuple(size * v for v in ring.vertex_mm)) for ring in CALIBRATION.rings),
         ),
-    )  # fmt: skip
+    )
     for one, other in zip(large.measures, small.measures, strict=True):
         assert abs(other.value / size - one.value) < 0.15 and abs(other.k2 / size - one.k2) < 0.2 * one.k2, one.name
 

@@ -22,12 +22,23 @@ def rimmed() -> Wall:
     radius = np.where(hidden, np.nan, radius).astype(np.float32)
     none = np.zeros(0)
     return Wall(
-        z, clock, radius, np.where(hidden, 0, 5), np.tile([R, 0.0, 0.0, 0.0, 0.0], (len(z), 1)),
-        np.zeros((len(z), 5, 5)), np.full(len(z), 0.05), np.full(radius.shape, 0.05, np.float32),
-        Observations(none.astype(int), none.astype(np.int32), none.astype(np.float32), none.astype(np.float32),
-                     none.astype(np.uint8)),
+        z,
+        clock,
+        radius,
+        np.where(hidden, 0, 5),
+        np.tile([R, 0.0, 0.0, 0.0, 0.0], (len(z), 1)),
+        np.zeros((len(z), 5, 5)),
+        np.full(len(z), 0.05),
+        np.full(radius.shape, 0.05, np.float32),
+        Observations(
+            none.astype(int),
+            none.astype(np.int32),
+            none.astype(np.float32),
+            none.astype(np.float32),
+            none.astype(np.uint8),
+        ),
         np.full(radius.shape, 0.1, np.float32),
-    )  # fmt: skip
+    )
 
 
 def test_a_rim_says_where_its_bore_begins() -> None:

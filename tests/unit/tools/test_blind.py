@@ -40,9 +40,7 @@ def scene_with(*things: Thing, pieces: tuple[Piece, ...] = ()) -> Scene:
 
 
 def results(*listed: Listed, decision: str = "undecided", places: tuple[dict[str, Any], ...] = ()) -> Results:
-    return Results(
-        listed, places, decision, (), 50.0, 400.0, 0.5, 4.0, False, {}, np.zeros((0, 3)), np.zeros(0)
-    )  # fmt: skip
+    return Results(listed, places, decision, (), 50.0, 400.0, 0.5, 4.0, False, {}, np.zeros((0, 3)), np.zeros(0))
 
 
 def loss(depth: float = 2.0, **changed: Any) -> Listed:
@@ -222,8 +220,12 @@ def test_without_povray_it_says_in_one_line_what_to_install(
 ) -> None:
     monkeypatch.setattr(shutil, "which", lambda name: None)
     assert main(["blind", "--seed", "2", "--pipes", "1"]) == 2
-    said = capsys.readouterr()
-    assert said.err.count("\n") == 1 and "tools/need.sh povray" in said.err and "for setting constants" in said.out
+    reported = capsys.readouterr()
+    assert (
+        reported.err.count("\n") == 1
+        and "tools/need.sh povray" in reported.err
+        and "for setting constants" in reported.out
+    )
 
 
 @pytest.mark.deep(gate="tests/unit/tools/test_blind.py::test_triangles_lie_on_the_true_wall")

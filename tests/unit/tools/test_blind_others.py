@@ -39,9 +39,9 @@ def test_hardening_lowers_a_wall_and_most_what_is_deep_in_it() -> None:
 
 def test_a_flaw_is_met_where_it_is_only() -> None:
     void = joint_volumes.Flaw("void", 1.0, 27.0, 0.5, 0.4, -1.0)
-    said = {"kind": "void", "phi_deg": math.degrees(1.0), "rho": 27.0, "from_joint_mm": 0.6, "arc_deg": 2.0}
-    assert near(void, said, 0.3)
-    assert not near(void, said | {"from_joint_mm": 3.0}, 0.3)
+    reported = {"kind": "void", "phi_deg": math.degrees(1.0), "rho": 27.0, "from_joint_mm": 0.6, "arc_deg": 2.0}
+    assert near(void, reported, 0.3)
+    assert not near(void, reported | {"from_joint_mm": 3.0}, 0.3)
 
 
 def test_a_sewer_is_what_of_it_the_pipe_meets() -> None:
@@ -87,7 +87,11 @@ def test_a_table_counts_what_is_right_wrong_and_not_said() -> None:
     case.odds = [("air", 0.9, True), ("air", 0.8, False)]
     text = markdown([case], {2001: "ValueError: why"}, "# head")
     for line in (
-        "| width | all round | 50 (1..99) of 2 | |", "| width | | | 2 |", "| air | 2 | 85.0 % | 50.0 % (1.3 to 98.7) |",
-        "- 2000: void: missed: nothing", "- 2000: false: grain at 3", "| 2001 | broke: ValueError: why | | | |",
-    ):  # fmt: skip
+        "| width | all round | 50 (1..99) of 2 | |",
+        "| width | | | 2 |",
+        "| air | 2 | 85.0 % | 50.0 % (1.3 to 98.7) |",
+        "- 2000: void: missed: nothing",
+        "- 2000: false: grain at 3",
+        "| 2001 | broke: ValueError: why | | | |",
+    ):
         assert line in text

@@ -40,11 +40,11 @@ def scanned(went: float, contrast: float) -> Survey:
     ("went", "contrast"), [(1.05, 0.08), (1.0, 0.08), (1.05, 0.0), (0.95, 0.08), (1.03, 0.08), (0.95, 0.0)]
 )
 def test_marks_contradict_a_wrong_odometer_and_no_other(went: float, contrast: float) -> None:
-    said = [one.text for one in scanned(went, contrast).findings if one.kind == ODOMETER]
+    reported = [one.text for one in scanned(went, contrast).findings if one.kind == ODOMETER]
     if went == 1.0 or contrast == 0.0:
-        assert not said
+        assert not reported
         return
-    (line,) = said
+    (line,) = reported
     part, which = line.split("it counts ")[1].split(" % ")[0], "more" if went < 1 else "less"
     assert float(part) == pytest.approx(100 * abs(went - 1), abs=0.5)
     assert f"% {which} than the head went" in line

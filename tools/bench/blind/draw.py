@@ -45,9 +45,12 @@ def draw(seed: int) -> Scene:
     pieces, lines = _course(rng, radius, sure)
     things = place_things(rng, radius, head, seen, sure, lines)
     pipe = Pipe(
-        pieces, things, _material(rng), *_shape(rng, sure),
+        pieces,
+        things,
+        _material(rng),
+        *_shape(rng, sure),
         tuple((abs(rng.normal(0.0, 0.0015)), rng.uniform(0.0, 360.0)) for _ in range(2)),
-    )  # fmt: skip
+    )
     return Scene(seed, pipe, head, stands, _sensor(rng, marks), _change(rng, marks), _limits(rng, pipe), marks)
 
 
@@ -121,21 +124,27 @@ def _material(rng: Generator) -> Material:
     albedo = tuple(float(v * rng.uniform(0.88, 1.08)) for v in ALBEDOS[name])
     wet, dirty = rng.random() < 0.3, rng.random() < 0.35
     return Material(
-        name + (", wet" if wet else "") + (", dirty" if dirty else ""), (albedo[0], albedo[1], albedo[2]),
-        float(rng.uniform(0.25, 0.7) if wet else rng.uniform(0.0, 0.12)), float(rng.uniform(0.005, 0.06)),
-        0.04 if wet and rng.random() < 0.3 else 0.0, float(rng.uniform(0.03, 0.25) if dirty else 0.0),
+        name + (", wet" if wet else "") + (", dirty" if dirty else ""),
+        (albedo[0], albedo[1], albedo[2]),
+        float(rng.uniform(0.25, 0.7) if wet else rng.uniform(0.0, 0.12)),
+        float(rng.uniform(0.005, 0.06)),
+        0.04 if wet and rng.random() < 0.3 else 0.0,
+        float(rng.uniform(0.03, 0.25) if dirty else 0.0),
         float(rng.uniform(0.0, 0.15)),
-    )  # fmt: skip
+    )
 
 
 def _sensor(rng: Generator, marks: tuple[str, ...]) -> Sensor:
     return Sensor(
-        blur_px=float(rng.uniform(0.5, 1.1)), full=float(rng.uniform(4e3, 2e4)), read=float(rng.uniform(2.0, 12.0)),
+        blur_px=float(rng.uniform(0.5, 1.1)),
+        full=float(rng.uniform(4e3, 2e4)),
+        read=float(rng.uniform(2.0, 12.0)),
         exposure=float(rng.uniform(1.6, 2.6) if "burnt" in marks else rng.uniform(0.55, 0.95)),
-        veil=float(rng.choice([0.0, rng.uniform(0.0, 0.04)])), jpeg=int(rng.integers(60, 96)),
+        veil=float(rng.choice([0.0, rng.uniform(0.0, 0.04)])),
+        jpeg=int(rng.integers(60, 96)),
         burnt=float(rng.uniform(2.5, 5.0)) if "burnt band" in marks else 1.0,
         burnt_deg=(float(rng.uniform(0.0, 360.0)), float(rng.uniform(30.0, 70.0))),
-    )  # fmt: skip
+    )
 
 
 def _change(rng: Generator, marks: tuple[str, ...]) -> Change:
@@ -144,10 +153,12 @@ def _change(rng: Generator, marks: tuple[str, ...]) -> Change:
     turn, shift = math.radians(0.05) * turn / np.linalg.norm(turn), 0.3 * shift / np.linalg.norm(shift)
     drift, knock = "drift" in marks, "knock" in marks
     return Change(
-        focal if drift else 0.0, angles if drift else 0.0,
+        focal if drift else 0.0,
+        angles if drift else 0.0,
         (float(turn[0]), float(turn[1])) if knock else (0.0, 0.0),
-        (float(shift[0]), float(shift[1]), float(shift[2])) if knock else (0.0, 0.0, 0.0), grows=drift and not knock,
-    )  # fmt: skip
+        (float(shift[0]), float(shift[1]), float(shift[2])) if knock else (0.0, 0.0, 0.0),
+        grows=drift and not knock,
+    )
 
 
 def _limits(rng: Generator, pipe: Pipe) -> dict[str, dict[str, float]]:

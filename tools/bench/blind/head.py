@@ -64,11 +64,19 @@ def draw_head(rng: Generator, radius: float) -> Head:
         for k in range(count)
     )
     return Head(
-        width, height, model, float(focal), (float(centre[0]), float(centre[1])),
-        (float(aside[0]), float(aside[1]), float(-behind)), (float(axis[0]), float(axis[1]), float(axis[2])),
-        tuple((angle(px - half_px), angle(px + half_px)) for px in middles), _word(rng, slits + 1),
-        float(math.radians(rng.uniform(2.5, 4.5))), tuple((float(a), float(b), float(c)) for a, b, c in dyes), rods,
-    )  # fmt: skip
+        width,
+        height,
+        model,
+        float(focal),
+        (float(centre[0]), float(centre[1])),
+        (float(aside[0]), float(aside[1]), float(-behind)),
+        (float(axis[0]), float(axis[1]), float(axis[2])),
+        tuple((angle(px - half_px), angle(px + half_px)) for px in middles),
+        _word(rng, slits + 1),
+        float(math.radians(rng.uniform(2.5, 4.5))),
+        tuple((float(a), float(b), float(c)) for a, b, c in dyes),
+        rods,
+    )
 
 
 def _word(rng: Generator, stripes: int) -> str:
@@ -114,9 +122,9 @@ def draw_stands(rng: Generator, radius: float, marks: tuple[str, ...]) -> tuple[
         lamp = "led" if i % LED_EVERY == LED_EVERY - 1 else "projector"
         rx, ry, tx, ty = sway[i] * (lean, lean, aside, aside)
         done = i / (frames - 1)
-        said = z[i] + error[i]
+        reported = z[i] + error[i]
         stands.append(
-            Stand(int(i), lamp, *(float(v) for v in (z[i], said, rx, ry, tx - lean_aside(ry, radius), ty, done)))
+            Stand(int(i), lamp, *(float(v) for v in (z[i], reported, rx, ry, tx - lean_aside(ry, radius), ty, done)))
         )
     return tuple(stands)
 

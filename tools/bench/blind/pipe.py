@@ -160,14 +160,21 @@ class Scene:
         pipe = data["pipe"]
         return cls(
             data["seed"],
-            Pipe(**{
-                **_tuples(pipe), "pieces": tuple(Piece(**_tuples(one)) for one in pipe["pieces"]),
-                "things": tuple(Thing(**one) for one in pipe["things"]),
-                "material": Material(**_tuples(pipe["material"])),
-            }),
-            Head(**_tuples(data["head"])), tuple(Stand(**one) for one in data["stands"]),
-            Sensor(**_tuples(data["sensor"])), Change(**_tuples(data["change"])), data["limits"], tuple(data["marks"]),
-        )  # fmt: skip
+            Pipe(
+                **{
+                    **_tuples(pipe),
+                    "pieces": tuple(Piece(**_tuples(one)) for one in pipe["pieces"]),
+                    "things": tuple(Thing(**one) for one in pipe["things"]),
+                    "material": Material(**_tuples(pipe["material"])),
+                }
+            ),
+            Head(**_tuples(data["head"])),
+            tuple(Stand(**one) for one in data["stands"]),
+            Sensor(**_tuples(data["sensor"])),
+            Change(**_tuples(data["change"])),
+            data["limits"],
+            tuple(data["marks"]),
+        )
 
 
 def _tuples(section: Mapping[str, Any]) -> dict[str, Any]:

@@ -238,9 +238,14 @@ def run_povray(text: Path, options: Sequence[str]) -> None:
     need_povray()
     command = [PROGRAM, f"+I{text}", "-D", "+WT1", "-GA", "-P", *options]
     done = subprocess.run(
-        command, cwd=text.parent, capture_output=True, text=True, timeout=MOST_S, check=False,
+        command,
+        cwd=text.parent,
+        capture_output=True,
+        text=True,
+        timeout=MOST_S,
+        check=False,
         env={**os.environ, "HOME": str(text.parent)},
-    )  # fmt: skip
+    )
     if done.returncode:
-        said = [line for line in done.stderr.splitlines() if "rror" in line]
-        raise AnnulusError(f"{text.name}: POV-Ray ended with {done.returncode}: {' '.join(said)[:300]}")
+        reported = [line for line in done.stderr.splitlines() if "rror" in line]
+        raise AnnulusError(f"{text.name}: POV-Ray ended with {done.returncode}: {' '.join(reported)[:300]}")

@@ -11,7 +11,7 @@ import numpy as np
 from tools.bench.blind.surface import Array
 
 NOT_SEEN_UM = -32768  # of wall.npz
-UNTOLD = "not established"  # kind of a feature: something goes all round, and it has no name
+NAMELESS = "not established"  # kind of a feature: something goes all round, and it has no name
 TYPES = {"float": "<f4", "double": "<f8", "uchar": "u1", "ushort": "<u2", "uint": "<u4", "int": "<i4", "short": "<i2"}
 
 
@@ -30,7 +30,7 @@ class Listed:
     words: str = ""
 
     @property
-    def said(self) -> str:
+    def reported(self) -> str:
         """As it stands in the list, for people."""
         values = ", ".join(f"{name} {value:.2f}+-{k2:.2f}" for name, (value, k2) in self.numbers.items())
         least = ">= " if self.at_least else ""
@@ -67,17 +67,26 @@ def read_results(folder: Path) -> Results:
     with np.load(folder / "wall.npz") as wall:
         seen, seen_z = wall["deviation_um"] != NOT_SEEN_UM, np.array(wall["z_mm"])
     return Results(
-        listed, tuple(verdict.get("not_established", ())), str(verdict.get("decision", "")),
-        tuple(verdict.get("items", ())), summary["scanned_mm"]["from"], summary["scanned_mm"]["to"],
-        summary["limits"]["depth_mm"] or np.inf, summary["limits"]["size_mm"] or np.inf,
-        any(one["kind"] == "object" for one in summary["warnings"]), read_stations(folder / "stations.csv"),
-        points, sigma, seen, seen_z,
-    )  # fmt: skip
+        listed,
+        tuple(verdict.get("not_established", ())),
+        str(verdict.get("decision", "")),
+        tuple(verdict.get("items", ())),
+        summary["scanned_mm"]["from"],
+        summary["scanned_mm"]["to"],
+        summary["limits"]["depth_mm"] or np.inf,
+        summary["limits"]["size_mm"] or np.inf,
+        any(one["kind"] == "object" for one in summary["warnings"]),
+        read_stations(folder / "stations.csv"),
+        points,
+        sigma,
+        seen,
+        seen_z,
+    )
 
 
 def listed_of(one: dict[str, Any], group: str) -> Listed:
     """A defect, feature or undecided place of summary.json. A feature without a name is undecided."""
-    if one["kind"] == UNTOLD:
+    if one["kind"] == NAMELESS:
         group = "undecided"
     numbers = {}
     for name, value in one.items():
@@ -86,9 +95,16 @@ def listed_of(one: dict[str, Any], group: str) -> Listed:
             k2 = one[f"{stem}_k2_{unit}"]
             numbers[name] = (float(value), np.nan if k2 is None else float(k2))
     return Listed(
-        group, str(one["kind"]), float(one["z_mm"]), float(one["length_mm"]), float(one["clock_deg"]),
-        float(one["arc_deg"]), numbers, one.get("floor_seen") is False, str(one.get("remark", "")),
-    )  # fmt: skip
+        group,
+        str(one["kind"]),
+        float(one["z_mm"]),
+        float(one["length_mm"]),
+        float(one["clock_deg"]),
+        float(one["arc_deg"]),
+        numbers,
+        one.get("floor_seen") is False,
+        str(one.get("remark", "")),
+    )
 
 
 def read_stations(path: Path) -> dict[str, Array]:

@@ -58,16 +58,19 @@ def main(arguments: list[str]) -> int:
 
 def _asked(arguments: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
-        prog="python -m tools.bench blind", epilog=EPILOG,
+        prog="python -m tools.bench blind",
+        epilog=EPILOG,
         description="Pipes drawn from a seed, photographed by POV-Ray or Mitsuba, surveyed, held against their truth.",
-    )  # fmt: skip
+    )
     kinds = "; ".join(f"{name}: {what}" for name, what in KINDS.items())
     parser.add_argument("--of", choices=("rings", *KINDS), default="rings", help=f"rings: pipes as above; {kinds}")
     parser.add_argument("--seed", type=int, required=True, metavar="N", help="even: to set constants; odd: the table")
     parser.add_argument(
-        "--pipes", default=None, metavar="K",
+        "--pipes",
+        default=None,
+        metavar="K",
         help=f"how many, {PIPES} of rings and {CASES} of others; or single seeds, 2003,2007 (2003, for one alone)",
-    )  # fmt: skip
+    )
     parser.add_argument("--light", choices=LIGHTS, default=LIGHTS[0], help="who draws, and as light goes there")
     parser.add_argument("--jobs", type=int, default=2, help="pipes worked on at a time")
     parser.add_argument("--keep", type=Path, metavar="FOLDER", help="keeps scans, results, table.md and table.json")

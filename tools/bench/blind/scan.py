@@ -40,9 +40,12 @@ def write_scan(scene: Scene, folder: Path, light: str = "povray") -> None:
 
 
 def write_frames(
-    scene: Scene, folder: Path, photograph: Callable[[Stand], Array], more: Mapping[str, Any],
+    scene: Scene,
+    folder: Path,
+    photograph: Callable[[Stand], Array],
+    more: Mapping[str, Any],
     back_mm: Sequence[float] | None = None,
-) -> None:  # fmt: skip
+) -> None:
     """The same by whatever makes (H, W, 3) of linear light, blue first, of a stand. more : what truth.json has beside
     the scene; back_mm : how far behind the projector each ring seems to come from."""
     factors: dict[str, float] = {}
@@ -92,8 +95,14 @@ def calibration(head: Head, radius_mm: float, back_mm: Sequence[float] | None = 
     return {
         "format": "annulus-calibration/1",
         "camera": {
-            "model": head.model, "width": head.width, "height": head.height, "fx": head.focal_px, "fy": head.focal_px,
-            "cx": head.centre_px[0], "cy": head.centre_px[1], "distortion": [0.0] * 4 if fisheye else [],
+            "model": head.model,
+            "width": head.width,
+            "height": head.height,
+            "fx": head.focal_px,
+            "fy": head.focal_px,
+            "cx": head.centre_px[0],
+            "cy": head.centre_px[1],
+            "distortion": [0.0] * 4 if fisheye else [],
         },
         "pattern": {"colours": head.colours},
         "rings": [
@@ -101,7 +110,7 @@ def calibration(head: Head, radius_mm: float, back_mm: Sequence[float] | None = 
             for (inner, outer), vertex in zip(head.slits, vertices, strict=True)
         ],
         "pipe": {"radius_mm": radius_mm},
-    }  # fmt: skip
+    }
 
 
 def limits_text(scene: Scene) -> str:

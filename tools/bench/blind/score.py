@@ -11,16 +11,27 @@ from tools.bench.blind.cloud import cloud_coverage
 from tools.bench.blind.draw import limited
 from tools.bench.blind.pipe import Scene, Thing
 from tools.bench.blind.places import place_of
-from tools.bench.blind.results import UNTOLD, Listed, Results
+from tools.bench.blind.results import NAMELESS, Listed, Results
 from tools.bench.blind.stations import departure_mm, station_numbers, worst_ovality
 from tools.bench.blind.surface import Surface, away_deg
 
 ACCEPTS = {
-    "pocket": ("loss",), "groove": ("loss",), "bump": ("bump",), "dent": ("bump", "ovality"), "joint": ("joint",),
-    "gap": ("gap", "joint"), "reducer": ("reducer", "taper"), "taper": ("taper", "reducer"), "bend": ("bend",),
-    "branch": ("branch", "tee"), "tee": ("tee", "branch"), "cable": ("object",),
-    "hose": ("object", "bump", "deposit"), "silt": ("deposit", "water"), "water": ("water", "deposit"),
-}  # fmt: skip
+    "pocket": ("loss",),
+    "groove": ("loss",),
+    "bump": ("bump",),
+    "dent": ("bump", "ovality"),
+    "joint": ("joint",),
+    "gap": ("gap", "joint"),
+    "reducer": ("reducer", "taper"),
+    "taper": ("taper", "reducer"),
+    "bend": ("bend",),
+    "branch": ("branch", "tee"),
+    "tee": ("tee", "branch"),
+    "cable": ("object",),
+    "hose": ("object", "bump", "deposit"),
+    "silt": ("deposit", "water"),
+    "water": ("water", "deposit"),
+}
 WALL_THINGS = ("pocket", "groove", "bump")  # a survey states a limit of detection for these
 ALL_ROUND = ("joint", "gap", "bend", "taper", "reducer")  # no name of a thing on a part of the wall
 STRETCHES = ("bend", "taper", "reducer")
@@ -36,16 +47,30 @@ SURE = 3.0  # times k = 2: a depth that is off by more is wrong, whatever covera
 MEASURES = {  # of features, by kind; of all else the depth
     "joint": ("height_mm", "width_mm", "hilo_mm", "angle_deg", "step_mm", "radius_after_mm"),
     "gap": ("gap_mm", "hilo_mm", "angle_deg", "step_mm", "radius_after_mm"),
-    "reducer": ("radius_before_mm", "radius_after_mm"), "taper": ("radius_before_mm", "radius_after_mm"),
-    "bend": ("radius_mm", "angle_deg", "start_mm"), "branch": ("inner_d_mm",),
-    "tee": ("inner_d_mm", "protrusion_mm"), "silt": ("level_mm", "depth_mm"), "water": ("level_mm", "depth_mm"),
-}  # fmt: skip
+    "reducer": ("radius_before_mm", "radius_after_mm"),
+    "taper": ("radius_before_mm", "radius_after_mm"),
+    "bend": ("radius_mm", "angle_deg", "start_mm"),
+    "branch": ("inner_d_mm",),
+    "tee": ("inner_d_mm", "protrusion_mm"),
+    "silt": ("level_mm", "depth_mm"),
+    "water": ("level_mm", "depth_mm"),
+}
 CALLED = {  # by what kind of number a measure is
-    "height_mm": "bead height", "width_mm": "width", "hilo_mm": "hi-lo", "angle_deg": "angle", "step_mm": "step",
-    "radius_after_mm": "radius", "radius_before_mm": "radius", "gap_mm": "gap", "radius_mm": "bend radius",
-    "start_mm": "place", "inner_d_mm": "opening", "protrusion_mm": "opening", "level_mm": "level",
+    "height_mm": "bead height",
+    "width_mm": "width",
+    "hilo_mm": "hi-lo",
+    "angle_deg": "angle",
+    "step_mm": "step",
+    "radius_after_mm": "radius",
+    "radius_before_mm": "radius",
+    "gap_mm": "gap",
+    "radius_mm": "bend radius",
+    "start_mm": "place",
+    "inner_d_mm": "opening",
+    "protrusion_mm": "opening",
+    "level_mm": "level",
     "depth_mm": "level",
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +79,7 @@ class Number:
 
     what: str
     where: str
-    said: float
+    reported: float
     k2: float
     true: float
     at_least: bool = False
@@ -64,12 +89,12 @@ class Number:
         """Within its k = 2; of a lower bound, not below it. None where no k = 2 is said."""
         if not math.isfinite(self.k2):
             return None
-        return self.true >= self.said - self.k2 if self.at_least else abs(self.said - self.true) <= self.k2
+        return self.true >= self.reported - self.k2 if self.at_least else abs(self.reported - self.true) <= self.k2
 
     @property
     def far_off(self) -> bool:
         """By more than SURE of its k = 2."""
-        off = self.said - self.true if self.at_least else abs(self.said - self.true)
+        off = self.reported - self.true if self.at_least else abs(self.reported - self.true)
         return math.isfinite(self.k2) and off > SURE * self.k2
 
 
@@ -84,7 +109,7 @@ class Outcome:
     beside: str
     where: str
     state: str
-    said: tuple[str, ...] = ()
+    reported: tuple[str, ...] = ()
 
 
 @dataclass(slots=True)
@@ -114,17 +139,22 @@ def score(scene: Scene, results: Results) -> Score:
     listed = [one for one in results.listed if one.group != "undecided"]
     over = tuple(_over(scene, results, surface))
     out = Score(
-        scene.seed, 2.0 * scene.pipe.radius_mm, scene.pipe.material.name, scene.marks, results.to_mm - results.from_mm,
-        results.decision, tuple(name for name, _ in over),
+        scene.seed,
+        2.0 * scene.pipe.radius_mm,
+        scene.pipe.material.name,
+        scene.marks,
+        results.to_mm - results.from_mm,
+        results.decision,
+        tuple(name for name, _ in over),
         results.decision.startswith("conforms") and any(not hidden for _, hidden in over),
-    )  # fmt: skip
+    )
     named: dict[int, tuple[Listed, list[tuple[Thing, str]]]] = {}
     for thing in scene.pipe.things:
         state, best, others = judged(thing, scene, results, listed)
         where = place_of(scene, thing.span_mm, thing.clock_deg, thing.arc_deg, seen)
-        said = tuple(one.said for one in ([best] if best else others))
+        reported = tuple(one.reported for one in ([best] if best else others))
         out.outcomes.append(
-            Outcome(thing.kind, thing.z_mm, thing.clock_deg, thing.depth_mm, thing.beside, where, state, said)
+            Outcome(thing.kind, thing.z_mm, thing.clock_deg, thing.depth_mm, thing.beside, where, state, reported)
         )
         if best is not None:
             named.setdefault(id(best), (best, []))[1].append((thing, where))
@@ -136,9 +166,9 @@ def score(scene: Scene, results: Results) -> Score:
             where = place_of(scene, span(one), 0.0, 360.0, seen)
             out.numbers.append(Number("ovality", where, *one.numbers["depth_mm"], true))
             if true < OVAL_LEAST * one.numbers["depth_mm"][0]:
-                out.false.append(one.said)
+                out.false.append(one.reported)
         elif is_false(one, scene, out.outcomes):
-            out.false.append(one.said)
+            out.false.append(one.reported)
     out.numbers += [Number(*one) for one in station_numbers(scene, results, surface)]
     for item in results.items:
         if (item["of"], item["kind"]) == ("pipe", "ovality") and item["value"] is not None:
@@ -190,13 +220,23 @@ def is_below(thing: Thing, results: Results, radius: float) -> bool:
 def is_not_established(thing: Thing, results: Results, radius: float) -> bool:
     """Whether it is listed as undecided, or places that the verdict leaves open cover it; either speaking of little
     else."""
-    kinds = {"pocket": "loss", "groove": "loss", "dent": "bump", "branch": "bump", "cable": "bump", "hose": "bump",
-             "silt": "deposit", "bend": "ovality", "reducer": "bore", "taper": "bore"}  # fmt: skip
+    kinds = {
+        "pocket": "loss",
+        "groove": "loss",
+        "dent": "bump",
+        "branch": "bump",
+        "cable": "bump",
+        "hose": "bump",
+        "silt": "deposit",
+        "bend": "ovality",
+        "reducer": "bore",
+        "taper": "bore",
+    }
     kind = kinds.get(thing.kind, thing.kind)
     longest, widest = max(LOCAL * thing.length_mm, LOOK_OF_RADIUS * radius), max(LOCAL * thing.arc_deg, LOOK_DEG)
     undecided = [one for one in results.listed if one.group == "undecided" and one.kind != "ovality"]
     if thing.arc_deg < 360.0:  # a place without a name speaks of what goes all round, and of nothing on a part of it
-        undecided = [one for one in undecided if one.kind != UNTOLD and one.arc_deg <= widest]
+        undecided = [one for one in undecided if one.kind != NAMELESS and one.arc_deg <= widest]
     if any(one.length_mm <= longest and overlap(thing, one, radius) for one in undecided):
         return True
     z = np.linspace(*thing.span_mm, 24)[:, None]

@@ -35,9 +35,9 @@ def station_numbers(scene: Scene, results: Results, surface: Surface) -> Iterato
         true = station(surface, z - half, z + half, seen_columns(results, z - half, z + half))
         where = place_of(scene, (z - half, z + half), 0.0, 360.0, seen)
         for name, (what, k2_name) in COLUMNS.items():
-            said, k2 = float(table[name][i]), float(table[k2_name][i])
-            if np.isfinite(said) and np.isfinite(k2):
-                yield what, where, said, k2, true[name]
+            reported, k2 = float(table[name][i]), float(table[k2_name][i])
+            if np.isfinite(reported) and np.isfinite(k2):
+                yield what, where, reported, k2, true[name]
 
 
 def seen_columns(results: Results, first: float, last: float) -> Array:
@@ -65,11 +65,14 @@ def station(surface: Surface, first: float, last: float, seen: Array | None = No
     arc = (turn / 2) / np.sin(turn / 2)
     line = arc * np.sqrt(even**2 + ahead**2 - 2 * even * ahead * np.cos(turn)).sum()
     return {
-        "diameter_mean_mm": float(diameter.mean()), "diameter_min_mm": float(ends.min()),
-        "diameter_max_mm": float(ends.max()), "diameter_x_mm": float(radius[90] + radius[270]),
-        "diameter_y_mm": float(radius[0] + radius[180]), "circumference_mm": float(line),
+        "diameter_mean_mm": float(diameter.mean()),
+        "diameter_min_mm": float(ends.min()),
+        "diameter_max_mm": float(ends.max()),
+        "diameter_x_mm": float(radius[90] + radius[270]),
+        "diameter_y_mm": float(radius[0] + radius[180]),
+        "circumference_mm": float(line),
         "area_mm2": float(0.5 * turn * (radius**2).sum()),
-    }  # fmt: skip
+    }
 
 
 def _diameters(surface: Surface, first: float, last: float) -> Array:

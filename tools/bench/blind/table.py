@@ -66,15 +66,17 @@ def _sums(scores: Sequence[Score], failed: Mapping[int, str]) -> list[str]:
         f"{len(scores)} pipes, {len(failed)} broke, {metres:.2f} m, {sum(states.values())} things drawn; "
         f"{asked} over what the survey says it can list",
         "",
-        "| | measured | asked |", "|---|---|---|",
+        "| | measured | asked |",
+        "|---|---|---|",
         f"| found | {part(states['found'], asked)} | |",
         f"| misnamed | {part(states['misnamed'], asked)} | <= 3 % |",
         f"| missed, nothing said | {part(states['missed'], asked)} | <= 3 % |",
         f"| said not established | {part(states['not established'], asked)} | |",
         f"| false per 10 m | {10.0 * false / max(metres, 1e-9):.1f} ({false}) | <= 1 |",
         f"| depths off by more than 3 k2 | {far} of {len(depths)} | 0 |",
-        f"| conforms with something over a limit | {wrong} of {len(over)} | 0 |", "",
-    ]  # fmt: skip
+        f"| conforms with something over a limit | {wrong} of {len(over)} | 0 |",
+        "",
+    ]
 
 
 def _coverage_table(scores: Sequence[Score]) -> list[str]:
@@ -87,8 +89,10 @@ def _coverage_table(scores: Sequence[Score]) -> list[str]:
     lines = [
         f"Coverage of k = 2 by kind of number and by place; {100 * ASKED[0]:.0f} to {100 * ASKED[1]:.0f} % are asked, "
         "and what is surely outside is bold. Numbers of one pipe err together: intervals are too narrow by that.",
-        "", "| | all | " + " | ".join(PLACES) + " |", "|---" * (len(PLACES) + 2) + "|",
-    ]  # fmt: skip
+        "",
+        "| | all | " + " | ".join(PLACES) + " |",
+        "|---" * (len(PLACES) + 2) + "|",
+    ]
     for kind in kinds:
         whole = [sum(counts.get((kind, place), (0, 0))[k] for place in PLACES) for k in (0, 1)]
         cells = [cell(*whole), *(cell(*counts.get((kind, place), (0, 0))) for place in PLACES)]
@@ -110,7 +114,7 @@ def without_k2(scores: Sequence[Score]) -> list[str]:
     for score in scores:
         for one in score.numbers:
             if math.isnan(one.k2):
-                off[one.what].append(one.said - one.true)
+                off[one.what].append(one.reported - one.true)
     lines = [
         "No k = 2 is said of these:",
         "",
@@ -165,18 +169,18 @@ def _details(scores: Sequence[Score]) -> list[str]:
     for score in scores:
         for one in score.outcomes:
             if one.state in ("misnamed", "missed"):
-                said = f": {'; '.join(one.said[:SAID_MOST])}" if one.said else ""
+                reported = f": {'; '.join(one.reported[:SAID_MOST])}" if one.reported else ""
                 beside = f" beside {one.beside}" if one.beside else ""
                 lines.append(
                     f"- {score.seed}: {one.kind} {one.depth_mm:.2f} mm at {one.z_mm:.0f} mm, clock {one.clock_deg:.0f}"
-                    f"{beside}, {one.where}: {one.state}{said}"
+                    f"{beside}, {one.where}: {one.state}{reported}"
                 )
         lines += [f"- {score.seed}: false: {one}" for one in score.false]
         for number in score.numbers:
             if number.what == "depth" and number.right is False:
                 least = ">= " if number.at_least else ""
                 lines.append(
-                    f"- {score.seed}: depth {least}{number.said:.2f}+-{number.k2:.2f}, is {number.true:.2f}, "
+                    f"- {score.seed}: depth {least}{number.reported:.2f}+-{number.k2:.2f}, is {number.true:.2f}, "
                     f"{number.where}{' **over 3 k2**' if number.far_off else ''}"
                 )
         lines += [
@@ -196,6 +200,7 @@ def coverage_rows(numbers: Iterable[Number]) -> list[dict[str, Any]]:
 def totals(scores: Sequence[Score], failed: Mapping[int, str]) -> dict[str, Any]:
     """The same for programs."""
     return {
-        "pipes": [score.to_dict() for score in scores], "broke": {str(seed): why for seed, why in failed.items()},
+        "pipes": [score.to_dict() for score in scores],
+        "broke": {str(seed): why for seed, why in failed.items()},
         "coverage": coverage_rows(one for score in scores for one in score.numbers),
-    }  # fmt: skip
+    }

@@ -40,9 +40,16 @@ THINGS = (
 )
 GLASS = Tube(9.0, 2.0)
 TOGETHER = Effects(
-    bounces=5, alpha=0.3, scatter_mm=0.2, tube=replace(GLASS, lean_deg=(0.2, 0.1)), curvature_px=1.0,
-    lateral=(1e-3, -1e-3), dust=40, ghost=0.01, veil=0.03,
-)  # fmt: skip
+    bounces=5,
+    alpha=0.3,
+    scatter_mm=0.2,
+    tube=replace(GLASS, lean_deg=(0.2, 0.1)),
+    curvature_px=1.0,
+    lateral=(1e-3, -1e-3),
+    dust=40,
+    ghost=0.01,
+    veil=0.03,
+)
 LIGHTS = {
     "matt wall, light straight from the slide": Effects(),
     "dry skin, a rough dielectric (alpha 0.3)": Effects(alpha=0.3),
@@ -88,10 +95,15 @@ def scene() -> Scene:
     head = replace(draw_head(np.random.default_rng(6), RADIUS_MM), rods=())
     stands = draw_stands(rng, RADIUS_MM, ())[:FRAMES]
     pipe = Pipe(
-        (Piece(-3.0 * RADIUS_MM, RADIUS_MM),), THINGS,
-        Material("white", (0.78, 0.77, 0.74), 0.0, 0.02, 0.0, 0.0, 0.0), 0.003, 40.0, 0.0, (0.0, 1.0),
+        (Piece(-3.0 * RADIUS_MM, RADIUS_MM),),
+        THINGS,
+        Material("white", (0.78, 0.77, 0.74), 0.0, 0.02, 0.0, 0.0, 0.0),
+        0.003,
+        40.0,
+        0.0,
+        (0.0, 1.0),
         ((0.0, 0.0), (0.0, 0.0)),
-    )  # fmt: skip
+    )
     sensor = Sensor(0.8, 1e4, 4.0, 0.8, 0.0, 92, 1.0, (0.0, 40.0))
     return smaller(Scene(SEED, pipe, head, stands, sensor, Change(), {"loss": {"depth_mm": 1.0}}, ()))
 
@@ -113,9 +125,11 @@ def held(drawn: Scene, results: Results) -> Measured:
     error = errors(surface, *centred(surface, *places, SLICE_OF_RADIUS * RADIUS_MM))
     numbers = station_numbers(drawn, results, surface)
     return Measured(
-        error, results.sigma_mm[known],
-        [Number(*one) for one in numbers if one[0] == "diameter, mean"], dict(_things(drawn, results, surface)),
-    )  # fmt: skip
+        error,
+        results.sigma_mm[known],
+        [Number(*one) for one in numbers if one[0] == "diameter, mean"],
+        dict(_things(drawn, results, surface)),
+    )
 
 
 def _things(drawn: Scene, results: Results, surface: Surface) -> Iterator[tuple[str, Number | None]]:
@@ -127,18 +141,19 @@ def _things(drawn: Scene, results: Results, surface: Surface) -> Iterator[tuple[
         yield thing.kind, next((one for one in numbers if one.what == "depth"), None)
 
 
-def said(one: Measured, matt_mm: float) -> str:
+def reported(one: Measured, matt_mm: float) -> str:
     """A row's words. matt_mm : the middle error under a matt wall's light."""
     off = np.abs(one.error_mm)
-    diameters = np.array([number.said - number.true for number in one.diameters])
+    diameters = np.array([number.reported - number.true for number in one.diameters])
     kept = sum(bool(number.right) for number in one.diameters)
     worst = float(np.abs(diameters).max()) if len(diameters) else float("nan")
     middle = float(np.median(diameters)) if len(diameters) else float("nan")
     things = ", ".join(
-        f"{kind} not listed" if number is None
-        else f"{kind} {number.said - number.true:+.2f} ± {number.k2:.2f}{' (≥)' if number.at_least else ''}"
+        f"{kind} not listed"
+        if number is None
+        else f"{kind} {number.reported - number.true:+.2f} ± {number.k2:.2f}{' (≥)' if number.at_least else ''}"
         for kind, number in one.things.items()
-    )  # fmt: skip
+    )
     kept_k2 = f"{100 * one.within:.1f} % of {len(off)} points within k = 2, and {kept} of {len(diameters)} diameters"
     within = f"{np.percentile(off, 95):.3f}, {np.percentile(off, 99.9):.2f} mm"
     return (
@@ -154,7 +169,7 @@ def rows() -> list[Row]:
             try:
                 one = measured(effects, Path(folder) / "scan")
                 matt_mm = matt_mm if out else one.middle_mm
-                words = said(one, matt_mm)
+                words = reported(one, matt_mm)
             except Exception as error:  # must not cost the other lights
                 words = f"{type(error).__name__}: {' '.join(str(error).split())}"
         print(f"  {name}: {words}", flush=True)

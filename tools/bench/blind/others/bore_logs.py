@@ -80,10 +80,21 @@ def draw(rng: np.random.Generator) -> Drawn:
     swing = air * rng.uniform(0.05, 0.085)
     both = rng.random() < 0.5
     tool = Tool(
-        air, swing, rng.uniform(95, 118), rng.uniform(40, 65), rng.uniform(5, 12), rng.uniform(4, 9),
-        rng.uniform(0.3, 1.5), rng.uniform(0.05, 0.25), rng.uniform(25, 60), rng.uniform(90, 200),
-        both or rng.random() < 0.3, both or rng.random() < 0.3, swing * rng.uniform(0.28, 0.42), rng.uniform(100, 160),
-    )  # fmt: skip
+        air,
+        swing,
+        rng.uniform(95, 118),
+        rng.uniform(40, 65),
+        rng.uniform(5, 12),
+        rng.uniform(4, 9),
+        rng.uniform(0.3, 1.5),
+        rng.uniform(0.05, 0.25),
+        rng.uniform(25, 60),
+        rng.uniform(90, 200),
+        both or rng.random() < 0.3,
+        both or rng.random() < 0.3,
+        swing * rng.uniform(0.28, 0.42),
+        rng.uniform(100, 160),
+    )
     length = 40_000.0
     places = list(rng.permutation((np.arange(16) + 1.2 + rng.uniform(-0.25, 0.25, 16)) * length / 17.5))
     sewers = []
@@ -93,8 +104,18 @@ def draw(rng: np.random.Generator) -> Drawn:
         offset = radius + PIPE_MM + rng.uniform(15, 60) if k >= 5 else rng.uniform(0, radius + 15)
         fill = rng.random()
         level = -2 * radius if fill < 0.5 else 2 * radius if fill < 0.7 else rng.uniform(-0.6, 0.6) * radius
-        sewers.append(Sewer(float(places.pop()), radius, float(offset), phi, float(rng.uniform(55, 90)), float(level),
-                            rng.uniform(10, 20) if clay else rng.uniform(3, 8), 6.5 if clay else 3.2))  # fmt: skip
+        sewers.append(
+            Sewer(
+                float(places.pop()),
+                radius,
+                float(offset),
+                phi,
+                float(rng.uniform(55, 90)),
+                float(level),
+                rng.uniform(10, 20) if clay else rng.uniform(3, 8),
+                6.5 if clay else 3.2,
+            )
+        )
     stones = [
         (
             float(places.pop()),
@@ -136,8 +157,11 @@ def ground(drawn: Drawn, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarr
         x, y = (PIPE_MM + depth) * np.cos(theta), (PIPE_MM + depth) * np.sin(theta)
         for at, radius, phi, eps_stone in drawn.stones:
             off = PIPE_MM + radius + 1.0
-            away2 = (z[:, None] - at) ** 2 + (x - off * math.cos(math.radians(phi))) ** 2 + (
-                y - off * math.sin(math.radians(phi))) ** 2  # fmt: skip
+            away2 = (
+                (z[:, None] - at) ** 2
+                + (x - off * math.cos(math.radians(phi))) ** 2
+                + (y - off * math.sin(math.radians(phi))) ** 2
+            )
             here[away2 < radius**2] = math.log(eps_stone)
             gone[away2 < radius**2] = 0.0
         for one in drawn.sewers:

@@ -123,8 +123,11 @@ def measured(seed: int, folder: Path) -> Case:
         files.append(folder / f"{k:02d}.jpg")
         picture = photograph(lens, rng, board, bow, rays)
         cv2.imwrite(str(files[-1]), picture, [cv2.IMWRITE_JPEG_QUALITY, quality])
-    case = Case(seed, f"{lens.family}, {2 * math.degrees(lens.half):.0f} deg, {lens.width} x {lens.height}, {count} "
-                f"photographs of {board[0]} x {board[1]}, bow {bow:+.2f} mm, JPEG {quality}")  # fmt: skip
+    case = Case(
+        seed,
+        f"{lens.family}, {2 * math.degrees(lens.half):.0f} deg, {lens.width} x {lens.height}, {count} "
+        f"photographs of {board[0]} x {board[1]}, bow {bow:+.2f} mm, JPEG {quality}",
+    )
     try:
         found = calibrate_camera(files)
     except AnnulusError as error:
@@ -156,11 +159,14 @@ def score(case: Case, lens: Lens, found: CameraCalibration) -> None:
             where = "at the edge" if wide[k] > math.degrees(lens.half) - EDGE_DEG else "in the middle"
             case.numbers.append(Number(f"ray, px, {where}", model, float(off[k]), 2 * float(sigma[k]), 0.0))
     sigmas = np.sqrt(np.diag(fit.covariance))
-    for k, (name, value, true_value) in enumerate((
-        ("focal length, px", camera.fx, paraxial(lens)),
-        ("focal length, px", camera.fy, paraxial(lens) / (1 + lens.shear)),
-        ("centre, px", camera.cx, lens.centre[0]), ("centre, px", camera.cy, lens.centre[1]),
-    )):  # fmt: skip
+    for k, (name, value, true_value) in enumerate(
+        (
+            ("focal length, px", camera.fx, paraxial(lens)),
+            ("focal length, px", camera.fy, paraxial(lens) / (1 + lens.shear)),
+            ("centre, px", camera.cx, lens.centre[0]),
+            ("centre, px", camera.cy, lens.centre[1]),
+        )
+    ):
         case.numbers.append(Number(name, model, value, 2 * float(sigmas[k]), true_value))
 
 

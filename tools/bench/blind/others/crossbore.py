@@ -29,8 +29,11 @@ def measured(seed: int, folder: Path) -> Case:
     np.savetxt(path, table, fmt="%.5f", delimiter=",", header=",".join(names), comments="")
     tool = drawn.tool
     extras = [name for name, there in (("pose", tool.pose), ("loss", tool.loss)) if there]
-    case = Case(seed, f"{drawn.soil}, air {tool.air_ff / 1000:.1f} pF, swing {tool.swing_ff:.0f} fF, "
-                f"{' and '.join(extras) or 'neither pose nor loss'}")  # fmt: skip
+    case = Case(
+        seed,
+        f"{drawn.soil}, air {tool.air_ff / 1000:.1f} pF, swing {tool.swing_ff:.0f} fF, "
+        f"{' and '.join(extras) or 'neither pose nor loss'}",
+    )
     head = Head(tool.air_ff, tool.sector_deg, tool.coupling_ff, tool.coupling_mm)
     try:
         grid = on_grid(Log(*read_bore_log(path)), head)
@@ -48,28 +51,35 @@ def score(case: Case, drawn: Drawn, grid: Grid, account: Account) -> None:
     for one in crossed:
         middle = drawn.odometer_mm(0.5 * sum(one.span_mm))
         half = max(100.0, 0.5 * (one.span_mm[1] - one.span_mm[0]) + BESIDE_MM)
-        mine = [said for said in account.indications if abs(said.odometer_mm - middle) < half]
-        mine.sort(key=lambda said: (said.kind not in BORES, abs(said.odometer_mm - middle)))
+        mine = [reported for reported in account.indications if abs(reported.odometer_mm - middle) < half]
+        mine.sort(key=lambda reported: (reported.kind not in BORES, abs(reported.odometer_mm - middle)))
         seen = bool(grid.seen[np.abs(grid.z_mm - middle) < half].all())
         case.things.append((f"sewer, {one.kind}", state(one, mine, uneven, seen), describe(one, mine)))
         if mine and mine[0].kind in BORES:
             numbers(case, one, mine[0], middle)
     middles = [drawn.odometer_mm(0.5 * sum(one.span_mm)) for one in crossed]
-    for said in account.indications:
-        real = [one.kind for one, at in zip(crossed, middles, strict=True) if abs(said.odometer_mm - at) < APART_MM]
-        if said.kind in BORES and not real:
-            near = [one for one in drawn.sewers if not one.kind and abs(one.at_mm - said.odometer_mm) < APART_MM]
-            case.false.append(f"{said.kind} at {said.odometer_mm:.0f} mm{', beside a near miss' if near else ''}, "
-                              f"{said.change_ff.round(0)} fF, {said.extent_mm:.0f} mm")  # fmt: skip
-        if said.odds:
-            fate = str(said.kind) if said.kind in BORES else "soil"
+    for reported in account.indications:
+        real = [one.kind for one, at in zip(crossed, middles, strict=True) if abs(reported.odometer_mm - at) < APART_MM]
+        if reported.kind in BORES and not real:
+            near = [one for one in drawn.sewers if not one.kind and abs(one.at_mm - reported.odometer_mm) < APART_MM]
+            case.false.append(
+                f"{reported.kind} at {reported.odometer_mm:.0f} mm{', beside a near miss' if near else ''}, "
+                f"{reported.change_ff.round(0)} fF, {reported.extent_mm:.0f} mm"
+            )
+        if reported.odds:
+            fate = str(reported.kind) if reported.kind in BORES else "soil"
             right = fate in real if real else fate == "soil"
-            case.odds.append((str(said.kind), likely(said), right))
+            case.odds.append((str(reported.kind), likely(reported), right))
     for at in map(drawn.odometer_mm, drawn.couplings):
-        mine = [said for said in account.indications if abs(said.odometer_mm - at) < COUPLING_MM]
-        kinds = [said.kind for said in mine]
-        found = "found" if Kind.COUPLING in kinds else "misnamed" if set(kinds) & set(BORES) else (
-            "not established" if Kind.UNKNOWN in kinds else "misnamed" if kinds else "missed")  # fmt: skip
+        mine = [reported for reported in account.indications if abs(reported.odometer_mm - at) < COUPLING_MM]
+        kinds = [reported.kind for reported in mine]
+        found = (
+            "found"
+            if Kind.COUPLING in kinds
+            else "misnamed"
+            if set(kinds) & set(BORES)
+            else ("not established" if Kind.UNKNOWN in kinds else "misnamed" if kinds else "missed")
+        )
         case.things.append(("coupling", found, ", ".join(kinds)))
 
 
@@ -84,16 +94,18 @@ def state(one: Sewer, mine: list[Indication], uneven: float, seen: bool) -> str:
 
 
 def describe(one: Sewer, mine: list[Indication]) -> str:
-    said = ", ".join(str(indication.kind) for indication in mine) or "nothing"
-    return (f"{said}; radius {one.radius_mm:.0f}, {one.offset_mm:.0f} mm aside towards {one.phi_deg:.0f} deg, mean "
-            f"{one.change_ff:+.0f} fF")  # fmt: skip
+    reported = ", ".join(str(indication.kind) for indication in mine) or "nothing"
+    return (
+        f"{reported}; radius {one.radius_mm:.0f}, {one.offset_mm:.0f} mm aside towards {one.phi_deg:.0f} deg, mean "
+        f"{one.change_ff:+.0f} fF"
+    )
 
 
-def numbers(case: Case, one: Sewer, said: Indication, middle: float) -> None:
-    case.numbers.append(Number("place, mm", one.kind, said.odometer_mm, math.nan, middle))
-    if math.isfinite(said.phi_deg) and one.offset_mm > ONE_SIDED * one.radius_mm and said.kind == one.kind:
-        off = (said.phi_deg - one.phi_deg + 180) % 360 - 180
-        case.numbers.append(Number("direction, deg", one.kind, off, 2 * said.phi_sigma_deg, 0.0))
+def numbers(case: Case, one: Sewer, reported: Indication, middle: float) -> None:
+    case.numbers.append(Number("place, mm", one.kind, reported.odometer_mm, math.nan, middle))
+    if math.isfinite(reported.phi_deg) and one.offset_mm > ONE_SIDED * one.radius_mm and reported.kind == one.kind:
+        off = (reported.phi_deg - one.phi_deg + 180) % 360 - 180
+        case.numbers.append(Number("direction, deg", one.kind, off, 2 * reported.phi_sigma_deg, 0.0))
     elif one.offset_mm > one.radius_mm:
         case.unsaid["direction, deg"] += 1
 

@@ -54,8 +54,11 @@ class Thing:
         if self.kind == "groove":
             return -self.height * (np.abs(u) < 1) * np.clip(1 - np.abs(v), 0, None)
         soft = 0.1  # mm: no edge is sharper
-        return self.height * np.clip((1 - np.abs(u)) * self.length / soft, 0, 1) * np.clip(
-            (1 - np.abs(v)) * self.width / soft, 0, 1)  # fmt: skip
+        return (
+            self.height
+            * np.clip((1 - np.abs(u)) * self.length / soft, 0, 1)
+            * np.clip((1 - np.abs(v)) * self.width / soft, 0, 1)
+        )
 
     def near(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         u, v = self.own(x, y)
@@ -90,19 +93,34 @@ def draw(rng: np.random.Generator) -> tuple[Head, list[Thing]]:
     baseline = rng.uniform(0.18, 0.4) * distance
     turn = cv2.Rodrigues(np.array([rng.normal(0, 0.02), -math.atan(baseline / distance) * rng.uniform(0, 0.8), 0.0]))[0]
     head = Head(
-        focal, distance, rng.uniform(-0.15, 0.05), rng.uniform(0.25, 0.4) * distance if rng.random() < 0.4 else 0.0,
-        np.array([baseline, rng.normal(0, 1.0), rng.normal(0, 3.0)]), np.asarray(turn).T,
-        rng.uniform(0.025, 0.05), rng.normal(0, 0.004) if rng.random() < 0.6 else 0.0,
-        (rng.uniform(0.4, 0.8), rng.normal(0, 0.04), rng.normal(0, 0.04)), rng.uniform(0, 2 * math.pi),
-    )  # fmt: skip
+        focal,
+        distance,
+        rng.uniform(-0.15, 0.05),
+        rng.uniform(0.25, 0.4) * distance if rng.random() < 0.4 else 0.0,
+        np.array([baseline, rng.normal(0, 1.0), rng.normal(0, 3.0)]),
+        np.asarray(turn).T,
+        rng.uniform(0.025, 0.05),
+        rng.normal(0, 0.004) if rng.random() < 0.6 else 0.0,
+        (rng.uniform(0.4, 0.8), rng.normal(0, 0.04), rng.normal(0, 0.04)),
+        rng.uniform(0, 2 * math.pi),
+    )
     wide, high = 0.5 * WIDTH * distance / focal, 0.5 * HEIGHT * distance / focal
     things = []
     for _ in range(6):
         kind = str(rng.choice(["slab", "cap", "groove"]))
         length, width = rng.uniform(4, 12), rng.uniform(0.3, 1.0) if kind == "groove" else rng.uniform(4, 10)
         tall = rng.uniform(0.1, 1.0) if kind == "groove" else rng.uniform(0.1, 2.5) * rng.choice([-1, 1])
-        things.append(Thing(kind, rng.uniform(-0.6, 0.9) * wide, rng.uniform(-0.7, 0.7) * high, length, width,
-                            rng.uniform(0, math.pi), float(tall)))  # fmt: skip
+        things.append(
+            Thing(
+                kind,
+                rng.uniform(-0.6, 0.9) * wide,
+                rng.uniform(-0.7, 0.7) * high,
+                length,
+                width,
+                rng.uniform(0, math.pi),
+                float(tall),
+            )
+        )
     return head, things
 
 
@@ -153,25 +171,38 @@ def write(folder: Path, studio: Studio, stands: list[tuple[list[Thing], float, f
     """stands : things, the plate's height, the head's true place, and what the stage says."""
     (folder / "frames").mkdir(parents=True, exist_ok=True)
     lines = ["index,camera,file,light,x_mm,height_mm"]
-    for k, (things, height, place, said) in enumerate(stands):
+    for k, (things, height, place, reported) in enumerate(stands):
         for camera in range(2 if studio.head.second else 1):
             name = f"frames/{k:03d}-{camera}.png"
             cv2.imwrite(str(folder / name), studio.picture(things, height, place, camera))
-            lines.append(f"{k},{camera},{name},projector,{said:.4f},{height:.4f}")
+            lines.append(f"{k},{camera},{name},projector,{reported:.4f},{height:.4f}")
     (folder / "frames.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def cameras(studio: Studio) -> dict[str, object]:
     head = studio.head
-    lens = {"model": "pinhole", "width": WIDTH, "height": HEIGHT, "fx": head.focal, "fy": head.focal,
-            "cx": studio.centre[0], "cy": studio.centre[1], "distortion": [head.bend, 0, 0, 0, 0],
-            "rotation": np.eye(3).tolist()}  # fmt: skip
+    lens = {
+        "model": "pinhole",
+        "width": WIDTH,
+        "height": HEIGHT,
+        "fx": head.focal,
+        "fy": head.focal,
+        "cx": studio.centre[0],
+        "cy": studio.centre[1],
+        "distortion": [head.bend, 0, 0, 0, 0],
+        "rotation": np.eye(3).tolist(),
+    }
     all_of_them = [{**lens, "id": 0, "translation_mm": [0, 0, 0]}]
     if head.second:
         all_of_them.append({**lens, "id": 1, "translation_mm": [-head.second, 0, 0]})
-    return {"format": "annulus-calibration/2", "cameras": all_of_them, "motion": [1.0, 0.0, 0.0],
-            "distance_mm": head.distance, "transfer": {"sensor": "linear", "black": 4},
-            "pattern": {"kind": "fringe"}}  # fmt: skip
+    return {
+        "format": "annulus-calibration/2",
+        "cameras": all_of_them,
+        "motion": [1.0, 0.0, 0.0],
+        "distance_mm": head.distance,
+        "transfer": {"sensor": "linear", "black": 4},
+        "pattern": {"kind": "fringe"},
+    }
 
 
 def measured(seed: int, folder: Path) -> Case:
@@ -182,18 +213,21 @@ def measured(seed: int, folder: Path) -> Case:
     fringe = head.period * head.distance
     step = fringe * rng.uniform(0.12, 0.3)
     place = np.concatenate([[0.0], np.cumsum(step * rng.uniform(0.6, 1.4, frames - 1))])
-    said = place * (1 + rng.normal(0, 0.002)) + np.concatenate([[0.0], rng.normal(0, 0.015, frames - 1)])
+    reported = place * (1 + rng.normal(0, 0.002)) + np.concatenate([[0.0], rng.normal(0, 0.015, frames - 1)])
     write(folder / "reference", studio, [([], h, 0.0, 0.0) for h in REFERENCE_MM])
-    write(folder / "scan", studio, [(things, 0.0, float(a), float(b)) for a, b in zip(place, said, strict=True)])
-    told = folder / "calibration.json"
-    told.write_text(json.dumps(cameras(studio)), encoding="utf-8")
-    case = Case(seed, f"{head.distance:.0f} mm off, fringe {fringe:.1f} mm, slide's bend {head.slide_bend:+.3f}, "
-                f"harmonics {head.wave[1]:+.2f} {head.wave[2]:+.2f}, {frames} frames, "
-                f"{'two cameras' if head.second else 'one camera'}, noise {studio.noise:.1f}")  # fmt: skip
+    write(folder / "scan", studio, [(things, 0.0, float(a), float(b)) for a, b in zip(place, reported, strict=True)])
+    prior = folder / "calibration.json"
+    prior.write_text(json.dumps(cameras(studio)), encoding="utf-8")
+    case = Case(
+        seed,
+        f"{head.distance:.0f} mm off, fringe {fringe:.1f} mm, slide's bend {head.slide_bend:+.3f}, "
+        f"harmonics {head.wave[1]:+.2f} {head.wave[2]:+.2f}, {frames} frames, "
+        f"{'two cameras' if head.second else 'one camera'}, noise {studio.noise:.1f}",
+    )
     try:
-        found = calibrate_fringe(folder / "reference", told)
-        save_fringe(found, told)
-        plate = reconstruct_fringe(open_fringe(folder / "scan", told))
+        found = calibrate_fringe(folder / "reference", prior)
+        save_fringe(found, prior)
+        plate = reconstruct_fringe(open_fringe(folder / "scan", prior))
     except AnnulusError as error:
         case.refused = str(error).replace(str(folder), "")
         return case
@@ -206,18 +240,21 @@ def score(case: Case, things: list[Thing], plate: Plate) -> None:
     x, y = np.meshgrid(plate.x_mm, plate.y_mm)
     true = relief(things, x, y)
     edge = np.any([thing.near(x, y) for thing in things], axis=0)
-    told = np.isfinite(plate.height_mm)
-    case.unsaid["height, mm"] += int(np.count_nonzero(plate.lit & ~told)) // EVERY
-    for i, j in np.argwhere(told)[::EVERY]:
+    prior = np.isfinite(plate.height_mm)
+    case.unsaid["height, mm"] += int(np.count_nonzero(plate.lit & ~prior)) // EVERY
+    for i, j in np.argwhere(prior)[::EVERY]:
         where = "beside an edge" if edge[i, j] else "on a thing" if abs(true[i, j]) > 0.02 else "plain"
-        case.numbers.append(Number("height, mm", where, float(plate.height_mm[i, j]), 2 * float(plate.sigma_mm[i, j]),
-                                   float(true[i, j])))  # fmt: skip
+        case.numbers.append(
+            Number(
+                "height, mm", where, float(plate.height_mm[i, j]), 2 * float(plate.sigma_mm[i, j]), float(true[i, j])
+            )
+        )
     for thing in things:
         u, v = thing.own(x, y)
         inside = (np.abs(u) < 0.6) & (np.abs(v) < (0.3 if thing.kind == "groove" else 0.6)) & plate.lit
         if inside.sum() < 6:
             continue
-        seen = inside & told
+        seen = inside & prior
         if seen.sum() < 0.3 * inside.sum():
             state, off = "not established", math.nan
         else:

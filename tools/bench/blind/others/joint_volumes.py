@@ -108,38 +108,69 @@ def draw(rng: np.random.Generator) -> Joint:
     tall, wide = wall * rng.uniform(0.2, 0.5), wall * rng.uniform(0.6, 1.2)
     inner = rng.uniform(0.7, 1.1)
     rolls = [
-        (tall * part * rng.uniform(0.85, 1.15), wide * part * rng.uniform(0.85, 1.15),
-         rng.uniform(1.7, 2.6), rng.uniform(1.7, 2.4))
+        (
+            tall * part * rng.uniform(0.85, 1.15),
+            wide * part * rng.uniform(0.85, 1.15),
+            rng.uniform(1.7, 2.6),
+            rng.uniform(1.7, 2.4),
+        )
         for part in (1.0, 1.0, inner, inner)
-    ]  # fmt: skip
+    ]
     bead = 2 * max(one[1] for one in rolls)
     shape = (int(np.clip((bead + wall * rng.uniform(4.0, 6.0)) / z, 60, 230)), int(across * x / y), across)
     lean = rng.uniform(0, 0.05) if rng.random() < 0.7 else 0.0
     way, hilo, towards = rng.uniform(0, 2 * math.pi, 3)
     aside = wall * rng.uniform(0, 0.1) if rng.random() < 0.6 else 0.0
     joint = Joint(
-        radius, wall, (z, y, x), shape,
+        radius,
+        wall,
+        (z, y, x),
+        shape,
         (rng.uniform(-0.04, 0.04) * radius, rng.uniform(-0.04, 0.04) * radius),
         (lean * math.cos(way), lean * math.sin(way)),
-        (rng.normal(0, 0.012), rng.normal(0, 0.012)), (aside * math.cos(hilo), aside * math.sin(hilo)),
-        rng.normal(0, 1, (2, 4)) * np.array([0.0, 0.006, 0.002, 0.001]), rng.normal(0, 0.012, (2, 3)),
-        rolls, (tall * rng.uniform(0.15, 0.55), tall * inner * rng.uniform(0.15, 0.55)),
-        rng.normal(0, 0.04, (2, 3)), bead * rng.uniform(0.45, 0.9),
-        0.0 if rng.random() < 0.15 else rng.uniform(0.005, 0.02), wall * rng.uniform(0.05, 0.15),
-        rng.uniform(-0.15, 0.35), rng.normal(0, 0.03, (2, 3)),
+        (rng.normal(0, 0.012), rng.normal(0, 0.012)),
+        (aside * math.cos(hilo), aside * math.sin(hilo)),
+        rng.normal(0, 1, (2, 4)) * np.array([0.0, 0.006, 0.002, 0.001]),
+        rng.normal(0, 0.012, (2, 3)),
+        rolls,
+        (tall * rng.uniform(0.15, 0.55), tall * inner * rng.uniform(0.15, 0.55)),
+        rng.normal(0, 0.04, (2, 3)),
+        bead * rng.uniform(0.45, 0.9),
+        0.0 if rng.random() < 0.15 else rng.uniform(0.005, 0.02),
+        wall * rng.uniform(0.05, 0.15),
+        rng.uniform(-0.15, 0.35),
+        rng.normal(0, 0.03, (2, 3)),
         (float(towards), rng.uniform(0.25, 0.6), rng.uniform(0.2, 0.45) if rng.random() < 0.4 else 0.0),
-    )  # fmt: skip
+    )
     voxel = (z * y * x) ** (1 / 3)
     for _ in range(int(rng.integers(0, 4))):
         kind, phi = str(rng.choice(["void", "grain", "gap"])), float(rng.uniform(0, 2 * math.pi))
         inner_at = float(joint.surface(True, np.array(phi), np.array(1e3)))
         rho = inner_at + wall * rng.uniform(0.35, 0.65)
         if kind == "gap":
-            joint.flaws.append(Flaw(kind, phi, inner_at + 0.5 * wall, 0.0, rng.uniform(0.2, 0.9) * z, -1.0,
-                                    rng.uniform(0.1, 0.4), wall * rng.uniform(0.15, 0.3)))  # fmt: skip
+            joint.flaws.append(
+                Flaw(
+                    kind,
+                    phi,
+                    inner_at + 0.5 * wall,
+                    0.0,
+                    rng.uniform(0.2, 0.9) * z,
+                    -1.0,
+                    rng.uniform(0.1, 0.4),
+                    wall * rng.uniform(0.15, 0.3),
+                )
+            )
         else:
-            joint.flaws.append(Flaw(kind, phi, rho, rng.uniform(-0.6, 0.6) * bead, rng.uniform(0.8, 2.0) * voxel,
-                                    -1.0 if kind == "void" else rng.uniform(0.1, 0.8)))  # fmt: skip
+            joint.flaws.append(
+                Flaw(
+                    kind,
+                    phi,
+                    rho,
+                    rng.uniform(-0.6, 0.6) * bead,
+                    rng.uniform(0.8, 2.0) * voxel,
+                    -1.0 if kind == "void" else rng.uniform(0.1, 0.8),
+                )
+            )
     return joint
 
 
@@ -196,8 +227,10 @@ def hardening(radii: np.ndarray, radius: float, count: int = 240) -> tuple[np.nd
     ray = 0.5 * (edge[1:] + edge[:-1])
     reach = np.sqrt(np.maximum(edge**2 - ray[:, None] ** 2, 0))  # (ray, edge)
     chords = 2 * np.diff(reach, axis=1)
-    paths = 2 * (np.sqrt(np.maximum(radii[1] ** 2 - ray[:, None] ** 2, 0))
-                 - np.sqrt(np.maximum(radii[0] ** 2 - ray[:, None] ** 2, 0)))  # fmt: skip
+    paths = 2 * (
+        np.sqrt(np.maximum(radii[1] ** 2 - ray[:, None] ** 2, 0))
+        - np.sqrt(np.maximum(radii[0] ** 2 - ray[:, None] ** 2, 0))
+    )
     return ray, np.linalg.solve(chords, paths**2)
 
 
@@ -241,9 +274,10 @@ def stored(grey: np.ndarray, smooth: float, rng: np.random.Generator) -> tuple[n
     air, plastic = {
         "uint8": (rng.uniform(20, 60), rng.uniform(140, 220)),
         "uint16": (rng.uniform(500, 20e3), rng.uniform(3e4, 6e4)),
-        "int16": (-1000.0, rng.uniform(-120, 60)), "float32": (0.0, rng.uniform(0.01, 0.03)),
+        "int16": (-1000.0, rng.uniform(-120, 60)),
+        "float32": (0.0, rng.uniform(0.01, 0.03)),
         "float32 below zero": (-rng.uniform(5, 9), -rng.uniform(0.5, 2)),
-    }[form]  # fmt: skip
+    }[form]
     if dark:
         air, plastic = plastic, air
     values = air + (plastic - air) * grey

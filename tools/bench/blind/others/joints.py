@@ -26,9 +26,12 @@ def measured(seed: int, folder: Path) -> Case:
     np.save(folder / "ct.npy", grey)
     (folder / "ct.json").write_text(json.dumps({"voxel_mm": joint.voxel}), encoding="utf-8")
     dz, _, dx = joint.voxel
-    case = Case(seed, f"{2 * joint.radius:.0f} mm, wall {joint.wall / dx:.0f} voxels, {dz / dx:.1f} as long, {form}, "
-                f"noise {100 * noise:.2f} %, hi-lo {math.hypot(*joint.aside):.2f} mm, zone "
-                f"{100 * joint.zone_drop:.1f} %")  # fmt: skip
+    case = Case(
+        seed,
+        f"{2 * joint.radius:.0f} mm, wall {joint.wall / dx:.0f} voxels, {dz / dx:.1f} as long, {form}, "
+        f"noise {100 * noise:.2f} %, hi-lo {math.hypot(*joint.aside):.2f} mm, zone "
+        f"{100 * joint.zone_drop:.1f} %",
+    )
     try:
         found = image(open_volume(folder / "ct.npy"))
     except AnnulusError as error:
@@ -40,9 +43,9 @@ def measured(seed: int, folder: Path) -> Case:
     return case
 
 
-def score(case: Case, joint: Joint, noise: float, said: dict[str, Any], told: dict[str, Any]) -> None:
+def score(case: Case, joint: Joint, noise: float, reported: dict[str, Any], prior: dict[str, Any]) -> None:
     at = np.arange(ANGLES) * 2 * math.pi / ANGLES
-    index = [int(np.argmin(np.abs(np.radians(said["phi_deg"]) - one))) for one in at]
+    index = [int(np.argmin(np.abs(np.radians(reported["phi_deg"]) - one))) for one in at]
     ahead, behind = np.full(ANGLES, 1e3), np.full(ANGLES, -1e3)
     nought = np.zeros(ANGLES)
     plain_out, plain_in = (
@@ -54,7 +57,7 @@ def score(case: Case, joint: Joint, noise: float, said: dict[str, Any], told: di
     for what, name, true in (("zone's width", "W", zone["W"]), ("zone's density, %", "haz", 100 * zone["haz"])):
         scale = 100.0 if name == "haz" else 1.0
         for k, true_one in zip(index, true, strict=True):
-            value, k2 = scale * said[name][k], 2 * scale * said[f"{name}_sigma"][k]
+            value, k2 = scale * reported[name][k], 2 * scale * reported[f"{name}_sigma"][k]
             if not math.isfinite(value):
                 if joint.zone_drop > TOLD_DROP:
                     case.unsaid[what] += 1
@@ -64,18 +67,20 @@ def score(case: Case, joint: Joint, noise: float, said: dict[str, Any], told: di
                 case.numbers.append(Number(what, "all round", value, k2, float(true_one)))
     hilo = "hi-lo" if any(joint.aside) else "no hi-lo"
     numbers = [
-        ("thickness T", hilo, said["T"][k], 2 * said["T_sigma"][k], true) for k, true in zip(index, thick, strict=True)
+        ("thickness T", hilo, reported["T"][k], 2 * reported["T_sigma"][k], true)
+        for k, true in zip(index, thick, strict=True)
     ]
-    sigma, aside = told["hilo_mm"]["sigma"], told["hilo_mm"]["axes_aside"]
+    sigma, aside = prior["hilo_mm"]["sigma"], prior["hilo_mm"]["axes_aside"]
     numbers.append(("hi-lo, axes aside", hilo, aside, 2 * sigma, math.hypot(*joint.aside)))
     for name, what, true in (
         ("ho", "bead's height", size * 0.5 * (joint.rolls[0][0] + joint.rolls[1][0])),
         ("hi", "bead's height", size * 0.5 * (joint.rolls[2][0] + joint.rolls[3][0])),
         ("wo", "bead's width", size * (joint.rolls[0][1] + joint.rolls[1][1])),
         ("wi", "bead's width", size * (joint.rolls[2][1] + joint.rolls[3][1])),
-        ("ro", "outer radius", plain_out), ("ri", "inner radius", plain_in),
-    ):  # fmt: skip
-        row = np.asarray(said[name])
+        ("ro", "outer radius", plain_out),
+        ("ri", "inner radius", plain_in),
+    ):
+        row = np.asarray(reported[name])
         row = row.mean(axis=0) if row.ndim == 2 else row
         numbers += [(what, "all round", row[k], math.nan, one) for k, one in zip(index, true, strict=True)]
     for what, where, value, k2, true_one in numbers:
@@ -83,7 +88,7 @@ def score(case: Case, joint: Joint, noise: float, said: dict[str, Any], told: di
             case.numbers.append(Number(what, where, float(value), float(k2), float(true_one)))
         else:
             case.unsaid[what] += 1
-    match(case, joint, noise, said["found"])
+    match(case, joint, noise, reported["found"])
 
 
 def match(case: Case, joint: Joint, noise: float, found: list[dict[str, Any]]) -> None:
@@ -100,8 +105,8 @@ def match(case: Case, joint: Joint, noise: float, found: list[dict[str, Any]]) -
         left = [one for one in left if one not in mine]
         kinds = [one["kind"] for one in mine]
         state = "found" if flaw.kind in kinds else "misnamed" if mine else "missed" if strong else "below the limit"
-        said = f"{', '.join(kinds)}; of {flaw.size_mm / voxel:.1f} voxels, contrast {flaw.contrast:+.2f}"
-        case.things.append((flaw.kind, state, said))
+        reported = f"{', '.join(kinds)}; of {flaw.size_mm / voxel:.1f} voxels, contrast {flaw.contrast:+.2f}"
+        case.things.append((flaw.kind, state, reported))
     case.false += [
         f"{one['kind']} at {one['phi_deg']:.0f} deg, {one['from_joint_mm']:+.1f} mm, snr {one['snr']:.1f}"
         for one in left

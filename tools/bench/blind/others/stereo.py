@@ -114,10 +114,15 @@ def draw_word(rng: np.random.Generator, stripes: int) -> str:
 def draw(rng: np.random.Generator) -> tuple[Wall, list[Eye], Slide]:
     radius = float(rng.choice([38.0, 51.0, 76.2, 101.6]))
     things = [
-        (radius * rng.uniform(0.9, 2.0), rng.uniform(0, 2 * math.pi), radius * rng.uniform(0.08, 0.25),
-         rng.uniform(0.1, 0.5), radius * rng.uniform(-0.05, 0.05))
+        (
+            radius * rng.uniform(0.9, 2.0),
+            rng.uniform(0, 2 * math.pi),
+            radius * rng.uniform(0.08, 0.25),
+            rng.uniform(0.1, 0.5),
+            radius * rng.uniform(-0.05, 0.05),
+        )
         for _ in range(4)
-    ]  # fmt: skip
+    ]
     wall = Wall(radius, rng.uniform(0, 0.015), rng.uniform(0, math.pi), things)
     way = rng.uniform(0, 2 * math.pi)
     first, second = rng.uniform(0.16, 0.32, 2) * radius
@@ -126,24 +131,50 @@ def draw(rng: np.random.Generator) -> tuple[Wall, list[Eye], Slide]:
     place = vertex + np.array([second * math.cos(away), second * math.sin(away), rng.uniform(-0.03, 0.08) * radius])
     focal = rng.uniform(255, 300)
     eyes = [
-        Eye(focal * rng.uniform(0.98, 1.02),
+        Eye(
+            focal * rng.uniform(0.98, 1.02),
             ((WIDTH - 1) / 2 + rng.uniform(-8, 8), (HEIGHT - 1) / 2 + rng.uniform(-8, 8)),
-            tuple(float(v) for v in rng.normal(0, (0.02, 0.004, 0.001, 0.0))), turn, at)
-        for turn, at in ((np.eye(3), np.zeros(3)),
-                         (rotation([*rng.normal(0, 0.02, 2), 0]) @ rotation([0, 0, rng.uniform(-2.5, 2.5)]), place))
-    ]  # fmt: skip
+            tuple(float(v) for v in rng.normal(0, (0.02, 0.004, 0.001, 0.0))),
+            turn,
+            at,
+        )
+        for turn, at in (
+            (np.eye(3), np.zeros(3)),
+            (rotation([*rng.normal(0, 0.02, 2), 0]) @ rotation([0, 0, rng.uniform(-2.5, 2.5)]), place),
+        )
+    ]
     slits = int(rng.integers(5, 9))
     axis = np.array([*rng.normal(0, 0.02, 2), 1.0])
     far, near = rng.uniform(1.6, 2.0), rng.uniform(0.85, 1.0)
     angles = np.linspace(math.atan(1 / far), math.atan(1 / near), slits)
     dyes = np.array([[1.0, 0.05, 0.03], [0.06, 0.9, 0.12], [0.03, 0.12, 0.85]]) * rng.uniform(0.85, 1.15, (3, 3))
     width = (angles[1] - angles[0]) * rng.uniform(0.11, 0.19)
-    return wall, eyes, Slide(vertex, axis / np.linalg.norm(axis), angles, width, draw_word(rng, slits + 1), dyes,
-                             math.radians(rng.uniform(3, 5)))  # fmt: skip
+    return (
+        wall,
+        eyes,
+        Slide(
+            vertex,
+            axis / np.linalg.norm(axis),
+            angles,
+            width,
+            draw_word(rng, slits + 1),
+            dyes,
+            math.radians(rng.uniform(3, 5)),
+        ),
+    )
 
 
-def photograph(wall: Wall, eye: Eye, slide: Slide, turn: np.ndarray, shift: np.ndarray, colour: np.ndarray,
-               rng: np.random.Generator, electrons: float, blur: float) -> np.ndarray:  # fmt: skip
+def photograph(
+    wall: Wall,
+    eye: Eye,
+    slide: Slide,
+    turn: np.ndarray,
+    shift: np.ndarray,
+    colour: np.ndarray,
+    rng: np.random.Generator,
+    electrons: float,
+    blur: float,
+) -> np.ndarray:
     """One eye's picture, blue first; a pipe's point p lies at turn p + shift of the first camera's frame."""
     v, u = (np.mgrid[: 2 * HEIGHT, : 2 * WIDTH] + 0.5) / 2 - 0.5
     rays = eye.rays(np.stack([u.ravel(), v.ravel()], axis=1)) @ turn  # of the pipe's frame
@@ -176,11 +207,12 @@ def photograph(wall: Wall, eye: Eye, slide: Slide, turn: np.ndarray, shift: np.n
     return np.asarray(cv2.cvtColor(np.clip(np.round(255 * raw), 0, 255).astype(np.uint8), cv2.COLOR_BayerRGGB2BGR))
 
 
-def told(wall: Wall, eyes: list[Eye], slide: Slide) -> Calibration:
+def prior(wall: Wall, eyes: list[Eye], slide: Slide) -> Calibration:
     cameras = [Camera("fisheye", WIDTH, HEIGHT, one.focal, one.focal, *one.centre, one.bends) for one in eyes]
     second = eyes[1]
-    other = HeadCamera(1, cameras[1], tuple(map(tuple, second.turn.tolist())),
-                       tuple((-second.turn @ second.place).tolist()))  # fmt: skip
+    other = HeadCamera(
+        1, cameras[1], tuple(map(tuple, second.turn.tolist())), tuple((-second.turn @ second.place).tolist())
+    )
     axis, vertex = tuple(slide.axis.tolist()), tuple(slide.vertex.tolist())
     cones = tuple(Cone(float(angle), axis, vertex) for angle in slide.half_angles)
     return Calibration(cameras[0], slide.word, cones, wall.radius, others=(other,))
@@ -192,11 +224,14 @@ def measured(seed: int, folder: Path) -> Case:
     name = str(rng.choice(list(WALLS)))
     electrons, quality, blur = rng.uniform(2000, 15000), int(rng.choice([80, 90, 97])), rng.uniform(0.5, 1.0)
     base = np.linalg.norm(slide.vertex[:2]), np.linalg.norm((eyes[1].place - slide.vertex)[:2])
-    case = Case(seed, f"{2 * wall.radius:.0f} mm, {name}, baselines {base[0]:.0f} and {base[1]:.0f} mm, "
-                f"{len(slide.half_angles)} slits {slide.word}, oval {200 * wall.oval:.1f} %, "
-                f"{electrons / 1000:.0f}k electrons, JPEG {quality}")  # fmt: skip
+    case = Case(
+        seed,
+        f"{2 * wall.radius:.0f} mm, {name}, baselines {base[0]:.0f} and {base[1]:.0f} mm, "
+        f"{len(slide.half_angles)} slits {slide.word}, oval {200 * wall.oval:.1f} %, "
+        f"{electrons / 1000:.0f}k electrons, JPEG {quality}",
+    )
     try:
-        head = StereoReconstructor(told(wall, eyes, slide))
+        head = StereoReconstructor(prior(wall, eyes, slide))
         for flash in range(FLASHES):
             turn = rotation([*rng.normal(0, 0.02, 2), 0.0])
             shift = np.array([*(rng.normal(0, 0.02, 2) * wall.radius), 0.0]) - 0.5 * np.array([*slide.vertex[:2], 0.0])

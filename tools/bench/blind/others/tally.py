@@ -50,13 +50,20 @@ def markdown(cases: Sequence[Case], failed: Mapping[int, str], head: str) -> str
     states = Counter(state for case in cases for _, state, _ in case.things)
     asked = sum(states[name] for name in STATES[:4])
     lines = [
-        head, "",
+        head,
+        "",
         f"{len(cases)} drawn, {len(failed)} broke, {len(cases) - len(done)} refused in one line. Of {asked} things "
         f"over the limit of detection: found {part(states['found'], asked)}, misnamed "
         f"{part(states['misnamed'], asked)}, missed {part(states['missed'], asked)}, said not established "
-        f"{part(states['not established'], asked)}. False: {sum(len(case.false) for case in cases)}.", "",
-        *_coverage(done), *without_k2(done), *_odds(done), *_things(cases), *_rows(cases, failed), *_details(done),
-    ]  # fmt: skip
+        f"{part(states['not established'], asked)}. False: {sum(len(case.false) for case in cases)}.",
+        "",
+        *_coverage(done),
+        *without_k2(done),
+        *_odds(done),
+        *_things(cases),
+        *_rows(cases, failed),
+        *_details(done),
+    ]
     return "\n".join(lines) + "\n"
 
 
@@ -68,8 +75,10 @@ def _coverage(cases: Sequence[Case]) -> list[str]:
     lines = [
         f"Coverage of k = 2; {100 * ASKED[0]:.0f} to {100 * ASKED[1]:.0f} % are asked, what is surely outside is bold. "
         "Numbers of one case err together: intervals are too narrow by that.",
-        "", "| number | where | k = 2 holds, % | not established |", "|---|---|---|---|",
-    ]  # fmt: skip
+        "",
+        "| number | where | k = 2 holds, % | not established |",
+        "|---|---|---|---|",
+    ]
     lines += [f"| {what} | {where} | {cell(*of)} | |" for (what, where), of in sorted(counts.items())]
     lines += [f"| {what} | | | {count} |" for what, count in sorted(unsaid.items())]
     return [*lines, ""]
@@ -81,11 +90,10 @@ def _odds(cases: Sequence[Case]) -> list[str]:
         return []
     lines = ["| called | times | said to be right | right |", "|---|---|---|---|"]
     for kind in sorted({kind for kind, _, _ in odds}):
-        said = [(value, right) for one, value, right in odds if one == kind]
-        mean = sum(value for value, _ in said) / len(said)
-        lines.append(
-            f"| {kind} | {len(said)} | {100 * mean:.1f} % | {part(sum(right for _, right in said), len(said))} |"
-        )
+        reported = [(value, right) for one, value, right in odds if one == kind]
+        mean = sum(value for value, _ in reported) / len(reported)
+        rightly = sum(right for _, right in reported)
+        lines.append(f"| {kind} | {len(reported)} | {100 * mean:.1f} % | {part(rightly, len(reported))} |")
     return [*lines, ""]
 
 
@@ -114,14 +122,14 @@ def _details(cases: Sequence[Case]) -> list[str]:
     lines = []
     for case in cases:
         lines += [
-            f"- {case.seed}: {kind}: {state}: {said}"
-            for kind, state, said in case.things
+            f"- {case.seed}: {kind}: {state}: {reported}"
+            for kind, state, reported in case.things
             if state in ("misnamed", "missed")
         ]
         lines += [f"- {case.seed}: false: {one}" for one in case.false]
         far = [one for one in case.numbers if one.far_off]
         lines += [
-            f"- {case.seed}: {one.what} {one.said:.3f} +- {one.k2:.3f}, is {one.true:.3f}: over 3 k2"
+            f"- {case.seed}: {one.what} {one.reported:.3f} +- {one.k2:.3f}, is {one.true:.3f}: over 3 k2"
             for one in far[:SAID_MOST]
         ]
         if len(far) > SAID_MOST:
@@ -132,6 +140,7 @@ def _details(cases: Sequence[Case]) -> list[str]:
 def totals(cases: Sequence[Case], failed: Mapping[int, str]) -> dict[str, Any]:
     """The same for programs."""
     return {
-        "cases": [case.to_dict() for case in cases], "broke": {str(seed): why for seed, why in failed.items()},
+        "cases": [case.to_dict() for case in cases],
+        "broke": {str(seed): why for seed, why in failed.items()},
         "coverage": coverage_rows(one for case in cases for one in case.numbers),
-    }  # fmt: skip
+    }
