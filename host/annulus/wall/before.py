@@ -88,6 +88,8 @@ def find_objects(
     profiles, looks : aligned profiles and their `looks_of`. explained : (Z, A) cells of joints, openings and levels:
         light is lost there for reasons of their own.
     """
+    if calibration.kind == "line":
+        return ()  # a bright line breaks off at an object, and its frames report that themselves (rings/objects.py)
     used = [p for p in profiles if p.pose is not None and len(p.points_mm)]
     rings = len(calibration.rings)
     free, gone = _light(wall, used, looks, explained, rings)
