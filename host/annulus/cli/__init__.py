@@ -17,6 +17,7 @@ from annulus.cli.export import export
 from annulus.cli.fringe import BY, By
 from annulus.cli.manual import docs
 from annulus.cli.pdf import Sheet, on_paper
+from annulus.cli.reference import ReferenceDiameter, References, ReferenceU, sections_and_file
 from annulus.cli.reprocess import EXAMPLE as REPROCESS_EXAMPLE
 from annulus.cli.reprocess import reprocess
 from annulus.cli.sample import sample
@@ -111,9 +112,9 @@ def reconstruct(
         Path | None,
         typer.Option(help="The pipe's colours, from `annulus calibrate colour`; each frame's own if not given."),
     ] = None,
-    reference: Annotated[
-        Path | None, typer.Option(help="The pattern's artefacts, from `annulus calibrate reference`, to take out.")
-    ] = None,
+    reference: References = None,
+    reference_diameter: ReferenceDiameter = None,
+    reference_u: ReferenceU = None,
     vibration_filter: Annotated[
         bool, typer.Option("--vibration-filter", help="Take out what shakes periodically along the pipe, and say what.")
     ] = False,
@@ -153,6 +154,7 @@ def reconstruct(
     from annulus.reprocess import Processes, fringes_on, look_at, make_ready, open_job, surveyed
 
     sheet, criteria = job_of(job or ()), _criteria(limits)
+    sections, artefacts = sections_and_file(reference, reference_diameter, reference_u)
     printed = on_paper(pdf, paper)
     wall = fringes_on(scan, calibration)
     if by is By.CAMERAS and wall != "plate":
@@ -175,7 +177,7 @@ def reconstruct(
                     raise AnnulusError(f"{option} does not go with {scan}: a plate has no report of a pipe")
             _reconstruct_fringe(scan, calibration, out, by, printed, told, as_json)
         return
-    work = open_job(scan, calibration, colour=colour, reference=reference)
+    work = open_job(scan, calibration, colour=colour, reference=artefacts, sections=sections)
     origin = origin_of(work.scan, calibration, sheet)
     look_at(work)  # what is refused is refused before loops are compiled
     prepare_folder(out)

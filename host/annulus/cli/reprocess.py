@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
+from annulus.cli.reference import ReferenceDiameter, References, ReferenceU, sections_and_file
 from annulus.cli.show import Bars, Json, progress, tell
 from annulus.vocabulary import AnnulusError
 
 if TYPE_CHECKING:
     from annulus.record.storage import Place
     from annulus.reprocess import Executor
+    from annulus.wall.reference import ReferenceSection
 
 EXAMPLE = "Example: annulus reprocess scans/*.mcap -o season --workers 4"
 NAME_MAX = 200  # characters of a folder's name
@@ -33,6 +35,7 @@ class _With:
     calibration: Path | None
     colour: Path | None
     reference: Path | None
+    sections: "tuple[ReferenceSection, ...]"
 
 
 def reprocess(
@@ -57,7 +60,9 @@ def reprocess(
         Path | None, typer.Option(help="calibration.json of the head. A recording carries its own.")
     ] = None,
     colour: Annotated[Path | None, typer.Option(help="The pipe's colours, from `annulus calibrate colour`.")] = None,
-    reference: Annotated[Path | None, typer.Option(help="Of the pattern, from `annulus calibrate reference`.")] = None,
+    reference: References = None,
+    reference_diameter: ReferenceDiameter = None,
+    reference_u: ReferenceU = None,
     told: Annotated[
         Bars,
         typer.Option("--progress", help='How progress is told: a bar, or {"what", "done", "total"} a line of stderr.'),
@@ -71,7 +76,8 @@ def reprocess(
     """
     named = folders(scans)
     place, executor = _place(out), _executor(engine, scheduler, workers, tls_ca, tls_cert, tls_key)
-    given = _With(calibration, colour, reference)
+    sections, artefacts = sections_and_file(reference, reference_diameter, reference_u)
+    given = _With(calibration, colour, artefacts, sections)
     rows = []
     try:
         with progress(told) as bars:
@@ -177,7 +183,7 @@ def _reprocessed(scan: str, place: "Place", executor: "Executor", given: _With, 
     path = cast(Path, where(scan))
     if fringes_on(path, given.calibration):
         raise AnnulusError(f"{scan}: its head projects fringes, which are not measured frame by frame: reconstruct it")
-    work = open_job(path, given.calibration, colour=given.colour, reference=given.reference)
+    work = open_job(path, given.calibration, colour=given.colour, reference=given.reference, sections=given.sections)
     origin = origin_of(work.scan, given.calibration)
     look_at(work)  # what is refused is refused before loops are compiled
     make_ready(work.calibration, tell)

@@ -22,6 +22,7 @@ from annulus.stereo import CAMERA_MISSING, TWO_WALLS
 from annulus.vocabulary import AnnulusError, Finding, Label, first_few
 from annulus.wall import survey
 from annulus.wall.profile import Profile
+from annulus.wall.scale import find_scale
 from annulus.wall.survey import Survey
 from annulus.wall.texture import LedFrame
 
@@ -50,8 +51,9 @@ class Reprocessed:
     def survey(self, *, vibration: bool = False, fps: float | None = None, progress: Progress | None = None) -> Survey:
         """What profiles, LED frames and capacitive sectors say of the pipe; see `wall.survey`, `with_bores`."""
         leds = LedFrames(self.job, progress)
-        turns = turns_of(self.job.scan)
-        pipe = survey(self.profiles, self.job.calibration, leds, turns=turns, vibration=vibration, fps=fps)
+        turns, job = turns_of(self.job.scan), self.job
+        scale = find_scale(self.profiles, job.calibration, job.sections)
+        pipe = survey(self.profiles, job.calibration, leds, turns=turns, vibration=vibration, fps=fps, scale=scale)
         pipe = replace(pipe, disbelieved=(*pipe.disbelieved, *leds.findings()))
         return with_bores(self.job.scan, self.profiles, pipe)
 

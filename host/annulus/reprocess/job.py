@@ -19,6 +19,7 @@ from annulus.rings.diagnosis import Exposure, diagnose
 from annulus.vocabulary import AnnulusError, Label
 from annulus.wall.gyro import Turns
 from annulus.wall.profile import Profile
+from annulus.wall.reference import ReferenceSection, sections_recorded
 
 FLASH_MM = 0.05  # frames of one flash stand no farther apart; a tenth of what a head moves in a flash is less
 Measured = tuple[Profile, Exposure]
@@ -32,6 +33,7 @@ class Job:
     calibration: Calibration
     colour: ColourProfile | None = None  # of the pipe; each frame's own where None
     reference: Reference | None = None  # already in the calibration; vouches for some poses only
+    sections: tuple[ReferenceSection, ...] = ()  # of the pipe, whose diameter is known
 
     def which(self, label: Label) -> list[int]:
         """Numbers of the frames with that label."""
@@ -116,11 +118,13 @@ def open_job(
     *,
     colour: Where | str | None = None,
     reference: Where | str | None = None,
+    sections: Sequence[ReferenceSection] = (),
 ) -> Job:
     """Open a scan folder or recording with the files of its calibration: paths, or URLs of a store.
 
     calibration : a recording's own is used when None. colour, reference : files of `annulus calibrate colour` and
-    `reference`. Raises AnnulusError, one line, for what is missing, damaged or does not belong together.
+    `reference`. sections : stretches whose diameter is known; a recording's own if none is named.
+    Raises AnnulusError, one line, for what is missing, damaged or does not belong together.
     """
     place = where(scan)
     opened = roll_filled(open_scan(place))
@@ -140,7 +144,8 @@ def open_job(
         raise AnnulusError(
             f"{place}: says x_mm, no z_mm: a scan of a plate. Expected the calibration of a head that projects fringes."
         )
-    return Job(opened, known, paint, pattern)
+    recorded = (opened.recording.configuration or {}) if opened.recording is not None else {}
+    return Job(opened, known, paint, pattern, tuple(sections) or sections_recorded(recorded.get("reference")))
 
 
 def _belong_together(scan: Scan, calibration: Calibration) -> None:

@@ -30,6 +30,7 @@ from annulus.reprocess.ranges import FOLDER, Facts, profiles_of
 from annulus.reprocess.windows import Files, survey_windows
 from annulus.vocabulary import Finding, Label
 from annulus.wall.profile import Profile
+from annulus.wall.scale import AbsoluteScale, find_scale, frames_for_scale
 from annulus.wall.survey import Survey
 from annulus.wall.windows import POINTS_MAX, Reach, plan
 
@@ -129,8 +130,9 @@ def surveyed(
         if len(cut.windows) == 1:
             survey = done.survey(vibration=vibration, fps=fps, progress=progress)
             return Surveyed(done.job, survey, done.findings, done.frames, done.drops, done.timing_ms)
+        scale = find_scale(done.profiles, job.calibration, job.sections)
         pipe, numbers, timing = survey_windows(
-            done.job, Held(done.profiles), cut, files, in_process, progress, vibration=vibration, fps=fps
+            done.job, Held(done.profiles), cut, files, in_process, progress, vibration=vibration, fps=fps, scale=scale
         )
         told = with_bores(done.job.scan, done.profiles, pipe)
         timing_ms = {**done.timing_ms, **timing}
@@ -144,8 +146,10 @@ def surveyed(
             survey = done.survey(vibration=vibration, fps=fps, progress=progress)
             return Surveyed(done.job, survey, done.findings, done.frames, done.drops, done.timing_ms, *counts)
         measured_ms = 1e3 * (time.perf_counter() - started)
+        filed = _filed(ranged, place)
+        scale = _scale(ranged, filed)
         pipe, numbers, timing = survey_windows(
-            ranged.job, _filed(ranged, place), cut, files, _fewer(executor), progress, vibration=vibration, fps=fps
+            ranged.job, filed, cut, files, _fewer(executor), progress, vibration=vibration, fps=fps, scale=scale
         )
     told = with_bores(ranged.job.scan, _poses(ranged), pipe)
     timing_ms = {**_timing(ranged), "scan_to_profiles": measured_ms, **timing}
@@ -170,6 +174,15 @@ def _filed(ranged: Ranged, place: Place) -> Filed:
     ends = accumulate((len(one.reaches) for one in ranged.facts), initial=0)
     bare = tuple(replace(one, poses=(), reaches=()) for one in ranged.facts)
     return Filed(place, bare, tuple(ends)[:-1])
+
+
+def _scale(ranged: Ranged, filed: Filed) -> AbsoluteScale | None:
+    """Of a scan whose profiles nobody holds: from some of them."""
+    z_of = {frame.index: frame.z_mm for frame in ranged.job.scan.frames}
+    z_mm = np.array([z_of[filed.frame(i)] for i in range(sum(len(one.reaches) for one in ranged.facts))])
+    job = ranged.job
+    numbers = np.sort(frames_for_scale(z_mm, job.calibration.pipe_radius_mm, job.sections))
+    return find_scale(filed.of([int(i) for i in numbers]), job.calibration, job.sections)
 
 
 def _fewer(executor: Executor) -> Executor:

@@ -22,6 +22,7 @@ from annulus.vocabulary import AnnulusError, Finding, Label
 from annulus.wall import survey
 from annulus.wall.joined import Abstract, Joined, abstract, joined
 from annulus.wall.profile import Profile
+from annulus.wall.scale import AbsoluteScale
 from annulus.wall.survey import Survey
 from annulus.wall.windows import Plan, Window, between
 
@@ -112,6 +113,7 @@ class WindowWork:
     files: Files
     vibration: bool = False
     fps: float | None = None
+    scale: AbsoluteScale | None = None
 
     def ready(self) -> "Callable[[Portion], Abstract | Finding]":
         return self._do
@@ -132,6 +134,7 @@ class WindowWork:
                 vibration=self.vibration,
                 fps=self.fps,
                 z_step_mm=self.z_step_mm,
+                scale=self.scale,
             )
             kept = between(replace(whole, disbelieved=(*whole.disbelieved, *leds.findings())), window)
             if not len(kept.wall.z_mm):
@@ -150,7 +153,8 @@ class WindowWork:
         profiles = portion.profiles.made_from()
         if profiles is None:
             return None
-        job, more = self.job, (self.z_step_mm, self.whole_step_mm, self.vibration, self.fps)
+        job = self.job
+        more = (self.z_step_mm, self.whole_step_mm, self.vibration, self.fps, job.sections)
         part = portion.part
         pictures = part.part([i for i, frame in enumerate(part.frames) if frame.label is Label.LED])  # in no range
         return address(
@@ -176,6 +180,7 @@ class WindowWork:
 def survey_windows(
     job: Job, profiles: Profiles, plan: Plan, files: Files, executor: Executor = in_process,
     progress: Progress | None = None, *, vibration: bool = False, fps: float | None = None,
+    scale: AbsoluteScale | None = None,
 ) -> tuple[Joined, tuple[int, ...], Mapping[str, float]]:  # fmt: skip
     """All windows surveyed and written: what they say together, which of them were measured, and ms that it took.
 
@@ -185,7 +190,7 @@ def survey_windows(
     parts: dict[int, Abstract] = {}
     findings: dict[int, Finding] = {}
     portions = Portions(job.scan, profiles, plan)
-    work = WindowWork(without_frames(job), plan.z_step_mm, plan.whole_step_mm, files, vibration, fps)
+    work = WindowWork(without_frames(job), plan.z_step_mm, plan.whole_step_mm, files, vibration, fps, scale)
     report = progress or (lambda stage, done, total: None)
     report("wall", 0, len(portions))
     for number, outcome in executor(work, portions):

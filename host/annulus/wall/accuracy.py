@@ -33,7 +33,7 @@ class Tolerance:
 def tolerances(survey: Survey) -> Iterator[Tolerance]:
     """Of a point of the wall, a departure on the map, the depths that are listed, and a station's sizes."""
     wall, stations = survey.wall, survey.stations
-    sigma = wall.sigma_mm[np.isfinite(wall.sigma_mm)].astype(np.float64)
+    sigma = np.hypot(wall.sigma_mm[np.isfinite(wall.sigma_mm)], wall.scale_part * wall.mean_radius_mm)
     yield _of("radius of one point of the wall", "mm", 2.0 * sigma)
     stated = np.isfinite(wall.sigma_mm)
     parts = (wall.sigma_mm, wall.cell_noise_mm, wall.shape_sigma_mm())

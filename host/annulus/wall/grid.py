@@ -64,7 +64,9 @@ class Wall:
     where too little was seen to say. noise_mm (Z,): robust standard deviation of a cell about that shape.
     cell_noise_mm (Z, A) float32: never less than that, and more where only rings look that are noisier than most.
     sigma_mm (Z, A) float32: what one of the cell's points may be off (`Profile.sigma_mm`, the median); NaN where nobody
-    said. Averaging does not make it less: a part of it all points of a ring have in common.
+    said. Averaging does not make it less: a part of it all points of a ring have in common. scale_part, oval_part : of
+    the radius, standard deviations of what every radius of the scan has in common, and of the long one's excess: of
+    absolute lengths only, and in none of the above (`scale.Scale`).
     """
 
     z_mm: FloatArray
@@ -77,6 +79,8 @@ class Wall:
     cell_noise_mm: Float32Array
     observations: Observations
     sigma_mm: Float32Array
+    scale_part: float = 0.0
+    oval_part: float = 0.0
 
     @property
     def z_step_mm(self) -> float:

@@ -137,7 +137,8 @@ def abstract(survey: Survey, window: Window, step_mm: float) -> Abstract:
         (np.arange(count) + group[0] + 0.5) * step_mm, wall.clock_deg, pooled(wall.radius_mm, _median, nan),
         pooled(wall.count, np.sum, 0), pooled(wall.shape_mm, np.nanmean, np.nan),
         pooled(wall.shape_covariance, np.nanmax, np.nan), pooled(wall.noise_mm, np.nanmean, np.nan),
-        pooled(wall.cell_noise_mm, _median, nan), _nobody(), pooled(wall.sigma_mm, _median, nan),
+        pooled(wall.cell_noise_mm, _median, nan), _nobody(), pooled(wall.sigma_mm, _median, nan), wall.scale_part,
+        wall.oval_part,
     )  # fmt: skip
     hidden = pooled(survey.shadowed, np.any, False) & ~coarse.seen
     bare = replace(
@@ -184,7 +185,7 @@ def joined(parts: Sequence[Abstract], more: Sequence[Finding] = ()) -> Joined:
         vibration=None, features=tuple(features), centreline=centreline_of(parts), disbelieved=(*findings, *more),
         nominal_diameter_mm=first.nominal_diameter_mm, timing_ms=dict(timing), cameras=first.cameras, light=first.light,
         rings_lost=lost, sums=sums,
-        unjudged=in_one([one for survey in surveys for one in survey.unjudged], TOUCH_MM + step),
+        unjudged=in_one([one for survey in surveys for one in survey.unjudged], TOUCH_MM + step), scale=first.scale,
     )  # fmt: skip
 
 
@@ -325,7 +326,7 @@ def _side_by_side(walls: Sequence[Wall], rows: _Rows) -> Wall:
         rows.laid([one.count for one in walls], 0), rows.carried([one.shape_mm for one in walls]),
         rows.laid([one.shape_covariance for one in walls], np.inf), rows.carried([one.noise_mm for one in walls]),
         rows.carried([one.cell_noise_mm for one in walls]), _nobody(),
-        rows.laid([one.sigma_mm for one in walls], unknown),
+        rows.laid([one.sigma_mm for one in walls], unknown), walls[0].scale_part, walls[0].oval_part,
     )  # fmt: skip
 
 

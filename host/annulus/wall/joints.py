@@ -392,10 +392,11 @@ def _outwards(axis: Axis, piece: int | None, at_mm: float) -> float:
 
 
 def common_mm(wall: Wall, behind_mm: float = -math.inf) -> float:
-    """What the points of the wall behind a place may all be off alike, in the median; 0 where nobody says."""
+    """What the radii of the wall behind a place may all be off alike: what points state, in the median (0 where nobody
+    says), and what the scan's scale leaves."""
     stated = wall.sigma_mm[wall.z_mm > behind_mm]
     stated = stated[np.isfinite(stated)]
-    return float(np.median(stated)) if len(stated) else 0.0
+    return math.hypot(float(np.median(stated)) if len(stated) else 0.0, wall.scale_part * wall.mean_radius_mm)
 
 
 def _of_line(axis: Axis, piece: int, at_mm: float, off: _Off, common_mm: float) -> list[Measure]:

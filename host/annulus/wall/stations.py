@@ -129,7 +129,8 @@ def swing_k2_mm(wall: Wall) -> FloatArray:
     stated = wall.seen & np.isfinite(wall.sigma_mm)
     parts = (wall.sigma_mm, wall.cell_noise_mm, wall.shape_sigma_mm())
     points = [nan_median(np.where(stated, part, np.nan).T.astype(np.float64)) for part in parts]
-    return np.asarray(2.0 * np.linalg.norm([*(2.0 * one for one in points), 2.0 * swing_sigma(wall)], axis=0))
+    alike = 2.0 * wall.oval_part * wall.shape_mm[:, 0]
+    return np.asarray(2.0 * np.linalg.norm([*(2.0 * one for one in points), 2.0 * swing_sigma(wall), alike], axis=0))
 
 
 def measure_stations(wall: Wall, station_mm: float = STATION_MM) -> Stations:
@@ -139,10 +140,10 @@ def measure_stations(wall: Wall, station_mm: float = STATION_MM) -> Stations:
     over the slice and over three neighbouring degrees: extremes of noise are not diameters. Two opposite radii may err
     alike, so the uncertainty of one counts twice; noise, which the extremes pick, is added as for independent ones. All
     radii of a station may err alike, too, by that of one point: a circumference by 2 pi times as much, an area by the
-    circumference times as much.
+    circumference times as much. What the whole scan's scale may be off is of each of these.
     """
     rows = max(1, round(station_mm / wall.z_step_mm))
-    columns = len(wall.clock_deg)
+    columns, scale = len(wall.clock_deg), np.hypot(wall.scale_part, wall.oval_part)
     shape, fitted_mm, basis = shape_ovality(wall), wall.shape_radius_mm(), harmonics(wall.clock_deg)
     # by so much an ellipse, or a pipe between plates, departs from a shape of two waves
     bent = (wall.shape_mm[:, 3] ** 2 + wall.shape_mm[:, 4] ** 2) / np.maximum(wall.shape_mm[:, 0], 1.0)
@@ -160,12 +161,14 @@ def measure_stations(wall: Wall, station_mm: float = STATION_MM) -> Stations:
         is_known = bool(np.isfinite(middle).all()) or not of_unseen.any()
         guessed = 2.0 * np.sqrt(max(of_unseen @ middle @ of_unseen, 0.0)) if is_known and of_unseen.any() else 0.0
         guessed += 2.0 * of_unseen[0] * float(bent[part].mean())
-        k2 = 2.0 * np.sqrt((2.0 * error) ** 2 + 2.0 * float(wall.noise_mm[part].mean()) ** 2 + guessed**2)
+        alike = 2.0 * scale * float(wall.shape_mm[part, 0].mean())
+        k2 = 2.0 * np.sqrt((2.0 * error) ** 2 + alike**2 + 2.0 * float(wall.noise_mm[part].mean()) ** 2 + guessed**2)
         z = float(wall.z_mm[part].mean())
         measured = diameter[np.isfinite(diameter)]
         across = across_mm(radius, wall.shape_mm[part].mean(axis=0), wall.clock_deg)
         length, area = around_mm(radius, outline)
-        sizes = (*across, length, 4 * np.pi * error if length > 0 else np.nan, area, 2 * length * error)
+        wide = np.hypot(error, wall.scale_part * float(wall.shape_mm[part, 0].mean()))
+        sizes = (*across, length, 4 * np.pi * wide if length > 0 else np.nan, area, 2 * length * wide)
         if len(measured) < PAIRS_NEEDED * len(diameter):
             known = np.isfinite(across).any()
             out.append((z, np.nan, np.nan, np.nan, float(shape[part].mean()), valid, k2 if known else np.nan, *sizes))

@@ -37,6 +37,7 @@ from annulus.wall.points import Points
 from annulus.wall.profile import Profile
 from annulus.wall.registration import register
 from annulus.wall.rests import without_rests
+from annulus.wall.scale import AbsoluteScale, find_scale, scale_findings, with_drift, with_scale
 from annulus.wall.shadow import shadowed
 from annulus.wall.standing import depth_limit_mm
 from annulus.wall.stations import Stations, measure_stations, not_enough_seen
@@ -85,6 +86,7 @@ class Survey:
     no_wall: BoolArray | None = None  # (Z, A) cells of openings, which no diameter has its ends in; None: none
     unjudged: tuple[Unjudged, ...] = ()  # where a limit may be broken although nothing listed breaks it
     standing: tuple[Standing, ...] = ()  # in the bore, before the wall
+    scale: AbsoluteScale | None = None  # what anchors lengths across the pipe; None where nothing is known of that
 
     @property
     def defects(self) -> tuple[Defect, ...]:
@@ -106,6 +108,7 @@ class Survey:
             *lost,
             *objects_before_the_wall(self.profiles),
             *(one.finding for one in self.standing),
+            *scale_findings(self.scale),
             *self.disbelieved,
         )
 
@@ -212,6 +215,7 @@ def survey(
     vibration: bool = False,
     fps: float | None = None,
     z_step_mm: float | None = None,
+    scale: AbsoluteScale | None = None,
 ) -> Survey:
     """Everything a scan's profiles say of the pipe. Opens no file and changes none of its arguments.
 
@@ -221,6 +225,7 @@ def survey(
     turns : how far the head turned since the frame before, as a gyroscope said; of every frame of the scan.
     vibration : take out what shakes periodically along the pipe; fps : frames a second, only to name it in hertz.
     z_step_mm : length of the wall's rows; by the density of the points if not given.
+    scale : of the scan that these profiles are a part of, where it is known; else as they show themselves.
 
     Raises
     ------
@@ -236,7 +241,11 @@ def survey(
 
     rises = np.array([math.tan(ring.half_angle) for ring in calibration.rings])
     narrowest, widest = float(rises[0]), float(rises[-1])
-    above, levels = without_levels(without_rests(profiles), calibration)
+    profiles = without_rests(profiles)
+    scale = scale or find_scale(profiles, calibration)
+    profiles = with_drift(profiles, calibration, scale)
+    done("scale")
+    above, levels = without_levels(profiles, calibration)
     done("levels")
     axis = find_axis(above, calibration.rings, turns)
     done("axis")
@@ -250,13 +259,17 @@ def survey(
         done("vibration")
     measured = with_revised_sigma(measured, axis.centreline)
     done("sigma")
-    wall = build_wall(measured, z_step_mm=z_step_mm, rise=widest, centreline=axis.centreline)
+
+    def scaled(wall: Wall) -> Wall:
+        return wall if scale is None else replace(wall, scale_part=scale.part, oval_part=scale.oval_part)
+
+    wall = scaled(build_wall(measured, z_step_mm=z_step_mm, rise=widest, centreline=axis.centreline))
     done("wall")
     joints = find_joints(wall, measured, axis, 1.0 / rises)
     seen = without_hidden(measured, joints, 1.0 / widest)
     if any(a is not b for a, b in zip(seen, measured, strict=True)):
         measured = seen
-        wall = build_wall(measured, z_step_mm=z_step_mm, rise=widest, centreline=axis.centreline)
+        wall = scaled(build_wall(measured, z_step_mm=z_step_mm, rise=widest, centreline=axis.centreline))
     below = covered(levels, wall.clock_deg, wall.z_mm[:, None])
     lit = looks_of(aligned, wall, calibration)
     openings, no_wall = find_openings(wall, aligned, calibration, lit)
@@ -277,7 +290,7 @@ def survey(
     )  # fmt: skip
     done("stations")
     standing = find_objects(wall, aligned, calibration, lit[1], explained)
-    cloud = with_edges(measured, wall)
+    cloud = with_scale(with_edges(measured, wall), scale)
     done("objects and edges")
     pace = Pace(wall, axis.centreline, calibration, measured)
     texture = paint(wall, axis.centreline, calibration, measured, pace.watched(led_frames))
@@ -293,7 +306,7 @@ def survey(
     return Survey(
         cloud, wall, dark, detection, stations, texture, shaken, tuple(features), axis.centreline,
         (*axis.findings, *pace.findings()), nominal, timing, tuple(one.id for one in calibration.cameras),
-        no_wall=no_wall, unjudged=unjudged, standing=standing,
+        no_wall=no_wall, unjudged=unjudged, standing=standing, scale=scale,
     )  # fmt: skip
 
 

@@ -193,6 +193,7 @@ def survey(
     wall = SimpleNamespace(
         shape_mm=shape, z_mm=np.arange(n) * 5.0, seen=np.ones((n, 36), bool), sigma_mm=flat, cell_noise_mm=flat,
         shape_sigma_mm=lambda: flat, shape_covariance=np.tile(1e-6 * np.eye(5), (n, 1, 1)), shape_limit_mm=0.4,
+        oval_part=0.0,
     )  # fmt: skip
     steady = np.full(n, 152.0)
     low = np.array([152.0, 151.0, 152.0, 152.0])
