@@ -286,6 +286,8 @@ def _print_summary(data: Mapping[str, Any], out: Path) -> None:
     if diameter["mean"] is not None:
         between = span(diameter["min"], diameter["max"], MEASURE)
         print(f"diameter   {said(diameter['mean'], MEASURE, diameter.get('k2'))} mean (k=2), {between}")
+    if data.get("scale"):
+        print(f"scale      {data['scale']['anchor']}")
     print(f"points     {data['points']}")
     for d in data["defects"]:
         depth = said(d["depth_mm"], MEASURE, d.get("depth_k2_mm"), at_least=not d.get("floor_seen", True))

@@ -35,6 +35,7 @@ from annulus.report.paper import letter, marked, question
 from annulus.wall.accuracy import CONFIDENCE, least_detection, tolerances
 from annulus.wall.conformity import QUANTITIES, RULE, Decision, Judged, Verdict
 from annulus.wall.defects import Kind
+from annulus.wall.scale import anchor
 from annulus.wall.sections import MOST, cut, worth_showing
 from annulus.wall.survey import Survey
 from annulus.wall.unjudged import Unjudged
@@ -62,7 +63,10 @@ def values(survey: Survey, account: Account) -> dict[str, Any]:
     verdict = account.verdict
     return {
         "job": list(_job(account.origin)),
-        "calibrated": list(_calibrated(account.origin)),
+        "calibrated": [
+            *_calibrated(account.origin),
+            ("Check against a reference section", anchor(survey.scale, survey.diameter_mean_mm)),
+        ],
         "conformity": None if verdict is None else _conformity(verdict, survey.seen_fraction),
         "holes": list(_holes(survey)),
         "least_hole": said(survey.size_limit_mm, EXTENT),
@@ -108,7 +112,6 @@ def _calibrated(origin: Origin) -> Iterator[tuple[str, str]]:
         yield f"Calibrated: {section}", ", ".join(parts)
     if not origin.calibration:
         yield "Calibrated when, and how", NOT_RECORDED
-    yield "Check against a reference section", "not checked"
 
 
 def _observed(index: int, one: Observation) -> dict[str, str]:
@@ -349,7 +352,8 @@ def _not_covered(survey: Survey, account: Account) -> Iterator[str]:
         )
     for row in LEFT_OPEN.get(account.method, ()):
         yield f"{row.words}: on the bench it puts the radius off by {row.value}"
-    yield "the head against a reference section of known diameter: not checked with this scan"
+    if survey.scale is None:
+        yield "what the head's optics may have drifted by since its calibration"
     yield "distance along the pipe: what the odometer's wheel or cable is off"
     yield f"what nobody saw: {said(100 * (1 - survey.seen_fraction), SHARE)} of the wall"
     yield "the wall's thickness, its outside and the ground behind it: they are not measured from inside"

@@ -17,6 +17,7 @@ from annulus.report.paper import marked
 from annulus.wall.conformity import RULE, Group, Verdict
 from annulus.wall.defects import Defect
 from annulus.wall.features import Feature
+from annulus.wall.scale import anchor
 from annulus.wall.standing import FEW
 from annulus.wall.stations import OVALITY_FORMULA, OVALITY_NAME
 from annulus.wall.survey import Survey
@@ -51,6 +52,7 @@ def summarize(survey: Survey, account: Account, files_ms: float) -> dict[str, An
             "nominal": survey.nominal_diameter_mm,
             "k2": stored_k2(survey.diameter_k2_mm),
         },
+        "scale": _scale(survey),
         "ovality": {
             "definition": OVALITY_NAME,
             "formula": OVALITY_FORMULA,
@@ -106,6 +108,29 @@ def summarize(survey: Survey, account: Account, files_ms: float) -> dict[str, An
         out["truth"] = dict(account.truth)
     plain: dict[str, Any] = finite(out)
     return plain
+
+
+def _scale(survey: Survey) -> dict[str, Any] | None:
+    """What anchors diameters; percent of the radius, k = 2 of what all of them have in common."""
+    scale = survey.scale
+    if scale is None:
+        return None
+    grown = {"ring_size": scale.of("focal", "slide"), "anamorphic": scale.of("anamorphic")}
+    return {
+        "anchor": anchor(scale, survey.diameter_mean_mm),
+        "common_k2_percent": stored_k2(200.0 * scale.part), "oval_k2_percent": stored_k2(200.0 * scale.oval_part),
+        "drifted": {
+            name: {"percent": stored(100.0 * value), "k2": stored_k2(200.0 * sigma)}
+            for name, (value, sigma) in grown.items()
+        },
+        "references": [
+            {
+                "z_from_mm": stored(one.from_mm), "z_to_mm": stored(one.to_mm), "diameter_mm": one.diameter_mm,
+                "k2": one.diameter_k2_mm, "as_calibrated_mm": stored(mm), "used": used,
+            }
+            for used, sections in ((True, scale.references), (False, scale.refused)) for one, mm in sections
+        ],
+    }  # fmt: skip
 
 
 def _origin(origin: Origin) -> dict[str, Any]:

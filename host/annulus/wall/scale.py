@@ -21,7 +21,7 @@ from scipy.special import logsumexp
 from annulus.geometry.calibration import Calibration
 from annulus.geometry.drift import SMALL, Drift, drifted, seen_with
 from annulus.numeric.arrays import FloatArray
-from annulus.numeric.rounding import DISTANCE, span
+from annulus.numeric.rounding import DISTANCE, MEASURE, off, said, span
 from annulus.vocabulary import Finding
 from annulus.wall.offsets import TERMS, Observations, Offsets, Section, observations, ring_offsets
 from annulus.wall.pose import fit_pose
@@ -234,6 +234,24 @@ def scale_findings(scale: AbsoluteScale | None) -> tuple[Finding, ...]:
     return () if scale is None else tuple(Finding(DRIFT, text) for text in (*_drifted(scale), *_refused(scale)))
 
 
+def anchor(scale: AbsoluteScale | None, diameter_mm: float) -> str:
+    """What diameters rest on, in words, and what all of them may be off alike. diameter_mm : the pipe's."""
+    if scale is None:
+        return "diameters rest on the calibration; what this kind of head may have drifted by is in none of the numbers"
+    k2 = f"all diameters may be off alike by {off(2.0 * scale.part * diameter_mm, MEASURE)} (k = 2)"
+    if not scale.references:
+        return (
+            f"not checked: no section of known diameter was named. Diameters rest on the calibration, {k2}, as much as "
+            "optics drift by and rings do not show"
+        )
+    checks = [
+        f"{span(one.from_mm, one.to_mm, DISTANCE)}, {said(one.diameter_mm, MEASURE, one.diameter_k2_mm)}: "
+        f"{mm - one.diameter_mm:+.2f} mm off with the calibration as it is"
+        for one, mm in scale.references
+    ]
+    return f"{'; '.join(checks)}. Diameters rest on it, {k2}"
+
+
 def _drifted(scale: AbsoluteScale) -> Iterator[str]:
     shown = (
         (("focal", "slide"), "focal length times the slide's scale", "the rings' disagreement"),
@@ -244,10 +262,10 @@ def _drifted(scale: AbsoluteScale) -> Iterator[str]:
         if abs(value) > SURE * sigma:
             yield f"drifted: {what} {_percent(value, sigma)} since the calibration, by {by}; taken out"
     for section, mm in scale.references:
-        off, k2 = mm - section.diameter_mm, math.hypot(section.diameter_k2_mm, scale.observed_k2_mm)
-        if abs(off) > SURE / 2.0 * k2:
+        away, k2 = mm - section.diameter_mm, math.hypot(section.diameter_k2_mm, scale.observed_k2_mm)
+        if abs(away) > SURE / 2.0 * k2:
             yield (
-                f"drifted: diameters with the calibration as it is are {off:+.2f} ± {k2:.2f} mm off (k = 2) at the "
+                f"drifted: diameters with the calibration as it is are {away:+.2f} ± {k2:.2f} mm off (k = 2) at the "
                 f"reference section from {span(section.from_mm, section.to_mm, DISTANCE)}; taken out"
             )
     if scale.opaque < CHANCE:
