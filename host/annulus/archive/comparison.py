@@ -12,7 +12,7 @@ from annulus.archive.alignment import Alignment, align
 from annulus.archive.difference import LOST_MM, Difference, lay
 from annulus.archive.growth import CHANGED, Change, Growth, Verdict, grown
 from annulus.archive.listed import laid_out, named, read_listed
-from annulus.archive.ovality import Ovality, ovality
+from annulus.archive.ovality import MeanDiameter, Ovality, mean_diameter, ovality
 from annulus.archive.wall_map import WallMap, read_map
 from annulus.numeric.arrays import FloatArray
 from annulus.numeric.rounding import DISTANCE, MEASURE, PERCENT, off, said, span
@@ -24,7 +24,8 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """first, second as read; alignment of the second on the first; growth; difference on the first's grid; ovality."""
+    """first, second as read; alignment of the second on the first; growth; difference on the first's grid; ovality;
+    the mean diameter."""
 
     first: WallMap
     second: WallMap
@@ -32,6 +33,7 @@ class Comparison:
     growth: Growth
     difference: Difference
     ovality: Ovality
+    diameter: MeanDiameter
 
     @property
     def changed(self) -> list[Change]:
@@ -63,6 +65,17 @@ class Comparison:
         return (
             f"Ovality changed most at {said(oval.z_mm[at], DISTANCE)}, from {said(oval.first[at], PERCENT)} to "
             f"{said(oval.second[at], PERCENT)}, by {said(oval.change[at], PERCENT, oval.change_k2[at])}{told}."
+        )
+
+    def diameter_sentence(self) -> str:
+        """What the pipe's size did, as far as two heads that drift each by its own can tell."""
+        one = self.diameter
+        if not math.isfinite(one.change):
+            return "Mean diameter: no row was seen by both."
+        told = "" if one.is_sure else ", and that is no more than the two scans' scales may be off"
+        return (
+            f"Mean diameter: {said(one.first, MEASURE)} then, {said(one.second, MEASURE)} now, a change of "
+            f"{said(one.change, MEASURE, one.change_k2)}{told}."
         )
 
     def remarks(self) -> list[str]:
@@ -118,6 +131,13 @@ class Comparison:
                 "change_percent": _numbers(self.ovality.change),
                 "change_k2_percent": _numbers(self.ovality.change_k2),
             },
+            "diameter": {
+                "says": self.diameter_sentence(),
+                "first_mm": _number(self.diameter.first),
+                "second_mm": _number(self.diameter.second),
+                "change_mm": _number(self.diameter.change),
+                "change_k2_mm": _number(self.diameter.change_k2),
+            },
             "limits": {
                 "least_growth_median_mm": _number(size.least_median_mm),
                 "least_growth_p95_mm": _number(size.least_p95_mm),
@@ -145,6 +165,7 @@ class Comparison:
         ]
         out.append(f"says       {self.sentence()}")
         out.append(f"ovality    {self.ovality_sentence().removeprefix('Ovality ')}")
+        out.append(f"diameter   {self.diameter_sentence().removeprefix('Mean diameter: ')}")
         out.append(
             f"aligned    ± {2 * _median(self.alignment.sigma_z_mm):.1f} mm along, "
             f"± {2 * _median(self.alignment.sigma_roll_deg):.2f}° round (k=2, median); second's mm are "
@@ -172,9 +193,10 @@ def compare_maps(
     laid = lay(first, second, alignment)
     there = [(1 - one.year, one.floor) for one in listed if one.inside and not one.all_round]
     growth, difference = grown(laid, progress, there)
-    oval = ovality(difference, laid)
+    oval = ovality(difference, laid, (first.oval_part, second.oval_part))
+    size = mean_diameter(laid, (first.scale_part, second.scale_part))
     growth = replace(growth, changes=named(growth.changes, listed, oval, first.radius_mm))
-    return Comparison(first, second, alignment, growth, difference, oval)
+    return Comparison(first, second, alignment, growth, difference, oval, size)
 
 
 def _about(wall: WallMap) -> dict[str, Any]:

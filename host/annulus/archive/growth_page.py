@@ -122,6 +122,7 @@ def render(comparison: Comparison) -> str:
         remarks=comparison.remarks(), picture=base64.b64encode(draw(comparison)).decode(), changed=len(changed),
         rows=[_row(one, numbers.get(id(one))) for one in size.changes],
         listed=any(one.called for one in size.changes), ovality=comparison.ovality_sentence(),
+        diameter=comparison.diameter_sentence(),
         ovality_picture=base64.b64encode(draw_ovality(comparison.ovality)).decode(),
         z_k2=f"± {_typical(2 * aligned.sigma_z_mm):.1f} mm", roll_k2=f"± {_typical(2 * aligned.sigma_roll_deg):.2f}°",
         z_worst=f"{_worst(2 * aligned.sigma_z_mm):.1f} mm", roll_worst=f"{_worst(2 * aligned.sigma_roll_deg):.2f}°",

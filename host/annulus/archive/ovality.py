@@ -45,8 +45,9 @@ class Ovality:
         return int(near[np.argmax(np.abs(self.change[near]))]) if len(near) else None
 
 
-def ovality(difference: Difference, laid: Laid) -> Ovality:
-    """Of two scans laid together."""
+def ovality(difference: Difference, laid: Laid, parts: tuple[float, float] = (0.0, 0.0)) -> Ovality:
+    """Of two scans laid together. parts : of the radius, what each head's optics may draw a circle out by (k = 1)."""
+    shared = np.hypot(SHARED_MM, np.hypot(*parts) * difference.radius_mm)
     rows = max(round(STATION_MM / difference.step_mm), 1)
     begins = np.arange(0, len(difference.z_mm), rows)
     out = np.full((len(begins), 3), np.nan)
@@ -63,8 +64,39 @@ def ovality(difference: Difference, laid: Laid) -> Ovality:
         away = np.diff(waves[:, part][:, both], axis=0)[0]
         alone = max(both.sum() * difference.step_mm / ALIKE_MM, 1.0)
         slope = np.median(steep[:, part][:, both])
-        sigma = np.sqrt(away.var() / alone + SHARED_MM**2 + (slope * np.median(laid.sigma_z[part])) ** 2)
+        sigma = np.sqrt(away.var() / alone + shared**2 + (slope * np.median(laid.sigma_z[part])) ** 2)
         out[k] = *np.abs(mean), 2 * sigma
     first, second, k2 = (100.0 * out / difference.radius_mm).T
     middle = difference.z_mm[begins] + (np.minimum(rows, len(difference.z_mm) - begins) - 1) * difference.step_mm / 2
     return Ovality(middle, first, second, k2)
+
+
+@dataclass(frozen=True, slots=True)
+class MeanDiameter:
+    """Of the rows that both saw, mm: the first, the second, and what their difference may be off (k = 2); NaN where no
+    row was seen by both. Both heads' optics drift, each by its own."""
+
+    first: float
+    second: float
+    change_k2: float
+
+    @property
+    def change(self) -> float:
+        return self.second - self.first
+
+    @property
+    def is_sure(self) -> bool:
+        return abs(self.change) > self.change_k2
+
+
+def mean_diameter(laid: Laid, parts: tuple[float, float]) -> MeanDiameter:
+    """Of two scans laid together. parts : of the radius, what all radii of each may be off alike (k = 1)."""
+    both = np.isfinite(laid.first) & np.isfinite(laid.second) & ~laid.lost[:, None]
+    rows = both.mean(axis=1) >= SEEN_MIN
+    if not rows.any():
+        return MeanDiameter(np.nan, np.nan, np.nan)
+    each = [np.where(both, wall, 0.0)[rows].sum(axis=1) / both[rows].sum(axis=1) for wall in (laid.first, laid.second)]
+    first, second = (2.0 * (laid.radius_mm + float(np.median(one))) for one in each)
+    alone = max(rows.sum() * laid.step_mm / ALIKE_MM, 1.0)
+    sigma = np.sqrt((each[1] - each[0]).var() / alone + SHARED_MM**2 + (np.hypot(*parts) * laid.radius_mm) ** 2)
+    return MeanDiameter(first, second, 4.0 * float(sigma))

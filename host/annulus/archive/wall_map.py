@@ -1,8 +1,9 @@
 """A wall map from a file: `wall.npz` of a results folder, that folder itself, or a map of another program's.
 
 Needed are `deviation_um` [z, clock], whole numbers from the radius `radius_mm`, and `z_step_mm`; `z_mm`, `clock_deg`,
-`imu_roll_deg`, `shadowed` and `format` may be there. Rows lie along the pipe, columns clockwise from 12 o'clock looking
-forward. Everything is checked before it is believed: AnnulusError, one line, names the file.
+`imu_roll_deg`, `shadowed`, `scale_part`, `oval_part` and `format` may be there. Rows lie along the pipe, columns
+clockwise from 12 o'clock looking forward. Everything is checked before it is believed: AnnulusError, one line, names
+the file.
 """
 
 import zipfile
@@ -25,9 +26,11 @@ BEYOND_UM = 32767  # a deviation of it, either way, is that or more: no measure;
 ROWS_MIN, ROWS_MAX, COLUMNS_MIN, COLUMNS_MAX, CELLS_MAX = 16, 200_000, 16, 3600, 1 << 27
 MOST = {  # bytes of each array that is read
     "format": 4 * 200, "deviation_um": 2 * CELLS_MAX, "shadowed": CELLS_MAX, "z_step_mm": 8, "radius_mm": 8,
+    "scale_part": 8, "oval_part": 8,
     "z_mm": 8 * ROWS_MAX, "clock_deg": 8 * COLUMNS_MAX, "imu_roll_deg": 8 * ROWS_MAX,
 }  # fmt: skip
 STEP_MM, RADIUS_MM, PLACE_MM, ROLL_DEG = (0.05, 100.0), (5.0, 5000.0), 1e8, 1e6
+PART = (0.0, 1.0)  # of the radius
 EVEN = 0.01  # of a step: by so much rows may lie beside an even grid
 
 
@@ -47,6 +50,8 @@ class WallMap:
     radius_mm: float
     imu_roll_deg: FloatArray
     first_deg: float = 0.0
+    scale_part: float = 0.0  # of the radius, k = 1: what all radii may be off alike; 0 where the file does not say
+    oval_part: float = 0.0  # the same of the long radius' excess over the mean
 
     @property
     def z_mm(self) -> FloatArray:
@@ -63,7 +68,7 @@ class WallMap:
         step = self.column_deg
         return WallMap(
             self.name, np.ascontiguousarray(self.deviation_mm[::-1, ::-1]), -float(self.z_mm[-1]), self.step_mm,
-            self.radius_mm, -self.imu_roll_deg[::-1], -(self.first_deg + 360.0 - step),
+            self.radius_mm, -self.imu_roll_deg[::-1], -(self.first_deg + 360.0 - step), self.scale_part, self.oval_part,
         )  # fmt: skip
 
 
@@ -139,7 +144,8 @@ def _believed(name: str, arrays: Mapping[str, NDArray[Any]]) -> WallMap:
     away = deviation.astype(np.float32)
     away /= np.float32(1000)
     away[unknown] = np.nan
-    return WallMap(name, away, first, step, radius, roll, first_deg)
+    parts = [_one(arrays[part], part, *PART) if part in arrays else 0.0 for part in ("scale_part", "oval_part")]
+    return WallMap(name, away, first, step, radius, roll, first_deg, *parts)
 
 
 def _one(value: NDArray[Any], name: str, low: float, high: float) -> float:

@@ -197,6 +197,7 @@ def _write_wall(path: Path, survey: Survey) -> None:
     deviation_um [z, clock] int16: the wall's distance from the pipe's axis less `radius_mm`, the nominal radius, by
     which surveys of two years compare; -32768 where not seen, -32767 and 32767 for that or more. sigma_um [z, clock]
     uint16: its standard deviation (k = 1), what a point may be off and the noise of the cell; 65535 where nobody knows.
+    scale_part, oval_part: of the radius, what all of them, and the long one's excess, may be off alike (k = 1) besides.
     shadowed [z, clock] bool: a step keeps the light from there. imu_roll_deg [z]: how far 12 o'clock is still turned:
     0 where the head's roll was measured, and so taken out, NaN where no sensor gave it.
     """
@@ -212,6 +213,7 @@ def _write_wall(path: Path, survey: Survey) -> None:
         "sigma_um": sigma.astype(np.uint16),
         "shadowed": survey.shadowed,
         "z_mm": wall.z_mm, "z_step_mm": wall.z_step_mm, "clock_deg": wall.clock_deg,
+        "scale_part": wall.scale_part, "oval_part": wall.oval_part,
         "radius_mm": nominal, "radius_of": "nominal", "mean_radius_mm": wall.mean_radius_mm,
         "imu_roll_deg": np.full(len(wall.z_mm), np.nan if survey.roll_range_deg is None else 0.0, np.float32),
     }  # fmt: skip
