@@ -10,7 +10,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from annulus.cli import archive, bore, burst, calibrate, doctor, firmware, head, joint, pattern, record, tai, twin
+from annulus.cli import (
+    archive,
+    bore,
+    burst,
+    calibrate,
+    doctor,
+    firmware,
+    head,
+    joint,
+    pattern,
+    record,
+    reference,
+    tai,
+    twin,
+)
 from annulus.cli import console as console_page
 from annulus.cli import dogbones as dogbones  # its commands are of joint's group
 from annulus.cli.export import export
@@ -42,7 +56,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for _noun in (head, burst, calibrate, pattern, tai, joint, bore, archive, firmware, twin, record):
+for _noun in (head, burst, calibrate, reference, pattern, tai, joint, bore, archive, firmware, twin, record):
     app.add_typer(_noun.app, name=_noun.__name__.rpartition(".")[2])
 app.command(epilog="Example: annulus export results --to xlsx --to laz -o hand-over")(export)
 

@@ -1,15 +1,19 @@
-"""The options that name what a scan is held against: the pattern's artefacts, and sections of known diameter."""
+"""What a scan is held against: the options that name it, and `annulus reference check`, for the workshop."""
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from annulus.cli.show import Bars, Json, group, progress, tell
 from annulus.vocabulary import AnnulusError
 
 if TYPE_CHECKING:
     from annulus.wall.reference import ReferenceSection
+
+app = group("A piece of pipe of known diameter: whether the head still measures it right, and what has drifted.")
 
 References = Annotated[
     list[str] | None,
@@ -54,3 +58,50 @@ def sections_and_file(
     except ValueError as error:
         raise AnnulusError(str(error)) from None
     return sections, Path(files[0]) if files else None
+
+
+@app.command(
+    "check",
+    epilog="Example: annulus reference check sleeve.mcap --reference 0:120 --reference-diameter 152.40 "
+    "--reference-u 0.02",
+)
+def check(
+    scan: Annotated[Path, typer.Argument(help="Scan folder or recording (.mcap) that shows the section.")],
+    calibration: Annotated[
+        Path | None, typer.Option(help="calibration.json of the head. A recording carries its own.")
+    ] = None,
+    reference: References = None,
+    reference_diameter: ReferenceDiameter = None,
+    reference_u: ReferenceU = None,
+    workers: Annotated[int | None, typer.Option(min=1, max=64, help="Processes; one a core if not given.")] = None,
+    as_json: Json = False,
+) -> None:
+    """What the head reads of a section of known diameter, and what of its optics has drifted. Writes nothing.
+
+    Status 1 where a section was not seen, is of another size than any drift explains, or reads wrong for sure.
+    """
+    from annulus.reprocess import Processes, make_ready, open_job, reprocess
+    from annulus.wall.scale import drift_lines, find_scale
+
+    sections, artefacts = sections_and_file(reference, reference_diameter, reference_u)
+    work = open_job(scan, calibration, reference=artefacts, sections=sections)
+    if not work.sections:
+        raise AnnulusError(f"{scan}: no section of known diameter is named, expected --reference FROM:TO, as 0:120")
+    make_ready(work.calibration, tell)
+    with progress(Bars.BAR) as bars:
+        done = reprocess(work, Processes(workers), bars)
+    scale = find_scale(done.profiles, work.calibration, work.sections)
+    if scale is None:
+        raise AnnulusError(f"{scan}: what this kind of head has drifted by cannot be told from its rings")
+    lines, wrong = drift_lines(scale, work.sections)
+    answer: dict[str, Any] = {
+        "scan": str(scan), "right": not wrong, "lines": lines,
+        "sections": [
+            {"from_mm": one.from_mm, "to_mm": one.to_mm, "diameter_mm": one.diameter_mm, "k2_mm": one.diameter_k2_mm,
+             "reads_mm": round(mm, 3), "reads_k2_mm": round(scale.observed_k2_mm, 3)}
+            for one, mm in scale.references
+        ],
+    }  # fmt: skip
+    print(json.dumps(answer) if as_json else "\n".join(lines))
+    if wrong:
+        raise typer.Exit(1)

@@ -252,6 +252,29 @@ def anchor(scale: AbsoluteScale | None, diameter_mm: float) -> str:
     return f"{'; '.join(checks)}. Diameters rest on it, {k2}"
 
 
+def drift_lines(scale: AbsoluteScale, sections: Sequence[ReferenceSection]) -> tuple[list[str], bool]:
+    """What a check says of each section and of the optics, and whether something is wrong for sure."""
+    out, wrong = [], False
+    read = dict((*scale.references, *scale.refused))
+    refused = {one for one, _ in scale.refused}
+    for one in sections:
+        where = f"{span(one.from_mm, one.to_mm, DISTANCE)}  {said(one.diameter_mm, MEASURE, one.diameter_k2_mm)}"
+        if one not in read:
+            out.append(f"{where}  not seen")
+            wrong = True
+            continue
+        away, k2 = read[one] - one.diameter_mm, math.hypot(one.diameter_k2_mm, scale.observed_k2_mm)
+        bad = one in refused or abs(away) > k2
+        words = "no drift explains that" if one in refused else "off for sure" if bad else "right, as far as is known"
+        out.append(f"{where}  reads {said(read[one], MEASURE)}, {away:+.2f} ± {k2:.2f} mm (k = 2): {words}")
+        wrong = wrong or bad
+    for what, names in (("focal x slide", ("focal", "slide")), ("fy over fx", ("anamorphic",))):
+        value, sigma = scale.of(*names)
+        sure = "drifted" if abs(value) > SURE * sigma else "no drift that is sure"
+        out.append(f"{what:<14} {_percent(value, sigma)}: {sure}")
+    return out, wrong
+
+
 def _drifted(scale: AbsoluteScale) -> Iterator[str]:
     shown = (
         (("focal", "slide"), "focal length times the slide's scale", "the rings' disagreement"),

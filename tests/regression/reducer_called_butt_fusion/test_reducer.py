@@ -40,6 +40,6 @@ def test_a_reducer_is_one(length: float, change: float) -> None:
     assert reducer.kind is FeatureKind.REDUCER
     assert reducer.z_range_mm[0] < 150.0 + length / 2 < reducer.z_range_mm[1]
     for one, radius in zip(reducer.measures[:2], (RADIUS_MM, RADIUS_MM + change), strict=True):
-        assert one.value == pytest.approx(radius, abs=0.05) and one.k2 < 0.3
+        assert one.value == pytest.approx(radius, abs=0.05) and one.k2 < 0.6  # 0.35 of it the scale's
         assert one.k2 >= 1.9 * np.nanmedian(pipe.wall.sigma_mm)  # all radii err alike; their change knows nothing of it
     assert not pipe.defects

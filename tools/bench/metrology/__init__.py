@@ -17,6 +17,7 @@ TABLE = Table(
         "uncertainty": "Uncertainty of a point",
         "light": "Another light: what a real pipe does with it",
         "diameter": "Diameter over repeated scans",
+        "absolute": "An absolute scale: optics that have drifted",
         "colour": "Pipes of other colours",
         "artefacts": "Artefacts, vibration, blind zones",
         "mirror": "Mirror sensor for small pipes (§3.6)",
