@@ -80,7 +80,7 @@ def check(
 
     Status 1 where a section was not seen, is of another size than any drift explains, or reads wrong for sure.
     """
-    from annulus.reprocess import Processes, make_ready, open_job, reprocess
+    from annulus.reprocess import Processes, make_ready, open_job, prior_of, reprocess
     from annulus.wall.scale import drift_lines, find_scale
 
     sections, artefacts = sections_and_file(reference, reference_diameter, reference_u)
@@ -90,7 +90,7 @@ def check(
     make_ready(work.calibration, tell)
     with progress(Bars.BAR) as bars:
         done = reprocess(work, Processes(workers), bars)
-    scale = find_scale(done.profiles, work.calibration, work.sections)
+    scale = find_scale(done.profiles, work.calibration, work.sections, prior_of(work.scan))
     if scale is None:
         raise AnnulusError(f"{scan}: what this kind of head has drifted by cannot be told from its rings")
     lines, wrong = drift_lines(scale, work.sections)

@@ -22,6 +22,7 @@ from annulus.stream.access import Keys, curve_pair
 from annulus.stream.frames import CAMERAS_MAX
 from annulus.untrusted import TOML_MAX, parse_toml, read_file, shown
 from annulus.vocabulary import AnnulusError
+from annulus.wall.optics import Optics
 from annulus.wall.reference import ReferenceSection, sections_from, sections_to_dict
 
 SENSOR_KINDS = ("remote", *CHIPS)
@@ -121,6 +122,7 @@ class HeadConfig:
     record: RecordConfig = RecordConfig()
     job: JobSheet = field(default_factory=JobSheet)  # goes into the recording
     provenance: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # of the calibration
+    optics: Optics | None = None  # goes into the recording
     references: tuple[ReferenceSection, ...] = ()  # of the pipe; goes into the recording
     publish: SocketConfig | None = None
     control: SocketConfig | None = None
@@ -152,6 +154,7 @@ class HeadConfig:
             "max_speed_mm_s": self.max_speed_mm_s,
             "job": self.job.to_dict(),
             "calibration_provenance": {name: dict(made) for name, made in self.provenance.items()},
+            "optics": {} if self.optics is None else self.optics.to_dict(),
             "reference": sections_to_dict(self.references),
             "sectors": asdict(self.sectors),
             "sensors": [asdict(sensor) for sensor in self.sensors],
@@ -188,6 +191,7 @@ _SECTIONS: Mapping[str, tuple[str, ...]] = {
         "period_ms",
         *sorted({name for chip in CHIPS.values() for name in chip.settings}),
     ),
+    "optics": ("lens", "slide", "tube", "calibrated_c"),
     "reference": ("sections_mm", "diameter_mm", "u_mm"),
     "sectors": ("air_pf", "coupling_ff", "ahead_mm"),
     "workers": ("count", "slots"),
@@ -233,6 +237,7 @@ def _checked(data: Mapping[str, Any], folder: Path) -> HeadConfig:
         record=_record(data.get("record", {})),
         job=JobSheet.from_dict(data.get("job", {})),
         provenance={} if calibration_file is None else provenance(load_sections(folder / calibration_file)),
+        optics=Optics.from_dict(data["optics"]) if "optics" in data else None,
         references=sections_from(data["reference"]) if "reference" in data else (),
         publish=_socket(data, "publish", folder),
         control=_socket(data, "control", folder),

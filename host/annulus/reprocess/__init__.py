@@ -16,6 +16,7 @@ from annulus.reprocess.fringe_job import FringeJob, open_fringe
 from annulus.reprocess.fringe_pipe import FringePipeJob, MeasuredPipe, open_fringe_pipe, reconstruct_fringe_pipe
 from annulus.reprocess.job import Job, open_job, stage_medians
 from annulus.reprocess.method import Method, fringes_on, method_for, warm_up
+from annulus.reprocess.optics import prior_of
 from annulus.reprocess.photographs import photographs
 from annulus.reprocess.whole import Surveyed, surveyed
 
@@ -42,6 +43,7 @@ __all__ = [
     "open_fringe_pipe",
     "open_job",
     "photographs",
+    "prior_of",
     "reconstruct_fringe",
     "reconstruct_fringe_pipe",
     "reprocess",

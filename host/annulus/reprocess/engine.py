@@ -15,6 +15,7 @@ from annulus.reprocess.bores import with_bores
 from annulus.reprocess.executors import Executor, Failed, in_process
 from annulus.reprocess.job import Job, Measured, open_job, stage_medians, turns_of
 from annulus.reprocess.method import examined
+from annulus.reprocess.optics import prior_of
 from annulus.reprocess.places import incomplete_findings, place_findings, require_near
 from annulus.reprocess.ranges import CHUNK
 from annulus.rings.diagnosis import Exposure, diagnose, exposure_findings, lamp_findings, reference_findings
@@ -52,7 +53,7 @@ class Reprocessed:
         """What profiles, LED frames and capacitive sectors say of the pipe; see `wall.survey`, `with_bores`."""
         leds = LedFrames(self.job, progress)
         turns, job = turns_of(self.job.scan), self.job
-        scale = find_scale(self.profiles, job.calibration, job.sections)
+        scale = find_scale(self.profiles, job.calibration, job.sections, prior_of(job.scan))
         pipe = survey(self.profiles, job.calibration, leds, turns=turns, vibration=vibration, fps=fps, scale=scale)
         pipe = replace(pipe, disbelieved=(*pipe.disbelieved, *leds.findings()))
         return with_bores(self.job.scan, self.profiles, pipe)

@@ -26,6 +26,7 @@ from annulus.reprocess.engine import Progress, reprocess
 from annulus.reprocess.executors import Executor, Processes, in_process
 from annulus.reprocess.gather import Ranged, gathered, in_ranges
 from annulus.reprocess.job import Job
+from annulus.reprocess.optics import prior_of
 from annulus.reprocess.ranges import FOLDER, Facts, profiles_of
 from annulus.reprocess.windows import Files, survey_windows
 from annulus.vocabulary import Finding, Label
@@ -130,7 +131,7 @@ def surveyed(
         if len(cut.windows) == 1:
             survey = done.survey(vibration=vibration, fps=fps, progress=progress)
             return Surveyed(done.job, survey, done.findings, done.frames, done.drops, done.timing_ms)
-        scale = find_scale(done.profiles, job.calibration, job.sections)
+        scale = find_scale(done.profiles, job.calibration, job.sections, prior_of(job.scan))
         pipe, numbers, timing = survey_windows(
             done.job, Held(done.profiles), cut, files, in_process, progress, vibration=vibration, fps=fps, scale=scale
         )
@@ -182,7 +183,7 @@ def _scale(ranged: Ranged, filed: Filed) -> AbsoluteScale | None:
     z_mm = np.array([z_of[filed.frame(i)] for i in range(sum(len(one.reaches) for one in ranged.facts))])
     job = ranged.job
     numbers = np.sort(frames_for_scale(z_mm, job.calibration.pipe_radius_mm, job.sections))
-    return find_scale(filed.of([int(i) for i in numbers]), job.calibration, job.sections)
+    return find_scale(filed.of([int(i) for i in numbers]), job.calibration, job.sections, prior_of(job.scan))
 
 
 def _fewer(executor: Executor) -> Executor:

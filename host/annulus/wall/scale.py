@@ -24,6 +24,7 @@ from annulus.numeric.arrays import FloatArray
 from annulus.numeric.rounding import DISTANCE, MEASURE, off, said, span
 from annulus.vocabulary import Finding
 from annulus.wall.offsets import TERMS, Observations, Offsets, Section, observations, ring_offsets
+from annulus.wall.optics import Prior
 from annulus.wall.pose import fit_pose
 from annulus.wall.profile import Profile
 from annulus.wall.reference import ReferenceSection
@@ -31,10 +32,6 @@ from annulus.wall.reference import ReferenceSection
 FRAMES_MOST, OF_SECTION = 96, 24  # of a scan, whose offsets say what all say, and of a section: bounds the time
 AHEAD_OF_RADIUS = 6.0  # how far ahead of its head a ring may land
 STRETCHES, STRETCH_OF_RADIUS = 4, 3.0  # of a long scan: so many, each so long that all rings see its wall
-# Of the optics, standard deviations; what `Prior` narrows. A plastic lens grows by 1e-4 of its focal length a kelvin
-# (glass: 3e-5), acrylic and polyester by 7e-5 and 2e-5 of their length, film by 1e-5 a per cent of humidity: 15 K and
-# a season in a van. Guarded by test_scale.py: k = 2 of drawn heads.
-FOCAL, SLIDE, TUBE_PART, ANAMORPHIC = 0.0015, 0.0015, 0.0025, 0.001
 # How far light goes on inside the wall, mm, and how likely each is beforehand: polyethylene 0.15 to 0.4 mm, pigmented
 # walls none. The mean of the colours scatters about each by a part, and every colour about that mean.
 TRANSLUCENT = ((0.0, 0.7), (0.1, 0.1), (0.2, 0.1), (0.4, 0.1))
@@ -50,16 +47,7 @@ SURE, CHANCE = (
 )  # standard deviations, and a probability as small: from there on a drift is named and taken out
 RING_POINTS, SECTION_OBSERVATIONS = 20, 60  # with fewer a ring, or a section, does not count as seen
 NONE = np.zeros(7)
-
-
-@dataclass(frozen=True, slots=True)
-class Prior:
-    """What is known of the optics before a frame is looked at, standard deviations, parts of one; see `Drift`."""
-
-    focal: float = FOCAL
-    slide: float = SLIDE
-    tube: float = TUBE_PART  # of its length
-    anamorphic: float = ANAMORPHIC
+Before = tuple[FloatArray, FloatArray]  # means and standard deviations of focal, slide, tube (mm), anamorphic
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,7 +58,8 @@ class AbsoluteScale:
     parts of it, and to its two waves. edges_px : how far edges seem drawn. opaque : probability that no light goes on
     inside the wall. references : those that were seen, and the diameter each has with the calibration as it is, to
     observed_k2_mm (k = 2). left_mm (stations, K) : what each ring is off there all the same, which edges do that are
-    drawn; none where no section was seen. refused : the same of those that no drift explains, and that anchor nothing.
+    drawn; none where no section was seen.
+    refused : the same of those that no drift explains, and that anchor nothing. by : what else was known, in words.
     """
 
     z_mm: FloatArray
@@ -83,6 +72,7 @@ class AbsoluteScale:
     references: tuple[tuple[ReferenceSection, float], ...] = ()
     refused: tuple[tuple[ReferenceSection, float], ...] = ()
     observed_k2_mm: float = math.nan
+    by: str = ""
     left_mm: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
     def at(self, z_mm: float) -> Drift:
@@ -158,8 +148,11 @@ def find_scale(
     sections = [Section(r.from_mm, r.to_mm, r.diameter_mm / 2, r.diameter_k2_mm / 4) for r in references]
     offsets = ring_offsets(seen, len(calibration.rings), radius, sections)
     effects = _Effects.of(seen, offsets.weight, calibration)
-    tube = prior.tube * float(np.linalg.norm(calibration.rings[0].vertex_mm))
-    before = np.array([prior.focal, prior.slide, tube, prior.anamorphic])
+    tube_mm = float(np.linalg.norm(calibration.rings[0].vertex_mm))
+    before = (
+        np.array([prior.focal_mean, prior.slide_mean, prior.tube_mean * tube_mm, 0.0]),
+        np.array([prior.focal, prior.slide, prior.tube * tube_mm, prior.anamorphic]),
+    )
     stations = seen.z_mm[seen.head]
     places = [float(stations[(along >= one.from_mm) & (along <= one.to_mm)].mean()) for one in sections]
     places = places or [offsets.middle_mm]
@@ -188,12 +181,13 @@ def find_scale(
         min(one.opaque for one in answers),
         found,
         observed_k2_mm=_observed_k2_mm(offsets, sections),
+        by=prior.by,
         left_mm=np.array([answers[i].left_mm for i in order]) if sections else np.zeros((0, 0)),
     )
-    return out if found or out.is_sure else out.as_calibrated()
+    return out if found or out.is_sure or prior.by else out.as_calibrated()
 
 
-def _drift_part(effects: "_Effects", before: FloatArray, radius_mm: float) -> float:
+def _drift_part(effects: "_Effects", before: Before, radius_mm: float) -> float:
     """Of the radius: the standard deviation of what optics, and the most translucent wall, put it off by."""
     mean, spread = _prior(before, TRANSLUCENT[-1][0])
     even = effects.even.mean(axis=0) / radius_mm
@@ -242,7 +236,7 @@ def anchor(scale: AbsoluteScale | None, diameter_mm: float) -> str:
     if not scale.references:
         return (
             f"not checked: no section of known diameter was named. Diameters rest on the calibration, {k2}, as much as "
-            "optics drift by and rings do not show"
+            f"optics drift by and rings do not show{scale.by and f'; {scale.by}'}"
         )
     checks = [
         f"{span(one.from_mm, one.to_mm, DISTANCE)}, {said(one.diameter_mm, MEASURE, one.diameter_k2_mm)}: "
@@ -417,8 +411,8 @@ class _Answer:
     opaque: float  # probability
 
 
-def _answer(offsets: Offsets, effects: _Effects, before: FloatArray, z_mm: float) -> _Answer:
-    """The drift at a place. before : standard deviations of focal, slide, tube, anamorphic."""
+def _answer(offsets: Offsets, effects: _Effects, before: Before, z_mm: float) -> _Answer:
+    """The drift at a place."""
     terms = [k * TERMS + i for k in range(len(offsets.mm)) for i in (0, 3, 4)]
     noise = offsets.covariance[np.ix_(terms, terms)]
     design = np.concatenate([effects.even[:, None], effects.twofold], axis=1).reshape(len(terms), -1)
@@ -447,11 +441,11 @@ def _answer(offsets: Offsets, effects: _Effects, before: FloatArray, z_mm: float
     return _Answer(at, covariance, left, float(weight @ np.array([px for _, px in many])), opaque)
 
 
-def _prior(before: FloatArray, shift_mm: float) -> tuple[FloatArray, FloatArray]:
+def _prior(before: Before, shift_mm: float) -> tuple[FloatArray, FloatArray]:
     """Mean (7,) and covariance (7, 7) of a drift, where light goes on in the wall by about so much."""
-    mean = np.concatenate([np.zeros(4), np.full(3, shift_mm)])
+    mean = np.concatenate([before[0], np.full(3, shift_mm)])
     spread = np.zeros((7, 7))
-    spread[:4, :4] = np.diag(before**2)
+    spread[:4, :4] = np.diag(before[1] ** 2)
     own = (SHIFT_COLOUR * shift_mm) ** 2 + SHIFT_LEAST_MM**2
     spread[4:, 4:] = (SHIFT_MEAN * shift_mm) ** 2 + own * np.eye(3)
     return mean, spread

@@ -30,10 +30,10 @@ def compared(seed: int, scene: Scene = STILL) -> Comparison:
 
 
 @pytest.mark.deep(but=1)
-@pytest.mark.parametrize("pairs", [1, 50])
-def test_what_two_heads_drifted_by_is_no_growth(pairs: int) -> None:
+@pytest.mark.parametrize("seeds", [range(1), *(range(first, first + 10) for first in range(0, 50, 10))])
+def test_what_two_heads_drifted_by_is_no_growth(seeds: range) -> None:
     wider, rounder = 0, 0
-    for seed in range(pairs):
+    for seed in seeds:
         pair = compared(seed)
         assert not pair.changed, seed
         size, oval = pair.diameter, pair.ovality
@@ -42,7 +42,7 @@ def test_what_two_heads_drifted_by_is_no_growth(pairs: int) -> None:
         rounder += bool((np.abs(oval.change) > oval.change_k2).any())
         said = "no more than the two scans' scales may be off" in pair.diameter_sentence()
         assert said is not size.is_sure
-    assert wider <= 0.08 * pairs + 1 and rounder <= 0.1 * pairs + 1
+    assert wider <= 2 and rounder <= 2  # of ten: 5 % each are outside k = 2
 
 
 def test_what_grew_is_told_all_the_same() -> None:

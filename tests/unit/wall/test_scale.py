@@ -8,8 +8,9 @@ from drawn_heads import RADIUS, head, radius_of, scan
 
 from annulus.geometry.calibration import HeadCamera
 from annulus.geometry.drift import Drift
+from annulus.wall.optics import Optics, Prior
 from annulus.wall.reference import ReferenceSection, sections_from, sections_of, sections_recorded, sections_to_dict
-from annulus.wall.scale import TRANSLUCENT, AbsoluteScale, Prior, _prior, find_scale, scale_findings, with_drift
+from annulus.wall.scale import TRANSLUCENT, AbsoluteScale, _prior, find_scale, scale_findings, with_drift
 
 HERE = ReferenceSection(90.0, 120.0, 2 * RADIUS, 0.02)
 
@@ -18,9 +19,8 @@ def drawn(rng: np.random.Generator) -> Drift:
     """As the prior has them, walls that light enters among them."""
     shift = rng.choice([mm for mm, _ in TRANSLUCENT], p=[chance for _, chance in TRANSLUCENT])
     prior = Prior()
-    return Drift.of(
-        rng.multivariate_normal(*_prior(np.array([prior.focal, prior.slide, 56 * prior.tube, prior.anamorphic]), shift))
-    )
+    sigma = np.array([prior.focal, prior.slide, 56 * prior.tube, prior.anamorphic])
+    return Drift.of(rng.multivariate_normal(*_prior((np.zeros(4), sigma), shift)))
 
 
 def measured(scale: AbsoluteScale | None, profiles: list, calibration) -> tuple[float, float]:  # type: ignore[no-untyped-def]
@@ -151,3 +151,23 @@ def test_a_section_that_is_none_is_refused_in_a_line(word: str, diameter_mm: flo
         sections_of([word], diameter_mm, u_mm, "--reference")
     with pytest.raises(ValueError, match="overlaps"):
         sections_of(["0:120", "100:200"], 152.4, 0.02, "--reference")
+
+
+def test_a_warm_head_of_known_make_is_allowed_for() -> None:
+    optics = Optics.from_dict({"lens": "plastic", "tube": "acrylic", "calibrated_c": 20.0})
+    prior = optics.prior([34.9, 35.0, 35.1])
+    assert (prior.focal_mean, prior.tube_mean) == pytest.approx((1.5e-3, 1.05e-3)) and prior.focal < 1e-3
+    assert optics.prior([]) == Optics().prior([35.0] * 9) == Prior()  # no reading, no temperature of the calibration
+    drift = Drift(focal=0.0014, tube_mm=0.056, slide=0.0002)
+    profiles = scan(head(), drift, RADIUS, np.random.default_rng(9))
+    scale, blind = find_scale(profiles, head(), (), prior), find_scale(profiles, head())
+    radius, sigma = measured(scale, profiles, head())
+    assert blind is not None and abs(radius - RADIUS) < 2 * sigma and sigma < 0.7 * blind.part * RADIUS
+
+
+@pytest.mark.parametrize(
+    "data", [{"lens": "wood"}, {"colour": "red"}, {"calibrated_c": "warm"}, {"calibrated_c": 400.0}, {"lens": 3}, []]
+)
+def test_optics_that_are_none_are_refused_in_a_line(data: object) -> None:
+    with pytest.raises(ValueError, match=r"\[optics\]"):
+        Optics.from_dict(data)
