@@ -6,7 +6,7 @@ alike cannot be told from a wider pipe, unless a section of the pipe is of known
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,7 +68,7 @@ class Section:
 class Offsets:
     """mm (K, TERMS) outwards, and their covariance (K TERMS, K TERMS). weight (N,) of the observations, 1 / mm^2.
     noise_mm : of one observation. per_mm : by how much more all of them stand out, the head a mm farther on than at
-    `middle_mm`."""
+    `middle_mm`. sections_mm (S,): radius of each section, as its wall was seen."""
 
     mm: FloatArray
     covariance: FloatArray
@@ -76,6 +76,7 @@ class Offsets:
     noise_mm: float
     middle_mm: float
     per_mm: float = 0.0
+    sections_mm: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def at(self, z_mm: float) -> FloatArray:
         """(K, TERMS), the head at a station."""
@@ -104,9 +105,11 @@ def observations(profiles: Sequence[Profile]) -> Observations:
     return Observations(np.concatenate(head), np.concatenate(ring), np.concatenate(points), poses, z_mm)
 
 
-def ring_offsets(seen: Observations, rings: int, radius_mm: float, sections: Sequence[Section] = ()) -> Offsets:
+def ring_offsets(
+    seen: Observations, rings: int, radius_mm: float, sections: Sequence[Section] = (), held: bool = True
+) -> Offsets:
     """radius_mm : of the pipe, roughly. sections : of which something was seen. With two of them offsets may change
-    evenly from one to the other.
+    evenly from one to the other. held : to their radii; else they are only read.
 
     Notes
     -----
@@ -143,7 +146,7 @@ def ring_offsets(seen: Observations, rings: int, radius_mm: float, sections: Seq
     loose[:first_head] = WALL_PART * radius_mm
     loose[first_head:first_ring] = np.tile([LEAN, LEAN, LEAN * radius_mm, LEAN * radius_mm], heads)
     loose[first_ring:] = WALL_PART * radius_mm
-    loose[-1] = 1e-3 if len(sections) > 1 else 1e-9  # mm a mm
+    loose[-1] = 1e-3 if len(sections) > 1 and held else 1e-9  # mm a mm
     known = [_section((z >= one.from_mm) & (z <= one.to_mm), both, part, of_wall, size) for one in sections]
     answer, excess = np.zeros(size), radius - radius_mm
     noise, alike = np.inf, 1.0
@@ -155,14 +158,22 @@ def ring_offsets(seen: Observations, rings: int, radius_mm: float, sections: Seq
         normal = np.asarray((weighted.T @ design).todense())
         right = np.asarray(weighted.T @ excess)
         normal[np.diag_indices(size)] += 1.0 / loose**2
-        for section, row in zip(sections, known, strict=True):
+        for section, row in zip(sections if held else (), known if held else (), strict=True):
             normal += np.outer(row, row) / section.sigma_mm**2
             right += row * (section.radius_mm - radius_mm) / section.sigma_mm**2
         answer = np.linalg.solve(normal, right)
         alike = _alike(seen, clock, np.clip(residual, -LOOSE * noise, LOOSE * noise))
     mine = slice(first_ring, size - 1)
     covariance = np.linalg.inv(normal)[mine, mine]
-    return Offsets(answer[mine].reshape(rings, of_ring), covariance, weight, noise, middle, float(answer[-1]))
+    return Offsets(
+        answer[mine].reshape(rings, of_ring),
+        covariance,
+        weight,
+        noise,
+        middle,
+        float(answer[-1]),
+        np.array([radius_mm + row @ answer for row in known]),
+    )
 
 
 def _alike(seen: Observations, clock: FloatArray, residual: FloatArray) -> float:

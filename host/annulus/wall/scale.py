@@ -40,6 +40,7 @@ EDGES_PX = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32)  # how far a ring's edges may be
 WITHIN = 5e-5  # of the radius: half a kelvin of a plastic lens, while a scan lasts, where one section was looked at
 DRIFT = "drift"  # kind of a finding
 WILD = 3.0  # standard deviations of what optics drift by: a section that is farther off is not of that size
+APART_MOST = 0.003  # of the diameter: no head drifts by more from one end of a scan to the other, 10 K of its lens
 LAWS = 2  # rounds of the linearised answer: the second one's change is below a hundredth of sigma at 0.3 %
 SURE, CHANCE = (
     3.0,
@@ -136,7 +137,7 @@ def find_scale(
     prior = prior or Prior()
     used = _chosen(profiles, calibration, references)
     seen = observations(used) if used else None
-    if seen is None or not len(seen.head):
+    if seen is None or not len(seen.head) or seen.ring.max() >= len(calibration.rings):
         return None
     along = seen.in_pipe(seen.points)[:, 2]
     references = [
@@ -163,9 +164,12 @@ def find_scale(
         (one, one.diameter_mm + 2.0 * float(offsets.at(z)[:, 0].mean()))
         for one, z in zip(references, places, strict=False)
     )
-    wild = [
-        one for one in found if abs(one[1] / one[0].diameter_mm - 1.0) > WILD * _drift_part(effects, before, radius)
-    ]
+    most = WILD * _drift_part(effects, before, radius)
+    wild = [one for one in found if abs(one[1] / one[0].diameter_mm - 1.0) > most]
+    if not wild and len(sections) > 1:
+        apart = ring_offsets(seen, len(calibration.rings), radius, sections, held=False).sections_mm
+        if np.ptp(apart - [one.radius_mm for one in sections]) > APART_MOST * radius:
+            wild = [(one, 2.0 * float(mm)) for one, mm in zip(references, apart, strict=True)]
     if wild:
         rest = [one for one in references if all(one is not other for other, _ in wild)]
         without = find_scale(profiles, calibration, rest, prior)
@@ -175,8 +179,8 @@ def find_scale(
         np.array(places)[order],
         tuple(Drift.of(answers[i].mean) for i in order),
         covariance,
-        effects.even.mean(axis=0) / radius,
-        effects.twofold.mean(axis=0) / radius,
+        effects.usual_even / radius,
+        np.tensordot(effects.share, effects.twofold, 1) / radius,
         edges,
         min(one.opaque for one in answers),
         found,
@@ -190,7 +194,7 @@ def find_scale(
 def _drift_part(effects: "_Effects", before: Before, radius_mm: float) -> float:
     """Of the radius: the standard deviation of what optics, and the most translucent wall, put it off by."""
     mean, spread = _prior(before, TRANSLUCENT[-1][0])
-    even = effects.even.mean(axis=0) / radius_mm
+    even = effects.usual_even / radius_mm
     return math.sqrt(even @ (spread + np.outer(mean, mean)) @ even)
 
 
@@ -301,7 +305,9 @@ def _refused(scale: AbsoluteScale) -> Iterator[str]:
     for section, mm in scale.refused:
         yield (
             f"the section from {span(section.from_mm, section.to_mm, DISTANCE)} is no reference: it reads {mm:.2f} mm, "
-            f"{section.diameter_mm:.2f} mm was stated, and no optics drift by as much. Its size or its place is wrong"
+            f"{section.diameter_mm:.2f} mm was stated, and no optics drift by as much"
+            + (", or from one section to the other" if len(scale.refused) > 1 else "")
+            + ". Its size or its place is wrong"
         )
 
 
@@ -386,6 +392,17 @@ class _Effects:
         far = np.array([np.mean(away[seen.ring == k]) if (seen.ring == k).any() else np.nan for k in range(rings)])
         px_mm = np.abs(terms[:, 0, 0]) / np.nan_to_num(far, nan=1.0)
         return replace(bare, even=terms[:, 0], twofold=terms[:, 3:5], px_mm=px_mm)
+
+    @property
+    def share(self) -> FloatArray:
+        """(K,) of the observations, of each ring."""
+        count = np.bincount(self.seen.ring, minlength=len(self.calibration.rings))
+        return np.asarray(count / count.sum())
+
+    @property
+    def usual_even(self) -> FloatArray:
+        """(7,) mm, of the radius that all rings together say."""
+        return np.asarray(self.share @ self.even)
 
     def moved(self, drift: Drift) -> FloatArray:
         """(K, TERMS) mm: how the rings' offsets change where the drift is taken out."""

@@ -171,3 +171,19 @@ def test_a_warm_head_of_known_make_is_allowed_for() -> None:
 def test_optics_that_are_none_are_refused_in_a_line(data: object) -> None:
     with pytest.raises(ValueError, match=r"\[optics\]"):
         Optics.from_dict(data)
+
+
+def test_two_sections_that_contradict_each_other_anchor_nothing() -> None:
+    profiles = scan(head(), Drift(), RADIUS, np.random.default_rng(10), frames=20)
+    other = ReferenceSection(150.0, 170.0, 2 * RADIUS + 1.0, 0.02)
+    scale = find_scale(profiles, head(), [HERE, other])
+    assert scale is not None and not scale.references and len(scale.refused) == 2
+    assert any("or from one section to the other" in one.text for one in scale_findings(scale))
+
+
+def test_one_ring_alone_says_nothing_of_the_scale() -> None:
+    profiles = scan(head(), Drift(), RADIUS, np.random.default_rng(11), frames=12)
+    one = [profile.without(profile.ring != 2, "test") for profile in profiles]
+    scale, all_rings = find_scale(one, head()), find_scale(profiles, head())
+    assert scale is not None and all_rings is not None and scale.part > all_rings.part > 1e-3
+    assert find_scale([], head()) is None and not scale_findings(scale)
