@@ -40,7 +40,9 @@ EDGES_PX = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32)  # how far a ring's edges may be
 WITHIN = 5e-5  # of the radius: half a kelvin of a plastic lens, while a scan lasts, where one section was looked at
 DRIFT = "drift"  # kind of a finding
 WILD = 3.0  # standard deviations of what optics drift by: a section that is farther off is not of that size
-APART_MOST = 0.003  # of the diameter: no head drifts by more from one end of a scan to the other, 10 K of its lens
+APART_MOST = (
+    0.005  # of the diameter: no head drifts by more from one end of a scan to the other; 15 K of a plastic lens
+)
 LAWS = 2  # rounds of the linearised answer: the second one's change is below a hundredth of sigma at 0.3 %
 SURE, CHANCE = (
     3.0,

@@ -80,7 +80,7 @@ def test_more_lens_and_less_slide_make_no_wider_pipe_but_a_longer_tube_does() ->
 
 
 def test_two_sections_measure_the_drift_within_a_scan() -> None:
-    begin, end = Drift(focal=0.001), Drift(focal=0.001, tube_mm=0.15, slide=0.0005)
+    begin, end = Drift(focal=0.001), Drift(focal=0.001, tube_mm=0.12, slide=0.0003)
     profiles = scan(head(), begin, RADIUS, np.random.default_rng(4), frames=60, step_mm=5.5, end=end)
     far = replace(HERE, from_mm=390.0, to_mm=430.0)
     for sections, worst in (([HERE, far], 3e-4), ([HERE], 6e-3)):
