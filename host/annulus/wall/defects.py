@@ -28,7 +28,7 @@ from annulus.wall.indications import (
 )
 from annulus.wall.points import Points
 from annulus.wall.shadow import shadowed
-from annulus.wall.standing import END_WHY, FEW, NOISE_WHY, UNSURE_WHY, depth_limit_mm, left_standing
+from annulus.wall.standing import END_WHY, FEW, NOISE_WHY, SHALLOW_WHY, UNSURE_WHY, depth_limit_mm, left_standing
 from annulus.wall.stations import shape_ovality, swing_k2_mm
 
 __all__ = ["Defect", "Detection", "Kind", "Limits", "clock_face", "find_defects"]
@@ -167,7 +167,8 @@ def find_defects(
         listed.append((defect.depth_mm, whole & ((wall.z_mm > first) & (wall.z_mm < last))[:, None]))
     for one, why in left_standing(wall, scale, listed, features, joints):
         defect, whole = _measured(one, one, wall, scale, ratios, dark, None, None)
-        doubted.append((replace(defect, why=why), whole))
+        if why != SHALLOW_WHY or _may_reach(defect, depth_limit_mm(wall, scale)):
+            doubted.append((replace(defect, why=why), whole))
     doubted = _folded(doubted, wall, scale)
     oval, unsure = _oval_stretches(wall, limits)
     found += [(defect, np.zeros(wall.seen.shape, dtype=bool)) for defect in oval]
@@ -243,6 +244,11 @@ def _folded(doubted: Sequence[tuple[Defect, BoolArray]], wall: Wall, scale: Scal
             )
             out.append((one, cells))
     return out
+
+
+def _may_reach(one: Defect, limit_mm: float) -> bool:
+    """Whether a place surely stands out, though maybe less than by what is listed."""
+    return one.depth_mm > one.depth_k2_mm >= limit_mm - one.depth_mm
 
 
 def _only_at_an_end(place: BoolArray, scale: Scale) -> bool:

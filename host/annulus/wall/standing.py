@@ -3,6 +3,9 @@
 Whoever looks at the map sees every patch of it. So whatever is over the limit that a report prints, and as large both
 ways as the size that it prints, stands in the list or among the undecided places; or it is the rim of something that
 does, lower than that and within a slit's width of it.
+
+And what is measured lower may be over the limit all the same, by what it may be off: a slit draws a short pit flatter,
+a dome's top is small. So a patch that may reach the limit, and is too large to be noise, is among the undecided too.
 """
 
 from collections.abc import Iterator, Sequence
@@ -23,6 +26,8 @@ NOISE_WHY = "rings differ there by as much"
 END_WHY = "only the last rows of the scan show it"
 JOINT_WHY = "a joint's bead or edge and damage of it are not distinguished"
 EDGE_WHY = "it lines the edge of something larger"
+SHALLOW_WHY = "it is measured less deep than what is listed, and may be deeper"
+SHALLOW_SIZES = 1.5  # of the smallest size that is listed, both ways: of smaller ones every map has some by its noise
 
 
 def depth_limit_mm(wall: Wall, scale: Scale) -> float:
@@ -38,7 +43,7 @@ def left_standing(
     features: BoolArray | None,
     joints: BoolArray | None,
 ) -> Iterator[tuple[Indication, str]]:
-    """Every patch over the limit that nothing accounts for, and why it is no defect.
+    """Every patch over the limit that nothing accounts for, or that may be over it, and why it is no defect.
 
     Parameters
     ----------
@@ -63,16 +68,12 @@ def left_standing(
         beside = scale.around(place, scale.mm(limits.edge_of_radius))
         deepest[beside] = np.maximum(deepest[beside], depth)
     sigma = np.hypot(wall.cell_noise_mm, np.nan_to_num(wall.sigma_mm))
+    may_reach = np.maximum(limit - 2.0 * np.hypot(sigma, wall.shape_sigma_mm()), rim)
     for kind, out in ((Kind.LOSS, residual), (Kind.BUMP, -residual)):
         height = np.where(known, out, -np.inf).astype(np.float32)
-        label, n = label_around(height > limit)
         left = np.zeros_like(cells)
-        for i in range(1, n + 1):
-            part = label == i
-            if (part & cells).any() or height[part].max() < RIM_PART * deepest[part].max():
-                continue
-            if all(np.count_nonzero(part.any(axis=1 - axis)) * scale.cell_mm[axis] >= size for axis in (0, 1)):
-                left |= part
+        for part in _patches(height, limit, size, cells, deepest, scale):
+            left |= part
         near, n = label_around(scale.around(left, scale.mm(limits.join_of_radius) / 2))
         if joints is not None:  # of a joint one line
             of_joint, many = ndimage.label(joints)
@@ -86,6 +87,25 @@ def left_standing(
                 continue
             why = _why(mask, kind, height, wall, seed, rim, limits.observations)
             yield Indication(kind, mask, height, wall.cell_noise_mm, sigma), why
+        cells |= left
+        for part in _patches(height, may_reach, SHALLOW_SIZES * size, cells, deepest, scale):
+            of_joint = joints is not None and joints[part.any(axis=1)].any()
+            if not of_joint and agreeing_observations(part, kind, wall, rim) >= limits.observations:
+                yield Indication(kind, part, height, wall.cell_noise_mm, sigma), SHALLOW_WHY
+
+
+def _patches(
+    height: Float32Array, least: FloatArray, size_mm: float, cells: BoolArray, deepest: FloatArray, scale: Scale
+) -> Iterator[BoolArray]:
+    """Patches (Z, A) beyond `least`, as large as `size_mm` both ways, that neither touch `cells` nor are the rim of
+    what is `deepest` (mm) beside them."""
+    label, n = label_around(height > least)
+    for i in range(1, n + 1):
+        part = label == i
+        if (part & cells).any() or height[part].max() < RIM_PART * deepest[part].max():
+            continue
+        if all(np.count_nonzero(part.any(axis=1 - axis)) * scale.cell_mm[axis] >= size_mm for axis in (0, 1)):
+            yield part
 
 
 def _why(
