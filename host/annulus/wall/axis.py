@@ -216,7 +216,8 @@ def _pruned(seen: Sightings, found: Adjusted, begins: list[Begins]) -> tuple[Adj
     while i < len(begins):
         fewer = [*begins[:i], *begins[i + 1 :]]
         short = _lengths(found)[i] < SHORTEST_OF_RADIUS * seen.radius_mm
-        round_it = _seen_round(seen, found, found.state.pieces[i : i + 1, START])[0]
+        # a bend that began where enough was seen ends somewhere, however little was seen behind its end
+        round_it = begins[i] is Begins.STRAIGHT or _seen_round(seen, found, found.state.pieces[i : i + 1, START])[0]
         if round_it and not short and _begins_something(found, i, begins[i], seen.radius_mm):
             i += 1
             continue
