@@ -16,7 +16,13 @@ from annulus.reprocess.executors import Executor, Failed, in_process
 from annulus.reprocess.job import Job, Measured, open_job, stage_medians, turns_of
 from annulus.reprocess.method import examined
 from annulus.reprocess.optics import prior_of
-from annulus.reprocess.places import incomplete_findings, place_findings, require_near
+from annulus.reprocess.places import (
+    doubled_findings,
+    incomplete_findings,
+    place_findings,
+    require_near,
+    running_back_findings,
+)
 from annulus.reprocess.ranges import CHUNK
 from annulus.rings.diagnosis import Exposure, diagnose, exposure_findings, lamp_findings, reference_findings
 from annulus.stereo import CAMERA_MISSING, TWO_WALLS
@@ -151,6 +157,7 @@ def account(
     findings += missing_findings(job, which)
     findings += apart_findings(job, tuple(seen.apart), seen.pairs)
     findings += place_findings(job.scan.frames) + incomplete_findings(job.scan)
+    findings += running_back_findings(job.scan.frames) + doubled_findings(job.scan.frames, seen.lights)
     if job.reference is not None:
         findings += reference_findings(job.reference, seen.poses)
     counted = Counter(frame.label for frame in job.scan.frames)

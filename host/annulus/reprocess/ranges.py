@@ -172,7 +172,9 @@ class Measuring:
             chunks = [one.which[k : k + CHUNK] for k in range(0, len(one.which), CHUNK)]
             done = [each for chunk in chunks for each in measured(job, method, chunk)]
             profiles = tuple(profile for profile, _ in done)
-            lights = [[light.bright, light.clipped, light.lost, light.hues, light.glare] for _, light in done]
+            lights = [
+                [light.bright, light.clipped, light.lost, light.hues, light.glare, light.picture] for _, light in done
+            ]
             about = {"lights": lights, "processor": processor()}
             self.place.write(name, packed(profiles, about))
             return facts_of(one, name, profiles, about, True)
@@ -219,7 +221,7 @@ def facts_of(
 
 
 def _is_light(value: object) -> bool:
-    return isinstance(value, list) and [type(one) for one in value] == [float] * 4 + [int]
+    return isinstance(value, list) and [type(one) for one in value] == [float] * 4 + [int] * 2
 
 
 def identity(part: Scan) -> tuple[Any, ...]:

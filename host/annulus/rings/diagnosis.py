@@ -1,6 +1,7 @@
 """What is wrong with the frames themselves, in words a user can act on: light, flips, colours, the pipe's radius."""
 
 import math
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -70,6 +71,7 @@ class Exposure:
     lost: float
     hues: float
     glare: int = 0  # sectors, one a bit, clockwise from the top, in which most of the stripes are at full scale
+    picture: int = 0  # CRC-32 of the pixels looked at: no camera takes the same picture twice; 0 where not known
 
     @property
     def dark(self) -> bool:
@@ -100,8 +102,9 @@ def diagnose(image_bgr: NDArray[np.uint8]) -> Exposure:
     least = int(max(LIT_OF_BRIGHT * bright, 1))
     lit = max(int(above[least]), 1)
     return Exposure(
-        float(bright), float(above[CLIPPED]) / lit, float(lost[CLIPPED]) / lit, _hues(some), _glare(top, least)
-    )
+        float(bright), float(above[CLIPPED]) / lit, float(lost[CLIPPED]) / lit, _hues(some), _glare(top, least),
+        zlib.crc32(some.data),
+    )  # fmt: skip
 
 
 def _glare(top: NDArray[np.uint8], least: int) -> int:
