@@ -58,10 +58,10 @@ def update_calibration(
 ) -> tuple[str, ...]:
     """Replace these sections of the file and keep its others; a new file gets only these.
 
-    A section given as None is taken out. `provenance`: how each section came about, kept under "provenance" by the
-    section's name, with the time; what was said of a section that is replaced by another goes. Returns the names of the
-    sections that were kept as they are. Raises AnnulusError when the file is there but is no calibration of one
-    camera, or cannot be written.
+    A section given as None is taken out; so is "wall" where other rings come, as it says what a wall has beyond the old
+    ones. `provenance`: how each section came about, kept under "provenance" by the section's name, with the time; what
+    was said of a section that is replaced by another goes. Returns the names of the sections that were kept as they
+    are. Raises AnnulusError when the file is there but is no calibration of one camera, or cannot be written.
     """
     data = _read(path) if path.exists() else {}
     listed = "cameras" in sections  # a head that format 1 has no words for, though of one camera
@@ -70,6 +70,8 @@ def update_calibration(
         raise AnnulusError(f'{path}: is of a head with several cameras ("{CAMERAS}"). Choose another file.')
     if not isinstance(data, dict) or data.get("format", ONE_CAMERA) not in (ONE_CAMERA, CAMERAS):
         raise AnnulusError(f'{path}: is there but is not "{ONE_CAMERA}". Choose another file or move it away.')
+    if "rings" in sections and sections["rings"] != data.get("rings"):
+        sections = {"wall": None, **sections}
     before = data.get("provenance")
     replaced = {key for key, section in sections.items() if data.get(key) != section}
     still = {key: made for key, made in (before if isinstance(before, dict) else {}).items() if key not in replaced}

@@ -63,7 +63,7 @@ class Reconstructor:
     def __init__(self, calibration: Calibration, directions: int = 720, *, colour: ColourProfile | None = None) -> None:
         if not 36 <= directions <= 4096:
             raise AnnulusError(f"{directions} polar directions, expected 36..4096")
-        self.calibration = calibration.only("slits", "line")
+        self.calibration = calibration = calibration.only("slits", "line").in_wall()
         self.directions = directions
         self._grid = polar_grid(calibration, directions)
         self._optics = ring_optics(calibration, self._grid)

@@ -80,6 +80,7 @@ class StereoReconstructor:
             raise AnnulusError("calibration: the head has one camera, expected two or more for this method")
         if calibration.kind != "slits":
             raise AnnulusError(f"calibration: the head projects {calibration.kind}, expected slits for several cameras")
+        calibration = calibration.in_wall()
         self.calibration, self.directions, self.colour, self.delta_gate = calibration, directions, colour, delta_gate
         self.usual = usual_pose(calibration)
         self.views = {one.id: view_of(calibration, one, self.usual, directions) for one in calibration.cameras}

@@ -86,9 +86,13 @@ def calibrations(draw: st.DrawFn, several: bool) -> Calibration:
     pattern = draw(st.none() | st.just({"kind": "fringe", "period_mm": 8.0})) if several else None
     if pattern is not None:
         colours, rings, corrections, covariance = "", [], None, None
+    shifts = st.tuples(*[st.floats(0.0, 2.0)] * 3)
+    moved, known = draw(shifts), draw(st.none() | shifts)
+    if pattern is not None:
+        moved, known = (0.0, 0.0, 0.0), None
     return Calibration(
         draw(cameras()), colours, tuple(rings), draw(st.floats(1.0, 5000.0)), covariance, corrections, others, first,
-        pattern,
+        pattern, translucency_mm=moved, translucency_sigma_mm=known,
     )  # fmt: skip
 
 
