@@ -135,13 +135,17 @@ def scan(
     lean: Annotated[
         float | None, typer.Option(min=0.0, max=15.0, help="Degrees the head leans at most; 8 to calibrate it.")
     ] = None,
+    translucent: Annotated[
+        float | None,
+        typer.Option(min=0.01, max=5.0, help="mm that red light goes on in the wall before it is scattered; PE: 0.56."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
-    """Write a simulated scan as a scan folder, with its calibration and the truth."""
+    """Write a simulated scan as a scan folder, with its calibration (of an opaque pipe) and the truth."""
     from annulus.twin.scan import world_named, write_scan
 
     with progress() as report:
-        write_scan(world_named(world, seed, defects, lean), out, frames, report)
+        write_scan(world_named(world, seed, defects, lean, translucent), out, frames, report)
     print_fields(
         {"scan": str(out), "world": world, "frames": frames, "calibration": str(out / "calibration.json")}, as_json
     )

@@ -13,7 +13,7 @@ import numpy as np
 from annulus.record.codec import to_bgr
 from annulus.record.scan import CAMERA, COLUMNS, ROLL, SLOT, TABLE
 from annulus.twin.render import Renderer
-from annulus.twin.worlds import WORLDS, World
+from annulus.twin.worlds import WORLDS, World, translucent
 from annulus.twin.worlds.sensor_head import Fringes
 from annulus.twin.worlds.world import WAVES
 from annulus.vocabulary import AnnulusError, Label
@@ -22,8 +22,11 @@ LED_EVERY = 5  # four projector frames, one of the LED, as the head fires them
 LEANS_ABOUT = 1.5  # radii from the camera: a head that leans stands off the axis there
 
 
-def world_named(name: str, seed: int, defects: bool = True, lean_deg: float | None = None) -> World:
-    """One of WORLDS, its head leaning by `lean_deg` at most, if given. Raises AnnulusError for a name that is none."""
+def world_named(
+    name: str, seed: int, defects: bool = True, lean_deg: float | None = None, red_mm: float | None = None
+) -> World:
+    """One of WORLDS, its head leaning by `lean_deg` at most, its wall one that light enters (`translucent`), if given.
+    Raises AnnulusError for a name that is none, or a world whose wall is not drawn so."""
     if name not in WORLDS:
         raise AnnulusError(f"world {name!r}: expected one of {', '.join(WORLDS)}")
     world = WORLDS[name](seed)
@@ -33,7 +36,7 @@ def world_named(name: str, seed: int, defects: bool = True, lean_deg: float | No
         lean = lean_deg / sum(WAVES)
         aside = LEANS_ABOUT * world.radius_mm * math.tan(math.radians(lean))
         world = replace(world, wobble_deg=lean, wobble_mm=aside)
-    return world
+    return world if red_mm is None else translucent(world, red_mm)
 
 
 def write_scan(

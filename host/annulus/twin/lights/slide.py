@@ -21,7 +21,7 @@ def slides_of(world: World) -> tuple[Slide, ...]:
     """Of a world's projector, in its order."""
     light = world.projector
     if isinstance(light, Projector):
-        return (Slits(light, world.radius_mm),)
+        return (Slits(light, world.radius_mm, world.translucency),)
     return tuple(FringeSlide(light, number) for number in range(len(light.slides)))
 
 

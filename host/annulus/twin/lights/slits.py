@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from annulus.geometry.translucency import Translucency, incidence_rad, leaving
 from annulus.numeric.arrays import FloatArray
 from annulus.twin.lights.projector import Beam, in_pipe
 from annulus.twin.rays import Placed
@@ -29,6 +30,7 @@ class SlitTable(NamedTuple):
     cos_step: np.float32  # bins a unit
     leak: np.float32
     line: F32  # (3,) what red, green and blue pixels see of light through the slits
+    leaving: F32  # (slits + 2, 2, parts, 3) of the edge inside and outside of each slit, see `translucency.leaving`
 
 
 @jit
@@ -52,6 +54,10 @@ def through_slits(part: Stretch, beam: Beam, table: SlitTable) -> None:
         even, other = (v & 1) + odd, (v & 1) + 1 - odd
         even_in, odd_in = colours[i, even], colours[i, other]
         even_out, odd_out = colours[i + 1, even], colours[i + 1, other]
+        if table.leaving.shape[2]:
+            _through_wall(part, beam, table, i, u, end)
+            u = end
+            continue
         for k in range(u, end):
             px, py, pz = scratch[X + k] - vx, scratch[Y + k] - vy, scratch[Z + k] - vz
             cosine = (px * ax + py * ay + pz * az) / np.sqrt(px * px + py * py + pz * pz)
@@ -69,13 +75,44 @@ def through_slits(part: Stretch, beam: Beam, table: SlitTable) -> None:
         u = end
 
 
+@jit
+def _through_wall(part: Stretch, beam: Beam, table: SlitTable, i: int, first: int, end: int) -> None:
+    """Pixels first..end of one slit on a wall that light enters: each edge is the sum of its light's parts, every one
+    farther along the pipe and softer than it came in."""
+    scratch, spread, slits, colours, leaving = part.scratch, part.spread, table.slits, table.colours, table.leaving
+    vx, vy, vz, ax, ay, az = slits[i, 0], slits[i, 1], slits[i, 2], slits[i, 3], slits[i, 4], slits[i, 5]
+    cosine0, sine0, wide = slits[i, 6], slits[i, 7], slits[i, 8]
+    one, zero = np.float32(1.0), np.float32(0.0)
+    for k in range(first, end):
+        px, py, pz = scratch[X + k] - vx, scratch[Y + k] - vy, scratch[Z + k] - vz
+        away = np.sqrt(px * px + py * py + pz * pz)
+        cosine = (px * ax + py * ay + pz * az) / away
+        sine2 = max(one - cosine * cosine, np.float32(1e-9))
+        sine = np.sqrt(sine2)
+        off = sine * cosine0 - cosine * sine0
+        turn = (az - cosine * pz / away) / (away * sine)  # of the light's angle, one mm up the pipe
+        lens = beam.blur * sine2 * spread[k]
+        inside, outside = zero, zero
+        for j in range(leaving.shape[2]):
+            near, far = leaving[i, 0, j], leaving[i, 1, j]  # mm down the pipe, share, sigma in mm
+            blur = np.sqrt(lens * lens + near[2] * near[2] * turn * turn) + np.float32(1e-9)
+            inside += near[1] * (one - step_up((off + near[0] * turn + wide) / blur))
+            blur = np.sqrt(lens * lens + far[2] * far[2] * turn * turn) + np.float32(1e-9)
+            outside += far[1] * step_up((off + far[0] * turn - wide) / blur)
+        channel = (part.v & 1) + ((k & 1) ^ part.odd)
+        colour_in, colour_out = colours[i, channel], colours[i + 1, channel]
+        share = inside * colour_in + outside * colour_out
+        share += table.leak * (one - inside - outside) * (colour_in + colour_out)
+        scratch[LEVEL + k] = scratch[LIT + k] * share
+
+
 class Slits:
     """The light of a world's `Projector`. `axis` is that of the mean cone, `rims` end the pattern (rad)."""
 
     Table = SlitTable
     kernel = staticmethod(through_slits)
 
-    def __init__(self, projector: Projector, radius_mm: float) -> None:
+    def __init__(self, projector: Projector, radius_mm: float, wall: Translucency | None = None) -> None:
         cones = projector.cones
         vertex = np.mean([c.vertex_mm for c in cones], axis=0)
         axis = np.mean([c.axis for c in cones], axis=0)
@@ -104,6 +141,12 @@ class Slits:
         self._line = np.array(projector.line or (0.0, 0.0, 0.0), np.float32)
         if projector.line is not None:
             self._colours[:] = 0.0
+        self._leaving = np.zeros((len(ends), 2, 0, 3), np.float32)
+        if wall is not None:
+            letters = projector.colours[0] + projector.colours + projector.colours[-1]
+            parts = [leaving(wall, incidence_rad(angle)) for angle in angles]
+            of = [["RGB".index(letter) for letter in letters[k : k + 2]] for k in range(len(ends))]
+            self._leaving = np.array([one[edges] for one, edges in zip(parts, of, strict=True)], np.float32)
 
     def coordinate(self, points: FloatArray) -> FloatArray:
         """(N, 3) mm in the head's frame -> (N,) cot of the angle to the axis."""
@@ -113,4 +156,6 @@ class Slits:
 
     def table(self, pose: Placed, z_mm: float) -> SlitTable:
         slits = in_pipe(self._slits, pose, z_mm)
-        return SlitTable(slits, self._colours, self._nearest, self._cos0, self._cos_step, self._leak, self._line)
+        return SlitTable(
+            slits, self._colours, self._nearest, self._cos0, self._cos_step, self._leak, self._line, self._leaving
+        )

@@ -11,7 +11,7 @@ from annulus.twin.worlds.fittings import FITTINGS
 from annulus.twin.worlds.fringe import mirror_fringe_world, modules_world, series_world
 from annulus.twin.worlds.mirror import mirror_world
 from annulus.twin.worlds.paint import ORANGE, WHITE, YELLOW
-from annulus.twin.worlds.pipes import CONTAMINATED, clean_world, demo_world, fisheye_camera, painted
+from annulus.twin.worlds.pipes import CONTAMINATED, clean_world, demo_world, fisheye_camera, painted, translucent
 from annulus.twin.worlds.sensor_head import Optics
 from annulus.twin.worlds.stereo import stereo_world
 from annulus.twin.worlds.world import World
@@ -35,6 +35,7 @@ __all__ = [
     "painted",
     "series_world",
     "stereo_world",
+    "translucent",
 ]
 
 WORLDS: Mapping[str, Callable[[int], World]] = {

@@ -18,6 +18,7 @@ from annulus.geometry.calibration import STILL, Calibration, HeadCamera, Matrix,
 from annulus.geometry.camera import Camera, Mirror
 from annulus.geometry.cone import Cone
 from annulus.geometry.pose import Pose
+from annulus.geometry.translucency import Translucency
 from annulus.numeric.arrays import FloatArray
 from annulus.twin.worlds.course import Course
 from annulus.twin.worlds.features import Feature
@@ -45,6 +46,7 @@ class World:
     led: Led = field(default_factory=Led)
     optics: Optics = field(default_factory=Optics)
     albedo: tuple[float, float, float] = WHITE
+    translucency: Translucency | None = None  # of a wall that light enters; None: it leaves where it came in
     texture: bool = True  # stains and a printed line
     wobble_deg: float = 1.2  # amplitude of each of two sinusoids a rotation
     wobble_mm: float = 1.7  # the same for the two shifts
@@ -64,6 +66,9 @@ class World:
             raise AnnulusError("world: cameras on one sync line must have equally many rows")
         if self.course is not None and (self.others or not self.camera.central):
             raise AnnulusError("world: a pipe of several pieces is drawn for one camera without a mirror")
+        slits = isinstance(self.projector, Projector) and self.projector.line is None
+        if self.translucency is not None and not (slits and self.course is None):
+            raise AnnulusError("world: a wall that light enters is drawn for slits, in a pipe of one piece")
 
     # ---- the wall ------------------------------------------------------------------------------------------------
     def deviation(self, clock_deg: FloatArray, z_mm: FloatArray) -> FloatArray:
@@ -175,6 +180,7 @@ class World:
                 for f in self.features
             ],
             "defects": [f.as_defect(self.radius_mm) for f in self.features],
+            **({} if self.translucency is None else {"translucency": asdict(self.translucency)}),
             **({} if self.course is None else {"course": asdict(self.course), **self.course.truth()}),
             "travel_mm": self.travel_mm,
             "mm_per_count": self.mm_per_count,
@@ -199,6 +205,8 @@ class World:
                 top["course"] = Course.from_dict(top["course"])
             top["features"] = tuple(Feature(**feature) for feature in top["features"])
             top["rods"] = tuple(Rod(**rod) for rod in top["rods"])
+            if top.get("translucency") is not None:
+                top["translucency"] = _tupled(Translucency, top["translucency"])
             top["led"], top["optics"] = _tupled(Led, top["led"]), _tupled(Optics, top["optics"])
             return _tupled(cls, top)
         except (KeyError, TypeError, ValueError) as error:
