@@ -149,23 +149,41 @@ def colour(
     out: Annotated[Path, typer.Option("--out", "-o", help="File of the pipe's colours.")] = Path("colour.json"),
     red_gain: Annotated[float, typer.Option(min=0.01, max=64.0, help="Red white-balance gain that was set.")] = 1.0,
     blue_gain: Annotated[float, typer.Option(min=0.01, max=64.0, help="Blue white-balance gain that was set.")] = 1.0,
+    reference_u: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0,
+            max=10.0,
+            help="This pipe's inner diameter is the calibration's within so many mm (k = 2): measure how far light "
+            "goes on in its wall, and write it into the calibration.",
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """What the stripes look like on a pipe of this colour, and the white balance to set for it.
 
     Give the file to `annulus reconstruct --colour`. Set the gains on the camera (ColourGains of Picamera2), white
     balance off automatic, take frames again and learn again: then the weak channel is above the camera's noise.
+
+    Light enters polyethylene and leaves it a little farther on, and a head that was calibrated in an opaque pipe reads
+    it 0.2 to 0.5 mm too wide in radius. In a piece of it whose diameter is known, --reference-u measures that.
     """
     from annulus.calibrate.colour import calibrate_colour
+    from annulus.calibrate.wall import MeasuredWall, save_wall
     from annulus.record.calibration_file import save_part
 
     with progress() as bars:
-        learnt = calibrate_colour(scan, calibration, camera_gains=(red_gain, blue_gain), progress=bars)
-    profile = learnt.profile
+        learnt = calibrate_colour(
+            scan, calibration, camera_gains=(red_gain, blue_gain), diameter_u_mm=reference_u, progress=bars
+        )
+    profile, wall = learnt.profile, learnt.wall
     save_part(out, profile.to_dict())
+    if isinstance(wall, MeasuredWall):
+        save_wall(wall, calibration, reference_u or 0.0)
     if as_json:
-        print(json.dumps({**profile.to_dict(), "warnings": list(learnt.warnings), "file": str(out)}))
-        return
+        told = {"wall": wall.to_dict()} if isinstance(wall, MeasuredWall) else {"wall": None, "wall_not_measured": wall}
+        print(json.dumps({**profile.to_dict(), **told, "warnings": list(learnt.warnings), "file": str(out)}))
+        raise typer.Exit(1 if isinstance(wall, str) else 0)
     print(f"frames       {profile.frames} of {learnt.looked_at} showed every ring")
     print("             stripe  red    green  blue")
     for name, row, own in zip(("red", "green", "blue"), profile.crosstalk, profile.reflectance, strict=True):
@@ -177,7 +195,18 @@ def colour(
     print(f"set gains    red {profile.gains[0]:.2f}, blue {profile.gains[1]:.2f} (green 1)")
     for warning in learnt.warnings:
         print(f"warning      {warning}")
+    if isinstance(wall, MeasuredWall):
+        moved = ", ".join(
+            f"{name} {value:.3f} +- {sigma:.3f}"
+            for name, value, sigma in zip(("red", "green", "blue"), wall.shift_mm, wall.sigma_mm, strict=True)
+        )
+        print(f"wall         light leaves it {moved} mm farther on; radii were read {wall.wider_mm:+.3f} mm wide")
+        print(f"written      {out}; section wall of {calibration}")
+        return
+    print(f"wall         not measured: {wall or 'needs a pipe whose diameter is known, and --reference-u'}")
     print(f"written      {out}")
+    if wall is not None:
+        raise typer.Exit(1)
 
 
 @app.command(
