@@ -35,6 +35,7 @@ STRETCHES, STRETCH_OF_RADIUS = 4, 3.0  # of a long scan: so many, each so long t
 # How far light goes on inside the wall, mm, and how likely each is beforehand: polyethylene 0.15 to 0.4 mm, pigmented
 # walls none. The mean of the colours scatters about each by a part, and every colour about that mean.
 TRANSLUCENT = ((0.0, 0.7), (0.1, 0.1), (0.2, 0.1), (0.4, 0.1))
+WALL_ALIKE = 0.8  # of the variance of a wall that was measured, what its colours have in common
 SHIFT_MEAN, SHIFT_COLOUR, SHIFT_LEAST_MM = 0.5, 0.3, 0.005
 EDGES_PX = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32)  # how far a ring's edges may be drawn, each as likely beforehand
 WITHIN = 5e-5  # of the radius: half a kelvin of a plastic lens, while a scan lasts, where one section was looked at
@@ -50,7 +51,21 @@ SURE, CHANCE = (
 )  # standard deviations, and a probability as small: from there on a drift is named and taken out
 RING_POINTS, SECTION_OBSERVATIONS = 20, 60  # with fewer a ring, or a section, does not count as seen
 NONE = np.zeros(7)
-Before = tuple[FloatArray, FloatArray]  # means and standard deviations of focal, slide, tube (mm), anamorphic
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Before:
+    """What is known beforehand: means and standard deviations (4,) of focal, slide, tube (mm), anamorphic; wall_mm (3,)
+    how well the wall is known that the calibration says light goes on in, None where it says nothing."""
+
+    mean: FloatArray
+    sigma: FloatArray
+    wall_mm: tuple[float, float, float] | None = None
+
+    @property
+    def walls(self) -> tuple[tuple[float, float], ...]:
+        """How far light may go on, and how likely each is."""
+        return TRANSLUCENT if self.wall_mm is None else ((0.0, 1.0),)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,7 +151,8 @@ def find_scale(
     """
     if calibration.others or not calibration.camera.central or not calibration.rings:
         return None
-    prior = prior or Prior()
+    prior, wall_mm = prior or Prior(), calibration.translucency_sigma_mm
+    calibration = calibration.in_wall()
     used = _chosen(profiles, calibration, references)
     seen = observations(used) if used else None
     if seen is None or not len(seen.head) or seen.ring.max() >= len(calibration.rings):
@@ -152,9 +168,10 @@ def find_scale(
     offsets = ring_offsets(seen, len(calibration.rings), radius, sections)
     effects = _Effects.of(seen, offsets.weight, calibration)
     tube_mm = float(np.linalg.norm(calibration.rings[0].vertex_mm))
-    before = (
+    before = Before(
         np.array([prior.focal_mean, prior.slide_mean, prior.tube_mean * tube_mm, 0.0]),
         np.array([prior.focal, prior.slide, prior.tube * tube_mm, prior.anamorphic]),
+        wall_mm,
     )
     stations = seen.z_mm[seen.head]
     places = [float(stations[(along >= one.from_mm) & (along <= one.to_mm)].mean()) for one in sections]
@@ -195,7 +212,7 @@ def find_scale(
 
 def _drift_part(effects: "_Effects", before: Before, radius_mm: float) -> float:
     """Of the radius: the standard deviation of what optics, and the most translucent wall, put it off by."""
-    mean, spread = _prior(before, TRANSLUCENT[-1][0])
+    mean, spread = _prior(before, before.walls[-1][0])
     even = effects.usual_even / radius_mm
     return math.sqrt(even @ (spread + np.outer(mean, mean)) @ even)
 
@@ -216,6 +233,7 @@ def with_drift(
     """The profiles as the drifted head took them: points on the cones as they are now, heads where those see them."""
     if scale is None or not any(one != Drift() for one in scale.drifts):
         return tuple(profiles)
+    calibration = calibration.in_wall()
     return tuple(_taken_with(profile, calibration, scale) for profile in profiles)
 
 
@@ -437,7 +455,7 @@ def _answer(offsets: Offsets, effects: _Effects, before: Before, z_mm: float) ->
     design = np.concatenate([effects.even[:, None], effects.twofold], axis=1).reshape(len(terms), -1)
     edge = np.repeat(effects.px_mm, 3) ** 2
     observed = -offsets.at(z_mm)[:, (0, 3, 4)].ravel()
-    at, many = NONE, [(tau, px) for tau in TRANSLUCENT for px in EDGES_PX]
+    at, many = NONE, [(tau, px) for tau in before.walls for px in EDGES_PX]
     for _ in range(LAWS):
         # beyond what is linear: the change that this drift really makes, and the rest along the tangent
         law = effects.moved(Drift.of(at))[:, (0, 3, 4)].ravel()
@@ -462,9 +480,12 @@ def _answer(offsets: Offsets, effects: _Effects, before: Before, z_mm: float) ->
 
 def _prior(before: Before, shift_mm: float) -> tuple[FloatArray, FloatArray]:
     """Mean (7,) and covariance (7, 7) of a drift, where light goes on in the wall by about so much."""
-    mean = np.concatenate([before[0], np.full(3, shift_mm)])
+    mean = np.concatenate([before.mean, np.full(3, shift_mm)])
     spread = np.zeros((7, 7))
-    spread[:4, :4] = np.diag(before[1] ** 2)
+    spread[:4, :4] = np.diag(before.sigma**2)
     own = (SHIFT_COLOUR * shift_mm) ** 2 + SHIFT_LEAST_MM**2
     spread[4:, 4:] = (SHIFT_MEAN * shift_mm) ** 2 + own * np.eye(3)
+    if before.wall_mm is not None:  # what is off in one colour is so in all, mostly: the calibration of its day
+        sigma = np.array(before.wall_mm)
+        spread[4:, 4:] += WALL_ALIKE * np.outer(sigma, sigma) + (1.0 - WALL_ALIKE) * np.diag(sigma**2)
     return mean, spread

@@ -10,7 +10,7 @@ from annulus.geometry.calibration import HeadCamera
 from annulus.geometry.drift import Drift
 from annulus.wall.optics import Optics, Prior
 from annulus.wall.reference import ReferenceSection, sections_from, sections_of, sections_recorded, sections_to_dict
-from annulus.wall.scale import TRANSLUCENT, AbsoluteScale, _prior, find_scale, scale_findings, with_drift
+from annulus.wall.scale import TRANSLUCENT, AbsoluteScale, Before, _prior, find_scale, scale_findings, with_drift
 
 HERE = ReferenceSection(90.0, 120.0, 2 * RADIUS, 0.02)
 
@@ -20,7 +20,7 @@ def drawn(rng: np.random.Generator) -> Drift:
     shift = rng.choice([mm for mm, _ in TRANSLUCENT], p=[chance for _, chance in TRANSLUCENT])
     prior = Prior()
     sigma = np.array([prior.focal, prior.slide, 56 * prior.tube, prior.anamorphic])
-    return Drift.of(rng.multivariate_normal(*_prior((np.zeros(4), sigma), shift)))
+    return Drift.of(rng.multivariate_normal(*_prior(Before(np.zeros(4), sigma), shift)))
 
 
 def measured(scale: AbsoluteScale | None, profiles: list, calibration) -> tuple[float, float]:  # type: ignore[no-untyped-def]
@@ -187,3 +187,14 @@ def test_one_ring_alone_says_nothing_of_the_scale() -> None:
     scale, all_rings = find_scale(one, head()), find_scale(profiles, head())
     assert scale is not None and all_rings is not None and scale.part > all_rings.part > 1e-3
     assert find_scale([], head()) is None and not scale_findings(scale)
+
+
+def test_a_wall_that_was_measured_is_known_as_well_as_it_was() -> None:
+    wall = replace(head(), translucency_mm=(0.25, 0.2, 0.15), translucency_sigma_mm=(0.01, 0.01, 0.01))
+    light = Drift(red_mm=0.25, green_mm=0.2, blue_mm=0.15)
+    profiles = scan(wall.in_wall(), Drift(), RADIUS, np.random.default_rng(12))
+    assert radius_of(profiles) == pytest.approx(RADIUS, abs=0.05)
+    radius, sigma = measured(find_scale(profiles, wall), profiles, wall)
+    blind = scan(head(), light, RADIUS, np.random.default_rng(12))
+    wider, unsure = measured(find_scale(blind, head()), blind, head())
+    assert abs(radius - RADIUS) < 2 * sigma < 2 * unsure and abs(wider - RADIUS) < 2 * unsure
