@@ -16,8 +16,11 @@ ASIDE_OF_RADIUS = 0.01  # beside a step a point may be on either side of it
 STEP_OF_RADIUS = 0.004  # what is more than that within ASIDE is a step
 
 
-def cloud_coverage(scene: Scene, points: Array, sigma: Array, seen: tuple[float, float]) -> dict[str, tuple[int, int]]:
-    """Place -> (points, those within 2 sigma). Points where there is no wall are left out."""
+def cloud_coverage(
+    scene: Scene, points: Array, sigma: Array, seen: tuple[float, float], scale_part: float
+) -> dict[str, tuple[int, int, int]]:
+    """Place -> (points, those within 2 sigma, and within 2 sigma less what all radii may be off alike, about the scale
+    that this scan has). Points where there is no wall are left out."""
     surface, radius = Surface(scene.pipe), scene.pipe.radius_mm
     known = np.isfinite(sigma)
     keep = np.flatnonzero(known)[:: max(1, int(known.sum()) // POINTS_MOST)]
@@ -30,10 +33,14 @@ def cloud_coverage(scene: Scene, points: Array, sigma: Array, seen: tuple[float,
             round_it = np.full(len(z), thing.kind == "cable") | (off <= thing.arc_deg / 2 + 4.0)
             wall &= ~(round_it & (np.abs(z - thing.z_mm) <= thing.length_mm / 2 + 0.05 * radius))
     within = np.abs(error) <= 2.0 * sigma[keep]
+    alike = float(np.median(error[wall] / r[wall])) if wall.any() else 0.0
+    own = np.sqrt(np.maximum(sigma[keep] ** 2 - (scale_part * r) ** 2, 0.0))
+    locally = np.abs(error - alike * r) <= 2.0 * own
     counts = {}
     for place, mine in _places(scene, clock, z, seen).items():
         if (mine & wall).any():
-            counts[place] = int((mine & wall).sum()), int(within[mine & wall].sum())
+            here = mine & wall
+            counts[place] = int(here.sum()), int(within[here].sum()), int(locally[here].sum())
     return counts
 
 

@@ -54,6 +54,7 @@ class Results:
     stations: dict[str, Array]
     points_mm: Array  # (N, 3)
     sigma_mm: Array  # (N,)
+    scale_part: float = 0.0  # of the radius, k = 1: what the survey says that all its radii may be off alike
     seen: Array = field(default_factory=lambda: np.zeros((0, 0)))  # (Z, A) bool, of the map; none where there is none
     seen_z_mm: Array = field(default_factory=lambda: np.zeros(0))
 
@@ -66,6 +67,7 @@ def read_results(folder: Path) -> Results:
     points, sigma = read_cloud(folder / "cloud.ply")
     with np.load(folder / "wall.npz") as wall:
         seen, seen_z = wall["deviation_um"] != NOT_SEEN_UM, np.array(wall["z_mm"])
+        scale_part = float(wall["scale_part"]) if "scale_part" in wall.files else 0.0
     return Results(
         listed,
         tuple(verdict.get("not_established", ())),
@@ -79,6 +81,7 @@ def read_results(folder: Path) -> Results:
         read_stations(folder / "stations.csv"),
         points,
         sigma,
+        scale_part,
         seen,
         seen_z,
     )

@@ -114,7 +114,7 @@ class Outcome:
 
 @dataclass(slots=True)
 class Score:
-    """Of one pipe. cloud : place -> (points, those within k = 2)."""
+    """Of one pipe. cloud : place -> (points, those within k = 2, those within it but for the scale)."""
 
     seed: int
     bore_mm: float
@@ -127,7 +127,7 @@ class Score:
     outcomes: list[Outcome] = field(default_factory=list)
     false: list[str] = field(default_factory=list)
     numbers: list[Number] = field(default_factory=list)
-    cloud: dict[str, tuple[int, int]] = field(default_factory=dict)
+    cloud: dict[str, tuple[int, int, int]] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         return asdict(self)
@@ -175,7 +175,7 @@ def score(scene: Scene, results: Results) -> Score:
             k2 = math.nan if item["k2"] is None else item["k2"]
             where = place_of(scene, (item["z_mm"], item["z_mm"]), 0.0, 360.0, seen)
             out.numbers.append(Number("worst ovality", where, item["value"], k2, worst_ovality(surface, *seen)))
-    out.cloud = cloud_coverage(scene, results.points_mm, results.sigma_mm, seen)
+    out.cloud = cloud_coverage(scene, results.points_mm, results.sigma_mm, seen, results.scale_part)
     return out
 
 

@@ -82,9 +82,10 @@ def _sums(scores: Sequence[Score], failed: Mapping[int, str]) -> list[str]:
 def _coverage_table(scores: Sequence[Score]) -> list[str]:
     counts = coverage(one for score in scores for one in score.numbers)
     for score in scores:
-        for place, (of, right) in score.cloud.items():
-            before = counts.get(("cloud points", place), (0, 0))
-            counts["cloud points", place] = before[0] + right, before[1] + of
+        for place, (of, *each) in score.cloud.items():
+            for what, right in zip(("cloud points", "cloud points, but for the scale"), each, strict=True):
+                before = counts.get((what, place), (0, 0))
+                counts[what, place] = before[0] + right, before[1] + of
     kinds = sorted({kind for kind, _ in counts})
     lines = [
         f"Coverage of k = 2 by kind of number and by place; {100 * ASKED[0]:.0f} to {100 * ASKED[1]:.0f} % are asked, "
@@ -150,8 +151,8 @@ def _rows(scores: Sequence[Score], failed: Mapping[int, str]) -> list[str]:
         states = Counter(one.state for one in score.outcomes)
         counts = "/".join(str(states[name]) for name in STATES[:4])
         known = [one.right for one in score.numbers if one.right is not None]
-        points = sum(of for of, _ in score.cloud.values())
-        inside = sum(right for _, right in score.cloud.values())
+        points = sum(of for of, _, _ in score.cloud.values())
+        inside = sum(right for _, right, _ in score.cloud.values())
         held = f"{sum(known)} of {len(known)}, points {100 * inside / max(points, 1):.0f} %"
         over = " (over)" if score.over_limit else ""
         verdict = f"{score.decision}{over}{' **wrong**' if score.falsely_conforms else ''}"
