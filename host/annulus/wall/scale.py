@@ -13,6 +13,7 @@ summed over: how far edges are drawn whatever the optics do, and how translucent
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,10 +35,12 @@ AHEAD_OF_RADIUS = 6.0  # how far ahead of its head a ring may land
 STRETCHES, STRETCH_OF_RADIUS = 4, 3.0  # of a long scan: so many, each so long that all rings see its wall
 # How far light goes on inside the wall, mm, and how likely each is beforehand: polyethylene 0.15 to 0.4 mm, pigmented
 # walls none. The mean of the colours scatters about each by a part, and every colour about that mean.
-TRANSLUCENT = ((0.0, 0.7), (0.1, 0.1), (0.2, 0.1), (0.4, 0.1))
+TRANSLUCENT = ((0.0, 0.5), (0.1, 0.15), (0.2, 0.2), (0.4, 0.15))
 WALL_ALIKE = 0.8  # of the variance of a wall that was measured, what its colours have in common
 SHIFT_MEAN, SHIFT_COLOUR, SHIFT_LEAST_MM = 0.5, 0.3, 0.005
-EDGES_PX = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32)  # how far a ring's edges may be drawn, each as likely beforehand
+# How far a ring's edges may be drawn evenly, and by two waves, each as likely beforehand: what colours and widths do to
+# them is even, a lens and a mosaic draw them by waves.
+EDGES_PX, EDGES_TWOFOLD_PX = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32), (0.01, 0.03, 0.1)
 WITHIN = 5e-5  # of the radius: half a kelvin of a plastic lens, while a scan lasts, where one section was looked at
 DRIFT = "drift"  # kind of a finding
 WILD = 3.0  # standard deviations of what optics drift by: a section that is farther off is not of that size
@@ -453,9 +456,9 @@ def _answer(offsets: Offsets, effects: _Effects, before: Before, z_mm: float) ->
     terms = [k * TERMS + i for k in range(len(offsets.mm)) for i in (0, 3, 4)]
     noise = offsets.covariance[np.ix_(terms, terms)]
     design = np.concatenate([effects.even[:, None], effects.twofold], axis=1).reshape(len(terms), -1)
-    edge = np.repeat(effects.px_mm, 3) ** 2
+    even, twofold = (np.kron(effects.px_mm**2, which) for which in ([1.0, 0.0, 0.0], [0.0, 1.0, 1.0]))
     observed = -offsets.at(z_mm)[:, (0, 3, 4)].ravel()
-    at, many = NONE, [(tau, px) for tau in before.walls for px in EDGES_PX]
+    at, many = NONE, [(tau, px) for tau in before.walls for px in product(EDGES_PX, EDGES_TWOFOLD_PX)]
     for _ in range(LAWS):
         # beyond what is linear: the change that this drift really makes, and the rest along the tangent
         law = effects.moved(Drift.of(at))[:, (0, 3, 4)].ravel()
@@ -463,7 +466,7 @@ def _answer(offsets: Offsets, effects: _Effects, before: Before, z_mm: float) ->
         log, means, covariances = [], [], []
         for (shift, chance), px in many:
             mean, spread = _prior(before, shift)
-            total = noise + np.diag(px * px * edge) + design @ spread @ design.T
+            total = noise + np.diag(px[0] ** 2 * even + px[1] ** 2 * twofold) + design @ spread @ design.T
             gain = np.linalg.solve(total, design @ spread).T
             left = value - design @ mean
             log.append(math.log(chance) - 0.5 * (np.linalg.slogdet(total)[1] + left @ np.linalg.solve(total, left)))
@@ -475,7 +478,7 @@ def _answer(offsets: Offsets, effects: _Effects, before: Before, z_mm: float) ->
     covariance = np.einsum("n,nij->ij", weight, np.array(covariances)) + (apart.T * weight) @ apart
     opaque = float(sum(p for p, ((shift, _), _) in zip(weight, many, strict=True) if shift == 0.0))
     left = offsets.at(z_mm)[:, 0] + effects.moved(Drift.of(at))[:, 0]
-    return _Answer(at, covariance, left, float(weight @ np.array([px for _, px in many])), opaque)
+    return _Answer(at, covariance, left, float(weight @ np.array([px for _, (px, _) in many])), opaque)
 
 
 def _prior(before: Before, shift_mm: float) -> tuple[FloatArray, FloatArray]:
