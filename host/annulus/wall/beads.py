@@ -6,6 +6,9 @@ light did not get by. The far flank is never seen. But the ring whose middle jus
 the wall behind, each ring farther off the narrower it is, and that place is well seen. A bead is two rolls alike, a
 quarter of its width from flank to crest each: with the near flank and the height known, the width is what puts the
 light's return where it is.
+
+A wall that swells stands inwards all round as a bead does, but not as steeply: molten plastic rolls over, so a bead's
+flank climbs within its own height. What climbs over a longer way is no bead.
 """
 
 from dataclasses import dataclass
@@ -28,19 +31,36 @@ LOW = 0.3  # of a bead's height: what is lower is wall
 BESIDE = 0.5  # of half a slit: so far past the shadow's edge its middle is, when the wall has the brighter part of it
 BESIDE_SIGMA = 0.25  # of half a slit, how well that is known
 FORM_SIGMA = 0.25  # of a width: how far a bead is from two rolls alike; caps and wide ones are (blind, even seeds)
+# Parts of what stands highest: a bead's flank climbs CLIMBS of it, and to SHOULDER at least, within as far along the
+# pipe as it is high, and what a slit and a row smear. Beads of the blind even seeds climb 0.55 at least there, walls
+# that undulate 0.4 at most. Guarded both ways by tests/regression/wall_that_undulates_called_butt_fusion.
+CLIMBS, SHOULDER = 0.5, 0.6
 QUARTERS = 0.006 * np.arange(1.0, 17.0, 0.1)  # of the radius: a quarter of the width of any bead, from least to most
 ALIKE, ALIKE_POINTS = 1.1, 5  # times as many points in the wrong place, and so many more: a width as good as the best
 
 
 @dataclass(frozen=True, slots=True)
 class Bead:
-    """mm along the pipe, and how far it stands into it; k2 of height and width."""
+    """mm along the pipe, and how far it stands into it; k2 of height and width. climbs : part of its height that its
+    flank was seen to climb within its own height; may_climb : the same if it did so where nobody saw."""
 
     start_mm: float
     width_mm: float
     width_k2_mm: float
     height_mm: float
     height_k2_mm: float
+    climbs: float
+    may_climb: float
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether it stands out by more than its k = 2 (if anybody says so much), with a flank that was seen."""
+        return self.climbs >= CLIMBS and not self.height_mm <= self.height_k2_mm
+
+    @property
+    def is_none(self) -> bool:
+        """Whether what stands there surely has no bead's flank."""
+        return self.may_climb < CLIMBS
 
 
 def measure_bead(wall: Wall, points: Points, zone: tuple[float, float]) -> Bead:
@@ -81,7 +101,10 @@ def measure_bead(wall: Wall, points: Points, zone: tuple[float, float]) -> Bead:
     stated = points.stated_mm[inside]
     sigma = float(np.median(stated[np.isfinite(stated)])) if np.isfinite(stated).any() else np.nan
     noise = np.hypot(float(np.median(wall.noise_mm)), sigma)
-    return Bead(start, width, width_k2, height, 2.0 * float(np.hypot(noise, spread)))
+    before = (points.z_mm > start - BEHIND_OF_RADIUS * radius) & (points.z_mm <= start + FRONT_OF_RADIUS * radius)
+    smeared = float(np.median(points.slit_mm[inside])) + ROW_MM
+    climbs = _climbs(points.z_mm[before], points.height_mm[before], smeared)
+    return Bead(start, width, width_k2, height, 2.0 * float(np.hypot(noise, spread)), *climbs)
 
 
 def _crest(height: FloatArray, sector: NDArray[np.intp]) -> tuple[float, FloatArray]:
@@ -90,13 +113,38 @@ def _crest(height: FloatArray, sector: NDArray[np.intp]) -> tuple[float, FloatAr
     return (float(np.median(each)) if each else float(np.percentile(height, CREST))), np.array(each)
 
 
-def _near_flank(z: FloatArray, height: FloatArray, crest: float) -> float:
-    """Chainage at which rows come to half a crest's height."""
+def _climbs(z: FloatArray, height: FloatArray, smeared_mm: float) -> tuple[float, float]:
+    """Part of what stands highest that rows climb at most within as far as it is high and `smeared_mm`; and the same if
+    the longest stretch between two of them that nobody saw counts for nothing."""
+    rows, middle = _row_middles(z, height)
+    top = float(middle.max(initial=0.0))
+    if top <= 0.0:
+        return 0.0, 0.0
+    seen = may = 0.0
+    for shoulder in np.flatnonzero(middle >= SHOULDER * top):
+        before = slice(0, int(shoulder) + 1)
+        climbed = (middle[shoulder] - middle[before]) / top
+        away = (rows[shoulder] - rows[before]) * ROW_MM
+        unseen = np.maximum.accumulate(np.diff(rows[before], append=rows[shoulder])[::-1])[::-1] - 1
+        seen = max(seen, float(climbed[away <= top + smeared_mm].max()))
+        may = max(may, float(climbed[away - unseen.clip(0) * ROW_MM <= top + smeared_mm].max()))
+    return seen, may
+
+
+def _row_middles(z: FloatArray, height: FloatArray) -> tuple[NDArray[np.intp], FloatArray]:
+    """(R,) rows that have points enough, counted from the first point, and the middle height of each."""
+    if not len(z):
+        return np.zeros(0, np.intp), np.zeros(0)
     row = np.floor((z - z.min()) / ROW_MM).astype(np.intp)
     rows = np.flatnonzero(np.bincount(row) >= POINTS)
+    return rows, np.array([np.median(height[row == k]) for k in rows])
+
+
+def _near_flank(z: FloatArray, height: FloatArray, crest: float) -> float:
+    """Chainage at which rows come to half a crest's height."""
+    rows, middle = _row_middles(z, height)
     if not len(rows):
         return float(z.min())
-    middle = np.array([np.median(height[row == k]) for k in rows])
     at = z.min() + (rows + 0.5) * ROW_MM
     half = int(np.argmax(middle >= 0.5 * crest))
     start = float(at[half])

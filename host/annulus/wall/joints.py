@@ -6,9 +6,9 @@ its far flank hardly ever.
 
 A name needs its form. A bead stands inwards of the wall on both sides of it, all round; a gap lies outwards of both;
 what lies between the two goes over from one radius to the other: a reducer, where they differ by more than two pipes of
-one size do. A line that surely jumps without any of these is a joint whose kind is not established. One that only
-turns, and by more than pipes that were joined straight, may be a short bend: that has no name, nor has what too little
-was seen of.
+one size do. A bead that is no surer than its k = 2, or whose flank nobody saw, has no name. A line that surely jumps
+without any of these is a joint whose kind is not established. One that only turns, and by more than pipes that were
+joined straight, may be a short bend: that has no name, nor has what too little was seen of.
 """
 
 import math
@@ -258,8 +258,10 @@ def _joint(
     first, last = points.trimmed(zone, limit)
     measures: list[Measure] = []
     middle, length = (first + last) / 2, last - first
-    if form is _Form.BEAD:
-        bead = measure_bead(wall, points, (first, last))
+    bead = measure_bead(wall, points, (first, last)) if form is _Form.BEAD else None
+    if bead is not None and bead.is_none:
+        form, bead = _Form.BETWEEN, None
+    if bead is not None and bead.is_sure:
         measures.append(Measure("height_mm", bead.height_mm, bead.height_k2_mm))
         measures.append(Measure("width_mm", bead.width_mm, bead.width_k2_mm))
         end = bead.start_mm + bead.width_mm
@@ -275,7 +277,7 @@ def _joint(
     is_open = piece is not None and form in (_Form.GAP, _Form.UNSEEN)
     if is_open and length - hidden > 2.0 * SLIT_OF_RADIUS * wall.mean_radius_mm:
         gap, gap_k2 = _gap(wall, points, (first, last))
-    if form is _Form.BEAD:
+    if bead is not None and bead.is_sure:
         kind, remark = FeatureKind.JOINT, "butt fusion"
     elif gap > gap_k2 and not any(_is_sure(one) for one in of_line if one.name in JUMPS):
         kind, remark = FeatureKind.NAMELESS, GAP_OR_GROOVE
@@ -283,10 +285,12 @@ def _joint(
     elif gap > gap_k2:  # what may be none is not called one: slits about a step read as much
         kind, remark, length = FeatureKind.GAP, "coupling", gap
         measures.append(Measure("gap_mm", gap, gap_k2))
-    elif piece is None or not is_sure(axis, piece - 1):  # where a line without a name ends is no more sure
-        return None
     else:
-        named = _of_what_line(of_line, wall.mean_radius_mm, rows.disturbed(middle))
+        # where a line without a name ends is no more sure
+        by_line = piece is not None and is_sure(axis, piece - 1)
+        named = _of_what_line(of_line, wall.mean_radius_mm, rows.disturbed(middle)) if by_line else None
+        if named is None and bead is not None:
+            named = FeatureKind.NAMELESS, "a bead, or nothing"
         if named is None:
             return None
         kind, remark = named
