@@ -145,11 +145,13 @@ def without_hidden(
 
 @dataclass(frozen=True, slots=True)
 class _Off:
-    """How far the wall beside a joint is off the line: of the offset, mm, the turn, radians, the radius, mm."""
+    """How far the wall beside a joint is off the line: of the offset, mm, the turn, radians, the radius, mm. lever_mm :
+    how far from where it is told the line may turn."""
 
     offset_mm: float
     turn: float
     radius_mm: float
+    lever_mm: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -211,19 +213,21 @@ class _Rows:
         """What sound wall on both sides of a joint says otherwise than the line; None where there is too little of it.
 
         Each piece is held against its own wall, what is next to the joint and what is farther off: between two joints
-        that are near each other, or where what rings have in common is taken for a turn, there is no line to go by. Nor
-        is it known where in the joint's zone, beside its bead or gap, the line turns.
+        that are near each other, or where what rings have in common is taken for a turn, there is no line to go by.
+        Where the wall winds about it (heads that lean, a pipe that undulates), the joint may lie where it winds. Nor is
+        it known where in the joint's zone, beside its bead or gap, the line turns.
         """
         pieces, reach = axis.centreline.pieces, BESIDE_OF_RADIUS * self.radius_mm
         first = max(pieces[piece - 1].start_mm, zone[0] - reach)
         last = min(pieces[piece + 1].start_mm if piece + 1 < len(pieces) else math.inf, zone[1] + reach)
-        good, offs = self.sound & self.round, []
+        good, offs, winds = self.sound & self.round, [], np.zeros(3)
         for side in ((self.z_mm > first) & (self.z_mm < zone[0]), (self.z_mm > zone[1]) & (self.z_mm < last)):
             at = np.flatnonzero(side & good)
             if len(at) < 2 or len(at) * self.step_mm < BESIDE_LEAST * self.radius_mm:
                 return None
             radius = wall.radius_mm[at] - axis.centreline.radius_at(self.z_mm[at])[:, None]
             off = np.column_stack([wall.shape_mm[at, 1:3], nan_median(np.where(wall.seen[at], radius, np.nan).T)])
+            winds += off.var(axis=0)
             split = min(math.ceil(BESIDE_LEAST * self.radius_mm / self.step_mm), len(at) // 2)
             near, far = np.split(off if self.z_mm[at[0]] > zone[1] else off[::-1], [split])
             length = float(self.z_mm[at[-1]] - self.z_mm[at[0]]) / 2
@@ -232,11 +236,15 @@ class _Rows:
         jump, turn = after - before, ahead + back  # ahead of the joint farther off is forward, before it back
         # a radius that goes on changing along its own pipe makes a step of what is none
         grows = reach / 2 * math.hypot(ahead[2], back[2])
+        aside, grows = math.sqrt(winds[0] + winds[1]), math.hypot(grows, math.sqrt(winds[2]))
         # somewhere in its zone it turns, and not surely in its bead
         away = max(abs(pieces[piece].start_mm - middle_mm), (zone[1] - zone[0] - length_mm) / 2)
         astray = away * float(np.hypot(*pieces[piece].turn))
         return _Off(
-            float(np.hypot(np.hypot(*jump[:2]), astray)), float(np.hypot(*turn[:2])), math.hypot(jump[2], grows)
+            math.hypot(*jump[:2], astray, aside),
+            math.hypot(*turn[:2]),
+            math.hypot(jump[2], grows),
+            max(away, length_mm / 2),
         )
 
     def beads(self) -> list[tuple[float, float]]:
@@ -276,7 +284,7 @@ def _joint(
     gap, gap_k2 = 0.0, math.inf
     is_open = piece is not None and form in (_Form.GAP, _Form.UNSEEN)
     if is_open and length - hidden > 2.0 * SLIT_OF_RADIUS * wall.mean_radius_mm:
-        gap, gap_k2 = _gap(wall, points, (first, last))
+        gap, gap_k2 = _gap(wall, points, (first, last), limit)
     if bead is not None and bead.is_sure:
         kind, remark = FeatureKind.JOINT, "butt fusion"
     elif gap > gap_k2 and not any(_is_sure(one) for one in of_line if one.name in JUMPS):
@@ -360,30 +368,45 @@ def _of_reducer(of_line: Sequence[Measure]) -> list[Measure]:
     return [Measure("radius_before_mm", after.value - step.value / 2.0, before_k2), after]
 
 
-def _gap(wall: Wall, points: Points, zone: tuple[float, float]) -> tuple[float, float]:
+def _gap(wall: Wall, points: Points, zone: tuple[float, float], limit: float) -> tuple[float, float]:
     """mm between the ends of two pipes, and its k = 2: in each sector what is not sound about the zone's middle, less
-    half a slit at either end. Pipes that meet at an angle have their ends askew, so rows all round would read long."""
+    half a slit at either end. Pipes that meet at an angle have their ends askew, so rows all round would read long.
+
+    An end lies between the last row that is sound wall and the first that surely is none: off by `limit`, mm, which is
+    more than noise. Frames lie as far apart in every sector, so that no mean over sectors makes that way shorter.
+    """
     aside = ASIDE_OF_RADIUS * wall.mean_radius_mm
     first, last = zone[0] - aside, zone[1] + aside
     points = points.between(first, last)
     before, after = points.over(wall, first), points.over(wall, last)
-    limit = Limits().seed_of_radius * wall.mean_radius_mm
-    off = np.abs(np.where(points.z_mm < (zone[0] + zone[1]) / 2, before, after)) > limit
+    off = np.abs(np.where(points.z_mm < (zone[0] + zone[1]) / 2, before, after))
+    is_sound, is_off = off <= Limits().seed_of_radius * wall.mean_radius_mm, off > limit
     row = np.floor((points.z_mm - first) / ROW_MM).astype(np.intp)
     ends = []
     for k in range(GAP_SECTORS):
         mine = points.sector * GAP_SECTORS // SECTORS == k
-        count = np.bincount(row[mine])
-        rows = np.flatnonzero((count >= GAP_POINTS) & (np.bincount(row[mine], weights=off[mine]) > 0.5 * count))
-        if len(rows):
-            ends.append((rows[0] * ROW_MM, (rows[-1] + 1) * ROW_MM))
+        count, good, bad = (
+            np.bincount(row[mine], weights=which[mine], minlength=math.ceil((last - first) / ROW_MM))
+            for which in (np.ones(len(row)), is_sound, is_off)
+        )
+        broken, sound = (np.flatnonzero((count >= GAP_POINTS) & (2.0 * which > count)) for which in (bad, good))
+        if not len(broken):
+            continue
+        middle = broken[len(broken) // 2]
+        low = max(sound[sound < middle], default=-1) + 1
+        high = min(sound[sound > middle], default=len(count))
+        inside = broken[(broken >= low) & (broken < high)]
+        ends.append((low, inside[0], inside[-1] + 1, high))
     slit = float(np.median(points.slit_mm))
     if not ends:
-        return max(zone[1] - zone[0] - 2.0 * slit, 0.0), 2.0 * slit
-    begins, stops = np.array(ends).T
-    scatter = SIGMA_OF_MAD * float(np.median(np.abs((stops - begins) - np.median(stops - begins))))
-    gap = max(float(np.median(stops) - np.median(begins)) - 2.0 * slit, 0.0)
-    return gap, 2.0 * math.hypot(scatter / math.sqrt(len(ends)), SLIT_KNOWN * slit, ROW_MM / math.sqrt(6))
+        return max(zone[1] - zone[0] - 2.0 * slit, 0.0), 2.0 * math.hypot(slit, wall.z_step_mm / math.sqrt(6))
+    sound_ends, begins, stops, sound_begins = np.array(ends).T * ROW_MM
+    length = (sound_begins + stops - begins - sound_ends) / 2
+    scatter = SIGMA_OF_MAD * float(np.median(np.abs(length - np.median(length))))
+    ways = [float(np.median(one)) + ROW_MM for one in (begins - sound_ends, sound_begins - stops)]
+    sigma = np.linalg.norm([scatter / math.sqrt(len(ends)), SLIT_KNOWN * slit, *(way / math.sqrt(12) for way in ways)])
+    gap = float(np.median(stops + sound_begins) - np.median(begins + sound_ends)) / 2 - 2.0 * slit
+    return max(gap, 0.0), 2.0 * float(sigma)
 
 
 def _outwards(axis: Axis, piece: int | None, at_mm: float) -> float:
@@ -414,7 +437,7 @@ def _of_line(axis: Axis, piece: int, at_mm: float, off: _Off, common_mm: float) 
     turn_sigma = math.hypot(sigma[2], sigma[3], off.turn)
     radius_sigma = math.hypot(axis.adjusted.sigma(piece, RADIUS), off.radius_mm)
     return [
-        Measure("hilo_mm", hilo, 2.0 * math.hypot(sigma[0], sigma[1], 3.0 * turn_sigma, off.offset_mm)),
+        Measure("hilo_mm", hilo, 2.0 * math.hypot(sigma[0], sigma[1], off.lever_mm * turn_sigma, off.offset_mm)),
         Measure("hilo_clock_deg", math.degrees(math.atan2(offset[0], -offset[1])) % 360.0),
         Measure("angle_deg", angle, 2.0 * math.degrees(turn_sigma)),
         Measure("angle_clock_deg", math.degrees(math.atan2(row[TURN][0], -row[TURN][1])) % 360.0),
