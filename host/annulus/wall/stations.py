@@ -12,6 +12,7 @@ from annulus.numeric.robust import nan_median
 from annulus.numeric.rounding import ARC, DISTANCE, MEASURE, clock_face, said, span
 from annulus.vocabulary import Finding
 from annulus.wall.grid import Wall
+from annulus.wall.shadow import SLIT_OF_RADIUS
 from annulus.wall.shape import harmonics
 
 if TYPE_CHECKING:  # features' clock faces are from here
@@ -26,6 +27,7 @@ PAIRS_NEEDED = 0.5  # part of the diameters round the clock; with fewer a statio
 # What is joined to a closed line; guarded by test_stations.py. A rod hides 6 degrees in most heads.
 GAP_MAX_DEG, GAPS_MAX = 20.0, 0.1  # the widest arc that nobody saw, and all of them together, part of the way round
 HAND_DEG = 2.5  # either side of an hour, in which both radii about the end of a diameter must lie
+ROW_SEEN = 0.5  # part of the circle: a row of which less was seen may lie as deep as either neighbour
 EVEN_DEG = 5.0  # radii are evened out over so much before the line is measured: noise makes it longer, never shorter
 
 
@@ -141,13 +143,15 @@ def measure_stations(wall: Wall, station_mm: float = STATION_MM) -> Stations:
     alike, so the uncertainty of one counts twice; noise, which the extremes pick, is added as for independent ones. All
     radii of a station may err alike, too, by that of one point: a circumference by 2 pi times as much, an area by the
     circumference times as much. What the whole scan's scale may be off is of each of these.
+    circumference times as much. And so may they where rows of the pipe and of a bead or a gap meet in one station:
+    which of them are its middle is known no better than a row's place, to a slit, nor than the rows nobody saw.
     """
     rows = max(1, round(station_mm / wall.z_step_mm))
     columns, scale = len(wall.clock_deg), np.hypot(wall.scale_part, wall.oval_part)
     shape, fitted_mm, basis = shape_ovality(wall), wall.shape_radius_mm(), harmonics(wall.clock_deg)
     # by so much an ellipse, or a pipe between plates, departs from a shape of two waves
     bent = (wall.shape_mm[:, 3] ** 2 + wall.shape_mm[:, 4] ** 2) / np.maximum(wall.shape_mm[:, 0], 1.0)
-    out = []
+    out, mixed_mm = [], _mixed_mm(wall, fitted_mm, rows)
     for start in range(0, len(wall.z_mm), rows):
         part = slice(start, min(start + rows, len(wall.z_mm)))
         radius = _column_median(wall.radius_mm[part])
@@ -163,6 +167,8 @@ def measure_stations(wall: Wall, station_mm: float = STATION_MM) -> Stations:
         guessed += 2.0 * of_unseen[0] * float(bent[part].mean())
         alike = 2.0 * scale * float(wall.shape_mm[part, 0].mean())
         k2 = 2.0 * np.sqrt((2.0 * error) ** 2 + alike**2 + 2.0 * float(wall.noise_mm[part].mean()) ** 2 + guessed**2)
+        mixed = mixed_mm[start // rows]
+        k2, error = float(np.hypot(k2, 2.0 * mixed)), float(np.hypot(error, mixed / 2.0))
         z = float(wall.z_mm[part].mean())
         measured = diameter[np.isfinite(diameter)]
         across = across_mm(radius, wall.shape_mm[part].mean(axis=0), wall.clock_deg)
@@ -178,6 +184,30 @@ def measure_stations(wall: Wall, station_mm: float = STATION_MM) -> Stations:
         out.append((z, low, high, mean, float(shape[part].mean()), valid, k2, *sizes))
     z_mm, smallest, largest, means, fitted, seen, k2s, *more = np.array(out, dtype=float).T
     return Stations(z_mm, smallest, largest, means, f1216(largest, smallest, means), fitted, seen, k2s, *more)
+
+
+def _mixed_mm(wall: Wall, fitted_mm: Float32Array, rows: int) -> FloatArray:
+    """(S,) mm by which all radii of a station may err alike, for its rows do not lie alike: how much its middle row
+    changes if every row lies a slit before or behind, and those hardly seen as deep as either neighbour."""
+    measured = wall.seen & (wall.count > 0)  # what lies between two rows is as uncertain as what nobody saw
+    level = nan_median(np.where(measured, wall.radius_mm - fitted_mm, np.nan).T)
+    known = np.isfinite(level) & (measured.mean(axis=1) >= ROW_SEEN)
+    index = np.flatnonzero(known)
+    starts = range(0, len(level), rows)
+    if not len(index):
+        return np.zeros(len(starts))
+    at = np.arange(len(level))
+    before = index[np.maximum(np.searchsorted(index, at, side="right") - 1, 0)]
+    after = index[np.minimum(np.searchsorted(index, at), len(index) - 1)]
+    shift = SLIT_OF_RADIUS * wall.mean_radius_mm / wall.z_step_mm
+    lines = [
+        np.interp(at + aside, at, either(level[before], level[after]))
+        for aside in (-shift, 0.0, shift)
+        for either in (np.minimum, np.maximum)
+    ]
+    middles = np.array([[np.median(line[start : start + rows]) for start in starts] for line in lines])
+    seeming = middles[2:4].mean(axis=0)  # with every row where it seems to lie
+    return np.asarray(np.abs(middles - seeming).max(axis=0))
 
 
 def across_mm(radius_mm: FloatArray, shape_mm: FloatArray, clock_deg: FloatArray) -> tuple[float, float]:
