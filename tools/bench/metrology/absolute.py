@@ -23,8 +23,8 @@ from annulus.wall.reference import ReferenceSection
 from annulus.wall.scale import find_scale, scale_findings
 from tools.bench.table import Row
 
-HEADS, FIRST_SEED = 200, 4001  # held out: no constant was set on these
-TRAVEL_MM, STEP_MM = 66.0, 6.0
+HEADS, FIRST_SEED = 200, 5001  # held out: no constant was set on these
+TRAVEL_MM, STEP_MM = 96.0, 4.0
 NOMINAL_MM = 76.2  # radius
 SECTION_MM, SECTION_K2_MM = 30.0, 0.02
 WORST_PERCENT = 0.03
