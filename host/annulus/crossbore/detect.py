@@ -20,7 +20,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import find_peaks
 
 from annulus.crossbore.grid import NARROW_MM, STEP_MM, Grid
-from annulus.crossbore.odds import odds
+from annulus.crossbore.odds import MIDDLE, odds
 from annulus.crossbore.readings import HEAD, SECTORS, Gap, Head
 from annulus.numeric.arrays import FloatArray
 from annulus.numeric.robust import robust_sigma
@@ -176,7 +176,7 @@ def detect(grid: Grid, head: Head = HEAD, limits: Limits = LIMITS, joints_mm: Se
         told = float(STEP_MM * np.count_nonzero(grid.seen & dry))
     if _wanders(grid):
         found = [_all_round_or_unknown(one) for one in found]
-    found = [_explained(one, joints_mm, head, limits) for one in found]
+    found = [_weak_air_is_part(_explained(one, joints_mm, head, limits)) for one in found]
     found = [_unknown(one) if _cut(grid, one) else one for one in found]
     found += _beads(grid)
     kept = [one for one in found if grid.seen[int(np.argmin(np.abs(grid.z_mm - one.odometer_mm)))]]
@@ -201,6 +201,13 @@ def _all_round_or_unknown(one: Indication) -> Indication:
 
 def _unknown(one: Indication) -> Indication:
     return replace(one, kind=Kind.UNKNOWN, phi_deg=math.nan, phi_sigma_deg=math.nan, arc_deg=360.0)
+
+
+def _weak_air_is_part(one: Indication) -> Indication:
+    """Air on one side that takes off less than MIDDLE of what air does lies over water: so were 12 of 12 in the pipes
+    of both drawers (`crossbore.odds`). The air is above it then, and says no direction."""
+    weak = one.kind is Kind.AIR and math.isfinite(one.phi_deg) and one.part < MIDDLE
+    return replace(one, kind=Kind.PART, phi_deg=math.nan, phi_sigma_deg=math.nan, arc_deg=360.0) if weak else one
 
 
 def _cut(grid: Grid, one: Indication) -> bool:

@@ -94,5 +94,5 @@ class Bores(Observer):
 def told(one: Indication) -> str:
     """For people: "cross bore, air, at 12.340 m, 210 mm long, 97 %"."""
     assert one.kind in BORES
-    sure = f"{100 * likely(one):.0f} % as the twin's pipes are drawn" if one.odds else "the head wanders: no odds"
+    sure = f"{100 * likely(one):.0f} % in simulated pipes" if one.odds else "the head wanders: no odds"
     return f"cross bore, {one.kind}, at {one.odometer_mm / 1000:.3f} m, {one.extent_mm:.0f} mm long, {sure}"

@@ -20,13 +20,7 @@ COUPLING_MM = 80.0
 
 
 def measured(seed: int, folder: Path) -> Case:
-    rng = np.random.default_rng([seed, 92])
-    drawn = draw(rng)
-    logged(drawn, rng)
-    names = list(drawn.columns)
-    table = np.stack([drawn.columns[name] for name in names], axis=1)
-    path = folder / "log.csv"
-    np.savetxt(path, table, fmt="%.5f", delimiter=",", header=",".join(names), comments="")
+    drawn = drawn_log(seed)
     tool = drawn.tool
     extras = [name for name, there in (("pose", tool.pose), ("loss", tool.loss)) if there]
     case = Case(
@@ -34,15 +28,32 @@ def measured(seed: int, folder: Path) -> Case:
         f"{drawn.soil}, air {tool.air_ff / 1000:.1f} pF, swing {tool.swing_ff:.0f} fF, "
         f"{' and '.join(extras) or 'neither pose nor loss'}",
     )
-    head = Head(tool.air_ff, tool.sector_deg, tool.coupling_ff, tool.coupling_mm)
     try:
-        grid = on_grid(Log(*read_bore_log(path)), head)
-        account = detect(grid, head)
+        grid, account = surveyed(drawn, folder)
     except AnnulusError as error:
         case.refused = str(error).replace(str(folder), "")
         return case
     score(case, drawn, grid, account)
     return case
+
+
+def drawn_log(seed: int) -> Drawn:
+    rng = np.random.default_rng([seed, 92])
+    drawn = draw(rng)
+    logged(drawn, rng)
+    return drawn
+
+
+def surveyed(drawn: Drawn, folder: Path) -> tuple[Grid, Account]:
+    """What is said of a drawn log when it is read from a file in `folder`."""
+    names = list(drawn.columns)
+    table = np.stack([drawn.columns[name] for name in names], axis=1)
+    path = folder / "log.csv"
+    np.savetxt(path, table, fmt="%.5f", delimiter=",", header=",".join(names), comments="")
+    tool = drawn.tool
+    head = Head(tool.air_ff, tool.sector_deg, tool.coupling_ff, tool.coupling_mm)
+    grid = on_grid(Log(*read_bore_log(path)), head)
+    return grid, detect(grid, head)
 
 
 def score(case: Case, drawn: Drawn, grid: Grid, account: Account) -> None:
