@@ -28,7 +28,7 @@ from annulus.numeric.compiling import telling
 from annulus.numeric.rounding import DISTANCE, MEASURE, PERCENT, said
 from annulus.record.calibration_file import save_calibration
 from annulus.record.origin import origin_of
-from annulus.report import FILES, Account, head_kind, prepare_folder, write
+from annulus.report import FILES, Account, prepare_folder, write
 from annulus.reprocess import (
     Job,
     LedFrames,
@@ -258,7 +258,7 @@ def _account(
     return Account(
         f"annulus demo, simulated head, {pace.fps:g} fps", frames, drops, timing, truth=truth,
         origin=origin_of(job.scan), photographs=photographs(job, pipe, worth_showing(pipe.defects)),
-        method=head_kind(job.calibration), covariance_stated=job.calibration.covariance is not None,
+        covariance_stated=job.calibration.covariance is not None,
     )  # fmt: skip
 
 

@@ -219,7 +219,7 @@ def _reconstruct_fringe_pipe(
     printed: "Paper | None", told: Bars, as_json: bool,
 ) -> None:  # fmt: skip
     from annulus.record.origin import origin_of
-    from annulus.report import FRINGE, Account, prepare_folder, write
+    from annulus.report import Account, prepare_folder, write
     from annulus.reprocess import open_fringe_pipe, reconstruct_fringe_pipe
     from annulus.wall.conformity import judge
 
@@ -231,7 +231,7 @@ def _reconstruct_fringe_pipe(
     counts = job.scan.counts()
     drops = {**job.scan.lost(), "frames_unknown": counts["unknown"]}
     account = Account(
-        str(scan), counts, drops, found.timing_ms, found.findings, origin=origin, method=FRINGE,
+        str(scan), counts, drops, found.timing_ms, found.findings, origin=origin,
         verdict=None if criteria is None else judge(found.survey, criteria),
     )  # fmt: skip
     seen = found.map

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from annulus.job import Origin
 from annulus.record.storage import Place
-from annulus.report import Account, head_kind, keep_windows, write, write_whole, write_window
+from annulus.report import Account, keep_windows, write, write_whole, write_window
 from annulus.report.whole import WINDOWS, window_folder
 from annulus.reprocess import Job, photographs
 from annulus.wall.conformity import Criteria, judge
@@ -40,7 +40,7 @@ class Told:
         shown = worth_showing(survey.defects, first=verdict.foremost if verdict else ())
         pictures = () if isinstance(survey, Joined) else photographs(job, survey, shown)  # its windows have them
         return Account(
-            self.source, origin=self.origin, verdict=verdict, photographs=pictures, method=head_kind(job.calibration),
+            self.source, origin=self.origin, verdict=verdict, photographs=pictures,
             covariance_stated=job.calibration.covariance is not None, **counted,
         )  # fmt: skip
 

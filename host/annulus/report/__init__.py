@@ -5,13 +5,12 @@ Computes nothing and knows no method: what it writes is an attribute of `wall.Su
 """
 
 from annulus.report.account import Account
-from annulus.report.bench import FRINGE, head_kind
 from annulus.report.pdf import Paper, check_pdf
 from annulus.report.plate import write_plate
 from annulus.report.results import FILES, prepare_folder, write
 from annulus.report.whole import keep_windows, write_whole, write_window
 
 __all__ = [
-    "FILES", "FRINGE", "Account", "Paper", "check_pdf", "head_kind", "keep_windows", "prepare_folder", "write",
+    "FILES", "Account", "Paper", "check_pdf", "keep_windows", "prepare_folder", "write",
     "write_plate", "write_whole", "write_window",
 ]  # fmt: skip

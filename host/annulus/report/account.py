@@ -16,9 +16,9 @@ class Account:
 
     source : what was scanned, for people. frames : how many by label. drops : everything that was lost, by kind.
     timing_ms : by step. findings : what is wrong with the frames, for people. truth : scores on the twin; passed
-    through, never looked at. origin : whose job it was, when, with which calibration. verdict : against the limits that
-    somebody named. photographs : of defects, from LED frames. method : which of `report.bench` the head is; "" of none.
-    covariance_stated : whether the calibration says how well it is known, so that the points' sigma have it.
+    through, never looked at. origin : whose job it was, when, with which calibration. verdict : against the limits
+    that somebody named. photographs : of defects, from LED frames. covariance_stated : whether the calibration says
+    how well it is known, so that the points' sigma have it.
     """
 
     source: str
@@ -30,5 +30,4 @@ class Account:
     origin: Origin = field(default_factory=Origin)
     verdict: Verdict | None = None
     photographs: tuple[Photograph, ...] = ()
-    method: str = ""
     covariance_stated: bool = False

@@ -29,10 +29,9 @@ from annulus.numeric.rounding import (
     span,
 )  # fmt: skip
 from annulus.report.account import Account
-from annulus.report.bench import BENCH, LEFT_OPEN, TRIALS
 from annulus.report.close_up import across, along, part_of_map, photograph
 from annulus.report.paper import letter, marked, question
-from annulus.wall.accuracy import CONFIDENCE, least_detection, tolerances
+from annulus.wall.accuracy import tolerances
 from annulus.wall.conformity import QUANTITIES, RULE, Decision, Judged, Verdict
 from annulus.wall.defects import Kind
 from annulus.wall.scale import anchor
@@ -47,7 +46,6 @@ CLOCKS_MAX = 8  # named in such a row
 PLACES_MAX = 60  # of the table of what is not established; summary.json has all
 UNITS = {"mm": MEASURE, "%": PERCENT, "°": ANGLE}
 TOLERANCES = {"mm": MEASURE, "mm²": AREA}
-WHOLE_PERCENT = Quantity("%", 0)
 OVERALL = {
     Decision.CONFORMS: ("Conforms", "sound"),
     Decision.SEEN: ("Conforms where seen", "sound"),
@@ -314,7 +312,8 @@ def _cell(value: float, quantity: Quantity) -> str:
 
 
 def _accuracy(survey: Survey, account: Account) -> dict[str, Any]:
-    """The statement of accuracy: what this scan says of itself, and beside it what the bench says of such heads."""
+    """The statement of accuracy: what this scan says of itself, and what a reference section says of this head. No
+    number of the benchmarks: theirs are of simulated heads, most with their exact calibration."""
     rows = [
         {
             "what": one.what,
@@ -324,17 +323,8 @@ def _accuracy(survey: Survey, account: Account) -> dict[str, Any]:
         }
         for one in tolerances(survey)
     ]
-    trials = TRIALS.get(account.method)
-    detection = "no trials are kept for this kind of head"
-    if trials is not None:
-        least = digits(100.0 * math.floor(100.0 * least_detection(trials.found, trials.drawn)) / 100.0, WHOLE_PERCENT)
-        detection = (
-            f"of {trials.drawn} defects drawn into simulated pipes {trials.found} were found: at least {least} % at a "
-            f"confidence level of {digits(100 * CONFIDENCE, WHOLE_PERCENT)} %"
-        )
     return {
-        "rows": rows, "detection": detection, "method": account.method,
-        "bench": [(one.words, one.value) for one in BENCH.get(account.method, ())],
+        "rows": rows, "reference": anchor(survey.scale, survey.diameter_mean_mm),
         "least_depth": said(survey.depth_limit_mm, MEASURE), "least_size": said(survey.size_limit_mm, EXTENT),
         "open": list(_not_covered(survey, account)),
     }  # fmt: skip
@@ -350,10 +340,9 @@ def _not_covered(survey: Survey, account: Account) -> Iterator[str]:
             "the calibration's own uncertainty: calibration.json states no covariance, and an error of the head's "
             "calibration is in none of the tolerances"
         )
-    for row in LEFT_OPEN.get(account.method, ()):
-        yield f"{row.words}: on the bench it puts the radius off by {row.value}"
     if survey.scale is None:
         yield "what the head's optics may have drifted by since its calibration"
+    yield "a wall that light enters farther than the calibration's did, where no section of known diameter was seen"
     yield "distance along the pipe: what the odometer's wheel or cable is off"
     yield f"what nobody saw: {said(100 * (1 - survey.seen_fraction), SHARE)} of the wall"
     yield "the wall's thickness, its outside and the ground behind it: they are not measured from inside"

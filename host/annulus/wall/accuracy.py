@@ -9,13 +9,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import beta
 
 from annulus.numeric.arrays import FloatArray
 from annulus.wall.defects import Kind
 from annulus.wall.survey import Survey
-
-CONFIDENCE = 0.95  # of the least probability of detection that trials show
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,14 +43,6 @@ def tolerances(survey: Survey) -> Iterator[Tolerance]:
     yield _of("diameter of a station, any direction", "mm", stations.diameter_k2_mm)
     yield _of("inner circumference of a station", "mm", stations.circumference_k2_mm)
     yield _of("inner area of a station", "mm²", stations.area_k2_mm2)
-
-
-def least_detection(found: int, drawn: int, confidence: float = CONFIDENCE) -> float:
-    """The least probability of detection that so many found of so many drawn show at a confidence level (Clopper and
-    Pearson, one-sided); NaN of none drawn."""
-    if not 0 <= found <= drawn or drawn == 0:
-        return math.nan
-    return 0.0 if found == 0 else float(beta.ppf(1.0 - confidence, found, drawn - found + 1))
 
 
 def _of(what: str, unit: str, k2: FloatArray) -> Tolerance:
