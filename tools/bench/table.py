@@ -7,12 +7,42 @@ import subprocess
 import time
 import traceback
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, field
+from enum import StrEnum
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENES = ROOT.parent / "shared" / "scenes"  # not on a user's machine: such rows are left out there
 MARKS = {True: "met", False: "**missed**", None: ""}
+RESTS_ON = ("truth", "calibration", "seeds", "draws", "left out")
+HEADLINE_DRAWS = 10  # a number beside the source's that fewer draws made says how many, for one may be a lucky one
+
+
+class Truth(StrEnum):
+    """Whose a row's truth is."""
+
+    SOURCE = "source's simulation"
+    TWIN = "our twin"  # or another drawing of our own
+    SECOND = "our second drawer"  # other physics and another hand's habits, but ours
+    OTHER = "other renderer"  # or solver: a program that is not ours
+    REAL = "real"
+    NONE = "none"  # a time, or what is compared with itself
+
+
+@dataclass(frozen=True, slots=True)
+class Basis:
+    """What a row's number rests on, so that it is compared with its like.
+
+    calibration : "exact" (the truth's), "own" (found by the product from pictures) or "-" where there is none. seeds :
+    "set on" where they were in view while constants were set, "held out" where not, "-" where nothing is drawn.
+    draws : so many independent ones. left_out : of the data, before the number was made.
+    """
+
+    truth: Truth
+    calibration: str
+    seeds: str
+    draws: int = 1
+    left_out: str = "nothing"
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +61,8 @@ class Row:
 class Table:
     """Topics are modules of `package` with `rows() -> list[Row]`, in the order in which they run, and their headings.
 
-    `made_by` is the command that writes `folder`/RESULTS.md; "" if the table is only printed.
+    `made_by` is the command that writes `folder`/RESULTS.md; "" if the table is only printed. claims : by topic and by
+    how a row's title begins, what it rests on; the longest beginning counts.
     """
 
     package: str
@@ -39,6 +70,13 @@ class Table:
     topics: Mapping[str, str]
     folder: Path
     made_by: str = ""
+    claims: Mapping[str, Mapping[str, Basis]] = field(default_factory=dict)
+
+    def basis(self, topic: str, what: str) -> Basis | None:
+        """Of a row by its title; None where nobody said."""
+        of = self.claims.get(topic, {})
+        begins = [begin for begin in of if what.startswith(begin)]
+        return of[max(begins, key=len)] if begins else None
 
     @property
     def pictures(self) -> Path:
@@ -53,7 +91,7 @@ class Table:
             print(f"== {topic}", flush=True)
             rows, note = self._rows(topic)
             missed += sum(row.ok is False for row in rows)
-            lines = section(self.topics[topic], rows, note)
+            lines = section(self.topics[topic], rows, note, [self.basis(topic, row.what) for row in rows])
             print("\n".join(lines), f"{time.monotonic() - began:.0f} s", flush=True)
             text += lines
         if self.made_by and not wanted:
@@ -85,15 +123,25 @@ class Table:
         ]
 
 
-def section(title: str, rows: Sequence[Row], note: str = "") -> list[str]:
-    """Markdown of one topic. A column of theory only where a row has any."""
+def section(title: str, rows: Sequence[Row], note: str = "", bases: Sequence[Basis | None] = ()) -> list[str]:
+    """Markdown of one topic. Columns of theory, and of what the numbers rest on, only where a row has any."""
     theory = any(row.theory != "-" for row in rows)
-    head = ["what", "source", *(["theory"] if theory else []), "asked", "this project", ""]
+    rests = RESTS_ON if any(bases) else ()
+    head = ["what", "source", *(["theory"] if theory else []), "asked", "this project", "", *rests]
     lines = [f"## {title}", *([note, ""] if note else []), line(head), "|---" * len(head) + "|"]
-    for row in rows:
+    for row, basis in zip(rows, bases or [None] * len(rows), strict=True):
         known = [row.source, row.theory] if theory else [row.source]
-        lines.append(line([row.what, *known, row.target, row.measured, MARKS[row.ok]]))
+        rest = [str(value) for value in astuple(basis)] if basis else ["-"] * len(rests)
+        lines.append(line([row.what, *known, row.target, row.measured, verdict(row, basis), *rest]))
     return [*lines, ""]
+
+
+def verdict(row: Row, basis: Basis | None) -> str:
+    """ "met" beside a number of the source says of how many draws, where they are few."""
+    beside = basis is not None and basis.draws < HEADLINE_DRAWS and any(c.isdigit() for c in row.source)
+    if row.ok and basis is not None and beside:
+        return f"met, {basis.draws} draw{'s' if basis.draws > 1 else ''}"
+    return MARKS[row.ok]
 
 
 def line(cells: Sequence[str]) -> str:

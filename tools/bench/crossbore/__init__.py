@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from tools.bench.crossbore.claims import CLAIMS
 from tools.bench.table import Table
 
 TABLE = Table(
@@ -10,4 +11,5 @@ TABLE = Table(
     {"logs": "Logs of other programs", "pipes": "The three pipes of the source, and pipes the twin draws (ch. 10)"},
     Path(__file__).parent,
     "make bench-crossbore",
+    CLAIMS,
 )

@@ -17,7 +17,9 @@ LOGS = ROOT.parent / "shared" / "crossbore"
 NOTE = """
 Two logs of 120 m by a program that is not ours, from a 3-D field: a1 in wet soil without pose and loss, a2 from wet to
 dry with both. Not on a user's machine: rows are left out there. In a1 two of three sewers half full of water meet the
-pipe below their level and one full of water lies in wet clay: that log holds no trace of them.
+pipe below their level and one full of water lies in wet clay: that log holds no trace of them. On logs of that program
+which its authors keep back they found 17 of 19 sewers with air, 4 of 11 full of water, and 0.857 of the kinds right
+(before a place was called what its odds say).
 """
 
 

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from tools.bench.joints.claims import CLAIMS
 from tools.bench.table import Table
 
 TABLE = Table(
@@ -10,4 +11,5 @@ TABLE = Table(
     {"ct": "A joint's CT volume (ch. 9)", "statistics": "What chance makes of strengths (ch. 9)"},
     Path(__file__).parent,
     "make bench-joints",
+    CLAIMS,
 )

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from tools.bench.metrology.claims import CLAIMS
 from tools.bench.table import Table
 
 TABLE = Table(
@@ -29,4 +30,5 @@ TABLE = Table(
     },
     Path(__file__).parent,
     "make bench-metrology",
+    CLAIMS,
 )

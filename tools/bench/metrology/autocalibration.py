@@ -1,6 +1,7 @@
 """Calibration in the pipe, simulated: Tables 4.3 and 4.4 and Fig. 4.9, the same simulation through our solver."""
 
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 
 import matplotlib as mpl
@@ -30,6 +31,14 @@ from tools.bench.table import Row
 mpl.use("Agg")
 from matplotlib import pyplot as plt
 
+NOTE = """
+A draw: where round the rings light leaves, and where in its pixel the lens's axis lies, which the source does not say.
+Ring by ring the source's 0.019 deg and 0.125 mm are not reached: in one draw of ten the angle is as good, in two the
+vertex. Rounding leaves 0.34 px at each of 5700 places a ring, of which least squares know an angle to 0.012 to 0.036
+deg and a vertex to 0.10 to 0.12 mm (one sigma, stated), and the errors lie within that: no start, weight or bound of
+the loss is at fault. A loss by the fourth power, which errors of rounding suit, had 0.028 deg and 0.124 mm in six of
+these draws in place of 0.036 and 0.136; edges in a picture are not rounded, and the product's loss is not made for it.
+"""
 DRAWS = 10  # of directions' phase and of where the lens's axis meets its pixel
 NOISY_DRAWS = 6
 FRAMES = (2, 3, 4, 6, 8, 12, 16)
@@ -47,24 +56,48 @@ def _clean() -> list[Row]:
         began = time.thread_time()
         solution = calibrate(seen, RADIUS_MM)
         took.append(time.thread_time() - began)
-    found = errors(solution)
-    draws = []
+    ring, joint = _each_alone(seen), errors(solution)
+    alone, together = [], []
     for seed in range(DRAWS):
         rng = np.random.default_rng(seed)
         camera = replace(CAMERA, cx=CAMERA.cx + rng.uniform(-0.5, 0.5), cy=CAMERA.cy + rng.uniform(-0.5, 0.5))
-        draws.append(errors(calibrate(simulate(POSES, camera=camera, phase=rng.uniform()), RADIUS_MM)))
-        print(f"   clean, draw {seed}: {draws[-1]}", flush=True)
-    angle, vertex = _columns(draws)
+        drawn = simulate(POSES, camera=camera, phase=rng.uniform())
+        alone.append(_each_alone(drawn))
+        together.append(errors(calibrate(drawn, RADIUS_MM)))
+        print(f"   clean, draw {seed}: {together[-1]}, ring by ring {alone[-1]}", flush=True)
+    one, all_ = "one ring at a time", "all rings together"
     return [
-        Row("8 poses, rounded pixels: worst full angle", "0.019 deg", "<= 0.005 deg", f"{found.angle_deg:.4f} deg",
-            found.angle_deg <= 0.005),
-        Row("the same: worst vertex component", "0.125 mm", "<= 0.02 mm", f"{found.vertex_mm:.4f} mm",
-            found.vertex_mm <= 0.02),
-        Row(f"the same, directions and lens's axis {DRAWS} times elsewhere within a pixel: median, worst", "-", "-",
-            f"{np.median(angle):.4f}, {max(angle):.4f} deg; {np.median(vertex):.4f}, {max(vertex):.4f} mm", None),
+        *_against(f"{one} (Alg. 1, as the source's 0.019 deg)", alone, ("0.019 deg, one draw", "0.125 mm, one draw"),
+                  (0.019, 0.125)),
+        *_against(f"{all_} (Alg. 2)", together, ("-", "-"), (0.005, 0.02)),
+        Row(f"{one}, the source's own directions and axis", "0.019 deg, 0.125 mm", "-",
+            f"{ring.angle_deg:.4f} deg, {ring.vertex_mm:.4f} mm", None),
+        Row(f"{all_}, the source's own directions and axis", "-", "-",
+            f"{joint.angle_deg:.4f} deg, {joint.vertex_mm:.4f} mm", None),
         Row("solve, 8 frames, 28800 observations, cold, CPU", "-", "<= 2 s", f"{np.median(took):.2f} s",
             float(np.median(took)) <= 2.0),
     ]  # fmt: skip
+
+
+def _against(what: str, draws: list[Errors], source: tuple[str, str], asked: tuple[float, float]) -> Iterator[Row]:
+    """Both worst errors of each draw: their median against what is asked, and the worst."""
+    for name, unit, said, most, of in zip(
+        ("worst full angle", "worst vertex component"), ("deg", "mm"), source, asked, _columns(draws), strict=True
+    ):
+        middle = float(np.median(of))
+        yield Row(f"{what}, 8 poses, rounded pixels: {name}", said, f"<= {most:g} {unit}, median",
+                  f"median {middle:.4f}, worst {max(of):.4f} {unit}", middle <= most)  # fmt: skip
+
+
+def _each_alone(seen: Observations) -> Errors:
+    """Every ring with poses of its own, as Alg. 1 has it; the worst of all."""
+    found = [errors(calibrate(_only(seen, k), RADIUS_MM), RINGS[k : k + 1]) for k in range(len(RINGS))]
+    return Errors(max(one.angle_deg for one in found), max(one.vertex_mm for one in found))
+
+
+def _only(seen: Observations, ring: int) -> Observations:
+    mine = np.flatnonzero(seen.ring == ring)
+    return replace(seen.take(mine), ring=np.zeros(len(mine), np.int64))
 
 
 def _noisy() -> list[Row]:
@@ -82,12 +115,12 @@ def _noisy() -> list[Row]:
         print(f"   noise, draw {seed}: {fixed[-1]}, cones alone {alone[-1]}, anew {fresh[-1]}", flush=True)
     (angle, vertex), (angle0, vertex0), (angle1, vertex1) = map(_columns, (fixed, alone, fresh))
     return [
-        Row(f"16 poses, 0.325 deg of noise in the projector: worst full angle, median of {NOISY_DRAWS}", "0.123 deg",
-            "<= 0.025 deg", f"{np.median(angle):.4f} deg ({min(angle):.4f}..{max(angle):.4f})",
+        Row("16 poses, 0.325 deg of noise in the projector: worst full angle", "0.123 deg, one draw",
+            "<= 0.025 deg, median", f"median {np.median(angle):.4f}, worst {max(angle):.4f} deg",
             float(np.median(angle)) <= 0.025),
-        Row("the same: worst vertex component", "0.47 mm", "<= 0.04 mm",
-            f"{np.median(vertex):.4f} mm ({min(vertex):.4f}..{max(vertex):.4f})", float(np.median(vertex)) <= 0.04),
-        Row("the same by Alg. 2 alone, no offsets allowed", "0.123 deg, 0.47 mm", "-",
+        Row("the same: worst vertex component", "0.47 mm, one draw", "<= 0.04 mm, median",
+            f"median {np.median(vertex):.4f}, worst {max(vertex):.4f} mm", float(np.median(vertex)) <= 0.04),
+        Row("the same by Alg. 2 alone, no offsets allowed", "0.123 deg, 0.47 mm, one draw", "-",
             f"{np.median(angle0):.4f} deg, {np.median(vertex0):.4f} mm", None),
         Row(f"noise anew in each frame; these observations can tell {np.median(bound):.2f} mm (one sigma)", "-", "-",
             f"{np.median(angle1):.3f} deg, {np.median(vertex1):.3f} mm", None),
@@ -104,11 +137,7 @@ def _against_frames() -> list[Row]:
         for suffix, with_noise in (("", None), (", noise", pattern)):
             seen = simulate(poses[:frames], with_noise)
             curves["multiple" + suffix].append(_image_error(_solved(seen)))
-            each = [
-                _image_error(_solved(replace(seen.take(mine), ring=np.zeros(len(mine), np.int64))), RINGS[k : k + 1])
-                for k in range(len(RINGS))
-                for mine in [np.flatnonzero(seen.ring == k)]
-            ]
+            each = [_image_error(_solved(_only(seen, k)), RINGS[k : k + 1]) for k in range(len(RINGS))]
             curves["single" + suffix].append(float(np.sqrt(np.mean(np.square(each)))))
         print(f"   {frames} frames: " + ", ".join(f"{n} {c[-1]:.3f}" for n, c in curves.items()), flush=True)
     figure, axes = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
@@ -126,10 +155,10 @@ def _against_frames() -> list[Row]:
     plt.close(figure)
     at = FRAMES.index(4)
     return [
-        Row("4 frames: error of the rings' images in 9 other poses, one ring at a time | all together (Fig. 4.9)",
-            "-", "-", f"{curves['single'][at]:.3f} | {curves['multiple'][at]:.3f} px", None),
+        Row("4 frames: error of the rings' images in 9 other poses, one ring at a time; all together (Fig. 4.9)",
+            "-", "-", f"{curves['single'][at]:.3f}; {curves['multiple'][at]:.3f} px", None),
         Row("the same with noise", "-", "-",
-            f"{curves['single, noise'][at]:.2f} | {curves['multiple, noise'][at]:.2f} px", None),
+            f"{curves['single, noise'][at]:.2f}; {curves['multiple, noise'][at]:.2f} px", None),
     ]  # fmt: skip
 
 

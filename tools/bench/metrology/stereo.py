@@ -45,6 +45,12 @@ SOURCE_ALL_MM, SOURCE_BEST_RING_MM = (
     0.2,
 )  # text of §5.3; the lowest of Fig. 5.9.e's rings lies above its axis' 0.2
 SECTOR_DEG = 10
+A_REAL_HEAD = "a real head with its own calibration"
+DEFECTS = 6  # of the scene stereo-a
+NOTE = """
+The head in pipes is our twin's, with its exact calibration; the source's 0.314 mm is of a real head with its own. What
+a calibration of its own adds is in stereo-a, by another renderer: 0.061 mm.
+"""
 
 
 def rows() -> list[Row]:
@@ -159,9 +165,12 @@ def _head_in_pipes() -> list[Row]:
         name = f"Head of tables 5.2 to 5.4, {inches}-inch pipe"
         third = SOURCE_BEST_RING_MM / 3
         out += [
-            Row(f"{name}: radius RMSE", f"{SOURCE_ALL_MM} mm (3 in)", "<= 0.08 mm", f"{every:.4f} mm", every <= 0.08),
             Row(
-                f"{name}: worst ring", "0.2 to 0.45 mm", f"<= {third:.3f} mm", f"{max(ring):.4f} mm",
+                f"{name}: radius RMSE", f"{SOURCE_ALL_MM} mm (3 in, {A_REAL_HEAD})", "<= 0.08 mm", f"{every:.4f} mm",
+                every <= 0.08,
+            ),
+            Row(
+                f"{name}: worst ring", f"0.2 to 0.45 mm ({A_REAL_HEAD})", f"<= {third:.3f} mm", f"{max(ring):.4f} mm",
                 max(ring) <= third,
             ),
             Row(f"{name}: directions measured", "-", "100 %", f"{share:.2f} %", share > 99.995),
@@ -212,8 +221,8 @@ def _scenes() -> list[Row]:
         row("stereo-a: coverage of what is seen", "0.984 (prototype)", 0.985, s["coverage"]["of_seen"], "", True),
         row("stereo-a: coverage where one camera sees", "0.79 (prototype)", 0.85, sum(one) / 2, "", True),
         Row(
-            "stereo-a: defects named", "-", "4.0 2.5 0.8 1.2 deep, 4.0 3.0 high",
-            ", ".join(f"{d['kind']} {d['depth_mm']:.2f}" for d in told),
+            "stereo-a: defects named", "-", "all 6: 4.0 2.5 0.8 1.2 deep, 4.0 3.0 high",
+            f"{len(told)}: " + ", ".join(f"{d['kind']} {d['depth_mm']:.2f}" for d in told), len(told) == DEFECTS,
         ),
     ]  # fmt: skip
 

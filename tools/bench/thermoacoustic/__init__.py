@@ -4,6 +4,7 @@ import sys
 from pathlib import Path
 
 from tools.bench.table import Table
+from tools.bench.thermoacoustic.claims import CLAIMS
 from tools.study.figure import Figure
 
 TABLE = Table(
@@ -20,6 +21,7 @@ TABLE = Table(
     },
     Path(__file__).parent,
     "make bench-thermoacoustic",
+    CLAIMS,
 )
 
 
