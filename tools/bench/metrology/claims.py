@@ -49,6 +49,7 @@ CLAIMS: Mapping[str, Mapping[str, Basis]] = {
         "": Basis(TWIN, "exact", "set on", 20, "the calibration's error; ends of the pipe that not all rings pass"),
         "Radius of points": Basis(TWIN, "exact", "set on"),
     },
+    "absolute": {"": Basis(TWIN, "exact, then drifted", "held out", 200)},
     "colour": {"": Basis(TWIN, "exact", "set on")},
     "artefacts": {
         "": Basis(TWIN, "exact", "set on"),
