@@ -25,7 +25,7 @@ from annulus.wall.axis import OFFSET_OF_RADIUS, RADIUS_STEP, Axis, Begins
 from annulus.wall.beads import measure_bead
 from annulus.wall.bends import REDUCER, SURE, is_sure
 from annulus.wall.features import GAP_OR_GROOVE, NOT_TOLD, Feature, FeatureKind, Measure
-from annulus.wall.grid import Wall
+from annulus.wall.grid import ALIKE, Wall
 from annulus.wall.indications import Limits
 from annulus.wall.points import ROW_MM, SECTORS, SOUND, Points
 from annulus.wall.profile import Profile
@@ -279,7 +279,7 @@ def _joint(
     if piece is not None and axis.adjusted is not None:
         off = rows.line_off(wall, axis, piece, (first, last), middle, length)
         if off is not None:
-            of_line = _of_line(axis, piece, middle, off, common_mm(wall, last))
+            of_line = _of_line(axis, piece, middle, off, common_mm(wall, last), wall.point_mm())
     hidden = least_shadow_ratio * _outwards(axis, piece, middle)
     gap, gap_k2 = 0.0, math.inf
     is_open = piece is not None and form in (_Form.GAP, _Form.UNSEEN)
@@ -419,16 +419,15 @@ def _outwards(axis: Axis, piece: int | None, at_mm: float) -> float:
 
 
 def common_mm(wall: Wall, behind_mm: float = -math.inf) -> float:
-    """What the radii of the wall behind a place may all be off alike: what points state, in the median (0 where nobody
-    says), and what the scan's scale leaves."""
-    stated = wall.sigma_mm[wall.z_mm > behind_mm]
-    stated = stated[np.isfinite(stated)]
-    return math.hypot(float(np.median(stated)) if len(stated) else 0.0, wall.scale_part * wall.mean_radius_mm)
+    """What the radii of the wall behind a place may all be off alike: what points state, and what the scan's scale
+    leaves."""
+    return math.hypot(wall.point_mm(behind_mm), wall.scale_part * wall.mean_radius_mm)
 
 
-def _of_line(axis: Axis, piece: int, at_mm: float, off: _Off, common_mm: float) -> list[Measure]:
+def _of_line(axis: Axis, piece: int, at_mm: float, off: _Off, common_mm: float, point_mm: float) -> list[Measure]:
     """Hi-lo, its clock, angle, step of diameter and the radius after, with the adjustment's uncertainty, and what the
-    wall beside the joint is off the line. common_mm : what all radii may be off alike, which a step has nothing of."""
+    wall beside the joint is off the line. common_mm : what all radii may be off alike, which a step has nothing of.
+    point_mm : what one of the wall's points may be off: of that half is in where the line lies on either side."""
     assert axis.adjusted is not None
     row, start = axis.adjusted.state.pieces[piece], axis.centreline.pieces[piece].start_mm
     offset = row[OFFSET] + (at_mm - start) * row[TURN]
@@ -436,8 +435,9 @@ def _of_line(axis: Axis, piece: int, at_mm: float, off: _Off, common_mm: float) 
     sigma = [axis.adjusted.sigma(piece, k) for k in range(4)]
     turn_sigma = math.hypot(sigma[2], sigma[3], off.turn)
     radius_sigma = math.hypot(axis.adjusted.sigma(piece, RADIUS), off.radius_mm)
+    hilo_k2 = 2.0 * math.hypot(sigma[0], sigma[1], off.lever_mm * turn_sigma, off.offset_mm, ALIKE * point_mm)
     return [
-        Measure("hilo_mm", hilo, 2.0 * math.hypot(sigma[0], sigma[1], off.lever_mm * turn_sigma, off.offset_mm)),
+        Measure("hilo_mm", hilo, hilo_k2),
         Measure("hilo_clock_deg", math.degrees(math.atan2(offset[0], -offset[1])) % 360.0),
         Measure("angle_deg", angle, 2.0 * math.degrees(turn_sigma)),
         Measure("angle_clock_deg", math.degrees(math.atan2(row[TURN][0], -row[TURN][1])) % 360.0),

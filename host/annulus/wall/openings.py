@@ -22,7 +22,7 @@ from annulus.geometry.calibration import Calibration
 from annulus.numeric.arrays import BoolArray, FloatArray, arc_of
 from annulus.numeric.robust import robust_sigma
 from annulus.wall.features import Feature, FeatureKind, Measure
-from annulus.wall.grid import Wall
+from annulus.wall.grid import ALIKE, Wall
 from annulus.wall.indications import label_around
 from annulus.wall.looks import COLUMNS, Looks, Points, looks_of
 from annulus.wall.profile import Profile
@@ -113,7 +113,7 @@ def find_openings(
                 break
     for bore in found:
         explained |= _cells(bore, wall)
-    return tuple(_feature(bore) for bore in found), explained
+    return tuple(_feature(bore, wall.point_mm()) for bore in found), explained
 
 
 def _starts(wall: Wall, looks: Looks, size: float) -> Iterator[tuple[_Bore, list[_Bore], bool]]:
@@ -377,14 +377,14 @@ def _is_open(bore: _Bore, points: Points, looks: Looks, size: float, *, face_onl
     return bool(face or (bore.stands_mm and not (face_only or has_floor)))
 
 
-def _feature(bore: _Bore) -> Feature:
+def _feature(bore: _Bore, point_mm: float) -> Feature:
+    """point_mm : what a point of the wall may be off; of a rim, half of that is in all of its points."""
     reach = bore.rim_mm if bore.stands_mm else bore.radius_mm
     arc = 2 * float(np.degrees(np.arcsin(min(reach / bore.wall_mm, 1.0))))
     measures = [Measure("inner_d_mm", 2 * bore.radius_mm, 2 * 2 * bore.sigma_mm)]
     if bore.stands_mm:
-        measures.append(
-            Measure("protrusion_mm", bore.stands_mm, 2 * float(np.hypot(bore.stands_sigma_mm, RIM * bore.wall_mm)))
-        )
+        sigma = np.linalg.norm([bore.stands_sigma_mm, RIM * bore.wall_mm, ALIKE * point_mm])
+        measures.append(Measure("protrusion_mm", bore.stands_mm, 2 * float(sigma)))
     kind = FeatureKind.TEE if bore.stands_mm else FeatureKind.BRANCH
     return Feature(kind, bore.z_mm, 2 * reach, bore.clock_deg, arc, tuple(measures))
 
