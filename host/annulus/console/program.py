@@ -201,7 +201,8 @@ class Program:
                         self.live.cameras = list(cameras) if isinstance(cameras, list) else []
                         self.live.latest("about", about)
             with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self._ask_about.wait(), ABOUT_S)
+                async with asyncio.timeout(ABOUT_S):  # wait_for may forget a cancellation
+                    await self._ask_about.wait()
             await asyncio.sleep(0.1)  # several changes at once are one
 
 

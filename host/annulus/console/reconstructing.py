@@ -202,7 +202,8 @@ async def _end_group(child: asyncio.subprocess.Process) -> None:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(child.pid, by)
             with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(child.wait(), wait_s)
+                async with asyncio.timeout(wait_s):  # wait_for forgets a cancellation that comes as the child ends
+                    await child.wait()
     with contextlib.suppress(ProcessLookupError):
         os.killpg(child.pid, signal.SIGKILL)  # workers that heard nothing
 
