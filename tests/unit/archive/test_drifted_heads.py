@@ -42,7 +42,7 @@ def test_what_two_heads_drifted_by_is_no_growth(seeds: range) -> None:
         rounder += bool((np.abs(oval.change) > oval.change_k2).any())
         said = "no more than the two scans' scales may be off" in pair.diameter_sentence()
         assert said is not size.is_sure
-    assert wider <= 2 and rounder <= 2  # of ten: 5 % each are outside k = 2
+    assert wider <= 3 and rounder <= 3  # of ten, where 5 % each are outside k = 2: more come once in a thousand draws
 
 
 def test_what_grew_is_told_all_the_same() -> None:
