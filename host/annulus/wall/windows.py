@@ -194,9 +194,8 @@ def _part(wall: Wall, a: int, b: int) -> Wall:
     seen, columns = wall.observations, len(wall.clock_deg)
     inside = (seen.cell >= a * columns) & (seen.cell < b * columns)
     observations = Observations(**{one.name: getattr(seen, one.name)[inside] for one in fields(seen)})
-    along = {
-        one.name: getattr(wall, one.name)[a:b] for one in fields(wall) if one.name not in ("clock_deg", "observations")
-    }
+    whole = ("clock_deg", "observations", "scale_part", "oval_part")
+    along = {one.name: getattr(wall, one.name)[a:b] for one in fields(wall) if one.name not in whole}
     return replace(wall, **along, observations=replace(observations, cell=observations.cell - a * columns))
 
 

@@ -40,6 +40,8 @@ def test_a_reducer_is_one(length: float, change: float) -> None:
     assert reducer.kind is FeatureKind.REDUCER
     assert reducer.z_range_mm[0] < 150.0 + length / 2 < reducer.z_range_mm[1]
     for one, radius in zip(reducer.measures[:2], (RADIUS_MM, RADIUS_MM + change), strict=True):
-        assert one.value == pytest.approx(radius, abs=0.05) and one.k2 < 0.6  # 0.35 of it the scale's
+        assert (
+            one.value == pytest.approx(radius, abs=0.05) and one.k2 < 0.9
+        )  # 0.35 of it the scale's, up to 0.7 what rows beside it scatter by
         assert one.k2 >= 1.9 * np.nanmedian(pipe.wall.sigma_mm)  # all radii err alike; their change knows nothing of it
     assert not pipe.defects

@@ -8,9 +8,11 @@ from drawn_heads import RADIUS, head, radius_of, scan
 
 from annulus.geometry.calibration import HeadCamera
 from annulus.geometry.drift import Drift
+from annulus.wall.grid import build_wall
 from annulus.wall.optics import Optics, Prior
 from annulus.wall.reference import ReferenceSection, sections_from, sections_of, sections_recorded, sections_to_dict
 from annulus.wall.scale import TRANSLUCENT, AbsoluteScale, Before, _prior, find_scale, scale_findings, with_drift
+from annulus.wall.windows import _part
 
 HERE = ReferenceSection(90.0, 120.0, 2 * RADIUS, 0.02)
 
@@ -198,3 +200,11 @@ def test_a_wall_that_was_measured_is_known_as_well_as_it_was() -> None:
     blind = scan(head(), light, RADIUS, np.random.default_rng(12))
     wider, unsure = measured(find_scale(blind, head()), blind, head())
     assert abs(radius - RADIUS) < 2 * sigma < 2 * unsure and abs(wider - RADIUS) < 2 * unsure
+
+
+def test_a_window_keeps_what_all_radii_may_be_off() -> None:
+    profiles = scan(head(), Drift(), RADIUS, np.random.default_rng(13), frames=12)
+    wall = replace(build_wall(profiles), scale_part=0.002, oval_part=0.001)
+    part = _part(wall, 1, len(wall.z_mm) - 1)
+    assert (part.scale_part, part.oval_part) == (0.002, 0.001) and len(part.z_mm) == len(wall.z_mm) - 2
+    assert len(part.observations.cell) < len(wall.observations.cell)
