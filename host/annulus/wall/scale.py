@@ -37,7 +37,8 @@ STRETCHES, STRETCH_OF_RADIUS = 4, 3.0  # of a long scan: so many, each so long t
 # walls none. The mean of the colours scatters about each by a part, and every colour about that mean.
 TRANSLUCENT = ((0.0, 0.5), (0.1, 0.15), (0.2, 0.2), (0.4, 0.15))
 WALL_ALIKE = 0.8  # of the variance of a wall that was measured, what its colours have in common
-SHIFT_MEAN, SHIFT_COLOUR, SHIFT_LEAST_MM = 0.5, 0.3, 0.005
+SHIFT_MEAN, SHIFT_LEAST_MM = 0.5, 0.005
+GREY, YELLOW = 0.05, 0.3  # of the mean, how far a colour departs from it: as likely one as the other
 # How far a ring's edges may be drawn evenly, and by two waves, each as likely beforehand: what colours and widths do to
 # them is even, a lens and a mosaic draw them by waves.
 EDGES_PX, EDGES_TWOFOLD_PX = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32), (0.01, 0.03, 0.1)
@@ -66,9 +67,11 @@ class Before:
     wall_mm: tuple[float, float, float] | None = None
 
     @property
-    def walls(self) -> tuple[tuple[float, float], ...]:
-        """How far light may go on, and how likely each is."""
-        return TRANSLUCENT if self.wall_mm is None else ((0.0, 1.0),)
+    def walls(self) -> tuple[tuple[float, float, float], ...]:
+        """How far light may go on, mm, what part of that colours depart by, and how likely each is."""
+        if self.wall_mm is not None:
+            return ((0.0, YELLOW, 1.0),)
+        return tuple((mm, colour, chance / 2.0) for mm, chance in TRANSLUCENT for colour in (GREY, YELLOW))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -464,8 +467,8 @@ def _answer(offsets: Offsets, effects: _Effects, before: Before, z_mm: float) ->
         law = effects.moved(Drift.of(at))[:, (0, 3, 4)].ravel()
         value = observed - law + design @ at
         log, means, covariances = [], [], []
-        for (shift, chance), px in many:
-            mean, spread = _prior(before, shift)
+        for (shift, colour, chance), px in many:
+            mean, spread = _prior(before, shift, colour)
             total = noise + np.diag(px[0] ** 2 * even + px[1] ** 2 * twofold) + design @ spread @ design.T
             gain = np.linalg.solve(total, design @ spread).T
             left = value - design @ mean
@@ -476,17 +479,18 @@ def _answer(offsets: Offsets, effects: _Effects, before: Before, z_mm: float) ->
         at = weight @ np.array(means)
     apart = np.array(means) - at
     covariance = np.einsum("n,nij->ij", weight, np.array(covariances)) + (apart.T * weight) @ apart
-    opaque = float(sum(p for p, ((shift, _), _) in zip(weight, many, strict=True) if shift == 0.0))
+    opaque = float(sum(p for p, ((shift, *_), _) in zip(weight, many, strict=True) if shift == 0.0))
     left = offsets.at(z_mm)[:, 0] + effects.moved(Drift.of(at))[:, 0]
     return _Answer(at, covariance, left, float(weight @ np.array([px for _, (px, _) in many])), opaque)
 
 
-def _prior(before: Before, shift_mm: float) -> tuple[FloatArray, FloatArray]:
-    """Mean (7,) and covariance (7, 7) of a drift, where light goes on in the wall by about so much."""
+def _prior(before: Before, shift_mm: float, colour: float = YELLOW) -> tuple[FloatArray, FloatArray]:
+    """Mean (7,) and covariance (7, 7) of a drift, where light goes on in the wall by about so much, and each colour by
+    a part more or less."""
     mean = np.concatenate([before.mean, np.full(3, shift_mm)])
     spread = np.zeros((7, 7))
     spread[:4, :4] = np.diag(before.sigma**2)
-    own = (SHIFT_COLOUR * shift_mm) ** 2 + SHIFT_LEAST_MM**2
+    own = (colour * shift_mm) ** 2 + SHIFT_LEAST_MM**2
     spread[4:, 4:] = (SHIFT_MEAN * shift_mm) ** 2 + own * np.eye(3)
     if before.wall_mm is not None:  # what is off in one colour is so in all, mostly: the calibration of its day
         sigma = np.array(before.wall_mm)
