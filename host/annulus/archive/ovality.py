@@ -47,7 +47,7 @@ class Ovality:
 
 def ovality(difference: Difference, laid: Laid, parts: tuple[float, float] = (0.0, 0.0)) -> Ovality:
     """Of two scans laid together. parts : of the radius, what each head's optics may draw a circle out by (k = 1)."""
-    shared = np.hypot(SHARED_MM, np.hypot(*parts) * difference.radius_mm)
+    shared = np.hypot(SHARED_MM, np.hypot(*np.nan_to_num(parts)) * difference.radius_mm)
     rows = max(round(STATION_MM / difference.step_mm), 1)
     begins = np.arange(0, len(difference.z_mm), rows)
     out = np.full((len(begins), 3), np.nan)
@@ -73,8 +73,9 @@ def ovality(difference: Difference, laid: Laid, parts: tuple[float, float] = (0.
 
 @dataclass(frozen=True, slots=True)
 class MeanDiameter:
-    """Of the rows that both saw, mm: the first, the second, and what their difference may be off (k = 2); NaN where no
-    row was seen by both. Both heads' optics drift, each by its own."""
+    """Of the rows that both saw, mm: the first, the second, and what their difference may be off (k = 2), NaN where one
+    of them does not say how sure its scale is; all NaN where no row was seen by both. Both heads' optics drift, each by
+    its own."""
 
     first: float
     second: float

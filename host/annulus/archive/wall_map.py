@@ -6,6 +6,7 @@ clockwise from 12 o'clock looking forward. Everything is checked before it is be
 the file.
 """
 
+import math
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -50,8 +51,8 @@ class WallMap:
     radius_mm: float
     imu_roll_deg: FloatArray
     first_deg: float = 0.0
-    scale_part: float = 0.0  # of the radius, k = 1: what all radii may be off alike; 0 where the file does not say
-    oval_part: float = 0.0  # the same of the long radius' excess over the mean
+    scale_part: float = math.nan  # of the radius, k = 1: what all radii may be off alike; NaN where nobody said
+    oval_part: float = math.nan  # the same of the long radius' excess over the mean
 
     @property
     def z_mm(self) -> FloatArray:
@@ -144,7 +145,7 @@ def _believed(name: str, arrays: Mapping[str, NDArray[Any]]) -> WallMap:
     away = deviation.astype(np.float32)
     away /= np.float32(1000)
     away[unknown] = np.nan
-    parts = [_one(arrays[part], part, *PART) if part in arrays else 0.0 for part in ("scale_part", "oval_part")]
+    parts = [_part(arrays, part) for part in ("scale_part", "oval_part")]
     return WallMap(name, away, first, step, radius, roll, first_deg, *parts)
 
 
@@ -152,6 +153,14 @@ def _one(value: NDArray[Any], name: str, low: float, high: float) -> float:
     if value.shape or value.dtype.kind not in "fiu" or value.dtype.itemsize > 8:
         raise ValueError(f"{name} is not one number")
     return within(float(value), name, low, high)
+
+
+def _part(arrays: Mapping[str, NDArray[Any]], name: str) -> float:
+    """NaN where the file does not say, or says that nobody knows."""
+    value = arrays.get(name)
+    if value is None or (value.dtype.kind == "f" and not value.shape and np.isnan(value)):
+        return math.nan
+    return _one(value, name, *PART)
 
 
 def _axis(value: NDArray[Any], name: str, count: int) -> FloatArray:

@@ -38,7 +38,7 @@ def sections_and_file(
     words: Sequence[str] | None, diameter_mm: float | None, k2_mm: float | None
 ) -> "tuple[tuple[ReferenceSection, ...], Path | None]":
     """What --reference names. Raises AnnulusError, one line."""
-    spans = [word for word in words or () if ":" in word and not Path(word).exists()]
+    spans = [word for word in words or () if ":" in word and not word.endswith((".json", ".toml"))]
     files = [word for word in words or () if word not in spans]
     if len(files) > 1:
         raise AnnulusError(f"--reference {files[1]}: a file of the pattern's artefacts was named already")

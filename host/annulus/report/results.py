@@ -213,7 +213,8 @@ def _write_wall(path: Path, survey: Survey) -> None:
         "sigma_um": sigma.astype(np.uint16),
         "shadowed": survey.shadowed,
         "z_mm": wall.z_mm, "z_step_mm": wall.z_step_mm, "clock_deg": wall.clock_deg,
-        "scale_part": wall.scale_part, "oval_part": wall.oval_part,
+        "scale_part": np.nan if survey.scale is None else wall.scale_part,
+        "oval_part": np.nan if survey.scale is None else wall.oval_part,
         "radius_mm": nominal, "radius_of": "nominal", "mean_radius_mm": wall.mean_radius_mm,
         "imu_roll_deg": np.full(len(wall.z_mm), np.nan if survey.roll_range_deg is None else 0.0, np.float32),
     }  # fmt: skip

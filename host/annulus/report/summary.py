@@ -128,7 +128,7 @@ def _scale(survey: Survey) -> dict[str, Any] | None:
                 "z_from_mm": stored(one.from_mm), "z_to_mm": stored(one.to_mm), "diameter_mm": one.diameter_mm,
                 "k2": one.diameter_k2_mm, "as_calibrated_mm": stored(mm), "used": used,
             }
-            for used, sections in ((True, scale.references), (False, scale.refused)) for one, mm in sections
+            for used, sections in ((True, scale.references), (False, scale.refused)) for one, mm, *_ in sections
         ],
     }  # fmt: skip
 

@@ -5,12 +5,13 @@ wall, the heads and the rings' own offsets come apart: one robust least squares 
 alike cannot be told from a wider pipe, unless a section of the pipe is of known size.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
+from scipy import linalg, sparse
 
 from annulus.geometry.pose import Pose
 from annulus.numeric.arrays import BoolArray, FloatArray
@@ -18,12 +19,14 @@ from annulus.numeric.robust import SIGMA_OF_MAD
 from annulus.wall.profile import Profile
 
 SECTORS, SECTOR_POINTS = 24, 5  # of a ring's turn, an observation each; least points of one
-NODE_OF_RADIUS, WAVES = 0.12, 4  # along the pipe, and round it: how the wall may go from node to node
+NODE_OF_RADIUS, WAVES = 0.2, 3  # along the pipe, and round it: how the wall may go from node to node
 WALL_PART, LEAN = 0.05, 0.1  # of the radius, radians: how far wall and heads may be from where they are taken to be
 BLOCK = 4  # observations beside one another, whose mean scatters by more than theirs do: sectors share pixels
 NOISE_LEAST_MM = 0.004
 LOOSE = 2.5  # times the usual residual: from there on an observation counts less, a defect's hardly at all
-ROUNDS = 8
+ROUNDS = 6
+# Of the radius, from one end of a scan to the other, beforehand: 3 K of a plastic lens.
+SCAN_DRIFT = 1e-3
 TERMS = 5  # of a ring's offset: even; one wave and two round the head, cosine and sine
 
 
@@ -68,7 +71,8 @@ class Section:
 class Offsets:
     """mm (K, TERMS) outwards, and their covariance (K TERMS, K TERMS). weight (N,) of the observations, 1 / mm^2.
     noise_mm : of one observation. per_mm : by how much more all of them stand out, the head a mm farther on than at
-    `middle_mm`. sections_mm (S,): radius of each section, as its wall was seen."""
+    `middle_mm`. sections_mm, uneven_mm (S,): radius of each
+    section with the calibration as it is, and the standard deviation of its rows."""
 
     mm: FloatArray
     covariance: FloatArray
@@ -76,7 +80,9 @@ class Offsets:
     noise_mm: float
     middle_mm: float
     per_mm: float = 0.0
+    per_mm_sigma: float = 0.0
     sections_mm: FloatArray = field(default_factory=lambda: np.zeros(0))
+    uneven_mm: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def at(self, z_mm: float) -> FloatArray:
         """(K, TERMS), the head at a station."""
@@ -139,14 +145,21 @@ def ring_offsets(
         first_ring + of_ring * seen.ring[:, None] + np.arange(of_ring),
         np.full((len(rows), 1), size - 1),
     ]
-    values = [(1 - part)[:, None] * waves, part[:, None] * waves, pull, own, (station - middle)[:, None]]
+    values = [
+        (1 - part)[:, None] * waves,
+        part[:, None] * waves,
+        pull,
+        own,
+        (station - middle)[:, None] * float(held and len(sections) > 1),
+    ]
     column, value = np.concatenate(columns, axis=1), np.concatenate(values, axis=1)
     design = sparse.csr_matrix((value.ravel(), (np.repeat(rows, column.shape[1]), column.ravel())), (len(rows), size))
     loose = np.empty(size)
     loose[:first_head] = WALL_PART * radius_mm
     loose[first_head:first_ring] = np.tile([LEAN, LEAN, LEAN * radius_mm, LEAN * radius_mm], heads)
     loose[first_ring:] = WALL_PART * radius_mm
-    loose[-1] = 1e-3 if len(sections) > 1 and held else 1e-9  # mm a mm
+    span = max(float(np.ptp(seen.z_mm)), radius_mm)
+    loose[-1] = SCAN_DRIFT * radius_mm / span  # mm a mm
     known = [_section((z >= one.from_mm) & (z <= one.to_mm), both, part, of_wall, size) for one in sections]
     answer, excess = np.zeros(size), radius - radius_mm
     noise, alike = np.inf, 1.0
@@ -161,18 +174,23 @@ def ring_offsets(
         for section, row in zip(sections if held else (), known if held else (), strict=True):
             normal += np.outer(row, row) / section.sigma_mm**2
             right += row * (section.radius_mm - radius_mm) / section.sigma_mm**2
-        answer = np.linalg.solve(normal, right)
+        answer = linalg.solve(normal, right, assume_a="pos")
         alike = _alike(seen, clock, np.clip(residual, -LOOSE * noise, LOOSE * noise))
     mine = slice(first_ring, size - 1)
-    covariance = np.linalg.inv(normal)[mine, mine]
+    inverse = linalg.inv(normal)
+    offsets = answer[mine].reshape(rings, of_ring)
+    share = np.bincount(seen.ring, minlength=rings) / len(seen.ring)
+    middle_mm = radius_mm + float(share @ offsets[:, 0])
     return Offsets(
-        answer[mine].reshape(rings, of_ring),
-        covariance,
+        offsets,
+        inverse[mine, mine],
         weight,
         noise,
         middle,
         float(answer[-1]),
-        np.array([radius_mm + row @ answer for row in known]),
+        math.sqrt(max(float(inverse[-1, -1]), 0.0)),
+        np.array([middle_mm + row @ answer for row in known]),
+        np.array([_spread(row[:first_head:of_wall], answer[:first_head:of_wall]) for row in known]),
     )
 
 
@@ -187,6 +205,11 @@ def _alike(seen: Observations, clock: FloatArray, residual: FloatArray) -> float
             means = residual[order[: blocks * BLOCK]].reshape(blocks, BLOCK).mean(axis=1)
             out *= max(float(BLOCK * np.var(means) / max(np.var(residual), 1e-20)), 1.0)
     return out
+
+
+def _spread(weight: FloatArray, value: FloatArray) -> float:
+    """Standard deviation of values of so much weight each, all of it 1."""
+    return math.sqrt(max(float(weight @ (value - weight @ value) ** 2), 0.0))
 
 
 def _section(inside: BoolArray, both: NDArray[np.intp], part: FloatArray, waves: int, size: int) -> FloatArray:

@@ -25,6 +25,7 @@ KNOWN = 0.5  # of a coefficient: how well a table's is that of one head
 FOCAL, SLIDE, TUBE, ANAMORPHIC = 0.0015, 0.0015, 0.0025, 0.001
 STILL = {"lens": 0.0003, "slide": 0.0005, "tube": 0.0005}
 CELSIUS = (-60.0, 120.0)
+KELVIN_MOST = 40.0  # warmer or colder than that since its calibration no head is: a sensor that is stuck
 SAMPLES_LEAST = 3  # a single reading may be a slip of the bus
 
 
@@ -79,6 +80,8 @@ class Optics:
         """celsius : readings of the head's temperature during the scan."""
         known = [one for one in celsius if CELSIUS[0] <= one <= CELSIUS[1]]
         if self.calibrated_c is None or len(known) < SAMPLES_LEAST:
+            return Prior()
+        if abs(float(np.median(known)) - self.calibrated_c) > KELVIN_MOST:
             return Prior()
         kelvin, apart = float(np.median(known)) - self.calibrated_c, float(np.ptp(known)) / math.sqrt(12.0)
         mean, sigma = {}, {}

@@ -1,6 +1,7 @@
 """Stretches of a pipe whose inner diameter is known: a launch tube, a sleeve that was measured."""
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -8,6 +9,7 @@ from typing import Any
 from annulus import untrusted
 
 SECTIONS_MAX = 8
+SPAN = re.compile(r"(-?[0-9]{1,7}(?:\.[0-9]{1,6})?):(-?[0-9]{1,7}(?:\.[0-9]{1,6})?)")  # mm, of the command line
 LEAST_MM, FARTHEST_MM = 5.0, 1e7  # of a section's length, and of where it may lie
 DIAMETER_MM = (5.0, 10_000.0)
 K2_PART = 0.05  # of the diameter: what is known no better is no reference
@@ -63,11 +65,10 @@ def sections_of(words: Sequence[str], diameter_mm: float, k2_mm: float, what: st
     """Of words as "0:120". Raises ValueError."""
     spans = []
     for word in words:
-        try:
-            first, last = (float(part) for part in word.split(":"))
-        except ValueError:
-            raise ValueError(f"{what} {untrusted.shown(word)}: expected FROM:TO in mm, as 0:120") from None
-        spans.append([first, last])
+        match = SPAN.fullmatch(word)
+        if match is None:
+            raise ValueError(f"{what} {untrusted.shown(word)}: expected FROM:TO in mm, as 0:120")
+        spans.append([float(match[1]), float(match[2])])
     return sections_from({"sections_mm": spans, "diameter_mm": diameter_mm, "u_mm": k2_mm}, what)
 
 

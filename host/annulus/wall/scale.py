@@ -13,65 +13,35 @@ summed over: how far edges are drawn whatever the optics do, and how translucent
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from annulus.geometry.calibration import Calibration
-from annulus.geometry.drift import SMALL, Drift, drifted, seen_with
+from annulus.geometry.drift import Drift, drifted, seen_with
 from annulus.numeric.arrays import FloatArray
 from annulus.numeric.rounding import DISTANCE, MEASURE, off, said, span
 from annulus.vocabulary import Finding
+from annulus.wall.explained import Before, Effects, answer_at
 from annulus.wall.offsets import TERMS, Observations, Offsets, Section, observations, ring_offsets
 from annulus.wall.optics import Prior
 from annulus.wall.pose import fit_pose
 from annulus.wall.profile import Profile
 from annulus.wall.reference import ReferenceSection
 
-FRAMES_MOST, OF_SECTION = 96, 24  # of a scan, whose offsets say what all say, and of a section: bounds the time
+FRAMES_MOST, OF_SECTION = 72, 24  # of a scan, whose offsets say what all say, and of a section: bounds the time
 AHEAD_OF_RADIUS = 6.0  # how far ahead of its head a ring may land
-STRETCHES, STRETCH_OF_RADIUS = 4, 3.0  # of a long scan: so many, each so long that all rings see its wall
-# How far light goes on inside the wall, mm, and how likely each is beforehand: polyethylene 0.15 to 0.4 mm, pigmented
-# walls none. The mean of the colours scatters about each by a part, and every colour about that mean.
-TRANSLUCENT = ((0.0, 0.5), (0.1, 0.15), (0.2, 0.2), (0.4, 0.15))
-WALL_ALIKE = 0.8  # of the variance of a wall that was measured, what its colours have in common
-SHIFT_MEAN, SHIFT_LEAST_MM = 0.5, 0.005
-GREY, YELLOW = 0.05, 0.3  # of the mean, how far a colour departs from it: as likely one as the other
-# How far a ring's edges may be drawn evenly, and by two waves, each as likely beforehand: what colours and widths do to
-# them is even, a lens and a mosaic draw them by waves.
-EDGES_PX, EDGES_TWOFOLD_PX = (0.01, 0.02, 0.04, 0.08, 0.16, 0.32), (0.01, 0.03, 0.1)
-WITHIN = 5e-5  # of the radius: half a kelvin of a plastic lens, while a scan lasts, where one section was looked at
+STRETCHES, STRETCH_OF_RADIUS = 3, 3.0  # of a long scan: so many, each so long that all rings see its wall
+# What half a kelvin does to lens, slide and tube (of its length) while a scan lasts: where no section is, none is seen.
+WITHIN = (5e-5, 1e-5, 3.5e-5)
+EVEN_MOST = 7e-4  # of the radius: standard deviation of a section's rows, 0.05 mm of a 6-inch pipe; more is no sleeve
 DRIFT = "drift"  # kind of a finding
-WILD = 3.0  # standard deviations of what optics drift by: a section that is farther off is not of that size
-APART_MOST = (
-    0.005  # of the diameter: no head drifts by more from one end of a scan to the other; 15 K of a plastic lens
-)
-LAWS = 2  # rounds of the linearised answer: the second one's change is below a hundredth of sigma at 0.3 %
-SURE, CHANCE = (
-    3.0,
-    0.003,
-)  # standard deviations, and a probability as small: from there on a drift is named and taken out
+LEAST_K2_MM = 0.01  # of a section's reading, before a drift is named: no gauge of a head's own day is better
+WILD = 3.0  # standard deviations of what the scan says of itself: a section that is farther off is not of that size
+# Of the radius: no head drifts by more from one end of a scan to the other, 4 K of a plastic lens, acrylic and film.
+APART_MOST = 0.0025
+SURE, CHANCE = 3.0, 0.003  # standard deviations, a probability: from there on a drift is named and taken out
 RING_POINTS, SECTION_OBSERVATIONS = 20, 60  # with fewer a ring, or a section, does not count as seen
-NONE = np.zeros(7)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Before:
-    """What is known beforehand: means and standard deviations (4,) of focal, slide, tube (mm), anamorphic; wall_mm (3,)
-    how well the wall is known that the calibration says light goes on in, None where it says nothing."""
-
-    mean: FloatArray
-    sigma: FloatArray
-    wall_mm: tuple[float, float, float] | None = None
-
-    @property
-    def walls(self) -> tuple[tuple[float, float, float], ...]:
-        """How far light may go on, mm, what part of that colours depart by, and how likely each is."""
-        if self.wall_mm is not None:
-            return ((0.0, YELLOW, 1.0),)
-        return tuple((mm, colour, chance / 2.0) for mm, chance in TRANSLUCENT for colour in (GREY, YELLOW))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,7 +53,9 @@ class AbsoluteScale:
     inside the wall. references : those that were seen, and the diameter each has with the calibration as it is, to
     observed_k2_mm (k = 2). left_mm (stations, K) : what each ring is off there all the same, which edges do that are
     drawn; none where no section was seen.
-    refused : the same of those that no drift explains, and that anchor nothing. by : what else was known, in words.
+    refused : the same of those that anchor nothing, and why. by : what else was known, in words.
+    tube_mm : how far the projector stands behind the camera. beyond : of the radius (k = 1), what an even drift leaves
+    where the head was beyond its sections.
     """
 
     z_mm: FloatArray
@@ -94,9 +66,11 @@ class AbsoluteScale:
     edges_px: float
     opaque: float
     references: tuple[tuple[ReferenceSection, float], ...] = ()
-    refused: tuple[tuple[ReferenceSection, float], ...] = ()
+    refused: tuple[tuple[ReferenceSection, float, str], ...] = ()
     observed_k2_mm: float = math.nan
     by: str = ""
+    tube_mm: float = 0.0
+    beyond: float = 0.0
     left_mm: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
     def at(self, z_mm: float) -> Drift:
@@ -119,7 +93,8 @@ class AbsoluteScale:
             return math.sqrt(max(float(self.even @ self.covariance @ self.even), 0.0))
         section, _ = self.references[0]
         k2 = math.hypot(self.observed_k2_mm, section.diameter_k2_mm) / section.diameter_mm
-        return math.hypot(k2 / 2.0, WITHIN if len(self.references) == 1 else 0.0)
+        lens, slide, tube = self.even[:3] * WITHIN * [1.0, 1.0, self.tube_mm]
+        return math.hypot(k2 / 2.0, lens, slide, tube, self.beyond)
 
     @property
     def oval_part(self) -> float:
@@ -172,7 +147,7 @@ def find_scale(
     radius = float(np.median(np.hypot(*seen.in_pipe(seen.points)[:, :2].T)))
     sections = [Section(r.from_mm, r.to_mm, r.diameter_mm / 2, r.diameter_k2_mm / 4) for r in references]
     offsets = ring_offsets(seen, len(calibration.rings), radius, sections)
-    effects = _Effects.of(seen, offsets.weight, calibration)
+    effects = Effects.of(seen, offsets.weight, calibration)
     tube_mm = float(np.linalg.norm(calibration.rings[0].vertex_mm))
     before = Before(
         np.array([prior.focal_mean, prior.slide_mean, prior.tube_mean * tube_mm, 0.0]),
@@ -182,23 +157,19 @@ def find_scale(
     stations = seen.z_mm[seen.head]
     places = [float(stations[(along >= one.from_mm) & (along <= one.to_mm)].mean()) for one in sections]
     places = places or [offsets.middle_mm]
-    answers = [_answer(offsets, effects, before, z) for z in places]
+    answers = [answer_at(offsets, effects, before, z) for z in places]
     covariance = np.asarray(np.mean([one.covariance for one in answers], axis=0))
     edges = float(np.mean([one.edges_px for one in answers]))
     found = tuple(
         (one, one.diameter_mm + 2.0 * float(offsets.at(z)[:, 0].mean()))
         for one, z in zip(references, places, strict=False)
     )
-    most = WILD * _drift_part(effects, before, radius)
-    wild = [one for one in found if abs(one[1] / one[0].diameter_mm - 1.0) > most]
-    if not wild and len(sections) > 1:
-        apart = ring_offsets(seen, len(calibration.rings), radius, sections, held=False).sections_mm
-        if np.ptp(apart - [one.radius_mm for one in sections]) > APART_MOST * radius:
-            wild = [(one, 2.0 * float(mm)) for one, mm in zip(references, apart, strict=True)]
+    wild = _refused_sections(seen, effects, before, references, sections, radius)
     if wild:
-        rest = [one for one in references if all(one is not other for other, _ in wild)]
+        rest = [one for one in references if all(one is not other for other, _, _ in wild)]
         without = find_scale(profiles, calibration, rest, prior)
         return without and replace(without, refused=(*without.refused, *wild))
+    beyond = max(min(places) - float(seen.z_mm.min()), float(seen.z_mm.max()) - max(places), 0.0)
     order = np.argsort(places)
     out = AbsoluteScale(
         np.array(places)[order],
@@ -211,16 +182,44 @@ def find_scale(
         found,
         observed_k2_mm=_observed_k2_mm(offsets, sections),
         by=prior.by,
+        tube_mm=tube_mm,
+        beyond=offsets.per_mm_sigma * beyond / radius if len(sections) > 1 else 0.0,
         left_mm=np.array([answers[i].left_mm for i in order]) if sections else np.zeros((0, 0)),
     )
-    return out if found or out.is_sure or prior.by else out.as_calibrated()
+    return out if found or out.is_sure or any(before.mean) else out.as_calibrated()
 
 
-def _drift_part(effects: "_Effects", before: Before, radius_mm: float) -> float:
-    """Of the radius: the standard deviation of what optics, and the most translucent wall, put it off by."""
-    mean, spread = _prior(before, before.walls[-1][0])
+def _refused_sections(
+    seen: Observations,
+    effects: Effects,
+    before: Before,
+    references: Sequence[ReferenceSection],
+    sections: Sequence[Section],
+    radius_mm: float,
+) -> list[tuple[ReferenceSection, float, str]]:
+    """Those that are no reference: uneven, of another size than the scan without them allows, or at odds."""
+    if not sections:
+        return []
+    plain = ring_offsets(seen, len(effects.even), radius_mm, sections, held=False)
+    free = answer_at(plain, effects, before, plain.middle_mm)
     even = effects.usual_even / radius_mm
-    return math.sqrt(even @ (spread + np.outer(mean, mean)) @ even)
+    part = math.sqrt(max(float(even @ free.covariance @ even), 0.0))
+    drifted_by = float(even @ free.mean)
+    off = np.array([mm * (1.0 + drifted_by) / one.radius_mm - 1.0
+                    for mm, one in zip(plain.sections_mm, sections, strict=True)])  # fmt: skip
+    at_odds = len(off) > 1 and float(np.ptp(off)) > APART_MOST
+    out = []
+    for one, mm, uneven, away in zip(references, plain.sections_mm, plain.uneven_mm, off, strict=True):
+        why = ""
+        if uneven > EVEN_MOST * radius_mm:
+            why = f"its rows differ by {uneven:.2f} mm (standard deviation): a step, a taper or a defect lies in it"
+        elif abs(away) > WILD * math.hypot(part, one.diameter_k2_mm / 2.0 / one.diameter_mm):
+            why = f"{one.diameter_mm:.2f} mm was stated, and no optics drift by as much. Its size or its place is wrong"
+        elif at_odds:
+            why = "the sections contradict each other by more than a head drifts by in one scan"
+        if why:
+            out.append((one, 2.0 * float(mm), why))
+    return out
 
 
 def _observed_k2_mm(offsets: Offsets, sections: Sequence[Section]) -> float:
@@ -273,14 +272,14 @@ def anchor(scale: AbsoluteScale | None, diameter_mm: float) -> str:
         f"{mm - one.diameter_mm:+.2f} mm off with the calibration as it is"
         for one, mm in scale.references
     ]
-    return f"{'; '.join(checks)}. Diameters rest on it, {k2}"
+    return f"{'; '.join(checks)}. Diameters rest on it, {k2}, in walls that take in light as that section's does"
 
 
 def drift_lines(scale: AbsoluteScale, sections: Sequence[ReferenceSection]) -> tuple[list[str], bool]:
     """What a check says of each section and of the optics, and whether something is wrong for sure."""
     out, wrong = [], False
-    read = dict((*scale.references, *scale.refused))
-    refused = {one for one, _ in scale.refused}
+    refused = {one: why for one, _, why in scale.refused}
+    read = dict((*scale.references, *((one, mm) for one, mm, _ in scale.refused)))
     for one in sections:
         where = f"{span(one.from_mm, one.to_mm, DISTANCE)}  {said(one.diameter_mm, MEASURE, one.diameter_k2_mm)}"
         if one not in read:
@@ -289,7 +288,7 @@ def drift_lines(scale: AbsoluteScale, sections: Sequence[ReferenceSection]) -> t
             continue
         away, k2 = read[one] - one.diameter_mm, math.hypot(one.diameter_k2_mm, scale.observed_k2_mm)
         bad = one in refused or abs(away) > k2
-        words = "no drift explains that" if one in refused else "off for sure" if bad else "right, as far as is known"
+        words = refused.get(one, "off for sure" if bad else "right, as far as is known")
         out.append(f"{where}  reads {said(read[one], MEASURE)}, {away:+.2f} ± {k2:.2f} mm (k = 2): {words}")
         wrong = wrong or bad
     for what, names in (("focal x slide", ("focal", "slide")), ("fy over fx", ("anamorphic",))):
@@ -309,7 +308,8 @@ def _drifted(scale: AbsoluteScale) -> Iterator[str]:
         if abs(value) > SURE * sigma:
             yield f"drifted: {what} {_percent(value, sigma)} since the calibration, by {by}; taken out"
     for section, mm in scale.references:
-        away, k2 = mm - section.diameter_mm, math.hypot(section.diameter_k2_mm, scale.observed_k2_mm)
+        away = mm - section.diameter_mm
+        k2 = math.hypot(section.diameter_k2_mm, scale.observed_k2_mm, LEAST_K2_MM)
         if abs(away) > SURE / 2.0 * k2:
             yield (
                 f"drifted: diameters with the calibration as it is are {away:+.2f} ± {k2:.2f} mm off (k = 2) at the "
@@ -328,12 +328,10 @@ def _drifted(scale: AbsoluteScale) -> Iterator[str]:
 
 
 def _refused(scale: AbsoluteScale) -> Iterator[str]:
-    for section, mm in scale.refused:
+    for section, mm, why in scale.refused:
         yield (
-            f"the section from {span(section.from_mm, section.to_mm, DISTANCE)} is no reference: it reads {mm:.2f} mm, "
-            f"{section.diameter_mm:.2f} mm was stated, and no optics drift by as much"
-            + (", or from one section to the other" if len(scale.refused) > 1 else "")
-            + ". Its size or its place is wrong"
+            f"the section from {span(section.from_mm, section.to_mm, DISTANCE)} is no reference: it reads {mm:.2f} mm "
+            f"with the calibration as it is; {why}"
         )
 
 
@@ -393,106 +391,3 @@ def _chosen(
 
 def _thinned(numbers: NDArray[np.intp], most: int) -> NDArray[np.intp]:
     return numbers[np.unique(np.linspace(0, len(numbers) - 1, min(most, len(numbers))).round().astype(np.intp))]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Effects:
-    """What a drift does to the rings' offsets: even (K, 7) and of two waves (K, 2, 7), mm; px_mm (K,) of a pixel."""
-
-    seen: Observations
-    weight: FloatArray
-    calibration: Calibration
-    even: FloatArray
-    twofold: FloatArray
-    px_mm: FloatArray
-
-    @classmethod
-    def of(cls, seen: Observations, weight: FloatArray, calibration: Calibration) -> "_Effects":
-        rings, values = len(calibration.rings), SMALL.values
-        bare = cls(seen, weight, calibration, NONE, NONE, NONE)
-        parts = [bare.moved(Drift.of(np.where(np.arange(len(values)) == i, step, 0.0))) / step
-                 for i, step in enumerate(values)]  # fmt: skip
-        terms = np.stack(parts, axis=-1)  # (K, TERMS, 7)
-        camera = calibration.camera
-        away = np.hypot(*(camera.project(seen.points) - [camera.cx, camera.cy]).T)
-        far = np.array([np.mean(away[seen.ring == k]) if (seen.ring == k).any() else np.nan for k in range(rings)])
-        px_mm = np.abs(terms[:, 0, 0]) / np.nan_to_num(far, nan=1.0)
-        return replace(bare, even=terms[:, 0], twofold=terms[:, 3:5], px_mm=px_mm)
-
-    @property
-    def share(self) -> FloatArray:
-        """(K,) of the observations, of each ring."""
-        count = np.bincount(self.seen.ring, minlength=len(self.calibration.rings))
-        return np.asarray(count / count.sum())
-
-    @property
-    def usual_even(self) -> FloatArray:
-        """(7,) mm, of the radius that all rings together say."""
-        return np.asarray(self.share @ self.even)
-
-    def moved(self, drift: Drift) -> FloatArray:
-        """(K, TERMS) mm: how the rings' offsets change where the drift is taken out."""
-        seen = self.seen
-        there = seen_with(seen.points, seen.ring, self.calibration, drifted(self.calibration, drift))
-        before, after = (np.hypot(*seen.in_pipe(points)[:, :2].T) for points in (seen.points, there))
-        change, own = after - before, seen.round_head
-        out = np.zeros((len(self.calibration.rings), TERMS))
-        for k in range(len(out)):
-            mine = (seen.ring == k) & np.isfinite(change)
-            if np.count_nonzero(mine) > TERMS:
-                root = np.sqrt(self.weight[mine])
-                out[k] = np.linalg.lstsq(own[mine] * root[:, None], change[mine] * root, rcond=None)[0]
-        return out
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Answer:
-    mean: FloatArray
-    covariance: FloatArray
-    left_mm: FloatArray  # (K,) of the even offsets
-    edges_px: float
-    opaque: float  # probability
-
-
-def _answer(offsets: Offsets, effects: _Effects, before: Before, z_mm: float) -> _Answer:
-    """The drift at a place."""
-    terms = [k * TERMS + i for k in range(len(offsets.mm)) for i in (0, 3, 4)]
-    noise = offsets.covariance[np.ix_(terms, terms)]
-    design = np.concatenate([effects.even[:, None], effects.twofold], axis=1).reshape(len(terms), -1)
-    even, twofold = (np.kron(effects.px_mm**2, which) for which in ([1.0, 0.0, 0.0], [0.0, 1.0, 1.0]))
-    observed = -offsets.at(z_mm)[:, (0, 3, 4)].ravel()
-    at, many = NONE, [(tau, px) for tau in before.walls for px in product(EDGES_PX, EDGES_TWOFOLD_PX)]
-    for _ in range(LAWS):
-        # beyond what is linear: the change that this drift really makes, and the rest along the tangent
-        law = effects.moved(Drift.of(at))[:, (0, 3, 4)].ravel()
-        value = observed - law + design @ at
-        log, means, covariances = [], [], []
-        for (shift, colour, chance), px in many:
-            mean, spread = _prior(before, shift, colour)
-            total = noise + np.diag(px[0] ** 2 * even + px[1] ** 2 * twofold) + design @ spread @ design.T
-            gain = np.linalg.solve(total, design @ spread).T
-            left = value - design @ mean
-            log.append(math.log(chance) - 0.5 * (np.linalg.slogdet(total)[1] + left @ np.linalg.solve(total, left)))
-            means.append(mean + gain @ left)
-            covariances.append(spread - gain @ design @ spread)
-        weight = np.exp(np.array(log) - logsumexp(log))
-        at = weight @ np.array(means)
-    apart = np.array(means) - at
-    covariance = np.einsum("n,nij->ij", weight, np.array(covariances)) + (apart.T * weight) @ apart
-    opaque = float(sum(p for p, ((shift, *_), _) in zip(weight, many, strict=True) if shift == 0.0))
-    left = offsets.at(z_mm)[:, 0] + effects.moved(Drift.of(at))[:, 0]
-    return _Answer(at, covariance, left, float(weight @ np.array([px for _, (px, _) in many])), opaque)
-
-
-def _prior(before: Before, shift_mm: float, colour: float = YELLOW) -> tuple[FloatArray, FloatArray]:
-    """Mean (7,) and covariance (7, 7) of a drift, where light goes on in the wall by about so much, and each colour by
-    a part more or less."""
-    mean = np.concatenate([before.mean, np.full(3, shift_mm)])
-    spread = np.zeros((7, 7))
-    spread[:4, :4] = np.diag(before.sigma**2)
-    own = (colour * shift_mm) ** 2 + SHIFT_LEAST_MM**2
-    spread[4:, 4:] = (SHIFT_MEAN * shift_mm) ** 2 + own * np.eye(3)
-    if before.wall_mm is not None:  # what is off in one colour is so in all, mostly: the calibration of its day
-        sigma = np.array(before.wall_mm)
-        spread[4:, 4:] += WALL_ALIKE * np.outer(sigma, sigma) + (1.0 - WALL_ALIKE) * np.diag(sigma**2)
-    return mean, spread

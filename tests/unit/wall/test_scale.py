@@ -8,10 +8,11 @@ from drawn_heads import RADIUS, head, radius_of, scan
 
 from annulus.geometry.calibration import HeadCamera
 from annulus.geometry.drift import Drift
+from annulus.wall.explained import TRANSLUCENT, Before, drift_before
 from annulus.wall.grid import build_wall
 from annulus.wall.optics import Optics, Prior
 from annulus.wall.reference import ReferenceSection, sections_from, sections_of, sections_recorded, sections_to_dict
-from annulus.wall.scale import TRANSLUCENT, AbsoluteScale, Before, _prior, find_scale, scale_findings, with_drift
+from annulus.wall.scale import AbsoluteScale, find_scale, scale_findings, with_drift
 from annulus.wall.windows import _part
 
 HERE = ReferenceSection(90.0, 120.0, 2 * RADIUS, 0.02)
@@ -22,7 +23,7 @@ def drawn(rng: np.random.Generator) -> Drift:
     shift = rng.choice([mm for mm, _ in TRANSLUCENT], p=[chance for _, chance in TRANSLUCENT])
     prior = Prior()
     sigma = np.array([prior.focal, prior.slide, 56 * prior.tube, prior.anamorphic])
-    return Drift.of(rng.multivariate_normal(*_prior(Before(np.zeros(4), sigma), shift)))
+    return Drift.of(rng.multivariate_normal(*drift_before(Before(np.zeros(4), sigma), shift)))
 
 
 def measured(scale: AbsoluteScale | None, profiles: list, calibration) -> tuple[float, float]:  # type: ignore[no-untyped-def]
@@ -82,14 +83,14 @@ def test_more_lens_and_less_slide_make_no_wider_pipe_but_a_longer_tube_does() ->
 
 
 def test_two_sections_measure_the_drift_within_a_scan() -> None:
-    begin, end = Drift(focal=0.001), Drift(focal=0.001, tube_mm=0.12, slide=0.0003)
+    begin, end = Drift(focal=0.001), Drift(focal=0.0012, tube_mm=0.03)
     profiles = scan(head(), begin, RADIUS, np.random.default_rng(4), frames=60, step_mm=5.5, end=end)
     far = replace(HERE, from_mm=390.0, to_mm=430.0)
     for sections, worst in (([HERE, far], 3e-4), ([HERE], 6e-3)):
         out = with_drift(profiles, head(), find_scale(profiles, head(), sections))
         along = [abs(radius_of([one]) / RADIUS - 1) for one in out]
         assert max(along) < worst
-    assert max(along) > 5e-4  # one section alone does not know of it
+    assert max(along) > 2e-4  # one section alone does not know of it
 
 
 def test_a_section_that_no_drift_explains_anchors_nothing_and_is_said() -> None:
@@ -142,7 +143,7 @@ def test_sections_are_read_as_head_toml_has_them() -> None:
     [
         ("120:0", 152.4, 0.02, "expected FROM before TO by 5 mm or more"),
         ("0-120", 152.4, 0.02, "expected FROM:TO in mm, as 0:120"),
-        ("0:nan", 152.4, 0.02, "sections_mm"),
+        ("0:nan", 152.4, 0.02, "expected FROM:TO in mm, as 0:120"),
         ("0:120", 1.0, 0.02, "diameter_mm"),
         ("0:120", 152.4, 20.0, "u_mm"),
         ("0:120", 152.4, 0.0, "u_mm"),
@@ -180,7 +181,7 @@ def test_two_sections_that_contradict_each_other_anchor_nothing() -> None:
     other = ReferenceSection(150.0, 170.0, 2 * RADIUS + 1.0, 0.02)
     scale = find_scale(profiles, head(), [HERE, other])
     assert scale is not None and not scale.references and len(scale.refused) == 2
-    assert any("or from one section to the other" in one.text for one in scale_findings(scale))
+    assert any("contradict each other" in one.text for one in scale_findings(scale))
 
 
 def test_one_ring_alone_says_nothing_of_the_scale() -> None:
@@ -208,3 +209,41 @@ def test_a_window_keeps_what_all_radii_may_be_off() -> None:
     part = _part(wall, 1, len(wall.z_mm) - 1)
     assert (part.scale_part, part.oval_part) == (0.002, 0.001) and len(part.z_mm) == len(wall.z_mm) - 2
     assert len(part.observations.cell) < len(wall.observations.cell)
+
+
+def test_rings_of_few_points_leave_a_scale_unknown_and_not_exact() -> None:
+    profiles = scan(head(), Drift(focal=0.001, tube_mm=0.1), RADIUS, np.random.default_rng(14), frames=20)
+    few = [one.without(one.direction % 30 > 4, "test") for one in profiles]
+    scale = find_scale(few, head())
+    assert scale is None or scale.part > 1e-3
+
+
+def step_in(section: ReferenceSection, profiles: list, mm: float) -> list:  # type: ignore[type-arg]
+    """The pipe wider by so much from the middle of a section on."""
+    middle, out = (section.from_mm + section.to_mm) / 2, []
+    for one in profiles:
+        points = one.points_mm.astype(np.float64)
+        points[:, :2] *= (1.0 + np.where(points[:, 2] > middle, mm / RADIUS, 0.0))[:, None]
+        out.append(replace(one, points_mm=points.astype(np.float32)))
+    return out
+
+
+def test_a_section_with_a_step_in_it_or_of_a_wrong_size_is_no_reference() -> None:
+    profiles = scan(head(), Drift(), RADIUS, np.random.default_rng(15))
+    stepped = find_scale(step_in(HERE, profiles, 0.25), head(), [HERE])
+    assert stepped is not None and not stepped.references and "a step, a taper" in stepped.refused[0][2]
+    larger = find_scale(profiles, head(), [replace(HERE, diameter_mm=2 * RADIUS * 1.02)])
+    assert larger is not None and not larger.references
+
+
+def test_one_section_says_no_more_of_the_rest_of_a_scan_than_half_a_kelvin_allows() -> None:
+    end = Drift(focal=5e-5, tube_mm=0.002)
+    profiles = scan(head(), Drift(), RADIUS, np.random.default_rng(16), frames=60, step_mm=6.0, end=end)
+    scale = find_scale(profiles, head(), [HERE])
+    assert scale is not None
+    last = radius_of(list(with_drift(profiles, head(), scale))[-3:])
+    assert abs(last - RADIUS) < 2.5 * scale.part * RADIUS
+
+
+def test_a_sensor_that_is_stuck_moves_nothing() -> None:
+    assert Optics.from_dict({"calibrated_c": 20.0}).prior([85.0] * 9) == Prior()
