@@ -34,6 +34,7 @@ AHEAD_OF_RADIUS = 6.0  # how far ahead of its head a ring may land
 STRETCHES, STRETCH_OF_RADIUS = 3, 3.0  # of a long scan: so many, each so long that all rings see its wall
 # What half a kelvin does to lens, slide and tube (of its length) while a scan lasts: where no section is, none is seen.
 WITHIN = (5e-5, 1e-5, 3.5e-5)
+UNEVENLY = 1.0 / 6.0  # of what a scan drifted by from section to section: warming is fast first, and no line
 EVEN_MOST = 7e-4  # of the radius: standard deviation of a section's rows, 0.05 mm of a 6-inch pipe; more is no sleeve
 DRIFT = "drift"  # kind of a finding
 LEAST_K2_MM = 0.01  # of a section's reading, before a drift is named: no gauge of a head's own day is better
@@ -94,7 +95,8 @@ class AbsoluteScale:
         section, _ = self.references[0]
         k2 = math.hypot(self.observed_k2_mm, section.diameter_k2_mm) / section.diameter_mm
         lens, slide, tube = self.even[:3] * WITHIN * [1.0, 1.0, self.tube_mm]
-        return math.hypot(k2 / 2.0, lens, slide, tube, self.beyond)
+        between = np.ptp([self.even @ one.values for one in self.drifts])
+        return math.hypot(k2 / 2.0, lens, slide, tube, self.beyond, UNEVENLY * float(between))
 
     @property
     def oval_part(self) -> float:
