@@ -26,9 +26,19 @@ from annulus.wall.indications import (
     find_indications,
     without_holes,
 )
+from annulus.wall.levels import OFF_DEG
 from annulus.wall.points import Points
 from annulus.wall.shadow import shadowed
-from annulus.wall.standing import END_WHY, FEW, NOISE_WHY, SHALLOW_WHY, UNSURE_WHY, depth_limit_mm, left_standing
+from annulus.wall.standing import (
+    END_WHY,
+    FEW,
+    LEVEL_WHY,
+    NOISE_WHY,
+    SHALLOW_WHY,
+    UNSURE_WHY,
+    depth_limit_mm,
+    left_standing,
+)
 from annulus.wall.stations import shape_ovality, swing_k2_mm
 
 __all__ = ["Defect", "Detection", "Kind", "Limits", "clock_face", "find_defects"]
@@ -37,6 +47,9 @@ __all__ = ["Defect", "Detection", "Kind", "Limits", "clock_face", "find_defects"
 ALL_ROUND_DEG = 345.0  # an arc longer than this goes all round ..
 MOST_ROUND_DEG = 270.0  # .. or one longer than this with sound wall in no more directions than that leaves
 UNSURE = 0.6  # part of a depth: a place whose k = 2 uncertainty is larger is not known to be a defect
+# A level is a chord: its depth says how wide it is. Of what its arc was seen as, corners lost: nine levels of the blind
+# bench 0.88 to 0.96, domes at the bottom 0.59 to 0.79, dents from 1.25 on. Length of the radius: levels from 0.7 on.
+CHORD_LEAST, CHORD_MOST, CHORD_LONG = 0.83, 1.08, 0.5
 DEEP = 0.8  # part of its depth: the cells of a place that show how deep it is
 BORDERING = 0.6  # part of those cells that border on unknown wall: more, and what is deepest may lie where nobody saw
 MANY = 6  # places near each other of which nothing is known but that rings differ: more share one line
@@ -157,6 +170,8 @@ def find_defects(
             doubted.append((replace(defect, why=FEW), whole))
         elif _only_at_an_end(indication.mask, scale):
             doubted.append((replace(defect, why=END_WHY), whole))
+        elif _may_be_level(defect, wall):
+            doubted.append((replace(defect, why=LEVEL_WHY), whole))
         elif defect.depth_k2_mm > UNSURE * defect.depth_mm:  # nor where nobody says
             doubted.append((replace(defect, why=UNSURE_WHY), whole))
         else:
@@ -178,6 +193,16 @@ def find_defects(
     for i, (_, place) in enumerate(found):
         label[place] = i + 1
     return Detection(tuple(defect for defect, _ in found), label, limits, tuple(undecided))
+
+
+def _may_be_level(defect: Defect, wall: Wall) -> bool:
+    """Whether it is as a chord across the bottom is, along some of the pipe: as wide as it is high, and no dome is."""
+    radius = wall.mean_radius_mm
+    if defect.kind is not Kind.BUMP or abs(defect.clock_deg - 180.0) > OFF_DEG or defect.depth_mm >= radius:
+        return False
+    chord_deg = 2.0 * math.degrees(math.acos(1.0 - defect.depth_mm / radius))
+    as_wide = CHORD_LEAST <= defect.arc_deg / chord_deg <= CHORD_MOST
+    return as_wide and defect.length_mm >= CHORD_LONG * radius
 
 
 def _measured(

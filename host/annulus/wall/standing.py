@@ -25,6 +25,7 @@ UNSURE_WHY = "its depth is known too little"
 NOISE_WHY = "rings differ there by as much"
 END_WHY = "only the last rows of the scan show it"
 JOINT_WHY = "a joint's bead or edge and damage of it are not distinguished"
+LEVEL_WHY = "it lies flat across the bottom: water, a deposit or a bump"
 EDGE_WHY = "it lines the edge of something larger"
 SHALLOW_WHY = "it is measured less deep than what is listed, and may be deeper"
 SHALLOW_SIZES = 1.5  # of the smallest size that is listed, both ways: of smaller ones every map has some by its noise
