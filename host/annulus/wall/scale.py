@@ -41,6 +41,7 @@ LEAST_K2_MM = 0.01  # of a section's reading, before a drift is named: no gauge 
 WILD = 3.0  # standard deviations of what the scan says of itself: a section that is farther off is not of that size
 # Of the radius: no head drifts by more from one end of a scan to the other, 4 K of a plastic lens, acrylic and film.
 APART_MOST = 0.0025
+UNSEEN_WHY = "too little of its wall was seen"
 SURE, CHANCE = 3.0, 0.003  # standard deviations, a probability: from there on a drift is named and taken out
 RING_POINTS, SECTION_OBSERVATIONS = 20, 60  # with fewer a ring, or a section, does not count as seen
 
@@ -141,11 +142,11 @@ def find_scale(
     if seen is None or not len(seen.head) or seen.ring.max() >= len(calibration.rings):
         return None
     along = seen.in_pipe(seen.points)[:, 2]
+    named = references
     references = [
-        one
-        for one in references
-        if np.count_nonzero((along >= one.from_mm) & (along <= one.to_mm)) >= SECTION_OBSERVATIONS
+        one for one in named if np.count_nonzero((along >= one.from_mm) & (along <= one.to_mm)) >= SECTION_OBSERVATIONS
     ]
+    unseen = tuple((one, math.nan, UNSEEN_WHY) for one in named if one not in references)
     radius = float(np.median(np.hypot(*seen.in_pipe(seen.points)[:, :2].T)))
     sections = [Section(r.from_mm, r.to_mm, r.diameter_mm / 2, r.diameter_k2_mm / 4) for r in references]
     offsets = ring_offsets(seen, len(calibration.rings), radius, sections)
@@ -170,7 +171,7 @@ def find_scale(
     if wild:
         rest = [one for one in references if all(one is not other for other, _, _ in wild)]
         without = find_scale(profiles, calibration, rest, prior)
-        return without and replace(without, refused=(*without.refused, *wild))
+        return without and replace(without, refused=(*without.refused, *wild, *unseen))
     beyond = max(min(places) - float(seen.z_mm.min()), float(seen.z_mm.max()) - max(places), 0.0)
     order = np.argsort(places)
     out = AbsoluteScale(
@@ -182,6 +183,7 @@ def find_scale(
         edges,
         min(one.opaque for one in answers),
         found,
+        unseen,
         observed_k2_mm=_observed_k2_mm(offsets, sections),
         by=prior.by,
         tube_mm=tube_mm,
@@ -265,8 +267,11 @@ def anchor(scale: AbsoluteScale | None, diameter_mm: float) -> str:
         return "diameters rest on the calibration; what this kind of head may have drifted by is in none of the numbers"
     k2 = f"all diameters may be off alike by {off(2.0 * scale.part * diameter_mm, MEASURE)} (k = 2)"
     if not scale.references:
+        nothing = "no section of known diameter was named"
+        if scale.refused:
+            nothing = "no section that was named could be used"
         return (
-            f"not checked: no section of known diameter was named. Diameters rest on the calibration, {k2}, as much as "
+            f"not checked: {nothing}. Diameters rest on the calibration, {k2}, as much as "
             f"optics drift by and rings do not show{scale.by and f'; {scale.by}'}"
         )
     checks = [
@@ -284,7 +289,7 @@ def drift_lines(scale: AbsoluteScale, sections: Sequence[ReferenceSection]) -> t
     read = dict((*scale.references, *((one, mm) for one, mm, _ in scale.refused)))
     for one in sections:
         where = f"{span(one.from_mm, one.to_mm, DISTANCE)}  {said(one.diameter_mm, MEASURE, one.diameter_k2_mm)}"
-        if one not in read:
+        if math.isnan(read.get(one, math.nan)):
             out.append(f"{where}  not seen")
             wrong = True
             continue
@@ -331,10 +336,8 @@ def _drifted(scale: AbsoluteScale) -> Iterator[str]:
 
 def _refused(scale: AbsoluteScale) -> Iterator[str]:
     for section, mm, why in scale.refused:
-        yield (
-            f"the section from {span(section.from_mm, section.to_mm, DISTANCE)} is no reference: it reads {mm:.2f} mm "
-            f"with the calibration as it is; {why}"
-        )
+        read = "" if math.isnan(mm) else f"it reads {mm:.2f} mm with the calibration as it is; "
+        yield (f"the section from {span(section.from_mm, section.to_mm, DISTANCE)} is no reference: {read}{why}")
 
 
 def _percent(value: float, sigma: float) -> str:

@@ -12,7 +12,7 @@ from annulus.wall.explained import TRANSLUCENT, Before, drift_before
 from annulus.wall.grid import build_wall
 from annulus.wall.optics import Optics, Prior
 from annulus.wall.reference import ReferenceSection, sections_from, sections_of, sections_recorded, sections_to_dict
-from annulus.wall.scale import AbsoluteScale, find_scale, scale_findings, with_drift
+from annulus.wall.scale import AbsoluteScale, anchor, find_scale, scale_findings, with_drift
 from annulus.wall.windows import _part
 
 HERE = ReferenceSection(90.0, 120.0, 2 * RADIUS, 0.02)
@@ -105,6 +105,8 @@ def test_a_section_that_nobody_saw_anchors_nothing() -> None:
     profiles = scan(head(), Drift(), RADIUS, np.random.default_rng(6), frames=20)
     scale = find_scale(profiles, head(), [ReferenceSection(-300.0, -200.0, 152.4, 0.02)])
     assert scale is not None and not scale.references
+    assert any("too little of its wall was seen" in one.text for one in scale_findings(scale))
+    assert "no section that was named could be used" in anchor(scale, 152.4)
 
 
 def test_an_anamorphic_drift_makes_no_oval_pipe() -> None:
