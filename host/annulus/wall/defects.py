@@ -198,7 +198,7 @@ def find_defects(
 def _may_be_level(defect: Defect, wall: Wall) -> bool:
     """Whether it is as a chord across the bottom is, along some of the pipe: as wide as it is high, and no dome is."""
     radius = wall.mean_radius_mm
-    if defect.kind is not Kind.BUMP or abs(defect.clock_deg - 180.0) > OFF_DEG or defect.depth_mm >= radius:
+    if defect.kind is not Kind.BUMP or abs(defect.clock_deg - 180.0) > OFF_DEG or not 0.0 < defect.depth_mm < radius:
         return False
     chord_deg = 2.0 * math.degrees(math.acos(1.0 - defect.depth_mm / radius))
     as_wide = CHORD_LEAST <= defect.arc_deg / chord_deg <= CHORD_MOST

@@ -31,6 +31,7 @@ def test_what_is_as_wide_as_a_chord_may_be_a_level(depth_mm: float) -> None:
         bump(3.0, 1.3),  # a dent
         bump(6.0, 0.92, length_mm=8.0),  # a lump
         bump(6.0, 0.92, clock_deg=120.0),
+        bump(0.0, 0.92),
         Defect(Kind.LOSS, 200.0, 180.0, 90.0, 45.0, 6.0, 0.0),
     ],
 )
