@@ -35,6 +35,7 @@ STRETCHES, STRETCH_OF_RADIUS = 3, 3.0  # of a long scan: so many, each so long t
 # What half a kelvin does to lens, slide and tube (of its length) while a scan lasts: where no section is, none is seen.
 WITHIN = (5e-5, 1e-5, 3.5e-5)
 UNEVENLY = 1.0 / 6.0  # of what a scan drifted by from section to section: warming is fast first, and no line
+CABLE = 0.001  # of a length: what a cable on its wheel is off by, standard deviation
 EVEN_MOST = 7e-4  # of the radius: standard deviation of a section's rows, 0.05 mm of a 6-inch pipe; more is no sleeve
 DRIFT = "drift"  # kind of a finding
 LEAST_K2_MM = 0.01  # of a section's reading, before a drift is named: no gauge of a head's own day is better
@@ -57,7 +58,9 @@ class AbsoluteScale:
     drawn; none where no section was seen.
     refused : the same of those that anchor nothing, and why. by : what else was known, in words.
     tube_mm : how far the projector stands behind the camera. beyond : of the radius (k = 1), what an even drift leaves
-    where the head was beyond its sections.
+    where the head was beyond its sections. marks : by what part f R is larger than measured, and its standard
+    deviation, as marks on the wall say over a known length of cable; None where there are none. astray : of the radius,
+    what they say that it is off, which is not taken out.
     """
 
     z_mm: FloatArray
@@ -73,6 +76,8 @@ class AbsoluteScale:
     by: str = ""
     tube_mm: float = 0.0
     beyond: float = 0.0
+    marks: tuple[float, float] | None = None
+    astray: float = 0.0
     left_mm: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
     def at(self, z_mm: float) -> Drift:
@@ -92,7 +97,7 @@ class AbsoluteScale:
     def part(self) -> float:
         """Standard deviation of what all radii have in common, of the radius."""
         if not self.references:
-            return math.sqrt(max(float(self.even @ self.covariance @ self.even), 0.0))
+            return math.hypot(math.sqrt(max(float(self.even @ self.covariance @ self.even), 0.0)), self.astray)
         section, _ = self.references[0]
         k2 = math.hypot(self.observed_k2_mm, section.diameter_k2_mm) / section.diameter_mm
         lens, slide, tube = self.even[:3] * WITHIN * [1.0, 1.0, self.tube_mm]
@@ -193,6 +198,24 @@ def find_scale(
     return out if found or out.is_sure or any(before.mean) else out.as_calibrated()
 
 
+def with_marks(scale: AbsoluteScale | None, marks: tuple[float, float] | None) -> AbsoluteScale | None:
+    """The same scale, knowing what marks on the wall say of f R. marks : by what part a known cable went less far than
+    they say, and its standard deviation (`Pace.error`). What they narrow is what all radii have in common; they come
+    after the wall is built, so what they say that it is off stays in it, and in `part`."""
+    if scale is None or marks is None or scale.references:
+        return scale
+    effect = scale.even + np.eye(len(scale.even))[0]
+    sigma = math.hypot(marks[1], CABLE)
+    expected = scale.drifts[0].focal
+    spread = float(effect @ scale.covariance @ effect) + sigma**2
+    gain = scale.covariance @ effect / spread
+    off = marks[0] - expected
+    if abs(off) > SURE * math.sqrt(spread):  # the cable is wrong, or a mark: `Pace` has its own words for it
+        return replace(scale, marks=(marks[0], sigma))
+    covariance = scale.covariance - np.outer(gain, effect @ scale.covariance)
+    return replace(scale, covariance=covariance, marks=(marks[0], sigma), astray=abs(float(scale.even @ gain * off)))
+
+
 def _refused_sections(
     seen: Observations,
     effects: Effects,
@@ -272,7 +295,7 @@ def anchor(scale: AbsoluteScale | None, diameter_mm: float) -> str:
             nothing = "no section that was named could be used"
         return (
             f"not checked: {nothing}. Diameters rest on the calibration, {k2}, as much as "
-            f"optics drift by and rings do not show{scale.by and f'; {scale.by}'}"
+            f"optics drift by and rings do not show{scale.by and f'; {scale.by}'}{_by_marks(scale)}"
         )
     checks = [
         f"{span(one.from_mm, one.to_mm, DISTANCE)}, {said(one.diameter_mm, MEASURE, one.diameter_k2_mm)}: "
@@ -280,6 +303,12 @@ def anchor(scale: AbsoluteScale | None, diameter_mm: float) -> str:
         for one, mm in scale.references
     ]
     return f"{'; '.join(checks)}. Diameters rest on it, {k2}, in walls that take in light as that section's does"
+
+
+def _by_marks(scale: AbsoluteScale) -> str:
+    if scale.marks is None:
+        return ""
+    return f"; marks on the wall over the cable's length say {100 * scale.marks[0]:+.2f} ± {200 * scale.marks[1]:.2f} %"
 
 
 def drift_lines(scale: AbsoluteScale, sections: Sequence[ReferenceSection]) -> tuple[list[str], bool]:

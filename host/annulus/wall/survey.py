@@ -37,7 +37,7 @@ from annulus.wall.points import Points
 from annulus.wall.profile import Profile
 from annulus.wall.registration import register
 from annulus.wall.rests import without_rests
-from annulus.wall.scale import AbsoluteScale, find_scale, scale_findings, with_drift, with_scale
+from annulus.wall.scale import AbsoluteScale, find_scale, scale_findings, with_drift, with_marks, with_scale
 from annulus.wall.shadow import shadowed
 from annulus.wall.standing import depth_limit_mm
 from annulus.wall.stations import Stations, measure_stations, not_enough_seen
@@ -282,21 +282,24 @@ def survey(
         points=cache(lambda: Points.of(wall, measured, 1.0 / rises)),
     )  # fmt: skip
     done("defects")
-    stations = stations_of(wall, no_wall)
     dark = shadowed(wall.radius_mm.astype(np.float64), wall.z_step_mm, narrowest)
     unjudged = find_unjudged(
         wall, detection, explained=explained, joints=np.asarray(of_joints.any(axis=1)), shadowed=dark, no_wall=no_wall,
         looks=lit[1], rings=len(rises), profiles=aligned, apart=sound_wall_apart(wall, lit[0], joints, 1.0 / narrowest),
     )  # fmt: skip
-    done("stations")
+    done("not judged")
     standing = find_objects(wall, aligned, calibration, lit[1], explained)
-    cloud = with_scale(with_edges(measured, wall), scale)
+    edged = with_edges(measured, wall)
     done("objects and edges")
     pace = Pace(wall, axis.centreline, calibration, measured)
     texture = paint(wall, axis.centreline, calibration, measured, pace.watched(led_frames))
     if texture is not None:
         texture[dark | below] = 0  # the radius there is not known, so neither is what was seen of it
     done("texture")
+    scale = with_marks(scale, pace.error())
+    wall = scaled(wall)
+    cloud, stations = with_scale(edged, scale), stations_of(wall, no_wall)
+    done("stations")
     timing = {name: 1e3 * (after - before) for (_, before), (name, after) in pairwise(marks)}
     features = [level.feature for level in levels]
     features += [*(joint.feature for joint in joints), *find_bends(axis, wall.extent[:2], common_mm(wall)), *openings]

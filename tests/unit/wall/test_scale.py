@@ -12,7 +12,7 @@ from annulus.wall.explained import TRANSLUCENT, Before, drift_before
 from annulus.wall.grid import build_wall
 from annulus.wall.optics import Optics, Prior
 from annulus.wall.reference import ReferenceSection, sections_from, sections_of, sections_recorded, sections_to_dict
-from annulus.wall.scale import AbsoluteScale, anchor, find_scale, scale_findings, with_drift
+from annulus.wall.scale import AbsoluteScale, anchor, find_scale, scale_findings, with_drift, with_marks
 from annulus.wall.windows import _part
 
 HERE = ReferenceSection(90.0, 120.0, 2 * RADIUS, 0.02)
@@ -249,3 +249,19 @@ def test_one_section_says_no_more_of_the_rest_of_a_scan_than_half_a_kelvin_allow
 
 def test_a_sensor_that_is_stuck_moves_nothing() -> None:
     assert Optics.from_dict({"calibrated_c": 20.0}).prior([85.0] * 9) == Prior()
+
+
+def test_marks_over_a_known_length_of_cable_narrow_the_scale() -> None:
+    for drift in (Drift(), Drift(tube_mm=0.1), Drift(focal=0.001, slide=-0.001)):
+        profiles = scan(head(), drift, RADIUS, np.random.default_rng(17))
+        scale = find_scale(profiles, head())
+        assert scale is not None
+        measured_mm = radius_of(list(with_drift(profiles, head(), scale)))
+        f_r = drift.focal + (RADIUS - measured_mm) / RADIUS  # what marks and cable say, to 0.05 %
+        narrower = with_marks(scale, (f_r, 0.0005))
+        assert narrower is not None and narrower.part < 0.95 * scale.part
+        assert abs(measured_mm - RADIUS) < 2.5 * narrower.part * RADIUS
+        assert "marks on the wall" in anchor(narrower, 152.4)
+        far = with_marks(scale, (0.05, 0.0005))
+        assert far is not None and far.part == scale.part  # an odometer that is 5 % off says nothing of a scale
+    assert with_marks(None, (0.0, 0.1)) is None and with_marks(scale, None) is scale
